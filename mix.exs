@@ -1,0 +1,37 @@
+defmodule Situ.Umbrella.MixProject do
+  use Mix.Project
+
+  @version "0.1.0"
+
+  def project do
+    [
+      apps_path: "apps",
+      version: @version,
+      elixir: "~> 1.14",
+      start_permanent: Mix.env() == :prod,
+      deps: [],
+      releases: releases(),
+      aliases: []
+    ]
+  end
+
+  # One release with every app; the NIFs travel in each app's priv/native.
+  defp releases do
+    [
+      situ: [
+        include_executables_for: [:unix],
+        applications: [
+          situ: :permanent,
+          situ_store: :permanent,
+          situ_media: :permanent,
+          situ_infer: :permanent,
+          situ_net: :permanent,
+          situ_live: :permanent,
+          situ_studio: :permanent,
+          situ_cli: :permanent,
+          situ_examples: :permanent
+        ]
+      ]
+    ]
+  end
+end

@@ -1,0 +1,67 @@
+//! Numbers about a picture, per channel in memory order.
+
+use crate::picture::View;
+
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Channel {
+    pub min: u32,
+    pub max: u32,
+    pub mean: f64,
+    pub deviation: f64,
+}
+
+/// Visits every channel value as (channel, value).
+fn each(src: &View, mut f: impl FnMut(usize, u32)) {
+    let channels = src.shape.format.channels();
+    if src.shape.format.bytes_per_channel() == 2 {
+        for row in src.rows() {
+            for (i, p) in row.chunks_exact(2).enumerate() {
+                f(i % channels, u16::from_le_bytes([p[0], p[1]]) as u32);
+            }
+        }
+    } else {
+        for row in src.rows() {
+            for p in row.chunks_exact(channels) {
+                p.iter().enumerate().for_each(|(c, v)| f(c, *v as u32));
+            }
+        }
+    }
+}
+
+/// Minimum, maximum, mean and standard deviation (of the population).
+pub fn channels(src: &View) -> Vec<Channel> {
+    let n = src.shape.format.channels();
+    let mut min = [u32::MAX; 4];
+    let (mut max, mut sum, mut squares) = ([0u32; 4], [0u64; 4], [0u64; 4]);
+    each(src, |c, v| {
+        min[c] = min[c].min(v);
+        max[c] = max[c].max(v);
+        sum[c] += v as u64;
+        squares[c] += v as u64 * v as u64;
+    });
+    let count = (src.shape.width * src.shape.height) as f64;
+    (0..n)
+        .map(|c| {
+            let mean = sum[c] as f64 / count;
+            let variance = (squares[c] as f64 / count - mean * mean).max(0.0);
+            Channel {
+                min: min[c],
+                max: max[c],
+                mean,
+                deviation: variance.sqrt(),
+            }
+        })
+        .collect()
+}
+
+/// 256 bins a channel; 16-bit values are binned by their high byte.
+pub fn histogram(src: &View) -> Vec<Vec<u32>> {
+    let shift = if src.shape.format.bytes_per_channel() == 2 {
+        8
+    } else {
+        0
+    };
+    let mut bins = vec![vec![0u32; 256]; src.shape.format.channels()];
+    each(src, |c, v| bins[c][(v >> shift) as usize] += 1);
+    bins
+}

@@ -1,0 +1,55 @@
+//! Pictures as the numbers models eat.
+
+use crate::error::{fail, Code, Result};
+use crate::picture::{Format, Shape, View};
+
+#[derive(Clone, Copy, Debug)]
+pub struct Layout {
+    /// Channels first (NCHW) or last (NHWC).
+    pub channels_first: bool,
+    /// `value * scale + offset`.
+    pub scale: f32,
+    pub offset: f32,
+}
+
+/// Bytes of the f32 tensor: alpha and unused channels are left out.
+pub fn bytes(shape: Shape) -> Result<usize> {
+    let channels = shape.format.channels().min(3);
+    let n = shape.width * shape.height * channels * 4;
+    if n > crate::picture::MAX_BYTES {
+        return fail(Code::TooLarge, "the tensor would take more than 1 GiB");
+    }
+    Ok(n)
+}
+
+/// f32, native order, red first for colour.
+pub fn to_f32(src: &View, layout: Layout, out: &mut [u8]) {
+    let format = src.shape.format;
+    let order: &[usize] = match format {
+        Format::Gray8 | Format::Gray16 => &[0],
+        Format::Bgr24 | Format::Bgrx32 | Format::Bgra32 => &[2, 1, 0],
+        _ => &[0, 1, 2],
+    };
+    let (size, depth) = (format.bytes(), format.bytes_per_channel());
+    let plane = src.shape.width * src.shape.height;
+    let mut i = 0;
+    for row in src.rows() {
+        for p in row.chunks_exact(size) {
+            for (c, from) in order.iter().enumerate() {
+                let raw = if depth == 2 {
+                    u16::from_le_bytes([p[2 * from], p[2 * from + 1]]) as f32
+                } else {
+                    p[*from] as f32
+                };
+                let at = if layout.channels_first {
+                    c * plane + i
+                } else {
+                    i * order.len() + c
+                };
+                let value = raw * layout.scale + layout.offset;
+                out[at * 4..at * 4 + 4].copy_from_slice(&value.to_ne_bytes());
+            }
+            i += 1;
+        }
+    }
+}

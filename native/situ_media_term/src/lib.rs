@@ -1,0 +1,135 @@
+//! Media structs as BEAM terms, for every library that handles them.
+
+use rustler::{Binary, Encoder, Env, NifStruct, NifUnitEnum, OwnedBinary, Term};
+use situ_media::error::{fail, Code, Error, Result};
+use situ_media::picture::{Format, Shape, View};
+use std::time::Instant;
+
+#[derive(Clone, Copy, NifUnitEnum)]
+pub enum PixelFormat {
+    Gray8,
+    Gray16,
+    Bgr24,
+    Rgb24,
+    Bgrx32,
+    Bgra32,
+    Rgba32,
+    Rgba64,
+}
+
+macro_rules! same_names {
+    ($($name:ident),*) => {
+        impl From<PixelFormat> for Format {
+            fn from(format: PixelFormat) -> Format {
+                match format { $(PixelFormat::$name => Format::$name),* }
+            }
+        }
+        impl From<Format> for PixelFormat {
+            fn from(format: Format) -> PixelFormat {
+                match format { $(Format::$name => PixelFormat::$name),* }
+            }
+        }
+    };
+}
+
+same_names!(Gray8, Gray16, Bgr24, Rgb24, Bgrx32, Bgra32, Rgba32, Rgba64);
+
+/// `%Situ.Image{}`.
+#[derive(NifStruct)]
+#[module = "Situ.Image"]
+pub struct Picture<'a> {
+    pub width: u32,
+    pub height: u32,
+    pub format: PixelFormat,
+    pub stride: u32,
+    pub data: Binary<'a>,
+}
+
+impl<'a> Picture<'a> {
+    pub fn view(&self) -> Result<View<'_>> {
+        let shape = Shape::new(
+            self.width as usize,
+            self.height as usize,
+            self.format.into(),
+        )?;
+        View::new(shape, self.stride as usize, self.data.as_slice())
+    }
+
+    pub fn new(env: Env<'a>, shape: Shape, data: OwnedBinary) -> Picture<'a> {
+        Picture {
+            width: shape.width as u32,
+            height: shape.height as u32,
+            format: shape.format.into(),
+            stride: shape.row_bytes() as u32,
+            data: data.release(env),
+        }
+    }
+}
+
+/// Memory of the BEAM, not initialised; an error when there is none left (`OwnedBinary::new` would abort the VM).
+pub fn allocate(bytes: usize) -> Result<OwnedBinary> {
+    let mut binary = OwnedBinary::new(0);
+    if binary.realloc(bytes) {
+        Ok(binary)
+    } else {
+        fail(Code::OutOfMemory, format!("no memory for {bytes} bytes"))
+    }
+}
+
+/// A binary with the bytes of a vector.
+pub fn binary<'a>(env: Env<'a>, bytes: &[u8]) -> Result<Binary<'a>> {
+    let mut owned = allocate(bytes.len())?;
+    owned.as_mut_slice().copy_from_slice(bytes);
+    Ok(owned.release(env))
+}
+
+/// A new picture of `shape`, filled by `fill`.
+pub fn picture<'a>(
+    env: Env<'a>,
+    shape: Shape,
+    fill: impl FnOnce(&mut [u8]) -> Result<()>,
+) -> Result<Term<'a>> {
+    let mut data = allocate(shape.bytes())?;
+    fill(data.as_mut_slice())?;
+    Ok(Picture::new(env, shape, data).encode(env))
+}
+
+mod atoms {
+    rustler::atoms! {
+        ok, error, bad_image, bad_format, bad_size, bad_rect, bad_option, too_large, bad_jpeg, bad_png,
+        bad_audio, out_of_memory, failed
+    }
+}
+
+/// `{:ok, term}` or `{:error, code, what}`.
+pub fn reply<'a>(env: Env<'a>, result: Result<Term<'a>>) -> Term<'a> {
+    match result {
+        Ok(term) => (atoms::ok(), term).encode(env),
+        Err(Error { code, what }) => (atoms::error(), atom(code), what).encode(env),
+    }
+}
+
+fn atom(code: Code) -> rustler::Atom {
+    match code {
+        Code::BadImage => atoms::bad_image(),
+        Code::BadFormat => atoms::bad_format(),
+        Code::BadSize => atoms::bad_size(),
+        Code::BadRect => atoms::bad_rect(),
+        Code::BadOption => atoms::bad_option(),
+        Code::TooLarge => atoms::too_large(),
+        Code::BadJpeg => atoms::bad_jpeg(),
+        Code::BadPng => atoms::bad_png(),
+        Code::BadAudio => atoms::bad_audio(),
+        Code::OutOfMemory => atoms::out_of_memory(),
+        Code::Failed => atoms::failed(),
+    }
+}
+
+/// Runs `work` on a normal scheduler and charges its time to the process: 1 % of a time slice is 10 us.
+pub fn charged<'a>(env: Env<'a>, work: impl FnOnce() -> Term<'a>) -> Term<'a> {
+    let start = Instant::now();
+    let result = work();
+    let percent = (start.elapsed().as_micros() / 10).clamp(1, 100) as i32;
+    rustler::schedule::consume_timeslice(env, percent);
+    result
+}

@@ -1,0 +1,166 @@
+// The OpenCV kernels behind situ_opencv_nif. Pictures are the caller's memory on both sides; no exception leaves.
+#include <cstdint>
+#include <cstdio>
+#include <cstring>
+#include <opencv2/core.hpp>
+#include <opencv2/imgproc.hpp>
+
+extern "C" {
+
+struct situ_picture {
+  uint8_t *data;
+  int32_t width, height;
+  int64_t stride;
+  int32_t channels, depth;  // depth: bytes a channel, 1 or 2
+};
+
+struct situ_shape {
+  int32_t kind;  // 0 line, 1 rectangle, 2 circle, 3 text
+  double a, b, c, d;  // line: from, to; rectangle: x, y, w, h; circle: x, y, radius; text: x, y, size
+  double color[4];
+  int32_t thickness;  // -1: filled
+  const char *text;
+};
+}
+
+namespace {
+
+cv::Mat mat(const situ_picture &p) {
+  int type = CV_MAKETYPE(p.depth == 2 ? CV_16U : CV_8U, p.channels);
+  return cv::Mat(p.height, p.width, type, p.data, static_cast<size_t>(p.stride));
+}
+
+cv::Scalar scalar(const double *v) { return cv::Scalar(v[0], v[1], v[2], v[3]); }
+
+// Runs `f(src, dst)`, then makes sure that OpenCV wrote into our memory and not into its own.
+template <typename F>
+int guarded(const situ_picture *src, situ_picture *dst, char *error, size_t room, F f) {
+  try {
+    cv::setNumThreads(1);
+    cv::Mat from = mat(*src), to = mat(*dst);
+    f(from, to);
+    if (to.data != dst->data) {
+      if (to.size() != cv::Size(dst->width, dst->height) || to.type() != mat(*dst).type()) {
+        std::snprintf(error, room, "OpenCV made a picture of another size or type");
+        return 1;
+      }
+      cv::Mat target = mat(*dst);
+      to.copyTo(target);
+    }
+    return 0;
+  } catch (const std::exception &e) {
+    std::snprintf(error, room, "%s", e.what());
+  } catch (...) {
+    std::snprintf(error, room, "unknown C++ exception");
+  }
+  return 1;
+}
+
+const int INTERPOLATIONS[] = {cv::INTER_NEAREST, cv::INTER_LINEAR, cv::INTER_CUBIC};
+const int BORDERS[] = {cv::BORDER_CONSTANT, cv::BORDER_REPLICATE};
+const int MORPHS[] = {cv::MORPH_ERODE, cv::MORPH_DILATE, cv::MORPH_OPEN, cv::MORPH_CLOSE};
+
+void draw_text(cv::Mat &to, const situ_shape &s) {
+  // `size` is the height of a capital letter in pixels; Hershey's is 21 units high at scale 1.
+  double scale = s.c / 21.0;
+  cv::putText(to, s.text, cv::Point(cvRound(s.a), cvRound(s.b + s.c)), cv::FONT_HERSHEY_SIMPLEX, scale,
+              scalar(s.color), std::max(1, s.thickness), cv::LINE_AA);
+}
+
+void draw_one(cv::Mat &to, const situ_shape &s) {
+  // Sub-pixel places: OpenCV takes them as fixed point with `shift` fraction bits.
+  const int shift = 4;
+  auto fix = [](double v) { return cvRound(v * 16); };
+  int aa = to.depth() == CV_8U ? cv::LINE_AA : cv::LINE_8;
+  switch (s.kind) {
+    case 0:
+      cv::line(to, {fix(s.a), fix(s.b)}, {fix(s.c), fix(s.d)}, scalar(s.color), s.thickness, aa, shift);
+      break;
+    case 1:
+      if (s.thickness < 0)
+        cv::rectangle(to, cv::Rect(cvRound(s.a), cvRound(s.b), cvRound(s.c), cvRound(s.d)), scalar(s.color), -1);
+      else
+        cv::rectangle(to, {cvRound(s.a), cvRound(s.b)}, {cvRound(s.a + s.c) - 1, cvRound(s.b + s.d) - 1},
+                      scalar(s.color), s.thickness);
+      break;
+    case 2:
+      cv::circle(to, {fix(s.a), fix(s.b)}, fix(s.c), scalar(s.color), s.thickness, aa, shift);
+      break;
+    default:
+      draw_text(to, s);
+  }
+}
+
+}  // namespace
+
+extern "C" {
+
+int situ_warp_affine(const situ_picture *src, situ_picture *dst, const double *matrix, int interpolation, int border,
+                     const double *color, char *error, size_t room) {
+  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
+    cv::Mat m(2, 3, CV_64F, const_cast<double *>(matrix));
+    cv::warpAffine(from, to, m, to.size(), INTERPOLATIONS[interpolation], BORDERS[border], scalar(color));
+  });
+}
+
+int situ_warp_perspective(const situ_picture *src, situ_picture *dst, const double *matrix, int interpolation,
+                          int border, const double *color, char *error, size_t room) {
+  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
+    cv::Mat m(3, 3, CV_64F, const_cast<double *>(matrix));
+    cv::warpPerspective(from, to, m, to.size(), INTERPOLATIONS[interpolation], BORDERS[border], scalar(color));
+  });
+}
+
+int situ_resize_bilinear(const situ_picture *src, situ_picture *dst, char *error, size_t room) {
+  return guarded(src, dst, error, room,
+                 [&](cv::Mat &from, cv::Mat &to) { cv::resize(from, to, to.size(), 0, 0, cv::INTER_LINEAR); });
+}
+
+int situ_gaussian(const situ_picture *src, situ_picture *dst, int size, double sigma, char *error, size_t room) {
+  return guarded(src, dst, error, room,
+                 [&](cv::Mat &from, cv::Mat &to) { cv::GaussianBlur(from, to, cv::Size(size, size), sigma); });
+}
+
+int situ_box_blur(const situ_picture *src, situ_picture *dst, int size, char *error, size_t room) {
+  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) { cv::blur(from, to, cv::Size(size, size)); });
+}
+
+int situ_median_blur(const situ_picture *src, situ_picture *dst, int size, char *error, size_t room) {
+  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) { cv::medianBlur(from, to, size); });
+}
+
+int situ_canny(const situ_picture *src, situ_picture *dst, double low, double high, char *error, size_t room) {
+  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) { cv::Canny(from, to, low, high); });
+}
+
+// |d/dx| and |d/dy| of Sobel 3x3, half of each, as 8 bit.
+int situ_sobel(const situ_picture *src, situ_picture *dst, char *error, size_t room) {
+  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
+    cv::Mat x, y, ax, ay;
+    cv::Sobel(from, x, CV_16S, 1, 0);
+    cv::Sobel(from, y, CV_16S, 0, 1);
+    cv::convertScaleAbs(x, ax);
+    cv::convertScaleAbs(y, ay);
+    cv::addWeighted(ax, 0.5, ay, 0.5, 0, to);
+  });
+}
+
+int situ_morphology(const situ_picture *src, situ_picture *dst, int kind, int size, char *error, size_t room) {
+  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
+    cv::Mat element = cv::getStructuringElement(cv::MORPH_RECT, cv::Size(size, size));
+    cv::morphologyEx(from, to, MORPHS[kind], element);
+  });
+}
+
+int situ_equalize(const situ_picture *src, situ_picture *dst, char *error, size_t room) {
+  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) { cv::equalizeHist(from, to); });
+}
+
+int situ_draw(const situ_picture *src, situ_picture *dst, const situ_shape *shapes, size_t count, char *error,
+              size_t room) {
+  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
+    from.copyTo(to);
+    for (size_t i = 0; i < count; i++) draw_one(to, shapes[i]);
+  });
+}
+}

@@ -1,0 +1,254 @@
+//! Extents being written: allocated files of one lane, filled front to back.
+
+use std::fs::{File, OpenOptions};
+use std::io::IoSlice;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::Arc;
+
+use rustix::fs::{fallocate, fdatasync, ftruncate, FallocateFlags};
+use rustix::io::{pwrite, pwritev, Errno};
+
+use crate::error::{Error, Result};
+use crate::format::*;
+
+/// Simulated crashes: the n-th step fails (or kills the process), for the tests of durability.
+#[derive(Debug, Default)]
+pub struct Fault {
+    left: AtomicI64,
+    armed: bool,
+    kill: bool,
+}
+
+impl Fault {
+    pub fn after(steps: i64, kill: bool) -> Arc<Self> {
+        Arc::new(Fault {
+            left: AtomicI64::new(steps),
+            armed: true,
+            kill,
+        })
+    }
+
+    #[inline]
+    pub fn step(&self) -> Result<()> {
+        if !self.armed || self.left.fetch_sub(1, Ordering::Relaxed) > 0 {
+            return Ok(());
+        }
+        if self.kill {
+            let _ = rustix::process::kill_process(
+                rustix::process::getpid(),
+                rustix::process::Signal::KILL,
+            );
+        }
+        Err(Error::Crash)
+    }
+}
+
+/// Reserves bytes of a file on the disk, so that writing them later cannot run out of space.
+pub fn allocate(file: &File, from: u64, length: u64) -> std::result::Result<(), Errno> {
+    match fallocate(file, FallocateFlags::empty(), from, length) {
+        Err(Errno::OPNOTSUPP) | Err(Errno::NOSYS) => {
+            // A file system without it: write zeros, as posix_fallocate would.
+            let zeros = [0; 64 * 1024];
+            let mut at = from;
+            while at < from + length {
+                let n = zeros.len().min((from + length - at) as usize);
+                at += pwrite(file, &zeros[..n], at)? as u64;
+            }
+            Ok(())
+        }
+        other => other,
+    }
+}
+
+pub fn write_all(file: &File, mut bytes: &[u8], mut at: u64) -> std::result::Result<(), Errno> {
+    while !bytes.is_empty() {
+        match pwrite(file, bytes, at) {
+            Ok(0) => return Err(Errno::IO),
+            Ok(n) => {
+                bytes = &bytes[n..];
+                at += n as u64;
+            }
+            Err(Errno::INTR) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
+}
+
+pub fn name(lane: u8, number: u32) -> String {
+    let lane = if lane == LANE_LARGE { "large" } else { "data" };
+    format!("{lane}-{number:06}.situ")
+}
+
+#[derive(Debug)]
+pub struct Lane {
+    dir: PathBuf,
+    id: [u8; 16],
+    lane: u8,
+    first_size: u64,
+    max_size: u64,
+    file: Option<File>,
+    next: u32,
+    position: u64,
+    size: u64,
+    dirty: bool,
+    /// The folder has entries that are not on the disk.
+    created: bool,
+    /// Extents filled since the last sync.
+    filled: Vec<File>,
+    fault: Arc<Fault>,
+}
+
+impl Lane {
+    pub fn new(
+        dir: &Path,
+        id: [u8; 16],
+        lane: u8,
+        first_size: u64,
+        max_size: u64,
+        fault: Arc<Fault>,
+    ) -> Self {
+        Lane {
+            dir: dir.to_path_buf(),
+            id,
+            lane,
+            first_size,
+            max_size,
+            file: None,
+            next: 0,
+            position: 0,
+            size: 0,
+            dirty: false,
+            created: true,
+            filled: Vec::new(),
+            fault,
+        }
+    }
+
+    /// Room for `length` bytes: (extent, offset). Opens a new extent when the present one has not enough.
+    pub fn reserve(&mut self, length: u64, align: u64) -> Result<(u32, u64)> {
+        let offset = self.position.next_multiple_of(align);
+        if self.file.is_none() || offset + length > self.size {
+            self.open_next(length)?;
+        }
+        let offset = self.position.next_multiple_of(align);
+        Ok((self.next - 1, offset))
+    }
+
+    fn open_next(&mut self, length: u64) -> Result<()> {
+        let number = self.next;
+        let file_name = name(self.lane, number);
+        let path = self.dir.join(&file_name);
+        let grown = self
+            .first_size
+            .saturating_mul(4u64.saturating_pow(number.min(16)));
+        let size = grown
+            .min(self.max_size)
+            .max((length + 4096).next_multiple_of(4096));
+        self.fault.step()?;
+        // A leftover of a failed attempt under this number was never committed: start it anew.
+        let file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(true)
+            .open(&path)
+            .map_err(|e| Error::io(format!("create {file_name}"), e))?;
+        self.fault.step()?;
+        let made = allocate(&file, 0, size)
+            .and_then(|()| write_all(&file, &extent_header(&self.id, self.lane, number), 0));
+        if let Err(error) = made {
+            let _ = std::fs::remove_file(&path);
+            return Err(Error::io(
+                format!("allocate {size} bytes for {file_name}"),
+                error,
+            ));
+        }
+        self.fault.step()?;
+        if let Some(full) = self.file.replace(file) {
+            if self.dirty {
+                self.filled.push(full);
+            }
+        }
+        self.next += 1;
+        self.position = EXTENT_HEADER as u64;
+        self.size = size;
+        self.dirty = true;
+        self.created = true;
+        Ok(())
+    }
+
+    /// Writes `slices` at the offset `reserve` gave and moves on behind them.
+    pub fn write(&mut self, offset: u64, slices: &[&[u8]]) -> Result<()> {
+        self.fault.step()?;
+        let Some(file) = self.file.as_ref() else {
+            return Err(Error::Closed);
+        };
+        let mut at = offset;
+        let failed = |error: Errno| Error::io("write data", error);
+        if let [one] = slices {
+            write_all(file, one, at).map_err(failed)?;
+            at += one.len() as u64;
+        } else {
+            for group in slices.chunks(512) {
+                let vector: Vec<IoSlice<'_>> = group.iter().map(|s| IoSlice::new(s)).collect();
+                let total: usize = group.iter().map(|s| s.len()).sum();
+                let mut done = match pwritev(file, &vector, at) {
+                    Ok(n) => n,
+                    Err(Errno::INTR) => 0,
+                    Err(error) => return Err(failed(error)),
+                };
+                if done < total {
+                    // The kernel took a part: finish slice by slice.
+                    let mut slice_at = at;
+                    for slice in group {
+                        let skip = done.min(slice.len());
+                        write_all(file, &slice[skip..], slice_at + skip as u64).map_err(failed)?;
+                        done -= skip;
+                        slice_at += slice.len() as u64;
+                    }
+                }
+                at += total as u64;
+            }
+        }
+        self.position = at.next_multiple_of(8);
+        self.dirty = true;
+        self.fault.step()
+    }
+
+    pub fn sync(&mut self) -> Result<()> {
+        if self.created {
+            let folder =
+                File::open(&self.dir).map_err(|e| Error::io("open the store's folder", e))?;
+            rustix::fs::fsync(&folder).map_err(|e| Error::io("sync the store's folder", e))?;
+            self.created = false;
+        }
+        if let (true, Some(file)) = (self.dirty, self.file.as_ref()) {
+            for full in self.filled.iter().chain([file]) {
+                fdatasync(full).map_err(|e| Error::io("sync data", e))?;
+            }
+            self.filled.clear();
+            self.dirty = false;
+        }
+        Ok(())
+    }
+
+    /// Cuts the unused rest off the last extent. Readers never look behind what is committed, so a map of the old length is safe.
+    pub fn trim(&mut self) -> Result<()> {
+        self.fault.step()?;
+        if let Some(file) = self.file.as_ref() {
+            let end = self.position.next_multiple_of(4096).min(self.size);
+            ftruncate(file, end).map_err(|e| Error::io("trim data", e))?;
+        }
+        self.fault.step()
+    }
+
+    pub fn folder_lives(&self, index: &File) -> bool {
+        let here = rustix::fs::stat(self.dir.join("index.situ"));
+        match (here, rustix::fs::fstat(index)) {
+            (Ok(a), Ok(b)) => a.st_ino == b.st_ino && a.st_dev == b.st_dev,
+            _ => false,
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! The index while it is written: entries in a map, published by one word.
+
+use std::fs::{File, OpenOptions};
+use std::path::Path;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::Arc;
+
+use memmap2::{MmapMut, MmapOptions};
+use rustix::fs::{fdatasync, ftruncate};
+use rustix::thread::futex;
+
+use crate::error::{Error, Result};
+use crate::extent::{allocate, Fault};
+use crate::format::*;
+
+pub const FILE: &str = "index.situ";
+const FIRST_GROWTH: u64 = 64 * 1024;
+const MAX_GROWTH: u64 = 16 * 1024 * 1024;
+
+/// The word at `at` of a mapped index header.
+#[allow(unsafe_code)]
+pub fn word(map: &[u8], at: usize) -> &AtomicU64 {
+    let bytes = &map[at..at + 8];
+    // SAFETY: the slice is 8 bytes long and 8-aligned (maps begin at pages, `at` is a constant multiple of 8); the
+    // memory is only ever accessed atomically, and every bit pattern is a valid u64.
+    unsafe { &*(bytes.as_ptr().cast::<AtomicU64>()) }
+}
+
+/// The low half of the commit word: what live readers wait on.
+#[allow(unsafe_code)]
+pub fn futex_word(map: &[u8]) -> &AtomicU32 {
+    let bytes = &map[COMMITTED_AT..COMMITTED_AT + 4];
+    // SAFETY: as in `word`; the low half of a little-endian u64 stands first.
+    unsafe { &*(bytes.as_ptr().cast::<AtomicU32>()) }
+}
+
+#[allow(unsafe_code)]
+fn map_mut(file: &File, from: u64, length: u64) -> Result<MmapMut> {
+    // SAFETY: the file is ours under the writer's lock, its bytes are allocated, and it is cut only in `finish`, after
+    // which nothing is written any more.
+    unsafe {
+        MmapOptions::new()
+            .offset(from)
+            .len(length as usize)
+            .map_mut(file)
+    }
+    .map_err(|e| Error::io("map index.situ", e))
+}
+
+#[derive(Debug)]
+pub struct IndexWriter {
+    pub file: File,
+    header: MmapMut,
+    /// (first byte in the file, map)
+    segments: Vec<(u64, MmapMut)>,
+    size: u64,
+    pub committed: u64,
+    fault: Arc<Fault>,
+}
+
+impl IndexWriter {
+    pub fn create(path: &Path, header: IndexHeader, fault: Arc<Fault>) -> Result<Self> {
+        let file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create_new(true)
+            .open(path)
+            .map_err(|e| Error::io("create index.situ", e))?;
+        fault.step()?;
+        let size = INDEX_HEADER as u64;
+        allocate(&file, 0, size).map_err(|e| Error::io("allocate index.situ", e))?;
+        let mut map = map_mut(&file, 0, size)?;
+        map[8..].copy_from_slice(&header.encode()[8..]);
+        // The magic last: a reader never meets half a header.
+        map[..8].copy_from_slice(INDEX_MAGIC);
+        fault.step()?;
+        let mut index = IndexWriter {
+            file,
+            header: map,
+            segments: Vec::new(),
+            size,
+            committed: 0,
+            fault,
+        };
+        index.grow()?;
+        Ok(index)
+    }
+
+    fn grow(&mut self) -> Result<()> {
+        let more = (self.size - INDEX_HEADER as u64).clamp(FIRST_GROWTH, MAX_GROWTH);
+        self.fault.step()?;
+        allocate(&self.file, self.size, more).map_err(|e| Error::io("allocate index.situ", e))?;
+        self.fault.step()?;
+        let map = map_mut(&self.file, self.size, more)?;
+        // Old segments are full: only the last two can still be written.
+        if self.segments.len() > 2 {
+            self.segments.remove(0);
+        }
+        self.segments.push((self.size, map));
+        self.size += more;
+        Ok(())
+    }
+
+    /// Makes room for `n` more entries, so that publishing cannot fail any more.
+    pub fn reserve(&mut self, n: usize) -> Result<()> {
+        while INDEX_HEADER as u64 + (self.committed + n as u64) * ENTRY as u64 > self.size {
+            self.grow()?;
+        }
+        Ok(())
+    }
+
+    /// Writes `entries` and publishes them.
+    pub fn publish(&mut self, entries: &[Entry]) -> Result<()> {
+        self.reserve(entries.len())?;
+        let mut at = INDEX_HEADER as u64 + self.committed * ENTRY as u64;
+        for entry in entries {
+            self.fault.step()?;
+            let Some((start, map)) = self
+                .segments
+                .iter_mut()
+                .rev()
+                .find(|(start, _)| *start <= at)
+            else {
+                return Err(Error::damaged(FILE, at, "no map for an entry"));
+            };
+            let local = (at - *start) as usize;
+            map[local..local + ENTRY].copy_from_slice(&entry.encode());
+            at += ENTRY as u64;
+        }
+        self.fault.step()?;
+        self.committed += entries.len() as u64;
+        word(&self.header, COMMITTED_AT).store(self.committed, Ordering::Release);
+        let _ = futex::wake(
+            futex_word(&self.header),
+            futex::Flags::empty(),
+            i32::MAX as u32,
+        );
+        self.fault.step()
+    }
+
+    pub fn sync(&mut self) -> Result<()> {
+        fdatasync(&self.file).map_err(|e| Error::io("sync index.situ", e))?;
+        word(&self.header, SYNCED_AT).store(self.committed, Ordering::Release);
+        Ok(())
+    }
+
+    /// Cuts the unused rest off and marks the store closed.
+    pub fn finish(&mut self) -> Result<()> {
+        self.fault.step()?;
+        let end = (INDEX_HEADER as u64 + self.committed * ENTRY as u64).next_multiple_of(4096);
+        // Maps first: no page behind the new end stays mapped here.
+        self.segments.clear();
+        ftruncate(&self.file, end).map_err(|e| Error::io("trim index.situ", e))?;
+        self.fault.step()?;
+        self.header[STATE_AT] = 1;
+        let _ = futex::wake(
+            futex_word(&self.header),
+            futex::Flags::empty(),
+            i32::MAX as u32,
+        );
+        self.fault.step()
+    }
+}

@@ -1,0 +1,19 @@
+//! Pure Rust side of situ_store: the format of `priv/schema/store.md`, its writer, reader, pyramids and repair. No BEAM types.
+
+pub mod chunk;
+pub mod error;
+pub mod etf;
+pub mod extent;
+pub mod format;
+pub mod index;
+pub mod pyramid;
+pub mod reader;
+pub mod repair;
+pub mod varint;
+pub mod watch;
+pub mod writer;
+
+pub use error::{Error, Result};
+pub use format::{Compression, Encoding};
+pub use reader::Reader;
+pub use writer::{Options, Writer};

@@ -1,0 +1,113 @@
+//! LEB128 varints and zigzag.
+
+pub fn put(out: &mut Vec<u8>, mut value: u64) {
+    while value >= 0x80 {
+        out.push((value as u8) | 0x80);
+        value >>= 7;
+    }
+    out.push(value as u8);
+}
+
+pub fn put_signed(out: &mut Vec<u8>, value: i64) {
+    put(out, zigzag(value));
+}
+
+pub fn zigzag(value: i64) -> u64 {
+    ((value << 1) ^ (value >> 63)) as u64
+}
+
+pub fn unzigzag(value: u64) -> i64 {
+    ((value >> 1) as i64) ^ -((value & 1) as i64)
+}
+
+/// A cursor over bytes; every read is bounded.
+#[derive(Clone)]
+pub struct Cursor<'a> {
+    bytes: &'a [u8],
+    pub at: usize,
+}
+
+impl<'a> Cursor<'a> {
+    pub fn new(bytes: &'a [u8]) -> Self {
+        Cursor { bytes, at: 0 }
+    }
+
+    #[inline]
+    pub fn varint(&mut self) -> Option<u64> {
+        let first = *self.bytes.get(self.at)?;
+        self.at += 1;
+        if first < 0x80 {
+            return Some(first as u64);
+        }
+        let mut value = (first & 0x7f) as u64;
+        let mut shift = 7;
+        loop {
+            let byte = *self.bytes.get(self.at)?;
+            self.at += 1;
+            if shift == 63 && byte > 1 {
+                return None;
+            }
+            value |= ((byte & 0x7f) as u64) << shift;
+            if byte < 0x80 {
+                return Some(value);
+            }
+            shift += 7;
+            if shift > 63 {
+                return None;
+            }
+        }
+    }
+
+    #[inline]
+    pub fn signed(&mut self) -> Option<i64> {
+        self.varint().map(unzigzag)
+    }
+
+    pub fn take(&mut self, length: usize) -> Option<&'a [u8]> {
+        let end = self.at.checked_add(length)?;
+        let slice = self.bytes.get(self.at..end)?;
+        self.at = end;
+        Some(slice)
+    }
+
+    pub fn remaining(&self) -> usize {
+        self.bytes.len() - self.at
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn round_trip() {
+        for value in [
+            0,
+            1,
+            -1,
+            63,
+            64,
+            -64,
+            -65,
+            i64::MAX,
+            i64::MIN,
+            1_700_000_000_000_000_000,
+        ] {
+            let mut out = Vec::new();
+            put_signed(&mut out, value);
+            let mut cursor = Cursor::new(&out);
+            assert_eq!(cursor.signed(), Some(value));
+            assert_eq!(cursor.remaining(), 0);
+            assert_eq!(Cursor::new(&out[..out.len() - 1]).signed(), None);
+        }
+    }
+
+    #[test]
+    fn overlong_is_refused() {
+        assert_eq!(Cursor::new(&[0xff; 11]).varint(), None);
+        assert_eq!(
+            Cursor::new(&[0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 2]).varint(),
+            None
+        );
+    }
+}

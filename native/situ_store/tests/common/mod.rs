@@ -1,0 +1,117 @@
+#![allow(dead_code, clippy::unwrap_used, clippy::expect_used)]
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use situ_store::chunk::{Envelope, Input, Value};
+use situ_store::{Compression, Encoding, Options, Reader, Writer};
+
+static NEXT: AtomicU32 = AtomicU32::new(0);
+
+/// A folder of its own that goes away with the test.
+pub struct Folder(pub PathBuf);
+
+impl Folder {
+    pub fn new() -> Self {
+        let n = NEXT.fetch_add(1, Ordering::Relaxed);
+        let path = std::env::temp_dir().join(format!("situ-store-{}-{n}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&path);
+        std::fs::create_dir_all(&path).unwrap();
+        Folder(path)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+pub fn envelope(i: u64) -> Envelope {
+    Envelope {
+        sequence: i + 1,
+        time: i as i64 * 1_000,
+        creation: i as i64 * 1_000 + 250 + (i % 3) as i64,
+    }
+}
+
+/// The bytes of message `i`: what they are follows from `i`.
+pub fn payload(i: u64, size: usize) -> Vec<u8> {
+    let mut state = i.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    (0..size)
+        .map(|_| {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            state as u8
+        })
+        .collect()
+}
+
+pub fn small_extents() -> Options {
+    Options {
+        first_extent: 16 * 1024,
+        max_extent: 64 * 1024,
+        ..Options::default()
+    }
+}
+
+/// Stream 1 integers, 2 small binaries, 3 large binaries, 4 compressed; `n` messages each, `batch` a commit.
+pub fn fill(writer: &mut Writer, n: u64, batch: u64) -> situ_store::Result<()> {
+    let compressions = [
+        Compression::None,
+        Compression::None,
+        Compression::None,
+        Compression::Zstd,
+    ];
+    let ids: Vec<u32> = compressions
+        .iter()
+        .map(|c| writer.add_stream(*c, false))
+        .collect();
+    let mut from = 0;
+    while from < n {
+        for (at, id) in ids.iter().enumerate() {
+            for i in from..(from + batch).min(n) {
+                let bytes = payload(i, size_of_message(at, i));
+                match at {
+                    0 => {
+                        writer.push(*id, envelope(i), Encoding::Int, 0, Input::Int(i as i64 - 5))?
+                    }
+                    _ => writer.push(*id, envelope(i), Encoding::Bytes, 0, Input::Bytes(&bytes))?,
+                }
+            }
+        }
+        writer.commit()?;
+        from += batch;
+    }
+    Ok(())
+}
+
+pub fn size_of_message(at: usize, i: u64) -> usize {
+    match at {
+        2 if i.is_multiple_of(16) => 40_000,
+        _ => (i % 97) as usize,
+    }
+}
+
+/// Every message of a stream, in order; panics on one that is not what `fill` wrote.
+pub fn check_stream(reader: &Reader, stream: u32) -> u64 {
+    let mut ordinal = 0;
+    while let Some(entry) = reader.entry_at(stream, ordinal) {
+        assert_eq!(entry.ordinal, ordinal);
+        let chunk = reader.chunk(&entry).unwrap();
+        for message in chunk.messages() {
+            let (got, value) = message.unwrap();
+            assert_eq!(got, envelope(ordinal));
+            match value {
+                Value::Int(value) => assert_eq!(value, ordinal as i64 - 5),
+                Value::Bytes { start, length } => assert_eq!(
+                    &chunk.body()[start..start + length],
+                    payload(ordinal, size_of_message(stream as usize - 1, ordinal))
+                ),
+                other => panic!("{other:?}"),
+            }
+            ordinal += 1;
+        }
+    }
+    ordinal
+}

@@ -1,0 +1,164 @@
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+//! Readers fed with mutated files: no panic, and no message that was not written.
+//! `SITU_FUZZ` sets the number of mutated stores (default 500).
+mod common;
+
+use std::path::Path;
+
+use common::*;
+use situ_store::chunk::Value;
+use situ_store::{etf, repair, Reader, Writer};
+
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, n: u64) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0 % n.max(1)
+    }
+}
+
+fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut found: Vec<(String, Vec<u8>)> = std::fs::read_dir(dir)
+        .unwrap()
+        .map(|f| f.unwrap())
+        .map(|f| {
+            (
+                f.file_name().into_string().unwrap(),
+                std::fs::read(f.path()).unwrap(),
+            )
+        })
+        .collect();
+    found.sort();
+    found
+}
+
+fn mutate(files: &mut [(String, Vec<u8>)], random: &mut Random) {
+    for _ in 0..=random.below(4) {
+        let at = random.below(files.len() as u64) as usize;
+        let other = random.below(files.len() as u64) as usize;
+        let length = files[at].1.len() as u64;
+        match random.below(7) {
+            0 | 1 if length > 0 => {
+                files[at].1[random.below(length) as usize] ^= 1 << random.below(8)
+            }
+            2 if length > 0 => {
+                let start = random.below(length) as usize;
+                let end = (start + random.below(200) as usize).min(length as usize);
+                (start..end).for_each(|i| files[at].1[i] = random.below(256) as u8);
+            }
+            3 => files[at].1.truncate(random.below(length + 1) as usize),
+            4 => {
+                let bytes = files[at].1.clone();
+                files[at].1 = std::mem::replace(&mut files[other].1, bytes);
+            }
+            5 if length > 128 => {
+                // Entries and chunks moved about, checksums intact.
+                let a = (random.below(length / 64) * 64) as usize;
+                let b = (random.below(length / 64) * 64) as usize;
+                for i in 0..64 {
+                    if a + i < length as usize && b + i < length as usize {
+                        files[at].1.swap(a + i, b + i);
+                    }
+                }
+            }
+            _ if length > 96 => {
+                files[at].1[64 + random.below(32) as usize] = random.below(256) as u8
+            }
+            _ => {}
+        }
+    }
+}
+
+/// What is read must be what was written, message for message of its time.
+fn check(reader: &Reader) -> u64 {
+    let mut seen = 0;
+    for stream in reader.streams() {
+        let mut ordinal = 0;
+        while let Some(entry) = reader.entry_at(stream, ordinal) {
+            ordinal = entry.ordinal + entry.count as u64;
+            let Ok(chunk) = reader.chunk(&entry) else {
+                continue;
+            };
+            for (got, value) in chunk.messages().flatten() {
+                let i = got.time as u64 / 1_000;
+                assert_eq!(got, envelope(i));
+                match value {
+                    Value::Int(value) => assert_eq!(value, i as i64 - 5),
+                    Value::Bytes { start, length } => assert_eq!(
+                        &chunk.body()[start..start + length],
+                        payload(i, size_of_message(stream as usize - 1, i))
+                    ),
+                    other => panic!("{other:?}"),
+                }
+                seen += 1;
+            }
+        }
+        let _ = reader.ordinal_from(stream, 50_000);
+        let _ = reader.statistics(stream);
+        let _ = reader.summary(stream, 0, 500_000, 12);
+    }
+    seen
+}
+
+#[test]
+fn mutated_stores() {
+    let rounds: u64 = std::env::var("SITU_FUZZ")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(500);
+    let origin = Folder::new();
+    let mut writer = Writer::create(&origin.0, small_extents()).unwrap();
+    fill(&mut writer, 300, 30).unwrap();
+    writer.close().unwrap();
+    let pristine = files(&origin.0);
+    let target = Folder::new();
+    let mut random = Random(0x5eed_1234_9876_5432);
+    let (mut readable, mut seen) = (0, 0);
+    for round in 0..rounds {
+        let mut mutated = pristine.clone();
+        mutate(&mut mutated, &mut random);
+        for (name, bytes) in &mutated {
+            std::fs::write(target.0.join(name), bytes).unwrap();
+        }
+        if let Ok(reader) = Reader::open(&target.0) {
+            readable += 1;
+            seen += check(&reader);
+            let _ = reader.verify(0, u64::MAX);
+        }
+        if round % 10 == 0 {
+            let repaired = repair::repair(&target.0, |_, _| ()).is_ok();
+            if repaired {
+                let reader = Reader::open(&target.0).unwrap();
+                assert_eq!(reader.damage(), vec![], "round {round}");
+                check(&reader);
+            }
+        }
+        let _ = std::fs::remove_file(target.0.join("index.situ.before-repair"));
+    }
+    assert!(
+        readable > rounds / 4 && seen > 0,
+        "{readable} of {rounds} were readable"
+    );
+}
+
+#[test]
+fn mutated_terms() {
+    let mut random = Random(77);
+    let term = [
+        131, 104, 2, 119, 2, b'o', b'k', 108, 0, 0, 0, 2, 97, 1, 116, 0, 0, 0, 1, 119, 1, b'a',
+        110, 9, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 106,
+    ];
+    assert_eq!(etf::check(&term), Ok(()));
+    for _ in 0..200_000 {
+        let mut bytes = term.to_vec();
+        for _ in 0..=random.below(3) {
+            let at = random.below(bytes.len() as u64) as usize;
+            bytes[at] = random.below(256) as u8;
+        }
+        bytes.truncate(random.below(bytes.len() as u64 + 1) as usize);
+        let _ = etf::check(&bytes);
+    }
+}

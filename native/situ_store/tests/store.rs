@@ -1,0 +1,235 @@
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+mod common;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use common::*;
+use situ_store::chunk::Input;
+use situ_store::extent::Fault;
+use situ_store::{pyramid, repair, watch, Compression, Encoding, Error, Options, Reader, Writer};
+
+#[test]
+fn what_is_written_is_read() {
+    let folder = Folder::new();
+    let mut writer = Writer::create(&folder.0, small_extents()).unwrap();
+    fill(&mut writer, 3_000, 100).unwrap();
+    let live = Reader::open(&folder.0).unwrap();
+    assert!(live.is_live());
+    (1..=4).for_each(|stream| assert_eq!(check_stream(&live, stream), 3_000));
+    writer.close().unwrap();
+    let reader = Reader::open(&folder.0).unwrap();
+    assert!(reader.is_closed() && !reader.is_live());
+    (1..=4).for_each(|stream| assert_eq!(check_stream(&reader, stream), 3_000));
+    let statistics = reader.statistics(1).unwrap().unwrap();
+    assert_eq!(
+        (statistics.count, statistics.first, statistics.last),
+        (3_000, 0, 2_999_000)
+    );
+    assert_eq!(statistics.last_creation, envelope(2_999).creation);
+    let latency: f64 = (0..3_000)
+        .map(|i| (envelope(i).creation - envelope(i).time) as f64)
+        .sum();
+    assert_eq!(statistics.latency_sum, latency);
+    assert_eq!(reader.verify(0, u64::MAX).unwrap().0, vec![]);
+    assert_eq!(repair::repair(&folder.0, |_, _| ()).unwrap().dropped, 0);
+}
+
+#[test]
+fn seeking_finds_every_time() {
+    let folder = Folder::new();
+    let mut writer = Writer::create(&folder.0, small_extents()).unwrap();
+    fill(&mut writer, 2_500, 700).unwrap();
+    let reader = Reader::open(&folder.0).unwrap();
+    for stream in 1..=4 {
+        for i in 0..2_500u64 {
+            assert_eq!(reader.ordinal_from(stream, i as i64 * 1_000).unwrap(), i);
+            assert_eq!(
+                reader.ordinal_from(stream, i as i64 * 1_000 - 999).unwrap(),
+                i
+            );
+        }
+        assert_eq!(reader.ordinal_from(stream, i64::MAX).unwrap(), 2_500);
+        assert_eq!(reader.ordinal_from(stream, i64::MIN).unwrap(), 0);
+    }
+}
+
+#[test]
+fn summaries_agree_with_the_messages_at_every_zoom_open_or_closed() {
+    let folder = Folder::new();
+    let mut writer = Writer::create(&folder.0, Options::default()).unwrap();
+    let id = writer.add_stream(Compression::None, false);
+    let value = |i: u64| ((i * 7_919) % 10_007) as f64 - 5_000.0;
+    let n = 200_000u64;
+    for i in 0..n {
+        writer
+            .push(id, envelope(i), Encoding::Float, 0, Input::Float(value(i)))
+            .unwrap();
+        if i % 500 == 499 {
+            writer.commit().unwrap();
+        }
+    }
+    let check = |reader: &Reader| {
+        for k in 0..=30u8 {
+            for (from, to) in [(0, n as i64 * 1_000), (12_345_678, 55_555_555), (-5, 3_000)] {
+                let from = if k < 10 { from.max(to - 300_000) } else { from };
+                let mut folder = pyramid::Folder::new(k);
+                let (low, high) = (
+                    pyramid::floor(from, k),
+                    pyramid::floor(to, k) + (1 << k) - 1,
+                );
+                for i in 0..n {
+                    let time = envelope(i).time;
+                    if time >= low && time <= high {
+                        folder.add(pyramid::Bin::sample(time, value(i)));
+                    }
+                }
+                assert_eq!(
+                    reader.summary(id, from, to, k).unwrap(),
+                    folder.bins,
+                    "level {k} of {from}..{to}"
+                );
+            }
+        }
+    };
+    check(&Reader::open(&folder.0).unwrap());
+    writer.close().unwrap();
+    check(&Reader::open(&folder.0).unwrap());
+}
+
+#[test]
+fn misuse_is_an_error_and_loses_nothing() {
+    let folder = Folder::new();
+    let mut writer = Writer::create(&folder.0, small_extents()).unwrap();
+    assert_eq!(
+        Writer::create(&folder.0, small_extents()).err(),
+        Some(Error::Locked)
+    );
+    fill(&mut writer, 100, 10).unwrap();
+    writer
+        .push(1, envelope(100), Encoding::Int, 0, Input::Int(95))
+        .unwrap();
+    let again = writer.push(1, envelope(100), Encoding::Int, 0, Input::Int(0));
+    assert_eq!(again, Err(Error::NotIncreasing(1, 100_000, 100_000)));
+    writer.rollback();
+    writer
+        .push(1, envelope(100), Encoding::Int, 0, Input::Int(95))
+        .unwrap();
+    writer.commit().unwrap();
+    let reader = Reader::open(&folder.0).unwrap();
+    assert_eq!(check_stream(&reader, 1), 101);
+    assert_eq!(check_stream(&reader, 3), 100);
+    assert_eq!(
+        writer.push(99, envelope(0), Encoding::Int, 0, Input::Int(0)),
+        Err(Error::UnknownStream(99))
+    );
+    std::fs::remove_dir_all(&folder.0).unwrap();
+    std::thread::sleep(Duration::from_millis(600));
+    writer
+        .push(1, envelope(101), Encoding::Int, 0, Input::Int(96))
+        .unwrap();
+    assert_eq!(writer.commit(), Err(Error::Deleted));
+}
+
+#[test]
+fn a_crash_at_any_step_keeps_what_was_committed() {
+    let mut steps = 1;
+    loop {
+        let folder = Folder::new();
+        let options = Options {
+            fault: Fault::after(steps, false),
+            ..small_extents()
+        };
+        let mut acknowledged = 0;
+        let finished = Writer::create(&folder.0, options).and_then(|mut writer| {
+            let id = writer.add_stream(Compression::None, false);
+            let run = (|| {
+                for i in 0..1_200u64 {
+                    writer.push(id, envelope(i), Encoding::Int, 0, Input::Int(i as i64 - 5))?;
+                    if i % 40 == 39 {
+                        writer.commit()?;
+                        acknowledged = i + 1;
+                    }
+                    if i % 400 == 0 {
+                        let big = writer.add_stream(Compression::None, true);
+                        writer.push(
+                            big,
+                            envelope(0),
+                            Encoding::Bytes,
+                            0,
+                            Input::Bytes(&payload(0, 50_000)),
+                        )?;
+                    }
+                }
+                writer.close()
+            })();
+            // A crash: no clean-up of any kind, but the lock goes with the process.
+            drop(writer);
+            run
+        });
+        let reader = Reader::open(&folder.0);
+        if acknowledged > 0 {
+            let reader = reader.unwrap();
+            assert!(
+                check_stream(&reader, 1) >= acknowledged,
+                "after {steps} steps"
+            );
+            assert_eq!(reader.verify(0, u64::MAX).unwrap().0, vec![]);
+            assert_eq!(reader.damage(), vec![]);
+            let report = repair::repair(&folder.0, |_, _| ()).unwrap();
+            assert_eq!(report.damage, vec![]);
+            let repaired = Reader::open(&folder.0).unwrap();
+            assert!(repaired.is_closed());
+            assert!(check_stream(&repaired, 1) >= acknowledged);
+        }
+        if finished.is_ok() {
+            break;
+        }
+        steps += 1;
+    }
+    assert!(steps > 150, "only {steps} steps were tried");
+}
+
+#[test]
+fn a_lost_index_is_rebuilt_from_the_extents() {
+    let folder = Folder::new();
+    let mut writer = Writer::create(&folder.0, small_extents()).unwrap();
+    fill(&mut writer, 1_000, 100).unwrap();
+    writer.close().unwrap();
+    std::fs::remove_file(folder.0.join("index.situ")).unwrap();
+    assert_eq!(Reader::open(&folder.0).err(), Some(Error::NoStore));
+    assert!(repair::repair(&folder.0, |_, _| ()).unwrap().rebuilt);
+    let reader = Reader::open(&folder.0).unwrap();
+    (1..=4).for_each(|stream| assert_eq!(check_stream(&reader, stream), 1_000));
+}
+
+#[test]
+fn a_waiting_reader_is_woken_by_a_commit_and_by_the_close() {
+    let folder = Folder::new();
+    let mut writer = Writer::create(&folder.0, small_extents()).unwrap();
+    let id = writer.add_stream(Compression::None, false);
+    let reader = Arc::new(Reader::open(&folder.0).unwrap());
+    let (sender, receiver) = std::sync::mpsc::channel();
+    let waiting = reader.clone();
+    let thread = std::thread::spawn(move || {
+        let mut known = 0;
+        loop {
+            match watch::wait(&waiting, known, Duration::from_secs(20)) {
+                watch::News::Published(n) => known = n,
+                watch::News::Ended(_) => return known,
+                watch::News::Nothing => {}
+            }
+            sender.send(known).unwrap();
+        }
+    });
+    for i in 0..20 {
+        writer
+            .push(id, envelope(i), Encoding::Int, 0, Input::Int(0))
+            .unwrap();
+        let committed = writer.commit().unwrap();
+        while receiver.recv_timeout(Duration::from_secs(5)).unwrap() < committed {}
+    }
+    writer.close().unwrap();
+    drop(writer);
+    assert!(thread.join().unwrap() >= 20);
+}

@@ -1,0 +1,46 @@
+//! BEAM glue of situ_store: decode, call, encode. No algorithms here.
+
+mod errors;
+mod reading;
+mod terms;
+mod writing;
+
+mod atoms {
+    rustler::atoms! {
+        ok,
+        error,
+        nil,
+        r#true = "true",
+        r#false = "false",
+        data,
+        originating_time,
+        creation_time,
+        sequence_id,
+        struct_key = "__struct__",
+        none,
+        lz4,
+        zstd,
+        each,
+        situ_store,
+        published,
+        ended,
+        io,
+        locked,
+        no_store,
+        not_a_store,
+        newer_version,
+        not_increasing,
+        too_large,
+        not_storable,
+        unknown_stream,
+        deleted,
+        closed,
+        damaged,
+        missing_extent,
+        crash,
+        undecodable = "$situ_undecodable",
+        stream_exists
+    }
+}
+
+rustler::init!("Elixir.Situ.Store.Native");

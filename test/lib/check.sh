@@ -1,0 +1,41 @@
+# For system tests written as shell scripts: count what holds, say what does not. Sourced, not run.
+# The closing line, `N passed, N failed`, is what bin/test adds up.
+set -uo pipefail
+ROOT=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
+WORK=$(mktemp -d)
+trap 'rm -rf "$WORK"' EXIT
+passed=0 failed=0
+
+# check NAME COMMAND...: the command must succeed.
+check() {
+  local name=$1
+  shift
+  if "$@" >"$WORK/check.log" 2>&1; then
+    passed=$((passed + 1))
+  else
+    failed=$((failed + 1))
+    echo "FAILED: $name"
+    sed 's/^/    /' "$WORK/check.log" | tail -n 20
+  fi
+}
+
+# run COMMAND...: keeps what it printed in $WORK/out and its exit status in $status.
+run() {
+  status=0
+  "$@" >"$WORK/out" 2>&1 </dev/null || status=$?
+}
+
+# says TEXT...: the last run printed every TEXT.
+says() {
+  local text
+  for text in "$@"; do
+    grep -qF -- "$text" "$WORK/out" || { echo "did not say: $text"; cat "$WORK/out"; return 1; }
+  done
+}
+
+exits() { [ "$status" -eq "$1" ] || { echo "exit status $status, expected $1"; cat "$WORK/out"; return 1; }; }
+
+finish() {
+  echo "$passed passed, $failed failed"
+  [ "$failed" -eq 0 ]
+}
