@@ -1,0 +1,357 @@
+defmodule Situ do
+  @moduledoc """
+  Streams and the functions over them: the facade that pipelines are written with.
+
+      iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.source(p, Situ.Pipeline.Empty, []) end)
+      iex> report.errors
+      []
+  """
+  import Kernel, except: [min: 2, max: 2, abs: 1, tap: 2, inspect: 1, inspect: 2]
+  alias Situ.{Node, Operator, Pipeline, Stream}
+
+  @doc "Adds a source; returns its stream, or a map of streams when it has several outputs."
+  @spec source(Pipeline.t(), module(), keyword(), keyword()) ::
+          Stream.t() | %{atom() => Stream.t()}
+  def source(%Pipeline{} = p, module, opts \\ [], common \\ []),
+    do: p |> Pipeline.add(module, opts, common) |> Node.streams()
+
+  @doc """
+  Sends a stream (or `[input: stream, ...]`) through a component; returns as `source/4` does.
+
+  `common` may hold `policy:`, for all inputs of this call, besides what `Situ.Pipeline.add/4` takes.
+  """
+  @spec via(Stream.t() | [{atom(), Stream.t()}], module(), keyword(), keyword()) ::
+          Stream.t() | %{atom() => Stream.t()}
+  def via(streams, module, opts \\ [], common \\ [])
+
+  def via(%Stream{} = stream, module, opts, common) do
+    {node, connect} = place(stream.pipeline, module, opts, common)
+    wire_single(stream, node, connect)
+    Node.streams(node)
+  end
+
+  def via([{_, %Stream{} = first} | _] = streams, module, opts, common) do
+    {node, connect} = place(first.pipeline, module, opts, common)
+    Enum.each(streams, fn {input, stream} -> Pipeline.connect(stream, node, input, connect) end)
+    Node.streams(node)
+  end
+
+  @doc "Groups components under one name; given a stream, the function gets the stream inside the group."
+  @spec composite(Pipeline.t() | Stream.t(), String.t(), (term() -> result)) :: result
+        when result: term()
+  def composite(%Pipeline{} = p, name, fun), do: Pipeline.composite(p, name, fun)
+
+  def composite(%Stream{} = stream, name, fun),
+    do: Pipeline.composite(stream.pipeline, name, fn p -> fun.(%{stream | pipeline: p}) end)
+
+  @doc "The data through `fun` (of data, or of data and message). Options: `Situ.Operator`."
+  @spec map(Stream.t(), (term() -> term()) | (term(), Situ.Message.t() -> term()), keyword()) ::
+          Stream.t()
+  def map(stream, fun, opts \\ []), do: Operator.attach(stream, "Map", {:map, fun}, opts)
+
+  @doc "Only messages for which `fun` (of data, or of data and message) is true."
+  @spec filter(
+          Stream.t(),
+          (term() -> boolean()) | (term(), Situ.Message.t() -> boolean()),
+          keyword()
+        ) ::
+          Stream.t()
+  def filter(stream, fun, opts \\ []),
+    do: Operator.attach(stream, "Filter", {:filter, fun}, opts, stream.type)
+
+  @doc "Calls `fun` (of data, or of data and message) for its effect and passes the message on."
+  @spec each(Stream.t(), (term() -> any()) | (term(), Situ.Message.t() -> any()), keyword()) ::
+          Stream.t()
+  def each(stream, fun, opts \\ []),
+    do: Operator.attach(stream, "Each", {:each, fun}, opts, stream.type)
+
+  @doc """
+  Folds: emits the accumulator after every input; `fun.(data, acc)` or `fun.(data, message, acc)`.
+
+  The initial value itself is not emitted.
+  """
+  @spec scan(
+          Stream.t(),
+          acc,
+          (term(), acc -> acc) | (term(), Situ.Message.t(), acc -> acc),
+          keyword()
+        ) ::
+          Stream.t()
+        when acc: term()
+  def scan(stream, acc, fun, opts \\ [])
+
+  def scan(stream, acc, fun, opts) when is_function(fun, 2) do
+    step = fn data, _message, acc ->
+      acc = fun.(data, acc)
+      {:emit, acc, acc}
+    end
+
+    Operator.attach(stream, "Scan", {:step, step, acc}, opts)
+  end
+
+  def scan(stream, acc, fun, opts) when is_function(fun, 3) do
+    step = fn data, message, acc ->
+      acc = fun.(data, message, acc)
+      {:emit, acc, acc}
+    end
+
+    Operator.attach(stream, "Scan", {:step, step, acc}, opts)
+  end
+
+  @doc "Names a stream; see `Situ.Stream.name/2`."
+  @spec name(Stream.t(), String.t()) :: Stream.t()
+  defdelegate name(stream, name), to: Stream
+
+  # Fusion: streams brought together by time
+
+  @doc "See `Situ.Fusion.join/4`."
+  @doc group: "Fusion: streams brought together by time"
+  defdelegate join(first, second \\ [], third \\ [], opts \\ []), to: Situ.Fusion
+
+  @doc "See `Situ.Fusion.fuse/4`."
+  @doc group: "Fusion: streams brought together by time"
+  defdelegate fuse(first, second, third \\ [], opts \\ []), to: Situ.Fusion
+
+  @doc "See `Situ.Fusion.pair/3`."
+  @doc group: "Fusion: streams brought together by time"
+  defdelegate pair(primary, secondary, opts \\ []), to: Situ.Fusion
+
+  @doc "See `Situ.Fusion.zip/3`."
+  @doc group: "Fusion: streams brought together by time"
+  defdelegate zip(first, second \\ [], opts \\ []), to: Situ.Fusion
+
+  @doc "See `Situ.Fusion.merge/3`."
+  @doc group: "Fusion: streams brought together by time"
+  defdelegate merge(first, second \\ [], opts \\ []), to: Situ.Fusion
+
+  @doc "See `Situ.Fusion.interpolate/4`."
+  @doc group: "Fusion: streams brought together by time"
+  defdelegate interpolate(stream, clock, interpolator, opts \\ []), to: Situ.Fusion
+
+  @doc "See `Situ.Fusion.sample/4`."
+  @doc group: "Fusion: streams brought together by time"
+  defdelegate sample(stream, clock, window \\ Situ.Interval.infinite(), opts \\ []),
+    to: Situ.Fusion
+
+  # Windows
+
+  @doc "See `Situ.Window.window/4`."
+  @doc group: "Windows"
+  defdelegate window(stream, window, fun \\ nil, opts \\ []), to: Situ.Window
+
+  @doc "See `Situ.Window.window_by/4`."
+  @doc group: "Windows"
+  defdelegate window_by(stream, windows, interval, opts \\ []), to: Situ.Window
+
+  # Statistics
+
+  @doc "See `Situ.Aggregate.reduce/3`."
+  @doc group: "Statistics"
+  defdelegate reduce(stream, fun, opts \\ []), to: Situ.Aggregate
+
+  @doc "See `Situ.Aggregate.count/2`."
+  @doc group: "Statistics"
+  defdelegate count(stream, opts \\ []), to: Situ.Aggregate
+
+  @doc "See `Situ.Aggregate.sum/2`."
+  @doc group: "Statistics"
+  defdelegate sum(stream, opts \\ []), to: Situ.Aggregate
+
+  @doc "See `Situ.Aggregate.min/2`."
+  @doc group: "Statistics"
+  defdelegate min(stream, opts \\ []), to: Situ.Aggregate
+
+  @doc "See `Situ.Aggregate.max/2`."
+  @doc group: "Statistics"
+  defdelegate max(stream, opts \\ []), to: Situ.Aggregate
+
+  @doc "See `Situ.Aggregate.average/2`."
+  @doc group: "Statistics"
+  defdelegate average(stream, opts \\ []), to: Situ.Aggregate
+
+  @doc "See `Situ.Aggregate.std/2`."
+  @doc group: "Statistics"
+  defdelegate std(stream, opts \\ []), to: Situ.Aggregate
+
+  @doc "See `Situ.Aggregate.delta/2`."
+  @doc group: "Statistics"
+  defdelegate delta(stream, opts \\ []), to: Situ.Aggregate
+
+  @doc "See `Situ.Aggregate.abs/2`."
+  @doc group: "Statistics"
+  defdelegate abs(stream, opts \\ []), to: Situ.Aggregate
+
+  @doc "See `Situ.Aggregate.log/2`."
+  @doc group: "Statistics"
+  defdelegate log(stream, opts \\ []), to: Situ.Aggregate
+
+  # Picking, moving, editing
+
+  @doc "See `Situ.Selection.first/3`."
+  @doc group: "Picking, moving, editing"
+  defdelegate first(stream, n \\ 1, opts \\ []), to: Situ.Selection
+
+  @doc "See `Situ.Selection.take/3`."
+  @doc group: "Picking, moving, editing"
+  defdelegate take(stream, n, opts \\ []), to: Situ.Selection
+
+  @doc "See `Situ.Selection.last/3`."
+  @doc group: "Picking, moving, editing"
+  defdelegate last(stream, n \\ 1, opts \\ []), to: Situ.Selection
+
+  @doc "See `Situ.Selection.map_present/3`."
+  @doc group: "Picking, moving, editing"
+  defdelegate map_present(stream, fun, opts \\ []), to: Situ.Selection
+
+  @doc "See `Situ.Selection.time_of/2`."
+  @doc group: "Picking, moving, editing"
+  defdelegate time_of(stream, opts \\ []), to: Situ.Selection
+
+  @doc "See `Situ.Selection.latency/2`."
+  @doc group: "Picking, moving, editing"
+  defdelegate latency(stream, opts \\ []), to: Situ.Selection
+
+  @doc "See `Situ.Selection.delay/3`."
+  @doc group: "Picking, moving, editing"
+  defdelegate delay(stream, duration, opts \\ []), to: Situ.Selection
+
+  @doc "See `Situ.Selection.process/4`."
+  @doc group: "Picking, moving, editing"
+  defdelegate process(stream, state, fun, opts \\ []), to: Situ.Selection
+
+  @doc "See `Situ.Selection.edit/3`."
+  @doc group: "Picking, moving, editing"
+  defdelegate edit(stream, edits, opts \\ []), to: Situ.Selection
+
+  @doc "See `Situ.Selection.reorder/3`."
+  @doc group: "Picking, moving, editing"
+  defdelegate reorder(stream, lateness, opts \\ []), to: Situ.Selection
+
+  # Generators
+
+  @doc "See `Situ.Generator.sequence/5`."
+  @doc group: "Generators"
+  defdelegate sequence(p, initial, next, interval, opts \\ []), to: Situ.Generator
+
+  @doc "See `Situ.Generator.range/5`."
+  @doc group: "Generators"
+  defdelegate range(p, start, count, interval, opts \\ []), to: Situ.Generator
+
+  @doc "See `Situ.Generator.repeat/4`."
+  @doc group: "Generators"
+  defdelegate repeat(p, value, interval, opts \\ []), to: Situ.Generator
+
+  @doc "See `Situ.Generator.return/3`."
+  @doc group: "Generators"
+  defdelegate return(p, value, opts \\ []), to: Situ.Generator
+
+  @doc "See `Situ.Generator.once/3`."
+  @doc group: "Generators"
+  defdelegate once(p, value, opts \\ []), to: Situ.Generator
+
+  @doc "See `Situ.Generator.from_enumerable/3`."
+  @doc group: "Generators"
+  defdelegate from_enumerable(p, enumerable, opts \\ []), to: Situ.Generator
+
+  @doc "See `Situ.Generator.timer/3`."
+  @doc group: "Generators"
+  defdelegate timer(p, interval, opts \\ []), to: Situ.Generator
+
+  @doc "See `Situ.Generator.event_source/4`."
+  @doc group: "Generators"
+  defdelegate event_source(p, subscribe, unsubscribe \\ fn _ -> :ok end, opts \\ []),
+    to: Situ.Generator
+
+  # Filters
+
+  @doc "See `Situ.Filter.lowpass/3`."
+  @doc group: "Filters"
+  defdelegate lowpass(stream, rate, opts), to: Situ.Filter
+
+  @doc "See `Situ.Filter.highpass/3`."
+  @doc group: "Filters"
+  defdelegate highpass(stream, rate, opts), to: Situ.Filter
+
+  @doc "See `Situ.Filter.bandpass/3`."
+  @doc group: "Filters"
+  defdelegate bandpass(stream, rate, opts), to: Situ.Filter
+
+  @doc "See `Situ.Filter.bandstop/3`."
+  @doc group: "Filters"
+  defdelegate bandstop(stream, rate, opts), to: Situ.Filter
+
+  @doc "See `Situ.Filter.denoise/2`."
+  @doc group: "Filters"
+  defdelegate denoise(stream, opts \\ []), to: Situ.Filter
+
+  @doc "See `Situ.Filter.one_euro/2`."
+  @doc group: "Filters"
+  defdelegate one_euro(stream, opts \\ []), to: Situ.Filter
+
+  # Parallel branches
+
+  @doc "See `Situ.Parallel.parallel/3`."
+  @doc group: "Parallel"
+  defdelegate parallel(stream, fun, opts \\ []), to: Situ.Parallel
+
+  # Streams as lists and enumerables
+
+  @doc "See `Situ.Tap.new/2`."
+  @doc group: "Collecting"
+  defdelegate tap(stream, opts \\ []), to: Situ.Tap, as: :new
+
+  @doc "See `Situ.Collector.collect/2`."
+  @doc group: "Collecting"
+  defdelegate collect(build, opts \\ []), to: Situ.Collector
+
+  @doc "See `Situ.Collector.to_list/2`."
+  @doc group: "Collecting"
+  defdelegate to_list(build, opts \\ []), to: Situ.Collector
+
+  @doc "See `Situ.Collector.to_stream/2`."
+  @doc group: "Collecting"
+  defdelegate to_stream(build, opts \\ []), to: Situ.Collector
+
+  @doc """
+  Looks at a stream of a running pipeline: `fun` gets every `Situ.Message`, in a process of its own behind a lossy queue.
+
+  `target` is a stream, or `{pipeline, stream_name}`. Options: `policy:` and `name:`. `untap/1` ends it. See `Situ.Pipeline.Tap`;
+  for a tap that is built in from the start see `Situ.Tap`.
+  """
+  @spec tap(
+          Stream.t() | {Pipeline.target(), String.t()},
+          (Situ.Message.t() -> any()),
+          keyword()
+        ) :: {:ok, Pipeline.Tap.t()} | {:error, Situ.Error.t()}
+  def tap(target, fun, opts), do: Pipeline.Tap.attach(target, fun, opts)
+
+  @doc "Takes a tap away."
+  @spec untap(Pipeline.Tap.t()) :: :ok
+  defdelegate untap(tap), to: Pipeline.Tap, as: :detach
+
+  @doc """
+  Prints a running pipeline as a table: edges with counts, queues, drops and latencies, and its processes.
+
+  `refresh: ms` prints again and again until the pipeline ends (`times:` at most so often).
+  """
+  @spec inspect(Pipeline.target(), keyword()) :: :ok
+  def inspect(p, opts \\ []) do
+    case Situ.Options.validate!(opts, refresh: [type: :pos_integer], times: [type: :pos_integer]) do
+      [] -> IO.puts(Situ.Diagnostics.format(Pipeline.info(p)))
+      opts -> Situ.Diagnostics.watch(p, opts[:refresh] || 1_000, opts[:times] || :infinity)
+    end
+  end
+
+  defp place(p, module, opts, common) do
+    {connect, common} = Keyword.split(common, [:policy])
+    {Pipeline.add(p, module, opts, common), connect}
+  end
+
+  defp wire_single(stream, %Node{inputs: [{input, _}]} = node, connect),
+    do: Pipeline.connect(stream, node, input, connect)
+
+  defp wire_single(_stream, node, _connect) do
+    raise ArgumentError,
+          "#{node.path} has #{length(node.inputs)} inputs; name them: Situ.via([left: stream, ...], ...)"
+  end
+end

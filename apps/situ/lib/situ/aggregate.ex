@@ -1,0 +1,194 @@
+defmodule Situ.Aggregate do
+  @moduledoc """
+  Statistics of streams of numbers. All are on `Situ` too: `Situ.sum/2` ...
+
+  What they are taken over is `over:`
+
+  | `over:` | statistic of | output |
+  |---|---|---|
+  | `:all` (default) | all messages so far | with each message |
+  | `:list` | the list that each message carries | with each message |
+  | `{:last, n}` | the last `n` messages | from the `n`-th message on |
+  | `{:past, span}` | the messages of the last `span` ns, both ends included | with each message |
+
+  Outputs keep the time of the message that causes them. Numbers may be `:nan`, `:infinity`, `:neg_infinity` and `nil` (no value); the rules are
+  those of `Situ.Statistics`.
+
+      Situ.average(level, over: {:past, Situ.Time.s(1)})
+      Situ.count(words, where: &(&1 != ""))
+      Situ.max(faces, over: :list, by: & &1.score, nullable: true)
+
+      iex> Situ.to_list(fn p -> p |> Situ.range(1, 5, 10) |> Situ.average(over: {:last, 2}) end)
+      [1.5, 2.5, 3.5, 4.5]
+
+  ## Options
+
+  #{Situ.Options.docs(over: [type: :any, default: :all, doc: "See the table."], where: [type: {:fun, 1}, doc: "Only messages (with `:list`: elements) for which it is true; the others cause no output."], by: [type: {:fun, 1}, doc: "The number in a message (with `:list`: in an element)."], nullable: [type: :boolean, doc: "Nothing to take the least, greatest or average of gives `nil` and is no error."], initial: [type: :any, doc: "The running deviation of one number, default `:nan`."], compare: [type: {:fun, 2}, doc: "For the least and greatest: whether the first comes before the second or is equal."])}
+
+  and `name:`, `type:`, `policy:`, `on_error:`, `async:` as for every operator (`Situ.Operator`).
+  """
+
+  import Kernel, except: [abs: 1, max: 2, min: 2]
+
+  alias Situ.{Interval, Number, Operator, Options, Statistics, Stream, Window}
+
+  @schema [
+    over: [type: :any, default: :all],
+    where: [type: {:fun, 1}],
+    by: [type: {:fun, 1}],
+    nullable: [type: :boolean],
+    initial: [type: :any],
+    compare: [type: {:fun, 2}]
+  ]
+
+  @doc """
+  Folds without an initial value: the first message passes as it is, then `fun.(data, previous_output)`.
+  """
+  @spec reduce(Stream.t(), (term(), term() -> term()), keyword()) :: Stream.t()
+  def reduce(%Stream{} = stream, fun, opts \\ []) when is_function(fun, 2) do
+    step = fn
+      data, _message, :none -> {:emit, data, {:some, data}}
+      data, _message, {:some, previous} -> folded(fun.(data, previous))
+    end
+
+    Operator.attach(stream, "Reduce", {:step, step, :none}, opts, stream.type)
+  end
+
+  defp folded(value), do: {:emit, value, {:some, value}}
+
+  @doc "How many messages (or elements)."
+  @spec count(Stream.t(), keyword()) :: Stream.t()
+  def count(stream, opts \\ []), do: statistic(stream, :count, opts)
+
+  @doc "Their sum; `nil` adds nothing."
+  @spec sum(Stream.t(), keyword()) :: Stream.t()
+  def sum(stream, opts \\ []), do: statistic(stream, :sum, opts)
+
+  @doc "The least."
+  @spec min(Stream.t(), keyword()) :: Stream.t()
+  def min(stream, opts \\ []), do: statistic(stream, :min, opts)
+
+  @doc "The greatest."
+  @spec max(Stream.t(), keyword()) :: Stream.t()
+  def max(stream, opts \\ []), do: statistic(stream, :max, opts)
+
+  @doc "The mean, a float."
+  @spec average(Stream.t(), keyword()) :: Stream.t()
+  def average(stream, opts \\ []), do: statistic(stream, :average, opts)
+
+  @doc "The standard deviation of a sample (n - 1)."
+  @spec std(Stream.t(), keyword()) :: Stream.t()
+  def std(stream, opts \\ []), do: statistic(stream, :std, opts)
+
+  @doc """
+  The next number minus this one, at **this** one's time: it comes out with the next message, and the last message gives nothing. `where:`
+  filters first.
+  """
+  @spec delta(Stream.t(), keyword()) :: Stream.t()
+  def delta(stream, opts \\ []) do
+    {stream, opts} = filtered(stream, opts)
+
+    Window.window(
+      stream,
+      0..1,
+      fn [this, next] -> Number.subtract(next, this) end,
+      name("Delta", opts)
+    )
+  end
+
+  @doc "Each number without its sign. `where:` filters first."
+  @spec abs(Stream.t(), keyword()) :: Stream.t()
+  def abs(stream, opts \\ []) do
+    {stream, opts} = filtered(stream, opts)
+    Operator.attach(stream, "Abs", {:map, &Number.abs/1}, opts, stream.type)
+  end
+
+  @doc "The logarithm of each number: natural, or to `base:`. `where:` filters first."
+  @spec log(Stream.t(), keyword()) :: Stream.t()
+  def log(stream, opts \\ []) do
+    {base, opts} = Keyword.pop(opts, :base)
+    {stream, opts} = filtered(stream, opts)
+    Operator.attach(stream, "Log", {:map, logarithm(base)}, opts, :any)
+  end
+
+  defp logarithm(nil), do: &Number.log/1
+
+  defp logarithm(base) when is_number(base) and base > 0 and base != 1 do
+    scale = :math.log(base)
+    &Number.divide(Number.log(&1), scale)
+  end
+
+  defp logarithm(base) do
+    raise ArgumentError, "a base is a number above 0 other than 1, got: #{inspect(base)}"
+  end
+
+  defp statistic(%Stream{} = stream, kind, opts) do
+    {own, opts} = Keyword.split(opts, Keyword.keys(@schema))
+    own = Options.validate!(own, @schema)
+    name = kind |> Atom.to_string() |> String.capitalize()
+    over(own[:over], stream, {kind, name, own}, opts)
+  end
+
+  defp over(:all, stream, {kind, name, own}, opts) do
+    step = running(own[:where], own[:by])
+    Operator.attach(stream, name, {:step, step, Statistics.start(kind, own)}, opts, :any)
+  end
+
+  defp over(:list, stream, {kind, name, own}, opts) do
+    fun = fn list -> list |> picked(own) |> listed(kind, own) end
+    Operator.attach(stream, name, {:map, fun}, opts, :any)
+  end
+
+  defp over({:last, n}, stream, spec, opts) when is_integer(n) and n > 0,
+    do: history(stream, (1 - n)..0, spec, opts)
+
+  defp over({:past, span}, stream, spec, opts) when is_integer(span) and span >= 0,
+    do: history(stream, Interval.past(span), spec, opts)
+
+  defp over(other, _stream, _spec, _opts) do
+    raise ArgumentError,
+          "over: is :all, :list, {:last, n} or {:past, ns}, got: #{inspect(other)}"
+  end
+
+  defp history(stream, window, {kind, name, own}, opts) do
+    {stream, own} = narrowed(stream, own)
+    fun = fn list -> list |> picked(own) |> listed(kind, own) end
+    Window.window(stream, window, fun, name(name, opts))
+  end
+
+  defp narrowed(stream, own) do
+    case Keyword.pop(own, :where) do
+      {nil, own} -> {stream, own}
+      {where, own} -> {Operator.attach(stream, "Filter", {:filter, where}, [], stream.type), own}
+    end
+  end
+
+  defp filtered(stream, opts), do: narrowed(stream, opts)
+
+  defp name(name, opts), do: Keyword.put_new(opts, :default_name, name)
+
+  defp picked(list, own) do
+    list = if own[:where], do: Enum.filter(list, own[:where]), else: list
+    if own[:by], do: Enum.map(list, own[:by]), else: list
+  end
+
+  defp listed(list, kind, own), do: Statistics.of_list(kind, list, own)
+
+  defp running(nil, nil) do
+    fn data, _message, state ->
+      {result, state} = Statistics.step(state, data)
+      {:emit, result, state}
+    end
+  end
+
+  defp running(where, by) do
+    fn data, _message, state ->
+      if where == nil or where.(data) do
+        {result, state} = Statistics.step(state, if(by == nil, do: data, else: by.(data)))
+        {:emit, result, state}
+      else
+        {:skip, state}
+      end
+    end
+  end
+end

@@ -1,0 +1,218 @@
+defmodule Situ.Clock do
+  @moduledoc """
+  Clocks pipelines run by: real, virtual (from a start, at a speed, pausable), manual (moved by hand, for tests).
+
+  A clock is shared memory: reading takes about 50 ns from any process, and pausing, changing the speed or moving it is seen
+  by all its readers at once. Pipelines that run by a clock are told of every change, so that what waits for a time wakes up.
+
+      iex> clock = Situ.Clock.manual(100)
+      iex> :ok = Situ.Clock.advance(clock, 20)
+      iex> Situ.Clock.now(clock)
+      120
+
+      iex> clock = Situ.Clock.virtual(0, 2.0)
+      iex> :ok = Situ.Clock.pause(clock)
+      iex> Situ.Clock.now(clock) == Situ.Clock.now(clock)
+      true
+  """
+  # Cells: 1 version (odd while a writer is at work), 2 origin, 3 wall time of the origin, 4 speed in millionths
+  # (0 while paused), 5 the speed to resume with.
+  @enforce_keys [:kind]
+  defstruct [:kind, :cells]
+
+  @type kind :: :real | :virtual | :manual
+  @type t :: %__MODULE__{kind: kind(), cells: :atomics.atomics_ref() | nil}
+
+  @registry __MODULE__.Listeners
+
+  @doc "Wall time."
+  @spec real() :: t()
+  def real, do: %__MODULE__{kind: :real}
+
+  @doc "Starts now at `origin` (ns) and runs `speed` times as fast as the wall clock; can be paused."
+  @spec virtual(Situ.Time.t(), number()) :: t()
+  def virtual(origin, speed \\ 1.0) when is_integer(origin) and is_number(speed) and speed > 0 do
+    cells = :atomics.new(5, signed: true)
+    write(cells, origin, :os.system_time(), micro(speed), micro(speed))
+    %__MODULE__{kind: :virtual, cells: cells}
+  end
+
+  @doc "Stands at `time` until `advance/2` or `set/2` moves it."
+  @spec manual(Situ.Time.t()) :: t()
+  def manual(time \\ 0) when is_integer(time) do
+    cells = :atomics.new(5, signed: true)
+    write(cells, time, 0, 0, 0)
+    %__MODULE__{kind: :manual, cells: cells}
+  end
+
+  @doc "The time now, ns."
+  @spec now(t()) :: Situ.Time.t()
+  def now(%__MODULE__{kind: :real}), do: :os.system_time()
+  def now(%__MODULE__{kind: :manual, cells: cells}), do: :atomics.get(cells, 2)
+
+  def now(%__MODULE__{kind: :virtual, cells: cells}) do
+    {origin, wall, speed, _} = read(cells)
+    elapsed(origin, wall, speed)
+  end
+
+  @doc "Wall milliseconds (rounded up) until the clock reaches `time`; `:never` while it stands still."
+  @spec wait_ms(t(), Situ.Time.t()) :: non_neg_integer() | :never
+  def wait_ms(%__MODULE__{kind: :real}, time), do: ceil_ms(time - :os.system_time())
+
+  def wait_ms(%__MODULE__{kind: :manual} = clock, time),
+    do: if(now(clock) >= time, do: 0, else: :never)
+
+  def wait_ms(%__MODULE__{kind: :virtual, cells: cells}, time) do
+    {origin, wall, speed, _} = read(cells)
+    ahead = time - elapsed(origin, wall, speed)
+
+    cond do
+      ahead <= 0 -> 0
+      speed == 0 -> :never
+      true -> ceil_ms(div(ahead * 1_000_000, speed) + 1)
+    end
+  end
+
+  @doc "Moves a manual clock forward by `duration` ns."
+  @spec advance(t(), Situ.Time.duration()) :: :ok
+  def advance(%__MODULE__{kind: :manual, cells: cells} = clock, duration) when duration >= 0 do
+    :atomics.add(cells, 2, duration)
+    notify(clock)
+  end
+
+  @doc "Moves a manual clock to `time`, which must not be in its past."
+  @spec set(t(), Situ.Time.t()) :: :ok
+  def set(%__MODULE__{kind: :manual} = clock, time) do
+    if time < now(clock), do: raise(ArgumentError, "a clock does not go back")
+    :atomics.put(clock.cells, 2, time)
+    notify(clock)
+  end
+
+  @doc "Halts a virtual clock."
+  @spec pause(t()) :: :ok | {:error, Situ.Error.t()}
+  def pause(clock) do
+    change(clock, fn origin, wall, speed, resume ->
+      now = :os.system_time()
+      {elapsed(origin, wall, speed, now), now, 0, resume}
+    end)
+  end
+
+  @doc "Lets a paused clock go on from where it stood."
+  @spec resume(t()) :: :ok | {:error, Situ.Error.t()}
+  def resume(clock) do
+    change(clock, fn origin, wall, speed, resume ->
+      now = :os.system_time()
+      {elapsed(origin, wall, speed, now), now, resume, resume}
+    end)
+  end
+
+  @doc "Changes the speed of a virtual clock; it does not jump. A paused clock stays paused and resumes with it."
+  @spec set_speed(t(), number()) :: :ok | {:error, Situ.Error.t()}
+  def set_speed(clock, speed) when is_number(speed) and speed > 0 do
+    change(clock, fn origin, wall, old, _resume ->
+      now = :os.system_time()
+      next = if old == 0, do: 0, else: micro(speed)
+      {elapsed(origin, wall, old, now), now, next, micro(speed)}
+    end)
+  end
+
+  @doc "Moves a virtual or manual clock forward to `time`, at once (a seek); one already past it stays. It may be paused."
+  @spec jump(t(), Situ.Time.t()) :: :ok | {:error, Situ.Error.t()}
+  def jump(%__MODULE__{kind: :manual} = clock, time), do: set(clock, max(time, now(clock)))
+
+  def jump(clock, time) do
+    change(clock, fn origin, wall, speed, resume ->
+      now = :os.system_time()
+      {max(time, elapsed(origin, wall, speed, now)), now, speed, resume}
+    end)
+  end
+
+  @doc "Wall nanoseconds per clock nanosecond, 0.0 while paused, `:manual` for manual clocks."
+  @spec speed(t()) :: float() | :manual
+  def speed(%__MODULE__{kind: :real}), do: 1.0
+  def speed(%__MODULE__{kind: :manual}), do: :manual
+  def speed(%__MODULE__{cells: cells}), do: elem(read(cells), 2) / 1_000_000
+
+  @doc """
+  Sends the calling process `{:situ_clock, clock}` whenever the clock is paused, resumed, moved or changes speed.
+  """
+  @spec listen(t()) :: :ok
+  def listen(%__MODULE__{kind: :real}), do: :ok
+
+  def listen(%__MODULE__{cells: cells}) do
+    {:ok, _} = Registry.register(@registry, cells, nil)
+    :ok
+  end
+
+  @doc false
+  def registry, do: {Registry, keys: :duplicate, name: @registry}
+
+  defp notify(%__MODULE__{cells: cells} = clock) do
+    Registry.dispatch(@registry, cells, fn listeners ->
+      Enum.each(listeners, fn {pid, _} -> send(pid, {:situ_clock, clock}) end)
+    end)
+  end
+
+  defp change(%__MODULE__{kind: :virtual, cells: cells} = clock, fun) do
+    lock(cells)
+    origin = :atomics.get(cells, 2)
+    wall = :atomics.get(cells, 3)
+
+    {origin, wall, speed, resume} =
+      fun.(origin, wall, :atomics.get(cells, 4), :atomics.get(cells, 5))
+
+    put(cells, origin, wall, speed, resume)
+    :atomics.add(cells, 1, 1)
+    notify(clock)
+  end
+
+  defp change(%__MODULE__{kind: kind}, _fun) do
+    {:error,
+     Situ.Error.new(:fixed_clock, "a #{kind} clock has no speed to change",
+       why: "only replayed (virtual) time can be paused or run at another speed",
+       fix: "start the pipeline with a replay interval, or with clock: Situ.Clock.virtual(start)"
+     )}
+  end
+
+  # Writers exclude one another by making the version odd.
+  defp lock(cells) do
+    version = :atomics.get(cells, 1)
+
+    if rem(version, 2) == 1 or :atomics.compare_exchange(cells, 1, version, version + 1) != :ok do
+      :erlang.yield()
+      lock(cells)
+    end
+  end
+
+  defp read(cells) do
+    version = :atomics.get(cells, 1)
+
+    value =
+      {:atomics.get(cells, 2), :atomics.get(cells, 3), :atomics.get(cells, 4),
+       :atomics.get(cells, 5)}
+
+    if rem(version, 2) == 0 and :atomics.get(cells, 1) == version, do: value, else: read(cells)
+  end
+
+  defp write(cells, origin, wall, speed, resume) do
+    put(cells, origin, wall, speed, resume)
+    :ok
+  end
+
+  defp put(cells, origin, wall, speed, resume) do
+    :atomics.put(cells, 2, origin)
+    :atomics.put(cells, 3, wall)
+    :atomics.put(cells, 4, speed)
+    :atomics.put(cells, 5, resume)
+  end
+
+  defp elapsed(origin, wall, speed), do: elapsed(origin, wall, speed, :os.system_time())
+
+  defp elapsed(origin, wall, 1_000_000, now), do: origin + max(now - wall, 0)
+  defp elapsed(origin, wall, speed, now), do: origin + div(max(now - wall, 0) * speed, 1_000_000)
+
+  defp micro(speed), do: max(round(speed * 1_000_000), 1)
+
+  defp ceil_ms(ns) when ns <= 0, do: 0
+  defp ceil_ms(ns), do: min(div(ns + 999_999, 1_000_000), 4_000_000_000)
+end

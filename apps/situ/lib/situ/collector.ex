@@ -1,0 +1,249 @@
+defmodule Situ.Collector do
+  @moduledoc """
+  Streams as lists and as Elixir enumerables, for iex, scripts and tests. All are on `Situ` too.
+
+      iex> Situ.to_list(fn p -> p |> Situ.range(1, 5, 10) |> Situ.map(&(&1 * &1)) end)
+      [1, 4, 9, 16, 25]
+
+      iex> {:ok, %{odd: odd}} = Situ.collect(fn p -> %{odd: p |> Situ.range(0, 5, 10) |> Situ.filter(&(rem(&1, 2) == 1))} end)
+      iex> Enum.map(odd, & &1.data)
+      [1, 3]
+
+      iex> fn p -> Situ.sequence(p, 1, &(&1 * 3), 10) end |> Situ.to_stream() |> Enum.take(4)
+      [1, 3, 9, 27]
+  """
+
+  alias Situ.{Message, Pipeline, Stream}
+
+  defmodule Sink do
+    @moduledoc false
+    # Sends what arrives to a process, batch by batch.
+    use Situ.Component,
+      inputs: [in: :any],
+      outputs: [],
+      options: [to: [type: :pid, required: true], key: [type: :any, required: true]]
+
+    @impl true
+    def init(opts), do: {:ok, {opts[:to], opts[:key]}}
+
+    @impl true
+    def handle_message(input, message, context, state),
+      do: handle_messages(input, [message], context, state)
+
+    @impl true
+    def handle_messages(:in, messages, _context, {to, key} = state) do
+      send(to, {:situ_collected, key, messages})
+      {[], state}
+    end
+  end
+
+  defmodule Gate do
+    @moduledoc false
+    # Hands a batch to the reader and waits until it wants the next. Nothing upstream runs further ahead than the demand
+    # windows allow; a reader that has gone lets everything through.
+    use Situ.Component,
+      inputs: [in: :any],
+      outputs: [],
+      options: [to: [type: :pid, required: true], ref: [type: :any, required: true]]
+
+    @impl true
+    def init(opts), do: {:ok, {opts[:to], opts[:ref], :reading}}
+
+    @impl true
+    def handle_start(_context, {to, _ref, _mode} = state) do
+      Process.monitor(to)
+      {[], state}
+    end
+
+    @impl true
+    def handle_message(input, message, context, state),
+      do: handle_messages(input, [message], context, state)
+
+    @impl true
+    def handle_messages(:in, _messages, _context, {_, _, :gone} = state), do: {[], state}
+
+    def handle_messages(:in, messages, context, {to, ref, :reading} = state) do
+      send(to, {:situ_gate, ref, self(), messages})
+
+      receive do
+        {:situ_gate, ^ref, :more} -> {[], state}
+        {:situ_gate, ^ref, :enough} -> {[], {to, ref, :gone}}
+        {:DOWN, _, :process, ^to, _} -> left(context, state)
+      end
+    end
+
+    @impl true
+    def handle_info({:situ_gate, ref, :enough}, _context, {to, ref, _}),
+      do: {[], {to, ref, :gone}}
+
+    def handle_info({:DOWN, _, :process, to, _}, context, {to, _, _} = state),
+      do: left(context, state)
+
+    def handle_info(_other, _context, state), do: {[], state}
+
+    defp left(context, {to, ref, _mode}) do
+      Situ.Pipeline.stop(context.pipeline)
+      {[], {to, ref, :gone}}
+    end
+  end
+
+  @type streams :: Stream.t() | [Stream.t()] | %{term() => Stream.t()} | keyword(Stream.t())
+
+  @doc """
+  Runs a pipeline to its end (as fast as possible unless `pipeline:` says otherwise) and returns the messages of the streams that
+  `build` returned: a list of `Situ.Message` for a stream, and for a list or map of streams a list or map of these.
+  """
+  @spec collect((Pipeline.t() -> streams()), keyword()) ::
+          {:ok, term()} | {:error, Situ.Error.t()}
+  def collect(build, opts \\ []) when is_function(build, 1) do
+    ref = make_ref()
+    me = self()
+
+    spec = fn p ->
+      streams = build.(p)
+      Enum.each(keyed(streams), fn {key, stream} -> sink(stream, me, {ref, key}) end)
+      shape(streams)
+    end
+
+    result = Pipeline.run(spec, opts)
+    messages = drain(ref, %{})
+    with {:ok, report} <- result, do: {:ok, fill(report.result, messages)}
+  end
+
+  @doc """
+  As `collect/2`, but only the data, and an error is raised. With `times: true` pairs of originating time and data.
+  """
+  @spec to_list((Pipeline.t() -> streams()), keyword()) :: term()
+  def to_list(build, opts \\ []) do
+    {times?, opts} = Keyword.pop(opts, :times, false)
+
+    case collect(build, opts) do
+      {:ok, collected} -> plain(collected, times?)
+      {:error, error} -> raise error
+    end
+  end
+
+  @doc """
+  The data of the stream that `build` returns as an Elixir `Stream`: a pipeline of its own runs while it is read, as far ahead as its
+  back-pressure lets it, and is ended when reading ends. With `messages: true` whole messages.
+  """
+  @spec to_stream((Pipeline.t() -> Stream.t()), keyword()) :: Enumerable.t()
+  def to_stream(build, opts \\ []) when is_function(build, 1) do
+    {messages?, opts} = Keyword.pop(opts, :messages, false)
+    Elixir.Stream.resource(fn -> open(build, opts) end, &read(&1, messages?), &shut/1)
+  end
+
+  @doc false
+  @spec sink(Stream.t(), pid(), term()) :: :ok
+  def sink(%Stream{} = stream, to, key) do
+    node = Pipeline.add(stream.pipeline, Sink, [to: to, key: key], default_name: "Collect")
+    Pipeline.connect(stream, node, :in, [])
+  end
+
+  defp keyed(%Stream{} = stream), do: [{:only, stream}]
+  defp keyed(%{} = map), do: Map.to_list(map)
+
+  defp keyed(list) when is_list(list) do
+    if Keyword.keyword?(list),
+      do: list,
+      else: list |> Enum.with_index() |> Enum.map(fn {stream, i} -> {i, stream} end)
+  end
+
+  defp keyed(other) do
+    raise ArgumentError,
+          "expected a stream, or a list or map of streams, got: #{inspect(other, limit: 5)}"
+  end
+
+  defp shape(%Stream{}), do: :only
+  defp shape(%{} = map), do: {:map, Map.keys(map)}
+
+  defp shape(list),
+    do:
+      if(Keyword.keyword?(list), do: {:keyword, Keyword.keys(list)}, else: {:list, length(list)})
+
+  defp fill(:only, messages), do: Map.get(messages, :only, [])
+  defp fill({:map, keys}, messages), do: Map.new(keys, &{&1, Map.get(messages, &1, [])})
+  defp fill({:keyword, keys}, messages), do: Enum.map(keys, &{&1, Map.get(messages, &1, [])})
+  defp fill({:list, 0}, _messages), do: []
+  defp fill({:list, n}, messages), do: Enum.map(0..(n - 1), &Map.get(messages, &1, []))
+
+  defp plain([%Message{} | _] = messages, times?), do: Enum.map(messages, &plain_one(&1, times?))
+  defp plain(%{} = map, times?), do: Map.new(map, fn {k, v} -> {k, plain(v, times?)} end)
+
+  defp plain(list, times?) when is_list(list) do
+    Enum.map(list, fn
+      {key, messages} -> {key, plain(messages, times?)}
+      messages -> plain(messages, times?)
+    end)
+  end
+
+  defp plain_one(message, true), do: {message.originating_time, message.data}
+  defp plain_one(message, false), do: message.data
+
+  defp drain(ref, messages) do
+    receive do
+      {:situ_collected, {^ref, key}, batch} ->
+        drain(ref, Map.update(messages, key, [batch], &[batch | &1]))
+    after
+      0 ->
+        Map.new(messages, fn {key, batches} ->
+          {key, batches |> Enum.reverse() |> Enum.concat()}
+        end)
+    end
+  end
+
+  # Reading lazily: a gate at the pipeline's end hands over one batch at a time.
+
+  defp open(build, opts) do
+    {me, ref} = {self(), make_ref()}
+    settings = Keyword.put_new(Keyword.get(opts, :pipeline, []), :replay, speed: :max)
+
+    spec = fn p ->
+      stream = build.(p)
+      node = Pipeline.add(p, Gate, [to: me, ref: ref], default_name: "Enumerable")
+      Pipeline.connect(stream, node, :in, [])
+    end
+
+    case Pipeline.start(spec, Keyword.put(opts, :pipeline, settings)) do
+      {:ok, pid} -> %{pipeline: pid, ref: ref, monitor: Process.monitor(pid), gate: nil}
+      {:error, error} -> raise error
+    end
+  end
+
+  defp read(%{ref: ref, monitor: monitor} = state, messages?) do
+    receive do
+      {:situ_gate, ^ref, gate, messages} ->
+        send(gate, {:situ_gate, ref, :more})
+        {if(messages?, do: messages, else: Enum.map(messages, & &1.data)), %{state | gate: gate}}
+
+      {:DOWN, ^monitor, :process, pid, _reason} ->
+        ended(Pipeline.await(pid), state)
+    end
+  end
+
+  defp ended({:error, %Situ.Error{code: code} = error}, _state) when code != :not_running,
+    do: raise(error)
+
+  defp ended(_result, state), do: {:halt, state}
+
+  defp shut(%{pipeline: pipeline, ref: ref, monitor: monitor, gate: gate}) do
+    if gate != nil, do: send(gate, {:situ_gate, ref, :enough})
+
+    # The reader has seen enough: sources end where they are.
+    case Situ.Pipeline.stop(pipeline, catch_up: 0, timeout: 5_000) do
+      {:error, %Situ.Error{code: :timeout}} -> Process.exit(pipeline, :kill)
+      _ -> :ok
+    end
+
+    Process.demonitor(monitor, [:flush])
+    flush(ref)
+  end
+
+  defp flush(ref) do
+    receive do
+      {:situ_gate, ^ref, _, _} -> flush(ref)
+    after
+      0 -> :ok
+    end
+  end
+end

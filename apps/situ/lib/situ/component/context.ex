@@ -1,0 +1,20 @@
+defmodule Situ.Component.Context do
+  @moduledoc """
+  What a component may know of where it runs: its path, the clock, the replay interval.
+
+    * `path`: the component's full name (`"Lobby.Mouth.Crop"`)
+    * `pipeline`: the pipeline's handle
+    * `now`: the pipeline clock when this activation began, ns
+    * `start_time`: the pipeline's start, ns (replay start, or the clock when it began)
+    * `replay_end`: the end of the replay interval, ns, or `:infinity`
+  """
+  defstruct [:path, :pipeline, now: 0, start_time: 0, replay_end: :infinity]
+
+  @type t :: %__MODULE__{
+          path: String.t() | nil,
+          pipeline: term(),
+          now: Situ.Time.t(),
+          start_time: Situ.Time.t(),
+          replay_end: Situ.Time.t() | :infinity
+        }
+end

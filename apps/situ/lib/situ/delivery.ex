@@ -1,0 +1,137 @@
+defmodule Situ.Delivery do
+  @moduledoc """
+  Delivery policies: what the queue in front of an input does when messages come faster than they are taken.
+
+  | policy | loses messages | what happens under load |
+  |---|---|---|
+  | `unlimited/1` (default) | never | at most a window of 1,000 messages is in flight, then the producer waits |
+  | `throttle/2` | never | the same with a window of `n` (default 128) |
+  | `synchronous/1` | never | light operators run inside the producer's process; other consumers are throttled |
+  | `latest/1` | yes | only the newest waiting message is kept |
+  | `max_queue/2` | yes | the `n` newest waiting messages are kept |
+  | `max_latency/2` | yes | messages older than `d` when their turn comes are dropped |
+
+  Every policy takes `guarantee: fn data -> boolean end`: what it answers `true` for is never dropped. Guarantees add up
+  (`with_guarantee/2`). A push source (a camera) cannot wait: in front of a lossless input its output buffer grows.
+
+      iex> policy = Situ.Delivery.max_queue(3, guarantee: &is_atom/1)
+      iex> {Situ.Delivery.lossy?(policy), policy.max_queue}
+      {true, 3}
+  """
+  alias Situ.{Error, Options}
+
+  @window 1_000
+  @small_window 128
+  @enforce_keys [:kind]
+  defstruct [:kind, :guarantee, max_queue: :infinity, max_latency: :infinity, window: @window]
+
+  @type kind :: :unlimited | :latest | :max_queue | :max_latency | :throttle | :synchronous
+  @type t :: %__MODULE__{
+          kind: kind(),
+          guarantee: (term() -> boolean()) | nil,
+          max_queue: pos_integer() | :infinity,
+          max_latency: Situ.Time.duration() | :infinity,
+          window: pos_integer() | :infinity
+        }
+
+  @schema [
+    guarantee: [type: {:fun, 1}, doc: "Data this answers `true` for is never dropped."],
+    window: [
+      type: {:or, [:pos_integer, {:in, [:infinity]}]},
+      default: @window,
+      doc: "Messages in flight before the producer waits; `:infinity` never makes it wait."
+    ]
+  ]
+
+  @doc "Lossless, with back-pressure after `window:` (default 1,000) messages in flight."
+  @spec unlimited(keyword()) :: t()
+  def unlimited(opts \\ []), do: build(:unlimited, [], opts)
+
+  @doc "Keeps only the newest waiting message."
+  @spec latest(keyword()) :: t()
+  def latest(opts \\ []), do: build(:latest, [max_queue: 1], opts)
+
+  @doc "Keeps the `n` newest waiting messages."
+  @spec max_queue(pos_integer(), keyword()) :: t()
+  def max_queue(n, opts \\ []) when is_integer(n) and n > 0,
+    do: build(:max_queue, [max_queue: n], opts)
+
+  @doc "Drops a message whose age (clock - originating time) is more than `d` ns when its turn comes."
+  @spec max_latency(Situ.Time.duration(), keyword()) :: t()
+  def max_latency(d, opts \\ []) when is_integer(d) and d >= 0,
+    do: build(:max_latency, [max_latency: d], opts)
+
+  @doc """
+  Lossless: the producer waits as soon as `n` messages are on their way.
+
+  One message at a time (`throttle(1)`) is the strictest, and dear: every message costs two wake-ups, some 5 us. The default of
+  128 keeps little on its way at nearly the price of `unlimited/1`.
+  """
+  @spec throttle(pos_integer(), keyword()) :: t()
+  def throttle(n \\ @small_window, opts \\ []) when is_integer(n) and n > 0,
+    do: build(:throttle, [], Keyword.put(opts, :window, n))
+
+  @doc "Lossless: a light operator runs in its producer's process, without a queue; any other consumer as with `throttle/2`."
+  @spec synchronous(keyword()) :: t()
+  def synchronous(opts \\ []),
+    do: build(:synchronous, [], Keyword.put_new(opts, :window, @small_window))
+
+  @doc "Adds a guarantee: what either predicate protects is kept."
+  @spec with_guarantee(t(), (term() -> boolean())) :: t()
+  def with_guarantee(%__MODULE__{guarantee: nil} = policy, keep?) when is_function(keep?, 1),
+    do: %{policy | guarantee: keep?}
+
+  def with_guarantee(%__MODULE__{guarantee: before?} = policy, keep?) when is_function(keep?, 1),
+    do: %{policy | guarantee: fn data -> before?.(data) or keep?.(data) end}
+
+  @doc """
+  A policy by name, for configuration files and command lines.
+
+      iex> {:ok, policy} = Situ.Delivery.parse("max_queue(5)")
+      iex> policy.max_queue
+      5
+      iex> {:error, error} = Situ.Delivery.parse("lastest")
+      iex> error.fix
+      "did you mean \\"latest\\"?"
+  """
+  @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def parse("unlimited"), do: {:ok, unlimited()}
+  def parse("latest"), do: {:ok, latest()}
+  def parse("throttle"), do: {:ok, throttle()}
+  def parse(name) when name in ["synchronous", "sync"], do: {:ok, synchronous()}
+
+  def parse(text) when is_binary(text) do
+    case Regex.run(~r/^(max_queue|max_latency|throttle)\(([1-9][0-9]{0,17})\)$/, text) do
+      [_, "max_queue", n] -> {:ok, max_queue(String.to_integer(n))}
+      [_, "max_latency", n] -> {:ok, max_latency(String.to_integer(n))}
+      [_, "throttle", n] -> {:ok, throttle(String.to_integer(n))}
+      nil -> {:error, unknown(text)}
+    end
+  end
+
+  @doc "Whether the policy may drop messages."
+  @spec lossy?(t()) :: boolean()
+  def lossy?(%__MODULE__{max_queue: :infinity, max_latency: :infinity}), do: false
+  def lossy?(%__MODULE__{}), do: true
+
+  @doc "The policy in a word, for diagnostics."
+  @spec name(t()) :: String.t()
+  def name(%__MODULE__{kind: :max_queue, max_queue: n}), do: "max_queue(#{n})"
+  def name(%__MODULE__{kind: :throttle, window: n}), do: "throttle(#{n})"
+
+  def name(%__MODULE__{kind: :max_latency, max_latency: d}),
+    do: "max_latency(#{Situ.Time.format_duration(d)})"
+
+  def name(%__MODULE__{kind: kind}), do: Atom.to_string(kind)
+
+  defp build(kind, limits, opts) do
+    struct!(%__MODULE__{kind: kind}, limits ++ Options.validate!(opts, @schema))
+  end
+
+  defp unknown(text) do
+    names = ~w[unlimited latest throttle synchronous max_queue(5) max_latency(1000000)]
+    near = Options.nearest(text, names)
+    fix = if near, do: "did you mean #{inspect(near)}?", else: "known: " <> Enum.join(names, ", ")
+    Error.new(:unknown_policy, "no delivery policy #{inspect(text)}", fix: fix)
+  end
+end

@@ -1,0 +1,41 @@
+defmodule Situ.Error do
+  @moduledoc """
+  The one error type that crosses app boundaries.
+
+  `code` is for programs (match on it); `what`, `why` and `fix` are sentences for people; `meta` holds the
+  facts behind them (component path, input, times, a stacktrace).
+
+      iex> error = %Situ.Error{code: :no_store, what: "no store at \\"x\\"", fix: "check the path"}
+      iex> Exception.message(error)
+      "no store at \\"x\\"\\n  Fix: check the path"
+  """
+
+  @enforce_keys [:code, :what]
+  defexception [:code, :what, :why, :fix, meta: %{}]
+
+  @type t :: %__MODULE__{
+          code: atom(),
+          what: String.t(),
+          why: String.t() | nil,
+          fix: String.t() | nil,
+          meta: map()
+        }
+
+  @doc """
+  Builds an error; `details` may hold `:why`, `:fix` and `:meta`.
+
+      iex> Situ.Error.new(:busy, "port 4040 is in use", fix: "choose another with --port").fix
+      "choose another with --port"
+  """
+  @spec new(atom(), String.t(), keyword()) :: t()
+  def new(code, what, details \\ []) when is_atom(code) and is_binary(what) do
+    struct!(%__MODULE__{code: code, what: what}, details)
+  end
+
+  @impl true
+  def message(%__MODULE__{} = error) do
+    [error.what, error.why && "Why: " <> error.why, error.fix && "Fix: " <> error.fix]
+    |> Enum.reject(&is_nil/1)
+    |> Enum.join("\n  ")
+  end
+end

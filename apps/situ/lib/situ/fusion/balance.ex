@@ -1,0 +1,77 @@
+defmodule Situ.Fusion.Balance do
+  @moduledoc false
+  # Keeps the inputs of a fusion operator abreast, so that memory does not depend on which of two sources is scheduled more:
+  # an input that has run far ahead of the one that is waited for is held for a moment.
+  #
+  # It is never held for good, since the input that is waited for may depend on it (both may come from one source, by way of a
+  # filter): when nothing at all has arrived for a hold's time, the input is let go and the limit doubled. Such a graph costs a
+  # few such moments, and the memory that it needs. While other processes of the VM are at work, one of them may be about
+  # to send what is awaited and only lack a core: then up to 25 holds' times (half a second) pass before that.
+  #
+  # How much waits is told by sequence ids: the newest one less that of the queue's head.
+
+  @limit 8_192
+  @patience 25
+
+  defstruct limit: @limit, newest: %{}, held: [], idle: 0
+
+  @type input :: atom()
+  @type t :: %__MODULE__{
+          limit: pos_integer(),
+          newest: %{input() => non_neg_integer()},
+          held: [input()],
+          idle: non_neg_integer()
+        }
+
+  @doc "Messages of `input` arrived."
+  @spec seen(t(), input(), [Situ.Message.t()]) :: t()
+  def seen(balance, input, messages),
+    do: %{balance | newest: Map.put(balance.newest, input, last(messages)), idle: 0}
+
+  @doc """
+  What to hold and resume, as actions: `heads` are the inputs' queues, `{input, sequence id of the first message | nil}`; `awaited` are the
+  inputs that the operator waits for.
+  """
+  @spec actions(t(), [{input(), non_neg_integer() | nil}], [input()]) :: {list(), t()}
+  def actions(balance, heads, awaited) do
+    ahead = for {input, head} <- heads, head != nil, ahead?(balance, input, head), do: input
+
+    case {Enum.reject(ahead, &(&1 in awaited)), balance.held} do
+      {[], []} -> {[], balance}
+      {same, same} -> {Enum.map(same, &{:hold, &1}), balance}
+      {hold, held} -> {change(hold, held), %{balance | held: hold}}
+    end
+  end
+
+  @doc "Nothing came while `input` was held, and the rest of the VM was `busy?` or not: it is held on, or let go."
+  @spec ended(t(), input(), boolean()) :: {list(), t()}
+  def ended(%{idle: idle} = balance, input, true) when idle < @patience do
+    if input in balance.held,
+      do: {[{:hold, input}], %{balance | idle: idle + 1}},
+      else: {[], balance}
+  end
+
+  def ended(balance, input, _busy?) do
+    held = List.delete(balance.held, input)
+    {[], %{balance | held: held, limit: balance.limit * 2, idle: 0}}
+  end
+
+  @doc "Whether something is under way: messages that this process has not seen yet, or another process at work."
+  @spec busy?() :: boolean()
+  def busy? do
+    Process.info(self(), :message_queue_len) != {:message_queue_len, 0} or
+      :erlang.statistics(:total_active_tasks) > 1
+  end
+
+  defp ahead?(balance, input, head) do
+    limit = if input in balance.held, do: div(balance.limit, 2), else: balance.limit
+    Map.get(balance.newest, input, 0) - head > limit
+  end
+
+  defp change(hold, held) do
+    Enum.map(hold, &{:hold, &1}) ++ Enum.map(held -- hold, &{:resume, &1})
+  end
+
+  defp last([message]), do: message.sequence_id
+  defp last([_ | rest]), do: last(rest)
+end

@@ -1,0 +1,35 @@
+defmodule Situ.Fusion.Sampler do
+  @moduledoc false
+  # The component behind sample and interpolate at a fixed interval.
+  use Situ.Component,
+    inputs: [in: :any],
+    outputs: [out: :any],
+    options: [
+      interpolator: [type: {:struct, Situ.Interpolator}, required: true],
+      interval: [type: :pos_integer, required: true],
+      align: [type: {:optional, :time_ns}]
+    ]
+
+  alias Situ.Sampling
+
+  @impl true
+  def init(opts), do: {:ok, {:idle, opts}}
+
+  @impl true
+  def handle_message(input, message, context, state),
+    do: handle_messages(input, [message], context, state)
+
+  # Ticks count from the pipeline's start; data older than that (recorded, in a pipeline in real time) move the first tick.
+  @impl true
+  def handle_messages(:in, [first | _] = messages, context, {:idle, opts}) do
+    start = min(context.start_time, first.originating_time)
+    sampling = Sampling.new(opts[:interpolator], opts[:interval], start, opts[:align])
+    handle_messages(:in, messages, context, sampling)
+  end
+
+  def handle_messages(:in, messages, _context, sampling), do: Sampling.push(sampling, messages)
+
+  @impl true
+  def handle_closed(:in, _time, _context, {:idle, _opts} = state), do: {[], state}
+  def handle_closed(:in, time, _context, sampling), do: Sampling.close(sampling, time)
+end

@@ -1,0 +1,107 @@
+defmodule Situ.Generator.Source do
+  @moduledoc false
+  # The pull source behind the generators: as many items as there is demand for, up to the replay's end.
+  use Situ.Component,
+    inputs: [],
+    outputs: [out: :any],
+    options: [
+      feed: [type: {:fun, 1}, required: true, doc: "Makes the feed from the start time."],
+      from: [type: :any, default: :unbounded, doc: "Times before it are passed over."],
+      keep_open: [type: :boolean, default: false]
+    ]
+
+  alias Situ.Generator.Feed
+
+  # phase: :open, :done (nothing more to give) or an error to raise after what came before it has gone out.
+  defstruct [:make, :feed, :from, :keep_open, :ahead, :last, :started, phase: :open, final: nil]
+
+  @impl true
+  def init(opts) do
+    {:ok, %__MODULE__{make: opts[:feed], from: opts[:from], keep_open: opts[:keep_open]}}
+  end
+
+  @impl true
+  def handle_start(context, state) do
+    open? = state.keep_open and context.replay_end == :infinity
+    feed = state.make.(context.start_time)
+    state = %{state | feed: feed, started: context.start_time, keep_open: open?}
+    {if(open?, do: [{:complete, :infinity}], else: []), state}
+  end
+
+  @impl true
+  def handle_demand(_n, _context, %{phase: :done} = state), do: {[], state}
+  def handle_demand(_n, _context, %{phase: %Situ.Error{} = error}), do: raise(error)
+
+  def handle_demand(n, context, state) do
+    # An atom sorts after every time: without an end, everything lies before it.
+    till = min(context.replay_end, state.final || :infinity)
+    produce(n, till, state, [])
+  end
+
+  @impl true
+  def handle_stop(_final, _context, %{phase: phase} = state) when phase != :open, do: {[], state}
+
+  # What has been asked for but not made yet is made on demand, up to and including the final time.
+  def handle_stop(final, _context, state) do
+    if state.last != nil and state.last >= final,
+      do: {[], %{state | phase: :done, final: final}},
+      else: {[:stopping], %{state | final: final}}
+  end
+
+  @impl true
+  def terminate(_reason, %{feed: nil}), do: :ok
+  def terminate(_reason, state), do: Feed.close(state.feed)
+
+  defp produce(0, _till, state, actions), do: {:lists.reverse(actions), state}
+
+  defp produce(n, till, state, actions) do
+    case ahead(state) do
+      :done ->
+        finish(state, actions)
+
+      {time, _value, _feed} = item when time > till ->
+        late(item, state, actions)
+
+      {time, _value, feed} when time < state.from ->
+        produce(n, till, skip(state, feed), actions)
+
+      {time, _value, _feed} when state.last != nil and time <= state.last ->
+        stumble(time, state, actions)
+
+      {time, value, feed} ->
+        produce(n - 1, till, took(state, time, feed), [{:out, time, value} | actions])
+    end
+  end
+
+  defp ahead(%{ahead: nil, feed: feed}), do: Feed.next(feed)
+  defp ahead(%{ahead: item}), do: item
+
+  defp skip(state, feed), do: %{state | feed: feed, ahead: nil}
+  defp took(state, time, feed), do: %{state | feed: feed, ahead: nil, last: time}
+
+  # The next item lies past the end: a stop may move the end, but only to an earlier time.
+  defp late(item, state, actions), do: finish(%{state | ahead: item}, actions)
+
+  defp finish(%{final: final} = state, actions) when final != nil,
+    do: {:lists.reverse(actions, [:stopped]), %{state | phase: :done}}
+
+  defp finish(%{keep_open: true} = state, actions),
+    do: {:lists.reverse(actions), %{state | phase: :done}}
+
+  # Closing says that it is complete, too, and lets operators decide now what waits for more.
+  defp finish(state, actions) do
+    {:lists.reverse(actions, [{:close, :out, state.last || state.started}]),
+     %{state | phase: :done}}
+  end
+
+  defp stumble(time, state, actions) do
+    error =
+      Situ.Error.new(:time_not_increasing, "an item at #{time} ns after one at #{state.last} ns",
+        why: "originating times of one stream strictly increase",
+        fix: "sort the items, or bring late ones into order with Situ.reorder/3",
+        meta: %{time: time, last_time: state.last}
+      )
+
+    if actions == [], do: raise(error), else: {:lists.reverse(actions), %{state | phase: error}}
+  end
+end

@@ -1,0 +1,40 @@
+defmodule Situ.Generator.Timer do
+  @moduledoc false
+  # The push source behind timer: a message whenever the clock has passed another interval.
+  use Situ.Component,
+    inputs: [],
+    outputs: [out: :any],
+    options: [interval: [type: :pos_integer, required: true], fun: [type: {:fun, 2}]]
+
+  @impl true
+  def init(opts) do
+    {:ok,
+     %{interval: opts[:interval], fun: opts[:fun] || fn _now, elapsed -> elapsed end, last: nil}}
+  end
+
+  # A timer has no end of its own: only a replay's end is one.
+  @impl true
+  def handle_start(context, state) do
+    ending = if context.replay_end == :infinity, do: [{:complete, :infinity}], else: []
+    {ending ++ next(context.start_time, context, state), state}
+  end
+
+  @impl true
+  def handle_info({:timer, {:tick, due}}, context, state) do
+    time = if state.last == nil, do: context.now, else: max(context.now, state.last + 1)
+    data = state.fun.(time, time - context.start_time)
+    # Ticks that were missed are not made up for.
+    missed = div(max(context.now - due, 0), state.interval) * state.interval
+    {[{:out, time, data} | next(due + missed, context, state)], %{state | last: time}}
+  end
+
+  def handle_info(_other, _context, state), do: {[], state}
+
+  defp next(after_time, context, state) do
+    due = after_time + state.interval
+
+    if due > context.replay_end,
+      do: [{:complete, context.replay_end}],
+      else: [{:timer, {:tick, due}, due}]
+  end
+end

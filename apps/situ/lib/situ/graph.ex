@@ -1,0 +1,298 @@
+defmodule Situ.Graph do
+  @moduledoc """
+  The graph of a pipeline as plain data: vertices in order of construction, edges, names, replay proposals.
+
+  Everything here is pure. `Situ.Graph.Builder` holds the graph being built; `Situ.Graph.build/1` builds one without any
+  pipeline process, for components that run graphs of their own:
+
+      iex> {graph, node} = Situ.Graph.build(fn p -> Situ.Pipeline.add(p, Situ.Pipeline.Empty, [], name: "A") end)
+      iex> {node.path, Map.keys(graph.vertices)}
+      {"A", [1]}
+  """
+  alias Situ.{Delivery, Error, Options, Type}
+  alias Situ.Graph.{Edge, Vertex}
+
+  defstruct vertices: %{},
+            edges: %{},
+            paths: %{},
+            stream_names: %{},
+            scopes: %{},
+            proposals: [],
+            handlers: [],
+            next_vertex: 1,
+            next_edge: 1,
+            next_source: 1,
+            default_policy: nil,
+            replay: {:unbounded, :unbounded}
+
+  @type t :: %__MODULE__{
+          vertices: %{pos_integer() => Vertex.t()},
+          edges: %{pos_integer() => Edge.t()},
+          paths: %{String.t() => pos_integer()},
+          stream_names: %{String.t() => {pos_integer(), atom()}},
+          scopes: %{String.t() => true},
+          proposals: [{Situ.Time.t(), Situ.Time.t() | :unbounded}],
+          handlers: [{atom(), fun()}],
+          next_vertex: pos_integer(),
+          next_edge: pos_integer(),
+          next_source: pos_integer(),
+          default_policy: Delivery.t() | nil,
+          replay: {Situ.Time.t() | :unbounded, Situ.Time.t() | :unbounded}
+        }
+
+  @common [
+    name: [type: :string],
+    default_name: [type: :string],
+    on_error: [type: {:in, [:stop, :skip, :restart]}, default: :stop],
+    async: [type: :boolean, default: false],
+    check: [type: {:in, [:first, :all, :off]}, default: :first],
+    inputs: [type: :keyword],
+    outputs: [type: :keyword]
+  ]
+
+  @doc "Runs `fun` with a handle of a new graph held by this process alone; returns the graph and the function's result."
+  @spec build((Situ.Pipeline.t() -> result)) :: {t(), result} when result: term()
+  def build(fun) when is_function(fun, 1), do: Situ.Graph.Builder.collect(fun)
+
+  @doc "Adds a component; `common` are the options every component takes. Raises `Situ.Error`."
+  @spec add(t(), Situ.Pipeline.t(), module(), keyword(), keyword()) :: {Situ.Node.t(), t()}
+  def add(%__MODULE__{} = graph, handle, module, opts, common) do
+    check_module!(module)
+    common = Options.validate!(common, @common)
+    opts = Options.validate!(opts, module.options())
+
+    vertex = %Vertex{
+      id: graph.next_vertex,
+      module: module,
+      opts: opts,
+      inputs: ports(common[:inputs] || module.inputs()),
+      outputs: [],
+      on_error: common[:on_error],
+      async: common[:async],
+      check: common[:check],
+      scope: handle.scope
+    }
+
+    name = common[:name] || common[:default_name] || default_name(module)
+    insert(graph, handle, vertex, common[:outputs] || module.outputs(), name, common[:name])
+  end
+
+  @doc "Adds a light operator behind `stream`; see `Situ.Operator.attach/5`."
+  @spec add_operator(t(), Situ.Stream.t(), map()) :: {Situ.Node.t(), t()}
+  def add_operator(%__MODULE__{} = graph, stream, spec) do
+    opts = spec.opts
+
+    vertex = %Vertex{
+      id: graph.next_vertex,
+      module: :operator,
+      opts: spec.step,
+      inputs: [in: %{type: spec.in_type, optional: false}],
+      outputs: [],
+      on_error: opts[:on_error],
+      async: opts[:async],
+      check: :first,
+      scope: stream.pipeline.scope
+    }
+
+    name = opts[:name] || spec.name
+
+    {node, graph} =
+      insert(graph, stream.pipeline, vertex, [out: spec.out_type], name, opts[:name])
+
+    {:ok, graph} = connect(graph, stream, node, :in, policy: opts[:policy])
+    {node, graph}
+  end
+
+  @doc "Connects a stream to a node's input. Raises `Situ.Error` when ports, types or pipelines do not fit."
+  @spec connect(t(), Situ.Stream.t(), Situ.Node.t(), atom(), keyword()) :: {:ok, t()}
+  def connect(%__MODULE__{} = graph, stream, node, input, opts \\ []) do
+    opts = Options.validate!(opts, policy: [type: {:optional, {:struct, Delivery}}])
+    check_same!(stream, node)
+    from = Map.fetch!(graph.vertices, stream.node)
+    to = Map.fetch!(graph.vertices, node.id)
+    port = Keyword.get(to.inputs, input) || raise unknown_port(:input, node, input)
+    check_free!(graph, to, input)
+    check_types!(from, stream, to, input, port.type)
+
+    edge = %Edge{
+      id: graph.next_edge,
+      from: {from.id, stream.output},
+      to: {to.id, input},
+      policy: opts[:policy] || graph.default_policy || Delivery.unlimited(),
+      explicit: opts[:policy] != nil
+    }
+
+    {:ok, %{graph | edges: Map.put(graph.edges, edge.id, edge), next_edge: edge.id + 1}}
+  end
+
+  @doc "Names a stream; the name must be free."
+  @spec name_stream(t(), Situ.Stream.t(), String.t()) :: {:ok, t()}
+  def name_stream(%__MODULE__{} = graph, stream, name) do
+    port = {stream.node, stream.output}
+
+    case graph.stream_names do
+      %{^name => other} when other != port -> raise duplicate("stream", name)
+      names -> {:ok, %{graph | stream_names: Map.put(names, name, port)}}
+    end
+  end
+
+  @doc "Makes `name` below `scope` a scope of its own, unique like a node's path."
+  @spec open_scope(t(), String.t() | nil, String.t()) :: {String.t(), t()}
+  def open_scope(%__MODULE__{} = graph, scope, name) do
+    path = join(scope, name)
+    if taken?(graph, path), do: raise(duplicate("component", path))
+    {path, %{graph | scopes: Map.put(graph.scopes, path, true)}}
+  end
+
+  @doc "Default name of an output's stream: the node's path, with the output's name when it has several."
+  @spec stream_name(String.t(), atom(), keyword()) :: String.t()
+  def stream_name(path, _output, [_only]), do: path
+  def stream_name(path, output, _outputs), do: path <> "." <> Atom.to_string(output)
+
+  @doc "The error for a port that does not exist, with the nearest name."
+  @spec unknown_port(:input | :output, Situ.Node.t(), atom()) :: Error.t()
+  def unknown_port(kind, node, name) do
+    known = Keyword.keys(if kind == :input, do: node.inputs, else: node.outputs)
+    near = known != [] && Options.nearest(name, known)
+    hint = if near, do: "did you mean #{inspect(near)}? ", else: ""
+    code = if kind == :input, do: :unknown_input, else: :unknown_output
+
+    Error.new(code, "#{node.path} has no #{kind} #{inspect(name)}",
+      fix: hint <> "It has: " <> Enum.map_join(known, ", ", &inspect/1)
+    )
+  end
+
+  defp insert(graph, handle, vertex, outputs, name, explicit) do
+    path = unique_path(graph, join(handle.scope, name), explicit)
+
+    {outputs, next_source} =
+      Enum.map_reduce(ports(outputs), graph.next_source, fn {port, info}, id ->
+        {{port, Map.put(info, :source_id, id)}, id + 1}
+      end)
+
+    vertex = %{vertex | path: path, outputs: outputs}
+
+    graph = %{
+      graph
+      | vertices: Map.put(graph.vertices, vertex.id, vertex),
+        paths: Map.put(graph.paths, path, vertex.id),
+        next_vertex: vertex.id + 1,
+        next_source: next_source
+    }
+
+    {node(handle, vertex), graph}
+  end
+
+  defp node(handle, vertex) do
+    %Situ.Node{
+      pipeline: handle,
+      id: vertex.id,
+      path: vertex.path,
+      module: vertex.module,
+      inputs: types(vertex.inputs),
+      outputs: types(vertex.outputs)
+    }
+  end
+
+  defp types(ports), do: Enum.map(ports, fn {name, port} -> {name, port.type} end)
+
+  defp ports(list) do
+    Enum.map(list, fn
+      # Exactly this: `{:tuple, [optional: type]}` is a type.
+      {name, {type, [optional: optional]}} when is_boolean(optional) ->
+        {name, %{type: checked!(type), optional: optional}}
+
+      {name, type} ->
+        {name, %{type: checked!(type), optional: false}}
+    end)
+    |> unique_ports!()
+  end
+
+  defp checked!(type) do
+    if Type.type?(type),
+      do: type,
+      else: raise(ArgumentError, "not a port type: #{inspect(type)}; see Situ.Type")
+  end
+
+  defp unique_ports!(ports) do
+    case Keyword.keys(ports) -- Enum.uniq(Keyword.keys(ports)) do
+      [] -> ports
+      [name | _] -> raise Error.new(:duplicate_port, "two ports named #{inspect(name)}")
+    end
+  end
+
+  defp unique_path(graph, path, nil) do
+    if taken?(graph, path) do
+      Stream.iterate(2, &(&1 + 1))
+      |> Stream.map(&(path <> Integer.to_string(&1)))
+      |> Enum.find(&(not taken?(graph, &1)))
+    else
+      path
+    end
+  end
+
+  defp unique_path(graph, path, _explicit) do
+    if taken?(graph, path), do: raise(duplicate("component", path)), else: path
+  end
+
+  defp taken?(graph, path),
+    do: Map.has_key?(graph.paths, path) or Map.has_key?(graph.scopes, path)
+
+  defp join(nil, name), do: name
+  defp join(scope, name), do: scope <> "." <> name
+
+  defp default_name(module), do: module |> Module.split() |> List.last()
+
+  defp check_module!(module) do
+    unless is_atom(module) and Code.ensure_loaded?(module) and
+             function_exported?(module, :handle_message, 4) do
+      raise Error.new(:not_a_component, "#{inspect(module)} is not a component",
+              fix: "use Situ.Component in it, and check its name"
+            )
+    end
+  end
+
+  defp check_same!(stream, node) do
+    if stream.pipeline.ref != node.pipeline.ref do
+      raise Error.new(
+              :different_pipeline,
+              "stream #{inspect(stream.name)} and #{node.path} belong to different pipelines",
+              fix: "carry the stream over with Situ.Connector"
+            )
+    end
+  end
+
+  defp check_free!(graph, to, input) do
+    case Enum.find(graph.edges, fn {_, edge} -> edge.to == {to.id, input} end) do
+      nil ->
+        :ok
+
+      {_, edge} ->
+        other = Map.fetch!(graph.vertices, elem(edge.from, 0))
+
+        raise Error.new(
+                :already_connected,
+                "input #{to.path}.#{input} is already connected to #{other.path}",
+                why: "an input takes one stream",
+                fix: "merge the streams first (Situ.merge/2)"
+              )
+    end
+  end
+
+  defp check_types!(from, stream, to, input, type) do
+    unless Type.accepts?(type, stream.type) do
+      raise Error.new(
+              :type_mismatch,
+              "#{from.path}.#{stream.output} emits #{Type.to_string(stream.type)}, " <>
+                "but #{to.path}.#{input} takes #{Type.to_string(type)}",
+              fix: "convert it in between (Situ.map/3), or correct a declared type"
+            )
+    end
+  end
+
+  defp duplicate(kind, name) do
+    Error.new(:duplicate_name, "there is already a #{kind} named #{inspect(name)}",
+      fix: "give one of them another name:"
+    )
+  end
+end

@@ -1,0 +1,83 @@
+defmodule Situ.Graph.Builder do
+  @moduledoc false
+  # Holds graphs while they are built: in the dictionary of the process that builds (a pipeline runs `build/2` itself,
+  # so adding a component is a map update), or behind a call for a pipeline that was opened empty and is built from outside.
+  alias Situ.{Error, Graph, Pipeline}
+
+  @doc "A handle whose graph this process holds from now on."
+  @spec open(Graph.t(), pid()) :: Pipeline.t()
+  def open(graph \\ %Graph{}, pid \\ self()) do
+    ref = make_ref()
+    Process.put({__MODULE__, ref}, graph)
+    %Pipeline{pid: pid, ref: ref}
+  end
+
+  @doc "Ends the building: the graph, no longer held."
+  @spec close(Pipeline.t()) :: Graph.t()
+  def close(%Pipeline{ref: ref}), do: Process.delete({__MODULE__, ref})
+
+  @doc "The graph so far."
+  @spec peek(Pipeline.t()) :: Graph.t() | nil
+  def peek(%Pipeline{ref: ref}), do: Process.get({__MODULE__, ref})
+
+  @spec collect((Pipeline.t() -> result)) :: {Graph.t(), result} when result: term()
+  def collect(fun) do
+    handle = open()
+
+    try do
+      result = fun.(handle)
+      {peek(handle), result}
+    after
+      close(handle)
+    end
+  end
+
+  @doc "Runs `fun` while the graph can be built on again, for handlers that add handlers; answers the handlers then."
+  @spec lend(Pipeline.t(), Graph.t(), (() -> result)) :: {result, list()} when result: term()
+  def lend(%Pipeline{ref: ref}, graph, fun) do
+    Process.put({__MODULE__, ref}, graph)
+
+    try do
+      result = fun.()
+      {result, Process.get({__MODULE__, ref}).handlers}
+    after
+      Process.delete({__MODULE__, ref})
+    end
+  end
+
+  @doc "Applies `change`, which returns `{result, graph}` or raises, to the handle's graph."
+  @spec run(Pipeline.t(), (Graph.t() -> {result, Graph.t()})) :: result when result: term()
+  def run(%Pipeline{ref: ref} = handle, change) do
+    case Process.get({__MODULE__, ref}) do
+      nil -> remote(handle, change)
+      graph -> local(ref, graph, change)
+    end
+  end
+
+  defp local(ref, graph, change) do
+    {result, graph} = change.(graph)
+    Process.put({__MODULE__, ref}, graph)
+    result
+  end
+
+  defp remote(%Pipeline{pid: pid}, _change) when pid == self(), do: raise(running())
+
+  defp remote(%Pipeline{pid: pid}, change) do
+    case GenServer.call(pid, {:build, change}) do
+      {:ok, result} -> result
+      {:error, error} -> raise error
+    end
+  catch
+    :exit, {reason, _} when reason in [:noproc, :normal, :shutdown] ->
+      raise Error.new(:not_running, "the pipeline has ended")
+  end
+
+  @doc "The error of changing a graph that already runs."
+  @spec running() :: Error.t()
+  def running do
+    Error.new(:pipeline_running, "the pipeline is already running",
+      why: "components and connections are fixed when it starts",
+      fix: "build it first; to look into a running pipeline use Situ.tap/3"
+    )
+  end
+end

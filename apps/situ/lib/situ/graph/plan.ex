@@ -1,0 +1,140 @@
+defmodule Situ.Graph.Plan do
+  @moduledoc false
+  # Which vertices share a process, and which edges become queues between processes. Pure.
+  #
+  # A light operator joins the process of the light operator in front of it when nobody else listens to that one, no
+  # explicit policy (but synchronous) stands between them, neither asks for `async`, and both treat errors alike. It joins
+  # the process of a component with one output when the policy between them is synchronous, or the pipeline's default
+  # throttle: nothing is on its way at all then.
+  alias Situ.{Delivery, Error, Graph}
+  alias Situ.Graph.Vertex
+
+  defstruct stages: [], edges: [], inline: []
+
+  @type stage :: %{id: pos_integer(), vertices: [Vertex.t()]}
+  @type t :: %__MODULE__{
+          stages: [stage()],
+          edges: [Graph.Edge.t()],
+          inline: [Graph.Edge.t()]
+        }
+
+  @spec compile(Graph.t()) :: {:ok, t()} | {:error, Error.t()}
+  def compile(%Graph{} = graph) do
+    edges = graph.edges |> Map.values() |> Enum.sort_by(& &1.id)
+
+    with :ok <- check_inputs(graph, edges) do
+      outgoing = Enum.group_by(edges, &elem(&1.from, 0))
+      {inline, process} = Enum.split_with(edges, &inline?(graph, outgoing, &1))
+      {:ok, build(graph, inline, unbound_cycles(graph, process, edges))}
+    end
+  end
+
+  defp build(graph, inline, process) do
+    next = Map.new(inline, fn edge -> {elem(edge.from, 0), elem(edge.to, 0)} end)
+    inner = MapSet.new(Map.values(next))
+
+    stages =
+      for id <- Enum.sort(Map.keys(graph.vertices)), not MapSet.member?(inner, id) do
+        %{
+          id: id,
+          vertices: graph |> follow(next, id) |> Enum.map(&Map.fetch!(graph.vertices, &1))
+        }
+      end
+
+    %__MODULE__{stages: stages, edges: process, inline: inline}
+  end
+
+  defp follow(graph, next, id) do
+    case next do
+      %{^id => following} -> [id | follow(graph, next, following)]
+      _ -> [id]
+    end
+  end
+
+  defp inline?(graph, outgoing, edge) do
+    from = Map.fetch!(graph.vertices, elem(edge.from, 0))
+    to = Map.fetch!(graph.vertices, elem(edge.to, 0))
+
+    to.module == :operator and not to.async and match?([_], Map.fetch!(outgoing, from.id)) and
+      joins?(from, to, edge)
+  end
+
+  defp joins?(%{module: :operator} = from, to, edge) do
+    not from.async and from.on_error == to.on_error and
+      (not edge.explicit or edge.policy.kind == :synchronous)
+  end
+
+  defp joins?(%{outputs: [_]}, _to, %{policy: %{kind: :synchronous}}), do: true
+
+  defp joins?(%{outputs: [_]}, _to, %{policy: %{kind: :throttle}, explicit: false}),
+    do: true
+
+  defp joins?(_from, _to, _edge), do: false
+
+  defp check_inputs(graph, edges) do
+    connected = MapSet.new(edges, & &1.to)
+
+    missing =
+      for {id, vertex} <- graph.vertices,
+          {name, port} <- vertex.inputs,
+          not port.optional,
+          not MapSet.member?(connected, {id, name}),
+          do: {id, vertex.path, name}
+
+    case Enum.sort(missing) do
+      [] ->
+        :ok
+
+      [{_, path, name} | _] ->
+        {:error,
+         Error.new(:unconnected_input, "input #{path}.#{name} is not connected",
+           why: "it is required",
+           fix: "connect a stream to it, or declare it {type, optional: true}"
+         )}
+    end
+  end
+
+  # Back-pressure around a cycle would stop it for ever: edges that lie on one get no bound.
+  defp unbound_cycles(graph, process, edges) do
+    case cyclic(Map.keys(graph.vertices), edges) do
+      [] -> process
+      rest -> Enum.map(process, &unbound(&1, rest))
+    end
+  end
+
+  defp unbound(edge, cyclic_edges) do
+    {from, to} = {elem(edge.from, 0), elem(edge.to, 0)}
+
+    if edge in cyclic_edges and reaches?(to, from, cyclic_edges) and
+         not Delivery.lossy?(edge.policy),
+       do: %{edge | policy: %{edge.policy | window: :infinity}},
+       else: edge
+  end
+
+  # Edges that remain when vertices without incoming edges are taken away again and again.
+  defp cyclic(_ids, []), do: []
+
+  defp cyclic(ids, edges) do
+    targets = MapSet.new(edges, &elem(&1.to, 0))
+    {kept, free} = Enum.split_with(ids, &MapSet.member?(targets, &1))
+    free = MapSet.new(free)
+
+    if MapSet.size(free) == 0,
+      do: edges,
+      else: cyclic(kept, Enum.reject(edges, &MapSet.member?(free, elem(&1.from, 0))))
+  end
+
+  defp reaches?(from, to, edges) do
+    next = Enum.group_by(edges, &elem(&1.from, 0), &elem(&1.to, 0))
+    walk([from], to, next, MapSet.new())
+  end
+
+  defp walk([], _to, _next, _seen), do: false
+  defp walk([to | _], to, _next, _seen), do: true
+
+  defp walk([id | rest], to, next, seen) do
+    if MapSet.member?(seen, id),
+      do: walk(rest, to, next, seen),
+      else: walk(Map.get(next, id, []) ++ rest, to, next, MapSet.put(seen, id))
+  end
+end

@@ -1,0 +1,39 @@
+defmodule Situ.Graph.Vertex do
+  @moduledoc """
+  One component of a graph. `module` is `:operator` for light operators, whose step is in `opts`.
+
+  Ports are keyword lists: inputs of `%{type, optional}`, outputs of `%{type, optional, source_id}`.
+  """
+  @enforce_keys [:id, :module]
+  defstruct [
+    :id,
+    :module,
+    :path,
+    :scope,
+    opts: [],
+    inputs: [],
+    outputs: [],
+    on_error: :stop,
+    async: false,
+    check: :first
+  ]
+
+  @type t :: %__MODULE__{
+          id: pos_integer(),
+          module: module() | :operator,
+          path: String.t(),
+          scope: String.t() | nil,
+          opts: keyword() | Situ.Operator.step(),
+          inputs: keyword(),
+          outputs: keyword(),
+          on_error: :stop | :skip | :restart,
+          async: boolean(),
+          check: :first | :all | :off
+        }
+
+  @doc "Whether the component makes messages on its own: it has no inputs, or it is a pull source."
+  @spec source?(t()) :: boolean()
+  def source?(%__MODULE__{module: :operator}), do: false
+  def source?(%__MODULE__{inputs: []}), do: true
+  def source?(%__MODULE__{module: module}), do: function_exported?(module, :handle_demand, 3)
+end

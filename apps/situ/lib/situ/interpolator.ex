@@ -1,0 +1,136 @@
+defmodule Situ.Interpolator do
+  @moduledoc """
+  Decides which value a stream has at a given time, out of its messages around that time.
+
+  Ready-made ones are built by `Situ.Reproducible` and `Situ.Available`. Your own is a module with this behaviour:
+
+      defmodule Latest do
+        @behaviour Situ.Interpolator
+
+        # The latest value at or before `time`, once something later has arrived to prove it.
+        @impl true
+        def interpolate(time, messages, closed, _config) do
+          {past, future} = Enum.split_while(messages, &(&1.originating_time <= time))
+
+          cond do
+            future == [] and closed == nil -> :insufficient_data
+            past == [] -> {:does_not_exist, nil}
+            true -> {:created, List.last(past).data, List.last(past).originating_time}
+          end
+        end
+      end
+
+      Situ.join(camera, gaze, Situ.Interpolator.new(Latest, nil, reproducible: true))
+
+  ## Results
+
+    * `{:created, value, obsolete}`: the value;
+    * `{:does_not_exist, obsolete}`: there is none and never will be;
+    * `:insufficient_data`: ask again when more has arrived;
+    * `{:wait, time}`: the same, and only a message at or after `time` (or the end of the stream) can change it.
+
+  Messages strictly before `obsolete` are dropped, since later questions (which have later times) cannot need them;
+  `nil` keeps all. `messages` are the queued ones in time order, `closed` is the time at which the stream ended, or `nil`.
+
+  An interpolator is **reproducible** when its answer does not depend on what had already arrived: it waits until no later
+  message can change the answer. Only such are accepted by `Situ.join/4`.
+  """
+
+  alias Situ.{Interval, Message}
+
+  @enforce_keys [:module, :config]
+  defstruct [:module, :config, reproducible: false, default: :none]
+
+  @type t :: %__MODULE__{
+          module: module(),
+          config: term(),
+          reproducible: boolean(),
+          default: :none | {:value, term()}
+        }
+  @type result ::
+          {:created, term(), Situ.Time.t() | nil}
+          | {:does_not_exist, Situ.Time.t() | nil}
+          | {:wait, Situ.Time.t() | :infinity}
+          | :insufficient_data
+
+  @callback interpolate(
+              Situ.Time.t(),
+              [Message.t()],
+              closed :: Situ.Time.t() | nil,
+              config :: term()
+            ) :: result()
+
+  @doc """
+  An interpolator from a module of this behaviour and its configuration.
+
+  Options: `reproducible:` (default false), `or_default:` the value to give where none exists.
+  """
+  @spec new(module(), term(), keyword()) :: t()
+  def new(module, config, opts \\ []) when is_atom(module) do
+    %__MODULE__{
+      module: module,
+      config: config,
+      reproducible: Keyword.get(opts, :reproducible, false),
+      default: default(opts)
+    }
+  end
+
+  @doc """
+  What a fusion operator accepts as an interpolator: one of these, a tolerance (ns) or a window, both meaning
+  `Situ.Reproducible.nearest/1`.
+
+      iex> Situ.Interpolator.from(5) == Situ.Reproducible.nearest(5)
+      true
+  """
+  @spec from(t() | Situ.Time.duration() | Interval.t()) :: t()
+  def from(%__MODULE__{} = interpolator), do: interpolator
+  def from(tolerance) when is_integer(tolerance), do: Situ.Reproducible.nearest(tolerance)
+  def from(%Interval{} = window), do: Situ.Reproducible.nearest(window)
+
+  def from(other) do
+    raise ArgumentError,
+          "expected an interpolator, a tolerance in ns or a Situ.Interval, got: #{inspect(other)}"
+  end
+
+  @doc "The answer at `time`, with the default in place of a value that does not exist."
+  @spec interpolate(t(), Situ.Time.t(), [Message.t()], Situ.Time.t() | nil) :: result()
+  def interpolate(%__MODULE__{} = interpolator, time, messages, closed) do
+    case {interpolator.module.interpolate(time, messages, closed, interpolator.config),
+          interpolator.default} do
+      {{:does_not_exist, obsolete}, {:value, value}} -> {:created, value, obsolete}
+      {result, _default} -> result
+    end
+  end
+
+  @doc false
+  # The window argument of the constructors: an interval, a tolerance, or options in its place.
+  @spec window(Interval.t() | Situ.Time.duration() | keyword(), keyword(), Interval.t()) ::
+          {Interval.t(), keyword()}
+  def window(%Interval{} = window, opts, _default) do
+    if Interval.negative?(window) do
+      raise ArgumentError,
+            "the window #{window} ends before it begins; did you mean #{Interval.ordered(window)}?"
+    end
+
+    {window, check(opts)}
+  end
+
+  def window(tolerance, opts, _default) when is_integer(tolerance),
+    do: {Interval.within(tolerance), check(opts)}
+
+  def window(opts, [], default) when is_list(opts), do: {default, check(opts)}
+
+  def window(other, _opts, _default) do
+    raise ArgumentError,
+          "expected a window: a Situ.Interval or a tolerance in whole ns, got: #{inspect(other)}"
+  end
+
+  defp check(opts), do: Situ.Options.validate!(opts, or_default: [type: :any])
+
+  defp default(opts) do
+    case Keyword.fetch(opts, :or_default) do
+      {:ok, value} -> {:value, value}
+      :error -> :none
+    end
+  end
+end

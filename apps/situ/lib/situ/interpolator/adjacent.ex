@@ -1,0 +1,37 @@
+defmodule Situ.Interpolator.Adjacent do
+  @moduledoc false
+  # A function of the two messages on either side of the asked time; one exactly there is taken as it is.
+  @behaviour Situ.Interpolator
+
+  alias Situ.Message
+
+  @impl true
+  def interpolate(time, messages, closed, {fun, max_span}) do
+    scan(messages, nil, time, closed, fun, max_span)
+  end
+
+  defp scan([%Message{originating_time: at} = message | rest], _previous, time, closed, fun, span)
+       when at < time,
+       do: scan(rest, message, time, closed, fun, span)
+
+  defp scan([%Message{originating_time: time, data: data} | _], _previous, time, _, _fun, _span),
+    do: {:created, data, time}
+
+  defp scan([_message | _], nil, _time, _closed, _fun, _span), do: {:does_not_exist, nil}
+
+  defp scan([message | _], previous, time, _closed, fun, max_span) do
+    gap = message.originating_time - previous.originating_time
+
+    # An atom sorts after every number, so :infinity is wider than any gap.
+    if gap < max_span do
+      ratio = (time - previous.originating_time) / gap
+      {:created, fun.(previous.data, message.data, ratio), previous.originating_time}
+    else
+      {:does_not_exist, previous.originating_time}
+    end
+  end
+
+  defp scan([], _previous, time, nil, _fun, _span), do: {:wait, time}
+  defp scan([], nil, _time, _closed, _fun, _span), do: {:does_not_exist, nil}
+  defp scan([], last, _time, _closed, _fun, _span), do: {:does_not_exist, last.originating_time}
+end

@@ -1,0 +1,30 @@
+defmodule Situ.Message do
+  @moduledoc """
+  One message of a stream: the data and its envelope.
+
+    * `originating_time`: when the thing happened in the world; strictly increasing per stream.
+    * `creation_time`: when this very message was made; `creation_time - originating_time` is the latency seen here.
+    * `sequence_id`: 1, 2, 3 ... per output; a gap at an input is a drop.
+    * `source_id`: the output that emitted it, unique within its pipeline.
+
+      iex> message = %Situ.Message{data: 42, originating_time: 10, creation_time: 13, sequence_id: 1, source_id: 7}
+      iex> Situ.Message.latency(message)
+      3
+  """
+
+  @enforce_keys [:data, :originating_time]
+  defstruct [:data, :originating_time, creation_time: 0, sequence_id: 0, source_id: 0]
+
+  @type t(data) :: %__MODULE__{
+          data: data,
+          originating_time: Situ.Time.t(),
+          creation_time: Situ.Time.t(),
+          sequence_id: non_neg_integer(),
+          source_id: non_neg_integer()
+        }
+  @type t :: t(term())
+
+  @doc "Creation minus originating time, in nanoseconds."
+  @spec latency(t()) :: Situ.Time.duration()
+  def latency(%__MODULE__{} = message), do: message.creation_time - message.originating_time
+end

@@ -1,0 +1,143 @@
+defmodule Situ.Number do
+  @moduledoc """
+  Arithmetic on numbers that may be `:nan`, `:infinity` or `:neg_infinity`, as IEEE 754 has it.
+
+  The Erlang VM has no such floats; these atoms (Nx uses the same) stand for them wherever Situ computes with numbers.
+  `:nan` is contagious. Integers stay exact.
+
+      iex> Situ.Number.add(:infinity, 1)
+      :infinity
+      iex> Situ.Number.add(:infinity, :neg_infinity)
+      :nan
+      iex> Situ.Number.min(3, :nan)
+      :nan
+  """
+
+  @type t :: number() | :nan | :infinity | :neg_infinity
+
+  @doc "Whether `value` is one of them."
+  @spec number?(term()) :: boolean()
+  def number?(value), do: is_number(value) or value in [:nan, :infinity, :neg_infinity]
+
+  @doc "Sum; a sum too large for a float is infinite."
+  @spec add(t(), t()) :: t()
+  def add(a, b) when is_integer(a) and is_integer(b), do: a + b
+  def add(a, b) when is_number(a) and is_number(b), do: guard(fn -> a + b end, sign(a))
+  def add(:nan, b), do: nan(b)
+  def add(a, :nan), do: nan(a)
+  def add(:infinity, :neg_infinity), do: :nan
+  def add(:neg_infinity, :infinity), do: :nan
+  def add(a, b) when is_number(b), do: infinite(a)
+  def add(a, b) when is_number(a), do: infinite(b)
+  def add(a, a), do: infinite(a)
+
+  @doc "Difference."
+  @spec subtract(t(), t()) :: t()
+  def subtract(a, b) when is_integer(a) and is_integer(b), do: a - b
+  def subtract(a, b), do: add(a, negate(b))
+
+  @doc "Product."
+  @spec multiply(t(), t()) :: t()
+  def multiply(a, b) when is_integer(a) and is_integer(b), do: a * b
+
+  def multiply(a, b) when is_number(a) and is_number(b),
+    do: guard(fn -> a * b end, sign(a) * sign(b))
+
+  def multiply(:nan, b), do: nan(b)
+  def multiply(a, :nan), do: nan(a)
+  def multiply(a, b), do: of_sign(sign(a) * sign(b))
+
+  @doc "Quotient, always a float; by zero it is infinite, or `:nan` for 0/0."
+  @spec divide(t(), t()) :: t()
+  def divide(a, b) when is_number(a) and is_number(b) and b != 0,
+    do: guard(fn -> a / b end, sign(a) * sign(b))
+
+  def divide(:nan, b), do: nan(b)
+  def divide(a, :nan), do: nan(a)
+  def divide(a, b) when is_number(a) and is_number(b), do: of_sign(sign(a))
+  def divide(a, b) when is_number(b), do: of_sign(sign(a) * if(b < 0, do: -1, else: 1))
+  def divide(a, b) when is_number(a) and b in [:infinity, :neg_infinity], do: 0.0
+  def divide(a, b) when a in [:infinity, :neg_infinity], do: nan(b)
+
+  @doc "The number with the other sign."
+  @spec negate(t()) :: t()
+  def negate(:nan), do: :nan
+  def negate(:infinity), do: :neg_infinity
+  def negate(:neg_infinity), do: :infinity
+  def negate(a) when is_number(a), do: -a
+  def negate(other), do: refuse(other)
+
+  @doc "The number without its sign."
+  @spec abs(t()) :: t()
+  def abs(a) when is_number(a), do: Kernel.abs(a)
+  def abs(:nan), do: :nan
+  def abs(a), do: infinite(infinite(a) && :infinity)
+
+  @doc "The smaller of both; `:nan` if either is."
+  @spec min(t(), t()) :: t()
+  def min(a, b) when is_number(a) and is_number(b), do: Kernel.min(a, b)
+  def min(a, b), do: pick(a, b, :lt)
+
+  @doc "The larger of both; `:nan` if either is."
+  @spec max(t(), t()) :: t()
+  def max(a, b) when is_number(a) and is_number(b), do: Kernel.max(a, b)
+  def max(a, b), do: pick(a, b, :gt)
+
+  @doc "Square root; of a negative number `:nan`."
+  @spec sqrt(t()) :: t()
+  def sqrt(a) when is_number(a) and a >= 0, do: :math.sqrt(a)
+  def sqrt(:infinity), do: :infinity
+  def sqrt(a), do: nan(a)
+
+  @doc """
+  Natural logarithm: of 0 `:neg_infinity`, of a negative number `:nan`.
+
+      iex> Situ.Number.log(0)
+      :neg_infinity
+  """
+  @spec log(t()) :: t()
+  def log(a) when is_number(a) and a > 0, do: :math.log(a)
+  def log(a) when is_number(a) and a == 0, do: :neg_infinity
+  def log(:infinity), do: :infinity
+  def log(a), do: nan(a)
+
+  defp pick(:nan, b, _order), do: nan(b)
+  defp pick(a, :nan, _order), do: nan(a)
+  defp pick(a, b, :lt), do: if(rank(a) <= rank(b), do: a, else: b)
+  defp pick(a, b, :gt), do: if(rank(a) >= rank(b), do: a, else: b)
+
+  # Only the infinite ones need a rank of their own: at most one of two is finite here, or both are infinite.
+  defp rank(:infinity), do: 1
+  defp rank(:neg_infinity), do: -1
+  defp rank(a) when is_number(a), do: 0
+  defp rank(other), do: refuse(other)
+
+  defp sign(:infinity), do: 1
+  defp sign(:neg_infinity), do: -1
+  defp sign(a) when is_number(a) and a > 0, do: 1
+  defp sign(a) when is_number(a) and a < 0, do: -1
+  defp sign(a) when is_number(a), do: 0
+  defp sign(other), do: refuse(other)
+
+  defp of_sign(1), do: :infinity
+  defp of_sign(-1), do: :neg_infinity
+  defp of_sign(0), do: :nan
+
+  # The VM raises where IEEE 754 gives an infinite result.
+  defp guard(fun, sign) do
+    fun.()
+  rescue
+    ArithmeticError -> of_sign(sign)
+  end
+
+  defp infinite(a) when a in [:infinity, :neg_infinity], do: a
+  defp infinite(other), do: refuse(other)
+
+  defp nan(a), do: if(number?(a), do: :nan, else: refuse(a))
+
+  defp refuse(other) do
+    raise Situ.Error.new(:not_a_number, "expected a number, got: #{inspect(other, limit: 5)}",
+            fix: "map the stream to numbers first, or give the operator by: fn data -> number end"
+          )
+  end
+end

@@ -1,0 +1,117 @@
+defmodule Situ.Operator.Chain do
+  @moduledoc false
+  # A run of light operators in one process. Only the data moves from step to step; the caller makes one envelope at the
+  # end. A raising step is told by its index, so that the error names the operator the user wrote.
+
+  @type step ::
+          {atom(), fun(), index :: non_neg_integer()}
+          | {atom(), fun(), index :: non_neg_integer(), term()}
+  @type t :: [step()]
+  @skip :"$situ_skip"
+
+  @doc "The steps of operators, in order; `first` is the index of the first one among the vertices of its stage."
+  @spec new([Situ.Operator.step()], non_neg_integer()) :: t()
+  def new(steps, first \\ 0) do
+    steps
+    |> Enum.with_index(first)
+    |> Enum.map(fn
+      {{:step, fun, state}, i} -> {:step, fun, i, state}
+      {{kind, fun}, i} -> {kind(kind, fun), fun, i}
+    end)
+  end
+
+  @doc "Whether any step keeps state."
+  @spec stateful?(t()) :: boolean()
+  def stateful?(steps), do: Enum.any?(steps, &(tuple_size(&1) == 4))
+
+  @doc "One message through stateless steps: the data, or `skip/0`; throws `{:situ_step, index, kind, reason, stack}`."
+  @spec run(t(), term(), Situ.Message.t()) :: term()
+  def run([], data, _message), do: data
+
+  def run([{:map, fun, i} | rest], data, message) do
+    value =
+      try do
+        fun.(data)
+      catch
+        kind, reason -> failed(i, kind, reason, __STACKTRACE__)
+      end
+
+    run(rest, value, message)
+  end
+
+  def run([step | rest], data, message) do
+    case apply_step(step, data, message) do
+      {:emit, value} -> run(rest, value, message)
+      @skip -> @skip
+    end
+  end
+
+  @doc "One message through steps with state: `{data | skip, steps}`."
+  @spec run_stateful(t(), term(), Situ.Message.t()) :: {term(), t()}
+  def run_stateful([], data, _message), do: {data, []}
+
+  def run_stateful([{:step, fun, i, state} | rest], data, message) do
+    result =
+      try do
+        fun.(data, message, state)
+      catch
+        kind, reason -> failed(i, kind, reason, __STACKTRACE__)
+      end
+
+    case result do
+      {:emit, value, state} ->
+        {out, rest} = run_stateful(rest, value, message)
+        {out, [{:step, fun, i, state} | rest]}
+
+      {:skip, state} ->
+        {@skip, [{:step, fun, i, state} | rest]}
+
+      other ->
+        failed(i, :error, rubbish(other), [])
+    end
+  end
+
+  def run_stateful([step | rest], data, message) do
+    case apply_step(step, data, message) do
+      {:emit, value} ->
+        {out, rest} = run_stateful(rest, value, message)
+        {out, [step | rest]}
+
+      @skip ->
+        {@skip, [step | rest]}
+    end
+  end
+
+  @doc "What stands for no output."
+  defmacro skip, do: @skip
+
+  defp apply_step({kind, fun, i}, data, message) do
+    try do
+      case kind do
+        :map -> {:emit, fun.(data)}
+        :map2 -> {:emit, fun.(data, message)}
+        :filter -> if fun.(data), do: {:emit, data}, else: @skip
+        :filter2 -> if fun.(data, message), do: {:emit, data}, else: @skip
+        :each -> effect(fun.(data), data)
+        :each2 -> effect(fun.(data, message), data)
+      end
+    catch
+      kind, reason -> failed(i, kind, reason, __STACKTRACE__)
+    end
+  end
+
+  defp effect(_result, data), do: {:emit, data}
+
+  defp failed(index, kind, reason, stack), do: throw({:situ_step, index, kind, reason, stack})
+
+  defp kind(kind, fun) when is_function(fun, 1), do: kind
+  defp kind(:map, _fun), do: :map2
+  defp kind(:filter, _fun), do: :filter2
+  defp kind(:each, _fun), do: :each2
+
+  defp rubbish(other) do
+    ArgumentError.exception(
+      "a step answers {:emit, data, state} or {:skip, state}, got: #{inspect(other, limit: 8)}"
+    )
+  end
+end

@@ -1,0 +1,121 @@
+defmodule Situ.Parallel do
+  @moduledoc """
+  The parts of each message through branches of their own, and the results back together.
+
+      # Lists of a fixed or varying length: one branch per position.
+      Situ.parallel(channels, fn channel -> Situ.average(channel, over: {:last, 10}) end)
+
+      # Maps: one branch per key, for as long as the key is there.
+      Situ.parallel(faces, fn id, face -> face |> Situ.map(& &1.mouth) |> Situ.delta() end)
+
+      iex> inputs = [counts: [{0, %{ann: 1, bob: 5}}, {10, %{ann: 3}}]]
+      iex> Situ.Test.run(inputs, fn s -> Situ.parallel(s.counts, fn _key, branch -> Situ.sum(branch) end) end)
+      {:ok, [{0, %{ann: 1, bob: 5}}, {10, %{ann: 4}}]}
+
+  The function builds a branch: a piece of pipeline, from a stream (or a key and a stream) to a stream. Each branch has its own state. Results come out
+  at the message's time, as a list or a map like the input. What a branch gives at other times is dropped; when the function returns no
+  stream, nothing comes out.
+
+  | form | `stream` carries | branches | output |
+  |---|---|---|---|
+  | fixed, `size: n` | lists of n elements (another length is an error) | n | a list of n |
+  | variable | lists | one per position, begun with the first list that reaches it | a list as long as the input's |
+  | sparse | maps, or what `split:` makes one of | one per key, begun with its first message | a map of the live keys |
+
+  When a branch has nothing at a time the whole output is dropped, or with `or_default: value` the value takes its place; a key that is
+  kept alive without being in the message is such a case.
+
+  ## When a key's branch ends
+
+  | `until:` | ends | at the time of |
+  |---|---|---|
+  | `:absent` (default) | with the first message without the key | the last message with it |
+  | `{:absent, n}` | with the message after `n` in a row without it | the last message it was alive in |
+  | `:never` | with the stream | |
+  | `fun.(key, map, time)` | when it answers `{:close, time}` and not `:keep`, asked with every message | what it says |
+
+  What a branch gives while it ends (`Situ.last/2` ...) still counts. Its state is released; the same key later begins a new branch.
+
+  A branch is state inside one process (see `Situ.Branch`), so a hundred thousand of them are no burden, and everything is reproducible. When a branch
+  raises, the operator fails as any other, naming the branch; with `on_branch_error: :restart` that branch alone begins anew
+  with its next part, and this one counts as missing.
+
+  ## Options
+
+  #{Situ.Options.docs(size: [type: :pos_integer, doc: "Fixed form."], split: [type: {:fun, 1}, doc: "Makes the list or map of a message."], with: [type: {:fun, 1}, doc: "Makes the output of the list or map of results."], or_default: [type: :any, doc: "See above."], until: [type: :any, default: :absent, doc: "See above."], only_present: [type: :boolean, default: false, doc: "Maps: output only keys of the message, not all that are alive."], on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop, doc: "See above."])}
+
+  and `name:`, `type:`, `policy:`, `on_error:`, `async:` as for every operator (`Situ.Operator`).
+  """
+
+  alias Situ.Parallel.Box
+  alias Situ.Stream
+
+  @schema [
+    size: [type: :pos_integer],
+    split: [type: {:fun, 1}],
+    with: [type: {:fun, 1}],
+    or_default: [type: :any],
+    until: [type: :any, default: :absent],
+    only_present: [type: :boolean, default: false],
+    on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop],
+    of: [type: {:in, [:lists, :maps]}]
+  ]
+
+  @doc """
+  Branches by `fun`: see the forms above. Which form it is follows from the stream's type, `size:`, and the function: with a key as first
+  argument it is sparse unless the type is a list. `of: :lists` or `of: :maps` says it where that is not enough.
+  """
+  @spec parallel(Stream.t(), (Stream.t() -> term()) | (term(), Stream.t() -> term()), keyword()) ::
+          Stream.t()
+  def parallel(%Stream{} = stream, fun, opts \\ [])
+      when is_function(fun, 1) or is_function(fun, 2) do
+    {own, opts} = Keyword.split(opts, Keyword.keys(@schema))
+    own = Situ.Options.validate!(own, @schema)
+    form = form(stream.type, fun, own)
+    options = [fun: fun, form: form, type: part(stream.type, own), missing: missing(own)]
+    shared = Keyword.take(own, [:split, :with, :on_branch_error])
+    options = options ++ shared ++ [termination: termination(own[:until])]
+    type = if own[:with], do: :any, else: if(is_map_form(form), do: :map, else: :list)
+    Situ.Selection.Keeper.add(stream, "Parallel", Box, options, {type, opts})
+  end
+
+  defp form(type, fun, own) do
+    cond do
+      own[:size] -> {:fixed, own[:size]}
+      own[:of] == :lists -> :variable
+      own[:of] == :maps -> sparse(own)
+      match?({:list, _}, type) or type == :list -> :variable
+      match?({:map, _, _}, type) or type == :map -> sparse(own)
+      is_function(fun, 2) -> sparse(own)
+      true -> :variable
+    end
+  end
+
+  defp sparse(own), do: if(own[:only_present], do: :present, else: :sparse)
+  defp is_map_form(form), do: form in [:sparse, :present]
+
+  defp part(type, own) do
+    case {own[:split], type} do
+      {nil, {:list, type}} -> type
+      {nil, {:map, _key, type}} -> type
+      _ -> :any
+    end
+  end
+
+  defp missing(own) do
+    case Keyword.fetch(own, :or_default) do
+      {:ok, value} -> {:value, value}
+      :error -> :drop
+    end
+  end
+
+  defp termination(:absent), do: {:after_absent, 0}
+  defp termination(:never), do: :never
+  defp termination({:absent, n}) when is_integer(n) and n >= 0, do: {:after_absent, n}
+  defp termination(fun) when is_function(fun, 3), do: fun
+
+  defp termination(other) do
+    raise ArgumentError,
+          "until: is :absent, {:absent, n}, :never or a function of key, map and time, got: #{inspect(other)}"
+  end
+end

@@ -1,0 +1,128 @@
+defmodule Situ.Parallel.Box do
+  @moduledoc false
+  # The component behind parallel: all branches live in it.
+  use Situ.Component,
+    inputs: [in: :any],
+    outputs: [out: :any],
+    options: [
+      fun: [type: :any, required: true, doc: "of a stream, or of a key and a stream"],
+      type: [type: :any, default: :any],
+      form: [type: :any, required: true],
+      split: [type: {:optional, {:fun, 1}}],
+      with: [type: {:optional, {:fun, 1}}],
+      termination: [type: :any, default: :never],
+      missing: [type: :any, default: :drop],
+      on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop]
+    ]
+
+  alias Situ.Parallel.Core
+
+  @many 1_000
+  @roomy {__MODULE__, :roomy}
+
+  @impl true
+  def init(opts), do: {:ok, {nil, Map.new(opts)}}
+
+  @impl true
+  def handle_start(context, {nil, opts}), do: {[], {core(opts, context), opts}}
+
+  @impl true
+  def handle_message(_input, message, _context, {core, opts}) do
+    parts = parts(opts, message.data)
+    make_room(core, parts)
+    {outputs, core} = Core.push(core, message, parts)
+    {outputs, {core, opts}}
+  end
+
+  @impl true
+  def handle_messages(_input, messages, _context, {core, opts}) do
+    {outputs, core} =
+      Enum.flat_map_reduce(messages, core, fn message, core ->
+        parts = parts(opts, message.data)
+        make_room(core, parts)
+        Core.push(core, message, parts)
+      end)
+
+    {outputs, {core, opts}}
+  end
+
+  @impl true
+  def handle_closed(_input, time, _context, {core, opts}) do
+    {outputs, core} = Core.close(core, time)
+    {outputs, {core, opts}}
+  end
+
+  @impl true
+  def describe({nil, _opts}), do: "not started"
+
+  def describe({core, _opts}) do
+    failed = if core.failed > 0, do: ", #{core.failed} failed and begun anew", else: ""
+    waiting = map_size(core.entries)
+    waits = if waiting > 0, do: ", #{waiting} messages wait", else: ""
+    "#{map_size(core.branches)} branches live, #{core.started} started#{failed}#{waits}"
+  end
+
+  # A process that holds very many branches must not copy all of them at every turn of the collector: from here on it
+  # sweeps fully only when the old heap is full, and has a young heap for some messages' garbage.
+  defp make_room(%{branches: branches}, parts)
+       when is_map(parts) and map_size(branches) + map_size(parts) > @many do
+    if Process.get(@roomy) == nil do
+      Process.put(@roomy, true)
+      Process.flag(:fullsweep_after, 65_535)
+      Process.flag(:min_heap_size, 1_000_000)
+    end
+
+    :ok
+  end
+
+  defp make_room(_core, _parts), do: :ok
+
+  defp core(opts, context) do
+    Core.new(
+      start: starter(opts, context),
+      form: opts.form,
+      termination: opts.termination,
+      missing: opts.missing,
+      creator: opts[:with] || (& &1),
+      on_failure: opts.on_branch_error
+    )
+  end
+
+  defp starter(%{fun: fun, type: type}, context) do
+    shared = [seed: Situ.Branch.seed(type), context: context]
+    start = fn key, fun -> Situ.Branch.start(fun, [path: {context.path, key}] ++ shared) end
+
+    if is_function(fun, 1),
+      do: fn key -> start.(key, fun) end,
+      else: fn key -> start.(key, &fun.(key, &1)) end
+  end
+
+  defp parts(%{split: split} = opts, data) when is_function(split, 1),
+    do: checked(opts.form, split.(data))
+
+  defp parts(opts, data), do: checked(opts.form, data)
+
+  defp checked({:fixed, n}, list) when is_list(list) do
+    if length(list) == n, do: list, else: raise(wrong_length(n, length(list)))
+  end
+
+  defp checked(:variable, list) when is_list(list), do: list
+  defp checked(form, map) when is_map(map) and form in [:sparse, :present], do: map
+
+  defp checked(form, other) do
+    wanted = if form in [:sparse, :present], do: "a map", else: "a list"
+
+    raise Situ.Error.new(
+            :wrong_data,
+            "parallel takes #{wanted} here, got: #{inspect(other, limit: 5)}",
+            fix: "give split: fn data -> #{wanted} end"
+          )
+  end
+
+  defp wrong_length(n, got) do
+    Situ.Error.new(:wrong_length, "a list of #{got} elements for #{n} branches",
+      why: "size: fixes the number of branches",
+      fix: "leave size: out where the length varies"
+    )
+  end
+end

@@ -1,0 +1,284 @@
+defmodule Situ.Parallel.Core do
+  @moduledoc false
+  # The pure heart of parallel: parts of a message to branches, and what the branches give for one time back together.
+  #
+  # A message's time is decided when every live branch has a value at that time, or is known to have none: at once for branches that
+  # are a run of light operators; when something later has come out of it, or it ended, for others. Times that wait are entries,
+  # answered in order. A branch knows which times wait for it, and nothing else knows the branch: when it ends it is gone.
+
+  alias Situ.Branch
+  alias Situ.Branch.Chained
+
+  @enforce_keys [:start, :termination, :form, :missing, :creator]
+  defstruct [
+    :start,
+    :termination,
+    :form,
+    :missing,
+    :creator,
+    on_failure: :stop,
+    branches: %{},
+    entries: %{},
+    order: :queue.new(),
+    output: nil,
+    started: 0,
+    failed: 0
+  ]
+
+  @type key :: term()
+  @type t :: %__MODULE__{}
+
+  @doc """
+  * `start`: `fun.(key)` starts a branch
+  * `form`: `{:fixed, n}`, `:variable` (lists), `:sparse` or `:present` (maps: all live keys, or those with a value)
+  * `termination`: of `Situ.Parallel`, for maps
+  * `missing`: `:drop`, or `{:value, default}`
+  * `creator`: makes the output from the list or map of values
+  * `on_failure`: `:stop` or `:restart`
+  """
+  @spec new(keyword()) :: t()
+  def new(opts), do: struct!(__MODULE__, opts)
+
+  @doc "One message of parts: a list or a map."
+  @spec push(t(), Situ.Message.t(), list() | map()) :: {[Situ.Fusion.Core.output()], t()}
+  def push(core, message, parts) do
+    time = message.originating_time
+    {branches, values, core} = parts |> pairs(core.form) |> feed(core.branches, [], message, core)
+    core = %{core | branches: branches}
+    core = if core.form in [:sparse, :present], do: terminate(core, parts, time), else: core
+
+    if core.output == false,
+      do: {[], core},
+      else: answer(core, time, parts, values)
+  end
+
+  @doc "The input ended: every branch ends with it."
+  @spec close(t(), Situ.Time.t()) :: {[Situ.Fusion.Core.output()], t()}
+  def close(core, time) do
+    core =
+      Enum.reduce(core.branches, core, fn {key, branch}, core ->
+        finish(core, key, branch, time)
+      end)
+
+    flush(%{core | branches: %{}}, [])
+  end
+
+  # Feeding. A branch is `{branch, last_seen, absences, waiting}`; waiting: times not decided, oldest first.
+
+  defp pairs(list, _form) when is_list(list), do: number(list, 0)
+  defp pairs(map, _form), do: Map.to_list(map)
+
+  defp number([], _i), do: []
+  defp number([value | rest], i), do: [{i, value} | number(rest, i + 1)]
+
+  defp feed([], branches, values, _message, core), do: {branches, values, core}
+
+  defp feed([{key, data} | rest], branches, values, message, core) do
+    {entry, branches, core} = existing(key, branches, core)
+    {branch, _seen, _absent, waiting} = entry
+
+    case run(branch, data, message, core) do
+      {:value, value, same} when same == branch and waiting == [] ->
+        branches = seen(branches, key, entry, message.originating_time, core)
+        feed(rest, branches, [{key, value} | values], message, core)
+
+      {:value, value, branch} ->
+        branches = Map.put(branches, key, {branch, message.originating_time, 0, waiting})
+        feed(rest, branches, [{key, value} | values], message, core)
+
+      {:skip, branch} ->
+        branches = Map.put(branches, key, {branch, message.originating_time, 0, waiting})
+        feed(rest, branches, values, message, core)
+
+      {:outputs, outputs, branch} ->
+        {values, waiting, core} =
+          sort(outputs, key, message.originating_time, values, waiting, core)
+
+        branches = Map.put(branches, key, {branch, message.originating_time, 0, waiting})
+        feed(rest, branches, values, message, core)
+
+      :failed ->
+        core = lost(%{core | failed: core.failed + 1}, key, waiting)
+        feed(rest, Map.delete(branches, key), values, message, core)
+    end
+  end
+
+  # Lists never ask when a branch was last seen: nothing to note.
+  defp seen(branches, _key, _entry, _time, %{form: form}) when form not in [:sparse, :present],
+    do: branches
+
+  defp seen(branches, key, {branch, _, _, waiting}, time, _core),
+    do: Map.put(branches, key, {branch, time, 0, waiting})
+
+  defp existing(key, branches, core) do
+    case branches do
+      %{^key => entry} ->
+        {entry, branches, core}
+
+      _ ->
+        branch = core.start.(key)
+        output = if core.output == nil, do: Branch.output?(branch), else: core.output
+        entry = {branch, nil, 0, []}
+
+        {entry, Map.put(branches, key, entry),
+         %{core | started: core.started + 1, output: output}}
+    end
+  end
+
+  defp run(branch, data, message, %{on_failure: :stop}), do: step(branch, data, message)
+
+  defp run(branch, data, message, _core) do
+    step(branch, data, message)
+  rescue
+    _error -> :failed
+  end
+
+  defp step(%Chained{} = branch, data, message), do: Chained.value(branch, data, message)
+
+  defp step(branch, data, message) do
+    {outputs, branch} = Branch.push(branch, %{message | data: data})
+    {:outputs, outputs, branch}
+  end
+
+  # What a branch gave: at the time under way, at times that wait for it, or at times that nobody asks for.
+  defp sort([], _key, _now, values, waiting, core), do: {values, waiting, core}
+
+  defp sort([{time, value} | rest], key, now, values, waiting, core) do
+    {missed, waiting} = Enum.split_while(waiting, &(&1 < time))
+    core = lost(core, key, missed)
+
+    case waiting do
+      [^time | waiting] -> sort(rest, key, now, values, waiting, found(core, key, time, value))
+      _ when time == now -> sort(rest, key, now, [{key, value} | values], waiting, core)
+      _ when time > now -> sort(rest, key, now, [{:later, key} | values], waiting, core)
+      _ -> sort(rest, key, now, values, waiting, core)
+    end
+  end
+
+  # Ending branches
+
+  defp terminate(%{termination: :never} = core, _parts, _time), do: core
+
+  defp terminate(%{termination: termination} = core, parts, time) do
+    Enum.reduce(core.branches, core, fn
+      {key, _entry}, core when is_map_key(parts, key) and not is_function(termination) -> core
+      {key, entry}, core -> absent(termination, core, key, entry, parts, time)
+    end)
+  end
+
+  defp absent({:after_absent, limit}, core, key, {branch, seen, absent, waiting}, _parts, time) do
+    if absent + 1 > limit,
+      do: ended(core, key, {branch, seen, absent, waiting}, seen),
+      else: put_in(core.branches[key], {branch, time, absent + 1, waiting})
+  end
+
+  defp absent(decide, core, key, entry, parts, time) when is_function(decide, 3) do
+    case decide.(key, parts, time) do
+      :keep -> core
+      {:close, closing} -> ended(core, key, entry, closing)
+    end
+  end
+
+  defp ended(core, key, entry, time) do
+    core = finish(core, key, entry, time)
+    %{core | branches: Map.delete(core.branches, key)}
+  end
+
+  defp finish(core, key, {branch, _seen, _absent, waiting}, time) do
+    {_values, waiting, core} = sort(closed(branch, time || 0, core), key, nil, [], waiting, core)
+    lost(core, key, waiting)
+  end
+
+  defp closed(branch, time, %{on_failure: :stop}), do: Branch.close(branch, time)
+
+  defp closed(branch, time, _core) do
+    Branch.close(branch, time)
+  rescue
+    _error -> []
+  end
+
+  # Answering
+
+  defp answer(core, time, parts, values) do
+    {later, values} = Enum.split_with(values, &match?({:later, _}, &1))
+    values = Map.new(values)
+    live = live(core, parts, values)
+    open = undecided(core, live, values, later)
+
+    if open == [] and core.entries == %{} do
+      {output(core, time, live, values), core}
+    else
+      core = Enum.reduce(open, core, &wait(&2, &1, time))
+      entry = %{live: live, values: values, open: length(open)}
+      order = :queue.in(time, core.order)
+      flush(%{core | entries: Map.put(core.entries, time, entry), order: order}, [])
+    end
+  end
+
+  defp live(%{form: {:fixed, n}}, _parts, _values), do: n
+  defp live(%{form: :variable}, parts, _values), do: length(parts)
+  defp live(%{form: :present}, parts, _values), do: Map.keys(parts)
+  defp live(%{form: :sparse} = core, _parts, _values), do: Map.keys(core.branches)
+
+  # Branches that may still give something at this time.
+  defp undecided(core, live, values, later) do
+    all_there? = map_size(values) == count(live)
+
+    if all_there?, do: [], else: for(key <- keys(live), waits?(core, key, values, later), do: key)
+  end
+
+  defp waits?(_core, key, values, _later) when is_map_key(values, key), do: false
+
+  defp waits?(core, key, _values, later) do
+    case core.branches do
+      %{^key => {branch, _, _, _}} -> not Branch.immediate?(branch) and {:later, key} not in later
+      _gone -> false
+    end
+  end
+
+  defp wait(core, key, time) do
+    update_in(core.branches[key], fn {branch, seen, absent, waiting} ->
+      {branch, seen, absent, waiting ++ [time]}
+    end)
+  end
+
+  defp found(core, key, time, value) do
+    update_in(core.entries[time], fn entry ->
+      %{entry | values: Map.put(entry.values, key, value), open: entry.open - 1}
+    end)
+  end
+
+  defp lost(core, _key, times) do
+    Enum.reduce(times, core, fn time, core -> update_in(core.entries[time].open, &(&1 - 1)) end)
+  end
+
+  defp flush(core, outputs) do
+    with {:value, time} <- :queue.peek(core.order),
+         %{open: 0} = entry <- Map.fetch!(core.entries, time) do
+      core = %{core | order: :queue.drop(core.order), entries: Map.delete(core.entries, time)}
+      flush(core, output(core, time, entry.live, entry.values) ++ outputs)
+    else
+      _ -> {Enum.reverse(outputs), core}
+    end
+  end
+
+  defp output(core, time, live, values) do
+    case {map_size(values) == count(live), core.missing} do
+      {true, _} -> [{:out, time, core.creator.(shape(live, values, nil))}]
+      {false, {:value, default}} -> [{:out, time, core.creator.(shape(live, values, default))}]
+      {false, :drop} -> []
+    end
+  end
+
+  defp shape(n, values, default) when is_integer(n),
+    do: for(key <- keys(n), do: Map.get(values, key, default))
+
+  defp shape(keys, values, _default) when map_size(values) == length(keys), do: values
+  defp shape(keys, values, default), do: Map.new(keys, &{&1, Map.get(values, &1, default)})
+
+  defp keys(n) when is_integer(n), do: Enum.to_list(0..(n - 1)//1)
+  defp keys(keys), do: keys
+
+  defp count(n) when is_integer(n), do: n
+  defp count(keys), do: length(keys)
+end

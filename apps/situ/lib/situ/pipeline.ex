@@ -1,0 +1,258 @@
+defmodule Situ.Pipeline do
+  @settings [
+    name: [type: :string, doc: "Default: the module's last name, or \"Pipeline\"."],
+    replay: [
+      type: :keyword,
+      default: [],
+      doc: "`interval: {from | :unbounded, to | :unbounded}` and `speed:` (a number, or `:max`)."
+    ],
+    clock: [type: :any, doc: "A `Situ.Clock` to run by (tests: `Situ.Clock.manual/1`)."],
+    default_policy: [
+      type: {:struct, Situ.Delivery},
+      doc: "For connections without a policy of their own; default `Situ.Delivery.unlimited()`."
+    ],
+    diagnostics: [
+      type: {:or, [:boolean, :keyword]},
+      default: false,
+      doc: "Adds the Diagnostics stream."
+    ],
+    stop_timeout: [
+      type: :pos_integer,
+      default: 30_000,
+      doc: "Milliseconds without any progress after which a stop kills what is stuck."
+    ]
+  ]
+
+  @moduledoc """
+  A pipeline: a graph of components, run as a supervised set of processes.
+
+      defmodule Lobby do
+        use Situ.Pipeline
+
+        @impl true
+        def build(p, _opts) do
+          p |> Situ.source(Camera, []) |> Situ.map(&Blob.find/1) |> Situ.each(&IO.inspect/1)
+        end
+      end
+
+      {:ok, report} = Situ.Pipeline.run(Lobby, [])      # blocks, as fast as possible
+      children = [{Lobby, []}]                          # or supervised, in real time
+
+  A pipeline is also a function, for scripts and tests:
+
+      iex> {:ok, report} = Situ.Pipeline.run(fn _p -> :nothing end)
+      iex> {report.result, report.errors}
+      {:nothing, []}
+
+  ## Settings, under the reserved key `pipeline:` of the options
+
+  #{Situ.Options.docs(@settings)}
+
+  `run/2` defaults to speed `:max`, `start_link/2` and `child_spec/1` to real time (`1.0`).
+
+  ## Processes
+
+      your supervisor
+        └── pipeline        owns the life cycle; parent of its components; traps exits
+              ├── component or chain of operators, linked; traps exits, so that `terminate/2` runs
+              └── ...
+
+  A component that dies is restarted in its place (`on_error: :restart` or `:skip`) or ends the pipeline with an error. When the
+  pipeline's process dies its components release what they hold and end. The guide "When things fail" has the whole table.
+
+  ## Building from outside
+
+  `new/1` opens an empty pipeline in state `:building`; add to it from any process, then `start/1`:
+
+      iex> p = Situ.Pipeline.new()
+      iex> node = Situ.Pipeline.add(p, Situ.Pipeline.Empty, [])
+      iex> node.path
+      "Empty"
+      iex> {:ok, _report} = Situ.Pipeline.stop(p)
+      iex> {:error, error} = Situ.Pipeline.stop(p)
+      iex> error.code
+      :not_running
+  """
+  alias Situ.{Error, Graph, Node, Stream}
+  alias Situ.Graph.Builder
+  alias Situ.Pipeline.{Report, Server}
+
+  @enforce_keys [:pid, :ref]
+  defstruct [:pid, :ref, :scope]
+
+  @typedoc "A handle. `scope` is the path of the composite being built, or `nil`."
+  @type t :: %__MODULE__{pid: pid(), ref: reference(), scope: String.t() | nil}
+  @type spec :: module() | (t() -> term())
+  @type target :: t() | pid() | GenServer.name() | Stream.t()
+  @type result :: {:ok, Report.t()} | {:error, Error.t()}
+
+  @doc "Builds the graph. What it returns is the report's `result`."
+  @callback build(t(), opts :: keyword()) :: term()
+
+  @doc false
+  defmacro __using__(_opts) do
+    quote do
+      @behaviour Situ.Pipeline
+
+      def child_spec(opts), do: Situ.Pipeline.child_spec({__MODULE__, opts})
+      def start_link(opts), do: Situ.Pipeline.start_link(__MODULE__, opts)
+      defoverridable child_spec: 1
+    end
+  end
+
+  @doc false
+  def settings, do: @settings
+
+  @doc "A supervisor's child specification for `{module_or_fun, opts}`; transient: restarted when it fails."
+  @spec child_spec({spec(), keyword()}) :: Supervisor.child_spec()
+  def child_spec({spec, opts}) do
+    %{
+      id: spec,
+      start: {__MODULE__, :start_link, [spec, opts]},
+      type: :supervisor,
+      restart: :transient,
+      shutdown: 10_000
+    }
+  end
+
+  @doc """
+  Builds, runs to completion and returns the report, or the first error (all of them are in `error.meta.errors`).
+
+  A pipeline without finite sources runs until another process stops it.
+  """
+  @spec run(spec(), keyword()) :: result()
+  def run(spec, opts \\ []), do: Server.run(spec, opts)
+
+  @doc "Builds and starts a pipeline linked to the caller; returns as soon as `build` is done."
+  @spec start_link(spec(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
+  def start_link(spec, opts \\ []), do: Server.start_link(spec, opts)
+
+  @doc "As `start_link/2` without the link: a failure is seen by `await/2` alone."
+  @spec start(spec(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
+  def start(spec, opts), do: Server.start(spec, opts)
+
+  @doc "Opens an empty pipeline, to be built from outside and started with `start/1`; it ends with its caller."
+  @spec new(keyword()) :: t()
+  def new(settings \\ []), do: Server.new(settings)
+
+  @doc "Starts a pipeline that was opened with `new/1`."
+  @spec start(t()) :: :ok | {:error, Error.t()}
+  def start(%__MODULE__{} = p), do: Server.call(p, :start)
+
+  @doc """
+  Stops: sources first, what is on its way up to now is still delivered, then every output closes, upstream first.
+
+  A source that lags behind the clock may go on up to the clock's time, for `catch_up:` ms at most (1,000); with `catch_up: 0` it ends
+  where it is. `timeout:` bounds the wait of the caller, not the stop.
+
+  Returns the report when all is done; `{:error, %Situ.Error{code: :not_running}}` when it had already ended. Called from
+  inside one of the pipeline's own components it returns `:ok` at once and the stop goes its way.
+  """
+  @spec stop(target(), keyword()) :: result() | :ok
+  def stop(p, opts \\ []), do: Server.stop(p, opts)
+
+  @doc "Waits for the end; `{:error, %Situ.Error{code: :timeout}}` after `timeout` ms, and the pipeline goes on."
+  @spec await(target(), timeout()) :: result()
+  def await(p, timeout \\ :infinity), do: Server.await(p, timeout)
+
+  @doc "Graph, counters, queues, latencies, processes: a `Situ.Diagnostics.Snapshot`. Asks no component."
+  @spec info(target()) :: Situ.Diagnostics.Snapshot.t()
+  def info(p), do: Server.call!(p, :info)
+
+  @doc "The state: `:building`, `:starting`, `:running`, `:stopping` or `:completed`."
+  @spec state(target()) :: atom()
+  def state(p), do: Server.state(p)
+
+  @doc "The pipeline's clock now, ns."
+  @spec now(target()) :: Situ.Time.t()
+  def now(p), do: p |> clock() |> Situ.Clock.now()
+
+  @doc "The pipeline's clock; available once it has started."
+  @spec clock(target()) :: Situ.Clock.t()
+  def clock(p), do: Server.call!(p, :clock)
+
+  @doc "How far the replay or the finite sources are, 0.0 to 1.0; never decreases, 1.0 only at the end."
+  @spec progress(target()) :: float()
+  def progress(p), do: Server.call!(p, :progress)
+
+  @doc "Halts the clock of a running pipeline: replayed and timed messages wait."
+  @spec pause(target()) :: :ok | {:error, Error.t()}
+  def pause(p), do: Server.call(p, {:clock, :pause})
+
+  @doc "Lets a paused clock go on from where it stood."
+  @spec resume(target()) :: :ok | {:error, Error.t()}
+  def resume(p), do: Server.call(p, {:clock, :resume})
+
+  @doc "Changes the speed of a running pipeline's clock (1.0 is real time)."
+  @spec set_speed(target(), number()) :: :ok | {:error, Error.t()}
+  def set_speed(p, speed) when is_number(speed) and speed > 0,
+    do: Server.call(p, {:clock, {:set_speed, speed}})
+
+  @doc """
+  Replaces the module or the options of a running component; its edges, queues and place stay.
+
+  `node` is a `Situ.Node` or a path. The state goes through the new module's `migrate/3` if it has one, else it starts
+  fresh. Refused with a reason when ports or types do not fit.
+  """
+  @spec replace(target(), Node.t() | String.t(), {module(), keyword()} | keyword()) ::
+          :ok | {:error, Error.t()}
+  def replace(p, node, change), do: Server.call(p, {:replace, node, change})
+
+  @doc "Adds a component. Common options: `name:`, `on_error:`, `async:`, `check:`, and `inputs:`/`outputs:` for ports known only now."
+  @spec add(t(), module(), keyword(), keyword()) :: Node.t()
+  def add(%__MODULE__{} = p, module, opts, common \\ []),
+    do: Builder.run(p, &Graph.add(&1, p, module, opts, common))
+
+  @doc "Connects `stream` to the `input` of `node`; option `policy:`, a `Situ.Delivery`."
+  @spec connect(Stream.t(), Node.t(), atom(), keyword()) :: :ok
+  def connect(%Stream{} = stream, %Node{} = node, input, opts \\ []),
+    do: Builder.run(stream.pipeline, &Graph.connect(&1, stream, node, input, opts))
+
+  @doc "Groups what `fun` adds under one name, drawn as one box; returns what `fun` returns."
+  @spec composite(t(), String.t(), (t() -> result)) :: result when result: term()
+  def composite(%__MODULE__{} = p, name, fun) when is_binary(name) and is_function(fun, 1) do
+    scope = Builder.run(p, &Graph.open_scope(&1, p.scope, name))
+    p |> Map.put(:scope, scope) |> fun.() |> rescope(p.scope)
+  end
+
+  # What leaves a composite goes on outside of it: its handles name the outer scope again.
+  defp rescope(%Stream{} = s, scope), do: %{s | pipeline: %{s.pipeline | scope: scope}}
+  defp rescope(%Node{} = n, scope), do: %{n | pipeline: %{n.pipeline | scope: scope}}
+  defp rescope(%_{} = struct, _scope), do: struct
+  defp rescope(%{} = map, scope), do: Map.new(map, fn {k, v} -> {k, rescope(v, scope)} end)
+  defp rescope([head | tail], scope), do: [rescope(head, scope) | rescope(tail, scope)]
+
+  defp rescope(tuple, scope) when is_tuple(tuple),
+    do: tuple |> Tuple.to_list() |> Enum.map(&rescope(&1, scope)) |> List.to_tuple()
+
+  defp rescope(other, _scope), do: other
+
+  @doc """
+  Tells during `build` which span of originating times a source is going to replay.
+
+  Proposals are merged (smallest span that holds all) and cut by `replay: [interval: ...]`; the clock starts at the result.
+  """
+  @spec propose_replay(t(), {Situ.Time.t(), Situ.Time.t() | :unbounded}) :: :ok
+  def propose_replay(%__MODULE__{} = p, {from, to})
+      when is_integer(from) and (is_integer(to) or to == :unbounded) do
+    Builder.run(p, &{:ok, %{&1 | proposals: [{from, to} | &1.proposals]}})
+  end
+
+  @doc """
+  Calls `fun` when something happens; only during `build`.
+
+    * `:run`: `fun.(start_time)` before any source starts; raising fails the start
+    * `:completed`: `fun.(report)` after everything is final, before `run/2` returns
+    * `:component_completed`: `fun.({path, final_time})` when a finite source reports its end
+    * `:error`: `fun.(error)` for each error
+  """
+  @spec on(t(), :run | :completed | :component_completed | :error, (term() -> any())) :: :ok
+  def on(%__MODULE__{} = p, event, fun)
+      when event in [:run, :completed, :component_completed, :error] and is_function(fun, 1) do
+    Builder.run(p, &{:ok, %{&1 | handlers: &1.handlers ++ [{event, fun}]}})
+  end
+
+  @doc "What replay interval the pipeline has been given: `{from | :unbounded, to | :unbounded}`; for importers during `build`."
+  @spec replay_interval(t()) :: {Situ.Time.t() | :unbounded, Situ.Time.t() | :unbounded}
+  def replay_interval(%__MODULE__{} = p), do: Builder.run(p, &{&1.replay, &1})
+end

@@ -1,0 +1,36 @@
+defmodule Situ.Pipeline.Report do
+  @moduledoc """
+  What `Situ.Pipeline.run/2` and `Situ.Pipeline.stop/2` return.
+
+    * `result`: what `build` returned
+    * `start_time`, `final_time`: pipeline clock, ns
+    * `duration`: wall time from start to end, ns
+    * `errors`: every `Situ.Error`, first first
+    * `skipped`: per component path, messages lost to `on_error: :skip | :restart`
+    * `closed`: component paths in the order in which they were finalised
+    * `snapshot`: the last `Situ.Diagnostics.Snapshot`: messages, drops and latency of every edge
+  """
+  defstruct [
+    :name,
+    :result,
+    :start_time,
+    :final_time,
+    :snapshot,
+    duration: 0,
+    errors: [],
+    skipped: %{},
+    closed: []
+  ]
+
+  @type t :: %__MODULE__{
+          name: String.t(),
+          result: term(),
+          start_time: Situ.Time.t() | nil,
+          final_time: Situ.Time.t() | nil,
+          snapshot: Situ.Diagnostics.Snapshot.t() | nil,
+          duration: Situ.Time.duration(),
+          errors: [Situ.Error.t()],
+          skipped: %{String.t() => non_neg_integer()},
+          closed: [String.t()]
+        }
+end

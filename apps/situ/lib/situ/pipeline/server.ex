@@ -1,0 +1,334 @@
+defmodule Situ.Pipeline.Server do
+  @moduledoc false
+  # The process of one pipeline: owner of its life cycle, parent of its stages. Only this process decides what comes next.
+  #
+  #   building -> starting (all stages up, then all started) -> running -> stopping (sources stop, outputs close in order,
+  #   stages quit) -> completed
+  #
+  #   caller/supervisor
+  #     └── Server (traps exits)
+  #           ├── Stage 1   linked: when a stage dies, the server decides by `on_error`;
+  #           └── Stage n   when the server dies, its stages release what they hold and end
+  use GenServer
+
+  alias Situ.{Clock, Error, Pipeline}
+  alias Situ.Graph.Builder
+  alias Situ.Pipeline.{Archive, Launch, Life, Settings, Taps, View}
+  require Logger
+
+  # Entering
+
+  # The result comes as a message of its own: a short pipeline has ended before one could ask it.
+  def run(spec, opts) do
+    reply = make_ref()
+
+    with {:ok, pid} <- boot(:start, spec, opts, {:run, reply}) do
+      monitor = Process.monitor(pid)
+
+      receive do
+        {^reply, result} ->
+          Process.demonitor(monitor, [:flush])
+          result
+
+        {:DOWN, ^monitor, :process, ^pid, reason} ->
+          {:error, Launch.crashed(reason)}
+      end
+    end
+  end
+
+  def start_link(spec, opts), do: boot(:start_link, spec, opts, :linked)
+  def start(spec, opts), do: boot(:start, spec, opts, :unlinked)
+
+  def new(settings) do
+    ensure_started()
+    {:ok, handle} = :proc_lib.start(__MODULE__, :init_empty, [self(), settings])
+    handle
+  end
+
+  # A script that runs without mix may not have started the application; a pipeline would wait for its tables for ever.
+  defp ensure_started do
+    with {:error, reason} <- Application.ensure_all_started(:situ) do
+      raise Error.new(:not_started, "the :situ application does not start: #{inspect(reason)}")
+    end
+  end
+
+  defp boot(how, spec, opts, mode) do
+    ensure_started()
+    {settings, opts} = Keyword.pop(opts, :pipeline, [])
+    {mode, reply} = if is_tuple(mode), do: mode, else: {mode, nil}
+
+    with {:ok, settings} <- Settings.parse(settings, mode, spec) do
+      settings = %{settings | reply: reply && {self(), reply}}
+      apply(:proc_lib, how, [__MODULE__, :init_it, [self(), spec, opts, settings]])
+    end
+  end
+
+  @doc false
+  def init_it(caller, spec, opts, settings) do
+    Process.flag(:trap_exit, true)
+    state = Life.new(settings)
+    handle = Builder.open(state.graph)
+    diagnose(handle, settings)
+
+    case build(spec, handle, opts) do
+      {:ok, result} ->
+        graph = Builder.close(handle)
+        state = watch(%{state | handle: handle, graph: graph, result: result}, caller)
+        send(self(), :situ_launch)
+        :proc_lib.init_ack({:ok, self()})
+        :gen_server.enter_loop(__MODULE__, [], state)
+
+      {:error, error} ->
+        :proc_lib.init_ack({:error, error})
+        exit(:normal)
+    end
+  end
+
+  @doc false
+  def init_empty(caller, settings) do
+    Process.flag(:trap_exit, true)
+    {:ok, settings} = Settings.parse(settings, :unlinked, nil)
+    state = Life.new(settings)
+    handle = Builder.open(state.graph)
+    diagnose(handle, settings)
+    state = watch(%{state | handle: handle, phase: :building}, caller)
+    :proc_lib.init_ack({:ok, handle})
+    :gen_server.enter_loop(__MODULE__, [], state)
+  end
+
+  defp diagnose(_handle, %{diagnostics: false}), do: :ok
+  defp diagnose(handle, %{diagnostics: true}), do: Situ.Diagnostics.stream(handle)
+  defp diagnose(handle, %{diagnostics: opts}), do: Situ.Diagnostics.stream(handle, opts)
+
+  defp build(spec, handle, opts) do
+    result = if is_function(spec, 1), do: spec.(handle), else: spec.build(handle, opts)
+    {:ok, result}
+  rescue
+    error -> {:error, Launch.build_error(spec, error, __STACKTRACE__)}
+  catch
+    kind, reason -> {:error, Launch.build_error(spec, {kind, reason}, __STACKTRACE__)}
+  end
+
+  defp watch(%{settings: %{mode: :linked}} = state, _caller), do: state
+  defp watch(state, caller), do: %{state | owner: Process.monitor(caller)}
+
+  # Asking
+
+  def stop(p, opts) do
+    pid = pid(p)
+
+    if Process.get(:situ_pipeline) == pid or pid == self() do
+      send(pid, :situ_stop)
+      :ok
+    else
+      request = {:stop, Keyword.get(opts, :catch_up, Life.catch_up_ms())}
+      ask(pid, request, Keyword.get(opts, :timeout, :infinity), nil)
+    end
+  end
+
+  def await(p, timeout) do
+    pid = pid(p)
+
+    case Archive.fetch(pid) do
+      {:ok, result} -> result
+      :error -> ask(pid, :await, timeout, :archive)
+    end
+  end
+
+  def state(p) do
+    case ask(pid(p), :state, 5_000, nil) do
+      {:error, %Error{code: :not_running}} -> :completed
+      state -> state
+    end
+  end
+
+  def call(p, request), do: ask(pid(p), request, :infinity, nil)
+
+  def call!(p, request) do
+    case call(p, request) do
+      {:error, %Error{} = error} -> raise error
+      answer -> answer
+    end
+  end
+
+  defp ask(nil, _request, _timeout, _), do: {:error, Launch.not_running()}
+
+  defp ask(pid, request, timeout, fallback) do
+    GenServer.call(pid, request, timeout)
+  catch
+    :exit, {:timeout, _} -> {:error, Launch.timeout(request, timeout)}
+    :exit, _ -> gone(pid, fallback)
+  end
+
+  defp gone(pid, :archive) do
+    case Archive.fetch(pid) do
+      {:ok, result} -> result
+      :error -> {:error, Launch.not_running()}
+    end
+  end
+
+  defp gone(_pid, nil), do: {:error, Launch.not_running()}
+
+  defp pid(%Pipeline{pid: pid}), do: pid
+  defp pid(%Situ.Stream{pipeline: p}), do: p.pid
+  defp pid(pid) when is_pid(pid), do: pid
+  defp pid(name), do: GenServer.whereis(name)
+
+  # Answering
+
+  @impl true
+  def init(_), do: :ignore
+
+  @impl true
+  def handle_call({:build, change}, _from, %{phase: :building} = state) do
+    {:reply, {:ok, Builder.run(state.handle, change)}, state}
+  rescue
+    error in Error -> {:reply, {:error, error}, state}
+  end
+
+  def handle_call({:build, _change}, _from, state),
+    do: {:reply, {:error, Builder.running()}, state}
+
+  def handle_call(:start, _from, %{phase: :building} = state) do
+    graph = Builder.close(state.handle)
+    {:reply, :ok, Life.launch(%{state | graph: graph, phase: :starting})}
+  end
+
+  def handle_call(:start, _from, state), do: {:reply, {:error, Builder.running()}, state}
+
+  def handle_call({:stop, catch_up}, from, state),
+    do: done(Life.stop(%{state | waiters: [from | state.waiters], catch_up: catch_up}))
+
+  def handle_call(:await, from, state), do: {:noreply, %{state | waiters: [from | state.waiters]}}
+  def handle_call(:state, _from, state), do: {:reply, state.phase, state}
+
+  def handle_call(:clock, from, %{phase: :starting, clock: nil} = state),
+    do: {:noreply, %{state | early: [{:"$gen_call", from, :clock} | state.early]}}
+
+  def handle_call(:clock, _from, state), do: {:reply, state.clock || Clock.real(), state}
+  def handle_call(:info, _from, state), do: {:reply, View.snapshot(state), View.describe(state)}
+
+  # A pipeline that is just starting answers when it runs.
+  def handle_call(request, from, %{phase: :starting} = state)
+      when is_tuple(request) and elem(request, 0) in [:subscription, :replace, :tap, :clock],
+      do: {:noreply, %{state | early: [{:"$gen_call", from, request} | state.early]}}
+
+  def handle_call({:tap, which, fun, opts}, from, state) do
+    case Taps.attach(state, which, fun, opts, from) do
+      {:ok, state} -> {:noreply, state}
+      {error, state} -> {:reply, error, state}
+    end
+  end
+
+  def handle_call({:untap, id}, _from, state), do: {:reply, :ok, Taps.detach(state, id)}
+
+  def handle_call({:subscription, which}, _from, state),
+    do: {:reply, Taps.subscription(state, which), state}
+
+  def handle_call(:progress, _from, state) do
+    state = View.advance_progress(state)
+    {:reply, state.progress, state}
+  end
+
+  def handle_call({:clock, _}, _from, %{clock: nil} = state),
+    do: {:reply, {:error, Launch.not_running()}, state}
+
+  def handle_call({:clock, :pause}, _from, state), do: {:reply, Clock.pause(state.clock), state}
+  def handle_call({:clock, :resume}, _from, state), do: {:reply, Clock.resume(state.clock), state}
+
+  def handle_call({:clock, {:set_speed, speed}}, _from, state),
+    do: {:reply, Clock.set_speed(state.clock, speed), state}
+
+  def handle_call({:replace, node, change}, from, state) do
+    case Launch.replacement(state, node, change) do
+      {:ok, stage, request} ->
+        send(state.stages[stage].pid, {:situ, request})
+        {:noreply, %{state | replacing: Map.put(state.replacing, stage, {from, request})}}
+
+      {:error, error} ->
+        {:reply, {:error, error}, state}
+    end
+  end
+
+  def handle_call(_request, _from, state), do: {:reply, {:error, Launch.not_running()}, state}
+
+  @impl true
+  def handle_info(:situ_launch, state), do: done(Life.launch(state))
+  def handle_info({:situ_stage, id, event}, state), do: done(Life.event(state, id, event))
+  def handle_info(:situ_stop, state), do: done(Life.stop(state))
+  def handle_info(:situ_recheck, state), do: done(Life.recheck(state))
+  def handle_info(:situ_enough, state), do: done(Life.enough(state))
+  def handle_info({:situ_stuck, mark}, state), do: done(Life.stuck(state, mark))
+  def handle_info({:EXIT, pid, reason}, state), do: done(Life.exited(state, pid, reason))
+
+  def handle_info({:situ_clock, _}, state) do
+    for {_, stage} <- state.stages, do: send(stage.pid, {:situ, :clock})
+    {:noreply, state}
+  end
+
+  def handle_info({:DOWN, owner, :process, _, _}, %{owner: owner} = state),
+    do: done(Life.stop(state))
+
+  def handle_info({:DOWN, ref, :process, _, _}, state),
+    do: {:noreply, Taps.owner_down(state, ref)}
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp done(%{phase: :completed} = state) do
+    result = View.result(state)
+    publish(state.settings, result)
+    Enum.each(state.waiters, &GenServer.reply(&1, result))
+
+    case {result, state.settings.mode} do
+      {{:error, error}, :linked} -> fall(error)
+      _ -> {:stop, :normal, %{state | waiters: []}}
+    end
+  end
+
+  defp done(state), do: {:noreply, state}
+
+  # Abnormal, so that a supervisor restarts it; by a signal, since the error itself is in the log already.
+  defp fall(error) do
+    Process.flag(:trap_exit, false)
+    Process.exit(self(), {:pipeline_failed, error.code, error.what})
+  end
+
+  defp publish(%{mode: :run, reply: {caller, reply}}, result), do: send(caller, {reply, result})
+  defp publish(_settings, result), do: Archive.put(self(), result)
+
+  # A crash report names the pipeline; its graph has no place in a log.
+  @impl true
+  def format_status(_reason, [_dictionary, state]),
+    do: [
+      data: [{'State', %{pipeline: state.settings.name, phase: state.phase, step: state.step}}]
+    ]
+
+  # The parent asks us to go (a supervisor shutting down): stop as by hand, within the time it gives.
+  @impl true
+  def terminate(_reason, %{phase: :completed}), do: :ok
+
+  def terminate(_reason, %{phase: :building}), do: :ok
+  def terminate(_reason, state), do: state |> Life.stop() |> shut()
+
+  defp shut(%{phase: :completed} = state) do
+    Archive.put(self(), View.result(state))
+    Enum.each(state.waiters, &GenServer.reply(&1, View.result(state)))
+  end
+
+  defp shut(state) do
+    receive do
+      {:"$gen_call", from, request} when request == :await or elem(request, 0) == :stop ->
+        shut(%{state | waiters: [from | state.waiters]})
+
+      {:"$gen_call", from, _} ->
+        GenServer.reply(from, {:error, Launch.not_running()})
+        shut(state)
+
+      message ->
+        case handle_info(message, state) do
+          {:noreply, state} -> shut(state)
+          {:stop, _, _} -> :ok
+        end
+    end
+  end
+end

@@ -1,0 +1,92 @@
+defmodule Situ.Pipeline.Settings do
+  @moduledoc false
+  # The `pipeline:` options, parsed once.
+  alias Situ.{Delivery, Error, Options, Pipeline}
+
+  defstruct [
+    :name,
+    :clock,
+    :mode,
+    :reply,
+    default_policy: nil,
+    interval: {:unbounded, :unbounded},
+    speed: 1.0,
+    diagnostics: false,
+    stop_timeout: 30_000
+  ]
+
+  @type t :: %__MODULE__{}
+
+  @replay [
+    interval: [type: {:tuple, [:any, :any]}, default: {:unbounded, :unbounded}],
+    speed: [type: {:or, [{:range, 0.0001, 1_000_000}, {:in, [:max]}]}]
+  ]
+
+  @spec parse(keyword(), :run | :linked | :unlinked, Pipeline.spec() | nil) ::
+          {:ok, t()} | {:error, Error.t()}
+  def parse(opts, mode, spec) do
+    with {:ok, opts} <- Options.validate(opts, Pipeline.settings()),
+         {:ok, replay} <- Options.validate(opts[:replay], @replay),
+         :ok <- check_interval(replay[:interval]),
+         :ok <- check_clock(opts[:clock]),
+         :ok <- check_spec(spec) do
+      {:ok,
+       %__MODULE__{
+         name: opts[:name] || default_name(spec),
+         clock: opts[:clock],
+         mode: mode,
+         default_policy: opts[:default_policy] || Delivery.unlimited(),
+         interval: replay[:interval],
+         speed: replay[:speed] || default_speed(mode, opts[:clock]),
+         diagnostics: opts[:diagnostics],
+         stop_timeout: opts[:stop_timeout]
+       }}
+    end
+  end
+
+  # A clock that is given is there to be waited for.
+  defp default_speed(:run, nil), do: :max
+  defp default_speed(_mode, _clock), do: 1.0
+
+  defp default_name(spec) when is_atom(spec) and spec != nil,
+    do: spec |> Module.split() |> List.last()
+
+  defp default_name(_spec), do: "Pipeline"
+
+  defp check_interval({from, to}) do
+    ok? = bound?(from) and bound?(to) and (from == :unbounded or to == :unbounded or from <= to)
+
+    if ok?,
+      do: :ok,
+      else:
+        {:error,
+         Error.new(:bad_interval, "not a replay interval: #{inspect({from, to})}",
+           fix: "give {from, to}, each a time in ns or :unbounded, from <= to"
+         )}
+  end
+
+  defp bound?(bound), do: bound == :unbounded or is_integer(bound)
+
+  defp check_clock(nil), do: :ok
+  defp check_clock(%Situ.Clock{}), do: :ok
+
+  defp check_clock(other),
+    do: {:error, Error.new(:bad_option, "clock: must be a Situ.Clock, got: #{inspect(other)}")}
+
+  defp check_spec(nil), do: :ok
+  defp check_spec(fun) when is_function(fun, 1), do: :ok
+
+  defp check_spec(module) when is_atom(module) do
+    if Code.ensure_loaded?(module) and function_exported?(module, :build, 2),
+      do: :ok,
+      else: {:error, not_a_pipeline(module)}
+  end
+
+  defp check_spec(other), do: {:error, not_a_pipeline(other)}
+
+  defp not_a_pipeline(spec) do
+    Error.new(:not_a_pipeline, "#{inspect(spec)} is not a pipeline",
+      fix: "give a module that uses Situ.Pipeline, or a function of one argument"
+    )
+  end
+end

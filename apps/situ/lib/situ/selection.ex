@@ -1,0 +1,128 @@
+defmodule Situ.Selection do
+  @moduledoc """
+  Operators that pick, move, edit and re-time messages. All are on `Situ` too: `Situ.first/2` ...
+
+  | operator | gives | output's time |
+  |---|---|---|
+  | `first/3` (`take/3`) | the first n messages, then silence | input's |
+  | `last/3` | the last n messages, when the stream ends | their own |
+  | `map_present/3` | `fun` of the data, and `nil` for `nil` | input's |
+  | `time_of/2` | the originating time as data | input's |
+  | `latency/2` | creation time minus originating time as data | input's |
+  | `delay/3` | each message some time after its creation | input's |
+  | `process/4` | what `fun` answers: any number of messages | as `fun` says |
+  | `edit/3` | the stream with messages replaced, inserted and deleted | input's or the edit's |
+  | `reorder/3` | messages brought into order, up to a lateness | as `fun` says |
+
+      iex> Situ.to_list(fn p -> p |> Situ.range(1, 9, 10) |> Situ.last(2) end)
+      [8, 9]
+
+  All but `latency/2` (which shows timing) and `delay/3` (which waits by the clock, its values and times being the input's) are reproducible.
+  They take `name:`, `type:`, `policy:`, `on_error:`, `async:` as every operator does (`Situ.Operator`).
+  """
+
+  alias Situ.{Operator, Stream}
+  alias Situ.Selection.{Delay, Edit, Keeper, Last, Process, Reorder}
+
+  @doc "The first `n` messages; the stream stays open and silent after them."
+  @spec first(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
+  def first(stream, n \\ 1, opts \\ [])
+  def first(stream, opts, []) when is_list(opts), do: first(stream, 1, opts)
+
+  def first(%Stream{} = stream, n, opts) when is_integer(n) and n >= 0 do
+    step = fn
+      _data, _message, 0 -> {:skip, 0}
+      data, _message, left -> {:emit, data, left - 1}
+    end
+
+    Operator.attach(stream, "First", {:step, step, n}, opts, stream.type)
+  end
+
+  @doc "As `first/3`, under Elixir's name."
+  @spec take(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
+  def take(stream, n, opts \\ []), do: first(stream, n, opts)
+
+  @doc "The last `n` messages, with their times, when the stream ends."
+  @spec last(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
+  def last(stream, n \\ 1, opts \\ [])
+  def last(stream, opts, []) when is_list(opts), do: last(stream, 1, opts)
+
+  def last(%Stream{} = stream, n, opts) when is_integer(n) and n >= 0,
+    do: Keeper.add(stream, "Last", Last, [count: n], {stream.type, opts})
+
+  @doc "`fun` of the data, but `nil` stays `nil`."
+  @spec map_present(Stream.t(), (term() -> term()), keyword()) :: Stream.t()
+  def map_present(stream, fun, opts \\ []) when is_function(fun, 1) do
+    Operator.attach(stream, "MapPresent", {:map, &if(&1 == nil, do: nil, else: fun.(&1))}, opts)
+  end
+
+  @doc "The originating time of each message as its data, ns."
+  @spec time_of(Stream.t(), keyword()) :: Stream.t()
+  def time_of(stream, opts \\ []) do
+    step = {:map, fn _data, message -> message.originating_time end}
+    Operator.attach(stream, "TimeOf", step, opts, :integer)
+  end
+
+  @doc "Creation time minus originating time of each message as its data, ns: how late it is here."
+  @spec latency(Stream.t(), keyword()) :: Stream.t()
+  def latency(stream, opts \\ []) do
+    step = {:map, fn _data, message -> Situ.Message.latency(message) end}
+    Operator.attach(stream, "Latency", step, Keyword.put_new(opts, :async, true), :integer)
+  end
+
+  @doc """
+  Holds each message until its creation time plus `duration` (ns) on the pipeline's clock; its times stay what they are. When the pipeline
+  does not run by a clock (speed `:max`) there is no wait.
+  """
+  @spec delay(Stream.t(), Situ.Time.duration(), keyword()) :: Stream.t()
+  def delay(%Stream{} = stream, duration, opts \\ []) when is_integer(duration) and duration >= 0,
+    do: Keeper.add(stream, "Delay", Delay, [duration: duration], {stream.type, opts})
+
+  @doc """
+  Any number of messages from each: `fun.(message, state)` answers `{[{time, data}], state}`. Times must strictly increase.
+
+  At the stream's end `on_close: fun`, called with the closing time and the state, may answer a last list of `{time, data}`.
+
+      # Each word of a sentence as a message of its own, 1 ns apart.
+      Situ.process(sentences, nil, fn message, state ->
+        words = String.split(message.data)
+        {Enum.with_index(words, fn word, i -> {message.originating_time + i, word} end), state}
+      end)
+  """
+  @spec process(
+          Stream.t(),
+          state,
+          (Situ.Message.t(), state -> {[{Situ.Time.t(), term()}], state}),
+          keyword()
+        ) ::
+          Stream.t()
+        when state: term()
+  def process(%Stream{} = stream, state, fun, opts \\ []) when is_function(fun, 2) do
+    {on_close, opts} = Keyword.pop(opts, :on_close)
+    options = [state: state, fun: fun, on_close: on_close]
+    Keeper.add(stream, "Process", Process, options, {:any, opts})
+  end
+
+  @doc """
+  The stream with edits: `{time, {:put, data}}` replaces the message at that time or inserts one, `{time, :delete}` takes it out. Edits
+  may come in any order; of two at one time the later in the list counts.
+  """
+  @spec edit(Stream.t(), [{Situ.Time.t(), {:put, term()} | :delete}], keyword()) :: Stream.t()
+  def edit(%Stream{} = stream, edits, opts \\ []) when is_list(edits) do
+    edits = Situ.from_enumerable(stream.pipeline, Edit.sorted(edits))
+    Keeper.add([in: stream, edits: edits], "Edit", Edit, [], {stream.type, opts})
+  end
+
+  @doc """
+  Brings messages into order by a time of their own (a device's time stamp): `time.(message)`, ns. Each waits until one has come whose time is more than
+  `lateness` ns later, or the stream ends; one that comes later than that is dropped (`late: :drop`, the default) or an error (`late: :error`).
+  Of several at one time the first to come stays.
+  """
+  @spec reorder(Stream.t(), Situ.Time.duration(), keyword()) :: Stream.t()
+  def reorder(%Stream{} = stream, lateness, opts \\ [])
+      when is_integer(lateness) and lateness >= 0 do
+    {own, opts} = Keyword.split(opts, [:time, :late])
+    own = Keyword.merge([time: & &1.originating_time, late: :drop], own)
+    Keeper.add(stream, "Reorder", Reorder, [{:lateness, lateness} | own], {stream.type, opts})
+  end
+end

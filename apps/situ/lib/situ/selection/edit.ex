@@ -1,0 +1,47 @@
+defmodule Situ.Selection.Edit do
+  @moduledoc false
+  # Weaves a stream of edits into a stream: where both have a message, the edit counts.
+  use Situ.Component, inputs: [in: :any, edits: :any], outputs: [out: :any]
+
+  alias Situ.Fusion.Zip
+
+  @doc "Edits as a stream carries them: in the order of time, of several at one time the last."
+  @spec sorted([{Situ.Time.t(), {:put, term()} | :delete}]) :: [{Situ.Time.t(), term()}]
+  def sorted(edits), do: edits |> Map.new(&check/1) |> Enum.sort()
+
+  @impl true
+  def init(_opts), do: {:ok, Zip.new(2)}
+
+  @impl true
+  def handle_message(input, message, context, zip),
+    do: handle_messages(input, [message], context, zip)
+
+  @impl true
+  def handle_messages(:in, messages, _context, zip) do
+    messages = Enum.map(messages, &%{&1 | data: {:put, &1.data}})
+    woven(Zip.push(zip, 0, messages))
+  end
+
+  def handle_messages(:edits, messages, _context, zip), do: woven(Zip.push(zip, 1, messages))
+
+  @impl true
+  def handle_closed(:in, _time, _context, zip), do: woven(Zip.close(zip, 0))
+  def handle_closed(:edits, _time, _context, zip), do: woven(Zip.close(zip, 1))
+
+  # An edit stands last in its group.
+  defp woven({groups, zip}) do
+    {for(
+       {:out, time, group} <- groups,
+       {:put, data} <- [List.last(group)],
+       do: {:out, time, data}
+     ), zip}
+  end
+
+  defp check({time, {:put, _data}} = edit) when is_integer(time), do: edit
+  defp check({time, :delete} = edit) when is_integer(time), do: edit
+
+  defp check(other) do
+    raise ArgumentError,
+          "an edit is {time, {:put, data}} or {time, :delete}, got: #{inspect(other)}"
+  end
+end

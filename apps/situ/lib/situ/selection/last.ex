@@ -1,0 +1,25 @@
+defmodule Situ.Selection.Last do
+  @moduledoc false
+  # Keeps the last messages until the stream ends.
+  use Situ.Component,
+    inputs: [in: :any],
+    outputs: [out: :any],
+    options: [count: [type: :non_neg_integer, required: true]]
+
+  # Newest first; cut back to `count` only when twice as many are there.
+  @impl true
+  def init(opts), do: {:ok, {opts[:count], 0, []}}
+
+  @impl true
+  def handle_message(_input, message, _context, {count, kept, messages}) do
+    if kept + 1 > 2 * count,
+      do: {[], {count, count, Enum.take([message | messages], count)}},
+      else: {[], {count, kept + 1, [message | messages]}}
+  end
+
+  @impl true
+  def handle_closed(_input, _time, _context, {count, _kept, messages}) do
+    last = messages |> Enum.take(count) |> Enum.reverse()
+    {Enum.map(last, &{:out, &1.originating_time, &1.data}), {count, 0, []}}
+  end
+end

@@ -1,0 +1,56 @@
+defmodule Situ.Selection.Reorder do
+  @moduledoc false
+  # A buffer in the order of a time that each message brings, as long as the lateness allows for.
+  use Situ.Component,
+    inputs: [in: :any],
+    outputs: [out: :any],
+    options: [
+      lateness: [type: :non_neg_integer, required: true],
+      time: [type: {:fun, 1}, required: true],
+      late: [type: {:in, [:drop, :error]}, default: :drop]
+    ]
+
+  @impl true
+  def init(opts),
+    do: {:ok, %{opts: Map.new(opts), held: :gb_trees.empty(), newest: nil, sent: nil}}
+
+  @impl true
+  def handle_message(_input, message, _context, state) do
+    time = state.opts.time.(message)
+
+    cond do
+      state.sent != nil and time <= state.sent -> late(time, state)
+      :gb_trees.is_defined(time, state.held) -> {[], state}
+      true -> held(time, message.data, state)
+    end
+  end
+
+  @impl true
+  def handle_closed(_input, _time, _context, state), do: release(state, :infinity, [])
+
+  defp held(time, data, state) do
+    # nil is an atom and would win against any time.
+    newest = if state.newest == nil, do: time, else: max(time, state.newest)
+    state = %{state | held: :gb_trees.insert(time, data, state.held), newest: newest}
+    release(state, newest - state.opts.lateness, [])
+  end
+
+  # Everything before `limit` goes: a message may still come at the limit itself.
+  defp release(state, limit, outputs) do
+    with false <- :gb_trees.is_empty(state.held),
+         {time, data, rest} when time < limit <- :gb_trees.take_smallest(state.held) do
+      release(%{state | held: rest, sent: time}, limit, [{:out, time, data} | outputs])
+    else
+      _ -> {Enum.reverse(outputs), state}
+    end
+  end
+
+  defp late(_time, %{opts: %{late: :drop}} = state), do: {[], state}
+
+  defp late(time, state) do
+    raise Situ.Error.new(:late, "a message at #{time} ns came after one at #{state.sent} ns",
+            why: "it is more than #{state.opts.lateness} ns late",
+            fix: "allow for more lateness, or drop late ones with late: :drop"
+          )
+  end
+end

@@ -1,0 +1,141 @@
+defmodule Situ.Statistics do
+  @moduledoc """
+  Count, sum, least, greatest, average and standard deviation: of a list, or step by step.
+
+      iex> Situ.Statistics.of_list(:std, [1, 2, 3, 4])
+      1.2909944487358056
+      iex> {results, _state} = Enum.map_reduce([5, 3, 4], Situ.Statistics.start(:min), &Situ.Statistics.step(&2, &1))
+      iex> results
+      [5, 3, 3]
+
+  Values are numbers or `:nan`, `:infinity`, `:neg_infinity` (see `Situ.Number`; `:nan` is contagious), or `nil`: no value. `nil` adds 0
+  to a sum and is left out of everything else but the count; when there is nothing but `nil` the result is `nil` (a sum: 0).
+  Integers stay integers in sums, least and greatest; averages and deviations are floats. `:min` and `:max` take any terms
+  of one kind.
+
+  The deviation is that of a sample (n - 1). A list of fewer than two numbers deviates by 0.0; step by step the first number gives
+  `:nan` (or `initial:`). The least, greatest or average of an empty list does not exist: `Situ.Error` `:empty_list`, or `nil` with
+  `nullable: true`.
+
+  ## Options
+
+    * `nullable:` (default false) - an empty list gives `nil` for `:min`, `:max` and `:average`;
+    * `initial:` (default `:nan`) - the running deviation of one number;
+    * `compare:` - for `:min` and `:max`: `fun.(a, b)` is true when `a` comes before `b` or is equal to it.
+  """
+
+  alias Situ.Number
+
+  @kinds [:count, :sum, :min, :max, :average, :std]
+
+  @type kind :: :count | :sum | :min | :max | :average | :std
+  @opaque state :: {kind(), term(), map()}
+
+  @doc "The kinds."
+  @spec kinds() :: [kind()]
+  def kinds, do: @kinds
+
+  @doc "The statistic of a list."
+  @spec of_list(kind(), list(), keyword()) :: term()
+  def of_list(kind, list, opts \\ [])
+  def of_list(:count, list, _opts), do: length(list)
+  def of_list(:std, list, _opts), do: list |> Enum.reject(&is_nil/1) |> deviation()
+  def of_list(:sum, list, _opts), do: Enum.reduce(list, 0, &sum/2)
+
+  def of_list(kind, [], opts) do
+    if opts[:nullable] do
+      nil
+    else
+      raise Situ.Error.new(:empty_list, "no #{kind} of an empty list",
+              why: "an empty list has no values",
+              fix: "give nullable: true to get nil, or filter empty lists out"
+            )
+    end
+  end
+
+  def of_list(kind, list, opts) when kind in @kinds do
+    {results, _state} = Enum.map_reduce(list, start(kind, opts), &step(&2, &1))
+    List.last(results)
+  end
+
+  @doc "The state before the first value."
+  @spec start(kind(), keyword()) :: state()
+  def start(kind, opts \\ []) when kind in @kinds do
+    {kind, zero(kind), Map.new(opts)}
+  end
+
+  @doc "The statistic of all values up to and including `value`, and the next state."
+  @spec step(state(), term()) :: {term(), state()}
+  def step({:count, n, opts}, _value), do: {n + 1, {:count, n + 1, opts}}
+
+  def step({:sum, sum, opts}, value) do
+    sum = sum(value, sum)
+    {sum, {:sum, sum, opts}}
+  end
+
+  def step({kind, best, opts}, nil) when kind in [:min, :max], do: {best, {kind, best, opts}}
+  def step({kind, nil, opts}, value) when kind in [:min, :max], do: {value, {kind, value, opts}}
+
+  def step({kind, best, opts}, value) when kind in [:min, :max] do
+    best = better(kind, best, value, opts)
+    {best, {kind, best, opts}}
+  end
+
+  def step({:average, {n, _sum} = state, opts}, nil),
+    do: {if(n > 0, do: average(state)), {:average, state, opts}}
+
+  def step({:average, {n, sum}, opts}, value) do
+    state = {n + 1, Number.add(sum, value)}
+    {average(state), {:average, state, opts}}
+  end
+
+  def step({:std, {n, _, _} = state, opts}, nil),
+    do: {if(n > 0, do: running_deviation(state, opts)), {:std, state, opts}}
+
+  # Welford: no difference of large squares.
+  def step({:std, {n, mean, squares}, opts}, value) do
+    delta = Number.subtract(value, mean)
+    mean = Number.add(mean, Number.divide(delta, n + 1))
+    squares = Number.add(squares, Number.multiply(delta, Number.subtract(value, mean)))
+    state = {n + 1, mean, squares}
+    {running_deviation(state, opts), {:std, state, opts}}
+  end
+
+  defp zero(:average), do: {0, 0}
+  defp zero(:std), do: {0, 0.0, 0.0}
+  defp zero(kind) when kind in [:min, :max], do: nil
+  defp zero(_kind), do: 0
+
+  defp sum(nil, sum), do: sum
+  defp sum(value, sum), do: Number.add(sum, value)
+
+  defp average({n, sum}), do: Number.divide(sum, n)
+
+  defp running_deviation({1, _mean, squares}, opts) do
+    if squares == :nan, do: :nan, else: Map.get(opts, :initial, :nan)
+  end
+
+  defp running_deviation({n, _mean, squares}, _opts),
+    do: squares |> Number.divide(n - 1) |> Number.sqrt()
+
+  defp deviation([]), do: 0.0
+  defp deviation([_]), do: 0.0
+
+  defp deviation(list) do
+    n = length(list)
+    mean = list |> Enum.reduce(0, &Number.add(&2, &1)) |> Number.divide(n)
+
+    list
+    |> Enum.reduce(0.0, fn value, squares ->
+      delta = Number.subtract(value, mean)
+      Number.add(squares, Number.multiply(delta, delta))
+    end)
+    |> Number.divide(n - 1)
+    |> Number.sqrt()
+  end
+
+  defp better(:min, a, b, %{compare: fun}), do: if(fun.(a, b), do: a, else: b)
+  defp better(:max, a, b, %{compare: fun}), do: if(fun.(a, b), do: b, else: a)
+  defp better(:min, a, b, _opts), do: if(Number.number?(a), do: Number.min(a, b), else: min(a, b))
+  defp better(:max, a, b, _opts), do: if(Number.number?(a), do: Number.max(a, b), else: max(a, b))
+end

@@ -1,0 +1,31 @@
+defmodule Situ.Stream do
+  @moduledoc """
+  What one output emits: a handle to connect to. It holds no messages.
+
+    * `pipeline`: the pipeline handle (every operator finds its pipeline here)
+    * `node`, `output`: the node's id and the output's name
+    * `type`: see `Situ.Type`
+    * `name`: unique within the pipeline; tools and stores find the stream by it
+  """
+  @enforce_keys [:pipeline, :node, :output]
+  defstruct [:pipeline, :node, :output, :name, type: :any]
+
+  @type t :: %__MODULE__{
+          pipeline: Situ.Pipeline.t(),
+          node: pos_integer(),
+          output: atom(),
+          name: String.t() | nil,
+          type: Situ.Type.t()
+        }
+
+  @doc "Names the stream. Raises `Situ.Error` (`:duplicate_name`) when another stream of the pipeline has the name."
+  @spec name(t(), String.t()) :: t()
+  def name(%__MODULE__{} = stream, name) when is_binary(name) do
+    :ok = Situ.Graph.Builder.run(stream.pipeline, &Situ.Graph.name_stream(&1, stream, name))
+    %{stream | name: name}
+  end
+
+  @doc "The same stream seen as another type (no run-time change; inputs check what really arrives)."
+  @spec as(t(), Situ.Type.t()) :: t()
+  def as(%__MODULE__{} = stream, type), do: %{stream | type: type}
+end

@@ -1,0 +1,87 @@
+defmodule Situ.Telemetry do
+  @moduledoc """
+  Events the platform emits, in the shapes of the `:telemetry` library.
+
+  `:telemetry` itself is not a dependency. Handlers and events have its shapes, so a host that has it forwards with
+
+      Situ.Telemetry.attach("forward", [:situ, :pipeline, :stop], &:telemetry.execute/3 |> ..., nil)
+
+  A handler that raises is detached and logged once: a broken observer never takes a stream down.
+
+  | event | measurements | metadata |
+  |---|---|---|
+  | `[:situ, :pipeline, :start]` | `system_time` (ns) | `pipeline` |
+  | `[:situ, :pipeline, :stop]` | `duration` (ns) | `pipeline`, `errors` |
+  | `[:situ, :component, :error]` | `originating_time` (ns) | `pipeline`, `component`, `error` |
+
+      iex> Situ.Telemetry.attach("doc", [:situ, :doc], fn _event, m, _meta, pid -> send(pid, m.n) end, self())
+      :ok
+      iex> Situ.Telemetry.execute([:situ, :doc], %{n: 1}, %{})
+      :ok
+      iex> receive do n -> n end
+      1
+      iex> Situ.Telemetry.detach("doc")
+      :ok
+  """
+  require Logger
+
+  @table __MODULE__
+
+  @type event :: [atom(), ...]
+  @type handler :: (event(), map(), map(), term() -> any())
+
+  @doc "Creates the handler table; called once by the application."
+  @spec setup() :: :ok
+  def setup do
+    if :ets.whereis(@table) == :undefined do
+      :ets.new(@table, [:named_table, :public, :bag, read_concurrency: true])
+    end
+
+    :ok
+  end
+
+  @doc "Attaches `handler` to `event` under a unique `id`."
+  @spec attach(term(), event(), handler(), term()) :: :ok | {:error, :already_exists}
+  def attach(id, event, handler, config \\ nil) when is_function(handler, 4) do
+    case :ets.match(@table, {:_, id, :_, :_}) do
+      [] ->
+        :ets.insert(@table, {event, id, handler, config})
+        :ok
+
+      _ ->
+        {:error, :already_exists}
+    end
+  end
+
+  @doc "Detaches the handler of this `id`."
+  @spec detach(term()) :: :ok | {:error, :not_found}
+  def detach(id) do
+    case :ets.match_object(@table, {:_, id, :_, :_}) do
+      [] ->
+        {:error, :not_found}
+
+      rows ->
+        Enum.each(rows, &:ets.delete_object(@table, &1))
+        :ok
+    end
+  end
+
+  @doc "Calls every handler of `event`."
+  @spec execute(event(), map(), map()) :: :ok
+  def execute(event, measurements, metadata) do
+    for {_, id, handler, config} = row <- :ets.lookup(@table, event) do
+      try do
+        handler.(event, measurements, metadata, config)
+      catch
+        kind, reason ->
+          :ets.delete_object(@table, row)
+
+          Logger.error(
+            "telemetry handler #{inspect(id)} detached: #{Exception.format(kind, reason)}"
+          )
+      end
+    end
+
+    :ok
+  end
+end

@@ -1,0 +1,258 @@
+defmodule Situ.Test do
+  @moduledoc """
+  Tests of pipelines and components without sleeping: feed messages, move the clock by hand, look at what comes out.
+
+  At once, as fast as possible:
+
+      iex> inputs = [left: [{0, 1}, {10, 2}], right: [{0, :a}, {10, :b}]]
+      iex> Situ.Test.run(inputs, fn %{left: left, right: right} -> Situ.join(left, right) end)
+      {:ok, [{0, {1, :a}}, {10, {2, :b}}]}
+
+  Step by step, when arrival and the clock matter:
+
+      iex> t = Situ.Test.start([:number], fn %{number: number} -> Situ.map(number, & &1 * 2) end)
+      iex> Situ.Test.feed(t, :number, [{0, 1}, {5, 2}])
+      iex> Situ.Test.outputs(t)
+      [{0, 2}]
+      iex> Situ.Test.advance(t, 5)
+      iex> Situ.Test.outputs(t)
+      [{5, 4}]
+      iex> {:ok, report} = Situ.Test.stop(t)
+      iex> report.errors
+      []
+
+  The function gets a map of input streams and returns a stream, or a list or map of streams; outputs have its shape. A pipeline under
+  test runs by a manual clock that starts at 0 (`start:`), so a message at 5 ns comes when the clock is at 5 ns. `p` of the pipeline is
+  any stream's `stream.pipeline`; for pipelines without inputs the function may take the pipeline as a second argument.
+
+  `Situ.Test.Property` and `Situ.Test.Gen` are for property tests.
+  """
+
+  alias Situ.{Clock, Collector, Pipeline, Stream}
+
+  defmodule Input do
+    @moduledoc false
+    # A push source that emits what the test feeds it.
+    use Situ.Component,
+      inputs: [],
+      outputs: [out: :any],
+      options: [to: [type: :pid], ref: [type: :any], key: [type: :any]]
+
+    @impl true
+    def init(opts), do: {:ok, opts}
+
+    @impl true
+    def handle_start(_context, opts) do
+      send(opts[:to], {:situ_test_input, opts[:ref], opts[:key], self()})
+      {[], opts}
+    end
+
+    @impl true
+    def handle_info({:situ_feed, messages}, _context, opts) do
+      {for({time, data} <- messages, do: {:out, time, data}), opts}
+    end
+
+    def handle_info({:situ_close, nil}, _context, opts), do: {[{:close, :out}], opts}
+    def handle_info({:situ_close, time}, _context, opts), do: {[{:close, :out, time}], opts}
+    def handle_info(_other, _context, opts), do: {[], opts}
+  end
+
+  @enforce_keys [:pipeline, :clock, :inputs, :ref, :shape]
+  defstruct [:pipeline, :clock, :inputs, :ref, :shape]
+
+  @type t :: %__MODULE__{}
+  @type timed :: {Situ.Time.t(), term()}
+  @type build ::
+          (%{term() => Stream.t()} -> Collector.streams())
+          | (%{term() => Stream.t()}, Pipeline.t() -> Collector.streams())
+
+  @doc """
+  Runs to the end: each input gives its messages and closes. Returns `{:ok, [{time, data}]}` (in the shape of what `build` returned) or
+  `{:error, error}`. Times count from 0; `opts` may hold `pipeline:` settings.
+  """
+  @spec run(keyword([timed()]) | %{term() => [timed()]}, build(), keyword()) ::
+          {:ok, term()} | {:error, Situ.Error.t()}
+  def run(inputs, build, opts \\ []) do
+    settings = Keyword.get(opts, :pipeline, [])
+
+    replay =
+      Keyword.merge([interval: {0, :unbounded}, speed: :max], Keyword.get(settings, :replay, []))
+
+    opts = Keyword.put(opts, :pipeline, Keyword.put(settings, :replay, replay))
+
+    spec = fn p ->
+      streams = Map.new(inputs, fn {key, messages} -> {key, input(p, key, messages)} end)
+      call(build, streams, p)
+    end
+
+    with {:ok, collected} <- Collector.collect(spec, opts), do: {:ok, timed(collected)}
+  end
+
+  @doc "Starts a pipeline with these inputs, in a clock that stands at `start:` (default 0) until `advance/2` moves it."
+  @spec start([term()], build(), keyword()) :: t()
+  def start(inputs, build, opts \\ []) do
+    {start, opts} = Keyword.pop(opts, :start, 0)
+    clock = Clock.manual(start)
+    {me, ref} = {self(), make_ref()}
+    settings = Keyword.merge([clock: clock], Keyword.get(opts, :pipeline, []))
+
+    spec = fn p ->
+      streams = Map.new(inputs, &{&1, fed(p, &1, me, ref)})
+      outputs = call(build, streams, p)
+      Enum.each(keyed(outputs), fn {key, stream} -> Collector.sink(stream, me, {ref, key}) end)
+      send(me, {:situ_test_shape, ref, shape(outputs)})
+    end
+
+    case Pipeline.start(spec, Keyword.put(opts, :pipeline, settings)) do
+      {:ok, pid} ->
+        running(pid)
+        test = %__MODULE__{pipeline: pid, clock: clock, inputs: %{}, ref: ref, shape: nil}
+        %{test | inputs: Map.new(inputs, &{&1, wait_input(pid, ref, &1)}), shape: wait_shape(ref)}
+
+      {:error, error} ->
+        raise error
+    end
+  end
+
+  @doc "Sends messages `{time, data}` (one or a list) into an input."
+  @spec feed(t(), term(), timed() | [timed()]) :: :ok
+  def feed(%__MODULE__{} = test, input, messages) do
+    send(pid(test, input), {:situ_feed, List.wrap(messages)})
+    settle(test)
+  end
+
+  @doc "Ends an input, at its last message's time or at `time`."
+  @spec close(t(), term(), Situ.Time.t() | nil) :: :ok
+  def close(%__MODULE__{} = test, input, time \\ nil) do
+    send(pid(test, input), {:situ_close, time})
+    settle(test)
+  end
+
+  @doc "Moves the clock forward by `duration` ns."
+  @spec advance(t(), Situ.Time.duration()) :: :ok
+  def advance(%__MODULE__{} = test, duration) do
+    Clock.advance(test.clock, duration)
+    settle(test)
+  end
+
+  @doc "What has come out since the last call, once everything fed has been dealt with."
+  @spec outputs(t()) :: term()
+  def outputs(%__MODULE__{} = test) do
+    settle(test)
+    batches = gather(test.ref, %{})
+
+    case test.shape do
+      :only -> Map.get(batches, :only, [])
+      {kind, keys} -> keys |> Enum.map(&{&1, Map.get(batches, &1, [])}) |> shaped(kind)
+    end
+  end
+
+  @doc "Stops the pipeline: its report, or the error that ended it."
+  @spec stop(t()) :: Pipeline.result()
+  def stop(%__MODULE__{} = test) do
+    case Pipeline.stop(test.pipeline) do
+      {:error, %Situ.Error{code: :not_running}} -> Pipeline.await(test.pipeline)
+      result -> result
+    end
+  end
+
+  @doc "Waits until every process of the pipeline has dealt with what was sent to it."
+  @spec settle(t()) :: :ok
+  def settle(%__MODULE__{} = test), do: settle(test, nil)
+
+  # A round asks every process once. When it has changed nothing, and no alarm is due, nothing is under way.
+  defp settle(test, before) do
+    case Process.info(test.pipeline, :links) do
+      nil ->
+        :ok
+
+      {:links, links} ->
+        stages = for pid <- [test.pipeline | links], is_pid(pid), pid != self(), do: pid
+        now = Enum.map(stages, &look(&1, Clock.now(test.clock)))
+        if now == before and :due not in now, do: :ok, else: settle(test, now)
+    end
+  end
+
+  # Asking comes after all that was sent before, and is answered after it was dealt with.
+  defp look(pid, now) do
+    case :sys.get_state(pid) do
+      %Situ.Stage{alarm: {due, _wait, _ref}} when due <= now -> :due
+      state -> :erlang.phash2(state)
+    end
+  catch
+    :exit, _ended -> :ended
+  end
+
+  defp pid(test, input) do
+    Map.get(test.inputs, input) ||
+      raise ArgumentError,
+            "no input #{inspect(input)}; there are: #{inspect(Map.keys(test.inputs))}"
+  end
+
+  # The clock must not move before it has been read as the start time.
+  defp running(pid) do
+    if Pipeline.state(pid) in [:building, :starting], do: running(pid), else: :ok
+  end
+
+  defp wait_input(pipeline, ref, key) do
+    monitor = Process.monitor(pipeline)
+
+    receive do
+      {:situ_test_input, ^ref, ^key, pid} ->
+        Process.demonitor(monitor, [:flush])
+        pid
+
+      {:DOWN, ^monitor, :process, _, reason} ->
+        raise "the pipeline did not start: #{inspect(reason)}"
+    end
+  end
+
+  defp wait_shape(ref) do
+    receive do
+      {:situ_test_shape, ^ref, shape} -> shape
+    end
+  end
+
+  defp input(p, key, messages) do
+    Situ.from_enumerable(p, messages, name: "Input #{inspect(key)}")
+  end
+
+  defp fed(p, key, to, ref) do
+    p
+    |> Pipeline.add(Input, [to: to, ref: ref, key: key], name: "Input #{inspect(key)}")
+    |> Situ.Node.output(:out)
+  end
+
+  defp call(build, streams, _p) when is_function(build, 1), do: build.(streams)
+  defp call(build, streams, p) when is_function(build, 2), do: build.(streams, p)
+
+  defp keyed(%Stream{} = stream), do: [{:only, stream}]
+  defp keyed(%{} = map), do: Map.to_list(map)
+
+  defp keyed(list) when is_list(list),
+    do: list |> Enum.with_index() |> Enum.map(fn {s, i} -> {i, s} end)
+
+  defp shape(%Stream{}), do: :only
+  defp shape(%{} = map), do: {:map, Map.keys(map)}
+  defp shape(list), do: {:list, list |> Enum.with_index() |> Enum.map(&elem(&1, 1))}
+
+  defp shaped(pairs, :map), do: Map.new(pairs)
+  defp shaped(pairs, :list), do: Enum.map(pairs, &elem(&1, 1))
+
+  defp gather(ref, batches) do
+    receive do
+      {:situ_collected, {^ref, key}, messages} ->
+        messages = timed(messages)
+        gather(ref, Map.update(batches, key, messages, &(&1 ++ messages)))
+    after
+      0 -> batches
+    end
+  end
+
+  defp timed([%Situ.Message{} | _] = messages),
+    do: for(m <- messages, do: {m.originating_time, m.data})
+
+  defp timed([]), do: []
+  defp timed(list) when is_list(list), do: Enum.map(list, &timed/1)
+  defp timed(%{} = map), do: Map.new(map, fn {key, messages} -> {key, timed(messages)} end)
+end

@@ -1,0 +1,135 @@
+defmodule Situ.Time do
+  @moduledoc """
+  Time points and durations as integer nanoseconds.
+
+  A time point is nanoseconds since the Unix epoch, UTC (what `System.os_time(:nanosecond)` gives); a duration is a plain
+  integer of nanoseconds. Both are integers, so that ROS, MCAP and 100 ns times survive unchanged.
+
+      iex> Situ.Time.ms(250)
+      250_000_000
+      iex> Situ.Time.to_iso8601(Situ.Time.s(1))
+      "1970-01-01T00:00:01.000000000Z"
+  """
+
+  @typedoc "A time point: nanoseconds since the Unix epoch, UTC."
+  @type t :: integer()
+  @typedoc "A duration in nanoseconds."
+  @type duration :: integer()
+
+  @doc "Nanoseconds as they are (for reading: `Situ.Time.ns(5)`)."
+  @spec ns(integer()) :: duration()
+  def ns(n) when is_integer(n), do: n
+
+  @doc "Microseconds; fractions are rounded to the nearest nanosecond."
+  @spec us(number()) :: duration()
+  def us(n), do: scale(n, 1_000)
+
+  @doc "Milliseconds; fractions are rounded to the nearest nanosecond."
+  @spec ms(number()) :: duration()
+  def ms(n), do: scale(n, 1_000_000)
+
+  @doc "Seconds; fractions are rounded to the nearest nanosecond."
+  @spec s(number()) :: duration()
+  def s(n), do: scale(n, 1_000_000_000)
+
+  @doc "Minutes."
+  @spec min(number()) :: duration()
+  def min(n), do: scale(n, 60_000_000_000)
+
+  @doc "Hours."
+  @spec h(number()) :: duration()
+  def h(n), do: scale(n, 3_600_000_000_000)
+
+  @doc """
+  Ticks of 100 ns, the unit of \\\\psi.
+
+      iex> Situ.Time.ticks(3)
+      300
+  """
+  @spec ticks(integer()) :: duration()
+  def ticks(n) when is_integer(n), do: n * 100
+
+  @doc "The wall clock now. Pipelines read their own clock instead (`Situ.Pipeline.now/1`)."
+  @spec now() :: t()
+  def now, do: :os.system_time()
+
+  @doc """
+  A time point as ISO 8601 with nine decimals.
+
+      iex> Situ.Time.to_iso8601(1_500_000_000)
+      "1970-01-01T00:00:01.500000000Z"
+      iex> Situ.Time.to_iso8601(-1)
+      "1969-12-31T23:59:59.999999999Z"
+  """
+  @spec to_iso8601(t()) :: String.t()
+  def to_iso8601(time) when is_integer(time) do
+    seconds = Integer.floor_div(time, 1_000_000_000)
+    fraction = Integer.mod(time, 1_000_000_000)
+    date = seconds |> DateTime.from_unix!() |> DateTime.to_naive() |> NaiveDateTime.to_iso8601()
+    "#{date}.#{fraction |> Integer.to_string() |> String.pad_leading(9, "0")}Z"
+  end
+
+  @doc """
+  Parses ISO 8601 with any number of decimals (digits past the ninth are cut).
+
+      iex> Situ.Time.parse("1970-01-01T00:00:01.5Z")
+      {:ok, 1_500_000_000}
+      iex> {:error, error} = Situ.Time.parse("yesterday")
+      iex> error.code
+      :bad_time
+  """
+  @spec parse(String.t()) :: {:ok, t()} | {:error, Situ.Error.t()}
+  def parse(text) when is_binary(text) do
+    with [_, whole, fraction, zone] <-
+           Regex.run(~r/^([^.]+?)(?:\.(\d+))?(Z|[+-]\d\d:?\d\d)?$/, text <> "", capture: :all)
+           |> pad(),
+         {:ok, date, _} <- DateTime.from_iso8601(whole <> if(zone == "", do: "Z", else: zone)) do
+      digits = fraction |> String.slice(0, 9) |> String.pad_trailing(9, "0")
+      {:ok, DateTime.to_unix(date) * 1_000_000_000 + String.to_integer(digits)}
+    else
+      _ ->
+        {:error,
+         Situ.Error.new(:bad_time, "not a time: #{inspect(text)}",
+           fix: "write it like 2026-01-31T12:34:56.789Z"
+         )}
+    end
+  end
+
+  @doc """
+  A duration for people, three significant digits and a unit.
+
+      iex> Situ.Time.format_duration(1_234_567)
+      "1.23 ms"
+      iex> Situ.Time.format_duration(95_000_000_000)
+      "1 min 35 s"
+  """
+  @spec format_duration(duration()) :: String.t()
+  def format_duration(ns) when ns < 0, do: "-" <> format_duration(-ns)
+  def format_duration(ns) when ns < 1_000, do: "#{ns} ns"
+  def format_duration(ns) when ns < 1_000_000, do: digits(ns / 1.0e3) <> " us"
+  def format_duration(ns) when ns < 1_000_000_000, do: digits(ns / 1.0e6) <> " ms"
+  def format_duration(ns) when ns < 60_000_000_000, do: digits(ns / 1.0e9) <> " s"
+
+  def format_duration(ns) when ns < 3_600_000_000_000 do
+    seconds = div(ns, 1_000_000_000)
+    "#{div(seconds, 60)} min #{rem(seconds, 60)} s"
+  end
+
+  def format_duration(ns) do
+    minutes = div(ns, 60_000_000_000)
+    "#{div(minutes, 60)} h #{rem(minutes, 60)} min"
+  end
+
+  defp scale(n, unit) when is_integer(n), do: n * unit
+  defp scale(n, unit) when is_float(n), do: round(n * unit)
+
+  defp digits(value) when value >= 100, do: :erlang.float_to_binary(value, decimals: 0)
+  defp digits(value) when value >= 10, do: :erlang.float_to_binary(value, decimals: 1)
+  defp digits(value), do: :erlang.float_to_binary(value, decimals: 2)
+
+  # A regex leaves trailing groups out when they matched nothing.
+  defp pad(nil), do: nil
+  defp pad([all, whole]), do: [all, whole, "", ""]
+  defp pad([all, whole, fraction]), do: [all, whole, fraction, ""]
+  defp pad(groups), do: groups
+end

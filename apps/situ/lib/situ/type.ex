@@ -1,0 +1,120 @@
+defmodule Situ.Type do
+  @moduledoc """
+  Types of ports: what may be connected to what, and whether a value is what it claims to be.
+
+  A type is `:any`, `:integer`, `:float`, `:number`, `:boolean`, `:string`, `:binary`, `:atom`, `:map`, `:pid`, a struct's
+  module, `{:list, t}`, `{:tuple, [t]}`, `{:map, key, value}`, `{:optional, t}` (the type or `nil`),
+  `{:in, values}`, `{:or, [t]}` or `{:message, t}` (a `Situ.Message` with such data).
+
+      iex> Situ.Type.accepts?(:number, :integer)
+      true
+      iex> Situ.Type.accepts?({:list, :string}, {:list, :integer})
+      false
+      iex> Situ.Type.valid?({:optional, :float}, nil)
+      true
+      iex> Situ.Type.to_string({:list, {:optional, Situ.Message}})
+      "list of Situ.Message or nil"
+  """
+
+  @type t :: atom() | {atom(), term()} | {:map, t(), t()}
+
+  @simple [:any, :integer, :float, :number, :boolean, :string, :binary, :atom, :map, :list] ++
+            [:tuple, :function, :pid]
+
+  @doc "Whether an input of type `to` may be fed by an output of type `from`. `:any` on either side passes."
+  @spec accepts?(to :: t(), from :: t()) :: boolean()
+  def accepts?(:any, _from), do: true
+  def accepts?(_to, :any), do: true
+  def accepts?(same, same), do: true
+  def accepts?(:number, from) when from in [:integer, :float], do: true
+  def accepts?(:string, :binary), do: true
+  def accepts?(:binary, :string), do: true
+  def accepts?(:list, {:list, _}), do: true
+  def accepts?({:list, _}, :list), do: true
+  def accepts?(:tuple, {:tuple, _}), do: true
+  def accepts?({:tuple, _}, :tuple), do: true
+  def accepts?(:map, {:map, _, _}), do: true
+  def accepts?({:map, _, _}, :map), do: true
+  def accepts?(:map, from) when is_atom(from) and from not in @simple, do: struct?(from)
+  def accepts?(to, {:or, types}), do: Enum.all?(types, &accepts?(to, &1))
+  def accepts?({:or, types}, from), do: Enum.any?(types, &accepts?(&1, from))
+  def accepts?({:in, values}, {:in, given}), do: given -- values == []
+  def accepts?(to, {:in, values}), do: Enum.all?(values, &valid?(to, &1))
+  def accepts?({:list, to}, {:list, from}), do: accepts?(to, from)
+  def accepts?({:message, to}, {:message, from}), do: accepts?(to, from)
+  def accepts?({:message, _}, Situ.Message), do: true
+  def accepts?(Situ.Message, {:message, _}), do: true
+  def accepts?({:optional, to}, {:optional, from}), do: accepts?(to, from)
+  def accepts?({:optional, to}, from), do: accepts?(to, from)
+  def accepts?({:map, k, v}, {:map, fk, fv}), do: accepts?(k, fk) and accepts?(v, fv)
+
+  def accepts?({:tuple, to}, {:tuple, from}) do
+    length(to) == length(from) and
+      to |> Enum.zip(from) |> Enum.all?(fn {t, f} -> accepts?(t, f) end)
+  end
+
+  def accepts?(_to, _from), do: false
+
+  @doc "Whether `value` is of the type; containers are checked element by element."
+  @spec valid?(t(), term()) :: boolean()
+  def valid?(:any, _), do: true
+  def valid?(:integer, v), do: is_integer(v)
+  def valid?(:float, v), do: is_float(v)
+  def valid?(:number, v), do: is_number(v)
+  def valid?(:boolean, v), do: is_boolean(v)
+  def valid?(:string, v), do: is_binary(v)
+  def valid?(:binary, v), do: is_binary(v)
+  def valid?(:atom, v), do: is_atom(v)
+  def valid?(:map, v), do: is_map(v)
+  def valid?(:list, v), do: is_list(v)
+  def valid?(:tuple, v), do: is_tuple(v)
+  def valid?(:function, v), do: is_function(v)
+  def valid?(:pid, v), do: is_pid(v)
+  def valid?({:list, type}, v), do: is_list(v) and Enum.all?(v, &valid?(type, &1))
+  def valid?({:optional, type}, v), do: is_nil(v) or valid?(type, v)
+  def valid?({:or, types}, v), do: Enum.any?(types, &valid?(&1, v))
+  def valid?({:in, values}, v), do: v in values
+  def valid?({:message, type}, v), do: is_struct(v, Situ.Message) and valid?(type, v.data)
+
+  def valid?({:map, k, v}, map) do
+    is_map(map) and Enum.all?(map, fn {key, value} -> valid?(k, key) and valid?(v, value) end)
+  end
+
+  def valid?({:tuple, types}, v) do
+    is_tuple(v) and tuple_size(v) == length(types) and
+      types |> Enum.zip(Tuple.to_list(v)) |> Enum.all?(fn {t, e} -> valid?(t, e) end)
+  end
+
+  def valid?(module, v) when is_atom(module), do: is_struct(v, module)
+  def valid?(_type, _v), do: false
+
+  @doc "Whether this term is a type at all (for errors at `add` instead of surprises later)."
+  @spec type?(term()) :: boolean()
+  def type?(type) when is_atom(type), do: type not in [nil, true, false]
+  def type?({kind, type}) when kind in [:list, :optional, :message], do: type?(type)
+  def type?({:in, values}), do: is_list(values)
+
+  def type?({kind, types}) when kind in [:tuple, :or],
+    do: is_list(types) and Enum.all?(types, &type?/1)
+
+  def type?({:map, k, v}), do: type?(k) and type?(v)
+  def type?(_), do: false
+
+  @doc "The type in words, for errors and pictures."
+  @spec to_string(t()) :: String.t()
+  def to_string({:list, t}), do: "list of " <> __MODULE__.to_string(t)
+  def to_string({:optional, t}), do: __MODULE__.to_string(t) <> " or nil"
+  def to_string({:message, t}), do: "message of " <> __MODULE__.to_string(t)
+  def to_string({:tuple, ts}), do: "{" <> Enum.map_join(ts, ", ", &__MODULE__.to_string/1) <> "}"
+  def to_string({:or, ts}), do: Enum.map_join(ts, " or ", &__MODULE__.to_string/1)
+  def to_string({:in, values}), do: "one of " <> Enum.map_join(values, ", ", &inspect/1)
+
+  def to_string({:map, k, v}),
+    do: "map of #{__MODULE__.to_string(k)} to #{__MODULE__.to_string(v)}"
+
+  def to_string(t) when t in @simple, do: Atom.to_string(t)
+  def to_string(t), do: inspect(t)
+
+  defp struct?(module),
+    do: Code.ensure_loaded?(module) and function_exported?(module, :__struct__, 0)
+end

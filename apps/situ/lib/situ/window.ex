@@ -1,0 +1,107 @@
+defmodule Situ.Window do
+  @moduledoc """
+  Windows over a stream: each message together with its neighbours.
+
+  | window | holds | partial windows |
+  |---|---|---|
+  | a range of indices, `-2..0` | this message and the two before it | no output |
+  | a `Situ.Interval` of ns | messages whose time lies in the interval around this one's | output, also at the stream's end |
+  | a stream of windows | the messages inside an interval that each window message names | output; empty ones too |
+
+  The output is the list of data, at the originating time of the message that the window belongs to (its anchor). It comes out as soon as
+  the window is known to be complete. All are reproducible.
+
+      Situ.window(level, -9..0, &Enum.max/1)                                  # the greatest of the last ten
+      Situ.window(level, Situ.Interval.past(Situ.Time.s(1)), &Enum.max/1)     # the greatest of the last second
+
+      iex> Situ.to_list(fn p -> p |> Situ.range(1, 5, 10) |> Situ.window(-2..0) end)
+      [[1, 2, 3], [2, 3, 4], [3, 4, 5]]
+
+  A window whose left end lies after its right end is put in order.
+
+  ## Options
+
+  #{Situ.Options.docs(with: [type: {:in, [:data, :messages]}, default: :data, doc: "What the function gets: data, or whole messages."])}
+
+  and `name:`, `type:`, `policy:`, `on_error:`, `async:` as for every operator (`Situ.Operator`).
+  """
+
+  alias Situ.{Interval, Operator, Stream}
+  alias Situ.Window.{Dynamic, Index, Keeper, Relative}
+
+  @schema [with: [type: {:in, [:data, :messages]}, default: :data]]
+
+  @doc "Windows of `stream` (see the table); `fun` makes the output of each from its list, which is the output when left out."
+  @spec window(Stream.t(), Range.t() | Interval.t(), (list() -> term()) | nil, keyword()) ::
+          Stream.t()
+  def window(stream, window, fun \\ nil, opts \\ [])
+
+  def window(stream, window, opts, []) when is_list(opts), do: window(stream, window, nil, opts)
+
+  def window(%Stream{} = stream, window, fun, opts) when is_nil(fun) or is_function(fun, 1) do
+    {own, opts} = Keyword.split(opts, [:with, :default_name])
+    {name, own} = Keyword.pop(own, :default_name, "Window")
+    own = Situ.Options.validate!(own, @schema)
+    type = if fun == nil, do: {:list, item(stream, own[:with])}, else: :any
+    place(stream, window, {fun, own[:with]}, {name, type, opts})
+  end
+
+  @doc """
+  A window per message of `windows`. `interval.(message)` gives `{interval, obsolete}`: which span of `stream` (a `Situ.Interval` of
+  time points), and the time before which no later window will need it. The output, at the window message's time, is
+  `creator.(window_message, messages)`; by default the list of data.
+  """
+  @spec window_by(
+          Stream.t(),
+          Stream.t(),
+          (Situ.Message.t() -> {Interval.t(), Situ.Time.t()}),
+          keyword()
+        ) :: Stream.t()
+  def window_by(%Stream{} = stream, %Stream{} = windows, interval, opts \\ [])
+      when is_function(interval, 1) do
+    {creator, opts} = Keyword.pop(opts, :with)
+    creator = creator || fn _window, messages -> Enum.map(messages, & &1.data) end
+    core = {Dynamic, :new, [interval, creator]}
+    inputs = [in: stream, windows: windows]
+    Keeper.add("Window", inputs, core, {:any, opts})
+  end
+
+  # Windows that end at their anchor are decided by it: light operators, chained with their neighbours.
+  defp place(stream, from..to, {fun, with}, {name, type, opts})
+       when (to == 0 and from <= 0) or (from == 0 and to <= 0) do
+    step = Situ.Window.Past.by_count(1 - min(from, to), fun, with)
+    Operator.attach(stream, name, step, opts, type)
+  end
+
+  defp place(stream, _from.._to = range, {fun, with}, {name, type, opts}) do
+    core = {Index, :new, [range, fun, [with: with]]}
+    Keeper.add(name, [in: stream], core, {type, opts})
+  end
+
+  defp place(stream, %Interval{} = interval, {fun, with}, {name, type, opts}) do
+    case Interval.ordered(interval) do
+      %{right: 0, right_inclusive: true, left: left} = past when is_integer(left) ->
+        step = Situ.Window.Past.by_time(past, fun, with)
+        Operator.attach(stream, name, step, opts, type)
+
+      ordered ->
+        check_whole!(ordered)
+        core = {Relative, :new, [ordered, fun, [with: with]]}
+        Keeper.add(name, [in: stream], core, {type, opts})
+    end
+  end
+
+  defp place(_stream, window, _fun, _rest) do
+    raise ArgumentError,
+          "a window is a range of indices or a Situ.Interval of ns, got: #{inspect(window)}"
+  end
+
+  defp check_whole!(%{left: left, right: right}) do
+    for bound <- [left, right], is_float(bound) do
+      raise ArgumentError, "the ends of a window are whole ns, got: #{bound}"
+    end
+  end
+
+  defp item(stream, :data), do: stream.type
+  defp item(stream, :messages), do: {:message, stream.type}
+end

@@ -1,0 +1,103 @@
+defmodule Situ.Window.Dynamic do
+  @moduledoc """
+  The pure heart of dynamic windows: each message of a window stream names an interval of the source stream.
+
+  `fun.(window_message)` gives `{interval, obsolete}`: an absolute `Situ.Interval`, and the time before which no later window
+  will need the source. The output, at the window message's time, is `creator.(window_message, source_messages)`; it goes out
+  when a source message at or after the interval's right end has arrived, or when the source has ended.
+
+  Errors (`Situ.Error`): `:window_negative`, `:window_not_finite`, `:window_before_obsolete`, `:obsolete_time_before_previous`.
+  """
+
+  alias Situ.{Error, Interval, Message}
+
+  @enforce_keys [:fun, :creator]
+  defstruct [:fun, :creator, :obsolete, :cleared, :reached, queue: [], windows: []]
+
+  @type t :: %__MODULE__{}
+
+  @doc "Windows by `fun`, outputs by `creator`."
+  @spec new(
+          (Message.t() -> {Interval.t(), Situ.Time.t()}),
+          (Message.t(), [Message.t()] -> term())
+        ) ::
+          t()
+  def new(fun, creator), do: %__MODULE__{fun: fun, creator: creator}
+
+  @doc "Source messages arrived."
+  @spec source(t(), [Message.t()]) :: {[Situ.Fusion.Core.output()], t()}
+  def source(core, []), do: {[], core}
+
+  def source(core, messages) do
+    reached = List.last(messages).originating_time
+    run(%{core | queue: trim(core.queue ++ messages, core.cleared), reached: reached}, [])
+  end
+
+  @doc "The source ended: every window is decided by what is there."
+  @spec close_source(t()) :: {[Situ.Fusion.Core.output()], t()}
+  def close_source(core), do: run(%{core | reached: :closed}, [])
+
+  @doc "Window messages arrived."
+  @spec window(t(), [Message.t()]) :: {[Situ.Fusion.Core.output()], t()}
+  def window(core, messages) do
+    {windows, obsolete} =
+      Enum.map_reduce(messages, core.obsolete, fn message, obsolete ->
+        {interval, next} = core.fun.(message)
+        check(interval, next, obsolete)
+        {{message, interval, next}, next}
+      end)
+
+    run(%{core | windows: core.windows ++ windows, obsolete: obsolete}, [])
+  end
+
+  defp run(%{windows: [{message, interval, obsolete} | rest]} = core, outputs) do
+    # :closed and nil are atoms: the first decides everything, nil (nothing has come) decides nothing.
+    if core.reached != nil and core.reached >= interval.right do
+      content = Enum.filter(core.queue, &Interval.contains?(interval, &1.originating_time))
+      output = {:out, message.originating_time, core.creator.(message, content)}
+      queue = trim(core.queue, obsolete)
+      run(%{core | windows: rest, queue: queue, cleared: obsolete}, [output | outputs])
+    else
+      {Enum.reverse(outputs), core}
+    end
+  end
+
+  defp run(core, outputs), do: {Enum.reverse(outputs), core}
+
+  # Cut by the obsolete time of the last window answered: those that still wait may need what a later one does not.
+  defp trim(queue, nil), do: queue
+  defp trim(queue, obsolete), do: Enum.drop_while(queue, &(&1.originating_time < obsolete))
+
+  defp check(%Interval{} = interval, obsolete, previous) do
+    cond do
+      not Interval.finite?(interval) ->
+        refuse(:window_not_finite, "the window #{interval} has no end", "give it two ends")
+
+      Interval.negative?(interval) ->
+        refuse(:window_negative, "the window #{interval} ends before it begins", "swap its ends")
+
+      previous != nil and interval.left < previous ->
+        refuse(
+          :window_before_obsolete,
+          "the window #{interval} begins before #{previous}, which an earlier one declared obsolete",
+          "return an obsolete time that no later window reaches behind"
+        )
+
+      previous != nil and obsolete < previous ->
+        refuse(
+          :obsolete_time_before_previous,
+          "the obsolete time #{obsolete} lies before the previous one, #{previous}",
+          "obsolete times may not go backwards"
+        )
+
+      true ->
+        :ok
+    end
+  end
+
+  defp check(other, _obsolete, _previous) do
+    raise ArgumentError, "a window is a Situ.Interval of time points, got: #{inspect(other)}"
+  end
+
+  defp refuse(code, what, fix), do: raise(Error.new(code, what, fix: fix))
+end

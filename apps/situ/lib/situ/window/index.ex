@@ -1,0 +1,75 @@
+defmodule Situ.Window.Index do
+  @moduledoc """
+  The pure heart of windows by index: `-2..0` is this message and the two before it.
+
+  Only whole windows come out, each when the last message it needs has arrived, at the anchor's originating time.
+
+      iex> window = Situ.Window.Index.new(-1..0, &Enum.sum/1)
+      iex> messages = for n <- 1..3, do: %Situ.Message{originating_time: n * 10, data: n}
+      iex> {outputs, _window} = Situ.Window.Index.push(window, messages)
+      iex> outputs
+      [{:out, 20, 3}, {:out, 30, 5}]
+  """
+
+  alias Situ.Message
+
+  # The queue starts at the first message that the next window or its anchor needs. Offsets count from there.
+  @enforce_keys [:need, :anchor, :skip, :size, :fun, :with]
+  defstruct [:need, :anchor, :skip, :size, :fun, :with, queue: [], count: 0]
+
+  @type t :: %__MODULE__{}
+
+  @doc """
+  A window of these relative indices; `fun` makes the output from the list of data (`with: :messages`: of messages).
+  A range whose left end lies after its right end is put in order.
+  """
+  @spec new(Range.t(), (list() -> term()) | nil, keyword()) :: t()
+  def new(from..to, fun, opts \\ []) do
+    {from, to} = {min(from, to), max(from, to)}
+    start = min(from, 0)
+
+    %__MODULE__{
+      need: max(to, 0) - start + 1,
+      anchor: -start,
+      skip: from - start,
+      size: to - from + 1,
+      fun: fun,
+      with: Keyword.get(opts, :with, :data)
+    }
+  end
+
+  @doc "Messages arrived."
+  @spec push(t(), [Message.t()]) :: {[Situ.Fusion.Core.output()], t()}
+  def push(%{need: need} = window, messages) do
+    count = window.count + length(messages)
+    queue = window.queue ++ messages
+
+    if count < need do
+      {[], %{window | queue: queue, count: count}}
+    else
+      {outputs, queue} = slide(queue, count - need + 1, window, [])
+      {outputs, %{window | queue: queue, count: need - 1}}
+    end
+  end
+
+  defp slide(queue, 0, _window, outputs), do: {:lists.reverse(outputs), queue}
+
+  defp slide([_ | rest] = queue, left, window, outputs) do
+    %{originating_time: time} = nth(queue, window.anchor)
+    content = content(nth_tail(queue, window.skip), window.size, window.with)
+    value = if window.fun == nil, do: content, else: window.fun.(content)
+    slide(rest, left - 1, window, [{:out, time, value} | outputs])
+  end
+
+  defp content(list, size, :data), do: data(list, size)
+  defp content(list, size, :messages), do: Enum.take(list, size)
+
+  defp data(_list, 0), do: []
+  defp data([%{data: data} | rest], left), do: [data | data(rest, left - 1)]
+
+  defp nth([head | _], 0), do: head
+  defp nth([_ | rest], n), do: nth(rest, n - 1)
+
+  defp nth_tail(list, 0), do: list
+  defp nth_tail([_ | rest], n), do: nth_tail(rest, n - 1)
+end

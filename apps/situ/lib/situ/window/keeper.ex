@@ -1,0 +1,42 @@
+defmodule Situ.Window.Keeper do
+  @moduledoc false
+  # The component around the pure windows that look ahead (by index, by time) or at a stream of windows.
+  use Situ.Component,
+    inputs: [],
+    outputs: [out: :any],
+    options: [core: [type: :any, required: true, doc: "`{module, function, arguments}`"]]
+
+  alias Situ.Window.{Dynamic, Index, Relative}
+
+  @doc "Adds it behind `inputs`."
+  @spec add(String.t(), keyword(Situ.Stream.t()), mfa(), {Situ.Type.t(), keyword()}) ::
+          Situ.Stream.t()
+  def add(name, inputs, core, rest),
+    do: Situ.Selection.Keeper.add(inputs, name, __MODULE__, [core: core], rest)
+
+  @impl true
+  def init(opts) do
+    {module, function, arguments} = opts[:core]
+    {:ok, apply(module, function, arguments)}
+  end
+
+  @impl true
+  def handle_message(input, message, context, core),
+    do: handle_messages(input, [message], context, core)
+
+  @impl true
+  def handle_messages(:in, messages, _context, %Index{} = core), do: Index.push(core, messages)
+
+  def handle_messages(:in, messages, _context, %Relative{} = core),
+    do: Relative.push(core, messages)
+
+  def handle_messages(:in, messages, _context, %Dynamic{} = core),
+    do: Dynamic.source(core, messages)
+
+  def handle_messages(:windows, messages, _context, core), do: Dynamic.window(core, messages)
+
+  @impl true
+  def handle_closed(:in, _time, _context, %Relative{} = core), do: Relative.close(core)
+  def handle_closed(:in, _time, _context, %Dynamic{} = core), do: Dynamic.close_source(core)
+  def handle_closed(_input, _time, _context, core), do: {[], core}
+end

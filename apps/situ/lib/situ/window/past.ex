@@ -1,0 +1,49 @@
+defmodule Situ.Window.Past do
+  @moduledoc false
+  # Windows that end with the message itself, as steps of a chain: the last n messages, or those of the last span.
+  # Both keep the newest first, so that taking a message in and letting old ones go is one pass.
+
+  alias Situ.Interval
+
+  @spec by_count(pos_integer(), fun() | nil, :data | :messages) :: Situ.Operator.step()
+  def by_count(n, fun, with) do
+    step = fn data, message, {count, kept} ->
+      item = if with == :data, do: data, else: %{message | data: data}
+
+      if count < n - 1 do
+        {:skip, {count + 1, [item | kept]}}
+      else
+        kept = [item | head(kept, n - 1)]
+        list = :lists.reverse(kept)
+        {:emit, if(fun == nil, do: list, else: fun.(list)), {count, kept}}
+      end
+    end
+
+    {:step, step, {0, []}}
+  end
+
+  @spec by_time(Interval.t(), fun() | nil, :data | :messages) :: Situ.Operator.step()
+  def by_time(%Interval{left: left, left_inclusive: inclusive}, fun, with) do
+    step = fn data, %{originating_time: time} = message, kept ->
+      item = if with == :data, do: data, else: %{message | data: data}
+      kept = [{time, item} | since(kept, time + left, inclusive)]
+      list = items(kept, [])
+      {:emit, if(fun == nil, do: list, else: fun.(list)), kept}
+    end
+
+    {:step, step, []}
+  end
+
+  defp head(_list, 0), do: []
+  defp head([item | rest], n), do: [item | head(rest, n - 1)]
+  defp head([], _n), do: []
+
+  defp since([{time, _} = entry | rest], low, inclusive)
+       when time > low or (inclusive and time == low),
+       do: [entry | since(rest, low, inclusive)]
+
+  defp since(_older, _low, _inclusive), do: []
+
+  defp items([{_time, item} | rest], list), do: items(rest, [item | list])
+  defp items([], list), do: list
+end

@@ -1,0 +1,103 @@
+defmodule Situ.Window.Relative do
+  @moduledoc """
+  The pure heart of windows by time: for every message (the anchor) all messages whose time lies in the window around it.
+
+  A window goes out, at its anchor's time, as soon as a message at or after its right end has arrived, or the stream ends. Partial windows
+  at the beginning and the end of the stream go out too; one without messages is empty.
+
+      iex> window = Situ.Window.Relative.new(Situ.Interval.past(10), nil)
+      iex> messages = for n <- 1..3, do: %Situ.Message{originating_time: n * 10, data: n}
+      iex> {outputs, _window} = Situ.Window.Relative.push(window, messages)
+      iex> outputs
+      [{:out, 10, [1]}, {:out, 20, [1, 2]}, {:out, 30, [2, 3]}]
+  """
+
+  alias Situ.{Interval, Message}
+
+  # `queue`: messages from the first that the next anchor needs; `anchors`: those whose window is not decided.
+  @enforce_keys [:interval, :fun, :with]
+  defstruct [:interval, :fun, :with, queue: [], anchors: []]
+
+  @type t :: %__MODULE__{}
+
+  @doc "A window; `fun` makes the output from the list of data (`with: :messages`: of messages)."
+  @spec new(Interval.t(), (list() -> term()) | nil, keyword()) :: t()
+  def new(%Interval{} = interval, fun, opts \\ []) do
+    %__MODULE__{
+      interval: Interval.ordered(interval),
+      fun: fun,
+      with: Keyword.get(opts, :with, :data)
+    }
+  end
+
+  @doc "Messages arrived."
+  @spec push(t(), [Message.t()]) :: {[Situ.Fusion.Core.output()], t()}
+  def push(window, []), do: {[], window}
+
+  def push(window, messages) do
+    newest = List.last(messages).originating_time
+    queue = window.queue ++ messages
+    run(%{window | anchors: window.anchors ++ messages}, queue, newest)
+  end
+
+  @doc "The stream ended."
+  @spec close(t()) :: {[Situ.Fusion.Core.output()], t()}
+  def close(window), do: run(window, window.queue, :closed)
+
+  defp run(window, queue, newest) do
+    {outputs, anchors, queue} = slide(window.anchors, queue, newest, window, [])
+    {outputs, %{window | anchors: anchors, queue: queue}}
+  end
+
+  defp slide([%{originating_time: time} | rest] = anchors, queue, newest, window, outputs) do
+    %{left: left, right: right} = window.interval
+
+    # :closed, an atom, sorts after every time.
+    if newest == :closed or (right != :unbounded and newest >= time + right) do
+      queue = drop(queue, time, left, window.interval.left_inclusive)
+      content = take(queue, edge(time, right), window.interval.right_inclusive, window.with)
+      value = if window.fun == nil, do: content, else: window.fun.(content)
+      slide(rest, queue, newest, window, [{:out, time, value} | outputs])
+    else
+      {:lists.reverse(outputs), anchors, queue}
+    end
+  end
+
+  defp slide([], queue, _newest, window, outputs),
+    do: {:lists.reverse(outputs), [], trim(queue, window.interval)}
+
+  # Without an anchor left, what a later one (after the last message) cannot reach is dropped now.
+  defp trim([], _interval), do: []
+
+  defp trim(queue, %{left: left, left_inclusive: inclusive}) do
+    case queue do
+      [_only] -> queue
+      _ when left == :unbounded -> queue
+      _ -> drop(queue, List.last(queue).originating_time, left, inclusive)
+    end
+  end
+
+  defp drop(queue, _time, :unbounded, _inclusive), do: queue
+
+  defp drop([%{originating_time: at} | rest] = queue, time, left, inclusive) do
+    if Interval.after_left?(at, time + left, inclusive),
+      do: queue,
+      else: drop(rest, time, left, inclusive)
+  end
+
+  defp drop([], _time, _left, _inclusive), do: []
+
+  defp take([%{originating_time: at} = message | rest], right, inclusive, with) do
+    if Interval.before_right?(at, right, inclusive) do
+      item = if with == :data, do: message.data, else: message
+      [item | take(rest, right, inclusive, with)]
+    else
+      []
+    end
+  end
+
+  defp take([], _right, _inclusive, _with), do: []
+
+  defp edge(_time, :unbounded), do: :unbounded
+  defp edge(time, right), do: time + right
+end

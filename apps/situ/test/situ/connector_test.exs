@@ -1,0 +1,4 @@
+defmodule Situ.ConnectorTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Connector
+end

@@ -1,0 +1,28 @@
+defmodule Situ.OperatorsDocTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Interval
+  doctest Situ.Indexer
+  doctest Situ.Interpolator
+  doctest Situ.Reproducible
+  doctest Situ.Available
+  doctest Situ.Fusion.Core
+  doctest Situ.Fusion.Zip
+  doctest Situ.Window.Index
+  doctest Situ.Window.Relative
+  doctest Situ.Sampling
+  doctest Situ.Number
+  doctest Situ.Statistics
+  doctest Situ.Filter.Fir
+  doctest Situ.Filter.Iir
+  doctest Situ.Filter.OneEuro
+  doctest Situ.Collector
+  doctest Situ.Test
+  doctest Situ.Branch
+  doctest Situ.Fusion
+  doctest Situ.Window
+  doctest Situ.Aggregate
+  doctest Situ.Selection
+  doctest Situ.Generator
+  doctest Situ.Filter
+  doctest Situ.Parallel
+end

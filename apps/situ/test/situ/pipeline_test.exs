@@ -1,0 +1,54 @@
+defmodule Situ.PipelineTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Pipeline
+  doctest Situ.Node
+  doctest Situ.Graph
+  doctest Situ.Type
+  doctest Situ.Delivery
+  doctest Situ.Delivery.Queue
+  doctest Situ.Clock
+  doctest Situ.Diagnostics
+  doctest Situ
+
+  alias Situ.Fixture.Count
+  alias Situ.Pipeline
+
+  test "a source, a chain and its effect, in order, once" do
+    me = self()
+
+    {:ok, report} =
+      Pipeline.run(fn p ->
+        p
+        |> Situ.source(Count, count: 2_500)
+        |> Situ.map(&(&1 * 2))
+        |> Situ.filter(&(rem(&1, 3) == 0))
+        |> Situ.each(&send(me, {:got, &1}), async: true)
+      end)
+
+    assert report.errors == []
+    assert report.closed == ["Count", "Map", "Filter", "Each"]
+    assert drain() == for(n <- 0..2_499, rem(n * 2, 3) == 0, do: n * 2)
+  end
+
+  test "an error names component, input and time, and is returned by run" do
+    {result, log} =
+      ExUnit.CaptureLog.with_log(fn ->
+        Pipeline.run(fn p ->
+          p |> Situ.source(Count, count: 5) |> Situ.map(&(1 / (&1 - 2)), name: "Invert")
+        end)
+      end)
+
+    assert {:error, %Situ.Error{code: :component_failed, meta: meta}} = result
+    assert %{component: "Invert", input: :in, originating_time: time} = meta
+    assert is_integer(time)
+    assert log =~ "Invert failed"
+  end
+
+  defp drain do
+    receive do
+      {:got, value} -> [value | drain()]
+    after
+      0 -> []
+    end
+  end
+end
