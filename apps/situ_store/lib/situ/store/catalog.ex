@@ -1,0 +1,71 @@
+defmodule Situ.Store.Catalog do
+  @moduledoc false
+  # Stream 0 of a store: JSON records about the others. Unknown kinds and keys are ignored.
+  alias Situ.Store.{StreamInfo, TypeName}
+
+  defstruct name: nil, volatile?: false, writer: nil, streams: %{}
+
+  @compressions %{"none" => :none, "lz4" => :lz4, "zstd" => :zstd}
+
+  @spec encode(map()) :: binary()
+  def encode(record), do: record |> :jiffy.encode([:use_nil]) |> IO.iodata_to_binary()
+
+  @spec parse([binary()]) :: %__MODULE__{}
+  def parse(records), do: Enum.reduce(records, %__MODULE__{}, &add/2)
+
+  defp add(bytes, catalog) do
+    record(:jiffy.decode(bytes, [:return_maps, :use_nil, :dedupe_keys]), catalog)
+  catch
+    # A record nobody understands takes nothing else with it.
+    _, _ -> catalog
+  end
+
+  defp record(%{"kind" => "store"} = r, catalog) do
+    %{catalog | name: r["name"], volatile?: r["volatile"] == true, writer: r["writer"]}
+  end
+
+  defp record(%{"kind" => "stream", "id" => id, "name" => name} = r, catalog)
+       when is_integer(id) and is_binary(name) do
+    type =
+      case TypeName.read(r["type"] || ":any") do
+        {:ok, type} -> type
+        :error -> :any
+      end
+
+    info = %StreamInfo{
+      id: id,
+      name: name,
+      type: type,
+      type_name: to_string(r["type"]),
+      opened: r["opened"],
+      large?: r["large"] == true,
+      compression: @compressions[r["compression"]] || :none
+    }
+
+    put_in(catalog.streams[id], info)
+  end
+
+  defp record(%{"kind" => "codec", "id" => id, "number" => number, "name" => name} = r, catalog),
+    do: update(catalog, id, &%{&1 | codecs: Map.put(&1.codecs, number, {name, r["module"]})})
+
+  defp record(%{"kind" => "fields", "id" => id} = r, catalog) do
+    update(catalog, id, fn info ->
+      if info.fields, do: info, else: %{info | module: r["module"], fields: r["fields"]}
+    end)
+  end
+
+  defp record(%{"kind" => "metadata", "id" => id, "term" => term} = r, catalog),
+    do: update(catalog, id, &%{&1 | supplemental: {r["type"], Base.decode64!(term)}})
+
+  defp record(%{"kind" => "closed", "id" => id, "time" => time}, catalog),
+    do: update(catalog, id, &%{&1 | closed: time})
+
+  defp record(_, catalog), do: catalog
+
+  defp update(catalog, id, fun) do
+    case catalog.streams do
+      %{^id => info} -> %{catalog | streams: Map.put(catalog.streams, id, fun.(info))}
+      _ -> catalog
+    end
+  end
+end

@@ -1,0 +1,90 @@
+defmodule Situ.Store.Evolution do
+  @moduledoc """
+  Reading structs that have changed since they were recorded.
+
+  A recorded field must still exist today, and a field that is new today must have a default (not be among `@enforce_keys`);
+  then old data gets the defaults. Anything else is the error `:schema_mismatch` when the stream is opened, not a surprise later.
+  """
+  alias Situ.Error
+  alias Situ.Store.StreamInfo
+
+  @doc "A function that brings a batch of messages to struct `type` (`nil`: leaves them as they are)."
+  @spec upgrade!(StreamInfo.t(), module() | nil) :: ([Situ.Message.t()] -> [Situ.Message.t()])
+  def upgrade!(_info, nil), do: & &1
+
+  def upgrade!(%StreamInfo{} = info, type) do
+    case check(info, type) do
+      :ok ->
+        if struct_module?(type),
+          do: fn messages -> Enum.map(messages, &%{&1 | data: convert(type, &1.data)}) end,
+          else: & &1
+
+      {:error, error} ->
+        raise error
+    end
+  end
+
+  @doc "Whether the stream can be read as `type`."
+  @spec check(StreamInfo.t(), Situ.Type.t()) :: :ok | {:error, Error.t()}
+  def check(info, type) do
+    cond do
+      struct_module?(type) and info.fields != nil -> check_fields(info, type)
+      Situ.Type.accepts?(type, info.type) -> :ok
+      true -> {:error, mismatch(info, type, "the stream holds #{info.type_name}")}
+    end
+  end
+
+  defp check_fields(info, module) do
+    today = module |> struct() |> Map.from_struct() |> Map.keys() |> Enum.map(&to_string/1)
+    gone = info.fields -- today
+    required = required(module) -- info.fields
+
+    cond do
+      gone != [] ->
+        {:error, mismatch(info, module, "recorded fields are gone: #{Enum.join(gone, ", ")}")}
+
+      required != [] ->
+        {:error,
+         mismatch(info, module, "required fields were not recorded: #{Enum.join(required, ", ")}")}
+
+      true ->
+        :ok
+    end
+  end
+
+  # Enforced keys are those that `__struct__/1` refuses to go without.
+  defp required(module) do
+    module.__struct__([])
+    []
+  rescue
+    error in ArgumentError ->
+      ~r/:(\w+[?!]?)/
+      |> Regex.scan(error.message |> String.split("struct") |> List.first())
+      |> Enum.map(fn [_, name] -> name end)
+  end
+
+  defp convert(module, %{} = data) do
+    fields =
+      for {key, value} <- :maps.to_list(data),
+          name = to_string(key),
+          name != "__struct__",
+          do: {name, value}
+
+    Enum.reduce(fields, struct(module), fn {name, value}, struct ->
+      Map.replace(struct, String.to_existing_atom(name), value)
+    end)
+  end
+
+  defp convert(_module, other), do: other
+
+  defp struct_module?(type) do
+    is_atom(type) and Code.ensure_loaded?(type) and function_exported?(type, :__struct__, 0)
+  end
+
+  defp mismatch(info, type, why) do
+    Error.new(:schema_mismatch, "stream #{inspect(info.name)} cannot be read as #{inspect(type)}",
+      why: why,
+      fix: "read it without a type, or give new fields a default and keep the old ones"
+    )
+  end
+end

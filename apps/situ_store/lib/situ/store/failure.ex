@@ -1,0 +1,119 @@
+defmodule Situ.Store.Failure do
+  @moduledoc false
+  # What the native side answers, as errors people can act on.
+  alias Situ.Error
+
+  @spec error(term(), Path.t(), String.t() | nil) :: Error.t()
+  def error(reason, path, stream \\ nil)
+
+  def error({:io, what, 28, _why}, path, _stream) do
+    Error.new(:disk_full, "no room left on the disk of #{path}",
+      why: "could not #{what}; everything written before is safe and readable",
+      fix: "free some space, or record to another disk"
+    )
+  end
+
+  def error({:io, what, errno, why}, path, _stream) when errno in [1, 13, 30] do
+    Error.new(:not_permitted, "may not #{what} in #{path}",
+      why: why,
+      fix: "check the folder's owner and permissions"
+    )
+  end
+
+  def error({:io, what, _errno, why}, path, _stream) do
+    Error.new(:io, "could not #{what} in #{path}", why: why)
+  end
+
+  def error(:locked, path, _stream) do
+    Error.new(:store_in_use, "the store #{path} is being written to",
+      why: "another writer holds its lock",
+      fix: "stop that pipeline first, or record to another name"
+    )
+  end
+
+  def error(:no_store, path, _stream) do
+    Error.new(:no_store, "no store at #{path}",
+      fix: "check the path; `situ store info FOLDER` lists the stores in a folder"
+    )
+  end
+
+  def error(:not_a_store, path, _stream) do
+    Error.new(:not_a_store, "#{path} is not a store",
+      why: "its index does not begin like one",
+      fix: "if it was one, `situ store repair` rebuilds a lost index from the data"
+    )
+  end
+
+  def error({:newer_version, version}, path, _stream) do
+    Error.new(:newer_version, "the store #{path} has format version #{version}",
+      why: "this release of Situ reads versions up to 1",
+      fix: "read it with a newer release"
+    )
+  end
+
+  def error({:not_increasing, _id, last, got}, path, stream) do
+    Error.new(:not_increasing, "originating times of stream #{inspect(stream)} must increase",
+      why: "after #{Situ.Time.to_iso8601(last)} came #{Situ.Time.to_iso8601(got)}",
+      fix: "give every message of a stream a later originating time than the one before",
+      meta: %{path: path, last: last, got: got}
+    )
+  end
+
+  def error({:not_storable, what}, path, stream) do
+    Error.new(:not_storable, "a message of stream #{inspect(stream)} contains #{what}",
+      why: "it would mean nothing when it is read back",
+      fix: "map the stream to plain data before it is written",
+      meta: %{path: path}
+    )
+  end
+
+  def error({:too_large, size}, _path, stream) do
+    Error.new(:too_large, "a message of stream #{inspect(stream)} has #{size} bytes",
+      why: "a message can have 1 GiB at most",
+      fix: "split it"
+    )
+  end
+
+  def error(:deleted, path, _stream) do
+    Error.new(:store_deleted, "the folder #{path} was deleted while it was being written",
+      fix: "record anew"
+    )
+  end
+
+  def error(:closed, path, _stream), do: Error.new(:closed, "the store #{path} is closed")
+
+  def error(:stream_exists, path, stream) do
+    Error.new(:stream_exists, "the store #{path} already has a stream #{inspect(stream)}",
+      fix: "write each stream once, under a name of its own"
+    )
+  end
+
+  def error({:damaged, file, offset, why}, path, stream) do
+    Error.new(:damaged, "the store #{path} is damaged in #{file} at byte #{offset}",
+      why: why,
+      fix: "`situ store verify` lists all damage, `situ store repair` drops what is lost",
+      meta: %{file: file, offset: offset, stream: stream}
+    )
+  end
+
+  def error({:missing_extent, file}, path, stream) do
+    Error.new(:missing_extent, "the store #{path} lacks its file #{file}",
+      why: "part of its messages were in it",
+      fix: "put the file back, or `situ store repair` to go on without",
+      meta: %{file: file, stream: stream}
+    )
+  end
+
+  def error(other, path, stream) do
+    Error.new(:store_failed, "the store #{path} failed: #{inspect(other)}",
+      meta: %{stream: stream}
+    )
+  end
+
+  @spec wrap({:ok, value} | {:error, term()}, Path.t(), String.t() | nil) ::
+          {:ok, value} | {:error, Error.t()}
+        when value: term()
+  def wrap(result, path, stream \\ nil)
+  def wrap({:error, reason}, path, stream), do: {:error, error(reason, path, stream)}
+  def wrap(ok, _path, _stream), do: ok
+end

@@ -1,0 +1,143 @@
+defmodule Situ.Store.Folder do
+  @moduledoc false
+  # Where stores lie: root/name.NNNN, the highest number being the newest.
+  alias Situ.Error
+
+  @index "index.situ"
+
+  @spec store?(Path.t()) :: boolean()
+  def store?(path) do
+    File.exists?(Path.join(path, @index)) or File.exists?(Path.join(path, "data-000000.situ"))
+  end
+
+  @doc "A new folder for store `name` below `root`."
+  @spec create(String.t(), Path.t(), boolean()) :: {:ok, Path.t()} | {:error, Error.t()}
+  def create(name, root, versioned?) do
+    with :ok <- check_name(name) do
+      if versioned?, do: create_version(name, root, next(name, root)), else: create_plain(root)
+    end
+  end
+
+  defp create_plain(root) do
+    cond do
+      store?(root) ->
+        {:error,
+         Error.new(:store_exists, "there is a store in #{root} already",
+           fix: "leave `versioned: true`, or choose another folder"
+         )}
+
+      true ->
+        mkdir(root, fn -> File.mkdir_p(root) end)
+    end
+  end
+
+  defp create_version(name, root, version) do
+    path = Path.join(root, "#{name}.#{pad(version)}")
+
+    with :ok <- File.mkdir_p(Path.dirname(path)),
+         # Another process took this number: the next one is ours.
+         {:error, :eexist} <- File.mkdir(path),
+         true <- File.dir?(Path.dirname(path)) do
+      create_version(name, root, version + 1)
+    else
+      false -> mkdir(path, fn -> {:error, :enotdir} end)
+      result -> mkdir(path, fn -> result end)
+    end
+  end
+
+  defp mkdir(path, make) do
+    case make.() do
+      :ok ->
+        {:ok, path}
+
+      {:error, reason} ->
+        {:error,
+         Error.new(code(reason), "cannot make the folder #{path}",
+           why: to_string(:file.format_error(reason)),
+           fix: "check the path and its permissions"
+         )}
+    end
+  end
+
+  defp code(reason) when reason in [:eacces, :erofs, :eperm], do: :not_permitted
+  defp code(:enospc), do: :disk_full
+  defp code(_), do: :io
+
+  @doc "The folder of the newest version of `name` below `root`, or `nil`."
+  @spec newest(String.t(), Path.t()) :: Path.t() | nil
+  def newest(name, root) do
+    case versions(name, root) do
+      [] -> nil
+      versions -> Path.join(root, "#{name}.#{pad(Enum.max(versions))}")
+    end
+  end
+
+  @doc "The store that `path` means: the folder itself, or the newest version of its last name."
+  @spec resolve(Path.t()) :: Path.t() | nil
+  def resolve(path) do
+    if store?(path), do: path, else: newest(Path.basename(path), Path.dirname(path))
+  end
+
+  @doc "All stores below `root`, by path."
+  @spec all(Path.t(), boolean()) :: [Path.t()]
+  def all(root, recursive?) do
+    case File.ls(root) do
+      {:error, _} ->
+        []
+
+      {:ok, names} ->
+        names
+        |> Enum.sort()
+        |> Enum.map(&Path.join(root, &1))
+        |> Enum.filter(&File.dir?/1)
+        |> Enum.flat_map(fn dir ->
+          cond do
+            store?(dir) -> [dir]
+            recursive? -> all(dir, true)
+            true -> []
+          end
+        end)
+    end
+  end
+
+  @doc "The store's name as its folder has it."
+  def name(path), do: path |> Path.basename() |> String.replace(~r/\.\d{4,}$/, "")
+
+  @doc "The version number of a store's folder, or `nil`."
+  def version(path) do
+    case Regex.run(~r/\.(\d{4,})$/, Path.basename(path)) do
+      [_, digits] -> String.to_integer(digits)
+      nil -> nil
+    end
+  end
+
+  defp next(name, root), do: Enum.max(versions(name, root), fn -> -1 end) + 1
+
+  defp versions(name, root) do
+    case File.ls(root) do
+      {:ok, entries} ->
+        for entry <- entries,
+            String.starts_with?(entry, name <> "."),
+            suffix =
+              binary_part(entry, byte_size(name) + 1, byte_size(entry) - byte_size(name) - 1),
+            suffix =~ ~r/\A\d{4,9}\z/,
+            do: String.to_integer(suffix)
+
+      {:error, _} ->
+        []
+    end
+  end
+
+  defp pad(version), do: version |> Integer.to_string() |> String.pad_leading(4, "0")
+
+  defp check_name(name) do
+    if is_binary(name) and name =~ ~r/\A[^\/\0]{1,200}\z/ and name not in [".", ".."] do
+      :ok
+    else
+      {:error,
+       Error.new(:bad_name, "not a name for a store: #{inspect(name)}",
+         fix: "use 1 to 200 characters without \"/\""
+       )}
+    end
+  end
+end

@@ -1,0 +1,287 @@
+defmodule Situ.Store.Local do
+  @moduledoc false
+  # Situ's own stores behind the reader behaviour.
+  @behaviour Situ.Store.Reader
+
+  alias Situ.{Error, Message}
+  alias Situ.Store.{Catalog, Codecs, Failure, Folder, Native, StreamInfo, Undecoded}
+
+  defstruct [:ref, :path]
+
+  @catalog 0
+  @read_bytes 4 * 1024 * 1024
+
+  @impl true
+  def extensions, do: []
+
+  @impl true
+  def open(path, opts) do
+    with {:ok, ref} <-
+           path |> Native.reader_open(opts[:verify] != :small) |> Failure.wrap(path) do
+      {:ok, %__MODULE__{ref: ref, path: path}}
+    end
+  end
+
+  @impl true
+  def info(%__MODULE__{} = state) do
+    case Native.reader_state(state.ref) do
+      {:ok, {entries, closed?, live?, created, synced, id}} ->
+        catalog = catalog(state)
+
+        %{
+          name: catalog.name || Folder.name(state.path),
+          version: Folder.version(state.path),
+          created: created,
+          closed?: closed?,
+          live?: live?,
+          volatile?: catalog.volatile?,
+          entries: entries,
+          synced: synced,
+          id: Base.encode16(id, case: :lower),
+          damage: Native.reader_damage(state.ref)
+        }
+
+      {:error, reason} ->
+        raise Failure.error(reason, state.path)
+    end
+  end
+
+  @impl true
+  def streams(%__MODULE__{} = state) do
+    Native.reader_refresh(state.ref)
+    catalog = catalog(state)
+
+    catalog.streams
+    |> Map.values()
+    |> Enum.sort_by(& &1.id)
+    |> Enum.map(&statistics(state, catalog, &1))
+  end
+
+  defp statistics(state, catalog, info) do
+    info = %{info | store_name: catalog.name || Folder.name(state.path), store_path: state.path}
+
+    case Native.reader_statistics(state.ref, info.id) do
+      {:ok, {count, first, last, first_creation, last_creation, size, latency, stored, _}} ->
+        %{
+          info
+          | count: count,
+            first: first,
+            last: last,
+            first_creation: first_creation,
+            last_creation: last_creation,
+            size: size,
+            latency_sum: round(latency),
+            stored: stored
+        }
+
+      _ ->
+        info
+    end
+  end
+
+  defp catalog(state), do: state |> records(0, []) |> Catalog.parse()
+
+  defp records(state, ordinal, parts) do
+    case Native.reader_read(state.ref, @catalog, ordinal, max_time(), 10_000, @read_bytes) do
+      {:ok, [], _} ->
+        parts |> Enum.reverse() |> Enum.concat()
+
+      {:ok, runs, next} ->
+        bytes = for {_, list} <- runs, {_, _, _, data} <- list, is_binary(data), do: data
+        records(state, next, [bytes | parts])
+
+      {:error, _} ->
+        # A damaged part of the catalog: what follows it is still good.
+        case Native.reader_skip(state.ref, @catalog, ordinal) do
+          ^ordinal -> parts |> Enum.reverse() |> Enum.concat()
+          next -> records(state, next, parts)
+        end
+    end
+  end
+
+  defp max_time, do: 9_223_372_036_854_775_807
+
+  @impl true
+  def seek(state, info, time) do
+    Native.reader_refresh(state.ref)
+    state.ref |> Native.reader_seek(info.id, clamp(time)) |> Failure.wrap(state.path, info.name)
+  end
+
+  @impl true
+  def read(state, info, ordinal, to, limit, opts) do
+    answer =
+      if opts[:exact] == true and limit <= 64 and to == :unbounded,
+        do: Native.reader_read_few(state.ref, info.id, ordinal, limit),
+        else:
+          Native.reader_read(
+            state.ref,
+            info.id,
+            ordinal,
+            clamp(to),
+            limit,
+            if(opts[:exact], do: 0, else: @read_bytes)
+          )
+
+    case answer do
+      {:ok, [{0, list}], next} ->
+        {:ok, messages(list, info.id), next}
+
+      {:ok, runs, next} ->
+        {:ok, Enum.flat_map(runs, &run(&1, info)), next}
+
+      {:error, reason} ->
+        if opts[:skip_damage],
+          do: skip(state, info, ordinal, to, limit, opts),
+          else: {:error, Failure.error(reason, state.path, info.name)}
+    end
+  end
+
+  defp skip(state, info, ordinal, to, limit, opts) do
+    case Native.reader_skip(state.ref, info.id, ordinal) do
+      ^ordinal -> {:ok, [], ordinal}
+      next -> read(state, info, next, to, limit, opts)
+    end
+  end
+
+  defp clamp(:unbounded), do: max_time()
+  defp clamp(time), do: time |> max(-max_time()) |> min(max_time())
+
+  defp messages(list, id) do
+    for {sequence, time, creation, data} <- list do
+      %Message{
+        data: plain(data),
+        originating_time: time,
+        creation_time: creation,
+        sequence_id: sequence,
+        source_id: id
+      }
+    end
+  end
+
+  defp plain({:"$situ_undecodable", reason}), do: %Undecoded{reason: reason}
+  defp plain(data), do: data
+
+  defp run({0, list}, info), do: messages(list, info.id)
+
+  defp run({number, list}, info) do
+    {name, module_name} = Map.get(info.codecs, number, {nil, nil})
+    module = name && Codecs.find(name, module_name)
+
+    for {sequence, time, creation, bytes} <- list do
+      %Message{
+        data: decode(module, name, bytes),
+        originating_time: time,
+        creation_time: creation,
+        sequence_id: sequence,
+        source_id: info.id
+      }
+    end
+  end
+
+  defp decode(nil, name, bytes) do
+    why = "no module here has the codec #{inspect(name)}"
+    %Undecoded{codec: name, bytes: bytes, reason: why}
+  end
+
+  defp decode(module, name, bytes) do
+    case module.decode(bytes) do
+      {:ok, data} ->
+        data
+
+      {:error, reason} ->
+        %Undecoded{codec: name, bytes: bytes, reason: "#{inspect(module)}: #{inspect(reason)}"}
+    end
+  end
+
+  @impl true
+  def summary(state, info, from, to, pixels) do
+    Native.reader_refresh(state.ref)
+
+    case Native.reader_summary(state.ref, info.id, clamp(from), clamp(to), pixels) do
+      {:ok, level, bins} when map_size(info.codecs) == 0 ->
+        {:ok, Bitwise.bsl(1, level), bins}
+
+      {:ok, level, bins} ->
+        with {:ok, rest} <- codec_summary(state, info, behind(bins, from, level), to, level),
+             do: {:ok, Bitwise.bsl(1, level), bins ++ rest}
+
+      {:error, reason} ->
+        {:error, Failure.error(reason, state.path, info.name)}
+    end
+  end
+
+  defp behind([], from, _level), do: from
+  defp behind(bins, _from, level), do: elem(List.last(bins), 0) + Bitwise.bsl(1, level)
+
+  # Finer than the stored pyramid, or behind it while it is written: the codec's own points. A message may speak of the second
+  # before its time (sound is stamped with its end).
+  defp codec_summary(_state, %{last: last}, from, _to, _level) when last == nil or from > last,
+    do: {:ok, []}
+
+  defp codec_summary(state, info, from, to, level) do
+    with {:ok, ordinal} <- seek(state, info, from),
+         {:ok, points} <- points(state, info, max(ordinal - 1, 0), to + 1_000_000_000, []) do
+      bins =
+        points
+        |> Enum.filter(fn {time, _, _, _, _} -> time >= from and time <= to end)
+        |> Enum.chunk_by(fn {time, _, _, _, _} -> Bitwise.bsr(time, level) end)
+        |> Enum.map(&fold(&1, level))
+
+      {:ok, bins}
+    end
+  end
+
+  defp points(state, info, ordinal, to, found) do
+    case read(state, info, ordinal, to, 1_000, []) do
+      {:ok, [], _} -> {:ok, found |> Enum.reverse() |> Enum.concat()}
+      {:ok, messages, next} -> points(state, info, next, to, [signal(messages) | found])
+      error -> error
+    end
+  end
+
+  defp signal(messages) do
+    for %{data: %module{}} = message <- messages,
+        Code.ensure_loaded?(module) and function_exported?(module, :points, 2),
+        point <- module.points(message.data, message.originating_time),
+        do: point
+  end
+
+  defp fold([{time, _, _, _, _} | _] = points, level) do
+    {
+      time |> Bitwise.bsr(level) |> Bitwise.bsl(level),
+      points |> Enum.map(&elem(&1, 1)) |> Enum.min(),
+      points |> Enum.map(&elem(&1, 2)) |> Enum.max(),
+      points |> List.last() |> elem(3),
+      points |> Enum.map(&elem(&1, 4)) |> Enum.sum()
+    }
+  end
+
+  @impl true
+  def await(state, known, pid, tag) do
+    Native.reader_await(state.ref, known, pid, tag)
+    :ok
+  end
+
+  @doc false
+  def gaps(state, %StreamInfo{id: id}, least), do: Native.reader_gaps(state.ref, id, least)
+
+  @doc false
+  @spec verify(%__MODULE__{}, (non_neg_integer(), non_neg_integer() -> any())) ::
+          {:ok, [tuple()], non_neg_integer()} | {:error, Error.t()}
+  def verify(state, progress), do: verify(state, 0, Native.reader_damage(state.ref), progress)
+
+  defp verify(state, from, found, progress) do
+    case Native.reader_verify(state.ref, from, 256) do
+      {:ok, more, total} when from + 256 >= total ->
+        progress.(total, total)
+        {:ok, found ++ more, total}
+
+      {:ok, more, total} ->
+        progress.(from + 256, total)
+        verify(state, from + 256, found ++ more, progress)
+
+      {:error, reason} ->
+        {:error, Failure.error(reason, state.path)}
+    end
+  end
+end

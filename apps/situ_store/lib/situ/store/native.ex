@@ -1,0 +1,37 @@
+defmodule Situ.Store.Native do
+  @moduledoc false
+  # The functions of native/situ_store_nif. Everything else talks to Writer and Local.
+
+  @on_load :load
+
+  def load do
+    path = :filename.join([:code.priv_dir(:situ_store), "native", "situ_store_nif"])
+    :erlang.load_nif(path, 0)
+  end
+
+  def writer_create(_path, _first_extent, _max_extent, _durability, _fault), do: missing()
+  def writer_stream(_writer, _name, _compression, _large), do: missing()
+  def writer_position(_writer, _stream), do: missing()
+  def writer_append(_writer, _stream, _messages), do: missing()
+  def writer_append_encoded(_writer, _stream, _codec, _messages, _points), do: missing()
+  def writer_sync(_writer), do: missing()
+  def writer_close(_writer), do: missing()
+  def reader_open(_path, _verify_large), do: missing()
+  def reader_state(_reader), do: missing()
+  def reader_refresh(_reader), do: missing()
+  def reader_count(_reader, _stream), do: missing()
+  def reader_statistics(_reader, _stream), do: missing()
+  def reader_seek(_reader, _stream, _time), do: missing()
+  def reader_gaps(_reader, _stream, _least), do: missing()
+  def reader_read(_reader, _stream, _ordinal, _to, _most, _bytes), do: missing()
+  def reader_read_few(_reader, _stream, _ordinal, _most), do: missing()
+  def reader_skip(_reader, _stream, _ordinal), do: missing()
+  def reader_summary(_reader, _stream, _from, _to, _pixels), do: missing()
+  def summary_level(_from, _to, _pixels), do: missing()
+  def reader_damage(_reader), do: missing()
+  def reader_verify(_reader, _from, _n), do: missing()
+  def store_repair(_path), do: missing()
+  def reader_await(_reader, _known, _pid, _tag), do: missing()
+
+  defp missing, do: :erlang.nif_error(:nif_not_loaded)
+end

@@ -1,0 +1,99 @@
+defmodule Situ.Store.Sink do
+  @moduledoc """
+  The component behind `Situ.Store.write/4`: writes one stream of a pipeline into a store.
+
+  Messages are gathered for up to 20 ms (or 512 messages, or 64 KiB of payload) and committed as one; with durability `:each` every delivery is
+  committed and on the disk before the next is taken. What was committed survives a kill of the process.
+  """
+  use Situ.Component,
+    inputs: [in: :any],
+    outputs: [],
+    options: [
+      exporter: [type: :any, required: true, doc: "The `Situ.Store.Exporter`."],
+      stream: [type: :any, required: true, doc: "The `Situ.Store.Writer.Stream`."],
+      envelopes: [type: :boolean, default: false, doc: "Write the envelopes only."],
+      eager: [type: :boolean, default: false, doc: "Commit every delivery at once."]
+    ]
+
+  alias Situ.Store.{Exporter, Writer}
+
+  @flush_ms 20
+  @most 512
+  @bytes 64 * 1024
+
+  defstruct [:exporter, :stream, :envelopes, :eager, pending: [], count: 0, bytes: 0, timer: nil]
+
+  @impl true
+  def init(opts) do
+    {:ok,
+     %__MODULE__{
+       exporter: opts[:exporter],
+       stream: opts[:stream],
+       envelopes: opts[:envelopes],
+       eager: opts[:eager]
+     }}
+  end
+
+  @impl true
+  def handle_message(:in, message, context, state),
+    do: handle_messages(:in, [message], context, state)
+
+  @impl true
+  def handle_messages(:in, messages, _context, state) do
+    messages = if state.envelopes, do: Enum.map(messages, &%{&1 | data: nil}), else: messages
+    {count, bytes} = weigh(messages, state.count, state.bytes)
+    state = %{state | pending: [messages | state.pending], count: count, bytes: bytes}
+
+    cond do
+      state.eager or count >= @most or bytes >= @bytes -> {[], flush(state)}
+      state.timer == nil -> {[], %{state | timer: Process.send_after(self(), :flush, @flush_ms)}}
+      true -> {[], state}
+    end
+  end
+
+  # Pictures and sound count by their bytes: they are not to pile up here.
+  defp weigh([%{data: data} | rest], count, bytes),
+    do: weigh(rest, count + 1, bytes + weight(data))
+
+  defp weigh([], count, bytes), do: {count, bytes}
+
+  defp weight(number) when is_number(number), do: 8
+  defp weight(binary) when is_binary(binary), do: byte_size(binary)
+  defp weight(%{data: data}) when is_binary(data), do: byte_size(data)
+  defp weight(_), do: 64
+
+  @impl true
+  def handle_info(:flush, _context, state), do: {[], flush(%{state | timer: nil})}
+  def handle_info(_, _context, state), do: {[], state}
+
+  @impl true
+  def handle_closed(:in, time, _context, state) do
+    state = flush(state)
+    ok!(Writer.close_stream(state.stream, time))
+    {[], state}
+  end
+
+  @impl true
+  def terminate(_reason, state) do
+    # After an error what was delivered before it is still worth keeping; a second error would hide the first.
+    _ = if state.pending != [], do: Writer.append(state.stream, gathered(state))
+    Exporter.release(state.exporter)
+  end
+
+  @impl true
+  def describe(state), do: "writes #{state.stream.name} to #{state.exporter.writer.path}"
+
+  defp flush(%{pending: []} = state), do: state
+
+  defp flush(state) do
+    stream = ok!(Writer.append(state.stream, gathered(state)))
+    _ = state.timer && Process.cancel_timer(state.timer)
+    %{state | stream: stream, pending: [], count: 0, bytes: 0, timer: nil}
+  end
+
+  defp gathered(%{pending: [messages]}), do: messages
+  defp gathered(%{pending: pending}), do: pending |> Enum.reverse() |> Enum.concat()
+
+  defp ok!({:ok, value}), do: value
+  defp ok!({:error, error}), do: raise(error)
+end

@@ -1,0 +1,225 @@
+defmodule Situ.Store.Source do
+  @moduledoc """
+  The component behind `Situ.Store.stream/3`: one stored stream as a source.
+
+  Messages come on demand with their recorded envelopes, from the replay's start to its end; with an enforced clock the pipeline delivers each when its
+  originating time has come. A store that is being written is followed until its writer is done.
+  """
+  use Situ.Component,
+    inputs: [],
+    outputs: [out: :any],
+    options: [
+      importer: [type: :any, required: true],
+      info: [type: :any, required: true],
+      type: [type: :any, default: nil],
+      live: [type: :boolean, default: false]
+    ]
+
+  alias Situ.Store.Evolution
+
+  defstruct [
+    :importer,
+    :info,
+    :upgrade,
+    :from,
+    :to,
+    :last,
+    live: false,
+    ordinal: 0,
+    buffer: [],
+    left: 0,
+    shift: 0,
+    known: 0,
+    envelope: {0, -0x7FFFFFFFFFFFFFFF},
+    skip: nil,
+    done: false
+  ]
+
+  @tag 1
+  @nowhere -0x7FFFFFFFFFFFFFFF
+
+  @impl true
+  def init(opts) do
+    info = opts[:info]
+
+    state = %__MODULE__{
+      importer: opts[:importer],
+      info: info,
+      upgrade: Evolution.upgrade!(info, opts[:type]),
+      live: opts[:live],
+      skip: @nowhere
+    }
+
+    {:ok, state}
+  end
+
+  @impl true
+  def handle_start(context, state) do
+    replay_end = if context.replay_end == :infinity, do: :unbounded, else: context.replay_end
+    from = if state.live, do: nil, else: context.start_time
+    to = if state.importer.period, do: replay_end, else: earlier(replay_end, state.info.closed)
+    {:ok, ordinal} = if from, do: seek(state, from), else: {:ok, 0}
+
+    # The end of a store that is being written comes with its writer's; a loop has none but the replay's.
+    endless? = state.importer.period != nil and replay_end == :unbounded
+    actions = if endless?, do: [{:complete, :infinity}], else: []
+    {actions, %{state | from: from, to: to, ordinal: ordinal, last: from || context.start_time}}
+  end
+
+  defp earlier(:unbounded, nil), do: :unbounded
+  defp earlier(:unbounded, closed), do: closed
+  defp earlier(to, nil), do: to
+  defp earlier(to, closed), do: min(to, closed)
+
+  defp seek(%{info: %{id: -1}}, _time), do: {:ok, 0}
+
+  defp seek(state, time) do
+    %{module: module, state: reader} = state.importer.store
+    module.seek(reader, state.info, time)
+  end
+
+  @impl true
+  def handle_demand(_n, _context, %{done: true} = state), do: {[], state}
+
+  def handle_demand(n, context, state) do
+    state = skip(state)
+
+    case state.buffer do
+      [] -> load(n, context, state)
+      _ -> emit(n, state)
+    end
+  end
+
+  # A seek of the importer.
+  defp skip(state) do
+    case :atomics.get(state.importer.skip, 1) do
+      same when same == state.skip ->
+        state
+
+      time ->
+        {:ok, ordinal} = seek(state, time - state.shift)
+        state = %{state | skip: time}
+        at = state.ordinal - state.left
+        if ordinal > at, do: %{state | ordinal: ordinal, buffer: [], left: 0}, else: state
+    end
+  end
+
+  defp emit(n, state) when n >= state.left do
+    actions = shifted(state.buffer, state.shift)
+    {actions, %{state | buffer: [], left: 0, last: last_time(actions, state.last)}}
+  end
+
+  defp emit(n, state) do
+    {now, later} = Enum.split(state.buffer, n)
+    actions = shifted(now, state.shift)
+
+    {actions,
+     %{state | buffer: later, left: state.left - n, last: last_time(actions, state.last)}}
+  end
+
+  defp shifted(messages, 0), do: for(message <- messages, do: {:out, message})
+
+  defp shifted(messages, shift) do
+    for message <- messages do
+      {:out,
+       %{
+         message
+         | originating_time: message.originating_time + shift,
+           creation_time: message.creation_time + shift
+       }}
+    end
+  end
+
+  defp last_time([], last), do: last
+  defp last_time(actions, _last), do: elem(List.last(actions), 1).originating_time
+
+  defp load(n, context, %{info: %{id: -1}} = state), do: finish(n, context, state)
+
+  defp load(n, context, state) do
+    %{module: module, state: reader} = state.importer.store
+    opts = [skip_damage: state.importer.skip_damage]
+
+    case module.read(reader, state.info, state.ordinal, before(state), 512, opts) do
+      {:ok, [], _} ->
+        finish(n, context, state)
+
+      {:ok, messages, next} ->
+        {sequence, creation} = state.envelope
+        {messages, envelope} = messages |> state.upgrade.() |> envelopes(sequence, creation)
+        state = %{state | envelope: envelope}
+        emit(n, %{state | buffer: messages, left: length(messages), ordinal: next})
+
+      {:error, error} ->
+        raise error
+    end
+  end
+
+  # Sequence ids and creation times are the recorded ones as long as they do not go back. Where recordings were put together,
+  # edited or start over in a loop, ids go on from where they were; where the recording clock was set back, creation times stand still.
+  defp envelopes(messages, last, creation) do
+    case forward(messages, last, creation) do
+      {:ok, last} -> {messages, last}
+      :error -> Enum.map_reduce(messages, {last, creation}, &straighten/2)
+    end
+  end
+
+  defp forward([%{sequence_id: id, creation_time: time} | rest], last, creation)
+       when id > last and time >= creation,
+       do: forward(rest, id, time)
+
+  defp forward([], last, creation), do: {:ok, {last, creation}}
+  defp forward(_, _, _), do: :error
+
+  defp straighten(message, {last, creation}) do
+    id = if message.sequence_id > last, do: message.sequence_id, else: last + 1
+    time = max(message.creation_time, creation)
+    {%{message | sequence_id: id, creation_time: time}, {id, time}}
+  end
+
+  defp finish(_n, _context, %{live: true} = state), do: follow(state)
+
+  defp finish(n, context, %{importer: %{period: period}, info: %{count: count}} = state)
+       when period != nil and count > 0 do
+    {:ok, ordinal} = seek(state, state.from)
+    {sequence, creation} = state.envelope
+    envelope = {sequence, creation - period}
+    again = %{state | ordinal: ordinal, shift: state.shift + period, envelope: envelope}
+    over? = is_integer(before(again)) and before(again) < state.info.first
+
+    if ordinal < count and not over?, do: load(n, context, again), else: close(state)
+  end
+
+  defp finish(_n, _context, state), do: close(state)
+
+  defp close(state), do: {[{:close, :out, state.last}], %{state | done: true}}
+
+  # The replay's end in the recording's own times.
+  defp before(%{to: :unbounded}), do: :unbounded
+  defp before(state), do: state.to - state.shift
+
+  # Nothing more for now: wait to be woken by the writer.
+  defp follow(state) do
+    Situ.Store.notify(state.importer.store, state.known, @tag)
+    {[], state}
+  end
+
+  @impl true
+  def handle_info({:situ_store, @tag, {:published, n}}, _context, state),
+    do: {[], %{state | known: n}}
+
+  def handle_info({:situ_store, @tag, {:ended, n}}, _context, state) do
+    # The writer has gone: what it noted last (its close among it) decides where the stream ends.
+    info =
+      Enum.find(Situ.Store.streams(state.importer.store), state.info, &(&1.id == state.info.id))
+
+    {[], %{state | known: n, live: false, to: earlier(state.to, info.closed)}}
+  end
+
+  def handle_info(_, _context, state), do: {[], state}
+
+  @impl true
+  def handle_stop(_final, _context, state), do: {[], %{state | done: true, buffer: []}}
+
+  @impl true
+  def describe(state), do: "replays #{state.info.name} from #{state.importer.store.path}"
+end

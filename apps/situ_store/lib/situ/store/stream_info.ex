@@ -1,0 +1,66 @@
+defmodule Situ.Store.StreamInfo do
+  @moduledoc """
+  What is known of a stored stream. Times are nanoseconds, sizes bytes; exact at any moment, also while the store is
+  being written or after its writer was killed.
+
+    * `type` is a `Situ.Type`; `:any` when the recorded type names a module this system does not have (`type_name` says it)
+    * `first`, `last`: originating times; `first_creation`, `last_creation`: creation times; `nil` without messages
+    * `size`: payload bytes; `stored`: bytes on the disk, with tables and index, after compression
+    * `latency_sum`: creation minus originating time, summed
+    * `closed`: the originating time at which the stream closed, or `nil`
+    * `fields`: field names of the struct its messages are, when they are structs stored as terms
+  """
+  @enforce_keys [:id, :name]
+  defstruct [
+    :id,
+    :name,
+    :store_name,
+    :store_path,
+    :opened,
+    :closed,
+    :first,
+    :last,
+    :first_creation,
+    :last_creation,
+    :module,
+    :fields,
+    :supplemental,
+    type: :any,
+    type_name: ":any",
+    count: 0,
+    size: 0,
+    stored: 0,
+    latency_sum: 0,
+    large?: false,
+    compression: :none,
+    codecs: %{}
+  ]
+
+  @type t :: %__MODULE__{}
+
+  @doc "Messages per second over the recorded span, or `nil` for fewer than two."
+  @spec rate(t()) :: float() | nil
+  def rate(%{count: count, first: first, last: last}) when count > 1 and last > first,
+    do: (count - 1) * 1.0e9 / (last - first)
+
+  def rate(_), do: nil
+
+  @doc "Average payload size, or `nil`."
+  @spec average_size(t()) :: float() | nil
+  def average_size(%{count: 0}), do: nil
+  def average_size(info), do: info.size / info.count
+
+  @doc "Average latency in ns, or `nil`."
+  @spec average_latency(t()) :: float() | nil
+  def average_latency(%{count: 0}), do: nil
+  def average_latency(info), do: info.latency_sum / info.count
+
+  @doc "Last minus first originating time, 0 without messages."
+  @spec duration(t()) :: Situ.Time.duration()
+  def duration(%{first: nil}), do: 0
+  def duration(info), do: info.last - info.first
+
+  @doc "Whether the stream was closed properly."
+  @spec closed?(t()) :: boolean()
+  def closed?(info), do: info.closed != nil
+end

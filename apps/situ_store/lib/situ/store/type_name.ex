@@ -1,0 +1,83 @@
+defmodule Situ.Store.TypeName do
+  @moduledoc """
+  Types as text in a store's catalog, and back without making atoms or running anything.
+
+      iex> Situ.Store.TypeName.write({:list, :float})
+      "{:list, :float}"
+      iex> Situ.Store.TypeName.read("{:list, :float}")
+      {:ok, {:list, :float}}
+      iex> Situ.Store.TypeName.read("Never.Heard.Of")
+      :error
+      iex> Situ.Store.TypeName.read("File.rm_rf!(:x)")
+      :error
+  """
+
+  @spec write(Situ.Type.t()) :: String.t()
+  def write(type), do: inspect(type, limit: :infinity)
+
+  @spec read(String.t()) :: {:ok, Situ.Type.t()} | :error
+  def read(text) when is_binary(text) and byte_size(text) < 10_000 do
+    # Names stay text while parsing: the parts of an alias need not be atoms in a system that has the whole.
+    opts = [static_atoms_encoder: fn name, _ -> {:ok, {:"$name", name}} end, emit_warnings: false]
+
+    # its loading is what makes the words of types known
+    {:module, _} = Code.ensure_loaded(Situ.Type)
+
+    with {:ok, quoted} <- Code.string_to_quoted(text, opts),
+         {:ok, type} <- literal(quoted) do
+      {:ok, type}
+    else
+      _ -> :error
+    end
+  end
+
+  def read(_), do: :error
+
+  defp literal({:"$name", name}), do: existing(name)
+
+  defp literal(value) when is_atom(value) or is_number(value) or is_binary(value),
+    do: {:ok, value}
+
+  defp literal({:__aliases__, _, parts}) do
+    if Enum.all?(parts, &match?({:"$name", _}, &1)),
+      do: parts |> Enum.map_join(".", &elem(&1, 1)) |> module(),
+      else: :error
+  end
+
+  defp literal({:{}, _, elements}), do: tuple(elements)
+  defp literal({:-, _, [number]}) when is_number(number), do: {:ok, -number}
+  defp literal({a, b}), do: tuple([a, b])
+  defp literal(list) when is_list(list), do: all(list)
+  defp literal(_), do: :error
+
+  defp existing(name) do
+    {:ok, String.to_existing_atom(name)}
+  rescue
+    ArgumentError -> :error
+  end
+
+  # A module that is there but not loaded yet has no atom either; there are only so many of these.
+  defp module(name) do
+    name = "Elixir." <> name
+    known = existing(name)
+
+    cond do
+      known != :error -> known
+      :code.where_is_file(String.to_charlist(name <> ".beam")) == :non_existing -> :error
+      true -> {:ok, String.to_atom(name)}
+    end
+  end
+
+  defp tuple(elements) do
+    with {:ok, values} <- all(elements), do: {:ok, List.to_tuple(values)}
+  end
+
+  defp all(elements) do
+    Enum.reduce_while(Enum.reverse(elements), {:ok, []}, fn element, {:ok, values} ->
+      case literal(element) do
+        {:ok, value} -> {:cont, {:ok, [value | values]}}
+        :error -> {:halt, :error}
+      end
+    end)
+  end
+end

@@ -1,0 +1,287 @@
+defmodule Situ.Store.Writer do
+  @options [
+    versioned: [type: :boolean, default: true, doc: "Make a sub-folder `NAME.NNNN`."],
+    durability: [
+      type: {:or, [{:in, [:none, :each]}, {:tuple, [{:in, [:interval]}, :pos_integer]}]},
+      default: :none,
+      doc:
+        "`:none` survives a killed process, `{:interval, ms}` and `:each` (every commit) a power cut too."
+    ],
+    first_extent: [
+      type: :pos_integer,
+      default: 4 * 1024 * 1024,
+      doc: "Bytes of the first extent."
+    ],
+    max_extent: [type: :pos_integer, default: 256 * 1024 * 1024, doc: "Bytes of the largest."],
+    fault: [type: :integer, default: 0, doc: "Tests: kill the process at this step of writing."]
+  ]
+  @stream_options [
+    type: [type: :any, default: :any, doc: "The `Situ.Type` of the messages."],
+    compression: [type: {:in, [:none, :lz4, :zstd]}, default: :none, doc: "Of the payloads."],
+    large: [type: :boolean, default: false, doc: "Put every message into the large extents."],
+    metadata: [type: :any, doc: "Supplemental metadata: any plain term."]
+  ]
+
+  @moduledoc """
+  Writes a store: the plain interface under `Situ.Store.write/4`, for programs that are no pipeline.
+
+      iex> {:ok, writer} = Situ.Store.Writer.create("notes", System.tmp_dir!() <> "/situ-doc-writer")
+      iex> {:ok, stream} = Situ.Store.Writer.stream(writer, "Numbers", type: :integer)
+      iex> messages = [%Situ.Message{data: 7, originating_time: 1, creation_time: 2, sequence_id: 1}]
+      iex> {:ok, stream} = Situ.Store.Writer.append(stream, messages)
+      iex> {:ok, _} = Situ.Store.Writer.close_stream(stream, 1)
+      iex> :ok = Situ.Store.Writer.close(writer)
+      iex> {:ok, store} = Situ.Store.open(writer.path)
+      iex> Enum.map(Situ.Store.messages(store, "Numbers"), & &1.data)
+      [7]
+      iex> Situ.Store.delete(writer.path)
+      :ok
+
+  When `append/2` has answered, the messages are committed: readers in any process see them, and a kill of this one does
+  not lose them. On an error none of them is written and the writer is as it was before.
+
+  ## Options of `create/3`
+
+  #{Situ.Options.docs(@options)}
+
+  ## Options of `stream/3`
+
+  #{Situ.Options.docs(@stream_options)}
+  """
+  alias Situ.{Error, Message, Options}
+  alias Situ.Store.{Catalog, Codecs, Failure, Folder, Native, TypeName}
+
+  @enforce_keys [:ref, :path, :name]
+  defstruct [:ref, :path, :name]
+  @type t :: %__MODULE__{ref: reference(), path: Path.t(), name: String.t()}
+
+  defmodule Stream do
+    @moduledoc "A stream being written; what `append/2` returns is used for the next."
+    @enforce_keys [:writer, :id, :name]
+    defstruct [:writer, :id, :name, codecs: %{}, fields: nil]
+    @type t :: %__MODULE__{}
+  end
+
+  @doc false
+  def options, do: @options
+  @doc false
+  def stream_options, do: @stream_options
+
+  @doc "A new store `name` below `root`, open for writing."
+  @spec create(String.t(), Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def create(name, root, opts \\ []) do
+    {volatile?, opts} = Keyword.pop(opts, :volatile, false)
+
+    with {:ok, opts} <- Options.validate(opts, @options),
+         {:ok, path} <- Folder.create(name, root, opts[:versioned]),
+         {:ok, ref} <-
+           path
+           |> Native.writer_create(
+             opts[:first_extent],
+             opts[:max_extent],
+             durability(opts[:durability]),
+             opts[:fault]
+           )
+           |> Failure.wrap(path) do
+      writer = %__MODULE__{ref: ref, path: path, name: name}
+      record = %{kind: "store", name: name, writer: "situ 0.1.0", volatile: volatile?}
+
+      with {:ok, _} <- catalog(writer, record) do
+        {:ok, writer}
+      end
+    end
+  end
+
+  defp durability({:interval, ms}), do: ms
+  defp durability(other), do: other
+
+  @doc "A new stream. Names are unique in a store."
+  @spec stream(t(), String.t(), keyword()) :: {:ok, Stream.t()} | {:error, Error.t()}
+  def stream(%__MODULE__{} = writer, name, opts \\ []) when is_binary(name) do
+    with {:ok, opts} <- Options.validate(opts, @stream_options),
+         {:ok, id} <-
+           writer.ref
+           |> Native.writer_stream(name, opts[:compression], opts[:large])
+           |> Failure.wrap(writer.path, name),
+         record = %{
+           kind: "stream",
+           id: id,
+           name: name,
+           type: TypeName.write(opts[:type]),
+           opened: Situ.Time.now(),
+           large: opts[:large],
+           compression: opts[:compression]
+         },
+         {:ok, _} <- catalog(writer, record),
+         stream = %Stream{writer: writer, id: id, name: name},
+         :ok <-
+           if(Keyword.has_key?(opts, :metadata),
+             do: put_metadata(stream, opts[:metadata]),
+             else: :ok
+           ) do
+      {:ok, stream}
+    end
+  end
+
+  @doc "Sets (or replaces) the stream's supplemental metadata: any plain term."
+  @spec put_metadata(Stream.t(), term()) :: :ok | {:error, Error.t()}
+  def put_metadata(%Stream{} = stream, term) do
+    record = %{
+      kind: "metadata",
+      id: stream.id,
+      type: kind_of(term),
+      term: term |> :erlang.term_to_binary() |> Base.encode64()
+    }
+
+    with {:ok, _} <- catalog(stream.writer, record), do: :ok
+  end
+
+  defp kind_of(%module{}), do: inspect(module)
+  defp kind_of(term) when is_integer(term), do: ":integer"
+  defp kind_of(term) when is_float(term), do: ":float"
+  defp kind_of(term) when is_boolean(term), do: ":boolean"
+  defp kind_of(term) when is_binary(term), do: ":string"
+  defp kind_of(term) when is_list(term), do: ":list"
+  defp kind_of(term) when is_map(term), do: ":map"
+  defp kind_of(term) when is_tuple(term), do: ":tuple"
+  defp kind_of(_), do: ":any"
+
+  @doc """
+  Appends messages, all or none, and commits them. Originating times increase; `creation_time` and `sequence_id` are kept.
+  """
+  @spec append(Stream.t(), [Message.t()]) :: {:ok, Stream.t()} | {:error, Error.t()}
+  def append(stream, []), do: {:ok, stream}
+
+  def append(%Stream{} = stream, messages) do
+    if plain?(messages) do
+      append_plain(stream, messages)
+    else
+      messages
+      |> Enum.chunk_by(&Codecs.of(&1.data))
+      |> Enum.reduce_while({:ok, stream}, fn [first | _] = run, {:ok, stream} ->
+        case append_run(stream, Codecs.of(first.data), run) do
+          {:ok, _} = ok -> {:cont, ok}
+          error -> {:halt, error}
+        end
+      end)
+    end
+  end
+
+  defp plain?([%{data: %{__struct__: _}} | _]), do: false
+  defp plain?([_ | rest]), do: plain?(rest)
+  defp plain?([]), do: true
+
+  defp append_plain(stream, messages) do
+    case Native.writer_append(stream.writer.ref, stream.id, messages) do
+      {:ok, _} -> {:ok, stream}
+      {:error, reason} -> {:error, Failure.error(reason, stream.writer.path, stream.name)}
+    end
+  end
+
+  defp append_run(stream, nil, messages) do
+    with {:ok, stream} <- note_fields(stream, messages), do: append_plain(stream, messages)
+  end
+
+  defp append_run(stream, module, messages) do
+    with {:ok, stream, number} <- codec_number(stream, module) do
+      encoded =
+        for m <- messages,
+            do: {m.sequence_id, m.originating_time, m.creation_time, module.encode(m.data)}
+
+      points =
+        if function_exported?(module, :points, 2),
+          do: Enum.flat_map(messages, &points(module, &1)),
+          else: []
+
+      case Native.writer_append_encoded(stream.writer.ref, stream.id, number, encoded, points) do
+        {:ok, _} -> {:ok, stream}
+        {:error, reason} -> {:error, Failure.error(reason, stream.writer.path, stream.name)}
+      end
+    end
+  end
+
+  defp points(module, message) do
+    for {time, min, max, last, count} <- module.points(message.data, message.originating_time),
+        do: {time, min / 1, max / 1, last / 1, count}
+  end
+
+  defp codec_number(%{codecs: codecs} = stream, module) do
+    case codecs do
+      %{^module => number} ->
+        {:ok, stream, number}
+
+      _ ->
+        number = map_size(codecs) + 1
+
+        record = %{
+          kind: "codec",
+          id: stream.id,
+          number: number,
+          name: module.codec_name(),
+          module: Atom.to_string(module)
+        }
+
+        with {:ok, _} <- catalog(stream.writer, record),
+             do: {:ok, %{stream | codecs: Map.put(codecs, module, number)}, number}
+    end
+  end
+
+  # The first struct's fields, so that a reader whose struct has changed can say so when it opens the stream.
+  defp note_fields(%{fields: nil} = stream, messages) do
+    case Enum.find(messages, &is_struct(&1.data)) do
+      nil ->
+        {:ok, stream}
+
+      %{data: %module{} = data} ->
+        fields = data |> Map.from_struct() |> Map.keys() |> Enum.map(&to_string/1)
+
+        record = %{
+          kind: "fields",
+          id: stream.id,
+          module: Atom.to_string(module),
+          fields: fields
+        }
+
+        with {:ok, _} <- catalog(stream.writer, record), do: {:ok, %{stream | fields: fields}}
+    end
+  end
+
+  defp note_fields(stream, _messages), do: {:ok, stream}
+
+  @doc "Notes that the stream closed at this originating time. Messages behind it are not replayed."
+  @spec close_stream(Stream.t(), Situ.Time.t()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
+  def close_stream(%Stream{} = stream, time),
+    do: catalog(stream.writer, %{kind: "closed", id: stream.id, time: time})
+
+  @doc "Waits until everything committed is on the disk."
+  @spec sync(t()) :: :ok | {:error, Error.t()}
+  def sync(%__MODULE__{} = writer) do
+    with {:ok, _} <- writer.ref |> Native.writer_sync() |> Failure.wrap(writer.path), do: :ok
+  end
+
+  @doc "Closes the store: cuts unused space, marks it closed, gives up the lock. Closing twice is no error."
+  @spec close(t()) :: :ok | {:error, Error.t()}
+  def close(%__MODULE__{} = writer) do
+    with {:ok, _} <- writer.ref |> Native.writer_close() |> Failure.wrap(writer.path), do: :ok
+  end
+
+  # Stream 0; its times only have to increase, whatever the clock does.
+  defp catalog(writer, record) do
+    {:ok, {last, n}} = Native.writer_position(writer.ref, 0)
+    now = Situ.Time.now()
+    time = if last, do: max(now, last + 1), else: now
+
+    message = %Message{
+      data: Catalog.encode(record),
+      originating_time: time,
+      creation_time: time,
+      sequence_id: n + 1
+    }
+
+    case Native.writer_append(writer.ref, 0, [message]) do
+      # Another stream's record came between: again, behind it.
+      {:error, {:not_increasing, 0, _, _}} -> catalog(writer, record)
+      result -> Failure.wrap(result, writer.path)
+    end
+  end
+end

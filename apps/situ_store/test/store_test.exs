@@ -1,0 +1,305 @@
+defmodule Situ.StoreTest do
+  use ExUnit.Case, async: true
+  import Situ.Store.Test.Record
+  alias Situ.Store
+  alias Situ.Store.Test.{Person, Picture, Sound}
+  alias Situ.Store.{StreamInfo, Undecoded, Writer}
+
+  doctest Situ.Store.Writer
+  doctest Situ.Store.TypeName
+
+  @moduletag :tmp_dir
+
+  test "any plain term comes back as it was, with its envelope", %{tmp_dir: root} do
+    values = [
+      1,
+      -1,
+      9_223_372_036_854_775_807,
+      -9_223_372_036_854_775_808,
+      170_141_183_460_469_231_731_687_303_715_884_105_727,
+      1.5,
+      -0.0,
+      true,
+      false,
+      nil,
+      "",
+      "text",
+      String.duplicate("x", 100_000),
+      <<1::3>>,
+      [],
+      [1, [2 | 3]],
+      'charlist',
+      {},
+      {:ok, %{"b" => [nil], a: 1}},
+      {:undecodable, "x"},
+      %Person{name: "Ada", age: 36},
+      %Picture{width: 2, data: <<1, 2, 3, 4>>},
+      %Picture{width: 200, data: :binary.copy(<<7>>, 40_000)}
+    ]
+
+    for compression <- [:none, :lz4, :zstd], large <- [false, true] do
+      written = messages(values)
+      options = [compression: compression, large: large]
+      store = Store.open!(store(root, [{"All", written, options}]))
+      assert Enum.map(Store.messages(store, "All"), &%{&1 | source_id: 0}) == written
+    end
+  end
+
+  test "streams of one kind of number are small", %{tmp_dir: root} do
+    n = 10_000
+    written = for i <- 1..n, do: message(i, i * 100, i * 100 + 7, i)
+    path = store(root, [{"Count", written, [type: :integer]}])
+
+    bytes =
+      path |> Path.join("*") |> Path.wildcard() |> Enum.map(&File.stat!(&1).size) |> Enum.sum()
+
+    assert bytes / n < 24
+  end
+
+  test "metadata is exact while the store is written and after", %{tmp_dir: root} do
+    {:ok, writer} = Writer.create("live", root)
+    {:ok, stream} = Writer.stream(writer, "A", type: {:list, :float}, metadata: {"pi", 3.14})
+    {:ok, stream} = Writer.append(stream, messages([[1.0], [2.0, 3.0]]))
+    store = Store.open!(writer.path)
+    assert %{live?: true, closed?: false, name: "live", version: 0} = Store.info(store)
+    assert [%StreamInfo{name: "A", type: {:list, :float}, count: 2} = info] = Store.streams(store)
+
+    assert {info.first, info.last, info.first_creation, info.last_creation} ==
+             {0, 1_000, 5, 1_005}
+
+    assert {info.latency_sum, StreamInfo.average_latency(info)} == {10, 5.0}
+    assert StreamInfo.rate(info) == 1.0e6
+    refute StreamInfo.closed?(info)
+    assert Store.metadata(store, "A") == {:ok, {"pi", 3.14}}
+    assert {:error, %{code: :type_mismatch}} = Store.metadata(store, "A", :integer)
+
+    {:ok, stream} = Writer.append(stream, [message([], 2_000)])
+    assert Store.count(store, info) == 3
+    {:ok, _} = Writer.close_stream(stream, 2_500)
+    :ok = Writer.close(writer)
+    assert %{live?: false, closed?: true, damage: []} = Store.info(store)
+    assert [%{count: 3, closed: 2_500}] = Store.streams(store)
+    assert {:error, %{code: :closed}} = Writer.append(stream, [message([], 3_000)])
+  end
+
+  test "reading by time, index, range", %{tmp_dir: root} do
+    store = Store.open!(store(root, [{"S", messages(Enum.to_list(0..4_999)), []}]))
+    assert {:ok, %{data: 17}} = Store.at(store, "S", 17)
+    assert {:ok, %{data: 4_999}} = Store.at(store, "S", -1)
+    assert {:ok, nil} = Store.at(store, "S", 5_000)
+    assert {:ok, nil} = Store.at(store, "S", -5_001)
+    assert {:ok, %{data: 17}} = Store.latest_at(store, "S", 17_999)
+    assert {:ok, %{data: 17}} = Store.latest_at(store, "S", 17_000)
+    assert {:ok, nil} = Store.latest_at(store, "S", -1)
+    assert {:ok, %{data: 18}} = Store.first_at(store, "S", 17_001)
+    assert {:ok, nil} = Store.first_at(store, "S", 5_000_000)
+    {:ok, range} = Store.read(store, "S", from: 1_500, to: 4_000)
+    assert Enum.map(range, & &1.data) == [2, 3, 4]
+    {:ok, range} = Store.read(store, "S", index: 4_990, limit: 3)
+    assert Enum.map(range, & &1.data) == [4_990, 4_991, 4_992]
+    assert {:error, %{code: :no_stream, fix: fix}} = Store.read(store, "s")
+    assert fix =~ "S"
+  end
+
+  test "a version is made for every recording; the newest opens", %{tmp_dir: root} do
+    assert store(root, [{"A", messages([1]), []}]) =~ "test.0000"
+    assert store(root, [{"A", messages([2]), []}]) =~ "test.0001"
+    {:ok, store} = Store.open(Path.join(root, "test"))
+    assert {:ok, %{data: 2}} = Store.at(store, "A", 0)
+    assert length(Store.list(root)) == 2
+    assert Store.exists?(Path.join(root, "test")) and not Store.exists?(Path.join(root, "none"))
+  end
+
+  test "what cannot be stored is refused whole, and nothing is lost", %{tmp_dir: root} do
+    {:ok, writer} = Writer.create("bad", root)
+    {:ok, stream} = Writer.stream(writer, "S")
+    {:ok, stream} = Writer.append(stream, messages([1, 2]))
+
+    for {value, word} <- [
+          {fn -> 1 end, "function"},
+          {&String.upcase/1, "function"},
+          {{:a, self()}, "process"},
+          {[make_ref()], "reference"}
+        ] do
+      assert {:error, %{code: :not_storable} = error} =
+               Writer.append(stream, [message(3, 5_000), message(value, 6_000)])
+
+      assert Exception.message(error) =~ word
+    end
+
+    assert {:error, %{code: :not_increasing, what: what}} =
+             Writer.append(stream, [message(0, 1_000)])
+
+    assert what =~ "\"S\""
+    assert {:error, %{code: :stream_exists}} = Writer.stream(writer, "S")
+    {:ok, _} = Writer.append(stream, [message(3, 5_000)])
+    store = Store.open!(writer.path)
+    assert store |> Store.messages("S") |> Enum.map(& &1.data) == [1, 2, 3]
+  end
+
+  test "two writers, a locked folder, names", %{tmp_dir: root} do
+    {:ok, writer} = Writer.create("x", root)
+    assert {:error, %{code: :store_exists}} = Writer.create("x", writer.path, versioned: false)
+    assert {:error, %{code: :store_in_use}} = Store.repair(writer.path)
+    assert {:error, %{code: :store_in_use}} = Store.delete(writer.path)
+    assert {:error, %{code: :bad_name}} = Writer.create("a/b", root)
+    file = Path.join(root, "file")
+    File.write!(file, "")
+    assert {:error, %{code: _, fix: _}} = Writer.create("x", file)
+  end
+
+  test "wrong files say what they are", %{tmp_dir: root} do
+    assert {:error, %{code: :no_store}} = Store.open(Path.join(root, "nothing"))
+    path = store(root, [{"A", messages([1]), []}])
+    index = Path.join(path, "index.situ")
+    <<magic::binary-8, _version::little-32, rest::binary>> = good = File.read!(index)
+    File.write!(index, [magic, <<2::little-32>>, rest])
+    assert {:error, %{code: :newer_version, why: _}} = Store.open(path)
+    File.write!(index, "not an index")
+    assert {:error, %{code: :not_a_store}} = Store.open(path)
+    File.write!(index, good)
+    File.rm!(Path.join(path, "data-000000.situ"))
+    store = Store.open!(path)
+    assert Store.streams(store) == []
+    assert {:ok, %{damage: [_ | _]}} = Store.verify(path)
+    assert {:error, %{code: :unknown_format}} = Store.open(file(root, "x.doc", "abc"))
+    assert {:error, %{code: :not_wav}} = Store.open(file(root, "x.wav", "RIFFnothing here"))
+    assert {:error, %{code: :not_csv}} = Store.open(file(root, "x.csv", <<255, 254, 0>>))
+  end
+
+  defp file(root, name, bytes) do
+    path = Path.join(root, name)
+    File.write!(path, bytes)
+    path
+  end
+
+  test "damage is found, told, left out and mended", %{tmp_dir: root} do
+    path = store(root, [{"A", messages(Enum.map(1..2_000, &"message #{&1}")), []}])
+    data = Path.join(path, "data-000000.situ")
+    bytes = File.read!(data)
+    {at, _} = :binary.match(bytes, "message 750")
+    <<before::binary-size(at), _, rest::binary>> = bytes
+    File.write!(data, [before, "X", rest])
+    store = Store.open!(path)
+    assert {:error, %{code: :damaged} = error} = Store.read(store, "A", limit: 2_000)
+    assert error.fix =~ "repair"
+    left = store |> Store.messages("A", skip_damage: true) |> Enum.map(& &1.data)
+    assert length(left) == 1_900 and "message 800" not in left and "message 801" in left
+    assert {:ok, %{damage: [%{file: "data-000000.situ"}]}} = Store.verify(path)
+    assert {:ok, %{dropped: 1, rebuilt?: true}} = Store.repair(path)
+    assert {:ok, %{damage: []}} = Store.verify(path)
+    assert path |> Store.open!() |> Store.messages("A") |> Enum.map(& &1.data) == left
+  end
+
+  test "large binaries are not copied, small ones do not pin a file", %{tmp_dir: root} do
+    big = :crypto.strong_rand_bytes(100_000)
+
+    store =
+      Store.open!(store(root, [{"P", messages([%Picture{width: 1, data: big}, "small"]), []}]))
+
+    {:ok, [%{data: %Picture{data: data}}, %{data: small}]} = Store.read(store, "P")
+    # A binary made for this process would reference its own size, not that of the map's handle.
+    assert data == big and :binary.referenced_byte_size(data) != byte_size(data)
+    assert :binary.referenced_byte_size(small) == 5
+    # The bytes outlive the store, its files and its reader.
+    Store.delete(store.path)
+    :erlang.garbage_collect()
+    assert data == big
+  end
+
+  test "news of commits reach a waiting process without polling", %{tmp_dir: root} do
+    {:ok, writer} = Writer.create("tail", root)
+    {:ok, stream} = Writer.stream(writer, "S", type: :integer)
+    store = Store.open!(writer.path)
+    %{entries: known} = Store.info(store)
+    :ok = Store.notify(store, known, 7)
+    refute_received {:situ_store, _, _}
+    {:ok, _} = Writer.append(stream, [message(1, 1)])
+    assert_receive {:situ_store, 7, {:published, n}} when n > known, 2_000
+    assert Store.count(store, hd(Store.streams(store))) == 1
+    :ok = Writer.close(writer)
+    # Closing publishes the rest of the pyramid.
+    :ok = Store.notify(store, n, 8)
+    assert_receive {:situ_store, 8, {:published, n}}, 2_000
+    :ok = Store.notify(store, n, 8)
+    assert_receive {:situ_store, 8, {:ended, _}}, 2_000
+  end
+
+  test "a summary of a number stream and of a codec's signal", %{tmp_dir: root} do
+    numbers = messages(Enum.map(0..9_999, &rem(&1 * 37, 101)))
+    sounds = for i <- 0..499, do: message(%Sound{samples: Enum.to_list(i..(i + 15))}, i * 16_000)
+    store = Store.open!(store(root, [{"N", numbers, []}, {"Audio", sounds, []}]))
+    {:ok, width, bins} = Store.summary(store, "N", 0, 10_000_000, 100)
+    assert width == 65_536
+    assert Enum.all?(bins, fn {start, _, _, _, _} -> rem(start, width) == 0 end)
+    assert bins |> Enum.map(&elem(&1, 4)) |> Enum.sum() == 10_000
+
+    for {start, min, max, last, count} <- bins do
+      inside =
+        for %{data: d, originating_time: t} <- numbers, t >= start and t < start + width, do: d
+
+      assert {min, max, last, count} ==
+               {Enum.min(inside) / 1, Enum.max(inside) / 1, List.last(inside) / 1, length(inside)}
+    end
+
+    {:ok, _, bins} = Store.summary(store, "Audio", 0, 8_000_000, 50)
+    assert bins |> Enum.map(&elem(&1, 4)) |> Enum.sum() == 8_000
+    assert bins |> Enum.map(&elem(&1, 2)) |> Enum.max() == 514.0
+    {:ok, _, fine} = Store.summary(store, "Audio", 0, 40_000, 40)
+    assert {0, 0, 0, 0, 1} = hd(fine)
+  end
+
+  test "the signal of a codec's stream is whole while it is written", %{tmp_dir: root} do
+    {:ok, writer} = Writer.create("live", root)
+    {:ok, stream} = Writer.stream(writer, "Audio", type: Sound)
+
+    for i <- 0..1_999, reduce: stream do
+      stream ->
+        sound = message(%Sound{samples: Enum.to_list(i..(i + 15))}, i * 16_000, nil, i + 1)
+        {:ok, stream} = Writer.append(stream, [sound])
+        stream
+    end
+
+    store = Store.open!(writer.path)
+
+    for pixels <- [10, 100, 1_000] do
+      {:ok, _, bins} = Store.summary(store, "Audio", 0, 32_000_000, pixels)
+      assert bins |> Enum.map(&elem(&1, 4)) |> Enum.sum() == 32_000
+      starts = Enum.map(bins, &elem(&1, 0))
+      assert starts == Enum.sort(starts) and starts == Enum.uniq(starts)
+    end
+  end
+
+  test "foreign atoms and structs are read as strings and maps", %{tmp_dir: root} do
+    # A term as a system with other modules writes it.
+    name = "Elixir.NeverCompiledHere#{System.unique_integer([:positive])}"
+    atom = fn text -> <<119, byte_size(text), text::binary>> end
+
+    term =
+      <<131, 116, 0, 0, 0, 2, atom.("__struct__")::binary, atom.(name)::binary,
+        atom.("never_seen_field_17")::binary, 97, 3>>
+
+    path = store(root, [{"S", messages([List.duplicate(0, 3), {:a, 1}]), []}])
+    reader = Store.open!(path).state.ref
+    assert is_reference(reader)
+    # The same through the whole path: write it as raw bytes of the term encoding.
+    # A function in a file is not made one.
+    export = <<131, 113, 119, 6, "Elixir", 119, 1, "f", 97, 0>> <> :binary.copy(<<0>>, 20)
+    assert %Undecoded{reason: "a function"} = Situ.Store.Test.Raw.decode(root, export)
+
+    assert Situ.Store.Test.Raw.decode(root, term) == %{
+             "__struct__" => name,
+             "never_seen_field_17" => 3
+           }
+  end
+
+  test "an unknown codec gives the bytes", %{tmp_dir: root} do
+    path = store(root, [{"P", messages([%Picture{width: 9, data: "abc"}]), []}])
+    store = Store.open!(path)
+    {:ok, info} = Store.stream_info(store, "P")
+    gone = %{info | codecs: %{1 => {"nobody.knows", "Elixir.Nobody.Knows"}}}
+
+    assert {:ok, %{data: %Undecoded{codec: "nobody.knows", bytes: <<9::little-32, "abc">>}}} =
+             Store.at(store, gone, 0)
+  end
+end

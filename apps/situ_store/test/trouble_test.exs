@@ -1,0 +1,218 @@
+defmodule Situ.Store.TroubleTest do
+  # What disks, clocks, people and other programs do to a recording.
+  use ExUnit.Case, async: true
+  import Situ.Store.Test.Record
+  alias Situ.{Pipeline, Store}
+  alias Situ.Store.Writer
+
+  @moduletag :tmp_dir
+
+  # A disk of two megabytes; only root may mount one, elsewhere there is nothing to test with.
+  defp with_small_disk(root, options, fun) do
+    disk = Path.join(root, "disk")
+    File.mkdir_p!(disk)
+
+    case System.cmd("mount", ["-t", "tmpfs", "-o", options, "tmpfs", disk], stderr_to_stdout: true) do
+      {_, 0} ->
+        try do
+          fun.(disk)
+        after
+          System.cmd("umount", ["-l", disk])
+        end
+
+      {why, _} ->
+        IO.puts(:stderr, "not tested, no disk to fill: " <> String.trim(why))
+    end
+  end
+
+  test "a full disk is an error that tells the pipeline; what was written stays whole", %{
+    tmp_dir: root
+  } do
+    with_small_disk(root, "size=2m", fn disk ->
+      test = self()
+
+      {:error, error} =
+        Pipeline.run(fn p ->
+          exporter = Store.create(p, "full", disk, first_extent: 65_536, max_extent: 262_144)
+
+          items = for i <- 1..100_000, do: {i * 1_000, {i, String.duplicate("x", 100)}}
+
+          p
+          |> Situ.from_enumerable(items)
+          |> Store.write(exporter, "s")
+          |> Situ.each(fn _ -> :ok end)
+
+          send(test, {:path, exporter.writer.path})
+        end)
+
+      assert Exception.message(error) =~ "no room left on the disk"
+      assert_received {:path, path}
+      store = Store.open!(path)
+      numbers = for %{data: {i, _}} <- Store.messages(store, "s"), do: i
+      assert length(numbers) > 1_000
+      assert numbers == Enum.to_list(1..length(numbers))
+      assert {:ok, %{damage: []}} = Store.verify(path)
+      assert {:ok, %{dropped: 0}} = Store.repair(path)
+    end)
+  end
+
+  test "after a full disk was cleared the same writer goes on", %{tmp_dir: root} do
+    with_small_disk(root, "size=1m", fn disk ->
+      {:ok, writer} = Writer.create("w", disk, first_extent: 65_536, max_extent: 65_536)
+      {:ok, stream} = Writer.stream(writer, "s")
+      {:ok, stream} = Writer.append(stream, messages(["first"]))
+      ballast = Path.join(disk, "ballast")
+      File.write(ballast, :binary.copy("b", 2_000_000))
+      big = for i <- 1..20, do: message(:crypto.strong_rand_bytes(20_000), i * 1_000_000)
+      assert {:error, %{code: :disk_full, fix: fix}} = Writer.append(stream, big)
+      assert fix =~ "space"
+      File.rm!(ballast)
+      {:ok, stream} = Writer.append(stream, Enum.take(big, 10))
+      {:ok, _} = Writer.close_stream(stream, 99_000_000)
+      :ok = Writer.close(writer)
+
+      assert Enum.map(Store.messages(Store.open!(writer.path), "s"), &byte_size(&1.data)) == [
+               5 | List.duplicate(20_000, 10)
+             ]
+
+      assert {:ok, %{damage: []}} = Store.verify(writer.path)
+    end)
+  end
+
+  test "a read-only folder: writing is refused, reading works", %{tmp_dir: root} do
+    with_small_disk(root, "size=8m", fn disk ->
+      path = store(disk, [{"s", messages([1, 2, 3]), []}])
+      {_, 0} = System.cmd("mount", ["-o", "remount,ro", disk])
+      assert {:error, %{code: :not_permitted}} = Writer.create("new", disk)
+      assert path |> Store.open!() |> Store.messages("s") |> Enum.map(& &1.data) == [1, 2, 3]
+      assert {:error, %{code: :not_permitted}} = Store.repair(path)
+    end)
+  end
+
+  test "a deleted folder is noticed within a second", %{tmp_dir: root} do
+    {:ok, writer} = Writer.create("gone", root)
+    {:ok, stream} = Writer.stream(writer, "s")
+    {:ok, stream} = Writer.append(stream, messages([1]))
+    reader = Store.open!(writer.path)
+    # What has been looked at once stays mapped.
+    {:ok, _} = Store.at(reader, "s", 0)
+    File.rm_rf!(writer.path)
+
+    # The check is made at most twice a second: keep writing until then.
+    error =
+      Enum.find_value(Stream.iterate(1, &(&1 + 1)), fn n ->
+        receive(do: (:never -> nil), after: (20 -> nil))
+
+        case Writer.append(stream, [message(n, n * 1_000_000)]) do
+          {:ok, _} when n < 200 -> nil
+          result -> result
+        end
+      end)
+
+    assert {:error, %{code: :store_deleted}} = error
+    assert {:ok, %{data: 1}} = Store.at(reader, "s", 0)
+  end
+
+  test "a clock that is set back or forth changes nothing", %{tmp_dir: root} do
+    day = 86_400_000_000_000
+    # Creation times as a clock that jumps by days gives them; originating times go on increasing.
+    creations = [day, 2 * day, day, 0, 5 * day]
+    written = for {c, i} <- Enum.with_index(creations), do: message(i, i * 1_000, c, i + 1)
+    path = store(root, [{"s", written, []}])
+    store = Store.open!(path)
+    assert Enum.map(Store.messages(store, "s"), & &1.creation_time) == creations
+    assert {:ok, %{data: 2}} = Store.latest_at(store, "s", 2_500)
+    [info] = Store.streams(store)
+    assert info.latency_sum == Enum.sum(creations) - 10_000
+    test = self()
+
+    {:ok, _} =
+      Pipeline.run(
+        fn p ->
+          p |> Store.importer(path) |> Store.stream("s") |> Situ.each(&send(test, {:got, &1}))
+        end,
+        pipeline: [replay: [speed: 1.0]]
+      )
+
+    for i <- 0..4, do: assert_received({:got, ^i})
+  end
+
+  test "mutated stores never crash the reader and never give what was not written", %{
+    tmp_dir: root
+  } do
+    values = for i <- 0..199, do: {i, String.duplicate("v#{i}", rem(i, 30)), %{k: [i * 1.5]}}
+
+    path =
+      store(root, [
+        {"t", messages(values), []},
+        {"n", messages(Enum.to_list(0..199)), [compression: :lz4]}
+      ])
+
+    files = path |> File.ls!() |> Enum.map(&{&1, File.read!(Path.join(path, &1))})
+    target = Path.join(root, "mutated")
+    File.mkdir_p!(target)
+    :rand.seed(:exsss, {7, 8, 9})
+
+    for _ <- 1..300 do
+      for {name, bytes} <- files, do: File.write!(Path.join(target, name), mutate(bytes))
+
+      with {:ok, store} <- Store.open(target) do
+        Store.info(store)
+
+        for %{name: name} = info <- Store.streams(store), name in ["t", "n"] do
+          for m <- Store.messages(store, info, skip_damage: true) do
+            i = div(m.originating_time, 1_000)
+            assert m.data == if(name == "t", do: Enum.at(values, i), else: i)
+          end
+
+          Store.latest_at(store, info, 50_000)
+          Store.summary(store, info, 0, 200_000, 50)
+        end
+
+        Store.verify(target)
+      end
+    end
+  end
+
+  defp mutate(bytes) do
+    size = byte_size(bytes)
+
+    case :rand.uniform(5) do
+      _ when size == 0 ->
+        bytes
+
+      1 ->
+        binary_part(bytes, 0, :rand.uniform(size) - 1)
+
+      n when n in [2, 3] ->
+        at = :rand.uniform(size) - 1
+        <<a::binary-size(at), byte, b::binary>> = bytes
+        <<a::binary, Bitwise.bxor(byte, :rand.uniform(255)), b::binary>>
+
+      _ ->
+        bytes
+    end
+  end
+
+  test "a newer struct reads older recordings, an incompatible one says why", %{tmp_dir: root} do
+    alias Situ.Store.Test.Person
+    path = store(root, [{"p", messages([%Person{name: "Ada", age: 3}]), [type: Person]}])
+    store = Store.open!(path)
+
+    Code.eval_string(
+      "defmodule Situ.Store.Test.PersonNow do defstruct [name: \"\", age: 0, email: :none] end"
+    )
+
+    Code.eval_string("defmodule Situ.Store.Test.PersonCut do defstruct [name: \"\"] end")
+    now = Situ.Store.Test.PersonNow
+    [message] = Enum.to_list(Store.messages(store, "p", type: now))
+    assert Map.from_struct(message.data) == %{name: "Ada", age: 3, email: :none}
+
+    error =
+      assert_raise Situ.Error, fn ->
+        Store.messages(store, "p", type: Situ.Store.Test.PersonCut)
+      end
+
+    assert error.code == :schema_mismatch and error.why =~ "age"
+  end
+end
