@@ -1,0 +1,148 @@
+defmodule Situ.Audio do
+  @moduledoc """
+  Streams of sound: every function takes a stream of `Situ.AudioBuffer` first and returns a stream (or a map of them).
+  The same on one buffer in hand is in `Situ.AudioBuffer`.
+
+      def build(p, _opts) do
+        clip = Situ.Media.VideoFile.open(p, "talk1.mp4")
+        speech = clip.audio |> Situ.Audio.to_mono() |> Situ.Audio.resample(16_000)
+        features = Situ.Audio.features(speech, mel_bands: 40)
+        features.log_energy |> Situ.each(&IO.inspect/1)
+      end
+
+  The originating time of a buffer is the time of its **end**, and every operator keeps that exact to the sample.
+  All take the common options `name:`, `policy:`, `async:` and `on_error:` besides their own.
+  """
+  alias Situ.{AudioBuffer, AudioFormat, Operator, Stream}
+  alias Situ.Audio.{Analyzer, Level, Mixer, Reframer, Resampler, Streamline}
+  alias Situ.Image.Result
+
+  @common [:name, :policy, :async, :on_error]
+
+  @doc """
+  At another rate; `quality:` as in `Situ.Audio.Resampler`.
+
+      iex> buffer = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(48_000), 960)
+      iex> feed = for i <- 1..10, do: {i * 20_000_000, buffer}
+      iex> out = Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Situ.Audio.resample(16_000) end, times: true)
+      iex> {out |> List.last() |> elem(0), out |> Enum.map(&Situ.AudioBuffer.frames(elem(&1, 1))) |> Enum.sum()}
+      {200_000_000, 3200}
+  """
+  @spec resample(Stream.t(), pos_integer(), keyword()) :: Stream.t()
+  def resample(stream, rate, opts \\ []), do: via(stream, Resampler, [rate: rate] ++ opts)
+
+  @doc "In another sample type or number of channels: `Situ.AudioBuffer.reformat/2`."
+  @spec reformat(Stream.t(), keyword()) :: Stream.t()
+  def reformat(stream, opts) do
+    {common, opts} = Keyword.split(opts, @common)
+    map(stream, "Reformat", &Result.unwrap!(AudioBuffer.reformat(&1, opts)), common)
+  end
+
+  @doc "The mean of all channels."
+  @spec to_mono(Stream.t(), keyword()) :: Stream.t()
+  def to_mono(stream, opts \\ []),
+    do: map(stream, "Mono", &Result.unwrap!(AudioBuffer.reformat(&1, channels: 1)), opts)
+
+  @doc "One channel as both, or two as they are."
+  @spec to_stereo(Stream.t(), keyword()) :: Stream.t()
+  def to_stereo(stream, opts \\ []),
+    do: map(stream, "Stereo", &Result.unwrap!(AudioBuffer.reformat(&1, channels: 2)), opts)
+
+  @doc "One channel, counted from 0, as mono."
+  @spec select_channel(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
+  def select_channel(stream, channel, opts \\ []) do
+    map(
+      stream,
+      "Channel #{channel}",
+      &Result.unwrap!(AudioBuffer.select_channels(&1, [channel])),
+      opts
+    )
+  end
+
+  @doc "Mixed by a matrix of gains: `Situ.AudioBuffer.remix/3`."
+  @spec remix(Stream.t(), [[number()]], keyword()) :: Stream.t()
+  def remix(stream, matrix, opts \\ []),
+    do: map(stream, "Remix", &Result.unwrap!(AudioBuffer.remix(&1, matrix)), opts)
+
+  @doc "Louder or quieter, by a factor or `{:db, n}`."
+  @spec gain(Stream.t(), number() | {:db, number()}, keyword()) :: Stream.t()
+  def gain(stream, gain, opts \\ []),
+    do: map(stream, "Gain", &Result.unwrap!(AudioBuffer.gain(&1, gain)), opts)
+
+  @doc """
+  Two streams as one sound, laid over each other by their times: `Situ.Audio.Mixer`.
+
+      iex> format = Situ.AudioFormat.pcm(1000)
+      iex> a = [{2_000_000, Situ.AudioBuffer.from_samples([1, 1], format)}]
+      iex> b = [{3_000_000, Situ.AudioBuffer.from_samples([10, 10], format)}]
+      iex> mixed = Situ.to_list(fn p -> Situ.Audio.mix(Situ.from_enumerable(p, a), Situ.from_enumerable(p, b)) end)
+      iex> Enum.flat_map(mixed, &Situ.AudioBuffer.to_samples/1)
+      [1, 11, 10]
+  """
+  @spec mix(Stream.t(), Stream.t(), keyword()) :: Stream.t()
+  def mix(stream, other, opts \\ []) do
+    {common, opts} = Keyword.split(opts, @common)
+    Situ.via([in: stream, other: other], Mixer, opts, common)
+  end
+
+  @doc """
+  In buffers of an exact size: `frames:` or `duration:`, and `hop:` for overlapping ones (`Situ.Audio.Reframer`).
+
+      iex> format = Situ.AudioFormat.pcm(1000)
+      iex> feed = [{3_000_000, Situ.AudioBuffer.from_samples([1, 2, 3], format)}, {5_000_000, Situ.AudioBuffer.from_samples([4, 5], format)}]
+      iex> pairs = Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Situ.Audio.reframe(frames: 2) end, times: true)
+      iex> for {time, buffer} <- pairs, do: {time, Situ.AudioBuffer.to_samples(buffer)}
+      [{2_000_000, [1, 2]}, {4_000_000, [3, 4]}]
+  """
+  @spec reframe(Stream.t(), keyword()) :: Stream.t()
+  def reframe(stream, opts), do: via(stream, Reframer, opts)
+
+  @doc "Gaps, overlaps and shaky times made good: `Situ.Audio.Streamline`."
+  @spec streamline(Stream.t(), keyword()) :: Stream.t()
+  def streamline(stream, opts \\ []), do: via(stream, Streamline, opts)
+
+  @doc """
+  Acoustic features, a map of streams (`:log_energy`, `:zero_crossing_rate`, ...): `Situ.Audio.Analyzer`.
+  """
+  @spec features(Stream.t(), keyword()) :: %{atom() => Stream.t()}
+  def features(stream, opts \\ []), do: via(stream, Analyzer, opts)
+
+  @doc "The logarithms of `bands` mel bands (default 40) of each frame, a stream of lists."
+  @spec log_mel(Stream.t(), keyword()) :: Stream.t()
+  def log_mel(stream, opts \\ []) do
+    {bands, opts} = Keyword.pop(opts, :bands, 40)
+    features(stream, [dither: 0, mel_bands: bands] ++ opts).log_mel
+  end
+
+  @doc "The first `count` (default 13) cepstral coefficients of `bands` mel bands (default 40), a stream of lists."
+  @spec mfcc(Stream.t(), keyword()) :: Stream.t()
+  def mfcc(stream, opts \\ []) do
+    {bands, opts} = Keyword.pop(opts, :bands, 40)
+    {count, opts} = Keyword.pop(opts, :count, 13)
+    features(stream, [dither: 0, mel_bands: bands, mfcc: count] ++ opts).mfcc
+  end
+
+  @doc "How loud each buffer is: a stream of `Situ.Audio.Level`."
+  @spec level(Stream.t(), keyword()) :: Stream.t()
+  def level(stream, opts \\ []) do
+    Operator.attach(stream, "Level", {:map, &Result.unwrap!(AudioBuffer.level(&1))}, opts, Level)
+  end
+
+  @doc "The bytes of each buffer."
+  @spec to_bytes(Stream.t(), keyword()) :: Stream.t()
+  def to_bytes(stream, opts \\ []),
+    do: Operator.attach(stream, "Bytes", {:map, & &1.data}, opts, :binary)
+
+  @doc "Buffers of a stream of binaries, whole frames each."
+  @spec from_bytes(Stream.t(), AudioFormat.t(), keyword()) :: Stream.t()
+  def from_bytes(stream, %AudioFormat{} = format, opts \\ []),
+    do: map(stream, "Sound", &AudioBuffer.new!(format: format, data: &1), opts)
+
+  defp map(stream, name, fun, opts),
+    do: Operator.attach(stream, name, {:map, fun}, opts, AudioBuffer)
+
+  defp via(stream, component, opts) do
+    {common, opts} = Keyword.split(opts, @common)
+    Situ.via(stream, component, opts, common)
+  end
+end

@@ -1,0 +1,36 @@
+defmodule Situ.Audio.Level do
+  @moduledoc """
+  How loud a piece of sound is. `peak` and `rms` are fractions of full scale (the loudest channel's peak, the mean power
+  of all), `peak_db` and `rms_db` the same in decibels below full scale, at least -120.0; `channels` has `{peak, rms}` of
+  each.
+
+      iex> Situ.Audio.Level.new([{1.0, 0.5}]).peak_db
+      0.0
+  """
+  @enforce_keys [:peak, :rms, :peak_db, :rms_db, :channels]
+  defstruct [:peak, :rms, :peak_db, :rms_db, :channels]
+
+  @type t :: %__MODULE__{
+          peak: float(),
+          rms: float(),
+          peak_db: float(),
+          rms_db: float(),
+          channels: [{float(), float()}]
+        }
+
+  @floor_db -120.0
+
+  @doc "From the peak and root mean square of each channel."
+  @spec new([{float(), float()}, ...]) :: t()
+  def new(channels) do
+    peak = channels |> Enum.map(&elem(&1, 0)) |> Enum.max()
+    power = channels |> Enum.map(fn {_, rms} -> rms * rms end) |> Enum.sum()
+    rms = :math.sqrt(power / length(channels))
+    %__MODULE__{peak: peak, rms: rms, peak_db: db(peak), rms_db: db(rms), channels: channels}
+  end
+
+  @doc "Decibels of a fraction of full scale."
+  @spec db(float()) :: float()
+  def db(value) when value <= 1.0e-6, do: @floor_db
+  def db(value), do: 20 * :math.log10(value)
+end

@@ -1,0 +1,160 @@
+defmodule Situ.Audio.Resampler do
+  @schema [
+    rate: [type: {:range, 1, 16_000_000}, required: true, doc: "Frames a second of the result."],
+    quality: [
+      type: {:in, [:quick, :low, :medium, :high, :very_high]},
+      default: :high,
+      doc: "libsoxr's recipes: cubic, 16 bit with a larger roll-off, 16, 20 and 28 bit."
+    ]
+  ]
+
+  @moduledoc """
+  Sample rate conversion by libsoxr, in pieces, with times exact to the sample.
+
+  As a component: sound in, sound out (`Situ.Audio.resample/3`). The filter is linear phase and its delay is accounted
+  for: frame `k` of the result lies `k / rate` after the first frame that came in, and an output buffer's time is the
+  input's time less what is still inside the filter. What is inside when the input closes comes out then. Sample type and
+  channels stay; when the input's format changes on the way, the filter is flushed and starts anew.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+
+  As functions, for sound that is not in a pipeline (the filter is memory outside of the term: feed each one once):
+
+      iex> format = Situ.AudioFormat.pcm(48_000)
+      iex> {:ok, filter} = Situ.Audio.Resampler.new(format, rate: 16_000)
+      iex> {:ok, first} = Situ.Audio.Resampler.feed(filter, Situ.AudioBuffer.silence(format, 4800))
+      iex> {:ok, rest} = Situ.Audio.Resampler.flush(filter)
+      iex> Situ.AudioBuffer.frames(first) + Situ.AudioBuffer.frames(rest)
+      1600
+  """
+  use Situ.Component,
+    inputs: [in: Situ.AudioBuffer],
+    outputs: [out: Situ.AudioBuffer],
+    options: @schema
+
+  alias Situ.{AudioBuffer, AudioFormat, Error}
+  alias Situ.Media.Kernel
+
+  @enforce_keys [:native, :from, :work, :to]
+  defstruct [:native, :from, :work, :to]
+
+  @typedoc "`from` and `to` are the formats outside, `work` the sample type inside."
+  @type t :: %__MODULE__{
+          native: reference(),
+          from: AudioFormat.t(),
+          work: AudioFormat.t(),
+          to: AudioFormat.t()
+        }
+
+  @doc "A filter from `format` to the same at another rate."
+  @spec new(AudioFormat.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def new(%AudioFormat{} = format, opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, format} <- AudioFormat.validate(format),
+         work = %{format | sample: working(format.sample)},
+         job =
+           {:new_resampler, format.rate, opts[:rate], format.channels, work.sample,
+            opts[:quality]},
+         {:ok, native} <- Kernel.sound(job, 200) do
+      {:ok,
+       %__MODULE__{native: native, from: format, work: work, to: %{format | rate: opts[:rate]}}}
+    end
+  end
+
+  # Types libsoxr does not know travel in the next larger one.
+  defp working(:u8), do: :s16
+  defp working(:s24), do: :s32
+  defp working(sample), do: sample
+
+  @doc "Feeds a buffer of the filter's format; the answer is what is ready, possibly nothing."
+  @spec feed(t(), AudioBuffer.t()) :: AudioBuffer.result()
+  def feed(%__MODULE__{from: from} = filter, %AudioBuffer{format: from} = buffer),
+    do: process(filter, buffer, false)
+
+  @doc "What is left inside. The filter is of no use after it."
+  @spec flush(t()) :: AudioBuffer.result()
+  def flush(%__MODULE__{} = filter),
+    do: process(filter, %AudioBuffer{format: filter.from, data: ""}, true)
+
+  defp process(filter, buffer, last?) do
+    # 10 s of 48 kHz take 1.6 ms: 3 ns a sample.
+    cost = Situ.Audio.Channels.cost(buffer) + if(last?, do: 100, else: 5)
+
+    with {:ok, inside} <- AudioBuffer.reformat(buffer, sample: filter.work.sample),
+         {:ok, data} <- Kernel.sound({:resample, filter.native, inside.data, last?}, cost) do
+      out = %AudioBuffer{format: %{filter.work | rate: filter.to.rate}, data: data}
+      AudioBuffer.reformat(out, sample: filter.to.sample)
+    end
+  end
+
+  @doc "A whole buffer at once: `AudioBuffer.resample/3`."
+  @spec whole(AudioBuffer.t(), pos_integer(), keyword()) :: AudioBuffer.result()
+  def whole(%AudioBuffer{format: %{rate: rate}} = buffer, rate, _opts),
+    do: AudioBuffer.validate(buffer)
+
+  def whole(%AudioBuffer{} = buffer, rate, opts) do
+    with {:ok, filter} <- new(buffer.format, [rate: rate] ++ opts),
+         {:ok, out} <- process(filter, buffer, true),
+         do: {:ok, out}
+  end
+
+  # The component
+
+  @impl true
+  def init(opts), do: {:ok, %{opts: opts, filter: nil, taken: 0, given: 0, seen: nil, last: nil}}
+
+  @impl true
+  def handle_message(:in, %{data: buffer, originating_time: time}, _context, state) do
+    {flushed, state} = follow(state, buffer.format)
+
+    if state.filter == :same do
+      {flushed ++ [{:out, time, buffer}], %{state | last: time}}
+    else
+      out = unwrap!(feed(state.filter, buffer))
+      state = %{state | taken: state.taken + AudioBuffer.frames(buffer), seen: time}
+      {actions, state} = emit(state, out)
+      {flushed ++ actions, state}
+    end
+  end
+
+  @impl true
+  def handle_closed(:in, _time, _context, state), do: drain(state)
+
+  # Starts a filter for the format, after the old one has given what it had.
+  defp follow(%{filter: %{from: format}} = state, format), do: {[], state}
+
+  defp follow(%{opts: opts} = state, format) do
+    {actions, state} = drain(state)
+
+    if format.rate == opts[:rate] do
+      {actions, %{state | filter: :same}}
+    else
+      {actions, %{state | filter: unwrap!(new(format, opts)), taken: 0, given: 0}}
+    end
+  end
+
+  defp drain(%{filter: %__MODULE__{} = filter} = state) do
+    {actions, state} = emit(state, unwrap!(flush(filter)))
+    {actions, %{state | filter: nil}}
+  end
+
+  defp drain(state), do: {[], %{state | filter: nil}}
+
+  defp emit(state, %AudioBuffer{data: ""}), do: {[], state}
+
+  defp emit(%{filter: filter} = state, out) do
+    given = state.given + AudioBuffer.frames(out)
+
+    inside =
+      AudioFormat.frames_to_ns(filter.from, state.taken) -
+        AudioFormat.frames_to_ns(filter.to, given)
+
+    time = state.seen - inside
+    time = if state.last, do: max(time, state.last + 1), else: time
+    {[{:out, time, out}], %{state | given: given, last: time}}
+  end
+
+  defp unwrap!(result), do: Situ.Image.Result.unwrap!(result)
+end

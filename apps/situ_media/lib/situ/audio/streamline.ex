@@ -1,0 +1,87 @@
+defmodule Situ.Audio.Streamline do
+  @schema [
+    method: [
+      type: {:in, [:concatenate, :pleat, :unpleat]},
+      default: :unpleat,
+      doc: "How: see above."
+    ],
+    max_offset: [
+      type: :time_ns,
+      default: 0,
+      doc:
+        "`:unpleat`: how far the times may drift from the input's before they are put right, ns."
+    ]
+  ]
+
+  @moduledoc """
+  Makes sound with gaps, overlaps or shaky times contiguous (`Situ.Audio.streamline/2`).
+
+    * `:concatenate`: nothing is changed but the times, which run on from the first buffer's as if there were no gaps;
+    * `:pleat`: each buffer is padded with silence or cut at its end to fill exactly the time since the one before; times
+      stay;
+    * `:unpleat`: times run on; when they have drifted from the input's by more than `max_offset`, silence goes in before
+      the buffer (it came late) or its beginning is cut off (it came early).
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    inputs: [in: Situ.AudioBuffer],
+    outputs: [out: Situ.AudioBuffer],
+    options: @schema
+
+  alias Situ.{AudioBuffer, AudioFormat}
+
+  @impl true
+  def init(opts), do: {:ok, %{opts: opts, origin: nil, frames: 0, last: nil}}
+
+  @impl true
+  def handle_message(:in, %{data: buffer, originating_time: time}, _context, state) do
+    # Frames are counted from the start of the first buffer, so that rounding does not add up.
+    state = %{state | origin: state.origin || AudioBuffer.start_time(buffer, time)}
+    fitted = fit(state.opts[:method], buffer, time, state)
+    emit(fitted, time, state)
+  end
+
+  defp fit(:concatenate, buffer, _time, _state), do: buffer
+
+  defp fit(:pleat, buffer, time, state) do
+    wanted = AudioFormat.ns_to_frames(buffer.format, time - state.origin) - state.frames
+    have = AudioBuffer.frames(buffer)
+
+    if wanted <= have,
+      do: AudioBuffer.slice(buffer, 0, max(wanted, 0)),
+      else: join(buffer, AudioBuffer.silence(buffer.format, wanted - have))
+  end
+
+  defp fit(:unpleat, buffer, time, state) do
+    have = AudioBuffer.frames(buffer)
+    reached = state.origin + AudioFormat.frames_to_ns(buffer.format, state.frames + have)
+    drift = time - reached
+
+    cond do
+      abs(drift) <= state.opts[:max_offset] ->
+        buffer
+
+      drift > 0 ->
+        missing = AudioFormat.ns_to_frames(buffer.format, drift)
+        join(AudioBuffer.silence(buffer.format, missing), buffer)
+
+      true ->
+        AudioBuffer.slice(buffer, AudioFormat.ns_to_frames(buffer.format, -drift), have)
+    end
+  end
+
+  defp emit(%AudioBuffer{data: ""}, _time, state), do: {[], state}
+
+  defp emit(buffer, time, state) do
+    frames = state.frames + AudioBuffer.frames(buffer)
+    runs_on = state.origin + AudioFormat.frames_to_ns(buffer.format, frames)
+    at = if state.opts[:method] == :pleat, do: time, else: runs_on
+    at = if state.last, do: max(at, state.last + 1), else: at
+    {[{:out, at, buffer}], %{state | frames: frames, last: at}}
+  end
+
+  defp join(a, b), do: %{a | data: a.data <> b.data}
+end

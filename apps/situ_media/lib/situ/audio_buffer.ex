@@ -1,0 +1,259 @@
+defmodule Situ.AudioBuffer do
+  @moduledoc """
+  A piece of sound: interleaved samples and their `Situ.AudioFormat`.
+
+  As a message, its **originating time is the time of its end**: the moment after its last frame. Frame `i` of `n` spans
+  `time - (n - i) / rate` to `time - (n - i - 1) / rate`.
+
+      iex> buffer = Situ.AudioBuffer.from_samples([0, 16384, -16384, 0], Situ.AudioFormat.pcm(16_000))
+      iex> buffer
+      #Situ.AudioBuffer<4 frames, 250 us, 16000 Hz, 1 ch, :s16>
+      iex> Situ.AudioBuffer.to_samples(buffer)
+      [0, 16384, -16384, 0]
+  """
+  @behaviour Situ.Codec
+
+  alias Situ.Audio.Channels
+  alias Situ.{AudioFormat, Error}
+
+  @enforce_keys [:format, :data]
+  defstruct [:format, :data]
+
+  @type t :: %__MODULE__{format: AudioFormat.t(), data: binary()}
+  @type result :: {:ok, t()} | {:error, Error.t()}
+
+  @schema [
+    format: [
+      type: {:struct, AudioFormat},
+      default: Macro.escape(%AudioFormat{}),
+      doc: "What the bytes mean."
+    ],
+    data: [type: :string, required: true, doc: "Whole frames, interleaved, little-endian."]
+  ]
+
+  @doc """
+  A checked buffer; nothing is copied.
+
+      iex> {:error, error} = Situ.AudioBuffer.new(format: Situ.AudioFormat.pcm(8_000, 2), data: <<1, 2, 3>>)
+      iex> error.what
+      "3 bytes are not whole frames of 4 bytes (8000 Hz, 2 channels, :s16)"
+  """
+  @spec new(keyword()) :: result()
+  def new(opts) do
+    opts = Keyword.put_new(opts, :format, %AudioFormat{})
+
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema) do
+      validate(struct!(__MODULE__, opts))
+    end
+  end
+
+  @doc "As `new/1`, but returns the buffer or raises the error."
+  @spec new!(keyword()) :: t()
+  def new!(opts), do: Situ.Image.Result.unwrap!(new(opts))
+
+  @doc "Checks a struct built by hand."
+  @spec validate(t()) :: result()
+  def validate(%__MODULE__{format: %AudioFormat{} = format, data: data} = buffer)
+      when is_binary(data) do
+    with {:ok, _} <- AudioFormat.validate(format) do
+      size = AudioFormat.bytes_per_frame(format)
+
+      if rem(byte_size(data), size) == 0 do
+        {:ok, buffer}
+      else
+        bad(
+          "#{byte_size(data)} bytes are not whole frames of #{size} bytes " <>
+            "(#{format.rate} Hz, #{format.channels} channels, #{inspect(format.sample)})"
+        )
+      end
+    end
+  end
+
+  def validate(%__MODULE__{}), do: bad("an audio buffer needs a Situ.AudioFormat and a binary")
+
+  @doc """
+  A buffer of silence.
+
+      iex> Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(8_000, 1, :u8), 2).data
+      <<128, 128>>
+  """
+  @spec silence(AudioFormat.t(), non_neg_integer()) :: t()
+  def silence(%AudioFormat{} = format, frames) when is_integer(frames) and frames >= 0 do
+    byte = if format.sample == :u8, do: <<128>>, else: <<0>>
+
+    %__MODULE__{
+      format: format,
+      data: :binary.copy(byte, frames * AudioFormat.bytes_per_frame(format))
+    }
+  end
+
+  @doc "Frames in the buffer."
+  @spec frames(t()) :: non_neg_integer()
+  def frames(%__MODULE__{} = b), do: div(byte_size(b.data), AudioFormat.bytes_per_frame(b.format))
+
+  @doc """
+  How long it lasts, nanoseconds.
+
+      iex> Situ.AudioBuffer.duration(Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(16_000), 320))
+      20_000_000
+  """
+  @spec duration(t()) :: Situ.Time.duration()
+  def duration(%__MODULE__{} = b), do: AudioFormat.frames_to_ns(b.format, frames(b))
+
+  @doc "When a buffer whose end is `originating_time` began."
+  @spec start_time(t(), Situ.Time.t()) :: Situ.Time.t()
+  def start_time(%__MODULE__{} = b, originating_time), do: originating_time - duration(b)
+
+  @doc """
+  Buffers of one format as one.
+
+      iex> one = Situ.AudioBuffer.from_samples([1], Situ.AudioFormat.pcm())
+      iex> {:ok, two} = Situ.AudioBuffer.concat([one, one])
+      iex> Situ.AudioBuffer.to_samples(two)
+      [1, 1]
+  """
+  @spec concat([t(), ...]) :: result()
+  def concat([%__MODULE__{format: format} | _] = buffers) do
+    case Enum.find(buffers, &(&1.format != format)) do
+      nil ->
+        {:ok,
+         %__MODULE__{format: format, data: IO.iodata_to_binary(Enum.map(buffers, & &1.data))}}
+
+      other ->
+        bad("cannot append #{inspect(other.format)} to #{inspect(format)}")
+    end
+  end
+
+  @doc """
+  `count` frames from frame `first` on, as a part of the same memory; clipped to what there is.
+  """
+  @spec slice(t(), non_neg_integer(), non_neg_integer()) :: t()
+  def slice(%__MODULE__{} = b, first, count) when first >= 0 and count >= 0 do
+    total = frames(b)
+    first = min(first, total)
+    size = AudioFormat.bytes_per_frame(b.format)
+    %{b | data: binary_part(b.data, first * size, min(count, total - first) * size)}
+  end
+
+  @doc """
+  Interleaved sample values as a list: for tests and small pieces. Use the operators for real sound.
+  """
+  @spec to_samples(t()) :: [number()]
+  def to_samples(%__MODULE__{format: %{sample: sample}, data: data}) do
+    case sample do
+      :u8 -> :binary.bin_to_list(data)
+      :s16 -> for <<v::little-signed-16 <- data>>, do: v
+      :s24 -> for <<v::little-signed-24 <- data>>, do: v
+      :s32 -> for <<v::little-signed-32 <- data>>, do: v
+      :f32 -> for <<v::little-float-32 <- data>>, do: v
+      :f64 -> for <<v::little-float-64 <- data>>, do: v
+    end
+  end
+
+  @doc "A buffer from interleaved sample values, in the format's own range."
+  @spec from_samples([number()], AudioFormat.t()) :: t()
+  def from_samples(values, %AudioFormat{sample: sample} = format) do
+    data =
+      case sample do
+        :u8 -> for v <- values, into: <<>>, do: <<v>>
+        :s16 -> for v <- values, into: <<>>, do: <<v::little-16>>
+        :s24 -> for v <- values, into: <<>>, do: <<v::little-24>>
+        :s32 -> for v <- values, into: <<>>, do: <<v::little-32>>
+        :f32 -> for v <- values, into: <<>>, do: <<v::little-float-32>>
+        :f64 -> for v <- values, into: <<>>, do: <<v::little-float-64>>
+      end
+
+    new!(format: format, data: data)
+  end
+
+  @doc """
+  At another rate, the whole buffer at once; `quality:` as in `Situ.Audio.Resampler`.
+
+      iex> buffer = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(48_000), 480)
+      iex> Situ.AudioBuffer.resample!(buffer, 16_000) |> Situ.AudioBuffer.frames()
+      160
+  """
+  @spec resample(t(), pos_integer(), keyword()) :: result()
+  def resample(%__MODULE__{} = buffer, rate, opts \\ []),
+    do: Situ.Audio.Resampler.whole(buffer, rate, opts)
+
+  defdelegate reformat(buffer, opts), to: Channels
+  defdelegate remix(buffer, matrix, opts \\ []), to: Channels
+  defdelegate select_channels(buffer, channels), to: Channels
+  defdelegate gain(buffer, gain), to: Channels
+  defdelegate mix(a, b, opts \\ []), to: Channels
+  defdelegate level(buffer), to: Channels
+
+  for {name, arity} <-
+        [resample: 2, resample: 3, reformat: 2, remix: 2, remix: 3, select_channels: 2] ++
+          [gain: 2, mix: 2, mix: 3, level: 1] do
+    args = Macro.generate_arguments(arity, __MODULE__)
+    types = List.duplicate(quote(do: term()), arity)
+
+    @doc "As `#{name}/#{arity}`, but returns the value or raises the `Situ.Error`."
+    @spec unquote(:"#{name}!")(unquote_splicing(types)) :: term()
+    def unquote(:"#{name}!")(unquote_splicing(args)),
+      do: Situ.Image.Result.unwrap!(unquote(name)(unquote_splicing(args)))
+  end
+
+  @impl Situ.Codec
+  def codec_name, do: "situ.audio_buffer"
+
+  @impl Situ.Codec
+  def encode(%__MODULE__{format: format, data: data}) do
+    [
+      <<1, AudioFormat.code(format.sample), format.channels::little-16, format.rate::little-32,
+        0::64>>,
+      data
+    ]
+  end
+
+  @impl Situ.Codec
+  def decode(<<1, code, channels::little-16, rate::little-32, _::64, data::binary>>) do
+    with {:ok, sample} <- AudioFormat.sample_from_code(code) do
+      validate(%__MODULE__{
+        format: %AudioFormat{rate: rate, channels: channels, sample: sample},
+        data: data
+      })
+    end
+  end
+
+  def decode(_), do: bad("not a stored audio buffer")
+
+  @doc """
+  The waveform as points of a millisecond each (minimum, maximum, last value; full scale 1.0; all channels together), each
+  with the time of its beginning.
+
+      iex> buffer = Situ.AudioBuffer.from_samples([0, 16384, -16384], Situ.AudioFormat.pcm(2000))
+      iex> Situ.AudioBuffer.points(buffer, 1_500_000)
+      [{0, 0.0, 0.5, 0.5, 2}, {1_000_000, -0.5, -0.5, -0.5, 1}]
+  """
+  @impl Situ.Codec
+  def points(%__MODULE__{format: format} = buffer, originating_time) do
+    span = max(div(format.rate, 1000), 1)
+    start = start_time(buffer, originating_time)
+    job = {:points, buffer.data, Channels.layout(format), span}
+    {:ok, points} = Situ.Media.Kernel.sound(job, Channels.cost(buffer))
+
+    points
+    |> Enum.with_index()
+    |> Enum.map(fn {{min, max, last, count}, i} ->
+      {start + AudioFormat.frames_to_ns(format, i * span), min, max, last, count}
+    end)
+  end
+
+  defp bad(what), do: {:error, Error.new(:bad_audio, what)}
+
+  defimpl Inspect do
+    def inspect(%{format: %Situ.AudioFormat{} = f, data: data} = buffer, _opts)
+        when is_binary(data) do
+      "#Situ.AudioBuffer<#{Situ.AudioBuffer.frames(buffer)} frames, " <>
+        "#{Situ.Time.format_duration(Situ.AudioBuffer.duration(buffer))}, #{f.rate} Hz, " <>
+        "#{f.channels} ch, #{inspect(f.sample)}>"
+    rescue
+      _ -> "#Situ.AudioBuffer<invalid>"
+    end
+
+    def inspect(_, _opts), do: "#Situ.AudioBuffer<invalid>"
+  end
+end

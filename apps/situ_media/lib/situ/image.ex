@@ -1,0 +1,339 @@
+defmodule Situ.Image do
+  @moduledoc """
+  A picture in memory: a binary of pixels with its shape beside it.
+
+  Rows go from top to bottom, each `stride` bytes after the one before; within a row the pixels follow each other
+  without gaps. `stride` may be larger than a row needs (foreign buffers, crops without a copy) and may be odd; pictures
+  made by Situ have none to spare. 16-bit channels are little-endian.
+
+  | format | bytes a pixel | channels in memory order |
+  |---|---|---|
+  | `:gray8` | 1 | grey |
+  | `:gray16` | 2 | grey, 16 bit |
+  | `:bgr24` | 3 | blue, green, red (what cameras, OpenCV and video files give) |
+  | `:rgb24` | 3 | red, green, blue |
+  | `:bgrx32` | 4 | blue, green, red, unused |
+  | `:bgra32` | 4 | blue, green, red, alpha |
+  | `:rgba32` | 4 | red, green, blue, alpha (what browsers give) |
+  | `:rgba64` | 8 | red, green, blue, alpha, 16 bit each |
+
+      iex> {:ok, image} = Situ.Image.new(width: 2, height: 1, format: :bgr24, data: <<255, 0, 0, 0, 0, 255>>)
+      iex> image
+      #Situ.Image<2x1 :bgr24, 6 B>
+      iex> Situ.Image.fetch_pixel(image, 1, 0)
+      {:ok, [0, 0, 255]}
+
+  Structs built by hand are checked again by every operator, in Rust.
+  """
+  @behaviour Situ.Codec
+
+  alias Situ.Error
+  alias Situ.Image.{Color, Format}
+
+  @enforce_keys [:width, :height, :format, :stride, :data]
+  defstruct [:width, :height, :format, :stride, :data]
+
+  @type t :: %__MODULE__{
+          width: pos_integer(),
+          height: pos_integer(),
+          format: Format.t(),
+          stride: pos_integer(),
+          data: binary()
+        }
+  @type result :: {:ok, t()} | {:error, Error.t()}
+
+  # 1 GiB: beyond any camera, and small enough that a picture never takes the machine down.
+  @max_bytes 1_073_741_824
+
+  @schema [
+    width: [type: :pos_integer, required: true, doc: "Pixels in a row."],
+    height: [type: :pos_integer, required: true, doc: "Rows."],
+    format: [type: {:in, Format.all()}, required: true, doc: "The pixel format."],
+    stride: [
+      type: {:optional, :pos_integer},
+      default: nil,
+      doc: "Bytes from one row to the next; `nil`: no gap."
+    ],
+    data: [type: :string, required: true, doc: "The pixels, `stride * height` bytes or more."]
+  ]
+
+  @doc """
+  A checked picture around `data`; nothing is copied.
+
+  #{Situ.Options.docs(@schema)}
+
+  The last row need not be padded to `stride`.
+
+      iex> {:error, error} = Situ.Image.new(width: 2, height: 2, format: :gray8, data: "abc")
+      iex> {error.code, error.what}
+      {:bad_image, "3 bytes are too few for 2x2 :gray8 with stride 2"}
+  """
+  @spec new(keyword()) :: result()
+  def new(opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema) do
+      opts = Map.new(opts)
+      stride = opts.stride || opts.width * Format.bytes_per_pixel(opts.format)
+      validate(struct!(__MODULE__, %{opts | stride: stride}))
+    end
+  end
+
+  @doc "As `new/1`, but returns the picture or raises the error."
+  @spec new!(keyword()) :: t()
+  def new!(opts), do: Situ.Image.Result.unwrap!(new(opts))
+
+  @doc """
+  A picture of one colour (`Situ.Image.Color`: channel values in memory order, one for all, a name, `{r, g, b}`).
+
+      iex> Situ.Image.filled(2, 1, :bgr24, [1, 2, 3]).data
+      <<1, 2, 3, 1, 2, 3>>
+      iex> Situ.Image.filled(1, 1, :gray16, 258).data
+      <<2, 1>>
+  """
+  @spec filled(pos_integer(), pos_integer(), Format.t(), Color.t()) ::
+          t()
+  def filled(width, height, format, color \\ 0) do
+    pixel = Color.pack(format, color)
+    bytes = width * height * byte_size(pixel)
+
+    if bytes > @max_bytes do
+      raise ArgumentError,
+            "#{width}x#{height} #{inspect(format)} is larger than #{@max_bytes} bytes"
+    end
+
+    new!(
+      width: width,
+      height: height,
+      format: format,
+      data: :binary.copy(pixel, width * height)
+    )
+  end
+
+  @doc "The most bytes one picture may take."
+  @spec max_bytes() :: pos_integer()
+  def max_bytes, do: @max_bytes
+
+  @doc """
+  Checks a struct: sizes positive, stride wide enough, data long enough, not over `max_bytes/0`.
+  """
+  @spec validate(t()) :: result()
+  def validate(%__MODULE__{} = image) do
+    %{width: width, height: height, format: format, stride: stride, data: data} = image
+
+    cond do
+      not (is_integer(width) and is_integer(height) and width > 0 and height > 0) ->
+        bad("a picture cannot be #{inspect(width)}x#{inspect(height)}")
+
+      format not in Format.all() ->
+        bad("unknown pixel format #{inspect(format)}")
+
+      not is_integer(stride) or stride < width * Format.bytes_per_pixel(format) ->
+        bad("stride #{inspect(stride)} is too small for #{width} pixels of #{inspect(format)}")
+
+      not is_binary(data) ->
+        bad("the pixels must be a binary")
+
+      stride * height > @max_bytes ->
+        bad("#{width}x#{height} with stride #{stride} is larger than #{@max_bytes} bytes")
+
+      byte_size(data) < needed(image) ->
+        bad("#{byte_size(data)} bytes are too few for #{describe(image)} with stride #{stride}")
+
+      true ->
+        {:ok, image}
+    end
+  end
+
+  @doc "Bytes of one row without padding."
+  @spec row_bytes(t()) :: pos_integer()
+  def row_bytes(%__MODULE__{} = image), do: image.width * Format.bytes_per_pixel(image.format)
+
+  @doc "Whether the rows follow each other without gaps and nothing follows the last."
+  @spec tight?(t()) :: boolean()
+  def tight?(%__MODULE__{} = image),
+    do: image.stride == row_bytes(image) and byte_size(image.data) == image.stride * image.height
+
+  @doc """
+  The pixels without padding, as one binary; not copied when the picture has none.
+
+      iex> image = Situ.Image.new!(width: 1, height: 2, format: :gray8, stride: 4, data: <<1, 0, 0, 0, 2>>)
+      iex> Situ.Image.pixels(image)
+      <<1, 2>>
+  """
+  @spec pixels(t()) :: binary()
+  def pixels(%__MODULE__{} = image) do
+    row = row_bytes(image)
+
+    if image.stride == row do
+      binary_part(image.data, 0, row * image.height)
+    else
+      for y <- 0..(image.height - 1),
+          into: <<>>,
+          do: binary_part(image.data, y * image.stride, row)
+    end
+  end
+
+  @doc """
+  The channel values at column `x`, row `y`, in memory order.
+
+      iex> Situ.Image.fetch_pixel(Situ.Image.filled(2, 2, :gray8, 7), 2, 0) |> elem(1) |> Map.fetch!(:code)
+      :bad_point
+  """
+  @spec fetch_pixel(t(), integer(), integer()) :: {:ok, [non_neg_integer()]} | {:error, Error.t()}
+  def fetch_pixel(%__MODULE__{width: w, height: h} = image, x, y)
+      when x >= 0 and y >= 0 and x < w and y < h do
+    size = Format.bytes_per_pixel(image.format)
+    {:ok, Format.unpack(image.format, binary_part(image.data, y * image.stride + x * size, size))}
+  end
+
+  def fetch_pixel(%__MODULE__{} = image, x, y) do
+    {:error, Error.new(:bad_point, "there is no pixel {#{x}, #{y}} in #{describe(image)}")}
+  end
+
+  @doc """
+  A copy with one pixel changed. Copies the whole picture: for drawing many, use the drawing operators.
+
+      iex> Situ.Image.filled(2, 1, :gray8) |> Situ.Image.put_pixel(1, 0, [9]) |> elem(1) |> Situ.Image.pixels()
+      <<0, 9>>
+  """
+  @spec put_pixel(t(), integer(), integer(), Color.t()) :: result()
+  def put_pixel(%__MODULE__{} = image, x, y, color) do
+    with {:ok, _} <- fetch_pixel(image, x, y) do
+      pixel = Color.pack(image.format, color)
+      offset = y * image.stride + x * byte_size(pixel)
+      <<before::binary-size(offset), _::binary-size(byte_size(pixel)), rest::binary>> = image.data
+      {:ok, %{image | data: <<before::binary, pixel::binary, rest::binary>>}}
+    end
+  end
+
+  @doc "Size and format for people: `640x480 :bgr24`."
+  @spec describe(t()) :: String.t()
+  def describe(%__MODULE__{} = image),
+    do: "#{image.width}x#{image.height} #{inspect(image.format)}"
+
+  alias Situ.Image.{Drawing, Files, Filter, Geometry, Measure, Pixels}
+
+  # Geometry
+  defdelegate crop(image, rect, opts \\ []), to: Geometry
+  defdelegate resize(image, width, height, opts \\ []), to: Geometry
+  defdelegate scale(image, sx, sy, opts \\ []), to: Geometry
+  defdelegate letterbox(image, width, height, opts \\ []), to: Geometry
+  defdelegate letterbox_rect(from_width, from_height, width, height), to: Geometry
+  defdelegate flip(image, axis), to: Geometry
+  defdelegate rotate(image, degrees, opts \\ []), to: Geometry
+  defdelegate warp_affine(image, matrix, opts \\ []), to: Geometry
+  defdelegate warp_perspective(image, matrix, opts \\ []), to: Geometry
+  defdelegate paste(image, part, place, opts \\ []), to: Geometry
+
+  # Pixels
+  defdelegate convert(image, format), to: Pixels
+  defdelegate invert(image), to: Pixels
+  defdelegate threshold(image, threshold, kind \\ :binary, opts \\ []), to: Pixels
+  defdelegate extract_channel(image, channel), to: Pixels
+  defdelegate absdiff(a, b), to: Pixels
+  defdelegate convolve(image, kernel), to: Pixels
+  defdelegate pseudo_colorize(depth, range_m, opts \\ []), to: Pixels
+
+  # Filters
+  defdelegate blur(image, sigma, opts \\ []), to: Filter
+  defdelegate box_blur(image, size), to: Filter
+  defdelegate median_blur(image, size), to: Filter
+  defdelegate canny(image, low, high), to: Filter
+  defdelegate sobel(image), to: Filter
+  defdelegate erode(image, size), to: Filter
+  defdelegate dilate(image, size), to: Filter
+  defdelegate open(image, size), to: Filter
+  defdelegate close(image, size), to: Filter
+  defdelegate equalize(image), to: Filter
+
+  # Drawing
+  defdelegate draw(image, shapes), to: Drawing
+  defdelegate draw_line(image, from, to, opts \\ []), to: Drawing
+  defdelegate draw_rectangle(image, rect, opts \\ []), to: Drawing
+  defdelegate fill_rectangle(image, rect, opts \\ []), to: Drawing
+  defdelegate draw_circle(image, center, radius, opts \\ []), to: Drawing
+  defdelegate fill_circle(image, center, radius, opts \\ []), to: Drawing
+  defdelegate draw_text(image, at, text, opts \\ []), to: Drawing
+  defdelegate draw_detections(image, rects, opts \\ []), to: Drawing
+
+  # Measurements
+  defdelegate statistics(image, opts \\ []), to: Measure
+  defdelegate average_color(image, opts \\ []), to: Measure
+  defdelegate histogram(image, opts \\ []), to: Measure
+  defdelegate compare(a, b, opts \\ []), to: Measure
+  defdelegate to_f32(image, opts \\ []), to: Measure
+
+  # Files
+  defdelegate encode_jpeg(image, opts \\ []), to: Files
+  defdelegate encode_png(image, opts \\ []), to: Files
+  defdelegate parse(encoded, opts \\ []), to: Files
+  defdelegate decode_depth(encoded, opts \\ []), to: Files
+  defdelegate read(path, opts \\ []), to: Files
+  defdelegate write(image, path, opts \\ []), to: Files
+  defdelegate from_raw(bytes, width, height, format), to: Files
+  defdelegate from_yuv(bytes, width, height, layout), to: Files
+
+  @twins ~w(crop resize scale letterbox flip rotate warp_affine warp_perspective paste convert invert threshold
+            extract_channel absdiff convolve pseudo_colorize blur box_blur median_blur canny sobel erode dilate open
+            close equalize draw draw_line draw_rectangle fill_rectangle draw_circle fill_circle draw_text
+            draw_detections statistics average_color histogram compare to_f32 encode_jpeg encode_png parse
+            decode_depth read from_raw from_yuv)a
+
+  for {name, arity} <- Module.definitions_in(__MODULE__, :def), name in @twins do
+    args = Macro.generate_arguments(arity, __MODULE__)
+
+    @doc "As `#{name}/#{arity}`, but returns the value or raises the `Situ.Error`."
+    @spec unquote(:"#{name}!")(unquote_splicing(List.duplicate(quote(do: term()), arity))) ::
+            term()
+    def unquote(:"#{name}!")(unquote_splicing(args)),
+      do: Situ.Image.Result.unwrap!(unquote(name)(unquote_splicing(args)))
+  end
+
+  # 64 bytes, so that pixels stored after it keep the alignment of the record.
+  @header_bytes 64
+
+  @impl Situ.Codec
+  def codec_name, do: "situ.image"
+
+  @impl Situ.Codec
+  def encode(%__MODULE__{} = image) do
+    header =
+      <<1, Format.code(image.format), 0::16, image.width::little-32, image.height::little-32,
+        image.stride::little-32, 0::size((@header_bytes - 16) * 8)>>
+
+    [header, image.data]
+  end
+
+  @impl Situ.Codec
+  def decode(
+        <<1, code, _::16, width::little-32, height::little-32, stride::little-32,
+          _::binary-size(@header_bytes - 16), data::binary>>
+      ) do
+    with {:ok, format} <- Format.from_code(code) do
+      validate(%__MODULE__{
+        width: width,
+        height: height,
+        format: format,
+        stride: stride,
+        data: data
+      })
+    end
+  end
+
+  def decode(_), do: bad("not a stored picture")
+
+  defp needed(image), do: image.stride * (image.height - 1) + row_bytes(image)
+  defp bad(what), do: {:error, Error.new(:bad_image, what)}
+
+  defimpl Inspect do
+    def inspect(%{data: data} = image, _opts) when is_binary(data) do
+      size = "#{image.width}x#{image.height} #{inspect(image.format)}"
+      tight = image.width * Situ.Image.Format.bytes_per_pixel(image.format)
+      stride = if image.stride == tight, do: "", else: ", stride #{inspect(image.stride)}"
+      "#Situ.Image<#{size}#{stride}, #{byte_size(data)} B>"
+    rescue
+      _ -> "#Situ.Image<invalid>"
+    end
+
+    def inspect(_image, _opts), do: "#Situ.Image<invalid>"
+  end
+end

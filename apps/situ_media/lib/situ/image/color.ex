@@ -1,0 +1,87 @@
+defmodule Situ.Image.Color do
+  @moduledoc """
+  Colours for drawing and filling.
+
+  A colour is a list of channel values in the picture's memory order, one number for all channels, a name, or
+  `{r, g, b}` / `{r, g, b, a}` with 0..255, which fits every format (grey takes the picture's grey of it, 16 bit widens).
+
+      iex> Situ.Image.Color.values(:bgr24, :red)
+      [0, 0, 255]
+      iex> Situ.Image.Color.values(:gray8, {255, 255, 255})
+      [254]
+      iex> Situ.Image.Color.values(:rgba64, {255, 0, 0, 128})
+      [65535, 0, 0, 32896]
+  """
+  alias Situ.Image.Format
+
+  @names [
+    black: {0, 0, 0},
+    white: {255, 255, 255},
+    red: {255, 0, 0},
+    green: {0, 255, 0},
+    blue: {0, 0, 255},
+    yellow: {255, 255, 0},
+    cyan: {0, 255, 255},
+    magenta: {255, 0, 255},
+    orange: {255, 165, 0},
+    gray: {128, 128, 128}
+  ]
+
+  @type t ::
+          non_neg_integer()
+          | [non_neg_integer()]
+          | {byte(), byte(), byte()}
+          | {byte(), byte(), byte(), byte()}
+          | atom()
+
+  @doc "The channel values of a colour in a format; raises `ArgumentError` on what is no colour."
+  @spec values(Format.t(), t()) :: [non_neg_integer()]
+  def values(format, color) when is_list(color) or is_integer(color),
+    do: Format.unpack(format, Format.pack!(format, color))
+
+  def values(format, name) when is_atom(name) do
+    case Keyword.fetch(@names, name) do
+      {:ok, rgb} ->
+        values(format, rgb)
+
+      :error ->
+        raise ArgumentError, "no colour #{inspect(name)}, known: #{inspect(Keyword.keys(@names))}"
+    end
+  end
+
+  def values(format, {r, g, b}), do: values(format, {r, g, b, 255})
+
+  def values(format, {r, g, b, a} = color) do
+    unless Enum.all?([r, g, b, a], &(&1 in 0..255)) do
+      raise ArgumentError, "colours have values of 0..255, got: #{inspect(color)}"
+    end
+
+    scale = if Format.bits_per_channel(format) == 16, do: 257, else: 1
+    Enum.map(Format.channels(format), &(channel(&1, color) * scale))
+  end
+
+  @doc """
+  One pixel of a colour as bytes.
+
+      iex> Situ.Image.Color.pack(:bgra32, :blue)
+      <<255, 0, 0, 255>>
+  """
+  @spec pack(Format.t(), t()) :: binary()
+  def pack(format, color), do: Format.pack!(format, values(format, color))
+
+  @doc false
+  @spec scalar(Format.t(), t()) :: {float(), float(), float(), float()}
+  def scalar(format, color) do
+    [a, b, c, d] = Enum.take(values(format, color) ++ [0, 0, 0], 4)
+    {a * 1.0, b * 1.0, c * 1.0, d * 1.0}
+  end
+
+  defp channel(:red, {r, _, _, _}), do: r
+  defp channel(:green, {_, g, _, _}), do: g
+  defp channel(:blue, {_, _, b, _}), do: b
+  defp channel(:alpha, {_, _, _, a}), do: a
+  defp channel(:unused, _), do: 255
+
+  defp channel(:gray, {r, g, b, _}),
+    do: Bitwise.bsr(4897 * r + 9617 * g + 1868 * b, 14)
+end

@@ -1,0 +1,190 @@
+defmodule Situ.Image.Files do
+  @moduledoc """
+  Pictures as JPEG, PNG and raw bytes. Call them through `Situ.Image`.
+
+  Whatever a header claims, memory is only taken when the bytes there could hold such a picture, and never more than
+  `Situ.Image.max_bytes/0`.
+  """
+  alias Situ.{DepthImage, EncodedImage, Error, Image}
+  alias Situ.Media.Kernel
+
+  @jpeg [
+    quality: [type: {:range, 1, 100}, default: 90, doc: "1 (worst) to 100."],
+    subsampling: [
+      type: {:in, [:full, :half, :quarter]},
+      default: :quarter,
+      doc: "Colour resolution: 4:4:4, 4:2:2 or 4:2:0."
+    ]
+  ]
+
+  @levels [fast: 0, balanced: 1, small: 2]
+
+  @doc """
+  Compressed as JPEG (libjpeg-turbo). 8-bit formats; alpha is dropped.
+
+  #{Situ.Options.docs(@jpeg)}
+
+      iex> {:ok, jpeg} = Situ.Image.encode_jpeg(Situ.Image.filled(16, 8, :bgr24, [0, 128, 255]))
+      iex> {jpeg.format, jpeg.width, jpeg.height}
+      {:jpeg, 16, 8}
+      iex> {:error, error} = Situ.Image.encode_jpeg(Situ.Image.filled(2, 2, :gray16))
+      iex> error.code
+      :bad_format
+  """
+  @spec encode_jpeg(Image.t(), keyword()) :: {:ok, EncodedImage.t()} | {:error, Error.t()}
+  def encode_jpeg(%Image{} = image, opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @jpeg),
+         {:ok, image} <- Image.validate(image),
+         job = {:jpeg_encode, image, round(opts[:quality]), opts[:subsampling]},
+         {:ok, bytes} <- Kernel.picture(job, image.width * image.height / 350) do
+      {:ok, encoded(:jpeg, image, bytes)}
+    end
+  end
+
+  @doc """
+  Compressed as PNG, without loss, 8 or 16 bit; `level:` `:fast`, `:balanced` (default) or `:small`.
+  `:bgrx32` loses its unused channel.
+
+      iex> image = Situ.Image.filled(3, 2, :gray16, 1234)
+      iex> {:ok, png} = Situ.Image.encode_png(image)
+      iex> Situ.Image.parse(png)
+      {:ok, image}
+  """
+  @spec encode_png(Image.t() | DepthImage.t(), keyword()) ::
+          {:ok, EncodedImage.t()} | {:error, Error.t()}
+  def encode_png(image, opts \\ [])
+
+  def encode_png(%DepthImage{} = depth, opts),
+    do: encode_png(DepthImage.to_gray16(depth), opts)
+
+  def encode_png(%Image{} = image, opts) do
+    level = Keyword.fetch!(@levels, Keyword.validate!(opts, level: :balanced)[:level])
+
+    with {:ok, image} <- Image.validate(image),
+         {:ok, bytes} <- Kernel.picture({:png_encode, image, level}, byte_size(image.data) / 50) do
+      {:ok, encoded(:png, image, bytes)}
+    end
+  end
+
+  @doc """
+  A picture from JPEG or PNG bytes (`Situ.EncodedImage` or a binary).
+
+  JPEG answers `:bgr24` or `:gray8` as the file has it, or `format:` (any 8-bit format); PNG answers `:gray8`, `:gray16`,
+  `:rgb24`, `:rgba32` or `:rgba64` as the file has it, converted when `format:` is given. A truncated or broken file is an
+  error: `:bad_jpeg`, `:bad_png`.
+
+      iex> {:error, error} = Situ.Image.parse(<<0xFF, 0xD8, 0xFF, 0xE0, 0>>)
+      iex> error.code
+      :bad_jpeg
+  """
+  @spec parse(EncodedImage.t() | binary(), keyword()) :: Image.result()
+  def parse(encoded, opts \\ [])
+  def parse(%EncodedImage{data: data}, opts), do: parse(data, opts)
+
+  def parse(bytes, opts) when is_binary(bytes) do
+    wanted = Keyword.validate!(opts, format: nil)[:format]
+
+    case EncodedImage.sniff(bytes) do
+      {:ok, :jpeg} -> Kernel.picture({:jpeg_decode, bytes, wanted}, byte_size(bytes) / 30)
+      {:ok, :png} -> decode_png(bytes, wanted)
+      {:error, _} = error -> error
+    end
+  end
+
+  defp decode_png(bytes, wanted) do
+    # How much work a PNG is its length does not tell: dirty unless it is tiny.
+    cost = if byte_size(bytes) < 512, do: 1, else: 1000
+
+    with {:ok, image} <- Kernel.picture({:png_decode, bytes}, cost) do
+      if wanted, do: Image.convert(image, wanted), else: {:ok, image}
+    end
+  end
+
+  @doc "A depth image from a 16-bit grey PNG; `semantics:` and `scale:` as in `Situ.DepthImage`."
+  @spec decode_depth(EncodedImage.t() | binary(), keyword()) :: DepthImage.result()
+  def decode_depth(encoded, opts \\ []) do
+    with {:ok, image} <- parse(encoded), do: DepthImage.from_gray16(image, opts)
+  end
+
+  @doc """
+  Reads a `.jpg` or `.png` file (by its bytes, not its name).
+
+      iex> {:error, error} = Situ.Image.read("no/such/file.png")
+      iex> error.code
+      :unreadable
+  """
+  @spec read(Path.t(), keyword()) :: Image.result()
+  def read(path, opts \\ []) do
+    case File.read(path) do
+      {:ok, bytes} ->
+        parse(bytes, opts)
+
+      {:error, reason} ->
+        what = "cannot read #{path}: #{:file.format_error(reason)}"
+        {:error, Error.new(:unreadable, what, fix: "check the path")}
+    end
+  end
+
+  @doc "Writes a file, compressed as its name ends: `.jpg`, `.jpeg` or `.png`; options of the encoder."
+  @spec write(Image.t(), Path.t(), keyword()) :: :ok | {:error, Error.t()}
+  def write(%Image{} = image, path, opts \\ []) do
+    with {:ok, encoded} <- encode_as(image, path |> Path.extname() |> String.downcase(), opts) do
+      case File.write(path, encoded.data) do
+        :ok ->
+          :ok
+
+        {:error, reason} ->
+          what = "cannot write #{path}: #{:file.format_error(reason)}"
+          {:error, Error.new(:unwritable, what)}
+      end
+    end
+  end
+
+  defp encode_as(image, extension, opts) when extension in [".jpg", ".jpeg"],
+    do: encode_jpeg(image, opts)
+
+  defp encode_as(image, ".png", opts), do: encode_png(image, opts)
+
+  defp encode_as(_image, extension, _opts) do
+    {:error,
+     Error.new(:unknown_image_format, "cannot write a picture as #{inspect(extension)}",
+       fix: "name the file .jpg or .png"
+     )}
+  end
+
+  @doc """
+  A picture from raw pixels without gaps: `width * height` pixels of `format`, exactly.
+  """
+  @spec from_raw(binary(), pos_integer(), pos_integer(), Image.Format.t()) :: Image.result()
+  def from_raw(bytes, width, height, format) do
+    with {:ok, image} <- Image.new(width: width, height: height, format: format, data: bytes) do
+      if Image.tight?(image) do
+        {:ok, image}
+      else
+        what = "#{byte_size(bytes)} bytes are more than #{Image.describe(image)} takes"
+        {:error, Error.new(:bad_image, what)}
+      end
+    end
+  end
+
+  @doc """
+  A `:bgr24` picture from a camera's or decoder's raw frame: `:nv12`, `:i420` (both sides even) or `:yuyv` (even width),
+  BT.601 with luma 16..235, rows without gaps.
+
+      iex> {:ok, image} = Situ.Image.from_yuv(<<235, 128, 16, 128>>, 2, 1, :yuyv)
+      iex> image.data
+      <<255, 255, 255, 0, 0, 0>>
+      iex> {:error, error} = Situ.Image.from_yuv("short", 640, 480, :nv12)
+      iex> error.code
+      :bad_image
+  """
+  @spec from_yuv(binary(), pos_integer(), pos_integer(), :nv12 | :i420 | :yuyv) :: Image.result()
+  def from_yuv(bytes, width, height, layout)
+      when layout in [:nv12, :i420, :yuyv] and width in 1..0x7FFFFFFF and
+             height in 1..0x7FFFFFFF do
+    Kernel.picture({:yuv_decode, bytes, layout, width, height}, width * height / 300)
+  end
+
+  defp encoded(format, image, bytes),
+    do: %EncodedImage{format: format, width: image.width, height: image.height, data: bytes}
+end

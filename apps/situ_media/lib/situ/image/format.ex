@@ -1,0 +1,98 @@
+defmodule Situ.Image.Format do
+  @moduledoc """
+  Pixel formats and their sizes; the table is in `Situ.Image`.
+
+      iex> Situ.Image.Format.bytes_per_pixel(:bgr24)
+      3
+      iex> Situ.Image.Format.channels(:rgba64)
+      [:red, :green, :blue, :alpha]
+  """
+
+  @type t :: :gray8 | :gray16 | :bgr24 | :rgb24 | :bgrx32 | :bgra32 | :rgba32 | :rgba64
+
+  # {format, code in files, bits a channel, channels}
+  @table [
+    {:gray8, 1, 8, [:gray]},
+    {:gray16, 2, 16, [:gray]},
+    {:bgr24, 3, 8, [:blue, :green, :red]},
+    {:rgb24, 4, 8, [:red, :green, :blue]},
+    {:bgrx32, 5, 8, [:blue, :green, :red, :unused]},
+    {:bgra32, 6, 8, [:blue, :green, :red, :alpha]},
+    {:rgba32, 7, 8, [:red, :green, :blue, :alpha]},
+    {:rgba64, 8, 16, [:red, :green, :blue, :alpha]}
+  ]
+
+  @doc "Every format."
+  @spec all() :: [t()]
+  def all, do: unquote(Enum.map(@table, &elem(&1, 0)))
+
+  @doc "Bytes of one pixel."
+  @spec bytes_per_pixel(t()) :: pos_integer()
+  for {format, _code, bits, channels} <- @table do
+    def bytes_per_pixel(unquote(format)), do: unquote(div(bits * length(channels), 8))
+  end
+
+  @doc "Bits of one channel: 8 or 16."
+  @spec bits_per_channel(t()) :: 8 | 16
+  for {format, _code, bits, _channels} <- @table do
+    def bits_per_channel(unquote(format)), do: unquote(bits)
+  end
+
+  @doc "The channels in memory order."
+  @spec channels(t()) :: [atom()]
+  for {format, _code, _bits, channels} <- @table do
+    def channels(unquote(format)), do: unquote(channels)
+  end
+
+  @doc false
+  @spec code(t()) :: byte()
+  for {format, code, _bits, _channels} <- @table do
+    def code(unquote(format)), do: unquote(code)
+  end
+
+  @doc false
+  @spec from_code(byte()) :: {:ok, t()} | {:error, Situ.Error.t()}
+  for {format, code, _bits, _channels} <- @table do
+    def from_code(unquote(code)), do: {:ok, unquote(format)}
+  end
+
+  def from_code(code),
+    do: {:error, Situ.Error.new(:bad_image, "pixel format code #{code} is unknown")}
+
+  @doc "Whether a pixel has an alpha channel."
+  @spec alpha?(t()) :: boolean()
+  def alpha?(format), do: :alpha in channels(format)
+
+  @doc """
+  One pixel's bytes from its channel values in memory order; one number means every channel.
+
+      iex> Situ.Image.Format.pack!(:gray16, 1)
+      <<1, 0>>
+      iex> Situ.Image.Format.pack!(:bgr24, [1, 2])
+      ** (ArgumentError) :bgr24 takes 3 channel values of 0..255, got: [1, 2]
+  """
+  @spec pack!(t(), non_neg_integer() | [non_neg_integer()]) :: binary()
+  def pack!(format, value) when is_integer(value),
+    do: pack!(format, List.duplicate(value, length(channels(format))))
+
+  def pack!(format, values) when is_list(values) do
+    bits = bits_per_channel(format)
+    max = Bitwise.bsl(1, bits) - 1
+    count = length(channels(format))
+
+    unless length(values) == count and Enum.all?(values, &(is_integer(&1) and &1 in 0..max)) do
+      raise ArgumentError,
+            "#{inspect(format)} takes #{count} channel values of 0..#{max}, got: " <>
+              inspect(values, charlists: :as_lists)
+    end
+
+    for v <- values, into: <<>>, do: <<v::little-size(bits)>>
+  end
+
+  @doc "The channel values of one pixel's bytes."
+  @spec unpack(t(), binary()) :: [non_neg_integer()]
+  def unpack(format, bytes) do
+    bits = bits_per_channel(format)
+    for <<v::little-size(bits) <- bytes>>, do: v
+  end
+end

@@ -1,0 +1,169 @@
+defmodule Situ.Image.Measure do
+  @moduledoc """
+  Numbers about pictures: statistics, histogram, comparison. Call them through `Situ.Image`.
+  """
+  alias Situ.{DepthImage, Error, Image, Rect}
+  alias Situ.Image.Format
+  alias Situ.Media.Kernel
+
+  @type channel :: %{min: integer(), max: integer(), mean: float(), deviation: float()}
+
+  @doc """
+  Minimum, maximum, mean and standard deviation (of the population) of each channel, by name; of a part with `rect:`.
+
+      iex> image = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<10, 20>>)
+      iex> Situ.Image.statistics(image)
+      {:ok, %{gray: %{min: 10, max: 20, mean: 15.0, deviation: 5.0}}}
+  """
+  @spec statistics(Image.t(), keyword()) :: {:ok, %{atom() => channel()}} | {:error, Error.t()}
+  def statistics(%Image{} = image, opts \\ []) do
+    with {:ok, values} <- over(image, :statistics, opts) do
+      maps =
+        Enum.map(values, fn {min, max, mean, deviation} ->
+          %{min: min, max: max, mean: mean, deviation: deviation}
+        end)
+
+      {:ok, image.format |> Format.channels() |> Enum.zip(maps) |> Map.new()}
+    end
+  end
+
+  @doc """
+  The mean of each channel, by name; of a part with `rect:`.
+
+      iex> Situ.Image.average_color(Situ.Image.filled(2, 2, :bgr24, [1, 2, 3]))
+      {:ok, %{blue: 1.0, green: 2.0, red: 3.0}}
+  """
+  @spec average_color(Image.t(), keyword()) :: {:ok, %{atom() => float()}} | {:error, Error.t()}
+  def average_color(%Image{} = image, opts \\ []) do
+    with {:ok, channels} <- statistics(image, opts),
+         do: {:ok, Map.new(channels, fn {name, c} -> {name, c.mean} end)}
+  end
+
+  @doc """
+  How often each value occurs, 256 counts a channel (16-bit values by their high byte); of a part with `rect:`.
+
+      iex> {:ok, %{gray: counts}} = Situ.Image.histogram(Situ.Image.filled(2, 2, :gray8, 3))
+      iex> Enum.take(counts, 5)
+      [0, 0, 0, 4, 0]
+  """
+  @spec histogram(Image.t(), keyword()) ::
+          {:ok, %{atom() => [non_neg_integer()]}} | {:error, Error.t()}
+  def histogram(%Image{} = image, opts \\ []) do
+    with {:ok, bins} <- over(image, :histogram, opts),
+         do: {:ok, image.format |> Format.channels() |> Enum.zip(bins) |> Map.new()}
+  end
+
+  @doc """
+  Compares two pictures of the same size and format: largest and mean difference of channel values, and the fraction of
+  values off by more than `tolerance:` (default 0). `equal?` when that fraction is at most `outliers:` (default 0).
+
+      iex> {a, b} = {Situ.Image.filled(2, 1, :gray8, 3), Situ.Image.filled(2, 1, :gray8, 5)}
+      iex> Situ.Image.compare(a, b, tolerance: 2)
+      {:ok, %{equal?: true, max: 2, mean: 2.0, outliers: 0.0}}
+  """
+  @spec compare(Image.t(), Image.t(), keyword()) ::
+          {:ok, %{equal?: boolean(), max: integer(), mean: float(), outliers: float()}}
+          | {:error, Error.t()}
+  def compare(%Image{} = a, %Image{} = b, opts \\ []) do
+    opts = Keyword.validate!(opts, tolerance: 0, outliers: 0.0)
+
+    with {:ok, a} <- Image.validate(a),
+         {:ok, b} <- Image.validate(b),
+         {:ok, {max, mean, outliers}} <-
+           Kernel.picture({:compare, a, b, opts[:tolerance]}, byte_size(a.data) / 500) do
+      {:ok, %{equal?: outliers <= opts[:outliers], max: max, mean: mean, outliers: outliers}}
+    end
+  end
+
+  @doc """
+  The picture as 32-bit floats for a model: `value * scale + offset`, red first, alpha left out.
+
+  `layout:` `:nhwc` (default) or `:nchw`; `scale:` (default 1/255, 1/65535 for 16 bit); `offset:` (default 0.0). The
+  answer is a binary of native floats and its shape.
+
+      iex> {:ok, {data, shape}} = Situ.Image.to_f32(Situ.Image.filled(1, 1, :bgr24, [0, 51, 255]))
+      iex> {shape, for(<<v::float-native-32 <- data>>, do: Float.round(v, 3))}
+      {{1, 1, 1, 3}, [1.0, 0.2, 0.0]}
+  """
+  @spec to_f32(Image.t(), keyword()) :: {:ok, {binary(), tuple()}} | {:error, Error.t()}
+  def to_f32(%Image{} = image, opts \\ []) do
+    opts = Keyword.validate!(opts, layout: :nhwc, scale: nil, offset: 0.0)
+    {w, h} = {image.width, image.height}
+    channels = image.format |> Format.channels() |> length() |> min(3)
+    bits = Format.bits_per_channel(image.format)
+    scale = opts[:scale] || 1 / (Bitwise.bsl(1, bits) - 1)
+    first? = opts[:layout] == :nchw
+
+    with {:ok, image} <- Image.validate(image),
+         job = {:to_f32, image, first?, scale * 1.0, opts[:offset] * 1.0},
+         {:ok, data} <- Kernel.picture(job, byte_size(image.data) / 500) do
+      {:ok, {data, if(first?, do: {1, channels, h, w}, else: {1, h, w, channels})}}
+    end
+  end
+
+  @doc """
+  The distance in metres at a pixel, made up from its neighbours where it is not known (`invalid:`, default 0): the nearest
+  known values to the left, right, above and below, each weighted by one over how far away it is. `{:ok, nil}` when there
+  is none in any direction.
+
+      iex> depth = Situ.DepthImage.new!(width: 4, height: 1, data: <<100, 0, 0, 0, 0, 0, 160, 0>>, scale: 0.01)
+      iex> {:ok, metres} = Situ.DepthImage.interpolated_distance(depth, 1, 0)
+      iex> Float.round(metres, 6)
+      1.2
+      iex> Situ.DepthImage.interpolated_distance(Situ.DepthImage.new!(width: 1, height: 1, data: <<0, 0>>), 0, 0)
+      {:ok, nil}
+  """
+  @spec interpolated_distance(DepthImage.t(), integer(), integer(), keyword()) ::
+          {:ok, float() | nil} | {:error, Error.t()}
+  def interpolated_distance(%DepthImage{} = depth, x, y, opts \\ []) do
+    invalid = Keyword.get(opts, :invalid, 0)
+
+    with {:ok, [value]} <- Image.fetch_pixel(DepthImage.to_gray16(depth), x, y) do
+      if value == invalid,
+        do: {:ok, mean_around(depth, x, y, invalid)},
+        else: {:ok, value * depth.scale}
+    end
+  end
+
+  defp mean_around(depth, x, y, invalid) do
+    found =
+      for {dx, dy} <- [{-1, 0}, {1, 0}, {0, -1}, {0, 1}],
+          {value, offset} <- [look(depth, x, y, {dx, dy}, invalid)],
+          value != nil,
+          do: {value, 1 / offset}
+
+    case found do
+      [] ->
+        nil
+
+      found ->
+        weights = found |> Enum.map(&elem(&1, 1)) |> Enum.sum()
+        sum = found |> Enum.map(fn {value, weight} -> value * weight end) |> Enum.sum()
+        sum / weights * depth.scale
+    end
+  end
+
+  defp look(depth, x, y, {dx, dy}, invalid) do
+    1
+    |> Stream.iterate(&(&1 + 1))
+    |> Enum.find_value(fn n ->
+      case Image.fetch_pixel(DepthImage.to_gray16(depth), x + n * dx, y + n * dy) do
+        {:ok, [^invalid]} -> nil
+        {:ok, [value]} -> {value, n}
+        {:error, _} -> {nil, n}
+      end
+    end)
+  end
+
+  defp over(image, kind, opts) do
+    rect =
+      case Keyword.validate!(opts, rect: nil)[:rect] do
+        nil -> nil
+        %Rect{} = r -> {round(r.x), round(r.y), round(r.width), round(r.height)}
+        {_, _, _, _} = rect -> rect
+      end
+
+    with {:ok, image} <- Image.validate(image),
+         do: Kernel.picture({kind, image, rect}, byte_size(image.data) / 500)
+  end
+end

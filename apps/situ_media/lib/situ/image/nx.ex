@@ -1,0 +1,117 @@
+defmodule Situ.Image.Nx do
+  @moduledoc """
+  Pictures and sound as Nx tensors and back. Nx is found by name when it is called: Situ does not depend on it, and without
+  it the answer is the error `:nx_missing`.
+
+      {:ok, tensor} = Situ.Image.Nx.to_nx(image)          # u8[height][width][channels], no copy for tight pictures
+      {:ok, image} = Situ.Image.Nx.to_image(tensor, :rgb24)
+      {:ok, samples} = Situ.Image.Nx.to_nx(buffer)        # s16[frames][channels]
+
+  Tensors are in the machine's byte order, which on every machine that Situ supports is the little-endian of its structs.
+  """
+  alias Situ.{AudioBuffer, AudioFormat, DepthImage, Error, Image}
+  alias Situ.Image.Format
+
+  @types %{u8: {:u, 8}, s16: {:s, 16}, s32: {:s, 32}, f32: {:f, 32}, f64: {:f, 64}}
+
+  @doc """
+  A tensor of height x width x channels (pictures), height x width (depth) or frames x channels (sound). `:s24` sound has
+  no tensor type: reformat it first.
+  """
+  @spec to_nx(Image.t() | DepthImage.t() | AudioBuffer.t()) ::
+          {:ok, struct()} | {:error, Error.t()}
+  def to_nx(%Image{} = image) do
+    with {:ok, image} <- Image.validate(image) do
+      channels = length(Format.channels(image.format))
+      type = {:u, Format.bits_per_channel(image.format)}
+      tensor(Image.pixels(image), type, {image.height, image.width, channels})
+    end
+  end
+
+  def to_nx(%DepthImage{} = depth) do
+    with {:ok, depth} <- DepthImage.validate(depth) do
+      image = DepthImage.to_gray16(depth)
+      tensor(Image.pixels(image), {:u, 16}, {image.height, image.width})
+    end
+  end
+
+  def to_nx(%AudioBuffer{format: %{sample: :s24}}) do
+    {:error,
+     Error.new(:bad_audio, "there are no 24-bit tensors", fix: "reformat to :s32 or :f32")}
+  end
+
+  def to_nx(%AudioBuffer{} = buffer) do
+    with {:ok, buffer} <- AudioBuffer.validate(buffer) do
+      type = Map.fetch!(@types, buffer.format.sample)
+      tensor(buffer.data, type, {AudioBuffer.frames(buffer), buffer.format.channels})
+    end
+  end
+
+  @doc "A picture of a tensor of height x width x channels, or height x width for grey, of the format's type."
+  @spec to_image(struct(), Format.t()) :: Image.result()
+  def to_image(tensor, format) do
+    with {:ok, nx} <- nx() do
+      type = {:u, Format.bits_per_channel(format)}
+      channels = length(Format.channels(format))
+
+      case {apply(nx, :type, [tensor]), apply(nx, :shape, [tensor])} do
+        {^type, {height, width, ^channels}} -> image(nx, tensor, {width, height}, format)
+        {^type, {height, width}} when channels == 1 -> image(nx, tensor, {width, height}, format)
+        other -> {:error, unfit(other, format, type, channels)}
+      end
+    end
+  end
+
+  @doc "Sound of a tensor of frames x channels (or frames), of the type of one of the sample types."
+  @spec to_audio(struct(), pos_integer()) :: AudioBuffer.result()
+  def to_audio(tensor, rate) do
+    with {:ok, nx} <- nx(),
+         {:ok, sample} <- sample(apply(nx, :type, [tensor])) do
+      channels =
+        if tuple_size(shape = apply(nx, :shape, [tensor])) == 2, do: elem(shape, 1), else: 1
+
+      format = %AudioFormat{rate: rate, channels: channels, sample: sample}
+      AudioBuffer.new(format: format, data: apply(nx, :to_binary, [tensor]))
+    end
+  end
+
+  defp sample(type) do
+    case Enum.find(@types, fn {_, t} -> t == type end) do
+      {sample, _} -> {:ok, sample}
+      nil -> {:error, Error.new(:bad_audio, "no sample type is #{inspect(type)}")}
+    end
+  end
+
+  defp image(nx, tensor, {width, height}, format),
+    do:
+      Image.new(
+        width: width,
+        height: height,
+        format: format,
+        data: apply(nx, :to_binary, [tensor])
+      )
+
+  defp tensor(binary, type, shape) do
+    with {:ok, nx} <- nx(),
+         do: {:ok, apply(nx, :reshape, [apply(nx, :from_binary, [binary, type]), shape])}
+  end
+
+  defp nx do
+    if Code.ensure_loaded?(Nx) do
+      {:ok, Nx}
+    else
+      {:error,
+       Error.new(:nx_missing, "Nx is not loaded",
+         fix: "add :nx to the host application's dependencies"
+       )}
+    end
+  end
+
+  defp unfit({type, shape}, format, wanted, channels) do
+    Error.new(
+      :bad_format,
+      "a tensor of type #{inspect(type)} and shape #{inspect(shape)} is no #{inspect(format)}",
+      why: "#{inspect(format)} is height x width x #{channels} of #{inspect(wanted)}"
+    )
+  end
+end

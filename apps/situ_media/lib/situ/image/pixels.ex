@@ -1,0 +1,146 @@
+defmodule Situ.Image.Pixels do
+  @moduledoc """
+  What pixels become: conversion, inversion, thresholds, differences, convolution, pseudo-colour. Call them through
+  `Situ.Image`.
+  """
+  alias Situ.{DepthImage, Error, Image}
+  alias Situ.Image.Format
+  alias Situ.Media.Kernel
+
+  @thresholds [:binary, :binary_inverted, :truncate, :to_zero, :to_zero_inverted]
+
+  @doc """
+  In another format. Grey is `(4897 R + 9617 G + 1868 B) >> 14`, so white becomes 254; 8 bits widen by `v * 257`, 16 bits
+  narrow by `v >> 8`; a missing alpha is opaque.
+
+      iex> red = Situ.Image.filled(1, 1, :rgb24, [255, 0, 0])
+      iex> for format <- [:gray8, :bgr24, :bgra32, :rgba64], do: Situ.Image.convert!(red, format).data
+      [<<76>>, <<0, 0, 255>>, <<0, 0, 255, 255>>, <<255, 255, 0, 0, 0, 0, 255, 255>>]
+  """
+  @spec convert(Image.t(), Format.t()) :: Image.result()
+  def convert(image, format)
+  def convert(%Image{format: format} = image, format), do: Image.validate(image)
+
+  def convert(%Image{} = image, format) do
+    with {:ok, image} <- Image.validate(image),
+         :ok <- known(format) do
+      Kernel.picture({:convert, image, format}, image.width * image.height / 1000)
+    end
+  end
+
+  defp known(format) do
+    if format in Format.all() do
+      :ok
+    else
+      fix = "use one of #{inspect(Format.all())}"
+      {:error, Error.new(:bad_format, "unknown pixel format #{inspect(format)}", fix: fix)}
+    end
+  end
+
+  @doc """
+  255 - v of every channel (65535 - v for 16 bit); alpha and unused channels are kept.
+
+      iex> Situ.Image.invert!(Situ.Image.filled(1, 1, :bgra32, [0, 1, 255, 40])).data
+      <<255, 254, 0, 40>>
+  """
+  @spec invert(Image.t()) :: Image.result()
+  def invert(%Image{} = image), do: simple({:invert, image})
+
+  @doc """
+  Every channel (alpha too) against `threshold`:
+  `:binary` v > t ? max : 0, `:binary_inverted` v > t ? 0 : max, `:truncate` v > t ? t : v, `:to_zero` v > t ? v : 0,
+  `:to_zero_inverted` v > t ? 0 : v. `max` defaults to the format's largest value.
+
+      iex> image = Situ.Image.new!(width: 3, height: 1, format: :gray8, data: <<9, 10, 11>>)
+      iex> for kind <- [:binary, :binary_inverted, :truncate, :to_zero, :to_zero_inverted],
+      ...>     do: Situ.Image.threshold!(image, 10, kind).data
+      [<<0, 0, 255>>, <<255, 255, 0>>, <<9, 10, 10>>, <<0, 0, 11>>, <<9, 10, 0>>]
+  """
+  @spec threshold(Image.t(), non_neg_integer(), atom(), keyword()) :: Image.result()
+  def threshold(%Image{} = image, threshold, kind \\ :binary, opts \\ [])
+      when kind in @thresholds and is_integer(threshold) and threshold >= 0 do
+    max = Keyword.validate!(opts, [:max])[:max] || 65_535
+    simple({:threshold, image, min(threshold, 65_535), min(max, 65_535), kind})
+  end
+
+  @doc """
+  One channel as grey of the same depth, by its place in memory (0 is blue in `:bgr24`) or its name.
+
+      iex> Situ.Image.extract_channel!(Situ.Image.filled(1, 1, :bgr24, [1, 2, 3]), :red).data
+      <<3>>
+  """
+  @spec extract_channel(Image.t(), non_neg_integer() | atom()) :: Image.result()
+  def extract_channel(%Image{} = image, name) when is_atom(name) do
+    case Enum.find_index(Format.channels(image.format), &(&1 == name)) do
+      nil ->
+        {:error,
+         Error.new(:bad_option, "#{inspect(image.format)} has no channel #{inspect(name)}")}
+
+      index ->
+        extract_channel(image, index)
+    end
+  end
+
+  def extract_channel(%Image{} = image, index) when index in 0..255,
+    do: simple({:extract_channel, image, index})
+
+  @doc """
+  |a - b| of every channel of two pictures of the same size and format.
+
+      iex> {a, b} = {Situ.Image.filled(1, 1, :gray8, 3), Situ.Image.filled(1, 1, :gray8, 10)}
+      iex> Situ.Image.absdiff!(a, b).data
+      <<7>>
+  """
+  @spec absdiff(Image.t(), Image.t()) :: Image.result()
+  def absdiff(%Image{} = a, %Image{} = b) do
+    with {:ok, b} <- Image.validate(b), do: simple({:absolute_difference, a, b})
+  end
+
+  @doc """
+  Grey picture and a small kernel of integers (a list of rows, odd sizes have a middle): the sum over the taps inside the
+  picture, divided by **how many taps those are** (not by their sum), truncated, clipped. \\\\psi's rule.
+
+      iex> image = Situ.Image.new!(width: 3, height: 1, format: :gray8, data: <<10, 20, 40>>)
+      iex> Situ.Image.convolve!(image, [[1, 1, 1]]).data
+      <<15, 23, 30>>
+  """
+  @spec convolve(Image.t(), [[integer()]]) :: Image.result()
+  def convolve(%Image{} = image, [row | _] = rows) do
+    {width, height} = {length(row), length(rows)}
+
+    if Enum.all?(rows, &(length(&1) == width)) do
+      with {:ok, image} <- Image.validate(image) do
+        cost = image.width * image.height * width * height / 500
+        Kernel.picture({:convolve, image, width, height, List.flatten(rows)}, cost)
+      end
+    else
+      {:error, Error.new(:bad_option, "the rows of a kernel must have the same length")}
+    end
+  end
+
+  @doc """
+  Depth as colour: `near` metres is blue, `far` is red, what lies outside or is `invalid:` (default 0) is black, or
+  transparent with `transparent: true`. The result is `:bgra32`.
+
+      iex> depth = Situ.DepthImage.new!(width: 3, height: 1, data: <<0::16, 500::little-16, 2000::little-16>>)
+      iex> {:ok, colored} = Situ.Image.pseudo_colorize(depth, {0.5, 2.0})
+      iex> colored.data
+      <<0, 0, 0, 255, 255, 0, 0, 255, 0, 0, 255, 255>>
+  """
+  @spec pseudo_colorize(DepthImage.t(), {number(), number()}, keyword()) :: Image.result()
+  def pseudo_colorize(%DepthImage{} = depth, {near, far}, opts \\ []) when near < far do
+    opts = Keyword.validate!(opts, invalid: 0, transparent: false)
+    {from, to} = {near / depth.scale, far / depth.scale}
+
+    with {:ok, depth} <- DepthImage.validate(depth) do
+      image = DepthImage.to_gray16(depth)
+      job = {:pseudo_colorize, image, from, to, opts[:invalid], opts[:transparent]}
+      Kernel.picture(job, image.width * image.height / 200)
+    end
+  end
+
+  defp simple(job) do
+    with {:ok, image} <- Image.validate(elem(job, 1)),
+         do: Kernel.picture(job, byte_size(image.data) / 2000)
+  end
+end

@@ -1,0 +1,300 @@
+defmodule Situ.Media.Capture do
+  @moduledoc """
+  What camera, microphone and network stream have in common: a running capture, its clock, its reconnects. Pure but for
+  starting and stopping the reader; the components around it are thin.
+
+  A device cannot wait. Frames that nobody takes are kept up to a limit (`:buffer`), then the oldest is dropped and counted:
+  memory stays bounded whatever happens downstream. When a device is lost (unplugged, stream ended) it is tried again
+  every second, if the component was told so.
+  """
+  alias Situ.{AudioFormat, Component.Context}
+  alias Situ.Media.{Decoder, Device}
+  alias Situ.Media.FFmpeg.Reader
+  require Logger
+
+  @retry 1_000_000_000
+  @credits 4
+  # A simulated device begins so long after the pipeline: by then ffmpeg is up, and its frames come on time.
+  @lead 500_000_000
+  # How long the delay of a network stream is measured before its first frame is let through.
+  @settle 300_000_000
+  # Clocks this near are one clock, read twice.
+  @same_clock 1_000_000
+
+  @enforce_keys [:driver, :address, :outputs, :opts]
+  defstruct [
+    :driver,
+    :address,
+    :outputs,
+    :opts,
+    :clock,
+    :reader,
+    :streams,
+    :offset,
+    :lost,
+    queue: :queue.new(),
+    size: 0,
+    dropped: 0,
+    last: %{},
+    settled: nil,
+    ended: false
+  ]
+
+  @type t :: %__MODULE__{}
+  @type result :: {[Situ.Component.action()], t()}
+
+  @doc """
+  A capture of `device` that is not running yet. `outputs` maps `:video` and `:audio` to outputs of the component. `opts`
+  need `:format`, `:size`, `:rate`, `:audio_format`, `:audio_buffer`, `:buffer`, `:reconnect`, `:stall_timeout`.
+  """
+  @spec new(Device.device(), %{atom() => atom()}, keyword()) ::
+          {:ok, t()} | {:error, Situ.Error.t()}
+  def new(device, outputs, opts) do
+    with {:ok, {driver, address}} <- Device.parse(device) do
+      {:ok, %__MODULE__{driver: driver, address: address, outputs: outputs, opts: opts}}
+    end
+  end
+
+  @doc "Starts capturing. Raises `Situ.Error` when the device cannot even be named to `ffmpeg`."
+  @spec start(t(), Context.t()) :: result()
+  def start(%__MODULE__{} = capture, context) do
+    kind = if Map.has_key?(capture.outputs, :video), do: :camera, else: :microphone
+
+    with {:ok, %{args: args, clock: clock}} <-
+           capture.driver.capture(capture.address, kind, capture.opts),
+         {:ok, reader} <- Reader.start_link(reader_options(capture, args, clock)) do
+      Reader.ask(reader, @credits)
+      capture = %{capture | reader: reader, clock: clock, streams: nil}
+      # One that is tried again for ever has no end; another one says so when it ends.
+      endless = if capture.opts[:reconnect], do: [{:complete, :infinity}], else: []
+      {endless, %{capture | offset: offset(clock, context, capture.last), settled: nil}}
+    else
+      {:error, error} -> raise error
+    end
+  end
+
+  @doc "A message to the component: frames and ends of the reader; the reconnect timer."
+  @spec info(t(), term(), Context.t()) :: result()
+  def info(%__MODULE__{reader: reader} = capture, {Reader, reader, result}, context),
+    do: result(result, capture, context)
+
+  def info(%__MODULE__{reader: reader} = capture, {:timer, {:due, reader, _}}, _context) do
+    Reader.ask(reader, 1)
+    {[], capture}
+  end
+
+  def info(%__MODULE__{reader: nil} = capture, {:timer, :reconnect}, context) do
+    {_, capture} = start(capture, context)
+    {[], capture}
+  end
+
+  def info(%__MODULE__{reader: reader} = capture, {:EXIT, reader, reason}, context) do
+    error =
+      Situ.Error.new(:device_lost, "#{capture.address}: the reader ended: #{inspect(reason)}")
+
+    result({:error, error}, capture, context)
+  end
+
+  def info(capture, _other, _context), do: {[], capture}
+
+  @doc "Hands over up to `n` frames that have arrived and whose time has come."
+  @spec demand(t(), pos_integer(), Context.t()) :: result()
+  def demand(%__MODULE__{} = capture, n, context), do: take(capture, n, due(capture, context), [])
+
+  @doc "Ends the capture at once."
+  @spec stop(t()) :: t()
+  def stop(%__MODULE__{reader: nil} = capture), do: capture
+
+  def stop(%__MODULE__{reader: reader} = capture) do
+    Reader.stop(reader)
+    %{capture | reader: nil}
+  end
+
+  @doc "One line for people."
+  @spec describe(t()) :: String.t()
+  def describe(%__MODULE__{} = capture) do
+    state = if capture.reader, do: "running", else: "not connected"
+    "#{capture.address}: #{state}, #{capture.dropped} dropped"
+  end
+
+  defp reader_options(%{opts: opts, outputs: outputs} = capture, args, clock) do
+    zero = if clock == :start, do: ["-start_at_zero"], else: []
+
+    [
+      args:
+        ["-copyts" | zero] ++
+          ~w(-thread_type slice) ++
+          args ++ map(outputs) ++ video(outputs, clock, opts) ++ audio(outputs, opts),
+      name: capture.address,
+      stall_timeout: opts[:stall_timeout] |> div(1_000_000)
+    ]
+  end
+
+  defp map(outputs) do
+    Enum.flat_map([video: "0:v:0?", audio: "0:a:0?"], fn {kind, spec} ->
+      if Map.has_key?(outputs, kind), do: ["-map", spec], else: []
+    end)
+  end
+
+  defp video(%{video: _}, clock, opts) do
+    # A camera is set to a rate; of other streams frames are left out.
+    rate = if opts[:rate] && clock != :wall, do: ["fps=#{opts[:rate]}"], else: []
+
+    scale =
+      if opts[:size], do: ["scale=#{elem(opts[:size], 0)}:#{elem(opts[:size], 1)}"], else: []
+
+    filters = rate ++ scale
+
+    if(filters == [], do: [], else: ["-vf", Enum.join(filters, ",")]) ++
+      Decoder.raw_video(opts[:format], nil)
+  end
+
+  defp video(_outputs, _clock, _opts), do: []
+
+  defp audio(%{audio: _}, opts) do
+    case opts[:audio_format] do
+      nil -> ~w(-c:a pcm_s16le)
+      format -> Decoder.raw_audio(format, opts[:audio_buffer])
+    end
+  end
+
+  defp audio(_outputs, _opts), do: []
+
+  # What to add to the capture's times; `nil` until the first frame tells.
+  defp offset(:start, context, last) when last == %{}, do: context.start_time + @lead
+  defp offset(:start, context, _again), do: context.now + @lead
+  defp offset(:arrival, _context, _last), do: nil
+
+  defp offset(:wall, context, _last) do
+    difference = context.now - Situ.Time.now()
+    if abs(difference) < @same_clock, do: 0, else: difference
+  end
+
+  defp result({:streams, streams}, capture, _context) do
+    if capture.lost, do: Logger.info("#{capture.address} is back")
+    {[], %{capture | streams: streams, lost: nil}}
+  end
+
+  defp result({:frame, frame}, capture, context) do
+    stream = Map.fetch!(capture.streams, frame.stream)
+
+    {kind, time, data} =
+      Decoder.convert(frame, stream, capture.opts[:format], audio_format(stream, capture.opts))
+
+    capture = settle(capture, time, context)
+
+    if capture.offset do
+      accept(capture, kind, time + capture.offset, data, context)
+    else
+      Reader.ask(capture.reader, 1)
+      {[], capture}
+    end
+  end
+
+  defp result(:eof, %{opts: opts} = capture, context) do
+    if opts[:reconnect], do: lost(capture, "ended", context), else: finish(capture)
+  end
+
+  defp result({:error, error}, %{streams: nil, lost: nil}, _context), do: raise(error)
+
+  defp result({:error, error}, %{opts: opts} = capture, context) do
+    if opts[:reconnect],
+      do: lost(capture, Exception.message(error), context),
+      else: raise(error)
+  end
+
+  defp lost(capture, why, context) do
+    unless capture.lost,
+      do: Logger.warning("#{capture.address} is lost, trying again every second: #{why}")
+
+    {[{:timer, :reconnect, context.now + @retry}], %{stop(capture) | lost: why}}
+  end
+
+  # What still waits goes out first; see take/3.
+  defp finish(%{size: 0} = capture), do: complete(stop(capture))
+  defp finish(capture), do: {[], %{stop(capture) | ended: true}}
+
+  defp complete(capture) do
+    times = Map.values(capture.last)
+    {[{:complete, Enum.max(times, fn -> 0 end)}], %{capture | ended: false}}
+  end
+
+  # What a sender had in store comes in a burst. The smallest delay seen in the first moments is the one to go by; the
+  # frames of those moments are left out.
+  defp settle(%{offset: nil} = capture, time, %{now: now}) do
+    case capture.settled do
+      nil -> %{capture | settled: {now + @settle, now - time}}
+      {till, delay} when now < till -> %{capture | settled: {till, min(delay, now - time)}}
+      {_, delay} -> %{capture | offset: min(delay, now - time), settled: nil}
+    end
+  end
+
+  defp settle(capture, _time, _context), do: capture
+
+  # A simulated device can be early: the frame waits for its time, and no further one is asked for.
+  defp accept(%{clock: :start} = capture, kind, time, data, %{now: now}) when time > now do
+    {[{:timer, {:due, capture.reader, {kind, time}}, time}], push(capture, kind, time, data)}
+  end
+
+  defp accept(capture, kind, time, data, _context) do
+    Reader.ask(capture.reader, 1)
+    {[], push(capture, kind, time, data)}
+  end
+
+  defp due(%{clock: :start}, %{now: now}), do: now
+  defp due(_capture, _context), do: :any
+
+  defp audio_format(%{class: :audio} = stream, opts) do
+    opts[:audio_format] ||
+      %AudioFormat{rate: stream.rate, channels: stream.channels, sample: :s16}
+  end
+
+  defp audio_format(_stream, _opts), do: nil
+
+  defp push(capture, kind, time, data) do
+    case capture.last do
+      %{^kind => last} when time <= last ->
+        %{capture | dropped: capture.dropped + 1}
+
+      last ->
+        queue = :queue.in({Map.fetch!(capture.outputs, kind), time, data}, capture.queue)
+
+        capture = %{
+          capture
+          | queue: queue,
+            size: capture.size + 1,
+            last: Map.put(last, kind, time)
+        }
+
+        limit(capture)
+    end
+  end
+
+  defp limit(%{size: size, opts: opts} = capture) do
+    if size > max(opts[:buffer], @credits) do
+      {_, queue} = :queue.out(capture.queue)
+      %{capture | queue: queue, size: size - 1, dropped: capture.dropped + 1}
+    else
+      capture
+    end
+  end
+
+  defp take(%{size: 0, ended: true} = capture, _n, _due, actions) do
+    {last, capture} = complete(capture)
+    {Enum.reverse(actions) ++ last, capture}
+  end
+
+  defp take(%{size: size} = capture, n, _due, actions) when n == 0 or size == 0,
+    do: {Enum.reverse(actions), capture}
+
+  defp take(capture, n, due, actions) do
+    case :queue.out(capture.queue) do
+      # Every number is smaller than the atom `:any`.
+      {{:value, {_output, time, _data} = item}, queue} when time <= due ->
+        take(%{capture | queue: queue, size: capture.size - 1}, n - 1, due, [item | actions])
+
+      _ ->
+        {Enum.reverse(actions), capture}
+    end
+  end
+end

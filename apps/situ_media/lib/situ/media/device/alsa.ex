@@ -1,0 +1,48 @@
+defmodule Situ.Media.Device.Alsa do
+  @moduledoc """
+  Microphones and speakers of the Linux kernel (ALSA): `alsa:default`, `alsa:hw:0,0`, `alsa:plughw:CARD=PCH,DEV=0`.
+  Only sound cards are listed; names from `.asoundrc` work too. Times are wall time.
+  """
+  @behaviour Situ.Media.Device
+  alias Situ.Media.Device
+
+  @impl true
+  def list, do: cards("arecord", :microphone) ++ cards("aplay", :speaker)
+
+  @impl true
+  def capture(address, :microphone, opts) do
+    format = opts[:audio_format]
+
+    {:ok,
+     %{
+       args:
+         ~w(-f alsa -sample_rate #{format.rate} -channels #{format.channels}) ++
+           (opts[:args] || []) ++ ["-i", address],
+       clock: :wall
+     }}
+  end
+
+  def capture(address, _kind, _opts),
+    do: Device.driver_error(address, :bad_option, "a microphone gives sound only")
+
+  @impl true
+  def playback(address, _opts), do: {:ok, ["-f", "alsa", address]}
+
+  @doc """
+  The cards in what `arecord -l` prints.
+
+      iex> text = "card 1: PCH [HDA Intel PCH], device 0: ALC256 Analog [ALC256 Analog]\\n"
+      iex> for d <- Situ.Media.Device.Alsa.parse(text, :speaker), do: {d.id, d.name}
+      [{"alsa:plughw:CARD=PCH,DEV=0", "HDA Intel PCH, ALC256 Analog"}]
+  """
+  @spec parse(String.t(), Device.kind()) :: [Device.t()]
+  def parse(text, kind) do
+    for line <- String.split(text, "\n"),
+        [_, card, name, device, label] <-
+          [Regex.run(~r/^card \d+: (\S+) \[(.*?)\], device (\d+): .*\[(.*?)\]/, line)] do
+      %Device{id: "alsa:plughw:CARD=#{card},DEV=#{device}", kind: kind, name: "#{name}, #{label}"}
+    end
+  end
+
+  defp cards(program, kind), do: parse(Device.run(program, ["-l"]), kind)
+end

@@ -1,0 +1,70 @@
+defmodule Situ.Media.Device.Pulse do
+  @moduledoc """
+  Microphones and speakers of PulseAudio (or PipeWire, which speaks its protocol): `pulse:default`, `pulse:NAME`.
+  Times are wall time, smoothed over the device's own clock.
+  """
+  @behaviour Situ.Media.Device
+  alias Situ.Media.Device
+
+  @impl true
+  def list, do: list_kind(:microphone, "-sources") ++ list_kind(:speaker, "-sinks")
+
+  @impl true
+  def capture(address, :microphone, opts) do
+    format = opts[:audio_format]
+    # Half a piece of sound at a time, so that a piece is complete soon after its end.
+    fragment =
+      max(
+        div(
+          Situ.AudioFormat.bytes_per_second(%{format | sample: :s16}) * opts[:audio_buffer],
+          2_000_000_000
+        ),
+        64
+      )
+
+    {:ok,
+     %{
+       args:
+         ~w(-f pulse -name situ -sample_rate #{format.rate} -channels #{format.channels}) ++
+           ["-fragment_size", to_string(fragment)] ++ (opts[:args] || []) ++ ["-i", address],
+       clock: :wall
+     }}
+  end
+
+  def capture(address, _kind, _opts),
+    do: Device.driver_error(address, :bad_option, "a microphone gives sound only")
+
+  @impl true
+  def playback(address, opts) do
+    {:ok,
+     [
+       "-f",
+       "pulse",
+       "-name",
+       "situ",
+       "-buffer_duration",
+       "#{div(opts[:latency], 1_000_000)}",
+       "-device",
+       address,
+       "situ"
+     ]}
+  end
+
+  @doc """
+  The devices in what `ffmpeg -sources pulse` prints.
+
+      iex> text = "Auto-detected sources for pulse:\\n* virt.monitor [Monitor of Null Output] (none)\\n  mic [Mic]\\n"
+      iex> for d <- Situ.Media.Device.Pulse.parse(text, :microphone), do: {d.id, d.name, d.default?}
+      [{"pulse:virt.monitor", "Monitor of Null Output", true}, {"pulse:mic", "Mic", false}]
+  """
+  @spec parse(String.t(), Device.kind(), String.t()) :: [Device.t()]
+  def parse(text, kind, driver \\ "pulse") do
+    for line <- String.split(text, "\n"),
+        [_, star, address, name] <- [Regex.run(~r/^([* ]) (\S+) \[(.*?)\]/, line)] do
+      %Device{id: "#{driver}:#{address}", kind: kind, name: name, default?: star == "*"}
+    end
+  end
+
+  defp list_kind(kind, option),
+    do: parse(Device.run("ffmpeg", ["-hide_banner", option, "pulse"]), kind)
+end

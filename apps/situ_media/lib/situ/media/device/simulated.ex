@@ -1,0 +1,29 @@
+defmodule Situ.Media.Device.Simulated do
+  @moduledoc """
+  A camera and a microphone that replay a file in real time, over and over: `simulated:talk1.mp4`. Everything can be tried
+  without hardware.
+
+  Media time 0 is the pipeline's start, so a simulated camera and a simulated microphone of the same file are in step.
+  `?once` at the end of the address plays it once: `simulated:talk1.mp4?once`.
+  """
+  @behaviour Situ.Media.Device
+  alias Situ.Media.{Device, FFmpeg}
+
+  @impl true
+  def list, do: []
+
+  @impl true
+  def capture(address, kind, opts) when kind in [:camera, :microphone] do
+    {path, loop} =
+      case String.split(address, "?once") do
+        [path, ""] -> {path, []}
+        _ -> {address, ~w(-stream_loop -1)}
+      end
+
+    if File.regular?(path),
+      do:
+        {:ok,
+         %{args: ["-re" | loop] ++ (opts[:args] || []) ++ FFmpeg.local_file(path), clock: :start}},
+      else: Device.driver_error(path, :no_file, "there is no such file to simulate a device with")
+  end
+end

@@ -1,0 +1,86 @@
+defmodule Situ.Media.FFmpeg do
+  @moduledoc """
+  The `ffmpeg` and `ffprobe` programs: where they are, and how they are started.
+
+  Decoders meet hostile bytes, so they run in a process of the operating system of their own: a crash there is an error
+  here, and never takes the VM down. What they decode comes back over a local socket that is read on demand
+  (`Situ.Media.FFmpeg.Reader`), so a slow pipeline slows the decoder down and nothing piles up.
+
+      iex> {:ok, path} = Situ.Media.FFmpeg.executable("ffmpeg")
+      iex> Path.basename(path)
+      "ffmpeg"
+  """
+  alias Situ.Error
+
+  # No single allocation inside ffmpeg may exceed this, whatever a header claims.
+  @max_alloc 1_073_741_824
+
+  @doc "The full path of `program` (`\"ffmpeg\"` or `\"ffprobe\"`)."
+  @spec executable(String.t()) :: {:ok, Path.t()} | {:error, Error.t()}
+  def executable(program) when is_binary(program) do
+    case System.find_executable(program) do
+      nil ->
+        {:error,
+         Error.new(:no_ffmpeg, "the program #{program} is not installed",
+           why: "video files, network streams and devices are read and written by FFmpeg",
+           fix: "install it: apt-get install ffmpeg"
+         )}
+
+      path ->
+        {:ok, path}
+    end
+  end
+
+  @doc "Options every `ffmpeg` here starts with: quiet but for errors, no keyboard, bounded allocations."
+  @spec global_options() :: [String.t()]
+  def global_options do
+    ~w(-hide_banner -nostdin -loglevel level+error -max_alloc #{@max_alloc} -y)
+  end
+
+  @doc """
+  Options that keep a local file local: a playlist or a "file" that names a URL inside must not reach the network.
+
+      iex> Situ.Media.FFmpeg.local_file("-odd:name.mp4")
+      ["-protocol_whitelist", "file,crypto,data", "-i", "file:-odd:name.mp4"]
+  """
+  @spec local_file(Path.t()) :: [String.t()]
+  def local_file(path), do: ~w(-protocol_whitelist file,crypto,data -i) ++ ["file:" <> path]
+
+  # Runs a program whose life is bound to the port: when the port closes (its owner ended, or the VM did), the shell's
+  # standard input ends and the program is killed. Without it a program that waits for a camera would stay forever.
+  @bound """
+  exec 3<&0
+  "$@" </dev/null 3<&- &
+  pid=$!
+  ( read -r _ <&3; kill -KILL $pid ) >/dev/null 2>&1 &
+  guard=$!
+  exec 3<&-
+  wait $pid
+  status=$?
+  kill $guard 2>/dev/null
+  exit $status
+  """
+
+  # Runs a program that ends by itself when its input does: what was written must be finished even when the VM dies.
+  @free ~S(exec "$@" </dev/null)
+
+  @doc """
+  Starts `program` with `args`; its messages arrive at the caller as `{port, {:data, {:eol | :noeol, line}}}` and then
+  `{port, {:exit_status, status}}`.
+
+  With `bound: true` (the default) the program is killed when the port closes.
+  """
+  @spec start(Path.t(), [String.t()], bound: boolean()) :: port()
+  def start(program, args, opts \\ []) do
+    script = if Keyword.get(opts, :bound, true), do: @bound, else: @free
+
+    Port.open({:spawn_executable, "/bin/sh"}, [
+      :binary,
+      :exit_status,
+      :stderr_to_stdout,
+      :hide,
+      line: 2048,
+      args: ["-c", script, "situ-media", program | args]
+    ])
+  end
+end

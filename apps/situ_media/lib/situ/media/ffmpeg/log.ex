@@ -1,0 +1,64 @@
+defmodule Situ.Media.FFmpeg.Log do
+  @moduledoc false
+  # What ffmpeg said on its error output: the first lines are kept, the rest only counted (a damaged file can make it
+  # say thousands), and turned into one `Situ.Error`.
+  alias Situ.Error
+
+  @keep 12
+
+  defstruct lines: [], count: 0
+
+  @type t :: %__MODULE__{lines: [String.t()], count: non_neg_integer()}
+
+  @spec add(t(), String.t()) :: t()
+  def add(%__MODULE__{} = log, line) do
+    line = clean(line)
+
+    cond do
+      line == "" -> log
+      log.count < @keep -> %{log | lines: [line | log.lines], count: log.count + 1}
+      true -> %{log | count: log.count + 1}
+    end
+  end
+
+  @doc "Takes every line of `port` that has arrived."
+  @spec drain(t(), port()) :: t()
+  def drain(log, port) do
+    receive do
+      {^port, {:data, {_eol, line}}} -> log |> add(line) |> drain(port)
+    after
+      0 -> log
+    end
+  end
+
+  @spec lines(t()) :: [String.t()]
+  def lines(%__MODULE__{lines: lines}), do: Enum.reverse(lines)
+
+  @spec empty?(t()) :: boolean()
+  def empty?(%__MODULE__{count: count}), do: count == 0
+
+  @doc "One error out of what was said about `name`."
+  @spec to_error(t(), atom(), String.t(), keyword()) :: Error.t()
+  def to_error(%__MODULE__{} = log, code, what, details \\ []) do
+    meta = Map.merge(%{log: lines(log), log_lines: log.count}, Map.new(details[:meta] || []))
+    Error.new(code, what, why: details[:why] || why(log), fix: details[:fix], meta: meta)
+  end
+
+  defp why(%{count: 0}), do: nil
+
+  defp why(%{count: count} = log) do
+    first = log |> lines() |> Enum.take(2) |> Enum.join("; ")
+    "FFmpeg says: " <> first <> if(count > 2, do: " (and #{count - 2} more)", else: "")
+  end
+
+  # "[mov,mp4 @ 0x55f3] [error] moov atom not found": addresses and levels mean nothing to people.
+  defp clean(line) do
+    line
+    |> valid()
+    |> String.replace(~r/\[([^\]@]*) @ 0x[0-9a-f]+\] /, "\\1: ")
+    |> String.replace(~r/\[(error|fatal|panic|warning)\] /, "")
+    |> String.trim()
+  end
+
+  defp valid(line), do: if(String.valid?(line), do: line, else: inspect(line))
+end

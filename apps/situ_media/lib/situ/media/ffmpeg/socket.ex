@@ -1,0 +1,95 @@
+defmodule Situ.Media.FFmpeg.Socket do
+  @moduledoc false
+  # A local (Unix) socket for one ffmpeg: listen in a folder only this user may enter, accept once, remove the folder.
+
+  defstruct [:listen, :folder, :path]
+
+  @type t :: %__MODULE__{listen: :gen_tcp.socket(), folder: Path.t(), path: Path.t()}
+
+  # An address of a local socket has room for 107 bytes.
+  @longest 107
+
+  @spec listen(keyword()) :: {:ok, t()} | {:error, Situ.Error.t()}
+  def listen(opts \\ []) do
+    folder = Enum.find_value([System.tmp_dir() || "/tmp", "/tmp"], &fresh_folder/1)
+
+    with {:ok, folder} <- folder || {:error, :enametoolong},
+         path = Path.join(folder, "media"),
+         settings = [:binary, active: false, ifaddr: {:local, path}, backlog: 1] ++ opts,
+         {:ok, listen} <- :gen_tcp.listen(0, settings) do
+      {:ok, %__MODULE__{listen: listen, folder: folder, path: path}}
+    else
+      {:error, reason} ->
+        {:error,
+         Situ.Error.new(:no_socket, "cannot make a local socket: #{inspect(reason)}",
+           fix: "set TMPDIR to a folder that can be written, with a short path"
+         )}
+    end
+  end
+
+  @doc "The address as ffmpeg wants it."
+  @spec url(t()) :: String.t()
+  def url(%__MODULE__{path: path}), do: "unix:" <> path
+
+  @doc """
+  Waits until ffmpeg connects, or ends (`{:error, {:exit, status}}`), or `timeout` ms are over. `drain` is called
+  between, to take the program's messages.
+  """
+  @spec accept(t(), port(), timeout(), state, (state -> state)) ::
+          {{:ok, :gen_tcp.socket()} | {:error, term()}, state}
+        when state: term()
+  def accept(%__MODULE__{} = socket, port, timeout, state, drain) do
+    deadline =
+      if timeout == :infinity,
+        do: :infinity,
+        else: System.monotonic_time(:millisecond) + timeout
+
+    try do
+      poll(socket, port, deadline, state, drain)
+    after
+      close(socket)
+    end
+  end
+
+  defp poll(socket, port, deadline, state, drain) do
+    state = drain.(state)
+
+    receive do
+      {^port, {:exit_status, status}} -> {{:error, {:exit, status}}, drain.(state)}
+    after
+      0 ->
+        case :gen_tcp.accept(socket.listen, 20) do
+          {:error, :timeout} ->
+            if deadline != :infinity and System.monotonic_time(:millisecond) > deadline,
+              do: {{:error, :timeout}, state},
+              else: poll(socket, port, deadline, state, drain)
+
+          result ->
+            {result, state}
+        end
+    end
+  end
+
+  @doc "Stops listening and removes the socket's folder."
+  @spec close(t()) :: :ok
+  def close(%__MODULE__{} = socket) do
+    :gen_tcp.close(socket.listen)
+    _ = File.rm(socket.path)
+    _ = File.rmdir(socket.folder)
+    :ok
+  end
+
+  defp fresh_folder(parent) do
+    name =
+      "situ-#{System.pid()}-#{System.unique_integer([:positive])}-#{:rand.uniform(1_000_000_000)}"
+
+    folder = Path.join(parent, name)
+
+    if byte_size(folder) + byte_size("/media") > @longest do
+      nil
+    else
+      # mkdir fails on a folder somebody else prepared; nobody may enter before the mode is set, as it is empty.
+      with :ok <- File.mkdir(folder), :ok <- File.chmod(folder, 0o700), do: {:ok, folder}
+    end
+  end
+end

@@ -1,0 +1,152 @@
+defmodule Situ.Media.FFmpeg.Writer do
+  @moduledoc """
+  A process that runs one `ffmpeg` fed with raw frames: an encoder, a loudspeaker.
+
+      {:ok, writer} = Situ.Media.FFmpeg.Writer.start_link(
+        streams: [%{id: 0, class: :video, fourcc: <<"BGR", 24>>, width: 640, height: 480}],
+        args: ~w(-c:v libx264 out.mp4), name: "out.mp4")
+      :ok = Situ.Media.FFmpeg.Writer.write(writer, 0, 40_000_000, pixels)
+      :ok = Situ.Media.FFmpeg.Writer.finish(writer)
+
+  `write/4` waits while `ffmpeg` is behind (a picture or so is on its way), so a slow encoder slows its pipeline down.
+  When the writer ends without `finish/2`, `ffmpeg` sees the end of its input and finishes the file all the same.
+  """
+  use GenServer, restart: :temporary, shutdown: 1_000
+
+  alias Situ.Error
+  alias Situ.Media.FFmpeg
+  alias Situ.Media.FFmpeg.{Log, Socket}
+  alias Situ.Media.Nut.Muxer
+
+  @schema [
+    streams: [type: {:list, :map}, required: true, doc: "See `Situ.Media.Nut.Muxer`."],
+    args: [type: {:list, :string}, required: true, doc: "Output options and the output."],
+    name: [type: :string, required: true, doc: "What is written, for errors."],
+    buffer: [
+      type: {:optional, :pos_integer},
+      default: nil,
+      doc: "Bytes that may wait in the socket; small for low latency."
+    ],
+    bound: [
+      type: :boolean,
+      default: false,
+      doc: "Kill `ffmpeg` when the writer ends (devices), instead of letting it finish (files)."
+    ],
+    connect_timeout: [type: :pos_integer, default: 30_000, doc: "How long starting may take, ms."]
+  ]
+
+  defstruct [:port, :socket, :name, :failed, log: %Log{}]
+
+  @doc """
+  Starts `ffmpeg` and the process that feeds it, linked to the caller.
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
+  def start_link(opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, program} <- FFmpeg.executable("ffmpeg") do
+      GenServer.start_link(__MODULE__, {program, opts})
+    end
+  end
+
+  @doc "Hands over one frame of stream `id` at `time` ns (0 or more); waits while `ffmpeg` is behind."
+  @spec write(pid(), non_neg_integer(), non_neg_integer(), binary(), timeout()) ::
+          :ok | {:error, Error.t()}
+  def write(writer, id, time, data, timeout \\ :infinity),
+    do: GenServer.call(writer, {:write, Muxer.frame(id, time, data)}, timeout)
+
+  @doc "Ends the input, waits until `ffmpeg` has finished the output, and stops the writer."
+  @spec finish(pid(), timeout()) :: :ok | {:error, Error.t()}
+  def finish(writer, timeout \\ 120_000) do
+    result = GenServer.call(writer, {:finish, timeout}, :infinity)
+    GenServer.stop(writer)
+    result
+  end
+
+  @impl true
+  def init({program, opts}),
+    do: {:ok, %__MODULE__{name: opts[:name]}, {:continue, {program, opts}}}
+
+  @impl true
+  def handle_continue({program, opts}, state) do
+    buffer =
+      if opts[:buffer], do: [sndbuf: opts[:buffer], high_watermark: 1, low_watermark: 0], else: []
+
+    case Socket.listen(buffer) do
+      {:ok, socket} -> {:noreply, connect(state, socket, program, opts)}
+      {:error, error} -> {:noreply, %{state | failed: error}}
+    end
+  end
+
+  @impl true
+  def handle_call(_request, _from, %{failed: %Error{} = error} = state),
+    do: {:reply, {:error, error}, state}
+
+  def handle_call({:write, frame}, _from, state) do
+    case :gen_tcp.send(state.socket, frame) do
+      :ok ->
+        {:reply, :ok, %{state | log: Log.drain(state.log, state.port)}}
+
+      {:error, _closed} ->
+        {status, state} = exit_status(state, 2_000)
+        state = fail(state, status)
+        {:reply, {:error, state.failed}, state}
+    end
+  end
+
+  def handle_call({:finish, timeout}, _from, state) do
+    # Unsent frames are flushed before the socket closes.
+    :ok = :gen_tcp.shutdown(state.socket, :write)
+
+    case exit_status(state, timeout) do
+      {0, state} -> {:reply, :ok, state}
+      {status, state} -> {:reply, {:error, error(state, status)}, state}
+    end
+  end
+
+  @impl true
+  def handle_info({port, {:data, {_eol, line}}}, %{port: port} = state),
+    do: {:noreply, %{state | log: Log.add(state.log, line)}}
+
+  def handle_info({port, {:exit_status, status}}, %{port: port} = state),
+    do: {:noreply, fail(state, status)}
+
+  defp connect(state, socket, program, opts) do
+    # Everything about the input stands in its header: no guessing, no delay.
+    input = ~w(-copyts -probesize 32 -analyzeduration 0 -fpsprobesize 0 -f nut -i)
+    args = FFmpeg.global_options() ++ input ++ [Socket.url(socket) | opts[:args]]
+    port = FFmpeg.start(program, args, bound: opts[:bound])
+    drain = fn log -> Log.drain(log, port) end
+    {result, log} = Socket.accept(socket, port, opts[:connect_timeout], %Log{}, drain)
+    state = %{state | port: port, log: log}
+
+    with {:ok, accepted} <- result,
+         :ok <- :gen_tcp.send(accepted, Muxer.header(opts[:streams])) do
+      %{state | socket: accepted}
+    else
+      {:error, reason} -> fail(state, reason)
+    end
+  end
+
+  defp fail(state, status), do: %{state | failed: error(state, status)}
+
+  defp error(state, :timeout),
+    do: Log.to_error(state.log, :media_timeout, "#{state.name} was not finished in time")
+
+  defp error(state, status),
+    do:
+      Log.to_error(state.log, :cannot_write, "cannot write #{state.name}", meta: [status: status])
+
+  defp exit_status(%{port: port} = state, timeout) do
+    receive do
+      {^port, {:exit_status, status}} ->
+        {status, %{state | log: Log.drain(state.log, port)}}
+
+      {^port, {:data, {_eol, line}}} ->
+        exit_status(%{state | log: Log.add(state.log, line)}, timeout)
+    after
+      timeout -> {:timeout, state}
+    end
+  end
+end

@@ -1,0 +1,70 @@
+defmodule Situ.Media.FileTime do
+  @moduledoc """
+  How media time (0 at the start of a file) becomes originating time.
+
+  Every source that reads a file takes `start_time:`
+
+    * `:file` (default): the file's own time: exact for recordings Situ wrote, else when the file says it was made, else
+      the epoch. The same file gives the same times in every run, and the pipeline's clock begins at the file's time.
+    * an integer: the originating time of media time 0, with the same effect on the pipeline's clock.
+    * `:pipeline`: what is read first gets the time at which the pipeline starts, as if it happened now.
+
+      iex> Situ.Media.FileTime.offset(:pipeline, nil, Situ.Time.s(3), %{start_time: Situ.Time.s(100)})
+      97_000_000_000
+      iex> Situ.Media.FileTime.offset(:file, nil, 0, %{start_time: 5})
+      0
+  """
+
+  @type start_time :: :file | :pipeline | Situ.Time.t()
+
+  @doc "The option's schema entry."
+  @spec option() :: keyword()
+  def option do
+    [
+      type: {:or, [{:in, [:file, :pipeline]}, :integer]},
+      default: :file,
+      doc:
+        "Originating time of media time 0, ns; `:file` or `:pipeline`, see `Situ.Media.FileTime`."
+    ]
+  end
+
+  @doc "What to add to a media time, for a file recorded at `recorded_at` that is read from media time `start` on."
+  @spec offset(start_time(), Situ.Time.t() | nil, Situ.Time.t(), %{start_time: Situ.Time.t()}) ::
+          Situ.Time.t()
+  def offset(:pipeline, _recorded_at, start, %{start_time: now}), do: now - start
+  def offset(:file, recorded_at, _start, _context), do: recorded_at || 0
+  def offset(time, _recorded_at, _start, _context) when is_integer(time), do: time
+
+  @doc "Tells the pipeline which span the file covers, unless it plays at the pipeline's own time."
+  @spec propose(
+          Situ.Pipeline.t(),
+          start_time(),
+          Situ.Time.t() | nil,
+          {integer(), integer() | nil}
+        ) ::
+          :ok
+  def propose(_pipeline, :pipeline, _recorded_at, _span), do: :ok
+
+  def propose(pipeline, start_time, recorded_at, {from, to}) do
+    zero = offset(start_time, recorded_at, from, %{start_time: 0})
+    Situ.Pipeline.propose_replay(pipeline, {zero + from, if(to, do: zero + to, else: :unbounded)})
+  end
+
+  @doc """
+  The part of a file to read: what the options say, cut to the pipeline's replay interval.
+
+      iex> Situ.Media.FileTime.span(100, {10, nil}, %{start_time: 130, replay_end: 150})
+      {30, 51}
+  """
+  @spec span(Situ.Time.t(), {integer(), integer() | nil}, map()) :: {integer(), integer() | nil}
+  def span(offset, {from, to}, %{start_time: start, replay_end: replay_end}) do
+    last = if is_integer(replay_end), do: replay_end - offset + 1
+
+    {max(from, start - offset),
+     case {to, last} do
+       {nil, last} -> last
+       {to, nil} -> to
+       {to, last} -> min(to, last)
+     end}
+  end
+end

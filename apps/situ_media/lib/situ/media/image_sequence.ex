@@ -1,0 +1,155 @@
+defmodule Situ.Media.ImageSequence do
+  alias Situ.{Error, Image}
+  alias Situ.Media.FileTime
+  alias Situ.Media.ImageSequence.Index
+
+  @schema [
+    files: [
+      type: {:or, [:string, {:list, :string}]},
+      required: true,
+      doc: "A folder, a pattern (`\"shots/*.png\"`), or a list of files in their order."
+    ],
+    rate: [
+      type: :number,
+      default: 25,
+      doc: "Pictures a second, for files without times of their own."
+    ],
+    format: [
+      type: {:optional, {:in, Image.Format.all()}},
+      default: nil,
+      doc: "Convert to this pixel format; `nil`: as in the files."
+    ],
+    start_time: FileTime.option(),
+    on_damage: [
+      type: {:in, [:error, :skip]},
+      default: :error,
+      doc: "At a picture that cannot be read: end with the error, or leave it out and log."
+    ]
+  ]
+
+  @moduledoc """
+  A source of pictures from JPEG and PNG files.
+
+      p |> Situ.Media.ImageSequence.open("shots/", rate: 10) |> Situ.each(&IO.inspect/1)
+
+  Files of a folder or a pattern come in the order of the numbers in their names (`shot-2` before `shot-10`). A folder that
+  `Situ.Media.ImageSequenceWriter` wrote holds the originating times too, and is read back with them; other pictures get
+  steps of `1 / rate` from `start_time:` on (`Situ.Media.FileTime`).
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component, outputs: [out: Image], options: @schema
+
+  require Logger
+
+  @doc "Adds the source and returns its stream; raises `Situ.Error` when there is no picture."
+  @spec open(Situ.Pipeline.t(), Path.t() | [Path.t()], keyword()) :: Situ.Stream.t()
+  def open(p, files, opts \\ []) do
+    {common, opts} = Keyword.split(opts, [:name, :on_error])
+    opts = Situ.Options.validate!([files: files] ++ opts, @schema)
+    {recorded_at, [{first, _} | _] = shots} = shots!(opts)
+    {last, _} = List.last(shots)
+    stream = Situ.source(p, __MODULE__, opts, common)
+    FileTime.propose(p, opts[:start_time], recorded_at, {first, last})
+    stream
+  end
+
+  @impl true
+  def init(opts), do: {:ok, %{opts: opts, shots: [], offset: 0, last: 0, damage: nil}}
+
+  @impl true
+  def handle_start(context, %{opts: opts} = state) do
+    {recorded_at, shots} = shots!(opts)
+    offset = FileTime.offset(opts[:start_time], recorded_at, 0, context)
+    {from, to} = FileTime.span(offset, {0, nil}, context)
+    shots = Enum.filter(shots, fn {time, _} -> time >= from and (to == nil or time < to) end)
+    {[], %{state | shots: shots, offset: offset, last: offset + from}}
+  end
+
+  @impl true
+  def handle_demand(_n, _context, %{shots: []} = state), do: {[{:complete, state.last}], state}
+
+  def handle_demand(_n, context, %{shots: [{time, path} | rest]} = state) do
+    state = %{state | shots: rest}
+
+    case Image.read(path, format: state.opts[:format]) do
+      {:ok, image} ->
+        time = time + state.offset
+        {[{:out, time, image}], %{state | last: time}}
+
+      {:error, error} ->
+        damaged(error, context, state)
+    end
+  end
+
+  @impl true
+  def handle_stop(_final_time, _context, %{damage: nil} = state), do: {[], state}
+  def handle_stop(_final_time, _context, %{damage: error}), do: raise(error)
+
+  @doc """
+  The pictures in a folder or of a pattern, in the order of the numbers in their names.
+
+      iex> Enum.sort_by(["a10.png", "a9.png", "b1.png"], &Situ.Media.ImageSequence.order/1)
+      ["a9.png", "a10.png", "b1.png"]
+  """
+  @spec order(Path.t()) :: term()
+  def order(path) do
+    for part <- Regex.split(~r/\d+/, Path.basename(path), include_captures: true) do
+      case Integer.parse(part) do
+        {number, ""} -> {0, number}
+        _ -> {1, part}
+      end
+    end
+  end
+
+  defp damaged(error, context, %{opts: opts} = state) do
+    if opts[:on_damage] == :skip do
+      Logger.warning(Exception.message(error))
+      handle_demand(1, context, state)
+    else
+      {[{:complete, state.last}], %{state | shots: [], damage: error}}
+    end
+  end
+
+  # `{recorded_at, [{media time, file}]}`
+  defp shots!(opts) do
+    with {:ok, files} <- files(opts[:files]), {:ok, shots} <- times(files, opts) do
+      shots
+    else
+      {:error, error} -> raise error
+    end
+  end
+
+  defp files(list) when is_list(list), do: some(list, "the list of pictures is empty")
+
+  defp files(pattern) do
+    found =
+      if File.dir?(pattern),
+        do: Path.wildcard(Path.join(pattern, "*.{jpg,jpeg,png,JPG,JPEG,PNG}")),
+        else: Path.wildcard(pattern)
+
+    found |> Enum.sort_by(&order/1) |> some("there is no picture at #{inspect(pattern)}")
+  end
+
+  defp some([], what),
+    do: {:error, Error.new(:no_file, what, fix: "JPEG and PNG files are read: .jpg, .jpeg, .png")}
+
+  defp some(files, _what), do: {:ok, files}
+
+  defp times(files, opts) do
+    index = is_binary(opts[:files]) && Index.path(opts[:files])
+
+    if index && File.exists?(index) do
+      with {:ok, [{zero, _} | _] = shots} <- Index.read(index),
+           do: {:ok, {zero, Enum.map(shots, fn {time, file} -> {time - zero, file} end)}}
+    else
+      {:ok,
+       {nil, files |> Enum.with_index() |> Enum.map(fn {f, i} -> {step(i, opts[:rate]), f} end)}}
+    end
+  end
+
+  defp step(i, rate) when is_integer(rate), do: Situ.Media.Nut.to_ns(i, {1, rate})
+  defp step(i, rate), do: round(i * 1.0e9 / rate)
+end

@@ -1,0 +1,46 @@
+defmodule Situ.Media.Kernel do
+  @moduledoc false
+  # The door to the native kernels: chooses the scheduler by the work expected and turns failures into Situ.Error.
+  #
+  # Below the limit a kernel runs where it is called and its time is charged to the process; above, on a dirty
+  # scheduler, whose hop costs 10 to 20 us when the machine is idle and milliseconds when it is not.
+
+  alias Situ.Error
+  alias Situ.Media.{Native, OpenCV}
+
+  @inline_limit_us 250
+
+  @doc "A picture kernel of about `us` microseconds."
+  @spec picture(tuple(), number()) :: {:ok, term()} | {:error, Error.t()}
+  def picture(job, us) when us < @inline_limit_us, do: result(Native.run(job), job)
+  def picture(job, _us), do: result(Native.run_dirty(job), job)
+
+  @doc "A sound kernel of about `us` microseconds."
+  @spec sound(tuple(), number()) :: {:ok, term()} | {:error, Error.t()}
+  def sound(job, us) when us < @inline_limit_us, do: result(Native.run_sound(job), job)
+  def sound(job, _us), do: result(Native.run_sound_dirty(job), job)
+
+  @doc "An OpenCV kernel of about `us` microseconds."
+  @spec opencv(tuple(), number()) :: {:ok, term()} | {:error, Error.t()}
+  def opencv(job, us) do
+    result(if(us < @inline_limit_us, do: OpenCV.run(job), else: OpenCV.run_dirty(job)), job)
+  rescue
+    error in ErlangError ->
+      case error.original do
+        :not_loaded -> {:error, opencv_missing(job)}
+        _ -> reraise error, __STACKTRACE__
+      end
+  end
+
+  defp result({:ok, value}, _job), do: {:ok, value}
+
+  defp result({:error, code, what}, job) do
+    {:error, Error.new(code, "#{elem(job, 0)}: #{what}")}
+  end
+
+  defp opencv_missing(job) do
+    Error.new(:opencv_missing, "#{elem(job, 0)}: OpenCV's library could not be loaded",
+      fix: "install libopencv-imgproc-dev (Debian, Ubuntu) and compile again"
+    )
+  end
+end

@@ -1,0 +1,99 @@
+defmodule Situ.Media.LiveStream do
+  alias Situ.AudioFormat
+  alias Situ.Media.Capture
+
+  @schema [
+    device: [
+      type: {:or, [:string, {:tuple, [:module, :string]}]},
+      required: true,
+      doc: "A URL, or any device of `Situ.Media.Device` that gives pictures and sound."
+    ],
+    video: [type: :boolean, default: true, doc: "Take the pictures."],
+    audio: [type: :boolean, default: true, doc: "Take the sound."],
+    size: [
+      type: {:optional, {:tuple, [:pos_integer, :pos_integer]}},
+      default: nil,
+      doc: "`{width, height}` to scale to; `nil`: as sent."
+    ],
+    rate: [
+      type: {:optional, :pos_integer},
+      default: nil,
+      doc: "At most so many pictures a second; `nil`: all."
+    ],
+    format: [type: {:in, Situ.Image.Format.all()}, default: :bgr24, doc: "Pixel format."],
+    audio_format: [
+      type: {:optional, {:struct, AudioFormat}},
+      default: nil,
+      doc: "Convert the sound to this; `nil`: 16-bit samples as sent."
+    ],
+    audio_buffer: [
+      type: :pos_integer,
+      default: 20_000_000,
+      doc: "Length of one piece of sound, ns, when `audio_format:` is given."
+    ],
+    buffer: [
+      type: :pos_integer,
+      default: 30,
+      doc: "Messages that may wait for a slow pipeline; then the oldest is dropped."
+    ],
+    reconnect: [
+      type: :boolean,
+      default: false,
+      doc: "When the stream ends or breaks, try again every second; else the source completes."
+    ],
+    stall_timeout: [
+      type: :pos_integer,
+      default: 10_000_000_000,
+      doc: "A stream that sends nothing for so long (ns) is broken."
+    ],
+    args: [type: {:list, :string}, default: [], doc: "More input options for `ffmpeg`."]
+  ]
+
+  @moduledoc """
+  A live source with pictures and sound: a network stream, or a simulated device with both.
+
+      live = Situ.Media.LiveStream.open(p, device: "rtsp://camera.local/stream")
+      live.video |> Situ.each(&IO.inspect/1)
+
+  Frames keep the distances the sender gave them; the first gets the pipeline's time when it arrives. Pictures and sound
+  share one clock and stay in step. Like every device it cannot wait: what is not taken in time is dropped and counted.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component, outputs: [video: Situ.Image, audio: Situ.AudioBuffer], options: @schema
+
+  @doc "Adds the source; returns `%{video: stream, audio: stream}`, without what was turned off."
+  @spec open(Situ.Pipeline.t(), keyword()) :: %{atom() => Situ.Stream.t()}
+  def open(p, opts) do
+    {common, opts} = Keyword.split(opts, [:name, :on_error])
+    opts = Situ.Options.validate!(opts, @schema)
+    ports = for {kind, type} <- outputs(), opts[kind], do: {kind, type}
+    node = Situ.Pipeline.add(p, __MODULE__, opts, [outputs: ports] ++ common)
+    Map.new(ports, fn {kind, _} -> {kind, Situ.Node.output(node, kind)} end)
+  end
+
+  @impl true
+  def init(opts), do: Capture.new(opts[:device], wanted(opts), opts)
+
+  @impl true
+  def handle_start(context, capture), do: Capture.start(capture, context)
+
+  @impl true
+  def handle_demand(n, context, capture), do: Capture.demand(capture, n, context)
+
+  @impl true
+  def handle_info(info, context, capture), do: Capture.info(capture, info, context)
+
+  @impl true
+  def handle_stop(_final_time, _context, capture), do: {[], Capture.stop(capture)}
+
+  @impl true
+  def terminate(_reason, capture), do: Capture.stop(capture)
+
+  @impl true
+  def describe(capture), do: Capture.describe(capture)
+
+  defp wanted(opts), do: for(kind <- [:video, :audio], opts[kind], into: %{}, do: {kind, kind})
+end

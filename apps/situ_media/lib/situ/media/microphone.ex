@@ -1,0 +1,81 @@
+defmodule Situ.Media.Microphone do
+  alias Situ.AudioFormat
+  alias Situ.Media.{Capture, Device}
+
+  @schema [
+    device: [
+      type: {:or, [:string, {:tuple, [:module, :string]}]},
+      default: "pulse:default",
+      doc: "Which microphone, see `Situ.Media.Device`."
+    ],
+    audio_format: [
+      type: {:struct, AudioFormat},
+      default: %AudioFormat{},
+      doc: "What to deliver: 16 kHz, mono, 16 bit unless told."
+    ],
+    audio_buffer: [type: :pos_integer, default: 20_000_000, doc: "Length of one piece, ns."],
+    buffer: [
+      type: :pos_integer,
+      default: 500,
+      doc: "Pieces that may wait for a slow pipeline; then the oldest is dropped."
+    ],
+    reconnect: [
+      type: :boolean,
+      default: true,
+      doc: "When the device is lost while it runs, try again every second."
+    ],
+    stall_timeout: [
+      type: :pos_integer,
+      default: 10_000_000_000,
+      doc: "A device that sends nothing for so long (ns) counts as lost."
+    ],
+    args: [type: {:list, :string}, default: [], doc: "More input options for `ffmpeg`."]
+  ]
+
+  @moduledoc """
+  A microphone as a source: sound in pieces, each at the time of its end.
+
+      mic = Situ.Media.Microphone.open(p)
+      mic = Situ.Media.Microphone.open(p, device: "simulated:talk1.mp4")
+
+  The kinds of devices: `Situ.Media.Device`; `situ devices` lists the ones that are there. Sound that a slow pipeline does
+  not take is kept for 10 s, then dropped from its oldest end, and counted.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component, outputs: [out: Situ.AudioBuffer], options: @schema
+
+  @doc "Adds the microphone to a pipeline; returns its stream."
+  @spec open(Situ.Pipeline.t(), keyword()) :: Situ.Stream.t()
+  def open(p, opts \\ []) do
+    {common, opts} = Keyword.split(opts, [:name, :on_error])
+    Situ.source(p, __MODULE__, opts, common)
+  end
+
+  @doc "The microphones there are."
+  @spec list() :: [Device.t()]
+  def list, do: Enum.filter(Device.list(), &(&1.kind == :microphone))
+
+  @impl true
+  def init(opts), do: Capture.new(opts[:device], %{audio: :out}, opts)
+
+  @impl true
+  def handle_start(context, capture), do: Capture.start(capture, context)
+
+  @impl true
+  def handle_demand(n, context, capture), do: Capture.demand(capture, n, context)
+
+  @impl true
+  def handle_info(info, context, capture), do: Capture.info(capture, info, context)
+
+  @impl true
+  def handle_stop(_final_time, _context, capture), do: {[], Capture.stop(capture)}
+
+  @impl true
+  def terminate(_reason, capture), do: Capture.stop(capture)
+
+  @impl true
+  def describe(capture), do: Capture.describe(capture)
+end

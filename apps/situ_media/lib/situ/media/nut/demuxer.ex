@@ -1,0 +1,256 @@
+defmodule Situ.Media.Nut.Demuxer do
+  @moduledoc """
+  Reads a NUT stream frame by frame from a function that gives exactly the bytes asked for.
+
+  The reading function is asked for small headers byte by byte and for each payload in one go, so a payload read from a
+  socket is the one binary the socket allocated: no copies.
+
+      {:ok, demuxer} = Situ.Media.Nut.Demuxer.open(fn n -> :gen_tcp.recv(socket, n) end)
+      {:ok, %{stream: 0, time: 40_000_000, data: pixels}, demuxer} = Situ.Media.Nut.Demuxer.next(demuxer)
+
+  Nothing is believed: every length is bounded (`:max_frame`, 512 MiB unless told), checksums of headers are checked.
+  """
+  import Bitwise
+  alias Situ.Media.Nut
+  alias Situ.Media.Nut.Headers
+
+  @enforce_keys [:read]
+  defstruct [
+    :read,
+    max_frame: 536_870_912,
+    time_bases: {},
+    codes: {},
+    elisions: {<<>>},
+    streams: %{},
+    last: %{},
+    count: 0
+  ]
+
+  @type read :: (pos_integer() -> {:ok, binary()} | {:error, term()})
+  @typedoc "`time` in nanoseconds; `ticks` the same in the stream's own time base."
+  @type frame :: %{
+          stream: non_neg_integer(),
+          time: integer(),
+          ticks: integer(),
+          data: binary()
+        }
+  @opaque t :: %__MODULE__{}
+
+  @max_header 1_048_576
+  @flags Headers.flags()
+
+  @doc "Reads the headers. `{:error, :eof}` when the stream ends before the first header."
+  @spec open(read(), max_frame: pos_integer()) :: {:ok, t()} | {:error, term()}
+  def open(read, opts \\ []) when is_function(read, 1) do
+    demuxer = struct!(%__MODULE__{read: read}, opts)
+
+    with {:ok, id} <- read(demuxer, byte_size(Nut.file_id())),
+         :ok <- check(id == Nut.file_id(), :not_nut) do
+      headers(demuxer)
+    end
+  end
+
+  @doc "The streams, by number; times of frames are nanoseconds already."
+  @spec streams(t()) :: %{non_neg_integer() => Nut.stream()}
+  def streams(%__MODULE__{streams: streams}), do: streams
+
+  @doc "The next frame; `{:error, :eof}` at the end, `{:error, reason}` when the stream makes no sense."
+  @spec next(t()) :: {:ok, frame(), t()} | {:error, term()}
+  def next(%__MODULE__{} = demuxer) do
+    with {:ok, <<code>>} <- read(demuxer, 1), do: frame_or_packet(code, demuxer)
+  end
+
+  defp frame_or_packet(?N, demuxer) do
+    with {:ok, rest} <- read(demuxer, 7),
+         {:ok, demuxer} <- packet(<<?N, rest::binary>>, demuxer),
+         do: next(demuxer)
+  end
+
+  defp frame_or_packet(code, demuxer) do
+    case frame(elem(demuxer.codes, code), <<code>>, demuxer) do
+      {:skip, demuxer} -> next(demuxer)
+      result -> result
+    end
+  end
+
+  # Headers up to the first syncpoint (there is one before the first frame).
+  defp headers(demuxer) do
+    with {:ok, startcode} <- read(demuxer, 8),
+         {:ok, demuxer} <- packet(startcode, demuxer) do
+      cond do
+        Nut.startcode_name(startcode) != {:ok, :syncpoint} -> headers(demuxer)
+        map_size(demuxer.streams) == demuxer.count and demuxer.count > 0 -> {:ok, demuxer}
+        true -> {:error, :missing_headers}
+      end
+    end
+  end
+
+  defp packet(startcode, demuxer) do
+    with {:ok, name} <- named(startcode),
+         {:ok, size, size_bytes} <- read_varint(demuxer, <<>>),
+         :ok <- check(size in 4..@max_header, {:bad_header_size, size}),
+         :ok <- check_header(size, startcode <> size_bytes, demuxer),
+         {:ok, bytes} <- read(demuxer, size),
+         body = binary_part(bytes, 0, size - 4),
+         <<_::binary-size(size - 4), sum::32>> = bytes,
+         :ok <- check(Nut.crc(body) == sum, {:bad_checksum, name}) do
+      parse(name, body, demuxer)
+    end
+  end
+
+  defp named(startcode) do
+    case Nut.startcode_name(startcode) do
+      {:ok, name} -> {:ok, name}
+      :error -> {:error, :lost_sync}
+    end
+  end
+
+  defp check_header(size, _bytes, _demuxer) when size <= 4096, do: :ok
+
+  defp check_header(_size, bytes, demuxer) do
+    with {:ok, <<sum::32>>} <- read(demuxer, 4),
+         do: check(Nut.crc(bytes) == sum, {:bad_checksum, :header})
+  end
+
+  defp parse(:main, body, demuxer) do
+    with {:ok, main} <- Headers.main(body), do: {:ok, struct!(demuxer, main)}
+  end
+
+  defp parse(:stream, body, demuxer) do
+    with {:ok, stream} <- Headers.stream(body, demuxer.count, demuxer.time_bases),
+         do: {:ok, put_in(demuxer.streams[stream.id], stream)}
+  end
+
+  defp parse(:syncpoint, body, demuxer) do
+    with {:ok, last} <- Headers.syncpoint(body, demuxer.time_bases, demuxer.streams),
+         do: {:ok, %{demuxer | last: last}}
+  end
+
+  defp parse(_info_or_index, _body, demuxer), do: {:ok, demuxer}
+
+  defp frame(code, first, demuxer) do
+    with :ok <- check(not has?(code.flags, :invalid), :lost_sync),
+         {:ok, flags, seen} <- coded_flags(code.flags, first, demuxer),
+         {:ok, id, seen} <- optional(flags, :stream_id, code.stream, seen, demuxer),
+         {:ok, coded, seen} <- optional(flags, :coded_pts, nil, seen, demuxer),
+         {:ok, msb, seen} <- optional(flags, :size_msb, 0, seen, demuxer),
+         {:ok, _match, seen} <- optional(flags, :match_time, 0, seen, demuxer),
+         {:ok, index, seen} <- optional(flags, :header_index, code.index, seen, demuxer),
+         {:ok, reserved, seen} <- optional(flags, :reserved, code.reserved, seen, demuxer),
+         {:ok, seen} <- skip_varints(reserved, seen, demuxer),
+         :ok <- frame_checksum(flags, seen, demuxer),
+         {:ok, stream} <- known(id, demuxer) do
+      size = code.size + code.mul * msb
+
+      pts =
+        if coded,
+          do: pts(coded, demuxer.last[id], stream.shift),
+          else: demuxer.last[id] + code.pts
+
+      demuxer = put_in(demuxer.last[id], pts)
+      payload(flags, stream, pts, size, index, demuxer)
+    end
+  end
+
+  defp coded_flags(flags, seen, demuxer) do
+    if has?(flags, :coded) do
+      with {:ok, coded, seen} <- read_varint(demuxer, seen), do: {:ok, bxor(flags, coded), seen}
+    else
+      {:ok, flags, seen}
+    end
+  end
+
+  defp optional(flags, name, default, seen, demuxer) do
+    if has?(flags, name), do: read_varint(demuxer, seen), else: {:ok, default, seen}
+  end
+
+  defp skip_varints(0, seen, _demuxer), do: {:ok, seen}
+
+  defp skip_varints(n, seen, demuxer) when n <= 256 do
+    with {:ok, _, seen} <- read_varint(demuxer, seen), do: skip_varints(n - 1, seen, demuxer)
+  end
+
+  defp skip_varints(_n, _seen, _demuxer), do: {:error, :lost_sync}
+
+  defp frame_checksum(flags, seen, demuxer) do
+    if has?(flags, :checksum) do
+      with {:ok, <<sum::32>>} <- read(demuxer, 4),
+           do: check(Nut.crc(seen) == sum, {:bad_checksum, :frame})
+    else
+      :ok
+    end
+  end
+
+  defp known(id, demuxer) do
+    case demuxer.streams do
+      %{^id => stream} when is_map_key(demuxer.last, id) -> {:ok, stream}
+      _ -> {:error, :lost_sync}
+    end
+  end
+
+  # Only the low bits of a time are written when they say it all.
+  defp pts(coded, _last, shift) when coded >= 1 <<< shift, do: coded - (1 <<< shift)
+
+  defp pts(coded, last, shift) do
+    mask = (1 <<< shift) - 1
+    delta = last - div(mask, 2)
+    (coded - delta &&& mask) + delta
+  end
+
+  defp payload(flags, stream, pts, size, index, demuxer) do
+    prefix =
+      if size > 4096 or index >= tuple_size(demuxer.elisions),
+        do: <<>>,
+        else: elem(demuxer.elisions, index)
+
+    length = size - byte_size(prefix)
+
+    with :ok <- check(size <= demuxer.max_frame, {:frame_too_large, size}),
+         :ok <- check(length >= 0 and not has?(flags, :side_data), :lost_sync),
+         {:ok, data} <- read(demuxer, length) do
+      frame = %{
+        stream: stream.id,
+        time: Nut.to_ns(pts, stream.time_base),
+        ticks: pts,
+        data: prepend(prefix, data)
+      }
+
+      if has?(flags, :eor), do: {:skip, demuxer}, else: {:ok, frame, demuxer}
+    end
+  end
+
+  defp prepend(<<>>, data), do: data
+  defp prepend(prefix, data), do: prefix <> data
+
+  for {name, bit} <- @flags do
+    defp has?(flags, unquote(name)), do: (flags &&& unquote(bit)) != 0
+  end
+
+  defp read(_demuxer, 0), do: {:ok, <<>>}
+
+  defp read(%{read: read}, n) do
+    case read.(n) do
+      {:ok, bytes} when byte_size(bytes) == n -> {:ok, bytes}
+      {:ok, _fewer} -> {:error, :eof}
+      {:error, reason} when reason in [:closed, :eof] -> {:error, :eof}
+      {:error, reason} -> {:error, reason}
+    end
+  end
+
+  defp read_varint(demuxer, seen), do: read_varint(demuxer, seen, 0, 0)
+
+  defp read_varint(demuxer, seen, value, n) do
+    with {:ok, <<more::1, group::7>> = byte} <- read(demuxer, 1) do
+      value = value <<< 7 ||| group
+
+      cond do
+        more == 0 -> {:ok, value, seen <> byte}
+        n == 9 -> {:error, :lost_sync}
+        true -> read_varint(demuxer, seen <> byte, value, n + 1)
+      end
+    end
+  end
+
+  defp check(true, _reason), do: :ok
+  defp check(false, reason), do: {:error, reason}
+end

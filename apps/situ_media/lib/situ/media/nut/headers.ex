@@ -1,0 +1,192 @@
+defmodule Situ.Media.Nut.Headers do
+  @moduledoc false
+  # The bodies of NUT's header packets as data. Pure; the demuxer reads the packets and checks their checksums.
+  alias Situ.Media.Nut
+
+  @flags [
+    key: 1,
+    eor: 2,
+    coded_pts: 8,
+    stream_id: 16,
+    size_msb: 32,
+    checksum: 64,
+    reserved: 128,
+    side_data: 256,
+    header_index: 1024,
+    match_time: 2048,
+    coded: 4096,
+    invalid: 8192
+  ]
+
+  @type reason :: {:bad_header, term()}
+
+  @doc "What the bits of a frame's flags mean."
+  @spec flags() :: keyword(pos_integer())
+  def flags, do: @flags
+
+  @doc "The main header: time bases, the meaning of each frame's first byte, elided beginnings, how many streams."
+  @spec main(binary()) :: {:ok, map()} | {:error, reason()}
+  def main(body), do: guarded(fn -> parse_main(body) end)
+
+  @doc "A stream's header."
+  @spec stream(binary(), pos_integer(), tuple()) :: {:ok, Nut.stream()} | {:error, reason()}
+  def stream(body, count, time_bases),
+    do: guarded(fn -> parse_stream(body, count, time_bases) end)
+
+  @doc "A syncpoint: the time of each stream there, in its own ticks."
+  @spec syncpoint(binary(), tuple(), map()) :: {:ok, map()} | {:error, reason()}
+  def syncpoint(body, time_bases, streams),
+    do: guarded(fn -> parse_syncpoint(body, time_bases, streams) end)
+
+  # The parsers below throw at the first impossible number.
+  defp guarded(fun) do
+    {:ok, fun.()}
+  catch
+    {:bad_header, what} -> {:error, {:bad_header, what}}
+  end
+
+  defp parse_main(body) do
+    {version, body} = v(body)
+    if version not in 2..4, do: throw({:bad_header, {:version, version}})
+    {_minor, body} = if version > 3, do: v(body), else: {0, body}
+    {count, body} = v(body)
+    {_max_distance, body} = v(body)
+    {bases, body} = v(body)
+    if count not in 1..64 or bases not in 1..64, do: throw({:bad_header, :counts})
+    {time_bases, body} = repeat(bases, body, &time_base/1)
+    {codes, body} = frame_codes([], 0, {0, 1, 0, 0}, body)
+    {elided, body} = v(body)
+    if elided > 255, do: throw({:bad_header, :elision})
+    {elisions, _flags} = repeat(elided, body, &bytes/1)
+
+    %{
+      time_bases: List.to_tuple(time_bases),
+      codes: List.to_tuple(codes),
+      elisions: List.to_tuple([<<>> | elisions]),
+      count: count
+    }
+  end
+
+  defp time_base(body) do
+    {num, body} = v(body)
+    {den, body} = v(body)
+    if num == 0 or den == 0, do: throw({:bad_header, :time_base})
+    {{num, den}, body}
+  end
+
+  # Runs of frame codes: what a frame's first byte says of flags, stream, time and size.
+  defp frame_codes(codes, 256, _kept, body), do: {Enum.reverse(codes), body}
+
+  defp frame_codes(codes, n, {pts, mul, stream, index}, body) do
+    {flags, body} = v(body)
+    {fields, body} = v(body)
+    {pts, body} = if fields > 0, do: s(body), else: {pts, body}
+    {mul, body} = if fields > 1, do: v(body), else: {mul, body}
+    {stream, body} = if fields > 2, do: v(body), else: {stream, body}
+    {size, body} = if fields > 3, do: v(body), else: {0, body}
+    {reserved, body} = if fields > 4, do: v(body), else: {0, body}
+    {run, body} = if fields > 5, do: v(body), else: {mul - size, body}
+    {_match, body} = if fields > 6, do: s(body), else: {0, body}
+    {index, body} = if fields > 7, do: v(body), else: {index, body}
+    if fields > 256 or run < 0, do: throw({:bad_header, :frame_codes})
+    {_, body} = repeat(max(fields - 8, 0), body, &v/1)
+
+    code = %{
+      flags: flags,
+      pts: pts,
+      mul: mul,
+      stream: stream,
+      size: size,
+      reserved: reserved,
+      index: index
+    }
+
+    {codes, next} = fill(codes, n, run, code)
+    # A run of nothing would never end the table.
+    if next == n, do: throw({:bad_header, :frame_codes})
+    frame_codes(codes, next, {pts, mul, stream, index}, body)
+  end
+
+  # Byte "N" begins start codes, so it is never a frame and not counted in a run.
+  defp fill(codes, ?N, run, code),
+    do: fill([%{code | flags: @flags[:invalid]} | codes], ?N + 1, run, code)
+
+  defp fill(codes, n, run, _code) when run == 0 or n == 256, do: {codes, n}
+
+  defp fill(codes, n, run, code),
+    do: fill([code | codes], n + 1, run - 1, %{code | size: code.size + 1})
+
+  defp parse_stream(body, count, time_bases) do
+    {id, body} = v(body)
+    {class, body} = v(body)
+    {fourcc, body} = bytes(body)
+    {base, body} = v(body)
+    {shift, body} = v(body)
+    {_max_pts_distance, body} = v(body)
+    {_decode_delay, body} = v(body)
+    {_flags, body} = v(body)
+    {_specific, body} = bytes(body)
+
+    if id >= count or base >= tuple_size(time_bases) or shift > 16,
+      do: throw({:bad_header, :stream})
+
+    Map.merge(
+      %{id: id, fourcc: fourcc, time_base: elem(time_bases, base), shift: shift},
+      shape(class, body)
+    )
+  end
+
+  defp shape(0, body) do
+    {width, body} = v(body)
+    {height, _body} = v(body)
+    if width == 0 or height == 0, do: throw({:bad_header, :size})
+    %{class: :video, width: width, height: height}
+  end
+
+  defp shape(1, body) do
+    {num, body} = v(body)
+    {den, body} = v(body)
+    {channels, _body} = v(body)
+    if num == 0 or den == 0 or channels == 0, do: throw({:bad_header, :audio})
+    %{class: :audio, rate: div(num, den), channels: channels}
+  end
+
+  defp shape(_class, _body), do: %{class: :other}
+
+  defp parse_syncpoint(body, time_bases, streams) do
+    {time, _body} = v(body)
+    bases = tuple_size(time_bases)
+    if bases == 0, do: throw({:bad_header, :syncpoint})
+    base = elem(time_bases, rem(time, bases))
+    Map.new(streams, fn {id, s} -> {id, Nut.rescale(div(time, bases), base, s.time_base)} end)
+  end
+
+  defp v(body) do
+    case Nut.take_varint(body) do
+      {value, rest} -> {value, rest}
+      :error -> throw({:bad_header, :short})
+    end
+  end
+
+  defp s(body) do
+    {value, rest} = v(body)
+    {Nut.signed(value), rest}
+  end
+
+  defp bytes(body) do
+    {size, rest} = v(body)
+
+    case rest do
+      <<bytes::binary-size(size), rest::binary>> -> {bytes, rest}
+      _ -> throw({:bad_header, :short})
+    end
+  end
+
+  defp repeat(n, body, fun), do: repeat(n, body, fun, [])
+  defp repeat(0, body, _fun, acc), do: {Enum.reverse(acc), body}
+
+  defp repeat(n, body, fun, acc) do
+    {value, body} = fun.(body)
+    repeat(n - 1, body, fun, [value | acc])
+  end
+end

@@ -1,0 +1,113 @@
+defmodule Situ.Media.Speaker do
+  alias Situ.{AudioBuffer, AudioFormat}
+  alias Situ.Media.{Device, Pixels}
+  alias Situ.Media.FFmpeg.Writer
+
+  @schema [
+    device: [
+      type: {:or, [:string, {:tuple, [:module, :string]}]},
+      default: "pulse:default",
+      doc: "Which speaker, see `Situ.Media.Device`."
+    ],
+    latency: [
+      type: :pos_integer,
+      default: 100_000_000,
+      doc: "Sound the device keeps ahead, ns: less is sooner, more survives a busy machine."
+    ]
+  ]
+
+  @moduledoc """
+  A sink that plays sound.
+
+      clip.audio |> Situ.Media.Speaker.play()
+
+  Sound is played as it comes, one piece after the other; the first piece decides the format, a later one of another format
+  reopens the device. The speaker takes sound at the speed it plays: in a pipeline that runs ahead it is the brake.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component, inputs: [in: AudioBuffer], options: @schema
+
+  @doc "Connects the speaker to `stream`; returns `stream`, so that it can be used further."
+  @spec play(Situ.Stream.t(), keyword()) :: Situ.Stream.t()
+  def play(stream, opts \\ []) do
+    {common, opts} = Keyword.split(opts, [:name, :on_error, :policy])
+    Situ.via(stream, __MODULE__, opts, common)
+    stream
+  end
+
+  @doc "The speakers there are."
+  @spec list() :: [Device.t()]
+  def list, do: Enum.filter(Device.list(), &(&1.kind == :speaker))
+
+  @impl true
+  def init(opts) do
+    with {:ok, {driver, address}} <- Device.parse(opts[:device]),
+         :ok <- can_play(driver, address) do
+      {:ok, %{driver: driver, address: address, opts: opts, writer: nil, format: nil, played: 0}}
+    end
+  end
+
+  @impl true
+  def handle_message(:in, %{data: %AudioBuffer{} = buffer}, _context, state) do
+    state = open(buffer.format, state)
+    time = AudioFormat.frames_to_ns(buffer.format, state.played)
+
+    case Writer.write(state.writer, 0, time, buffer.data) do
+      :ok -> {[], %{state | played: state.played + AudioBuffer.frames(buffer)}}
+      {:error, error} -> raise error
+    end
+  end
+
+  @impl true
+  def handle_closed(:in, _time, _context, state), do: {[], close(state)}
+
+  @impl true
+  def terminate(_reason, state), do: close(state)
+
+  defp open(format, %{format: format, writer: writer} = state) when is_pid(writer), do: state
+
+  defp open(%AudioFormat{} = format, state) do
+    state = close(state)
+
+    with {:ok, args} <- state.driver.playback(state.address, state.opts),
+         {:ok, writer} <-
+           Writer.start_link(
+             streams: [
+               %{
+                 id: 0,
+                 class: :audio,
+                 fourcc: Pixels.fourcc(format.sample),
+                 rate: format.rate,
+                 channels: format.channels
+               }
+             ],
+             args: ~w(-c:a pcm_s16le) ++ args,
+             name: state.address,
+             buffer: 4_096,
+             bound: true
+           ) do
+      %{state | writer: writer, format: format, played: 0}
+    else
+      {:error, error} -> raise error
+    end
+  end
+
+  # Waits until the last sound was played.
+  defp close(%{writer: nil} = state), do: state
+
+  defp close(state) do
+    case Writer.finish(state.writer, 30_000) do
+      :ok -> %{state | writer: nil}
+      {:error, error} -> raise error
+    end
+  end
+
+  defp can_play(driver, address) do
+    if Code.ensure_loaded?(driver) and function_exported?(driver, :playback, 2),
+      do: :ok,
+      else: Device.driver_error(address, :bad_option, "this device does not play sound")
+  end
+end

@@ -1,0 +1,171 @@
+defmodule Situ.Media.VideoFile do
+  alias Situ.Media.{Decoder, FileInfo, FileTime}
+
+  @hidden [:loop]
+  @schema [
+            path: [type: :string, required: true, doc: "The file."],
+            start_time: FileTime.option(),
+            on_damage: [
+              type: {:in, [:error, :warn]},
+              default: :error,
+              doc: "After the last readable picture of a damaged file: fail, or log and end well."
+            ],
+            info: [
+              type: {:optional, {:struct, FileInfo}},
+              default: nil,
+              doc: "What `Situ.Media.FileInfo.read/1` said; `open/3` fills it in."
+            ]
+          ] ++ Keyword.drop(Decoder.options(), @hidden)
+
+  @moduledoc """
+  A source that reads a media file: pictures on `:video`, sound on `:audio`, in step, with exact times.
+
+      def build(p, _opts) do
+        clip = Situ.Media.VideoFile.open(p, "talk1.mp4", size: {640, 320})
+        clip.video |> Situ.each(&IO.inspect/1)
+        clip.audio |> Situ.each(&IO.inspect/1)
+      end
+
+  Every kind of file FFmpeg reads: MP4, AVI, MKV, WebM, MPEG-TS, MP3, FLAC ... What a file does not have is `nil` in what
+  `open/3` returns. The time of a picture is when it is shown, the time of a piece of sound is when it ends; how media
+  time becomes originating time is in `Situ.Media.FileTime`.
+
+  It reads on demand, so a pipeline that is slow makes it wait. A damaged or truncated file gives everything that can be
+  read; then the run ends with the error `:damaged_media` (`on_damage: :warn`: it ends well, with a warning in the log).
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    outputs: [video: Situ.Image, audio: Situ.AudioBuffer],
+    options: @schema
+
+  require Logger
+
+  @doc """
+  Adds the source to a pipeline. `opts` are the options above and, optionally, `name:` and `on_error:` of the component.
+
+  Returns `%{video: stream | nil, audio: stream | nil}`. Raises `Situ.Error` when the file cannot be read at all.
+  """
+  @spec open(Situ.Pipeline.t(), Path.t(), keyword()) :: %{
+          video: Situ.Stream.t() | nil,
+          audio: Situ.Stream.t() | nil
+        }
+  def open(p, path, opts \\ []) do
+    {common, opts} = Keyword.split(opts, [:name, :on_error])
+    info = read!(path)
+    opts = Situ.Options.validate!([path: path, info: info] ++ opts, @schema)
+    ports = ports(info, opts)
+    if ports == [], do: raise(nothing(info))
+    node = Situ.Pipeline.add(p, __MODULE__, opts, [outputs: ports] ++ common)
+
+    FileTime.propose(
+      p,
+      opts[:start_time],
+      info.recorded_at,
+      {opts[:start], opts[:end] || info.duration}
+    )
+
+    Map.new([:video, :audio], &{&1, ports[&1] && Situ.Node.output(node, &1)})
+  end
+
+  @impl true
+  def init(opts) do
+    with {:ok, info} <- if(opts[:info], do: {:ok, opts[:info]}, else: FileInfo.read(opts[:path])) do
+      {:ok, %{opts: opts, info: info, decoder: nil, offset: 0, last: nil, damage: nil}}
+    end
+  end
+
+  @impl true
+  def handle_start(context, %{opts: opts, info: info} = state) do
+    offset = FileTime.offset(opts[:start_time], info.recorded_at, opts[:start], context)
+    {from, to} = FileTime.span(offset, {opts[:start], opts[:end]}, context)
+    state = %{state | offset: offset, last: offset + from}
+
+    if (to && to <= from) || (from > opts[:start] && info.duration && from >= info.duration) do
+      {[{:complete, state.last}], state}
+    else
+      settings =
+        opts
+        |> Keyword.drop([:path, :start_time, :on_damage, :info])
+        |> Keyword.merge(start: from, end: to)
+
+      case Decoder.open(opts[:path], info, settings) do
+        {:ok, decoder} -> {[], %{state | decoder: decoder}}
+        {:error, error} -> raise error
+      end
+    end
+  end
+
+  @impl true
+  def handle_demand(_n, _context, %{decoder: nil} = state), do: {[], state}
+
+  # One at a time, however many are asked for: pictures are large.
+  def handle_demand(_n, _context, state) do
+    case Decoder.next(state.decoder) do
+      {:eof, decoder} ->
+        complete(%{state | decoder: decoder})
+
+      {:error, error, decoder} ->
+        damaged(error, %{state | decoder: decoder})
+
+      {kind, time, data, decoder} ->
+        emit(kind, time + state.offset, data, %{state | decoder: decoder})
+    end
+  end
+
+  # What was read has been delivered by now; an error before would have cut it short.
+  @impl true
+  def handle_stop(_final_time, _context, %{damage: nil} = state), do: {[], close(state)}
+  def handle_stop(_final_time, _context, %{damage: error}), do: raise(error)
+
+  @impl true
+  def terminate(_reason, state), do: close(state)
+
+  @impl true
+  def describe(%{info: info, decoder: decoder}) do
+    dropped = if decoder, do: decoder.dropped, else: 0
+    "#{info.name} (#{info.format}), #{dropped} pictures with impossible times left out"
+  end
+
+  defp emit(kind, time, data, state),
+    do: {[{kind, time, data}], %{state | last: max(state.last, time)}}
+
+  defp complete(state), do: {[{:complete, state.last}], close(state)}
+
+  defp damaged(error, %{opts: opts} = state) do
+    case opts[:on_damage] do
+      :error ->
+        complete(%{state | damage: error})
+
+      :warn ->
+        Logger.warning(Exception.message(error))
+        complete(state)
+    end
+  end
+
+  defp close(%{decoder: nil} = state), do: state
+
+  defp close(state) do
+    Decoder.close(state.decoder)
+    %{state | decoder: nil}
+  end
+
+  defp read!(path) do
+    case FileInfo.read(path) do
+      {:ok, info} -> info
+      {:error, error} -> raise error
+    end
+  end
+
+  defp ports(info, opts) do
+    for {kind, type} <- outputs(), Map.fetch!(info, kind) && opts[kind], do: {kind, type}
+  end
+
+  defp nothing(info) do
+    Situ.Error.new(:no_stream, "#{info.name} has nothing to read with these options",
+      fix: "do not turn off both of video: and audio:"
+    )
+  end
+end

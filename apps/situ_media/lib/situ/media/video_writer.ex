@@ -1,0 +1,136 @@
+defmodule Situ.Media.VideoWriter do
+  alias Situ.{AudioBuffer, Image}
+  alias Situ.Media.Encoder
+
+  @wait 2_000_000_000
+  @schema [
+            path: [type: :string, required: true, doc: "The file; its ending decides the kind."],
+            expect: [
+              type: {:list, {:in, [:video, :audio]}},
+              default: [:video, :audio],
+              doc: "The inputs that are connected; `write/3` fills it in."
+            ]
+          ] ++ Encoder.options()
+
+  @moduledoc """
+  A sink that writes pictures and sound into one media file, in step, every frame at its own time.
+
+      Situ.Media.VideoWriter.write([video: clip.video, audio: clip.audio], "copy.mp4")
+
+  The earliest first message becomes the file's time 0, so it waits until every input has spoken (or 2 s of the stream's
+  time have gone by). Originating times are kept: `Situ.Media.VideoFile` gives the same ones back, to the codec's
+  clock (1/90,000 s in MP4, 1 ms in MKV and WebM). Data older than the file's beginning is left out and counted.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component, inputs: [video: Image, audio: AudioBuffer], options: @schema
+
+  require Logger
+
+  # A bound for pictures that wait for the first sound.
+  @most_held 64
+
+  @doc "Connects the sink to one or two streams. `opts` may hold `name:`, `on_error:` and `policy:` besides the options."
+  @spec write([video: Situ.Stream.t(), audio: Situ.Stream.t()], Path.t(), keyword()) :: :ok
+  def write([{_, _} | _] = streams, path, opts \\ []) do
+    {common, opts} = Keyword.split(opts, [:name, :on_error, :policy])
+    inputs = Keyword.take(inputs(), Keyword.keys(streams))
+    settings = [path: path, expect: Keyword.keys(inputs)] ++ opts
+    Situ.via(streams, __MODULE__, settings, [inputs: inputs] ++ common)
+    :ok
+  end
+
+  @impl true
+  def init(opts) do
+    {:ok, %{opts: opts, held: [], seen: %{}, closed: [], encoder: nil, early: 0}}
+  end
+
+  @impl true
+  def handle_message(input, message, _context, %{encoder: nil} = state) do
+    %{data: data, originating_time: time} = message
+
+    state = %{
+      state
+      | held: [{input, time, data} | state.held],
+        seen: Map.put(state.seen, input, data)
+    }
+
+    {[], if(ready?(state), do: open(state), else: state)}
+  end
+
+  def handle_message(input, message, _context, state),
+    do: {[], put(input, message.originating_time, message.data, state)}
+
+  @impl true
+  def handle_closed(input, _time, _context, state) do
+    state = %{state | closed: [input | state.closed]}
+    state = if state.encoder == nil and state.held != [], do: open(state), else: state
+    {[], if(state.opts[:expect] -- state.closed == [], do: finish(state), else: state)}
+  end
+
+  @impl true
+  def terminate(_reason, state), do: finish(state)
+
+  @impl true
+  def describe(state), do: "#{Path.basename(state.opts[:path])}, #{state.early} too early"
+
+  defp finish(%{encoder: nil} = state), do: state
+
+  defp finish(%{encoder: encoder} = state) do
+    case Encoder.close(encoder) do
+      :ok -> %{state | encoder: nil}
+      {:error, error} -> raise error
+    end
+  end
+
+  # Every kind has come, or one has been waiting long enough for the other.
+  defp ready?(%{seen: seen, held: held, opts: opts}) do
+    times = Enum.map(held, &elem(&1, 1))
+
+    map_size(seen) == length(opts[:expect]) or length(held) >= @most_held or
+      Enum.max(times) - Enum.min(times) >= @wait
+  end
+
+  defp open(state) do
+    start = state.held |> Enum.map(&start_of/1) |> Enum.min()
+    audio = state.seen[:audio]
+
+    opts =
+      state.opts
+      |> Keyword.drop([:path, :expect])
+      |> Keyword.merge(video: state.seen[:video], audio: audio && audio.format, start_time: start)
+
+    case Encoder.open(state.opts[:path], opts) do
+      {:ok, encoder} ->
+        held = Enum.reverse(state.held)
+        state = %{state | encoder: encoder, held: [], seen: %{}}
+
+        Enum.reduce(held, state, fn {input, time, data}, state ->
+          put(input, time, data, state)
+        end)
+
+      {:error, error} ->
+        raise error
+    end
+  end
+
+  defp start_of({:video, time, _}), do: time
+  defp start_of({:audio, time, buffer}), do: AudioBuffer.start_time(buffer, time)
+
+  defp put(input, time, data, state) do
+    case apply(Encoder, input, [state.encoder, time, data]) do
+      :ok -> state
+      {:error, %{code: :before_start} = error} -> early(error, state)
+      {:error, error} -> raise error
+    end
+  end
+
+  defp early(error, %{early: 0} = state) do
+    Logger.warning(Exception.message(error))
+    %{state | early: 1}
+  end
+
+  defp early(_error, state), do: %{state | early: state.early + 1}
+end

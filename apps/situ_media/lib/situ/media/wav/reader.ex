@@ -1,0 +1,261 @@
+defmodule Situ.Media.Wav.Reader do
+  @moduledoc """
+  Reads a WAV file piece by piece, from any point of time.
+
+      {:ok, reader} = Situ.Media.Wav.Reader.open("talk.wav", buffer: Situ.Time.ms(20))
+      {:ok, 20_000_000, %Situ.AudioBuffer{}, reader} = Situ.Media.Wav.Reader.next(reader)
+
+  The time of a piece is its end, counted in samples from the start of the file: sample-exact at any rate. After the
+  last whole frame comes `:eof`, or an error when the file ends before its header says it should.
+  """
+  alias Situ.{AudioBuffer, AudioFormat, Error}
+  alias Situ.Media.Wav
+
+  @schema [
+    buffer: [type: :pos_integer, default: 20_000_000, doc: "Length of one piece, ns."],
+    start: [type: :non_neg_integer, default: 0, doc: "Where to begin, ns from the file's start."],
+    end: [type: {:optional, :pos_integer}, default: nil, doc: "Where to end, ns; `nil`: the end."]
+  ]
+
+  @enforce_keys [:file, :format, :name]
+  defstruct [
+    :file,
+    :format,
+    :name,
+    :recorded_at,
+    :claimed,
+    data: 0,
+    bytes: 0,
+    frame: 0,
+    last: 0,
+    step: 1,
+    cut?: false
+  ]
+
+  @type t :: %__MODULE__{}
+
+  # A file is no longer a WAV file but an attack when it has more chunks before its sound.
+  @max_chunks 256
+  @max_text 4096
+
+  @doc """
+  Opens the file and reads its header.
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @spec open(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def open(path, opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, file} <- open_file(path) do
+      case header(file, Path.basename(path)) do
+        {:ok, reader} ->
+          {:ok, span(reader, opts)}
+
+        {:error, error} ->
+          :file.close(file)
+          {:error, error}
+      end
+    end
+  end
+
+  @doc "How long the sound is, ns."
+  @spec duration(t()) :: Situ.Time.duration()
+  def duration(%__MODULE__{} = reader), do: AudioFormat.frames_to_ns(reader.format, total(reader))
+
+  @doc "The next piece."
+  @spec next(t()) :: {:ok, Situ.Time.t(), AudioBuffer.t(), t()} | :eof | {:error, Error.t()}
+  def next(%__MODULE__{frame: frame, last: last} = reader) when frame < last do
+    size = AudioFormat.bytes_per_frame(reader.format)
+    want = min(reader.step, last - frame)
+
+    case :file.pread(reader.file, reader.data + frame * size, want * size) do
+      {:ok, bytes} ->
+        read = div(byte_size(bytes), size)
+        # The file became shorter while it was read.
+        if read == 0, do: {:error, truncated(reader)}, else: piece(bytes, read, size, reader)
+
+      :eof ->
+        {:error, truncated(reader)}
+
+      {:error, reason} ->
+        {:error, unreadable(reader.name, :file.format_error(reason))}
+    end
+  end
+
+  def next(%__MODULE__{cut?: true} = reader), do: {:error, truncated(reader)}
+  def next(%__MODULE__{}), do: :eof
+
+  @doc "Closes the file."
+  @spec close(t()) :: :ok
+  def close(%__MODULE__{file: file}) do
+    _ = :file.close(file)
+    :ok
+  end
+
+  defp piece(bytes, read, size, reader) do
+    frame = reader.frame + read
+    data = if read * size == byte_size(bytes), do: bytes, else: binary_part(bytes, 0, read * size)
+    buffer = %AudioBuffer{format: reader.format, data: data}
+    {:ok, AudioFormat.frames_to_ns(reader.format, frame), buffer, %{reader | frame: frame}}
+  end
+
+  defp span(reader, opts) do
+    total = total(reader)
+    limit = if opts[:end], do: AudioFormat.ns_to_frames(reader.format, opts[:end]), else: total
+
+    %{
+      reader
+      | frame: min(AudioFormat.ns_to_frames(reader.format, opts[:start]), total),
+        last: min(limit, total),
+        step: max(AudioFormat.ns_to_frames(reader.format, opts[:buffer]), 1),
+        cut?: reader.cut? and limit >= total
+    }
+  end
+
+  defp total(reader), do: div(reader.bytes, AudioFormat.bytes_per_frame(reader.format))
+
+  defp open_file(path) do
+    # `open` on a FIFO would wait for somebody to write; a device never ends.
+    with {:ok, %{type: :regular}} <- File.stat(path),
+         {:ok, file} <- :file.open(path, [:read, :raw, :binary]) do
+      {:ok, file}
+    else
+      {:ok, %{type: type}} -> {:error, unreadable(path, "it is a #{type}")}
+      {:error, reason} -> {:error, no_file(path, reason)}
+    end
+  end
+
+  defp header(file, name) do
+    case :file.pread(file, 0, 12) do
+      {:ok, <<riff::binary-size(4), _size::32, "WAVE">>} when riff in ["RIFF", "RF64", "BW64"] ->
+        chunks(file, 12, @max_chunks, %{name: name, format: nil, size64: nil, recorded_at: nil})
+
+      {:ok, _} ->
+        {:error, unreadable(name, "it does not begin like a WAV file")}
+
+      :eof ->
+        {:error, unreadable(name, "it is empty")}
+
+      {:error, reason} ->
+        {:error, unreadable(name, :file.format_error(reason))}
+    end
+  end
+
+  defp chunks(_file, _at, 0, %{name: name}),
+    do: {:error, unreadable(name, "it has more than #{@max_chunks} chunks before its sound")}
+
+  defp chunks(file, at, left, seen) do
+    case :file.pread(file, at, 8) do
+      {:ok, <<"data", size::little-32>>} ->
+        data(file, at + 8, size, seen)
+
+      {:ok, <<id::binary-size(4), size::little-32>>} ->
+        with {:ok, seen} <- chunk(id, size, file, at + 8, seen) do
+          # Chunks begin at even offsets.
+          chunks(file, at + 8 + size + rem(size, 2), left - 1, seen)
+        end
+
+      _ ->
+        {:error, unreadable(seen.name, "it ends before its sound begins")}
+    end
+  end
+
+  defp chunk("fmt ", size, file, at, seen) do
+    with {:ok, bytes} <- :file.pread(file, at, min(size, 40)),
+         {:ok, format} <- Wav.parse_format(bytes) do
+      {:ok, %{seen | format: format}}
+    else
+      {:error, %Error{} = error} -> {:error, %{error | what: "cannot read #{seen.name}"}}
+      _ -> {:error, unreadable(seen.name, "its fmt chunk is cut off")}
+    end
+  end
+
+  defp chunk("ds64", size, file, at, seen) when size >= 24 do
+    case :file.pread(file, at, 24) do
+      {:ok, <<_riff::little-64, data::little-64, _samples::little-64>>} ->
+        {:ok, %{seen | size64: data}}
+
+      _ ->
+        {:ok, seen}
+    end
+  end
+
+  # When it was recorded stands in LIST INFO, as ICRD.
+  defp chunk("LIST", size, file, at, seen) when size >= 12 and size <= @max_text do
+    case :file.pread(file, at, size) do
+      {:ok, <<"INFO", items::binary>>} ->
+        {:ok, %{seen | recorded_at: recorded_at(items) || seen.recorded_at}}
+
+      _ ->
+        {:ok, seen}
+    end
+  end
+
+  defp chunk(_id, _size, _file, _at, seen), do: {:ok, seen}
+
+  defp recorded_at(<<"ICRD", size::little-32, text::binary-size(size), _::binary>>) do
+    case text |> String.trim_trailing(<<0>>) |> Situ.Time.parse() do
+      {:ok, time} -> time
+      {:error, _} -> nil
+    end
+  end
+
+  defp recorded_at(<<_id::binary-size(4), size::little-32, rest::binary>>) do
+    skip = size + rem(size, 2)
+
+    case rest do
+      <<_::binary-size(skip), rest::binary>> -> recorded_at(rest)
+      _ -> nil
+    end
+  end
+
+  defp recorded_at(_), do: nil
+
+  defp data(_file, _at, _size, %{format: nil, name: name}),
+    do: {:error, unreadable(name, "its sound comes before its fmt chunk")}
+
+  defp data(file, at, size, seen) do
+    {:ok, file_size} = :file.position(file, :eof)
+    there = max(file_size - at, 0)
+
+    # 0 and all ones: the writer could not know the length, the sound goes on to the end of the file.
+    claimed =
+      case {seen.size64, size} do
+        {nil, unknown} when unknown in [0, 0xFFFFFFFF] -> there
+        {size64, 0xFFFFFFFF} when size64 not in [nil, 0] -> size64
+        {_, 0xFFFFFFFF} -> there
+        {_, size} -> size
+      end
+
+    {:ok,
+     %__MODULE__{
+       file: file,
+       name: seen.name,
+       format: seen.format,
+       recorded_at: seen.recorded_at,
+       data: at,
+       bytes: min(claimed, there),
+       claimed: claimed,
+       cut?: claimed > there
+     }}
+  end
+
+  defp truncated(reader) do
+    missing = reader.claimed - reader.bytes
+
+    Error.new(:damaged_media, "#{reader.name} ends too early",
+      why:
+        "its header announces #{reader.claimed} bytes of sound, #{missing} of them are missing",
+      meta: %{read_ns: AudioFormat.frames_to_ns(reader.format, reader.frame)}
+    )
+  end
+
+  defp unreadable(name, why),
+    do: Error.new(:unreadable_media, "cannot read #{Path.basename(name)}", why: to_string(why))
+
+  defp no_file(path, reason) do
+    Error.new(:no_file, "cannot open #{inspect(path)}: #{:file.format_error(reason)}",
+      fix: "check the path; relative paths start at #{File.cwd!()}"
+    )
+  end
+end

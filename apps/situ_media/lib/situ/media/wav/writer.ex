@@ -1,0 +1,107 @@
+defmodule Situ.Media.Wav.Writer do
+  @moduledoc """
+  Writes a WAV file piece by piece. The header is valid from the start (a reader takes the sound up to the end of the
+  file), so what was written before a crash can be read; `close/1` puts the true lengths in. Beyond 4 GB the file
+  becomes RF64.
+
+      {:ok, writer} = Situ.Media.Wav.Writer.open("out.wav", Situ.AudioFormat.pcm(48_000, 2))
+      {:ok, writer} = Situ.Media.Wav.Writer.append(writer, buffer)
+      :ok = Situ.Media.Wav.Writer.close(writer)
+  """
+  alias Situ.{AudioBuffer, AudioFormat, Error}
+  alias Situ.Media.Wav
+
+  @enforce_keys [:file, :format, :path, :header]
+  defstruct [:file, :format, :path, :header, bytes: 0]
+
+  @type t :: %__MODULE__{}
+
+  # Room for the ds64 chunk of RF64, so that a file may grow into one.
+  @ds64 28
+  @limit 0xFFFFFFFF
+
+  @doc "Creates the file. `start_time:` (ns) is written into it as its date of creation."
+  @spec open(Path.t(), AudioFormat.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def open(path, %AudioFormat{} = format, opts \\ []) do
+    header = %{fmt: Wav.encode_format(format), info: info(opts[:start_time])}
+
+    with {:ok, file} <- :file.open(path, [:write, :raw, :binary]),
+         :ok <- :file.write(file, header(header, :unknown)) do
+      {:ok, %__MODULE__{file: file, format: format, path: path, header: header}}
+    else
+      {:error, reason} -> {:error, failed(path, reason)}
+    end
+  end
+
+  @doc "Appends sound of the writer's format."
+  @spec append(t(), AudioBuffer.t()) :: {:ok, t()} | {:error, Error.t()}
+  def append(%__MODULE__{format: format} = writer, %AudioBuffer{format: format} = buffer) do
+    case :file.write(writer.file, buffer.data) do
+      :ok -> {:ok, %{writer | bytes: writer.bytes + byte_size(buffer.data)}}
+      {:error, reason} -> {:error, failed(writer.path, reason)}
+    end
+  end
+
+  def append(%__MODULE__{} = writer, %AudioBuffer{} = buffer) do
+    {:error,
+     Error.new(:bad_audio, "#{Path.basename(writer.path)} holds #{inspect(writer.format)}",
+       why: "a WAV file has one format; this piece has #{inspect(buffer.format)}",
+       fix: "reformat or resample the stream before writing it"
+     )}
+  end
+
+  @doc "Writes the lengths and closes the file."
+  @spec close(t()) :: :ok | {:error, Error.t()}
+  def close(%__MODULE__{} = writer) do
+    pad = if rem(writer.bytes, 2) == 1, do: <<0>>, else: <<>>
+
+    with :ok <- :file.write(writer.file, pad),
+         :ok <- :file.pwrite(writer.file, 0, header(writer.header, writer.bytes)),
+         :ok <- :file.close(writer.file) do
+      :ok
+    else
+      {:error, reason} -> {:error, failed(writer.path, reason)}
+    end
+  end
+
+  defp header(parts, bytes) do
+    body = IO.iodata_to_binary([chunk("fmt ", parts.fmt), parts.info])
+    # "WAVE", the reserved chunk, the chunks, and the head of the data chunk.
+    rest = 4 + 8 + @ds64 + byte_size(body) + 8
+
+    case bytes do
+      :unknown ->
+        ["RIFF", <<@limit::little-32>>, "WAVE", junk(), body, "data", <<@limit::little-32>>]
+
+      bytes when is_integer(bytes) and bytes + rest + 1 < @limit ->
+        size = rest + bytes + rem(bytes, 2)
+        ["RIFF", <<size::little-32>>, "WAVE", junk(), body, "data", <<bytes::little-32>>]
+
+      bytes ->
+        size = rest + bytes + rem(bytes, 2)
+        ds64 = chunk("ds64", <<size::little-64, bytes::little-64, 0::little-64, 0::little-32>>)
+        ["RF64", <<@limit::little-32>>, "WAVE", ds64, body, "data", <<@limit::little-32>>]
+    end
+  end
+
+  defp junk, do: chunk("JUNK", <<0::size(@ds64 * 8)>>)
+
+  defp info(nil), do: <<>>
+
+  defp info(time) when is_integer(time) do
+    date = Situ.Time.to_iso8601(time) <> <<0>>
+    chunk("LIST", ["INFO", chunk("ICRD", date)])
+  end
+
+  defp chunk(id, body) do
+    body = IO.iodata_to_binary(body)
+    pad = if rem(byte_size(body), 2) == 1, do: <<0>>, else: <<>>
+    IO.iodata_to_binary([id, <<byte_size(body)::little-32>>, body, pad])
+  end
+
+  defp failed(path, reason) do
+    Error.new(:cannot_write, "cannot write #{inspect(path)}: #{:file.format_error(reason)}",
+      fix: "check that the folder exists and has room"
+    )
+  end
+end

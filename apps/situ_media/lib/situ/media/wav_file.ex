@@ -1,0 +1,122 @@
+defmodule Situ.Media.WavFile do
+  alias Situ.Media.FileTime
+  alias Situ.Media.Wav.Reader
+
+  @schema [
+    path: [type: :string, required: true, doc: "The file."],
+    buffer: [type: :pos_integer, default: 20_000_000, doc: "Length of one piece of sound, ns."],
+    start: [type: :non_neg_integer, default: 0, doc: "Media time to begin at, ns."],
+    end: [type: {:optional, :pos_integer}, default: nil, doc: "Media time to end at, ns."],
+    start_time: FileTime.option(),
+    on_damage: [
+      type: {:in, [:error, :warn]},
+      default: :error,
+      doc: "At the end of a truncated file: fail, or log and end well."
+    ]
+  ]
+
+  @moduledoc """
+  A source that reads a WAV file in pieces; no other program takes part.
+
+      p |> Situ.Media.WavFile.open("talk.wav") |> Situ.each(&IO.inspect/1)
+
+  The originating time of a piece is the time of its end, exact to the sample. What kinds of WAV are read:
+  `Situ.Media.Wav`. How media time becomes originating time: `Situ.Media.FileTime`.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component, outputs: [out: Situ.AudioBuffer], options: @schema
+
+  require Logger
+
+  # Pieces handed over at once.
+  @batch 16
+
+  @doc "Adds the source and returns its stream; raises `Situ.Error` when the file cannot be read."
+  @spec open(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def open(p, path, opts \\ []) do
+    {common, opts} = Keyword.split(opts, [:name, :on_error])
+    opts = Situ.Options.validate!([path: path] ++ opts, @schema)
+    {recorded_at, duration} = look!(path)
+    stream = Situ.source(p, __MODULE__, opts, common)
+    FileTime.propose(p, opts[:start_time], recorded_at, {opts[:start], opts[:end] || duration})
+    stream
+  end
+
+  @impl true
+  def init(opts), do: {:ok, %{opts: opts, reader: nil, offset: 0, last: 0, damage: nil}}
+
+  @impl true
+  def handle_start(context, %{opts: opts} = state) do
+    {recorded_at, _duration} = look!(opts[:path])
+    offset = FileTime.offset(opts[:start_time], recorded_at, opts[:start], context)
+    {from, to} = FileTime.span(offset, {opts[:start], opts[:end]}, context)
+    state = %{state | offset: offset, last: offset + from}
+
+    if to && to <= from do
+      {[{:complete, state.last}], state}
+    else
+      case Reader.open(opts[:path], buffer: opts[:buffer], start: from, end: to) do
+        {:ok, reader} -> {[], %{state | reader: reader}}
+        {:error, error} -> raise error
+      end
+    end
+  end
+
+  @impl true
+  def handle_demand(_n, _context, %{reader: nil} = state), do: {[], state}
+  def handle_demand(n, _context, state), do: read(min(n, @batch), [], state)
+
+  # What was read has been delivered by now; an error before would have cut it short.
+  @impl true
+  def handle_stop(_final_time, _context, %{damage: nil} = state), do: {[], close(state)}
+  def handle_stop(_final_time, _context, %{damage: error}), do: raise(error)
+
+  @impl true
+  def terminate(_reason, state), do: close(state)
+
+  defp read(0, actions, state), do: {Enum.reverse(actions), state}
+
+  defp read(n, actions, state) do
+    case Reader.next(state.reader) do
+      {:ok, time, buffer, reader} ->
+        time = time + state.offset
+        read(n - 1, [{:out, time, buffer} | actions], %{state | reader: reader, last: time})
+
+      :eof ->
+        {Enum.reverse([{:complete, state.last} | actions]), close(state)}
+
+      {:error, error} ->
+        {Enum.reverse([{:complete, state.last} | actions]), error |> damaged(state) |> close()}
+    end
+  end
+
+  defp damaged(error, %{opts: opts} = state) do
+    if opts[:on_damage] == :error do
+      %{state | damage: error}
+    else
+      Logger.warning(Exception.message(error))
+      state
+    end
+  end
+
+  defp close(%{reader: nil} = state), do: state
+
+  defp close(state) do
+    Reader.close(state.reader)
+    %{state | reader: nil}
+  end
+
+  defp look!(path) do
+    case Reader.open(path) do
+      {:ok, reader} ->
+        Reader.close(reader)
+        {reader.recorded_at, Reader.duration(reader)}
+
+      {:error, error} ->
+        raise error
+    end
+  end
+end

@@ -1,0 +1,97 @@
+defmodule Situ.Media.WavWriter do
+  alias Situ.AudioBuffer
+  alias Situ.Media.Wav.Writer
+
+  @schema [
+    path: [type: :string, required: true, doc: "The file to write; an existing one is replaced."],
+    fill_gaps: [
+      type: :boolean,
+      default: false,
+      doc:
+        "Write silence where the stream has a gap of more than 1 ms, so that the file keeps its time."
+    ]
+  ]
+
+  @moduledoc """
+  A sink that writes sound into a WAV file. The first piece decides the format; its beginning becomes the file's start
+  time, which `Situ.Media.WavFile` finds again.
+
+      stream |> Situ.Media.WavWriter.write("out.wav")
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component, inputs: [in: AudioBuffer], options: @schema
+
+  # Longer gaps are the end of one recording and the start of another: the file would fill with silence.
+  @longest_gap 3_600_000_000_000
+
+  @doc "Connects the sink to `stream`; returns `stream`, so that it can be used further."
+  @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def write(stream, path, opts \\ []) do
+    {common, opts} = Keyword.split(opts, [:name, :on_error, :policy])
+    Situ.via(stream, __MODULE__, [path: path] ++ opts, common)
+    stream
+  end
+
+  @impl true
+  def init(opts), do: {:ok, %{opts: opts, writer: nil, end: nil}}
+
+  @impl true
+  def handle_message(:in, message, _context, state) do
+    %{data: buffer, originating_time: time} = message
+    start = AudioBuffer.start_time(buffer, time)
+    state = if state.writer, do: state, else: open(buffer, start, state)
+    writer = state.writer |> fill(start - state.end, state.opts) |> append(buffer)
+    {[], %{state | writer: writer, end: time}}
+  end
+
+  @impl true
+  def terminate(_reason, %{writer: nil}), do: :ok
+  def terminate(_reason, %{writer: writer}), do: ok!(Writer.close(writer))
+
+  @impl true
+  def handle_closed(:in, _time, _context, %{writer: nil} = state), do: {[], state}
+
+  def handle_closed(:in, _time, _context, state) do
+    ok!(Writer.close(state.writer))
+    {[], %{state | writer: nil}}
+  end
+
+  defp open(buffer, start, state) do
+    case Writer.open(state.opts[:path], buffer.format, start_time: start) do
+      {:ok, writer} -> %{state | writer: writer, end: start}
+      {:error, error} -> raise error
+    end
+  end
+
+  defp fill(writer, gap, opts) do
+    if opts[:fill_gaps] and gap > 1_000_000 do
+      if gap > @longest_gap, do: raise(too_long(opts[:path], gap))
+      frames = Situ.AudioFormat.ns_to_frames(writer.format, gap)
+      append(writer, AudioBuffer.silence(writer.format, frames))
+    else
+      writer
+    end
+  end
+
+  defp append(writer, buffer) do
+    case Writer.append(writer, buffer) do
+      {:ok, writer} -> writer
+      {:error, error} -> raise error
+    end
+  end
+
+  defp ok!(:ok), do: :ok
+  defp ok!({:error, error}), do: raise(error)
+
+  defp too_long(path, gap) do
+    Situ.Error.new(
+      :gap_too_long,
+      "a gap of #{Situ.Time.format_duration(gap)} in the sound for #{Path.basename(path)}",
+      why: "fill_gaps: would write that much silence; an hour is the most",
+      fix: "write one file per recording"
+    )
+  end
+end

@@ -1,0 +1,123 @@
+defmodule Situ.Rect do
+  @moduledoc """
+  An upright rectangle in a picture, in pixels from the top left corner; what detectors answer and the studio draws.
+
+  `x`, `y` are the left and top edge; numbers may be fractions and may lie outside the picture. `label`, `score` (0..1)
+  and `id` (a track) are optional.
+
+      iex> face = Situ.Rect.new!(x: 10, y: 20, width: 30, height: 40, label: "face", score: 0.9)
+      iex> {Situ.Rect.center(face), Situ.Rect.area(face)}
+      {%Situ.Point2{x: 25.0, y: 40.0}, 1200}
+  """
+  alias Situ.{Error, Point2}
+
+  @enforce_keys [:x, :y, :width, :height]
+  defstruct [:x, :y, :width, :height, label: nil, score: nil, id: nil]
+
+  @type t :: %__MODULE__{
+          x: number(),
+          y: number(),
+          width: number(),
+          height: number(),
+          label: String.t() | nil,
+          score: number() | nil,
+          id: term()
+        }
+
+  @schema [
+    x: [type: :number, required: true, doc: "Left edge."],
+    y: [type: :number, required: true, doc: "Top edge."],
+    width: [type: :number, required: true, doc: "Not negative."],
+    height: [type: :number, required: true, doc: "Not negative."],
+    label: [type: {:optional, :string}, default: nil, doc: "What it is."],
+    score: [type: {:optional, :number}, default: nil, doc: "How sure, 0..1."],
+    id: [type: :any, default: nil, doc: "Which one, through time."]
+  ]
+
+  @doc """
+  A checked rectangle.
+
+  #{Situ.Options.docs(@schema)}
+
+      iex> {:error, error} = Situ.Rect.new(x: 0, y: 0, width: -1, height: 2)
+      iex> error.code
+      :bad_rect
+  """
+  @spec new(keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def new(opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema) do
+      if opts[:width] < 0 or opts[:height] < 0 do
+        what = "a rectangle cannot be #{opts[:width]} by #{opts[:height]}"
+        {:error, Error.new(:bad_rect, what)}
+      else
+        {:ok, struct!(__MODULE__, opts)}
+      end
+    end
+  end
+
+  @doc "As `new/1`, but returns the rectangle or raises the error."
+  @spec new!(keyword()) :: t()
+  def new!(opts), do: Situ.Image.Result.unwrap!(new(opts))
+
+  @doc "The rectangle with these edges, without label."
+  @spec new!(number(), number(), number(), number()) :: t()
+  def new!(x, y, width, height), do: new!(x: x, y: y, width: width, height: height)
+
+  @doc "Width times height."
+  @spec area(t()) :: number()
+  def area(%__MODULE__{} = r), do: r.width * r.height
+
+  @doc "The middle."
+  @spec center(t()) :: Point2.t()
+  def center(%__MODULE__{} = r), do: %Point2{x: r.x + r.width / 2, y: r.y + r.height / 2}
+
+  @doc """
+  The common part, with the first one's label, score and id; `nil` when they do not overlap.
+
+      iex> a = Situ.Rect.new!(0, 0, 4, 4)
+      iex> Situ.Rect.intersect(a, Situ.Rect.new!(2, 3, 9, 9))
+      %Situ.Rect{x: 2, y: 3, width: 2, height: 1}
+      iex> Situ.Rect.intersect(a, Situ.Rect.new!(4, 0, 1, 1))
+      nil
+  """
+  @spec intersect(t(), t()) :: t() | nil
+  def intersect(%__MODULE__{} = a, %__MODULE__{} = b) do
+    x = max(a.x, b.x)
+    y = max(a.y, b.y)
+    width = min(a.x + a.width, b.x + b.width) - x
+    height = min(a.y + a.height, b.y + b.height) - y
+    if width > 0 and height > 0, do: %{a | x: x, y: y, width: width, height: height}
+  end
+
+  @doc """
+  Overlap of two rectangles: common area over covered area, 0.0..1.0.
+
+      iex> Situ.Rect.iou(Situ.Rect.new!(0, 0, 2, 2), Situ.Rect.new!(1, 0, 2, 2))
+      0.3333333333333333
+  """
+  @spec iou(t(), t()) :: float()
+  def iou(%__MODULE__{} = a, %__MODULE__{} = b) do
+    case intersect(a, b) do
+      nil -> 0.0
+      common -> area(common) / (area(a) + area(b) - area(common))
+    end
+  end
+
+  @doc """
+  Grown around its middle by a factor.
+
+      iex> Situ.Rect.scale_around(Situ.Rect.new!(10, 10, 10, 20), 2)
+      %Situ.Rect{x: 5.0, y: 0.0, width: 20, height: 40}
+  """
+  @spec scale_around(t(), number()) :: t()
+  def scale_around(%__MODULE__{} = r, factor) do
+    %{width: w, height: h} = r
+    grown = %{r | width: w * factor, height: h * factor}
+    %{grown | x: r.x - (grown.width - w) / 2, y: r.y - (grown.height - h) / 2}
+  end
+
+  @doc "Whether the point lies inside; left and top edges do, right and bottom edges do not."
+  @spec contains?(t(), Point2.t()) :: boolean()
+  def contains?(%__MODULE__{} = r, %Point2{x: x, y: y}),
+    do: x >= r.x and y >= r.y and x < r.x + r.width and y < r.y + r.height
+end

@@ -1,0 +1,186 @@
+defmodule Situ.Vision do
+  @moduledoc """
+  Streams of pictures: every function takes a stream of `Situ.Image` first and returns a stream. The same on one picture
+  in hand is in `Situ.Image`, with the same name and options; originating times are kept.
+
+      def build(p, _opts) do
+        camera = Situ.Media.Camera.open(p, size: {1280, 720})
+
+        camera
+        |> Situ.Vision.resize(640, 360)
+        |> Situ.Vision.convert(:gray8)
+        |> Situ.Vision.canny(60, 120)
+        |> Situ.Vision.encode_jpeg(quality: 80)
+      end
+
+  A straight run of these is one process: only the last picture travels. All take the common options `name:`, `policy:`,
+  `async:` and `on_error:` besides their own; a picture that an operator cannot work on (a crop outside of it, a wrong
+  format) raises the operator's `Situ.Error` inside the component, so `on_error: :skip` passes over it.
+
+      iex> image = Situ.Image.filled(4, 2, :bgr24, [0, 0, 255])
+      iex> Situ.to_list(fn p -> p |> Situ.repeat(image, 10, count: 2) |> Situ.Vision.convert(:gray8) |> Situ.Vision.resize(2, 1) end)
+      [Situ.Image.filled(2, 1, :gray8, 76), Situ.Image.filled(2, 1, :gray8, 76)]
+  """
+  alias Situ.{DepthImage, EncodedImage, Image, Operator, Stream}
+  alias Situ.Image.{Drawing, Files, Filter, Geometry, Measure, Pixels, Result}
+
+  @common [:name, :type, :policy, :async, :on_error]
+
+  # Each row: function, its arguments after the picture, the module it is in, the type that comes out.
+  @operators [
+    {:resize, [:width, :height], Geometry, Image},
+    {:scale, [:sx, :sy], Geometry, Image},
+    {:letterbox, [:width, :height], Geometry, Image},
+    {:rotate, [:degrees], Geometry, Image},
+    {:warp_affine, [:matrix], Geometry, Image},
+    {:warp_perspective, [:matrix], Geometry, Image},
+    {:paste, [:part, :place], Geometry, Image},
+    {:threshold, [:threshold, :kind], Pixels, Image},
+    {:pseudo_colorize, [:range_m], Pixels, Image},
+    {:blur, [:sigma], Filter, Image},
+    {:draw_line, [:from, :to], Drawing, Image},
+    {:draw_rectangle, [:rect], Drawing, Image},
+    {:fill_rectangle, [:rect], Drawing, Image},
+    {:draw_circle, [:center, :radius], Drawing, Image},
+    {:fill_circle, [:center, :radius], Drawing, Image},
+    {:draw_text, [:at, :text], Drawing, Image},
+    {:statistics, [], Measure, :map},
+    {:average_color, [], Measure, :map},
+    {:histogram, [], Measure, :map},
+    {:encode_jpeg, [], Files, EncodedImage},
+    {:encode_png, [], Files, EncodedImage},
+    {:decode_depth, [], Files, DepthImage}
+  ]
+
+  # Functions without options of their own.
+  @plain [
+    {:flip, [:axis], Geometry},
+    {:convert, [:format], Pixels},
+    {:invert, [], Pixels},
+    {:extract_channel, [:channel], Pixels},
+    {:convolve, [:kernel], Pixels},
+    {:box_blur, [:size], Filter},
+    {:median_blur, [:size], Filter},
+    {:canny, [:low, :high], Filter},
+    {:sobel, [], Filter},
+    {:erode, [:size], Filter},
+    {:dilate, [:size], Filter},
+    {:open, [:size], Filter},
+    {:close, [:size], Filter},
+    {:equalize, [], Filter},
+    {:draw, [:shapes], Drawing}
+  ]
+
+  for {name, args, module, type} <- @operators do
+    vars = Enum.map(args, &Macro.var(&1, __MODULE__))
+    label = name |> Atom.to_string() |> String.replace("_", " ") |> String.capitalize()
+
+    @doc "Each picture through `#{inspect(module)}.#{name}/#{length(args) + 2}`."
+    @spec unquote(name)(
+            unquote_splicing([
+              quote(do: Stream.t()) | Enum.map(args, fn _ -> quote(do: term()) end)
+            ]),
+            keyword()
+          ) ::
+            Stream.t()
+    def unquote(name)(stream, unquote_splicing(vars), opts \\ []) do
+      {common, opts} = Keyword.split(opts, @common)
+      fun = &Result.unwrap!(unquote(module).unquote(name)(&1, unquote_splicing(vars), opts))
+      Operator.attach(stream, unquote(label), {:map, fun}, common, unquote(type))
+    end
+  end
+
+  for {name, args, module} <- @plain do
+    vars = Enum.map(args, &Macro.var(&1, __MODULE__))
+    label = name |> Atom.to_string() |> String.replace("_", " ") |> String.capitalize()
+
+    @doc "Each picture through `#{inspect(module)}.#{name}/#{length(args) + 1}`."
+    @spec unquote(name)(
+            unquote_splicing([
+              quote(do: Stream.t()) | Enum.map(args, fn _ -> quote(do: term()) end)
+            ]),
+            keyword()
+          ) ::
+            Stream.t()
+    def unquote(name)(stream, unquote_splicing(vars), opts \\ []) do
+      fun = &Result.unwrap!(unquote(module).unquote(name)(&1, unquote_splicing(vars)))
+      Operator.attach(stream, unquote(label), {:map, fun}, opts, Image)
+    end
+  end
+
+  @doc """
+  The part inside `rect`: one rectangle for all, or a stream of pictures with their rectangles, `{image, rect | nil}`, when
+  `rect` is `:paired` (join pictures and rectangles first). `nil` for no rectangle, or one that leaves nothing with
+  `clip: true`; so the type is `{:optional, Situ.Image}`.
+
+      iex> {image, rect} = {Situ.Image.filled(4, 4, :gray8), Situ.Rect.new!(1, 1, 2, 2)}
+      iex> Situ.to_list(fn p -> p |> Situ.repeat({image, rect}, 10, count: 1) |> Situ.Vision.crop(:paired) end)
+      [Situ.Image.filled(2, 2, :gray8)]
+  """
+  @spec crop(Stream.t(), Situ.Rect.t() | tuple() | :paired, keyword()) :: Stream.t()
+  def crop(stream, rect, opts \\ []) do
+    {common, opts} = Keyword.split(opts, @common)
+
+    fun =
+      if rect == :paired,
+        do: fn {image, rect} -> rect && Result.unwrap!(Geometry.crop(image, rect, opts)) end,
+        else: fn image -> Result.unwrap!(Geometry.crop(image, rect, opts)) end
+
+    Operator.attach(stream, "Crop", {:map, fun}, common, {:optional, Image})
+  end
+
+  @doc "JPEG or PNG (`Situ.EncodedImage` or binaries) as pictures: `Situ.Image.parse/2`."
+  @spec decode(Stream.t(), keyword()) :: Stream.t()
+  def decode(stream, opts \\ []) do
+    {common, opts} = Keyword.split(opts, @common)
+    fun = &Result.unwrap!(Files.parse(&1, opts))
+    Operator.attach(stream, "Decode", {:map, fun}, common, Image)
+  end
+
+  @doc """
+  |a - b| of each picture and the one before it (the first gives nothing): what moved.
+  """
+  @spec motion(Stream.t(), keyword()) :: Stream.t()
+  def motion(stream, opts \\ []) do
+    step = fn
+      image, _message, nil -> {:skip, image}
+      image, _message, last -> {:emit, Result.unwrap!(Pixels.absdiff(image, last)), image}
+    end
+
+    Operator.attach(stream, "Motion", {:step, step, nil}, opts, Image)
+  end
+
+  @doc "|a - b| of two streams of pictures with the same times: `Situ.Image.absdiff/2`."
+  @spec absdiff(Stream.t(), Stream.t(), keyword()) :: Stream.t()
+  def absdiff(stream, other, opts \\ []) do
+    stream
+    |> Situ.join(other)
+    |> Operator.attach(
+      "Absdiff",
+      {:map, fn {a, b} -> Result.unwrap!(Pixels.absdiff(a, b)) end},
+      opts,
+      Image
+    )
+  end
+
+  @doc "Boxes with labels on each picture of a stream of `{image, [Situ.Rect]}`."
+  @spec draw_detections(Stream.t(), keyword()) :: Stream.t()
+  def draw_detections(stream, opts \\ []) do
+    {common, opts} = Keyword.split(opts, @common)
+    fun = fn {image, rects} -> Result.unwrap!(Drawing.draw_detections(image, rects, opts)) end
+    Operator.attach(stream, "Draw detections", {:map, fun}, common, Image)
+  end
+
+  @doc "Any function from picture to picture: `{:ok, image}`, `{:error, error}` or the picture itself."
+  @spec transform(Stream.t(), (Image.t() -> Image.t() | Image.result()), keyword()) :: Stream.t()
+  def transform(stream, fun, opts \\ []) when is_function(fun, 1) do
+    checked = fn image ->
+      case fun.(image) do
+        %Image{} = image -> image
+        result -> Result.unwrap!(result)
+      end
+    end
+
+    Operator.attach(stream, "Transform", {:map, checked}, opts, Image)
+  end
+end

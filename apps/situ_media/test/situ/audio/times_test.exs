@@ -1,0 +1,210 @@
+defmodule Situ.Audio.TimesTest do
+  # Every operator keeps the time of every sample: the index of a sample is its value, so the time it must have is known.
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+
+  alias Situ.{AudioBuffer, AudioFormat}
+
+  @rate 8000
+  @format AudioFormat.pcm(@rate, 1, :s32)
+
+  # Buffers of these sizes, sample i being i.
+  defp feed(sizes, format \\ @format) do
+    {feed, _} =
+      Enum.map_reduce(sizes, 0, fn size, done ->
+        values = if size == 0, do: [], else: Enum.to_list(done..(done + size - 1))
+        buffer = AudioBuffer.from_samples(values, format)
+        {{AudioFormat.frames_to_ns(format, done + size), buffer}, done + size}
+      end)
+
+    Enum.reject(feed, fn {_, buffer} -> buffer.data == "" end)
+  end
+
+  defp run(feed, fun),
+    do: Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> fun.() end, times: true)
+
+  property "reframing keeps every sample and its time" do
+    forall {sizes, frames} <- {nonempty_list(integer(0, 50)), integer(1, 40)} do
+      out = run(feed(sizes), &Situ.Audio.reframe(&1, frames: frames))
+      whole = div(Enum.sum(sizes), frames)
+
+      Enum.flat_map(out, fn {_, b} -> AudioBuffer.to_samples(b) end) ==
+        Enum.take(Stream.iterate(0, &(&1 + 1)), whole * frames) and
+        Enum.map(out, &elem(&1, 0)) ==
+          for(k <- 1..whole//1, do: AudioFormat.frames_to_ns(@rate, k * frames))
+    end
+  end
+
+  test "reframing with a hop overlaps, a tail is kept" do
+    feed = feed([7, 4])
+    out = run(feed, &Situ.Audio.reframe(&1, frames: 4, hop: 2))
+    assert for({_, b} <- out, do: hd(AudioBuffer.to_samples(b))) == [0, 2, 4, 6]
+    assert List.last(out) |> elem(0) == AudioFormat.frames_to_ns(@rate, 10)
+
+    assert {_, last} = feed |> run(&Situ.Audio.reframe(&1, frames: 4, tail: :keep)) |> List.last()
+    assert AudioBuffer.to_samples(last) == [8, 9, 10]
+  end
+
+  property "resampling gives the same sound at the same times however it is cut" do
+    forall sizes <- nonempty_list(integer(1, 400)) do
+      format = AudioFormat.pcm(@rate, 1, :f32)
+      total = Enum.sum(sizes)
+      {whole, parts} = {resampled([total], format), resampled(sizes, format)}
+      bytes = fn out -> Enum.map_join(out, fn {_, b} -> b.data end) end
+      last = fn out -> out |> List.last() |> elem(0) end
+
+      bytes.(whole) == bytes.(parts) and last.(whole) == last.(parts) and exact?(parts, 16_000)
+    end
+  end
+
+  defp resampled(sizes, format), do: run(feed(sizes, format), &Situ.Audio.resample(&1, 16_000))
+
+  # The end of each buffer lies at the number of frames so far.
+  defp exact?(out, rate) do
+    {_, right?} =
+      Enum.reduce(out, {0, true}, fn {time, buffer}, {done, right?} ->
+        done = done + AudioBuffer.frames(buffer)
+        {done, right? and abs(time - AudioFormat.frames_to_ns(rate, done)) <= 1}
+      end)
+
+    right?
+  end
+
+  test "a resampled tone lies where the tone lay, 60 dB clean" do
+    sine = fn rate, n ->
+      for i <- 0..(n - 1), do: 0.5 * :math.sin(2 * :math.pi() * 440 * i / rate)
+    end
+
+    format = AudioFormat.pcm(48_000, 1, :f32)
+
+    {:ok, out} =
+      AudioBuffer.resample(AudioBuffer.from_samples(sine.(48_000, 24_000), format), 16_000)
+
+    assert AudioBuffer.frames(out) == 8000
+
+    pairs =
+      out |> AudioBuffer.to_samples() |> Enum.zip(sine.(16_000, 8000)) |> Enum.slice(200, 7600)
+
+    noise = Enum.sum(for {a, b} <- pairs, do: (a - b) * (a - b))
+    signal = Enum.sum(for {_, b} <- pairs, do: b * b)
+    assert 10 * :math.log10(signal / noise) > 60
+  end
+
+  test "u8 and s24 are resampled too, and keep their type" do
+    for sample <- [:u8, :s24] do
+      buffer = AudioBuffer.silence(AudioFormat.pcm(48_000, 2, sample), 480)
+      assert {:ok, out} = AudioBuffer.resample(buffer, 16_000)
+      assert out.format == AudioFormat.pcm(16_000, 2, sample)
+      assert out == AudioBuffer.silence(out.format, 160)
+    end
+  end
+
+  test "a format that changes on the way is followed" do
+    a = AudioBuffer.silence(AudioFormat.pcm(8000), 800)
+    b = AudioBuffer.silence(AudioFormat.pcm(32_000), 3200)
+    out = run([{100_000_000, a}, {200_000_000, b}], &Situ.Audio.resample(&1, 16_000))
+    assert out |> Enum.map(&AudioBuffer.frames(elem(&1, 1))) |> Enum.sum() == 3200
+    assert out |> List.last() |> elem(0) == 200_000_000
+  end
+
+  describe "streamline" do
+    test "concatenate ignores gaps" do
+      feed = [{1_000_000, samples(8)}, {9_000_000, samples(8)}]
+
+      assert [{1_000_000, _}, {2_000_000, _}] =
+               run(feed, &Situ.Audio.streamline(&1, method: :concatenate))
+    end
+
+    test "pleat fills or cuts each buffer to the time since the last" do
+      feed = [{1_000_000, samples(8)}, {3_000_000, samples(8)}, {3_500_000, samples(8)}]
+      out = run(feed, &Situ.Audio.streamline(&1, method: :pleat))
+      assert [{1_000_000, a}, {3_000_000, b}, {3_500_000, c}] = out
+      assert Enum.map([a, b, c], &AudioBuffer.frames/1) == [8, 16, 4]
+      assert AudioBuffer.to_samples(b) == List.duplicate(5, 8) ++ List.duplicate(0, 8)
+    end
+
+    test "unpleat pads and cuts when times have drifted" do
+      feed = [
+        {1_000_000, samples(8)},
+        {2_100_000, samples(8)},
+        {4_000_000, samples(8)},
+        {4_500_000, samples(8)}
+      ]
+
+      opts = [method: :unpleat, max_offset: 200_000]
+      out = run(feed, &Situ.Audio.streamline(&1, opts))
+      assert [{1_000_000, _}, {2_000_000, _}, {4_000_000, late}, {4_500_000, early}] = out
+      assert AudioBuffer.to_samples(late) == List.duplicate(0, 8) ++ List.duplicate(5, 8)
+      assert AudioBuffer.frames(early) == 4
+    end
+  end
+
+  defp samples(n), do: AudioBuffer.from_samples(List.duplicate(5, n), @format)
+
+  test "mixing lays sounds over each other by time, across gaps" do
+    format = AudioFormat.pcm(1000)
+    b = &AudioBuffer.from_samples(&1, format)
+    left = [{2_000_000, b.([1, 1])}, {6_000_000, b.([1])}]
+    right = [{3_000_000, b.([10, 10])}, {4_000_000, b.([10])}]
+
+    out =
+      Situ.to_list(
+        fn p ->
+          Situ.Audio.mix(Situ.from_enumerable(p, left), Situ.from_enumerable(p, right),
+            other_gain: 2
+          )
+        end,
+        times: true
+      )
+
+    assert Enum.flat_map(out, fn {_, b} -> AudioBuffer.to_samples(b) end) == [1, 21, 20, 20, 0, 1]
+    assert out |> List.last() |> elem(0) == 6_000_000
+  end
+
+  property "reformatting to a wider type and back is exact" do
+    forall {bytes, sample} <- {binary(), one_of([:u8, :s16, :s24, :s32])} do
+      format = AudioFormat.pcm(8000, 1, sample)
+      size = AudioFormat.bytes_per_frame(format)
+
+      buffer =
+        AudioBuffer.new!(
+          format: format,
+          data: binary_part(bytes, 0, div(byte_size(bytes), size) * size)
+        )
+
+      wide = AudioBuffer.reformat!(buffer, sample: :f64, channels: 2)
+      AudioBuffer.reformat!(wide, sample: sample, channels: 1) == buffer
+    end
+  end
+
+  property "codecs give back what they were given and refuse the rest" do
+    forall {bytes, channels, sample} <- {binary(), integer(1, 3), one_of(AudioFormat.samples())} do
+      format = AudioFormat.pcm(16_000, channels, sample)
+      size = AudioFormat.bytes_per_frame(format)
+
+      buffer =
+        AudioBuffer.new!(
+          format: format,
+          data: binary_part(bytes, 0, div(byte_size(bytes), size) * size)
+        )
+
+      stored = IO.iodata_to_binary(AudioBuffer.encode(buffer))
+
+      AudioBuffer.decode(stored) == {:ok, buffer} and
+        match?({:error, _}, AudioBuffer.decode(binary_part(stored, 0, 15)))
+    end
+  end
+
+  property "a stored buffer that was tampered with is an error or a valid buffer, never a crash" do
+    forall bytes <- binary() do
+      case AudioBuffer.decode(<<1, bytes::binary>>) do
+        {:ok, buffer} ->
+          match?({:ok, _}, AudioBuffer.validate(buffer)) and
+            is_list(AudioBuffer.points(buffer, 0))
+
+        {:error, error} ->
+          is_exception(error)
+      end
+    end
+  end
+end

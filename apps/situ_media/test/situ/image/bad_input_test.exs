@@ -1,0 +1,254 @@
+defmodule Situ.Image.BadInputTest do
+  # Whatever comes in, an error that says what, and the VM lives.
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  alias Situ.{AudioBuffer, AudioFormat, DepthImage, EncodedImage, Image}
+
+  @dir Application.app_dir(:situ_media, "priv/golden")
+
+  test "empty, huge and inconsistent pictures are refused" do
+    data = <<0::64>>
+
+    for {opts, code} <- [
+          {[width: 0, height: 2, format: :gray8, data: data], :bad_option},
+          {[width: 100_000, height: 100_000, format: :bgr24, data: data], :bad_image},
+          {[width: 4, height: 4, format: :gray8, data: data], :bad_image},
+          {[width: 4, height: 1, format: :gray8, stride: 3, data: data], :bad_image},
+          {[width: 1, height: 1, format: :nv12, data: data], :bad_option}
+        ] do
+      assert {:error, %Situ.Error{code: ^code}} = Image.new(opts)
+    end
+  end
+
+  test "structs made by hand are checked by every operator" do
+    broken = %Image{width: 100, height: 100, format: :bgr24, stride: 300, data: "short"}
+
+    for result <- [
+          Image.resize(broken, 10, 10),
+          Image.convert(broken, :gray8),
+          Image.crop(broken, {0, 0, 5, 5}),
+          Image.flip(broken, :both),
+          Image.rotate(broken, 10),
+          Image.blur(broken, 1),
+          Image.invert(broken),
+          Image.absdiff(Image.filled(1, 1, :gray8), broken),
+          Image.statistics(broken),
+          Image.encode_jpeg(broken),
+          Image.encode_png(broken),
+          Image.to_f32(broken),
+          Image.draw_line(broken, {0, 0}, {5, 5})
+        ] do
+      assert {:error, %Situ.Error{code: :bad_image}} = result
+    end
+
+    assert inspect(%{broken | data: nil}) == "#Situ.Image<invalid>"
+  end
+
+  test "the native side checks for itself" do
+    broken = %Image{width: 100, height: 100, format: :bgr24, stride: 300, data: "short"}
+    assert {:error, :bad_image, _} = Situ.Media.Native.run({:invert, broken})
+    assert {:error, :bad_image, _} = Situ.Media.OpenCV.run({:gaussian, broken, 3, 1.0})
+    huge = %{broken | width: 4_000_000_000, height: 4_000_000_000, stride: 4_000_000_000}
+    assert {:error, :too_large, _} = Situ.Media.Native.run({:invert, huge})
+    assert {:error, :bad_audio, _} = Situ.Media.Native.run_sound({:levels, "abc", {:s16, 1}})
+    assert_raise ErlangError, fn -> Situ.Media.Native.run({:no_such, broken}) end
+  end
+
+  test "results too large to make are refused before memory is taken" do
+    small = Image.filled(2, 2, :bgr24)
+    assert {:error, %{code: :too_large}} = Image.resize(small, 100_000, 100_000)
+
+    assert {:error, %{code: :too_large}} =
+             Image.warp_affine(small, [1, 0, 0, 0, 1, 0], width: 40_000)
+
+    assert {:error, %{code: :bad_size}} = Image.resize(small, 0, 5)
+    assert {:error, %{code: :bad_size}} = Image.resize(small, 2.5, 5)
+    assert_raise ArgumentError, fn -> Image.filled(100_000, 100_000, :bgr24) end
+  end
+
+  test "operators say which format they need" do
+    color = Image.filled(4, 4, :bgr24)
+
+    for result <- [Image.canny(color, 1, 2), Image.sobel(color), Image.equalize(color)] do
+      assert {:error, %{code: :bad_format}} = result
+    end
+
+    assert {:error, %{code: :bad_format}} = Image.convolve(color, [[1]])
+    assert {:error, %{code: :bad_format}} = Image.absdiff(color, Image.filled(4, 5, :bgr24))
+    assert {:error, %{code: :bad_format}} = Image.encode_jpeg(Image.filled(4, 4, :rgba64))
+    assert {:error, %{code: :bad_format}} = DepthImage.from_gray16(color)
+    assert {:error, %{code: :bad_option}} = Image.blur(color, 1, size: 4)
+    assert {:error, %{code: :bad_option}} = Image.extract_channel(color, 3)
+    assert {:error, %{code: :bad_option}} = Image.warp_affine(color, [1, 2, 3])
+  end
+
+  describe "JPEG and PNG" do
+    # A header that claims 65,500 x 65,500 in front of next to nothing.
+    test "headers do not decide allocations" do
+      jpeg = File.read!(Path.join(@dir, "source.jpg"))
+      # SOF0: marker, length, precision, height, width.
+      [before, <<_::binary-size(4), rest::binary>>] = split_after(jpeg, <<0xFF, 0xC0, 0, 17, 8>>)
+      huge = before <> <<65_500::16, 65_500::16>> <> rest
+      assert {:error, %{code: code}} = Image.parse(huge)
+      assert code in [:too_large, :bad_jpeg]
+      wide = before <> <<10_000::16, 10_000::16>> <> rest
+      assert {:error, %{code: :bad_jpeg, what: what}} = Image.parse(wide)
+      assert what =~ "claims"
+
+      assert {:error, %{code: :bad_png, what: what}} = Image.parse(png_header(100_000, 100_000))
+      assert what =~ "claims"
+    end
+
+    defp split_after(bytes, marker) do
+      {at, length} = :binary.match(bytes, marker)
+      <<before::binary-size(at + length), rest::binary>> = bytes
+      [before, rest]
+    end
+
+    defp png_header(w, h) do
+      ihdr = <<"IHDR", w::32, h::32, 8, 2, 0, 0, 0>>
+      idat = "IDAT" <> :zlib.compress(<<0::800>>)
+      chunk = fn c -> <<byte_size(c) - 4::32, c::binary, :erlang.crc32(c)::32>> end
+      <<0x89, "PNG\r\n", 0x1A, "\n">> <> chunk.(ihdr) <> chunk.(idat) <> chunk.("IEND")
+    end
+
+    test "a truncated file is an error, wherever it ends" do
+      for {name, code} <- [{"source.jpg", :bad_jpeg}, {"gray.png", :bad_png}] do
+        whole = File.read!(Path.join(@dir, name))
+
+        for at <- [8, 20, 100, div(byte_size(whole), 2), byte_size(whole) - 30] do
+          assert {:error, %{code: ^code}} = Image.parse(binary_part(whole, 0, at))
+        end
+      end
+    end
+
+    property "bytes changed at random give a picture or an error", numtests: 150 do
+      forall {name, changes} <-
+               {one_of(["source.jpg", "gray.png", "depth.png"]),
+                nonempty_list({integer(0, 100_000), integer(0, 255)})} do
+        bytes = @dir |> Path.join(name) |> File.read!()
+        sound?(Image.parse(Enum.reduce(changes, bytes, &change/2)))
+      end
+    end
+
+    property "garbage behind a signature is an error", numtests: 200 do
+      forall {start, bytes} <-
+               {one_of([<<0xFF, 0xD8, 0xFF>>, <<0x89, "PNG\r\n", 0x1A, "\n">>, ""]), binary()} do
+        match?({:error, %Situ.Error{}}, Image.parse(start <> bytes))
+      end
+    end
+
+    defp change({at, byte}, bytes) do
+      at = rem(at, byte_size(bytes))
+      <<before::binary-size(at), _, rest::binary>> = bytes
+      <<before::binary, byte, rest::binary>>
+    end
+
+    defp sound?({:ok, image}), do: match?({:ok, _}, Image.validate(image))
+    defp sound?({:error, error}), do: is_exception(error)
+  end
+
+  property "every kernel answers for every size, stride and format", numtests: 200 do
+    forall {w, h, pad, format, n} <-
+             {integer(1, 40), integer(1, 20), integer(0, 9), one_of(Image.Format.all()),
+              integer(0, 1000)} do
+      stride = w * Image.Format.bytes_per_pixel(format) + pad
+      data = :binary.copy(<<7, 200, 31, 90, 255>>, div(stride * h, 5) + 1)
+
+      image =
+        Image.new!(
+          width: w,
+          height: h,
+          format: format,
+          stride: stride,
+          data: binary_part(data, 0, stride * h - pad)
+        )
+
+      tight = %{image | stride: stride - pad, data: Image.pixels(image)}
+      ops = operations(n, image)
+
+      # What the gaps between rows hold makes no difference.
+      Enum.all?(ops, fn op -> packed(op.(image)) == packed(op.(tight)) end) and
+        Enum.all?(ops, fn op -> op.(image) |> List.wrap() |> Enum.all?(&valid?/1) end)
+    end
+  end
+
+  defp operations(n, image) do
+    to = Enum.at(Image.Format.all(), rem(n, 8))
+
+    [
+      &Image.convert!(&1, to),
+      &Image.resize!(&1, rem(n, 30) + 1, rem(n, 17) + 1,
+        filter: Enum.at([:nearest, :bilinear, :bicubic, :area, :smooth, :lanczos], rem(n, 6))
+      ),
+      &Image.letterbox!(&1, 13, 9),
+      &Image.flip!(&1, :both),
+      &Image.rotate!(&1, 90 * n),
+      &Image.rotate!(&1, n / 3),
+      &Image.invert!/1,
+      &Image.threshold!(&1, n, :truncate),
+      &Image.extract_channel!(&1, 0),
+      &Image.absdiff!(&1, image),
+      &Image.box_blur!(&1, 3),
+      &Image.draw!(&1, [{:line, {-5, 3}, {90, n}, []}, {:text, {0, 0}, "äb", size: 8}]),
+      &Image.paste!(&1, image, {rem(n, 50) - 25, -3}),
+      fn image ->
+        if image.format in [:gray16, :rgba64],
+          do: image |> Image.pixels() |> byte_size(),
+          else: Image.encode_jpeg!(image)
+      end,
+      &(Image.encode_png!(&1) |> Image.parse!())
+    ]
+  end
+
+  # Converting to the same format hands the picture back as it is, gaps and all.
+  defp packed(%Image{} = image),
+    do: {image.width, image.height, image.format, Image.pixels(image)}
+
+  defp packed(other), do: other
+
+  defp valid?(%Image{} = image), do: match?({:ok, _}, Image.validate(image))
+  defp valid?(%EncodedImage{data: data}), do: byte_size(data) > 20
+  defp valid?(bytes), do: is_integer(bytes)
+
+  property "stored pictures come back the same; tampered ones are errors or valid" do
+    forall {w, h, format, noise} <-
+             {integer(1, 9), integer(1, 9), one_of(Image.Format.all()), binary()} do
+      image = Image.filled(w, h, format, 77)
+      stored = IO.iodata_to_binary(Image.encode(image))
+      depth = DepthImage.new!(width: w, height: h, data: :binary.copy(<<1, 2>>, w * h))
+
+      Image.decode(stored) == {:ok, image} and
+        DepthImage.decode(IO.iodata_to_binary(DepthImage.encode(depth))) == {:ok, depth} and
+        decodes?(Image.decode(<<1>> <> noise <> stored)) and
+        decodes?(DepthImage.decode(<<1>> <> noise <> stored)) and
+        decodes?(EncodedImage.decode(<<1>> <> noise))
+    end
+  end
+
+  defp decodes?({:ok, _}), do: true
+  defp decodes?({:error, error}), do: is_exception(error)
+
+  test "a picture read from a store is a part of the store's memory, not a copy" do
+    image = Image.filled(64, 64, :bgr24, 5)
+    stored = IO.iodata_to_binary(Image.encode(image))
+    {:ok, back} = Image.decode(stored)
+    assert :binary.referenced_byte_size(back.data) == byte_size(stored)
+  end
+
+  test "sound that does not fit is refused" do
+    assert {:error, %{code: :bad_audio}} =
+             AudioBuffer.new(format: AudioFormat.pcm(8000, 2), data: <<0>>)
+
+    odd = %AudioBuffer{format: AudioFormat.pcm(8000), data: "abc"}
+    assert {:error, %{code: :bad_audio}} = AudioBuffer.level(odd)
+    assert {:error, %{code: :bad_audio}} = AudioBuffer.resample(odd, 16_000)
+    six = AudioBuffer.silence(AudioFormat.pcm(8000, 6), 1)
+    assert {:error, %{code: :bad_option}} = AudioBuffer.reformat(six, channels: 2)
+    assert {:error, %{code: :bad_option}} = AudioBuffer.select_channels(six, [6])
+    assert {:error, %{code: :bad_option}} = AudioBuffer.resample(six, 0)
+
+    assert {:error, %{code: :bad_audio}} =
+             AudioBuffer.mix(six, AudioBuffer.silence(AudioFormat.pcm(), 1))
+  end
+end

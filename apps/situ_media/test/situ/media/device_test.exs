@@ -1,0 +1,251 @@
+defmodule Situ.Media.DeviceTest do
+  use ExUnit.Case, async: true
+
+  import ExUnit.CaptureLog
+  import Situ.Media.TestFiles, only: [path: 1]
+  import Situ.Media.TestPipelines
+  alias Situ.{AudioBuffer, Image, Time}
+  alias Situ.Media.{Camera, Device, LiveStream, Microphone, Speaker}
+
+  @moduletag :tmp_dir
+
+  doctest Situ.Media.Device
+  doctest Situ.Media.Device.V4L2
+  doctest Situ.Media.Device.Pulse
+  doctest Situ.Media.Device.Alsa
+
+  @simulated "simulated:" <> path("talk1.mp4")
+
+  defp steps(messages) do
+    times = Enum.map(messages, &elem(&1, 0))
+    Enum.zip_with(tl(times), times, &(&1 - &2))
+  end
+
+  describe "simulated devices" do
+    test "a camera and a microphone replay a file in real time, in step" do
+      got =
+        collect_live(
+          fn p ->
+            %{
+              camera: Camera.open(p, device: @simulated, size: {64, 32}),
+              mic: Microphone.open(p, device: @simulated)
+            }
+          end,
+          camera: 25,
+          mic: 50
+        )
+
+      assert [{first, _, %Image{width: 64}} | _] = got.camera
+      assert [{sound, _, %AudioBuffer{}} | _] = got.mic
+
+      # Both count from the pipeline's start: the first picture shows what the first sound begins with.
+      assert sound - first == Time.ms(20)
+
+      # A busy machine may lose a picture, as with a real camera; what comes lies on the file's own grid.
+      assert Enum.all?(steps(got.camera), &(rem(&1, Time.ms(40)) == 0))
+      assert Enum.all?(steps(got.mic), &(&1 == Time.ms(20)))
+      # Never before its time, and not at once: one second of pictures took about one second.
+      assert Enum.all?(got.camera ++ got.mic, fn {time, now, _} -> now >= time end)
+      {last, now, _} = List.last(got.mic)
+      assert now - first >= last - first
+    end
+
+    test "one component gives both; `?once` plays once and completes" do
+      short = path("cards_001.wav")
+
+      {{:ok, _}, %{audio: audio}} =
+        collect(&LiveStream.open(&1, device: "simulated:#{short}?once", video: false))
+
+      frames = Enum.sum(for {_, b} <- audio, do: AudioBuffer.frames(b))
+      assert frames == 17_526
+    end
+
+    @tag :capture_log
+    test "what a slow pipeline does not take is dropped, not piled up" do
+      test = self()
+
+      {:ok, pipeline} =
+        Situ.Pipeline.start(
+          fn p ->
+            p
+            |> Camera.open(device: @simulated, size: {64, 32}, name: "Camera")
+            |> Situ.each(
+              fn _, message ->
+                send(test, {:took, self(), message.originating_time})
+                receive do: (:go_on -> :ok)
+              end,
+              policy: Situ.Delivery.throttle(1)
+            )
+          end,
+          []
+        )
+
+      assert_receive {:took, pid, first}, 10_000
+      # The consumer stands still until 20 pictures later.
+      ref = Process.send_after(self(), :later, 1_000)
+      assert_receive :later, 5_000
+      assert is_reference(ref)
+      send(pid, :go_on)
+      assert_receive {:took, _, _}, 10_000
+      send(pid, :go_on)
+      assert_receive {:took, _, _}, 10_000
+      send(pid, :go_on)
+      assert_receive {:took, _, after_gap}, 10_000
+      assert after_gap - first > Time.ms(500)
+      Process.exit(pid, :kill)
+      capture_log(fn -> Situ.Pipeline.stop(pipeline) end)
+    end
+
+    @tag :capture_log
+    test "a device that is lost is tried again, and its times go on" do
+      short = "simulated:" <> path("cards_001.wav") <> "?once"
+
+      %{audio: audio} =
+        collect_live(
+          &LiveStream.open(&1,
+            device: short,
+            video: false,
+            reconnect: true,
+            audio_format: Situ.AudioFormat.pcm()
+          ),
+          audio: 70
+        )
+
+      # 1.1 s of sound, then a gap of the reconnect's second, then the same sound again.
+      times = Enum.map(audio, &elem(&1, 0))
+      assert [gap] = Enum.filter(steps(audio), &(&1 > Time.ms(100)))
+      assert gap in Time.ms(900)..Time.s(5)
+      assert times == Enum.sort(times)
+    end
+
+    @tag :capture_log
+    test "a device that fails while it runs is an error when it is not to be tried again", %{
+      tmp_dir: dir
+    } do
+      file = Path.join(dir, "cut.mp4")
+      File.write!(file, binary_part(File.read!(path("talk1.mp4")), 0, 200_000))
+
+      assert {:error, %{code: :damaged_media}} =
+               Situ.Pipeline.run(
+                 &LiveStream.open(&1, device: "simulated:#{file}?once", audio: false)
+               )
+    end
+
+    test "a file that is not there is an error" do
+      assert {:error, %{code: :no_file}} =
+               run_quietly(&Camera.open(&1, device: "simulated:absent.mp4"))
+    end
+  end
+
+  describe "what is missing" do
+    test "a camera that is not there says so when the pipeline starts" do
+      assert {:error, %{code: :unreadable_media, what: what}} =
+               run_quietly(&Camera.open(&1, device: "v4l2:/dev/video99"))
+
+      assert what =~ "/dev/video99"
+    end
+
+    test "an unknown driver is refused when the pipeline is built" do
+      assert {:error, %{code: :unknown_device}} = run_quietly(&Camera.open(&1, device: "v4l:x"))
+    end
+
+    test "a camera cannot be a microphone, a file cannot be a speaker" do
+      assert {:error, %{code: :bad_option}} =
+               run_quietly(&Microphone.open(&1, device: "/dev/video0"))
+
+      assert {:error, %{code: :bad_option}} = Speaker.init(device: "simulated:x", latency: 1)
+    end
+
+    test "a URL cannot read local files" do
+      assert {:error, %{code: :bad_option}} =
+               run_quietly(&LiveStream.open(&1, device: "file:///etc/passwd"))
+
+      assert {:error, %{code: :unknown_device}} =
+               run_quietly(&LiveStream.open(&1, device: "concat:/etc/passwd"))
+    end
+
+    test "listing never fails" do
+      assert is_list(Device.list())
+    end
+
+    defp run_quietly(build) do
+      test = self()
+      capture_log(fn -> send(test, {:result, Situ.Pipeline.run(build)}) end)
+      assert_received {:result, result}
+      result
+    end
+  end
+
+  defmodule Blinker do
+    @moduledoc false
+    # A driver of one's own: a colour, from ffmpeg's test sources.
+    @behaviour Situ.Media.Device
+
+    @impl true
+    def list, do: [%Situ.Media.Device{id: "blinker:red", kind: :camera}]
+
+    @impl true
+    def capture(color, :camera, _opts),
+      do: {:ok, %{args: ~w(-re -f lavfi -i color=#{color}:size=16x16:rate=50), clock: :arrival}}
+  end
+
+  describe "test pictures and the network" do
+    test "a driver of one's own is a device like the others" do
+      %{out: [{_, _, image} | _]} =
+        collect_live(&%{out: Camera.open(&1, device: {Blinker, "red"}, size: nil)}, out: 3)
+
+      assert {:ok, [blue, green, red]} = Image.fetch_pixel(image, 8, 8)
+      assert red > 240 and blue < 15 and green < 15
+    end
+
+    test "any input of ffmpeg is a camera" do
+      device = "lavfi:testsrc=size=64x48:rate=50"
+      %{out: out} = collect_live(&%{out: Camera.open(&1, device: device, size: nil)}, out: 20)
+      assert [{_, _, %Image{width: 64, height: 48}} | _] = out
+      assert Enum.all?(steps(out), &(rem(&1, Time.ms(20)) == 0))
+    end
+
+    test "a UDP stream arrives with pictures and sound" do
+      port = free_port()
+
+      sender =
+        Situ.Media.FFmpeg.start(System.find_executable("ffmpeg"), [
+          "-nostdin",
+          "-v",
+          "error",
+          "-re",
+          "-stream_loop",
+          "-1",
+          "-i",
+          path("talk1.mp4"),
+          "-c",
+          "copy",
+          "-f",
+          "mpegts",
+          "udp://127.0.0.1:#{port}?pkt_size=1316"
+        ])
+
+      got =
+        collect_live(
+          &LiveStream.open(&1, device: "udp://127.0.0.1:#{port}", size: {64, 32}),
+          video: 20,
+          audio: 10
+        )
+
+      Port.close(sender)
+      assert [{_, _, %Image{width: 64, height: 32}} | _] = got.video
+      assert [{_, _, %AudioBuffer{format: %{rate: 16_000, channels: 1}}} | _] = got.audio
+      # The sender's steps, not the network's; MPEG-TS counts in 90 kHz.
+      assert Enum.all?(steps(got.video), &(abs(rem(&1 + Time.ms(1), Time.ms(40))) <= Time.ms(2)))
+      # Times are near the clock.
+      assert Enum.all?(got.video, fn {time, now, _} -> abs(now - time) < Time.s(10) end)
+    end
+
+    defp free_port do
+      {:ok, socket} = :gen_udp.open(0, ip: {127, 0, 0, 1})
+      {:ok, port} = :inet.port(socket)
+      :gen_udp.close(socket)
+      port
+    end
+  end
+end

@@ -1,0 +1,114 @@
+defmodule Situ.VisionTest do
+  # Every stream operator gives what the function of the same name gives, at the picture's own times.
+  use ExUnit.Case, async: true
+  alias Situ.{DepthImage, Image, Rect, Vision}
+
+  @color Image.filled(12, 8, :bgr24, [10, 120, 240])
+  @gray Image.filled(12, 8, :gray8, 90)
+
+  for {name, input, args} <- [
+        {:resize, :color, [6, 4]},
+        {:resize, :color, [6, 4, [filter: :area]]},
+        {:scale, :color, [0.5, 2]},
+        {:letterbox, :color, [10, 10, [color: :blue]]},
+        {:rotate, :color, [30]},
+        {:rotate, :color, [30, [fit: :loose]]},
+        {:flip, :color, [:vertical]},
+        {:warp_affine, :color, [[1, 0, 2, 0, 1, 0]]},
+        {:warp_perspective, :color, [[1, 0, 2, 0, 1, 0, 0, 0, 1]]},
+        {:convert, :color, [:rgba64]},
+        {:invert, :color, []},
+        {:threshold, :gray, [50, :to_zero]},
+        {:extract_channel, :color, [:red]},
+        {:convolve, :gray, [[[1, 2, 1]]]},
+        {:blur, :color, [1.0]},
+        {:box_blur, :color, [3]},
+        {:median_blur, :color, [3]},
+        {:canny, :gray, [10, 20]},
+        {:sobel, :gray, []},
+        {:erode, :gray, [3]},
+        {:dilate, :gray, [3]},
+        {:open, :gray, [3]},
+        {:close, :gray, [3]},
+        {:equalize, :gray, []},
+        {:draw, :color, [[{:line, {0, 0}, {9, 5}, []}]]},
+        {:draw_line, :color, [{0, 0}, {9, 5}, [color: :white, width: 2]]},
+        {:draw_rectangle, :color, [{1, 1, 5, 5}]},
+        {:fill_rectangle, :color, [{1, 1, 5, 5}]},
+        {:draw_circle, :color, [{6, 4}, 3]},
+        {:fill_circle, :color, [{6, 4}, 3]},
+        {:draw_text, :color, [{0, 0}, "x"]},
+        {:crop, :color, [{1, 1, 4, 4}]},
+        {:crop, :color, [{9, 6, 9, 9}, [clip: true]]},
+        {:statistics, :color, []},
+        {:average_color, :color, [[rect: {0, 0, 2, 2}]]},
+        {:histogram, :gray, []},
+        {:encode_jpeg, :color, [[quality: 70]]},
+        {:encode_png, :gray, []}
+      ] do
+    test "#{name}(#{Enum.map_join(args, ", ", &inspect/1)})" do
+      image = if unquote(input) == :gray, do: @gray, else: @color
+      args = unquote(Macro.escape(args))
+      {:ok, expected} = apply(Image, unquote(name), [image | args])
+      stream = fn p -> apply(Vision, unquote(name), [source(p, image) | args]) end
+      assert Situ.to_list(stream, times: true) == [{10, expected}, {20, expected}]
+    end
+  end
+
+  test "paste, decode, decode_depth, pseudo_colorize and transform" do
+    part = Image.filled(2, 2, :bgr24, 1)
+    assert run(@color, &Vision.paste(&1, part, {3, 3})) == Image.paste!(@color, part, {3, 3})
+    png = Image.encode_png!(@color)
+    assert run(png, &Vision.decode(&1, format: :bgr24)) == @color
+    depth = DepthImage.new!(width: 2, height: 1, data: <<1, 2, 3, 4>>)
+    assert run(Image.encode_png!(depth), &Vision.decode_depth/1) == depth
+
+    assert run(depth, &Vision.pseudo_colorize(&1, {0.1, 2})) ==
+             Image.pseudo_colorize!(depth, {0.1, 2})
+
+    assert run(@color, &Vision.transform(&1, fn i -> Image.invert(i) end)) ==
+             Image.invert!(@color)
+
+    assert run(@color, &Vision.transform(&1, fn i -> Image.invert!(i) end)) ==
+             Image.invert!(@color)
+  end
+
+  test "differences of streams and of a stream with its past" do
+    assert run(@color, &Vision.absdiff(&1, Vision.invert(&1))) ==
+             Image.absdiff!(@color, Image.invert!(@color))
+
+    frames = [{1, @gray}, {2, Image.invert!(@gray)}, {3, @gray}]
+
+    moved =
+      Situ.to_list(fn p -> p |> Situ.from_enumerable(frames) |> Vision.motion() end, times: true)
+
+    assert [{2, same}, {3, same}] = moved
+    assert Image.fetch_pixel(same, 0, 0) == {:ok, [75]}
+  end
+
+  test "pictures with rectangles are cropped and drawn on, nil where there is none" do
+    rect = Rect.new!(1, 1, 3, 3)
+    feed = [{1, {@color, rect}}, {2, {@color, nil}}]
+    out = Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Vision.crop(:paired) end)
+    assert out == [Image.crop!(@color, rect), nil]
+
+    assert run({@color, [rect]}, &Vision.draw_detections/1) ==
+             Image.draw_detections!(@color, [rect])
+  end
+
+  @tag :capture_log
+  test "a picture that cannot be worked on stops the pipeline, or is passed over" do
+    feed = [{1, @color}, {2, @gray}]
+    build = fn opts -> fn p -> p |> Situ.from_enumerable(feed) |> Vision.sobel(opts) end end
+    assert {:error, error} = Situ.collect(build.([]))
+    assert Exception.message(error) =~ "sobel"
+    assert Situ.to_list(build.(on_error: :skip)) == [Image.sobel!(@gray)]
+  end
+
+  defp source(p, data), do: Situ.from_enumerable(p, [{10, data}, {20, data}])
+
+  defp run(data, fun) do
+    [value, value] = Situ.to_list(fn p -> p |> source(data) |> fun.() end)
+    value
+  end
+end
