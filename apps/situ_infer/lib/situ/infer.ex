@@ -1,0 +1,51 @@
+defmodule Situ.Infer do
+  @moduledoc """
+  Models on streams: voices, faces, lips, and who is speaking.
+
+      voice = clip.audio |> Situ.Audio.resample(16_000) |> Situ.Infer.voice()
+      mouths = clip.video |> Situ.Infer.MouthShape.detect()
+      speaking = Situ.Infer.who_speaks(mouths, voice)
+
+  | you have | you want | use |
+  |---|---|---|
+  | an ONNX file | to run it | `Situ.Infer.Model` |
+  | 16 kHz sound | probability of speech | `voice/2` |
+  | 16 kHz sound | speech or not, segments | `voice_activity/2`, `Situ.Infer.VoiceActivity` |
+  | log energy | speech or not, without a model | `Situ.Infer.SimpleVad` |
+  | pictures | faces | `Situ.Infer.FaceDetector`, `Situ.Infer.FaceTracker` |
+  | pictures and faces | 468 points on each | `Situ.Infer.FaceLandmarks` |
+  | pictures | mouths | `Situ.Infer.MouthShape` |
+  | mouths and voice | who speaks | `who_speaks/3`, `Situ.Infer.ActiveSpeaker` |
+
+  Models run in ONNX Runtime, which `bin/setup` fetches; without it the components that need it stop the pipeline with
+  `:no_onnxruntime`, and the energy detectors go on working.
+  """
+  alias Situ.Infer.{ActiveSpeaker, VoiceActivity}
+  alias Situ.Stream
+
+  # Voices come every 32 ms, so one lies within 16 ms of any picture; the rest is room for clocks that differ a little.
+  @near 40_000_000
+
+  @doc "`Situ.Infer.Voice` every 32 ms: probability of speech, and level. Options: `Situ.Infer.VoiceActivity`."
+  @spec voice(Stream.t(), keyword()) :: Stream.t()
+  def voice(sound, opts \\ []), do: hear(sound, opts).voice
+
+  @doc "Whether somebody speaks: a boolean every 32 ms, with hysteresis. Options: `Situ.Infer.VoiceActivity`."
+  @spec voice_activity(Stream.t(), keyword()) :: Stream.t()
+  def voice_activity(sound, opts \\ []), do: hear(sound, opts).speaking
+
+  @doc """
+  `%{face id => speaking?}` for every picture, from the streams of mouths and of voices. Without sound (`nil`) nobody speaks.
+  Options: `Situ.Infer.ActiveSpeaker`.
+  """
+  @spec who_speaks(Stream.t(), Stream.t() | nil, keyword()) :: Stream.t()
+  def who_speaks(mouths, voice, opts \\ []),
+    do: mouths |> beside(voice) |> Situ.via(ActiveSpeaker, opts, name: "ActiveSpeaker")
+
+  defp beside(mouths, nil), do: Situ.map(mouths, &{&1, nil}, type: {:tuple, [mouths.type, :any]})
+
+  defp beside(mouths, voice),
+    do: Situ.join(mouths, voice, Situ.Reproducible.nearest(@near, or_default: nil))
+
+  defp hear(sound, opts), do: Situ.via(sound, VoiceActivity, opts, name: "VoiceActivity")
+end

@@ -1,0 +1,125 @@
+defmodule Situ.Infer.Engine.Ort do
+  @moduledoc """
+  ONNX Runtime, opened at run time.
+
+  The shared library is looked for at `SITU_ONNXRUNTIME` (a file), then at `priv/onnxruntime/libonnxruntime.so` of this
+  app, where `bin/setup` puts it. Without it everything that needs a model answers `:no_onnxruntime` with the mend, and
+  works as soon as the library is there: a failed attempt is not remembered.
+
+      {:ok, version} = Situ.Infer.Engine.Ort.version()
+  """
+  @behaviour Situ.Infer.Engine
+
+  alias Situ.{Error, Tensor}
+  alias Situ.Infer.Native
+
+  @types Map.new(
+           [:f32, :f64, :s8, :s16, :s32, :s64, :u8, :u16, :u32, :u64, :bool],
+           &{Atom.to_string(&1), &1}
+         )
+
+  @doc "Where the library is looked for."
+  @spec library_path() :: Path.t()
+  def library_path do
+    System.get_env("SITU_ONNXRUNTIME") ||
+      Path.join(to_string(:code.priv_dir(:situ_infer)), "onnxruntime/libonnxruntime.so")
+  end
+
+  @doc "Whether the library is open or can be opened."
+  @spec available?() :: boolean()
+  def available?, do: open() == :ok
+
+  @doc "The library's build line."
+  @spec version() :: {:ok, String.t()} | {:error, Error.t()}
+  def version do
+    with :ok <- open(), do: {:ok, Native.runtime_version()}
+  end
+
+  @impl true
+  def load(bytes, opts) do
+    with :ok <- open(),
+         {:ok, {handle, inputs, outputs}} <-
+           Native.load_model(bytes, opts[:threads], device(opts[:provider])) do
+      {:ok,
+       %{handle: handle, inputs: Enum.map(inputs, &port/1), outputs: Enum.map(outputs, &port/1)}}
+    else
+      {:error, %Error{}} = error -> error
+      {:error, {kind, text}} -> {:error, error(kind, text)}
+    end
+  end
+
+  @impl true
+  def run(handle, inputs, where) do
+    rows = for {name, t} <- inputs, do: {name, to_string(t.type), Tuple.to_list(t.shape), t.data}
+
+    case call(where, handle, rows) do
+      {:ok, outputs, spent} -> {:ok, Map.new(outputs, &tensor/1), spent}
+      {:error, {kind, text}} -> {:error, error(kind, text)}
+    end
+  end
+
+  # A second caller must not wait on a normal scheduler: it takes a dirty one and waits there.
+  defp call(:dirty, handle, rows), do: Native.run_dirty(handle, rows)
+
+  defp call(:inline, handle, rows) do
+    with :busy <- Native.run_inline(handle, rows), do: Native.run_dirty(handle, rows)
+  end
+
+  defp open do
+    path = library_path()
+
+    cond do
+      Native.runtime_version() -> :ok
+      File.regular?(path) -> open(path)
+      true -> {:error, missing(path)}
+    end
+  end
+
+  defp open(path) do
+    case Native.load_runtime(path) do
+      :ok -> :ok
+      {:error, {kind, text}} -> {:error, error(kind, text)}
+    end
+  end
+
+  defp missing(path) do
+    Error.new(:no_onnxruntime, "ONNX Runtime is not installed: no file #{path}",
+      why: "models run in ONNX Runtime, which is opened when the first model loads",
+      fix:
+        "run bin/setup, or set SITU_ONNXRUNTIME to a libonnxruntime.so of version 1.24 or newer"
+    )
+  end
+
+  defp error(:library, text) do
+    Error.new(:no_onnxruntime, "ONNX Runtime cannot be opened: #{text}",
+      why: "the file is no ONNX Runtime library for this machine, or older than 1.24",
+      fix: "run bin/setup again, or set SITU_ONNXRUNTIME to a working libonnxruntime.so"
+    )
+  end
+
+  defp error(:model, text) do
+    Error.new(:bad_model, "not a usable ONNX model: #{text}",
+      why: "the file is cut short, damaged, or needs operators this ONNX Runtime does not have",
+      fix: "fetch the model file again"
+    )
+  end
+
+  defp error(:provider, text) do
+    Error.new(:no_provider, "the execution provider cannot be used: #{text}",
+      fix: "use provider: :cpu, or a library built with CUDA through SITU_ONNXRUNTIME"
+    )
+  end
+
+  defp error(:input, text), do: Error.new(:bad_tensor, text)
+  defp error(:run, text), do: Error.new(:model_failed, "the model failed: #{text}")
+
+  defp device(:cpu), do: -1
+  defp device({:cuda, device}), do: device
+
+  defp port({name, type, shape}),
+    do: {name, Map.get(@types, type, :unsupported), List.to_tuple(shape)}
+
+  defp tensor({name, type, shape, data}) do
+    {name, %Tensor{type: Map.fetch!(@types, type), shape: List.to_tuple(shape), data: data}}
+  end
+end

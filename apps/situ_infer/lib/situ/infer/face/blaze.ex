@@ -1,0 +1,92 @@
+defmodule Situ.Infer.Face.Blaze do
+  @moduledoc false
+  # BlazeFace short range: what goes into the network and what its 896 anchors mean. Pure: no model, no picture.
+  #
+  # Anchors are the cells of a 16x16 grid, twice, then of an 8x8 grid, six times; each is just a centre. The network answers, per
+  # anchor, 16 offsets in pixels of its 128-pixel input (centre, size, six key points) and a score before the sigmoid.
+  alias Situ.Infer.{Face, Patch}
+  alias Situ.Tensor
+
+  @size 128
+  @anchors for {n, copies} <- [{16, 2}, {8, 6}],
+               y <- 0..(n - 1),
+               x <- 0..(n - 1),
+               _ <- 1..copies,
+               do: {(x + 0.5) / n * @size, (y + 0.5) / n * @size}
+  @count length(@anchors)
+  @row 16 * 4
+
+  @spec size() :: pos_integer()
+  def size, do: @size
+
+  @doc "Inputs and outputs the model file must have."
+  def ports do
+    [
+      inputs: %{"input" => {:f32, {1, @size, @size, 3}}},
+      outputs: %{
+        "regressors" => {:f32, {1, @count, 16}},
+        "classificators" => {:f32, {1, @count, 1}}
+      }
+    ]
+  end
+
+  @doc "Faces the network found in `patch`, in picture pixels, best first, before any merging."
+  @spec decode(%{String.t() => Tensor.t()}, Patch.t(), float()) :: [Face.t()]
+  def decode(%{"regressors" => boxes, "classificators" => scores}, patch, min_score) do
+    logit = logit(min_score)
+
+    candidates(scores.data, logit, 0, [])
+    |> Enum.sort_by(fn {index, score} -> {-score, index} end)
+    |> Enum.map(fn {index, score} -> face(boxes.data, index, sigmoid(score), patch) end)
+  end
+
+  # Scores that are no finite number are no faces.
+  defp candidates(<<score::float-native-32, rest::binary>>, min, i, found) when score > min,
+    do: candidates(rest, min, i + 1, [{i, score} | found])
+
+  defp candidates(<<_::32, rest::binary>>, min, i, found),
+    do: candidates(rest, min, i + 1, found)
+
+  defp candidates(<<>>, _min, _i, found), do: found
+
+  defp face(boxes, index, score, patch) do
+    {ax, ay} = anchor(index)
+    row = for <<v::float-native-32 <- binary_part(boxes, index * @row, @row)>>, do: v
+    [cx, cy, w, h | points] = row
+
+    [right, left, nose, mouth, right_ear, left_ear] =
+      points |> Enum.chunk_every(2) |> Enum.map(fn [x, y] -> place(patch, x + ax, y + ay) end)
+
+    {x0, y0} = place(patch, cx + ax - w / 2, cy + ay - h / 2)
+    {x1, y1} = place(patch, cx + ax + w / 2, cy + ay + h / 2)
+
+    %Face{
+      rect: %Situ.Rect{
+        x: x0,
+        y: y0,
+        width: max(x1 - x0, 0.0),
+        height: max(y1 - y0, 0.0),
+        label: "face",
+        score: score
+      },
+      eyes: {right, left},
+      nose: nose,
+      mouth: mouth,
+      ears: {right_ear, left_ear}
+    }
+  end
+
+  # Offsets measure areas, patches map pixel centres: half a pixel lies between the two on either side.
+  defp place(patch, x, y) do
+    {px, py} = Patch.to_picture(patch, {x - 0.5, y - 0.5})
+    {px + 0.5, py + 0.5}
+  end
+
+  defp anchor(index), do: elem(unquote(Macro.escape(List.to_tuple(@anchors))), index)
+
+  defp sigmoid(x) when x < -80.0, do: 0.0
+  defp sigmoid(x) when x > 80.0, do: 1.0
+  defp sigmoid(x), do: 1.0 / (1.0 + :math.exp(-x))
+
+  defp logit(p), do: :math.log(p / (1.0 - p))
+end

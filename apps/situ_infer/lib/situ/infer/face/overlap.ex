@@ -1,0 +1,34 @@
+defmodule Situ.Infer.Face.Overlap do
+  @moduledoc false
+  # Non-maximum suppression: of faces that overlap, the first one stays.
+  alias Situ.Rect
+
+  @doc "Keeps each face that overlaps no kept one by `limit` (intersection over union) or more; order is rank."
+  @spec suppress([Situ.Infer.Face.t()], float()) :: [Situ.Infer.Face.t()]
+  def suppress(faces, limit) do
+    faces
+    |> Enum.reduce([], fn face, kept ->
+      if free?(face, kept, limit), do: [face | kept], else: kept
+    end)
+    |> Enum.reverse()
+  end
+
+  @doc "Whether `face` overlaps none of `others`. A face inside another one is the same face seen at another scale."
+  @spec free?(Situ.Infer.Face.t(), [Situ.Infer.Face.t()], float()) :: boolean()
+  def free?(face, others, limit) do
+    Enum.all?(others, fn other ->
+      Rect.iou(face.rect, other.rect) < limit and cover(face.rect, other.rect) < 0.7
+    end)
+  end
+
+  # The share of the smaller rectangle that lies in the other one.
+  defp cover(a, b) do
+    smaller = min(Rect.area(a), Rect.area(b))
+
+    case Rect.intersect(a, b) do
+      nil -> 0.0
+      common when smaller > 0 -> Rect.area(common) / smaller
+      _ -> 0.0
+    end
+  end
+end

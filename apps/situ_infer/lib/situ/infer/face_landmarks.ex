@@ -1,0 +1,108 @@
+defmodule Situ.Infer.FaceLandmarks do
+  @schema [
+    model: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The ONNX file; `nil` for the one that ships with the app."
+    ],
+    model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.load/2`."],
+    margin: [
+      type: {:range, 1.0, 4.0},
+      default: 1.5,
+      doc: "How much wider than the face the patch is that the network sees."
+    ],
+    min_score: [
+      type: {:range, 0.0, 1.0},
+      default: 0.5,
+      doc: "Below this it is no face after all."
+    ]
+  ]
+
+  @moduledoc """
+  Finds 468 points on every face (MediaPipe's face mesh).
+
+  Input `:in` is `{image, faces}`, a `Situ.Image` and the list of `Situ.Infer.Face` in it; output `:out` a list of
+  `Situ.Infer.FaceMesh` in the same order. Costs about 3 ms a face on one core.
+
+      frames |> Situ.join(faces) |> Situ.via(Situ.Infer.FaceLandmarks)
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    inputs: [in: {{:tuple, [Situ.Image, {:list, Situ.Infer.Face}]}, optional: false}],
+    outputs: [out: {:list, Situ.Infer.FaceMesh}],
+    options: @schema
+
+  alias Situ.Infer.{Face, FaceMesh, Model, Patch}
+
+  @size 192
+  @ports [
+    inputs: %{"input_1" => {:f32, {1, @size, @size, 3}}},
+    outputs: %{"conv2d_20" => {:f32, {1, 1, 1, 1404}}, "conv2d_30" => {:f32, {1, 1, 1, 1}}}
+  ]
+
+  defstruct [:model, :opts]
+
+  @impl true
+  def init(opts), do: {:ok, %__MODULE__{opts: opts}}
+
+  @impl true
+  def handle_start(_context, state), do: {[], %{state | model: unwrap!(load(state.opts))}}
+
+  @impl true
+  def handle_message(:in, %{data: {image, faces}} = message, _context, state) do
+    meshes = unwrap!(find(state.model, image, faces, state.opts))
+    {[{:out, message.originating_time, meshes}], state}
+  end
+
+  @impl true
+  def describe(%{model: nil}), do: "not started"
+  def describe(%{model: model}), do: Model.describe(model)
+
+  @doc "Loads the network. Each component has its own copy: two may run at once."
+  @spec load(keyword()) :: {:ok, Model.t()} | {:error, Situ.Error.t()}
+  def load(opts) do
+    path = opts[:model] || Model.path("face_landmark.onnx")
+    Model.load(path, Keyword.merge(opts[:model_options] || [], @ports))
+  end
+
+  @doc "The points of `faces` in `image`. `opts` as above; errors are those of `Situ.Infer.Model` and `:bad_image`."
+  @spec find(Model.t(), Situ.Image.t(), [Face.t()], keyword()) ::
+          {:ok, [FaceMesh.t()]} | {:error, Situ.Error.t()}
+  def find(model, image, faces, opts \\ []) do
+    min_score = opts[:min_score] || 0.5
+
+    faces
+    |> Enum.reduce_while({:ok, []}, fn face, {:ok, found} ->
+      case mesh(model, image, face, opts[:margin] || 1.5) do
+        {:ok, %{score: score}} when score < min_score -> {:cont, {:ok, found}}
+        {:ok, mesh} -> {:cont, {:ok, [mesh | found]}}
+        {:error, _} = error -> {:halt, error}
+      end
+    end)
+    |> then(fn result -> with {:ok, meshes} <- result, do: {:ok, Enum.reverse(meshes)} end)
+  end
+
+  defp mesh(model, image, face, margin) do
+    patch = Face.patch(face, margin, @size)
+
+    with {:ok, tensor} <- Patch.cut(patch, image, 1 / 255, 0.0),
+         {:ok, outputs} <- Model.run(model, %{"input_1" => tensor}) do
+      %{"conv2d_20" => points, "conv2d_30" => %{data: <<logit::float-native-32>>}} = outputs
+
+      {:ok,
+       %FaceMesh{
+         id: face.rect.id,
+         rect: face.rect,
+         score: 1.0 / (1.0 + :math.exp(-max(min(logit, 80.0), -80.0))),
+         points: points.data,
+         patch: patch
+       }}
+    end
+  end
+
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
+end

@@ -1,0 +1,62 @@
+defmodule Situ.Infer.FaceMesh do
+  @moduledoc """
+  468 points on a face (MediaPipe's face mesh).
+
+    * `id`: the face's track
+    * `rect`: the face's rectangle in the picture
+    * `score`: how sure the network is that this is a face, 0..1
+    * `points`: 468 times x, y, z as 32-bit floats in pixels of `patch`; read them with `point/2` or `points/1`
+
+  Points that matter most: 13 and 14 the inner lips in the middle (upper, lower), 78 and 308 the inner corners of the mouth,
+  33 and 263 the outer corners of the eyes, 1 the nose's tip, 152 the chin.
+
+      iex> points = for i <- 0..467, into: <<>>, do: <<i * 1.0::float-native-32, 2.0::float-native-32, 0.0::float-native-32>>
+      iex> patch = Situ.Infer.Patch.around({96.0, 96.0}, 192.0, 0.0, 192)
+      iex> mesh = %Situ.Infer.FaceMesh{id: 0, rect: Situ.Rect.new!(0, 0, 1, 1), score: 1.0, points: points, patch: patch}
+      iex> Situ.Infer.FaceMesh.point(mesh, 13)
+      {13.0, 2.0}
+      iex> Situ.Infer.FaceMesh.distance(mesh, 13, 14)
+      1.0
+  """
+  alias Situ.Infer.Patch
+
+  @enforce_keys [:rect, :score, :points, :patch]
+  defstruct [:id, :rect, :score, :points, :patch]
+
+  @count 468
+  @type t :: %__MODULE__{
+          id: term(),
+          rect: Situ.Rect.t(),
+          score: float(),
+          points: binary(),
+          patch: Patch.t()
+        }
+
+  @doc "How many points there are."
+  @spec count() :: 468
+  def count, do: @count
+
+  @doc "Point `i` (0..467) in picture pixels."
+  @spec point(t(), 0..467) :: Patch.point()
+  def point(%__MODULE__{} = mesh, i), do: Patch.to_picture(mesh.patch, raw(mesh, i))
+
+  @doc "Every point in picture pixels."
+  @spec points(t()) :: [Patch.point()]
+  def points(%__MODULE__{} = mesh) do
+    for <<x::float-native-32, y::float-native-32, _z::32 <- mesh.points>>,
+      do: Patch.to_picture(mesh.patch, {x, y})
+  end
+
+  @doc "Distance of two points in pixels of the patch: for ratios, which need no picture."
+  @spec distance(t(), 0..467, 0..467) :: float()
+  def distance(%__MODULE__{} = mesh, i, j) do
+    {x0, y0} = raw(mesh, i)
+    {x1, y1} = raw(mesh, j)
+    :math.sqrt((x1 - x0) * (x1 - x0) + (y1 - y0) * (y1 - y0))
+  end
+
+  defp raw(%__MODULE__{points: points}, i) when i in 0..467 do
+    <<x::float-native-32, y::float-native-32, _z::binary-4>> = binary_part(points, i * 12, 12)
+    {x, y}
+  end
+end

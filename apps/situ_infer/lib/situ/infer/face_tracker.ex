@@ -1,0 +1,129 @@
+defmodule Situ.Infer.FaceTracker do
+  @schema [
+    max_missing: [
+      type: :time_ns,
+      default: 500_000_000,
+      doc: "How long a face may be gone and still be the same one, in nanoseconds."
+    ],
+    min_hits: [
+      type: :pos_integer,
+      default: 1,
+      doc: "In how many pictures a face must have been seen before it counts."
+    ]
+  ]
+
+  @moduledoc """
+  Gives faces ids that stay: `0`, `1`, `2` ... in the order of their appearance, from left to right among those that appear
+  together.
+
+  Input and output are lists of `Situ.Infer.Face`; each face that comes out has its track's id in `rect.id`. A face is the one of
+  the picture before that overlaps it most; one that no longer overlaps is the same within half its width. A face that is gone
+  for `:max_missing` never comes back: a new id is given.
+
+  Pure, for use without a pipeline:
+
+      iex> face = fn x -> %Situ.Infer.Face{rect: Situ.Rect.new!(x, 0, 10, 10), eyes: {{0, 0}, {1, 0}}} end
+      iex> tracker = Situ.Infer.FaceTracker.new()
+      iex> {_, tracker} = Situ.Infer.FaceTracker.step(tracker, 0, [face.(50), face.(0)])
+      iex> {faces, _} = Situ.Infer.FaceTracker.step(tracker, 40_000_000, [face.(3), face.(52)])
+      iex> Enum.map(faces, &{&1.rect.x, &1.rect.id})
+      [{3, 0}, {52, 1}]
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    inputs: [in: {:list, Situ.Infer.Face}],
+    outputs: [out: {:list, Situ.Infer.Face}],
+    options: @schema
+
+  alias Situ.Infer.Face
+  alias Situ.Rect
+
+  @min_iou 0.2
+
+  defstruct opts: [], next_id: 0, tracks: []
+
+  @typep track :: %{
+           id: non_neg_integer(),
+           face: Face.t(),
+           seen: Situ.Time.t(),
+           hits: pos_integer()
+         }
+  @type t :: %__MODULE__{opts: keyword(), next_id: non_neg_integer(), tracks: [track()]}
+
+  @doc "A tracker that has seen nothing. Options as above."
+  @spec new(keyword()) :: t()
+  def new(opts \\ []), do: %__MODULE__{opts: Situ.Options.validate!(opts, @schema)}
+
+  @impl true
+  def init(opts), do: {:ok, %__MODULE__{opts: opts}}
+
+  @impl true
+  def handle_message(:in, message, _context, tracker) do
+    {faces, tracker} = step(tracker, message.originating_time, message.data)
+    {[{:out, message.originating_time, faces}], tracker}
+  end
+
+  @impl true
+  def describe(tracker), do: "#{length(tracker.tracks)} tracks, #{tracker.next_id} faces so far"
+
+  @doc "The faces seen at `time` with their ids, in the order of the ids."
+  @spec step(t(), Situ.Time.t(), [Face.t()]) :: {[Face.t()], t()}
+  def step(%__MODULE__{} = tracker, time, faces) do
+    alive = Enum.filter(tracker.tracks, &(time - &1.seen <= tracker.opts[:max_missing]))
+    {tracks, new} = associate(alive, faces, time)
+
+    {born, next_id} =
+      new
+      |> Enum.sort_by(&{&1.rect.x, &1.rect.y})
+      |> Enum.map_reduce(tracker.next_id, fn face, id ->
+        {%{id: id, face: with_id(face, id), seen: time, hits: 1}, id + 1}
+      end)
+
+    tracks = Enum.sort_by(tracks ++ born, & &1.id)
+    shown = for t <- tracks, t.seen == time, t.hits >= tracker.opts[:min_hits], do: t.face
+    {shown, %{tracker | tracks: tracks, next_id: next_id}}
+  end
+
+  # Greedy, best pair first: with few faces it differs from an optimal assignment only where both are doubtful.
+  defp associate(tracks, faces, time) do
+    pairs =
+      for track <- tracks,
+          face <- faces,
+          closeness = closeness(track.face, face),
+          closeness > 0 do
+        {-closeness, track.id, face.rect.x, track, face}
+      end
+
+    {matched, used} =
+      pairs
+      |> Enum.sort_by(fn {c, id, x, _, _} -> {c, id, x} end)
+      |> Enum.reduce({%{}, []}, fn {_, id, _, track, face}, {matched, used} ->
+        if Map.has_key?(matched, id) or face in used,
+          do: {matched, used},
+          else: {Map.put(matched, id, seen(track, face, time)), [face | used]}
+      end)
+
+    {Enum.map(tracks, &Map.get(matched, &1.id, &1)), faces -- used}
+  end
+
+  defp seen(track, face, time),
+    do: %{track | face: with_id(face, track.id), seen: time, hits: track.hits + 1}
+
+  defp with_id(face, id), do: %{face | rect: %{face.rect | id: id}}
+
+  # 1..2 for faces that overlap, 0..1 for faces near each other and of like size, 0 for strangers.
+  defp closeness(a, b) do
+    iou = Rect.iou(a.rect, b.rect)
+    if iou >= @min_iou, do: 1.0 + iou, else: nearness(a.rect, b.rect)
+  end
+
+  defp nearness(a, b) do
+    size = max(max(a.width, b.width), 1.0e-6)
+    distance = Situ.Point2.distance(Rect.center(a), Rect.center(b)) / size
+    ratio = min(a.width, b.width) / size
+    if distance < 0.5 and ratio > 0.5, do: 1.0 - distance, else: 0.0
+  end
+end

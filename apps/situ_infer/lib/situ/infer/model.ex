@@ -1,0 +1,348 @@
+defmodule Situ.Infer.Model do
+  @schema [
+    engine: [
+      type: :module,
+      default: Situ.Infer.Engine.Ort,
+      doc: "What runs the model, see `Situ.Infer.Engine`."
+    ],
+    provider: [
+      type: {:or, [{:in, [:cpu]}, {:tuple, [{:in, [:cuda]}, :non_neg_integer]}]},
+      default: :cpu,
+      doc: "`:cpu`, or `{:cuda, device}` when the library has CUDA."
+    ],
+    threads: [
+      type: :pos_integer,
+      default: 1,
+      doc: "Threads inside one run. One is best while several components share the cores."
+    ],
+    schedule: [
+      type: {:in, [:auto, :inline, :dirty]},
+      default: :auto,
+      doc:
+        "Where it runs; `:auto` measures while warming up: under 0.3 ms inline, else on a dirty scheduler."
+    ],
+    warm_up: [type: :non_neg_integer, default: 3, doc: "Runs before the first real one."],
+    example: [
+      type: :map,
+      default: %{},
+      doc: "Inputs for the warm-up, `%{\"name\" => tensor}`; the others are zeros."
+    ],
+    inputs: [
+      type: :map,
+      default: %{},
+      doc: "What the file must take: `%{\"name\" => {type, shape}}`."
+    ],
+    outputs: [type: :map, default: %{}, doc: "What it must give, likewise."]
+  ]
+
+  @moduledoc """
+  A neural network loaded from an ONNX file: named tensors in, named tensors out.
+
+      {:ok, model} = Situ.Infer.Model.load("silero_vad.onnx", inputs: %{"input" => {:f32, {nil, nil}}})
+      {:ok, %{"output" => p}} = Situ.Infer.Model.run(model, %{"input" => x, "state" => s, "sr" => rate})
+
+  A model is loaded once and may be used by any process; `shared/2` gives components that name the same file and options the
+  same copy. One run at a time goes through a model: the others wait on a dirty scheduler. Load it twice (`load/2`) where
+  two must run at once.
+
+  What a model must take and give is checked **at load**: `:inputs` and `:outputs` name the ports with type and shape
+  (`nil` for any size, and a size the file leaves free matches anything), so a wrong file stops a pipeline before its first
+  message, with both shapes in the error.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+
+  ## Errors
+
+  `:no_onnxruntime` (the library is missing; can be tried again), `:no_model_file`, `:bad_model` (cut short, damaged),
+  `:model_shape` (other inputs or outputs than asked for), `:no_provider`, `:bad_tensor`, `:model_failed`.
+
+  ## Events
+
+  `[:situ, :infer, :load]` with `duration` (ns) and the `model`'s name; `stats/1` has the run times.
+  """
+
+  alias Situ.{Error, Tensor}
+
+  # Above this a run is long enough to hold other processes up: see the scheduler rules in the native guide.
+  @inline_limit_ns 300_000
+
+  @enforce_keys [:name, :engine, :handle, :inputs, :outputs, :where, :counters]
+  defstruct [:name, :engine, :handle, :inputs, :outputs, :where, :counters]
+
+  @type t :: %__MODULE__{
+          name: String.t(),
+          engine: module(),
+          handle: term(),
+          inputs: %{String.t() => {Tensor.element_type(), tuple()}},
+          outputs: %{String.t() => {Tensor.element_type(), tuple()}},
+          where: :inline | :dirty,
+          counters: :counters.counters_ref()
+        }
+
+  @doc "Loads, checks and warms up the model in the file at `path`."
+  @spec load(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def load(path, opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, bytes} <- read(path),
+         started = System.monotonic_time(:nanosecond),
+         {:ok, loaded} <- with_path(opts[:engine].load(bytes, opts), path),
+         model = build(path, opts, loaded),
+         :ok <- check(model.inputs, opts[:inputs], "input", path),
+         :ok <- check(model.outputs, opts[:outputs], "output", path),
+         {:ok, model} <- warm_up(model, opts) do
+      duration = System.monotonic_time(:nanosecond) - started
+      Situ.Telemetry.execute([:situ, :infer, :load], %{duration: duration}, %{model: model.name})
+      {:ok, model}
+    end
+  end
+
+  @doc "As `load/2`, but every caller with the same file and options gets the same model."
+  @spec shared(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def shared(path, opts \\ []) do
+    case File.stat(path, time: :posix) do
+      {:ok, stat} ->
+        Situ.Infer.Shelf.fetch({Path.expand(path), stat.size, stat.mtime, opts}, fn ->
+          load(path, opts)
+        end)
+
+      {:error, _} ->
+        load(path, opts)
+    end
+  end
+
+  @doc """
+  Runs the model on `%{"input name" => tensor}`; all its inputs must be there.
+
+  Answers `{:ok, %{"output name" => tensor}}`, or `:bad_tensor` naming the input, what it wants and what it got.
+  """
+  @spec run(t(), %{String.t() => Tensor.t()}) ::
+          {:ok, %{String.t() => Tensor.t()}} | {:error, Error.t()}
+  def run(%__MODULE__{} = model, inputs) when is_map(inputs) do
+    with :ok <- check_inputs(model, inputs), do: execute(model, inputs)
+  end
+
+  @doc """
+  Runs several inputs at once by stacking them along the first dimension, where the file leaves that free; else one by one.
+
+  The answers are in the order of the inputs, each with the rows that belong to it.
+  """
+  @spec run_batch(t(), [%{String.t() => Tensor.t()}]) ::
+          {:ok, [%{String.t() => Tensor.t()}]} | {:error, Error.t()}
+  def run_batch(%__MODULE__{}, []), do: {:ok, []}
+
+  def run_batch(%__MODULE__{} = model, batch) do
+    if stackable?(model), do: run_stacked(model, batch), else: run_each(model, batch)
+  end
+
+  @doc """
+  How often the model ran and how long that took: `%{runs: n, mean_ns: ns, last_ns: ns, max_ns: ns, where: :inline | :dirty}`.
+  """
+  @spec stats(t()) :: map()
+  def stats(%__MODULE__{counters: c, where: where}) do
+    runs = :counters.get(c, 1)
+    mean = if runs > 0, do: div(:counters.get(c, 2), runs), else: 0
+    last = :counters.get(c, 3)
+    %{runs: runs, mean_ns: mean, last_ns: last, max_ns: :counters.get(c, 4), where: where}
+  end
+
+  @doc "One line about the model, for diagnostics."
+  @spec describe(t()) :: String.t()
+  def describe(%__MODULE__{} = model) do
+    stats = stats(model)
+
+    "#{model.name}: #{stats.runs} runs, mean #{Situ.Time.format_duration(stats.mean_ns)}, #{stats.where}"
+  end
+
+  @doc "The path of a model file that ships with this app (`\"silero_vad.onnx\"`)."
+  @spec path(String.t()) :: Path.t()
+  def path(file), do: Path.join([to_string(:code.priv_dir(:situ_infer)), "models", file])
+
+  defp read(path) do
+    case File.read(path) do
+      {:ok, bytes} ->
+        {:ok, bytes}
+
+      {:error, reason} ->
+        {:error,
+         Error.new(:no_model_file, "cannot read a model: #{:file.format_error(reason)}",
+           fix: "check the path #{path}"
+         )}
+    end
+  end
+
+  defp with_path({:error, %Error{code: :bad_model} = error}, path),
+    do:
+      {:error, %{error | meta: Map.put(error.meta, :path, path), what: "#{error.what} (#{path})"}}
+
+  defp with_path(result, _path), do: result
+
+  defp build(path, opts, loaded) do
+    %__MODULE__{
+      name: Path.basename(path, ".onnx"),
+      engine: opts[:engine],
+      handle: loaded.handle,
+      inputs: Map.new(loaded.inputs, fn {name, type, shape} -> {name, {type, shape}} end),
+      outputs: Map.new(loaded.outputs, fn {name, type, shape} -> {name, {type, shape}} end),
+      where: if(opts[:schedule] == :inline, do: :inline, else: :dirty),
+      counters: :counters.new(4, [])
+    }
+  end
+
+  defp check(has, wanted, what, path) do
+    Enum.find_value(wanted, :ok, fn {name, {type, shape}} ->
+      case has do
+        %{^name => {^type, have}} ->
+          if fits?(have, shape),
+            do: nil,
+            else: mismatch(what, name, {type, have}, {type, shape}, path)
+
+        %{^name => have} ->
+          mismatch(what, name, have, {type, shape}, path)
+
+        _ ->
+          {:error,
+           Error.new(:model_shape, "the model has no #{what} #{inspect(name)} (#{path})",
+             why: "its #{what}s are " <> Enum.map_join(has, ", ", &inspect(elem(&1, 0))),
+             fix: "use the model file this component is made for"
+           )}
+      end
+    end)
+  end
+
+  defp mismatch(what, name, have, wanted, path) do
+    {:error,
+     Error.new(
+       :model_shape,
+       "#{what} #{inspect(name)} is #{show(have)}, wanted #{show(wanted)} (#{path})",
+       fix: "use the model file this component is made for"
+     )}
+  end
+
+  defp show({type, shape}), do: "#{type} #{inspect(shape)}"
+
+  # A free dimension is -1 in the file and nil in what is asked for.
+  defp fits?(have, wanted) do
+    tuple_size(have) == tuple_size(wanted) and
+      Enum.zip(Tuple.to_list(have), Tuple.to_list(wanted))
+      |> Enum.all?(fn {h, w} -> h == -1 or w == nil or h == w end)
+  end
+
+  defp warm_up(model, opts) do
+    example =
+      Map.new(model.inputs, fn {name, {type, shape}} ->
+        {name, Map.get_lazy(opts[:example], name, fn -> zeros(type, shape, opts, name) end)}
+      end)
+
+    times =
+      Enum.reduce_while(1..opts[:warm_up]//1, {:ok, []}, fn _, {:ok, times} ->
+        case model.engine.run(model.handle, example, :dirty) do
+          {:ok, _, ns} -> {:cont, {:ok, [ns | times]}}
+          {:error, _} = error -> {:halt, error}
+        end
+      end)
+
+    with {:ok, times} <- times, do: {:ok, %{model | where: where(opts[:schedule], times)}}
+  end
+
+  # What the caller says about a port is more exact than a free dimension in the file.
+  defp zeros(type, shape, opts, name) do
+    shape =
+      case opts[:inputs] do
+        %{^name => {_, wanted}} ->
+          Enum.zip_with(Tuple.to_list(shape), Tuple.to_list(wanted), &pick/2)
+
+        _ ->
+          Enum.map(Tuple.to_list(shape), &pick(&1, nil))
+      end
+
+    Tensor.zeros(type, List.to_tuple(shape))
+  end
+
+  defp pick(have, _wanted) when have > 0, do: have
+  defp pick(_have, nil), do: 1
+  defp pick(_have, wanted), do: wanted
+
+  defp where(:inline, _times), do: :inline
+  defp where(:dirty, _times), do: :dirty
+  defp where(:auto, []), do: :dirty
+  defp where(:auto, times), do: if(Enum.min(times) < @inline_limit_ns, do: :inline, else: :dirty)
+
+  defp check_inputs(model, inputs) do
+    Enum.find_value(model.inputs, :ok, fn {name, {type, shape}} ->
+      case inputs do
+        %{^name => %Tensor{type: ^type, shape: given}} ->
+          if fits?(shape, given),
+            do: nil,
+            else: bad_input(model, name, {type, shape}, {type, given})
+
+        %{^name => %Tensor{} = t} ->
+          bad_input(model, name, {type, shape}, {t.type, t.shape})
+
+        _ ->
+          {:error,
+           Error.new(:bad_tensor, "model #{model.name}: input #{inspect(name)} is missing")}
+      end
+    end)
+  end
+
+  defp bad_input(model, name, wanted, given) do
+    {:error,
+     Error.new(
+       :bad_tensor,
+       "model #{model.name}: input #{inspect(name)} takes #{show(wanted)}, got #{show(given)}"
+     )}
+  end
+
+  defp execute(model, inputs) do
+    with {:ok, outputs, ns} <- model.engine.run(model.handle, inputs, model.where) do
+      :counters.add(model.counters, 1, 1)
+      :counters.add(model.counters, 2, ns)
+      :counters.put(model.counters, 3, ns)
+      if ns > :counters.get(model.counters, 4), do: :counters.put(model.counters, 4, ns)
+      {:ok, outputs}
+    end
+  end
+
+  defp stackable?(model) do
+    ports = Map.values(model.inputs) ++ Map.values(model.outputs)
+    Enum.all?(ports, fn {_, shape} -> tuple_size(shape) > 0 and elem(shape, 0) == -1 end)
+  end
+
+  defp run_stacked(model, batch) do
+    names = Map.keys(model.inputs)
+
+    with :ok <-
+           Enum.find_value(
+             batch,
+             :ok,
+             &if(check_inputs(model, &1) != :ok, do: check_inputs(model, &1))
+           ) do
+      sizes = Enum.map(batch, &elem(Map.fetch!(&1, hd(names)).shape, 0))
+
+      stacked =
+        Map.new(names, fn n -> {n, Tensor.concat(Enum.map(batch, &Map.fetch!(&1, n)))} end)
+
+      with {:ok, outputs} <- execute(model, stacked), do: {:ok, unstack(outputs, sizes)}
+    end
+  end
+
+  defp unstack(outputs, sizes) do
+    columns = for {name, t} <- outputs, do: Enum.map(Tensor.split(t, sizes), &{name, &1})
+    Enum.zip_with(columns, &Map.new/1)
+  end
+
+  defp run_each(model, batch) do
+    Enum.reduce_while(batch, {:ok, []}, fn inputs, {:ok, done} ->
+      case run(model, inputs) do
+        {:ok, outputs} -> {:cont, {:ok, [outputs | done]}}
+        {:error, _} = error -> {:halt, error}
+      end
+    end)
+    |> case do
+      {:ok, done} -> {:ok, Enum.reverse(done)}
+      error -> error
+    end
+  end
+end

@@ -1,0 +1,19 @@
+defmodule Situ.Infer.Native do
+  @moduledoc false
+  # Stubs only; `Situ.Infer.Engine.Ort` is the one caller and checks what it passes.
+  @on_load :load
+
+  def load do
+    path = :filename.join([:code.priv_dir(:situ_infer), 'native', 'situ_infer_nif'])
+    :erlang.load_nif(path, 0)
+  end
+
+  def load_runtime(_path), do: :erlang.nif_error(:nif_not_loaded)
+  def runtime_version, do: :erlang.nif_error(:nif_not_loaded)
+  def load_model(_bytes, _threads, _device), do: :erlang.nif_error(:nif_not_loaded)
+  def run_dirty(_model, _inputs), do: :erlang.nif_error(:nif_not_loaded)
+  def run_inline(_model, _inputs), do: :erlang.nif_error(:nif_not_loaded)
+
+  def cut_patch(_data, _size, _matrix, _patch, _range),
+    do: :erlang.nif_error(:nif_not_loaded)
+end

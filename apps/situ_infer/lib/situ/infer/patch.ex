@@ -1,0 +1,82 @@
+defmodule Situ.Infer.Patch do
+  @moduledoc """
+  A square of a picture, turned and scaled, as a network sees it: the affine map from patch pixels to picture pixels.
+
+  `cut/4` samples it (bilinear; black outside of the picture) straight into an input tensor `{1, size, size, 3}`, RGB.
+  `to_picture/2` maps what the network found back.
+
+      iex> patch = Situ.Infer.Patch.around({100.0, 50.0}, 64.0, 0.0, 32)
+      iex> Situ.Infer.Patch.to_picture(patch, {16.0, 16.0})
+      {100.0, 50.0}
+      iex> Situ.Infer.Patch.to_picture(patch, {0.0, 0.0})
+      {68.0, 18.0}
+  """
+
+  alias Situ.{Error, Image, Tensor}
+
+  @enforce_keys [:size, :matrix]
+  defstruct [:size, :matrix]
+
+  @typedoc "`matrix` is `{a, b, c, d, e, f}`: patch `(x, y)` lies at picture `(a x + b y + c, d x + e y + f)`."
+  @type t :: %__MODULE__{
+          size: pos_integer(),
+          matrix: {float(), float(), float(), float(), float(), float()}
+        }
+  @type point :: {float(), float()}
+
+  @doc """
+  The patch whose middle is `center` and whose sides are `side` picture pixels, turned by `angle` radians (clockwise on the
+  screen), seen as `size` by `size` pixels.
+  """
+  @spec around(point(), float(), float(), pos_integer()) :: t()
+  def around({cx, cy}, side, angle, size) do
+    k = side / size
+    {cos, sin} = {k * :math.cos(angle), k * :math.sin(angle)}
+    half = size / 2
+    c = cx - cos * half + sin * half
+    f = cy - sin * half - cos * half
+    %__MODULE__{size: size, matrix: {cos, -sin, c, sin, cos, f}}
+  end
+
+  @doc """
+  The square from `{x, y}` with this side, not turned, so that pixel *areas* correspond (what resizing a crop does); `around/4`
+  instead keeps pixel centres on whole positions, as `warpAffine` does.
+
+      iex> Situ.Infer.Patch.square({0.0, 0.0}, 256.0, 128).matrix
+      {2.0, 0.0, 0.5, 0.0, 2.0, 0.5}
+  """
+  @spec square(point(), float(), pos_integer()) :: t()
+  def square({x, y}, side, size) do
+    k = side / size
+    shift = 0.5 * k - 0.5
+    %__MODULE__{size: size, matrix: {k, 0.0, x + shift, 0.0, k, y + shift}}
+  end
+
+  @doc "Where a patch position lies in the picture."
+  @spec to_picture(t(), point()) :: point()
+  def to_picture(%__MODULE__{matrix: {a, b, c, d, e, f}}, {x, y}),
+    do: {a * x + b * y + c, d * x + e * y + f}
+
+  @doc """
+  Samples the patch; a channel value `v` (0..255) becomes `v * scale + offset`.
+
+  Takes 8-bit formats (grey becomes three equal channels). Errors: `:bad_image`.
+  """
+  @spec cut(t(), Image.t(), float(), float()) :: {:ok, Tensor.t()} | {:error, Error.t()}
+  def cut(%__MODULE__{size: size} = patch, %Image{} = image, scale, offset) do
+    shape = {image.width, image.height, image.stride, Atom.to_string(image.format)}
+    range = {scale, offset}
+
+    case Situ.Infer.Native.cut_patch(image.data, shape, patch.matrix, {size, size}, range) do
+      {:ok, data} ->
+        {:ok, Tensor.new(data, :f32, {1, size, size, 3})}
+
+      :error ->
+        {:error,
+         Error.new(:bad_image, "cannot cut from #{inspect(image)}",
+           why: "models take whole pictures of an 8-bit format",
+           fix: "convert it first with Situ.Image"
+         )}
+    end
+  end
+end

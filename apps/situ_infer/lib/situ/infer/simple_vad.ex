@@ -1,0 +1,92 @@
+defmodule Situ.Infer.SimpleVad do
+  @schema [
+    threshold: [type: :number, default: 7.0, doc: "Log energy between noise and speech."],
+    window: [
+      type: :time_ns,
+      default: 300_000_000,
+      doc: "All values this far ahead must agree, in nanoseconds."
+    ]
+  ]
+
+  @moduledoc """
+  Voice activity from log energy alone, by unanimity: speech begins where every value of the next 300 ms lies above the threshold,
+  and ends where every one lies below it; else it stays as it was.
+
+  Input `:in` is a number, the log energy of a frame of sound (`ln` of the mean square of 16-bit samples, as the acoustic features
+  give it), output `:out` a boolean at the same time. A value is known once the stream has passed the window's end, so the answer
+  comes 300 ms late; the values of the last 300 ms of a stream are decided by what there is.
+
+  Good enough for a quiet room and a close microphone; `Situ.Infer.VoiceActivity` is better everywhere else.
+
+      iex> vad = Situ.Infer.SimpleVad.new(window: 20)
+      iex> {[], vad} = Situ.Infer.SimpleVad.push(vad, 0, 9.0)
+      iex> {[], vad} = Situ.Infer.SimpleVad.push(vad, 10, 9.0)
+      iex> {[], vad} = Situ.Infer.SimpleVad.push(vad, 20, 8.0)
+      iex> {out, _} = Situ.Infer.SimpleVad.push(vad, 30, 2.0)
+      iex> out
+      [{0, true}]
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component, inputs: [in: :number], outputs: [out: :boolean], options: @schema
+
+  defstruct [:threshold, :window, speaking?: false, ahead: :queue.new()]
+
+  @type t :: %__MODULE__{}
+  @type decisions :: [{Situ.Time.t(), boolean()}]
+
+  @doc "A state machine that has heard nothing. Options as above."
+  @spec new(keyword()) :: t()
+  def new(opts \\ []), do: opts |> Situ.Options.validate!(@schema) |> build()
+
+  @impl true
+  def init(opts), do: {:ok, build(opts)}
+
+  @impl true
+  def handle_message(:in, message, _context, vad) do
+    {decisions, vad} = push(vad, message.originating_time, message.data)
+    {for({time, speaking?} <- decisions, do: {:out, time, speaking?}), vad}
+  end
+
+  @impl true
+  def handle_closed(:in, _time, _context, vad) do
+    {decisions, vad} = close(vad)
+    {for({time, speaking?} <- decisions, do: {:out, time, speaking?}), vad}
+  end
+
+  @doc "The next log energy: the times decided by it."
+  @spec push(t(), Situ.Time.t(), number()) :: {decisions(), t()}
+  def push(%__MODULE__{} = vad, time, value) do
+    decide(%{vad | ahead: :queue.in({time, value > vad.threshold}, vad.ahead)}, time, [])
+  end
+
+  @doc "No more values: the times left."
+  @spec close(t()) :: {decisions(), t()}
+  def close(%__MODULE__{} = vad), do: decide(vad, :infinity, [])
+
+  defp build(opts), do: %__MODULE__{threshold: opts[:threshold], window: opts[:window]}
+
+  defp decide(vad, now, done) do
+    case :queue.peek(vad.ahead) do
+      # `now` is an integer or :infinity, which sorts after every number.
+      {:value, {time, _}} when now > time + vad.window ->
+        vad = unanimous(vad, time + vad.window)
+        decide(%{vad | ahead: :queue.drop(vad.ahead)}, now, [{time, vad.speaking?} | done])
+
+      _ ->
+        {Enum.reverse(done), vad}
+    end
+  end
+
+  defp unanimous(vad, until) do
+    votes = for {time, vote} <- :queue.to_list(vad.ahead), time <= until, do: vote
+
+    cond do
+      Enum.all?(votes) -> %{vad | speaking?: true}
+      not Enum.any?(votes) -> %{vad | speaking?: false}
+      true -> vad
+    end
+  end
+end

@@ -1,0 +1,81 @@
+defmodule Situ.Infer.Voice.Chunker do
+  @moduledoc false
+  # Cuts 16 kHz mono sound into chunks of a fixed number of samples, as 32-bit floats with the time of each chunk's end. A gap in
+  # the sound drops the rest before it: a chunk never spans one.
+  alias Situ.{AudioBuffer, AudioFormat, Error}
+
+  @rate 16_000
+  @sample_ns 62_500
+  # Devices' times jitter by a few milliseconds; a hole is more than that.
+  @gap_ns 100_000_000
+
+  @enforce_keys [:samples]
+  defstruct [:samples, rest: <<>>, end: nil, last: nil]
+
+  def new(samples), do: %__MODULE__{samples: samples}
+
+  @doc "Chunks `{end_time, floats}` of the next buffer, which ended at `time`, and whether there was a gap before it."
+  @spec push(%__MODULE__{}, AudioBuffer.t(), Situ.Time.t()) ::
+          {:ok, [{Situ.Time.t(), binary()}], gap? :: boolean(), %__MODULE__{}}
+          | {:error, Error.t()}
+  def push(chunker, %AudioBuffer{format: format} = buffer, time) do
+    with :ok <- check(format) do
+      start = time - AudioBuffer.frames(buffer) * @sample_ns
+      gap? = chunker.end != nil and start - chunker.end > @gap_ns
+      rest = if gap?, do: <<>>, else: chunker.rest
+      bytes = rest <> floats(buffer)
+      {chunks, rest} = cut(bytes, chunker.samples * 4, [])
+      {chunks, last} = stamp(chunks, time - div(byte_size(rest), 4) * @sample_ns, chunker)
+      {:ok, chunks, gap?, %{chunker | rest: rest, end: time, last: last}}
+    end
+  end
+
+  @doc "How long one chunk is, in nanoseconds."
+  def length_ns(%__MODULE__{samples: samples}), do: samples * @sample_ns
+
+  @doc "Root mean square of a chunk of floats."
+  @spec level(binary()) :: float()
+  def level(floats), do: :math.sqrt(power(floats, 0.0) / max(div(byte_size(floats), 4), 1))
+
+  defp power(<<x::float-native-32, rest::binary>>, sum), do: power(rest, sum + x * x)
+  defp power(<<_::32, rest::binary>>, sum), do: power(rest, sum)
+  defp power(<<>>, sum), do: sum
+
+  defp cut(bytes, size, chunks) do
+    case bytes do
+      <<chunk::binary-size(size), rest::binary>> -> cut(rest, size, [chunk | chunks])
+      rest -> {chunks, :binary.copy(rest)}
+    end
+  end
+
+  # Newest first in, oldest first out. Times always grow, also when a device's clock steps back.
+  defp stamp(newest_first, end_time, chunker) do
+    step = length_ns(chunker)
+
+    newest_first
+    |> Enum.with_index(fn chunk, i -> {end_time - i * step, chunk} end)
+    |> Enum.reverse()
+    |> Enum.map_reduce(chunker.last, fn {time, chunk}, last ->
+      time = if last == nil or time > last, do: time, else: last + 1
+      {{time, chunk}, time}
+    end)
+  end
+
+  defp floats(%AudioBuffer{format: %{sample: :f32}, data: data}), do: data
+
+  defp floats(%AudioBuffer{data: data}) do
+    for <<s::little-signed-16 <- data>>, into: <<>>, do: <<s / 32_768::float-native-32>>
+  end
+
+  defp check(%AudioFormat{rate: @rate, channels: 1, sample: sample}) when sample in [:s16, :f32],
+    do: :ok
+
+  defp check(format) do
+    {:error,
+     Error.new(
+       :bad_audio_format,
+       "voice activity takes 16 kHz mono sound, got #{inspect(format)}",
+       fix: "put Situ.Audio.resample(16_000) in front of it"
+     )}
+  end
+end

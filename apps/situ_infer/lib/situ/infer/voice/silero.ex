@@ -1,0 +1,56 @@
+defmodule Situ.Infer.Voice.Silero do
+  @moduledoc false
+  # Silero's network over chunks of 512 samples. It remembers through a state tensor, and sees the last 64 samples of the chunk
+  # before: the caller keeps both.
+  alias Situ.Infer.Model
+  alias Situ.Tensor
+
+  @chunk 512
+  @context 64
+  @ports [
+    inputs: %{
+      "input" => {:f32, {nil, @chunk + @context}},
+      "state" => {:f32, {2, nil, 128}},
+      "sr" => {:s64, {}}
+    },
+    outputs: %{"output" => {:f32, {nil, 1}}}
+  ]
+
+  # The network has a branch per rate: warming up must take the one that will be used.
+  @rate Macro.escape(Tensor.from_list([16_000], :s64, {}))
+
+  @enforce_keys [:model]
+  defstruct [:model, :state, :context]
+
+  def chunk, do: @chunk
+
+  @spec load(keyword()) :: {:ok, %__MODULE__{}} | {:error, Situ.Error.t()}
+  def load(opts) do
+    path = opts[:model] || Model.path("silero_vad.onnx")
+
+    settings = [{:example, %{"sr" => unquote(@rate)}} | @ports]
+
+    with {:ok, model} <- Model.shared(path, Keyword.merge(opts[:model_options] || [], settings)),
+         do: {:ok, reset(%__MODULE__{model: model})}
+  end
+
+  @doc "Forgets what it heard."
+  def reset(silero) do
+    %{silero | state: Tensor.zeros(:f32, {2, 1, 128}), context: <<0::size(@context)-unit(32)>>}
+  end
+
+  @doc "The probability of speech in the next chunk of floats."
+  @spec step(%__MODULE__{}, binary()) :: {:ok, float(), %__MODULE__{}} | {:error, Situ.Error.t()}
+  def step(silero, <<_::binary-size((@chunk - @context) * 4), context::binary>> = chunk) do
+    inputs = %{
+      "input" => Tensor.new(silero.context <> chunk, :f32, {1, @chunk + @context}),
+      "state" => silero.state,
+      "sr" => unquote(@rate)
+    }
+
+    with {:ok, outputs} <- Model.run(silero.model, inputs) do
+      %{"output" => %{data: <<p::float-native-32>>}, "stateN" => state} = outputs
+      {:ok, p, %{silero | state: state, context: context}}
+    end
+  end
+end

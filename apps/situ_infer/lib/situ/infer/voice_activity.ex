@@ -1,0 +1,136 @@
+defmodule Situ.Infer.VoiceActivity do
+  @schema [
+            detector: [
+              type: {:in, [:silero, :energy]},
+              default: :silero,
+              doc: "`:silero`, a network; `:energy`, level above the noise, without any model."
+            ],
+            model: [
+              type: {:optional, :string},
+              default: nil,
+              doc: "Silero's ONNX file; `nil` for the one that ships with the app."
+            ],
+            model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.shared/2`."],
+            above_db: [
+              type: :number,
+              default: 9.0,
+              doc: "`:energy`: a level this far above the noise is speech as likely as not."
+            ],
+            rise_db_per_s: [
+              type: :number,
+              default: 4.0,
+              doc: "`:energy`: how fast the noise floor follows a louder noise."
+            ]
+          ] ++ Situ.Infer.VoiceGate.schema()
+
+  @moduledoc """
+  Hears whether somebody speaks.
+
+  Input `:in` is 16 kHz mono sound (`Situ.AudioBuffer`, 16-bit or float; any buffer length). Every 32 ms of sound make a message on
+  each of the first two outputs, at the time of their end:
+
+    * `:voice`: a `Situ.Infer.Voice`, probability and level, at once;
+    * `:speaking`: a boolean with hysteresis, see `Situ.Infer.VoiceGate`: up to `:min_silence` later;
+    * `:segments`: a `Situ.Infer.VoiceSegment` whenever one is over, at its end.
+
+        %{speaking: speaking, segments: segments} = microphone |> Situ.via(Situ.Infer.VoiceActivity, min_silence: Situ.Time.ms(400))
+
+  `Situ.Infer.voice/2` and `Situ.Infer.voice_activity/2` are the same with one output. A gap of more than 0.1 s in the sound starts
+  anew. Silero takes about 0.15 ms a message, on the component's own scheduler.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+
+  ## Errors
+
+  `:bad_audio_format` (resample first), and those of `Situ.Infer.Model`.
+  """
+  use Situ.Component,
+    inputs: [in: Situ.AudioBuffer],
+    outputs: [
+      voice: Situ.Infer.Voice,
+      speaking: :boolean,
+      segments: Situ.Infer.VoiceSegment
+    ],
+    options: @schema
+
+  alias Situ.Infer.{Model, Voice, VoiceGate, VoiceSegment}
+  alias Situ.Infer.Voice.{Chunker, Energy, Silero}
+
+  defstruct [:opts, :chunker, :detector, :gate]
+
+  @impl true
+  def init(opts) do
+    gate = VoiceGate.new(Keyword.take(opts, Keyword.keys(VoiceGate.schema())))
+    {:ok, %__MODULE__{opts: opts, chunker: Chunker.new(Silero.chunk()), gate: gate}}
+  end
+
+  @impl true
+  def handle_start(_context, state), do: {[], %{state | detector: detector!(state.opts)}}
+
+  @impl true
+  def handle_message(:in, message, _context, state) do
+    case Chunker.push(state.chunker, message.data, message.originating_time) do
+      {:ok, chunks, gap?, chunker} ->
+        state = %{state | chunker: chunker}
+        {before, state} = if gap?, do: break(state), else: {[], state}
+        {actions, state} = Enum.flat_map_reduce(chunks, state, &hear/2)
+        {before ++ actions, state}
+
+      {:error, error} ->
+        raise error
+    end
+  end
+
+  @impl true
+  def handle_closed(:in, _time, _context, state) do
+    {events, gate} = VoiceGate.close(state.gate)
+    {actions(events), %{state | gate: gate}}
+  end
+
+  @impl true
+  def describe(%{detector: %Silero{model: model}}), do: Model.describe(model)
+  def describe(%{gate: gate}), do: if(VoiceGate.open?(gate), do: "speech", else: "silence")
+
+  defp detector!(opts) do
+    case opts[:detector] do
+      :energy -> Energy.new(opts)
+      :silero -> opts |> Silero.load() |> unwrap!()
+    end
+  end
+
+  defp hear({time, floats}, state) do
+    level = Chunker.level(floats)
+    {p, detector} = probability(state.detector, floats, level)
+    {events, gate} = VoiceGate.push(state.gate, time, Chunker.length_ns(state.chunker), p)
+    voice = {:voice, time, %Voice{probability: p, level: level}}
+    {[voice | actions(events)], %{state | detector: detector, gate: gate}}
+  end
+
+  defp probability(%Energy{} = energy, _floats, level), do: Energy.step(energy, level)
+
+  defp probability(%Silero{} = silero, floats, _level) do
+    case Silero.step(silero, floats) do
+      {:ok, p, silero} -> {p, silero}
+      {:error, error} -> raise error
+    end
+  end
+
+  # What came before a gap says nothing about what comes after it.
+  defp break(state) do
+    {events, gate} = VoiceGate.close(state.gate)
+    %module{} = state.detector
+    {actions(events), %{state | gate: gate, detector: module.reset(state.detector)}}
+  end
+
+  defp actions(events) do
+    Enum.map(events, fn
+      {:segment, start, stop} -> {:segments, stop, %VoiceSegment{start: start, stop: stop}}
+      {time, speaking?} -> {:speaking, time, speaking?}
+    end)
+  end
+
+  defp unwrap!({:ok, value}), do: value
+  defp unwrap!({:error, error}), do: raise(error)
+end

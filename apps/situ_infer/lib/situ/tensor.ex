@@ -1,0 +1,222 @@
+defmodule Situ.Tensor do
+  @moduledoc """
+  A tensor: a binary of numbers with its element type and shape beside it.
+
+  Elements are row major (the last dimension runs fastest) in native byte order, which is what ONNX Runtime and Nx use, so
+  nothing is copied on the way there. `shape` is a tuple of dimensions; `{}` is a scalar.
+
+      iex> t = Situ.Tensor.from_list([1.0, 2.0, 3.0, 4.0], :f32, {2, 2})
+      iex> Situ.Tensor.to_list(t)
+      [1.0, 2.0, 3.0, 4.0]
+      iex> Situ.Tensor.reshape(t, {4}).shape
+      {4}
+
+  With the `nx` package in the host application, `to_nx/1` and `from_nx/1` convert without copying.
+  """
+  @behaviour Situ.Codec
+
+  @types [:f32, :f64, :s8, :s16, :s32, :s64, :u8, :u16, :u32, :u64, :bool]
+  @sizes %{f32: 4, f64: 8, s8: 1, s16: 2, s32: 4, s64: 8, u8: 1, u16: 2, u32: 4, u64: 8, bool: 1}
+
+  @enforce_keys [:type, :shape, :data]
+  defstruct [:type, :shape, :data]
+
+  @type element_type ::
+          :f32 | :f64 | :s8 | :s16 | :s32 | :s64 | :u8 | :u16 | :u32 | :u64 | :bool
+  @type t :: %__MODULE__{type: element_type(), shape: tuple(), data: binary()}
+
+  @doc """
+  Wraps `data`; raises `ArgumentError` unless its size is that of `shape` elements of `type`.
+
+      iex> Situ.Tensor.new(<<0::64>>, :f32, {3})
+      ** (ArgumentError) 8 bytes do not fill a tensor of {3} f32: that takes 12
+  """
+  @spec new(binary(), element_type(), tuple()) :: t()
+  def new(data, type, shape) when is_binary(data) and type in @types and is_tuple(shape) do
+    wanted = count(shape) * Map.fetch!(@sizes, type)
+
+    if byte_size(data) != wanted do
+      raise ArgumentError,
+            "#{byte_size(data)} bytes do not fill a tensor of #{inspect(shape)} #{type}: that takes #{wanted}"
+    end
+
+    %__MODULE__{type: type, shape: shape, data: data}
+  end
+
+  @doc "A tensor of zeros."
+  @spec zeros(element_type(), tuple()) :: t()
+  def zeros(type, shape) do
+    new(:binary.copy(<<0>>, count(shape) * Map.fetch!(@sizes, type)), type, shape)
+  end
+
+  @doc """
+  A tensor from numbers (or booleans, for `:bool`) in row-major order.
+
+      iex> Situ.Tensor.from_list([16_000], :s64, {}).data
+      <<16_000::64-native>>
+  """
+  @spec from_list([number() | boolean()], element_type(), tuple()) :: t()
+  def from_list(list, type, shape) when is_list(list) do
+    new(IO.iodata_to_binary(Enum.map(list, &pack(&1, type))), type, shape)
+  end
+
+  @doc """
+  The elements in row-major order.
+
+      iex> [true, false] |> Situ.Tensor.from_list(:bool, {2}) |> Situ.Tensor.to_list()
+      [true, false]
+  """
+  @spec to_list(t()) :: [number() | boolean()]
+  def to_list(%__MODULE__{type: type, data: data}), do: unpack(data, type)
+
+  @doc "The same elements under another shape of the same count."
+  @spec reshape(t(), tuple()) :: t()
+  def reshape(%__MODULE__{} = t, shape), do: new(t.data, t.type, shape)
+
+  @doc """
+  How many elements `shape` has.
+
+      iex> Situ.Tensor.count({2, 3, 4})
+      24
+  """
+  @spec count(tuple()) :: non_neg_integer()
+  def count(shape), do: shape |> Tuple.to_list() |> Enum.product()
+
+  @doc """
+  Stacks tensors of one type along their first dimension; the other dimensions must be equal.
+
+      iex> a = Situ.Tensor.from_list([1, 2], :s8, {1, 2})
+      iex> Situ.Tensor.concat([a, a]).shape
+      {2, 2}
+  """
+  @spec concat([t(), ...]) :: t()
+  def concat([first | _] = tensors) do
+    rest = Tuple.delete_at(first.shape, 0)
+
+    unless Enum.all?(tensors, &(&1.type == first.type and Tuple.delete_at(&1.shape, 0) == rest)) do
+      raise ArgumentError,
+            "only tensors of one type and one inner shape stack: " <>
+              Enum.map_join(tensors, ", ", &"#{&1.type} #{inspect(&1.shape)}")
+    end
+
+    rows = tensors |> Enum.map(&elem(&1.shape, 0)) |> Enum.sum()
+    data = IO.iodata_to_binary(Enum.map(tensors, & &1.data))
+    new(data, first.type, Tuple.insert_at(rest, 0, rows))
+  end
+
+  @doc """
+  Cuts along the first dimension into tensors of `sizes` rows each; they share the bytes.
+
+      iex> Situ.Tensor.from_list([1, 2, 3], :s8, {3}) |> Situ.Tensor.split([2, 1]) |> Enum.map(& &1.shape)
+      [{2}, {1}]
+  """
+  @spec split(t(), [pos_integer()]) :: [t()]
+  def split(%__MODULE__{} = t, sizes) do
+    rows = elem(t.shape, 0)
+
+    unless Enum.sum(sizes) == rows do
+      raise ArgumentError, "#{inspect(sizes)} does not add up to the #{rows} rows there are"
+    end
+
+    bytes = div(byte_size(t.data), max(rows, 1))
+    inner = Tuple.delete_at(t.shape, 0)
+
+    {parts, _} =
+      Enum.map_reduce(sizes, 0, fn n, at ->
+        part = binary_part(t.data, at * bytes, n * bytes)
+        {new(part, t.type, Tuple.insert_at(inner, 0, n)), at + n}
+      end)
+
+    parts
+  end
+
+  @doc "An `Nx.Tensor` over the same bytes. Raises `ArgumentError` without the `nx` package."
+  @spec to_nx(t()) :: struct()
+  def to_nx(%__MODULE__{} = t) do
+    nx = nx!()
+    nx.from_binary(t.data, nx_type(t.type)) |> nx.reshape(t.shape)
+  end
+
+  @doc "The tensor of an `Nx.Tensor`."
+  @spec from_nx(struct()) :: t()
+  def from_nx(tensor) do
+    nx = nx!()
+    {kind, bits} = nx.type(tensor)
+    new(nx.to_binary(tensor), element_type!(kind, bits), nx.shape(tensor))
+  end
+
+  # Nx has no booleans: theirs are bytes.
+  defp nx_type(:bool), do: :u8
+  defp nx_type(type), do: type
+
+  defp element_type!(kind, bits) do
+    Enum.find(@types, &(Atom.to_string(&1) == "#{kind}#{bits}")) ||
+      raise ArgumentError, "no tensor of #{kind}#{bits} here; types: #{inspect(@types)}"
+  end
+
+  defp nx! do
+    if Code.ensure_loaded?(Nx) do
+      Nx
+    else
+      raise ArgumentError, "converting needs the nx package in your application"
+    end
+  end
+
+  @impl Situ.Codec
+  def codec_name, do: "situ.tensor"
+
+  @impl Situ.Codec
+  def encode(%__MODULE__{} = t) do
+    dims = for d <- Tuple.to_list(t.shape), into: <<>>, do: <<d::32-little>>
+    type = Enum.find_index(@types, &(&1 == t.type))
+    [<<type, tuple_size(t.shape)>>, dims, t.data]
+  end
+
+  @impl Situ.Codec
+  def decode(<<type, rank, dims::binary-size(rank)-unit(32), data::binary>>)
+      when type < length(@types) do
+    shape = List.to_tuple(for <<d::32-little <- dims>>, do: d)
+    type = Enum.at(@types, type)
+
+    if byte_size(data) == count(shape) * Map.fetch!(@sizes, type),
+      do: {:ok, %__MODULE__{type: type, shape: shape, data: data}},
+      else: {:error, :bad_tensor}
+  end
+
+  def decode(_), do: {:error, :bad_tensor}
+
+  defp pack(true, :bool), do: <<1>>
+  defp pack(false, :bool), do: <<0>>
+  defp pack(x, :f32), do: <<x::float-native-32>>
+  defp pack(x, :f64), do: <<x::float-native-64>>
+  defp pack(x, :s8), do: <<x::signed-8>>
+  defp pack(x, :u8), do: <<x::8>>
+  defp pack(x, type) when type in [:s16, :u16], do: <<x::native-16>>
+  defp pack(x, type) when type in [:s32, :u32], do: <<x::native-32>>
+  defp pack(x, type) when type in [:s64, :u64], do: <<x::native-64>>
+
+  # NaN and the infinities have no Erlang float: they become atoms, so that nothing is silently lost.
+  defp unpack(data, :f32), do: for(<<bits::binary-4 <- data>>, do: float32(bits))
+  defp unpack(data, :f64), do: for(<<bits::binary-8 <- data>>, do: float64(bits))
+  defp unpack(data, :s8), do: for(<<x::signed-8 <- data>>, do: x)
+  defp unpack(data, :u8), do: for(<<x::8 <- data>>, do: x)
+  defp unpack(data, :s16), do: for(<<x::signed-native-16 <- data>>, do: x)
+  defp unpack(data, :u16), do: for(<<x::native-16 <- data>>, do: x)
+  defp unpack(data, :s32), do: for(<<x::signed-native-32 <- data>>, do: x)
+  defp unpack(data, :u32), do: for(<<x::native-32 <- data>>, do: x)
+  defp unpack(data, :s64), do: for(<<x::signed-native-64 <- data>>, do: x)
+  defp unpack(data, :u64), do: for(<<x::native-64 <- data>>, do: x)
+  defp unpack(data, :bool), do: for(<<x::8 <- data>>, do: x != 0)
+
+  defp float32(<<x::float-native-32>>), do: x
+  defp float32(<<bits::native-32>>), do: special(bits, 0x7F800000, 0xFF800000)
+
+  defp float64(<<x::float-native-64>>), do: x
+
+  defp float64(<<bits::native-64>>),
+    do: special(bits, 0x7FF0000000000000, 0xFFF0000000000000)
+
+  defp special(bits, bits, _minus), do: :infinity
+  defp special(bits, _plus, bits), do: :neg_infinity
+  defp special(_bits, _plus, _minus), do: :nan
+end

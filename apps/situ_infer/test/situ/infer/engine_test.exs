@@ -1,0 +1,26 @@
+defmodule Situ.Infer.EngineTest do
+  use ExUnit.Case, async: true
+
+  # A VM of its own: the library is opened once in a process's life.
+  @script """
+  alias Situ.Infer.{Engine, Model}
+  {:ok, _} = Application.ensure_all_started(:situ_infer)
+  {:error, error} = Model.load(Model.path("face_landmark.onnx"))
+  true = error.code == :no_onnxruntime and error.fix =~ "bin/setup"
+  System.put_env("SITU_ONNXRUNTIME", "/etc/hostname")
+  {:error, %{code: :no_onnxruntime}} = Model.load(Model.path("face_landmark.onnx"))
+  {:ok, state} = Situ.Infer.VoiceActivity.init(Situ.Options.validate!([detector: :energy], Situ.Infer.VoiceActivity.options()))
+  {[], _} = Situ.Infer.VoiceActivity.handle_start(nil, state)
+  System.delete_env("SITU_ONNXRUNTIME")
+  {:ok, _} = Model.load(Model.path("face_landmark.onnx"))
+  IO.puts("mended")
+  """
+
+  test "a missing library is an error with the mend, and is looked for again" do
+    paths = Enum.flat_map(:code.get_path(), &["-pa", to_string(&1)])
+    env = [{"SITU_ONNXRUNTIME", "/nowhere/libonnxruntime.so"}]
+
+    assert {"mended\n", 0} =
+             System.cmd("elixir", paths ++ ["-e", @script], env: env, stderr_to_stdout: true)
+  end
+end

@@ -1,0 +1,105 @@
+defmodule Situ.Infer.ModelTest do
+  use ExUnit.Case, async: true
+
+  alias Situ.Infer.Model
+  alias Situ.Infer.Test.OnnxFile
+  alias Situ.Tensor
+
+  @golden Path.expand("../../fixtures/golden", __DIR__)
+
+  defp golden(name), do: File.read!(Path.join(@golden, name))
+  defp floats(name), do: for(<<x::float-little-32 <- golden(name)>>, do: x)
+
+  defp pixels(name, scale, offset, shape),
+    do: Tensor.from_list(for(<<v <- golden(name)>>, do: v * scale + offset), :f32, shape)
+
+  defp furthest(a, b), do: Enum.zip_with(a, b, &abs(&1 - &2)) |> Enum.max()
+
+  @tag :tmp_dir
+  test "runs batches in one go where the file leaves the first dimension free", %{tmp_dir: dir} do
+    path = Path.join(dir, "double.onnx")
+    File.write!(path, OnnxFile.doubling(3))
+    assert {:ok, model} = Model.load(path, inputs: %{"x" => {:f32, {nil, 3}}})
+    assert model.inputs == %{"x" => {:f32, {-1, 3}}}
+    assert model.where == :inline
+
+    batch =
+      for i <- 1..2, do: %{"x" => Tensor.from_list(List.duplicate(i * 1.0, 3 * i), :f32, {i, 3})}
+
+    runs = Model.stats(model).runs
+    assert {:ok, [%{"y" => one}, %{"y" => two}]} = Model.run_batch(model, batch)
+    assert Tensor.to_list(one) == [2.0, 2.0, 2.0]
+    assert two.shape == {2, 3} and Tensor.to_list(two) == List.duplicate(4.0, 6)
+    assert Model.stats(model).runs == runs + 1
+  end
+
+  test "gives the face detector's reference results" do
+    {:ok, model} = Model.load(Model.path("face_detection_short_range.onnx"))
+    input = pixels("face_input.u8", 1 / 127.5, -1.0, {1, 128, 128, 3})
+    assert {:ok, out} = Model.run(model, %{"input" => input})
+    assert furthest(Tensor.to_list(out["classificators"]), floats("face_scores.f32")) < 1.0e-3
+
+    boxes = for <<row::binary-64 <- out["regressors"].data>>, do: row
+    best = for <<i::little-64 <- golden("face_best.i64")>>, do: Enum.at(boxes, i)
+    found = for row <- best, <<x::float-native-32 <- row>>, do: x
+    assert furthest(found, floats("face_boxes.f32")) < 1.0e-2
+  end
+
+  test "gives the face mesh's reference results, from several processes at once" do
+    {:ok, model} = Model.shared(Model.path("face_landmark.onnx"))
+    input = %{"input_1" => pixels("mesh_input.u8", 1 / 255, 0.0, {1, 192, 192, 3})}
+
+    results =
+      1..4
+      |> Enum.map(fn _ -> Task.async(fn -> Model.run(model, input) end) end)
+      |> Task.await_many(30_000)
+
+    assert [{:ok, out}] = Enum.uniq(results)
+    assert furthest(Tensor.to_list(out["conv2d_20"]), floats("mesh_points.f32")) < 1.0e-2
+    assert furthest(Tensor.to_list(out["conv2d_30"]), floats("mesh_score.f32")) < 1.0e-3
+    assert {:ok, ^model} = Model.shared(Model.path("face_landmark.onnx"))
+  end
+
+  describe "refuses" do
+    test "a file that is not there" do
+      assert {:error, %{code: :no_model_file}} = Model.load("/nowhere/x.onnx")
+    end
+
+    @tag :tmp_dir
+    test "a file cut short", %{tmp_dir: dir} do
+      path = Path.join(dir, "cut.onnx")
+      whole = File.read!(Model.path("face_detection_short_range.onnx"))
+      File.write!(path, binary_part(whole, 0, div(byte_size(whole), 2)))
+      assert {:error, %{code: :bad_model, fix: "" <> _}} = Model.load(path)
+      File.write!(path, "")
+      assert {:error, %{code: :bad_model}} = Model.load(path)
+    end
+
+    test "a model of another shape, naming both shapes" do
+      path = Model.path("face_landmark.onnx")
+      wanted = %{"input_1" => {:f32, {1, 256, 256, 3}}}
+      assert {:error, %{code: :model_shape} = error} = Model.load(path, inputs: wanted)
+      assert error.what =~ "{1, 192, 192, 3}" and error.what =~ "{1, 256, 256, 3}"
+      assert {:error, %{code: :model_shape}} = Model.load(path, outputs: %{"nose" => {:f32, {1}}})
+    end
+
+    @tag :tmp_dir
+    test "tensors that do not fit", %{tmp_dir: dir} do
+      path = Path.join(dir, "double.onnx")
+      File.write!(path, OnnxFile.doubling(3))
+      {:ok, model} = Model.load(path)
+      assert {:error, %{code: :bad_tensor}} = Model.run(model, %{})
+
+      assert {:error, %{code: :bad_tensor}} =
+               Model.run(model, %{"x" => Tensor.zeros(:f32, {1, 4})})
+
+      assert {:error, %{code: :bad_tensor}} =
+               Model.run(model, %{"x" => Tensor.zeros(:f64, {1, 3})})
+    end
+
+    test "CUDA where the library has none" do
+      path = Model.path("face_landmark.onnx")
+      assert {:error, %{code: :no_provider}} = Model.load(path, provider: {:cuda, 0})
+    end
+  end
+end

@@ -1,0 +1,2 @@
+Application.ensure_all_started(:situ_infer)
+ExUnit.start()
