@@ -1,0 +1,13 @@
+// The browser's half of situ_live beside the stock clients: the hook that acknowledges diffs, and binary frames.
+export { DataSocket } from "./data_socket.js";
+
+// The server sends one diff at a time by itself. It marks each with the event "situ:ack"; answering it tells that
+// the page has taken the diff in.
+export const SituFlow = {
+  mounted() {
+    this.handleEvent("situ:ack", () => this.pushEvent("situ:ack", {}));
+  },
+};
+
+// What the LiveSocket gives as `params`: that this page acknowledges.
+export const connectParams = { situ_flow: "1" };

@@ -1,0 +1,147 @@
+// node browser.mjs URL: drives the demo view in Chromium; one line per check, exit 1 when one fails.
+import { chromium } from "playwright-core";
+
+const base = process.argv[2];
+const browser = await chromium.launch({
+  executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
+  args: ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"],
+});
+const page = await browser.newPage();
+page.setDefaultTimeout(10_000);
+const noise = [];
+page.on("console", (m) => ["error", "warning"].includes(m.type()) && noise.push(m.text()));
+page.on("pageerror", (e) => noise.push(String(e)));
+
+let failed = 0;
+const check = (name, ok, detail = "") => {
+  if (!ok) failed++;
+  console.log(ok ? "ok  " : "FAIL", name, detail);
+};
+const text = (selector) => page.textContent(selector);
+const wait = (fun, arg) => page.waitForFunction(fun, arg);
+const is = (selector, value) => wait(([s, v]) => document.querySelector(s)?.textContent === v, [selector, value]);
+
+try {
+  await page.goto(base + "/");
+  await page.waitForSelector(".phx-connected");
+  check("joined", true);
+  await wait(() => seen.points.length === 1);
+  check("push_event after mount reaches the hook", true);
+  await page.click("#inc");
+  await is("#count", "1");
+  await page.click("#inc");
+  await is("#count", "2");
+  check("click", true);
+  await page.click("#toggle");
+  await page.waitForSelector("#open em");
+  check("branch", (await text("#open")).includes("even"));
+  check("island changed with it", (await page.$$("#t th")).length === 2);
+  await page.click("#inc");
+  await page.waitForSelector("#open b");
+  await page.click("#toggle");
+  await page.waitForSelector("#closed");
+  check("nested branches", true);
+  await page.evaluate(() => document.querySelectorAll("#list li").forEach((li) => (li.mark = li.id)));
+  await page.click("#rev");
+  await wait(() => document.querySelector("#list li").id === "r5");
+  check("keyed list keeps its nodes", await page.evaluate(() => [...document.querySelectorAll("#list li")].every((li) => li.mark === li.id)));
+  check("island follows", (await page.$$eval("#t tbody tr", (rows) => rows.map((r) => r.id).join())) === "t-5,t-4,t-3");
+  await page.click("#add");
+  await page.waitForSelector("#r6");
+  await page.click("#r3 button[phx-click=bump]");
+  await wait(() => document.querySelector("#r3").textContent.includes("=103"));
+  check("one row changes", (await page.getAttribute("#r3", "class")) === "hot");
+  await page.click("#r5 button[phx-click=del]");
+  await wait(() => !document.querySelector("#r5"));
+  check("a row goes", (await page.$$eval("#list li", (l) => l.map((x) => x.id).join())) === "r4,r3,r2,r1,r6");
+  check("text is escaped", (await text("#nasty")) === `<b>&"'</b>` && (await page.$("#nasty b")) === null);
+  await page.click("#dis");
+  await page.waitForSelector("#inc[disabled]");
+  await page.click("#dis");
+  await page.waitForSelector("#inc:not([disabled])");
+  check("attributes come and go", true);
+  await page.click("#js");
+  await is("#count", "4");
+  check("JS commands", await page.isVisible("#menu"));
+
+  await page.click("#q");
+  await page.keyboard.type("hello world", { delay: 10 });
+  await is("#note", "len 11");
+  check("a form keeps focus, caret and text", await page.evaluate(() => document.activeElement.id === "q" && document.activeElement.selectionStart === 11));
+  await page.keyboard.press("Enter");
+  await is("#note", "saved hello world");
+  check("submit", true);
+
+  const reply = await page.evaluate(() => new Promise((done) => hook.pushEvent("ask", { a: [1, "é<"] }, (r) => done(JSON.stringify(r)))));
+  check("a hook's event is answered", reply === '{"echo":{"a":[1,"é<"]}}', reply);
+  await page.evaluate(() => new Promise((done) => hook.pushEvent("draw", { n: 7 }, done)));
+  check("push_event with an answer", (await page.evaluate(() => seen.points.at(-1))) === 7);
+
+  await page.click("#line");
+  await page.waitForSelector("#lines-3");
+  await page.click("#unline");
+  await wait(() => !document.querySelector("#lines-1"));
+  check("stream: insert and delete", (await page.$$eval("#lines li", (l) => l.map((x) => x.id).join())) === "lines-3,lines-2");
+  await page.click("#relines");
+  await page.waitForSelector("#lines-9");
+  check("stream: reset", (await page.$$eval("#lines li", (l) => l.length)) === 1);
+
+  await page.click("#lp");
+  await is("#tab", "b");
+  check("patch link", page.url().endsWith("/?tab=b"));
+  await page.click("#patch");
+  await is("#tab", "c");
+  await wait(() => location.search === "?tab=c");
+  check("push_patch", true);
+  await page.goBack();
+  await is("#tab", "b");
+  check("history back", true);
+
+  await page.evaluate(() => new Promise((done) => hook.pushEvent("ticks", { n: 100 }, done)));
+  await wait(() => seen.ticked === 1);
+  check("100 ticks in fewer diffs, none lost", await page.evaluate(() => seen.ticks === 100 && document.querySelector("#tick").textContent === "100" && seen.acks > 2 && seen.acks < 60), await page.evaluate(() => seen.acks));
+
+  const count = await text("#count");
+  await page.fill("#q", "typed before crash");
+  await is("#note", "len 18");
+  await page.click("#crash");
+  await wait(() => seen.reconnected >= 1);
+  check("a raise mounts the view anew", count === "4" && (await text("#count")) === "0");
+  await is("#note", "len 18");
+  check("and keeps the form's text", (await page.inputValue("#q")) === "typed before crash");
+  await page.click("#inc");
+  await is("#count", "1");
+
+  await page.click("#lr");
+  await page.waitForSelector("#other");
+  check("navigate to another view", page.url().endsWith("/other") && (await page.title()) === "other");
+  await page.click("#home");
+  await page.waitForSelector("#count");
+  await page.click("#go");
+  await page.waitForSelector("#other");
+  check("push_navigate", true);
+
+  const frames = await page.evaluate(
+    () =>
+      new Promise((done) => {
+        const got = [];
+        const data = new DataSocket("/live/data");
+        const channel = data.open({ n: 5 }, {
+          credits: 2,
+          onFrame(f) {
+            got.push([f.kind, Number(f.time), new Float32Array(f.buffer, f.offset)[0]]);
+            if (got.length === 5) channel.send({ sum: true });
+          },
+          onReply: (sum) => (data.close(), done({ got, sum })),
+        });
+      }),
+  );
+  check("binary frames by credits", JSON.stringify(frames) === JSON.stringify({ got: [1, 2, 3, 4, 5].map((i) => [7, i * 1000, i / 2]), sum: 15 }), JSON.stringify(frames));
+
+  const unexpected = noise.filter((n) => !/error: unable|phx-error|view crashed/i.test(n));
+  check("nothing in the console", unexpected.length === 0, unexpected.slice(0, 5).join("\n"));
+} catch (error) {
+  check("to the end", false, `${error}\n${noise.slice(0, 10).join("\n")}`);
+}
+await browser.close();
+process.exit(failed ? 1 : 0);

@@ -1,0 +1,18 @@
+defmodule Situ.Live.Application do
+  @moduledoc false
+  # Situ.Live.Registry    names of the processes of each server
+  # Situ.Live.Connections one entry per open WebSocket, by server (counted and swept)
+  # Situ.Live.Yaws        the one embedded web server of this VM; idle until a server listens
+  use Application
+
+  @impl true
+  def start(_type, _args) do
+    children = [
+      {Registry, keys: :unique, name: Situ.Live.Registry},
+      {Registry, keys: :duplicate, name: Situ.Live.Connections},
+      Situ.Live.Yaws
+    ]
+
+    Supervisor.start_link(children, strategy: :one_for_one, name: Situ.Live.Supervisor)
+  end
+end

@@ -1,0 +1,158 @@
+defmodule Situ.Live.Channel do
+  @moduledoc false
+  # The connection of one page: Phoenix Channels, version 2, over one WebSocket; `[join_ref, ref, topic, event, payload]`.
+  # Views live in processes of their own; this one routes, counts and answers for them when they are gone.
+  @behaviour Situ.Live.SocketHandler
+  alias Situ.Live.{Endpoint, Json, Page, Token, ViewServer}
+
+  @session_age_s 14 * 86_400
+  # More unanswered messages than a person can make: the connection is closed.
+  @max_pending 500
+  @max_topics 20
+
+  defstruct [:config, :parameters, topics: %{}, monitors: %{}, pending: 0]
+
+  @impl true
+  def init(request, config) do
+    case Endpoint.fetch(config.ref) do
+      {:ok, config} ->
+        Process.monitor(views(config))
+        {:ok, %__MODULE__{config: config, parameters: ViewServer.parameters(request)}}
+
+      :error ->
+        {:error, "the server has stopped"}
+    end
+  end
+
+  defp views(config), do: GenServer.whereis(ViewServer.supervisor(config.ref))
+
+  @impl true
+  def handle_in({text, opcode: :text}, state) do
+    case Json.decode(text) do
+      {:ok, [join_ref, ref, topic, event, payload]}
+      when (is_binary(join_ref) or join_ref == nil) and (is_binary(ref) or ref == nil) and
+             is_binary(topic) and is_binary(event) ->
+        message({join_ref, ref, topic, event}, payload, state)
+
+      _ ->
+        {:stop, {1007, "not a message of this protocol"}, state}
+    end
+  end
+
+  # Uploads go over HTTP; nothing else of the protocol is binary.
+  def handle_in({_, opcode: :binary}, state), do: {:stop, {1003, "text only"}, state}
+
+  defp message({_, ref, "phoenix", "heartbeat"}, _, state),
+    do: {:push, reply(nil, ref, "phoenix", "ok", %{}), state}
+
+  defp message(_, payload, state) when not is_map(payload) and payload != nil,
+    do: {:stop, {1007, "not a message of this protocol"}, state}
+
+  defp message({join_ref, ref, "lv:" <> id = topic, "phx_join"}, payload, state) do
+    state = drop(topic, state)
+
+    with true <- map_size(state.topics) < @max_topics || "too many views",
+         {:ok, %{"id" => ^id, "session" => session}} <- session(state, payload["session"]),
+         url = payload["url"] || payload["redirect"],
+         {:ok, route, params} <- Page.find(state.config, url) do
+      start(
+        %{id: id, topic: topic, join_ref: join_ref, ref: ref, uri: url, session: session},
+        route,
+        params,
+        state
+      )
+    else
+      reason when is_binary(reason) ->
+        {:push, reply(join_ref, ref, topic, "error", %{"reason" => reason}), state}
+
+      # The page must be loaded anew: its token is old or not ours, or its address is no view.
+      _ ->
+        {:push, reply(join_ref, ref, topic, "error", %{"reason" => "stale"}), state}
+    end
+  end
+
+  defp message({join_ref, ref, topic, event}, payload, state) do
+    case state.topics do
+      %{^topic => {pid, ^join_ref, _}} when state.pending < @max_pending ->
+        send(pid, {:situ_live, ref, event, payload})
+        {:ok, %{state | pending: state.pending + 1}}
+
+      %{^topic => {_, ^join_ref, _}} ->
+        {:stop, {1008, "too many messages"}, state}
+
+      _ when event == "phx_leave" ->
+        {:push, reply(join_ref, ref, topic, "ok", %{}), state}
+
+      _ ->
+        {:push, reply(join_ref, ref, topic, "error", %{"reason" => "unmatched topic"}), state}
+    end
+  end
+
+  defp session(state, token),
+    do: Token.verify(state.config.secret, "session", token, @session_age_s)
+
+  defp start(join, route, params, state) do
+    join =
+      Map.merge(join, %{
+        config: state.config,
+        route: route,
+        params: params,
+        transport: self(),
+        parameters: state.parameters
+      })
+
+    {:ok, pid} = ViewServer.start(state.config, join)
+    monitor = Process.monitor(pid)
+    topics = Map.put(state.topics, join.topic, {pid, join.join_ref, monitor})
+    monitors = Map.put(state.monitors, monitor, {join.topic, join.join_ref})
+    {:ok, %{state | topics: topics, monitors: monitors, pending: state.pending + 1}}
+  end
+
+  @impl true
+  def handle_info({:situ_live, topic, ref, text}, state) do
+    pending = if ref == nil, do: state.pending, else: max(state.pending - 1, 0)
+    state = %{state | pending: pending}
+    # What a view sent that was left meanwhile is for nobody.
+    if is_map_key(state.topics, topic), do: {:push, {:text, text}, state}, else: {:ok, state}
+  end
+
+  def handle_info({:DOWN, monitor, _, _, reason}, state) do
+    case Map.pop(state.monitors, monitor) do
+      {{topic, join_ref}, monitors} ->
+        event = if crashed?(reason), do: "phx_error", else: "phx_close"
+        text = Json.encode([join_ref, join_ref, topic, event, %{}])
+        state = %{state | monitors: monitors, topics: Map.delete(state.topics, topic), pending: 0}
+        {:push, {:text, text}, state}
+
+      # The server's views are gone: so is the server.
+      {nil, _} ->
+        if views(state.config) == nil,
+          do: {:stop, {1001, "the server has stopped"}, state},
+          else: {:ok, state}
+    end
+  end
+
+  def handle_info(_, state), do: {:ok, state}
+
+  defp crashed?({:shutdown, :crashed}), do: true
+  defp crashed?({:shutdown, _}), do: false
+  defp crashed?(reason), do: reason not in [:normal, :shutdown]
+
+  # A join replaces what was joined under the same topic.
+  defp drop(topic, state) do
+    case Map.pop(state.topics, topic) do
+      {nil, _} ->
+        state
+
+      {{pid, _, monitor}, topics} ->
+        Process.demonitor(monitor, [:flush])
+        Process.exit(pid, :shutdown)
+        %{state | topics: topics, monitors: Map.delete(state.monitors, monitor)}
+    end
+  end
+
+  defp reply(join_ref, ref, topic, status, response) do
+    payload = %{"status" => status, "response" => response}
+    {:text, Json.encode([join_ref, ref, topic, "phx_reply", payload])}
+  end
+end

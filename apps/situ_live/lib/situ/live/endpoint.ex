@@ -1,0 +1,199 @@
+defmodule Situ.Live.Endpoint do
+  @moduledoc false
+  # What one server knows (kept in a persistent term: read at each request), and the gate every request passes:
+  # host, token, origin, route. Pure: takes a request, says what to do.
+  alias Situ.Live.{Dead, Request, Response, Route, Static, Token}
+
+  @cookie_age_s 30 * 86_400
+
+  @enforce_keys [:ref, :routes, :secret, :ip, :port, :scheme]
+  defstruct [
+    :ref,
+    :routes,
+    :secret,
+    :ip,
+    :port,
+    :scheme,
+    :token,
+    :hosts,
+    layout: nil,
+    origins: [],
+    headers: [],
+    max_body: 1_000_000,
+    body_ms: 30_000,
+    max_frame: 1_000_000,
+    max_sockets: 500,
+    live_path: ["live", "websocket"],
+    flow: %{}
+  ]
+
+  @type t :: %__MODULE__{}
+
+  @spec fetch(reference()) :: {:ok, t()} | :error
+  def fetch(ref) do
+    case :persistent_term.get({__MODULE__, ref}, nil) do
+      nil -> :error
+      config -> {:ok, config}
+    end
+  end
+
+  @spec put(t()) :: :ok
+  def put(%__MODULE__{ref: ref} = config), do: :persistent_term.put({__MODULE__, ref}, config)
+
+  @spec erase(reference()) :: boolean()
+  def erase(ref), do: :persistent_term.erase({__MODULE__, ref})
+
+  @type route :: {:live_socket, Request.t()} | {:route, Route.t(), Request.t()}
+
+  @doc "Lets a request in to its route, or answers it."
+  @spec admit(t(), Request.t()) :: route() | {:respond, Response.t()}
+  def admit(config, request) do
+    with :ok <- check_host(config, request),
+         :ok <- check_token(config, request),
+         :ok <- check_origin(config, request) do
+      route(config, request)
+    end
+  end
+
+  defp route(%{live_path: path}, %Request{segments: path} = request), do: {:live_socket, request}
+
+  defp route(config, request) do
+    case Route.find(config.routes, request) do
+      {:ok, route, params} ->
+        {:route, route, %{request | params: params}}
+
+      {:error, :not_found} ->
+        {:respond, Response.error(404, "not found")}
+
+      {:error, {:method, methods}} ->
+        allow = Enum.join(Enum.uniq(methods), ", ")
+
+        {:respond,
+         405 |> Response.error("method not allowed") |> Response.put_header("allow", allow)}
+    end
+  end
+
+  # A name that a foreign site points at this machine (DNS rebinding) is not one of ours.
+  defp check_host(%{hosts: :any}, _), do: :ok
+
+  defp check_host(config, request) do
+    if host_name(request.host) in config.hosts,
+      do: :ok,
+      else: {:respond, Response.error(421, "this server does not answer for that host name")}
+  end
+
+  @doc false
+  def host_name("[" <> _ = host), do: host |> String.split("]") |> hd() |> String.trim("[")
+  def host_name(host), do: host |> String.split(":") |> hd() |> String.downcase()
+
+  defp check_token(%{token: nil}, _), do: :ok
+
+  defp check_token(config, request) do
+    cond do
+      cookie?(config, request) -> :ok
+      bearer?(config, request) -> :ok
+      same?(request.query["token"], config.token) -> {:respond, welcome(config, request)}
+      true -> {:respond, unauthorized()}
+    end
+  end
+
+  defp cookie?(config, request) do
+    cookie = Request.cookie(request, cookie_name(config))
+    match?({:ok, _}, Token.verify(cookie_key(config), "cookie", cookie, @cookie_age_s))
+  end
+
+  # The cookie dies with the token it was given for.
+  defp cookie_key(config), do: config.secret <> config.token
+
+  # Cookies do not know ports, and several servers may run on a machine.
+  defp cookie_name(config), do: "situ_#{config.port}"
+
+  defp bearer?(config, request) do
+    case Request.header(request, "authorization") do
+      "Bearer " <> token -> same?(token, config.token)
+      _ -> false
+    end
+  end
+
+  defp same?(given, token) when is_binary(given) and byte_size(given) == byte_size(token),
+    do: :crypto.hash_equals(given, token)
+
+  defp same?(_, _), do: false
+
+  # The token goes from the address into a cookie, and out of the address bar.
+  defp welcome(config, request) do
+    rest = request.query |> Map.delete("token") |> Situ.Live.Query.encode()
+    path = "/" <> Enum.map_join(request.segments, "/", &URI.encode_www_form/1)
+    cookie = Token.sign(cookie_key(config), "cookie", %{})
+    secure = if config.scheme == "https", do: "; Secure", else: ""
+
+    Response.redirect(if(rest == "", do: path, else: path <> "?" <> rest), 303)
+    |> Response.put_header(
+      "set-cookie",
+      "#{cookie_name(config)}=#{cookie}; Path=/; HttpOnly; SameSite=Strict; " <>
+        "Max-Age=#{@cookie_age_s}#{secure}"
+    )
+  end
+
+  defp unauthorized do
+    401
+    |> Response.error("open the address that the server printed: it carries the token")
+    |> Response.put_header("www-authenticate", "Bearer")
+  end
+
+  # Browsers always name the origin of a WebSocket or a POST; programs that are no browser name none.
+  defp check_origin(config, request) do
+    origin = Request.header(request, "origin")
+    matters? = request.method not in ["GET", "HEAD"] or upgrade?(request)
+
+    if not matters? or origin in [nil | config.origins] or own?(origin, config, request),
+      do: :ok,
+      else: {:respond, Response.error(403, "requests from another site are refused")}
+  end
+
+  defp own?(origin, config, request), do: origin == config.scheme <> "://" <> request.host
+
+  @doc false
+  def upgrade?(request) do
+    request |> Request.header("upgrade") |> to_string() |> String.downcase() == "websocket"
+  end
+
+  @doc "How many bytes of body a route takes."
+  @spec max_body(t(), route()) :: non_neg_integer()
+  def max_body(config, {:route, %Route{kind: :http, opts: opts}, _}),
+    do: opts[:max_body] || config.max_body
+
+  def max_body(_, _), do: 0
+
+  @doc "Answers a request that was let in; `{:upgrade, ...}` for WebSockets."
+  @spec run(t(), route()) :: Response.t() | {:upgrade, module(), term(), keyword(), Request.t()}
+  def run(config, {:live_socket, request}) do
+    upgrade(Situ.Live.Channel, config, [max_frame: config.max_frame], request)
+  end
+
+  def run(_config, {:route, %Route{kind: :socket} = route, request}) do
+    upgrade(route.target, route.arg, route.opts, request)
+  end
+
+  def run(_config, {:route, %Route{kind: :static} = route, request}) do
+    Static.serve(request, route.target, request.params["path"], route.opts)
+  end
+
+  def run(_config, {:route, %Route{kind: :http, target: {module, arg}}, request}),
+    do: module.call(request, arg)
+
+  def run(_config, {:route, %Route{kind: :http, target: fun}, request}), do: fun.(request)
+
+  def run(config, {:route, %Route{kind: :live} = route, request}),
+    do: Dead.render(config, route, request)
+
+  defp upgrade(handler, arg, opts, request) do
+    if upgrade?(request) do
+      {:upgrade, handler, arg, opts, request}
+    else
+      426
+      |> Response.error("this address takes WebSockets only")
+      |> Response.put_header("upgrade", "websocket")
+    end
+  end
+end

@@ -1,0 +1,79 @@
+defmodule Situ.Live.JS do
+  @moduledoc """
+  Commands that the browser runs by itself, for `phx-click` and the like (the shapes of `Phoenix.LiveView.JS`).
+
+      iex> Situ.Live.JS.toggle(to: "#menu") |> Situ.Live.JS.push("opened") |> to_string()
+      ~s([["toggle",{"to":"#menu"}],["push",{"event":"opened"}]])
+  """
+  defstruct ops: []
+
+  @type t :: %__MODULE__{ops: [[String.t() | map()]]}
+
+  @doc "Sends an event to the view; options `value:` (a map), `target:`, `loading:`."
+  @spec push(t(), String.t(), keyword()) :: t()
+  def push(js \\ %__MODULE__{}, event, opts \\ [])
+
+  def push(event, opts, []) when is_binary(event) and is_list(opts),
+    do: push(%__MODULE__{}, event, opts)
+
+  def push(%__MODULE__{} = js, event, opts), do: add(js, "push", [event: event] ++ opts)
+
+  @doc "Shows elements: `to:` a selector."
+  @spec show(t(), keyword()) :: t()
+  def show(js \\ %__MODULE__{}, opts), do: add(js, "show", opts)
+
+  @doc "Hides elements."
+  @spec hide(t(), keyword()) :: t()
+  def hide(js \\ %__MODULE__{}, opts), do: add(js, "hide", opts)
+
+  @doc "Shows what is hidden and hides what is shown."
+  @spec toggle(t(), keyword()) :: t()
+  def toggle(js \\ %__MODULE__{}, opts), do: add(js, "toggle", opts)
+
+  @doc "Adds classes (text, several by spaces)."
+  @spec add_class(t(), String.t(), keyword()) :: t()
+  def add_class(js \\ %__MODULE__{}, names, opts), do: class(js, "add_class", names, opts)
+
+  @doc "Removes classes."
+  @spec remove_class(t(), String.t(), keyword()) :: t()
+  def remove_class(js \\ %__MODULE__{}, names, opts), do: class(js, "remove_class", names, opts)
+
+  @doc "Adds the classes that are not there and removes those that are."
+  @spec toggle_class(t(), String.t(), keyword()) :: t()
+  def toggle_class(js \\ %__MODULE__{}, names, opts), do: class(js, "toggle_class", names, opts)
+
+  @doc "Sets an attribute, given as `{name, value}`."
+  @spec set_attribute(t(), {String.t(), String.t()}, keyword()) :: t()
+  def set_attribute(js \\ %__MODULE__{}, {name, value}, opts),
+    do: add(js, "set_attr", [attr: [name, value]] ++ opts)
+
+  @doc "Removes an attribute."
+  @spec remove_attribute(t(), String.t(), keyword()) :: t()
+  def remove_attribute(js \\ %__MODULE__{}, name, opts),
+    do: add(js, "remove_attr", [attr: name] ++ opts)
+
+  @doc "Dispatches a DOM event; `detail:` a map."
+  @spec dispatch(t(), String.t(), keyword()) :: t()
+  def dispatch(js \\ %__MODULE__{}, event, opts), do: add(js, "dispatch", [event: event] ++ opts)
+
+  @doc "Focuses an element."
+  @spec focus(t(), keyword()) :: t()
+  def focus(js \\ %__MODULE__{}, opts), do: add(js, "focus", opts)
+
+  @doc "Goes to a path inside the same view."
+  @spec patch(t(), String.t()) :: t()
+  def patch(js \\ %__MODULE__{}, href), do: add(js, "patch", href: href)
+
+  @doc "Goes to another view."
+  @spec navigate(t(), String.t()) :: t()
+  def navigate(js \\ %__MODULE__{}, href), do: add(js, "navigate", href: href)
+
+  defp class(js, op, names, opts), do: add(js, op, [names: String.split(names)] ++ opts)
+
+  defp add(%__MODULE__{ops: ops} = js, name, args),
+    do: %{js | ops: ops ++ [[name, Map.new(args)]]}
+
+  defimpl String.Chars do
+    def to_string(js), do: Situ.Live.Json.encode(js.ops)
+  end
+end

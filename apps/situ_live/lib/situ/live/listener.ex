@@ -1,0 +1,55 @@
+defmodule Situ.Live.Listener do
+  @moduledoc false
+  # Owns the port of one server: opens it, publishes its configuration, sweeps dead connections, closes all at the end.
+  use GenServer, shutdown: 100_000
+  alias Situ.Live.{Connections, Endpoint, Yaws}
+
+  @sweep_ms 15_000
+  @idle_ms 90_000
+
+  def start_link(arg), do: GenServer.start_link(__MODULE__, arg)
+
+  @spec endpoint(pid()) :: Endpoint.t()
+  def endpoint(pid), do: GenServer.call(pid, :endpoint)
+
+  # The port must be open when start_link returns, or the reason known.
+  @impl true
+  def init({config, tls}) do
+    Process.flag(:trap_exit, true)
+    Endpoint.put(config)
+
+    case Yaws.add(config.ref, config.ip, config.port, tls) do
+      {:ok, sconf} ->
+        Process.monitor(:yaws_server)
+        {:ok, %{config: config, sconf: sconf, tick: tick()}}
+
+      {:error, error} ->
+        Endpoint.erase(config.ref)
+        {:stop, error}
+    end
+  end
+
+  defp tick, do: Process.send_after(self(), :sweep, @sweep_ms)
+
+  @impl true
+  def handle_call(:endpoint, _from, state), do: {:reply, state.config, state}
+
+  @impl true
+  def handle_info(:sweep, state) do
+    Connections.sweep(state.config.ref, @idle_ms)
+    {:noreply, %{state | tick: tick()}}
+  end
+
+  # Yaws starts anew without its ports: so do we.
+  def handle_info({:DOWN, _, _, _, _}, state),
+    do: {:stop, :web_server_down, %{state | sconf: nil}}
+
+  def handle_info(_, state), do: {:noreply, state}
+
+  @impl true
+  def terminate(_reason, state) do
+    if state.sconf, do: Yaws.remove(state.sconf)
+    Endpoint.erase(state.config.ref)
+    for pid <- Connections.pids(state.config.ref), do: Process.exit(pid, :shutdown)
+  end
+end

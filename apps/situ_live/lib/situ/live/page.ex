@@ -1,0 +1,64 @@
+defmodule Situ.Live.Page do
+  @moduledoc false
+  # From an address to a mounted view: the same for the dead render, for a join and for a patch.
+  alias Situ.Live.{Endpoint, Html, Rendered, Request, Route, Socket, View}
+
+  @spec find(Endpoint.t(), String.t()) :: {:ok, Route.t(), map()} | :error
+  def find(config, url) when is_binary(url) do
+    uri = URI.parse(url)
+    target = (uri.path || "/") <> if(uri.query, do: "?" <> uri.query, else: "")
+
+    with {:ok, request} <- Request.new("GET", target, %{}),
+         {:ok, %Route{kind: :live} = route, params} <- Route.find(config.routes, request) do
+      {:ok, route, Map.merge(request.query, params)}
+    else
+      _ -> :error
+    end
+  end
+
+  def find(_, _), do: :error
+
+  @spec mount(Route.t(), map(), map(), String.t(), Socket.t()) :: Socket.t()
+  def mount(route, params, session, uri, socket) do
+    socket = Socket.assign(%{socket | view: route.target}, :live_action, route.opts[:action])
+    socket = View.mount(route.target, params, session, socket)
+    if socket.navigation, do: socket, else: View.params(route.target, params, uri, socket)
+  end
+
+  @spec render(Socket.t(), :all | :changed) :: Rendered.t()
+  def render(%Socket{} = socket, what) do
+    assigns = if what == :all, do: %{socket.assigns | __changed__: nil}, else: socket.assigns
+    wrap(socket, socket.view.render(assigns))
+  end
+
+  @fingerprint :erlang.phash2({__MODULE__, :wrap}, 4_294_967_296)
+
+  # The hook that acknowledges diffs (see Situ.Live.Flow) needs an element to live on.
+  defp wrap(socket, %Rendered{} = rendered) do
+    %Rendered{
+      static: [~s(<i id="#{socket.id}-flow" phx-hook="SituFlow" hidden></i>), ""],
+      dynamic: [Html.escape(rendered)],
+      fingerprint: @fingerprint
+    }
+  end
+
+  defp wrap(socket, other) do
+    raise ArgumentError,
+          "#{inspect(socket.view)}.render/1 must return ~H, got: #{inspect(other, limit: 5)}"
+  end
+
+  @doc "What a form or a click brings, as the map that handle_event/3 gets."
+  @spec event_params(String.t(), term(), term()) :: {:ok, map()} | :error
+  def event_params("form", value, meta) when is_binary(value) do
+    with {:ok, params} <- Situ.Live.Query.parse(value) do
+      target = if is_map(meta), do: Map.take(meta, ["_target"]), else: %{}
+      {:ok, Map.merge(params, target)}
+    else
+      _ -> :error
+    end
+  end
+
+  def event_params(_type, nil, _meta), do: {:ok, %{}}
+  def event_params(_type, %{} = value, _meta), do: {:ok, value}
+  def event_params(_type, value, _meta), do: {:ok, %{"value" => value}}
+end

@@ -1,0 +1,108 @@
+defmodule Situ.Live.Query do
+  @moduledoc """
+  Decodes query strings and urlencoded forms: `a=1&b[c]=2&d[]=3` into nested maps and lists.
+
+  Input is foreign: its keys stay strings, at most 1,000 fields and 8 levels are taken, and text must be UTF-8.
+
+      iex> Situ.Live.Query.parse("a=1&b[c]=x+y&d[]=3&d[]=4")
+      {:ok, %{"a" => "1", "b" => %{"c" => "x y"}, "d" => ["3", "4"]}}
+      iex> Situ.Live.Query.parse("a=%ff")
+      {:error, :bad_query}
+  """
+  @max_fields 1_000
+  @max_depth 8
+
+  @doc "Decodes; later fields win over earlier ones of the same name."
+  @spec parse(String.t()) :: {:ok, map()} | {:error, :bad_query}
+  def parse(""), do: {:ok, %{}}
+
+  def parse(text) when is_binary(text) do
+    fields = :binary.split(text, "&", [:global])
+
+    if length(fields) > @max_fields,
+      do: {:error, :bad_query},
+      else: collect(fields, %{})
+  end
+
+  defp collect([], acc), do: {:ok, acc |> unwrap()}
+  defp collect(["" | rest], acc), do: collect(rest, acc)
+
+  defp collect([field | rest], acc) do
+    {name, value} =
+      case :binary.split(field, "=") do
+        [name, value] -> {form_decode(name), form_decode(value)}
+        [name] -> {form_decode(name), ""}
+      end
+
+    with true <- is_binary(name) and is_binary(value),
+         path when is_list(path) <- path(name) do
+      collect(rest, put(acc, path, value))
+    else
+      _ -> {:error, :bad_query}
+    end
+  end
+
+  # "a[b][]" -> ["a", "b", ""]; a name that is not of this shape is taken as it is
+  defp path(name) do
+    case :binary.split(name, "[") do
+      [head, tail] when head != "" ->
+        inner = tail |> String.trim_trailing("]") |> String.split("][")
+        if length(inner) > @max_depth, do: :error, else: [head | inner]
+
+      _ ->
+        [name]
+    end
+  end
+
+  # Lists are gathered in reverse below a marker, so that n values cost n steps.
+  defp put(acc, [key], value), do: Map.put(acc, key, value)
+
+  defp put(acc, [key, ""], value) do
+    case acc do
+      %{^key => {:list, values}} -> %{acc | key => {:list, [value | values]}}
+      _ -> Map.put(acc, key, {:list, [value]})
+    end
+  end
+
+  defp put(acc, [key | rest], value) do
+    inner =
+      case acc do
+        %{^key => %{} = inner} -> inner
+        _ -> %{}
+      end
+
+    Map.put(acc, key, put(inner, rest, value))
+  end
+
+  defp unwrap({:list, values}), do: Enum.reverse(values)
+  defp unwrap(%{} = map), do: Map.new(map, fn {key, value} -> {key, unwrap(value)} end)
+  defp unwrap(value), do: value
+
+  defp form_decode(text), do: text |> :binary.replace("+", " ", [:global]) |> percent_decode()
+
+  @doc "Percent-decodes; `:error` when it is malformed or not UTF-8."
+  @spec percent_decode(String.t()) :: String.t() | :error
+  def percent_decode(text) do
+    decoded = URI.decode(text)
+    if String.valid?(decoded), do: decoded, else: :error
+  rescue
+    ArgumentError -> :error
+  end
+
+  @doc """
+  Encodes a map (strings, numbers, atoms; nested maps and lists) as a query string.
+
+      iex> Situ.Live.Query.encode(%{"a" => 1, "b" => %{"c" => "x y"}})
+      "a=1&b%5Bc%5D=x+y"
+  """
+  @spec encode(map() | keyword()) :: String.t()
+  def encode(params) do
+    params
+    |> Enum.flat_map(fn {key, value} -> pairs(to_string(key), value) end)
+    |> URI.encode_query()
+  end
+
+  defp pairs(key, %{} = map), do: Enum.flat_map(map, fn {k, v} -> pairs("#{key}[#{k}]", v) end)
+  defp pairs(key, list) when is_list(list), do: Enum.flat_map(list, &pairs(key <> "[]", &1))
+  defp pairs(key, value), do: [{key, value}]
+end

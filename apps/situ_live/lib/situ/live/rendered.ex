@@ -1,0 +1,46 @@
+defmodule Situ.Live.Rendered do
+  @moduledoc """
+  What `~H` makes: the template's fixed texts and, between them, its values.
+
+  `n` values stand between `n + 1` texts. A value is escaped text (a binary), another `Rendered`, a
+  `Situ.Live.Comprehension`, a `Situ.Live.Island`, or `:unchanged` (since the last render). `fingerprint` is the same for
+  the same template; `root?` tells that the template is one tag and nothing beside it.
+  """
+  @enforce_keys [:static, :dynamic, :fingerprint]
+  defstruct [:static, :dynamic, :fingerprint, root?: false]
+
+  @type value ::
+          binary() | t() | Situ.Live.Comprehension.t() | Situ.Live.Island.t() | :unchanged
+  @type t :: %__MODULE__{
+          static: [binary()],
+          dynamic: [value()],
+          fingerprint: integer(),
+          root?: boolean()
+        }
+end
+
+defmodule Situ.Live.Comprehension do
+  @moduledoc """
+  What `:for` makes: one template for all entries, and `{key, values}` for each. An entry whose key stays keeps its
+  DOM node when it moves. `stream` is set for `Situ.Live.Stream`s.
+  """
+  @enforce_keys [:static, :entries, :fingerprint]
+  defstruct [:static, :entries, :fingerprint, stream: nil]
+
+  @type t :: %__MODULE__{
+          static: [binary()],
+          entries: [{term(), [Situ.Live.Rendered.value()]}],
+          fingerprint: integer(),
+          stream: nil | list()
+        }
+end
+
+defmodule Situ.Live.Island do
+  @moduledoc """
+  A part of a page that the browser patches alone, whatever its size elsewhere: see `Situ.Live.Component.island/1`.
+  """
+  @enforce_keys [:rendered]
+  defstruct [:rendered]
+
+  @type t :: %__MODULE__{rendered: Situ.Live.Rendered.t()}
+end

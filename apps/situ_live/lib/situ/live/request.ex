@@ -1,0 +1,113 @@
+defmodule Situ.Live.Request do
+  @moduledoc """
+  One HTTP request, as a route's handler gets it.
+
+    * `method` - `"GET"`, `"POST"` ...
+    * `path` - as sent; `segments` - the path cut at `/` and percent-decoded
+    * `query` - the query decoded by `Situ.Live.Query`; `params` - what the route's `:name` and `*rest` matched
+    * `headers` - a map by lower-case name
+    * `body` - the whole body; its size is limited by the server's `max_body`
+    * `peer` - `{address, port}` of the other side
+
+      iex> request = %Situ.Live.Request{method: "GET", path: "/a", headers: %{"accept" => "text/html"}}
+      iex> Situ.Live.Request.header(request, "Accept")
+      "text/html"
+  """
+  alias Situ.Live.Query
+
+  defstruct method: "GET",
+            path: "/",
+            segments: [],
+            query_string: "",
+            query: %{},
+            params: %{},
+            headers: %{},
+            body: "",
+            scheme: "http",
+            host: "",
+            peer: {{127, 0, 0, 1}, 0},
+            endpoint: nil
+
+  @type t :: %__MODULE__{
+          method: String.t(),
+          path: String.t(),
+          segments: [String.t()],
+          query_string: String.t(),
+          query: map(),
+          params: %{optional(String.t()) => String.t() | [String.t()]},
+          headers: %{optional(String.t()) => String.t()},
+          body: binary(),
+          scheme: String.t(),
+          host: String.t(),
+          peer: {:inet.ip_address(), :inet.port_number()},
+          endpoint: term()
+        }
+
+  @doc "Builds a request from its parts; a path or query that cannot be decoded is an error (answer 400)."
+  @spec new(String.t(), String.t(), %{optional(String.t()) => String.t()}, keyword()) ::
+          {:ok, t()} | {:error, :bad_request}
+  def new(method, target, headers, fields \\ []) do
+    {path, query_string} =
+      case :binary.split(target, "?") do
+        [path, query] -> {path, query}
+        [path] -> {path, ""}
+      end
+
+    with {:ok, segments} <- segments(path),
+         {:ok, query} <- Query.parse(query_string) do
+      request = %__MODULE__{
+        method: method,
+        path: path,
+        segments: segments,
+        query_string: query_string,
+        query: query,
+        headers: headers,
+        host: Map.get(headers, "host", "")
+      }
+
+      {:ok, struct!(request, fields)}
+    else
+      _ -> {:error, :bad_request}
+    end
+  end
+
+  # NUL and the like never name anything here; `.` and `..` are for the browser to resolve.
+  defp segments("/" <> _ = path) do
+    segments = path |> String.split("/", trim: true) |> Enum.map(&Query.percent_decode/1)
+
+    if Enum.all?(segments, &segment?/1), do: {:ok, segments}, else: :error
+  end
+
+  defp segments(_), do: :error
+
+  defp segment?(:error), do: false
+
+  defp segment?(segment) do
+    segment not in [".", ".."] and
+      :binary.match(segment, ["/", "\\", <<0>>, "\n", "\r"]) == :nomatch
+  end
+
+  @doc "The value of a header, or `nil`."
+  @spec header(t(), String.t()) :: String.t() | nil
+  def header(%__MODULE__{headers: headers}, name), do: headers[String.downcase(name)]
+
+  @doc ~S"""
+  The value of a cookie, or `nil`.
+
+      iex> Situ.Live.Request.cookie(%Situ.Live.Request{headers: %{"cookie" => "a=1; b=2"}}, "b")
+      "2"
+  """
+  @spec cookie(t(), String.t()) :: String.t() | nil
+  def cookie(%__MODULE__{} = request, name) do
+    request
+    |> header("cookie")
+    |> to_string()
+    |> String.split(";")
+    |> Enum.find_value(fn pair ->
+      case pair |> String.trim() |> String.split("=", parts: 2) do
+        [^name, value] -> value
+        _ -> nil
+      end
+    end)
+  end
+end

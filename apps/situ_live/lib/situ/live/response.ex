@@ -1,0 +1,157 @@
+defmodule Situ.Live.Response do
+  @moduledoc """
+  What a handler answers: status, headers, body.
+
+  A body is iodata, or `{:file, path, offset, length}` (sent by the operating system), or `{:chunks, enumerable}`.
+  The server adds `content-length` or chunking, and the security headers.
+
+      iex> Situ.Live.Response.json(%{"ok" => true}).status
+      200
+  """
+  alias Situ.Live.{Mime, Request}
+
+  defstruct status: 200, headers: [], body: ""
+
+  @type body ::
+          iodata()
+          | {:file, Path.t(), non_neg_integer(), non_neg_integer()}
+          | {:chunks, Enumerable.t()}
+  @type t :: %__MODULE__{status: 100..599, headers: [{String.t(), String.t()}], body: body()}
+
+  @doc "Plain text."
+  @spec text(iodata(), 100..599) :: t()
+  def text(text, status \\ 200), do: of(status, "text/plain; charset=utf-8", text)
+
+  @doc "HTML that is already escaped."
+  @spec html(iodata(), 100..599) :: t()
+  def html(html, status \\ 200), do: of(status, "text/html; charset=utf-8", html)
+
+  @doc "JSON of maps, lists, strings, numbers, booleans and `nil`."
+  @spec json(term(), 100..599) :: t()
+  def json(value, status \\ 200), do: of(status, "application/json", Situ.Live.Json.encode(value))
+
+  @doc "Bytes; `headers` are added."
+  @spec binary(iodata(), [{String.t(), String.t()}]) :: t()
+  def binary(bytes, headers \\ []) do
+    %__MODULE__{headers: [{"content-type", "application/octet-stream"} | headers], body: bytes}
+  end
+
+  @doc "A redirect to a path or URL; line breaks in it are refused."
+  @spec redirect(String.t(), 300..399) :: t()
+  def redirect(to, status \\ 302) do
+    if :binary.match(to, ["\r", "\n"]) != :nomatch,
+      do: raise(ArgumentError, "a redirect must be one line, got: #{inspect(to)}")
+
+    %__MODULE__{status: status, headers: [{"location", to}]}
+  end
+
+  @doc "An error page of one line."
+  @spec error(100..599, String.t()) :: t()
+  def error(status, what \\ ""), do: text([Integer.to_string(status), " ", what, "\n"], status)
+
+  defp of(status, type, body) do
+    %__MODULE__{status: status, headers: [{"content-type", type}], body: body}
+  end
+
+  @doc "With one more header (an earlier one of the same name is replaced)."
+  @spec put_header(t(), String.t(), String.t()) :: t()
+  def put_header(%__MODULE__{headers: headers} = response, name, value) do
+    %{response | headers: List.keystore(headers, name, 0, {name, value})}
+  end
+
+  @doc """
+  A file, or the part of it that the request's `range` asks for; `304` when the browser has it.
+
+  Options: `:type` (else by the name's ending), `:cache` (the `cache-control` header, default `"no-cache"`: asked for anew
+  each time, answered by `304`).
+  """
+  @spec file(Request.t(), Path.t(), keyword()) :: t()
+  def file(%Request{} = request, path, opts \\ []) do
+    case File.stat(path, time: :posix) do
+      {:ok, %File.Stat{type: :regular, size: size, mtime: mtime}} ->
+        etag = ~s("#{Integer.to_string(mtime, 36)}-#{Integer.to_string(size, 36)}")
+
+        headers = [
+          {"content-type", opts[:type] || Mime.type(path)},
+          {"cache-control", opts[:cache] || "no-cache"},
+          {"etag", etag}
+        ]
+
+        ranged(request, size, headers, fn from, length -> {:file, path, from, length} end)
+
+      _ ->
+        error(404, "not found")
+    end
+  end
+
+  @doc """
+  `size` bytes of something stored, of which `read.(from, length)` gives a part: answers the request's `range` (`206`,
+  `416`), or all of it.
+
+      iex> request = %Situ.Live.Request{headers: %{"range" => "bytes=1-2"}}
+      iex> response = Situ.Live.Response.ranged(request, 4, [], fn from, n -> binary_part("abcd", from, n) end)
+      iex> {response.status, response.body, List.keyfind(response.headers, "content-range", 0)}
+      {206, "bc", {"content-range", "bytes 1-2/4"}}
+  """
+  @spec ranged(
+          Request.t(),
+          non_neg_integer(),
+          [{String.t(), String.t()}],
+          (non_neg_integer(), non_neg_integer() ->
+             body())
+        ) :: t()
+  def ranged(%Request{} = request, size, headers, read) do
+    headers = [{"accept-ranges", "bytes"} | headers]
+    {_, etag} = List.keyfind(headers, "etag", 0, {"etag", nil})
+
+    cond do
+      etag != nil and matches?(Request.header(request, "if-none-match"), etag) ->
+        %__MODULE__{status: 304, headers: headers}
+
+      Request.header(request, "if-range") not in [nil, etag] ->
+        %__MODULE__{headers: headers, body: read.(0, size)}
+
+      true ->
+        part(range(Request.header(request, "range"), size), size, headers, read)
+    end
+  end
+
+  defp part(:all, size, headers, read), do: %__MODULE__{headers: headers, body: read.(0, size)}
+
+  defp part({from, to}, size, headers, read) do
+    headers = [{"content-range", "bytes #{from}-#{to}/#{size}"} | headers]
+    %__MODULE__{status: 206, headers: headers, body: read.(from, to - from + 1)}
+  end
+
+  defp part(:unsatisfiable, size, _headers, _read) do
+    %__MODULE__{status: 416, headers: [{"content-range", "bytes */#{size}"}]}
+  end
+
+  defp matches?(nil, _), do: false
+  defp matches?("*", _), do: true
+
+  defp matches?(tags, etag) do
+    tags |> String.split(",") |> Enum.any?(&(&1 |> String.trim() |> String.trim("W/") == etag))
+  end
+
+  # One range only; several, or what is not a range of bytes, is answered with everything (RFC 9110, 14.2).
+  defp range("bytes=" <> spec, size) do
+    case Regex.run(~r/\A(\d{0,18})-(\d{0,18})\z/, spec, capture: :all_but_first) do
+      ["", ""] -> :all
+      ["", last] -> suffix(String.to_integer(last), size)
+      [from, ""] -> bounds(String.to_integer(from), size - 1, size)
+      [from, to] -> bounds(String.to_integer(from), String.to_integer(to), size)
+      nil -> :all
+    end
+  end
+
+  defp range(_, _), do: :all
+
+  defp suffix(0, _size), do: :unsatisfiable
+  defp suffix(_, 0), do: :unsatisfiable
+  defp suffix(last, size), do: {max(size - last, 0), size - 1}
+
+  defp bounds(from, _to, size) when from >= size, do: :unsatisfiable
+  defp bounds(from, to, _size) when to < from, do: :all
+  defp bounds(from, to, size), do: {from, min(to, size - 1)}
+end

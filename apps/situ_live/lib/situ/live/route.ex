@@ -1,0 +1,135 @@
+defmodule Situ.Live.Route do
+  @moduledoc """
+  The routes of a server: plain data, matched in order.
+
+  | route | answers |
+  |---|---|
+  | `{:live, path, View}`, `{:live, path, View, opts}` | a page: a view (`Situ.Live.View`) in the layout |
+  | `{:get, path, handler}`, also `:post`, `:put`, `:patch`, `:delete`, `:any` (with `opts` as fourth) | what the handler returns |
+  | `{:static, path, dir}`, `{:static, path, {app, dir}}`, `{:static, path, dir, opts}` | files below `dir` (GET, HEAD) |
+  | `{:socket, path, Module, arg}`, `{:socket, path, Module, arg, opts}` | a WebSocket (`Situ.Live.SocketHandler`) |
+
+  A path is matched segment by segment: `:name` takes one, `*rest` all that is left; both are found in the
+  request's `params` (a view's `params`). A handler is a function of one argument (the `Situ.Live.Request`), or
+  `{Module, arg}` whose `call(request, arg)` is used; it returns a `Situ.Live.Response`.
+
+  Options of `:live`: `action:` (the socket's `live_action`), `session:` (a JSON-able map, or a function of the request
+  giving one; signed into the page and handed to `mount/3`), `layout:` (instead of the server's).
+  Options of the handlers: `max_body:` (bytes). Options of `:static`: `cache:` (the `cache-control` header).
+  Options of `:socket`: `max_frame:` (bytes of an incoming message, default 65,536).
+
+      iex> routes = Situ.Live.Route.compile([{:get, "/rooms/:id/*rest", &Function.identity/1}])
+      iex> request = %Situ.Live.Request{segments: ["rooms", "7", "a", "b"]}
+      iex> {:ok, _route, params} = Situ.Live.Route.find(routes, request)
+      iex> params
+      %{"id" => "7", "rest" => ["a", "b"]}
+  """
+  alias Situ.Live.Request
+
+  @methods [:get, :post, :put, :patch, :delete, :any]
+
+  @enforce_keys [:kind, :pattern, :target]
+  defstruct [:kind, :pattern, :target, methods: :any, arg: nil, opts: []]
+
+  @type t :: %__MODULE__{
+          kind: :live | :http | :static | :socket,
+          pattern: [String.t() | {:one | :rest, String.t()}],
+          target: term(),
+          methods: :any | [String.t()],
+          arg: term(),
+          opts: keyword()
+        }
+
+  @doc "Checks and prepares routes; a route that is not one of the table raises `ArgumentError`."
+  @spec compile([tuple()]) :: [t()]
+  def compile(routes), do: Enum.map(routes, &compile_one/1)
+
+  defp compile_one({:live, path, view}), do: compile_one({:live, path, view, []})
+
+  defp compile_one({:live, path, view, opts}) when is_atom(view) and is_list(opts) do
+    Code.ensure_loaded(view)
+
+    unless function_exported?(view, :render, 1),
+      do: raise(ArgumentError, "#{inspect(view)} is no view: it has no render/1")
+
+    %__MODULE__{kind: :live, pattern: pattern(path), target: view, methods: ["GET"], opts: opts}
+  end
+
+  defp compile_one({method, path, handler}) when method in @methods,
+    do: compile_one({method, path, handler, []})
+
+  defp compile_one({method, path, handler, opts}) when method in @methods do
+    unless is_function(handler, 1) or match?({module, _} when is_atom(module), handler),
+      do: raise(ArgumentError, "a handler is fun/1 or {module, arg}, got: #{inspect(handler)}")
+
+    methods = if method == :any, do: :any, else: [method |> to_string() |> String.upcase()]
+
+    %__MODULE__{
+      kind: :http,
+      pattern: pattern(path),
+      target: handler,
+      methods: methods,
+      opts: opts
+    }
+  end
+
+  defp compile_one({:static, path, dir}), do: compile_one({:static, path, dir, []})
+
+  defp compile_one({:static, path, dir, opts}) do
+    pattern = pattern(path) ++ [{:rest, "path"}]
+    %__MODULE__{kind: :static, pattern: pattern, target: dir, methods: ["GET"], opts: opts}
+  end
+
+  defp compile_one({:socket, path, module, arg}),
+    do: compile_one({:socket, path, module, arg, []})
+
+  defp compile_one({:socket, path, module, arg, opts}) when is_atom(module) do
+    %__MODULE__{
+      kind: :socket,
+      pattern: pattern(path),
+      target: module,
+      arg: arg,
+      methods: ["GET"],
+      opts: opts
+    }
+  end
+
+  defp compile_one(other), do: raise(ArgumentError, "not a route: #{inspect(other)}")
+
+  defp pattern("/" <> _ = path) do
+    path
+    |> String.split("/", trim: true)
+    |> Enum.map(fn
+      ":" <> name -> {:one, name}
+      "*" <> name -> {:rest, name}
+      segment -> segment
+    end)
+  end
+
+  defp pattern(path), do: raise(ArgumentError, "a path starts with /, got: #{inspect(path)}")
+
+  @doc "The first route that fits, and what its pattern took."
+  @spec find([t()], Request.t()) ::
+          {:ok, t(), map()} | {:error, :not_found | {:method, [String.t()]}}
+  def find(routes, %Request{segments: segments, method: method}) do
+    method = if method == "HEAD", do: "GET", else: method
+
+    Enum.reduce_while(routes, {:error, :not_found}, fn route, acc ->
+      case {match(route.pattern, segments, %{}), acc} do
+        {:no, _} -> {:cont, acc}
+        {params, _} when route.methods == :any -> {:halt, {:ok, route, params}}
+        {params, {:error, other}} -> allowed(method in route.methods, route, params, other)
+      end
+    end)
+  end
+
+  defp allowed(true, route, params, _), do: {:halt, {:ok, route, params}}
+  defp allowed(false, r, _, {:method, seen}), do: {:cont, {:error, {:method, seen ++ r.methods}}}
+  defp allowed(false, route, _, :not_found), do: {:cont, {:error, {:method, route.methods}}}
+
+  defp match([], [], params), do: params
+  defp match([{:rest, name}], rest, params), do: Map.put(params, name, rest)
+  defp match([{:one, n} | ps], [s | ss], params), do: match(ps, ss, Map.put(params, n, s))
+  defp match([segment | ps], [segment | ss], params), do: match(ps, ss, params)
+  defp match(_, _, _), do: :no
+end

@@ -1,0 +1,170 @@
+defmodule Situ.Live.Socket do
+  @moduledoc """
+  The state of one view: read `socket.assigns`, change it with the functions that `use Situ.Live.View` imports.
+  """
+  alias Situ.Live.Stream
+
+  defstruct assigns: %{__changed__: %{}, flash: %{}, live_action: nil},
+            id: nil,
+            view: nil,
+            endpoint: nil,
+            connected?: false,
+            parameters: %{},
+            # for the runtime only: what the next message to the browser carries
+            events: [],
+            reply: nil,
+            navigation: nil
+
+  @type t :: %__MODULE__{}
+
+  @max_events 1_000
+
+  @doc "Sets assigns; one that is set to what it is does not count as changed."
+  @spec assign(t() | map(), Enumerable.t()) :: t() | map()
+  def assign(target, pairs),
+    do: Enum.reduce(pairs, target, fn {k, v}, acc -> assign(acc, k, v) end)
+
+  @doc "Sets one assign of a socket, or of a component's assigns."
+  @spec assign(t() | map(), atom(), term()) :: t() | map()
+  def assign(%__MODULE__{assigns: assigns} = socket, key, value) when is_atom(key) do
+    case assigns do
+      %{^key => ^value} -> socket
+      _ -> %{socket | assigns: assigns |> Map.put(key, value) |> changed(key)}
+    end
+  end
+
+  def assign(%{__changed__: _} = assigns, key, value) when is_atom(key) do
+    case assigns do
+      %{^key => ^value} -> assigns
+      _ -> assigns |> Map.put(key, value) |> changed(key)
+    end
+  end
+
+  defp changed(%{__changed__: %{} = changed} = assigns, key),
+    do: %{assigns | __changed__: Map.put(changed, key, true)}
+
+  defp changed(assigns, _), do: assigns
+
+  @doc "Sets an assign unless it is there; `fun` takes nothing."
+  @spec assign_new(t() | map(), atom(), (() -> term())) :: t() | map()
+  def assign_new(target, key, fun) when is_function(fun, 0) do
+    if is_map_key(assigns(target), key), do: target, else: assign(target, key, fun.())
+  end
+
+  defp assigns(%__MODULE__{assigns: assigns}), do: assigns
+  defp assigns(assigns), do: assigns
+
+  @doc "Changes an assign by a function."
+  @spec update(t() | map(), atom(), (term() -> term())) :: t() | map()
+  def update(target, key, fun), do: assign(target, key, fun.(Map.fetch!(assigns(target), key)))
+
+  @doc "Sends an event with a JSON-able map to the hooks that listen (`this.handleEvent(name, ...)`)."
+  @spec push_event(t(), String.t(), map()) :: t()
+  def push_event(%__MODULE__{events: events} = socket, name, %{} = payload) do
+    # A browser that takes nothing for long must not fill the memory: the oldest go.
+    %{socket | events: Enum.take([[name, payload] | events], @max_events)}
+  end
+
+  @doc "Changes the address without leaving the view: `to:` a path; `replace: true` leaves no history entry."
+  @spec push_patch(t(), keyword()) :: t()
+  def push_patch(socket, opts), do: navigation(socket, :live_patch, opts)
+
+  @doc "Goes to another view on the same connection."
+  @spec push_navigate(t(), keyword()) :: t()
+  def push_navigate(socket, opts), do: navigation(socket, :live_redirect, opts)
+
+  @doc "Loads another page: `to:` a path, or `external:` a URL."
+  @spec redirect(t(), keyword()) :: t()
+  def redirect(%__MODULE__{} = socket, to: to),
+    do: %{socket | navigation: {:redirect, %{"to" => local!(to)}}}
+
+  def redirect(%__MODULE__{} = socket, external: url),
+    do: %{socket | navigation: {:redirect, %{"to" => url}}}
+
+  defp navigation(%__MODULE__{} = socket, kind, opts) do
+    to = opts |> Keyword.fetch!(:to) |> local!()
+    how = if opts[:replace], do: "replace", else: "push"
+    %{socket | navigation: {kind, %{"to" => to, "kind" => how}}}
+  end
+
+  defp local!("//" <> _ = to), do: raise(ArgumentError, "to: takes a path, got: #{inspect(to)}")
+  defp local!("/" <> _ = to), do: to
+  defp local!(to), do: raise(ArgumentError, "to: takes a path, got: #{inspect(to)}")
+
+  @doc "A note for the user, read as `@flash[\"info\"]`; gone with the next navigation."
+  @spec put_flash(t(), atom(), String.t()) :: t()
+  def put_flash(socket, kind, text),
+    do: update(socket, :flash, &Map.put(&1, Atom.to_string(kind), text))
+
+  @doc "Removes the notes, or the note of one kind."
+  @spec clear_flash(t()) :: t()
+  def clear_flash(socket), do: assign(socket, :flash, %{})
+
+  @spec clear_flash(t(), atom()) :: t()
+  def clear_flash(socket, kind), do: update(socket, :flash, &Map.delete(&1, Atom.to_string(kind)))
+
+  @doc "Whether a browser is connected; false in the first, dead render of a page. Subscribe only then."
+  @spec connected?(t()) :: boolean()
+  def connected?(%__MODULE__{connected?: connected?}), do: connected?
+
+  @doc "What the page's script gave as `params` of its `LiveSocket`; `%{}` in the dead render."
+  @spec get_connect_params(t()) :: map()
+  def get_connect_params(%__MODULE__{parameters: parameters}), do: parameters
+
+  @doc "Starts or extends a `Situ.Live.Stream`; options `at:`, `limit:`, `reset:`, `dom_id:`."
+  @spec stream(t(), atom(), Enumerable.t(), keyword()) :: t()
+  def stream(socket, name, items, opts \\ []) do
+    case socket.assigns[:streams] do
+      %{^name => stream} ->
+        stream = if opts[:reset], do: %{Stream.clear(stream) | reset?: true}, else: stream
+        put_stream(socket, name, Enum.reduce(items, stream, &Stream.insert(&2, &1, opts)))
+
+      _ ->
+        put_stream(socket, name, Stream.new(name, items, opts))
+    end
+  end
+
+  @doc "Inserts one item into a stream, or updates its row; options `at:` (default -1, the end), `limit:`."
+  @spec stream_insert(t(), atom(), term(), keyword()) :: t()
+  def stream_insert(socket, name, item, opts \\ []),
+    do: put_stream(socket, name, Stream.insert(stream!(socket, name), item, opts))
+
+  @doc "Deletes an item from a stream."
+  @spec stream_delete(t(), atom(), term()) :: t()
+  def stream_delete(socket, name, item) do
+    stream = stream!(socket, name)
+    put_stream(socket, name, Stream.delete(stream, stream.dom_id.(item)))
+  end
+
+  @doc "Deletes the row of this id from a stream."
+  @spec stream_delete_by_dom_id(t(), atom(), String.t()) :: t()
+  def stream_delete_by_dom_id(socket, name, dom_id),
+    do: put_stream(socket, name, Stream.delete(stream!(socket, name), dom_id))
+
+  defp stream!(socket, name) do
+    case socket.assigns do
+      %{streams: %{^name => stream}} -> stream
+      _ -> raise ArgumentError, "no stream #{inspect(name)}: start it with stream/3 in mount/3"
+    end
+  end
+
+  defp put_stream(socket, name, stream) do
+    streams = Map.get(socket.assigns, :streams, %{})
+    assign(socket, :streams, Map.put(streams, name, stream))
+  end
+
+  @doc false
+  # After a message is sent: what it carried is forgotten.
+  def __sent__(%__MODULE__{assigns: assigns} = socket) do
+    assigns =
+      case assigns do
+        %{streams: streams} ->
+          %{assigns | streams: Map.new(streams, fn {k, s} -> {k, Stream.clear(s)} end)}
+
+        _ ->
+          assigns
+      end
+
+    %{socket | assigns: %{assigns | __changed__: %{}}, events: [], reply: nil, navigation: nil}
+  end
+end

@@ -1,0 +1,38 @@
+defmodule Situ.Live.Template do
+  @moduledoc """
+  `~H`: HTML with Elixir in it, compiled; the part of Phoenix's HEEx that views need.
+
+    * `{expression}` in text and `name={expression}` in tags: always escaped
+    * `class={["a", @on && "b"]}`; `nil` and `false` leave an attribute out, `true` writes its name; `{map}` spreads
+    * `:if={...}`, `:for={x <- @xs}`, `:key={x.id}` on any tag, component or slot
+    * `<.card title="x">`, `<Other.card>` call function components; `<:name :let={x}>` are their slots
+    * `phx-no-curly-interpolation` on a tag turns braces inside it into text, as they are in `<script>` and `<style>`
+    * `<%= expression %>` as `{expression}`; `<%!-- --%>` is left out; blocks (`<% if ... do %>`) are refused
+
+  A tag that is not closed, or closed by another name, is a compile error with file, line and column. Only assigns that
+  changed are evaluated anew: read them as `@name`.
+  """
+  alias Situ.Live.Template.{Compiler, Parser}
+
+  @doc "Compiles the template; an `assigns` variable must be in scope."
+  defmacro sigil_H({:<<>>, meta, [source]}, _modifiers) do
+    unless Macro.Env.has_var?(__CALLER__, {:assigns, nil}),
+      do: raise(ArgumentError, "~H needs a variable named assigns, as in def render(assigns)")
+
+    heredoc? = meta[:indentation] != nil
+
+    position = %{
+      file: __CALLER__.file,
+      line: meta[:line] + if(heredoc?, do: 1, else: 0),
+      column: if(heredoc?, do: meta[:indentation] + 1, else: (meta[:column] || 1) + 3),
+      indentation: meta[:indentation] || 0
+    }
+
+    rendered = source |> Parser.parse(position) |> Compiler.compile(Macro.Env.vars(__CALLER__))
+
+    quote do
+      _ = var!(assigns)
+      unquote(rendered)
+    end
+  end
+end

@@ -1,0 +1,333 @@
+defmodule Situ.Live.Template.Compiler do
+  @moduledoc false
+  # Nodes -> Elixir code that builds a %Rendered{}. Pieces of a template are gathered as texts and values, in order.
+  #
+  # At the top level a value is guarded by the assigns that it reads: when none of them changed it is `:unchanged`. Inside
+  # (loops, branches, slots) all values are made, and the differ drops the equal ones: so a mistake here costs time only.
+  alias Situ.Live.{Comprehension, Html, Rendered}
+  alias Situ.Live.Template.{Parser, Runtime}
+
+  # A value that reads a variable of the function around the template is always made: nobody tells when that changes.
+
+  @spec compile([tuple()], [{atom(), atom()}]) :: Macro.t()
+  def compile(nodes, variables), do: rendered(nodes, {:top, variables})
+
+  defp rendered(nodes, level) do
+    {static, values} = nodes |> trim() |> pieces() |> join([""], [])
+
+    {vars, binds} =
+      values
+      |> Enum.with_index()
+      |> Enum.map(fn {ast, i} ->
+        var = Macro.var(:"v#{i}", __MODULE__)
+        {var, quote(do: unquote(var) = unquote(value(ast, level)))}
+      end)
+      |> Enum.unzip()
+
+    quote do
+      unquote_splicing(binds)
+
+      %Rendered{
+        static: unquote(static),
+        dynamic: unquote(vars),
+        fingerprint: unquote(fingerprint(static, values)),
+        root?: unquote(root?(nodes))
+      }
+    end
+  end
+
+  defp fingerprint(static, values) do
+    :erlang.phash2({static, Macro.to_string(values)}, 4_294_967_296)
+  end
+
+  # White space at the ends is the heredoc's, not the author's.
+  defp trim(nodes) do
+    nodes
+    |> trim_first(&String.trim_leading/1)
+    |> Enum.reverse()
+    |> trim_first(&String.trim_trailing/1)
+    |> Enum.reverse()
+  end
+
+  defp trim_first([{:text, text} | rest], trim) do
+    case trim.(text) do
+      "" -> trim_first(rest, trim)
+      text -> [{:text, text} | rest]
+    end
+  end
+
+  defp trim_first(nodes, _), do: nodes
+
+  defp root?(nodes) do
+    case trim(nodes) do
+      [{:element, <<c, _::binary>>, attributes, _, _}] when c in ?a..?z ->
+        not Enum.any?(attributes, &match?({special, _} when special in [":if", ":for"], &1))
+
+      _ ->
+        false
+    end
+  end
+
+  # -- values
+
+  defp value(ast, level) do
+    made = quote(do: unquote(Html).escape(unquote(assigns(ast))))
+
+    case reads(ast, level) do
+      :all ->
+        made
+
+      names ->
+        quote do
+          if unquote(Runtime).changed?(var!(assigns), unquote(names)),
+            do: unquote(made),
+            else: :unchanged
+        end
+    end
+  end
+
+  # The names read as @name, or :all when assigns itself is touched. Templates nested in the value are already code, so
+  # the assigns they read are found too.
+  defp reads(_, :inner), do: :all
+
+  defp reads(ast, {:top, variables}) do
+    {_, names} =
+      Macro.prewalk(ast, [], fn
+        {:@, _, [{name, _, context}]} = node, acc when is_atom(name) and is_atom(context) ->
+          {node, add(name, acc)}
+
+        {{:., _, [Runtime, :fetch!]}, _, [_assigns, name]}, acc ->
+          {nil, add(name, acc)}
+
+        {:sigil_H, _, _}, _ ->
+          {nil, :all}
+
+        {name, _, context} = node, acc when is_atom(name) and is_atom(context) ->
+          {node, if({name, context} in variables, do: :all, else: acc)}
+
+        node, acc ->
+          {node, acc}
+      end)
+
+    if is_list(names), do: names |> Enum.uniq() |> Enum.sort(), else: :all
+  end
+
+  defp add(_, :all), do: :all
+  defp add(name, names), do: [name | names]
+
+  defp assigns(ast) do
+    Macro.prewalk(ast, fn
+      {:@, meta, [{name, _, context}]} when is_atom(name) and is_atom(context) ->
+        quote line: meta[:line] || 0 do
+          unquote(Runtime).fetch!(var!(assigns), unquote(name))
+        end
+
+      node ->
+        node
+    end)
+  end
+
+  # -- pieces: {:text, text} and {:value, ast}
+
+  defp pieces(nodes), do: Enum.flat_map(nodes, &piece/1)
+
+  defp piece({:text, text}), do: [{:text, text}]
+  defp piece({:expr, ast}), do: [{:value, ast}]
+
+  defp piece({:element, name, attributes, children, at}) do
+    {special, rest} = Enum.split_with(attributes, &match?({":" <> _, _}, &1))
+    special = Map.new(special)
+    check_special(special, name, at)
+
+    case special do
+      %{":for" => {:expr, generator}} ->
+        inner = attributes |> List.keydelete(":for", 0) |> List.keydelete(":key", 0)
+        inner = List.keydelete(inner, ":if", 0)
+        [{:value, loop(generator, special, {:element, name, inner, children, at}, at)}]
+
+      %{":if" => {:expr, condition}} ->
+        inner = {:element, name, List.keydelete(attributes, ":if", 0), children, at}
+        body = rendered([inner], :inner)
+        [{:value, quote(line: at.line, do: if(unquote(condition), do: unquote(body)))}]
+
+      _ ->
+        element(name, rest, special, children, at)
+    end
+  end
+
+  defp check_special(special, name, at) do
+    for {key, value} <- special do
+      unless key in [":if", ":for", ":key", ":let"],
+        do: Parser.error(at, "#{key} on <#{name}>: known are :if, :for, :key and :let")
+
+      unless match?({:expr, _}, value), do: Parser.error(at, "#{key} on <#{name}> takes braces")
+    end
+
+    if special[":key"] && !special[":for"],
+      do: Parser.error(at, ":key on <#{name}> without :for")
+  end
+
+  # `:for` with `:if` is a filter.
+  defp loop(generator, special, element, at) do
+    {static, values} = [element] |> pieces() |> join([""], [])
+    fingerprint = fingerprint(static, values)
+    entry = Enum.map(values, &value(&1, :inner))
+    key = with {:expr, key} <- special[":key"], do: key
+    filter = with {:expr, condition} <- special[":if"], do: condition
+    {pattern, enumerable} = generator(generator, at)
+
+    filters = if filter, do: [filter], else: []
+    clauses = [{:<-, [line: at.line], [pattern, Macro.var(:entries, __MODULE__)]} | filters]
+    entries = {:for, [line: at.line], clauses ++ [[do: {:{}, [], [key, entry]}]]}
+    entries = Macro.prewalk(entries, &two_tuple/1)
+
+    quote do
+      unquote(Runtime).comprehension(
+        unquote(enumerable),
+        fn unquote(Macro.var(:entries, __MODULE__)) -> unquote(entries) end,
+        %Comprehension{static: unquote(static), fingerprint: unquote(fingerprint), entries: []}
+      )
+    end
+  end
+
+  defp two_tuple({:{}, _, [a, b]}), do: {a, b}
+  defp two_tuple(node), do: node
+
+  defp generator({:<-, _, [pattern, enumerable]}, _at), do: {pattern, enumerable}
+  defp generator(_, at), do: Parser.error(at, ":for takes a generator: :for={x <- @xs}")
+
+  defp join([{:text, text} | rest], [last | static], values),
+    do: join(rest, [last <> text | static], values)
+
+  defp join([{:value, ast} | rest], static, values),
+    do: join(rest, ["" | static], [ast | values])
+
+  defp join([], static, values), do: {Enum.reverse(static), Enum.reverse(values)}
+
+  # -- tags and components
+
+  defp element("." <> name, attributes, special, children, at) do
+    fun = {:&, [], [{:/, [], [{String.to_atom(name), [line: at.line], nil}, 1]}]}
+    component(fun, attributes, special, children, at)
+  end
+
+  defp element(<<c, _::binary>> = name, attributes, special, children, at) when c in ?A..?Z do
+    case Code.string_to_quoted(name <> "()", file: at.file, line: at.line) do
+      {:ok, {{:., _, _} = dot, _, []}} ->
+        fun = {:&, [], [{:/, [], [{dot, [no_parens: true, line: at.line], []}, 1]}]}
+        component(fun, attributes, special, children, at)
+
+      _ ->
+        Parser.error(at, "<#{name}> is no call of a component: <Module.function>")
+    end
+  end
+
+  defp element(":" <> name, _, _, _, at),
+    do: Parser.error(at, "the slot <:#{name}> stands directly inside a component only")
+
+  defp element(name, attributes, special, children, at) do
+    if special != %{}, do: Parser.error(at, ":let on <#{name}>: it is for components and slots")
+    open = [{:text, "<" <> name} | Enum.flat_map(attributes, &attribute/1)]
+
+    case children do
+      :void when name in ["script", "style"] -> open ++ [{:text, "></#{name}>"}]
+      :void -> open ++ [{:text, if(Parser.void?(name), do: ">", else: "></#{name}>")}]
+      children -> open ++ [{:text, ">"}] ++ pieces(children) ++ [{:text, "</#{name}>"}]
+    end
+  end
+
+  defp attribute({:spread, ast}),
+    do: [{:value, quote(do: unquote(Html).attributes(unquote(ast)))}]
+
+  defp attribute({name, true}), do: [{:text, " " <> name}]
+  defp attribute({name, text}) when is_binary(text), do: [{:text, " #{name}=\"#{quoted(text)}\""}]
+
+  # These two stay when they are empty: a stylesheet may ask for them, and the diff is shorter.
+  defp attribute({name, {:expr, ast}}) when name in ["class", "style"] do
+    value = quote(do: unquote(Html).attribute_value(unquote(ast)))
+    [{:text, " #{name}=\""}, {:value, value}, {:text, "\""}]
+  end
+
+  defp attribute({name, {:expr, ast}}) do
+    [{:value, quote(do: unquote(Html).attribute_text(unquote(" " <> name), unquote(ast)))}]
+  end
+
+  # Written in single quotes it may hold double ones.
+  defp quoted(text), do: String.replace(text, "\"", "&quot;")
+
+  defp component(fun, attributes, special, children, at) do
+    children = if children == :void, do: [], else: children
+    {slots, inner} = Enum.split_with(children, &match?({:element, ":" <> _, _, _, _}, &1))
+    named = slots |> Enum.group_by(&elem(&1, 1)) |> Enum.map(&slots/1)
+    inner_block = if blank?(inner), do: [], else: [slot("inner_block", special, [], inner)]
+
+    pairs = [inner_block: inner_block] ++ named ++ pairs(attributes)
+    map = {:%{}, [], [{:__changed__, nil} | pairs]}
+
+    map =
+      for {:spread, ast} <- attributes, reduce: map do
+        map -> quote(do: Map.merge(Map.new(unquote(ast)), unquote(map)))
+      end
+
+    [{:value, quote(line: at.line, do: unquote(fun).(unquote(map)))}]
+  end
+
+  defp blank?(nodes) do
+    Enum.all?(nodes, &match?({:text, _}, &1)) and
+      nodes |> Enum.map_join(&elem(&1, 1)) |> String.trim() == ""
+  end
+
+  defp slots({":" <> name, elements}) do
+    lists =
+      for {:element, _, attributes, children, at} <- elements do
+        {special, attributes} = Enum.split_with(attributes, &match?({":" <> _, _}, &1))
+        special = Map.new(special)
+        check_special(special, ":" <> name, at)
+        one = slot(name, special, attributes, if(children == :void, do: [], else: children))
+        repeated(one, special, at)
+      end
+
+    {String.to_atom(name), quote(do: Enum.concat(unquote(lists)))}
+  end
+
+  defp repeated(slot, %{":for" => {:expr, generator}} = special, at) do
+    {pattern, enumerable} = generator(generator, at)
+    clauses = [{:<-, [], [pattern, enumerable]} | filter(special)]
+    {:for, [], clauses ++ [[do: slot]]}
+  end
+
+  defp repeated(slot, %{":if" => {:expr, condition}}, _at),
+    do: quote(do: if(unquote(condition), do: [unquote(slot)], else: []))
+
+  defp repeated(slot, _, _), do: [slot]
+
+  defp filter(%{":if" => {:expr, condition}}), do: [condition]
+  defp filter(_), do: []
+
+  defp slot(name, special, attributes, children) do
+    argument =
+      case special do
+        %{":let" => {:expr, pattern}} -> pattern
+        _ -> Macro.var(:_, nil)
+      end
+
+    body = rendered(children, :inner)
+    fun = {:fn, [], [{:->, [], [[argument], body]}]}
+    pairs = [__slot__: String.to_atom(name), inner_block: fun] ++ pairs(attributes)
+    {:%{}, [], pairs}
+  end
+
+  defp pairs(attributes) do
+    for {name, value} <- attributes, is_binary(name) do
+      {name |> String.replace("-", "_") |> attribute_atom(name), literal(value)}
+    end
+  end
+
+  # Assigns are read as @name; what is meant for the tag (phx-click, data-x) keeps its name.
+  defp attribute_atom(underscored, name) do
+    if name =~ ~r/\A(phx|data|aria)-/, do: String.to_atom(name), else: String.to_atom(underscored)
+  end
+
+  defp literal({:expr, ast}), do: ast
+  defp literal(value), do: value
+end

@@ -1,0 +1,241 @@
+defmodule Situ.Live.Template.Parser do
+  @moduledoc false
+  # Template text -> nodes, by recursive descent.
+  #
+  #   {:text, text} | {:expr, ast} | {:element, name, attributes, children | :void, position}
+  #   attribute: {name, text | true | {:expr, ast}} | {:spread, ast}
+  #
+  # `ctx` carries file, line, column and the indentation that the heredoc has lost.
+
+  @void ~w(area base br col embed hr img input link meta param source track wbr)
+  @space [?\s, ?\n, ?\t, ?\r]
+  @name_end [?/, ?>, ?= | @space]
+
+  @type position :: %{file: String.t(), line: pos_integer(), column: pos_integer()}
+  @type ast_node :: tuple()
+
+  @spec parse(String.t(), map()) :: [ast_node()]
+  def parse(source, position) do
+    {nodes, "", _} = nodes(source, Map.put(position, :curly?, true), nil, [])
+    nodes
+  end
+
+  defp nodes("", ctx, nil, acc), do: {Enum.reverse(acc), "", ctx}
+  defp nodes("", _ctx, {tag, at}, _), do: error(at, "<#{tag}> is not closed")
+
+  defp nodes("<%!--" <> rest, ctx, tag, acc) do
+    {skipped, rest} = upto(rest, "--%>", ctx, "<%!--")
+    nodes(rest, advance(ctx, "<%!--" <> skipped <> "--%>"), tag, acc)
+  end
+
+  defp nodes("<%=" <> rest, ctx, tag, acc) do
+    {code, rest} = upto(rest, "%>", ctx, "<%=")
+    ast = quoted(code, advance(ctx, "<%="))
+    nodes(rest, advance(ctx, "<%=" <> code <> "%>"), tag, [{:expr, ast} | acc])
+  end
+
+  defp nodes("<%" <> _, ctx, _, _),
+    do: error(ctx, "blocks (<% ... %>) are not supported in ~H: use :if, :for or a component")
+
+  defp nodes("<!--" <> rest, ctx, tag, acc) do
+    {comment, rest} = upto(rest, "-->", ctx, "<!--")
+    text = "<!--" <> comment <> "-->"
+    nodes(rest, advance(ctx, text), tag, [{:text, text} | acc])
+  end
+
+  defp nodes("<!" <> rest, ctx, tag, acc) do
+    {declaration, rest} = upto(rest, ">", ctx, "<!")
+    text = "<!" <> declaration <> ">"
+    nodes(rest, advance(ctx, text), tag, [{:text, text} | acc])
+  end
+
+  defp nodes("</" <> rest, ctx, open, acc) do
+    {name, rest} = upto(rest, ">", ctx, "</")
+
+    case {String.trim(name), open} do
+      {name, {name, _}} ->
+        {Enum.reverse(acc), rest, advance(ctx, "</" <> name <> ">")}
+
+      {name, nil} ->
+        error(ctx, "</#{name}> closes nothing")
+
+      {name, {tag, at}} ->
+        error(ctx, "</#{name}> where <#{tag}> of line #{at.line} must be closed")
+    end
+  end
+
+  defp nodes(<<"<", c, _::binary>> = source, ctx, tag, acc)
+       when c in ?a..?z or c in ?A..?Z or c in [?., ?:] do
+    {element, rest, ctx} = element(source, ctx)
+    nodes(rest, ctx, tag, [element | acc])
+  end
+
+  defp nodes("\\{" <> rest, ctx, tag, acc),
+    do: nodes(rest, advance(ctx, "\\{"), tag, [{:text, "{"} | acc])
+
+  defp nodes("{" <> rest, %{curly?: true} = ctx, tag, acc) do
+    {ast, rest, ctx} = braces(rest, advance(ctx, "{"))
+    nodes(rest, ctx, tag, [{:expr, ast} | acc])
+  end
+
+  defp nodes(source, ctx, tag, acc) do
+    stops = if ctx.curly?, do: ["<", "{", "\\{"], else: ["<"]
+    {text, rest} = text(source, stops)
+    nodes(rest, advance(ctx, text), tag, [{:text, text} | acc])
+  end
+
+  # At least one character, so that a lone `<` is text.
+  defp text(source, stops) do
+    scope = {1, byte_size(source) - 1}
+
+    case :binary.match(source, stops, scope: scope) do
+      {at, _} -> {binary_part(source, 0, at), binary_part(source, at, byte_size(source) - at)}
+      :nomatch -> {source, ""}
+    end
+  end
+
+  defp element("<" <> source, ctx) do
+    {name, rest} = take_name(source)
+    {attributes, how, rest, inner} = attributes(rest, advance(ctx, "<" <> name), ctx, [])
+
+    {no_curly, attributes} =
+      Enum.split_with(attributes, &match?({"phx-no-curly-interpolation", _}, &1))
+
+    inner = if no_curly == [], do: inner, else: %{inner | curly?: false}
+    at = Map.take(ctx, [:file, :line, :column])
+
+    cond do
+      how == :closed or name in @void ->
+        {{:element, name, attributes, :void, at}, rest, %{inner | curly?: ctx.curly?}}
+
+      name in ["script", "style"] ->
+        {raw, rest} = upto(rest, "</#{name}>", ctx, "<#{name}>")
+        inner = advance(inner, raw <> "</#{name}>")
+        {{:element, name, attributes, [{:text, raw}], at}, rest, %{inner | curly?: ctx.curly?}}
+
+      true ->
+        {children, rest, inner} = nodes(rest, inner, {name, ctx}, [])
+        {{:element, name, attributes, children, at}, rest, %{inner | curly?: ctx.curly?}}
+    end
+  end
+
+  defp attributes(source, ctx, tag_at, acc) do
+    {space, source} = take_space(source)
+    ctx = advance(ctx, space)
+
+    case source do
+      "/>" <> rest ->
+        {Enum.reverse(acc), :closed, rest, advance(ctx, "/>")}
+
+      ">" <> rest ->
+        {Enum.reverse(acc), :open, rest, advance(ctx, ">")}
+
+      "{" <> rest ->
+        {ast, rest, ctx} = braces(rest, advance(ctx, "{"))
+        attributes(rest, ctx, tag_at, [{:spread, ast} | acc])
+
+      "" ->
+        error(tag_at, "this tag has no >")
+
+      _ ->
+        {attribute, rest, ctx} = attribute(source, ctx)
+        attributes(rest, ctx, tag_at, [attribute | acc])
+    end
+  end
+
+  defp attribute(source, ctx) do
+    {name, rest} = take_name(source)
+    if name == "", do: error(ctx, "an attribute's name is expected here")
+    ctx = advance(ctx, name)
+
+    case rest do
+      "={" <> rest ->
+        {ast, rest, ctx} = braces(rest, advance(ctx, "={"))
+        {{name, {:expr, ast}}, rest, ctx}
+
+      <<"=", quote, rest::binary>> when quote in [?", ?'] ->
+        {value, rest} = upto(rest, <<quote>>, ctx, <<quote>>)
+        {{name, value}, rest, advance(ctx, <<"=", quote, value::binary, quote>>)}
+
+      "=" <> _ ->
+        error(ctx, "the value of #{name} must be in quotes or braces")
+
+      _ ->
+        {{name, true}, rest, ctx}
+    end
+  end
+
+  # The expression ends at the first `}` up to which the text is valid Elixir.
+  defp braces(source, ctx, from \\ 0) do
+    case :binary.match(source, "}", scope: {from, byte_size(source) - from}) do
+      :nomatch ->
+        quoted(source |> String.split("\n") |> hd(), ctx)
+        error(ctx, "{ is not closed")
+
+      {at, 1} ->
+        code = binary_part(source, 0, at)
+
+        case Code.string_to_quoted(code, options(ctx)) do
+          {:ok, ast} ->
+            rest = binary_part(source, at + 1, byte_size(source) - at - 1)
+            {ast, rest, advance(ctx, code <> "}")}
+
+          {:error, _} ->
+            braces(source, ctx, at + 1)
+        end
+    end
+  end
+
+  defp quoted(code, ctx), do: Code.string_to_quoted!(code, options(ctx))
+
+  defp options(ctx) do
+    [file: ctx.file, line: ctx.line, column: ctx.column, columns: true, emit_warnings: false]
+  end
+
+  defp take_name(source), do: take(source, 0, &(&1 not in @name_end))
+  defp take_space(source), do: take(source, 0, &(&1 in @space))
+
+  defp take(source, n, wanted?) do
+    case source do
+      <<_::binary-size(n), c, _::binary>> ->
+        if wanted?.(c), do: take(source, n + 1, wanted?), else: split(source, n)
+
+      _ ->
+        {source, ""}
+    end
+  end
+
+  defp split(source, n) do
+    <<left::binary-size(n), right::binary>> = source
+    {left, right}
+  end
+
+  defp upto(source, stop, ctx, start) do
+    case :binary.split(source, stop) do
+      [left, right] -> {left, right}
+      [_] -> error(ctx, "#{start} has no #{stop}")
+    end
+  end
+
+  defp advance(ctx, text) do
+    case :binary.matches(text, "\n") do
+      [] ->
+        %{ctx | column: ctx.column + String.length(text)}
+
+      lines ->
+        {last, 1} = List.last(lines)
+        tail = binary_part(text, last + 1, byte_size(text) - last - 1)
+        column = ctx.indentation + String.length(tail) + 1
+        %{ctx | line: ctx.line + length(lines), column: column}
+    end
+  end
+
+  @doc false
+  @spec error(position(), String.t()) :: no_return()
+  def error(at, what) do
+    raise SyntaxError, file: at.file, line: at.line, column: at.column, description: what
+  end
+
+  @doc false
+  def void?(name), do: name in @void
+end

@@ -1,0 +1,30 @@
+defmodule Situ.Live.Template.Runtime do
+  @moduledoc false
+  # What compiled templates call.
+  alias Situ.Live.{Comprehension, Stream}
+
+  @doc "Whether a value that reads these assigns must be made anew."
+  def changed?(%{__changed__: %{} = changed}, names),
+    do: Enum.any?(names, &is_map_key(changed, &1))
+
+  def changed?(_, _), do: true
+
+  def fetch!(assigns, name) do
+    case assigns do
+      %{^name => value} ->
+        value
+
+      _ ->
+        known = assigns |> Map.keys() |> Enum.reject(&(&1 in [:__changed__, :flash]))
+        raise KeyError, message: "no assign @#{name}; there are #{inspect(known)}"
+    end
+  end
+
+  def comprehension(%Stream{} = stream, entries, %Comprehension{} = comprehension) do
+    %{comprehension | entries: entries.(Stream.inserts(stream)), stream: Stream.wire(stream)}
+  end
+
+  def comprehension(enumerable, entries, %Comprehension{} = comprehension) do
+    %{comprehension | entries: entries.(enumerable)}
+  end
+end

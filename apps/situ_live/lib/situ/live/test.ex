@@ -1,0 +1,244 @@
+defmodule Situ.Live.Test do
+  @moduledoc """
+  Tests of views without a browser and without a server: mount, look, click, type, assert.
+
+      page = Situ.Live.Test.mount(Counter, params: %{"from" => "1"})
+      assert Situ.Live.Test.text(page, "#inc") == "0"
+      Situ.Live.Test.click(page, "#inc")
+      assert Situ.Live.Test.text(page, "#inc") == "1"
+
+  The view runs in a process of its own as behind a browser, and what it sends is merged as a browser merges it. After
+  each function the view has handled all that came before, so nothing waits or sleeps. Selectors: `tag`, `#id`, `.class`,
+  `[name=value]`, and descendants.
+  """
+  alias Situ.Live.{Endpoint, Query, Route}
+  alias Situ.Live.Test.{Browser, Dom}
+
+  defstruct [:browser, :view]
+
+  @type t :: %__MODULE__{browser: pid(), view: pid()}
+
+  @doc """
+  Mounts a view as a connected browser does. Options: `path:` (default `"/"`; its query becomes params), `params:`,
+  `session:`, `action:`, `routes:` (more live routes, for patches), `connect_params:`.
+
+  Raises with the reason when the view does not mount; `{:error, {:redirect, to}}` when it sends the browser elsewhere.
+  """
+  @spec mount(module(), keyword()) :: t() | {:error, {atom(), String.t()}}
+  def mount(view, opts \\ []) do
+    path = Keyword.get(opts, :path, "/")
+    own = {:live, URI.parse(path).path, view, action: opts[:action]}
+    routes = Route.compile([own | Keyword.get(opts, :routes, [])])
+
+    config = %Endpoint{
+      ref: make_ref(),
+      routes: routes,
+      secret: "",
+      ip: {127, 0, 0, 1},
+      port: 0,
+      scheme: "http",
+      flow: %{interval_ms: 0}
+    }
+
+    uri = "http://localhost" <> path
+    {:ok, route, params} = Situ.Live.Page.find(config, uri)
+
+    join = %{
+      config: config,
+      id: "phx-test",
+      topic: "lv:phx-test",
+      join_ref: "join",
+      ref: "join",
+      uri: uri,
+      session: Keyword.get(opts, :session, %{}),
+      route: route,
+      params: Map.merge(params, Keyword.get(opts, :params, %{})),
+      parameters: Keyword.get(opts, :connect_params, %{"situ_flow" => "1"})
+    }
+
+    {:ok, browser} = Browser.start_link(join)
+    joined(GenServer.call(browser, :joined), browser)
+  end
+
+  defp joined(:ok, browser) do
+    {view, _} = GenServer.call(browser, :view)
+    %__MODULE__{browser: browser, view: view}
+  end
+
+  defp joined({:error, %{"redirect" => %{"to" => to}}}, _), do: {:error, {:redirect, to}}
+
+  defp joined({:error, %{"live_redirect" => %{"to" => to}}}, _),
+    do: {:error, {:live_redirect, to}}
+
+  defp joined({:error, reason}, _), do: raise("the view did not mount: #{inspect(reason)}")
+
+  @doc "The HTML that the browser shows now."
+  @spec render(t()) :: String.t()
+  def render(%__MODULE__{} = page) do
+    settle(page)
+    GenServer.call(page.browser, :html)
+  end
+
+  # Once for what was in its mailbox, once for the acknowledgement that its diff brought.
+  defp settle(page) do
+    for _ <- 1..3, Process.alive?(page.view) do
+      :sys.get_state(page.view)
+      GenServer.call(page.browser, :title)
+    end
+
+    :ok
+  catch
+    :exit, _ -> :ok
+  end
+
+  @doc "The texts of the elements that a selector finds, put together and trimmed; raises when there is none."
+  @spec text(t(), String.t()) :: String.t()
+  def text(page, selector), do: page |> find!(selector) |> Dom.text() |> String.trim()
+
+  @doc "Whether a selector finds anything."
+  @spec has?(t(), String.t()) :: boolean()
+  def has?(page, selector), do: all(page, selector) != []
+
+  @doc "How many elements a selector finds."
+  @spec count(t(), String.t()) :: non_neg_integer()
+  def count(page, selector), do: page |> all(selector) |> length()
+
+  @doc "An attribute of the first element that a selector finds, or `nil`."
+  @spec attribute(t(), String.t(), String.t()) :: String.t() | nil
+  def attribute(page, selector, name) do
+    [{_, attributes, _} | _] = find!(page, selector)
+    attributes[name]
+  end
+
+  defp all(page, selector), do: page |> render() |> Dom.parse() |> Dom.all(selector)
+
+  defp find!(page, selector) do
+    case all(page, selector) do
+      [] -> raise ArgumentError, "nothing fits #{inspect(selector)} in\n" <> render(page)
+      found -> found
+    end
+  end
+
+  @doc """
+  Clicks the first element that a selector finds: its `phx-click` (or its link), with its `phx-value-*`. Returns what the view
+  answered: `:ok`, `{:ok, reply}` of a `{:reply, ...}`, or `{:error, reason}` when it died.
+  """
+  @spec click(t(), String.t(), map()) :: :ok | {:ok, map()} | {:error, term()}
+  def click(page, selector, value \\ %{}) do
+    [{_, attributes, _} | _] = find!(page, selector)
+
+    case attributes do
+      %{"disabled" => _} -> raise ArgumentError, "#{selector} is disabled"
+      %{"phx-click" => "[" <> _ = json} -> commands(page, json, values(attributes, value))
+      %{"phx-click" => event} -> event(page, event, values(attributes, value), "click")
+      %{"data-phx-link" => "patch", "href" => to} -> patch(page, to)
+      %{"data-phx-link" => "redirect", "href" => to} -> {:ok, %{"live_redirect" => to}}
+      _ -> raise ArgumentError, "#{selector} has no phx-click"
+    end
+  end
+
+  defp commands(page, json, value) do
+    {:ok, commands} = Situ.Live.Json.decode(json)
+
+    for ["push", %{"event" => event} = args] <- commands, reduce: :ok do
+      _ -> event(page, event, Map.merge(value, args["value"] || %{}), "click")
+    end
+  end
+
+  defp values(attributes, value) do
+    own = for {"phx-value-" <> name, text} <- attributes, into: %{}, do: {name, text}
+    own = if attributes["value"], do: Map.put(own, "value", attributes["value"]), else: own
+    Map.merge(own, value)
+  end
+
+  @doc "Changes fields of a form (nested maps of strings): its `phx-change`. `target:` is the path of the field."
+  @spec change(t(), String.t(), map(), keyword()) :: :ok | {:ok, map()} | {:error, term()}
+  def change(page, selector, fields, opts \\ []),
+    do: form(page, selector, "phx-change", fields, %{"_target" => opts[:target] || []})
+
+  @doc "Submits a form: its `phx-submit`."
+  @spec submit(t(), String.t(), map()) :: :ok | {:ok, map()} | {:error, term()}
+  def submit(page, selector, fields), do: form(page, selector, "phx-submit", fields, %{})
+
+  defp form(page, selector, kind, fields, meta) do
+    event = attribute(page, selector, kind) || raise(ArgumentError, "#{selector} has no #{kind}")
+
+    push(page, "event", %{
+      "type" => "form",
+      "event" => event,
+      "value" => Query.encode(fields),
+      "meta" => meta
+    })
+  end
+
+  @doc "An event as a hook or a key sends it."
+  @spec event(t(), String.t(), map(), String.t()) :: :ok | {:ok, map()} | {:error, term()}
+  def event(page, name, value \\ %{}, type \\ "hook"),
+    do: push(page, "event", %{"type" => type, "event" => name, "value" => json(value)})
+
+  # What is not JSON would not come from a browser.
+  defp json(value) do
+    {:ok, value} = value |> Situ.Live.Json.encode() |> Situ.Live.Json.decode()
+    value
+  end
+
+  @doc "Goes to an address within the view, as a patch link or the history does."
+  @spec patch(t(), String.t()) :: :ok | {:ok, map()} | {:error, term()}
+  def patch(page, to), do: push(page, "live_patch", %{"url" => "http://localhost" <> to})
+
+  @doc "A raw message, for what a browser would not send."
+  @spec push(t(), String.t(), term()) :: :ok | {:ok, map()} | {:error, term()}
+  def push(page, event, payload) do
+    case GenServer.call(page.browser, {:push, event, payload}) do
+      {:ok, reply} when reply == %{} -> settle(page)
+      result -> settled(page, result)
+    end
+  end
+
+  defp settled(page, result) do
+    settle(page)
+    result
+  end
+
+  @doc "Sends the view's process a message (`handle_info/2`)."
+  @spec info(t(), term()) :: :ok
+  def info(page, message) do
+    send(page.view, message)
+    settle(page)
+  end
+
+  @doc "The payloads of the `push_event`s of this name since last asked, oldest first."
+  @spec pushed(t(), String.t()) :: [map()]
+  def pushed(page, name) do
+    settle(page)
+    GenServer.call(page.browser, {:events, name})
+  end
+
+  @doc "Where the view sent the browser: `{:live_patch | :live_redirect | :redirect, path}`, oldest first."
+  @spec visits(t()) :: [{atom(), String.t()}]
+  def visits(page) do
+    settle(page)
+    GenServer.call(page.browser, :visits)
+  end
+
+  @doc "The page's title."
+  @spec title(t()) :: String.t() | nil
+  def title(page) do
+    settle(page)
+    GenServer.call(page.browser, :title)
+  end
+
+  @doc "Whether the view's process lives."
+  @spec alive?(t()) :: boolean()
+  def alive?(page), do: Process.alive?(page.view)
+
+  @doc "The HTML of a component, given its assigns."
+  @spec component((map() -> term()), Enumerable.t()) :: String.t()
+  def component(fun, assigns \\ %{}) do
+    %{__changed__: nil, inner_block: []}
+    |> Map.merge(Map.new(assigns))
+    |> fun.()
+    |> Situ.Live.Html.escape()
+    |> Situ.Live.Html.to_html()
+  end
+end

@@ -1,0 +1,124 @@
+defmodule Situ.Live.Test.Browser do
+  @moduledoc false
+  # Stands where the connection stands: takes what the view sends, keeps the page, acknowledges.
+  use GenServer
+  alias Situ.Live.{Json, ViewServer}
+  alias Situ.Live.Test.Tree
+
+  defstruct [:view, :topic, :join, tree: %{}, rows: %{}, events: [], visits: [], title: nil] ++
+              [ref: 1, waiting: %{}, down: nil]
+
+  def start_link(join), do: GenServer.start_link(__MODULE__, join)
+
+  @impl true
+  def init(join) do
+    {:ok, view} = GenServer.start(ViewServer, Map.put(join, :transport, self()))
+    Process.monitor(view)
+    {:ok, %__MODULE__{view: view, topic: join.topic}}
+  end
+
+  @impl true
+  def handle_call(:joined, from, %{join: nil} = state),
+    do: {:noreply, %{state | waiting: Map.put(state.waiting, "join", from)}}
+
+  def handle_call(:joined, _from, state), do: {:reply, state.join, state}
+
+  def handle_call({:push, event, payload}, from, state) do
+    ref = Integer.to_string(state.ref)
+    send(state.view, {:situ_live, ref, event, payload})
+    {:noreply, %{state | ref: state.ref + 1, waiting: Map.put(state.waiting, ref, from)}}
+  end
+
+  def handle_call(:html, _from, state), do: {:reply, Tree.html(state.tree, state.rows), state}
+  def handle_call(:view, _from, state), do: {:reply, {state.view, state.down}, state}
+  def handle_call(:title, _from, state), do: {:reply, state.title, state}
+  def handle_call(:visits, _from, state), do: {:reply, Enum.reverse(state.visits), state}
+
+  def handle_call({:events, name}, _from, state) do
+    {mine, others} = Enum.split_with(Enum.reverse(state.events), &match?([^name | _], &1))
+
+    {:reply, Enum.map(mine, fn [_, payload | _] -> payload end),
+     %{state | events: Enum.reverse(others)}}
+  end
+
+  @impl true
+  def handle_info({:situ_live, _topic, _ref, text}, state) do
+    {:ok, [_join_ref, ref, _, event, payload]} = Json.decode(text)
+    {:noreply, message(event, ref, payload, state)}
+  end
+
+  def handle_info({:DOWN, _, _, _, reason}, state) do
+    for {_, from} <- state.waiting, do: GenServer.reply(from, {:error, {:view_down, reason}})
+
+    {:noreply,
+     %{state | down: reason, waiting: %{}, join: state.join || {:error, {:view_down, reason}}}}
+  end
+
+  defp message("phx_reply", "join", %{"status" => status, "response" => response}, state) do
+    result = if status == "ok", do: :ok, else: {:error, response}
+    state = state |> apply_diff(response["rendered"] || %{}) |> Map.put(:join, result)
+    answer(state, "join", result)
+  end
+
+  defp message("phx_reply", ref, %{"status" => status, "response" => response}, state) do
+    diff = response["diff"] || %{}
+    state = apply_diff(state, diff)
+    answer(state, ref, {:"#{status}", diff["r"] || Map.delete(response, "diff")})
+  end
+
+  defp message("diff", _, diff, state), do: apply_diff(state, diff)
+
+  defp message(kind, _, %{"to" => to}, state),
+    do: %{state | visits: [{String.to_existing_atom(kind), to} | state.visits]}
+
+  defp answer(state, ref, result) do
+    {from, waiting} = Map.pop(state.waiting, ref)
+    if from, do: GenServer.reply(from, result)
+    %{state | waiting: waiting}
+  end
+
+  defp apply_diff(state, diff) when diff == %{}, do: state
+
+  defp apply_diff(state, diff) do
+    {acks, events} = diff |> Map.get("e", []) |> Enum.split_with(&match?(["situ:ack" | _], &1))
+    payload = %{"event" => "situ:ack", "type" => "hook", "value" => %{}}
+    for _ <- acks, do: send(state.view, {:situ_live, "ack", "event", payload})
+    tree = Tree.merge(state.tree, diff)
+    rows = Enum.reduce(Tree.streams(tree), state.rows, &stream/2)
+
+    %{
+      state
+      | tree: Tree.drained(tree),
+        rows: rows,
+        events: Enum.reverse(events) ++ state.events,
+        title: diff["t"] || state.title
+    }
+  end
+
+  # Rows of a stream live in the page only.
+  defp stream({[ref, inserts, deletes | reset], htmls}, rows) do
+    kept = if reset == [true], do: [], else: Map.get(rows, ref, [])
+    kept = Enum.reject(kept, fn {id, _} -> id in deletes end)
+
+    kept =
+      inserts
+      |> Enum.zip(htmls)
+      |> Enum.reduce(kept, fn {[id, at, limit, _], html}, kept ->
+        insert(kept, {id, html}, at, limit)
+      end)
+
+    Map.put(rows, ref, kept)
+  end
+
+  defp insert(rows, {id, _} = row, at, limit) do
+    rows =
+      if List.keymember?(rows, id, 0),
+        do: List.keyreplace(rows, id, 0, row),
+        else: List.insert_at(rows, at, row)
+
+    case limit do
+      nil -> rows
+      n -> Enum.take(rows, n)
+    end
+  end
+end

@@ -1,0 +1,204 @@
+defmodule Situ.Live.Yaws do
+  @moduledoc false
+  # The only place that knows Yaws: one embedded instance per VM, to which servers (a port each) are added and removed.
+  # Requests come in through `Situ.Live.Yaws.Dispatch`, WebSockets through `Situ.Live.Yaws.WebSocket`.
+  use Supervisor
+
+  require Logger
+  alias Situ.Live.Error
+
+  @compile {:no_warn_undefined, [:yaws, :yaws_api, :yaws_sup, :yaws_config, :yaws_log]}
+
+  # An idle keep-alive connection, and the wait for each line of a request's head, end after this time.
+  @idle_ms 15_000
+  @send_timeout_ms 15_000
+  @max_connections 2_000
+
+  @spec start_link(term()) :: Supervisor.on_start()
+  def start_link(_), do: Supervisor.start_link(__MODULE__, [], name: __MODULE__)
+
+  @impl true
+  def init(_) do
+    case load() do
+      :ok ->
+        :logger.add_primary_filter(__MODULE__, {&__MODULE__.quiet/2, []})
+        configure = %{id: :configure, start: {__MODULE__, :configure, []}}
+        specs = :yaws_sup.child_specs() ++ [configure]
+        {:ok, {%{strategy: :one_for_all, intensity: 10, period: 60}, specs}}
+
+      {:error, error} ->
+        Logger.warning(Exception.message(error))
+        Supervisor.init([], strategy: :one_for_one)
+    end
+  end
+
+  @doc false
+  def configure do
+    settings = [
+      keepalive_timeout: @idle_ms,
+      max_connections: @max_connections,
+      logdir: String.to_charlist(System.tmp_dir!()),
+      flags: [copy_errlog: false, fail_on_bind_err: false]
+    ]
+
+    without_generated_code(fn ->
+      :ok = :yaws_api.setconf(:yaws.create_gconf(settings, ~c"situ"), [])
+    end)
+
+    :ignore
+  end
+
+  # Yaws would write a module to a file of a known name in the common temporary folder, compile and load it, where others
+  # of the machine may have put theirs. It is given a folder of its own in which it cannot write that file, and then uses
+  # the module it has.
+  defp without_generated_code(fun) do
+    name = "situ-" <> Base.url_encode64(:crypto.strong_rand_bytes(12), padding: false)
+    home = Path.join(System.tmp_dir!(), name)
+    before = System.get_env("YAWSHOME")
+    File.mkdir_p!(Path.join(home, ".yaws/yaws/situ/yaws_dynopts.erl"))
+    System.put_env("YAWSHOME", home)
+
+    try do
+      fun.()
+    after
+      if before, do: System.put_env("YAWSHOME", before), else: System.delete_env("YAWSHOME")
+      File.rm_rf!(home)
+    end
+  end
+
+  # What Yaws says about listening and stopping is for its own operators, and what it says about rude clients (a line for
+  # each) would let them fill the log. Its own failures pass.
+  @doc false
+  def quiet(%{level: level} = event, _) do
+    cond do
+      __MODULE__ not in Process.get(:"$ancestors", []) -> :ignore
+      level in [:info, :notice] -> :stop
+      rude_client?(event) -> :stop
+      true -> :ignore
+    end
+  end
+
+  # ("Cannot write" is of `without_generated_code/1`.)
+  @rude ["Unhandled reply", "Invalid", "Expected origin", "Unsupported", "No key", "Unmasked"] ++
+          ["Payload length", "Abnormal Closure", "get_client_data", "Cannot write"]
+
+  defp rude_client?(%{msg: {:report, %{label: {:error_logger, _}, format: format}}}),
+    do: String.starts_with?(to_string(format), @rude)
+
+  defp rude_client?(_), do: false
+
+  @doc "Listens. `ref` is handed to the dispatcher with every request."
+  @spec add(term(), :inet.ip_address(), :inet.port_number(), keyword()) ::
+          {:ok, term()} | {:error, Error.t()}
+  def add(ref, ip, port, tls) do
+    options =
+      [
+        port: port,
+        listen: ip,
+        servername: ~c"situ-#{port}",
+        opaque: ref,
+        dispatchmod: Situ.Live.Yaws.Dispatch,
+        flags: [access_log: false, auth_log: false],
+        soptions: [
+          listen_opts: [
+            backlog: 1024,
+            nodelay: true,
+            send_timeout: @send_timeout_ms,
+            send_timeout_close: true
+          ]
+        ]
+      ] ++ tls_options(tls)
+
+    with :ok <- load(),
+         sconf = :yaws.create_sconf(String.to_charlist(System.tmp_dir!()), options),
+         :ok <- check_free(ip, port) do
+      case :gen_server.call(:yaws_server, {:add_sconf, -1, sconf}, 90_000) do
+        {:ok, ^sconf} -> {:error, port_error(port, :eaddrinuse)}
+        {:ok, added} -> {:ok, added}
+        {:error, reason} -> {:error, port_error(port, reason)}
+      end
+    end
+  end
+
+  @doc "Closes a port. Yaws takes a second for it, and up to a minute while requests are being answered."
+  @spec remove(term()) :: :ok
+  def remove(sconf) do
+    :gen_server.call(:yaws_server, {:delete_sconf, sconf}, 90_000)
+    :ok
+  catch
+    :exit, _ -> :ok
+  end
+
+  # Yaws makes a port that it already serves a virtual host of the same port, and a port 0 one port for all: so look first.
+  defp check_free(ip, port) do
+    options =
+      [:binary, ip: ip, reuseaddr: true] ++ if(tuple_size(ip) == 8, do: [:inet6], else: [])
+
+    case :gen_tcp.listen(port, options) do
+      {:ok, socket} -> :gen_tcp.close(socket)
+      {:error, reason} -> {:error, port_error(port, reason)}
+    end
+  end
+
+  @doc "A port that is free now."
+  @spec free_port(:inet.ip_address()) :: {:ok, :inet.port_number()} | {:error, Error.t()}
+  def free_port(ip) do
+    options = [ip: ip] ++ if(tuple_size(ip) == 8, do: [:inet6], else: [])
+
+    with {:ok, socket} <- :gen_tcp.listen(0, options),
+         {:ok, port} <- :inet.port(socket) do
+      :gen_tcp.close(socket)
+      {:ok, port}
+    else
+      {:error, reason} -> {:error, port_error(0, reason)}
+    end
+  end
+
+  defp port_error(port, :eaddrinuse) do
+    Error.new(:port_in_use, "port #{port} is in use", fix: "stop what uses it, or choose another")
+  end
+
+  defp port_error(port, reason) do
+    Error.new(:cannot_listen, "cannot listen on port #{port}: #{inspect(reason)}")
+  end
+
+  defp tls_options(nil), do: []
+
+  defp tls_options(tls) do
+    [ssl: [{:certfile, to_charlist(tls[:certfile])}, {:keyfile, to_charlist(tls[:keyfile])}]]
+  end
+
+  defp load do
+    case Application.load(:yaws) do
+      :ok -> embedded()
+      {:error, {:already_loaded, :yaws}} -> embedded()
+      {:error, _} -> find()
+    end
+  end
+
+  # As in mix.exs, for a VM that was not started by Mix or from a release.
+  defp find do
+    erlang = to_string(:code.lib_dir())
+
+    [erlang, Path.dirname(erlang), erlang |> Path.dirname() |> Path.dirname()]
+    |> Enum.flat_map(&Path.wildcard(Path.join(&1, "yaws{,-*}/ebin")))
+    |> Enum.max(fn -> nil end)
+    |> case do
+      nil ->
+        {:error,
+         Error.new(:no_web_server, "the web server Yaws is not installed",
+           fix: "install the package erlang-yaws, or set ERL_LIBS to the folder that holds it"
+         )}
+
+      ebin ->
+        Code.append_path(ebin)
+        :ok = Application.load(:yaws)
+        embedded()
+    end
+  end
+
+  defp embedded do
+    Application.put_env(:yaws, :embedded, true)
+    Application.put_env(:yaws, :id, "situ")
+  end
+end

@@ -1,0 +1,108 @@
+defmodule Situ.Live.Yaws.WebSocket do
+  @moduledoc false
+  # Yaws's callbacks in the process of one WebSocket, turned into those of `Situ.Live.SocketHandler`.
+  require Logger
+  alias Situ.Live.Connections
+
+  @compile {:no_warn_undefined, [:yaws_websockets]}
+
+  defstruct [:handler, :arg, :request, :ref, :seen, :state, open?: false]
+
+  # The handler itself starts in handle_open: before that nothing may be sent.
+  def init([_arg, {{handler, arg, _opts, request}, ref}]) do
+    {:ok,
+     %__MODULE__{
+       handler: handler,
+       arg: arg,
+       request: request,
+       ref: ref,
+       seen: Connections.register(ref)
+     }}
+  end
+
+  def handle_open(wire, %__MODULE__{} = socket) do
+    case guard(socket, fn -> socket.handler.init(socket.request, socket.arg) end) do
+      {:ok, state} -> {:ok, opened(socket, state)}
+      {:push, frames, state} -> push_first(wire, frames, opened(socket, state))
+      {:error, reason} when is_binary(reason) -> {:error, {1008, reason}}
+      _ -> {:error, {1011, "internal error"}}
+    end
+  end
+
+  defp opened(socket, state), do: %{socket | state: state, open?: true, request: nil, arg: nil}
+
+  defp push_first(wire, frames, socket) do
+    Enum.each(frames(frames), &:yaws_websockets.send(wire, &1))
+    {:ok, socket}
+  end
+
+  def handle_message({opcode, data}, %__MODULE__{} = socket) when opcode in [:text, :binary] do
+    Connections.touch(socket.seen)
+
+    socket
+    |> guard(fn -> socket.handler.handle_in({data, opcode: opcode}, socket.state) end)
+    |> result(socket)
+  end
+
+  def handle_message({:close, status, _reason}, socket) do
+    {:close, if(status in 1000..1003 or status in 3000..4999, do: status, else: :normal), socket}
+  end
+
+  def handle_info(message, %__MODULE__{} = socket) do
+    cond do
+      not socket.open? ->
+        {:noreply, socket}
+
+      function_exported?(socket.handler, :handle_info, 2) ->
+        socket
+        |> guard(fn -> socket.handler.handle_info(message, socket.state) end)
+        |> result(socket)
+
+      true ->
+        {:noreply, socket}
+    end
+  end
+
+  def terminate(reason, %__MODULE__{open?: true} = socket) do
+    if function_exported?(socket.handler, :terminate, 2),
+      do: guard(socket, fn -> socket.handler.terminate(reason, socket.state) end)
+  end
+
+  def terminate(_, _), do: :ok
+
+  defp result({:ok, state}, socket), do: {:noreply, %{socket | state: state}}
+
+  defp result({:push, frames, state}, socket),
+    do: {:reply, frames(frames), %{socket | state: state}}
+
+  defp result({:stop, :normal, state}, socket), do: {:close, :normal, %{socket | state: state}}
+
+  defp result({:stop, {code, reason}, state}, socket) when is_integer(code) and is_binary(reason),
+    do: {:close, {code, reason}, %{socket | state: state}}
+
+  defp result({:stop, _, state}, socket),
+    do: {:close, {1011, "internal error"}, %{socket | state: state}}
+
+  defp result(:raised, socket), do: {:close, {1011, "internal error"}, socket}
+
+  defp result(other, socket) do
+    Logger.error("#{inspect(socket.handler)} returned #{inspect(other, limit: 5)}")
+    {:close, {1011, "internal error"}, socket}
+  end
+
+  defp frames(frames) when is_list(frames), do: Enum.map(frames, &frame/1)
+  defp frames(frame), do: [frame(frame)]
+
+  # Yaws wants one binary per frame.
+  defp frame({opcode, data}) when opcode in [:text, :binary],
+    do: {opcode, IO.iodata_to_binary(data)}
+
+  # Raised here it would be reported by the process together with its state, cookies and tokens included.
+  defp guard(_socket, fun) do
+    fun.()
+  catch
+    kind, reason ->
+      Logger.error(Exception.format(kind, reason, __STACKTRACE__))
+      :raised
+  end
+end

@@ -1,0 +1,32 @@
+defmodule Situ.Live.BrowserTest do
+  # The stock JavaScript clients in Chromium against the demo view.
+  use ExUnit.Case, async: false
+  alias Situ.Live.{Demo, NodeTools}
+
+  @moduletag :browser
+  @moduletag timeout: 120_000
+
+  test "the stock clients drive a view: events, forms, lists, streams, navigation, crash, frames" do
+    bundle = NodeTools.bundle!()
+
+    routes = [
+      {:live, "/", Demo.Main, session: %{"user" => "ann"}},
+      {:live, "/other", Demo.Other},
+      {:socket, "/live/data", Situ.Live.DataSocket, {Demo.Frames, nil}},
+      {:static, "/", bundle}
+    ]
+
+    server = start_supervised!({Situ.Live, port: 0, routes: routes})
+    url = String.trim_trailing(Situ.Live.url(server), "/")
+
+    {output, status} =
+      ExUnit.CaptureLog.with_log(fn ->
+        NodeTools.run("test/browser.mjs", [url], env: [{"CHROMIUM", NodeTools.chromium()}])
+      end)
+      |> elem(0)
+
+    assert status == 0, output
+    refute output =~ "FAIL"
+    assert output =~ "ok   binary frames by credits"
+  end
+end

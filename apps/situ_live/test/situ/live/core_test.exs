@@ -1,0 +1,156 @@
+defmodule Situ.Live.CoreTest do
+  # The pure parts: flow of diffs, credits, tokens, queries, routes.
+  use ExUnit.Case, async: true
+  alias Situ.Live.{Flow, Json, Query, Request, Route, Token}
+  alias Situ.Live.DataSocket.Channel
+
+  describe "Flow" do
+    test "one diff is under way until it is acknowledged or given up" do
+      flow = Flow.new(ack?: true)
+      assert Flow.check(flow, 0) == :now
+      flow = Flow.sent(flow, 0)
+      assert Flow.check(flow, 100) == {:wait, 4_900}
+      assert Flow.check(flow, 5_000) == :now
+      assert Flow.check(Flow.acknowledged(flow), 10) == {:wait, 23}
+      assert Flow.check(Flow.acknowledged(flow), 33) == :now
+    end
+
+    test "a page that does not acknowledge is held to the interval" do
+      flow = Flow.sent(Flow.new(ack?: false), 0)
+      assert Flow.check(flow, 10) == {:wait, 23}
+      assert Flow.check(flow, 33) == :now
+    end
+  end
+
+  describe "DataSocket.Channel" do
+    defp numbers(frames), do: for({:binary, [_, n]} <- frames, do: n)
+
+    test "never sends more than it was given, and keeps the newest" do
+      property =
+        :proper.forall(
+          {:proper_types.integer(1, 5),
+           :proper_types.list(:proper_types.oneof([:push, :proper_types.integer(1, 3)]))},
+          fn {limit, steps} ->
+            start = {Channel.new(1, 0, queue: limit), 0, [], 0}
+
+            {channel, granted, sent, pushed} =
+              Enum.reduce(steps, start, fn
+                :push, {channel, granted, sent, n} ->
+                  {frames, channel} = Channel.push(channel, %{kind: 1, data: n})
+                  {channel, granted, sent ++ numbers(frames), n + 1}
+
+                k, {channel, granted, sent, n} ->
+                  {frames, channel} = Channel.grant(channel, k)
+                  {channel, granted + k, sent ++ numbers(frames), n}
+              end)
+
+            waiting = channel.waiting |> :queue.to_list() |> Enum.map(& &1.data)
+
+            length(sent) <= granted and sent == Enum.sort(sent) and length(waiting) <= limit and
+              waiting == Enum.take(Enum.to_list(0..(pushed - 1)//1), -length(waiting))
+          end
+        )
+
+      assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true
+    end
+
+    test "what was dropped is counted in the next frame" do
+      channel = Channel.new(9, 0, [])
+      {[], channel} = Channel.push(channel, %{kind: 1, data: "a"})
+      {[], channel} = Channel.push(channel, %{kind: 1, data: "b", time: -5})
+      {[{:binary, io}], _} = Channel.grant(channel, 1)
+
+      assert <<1, 1, 1::little-16, 9::little-32, -5::little-signed-64, "b">> =
+               IO.iodata_to_binary(io)
+    end
+  end
+
+  describe "Token" do
+    test "no change of a token verifies" do
+      token = Token.sign("secret", "salt", %{"a" => 1})
+      assert {:ok, %{"a" => 1}} = Token.verify("secret", "salt", token, 60)
+
+      for at <- 0..(byte_size(token) - 1) do
+        <<left::binary-size(at), c, right::binary>> = token
+        changed = left <> <<Bitwise.bxor(c, 1)>> <> right
+        assert {:error, :bad_token} = Token.verify("secret", "salt", changed, 60)
+      end
+    end
+
+    test "another salt, an old one, and what is no token" do
+      token = Token.sign("secret", "salt", 1, 1_000)
+      assert {:error, :bad_token} = Token.verify("secret", "other", token, 60, 1_000)
+      assert {:ok, 1} = Token.verify("secret", "salt", token, 60, 1_060)
+      assert {:error, :expired} = Token.verify("secret", "salt", token, 60, 1_061)
+
+      for bad <- [nil, "", ".", "a.b", 7, %{}, String.duplicate("x", 10_000)],
+          do: assert({:error, :bad_token} = Token.verify("secret", "salt", bad, 60, 1_000))
+    end
+  end
+
+  describe "Query" do
+    test "decodes what it encodes, and any text without raising" do
+      key = :proper_types.elements(["a", "b c", "é"])
+      leaf = :proper_types.elements(["", "x y", "&=%", "[é]"])
+      list = :proper_types.non_empty(:proper_types.list(leaf))
+      inner = :proper_types.list({key, :proper_types.oneof([leaf, list])})
+      outer = :proper_types.list({key, :proper_types.oneof([leaf, inner])})
+
+      round_trip =
+        :proper.forall(outer, fn pairs ->
+          map =
+            for {k, v} <- pairs, into: %{} do
+              {k, if(match?([{_, _} | _], v), do: Map.new(v), else: v)}
+            end
+
+          map = Map.reject(map, fn {_, v} -> v == [] end)
+          Query.parse(Query.encode(map)) == {:ok, map}
+        end)
+
+      assert :proper.quickcheck(round_trip, [:quiet, numtests: 300]) == true
+
+      any =
+        :proper.forall(:proper_types.binary(), fn bytes ->
+          match?({_, _}, Query.parse(bytes)) and match?({_, _}, Json.decode(bytes))
+        end)
+
+      assert :proper.quickcheck(any, [:quiet, numtests: 500]) == true
+    end
+
+    test "bounds fields and depth" do
+      assert {:error, :bad_query} = Query.parse(String.duplicate("a=1&", 1_001))
+      assert {:error, :bad_query} = Query.parse("a" <> String.duplicate("[b]", 20) <> "=1")
+    end
+  end
+
+  describe "Route and Request" do
+    test "what a request can do to a path ends before the routes" do
+      for path <- ["/a/../b", "/%2e%2e/x", "/a%2fb", "/a%00", "/%ff", "a", "/a%5cb", "/a%0d%0ab"] do
+        assert {:error, :bad_request} = Request.new("GET", path, %{})
+      end
+
+      assert {:ok, %{segments: ["é", "a b"]}} = Request.new("GET", "/%C3%A9//a%20b?x=1", %{})
+    end
+
+    test "the method decides among routes of a path" do
+      handler = &Function.identity/1
+      routes = Route.compile([{:get, "/a", handler}, {:post, "/a", handler}])
+
+      assert {:ok, %{methods: ["POST"]}, _} =
+               Route.find(routes, %Request{method: "POST", segments: ["a"]})
+
+      assert {:ok, %{methods: ["GET"]}, _} =
+               Route.find(routes, %Request{method: "HEAD", segments: ["a"]})
+
+      assert {:error, {:method, ["GET", "POST"]}} =
+               Route.find(routes, %Request{method: "PUT", segments: ["a"]})
+
+      assert {:error, :not_found} = Route.find(routes, %Request{segments: ["b"]})
+    end
+
+    test "what is no route raises" do
+      for bad <- [:x, {:get, "a", &Function.identity/1}, {:get, "/a", :x}, {:live, "/", Enum}],
+          do: assert_raise(ArgumentError, fn -> Route.compile([bad]) end)
+    end
+  end
+end

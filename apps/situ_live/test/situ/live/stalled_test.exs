@@ -1,0 +1,47 @@
+defmodule Situ.Live.StalledTest do
+  # Clients that begin and do not go on. The waits are real: the server's own limits are what is tested.
+  use ExUnit.Case, async: true
+  alias Situ.Live.{Raw, Response}
+
+  @moduletag timeout: 60_000
+
+  setup_all do
+    handler = fn request -> Response.text(request.body) end
+    {:ok, server} = Situ.Live.start_link(port: 0, body_ms: 300, routes: [{:any, "/", handler}])
+    {:ok, port: Situ.Live.port(server)}
+  end
+
+  test "300 requests whose head does not end hold up nobody, and are closed after 15 s", %{
+    port: port
+  } do
+    stalled =
+      for _ <- 1..300 do
+        socket = Raw.connect(port)
+        :ok = :gen_tcp.send(socket, "GET / HTTP/1.1\r\nhost: local")
+        socket
+      end
+
+    assert {200, _, ""} = Raw.get(port, "/")
+    for socket <- stalled, do: assert({:error, :closed} = :gen_tcp.recv(socket, 0, 25_000))
+  end
+
+  test "a body that trickles is given up after its time, however often a byte comes", %{
+    port: port
+  } do
+    socket = Raw.connect(port)
+    :ok = :gen_tcp.send(socket, Raw.head("POST", "/", port, [{"content-length", "1000"}]))
+    assert {408, %{"connection" => "close"}, _} = trickle(socket)
+  end
+
+  defp trickle(socket) do
+    :gen_tcp.send(socket, "x")
+
+    case :gen_tcp.recv(socket, 0, 50) do
+      {:error, :timeout} ->
+        trickle(socket)
+
+      {:ok, "HTTP/1.1 408" <> _ = head} ->
+        {408, %{"connection" => if(head =~ "connection: close", do: "close")}, ""}
+    end
+  end
+end
