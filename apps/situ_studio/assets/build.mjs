@@ -1,0 +1,26 @@
+// Bundles the page's script and style into priv/static. `npm run build`; `npm run watch` rebuilds on change.
+import * as esbuild from "esbuild";
+import { mkdirSync, copyFileSync } from "node:fs";
+
+const out = new URL("../priv/static/", import.meta.url).pathname;
+mkdirSync(out, { recursive: true });
+
+const options = {
+  entryPoints: [{ in: "js/app.js", out: "studio" }, { in: "css/studio.css", out: "studio" }],
+  bundle: true,
+  alias: { situ_live: new URL("../../situ_live/assets/js/situ_live.js", import.meta.url).pathname },
+  format: "iife",
+  target: ["chrome110", "firefox115", "safari16"],
+  minify: !process.argv.includes("--watch"),
+  legalComments: "linked",
+  logLevel: "warning",
+  outdir: out,
+};
+for (const f of ["favicon.svg", "theme.js"]) copyFileSync(new URL("css/" + f, import.meta.url).pathname, out + f);
+
+if (process.argv.includes("--watch")) {
+  const context = await esbuild.context(options);
+  await context.watch();
+} else {
+  await esbuild.build(options);
+}

@@ -1,0 +1,189 @@
+// Joins the LiveView page with the drawing code: one hook per kind of element.
+
+import { Socket } from "phoenix";
+import { LiveSocket } from "phoenix_live_view";
+import { SituFlow, connectParams } from "situ_live";
+import { Studio } from "./studio.js";
+import { Navigator } from "./navigator.js";
+import { PlotPanel } from "./plot_panel.js";
+import { LanesPanel } from "./lanes_panel.js";
+import { ImageCell } from "./image_cell.js";
+import { ValueCell } from "./value_cell.js";
+import { ChartCell, TextCell } from "./chart_cell.js";
+import { Palette } from "./palette.js";
+import { hooks as extraHooks } from "./hooks.js";
+
+const KINDS = {
+  plot: PlotPanel, lanes: LanesPanel, image: ImageCell, value: ValueCell, bars: ChartCell, text: TextCell,
+};
+
+let studio = null;
+
+function page() {
+  if (studio) return studio;
+  const root = document.getElementById("studio");
+  const d = root.dataset;
+  const ws = location.protocol === "https:" ? "wss:" : "ws:";
+  const q = `source=${encodeURIComponent(d.source)}`;
+  studio = new Studio(root, {
+    dataUrl: `${ws}//${location.host}${d.base}/data/socket?${q}`,
+    pcmUrl: `${d.base}/data/pcm?${q}`,
+    stepUrl: `${d.base}/data/step?${q}`,
+    layout: d.layout,
+    edit: d.edit,
+  });
+  studio.palette = new Palette(studio);
+  window.situStudio = studio;
+  return studio;
+}
+
+const hooks = {
+  Studio: {
+    mounted() {
+      const app = page();
+      app.options.push = (event, payload) => this.pushEvent(event, payload);
+      this.handleEvent("snap", ({ stream }) => app.snapTo(stream));
+      this.handleEvent("toast", ({ text }) => app.toast(text));
+      this.handleEvent("zoom_to", ({ from, to }) => {
+        app.time.dispatch({ type: "view", from: app.client.rel(BigInt(from)), to: app.client.rel(BigInt(to)) });
+      });
+      this.updated();
+    },
+    updated() {
+      page().setLayout(this.el.dataset.layout, this.el.dataset.edit);
+    },
+    disconnected() {
+      const { layout, edit } = page().options;
+      this.kept ??= { layout, edit };
+    },
+    // the server's process is a new one: it gets back the layout this page shows
+    reconnected() {
+      const kept = this.kept;
+      this.kept = null;
+      if (kept && (kept.edit || kept.layout !== this.el.dataset.layout)) this.pushEvent("restore", kept);
+    },
+    destroyed() {
+      studio?.destroy();
+      studio = null;
+    },
+  },
+
+  Navigator: {
+    mounted() {
+      const app = page();
+      this.view = new Navigator(this.el, app);
+      this.view.navigator = true;
+      app.add(this.view, { timeline: true, gestures: false });
+    },
+    destroyed() {
+      page().remove(this.view);
+    },
+  },
+
+  Panel: {
+    mounted() {
+      const app = page();
+      const Kind = KINDS[this.el.dataset.kind];
+      if (!Kind) return;
+      this.view = new Kind(this.el, app, JSON.parse(this.el.dataset.config));
+      const timeline = this.el.dataset.kind === "plot" || this.el.dataset.kind === "lanes";
+      app.add(this.view, { timeline });
+      this.config = this.el.dataset.config;
+    },
+    updated() {
+      if (!this.view || this.config === this.el.dataset.config) return;
+      this.config = this.el.dataset.config;
+      this.view.configure(JSON.parse(this.config));
+    },
+    destroyed() {
+      if (this.view) page().remove(this.view);
+    },
+  },
+
+  // The lower edge of a row: drag it, or move it with the arrow keys.
+  Resize: {
+    mounted() {
+      const row = this.el.parentElement;
+      const done = () => this.pushEvent("resize_row", { id: row.dataset.row, height: Math.round(row.offsetHeight) });
+      this.el.addEventListener("pointerdown", (e) => {
+        e.preventDefault();
+        this.el.setPointerCapture(e.pointerId);
+        const start = e.clientY, height = row.offsetHeight;
+        const move = (m) => (row.style.height = `${Math.max(32, height + m.clientY - start)}px`);
+        const up = () => {
+          this.el.removeEventListener("pointermove", move);
+          done();
+        };
+        this.el.addEventListener("pointermove", move);
+        this.el.addEventListener("pointerup", up, { once: true });
+      });
+      this.el.addEventListener("keydown", (e) => {
+        const by = { ArrowDown: 10, ArrowUp: -10 }[e.key];
+        if (!by) return;
+        e.preventDefault();
+        e.stopPropagation();
+        row.style.height = `${Math.max(32, row.offsetHeight + by)}px`;
+        done();
+      });
+    },
+  },
+
+  // The tree: arrow keys walk it, Enter adds, rows can be dragged onto panels.
+  Tree: {
+    mounted() {
+      this.el.addEventListener("keydown", (e) => {
+        const rows = [...this.el.querySelectorAll(".node")];
+        const i = rows.indexOf(document.activeElement);
+        const go = (k) => rows[Math.min(Math.max(k, 0), rows.length - 1)]?.focus();
+        if (e.key === "ArrowDown") go(i + 1);
+        else if (e.key === "ArrowUp") go(i - 1);
+        else if (e.key === "Enter" && i >= 0) rows[i].querySelector(".add")?.click();
+        else if ((e.key === "ArrowRight" || e.key === "ArrowLeft" || e.key === " ") && i >= 0) {
+          const wanted = e.key === "ArrowRight" ? "false" : e.key === "ArrowLeft" ? "true" : null;
+          const fold = rows[i].querySelector(".fold");
+          if (fold && (!wanted || rows[i].getAttribute("aria-expanded") === wanted)) fold.click();
+          else if (e.key === " ") rows[i].querySelector(".name")?.click();
+        } else return;
+        e.preventDefault();
+        e.stopPropagation();
+      });
+      this.el.addEventListener("dragstart", (e) => {
+        const row = e.target.closest(".node[data-stream]");
+        if (row) e.dataTransfer.setData("application/x-situ-stream", row.dataset.stream);
+      });
+      this.el.addEventListener("dblclick", (e) => e.target.closest(".node")?.querySelector(".add")?.click());
+    },
+  },
+
+  Drop: {
+    mounted() {
+      const over = (e) => {
+        if (!e.dataTransfer.types.includes("application/x-situ-stream")) return;
+        e.preventDefault();
+        this.mark(e.target.closest("[data-panel]"));
+      };
+      this.el.addEventListener("dragover", over);
+      this.el.addEventListener("dragleave", (e) => e.target === this.el && this.mark(null));
+      this.el.addEventListener("drop", (e) => {
+        const stream = e.dataTransfer.getData("application/x-situ-stream");
+        const panel = e.target.closest("[data-panel]")?.dataset.panel ?? "";
+        this.mark(null);
+        if (!stream) return;
+        e.preventDefault();
+        this.pushEvent("add_stream", { stream, panel });
+      });
+    },
+    mark(panel) {
+      if (this.marked === panel) return;
+      this.marked?.classList.remove("drop");
+      this.marked = panel;
+      panel?.classList.add("drop");
+    },
+  },
+  ...extraHooks,
+};
+
+const liveSocket = new LiveSocket("/live", Socket, { params: connectParams, hooks: { SituFlow, ...hooks } });
+liveSocket.disableDebug();
+liveSocket.connect();
+window.liveSocket = liveSocket;

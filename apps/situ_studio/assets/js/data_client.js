@@ -1,0 +1,280 @@
+// The page's one data socket. At most one request is in flight: a slow page asks less often, and the server never
+// sends what was not asked for. A request gathers what every open channel wants now; cursor moves in between coalesce.
+
+import { decode, KIND } from "./wire.js";
+import { want } from "./window.js";
+import { Series } from "./series.js";
+
+const RETRY = [100, 250, 500, 1000, 2000, 5000];
+const IDLE_POLL = 1000;
+const LIVE_PERIOD = 33;
+// The server closes a socket from which nothing comes for 90 s.
+const KEEP_ALIVE = 30000;
+
+export class DataClient {
+  // connect() -> a WebSocket-like object; time: the time store; onStatus(name), onReply(reply)
+  constructor({ connect, time, onStatus = () => {}, onReply = () => {} }) {
+    Object.assign(this, { connect, time, onStatus, onReply });
+    this.channels = new Map();
+    this.nextChannel = 1;
+    this.request = 0;
+    this.inflight = null;
+    this.origin = null;
+    this.attempts = 0;
+    this.snap = null;
+    this.closed = false;
+    this.stats = { requests: 0, bytes: 0, roundTrip: 0 };
+    this.sentCursor = null;
+  }
+
+  start() {
+    if (this.closed) return;
+    const ws = this.connect();
+    ws.binaryType = "arraybuffer";
+    this.ws = ws;
+    ws.onopen = () => {
+      this.attempts = 0;
+      this.inflight = null;
+      for (const c of this.channels.values()) c.reopen();
+      this.onStatus("open");
+      this.pump();
+    };
+    ws.onmessage = (e) => this.receive(e.data);
+    ws.onclose = () => {
+      if (this.ws !== ws || this.closed) return;
+      this.inflight = null;
+      this.onStatus("closed");
+      const wait = RETRY[Math.min(this.attempts++, RETRY.length - 1)];
+      this.retry = setTimeout(() => this.start(), wait);
+    };
+  }
+
+  stop() {
+    this.closed = true;
+    clearTimeout(this.retry);
+    clearTimeout(this.timer);
+    this.ws?.close();
+  }
+
+  // spec: {stream, draw, path?, ...} as the server's table of visualizers names it
+  open(spec, accept, options = {}) {
+    const id = this.nextChannel++;
+    const channel = options.instant
+      ? new InstantChannel(id, spec, accept)
+      : new IntervalChannel(id, spec, accept, options);
+    this.channels.set(id, channel);
+    this.pump();
+    return channel;
+  }
+
+  close(channel) {
+    if (!channel || !this.channels.delete(channel.id)) return;
+    this.gone = [...(this.gone ?? []), channel.id];
+    this.pump();
+  }
+
+  setSnap(stream) {
+    this.snap = stream;
+    this.pump(true);
+  }
+
+  // Sends one request when none is in flight and something is wanted. Called on every change; cheap when idle.
+  pump(force = false) {
+    if (this.inflight || this.ws?.readyState !== 1) {
+      this.again = this.again || force;
+      return;
+    }
+    const s = this.time.get();
+    const live = s.mode === "live";
+    if (live && this.early()) return;
+    const message = { open: [], close: this.gone ?? [], series: [], instant: [] };
+    const first = this.origin === null;
+    for (const c of this.channels.values()) {
+      if (!c.opened) {
+        message.open.push([c.id, c.spec]);
+        c.opened = true;
+      }
+      if (!first) c.gather(message, s, this.origin, live);
+    }
+    const wanted = message.open.length || message.close.length || message.series.length || message.instant.length;
+    if (!wanted && !force && !this.again && !first) return;
+    this.gone = [];
+    this.again = false;
+    message.req = ++this.request;
+    message.live = live;
+    if (!first) message.at = this.abs(s.cursor);
+    if (this.snap && !live && s.mode !== "play") message.snap = this.snap;
+    this.sentAt = performance.now();
+    this.inflight = { message, sent: this.sentAt, cursor: s.cursor };
+    this.ws.send(JSON.stringify(message));
+    this.stats.requests++;
+  }
+
+  abs(t) {
+    return (this.origin + BigInt(Math.round(t))).toString();
+  }
+
+  rel(ns) {
+    return Number(ns - this.origin);
+  }
+
+  receive(buffer) {
+    const asked = this.inflight;
+    let reply;
+    try {
+      reply = decode(buffer);
+    } catch (error) {
+      this.inflight = null;
+      this.onStatus("broken");
+      console.error(error);
+      return;
+    }
+    this.stats.bytes += buffer.byteLength;
+    if (asked) this.stats.roundTrip = performance.now() - asked.sent;
+    const first = this.origin === null;
+    if (first) this.origin = reply.from;
+    reply.first = first;
+    reply.asked = asked;
+    reply.cursor = this.rel(reply.time);
+    this.onReply(reply);
+    this.time.dispatch({ type: "data", from: this.rel(reply.from), to: this.rel(reply.to) });
+    for (const f of reply.frames) this.deliver(f);
+    // Only now: what was asked for must have arrived before the next request says what is missing.
+    this.inflight = null;
+    this.schedule(reply.live);
+    this.pump(first);
+  }
+
+  // What one channel cannot take must not keep the others waiting.
+  deliver(f) {
+    try {
+      this.channels.get(f.channel)?.receive(f, this);
+    } catch (error) {
+      console.error(error);
+    }
+  }
+
+  // Live, requests keep the rate of pictures whatever moves meanwhile; the timer sends the next.
+  early() {
+    const left = LIVE_PERIOD - (performance.now() - this.sentAt);
+    if (!(left > 1)) return false;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.pump(true), left);
+    return true;
+  }
+
+  // While the source grows, ask for its newest extents now and then; in live mode at the picture rate.
+  schedule(growing) {
+    clearTimeout(this.timer);
+    const live = this.time.get().mode === "live";
+    const period = live ? LIVE_PERIOD : growing ? IDLE_POLL : KEEP_ALIVE;
+    const wait = live ? period - (performance.now() - this.sentAt) : period;
+    this.timer = setTimeout(() => this.pump(true), Math.max(wait, 0));
+  }
+}
+
+class Channel {
+  constructor(id, spec, accept) {
+    Object.assign(this, { id, spec, accept, opened: false, error: null });
+  }
+
+  reopen() {
+    this.opened = false;
+  }
+}
+
+export class IntervalChannel extends Channel {
+  constructor(id, spec, accept, { px }) {
+    super(id, spec, accept);
+    this.px = px;
+    this.held = null;
+    this.series = new Series();
+    this.marks = null;
+    this.segments = null;
+    this.version = 0;
+  }
+
+  reopen() {
+    super.reopen();
+    this.held = null;
+    this.asking = null;
+  }
+
+  gather(message, s, origin, live) {
+    const px = this.px();
+    if (px <= 0) return;
+    const w = want(this.held, s.view, px, s.data, live);
+    this.asking = w;
+    if (!w) return;
+    const abs = (t) => (origin + BigInt(Math.round(t))).toString();
+    this.asking.head = s.data[1];
+    message.series.push([this.id, abs(w.from), abs(w.to), w.bin]);
+  }
+
+  receive(f, client) {
+    const w = this.asking;
+    this.asking = null;
+    this.error = f.kind === KIND.error ? f.message : null;
+    if (w && !this.error) {
+      const base = client.rel(f.time);
+      if (f.kind === KIND.series) this.series.put(f, base, w.append ? w.from : -Infinity);
+      else if (f.kind === KIND.marks) this.marks = keepMarks(w.append ? this.marks : null, f, base, w.from);
+      else if (f.kind === KIND.segments) {
+        this.segments = keepSegments(w.append ? this.segments : null, f.value, base, w.from);
+      }
+      if (w.append) this.series.trim(w.from - 4 * (w.to - w.from));
+      const head = client.time.get().data[1];
+      this.held = { from: w.append ? this.held.from : w.from, to: w.to, bin: w.bin, head };
+    } else if (this.error) {
+      this.held = { from: -Infinity, to: Infinity, bin: w?.bin, head: Infinity };
+    }
+    this.version++;
+    this.accept(this);
+  }
+}
+
+function keepMarks(old, f, base, from) {
+  const t = Array.from(f.t, (x) => x + base);
+  const latency = Array.from(f.latency);
+  if (!old) return { t, latency };
+  const keep = old.t.findIndex((x) => x >= from);
+  const n = keep < 0 ? old.t.length : keep;
+  const start = Math.max(0, n - 20000);
+  return { t: old.t.slice(start, n).concat(t), latency: old.latency.slice(start, n).concat(latency) };
+}
+
+// Segments are [start, end, label, class]: offsets in ns; an end of null is open.
+function keepSegments(old, rows, base, from) {
+  const next = rows.map(([a, b, label, cls]) => [a + base, b == null ? Infinity : b + base, label, cls]);
+  if (!old) return next;
+  const first = next.length ? next[0][0] : Infinity;
+  const kept = old.filter(([a]) => a < Math.min(from, first));
+  const last = kept[kept.length - 1];
+  if (last && next.length && last[1] > next[0][0]) last[1] = next[0][0];
+  return kept.slice(-5000).concat(next);
+}
+
+export class InstantChannel extends Channel {
+  constructor(id, spec, accept) {
+    super(id, spec, accept);
+    this.at = null;
+  }
+
+  reopen() {
+    super.reopen();
+    this.at = null;
+  }
+
+  gather(message, s, _origin, live) {
+    if (!live && this.at === s.cursor) return;
+    this.at = s.cursor;
+    message.instant.push(this.id);
+  }
+
+  receive(f, client) {
+    this.error = f.kind === KIND.error ? f.message : null;
+    if (f.kind === KIND.same) return;
+    f.at = client.rel(f.time);
+    this.accept(f, this);
+  }
+}

@@ -1,0 +1,180 @@
+// A timeline panel of rows: booleans, enums, labels and transcripts as segments, messages as marks.
+
+import { GUTTER, FONT, theme, stateColor, seriesColor } from "./theme.js";
+import { ticks } from "./time_text.js";
+import { lowerBound } from "./series.js";
+
+export const ROW = 26;
+
+export class LanesPanel {
+  constructor(el, app, config) {
+    Object.assign(this, { el, app });
+    el.classList.add("lanes");
+    this.canvas = el.appendChild(document.createElement("canvas"));
+    this.names = el.appendChild(document.createElement("div"));
+    this.names.className = "lane-names";
+    this.layers = [];
+    this.configure(config);
+    this.observer = new ResizeObserver(() => this.resize());
+    this.observer.observe(el);
+    this.resize();
+  }
+
+  configure(config) {
+    this.config = config;
+    const old = new Map(this.layers.map((l) => [l.key, l]));
+    this.layers = config.vis.map((vis, index) => {
+      const key = JSON.stringify([vis.draw, vis.stream, vis.path]);
+      const layer = old.get(key) ?? { key, channel: this.open(vis) };
+      old.delete(key);
+      return Object.assign(layer, { vis, index });
+    });
+    for (const l of old.values()) this.app.client.close(l.channel);
+    this.names.textContent = "";
+    for (const l of this.layers) {
+      const name = this.names.appendChild(document.createElement("div"));
+      name.className = "lane-name";
+      name.title = l.vis.name;
+      // cut at the beginning when too long: the end tells lanes apart
+      name.appendChild(document.createElement("bdi")).textContent = l.vis.short ?? l.vis.name;
+    }
+    this.app.schedule(this);
+  }
+
+  open(vis) {
+    const px = () => Math.max(this.el.clientWidth - GUTTER.left - GUTTER.right, 0);
+    const spec = { stream: vis.stream, draw: vis.draw, path: vis.path };
+    return this.app.client.open(spec, () => this.app.schedule(this), { px });
+  }
+
+  resize() {
+    const w = this.el.clientWidth, h = this.el.clientHeight;
+    if (!w || !h) return;
+    this.canvas.width = Math.round(w * devicePixelRatio);
+    this.canvas.height = Math.round(h * devicePixelRatio);
+    this.app.client.pump();
+    this.app.schedule(this);
+  }
+
+  render() {
+    const ctx = this.canvas.getContext("2d");
+    const t = theme();
+    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const view = this.app.time.get().view;
+    const inner = w - GUTTER.left - GUTTER.right;
+    const k = inner / (view[1] - view[0]);
+    const x = (time) => GUTTER.left + (time - view[0]) * k;
+    ctx.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+    ctx.clearRect(0, 0, w, h);
+    ctx.strokeStyle = t.grid;
+    ctx.lineWidth = 1;
+    ctx.beginPath();
+    for (const at of ticks(view, inner).at) {
+      const px = Math.round(x(at)) + 0.5;
+      ctx.moveTo(px, 0);
+      ctx.lineTo(px, h);
+    }
+    ctx.stroke();
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(GUTTER.left, 0, inner, h);
+    ctx.clip();
+    this.layers.forEach((l, i) => {
+      const y = 4 + i * ROW;
+      if (l.channel.error) return this.note(ctx, l.channel.error, y);
+      if (l.vis.draw === "marks") this.marks(ctx, l, x, y, view);
+      else this.segments(ctx, l, x, y, view);
+    });
+    ctx.restore();
+    this.drawn = (this.drawn ?? 0) + 1;
+  }
+
+  note(ctx, text, y) {
+    ctx.font = FONT;
+    ctx.fillStyle = theme().warn;
+    ctx.fillText(text, GUTTER.left + 6, y + 13);
+  }
+
+  segments(ctx, l, x, y, view) {
+    const rows = l.channel.segments;
+    if (!rows) return;
+    const t = theme();
+    const end = this.app.time.get().data[1];
+    const h = ROW - 8;
+    ctx.font = FONT;
+    ctx.textBaseline = "middle";
+    let lastPx = -1;
+    for (const [a, b, label, cls] of rows) {
+      const stop = Math.min(b, Math.max(end, a));
+      if (stop < view[0] || a > view[1]) continue;
+      const left = Math.max(x(a), GUTTER.left - 4);
+      const right = Math.min(x(stop), GUTTER.left + 1e5);
+      const width = Math.max(right - left, 1.5);
+      if (width < 2 && Math.floor(left) === lastPx) continue;
+      lastPx = Math.floor(left);
+      const color = stateColor(label, cls);
+      if (cls === "false") {
+        ctx.fillStyle = color;
+        ctx.globalAlpha = 0.9;
+        ctx.fillRect(left, y + h / 2 - 1, width, 2);
+        ctx.globalAlpha = 1;
+        continue;
+      }
+      ctx.fillStyle = color;
+      ctx.globalAlpha = cls === "text" ? 0.26 : cls === "many" ? 0.35 : 0.85;
+      round(ctx, left, y, width - (width > 4 ? 1 : 0), h, Math.min(3, width / 3));
+      ctx.fill();
+      ctx.globalAlpha = 1;
+      if (cls === "text") {
+        ctx.fillRect(left, y, 2, h);
+      }
+      if (cls !== "true" && width > 18) this.label(ctx, label, left, y, width, h, cls === "text" ? t.text : t.bg);
+    }
+    ctx.textBaseline = "alphabetic";
+  }
+
+  label(ctx, label, left, y, width, h, color) {
+    const from = Math.max(left, GUTTER.left) + 6;
+    const room = left + width - from - 4;
+    if (room < 10) return;
+    let text = label;
+    if (ctx.measureText(text).width > room) {
+      const n = Math.max(1, Math.floor((text.length * room) / ctx.measureText(text).width) - 1);
+      text = text.slice(0, n) + "…";
+    }
+    ctx.fillStyle = color;
+    ctx.fillText(text, from, y + h / 2 + 0.5);
+  }
+
+  marks(ctx, l, x, y, view) {
+    const m = l.channel.marks;
+    if (!m) return;
+    const h = ROW - 8;
+    const color = seriesColor(l.vis.props?.color, l.index);
+    ctx.fillStyle = color;
+    let last = -1;
+    for (let i = lowerBound(m.t, view[0]); i < m.t.length && m.t[i] <= view[1]; i++) {
+      const px = Math.round(x(m.t[i]) * 2) / 2;
+      if (px === last) continue;
+      last = px;
+      ctx.fillRect(px - 0.5, y + 2, 1, h - 4);
+    }
+  }
+
+  cursorMoved() {}
+
+  themeChanged() {
+    this.render();
+  }
+
+  destroy() {
+    this.observer.disconnect();
+    for (const l of this.layers) this.app.client.close(l.channel);
+  }
+}
+
+function round(ctx, x, y, w, h, r) {
+  ctx.beginPath();
+  if (ctx.roundRect) ctx.roundRect(x, y, w, h, r);
+  else ctx.rect(x, y, w, h);
+}

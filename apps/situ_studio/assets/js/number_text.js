@@ -1,0 +1,35 @@
+// Numbers for people: six significant digits, no noise.
+export function number(x, digits = 6) {
+  if (x == null) return "";
+  if (!Number.isFinite(x)) return Number.isNaN(x) ? "NaN" : x > 0 ? "inf" : "-inf";
+  if (Number.isInteger(x) && Math.abs(x) < 1e15) return String(x);
+  const a = Math.abs(x);
+  if (a !== 0 && (a < 1e-4 || a >= 1e9)) return x.toExponential(3);
+  return String(Number(x.toPrecision(digits)));
+}
+
+// Ticks of a value axis between lo and hi, at most n of them, at 1, 2 or 5 times a power of ten.
+export function valueTicks(lo, hi, n) {
+  const span = hi - lo;
+  if (!(span > 0) || !Number.isFinite(span)) return [];
+  const raw = span / Math.max(n, 1);
+  const mag = 10 ** Math.floor(Math.log10(raw));
+  const unit = [1, 2, 5, 10].map((k) => k * mag).find((u) => u >= raw) ?? raw;
+  const out = [];
+  for (let i = Math.ceil(lo / unit); i * unit <= hi + unit * 1e-9; i++) out.push(Number((i * unit).toPrecision(12)));
+  return out;
+}
+
+// min..max padded by 10 % on both sides; nothing gives 0..1, a single value one unit around it.
+export function paddedRange(extents) {
+  let lo = Infinity, hi = -Infinity;
+  for (const e of extents) {
+    if (!e) continue;
+    if (Number.isFinite(e[0]) && e[0] < lo) lo = e[0];
+    if (Number.isFinite(e[1]) && e[1] > hi) hi = e[1];
+  }
+  if (lo > hi) return [0, 1];
+  if (lo === hi) return [lo - Math.max(Math.abs(lo) * 0.1, 0.5), hi + Math.max(Math.abs(hi) * 0.1, 0.5)];
+  const pad = (hi - lo) * 0.1;
+  return [lo - pad, hi + pad];
+}

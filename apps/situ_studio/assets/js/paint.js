@@ -1,0 +1,128 @@
+// Drawing of one stream's window onto a plot. `x` and `y` map time and value to canvas pixels.
+
+const SPACING = 9;
+
+// Line: straight or stepped joins while messages are fewer than pixels; zoomed out, a band from min to max.
+export function line(ctx, s, view, x, y, { color, width = 1.25, step = false, points = false, ratio = 1 }) {
+  const n = s.length;
+  if (!n) return;
+  const a = Math.max(s.at(view[0]), 0);
+  let b = s.at(view[1]) + 1;
+  b = Math.min(Math.max(b, a), n - 1);
+  ctx.strokeStyle = color;
+  ctx.fillStyle = color;
+  ctx.lineWidth = width * ratio;
+  ctx.lineJoin = "round";
+  if (!s.raw) band(ctx, s, a, b, x, y);
+  ctx.beginPath();
+  let pen = false, py = 0;
+  for (let i = a; i <= b; i++) {
+    const v = s.last[i];
+    if (!Number.isFinite(v)) {
+      pen = false;
+      continue;
+    }
+    const px = x(s.t[i]), p = y(v);
+    if (!pen) ctx.moveTo(px, p);
+    else {
+      if (step) ctx.lineTo(px, py);
+      ctx.lineTo(px, p);
+    }
+    pen = true;
+    py = p;
+  }
+  if (step && pen && b === n - 1) ctx.lineTo(Math.min(x(view[1]), x(s.t[b]) + 1e4), py);
+  ctx.stroke();
+  // dots show single messages, as long as they are apart
+  const apart = b > a ? (x(s.t[b]) - x(s.t[a])) / (b - a) : Infinity;
+  if (points || (s.raw && apart > SPACING * ratio)) dots(ctx, s, a, b, x, y, points ? 2.5 * ratio : 1.75 * ratio);
+}
+
+function band(ctx, s, a, b, x, y) {
+  ctx.globalAlpha = 0.42;
+  ctx.beginPath();
+  let start = a;
+  while (start <= b) {
+    while (start <= b && !Number.isFinite(s.max[start])) start++;
+    let end = start;
+    while (end <= b && Number.isFinite(s.max[end])) end++;
+    if (end > start) {
+      ctx.moveTo(x(s.t[start]), y(s.max[start]) - 0.5);
+      for (let i = start + 1; i < end; i++) ctx.lineTo(x(s.t[i]), y(s.max[i]) - 0.5);
+      for (let i = end - 1; i >= start; i--) ctx.lineTo(x(s.t[i]), y(s.min[i]) + 0.5);
+      ctx.closePath();
+    }
+    start = end + 1;
+  }
+  ctx.fill();
+  ctx.globalAlpha = 1;
+}
+
+function dots(ctx, s, a, b, x, y, r) {
+  ctx.beginPath();
+  for (let i = a; i <= b; i++) {
+    const v = s.last[i];
+    if (!Number.isFinite(v)) continue;
+    const px = x(s.t[i]), py = y(v);
+    ctx.moveTo(px + r, py);
+    ctx.arc(px, py, r, 0, 2 * Math.PI);
+  }
+  ctx.fill();
+}
+
+// Audio: one filled shape between the extremes, at least a hair thick so that silence shows.
+export function wave(ctx, s, view, x, y, { color, ratio = 1 }) {
+  const n = s.length;
+  if (!n) return;
+  const a = Math.max(s.at(view[0]), 0);
+  const b = Math.min(s.at(view[1]) + 1, n - 1);
+  const hair = 0.5 * ratio;
+  ctx.fillStyle = color;
+  ctx.globalAlpha = 0.9;
+  let start = a;
+  const gap = s.length > 2 ? 8 * typicalGap(s, a, b) : Infinity;
+  ctx.beginPath();
+  while (start <= b) {
+    let end = start + 1;
+    while (end <= b && s.t[end] - s.t[end - 1] <= gap) end++;
+    ctx.moveTo(x(s.t[start]), y(s.max[start]) - hair);
+    for (let i = start + 1; i < end; i++) ctx.lineTo(x(s.t[i]), y(s.max[i]) - hair);
+    for (let i = end - 1; i >= start; i--) ctx.lineTo(x(s.t[i]), y(s.min[i]) + hair);
+    ctx.closePath();
+    start = end;
+  }
+  ctx.fill();
+  ctx.globalAlpha = 1;
+}
+
+function typicalGap(s, a, b) {
+  const n = Math.min(b - a, 64);
+  if (n < 1) return Infinity;
+  const gaps = [];
+  for (let i = 0; i < n; i++) {
+    const k = a + Math.floor((i * (b - a)) / n);
+    gaps.push(s.t[k + 1] - s.t[k]);
+  }
+  gaps.sort((p, q) => p - q);
+  return gaps[gaps.length >> 1];
+}
+
+// Latency: a stem per message, in the warning colour above the threshold.
+export function stems(ctx, s, view, x, y, { color, warn, threshold, ratio = 1 }) {
+  const n = s.length;
+  if (!n) return;
+  const a = Math.max(s.at(view[0]), 0);
+  const b = Math.min(s.at(view[1]) + 1, n - 1);
+  for (const over of [false, true]) {
+    ctx.strokeStyle = over ? warn : color;
+    ctx.lineWidth = 1.25 * ratio;
+    ctx.beginPath();
+    for (let i = a; i <= b; i++) {
+      if (s.max[i] > threshold !== over) continue;
+      const px = x(s.t[i]);
+      ctx.moveTo(px, y(0));
+      ctx.lineTo(px, y(s.max[i]));
+    }
+    ctx.stroke();
+  }
+}

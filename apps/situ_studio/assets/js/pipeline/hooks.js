@@ -1,0 +1,78 @@
+// The hooks of the pipeline's page.
+import { setTheme } from "../theme.js";
+import { PipelineGraph as Graph } from "./graph.js";
+import { HistoryPlot } from "./plot.js";
+
+// Plots come and go with what is selected; the points belong to the page.
+const past = { key: null, stats: [], rows: [] };
+const plots = new Set();
+const column = (stat) => {
+  const i = past.stats.indexOf(stat);
+  return i < 0 ? [] : past.rows.map((row) => [row[0], row[i + 1]]);
+};
+
+export const hooks = {
+  PipelineGraph: {
+    mounted() {
+      this.graph = new Graph(this.el, {
+        onPick: (key) => this.pick(key),
+        onFold: (path) => this.pushEvent("fold", { path }),
+      });
+      this.handleEvent("pipeline:graph", (graph) => {
+        this.graph.graph(graph);
+        this.el.dataset.drawn = String(Number(this.el.dataset.drawn ?? 0) + 1);
+      });
+      this.handleEvent("pipeline:stats", (stats) => {
+        this.graph.stats(stats);
+        // what is selected has changed: its past is asked for
+        if (this.selected !== undefined && this.selected !== stats.selected) this.pushEvent("ready", {});
+        this.selected = stats.selected;
+      });
+      this.handleEvent("pipeline:series", (series) => {
+        Object.assign(past, series);
+        for (const plot of plots) plot.set(column(plot.el.dataset.stat));
+      });
+      this.handleEvent("pipeline:point", ({ key, at, values }) => {
+        if (key !== past.key) return;
+        past.rows.push([at, ...past.stats.map((stat) => values[stat])]);
+        for (const plot of plots) if (past.stats.includes(plot.el.dataset.stat)) plot.add([at, values[plot.el.dataset.stat]]);
+      });
+      this.onClick = (e) => e.target.closest("[data-graph=fit]") && this.graph.fit();
+      document.addEventListener("click", this.onClick);
+      this.onKey = (e) => {
+        if (e.target.closest?.("input, select, dialog") || e.ctrlKey || e.metaKey || e.altKey) return;
+        if (e.key === "f") this.graph.fit();
+        else if (e.key === "t") setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
+        else if (e.key === "Escape") this.pick(null);
+      };
+      document.addEventListener("keydown", this.onKey);
+      window.situPipeline = this.graph;
+      this.pushEvent("ready", {});
+    },
+    pick(key) {
+      if (key || this.selected) this.pushEvent("pick", { key: key ?? this.selected });
+    },
+    reconnected() {
+      this.pushEvent("ready", {});
+    },
+    destroyed() {
+      document.removeEventListener("click", this.onClick);
+      document.removeEventListener("keydown", this.onKey);
+      this.graph.destroy();
+    },
+  },
+
+  PipelinePlot: {
+    mounted() {
+      this.plot = new HistoryPlot(this.el);
+      plots.add(this.plot);
+      // a statistic whose past is not here yet
+      if (past.stats.includes(this.el.dataset.stat)) this.plot.set(column(this.el.dataset.stat));
+      else this.pushEvent("ready", {});
+    },
+    destroyed() {
+      plots.delete(this.plot);
+      this.plot.destroy();
+    },
+  },
+};

@@ -1,0 +1,90 @@
+// The past of one statistic of what is selected: a small line, its range, and the value under the mouse.
+import { theme, onTheme } from "../theme.js";
+
+export class HistoryPlot {
+  constructor(el) {
+    this.el = el;
+    this.unit = el.dataset.unit;
+    this.rows = [];
+    this.canvas = el.appendChild(document.createElement("canvas"));
+    this.note = el.appendChild(document.createElement("output"));
+    this.el.addEventListener("pointermove", (e) => this.hover(e.offsetX));
+    this.el.addEventListener("pointerleave", () => this.hover(null));
+    this.resized = new ResizeObserver(() => this.draw());
+    this.resized.observe(el);
+    this.unsubscribe = onTheme(() => this.draw());
+  }
+
+  set(rows) {
+    this.rows = rows;
+    this.draw();
+  }
+
+  add(row, most = 1200) {
+    this.rows.push(row);
+    if (this.rows.length > most) this.rows.splice(0, this.rows.length - most);
+    this.draw();
+  }
+
+  hover(x) {
+    this.at = x;
+    this.draw();
+  }
+
+  draw() {
+    const ratio = devicePixelRatio || 1;
+    const w = this.el.clientWidth, h = this.el.clientHeight;
+    if (!w || !h) return;
+    this.canvas.width = w * ratio;
+    this.canvas.height = h * ratio;
+    const c = this.canvas.getContext("2d");
+    c.scale(ratio, ratio);
+    const colors = theme();
+    const known = this.rows.filter(([, v]) => typeof v === "number");
+    if (known.length === 0) return void (this.note.textContent = "–");
+    const [t0, t1] = [known[0][0], known.at(-1)[0]];
+    const values = known.map(([, v]) => v);
+    let low = Math.min(0, ...values), high = Math.max(...values);
+    if (high === low) high = low + 1;
+    const x = (t) => 2 + ((t - t0) / Math.max(1, t1 - t0)) * (w - 4);
+    const y = (v) => h - 3 - ((v - low) / (high - low)) * (h - 8);
+    c.strokeStyle = colors.grid;
+    c.beginPath();
+    c.moveTo(0, y(low) + 0.5);
+    c.lineTo(w, y(low) + 0.5);
+    c.stroke();
+    c.beginPath();
+    known.forEach(([t, v], i) => (i ? c.lineTo(x(t), y(v)) : c.moveTo(x(t), y(v))));
+    c.strokeStyle = colors.accent;
+    c.lineWidth = 1.4;
+    c.stroke();
+    c.lineTo(x(t1), y(low));
+    c.lineTo(x(t0), y(low));
+    c.globalAlpha = 0.14;
+    c.fillStyle = colors.accent;
+    c.fill();
+    c.globalAlpha = 1;
+    let shown = known.at(-1);
+    if (this.at !== null && this.at !== undefined) {
+      shown = known.reduce((best, row) => (Math.abs(x(row[0]) - this.at) < Math.abs(x(best[0]) - this.at) ? row : best));
+      c.fillStyle = colors.cursor;
+      c.fillRect(x(shown[0]) - 0.5, 0, 1, h);
+    }
+    const ago = Math.round((t1 - shown[0]) / 1000);
+    this.note.textContent = `${text(shown[1], this.unit)}${ago > 0 ? ` · ${ago} s ago` : ""} · max ${text(high, this.unit)}`;
+  }
+
+  destroy() {
+    this.resized.disconnect();
+    this.unsubscribe();
+  }
+}
+
+export function text(value, unit) {
+  if (unit === "ms") return value >= 1000 ? `${(value / 1000).toPrecision(3)} s` : value > 0 && value < 0.1 ? `${(value * 1000).toPrecision(3)} µs` : `${digits(value)} ms`;
+  if (unit === "percent") return `${digits(value)} %`;
+  const [scaled, letter] = value >= 1e9 ? [value / 1e9, "G"] : value >= 1e6 ? [value / 1e6, "M"] : value >= 1e4 ? [value / 1e3, "k"] : [value, ""];
+  return `${digits(scaled)} ${letter}${unit === "bytes" ? "B" : unit === "rate" ? "/s" : ""}`.trim();
+}
+
+const digits = (v) => (Number.isInteger(v) ? String(v) : v >= 100 ? v.toFixed(0) : v >= 10 ? v.toFixed(1) : v.toFixed(2));

@@ -1,0 +1,52 @@
+// A received picture as something a canvas can draw, whatever its pixel format.
+
+import { PIXELS } from "./wire.js";
+import { depthRange, paintDepth } from "./colormap.js";
+
+export async function bitmap(f, range) {
+  if (f.pixels === PIXELS.jpeg || f.pixels === PIXELS.png) {
+    const type = f.pixels === PIXELS.jpeg ? "image/jpeg" : "image/png";
+    const image = await createImageBitmap(new Blob([f.data], { type }));
+    return { image, width: image.width, height: image.height };
+  }
+  const { width, height } = f;
+  const out = new ImageData(width, height);
+  const extra = fill(f, out.data, range);
+  return { image: await createImageBitmap(out), width, height, ...extra };
+}
+
+export function fill(f, rgba, range) {
+  const n = f.width * f.height, d = f.data;
+  switch (f.pixels) {
+    case PIXELS.rgba:
+      rgba.set(d.subarray(0, 4 * n));
+      return {};
+    case PIXELS.bgra:
+    case PIXELS.rgb:
+    case PIXELS.bgr: {
+      const step = f.pixels === PIXELS.bgra ? 4 : 3;
+      const [r, b] = f.pixels === PIXELS.rgb ? [0, 2] : [2, 0];
+      for (let i = 0, p = 0, o = 0; i < n; i++, p += step, o += 4) {
+        rgba[o] = d[p + r];
+        rgba[o + 1] = d[p + 1];
+        rgba[o + 2] = d[p + b];
+        rgba[o + 3] = 255;
+      }
+      return {};
+    }
+    case PIXELS.gray8:
+      for (let i = 0, o = 0; i < n; i++, o += 4) {
+        rgba[o] = rgba[o + 1] = rgba[o + 2] = d[i];
+        rgba[o + 3] = 255;
+      }
+      return {};
+    case PIXELS.gray16: {
+      const depth = new Uint16Array(d.buffer.slice(d.byteOffset, d.byteOffset + 2 * n));
+      const used = range ?? depthRange(depth);
+      paintDepth(depth, rgba, used);
+      return { depth, range: used };
+    }
+    default:
+      throw new Error(`unknown pixel format ${f.pixels}`);
+  }
+}

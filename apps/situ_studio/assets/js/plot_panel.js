@@ -1,0 +1,204 @@
+// A timeline panel with a value axis: lines, waveforms and latency of several streams over one another.
+// uPlot keeps scales, axes and grid; the signals are painted in its draw hook.
+
+import uPlot from "uplot";
+import { GUTTER, FONT, theme, seriesColor } from "./theme.js";
+import { ticks } from "./time_text.js";
+import { number, valueTicks, paddedRange } from "./number_text.js";
+import * as paint from "./paint.js";
+
+// Room above the signals for their names and values.
+const LEGEND = 22;
+
+export class PlotPanel {
+  // app: {time, client, schedule}; config: {vis: [{id, draw, stream, name, props}], axis: {mode, min, max}}
+  constructor(el, app, config) {
+    Object.assign(this, { el, app });
+    el.classList.add("plot");
+    this.body = el.appendChild(document.createElement("div"));
+    this.body.className = "plot-body";
+    this.legend = el.appendChild(document.createElement("div"));
+    this.legend.className = "legend";
+    this.layers = [];
+    this.y = [0, 1];
+    this.size = [0, 0];
+    this.configure(config);
+    this.observer = new ResizeObserver(() => this.resize());
+    this.observer.observe(el);
+    this.resize();
+  }
+
+  configure(config) {
+    this.config = config;
+    const old = new Map(this.layers.map((l) => [l.key, l]));
+    this.layers = config.vis.map((vis, index) => {
+      const key = JSON.stringify([vis.draw, vis.stream, vis.path, vis.channel]);
+      const layer = old.get(key) ?? this.openLayer(key, vis);
+      old.delete(key);
+      layer.vis = vis;
+      layer.index = index;
+      return layer;
+    });
+    for (const l of old.values()) this.app.client.close(l.channel);
+    this.buildLegend();
+    this.app.schedule(this);
+  }
+
+  openLayer(key, vis) {
+    const px = () => Math.max(this.el.clientWidth - GUTTER.left - GUTTER.right, 0);
+    const channel = this.app.client.open(
+      { stream: vis.stream, draw: vis.draw, path: vis.path, channel: vis.channel },
+      () => this.app.schedule(this),
+      { px },
+    );
+    return { key, channel, vis };
+  }
+
+  buildLegend() {
+    this.legend.textContent = "";
+    for (const l of this.layers) {
+      const row = this.legend.appendChild(document.createElement("span"));
+      row.className = "legend-item";
+      row.dataset.stream = l.vis.stream;
+      const swatch = row.appendChild(document.createElement("i"));
+      swatch.style.background = this.color(l);
+      row.appendChild(document.createElement("span")).textContent = l.vis.name;
+      l.value = row.appendChild(document.createElement("b"));
+    }
+  }
+
+  color(l) {
+    return seriesColor(l.vis.props?.color, l.vis.color ?? l.index);
+  }
+
+  resize() {
+    const w = this.el.clientWidth, h = this.el.clientHeight;
+    if (!w || !h || (w === this.size[0] && h === this.size[1])) return;
+    this.size = [w, h];
+    if (!this.plot) this.build(w, h);
+    else this.plot.setSize({ width: w, height: h });
+    this.app.client.pump();
+    this.app.schedule(this);
+  }
+
+  build(width, height) {
+    const grid = () => ({ stroke: () => theme().grid, width: 1 });
+    const options = {
+      width,
+      height,
+      pxAlign: false,
+      padding: [LEGEND, GUTTER.right, 6, 0],
+      cursor: { show: false },
+      legend: { show: false },
+      select: { show: false },
+      scales: {
+        x: { time: false, auto: false, range: () => this.app.time.get().view },
+        y: { auto: false, range: () => this.y },
+      },
+      series: [{}, { paths: () => null, points: { show: false } }],
+      axes: [
+        {
+          size: 0, ticks: { show: false }, grid: grid(), values: () => [],
+          splits: (u, _i, lo, hi) => ticks([lo, hi], u.width - GUTTER.left - GUTTER.right).at,
+        },
+        {
+          size: GUTTER.left, gap: 6, font: FONT, stroke: () => theme().axis, ticks: { show: false }, grid: grid(),
+          splits: (u, _i, lo, hi) => valueTicks(lo, hi, Math.max(2, Math.floor((u.height - LEGEND) / 24))),
+          values: (_u, at) => at.map((v) => number(v)),
+        },
+      ],
+      hooks: { draw: [(u) => this.draw(u)] },
+    };
+    this.plot = new uPlot(options, [[0, 1], [null, null]], this.body);
+  }
+
+  range(view) {
+    const axis = this.config.axis ?? {};
+    if (axis.mode === "fixed" && axis.max > axis.min) return [axis.min, axis.max];
+    const only = this.layers.length > 0 && this.layers.every((l) => l.vis.draw === "waveform");
+    const extents = this.layers.map((l) => l.channel.series.extent(view[0], view[1]));
+    if (this.layers.some((l) => l.vis.draw === "latency")) extents.push([0, 0]);
+    const [lo, hi] = paddedRange(extents);
+    if (!only) return [lo, hi];
+    const m = Math.max(Math.abs(lo), Math.abs(hi), 1e-3);
+    return [-m, m];
+  }
+
+  // Called once per picture, at most, when something this panel shows has changed.
+  render() {
+    if (!this.plot) return;
+    const view = this.app.time.get().view;
+    this.y = this.range(view);
+    this.plot.batch(() => {
+      this.plot.setScale("x", { min: view[0], max: view[1] });
+      this.plot.setScale("y", { min: this.y[0], max: this.y[1] });
+    });
+    this.plot.redraw(false, true);
+    this.values();
+  }
+
+  draw(u) {
+    const { ctx, bbox } = u;
+    const view = this.app.time.get().view;
+    const ratio = devicePixelRatio;
+    const kx = bbox.width / (view[1] - view[0]);
+    const ky = bbox.height / (this.y[1] - this.y[0]);
+    const x = (t) => bbox.left + (t - view[0]) * kx;
+    const y = (v) => bbox.top + bbox.height - (v - this.y[0]) * ky;
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    ctx.clip();
+    for (const l of this.layers) {
+      if (l.vis.props?.visible === false) continue;
+      const color = this.color(l);
+      const s = l.channel.series;
+      if (l.vis.draw === "waveform") paint.wave(ctx, s, view, x, y, { color, ratio });
+      else if (l.vis.draw === "latency") {
+        const threshold = l.vis.props?.threshold_ms ?? 50;
+        paint.stems(ctx, s, view, x, y, { color, warn: theme().warn, threshold, ratio });
+      } else {
+        const { interpolation, width, markers } = l.vis.props ?? {};
+        paint.line(ctx, s, view, x, y, {
+          color, ratio, width, step: interpolation === "step", points: markers === true,
+        });
+      }
+    }
+    ctx.restore();
+    this.drawn = (this.drawn ?? 0) + 1;
+  }
+
+  // Values at the cursor, in the legend.
+  values() {
+    const cursor = this.app.time.get().cursor;
+    for (const l of this.layers) {
+      const s = l.channel.series;
+      const i = s.at(cursor);
+      let text = "";
+      if (l.channel.error) text = l.channel.error;
+      else if (i >= 0) {
+        text = number(s.last[i], 5);
+        if (l.vis.draw === "latency") text += " ms";
+        else if (l.vis.props?.unit) text += " " + l.vis.props.unit;
+      }
+      if (l.text !== text) l.value.textContent = l.text = text;
+      l.value.classList.toggle("bad", !!l.channel.error);
+    }
+  }
+
+  cursorMoved() {
+    this.values();
+  }
+
+  themeChanged() {
+    this.buildLegend();
+    for (const l of this.layers) l.text = undefined;
+    this.render();
+  }
+
+  destroy() {
+    this.observer.disconnect();
+    for (const l of this.layers) this.app.client.close(l.channel);
+    this.plot?.destroy();
+  }
+}

@@ -1,0 +1,81 @@
+// A window of one stream's signal in columns, growing at its end while live. Times are relative to the origin.
+
+const COLUMNS = ["t", "min", "max", "last", "n"];
+
+export class Series {
+  constructor() {
+    this.length = 0;
+    this.raw = true;
+    this.capacity = 0;
+    for (const c of COLUMNS) this[c] = new Float64Array(0);
+  }
+
+  // Takes over a decoded frame: rows at or after `from` are replaced by the frame's rows from there on.
+  put(frame, base, from = -Infinity) {
+    const append = from !== -Infinity;
+    const keep = append ? lowerBound(this.t, from, this.length) : 0;
+    const skip = append ? lowerBound(frame.t, from - base, frame.count) : 0;
+    const n = frame.count - skip;
+    this.reserve(keep + n, keep);
+    for (let i = 0; i < n; i++) this.t[keep + i] = frame.t[skip + i] + base;
+    for (const c of ["min", "max", "last", "n"]) this[c].set(frame[c].subarray(skip), keep);
+    this.length = keep + n;
+    this.raw = frame.raw && (keep === 0 || this.raw);
+  }
+
+  // Forgets rows before `from`, when that is worth a copy.
+  trim(from) {
+    const cut = lowerBound(this.t, from, this.length) - 1;
+    if (cut < 1024 || cut < this.length / 2) return;
+    for (const c of COLUMNS) this[c].copyWithin(0, cut, this.length);
+    this.length -= cut;
+  }
+
+  reserve(n, keep) {
+    if (n <= this.capacity) return;
+    const capacity = Math.max(n, 256, this.capacity * 2);
+    for (const c of COLUMNS) {
+      const next = new Float64Array(capacity);
+      next.set(this[c].subarray(0, keep));
+      this[c] = next;
+    }
+    this.capacity = capacity;
+  }
+
+  // Index of the row in force at `t`: the last that starts at or before it; -1 before the first.
+  at(t) {
+    return upperBound(this.t, t, this.length) - 1;
+  }
+
+  // Smallest and largest value among rows in [from, to] and the rows just outside.
+  extent(from, to) {
+    let a = Math.max(this.at(from), 0);
+    const b = Math.min(lowerBound(this.t, to, this.length), this.length - 1);
+    let lo = Infinity, hi = -Infinity;
+    for (; a <= b; a++) {
+      if (this.min[a] < lo) lo = this.min[a];
+      if (this.max[a] > hi) hi = this.max[a];
+    }
+    return lo <= hi ? [lo, hi] : null;
+  }
+}
+
+export function lowerBound(a, x, n = a.length) {
+  let lo = 0, hi = n;
+  while (lo < hi) {
+    const mid = (lo + hi) >> 1;
+    if (a[mid] < x) lo = mid + 1;
+    else hi = mid;
+  }
+  return lo;
+}
+
+export function upperBound(a, x, n = a.length) {
+  let lo = 0, hi = n;
+  while (lo < hi) {
+    const mid = (lo + hi) >> 1;
+    if (a[mid] <= x) lo = mid + 1;
+    else hi = mid;
+  }
+  return lo;
+}

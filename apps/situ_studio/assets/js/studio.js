@@ -1,0 +1,354 @@
+// One page: the time, the data socket, and everything that draws. Knows nothing of LiveView; `app.js` connects both.
+
+import { createStore } from "./time_view.js";
+import { DataClient } from "./data_client.js";
+import { Playback } from "./playback.js";
+import { Overlay } from "./overlay.js";
+import { timelineGestures } from "./gestures.js";
+import { actionFor, timeAction, KEYS } from "./keys.js";
+import { onTheme, setTheme } from "./theme.js";
+import { absolute, relative, duration, parseTime } from "./time_text.js";
+import * as link from "./link.js";
+import { decode, KIND } from "./wire.js";
+
+const INSTANT_TIMING = ["absolute", "relative"];
+
+export class Studio {
+  // options: {dataUrl, pcmUrl, source, token, layout, push}
+  constructor(root, options) {
+    Object.assign(this, { root, options });
+    this.time = createStore();
+    this.views = new Set();
+    this.dirty = new Set();
+    this.overlays = new Map();
+    this.timing = 0;
+    this.muted = new Set();
+    this.frames = { count: 0, last: performance.now() };
+    this.client = new DataClient({
+      connect: () => new WebSocket(options.dataUrl),
+      time: this.time,
+      onStatus: (s) => this.status(s),
+      onReply: (r) => this.replied(r),
+    });
+    this.playback = new Playback({
+      time: this.time,
+      sounds: () => this.sounds(),
+      fetchPcm: (x, a, b) => this.fetchPcm(x, a, b),
+      onError: (text) => this.toast(text),
+    });
+    this.time.subscribe((s, old) => this.changed(s, old));
+    onTheme(() => {
+      for (const v of this.views) v.themeChanged?.();
+    });
+    this.listen();
+    this.client.start();
+  }
+
+  // A view has render() and, when it draws times, cursorMoved(); `timeline` views get cursor and selection lines.
+  add(view, { timeline = false, gestures = timeline } = {}) {
+    this.views.add(view);
+    if (timeline) {
+      const o = new Overlay(view.el, this);
+      this.overlays.set(view, o);
+      o.update(this.time.get());
+    }
+    if (gestures) timelineGestures(view.el, this);
+    view.timeline = timeline;
+    this.schedule(view);
+  }
+
+  remove(view) {
+    this.views.delete(view);
+    this.dirty.delete(view);
+    this.overlays.delete(view);
+    view.destroy?.();
+  }
+
+  schedule(view) {
+    this.dirty.add(view);
+    if (this.frame) return;
+    this.frame = requestAnimationFrame(() => {
+      this.frame = null;
+      const views = [...this.dirty];
+      this.dirty.clear();
+      for (const v of views) if (this.views.has(v)) v.render();
+      this.frames.count++;
+    });
+  }
+
+  changed(s, old) {
+    const viewChanged = s.view !== old.view || s.data !== old.data;
+    for (const o of this.overlays.values()) o.update(s);
+    for (const v of this.views) {
+      if (v.timeline && viewChanged) this.schedule(v);
+      else if (s.cursor !== old.cursor) v.cursorMoved();
+      if (v.navigator) this.schedule(v);
+    }
+    this.header(s);
+    this.client.pump();
+    this.saveLink();
+    if (s.mode !== old.mode) document.body.dataset.mode = s.mode;
+  }
+
+  replied(reply) {
+    if (reply.first) this.opened(reply);
+    if (this.growing !== reply.live) {
+      this.growing = reply.live;
+      document.body.dataset.growing = reply.live ? "1" : "";
+      this.header(this.time.get());
+    }
+    if (reply.gone) this.status("gone");
+    else if (this.state !== "open") this.status("open");
+    const s = this.time.get();
+    // a snapped cursor moves to where the server found the message
+    if (reply.asked?.message.snap && s.mode === "manual" && s.cursor === reply.asked.cursor && reply.cursor !== s.cursor) {
+      this.time.dispatch({ type: "cursor", t: reply.cursor });
+      for (const c of this.client.channels.values()) if (c.at === reply.asked.cursor) c.at = reply.cursor;
+    }
+    if (this.catalog !== undefined && this.catalog !== reply.version) this.options.push?.("streams_changed", {});
+    this.catalog = reply.version;
+  }
+
+  opened(reply) {
+    const origin = reply.from;
+    this.time.dispatch({ type: "reset", from: 0, to: Number(reply.to - origin) });
+    const asked = link.decode(location.search, origin);
+    if (asked.view || asked.cursor != null || asked.sel) this.time.dispatch({ type: "restore", ...asked });
+    if (asked.live || (reply.live && !asked.view)) this.time.dispatch({ type: "live", on: true });
+    document.body.dataset.ready = "1";
+    this.header(this.time.get());
+  }
+
+  // What the toolbar's buttons, the keys and the palette do.
+  act(name) {
+    const s = this.time.get();
+    if (name === "live" && s.mode !== "live" && !this.growing) {
+      return this.toast("Nothing is being recorded here: there is nothing to follow live");
+    }
+    if ((name === "back" || name === "on" || name === "jumpBack" || name === "jumpOn") && this.client.snap) {
+      return this.step(name);
+    }
+    const action = timeAction(name, s);
+    if (action) return this.time.dispatch(action);
+    this[`do_${name}`]?.();
+  }
+
+  // Steps to the message before or after the cursor in the snapped stream.
+  async step(name) {
+    const dir = name === "back" || name === "jumpBack" ? "previous" : "next";
+    const q = new URLSearchParams({ stream: this.client.snap, at: this.client.abs(this.time.get().cursor), dir });
+    const r = await fetch(`${this.options.stepUrl}&${q}`);
+    if (!r.ok) return;
+    const t = (await r.json()).time;
+    if (t != null) {
+      const to = this.client.rel(BigInt(t));
+      this.time.dispatch({ type: "nudge", by: to - this.time.get().cursor });
+    }
+  }
+
+  do_theme() {
+    setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
+  }
+
+  do_search() {
+    this.root.querySelector("#search")?.focus();
+  }
+
+  do_timing() {
+    this.timing = (this.timing + 1) % INSTANT_TIMING.length;
+    this.header(this.time.get());
+  }
+
+  do_goto() {
+    const dialog = document.getElementById("goto");
+    const input = dialog.querySelector("input");
+    input.value = "";
+    dialog.querySelector(".error").textContent = "";
+    dialog.showModal();
+    input.focus();
+  }
+
+  do_help() {
+    const dialog = document.getElementById("help");
+    const list = dialog.querySelector("dl");
+    if (!list.children.length) {
+      for (const [key, text] of KEYS) {
+        list.appendChild(document.createElement("dt")).textContent = key.replace("Arrow", "");
+        list.appendChild(document.createElement("dd")).textContent = text;
+      }
+    }
+    dialog.showModal();
+  }
+
+  do_palette() {
+    this.palette?.open();
+  }
+
+  async do_copyLink() {
+    this.saveLink(true);
+    try {
+      await navigator.clipboard.writeText(location.href);
+      this.toast("Link copied");
+    } catch {
+      this.toast("The address bar holds the link");
+    }
+  }
+
+  listen() {
+    this.keydown = (e) => {
+      if (e.target.closest?.("input, textarea, select, dialog") && !(e.ctrlKey && e.key === "k")) return;
+      if (e.target.closest?.("button, a") && (e.key === " " || e.key === "Enter")) return;
+      const name = actionFor(e);
+      if (!name) return;
+      e.preventDefault();
+      this.act(name);
+    };
+    document.addEventListener("keydown", this.keydown);
+    this.root.addEventListener("click", (e) => {
+      const button = e.target.closest("[data-act]");
+      if (!button) return;
+      this.act(button.dataset.act);
+      button.blur();
+    });
+    document.getElementById("goto")?.addEventListener("submit", (e) => {
+      e.preventDefault();
+      const dialog = e.currentTarget;
+      const t = parseTime(dialog.querySelector("input").value, this.client.origin ?? 0n);
+      if (t == null) {
+        dialog.querySelector(".error").textContent = "Not a time. Try 1:23.5, 83.5 s, 250 ms or 2026-01-31T12:34:56Z";
+        return;
+      }
+      const [from, to] = this.time.get().data;
+      if (t < from || t > to) {
+        dialog.querySelector(".error").textContent = `Outside of the data, which lasts from 0 to ${duration(to)}`;
+        return;
+      }
+      dialog.close();
+      this.time.dispatch({ type: "goto", t });
+    });
+    setInterval(() => this.tempo(), 1000);
+  }
+
+  // Timing header: cursor, selection, and the toolbar's states.
+  header(s) {
+    this.headerState = s;
+    if (this.headerFrame) return;
+    this.headerFrame = requestAnimationFrame(() => {
+      this.headerFrame = null;
+      this.paintHeader(this.headerState);
+    });
+  }
+
+  paintHeader(s) {
+    const origin = this.client.origin;
+    if (origin === null) return;
+    const show = (t) =>
+      t == null ? "–" : this.timing === 0 ? absolute(t, origin).slice(11) : relative(t, 1e3).slice(0, -2);
+    this.set("t-cursor", show(s.cursor));
+    this.set("t-start", show(s.sel[0]));
+    this.set("t-end", show(s.sel[1]));
+    this.set("t-length", s.sel[0] != null && s.sel[1] != null ? duration(s.sel[1] - s.sel[0]) : "–");
+    this.set("speed", `${s.speed >= 1 ? Number(s.speed.toFixed(2)) : `1/${Number((1 / s.speed).toFixed(2))}`}×`);
+    this.pressed("togglePlay", s.mode === "play");
+    this.pressed("repeat", s.repeat);
+    this.pressed("follow", s.follow);
+    this.pressed("live", s.mode === "live");
+    this.disabled(["togglePlay", "togglePlaySel", "zoomAll", "zoomSel"], s.mode === "live");
+    this.disabled(["live"], !this.growing && s.mode !== "live");
+  }
+
+  set(id, text) {
+    const el = document.getElementById(id);
+    if (el && el.textContent !== text) el.textContent = text;
+  }
+
+  pressed(act, on) {
+    for (const b of this.root.querySelectorAll(`[data-act="${act}"]`)) b.setAttribute("aria-pressed", String(on));
+  }
+
+  disabled(acts, on) {
+    for (const a of acts) for (const b of this.root.querySelectorAll(`[data-act="${a}"]`)) b.disabled = on;
+  }
+
+  saveLink(now = false) {
+    if (this.client.origin === null) return;
+    clearTimeout(this.linkTimer);
+    const save = () => {
+      const q = link.encode(this.time.get(), this.client.origin, this.options);
+      history.replaceState(history.state, "", `${location.pathname}?${q}`);
+    };
+    if (now) save();
+    else this.linkTimer = setTimeout(save, 200);
+  }
+
+  setLayout(layout, edit) {
+    if (layout === this.options.layout && edit === this.options.edit) return;
+    Object.assign(this.options, { layout, edit });
+    this.saveLink();
+  }
+
+  plotPath(stream, path, kind) {
+    this.options.push?.("plot_path", { stream, path, kind });
+  }
+
+  selectPanelOf(target) {
+    const panel = target.closest?.("[data-panel]");
+    if (panel) this.options.push?.("select_panel", { id: panel.dataset.panel });
+  }
+
+  snapTo(stream) {
+    this.client.setSnap(stream || null);
+  }
+
+  // Waveforms that are shown are heard, unless muted.
+  sounds() {
+    const out = new Map();
+    for (const v of this.views) {
+      for (const l of v.layers ?? []) {
+        if (l.vis.draw !== "waveform" || l.vis.props?.mute || l.vis.props?.visible === false) continue;
+        out.set(l.vis.stream, { stream: l.vis.stream, channel: l.vis.channel ?? 0 });
+      }
+    }
+    return [...out.values()].slice(0, 4);
+  }
+
+  async fetchPcm(sound, from, to) {
+    const q = new URLSearchParams({
+      stream: sound.stream, channel: sound.channel, from: this.client.abs(from), to: this.client.abs(to),
+    });
+    const response = await fetch(`${this.options.pcmUrl}&${q}`);
+    if (!response.ok) throw new Error(await response.text());
+    const f = decode(await response.arrayBuffer()).frames[0];
+    if (!f || f.kind !== KIND.pcm) return null;
+    return { rate: f.rate, samples: f.samples, at: this.client.rel(f.time) };
+  }
+
+  status(name) {
+    this.state = name;
+    document.body.dataset.connection = name;
+    this.set("connection", { open: "connected", closed: "reconnecting", gone: "the recording is gone", broken: "unreadable answer" }[name] ?? name);
+  }
+
+  tempo() {
+    const now = performance.now();
+    const fps = (this.frames.count * 1000) / (now - this.frames.last);
+    this.fps = fps;
+    this.frames = { count: 0, last: now };
+    this.set("tempo", fps >= 1 ? `${fps.toFixed(0)} fps   ${this.client.stats.roundTrip.toFixed(0)} ms` : "");
+  }
+
+  toast(text) {
+    const el = document.getElementById("toast");
+    if (!el) return;
+    el.textContent = text;
+    el.classList.add("on");
+    clearTimeout(this.toastTimer);
+    this.toastTimer = setTimeout(() => el.classList.remove("on"), 4000);
+  }
+
+  destroy() {
+    document.removeEventListener("keydown", this.keydown);
+    this.client.stop();
+    this.playback.end();
+  }
+}

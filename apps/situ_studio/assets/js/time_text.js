@@ -1,0 +1,83 @@
+// Time for people: clock times, durations, ruler steps, and what "go to time" accepts.
+
+const US = 1e3, MS = 1e6, S = 1e9, MIN = 60 * S, H = 60 * MIN, D = 24 * H, W = 7 * D;
+
+const STEPS = [
+  US, 2 * US, 5 * US, 10 * US, 20 * US, 50 * US, 100 * US, 200 * US, 500 * US,
+  MS, 2 * MS, 5 * MS, 10 * MS, 20 * MS, 50 * MS, 100 * MS, 200 * MS, 500 * MS,
+  S, 2 * S, 5 * S, 10 * S, 15 * S, 30 * S, MIN, 2 * MIN, 5 * MIN, 10 * MIN, 15 * MIN, 30 * MIN,
+  H, 2 * H, 6 * H, 12 * H, D, 2 * D, W, 4 * W, 13 * W, 52 * W,
+];
+
+// The smallest step whose segment is at least `minPx` wide.
+export function step(duration, px, minPx = 80) {
+  const perPx = duration / Math.max(px, 1);
+  return STEPS.find((s) => s / perPx >= minPx) ?? STEPS[STEPS.length - 1];
+}
+
+export function ticks([from, to], px, minPx = 80) {
+  const unit = step(to - from, px, minPx);
+  const out = [];
+  for (let i = Math.ceil(from / unit); i * unit <= to; i++) out.push(i * unit);
+  return { unit, at: out };
+}
+
+const pad = (n, w = 2) => String(n).padStart(w, "0");
+
+// 83.25e9 -> "1:23.250", relative to the start of the data; decimals follow the ruler's unit.
+export function relative(t, unit = MS) {
+  const neg = t < 0;
+  const decimals = unit >= S ? 0 : unit >= MS ? 3 : unit >= US ? 6 : 9;
+  const scale = 10 ** decimals;
+  let n = Math.round((Math.abs(t) / S) * scale);
+  const frac = n % scale;
+  n = Math.floor(n / scale);
+  const h = Math.floor(n / 3600), m = Math.floor(n / 60) % 60, s = n % 60;
+  const tail = decimals ? "." + pad(frac, decimals) : "";
+  const text = h ? `${h}:${pad(m)}:${pad(s)}${tail}` : `${m}:${pad(s)}${tail}`;
+  return neg && (n || frac) ? "-" + text : text;
+}
+
+export function duration(t) {
+  const a = Math.abs(t), sign = t < 0 ? "-" : "";
+  if (a < US) return `${sign}${a.toFixed(0)} ns`;
+  if (a < MS) return `${sign}${digits(a / US)} µs`;
+  if (a < S) return `${sign}${digits(a / MS)} ms`;
+  if (a < MIN) return `${sign}${digits(a / S)} s`;
+  if (a < H) return `${sign}${Math.floor(a / MIN)} min ${pad(Math.floor((a % MIN) / S))} s`;
+  return `${sign}${Math.floor(a / H)} h ${pad(Math.floor((a % H) / MIN))} min`;
+}
+
+function digits(x) {
+  return x >= 100 ? x.toFixed(0) : x >= 10 ? x.toFixed(1) : x.toFixed(2);
+}
+
+// Absolute UTC time of `t` ns after the BigInt `origin`.
+export function absolute(t, origin) {
+  const ns = origin + BigInt(Math.round(t));
+  let s = ns / 1000000000n, f = ns % 1000000000n;
+  if (f < 0n) { f += 1000000000n; s -= 1n; }
+  const d = new Date(Number(s) * 1000);
+  if (Number.isNaN(d.getTime())) return String(ns);
+  return `${d.toISOString().slice(0, 19).replace("T", " ")}.${pad(f.toString().slice(0), 9).slice(0, 4)}`;
+}
+
+// "1:23.5", "83.5", "83.5 s", "250 ms" (from the start of the data), "2026-01-31T12:34:56.7Z" or integer
+// nanoseconds since 1970; null when it is none of these.
+export function parseTime(text, origin) {
+  const x = text.trim();
+  let m = /^(-?)(?:(\d+):)?(\d+):(\d{1,2}(?:\.\d+)?)$/.exec(x);
+  if (m) {
+    const v = ((Number(m[2] ?? 0) * 60 + Number(m[3])) * 60 + Number(m[4])) * S;
+    return m[1] ? -v : v;
+  }
+  m = /^(-?\d+(?:\.\d+)?)\s*(ns|us|µs|ms|s|min|h)?$/.exec(x);
+  if (m && !m[2] && /^\d{15,}$/.test(x)) return Number(BigInt(x) - origin);
+  if (m) return Number(m[1]) * { ns: 1, us: US, "µs": US, ms: MS, s: S, min: MIN, h: H }[m[2] ?? "s"];
+  m = /^(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d)?)(?:\.(\d{1,9}))?(Z|[+-]\d\d:?\d\d)?$/.exec(x);
+  if (!m) return null;
+  const ms = Date.parse(`${m[1]}T${m[2].length === 5 ? m[2] + ":00" : m[2]}${m[4] ?? "Z"}`);
+  if (Number.isNaN(ms)) return null;
+  const ns = BigInt(ms) * 1000000n + BigInt((m[3] ?? "").padEnd(9, "0"));
+  return Number(ns - origin);
+}

@@ -1,0 +1,126 @@
+// Any message as a tree, with what changed since the previous one marked, and "plot this path" on its numbers.
+// Nodes come as [kind, text, children]: children are [key, node, path]; texts are only ever set as textContent.
+
+import { KIND } from "./wire.js";
+import { absolute, duration } from "./time_text.js";
+
+export class ValueCell {
+  constructor(el, app, config) {
+    Object.assign(this, { el, app });
+    el.classList.add("value-cell");
+    this.head = el.appendChild(document.createElement("div"));
+    this.head.className = "value-head";
+    this.body = el.appendChild(document.createElement("div"));
+    this.body.className = "value-tree";
+    this.body.setAttribute("role", "tree");
+    this.closed = new Set();
+    this.rows = new Map();
+    this.body.addEventListener("click", (e) => this.click(e));
+    this.body.addEventListener("keydown", (e) => {
+      if (e.key === "Enter") this.click(e);
+    });
+    this.configure(config);
+  }
+
+  configure(config) {
+    const vis = config.vis[0];
+    const key = vis ? JSON.stringify([vis.stream, vis.path]) : "";
+    this.vis = vis;
+    if (key === this.key) return;
+    this.key = key;
+    this.app.client.close(this.channel);
+    this.channel = null;
+    this.value = null;
+    this.previous = new Map();
+    if (!vis) return;
+    const spec = { stream: vis.stream, draw: "value", path: vis.path };
+    this.channel = this.app.client.open(spec, (f) => this.accept(f), { instant: true });
+  }
+
+  accept(f) {
+    this.message = f.kind === KIND.error ? f.message : f.kind === KIND.none ? "no message at the cursor" : null;
+    this.value = f.kind === KIND.json ? f.value : null;
+    this.app.schedule(this);
+  }
+
+  render() {
+    const v = this.value;
+    if (!v) {
+      this.head.textContent = this.message ?? "";
+      this.body.textContent = "";
+      this.previous = new Map();
+      return;
+    }
+    const origin = this.app.client.origin ?? 0n;
+    const rel = Number(BigInt(v.time) - origin);
+    this.head.textContent = `#${v.sequence}   ${absolute(rel, origin).slice(11)}   latency ${duration(v.latency)}   ${v.type}`;
+    const lines = [];
+    this.collect(v.tree, "value", "", 0, lines);
+    this.lines(lines);
+  }
+
+  collect(node, key, path, depth, out) {
+    const [kind, text, children] = node;
+    const open = children && !this.closed.has(path || "/");
+    out.push({ kind, text, key, path, depth, parent: !!children, open });
+    if (open) for (const [k, child, p] of children) this.collect(child, k, p, depth + 1, out);
+  }
+
+  lines(lines) {
+    const body = this.body;
+    while (body.children.length > lines.length) body.lastChild.remove();
+    const seen = new Map();
+    lines.forEach((l, i) => {
+      let row = body.children[i];
+      if (!row) row = body.appendChild(makeRow());
+      const id = l.path || "/";
+      seen.set(id, l.text);
+      row.dataset.path = l.path ?? "";
+      row.dataset.kind = l.kind;
+      row.style.paddingLeft = `${8 + l.depth * 14}px`;
+      row.children[0].textContent = l.parent ? (l.open ? "▾" : "▸") : "";
+      row.children[1].textContent = l.key;
+      if (row.children[2].textContent !== l.text) row.children[2].textContent = l.text;
+      row.children[2].className = `v ${l.kind}`;
+      row.classList.toggle("changed", this.previous.has(id) && this.previous.get(id) !== l.text && !l.parent);
+      const plot = l.path !== null && ["number", "boolean", "atom", "string"].includes(l.kind);
+      row.children[3].hidden = !plot;
+      row.dataset.parent = l.parent ? "1" : "";
+      row.setAttribute("aria-expanded", l.parent ? String(l.open) : "");
+    });
+    this.previous = seen;
+  }
+
+  click(e) {
+    const row = e.target.closest(".row");
+    if (!row) return;
+    const path = row.dataset.path;
+    if (e.target.closest(".plot-path")) {
+      this.app.plotPath(this.vis.stream, path, row.dataset.kind);
+      return;
+    }
+    if (!row.dataset.parent) return;
+    const id = path || "/";
+    if (!this.closed.delete(id)) this.closed.add(id);
+    this.render();
+  }
+
+  cursorMoved() {}
+  themeChanged() {}
+
+  destroy() {
+    this.app.client.close(this.channel);
+  }
+}
+
+function makeRow() {
+  const row = document.createElement("div");
+  row.className = "row";
+  row.setAttribute("role", "treeitem");
+  for (const c of ["fold", "k", "v"]) row.appendChild(document.createElement("span")).className = c;
+  const plot = row.appendChild(document.createElement("button"));
+  plot.className = "plot-path";
+  plot.textContent = "plot";
+  plot.title = "Plot this path over time";
+  return row;
+}

@@ -1,0 +1,151 @@
+defmodule Situ.Studio do
+  @schema [
+    path: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "A recording, or a folder with recordings at any depth."
+    ],
+    pipelines: [
+      type: :list,
+      default: [],
+      doc:
+        "Running pipelines to look into: pids, names, or functions that find them; `{title, pipeline}` gives a title."
+    ],
+    sources: [
+      type: :map,
+      default: %{},
+      doc: "Other sources by name: `%{\"name\" => {module, handle}}`, see `Situ.Studio.Source`."
+    ],
+    port: [type: {:range, 0, 65_535}, default: 4040, doc: "The port; 0 takes a free one."],
+    ip: [
+      type: :any,
+      default: {127, 0, 0, 1},
+      doc: "The address to listen on. Anything but loopback needs the token."
+    ],
+    token: [
+      type: {:or, [:string, {:in, [:auto, :none]}]},
+      default: :auto,
+      doc: "What a browser must bring: made anew where one is needed, or this text."
+    ],
+    hosts: [type: :any, default: nil, doc: "Host names the server answers for; see `Situ.Live`."],
+    read_only: [type: :boolean, default: false, doc: "Nothing on disk can be changed."],
+    layouts: [type: {:optional, :string}, default: nil, doc: "The folder of saved layouts."],
+    visualizers: [
+      type: :list,
+      default: [],
+      doc: "More rows for the table of visualizers, see `Situ.Studio.Visualizers`."
+    ],
+    id: [type: :string, default: "studio", doc: "Tells several studios of one VM apart."]
+  ]
+  @moduledoc """
+  The studio: recordings and running pipelines in a browser. On the command line it is `bin/situ studio PATH`; in an
+  application it is a child:
+
+      children = [{Situ.Studio, path: "recordings", port: 4040}]
+
+  and shows pipelines of the same VM while they run:
+
+      {:ok, pipeline} = Lobby.start_link(file: "talk1.mp4")
+      {:ok, studio} = Situ.Studio.start_link(pipelines: [pipeline])
+
+  It listens on `127.0.0.1`. Told to listen elsewhere, it asks every browser for a token: `url/1` gives the address that
+  carries it.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+
+  ## How it works
+
+  The page is a LiveView (`Situ.Live`): streams, layout and properties come from a process on the server. Times, cursor
+  and drawing live in the page. Data comes on one WebSocket, as binary answers to the page's own requests
+  (`Situ.Studio.DataSession`, `Situ.Studio.Frame`), at most one under way: a slow browser asks less often and slows
+  nothing down. What is drawn of which kind of stream is one table (`Situ.Studio.Visualizers`).
+  """
+  use Supervisor
+
+  alias Situ.Studio.{Catalog, Web}
+
+  @doc "A child of a supervision tree."
+  @spec child_spec(keyword()) :: Supervisor.child_spec()
+  def child_spec(opts),
+    do: %{
+      id: {__MODULE__, opts[:id] || "studio"},
+      start: {__MODULE__, :start_link, [opts]},
+      type: :supervisor
+    }
+
+  @doc "Starts a studio. A port in use and the like are `{:error, error}`; a wrong option raises."
+  @spec start_link(keyword()) :: {:ok, pid()} | {:error, Situ.Error.t()}
+  def start_link(opts) do
+    opts = Situ.Options.validate!(opts, @schema)
+
+    case Supervisor.start_link(__MODULE__, opts) do
+      {:error, {:shutdown, {:failed_to_start_child, _, %Situ.Live.Error{} = error}}} ->
+        {:error, struct!(Situ.Error, Map.take(error, [:code, :what, :why, :fix]))}
+
+      {:error, {:shutdown, {:failed_to_start_child, Catalog, {:already_started, _}}}} ->
+        {:error,
+         Situ.Error.new(:already_started, "a studio called #{inspect(opts[:id])} runs already",
+           fix: "give the second one another id:"
+         )}
+
+      other ->
+        other
+    end
+  end
+
+  @impl true
+  def init(opts) do
+    children = [
+      {DynamicSupervisor, name: Catalog.watches(opts[:id]), strategy: :one_for_one},
+      {Catalog,
+       Keyword.take(opts, [:id, :path, :pipelines, :sources, :read_only, :layouts, :visualizers])},
+      {Situ.Live, live(opts)}
+    ]
+
+    Supervisor.init(children, strategy: :rest_for_one)
+  end
+
+  defp live(opts) do
+    [
+      port: opts[:port],
+      ip: opts[:ip],
+      token: opts[:token],
+      routes: Web.Routes.all(opts[:id]),
+      layout: &Web.Chrome.layout/1,
+      max_frame: 262_144
+    ] ++ if(opts[:hosts], do: [hosts: opts[:hosts]], else: [])
+  end
+
+  @doc "The port a studio listens on."
+  @spec port(Supervisor.supervisor()) :: :inet.port_number()
+  def port(studio), do: studio |> live_server() |> Situ.Live.port()
+
+  @doc "The address to open, with the token when one is needed; `item` opens one recording."
+  @spec url(Supervisor.supervisor(), String.t() | nil) :: String.t()
+  def url(studio, item \\ nil) do
+    path = if item, do: Web.Address.of(item), else: "/"
+    studio |> live_server() |> Situ.Live.url(path)
+  end
+
+  @doc "The one thing there is to look at, when there is just one: then a browser need not choose."
+  @spec only_item(Supervisor.supervisor()) :: String.t() | nil
+  def only_item(studio) do
+    catalog =
+      studio
+      |> Supervisor.which_children()
+      |> Enum.find_value(fn {id, pid, _, _} -> id == Catalog && pid end)
+
+    case GenServer.call(catalog, :list, 30_000) do
+      [item] -> item.id
+      _ -> nil
+    end
+  end
+
+  defp live_server(studio) do
+    studio
+    |> Supervisor.which_children()
+    |> Enum.find_value(fn {id, pid, _, _} -> match?({Situ.Live, _}, id) && pid end)
+  end
+end

@@ -1,0 +1,17 @@
+defmodule Situ.Studio.Application do
+  @moduledoc false
+  use Application
+
+  @drawn [Situ.Image, Situ.EncodedImage, Situ.DepthImage, Situ.AudioBuffer, Situ.AudioFormat] ++
+           [Situ.Rect, Situ.Point2, Situ.Point3]
+
+  @impl true
+  def start(_type, _args) do
+    # What recordings hold of these is read only once their fields are known names.
+    Enum.each(@drawn, &Code.ensure_loaded/1)
+
+    # One registry for all studios of the VM: pages find their studio by the name in their session.
+    children = [{Registry, keys: :unique, name: Situ.Studio.Registry}]
+    Supervisor.start_link(children, strategy: :one_for_one, name: Situ.Studio.Supervisor)
+  end
+end

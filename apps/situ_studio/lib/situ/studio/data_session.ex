@@ -1,0 +1,175 @@
+defmodule Situ.Studio.DataSession do
+  @moduledoc """
+  One page's conversation about data, as pure requests and answers; the socket around it only carries bytes.
+
+  The page sends JSON, one request at a time, and gets one binary answer (`Situ.Studio.Frame`) to each, so that what is
+  under way is bounded by the page's own pace:
+
+      {"req": 7, "at": "1700000000000000000", "live": false, "snap": "Camera.Image",
+       "open": [[1, {"stream": "Mic.Level", "draw": "line", "path": ""}]], "close": [],
+       "series": [[1, FROM, TO, BIN]], "instant": [2]}
+
+  `at` is the cursor, `series` are windows in ns (as text) with bins of BIN ns, `instant` the channels that show the
+  message at the cursor. When `live` is true the newest time takes the place of `at`. With `snap` the cursor goes to the
+  nearest message of that stream.
+  """
+  alias Situ.{Error, Studio}
+  alias Studio.{Draw, Frame, Source}
+
+  @max_channels 256
+  @max_wants 256
+  @max_bins 50_000
+  @max_span 4_000_000_000_000_000_000
+
+  @enforce_keys [:source]
+  defstruct [:source, channels: %{}, extent: %{from: 0, to: 1, live: false, version: 0}]
+
+  @type t :: %__MODULE__{
+          source: Source.t(),
+          channels: %{optional(Frame.channel()) => {Draw.spec() | {:error, String.t()}, term()}},
+          extent: Source.extent()
+        }
+
+  @doc "A conversation about `source`."
+  @spec new(Source.t()) :: t()
+  def new(source), do: %__MODULE__{source: source}
+
+  @doc "The answer to one request; `{:error, error}` when it is no request at all (close the socket)."
+  @spec handle(binary(), t()) :: {:ok, iodata(), t()} | {:error, Error.t()}
+  def handle(text, %__MODULE__{} = session) do
+    with {:ok, request} <- decode(text) do
+      {gone?, session} = refresh(session)
+      session = session |> close(request["close"]) |> open(request["open"])
+      time = cursor(session, request)
+      windows = windows(session, request["series"])
+      {instants, session} = instants(session, request["instant"], time)
+
+      meta = %{
+        request: request["req"],
+        from: session.extent.from,
+        to: session.extent.to,
+        live: session.extent.live,
+        version: session.extent.version,
+        gone: gone?,
+        time: time
+      }
+
+      {:ok, Frame.reply(windows ++ instants, meta), session}
+    end
+  end
+
+  defp decode(text) do
+    case :jiffy.decode(text, [:return_maps, :use_nil]) do
+      %{"req" => req} = request when is_integer(req) and req in 0..4_294_967_295 -> {:ok, request}
+      _ -> malformed()
+    end
+  catch
+    _, _ -> malformed()
+  end
+
+  defp malformed, do: {:error, Error.new(:bad_request, "this is not a request for data")}
+
+  # A source that went away keeps the extents it had, so that the page stays where it is.
+  defp refresh(session) do
+    case Source.call(session.source, :extent, []) do
+      {:ok, extent} -> {false, %{session | extent: extent}}
+      {:error, _} -> {true, %{session | extent: %{session.extent | live: false}}}
+    end
+  end
+
+  defp close(session, ids) when is_list(ids),
+    do: %{session | channels: Map.drop(session.channels, ids)}
+
+  defp close(session, _), do: session
+
+  defp open(session, wanted) when is_list(wanted) do
+    Enum.reduce(wanted, session, fn
+      [id, spec], session when is_integer(id) and id in 0..4_294_967_295 and is_map(spec) ->
+        if map_size(session.channels) < @max_channels,
+          do: put_in(session.channels[id], {spec(spec), nil}),
+          else: session
+
+      _, session ->
+        session
+    end)
+  end
+
+  defp open(session, _), do: session
+
+  defp spec(%{"stream" => stream, "draw" => draw} = spec)
+       when is_binary(stream) and is_binary(draw) do
+    case Studio.Path.parse(spec["path"] || "") do
+      {:ok, path} -> %{stream: stream, draw: draw, path: path}
+      {:error, error} -> {:error, error.what}
+    end
+  end
+
+  defp spec(_), do: {:error, "a channel needs \"stream\" and \"draw\""}
+
+  defp cursor(%{extent: extent}, %{"live" => true}), do: extent.to
+
+  defp cursor(session, request) do
+    time = time(request["at"]) || session.extent.from
+
+    with stream when is_binary(stream) <- request["snap"],
+         {:ok, message} <- Source.nearest(session.source, stream, time) do
+      message.originating_time
+    else
+      _ -> time
+    end
+  end
+
+  defp windows(session, wants) when is_list(wants) do
+    wants |> Enum.take(@max_wants) |> Enum.map(&window(session, &1)) |> Enum.reject(&is_nil/1)
+  end
+
+  defp windows(_, _), do: []
+
+  defp window(session, [id, from, to, bin]) do
+    with {:ok, {spec, _}} <- Map.fetch(session.channels, id),
+         from when from != nil <- time(from),
+         to when to != nil and to >= from <- time(to),
+         bin when is_number(bin) and bin >= 1 and bin < @max_span <- bin do
+      bin = trunc(bin)
+
+      cond do
+        match?({:error, _}, spec) -> Frame.error(id, elem(spec, 1))
+        div(to - from, bin) > @max_bins -> Frame.error(id, "this window has too many bins")
+        true -> Draw.window(session.source, id, spec, from, to, bin)
+      end
+    else
+      _ -> nil
+    end
+  end
+
+  defp window(_, _), do: nil
+
+  defp instants(session, ids, time) when is_list(ids) do
+    ids
+    |> Enum.take(@max_wants)
+    |> Enum.flat_map_reduce(session, fn id, session ->
+      case session.channels do
+        %{^id => {{:error, what}, _}} ->
+          {[Frame.error(id, what)], session}
+
+        %{^id => {spec, last}} ->
+          {frame, last} = Draw.instant(session.source, id, spec, time, last)
+          {[frame], put_in(session.channels[id], {spec, last})}
+
+        _ ->
+          {[], session}
+      end
+    end)
+  end
+
+  defp instants(session, _, _), do: {[], session}
+
+  defp time(text) when is_binary(text) and byte_size(text) <= 20 do
+    case Integer.parse(text) do
+      {time, ""} when abs(time) < 9_223_372_036_854_775_807 -> time
+      _ -> nil
+    end
+  end
+
+  defp time(_), do: nil
+end

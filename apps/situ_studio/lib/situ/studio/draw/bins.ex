@@ -1,0 +1,38 @@
+defmodule Situ.Studio.Draw.Bins do
+  @moduledoc """
+  Points folded into bins that are aligned to multiples of their width, so that panning gives the same bins again.
+
+      iex> points = for t <- 0..3, do: Situ.Studio.Draw.Bins.point(t, t * 1.0)
+      iex> Situ.Studio.Draw.Bins.fold(points, 2, 2)
+      {[{0, 0.0, 1.0, 1.0, 2}, {2, 2.0, 3.0, 3.0, 2}], false}
+  """
+
+  @type point :: Situ.Codec.point()
+
+  @doc "One value at one time."
+  @spec point(Situ.Time.t(), number()) :: point()
+  def point(time, value), do: {time, value, value, value, 1}
+
+  @doc "A value as a number to draw: booleans are 0 and 1; what is no number is left out."
+  @spec number(term()) :: {:ok, number()} | :error
+  def number(value) when is_number(value), do: {:ok, value}
+  def number(true), do: {:ok, 1}
+  def number(false), do: {:ok, 0}
+  def number(_), do: :error
+
+  @doc "At most about `keep` points stay as they are (`true`); more are folded into bins `bin` ns wide (`false`)."
+  @spec fold([point()], pos_integer(), pos_integer()) :: {[point()], raw? :: boolean()}
+  def fold(points, bin, keep) do
+    if length(points) <= keep, do: {points, true}, else: {fold(points, bin), false}
+  end
+
+  defp fold(points, bin) do
+    points
+    |> Enum.chunk_by(fn {t, _, _, _, _} -> Integer.floor_div(t, bin) end)
+    |> Enum.map(fn [{t, min, max, last, n} | rest] ->
+      Enum.reduce(rest, {t, min, max, last, n}, fn {_, lo, hi, last, k}, {t, min, max, _, n} ->
+        {t, min(min, lo), max(max, hi), last, n + k}
+      end)
+    end)
+  end
+end

@@ -1,0 +1,12 @@
+defmodule Situ.Studio.Draw.Jpeg do
+  @moduledoc false
+  # The one place that knows how this machine encodes JPEG. A picture that cannot be encoded goes as plain pixels.
+
+  @spec encode(Situ.Image.t(), 1..100) :: {:ok, iodata()} | :error
+  def encode(image, quality) do
+    case Situ.Image.encode_jpeg(image, quality: quality) do
+      {:ok, encoded} -> {:ok, encoded.data}
+      {:error, _} -> :error
+    end
+  end
+end

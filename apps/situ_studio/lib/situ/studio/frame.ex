@@ -1,0 +1,167 @@
+defmodule Situ.Studio.Frame do
+  @moduledoc """
+  The binary answers of the data socket and of `GET /data/...`: one header, then frames. Little endian throughout; every
+  payload starts at a multiple of 8 bytes, so that a browser lays typed arrays over it without copying.
+
+  Header, 40 bytes:
+
+  | bytes | what |
+  |---|---|
+  | 0 | version, 1 |
+  | 1 | 0 |
+  | 2..3 | flags: 1 = the source grows (live), 2 = the source is gone |
+  | 4..7 | the request this answers |
+  | 8..15 | first time of the source, ns since 1970 (signed) |
+  | 16..23 | last time |
+  | 24..27 | number of frames |
+  | 28..31 | version of the list of streams: a change means there are new ones |
+  | 32..39 | the time the instant frames are for (the cursor, after snapping) |
+
+  Frame, 32 bytes, then the payload, padded to 8:
+
+  | bytes | what |
+  |---|---|
+  | 0..1 | kind, below |
+  | 2..3 | flags: 1 = single messages, not summaries |
+  | 4..7 | channel, as the page numbered it |
+  | 8..11 | bytes of payload |
+  | 12..15 | rows |
+  | 16..23 | base time, ns (signed) |
+  | 24..31 | kind's own: samples a second for sound |
+
+  | kind | payload |
+  |---|---|
+  | 1 series | five columns of 64-bit floats: time after the base, min, max, last, count |
+  | 2 segments | JSON `[[from, to or null, label, class], ...]`, times after the base |
+  | 3 marks | two columns: time after the base, latency in ns |
+  | 4 image | width, height, pixel format, 0 (32 bits each), then the bytes: 1 JPEG, 2 PNG, 3 RGBA, 4 gray 8, 5 gray 16 (depth), 6 RGB, 7 BGR, 8 BGRA |
+  | 5 json | a value tree, shapes, bars or a text |
+  | 6 none | there is no message at this time |
+  | 7 same | the message sent last on this channel still holds |
+  | 8 error | what is wrong, in words |
+  | 9 pcm | 32-bit float samples of one channel |
+
+      iex> frame = Situ.Studio.Frame.none(7)
+      iex> bytes = IO.iodata_to_binary(Situ.Studio.Frame.reply([frame], %{request: 1, from: 0, to: 9, time: 5}))
+      iex> {byte_size(bytes), :binary.at(bytes, 0)}
+      {72, 1}
+  """
+
+  @version 1
+  @kinds [series: 1, segments: 2, marks: 3, image: 4, json: 5, none: 6, same: 7, error: 8, pcm: 9]
+  @pixels [jpeg: 1, png: 2, rgba: 3, gray8: 4, gray16: 5, rgb: 6, bgr: 7, bgra: 8]
+
+  @type t :: iodata()
+  @type channel :: 0..4_294_967_295
+
+  @doc "Header and frames. `meta`: `:request`, `:from`, `:to`, `:time` and, when they differ from nothing, `:live`, `:gone`, `:version`."
+  @spec reply([t()], map()) :: iodata()
+  def reply(frames, %{request: request, from: from, to: to, time: time} = meta) do
+    flags = bit(meta[:live], 1) + bit(meta[:gone], 2)
+
+    [
+      <<@version, 0, flags::little-16, request::little-32, from::little-signed-64,
+        to::little-signed-64, length(frames)::little-32, meta[:version] || 0::little-32,
+        time::little-signed-64>>
+      | frames
+    ]
+  end
+
+  @doc "A signal: points as of `Situ.Codec`, in time order. `raw?` says that each stands for one message."
+  @spec series(channel(), [Situ.Codec.point()], boolean()) :: t()
+  def series(channel, points, raw?) do
+    base = first_time(points)
+    n = length(points)
+
+    payload = [
+      for({t, _, _, _, _} <- points, into: <<>>, do: <<t - base::little-float-64>>),
+      for({_, min, _, _, _} <- points, into: <<>>, do: <<min::little-float-64>>),
+      for({_, _, max, _, _} <- points, into: <<>>, do: <<max::little-float-64>>),
+      for({_, _, _, last, _} <- points, into: <<>>, do: <<last::little-float-64>>),
+      for({_, _, _, _, count} <- points, into: <<>>, do: <<count::little-float-64>>)
+    ]
+
+    frame(:series, channel, payload, n, base, bit(raw?, 1))
+  end
+
+  @doc "Lanes: `{from, to | nil, label, class}` in time order."
+  @spec segments(channel(), [
+          {Situ.Time.t(), Situ.Time.t() | nil, String.t(), String.t()}
+        ]) :: t()
+  def segments(channel, rows) do
+    base = first_time(rows)
+
+    json =
+      for {from, to, label, class} <- rows do
+        [from - base, to && to - base, label, class]
+      end
+
+    frame(:segments, channel, encode(json), length(rows), base)
+  end
+
+  @doc "Message marks: `{originating time, latency}`."
+  @spec marks(channel(), [{Situ.Time.t(), Situ.Time.duration()}], boolean()) :: t()
+  def marks(channel, rows, raw?) do
+    base = first_time(rows)
+
+    payload = [
+      for({t, _} <- rows, into: <<>>, do: <<t - base::little-float-64>>),
+      for({_, latency} <- rows, into: <<>>, do: <<latency::little-float-64>>)
+    ]
+
+    frame(:marks, channel, payload, length(rows), base, bit(raw?, 1))
+  end
+
+  @doc "A picture; `pixels` names how `data` is laid out."
+  @spec image(channel(), Situ.Time.t(), {atom(), non_neg_integer(), non_neg_integer(), iodata()}) ::
+          t()
+  def image(channel, time, {pixels, width, height, data}) do
+    code = Keyword.fetch!(@pixels, pixels)
+    head = <<width::little-32, height::little-32, code::little-32, 0::32>>
+    frame(:image, channel, [head, data], 1, time)
+  end
+
+  @doc "Anything JSON can hold."
+  @spec json(channel(), Situ.Time.t(), term()) :: t()
+  def json(channel, time, term), do: frame(:json, channel, encode(term), 1, time)
+
+  @doc "Sound of one channel: 32-bit float samples."
+  @spec pcm(channel(), Situ.Time.t(), pos_integer(), binary()) :: t()
+  def pcm(channel, time, rate, samples) do
+    frame(:pcm, channel, samples, div(byte_size(samples), 4), time, 0, rate)
+  end
+
+  @doc "There is no message."
+  @spec none(channel()) :: t()
+  def none(channel), do: frame(:none, channel, "", 0, 0)
+
+  @doc "The message sent last still holds."
+  @spec same(channel()) :: t()
+  def same(channel), do: frame(:same, channel, "", 0, 0)
+
+  @doc "What is wrong with this channel, in words."
+  @spec error(channel(), String.t()) :: t()
+  def error(channel, text), do: frame(:error, channel, text, 0, 0)
+
+  defp frame(kind, channel, payload, rows, base, flags \\ 0, own \\ 0) do
+    size = IO.iodata_length(payload)
+    code = Keyword.fetch!(@kinds, kind)
+
+    [
+      <<code::little-16, flags::little-16, channel::little-32, size::little-32, rows::little-32,
+        base::little-signed-64, own::little-signed-64>>,
+      payload | padding(rem(size, 8))
+    ]
+  end
+
+  defp padding(0), do: []
+  defp padding(over), do: <<0::size((8 - over) * 8)>>
+
+  defp encode(term), do: :jiffy.encode(term, [:use_nil])
+
+  defp first_time([]), do: 0
+  defp first_time([row | _]), do: elem(row, 0)
+
+  defp bit(true, value), do: value
+  defp bit(_, _), do: 0
+end

@@ -1,0 +1,85 @@
+defmodule Situ.Studio.History do
+  @moduledoc """
+  The recent past of some streams in memory, bounded by age and bytes: what a page sees of a running pipeline.
+
+  A table that one process writes (`put/4`) and any process reads, without asking the writer.
+
+      iex> history = Situ.Studio.History.new(seconds: 60)
+      iex> Situ.Studio.History.put(history, "level", %Situ.Message{data: 1.5, originating_time: 10}, 8)
+      iex> {:ok, message} = Situ.Studio.Source.History.latest_at(history, "level", 11)
+      iex> message.data
+      1.5
+  """
+
+  @enforce_keys [:messages, :streams, :max_age, :max_bytes]
+  defstruct [:messages, :streams, :max_age, :max_bytes, live: true]
+
+  @type t :: %__MODULE__{
+          messages: :ets.table(),
+          streams: :ets.table(),
+          max_age: Situ.Time.duration(),
+          max_bytes: pos_integer(),
+          live: boolean()
+        }
+
+  @doc "An empty history. Options: `:seconds` kept (120), `:megabytes` kept per stream (64), `:live`, whether more comes."
+  @spec new(keyword()) :: t()
+  def new(opts \\ []) do
+    %__MODULE__{
+      messages: :ets.new(__MODULE__, [:ordered_set, :public, read_concurrency: true]),
+      streams: :ets.new(__MODULE__, [:set, :public, read_concurrency: true]),
+      max_age: Situ.Time.s(opts[:seconds] || 120),
+      max_bytes: (opts[:megabytes] || 64) * 1_000_000,
+      live: Keyword.get(opts, :live, true)
+    }
+  end
+
+  @doc "Makes a stream known before its first message; `type` as in `Situ.Type`."
+  @spec open(t(), String.t(), Situ.Type.t()) :: :ok
+  def open(%__MODULE__{streams: streams}, name, type) do
+    :ets.insert_new(streams, {name, type, 0, 0, nil, nil, 0})
+    :ok
+  end
+
+  @doc "Appends a message; `bytes` is what it weighs. What is too old or too much is forgotten."
+  @spec put(t(), String.t(), Situ.Message.t(), non_neg_integer()) :: :ok
+  def put(%__MODULE__{} = history, name, %Situ.Message{} = message, bytes) do
+    open(history, name, :any)
+    time = message.originating_time
+    :ets.insert(history.messages, {{name, time}, message, bytes})
+    [{_, type, count, held, first, _, total}] = :ets.lookup(history.streams, name)
+    row = {name, type, count + 1, held + bytes, first || time, time, total + bytes}
+    :ets.insert(history.streams, forget(history, row))
+    :ok
+  end
+
+  defp forget(history, {name, type, count, held, first, last, total} = row) do
+    if held > history.max_bytes or last - first > history.max_age do
+      case :ets.lookup(history.messages, {name, first}) do
+        [{key, _, bytes}] ->
+          next = :ets.next(history.messages, key)
+          :ets.delete(history.messages, key)
+
+          case next do
+            {^name, time} ->
+              forget(history, {name, type, count, held - bytes, time, last, total})
+
+            _ ->
+              {name, type, count, 0, last, last, total}
+          end
+
+        [] ->
+          {name, type, count, held, last, last, total}
+      end
+    else
+      row
+    end
+  end
+
+  @doc "Roughly what a term weighs, cheaply: binaries by their size, other terms by their words."
+  @spec weigh(term()) :: non_neg_integer()
+  def weigh(%{data: data}) when is_binary(data), do: byte_size(data)
+  def weigh(data) when is_binary(data), do: byte_size(data)
+  def weigh(data) when is_number(data) or is_atom(data), do: 16
+  def weigh(data), do: :erts_debug.flat_size(data) * 8
+end

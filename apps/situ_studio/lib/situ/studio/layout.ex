@@ -1,0 +1,308 @@
+defmodule Situ.Studio.Layout do
+  @moduledoc """
+  What is on the page: rows from top to bottom, each one panel on the time axis or a line of cells at the cursor. Pure
+  data with a JSON form, so that layouts are kept in files and written by hand.
+
+      iex> layout = Situ.Studio.Layout.new("mine")
+      iex> {:ok, layout, id} = Situ.Studio.Layout.add(layout, "A.level", "line", :plot, "")
+      iex> {:ok, again} = layout |> Situ.Studio.Layout.to_json() |> Situ.Studio.Layout.from_json()
+      iex> {again == layout, id, hd(layout.rows).panel}
+      {true, "p1", :plot}
+  """
+  alias Situ.Error
+
+  defmodule Vis do
+    @moduledoc "One stream drawn in one way; `path` picks a part of its messages."
+    @enforce_keys [:viz, :stream]
+    defstruct [:viz, :stream, path: "", props: %{}]
+
+    @type t :: %__MODULE__{
+            viz: String.t(),
+            stream: String.t(),
+            path: String.t(),
+            props: %{optional(String.t()) => String.t() | number() | boolean()}
+          }
+  end
+
+  defmodule Panel do
+    @moduledoc "A panel: `:plot` and `:lanes` fill a row, the others are cells of one."
+    @enforce_keys [:id, :panel]
+    defstruct [:id, :panel, row: nil, height: nil, vis: [], axis: nil]
+
+    @type t :: %__MODULE__{
+            id: String.t(),
+            panel: :plot | :lanes | :image | :value | :bars | :text,
+            row: String.t() | nil,
+            height: pos_integer() | nil,
+            vis: [Vis.t()],
+            axis: {number(), number()} | nil
+          }
+  end
+
+  @enforce_keys [:name]
+  defstruct [:name, rows: [], next: 1]
+
+  @typedoc "`rows` holds panels; neighbours with the same `row` stand side by side."
+  @type t :: %__MODULE__{name: String.t(), rows: [Panel.t()], next: pos_integer()}
+
+  @version 1
+  @timeline [:plot, :lanes]
+  @panels [:plot, :lanes, :image, :value, :bars, :text]
+  @max_panels 64
+  @max_vis 32
+  @heights %{plot: 116, lanes: 34, image: 320, value: 240, bars: 240, text: 120}
+  @lane 26
+
+  @doc "An empty layout."
+  @spec new(String.t()) :: t()
+  def new(name), do: %__MODULE__{name: name}
+
+  @doc "Whether panels of this kind lie on the time axis."
+  @spec timeline?(atom()) :: boolean()
+  def timeline?(panel), do: panel in @timeline
+
+  @doc """
+  Adds a stream: to the panel `into` when it is of the right kind, else in a new one. Shapes go over the first picture.
+  """
+  @spec add(t(), String.t(), String.t(), atom(), String.t(), keyword()) ::
+          {:ok, t(), panel_id :: String.t()} | {:error, Error.t()}
+  def add(%__MODULE__{} = layout, stream, viz, panel, into, opts \\ []) do
+    vis = %Vis{viz: viz, stream: stream, path: opts[:path] || "", props: opts[:props] || %{}}
+    target = Enum.find(layout.rows, &(&1.id == into and joins?(&1.panel, panel)))
+    target = target || if(viz == "shapes", do: Enum.find(layout.rows, &(&1.panel == :image)))
+
+    cond do
+      target != nil and length(target.vis) >= @max_vis -> full("panel", @max_vis)
+      target != nil -> {:ok, update(layout, target.id, &%{&1 | vis: &1.vis ++ [vis]}), target.id}
+      length(layout.rows) >= @max_panels -> full("layout", @max_panels)
+      true -> add_panel(layout, panel, vis, opts[:row])
+    end
+  end
+
+  # A value or a chart shows one stream; lines, lanes and pictures show several.
+  defp joins?(panel, panel), do: panel in [:plot, :lanes, :image]
+  defp joins?(_, _), do: false
+
+  defp add_panel(layout, panel, vis, row) do
+    id = "p#{layout.next}"
+    row = if panel in @timeline, do: nil, else: row || cell_row(layout) || "r#{layout.next}"
+    new = %Panel{id: id, panel: panel, row: row, vis: [vis]}
+    {:ok, %{layout | rows: insert(layout.rows, new), next: layout.next + 1}, id}
+  end
+
+  # New cells join the last line of cells that has room.
+  defp cell_row(layout) do
+    layout.rows
+    |> Enum.reject(&is_nil(&1.row))
+    |> Enum.group_by(& &1.row)
+    |> Enum.filter(fn {_, cells} -> length(cells) < 3 end)
+    |> Enum.map(&elem(&1, 0))
+    |> List.last()
+  end
+
+  # Cells stand together and above the timelines.
+  defp insert(rows, %Panel{row: nil} = panel), do: rows ++ [panel]
+
+  defp insert(rows, %Panel{} = panel) do
+    case rows |> Enum.with_index() |> Enum.filter(fn {p, _} -> p.row == panel.row end) do
+      [] ->
+        {cells, timelines} = Enum.split_while(rows, & &1.row)
+        cells ++ [panel | timelines]
+
+      found ->
+        {_, last} = List.last(found)
+        List.insert_at(rows, last + 1, panel)
+    end
+  end
+
+  @doc "Changes one panel."
+  @spec update(t(), String.t(), (Panel.t() -> Panel.t())) :: t()
+  def update(%__MODULE__{rows: rows} = layout, id, fun),
+    do: %{layout | rows: Enum.map(rows, fn p -> if p.id == id, do: fun.(p), else: p end)}
+
+  @doc "The panel `id`, or `nil`."
+  @spec panel(t(), String.t() | nil) :: Panel.t() | nil
+  def panel(%__MODULE__{rows: rows}, id), do: Enum.find(rows, &(&1.id == id))
+
+  @doc "Takes a panel away."
+  @spec remove(t(), String.t()) :: t()
+  def remove(%__MODULE__{rows: rows} = layout, id),
+    do: %{layout | rows: Enum.reject(rows, &(&1.id == id))}
+
+  @doc "Takes one stream out of a panel, and the panel with its last one."
+  @spec remove_vis(t(), String.t(), non_neg_integer()) :: t()
+  def remove_vis(layout, id, index) do
+    case panel(layout, id) do
+      %Panel{vis: [_]} when index == 0 -> remove(layout, id)
+      _ -> update(layout, id, &%{&1 | vis: List.delete_at(&1.vis, index)})
+    end
+  end
+
+  @doc "Sets the height of a row: of the panel, or of every cell in the line."
+  @spec resize(t(), String.t(), integer()) :: t()
+  def resize(%__MODULE__{rows: rows} = layout, row_id, height) do
+    height = height |> max(28) |> min(2_000)
+
+    rows =
+      Enum.map(rows, fn p -> if (p.row || p.id) == row_id, do: %{p | height: height}, else: p end)
+
+    %{layout | rows: rows}
+  end
+
+  @doc "Moves a row up (-1) or down (1)."
+  @spec move(t(), String.t(), -1 | 1) :: t()
+  def move(%__MODULE__{} = layout, row_id, by) do
+    lines = lines(layout)
+    from = Enum.find_index(lines, fn [p | _] -> (p.row || p.id) == row_id end)
+    to = from && from + by
+
+    if from && to in 0..(length(lines) - 1) do
+      {line, rest} = List.pop_at(lines, from)
+      %{layout | rows: rest |> List.insert_at(to, line) |> List.flatten()}
+    else
+      layout
+    end
+  end
+
+  @doc "The rows as shown: lists of panels side by side."
+  @spec lines(t()) :: [[Panel.t(), ...]]
+  def lines(%__MODULE__{rows: rows}) do
+    Enum.chunk_while(
+      rows,
+      [],
+      fn
+        p, [] -> {:cont, [p]}
+        %{row: row} = p, [%{row: row} | _] = line when row != nil -> {:cont, line ++ [p]}
+        p, line -> {:cont, line, [p]}
+      end,
+      fn
+        [] -> {:cont, []}
+        line -> {:cont, line, []}
+      end
+    )
+  end
+
+  @doc "The height of a line in pixels."
+  @spec height([Panel.t(), ...]) :: pos_integer()
+  def height([%Panel{height: nil, panel: :lanes, vis: vis} | _]), do: length(vis) * @lane + 8
+
+  def height(line) do
+    Enum.find_value(line, & &1.height) || line |> Enum.map(&@heights[&1.panel]) |> Enum.max()
+  end
+
+  defp full(what, n) do
+    {:error, Error.new(:full, "a #{what} holds at most #{n}", fix: "take something out first")}
+  end
+
+  @doc "The JSON text of a layout."
+  @spec to_json(t()) :: String.t()
+  def to_json(%__MODULE__{} = layout) do
+    doc = %{
+      "version" => @version,
+      "name" => layout.name,
+      "panels" => Enum.map(layout.rows, &panel_json/1)
+    }
+
+    doc |> :jiffy.encode([:pretty, :use_nil]) |> IO.iodata_to_binary()
+  end
+
+  defp panel_json(%Panel{} = p) do
+    vis =
+      for v <- p.vis,
+          do: %{"viz" => v.viz, "stream" => v.stream, "path" => v.path, "props" => v.props}
+
+    axis = p.axis && Tuple.to_list(p.axis)
+
+    %{"id" => p.id, "panel" => Atom.to_string(p.panel), "vis" => vis}
+    |> put("row", p.row)
+    |> put("height", p.height)
+    |> put("axis", axis)
+  end
+
+  defp put(map, _, nil), do: map
+  defp put(map, key, value), do: Map.put(map, key, value)
+
+  @doc "Reads a layout; whatever is wrong with it is said, nothing is guessed."
+  @spec from_json(binary()) :: {:ok, t()} | {:error, Error.t()}
+  def from_json(json) do
+    case :jiffy.decode(json, [:return_maps, :use_nil]) do
+      %{"version" => @version, "name" => name, "panels" => panels}
+      when is_binary(name) and is_list(panels) and length(panels) <= @max_panels ->
+        read_panels(name, panels)
+
+      %{"version" => version} when version != @version ->
+        bad("it is of version #{inspect(version)}, this studio reads #{@version}")
+
+      _ ->
+        bad("it must hold \"version\", \"name\" and \"panels\"")
+    end
+  catch
+    _, _ -> bad("it is not JSON")
+  end
+
+  defp read_panels(name, panels) do
+    read = Enum.map(panels, &read_panel/1)
+
+    case Enum.find_index(read, &(&1 == :error)) do
+      nil ->
+        next = read |> Enum.map(&number/1) |> Enum.max(fn -> 0 end)
+        {:ok, %__MODULE__{name: name, rows: read, next: next + 1}}
+
+      i ->
+        bad("panel #{i + 1} is not one")
+    end
+  end
+
+  defp read_panel(%{"id" => id, "panel" => panel, "vis" => vis} = doc)
+       when is_binary(id) and is_binary(panel) and is_list(vis) do
+    kind = Enum.find(@panels, &(Atom.to_string(&1) == panel))
+    vis = Enum.map(vis, &read_vis/1)
+    height = doc["height"]
+    row = doc["row"]
+
+    if kind && id =~ ~r/\A[a-z0-9]{1,16}\z/ && :error not in vis && length(vis) <= @max_vis &&
+         (height == nil or height in 28..2_000) &&
+         (row == nil or (is_binary(row) and row =~ ~r/\A[a-z0-9]{1,16}\z/)) do
+      axis =
+        with [min, max] when is_number(min) and is_number(max) and min < max <- doc["axis"],
+             do: {min, max},
+             else: (_ -> nil)
+
+      row = if kind in @timeline, do: nil, else: row || "r" <> id
+      %Panel{id: id, panel: kind, row: row, height: height, vis: vis, axis: axis}
+    else
+      :error
+    end
+  end
+
+  defp read_panel(_), do: :error
+
+  defp read_vis(%{"viz" => viz, "stream" => stream} = doc)
+       when is_binary(viz) and is_binary(stream) do
+    path = doc["path"] || ""
+    props = doc["props"] || %{}
+
+    if is_binary(path) and is_map(props) and
+         Enum.all?(props, fn {_, v} -> is_binary(v) or is_number(v) or is_boolean(v) end),
+       do: %Vis{viz: viz, stream: stream, path: path, props: props},
+       else: :error
+  end
+
+  defp read_vis(_), do: :error
+
+  defp number(%Panel{id: "p" <> n}) do
+    case Integer.parse(n) do
+      {i, ""} -> i
+      _ -> 0
+    end
+  end
+
+  defp number(_), do: 0
+
+  defp bad(why) do
+    {:error,
+     Error.new(:bad_layout, "this file is not a layout: #{why}",
+       fix: "open another, or save this view anew"
+     )}
+  end
+end

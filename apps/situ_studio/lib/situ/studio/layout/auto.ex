@@ -1,0 +1,121 @@
+defmodule Situ.Studio.Layout.Auto do
+  @moduledoc """
+  The layout a recording is first shown with, chosen by the kinds of its streams: pictures with their shapes on top,
+  then sound, states and labels in lanes, then signals, those of one group in one panel.
+
+      iex> audio = %Situ.Studio.StreamInfo{name: "Mic.Audio", shape: :audio}
+      iex> level = %Situ.Studio.StreamInfo{name: "Mic.Level", shape: :signal}
+      iex> layout = Situ.Studio.Layout.Auto.layout([level, audio])
+      iex> for p <- layout.rows, do: {p.panel, Enum.map(p.vis, & &1.stream)}
+      [{:plot, ["Mic.Audio"]}, {:plot, ["Mic.Level"]}]
+  """
+  alias Situ.Studio.{Layout, StreamInfo}
+
+  @name "Automatic"
+  @pictures 3
+  @plots 8
+  @lines 4
+  @lanes 10
+  @sounds 3
+
+  @doc "The name under which it is offered."
+  @spec name() :: String.t()
+  def name, do: @name
+
+  @doc "The layout of these streams."
+  @spec layout([StreamInfo.t()]) :: Layout.t()
+  def layout(streams) do
+    by = Enum.group_by(streams, & &1.shape)
+    of = fn shape -> Enum.sort_by(by[shape] || [], & &1.name) end
+    pictures = Enum.take(of.(:image) ++ of.(:depth), @pictures)
+
+    Layout.new(@name)
+    |> pictures(pictures, of.(:shapes))
+    |> cells(Enum.take(of.(:bars), 1), "bars", :bars)
+    |> each(Enum.take(of.(:audio), @sounds), "waveform", :plot)
+    |> lanes(Enum.take(states(of) ++ for(s <- of.(:text), do: {s, "labels"}), @lanes))
+    |> plots(of.(:signal))
+    |> fallback(streams)
+  end
+
+  defp states(of), do: for(s <- of.(:boolean) ++ of.(:state), do: {s, "states"})
+
+  # Shapes go over the picture whose name shares most of its beginning.
+  defp pictures(layout, [], _), do: layout
+
+  defp pictures(layout, pictures, shapes) do
+    {layout, ids} =
+      Enum.reduce(pictures, {layout, %{}}, fn s, {layout, ids} ->
+        viz = if s.shape == :depth, do: "depth", else: "image"
+        {:ok, layout, id} = Layout.add(layout, s.name, viz, :image, "", row: "r1")
+        {layout, Map.put(ids, s.name, id)}
+      end)
+
+    Enum.reduce(Enum.take(shapes, 8), layout, fn s, layout ->
+      picture = Enum.max_by(pictures, &common(&1.name, s.name))
+      {:ok, layout, _} = Layout.add(layout, s.name, "shapes", :image, ids[picture.name])
+      layout
+    end)
+  end
+
+  defp cells(layout, streams, viz, panel) do
+    Enum.reduce(streams, layout, fn s, layout ->
+      {:ok, layout, _} = Layout.add(layout, s.name, viz, panel, "", row: "r1")
+      layout
+    end)
+  end
+
+  defp each(layout, streams, viz, panel) do
+    Enum.reduce(streams, layout, fn s, layout ->
+      {:ok, layout, _} = Layout.add(layout, s.name, viz, panel, "")
+      layout
+    end)
+  end
+
+  defp lanes(layout, streams) do
+    {layout, _} =
+      Enum.reduce(streams, {layout, ""}, fn {s, viz}, {layout, id} ->
+        {:ok, layout, id} = Layout.add(layout, s.name, viz, :lanes, id)
+        {layout, id}
+      end)
+
+    layout
+  end
+
+  defp plots(layout, signals) do
+    signals
+    |> Enum.chunk_by(&group(&1.name))
+    |> Enum.flat_map(&Enum.chunk_every(&1, @lines))
+    |> Enum.take(@plots)
+    |> Enum.reduce(layout, &plot/2)
+  end
+
+  defp plot(streams, layout) do
+    {layout, _} =
+      Enum.reduce(streams, {layout, ""}, fn s, {layout, id} ->
+        {:ok, layout, id} = Layout.add(layout, s.name, "line", :plot, id)
+        {layout, id}
+      end)
+
+    layout
+  end
+
+  # Something is shown of whatever there is.
+  defp fallback(%Layout{rows: []} = layout, [_ | _] = streams) do
+    first = streams |> Enum.sort_by(& &1.name) |> Enum.take(3)
+    layout |> cells(first, "value", :value) |> each(first, "messages", :lanes)
+  end
+
+  defp fallback(layout, _), do: layout
+
+  defp group(name) do
+    case name |> String.split(".") |> Enum.drop(-1) do
+      [] -> name
+      parts -> parts
+    end
+  end
+
+  defp common(a, b), do: common(String.to_charlist(a), String.to_charlist(b), 0)
+  defp common([c | a], [c | b], n), do: common(a, b, n + 1)
+  defp common(_, _, n), do: n
+end

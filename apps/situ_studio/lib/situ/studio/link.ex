@@ -1,0 +1,67 @@
+defmodule Situ.Studio.Link do
+  @moduledoc """
+  A layout as a piece of an address, so that a link shows what its sender saw, saved or not.
+
+      iex> {:ok, layout, _} = Situ.Studio.Layout.add(Situ.Studio.Layout.new("mine"), "A.level", "line", :plot, "")
+      iex> code = Situ.Studio.Link.encode(layout)
+      iex> Situ.Studio.Link.decode(code) == {:ok, layout}
+      true
+      iex> {:error, error} = Situ.Studio.Link.decode("nonsense")
+      iex> error.code
+      :bad_link
+  """
+  alias Situ.Error
+  alias Situ.Studio.Layout
+
+  @max_code 8_000
+  @max_json 200_000
+
+  @doc "The layout in letters an address can carry."
+  @spec encode(Layout.t()) :: String.t()
+  def encode(%Layout{} = layout) do
+    layout |> Layout.to_json() |> :zlib.zip() |> Base.url_encode64(padding: false)
+  end
+
+  @doc "The layout of a code; a damaged or overlong one is an error."
+  @spec decode(String.t()) :: {:ok, Layout.t()} | {:error, Error.t()}
+  def decode(code) when is_binary(code) and byte_size(code) <= @max_code do
+    with {:ok, zipped} <- Base.url_decode64(code, padding: false),
+         {:ok, json} <- inflate(zipped) do
+      Layout.from_json(json)
+    else
+      _ -> bad()
+    end
+  end
+
+  def decode(_), do: bad()
+
+  # Inflates step by step: a small code must not become a large text.
+  defp inflate(zipped) do
+    z = :zlib.open()
+
+    try do
+      :zlib.inflateInit(z, -15)
+      inflate(z, :zlib.safeInflate(z, zipped), "")
+    rescue
+      ErlangError -> :error
+    after
+      :zlib.close(z)
+    end
+  end
+
+  defp inflate(_z, {:finished, part}, json), do: bounded(json, part)
+
+  defp inflate(z, {:continue, part}, json) do
+    case bounded(json, part) do
+      {:ok, json} -> inflate(z, :zlib.safeInflate(z, []), json)
+      :error -> :error
+    end
+  end
+
+  defp bounded(json, part) do
+    json = json <> IO.iodata_to_binary(part)
+    if byte_size(json) <= @max_json, do: {:ok, json}, else: :error
+  end
+
+  defp bad, do: {:error, Error.new(:bad_link, "the layout in this address cannot be read")}
+end

@@ -1,0 +1,123 @@
+defmodule Situ.Studio.Path do
+  @moduledoc """
+  Where a value lies inside of a message: `.rect.x`, `[0].score`, `["left"]`.
+
+  A name after a dot is a field of a struct or a key of a map (atom or string); a number in brackets is a place in a list
+  or tuple; a quoted name in brackets is a string key with characters a dot cannot carry. Nothing is made into an atom.
+
+      iex> {:ok, path} = Situ.Studio.Path.parse(".faces[1].score")
+      iex> Situ.Studio.Path.fetch(%{faces: [%{score: 0.1}, %{score: 0.9}]}, path)
+      {:ok, 0.9}
+      iex> Situ.Studio.Path.fetch(%{faces: []}, path)
+      :error
+      iex> {:error, error} = Situ.Studio.Path.parse("faces")
+      iex> error.code
+      :bad_path
+  """
+  alias Situ.Error
+
+  @type step :: {:name, String.t()} | {:at, non_neg_integer()}
+  @type t :: [step()]
+
+  @max_bytes 512
+
+  @doc "The steps of a written path; `\"\"` is the message itself."
+  @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def parse(text) when is_binary(text) and byte_size(text) <= @max_bytes do
+    case steps(text, []) do
+      {:ok, path} ->
+        {:ok, path}
+
+      :error ->
+        {:error,
+         Error.new(:bad_path, "not a path: #{inspect(text)}",
+           fix: "write it like .rect.x, [0].score or [\"left\"]"
+         )}
+    end
+  end
+
+  def parse(_), do: {:error, Error.new(:bad_path, "a path is at most #{@max_bytes} bytes long")}
+
+  defp steps("", path), do: {:ok, Enum.reverse(path)}
+
+  defp steps("." <> rest, path) do
+    case Regex.run(~r/\A([^.\[\]"]+)(.*)\z/su, rest, capture: :all_but_first) do
+      [name, rest] -> steps(rest, [{:name, name} | path])
+      nil -> :error
+    end
+  end
+
+  defp steps("[\"" <> rest, path) do
+    case String.split(rest, "\"]", parts: 2) do
+      [name, rest] -> steps(rest, [{:name, name} | path])
+      _ -> :error
+    end
+  end
+
+  defp steps("[" <> rest, path) do
+    case Regex.run(~r/\A(\d{1,9})\](.*)\z/s, rest, capture: :all_but_first) do
+      [index, rest] -> steps(rest, [{:at, String.to_integer(index)} | path])
+      nil -> :error
+    end
+  end
+
+  defp steps(_, _), do: :error
+
+  @doc "The value at `path` in `term`."
+  @spec fetch(term(), t()) :: {:ok, term()} | :error
+  def fetch(term, []), do: {:ok, term}
+
+  def fetch(%_{} = struct, path), do: struct |> Map.from_struct() |> fetch(path)
+
+  def fetch(map, [{:name, name} | rest]) when is_map(map) do
+    case Enum.find(map, fn {key, _} -> name(key) == name end) do
+      {_, value} -> fetch(value, rest)
+      nil -> :error
+    end
+  end
+
+  def fetch(list, [{:at, index} | rest]) when is_list(list) do
+    case Enum.fetch(list, index) do
+      {:ok, value} -> fetch(value, rest)
+      :error -> :error
+    end
+  rescue
+    # an improper list
+    FunctionClauseError -> :error
+  end
+
+  def fetch(tuple, [{:at, index} | rest]) when is_tuple(tuple) and index < tuple_size(tuple),
+    do: fetch(elem(tuple, index), rest)
+
+  def fetch(map, [{:at, index} | rest]) when is_map(map) and is_map_key(map, index),
+    do: fetch(Map.fetch!(map, index), rest)
+
+  def fetch(_, _), do: :error
+
+  @doc """
+  The written form of one more step, for a child of something shown.
+
+      iex> Situ.Studio.Path.child(".a", :b)
+      ".a.b"
+      iex> Situ.Studio.Path.child("", "with space.and dot")
+      ~s(["with space.and dot"])
+  """
+  @spec child(String.t(), term()) :: String.t() | nil
+  def child(path, index) when is_integer(index) and index >= 0, do: "#{path}[#{index}]"
+
+  def child(path, key) when is_atom(key) or is_binary(key) do
+    name = name(key)
+
+    cond do
+      name =~ ~r/\A[\w?!-]+\z/u -> "#{path}.#{name}"
+      String.valid?(name) and not String.contains?(name, "\"]") -> ~s(#{path}["#{name}"])
+      true -> nil
+    end
+  end
+
+  def child(_, _), do: nil
+
+  defp name(key) when is_atom(key), do: Atom.to_string(key)
+  defp name(key) when is_binary(key), do: key
+  defp name(_), do: nil
+end

@@ -1,0 +1,228 @@
+defmodule Situ.Studio.PipelineView.Details do
+  @moduledoc false
+  # The right side: what is selected, in words, numbers, plots and last messages; else what stands out.
+  use Situ.Live.Component
+  alias Situ.Studio.PipelineView.{Stats, Wire}
+
+  @edge_plots ["queue", "processed_rate", "latency_mean"]
+  @node_plots ["mailbox", "memory", "reductions_rate"]
+
+  @doc "The statistics that are plotted: those chosen that fit the selection, else a few."
+  @spec plots(map()) :: [String.t()]
+  def plots(%{selected: selected, plots: chosen}) do
+    {kind, few} =
+      case selected do
+        "e" <> _ -> {:edge, @edge_plots}
+        key when is_binary(key) -> {:node, @node_plots}
+        nil -> {nil, []}
+      end
+
+    case Enum.filter(chosen, &match?({:ok, %{of: ^kind}}, Stats.fetch(&1))) do
+      [] -> few
+      fitting -> fitting
+    end
+  end
+
+  @doc "The stream whose messages run over the selected connection."
+  @spec stream(Situ.Diagnostics.Snapshot.t(), String.t() | nil) :: String.t() | nil
+  def stream(snapshot, "e" <> _ = key) do
+    {:edges, ids} = Wire.selection(key, MapSet.new(), snapshot)
+
+    with [id | _] <- ids,
+         %{from: from, from_output: output} <- Enum.find(snapshot.edges, &(&1.id == id)),
+         %{outputs: outputs} <- Enum.find(snapshot.nodes, &(&1.id == from)),
+         %{stream: stream} <- Enum.find(outputs, &(&1.name == output)) do
+      stream
+    else
+      _ -> nil
+    end
+  end
+
+  def stream(_, _), do: nil
+
+  attr(:snapshot, :any, required: true)
+  attr(:sample, :map, required: true)
+  attr(:selected, :string, default: nil)
+  attr(:folded, :any, required: true)
+  attr(:messages, :list, required: true)
+  attr(:heat, :string, required: true)
+  attr(:plots, :list, required: true)
+
+  @doc false
+  def panel(assigns) do
+    {kind, ids} = Wire.selection(assigns.selected, assigns.folded, assigns.snapshot)
+
+    case {kind, ids} do
+      {:edges, ids} -> edges(assigns, Enum.filter(assigns.snapshot.edges, &(&1.id in ids)))
+      {:nodes, ids} -> nodes(assigns, Enum.filter(assigns.snapshot.nodes, &(&1.id in ids)))
+      _ -> overview(assigns)
+    end
+  end
+
+  defp overview(assigns) do
+    assigns = assign(assigns, :rows, worst(assigns))
+
+    ~H"""
+    <div class="side-title">Pipeline</div>
+    <div class="props">
+      <h2>{@snapshot.pipeline}</h2>
+      <p class="hint">Click a component or a connection for its numbers.</p>
+      <div :if={@rows != []} class="worst">
+        <h3>{heading(@heat)}</h3>
+        <button :for={{key, name, text} <- @rows} class="row-button" type="button" phx-click="pick" phx-value-key={key}><span>{name}</span><b>{text}</b></button>
+      </div>
+    </div>
+    """
+  end
+
+  defp heading(heat) do
+    case Stats.fetch(heat) do
+      {:ok, %{name: name}} -> name
+      :error -> ""
+    end
+  end
+
+  # What the colours point at, as a list.
+  defp worst(%{heat: heat, snapshot: snapshot, sample: sample}) do
+    paths = Map.new(snapshot.nodes, &{&1.id, &1.path})
+
+    rows =
+      case Stats.fetch(heat) do
+        {:ok, %{of: :edge}} ->
+          for e <- snapshot.edges, e.kind == :process, v = sample.edges[e.id][heat] do
+            {v, "e#{e.id}", "#{paths[e.from]} → #{paths[e.to]}"}
+          end
+
+        {:ok, %{of: :node}} ->
+          for n <- snapshot.nodes, v = sample.nodes[n.id][heat], do: {v, "n#{n.id}", n.path}
+
+        :error ->
+          []
+      end
+
+    rows
+    |> Enum.filter(fn {v, _, _} -> v > 0 end)
+    |> Enum.sort_by(&elem(&1, 0), :desc)
+    |> Enum.take(12)
+    |> Enum.map(fn {v, key, name} -> {key, name, Stats.format(heat, v)} end)
+  end
+
+  defp edges(assigns, []), do: gone(assigns)
+
+  defp edges(assigns, [first | _] = edges) do
+    paths = Map.new(assigns.snapshot.nodes, &{&1.id, &1.path})
+    values = edges |> Enum.map(&(assigns.sample.edges[&1.id] || %{})) |> Stats.merge()
+
+    assigns =
+      assign(assigns,
+        edges: edges,
+        paths: paths,
+        values: values,
+        first: first,
+        stats: Stats.of(:edge),
+        shown: plots(assigns)
+      )
+
+    ~H"""
+    <div class="side-title">Connection</div>
+    <div class="props">
+      <div :for={e <- @edges} class="ends">
+        <h2>{@paths[e.from]} → {@paths[e.to]}</h2>
+        <p class="sub">{e.from_output} → {e.to_input}, {e.policy}{if e.kind == :inline, do: ", inside one process"}</p>
+      </div>
+      <h3>Last messages</h3>
+      <p :if={@messages == []} class="hint">None is kept or none has come yet.</p>
+      <ol class="messages">
+        <li :for={m <- @messages} :key={m.originating_time}><time>{clock(m.originating_time)}</time><code>{short(m.data)}</code></li>
+      </ol>
+      <h3>Numbers</h3>
+      <.numbers stats={@stats} values={@values} shown={@shown} />
+      <.charts shown={@shown} selected={@selected} />
+    </div>
+    """
+  end
+
+  defp nodes(assigns, []), do: gone(assigns)
+
+  defp nodes(assigns, nodes) do
+    numbers = nodes |> Enum.map(& &1.process) |> Enum.uniq()
+    values = nodes |> Enum.map(&(assigns.sample.nodes[&1.id] || %{})) |> Stats.merge()
+
+    assigns =
+      assign(assigns,
+        nodes: nodes,
+        scope: match?("s:" <> _, assigns.selected),
+        values: values,
+        stats: Stats.of(:node),
+        shown: plots(assigns),
+        processes: Enum.filter(assigns.snapshot.processes, &(&1.number in numbers))
+      )
+
+    ~H"""
+    <div class="side-title">{if @scope, do: "Composite", else: "Component"}</div>
+    <div class="props">
+      <h2 :if={@scope}>{String.replace_prefix(@selected, "s:", "")}</h2>
+      <p :if={@scope} class="sub">{length(@nodes)} components in {length(@processes)} processes</p>
+      <div :for={n <- Enum.take(@nodes, 12)} class={if @scope, do: "member"}>
+        <h2>{n.path}</h2>
+        <p class="sub">{n.module}, {n.kind}, {n.state}</p>
+        <p :if={n.description} class="state-text">{n.description}</p>
+        <dl :if={not @scope}>
+          <dt :for={p <- n.inputs}>in {p.name}</dt>
+          <dd :for={p <- n.inputs}>{p.type}</dd>
+          <dt :for={p <- n.outputs}>out {p.name}</dt>
+          <dd :for={p <- n.outputs} title={p.stream}>{p.type}</dd>
+        </dl>
+      </div>
+      <.numbers stats={@stats} values={@values} shown={@shown} />
+      <dl :for={p <- Enum.take(@processes, 4)}>
+        <dt>Process</dt><dd>{p.number}: {p.status}</dd>
+        <dt>In</dt><dd><code>{p.busy_in}</code></dd>
+        <dt>Reductions in all</dt><dd>{p.reductions}</dd>
+        <dt :if={length(p.nodes) > 1}>Shared by</dt>
+        <dd :if={length(p.nodes) > 1}>{Enum.join(p.nodes, ", ")}</dd>
+      </dl>
+      <.charts shown={@shown} selected={@selected} />
+    </div>
+    """
+  end
+
+  defp gone(assigns) do
+    ~H"""
+    <div class="side-title">Gone</div>
+    <div class="props"><p class="hint">What was selected is no longer part of the pipeline.</p></div>
+    """
+  end
+
+  defp numbers(assigns) do
+    ~H"""
+    <table class="numbers">
+      <tr :for={s <- @stats} :key={s.id}>
+        <td><button type="button" class={["plot-it", s.id in @shown && "on"]} phx-click="plot" phx-value-stat={s.id} aria-pressed={to_string(s.id in @shown)} title="Plot it"></button></td>
+        <th>{s.name}</th>
+        <td class="value">{Stats.format(s.id, @values[s.id])}</td>
+      </tr>
+    </table>
+    """
+  end
+
+  defp charts(assigns) do
+    ~H"""
+    <div class="charts">
+      <figure :for={id <- @shown} :key={id}>
+        <figcaption>{name(id)}</figcaption>
+        <div id={"plot-#{id}"} class="spark" phx-hook="PipelinePlot" phx-update="ignore" data-stat={id} data-unit={unit(id)}></div>
+      </figure>
+    </div>
+    """
+  end
+
+  defp name(id), do: id |> Stats.fetch() |> elem(1) |> Map.fetch!(:name)
+  defp unit(id), do: id |> Stats.fetch() |> elem(1) |> Map.fetch!(:unit) |> Atom.to_string()
+
+  defp clock(ns), do: ns |> Situ.Time.to_iso8601() |> String.slice(11, 12)
+
+  # Messages may be large: what is shown is bounded before it becomes text.
+  defp short(data),
+    do: data |> inspect(limit: 12, printable_limit: 160, width: 80) |> String.slice(0, 400)
+end

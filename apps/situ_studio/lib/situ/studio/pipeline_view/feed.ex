@@ -1,0 +1,122 @@
+defmodule Situ.Studio.PipelineView.Feed do
+  @moduledoc false
+  # Where snapshots come from: a running pipeline (a source module with `snapshot/1`), or a stream of them in a recording.
+  alias Situ.{Error, Message}
+  alias Situ.Diagnostics.Snapshot
+  alias Situ.Studio.Source
+
+  @type t :: {:live, Source.t()} | {:recorded, Source.t(), stream :: String.t()}
+
+  @spec open(Source.t()) :: {:ok, t()} | {:error, Error.t()}
+  def open({module, _handle} = source) do
+    if Code.ensure_loaded?(module) and function_exported?(module, :snapshot, 1),
+      do: {:ok, {:live, source}},
+      else: recorded(source)
+  end
+
+  # A reader makes no atoms: those of the structs must be there before.
+  @structs [Snapshot, Situ.Diagnostics.Node, Situ.Diagnostics.Edge, Situ.Diagnostics.Process]
+
+  defp recorded(source) do
+    Enum.each(@structs, &Code.ensure_loaded/1)
+
+    with {:ok, streams} <- Source.call(source, :streams, []) do
+      case Enum.find(streams, &diagnostics?(source, &1)) do
+        nil ->
+          {:error,
+           Error.new(:no_diagnostics, "this recording holds no diagnostics of a pipeline",
+             fix: "run the pipeline with diagnostics: true and write its Diagnostics stream"
+           )}
+
+        info ->
+          {:ok, {:recorded, source, info.name}}
+      end
+    end
+  end
+
+  # By its type where that is known, else by looking at a message of one that is called so.
+  defp diagnostics?(source, info) do
+    type = to_string(info.type)
+
+    String.contains?(type, "Diagnostics.Snapshot") or
+      (info.last != nil and info.name =~ ~r/diagnostics/i and
+         match?(
+           {:ok, %Message{data: %Snapshot{}}},
+           Source.call(source, :latest_at, [info.name, info.last])
+         ))
+  end
+
+  @doc "Now (live, or the newest recorded): the snapshot and when it was taken."
+  @spec now(t()) :: {:ok, Snapshot.t(), Situ.Time.t()} | {:error, Error.t()}
+  def now({:live, source}) do
+    with {:ok, %Snapshot{} = snapshot} <- Source.call(source, :snapshot, []),
+         do: {:ok, without_taps(snapshot), System.monotonic_time(:nanosecond)}
+  end
+
+  def now({:recorded, source, _} = feed) do
+    with {:ok, extent} <- Source.call(source, :extent, []), do: at(feed, extent.to)
+  end
+
+  # What the studio itself hung on to look at streams is no part of the pipeline.
+  defp without_taps(snapshot) do
+    taps = for %{kind: :tap, path: "Studio: " <> _, id: id} <- snapshot.nodes, do: id
+
+    %{
+      snapshot
+      | nodes: Enum.reject(snapshot.nodes, &(&1.id in taps)),
+        edges: Enum.reject(snapshot.edges, &(&1.to in taps))
+    }
+  end
+
+  @doc "The last recorded snapshot at or before a time."
+  @spec at(t(), Situ.Time.t()) :: {:ok, Snapshot.t(), Situ.Time.t()} | {:error, Error.t()}
+  def at({:recorded, source, stream}, time) do
+    case Source.call(source, :latest_at, [stream, time]) do
+      {:ok, %Message{data: %Snapshot{} = snapshot, originating_time: taken}} ->
+        {:ok, snapshot, taken}
+
+      {:error, error} ->
+        {:error, error}
+
+      _ ->
+        {:error, Error.new(:no_diagnostics, "there is no snapshot at that time")}
+    end
+  end
+
+  @doc "The times of at most `limit` recorded snapshots, evenly thinned."
+  @spec times(t(), pos_integer()) :: [Situ.Time.t()]
+  def times({:recorded, source, stream}, limit) do
+    with {:ok, %{from: from, to: to}} <- Source.call(source, :extent, []),
+         {:ok, marks, _} <- Source.call(source, :marks, [stream, from, to, limit]) do
+      Enum.map(marks, &elem(&1, 0))
+    else
+      _ -> []
+    end
+  end
+
+  def times(_, _), do: []
+
+  @doc "The last messages of a stream up to a time (`:now` when live), newest first; looked at on demand only."
+  @spec messages(t(), String.t(), Situ.Time.t() | :now, pos_integer()) :: [Message.t()]
+  def messages(feed, stream, time, n) do
+    source = elem(feed, 1)
+
+    case {time, Source.call(source, :extent, [])} do
+      {:now, {:ok, %{to: to}}} -> earlier(source, stream, to, n)
+      {time, {:ok, _}} when is_integer(time) -> earlier(source, stream, time, n)
+      _ -> []
+    end
+  end
+
+  defp earlier(_source, _stream, _time, 0), do: []
+
+  defp earlier(source, stream, time, n) do
+    case Source.call(source, :latest_at, [stream, time]) do
+      {:ok, %Message{} = message} ->
+        [message | earlier(source, stream, message.originating_time - 1, n - 1)]
+
+      _ ->
+        []
+    end
+  end
+end

@@ -1,0 +1,373 @@
+defmodule Situ.Studio.PipelineView do
+  @moduledoc """
+  The page of a pipeline's graph: components, composites that fold, connections with their policies, coloured by any
+  statistic of `Situ.Studio.PipelineView.Stats`; what is clicked is told on the right, with plots of its past.
+
+  Of a running pipeline it shows now, twice a second; of a recording, the moment chosen below the graph. The address holds
+  what is shown: `heat`, `fold`, `sel`, `plots`, `at`.
+  """
+  use Situ.Live.View
+  import Situ.Studio.Web.Icons
+
+  alias Situ.Studio.Catalog
+  alias Situ.Studio.PipelineView.{Details, Feed, Fold, Stats, Wire}
+  alias Situ.Studio.Web.Address
+
+  @tick_ms 500
+  # Ten minutes of a running pipeline, or as many moments of a recording.
+  @kept 1_200
+  @recorded 400
+  @messages 8
+
+  @impl true
+  def mount(params, session, socket) do
+    studio = session["studio"]
+    id = params["id"] |> List.wrap() |> Enum.join("/")
+
+    socket =
+      assign(socket,
+        studio: studio,
+        id: id,
+        page_title: "#{id} pipeline - Situ Studio",
+        error: nil,
+        heat: "queue",
+        folded: MapSet.new(),
+        selected: nil,
+        plots: [],
+        at: nil,
+        moments: [],
+        snapshot: nil,
+        taken: nil,
+        sample: %{at: 0, edges: %{}, nodes: %{}},
+        samples: [],
+        messages: [],
+        live: false,
+        drawn: nil
+      )
+
+    with {:ok, item, source} <- Catalog.open(studio, id),
+         {:ok, feed} <- Feed.open(source),
+         {:ok, snapshot, taken} <- Feed.now(feed) do
+      {:ok, start(assign(socket, item: item, feed: feed), feed, snapshot, taken)}
+    else
+      {:error, error} -> {:ok, assign(socket, error: error)}
+    end
+  end
+
+  defp start(socket, {:live, _}, snapshot, taken) do
+    if connected?(socket), do: Process.send_after(self(), :tick, @tick_ms)
+    socket |> assign(live: true, folded: Fold.default(snapshot)) |> observe(snapshot, taken)
+  end
+
+  defp start(socket, {:recorded, _, _} = feed, snapshot, taken) do
+    if connected?(socket), do: send(self(), {:past, Feed.times(feed, @recorded), nil})
+
+    socket
+    |> assign(folded: Fold.default(snapshot), at: taken)
+    |> observe(snapshot, taken)
+    |> assign(samples: [])
+  end
+
+  # -- the address
+
+  @impl true
+  def handle_params(_params, _uri, %{assigns: %{error: %{}}} = socket), do: {:noreply, socket}
+
+  def handle_params(params, _uri, socket) do
+    socket =
+      socket
+      |> heat(params["heat"])
+      |> fold(params["fold"])
+      |> select(params["sel"])
+      |> plots(params["plots"])
+      |> at(params["at"])
+
+    {:noreply, socket |> look() |> draw()}
+  end
+
+  defp heat(socket, id) do
+    case is_binary(id) and Stats.fetch(id) do
+      {:ok, _} -> assign(socket, heat: id)
+      _ -> if id == "none", do: assign(socket, heat: "none"), else: socket
+    end
+  end
+
+  defp fold(socket, text) when is_binary(text) do
+    named = text |> String.split("|", trim: true) |> MapSet.new()
+    known = MapSet.new(socket.assigns.snapshot.scopes)
+    assign(socket, folded: MapSet.intersection(named, known))
+  end
+
+  defp fold(socket, _), do: socket
+
+  defp select(socket, key) when is_binary(key) and key != "", do: assign(socket, selected: key)
+  defp select(socket, _), do: assign(socket, selected: nil)
+
+  defp plots(socket, text) when is_binary(text) do
+    assign(socket,
+      plots: for(id <- String.split(text, ","), {:ok, _} <- [Stats.fetch(id)], do: id)
+    )
+  end
+
+  defp plots(socket, _), do: assign(socket, plots: [])
+
+  defp at(%{assigns: %{live: false}} = socket, text) when is_binary(text) do
+    with {time, ""} <- Integer.parse(text),
+         {:ok, snapshot, taken} <- Feed.at(socket.assigns.feed, time) do
+      socket |> assign(at: taken) |> observe(snapshot, taken)
+    else
+      _ -> socket
+    end
+  end
+
+  defp at(socket, _), do: socket
+
+  defp address(socket, changes) do
+    a = socket.assigns
+
+    now =
+      %{
+        "heat" => a.heat,
+        "fold" => Enum.join(Enum.sort(a.folded), "|"),
+        "sel" => a.selected,
+        "plots" => Enum.join(a.plots, ","),
+        "at" => if(a.live, do: nil, else: a.at)
+      }
+      |> Map.merge(changes)
+      |> Map.reject(fn {key, value} -> value in [nil, ""] and key != "fold" end)
+
+    Address.pipeline(a.id) <> "?" <> URI.encode_query(now)
+  end
+
+  defp go(socket, changes), do: push_patch(socket, to: address(socket, changes), replace: true)
+
+  # -- what the page asks
+
+  @impl true
+  def handle_event(_, _, %{assigns: %{error: %{}}} = socket), do: {:noreply, socket}
+
+  def handle_event("ready", _, socket),
+    do: {:noreply, socket |> assign(drawn: nil) |> draw() |> series()}
+
+  def handle_event("heat", %{"heat" => id}, socket), do: {:noreply, go(socket, %{"heat" => id})}
+
+  def handle_event("pick", %{"key" => key}, socket) when is_binary(key) do
+    key = if key == socket.assigns.selected, do: nil, else: key
+    {:noreply, go(socket, %{"sel" => key})}
+  end
+
+  def handle_event("fold", %{"path" => path}, socket) when is_binary(path) do
+    folded = socket.assigns.folded
+
+    folded =
+      if MapSet.member?(folded, path),
+        do: MapSet.delete(folded, path),
+        else: MapSet.put(folded, path)
+
+    {:noreply, go(socket, %{"fold" => Enum.join(Enum.sort(folded), "|")})}
+  end
+
+  def handle_event("fold_all", _, socket),
+    do: {:noreply, go(socket, %{"fold" => Enum.join(socket.assigns.snapshot.scopes, "|")})}
+
+  def handle_event("unfold_all", _, socket), do: {:noreply, go(socket, %{"fold" => ""})}
+
+  def handle_event("plot", %{"stat" => id}, socket) do
+    shown = Details.plots(socket.assigns)
+    plots = if id in shown, do: shown -- [id], else: shown ++ [id]
+    {:noreply, go(socket, %{"plots" => Enum.join(plots, ",")})}
+  end
+
+  def handle_event("at", %{"moment" => index}, socket) do
+    with {i, ""} <- Integer.parse(to_string(index)),
+         time when is_integer(time) <- Enum.at(socket.assigns.moments, i) do
+      {:noreply, go(socket, %{"at" => time})}
+    else
+      _ -> {:noreply, socket}
+    end
+  end
+
+  def handle_event(_, _, socket), do: {:noreply, socket}
+
+  # -- time goes on
+
+  @impl true
+  def handle_info(:tick, socket) do
+    case Feed.now(socket.assigns.feed) do
+      {:ok, snapshot, taken} ->
+        Process.send_after(self(), :tick, @tick_ms)
+        {:noreply, socket |> observe(snapshot, taken) |> look() |> draw() |> point()}
+
+      # It has ended: what it was last stays on the page.
+      {:error, _} ->
+        {:noreply, assign(socket, live: false)}
+    end
+  end
+
+  # A recording's past is read bit by bit, so that the page answers meanwhile.
+  def handle_info({:past, [], _}, socket), do: {:noreply, series(socket)}
+
+  def handle_info({:past, times, earlier}, socket) do
+    {now, later} = Enum.split(times, 20)
+
+    {samples, earlier} =
+      Enum.flat_map_reduce(now, earlier, fn time, earlier ->
+        case Feed.at(socket.assigns.feed, time) do
+          {:ok, snapshot, taken} -> {[Stats.sample(snapshot, taken, earlier)], {snapshot, taken}}
+          {:error, _} -> {[], earlier}
+        end
+      end)
+
+    send(self(), {:past, later, earlier})
+    a = socket.assigns
+
+    {:noreply,
+     assign(socket,
+       samples: Enum.reverse(samples) ++ a.samples,
+       moments: a.moments ++ Enum.map(samples, & &1.at)
+     )}
+  end
+
+  def handle_info(_, socket), do: {:noreply, socket}
+
+  defp observe(socket, snapshot, taken) do
+    a = socket.assigns
+    earlier = earlier(a, taken)
+    sample = Stats.sample(snapshot, taken, earlier)
+
+    assign(socket,
+      snapshot: snapshot,
+      taken: taken,
+      sample: sample,
+      samples: if(a.live, do: Enum.take([sample | a.samples], @kept), else: a.samples)
+    )
+  end
+
+  defp earlier(%{snapshot: nil}, _), do: nil
+  defp earlier(%{live: true} = a, _taken), do: {a.snapshot, a.taken}
+
+  # The recorded moment before this one.
+  defp earlier(a, taken) do
+    case Feed.at(a.feed, taken - 1) do
+      {:ok, snapshot, time} -> {snapshot, time}
+      _ -> nil
+    end
+  end
+
+  # The last messages of the connection that is selected.
+  defp look(socket) do
+    a = socket.assigns
+
+    case Details.stream(a.snapshot, a.selected) do
+      nil ->
+        assign(socket, messages: [])
+
+      stream ->
+        time = if a.live, do: :now, else: a.taken
+        assign(socket, messages: Feed.messages(a.feed, stream, time, @messages))
+    end
+  end
+
+  # -- to the page's hooks
+
+  defp draw(socket) do
+    a = socket.assigns
+    graph = Fold.apply(a.snapshot, a.folded)
+    shape = :erlang.phash2(graph)
+
+    socket =
+      if a.drawn == shape,
+        do: socket,
+        else: push_event(socket, "pipeline:graph", Wire.graph(graph))
+
+    socket
+    |> assign(drawn: shape)
+    |> push_event("pipeline:stats", Wire.stats(graph, a.snapshot, a.sample, a.heat, a.selected))
+  end
+
+  defp point(socket) do
+    a = socket.assigns
+
+    push_event(
+      socket,
+      "pipeline:point",
+      Wire.point(a.sample, a.selected, a.folded, a.snapshot, Details.plots(a))
+    )
+  end
+
+  defp series(socket) do
+    a = socket.assigns
+    samples = Enum.reverse(a.samples)
+
+    push_event(
+      socket,
+      "pipeline:series",
+      Wire.series(samples, a.selected, a.folded, a.snapshot, Details.plots(a))
+    )
+  end
+
+  # -- what it looks like
+
+  @impl true
+  def render(%{error: %{}} = assigns) do
+    ~H"""
+    <div class="message" role="alert">
+      <h1>{@error.what}</h1>
+      <p :if={@error.why}>{@error.why}</p>
+      <p :if={@error.fix}>{@error.fix}</p>
+      <p><a class="btn" href="/">All recordings</a></p>
+    </div>
+    """
+  end
+
+  def render(assigns) do
+    ~H"""
+    <div class="studio pipeline" id="pipeline" data-selected={@selected}>
+      <header class="topbar">
+        <a class="brand" href="/" title="All recordings"><.logo /><span>Situ</span></a>
+        <a class="where" href={Address.of(@id)} title="Its streams">{@id}</a>
+        <span class="sep"></span>
+        <span class={["state", @snapshot.state]}>{@snapshot.state}</span>
+        <span class="dim">{round(@snapshot.progress * 100)} %</span>
+        <span class="sep"></span>
+        <form id="heat" phx-change="heat">
+          <label>Colour by
+            <select class="select" name="heat">
+              <option value="none" selected={@heat == "none"}>nothing</option>
+              <option :for={s <- Stats.of(:edge) ++ Stats.of(:node)} value={s.id} selected={s.id == @heat}>{s.name}</option>
+            </select>
+          </label>
+        </form>
+        <span class="grow"></span>
+        <button :if={@snapshot.scopes != []} class="tool" type="button" phx-click="fold_all">Fold all</button>
+        <button :if={@snapshot.scopes != []} class="tool" type="button" phx-click="unfold_all">Unfold all</button>
+        <button class="tool" type="button" data-graph="fit" title="View everything (f)"><.icon name={:fit} /></button>
+        <a class="tool" href={Address.of(@id)} title="Its streams">Streams</a>
+      </header>
+      <main class="centre">
+        <div id="graph" class="graph" phx-hook="PipelineGraph" phx-update="ignore" tabindex="0" role="img" aria-label="Graph of the pipeline"></div>
+        <form :if={@moments != []} id="moments" class="moments" phx-change="at">
+          <input type="range" name="moment" min="0" max={length(@moments) - 1} value={moment(@moments, @at)} aria-label="Moment" phx-debounce="30">
+          <span class="dim">{clock(@at)}</span>
+        </form>
+      </main>
+      <aside class="right">
+        <Details.panel snapshot={@snapshot} sample={@sample} selected={@selected} folded={@folded} messages={@messages} heat={@heat} plots={@plots} />
+      </aside>
+      <footer class="status">
+        <span><i class="dot"></i>{if @live, do: "running now", else: "recorded"}</span>
+        <span>{length(@snapshot.nodes)} components</span>
+        <span>{length(@snapshot.edges)} connections</span>
+        <span>{length(@snapshot.processes)} processes</span>
+        <span class="grow"></span>
+        <span>click: details · double click: fold · wheel: zoom · drag: pan</span>
+      </footer>
+    </div>
+    """
+  end
+
+  defp moment(moments, at), do: max(0, Enum.count(moments, &(&1 <= at)) - 1)
+
+  defp clock(nil), do: ""
+  defp clock(ns), do: ns |> Situ.Time.to_iso8601() |> String.slice(11, 12)
+end

@@ -1,0 +1,92 @@
+defmodule Situ.Studio.Sound do
+  @moduledoc """
+  A stretch of an audio stream as 32-bit float samples of one channel, put where their times say: gaps are silence.
+  """
+  alias Situ.{AudioBuffer, AudioFormat, Error}
+  alias Situ.Studio.Source
+
+  @max_span 10_000_000_000
+  @buffers 20_000
+
+  @doc "Start time, rate and samples between `from` and `to` (at most 10 s); channel 0 is the first."
+  @spec samples(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t(), non_neg_integer()) ::
+          {:ok, {Situ.Time.t(), pos_integer(), binary()}} | {:error, Error.t()}
+  def samples(_, _, from, to, _) when to <= from or to - from > @max_span,
+    do: {:error, Error.new(:bad_interval, "sound comes in stretches of up to 10 s")}
+
+  def samples(source, stream, from, to, channel) do
+    # a buffer's time is that of its end, so the one that ends after `to` may hold the last samples
+    with {:ok, messages, _} <- Source.call(source, :messages, [stream, from, to, @buffers]) do
+      later =
+        case Source.call(source, :next_after, [stream, to]) do
+          {:ok, message} -> [message]
+          _ -> []
+        end
+
+      buffers =
+        for %{data: %AudioBuffer{} = b, originating_time: t} <- messages ++ later, do: {b, t}
+
+      {:ok, lay(buffers, from, to, channel)}
+    end
+  end
+
+  defp lay([], from, _to, _), do: {from, 16_000, ""}
+
+  defp lay([{first, _} | _] = buffers, from, to, channel) do
+    rate = first.format.rate
+    wanted = AudioFormat.ns_to_frames(first.format, to - from)
+
+    {parts, _} =
+      buffers
+      |> Enum.filter(fn {b, _} -> b.format.rate == rate end)
+      |> Enum.reduce({[], 0}, fn {b, time}, {parts, at} ->
+        start = AudioFormat.ns_to_frames(b.format, AudioBuffer.start_time(b, time) - from)
+        skip = max(at - start, 0)
+        gap = max(min(start, wanted) - at, 0)
+        n = max(min(AudioBuffer.frames(b) - skip, wanted - max(start, at)), 0)
+        samples = b |> AudioBuffer.slice(skip, n) |> floats(min(channel, b.format.channels - 1))
+        silence = :binary.copy(<<0.0::little-float-32>>, gap)
+        {[samples, silence | parts], at + gap + n}
+      end)
+
+    {from, rate, parts |> Enum.reverse() |> IO.iodata_to_binary()}
+  end
+
+  defp floats(%AudioBuffer{format: format, data: data}, channel) do
+    bits = 8 * AudioFormat.bytes_per_sample(format)
+    before = bits * channel
+    rest = bits * (format.channels - channel - 1)
+
+    case format.sample do
+      :s16 ->
+        for <<_::size(before), v::little-signed-16, _::size(rest) <- data>>,
+          into: <<>>,
+          do: <<v / 32_768::little-float-32>>
+
+      :u8 ->
+        for <<_::size(before), v, _::size(rest) <- data>>,
+          into: <<>>,
+          do: <<(v - 128) / 128::little-float-32>>
+
+      :s24 ->
+        for <<_::size(before), v::little-signed-24, _::size(rest) <- data>>,
+          into: <<>>,
+          do: <<v / 8_388_608::little-float-32>>
+
+      :s32 ->
+        for <<_::size(before), v::little-signed-32, _::size(rest) <- data>>,
+          into: <<>>,
+          do: <<v / 2_147_483_648::little-float-32>>
+
+      :f32 ->
+        for <<_::size(before), v::little-float-32, _::size(rest) <- data>>,
+          into: <<>>,
+          do: <<v::little-float-32>>
+
+      :f64 ->
+        for <<_::size(before), v::little-float-64, _::size(rest) <- data>>,
+          into: <<>>,
+          do: <<v::little-float-32>>
+    end
+  end
+end

@@ -1,0 +1,91 @@
+defmodule Situ.Studio.Source do
+  @moduledoc """
+  Where streams come from: a store on disk, a store being written, a running pipeline. Everything the studio draws is
+  asked of a source through these functions; handles are plain terms usable from any process.
+
+  Times are inclusive at both ends. A source that is gone answers `{:error, error}` and the page says so.
+  """
+  alias Situ.Studio.{Source, StreamInfo}
+
+  @typedoc "A source's module and handle."
+  @type t :: {module(), handle :: term()}
+  @type extent :: %{
+          from: Situ.Time.t(),
+          to: Situ.Time.t(),
+          live: boolean(),
+          version: non_neg_integer()
+        }
+
+  @doc "First and last time, whether it grows, and a number that changes with the list of streams."
+  @callback extent(handle :: term()) :: {:ok, extent()} | {:error, Situ.Error.t()}
+
+  @doc "What streams there are."
+  @callback streams(handle :: term()) :: {:ok, [StreamInfo.t()]} | {:error, Situ.Error.t()}
+
+  @doc """
+  The signal of a numeric or audio stream between two times in bins `bin` ns wide, or message by message where there are
+  fewer; with the neighbours just outside, so that lines reach the edges.
+  """
+  @callback series(
+              handle :: term(),
+              stream :: String.t(),
+              Situ.Time.t(),
+              Situ.Time.t(),
+              bin :: pos_integer()
+            ) ::
+              {:ok, [Situ.Codec.point()], raw? :: boolean()} | {:error, Situ.Error.t()}
+
+  @doc "At most `limit` messages between two times, in order; `:more` when there are more."
+  @callback messages(
+              handle :: term(),
+              stream :: String.t(),
+              Situ.Time.t(),
+              Situ.Time.t(),
+              limit :: pos_integer()
+            ) :: {:ok, [Situ.Message.t()], :all | :more} | {:error, Situ.Error.t()}
+
+  @doc "Times and latencies of at most `limit` messages; when there are more, evenly thinned and `:more`."
+  @callback marks(
+              handle :: term(),
+              stream :: String.t(),
+              Situ.Time.t(),
+              Situ.Time.t(),
+              limit :: pos_integer()
+            ) ::
+              {:ok, [{Situ.Time.t(), Situ.Time.duration()}], :all | :more}
+              | {:error, Situ.Error.t()}
+
+  @doc "The last message at or before a time."
+  @callback latest_at(handle :: term(), stream :: String.t(), Situ.Time.t()) ::
+              {:ok, Situ.Message.t()} | :none | {:error, Situ.Error.t()}
+
+  @doc "The first message after a time."
+  @callback next_after(handle :: term(), stream :: String.t(), Situ.Time.t()) ::
+              {:ok, Situ.Message.t()} | :none | {:error, Situ.Error.t()}
+
+  @doc "Calls the source's function of this name."
+  @spec call(t(), atom(), list()) :: term()
+  def call({module, handle}, function, args), do: apply(module, function, [handle | args])
+
+  @doc "The message whose originating time is nearest to `time`."
+  @spec nearest(t(), String.t(), Situ.Time.t()) ::
+          {:ok, Situ.Message.t()} | :none | {:error, Situ.Error.t()}
+  def nearest(source, stream, time) do
+    before = Source.call(source, :latest_at, [stream, time])
+    later = Source.call(source, :next_after, [stream, time])
+
+    case {before, later} do
+      {{:ok, a}, {:ok, b}} ->
+        {:ok, if(time - a.originating_time <= b.originating_time - time, do: a, else: b)}
+
+      {{:ok, a}, _} ->
+        {:ok, a}
+
+      {_, {:ok, b}} ->
+        {:ok, b}
+
+      {other, _} ->
+        other
+    end
+  end
+end

@@ -1,0 +1,132 @@
+defmodule Situ.Studio.Source.History do
+  @moduledoc """
+  A `Situ.Studio.History` as a source: signals folded from the messages themselves.
+  """
+  @behaviour Situ.Studio.Source
+
+  alias Situ.Studio.{History, StreamInfo}
+  alias Situ.Studio.Draw.Bins
+
+  @impl true
+  def extent(%History{streams: streams, live: live}) do
+    rows = :ets.tab2list(streams)
+    firsts = for {_, _, _, _, first, _, _} <- rows, first != nil, do: first
+    lasts = for {_, _, _, _, _, last, _} <- rows, last != nil, do: last
+    now = Situ.Time.now()
+
+    {:ok,
+     %{
+       from: Enum.min(firsts, fn -> now end),
+       to: Enum.max(lasts, fn -> now end),
+       live: live,
+       version: length(rows)
+     }}
+  rescue
+    ArgumentError -> gone()
+  end
+
+  @impl true
+  def streams(%History{streams: streams} = history) do
+    infos =
+      for {name, type, count, _, first, last, total} <- :ets.tab2list(streams) do
+        %StreamInfo{
+          name: name,
+          shape: shape(history, name, type, last),
+          type: Situ.Type.to_string(type),
+          first: first,
+          last: last,
+          count: count,
+          bytes: total
+        }
+      end
+
+    {:ok, Enum.sort_by(infos, & &1.name)}
+  rescue
+    ArgumentError -> gone()
+  end
+
+  defp shape(history, name, type, last) do
+    case {StreamInfo.shape(type), last} do
+      {:value, time} when time != nil ->
+        case latest_at(history, name, time) do
+          {:ok, message} -> StreamInfo.shape_of(message.data)
+          _ -> :value
+        end
+
+      {shape, _} ->
+        shape
+    end
+  end
+
+  @impl true
+  def series(history, stream, from, to, bin) do
+    with {:ok, messages, _} <- messages(history, stream, from, to, 1_000_000) do
+      all = neighbour(latest_at(history, stream, from - 1)) ++ messages
+      all = all ++ neighbour(next_after(history, stream, to))
+      points = Enum.flat_map(all, &points/1)
+      {points, raw?} = Bins.fold(points, bin, max(div(to - from, bin), 2))
+      {:ok, points, raw?}
+    end
+  end
+
+  defp neighbour({:ok, message}), do: [message]
+  defp neighbour(_), do: []
+
+  defp points(%{data: %module{} = data, originating_time: time}) do
+    if function_exported?(module, :points, 2), do: module.points(data, time), else: []
+  end
+
+  defp points(%{data: data, originating_time: time}) do
+    case Bins.number(data) do
+      {:ok, value} -> [Bins.point(time, value)]
+      :error -> []
+    end
+  end
+
+  @impl true
+  def messages(%History{messages: table}, stream, from, to, limit) do
+    spec = [
+      {{{stream, :"$1"}, :"$2", :_}, [{:>=, :"$1", from}, {:"=<", :"$1", to}], [:"$2"]}
+    ]
+
+    case :ets.select(table, spec, limit + 1) do
+      :"$end_of_table" -> {:ok, [], :all}
+      {rows, _} when length(rows) > limit -> {:ok, Enum.take(rows, limit), :more}
+      {rows, _} -> {:ok, rows, :all}
+    end
+  rescue
+    ArgumentError -> gone()
+  end
+
+  @impl true
+  def marks(history, stream, from, to, limit) do
+    with {:ok, messages, more} <- messages(history, stream, from, to, limit) do
+      {:ok, for(m <- messages, do: {m.originating_time, Situ.Message.latency(m)}), more}
+    end
+  end
+
+  @impl true
+  def latest_at(%History{messages: table}, stream, time) do
+    found(table, stream, :ets.prev(table, {stream, time + 1}))
+  rescue
+    ArgumentError -> gone()
+  end
+
+  @impl true
+  def next_after(%History{messages: table}, stream, time) do
+    found(table, stream, :ets.next(table, {stream, time}))
+  rescue
+    ArgumentError -> gone()
+  end
+
+  defp found(table, stream, {stream, _} = key) do
+    case :ets.lookup(table, key) do
+      [{_, message, _}] -> {:ok, message}
+      [] -> :none
+    end
+  end
+
+  defp found(_, _, _), do: :none
+
+  defp gone, do: {:error, Situ.Error.new(:gone, "the pipeline is gone")}
+end

@@ -1,0 +1,242 @@
+defmodule Situ.Studio.Source.Store do
+  @moduledoc """
+  A recording as a source: a store's folder or a foreign file, closed or still being written.
+
+  What a page asks for at every picture (extents, the list of streams) is kept for a moment in a table, so that a live
+  page costs the store one look per picture and not one per panel.
+  """
+  @behaviour Situ.Studio.Source
+
+  alias Situ.{Error, Store}
+  alias Situ.Studio.{Source, StreamInfo}
+  alias Situ.Studio.Draw.Bins
+
+  @enforce_keys [:store, :path, :cache]
+  defstruct [:store, :path, :cache]
+
+  @type t :: %__MODULE__{store: Store.t(), path: Path.t(), cache: :ets.table()}
+
+  @fresh_live_ms 30
+  @fresh_ms 1_000
+  @samples 2_000
+
+  @doc "Opens a recording. Called by the process that is to keep it: the table ends with it."
+  @spec open(Path.t()) :: {:ok, Source.t()} | {:error, Error.t()}
+  def open(path) do
+    with {:ok, store} <- Store.open(path) do
+      cache = :ets.new(__MODULE__, [:set, :public, read_concurrency: true])
+      for info <- Store.streams(store), do: load(info.type)
+      {:ok, {__MODULE__, %__MODULE__{store: store, path: store.path, cache: cache}}}
+    end
+  end
+
+  # Field names are atoms that exist once their struct's module is loaded, and a reader makes no atoms.
+  defp load(type) when is_atom(type), do: Code.ensure_loaded(type)
+  defp load(type) when is_tuple(type), do: type |> Tuple.to_list() |> Enum.each(&load/1)
+  defp load(types) when is_list(types), do: Enum.each(types, &load/1)
+  defp load(_), do: :ok
+
+  @impl true
+  def extent(source) do
+    with {:ok, %{extent: extent}} <- look(source), do: {:ok, extent}
+  end
+
+  @impl true
+  def streams(source) do
+    with {:ok, %{infos: infos}} <- look(source) do
+      {:ok, infos |> Map.values() |> Enum.map(&stream(source, &1)) |> Enum.sort_by(& &1.name)}
+    end
+  end
+
+  # The catalog as it was a moment ago.
+  defp look(%__MODULE__{cache: cache} = source) do
+    now = System.monotonic_time(:millisecond)
+
+    case :ets.lookup(cache, :look) do
+      [{:look, until, look}] when until > now -> {:ok, look}
+      _ -> look_again(source, now)
+    end
+  rescue
+    ArgumentError -> gone(source)
+  end
+
+  defp look_again(%__MODULE__{store: store, cache: cache} = source, now) do
+    if File.exists?(source.path) do
+      streams = Store.streams(store)
+      live? = Store.live?(store)
+      {from, to} = Store.interval(streams) || {0, 1}
+      extent = %{from: from, to: to, live: live?, version: length(streams)}
+      look = %{extent: extent, infos: Map.new(streams, &{&1.name, &1})}
+      :ets.insert(cache, {:look, now + if(live?, do: @fresh_live_ms, else: @fresh_ms), look})
+      {:ok, look}
+    else
+      gone(source)
+    end
+  rescue
+    error in Error -> {:error, error}
+  end
+
+  defp gone(source) do
+    {:error, Error.new(:gone, "the recording #{Path.basename(source.path)} is gone")}
+  end
+
+  defp stream(source, info) do
+    details =
+      [
+        {"On disk", info.stored > 0 && Situ.Studio.Web.Side.bytes(info.stored)},
+        {"Average size",
+         info.count > 0 && Situ.Studio.Web.Side.bytes(div(info.size, info.count))},
+        {"Compression", info.compression != :none && to_string(info.compression)}
+      ]
+      |> Enum.filter(&elem(&1, 1))
+
+    %StreamInfo{
+      name: info.name,
+      shape: shape(source, info),
+      type: Situ.Type.to_string(info.type),
+      first: info.first,
+      last: info.last,
+      count: info.count,
+      bytes: info.size,
+      latency: Store.StreamInfo.average_latency(info),
+      details: details
+    }
+  end
+
+  # A type that says nothing is known by the first message.
+  defp shape(%__MODULE__{cache: cache} = source, info) do
+    with :value <- StreamInfo.shape(info.type),
+         [] <- :ets.lookup(cache, {:shape, info.name}) do
+      case Store.at(source.store, info, 0) do
+        {:ok, %{data: data}} ->
+          shape = StreamInfo.shape_of(data)
+          :ets.insert(cache, {{:shape, info.name}, shape})
+          shape
+
+        _ ->
+          :value
+      end
+    else
+      [{_, shape}] -> shape
+      shape -> shape
+    end
+  end
+
+  defp info(source, name) do
+    with {:ok, %{infos: infos}} <- look(source) do
+      case infos do
+        %{^name => info} -> {:ok, info}
+        _ -> {:error, Error.new(:no_stream, "there is no stream called #{inspect(name)} here")}
+      end
+    end
+  end
+
+  @impl true
+  def series(source, name, from, to, bin) do
+    bins = max(div(to - from, bin), 2)
+
+    with {:ok, info} <- info(source, name),
+         {:ok, n} <- count(source, info, from, to) do
+      cond do
+        shape(source, info) == :audio -> summary(source, info, from, to, bins)
+        n <= bins -> raw(source, info, from, to, n)
+        info.type == :boolean -> folded(source, info, from, to, bin)
+        true -> summary(source, info, from, to, bins)
+      end
+    end
+  end
+
+  # Messages within [from, to], by their ordinals.
+  defp count(%{store: store}, info, from, to) do
+    with {:ok, first} <- store.module.seek(store.state, info, from),
+         {:ok, next} <- store.module.seek(store.state, info, to + 1) do
+      {:ok, next - first}
+    end
+  end
+
+  # One message more on both sides: lines reach the edges.
+  defp raw(source, info, from, to, n) do
+    with {:ok, messages} <- Store.read(source.store, info, from: from, to: to, limit: n + 16) do
+      all = one(Store.latest_at(source.store, info, from - 1)) ++ messages
+      all = all ++ one(Store.first_at(source.store, info, to + 1))
+      {:ok, points(all), true}
+    end
+  end
+
+  defp one({:ok, %Situ.Message{} = message}), do: [message]
+  defp one(_), do: []
+
+  defp points(messages) do
+    for message <- messages, {:ok, value} <- [Bins.number(message.data)] do
+      Bins.point(message.originating_time, value)
+    end
+  end
+
+  defp summary(source, info, from, to, bins) do
+    with {:ok, _width, rows} <- Store.summary(source.store, info, from, to, bins) do
+      {:ok, rows, false}
+    end
+  end
+
+  defp folded(source, info, from, to, bin) do
+    with {:ok, messages} <- Store.read(source.store, info, from: from, to: to, limit: 200_000) do
+      {points, raw?} = messages |> points() |> Bins.fold(bin, 2)
+      {:ok, points, raw?}
+    end
+  end
+
+  @impl true
+  def messages(source, name, from, to, limit) do
+    with {:ok, info} <- info(source, name),
+         {:ok, messages} <-
+           Store.read(source.store, info, from: from, to: to, limit: limit + 1) do
+      if length(messages) > limit,
+        do: {:ok, Enum.take(messages, limit), :more},
+        else: {:ok, messages, :all}
+    end
+  end
+
+  @impl true
+  def marks(source, name, from, to, limit) do
+    with {:ok, info} <- info(source, name),
+         {:ok, n} <- count(source, info, from, to) do
+      if n <= limit,
+        do: all_marks(source, info, from, to, n),
+        else: thinned(source, info, from, n)
+    end
+  end
+
+  defp all_marks(source, info, from, to, n) do
+    with {:ok, messages} <- Store.read(source.store, info, from: from, to: to, limit: n + 16) do
+      {:ok, Enum.map(messages, &mark/1), :all}
+    end
+  end
+
+  defp thinned(%{store: store}, info, from, n) do
+    with {:ok, first} <- store.module.seek(store.state, info, from) do
+      rows =
+        for i <- 0..(@samples - 1),
+            {:ok, %Situ.Message{} = m} <- [Store.at(store, info, first + div(i * n, @samples))],
+            do: mark(m)
+
+      {:ok, rows, :more}
+    end
+  end
+
+  defp mark(message), do: {message.originating_time, Situ.Message.latency(message)}
+
+  @impl true
+  def latest_at(source, name, time) do
+    with {:ok, info} <- info(source, name),
+         do: found(Store.latest_at(source.store, info, time))
+  end
+
+  @impl true
+  def next_after(source, name, time) do
+    with {:ok, info} <- info(source, name),
+         do: found(Store.first_at(source.store, info, time + 1))
+  end
+
+  defp found({:ok, nil}), do: :none
+  defp found(other), do: other
+end

@@ -1,0 +1,76 @@
+defmodule Situ.Studio.Tree do
+  @moduledoc """
+  Stream names as a tree: `Camera.Left.Image` is `Image` under `Left` under `Camera`. A name may be both a stream and a
+  group. Pure.
+
+      iex> tree = Situ.Studio.Tree.build(["A.x", "A.y", "B"], & &1)
+      iex> for row <- Situ.Studio.Tree.rows(tree, MapSet.new()), do: {row.depth, row.label, row.item}
+      [{0, "A", nil}, {1, "x", "A.x"}, {1, "y", "A.y"}, {0, "B", "B"}]
+  """
+
+  defmodule Row do
+    @moduledoc "One line of the tree. `item` is `nil` for a mere group; `open?` is `nil` for a leaf."
+    @enforce_keys [:path, :label, :depth]
+    defstruct [:path, :label, :depth, :item, :open?]
+
+    @type t :: %__MODULE__{
+            path: String.t(),
+            label: String.t(),
+            depth: non_neg_integer(),
+            item: term(),
+            open?: boolean() | nil
+          }
+  end
+
+  @type t :: %{optional(String.t()) => {item :: term(), t()}}
+
+  @doc "The tree of `items`; `name` gives an item's dotted name."
+  @spec build([item], (item -> String.t())) :: t() when item: term()
+  def build(items, name) do
+    Enum.reduce(items, %{}, fn item, tree -> put(tree, segments(name.(item)), item) end)
+  end
+
+  defp put(tree, [last], item) do
+    Map.update(tree, last, {item, %{}}, fn {_, children} -> {item, children} end)
+  end
+
+  defp put(tree, [first | rest], item) do
+    {own, children} = Map.get(tree, first, {nil, %{}})
+    Map.put(tree, first, {own, put(children, rest, item)})
+  end
+
+  # "a..b" and ".a" have empty parts: such names stay whole, so that nothing is hidden.
+  defp segments(name) do
+    parts = String.split(name, ".")
+    if "" in parts, do: [name], else: parts
+  end
+
+  @doc "The visible lines in order; the paths in `closed` hide what is under them."
+  @spec rows(t(), MapSet.t(String.t())) :: [Row.t()]
+  def rows(tree, closed), do: tree |> rows("", 0, closed) |> List.flatten()
+
+  defp rows(tree, prefix, depth, closed) do
+    for {label, {item, children}} <- Enum.sort_by(tree, &elem(&1, 0)) do
+      path = prefix <> label
+      leaf? = children == %{}
+      open? = if leaf?, do: nil, else: path not in closed
+      row = %Row{path: path, label: label, depth: depth, item: item, open?: open?}
+      [row | if(open?, do: rows(children, path <> ".", depth + 1, closed), else: [])]
+    end
+  end
+
+  @doc """
+  The names in which every word of `query` occurs, upper or lower case.
+
+      iex> Situ.Studio.Tree.search(["Camera.Image", "Mic.Audio"], "ima cam")
+      ["Camera.Image"]
+  """
+  @spec search([String.t()], String.t()) :: [String.t()]
+  def search(names, query) do
+    words = query |> String.downcase() |> String.split()
+
+    Enum.filter(names, fn name ->
+      Enum.all?(words, &String.contains?(String.downcase(name), &1))
+    end)
+  end
+end

@@ -1,0 +1,121 @@
+defmodule Situ.Studio.Web.Chrome do
+  @moduledoc false
+  # What frames the panels: toolbar, timing, status line, dialogs.
+  use Situ.Live.Component
+  import Situ.Studio.Web.Icons
+
+  @doc false
+  def layout(assigns) do
+    ~H"""
+    <html lang="en" data-theme="dark">
+      <head>
+        <meta charset="utf-8">
+        <meta name="viewport" content="width=device-width, initial-scale=1">
+        <title>{@page_title || "Situ Studio"}</title>
+        <link rel="icon" href="/assets/favicon.svg">
+        <link rel="stylesheet" href="/assets/studio.css">
+        <script src="/assets/theme.js"></script>
+        <script defer src="/assets/studio.js"></script>
+      </head>
+      <body>{@inner_content}</body>
+    </html>
+    """
+  end
+
+  attr(:title, :string, required: true)
+  attr(:layouts, :list, required: true)
+  attr(:layout, :string, required: true)
+  attr(:changed, :boolean, required: true)
+  attr(:read_only, :boolean, required: true)
+  attr(:pipeline, :string, default: nil)
+
+  @doc false
+  def topbar(assigns) do
+    ~H"""
+    <header class="topbar">
+      <a class="brand" href="/" title="All recordings"><.logo /><span>Situ</span></a>
+      <span class="where" title={@title}>{@title}</span>
+      <span class="sep"></span>
+      <div id="toolbar" phx-update="ignore" style="display: contents">
+        <.play />
+        <.tool act="togglePlaySel" icon={:selection} title="Play the selection (Ctrl+Space)" />
+        <.tool act="repeat" icon={:repeat} title="Repeat (r)" />
+        <.tool act="slower" icon={:slower} title="Half speed (,)" />
+        <span id="speed" title="Playback speed">1×</span>
+        <.tool act="faster" icon={:faster} title="Double speed (.)" />
+        <span class="sep"></span>
+        <.tool act="zoomAll" icon={:fit} title="View everything (Ctrl+A)" />
+        <.tool act="zoomSel" icon={:zoom} title="Zoom to the selection (Ctrl+S)" />
+        <.tool act="clearSel" icon={:clear} title="Clear the selection (Alt+C)" />
+        <.tool act="follow" icon={:follow} title="Cursor follows the mouse (Alt+F)" />
+        <span class="sep"></span>
+        <button class="tool live" type="button" data-act="live" title="Follow what is being recorded (l)" disabled>LIVE</button>
+        <span class="grow"></span>
+        <button class="timing" type="button" data-act="timing" title="Clock time or time since the start">
+          <div class="c"><span>Cursor</span><b id="t-cursor">–</b></div>
+          <div class="a"><span>Selection from</span><b id="t-start">–</b></div>
+          <div class="e"><span>to</span><b id="t-end">–</b></div>
+          <div class="len"><span>length</span><b id="t-length">–</b></div>
+        </button>
+      </div>
+      <span class="sep"></span>
+      <form id="layout-pick" phx-change="layout_pick">
+        <select class="select" name="layout" aria-label="Layout" title="Layout">
+          <option :for={name <- @layouts} value={name} selected={name == @layout}>{name}{if @changed and name == @layout, do: " *"}</option>
+        </select>
+      </form>
+      <button :if={not @read_only} class="tool" type="button" phx-click="layout_dialog" title="Save the layout" aria-label="Save the layout"><.icon name={:save} /></button>
+      <a :if={@pipeline} class="tool" href={@pipeline} title="The pipeline's graph"><.icon name={:pipeline} /></a>
+      <.tool act="copyLink" icon={:link} title="Copy a link to this view" />
+      <.tool act="theme" icon={:theme} title="Dark or light (t)" />
+      <.tool act="help" icon={:help} title="Keys (?)" />
+    </header>
+    """
+  end
+
+  defp play(assigns) do
+    ~H"""
+    <button class="tool play" type="button" data-act="togglePlay" title="Play or stop (Space)" aria-label="Play or stop" aria-pressed="false"><.icon name={:play} class="i-play" /><.icon name={:stop} class="i-stop" /></button>
+    """
+  end
+
+  attr(:count, :integer, required: true)
+  attr(:source, :string, required: true)
+  attr(:read_only, :boolean, required: true)
+
+  @doc false
+  def status(assigns) do
+    ~H"""
+    <footer class="status">
+      <span><i class="dot"></i><span id="connection" phx-update="ignore">connecting</span></span>
+      <span>{@source}</span>
+      <span>{@count} streams</span>
+      <span :if={@read_only}>read only</span>
+      <span class="grow"></span>
+      <span>? keys</span>
+      <span>Ctrl+K commands</span>
+      <span id="tempo" phx-update="ignore"></span>
+    </footer>
+    """
+  end
+
+  @doc false
+  def dialogs(assigns) do
+    ~H"""
+    <div id="dialogs" phx-update="ignore">
+      <dialog id="goto" aria-label="Go to time">
+        <form method="dialog">
+          <h3>Go to time</h3>
+          <input name="time" autocomplete="off" placeholder="1:23.5, 83.5 s, 250 ms, 2026-01-31T12:34:56Z" aria-label="Time">
+          <div class="error" role="alert"></div>
+        </form>
+      </dialog>
+      <dialog id="help" aria-label="Keys"><h3>Keys</h3><dl></dl>
+        <p class="hint">Mouse on a timeline: move = cursor, drag = pan, wheel = zoom, Shift+drag = select, Shift+click and Shift+right click = ends of the selection.</p>
+      </dialog>
+      <dialog id="palette" aria-label="Commands"><input placeholder="Command or stream" autocomplete="off" aria-label="Command or stream"><ul role="listbox"></ul></dialog>
+      <div id="toast" role="status"></div>
+    </div>
+    """
+  end
+end

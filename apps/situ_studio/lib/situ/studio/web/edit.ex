@@ -1,0 +1,158 @@
+defmodule Situ.Studio.Web.Edit do
+  @moduledoc false
+  # What the page's buttons and forms do to the layout. Pure: from an event and the assigns to the assigns that change.
+  alias Situ.{Error, Studio}
+  alias Studio.{Layout, Visualizers}
+
+  @spec apply(String.t(), map(), map()) :: {:ok, keyword()} | {:error, Error.t()} | :ignore
+  def apply("add_stream", %{"stream" => stream} = params, assigns) do
+    into = to_string(params["panel"])
+
+    with {:ok, entries} <- entries(assigns, stream) do
+      # dropped on a panel, a stream is drawn the way that fits it, if there is one
+      panel = Layout.panel(assigns.layout, into)
+      entry = (panel && Enum.find(entries, &(&1.panel == panel.panel))) || hd(entries)
+      add(assigns, stream, entry, into)
+    end
+  end
+
+  def apply("add_viz", %{"stream" => stream, "viz" => id}, assigns) do
+    with {:ok, entries} <- entries(assigns, stream) do
+      case Enum.find(entries, &(&1.id == id)) do
+        nil -> :ignore
+        entry -> add(assigns, stream, entry, "")
+      end
+    end
+  end
+
+  def apply("plot_path", %{"stream" => stream, "path" => path} = params, assigns) do
+    {viz, panel} =
+      case params["kind"] do
+        "string" -> {"labels", :lanes}
+        kind when kind in ["boolean", "atom"] -> {"states", :lanes}
+        _ -> {"line", :plot}
+      end
+
+    with {:ok, _} <- entries(assigns, stream),
+         {:ok, _} <- Studio.Path.parse(path),
+         {:ok, layout, id} <- Layout.add(assigns.layout, stream, viz, panel, "", path: path) do
+      {:ok, layout: layout, selected: {:panel, id}}
+    end
+  end
+
+  def apply("select_panel", %{"id" => id}, assigns) do
+    if Layout.panel(assigns.layout, id), do: {:ok, selected: {:panel, id}}, else: :ignore
+  end
+
+  def apply("remove_panel", %{"id" => id}, assigns) do
+    selected = if assigns.selected == {:panel, id}, do: nil, else: assigns.selected
+    {:ok, layout: Layout.remove(assigns.layout, id), selected: selected}
+  end
+
+  def apply("remove_vis", %{"panel" => id, "index" => index}, assigns) do
+    with {:ok, i} <- integer(index), do: {:ok, layout: Layout.remove_vis(assigns.layout, id, i)}
+  end
+
+  def apply("move_row", %{"id" => id, "by" => by}, assigns) when by in ["1", "-1"],
+    do: {:ok, layout: Layout.move(assigns.layout, id, String.to_integer(by))}
+
+  def apply("resize_row", %{"id" => id, "height" => height}, assigns)
+      when is_integer(height) and is_binary(id),
+      do: {:ok, layout: Layout.resize(assigns.layout, id, height)}
+
+  def apply("axis", %{"panel" => id, "min" => min, "max" => max}, assigns) do
+    case {number(min), number(max)} do
+      {{:ok, min}, {:ok, max}} when min < max -> axis(assigns, id, {min, max})
+      {:empty, :empty} -> axis(assigns, id, nil)
+      _ -> :ignore
+    end
+  end
+
+  def apply("prop", %{"panel" => id, "index" => index} = params, assigns) do
+    with {:ok, i} <- integer(index),
+         %{vis: vis} <- Layout.panel(assigns.layout, id),
+         {:ok, one} <- fetch(vis, i),
+         {:ok, entry} <- visualizer(assigns, one) do
+      props = if is_map(params["props"]), do: params["props"], else: %{}
+      props = Enum.reduce(entry.options, one.props, &put(&1, &2, props, params, entry))
+
+      layout =
+        Layout.update(assigns.layout, id, fn p ->
+          %{p | vis: List.replace_at(p.vis, i, %{one | props: props})}
+        end)
+
+      {:ok, layout: layout}
+    else
+      _ -> :ignore
+    end
+  end
+
+  def apply(_, _, _), do: :ignore
+
+  # Only the field that changed is taken over; an unchecked box is sent by its absence.
+  defp put({key, option}, props, given, params, entry) do
+    name = Atom.to_string(key)
+
+    cond do
+      params["_target"] not in [nil, ["props", name]] -> props
+      option[:type] == :boolean -> Map.put(props, name, given[name] == "true")
+      not is_binary(given[name]) -> props
+      given[name] == "" -> Map.delete(props, name)
+      true -> cast(props, name, given[name], entry)
+    end
+  end
+
+  defp cast(props, name, text, entry) do
+    case Visualizers.cast(entry, name, text) do
+      {:ok, value} -> Map.put(props, name, value)
+      :error -> props
+    end
+  end
+
+  defp add(assigns, stream, entry, into) do
+    with {:ok, layout, id} <- Layout.add(assigns.layout, stream, entry.id, entry.panel, into) do
+      {:ok, layout: layout, selected: {:panel, id}}
+    end
+  end
+
+  defp axis(assigns, id, axis),
+    do: {:ok, layout: Layout.update(assigns.layout, id, &%{&1 | axis: axis})}
+
+  defp entries(assigns, stream) do
+    case assigns.shapes do
+      %{^stream => shape} ->
+        {:ok, Visualizers.for_shape(shape, assigns.extra)}
+
+      _ ->
+        {:error, Error.new(:no_stream, "there is no stream called #{inspect(stream)}")}
+    end
+  end
+
+  defp visualizer(assigns, vis) do
+    shape = Map.get(assigns.shapes, vis.stream, :value)
+
+    Visualizers.of(vis.viz, vis.path, shape, assigns.extra)
+  end
+
+  defp fetch(vis, i) when i >= 0, do: Enum.fetch(vis, i)
+  defp fetch(_, _), do: :error
+
+  defp integer(text) when is_binary(text) do
+    case Integer.parse(text) do
+      {i, ""} -> {:ok, i}
+      _ -> :ignore
+    end
+  end
+
+  defp integer(_), do: :ignore
+
+  defp number(text) when is_binary(text) do
+    case {String.trim(text), Float.parse(String.trim(text))} do
+      {"", _} -> :empty
+      {_, {x, ""}} -> {:ok, x}
+      _ -> :error
+    end
+  end
+
+  defp number(_), do: :error
+end

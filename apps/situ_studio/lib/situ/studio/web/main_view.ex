@@ -1,0 +1,256 @@
+defmodule Situ.Studio.Web.MainView do
+  @moduledoc false
+  # The page of one recording or pipeline. Times, cursor and pictures live in the browser; here are the streams, the
+  # layout and what is selected.
+  use Situ.Live.View
+
+  alias Situ.Studio.{Catalog, Layout, Layouts, Link, Source, Tree}
+  alias Situ.Studio.Web.{Address, Chrome, Edit, Panels, Side}
+
+  @max_rows 400
+
+  @impl true
+  def mount(params, session, socket) do
+    studio = session["studio"]
+    id = params["id"] |> List.wrap() |> Enum.join("/")
+    settings = Catalog.settings(studio)
+
+    socket =
+      assign(socket,
+        studio: studio,
+        id: id,
+        page_title: "#{id} - Situ Studio",
+        read_only: settings.read_only,
+        extra: settings.visualizers,
+        layout_dir: settings.layouts,
+        query: "",
+        closed: MapSet.new(),
+        selected: nil,
+        snap: nil,
+        dialog: nil,
+        error: nil
+      )
+
+    case Catalog.open(studio, id) do
+      {:ok, item, source} ->
+        socket = socket |> assign(item: item, source: source) |> load_streams()
+        {:ok, choose_layout(socket, params)}
+
+      {:error, error} ->
+        {:ok, assign(socket, error: error)}
+    end
+  end
+
+  defp load_streams(socket) do
+    streams =
+      case Source.call(socket.assigns.source, :streams, []) do
+        {:ok, streams} -> streams
+        {:error, _} -> socket.assigns[:infos] || []
+      end
+
+    names = streams |> Enum.map(& &1.name) |> Enum.take(2_000)
+
+    assign(socket,
+      infos: streams,
+      shapes: Map.new(streams, &{&1.name, &1.shape}),
+      names: IO.iodata_to_binary(:jiffy.encode(Enum.map(names, &valid/1))),
+      sources: Enum.map(Catalog.list(socket.assigns.studio), &entry/1)
+    )
+  end
+
+  defp valid(name), do: if(String.valid?(name), do: name, else: inspect(name))
+
+  defp entry(item),
+    do: %{id: item.id, title: item.title, kind: item.kind, href: Address.of(item.id)}
+
+  defp choose_layout(socket, params) do
+    auto = Layout.Auto.layout(socket.assigns.infos)
+    names = Layouts.names(socket.assigns.layout_dir)
+
+    saved =
+      case Layouts.load(socket.assigns.layout_dir, to_string(params["layout"])) do
+        {:ok, layout} -> layout
+        {:error, _} -> auto
+      end
+
+    layout =
+      case Link.decode(to_string(params["edit"])) do
+        {:ok, layout} -> layout
+        {:error, _} -> saved
+      end
+
+    assign(socket,
+      layout: layout,
+      saved: saved,
+      layouts: [Layout.Auto.name() | names -- [auto.name]]
+    )
+  end
+
+  @impl true
+  def handle_event("streams_changed", _, socket) do
+    first? = socket.assigns.infos == []
+    socket = load_streams(socket)
+    {:noreply, if(first?, do: choose_layout(socket, %{}), else: socket)}
+  end
+
+  def handle_event("search", %{"query" => query}, socket),
+    do: {:noreply, assign(socket, query: String.slice(to_string(query), 0, 200))}
+
+  def handle_event("toggle", %{"path" => path}, socket) do
+    closed = socket.assigns.closed
+
+    closed = if path in closed, do: MapSet.delete(closed, path), else: MapSet.put(closed, path)
+
+    {:noreply, assign(socket, closed: closed)}
+  end
+
+  def handle_event("select", %{"path" => path}, socket) do
+    if Map.has_key?(socket.assigns.shapes, path),
+      do: {:noreply, assign(socket, selected: {:stream, path})},
+      else: handle_event("toggle", %{"path" => path}, socket)
+  end
+
+  def handle_event("snap", %{"stream" => stream}, socket) do
+    snap = if socket.assigns.snap == stream, do: nil, else: stream
+    {:noreply, socket |> assign(snap: snap) |> push_event("snap", %{stream: snap})}
+  end
+
+  def handle_event("zoom_stream", %{"stream" => name}, socket) do
+    case Enum.find(socket.assigns.infos, &(&1.name == name)) do
+      %{first: first, last: last} when first != nil ->
+        times = %{from: Integer.to_string(first), to: Integer.to_string(max(last, first + 1))}
+        {:noreply, push_event(socket, "zoom_to", times)}
+
+      _ ->
+        {:noreply, socket}
+    end
+  end
+
+  def handle_event("layout_pick", %{"layout" => name}, socket) do
+    layout =
+      if name == Layout.Auto.name(),
+        do: {:ok, Layout.Auto.layout(socket.assigns.infos)},
+        else: Layouts.load(socket.assigns.layout_dir, name)
+
+    case layout do
+      {:ok, layout} -> {:noreply, assign(socket, layout: layout, saved: layout, selected: nil)}
+      {:error, error} -> {:noreply, toast(socket, error)}
+    end
+  end
+
+  def handle_event("layout_dialog", _, socket), do: {:noreply, assign(socket, dialog: :layout)}
+  def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
+
+  def handle_event("layout_save", %{"name" => name}, %{assigns: %{read_only: false}} = socket) do
+    layout = %{socket.assigns.layout | name: String.trim(to_string(name))}
+
+    case Layouts.save(socket.assigns.layout_dir, layout) do
+      :ok ->
+        names = [Layout.Auto.name() | Layouts.names(socket.assigns.layout_dir)]
+        socket = assign(socket, layout: layout, saved: layout, layouts: names, dialog: nil)
+        {:noreply, push_event(socket, "toast", %{text: "Layout saved"})}
+
+      {:error, error} ->
+        {:noreply, toast(socket, error)}
+    end
+  end
+
+  def handle_event("layout_delete", _, %{assigns: %{read_only: false}} = socket) do
+    Layouts.delete(socket.assigns.layout_dir, socket.assigns.saved.name)
+    socket = assign(socket, dialog: nil)
+    {:noreply, choose_layout(socket, %{})}
+  end
+
+  # A page that was away gets back the layout it shows in its address.
+  def handle_event("restore", %{"layout" => name, "edit" => edit}, socket),
+    do: {:noreply, choose_layout(socket, %{"layout" => name, "edit" => edit})}
+
+  def handle_event(event, params, socket) when is_map_key(socket.assigns, :layout) do
+    case Edit.apply(event, params, socket.assigns) do
+      {:ok, changes} -> {:noreply, assign(socket, changes)}
+      {:error, error} -> {:noreply, toast(socket, error)}
+      :ignore -> {:noreply, socket}
+    end
+  end
+
+  def handle_event(_, _, socket), do: {:noreply, socket}
+
+  defp toast(socket, error), do: push_event(socket, "toast", %{text: Exception.message(error)})
+
+  @impl true
+  def render(%{error: %{}} = assigns) do
+    ~H"""
+    <div class="message" role="alert">
+      <h1>{@error.what}</h1>
+      <p :if={@error.why}>{@error.why}</p>
+      <p :if={@error.fix}>{@error.fix}</p>
+      <p><a class="btn" href="/">All recordings</a></p>
+    </div>
+    """
+  end
+
+  def render(assigns) do
+    {rows, more} = rows(assigns)
+
+    assigns =
+      assign(assigns,
+        rows: rows,
+        more: more,
+        stream: selected_stream(assigns),
+        panel: selected_panel(assigns),
+        edit:
+          if(assigns.layout.rows == assigns.saved.rows, do: "", else: Link.encode(assigns.layout))
+      )
+
+    ~H"""
+    <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-base="" data-layout={@saved.name} data-edit={@edit}>
+      <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""} read_only={@read_only} pipeline={pipeline(@item, @infos)} />
+      <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query} selected={@selected} names={@names} />
+      <main class="centre">
+        <Panels.stack layout={@layout} selected={@selected} shapes={@shapes} extra={@extra} />
+      </main>
+      <Side.right selected={@selected} stream={@stream} panel={@panel} shapes={@shapes} extra={@extra} snap={@snap} />
+      <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} />
+      <div :if={@dialog == :layout} class="modal" role="dialog" aria-label="Save the layout">
+        <form id="layout-save" class="modal-box" phx-submit="layout_save">
+          <h3>Save the layout</h3>
+          <input name="name" value={if @saved.name == Layout.Auto.name(), do: "", else: @saved.name} placeholder="Name" autocomplete="off" maxlength="60" aria-label="Name" autofocus>
+          <div class="choices">
+            <button class="btn primary" type="submit">Save</button>
+            <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
+            <button :if={@saved.name != Layout.Auto.name()} class="btn" type="button" phx-click="layout_delete">Delete {@saved.name}</button>
+          </div>
+        </form>
+      </div>
+    </div>
+    <Chrome.dialogs />
+    """
+  end
+
+  defp rows(%{query: "", infos: streams, closed: closed}) do
+    streams |> Tree.build(& &1.name) |> Tree.rows(closed) |> cut()
+  end
+
+  defp rows(%{query: query, infos: streams}) do
+    names = streams |> Enum.map(& &1.name) |> Tree.search(query) |> MapSet.new()
+    found = Enum.filter(streams, &(&1.name in names))
+    found |> Tree.build(& &1.name) |> Tree.rows(MapSet.new()) |> cut()
+  end
+
+  defp cut(rows), do: {Enum.take(rows, @max_rows), max(length(rows) - @max_rows, 0)}
+
+  defp selected_stream(%{selected: {:stream, name}, infos: streams}),
+    do: Enum.find(streams, &(&1.name == name))
+
+  defp selected_stream(_), do: nil
+
+  defp selected_panel(%{selected: {:panel, id}, layout: layout}), do: Layout.panel(layout, id)
+  defp selected_panel(_), do: nil
+
+  # Where there is a graph to see: a running pipeline, or a recording with its diagnostics.
+  defp pipeline(item, infos) do
+    if item.kind == :pipeline or
+         Enum.any?(infos, &String.contains?(to_string(&1.type), "Diagnostics.Snapshot")),
+       do: Address.pipeline(item.id)
+  end
+end

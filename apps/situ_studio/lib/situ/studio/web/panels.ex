@@ -1,0 +1,115 @@
+defmodule Situ.Studio.Web.Panels do
+  @moduledoc false
+  # The centre: rows of panels. What is inside a panel belongs to the page's script.
+  use Situ.Live.Component
+  import Situ.Studio.Web.Icons
+  alias Situ.Studio.{Layout, Visualizers}
+
+  attr(:layout, :any, required: true)
+  attr(:selected, :any, required: true)
+  attr(:shapes, :map, required: true)
+  attr(:extra, :list, required: true)
+
+  @doc false
+  def stack(assigns) do
+    ~H"""
+    <div class="stack" id="stack" phx-hook="Drop">
+      <div id="navigator" class="navigator" phx-hook="Navigator" phx-update="ignore" aria-label="Time navigator"></div>
+      <.line :for={line <- Layout.lines(@layout)} :key={row_id(line)} line={line} selected={@selected} shapes={@shapes} extra={@extra} />
+      <div :if={@layout.rows == []} class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
+    </div>
+    """
+  end
+
+  defp line(%{line: [%{row: nil} = panel]} = assigns) do
+    assigns = assign(assigns, :panel, panel)
+
+    ~H"""
+    <section class={["row-box timeline", @selected == {:panel, @panel.id} && "selected"]} id={"row-" <> @panel.id} data-row={@panel.id} data-panel={@panel.id} style={"height: #{Layout.height(@line)}px"}>
+      <div id={"body-" <> @panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore" data-kind={@panel.panel} data-config={config(@panel, @shapes, @extra)}></div>
+      <.tools panel={@panel} row={@panel.id} />
+      <div class="resize" id={"resize-" <> @panel.id} phx-hook="Resize" tabindex="0" role="separator" aria-label="height"></div>
+    </section>
+    """
+  end
+
+  defp line(assigns) do
+    ~H"""
+    <section class="row-box cells" id={"row-" <> row_id(@line)} data-row={row_id(@line)} style={"height: #{Layout.height(@line)}px"}>
+      <div :for={panel <- @line} :key={panel.id} id={"cell-" <> panel.id} class={["cell", @selected == {:panel, panel.id} && "selected"]} data-panel={panel.id}>
+        <div class="cell-head">
+          <button class="title" type="button" phx-click="select_panel" phx-value-id={panel.id} title={names(panel)}>{names(panel)}</button>
+          <button class="mini" type="button" phx-click="remove_panel" phx-value-id={panel.id} title="Remove" aria-label="Remove"><.icon name={:close} /></button>
+        </div>
+        <div class="cell-body"><div id={"body-" <> panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore" data-kind={panel.panel} data-config={config(panel, @shapes, @extra)}></div></div>
+      </div>
+      <div class="resize" id={"resize-" <> row_id(@line)} phx-hook="Resize" tabindex="0" role="separator" aria-label="height"></div>
+    </section>
+    """
+  end
+
+  defp tools(assigns) do
+    ~H"""
+    <div class="panel-tools">
+      <button class="mini" type="button" phx-click="select_panel" phx-value-id={@panel.id} title="Properties" aria-label="Properties"><.icon name={:tune} /></button>
+      <button class="mini" type="button" phx-click="move_row" phx-value-id={@row} phx-value-by="-1" title="Up" aria-label="Up"><.icon name={:up} /></button>
+      <button class="mini" type="button" phx-click="move_row" phx-value-id={@row} phx-value-by="1" title="Down" aria-label="Down"><.icon name={:down} /></button>
+      <button class="mini" type="button" phx-click="remove_panel" phx-value-id={@panel.id} title="Remove" aria-label="Remove"><.icon name={:close} /></button>
+    </div>
+    """
+  end
+
+  defp row_id([panel | _]), do: panel.row || panel.id
+
+  defp names(panel), do: Enum.map_join(panel.vis, ", ", &(&1.stream <> &1.path))
+
+  @doc "What the page's script needs to draw a panel, as JSON."
+  @spec config(Layout.Panel.t(), map(), [Visualizers.Entry.t()]) :: String.t()
+  def config(panel, shapes, extra) do
+    short = short_names(panel.vis)
+
+    vis =
+      for {v, index} <- Enum.with_index(panel.vis) do
+        %{
+          "draw" => draw(v, shapes, extra),
+          "stream" => v.stream,
+          "path" => v.path,
+          "name" => v.stream <> v.path,
+          "short" => Enum.at(short, index),
+          "props" => v.props,
+          "color" => index
+        }
+      end
+
+    axis =
+      case panel.axis do
+        {min, max} -> %{"mode" => "fixed", "min" => min, "max" => max}
+        nil -> nil
+      end
+
+    %{"vis" => vis, "axis" => axis} |> :jiffy.encode([:use_nil]) |> IO.iodata_to_binary()
+  end
+
+  # The last part of a name, as long as it tells the streams of a panel apart.
+  defp short_names(vis) do
+    last = Enum.map(vis, &((&1.stream |> String.split(".") |> List.last()) <> &1.path))
+
+    for {v, name} <- Enum.zip(vis, last) do
+      if Enum.count(last, &(&1 == name)) == 1,
+        do: name,
+        else: (v.stream |> String.split(".") |> Enum.take(-2) |> Enum.join(".")) <> v.path
+    end
+  end
+
+  # A stream that is not there (yet) is drawn as its layout says: it may come.
+  defp draw(vis, shapes, extra) do
+    case Visualizers.of(vis.viz, vis.path, Map.get(shapes, vis.stream, :value), extra) do
+      {:ok, entry} ->
+        entry.draw
+
+      :error ->
+        entry = Enum.find(extra ++ Visualizers.all(), &(&1.id == vis.viz))
+        if entry, do: entry.draw, else: vis.viz
+    end
+  end
+end

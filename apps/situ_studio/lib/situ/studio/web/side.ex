@@ -1,0 +1,188 @@
+defmodule Situ.Studio.Web.Side do
+  @moduledoc false
+  # Left: recordings and the tree of streams. Right: properties of what is selected.
+  use Situ.Live.Component
+  import Situ.Studio.Web.Icons
+  alias Situ.Studio.Visualizers
+
+  attr(:sources, :list, required: true)
+  attr(:current, :string, required: true)
+  attr(:rows, :list, required: true)
+  attr(:more, :integer, required: true)
+  attr(:query, :string, required: true)
+  attr(:selected, :any, required: true)
+  attr(:names, :string, required: true)
+
+  @doc false
+  def left(assigns) do
+    ~H"""
+    <aside class="left" aria-label="Streams">
+      <div :if={length(@sources) > 1} class="side-title">Recordings</div>
+      <nav :if={length(@sources) > 1} class="stores">
+        <a :for={s <- @sources} :key={s.id} class={["store", s.id == @current && "current"]} href={s.href} title={s.title}><.icon name={if s.kind == :pipeline, do: :pipeline, else: :store} /><span>{s.title}</span></a>
+      </nav>
+      <form class="search" phx-change="search" phx-submit="search" id="search-form">
+        <input id="search" name="query" value={@query} placeholder="Search streams  /" autocomplete="off" phx-debounce="80" aria-label="Search streams">
+      </form>
+      <div id="stream-names" data-names={@names} hidden></div>
+      <div id="tree" class="tree" role="tree" phx-hook="Tree">
+        <div :for={row <- @rows} :key={row.path} class={["node", row.item == nil && "group", selected?(row, @selected) && "selected"]} id={"node-" <> row.path} role="treeitem" tabindex="0" aria-expanded={expanded(row)} data-stream={row.item && row.item.name} draggable={if row.item, do: "true"} style={"padding-left: #{row.depth * 14}px"}>
+          <button :if={row.open? != nil} class="fold" type="button" tabindex="-1" phx-click="toggle" phx-value-path={row.path} aria-label="fold">{if row.open?, do: "▾", else: "▸"}</button>
+          <span :if={row.open? == nil} class="fold"></span>
+          <i :if={row.item} class={["type", kind(row.item.shape)]}></i>
+          <button class="name" type="button" tabindex="-1" phx-click="select" phx-value-path={row.path} title={row.path}>{row.label}</button>
+          <span :if={row.item} class="info">{rate(row.item)}</span>
+          <button :if={row.item} class="add" type="button" tabindex="-1" phx-click="add_stream" phx-value-stream={row.item.name} title="Show this stream (Enter)" aria-label="show">+</button>
+        </div>
+        <p :if={@more > 0} class="hint" style="padding: 6px 12px">{@more} more: search to find them</p>
+        <p :if={@rows == []} class="hint" style="padding: 6px 12px">{if @query == "", do: "No streams yet", else: "Nothing is called like that"}</p>
+      </div>
+    </aside>
+    """
+  end
+
+  defp selected?(%{item: %{name: name}}, {:stream, name}), do: true
+  defp selected?(_, _), do: false
+
+  defp expanded(%{open?: nil}), do: nil
+  defp expanded(%{open?: open?}), do: to_string(open?)
+
+  defp kind(:signal), do: "signal"
+  defp kind(:audio), do: "audio"
+  defp kind(shape) when shape in [:image, :depth], do: "image"
+  defp kind(:shapes), do: "shape"
+  defp kind(shape) when shape in [:boolean, :state], do: "state"
+  defp kind(:text), do: "text"
+  defp kind(_), do: ""
+
+  defp rate(%{count: count, first: first, last: last})
+       when count > 1 and first != nil and last > first do
+    hz = (count - 1) * 1.0e9 / (last - first)
+    if hz >= 1, do: "#{number(hz)}/s", else: "#{number(hz * 60)}/min"
+  end
+
+  defp rate(%{count: 1}), do: "1"
+  defp rate(_), do: ""
+
+  @doc false
+  def number(x) when x >= 100, do: Integer.to_string(round(x))
+  def number(x) when x >= 10, do: :erlang.float_to_binary(x / 1, [:compact, decimals: 1])
+  def number(x), do: :erlang.float_to_binary(x / 1, [:compact, decimals: 2])
+
+  attr(:selected, :any, required: true)
+  attr(:stream, :any, required: true)
+  attr(:panel, :any, required: true)
+  attr(:shapes, :map, required: true)
+  attr(:extra, :list, required: true)
+  attr(:snap, :any, required: true)
+
+  @doc false
+  def right(assigns) do
+    ~H"""
+    <aside class="right" aria-label="Properties">
+      <div class="side-title">Properties</div>
+      <div class="props">
+        <.stream_props :if={@stream} stream={@stream} extra={@extra} snap={@snap} />
+        <.panel_props :if={@panel} panel={@panel} shapes={@shapes} extra={@extra} />
+        <p :if={@stream == nil and @panel == nil} class="hint">Select a stream or a panel. Double click or drag a stream to show it.</p>
+      </div>
+    </aside>
+    """
+  end
+
+  defp stream_props(assigns) do
+    ~H"""
+    <h2>{@stream.name}</h2>
+    <div class="sub">{@stream.type}</div>
+    <dl>
+      <dt>Messages</dt><dd>{@stream.count}</dd>
+      <dt :if={rate(@stream) != ""}>Rate</dt><dd :if={rate(@stream) != ""}>{rate(@stream)}</dd>
+      <dt>Size</dt><dd>{bytes(@stream.bytes)}</dd>
+      <dt :if={@stream.first}>First</dt><dd :if={@stream.first}>{clock(@stream.first)}</dd>
+      <dt :if={@stream.last}>Last</dt><dd :if={@stream.last}>{clock(@stream.last)}</dd>
+      <dt :if={@stream.latency}>Latency, mean</dt><dd :if={@stream.latency}>{Situ.Time.format_duration(round(@stream.latency))}</dd>
+      <div :for={{name, value} <- @stream.details} style="display: contents"><dt>{name}</dt><dd>{value}</dd></div>
+    </dl>
+    <div class="hint">Show as</div>
+    <div class="choices">
+      <button :for={v <- Visualizers.for_shape(@stream.shape, @extra)} class="btn" type="button" phx-click="add_viz" phx-value-stream={@stream.name} phx-value-viz={v.id}>{v.title}</button>
+    </div>
+    <div class="choices">
+      <button class="btn" type="button" phx-click="snap" phx-value-stream={@stream.name} aria-pressed={to_string(@snap == @stream.name)}>{if @snap == @stream.name, do: "Release the cursor", else: "Snap cursor to it"}</button>
+      <button :if={@stream.first} class="btn" type="button" phx-click="zoom_stream" phx-value-stream={@stream.name}>Zoom to it</button>
+    </div>
+    """
+  end
+
+  defp panel_props(assigns) do
+    ~H"""
+    <h2>{title(@panel)}</h2>
+    <div class="sub">{length(@panel.vis)} {if length(@panel.vis) == 1, do: "stream", else: "streams"}</div>
+    <form :if={@panel.panel == :plot} id={"axis-" <> @panel.id} phx-change="axis">
+      <input type="hidden" name="panel" value={@panel.id}>
+      <div class="field"><label for="axis-min">Axis from</label><input id="axis-min" name="min" value={axis(@panel.axis, 0)} placeholder="automatic" inputmode="decimal" phx-debounce="400"></div>
+      <div class="field"><label for="axis-max">to</label><input id="axis-max" name="max" value={axis(@panel.axis, 1)} placeholder="automatic" inputmode="decimal" phx-debounce="400"></div>
+    </form>
+    <div :for={{vis, index} <- Enum.with_index(@panel.vis)} class="viz">
+      <div class="head"><span title={vis.stream}>{vis.stream}{vis.path}</span>
+        <button class="mini" type="button" phx-click="remove_vis" phx-value-panel={@panel.id} phx-value-index={index} title="Take it out" aria-label="Take it out"><.icon name={:close} /></button>
+      </div>
+      <div class="kind">{kind_title(vis, @shapes, @extra)}</div>
+      <form id={"props-#{@panel.id}-#{index}"} phx-change="prop">
+        <input type="hidden" name="panel" value={@panel.id}><input type="hidden" name="index" value={index}>
+        <div :for={{key, option} <- options(vis, @shapes, @extra)} class="field">
+          <label for={"f-#{@panel.id}-#{index}-#{key}"}>{option[:title]}</label>
+          <.input id={"f-#{@panel.id}-#{index}-#{key}"} name={"props[#{key}]"} option={option} value={Map.get(vis.props, to_string(key), option[:default])} />
+        </div>
+      </form>
+    </div>
+    <div class="choices"><button class="btn" type="button" phx-click="remove_panel" phx-value-id={@panel.id}>Remove panel</button></div>
+    """
+  end
+
+  defp input(%{option: option} = assigns) do
+    assigns = assign(assigns, :type, option[:type])
+
+    ~H"""
+    <input :if={@type == :boolean} id={@id} type="checkbox" name={@name} value="true" checked={@value == true}>
+    <input :if={@type == :color} id={@id} type="color" name={@name} value={@value || "#4ea1f3"}>
+    <select :if={match?({:in, _}, @type)} id={@id} name={@name}><option :for={v <- choices(@type)} value={v} selected={v == @value}>{v}</option></select>
+    <input :if={match?({:range, _, _}, @type) or @type == :text} id={@id} name={@name} value={@value} phx-debounce="400">
+    """
+  end
+
+  defp choices({:in, values}), do: values
+  defp choices(_), do: []
+
+  defp options(vis, shapes, extra) do
+    case Visualizers.of(vis.viz, vis.path, Map.get(shapes, vis.stream, :value), extra) do
+      {:ok, entry} -> entry.options
+      :error -> []
+    end
+  end
+
+  defp kind_title(vis, shapes, extra) do
+    case Visualizers.of(vis.viz, vis.path, Map.get(shapes, vis.stream, :value), extra) do
+      {:ok, entry} -> entry.title
+      :error -> vis.viz
+    end
+  end
+
+  defp title(%{panel: panel}) do
+    %{plot: "Plot", lanes: "Lanes", image: "Picture", value: "Value", bars: "Bars", text: "Text"}[
+      panel
+    ]
+  end
+
+  defp axis(nil, _), do: ""
+  defp axis(range, i), do: elem(range, i)
+
+  defp clock(time),
+    do: time |> Situ.Time.to_iso8601() |> String.replace("T", " ") |> String.slice(0, 23)
+
+  @doc false
+  def bytes(n) when n < 1_000, do: "#{n} B"
+  def bytes(n) when n < 1_000_000, do: "#{number(n / 1.0e3)} kB"
+  def bytes(n) when n < 1_000_000_000, do: "#{number(n / 1.0e6)} MB"
+  def bytes(n), do: "#{number(n / 1.0e9)} GB"
+end

@@ -1,0 +1,23 @@
+defmodule Situ.Studio.GuideTest do
+  # Starts servers under names of their own.
+  use ExUnit.Case, async: true
+
+  @guide Path.expand("../../../../../docs/guides/studio.md", __DIR__)
+  @external_resource @guide
+
+  snippets =
+    ~r/```elixir\n(.*?)```/s
+    |> Regex.scan(File.read!(@guide), capture: :all_but_first)
+    |> Enum.concat()
+
+  for {code, i} <- Enum.with_index(snippets, 1) do
+    test "snippet #{i} of the guide runs" do
+      Process.flag(:trap_exit, true)
+      assert {_, bindings} = Code.eval_string(unquote(code), [], file: @guide)
+
+      for {:children, children} <- bindings, child <- children do
+        assert %{start: {Situ.Studio, :start_link, _}} = Supervisor.child_spec(child, [])
+      end
+    end
+  end
+end

@@ -1,0 +1,114 @@
+defmodule Situ.Studio.LayoutTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+
+  alias Situ.Studio.{Layout, Layouts, Link, StreamInfo}
+
+  doctest Situ.Studio.Link
+
+  @actions [:add, :remove, :resize, :move, :remove_vis]
+  @panels [:plot, :lanes, :image, :value, :bars]
+
+  property "any editing gives a layout that its file and its link bring back" do
+    forall actions <- list({one_of(@actions), integer(1, 12), one_of(@panels)}) do
+      layout = Enum.reduce(actions, Layout.new("x"), &edit/2)
+
+      assert Layout.from_json(Layout.to_json(layout)) == {:ok, renumber(layout)}
+      assert Link.decode(Link.encode(layout)) == {:ok, renumber(layout)}
+      assert Enum.all?(Layout.lines(layout), &(&1 != []))
+    end
+  end
+
+  # The number of the next panel is found anew from those that are there.
+  defp renumber(layout) do
+    numbers = for %{id: "p" <> n} <- layout.rows, do: String.to_integer(n)
+    %{layout | next: Enum.max(numbers, fn -> 0 end) + 1}
+  end
+
+  defp edit({:add, n, panel}, layout) do
+    case Layout.add(layout, "S#{n}", "line", panel, "p#{n}") do
+      {:ok, layout, _} -> layout
+      {:error, %{code: :full}} -> layout
+    end
+  end
+
+  defp edit({:remove, n, _}, layout), do: Layout.remove(layout, "p#{n}")
+  defp edit({:remove_vis, n, _}, layout), do: Layout.remove_vis(layout, "p#{n}", 0)
+  defp edit({:resize, n, _}, layout), do: Layout.resize(layout, "p#{n}", n * 100 - 200)
+
+  defp edit({:move, n, _}, layout),
+    do: Layout.move(layout, "p#{n}", if(rem(n, 2) == 0, do: 1, else: -1))
+
+  property "no bytes make reading a layout or a link raise" do
+    forall bytes <- binary() do
+      assert {:error, %Situ.Error{}} = Layout.from_json(bytes)
+      assert {:error, %Situ.Error{}} = Link.decode(bytes)
+    end
+  end
+
+  test "a link cannot blow up into a large text" do
+    bomb = Base.url_encode64(:zlib.zip(:binary.copy("a", 5_000_000)), padding: false)
+    assert byte_size(bomb) < 8_000
+    assert {:error, %{code: :bad_link}} = Link.decode(bomb)
+  end
+
+  describe "files" do
+    @describetag :tmp_dir
+
+    test "are saved, listed, loaded and deleted by name, whatever the name", %{tmp_dir: dir} do
+      names = ["Mine", "mine", "../../etc/passwd", "a/b", "Größe 1", "<b>"]
+      for name <- names, do: assert(:ok = Layouts.save(dir, Layout.new(name)))
+      assert Layouts.names(dir) == Enum.sort(names)
+      assert dir |> Path.join("*") |> Path.wildcard() |> length() == length(names)
+      assert {:ok, %Layout{name: "a/b"}} = Layouts.load(dir, "a/b")
+      :ok = Layouts.delete(dir, "a/b")
+      assert {:error, %{code: :no_layout}} = Layouts.load(dir, "a/b")
+    end
+
+    test "that are no layouts are passed over; empty names are refused", %{tmp_dir: dir} do
+      File.write!(Path.join(dir, "x.json"), "{}")
+      assert Layouts.names(dir) == []
+      assert {:error, %{code: :bad_name}} = Layouts.save(dir, Layout.new("  "))
+      assert {:error, %{code: :not_saved}} = Layouts.save("/proc/nothing", Layout.new("a"))
+    end
+  end
+
+  test "a layout of another version or with nonsense in it is refused with the reason" do
+    assert {:error, %{why: nil, what: what}} =
+             Layout.from_json(~s({"version": 9, "name": "x", "panels": []}))
+
+    assert what =~ "version 9"
+
+    for panel <- [
+          ~s({"id": "p1", "panel": "shell", "vis": []}),
+          ~s({"id": "../p", "panel": "plot", "vis": []}),
+          ~s({"id": "p1", "panel": "plot", "height": -5, "vis": []}),
+          ~s({"id": "p1", "panel": "plot", "vis": [{"viz": 1, "stream": "a"}]}),
+          "17"
+        ] do
+      json = ~s({"version": 1, "name": "x", "panels": [#{panel}]})
+      assert {:error, %{code: :bad_layout}} = Layout.from_json(json)
+    end
+  end
+
+  test "the automatic layout shows something of any stream, and pictures with their shapes" do
+    shapes = [:signal, :boolean, :state, :text, :audio, :image, :depth, :shapes, :bars, :value]
+
+    for shape <- shapes do
+      layout = Layout.Auto.layout([%StreamInfo{name: "A.b", shape: shape}])
+      assert layout.rows != [], "nothing of a #{shape}"
+    end
+
+    layout =
+      Layout.Auto.layout([
+        %StreamInfo{name: "Left.Image", shape: :image},
+        %StreamInfo{name: "Right.Image", shape: :image},
+        %StreamInfo{name: "Right.Faces", shape: :shapes}
+      ])
+
+    assert [["Left.Image"], ["Right.Image", "Right.Faces"]] =
+             for(p <- layout.rows, do: Enum.map(p.vis, & &1.stream))
+
+    assert Layout.Auto.layout([]).rows == []
+  end
+end

@@ -1,0 +1,50 @@
+defmodule Situ.Studio.PipelineView.RecordedTest do
+  # From a pipeline that records its own diagnostics to the page of its graph, through a store on disk.
+  use ExUnit.Case, async: true
+  alias Situ.Live.Test, as: Page
+  alias Situ.Studio.{Catalog, PipelineView}
+
+  @moduletag :tmp_dir
+
+  test "a stored Diagnostics stream is the graph's past", %{tmp_dir: dir} do
+    {:ok, _} =
+      Situ.Pipeline.run(
+        fn p ->
+          store = Situ.Store.create(p, "shift", dir)
+
+          p
+          |> Situ.Diagnostics.stream(interval: Situ.Time.ms(50))
+          |> Situ.Store.write(store, "Diagnostics")
+
+          Situ.composite(p, "Belt", fn p ->
+            p
+            |> Situ.range(0, 60, Situ.Time.ms(10), name: "Numbers")
+            |> Situ.map(&(&1 * 2), name: "Double", async: true)
+          end)
+          |> Situ.each(fn _ -> :ok end, name: "End", policy: Situ.Delivery.latest())
+        end,
+        pipeline: [replay: [speed: 1.0]]
+      )
+
+    id = "studio-#{System.unique_integer([:positive])}"
+    start_supervised!({Catalog, id: id, path: dir})
+    [item] = Catalog.list(id)
+
+    page =
+      Page.mount(PipelineView,
+        path: "/p/x",
+        params: %{"id" => [item.id], "sel" => "e1"},
+        session: %{"studio" => id}
+      )
+
+    Page.render(page)
+    [graph] = Page.pushed(page, "pipeline:graph")
+    assert "s:Belt" in Enum.map(graph["boxes"], & &1["key"])
+    assert Enum.any?(graph["nodes"], &(&1["label"] == "Double"))
+    assert Enum.any?(graph["edges"], &(&1["lossy"] and &1["policy"] == "latest"))
+    assert String.to_integer(Page.attribute(page, "#moments input", "max")) >= 5
+    rows = page |> Page.pushed("pipeline:series") |> List.last() |> Map.fetch!("rows")
+    assert length(rows) >= 6
+    assert Page.text(page, ".status") =~ "recorded"
+  end
+end

@@ -1,0 +1,75 @@
+defmodule Situ.Studio.PipelineView.StatsTest do
+  use ExUnit.Case, async: true
+  alias Situ.Diagnostics.{Edge, Node, Process, Snapshot}
+  alias Situ.Studio.PipelineView.Stats
+
+  doctest Stats
+
+  defp snapshot(edge, process) do
+    %Snapshot{
+      nodes: [%Node{id: 1, path: "A", process: 7, errors: 2}],
+      edges: [struct!(%Edge{id: 3, from: 1, to: 1, policy: "latest"}, edge)],
+      processes: [struct!(%Process{number: 7}, process)]
+    }
+  end
+
+  test "rates and shares are of the time between two snapshots" do
+    before = snapshot(%{emitted: 100, processed: 80, dropped: 10, busy: 0}, %{reductions: 1_000})
+
+    later =
+      snapshot(
+        %{
+          emitted: 150,
+          processed: 110,
+          dropped: 20,
+          busy: 300_000_000,
+          queue: 20,
+          latency_mean: 5_000_000
+        },
+        %{reductions: 3_000, memory: 4_096, mailbox: 2}
+      )
+
+    sample = Stats.sample(later, 2_000_000_000, {before, 0})
+    edge = sample.edges[3]
+    assert edge["emitted_rate"] == 25.0
+    assert edge["processed_rate"] == 15.0
+    assert edge["dropped_rate"] == 5.0
+    assert edge["dropped_now"] == 25.0
+    assert edge["busy"] == 15.0
+    assert edge["handling"] == 10.0
+    assert edge["latency_mean"] == 5.0
+    assert_in_delta edge["dropped_share"], 13.33, 0.01
+
+    assert sample.nodes[1] == %{
+             "mailbox" => 2,
+             "memory" => 4_096,
+             "reductions_rate" => 1_000.0,
+             "errors" => 2,
+             "skipped" => 0,
+             "restarts" => 0
+           }
+  end
+
+  test "without an earlier snapshot, or after a restart, rates are 0" do
+    now = snapshot(%{emitted: 5, processed: 5}, %{reductions: 10})
+    assert Stats.sample(now, 0, nil).edges[3]["emitted_rate"] == 0.0
+    before = snapshot(%{emitted: 50, processed: 50}, %{reductions: 1_000})
+    sample = Stats.sample(now, 1_000_000_000, {before, 0})
+    assert sample.edges[3]["emitted_rate"] == 0.0
+    assert sample.nodes[1]["reductions_rate"] == 0.0
+  end
+
+  test "several edges drawn as one: counts add up, latencies are the worst" do
+    merged =
+      Stats.merge([%{"queue" => 2, "latency_mean" => 5.0}, %{"queue" => 3, "latency_mean" => 9.0}])
+
+    assert merged == %{"queue" => 5, "latency_mean" => 9.0}
+  end
+
+  test "every statistic has a text for any size" do
+    for %{id: id} <- Stats.of(:edge) ++ Stats.of(:node),
+        value <- [0, 0.05, 3, 12.3, 1.0e5, 1.0e9, nil] do
+      assert String.length(Stats.format(id, value)) in 1..12
+    end
+  end
+end

@@ -1,0 +1,170 @@
+defmodule Situ.Studio.PipelineViewTest do
+  # The page against a running pipeline, without a browser.
+  use ExUnit.Case, async: true
+  alias Situ.Live.Test, as: Page
+  alias Situ.Studio.{Catalog, History, PipelineView, Source}
+
+  defmodule Steps do
+    use Situ.Pipeline
+
+    @impl true
+    def build(p, _opts) do
+      Situ.composite(p, "Front", fn p ->
+        p
+        |> Situ.range(0, 1_000, Situ.Time.ms(20), name: "Numbers")
+        |> Situ.map(&(&1 * 2), name: "Double")
+      end)
+      |> Situ.map(&"<b>#{&1}", name: "Plus", policy: Situ.Delivery.latest())
+      |> Situ.each(fn _ -> :ok end, name: "End")
+    end
+  end
+
+  setup do
+    history = History.new(live: true)
+    pipeline = start_supervised!({Steps, []})
+    id = "studio-#{System.unique_integer([:positive])}"
+
+    sources = %{"none" => {Source.History, history}}
+    start_supervised!({DynamicSupervisor, name: Catalog.watches(id), strategy: :one_for_one})
+    start_supervised!({Catalog, id: id, sources: sources, pipelines: [{"steps", pipeline}]})
+    {:ok, id: id, pipeline: pipeline}
+  end
+
+  defp page(id, path \\ "/p/steps") do
+    Page.mount(PipelineView,
+      path: "/p/x",
+      params: params(path),
+      session: %{"studio" => id},
+      routes: [{:live, "/p/*id", PipelineView}]
+    )
+  end
+
+  defp params(path) do
+    uri = URI.parse(path)
+    "/p/" <> id = uri.path
+    uri.query |> to_string() |> URI.decode_query() |> Map.put("id", String.split(id, "/"))
+  end
+
+  test "sends the graph, then numbers at each tick", %{id: id} do
+    page = page(id)
+    assert [graph] = Page.pushed(page, "pipeline:graph")
+    assert Enum.map(graph["boxes"], & &1["key"]) == ["s:Front"]
+
+    assert graph["nodes"] |> Enum.map(& &1["label"]) |> Enum.sort() |> Enum.take(2) == [
+             "Double",
+             "End"
+           ]
+
+    assert [%{"edges" => edges, "nodes" => nodes}] = Page.pushed(page, "pipeline:stats")
+    assert map_size(edges) == length(graph["edges"])
+    assert Enum.all?(nodes, fn {_, n} -> n["state"] == "running" end)
+    Page.info(page, :tick)
+    # the shape is the same: only numbers
+    assert Page.pushed(page, "pipeline:graph") == []
+    assert [_] = Page.pushed(page, "pipeline:stats")
+    assert Page.text(page, ".status") =~ "running now"
+  end
+
+  test "folds, and says so in the address", %{id: id} do
+    page = page(id)
+    Page.pushed(page, "pipeline:graph")
+    Page.event(page, "fold", %{path: "Front"})
+    assert [{:live_patch, to}] = Page.visits(page)
+    assert to =~ "fold=Front"
+  end
+
+  test "a component and a connection tell their numbers", %{id: id} do
+    page = page(id, "/p/steps?sel=n2&heat=memory")
+    assert Page.text(page, ".right .side-title") == "Component"
+    assert Page.text(page, ".numbers") =~ "Mailbox"
+    assert Page.count(page, ".spark") == 3
+    page = page(id, "/p/steps?sel=e1&plots=dropped,queue")
+    assert Page.text(page, ".right .side-title") == "Connection"
+    assert Page.count(page, ".spark") == 2
+    assert Page.has?(page, "#plot-dropped")
+    page = page(id, "/p/steps?sel=e99")
+    assert Page.text(page, ".right .side-title") == "Gone"
+    page = page(id, "/p/steps?sel=%3Cscript%3E&heat=nope&plots=,,&fold=%7C%7Cx&at=z")
+    assert Page.text(page, ".right .side-title") == "Pipeline"
+  end
+
+  test "the last messages of a connection are shown, escaped, and the look at them is not", %{
+    id: id
+  } do
+    page = page(id)
+    [graph] = Page.pushed(page, "pipeline:graph")
+    last = List.last(graph["edges"])
+    page = page(id, "/p/steps?sel=#{last["key"]}")
+    assert until(fn -> Page.info(page, :tick) && Page.count(page, ".messages li") == 8 end)
+    assert Page.text(page, ".messages li code") =~ ~s("<b>)
+    refute Page.render(page) =~ "<b>1"
+    assert [same] = Page.pushed(page, "pipeline:graph")
+    assert length(same["nodes"]) == length(graph["nodes"])
+  end
+
+  # Messages come in real time: looks again until it is so, for a few seconds at most.
+  defp until(fun, tries \\ 200) do
+    cond do
+      fun.() ->
+        true
+
+      tries == 0 ->
+        false
+
+      true ->
+        receive do
+        after
+          20 -> until(fun, tries - 1)
+        end
+    end
+  end
+
+  test "the end of the pipeline leaves its last picture", %{id: id, pipeline: pipeline} do
+    page = page(id)
+    ref = Process.monitor(pipeline)
+    Situ.Pipeline.stop(pipeline)
+    assert_receive {:DOWN, ^ref, _, _, _}, 5_000
+    Page.info(page, :tick)
+    assert Page.alive?(page)
+    assert Page.text(page, ".status") =~ "recorded"
+  end
+
+  test "a recording's snapshots are looked at moment by moment", %{pipeline: pipeline} do
+    history = History.new(live: false)
+    snapshot = Situ.Pipeline.info(pipeline)
+
+    for i <- 1..30 do
+      edges = Enum.map(snapshot.edges, &%{&1 | emitted: i * 10, processed: i * 10})
+      data = %{snapshot | edges: edges, state: if(i == 30, do: :completed, else: :running)}
+      time = i * 1_000_000_000
+
+      History.put(
+        history,
+        "Diagnostics",
+        %Situ.Message{data: data, originating_time: time, creation_time: time, sequence_id: i},
+        100
+      )
+    end
+
+    id = "studio-#{System.unique_integer([:positive])}"
+    start_supervised!({Catalog, id: id, sources: %{"old" => {Source.History, history}}}, id: :old)
+    page = page(id, "/p/old?sel=e1")
+    Page.render(page)
+    assert Page.text(page, ".topbar .state") == "completed"
+    assert Page.attribute(page, "#moments input", "max") == "29"
+    [series | _] = Page.pushed(page, "pipeline:series") |> Enum.reverse()
+    assert series["stats"] == ["queue", "processed_rate", "latency_mean"]
+    assert length(series["rows"]) == 30
+    assert Enum.map(Enum.drop(series["rows"], 1), &Enum.at(&1, 2)) |> Enum.uniq() == [10.0]
+    page = page(id, "/p/old?at=5000000000")
+    assert Page.text(page, ".topbar .state") == "running"
+    assert Page.text(page, "#moments .dim") == "00:00:05.000"
+  end
+
+  test "a recording without diagnostics says what to do", %{id: id} do
+    page = page(id, "/p/none")
+    assert Page.text(page, ".message") =~ "diagnostics: true"
+    page = page(id, "/p/nothing")
+    assert Page.text(page, ".message h1") =~ "there is no recording"
+  end
+end

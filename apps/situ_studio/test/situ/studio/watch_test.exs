@@ -1,0 +1,92 @@
+defmodule Situ.Studio.WatchTest do
+  use ExUnit.Case, async: true
+
+  alias Situ.Studio.{Source, Watch}
+
+  setup do
+    connector = Situ.Connector.new("in")
+
+    {:ok, pipeline} =
+      Situ.Pipeline.start(
+        fn p ->
+          p
+          |> Situ.Connector.receive(connector)
+          |> Situ.map(&(&1 * 2.0), name: "Doubled", type: :float)
+        end,
+        pipeline: [name: "Test"]
+      )
+
+    supervisor = start_supervised!(DynamicSupervisor)
+    %{pipeline: pipeline, connector: connector, supervisor: supervisor}
+  end
+
+  defp feed(connector, times) do
+    Situ.Connector.deliver(
+      connector,
+      for(t <- times, do: %Situ.Message{data: t, originating_time: t})
+    )
+  end
+
+  test "lists named streams, taps one when it is asked for, and keeps what was seen", context do
+    assert [{"Test", _}] = Source.Pipeline.running([context.pipeline])
+    {:ok, source} = Source.Pipeline.open([context.pipeline], "Test", context.supervisor)
+    {Source.Pipeline, watch} = source
+    {:ok, streams} = Source.call(source, :streams, [])
+    assert %{shape: :signal} = Enum.find(streams, &(&1.name == "Doubled"))
+    assert taps(context.pipeline) == []
+    {:ok, %{from: from}} = Source.call(source, :extent, [])
+    assert abs(from - Situ.Pipeline.now(context.pipeline)) < 5_000_000_000
+
+    assert :none = Source.call(source, :latest_at, ["Doubled", 100])
+    assert ["Studio: Doubled"] = taps(context.pipeline)
+
+    feed(context.connector, 1..10)
+    assert eventually(fn -> match?({:ok, %{data: 20.0}}, latest(source, 100)) end)
+    assert {:ok, %{data: 8.0}} = latest(source, 4)
+    assert {:ok, %{live: true, to: 10}} = Source.call(source, :extent, [])
+
+    {:ok, _} = Situ.Pipeline.stop(context.pipeline)
+    send(watch.pid, :sweep)
+    :ets.delete(watch.uses, :streams)
+    assert {:ok, %{live: false, to: 10}} = Source.call(source, :extent, [])
+    assert {:ok, %{data: 20.0}} = latest(source, 100)
+    assert [] = Source.Pipeline.running([context.pipeline])
+  end
+
+  test "lets go of what nobody has asked for in a while", context do
+    {:ok, source} = Source.Pipeline.open([context.pipeline], "Test", context.supervisor)
+    {_, watch} = source
+    :none = Source.call(source, :latest_at, ["Doubled", 100])
+    long_ago = System.monotonic_time(:millisecond) - 60_000
+    :ets.update_element(watch.uses, "Doubled", {2, long_ago})
+    send(watch.pid, :sweep)
+    # a call is answered after the sweep
+    %Watch{} = Watch.handle(watch.pid)
+    assert taps(context.pipeline) == []
+    :none = Source.call(source, :latest_at, ["Doubled", 100])
+    assert ["Studio: Doubled"] = taps(context.pipeline)
+    {:ok, _} = Situ.Pipeline.stop(context.pipeline)
+  end
+
+  test "a stream that is not there is an error of its own", context do
+    {:ok, source} = Source.Pipeline.open([context.pipeline], "Test", context.supervisor)
+    assert {:error, %Situ.Error{}} = Source.call(source, :latest_at, ["Nothing", 1])
+    assert {:error, %{code: :not_running}} = Source.Pipeline.open([], "Test", context.supervisor)
+    {:ok, _} = Situ.Pipeline.stop(context.pipeline)
+  end
+
+  defp latest(source, time), do: Source.call(source, :latest_at, ["Doubled", time])
+
+  defp taps(pipeline) do
+    for %{kind: :tap, path: path, state: :running} <- Situ.Pipeline.info(pipeline).nodes, do: path
+  end
+
+  # The message passes through three processes; there is nothing to wait for but its arrival.
+  defp eventually(check, tries \\ 200) do
+    cond do
+      check.() -> true
+      tries == 0 -> false
+      true -> Process.sleep(5) && eventually(check, tries - 1)
+    end
+  end
+end

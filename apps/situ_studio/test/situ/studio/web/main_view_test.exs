@@ -1,0 +1,165 @@
+defmodule Situ.Studio.Web.MainViewTest do
+  use ExUnit.Case, async: true
+
+  alias Situ.Live.Test, as: Page
+  alias Situ.Studio.{Catalog, History, Layout, Layouts, Link, Source}
+  alias Situ.Studio.Web.{HomeView, MainView}
+
+  @moduletag :tmp_dir
+
+  setup %{tmp_dir: dir, test: test} do
+    history = History.new(live: false)
+
+    for {name, data} <- [
+          {"Mic.Level", 0.5},
+          {"Mic.Loud", true},
+          {"Camera.Image", Situ.Image.filled(2, 2, :gray8, 7)},
+          {"<b>x</b>", %{a: 1}}
+        ] do
+      History.put(history, name, %Situ.Message{data: data, originating_time: 1_000}, 8)
+    end
+
+    sources = %{"one" => {Source.History, history}}
+    id = to_string(test)
+    start_supervised!({Catalog, id: id, sources: sources, layouts: dir})
+    %{history: history, studio: id}
+  end
+
+  defp open(studio, params \\ %{}) do
+    params = Map.put(params, "id", ["one"])
+    Page.mount(MainView, path: "/s/one", params: params, session: %{"studio" => studio})
+  end
+
+  defp edit(page), do: Page.attribute(page, "#studio", "data-edit")
+
+  test "lists streams as a tree and opens with a layout by their kinds", %{studio: studio} do
+    page = open(studio)
+    assert Page.count(page, "#tree .node") == 6
+    assert Page.has?(page, "#body-p1")
+    assert Page.attribute(page, "#body-p1", "data-kind") == "image"
+    assert edit(page) == ""
+  end
+
+  test "names are escaped", %{studio: studio} do
+    html = Page.render(open(studio))
+    refute html =~ "<b>x</b>"
+    assert html =~ "&lt;b&gt;x&lt;/b&gt;"
+  end
+
+  test "searching narrows, folding hides", %{studio: studio} do
+    page = open(studio)
+    Page.event(page, "search", %{"query" => "lev"})
+    assert Page.count(page, "#tree .node") == 2
+    Page.event(page, "search", %{"query" => ""})
+    Page.event(page, "toggle", %{"path" => "Mic"})
+    assert Page.count(page, "#tree .node") == 4
+  end
+
+  test "a stream is shown, its properties are set, and it is taken out again", %{studio: studio} do
+    page = open(studio)
+    Page.event(page, "add_viz", %{"stream" => "Mic.Level", "viz" => "line"})
+    code = edit(page)
+    {:ok, layout} = Link.decode(code)
+    panel = List.last(layout.rows)
+    assert [%{stream: "Mic.Level", viz: "line"}] = panel.vis
+
+    Page.event(page, "prop", %{
+      "panel" => panel.id,
+      "index" => "0",
+      "props" => %{"width" => "3", "color" => "red; x", "visible" => "true"},
+      "_target" => ["props", "width"]
+    })
+
+    Page.event(page, "axis", %{"panel" => panel.id, "min" => "-1", "max" => "1"})
+    {:ok, layout} = Link.decode(edit(page))
+    assert %{axis: {-1.0, 1.0}, vis: [vis]} = Layout.panel(layout, panel.id)
+    assert vis.props == %{"width" => 3.0}
+
+    Page.event(page, "remove_panel", %{"id" => panel.id})
+    assert edit(page) == ""
+  end
+
+  test "a part of a message is plotted; a path that is none is refused", %{studio: studio} do
+    page = open(studio)
+    Page.event(page, "plot_path", %{"stream" => "<b>x</b>", "path" => ".a"})
+    {:ok, layout} = Link.decode(edit(page))
+    assert %{panel: :plot, vis: [%{path: ".a", viz: "line"}]} = List.last(layout.rows)
+    Page.event(page, "plot_path", %{"stream" => "<b>x</b>", "path" => "nonsense"})
+    assert [%{"text" => text}] = Page.pushed(page, "toast")
+    assert text =~ "not a path"
+  end
+
+  test "layouts are saved, chosen, brought back by a link and deleted", context do
+    page = open(context.studio)
+    Page.event(page, "remove_panel", %{"id" => "p1"})
+    code = edit(page)
+    Page.event(page, "layout_dialog", %{})
+    Page.event(page, "layout_save", %{"name" => "Mine"})
+    assert Layouts.names(context.tmp_dir) == ["Mine"]
+    assert edit(page) == ""
+    Page.event(page, "layout_pick", %{"layout" => "Automatic"})
+    assert Page.has?(page, "#body-p1")
+
+    again = open(context.studio, %{"layout" => "Automatic", "edit" => code})
+    refute Page.has?(again, "#body-p1")
+    assert edit(again) != ""
+
+    Page.event(page, "layout_pick", %{"layout" => "Mine"})
+    Page.event(page, "layout_delete", %{})
+    assert Layouts.names(context.tmp_dir) == []
+  end
+
+  test "events that no page of ours sends change nothing", %{studio: studio} do
+    page = open(studio)
+
+    for {event, params} <- [
+          {"nonsense", %{}},
+          {"add_stream", %{"stream" => "none"}},
+          {"add_stream", %{"stream" => %{"a" => 1}}},
+          {"resize_row", %{"id" => "p1", "height" => "x"}},
+          {"remove_vis", %{"panel" => "p1", "index" => "-7"}},
+          {"remove_vis", %{"panel" => "zzz", "index" => "0"}},
+          {"prop", %{"panel" => "p1", "index" => "99", "props" => "x"}},
+          {"move_row", %{"id" => "zzz", "by" => "1"}},
+          {"axis", %{"panel" => "p1", "min" => "1", "max" => "0"}},
+          {"restore", %{"layout" => 7, "edit" => "!!"}},
+          {"layout_pick", %{"layout" => "none"}}
+        ] do
+      Page.event(page, event, params)
+      assert Page.alive?(page), event
+      assert edit(page) == "", event
+    end
+  end
+
+  test "new streams appear when the page says that there are some", context do
+    page = open(context.studio)
+    message = %Situ.Message{data: 1, originating_time: 2_000}
+    History.put(context.history, "Late", message, 8)
+    Page.event(page, "streams_changed", %{})
+    assert Page.count(page, "#tree .node") == 7
+  end
+
+  test "read only refuses to write", %{tmp_dir: dir} = context do
+    id = context.studio <> " read only"
+
+    start_supervised!(
+      {Catalog,
+       id: id,
+       sources: %{"one" => {Source.History, context.history}},
+       layouts: dir,
+       read_only: true},
+      id: :read_only
+    )
+
+    page = open(id)
+    Page.event(page, "layout_save", %{"name" => "Mine"})
+    assert Layouts.names(dir) == []
+  end
+
+  test "what is not there is named, and the list shows what is", %{studio: studio} do
+    session = %{"studio" => studio}
+    page = Page.mount(MainView, path: "/s/none", params: %{"id" => ["none"]}, session: session)
+    assert Page.text(page, ".message h1") =~ "there is no recording called"
+    assert Page.text(Page.mount(HomeView, session: session), ".item b") == "one"
+  end
+end

@@ -1,0 +1,202 @@
+defmodule Fixture do
+  @moduledoc false
+  # What the browser tests look at: a minute of everything, the same each time, so that pixels can be foretold.
+  alias Situ.Store.Writer
+  alias Situ.Studio.History
+
+  @t0 1_767_225_600_000_000_000
+
+  def t0, do: @t0
+
+  # The colour of the picture taken at second s, and the value of each signal then, are functions of s.
+  def color(s), do: {rem(s * 4, 256), 255 - rem(s * 4, 256), rem(s * 40, 256)}
+
+  @types %{
+    "Imu.Acc.X" => :float,
+    "Imu.Acc.Y" => :float,
+    "Mic.Level" => :float,
+    "Mic.Audio" => Situ.AudioBuffer,
+    "Camera.Image" => Situ.Image,
+    "Camera.Faces" => {:list, Situ.Rect},
+    "Kinect.Depth" => Situ.DepthImage,
+    "Vad.Speaking" => :boolean,
+    "Robot.State" => {:in, [:idle, :moving, :turning]},
+    "Speech.Text" => :string,
+    "Speech.Scores" => {:map, :string, :float}
+  }
+
+  # The minute in memory, and as a recording on disk.
+  def minute do
+    h = History.new(seconds: 3_600, megabytes: 400, live: false)
+    for {name, time, latency, data, n} <- messages(), do: put(h, name, time, latency, data, n)
+    h
+  end
+
+  def record(name, folder) do
+    {:ok, writer} = Writer.create(name, folder)
+    groups = Enum.group_by(messages(), &elem(&1, 0))
+
+    for {stream, rows} <- groups do
+      {:ok, out} = Writer.stream(writer, stream, type: Map.get(@types, stream, :any))
+      {:ok, out} = Writer.append(out, Enum.map(rows, &message/1))
+      {:ok, _} = Writer.close_stream(out, @t0 + 60_000_000_000)
+    end
+
+    :ok = Writer.close(writer)
+  end
+
+  # A signal of n points, 1 kHz, with one spike that no summary may lose.
+  def record_big(name, folder, n) do
+    {:ok, writer} = Writer.create(name, folder)
+    {:ok, out} = Writer.stream(writer, "Signal", type: :float)
+
+    out =
+      0..(n - 1)
+      |> Stream.chunk_every(20_000)
+      |> Enum.reduce(out, fn part, out ->
+        messages =
+          for i <- part do
+            value = if i == div(n, 3), do: 25.0, else: :math.sin(i / 50_000) + :rand.uniform() / 4
+            t = @t0 + i * 1_000_000
+            %Situ.Message{data: value, originating_time: t, creation_time: t, sequence_id: i}
+          end
+
+        {:ok, out} = Writer.append(out, messages)
+        out
+      end)
+
+    {:ok, _} = Writer.close_stream(out, @t0 + n * 1_000_000)
+    :ok = Writer.close(writer)
+  end
+
+  # Written for as long as the process lives, 30 pictures and values of ten signals a second.
+  def record_live(name, folder) do
+    {:ok, writer} = Writer.create(name, folder)
+
+    outs =
+      for {stream, type} <- [
+            {"Live.Image", Situ.Image} | for(i <- 0..9, do: {"Live.S#{i}", :float})
+          ] do
+        {:ok, out} = Writer.stream(writer, stream, type: type)
+        {stream, out}
+      end
+
+    start = System.os_time() - 40_000_000_000
+    outs = Enum.reduce(0..1_199, outs, &live(&2, &1, start + &1 * 33_333_333))
+    tick(outs, 1_200)
+  end
+
+  defp tick(outs, i) do
+    outs = live(outs, i, System.os_time())
+    Process.sleep(33)
+    tick(outs, i + 1)
+  end
+
+  defp live(outs, i, t) do
+    for {stream, out} <- outs do
+      data =
+        case stream do
+          "Live.Image" -> picture(rem(i, 60))
+          "Live.S" <> k -> :math.sin(i / 30 + String.to_integer(k))
+        end
+
+      {:ok, out} = Writer.append(out, [message({stream, t, 1_000_000, data, i})])
+      {stream, out}
+    end
+  end
+
+  defp message({_, time, latency, data, n}) do
+    %Situ.Message{
+      data: data,
+      originating_time: time,
+      creation_time: time + latency,
+      sequence_id: n
+    }
+  end
+
+  def put(h, name, time, latency, data, n) do
+    message = %Situ.Message{
+      data: data,
+      originating_time: time,
+      creation_time: time + latency,
+      sequence_id: n
+    }
+
+    History.put(h, name, message, History.weigh(data))
+  end
+
+  # {stream, originating time, latency, data, sequence}
+  def messages do
+    ms = 1_000_000
+
+    signals =
+      for i <- 0..5_999, t = @t0 + i * 10 * ms, {name, value, latency} <- signal(i / 100) do
+        {name, t, latency * ms, value, i}
+      end
+
+    seconds =
+      for s <- 0..59, t = @t0 + s * 1_000 * ms, {name, value} <- second(s) do
+        {name, t, 3 * ms, value, s}
+      end
+
+    sound =
+      for b <- 0..599 do
+        {"Mic.Audio", @t0 + (b + 1) * 100 * ms, ms, buffer(b), b}
+      end
+
+    signals ++ seconds ++ sound
+  end
+
+  defp signal(s) do
+    [
+      {"Imu.Acc.X", 9.8 * :math.sin(s / 3), 1},
+      {"Imu.Acc.Y", 4.0 * :math.cos(s / 2), if(s > 30 and s < 31, do: 80, else: 2)},
+      {"Mic.Level", abs(:math.sin(s)), 1}
+    ]
+  end
+
+  defp second(s) do
+    [
+      {"Camera.Image", picture(s)},
+      {"Camera.Faces",
+       [%Situ.Rect{x: 10, y: 10, width: 20, height: 20, label: "Ada", score: 0.93, id: 0}]},
+      {"Kinect.Depth", depth(s)},
+      {"Vad.Speaking", rem(div(s, 5), 2) == 1},
+      {"Robot.State", Enum.at([:idle, :moving, :turning], rem(div(s, 4), 3))},
+      {"Speech.Text", "word #{s}"},
+      {"Speech.Scores", %{"go" => s / 60, "stop" => 1 - s / 60}},
+      {"<script>hacked=1</script>",
+       %{pose: %{x: s * 1.5, name: "<img src=x onerror=window.hacked=1>"}, tags: ["<b>a</b>"]}}
+    ]
+  end
+
+  def picture(s) do
+    {r, g, b} = color(s)
+    Situ.Image.filled(64, 48, :rgb24, [r, g, b])
+  end
+
+  defp depth(s) do
+    data = for y <- 0..29, x <- 0..39, into: <<>>, do: <<500 + s * 10 + x * 20 + y::little-16>>
+    Situ.DepthImage.new!(width: 40, height: 30, data: data)
+  end
+
+  # 440 Hz, silent in every other second
+  defp buffer(b) do
+    loud = rem(div(b, 10), 2) == 0
+
+    data =
+      for i <- 0..1_599, into: <<>> do
+        x =
+          if loud,
+            do: round(12_000 * :math.sin(2 * :math.pi() * 440 * (b * 1_600 + i) / 16_000)),
+            else: 0
+
+        <<x::little-signed-16>>
+      end
+
+    %Situ.AudioBuffer{
+      format: %Situ.AudioFormat{rate: 16_000, channels: 1, sample: :s16},
+      data: data
+    }
+  end
+end

@@ -1,0 +1,63 @@
+// The smallest runner that does: tests in order, each with a page of its own, one line for what fails, a closing line.
+import { chromium } from "playwright-core";
+import { mkdirSync } from "node:fs";
+import { join } from "node:path";
+
+const tests = [];
+export const test = (name, run) => tests.push({ name, run });
+
+export function equal(actual, expected, what) {
+  const a = JSON.stringify(actual), e = JSON.stringify(expected);
+  if (a !== e) throw new Error(`${what}: expected ${e}, got ${a}`);
+}
+
+export function ok(value, what) {
+  if (!value) throw new Error(what);
+}
+
+export function near(actual, expected, by, what) {
+  if (!(Math.abs(actual - expected) <= by)) throw new Error(`${what}: expected ${expected} within ${by}, got ${actual}`);
+}
+
+// Waits until `probe` in the page is true.
+export async function until(page, probe, what, arg) {
+  try {
+    await page.waitForFunction(probe, arg, { timeout: 30000, polling: 30 });
+  } catch {
+    throw new Error(`waited in vain until ${what}`);
+  }
+}
+
+export async function runAll({ filter = "", shots }) {
+  const browser = await chromium.launch({
+    executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
+    args: ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+      "--disable-component-update", "--disable-sync", "--autoplay-policy=no-user-gesture-required"],
+  });
+  let passed = 0, failed = 0;
+  for (const { name, run } of tests) {
+    if (!name.includes(filter)) continue;
+    const context = await browser.newContext({ viewport: { width: 1280, height: 720 } });
+    const page = await context.newPage();
+    const errors = [];
+    page.on("pageerror", (e) => errors.push(e.message));
+    const shot = async (file) => {
+      if (!shots) return;
+      mkdirSync(shots, { recursive: true });
+      await page.screenshot({ path: join(shots, `${file}.png`) });
+    };
+    try {
+      await run({ page, context, browser, shot });
+      if (errors.length) throw new Error(`the page raised: ${errors.join("; ")}`);
+      passed++;
+    } catch (error) {
+      failed++;
+      console.log(`FAILED: ${name}\n    ${error.message.split("\n").slice(0, 6).join("\n    ")}`);
+      if (shots) await page.screenshot({ path: join(shots, `failed-${name.replace(/\W+/g, "-")}.png`) }).catch(() => {});
+    }
+    await context.close();
+  }
+  await browser.close();
+  console.log(`${passed} passed, ${failed} failed`);
+  return failed === 0 && passed > 0;
+}

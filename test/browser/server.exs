@@ -1,0 +1,121 @@
+# Starts the studios that the browser tests visit and says where; ends with its standard input or by a signal.
+Code.require_file("fixture.exs", __DIR__)
+alias Situ.Studio.{History, Source}
+
+[work | _] = System.argv()
+{:ok, _} = Application.ensure_all_started(:situ_studio)
+
+folder = Path.join(work, "recordings")
+points = String.to_integer(System.get_env("POINTS") || "1000000")
+Fixture.record("minute", folder)
+Fixture.record_big("big", folder, points)
+# another writer, to be deleted while it is looked at
+Fixture.record("doomed", folder)
+Task.start_link(fn -> Fixture.record_live("growing", folder) end)
+
+sources = %{
+  "memory" => {Source.History, Fixture.minute()},
+  "empty" => {Source.History, History.new(live: false)}
+}
+
+# A pipeline that runs while it is looked at: 30 numbers a second, a picture and a level made of each.
+connector = Situ.Connector.new("clock")
+
+{:ok, pipeline} =
+  Situ.Pipeline.start(
+    fn p ->
+      clock =
+        p
+        |> Situ.Connector.receive(connector)
+        |> Situ.map(& &1, name: "Clock.Count", type: :integer)
+
+      Situ.map(clock, &Fixture.picture(rem(&1, 60)), name: "Camera.Image", type: Situ.Image)
+      Situ.map(clock, &:math.sin(&1 / 20), name: "Level", type: :float)
+    end,
+    pipeline: [name: "Lobby"]
+  )
+
+ticker = fn ticker, i ->
+  now = System.os_time()
+
+  Situ.Connector.deliver(connector, [
+    %Situ.Message{data: i, originating_time: now, creation_time: now}
+  ])
+
+  Process.sleep(33)
+  ticker.(ticker, i + 1)
+end
+
+Task.start_link(fn -> ticker.(ticker, 0) end)
+
+# One with composites, a part that is too slow and a connection that drops, for the page of its graph.
+{:ok, factory} =
+  Situ.Pipeline.start(
+    fn p ->
+      belt =
+        Situ.composite(p, "Belt", fn p ->
+          p
+          |> Situ.range(0, 10_000_000, Situ.Time.ms(10), name: "Source")
+          |> Situ.map(&(&1 * 2), name: "Double", async: true)
+        end)
+
+      slow =
+        Situ.composite(belt, "Slow", fn belt ->
+          wait = fn n -> Process.sleep(15) && n end
+          Situ.map(belt, wait, name: "Heavy", policy: Situ.Delivery.latest())
+        end)
+
+      fast = Situ.map(belt, &:math.sin(&1 / 50), name: "Fast", async: true)
+      nearest = Situ.Reproducible.nearest(Situ.Time.ms(50))
+      slow |> Situ.join(fast, nearest, name: "Join") |> Situ.each(fn _ -> :ok end, name: "Screen")
+    end,
+    pipeline: [name: "Factory", replay: [speed: 1.0]]
+  )
+
+# A minute of its diagnostics: a hundred messages a second on the first connection.
+log = History.new(seconds: 3_600, live: false)
+seen = Situ.Pipeline.info(factory)
+
+for i <- 1..60 do
+  edges = Enum.map(seen.edges, &%{&1 | emitted: i * 100, processed: i * 100, busy: i * 1_000_000})
+  Fixture.put(log, "Diagnostics", Fixture.t0() + i * 1_000_000_000, 0, %{seen | edges: edges}, i)
+end
+
+sources = Map.put(sources, "factory-log", {Source.History, log})
+layouts = Path.join(work, "layouts")
+
+{:ok, main} =
+  Situ.Studio.start_link(
+    port: 0,
+    path: folder,
+    sources: sources,
+    pipelines: [pipeline, factory],
+    layouts: layouts
+  )
+
+{:ok, guarded} =
+  Situ.Studio.start_link(
+    id: "guarded",
+    port: 0,
+    sources: sources,
+    layouts: layouts,
+    read_only: true,
+    token: "the-very-secret-token"
+  )
+
+base = &(&1 |> Situ.Studio.url() |> String.trim_trailing("/"))
+
+IO.puts(
+  "ready " <>
+    IO.iodata_to_binary(
+      :jiffy.encode(%{
+        "main" => base.(main),
+        "guarded" => Situ.Studio.url(guarded),
+        "folder" => folder,
+        "points" => points,
+        "t0" => Integer.to_string(Fixture.t0())
+      })
+    )
+)
+
+Process.sleep(:infinity)

@@ -1,0 +1,63 @@
+// What the tests do with a studio's page.
+import { until } from "./harness.mjs";
+
+export async function open(page, base, source, query = "") {
+  await page.goto(`${base}/s/${source}${query}`);
+  await until(page, () => document.body.dataset.ready === "1" && document.body.dataset.connection === "open", "the page has data");
+  if ((await state(page)).mode !== "live") await settled(page);
+}
+
+// Nothing is asked for, nothing waits to be drawn.
+export async function settled(page) {
+  await until(page, () => {
+    const s = window.situStudio;
+    return s && !s.client.inflight && s.dirty.size === 0 && document.querySelectorAll("[phx-hook='Panel']").length >= 0;
+  }, "the page is still");
+  await page.waitForTimeout(80);
+  await until(page, () => !window.situStudio.client.inflight && window.situStudio.dirty.size === 0, "the page is still");
+}
+
+export const state = (page) => page.evaluate(() => window.situStudio.time.get());
+export const act = (page, name) => page.evaluate((n) => window.situStudio.act(n), name);
+export const dispatch = (page, action) => page.evaluate((a) => void window.situStudio.time.dispatch(a), action);
+
+// The colour at a fraction of a panel's canvas.
+export function pixel(page, selector, fx, fy) {
+  return page.evaluate(([sel, x, y]) => {
+    const c = document.querySelector(sel);
+    const d = c.getContext("2d").getImageData(Math.floor(c.width * x), Math.floor(c.height * y), 1, 1).data;
+    return Array.from(d);
+  }, [selector, fx, fy]);
+}
+
+// How many pixels of a canvas are of (about) this colour.
+export function count(page, selector, rgb, tolerance = 40) {
+  return page.evaluate(([sel, [r, g, b], t]) => {
+    const c = document.querySelector(sel);
+    const d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+    let n = 0;
+    for (let i = 0; i < d.length; i += 4) {
+      if (d[i + 3] > 120 && Math.abs(d[i] - r) < t && Math.abs(d[i + 1] - g) < t && Math.abs(d[i + 2] - b) < t) n++;
+    }
+    return n;
+  }, [selector, rgb, tolerance]);
+}
+
+export const panelOf = (page, stream) => page.evaluate((s) => {
+  for (const el of document.querySelectorAll("[phx-hook='Panel']")) {
+    const config = JSON.parse(el.dataset.config);
+    if (config.vis.some((v) => v.stream === s)) return el.id;
+  }
+  return null;
+}, stream);
+
+// Puts the mouse where `t` (ns after the start) is on a timeline.
+export async function pointAt(page, id, t) {
+  const { x, y } = await page.evaluate(([i, time]) => {
+    const box = document.getElementById(i).getBoundingClientRect();
+    const [a, b] = window.situStudio.time.get().view;
+    return { x: box.left + 76 + ((time - a) / (b - a)) * (box.width - 90), y: box.top + box.height / 2 };
+  }, [id, t]);
+  await page.mouse.move(x, y);
+  return { x, y };
+}
