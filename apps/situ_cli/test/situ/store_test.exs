@@ -1,0 +1,122 @@
+defmodule Situ.CLI.StoreTest do
+  use ExUnit.Case, async: true
+  import ExUnit.CaptureIO
+  alias Situ.CLI.Store, as: Command
+  alias Situ.{Message, Store}
+  alias Situ.Store.Writer
+
+  @moduletag :tmp_dir
+
+  setup %{tmp_dir: root} do
+    {:ok, writer} = Writer.create("lobby", root)
+    {:ok, numbers} = Writer.stream(writer, "Room.Level", type: :integer)
+    {:ok, words} = Writer.stream(writer, "Words", type: :string, compression: :zstd)
+    {:ok, _} = Writer.append(numbers, for(i <- 0..99, do: message(i, i)))
+    {:ok, _} = Writer.append(words, for(i <- 0..9, do: message("word #{i}", i * 10)))
+    for stream <- [numbers, words], do: {:ok, _} = Writer.close_stream(stream, 99_000_000_000)
+    :ok = Writer.close(writer)
+    {:ok, path: Path.join(root, "lobby")}
+  end
+
+  defp message(data, i) do
+    time = i * 1_000_000_000
+
+    %Message{
+      data: data,
+      originating_time: time,
+      creation_time: time + 2_000_000,
+      sequence_id: i + 1
+    }
+  end
+
+  defp run(argv), do: with_io(fn -> Command.run(argv) end)
+  defp json(argv), do: argv |> run() |> elem(1) |> :jiffy.decode([:return_maps, :use_nil])
+
+  test "info shows streams, rates, sizes, latency", %{path: path, tmp_dir: root} do
+    {0, text} = run(["info", path])
+    assert text =~ "closed; 2 streams, 110 messages"
+    assert text =~ ~r/Room.Level +:integer +100 +1.0 Hz .* 2.00 ms/
+    assert text =~ "1970-01-01T00:00:00.000000000Z .. 1970-01-01T00:01:39"
+
+    assert %{"closed" => true, "streams" => [%{"count" => 100, "rate" => 1.0}, _]} =
+             json(["info", path, "--json"])
+
+    {0, list} = run(["info", root])
+    assert list =~ "lobby.0000  2 streams, 1 min 39 s"
+  end
+
+  test "crop, copy, concat, edit, rename, delete", %{path: path, tmp_dir: root} do
+    out = Path.join(root, "out")
+
+    {0, made} =
+      run(["crop", path, out, "--start", "10s", "--length", "5s", "--stream", "Room.Level"])
+
+    assert values(String.trim(made), "Room.Level") == Enum.to_list(10..15)
+
+    {0, second} =
+      run(["crop", path, out, "--from", "1970-01-01T00:00:20Z", "--to", "22000000000"])
+
+    assert values(String.trim(second), "Room.Level") == [20, 21, 22]
+    assert values(String.trim(second), "Words") == ["word 2"]
+
+    {0, both} =
+      run(["concat", String.trim(made), String.trim(second), out, "--compression", "lz4"])
+
+    assert values(String.trim(both), "Room.Level") == Enum.to_list(10..15) ++ [20, 21, 22]
+
+    edit = ["edit", path, out, "--delete", "Words@0", "--set", "Words@5000000000=\"five\""]
+    {0, edited} = run(edit)
+    assert Enum.take(values(String.trim(edited), "Words"), 2) == ["five", "word 1"]
+    assert values(path, "Words") == for(i <- 0..9, do: "word #{i}")
+
+    {0, renamed} = run(["rename", String.trim(edited), "better"])
+    assert renamed =~ "better.0000"
+    assert {0, _} = run(["delete", String.trim(renamed), "--yes"])
+    refute File.exists?(String.trim(renamed))
+  end
+
+  test "messages", %{path: path} do
+    {0, text} = run(["messages", path, "-s", "Words", "-n", "2", "--from", "15000000000"])
+    assert [first, _] = String.split(text, "\n", trim: true)
+    assert first =~ "00:00:20" and first =~ "+2.00 ms" and first =~ "\"word 2\""
+  end
+
+  test "verify finds damage and says so by its status; repair mends", %{path: path} do
+    {0, sound} = run(["verify", path])
+    assert sound =~ ~r/^\d+ chunks, all sound/
+    file = Path.join(Store.open!(path).path, "data-000000.situ")
+    bytes = File.read!(file)
+    {found, _} = :binary.match(bytes, "Room.Level")
+    <<a::binary-size(found), "Room", rest::binary>> = bytes
+    File.write!(file, [a, "Doom", rest])
+    assert {1, text} = run(["verify", path])
+    assert text =~ "DAMAGED" and text =~ "data-000000.situ at byte"
+    assert %{"damage" => [_ | _]} = json(["verify", path, "--json"])
+    assert {0, text} = run(["repair", path])
+    assert text =~ "1 dropped"
+    assert {0, _} = run(["verify", path])
+  end
+
+  test "wrong usage has status 2, what fails raises an error that says how to fix it", %{
+    path: path
+  } do
+    for argv <- [[], ["infoo", path], ["info"], ["info", path, "--colour"]] do
+      assert capture_io(:stderr, fn -> assert Command.run(argv) == 2 end) =~ "Fix:"
+    end
+
+    for argv <- [
+          ["info", path <> "x"],
+          ["messages", path],
+          ["messages", path, "-s", "Wrods"],
+          ["crop", path, path <> "y", "--start", "soon"],
+          ["copy", path, path <> "y", "--compression", "rar"],
+          ["edit", path, path <> "y", "--set", "Words@1=nojson"]
+        ] do
+      error = assert_raise Situ.Error, fn -> Command.run(argv) end
+      assert error.fix
+    end
+  end
+
+  defp values(path, stream),
+    do: path |> Store.open!() |> Store.messages(stream) |> Enum.map(& &1.data)
+end

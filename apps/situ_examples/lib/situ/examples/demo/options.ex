@@ -1,0 +1,48 @@
+defmodule Situ.Examples.Demo.Options do
+  @moduledoc false
+  # The demo's command line, parsed once.
+
+  @switches [
+    input: :string,
+    truth: :string,
+    out: :string,
+    headless: :boolean,
+    json: :boolean,
+    realtime: :boolean,
+    seconds: :float,
+    port: :integer,
+    help: :boolean
+  ]
+
+  @spec parse([String.t()]) :: {:ok, keyword()} | :help | {:error, String.t()}
+  def parse(argv) do
+    # `elixir -e ... -- args` passes the dashes on.
+    argv = if List.first(argv) == "--", do: tl(argv), else: argv
+
+    case OptionParser.parse(argv, strict: @switches, aliases: [h: :help]) do
+      {_, _, [{switch, _} | _]} -> {:error, "unknown or incomplete option #{switch}"}
+      {_, [extra | _], _} -> {:error, "unexpected argument #{extra}"}
+      {opts, [], []} -> if opts[:help], do: :help, else: {:ok, complete(opts)}
+    end
+  end
+
+  defp complete(opts) do
+    input = input(opts[:input])
+    live? = not File.exists?(input) or String.starts_with?(input, "/dev/")
+
+    [out: "recordings", port: 4040]
+    |> Keyword.merge(opts)
+    |> Keyword.merge(input: input, live: live? and device?(input))
+    |> Keyword.put(:policy, if(live? and device?(input), do: Situ.Delivery.latest()))
+  end
+
+  defp device?(input), do: input =~ ~r{^(/dev/|[a-z0-9]+:)}
+
+  defp input(nil), do: clip()
+  defp input("camera"), do: "/dev/video0"
+  defp input(other), do: other
+
+  @doc "The clip that comes with the examples."
+  @spec clip() :: Path.t()
+  def clip, do: Path.join([to_string(:code.priv_dir(:situ_examples)), "demo", "talk1.mp4"])
+end

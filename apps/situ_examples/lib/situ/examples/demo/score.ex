@@ -1,0 +1,90 @@
+defmodule Situ.Examples.Demo.Score do
+  @moduledoc """
+  Compares who was found to speak with who does, picture by picture.
+
+  A picture is right when exactly the faces speak that should; pictures within 0.2 s of an edge of a segment are not scored. A tracked
+  face counts as the true one whose box it overlaps most, and as a stranger when it overlaps none. A picture for which there is no
+  decision has nobody speaking. `false_speech_s` and `missed_speech_s` add up over faces.
+
+      iex> json = ~s({"fps": 10, "frames": 10, "faces": [{"id": 0, "box": [0, 0, 9, 9]}],
+      ...>   "speech": [{"face": 0, "speech_start": 0.0, "speech_end": 1.0}]})
+      iex> {:ok, truth} = Situ.Examples.Demo.Truth.parse(json)
+      iex> rect = Situ.Rect.new!(1, 1, 9, 9)
+      iex> found = for i <- 0..8, do: {i * 100_000_000, [{rect, i != 5}]}
+      iex> score = Situ.Examples.Demo.Score.of(truth, found)
+      iex> {score.frames, score.scored_frames, score.frame_accuracy, score.missed_speech_s, score.false_speech_s}
+      {10, 5, 0.8, 0.1, 0.0}
+  """
+  alias Situ.Examples.Demo.Truth
+
+  @enforce_keys [:frames, :scored_frames, :frame_accuracy, :false_speech_s, :missed_speech_s]
+  defstruct [
+    :frames,
+    :scored_frames,
+    :frame_accuracy,
+    :false_speech_s,
+    :missed_speech_s,
+    per_face: %{}
+  ]
+
+  @type found :: [{Situ.Time.t(), [{Situ.Rect.t(), speaking? :: boolean()}]}]
+  @type t :: %__MODULE__{}
+
+  @doc "The score of decisions whose times count from the beginning of the clip."
+  @spec of(Truth.t(), found()) :: t()
+  def of(%Truth{} = truth, found) do
+    by_frame = Map.new(found, fn {time, faces} -> {round(time * truth.fps / 1.0e9), faces} end)
+
+    rows =
+      for i <- 0..(truth.frames - 1), not Truth.near_edge?(truth, i / truth.fps) do
+        {Truth.speakers(truth, i / truth.fps), said(truth, Map.get(by_frame, i, []))}
+      end
+
+    per_face = Map.new(truth.faces, fn {id, _} -> {to_string(id), face(rows, id, truth.fps)} end)
+    # Strangers count too: a voice given to a picture on the wall is false speech.
+    false_frames =
+      rows |> Enum.map(fn {true_ids, ids} -> length(ids -- true_ids) end) |> Enum.sum()
+
+    missed = rows |> Enum.map(fn {true_ids, ids} -> length(true_ids -- ids) end) |> Enum.sum()
+
+    %__MODULE__{
+      frames: truth.frames,
+      scored_frames: length(rows),
+      frame_accuracy: share(Enum.count(rows, fn {a, b} -> a == b end), length(rows)),
+      false_speech_s: seconds(false_frames, truth.fps),
+      missed_speech_s: seconds(missed, truth.fps),
+      per_face: per_face
+    }
+  end
+
+  defp said(truth, faces) do
+    for({rect, true} <- faces, do: Truth.face_at(truth, rect) || :stranger)
+    |> Enum.uniq()
+    |> Enum.sort()
+  end
+
+  defp face(rows, id, fps) do
+    {spoken, false_frames, missed, right} =
+      Enum.reduce(rows, {0, 0, 0, 0}, fn {true_ids, ids}, {s, f, m, r} ->
+        case {id in true_ids, id in ids} do
+          {true, true} -> {s + 1, f, m, r + 1}
+          {true, false} -> {s + 1, f, m + 1, r}
+          {false, true} -> {s, f + 1, m, r}
+          {false, false} -> {s, f, m, r + 1}
+        end
+      end)
+
+    %{
+      "frame_accuracy" => share(right, length(rows)),
+      "speech_s" => seconds(spoken, fps),
+      "false_speech_s" => seconds(false_frames, fps),
+      "missed_speech_s" => seconds(missed, fps)
+    }
+  end
+
+  # A clip in which nothing can be scored has nothing wrong.
+  defp share(_n, 0), do: 1.0
+  defp share(n, of), do: Float.round(n / of, 4)
+
+  defp seconds(frames, fps), do: Float.round(frames / fps, 3)
+end

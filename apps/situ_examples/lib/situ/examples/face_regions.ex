@@ -1,0 +1,37 @@
+defmodule Situ.Examples.FaceRegions do
+  @moduledoc """
+  A pipeline that grows with the world: every face gets a branch of its own for as long as it is there.
+
+  Pictures and tracked faces become a map of face id to the picture's region; `Situ.parallel/3` opens a branch for each id, here one that
+  measures how bright the face is, smoothed over its own last half second. Faces come and go; their branches' state goes with them.
+
+      faces = Situ.Infer.MouthShape.parts(camera).faces
+      brightness = Situ.Examples.FaceRegions.brightness(camera, faces)     # %{0 => 131.2, 1 => 98.7}
+  """
+  alias Situ.Stream
+
+  @doc "`%{id => mean brightness, 0..255}` for every picture."
+  @spec brightness(Stream.t(), Stream.t()) :: Stream.t()
+  def brightness(pictures, faces) do
+    pictures
+    |> Situ.join(faces)
+    |> Situ.map(&regions/1, type: {:map, :any, Situ.Image})
+    |> Situ.parallel(fn _id, region ->
+      region
+      |> Situ.map(&mean/1, type: :float)
+      |> Situ.average(over: {:past, Situ.Time.ms(500)})
+    end)
+  end
+
+  defp regions({picture, faces}) do
+    for face <- faces,
+        {:ok, %Situ.Image{} = region} <- [Situ.Image.crop(picture, face.rect, clip: true)],
+        into: %{},
+        do: {face.rect.id, region}
+  end
+
+  defp mean(region) do
+    {:ok, colors} = Situ.Image.average_color(region)
+    Enum.sum(Map.values(colors)) / map_size(colors)
+  end
+end

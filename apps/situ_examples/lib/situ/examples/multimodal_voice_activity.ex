@@ -1,0 +1,42 @@
+defmodule Situ.Examples.MultimodalVoiceActivity do
+  @moduledoc """
+  Who is speaking, decided from sound **and** lips, recorded as it happens.
+
+      {:ok, report} = Situ.Pipeline.run(Situ.Examples.MultimodalVoiceActivity, input: "talk1.mp4", path: "recordings")
+
+  `input:` is a file, `"simulated:talk1.mp4"`, or a camera (`"/dev/video0"`). The recording, `path/Talk.NNNN`, holds the sound, the
+  pictures as JPEG, what the models saw in them, who was speaking, and the pipeline's own diagnostics.
+  """
+  use Situ.Pipeline
+
+  alias Situ.Infer.{Face, MouthShape}
+
+  @impl true
+  def build(p, opts) do
+    talk = Situ.Media.open(p, opts[:input], audio_format: Situ.AudioFormat.pcm(16_000))
+
+    voice = talk.audio && Situ.Infer.voice(talk.audio)
+    lips = talk.video && MouthShape.parts(talk.video, policy: opts[:policy])
+    speaking = lips && Situ.Infer.who_speaks(lips.mouths, voice)
+
+    store = Situ.Store.create(p, "Talk", opts[:path])
+    record = fn stream, name -> stream && Situ.Store.write(stream, store, "Talk." <> name) end
+
+    record.(talk.audio, "Sound")
+    record.(talk.video && Situ.map(talk.video, &jpeg/1, type: Situ.EncodedImage), "Pictures")
+    record.(voice, "Voice")
+    record.(voice && Situ.map(voice, & &1.probability, type: :float), "Voice.Probability")
+    record.(lips && Situ.map(lips.faces, &rects/1, type: {:list, Situ.Rect}), "Faces")
+    record.(lips && lips.mouths, "Mouths")
+    record.(speaking, "Speaking")
+    record.(Situ.Diagnostics.stream(p), "Diagnostics")
+    store
+  end
+
+  defp jpeg(picture) do
+    {:ok, jpeg} = Situ.Image.encode_jpeg(picture, quality: 80)
+    jpeg
+  end
+
+  defp rects(faces), do: Enum.map(faces, fn %Face{rect: rect} -> rect end)
+end

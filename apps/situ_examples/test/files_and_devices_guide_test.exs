@@ -1,0 +1,28 @@
+defmodule Situ.Examples.FilesAndDevicesGuideTest do
+  # Not async: the guide's files are relative, so the test changes the VM's folder.
+  use ExUnit.Case, async: false
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+
+  @root Path.expand("../../..", __DIR__)
+  @guide Path.join(@root, "docs/guides/files-and-devices.md")
+  @talk Path.join(@root, "apps/situ_media/test/fixtures/talk1.mp4")
+
+  test "every snippet of the guide runs, in its order", %{tmp_dir: dir} do
+    File.cp!(@talk, Path.join(dir, "talk1.mp4"))
+    before = File.cwd!()
+    on_exit(fn -> File.cd!(before) end)
+    File.cd!(dir)
+
+    snippets =
+      Regex.scan(~r/^```elixir\n(.*?)^```/ms, File.read!(@guide), capture: :all_but_first)
+
+    assert length(snippets) >= 8
+
+    Enum.reduce(snippets, [], fn [code], bindings ->
+      {_, bindings} = Code.eval_string(code, bindings, file: @guide)
+      bindings
+    end)
+  end
+end

@@ -1,0 +1,123 @@
+defmodule Situ.Examples.DemoTest do
+  use ExUnit.Case, async: true
+  import ExUnit.CaptureIO
+
+  alias Situ.Examples.Demo
+  alias Situ.Examples.Demo.{Options, Recording, Score, Truth}
+  alias Situ.Store
+
+  @moduletag timeout: 240_000
+  @truth Path.join(Path.dirname(Options.clip()), "talk1.truth.json")
+
+  defp ffmpeg!(args) do
+    {out, status} = System.cmd("ffmpeg", ~w(-v error -y) ++ args, stderr_to_stdout: true)
+    assert status == 0, out
+  end
+
+  defp messages(path) do
+    {:ok, store} = Store.open(path)
+
+    for %{name: name} <- Store.streams(store), name != "Talk.Diagnostics", into: %{} do
+      rows =
+        store |> Store.messages(name) |> Enum.map(&{&1.originating_time, &1.sequence_id, &1.data})
+
+      {name, :erlang.term_to_binary(rows)}
+    end
+  end
+
+  @tag :tmp_dir
+  test "the clip is scored right, and two runs record the same bytes", %{tmp_dir: dir} do
+    assert {:ok, one, _} = Demo.record(input: Options.clip(), out: dir)
+    assert {:ok, two, _} = Demo.record(input: Options.clip(), out: dir)
+    assert one != two
+    first = messages(one)
+
+    assert Map.keys(first) |> Enum.sort() ==
+             ~w(Talk.Faces Talk.Mouths Talk.Pictures Talk.Sound Talk.Speaking Talk.Voice Talk.Voice.Probability)
+
+    assert first == messages(two)
+
+    {:ok, truth} = Truth.read(@truth)
+    {:ok, recording} = Recording.read(one)
+    score = Score.of(truth, recording.found)
+    assert score.frames == 350
+    assert score.frame_accuracy >= 0.97
+    # Nobody speaks while the voice comes from outside, or while a mouth moves in silence.
+    for {from, to} <- [{10.2, 11.8}, {12.2, 13.6}], {_, a, b} <- recording.spoken do
+      refute a / 1.0e9 < to and b / 1.0e9 > from
+    end
+  end
+
+  @tag :tmp_dir
+  test "prints one JSON object with --json", %{tmp_dir: dir} do
+    short = Path.join(dir, "short.mp4")
+    ffmpeg!(["-i", Options.clip(), "-t", "2", short])
+    argv = ["--", "--input", short, "--truth", @truth, "--headless", "--json", "--out", dir]
+    out = capture_io(fn -> assert Demo.run(argv) == 0 end)
+    json = :jiffy.decode(out, [:return_maps])
+
+    for key <-
+          ~w(frames scored_frames frame_accuracy false_speech_s missed_speech_s per_face wall_s media_s),
+        do: assert(Map.has_key?(json, key), "#{key} is missing")
+
+    assert json["frames"] == 350
+    assert_in_delta json["media_s"], 2.0, 0.1
+  end
+
+  @tag :tmp_dir
+  test "goes on with what there is: no sound, no pictures, no face", %{tmp_dir: dir} do
+    silent = Path.join(dir, "silent.mp4")
+    ffmpeg!(["-i", Options.clip(), "-t", "1", "-an", silent])
+
+    out =
+      capture_io(fn -> assert Demo.run(["--input", silent, "--headless", "--out", dir]) == 0 end)
+
+    assert out =~ "no sound" and out =~ "25 pictures"
+
+    voice = Path.join(dir, "voice.wav")
+    ffmpeg!(["-i", Options.clip(), "-t", "1", "-vn", voice])
+
+    out =
+      capture_io(fn -> assert Demo.run(["--input", voice, "--headless", "--out", dir]) == 0 end)
+
+    assert out =~ "no pictures"
+
+    empty = Path.join(dir, "empty.mp4")
+
+    ffmpeg!(
+      ~w(-f lavfi -i color=c=gray:s=320x240:r=10:d=1 -f lavfi -i sine=d=1 -shortest) ++ [empty]
+    )
+
+    out =
+      capture_io(fn -> assert Demo.run(["--input", empty, "--headless", "--out", dir]) == 0 end)
+
+    assert out =~ "Nobody was seen speaking"
+  end
+
+  @tag :tmp_dir
+  @tag :capture_log
+  test "shows what there is of a clip cut short, and says that it is", %{tmp_dir: dir} do
+    cut = Path.join(dir, "cut.mp4")
+    File.write!(cut, Options.clip() |> File.read!() |> binary_part(0, 300_000))
+    argv = ["--input", cut, "--headless", "--out", dir]
+
+    err =
+      capture_io(:stderr, fn ->
+        out = capture_io(fn -> assert Demo.run(argv) == 1 end)
+        assert out =~ "Until it failed" and out =~ " pictures, "
+      end)
+
+    assert err =~ "cut.mp4 is damaged"
+  end
+
+  @tag :tmp_dir
+  test "says what is wrong with its arguments and files", %{tmp_dir: dir} do
+    err = fn argv, status -> capture_io(:stderr, fn -> assert Demo.run(argv) == status end) end
+    assert err.(["--inptu", "x"], 2) =~ "unknown or incomplete option"
+    assert err.(["--input", "/nowhere.mp4", "--headless", "--out", dir], 1) =~ "Fix:"
+    bad = Path.join(dir, "bad.json")
+    File.write!(bad, "{")
+    assert err.(["--truth", bad, "--headless", "--out", dir], 1) =~ "not JSON"
+    assert capture_io(fn -> assert Demo.run(["--help"]) == 0 end) =~ "Usage"
+  end
+end

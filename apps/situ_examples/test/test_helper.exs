@@ -1,0 +1,2 @@
+Application.ensure_all_started(:situ_examples)
+ExUnit.start()
