@@ -1,0 +1,164 @@
+# The benchmark runner: `bin/bench TEST [REPS] [SCALE]`. Contract: bench/README.md.
+defmodule Situ.Bench do
+  @moduledoc """
+  Runs one benchmark and prints `name,value,unit` lines on standard output.
+
+  A benchmark is a module in `bench/tests/` with `tests/0 :: [{name, fun}]`; `fun.(scale)` does one repetition and
+  answers `[{metric, value, unit}]`, or raises when its own counts and sums are wrong.
+  """
+
+  @quick ~w(empty chain-1-unlimited chain-10-unlimited join-exact-unlimited zip-unlimited storeint-unlimited seek)
+
+  @doc """
+  Runs `fun`, which handles `n` messages; answers its rate by the wall clock as `metric` and the whole VM's CPU
+  time per message (user and system, in microseconds) as `metric_cpu`. `fun` may return extra metrics.
+  """
+  def measure(metric, n, unit \\ "msg/s", fun) do
+    :erlang.garbage_collect()
+    cpu = cpu_us()
+    started = :erlang.monotonic_time(:nanosecond)
+    extra = fun.()
+    wall = :erlang.monotonic_time(:nanosecond) - started
+    used = cpu_us() - cpu
+
+    [{metric, n * 1.0e9 / max(wall, 1), unit}, {metric <> "_cpu", used / max(n, 1), "us/msg"}] ++
+      if(is_list(extra), do: extra, else: [])
+  end
+
+  @doc "User and system CPU time of this VM so far, in microseconds, from the kernel's own account."
+  def cpu_us do
+    # Fields 14 and 15 of /proc/self/stat, counted after the command's closing parenthesis, in clock ticks; too coarse
+    # for short runs, so the VM's own runtime statistic (getrusage) is used: milliseconds, all threads.
+    :erlang.statistics(:runtime) |> elem(0) |> Kernel.*(1_000)
+  end
+
+  @doc "The VM's peak resident memory, MiB."
+  def peak_rss_mib, do: status_mib("VmHWM")
+  @doc "The VM's resident memory now, MiB."
+  def rss_mib, do: status_mib("VmRSS")
+
+  defp status_mib(field) do
+    [_, kb] = Regex.run(~r/#{field}:\s+(\d+) kB/, File.read!("/proc/self/status"))
+    String.to_integer(kb) / 1024
+  end
+
+  def main(["list"]), do: Enum.each(names(), &IO.puts/1)
+
+  def main([name | rest]) do
+    {reps, scale} = parse(rest)
+
+    case select(name) do
+      [] -> usage("no benchmark #{inspect(name)}#{hint(name)}")
+      [one] -> run(one, reps, scale)
+      many -> Enum.each(many, &spawn_vm(&1, reps, scale))
+    end
+  end
+
+  def main(_), do: usage("which benchmark?")
+
+  defp select("all"), do: names()
+  defp select("quick"), do: Enum.filter(@quick, &(&1 in names()))
+  defp select(name), do: if(name in names(), do: [name], else: [])
+
+  defp hint(name) do
+    case Situ.Options.nearest(name, names()) do
+      nil -> ""
+      near -> "; did you mean #{near}?"
+    end
+  end
+
+  defp parse(rest) do
+    with [reps | more] <- rest ++ List.duplicate(nil, 2 - min(2, length(rest))),
+         [scale | _] <- more,
+         {:ok, reps} <- number(reps || "5", &Integer.parse/1),
+         {:ok, scale} <- number(scale || "1", &Float.parse/1) do
+      {reps, scale}
+    else
+      _ -> usage("REPS must be a whole number and SCALE a number")
+    end
+  end
+
+  defp number(text, parse) do
+    case parse.(text) do
+      {n, ""} when n > 0 -> {:ok, n}
+      _ -> :error
+    end
+  end
+
+  # Every test gets a fresh VM, so that one test's garbage and heated caches are not another's.
+  defp spawn_vm(name, reps, scale) do
+    script = System.get_env("SITU_BENCH") || "bin/bench"
+    System.cmd(script, [name, "#{reps}", "#{scale}"], into: IO.stream(:stdio, :line))
+  end
+
+  defp run(name, reps, scale) do
+    {^name, fun} = List.keyfind(tests(), name, 0)
+    IO.puts(:stderr, "#{name}: #{reps} repetitions at scale #{scale}")
+    # Warm-up: code is loaded and compiled paths are hot; a tenth of the work is enough.
+    fun.(scale / 10)
+
+    1..reps
+    |> Enum.flat_map(fn rep ->
+      metrics = fun.(scale)
+      IO.puts(:stderr, "  #{rep}: " <> Enum.map_join(metrics, "  ", &show/1))
+      metrics
+    end)
+    |> Kernel.++([{name <> "_peak_rss", peak_rss_mib(), "MiB"}])
+    |> report()
+  catch
+    kind, reason ->
+      IO.puts(:stderr, Exception.format(kind, reason, __STACKTRACE__))
+      IO.puts("failed_#{name},1,exit")
+      System.halt(1)
+  end
+
+  defp show({metric, value, unit}), do: "#{metric}=#{format(value)} #{unit}"
+
+  defp report(metrics) do
+    order = metrics |> Enum.map(&elem(&1, 0)) |> Enum.uniq()
+    by_name = Enum.group_by(metrics, &elem(&1, 0))
+
+    for metric <- order do
+      values = by_name[metric] |> Enum.map(&elem(&1, 1)) |> Enum.sort()
+      unit = by_name[metric] |> hd() |> elem(2)
+      IO.puts("#{metric},#{format(median(values))},#{unit}")
+
+      if length(values) > 1 do
+        IO.puts("#{metric}.min,#{format(hd(values))},#{unit}")
+        IO.puts("#{metric}.max,#{format(List.last(values))},#{unit}")
+      end
+    end
+  end
+
+  defp median(sorted) do
+    n = length(sorted)
+    upper = Enum.at(sorted, div(n, 2))
+    if rem(n, 2) == 1, do: upper, else: (upper + Enum.at(sorted, div(n, 2) - 1)) / 2
+  end
+
+  defp format(value) when is_integer(value), do: Integer.to_string(value)
+  defp format(value) when abs(value) >= 100, do: :erlang.float_to_binary(value, decimals: 1)
+  defp format(value), do: :erlang.float_to_binary(value * 1.0, decimals: 4)
+
+  defp names, do: Enum.map(tests(), &elem(&1, 0))
+
+  defp tests do
+    for {module, _} <- :persistent_term.get(__MODULE__, []), test <- module.tests(), do: test
+  end
+
+  defp usage(problem) do
+    IO.puts(:stderr, "bench: #{problem}\nUsage: bin/bench TEST|all|quick|list [REPS] [SCALE]")
+    System.halt(2)
+  end
+end
+
+tests = __DIR__ |> Path.join("tests/*.exs") |> Path.wildcard() |> Enum.sort()
+
+modules =
+  for file <- tests,
+      {module, beam} <- Code.require_file(file) || [],
+      function_exported?(module, :tests, 0),
+      do: {module, byte_size(beam)}
+
+:persistent_term.put(Situ.Bench, modules)
+Situ.Bench.main(System.argv())

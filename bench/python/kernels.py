@@ -1,0 +1,67 @@
+"""The jobs of bench/tests/kernels.exs in Python: OpenCV, SciPy, soxr, one thread. Same names, same output.
+
+    pip install numpy 'opencv-python-headless<5' scipy soxr
+    python bench/python/kernels.py [REPS]
+
+The value of `_cpu` is the median over REPS (default 5) of process CPU time an operation, microseconds.
+"""
+import statistics
+import sys
+import time
+
+import cv2
+import numpy as np
+
+cv2.setNumThreads(1)
+
+
+def picture(width, height):
+    y, x = np.mgrid[0:height, 0:width].astype(np.int64)
+    noise = (x * 7919 + y * 104729 + x * y) % 31
+    return np.stack([(x // 5 + noise) % 256, (y // 4 + noise) % 256, ((x + y) // 9) % 256], -1).astype(np.uint8)
+
+
+def jobs():
+    hd1080, hd720 = picture(1920, 1080), picture(1280, 720)
+    gray = cv2.cvtColor(hd1080, cv2.COLOR_BGR2GRAY)
+    jpeg = cv2.imencode(".jpg", hd720, [cv2.IMWRITE_JPEG_QUALITY, 85])[1]
+    i = np.arange(480000)
+    sound = (0.5 * np.sin(i * i / 1e6)).astype(np.float32)
+    yield "resize_1080p_640x360_opencv", 60, lambda: cv2.resize(hd1080, (640, 360))
+    yield "resize_1080p_854x480_opencv", 60, lambda: cv2.resize(hd1080, (854, 480))
+    yield "bgr_to_gray_1080p_opencv", 60, lambda: cv2.cvtColor(hd1080, cv2.COLOR_BGR2GRAY)
+    yield "jpeg_encode_720p_opencv", 30, lambda: cv2.imencode(".jpg", hd720, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    yield "jpeg_decode_720p_opencv", 30, lambda: cv2.imdecode(jpeg, cv2.IMREAD_COLOR)
+    yield "gaussian_5x5_gray_1080p_opencv", 40, lambda: cv2.GaussianBlur(gray, (5, 5), 1.1)
+    yield "canny_gray_1080p_opencv", 15, lambda: cv2.Canny(gray, 60, 120)
+    try:
+        import soxr
+
+        yield "resample_10s_48k_16k_soxr", 30, lambda: soxr.resample(sound, 48000, 16000, quality="HQ")
+    except ImportError:
+        print("soxr is not installed", file=sys.stderr)
+    try:
+        import scipy.signal
+
+        yield "resample_10s_48k_16k_scipy", 10, lambda: scipy.signal.resample_poly(sound, 1, 3)
+    except ImportError:
+        print("scipy is not installed", file=sys.stderr)
+
+
+def main(reps):
+    for name, n, job in jobs():
+        job()
+        wall, cpu = [], []
+        for _ in range(reps):
+            w, c = time.perf_counter(), time.process_time()
+            for _ in range(n):
+                job()
+            wall.append(n / (time.perf_counter() - w))
+            cpu.append((time.process_time() - c) / n * 1e6)
+        print(f"kernel_{name},{statistics.median(wall):.6g},op/s")
+        print(f"kernel_{name}_cpu,{statistics.median(cpu):.6g},us/op")
+        print(f"kernel_{name}_cpu.min,{min(cpu):.6g},us/op")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)

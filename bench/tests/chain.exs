@@ -1,0 +1,53 @@
+defmodule Situ.Bench.Chain do
+  @moduledoc false
+  # A range one tick apart through k maps that add one, counted at the end; each policy as the pipeline's default.
+  import Situ.Bench, only: [measure: 3]
+  alias Situ.{Delivery, Generator, Pipeline, Time}
+
+  @policies [
+    unlimited: Delivery.unlimited(),
+    throttle: Delivery.throttle(),
+    sync: Delivery.synchronous()
+  ]
+  @sizes [{1, 600_000}, {10, 200_000}, {50, 60_000}]
+
+  def tests do
+    plain =
+      for {k, n} <- @sizes, {name, policy} <- @policies do
+        {"chain-#{k}-#{name}", &chain("chain_k#{k}_#{name}", k, round(n * &1), policy, false)}
+      end
+
+    plain ++
+      [
+        {"chain-10-async",
+         &chain("chain_k10_async", 10, round(200_000 * &1), Delivery.unlimited(), true)}
+      ]
+  end
+
+  defp chain(metric, k, n, policy, async) do
+    sum = :counters.new(2, [])
+
+    measure(metric, n, fn ->
+      {:ok, _} =
+        Pipeline.run(
+          fn p ->
+            1..k
+            |> Enum.reduce(Generator.range(p, 0, n, Time.ticks(1)), fn _, stream ->
+              Situ.map(stream, &(&1 + 1), async: async)
+            end)
+            |> Situ.each(fn v ->
+              :counters.add(sum, 1, 1)
+              :counters.add(sum, 2, v)
+            end)
+          end,
+          pipeline: [default_policy: policy]
+        )
+
+      check!(:counters.get(sum, 1) == n, "#{:counters.get(sum, 1)} of #{n} messages came through")
+      check!(:counters.get(sum, 2) == div(n * (n - 1), 2) + k * n, "wrong sum")
+    end)
+  end
+
+  defp check!(true, _why), do: :ok
+  defp check!(false, why), do: raise(why)
+end

@@ -1,0 +1,36 @@
+defmodule Situ.Bench.Fanout do
+  @moduledoc false
+  # One range to ten sinks.
+  import Situ.Bench, only: [measure: 3]
+  alias Situ.{Delivery, Generator, Pipeline, Time}
+
+  @policies [
+    unlimited: Delivery.unlimited(),
+    throttle: Delivery.throttle(),
+    sync: Delivery.synchronous()
+  ]
+
+  def tests do
+    for {name, policy} <- @policies,
+        do: {"fanout-#{name}", &fanout("fanout10_#{name}", round(200_000 * &1), policy)}
+  end
+
+  defp fanout(metric, n, policy) do
+    counts = :counters.new(10, [])
+
+    measure(metric, n, fn ->
+      {:ok, _} =
+        Pipeline.run(
+          fn p ->
+            stream = Generator.range(p, 0, n, Time.ticks(1))
+            for i <- 1..10, do: Situ.each(stream, fn _ -> :counters.add(counts, i, 1) end)
+          end,
+          pipeline: [default_policy: policy]
+        )
+
+      for i <- 1..10,
+          :counters.get(counts, i) != n,
+          do: raise("sink #{i} got #{:counters.get(counts, i)} of #{n}")
+    end)
+  end
+end

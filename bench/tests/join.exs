@@ -1,0 +1,52 @@
+defmodule Situ.Bench.Join do
+  # Two streams of 1,000,000 messages 1 ms apart, joined: exact (the same times), or nearest (the secondary 0.3 ms
+  # later, tolerance 5 ms). One count per joined message.
+
+  @ms 1_000_000
+
+  def tests do
+    [
+      {"join-exact-unlimited", &exact/1},
+      {"join-nearest-unlimited", &nearest/1}
+    ]
+  end
+
+  defp exact(scale), do: run("join_exact_unlimited", n(scale), 0, Situ.Reproducible.exact())
+
+  defp nearest(scale),
+    do: run("join_nearest_unlimited", n(scale), 300_000, Situ.Reproducible.nearest(5 * @ms))
+
+  defp n(scale), do: max(1, round(1_000_000 * scale))
+
+  defp run(metric, n, shift, interpolator) do
+    counter = :counters.new(2, [])
+
+    Situ.Bench.measure(metric, n, "joined/s", fn ->
+      {:ok, _} =
+        Situ.Pipeline.run(
+          fn p ->
+            primary = Situ.range(p, 0, n, @ms)
+
+            # Both count from the start; the shift is in the times alone.
+            secondary = Situ.range(p, 0, n, @ms, align: shift)
+
+            primary
+            |> Situ.join(secondary, interpolator)
+            |> Situ.each(fn {a, b} ->
+              :counters.add(counter, 1, 1)
+              :counters.add(counter, 2, a + b)
+            end)
+          end,
+          pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+        )
+
+      check(counter, n)
+      []
+    end)
+  end
+
+  defp check(counter, n) do
+    {count, sum} = {:counters.get(counter, 1), :counters.get(counter, 2)}
+    if {count, sum} != {n, n * (n - 1)}, do: raise("joined #{count} of #{n}, sum #{sum}")
+  end
+end

@@ -1,0 +1,145 @@
+defmodule Situ.Bench.Live.Table do
+  @moduledoc false
+  # A page with a table of n rows; "set" changes one of them.
+  use Situ.Live.View
+
+  @impl true
+  def mount(%{"n" => n}, _session, socket) do
+    n = String.to_integer(n)
+    {:ok, assign(socket, rows: for(i <- 1..n, do: {i, "row #{i}", 0}), n: n)}
+  end
+
+  @impl true
+  def handle_event("set", %{"i" => i, "v" => v}, socket),
+    do: {:noreply, update(socket, :rows, &List.replace_at(&1, i - 1, {i, "row #{i}", v}))}
+
+  @impl true
+  def render(assigns) do
+    ~H"""
+    <h1>{@n} rows</h1>
+    <table>
+      <tr :for={{i, name, v} <- @rows} :key={i} id={"r#{i}"} class={v > 5 && "hot"}><td>{name}</td><td>{v}</td></tr>
+    </table>
+    """
+  end
+end
+
+defmodule Situ.Bench.Live.Frames do
+  @moduledoc false
+  # Frames of 16 KB made on demand: as many as there are credits.
+  @behaviour Situ.Live.DataSocket
+  @data :binary.copy(<<1, 2, 3, 4>>, 4_096)
+
+  @impl true
+  def connect(_request, _arg), do: {:ok, 0}
+  @impl true
+  def handle_open(_channel, _params, _state), do: {:ok, 0}
+
+  @impl true
+  def handle_credit(channel, credits, sent) do
+    frames = for i <- 1..credits, do: %{channel: channel, kind: 1, time: sent + i, data: @data}
+    {:push, frames, sent + credits}
+  end
+end
+
+defmodule Situ.Bench.Live do
+  @moduledoc false
+  # The LiveView server: an event that changes one row of a table, a small page over HTTP, 16 KB frames with credits. The
+  # client is a raw socket in the same VM, so the CPU is that of both ends.
+  import Situ.Bench, only: [measure: 3, measure: 4]
+  alias Situ.Bench.Live.{Frames, Table}
+  alias Situ.Live.{Diff, Page, Socket}
+
+  def tests do
+    [
+      {"live-diff", &diff(round(2_000 * &1))},
+      {"live-http", &http(round(5_000 * &1))},
+      {"live-frames", &frames(round(20_000 * &1))}
+    ]
+  end
+
+  defp diff(n) do
+    Enum.flat_map([40, 1_000], fn rows ->
+      {:ok, socket} = Table.mount(%{"n" => "#{rows}"}, %{}, %Socket{id: "bench", view: Table})
+      {_, memory} = Diff.run(Page.render(socket, :all))
+      n = div(n * 40, rows)
+
+      measure("live_diff_#{rows}_rows", n, "diffs/s", fn ->
+        Enum.reduce(1..n, {Socket.__sent__(socket), memory}, fn i, {socket, memory} ->
+          {:noreply, socket} = Table.handle_event("set", %{"i" => 3, "v" => i}, socket)
+          {diff, memory} = Diff.run(Page.render(socket, :changed), memory)
+          %{"0" => %{"1" => %{"k" => %{"2" => %{"3" => _}, "kc" => ^rows}}}} = diff
+          {Socket.__sent__(socket), memory}
+        end)
+      end)
+    end)
+  end
+
+  defp serve(routes) do
+    {:ok, server} = Situ.Live.start_link(port: 0, routes: routes)
+    {server, Situ.Live.port(server)}
+  end
+
+  defp http(n) do
+    {server, port} = serve([{:get, "/", fn _ -> Situ.Live.Response.text("hello world") end}])
+    {:ok, socket} = :gen_tcp.connect(~c"localhost", port, [:binary, active: false, nodelay: true])
+    request = "GET / HTTP/1.1\r\nhost: localhost\r\n\r\n"
+    :ok = :gen_tcp.send(socket, request)
+    {:ok, first} = :gen_tcp.recv(socket, 0, 5_000)
+    size = byte_size(first)
+
+    result =
+      measure("live_http", n, fn ->
+        for _ <- 1..n do
+          :ok = :gen_tcp.send(socket, request)
+          {:ok, answer} = :gen_tcp.recv(socket, size, 5_000)
+          true = String.ends_with?(answer, "hello world")
+        end
+
+        :ok
+      end)
+
+    Supervisor.stop(server)
+    result
+  end
+
+  defp frames(n) do
+    {server, port} = serve([{:socket, "/data", Situ.Live.DataSocket, {Frames, nil}}])
+    {:ok, socket} = :gen_tcp.connect(~c"localhost", port, [:binary, active: false, nodelay: true])
+
+    :ok =
+      :gen_tcp.send(socket, [
+        "GET /data HTTP/1.1\r\nhost: localhost\r\nupgrade: websocket\r\nconnection: upgrade\r\n",
+        "sec-websocket-version: 13\r\nsec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+      ])
+
+    {:ok, "HTTP/1.1 101" <> _} = :gen_tcp.recv(socket, 0, 5_000)
+    :ok = say(socket, %{"op" => "open", "ch" => 1, "credits" => 8})
+    {:ok, <<0x81, length>>} = :gen_tcp.recv(socket, 2, 5_000)
+    {:ok, _opened} = :gen_tcp.recv(socket, length, 5_000)
+
+    result =
+      measure("live_frames_16k", n, "frames/s", fn ->
+        for i <- 1..n do
+          {:ok, <<0x82, 126, size::16>>} = :gen_tcp.recv(socket, 4, 5_000)
+
+          {:ok, <<1, 1, _::16, 1::little-32, ^i::little-64, _::binary>>} =
+            :gen_tcp.recv(socket, size, 5_000)
+
+          if rem(i, 4) == 0, do: :ok = say(socket, %{"op" => "credit", "ch" => 1, "n" => 4})
+        end
+
+        :ok
+      end)
+
+    :gen_tcp.close(socket)
+    Supervisor.stop(server)
+    result
+  end
+
+  # A mask of zeros changes nothing.
+  defp say(socket, message) do
+    text = IO.iodata_to_binary(:jiffy.encode(message))
+    :gen_tcp.send(socket, [<<0x81, 1::1, byte_size(text)::7, 0::32>>, text])
+  end
+end

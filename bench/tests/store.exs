@@ -1,0 +1,185 @@
+defmodule Situ.Bench.Store do
+  # Messages written to a store by a pipeline, the store closed, and read back by another; a plain write(2) of the same bytes beside
+  # the large ones.
+  alias Situ.{Delivery, Pipeline, Store}
+
+  defmodule Frame do
+    # What an image is to a store: a small header and raw bytes.
+    @behaviour Situ.Codec
+    defstruct [:data]
+    @impl true
+    def codec_name, do: "bench.frame"
+    @impl true
+    def encode(frame), do: [<<0::64>>, frame.data]
+    @impl true
+    def decode(<<_::64, data::binary>>), do: {:ok, %__MODULE__{data: data}}
+    def decode(_), do: {:error, :short}
+  end
+
+  @policies [unlimited: [], throttle: [1], sync: []]
+
+  def tests do
+    for {policy, _} <- @policies, {kind, n} <- [int: 400_000, double: 400_000] do
+      {"store#{kind}-#{policy}", &small(kind, policy, max(1, round(n * &1)))}
+    end ++
+      for {policy, _} <- @policies do
+        {"store64k-#{policy}", &large("64k", policy, 65_536, max(1, round(8_000 * &1)))}
+      end ++
+      for {policy, _} <- @policies do
+        {"storeframe-#{policy}", &large("frame", policy, 640 * 480 * 3, max(1, round(600 * &1)))}
+      end ++ [{"store100b", &hundred(max(1, round(1_000_000 * &1)))}]
+  end
+
+  defp delivery(:unlimited), do: Delivery.unlimited()
+  defp delivery(:throttle), do: Delivery.throttle(1)
+  defp delivery(:sync), do: Delivery.synchronous()
+
+  defp folder do
+    root = System.get_env("SITU_BENCH_DIR") || System.tmp_dir!()
+    Path.join(root, "situ-bench-#{System.pid()}-#{System.unique_integer([:positive])}")
+  end
+
+  defp in_folder(fun) do
+    root = folder()
+    File.mkdir_p!(root)
+
+    try do
+      fun.(root)
+    after
+      File.rm_rf!(root)
+    end
+  end
+
+  defp settings(policy, interval \\ []),
+    do: [pipeline: [default_policy: delivery(policy), replay: [speed: :max] ++ interval]]
+
+  defp write(metric, n, unit, root, type, policy, value) do
+    Situ.Bench.measure(metric, n, unit, fn ->
+      {:ok, _} =
+        Pipeline.run(
+          fn p ->
+            exporter = Store.create(p, "bench", root)
+
+            p
+            |> Situ.range(0, n, 100)
+            |> Situ.map(value, type: type)
+            |> Store.write(exporter, "s", type: type)
+          end,
+          settings(policy, interval: {0, :unbounded})
+        )
+
+      []
+    end)
+  end
+
+  defp read(metric, n, root, policy, add, opts \\ []) do
+    counter = :counters.new(2, [])
+
+    metrics =
+      Situ.Bench.measure(metric, n, fn ->
+        {:ok, _} =
+          Pipeline.run(
+            fn p ->
+              p
+              |> Store.importer(Path.join(root, "bench"), opts)
+              |> Store.stream("s")
+              |> Situ.each(fn data ->
+                :counters.add(counter, 1, 1)
+                :counters.add(counter, 2, add.(data))
+              end)
+            end,
+            settings(policy)
+          )
+
+        []
+      end)
+
+    {metrics, :counters.get(counter, 1), :counters.get(counter, 2)}
+  end
+
+  defp bytes(root) do
+    root |> Path.join("**") |> Path.wildcard() |> Enum.map(&File.stat!(&1).size) |> Enum.sum()
+  end
+
+  defp small(kind, policy, n) do
+    in_folder(fn root ->
+      {type, value, back} =
+        if kind == :int,
+          do: {:integer, & &1, & &1},
+          else: {:float, &(&1 * 0.5), &trunc(&1 * 2)}
+
+      written = write("store_write_#{kind}_#{policy}", n, "msg/s", root, type, policy, value)
+      {read, count, sum} = read("store_read_#{kind}_#{policy}", n, root, policy, back)
+      if {count, sum} != {n, div(n * (n - 1), 2)}, do: raise("read #{count} of #{n}, sum #{sum}")
+      written ++ read ++ [{"store_bytes_#{kind}_#{policy}", bytes(root) / n, "B/msg"}]
+    end)
+  end
+
+  # Random bytes, a few different ones in turn so that no cache serves them all.
+  defp large(name, policy, size, n) do
+    payloads = for(_ <- 1..16, do: :crypto.strong_rand_bytes(size)) |> List.to_tuple()
+    frame? = name == "frame"
+
+    value = fn i ->
+      data = elem(payloads, rem(i, 16))
+      if frame?, do: %Frame{data: data}, else: data
+    end
+
+    size_of = fn
+      %Frame{data: data} -> byte_size(data)
+      data -> byte_size(data)
+    end
+
+    type = if frame?, do: Frame, else: :binary
+    plain = in_folder(fn root -> plain(name, policy, root, payloads, n) end)
+
+    in_folder(fn root ->
+      written =
+        "store_write_#{name}_#{policy}_MBps"
+        |> write(n, "MB/s", root, type, policy, value)
+        |> per_byte(size)
+
+      check = fn {metrics, count, sum} ->
+        if {count, sum} != {n, n * size}, do: raise("read #{count} of #{n}, #{sum} bytes")
+        metrics
+      end
+
+      verified = check.(read("store_read_#{name}_#{policy}", n, root, policy, size_of))
+
+      unverified =
+        check.(
+          read("store_read_#{name}_#{policy}_small", n, root, policy, size_of, verify: :small)
+        )
+
+      plain ++ written ++ verified ++ unverified
+    end)
+  end
+
+  defp plain(name, policy, root, payloads, n) do
+    size = byte_size(elem(payloads, 0))
+
+    per_byte(
+      Situ.Bench.measure("plain_write_#{name}_#{policy}_MBps", n, "MB/s", fn ->
+        {:ok, file} = :file.open(Path.join(root, "plain"), [:write, :raw])
+        for i <- 0..(n - 1), do: :ok = :file.write(file, elem(payloads, rem(i, 16)))
+        :ok = :file.close(file)
+        []
+      end),
+      size
+    )
+  end
+
+  defp per_byte([{metric, rate, unit} | rest], size),
+    do: [{metric, rate * size / 1.0e6, unit} | rest]
+
+  defp hundred(n) do
+    in_folder(fn root ->
+      value = fn i -> <<i::64, 0::736>> end
+      number = fn <<i::64, _::binary>> -> i end
+      written = write("store100b_write", n, "msg/s", root, :binary, :unlimited, value)
+      {read, count, sum} = read("store100b_read", n, root, :unlimited, number)
+      if {count, sum} != {n, div(n * (n - 1), 2)}, do: raise("read #{count} of #{n}, sum #{sum}")
+      written ++ read ++ Situ.Bench.StoreSeek.seek("store100b", root, n, number)
+    end)
+  end
+end

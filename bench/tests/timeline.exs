@@ -1,0 +1,98 @@
+defmodule Situ.Bench.Timeline do
+  # The min/max envelope of 2,000 pixels over any span out of 10M or 100M stored points.
+  alias Situ.Store
+  alias Situ.Store.{Native, Writer}
+
+  def tests do
+    [
+      {"timeline-10m", &timeline("timeline10m", round(10_000_000 * &1))},
+      {"timeline-100m", &timeline("timeline100m", round(100_000_000 * &1))}
+    ]
+  end
+
+  # 10 us apart; written without a pipeline, which other tests measure.
+  @step 10_000
+
+  defp timeline(name, n) do
+    root = Path.join(System.tmp_dir!(), "situ-bench-#{name}-#{n}-#{System.pid()}")
+    File.rm_rf!(root)
+    File.mkdir_p!(root)
+
+    try do
+      {:ok, writer} = Writer.create("bench", root)
+      {:ok, stream} = Writer.stream(writer, "s", type: :float)
+
+      recorded =
+        Situ.Bench.measure("#{name}_write", n, fn ->
+          fill(stream, 0, n)
+          :ok = Writer.close(writer)
+          []
+        end)
+
+      recorded ++ spans(name, Path.join(root, "bench"), n)
+    after
+      File.rm_rf!(root)
+    end
+  end
+
+  defp fill(_stream, at, n) when at >= n, do: :ok
+
+  defp fill(stream, at, n) do
+    messages =
+      for i <- at..min(at + 8_191, n - 1) do
+        time = i * @step
+
+        %Situ.Message{
+          data: value(i),
+          originating_time: time,
+          creation_time: time,
+          sequence_id: i + 1
+        }
+      end
+
+    {:ok, stream} = Writer.append(stream, messages)
+    fill(stream, at + 8_192, n)
+  end
+
+  defp value(i), do: rem(i * 7_919, 10_007) * 1.0
+
+  defp spans(name, path, n) do
+    started = :erlang.monotonic_time(:nanosecond)
+    store = Store.open!(path)
+    {:ok, info} = Store.stream_info(store, "s")
+    opened = :erlang.monotonic_time(:nanosecond) - started
+    :rand.seed(:exsss, {4, 5, 6})
+    whole = n * @step
+
+    times =
+      for _ <- 1..500 do
+        # Every zoom alike: spans from 200 us to all of it, at any place.
+        span = max(round(whole / :math.pow(2, :rand.uniform() * 20)), 200_000)
+        from = round(:rand.uniform() * max(whole - span, 0))
+        started = :erlang.monotonic_time(:nanosecond)
+        {:ok, width, bins} = Store.summary(store, info, from, from + span, 2_000)
+        took = :erlang.monotonic_time(:nanosecond) - started
+        check(bins, width, from, span, n)
+        took
+      end
+
+    sorted = times |> Enum.sort() |> List.to_tuple()
+    at = fn p -> elem(sorted, trunc(p * (tuple_size(sorted) - 1))) / 1.0e6 end
+    true = is_integer(Native.summary_level(0, whole, 2_000))
+
+    [
+      {"#{name}_p50", at.(0.5), "ms"},
+      {"#{name}_p99", at.(0.99), "ms"},
+      {"#{name}_open", opened / 1.0e6, "ms"}
+    ]
+  end
+
+  # The bins' counts must add up to the points that lie in them.
+  defp check(bins, width, from, span, n) do
+    low = Integer.floor_div(from, width) * width
+    high = Integer.floor_div(from + span, width) * width + width - 1
+    expected = min(div(high, @step), n - 1) - div(low + @step - 1, @step) + 1
+    counted = bins |> Enum.map(&elem(&1, 4)) |> Enum.sum()
+    if counted != expected, do: raise("#{counted} points in #{from}+#{span}, not #{expected}")
+  end
+end

@@ -1,0 +1,233 @@
+defmodule Situ.Conformance.DeliveryPolicies do
+  # One queue driven by hand, and policies at work in pipelines.
+  import Situ.Conformance.Case, only: [verdict: 2, ms: 1]
+  alias Situ.{Delivery, Message, Pipeline}
+  alias Situ.Delivery.Queue
+
+  defmodule Script do
+    # A pull source of `{time, value}`s, one at a time; tells in which process it runs.
+    use Situ.Component,
+      outputs: [out: :any],
+      options: [
+        messages: [type: :list, required: true],
+        report: [type: {:fun, 1}, required: true]
+      ]
+
+    @impl true
+    def init(opts), do: {:ok, {opts[:messages], opts[:report]}}
+
+    @impl true
+    def handle_demand(_n, _context, {[{time, value}], report}) do
+      report.({:source, self()})
+      {[{:out, time, value}, {:complete, time}], {[], report}}
+    end
+
+    def handle_demand(_n, _context, {[], report}), do: {[], {[], report}}
+
+    def handle_demand(_n, _context, {[{time, value} | rest], report}),
+      do: {[{:out, time, value}], {rest, report}}
+  end
+
+  def check(%{"op" => "delivery_queue", "params" => params} = case) do
+    queue = Queue.new(policy(params["policy"]))
+
+    {steps, {_queue, dropped}} = Enum.map_reduce(case["expect"]["steps"], {queue, []}, &step/2)
+
+    got = %{"steps" => steps, "dropped" => Enum.map(dropped, & &1.data)}
+    verdict(Map.take(case["expect"], ["steps", "dropped"]), got)
+  end
+
+  def check(%{"op" => "delivery", "params" => %{"policies" => names} = params} = case) do
+    [first, second] = Enum.map(names, &policy/1)
+    takes = params["stage2_takes_ms"]
+
+    got =
+      run(case, [speed: :max], fn stream, tell ->
+        stream
+        |> Situ.each(fn v -> tell.({:stage1, v, self()}) end, policy: first)
+        |> Situ.each(fn v -> tell.({:stage2, v, self()}) && Process.sleep(takes) end,
+          policy: second
+        )
+      end)
+
+    values = %{
+      "stage1" => for({:stage1, v, _} <- got, do: v),
+      "stage2" => for({:stage2, v, _} <- got, do: v)
+    }
+
+    expect = case["expect"]
+    contexts = got |> Enum.map(&context/1) |> Enum.uniq()
+
+    cond do
+      Map.take(expect, ["stage1", "stage2"]) != values -> {:fail, expect, values}
+      expect["execution"] && length(contexts) != 1 -> {:fail, expect["execution"], contexts}
+      true -> :pass
+    end
+  end
+
+  def check(%{"op" => "delivery", "params" => params} = case) do
+    policy = params["policy"] |> policy() |> guarantee(params["guarantee"])
+    takes = params["receiver_takes_ms"]
+    observe = params["observe_ms"]
+
+    got =
+      run(case, [speed: 1.0, observe: observe], fn stream, tell ->
+        Situ.each(stream, fn v -> tell.({:got, v, self()}) && Process.sleep(takes) end,
+          policy: policy
+        )
+      end)
+
+    received = for {:got, v, _} <- got, do: v
+    received(case["expect"], received)
+  end
+
+  def check(%{"op" => "delivery.store_write", "params" => params} = case) do
+    if Code.ensure_loaded?(Situ.Store),
+      do: stored(case, params),
+      else: {:not_applicable, "the store is not part of this build"}
+  end
+
+  defp received(%{"received" => values}, got), do: verdict(values, got)
+
+  defp received(%{"received_includes" => values} = expect, got) do
+    ok? =
+      values -- got == [] and (not expect["unique"] or Enum.uniq(got) == got) and
+        (not expect["increasing"] or Enum.sort(got) == got)
+
+    if ok?, do: :pass, else: {:fail, expect, got}
+  end
+
+  defp step(%{"do" => "enqueue"} = step, {queue, dropped}) do
+    message = %Message{data: step["v"], originating_time: ms(step["t_ms"])}
+    {queue, lost} = Queue.push(queue, message)
+    {%{step | "queue_after" => waiting(queue)}, {queue, dropped ++ lost}}
+  end
+
+  defp step(%{"do" => "enqueue_closing"} = step, {queue, dropped}) do
+    {queue, lost} = Queue.push(queue, {:closed, ms(step["t_ms"])})
+    {%{step | "queue_after" => waiting(queue)}, {queue, dropped ++ lost}}
+  end
+
+  defp step(%{"do" => "dequeue"} = step, {queue, dropped}) do
+    {entry, queue, lost} = Queue.pop(queue, ms(step["now_ms"]))
+    gives = if entry, do: shown(entry)
+    {%{step | "gives" => gives, "queue_after" => waiting(queue)}, {queue, dropped ++ lost}}
+  end
+
+  defp waiting(queue), do: queue |> Queue.to_list() |> Enum.map(&shown/1)
+  defp shown({:closed, _}), do: "<closing>"
+  defp shown(message), do: message.data
+
+  defp policy("unlimited"), do: Delivery.unlimited()
+  defp policy("latest"), do: Delivery.latest()
+  defp policy("throttle"), do: Delivery.throttle()
+  defp policy("synchronous" <> _), do: Delivery.synchronous()
+
+  defp policy(%{} = params) do
+    base =
+      case params do
+        %{"max_queue" => n} -> Delivery.max_queue(n)
+        %{"max_latency_ms" => d} -> Delivery.max_latency(ms(d))
+        _ -> Delivery.unlimited()
+      end
+
+    base =
+      if params["max_queue"] && params["max_latency_ms"],
+        do: %{base | max_latency: ms(params["max_latency_ms"])},
+        else: base
+
+    guarantee(base, params["guarantee"])
+  end
+
+  defp guarantee(policy, nil), do: policy
+
+  defp guarantee(policy, text) do
+    text
+    |> String.split(", then chained: ")
+    |> Enum.reduce(policy, fn rule, policy -> Delivery.with_guarantee(policy, predicate(rule)) end)
+  end
+
+  defp predicate("v is even"), do: &(rem(&1, 2) == 0)
+  defp predicate("v is odd"), do: &(rem(&1, 2) == 1)
+
+  defp predicate(rule) do
+    case Regex.run(~r/^v (?:mod (\d+) )?(==|>|<|>=|<=) (-?\d+)$/, rule) do
+      [_, "", op, n] -> &compare(op, &1, String.to_integer(n))
+      [_, m, op, n] -> &compare(op, Integer.mod(&1, String.to_integer(m)), String.to_integer(n))
+    end
+  end
+
+  defp compare("==", a, b), do: a == b
+  defp compare(">", a, b), do: a > b
+  defp compare("<", a, b), do: a < b
+  defp compare(">=", a, b), do: a >= b
+  defp compare("<=", a, b), do: a <= b
+
+  defp run(%{"inputs" => [%{"messages" => messages}]}, opts, build) do
+    me = self()
+    tag = make_ref()
+    tell = fn event -> send(me, {tag, event}) end
+    script = for m <- messages, do: {ms(m["t_ms"]), m["v"]}
+    settings = [replay: [interval: {0, :unbounded}, speed: opts[:speed]]]
+
+    {:ok, pipeline} =
+      Pipeline.start(
+        fn p -> p |> Situ.source(Script, messages: script, report: tell) |> build.(tell) end,
+        pipeline: settings
+      )
+
+    if opts[:observe], do: Process.sleep(opts[:observe])
+
+    if opts[:observe],
+      do: Pipeline.stop(pipeline),
+      else: {:ok, _} = Pipeline.await(pipeline, 60_000)
+
+    drain(tag)
+  end
+
+  defp context({:source, pid}), do: pid
+  defp context({_stage, _value, pid}), do: pid
+
+  defp drain(tag) do
+    receive do
+      {^tag, event} -> [event | drain(tag)]
+    after
+      0 -> []
+    end
+  end
+
+  # The store belongs to another application, which this one may be checked without.
+  defp store, do: Situ.Store
+
+  defp stored(case, params) do
+    path = Path.join(System.tmp_dir!(), "situ-conformance-#{System.unique_integer([:positive])}")
+    script = for n <- 1..params["count"], do: {n * params["interval_ticks"] * 100, n}
+
+    {:ok, _} =
+      Pipeline.run(
+        fn p ->
+          store = store().create(p, "policies", path)
+
+          p
+          |> Situ.source(Script, messages: script, report: fn _ -> :ok end)
+          |> store().write(store, "Numbers")
+        end,
+        pipeline: [
+          default_policy: policy(params["pipeline_default"]),
+          replay: [interval: {0, :unbounded}]
+        ]
+      )
+
+    me = self()
+    tag = make_ref()
+
+    {:ok, _} =
+      Pipeline.run(fn p ->
+        store = store().importer(p, Path.join(path, "policies"))
+        store |> store().stream("Numbers") |> Situ.each(&send(me, {tag, &1}))
+      end)
+
+    File.rm_rf!(path)
+    verdict(case["expect"], %{"stored" => length(drain(tag))})
+  end
+end

@@ -1,0 +1,153 @@
+defmodule Situ.Conformance.Emitter do
+  # Posting rules: what an output accepts, and what may be connected to what.
+  import Situ.Conformance.Case, only: [verdict: 2, ticks: 1]
+  alias Situ.{Message, Pipeline}
+
+  defmodule Script do
+    # A source that does what its script says.
+    use Situ.Component, outputs: [out: :any], options: [actions: [type: :list, required: true]]
+
+    @impl true
+    def handle_start(_context, opts), do: {opts[:actions], opts}
+  end
+
+  defmodule Stranger do
+    # Posts on an output that belongs to another component.
+    use Situ.Component, inputs: [in: :any], outputs: [mine: :any]
+
+    @impl true
+    def handle_message(:in, message, _context, state),
+      do: {[{:out, message.originating_time, message.data}], state}
+  end
+
+  @codes %{
+    "sequence_id_out_of_order" => :sequence_not_increasing,
+    "originating_time_not_strictly_increasing" => :time_not_increasing,
+    "creation_time_went_back" => :creation_time_went_back,
+    "post_from_other_component" => :unknown_output,
+    "different_pipeline" => :different_pipeline,
+    "receiver_already_connected" => :already_connected,
+    "pipeline_already_running" => :pipeline_running
+  }
+
+  def check(%{"op" => "deliver", "inputs" => [%{"messages" => messages}]} = case) do
+    actions = Enum.map(messages, &action/1) ++ [{:complete, 1_000_000}]
+    {result, delivered} = collect(fn p -> Situ.source(p, Script, actions: actions) end)
+    outcome(case, result, %{"delivered" => delivered})
+  end
+
+  def check(%{"id" => _, "params" => %{"validator" => rule}} = case) do
+    [limit] = Regex.run(~r/-?\d+/, rule)
+    limit = String.to_integer(limit)
+    [%{"messages" => messages}] = case["inputs"]
+    posts = for m <- messages, do: {:out, ticks(m["t_ticks"]), m["v"]}
+
+    {result, delivered} =
+      collect(fn p ->
+        p
+        |> Situ.source(Script, actions: posts ++ [{:complete, :infinity}])
+        |> Situ.each(fn v -> if v > limit, do: raise(ArgumentError, "more than #{limit}") end)
+      end)
+
+    case result do
+      {:error, %{code: :component_failed, meta: %{exception: %ArgumentError{}}}} ->
+        verdict(case["expect"], %{"delivered_before_failure" => delivered})
+
+      other ->
+        {:fail, case["expect_error"], other}
+    end
+  end
+
+  def check(%{"id" => "emitter-post-across" <> _} = case) do
+    {result, _} = collect(fn p -> p |> one() |> Situ.via(Stranger, [], async: true) end)
+    outcome(case, result, nil)
+  end
+
+  def check(%{"id" => "emitter-post-within" <> _} = case) do
+    {result, delivered} = collect(fn p -> p |> one() |> Situ.map(& &1, async: true) end)
+
+    if match?({:ok, _}, result) and delivered == [1],
+      do: :pass,
+      else: {:fail, case["expect"], result}
+  end
+
+  def check(%{"op" => "subscribe", "id" => "subscribe-across" <> _} = case) do
+    {p, q} = {Pipeline.new(), Pipeline.new()}
+    stream = one(p)
+    node = Pipeline.add(q, Stranger, [])
+    refused(case, [p, q], fn -> Pipeline.connect(stream, node, :in) end)
+  end
+
+  def check(%{"op" => "subscribe", "params" => %{"pipeline" => "running"}} = case) do
+    p = Pipeline.new()
+    node = Pipeline.add(p, Stranger, [], inputs: [in: {:any, optional: true}])
+    # Infinite, or the pipeline may have ended before anyone could subscribe.
+    stream = Situ.source(p, Script, actions: [{:out, 1, 1}, {:complete, :infinity}])
+    :ok = Pipeline.start(p)
+    refused(case, [p], fn -> Pipeline.connect(stream, node, :in) end)
+  end
+
+  def check(%{"op" => "subscribe"} = case) do
+    p = Pipeline.new()
+    node = Pipeline.add(p, Stranger, [])
+    stream = one(p)
+    :ok = Pipeline.connect(stream, node, :in)
+    refused(case, [p], fn -> Pipeline.connect(stream, node, :in) end)
+  end
+
+  defp one(p), do: Situ.source(p, Script, actions: [{:out, 1, 1}, {:complete, 1}])
+
+  defp refused(case, pipelines, fun) do
+    fun.()
+    {:fail, {:error, case["expect_error"]}, :ok}
+  rescue
+    error in Situ.Error -> outcome(case, {:error, error}, nil)
+  after
+    Enum.each(pipelines, &Pipeline.stop/1)
+  end
+
+  defp outcome(%{"expect_error" => name}, {:error, %{code: code}}, _got),
+    do: verdict(Map.fetch!(@codes, name), code)
+
+  defp outcome(%{"expect_error" => name}, other, _got), do: {:fail, {:error, name}, other}
+  defp outcome(%{"expect" => expect}, {:ok, _}, got), do: verdict(expect, got)
+  defp outcome(%{"expect" => expect}, error, _got), do: {:fail, expect, error}
+
+  defp action(%{"close_at_ticks" => t}), do: {:close, :out, ticks(t)}
+
+  defp action(m) do
+    time = ticks(m["originating_ticks"])
+
+    {:out,
+     %Message{
+       data: m["v"],
+       originating_time: time,
+       creation_time: ticks(m["creation_ticks"] || m["originating_ticks"]),
+       sequence_id: m["sequence_id"]
+     }}
+  end
+
+  # Runs a graph quietly; answers the result and what its last stream delivered.
+  defp collect(build) do
+    me = self()
+    tag = make_ref()
+    level = Logger.level()
+    Logger.configure(level: :none)
+
+    result =
+      Pipeline.run(fn p -> p |> build.() |> Situ.each(&send(me, {tag, &1})) end,
+        pipeline: [replay: [interval: {-1_000_000, :unbounded}]]
+      )
+
+    Logger.configure(level: level)
+    {result, drain(tag)}
+  end
+
+  defp drain(tag) do
+    receive do
+      {^tag, value} -> [value | drain(tag)]
+    after
+      0 -> []
+    end
+  end
+end

@@ -1,0 +1,91 @@
+defmodule Situ.Conformance.Interpolators do
+  import Situ.Conformance.Case, except: [time: 1]
+  alias Situ.{Available, Interpolator, Interval, Reproducible}
+
+  # Durations and times count from 0 here; the smallest and largest of the reference stand in for themselves.
+  @names Map.new(~w(exact nearest first last linear)a, &{Atom.to_string(&1), &1})
+  @max 0x7FFFFFFFFFFFFFFF
+
+  def check(%{"op" => "interpolator." <> kind, "params" => params} = case) do
+    case {attempt(fn -> build(kind, params) end), case} do
+      {{:error, error}, _} -> outputs(case, {:error, error})
+      {{:ok, built}, %{"expect_error" => code}} -> {:fail, {:error, code}, built}
+      {{:ok, interpolator}, _} -> call(interpolator, case)
+    end
+  end
+
+  # Also used for the interpolators of the fusion cases.
+  def build(kind, params) do
+    window = window(params["window"])
+    {family, name} = split(kind)
+    {name, opts} = or_default(name, params)
+
+    args =
+      if name == "linear" or name == "exact",
+        do: [opts],
+        else: [window || opts] ++ if(window, do: [opts], else: [])
+
+    apply(family, Map.fetch!(@names, name), args)
+  end
+
+  def window(nil), do: nil
+  def window("infinite" <> _), do: Interval.infinite()
+  def window("past" <> _), do: Interval.past()
+  def window("future" <> _), do: Interval.future()
+
+  def window(%{} = w) do
+    {left, right} = {edge(w, "left"), edge(w, "right")}
+
+    Interval.new(
+      left,
+      Map.get(w, "left_inclusive", left != :unbounded),
+      right,
+      Map.get(w, "right_inclusive", right != :unbounded)
+    )
+  end
+
+  defp edge(w, side) do
+    cond do
+      w[side <> "_bounded"] == false or w[side] == "unbounded" -> :unbounded
+      Map.has_key?(w, side <> "_ms") -> ms(w[side <> "_ms"])
+      true -> duration(w[side <> "_ticks"])
+    end
+  end
+
+  defp duration("min"), do: -@max - 1
+  defp duration("max"), do: @max
+  defp duration(nil), do: :unbounded
+  defp duration(n), do: ticks(n)
+
+  defp split(kind) do
+    [family, name] = String.split(kind, ".")
+    {if(family == "available", do: Available, else: Reproducible), name}
+  end
+
+  defp or_default(name, params) do
+    case String.replace_suffix(name, "_or_default", "") do
+      ^name -> {name, []}
+      plain -> {plain, [or_default: value(params["default"])]}
+    end
+  end
+
+  defp call(interpolator, %{"params" => params, "inputs" => [input]} = case) do
+    at = ticks(params["interpolation_time_ticks"])
+    closed = input["closed_at_ticks"] && ticks(input["closed_at_ticks"])
+    result = Interpolator.interpolate(interpolator, at, messages(input["messages"]), closed)
+    expect = Map.update(case["expect"], "value", nil, &value/1)
+    verdict(expect, shown(result), params["tolerance_on_value"] || 1.0e-12)
+  end
+
+  defp shown({:created, value, obsolete}),
+    do: %{"type" => "created", "value" => value, "obsolete_ticks" => obsolete(obsolete)}
+
+  defp shown({:does_not_exist, obsolete}),
+    do: %{"type" => "does_not_exist", "value" => nil, "obsolete_ticks" => obsolete(obsolete)}
+
+  defp shown(_undecided), do: %{"type" => "insufficient_data", "value" => nil}
+
+  # Times before the first one there is count as it: nothing is obsolete.
+  defp obsolete(nil), do: 0
+  defp obsolete(time), do: max(0, Integer.floor_div(time, 100))
+end

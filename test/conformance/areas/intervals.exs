@@ -1,0 +1,224 @@
+defmodule Situ.Conformance.Intervals do
+  import Situ.Conformance.Case, only: [verdict: 2]
+  alias Situ.{Indexer, Interval}
+
+  # The files' smallest and largest values; Situ's intervals have :unbounded ends, and spans of :infinity.
+  @min -0x8000000000000000
+
+  def check(%{"op" => "endpoint", "params" => params} = case) do
+    point = bound(params["point"])
+    interval = Interval.new(point, params["inclusive"] == true, :unbounded, false)
+    got = endpoint(interval.left, interval.left_inclusive, params["unbounded_at"])
+    verdict(case["expect"], got)
+  end
+
+  def check(%{"op" => "index_range", "params" => %{"start" => start, "end" => stop}} = case) do
+    range = {start, stop}
+
+    verdict(case["expect"], %{
+      "increasing" => Indexer.increasing?(range),
+      "single_valued" => Indexer.single_valued?(range),
+      "size" => Indexer.size(range)
+    })
+  end
+
+  def check(%{"op" => "index_definition", "params" => params} = case) do
+    range =
+      case params do
+        %{"size" => size} -> {0, size - 1}
+        %{"range" => [first, last]} -> {first, last}
+      end
+
+    values = Indexer.values(range, slice(params["slice"] || "all"))
+    expected(case, %{"values" => values, "ranges" => lists(Indexer.runs(values))})
+  end
+
+  def check(%{"op" => "index_" <> _, "params" => %{"shape" => shape} = params} = case) do
+    slices = params["slice"] && Enum.map(params["slice"], &slice/1)
+    indices = Indexer.indices(shape, slices)
+
+    expected(case, %{
+      "count" => length(indices),
+      "values" => indices,
+      "ranges" => lists(Indexer.ranges(shape, slices))
+    })
+  end
+
+  def check(%{"op" => op, "params" => params} = case), do: expected(case, answer(op, params))
+
+  # Cases list the properties they are about.
+  defp expected(%{"expect" => expect}, got), do: verdict(expect, Map.take(got, Map.keys(expect)))
+
+  defp answer("interval", p) do
+    properties(
+      Interval.new(
+        bound(p["left"]),
+        p["left_inclusive"] == true,
+        bound(p["right"]),
+        p["right_inclusive"] == true
+      )
+    )
+  end
+
+  defp answer("interval.left_bounded", p),
+    do: properties(Interval.left_bounded(p["left"], Map.get(p, "inclusive", true)))
+
+  defp answer("interval.right_bounded", p),
+    do: properties(Interval.right_bounded(p["right"], Map.get(p, "inclusive", true)))
+
+  defp answer("interval.infinite", _), do: properties(Interval.infinite())
+  defp answer("interval.empty", _), do: properties(Interval.empty())
+  defp answer("interval.span", p), do: properties(closed(p))
+
+  defp answer("interval.center", p), do: %{"center" => extreme(Interval.center(closed(p)))}
+
+  defp answer("time_plus_relative", %{"origin" => origin, "relative_minutes" => [left, right]}) do
+    closed(%{"left" => left, "right" => right}) |> Interval.translate(origin) |> properties()
+  end
+
+  defp answer("interval.contains_point", %{"points" => points} = p) do
+    interval = parse(p["interval"])
+    Map.new(points, &{to_string(&1), Interval.contains?(interval, point(&1))})
+  end
+
+  defp answer("interval.contains_point", p),
+    do: %{"within" => Interval.contains?(parse(p["interval"]), point(p["point"]))}
+
+  defp answer("interval.translate", p),
+    do: changed(Interval.translate(parse(p["interval"]), p["by"]))
+
+  defp answer("interval.scale", p) do
+    interval = parse(p["interval"])
+    left = amount(p["left_factor"], p["left_span"])
+    changed(Interval.scale(interval, left, amount(p["right_factor"], p["right_span"])))
+  end
+
+  defp answer("interval.scale_" <> side, p) do
+    amount = amount(p["factor"], p["span"])
+    interval = parse(p["interval"])
+
+    changed(
+      case side do
+        "left" -> Interval.scale_left(interval, amount)
+        "right" -> Interval.scale_right(interval, amount)
+        "center" -> Interval.scale_center(interval, amount)
+      end
+    )
+  end
+
+  defp answer("interval.intersects", p) do
+    {a, b} = {parse(p["a"]), parse(p["b"])}
+
+    %{
+      "intersects" => Interval.intersects?(a, b),
+      "disjoint" => Interval.disjoint?(a, b),
+      "symmetric" => Interval.intersects?(a, b) == Interval.intersects?(b, a)
+    }
+  end
+
+  defp answer("interval.subset", p) do
+    {b, of} = {parse(p["b"]), parse(p["of"])}
+
+    %{
+      "subset" => Interval.subset?(b, of),
+      "proper_subset" => Interval.proper_subset?(b, of)
+    }
+  end
+
+  defp answer("interval.coverage", p) do
+    covered =
+      p["of"]
+      |> Enum.map(fn
+        "empty" -> Interval.empty()
+        [left, right] -> Interval.closed(left, right)
+        text -> parse(text)
+      end)
+      |> Interval.coverage()
+
+    covered
+    |> properties()
+    |> Map.merge(%{
+      "left" => extreme(covered.left, "min"),
+      "right" => extreme(covered.right, "max"),
+      "empty" => Interval.empty?(covered)
+    })
+  end
+
+  defp properties(interval) do
+    %{
+      "left" => endpoint(interval.left, interval.left_inclusive, "min"),
+      "right" => endpoint(interval.right, interval.right_inclusive, "max"),
+      "span" => extreme(Interval.span(interval)),
+      "closed" => Interval.closed?(interval),
+      "open" => Interval.open?(interval),
+      "degenerate" => Interval.degenerate?(interval),
+      "empty" => Interval.empty?(interval),
+      "negative" => Interval.negative?(interval),
+      "finite" => Interval.finite?(interval),
+      "half_bounded" => Interval.half_bounded?(interval),
+      "center" => extreme(Interval.center(interval))
+    }
+  end
+
+  defp changed(interval) do
+    interval
+    |> properties()
+    |> Map.merge(%{"interval" => notation(interval)})
+  end
+
+  defp notation(interval), do: Interval.to_string(interval)
+
+  defp endpoint(:unbounded, inclusive, extreme),
+    do: %{"bounded" => false, "inclusive" => inclusive, "point" => extreme}
+
+  defp endpoint(point, inclusive, _extreme),
+    do: %{"bounded" => true, "inclusive" => inclusive, "point" => point}
+
+  defp extreme(:infinity), do: "max"
+  defp extreme(:neg_infinity), do: "min"
+  defp extreme(other), do: other
+  defp extreme(:unbounded, name), do: name
+  defp extreme(other, _name), do: other
+
+  defp bound(nil), do: :unbounded
+  defp bound(point), do: point
+
+  defp point("min"), do: @min
+  defp point("max"), do: -@min - 1
+  defp point(point), do: point
+
+  defp closed(%{"left" => left, "right" => right}), do: Interval.closed(bound(left), bound(right))
+
+  defp amount(nil, nil), do: {:by, 0}
+  defp amount(nil, span), do: {:by, span}
+  defp amount(factor, _span), do: {:factor, factor}
+
+  defp slice("all"), do: :all
+  defp slice([from, to]), do: {from, to}
+  defp slice(at), do: at
+
+  defp lists(ranges), do: Enum.map(ranges, &Tuple.to_list/1)
+
+  # "[0,10)", or in words where the notation has no form: "left=42 inclusive, right=7 exclusive (negative)".
+  defp parse("left=" <> _ = words) do
+    [_, left, left_flag, right, right_flag] =
+      Regex.run(~r/left=(-?\d+) (\w+), right=(-?\d+) (\w+)/, words)
+
+    Interval.new(
+      String.to_integer(left),
+      left_flag == "inclusive",
+      String.to_integer(right),
+      right_flag == "inclusive"
+    )
+  end
+
+  defp parse("empty"), do: Interval.empty()
+  defp parse("infinite"), do: Interval.infinite()
+
+  # An end without a bound is "inf" on either side.
+  defp parse(text) do
+    text = Regex.replace(~r/^([\[(])\s*(inf|min)\s*,/, text, "\\1-inf,")
+    {:ok, interval} = text |> String.replace(~r/,\s*max\s*/, ",inf") |> Interval.parse()
+    interval
+  end
+end

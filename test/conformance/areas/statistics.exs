@@ -1,0 +1,70 @@
+defmodule Situ.Conformance.Statistics do
+  import Situ.Conformance.Case
+  alias Situ.Conformance.Run
+
+  # A function of a list, without a stream.
+  def check(%{"op" => op, "params" => %{"values" => values} = params, "inputs" => []} = case) do
+    [name, "of_list"] = String.split(op, ".")
+    result = Situ.Statistics.of_list(kind(name), value(values), options(params))
+    verdict(value(case["expect"]), %{name => result}, tolerance(params))
+  end
+
+  def check(%{"op" => op, "params" => params} = case) do
+    build = fn [stream] -> build(String.split(op, "."), stream, params) end
+    outputs(case, Run.inputs(case, build), tolerance(params))
+  end
+
+  defp build(["delta"], stream, p), do: Situ.delta(stream, where(p))
+  defp build(["abs"], stream, p), do: Situ.abs(stream, where(p))
+
+  defp build(["log"], stream, %{"base" => base} = p),
+    do: Situ.log(stream, [base: base] ++ where(p))
+
+  defp build(["log"], stream, p), do: Situ.log(stream, where(p))
+
+  defp build([name, form], stream, params) do
+    opts = [over: over(form, params)] ++ options(params) ++ where(params)
+    apply(Situ, kind(name), [stream, opts])
+  end
+
+  defp kind(name) do
+    Map.fetch!(
+      %{
+        "count" => :count,
+        "long_count" => :count,
+        "sum" => :sum,
+        "min" => :min,
+        "max" => :max,
+        "average" => :average,
+        "std" => :std
+      },
+      name
+    )
+  end
+
+  defp over("running", _params), do: :all
+  defp over("of_list", _params), do: :list
+  defp over("history", %{"size" => n}), do: {:last, n}
+  defp over("history", %{"time_ms" => n}), do: {:past, ms(n)}
+  defp over("history", %{"time_ticks" => n}), do: {:past, ticks(n)}
+
+  # A decimal's running deviation of one value is 0, there being no NaN.
+  defp options(params) do
+    nullable = if params["nullable"], do: [nullable: true], else: []
+    if params["type"] == "decimal", do: [initial: 0.0] ++ nullable, else: nullable
+  end
+
+  defp where(params) do
+    case params["condition"] || params["predicate"] do
+      nil -> []
+      "v is even" -> [where: &(rem(trunc(&1), 2) == 0)]
+      "v is odd" -> [where: &(rem(trunc(&1), 2) != 0)]
+    end
+  end
+
+  defp tolerance(%{"tolerance" => tolerance}), do: tolerance
+  defp tolerance(%{"type" => "float32"}), do: 1.0e-6
+  # The reference's decimal deviations were computed from 64-bit floats of 15 digits.
+  defp tolerance(%{"type" => "decimal"}), do: 1.0e-12
+  defp tolerance(_params), do: 1.0e-12
+end
