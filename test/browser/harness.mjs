@@ -23,8 +23,8 @@ export function near(actual, expected, by, what) {
 export async function until(page, probe, what, arg) {
   try {
     await page.waitForFunction(probe, arg, { timeout: 30000, polling: 30 });
-  } catch {
-    throw new Error(`waited in vain until ${what}`);
+  } catch (error) {
+    throw new Error(`waited in vain until ${what}: ${error.message.split("\n")[0]}`);
   }
 }
 
@@ -41,6 +41,9 @@ export async function runAll({ filter = "", shots }) {
     const page = await context.newPage();
     const errors = [];
     page.on("pageerror", (e) => errors.push(e.message));
+    const said = [];
+    page.on("console", (m) => said.push(m.text()));
+    page.on("requestfailed", (r) => said.push(`${r.url()}: ${r.failure()?.errorText}`));
     const shot = async (file) => {
       if (!shots) return;
       mkdirSync(shots, { recursive: true });
@@ -52,7 +55,8 @@ export async function runAll({ filter = "", shots }) {
       passed++;
     } catch (error) {
       failed++;
-      console.log(`FAILED: ${name}\n    ${error.message.split("\n").slice(0, 6).join("\n    ")}`);
+      const seen = [`at ${page.url()}`, ...errors.map((e) => `raised: ${e}`), ...said.slice(-8)];
+      console.log(["FAILED: " + name, ...error.message.split("\n").slice(0, 6), ...seen].join("\n    "));
       if (shots) await page.screenshot({ path: join(shots, `failed-${name.replace(/\W+/g, "-")}.png`) }).catch(() => {});
     }
     await context.close();

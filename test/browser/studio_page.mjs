@@ -3,7 +3,7 @@ import { until } from "./harness.mjs";
 
 export async function open(page, base, source, query = "") {
   await page.goto(`${base}/s/${source}${query}`);
-  await until(page, () => document.body.dataset.ready === "1" && document.body.dataset.connection === "open", "the page has data");
+  await until(page, () => document.body?.dataset.ready === "1" && document.body?.dataset.connection === "open", "the page has data");
   if ((await state(page)).mode !== "live") await settled(page);
 }
 

@@ -357,7 +357,7 @@ test("8 layouts: saved, switched and deleted; a link gives the same picture", as
   };
   const before = await still(page);
   await page.goto(page.url());
-  await until(page, () => document.body.dataset.ready === "1", "reloaded");
+  await until(page, () => document.body?.dataset.ready === "1", "reloaded");
   const after = await still(page);
   if (process.env.SHOTS) for (const [n, b] of [["before", before], ["after", after]]) writeFileSync(`${process.env.SHOTS}/${n}.png`, b);
   ok(before.equals(after), "the reloaded page is the same picture");
@@ -393,7 +393,7 @@ test("9 serving: the list of recordings", async ({ page, shot }) => {
   // A person reads the list first; the page is alive by then.
   await until(page, () => document.querySelector("[data-phx-main].phx-connected"), "the page is connected");
   await page.click("text=minute.0000");
-  await until(page, () => document.body.dataset.ready === "1", "one is opened");
+  await until(page, () => document.body?.dataset.ready === "1", "one is opened");
 });
 
 test("security: names, texts and values are shown, never run", async ({ page }) => {
@@ -484,7 +484,7 @@ test("a recording that is deleted while open: said, and the rest goes on", async
   await page.waitForTimeout(1100);
   await dispatch(page, { type: "cursor", t: 10 * S });
   await page.evaluate(() => window.situStudio.client.pump(true));
-  await until(page, () => document.body.dataset.connection === "gone", "the page says that it is gone");
+  await until(page, () => document.body?.dataset.connection === "gone", "the page says that it is gone");
   ok((await page.textContent("#connection")).includes("gone"), "in words");
   await open(page, main, "minute.0000");
 });
