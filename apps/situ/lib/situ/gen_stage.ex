@@ -43,15 +43,15 @@ defmodule Situ.GenStage do
       iex> error.code
       :not_running
   """
-  alias Situ.Pipeline.Server
+  alias Situ.Pipeline.Ask
 
   @doc "Where to subscribe for a stream: the process and the options that name the output. The pipeline must be running."
   @spec subscription(Situ.Pipeline.target(), Situ.Stream.t() | String.t()) ::
           {:ok, {pid(), keyword()}} | {:error, Situ.Error.t()}
   def subscription(p, %Situ.Stream{} = stream),
-    do: Server.call(p, {:subscription, {stream.node, stream.output}})
+    do: Ask.call(p, {:subscription, {stream.node, stream.output}})
 
-  def subscription(p, name) when is_binary(name), do: Server.call(p, {:subscription, name})
+  def subscription(p, name) when is_binary(name), do: Ask.call(p, {:subscription, name})
 
   @doc """
   The events of a GenStage producer (pid or name) as a stream.

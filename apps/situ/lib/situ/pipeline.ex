@@ -75,7 +75,7 @@ defmodule Situ.Pipeline do
   """
   alias Situ.{Error, Graph, Node, Stream}
   alias Situ.Graph.Builder
-  alias Situ.Pipeline.{Report, Server}
+  alias Situ.Pipeline.{Ask, Report, Server}
 
   @enforce_keys [:pid, :ref]
   defstruct [:pid, :ref, :scope]
@@ -137,7 +137,7 @@ defmodule Situ.Pipeline do
 
   @doc "Starts a pipeline that was opened with `new/1`."
   @spec start(t()) :: :ok | {:error, Error.t()}
-  def start(%__MODULE__{} = p), do: Server.call(p, :start)
+  def start(%__MODULE__{} = p), do: Ask.call(p, :start)
 
   @doc """
   Stops: sources first, what is on its way up to now is still delivered, then every output closes, upstream first.
@@ -149,19 +149,19 @@ defmodule Situ.Pipeline do
   inside one of the pipeline's own components it returns `:ok` at once and the stop goes its way.
   """
   @spec stop(target(), keyword()) :: result() | :ok
-  def stop(p, opts \\ []), do: Server.stop(p, opts)
+  def stop(p, opts \\ []), do: Ask.stop(p, opts)
 
   @doc "Waits for the end; `{:error, %Situ.Error{code: :timeout}}` after `timeout` ms, and the pipeline goes on."
   @spec await(target(), timeout()) :: result()
-  def await(p, timeout \\ :infinity), do: Server.await(p, timeout)
+  def await(p, timeout \\ :infinity), do: Ask.await(p, timeout)
 
   @doc "Graph, counters, queues, latencies, processes: a `Situ.Diagnostics.Snapshot`. Asks no component."
   @spec info(target()) :: Situ.Diagnostics.Snapshot.t()
-  def info(p), do: Server.call!(p, :info)
+  def info(p), do: Ask.call!(p, :info)
 
   @doc "The state: `:building`, `:starting`, `:running`, `:stopping` or `:completed`."
   @spec state(target()) :: atom()
-  def state(p), do: Server.state(p)
+  def state(p), do: Ask.state(p)
 
   @doc "The pipeline's clock now, ns."
   @spec now(target()) :: Situ.Time.t()
@@ -169,24 +169,24 @@ defmodule Situ.Pipeline do
 
   @doc "The pipeline's clock; available once it has started."
   @spec clock(target()) :: Situ.Clock.t()
-  def clock(p), do: Server.call!(p, :clock)
+  def clock(p), do: Ask.call!(p, :clock)
 
   @doc "How far the replay or the finite sources are, 0.0 to 1.0; never decreases, 1.0 only at the end."
   @spec progress(target()) :: float()
-  def progress(p), do: Server.call!(p, :progress)
+  def progress(p), do: Ask.call!(p, :progress)
 
   @doc "Halts the clock of a running pipeline: replayed and timed messages wait."
   @spec pause(target()) :: :ok | {:error, Error.t()}
-  def pause(p), do: Server.call(p, {:clock, :pause})
+  def pause(p), do: Ask.call(p, {:clock, :pause})
 
   @doc "Lets a paused clock go on from where it stood."
   @spec resume(target()) :: :ok | {:error, Error.t()}
-  def resume(p), do: Server.call(p, {:clock, :resume})
+  def resume(p), do: Ask.call(p, {:clock, :resume})
 
   @doc "Changes the speed of a running pipeline's clock (1.0 is real time)."
   @spec set_speed(target(), number()) :: :ok | {:error, Error.t()}
   def set_speed(p, speed) when is_number(speed) and speed > 0,
-    do: Server.call(p, {:clock, {:set_speed, speed}})
+    do: Ask.call(p, {:clock, {:set_speed, speed}})
 
   @doc """
   Replaces the module or the options of a running component; its edges, queues and place stay.
@@ -196,7 +196,7 @@ defmodule Situ.Pipeline do
   """
   @spec replace(target(), Node.t() | String.t(), {module(), keyword()} | keyword()) ::
           :ok | {:error, Error.t()}
-  def replace(p, node, change), do: Server.call(p, {:replace, node, change})
+  def replace(p, node, change), do: Ask.call(p, {:replace, node, change})
 
   @doc "Adds a component. Common options: `name:`, `on_error:`, `async:`, `check:`, and `inputs:`/`outputs:` for ports known only now."
   @spec add(t(), module(), keyword(), keyword()) :: Node.t()

@@ -5,7 +5,7 @@ defmodule Situ.DeliveryPropertyTest do
   alias Situ.{Delivery, Message, Pipeline}
   alias Situ.Delivery.Queue
   alias Situ.Fixture.Count
-  alias Situ.Stage.Outlet
+  alias Situ.Stage.{Outlet, Posting, Subscriber}
 
   # A policy as plain data, so that it can shrink: {max_queue | nil, max_latency | nil, guarantee even?}.
   defp policy({max, latency, guarantee}) do
@@ -51,7 +51,7 @@ defmodule Situ.DeliveryPropertyTest do
 
       start = %{
         %Outlet{name: :out, path: "P", source_id: 1}
-        | subs: [Outlet.sub(tag, self(), nil)]
+        | subs: [Subscriber.new(tag, self(), nil)]
       }
 
       {outlet, sent, asked} =
@@ -70,7 +70,7 @@ defmodule Situ.DeliveryPropertyTest do
 
   defp post(outlet, sent, n) do
     Enum.reduce((sent + 1)..(sent + n), outlet, fn i, outlet ->
-      {:ok, outlet} = Outlet.emit(outlet, i, i, 0, false)
+      {:ok, outlet} = Posting.emit(outlet, i, i, 0, false)
       outlet
     end)
     |> Outlet.flush()

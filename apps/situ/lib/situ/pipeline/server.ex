@@ -11,9 +11,9 @@ defmodule Situ.Pipeline.Server do
   #           └── Stage n   when the server dies, its stages release what they hold and end
   use GenServer
 
-  alias Situ.{Clock, Error, Pipeline}
+  alias Situ.{Clock, Error}
   alias Situ.Graph.Builder
-  alias Situ.Pipeline.{Archive, Launch, Life, Settings, Taps, View}
+  alias Situ.Pipeline.{Archive, Death, Ending, Launch, Life, Settings, Taps, View, Watch}
   require Logger
 
   # Entering
@@ -112,68 +112,6 @@ defmodule Situ.Pipeline.Server do
   defp watch(%{settings: %{mode: :linked}} = state, _caller), do: state
   defp watch(state, caller), do: %{state | owner: Process.monitor(caller)}
 
-  # Asking
-
-  def stop(p, opts) do
-    pid = pid(p)
-
-    if Process.get(:situ_pipeline) == pid or pid == self() do
-      send(pid, :situ_stop)
-      :ok
-    else
-      request = {:stop, Keyword.get(opts, :catch_up, Life.catch_up_ms())}
-      ask(pid, request, Keyword.get(opts, :timeout, :infinity), nil)
-    end
-  end
-
-  def await(p, timeout) do
-    pid = pid(p)
-
-    case Archive.fetch(pid) do
-      {:ok, result} -> result
-      :error -> ask(pid, :await, timeout, :archive)
-    end
-  end
-
-  def state(p) do
-    case ask(pid(p), :state, 5_000, nil) do
-      {:error, %Error{code: :not_running}} -> :completed
-      state -> state
-    end
-  end
-
-  def call(p, request), do: ask(pid(p), request, :infinity, nil)
-
-  def call!(p, request) do
-    case call(p, request) do
-      {:error, %Error{} = error} -> raise error
-      answer -> answer
-    end
-  end
-
-  defp ask(nil, _request, _timeout, _), do: {:error, Launch.not_running()}
-
-  defp ask(pid, request, timeout, fallback) do
-    GenServer.call(pid, request, timeout)
-  catch
-    :exit, {:timeout, _} -> {:error, Launch.timeout(request, timeout)}
-    :exit, _ -> gone(pid, fallback)
-  end
-
-  defp gone(pid, :archive) do
-    case Archive.fetch(pid) do
-      {:ok, result} -> result
-      :error -> {:error, Launch.not_running()}
-    end
-  end
-
-  defp gone(_pid, nil), do: {:error, Launch.not_running()}
-
-  defp pid(%Pipeline{pid: pid}), do: pid
-  defp pid(%Situ.Stream{pipeline: p}), do: p.pid
-  defp pid(pid) when is_pid(pid), do: pid
-  defp pid(name), do: GenServer.whereis(name)
-
   # Answering
 
   @impl true
@@ -256,10 +194,10 @@ defmodule Situ.Pipeline.Server do
   def handle_info(:situ_launch, state), do: done(Life.launch(state))
   def handle_info({:situ_stage, id, event}, state), do: done(Life.event(state, id, event))
   def handle_info(:situ_stop, state), do: done(Life.stop(state))
-  def handle_info(:situ_recheck, state), do: done(Life.recheck(state))
-  def handle_info(:situ_enough, state), do: done(Life.enough(state))
-  def handle_info({:situ_stuck, mark}, state), do: done(Life.stuck(state, mark))
-  def handle_info({:EXIT, pid, reason}, state), do: done(Life.exited(state, pid, reason))
+  def handle_info(:situ_recheck, state), do: done(Ending.recheck(state))
+  def handle_info(:situ_enough, state), do: done(Ending.enough(state))
+  def handle_info({:situ_stuck, mark}, state), do: done(Watch.stuck(state, mark))
+  def handle_info({:EXIT, pid, reason}, state), do: done(Death.exited(state, pid, reason))
 
   def handle_info({:situ_clock, _}, state) do
     for {_, stage} <- state.stages, do: send(stage.pid, {:situ, :clock})

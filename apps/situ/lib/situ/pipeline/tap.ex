@@ -21,7 +21,7 @@ defmodule Situ.Pipeline.Tap do
       iex> Situ.Pipeline.Tap.detach(tap)
       :ok
   """
-  alias Situ.Pipeline.Server
+  alias Situ.Pipeline.Ask
 
   @enforce_keys [:pipeline, :id]
   defstruct [:pipeline, :id]
@@ -49,14 +49,14 @@ defmodule Situ.Pipeline.Tap do
   def attach(target, fun, opts) when is_function(fun, 1) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema) do
       {pipeline, which} = which(target)
-      Server.call(pipeline, {:tap, which, fun, opts})
+      Ask.call(pipeline, {:tap, which, fun, opts})
     end
   end
 
   @doc "Takes the tap away; a tap whose pipeline has ended is gone already."
   @spec detach(t()) :: :ok
   def detach(%__MODULE__{} = tap) do
-    case Server.call(tap.pipeline, {:untap, tap.id}) do
+    case Ask.call(tap.pipeline, {:untap, tap.id}) do
       :ok -> :ok
       {:error, %Situ.Error{code: :not_running}} -> :ok
     end

@@ -3,7 +3,7 @@ defmodule Situ.Pipeline.Taps do
   # Taps of a running pipeline: a stage of its own for each, subscribed to an output or, inside a chain, to a probe.
   alias Situ.{Delivery, Error, Options}
   alias Situ.Graph.{Edge, Vertex}
-  alias Situ.Pipeline.{Launch, Life}
+  alias Situ.Pipeline.{Crew, Launch, Life}
   alias Situ.Stage.{Counters, Tally}
 
   @doc "Attaches; the caller gets its answer when the first message can come, or at once when it cannot be."
@@ -115,7 +115,7 @@ defmodule Situ.Pipeline.Taps do
         taps: Map.put(state.taps, id, tap)
     }
 
-    Life.spawn_stage(state, id, [vertex], Tally.new(1))
+    Crew.spawn(state, id, [vertex], Tally.new(1))
   end
 
   @doc "The tap's stage is up and wired: let its messages come."

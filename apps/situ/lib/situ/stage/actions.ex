@@ -2,7 +2,7 @@ defmodule Situ.Stage.Actions do
   @moduledoc false
   # What a component returned, applied to the state of its stage: all of it, or on the first bad action none.
   alias Situ.{Error, Message, Stage}
-  alias Situ.Stage.{Call, Outlet}
+  alias Situ.Stage.{Call, Outlet, Ports, Posting, Source}
 
   @spec run(Stage.t(), [Situ.Component.action()], Situ.Time.t()) ::
           {:ok, Stage.t()} | {:error, Error.t()}
@@ -12,14 +12,14 @@ defmodule Situ.Stage.Actions do
       when is_integer(time) and is_atom(output) and output not in [:timer, :close, :complete] do
     with {:ok, outlet} <- outlet(state, output),
          {:ok, outlet, rest} <-
-           Outlet.emit_all(outlet, actions, now, state.enforce, state.final) do
+           Posting.emit_all(outlet, actions, now, state.enforce, state.final) do
       run(%{state | outlets: %{state.outlets | output => outlet}}, rest, now)
     end
   end
 
   def run(state, [{output, %Message{}} | _] = actions, now) when is_atom(output) do
     with {:ok, outlet} <- outlet(state, output),
-         {:ok, outlet, rest} <- Outlet.forward_all(outlet, actions, now, state.enforce) do
+         {:ok, outlet, rest} <- Posting.forward_all(outlet, actions, now, state.enforce) do
       run(%{state | outlets: %{state.outlets | output => outlet}}, rest, now)
     end
   end
@@ -65,10 +65,10 @@ defmodule Situ.Stage.Actions do
   end
 
   defp one(state, {:hold, input}, _now) when is_atom(input),
-    do: {:ok, Stage.hold(state, input, true)}
+    do: {:ok, Ports.hold(state, input, true)}
 
   defp one(state, {:resume, input}, _now) when is_atom(input),
-    do: {:ok, Stage.hold(state, input, false)}
+    do: {:ok, Ports.hold(state, input, false)}
 
   defp one(state, {:timer, key, time}, _now) when is_integer(time) do
     if state.final != nil and time > state.final,
@@ -81,7 +81,7 @@ defmodule Situ.Stage.Actions do
   end
 
   defp one(state, :stopped, _now) do
-    if state.stopping == :stopping, do: {:ok, Stage.stopped(state)}, else: {:ok, state}
+    if state.stopping == :stopping, do: {:ok, Source.stopped(state)}, else: {:ok, state}
   end
 
   defp one(state, action, _now), do: {:error, Call.bad_action(state.head.path, action)}
@@ -92,7 +92,7 @@ defmodule Situ.Stage.Actions do
   end
 
   defp close(%{tail: tail} = state, _outlet, time) when tail != nil do
-    state = Stage.settle(state)
+    state = Ports.settle(state)
     outlets = Map.new(state.outlets, fn {key, outlet} -> {key, Outlet.close(outlet, time)} end)
     closed(%{state | outlets: outlets}, outlets, time)
   end

@@ -3,7 +3,7 @@ defmodule Situ.Stage.Run do
   # A batch of messages through a chain of light operators: one envelope at the end for each that comes through.
   alias Situ.{Message, Stage}
   alias Situ.Operator.Chain
-  alias Situ.Stage.{Call, Counters, Outlet, Tally}
+  alias Situ.Stage.{Call, Counters, Fault, Outlet, Tally}
   require Chain
 
   @doc "Runs the batch; answers the state, the last originating time, and how many messages were handled."
@@ -137,7 +137,7 @@ defmodule Situ.Stage.Run do
 
     case vertex.on_error do
       :stop ->
-        Stage.fail(state, error)
+        Fault.fail(state, error)
 
       :skip ->
         Tally.skipped(state.tally, index)

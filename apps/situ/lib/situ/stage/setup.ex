@@ -4,7 +4,7 @@ defmodule Situ.Stage.Setup do
   alias Situ.{Error, Options, Stage}
   alias Situ.Graph.Vertex
   alias Situ.Operator.Chain
-  alias Situ.Stage.{Call, Inlet, Outlet}
+  alias Situ.Stage.{Call, Inlet, Outlet, Subscriber}
 
   @spec state(map()) :: Stage.t()
   def state(%{vertices: [head | _] = vertices} = args) do
@@ -65,7 +65,7 @@ defmodule Situ.Stage.Setup do
   def wire(state, wiring) do
     outlets =
       Enum.reduce(wiring.subs, state.outlets, fn {output, subs}, outlets ->
-        subs = Enum.map(subs, fn {tag, pid, counters} -> Outlet.sub(tag, pid, counters) end)
+        subs = Enum.map(subs, fn {tag, pid, counters} -> Subscriber.new(tag, pid, counters) end)
         Map.update!(outlets, key(state, output), &%{&1 | subs: subs})
       end)
 

@@ -1,0 +1,73 @@
+defmodule Situ.Pipeline.Ask do
+  @moduledoc false
+  # Questions to a pipeline's process, asked by its handle, a stream, pid or name; one that has ended is an error, or its result.
+  alias Situ.{Error, Pipeline}
+  alias Situ.Pipeline.{Archive, Launch, Life}
+
+  @spec stop(Pipeline.target(), keyword()) :: Pipeline.result() | :ok
+  def stop(p, opts) do
+    pid = pid(p)
+
+    if Process.get(:situ_pipeline) == pid or pid == self() do
+      send(pid, :situ_stop)
+      :ok
+    else
+      request = {:stop, Keyword.get(opts, :catch_up, Life.catch_up_ms())}
+      ask(pid, request, Keyword.get(opts, :timeout, :infinity), nil)
+    end
+  end
+
+  @spec await(Pipeline.target(), timeout()) :: Pipeline.result()
+  def await(p, timeout) do
+    pid = pid(p)
+
+    case Archive.fetch(pid) do
+      {:ok, result} -> result
+      :error -> ask(pid, :await, timeout, :archive)
+    end
+  end
+
+  @spec state(Pipeline.target()) :: atom()
+  def state(p) do
+    case ask(pid(p), :state, 5_000, nil) do
+      {:error, %Error{code: :not_running}} -> :completed
+      state -> state
+    end
+  end
+
+  @doc "The server's answer, or `{:error, error}` when it has ended."
+  @spec call(Pipeline.target(), term()) :: term()
+  def call(p, request), do: ask(pid(p), request, :infinity, nil)
+
+  @doc "The same, raising."
+  @spec call!(Pipeline.target(), term()) :: term()
+  def call!(p, request) do
+    case call(p, request) do
+      {:error, %Error{} = error} -> raise error
+      answer -> answer
+    end
+  end
+
+  defp ask(nil, _request, _timeout, _), do: {:error, Launch.not_running()}
+
+  defp ask(pid, request, timeout, fallback) do
+    GenServer.call(pid, request, timeout)
+  catch
+    :exit, {:timeout, _} -> {:error, Launch.timeout(request, timeout)}
+    :exit, _ -> gone(pid, fallback)
+  end
+
+  defp gone(pid, :archive) do
+    case Archive.fetch(pid) do
+      {:ok, result} -> result
+      :error -> {:error, Launch.not_running()}
+    end
+  end
+
+  defp gone(_pid, nil), do: {:error, Launch.not_running()}
+
+  defp pid(%Pipeline{pid: pid}), do: pid
+  defp pid(%Situ.Stream{pipeline: p}), do: p.pid
+  defp pid(pid) when is_pid(pid), do: pid
+  defp pid(name), do: GenServer.whereis(name)
+end

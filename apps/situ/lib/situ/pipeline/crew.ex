@@ -1,0 +1,94 @@
+defmodule Situ.Pipeline.Crew do
+  @moduledoc false
+  # The stages of a pipeline: spawned, and what has become of them.
+  alias Situ.Graph.Vertex
+  alias Situ.Pipeline.{Launch, Life, Reaper}
+  alias Situ.Stage
+  alias Situ.Stage.Tally
+
+  @doc "A stage for each of the plan, and what they share."
+  @spec spawn_all(Life.t()) :: Life.t()
+  def spawn_all(%{plan: plan} = state) do
+    Reaper.watch(self())
+    control = :atomics.new(1, signed: true)
+    :atomics.put(control, 1, Stage.never())
+    links = Launch.links(plan)
+
+    state = %{
+      state
+      | control: control,
+        links: links,
+        active: links,
+        counters: Launch.counters(plan.edges ++ tails(plan)),
+        order: Enum.map(plan.stages, & &1.id),
+        pending: MapSet.new(plan.stages, & &1.id),
+        completable:
+          for(
+            %{id: id, vertices: [head | _]} <- plan.stages,
+            Vertex.source?(head),
+            into: MapSet.new(),
+            do: id
+          )
+    }
+
+    Enum.reduce(
+      plan.stages,
+      state,
+      &spawn(&2, &1.id, &1.vertices, Tally.new(length(&1.vertices)))
+    )
+  end
+
+  @doc "One stage, new or again."
+  @spec spawn(Life.t(), pos_integer(), [Vertex.t()], Tally.t()) :: Life.t()
+  def spawn(state, id, vertices, tally) do
+    pid =
+      Stage.spawn_link(%{
+        id: id,
+        server: self(),
+        handle: state.handle,
+        vertices: vertices,
+        tally: tally,
+        tail_counters: tail_counters(state, vertices)
+      })
+
+    stage = %{id: id, pid: pid, vertices: vertices, tally: tally, state: :running}
+    %{state | stages: Map.put(state.stages, id, stage), pids: Map.put(state.pids, pid, id)}
+  end
+
+  defp tails(plan) do
+    heads =
+      for %{vertices: [%{module: module, id: id}, _ | _]} <- plan.stages,
+          module != :operator,
+          do: id
+
+    Enum.filter(plan.inline, &(elem(&1.from, 0) in heads))
+  end
+
+  # The edge from a component into the operators that share its process is counted like a queue.
+  defp tail_counters(state, [%{id: id}, %{id: next} | _]) do
+    case Enum.find(state.plan.inline, &(elem(&1.from, 0) == id and elem(&1.to, 0) == next)) do
+      nil -> nil
+      edge -> state.counters[edge.id]
+    end
+  end
+
+  defp tail_counters(_state, _vertices), do: nil
+
+  @doc "What becomes of running stages; `:dead` becomes of all."
+  @spec mark(Life.t(), [pos_integer()], atom()) :: Life.t()
+  def mark(state, ids, how) do
+    stages =
+      Enum.reduce(ids, state.stages, fn id, stages ->
+        Map.update!(
+          stages,
+          id,
+          &%{&1 | state: if(&1.state == :running or how == :dead, do: how, else: &1.state)}
+        )
+      end)
+
+    %{state | stages: stages}
+  end
+
+  @spec ids(Life.t()) :: MapSet.t(pos_integer())
+  def ids(state), do: state.stages |> Map.keys() |> MapSet.new()
+end

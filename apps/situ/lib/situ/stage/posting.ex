@@ -1,0 +1,274 @@
+defmodule Situ.Stage.Posting do
+  @moduledoc false
+  # The posting rules of an output: originating times and sequence ids strictly increase, creation times do not go back; what
+  # is ahead of an enforced clock waits.
+  alias Situ.{Error, Message}
+  alias Situ.Stage.Outlet
+
+  @doc "Posts data at `time`; held back until the clock reaches it when `enforce`d."
+  @spec emit(Outlet.t(), Situ.Time.t(), term(), Situ.Time.t(), boolean()) ::
+          {:ok, Outlet.t()} | {:error, Error.t()}
+  def emit(%Outlet{closing: closing} = outlet, _time, _data, _now, _enforce)
+      when closing != nil,
+      do: {:ok, outlet}
+
+  def emit(%Outlet{last_time: last} = outlet, time, _data, _now, _enforce)
+      when is_integer(last) and time <= last,
+      do: {:error, not_increasing(outlet, time)}
+
+  def emit(%Outlet{future: []} = outlet, time, data, now, enforce)
+      when not enforce or time <= now,
+      do: {:ok, post(%{outlet | last_time: time}, time, data, now)}
+
+  def emit(%Outlet{} = outlet, time, data, _now, _enforce),
+    do: {:ok, hold(%{outlet | last_time: time}, {time, data})}
+
+  @doc """
+  Posts the leading `{name, time, data}` actions that are for this output, in one go; answers the actions left over.
+  """
+  @spec emit_all(Outlet.t(), [tuple()], Situ.Time.t(), boolean(), integer() | nil) ::
+          {:ok, Outlet.t(), [tuple()]} | {:error, Error.t()}
+  def emit_all(%Outlet{closing: nil, future: []} = outlet, actions, now, false, nil) do
+    creation = if outlet.last_creation == nil, do: now, else: max(now, outlet.last_creation)
+    first = outlet.last_time || :none
+    start = {outlet.name, creation, outlet.source_id}
+
+    case post_all(actions, start, first, outlet.seq, outlet.pending) do
+      {:stuck, time, last} ->
+        {:error, not_increasing(%{outlet | last_time: last}, time)}
+
+      {rest, last, seq, pending} ->
+        last = if last == :none, do: nil, else: last
+        n = outlet.pending_n + seq - outlet.seq
+
+        {:ok,
+         %{
+           outlet
+           | last_time: last,
+             last_creation: creation,
+             seq: seq,
+             pending: pending,
+             pending_n: n
+         }, rest}
+    end
+  end
+
+  def emit_all(outlet, [{_, time, _} | rest], _now, _enforce, final)
+      when is_integer(final) and time > final,
+      do: {:ok, outlet, rest}
+
+  def emit_all(outlet, [{_, time, data} | rest], now, enforce, _final) do
+    with {:ok, outlet} <- emit(outlet, time, data, now, enforce), do: {:ok, outlet, rest}
+  end
+
+  defp post_all([{name, time, data} | rest], {name, creation, id} = start, last, seq, pending)
+       when is_integer(time) do
+    if time > last or last == :none do
+      seq = seq + 1
+
+      message = %Message{
+        data: data,
+        originating_time: time,
+        creation_time: creation,
+        sequence_id: seq,
+        source_id: id
+      }
+
+      post_all(rest, start, time, seq, [message | pending])
+    else
+      {:stuck, time, last}
+    end
+  end
+
+  defp post_all(rest, _start, last, seq, pending), do: {rest, last, seq, pending}
+
+  @doc "Posts a message with its own envelope; only the source id becomes this output's."
+  @spec forward(Outlet.t(), Message.t(), Situ.Time.t(), boolean()) ::
+          {:ok, Outlet.t()} | {:error, Error.t()}
+  def forward(%Outlet{closing: closing} = outlet, _message, _now, _enforce)
+      when closing != nil,
+      do: {:ok, outlet}
+
+  def forward(%Outlet{} = outlet, %Message{} = message, now, enforce) do
+    case check(outlet, message) do
+      :ok when (not enforce or message.originating_time <= now) and outlet.future == [] ->
+        {:ok, push(remember(outlet, message), message)}
+
+      :ok ->
+        {:ok, hold(remember(outlet, message), message)}
+
+      error ->
+        error
+    end
+  end
+
+  @doc """
+  Forwards the leading `{name, message}` actions that are for this output, in one go; answers the actions left over.
+  """
+  @spec forward_all(Outlet.t(), [tuple()], Situ.Time.t(), boolean()) ::
+          {:ok, Outlet.t(), [tuple()]} | {:error, Error.t()}
+  def forward_all(
+        %Outlet{closing: nil, future: [], last_time: last} = outlet,
+        [_, _ | _] = actions,
+        _now,
+        false
+      )
+      when is_integer(last) do
+    case push_all(
+           actions,
+           outlet.name,
+           outlet.source_id,
+           last,
+           outlet.seq,
+           outlet.last_creation,
+           nil,
+           outlet.pending,
+           0
+         ) do
+      # The first does not fit: `forward/4` says why.
+      {rest, 0, _last, _pending} ->
+        forward_one(outlet, rest, 0, false)
+
+      {rest, n, message, pending} ->
+        outlet = remember(outlet, message)
+        {:ok, %{outlet | pending: pending, pending_n: outlet.pending_n + n}, rest}
+    end
+  end
+
+  def forward_all(outlet, actions, now, enforce), do: forward_one(outlet, actions, now, enforce)
+
+  defp forward_one(outlet, [{_, message} | rest], now, enforce) do
+    with {:ok, outlet} <- forward(outlet, message, now, enforce), do: {:ok, outlet, rest}
+  end
+
+  defp push_all(
+         [{name, %Message{originating_time: time, sequence_id: id} = message} | rest],
+         name,
+         source,
+         last,
+         seq,
+         made,
+         _previous,
+         pending,
+         n
+       )
+       when time > last and id > seq and message.creation_time >= made do
+    pending = [%{message | source_id: source} | pending]
+    push_all(rest, name, source, time, id, message.creation_time, message, pending, n + 1)
+  end
+
+  defp push_all(rest, _name, _source, _last, _seq, _made, message, pending, n),
+    do: {rest, n, message, pending}
+
+  @doc "Releases held messages whose time has come."
+  @spec release(Outlet.t(), Situ.Time.t()) :: Outlet.t()
+  def release(%Outlet{future: []} = outlet, _now), do: outlet
+
+  def release(%Outlet{future: [first | rest]} = outlet, now) do
+    if Outlet.time_of(first) <= now do
+      outlet = if rest == [], do: turn(outlet), else: %{outlet | future: rest}
+      outlet |> let_go(first, now) |> release(now)
+    else
+      outlet
+    end
+  end
+
+  defp post(outlet, time, data, now) do
+    creation = if outlet.last_creation == nil, do: now, else: max(now, outlet.last_creation)
+    seq = outlet.seq + 1
+
+    message = %Message{
+      data: data,
+      originating_time: time,
+      creation_time: creation,
+      sequence_id: seq,
+      source_id: outlet.source_id
+    }
+
+    %{
+      outlet
+      | seq: seq,
+        last_creation: creation,
+        pending: [message | outlet.pending],
+        pending_n: outlet.pending_n + 1
+    }
+  end
+
+  defp push(outlet, message) do
+    message = %{message | source_id: outlet.source_id}
+    %{outlet | pending: [message | outlet.pending], pending_n: outlet.pending_n + 1}
+  end
+
+  defp remember(outlet, message) do
+    %{
+      outlet
+      | last_time: message.originating_time,
+        last_creation: message.creation_time,
+        seq: message.sequence_id
+    }
+  end
+
+  defp hold(%{future: []} = outlet, item), do: %{outlet | future: [item]}
+  defp hold(outlet, item), do: %{outlet | future_rear: [item | outlet.future_rear]}
+
+  defp turn(outlet), do: %{outlet | future: Enum.reverse(outlet.future_rear), future_rear: []}
+
+  defp let_go(outlet, {time, data}, now), do: post(outlet, time, data, now)
+  defp let_go(outlet, %Message{} = message, _now), do: push(outlet, message)
+
+  defp check(%{last_time: nil}, _message), do: :ok
+
+  defp check(outlet, message) do
+    cond do
+      message.sequence_id <= outlet.seq ->
+        {:error, bad_sequence(outlet, message.sequence_id)}
+
+      message.originating_time <= outlet.last_time ->
+        {:error, not_increasing(outlet, message.originating_time)}
+
+      message.creation_time < outlet.last_creation ->
+        {:error, bad_creation(outlet, message.creation_time)}
+
+      true ->
+        :ok
+    end
+  end
+
+  defp not_increasing(outlet, time) do
+    Error.new(
+      :time_not_increasing,
+      "#{outlet.path}.#{outlet.name} emitted at #{time} ns after #{outlet.last_time} ns",
+      why: "originating times of one output strictly increase",
+      fix: "give each message its own, later time; in a cycle, delay the message",
+      meta: %{
+        component: outlet.path,
+        output: outlet.name,
+        time: time,
+        last_time: outlet.last_time
+      }
+    )
+  end
+
+  defp bad_sequence(outlet, id) do
+    Error.new(
+      :sequence_not_increasing,
+      "#{outlet.path}.#{outlet.name} emitted sequence id #{id} after #{outlet.seq}",
+      why: "sequence ids of one output strictly increase",
+      meta: %{component: outlet.path, output: outlet.name, sequence_id: id, last: outlet.seq}
+    )
+  end
+
+  defp bad_creation(outlet, time) do
+    Error.new(
+      :creation_time_went_back,
+      "#{outlet.path}.#{outlet.name} emitted a message created at #{time} ns after one created at #{outlet.last_creation} ns",
+      why: "creation times of one output never decrease",
+      meta: %{
+        component: outlet.path,
+        output: outlet.name,
+        time: time,
+        last_time: outlet.last_creation
+      }
+    )
+  end
+end
