@@ -21,9 +21,10 @@ defmodule Situ.Conformance.Windows do
   end
 
   def check(%{"op" => "window.index", "params" => p} = case) do
-    from = if p["from_inclusive"] == false, do: p["from"] + 1, else: p["from"]
-    to = if p["to_inclusive"] == false, do: p["to"] - 1, else: p["to"]
-    outputs(case, Run.inputs(case, fn [s] -> Situ.window(s, from..to, selector(p)) end))
+    ends = [{p["from"], p["from_inclusive"] != false}, {p["to"], p["to_inclusive"] != false}]
+    [{from, from_in?}, {to, to_in?}] = Enum.sort_by(ends, &elem(&1, 0))
+    range = if(from_in?, do: from, else: from + 1)..if(to_in?, do: to, else: to - 1)
+    outputs(case, Run.inputs(case, fn [s] -> Situ.window(s, range, selector(p)) end))
   end
 
   def check(%{"op" => "window.time", "params" => p} = case) do

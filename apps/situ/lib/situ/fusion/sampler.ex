@@ -30,6 +30,17 @@ defmodule Situ.Fusion.Sampler do
   def handle_messages(:in, messages, _context, sampling), do: Sampling.push(sampling, messages)
 
   @impl true
-  def handle_closed(:in, _time, _context, {:idle, _opts} = state), do: {[], state}
+  # A source that never gave anything has values by default only.
+  def handle_closed(:in, time, context, {:idle, opts} = state) do
+    case opts[:interpolator] do
+      %{default: :none} ->
+        {[], state}
+
+      interpolator ->
+        start = min(context.start_time, time)
+        interpolator |> Sampling.new(opts[:interval], start, opts[:align]) |> Sampling.close(time)
+    end
+  end
+
   def handle_closed(:in, time, _context, sampling), do: Sampling.close(sampling, time)
 end

@@ -23,6 +23,8 @@ defmodule Situ.Interpolator.Nearest do
     {low, low_inclusive, high, high_inclusive, _waits?} = frame
 
     cond do
+      # Both ends at one time and not both included: nothing can lie in such a window.
+      at == low and low == high and not (low_inclusive and high_inclusive) -> none(time, high)
       not Interval.after_left?(at, low, low_inclusive) -> scan(rest, time, frame, nil)
       Interval.before_right?(at, high, high_inclusive) -> scan(rest, time, frame, message)
       true -> none(time, high)

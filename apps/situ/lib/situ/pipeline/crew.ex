@@ -10,14 +10,11 @@ defmodule Situ.Pipeline.Crew do
   @spec spawn_all(Life.t()) :: Life.t()
   def spawn_all(%{plan: plan} = state) do
     Reaper.watch(self())
-    control = :atomics.new(1, signed: true)
-    :atomics.put(control, 1, Stage.never())
     links = Launch.links(plan)
 
     state = %{
       state
-      | control: control,
-        links: links,
+      | links: links,
         active: links,
         counters: Launch.counters(plan.edges ++ tails(plan)),
         order: Enum.map(plan.stages, & &1.id),
@@ -51,9 +48,26 @@ defmodule Situ.Pipeline.Crew do
         tail_counters: tail_counters(state, vertices)
       })
 
-    stage = %{id: id, pid: pid, vertices: vertices, tally: tally, state: :running}
+    stage = %{
+      id: id,
+      pid: pid,
+      vertices: vertices,
+      tally: tally,
+      control: control(state.stages[id]),
+      state: :running
+    }
+
     %{state | stages: Map.put(state.stages, id, stage), pids: Map.put(state.pids, pid, id)}
   end
+
+  # The cell that holds the time up to which messages count; a stage that is there again keeps its own.
+  defp control(nil) do
+    cell = :atomics.new(1, signed: true)
+    :atomics.put(cell, 1, Stage.never())
+    cell
+  end
+
+  defp control(stage), do: stage.control
 
   defp tails(plan) do
     heads =

@@ -2,7 +2,7 @@ defmodule Situ.Pipeline.Ending do
   @moduledoc false
   # How a pipeline ends: sources stop, outputs close in order (Finalizer), stages quit, the result is published.
   alias Situ.Graph.Vertex
-  alias Situ.Pipeline.{Crew, Finalizer, Life, Notice, View, Watch}
+  alias Situ.Pipeline.{Crew, Finalizer, Life, Notice, Upstream, View, Watch}
   alias Situ.Stage.Counters
   alias Situ.Telemetry
 
@@ -12,7 +12,7 @@ defmodule Situ.Pipeline.Ending do
   @spec begin(Life.t(), Situ.Time.t()) :: Life.t()
   def begin(%{phase: :running} = state, time) do
     final = max(time, state.latest_finite || time)
-    :atomics.put(state.control, 1, final)
+    cut(state, final)
 
     sources =
       for {id, %{state: :running, vertices: [head | _]}} <- state.stages,
@@ -33,6 +33,16 @@ defmodule Situ.Pipeline.Ending do
   end
 
   def begin(state, _time), do: %{state | stop_wish: true}
+
+  # What is later than the end does not count: it has run ahead. Where every source upstream has given all it has, nothing has,
+  # and what operators made later than their inputs (`merge`, by the clock) belongs to the result.
+  defp cut(state, final) do
+    whole = Upstream.whole(state.stages, Map.values(state.links), state.finite)
+
+    for {id, stage} <- state.stages,
+        not MapSet.member?(whole, id),
+        do: :atomics.put(stage.control, 1, final)
+  end
 
   # Stopped by hand, sources that lag behind the clock may catch up to it, but not for ever: they end where they are.
   # After completion they do go on to the end: that is what makes a replay the same each time.

@@ -71,8 +71,8 @@ defmodule Situ.Pipeline.Launch do
       |> Enum.group_by(& &1.output, &{&1.id, pid.(&1.to), state.counters[&1.id]})
 
     state
-    |> Map.take([:clock, :control, :enforce, :start_time, :replay_end])
-    |> Map.merge(%{inlets: inlets, subs: subs})
+    |> Map.take([:clock, :enforce, :start_time, :replay_end])
+    |> Map.merge(%{control: state.stages[id].control, inlets: inlets, subs: subs})
   end
 
   @doc "Checks a replacement and says which stage gets which request."

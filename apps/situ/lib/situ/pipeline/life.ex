@@ -15,7 +15,6 @@ defmodule Situ.Pipeline.Life do
     :result,
     :owner,
     :clock,
-    :control,
     :latest_finite,
     :final,
     :begun,
@@ -34,6 +33,7 @@ defmodule Situ.Pipeline.Life do
     counters: %{},
     pending: MapSet.new(),
     completable: MapSet.new(),
+    finite: MapSet.new(),
     active: %{},
     order: [],
     closed: [],
@@ -207,7 +207,8 @@ defmodule Situ.Pipeline.Life do
   defp latest(state, id, time) do
     path = hd(state.stages[id].vertices).path
     {_, state} = Notice.notify(state, :component_completed, {path, time})
-    %{state | latest_finite: max(state.latest_finite || time, time)}
+    finite = MapSet.put(state.finite, id)
+    %{state | latest_finite: max(state.latest_finite || time, time), finite: finite}
   end
 
   defp check_complete(%{phase: :running, latest_finite: time} = state) when is_integer(time) do

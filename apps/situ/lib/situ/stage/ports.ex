@@ -101,6 +101,17 @@ defmodule Situ.Stage.Ports do
     end
   end
 
+  @doc "Closes the outputs at `time`; where later messages count, not before the last one."
+  @spec close(Stage.t(), Situ.Time.t()) :: Stage.t()
+  def close(state, time) do
+    whole? = state.control != nil and :atomics.get(state.control, 1) == Stage.never()
+
+    each_outlet(
+      state,
+      &Outlet.close(&1, if(whole?, do: max(&1.last_time || time, time), else: time))
+    )
+  end
+
   @doc "Sends what is pending, publishes counts and asks for more."
   @spec settle(Stage.t()) :: Stage.t()
   def settle(state) do

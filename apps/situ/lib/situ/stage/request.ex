@@ -52,7 +52,7 @@ defmodule Situ.Stage.Request do
   end
 
   def handle({:finalize, time}, state) do
-    state = Ports.settle(Ports.each_outlet(Ports.settle(state), &Outlet.close(&1, time)))
+    state = state |> Ports.settle() |> Ports.close(time) |> Ports.settle()
     Probe.close(state, time)
     Stage.report(state, :finalized)
     {:noreply, Alarm.arm(state)}
@@ -60,7 +60,7 @@ defmodule Situ.Stage.Request do
 
   # Subscribers from outside the pipeline still get what they have coming, at their own pace.
   def handle(:quit, state) do
-    state = Ports.each_outlet(Ports.settle(state), &Outlet.close(&1, state.final || 0))
+    state = state |> Ports.settle() |> Ports.close(state.final || 0)
 
     if Ports.drained?(state),
       do: {:stop, :normal, state},
