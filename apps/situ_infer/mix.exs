@@ -25,7 +25,7 @@ defmodule Situ.Infer.MixProject do
   defp elixirc_paths(:test), do: ["lib", "test/support"]
   defp elixirc_paths(_env), do: ["lib"]
 
-  defp extra_applications(:test), do: [:proper, :jiffy | extra_applications(:prod)]
+  defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
   defp extra_applications(_env), do: [:logger]
 
   defp deps do

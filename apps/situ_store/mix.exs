@@ -26,7 +26,7 @@ defmodule Situ.Store.MixProject do
   defp elixirc_paths(_env), do: ["lib"]
 
   defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger, :jiffy]
+  defp extra_applications(_env), do: [:logger]
 
   defp deps do
     [{:situ, in_umbrella: true}, {:situ_native, in_umbrella: true, runtime: false}]

@@ -24,7 +24,7 @@ defmodule Situ.Studio.MixProject do
   defp elixirc_paths(_env), do: ["lib"]
 
   defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger, :crypto, :jiffy]
+  defp extra_applications(_env), do: [:logger, :crypto]
 
   defp deps do
     [

@@ -139,7 +139,7 @@ defmodule Situ.Bench.Live do
 
   # A mask of zeros changes nothing.
   defp say(socket, message) do
-    text = IO.iodata_to_binary(:jiffy.encode(message))
+    text = Situ.JSON.encode(message)
     :gen_tcp.send(socket, [<<0x81, 1::1, byte_size(text)::7, 0::32>>, text])
   end
 end

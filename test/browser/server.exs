@@ -107,15 +107,13 @@ base = &(&1 |> Situ.Studio.url() |> String.trim_trailing("/"))
 
 IO.puts(
   "ready " <>
-    IO.iodata_to_binary(
-      :jiffy.encode(%{
-        "main" => base.(main),
-        "guarded" => Situ.Studio.url(guarded),
-        "folder" => folder,
-        "points" => points,
-        "t0" => Integer.to_string(Fixture.t0())
-      })
-    )
+    Situ.JSON.encode(%{
+      "main" => base.(main),
+      "guarded" => Situ.Studio.url(guarded),
+      "folder" => folder,
+      "points" => points,
+      "t0" => Integer.to_string(Fixture.t0())
+    })
 )
 
 Process.sleep(:infinity)

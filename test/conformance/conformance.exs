@@ -90,13 +90,12 @@ defmodule Situ.Conformance do
 
   defp read(file) do
     with {:ok, text} <- File.read(file) do
-      case :jiffy.decode(text, [:return_maps, {:null_term, nil}]) do
-        %{"cases" => cases} when is_list(cases) -> {:ok, cases}
-        _ -> {:error, "no list of cases in #{file}"}
+      case Situ.JSON.decode(text) do
+        {:ok, %{"cases" => cases}} when is_list(cases) -> {:ok, cases}
+        {:ok, _} -> {:error, "no list of cases in #{file}"}
+        {:error, :bad_json} -> {:error, "#{file} is not JSON"}
       end
     end
-  catch
-    kind, reason -> {:error, "#{file}: #{Exception.format_banner(kind, reason)}"}
   end
 
   defp area_module(area) do

@@ -7,7 +7,7 @@ defmodule Situ.CLI.DevicesTest do
   test "lists devices as text and as JSON" do
     assert capture_io(fn -> assert Devices.run([]) == 0 end) != ""
     json = capture_io(fn -> assert Devices.run(["--json"]) == 0 end)
-    devices = :jiffy.decode(String.trim(json), [:return_maps])
+    {:ok, devices} = Situ.JSON.decode(String.trim(json))
     assert is_list(devices)
     assert Enum.all?(devices, &match?(%{"id" => _, "kind" => _, "default" => _}, &1))
     assert capture_io(fn -> assert Devices.run(["cameras", "--modes"]) == 0 end) != ""

@@ -30,7 +30,11 @@ defmodule Situ.CLI.StoreTest do
   end
 
   defp run(argv), do: with_io(fn -> Command.run(argv) end)
-  defp json(argv), do: argv |> run() |> elem(1) |> :jiffy.decode([:return_maps, :use_nil])
+
+  defp json(argv) do
+    {:ok, value} = argv |> run() |> elem(1) |> Situ.JSON.decode()
+    value
+  end
 
   test "info shows streams, rates, sizes, latency", %{path: path, tmp_dir: root} do
     {0, text} = run(["info", path])

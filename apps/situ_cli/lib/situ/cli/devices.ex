@@ -50,7 +50,7 @@ defmodule Situ.CLI.Devices do
 
   defp show(devices, opts) do
     cond do
-      opts[:json] -> IO.puts(:jiffy.encode(Enum.map(devices, &json/1), [:use_nil]))
+      opts[:json] -> IO.puts(Situ.JSON.encode(Enum.map(devices, &json/1)))
       devices == [] -> IO.puts("No devices found. Without hardware: device: \"simulated:FILE\".")
       true -> table(Enum.sort_by(devices, &{&1.kind, not &1.default?, &1.id}), opts)
     end

@@ -129,7 +129,7 @@ defmodule Situ.CLI.Store do
     shown = inspect(message.data, limit: 20, printable_limit: 200)
 
     if opts[:json] do
-      :jiffy.encode(%{
+      Situ.JSON.encode(%{
         originating_time: message.originating_time,
         creation_time: message.creation_time,
         sequence_id: message.sequence_id,
@@ -148,7 +148,7 @@ defmodule Situ.CLI.Store do
       end)
 
     if opts[:json] do
-      IO.puts(:jiffy.encode(%{chunks: chunks, damage: damage}))
+      IO.puts(Situ.JSON.encode(%{chunks: chunks, damage: damage}))
     else
       IO.puts(if damage == [], do: "#{chunks} chunks, all sound", else: "DAMAGED")
       Enum.each(damage, &IO.puts("  #{&1.file} at byte #{&1.offset}: #{&1.why}"))
@@ -162,7 +162,7 @@ defmodule Situ.CLI.Store do
     report = ok!(Store.repair(path))
 
     if opts[:json] do
-      IO.puts(:jiffy.encode(report))
+      IO.puts(Situ.JSON.encode(report))
     else
       IO.puts("#{report.kept} chunks kept, #{report.dropped} dropped")
       Enum.each(report.damage, &IO.puts("  #{&1.file} at byte #{&1.offset}: #{&1.why}"))
@@ -176,7 +176,7 @@ defmodule Situ.CLI.Store do
 
   defp made(opts, make) do
     path = Progress.show("write", opts, fn progress -> ok!(make.(progress)) end)
-    IO.puts(if opts[:json], do: :jiffy.encode(%{path: path}), else: path)
+    IO.puts(if opts[:json], do: Situ.JSON.encode(%{path: path}), else: path)
     0
   end
 
@@ -236,10 +236,14 @@ defmodule Situ.CLI.Store do
   end
 
   defp json!(text) do
-    :jiffy.decode(text, [:return_maps, :use_nil])
-  catch
-    _, _ ->
-      raise Error.new(:bad_option, "not JSON: #{text}", fix: "put strings into quotes: '\"text\"'")
+    case Situ.JSON.decode(text) do
+      {:ok, value} ->
+        value
+
+      {:error, :bad_json} ->
+        fix = "put strings into quotes: '\"text\"'"
+        raise Error.new(:bad_option, "not JSON: #{text}", fix: fix)
+    end
   end
 
   defp place!(text, kind) do

@@ -54,7 +54,7 @@ defmodule Situ.Examples.DemoTest do
     ffmpeg!(["-i", Options.clip(), "-t", "2", short])
     argv = ["--", "--input", short, "--truth", @truth, "--headless", "--json", "--out", dir]
     out = capture_io(fn -> assert Demo.run(argv) == 0 end)
-    json = :jiffy.decode(out, [:return_maps])
+    {:ok, json} = Situ.JSON.decode(out)
 
     for key <-
           ~w(frames scored_frames frame_accuracy false_speech_s missed_speech_s per_face wall_s media_s),

@@ -51,7 +51,7 @@ defmodule Situ.Infer.VoiceTest do
 
   test "at least 97 % of all frames of the speech files are right, and so is every segment" do
     files =
-      @fixtures |> Path.join("transcripts.json") |> File.read!() |> :jiffy.decode([:return_maps])
+      @fixtures |> Path.join("transcripts.json") |> File.read!() |> Situ.JSON.decode() |> elem(1)
 
     {right, all} =
       for(

@@ -84,8 +84,8 @@ defmodule Situ.Media.FileInfo do
   end
 
   defp parse(out, 0, path) do
-    %{"format" => format, "streams" => streams} =
-      Map.merge(%{"streams" => []}, :jiffy.decode(out, [:return_maps, :use_nil]))
+    {:ok, said} = Situ.JSON.decode(out)
+    %{"format" => format, "streams" => streams} = Map.merge(%{"streams" => []}, said)
 
     # Matroska keeps the names of tags in capitals.
     tags = Map.new(format["tags"] || %{}, fn {key, value} -> {String.downcase(key), value} end)

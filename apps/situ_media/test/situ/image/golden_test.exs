@@ -9,7 +9,7 @@ defmodule Situ.Image.GoldenTest do
   defp gray(name), do: Image.read!(Path.join(@dir, name <> ".png"))
 
   defp numbers,
-    do: @dir |> Path.join("numbers.json") |> File.read!() |> :jiffy.decode([:return_maps])
+    do: @dir |> Path.join("numbers.json") |> File.read!() |> Situ.JSON.decode() |> elem(1)
 
   # tolerance: no channel value may be further off, but for a fraction `outliers`.
   defp assert_same(got, golden, tolerance, outliers \\ 0.0) do

@@ -8,13 +8,14 @@ defmodule Situ.Store.Catalog do
   @compressions %{"none" => :none, "lz4" => :lz4, "zstd" => :zstd}
 
   @spec encode(map()) :: binary()
-  def encode(record), do: record |> :jiffy.encode([:use_nil]) |> IO.iodata_to_binary()
+  def encode(record), do: Situ.JSON.encode(record)
 
   @spec parse([binary()]) :: %__MODULE__{}
   def parse(records), do: Enum.reduce(records, %__MODULE__{}, &add/2)
 
   defp add(bytes, catalog) do
-    record(:jiffy.decode(bytes, [:return_maps, :use_nil, :dedupe_keys]), catalog)
+    {:ok, value} = Situ.JSON.decode(bytes)
+    record(value, catalog)
   catch
     # A record nobody understands takes nothing else with it.
     _, _ -> catalog

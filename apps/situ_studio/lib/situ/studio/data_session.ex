@@ -59,12 +59,13 @@ defmodule Situ.Studio.DataSession do
   end
 
   defp decode(text) do
-    case :jiffy.decode(text, [:return_maps, :use_nil]) do
-      %{"req" => req} = request when is_integer(req) and req in 0..4_294_967_295 -> {:ok, request}
-      _ -> malformed()
+    case Situ.JSON.decode(text) do
+      {:ok, %{"req" => req} = request} when is_integer(req) and req in 0..4_294_967_295 ->
+        {:ok, request}
+
+      _ ->
+        malformed()
     end
-  catch
-    _, _ -> malformed()
   end
 
   defp malformed, do: {:error, Error.new(:bad_request, "this is not a request for data")}

@@ -157,7 +157,7 @@ defmodule Situ.Studio.Frame do
   defp padding(0), do: []
   defp padding(over), do: <<0::size((8 - over) * 8)>>
 
-  defp encode(term), do: :jiffy.encode(term, [:use_nil])
+  defp encode(term), do: Situ.JSON.encode(term)
 
   defp first_time([]), do: 0
   defp first_time([row | _]), do: elem(row, 0)

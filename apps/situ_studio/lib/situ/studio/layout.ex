@@ -203,7 +203,7 @@ defmodule Situ.Studio.Layout do
       "panels" => Enum.map(layout.rows, &panel_json/1)
     }
 
-    doc |> :jiffy.encode([:pretty, :use_nil]) |> IO.iodata_to_binary()
+    Situ.JSON.pretty(doc)
   end
 
   defp panel_json(%Panel{} = p) do
@@ -225,19 +225,20 @@ defmodule Situ.Studio.Layout do
   @doc "Reads a layout; whatever is wrong with it is said, nothing is guessed."
   @spec from_json(binary()) :: {:ok, t()} | {:error, Error.t()}
   def from_json(json) do
-    case :jiffy.decode(json, [:return_maps, :use_nil]) do
-      %{"version" => @version, "name" => name, "panels" => panels}
+    case Situ.JSON.decode(json) do
+      {:ok, %{"version" => @version, "name" => name, "panels" => panels}}
       when is_binary(name) and is_list(panels) and length(panels) <= @max_panels ->
         read_panels(name, panels)
 
-      %{"version" => version} when version != @version ->
+      {:ok, %{"version" => version}} when version != @version ->
         bad("it is of version #{inspect(version)}, this studio reads #{@version}")
 
-      _ ->
+      {:ok, _} ->
         bad("it must hold \"version\", \"name\" and \"panels\"")
+
+      {:error, :bad_json} ->
+        bad("it is not JSON")
     end
-  catch
-    _, _ -> bad("it is not JSON")
   end
 
   defp read_panels(name, panels) do

@@ -33,7 +33,7 @@ defmodule Situ.Studio.DataSessionTest do
     }
 
   defp ask(session, request) do
-    text = request |> Map.put_new("req", 1) |> :jiffy.encode([:use_nil]) |> IO.iodata_to_binary()
+    text = request |> Map.put_new("req", 1) |> Situ.JSON.encode()
     {:ok, reply, session} = DataSession.handle(text, session)
     {parse(IO.iodata_to_binary(reply)), session}
   end
@@ -105,11 +105,13 @@ defmodule Situ.Studio.DataSessionTest do
 
     assert [%{kind: 2, payload: json}] = reply.frames
 
-    assert [
-             [0, 51_000_000, "false", "false"],
-             [51_000_000, 151_000_000, "true", "true"],
-             [151_000_000, 202_000_000, "false", "false"]
-           ] = :jiffy.decode(json, [:use_nil])
+    assert Situ.JSON.decode(json) ==
+             {:ok,
+              [
+                [0, 51_000_000, "false", "false"],
+                [51_000_000, 151_000_000, "true", "true"],
+                [151_000_000, 202_000_000, "false", "false"]
+              ]}
   end
 
   test "a picture is sent once while it holds", %{session: session} do
@@ -213,7 +215,7 @@ defmodule Situ.Studio.DataSessionTest do
       history = History.new()
       History.put(history, "s", message(5, 1.0, 1), 8)
       request = Map.merge(%{"req" => 1}, Map.new(fields))
-      text = IO.iodata_to_binary(:jiffy.encode(request, [:use_nil, :force_utf8]))
+      text = Situ.JSON.encode(request)
       assert {:ok, _, _} = DataSession.handle(text, DataSession.new({Source.History, history}))
     end
   end

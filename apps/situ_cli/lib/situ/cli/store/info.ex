@@ -17,7 +17,7 @@ defmodule Situ.CLI.Store.Info do
     stores = Store.list(path, recursive: true)
 
     if opts[:json] do
-      IO.puts(:jiffy.encode(Enum.map(stores, &json/1), [:use_nil]))
+      IO.puts(Situ.JSON.encode(Enum.map(stores, &json/1)))
     else
       if stores == [], do: IO.puts("No stores in #{path}.")
       Enum.each(stores, &IO.puts(short(&1)))
@@ -40,7 +40,7 @@ defmodule Situ.CLI.Store.Info do
 
   defp one(path, opts) do
     if opts[:json],
-      do: IO.puts(:jiffy.encode(json(path), [:use_nil])),
+      do: IO.puts(Situ.JSON.encode(json(path))),
       else: text(Store.open!(path))
 
     0

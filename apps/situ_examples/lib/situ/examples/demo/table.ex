@@ -16,7 +16,7 @@ defmodule Situ.Examples.Demo.Table do
       "latency_p95_ms" => result.opts[:realtime] && round_ms(elem(recording.latency_ms, 1)),
       "recording" => result.path
     })
-    |> :jiffy.encode([:use_nil, :force_utf8])
+    |> Situ.JSON.encode()
   end
 
   defp strings(map), do: Map.new(map, fn {key, value} -> {Atom.to_string(key), value} end)

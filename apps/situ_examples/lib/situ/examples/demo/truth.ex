@@ -86,11 +86,7 @@ defmodule Situ.Examples.Demo.Truth do
   end
 
   defp decode(json) do
-    {:ok, :jiffy.decode(json, [:return_maps, {:null_term, nil}])}
-  rescue
-    _ -> bad("it is not JSON")
-  catch
-    _, _ -> bad("it is not JSON")
+    with {:error, :bad_json} <- Situ.JSON.decode(json), do: bad("it is not JSON")
   end
 
   defp all(list, parse) when is_list(list) do

@@ -53,7 +53,7 @@ defmodule Situ.Studio.Web.MainView do
     assign(socket,
       infos: streams,
       shapes: Map.new(streams, &{&1.name, &1.shape}),
-      names: IO.iodata_to_binary(:jiffy.encode(Enum.map(names, &valid/1))),
+      names: Situ.JSON.encode(Enum.map(names, &valid/1)),
       sources: Enum.map(Catalog.list(socket.assigns.studio), &entry/1)
     )
   end

@@ -87,7 +87,7 @@ defmodule Situ.Studio.Web.Panels do
         nil -> nil
       end
 
-    %{"vis" => vis, "axis" => axis} |> :jiffy.encode([:use_nil]) |> IO.iodata_to_binary()
+    Situ.JSON.encode(%{"vis" => vis, "axis" => axis})
   end
 
   # The last part of a name, as long as it tells the streams of a panel apart.

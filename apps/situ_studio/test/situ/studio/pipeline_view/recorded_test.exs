@@ -42,9 +42,13 @@ defmodule Situ.Studio.PipelineView.RecordedTest do
     assert "s:Belt" in Enum.map(graph["boxes"], & &1["key"])
     assert Enum.any?(graph["nodes"], &(&1["label"] == "Double"))
     assert Enum.any?(graph["edges"], &(&1["lossy"] and &1["policy"] == "latest"))
-    assert String.to_integer(Page.attribute(page, "#moments input", "max")) >= 5
+    # A busy machine records fewer moments; the page has to have each of those there are.
+    {:ok, reader} = Situ.Store.open(Path.join(dir, "shift.0000"))
+    moments = reader |> Situ.Store.messages("Diagnostics") |> Enum.count()
+    assert moments > 0
+    assert String.to_integer(Page.attribute(page, "#moments input", "max")) == moments - 1
     rows = page |> Page.pushed("pipeline:series") |> List.last() |> Map.fetch!("rows")
-    assert length(rows) >= 6
+    assert length(rows) == moments
     assert Page.text(page, ".status") =~ "recorded"
   end
 end

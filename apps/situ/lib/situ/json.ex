@@ -1,0 +1,77 @@
+defmodule Situ.JSON do
+  @moduledoc """
+  JSON: jiffy, or Erlang's own `:json` where it has one (OTP 27 and up).
+
+  `nil` is `null`, objects are maps with string keys, and nothing read makes an atom. Text that is not UTF-8 is mended on
+  the way out (U+FFFD stands for what nobody can read) and refused on the way in.
+
+      iex> Situ.JSON.encode(%{name: "Mic.Level", rate: 100.0, type: nil})
+      ...> |> Situ.JSON.decode()
+      {:ok, %{"name" => "Mic.Level", "rate" => 100.0, "type" => nil}}
+
+      iex> Situ.JSON.decode(~s({"open": ))
+      {:error, :bad_json}
+  """
+
+  @type value ::
+          nil
+          | boolean()
+          | number()
+          | String.t()
+          | atom()
+          | [value()]
+          | %{optional(atom() | String.t()) => value()}
+
+  @doc "The value as one line of text. Raises on what JSON cannot say (tuples, pids, functions)."
+  @spec encode(value()) :: String.t()
+  def encode(value), do: value |> to_iodata([]) |> IO.iodata_to_binary()
+
+  @doc "The same over several indented lines, for files that people read."
+  @spec pretty(value()) :: String.t()
+  def pretty(value), do: value |> to_iodata([:pretty]) |> IO.iodata_to_binary()
+
+  @doc "Reads one value; its strings are copies and do not hold on to `text`. The last of several equal keys counts."
+  @spec decode(binary()) :: {:ok, value()} | {:error, :bad_json}
+  def decode(text) when is_binary(text) do
+    {:ok, parse(text)}
+  catch
+    _, _ -> {:error, :bad_json}
+  end
+
+  if Code.ensure_loaded?(:json) do
+    defp to_iodata(value, options) do
+      write(value, options)
+    rescue
+      ErlangError -> value |> mend() |> write(options)
+    end
+
+    defp write(value, []), do: :json.encode(value, &one/2)
+    defp write(value, [:pretty]), do: :json.format(value, &one/3, %{indent: 2})
+
+    defp one(nil, _encoder), do: "null"
+    defp one(value, encoder), do: :json.encode_value(value, encoder)
+
+    defp one(nil, _encoder, _state), do: "null"
+    defp one(value, encoder, state), do: :json.format_value(value, encoder, state)
+
+    defp mend(text) when is_binary(text), do: if(String.valid?(text), do: text, else: valid(text))
+    defp mend(list) when is_list(list), do: Enum.map(list, &mend/1)
+    defp mend(map) when is_map(map), do: Map.new(map, fn {k, v} -> {mend(k), mend(v)} end)
+    defp mend(other), do: other
+
+    defp valid(<<c::utf8, rest::binary>>), do: <<c::utf8, valid(rest)::binary>>
+    defp valid(<<_, rest::binary>>), do: <<"\uFFFD", valid(rest)::binary>>
+    defp valid(""), do: ""
+
+    defp parse(text) do
+      {value, :ok, rest} = :json.decode(text, :ok, %{null: nil, string: &:binary.copy/1})
+      "" = String.trim(rest)
+      value
+    end
+  else
+    defp to_iodata(value, options), do: :jiffy.encode(value, [:use_nil, :force_utf8 | options])
+
+    defp parse(text),
+      do: :jiffy.decode(text, [:return_maps, :use_nil, :copy_strings, :dedupe_keys])
+  end
+end

@@ -1,0 +1,66 @@
+defmodule Situ.JSONTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+
+  defp value do
+    simple = one_of([constant(nil), boolean(), integer(), float(), string()])
+
+    one_of([
+      simple,
+      list(simple),
+      map(list({string(), list(simple)}), &Map.new/1),
+      map({string(), list(simple)}, fn {key, list} -> [%{key => %{"in" => list}}] end)
+    ])
+  end
+
+  defp string do
+    char = one_of([integer(0, 127), integer(128, 0xD7FF), integer(0x10000, 0x10FFFF)])
+    map(list(char), &List.to_string/1)
+  end
+
+  property "what is written is read back, whatever the strings and numbers" do
+    forall value <- value() do
+      Situ.JSON.decode(Situ.JSON.encode(value)) == {:ok, value} and
+        Situ.JSON.decode(Situ.JSON.pretty(value)) == {:ok, value}
+    end
+  end
+
+  property "foreign bytes are read or refused, nothing raises" do
+    forall bytes <- binary() do
+      case Situ.JSON.decode(bytes) do
+        {:ok, _} -> true
+        {:error, :bad_json} -> true
+      end
+    end
+  end
+
+  property "text that is not UTF-8 comes out as text" do
+    forall bytes <- binary() do
+      {:ok, [%{"k" => text}]} = Situ.JSON.decode(Situ.JSON.encode([%{k: bytes}]))
+      String.valid?(text) and (not String.valid?(bytes) or text == bytes)
+    end
+  end
+
+  test "nil is null, atoms are strings, the last of equal keys counts" do
+    assert Situ.JSON.encode([nil, true, :lz4]) == ~s([null,true,"lz4"])
+    assert Situ.JSON.decode(~s({"a": 1, "a": null})) == {:ok, %{"a" => nil}}
+  end
+
+  test "cut, followed by more, too large a number, not UTF-8: refused" do
+    for bad <- [~s({"a"), "1 2", "", "1e999", <<?", 255, ?">>, "nul", "[1,]", "{1: 2}"] do
+      assert {bad, Situ.JSON.decode(bad)} == {bad, {:error, :bad_json}}
+    end
+  end
+
+  test "strings read do not hold on to the text they came from" do
+    {:ok, [text]} =
+      Situ.JSON.decode(~s(["#{String.duplicate("x", 100)}"]) <> String.duplicate(" ", 10_000))
+
+    assert :binary.referenced_byte_size(text) == 100
+  end
+
+  test "what JSON cannot say is an error" do
+    for bad <- [{1, 2}, self(), fn -> 1 end],
+        do: assert_raise(ErlangError, fn -> Situ.JSON.encode(bad) end)
+  end
+end
