@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use common::*;
 use situ_store::chunk::Input;
-use situ_store::extent::Fault;
+use situ_store::extent::{self, Fault};
 use situ_store::{pyramid, repair, watch, Compression, Encoding, Error, Options, Reader, Writer};
 
 #[test]
@@ -232,4 +232,54 @@ fn a_waiting_reader_is_woken_by_a_commit_and_by_the_close() {
     writer.close().unwrap();
     drop(writer);
     assert!(thread.join().unwrap() >= 20);
+}
+
+/// How much of the file is resident in this process, KiB.
+fn resident(file: &std::path::Path) -> u64 {
+    let maps = std::fs::read_to_string("/proc/self/smaps").unwrap();
+    let mut inside = false;
+    let mut sum = 0;
+    for line in maps.lines() {
+        if line.contains('/') && !line.starts_with("Rss") {
+            inside = line.ends_with(file.to_str().unwrap());
+        } else if let (true, Some(rest)) = (inside, line.strip_prefix("Rss:")) {
+            sum += rest.trim().trim_end_matches(" kB").parse::<u64>().unwrap();
+        }
+    }
+    sum
+}
+
+#[test]
+fn a_reader_lets_go_of_what_it_has_read() {
+    let folder = Folder::new();
+    let mut writer = Writer::create(&folder.0, Options::default()).unwrap();
+    let id = writer.add_stream(Compression::None, false);
+    let frame = payload(7, 1 << 20);
+    for i in 0..60 {
+        let input = Input::Bytes(&frame);
+        writer
+            .push(id, envelope(i), Encoding::Bytes, 0, input)
+            .unwrap();
+        writer.commit().unwrap();
+    }
+    writer.close().unwrap();
+    let reader = Reader::open(&folder.0).unwrap();
+    let mut most = 0;
+    for turn in 0..2 {
+        for i in 0..60 {
+            // Forwards, then backwards.
+            let entry = reader
+                .entry_at(id, if turn == 0 { i } else { 59 - i })
+                .unwrap();
+            let chunk = reader.chunk(&entry).unwrap();
+            assert!(chunk.body().ends_with(&frame));
+            most = most.max(
+                (0..2)
+                    .map(|n| resident(&folder.0.join(extent::name(1, n))))
+                    .sum(),
+            );
+        }
+    }
+    // 60 MiB read twice; the window is 16 MiB.
+    assert!(most > 4 * 1024 && most < 24 * 1024, "{most} KiB");
 }

@@ -22,6 +22,7 @@ mod atoms {
         zstd,
         each,
         situ_store,
+        slow,
         published,
         ended,
         io,

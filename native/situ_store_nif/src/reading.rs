@@ -8,6 +8,7 @@ use memmap2::Mmap;
 use rustler::types::tuple::make_tuple;
 use rustler::{Binary, Encoder, Env, LocalPid, NifResult, OwnedEnv, ResourceArc, Term};
 use situ_store::chunk::Value;
+use situ_store::format::LANE_DATA;
 use situ_store::reader::{Chunk, Damage};
 use situ_store::watch::{self, News};
 use situ_store::{pyramid, repair, Encoding, Error, Reader};
@@ -187,7 +188,7 @@ impl<'a> Run<'a> {
 
 /// Messages from `ordinal` on, until one lies behind `to`, or at least `most` messages or `bytes` payload bytes are there:
 /// `{:ok, [{codec, [{sequence, originating, creation, data}]}], next_ordinal}`. Whole chunks, so a little more than `most`
-/// may come. A damaged chunk ends the answer; as the first one it is the error.
+/// may come; `bytes` 0: exactly `most`. A damaged chunk ends the answer; as the first one it is the error.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_read<'a>(
     env: Env<'a>,
@@ -198,45 +199,79 @@ fn reader_read<'a>(
     most: u64,
     bytes: u64,
 ) -> Term<'a> {
-    read(env, &handle, stream, ordinal, to, most, bytes)
+    let wanted = Wanted {
+        to,
+        most,
+        bytes,
+        quick: false,
+    };
+    read(env, &handle, stream, ordinal, &wanted)
 }
 
-/// As `reader_read`, on a normal scheduler: for one message or a few.
+/// As `reader_read`, on a normal scheduler, which saves two changes of threads: what takes little time and waits for no disk,
+/// as much of it as fits into a time slice. `:slow` when that is nothing.
 #[rustler::nif]
-fn reader_read_few<'a>(
+fn reader_read_quick<'a>(
     env: Env<'a>,
     handle: Handle,
     stream: u32,
     ordinal: u64,
-    most: u64,
-) -> Term<'a> {
-    let answer = read(env, &handle, stream, ordinal, i64::MAX, most.min(64), 0);
-    rustler::schedule::consume_timeslice(env, 2);
-    answer
-}
-
-fn read<'a>(
-    env: Env<'a>,
-    handle: &Handle,
-    stream: u32,
-    from: u64,
     to: i64,
     most: u64,
     bytes: u64,
 ) -> Term<'a> {
+    let wanted = Wanted {
+        to,
+        most,
+        bytes,
+        quick: true,
+    };
+    let answer = read(env, &handle, stream, ordinal, &wanted);
+    rustler::schedule::consume_timeslice(env, if most > 64 { 15 } else { 2 });
+    answer
+}
+
+struct Wanted {
+    to: i64,
+    most: u64,
+    bytes: u64,
+    quick: bool,
+}
+
+/// A quick read checks and unpacks no more than about this many bytes.
+const QUICK_BYTES: u64 = 64 * 1024;
+
+fn read<'a>(env: Env<'a>, handle: &Handle, stream: u32, from: u64, wanted: &Wanted) -> Term<'a> {
     let reader = &handle.0;
+    let Wanted {
+        to, most, bytes, ..
+    } = *wanted;
     if let Err(error) = reader.refresh() {
         return failed(env, &error);
     }
     let exact = bytes == 0;
     let mut runs: Vec<(u16, Vec<Term<'a>>)> = Vec::new();
-    let (mut next, mut count, mut size) = (from, 0u64, 0u64);
-    while count < most && (exact || size < bytes) {
+    let (mut next, mut count, mut size, mut work) = (from, 0u64, 0u64, 0u64);
+    while count < most && (exact || size < bytes) && work < QUICK_BYTES {
         let Some(entry) = reader.entry_at(stream, next) else {
             break;
         };
         if entry.first > to {
             break;
+        }
+        if wanted.quick {
+            // A large message that is not checked takes next to no time.
+            work += if entry.lane == LANE_DATA {
+                entry.length.max(1024) as u64
+            } else {
+                1024
+            };
+            if !reader.is_quick(&entry) {
+                if runs.is_empty() {
+                    return atoms::slow().encode(env);
+                }
+                break;
+            }
         }
         let mut chunk = match reader.chunk(&entry) {
             Ok(chunk) => chunk,
@@ -249,6 +284,8 @@ fn read<'a>(
         let mut list = Vec::with_capacity(entry.count as usize);
         let mut at = entry.ordinal;
         let mut behind = false;
+        // Messages of one batch often have one creation time, and that is a big number: made once.
+        let mut made = (i64::MIN, i64::MIN.encode(env));
         for message in chunk.messages() {
             let (envelope, value) = match message {
                 Ok(message) => message,
@@ -270,10 +307,13 @@ fn read<'a>(
                 behind = true;
                 break;
             }
+            if envelope.creation != made.0 {
+                made = (envelope.creation, envelope.creation.encode(env));
+            }
             let terms = [
                 envelope.sequence.encode(env),
                 envelope.time.encode(env),
-                envelope.creation.encode(env),
+                made.1,
                 run.value(body, value),
             ];
             list.push(make_tuple(env, &terms));

@@ -82,7 +82,7 @@ defmodule Situ.Store.Local do
   defp catalog(state), do: state |> records(0, []) |> Catalog.parse()
 
   defp records(state, ordinal, parts) do
-    case Native.reader_read(state.ref, @catalog, ordinal, max_time(), 10_000, @read_bytes) do
+    case native_read(state.ref, @catalog, ordinal, max_time(), 10_000, @read_bytes) do
       {:ok, [], _} ->
         parts |> Enum.reverse() |> Enum.concat()
 
@@ -109,20 +109,9 @@ defmodule Situ.Store.Local do
 
   @impl true
   def read(state, info, ordinal, to, limit, opts) do
-    answer =
-      if opts[:exact] == true and limit <= 64 and to == :unbounded,
-        do: Native.reader_read_few(state.ref, info.id, ordinal, limit),
-        else:
-          Native.reader_read(
-            state.ref,
-            info.id,
-            ordinal,
-            clamp(to),
-            limit,
-            if(opts[:exact], do: 0, else: @read_bytes)
-          )
+    bytes = if opts[:exact], do: 0, else: @read_bytes
 
-    case answer do
+    case native_read(state.ref, info.id, ordinal, clamp(to), limit, bytes) do
       {:ok, [{0, list}], next} ->
         {:ok, messages(list, info.id), next}
 
@@ -134,6 +123,12 @@ defmodule Situ.Store.Local do
           do: skip(state, info, ordinal, to, limit, opts),
           else: {:error, Failure.error(reason, state.path, info.name)}
     end
+  end
+
+  # What is in memory is read here and now; what waits for the disk, or takes long to check, on a dirty scheduler.
+  defp native_read(ref, id, ordinal, to, limit, bytes) do
+    with :slow <- Native.reader_read_quick(ref, id, ordinal, to, limit, bytes),
+         do: Native.reader_read(ref, id, ordinal, to, limit, bytes)
   end
 
   defp skip(state, info, ordinal, to, limit, opts) do

@@ -24,7 +24,7 @@ defmodule Situ.Store.Native do
   def reader_seek(_reader, _stream, _time), do: missing()
   def reader_gaps(_reader, _stream, _least), do: missing()
   def reader_read(_reader, _stream, _ordinal, _to, _most, _bytes), do: missing()
-  def reader_read_few(_reader, _stream, _ordinal, _most), do: missing()
+  def reader_read_quick(_reader, _stream, _ordinal, _to, _most, _bytes), do: missing()
   def reader_skip(_reader, _stream, _ordinal), do: missing()
   def reader_summary(_reader, _stream, _from, _to, _pixels), do: missing()
   def summary_level(_from, _to, _pixels), do: missing()

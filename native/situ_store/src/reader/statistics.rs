@@ -1,0 +1,100 @@
+//! What is known of a stream without reading its messages, and checking all of a store.
+
+use super::{Damage, Reader};
+use crate::error::{Error, Result};
+use crate::format::*;
+
+#[derive(Debug, Clone, PartialEq)]
+pub struct Statistics {
+    pub count: u64,
+    pub first: i64,
+    pub last: i64,
+    pub first_creation: i64,
+    pub last_creation: i64,
+    pub size_sum: u64,
+    pub latency_sum: f64,
+    pub stored: u64,
+    pub chunks: u64,
+}
+
+impl Reader {
+    pub fn statistics(&self, stream: u32) -> Result<Option<Statistics>> {
+        let (first, last, count, stored, chunks) = {
+            let index = self.lock_index();
+            let Some(directory) = index.directory(stream, 0) else {
+                return Ok(None);
+            };
+            let (Some(first), Some(last)) = (directory.entries.first(), directory.entries.last())
+            else {
+                return Ok(None);
+            };
+            (
+                *first,
+                *last,
+                directory.count,
+                directory.stored,
+                directory.entries.len() as u64,
+            )
+        };
+        let mut statistics = Statistics {
+            count,
+            first: first.first,
+            last: last.last,
+            first_creation: first.first_creation,
+            last_creation: last.first_creation,
+            size_sum: 0,
+            latency_sum: 0.0,
+            stored,
+            chunks,
+        };
+        if let Ok(chunk) = self.chunk_checked(&last, last.lane == LANE_DATA) {
+            statistics.size_sum = chunk.header.size_sum;
+            statistics.latency_sum = chunk.header.latency_sum;
+            if let Some(Ok((envelope, _))) = chunk.messages().last() {
+                statistics.last_creation = envelope.creation;
+            }
+        }
+        Ok(Some(statistics))
+    }
+
+    /// Stretches of at least `least` ns between chunks of a stream: `(from, to)`.
+    pub fn gaps(&self, stream: u32, least: i64) -> Vec<(i64, i64)> {
+        let index = self.lock_index();
+        let Some(directory) = index.directory(stream, 0) else {
+            return Vec::new();
+        };
+        let pairs = directory.entries.windows(2);
+        pairs
+            .filter(|w| w[1].first.saturating_sub(w[0].last) >= least)
+            .map(|w| (w[0].last, w[1].first))
+            .collect()
+    }
+
+    /// Checks the entries `from..from + n` and their chunks wholly; the damage found, and how many entries there are.
+    pub fn verify(&self, from: u64, n: u64) -> Result<(Vec<Damage>, u64)> {
+        let total = self.refresh()?;
+        let mut found = Vec::new();
+        for at in from..total.min(from.saturating_add(n)) {
+            let Some(entry) = self.lock_index().raw_entry(at) else {
+                continue;
+            };
+            let checked = self.chunk_checked(&entry, true).and_then(|chunk| {
+                let mut messages = chunk.messages();
+                messages
+                    .try_for_each(|m| m.map(|_| ()))
+                    .map_err(|why| self.broken(&entry, why))
+            });
+            match checked {
+                Ok(()) => {}
+                Err(Error::Damaged(file, offset, why)) => found.push(Damage { file, offset, why }),
+                Err(Error::MissingExtent(file)) => found.push(Damage {
+                    file,
+                    offset: entry.offset,
+                    why: "the file is missing".into(),
+                }),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok((found, total))
+    }
+}
