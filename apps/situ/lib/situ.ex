@@ -124,6 +124,14 @@ defmodule Situ do
   @doc group: "Fusion: streams brought together by time"
   defdelegate merge(first, second \\ [], opts \\ []), to: Situ.Fusion
 
+  @doc "See `Situ.Fusion.add_input/4`."
+  @doc group: "Fusion: streams brought together by time"
+  defdelegate add_input(fused, key, stream, opts \\ []), to: Situ.Fusion
+
+  @doc "See `Situ.Fusion.remove_input/3`."
+  @doc group: "Fusion: streams brought together by time"
+  defdelegate remove_input(fused, key, opts \\ []), to: Situ.Fusion
+
   @doc "See `Situ.Fusion.interpolate/4`."
   @doc group: "Fusion: streams brought together by time"
   defdelegate interpolate(stream, clock, interpolator, opts \\ []), to: Situ.Fusion

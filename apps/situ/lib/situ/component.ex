@@ -26,6 +26,7 @@ defmodule Situ.Component do
     * `{:timer, key, time}`: call `handle_info({:timer, key}, ...)` when the pipeline's clock reaches `time`;
     * `{:hold, input}`: take nothing from `input` for 20 ms of real time (then `handle_info({:hold_ended, input}, ...)` is called), or until
       `{:resume, input}`: its producer runs out of demand and waits. For components that must not let one input run far ahead;
+    * `{:detach, input, opts}`: an input that `handle_attach/5` took is not needed any more; `opts` are the component's options from now on;
     * `:stopped`: a source that answered `handle_stop/3` with `:stopping` has now posted its last message.
   """
 
@@ -41,6 +42,7 @@ defmodule Situ.Component do
           | {:timer, key :: term(), Situ.Time.t()}
           | {:hold, input :: atom()}
           | {:resume, input :: atom()}
+          | {:detach, input :: atom(), opts :: keyword()}
           | :stopping
           | :stopped
   @type result :: {[action()], state()}
@@ -75,6 +77,28 @@ defmodule Situ.Component do
   @doc "A source is asked to stop: it may still emit up to `final_time`; with `:stopping` it goes on until `:stopped`."
   @callback handle_stop(final_time :: Situ.Time.t(), Context.t(), state()) :: result()
 
+  @doc """
+  An input is added while the pipeline runs, for what `request` says (see `Situ.Fusion.add_input/4`). Messages up to the originating time
+  `last` will not come, all later ones will. What is answered goes to the caller; `opts` are the component's options from now on, which it
+  starts with when it is restarted.
+
+  Optional, for components whose inputs come and go. Messages of an input that the component has detached may still arrive.
+  """
+  @callback handle_attach(
+              input :: atom(),
+              request :: term(),
+              last :: Situ.Time.t() | nil,
+              Context.t(),
+              state()
+            ) ::
+              {:ok, reply :: term(), opts :: keyword(), [action()], state()}
+              | {:error, Situ.Error.t()}
+
+  @doc "An added input shall go; the component emits `{:detach, input, opts}` once it needs it no more."
+  @callback handle_detach(request :: term(), Context.t(), state()) ::
+              {:ok, reply :: term(), opts :: keyword(), [action()], state()}
+              | {:error, Situ.Error.t()}
+
   @doc "Release what was opened. Runs for every reason a component ends but a kill."
   @callback terminate(reason :: term(), state()) :: any()
 
@@ -92,7 +116,8 @@ defmodule Situ.Component do
   @doc "The option schema, see `Situ.Options`."
   @callback options() :: Situ.Options.schema()
 
-  @optional_callbacks handle_demand: 3, handle_messages: 4, migrate: 3, describe: 1
+  @optional_callbacks handle_demand: 3, handle_messages: 4, handle_attach: 5, handle_detach: 3
+  @optional_callbacks migrate: 3, describe: 1
 
   @doc false
   defmacro __using__(opts) do

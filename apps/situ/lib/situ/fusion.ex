@@ -17,7 +17,8 @@ defmodule Situ.Fusion do
 
   ## Forms
 
-  `join(a, b)` gives `{a, b}`; `join(a, [b, c])` gives `{a, [b, c]}`; `join([a, b, c])` gives `[a, b, c]`, its first stream being the primary.
+  `join(a, b)` gives `{a, b}`; `join(a, [b, c])` gives `{a, [b, c]}`; `join([a, b, c])` gives `[a, b, c]`, its first stream being the primary;
+  `join(a, %{left: b, right: c})` gives `{a, %{left: b, right: c}}`, and its inputs may come and go (`add_input/4`).
   Where a stream's type is a tuple (as a join's is), its elements are put in flat: `a |> join(b) |> join(c)` gives `{a, b, c}`.
   (A default that is no tuple stands for each element of its side.) `with: fun` makes the output itself, `fun.(primary, secondary)`.
 
@@ -29,68 +30,90 @@ defmodule Situ.Fusion do
 
   ## Options
 
-  #{Situ.Options.docs(with: [type: {:fun, 2}, doc: "Makes the output."], flatten: [type: :boolean, default: true, doc: "Put tuple-typed sides in flat."], give_up_after: [type: :pos_integer, doc: "ns: a primary that still waits when a primary this much later has arrived is decided by what is there. The result then depends on timing."], policy: [type: :any, doc: "Delivery policy of the inputs, or a list of them, primary first."])}
+  #{Situ.Options.docs(with: [type: {:fun, 2}, doc: "Makes the output."], flatten: [type: :boolean, default: true, doc: "Put tuple-typed sides in flat."], give_up_after: [type: :pos_integer, doc: "ns: a primary that still waits when a primary this much later has arrived is decided by what is there. The result then depends on timing."], ended: [type: {:in, [:stay, :leave]}, default: :stay, doc: "Maps: an input that has ended is still asked for (it has no value then), or is left out from then on."], policy: [type: :any, doc: "Delivery policy of the inputs, or a list of them, primary first."])}
 
   and `name:`, `type:`, `on_error:`, `async:` as for every operator (`Situ.Operator`).
   """
 
   alias Situ.{Interpolator, Interval, Pipeline, Reproducible, Stream}
-  alias Situ.Fusion.{Fuse, Merger, Pair, Sampler, Zipper}
+  alias Situ.Fusion.{Build, Form}
 
   @typedoc "An interpolator, a tolerance in ns, or a window."
   @type interpolator :: Interpolator.t() | Situ.Time.duration() | Interval.t()
 
-  @common [
-    name: [type: :string],
-    type: [type: :any],
-    policy: [type: :any],
-    on_error: [type: {:in, [:stop, :skip, :restart]}],
-    async: [type: :boolean]
-  ]
-  @fusing [
-    with: [type: {:fun, 2}],
-    flatten: [type: :boolean, default: true],
-    give_up_after: [type: :pos_integer]
-  ]
+  @typedoc "Secondary streams by keys."
+  @type keyed :: %{term() => Stream.t()}
 
   @doc "Reproducible fusion: see the forms above. Refuses interpolators that are not reproducible."
   @spec join(
           Stream.t() | [Stream.t()],
-          Stream.t() | [Stream.t()] | interpolator() | keyword(),
+          Stream.t() | [Stream.t()] | keyed() | interpolator() | keyword(),
           interpolator() | keyword(),
           keyword()
         ) :: Stream.t()
   def join(first, second \\ [], third \\ [], opts \\ []) do
-    {streams, interpolator, opts} = arguments(first, second, third, opts)
-    interpolator = given(interpolator, Reproducible.exact())
-    Enum.each(List.wrap(interpolator), &reproducible!/1)
-    attach("Join", streams, interpolator, opts)
+    {streams, interpolator, opts} = Form.arguments(first, second, third, opts)
+    interpolator = Form.given(interpolator, Reproducible.exact())
+    Enum.each(List.wrap(interpolator), &Build.reproducible!/1)
+    Build.attach("Join", streams, interpolator, opts)
   end
 
   @doc "Fusion by any interpolator: see the forms above."
   @spec fuse(
           Stream.t() | [Stream.t()],
-          Stream.t() | [Stream.t()] | interpolator(),
+          Stream.t() | [Stream.t()] | keyed() | interpolator(),
           interpolator() | keyword(),
           keyword()
         ) :: Stream.t()
   def fuse(first, second, third \\ [], opts \\ []) do
-    {streams, interpolator, opts} = arguments(first, second, third, opts)
-    attach("Fuse", streams, given(interpolator, :none), opts)
+    {streams, interpolator, opts} = Form.arguments(first, second, third, opts)
+    Build.attach("Fuse", streams, Form.given(interpolator, :none), opts)
   end
+
+  @doc """
+  Adds a stream to a join or fusion over a map, or to a merge, while the pipeline runs; it takes part under `key`.
+
+      fused = Situ.join(picture, %{left: left}, Situ.Time.ms(20))
+      ...
+      {:ok, from} = Situ.Fusion.add_input(fused, :right, right)
+
+  `fused` and `stream` are streams of the same running pipeline, or `{pipeline, name}` and a name. Answers the originating time from which the
+  input takes part, or `:start` when nothing has come yet: primaries from that time on need its value, earlier ones are as if it
+  were not there, and so are its own earlier messages. By default that is the earliest time at which this is exact: behind the last
+  primary that has arrived and behind the last message that `stream` has sent. `from:` names a later one; the outputs then do not
+  depend on the moment of adding. A merge takes messages from now on.
+
+  Options: `from:` (ns), `interpolator:` (default the operator's), `policy:`. Errors: `:too_late` (with the `earliest` time in `meta`), `:duplicate_input`,
+  `:not_reproducible`, `:fixed_inputs` (an operator of another form), `:circle` (the stream depends on the operator), `:inside_chain`,
+  `:unknown_stream`, `:not_running`.
+  """
+  @spec add_input(
+          Stream.t() | {Pipeline.target(), String.t()},
+          key :: term(),
+          Stream.t() | String.t(),
+          keyword()
+        ) :: {:ok, Situ.Time.t() | :start} | {:error, Situ.Error.t()}
+  def add_input(fused, key, stream, opts \\ []), do: Build.add_input(fused, key, stream, opts)
+
+  @doc """
+  Takes the input `key` of a join or fusion over a map, or of a merge, away while the pipeline runs, whether it was added or there
+  from the start.
+
+  Answers the originating time from which primaries do not need it: by default, and at the earliest, behind the last primary that has
+  arrived; `until:` names a later one. Primaries before that still wait for it; then the connection goes. Errors: `:too_late`, `:unknown_input`,
+  `:fixed_inputs`, `:not_running`.
+  """
+  @spec remove_input(Stream.t() | {Pipeline.target(), String.t()}, key :: term(), keyword()) ::
+          {:ok, Situ.Time.t()} | {:error, Situ.Error.t()}
+  def remove_input(fused, key, opts \\ []), do: Build.remove_input(fused, key, opts)
 
   @doc """
   Each primary with the latest secondary that has arrived by then; primaries before the first secondary are dropped, unless
   `initial:` gives a value. Not reproducible.
   """
   @spec pair(Stream.t(), Stream.t(), keyword()) :: Stream.t()
-  def pair(%Stream{} = primary, %Stream{} = secondary, opts \\ []) do
-    schema = [with: @fusing[:with], flatten: @fusing[:flatten], initial: [type: :any]] ++ @common
-    opts = Situ.Options.validate!(opts, schema)
-    {creator, type} = creator(primary, secondary, opts)
-    options = [creator: creator] ++ Keyword.take(opts, [:initial])
-    add("Pair", Pair, [primary: primary, secondary: secondary], options, {type, opts})
-  end
+  def pair(%Stream{} = primary, %Stream{} = secondary, opts \\ []),
+    do: Build.pair(primary, secondary, opts)
 
   @doc """
   The messages of all streams, grouped by originating time: a list of those that share it, in the order of the streams. A group goes out when
@@ -98,17 +121,19 @@ defmodule Situ.Fusion do
   """
   @spec zip(Stream.t() | [Stream.t()], Stream.t() | keyword(), keyword()) :: Stream.t()
   def zip(first, second \\ [], opts \\ []) do
-    {streams, opts} = inputs(first, second, opts)
-    opts = Situ.Options.validate!(opts, @common)
-    add("Zip", Zipper, named(streams), [inputs: length(streams)], {{:list, of(streams)}, opts})
+    {streams, opts} = Form.inputs(first, second, opts)
+    Build.zip(streams, opts)
   end
 
-  @doc "All messages of all streams as they arrive, each a whole `Situ.Message`, stamped with the clock. Not reproducible."
+  @doc """
+  All messages of all streams as they arrive, each a whole `Situ.Message`, stamped with the clock. Not reproducible.
+
+  Streams may be added and taken away while it runs (`add_input/4`, `remove_input/3`); those it begins with have the keys 0, 1, 2 ...
+  """
   @spec merge(Stream.t() | [Stream.t()], Stream.t() | keyword(), keyword()) :: Stream.t()
   def merge(first, second \\ [], opts \\ []) do
-    {streams, opts} = inputs(first, second, opts)
-    opts = Situ.Options.validate!(opts, @common)
-    add("Merge", Merger, named(streams), [], {{:message, of(streams)}, opts})
+    {streams, opts} = Form.inputs(first, second, opts)
+    Build.merge(streams, opts)
   end
 
   @doc """
@@ -118,7 +143,7 @@ defmodule Situ.Fusion do
   @spec interpolate(Stream.t(), Stream.t() | Situ.Time.duration(), interpolator(), keyword()) ::
           Stream.t()
   def interpolate(stream, clock, interpolator, opts \\ []),
-    do: tick("Interpolate", stream, clock, interpolator, opts)
+    do: Build.tick("Interpolate", stream, clock, interpolator, opts)
 
   @doc "As `interpolate/4`, by default with the nearest message: of all, or within a tolerance or window."
   @spec sample(
@@ -133,200 +158,5 @@ defmodule Situ.Fusion do
   def sample(stream, clock, opts, []) when is_list(opts),
     do: sample(stream, clock, Interval.infinite(), opts)
 
-  def sample(stream, clock, window, opts), do: tick("Sample", stream, clock, window, opts)
-
-  defp tick(name, %Stream{} = stream, %Stream{} = clock, interpolator, opts) do
-    opts = Situ.Options.validate!(opts, [give_up_after: @fusing[:give_up_after]] ++ @common)
-
-    options = [
-      interpolators: [Interpolator.from(interpolator)],
-      creator: fn _tick, value -> value end,
-      give_up_after: opts[:give_up_after]
-    ]
-
-    add(name, Fuse, [primary: clock, s0: stream], options, {stream.type, opts})
-  end
-
-  defp tick(name, %Stream{} = stream, interval, interpolator, opts)
-       when is_integer(interval) and interval > 0 do
-    opts = Situ.Options.validate!(opts, [align: [type: :time_ns]] ++ @common)
-
-    options = [
-      interpolator: Interpolator.from(interpolator),
-      interval: interval,
-      align: opts[:align]
-    ]
-
-    add(name, Sampler, [in: stream], options, {stream.type, opts})
-  end
-
-  defp tick(_name, _stream, clock, _interpolator, _opts) do
-    raise ArgumentError,
-          "a clock is a stream or an interval of 1 ns or more, got: #{inspect(clock)}"
-  end
-
-  # The two shapes of fuse and join: primary with secondaries, or a list whose first is the primary.
-  defp arguments(first, second, third, opts) when is_list(first) do
-    {interpolator, opts} = last(second, third, opts)
-    {{:vector, some!(first)}, interpolator, opts}
-  end
-
-  defp arguments(%Stream{} = primary, %Stream{} = secondary, third, opts) do
-    {interpolator, opts} = last(third, opts, [])
-    {{:one, primary, secondary}, interpolator, opts}
-  end
-
-  defp arguments(%Stream{} = primary, secondaries, third, opts) when is_list(secondaries) do
-    {interpolator, opts} = last(third, opts, [])
-    {{:many, primary, some!(secondaries)}, interpolator, opts}
-  end
-
-  defp last(opts, [], []) when is_list(opts) do
-    if Keyword.keyword?(opts), do: {:default, opts}, else: {opts, []}
-  end
-
-  defp last([], opts, []), do: {:default, opts}
-  defp last(interpolator, opts, []), do: {interpolator, opts}
-  defp last(interpolator, [], opts), do: {interpolator, opts}
-
-  defp given(:default, :none), do: raise(ArgumentError, "fuse needs an interpolator; see join")
-  defp given(:default, default), do: default
-  defp given(list, _default) when is_list(list), do: Enum.map(list, &Interpolator.from/1)
-  defp given(other, _default), do: Interpolator.from(other)
-
-  defp reproducible!(%Interpolator{reproducible: true}), do: :ok
-
-  defp reproducible!(interpolator) do
-    raise Situ.Error.new(
-            :not_reproducible,
-            "join takes reproducible interpolators, got: #{inspect(interpolator.module)}",
-            why: "the answers of the others depend on what has arrived",
-            fix: "use Situ.Reproducible, or Situ.fuse/4 where timing may decide"
-          )
-  end
-
-  defp attach(name, streams, interpolator, opts) do
-    opts = Situ.Options.validate!(opts, @fusing ++ @common)
-    {primary, secondaries, creator, type} = plan(streams, opts)
-
-    options = [
-      interpolators: each(interpolator, length(secondaries)),
-      creator: creator,
-      give_up_after: opts[:give_up_after]
-    ]
-
-    add(name, Fuse, [{:primary, primary} | named(secondaries)], options, {type, opts})
-  end
-
-  defp each(%Interpolator{} = one, n), do: List.duplicate(one, n)
-  defp each(list, n) when length(list) == n, do: list
-
-  defp each(list, n),
-    do: raise(ArgumentError, "#{length(list)} interpolators for #{n} secondary streams")
-
-  defp plan({:one, primary, secondary}, opts) do
-    {creator, type} = creator(primary, secondary, opts)
-    {primary, [secondary], creator, type}
-  end
-
-  defp plan({:many, primary, [only]}, opts) do
-    creator = opts[:with] || (&{&1, &2})
-    type = {:tuple, [primary.type, {:list, only.type}]}
-    {primary, [only], fn p, s -> creator.(p, [s]) end, type(type, opts)}
-  end
-
-  defp plan({:many, primary, secondaries}, opts) do
-    type = {:tuple, [primary.type, {:list, of(secondaries)}]}
-    {primary, secondaries, opts[:with] || (&{&1, &2}), type(type, opts)}
-  end
-
-  defp plan({:vector, [primary, only]}, opts) do
-    creator = vector(opts)
-    {primary, [only], fn p, s -> creator.(p, [s]) end, type({:list, of([primary, only])}, opts)}
-  end
-
-  defp plan({:vector, [primary | secondaries] = all}, opts) do
-    {primary, secondaries, vector(opts), type({:list, of(all)}, opts)}
-  end
-
-  defp vector(opts), do: opts[:with] || fn p, s -> [p | s] end
-
-  defp type(default, opts), do: if(opts[:with], do: :any, else: default)
-
-  defp creator(primary, secondary, opts) do
-    cond do
-      opts[:with] -> {opts[:with], :any}
-      opts[:flatten] == false -> {&{&1, &2}, {:tuple, [primary.type, secondary.type]}}
-      true -> flat(primary.type, secondary.type)
-    end
-  end
-
-  defp flat({:tuple, a}, {:tuple, b}) do
-    n = length(b)
-    {&List.to_tuple(Tuple.to_list(&1) ++ Tuple.to_list(wide(&2, n))), {:tuple, a ++ b}}
-  end
-
-  defp flat({:tuple, a}, b), do: {&Tuple.append(&1, &2), {:tuple, a ++ [b]}}
-
-  defp flat(a, {:tuple, b}) do
-    n = length(b)
-    {&Tuple.insert_at(wide(&2, n), 0, &1), {:tuple, [a | b]}}
-  end
-
-  defp flat(a, b), do: {&{&1, &2}, {:tuple, [a, b]}}
-
-  # A default that stands for a tuple stands for each of its elements.
-  defp wide(tuple, _n) when is_tuple(tuple), do: tuple
-  defp wide(default, n), do: Tuple.duplicate(default, n)
-
-  defp inputs(%Stream{} = first, %Stream{} = second, opts), do: {[first, second], opts}
-  defp inputs(streams, opts, []) when is_list(streams), do: {some!(streams), opts}
-
-  defp some!([]), do: raise(ArgumentError, "no streams given: there is nothing to bring together")
-
-  defp some!(streams) do
-    if Enum.all?(streams, &is_struct(&1, Stream)),
-      do: streams,
-      else: raise(ArgumentError, "expected streams, got: #{inspect(streams, limit: 5)}")
-  end
-
-  defp named(streams),
-    do: for({stream, index} <- Enum.with_index(streams), do: {Fuse.input(index), stream})
-
-  # The type that all of them have, or any.
-  defp of(streams) do
-    case streams |> Enum.map(& &1.type) |> Enum.uniq() do
-      [type] -> type
-      _ -> :any
-    end
-  end
-
-  defp add(name, module, [{_, first} | _] = inputs, options, {type, opts}) do
-    common =
-      [
-        name: opts[:name],
-        on_error: opts[:on_error],
-        async: opts[:async],
-        inputs: Enum.map(inputs, fn {input, stream} -> {input, stream.type} end),
-        outputs: [out: opts[:type] || type]
-      ]
-      |> Enum.reject(fn {_, value} -> is_nil(value) end)
-
-    node = Pipeline.add(first.pipeline, module, options, [default_name: name] ++ common)
-
-    inputs
-    |> Enum.zip(policies(opts[:policy], length(inputs)))
-    |> Enum.each(fn {{input, stream}, policy} ->
-      Pipeline.connect(stream, node, input, policy: policy)
-    end)
-
-    Situ.Node.output(node, :out)
-  end
-
-  defp policies(policies, n) when is_list(policies) and length(policies) == n, do: policies
-
-  defp policies(policies, n) when is_list(policies),
-    do: raise(ArgumentError, "#{length(policies)} policies for #{n} inputs")
-
-  defp policies(policy, n), do: List.duplicate(policy, n)
+  def sample(stream, clock, window, opts), do: Build.tick("Sample", stream, clock, window, opts)
 end

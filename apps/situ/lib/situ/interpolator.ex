@@ -36,7 +36,7 @@ defmodule Situ.Interpolator do
   message can change the answer. Only such are accepted by `Situ.join/4`.
   """
 
-  alias Situ.{Interval, Message}
+  alias Situ.{Interval, Message, Type}
 
   @enforce_keys [:module, :config]
   defstruct [:module, :config, reproducible: false, default: :none]
@@ -99,6 +99,39 @@ defmodule Situ.Interpolator do
           interpolator.default} do
       {{:does_not_exist, obsolete}, {:value, value}} -> {:created, value, obsolete}
       {result, _default} -> result
+    end
+  end
+
+  @doc """
+  The type of the values that it gives of a stream of this type. A default that is of another type widens it.
+
+      iex> Situ.Interpolator.type(Situ.Reproducible.nearest(or_default: nil), :integer)
+      {:optional, :integer}
+      iex> Situ.Interpolator.type(Situ.Reproducible.linear(), :integer)
+      :any
+  """
+  @spec type(t(), Type.t()) :: Type.t()
+  def type(%__MODULE__{module: module, default: default}, type)
+      when module in [Situ.Interpolator.Nearest, Situ.Interpolator.First, Situ.Interpolator.Last],
+      do: widened(type, default)
+
+  def type(%__MODULE__{}, {:tuple, types}), do: {:tuple, Enum.map(types, fn _ -> :any end)}
+  def type(%__MODULE__{}, _type), do: :any
+
+  @doc "The type with a default among its values: `:none`, or `{:value, default}`."
+  @spec widened(Type.t(), :none | {:value, term()}) :: Type.t()
+  def widened(type, :none), do: type
+
+  # A default that is no tuple stands for each element of one.
+  def widened({:tuple, types}, {:value, value} = default) when not is_tuple(value),
+    do: {:tuple, Enum.map(types, &widened(&1, default))}
+
+  def widened(type, {:value, value}) do
+    cond do
+      Type.valid?(type, value) -> type
+      value == nil -> {:optional, type}
+      match?({:tuple, _}, type) -> {:tuple, type |> elem(1) |> Enum.map(fn _ -> :any end)}
+      true -> :any
     end
   end
 

@@ -26,6 +26,35 @@ defmodule Situ.OperatorsTest do
       assert run(inputs, build) == [[{0, {1, 2, 3, 4}}], [{0, {{1, 2}, {3, 4}}}]]
     end
 
+    test "a default of another type than the stream's is no lie about the output's" do
+      inputs = [a: [{0, 1}, {10, 2}], b: [{10, 3}]]
+
+      build = fn s ->
+        listed = Situ.map(s.b, &[&1], type: {:list, :integer})
+        s.a |> Situ.join(listed, Reproducible.exact(or_default: 0)) |> Situ.zip(s.b)
+      end
+
+      assert run(inputs, build) == [{0, [{1, 0}]}, {10, [{2, [3]}, 3]}]
+
+      build = fn s ->
+        tupled = Situ.map(s.b, &{&1, "x"}, type: {:tuple, [:integer, :string]})
+        s.a |> Situ.join(tupled, Reproducible.exact(or_default: nil)) |> Situ.zip(s.b)
+      end
+
+      assert run(inputs, build) == [{0, [{1, nil, nil}]}, {10, [{2, 3, "x"}, 3]}]
+    end
+
+    test "a line through whole numbers is no whole number" do
+      inputs = [a: [{5, 1}, {7, 1}], b: [{0, 1}, {10, 2}]]
+
+      build = fn s ->
+        b = Situ.map(s.b, & &1, type: :integer)
+        s.a |> Situ.join(b, Reproducible.linear()) |> Situ.zip(s.b)
+      end
+
+      assert run(inputs, build) |> Enum.at(1) == {5, [{1, 1.5}]}
+    end
+
     test "leaves tuples alone that are data" do
       inputs = [point: [{0, {3, 4}}], name: [{0, "p"}]]
       assert run(inputs, &Situ.join(&1.point, &1.name)) == [{0, {{3, 4}, "p"}}]
@@ -75,20 +104,6 @@ defmodule Situ.OperatorsTest do
       assert %{primary: 2, given_up: 1} = Situ.Fusion.Core.queued(core)
       {outputs, _} = Situ.Fusion.Core.secondary(core, 0, messages([{5, :x}, {12, :y}]))
       assert outputs == [{:out, 5, {:b, :x}}, {:out, 12, {:c, :y}}]
-    end
-  end
-
-  describe "inputs that come later" do
-    test "are needed from then on" do
-      core = Situ.Fusion.Core.new(List.duplicate(Reproducible.exact(), 2), &[&1 | &2])
-      {[], core} = Situ.Fusion.Core.secondary(core, 0, messages([{1, :x}, {2, :x}]))
-      {[], core} = Situ.Fusion.Core.secondary(core, 1, messages([{1, :y}, {2, :y}]))
-      {outputs, core} = Situ.Fusion.Core.primary(core, messages([{1, :p}]))
-      assert outputs == [{:out, 1, [:p, :x, :y]}]
-      core = Situ.Fusion.Core.add(core, Reproducible.exact())
-      {[], core} = Situ.Fusion.Core.primary(core, messages([{2, :p}]))
-      {outputs, _core} = Situ.Fusion.Core.secondary(core, 2, messages([{2, :z}]))
-      assert outputs == [{:out, 2, [:p, :x, :y, :z]}]
     end
   end
 

@@ -28,6 +28,16 @@ defmodule Situ.Fusion.Balance do
   def seen(balance, input, messages),
     do: %{balance | newest: Map.put(balance.newest, input, last(messages)), idle: 0}
 
+  @doc "`input` is no more."
+  @spec forget(t(), input()) :: t()
+  def forget(balance, input) do
+    %{
+      balance
+      | newest: Map.delete(balance.newest, input),
+        held: List.delete(balance.held, input)
+    }
+  end
+
   @doc """
   What to hold and resume, as actions: `heads` are the inputs' queues, `{input, sequence id of the first message | nil}`; `awaited` are the
   inputs that the operator waits for.

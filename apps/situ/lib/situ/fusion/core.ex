@@ -20,9 +20,9 @@ defmodule Situ.Fusion.Core do
   With one secondary the creator is called `creator.(primary, value)`, else `creator.(primary, [value])`.
   """
 
+  alias Situ.Fusion.Side
   alias Situ.{Interpolator, Message}
 
-  @type side :: {[Message.t()], [[Message.t()]], Situ.Time.t() | nil, Situ.Time.t() | nil}
   @type output :: {:out, Situ.Time.t(), term()}
 
   @enforce_keys [:interpolators, :creator, :sides]
@@ -41,7 +41,7 @@ defmodule Situ.Fusion.Core do
   @type t :: %__MODULE__{
           interpolators: [Interpolator.t()],
           creator: fun(),
-          sides: [side()],
+          sides: [Side.t()],
           give_up_after: Situ.Time.duration() | nil,
           front: [Message.t()],
           rear: [[Message.t()]],
@@ -61,19 +61,9 @@ defmodule Situ.Fusion.Core do
     %__MODULE__{
       interpolators: interpolators,
       creator: creator,
-      sides: Enum.map(interpolators, fn _ -> {[], [], nil, nil} end),
+      sides: Enum.map(interpolators, fn _ -> Side.new() end),
       give_up_after: opts[:give_up_after]
     }
-  end
-
-  @doc """
-  Another secondary from now on, the last in order: primaries that wait and later ones need its value too. For components whose inputs
-  become known only while they run. The creator is called as the new number of secondaries says (see above).
-  """
-  @spec add(t(), Interpolator.t()) :: t()
-  def add(%__MODULE__{} = core, %Interpolator{} = interpolator) do
-    interpolators = core.interpolators ++ [interpolator]
-    %{core | interpolators: interpolators, sides: core.sides ++ [{[], [], nil, nil}]}
   end
 
   @doc "Primary messages arrived."
@@ -98,26 +88,20 @@ defmodule Situ.Fusion.Core do
   @spec secondary(t(), non_neg_integer(), [Message.t()]) :: {[output()], t()}
   def secondary(core, _index, []), do: {[], core}
 
-  def secondary(%{sides: [{front, rear, _last, closed}]} = core, 0, messages) do
-    last = last_time(messages)
-    awake(%{core | sides: [{front, [messages | rear], last, closed}]}, 0, last)
+  def secondary(%{sides: [side]} = core, 0, messages) do
+    side = Side.push(side, messages)
+    awake(%{core | sides: [side]}, 0, Side.reached(side))
   end
 
   def secondary(core, index, messages) do
-    last = last_time(messages)
-
-    sides =
-      List.update_at(core.sides, index, fn {front, rear, _last, closed} ->
-        {front, [messages | rear], last, closed}
-      end)
-
-    awake(%{core | sides: sides}, index, last)
+    side = core.sides |> Enum.at(index) |> Side.push(messages)
+    awake(%{core | sides: List.replace_at(core.sides, index, side)}, index, Side.reached(side))
   end
 
   @doc "Secondary number `index` ended at `time`."
   @spec close(t(), non_neg_integer(), Situ.Time.t()) :: {[output()], t()}
   def close(core, index, time) do
-    sides = List.update_at(core.sides, index, &put_elem(&1, 3, time))
+    sides = List.update_at(core.sides, index, &Side.close(&1, time))
     run(%{core | sides: sides, waiting: nil})
   end
 
@@ -129,12 +113,8 @@ defmodule Situ.Fusion.Core do
   @doc "The sequence ids of the first messages that wait: of the primary, and of each secondary."
   @spec heads(t()) :: {non_neg_integer() | nil, [non_neg_integer() | nil]}
   def heads(core) do
-    {head(core.front, core.rear), for({front, rear, _, _} <- core.sides, do: head(front, rear))}
+    {Side.first(core.front, core.rear), Enum.map(core.sides, &Side.head/1)}
   end
-
-  defp head([%{sequence_id: id} | _], _rear), do: id
-  defp head([], []), do: nil
-  defp head([], rear), do: rear |> List.last() |> hd() |> Map.fetch!(:sequence_id)
 
   @doc "What waits: `%{primary: count, secondary: [count]}`, and how many primaries were given up on a stalled secondary."
   @spec queued(t()) :: %{
@@ -144,16 +124,11 @@ defmodule Situ.Fusion.Core do
         }
   def queued(core) do
     %{
-      primary: count(core.front, core.rear),
-      secondary: Enum.map(core.sides, fn {front, rear, _, _} -> count(front, rear) end),
+      primary: Side.count(core.front, core.rear),
+      secondary: Enum.map(core.sides, &Side.count/1),
       given_up: core.given_up
     }
   end
-
-  defp count(front, rear), do: length(front) + Enum.reduce(rear, 0, &(length(&1) + &2))
-
-  defp last_time([message]), do: message.originating_time
-  defp last_time([_ | rest]), do: last_time(rest)
 
   # A waiting primary is looked at again only when the stream that it waits for got far enough.
   defp awake(%{waiting: nil} = core, _index, _last), do: run(core)
@@ -166,7 +141,8 @@ defmodule Situ.Fusion.Core do
 
   defp run(%{front: [], rear: []} = core), do: {[], core}
 
-  defp run(%{front: [], rear: rear} = core), do: run(%{core | front: merge([], rear), rear: []})
+  defp run(%{front: [], rear: rear} = core),
+    do: run(%{core | front: Side.merge([], rear), rear: []})
 
   defp run(%{sides: [side], interpolators: [interpolator]} = core) do
     {front, side, waiting, outputs, given_up} =
@@ -210,7 +186,7 @@ defmodule Situ.Fusion.Core do
     {creator, limit} = context
     time = primary.originating_time
 
-    case ask(interpolator, time, side, limit) do
+    case Side.ask(interpolator, time, side, limit) do
       {:created, value, side} ->
         output = {:out, time, creator.(primary.data, value)}
         single(rest, side, interpolator, context, [output | outputs], given_up)
@@ -255,7 +231,7 @@ defmodule Situ.Fusion.Core do
     do: {:all, :lists.reverse(values), :lists.reverse(done)}
 
   defp ask_all([interpolator | interpolators], [side | sides], time, limit, index, values, done) do
-    case ask(interpolator, time, side, limit) do
+    case Side.ask(interpolator, time, side, limit) do
       {:created, value, side} ->
         ask_all(interpolators, sides, time, limit, index + 1, [value | values], [side | done])
 
@@ -269,59 +245,4 @@ defmodule Situ.Fusion.Core do
         {:wait, {index, until}}
     end
   end
-
-  # The end of the queue is the end of what arrived only when nothing is left in `rear`: an interpolator that does not
-  # wait, and any one asked about a closed stream, must see all.
-  defp ask(interpolator, time, {_front, rear, last, closed} = side, limit) do
-    closed = closed || if limit != nil and time < limit, do: last || time
-
-    if rear != [] and (closed != nil or not interpolator.reproducible),
-      do: answer(interpolator, time, merged(side), closed, limit),
-      else: answer(interpolator, time, side, closed, limit)
-  end
-
-  defp answer(interpolator, time, {front, rear, _, _} = side, closed, limit) do
-    %{module: module, config: config, default: default} = interpolator
-
-    case module.interpolate(time, front, closed, config) do
-      {:created, value, obsolete} ->
-        {:created, value, trim(side, obsolete)}
-
-      {:does_not_exist, obsolete} when default != :none ->
-        {:created, elem(default, 1), trim(side, obsolete)}
-
-      {:does_not_exist, obsolete} ->
-        gone(side, obsolete, closed)
-
-      _undecided when rear != [] ->
-        ask(interpolator, time, merged(side), limit)
-
-      {:wait, until} ->
-        {:wait, until, side}
-
-      :insufficient_data ->
-        {:wait, nil, side}
-    end
-  end
-
-  # Closed in earnest, or only for this primary because it waited too long.
-  defp gone({_, _, _, nil} = side, obsolete, closed) when closed != nil,
-    do: {:given_up, trim(side, obsolete)}
-
-  defp gone(side, obsolete, _closed), do: {:does_not_exist, trim(side, obsolete)}
-
-  defp merged({front, rear, last, closed}), do: {merge(front, rear), [], last, closed}
-
-  defp merge([], [messages]), do: messages
-  defp merge(front, rear), do: front ++ :lists.append(:lists.reverse(rear))
-
-  defp trim(side, nil), do: side
-
-  defp trim({front, rear, last, closed}, obsolete),
-    do: {drop(front, obsolete), rear, last, closed}
-
-  defp drop([%{originating_time: time} | rest], obsolete) when time < obsolete,
-    do: drop(rest, obsolete)
-
-  defp drop(front, _obsolete), do: front
 end

@@ -1,14 +1,46 @@
 defmodule Situ.Fusion.Merger do
   @moduledoc false
-  # The component behind merge: whole messages in the order of arrival, stamped with the clock.
-  use Situ.Component, inputs: [], outputs: [out: Situ.Message]
+  # The component behind merge: whole messages in the order of arrival, stamped with the clock. Inputs may come and go.
+  use Situ.Component,
+    inputs: [],
+    outputs: [out: Situ.Message],
+    options: [members: [type: :list, required: true, doc: "{input, key} of each."]]
+
+  alias Situ.Fusion.Keys
+  alias Situ.Options
 
   @impl true
-  def init(_opts), do: {:ok, nil}
+  def init(opts), do: {:ok, {nil, opts[:members]}}
 
   @impl true
-  def handle_message(_input, message, context, last) do
+  def handle_message(_input, message, context, {last, members}) do
     time = if last == nil, do: context.now, else: max(context.now, last + 1)
-    {[{:out, time, message}], time}
+    {[{:out, time, message}], {time, members}}
+  end
+
+  @impl true
+  def handle_attach(input, {key, opts}, last, _context, {reached, members}) do
+    with {:ok, []} <- Options.validate(opts, []), :ok <- Keys.free(keys(members), key) do
+      members = members ++ [{input, key}]
+      from = if last == nil, do: :start, else: last + 1
+      {:ok, from, [members: members], [], {reached, members}}
+    end
+  end
+
+  @impl true
+  def handle_detach({key, opts}, context, {reached, members}) do
+    with {:ok, []} <- Options.validate(opts, []), {:ok, input} <- find(members, key) do
+      opts = [members: List.keydelete(members, input, 0)]
+      {:ok, context.now, opts, [{:detach, input, opts}], {reached, opts[:members]}}
+    end
+  end
+
+  defp keys(members), do: Enum.map(members, &elem(&1, 1))
+
+  defp find(members, key) do
+    case List.keyfind(members, key, 1) do
+      {input, _} -> {:ok, input}
+      nil -> Keys.unknown(keys(members), key)
+    end
   end
 end

@@ -66,8 +66,10 @@ defmodule Situ.Pipeline.Ask do
 
   defp gone(_pid, nil), do: {:error, Launch.not_running()}
 
-  defp pid(%Pipeline{pid: pid}), do: pid
-  defp pid(%Situ.Stream{pipeline: p}), do: p.pid
-  defp pid(pid) when is_pid(pid), do: pid
-  defp pid(name), do: GenServer.whereis(name)
+  @doc "The process behind a handle, a stream or a name."
+  @spec pid(Pipeline.target()) :: pid() | nil
+  def pid(%Pipeline{pid: pid}), do: pid
+  def pid(%Situ.Stream{pipeline: p}), do: p.pid
+  def pid(pid) when is_pid(pid), do: pid
+  def pid(name), do: GenServer.whereis(name)
 end

@@ -2,7 +2,7 @@ defmodule Situ.Pipeline.Death do
   @moduledoc false
   # Stages that end before their time, or fail: begun again, or the pipeline's end.
   alias Situ.Error
-  alias Situ.Pipeline.{Crew, Ending, Life, Notice}
+  alias Situ.Pipeline.{Crew, Ending, Inputs, Life, Notice}
   alias Situ.Stage.Tally
 
   @doc "A process of the pipeline ended."
@@ -28,7 +28,7 @@ defmodule Situ.Pipeline.Death do
        )
        when policy in [:skip, :restart] do
     Tally.restarted(stage.tally, 0)
-    state = Notice.noted(state, killed(stage, reason))
+    state = state |> Notice.noted(killed(stage, reason)) |> Inputs.interrupted(id)
     Crew.spawn(state, id, stage.vertices, stage.tally)
   end
 

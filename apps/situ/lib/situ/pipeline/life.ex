@@ -5,7 +5,7 @@ defmodule Situ.Pipeline.Life do
   # end before their time, Watch for those that do not end, Notice tells others.
   alias Situ.{Clock, Telemetry}
   alias Situ.Graph.Plan
-  alias Situ.Pipeline.{Crew, Death, Ending, Launch, Notice, Taps}
+  alias Situ.Pipeline.{Crew, Death, Ending, Inputs, Launch, Notice, Taps}
 
   @catch_up_ms 1_000
 
@@ -42,6 +42,7 @@ defmodule Situ.Pipeline.Life do
     waiters: [],
     replacing: %{},
     taps: %{},
+    inputs: %{},
     early: [],
     described: nil,
     by_hand: false,
@@ -128,6 +129,13 @@ defmodule Situ.Pipeline.Life do
     do: %{state | descriptions: Map.put(state.descriptions, id, text)}
 
   def event(state, _id, {:tapped, tag}), do: Taps.opened(state, tag)
+  def event(state, _id, {:lent, tag, how}), do: Inputs.lent(state, tag, how)
+
+  def event(state, id, {:answered, ref, answer, opts}),
+    do: next_step(Inputs.answered(state, ref, id, answer, opts))
+
+  def event(state, id, {:detached, input, opts}),
+    do: next_step(Inputs.detached(state, id, input, opts))
 
   def event(state, id, {:replaced, answer}) do
     {{from, request}, replacing} = Map.pop(state.replacing, id)

@@ -13,7 +13,7 @@ defmodule Situ.Pipeline.Server do
 
   alias Situ.{Clock, Error}
   alias Situ.Graph.Builder
-  alias Situ.Pipeline.{Archive, Death, Ending, Launch, Life, Settings, Taps, View, Watch}
+  alias Situ.Pipeline.{Archive, Death, Ending, Inputs, Launch, Life, Settings, Taps, View, Watch}
   require Logger
 
   # Entering
@@ -148,15 +148,17 @@ defmodule Situ.Pipeline.Server do
 
   # A pipeline that is just starting answers when it runs.
   def handle_call(request, from, %{phase: :starting} = state)
-      when is_tuple(request) and elem(request, 0) in [:subscription, :replace, :tap, :clock],
+      when is_tuple(request) and
+             elem(request, 0) in [:subscription, :replace, :tap, :clock, :attach, :detach],
       do: {:noreply, %{state | early: [{:"$gen_call", from, request} | state.early]}}
 
-  def handle_call({:tap, which, fun, opts}, from, state) do
-    case Taps.attach(state, which, fun, opts, from) do
-      {:ok, state} -> {:noreply, state}
-      {error, state} -> {:reply, error, state}
-    end
-  end
+  def handle_call({:tap, which, fun, opts}, from, state),
+    do: later(Taps.attach(state, which, fun, opts, from))
+
+  def handle_call({:attach, asked}, from, state), do: later(Inputs.attach(state, asked, from))
+
+  def handle_call({:detach, taker, request}, from, state),
+    do: later(Inputs.detach(state, taker, request, from))
 
   def handle_call({:untap, id}, _from, state), do: {:reply, :ok, Taps.detach(state, id)}
 
@@ -189,6 +191,10 @@ defmodule Situ.Pipeline.Server do
   end
 
   def handle_call(_request, _from, state), do: {:reply, {:error, Launch.not_running()}, state}
+
+  # Who asked is answered when it is done, or at once when it cannot be.
+  defp later({:ok, state}), do: {:noreply, state}
+  defp later({error, state}), do: {:reply, error, state}
 
   @impl true
   def handle_info(:situ_launch, state), do: done(Life.launch(state))

@@ -1,17 +1,17 @@
 defmodule Situ.Pipeline.Taps do
   @moduledoc false
   # Taps of a running pipeline: a stage of its own for each, subscribed to an output or, inside a chain, to a probe.
-  alias Situ.{Delivery, Error, Options}
+  alias Situ.{Delivery, Error}
   alias Situ.Graph.{Edge, Vertex}
-  alias Situ.Pipeline.{Crew, Launch, Life}
+  alias Situ.Pipeline.{Crew, Launch, Life, Place}
   alias Situ.Stage.{Counters, Tally}
 
   @doc "Attaches; the caller gets its answer when the first message can come, or at once when it cannot be."
   @spec attach(Life.t(), term(), fun(), keyword(), GenServer.from()) ::
           {:ok | {:error, Error.t()}, Life.t()}
   def attach(%{phase: :running} = state, which, fun, opts, from) do
-    with {:ok, {id, output}} <- port(state, which),
-         {:ok, stage, index} <- place(state, id) do
+    with {:ok, {id, output}} <- Place.port(state, which),
+         {:ok, stage, index} <- Place.stage(state, id) do
       {:ok, add(state, {id, output, stage, index}, fun, opts, from)}
     else
       {:error, error} -> {{:error, error}, state}
@@ -60,11 +60,9 @@ defmodule Situ.Pipeline.Taps do
   @doc "The outlet another process may subscribe to: `{pid, [output: name]}`."
   @spec subscription(Life.t(), term()) :: {:ok, {pid(), keyword()}} | {:error, Error.t()}
   def subscription(%{phase: :running} = state, which) do
-    with {:ok, {id, output}} <- port(state, which), {:ok, stage, index} <- place(state, id) do
-      if index == length(stage.vertices) - 1,
-        do: {:ok, {stage.pid, [output: output]}},
-        else: {:error, inside(state.graph.vertices[id].path)}
-    end
+    with {:ok, {id, output}} <- Place.port(state, which),
+         {:ok, stage} <- Place.outlet(state, id),
+         do: {:ok, {stage.pid, [output: output]}}
   end
 
   def subscription(_state, _which), do: {:error, Launch.not_running()}
@@ -157,57 +155,12 @@ defmodule Situ.Pipeline.Taps do
     }
   end
 
-  defp port(state, {id, output}) do
-    if Map.has_key?(state.graph.vertices, id),
-      do: {:ok, {id, output}},
-      else: {:error, Launch.not_running()}
-  end
-
-  defp port(state, name) do
-    named = Situ.Diagnostics.stream_names(state.graph)
-
-    case named do
-      %{^name => port} -> {:ok, port}
-      _ -> {:error, unknown(name, Map.keys(named))}
-    end
-  end
-
-  defp place(state, id) do
-    found =
-      Enum.find_value(state.stages, fn {_, stage} ->
-        index = Enum.find_index(stage.vertices, &(&1.id == id))
-        index && stage.state == :running && {stage, index}
-      end)
-
-    case found do
-      {stage, index} -> {:ok, stage, index}
-      _ -> {:error, Launch.not_running()}
-    end
-  end
-
   defp unique(graph, name) do
     Enum.find(
       Stream.concat([name], Stream.map(Stream.iterate(2, &(&1 + 1)), &(name <> "#{&1}"))),
       fn name ->
         not Map.has_key?(graph.paths, name)
       end
-    )
-  end
-
-  defp unknown(name, known) do
-    near = Options.nearest(name, known)
-
-    fix =
-      if near, do: "did you mean #{inspect(near)}?", else: "streams: " <> Enum.join(known, ", ")
-
-    Error.new(:unknown_stream, "the pipeline has no stream #{inspect(name)}", fix: fix)
-  end
-
-  defp inside(path) do
-    Error.new(
-      :inside_chain,
-      "#{path} runs inside a chain of operators and has no output of its own",
-      fix: "give it a process of its own with async: true, or look at it with Situ.tap/3"
     )
   end
 end

@@ -2,7 +2,7 @@ defmodule Situ.Stage.Actions do
   @moduledoc false
   # What a component returned, applied to the state of its stage: all of it, or on the first bad action none.
   alias Situ.{Error, Message, Stage}
-  alias Situ.Stage.{Call, Outlet, Ports, Posting, Source}
+  alias Situ.Stage.{Attach, Call, Outlet, Ports, Posting, Source}
 
   @spec run(Stage.t(), [Situ.Component.action()], Situ.Time.t()) ::
           {:ok, Stage.t()} | {:error, Error.t()}
@@ -69,6 +69,9 @@ defmodule Situ.Stage.Actions do
 
   defp one(state, {:resume, input}, _now) when is_atom(input),
     do: {:ok, Ports.hold(state, input, false)}
+
+  defp one(state, {:detach, input, opts}, _now) when is_atom(input) and is_list(opts),
+    do: {:ok, Attach.leave(state, input, opts)}
 
   defp one(state, {:timer, key, time}, _now) when is_integer(time) do
     if state.final != nil and time > state.final,

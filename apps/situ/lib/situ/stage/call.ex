@@ -51,6 +51,25 @@ defmodule Situ.Stage.Call do
     _kind, _reason -> :failed
   end
 
+  @doc "A callback that answers `{:ok, reply, opts, actions, state}` or `{:error, error}`."
+  @spec ask(module(), atom(), [term()], String.t()) ::
+          {:ok, term(), keyword(), [Component.action()], Component.state()} | {:error, Error.t()}
+  def ask(module, callback, args, path) do
+    case apply(module, callback, args) do
+      {:ok, _reply, opts, actions, _state} = answer when is_list(opts) and is_list(actions) ->
+        answer
+
+      {:error, %Error{} = error} ->
+        {:error, located(error, path)}
+
+      other ->
+        wanted = "{:ok, reply, opts, actions, state} or {:error, error}"
+        {:error, rubbish(path, callback, wanted, other)}
+    end
+  catch
+    kind, reason -> {:error, failure(path, callback, kind, reason, __STACKTRACE__)}
+  end
+
   @doc "Release: a raising `terminate/2` is an error like any other, but stops nothing."
   @spec terminate(module(), term(), term(), String.t()) :: :ok | {:error, Error.t()}
   def terminate(module, reason, state, path) do

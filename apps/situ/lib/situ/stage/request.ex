@@ -5,6 +5,7 @@ defmodule Situ.Stage.Request do
 
   alias Situ.Stage.{
     Alarm,
+    Attach,
     Fault,
     Inlet,
     Outlet,
@@ -78,6 +79,19 @@ defmodule Situ.Stage.Request do
     {:noreply, state |> Probe.remove(tag) |> Pump.pump()}
   end
 
+  def handle({:lend, tag, output, pid, counters}, state) do
+    {answer, state} = Attach.lend(state, tag, output, pid, counters)
+    Stage.report(state, {:lent, tag, answer})
+    {:noreply, Pump.pump(state)}
+  end
+
+  def handle({:attach, request, last, wiring}, state),
+    do: answered(Attach.input(state, request, last, wiring), wiring.tag, state)
+
+  def handle({:detach, ref, request}, state),
+    do: answered(Attach.release(state, request), ref, state)
+
+  def handle({:leave, input}, state), do: {:noreply, Pump.pump(Attach.left(state, input))}
   def handle({:fail, error}, state), do: {:noreply, Pump.pump(Fault.fail(state, error))}
   def handle(:clock, state), do: {:noreply, state |> Alarm.arm() |> Pump.pump()}
   def handle({:peer, tag, pid}, state), do: {:noreply, Setup.rewire(state, tag, pid)}
@@ -106,6 +120,16 @@ defmodule Situ.Stage.Request do
 
   def handle(:describe, state) do
     Stage.report(state, {:description, Setup.describe(state)})
+    {:noreply, state}
+  end
+
+  defp answered({:ok, reply, actions, state}, ref, _before) do
+    Stage.report(state, {:answered, ref, {:ok, reply}, state.opts})
+    {:noreply, state |> Turn.act(state.core, actions, nil) |> Pump.pump()}
+  end
+
+  defp answered({:error, error}, ref, state) do
+    Stage.report(state, {:answered, ref, {:error, error}, state.opts})
     {:noreply, state}
   end
 
