@@ -2,7 +2,10 @@
 
 use crate::error::{fail, Code, Error, Result};
 use crate::picture::{Format, Shape, View};
-use turbojpeg::{Compressor, Decompressor, Image, PixelFormat, Subsamp};
+use turbojpeg::{Compressor, Decompressor, Image, OutputBuf, OwnedBuf, PixelFormat, Subsamp};
+
+/// Above this, memory is taken as it is needed.
+const LARGE: usize = 64 << 20;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Subsampling {
@@ -34,7 +37,7 @@ fn bad(error: turbojpeg::Error) -> Error {
 }
 
 /// Quality 1..100; alpha is dropped.
-pub fn encode(src: &View, quality: i32, subsampling: Subsampling) -> Result<Vec<u8>> {
+pub fn encode(src: &View, quality: i32, subsampling: Subsampling) -> Result<OwnedBuf> {
     if !(1..=100).contains(&quality) {
         return fail(
             Code::BadOption,
@@ -65,9 +68,23 @@ pub fn encode(src: &View, quality: i32, subsampling: Subsampling) -> Result<Vec<
             pitch: src.shape.row_bytes(),
             ..image
         };
-        return compressor.compress_to_vec(image).map_err(bad);
+        return compress(compressor, image);
     }
-    compressor.compress_to_vec(image).map_err(bad)
+    compress(compressor, image)
+}
+
+/// With room for the worst case from the start libjpeg never has to grow its buffer, copying it; pages that are not
+/// written cost nothing.
+fn compress(mut compressor: Compressor, image: Image<&[u8]>) -> Result<OwnedBuf> {
+    let worst = compressor.buf_len(image.width, image.height).map_err(bad)?;
+    let buffer = if worst <= LARGE {
+        OwnedBuf::allocate(worst)
+    } else {
+        OwnedBuf::new()
+    };
+    let mut output = OutputBuf::from(buffer);
+    compressor.compress(image, &mut output).map_err(bad)?;
+    Ok(output.into_owned())
 }
 
 /// What the header says; grey for grey JPEGs, else `wanted` (`:bgr24` by default on the Elixir side).

@@ -32,4 +32,4 @@ fn run_sound_dirty<'a>(env: Env<'a>, job: SoundJob<'a>) -> Term<'a> {
     reply(env, job.run(env))
 }
 
-rustler::init!("Elixir.Situ.Media.Native");
+rustler::init!("Elixir.Situ.Media.Native", load = situ_media_term::load);

@@ -7,7 +7,7 @@ use situ_media::audio::mix::{self, Layout};
 use situ_media::audio::resample::Resampler;
 use situ_media::audio::waveform;
 use situ_media::error::{fail, Code, Error, Result};
-use situ_media_term::{allocate, binary};
+use situ_media_term::allocate;
 use std::sync::{Mutex, PoisonError};
 
 type LayoutTerm = (SampleTerm, u32);
@@ -76,8 +76,12 @@ impl<'a> SoundJob<'a> {
             }
             SoundJob::Resample(resampler, data, last) => {
                 let mut guard = resampler.0.lock().map_err(poisoned)?;
-                let out = guard.process(data, *last)?;
-                Ok(binary(env, &out)?.encode(env))
+                let mut out = allocate(guard.room(data.len())?)?;
+                let written = guard.process(data, *last, out.as_mut_slice())?;
+                if !out.realloc(written) {
+                    return fail(Code::OutOfMemory, format!("no memory for {written} bytes"));
+                }
+                Ok(out.release(env).encode(env))
             }
             SoundJob::NewAnalyzer(config) => {
                 let new = Analyzer::new(config.into())?;

@@ -1,5 +1,9 @@
 //! Media structs as BEAM terms, for every library that handles them.
 
+mod memory;
+
+pub use memory::load;
+
 use rustler::{Binary, Encoder, Env, NifStruct, NifUnitEnum, OwnedBinary, Term};
 use situ_media::error::{fail, Code, Error, Result};
 use situ_media::picture::{Format, Shape, View};

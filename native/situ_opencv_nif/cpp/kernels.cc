@@ -2,6 +2,7 @@
 #include <cstdint>
 #include <cstdio>
 #include <cstring>
+#include <mutex>
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 
@@ -32,11 +33,17 @@ cv::Mat mat(const situ_picture &p) {
 
 cv::Scalar scalar(const double *v) { return cv::Scalar(v[0], v[1], v[2], v[3]); }
 
+// Kernels run in the caller's thread; once for all, since setting it is neither cheap nor safe beside a running kernel.
+void single_threaded() {
+  static std::once_flag once;
+  std::call_once(once, [] { cv::setNumThreads(1); });
+}
+
 // Runs `f(src, dst)`, then makes sure that OpenCV wrote into our memory and not into its own.
 template <typename F>
 int guarded(const situ_picture *src, situ_picture *dst, char *error, size_t room, F f) {
   try {
-    cv::setNumThreads(1);
+    single_threaded();
     cv::Mat from = mat(*src), to = mat(*dst);
     f(from, to);
     if (to.data != dst->data) {

@@ -17,4 +17,4 @@ fn run_dirty<'a>(env: Env<'a>, job: Job<'a>) -> Term<'a> {
     reply(env, job.run(env))
 }
 
-rustler::init!("Elixir.Situ.Media.OpenCV");
+rustler::init!("Elixir.Situ.Media.OpenCV", load = situ_media_term::load);

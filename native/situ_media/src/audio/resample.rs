@@ -15,6 +15,9 @@ pub enum Quality {
     VeryHigh,
 }
 
+/// Frames that may come beyond what rates and delay say, and room for soxr to see that nothing more comes.
+const MARGIN: usize = 64;
+
 pub struct Resampler {
     handle: *mut soxr::Handle,
     frame: usize,
@@ -95,8 +98,21 @@ impl Resampler {
         })
     }
 
-    /// Feeds whole frames and returns what is ready; with `last` also everything that was still inside.
-    pub fn process(&mut self, data: &[u8], last: bool) -> Result<Vec<u8>> {
+    /// The bytes that `process` needs at most for this much input.
+    pub fn room(&self, bytes: usize) -> Result<usize> {
+        let frames = bytes / self.frame;
+        // SAFETY: the handle lives as long as self.
+        let inside = unsafe { soxr::soxr_delay(self.handle) }.max(0.0);
+        let frames = (frames as f64 * self.ratio + inside).ceil() as usize + MARGIN;
+        match frames.checked_mul(self.frame) {
+            Some(room) if room <= crate::picture::MAX_BYTES => Ok(room),
+            _ => fail(Code::TooLarge, "the result would take more than 1 GiB"),
+        }
+    }
+
+    /// Feeds whole frames and writes what is ready to the front of `out`, with `last` also everything that was still
+    /// inside; answers the bytes written. `out` has `room` bytes.
+    pub fn process(&mut self, data: &[u8], last: bool, out: &mut [u8]) -> Result<usize> {
         if self.finished {
             return fail(Code::Failed, "the resampler was already flushed");
         }
@@ -111,11 +127,6 @@ impl Resampler {
             );
         }
         let frames = data.len() / self.frame;
-        let expected = (frames as f64 * self.ratio).ceil() as usize + 1024;
-        if expected.saturating_mul(self.frame) > crate::picture::MAX_BYTES {
-            return fail(Code::TooLarge, "the result would take more than 1 GiB");
-        }
-        let mut out = Vec::with_capacity(expected * self.frame);
         let copy;
         let aligned = if (data.as_ptr() as usize).is_multiple_of(self.align) {
             data.as_ptr()
@@ -123,45 +134,56 @@ impl Resampler {
             copy = aligned_copy(data);
             copy.as_ptr() as *const u8
         };
-        let mut done = 0;
+        let (mut done, mut written) = (0, 0);
         while done < frames {
             // SAFETY: `done` frames of `frames` were consumed, so the rest lies inside the input.
             let from = unsafe { aligned.add(done * self.frame) };
-            let (used, made) = self.step(from as *const c_void, frames - done, &mut out)?;
+            let rest = &mut out[written..];
+            let (used, made) = self.step(from as *const c_void, frames - done, rest)?;
             done += used;
+            written += made * self.frame;
             if used == 0 && made == 0 {
                 return fail(Code::Failed, "the resampler stands still");
             }
         }
         if last {
             self.finished = true;
-            while self.step(std::ptr::null(), 0, &mut out)?.1 > 0 {}
+            loop {
+                let (_, made) = self.step(std::ptr::null(), 0, &mut out[written..])?;
+                if made == 0 {
+                    break;
+                }
+                written += made * self.frame;
+            }
         }
-        Ok(out)
+        Ok(written)
     }
 
     fn step(
         &mut self,
         from: *const c_void,
         frames: usize,
-        out: &mut Vec<u8>,
+        out: &mut [u8],
     ) -> Result<(usize, usize)> {
-        let room = 4096.max((frames as f64 * self.ratio) as usize + 64);
-        let start = out.len();
-        out.reserve(room * self.frame);
+        let room = out.len() / self.frame;
+        if room == 0 {
+            return fail(Code::Failed, "the resampler made more than was foreseen");
+        }
+        if !(out.as_ptr() as usize).is_multiple_of(self.align) {
+            return fail(Code::Failed, "the result's memory is not aligned");
+        }
         let (mut used, mut made) = (0, 0);
-        // SAFETY: `from` has `frames` frames (or is null: end of input); `out` has `room` frames of spare capacity, of
-        // which soxr writes `made` and no more.
+        // SAFETY: `from` has `frames` frames (or is null: end of input); `out` has `room` frames, of which soxr writes
+        // `made` and no more, and is aligned for its samples.
         let error = unsafe {
-            let to = out.as_mut_ptr().add(start) as *mut c_void;
+            let to = out.as_mut_ptr() as *mut c_void;
             soxr::soxr_process(self.handle, from, frames, &mut used, to, room, &mut made)
         };
-        if !error.is_null() {
-            return Err(failure(error));
+        if error.is_null() {
+            Ok((used, made.min(room)))
+        } else {
+            Err(failure(error))
         }
-        // SAFETY: soxr wrote `made <= room` frames there.
-        unsafe { out.set_len(start + made.min(room) * self.frame) };
-        Ok((used, made))
     }
 }
 
@@ -208,23 +230,60 @@ mod tests {
         values.iter().flat_map(|v| v.to_le_bytes()).collect()
     }
 
+    fn run(filter: &mut Resampler, data: &[u8], last: bool) -> Result<Vec<u8>> {
+        let mut out = vec![0; filter.room(data.len())?];
+        let written = filter.process(data, last, &mut out)?;
+        out.truncate(written);
+        Ok(out)
+    }
+
     #[test]
     fn output_lies_where_the_input_lay_whatever_the_chunks() -> Result<()> {
         let input = bytes(&sine(48_000.0, 48_000));
         let mut whole = Resampler::new(48_000, 16_000, 1, Sample::F32, Quality::High)?;
-        let a = whole.process(&input, true)?;
+        let a = run(&mut whole, &input, true)?;
         let mut parts = Resampler::new(48_000, 16_000, 1, Sample::F32, Quality::High)?;
         let mut b = Vec::new();
         for chunk in input.chunks(4 * 777) {
-            b.extend(parts.process(chunk, false)?);
+            b.extend(run(&mut parts, chunk, false)?);
         }
-        b.extend(parts.process(&[], true)?);
+        b.extend(run(&mut parts, &[], true)?);
         assert_eq!(a, b);
         assert_eq!(a.len() / 4, 16_000);
         let wanted = sine(16_000.0, 16_000);
         for (i, got) in a.chunks_exact(4).enumerate().skip(200).take(15_600) {
             let got = f32::from_le_bytes([got[0], got[1], got[2], got[3]]);
             assert!((got - wanted[i]).abs() < 1e-4, "frame {i}");
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn the_room_foreseen_is_enough_for_every_ratio_and_piece() -> Result<()> {
+        let rates = [
+            (8_000, 48_000),
+            (48_000, 8_000),
+            (44_100, 48_000),
+            (8_000, 192_000),
+            (96_000, 4_000),
+        ];
+        let qualities = [Quality::Quick, Quality::Low, Quality::VeryHigh];
+        for (from, to) in rates {
+            for quality in qualities {
+                let mut filter = Resampler::new(from, to, 2, Sample::S16, quality)?;
+                let mut frames = 0;
+                let mut made = 0;
+                for piece in [1, 0, 160, 7, 5_000, 3] {
+                    frames += piece;
+                    made += run(&mut filter, &vec![1; piece * 4], false)?.len() / 4;
+                }
+                made += run(&mut filter, &[], true)?.len() / 4;
+                let wanted = frames as f64 * to as f64 / from as f64;
+                assert!(
+                    (made as f64 - wanted).abs() <= 1.0,
+                    "{from} to {to}: {made}"
+                );
+            }
         }
         Ok(())
     }

@@ -52,6 +52,7 @@ extern "C" {
         output_frames: usize,
         output_done: *mut usize,
     ) -> *const c_char;
+    pub fn soxr_delay(handle: *mut Handle) -> c_double;
     pub fn soxr_delete(handle: *mut Handle);
     pub fn soxr_quality_spec(recipe: c_ulong, flags: c_ulong) -> QualitySpec;
 }
