@@ -3,11 +3,23 @@ defmodule Situ.Store.Importer do
   A store being replayed by a pipeline: what `Situ.Store.importer/3` returns and `Situ.Store.stream/3` takes.
 
   All importers of a pipeline run on its clock: an interval and a speed are the pipeline's (`pipeline: [replay: [interval: {from, to}, speed: 4.0]]`),
-  `Situ.Pipeline.pause/1`, `resume/1` and `set_speed/2` act on all of them. `seek/2` and `step/1` go forward.
+  `Situ.Pipeline.pause/1`, `resume/1` and `set_speed/2` act on all of them; `seek/2` and `step/1` move one importer (and the clock).
+
+  ## Seeking, and what happens to time
+
+  Originating times of a stream only increase, and a pipeline's clock never goes back. So a replay is a row of *epochs*: in each, a
+  message's time in the pipeline is its recorded time plus the epoch's shift, 0 at first. A seek beyond everything that was
+  handed to the pipeline stays in the epoch, and the clock jumps there. Any other (back, or within the few messages per stream that the
+  pipeline was handed ahead of its clock) begins a new one: the messages from the sought time on come again, with times that begin 1 ms after the
+  latest one handed out; creation times move along, so latencies stay those of the recording. A loop does the same at the
+  recording's end, and with one every seek begins an epoch. `position/1` tells the recorded time that is played.
+
+  To what comes out it looks as if the recording contained the part again: fusion and windows go on over the seam, as they would over a gap.
+  A stream that has ended stays ended; with `keep_open: true` streams wait at their ends to be sought.
   """
   alias Situ.{Clock, Error, Pipeline}
   alias Situ.Store
-  alias Situ.Store.{Evolution, Source}
+  alias Situ.Store.{Evolution, Playhead, Source}
 
   @options [
     loop: [
@@ -15,6 +27,12 @@ defmodule Situ.Store.Importer do
       default: false,
       doc:
         "Start over at the end, times shifted by the store's span and 1 ms, or by this period (ns)."
+    ],
+    keep_open: [
+      type: :boolean,
+      default: false,
+      doc:
+        "Wait at the end to be sought, as a player does; the pipeline then runs until it is stopped."
     ],
     skip_damage: [
       type: :boolean,
@@ -33,11 +51,9 @@ defmodule Situ.Store.Importer do
     name: [type: :string, doc: "The component's name."]
   ]
 
-  @enforce_keys [:store, :pipeline, :skip]
-  defstruct [:store, :pipeline, :skip, :period, skip_damage: false]
+  @enforce_keys [:store, :pipeline, :head]
+  defstruct [:store, :pipeline, :head, :period, keep_open: false, skip_damage: false]
   @type t :: %__MODULE__{}
-
-  @nowhere -0x7FFFFFFFFFFFFFFF
 
   @doc false
   def options, do: @options
@@ -48,14 +64,13 @@ defmodule Situ.Store.Importer do
   def open(%Pipeline{} = p, path, opts) do
     opts = Situ.Options.validate!(opts, @options)
     store = if is_struct(path, Store), do: path, else: Store.open!(path, verify: opts[:verify])
-    skip = :atomics.new(1, signed: true)
-    :atomics.put(skip, 1, @nowhere)
 
     %__MODULE__{
       store: store,
       pipeline: p,
-      skip: skip,
+      head: Playhead.new(),
       period: period(store, opts[:loop]),
+      keep_open: opts[:keep_open],
       skip_damage: opts[:skip_damage]
     }
   end
@@ -127,30 +142,43 @@ defmodule Situ.Store.Importer do
   end
 
   @doc """
-  Goes on at `time`: what lies before it is left out, and the pipeline's clock jumps there. Forward only, since originating times increase; a few
-  messages per stream that were already handed to the pipeline still come.
+  Goes on at the recorded `time`, forward or back; the pipeline's clock jumps along, paused or not. A few messages per stream that were
+  already handed to the pipeline still come before. See above for what the times become.
+
+  Errors: `:fixed_clock` when the pipeline runs on the wall clock.
   """
   @spec seek(t(), Situ.Time.t()) :: :ok | {:error, Error.t()}
-  def seek(%__MODULE__{} = importer, time) do
+  def seek(%__MODULE__{} = importer, time) when is_integer(time) do
     clock = Pipeline.clock(importer.pipeline)
 
-    if time < Clock.now(clock) do
+    if clock.kind == :real do
       {:error,
-       Error.new(:cannot_go_back, "a running pipeline cannot go back in time",
-         why: "originating times of a stream only increase",
-         fix: "start it anew with `replay: [interval: {time, :unbounded}]`"
+       Error.new(:fixed_clock, "a pipeline on the wall clock cannot be sought",
+         why: "only replayed (virtual) time can jump",
+         fix: "start it with a replay interval, or with clock: Situ.Clock.virtual(start)"
        )}
     else
-      :atomics.put(importer.skip, 1, time)
-      Clock.jump(clock, time)
+      anew? = importer.period != nil
+      Clock.jump(clock, Playhead.seek(importer.head, Clock.now(clock), time, anew?))
     end
   end
 
-  @doc "Lets the clock, paused or not, jump to the next message of any stream of the store: `{:ok, time}`, or `{:ok, nil}` at the end."
+  @doc "The recorded time that the pipeline's clock stands at. In a loop it goes on counting."
+  @spec position(t()) :: Situ.Time.t()
+  def position(%__MODULE__{} = importer) do
+    {_version, _time, shift} = Playhead.view(importer.head)
+    Clock.now(Pipeline.clock(importer.pipeline)) - shift
+  end
+
+  @doc """
+  Lets the clock, paused or not, jump to the next message of any stream of the store: `{:ok, time}` with its recorded time, or
+  `{:ok, nil}` at the end.
+  """
   @spec step(t()) :: {:ok, Situ.Time.t() | nil} | {:error, Error.t()}
   def step(%__MODULE__{} = importer) do
     clock = Pipeline.clock(importer.pipeline)
-    now = Clock.now(clock)
+    {_version, _time, shift} = Playhead.view(importer.head)
+    now = Clock.now(clock) - shift
 
     next =
       for info <- Store.streams(importer.store),
@@ -158,8 +186,12 @@ defmodule Situ.Store.Importer do
           do: time
 
     case next do
-      [] -> {:ok, nil}
-      times -> with :ok <- Clock.jump(clock, Enum.min(times)), do: {:ok, Enum.min(times)}
+      [] ->
+        {:ok, nil}
+
+      times ->
+        time = Enum.min(times)
+        with :ok <- Clock.jump(clock, time + shift), do: {:ok, time}
     end
   end
 end

@@ -3,7 +3,7 @@ defmodule Situ.Store.Source do
   The component behind `Situ.Store.stream/3`: one stored stream as a source.
 
   Messages come on demand with their recorded envelopes, from the replay's start to its end; with an enforced clock the pipeline delivers each when its
-  originating time has come. A store that is being written is followed until its writer is done.
+  originating time has come. A store that is being written is followed until its writer is done. `Situ.Store.Importer.seek/2` moves it.
   """
   use Situ.Component,
     inputs: [],
@@ -15,7 +15,8 @@ defmodule Situ.Store.Source do
       live: [type: :boolean, default: false]
     ]
 
-  alias Situ.Store.Evolution
+  alias Situ.{Clock, Pipeline}
+  alias Situ.Store.{Evolution, Playhead}
 
   defstruct [
     :importer,
@@ -31,12 +32,13 @@ defmodule Situ.Store.Source do
     shift: 0,
     known: 0,
     envelope: {0, -0x7FFFFFFFFFFFFFFF},
-    skip: nil,
+    sent: {0, -0x7FFFFFFFFFFFFFFF},
+    version: 0,
+    listening: false,
     done: false
   ]
 
   @tag 1
-  @nowhere -0x7FFFFFFFFFFFFFFF
 
   @impl true
   def init(opts) do
@@ -46,8 +48,7 @@ defmodule Situ.Store.Source do
       importer: opts[:importer],
       info: info,
       upgrade: Evolution.upgrade!(info, opts[:type]),
-      live: opts[:live],
-      skip: @nowhere
+      live: opts[:live]
     }
 
     {:ok, state}
@@ -60,8 +61,9 @@ defmodule Situ.Store.Source do
     to = if state.importer.period, do: replay_end, else: earlier(replay_end, state.info.closed)
     {:ok, ordinal} = if from, do: seek(state, from), else: {:ok, 0}
 
-    # The end of a store that is being written comes with its writer's; a loop has none but the replay's.
-    endless? = state.importer.period != nil and replay_end == :unbounded
+    # The end of a store that is being written comes with its writer's; a loop has none but the replay's; a player's is no end.
+    %{period: period, keep_open: keep_open?} = state.importer
+    endless? = keep_open? or (period != nil and replay_end == :unbounded)
     actions = if endless?, do: [{:complete, :infinity}], else: []
     {actions, %{state | from: from, to: to, ordinal: ordinal, last: from || context.start_time}}
   end
@@ -82,39 +84,59 @@ defmodule Situ.Store.Source do
   def handle_demand(_n, _context, %{done: true} = state), do: {[], state}
 
   def handle_demand(n, context, state) do
-    state = skip(state)
+    state = sought(state)
 
-    case state.buffer do
-      [] -> load(n, context, state)
-      _ -> emit(n, state)
-    end
+    {actions, next} =
+      case state.buffer do
+        [] -> load(n, context, state)
+        _ -> emit(n, state)
+      end
+
+    if Playhead.claim(state.importer.head, next.last, state.version),
+      do: {actions, next},
+      else: handle_demand(n, context, state)
   end
 
-  # A seek of the importer.
-  defp skip(state) do
-    case :atomics.get(state.importer.skip, 1) do
-      same when same == state.skip ->
+  # A seek of the importer: within the epoch it only leaves out what lies before; a new epoch starts anywhere.
+  defp sought(%{importer: %{head: head}, version: version} = state) do
+    if Playhead.version(head) == version, do: state, else: sought(state, Playhead.view(head))
+  end
+
+  defp sought(state, {version, time, shift}) do
+    {:ok, ordinal} = seek(state, later(time, state.from))
+    state = %{state | version: version}
+
+    cond do
+      shift != state.shift ->
+        {sequence, creation} = state.sent
+        envelope = {sequence, creation - shift}
+        %{state | shift: shift, ordinal: ordinal, buffer: [], left: 0, envelope: envelope}
+
+      ordinal > state.ordinal - state.left ->
+        %{state | ordinal: ordinal, buffer: [], left: 0}
+
+      true ->
         state
-
-      time ->
-        {:ok, ordinal} = seek(state, time - state.shift)
-        state = %{state | skip: time}
-        at = state.ordinal - state.left
-        if ordinal > at, do: %{state | ordinal: ordinal, buffer: [], left: 0}, else: state
     end
   end
 
-  defp emit(n, state) when n >= state.left do
-    actions = shifted(state.buffer, state.shift)
-    {actions, %{state | buffer: [], left: 0, last: last_time(actions, state.last)}}
-  end
+  defp later(time, nil), do: time
+  defp later(time, from), do: max(time, from)
+
+  defp emit(n, state) when n >= state.left,
+    do: sent(shifted(state.buffer, state.shift), %{state | buffer: [], left: 0})
 
   defp emit(n, state) do
     {now, later} = Enum.split(state.buffer, n)
-    actions = shifted(now, state.shift)
+    sent(shifted(now, state.shift), %{state | buffer: later, left: state.left - n})
+  end
 
-    {actions,
-     %{state | buffer: later, left: state.left - n, last: last_time(actions, state.last)}}
+  defp sent([], state), do: {[], state}
+
+  defp sent(actions, state) do
+    {:out, last} = List.last(actions)
+    envelope = {last.sequence_id, last.creation_time}
+    {actions, %{state | last: last.originating_time, sent: envelope}}
   end
 
   defp shifted(messages, 0), do: for(message <- messages, do: {:out, message})
@@ -129,9 +151,6 @@ defmodule Situ.Store.Source do
        }}
     end
   end
-
-  defp last_time([], last), do: last
-  defp last_time(actions, _last), do: elem(List.last(actions), 1).originating_time
 
   defp load(n, context, %{info: %{id: -1}} = state), do: finish(n, context, state)
 
@@ -189,13 +208,22 @@ defmodule Situ.Store.Source do
     if ordinal < count and not over?, do: load(n, context, again), else: close(state)
   end
 
+  # A player at its end is told of seeks by the clock that jumps.
+  defp finish(_n, context, %{importer: %{keep_open: true}} = state) do
+    if not state.listening, do: Clock.listen(Pipeline.clock(context.pipeline))
+    {[], %{state | listening: true}}
+  end
+
   defp finish(_n, _context, state), do: close(state)
 
   defp close(state), do: {[{:close, :out, state.last}], %{state | done: true}}
 
-  # The replay's end in the recording's own times.
-  defp before(%{to: :unbounded}), do: :unbounded
-  defp before(state), do: state.to - state.shift
+  # The replay's end in the recording's own times. A loop runs until the pipeline's time is over.
+  defp before(%{to: to, importer: %{period: period}} = state)
+       when is_integer(to) and period != nil,
+       do: to - state.shift
+
+  defp before(%{to: to}), do: to
 
   # Nothing more for now: wait to be woken by the writer.
   defp follow(state) do

@@ -1,0 +1,84 @@
+defmodule Situ.Store.Playhead do
+  @moduledoc false
+  # Where the streams of one importer play, shared by their processes: memory, no process.
+  #
+  # An epoch is a stretch of replay in which pipeline time = recorded time + shift. A seek beyond everything handed out so
+  # far stays in the epoch; any other begins a new one behind it, so that originating times go on increasing.
+
+  # Cells: 1 version (odd while a seek is under way), 2 the recorded time sought, 3 the shift, 4 the latest pipeline time
+  # handed out by any stream.
+  @nowhere -0x7FFFFFFFFFFFFFFF
+  @gap 1_000_000
+
+  @type t :: :atomics.atomics_ref()
+  @type view :: {version :: non_neg_integer(), time :: Situ.Time.t(), shift :: integer()}
+
+  @spec new() :: t()
+  def new do
+    cells = :atomics.new(4, signed: true)
+    :atomics.put(cells, 2, @nowhere)
+    :atomics.put(cells, 4, @nowhere)
+    cells
+  end
+
+  @doc "The version: changes with every seek."
+  @spec version(t()) :: non_neg_integer()
+  def version(cells), do: :atomics.get(cells, 1)
+
+  @doc "What was sought last. Waits for a seek that is under way."
+  @spec view(t()) :: view()
+  def view(cells) do
+    version = version(cells)
+    view = {version, :atomics.get(cells, 2), :atomics.get(cells, 3)}
+
+    if rem(version, 2) == 0 and version(cells) == version do
+      view
+    else
+      :erlang.yield()
+      view(cells)
+    end
+  end
+
+  @doc """
+  Asks to hand out messages up to pipeline time `time`; `false` when a seek has come between: then they must not be.
+
+  The claim is noted before the version is read again, and a seek reads the claims after it has changed the version: one
+  of the two sees the other.
+  """
+  @spec claim(t(), Situ.Time.t(), non_neg_integer()) :: boolean()
+  def claim(cells, time, version) do
+    raise_to(cells, time)
+    version(cells) == version
+  end
+
+  defp raise_to(cells, time) do
+    reached = :atomics.get(cells, 4)
+
+    if time > reached and :atomics.compare_exchange(cells, 4, reached, time) != :ok,
+      do: raise_to(cells, time),
+      else: :ok
+  end
+
+  @doc """
+  Goes on at recorded time `time`; answers the pipeline time that is. `now` is the clock; `anew` begins a new epoch in
+  any case.
+  """
+  @spec seek(t(), Situ.Time.t(), Situ.Time.t(), boolean()) :: Situ.Time.t()
+  def seek(cells, now, time, anew) do
+    version = version(cells)
+
+    if rem(version, 2) == 1 or
+         :atomics.compare_exchange(cells, 1, version, version + 1) != :ok do
+      :erlang.yield()
+      seek(cells, now, time, anew)
+    else
+      shift = :atomics.get(cells, 3)
+      reached = max(now, :atomics.get(cells, 4))
+      shift = if anew or time + shift <= reached, do: reached + @gap - time, else: shift
+      :atomics.put(cells, 2, time)
+      :atomics.put(cells, 3, shift)
+      :atomics.put(cells, 1, version + 2)
+      time + shift
+    end
+  end
+end
