@@ -22,7 +22,9 @@ defmodule Fixture do
     "Vad.Speaking" => :boolean,
     "Robot.State" => {:in, [:idle, :moving, :turning]},
     "Speech.Text" => :string,
-    "Speech.Scores" => {:map, :string, :float}
+    "Speech.Scores" => {:map, :string, :float},
+    "Speech.Who" => {:map, :string, :boolean},
+    "Speech.Parts" => Situ.Interval
   }
 
   # The minute in memory, and as a recording on disk.
@@ -164,10 +166,22 @@ defmodule Fixture do
       {"Vad.Speaking", rem(div(s, 5), 2) == 1},
       {"Robot.State", Enum.at([:idle, :moving, :turning], rem(div(s, 4), 3))},
       {"Speech.Text", "word #{s}"},
+      {"Speech.Who", who(s)},
+      {"Speech.Parts", part(s)},
       {"Speech.Scores", %{"go" => s / 60, "stop" => 1 - s / 60}},
       {"<script>hacked=1</script>",
        %{pose: %{x: s * 1.5, name: "<img src=x onerror=window.hacked=1>"}, tags: ["<b>a</b>"]}}
     ]
+  end
+
+  # Ada speaks in every other ten seconds; Bob is there from 20 s to 40 s and never does.
+  defp who(s) when s in 20..39, do: %{"Ada" => rem(div(s, 10), 2) == 0, "Bob" => false}
+  defp who(s), do: %{"Ada" => rem(div(s, 10), 2) == 0}
+
+  # Every second a stretch of its first 600 ms.
+  defp part(s) do
+    t = @t0 + s * 1_000_000_000
+    Situ.Interval.closed(t, t + 600_000_000)
   end
 
   def picture(s) do

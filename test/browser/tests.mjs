@@ -14,12 +14,12 @@ test("2 the page: tree, search, keyboard and themes", async ({ page, shot }) => 
   await page.mouse.move(640, 600);
   await settled(page);
   await shot("studio-dark");
-  equal(await page.$$eval("#tree .node", (n) => n.length), 20, "rows of the tree");
+  equal(await page.$$eval("#tree .node", (n) => n.length), 22, "rows of the tree");
   await page.keyboard.press("/");
   await page.keyboard.type("acc");
   await until(page, () => document.querySelectorAll("#tree .node").length === 4, "the search has narrowed the tree");
   await page.fill("#search", "");
-  await until(page, () => document.querySelectorAll("#tree .node").length === 20, "the tree is whole again");
+  await until(page, () => document.querySelectorAll("#tree .node").length === 22, "the tree is whole again");
   await page.focus("#tree .node");
   for (let i = 0; i < 4; i++) await page.keyboard.press("ArrowDown");
   await page.keyboard.press("ArrowLeft");
@@ -111,6 +111,43 @@ test("3 timelines: waveform, lanes, labels, latency and marks are drawn", async 
   await shot("timelines");
 });
 
+test("3 timelines: maps are lanes and lines with a name each, intervals lie over their span", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  const id = await panelOf(page, "Speech.Who");
+  await page.$eval(`#${id}`, (e) => e.scrollIntoView());
+  await settled(page);
+  const lanes = await page.evaluate((i) => {
+    const v = [...window.situStudio.views].find((w) => w.el.id === i);
+    const c = v.canvas.getContext("2d"), k = (v.el.clientWidth - 90) / 60, r = devicePixelRatio;
+    // how much of a lane is painted at a second: at its middle, and at the height of a body
+    const at = (name, s) => {
+      const row = v.rows.findIndex((q) => v.names.children[v.rows.indexOf(q)].textContent === name);
+      const y = 4 + row * v.row, x = (76 + s * k) * r;
+      const solid = (py) => c.getImageData(x, py * r, 1, 1).data[3] > 40;
+      return solid(y + 3) ? "body" : solid(y + v.row / 2 - 4) ? "line" : "nothing";
+    };
+    return {
+      names: [...v.names.children].map((e) => e.textContent),
+      ada: [at("Who Ada", 6), at("Who Ada", 16), at("Who Ada", 26)],
+      bob: [at("Who Bob", 16), at("Who Bob", 31), at("Who Bob", 46)],
+      spans: v.rows.find((q) => q.l.vis.draw === "spans").l.channel.segments.get("").slice(0, 2),
+      room: v.row,
+    };
+  }, id);
+  for (const name of ["Who Ada", "Who Bob", "Parts"]) ok(lanes.names.includes(name), `${name} is among ${lanes.names}`);
+  equal(lanes.ada, ["body", "line", "body"], "Ada speaks, is silent, speaks");
+  equal(lanes.bob, ["nothing", "line", "nothing"], "Bob comes and goes");
+  equal(lanes.spans.map(([a, b]) => [a, b]), [[0, 0.6 * S], [S, 1.6 * S]], "stretches begin and end where they say");
+  equal(lanes.room, 26, "the panel has room for all lanes");
+  const plot = await panelOf(page, "Speech.Scores");
+  await page.$eval(`#${plot}`, (e) => e.scrollIntoView());
+  await dispatch(page, { type: "cursor", t: 30 * S });
+  await settled(page);
+  const legend = await page.$$eval(`#${plot} .legend-item`, (e) => e.map((i) => [i.dataset.key, Number(i.querySelector("b").textContent)]));
+  equal(legend, [["go", 0.5], ["stop", 0.5]], "a line for each key with its value at the cursor");
+  ok((await count(page, `#${plot} canvas`, [0x4e, 0xa1, 0xf3])) > 300 && (await count(page, `#${plot} canvas`, [0xf0, 0x98, 0x3e])) > 300, "both lines are drawn");
+});
+
 test("3 timelines: zoomed out, the envelope keeps what is between the pixels", async ({ page }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Mic.Level");
@@ -145,11 +182,15 @@ test("4 depth, bars and values", async ({ page }) => {
   await dispatch(page, { type: "cursor", t: 30 * S });
   await settled(page);
   const depth = await panelOf(page, "Kinect.Depth");
-  const left = await pixel(page, `#${depth} canvas`, 0.1, 0.5), right = await pixel(page, `#${depth} canvas`, 0.9, 0.5);
+  const left = await pixel(page, `#${depth} canvas`, 0.3, 0.5), right = await pixel(page, `#${depth} canvas`, 0.7, 0.5);
   ok(left[0] > left[2] && right[2] > right[0], `near is warm, far is cold: ${left} ${right}`);
   await page.hover(`#${depth} canvas`);
   await until(page, (i) => /= \d+/.test(document.querySelector(`#${i} .cell-info`).textContent), "the depth under the mouse is told", depth);
-  const bars = await panelOf(page, "Speech.Scores");
+  await page.click("#tree .node[data-stream='Speech.Scores'] .name");
+  await page.click("button[phx-value-viz='bars']");
+  await until(page, () => document.querySelector(".chart-cell"), "bars are shown");
+  await settled(page);
+  const bars = await page.evaluate(() => document.querySelector(".chart-cell").id);
   ok((await count(page, `#${bars} canvas`, [0x4e, 0xa1, 0xf3])) > 2000, "bars are drawn");
   await page.click("#tree .node[data-stream='Camera.Faces'] .name");
   await page.click("button[phx-value-viz='value']");

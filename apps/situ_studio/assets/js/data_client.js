@@ -3,7 +3,8 @@
 
 import { decode, KIND } from "./wire.js";
 import { want } from "./window.js";
-import { Series } from "./series.js";
+import { Series, keepLines } from "./series.js";
+import { keepMarks, keepSegments } from "./lanes.js";
 
 const RETRY = [100, 250, 500, 1000, 2000, 5000];
 const IDLE_POLL = 1000;
@@ -80,6 +81,7 @@ export class DataClient {
 
   // Sends one request when none is in flight and something is wanted. Called on every change; cheap when idle.
   pump(force = false) {
+    if (this.closed) return;
     if (this.inflight || this.ws?.readyState !== 1) {
       this.again = this.again || force;
       return;
@@ -166,6 +168,7 @@ export class DataClient {
   // While the source grows, ask for its newest extents now and then; in live mode at the picture rate.
   schedule(growing) {
     clearTimeout(this.timer);
+    if (this.closed) return;
     const live = this.time.get().mode === "live";
     const period = live ? LIVE_PERIOD : growing ? IDLE_POLL : KEEP_ALIVE;
     const wait = live ? period - (performance.now() - this.sentAt) : period;
@@ -189,6 +192,7 @@ export class IntervalChannel extends Channel {
     this.px = px;
     this.held = null;
     this.series = new Series();
+    this.lines = new Map();
     this.marks = null;
     this.segments = null;
     this.version = 0;
@@ -216,13 +220,7 @@ export class IntervalChannel extends Channel {
     this.asking = null;
     this.error = f.kind === KIND.error ? f.message : null;
     if (w && !this.error) {
-      const base = client.rel(f.time);
-      if (f.kind === KIND.series) this.series.put(f, base, w.append ? w.from : -Infinity);
-      else if (f.kind === KIND.marks) this.marks = keepMarks(w.append ? this.marks : null, f, base, w.from);
-      else if (f.kind === KIND.segments) {
-        this.segments = keepSegments(w.append ? this.segments : null, f.value, base, w.from);
-      }
-      if (w.append) this.series.trim(w.from - 4 * (w.to - w.from));
+      this.keep(f, client.rel(f.time), w);
       const head = client.time.get().data[1];
       this.held = { from: w.append ? this.held.from : w.from, to: w.to, bin: w.bin, head };
     } else if (this.error) {
@@ -231,27 +229,18 @@ export class IntervalChannel extends Channel {
     this.version++;
     this.accept(this);
   }
-}
 
-function keepMarks(old, f, base, from) {
-  const t = Array.from(f.t, (x) => x + base);
-  const latency = Array.from(f.latency);
-  if (!old) return { t, latency };
-  const keep = old.t.findIndex((x) => x >= from);
-  const n = keep < 0 ? old.t.length : keep;
-  const start = Math.max(0, n - 20000);
-  return { t: old.t.slice(start, n).concat(t), latency: old.latency.slice(start, n).concat(latency) };
-}
-
-// Segments are [start, end, label, class]: offsets in ns; an end of null is open.
-function keepSegments(old, rows, base, from) {
-  const next = rows.map(([a, b, label, cls]) => [a + base, b == null ? Infinity : b + base, label, cls]);
-  if (!old) return next;
-  const first = next.length ? next[0][0] : Infinity;
-  const kept = old.filter(([a]) => a < Math.min(from, first));
-  const last = kept[kept.length - 1];
-  if (last && next.length && last[1] > next[0][0]) last[1] = next[0][0];
-  return kept.slice(-5000).concat(next);
+  // A window takes the place of what was held; one that grew is put at its end.
+  keep(f, base, w) {
+    const from = w.append ? w.from : -Infinity;
+    const forget = w.from - 4 * (w.to - w.from);
+    if (f.kind === KIND.series) {
+      this.series.put(f, base, from);
+      if (w.append) this.series.trim(forget);
+    } else if (f.kind === KIND.lines) this.lines = keepLines(w.append ? this.lines : new Map(), f.lines, base, from, forget);
+    else if (f.kind === KIND.marks) this.marks = keepMarks(w.append ? this.marks : null, f, base, w.from);
+    else if (f.kind === KIND.segments) this.segments = keepSegments(w.append ? this.segments : null, f.value, base, w.from);
+  }
 }
 
 export class InstantChannel extends Channel {

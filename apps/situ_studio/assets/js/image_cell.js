@@ -138,7 +138,8 @@ export class ImageCell {
       const color = seriesColor(l.vis.props?.color, Number.isInteger(id) ? id : l.index + i);
       ctx.strokeStyle = color;
       ctx.strokeRect(px(x), py(y), w * f.k, h * f.k);
-      const text = [label, score == null ? null : number(score, 2)].filter((p) => p != null && p !== "").join("  ");
+      const track = Number.isInteger(id) ? String(id) : null;
+      const text = [label, track, score == null ? null : number(score, 2)].filter((p) => p != null && p !== "").join("  ");
       if (text && l.vis.props?.labels !== false) this.tag(ctx, text, px(x) - 1, py(y), color);
     });
     const color = seriesColor(l.vis.props?.color, l.index);

@@ -1,10 +1,12 @@
 // A timeline panel of rows: booleans, enums, labels and transcripts as segments, messages as marks.
 
-import { GUTTER, FONT, theme, stateColor, seriesColor } from "./theme.js";
-import { ticks } from "./time_text.js";
+import { GUTTER, FONT, theme, stateColor, seriesColor, keyIndex } from "./theme.js";
+import { ticks, duration } from "./time_text.js";
 import { lowerBound } from "./series.js";
+import { laneNames } from "./lanes.js";
 
-export const ROW = 26;
+const ROW = 26;
+const EDGE = 4;
 
 export class LanesPanel {
   constructor(el, app, config) {
@@ -30,15 +32,42 @@ export class LanesPanel {
       return Object.assign(layer, { vis, index });
     });
     for (const l of old.values()) this.app.client.close(l.channel);
+    this.rows = null;
+    this.app.schedule(this);
+  }
+
+  // One row a stream, or one for each key of a stream of maps.
+  layOut() {
+    const rows = this.layers.flatMap((l) =>
+      laneNames(l.channel.segments).map((lane, i) => ({ l, lane, index: keyIndex(lane, i) })));
+    const named = JSON.stringify(rows.map((r) => [r.l.index, r.lane]));
+    if (this.rows && named === this.named) return;
+    this.rows = rows;
+    this.named = named;
     this.names.textContent = "";
-    for (const l of this.layers) {
+    for (const { l, lane } of rows) {
       const name = this.names.appendChild(document.createElement("div"));
       name.className = "lane-name";
-      name.title = l.vis.name;
+      name.title = lane === "" ? l.vis.name : `${l.vis.name}  ${lane}`;
       // cut at the beginning when too long: the end tells lanes apart
-      name.appendChild(document.createElement("bdi")).textContent = l.vis.short ?? l.vis.name;
+      const short = l.vis.short ?? l.vis.name;
+      name.appendChild(document.createElement("bdi")).textContent = lane === "" ? short : `${short} ${lane}`;
     }
-    this.app.schedule(this);
+    this.fit();
+    for (const l of this.layers) {
+      const count = rows.filter((r) => r.l === l).length;
+      if (count > (l.told ?? 1)) this.app.tellLanes(l.vis.stream + (l.vis.path ?? ""), (l.told = count));
+    }
+  }
+
+  // Rows share the height there is.
+  fit() {
+    const room = (this.el.clientHeight - 2 * EDGE + 1) / Math.max(this.rows?.length ?? 1, 1);
+    this.row = Math.max(Math.min(ROW, room), 3);
+    const style = this.names.style;
+    style.setProperty("--row", `${this.row}px`);
+    style.setProperty("--font", `${Math.min(11, this.row)}px`);
+    style.paddingTop = `${EDGE - 4 * Math.min(1, this.row / ROW)}px`;
   }
 
   open(vis) {
@@ -52,11 +81,13 @@ export class LanesPanel {
     if (!w || !h) return;
     this.canvas.width = Math.round(w * devicePixelRatio);
     this.canvas.height = Math.round(h * devicePixelRatio);
+    this.fit();
     this.app.client.pump();
     this.app.schedule(this);
   }
 
   render() {
+    this.layOut();
     const ctx = this.canvas.getContext("2d");
     const t = theme();
     const w = this.el.clientWidth, h = this.el.clientHeight;
@@ -79,28 +110,26 @@ export class LanesPanel {
     ctx.beginPath();
     ctx.rect(GUTTER.left, 0, inner, h);
     ctx.clip();
-    this.layers.forEach((l, i) => {
-      const y = 4 + i * ROW;
-      if (l.channel.error) return this.note(ctx, l.channel.error, y);
-      if (l.vis.draw === "marks") this.marks(ctx, l, x, y, view);
-      else this.segments(ctx, l, x, y, view);
+    this.rows.forEach(({ l, lane, index }, i) => {
+      const at = { y: EDGE + i * this.row, h: Math.max(this.row - 8, 2), x };
+      if (l.channel.error) return this.note(ctx, l.channel.error, at);
+      if (l.vis.draw === "marks") this.marks(ctx, l, view, at);
+      else this.segments(ctx, l.channel.segments?.get(lane) ?? [], view, at, lane === "" ? null : index);
     });
     ctx.restore();
     this.drawn = (this.drawn ?? 0) + 1;
   }
 
-  note(ctx, text, y) {
+  note(ctx, text, { y }) {
     ctx.font = FONT;
     ctx.fillStyle = theme().warn;
     ctx.fillText(text, GUTTER.left + 6, y + 13);
   }
 
-  segments(ctx, l, x, y, view) {
-    const rows = l.channel.segments;
-    if (!rows) return;
+  segments(ctx, rows, view, at, lane) {
     const t = theme();
+    const { x, y, h } = at;
     const end = this.app.time.get().data[1];
-    const h = ROW - 8;
     ctx.font = FONT;
     ctx.textBaseline = "middle";
     let lastPx = -1;
@@ -112,23 +141,23 @@ export class LanesPanel {
       const width = Math.max(right - left, 1.5);
       if (width < 2 && Math.floor(left) === lastPx) continue;
       lastPx = Math.floor(left);
-      const color = stateColor(label, cls);
+      const color = stateColor(label, cls, lane);
+      ctx.fillStyle = color;
       if (cls === "false") {
-        ctx.fillStyle = color;
         ctx.globalAlpha = 0.9;
         ctx.fillRect(left, y + h / 2 - 1, width, 2);
         ctx.globalAlpha = 1;
         continue;
       }
-      ctx.fillStyle = color;
-      ctx.globalAlpha = cls === "text" ? 0.26 : cls === "many" ? 0.35 : 0.85;
+      const soft = cls === "text" || cls === "span";
+      ctx.globalAlpha = soft ? 0.26 : cls === "many" ? 0.35 : 0.85;
       round(ctx, left, y, width - (width > 4 ? 1 : 0), h, Math.min(3, width / 3));
       ctx.fill();
       ctx.globalAlpha = 1;
-      if (cls === "text") {
-        ctx.fillRect(left, y, 2, h);
-      }
-      if (cls !== "true" && width > 18) this.label(ctx, label, left, y, width, h, cls === "text" ? t.text : t.bg);
+      if (soft) ctx.fillRect(left, y, 2, h);
+      if (cls === "true" || cls === "many" || width <= 18 || h < 11) continue;
+      const text = label === "" && cls === "span" ? duration(b - a) : label;
+      this.label(ctx, text, left, y, width, h, soft ? t.text : t.bg);
     }
     ctx.textBaseline = "alphabetic";
   }
@@ -146,10 +175,9 @@ export class LanesPanel {
     ctx.fillText(text, from, y + h / 2 + 0.5);
   }
 
-  marks(ctx, l, x, y, view) {
+  marks(ctx, l, view, { x, y, h }) {
     const m = l.channel.marks;
     if (!m) return;
-    const h = ROW - 8;
     const color = seriesColor(l.vis.props?.color, l.index);
     ctx.fillStyle = color;
     let last = -1;

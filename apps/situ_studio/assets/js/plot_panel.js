@@ -2,9 +2,10 @@
 // uPlot keeps scales, axes and grid; the signals are painted in its draw hook.
 
 import uPlot from "uplot";
-import { GUTTER, FONT, theme, seriesColor } from "./theme.js";
+import { GUTTER, FONT, theme, seriesColor, keyIndex } from "./theme.js";
 import { ticks } from "./time_text.js";
 import { number, valueTicks, paddedRange } from "./number_text.js";
+import { byName } from "./series.js";
 import * as paint from "./paint.js";
 
 // Room above the signals for their names and values.
@@ -40,6 +41,7 @@ export class PlotPanel {
       return layer;
     });
     for (const l of old.values()) this.app.client.close(l.channel);
+    this.named = null;
     this.buildLegend();
     this.app.schedule(this);
   }
@@ -54,21 +56,41 @@ export class PlotPanel {
     return { key, channel, vis };
   }
 
+  // What is drawn: a line for each layer, or for each key of a stream of maps.
+  lines() {
+    return this.layers.flatMap((l) => {
+      if (l.vis.draw !== "lines") return [{ l, name: "", series: l.channel.series }];
+      return [...l.channel.lines].sort(([a], [b]) => byName(a, b)).map(([name, series]) => ({ l, name, series }));
+    });
+  }
+
+  // The legend has an entry for each, and for a stream of which nothing came.
   buildLegend() {
+    const entries = this.lines();
+    for (const l of this.layers) if (!entries.some((e) => e.l === l)) entries.push({ l, name: "", series: null });
+    const named = JSON.stringify(entries.map((e) => [e.l.vis.name, e.name, this.color(e, 0)]));
+    const same = named === this.named;
+    this.named = named;
+    const rows = this.entries;
+    this.entries = entries.map((e, i) => ({ ...e, value: same ? rows[i].value : null, text: same ? rows[i].text : null }));
+    if (same) return;
     this.legend.textContent = "";
-    for (const l of this.layers) {
+    let nth = 0;
+    for (const e of this.entries) {
       const row = this.legend.appendChild(document.createElement("span"));
       row.className = "legend-item";
-      row.dataset.stream = l.vis.stream;
+      row.dataset.stream = e.l.vis.stream;
+      row.dataset.key = e.name;
       const swatch = row.appendChild(document.createElement("i"));
-      swatch.style.background = this.color(l);
-      row.appendChild(document.createElement("span")).textContent = l.vis.name;
-      l.value = row.appendChild(document.createElement("b"));
+      swatch.style.background = this.color(e, nth++);
+      row.appendChild(document.createElement("span")).textContent = e.name === "" ? e.l.vis.name : `${e.l.vis.name} ${e.name}`;
+      e.value = row.appendChild(document.createElement("b"));
     }
   }
 
-  color(l) {
-    return seriesColor(l.vis.props?.color, l.vis.color ?? l.index);
+  color({ l, name }, nth) {
+    const own = l.vis.color ?? l.index;
+    return seriesColor(l.vis.props?.color, name === "" ? own : keyIndex(name, own + nth));
   }
 
   resize() {
@@ -116,7 +138,7 @@ export class PlotPanel {
     const axis = this.config.axis ?? {};
     if (axis.mode === "fixed" && axis.max > axis.min) return [axis.min, axis.max];
     const only = this.layers.length > 0 && this.layers.every((l) => l.vis.draw === "waveform");
-    const extents = this.layers.map((l) => l.channel.series.extent(view[0], view[1]));
+    const extents = this.lines().map((e) => e.series.extent(view[0], view[1]));
     if (this.layers.some((l) => l.vis.draw === "latency")) extents.push([0, 0]);
     const [lo, hi] = paddedRange(extents);
     if (!only) return [lo, hi];
@@ -128,6 +150,7 @@ export class PlotPanel {
   render() {
     if (!this.plot) return;
     const view = this.app.time.get().view;
+    this.buildLegend();
     this.y = this.range(view);
     this.plot.batch(() => {
       this.plot.setScale("x", { min: view[0], max: view[1] });
@@ -149,21 +172,20 @@ export class PlotPanel {
     ctx.beginPath();
     ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
     ctx.clip();
-    for (const l of this.layers) {
-      if (l.vis.props?.visible === false) continue;
-      const color = this.color(l);
-      const s = l.channel.series;
-      if (l.vis.draw === "waveform") paint.wave(ctx, s, view, x, y, { color, ratio });
-      else if (l.vis.draw === "latency") {
-        const threshold = l.vis.props?.threshold_ms ?? 50;
-        paint.stems(ctx, s, view, x, y, { color, warn: theme().warn, threshold, ratio });
+    this.lines().forEach((e, i) => {
+      const { props = {}, draw } = e.l.vis;
+      if (props.visible === false) return;
+      const color = this.color(e, i);
+      if (draw === "waveform") paint.wave(ctx, e.series, view, x, y, { color, ratio });
+      else if (draw === "latency") {
+        paint.stems(ctx, e.series, view, x, y, { color, warn: theme().warn, threshold: props.threshold_ms ?? 50, ratio });
       } else {
-        const { interpolation, width, markers } = l.vis.props ?? {};
-        paint.line(ctx, s, view, x, y, {
+        const { interpolation, width, markers } = props;
+        paint.line(ctx, e.series, view, x, y, {
           color, ratio, width, step: interpolation === "step", points: markers === true,
         });
       }
-    }
+    });
     ctx.restore();
     this.drawn = (this.drawn ?? 0) + 1;
   }
@@ -171,18 +193,18 @@ export class PlotPanel {
   // Values at the cursor, in the legend.
   values() {
     const cursor = this.app.time.get().cursor;
-    for (const l of this.layers) {
-      const s = l.channel.series;
-      const i = s.at(cursor);
+    for (const e of this.entries) {
+      const { l, series: s } = e;
+      const i = s ? s.at(cursor) : -1;
       let text = "";
       if (l.channel.error) text = l.channel.error;
-      else if (i >= 0) {
+      else if (i >= 0 && Number.isFinite(s.last[i])) {
         text = number(s.last[i], 5);
         if (l.vis.draw === "latency") text += " ms";
         else if (l.vis.props?.unit) text += " " + l.vis.props.unit;
       }
-      if (l.text !== text) l.value.textContent = l.text = text;
-      l.value.classList.toggle("bad", !!l.channel.error);
+      if (e.text !== text) e.value.textContent = e.text = text;
+      e.value.classList.toggle("bad", !!l.channel.error);
     }
   }
 
@@ -191,8 +213,7 @@ export class PlotPanel {
   }
 
   themeChanged() {
-    this.buildLegend();
-    for (const l of this.layers) l.text = undefined;
+    this.named = null;
     this.render();
   }
 

@@ -60,6 +60,25 @@ export class Series {
   }
 }
 
+// The lines of one stream of maps, by name; one that ends is kept while some of it can be seen.
+export function keepLines(old, lines, base, from, forget) {
+  const next = new Map(old);
+  for (const line of lines) {
+    const series = next.get(line.name) ?? new Series();
+    series.put(line, base, from);
+    next.set(line.name, series);
+  }
+  for (const [name, s] of next) {
+    s.trim(forget);
+    if (!s.length || s.t[s.length - 1] < forget) next.delete(name);
+  }
+  return next;
+}
+
+// Numbers by size, then the others by name.
+export const byName = (a, b) =>
+  isNaN(a) !== isNaN(b) ? (isNaN(a) ? 1 : -1) : isNaN(a) ? (a < b ? -1 : a > b ? 1 : 0) : a - b;
+
 export function lowerBound(a, x, n = a.length) {
   let lo = 0, hi = n;
   while (lo < hi) {

@@ -291,6 +291,10 @@ export class Studio {
     this.options.push?.("plot_path", { stream, path, kind });
   }
 
+  tellLanes(of, count) {
+    this.options.push?.("lanes", { of, count: Math.min(count, 32) });
+  }
+
   selectPanelOf(target) {
     const panel = target.closest?.("[data-panel]");
     if (panel) this.options.push?.("select_panel", { id: panel.dataset.panel });

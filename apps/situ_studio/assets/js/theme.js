@@ -40,12 +40,16 @@ export function seriesColor(color, index) {
   return t.series[((i % 8) + 8) % 8];
 }
 
-// A stable colour for a state's name.
-export function stateColor(label, cls) {
+// The number of the colour of a key: tracks have the same in every panel.
+export const keyIndex = (name, otherwise) => (/^\d+$/.test(name) ? Number(name) : otherwise);
+
+// A stable colour for a state's name; in lanes of several keys, that of the key.
+export function stateColor(label, cls, lane = null) {
   const t = theme();
+  if (cls === "true" && lane != null) return t.series[lane % 8];
   if (cls === "true") return t.on;
   if (cls === "false") return t.off;
-  if (cls === "text") return t.series[0];
+  if (cls === "text" || cls === "span" || cls === "many") return t.series[(lane ?? 0) % 8];
   let h = 0;
   for (let i = 0; i < label.length; i++) h = (h * 31 + label.charCodeAt(i)) | 0;
   return t.series[Math.abs(h) % 8];

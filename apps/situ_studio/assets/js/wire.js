@@ -3,6 +3,7 @@
 
 export const KIND = {
   series: 1, segments: 2, marks: 3, image: 4, json: 5, none: 6, same: 7, error: 8, pcm: 9,
+  lines: 10,
 };
 export const PIXELS = { jpeg: 1, png: 2, rgba: 3, gray8: 4, gray16: 5, rgb: 6, bgr: 7, bgra: 8 };
 
@@ -44,17 +45,33 @@ export function decode(buffer) {
   return reply;
 }
 
+// Five columns of n: offset from the frame's time in ns, min, max, last, count.
+function columns(buffer, at, n) {
+  const column = (i) => new Float64Array(buffer, at + 8 * n * i, n);
+  return { count: n, t: column(0), min: column(1), max: column(2), last: column(3), n: column(4) };
+}
+
+function lines(buffer, at, count, raw) {
+  const v = new DataView(buffer);
+  const out = [];
+  for (let i = 0; i < count; i++) {
+    const size = v.getUint32(at, true), n = v.getUint32(at + 4, true);
+    const name = text.decode(new Uint8Array(buffer, at + 8, size));
+    at += 8 + ((size + 7) & ~7);
+    out.push({ name, raw, ...columns(buffer, at, n) });
+    at += 40 * n;
+  }
+  return out;
+}
+
 function payload(f, buffer, at) {
   const n = f.count;
   switch (f.kind) {
     case KIND.series:
-      // five columns of n: offset from `time` in ns, min, max, last, count
-      f.t = new Float64Array(buffer, at, n);
-      f.min = new Float64Array(buffer, at + 8 * n, n);
-      f.max = new Float64Array(buffer, at + 16 * n, n);
-      f.last = new Float64Array(buffer, at + 24 * n, n);
-      f.n = new Float64Array(buffer, at + 32 * n, n);
+      return Object.assign(f, columns(buffer, at, n), { raw: (f.flags & 1) === 1 });
+    case KIND.lines:
       f.raw = (f.flags & 1) === 1;
+      f.lines = lines(buffer, at, n, f.raw);
       return f;
     case KIND.marks:
       f.t = new Float64Array(buffer, at, n);

@@ -86,3 +86,18 @@ test("a live window grows in order, whatever happens meanwhile, with one request
   const [from] = time.get().view;
   assert.ok(series.t[0] <= Math.max(from, 0) + 1e7, "the window reaches the left edge");
 });
+
+test("a client that was stopped asks for nothing more, also when an answer was under way", async () => {
+  const server = new Server();
+  const time = createStore();
+  const client = new DataClient({ connect: () => server, time });
+  client.open({ stream: "s", draw: "line" }, () => {}, { px: () => 600 });
+  client.start();
+  await new Promise((r) => setTimeout(r, 20));
+  time.dispatch({ type: "live", on: true });
+  client.pump(true);
+  client.stop();
+  const asked = server.asked.length;
+  await new Promise((r) => setTimeout(r, 150));
+  assert.equal(server.asked.length, asked);
+});

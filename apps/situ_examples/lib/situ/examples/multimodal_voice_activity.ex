@@ -9,13 +9,14 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
   """
   use Situ.Pipeline
 
-  alias Situ.Infer.{Face, MouthShape}
+  alias Situ.Infer.{Face, MouthShape, VoiceActivity}
 
   @impl true
   def build(p, opts) do
     talk = Situ.Media.open(p, opts[:input], audio_format: Situ.AudioFormat.pcm(16_000))
 
-    voice = talk.audio && Situ.Infer.voice(talk.audio)
+    hear = talk.audio && Situ.via(talk.audio, VoiceActivity, [], name: "VoiceActivity")
+    voice = hear && hear.voice
     lips = talk.video && MouthShape.parts(talk.video, policy: opts[:policy])
     speaking = lips && Situ.Infer.who_speaks(lips.mouths, voice)
 
@@ -26,8 +27,15 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
     record.(talk.video && Situ.map(talk.video, &jpeg/1, type: Situ.EncodedImage), "Pictures")
     record.(voice, "Voice")
     record.(voice && Situ.map(voice, & &1.probability, type: :float), "Voice.Probability")
+    record.(hear && hear.segments, "Voice.Segments")
     record.(lips && Situ.map(lips.faces, &rects/1, type: {:list, Situ.Rect}), "Faces")
     record.(lips && lips.mouths, "Mouths")
+
+    record.(
+      lips && Situ.map(lips.mouths, &openings/1, type: {:map, :any, :float}),
+      "Mouths.Opening"
+    )
+
     record.(speaking, "Speaking")
     record.(Situ.Diagnostics.stream(p), "Diagnostics")
     store
@@ -38,5 +46,6 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
     jpeg
   end
 
+  defp openings(mouths), do: Map.new(mouths, fn {id, mouth} -> {id, mouth.opening} end)
   defp rects(faces), do: Enum.map(faces, fn %Face{rect: rect} -> rect end)
 end

@@ -33,7 +33,8 @@ defmodule Situ.Examples.DemoTest do
     first = messages(one)
 
     assert Map.keys(first) |> Enum.sort() ==
-             ~w(Talk.Faces Talk.Mouths Talk.Pictures Talk.Sound Talk.Speaking Talk.Voice Talk.Voice.Probability)
+             ~w(Talk.Faces Talk.Mouths Talk.Mouths.Opening Talk.Pictures Talk.Sound Talk.Speaking) ++
+               ~w(Talk.Voice Talk.Voice.Probability Talk.Voice.Segments)
 
     assert first == messages(two)
 

@@ -2,20 +2,17 @@ defmodule Situ.Studio.Draw do
   @moduledoc """
   From messages to what the page draws: one function per drawing primitive, named as in `Situ.Studio.Visualizers`.
 
-  On the time axis: `line`, `waveform`, `latency` (series), `segments`, `marks`. At the cursor: `image`, `shapes`,
+  On the time axis: `line`, `waveform`, `latency` (series), `lines` (a map's), `segments`, `spans`, `marks`. At the cursor: `image`, `shapes`,
   `value`, `bars`, `text`.
   """
   alias Situ.Studio.{Frame, Path, Source, ValueTree}
-  alias Situ.Studio.Draw.{Bars, Bins, Picture, Segments, Shapes}
+  alias Situ.Studio.Draw.{Bars, Picture, Shapes, Window}
 
   @typedoc "What a channel of the page shows."
   @type spec :: %{stream: String.t(), draw: String.t(), path: Path.t()}
 
-  @interval ~w(line waveform latency segments marks)
+  @interval ~w(line lines waveform latency segments spans marks)
   @instant ~w(image shapes value bars text)
-  @scan 200_000
-  @lane_rows 3_000
-  @mark_rows 20_000
   @max_text 20_000
 
   @doc "Whether a primitive is drawn over an interval or at the cursor."
@@ -33,63 +30,18 @@ defmodule Situ.Studio.Draw do
           Situ.Time.t(),
           pos_integer()
         ) :: Frame.t()
-  def window(source, channel, %{draw: draw, stream: stream} = spec, from, to, bin) do
-    case draw do
-      d when d in ["line", "waveform"] and spec.path == [] ->
-        with_ok(channel, Source.call(source, :series, [stream, from, to, bin]), fn points, raw? ->
-          Frame.series(channel, points, raw?)
-        end)
-
-      "line" ->
-        with_ok(channel, scan(source, spec, from, to), fn points, _ ->
-          {points, raw?} = Bins.fold(points, bin, 1_500)
-          Frame.series(channel, points, raw?)
-        end)
-
-      "latency" ->
-        with_ok(channel, Source.call(source, :marks, [stream, from, to, @mark_rows]), fn rows,
-                                                                                         _ ->
-          points = for {t, latency} <- rows, do: Bins.point(t, latency / 1.0e6)
-          {points, raw?} = Bins.fold(points, bin, 1_500)
-          Frame.series(channel, points, raw?)
-        end)
-
-      "marks" ->
-        with_ok(channel, Source.call(source, :marks, [stream, from, to, @mark_rows]), fn rows,
-                                                                                         all ->
-          Frame.marks(channel, rows, all == :all)
-        end)
-
-      "segments" ->
-        segments(source, channel, spec, from, to)
-
-      _ ->
-        Frame.error(channel, "#{inspect(draw)} is not drawn over time")
+  def window(source, channel, %{draw: draw} = spec, from, to, bin) when draw in @interval do
+    case Window.read(source, spec, from, to, bin) do
+      {:series, points, raw?} -> Frame.series(channel, points, raw?)
+      {:lines, lines, raw?} -> Frame.lines(channel, lines, raw?)
+      {:segments, rows} -> Frame.segments(channel, rows)
+      {:marks, rows, raw?} -> Frame.marks(channel, rows, raw?)
+      {:error, error} -> Frame.error(channel, error.what)
     end
   end
 
-  # The message in force at the window's beginning belongs to it.
-  defp segments(source, channel, %{stream: stream, path: path}, from, to) do
-    before =
-      case Source.call(source, :latest_at, [stream, from - 1]) do
-        {:ok, message} -> [message]
-        _ -> []
-      end
-
-    result = Source.call(source, :messages, [stream, from, to, @lane_rows])
-
-    with_ok(channel, result, fn messages, more ->
-      later =
-        if more == :all do
-          case Source.call(source, :next_after, [stream, to]) do
-            {:ok, next} -> next.originating_time
-            _ -> nil
-          end
-        end
-
-      Frame.segments(channel, Segments.of(before ++ messages, path, later, more))
-    end)
-  end
+  def window(_, channel, %{draw: draw}, _, _, _),
+    do: Frame.error(channel, "#{inspect(draw)} is not drawn over time")
 
   @doc "The frame of the message at the cursor; `last` is what this channel was sent before."
   @spec instant(Source.t(), Frame.channel(), spec(), Situ.Time.t(), term()) ::
@@ -168,20 +120,4 @@ defmodule Situ.Studio.Draw do
   defp type(data) when is_tuple(data), do: "tuple"
   defp type(data) when is_map(data), do: "map"
   defp type(_), do: "term"
-
-  # A part of a message has no pyramid: its messages are read, as many as can be read at once.
-  defp scan(source, %{stream: stream, path: path}, from, to) do
-    with {:ok, messages, more} <- Source.call(source, :messages, [stream, from, to, @scan]) do
-      points =
-        for message <- messages,
-            {:ok, value} <- [Path.fetch(message.data, path)],
-            {:ok, number} <- [Bins.number(value)],
-            do: Bins.point(message.originating_time, number)
-
-      {:ok, points, more}
-    end
-  end
-
-  defp with_ok(_channel, {:ok, a, b}, fun), do: fun.(a, b)
-  defp with_ok(channel, {:error, error}, _fun), do: Frame.error(channel, error.what)
 end

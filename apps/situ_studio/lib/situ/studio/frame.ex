@@ -32,7 +32,7 @@ defmodule Situ.Studio.Frame do
   | kind | payload |
   |---|---|
   | 1 series | five columns of 64-bit floats: time after the base, min, max, last, count |
-  | 2 segments | JSON `[[from, to or null, label, class], ...]`, times after the base |
+  | 2 segments | JSON `[[from, to or null, label, class, lane], ...]`, times after the base; no lane where there is one only |
   | 3 marks | two columns: time after the base, latency in ns |
   | 4 image | width, height, pixel format, 0 (32 bits each), then the bytes: 1 JPEG, 2 PNG, 3 RGBA, 4 gray 8, 5 gray 16 (depth), 6 RGB, 7 BGR, 8 BGRA |
   | 5 json | a value tree, shapes, bars or a text |
@@ -40,6 +40,7 @@ defmodule Situ.Studio.Frame do
   | 7 same | the message sent last on this channel still holds |
   | 8 error | what is wrong, in words |
   | 9 pcm | 32-bit float samples of one channel |
+  | 10 lines | rows of them; of each: bytes of its name, points (32 bits each), the name padded to 8, and columns as of a series; a gap is NaN |
 
       iex> frame = Situ.Studio.Frame.none(7)
       iex> bytes = IO.iodata_to_binary(Situ.Studio.Frame.reply([frame], %{request: 1, from: 0, to: 9, time: 5}))
@@ -47,8 +48,12 @@ defmodule Situ.Studio.Frame do
       {72, 1}
   """
 
+  alias Situ.Studio.Draw.Bins
+
   @version 1
-  @kinds [series: 1, segments: 2, marks: 3, image: 4, json: 5, none: 6, same: 7, error: 8, pcm: 9]
+  @kinds [series: 1, segments: 2, marks: 3, image: 4, json: 5, none: 6, same: 7, error: 8] ++
+           [pcm: 9, lines: 10]
+  @nan <<0, 0, 0, 0, 0, 0, 0xF8, 0x7F>>
   @pixels [jpeg: 1, png: 2, rgba: 3, gray8: 4, gray16: 5, rgb: 6, bgr: 7, bgra: 8]
 
   @type t :: iodata()
@@ -67,33 +72,49 @@ defmodule Situ.Studio.Frame do
     ]
   end
 
-  @doc "A signal: points as of `Situ.Codec`, in time order. `raw?` says that each stands for one message."
-  @spec series(channel(), [Situ.Codec.point()], boolean()) :: t()
+  @doc "A signal: points as of `Situ.Codec`, and gaps, in time order. `raw?` says that each stands for one message."
+  @spec series(channel(), [Bins.point() | Bins.gap()], boolean()) :: t()
   def series(channel, points, raw?) do
     base = first_time(points)
-    n = length(points)
-
-    payload = [
-      for({t, _, _, _, _} <- points, into: <<>>, do: <<t - base::little-float-64>>),
-      for({_, min, _, _, _} <- points, into: <<>>, do: <<min::little-float-64>>),
-      for({_, _, max, _, _} <- points, into: <<>>, do: <<max::little-float-64>>),
-      for({_, _, _, last, _} <- points, into: <<>>, do: <<last::little-float-64>>),
-      for({_, _, _, _, count} <- points, into: <<>>, do: <<count::little-float-64>>)
-    ]
-
-    frame(:series, channel, payload, n, base, bit(raw?, 1))
+    frame(:series, channel, columns(points, base), length(points), base, bit(raw?, 1))
   end
 
-  @doc "Lanes: `{from, to | nil, label, class}` in time order."
-  @spec segments(channel(), [
-          {Situ.Time.t(), Situ.Time.t() | nil, String.t(), String.t()}
-        ]) :: t()
+  @doc "Several signals of one stream, each with its name."
+  @spec lines(channel(), [{String.t(), [Bins.point() | Bins.gap()]}], boolean()) :: t()
+  def lines(channel, lines, raw?) do
+    base = lines |> Enum.map(fn {_, points} -> first_time(points) end) |> Enum.min(fn -> 0 end)
+
+    payload =
+      for {name, points} <- lines do
+        size = byte_size(name)
+        head = <<size::little-32, length(points)::little-32>>
+        [head, name, padding(rem(size, 8)), columns(points, base)]
+      end
+
+    frame(:lines, channel, payload, length(lines), base, bit(raw?, 1))
+  end
+
+  defp columns(points, base) do
+    [
+      for({t, _, _, _, _} <- points, into: <<>>, do: <<t - base::little-float-64>>),
+      for({_, min, _, _, _} <- points, into: <<>>, do: float(min)),
+      for({_, _, max, _, _} <- points, into: <<>>, do: float(max)),
+      for({_, _, _, last, _} <- points, into: <<>>, do: float(last)),
+      for({_, _, _, _, count} <- points, into: <<>>, do: <<count::little-float-64>>)
+    ]
+  end
+
+  defp float(nil), do: @nan
+  defp float(x), do: <<x::little-float-64>>
+
+  @doc "Lanes: `{from, to | nil, label, class, lane}`, lane by lane in time order."
+  @spec segments(channel(), [Situ.Studio.Draw.Segments.t()]) :: t()
   def segments(channel, rows) do
     base = first_time(rows)
 
     json =
-      for {from, to, label, class} <- rows do
-        [from - base, to && to - base, label, class]
+      for {from, to, label, class, lane} <- rows do
+        [from - base, to && to - base, label, class | if(lane == "", do: [], else: [lane])]
       end
 
     frame(:segments, channel, encode(json), length(rows), base)

@@ -52,6 +52,8 @@ defmodule Situ.Studio.Layout do
   @max_vis 32
   @heights %{plot: 116, lanes: 34, image: 320, value: 240, bars: 240, text: 120}
   @lane 26
+  # More share the height of these.
+  @max_lanes 12
 
   @doc "An empty layout."
   @spec new(String.t()) :: t()
@@ -182,13 +184,29 @@ defmodule Situ.Studio.Layout do
     )
   end
 
-  @doc "The height of a line in pixels."
-  @spec height([Panel.t(), ...]) :: pos_integer()
-  def height([%Panel{height: nil, panel: :lanes, vis: vis} | _]), do: length(vis) * @lane + 8
+  @doc """
+  The height of a line in pixels. `lanes` tells how many lanes a stream has, by its name, where there is more than one.
 
-  def height(line) do
+      iex> {:ok, layout, _} = Situ.Studio.Layout.add(Situ.Studio.Layout.new(""), "A", "states", :lanes, "")
+      iex> [line] = Situ.Studio.Layout.lines(layout)
+      iex> {Situ.Studio.Layout.height(line), Situ.Studio.Layout.height(line, %{"A" => 3})}
+      {34, 86}
+  """
+  @spec height([Panel.t(), ...], %{optional(String.t()) => pos_integer()}) :: pos_integer()
+  def height(line, lanes \\ %{})
+
+  def height([%Panel{height: nil, panel: :lanes, vis: vis} | _], lanes) do
+    rows = vis |> Enum.map(&lanes_of(&1, lanes)) |> Enum.sum()
+    min(rows, @max_lanes) * @lane + 8
+  end
+
+  def height(line, _lanes) do
     Enum.find_value(line, & &1.height) || line |> Enum.map(&@heights[&1.panel]) |> Enum.max()
   end
+
+  # Marks of messages are one lane, whatever is in them.
+  defp lanes_of(%Vis{viz: "messages"}, _), do: 1
+  defp lanes_of(%Vis{stream: stream, path: path}, lanes), do: Map.get(lanes, stream <> path, 1)
 
   defp full(what, n) do
     {:error, Error.new(:full, "a #{what} holds at most #{n}", fix: "take something out first")}

@@ -67,6 +67,18 @@ defmodule Situ.Studio.Source do
   @spec call(t(), atom(), list()) :: term()
   def call({module, handle}, function, args), do: apply(module, function, [handle | args])
 
+  @doc "At most `n` messages spread evenly over the time from `from` to `to`, each once."
+  @spec sample(t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) :: [Situ.Message.t()]
+  def sample(source, stream, from, to, n) do
+    for i <- 1..n,
+        {:ok, message} <- [
+          Source.call(source, :latest_at, [stream, from + div((to - from) * i, n)])
+        ],
+        message.originating_time >= from,
+        uniq: true,
+        do: message
+  end
+
   @doc "The message whose originating time is nearest to `time`."
   @spec nearest(t(), String.t(), Situ.Time.t()) ::
           {:ok, Situ.Message.t()} | :none | {:error, Situ.Error.t()}

@@ -3,17 +3,33 @@ defmodule Situ.Studio.StreamInfo do
   What the studio knows about one stream, wherever it comes from, and of which kind of picture it is.
 
   `shape` is the noun a visualizer is chosen by: `:signal`, `:boolean`, `:state` (atoms), `:text`, `:audio`, `:image`,
-  `:depth`, `:shapes` (rectangles and points over pictures), `:bars` (lists or maps of numbers) or `:value` (anything).
+  `:depth`, `:shapes` (rectangles and points over pictures), `:bars` (lists of numbers), `:signals` (maps of numbers),
+  `:states` (maps of booleans, atoms or texts), `:spans` (intervals of time) or `:value` (anything).
 
       iex> Situ.Studio.StreamInfo.shape({:list, Situ.Rect})
       :shapes
       iex> Situ.Studio.StreamInfo.shape({:optional, :float})
       :signal
+      iex> Situ.Studio.StreamInfo.shape({:map, :any, :boolean})
+      :states
       iex> Situ.Studio.StreamInfo.shape_of(%{"a" => 1.5})
-      :bars
+      :signals
   """
+  alias Situ.Studio.Draw.{Bars, Key, Segments, Shapes, Spans}
+
   @enforce_keys [:name, :shape]
-  defstruct [:name, :shape, :type, :first, :last, count: 0, bytes: 0, latency: nil, details: []]
+  defstruct [
+    :name,
+    :shape,
+    :type,
+    :first,
+    :last,
+    count: 0,
+    bytes: 0,
+    latency: nil,
+    keys: [],
+    details: []
+  ]
 
   @type shape ::
           :signal
@@ -25,7 +41,11 @@ defmodule Situ.Studio.StreamInfo do
           | :depth
           | :shapes
           | :bars
+          | :signals
+          | :states
+          | :spans
           | :value
+  @typedoc "`keys` are lanes known of a stream of maps, so that a panel has room for them from the start."
   @type t :: %__MODULE__{
           name: String.t(),
           shape: shape(),
@@ -35,6 +55,7 @@ defmodule Situ.Studio.StreamInfo do
           count: non_neg_integer(),
           bytes: non_neg_integer(),
           latency: number() | nil,
+          keys: [String.t()],
           details: [{String.t(), String.t()}]
         }
 
@@ -54,42 +75,82 @@ defmodule Situ.Studio.StreamInfo do
   def shape({:list, type}) do
     case shape(type) do
       :signal -> :bars
-      :shapes -> :shapes
+      shape when shape in [:shapes, :spans] -> shape
       _ -> :value
     end
   end
 
-  def shape({:map, _key, type}), do: if(shape(type) == :signal, do: :bars, else: :value)
-  def shape(_), do: :value
+  def shape({:map, _key, type}) do
+    case shape(type) do
+      :signal -> :signals
+      shape when shape in [:boolean, :state, :text] -> :states
+      :spans -> :spans
+      _ -> :value
+    end
+  end
 
-  @texts for type <- [
-               :integer,
-               :float,
-               :number,
-               :boolean,
-               :atom,
-               :string,
-               Situ.AudioBuffer,
-               Situ.Image,
-               Situ.EncodedImage,
-               Situ.DepthImage,
-               Situ.Rect,
-               {:list, Situ.Rect},
-               {:list, Situ.Point2},
-               {:list, :float},
-               {:map, :string, :float}
-             ],
-             into: %{},
-             do: {Situ.Type.to_string(type), type}
+  def shape(type) when is_atom(type) and type not in [nil, :any],
+    do: if(Spans.struct?(type), do: :spans, else: :value)
+
+  def shape(_), do: :value
 
   @doc """
   The shape of a type known by its text only, as `Situ.Type.to_string/1` writes it.
 
       iex> Situ.Studio.StreamInfo.shape_of_text("list of Situ.Rect")
       :shapes
+      iex> Situ.Studio.StreamInfo.shape_of_text("map of any to float or nil")
+      :signals
   """
   @spec shape_of_text(String.t()) :: shape()
-  def shape_of_text(text), do: @texts |> Map.get(text) |> shape()
+  def shape_of_text(text), do: text |> read() |> shape()
+
+  @simple ~w(integer float number boolean atom string)
+
+  # Only as much of the type as shapes are told by. Names become atoms only where they are some already.
+  defp read("list of " <> type), do: {:list, read(type)}
+  defp read("one of :" <> _), do: :atom
+  defp read(text) when text in @simple, do: String.to_existing_atom(text)
+
+  defp read("map of " <> rest) do
+    case String.split(rest, " to ", parts: 2) do
+      [_, value] -> {:map, :any, read(value)}
+      _ -> :any
+    end
+  end
+
+  defp read(text) do
+    case String.split(text, " or nil", parts: 2) do
+      [type, ""] when type != "" -> {:optional, read(type)}
+      _ -> String.to_existing_atom("Elixir." <> text)
+    end
+  rescue
+    ArgumentError -> :any
+  end
+
+  @doc """
+  What some messages tell beyond the shape of their declared type: the shape where that is `:value`, and the lanes of maps.
+
+      iex> Situ.Studio.StreamInfo.look_inside(:value, [%{}, %{left: true}, %{right: false}])
+      {:states, ["left", "right"]}
+  """
+  @spec look_inside(shape(), [term()]) :: {shape(), [String.t()]}
+  def look_inside(:value, data) do
+    case data |> Enum.map(&shape_of/1) |> Enum.find(:value, &(&1 != :value)) do
+      :value -> {:value, []}
+      shape -> look_inside(shape, data)
+    end
+  end
+
+  def look_inside(:states, data),
+    do: {:states, data |> Enum.flat_map(&Segments.lanes/1) |> Enum.uniq() |> Key.sort()}
+
+  def look_inside(:spans, data) do
+    lanes = for value <- data, {_, _, _, _, lane} <- Spans.of(value, 0), lane != "", do: lane
+    {:spans, lanes |> Enum.uniq() |> Key.sort()}
+  end
+
+  def look_inside(shape, _), do: {shape, []}
 
   @doc "The shape of a message's data."
   @spec shape_of(term()) :: shape()
@@ -102,10 +163,22 @@ defmodule Situ.Studio.StreamInfo do
   def shape_of(%Situ.EncodedImage{}), do: :image
   def shape_of(%Situ.DepthImage{}), do: :depth
 
-  def shape_of(data) do
+  def shape_of(map) when is_map(map) and not is_struct(map) and map_size(map) > 0 do
+    case map |> Map.values() |> Enum.reject(&is_nil/1) |> Enum.map(&shape_of/1) |> Enum.uniq() do
+      [:signal] -> :signals
+      [shape] when shape in [:boolean, :state, :text] -> :states
+      [:spans] -> :spans
+      _ -> composite(map)
+    end
+  end
+
+  def shape_of(data), do: composite(data)
+
+  defp composite(data) do
     cond do
-      Situ.Studio.Draw.Bars.of(data) != [] -> :bars
-      Situ.Studio.Draw.Shapes.any?(data) -> :shapes
+      Bars.of(data) != [] -> :bars
+      Shapes.any?(data) -> :shapes
+      Spans.of(data, 0) != [] -> :spans
       true -> :value
     end
   end

@@ -41,6 +41,8 @@ defmodule Situ.Studio.Visualizers do
             unit: [type: :text, title: "Unit"]
           ]
 
+  @lines Keyword.delete(@line, :color)
+
   @over @visible ++
           @color ++
           [
@@ -59,7 +61,22 @@ defmodule Situ.Studio.Visualizers do
       shapes: [:audio],
       options: @visible ++ @color ++ [mute: [type: :boolean, title: "Mute", default: false]]
     },
-    %{id: "states", title: "States", panel: :lanes, draw: "segments", shapes: [:boolean, :state]},
+    %{
+      id: "lines",
+      title: "Lines",
+      panel: :plot,
+      draw: "lines",
+      shapes: [:signals],
+      options: @lines
+    },
+    %{
+      id: "states",
+      title: "States",
+      panel: :lanes,
+      draw: "segments",
+      shapes: [:boolean, :state, :states]
+    },
+    %{id: "spans", title: "Intervals", panel: :lanes, draw: "spans", shapes: [:spans]},
     %{id: "labels", title: "Labels", panel: :lanes, draw: "segments", shapes: [:text]},
     %{
       id: "image",
@@ -78,7 +95,14 @@ defmodule Situ.Studio.Visualizers do
       shapes: [:shapes],
       options: @over
     },
-    %{id: "bars", title: "Bars", panel: :bars, draw: "bars", shapes: [:bars], options: @color},
+    %{
+      id: "bars",
+      title: "Bars",
+      panel: :bars,
+      draw: "bars",
+      shapes: [:bars, :signals],
+      options: @color
+    },
     %{id: "text", title: "Text", panel: :text, draw: "text", shapes: [:text]},
     %{
       id: "line",

@@ -114,6 +114,127 @@ defmodule Situ.Studio.DataSessionTest do
               ]}
   end
 
+  defp shown(session, stream, draw, from, to) do
+    {reply, _} =
+      ask(session, %{
+        "open" => [[1, %{"stream" => stream, "draw" => draw}]],
+        "series" => [[1, Integer.to_string(from), Integer.to_string(to), div(to - from, 1_000)]]
+      })
+
+    [frame] = reply.frames
+    frame
+  end
+
+  defp json(text) do
+    {:ok, value} = Situ.JSON.decode(text)
+    value
+  end
+
+  defp put(session, stream, rows) do
+    {_, history} = session.source
+
+    for {{t, data}, i} <- Enum.with_index(rows),
+        do: History.put(history, stream, message(t, data, i), 8)
+  end
+
+  test "maps of states are lanes with names; a key that is gone ends its lane", %{
+    session: session
+  } do
+    put(session, "talk", [
+      {1_100_000_000, %{0 => false}},
+      {1_200_000_000, %{0 => true, 1 => false}},
+      {1_300_000_000, %{1 => false}},
+      {1_400_000_000, %{1 => true}}
+    ])
+
+    assert %{kind: 2, base: base, payload: json} =
+             shown(session, "talk", "segments", 1_150_000_000, 1_500_000_000)
+
+    rows = for [a, b | rest] <- json(json), do: [base + a, b && base + b | rest]
+
+    assert rows == [
+             [1_100_000_000, 1_200_000_000, "false", "false", "0"],
+             [1_200_000_000, 1_300_000_000, "true", "true", "0"],
+             [1_200_000_000, 1_400_000_000, "false", "false", "1"],
+             [1_400_000_000, nil, "true", "true", "1"]
+           ]
+  end
+
+  test "intervals are drawn over their span, also when they began before the window or are told of after it",
+       %{session: session} do
+    put(session, "speech", [
+      {1_200_000_000, %{start: 1_100_000_000, stop: 1_200_000_000, text: "before"}},
+      {1_500_000_000, %{start: 1_300_000_000, stop: 1_500_000_000, text: "begins before"}},
+      {1_900_000_000, %{start: 1_600_000_000, stop: 1_900_000_000, text: "told after"}},
+      {1_950_000_000, %{start: 1_940_000_000, stop: 1_950_000_000, text: "after"}}
+    ])
+
+    assert %{kind: 2, base: 1_300_000_000, payload: json} =
+             shown(session, "speech", "spans", 1_400_000_000, 1_700_000_000)
+
+    assert [
+             [0, 200_000_000, "begins before", "span"],
+             [300_000_000, 600_000_000, "told after", "span"]
+           ] = json(json)
+  end
+
+  test "maps of numbers are lines with names and gaps", %{session: session} do
+    put(session, "opening", [
+      {1_100_000_000, %{"left" => 1.0}},
+      {1_200_000_000, %{"left" => 2.0, "right" => 5.0}},
+      {1_300_000_000, %{"right" => nil}}
+    ])
+
+    assert %{kind: 10, rows: 2, flags: 1, base: 1_100_000_000, payload: payload} =
+             shown(session, "opening", "lines", 1_000_000_000, 1_500_000_000)
+
+    nan = <<0, 0, 0, 0, 0, 0, 0xF8, 0x7F>>
+
+    assert <<4::little-32, 3::little-32, "left", 0::32, left::binary-size(120), rest::binary>> =
+             payload
+
+    assert <<5::little-32, 2::little-32, "right", 0::24, right::binary-size(80)>> = rest
+
+    assert <<+0.0::little-float-64, 1.0e8::little-float-64, 2.0e8::little-float-64, _::binary>> =
+             left
+
+    assert <<1.0::little-float-64, 2.0::little-float-64, ^nan::binary-8>> =
+             binary_part(left, 72, 24)
+
+    assert <<5.0::little-float-64, ^nan::binary-8>> = binary_part(right, 48, 16)
+  end
+
+  test "an hour of states is bounded by what can be told apart", %{session: session} do
+    put(
+      session,
+      "flicker",
+      for(i <- 0..19_999, do: {1_000_000_000 + i * 40_000_000, rem(i, 2) == 0})
+    )
+
+    {reply, _} =
+      ask(session, %{
+        "open" => [[1, %{"stream" => "flicker", "draw" => "segments"}]],
+        "series" => [[1, "0", "900000000000", 1_000_000_000]]
+      })
+
+    assert [%{kind: 2, payload: json}] = reply.frames
+    rows = json(json)
+    assert length(rows) < 10
+    assert Enum.any?(rows, &match?([_, _, "", "many"], &1))
+  end
+
+  test "more messages than can be read at once are a sample of the whole window", %{
+    session: session
+  } do
+    put(session, "long", for(i <- 0..250_000, do: {1_000_000_000 + i * 400_000, i > 125_000}))
+
+    assert %{kind: 2, payload: json} = shown(session, "long", "segments", 0, 102_000_000_000)
+
+    assert [[0, half, "false", "false"], [half, nil, "true", "true"]] = json(json)
+
+    assert_in_delta half, 50_000_000_000, 150_000_000
+  end
+
   test "a picture is sent once while it holds", %{session: session} do
     open = %{"open" => [[3, %{"stream" => "image", "draw" => "image"}]], "instant" => [3]}
     {first, session} = ask(session, Map.put(open, "at", "1250000000"))
@@ -185,7 +306,11 @@ defmodule Situ.Studio.DataSessionTest do
       %{__struct__: Situ.EncodedImage, format: :tiff},
       %{__struct__: NoSuchModule, a: 1},
       [1 | 2],
-      {<<1::3>>, self(), fn -> 1 end}
+      {<<1::3>>, self(), fn -> 1 end},
+      %{start: 5, stop: "x"},
+      %{"a" => [%{start: 1, stop: 0}, :b]},
+      [%{start: 1, stop: 2} | :tail],
+      %{{1, 2} => 3.0, <<255>> => nil, 5 => true}
     ]
 
     for {data, i} <- Enum.with_index(broken), draw <- ~w(image shapes value bars text) do
@@ -196,6 +321,11 @@ defmodule Situ.Studio.DataSessionTest do
       {reply, _} = ask(session, %{"open" => open, "instant" => [1], "at" => "1600000000"})
       assert [%{kind: kind}] = reply.frames
       assert kind in [4, 5, 8], "#{inspect(data)} as #{draw}"
+    end
+
+    for i <- 0..(length(broken) - 1), draw <- ~w(line lines segments spans marks latency) do
+      assert %{kind: kind} = shown(session, "broken#{i}", draw, 1_000_000_000, 2_000_000_000)
+      assert kind in [1, 2, 3, 8, 10], "#{inspect(Enum.at(broken, i))} as #{draw}"
     end
 
     assert {:ok, _} = Source.call(session.source, :streams, [])

@@ -92,7 +92,9 @@ defmodule Situ.Studio.LayoutTest do
   end
 
   test "the automatic layout shows something of any stream, and pictures with their shapes" do
-    shapes = [:signal, :boolean, :state, :text, :audio, :image, :depth, :shapes, :bars, :value]
+    shapes =
+      [:signal, :boolean, :state, :text, :audio, :image, :depth, :shapes, :bars, :value] ++
+        [:signals, :states, :spans]
 
     for shape <- shapes do
       layout = Layout.Auto.layout([%StreamInfo{name: "A.b", shape: shape}])
@@ -110,5 +112,31 @@ defmodule Situ.Studio.LayoutTest do
              for(p <- layout.rows, do: Enum.map(p.vis, & &1.stream))
 
     assert Layout.Auto.layout([]).rows == []
+  end
+
+  test "the automatic layout of a talk: who speaks and when in lanes, openings as lines" do
+    streams = [
+      %StreamInfo{name: "Talk.Pictures", shape: :image},
+      %StreamInfo{name: "Talk.Faces", shape: :shapes},
+      %StreamInfo{name: "Talk.Sound", shape: :audio},
+      %StreamInfo{name: "Talk.Speaking", shape: :states, keys: ["0", "1"]},
+      %StreamInfo{name: "Talk.Voice.Segments", shape: :spans},
+      %StreamInfo{name: "Talk.Mouths.Opening", shape: :signals},
+      %StreamInfo{name: "Talk.Voice.Probability", shape: :signal}
+    ]
+
+    layout = Layout.Auto.layout(streams)
+
+    assert [
+             {:image, ["image", "shapes"]},
+             {:plot, ["waveform"]},
+             {:lanes, ["states", "spans"]},
+             {:plot, ["lines"]},
+             {:plot, ["line"]}
+           ] = for(p <- layout.rows, do: {p.panel, Enum.map(p.vis, & &1.viz)})
+
+    # the page is 720 high, and its bars and the navigator take 118 of it
+    heights = for line <- Layout.lines(layout), do: Layout.height(line, %{"Talk.Speaking" => 2})
+    assert Enum.sum(heights) <= 720 - 118
   end
 end

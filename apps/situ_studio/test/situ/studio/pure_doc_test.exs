@@ -14,4 +14,7 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Draw.Bars
   doctest Situ.Studio.Draw.Bins
   doctest Situ.Studio.Draw.Segments
+  doctest Situ.Studio.Draw.Spans
+  doctest Situ.Studio.Draw.Lines
+  doctest Situ.Studio.Draw.Key
 end

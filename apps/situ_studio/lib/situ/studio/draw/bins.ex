@@ -8,10 +8,30 @@ defmodule Situ.Studio.Draw.Bins do
   """
 
   @type point :: Situ.Codec.point()
+  @type gap :: {Situ.Time.t(), nil, nil, nil, pos_integer()}
 
   @doc "One value at one time."
   @spec point(Situ.Time.t(), number()) :: point()
   def point(time, value), do: {time, value, value, value, 1}
+
+  @doc "Where a line is interrupted."
+  @spec gap(Situ.Time.t()) :: gap()
+  def gap(time), do: {time, nil, nil, nil, 1}
+
+  @doc "Whether a line is interrupted here."
+  @spec gap?(point() | gap()) :: boolean()
+  def gap?(point), do: elem(point, 1) == nil
+
+  @doc "What a line shows of one value: a point, a gap for `nil`, nothing of what is no number."
+  @spec points(Situ.Time.t(), term()) :: [point() | gap()]
+  def points(time, nil), do: [gap(time)]
+
+  def points(time, value) do
+    case number(value) do
+      {:ok, number} -> [point(time, number)]
+      :error -> []
+    end
+  end
 
   @doc "A value as a number to draw: booleans are 0 and 1; what is no number is left out."
   @spec number(term()) :: {:ok, number()} | :error
@@ -21,7 +41,8 @@ defmodule Situ.Studio.Draw.Bins do
   def number(_), do: :error
 
   @doc "At most about `keep` points stay as they are (`true`); more are folded into bins `bin` ns wide (`false`)."
-  @spec fold([point()], pos_integer(), pos_integer()) :: {[point()], raw? :: boolean()}
+  @spec fold([point() | gap()], pos_integer(), pos_integer()) ::
+          {[point() | gap()], raw? :: boolean()}
   def fold(points, bin, keep) do
     if length(points) <= keep, do: {points, true}, else: {fold(points, bin), false}
   end
@@ -29,10 +50,13 @@ defmodule Situ.Studio.Draw.Bins do
   defp fold(points, bin) do
     points
     |> Enum.chunk_by(fn {t, _, _, _, _} -> Integer.floor_div(t, bin) end)
-    |> Enum.map(fn [{t, min, max, last, n} | rest] ->
-      Enum.reduce(rest, {t, min, max, last, n}, fn {_, lo, hi, last, k}, {t, min, max, _, n} ->
-        {t, min(min, lo), max(max, hi), last, n + k}
-      end)
-    end)
+    |> Enum.map(fn [first | rest] -> Enum.reduce(rest, first, &join(&2, &1)) end)
   end
+
+  # A gap shows when there is nothing else in its bin.
+  defp join({t, min, max, last, n}, {_, nil, nil, nil, k}), do: {t, min, max, last, n + k}
+  defp join({t, nil, nil, nil, n}, {_, min, max, last, k}), do: {t, min, max, last, n + k}
+
+  defp join({t, min, max, _, n}, {_, lo, hi, last, k}),
+    do: {t, min(min, lo), max(max, hi), last, n + k}
 end

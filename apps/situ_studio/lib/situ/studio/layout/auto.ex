@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Layout.Auto do
   @moduledoc """
   The layout a recording is first shown with, chosen by the kinds of its streams: pictures with their shapes on top,
-  then sound, states and labels in lanes, then signals, those of one group in one panel.
+  then sound, states, intervals and labels in lanes, maps of numbers as lines, then signals, those of one group in one panel.
 
       iex> audio = %Situ.Studio.StreamInfo{name: "Mic.Audio", shape: :audio}
       iex> level = %Situ.Studio.StreamInfo{name: "Mic.Level", shape: :signal}
@@ -17,6 +17,10 @@ defmodule Situ.Studio.Layout.Auto do
   @lines 4
   @lanes 10
   @sounds 3
+  @maps 3
+  @many 4
+  @small 232
+  @low 92
 
   @doc "The name under which it is offered."
   @spec name() :: String.t()
@@ -33,12 +37,32 @@ defmodule Situ.Studio.Layout.Auto do
     |> pictures(pictures, of.(:shapes))
     |> cells(Enum.take(of.(:bars), 1), "bars", :bars)
     |> each(Enum.take(of.(:audio), @sounds), "waveform", :plot)
-    |> lanes(Enum.take(states(of) ++ for(s <- of.(:text), do: {s, "labels"}), @lanes))
+    |> lanes(of |> laned() |> Enum.take(@lanes))
+    |> each(Enum.take(of.(:signals), @maps), "lines", :plot)
     |> plots(of.(:signal))
     |> fallback(streams)
+    |> fit()
   end
 
-  defp states(of), do: for(s <- of.(:boolean) ++ of.(:state), do: {s, "states"})
+  defp laned(of) do
+    kinds = [boolean: "states", state: "states", states: "states", spans: "spans", text: "labels"]
+    for {shape, viz} <- kinds, s <- of.(shape), do: {s, viz}
+  end
+
+  # Where there is much to see, each takes less room, so that most layouts fit a small screen as a whole.
+  defp fit(layout) do
+    below = Enum.filter(layout.rows, &Layout.timeline?(&1.panel))
+
+    if length(below) < @many do
+      layout
+    else
+      plots = for %{panel: :plot, id: id} <- below, do: {id, @low}
+
+      Enum.reduce([{"r1", @small} | plots], layout, fn {row, px}, l ->
+        Layout.resize(l, row, px)
+      end)
+    end
+  end
 
   # Shapes go over the picture whose name shares most of its beginning.
   defp pictures(layout, [], _), do: layout

@@ -29,9 +29,12 @@ defmodule Situ.Studio.Source.History do
   def streams(%History{streams: streams} = history) do
     infos =
       for {name, type, count, _, first, last, total} <- :ets.tab2list(streams) do
+        {shape, keys} = look_inside(history, name, type, last)
+
         %StreamInfo{
           name: name,
-          shape: shape(history, name, type, last),
+          shape: shape,
+          keys: keys,
           type: Situ.Type.to_string(type),
           first: first,
           last: last,
@@ -45,16 +48,16 @@ defmodule Situ.Studio.Source.History do
     ArgumentError -> gone()
   end
 
-  defp shape(history, name, type, last) do
+  defp look_inside(history, name, type, last) do
     case {StreamInfo.shape(type), last} do
-      {:value, time} when time != nil ->
+      {shape, time} when shape in [:value, :states, :spans] and time != nil ->
         case latest_at(history, name, time) do
-          {:ok, message} -> StreamInfo.shape_of(message.data)
-          _ -> :value
+          {:ok, message} -> StreamInfo.look_inside(shape, [message.data])
+          _ -> {shape, []}
         end
 
       {shape, _} ->
-        shape
+        {shape, []}
     end
   end
 
@@ -76,12 +79,7 @@ defmodule Situ.Studio.Source.History do
     if function_exported?(module, :points, 2), do: module.points(data, time), else: []
   end
 
-  defp points(%{data: data, originating_time: time}) do
-    case Bins.number(data) do
-      {:ok, value} -> [Bins.point(time, value)]
-      :error -> []
-    end
-  end
+  defp points(%{data: data, originating_time: time}), do: Bins.points(time, data)
 
   @impl true
   def messages(%History{messages: table}, stream, from, to, limit) do

@@ -19,6 +19,7 @@ defmodule Situ.Studio.Source.Store do
   @fresh_live_ms 30
   @fresh_ms 1_000
   @samples 2_000
+  @inside 8
 
   @doc "Opens a recording. Called by the process that is to keep it: the table ends with it."
   @spec open(Path.t()) :: {:ok, Source.t()} | {:error, Error.t()}
@@ -90,36 +91,41 @@ defmodule Situ.Studio.Source.Store do
       ]
       |> Enum.filter(&elem(&1, 1))
 
+    {shape, keys} = look_inside(source, info)
+
     %StreamInfo{
       name: info.name,
-      shape: shape(source, info),
+      shape: shape,
       type: Situ.Type.to_string(info.type),
       first: info.first,
       last: info.last,
       count: info.count,
       bytes: info.size,
       latency: Store.StreamInfo.average_latency(info),
+      keys: keys,
       details: details
     }
   end
 
-  # A type that says nothing is known by the first message.
-  defp shape(%__MODULE__{cache: cache} = source, info) do
-    with :value <- StreamInfo.shape(info.type),
-         [] <- :ets.lookup(cache, {:shape, info.name}) do
-      case Store.at(source.store, info, 0) do
-        {:ok, %{data: data}} ->
-          shape = StreamInfo.shape_of(data)
-          :ets.insert(cache, {{:shape, info.name}, shape})
-          shape
-
-        _ ->
-          :value
-      end
-    else
-      [{_, shape}] -> shape
-      shape -> shape
+  # A type that says nothing is known by some of the messages, and so are the lanes of maps.
+  defp look_inside(%__MODULE__{cache: cache} = source, info) do
+    case {StreamInfo.shape(info.type), :ets.lookup(cache, {:inside, info.name})} do
+      {_, [{_, inside}]} -> inside
+      {shape, []} when shape in [:value, :states, :spans] -> look_inside(source, info, shape)
+      {shape, []} -> {shape, []}
     end
+  end
+
+  defp look_inside(_, %{count: 0}, shape), do: {shape, []}
+
+  defp look_inside(source, info, shape) do
+    some =
+      Source.sample({__MODULE__, source}, info.name, info.first, info.last, @inside)
+      |> Enum.map(& &1.data)
+
+    inside = StreamInfo.look_inside(shape, some)
+    if inside != {:value, []}, do: :ets.insert(source.cache, {{:inside, info.name}, inside})
+    inside
   end
 
   defp info(source, name) do
@@ -138,7 +144,7 @@ defmodule Situ.Studio.Source.Store do
     with {:ok, info} <- info(source, name),
          {:ok, n} <- count(source, info, from, to) do
       cond do
-        shape(source, info) == :audio -> summary(source, info, from, to, bins)
+        elem(look_inside(source, info), 0) == :audio -> summary(source, info, from, to, bins)
         n <= bins -> raw(source, info, from, to, n)
         info.type == :boolean -> folded(source, info, from, to, bin)
         true -> summary(source, info, from, to, bins)
@@ -167,9 +173,9 @@ defmodule Situ.Studio.Source.Store do
   defp one(_), do: []
 
   defp points(messages) do
-    for message <- messages, {:ok, value} <- [Bins.number(message.data)] do
-      Bins.point(message.originating_time, value)
-    end
+    for message <- messages,
+        point <- Bins.points(message.originating_time, message.data),
+        do: point
   end
 
   defp summary(source, info, from, to, bins) do

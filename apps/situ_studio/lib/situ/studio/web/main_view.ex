@@ -8,6 +8,7 @@ defmodule Situ.Studio.Web.MainView do
   alias Situ.Studio.Web.{Address, Chrome, Edit, Panels, Side}
 
   @max_rows 400
+  @max_lanes 32
 
   @impl true
   def mount(params, session, socket) do
@@ -25,6 +26,7 @@ defmodule Situ.Studio.Web.MainView do
         layout_dir: settings.layouts,
         query: "",
         closed: MapSet.new(),
+        seen_lanes: %{},
         selected: nil,
         snap: nil,
         dialog: nil,
@@ -53,9 +55,16 @@ defmodule Situ.Studio.Web.MainView do
     assign(socket,
       infos: streams,
       shapes: Map.new(streams, &{&1.name, &1.shape}),
+      lanes: lanes(streams, socket.assigns.seen_lanes),
       names: Situ.JSON.encode(Enum.map(names, &valid/1)),
       sources: Enum.map(Catalog.list(socket.assigns.studio), &entry/1)
     )
+  end
+
+  # What the streams were known to have, and what the page has met since.
+  defp lanes(streams, seen) do
+    known = for %{keys: [_ | _] = keys} = s <- streams, into: %{}, do: {s.name, length(keys)}
+    Map.merge(known, seen, fn _, a, b -> max(a, b) end)
   end
 
   defp valid(name), do: if(String.valid?(name), do: name, else: inspect(name))
@@ -91,6 +100,18 @@ defmodule Situ.Studio.Web.MainView do
     first? = socket.assigns.infos == []
     socket = load_streams(socket)
     {:noreply, if(first?, do: choose_layout(socket, %{}), else: socket)}
+  end
+
+  def handle_event("lanes", %{"of" => of, "count" => n}, socket)
+      when is_binary(of) and n in 1..@max_lanes do
+    shown = for panel <- socket.assigns.layout.rows, v <- panel.vis, do: v.stream <> v.path
+
+    if of in shown do
+      seen = Map.update(socket.assigns.seen_lanes, of, n, &max(&1, n))
+      {:noreply, assign(socket, seen_lanes: seen, lanes: lanes(socket.assigns.infos, seen))}
+    else
+      {:noreply, socket}
+    end
   end
 
   def handle_event("search", %{"query" => query}, socket),
@@ -207,7 +228,7 @@ defmodule Situ.Studio.Web.MainView do
       <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""} read_only={@read_only} pipeline={pipeline(@item, @infos)} />
       <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query} selected={@selected} names={@names} />
       <main class="centre">
-        <Panels.stack layout={@layout} selected={@selected} shapes={@shapes} extra={@extra} />
+        <Panels.stack layout={@layout} selected={@selected} shapes={@shapes} extra={@extra} lanes={@lanes} />
       </main>
       <Side.right selected={@selected} stream={@stream} panel={@panel} shapes={@shapes} extra={@extra} snap={@snap} />
       <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} />

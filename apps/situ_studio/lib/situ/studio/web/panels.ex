@@ -9,13 +9,14 @@ defmodule Situ.Studio.Web.Panels do
   attr(:selected, :any, required: true)
   attr(:shapes, :map, required: true)
   attr(:extra, :list, required: true)
+  attr(:lanes, :map, required: true)
 
   @doc false
   def stack(assigns) do
     ~H"""
     <div class="stack" id="stack" phx-hook="Drop">
       <div id="navigator" class="navigator" phx-hook="Navigator" phx-update="ignore" aria-label="Time navigator"></div>
-      <.line :for={line <- Layout.lines(@layout)} :key={row_id(line)} line={line} selected={@selected} shapes={@shapes} extra={@extra} />
+      <.line :for={line <- Layout.lines(@layout)} :key={row_id(line)} line={line} selected={@selected} shapes={@shapes} extra={@extra} lanes={@lanes} />
       <div :if={@layout.rows == []} class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
     </div>
     """
@@ -25,7 +26,7 @@ defmodule Situ.Studio.Web.Panels do
     assigns = assign(assigns, :panel, panel)
 
     ~H"""
-    <section class={["row-box timeline", @selected == {:panel, @panel.id} && "selected"]} id={"row-" <> @panel.id} data-row={@panel.id} data-panel={@panel.id} style={"height: #{Layout.height(@line)}px"}>
+    <section class={["row-box timeline", @selected == {:panel, @panel.id} && "selected"]} id={"row-" <> @panel.id} data-row={@panel.id} data-panel={@panel.id} style={"height: #{Layout.height(@line, @lanes)}px"}>
       <div id={"body-" <> @panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore" data-kind={@panel.panel} data-config={config(@panel, @shapes, @extra)}></div>
       <.tools panel={@panel} row={@panel.id} />
       <div class="resize" id={"resize-" <> @panel.id} phx-hook="Resize" tabindex="0" role="separator" aria-label="height"></div>
@@ -35,7 +36,7 @@ defmodule Situ.Studio.Web.Panels do
 
   defp line(assigns) do
     ~H"""
-    <section class="row-box cells" id={"row-" <> row_id(@line)} data-row={row_id(@line)} style={"height: #{Layout.height(@line)}px"}>
+    <section class="row-box cells" id={"row-" <> row_id(@line)} data-row={row_id(@line)} style={"height: #{Layout.height(@line, @lanes)}px"}>
       <div :for={panel <- @line} :key={panel.id} id={"cell-" <> panel.id} class={["cell", @selected == {:panel, panel.id} && "selected"]} data-panel={panel.id}>
         <div class="cell-head">
           <button class="title" type="button" phx-click="select_panel" phx-value-id={panel.id} title={names(panel)}>{names(panel)}</button>

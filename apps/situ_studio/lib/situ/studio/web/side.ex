@@ -51,8 +51,9 @@ defmodule Situ.Studio.Web.Side do
   defp kind(:audio), do: "audio"
   defp kind(shape) when shape in [:image, :depth], do: "image"
   defp kind(:shapes), do: "shape"
-  defp kind(shape) when shape in [:boolean, :state], do: "state"
-  defp kind(:text), do: "text"
+  defp kind(shape) when shape in [:signals, :bars], do: "signal"
+  defp kind(shape) when shape in [:boolean, :state, :states], do: "state"
+  defp kind(shape) when shape in [:text, :spans], do: "text"
   defp kind(_), do: ""
 
   defp rate(%{count: count, first: first, last: last})
@@ -100,6 +101,7 @@ defmodule Situ.Studio.Web.Side do
       <dt>Size</dt><dd>{bytes(@stream.bytes)}</dd>
       <dt :if={@stream.first}>First</dt><dd :if={@stream.first}>{clock(@stream.first)}</dd>
       <dt :if={@stream.last}>Last</dt><dd :if={@stream.last}>{clock(@stream.last)}</dd>
+      <dt :if={@stream.keys != []}>Lanes</dt><dd :if={@stream.keys != []}>{Enum.join(@stream.keys, ", ")}</dd>
       <dt :if={@stream.latency}>Latency, mean</dt><dd :if={@stream.latency}>{Situ.Time.format_duration(round(@stream.latency))}</dd>
       <div :for={{name, value} <- @stream.details} style="display: contents"><dt>{name}</dt><dd>{value}</dd></div>
     </dl>

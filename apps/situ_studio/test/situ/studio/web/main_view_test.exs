@@ -139,6 +139,24 @@ defmodule Situ.Studio.Web.MainViewTest do
     assert Page.count(page, "#tree .node") == 7
   end
 
+  test "a panel has room for the lanes that are known, and for those the page meets", context do
+    message = %Situ.Message{data: %{"a" => true, "b" => false}, originating_time: 2_000}
+    History.put(context.history, "Who", message, 8)
+    page = open(context.studio)
+    height = fn -> Page.attribute(page, "[data-panel=p2]", "style") end
+    # a lane for Mic.Loud, two for Who
+    assert height.() == "height: #{3 * 26 + 8}px"
+    Page.event(page, "lanes", %{"of" => "Who", "count" => 4})
+    assert height.() == "height: #{5 * 26 + 8}px"
+
+    for {of, n} <- [{"Who", 1}, {"None", 9}, {"Who", 99}, {"Who", "x"}, {7, 1}] do
+      Page.event(page, "lanes", %{"of" => of, "count" => n})
+      assert height.() == "height: #{5 * 26 + 8}px"
+    end
+
+    assert edit(page) == ""
+  end
+
   test "read only refuses to write", %{tmp_dir: dir} = context do
     id = context.studio <> " read only"
 
