@@ -10,11 +10,11 @@ defmodule Situ.Connector do
       iex> {:ok, target} = Situ.Pipeline.start(fn p ->
       ...>   p |> Situ.Connector.receive(connector) |> Situ.each(&send(me, {:got, &1}))
       ...> end, [])
-      iex> :ok = Situ.Connector.await_open(connector, 1_000)
+      iex> :ok = Situ.Connector.await_open(connector, :infinity)
       iex> {:ok, _} = Situ.Pipeline.run(fn p ->
       ...>   p |> Situ.source(Situ.Connector.Once, data: 42) |> Situ.Connector.send(connector)
       ...> end)
-      iex> receive do {:got, n} -> n after 1_000 -> :nothing end
+      iex> receive do {:got, n} -> n end
       42
       iex> {:ok, _report} = Situ.Pipeline.stop(target)
       iex> :closed

@@ -70,7 +70,7 @@ defmodule Situ.GenStageTest do
 
     assert_receive {:asked, _}
     Process.exit(producer, :kill)
-    assert {:ok, _} = Pipeline.await(p, 5_000)
+    assert {:ok, _} = Pipeline.await(p, 30_000)
   end
 
   test "stopping the pipeline cancels the subscription" do
@@ -92,10 +92,13 @@ defmodule Situ.GenStageTest do
   end
 
   test "a consumer gets what it asks for, never more, and then the closing mark" do
+    # The clock waits until the consumer is there.
+    clock = Situ.Clock.manual(0)
+
     {:ok, p} =
       Pipeline.start(
         fn p -> p |> Situ.source(Count, [count: 10, interval: 20_000_000], name: "C") end,
-        gate()
+        pipeline: [clock: clock]
       )
 
     {:ok, {pid, opts}} = Situ.GenStage.subscription(p, "C")
@@ -103,12 +106,13 @@ defmodule Situ.GenStageTest do
     send(pid, {:"$gen_producer", {self(), ref}, {:subscribe, nil, [max_demand: 3] ++ opts}})
     refute_received {:"$gen_consumer", _, _}
     send(pid, {:"$gen_producer", {self(), ref}, {:ask, 3}})
+    Situ.Clock.advance(clock, 1_000_000_000)
     got = events(pid, ref, 3)
     send(pid, {:"$gen_producer", {self(), ref}, {:ask, 100}})
     got = got ++ events(pid, ref, :closed)
     data = Enum.map(got, & &1.data)
     assert data == Enum.to_list(hd(data)..9)
-    Pipeline.await(p, 1_000)
+    Pipeline.await(p, 30_000)
   end
 
   test "an unknown output is refused with a reason; a cancel is answered" do
@@ -127,9 +131,6 @@ defmodule Situ.GenStageTest do
     {:ok, _} = Pipeline.stop(p)
   end
 
-  # In real time, 20 ms apart, so that the consumer is there before the end.
-  defp gate, do: []
-
   defp events(pid, ref, n), do: events(pid, ref, n, [])
   defp events(_pid, _ref, 0, acc), do: acc
 
@@ -141,7 +142,7 @@ defmodule Situ.GenStageTest do
       {:"$gen_consumer", {^pid, ^ref}, list} when is_list(list) ->
         events(pid, ref, less(n, length(list)), acc ++ list)
     after
-      5_000 -> flunk("no more events after #{length(acc)}")
+      30_000 -> flunk("no more events after #{length(acc)}")
     end
   end
 

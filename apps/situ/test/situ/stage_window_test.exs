@@ -41,7 +41,7 @@ defmodule Situ.StageWindowTest do
         pipeline: [replay: [speed: :max]]
       )
 
-    assert_receive {:stuck, consumer}, 10_000
+    assert_receive {:stuck, consumer}
     assert_receive {:made, source, 1}
     at_rest(source, nil)
     made = last_made(0)

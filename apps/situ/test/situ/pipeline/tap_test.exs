@@ -59,7 +59,7 @@ defmodule Situ.Pipeline.TapTest do
     {:ok, _} = Situ.tap({p, "Ten"}, fn _ -> receive do: (:never -> :ok) end, [])
     {:ok, _} = Situ.tap({p, "Ten"}, &send(me, {:seen, &1.data}), [])
     post(c, [1])
-    assert_receive {:seen, 20}, 2_000
+    assert_receive {:seen, 20}
     post(c, Enum.to_list(3..21//2), 10)
     for n <- 3..21//2, do: assert_receive({:seen, seen} when seen == (n + 1) * 10)
   end
