@@ -9,10 +9,8 @@ defmodule Situ.Diagnostics do
       iex> {node.path, node.kind, node.state}
       {"Empty", :source, :closed}
   """
-  alias Situ.Diagnostics.{Edge, Node, Process, Snapshot}
-  alias Situ.{Delivery, Graph, Type}
-  alias Situ.Graph.Vertex
-  alias Situ.Stage.{Counters, Tally}
+  alias Situ.Diagnostics.{Snapshot, Window}
+  alias Situ.Graph
 
   @doc """
   The Diagnostics stream of the pipeline being built: a snapshot every `interval:` ns (default 100 ms). Asked for twice it is the
@@ -46,74 +44,9 @@ defmodule Situ.Diagnostics do
     Map.merge(default, graph.stream_names)
   end
 
-  @doc false
-  # `view` is what the server knows: graph, plan, pids, counters, tallies and which stages have closed.
-  @spec snapshot(map()) :: Snapshot.t()
-  def snapshot(view) do
-    place = places(view.stages)
-
-    %Snapshot{
-      pipeline: view.name,
-      state: view.state,
-      time: view.time,
-      start_time: view.start_time,
-      progress: view.progress,
-      scopes: view.graph.scopes |> Map.keys() |> Enum.sort_by(&{String.length(&1), &1}),
-      nodes:
-        view.graph.vertices
-        |> Map.values()
-        |> Enum.sort_by(& &1.id)
-        |> Enum.map(&node(&1, view, place)),
-      edges:
-        view.graph.edges
-        |> Map.values()
-        |> Enum.sort_by(& &1.id)
-        |> Enum.map(&edge(&1, view, place)),
-      processes: view.stages |> Enum.sort_by(& &1.id) |> Enum.map(&process/1)
-    }
-  end
-
-  @doc """
-  The snapshot as a compact table, for iex.
-  """
+  @doc "The snapshot as a compact table, for iex; means are of the last averaging span."
   @spec format(Snapshot.t()) :: String.t()
-  def format(%Snapshot{} = snapshot) do
-    paths = Map.new(snapshot.nodes, &{&1.id, &1.path})
-    head = "#{snapshot.pipeline}  #{snapshot.state}  #{percent(snapshot.progress)}"
-
-    rows =
-      for edge <- snapshot.edges, edge.kind == :process do
-        [
-          "#{paths[edge.from]} -> #{paths[edge.to]}",
-          edge.policy,
-          "#{edge.processed}",
-          "#{edge.queue}#{if edge.throttled, do: "!", else: ""}",
-          "#{edge.dropped}",
-          Situ.Time.format_duration(edge.latency_mean),
-          Situ.Time.format_duration(edge.latency_p99)
-        ]
-      end
-
-    processes =
-      for process <- snapshot.processes do
-        [
-          Enum.join(process.nodes, " | "),
-          process.status,
-          "#{process.mailbox}",
-          "#{div(process.memory, 1024)} KiB",
-          process.busy_in
-        ]
-      end
-
-    Enum.join(
-      [
-        head,
-        table([~w(edge policy done queue dropped mean p99) | rows]),
-        table([~w(process status mailbox memory in) | processes])
-      ],
-      "\n\n"
-    )
-  end
+  defdelegate format(snapshot), to: Situ.Diagnostics.Table
 
   @doc false
   # The live table of Situ.inspect/2: printed again every `ms` until the pipeline has ended.
@@ -131,125 +64,58 @@ defmodule Situ.Diagnostics do
     end
   end
 
-  defp percent(progress), do: "#{round(progress * 100)} %"
+  @doc "`part` in percent of `whole`; 0.0 of nothing."
+  @spec percent(number(), number()) :: float()
+  def percent(_part, whole) when whole <= 0, do: 0.0
+  def percent(part, whole), do: part * 100 / whole
 
-  defp table(rows) do
-    widths =
-      rows |> Enum.zip_with(fn column -> column |> Enum.map(&String.length/1) |> Enum.max() end)
+  @doc "A window's count as so many per second."
+  @spec rate(number(), Window.t()) :: float()
+  def rate(_n, %Window{span: 0}), do: 0.0
+  def rate(n, %Window{span: span}), do: n * 1.0e9 / span
 
-    Enum.map_join(rows, "\n", fn row ->
-      row
-      |> Enum.zip(widths)
-      |> Enum.map_join("  ", fn {cell, w} -> String.pad_trailing(cell, w) end)
-    end)
-  end
+  @doc """
+  A snapshot, or the connections of it for which `which?` is true, in a few numbers: how many of everything there are, what
+  went over the connections (in all and in the window), and the ids of those whose producer waits. Connections inside a
+  process have no queue and do not count.
 
-  defp places(stages) do
-    for stage <- stages, {vertex, index} <- Enum.with_index(stage.vertices), into: %{} do
-      {vertex.id, {stage, index}}
-    end
-  end
+      iex> {:ok, report} = Situ.Pipeline.run(fn p ->
+      ...>   p |> Situ.Generator.range(0, 10, 1) |> Situ.each(& &1, policy: Situ.Delivery.max_queue(100))
+      ...> end)
+      iex> summary = Situ.Diagnostics.summary(report.snapshot)
+      iex> {summary.nodes, summary.edges, summary.emitted, summary.processed_percent, summary.throttled}
+      {2, 1, 10, 100.0, []}
+      iex> Situ.Diagnostics.summary(report.snapshot, &(&1.policy == "latest")).edges
+      0
+  """
+  @spec summary(Snapshot.t(), (Situ.Diagnostics.Edge.t() -> boolean())) :: map()
+  def summary(%Snapshot{} = snapshot, which? \\ fn _ -> true end) do
+    edges = Enum.filter(snapshot.edges, &(&1.kind == :process and which?.(&1)))
+    total = fn of -> edges |> Enum.map(of) |> Enum.sum() end
+    emitted = total.(& &1.emitted)
+    recent = total.(& &1.window.emitted)
 
-  defp node(%Vertex{} = vertex, view, place) do
-    {stage, index} = Map.get(place, vertex.id, {nil, 0})
-    tally = if stage, do: Tally.read(stage.tally, index), else: %{}
-
-    struct!(
-      %Node{
-        id: vertex.id,
-        path: vertex.path,
-        scope: vertex.scope,
-        module: if(vertex.module == :operator, do: "Operator", else: inspect(vertex.module)),
-        kind: kind(vertex),
-        state: node_state(stage),
-        process: stage && stage.id,
-        description: stage && Map.get(view.descriptions, stage.id),
-        inputs: Enum.map(vertex.inputs, &port(&1, nil)),
-        outputs: Enum.map(vertex.outputs, &port(&1, stream_name(view.graph, vertex, elem(&1, 0))))
-      },
-      tally
-    )
-  end
-
-  defp node_state(nil), do: :running
-  defp node_state(stage), do: stage.state
-
-  defp kind(%Vertex{module: Situ.Pipeline.Tap.Sink}), do: :tap
-  defp kind(%Vertex{module: :operator}), do: :operator
-  defp kind(vertex), do: if(Vertex.source?(vertex), do: :source, else: :component)
-
-  defp port({name, port}, stream),
-    do: %{name: Atom.to_string(name), type: Type.to_string(port.type), stream: stream}
-
-  defp stream_name(graph, vertex, output) do
-    case Enum.find(graph.stream_names, fn {_, port} -> port == {vertex.id, output} end) do
-      {name, _} -> name
-      nil -> Graph.stream_name(vertex.path, output, vertex.outputs)
-    end
-  end
-
-  defp edge(edge, view, place) do
-    {from, output} = edge.from
-    {to, input} = edge.to
-
-    base = %Edge{
-      id: edge.id,
-      from: from,
-      from_output: Atom.to_string(output),
-      to: to,
-      to_input: Atom.to_string(input),
-      policy: Delivery.name(edge.policy)
+    %{
+      nodes: length(snapshot.nodes),
+      sources: Enum.count(snapshot.nodes, &(&1.kind == :source)),
+      composites: length(snapshot.scopes),
+      inputs: snapshot.nodes |> Enum.map(&length(&1.inputs)) |> Enum.sum(),
+      outputs: snapshot.nodes |> Enum.map(&length(&1.outputs)) |> Enum.sum(),
+      processes: length(snapshot.processes),
+      edges: length(edges),
+      queued: total.(& &1.queue),
+      queued_mean: total.(&(&1.window.queue || 0.0)),
+      emitted: emitted,
+      processed: total.(& &1.processed),
+      processed_percent: percent(total.(& &1.processed), emitted),
+      dropped: total.(& &1.dropped),
+      dropped_percent: percent(total.(& &1.dropped), emitted),
+      window_emitted: recent,
+      window_processed: total.(& &1.window.processed),
+      window_processed_percent: percent(total.(& &1.window.processed), recent),
+      window_dropped: total.(& &1.window.dropped),
+      window_dropped_percent: percent(total.(& &1.window.dropped), recent),
+      throttled: for(%{throttled: true, id: id} <- edges, do: id)
     }
-
-    case Map.fetch(view.counters, edge.id) do
-      {:ok, counters} -> struct!(base, Counters.read(counters))
-      :error -> inline(base, view, place, from)
-    end
-  end
-
-  # Inside a chain there is no queue: what entered the chain is what there is to tell.
-  defp inline(base, view, place, from) do
-    with {stage, _} <- Map.get(place, from, nil),
-         %{id: entry} <-
-           Enum.find(Map.values(view.graph.edges), &(elem(&1.to, 0) == hd(stage.vertices).id)),
-         %{^entry => counters} <- view.counters do
-      read = Counters.read(counters)
-
-      struct!(
-        base,
-        Map.merge(read, %{
-          kind: :inline,
-          emitted: read.processed,
-          queue: 0,
-          dropped: 0,
-          throttled: false
-        })
-      )
-    else
-      _ -> %{base | kind: :inline}
-    end
-  end
-
-  defp process(stage) do
-    paths = Enum.map(stage.vertices, & &1.path)
-    keys = [:memory, :message_queue_len, :reductions, :status, :current_function]
-
-    case stage.pid && Elixir.Process.info(stage.pid, keys) do
-      nil ->
-        %Process{number: stage.id, nodes: paths, status: "ended"}
-
-      info ->
-        {module, function, arity} = info[:current_function] || {:none, :none, 0}
-
-        %Process{
-          number: stage.id,
-          nodes: paths,
-          memory: info[:memory],
-          mailbox: info[:message_queue_len],
-          reductions: info[:reductions],
-          status: Atom.to_string(info[:status]),
-          busy_in: Exception.format_mfa(module, function, arity)
-        }
-    end
   end
 end

@@ -14,7 +14,17 @@ defmodule Situ.Pipeline do
     diagnostics: [
       type: {:or, [:boolean, :keyword]},
       default: false,
-      doc: "Adds the Diagnostics stream."
+      doc: "Adds the Diagnostics stream (`interval:` ns between snapshots, default 100 ms)."
+    ],
+    averaging: [
+      type: :pos_integer,
+      default: 1_000_000_000,
+      doc: "The span of the windowed statistics in diagnostics, ns."
+    ],
+    message_sizes: [
+      type: :boolean,
+      default: false,
+      doc: "Weighs every message for diagnostics: cheap for binaries, costly for large terms."
     ],
     stop_timeout: [
       type: :pos_integer,

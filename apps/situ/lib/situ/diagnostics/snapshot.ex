@@ -76,6 +76,47 @@ defmodule Situ.Diagnostics.Node do
         }
 end
 
+defmodule Situ.Diagnostics.Window do
+  @moduledoc """
+  What went over a connection in the last averaging span (`averaging:` among the pipeline's settings, default 1 s).
+
+    * `span`: how long the window really is, ns of the pipeline's clock: up to half a span more than asked for, less just
+      after the start
+    * `emitted`, `processed`, `dropped`: counts
+    * `created`, `posted`, `latency`: mean ages of messages when they were made, handed to the queue and taken, ns
+    * `handling`: mean time in the consumer, ns; `queue`: mean length left when a message was taken; `size`: mean bytes
+
+  A mean of nothing is `nil`.
+
+      iex> window = %Situ.Diagnostics.Window{span: 2_000_000_000, emitted: 50, processed: 30, dropped: 10}
+      iex> {Situ.Diagnostics.rate(window.processed, window), Situ.Diagnostics.percent(window.dropped, window.emitted)}
+      {15.0, 20.0}
+  """
+  defstruct span: 0,
+            emitted: 0,
+            processed: 0,
+            dropped: 0,
+            created: nil,
+            posted: nil,
+            latency: nil,
+            handling: nil,
+            queue: nil,
+            size: nil
+
+  @type t :: %__MODULE__{
+          span: Situ.Time.duration(),
+          emitted: non_neg_integer(),
+          processed: non_neg_integer(),
+          dropped: non_neg_integer(),
+          created: Situ.Time.duration() | nil,
+          posted: Situ.Time.duration() | nil,
+          latency: Situ.Time.duration() | nil,
+          handling: Situ.Time.duration() | nil,
+          queue: float() | nil,
+          size: non_neg_integer() | nil
+        }
+end
+
 defmodule Situ.Diagnostics.Edge do
   @moduledoc """
   One connection in a `Situ.Diagnostics.Snapshot`. Counts are totals since the start, times are ns.
@@ -84,11 +125,20 @@ defmodule Situ.Diagnostics.Edge do
     * `kind`: `:process` (a queue between two processes) or `:inline` (inside one process: no queue; counts are those of
       the chain's entry)
     * `emitted`: handed to the queue; `processed`: taken by the consumer; `dropped`: by the policy; `queue`: waiting now
-      (emitted - processed - dropped); `throttled`: the producer waits for this edge
-    * `latency_last`, `latency_mean`, `latency_p99`: age (clock - originating time) when the consumer took it; p99 is the
-      upper bound of its histogram bucket (within 25 %)
-    * `busy`: total time spent in the consumer for this edge's messages; `busy / processed` is the mean handling time
+      (emitted - processed - dropped), `queue_mean`: how many were left waiting when a message was taken; `throttled`: the
+      producer waits for this edge
+    * `created_last`, `created_mean`: creation time - originating time; `posted_last`, `posted_mean`: clock when it was
+      handed to the queue - originating time (more than the former where an importer or a connector keeps creation times);
+      `latency_last`, `latency_mean`, `latency_p99`: clock when the consumer took it - originating time; p99 is the upper
+      bound of its histogram bucket (within 25 %)
+    * `handling_last`, `handling_mean`: time spent in the consumer per message; `busy`: the sum of it
+    * `size_last`, `size_mean`: bytes of the data, with `message_sizes: true` among the pipeline's settings, else 0
+    * `window`: the same means and counts over the last averaging span, a `Situ.Diagnostics.Window`
+
+  Means are over messages. Under load messages travel in batches and the last one of a batch speaks for it.
   """
+  alias Situ.Diagnostics.Window
+
   defstruct [
     :id,
     :from,
@@ -101,11 +151,21 @@ defmodule Situ.Diagnostics.Edge do
     processed: 0,
     dropped: 0,
     queue: 0,
+    queue_mean: 0.0,
     throttled: false,
+    created_last: 0,
+    created_mean: 0,
+    posted_last: 0,
+    posted_mean: 0,
     latency_last: 0,
     latency_mean: 0,
     latency_p99: 0,
-    busy: 0
+    handling_last: 0,
+    handling_mean: 0,
+    busy: 0,
+    size_last: 0,
+    size_mean: 0,
+    window: %Window{}
   ]
 
   @type t :: %__MODULE__{
@@ -120,11 +180,21 @@ defmodule Situ.Diagnostics.Edge do
           processed: non_neg_integer(),
           dropped: non_neg_integer(),
           queue: non_neg_integer(),
+          queue_mean: float(),
           throttled: boolean(),
+          created_last: Situ.Time.duration(),
+          created_mean: Situ.Time.duration(),
+          posted_last: Situ.Time.duration(),
+          posted_mean: Situ.Time.duration(),
           latency_last: Situ.Time.duration(),
           latency_mean: Situ.Time.duration(),
           latency_p99: Situ.Time.duration(),
-          busy: Situ.Time.duration()
+          handling_last: Situ.Time.duration(),
+          handling_mean: Situ.Time.duration(),
+          busy: Situ.Time.duration(),
+          size_last: non_neg_integer(),
+          size_mean: non_neg_integer(),
+          window: Window.t()
         }
 end
 

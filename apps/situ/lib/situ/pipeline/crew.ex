@@ -45,7 +45,8 @@ defmodule Situ.Pipeline.Crew do
         handle: state.handle,
         vertices: vertices,
         tally: tally,
-        tail_counters: tail_counters(state, vertices)
+        tail_counters: tail_counters(state, vertices),
+        sizes: state.settings.message_sizes
       })
 
     stage = %{

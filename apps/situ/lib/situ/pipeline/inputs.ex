@@ -56,6 +56,7 @@ defmodule Situ.Pipeline.Inputs do
       producer: state.stages[link.from].pid,
       policy: link.policy,
       counters: state.counters[tag],
+      sizes: state.settings.message_sizes,
       end: how
     }
 

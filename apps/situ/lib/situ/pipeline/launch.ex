@@ -72,7 +72,12 @@ defmodule Situ.Pipeline.Launch do
 
     state
     |> Map.take([:clock, :enforce, :start_time, :replay_end])
-    |> Map.merge(%{control: state.stages[id].control, inlets: inlets, subs: subs})
+    |> Map.merge(%{
+      control: state.stages[id].control,
+      inlets: inlets,
+      subs: subs,
+      sizes: state.settings.message_sizes
+    })
   end
 
   @doc "Checks a replacement and says which stage gets which request."

@@ -5,7 +5,8 @@ defmodule Situ.Pipeline.Life do
   # end before their time, Watch for those that do not end, Notice tells others.
   alias Situ.{Clock, Telemetry}
   alias Situ.Graph.Plan
-  alias Situ.Pipeline.{Crew, Death, Ending, Inputs, Launch, Notice, Taps}
+  alias Situ.Diagnostics.Averages
+  alias Situ.Pipeline.{Crew, Death, Ending, Inputs, Launch, Notice, Taps, View}
 
   @catch_up_ms 1_000
 
@@ -21,6 +22,7 @@ defmodule Situ.Pipeline.Life do
     :plan,
     :drain_until,
     :stop_wish,
+    :averages,
     graph: %Situ.Graph{},
     phase: :starting,
     step: :up,
@@ -79,6 +81,9 @@ defmodule Situ.Pipeline.Life do
   defp start_sources(state) do
     state = timed(state)
     Clock.listen(state.clock)
+
+    state =
+      View.observe(%{state | averages: Averages.new(state.settings.averaging, state.start_time)})
 
     case Notice.notify(state, :run, state.start_time) do
       {:ok, state} ->

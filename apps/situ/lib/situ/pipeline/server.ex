@@ -144,7 +144,11 @@ defmodule Situ.Pipeline.Server do
     do: {:noreply, %{state | early: [{:"$gen_call", from, :clock} | state.early]}}
 
   def handle_call(:clock, _from, state), do: {:reply, state.clock || Clock.real(), state}
-  def handle_call(:info, _from, state), do: {:reply, View.snapshot(state), View.describe(state)}
+
+  def handle_call(:info, _from, state) do
+    snapshot = View.snapshot(state)
+    {:reply, snapshot, state |> View.mark() |> View.describe()}
+  end
 
   # A pipeline that is just starting answers when it runs.
   def handle_call(request, from, %{phase: :starting} = state)
@@ -200,6 +204,7 @@ defmodule Situ.Pipeline.Server do
   def handle_info(:situ_launch, state), do: done(Life.launch(state))
   def handle_info({:situ_stage, id, event}, state), do: done(Life.event(state, id, event))
   def handle_info(:situ_stop, state), do: done(Life.stop(state))
+  def handle_info(:situ_observe, state), do: {:noreply, View.observe(state)}
   def handle_info(:situ_recheck, state), do: done(Ending.recheck(state))
   def handle_info(:situ_enough, state), do: done(Ending.enough(state))
   def handle_info({:situ_stuck, mark}, state), do: done(Watch.stuck(state, mark))

@@ -12,6 +12,8 @@ defmodule Situ.Pipeline.Settings do
     interval: {:unbounded, :unbounded},
     speed: 1.0,
     diagnostics: false,
+    averaging: 1_000_000_000,
+    message_sizes: false,
     stop_timeout: 30_000
   ]
 
@@ -39,6 +41,8 @@ defmodule Situ.Pipeline.Settings do
          interval: replay[:interval],
          speed: replay[:speed] || default_speed(mode, opts[:clock]),
          diagnostics: opts[:diagnostics],
+         averaging: opts[:averaging],
+         message_sizes: opts[:message_sizes],
          stop_timeout: opts[:stop_timeout]
        }}
     end

@@ -1,9 +1,13 @@
 defmodule Situ.Pipeline.View do
   @moduledoc false
   # What there is to see of a pipeline: report, snapshot, progress. Reads counters; asks no component.
-  alias Situ.{Clock, Diagnostics}
+  alias Situ.Clock
+  alias Situ.Diagnostics.{Averages, Snapshot, Survey}
   alias Situ.Pipeline.{Life, Report}
   alias Situ.Stage.{Counters, Tally}
+
+  # However short the averaging span: looking costs something.
+  @least_ms 50
 
   @spec result(Life.t()) :: Situ.Pipeline.result()
   def result(%{errors: []} = state), do: {:ok, report(state)}
@@ -31,20 +35,40 @@ defmodule Situ.Pipeline.View do
 
   def describe(state), do: state
 
-  @spec snapshot(Life.t()) :: Diagnostics.Snapshot.t()
+  @doc "Remembers the totals now, and again in half an averaging span: what means are taken over is never much older."
+  @spec observe(Life.t()) :: Life.t()
+  def observe(%{averages: %{span: span}} = state) do
+    Process.send_after(self(), :situ_observe, max(div(span, 2_000_000), @least_ms))
+    mark(state)
+  end
+
+  @doc "Remembers the totals now."
+  @spec mark(Life.t()) :: Life.t()
+  def mark(%{averages: nil} = state), do: state
+
+  def mark(state),
+    do: %{state | averages: Averages.mark(state.averages, now(state), totals(state))}
+
+  defp totals(state), do: Map.new(state.counters, fn {id, ref} -> {id, Counters.totals(ref)} end)
+
+  @spec snapshot(Life.t()) :: Snapshot.t()
   def snapshot(state) do
     state = advance_progress(state)
+    time = if(state.clock, do: now(state), else: 0)
+    totals = totals(state)
 
-    Diagnostics.snapshot(%{
+    Survey.snapshot(%{
       name: state.settings.name,
       state: state.phase,
-      time: if(state.clock, do: now(state), else: 0),
+      time: time,
       start_time: state.start_time || 0,
       progress: state.progress,
       graph: state.graph,
       stages:
         Enum.map(state.stages, fn {_, stage} -> %{stage | state: shown(stage.state, state)} end),
       counters: state.counters,
+      totals: totals,
+      windows: if(state.averages, do: Averages.windows(state.averages, time, totals), else: %{}),
       descriptions: state.descriptions
     })
   end

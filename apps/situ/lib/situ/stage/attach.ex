@@ -77,7 +77,7 @@ defmodule Situ.Stage.Attach do
   defp context(state), do: %{state.context | now: Clock.now(state.clock)}
 
   defp connect(state, wiring) do
-    extra = %{type: :any, check: :off, counters: wiring.counters}
+    extra = %{type: :any, check: :off, counters: wiring.counters, sizes: wiring.sizes}
     inlet = Inlet.new(wiring.name, wiring.tag, wiring.producer, wiring.policy, extra)
 
     inlet =

@@ -25,6 +25,7 @@ defmodule Situ.Stage.Inlet do
     :counters,
     :queue,
     lossy: false,
+    sizes: false,
     front: [],
     rear: [],
     window: 1_000,
@@ -55,6 +56,7 @@ defmodule Situ.Stage.Inlet do
       check: if(extra.type == :any, do: :off, else: extra.check),
       counters: extra.counters,
       lossy: lossy,
+      sizes: extra.sizes,
       queue: if(lossy, do: Queue.new(policy)),
       weigh: weigh,
       window: first_window(lossy, weigh, policy)
@@ -67,10 +69,13 @@ defmodule Situ.Stage.Inlet do
 
   @doc "A batch arrived."
   @spec push(t(), [Message.t()]) :: t()
-  def push(%__MODULE__{weigh: true} = inlet, [first | _] = messages),
-    do: inlet |> weigh(first) |> enter(messages)
+  def push(%__MODULE__{} = inlet, [first | _] = messages) do
+    if inlet.sizes, do: Counters.sized(inlet.counters, messages)
+    inlet = if inlet.weigh, do: weigh(inlet, first), else: inlet
+    enter(inlet, messages)
+  end
 
-  def push(%__MODULE__{} = inlet, messages), do: enter(inlet, messages)
+  def push(%__MODULE__{} = inlet, []), do: inlet
 
   defp weigh(inlet, message) do
     case weight(message, inlet.unweighed) do
@@ -88,7 +93,7 @@ defmodule Situ.Stage.Inlet do
   # Pictures and sound are weighed every time, since it costs nothing; other terms once in half a window.
   defp weight(%Message{data: %{data: bytes}}, _left) when is_binary(bytes), do: byte_size(bytes)
   defp weight(%Message{data: bytes}, _left) when is_binary(bytes), do: byte_size(bytes)
-  defp weight(%Message{data: data}, left) when left <= 0, do: :erlang.external_size(data)
+  defp weight(message, left) when left <= 0, do: Message.size(message)
   defp weight(_message, _left), do: :unknown
 
   defp enter(%__MODULE__{lossy: false, front: [], rear: []} = inlet, messages),

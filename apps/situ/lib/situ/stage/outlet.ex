@@ -12,6 +12,7 @@ defmodule Situ.Stage.Outlet do
     :last_time,
     seq: 0,
     last_creation: nil,
+    posted: 0,
     pending: [],
     pending_n: 0,
     future: [],
@@ -60,9 +61,11 @@ defmodule Situ.Stage.Outlet do
   def flush(%__MODULE__{pending: []} = outlet), do: finish(outlet)
   def flush(%__MODULE__{subs: []} = outlet), do: finish(%{outlet | pending: [], pending_n: 0})
 
-  def flush(%__MODULE__{pending_n: n} = outlet) do
+  def flush(%__MODULE__{pending: [last | _], pending_n: n} = outlet) do
     messages = :lists.reverse(outlet.pending)
-    subs = Enum.map(outlet.subs, &Subscriber.give(&1, messages, n))
+    time = last.originating_time
+    ages = {last.creation_time - time, outlet.posted - time}
+    subs = Enum.map(outlet.subs, &Subscriber.give(&1, messages, n, ages))
     finish(%{outlet | pending: [], pending_n: 0, subs: subs})
   end
 

@@ -46,6 +46,7 @@ defmodule Situ.Stage.Posting do
            outlet
            | last_time: last,
              last_creation: creation,
+             posted: now,
              seq: seq,
              pending: pending,
              pending_n: n
@@ -92,7 +93,7 @@ defmodule Situ.Stage.Posting do
   def forward(%Outlet{} = outlet, %Message{} = message, now, enforce) do
     case check(outlet, message) do
       :ok when (not enforce or message.originating_time <= now) and outlet.future == [] ->
-        {:ok, push(remember(outlet, message), message)}
+        {:ok, push(remember(outlet, message), message, now)}
 
       :ok ->
         {:ok, hold(remember(outlet, message), message)}
@@ -110,7 +111,7 @@ defmodule Situ.Stage.Posting do
   def forward_all(
         %Outlet{closing: nil, future: [], last_time: last} = outlet,
         [_, _ | _] = actions,
-        _now,
+        now,
         false
       )
       when is_integer(last) do
@@ -127,11 +128,12 @@ defmodule Situ.Stage.Posting do
          ) do
       # The first does not fit: `forward/4` says why.
       {rest, 0, _last, _pending} ->
-        forward_one(outlet, rest, 0, false)
+        forward_one(outlet, rest, now, false)
 
       {rest, n, message, pending} ->
         outlet = remember(outlet, message)
-        {:ok, %{outlet | pending: pending, pending_n: outlet.pending_n + n}, rest}
+        n = outlet.pending_n + n
+        {:ok, %{outlet | pending: pending, pending_n: n, posted: now}, rest}
     end
   end
 
@@ -189,14 +191,15 @@ defmodule Situ.Stage.Posting do
       outlet
       | seq: seq,
         last_creation: creation,
+        posted: now,
         pending: [message | outlet.pending],
         pending_n: outlet.pending_n + 1
     }
   end
 
-  defp push(outlet, message) do
-    message = %{message | source_id: outlet.source_id}
-    %{outlet | pending: [message | outlet.pending], pending_n: outlet.pending_n + 1}
+  defp push(outlet, message, now) do
+    pending = [%{message | source_id: outlet.source_id} | outlet.pending]
+    %{outlet | pending: pending, pending_n: outlet.pending_n + 1, posted: now}
   end
 
   defp remember(outlet, message) do
@@ -214,7 +217,7 @@ defmodule Situ.Stage.Posting do
   defp turn(outlet), do: %{outlet | future: Enum.reverse(outlet.future_rear), future_rear: []}
 
   defp let_go(outlet, {time, data}, now), do: post(outlet, time, data, now)
-  defp let_go(outlet, %Message{} = message, _now), do: push(outlet, message)
+  defp let_go(outlet, %Message{} = message, now), do: push(outlet, message, now)
 
   defp check(%{last_time: nil}, _message), do: :ok
 

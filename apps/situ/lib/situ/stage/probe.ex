@@ -18,7 +18,8 @@ defmodule Situ.Stage.Probe do
       |> Map.fetch!(:source_id)
 
     look = fn data, message ->
-      Counters.emitted(counters, 1)
+      age = message.creation_time - message.originating_time
+      Counters.emitted(counters, 1, age, age)
       send(pid, {:"$gen_consumer", {me, tag}, [%{message | data: data, source_id: id}]})
     end
 

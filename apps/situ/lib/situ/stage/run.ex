@@ -23,12 +23,14 @@ defmodule Situ.Stage.Run do
     state = %{state | outlets: outlets, chain: chain, fast: fast}
     [key] = for {{:tail, _} = key, _} <- outlets, do: key
     {state, last, n} = through(state, key, messages, now, final)
-    if counters, do: count(counters, length(messages), n, now - last)
+    if counters, do: count(state.tail, messages, outlet.posted, {n, now - last})
     %{state | tail: %{state.tail | chain: state.chain}, chain: nil}
   end
 
-  defp count(counters, emitted, n, latency) do
-    Counters.emitted(counters, emitted)
+  defp count(%{counters: counters, sizes: sizes}, messages, posted, {n, latency}) do
+    %{originating_time: time, creation_time: created} = List.last(messages)
+    Counters.emitted(counters, length(messages), created - time, posted - time)
+    if sizes, do: Counters.sized(counters, messages)
     if n > 0, do: Counters.processed(counters, n, latency, 0)
   end
 
@@ -42,7 +44,8 @@ defmodule Situ.Stage.Run do
     out = %{seq: outlet.seq, id: outlet.source_id, now: creation, made: outlet.subs != []}
     {state, seq, reversed, last, n} = go(state, messages, out)
 
-    outlet = %{outlet | seq: seq, last_creation: creation, last_time: last || outlet.last_time}
+    last_time = last || outlet.last_time
+    outlet = %{outlet | seq: seq, last_creation: creation, last_time: last_time, posted: now}
     outlet = if out.made, do: Outlet.push_reversed(outlet, reversed, seq - out.seq), else: outlet
     {%{state | outlets: %{state.outlets | name => outlet}}, last || now, n}
   end

@@ -31,7 +31,13 @@ defmodule Situ.Stage.Setup do
 
   defp tail([_component | operators], args) do
     chain = operators |> Enum.map(& &1.opts) |> Chain.new(1)
-    %{chain: chain, fast: not Chain.stateful?(chain), counters: args[:tail_counters]}
+
+    %{
+      chain: chain,
+      fast: not Chain.stateful?(chain),
+      counters: args[:tail_counters],
+      sizes: args[:sizes]
+    }
   end
 
   # With a tail the component's own output has no subscribers; what comes out of the tail has the key {:tail, name}.
@@ -69,7 +75,9 @@ defmodule Situ.Stage.Setup do
         Map.update!(outlets, key(state, output), &%{&1 | subs: subs})
       end)
 
-    inlets = Map.new(wiring.inlets, fn inlet -> {inlet.tag, new_inlet(state, inlet)} end)
+    inlets =
+      Map.new(wiring.inlets, fn inlet -> {inlet.tag, new_inlet(state, inlet, wiring.sizes)} end)
+
     context = %{state.context | start_time: wiring.start_time, now: wiring.start_time}
 
     %{
@@ -216,9 +224,9 @@ defmodule Situ.Stage.Setup do
   defp outlet({name, port}, vertex),
     do: {name, %Outlet{name: name, path: vertex.path, source_id: port.source_id}}
 
-  defp new_inlet(state, inlet) do
+  defp new_inlet(state, inlet, sizes) do
     port = Keyword.fetch!(state.head.inputs, inlet.name)
-    extra = %{type: port.type, check: state.head.check, counters: inlet.counters}
+    extra = %{type: port.type, check: state.head.check, counters: inlet.counters, sizes: sizes}
     Inlet.new(inlet.name, inlet.tag, inlet.producer, inlet.policy, extra)
   end
 

@@ -41,17 +41,17 @@ defmodule Situ.Stage.Subscriber do
         {:"$gen_consumer", {self(), sub.tag}, {:cancel, {:shutdown, {:closed, time}}}}
       )
 
-  @doc "Hands over `n` messages: sent as far as they were asked for, the rest waits."
-  @spec give(t(), [Situ.Message.t()], pos_integer()) :: t()
-  def give(%{size: 0, demand: demand} = sub, messages, n)
+  @doc "Hands over `n` messages, as far as they were asked for; the rest waits. `ages`: of the last when made and posted, ns."
+  @spec give(t(), [Situ.Message.t()], pos_integer(), {integer(), integer()}) :: t()
+  def give(%{size: 0, demand: demand} = sub, messages, n, ages)
       when demand == :infinity or demand >= n do
-    count(sub, n)
+    count(sub, n, ages)
     send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, messages})
     %{sub | demand: minus(demand, n)}
   end
 
-  def give(sub, messages, n) do
-    count(sub, n)
+  def give(sub, messages, n, ages) do
+    count(sub, n, ages)
     drain(%{sub | rear: [messages | sub.rear], size: sub.size + n})
   end
 
@@ -84,8 +84,10 @@ defmodule Situ.Stage.Subscriber do
     %{sub | waiting: flag}
   end
 
-  defp count(%{counters: nil}, _n), do: :ok
-  defp count(%{counters: counters}, n), do: Counters.emitted(counters, n)
+  defp count(%{counters: nil}, _n, _ages), do: :ok
+
+  defp count(%{counters: counters}, n, {created, posted}),
+    do: Counters.emitted(counters, n, created, posted)
 
   @doc "How many more it can take; negative while messages wait."
   @spec free(t()) :: integer() | :infinity

@@ -2,7 +2,7 @@ defmodule Situ.Studio.PipelineView.Feed do
   @moduledoc false
   # Where snapshots come from: a running pipeline (a source module with `snapshot/1`), or a stream of them in a recording.
   alias Situ.{Error, Message}
-  alias Situ.Diagnostics.Snapshot
+  alias Situ.Diagnostics.{Edge, Node, Snapshot, Window}
   alias Situ.Studio.Source
 
   @type t :: {:live, Source.t()} | {:recorded, Source.t(), stream :: String.t()}
@@ -15,7 +15,7 @@ defmodule Situ.Studio.PipelineView.Feed do
   end
 
   # A reader makes no atoms: those of the structs must be there before.
-  @structs [Snapshot, Situ.Diagnostics.Node, Situ.Diagnostics.Edge, Situ.Diagnostics.Process]
+  @structs [Snapshot, Node, Edge, Window, Situ.Diagnostics.Process]
 
   defp recorded(source) do
     Enum.each(@structs, &Code.ensure_loaded/1)
@@ -73,7 +73,7 @@ defmodule Situ.Studio.PipelineView.Feed do
   def at({:recorded, source, stream}, time) do
     case Source.call(source, :latest_at, [stream, time]) do
       {:ok, %Message{data: %Snapshot{} = snapshot, originating_time: taken}} ->
-        {:ok, snapshot, taken}
+        {:ok, today(snapshot), taken}
 
       {:error, error} ->
         {:error, error}
@@ -82,6 +82,10 @@ defmodule Situ.Studio.PipelineView.Feed do
         {:error, Error.new(:no_diagnostics, "there is no snapshot at that time")}
     end
   end
+
+  # A recording may have been made when there were fewer numbers to an edge.
+  defp today(snapshot),
+    do: %{snapshot | edges: Enum.map(snapshot.edges, &struct(Edge, Map.delete(&1, :__struct__)))}
 
   @doc "The times of at most `limit` recorded snapshots, evenly thinned."
   @spec times(t(), pos_integer()) :: [Situ.Time.t()]

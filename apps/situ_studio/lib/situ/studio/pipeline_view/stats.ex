@@ -2,7 +2,8 @@ defmodule Situ.Studio.PipelineView.Stats do
   @moduledoc """
   The statistics of a running pipeline that can be coloured by and plotted: one table.
 
-  Totals come from one `Situ.Diagnostics.Snapshot`, rates and shares from two and the time between them.
+  Rates come from two snapshots (`Situ.Diagnostics.Snapshot`) and the time between them, everything else from one. Means and
+  what is called recent are of the pipeline's last averaging span; while nothing moves, means are of all there was.
 
       iex> Situ.Studio.PipelineView.Stats.format("latency_mean", 12.3456)
       "12.3 ms"
@@ -14,19 +15,32 @@ defmodule Situ.Studio.PipelineView.Stats do
   # id, what it belongs to, name for people, unit, and how several edges of one drawn edge add up
   @table [
     {"queue", :edge, "Queue", :count, :sum},
+    {"queue_mean", :edge, "Queue, mean", :count, :sum},
+    {"created_mean", :edge, "Age when created, mean", :ms, :max},
+    {"created_last", :edge, "Age when created, last", :ms, :max},
+    {"posted_mean", :edge, "Age when posted, mean", :ms, :max},
+    {"posted_last", :edge, "Age when posted, last", :ms, :max},
     {"latency_mean", :edge, "Latency, mean", :ms, :max},
     {"latency_p99", :edge, "Latency, 99th percentile", :ms, :max},
     {"latency_last", :edge, "Latency, last", :ms, :max},
-    {"handling", :edge, "Handling time per message", :ms, :max},
+    {"handling", :edge, "Handling time, mean", :ms, :max},
+    {"handling_last", :edge, "Handling time, last", :ms, :max},
     {"busy", :edge, "Busy share of time", :percent, :max},
     {"emitted_rate", :edge, "Emitted per second", :rate, :sum},
     {"processed_rate", :edge, "Processed per second", :rate, :sum},
     {"dropped_rate", :edge, "Dropped per second", :rate, :sum},
-    {"dropped_now", :edge, "Dropped, share now", :percent, :max},
+    {"emitted_recent", :edge, "Emitted, recent", :count, :sum},
+    {"processed_recent", :edge, "Processed, recent", :count, :sum},
+    {"dropped_recent", :edge, "Dropped, recent", :count, :sum},
+    {"processed_now", :edge, "Processed, recent share", :percent, :max},
+    {"dropped_now", :edge, "Dropped, recent share", :percent, :max},
     {"emitted", :edge, "Emitted in all", :count, :sum},
     {"processed", :edge, "Processed in all", :count, :sum},
     {"dropped", :edge, "Dropped in all", :count, :sum},
+    {"processed_share", :edge, "Processed, share in all", :percent, :max},
     {"dropped_share", :edge, "Dropped, share in all", :percent, :max},
+    {"size_mean", :edge, "Message size, mean", :bytes, :max},
+    {"size_last", :edge, "Message size, last", :bytes, :max},
     {"throttled", :edge, "Producer waits", :count, :max},
     {"mailbox", :node, "Mailbox", :count, :max},
     {"memory", :node, "Memory", :bytes, :max},
@@ -55,6 +69,11 @@ defmodule Situ.Studio.PipelineView.Stats do
   @spec fetch(id()) :: {:ok, map()} | :error
   def fetch(id), do: Map.fetch(@by_id, id)
 
+  @doc "How warm a value is shown, before it is divided by the largest: sizes differ by orders of magnitude."
+  @spec warmth(id(), number()) :: number()
+  def warmth("size_" <> _, bytes), do: :math.log(1 + bytes)
+  def warmth(_id, value), do: value
+
   @doc "The numbers of a snapshot taken at `at` (ns); without an earlier one all rates are 0."
   @spec sample(Snapshot.t(), Situ.Time.t(), {Snapshot.t(), Situ.Time.t()} | nil) :: sample()
   def sample(%Snapshot{} = snapshot, at, earlier) do
@@ -79,34 +98,57 @@ defmodule Situ.Studio.PipelineView.Stats do
   end
 
   defp edge(edge, earlier, seconds) do
-    earlier = earlier || edge
-    processed = edge.processed - earlier.processed
-    busy = edge.busy - earlier.busy
-    dropped = edge.dropped - earlier.dropped
+    edge
+    |> totals()
+    |> Map.merge(recent(edge, edge.window))
+    |> Map.merge(rates(edge, earlier || edge, seconds))
+  end
 
+  defp totals(edge) do
     %{
       "queue" => edge.queue,
-      "latency_mean" => edge.latency_mean / 1.0e6,
-      "latency_p99" => edge.latency_p99 / 1.0e6,
-      "latency_last" => edge.latency_last / 1.0e6,
-      "handling" => handling(busy, processed, edge),
-      "busy" => share(busy, seconds * 1.0e9),
-      "emitted_rate" => rate(edge.emitted - earlier.emitted, seconds),
-      "processed_rate" => rate(processed, seconds),
-      "dropped_rate" => rate(dropped, seconds),
-      "dropped_now" => share(dropped, dropped + processed),
+      "created_last" => ms(edge.created_last),
+      "posted_last" => ms(edge.posted_last),
+      "latency_p99" => ms(edge.latency_p99),
+      "latency_last" => ms(edge.latency_last),
+      "handling_last" => ms(edge.handling_last),
       "emitted" => edge.emitted,
       "processed" => edge.processed,
       "dropped" => edge.dropped,
+      "processed_share" => share(edge.processed, edge.emitted),
       "dropped_share" => share(edge.dropped, edge.emitted),
+      "size_last" => edge.size_last,
       "throttled" => if(edge.throttled, do: 1, else: 0)
     }
   end
 
-  # While nothing is handled the mean of all is the best there is.
-  defp handling(busy, processed, _edge) when processed > 0, do: max(busy, 0) / processed / 1.0e6
-  defp handling(_, _, %{processed: 0}), do: 0.0
-  defp handling(_, _, edge), do: edge.busy / edge.processed / 1.0e6
+  # While nothing moves the mean of all is the best there is.
+  defp recent(edge, window) do
+    %{
+      "queue_mean" => window.queue || edge.queue_mean,
+      "created_mean" => ms(window.created || edge.created_mean),
+      "posted_mean" => ms(window.posted || edge.posted_mean),
+      "latency_mean" => ms(window.latency || edge.latency_mean),
+      "handling" => ms(window.handling || edge.handling_mean),
+      "size_mean" => window.size || edge.size_mean,
+      "emitted_recent" => window.emitted,
+      "processed_recent" => window.processed,
+      "dropped_recent" => window.dropped,
+      "processed_now" => share(window.processed, window.emitted),
+      "dropped_now" => share(window.dropped, window.emitted)
+    }
+  end
+
+  defp rates(edge, earlier, seconds) do
+    %{
+      "busy" => share(edge.busy - earlier.busy, seconds * 1.0e9),
+      "emitted_rate" => rate(edge.emitted - earlier.emitted, seconds),
+      "processed_rate" => rate(edge.processed - earlier.processed, seconds),
+      "dropped_rate" => rate(edge.dropped - earlier.dropped, seconds)
+    }
+  end
+
+  defp ms(ns), do: ns / 1.0e6
 
   defp node(node, process, earlier, seconds) do
     %{

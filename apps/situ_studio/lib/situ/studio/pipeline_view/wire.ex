@@ -39,7 +39,11 @@ defmodule Situ.Studio.PipelineView.Wire do
 
   defp heats(graph, sample, heat) do
     {:ok, %{of: of}} = Stats.fetch(heat)
-    edges = values(graph.edges, sample.edges, heat)
+
+    edges =
+      graph.edges
+      |> values(sample.edges, heat)
+      |> Map.new(fn {key, v} -> {key, Stats.warmth(heat, v)} end)
 
     case of do
       :node -> {%{}, values(graph.nodes, sample.nodes, heat)}

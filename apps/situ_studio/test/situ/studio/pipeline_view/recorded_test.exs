@@ -13,7 +13,7 @@ defmodule Situ.Studio.PipelineView.RecordedTest do
           store = Situ.Store.create(p, "shift", dir)
 
           p
-          |> Situ.Diagnostics.stream(interval: Situ.Time.ms(50))
+          |> Situ.Diagnostics.stream(interval: Situ.Time.ms(20))
           |> Situ.Store.write(store, "Diagnostics")
 
           Situ.composite(p, "Belt", fn p ->

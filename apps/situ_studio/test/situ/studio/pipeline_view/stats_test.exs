@@ -1,6 +1,6 @@
 defmodule Situ.Studio.PipelineView.StatsTest do
   use ExUnit.Case, async: true
-  alias Situ.Diagnostics.{Edge, Node, Process, Snapshot}
+  alias Situ.Diagnostics.{Edge, Node, Process, Snapshot, Window}
   alias Situ.Studio.PipelineView.Stats
 
   doctest Stats
@@ -24,7 +24,19 @@ defmodule Situ.Studio.PipelineView.StatsTest do
           dropped: 20,
           busy: 300_000_000,
           queue: 20,
-          latency_mean: 5_000_000
+          latency_mean: 5_000_000,
+          created_last: 1_500_000,
+          created_mean: 9_000_000,
+          size_mean: 70,
+          window: %Window{
+            span: 2_000_000_000,
+            emitted: 50,
+            processed: 30,
+            dropped: 10,
+            created: 1_000_000,
+            handling: 10_000_000,
+            queue: 1.5
+          }
         },
         %{reductions: 3_000, memory: 4_096, mailbox: 2}
       )
@@ -34,7 +46,14 @@ defmodule Situ.Studio.PipelineView.StatsTest do
     assert edge["emitted_rate"] == 25.0
     assert edge["processed_rate"] == 15.0
     assert edge["dropped_rate"] == 5.0
-    assert edge["dropped_now"] == 25.0
+    assert edge["dropped_now"] == 20.0
+    assert edge["processed_now"] == 60.0
+    assert edge["processed_recent"] == 30
+    assert edge["queue_mean"] == 1.5
+    assert edge["created_mean"] == 1.0
+    assert edge["created_last"] == 1.5
+    # Nothing was weighed lately: what there was before.
+    assert edge["size_mean"] == 70
     assert edge["busy"] == 15.0
     assert edge["handling"] == 10.0
     assert edge["latency_mean"] == 5.0
@@ -64,6 +83,12 @@ defmodule Situ.Studio.PipelineView.StatsTest do
       Stats.merge([%{"queue" => 2, "latency_mean" => 5.0}, %{"queue" => 3, "latency_mean" => 9.0}])
 
     assert merged == %{"queue" => 5, "latency_mean" => 9.0}
+  end
+
+  test "every statistic of an edge and of a node has a value" do
+    sample = %{} |> snapshot(%{}) |> Stats.sample(0, nil)
+    assert Map.keys(sample.edges[3]) == :edge |> Stats.of() |> Enum.map(& &1.id) |> Enum.sort()
+    assert Map.keys(sample.nodes[1]) == :node |> Stats.of() |> Enum.map(& &1.id) |> Enum.sort()
   end
 
   test "every statistic has a text for any size" do
