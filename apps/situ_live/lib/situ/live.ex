@@ -46,8 +46,8 @@ defmodule Situ.Live do
 
   The server listens on `127.0.0.1` unless told otherwise; elsewhere a token is required, made anew at each start unless given:
   `url/2` returns the address with it, opening that sets a cookie. Every request is checked for its host name (against
-  DNS rebinding), token, and, where it matters, origin. Bodies, frames, numbers of connections and waiting times are
-  bounded.
+  DNS rebinding), token, and, where it matters, origin. Heads (to about 128 KiB), bodies, frames, numbers of connections and
+  waiting times are bounded.
 
   ## Options
 

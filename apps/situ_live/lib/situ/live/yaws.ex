@@ -13,6 +13,10 @@ defmodule Situ.Live.Yaws do
   @idle_ms 15_000
   @send_timeout_ms 15_000
   @max_connections 2_000
+  # Yaws reads a head line by line, up to a thousand lines of 16 KiB, into the heap of the connection's process, sixteen bytes
+  # for each. So many words hold a head of about 128 KiB; a larger one ends the connection. `Situ.Live.Yaws.Dispatch` lifts
+  # the limit once the head is read.
+  @head_heap %{size: 1_000_000, kill: true, error_logger: false}
 
   @spec start_link(term()) :: Supervisor.on_start()
   def start_link(_), do: Supervisor.start_link(__MODULE__, [], name: __MODULE__)
@@ -38,6 +42,7 @@ defmodule Situ.Live.Yaws do
       keepalive_timeout: @idle_ms,
       max_connections: @max_connections,
       logdir: String.to_charlist(System.tmp_dir!()),
+      process_options: [max_heap_size: @head_heap],
       flags: [copy_errlog: false, fail_on_bind_err: false]
     ]
 

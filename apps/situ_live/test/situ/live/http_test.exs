@@ -11,6 +11,7 @@ defmodule Situ.Live.HttpTest do
     {server, Situ.Live.port(server)}
   end
 
+  defp heavy(n), do: Response.text(Integer.to_string(n))
   defp echo(request), do: Response.text([request.method, " ", request.body])
 
   describe "requests" do
@@ -56,6 +57,33 @@ defmodule Situ.Live.HttpTest do
       assert {413, %{"connection" => "close"}, _} = Raw.request(port, head)
       head = Raw.head("POST", "/echo", port, [{"content-length", "999999999999999"}])
       assert {413, _, _} = Raw.request(port, head)
+    end
+
+    test "the whole head is bounded, by lines and by bytes; what a handler holds is not" do
+      {_, port} =
+        start([
+          {:get, "/", &Response.text(inspect(map_size(&1.headers)))},
+          {:get, "/heavy", fn _ -> 1..3_000_000 |> Enum.to_list() |> length() |> heavy() end}
+        ])
+
+      lines = fn n, bytes -> for i <- 1..n, do: {"x-#{i}", String.duplicate("a", bytes)} end
+      assert {200, _, "9"} = Raw.get(port, "/", lines.(8, 8_000))
+      assert {200, _, "65"} = Raw.get(port, "/", lines.(64, 64))
+
+      for {n, bytes} <- [{100, 8_000}, {900, 1_000}] do
+        socket = Raw.connect(port)
+        # the connection may end while it is written to
+        _ = :gen_tcp.send(socket, Raw.head("GET", "/", port, lines.(n, bytes)))
+        assert {:error, reason} = :gen_tcp.recv(socket, 0, 10_000)
+        assert reason in [:closed, :econnreset]
+      end
+
+      socket = Raw.connect(port)
+
+      for _ <- 1..3 do
+        :ok = :gen_tcp.send(socket, Raw.head("GET", "/heavy", port, []))
+        assert {200, _, "3000000"} = Raw.response(socket)
+      end
     end
 
     test "malformed requests" do
