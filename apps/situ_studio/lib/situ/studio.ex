@@ -64,7 +64,7 @@ defmodule Situ.Studio do
   """
   use Supervisor
 
-  alias Situ.Studio.{Catalog, Web}
+  alias Situ.Studio.{Catalog, PipelineView, Web}
 
   @doc "A child of a supervision tree."
   @spec child_spec(keyword()) :: Supervisor.child_spec()
@@ -101,6 +101,7 @@ defmodule Situ.Studio do
       {DynamicSupervisor, name: Catalog.watches(opts[:id]), strategy: :one_for_one},
       {Catalog,
        Keyword.take(opts, [:id, :path, :pipelines, :sources, :read_only, :layouts, :visualizers])},
+      {PipelineView.Past, Keyword.take(opts, [:id, :pipelines])},
       {Situ.Live, live(opts)}
     ]
 

@@ -68,6 +68,74 @@ defmodule Situ.Studio.WatchTest do
     {:ok, _} = Situ.Pipeline.stop(context.pipeline)
   end
 
+  defmodule Restarted do
+    use Situ.Pipeline
+
+    @impl true
+    def build(p, opts) do
+      p
+      |> Situ.Connector.receive(opts[:connector])
+      |> Situ.map(&(&1 * 2.0), name: "Doubled", type: :float)
+    end
+  end
+
+  @tag :capture_log
+  test "a page sees a pipeline again that its supervisor has restarted", context do
+    children = [{Restarted, connector: context.connector}]
+
+    {:ok, keeper} =
+      start_supervised(%{
+        id: :keeper,
+        start: {Supervisor, :start_link, [children, [strategy: :one_for_one]]}
+      })
+
+    find = fn -> with [{_, pid, _, _}] <- Supervisor.which_children(keeper), do: pid end
+
+    {:ok, source} = Source.Pipeline.open([{"again", find}], "again", context.supervisor)
+    {Source.Pipeline, watch} = source
+    session = Situ.Studio.DataSession.new(source)
+
+    # what the page asks at each picture: the window at the end of a line
+    ask = fn session, from ->
+      request =
+        ~s({"req":1,"open":[[1,{"stream":"Doubled","draw":"line"}]],"series":[[1,"#{from}","#{from + 50}",1]]})
+
+      {:ok, reply, session} = Situ.Studio.DataSession.handle(request, session)
+
+      <<_::binary-24, 1::little-32, _::binary-12, kind::little-16, _::binary-10, rows::little-32,
+        _::binary>> = IO.iodata_to_binary(reply)
+
+      {if(kind == 1, do: rows), session}
+    end
+
+    {_, session} = ask.(session, 0)
+    before = find.()
+    feed(context.connector, 1..10)
+    assert eventually(fn -> match?({10, _}, ask.(session, 0)) end)
+
+    ref = Process.monitor(before)
+    Process.exit(before, :kill)
+    assert_receive {:DOWN, ^ref, _, _, _}, 5_000
+
+    assert eventually(fn ->
+             is_pid(find.()) and find.() != before and
+               match?([{"again", _}], Source.Pipeline.running([{"again", find}]))
+           end)
+
+    # the next sweep lets go of the tap that went with it, and the next request taps what is there now
+    send(watch.pid, :sweep)
+    %Watch{} = Watch.handle(watch.pid)
+    {_, session} = ask.(session, 0)
+    assert ["Studio: Doubled"] = taps(find.())
+    feed(context.connector, 101..110)
+
+    assert eventually(fn ->
+             match?({10, _}, ask.(session, 101)) or match?({11, _}, ask.(session, 101))
+           end)
+
+    assert {:ok, %{live: true, from: 1, to: 110}} = Source.call(source, :extent, [])
+  end
+
   test "a stream that is not there is an error of its own", context do
     {:ok, source} = Source.Pipeline.open([context.pipeline], "Test", context.supervisor)
     assert {:error, %Situ.Error{}} = Source.call(source, :latest_at, ["Nothing", 1])

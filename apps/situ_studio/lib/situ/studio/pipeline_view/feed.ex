@@ -58,7 +58,8 @@ defmodule Situ.Studio.PipelineView.Feed do
   end
 
   # What the studio itself hung on to look at streams is no part of the pipeline.
-  defp without_taps(snapshot) do
+  @spec without_taps(Snapshot.t()) :: Snapshot.t()
+  def without_taps(snapshot) do
     taps = for %{kind: :tap, path: "Studio: " <> _, id: id} <- snapshot.nodes, do: id
 
     %{

@@ -3,18 +3,19 @@ defmodule Situ.Studio.PipelineView do
   The page of a pipeline's graph: components, composites that fold, connections with their policies, coloured by any
   statistic of `Situ.Studio.PipelineView.Stats`; what is clicked is told on the right, with plots of its past.
 
-  Of a running pipeline it shows now, twice a second; of a recording, the moment chosen below the graph. The address holds
+  Of a running pipeline it shows now, twice a second, and the hour before the page was opened; of a recording, the moment
+  chosen below the graph. The address holds
   what is shown: `heat`, `fold`, `sel`, `plots`, `at`.
   """
   use Situ.Live.View
   import Situ.Studio.Web.Icons
 
   alias Situ.Studio.Catalog
-  alias Situ.Studio.PipelineView.{Details, Feed, Fold, Stats, Wire}
+  alias Situ.Studio.PipelineView.{Details, Feed, Fold, Past, Stats, Wire}
   alias Situ.Studio.Web.Address
 
   @tick_ms 500
-  # Ten minutes of a running pipeline, or as many moments of a recording.
+  # The last hour of a running pipeline and ten minutes while the page is open, or as many moments of a recording.
   @kept 1_200
   @recorded 400
   @messages 8
@@ -55,8 +56,17 @@ defmodule Situ.Studio.PipelineView do
   end
 
   defp start(socket, {:live, _}, snapshot, taken) do
-    if connected?(socket), do: Process.send_after(self(), :tick, @tick_ms)
-    socket |> assign(live: true, folded: Fold.default(snapshot)) |> observe(snapshot, taken)
+    past =
+      if connected?(socket) do
+        Process.send_after(self(), :tick, @tick_ms)
+        Past.samples(socket.assigns.studio, socket.assigns.item.id)
+      else
+        []
+      end
+
+    socket
+    |> assign(live: true, folded: Fold.default(snapshot), samples: past)
+    |> observe(snapshot, taken)
   end
 
   defp start(socket, {:recorded, _, _} = feed, snapshot, taken) do

@@ -65,6 +65,31 @@ defmodule Situ.Studio.PipelineViewTest do
     assert Page.text(page, ".status") =~ "running now"
   end
 
+  test "a page shows what was before it was opened, thinned with age", context do
+    %{id: id, pipeline: pipeline} = context
+    assert PipelineView.Past.samples(id, "steps") == []
+    opts = [id: id, pipelines: [{"steps", pipeline}], tick: false]
+    past = start_supervised!({PipelineView.Past, opts})
+    now = System.monotonic_time(:nanosecond)
+
+    # an hour and a half, a moment every ten seconds; then each of the last six minutes' seconds
+    for at <- Enum.to_list(5400..361//-10) ++ Enum.to_list(360..1),
+        do: send(past, {:tick, now - at * 1_000_000_000})
+
+    :sys.get_state(past, 60_000)
+    ages = for s <- PipelineView.Past.samples(id, "steps"), do: div(now - s.at, 1_000_000_000)
+    assert Enum.take(ages, 300) == Enum.to_list(1..300)
+    assert length(ages) in 330..400
+    assert List.last(ages) in 3_400..3_600
+
+    page = page(id, "/p/steps?sel=e1")
+    Page.event(page, "ready", %{})
+    [series | _] = Page.pushed(page, "pipeline:series") |> Enum.reverse()
+    assert length(series["rows"]) == length(ages) + 1
+    times = Enum.map(series["rows"], &hd/1)
+    assert times == Enum.sort(times)
+  end
+
   test "folds, and says so in the address", %{id: id} do
     page = page(id)
     Page.pushed(page, "pipeline:graph")

@@ -1,0 +1,96 @@
+defmodule Situ.Studio.PipelineView.Past do
+  @moduledoc false
+  # What the studio's pipelines did before anybody looked: their statistics once a second for the last five minutes, every ten
+  # seconds for the last hour. One process a studio writes them; pages read the table.
+  use GenServer
+
+  alias Situ.Studio.PipelineView.{Feed, Stats}
+  alias Situ.Studio.{Source, Watch}
+
+  @tick_ms 1_000
+  @fine 300_000_000_000
+  @coarse 3_600_000_000_000
+  @every 10
+  # Most a pipeline's past may weigh; a pipeline of fifty components takes about 5 kB a moment.
+  @max_bytes 16_000_000
+
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
+
+  @doc "The samples of the pipeline called `title` in the studio `id`, newest first; times are the VM's monotonic clock."
+  @spec samples(String.t(), String.t()) :: [Stats.sample()]
+  def samples(id, title) do
+    case Registry.lookup(Situ.Studio.Registry, {id, :past}) do
+      [{_, table}] -> table |> rows(title) |> Enum.map(&:erlang.binary_to_term(elem(&1, 3)))
+      [] -> []
+    end
+  rescue
+    # the table went with its process
+    ArgumentError -> []
+  end
+
+  # {{title, number}, time, bytes, sample}, newest first
+  defp rows(table, title),
+    do: :ets.select_reverse(table, [{{{title, :_}, :_, :_, :_}, [], [:"$_"]}])
+
+  @impl true
+  def init(opts) do
+    table = :ets.new(__MODULE__, [:ordered_set, :protected])
+    {:ok, _} = Registry.register(Situ.Studio.Registry, {opts[:id], :past}, table)
+    if opts[:tick] != false, do: send(self(), :tick)
+    {:ok, %{pipelines: opts[:pipelines] || [], table: table, earlier: %{}, count: 0}}
+  end
+
+  @impl true
+  def handle_info(:tick, state) do
+    Process.send_after(self(), :tick, @tick_ms)
+    handle_info({:tick, System.monotonic_time(:nanosecond)}, state)
+  end
+
+  def handle_info({:tick, now}, state) do
+    earlier =
+      for {title, target} <- Source.Pipeline.running(state.pipelines),
+          {:ok, snapshot} <- [snapshot(target)],
+          into: %{} do
+        sample = Stats.sample(snapshot, now, state.earlier[title])
+        packed = :erlang.term_to_binary(sample, compressed: 1)
+        :ets.insert(state.table, {{title, state.count}, now, byte_size(packed), packed})
+        {title, {snapshot, now}}
+      end
+
+    forget(state.table, now)
+    {:noreply, %{state | earlier: earlier, count: state.count + 1}}
+  end
+
+  def handle_info(_, state), do: {:noreply, state}
+
+  defp snapshot(target) do
+    {:ok, target |> Watch.target() |> Situ.Pipeline.info() |> Feed.without_taps()}
+  rescue
+    Situ.Error -> :ended
+  catch
+    :exit, _ -> :ended
+  end
+
+  defp forget(table, now) do
+    old = [{:<, :"$2", now - @coarse}]
+    between = [{:<, :"$2", now - @fine}, {:"/=", {:rem, :"$1", @every}, 0}]
+
+    for guards <- [old, between],
+        do: :ets.select_delete(table, [{{{:_, :"$1"}, :"$2", :_, :_}, guards, [true]}])
+
+    table
+    |> :ets.select([{{{:"$1", :"$2"}, :_, :"$3", :_}, [], [{{:"$1", :"$2", :"$3"}}]}])
+    |> Enum.group_by(&elem(&1, 0))
+    |> Enum.each(fn {_, rows} -> cut(table, rows) end)
+  end
+
+  defp cut(table, rows) do
+    rows
+    |> Enum.reverse()
+    |> Enum.reduce(0, fn {title, n, bytes}, held ->
+      if held + bytes > @max_bytes, do: :ets.delete(table, {title, n})
+      held + bytes
+    end)
+  end
+end
