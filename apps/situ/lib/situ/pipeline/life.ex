@@ -6,7 +6,7 @@ defmodule Situ.Pipeline.Life do
   alias Situ.{Clock, Telemetry}
   alias Situ.Graph.Plan
   alias Situ.Diagnostics.Averages
-  alias Situ.Pipeline.{Crew, Death, Ending, Inputs, Launch, Notice, Taps, View}
+  alias Situ.Pipeline.{Crew, Death, Ending, Inputs, Launch, Notice, Taps, View, Watch}
 
   @catch_up_ms 1_000
 
@@ -233,7 +233,13 @@ defmodule Situ.Pipeline.Life do
   @spec stop(t()) :: t()
   def stop(%{phase: :building} = state), do: Ending.complete(%{state | plan: %Plan{}})
   def stop(%{phase: :running} = state), do: Ending.begin(%{state | by_hand: true}, now(state))
-  def stop(%{phase: :starting} = state), do: %{state | stop_wish: true, by_hand: true}
+
+  # What hangs in its start would keep the stop waiting.
+  def stop(%{phase: :starting, stop_wish: nil} = state) do
+    Watch.begin(state)
+    %{state | stop_wish: true, by_hand: true}
+  end
+
   def stop(state), do: state
 
   @doc "The clock; wall time before there is one."

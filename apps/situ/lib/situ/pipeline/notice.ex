@@ -35,13 +35,19 @@ defmodule Situ.Pipeline.Notice do
   @spec notify(Life.t(), atom(), term()) :: {:ok, Life.t()} | {:error, Error.t()}
   def notify(state, event, argument) do
     {:ok, call_handlers(state, event, argument, 0)}
-  rescue
-    error ->
+  catch
+    kind, reason ->
+      banner = Exception.format_banner(kind, reason, __STACKTRACE__)
+      exception = if kind == :error, do: Exception.normalize(:error, reason, __STACKTRACE__)
+
       error =
-        Error.new(
-          :handler_failed,
-          "the #{inspect(event)} handler failed: #{Exception.message(error)}",
-          meta: %{exception: error, reason: error, stacktrace: __STACKTRACE__}
+        Error.new(:handler_failed, "the #{inspect(event)} handler failed: #{banner}",
+          meta: %{
+            kind: kind,
+            exception: exception,
+            reason: exception || reason,
+            stacktrace: __STACKTRACE__
+          }
         )
 
       if event == :run,

@@ -32,7 +32,8 @@ defmodule Situ.Pipeline.Reaper do
   end
 
   @impl true
-  def handle_info({:DOWN, _ref, :process, pipeline, :killed}, grace) do
+  def handle_info({:DOWN, _ref, :process, pipeline, reason}, grace)
+      when reason in [:killed, {:shutdown, :crashed}] or elem(reason, 0) == :pipeline_failed do
     Process.send_after(self(), {:reap, pipeline}, grace)
     {:noreply, grace}
   end

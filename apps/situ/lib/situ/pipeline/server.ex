@@ -59,9 +59,16 @@ defmodule Situ.Pipeline.Server do
 
     with {:ok, settings} <- Settings.parse(settings, mode, spec) do
       settings = %{settings | reply: reply && {self(), reply}}
-      apply(:proc_lib, how, [__MODULE__, :init_it, [self(), spec, opts, settings]])
+      how |> proc_lib([self(), spec, opts, settings]) |> entered()
     end
   end
+
+  defp proc_lib(how, args), do: apply(:proc_lib, how, [__MODULE__, :init_it, args])
+
+  # A process that dies in the middle of `build` has no error of its own.
+  defp entered({:error, %Error{}} = error), do: error
+  defp entered({:error, reason}), do: {:error, Launch.crashed(reason)}
+  defp entered(ok), do: ok
 
   @doc false
   def init_it(caller, spec, opts, settings) do
@@ -74,6 +81,8 @@ defmodule Situ.Pipeline.Server do
       {:ok, result} ->
         graph = Builder.close(handle)
         state = watch(%{state | handle: handle, graph: graph, result: result}, caller)
+        # With its caller gone meanwhile there is nobody to run for.
+        unless Process.alive?(caller), do: exit(:normal)
         send(self(), :situ_launch)
         :proc_lib.init_ack({:ok, self()})
         :gen_server.enter_loop(__MODULE__, [], state)
@@ -118,72 +127,88 @@ defmodule Situ.Pipeline.Server do
   def init(_), do: :ignore
 
   @impl true
-  def handle_call({:build, change}, _from, %{phase: :building} = state) do
+  def handle_call(request, from, state), do: guard(state, fn -> answer(request, from, state) end)
+
+  @impl true
+  def handle_info(message, state), do: guard(state, fn -> event(message, state) end)
+
+  # A step that fails half way leaves a state that nothing can be ended by in order: the pipeline ends with an error at once,
+  # and its components release what they hold.
+  defp guard(state, step) do
+    step.()
+  catch
+    kind, reason ->
+      Logger.error(Exception.format(kind, reason, __STACKTRACE__))
+      error = Launch.crashed({kind, reason, __STACKTRACE__})
+      over({:error, %{error | meta: %{errors: [error]}}}, %{state | phase: :completed})
+  end
+
+  defp answer({:build, change}, _from, %{phase: :building} = state) do
     {:reply, {:ok, Builder.run(state.handle, change)}, state}
   rescue
     error in Error -> {:reply, {:error, error}, state}
   end
 
-  def handle_call({:build, _change}, _from, state),
+  defp answer({:build, _change}, _from, state),
     do: {:reply, {:error, Builder.running()}, state}
 
-  def handle_call(:start, _from, %{phase: :building} = state) do
+  defp answer(:start, _from, %{phase: :building} = state) do
     graph = Builder.close(state.handle)
     {:reply, :ok, Life.launch(%{state | graph: graph, phase: :starting})}
   end
 
-  def handle_call(:start, _from, state), do: {:reply, {:error, Builder.running()}, state}
+  defp answer(:start, _from, state), do: {:reply, {:error, Builder.running()}, state}
 
-  def handle_call({:stop, catch_up}, from, state),
+  defp answer({:stop, catch_up}, from, state),
     do: done(Life.stop(%{state | waiters: [from | state.waiters], catch_up: catch_up}))
 
-  def handle_call(:await, from, state), do: {:noreply, %{state | waiters: [from | state.waiters]}}
-  def handle_call(:state, _from, state), do: {:reply, state.phase, state}
+  defp answer(:await, from, state), do: {:noreply, %{state | waiters: [from | state.waiters]}}
+  defp answer(:state, _from, state), do: {:reply, state.phase, state}
 
-  def handle_call(:clock, from, %{phase: :starting, clock: nil} = state),
+  defp answer(:clock, from, %{phase: :starting, clock: nil} = state),
     do: {:noreply, %{state | early: [{:"$gen_call", from, :clock} | state.early]}}
 
-  def handle_call(:clock, _from, state), do: {:reply, state.clock || Clock.real(), state}
+  defp answer(:clock, _from, state), do: {:reply, state.clock || Clock.real(), state}
 
-  def handle_call(:info, _from, state) do
+  defp answer(:info, _from, state) do
     snapshot = View.snapshot(state)
     {:reply, snapshot, state |> View.mark() |> View.describe()}
   end
 
   # A pipeline that is just starting answers when it runs.
-  def handle_call(request, from, %{phase: :starting} = state)
-      when is_tuple(request) and
-             elem(request, 0) in [:subscription, :replace, :tap, :clock, :attach, :detach],
-      do: {:noreply, %{state | early: [{:"$gen_call", from, request} | state.early]}}
+  defp answer(request, from, %{phase: :starting} = state)
+       when is_tuple(request) and
+              elem(request, 0) in [:subscription, :replace, :tap, :clock, :attach, :detach],
+       do: {:noreply, %{state | early: [{:"$gen_call", from, request} | state.early]}}
 
-  def handle_call({:tap, which, fun, opts}, from, state),
+  defp answer({:tap, which, fun, opts}, from, state),
     do: later(Taps.attach(state, which, fun, opts, from))
 
-  def handle_call({:attach, asked}, from, state), do: later(Inputs.attach(state, asked, from))
+  defp answer({:attach, asked}, from, state), do: later(Inputs.attach(state, asked, from))
 
-  def handle_call({:detach, taker, request}, from, state),
+  defp answer({:detach, taker, request}, from, state),
     do: later(Inputs.detach(state, taker, request, from))
 
-  def handle_call({:untap, id}, _from, state), do: {:reply, :ok, Taps.detach(state, id)}
+  defp answer({:untap, id}, _from, state), do: {:reply, :ok, Taps.detach(state, id)}
 
-  def handle_call({:subscription, which}, _from, state),
+  defp answer({:subscription, which}, _from, state),
     do: {:reply, Taps.subscription(state, which), state}
 
-  def handle_call(:progress, _from, state) do
+  defp answer(:progress, _from, state) do
     state = View.advance_progress(state)
     {:reply, state.progress, state}
   end
 
-  def handle_call({:clock, _}, _from, %{clock: nil} = state),
+  defp answer({:clock, _}, _from, %{clock: nil} = state),
     do: {:reply, {:error, Launch.not_running()}, state}
 
-  def handle_call({:clock, :pause}, _from, state), do: {:reply, Clock.pause(state.clock), state}
-  def handle_call({:clock, :resume}, _from, state), do: {:reply, Clock.resume(state.clock), state}
+  defp answer({:clock, :pause}, _from, state), do: {:reply, Clock.pause(state.clock), state}
+  defp answer({:clock, :resume}, _from, state), do: {:reply, Clock.resume(state.clock), state}
 
-  def handle_call({:clock, {:set_speed, speed}}, _from, state),
+  defp answer({:clock, {:set_speed, speed}}, _from, state),
     do: {:reply, Clock.set_speed(state.clock, speed), state}
 
-  def handle_call({:replace, node, change}, from, state) do
+  defp answer({:replace, node, change}, from, state) do
     case Launch.replacement(state, node, change) do
       {:ok, stage, request} ->
         send(state.stages[stage].pid, {:situ, request})
@@ -194,47 +219,48 @@ defmodule Situ.Pipeline.Server do
     end
   end
 
-  def handle_call(_request, _from, state), do: {:reply, {:error, Launch.not_running()}, state}
+  defp answer(_request, _from, state), do: {:reply, {:error, Launch.not_running()}, state}
 
   # Who asked is answered when it is done, or at once when it cannot be.
   defp later({:ok, state}), do: {:noreply, state}
   defp later({error, state}), do: {:reply, error, state}
 
-  @impl true
-  def handle_info(:situ_launch, state), do: done(Life.launch(state))
-  def handle_info({:situ_stage, id, event}, state), do: done(Life.event(state, id, event))
-  def handle_info(:situ_stop, state), do: done(Life.stop(state))
-  def handle_info(:situ_observe, state), do: {:noreply, View.observe(state)}
-  def handle_info(:situ_recheck, state), do: done(Ending.recheck(state))
-  def handle_info(:situ_enough, state), do: done(Ending.enough(state))
-  def handle_info({:situ_stuck, mark}, state), do: done(Watch.stuck(state, mark))
-  def handle_info({:EXIT, pid, reason}, state), do: done(Death.exited(state, pid, reason))
+  defp event(:situ_launch, state), do: done(Life.launch(state))
+  defp event({:situ_stage, id, event}, state), do: done(Life.event(state, id, event))
+  defp event(:situ_stop, state), do: done(Life.stop(state))
+  defp event(:situ_observe, state), do: {:noreply, View.observe(state)}
+  defp event(:situ_recheck, state), do: done(Ending.recheck(state))
+  defp event(:situ_enough, state), do: done(Ending.enough(state))
+  defp event({:situ_stuck, mark}, state), do: done(Watch.stuck(state, mark))
+  defp event({:EXIT, pid, reason}, state), do: done(Death.exited(state, pid, reason))
 
-  def handle_info({:situ_clock, _}, state) do
+  defp event({:situ_clock, _}, state) do
     for {_, stage} <- state.stages, do: send(stage.pid, {:situ, :clock})
     {:noreply, state}
   end
 
-  def handle_info({:DOWN, owner, :process, _, _}, %{owner: owner} = state),
-    do: done(Life.stop(state))
+  defp event({:DOWN, owner, :process, _, _}, %{owner: owner} = state),
+    do: done(stop(state))
 
-  def handle_info({:DOWN, ref, :process, _, _}, state),
+  defp event({:DOWN, ref, :process, _, _}, state),
     do: {:noreply, Taps.owner_down(state, ref)}
 
-  def handle_info(_other, state), do: {:noreply, state}
+  defp event(_other, state), do: {:noreply, state}
 
-  defp done(%{phase: :completed} = state) do
-    result = View.result(state)
+  defp done(%{phase: :completed} = state), do: over(View.result(state), state)
+  defp done(state), do: {:noreply, state}
+
+  defp over(result, state) do
     publish(state.settings, result)
     Enum.each(state.waiters, &GenServer.reply(&1, result))
+    state = %{state | waiters: []}
 
     case {result, state.settings.mode} do
       {{:error, error}, :linked} -> fall(error)
-      _ -> {:stop, :normal, %{state | waiters: []}}
+      {{:error, %{code: :crashed}}, _} -> {:stop, {:shutdown, :crashed}, state}
+      _ -> {:stop, :normal, state}
     end
   end
-
-  defp done(state), do: {:noreply, state}
 
   # Abnormal, so that a supervisor restarts it; by a signal, since the error itself is in the log already.
   defp fall(error) do
@@ -257,7 +283,11 @@ defmodule Situ.Pipeline.Server do
   def terminate(_reason, %{phase: :completed}), do: :ok
 
   def terminate(_reason, %{phase: :building}), do: :ok
-  def terminate(_reason, state), do: state |> Life.stop() |> shut()
+  def terminate(_reason, state), do: state |> stop() |> shut()
+
+  # What was built but not yet begun need not be begun to be stopped.
+  defp stop(%{phase: :starting, plan: nil} = state), do: Ending.complete(state)
+  defp stop(state), do: Life.stop(state)
 
   defp shut(%{phase: :completed} = state) do
     Archive.put(self(), View.result(state))
