@@ -7,14 +7,23 @@ defmodule Situ.Component.Context do
     * `now`: the pipeline clock when this activation began, ns
     * `start_time`: the pipeline's start, ns (replay start, or the clock when it began)
     * `replay_end`: the end of the replay interval, ns, or `:infinity`
+    * `enforced?`: whether messages wait for their time on the clock (not so at speed `:max`)
   """
-  defstruct [:path, :pipeline, now: 0, start_time: 0, replay_end: :infinity]
+  defstruct [
+    :path,
+    :pipeline,
+    now: 0,
+    start_time: 0,
+    replay_end: :infinity,
+    enforced?: true
+  ]
 
   @type t :: %__MODULE__{
           path: String.t() | nil,
           pipeline: term(),
           now: Situ.Time.t(),
           start_time: Situ.Time.t(),
-          replay_end: Situ.Time.t() | :infinity
+          replay_end: Situ.Time.t() | :infinity,
+          enforced?: boolean()
         }
 end

@@ -4,7 +4,8 @@ defmodule Situ.Pipeline.Finalizer do
   #
   # The first rule that applies: (a) everything without an active input; (b) nothing while closing marks are still on
   # their way; (c) what is fed by itself alone; (d) what lies on pure cycles, where following inputs upstream leads only
-  # back; (e) the one with most listened-to outputs. (a), (c) and (d) close all that match, in order of construction.
+  # back; (e) the one with most listened-to outputs. (a), (c) and (d) close all
+  # that match, in order of construction: (c) and (d) those that still match when it is their turn.
 
   @type id :: pos_integer()
   @type edge :: %{from: id(), output: atom(), to: id()}
@@ -32,12 +33,28 @@ defmodule Situ.Pipeline.Finalizer do
   end
 
   defp break(order, active) do
-    upstream = Enum.group_by(active, & &1.to, & &1.from)
-
-    with [] <-
-           Enum.filter(order, &Enum.all?(Map.get(upstream, &1, []), fn from -> from == &1 end)),
-         [] <- Enum.filter(order, &pure?(&1, upstream)) do
+    with [] <- one_by_one(order, active, &alone?/2),
+         [] <- one_by_one(order, active, &pure?/2) do
       [Enum.max_by(order, &listened(&1, active), fn -> hd(order) end)]
+    end
+  end
+
+  # Those for which the rule holds when it comes to them: closing one opens the cycle for the others on it.
+  defp one_by_one(order, active, rule) do
+    {chosen, _active} =
+      Enum.flat_map_reduce(order, active, fn id, active ->
+        if rule.(id, Enum.group_by(active, & &1.to, & &1.from)),
+          do: {[id], Enum.reject(active, &(&1.from == id))},
+          else: {[], active}
+      end)
+
+    chosen
+  end
+
+  defp alone?(id, upstream) do
+    case Map.get(upstream, id, []) do
+      [] -> false
+      froms -> Enum.all?(froms, &(&1 == id))
     end
   end
 

@@ -9,7 +9,11 @@ defmodule Situ.Selection.Delay do
   @impl true
   def init(opts), do: {:ok, {opts[:duration], :queue.new(), nil}}
 
+  # Where nothing waits for the clock, nor does this.
   @impl true
+  def handle_message(_input, message, %{enforced?: false}, state),
+    do: {[{:out, message.originating_time, message.data}], state}
+
   def handle_message(_input, message, context, {duration, held, closing}) do
     due = message.creation_time + duration
 

@@ -85,7 +85,7 @@ defmodule Situ.Stage.Setup do
       | clock: wiring.clock,
         control: wiring.control,
         enforce: wiring.enforce,
-        context: %{context | replay_end: wiring.replay_end},
+        context: %{context | replay_end: wiring.replay_end, enforced?: wiring.enforce},
         outlets: outlets,
         inlets: inlets,
         lossy: Enum.any?(inlets, fn {_, inlet} -> inlet.lossy end)
