@@ -8,11 +8,54 @@ defmodule Situ.ConformanceTest do
 
   @areas ~w(intervals interpolators fuse zip_merge windows sampling operators statistics generators parallel)
 
-  for file <- Situ.Conformance.files(), area = Path.basename(file, ".json"), area in @areas do
+  for file <- Situ.Conformance.files(),
+      area = Path.basename(file, ".json"),
+      area in @areas or String.starts_with?(area, "situ_") do
     test "every case of #{area} holds" do
       verdicts = Situ.Conformance.verdicts(unquote(file))
       assert verdicts != []
       assert [] == for({id, {:fail, expected, got}} <- verdicts, do: {id, expected, got})
     end
+  end
+
+  @tag :tmp_dir
+  test "what cannot be read or is no case fails and says why", %{tmp_dir: dir} do
+    verdict = fn text ->
+      file = Path.join(dir, "fuse.json")
+      File.write!(file, text)
+      [{_id, verdict} | _] = Situ.Conformance.verdicts(file)
+      verdict
+    end
+
+    assert {:fail, _, "it is not JSON"} = verdict.("{")
+    assert {:fail, _, "it has no list of \"cases\""} = verdict.(~s({"cases": 1}))
+    assert {:fail, "a case with an \"op\"", _} = verdict.(~s({"cases": [1]}))
+    assert {:fail, _, "neither"} = verdict.(~s({"cases": [{"op": "join"}]}))
+
+    assert {:fail, "params as" <> _, _} =
+             verdict.(~s({"cases": [{"op": "join", "params": 1, "expect": 1}]}))
+
+    assert {:fail, 1, _} =
+             verdict.(
+               ~s({"cases": [{"op": "join.chain", "params": {"order": "x"}, "expect": 1}]})
+             )
+
+    assert {:fail, 1, "this form of pair cannot be read" <> _} =
+             verdict.(~s({"cases": [{"op": "pair", "inputs": [{}], "expect": 1}]}))
+
+    assert {:fail, _, "it cannot be read" <> _} =
+             dir |> Situ.Conformance.verdicts() |> hd() |> elem(1)
+  end
+
+  test "the area is in the file's name, or follows from the operation" do
+    assert Situ.Conformance.area("a/situ_zip_merge.json") == "zip_merge"
+    assert Situ.Conformance.area("b/pipeline_lifecycle.json") == "pipeline_lifecycle"
+    assert Situ.Conformance.area("runtime_rules.json") == nil
+    assert [] == for({id, {:not_applicable, _}} <- rules(), do: id)
+  end
+
+  defp rules do
+    file = Enum.find(Situ.Conformance.files(), &(Path.basename(&1) == "situ_rules.json"))
+    Situ.Conformance.verdicts(file)
   end
 end

@@ -1,7 +1,8 @@
 defmodule Situ.Conformance.DeliveryPolicies do
   # One queue driven by hand, and policies at work in pipelines.
-  import Situ.Conformance.Case, only: [verdict: 2, ms: 1]
+  import Situ.Conformance.Case, only: [verdict: 2, ms: 1, timed: 1]
   alias Situ.{Delivery, Message, Pipeline}
+  alias Situ.Conformance.Formula
   alias Situ.Delivery.Queue
 
   defmodule Script do
@@ -28,6 +29,8 @@ defmodule Situ.Conformance.DeliveryPolicies do
       do: {[{:out, time, value}], {rest, report}}
   end
 
+  def operation?(op), do: op in ~w(delivery_queue delivery delivery.store_write)
+
   def check(%{"op" => "delivery_queue", "params" => params} = case) do
     queue = Queue.new(policy(params["policy"]))
 
@@ -37,44 +40,42 @@ defmodule Situ.Conformance.DeliveryPolicies do
     verdict(Map.take(case["expect"], ["steps", "dropped"]), got)
   end
 
+  # A chain of stages, one per policy.
   def check(%{"op" => "delivery", "params" => %{"policies" => names} = params} = case) do
-    [first, second] = Enum.map(names, &policy/1)
-    takes = params["stage2_takes_ms"]
+    stages = for {name, i} <- Enum.with_index(names, 1), do: {"stage#{i}", policy(name)}
 
     got =
       run(case, [speed: :max], fn stream, tell ->
-        stream
-        |> Situ.each(fn v -> tell.({:stage1, v, self()}) end, policy: first)
-        |> Situ.each(fn v -> tell.({:stage2, v, self()}) && Process.sleep(takes) end,
-          policy: second
-        )
+        Enum.reduce(stages, stream, fn {stage, policy}, stream ->
+          takes = params[stage <> "_takes_ms"] || 0
+          Situ.each(stream, &(tell.({stage, &1, self()}) && pause(takes)), policy: policy)
+        end)
       end)
 
-    values = %{
-      "stage1" => for({:stage1, v, _} <- got, do: v),
-      "stage2" => for({:stage2, v, _} <- got, do: v)
-    }
-
+    values = Map.new(stages, fn {stage, _} -> {stage, for({^stage, v, _} <- got, do: v)} end)
     expect = case["expect"]
     contexts = got |> Enum.map(&context/1) |> Enum.uniq()
 
     cond do
-      Map.take(expect, ["stage1", "stage2"]) != values -> {:fail, expect, values}
-      expect["execution"] && length(contexts) != 1 -> {:fail, expect["execution"], contexts}
-      true -> :pass
+      Map.take(expect, Map.keys(values)) != Map.take(values, Map.keys(expect)) ->
+        {:fail, expect, values}
+
+      expect["execution"] && length(contexts) != 1 ->
+        {:fail, expect["execution"], contexts}
+
+      true ->
+        :pass
     end
   end
 
   def check(%{"op" => "delivery", "params" => params} = case) do
     policy = params["policy"] |> policy() |> guarantee(params["guarantee"])
-    takes = params["receiver_takes_ms"]
+    takes = params["receiver_takes_ms"] || 0
     observe = params["observe_ms"]
 
     got =
       run(case, [speed: 1.0, observe: observe], fn stream, tell ->
-        Situ.each(stream, fn v -> tell.({:got, v, self()}) && Process.sleep(takes) end,
-          policy: policy
-        )
+        Situ.each(stream, fn v -> tell.({:got, v, self()}) && pause(takes) end, policy: policy)
       end)
 
     received = for {:got, v, _} <- got, do: v
@@ -87,12 +88,16 @@ defmodule Situ.Conformance.DeliveryPolicies do
       else: {:not_applicable, "the store is not part of this build"}
   end
 
+  # Asleep for no time is not asleep: a sleep of 0 ms gives the processor away.
+  defp pause(0), do: :ok
+  defp pause(ms), do: Process.sleep(ms)
+
   defp received(%{"received" => values}, got), do: verdict(values, got)
 
   defp received(%{"received_includes" => values} = expect, got) do
     ok? =
-      values -- got == [] and (not expect["unique"] or Enum.uniq(got) == got) and
-        (not expect["increasing"] or Enum.sort(got) == got)
+      values -- got == [] and (!expect["unique"] or Enum.uniq(got) == got) and
+        (!expect["increasing"] or Enum.sort(got) == got)
 
     if ok?, do: :pass, else: {:fail, expect, got}
   end
@@ -118,10 +123,26 @@ defmodule Situ.Conformance.DeliveryPolicies do
   defp shown({:closed, _}), do: "<closing>"
   defp shown(message), do: message.data
 
-  defp policy("unlimited"), do: Delivery.unlimited()
-  defp policy("latest"), do: Delivery.latest()
-  defp policy("throttle"), do: Delivery.throttle()
-  defp policy("synchronous" <> _), do: Delivery.synchronous()
+  # "latest", "synchronous_or_throttle", "queue_size(3)", "latency_constrained(10 ms)", "queue_size_throttled(4)".
+  defp policy(nil), do: Delivery.unlimited()
+
+  defp policy(text) when is_binary(text) do
+    {name, n} =
+      case Regex.run(~r/^(\w+)\s*\(\s*(\d+)\s*(?:ms)?\s*\)$/, text) do
+        [_, name, n] -> {name, String.to_integer(n)}
+        nil -> {text, nil}
+      end
+
+    cond do
+      name =~ "unlimited" -> Delivery.unlimited()
+      name =~ "synchronous" -> Delivery.synchronous()
+      name =~ "throttle" and n != nil -> Delivery.throttle(n)
+      name =~ "throttle" -> Delivery.throttle()
+      name =~ "latest" -> Delivery.latest()
+      name =~ "latency" -> Delivery.max_latency(ms(n))
+      name =~ "queue" -> Delivery.max_queue(n)
+    end
+  end
 
   defp policy(%{} = params) do
     base =
@@ -144,30 +165,16 @@ defmodule Situ.Conformance.DeliveryPolicies do
   defp guarantee(policy, text) do
     text
     |> String.split(", then chained: ")
-    |> Enum.reduce(policy, fn rule, policy -> Delivery.with_guarantee(policy, predicate(rule)) end)
+    |> Enum.reduce(policy, fn rule, policy ->
+      Delivery.with_guarantee(policy, Formula.condition(rule))
+    end)
   end
-
-  defp predicate("v is even"), do: &(rem(&1, 2) == 0)
-  defp predicate("v is odd"), do: &(rem(&1, 2) == 1)
-
-  defp predicate(rule) do
-    case Regex.run(~r/^v (?:mod (\d+) )?(==|>|<|>=|<=) (-?\d+)$/, rule) do
-      [_, "", op, n] -> &compare(op, &1, String.to_integer(n))
-      [_, m, op, n] -> &compare(op, Integer.mod(&1, String.to_integer(m)), String.to_integer(n))
-    end
-  end
-
-  defp compare("==", a, b), do: a == b
-  defp compare(">", a, b), do: a > b
-  defp compare("<", a, b), do: a < b
-  defp compare(">=", a, b), do: a >= b
-  defp compare("<=", a, b), do: a <= b
 
   defp run(%{"inputs" => [%{"messages" => messages}]}, opts, build) do
     me = self()
     tag = make_ref()
     tell = fn event -> send(me, {tag, event}) end
-    script = for m <- messages, do: {ms(m["t_ms"]), m["v"]}
+    script = timed(messages)
     settings = [replay: [interval: {0, :unbounded}, speed: opts[:speed]]]
 
     {:ok, pipeline} =
@@ -210,10 +217,10 @@ defmodule Situ.Conformance.DeliveryPolicies do
 
           p
           |> Situ.source(Script, messages: script, report: fn _ -> :ok end)
-          |> store().write(store, "Numbers")
+          |> store().write(store, "Numbers", write_policy(params))
         end,
         pipeline: [
-          default_policy: policy(params["pipeline_default"]),
+          default_policy: policy(params["pipeline_default"] || "unlimited"),
           replay: [interval: {0, :unbounded}]
         ]
       )
@@ -228,6 +235,20 @@ defmodule Situ.Conformance.DeliveryPolicies do
       end)
 
     File.rm_rf!(path)
-    verdict(case["expect"], %{"stored" => length(drain(tag))})
+    stored = length(drain(tag))
+
+    case case["expect"] do
+      %{"stored" => "<" <> most} -> below(stored, most)
+      %{"stored_less_than" => most} -> below(stored, most)
+      expect -> verdict(expect, %{"stored" => stored})
+    end
+  end
+
+  defp write_policy(%{"write_policy" => name}) when name != nil, do: [policy: policy(name)]
+  defp write_policy(_params), do: []
+
+  defp below(stored, most) do
+    most = if is_binary(most), do: most |> String.trim() |> String.to_integer(), else: most
+    if stored < most, do: :pass, else: {:fail, "fewer than #{most} stored", stored}
   end
 end

@@ -1,7 +1,8 @@
 defmodule Situ.Conformance.Emitter do
   # Posting rules: what an output accepts, and what may be connected to what.
-  import Situ.Conformance.Case, only: [verdict: 2, ticks: 1]
+  import Situ.Conformance.Case, only: [verdict: 2, ticks: 1, time: 1]
   alias Situ.{Message, Pipeline}
+  alias Situ.Conformance.Formula
 
   defmodule Script do
     # A source that does what its script says.
@@ -27,8 +28,12 @@ defmodule Situ.Conformance.Emitter do
     "post_from_other_component" => :unknown_output,
     "different_pipeline" => :different_pipeline,
     "receiver_already_connected" => :already_connected,
-    "pipeline_already_running" => :pipeline_running
+    "pipeline_already_running" => :pipeline_running,
+    "out_of_order" => :time_not_increasing,
+    "invalid_operation" => :already_connected
   }
+
+  def operation?(op), do: op in ~w(deliver post subscribe)
 
   def check(%{"op" => "deliver", "inputs" => [%{"messages" => messages}]} = case) do
     actions = Enum.map(messages, &action/1) ++ [{:complete, 1_000_000}]
@@ -36,26 +41,35 @@ defmodule Situ.Conformance.Emitter do
     outcome(case, result, %{"delivered" => delivered})
   end
 
-  def check(%{"id" => _, "params" => %{"validator" => rule}} = case) do
-    [limit] = Regex.run(~r/-?\d+/, rule)
-    limit = String.to_integer(limit)
-    [%{"messages" => messages}] = case["inputs"]
-    posts = for m <- messages, do: {:out, ticks(m["t_ticks"]), m["v"]}
+  # "fails when v > 5": what an output refuses.
+  def check(%{"params" => %{"validator" => rule}, "inputs" => [%{"messages" => messages}]} = case) do
+    refused? = Formula.condition(rule)
 
     {result, delivered} =
       collect(fn p ->
         p
-        |> Situ.source(Script, actions: posts ++ [{:complete, :infinity}])
-        |> Situ.each(fn v -> if v > limit, do: raise(ArgumentError, "more than #{limit}") end)
+        |> Situ.source(Script, actions: posts(messages) ++ [{:complete, :infinity}])
+        |> Situ.each(fn v -> if refused?.(v), do: raise(ArgumentError, rule) end)
       end)
 
-    case result do
-      {:error, %{code: :component_failed, meta: %{exception: %ArgumentError{}}}} ->
-        verdict(case["expect"], %{"delivered_before_failure" => delivered})
+    case {result, case["expect_error"]} do
+      {{:error, %{code: :component_failed, meta: %{exception: %ArgumentError{}}}}, error}
+      when error != nil ->
+        verdict(case["expect"] || %{}, before_failure(case["expect"], delivered))
 
-      other ->
-        {:fail, case["expect_error"], other}
+      {{:ok, _}, nil} ->
+        verdict(case["expect"], %{"delivered" => delivered})
+
+      {other, _} ->
+        {:fail, case["expect_error"] || case["expect"], other}
     end
+  end
+
+  def check(%{"op" => "post", "inputs" => [%{"messages" => messages}]} = case) do
+    last = messages |> Enum.map(&time/1) |> Enum.max(fn -> 0 end)
+    actions = posts(messages) ++ [{:complete, last}]
+    {result, delivered} = collect(fn p -> Situ.source(p, Script, actions: actions) end)
+    outcome(case, result, %{"delivered" => delivered})
   end
 
   def check(%{"id" => "emitter-post-across" <> _} = case) do
@@ -95,6 +109,11 @@ defmodule Situ.Conformance.Emitter do
     refused(case, [p], fn -> Pipeline.connect(stream, node, :in) end)
   end
 
+  defp posts(messages), do: for(m <- messages, do: {:out, time(m), m["v"]})
+
+  defp before_failure(nil, _delivered), do: %{}
+  defp before_failure(expect, delivered), do: Map.new(expect, fn {key, _} -> {key, delivered} end)
+
   defp one(p), do: Situ.source(p, Script, actions: [{:out, 1, 1}, {:complete, 1}])
 
   defp refused(case, pipelines, fun) do
@@ -106,8 +125,10 @@ defmodule Situ.Conformance.Emitter do
     Enum.each(pipelines, &Pipeline.stop/1)
   end
 
-  defp outcome(%{"expect_error" => name}, {:error, %{code: code}}, _got),
-    do: verdict(Map.fetch!(@codes, name), code)
+  defp outcome(%{"expect_error" => name} = case, {:error, %{code: code}}, got) do
+    wanted = Map.take(case["expect"] || %{}, Map.keys(got || %{}))
+    verdict({Map.get(@codes, name, name), wanted}, {code, Map.take(got || %{}, Map.keys(wanted))})
+  end
 
   defp outcome(%{"expect_error" => name}, other, _got), do: {:fail, {:error, name}, other}
   defp outcome(%{"expect" => expect}, {:ok, _}, got), do: verdict(expect, got)

@@ -1,6 +1,6 @@
 defmodule Situ.Conformance.Fuse do
   import Situ.Conformance.Case, except: [time: 1]
-  alias Situ.Conformance.Run
+  alias Situ.Conformance.{Formula, Run}
 
   Code.require_file("interpolators.exs", __DIR__)
 
@@ -14,25 +14,24 @@ defmodule Situ.Conformance.Fuse do
       else: outputs(case, Run.by_time(case["inputs"], build))
   end
 
-  def check(%{"op" => "join.chain", "params" => params} = case) do
-    {interpolator, _} = interpolator(params)
+  # "(((a join b) join c)" or "a join (b join c)": names are those of the inputs.
+  def check(%{"op" => op, "params" => params} = case) when op in ["join.chain", "fuse.chain"] do
+    interpolator = interpolator(params)
+    names = Enum.map(case["inputs"], & &1["stream"])
 
     outputs(
       case,
       Run.inputs(case, fn streams ->
-        if String.starts_with?(params["order"], "("),
-          do: Enum.reduce(tl(streams), hd(streams), &Situ.join(&2, &1, interpolator)),
-          else:
-            streams
-            |> Enum.reverse()
-            |> Enum.reduce(fn s, acc -> Situ.join(s, acc, interpolator) end)
+        named = Map.new(Enum.zip(names, streams))
+        join = &operator(String.trim_trailing(op, ".chain"), [&1, &2, interpolator, []])
+        chained(params["order"] || Enum.join(names, " join "), named, join)
       end)
     )
   end
 
   def check(%{"op" => op, "params" => params} = case) when op in ["join.vector", "fuse.vector"] do
     [kind, "vector"] = String.split(op, ".")
-    {interpolator, _} = interpolator(params)
+    interpolator = interpolator(params)
 
     if case["inputs"] == [],
       do: outputs(case, attempt(fn -> operator(kind, [[], interpolator, []]) end)),
@@ -40,12 +39,11 @@ defmodule Situ.Conformance.Fuse do
   end
 
   def check(%{"op" => kind, "params" => params} = case) when kind in ["fuse", "join"] do
-    {interpolator, opts} = interpolator(params)
-    creator = creator(params)
+    {interpolator, opts} = {interpolator(params), creator(params)}
 
     build = fn
-      [p, s] -> operator(kind, [p, s, interpolator, creator ++ opts])
-      [p | secondaries] -> operator(kind, [p, secondaries, interpolator, creator ++ opts])
+      [p, s] -> operator(kind, [p, s, interpolator, opts])
+      [p | secondaries] -> operator(kind, [p, secondaries, interpolator, opts])
     end
 
     with :pass <- outputs(case, Run.inputs(case, build)),
@@ -53,7 +51,11 @@ defmodule Situ.Conformance.Fuse do
   end
 
   # A reproducible answer is the same for every order of arrival.
-  defp any_arrival(case, %{"interpolator" => %{"kind" => "reproducible." <> _}}, build) do
+  defp any_arrival(
+         %{"inputs" => [_, _ | _]} = case,
+         %{"interpolator" => %{"kind" => "reproducible." <> _}},
+         build
+       ) do
     inputs = Enum.map(case["inputs"], &Map.delete(&1, "keep_open"))
     late = fn index -> List.update_at(inputs, index, &Map.put(&1, "arrives_after_ms", 100)) end
 
@@ -67,19 +69,44 @@ defmodule Situ.Conformance.Fuse do
   defp operator("fuse", args), do: apply(Situ, :fuse, args)
   defp operator("join", args), do: apply(Situ, :join, args)
 
-  defp interpolator(params) do
-    spec = params["interpolator"] || %{"kind" => "reproducible.exact"}
-    {Situ.Conformance.Interpolators.build(spec["kind"], spec), []}
+  defp interpolator(params),
+    do: Situ.Conformance.Interpolators.of_params(params, "reproducible.exact")
+
+  defp chained(order, named, join) do
+    words = Regex.scan(~r/[()]|[^\s()]+/, order) |> List.flatten()
+    # One parenthesis too many in front is read as none.
+    surplus = Enum.count(words, &(&1 == "(")) - Enum.count(words, &(&1 == ")"))
+    {stream, _rest} = words |> Enum.drop(max(surplus, 0)) |> pairs(named, join)
+    stream
   end
+
+  defp pairs(words, named, join) do
+    {left, rest} = operand(words, named, join)
+    pairs(left, rest, named, join)
+  end
+
+  defp pairs(left, [word | rest], named, join) when word != ")" do
+    {right, rest} = operand(rest, named, join)
+    pairs(join.(left, right), rest, named, join)
+  end
+
+  defp pairs(left, rest, _named, _join), do: {left, rest}
+
+  defp operand(["(" | rest], named, join) do
+    {stream, rest} = pairs(rest, named, join)
+    {stream, Enum.drop(rest, 1)}
+  end
+
+  defp operand([name | rest], named, _join), do: {Map.fetch!(named, name), rest}
 
   defp creator(params) do
     case params["output"] do
       nil -> []
       "secondary value only" -> [with: fn _p, s -> s end]
       "primary value only" -> [with: fn p, _s -> p end]
-      text -> [with: two(Run.arithmetic(text, [:p, :s]))]
+      text -> [with: two(Formula.function(text))]
     end
   end
 
-  defp two(fun), do: fn p, s -> fun.([p, s]) end
+  defp two(fun), do: fn p, s -> fun.(%{"p" => p, "s" => s, "primary" => p, "secondary" => s}) end
 end

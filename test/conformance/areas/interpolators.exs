@@ -3,7 +3,13 @@ defmodule Situ.Conformance.Interpolators do
   alias Situ.{Available, Interpolator, Interval, Reproducible}
 
   # Durations and times count from 0 here; the smallest and largest of the reference stand in for themselves.
-  @names Map.new(~w(exact nearest first last linear)a, &{Atom.to_string(&1), &1})
+  @names %{
+    "exact" => :exact,
+    "nearest" => :nearest,
+    "first" => :first,
+    "last" => :last,
+    "linear" => :linear
+  }
   @max 0x7FFFFFFFFFFFFFFF
 
   def check(%{"op" => "interpolator." <> kind, "params" => params} = case) do
@@ -16,22 +22,41 @@ defmodule Situ.Conformance.Interpolators do
 
   # Also used for the interpolators of the fusion cases.
   def build(kind, params) do
-    window = window(params["window"])
+    window = window(params["window"]) || tolerance(params)
     {family, name} = split(kind)
     {name, opts} = or_default(name, params)
 
     args =
-      if name == "linear" or name == "exact",
-        do: [opts],
+      if name in ["linear", "exact"],
+        do: [opts ++ max_span(params)],
         else: [window || opts] ++ if(window, do: [opts], else: [])
 
     apply(family, Map.fetch!(@names, name), args)
   end
 
+  # What the parameters of an operator say: an interpolator, a tolerance, or nothing.
+  def of_params(%{"interpolator" => %{} = spec}, _default), do: build(spec["kind"], spec)
+  def of_params(%{"interpolator" => kind}, _default) when is_binary(kind), do: build(kind, %{})
+  def of_params(%{"tolerance_ms" => n}, _default), do: Reproducible.nearest(ms(n))
+  def of_params(%{"tolerance_ticks" => n}, _default), do: Reproducible.nearest(ticks(n))
+
+  def of_params(%{"window" => window}, _default) when window != nil,
+    do: Reproducible.nearest(window(window))
+
+  def of_params(_params, default), do: build(default, %{})
+
+  # Ends in ticks or ms; in words; or in the notation of intervals, in ticks.
   def window(nil), do: nil
   def window("infinite" <> _), do: Interval.infinite()
   def window("past" <> _), do: Interval.past()
   def window("future" <> _), do: Interval.future()
+  def window("zero" <> _), do: Interval.zero()
+
+  def window(text) when is_binary(text) do
+    {:ok, interval} = Interval.parse(text)
+    scale = &if(&1 == :unbounded, do: &1, else: ticks(&1))
+    %{interval | left: scale.(interval.left), right: scale.(interval.right)}
+  end
 
   def window(%{} = w) do
     {left, right} = {edge(w, "left"), edge(w, "right")}
@@ -43,6 +68,14 @@ defmodule Situ.Conformance.Interpolators do
       Map.get(w, "right_inclusive", right != :unbounded)
     )
   end
+
+  defp tolerance(%{"tolerance_ms" => n}), do: Interval.within(ms(n))
+  defp tolerance(%{"tolerance_ticks" => n}), do: Interval.within(ticks(n))
+  defp tolerance(_params), do: nil
+
+  defp max_span(%{"max_span_ms" => n}), do: [max_span: ms(n)]
+  defp max_span(%{"max_span_ticks" => n}), do: [max_span: ticks(n)]
+  defp max_span(_params), do: []
 
   defp edge(w, side) do
     cond do
@@ -58,8 +91,13 @@ defmodule Situ.Conformance.Interpolators do
   defp duration(n), do: ticks(n)
 
   defp split(kind) do
-    [family, name] = String.split(kind, ".")
-    {if(family == "available", do: Available, else: Reproducible), name}
+    [family, name] =
+      case String.split(kind, ".") do
+        [name] -> ["reproducible", name]
+        both -> both
+      end
+
+    {%{"available" => Available, "reproducible" => Reproducible} |> Map.fetch!(family), name}
   end
 
   defp or_default(name, params) do

@@ -1,8 +1,11 @@
 defmodule Situ.Conformance.Operators do
   import Situ.Conformance.Case
-  alias Situ.Conformance.Run
+  alias Situ.Conformance.{Formula, Run}
 
-  @comparisons %{"<" => :<, "<=" => :<=, ">" => :>, ">=" => :>=, "==" => :==, "!=" => :!=}
+  @operations ~w(to_enumerable to_observable subpipeline.passthrough first last select where edit_stream time_of latency delay
+                 nullable_select item1 item2 flip process do name bridge_to pipe_to)
+
+  def operation?(op), do: op in @operations or String.starts_with?(op, "aggregate")
 
   def check(%{"op" => "to_enumerable", "params" => params, "inputs" => [input]} = case) do
     keep = condition(params)
@@ -39,34 +42,40 @@ defmodule Situ.Conformance.Operators do
   end
 
   def check(%{"op" => "subpipeline.passthrough", "params" => params} = case) do
-    infinite? = params["extra_sources"] =~ "infinite"
+    extra = params["extra_sources"] || "none"
+    extra = if extra =~ "infinite", do: :infinite, else: if(extra =~ "finite", do: :finite)
 
     outputs(
       case,
-      Run.inputs(case, fn [stream] -> nested(stream, params["depth"], infinite?) end)
+      Run.inputs(case, fn [stream] -> nested(stream, params["depth"] || 1, extra) end)
     )
   end
 
   def check(%{"op" => op, "params" => params} = case),
     do: outputs(case, Run.inputs(case, fn [stream] -> build(op, stream, params) end))
 
-  defp nested(stream, 0, _infinite?), do: stream
+  defp nested(stream, 0, _extra), do: stream
 
-  defp nested(stream, depth, infinite?) do
+  defp nested(stream, depth, extra) do
     Situ.composite(stream, "Level#{depth}", fn inner ->
-      if infinite?, do: Situ.repeat(inner.pipeline, :tick, Situ.Time.ms(1), name: "Endless")
-      inner |> Situ.map(& &1) |> nested(depth - 1, infinite?)
+      if extra == :infinite,
+        do: Situ.repeat(inner.pipeline, :tick, Situ.Time.ms(1), name: "Endless")
+
+      if extra == :finite, do: Situ.return(inner.pipeline, :tick, name: "Once")
+      inner |> Situ.map(& &1) |> nested(depth - 1, extra)
     end)
   end
 
-  defp build("aggregate.seedless", stream, params) do
-    fun = Run.arithmetic(params["function"], [:x, :y])
-    Situ.reduce(stream, fn data, previous -> fun.([previous, data]) end)
-  end
-
+  # With a seed its selector, if any, makes the output of the state.
   defp build("aggregate" <> _, stream, %{"function" => text} = params) do
-    fun = Run.arithmetic(text, [:x, :y])
-    Situ.scan(stream, params["seed"] || params["initial"], fn data, acc -> fun.([acc, data]) end)
+    fun = Formula.of_two(text)
+
+    if seed = params["seed"] || params["initial"] do
+      state = Situ.scan(stream, seed, fn data, previous -> fun.(previous, data) end)
+      if params["selector"], do: Situ.map(state, Formula.of_one(params["selector"])), else: state
+    else
+      Situ.reduce(stream, fn data, previous -> fun.(previous, data) end)
+    end
   end
 
   defp build("first", stream, params), do: Situ.first(stream, params["count"] || 1)
@@ -78,8 +87,7 @@ defmodule Situ.Conformance.Operators do
   end
 
   defp build("select", stream, %{"function" => text}) do
-    fun = Run.arithmetic(text, [:v])
-    Situ.map(stream, &fun.([&1]))
+    Situ.map(stream, Formula.of_one(text))
   end
 
   defp build("where", stream, params), do: Situ.filter(stream, condition(params))
@@ -97,22 +105,43 @@ defmodule Situ.Conformance.Operators do
 
   defp build("time_of", stream, _params), do: Situ.time_of(stream)
 
-  defp build(op, stream, _params) when op in ["to_observable", "do", "name"],
-    do: Situ.each(stream, & &1)
+  defp build("latency", stream, _params), do: Situ.latency(stream)
+  defp build("delay", stream, params), do: Situ.delay(stream, duration(params, "delay"))
+
+  defp build("nullable_select", stream, p),
+    do: Situ.map_present(stream, Formula.of_one(p["function"]))
+
+  defp build("item1", stream, _params), do: Situ.map(stream, &hd/1)
+  defp build("item2", stream, _params), do: Situ.map(stream, &Enum.at(&1, 1))
+  defp build("flip", stream, _params), do: Situ.map(stream, fn [a, b] -> [b, a] end)
+
+  # Every input several times, the k-th copy k ticks later.
+  defp build("process", stream, params) do
+    copies = params["outputs_per_input"] || 1
+    fun = Formula.of_one(params["function"] || "v")
+
+    Situ.process(stream, nil, fn message, state ->
+      outputs =
+        for k <- 0..(copies - 1)//1, do: {message.originating_time + ticks(k), fun.(message.data)}
+
+      {outputs, state}
+    end)
+  end
+
+  defp build(op, stream, params)
+       when op in ["to_observable", "do", "name", "bridge_to", "pipe_to"] do
+    if params["function"],
+      do: stream |> Situ.map(Formula.of_one(params["function"])) |> Situ.each(& &1),
+      else: Situ.each(stream, & &1)
+  end
 
   defp condition(params) do
-    case params["condition"] || params["predicate"] do
+    case params["condition"] || params["predicate"] || params["function"] do
       nil -> fn _ -> true end
-      "v is even" -> &(rem(&1, 2) == 0)
-      "v is odd" -> &(rem(&1, 2) != 0)
-      text -> comparison(text)
+      text -> Formula.condition(text)
     end
   end
 
-  # "v < 5"
-  defp comparison(text) do
-    [_, operator, bound] = Regex.run(~r/\Av\s*(<|<=|>|>=|==|!=)\s*(-?[0-9.]+)\z/, text)
-    {bound, ""} = Float.parse(bound)
-    fn v -> apply(Kernel, Map.fetch!(@comparisons, operator), [v, bound]) end
-  end
+  defp duration(params, key),
+    do: if(n = params[key <> "_ms"], do: ms(n), else: ticks(params[key <> "_ticks"]))
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Conformance.Parallel do
   import Situ.Conformance.Case
-  alias Situ.Conformance.Run
+  alias Situ.Conformance.{Formula, Run}
 
   def check(%{"op" => "parallel.*", "expect" => expect}) do
     me = self()
@@ -38,7 +38,7 @@ defmodule Situ.Conformance.Parallel do
   defp options(form, params) do
     default =
       if params["output_default_if_dropped"],
-        do: [or_default: value(params["default"] || 0)],
+        do: [or_default: value(Map.get(params, "default", 0))],
         else: []
 
     until =
@@ -63,28 +63,17 @@ defmodule Situ.Conformance.Parallel do
   defp form("variable", _params), do: [of: :lists]
   defp form("sparse", _params), do: [of: :maps]
 
-  # Branches as the files tell them.
-  defp branch("aggregate from 0: " <> text, stream) do
-    fun = Run.arithmetic(text, [:v, :previous])
-    Situ.scan(stream, 0, fn v, previous -> fun.([v, previous]) end)
-  end
-
-  defp branch("keep even values only", stream), do: Situ.filter(stream, &(rem(&1, 2) == 0))
-  defp branch("keep odd values only", stream), do: Situ.filter(stream, &(rem(&1, 2) != 0))
-
-  defp branch("keep v where v != 3 and v <= 4", stream),
-    do: Situ.filter(stream, &(&1 != 3 and &1 <= 4))
-
-  defp branch("keep v where " <> text, stream) do
-    true = text =~ ~r/\A[v0-9 .+\-*\/()!=<>andor]+\z/
-    {:ok, ast} = Code.string_to_quoted(text)
-    Situ.filter(stream, fn v -> ast |> Code.eval_quoted(v: v) |> elem(0) end)
-  end
-
+  # Branches as the files tell them: "v / 100", "aggregate from 0: v - previous", "keep even values only", "last".
   defp branch(text, stream) when text in [nil, "identity", "v"], do: stream
+  defp branch("last" <> _, stream), do: Situ.last(stream)
 
-  defp branch(text, stream) do
-    fun = Run.arithmetic(text, [:v])
-    Situ.map(stream, &fun.([&1]))
+  defp branch("aggregate from " <> text, stream) do
+    [seed, formula] = String.split(text, ":", parts: 2)
+    {seed, ""} = seed |> String.trim() |> Integer.parse()
+    fun = Formula.of_two(formula)
+    Situ.scan(stream, seed, fn v, previous -> fun.(previous, v) end)
   end
+
+  defp branch("keep " <> _ = text, stream), do: Situ.filter(stream, Formula.condition(text))
+  defp branch(text, stream), do: Situ.map(stream, Formula.of_one(text))
 end

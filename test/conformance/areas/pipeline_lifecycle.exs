@@ -1,6 +1,7 @@
 defmodule Situ.Conformance.PipelineLifecycle do
   # Completion, stopping, errors, order of start and of finalisation, clock, progress, composites.
-  import Situ.Conformance.Case, only: [verdict: 2, ticks: 1, ms: 1]
+  import Situ.Conformance.Case, only: [verdict: 2, timed: 1, ms: 1]
+  alias Situ.Conformance.Formula
   alias Situ.Pipeline
 
   defmodule Source do
@@ -17,6 +18,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
       do: [{:out, context.start_time, 0}, {:complete, context.start_time}]
 
     defp start(:infinite, _context), do: [{:complete, :infinity}]
+    defp start(:raises, context), do: [{:out, context.start_time, div(1, context.start_time * 0)}]
     defp start(:silent, _context), do: []
 
     defp start(:becomes_infinite, context),
@@ -151,6 +153,10 @@ defmodule Situ.Conformance.PipelineLifecycle do
     end
   end
 
+  @operations ~w(completion dispose events run error order clock progress finalization finalization_order subpipeline connector)
+
+  def operation?(op), do: op in @operations
+
   def check(%{"op" => "completion", "params" => params} = case) do
     observe = min(params["observe_ms"], 700)
     {:ok, pid} = Pipeline.start(fn p -> Enum.each(params["sources"], &source(p, &1)) end, [])
@@ -172,15 +178,27 @@ defmodule Situ.Conformance.PipelineLifecycle do
     if us <= limit * 1000, do: :pass, else: {:fail, limit, us / 1000}
   end
 
-  def check(%{"op" => "dispose"} = case) do
+  # As often and from as many processes as the case says, before it ran or while it runs.
+  def check(%{"op" => "dispose", "params" => params} = case) do
     p = Pipeline.new()
-    p |> Situ.source(Source, kind: :finite) |> Situ.map(& &1)
-    {:ok, report} = Pipeline.stop(p)
+    p |> Situ.source(Source, kind: :infinite) |> Situ.map(& &1)
+    if params["pipeline"] == "running", do: :ok = Pipeline.start(p)
+    times = params["threads"] || params["times"] || params["concurrently"] || 1
+    stops = for _ <- 1..times, do: Task.async(fn -> Pipeline.stop(p) end)
+    # Whoever comes when all is over is told so.
+    {[{:ok, report} | _], late} =
+      stops |> Task.await_many() |> Enum.split_with(&match?({:ok, _}, &1))
 
-    verdict(case["expect"], %{
+    [] = for {:error, %{code: code}} when code != :not_running <- late, do: code
+
+    got = %{
       "state" => to_string(Pipeline.state(p)),
+      "completed" => Pipeline.state(p) == :completed,
+      "errors" => length(report.errors),
       "emitters_closed" => length(report.closed)
-    })
+    }
+
+    verdict(case["expect"], Map.take(got, Map.keys(case["expect"])))
   end
 
   def check(%{"op" => "events", "params" => %{"handler_takes_ms" => takes}} = case) do
@@ -220,6 +238,10 @@ defmodule Situ.Conformance.PipelineLifecycle do
         Pipeline.run(fn p ->
           stream = Situ.source(p, Source, kind: :finite)
           if params["receiver"], do: Situ.map(stream, &div(1, &1))
+          if params["source_start"] || params["start"], do: Situ.source(p, Source, kind: :raises)
+
+          if params["generator"] || params["source"],
+            do: Situ.sequence(p, 0, &div(1, &1), ms(1), count: 2)
 
           inner =
             Pipeline.composite(p, "Sub", fn sub ->
@@ -235,6 +257,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
 
     case result do
       {:error, %{meta: %{exception: %ArithmeticError{}, errors: [_ | _]}}} -> :pass
+      {:error, %{meta: %{errors: [%{meta: %{exception: %ArithmeticError{}}} | _]}}} -> :pass
       other -> {:fail, case["expect_error"], other}
     end
   end
@@ -266,20 +289,27 @@ defmodule Situ.Conformance.PipelineLifecycle do
     })
   end
 
-  def check(%{"op" => "clock", "params" => %{"count" => n, "interval_ms" => interval}} = case) do
+  # Enforced, nothing comes before its time; not enforced, nothing waits for it.
+  def check(%{"op" => "clock", "params" => %{"count" => n, "interval_ms" => interval} = p} = case) do
     {tell, tag} = teller()
     now = Situ.Time.now()
+    enforced? = p["enforce_replay_clock"] != false
     messages = for i <- 0..(n - 1), do: {now + i * ms(interval), i}
+    replay = [interval: {now, :unbounded}, speed: if(enforced?, do: 1.0, else: :max)]
 
     {:ok, _} =
-      Pipeline.run(fn p ->
-        p
-        |> Situ.source(Source, kind: {:messages, messages})
-        |> Situ.each(fn _, m -> tell.({m.originating_time, Situ.Time.now()}) end)
-      end)
+      Pipeline.run(
+        fn p ->
+          p
+          |> Situ.source(Source, kind: {:messages, messages})
+          |> Situ.each(fn _, m -> tell.({m.originating_time, Situ.Time.now()}) end)
+        end,
+        pipeline: [replay: replay]
+      )
 
     [_ | rest] = got = drain(tag)
-    ok? = length(got) == case["expect"]["count"] and Enum.all?(rest, fn {t, at} -> at <= t end)
+    in_time? = fn {t, at} -> if enforced?, do: at >= t, else: at <= t end
+    ok? = length(got) == case["expect"]["count"] and Enum.all?(rest, in_time?)
     if ok?, do: :pass, else: {:fail, case["expect"], got}
   end
 
@@ -380,26 +410,31 @@ defmodule Situ.Conformance.PipelineLifecycle do
     })
   end
 
+  # A source inside, or with a function a source outside and the function inside.
   def check(%{"op" => "subpipeline", "inputs" => [%{"messages" => messages}]} = case) do
     {tell, tag} = teller()
-    script = for m <- messages, do: {ticks(m["t_ticks"]), m["v"]}
+    source = &Situ.source(&1, Source, kind: {:messages, timed(messages)})
+    function = case["params"]["function"]
 
     {:ok, _} =
       Pipeline.run(
         fn p ->
-          p
-          |> Pipeline.composite("Sub", &Situ.source(&1, Source, kind: {:messages, script}))
-          |> Situ.each(tell)
+          if function do
+            fun = Formula.of_one(function)
+            p |> source.() |> Situ.composite("Sub", &Situ.map(&1, fun)) |> Situ.each(tell)
+          else
+            p |> Pipeline.composite("Sub", source) |> Situ.each(tell)
+          end
         end,
         pipeline: [replay: [interval: {0, :unbounded}]]
       )
 
-    verdict(case["expect"], drain(tag))
+    verdict(values(case["expect"]), drain(tag))
   end
 
   def check(%{"op" => "connector", "inputs" => [%{"messages" => messages}]} = case) do
     {tell, tag} = teller()
-    script = for m <- messages, do: {ticks(m["t_ticks"]), m["v"]}
+    script = timed(messages)
     connector = Situ.Connector.new("Between")
 
     {:ok, target} =
@@ -537,6 +572,9 @@ defmodule Situ.Conformance.PipelineLifecycle do
 
   defp errors({:ok, report}), do: length(report.errors)
   defp errors({:error, error}), do: length(error.meta.errors)
+
+  defp values([%{"v" => _} | _] = messages), do: Enum.map(messages, & &1["v"])
+  defp values(values), do: values
 
   defp zero, do: String.length("")
 

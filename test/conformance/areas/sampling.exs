@@ -5,7 +5,7 @@ defmodule Situ.Conformance.Sampling do
   Code.require_file("interpolators.exs", __DIR__)
 
   def check(%{"op" => op, "params" => p} = case) do
-    interpolator = interpolator(p)
+    interpolator = Interpolators.of_params(p, "reproducible.nearest")
     tolerance = p["tolerance"] || 1.0e-12
 
     result =
@@ -24,8 +24,8 @@ defmodule Situ.Conformance.Sampling do
   defp by_interval(%{"inputs" => [input] = inputs}, interpolator, p) do
     messages = timed(input["messages"])
     {last, _} = List.last(messages) || {0, nil}
-    close = if p["pipeline_ends_at_ms"], do: ms(p["pipeline_ends_at_ms"]), else: last
-    align = if p["align_to_ms"], do: [align: ms(p["align_to_ms"])], else: []
+    close = closed_at(p) || last
+    align = align(p)
     interval = if p["interval_ms"], do: ms(p["interval_ms"]), else: ticks(p["interval_ticks"])
     build = fn [source] -> Situ.interpolate(source, interval, interpolator, align) end
 
@@ -36,12 +36,11 @@ defmodule Situ.Conformance.Sampling do
     end)
   end
 
-  defp interpolator(%{"interpolator" => spec}), do: Interpolators.build(spec["kind"], spec)
-  defp interpolator(%{"tolerance_ms" => n}), do: Situ.Reproducible.nearest(ms(n))
-  defp interpolator(%{"tolerance_ticks" => n}), do: Situ.Reproducible.nearest(ticks(n))
+  defp closed_at(%{"pipeline_ends_at_ms" => n}), do: ms(n)
+  defp closed_at(%{"pipeline_ends_at_ticks" => n}), do: ticks(n)
+  defp closed_at(_params), do: nil
 
-  defp interpolator(p) do
-    window = Interpolators.window(p["window"]) || Situ.Interval.infinite()
-    Situ.Reproducible.nearest(window)
-  end
+  defp align(%{"align_to_ms" => n}), do: [align: ms(n)]
+  defp align(%{"align_to_ticks" => n}), do: [align: ticks(n)]
+  defp align(_params), do: []
 end

@@ -1,12 +1,21 @@
 defmodule Situ.Conformance.Statistics do
   import Situ.Conformance.Case
-  alias Situ.Conformance.Run
+  alias Situ.Conformance.{Formula, Run}
 
   # A function of a list, without a stream.
   def check(%{"op" => op, "params" => %{"values" => values} = params, "inputs" => []} = case) do
     [name, "of_list"] = String.split(op, ".")
-    result = Situ.Statistics.of_list(kind(name), value(values), options(params))
-    verdict(value(case["expect"]), %{name => result}, tolerance(params))
+
+    result =
+      attempt(fn -> Situ.Statistics.of_list(kind(name), value(values), options(params)) end)
+
+    case {result, case} do
+      {{:ok, result}, %{"expect" => expect}} ->
+        verdict(value(expect), %{name => result}, tolerance(params))
+
+      {result, case} ->
+        outputs(case, result)
+    end
   end
 
   def check(%{"op" => op, "params" => params} = case) do
@@ -45,20 +54,31 @@ defmodule Situ.Conformance.Statistics do
   defp over("running", _params), do: :all
   defp over("of_list", _params), do: :list
   defp over("history", %{"size" => n}), do: {:last, n}
+  defp over("history", %{"count" => n}), do: {:last, n}
+  defp over("history", %{"time_s" => n}), do: {:past, ms(n * 1_000)}
   defp over("history", %{"time_ms" => n}), do: {:past, ms(n)}
   defp over("history", %{"time_ticks" => n}), do: {:past, ticks(n)}
 
   # A decimal's running deviation of one value is 0, there being no NaN.
   defp options(params) do
     nullable = if params["nullable"], do: [nullable: true], else: []
-    if params["type"] == "decimal", do: [initial: 0.0] ++ nullable, else: nullable
+    compare = if compare = compare(params), do: [compare: compare], else: []
+    initial = if params["type"] == "decimal", do: [initial: 0.0], else: []
+    initial ++ nullable ++ compare
+  end
+
+  # The order values are compared in, where it is not that of numbers.
+  defp compare(params) do
+    case params["comparer"] || params["comparison"] || params["compare"] do
+      nil -> nil
+      text -> if(text =~ ~r/revers|descend|opposite|negat/, do: &>=/2)
+    end
   end
 
   defp where(params) do
     case params["condition"] || params["predicate"] do
       nil -> []
-      "v is even" -> [where: &(rem(trunc(&1), 2) == 0)]
-      "v is odd" -> [where: &(rem(trunc(&1), 2) != 0)]
+      text -> [where: Formula.condition(text)]
     end
   end
 
