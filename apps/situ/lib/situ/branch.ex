@@ -100,11 +100,20 @@ defmodule Situ.Branch do
 
   defp allowed!({inlet, _vertex}, inlet), do: :ok
 
+  defp allowed!({_id, %{module: Situ.Parallel.Processes} = vertex}, _inlet) do
+    raise Error.new(
+            :not_in_branch,
+            "#{vertex.path} has branches in processes inside of a branch that is a value",
+            fix: "give the outer parallel branches: :processes, too"
+          )
+  end
+
   defp allowed!({_id, vertex}, _inlet) do
     if Graph.Vertex.source?(vertex) do
       raise Error.new(:not_in_branch, "#{vertex.path} is a source inside of a parallel branch",
               why: "a branch only answers what comes in",
-              fix: "make the source outside, and bring its values in with the messages"
+              fix:
+                "give parallel branches: :processes, or bring the source's values in with the messages"
             )
     end
   end

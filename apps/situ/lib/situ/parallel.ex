@@ -36,18 +36,32 @@ defmodule Situ.Parallel do
 
   What a branch gives while it ends (`Situ.last/2` ...) still counts. Its state is released; the same key later begins a new branch.
 
-  A branch is state inside one process (see `Situ.Branch`), so a hundred thousand of them are no burden, and everything is reproducible. When a branch
-  raises, the operator fails as any other, naming the branch; with `on_branch_error: :restart` that branch alone begins anew
-  with its next part, and this one counts as missing.
+  ## Values or processes
+
+  By default a branch is a value inside the operator's process (see `Situ.Branch`): a hundred thousand of them are no burden, but they share one
+  core, and hold nothing that has a clock or a process of its own. With `branches: :processes` each is a pipeline of its own, begun at the
+  time of its first part, with any component inside: sources, timers, delays, what is slow or talks to the world. Outputs, their times and their order are the
+  same, wherever the branch itself is reproducible. Tens to thousands of such branches, not a hundred thousand.
+
+      Situ.parallel(faces, fn _id, face -> Recognizer.who(face) end, branches: :processes)
+
+  A time's output waits until each branch has given something for it, or something later, or has ended; a branch that is a straight run of light
+  operators is known to give nothing as soon as it has dealt with the part. When some 256 outputs wait the input does, too, as long as a branch is at work. The
+  operator is one box in the diagnostics, which tells how many branches live.
+
+  ## When a branch fails
+
+  It fails the operator as any other, named as `Parallel[key].Step`, and `on_error:` decides; a branch that is killed is such a failure. With
+  `on_branch_error: :restart` that branch alone begins anew with its next part, and what was on its way through it counts as missing.
 
   ## Options
 
-  #{Situ.Options.docs(size: [type: :pos_integer, doc: "Fixed form."], split: [type: {:fun, 1}, doc: "Makes the list or map of a message."], with: [type: {:fun, 1}, doc: "Makes the output of the list or map of results."], or_default: [type: :any, doc: "See above."], until: [type: :any, default: :absent, doc: "See above."], only_present: [type: :boolean, default: false, doc: "Maps: output only keys of the message, not all that are alive."], on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop, doc: "See above."])}
+  #{Situ.Options.docs(size: [type: :pos_integer, doc: "Fixed form."], split: [type: {:fun, 1}, doc: "Makes the list or map of a message."], with: [type: {:fun, 1}, doc: "Makes the output of the list or map of results."], or_default: [type: :any, doc: "See above."], until: [type: :any, default: :absent, doc: "See above."], only_present: [type: :boolean, default: false, doc: "Maps: output only keys of the message, not all that are alive."], on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop, doc: "See above."], branches: [type: {:in, [:values, :processes]}, default: :values, doc: "See above."])}
 
   and `name:`, `type:`, `policy:`, `on_error:`, `async:` as for every operator (`Situ.Operator`).
   """
 
-  alias Situ.Parallel.Box
+  alias Situ.Parallel.{Box, Processes, Until}
   alias Situ.Stream
 
   @schema [
@@ -58,6 +72,7 @@ defmodule Situ.Parallel do
     until: [type: :any, default: :absent],
     only_present: [type: :boolean, default: false],
     on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop],
+    branches: [type: {:in, [:values, :processes]}, default: :values],
     of: [type: {:in, [:lists, :maps]}]
   ]
 
@@ -74,9 +89,10 @@ defmodule Situ.Parallel do
     form = form(stream.type, fun, own)
     options = [fun: fun, form: form, type: part(stream.type, own), missing: missing(own)]
     shared = Keyword.take(own, [:split, :with, :on_branch_error])
-    options = options ++ shared ++ [termination: termination(own[:until])]
+    options = options ++ shared ++ [termination: Until.parse(own[:until])]
     type = if own[:with], do: :any, else: if(is_map_form(form), do: :map, else: :list)
-    Situ.Selection.Keeper.add(stream, "Parallel", Box, options, {type, opts})
+    box = if own[:branches] == :processes, do: Processes, else: Box
+    Situ.Selection.Keeper.add(stream, "Parallel", box, options, {type, opts})
   end
 
   defp form(type, fun, own) do
@@ -107,15 +123,5 @@ defmodule Situ.Parallel do
       {:ok, value} -> {:value, value}
       :error -> :drop
     end
-  end
-
-  defp termination(:absent), do: {:after_absent, 0}
-  defp termination(:never), do: :never
-  defp termination({:absent, n}) when is_integer(n) and n >= 0, do: {:after_absent, n}
-  defp termination(fun) when is_function(fun, 3), do: fun
-
-  defp termination(other) do
-    raise ArgumentError,
-          "until: is :absent, {:absent, n}, :never or a function of key, map and time, got: #{inspect(other)}"
   end
 end

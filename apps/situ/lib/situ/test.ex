@@ -166,21 +166,39 @@ defmodule Situ.Test do
       nil ->
         :ok
 
-      {:links, links} ->
-        stages = for pid <- [test.pipeline | links], is_pid(pid), pid != self(), do: pid
-        now = Enum.map(stages, &look(&1, Clock.now(test.clock)))
+      {:links, _links} ->
+        now = round(test.pipeline, Clock.now(test.clock))
         if now == before and :due not in now, do: :ok, else: settle(test, now)
+    end
+  end
+
+  # The pipeline's process and its stages, and of branches in processes theirs.
+  defp round(pipeline, now) do
+    case Process.info(pipeline, :links) do
+      {:links, links} ->
+        stages = for pid <- [pipeline | links], is_pid(pid), pid != self(), do: pid
+        Enum.flat_map(stages, &look(&1, now))
+
+      nil ->
+        [:ended]
     end
   end
 
   # Asking comes after all that was sent before, and is answered after it was dealt with.
   defp look(pid, now) do
     case :sys.get_state(pid) do
-      %Situ.Stage{alarm: {due, _wait, _ref}} when due <= now -> :due
-      state -> :erlang.phash2(state)
+      %Situ.Stage{alarm: {due, _wait, _ref}} when due <= now ->
+        [:due]
+
+      %Situ.Stage{core: %Situ.Parallel.Processes{} = core} = state ->
+        branches = Enum.flat_map(Situ.Parallel.Processes.pipelines(core), &round(&1, now))
+        [:erlang.phash2(state) | branches]
+
+      state ->
+        [:erlang.phash2(state)]
     end
   catch
-    :exit, _ended -> :ended
+    :exit, _ended -> [:ended]
   end
 
   defp pid(test, input) do

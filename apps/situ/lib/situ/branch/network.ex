@@ -131,7 +131,7 @@ defmodule Situ.Branch.Network do
   defp act(action, node, _network) do
     raise Error.new(:not_in_branch, "#{node.path} cannot run inside of a parallel branch",
             why: "it returned #{inspect(action, limit: 5)}, and a branch has no clock",
-            fix: "put it before or behind the parallel operator"
+            fix: "give parallel branches: :processes, or put it before or behind the operator"
           )
   end
 

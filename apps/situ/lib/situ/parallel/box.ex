@@ -15,7 +15,7 @@ defmodule Situ.Parallel.Box do
       on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop]
     ]
 
-  alias Situ.Parallel.Core
+  alias Situ.Parallel.{Core, Parts}
 
   @many 1_000
   @roomy {__MODULE__, :roomy}
@@ -28,7 +28,7 @@ defmodule Situ.Parallel.Box do
 
   @impl true
   def handle_message(_input, message, _context, {core, opts}) do
-    parts = parts(opts, message.data)
+    parts = Parts.of(opts.form, opts[:split], message.data)
     make_room(core, parts)
     {outputs, core} = Core.push(core, message, parts)
     {outputs, {core, opts}}
@@ -38,7 +38,7 @@ defmodule Situ.Parallel.Box do
   def handle_messages(_input, messages, _context, {core, opts}) do
     {outputs, core} =
       Enum.flat_map_reduce(messages, core, fn message, core ->
-        parts = parts(opts, message.data)
+        parts = Parts.of(opts.form, opts[:split], message.data)
         make_room(core, parts)
         Core.push(core, message, parts)
       end)
@@ -57,7 +57,7 @@ defmodule Situ.Parallel.Box do
 
   def describe({core, _opts}) do
     failed = if core.failed > 0, do: ", #{core.failed} failed and begun anew", else: ""
-    waiting = map_size(core.entries)
+    waiting = Situ.Parallel.Entries.size(core.entries)
     waits = if waiting > 0, do: ", #{waiting} messages wait", else: ""
     "#{map_size(core.branches)} branches live, #{core.started} started#{failed}#{waits}"
   end
@@ -95,34 +95,5 @@ defmodule Situ.Parallel.Box do
     if is_function(fun, 1),
       do: fn key -> start.(key, fun) end,
       else: fn key -> start.(key, &fun.(key, &1)) end
-  end
-
-  defp parts(%{split: split} = opts, data) when is_function(split, 1),
-    do: checked(opts.form, split.(data))
-
-  defp parts(opts, data), do: checked(opts.form, data)
-
-  defp checked({:fixed, n}, list) when is_list(list) do
-    if length(list) == n, do: list, else: raise(wrong_length(n, length(list)))
-  end
-
-  defp checked(:variable, list) when is_list(list), do: list
-  defp checked(form, map) when is_map(map) and form in [:sparse, :present], do: map
-
-  defp checked(form, other) do
-    wanted = if form in [:sparse, :present], do: "a map", else: "a list"
-
-    raise Situ.Error.new(
-            :wrong_data,
-            "parallel takes #{wanted} here, got: #{inspect(other, limit: 5)}",
-            fix: "give split: fn data -> #{wanted} end"
-          )
-  end
-
-  defp wrong_length(n, got) do
-    Situ.Error.new(:wrong_length, "a list of #{got} elements for #{n} branches",
-      why: "size: fixes the number of branches",
-      fix: "leave size: out where the length varies"
-    )
   end
 end

@@ -8,18 +8,16 @@ defmodule Situ.Parallel.Core do
 
   alias Situ.Branch
   alias Situ.Branch.Chained
+  alias Situ.Parallel.{Entries, Parts, Until}
 
-  @enforce_keys [:start, :termination, :form, :missing, :creator]
+  @enforce_keys [:start, :termination, :form, :entries]
   defstruct [
     :start,
     :termination,
     :form,
-    :missing,
-    :creator,
+    :entries,
     on_failure: :stop,
     branches: %{},
-    entries: %{},
-    order: :queue.new(),
     output: nil,
     started: 0,
     failed: 0
@@ -31,19 +29,22 @@ defmodule Situ.Parallel.Core do
   @doc """
   * `start`: `fun.(key)` starts a branch
   * `form`: `{:fixed, n}`, `:variable` (lists), `:sparse` or `:present` (maps: all live keys, or those with a value)
-  * `termination`: of `Situ.Parallel`, for maps
+  * `termination`: a rule of `Situ.Parallel.Until`, for maps
   * `missing`: `:drop`, or `{:value, default}`
   * `creator`: makes the output from the list or map of values
   * `on_failure`: `:stop` or `:restart`
   """
   @spec new(keyword()) :: t()
-  def new(opts), do: struct!(__MODULE__, opts)
+  def new(opts) do
+    {entries, opts} = Keyword.split(opts, [:missing, :creator])
+    struct!(__MODULE__, [entries: Entries.new(entries[:missing], entries[:creator])] ++ opts)
+  end
 
   @doc "One message of parts: a list or a map."
   @spec push(t(), Situ.Message.t(), list() | map()) :: {[Situ.Fusion.Core.output()], t()}
   def push(core, message, parts) do
     time = message.originating_time
-    {branches, values, core} = parts |> pairs(core.form) |> feed(core.branches, [], message, core)
+    {branches, values, core} = parts |> Parts.pairs() |> feed(core.branches, [], message, core)
     core = %{core | branches: branches}
     core = if core.form in [:sparse, :present], do: terminate(core, parts, time), else: core
 
@@ -60,16 +61,10 @@ defmodule Situ.Parallel.Core do
         finish(core, key, branch, time)
       end)
 
-    flush(%{core | branches: %{}}, [])
+    flush(%{core | branches: %{}})
   end
 
   # Feeding. A branch is `{branch, last_seen, absences, waiting}`; waiting: times not decided, oldest first.
-
-  defp pairs(list, _form) when is_list(list), do: number(list, 0)
-  defp pairs(map, _form), do: Map.to_list(map)
-
-  defp number([], _i), do: []
-  defp number([value | rest], i), do: [{i, value} | number(rest, i + 1)]
 
   defp feed([], branches, values, _message, core), do: {branches, values, core}
 
@@ -98,7 +93,7 @@ defmodule Situ.Parallel.Core do
         feed(rest, branches, values, message, core)
 
       :failed ->
-        core = lost(%{core | failed: core.failed + 1}, key, waiting)
+        core = lost(%{core | failed: core.failed + 1}, waiting)
         feed(rest, Map.delete(branches, key), values, message, core)
     end
   end
@@ -145,7 +140,7 @@ defmodule Situ.Parallel.Core do
 
   defp sort([{time, value} | rest], key, now, values, waiting, core) do
     {missed, waiting} = Enum.split_while(waiting, &(&1 < time))
-    core = lost(core, key, missed)
+    core = lost(core, missed)
 
     case waiting do
       [^time | waiting] -> sort(rest, key, now, values, waiting, found(core, key, time, value))
@@ -159,24 +154,16 @@ defmodule Situ.Parallel.Core do
 
   defp terminate(%{termination: :never} = core, _parts, _time), do: core
 
-  defp terminate(%{termination: termination} = core, parts, time) do
-    Enum.reduce(core.branches, core, fn
-      {key, _entry}, core when is_map_key(parts, key) and not is_function(termination) -> core
-      {key, entry}, core -> absent(termination, core, key, entry, parts, time)
+  defp terminate(%{termination: rule} = core, parts, time) do
+    Enum.reduce(Until.asked(rule, core.branches, parts), core, fn key, core ->
+      entry = {branch, seen, absent, waiting} = Map.fetch!(core.branches, key)
+
+      case Until.decide(rule, key, {seen, absent}, parts, time) do
+        :keep -> core
+        {:absent, n} -> put_in(core.branches[key], {branch, time, n, waiting})
+        {:close, closing} -> ended(core, key, entry, closing)
+      end
     end)
-  end
-
-  defp absent({:after_absent, limit}, core, key, {branch, seen, absent, waiting}, _parts, time) do
-    if absent + 1 > limit,
-      do: ended(core, key, {branch, seen, absent, waiting}, seen),
-      else: put_in(core.branches[key], {branch, time, absent + 1, waiting})
-  end
-
-  defp absent(decide, core, key, entry, parts, time) when is_function(decide, 3) do
-    case decide.(key, parts, time) do
-      :keep -> core
-      {:close, closing} -> ended(core, key, entry, closing)
-    end
   end
 
   defp ended(core, key, entry, time) do
@@ -186,7 +173,7 @@ defmodule Situ.Parallel.Core do
 
   defp finish(core, key, {branch, _seen, _absent, waiting}, time) do
     {_values, waiting, core} = sort(closed(branch, time || 0, core), key, nil, [], waiting, core)
-    lost(core, key, waiting)
+    lost(core, waiting)
   end
 
   defp closed(branch, time, %{on_failure: :stop}), do: Branch.close(branch, time)
@@ -205,13 +192,11 @@ defmodule Situ.Parallel.Core do
     live = live(core, parts, values)
     open = undecided(core, live, values, later)
 
-    if open == [] and core.entries == %{} do
-      {output(core, time, live, values), core}
+    if open == [] and Entries.size(core.entries) == 0 do
+      {Entries.output(core.entries, time, live, values), core}
     else
       core = Enum.reduce(open, core, &wait(&2, &1, time))
-      entry = %{live: live, values: values, open: length(open)}
-      order = :queue.in(time, core.order)
-      flush(%{core | entries: Map.put(core.entries, time, entry), order: order}, [])
+      flush(%{core | entries: Entries.add(core.entries, time, live, values, length(open))})
     end
   end
 
@@ -222,9 +207,11 @@ defmodule Situ.Parallel.Core do
 
   # Branches that may still give something at this time.
   defp undecided(core, live, values, later) do
-    all_there? = map_size(values) == count(live)
+    all_there? = map_size(values) == Entries.count(live)
 
-    if all_there?, do: [], else: for(key <- keys(live), waits?(core, key, values, later), do: key)
+    if all_there?,
+      do: [],
+      else: for(key <- Entries.keys(live), waits?(core, key, values, later), do: key)
   end
 
   defp waits?(_core, key, values, _later) when is_map_key(values, key), do: false
@@ -242,43 +229,13 @@ defmodule Situ.Parallel.Core do
     end)
   end
 
-  defp found(core, key, time, value) do
-    update_in(core.entries[time], fn entry ->
-      %{entry | values: Map.put(entry.values, key, value), open: entry.open - 1}
-    end)
+  defp found(core, key, time, value),
+    do: %{core | entries: Entries.found(core.entries, time, key, value)}
+
+  defp lost(core, times), do: %{core | entries: Entries.lost(core.entries, times)}
+
+  defp flush(core) do
+    {outputs, entries} = Entries.flush(core.entries)
+    {outputs, %{core | entries: entries}}
   end
-
-  defp lost(core, _key, times) do
-    Enum.reduce(times, core, fn time, core -> update_in(core.entries[time].open, &(&1 - 1)) end)
-  end
-
-  defp flush(core, outputs) do
-    with {:value, time} <- :queue.peek(core.order),
-         %{open: 0} = entry <- Map.fetch!(core.entries, time) do
-      core = %{core | order: :queue.drop(core.order), entries: Map.delete(core.entries, time)}
-      flush(core, output(core, time, entry.live, entry.values) ++ outputs)
-    else
-      _ -> {Enum.reverse(outputs), core}
-    end
-  end
-
-  defp output(core, time, live, values) do
-    case {map_size(values) == count(live), core.missing} do
-      {true, _} -> [{:out, time, core.creator.(shape(live, values, nil))}]
-      {false, {:value, default}} -> [{:out, time, core.creator.(shape(live, values, default))}]
-      {false, :drop} -> []
-    end
-  end
-
-  defp shape(n, values, default) when is_integer(n),
-    do: for(key <- keys(n), do: Map.get(values, key, default))
-
-  defp shape(keys, values, _default) when map_size(values) == length(keys), do: values
-  defp shape(keys, values, default), do: Map.new(keys, &{&1, Map.get(values, &1, default)})
-
-  defp keys(n) when is_integer(n), do: Enum.to_list(0..(n - 1)//1)
-  defp keys(keys), do: keys
-
-  defp count(n) when is_integer(n), do: n
-  defp count(keys), do: length(keys)
 end

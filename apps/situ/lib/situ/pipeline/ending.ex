@@ -32,7 +32,7 @@ defmodule Situ.Pipeline.Ending do
     })
   end
 
-  def begin(state, _time), do: %{state | stop_wish: true}
+  def begin(state, time), do: %{state | stop_wish: time}
 
   # What is later than the end does not count: it has run ahead. Where every source upstream has given all it has, nothing has,
   # and what operators made later than their inputs (`merge`, by the clock) belongs to the result.
@@ -92,7 +92,9 @@ defmodule Situ.Pipeline.Ending do
     %{Crew.mark(state, ids, :closed) | active: active}
   end
 
-  defp quiet?(state) do
+  @doc "Whether no message is on its way between its processes."
+  @spec quiet?(Life.t()) :: boolean()
+  def quiet?(state) do
     state.active
     |> Map.keys()
     |> Enum.all?(fn id ->

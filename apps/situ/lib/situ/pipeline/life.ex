@@ -198,7 +198,8 @@ defmodule Situ.Pipeline.Life do
     for message <- Enum.reverse(early), do: send(self(), message)
 
     cond do
-      state.stop_wish || state.errors != [] -> Ending.begin(state, now(state))
+      state.errors != [] -> Ending.begin(state, now(state))
+      state.stop_wish != nil -> Ending.begin(state, time(state.stop_wish, state))
       true -> check_complete(state)
     end
   end
@@ -237,10 +238,24 @@ defmodule Situ.Pipeline.Life do
   # What hangs in its start would keep the stop waiting.
   def stop(%{phase: :starting, stop_wish: nil} = state) do
     Watch.begin(state)
-    %{state | stop_wish: true, by_hand: true}
+    %{state | stop_wish: :now, by_hand: true}
   end
 
   def stop(state), do: state
+
+  @doc "The same at an originating time: sources go on up to it, and take the time they need."
+  @spec stop(t(), Situ.Time.t()) :: t()
+  def stop(%{phase: :running} = state, time), do: Ending.begin(state, time)
+
+  def stop(%{phase: :starting, stop_wish: nil} = state, time) do
+    Watch.begin(state)
+    %{state | stop_wish: time}
+  end
+
+  def stop(state, _time), do: state
+
+  defp time(:now, state), do: now(state)
+  defp time(time, _state), do: time
 
   @doc "The clock; wall time before there is one."
   @spec now(t()) :: Situ.Time.t()

@@ -36,6 +36,11 @@ defmodule Situ.Pipeline.Server do
     end
   end
 
+  @doc "Starts a pipeline that sends `{reply, result}` to the caller when it has ended, and ends with the caller."
+  @spec start_answering(Situ.Pipeline.spec(), keyword(), reference()) ::
+          {:ok, pid()} | {:error, Error.t()}
+  def start_answering(spec, opts, reply), do: boot(:start, spec, opts, {:run, reply})
+
   def start_link(spec, opts), do: boot(:start_link, spec, opts, :linked)
   def start(spec, opts), do: boot(:start, spec, opts, :unlinked)
 
@@ -170,6 +175,13 @@ defmodule Situ.Pipeline.Server do
 
   defp answer(:clock, _from, state), do: {:reply, state.clock || Clock.real(), state}
 
+  # For pipelines inside of this one's components.
+  defp answer(:timing, _from, state),
+    do: {:reply, Map.take(state, [:clock, :enforce, :replay_end]), state}
+
+  defp answer(:quiet?, _from, state),
+    do: {:reply, state.phase == :running and Ending.quiet?(state), state}
+
   defp answer(:info, _from, state) do
     snapshot = View.snapshot(state)
     {:reply, snapshot, state |> View.mark() |> View.describe()}
@@ -228,6 +240,7 @@ defmodule Situ.Pipeline.Server do
   defp event(:situ_launch, state), do: done(Life.launch(state))
   defp event({:situ_stage, id, event}, state), do: done(Life.event(state, id, event))
   defp event(:situ_stop, state), do: done(Life.stop(state))
+  defp event({:situ_stop, time}, state), do: done(Life.stop(state, time))
   defp event(:situ_observe, state), do: {:noreply, View.observe(state)}
   defp event(:situ_recheck, state), do: done(Ending.recheck(state))
   defp event(:situ_enough, state), do: done(Ending.enough(state))

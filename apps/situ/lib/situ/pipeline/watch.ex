@@ -13,7 +13,7 @@ defmodule Situ.Pipeline.Watch do
   @doc "The stop timeout has passed: kills what is stuck, unless something has moved since `mark`."
   @spec stuck(Life.t(), term()) :: Life.t()
   def stuck(%{phase: phase, stop_wish: wish} = state, mark)
-      when phase == :stopping or (phase == :starting and wish) do
+      when phase == :stopping or (phase == :starting and wish != nil) do
     if fingerprint(state) == mark, do: kill(state), else: watch_again(state)
   end
 

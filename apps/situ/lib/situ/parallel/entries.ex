@@ -1,0 +1,92 @@
+defmodule Situ.Parallel.Entries do
+  @moduledoc false
+  # The times whose outputs are not decided yet, in order: which branches are live at each, what they gave, and how many of them
+  # may still give something.
+
+  @enforce_keys [:missing, :creator]
+  defstruct [:missing, :creator, waiting: %{}, order: :queue.new()]
+
+  @typedoc "The branches that belong to an output: the first n positions, or keys."
+  @type live :: non_neg_integer() | [term()]
+  @type t :: %__MODULE__{}
+
+  @doc "`missing`: `:drop`, or `{:value, default}`; `creator` makes the output of the list or map of values."
+  @spec new(:drop | {:value, term()}, (list() | map() -> term())) :: t()
+  def new(missing, creator), do: %__MODULE__{missing: missing, creator: creator}
+
+  @doc "How many times wait."
+  @spec size(t()) :: non_neg_integer()
+  def size(entries), do: map_size(entries.waiting)
+
+  @doc "The first time that waits."
+  @spec first(t()) :: {:value, Situ.Time.t()} | :empty
+  def first(entries), do: :queue.peek(entries.order)
+
+  @doc "A time of which `open` branches are undecided."
+  @spec add(t(), Situ.Time.t(), live(), map(), non_neg_integer()) :: t()
+  def add(entries, time, live, values, open) do
+    entry = %{live: live, values: values, open: open}
+    waiting = Map.put(entries.waiting, time, entry)
+    %{entries | waiting: waiting, order: :queue.in(time, entries.order)}
+  end
+
+  @doc "A branch gave this at a time that waits for it."
+  @spec found(t(), Situ.Time.t(), term(), term()) :: t()
+  def found(entries, time, key, value) do
+    update(entries, time, fn entry ->
+      %{entry | values: Map.put(entry.values, key, value), open: entry.open - 1}
+    end)
+  end
+
+  @doc "A branch gives nothing at these times, which wait for it."
+  @spec lost(t(), [Situ.Time.t()]) :: t()
+  def lost(entries, times) do
+    Enum.reduce(times, entries, fn time, entries ->
+      update(entries, time, &%{&1 | open: &1.open - 1})
+    end)
+  end
+
+  defp update(entries, time, fun),
+    do: %{entries | waiting: Map.update!(entries.waiting, time, fun)}
+
+  @doc "The outputs that are decided, up to the first time that is not."
+  @spec flush(t()) :: {[Situ.Fusion.Core.output()], t()}
+  def flush(entries), do: flush(entries, [])
+
+  defp flush(entries, outputs) do
+    with {:value, time} <- :queue.peek(entries.order),
+         %{open: 0} = entry <- Map.fetch!(entries.waiting, time) do
+      order = :queue.drop(entries.order)
+      entries = %{entries | order: order, waiting: Map.delete(entries.waiting, time)}
+      flush(entries, output(entries, time, entry.live, entry.values) ++ outputs)
+    else
+      _ -> {Enum.reverse(outputs), entries}
+    end
+  end
+
+  @doc "The output at a time of which all is known."
+  @spec output(t(), Situ.Time.t(), live(), map()) :: [Situ.Fusion.Core.output()]
+  def output(entries, time, live, values) do
+    case {map_size(values) == count(live), entries.missing} do
+      {true, _} -> [{:out, time, entries.creator.(shape(live, values, nil))}]
+      {false, {:value, default}} -> [{:out, time, entries.creator.(shape(live, values, default))}]
+      {false, :drop} -> []
+    end
+  end
+
+  defp shape(n, values, default) when is_integer(n),
+    do: for(key <- keys(n), do: Map.get(values, key, default))
+
+  defp shape(keys, values, _default) when map_size(values) == length(keys), do: values
+  defp shape(keys, values, default), do: Map.new(keys, &{&1, Map.get(values, &1, default)})
+
+  @doc "The keys of live branches."
+  @spec keys(live()) :: [term()]
+  def keys(n) when is_integer(n), do: Enum.to_list(0..(n - 1)//1)
+  def keys(keys), do: keys
+
+  @doc "How many live branches."
+  @spec count(live()) :: non_neg_integer()
+  def count(n) when is_integer(n), do: n
+  def count(keys), do: length(keys)
+end

@@ -1,0 +1,200 @@
+defmodule Situ.Parallel.Pool do
+  @moduledoc false
+  # The pure heart of parallel with branches in processes: which branch each key has, which times wait for it, and what is to be sent
+  # to whom. As in Core a time is decided when each of its branches has given something for it, or cannot any more: it has given something
+  # later, has passed the time without giving anything, or has ended.
+  alias Situ.Message
+  alias Situ.Parallel.{Entries, Parts, Until}
+
+  @enforce_keys [:form, :termination, :entries]
+  defstruct [
+    :form,
+    :termination,
+    :entries,
+    keys: %{},
+    branches: %{},
+    output: nil,
+    started: 0,
+    failed: 0
+  ]
+
+  @type id :: reference()
+  @type order ::
+          {:feed, id(), Message.t()} | {:pass, id(), Situ.Time.t()} | {:stop, id(), Situ.Time.t()}
+  @type outputs :: [Situ.Fusion.Core.output()]
+  @type t :: %__MODULE__{}
+
+  @doc "`form`, `termination`, `missing`, `creator` as of `Situ.Parallel.Core.new/1`."
+  @spec new(keyword()) :: t()
+  def new(opts) do
+    {entries, opts} = Keyword.split(opts, [:missing, :creator])
+    struct!(__MODULE__, [entries: Entries.new(entries[:missing], entries[:creator])] ++ opts)
+  end
+
+  @doc "Keys among these parts that have no branch."
+  @spec unknown(t(), list() | map()) :: [term()]
+  def unknown(pool, parts) do
+    for {key, _} <- Parts.pairs(parts), not is_map_key(pool.keys, key), do: key
+  end
+
+  @doc "The branch of `key` was started; whether branches have outputs at all is told by the first."
+  @spec started(t(), term(), id(), boolean()) :: t()
+  def started(pool, key, id, output?) do
+    %{
+      pool
+      | keys: Map.put(pool.keys, key, {id, nil, 0}),
+        branches: Map.put(pool.branches, id, {key, []}),
+        output: if(pool.output == nil, do: output?, else: pool.output),
+        started: pool.started + 1
+    }
+  end
+
+  @doc "One message of parts; every key has its branch."
+  @spec push(t(), Message.t(), list() | map()) :: {[order()], outputs(), t()}
+  def push(pool, message, parts) do
+    time = message.originating_time
+    before = pool.keys
+    {feeds, pool} = Enum.map_reduce(Parts.pairs(parts), pool, &feed(&1, &2, message))
+    {stops, pool} = terminate(pool, parts, time)
+
+    if pool.output == false do
+      {feeds ++ stops, [], pool}
+    else
+      live = live(pool, parts)
+      keys = Entries.keys(live)
+      passes = for key <- keys, not part?(parts, key), do: {:pass, id(before, key), time}
+      pool = Enum.reduce(keys, pool, &wait(&2, id(before, &1), time))
+      entries = Entries.add(pool.entries, time, live, %{}, length(keys))
+      {outputs, pool} = flush(%{pool | entries: entries})
+      {feeds ++ passes ++ stops, outputs, pool}
+    end
+  end
+
+  @doc "A branch gave this."
+  @spec gave(t(), id(), Situ.Time.t(), term()) :: {outputs(), t()}
+  def gave(pool, id, time, value) do
+    case pool.branches do
+      %{^id => {key, waiting}} ->
+        {missed, waiting} = Enum.split_while(waiting, &(&1 < time))
+        entries = Entries.lost(pool.entries, missed)
+        {entries, waiting} = take(entries, waiting, time, key, value)
+        flush(%{keep(pool, id, key, waiting) | entries: entries})
+
+      _ ->
+        {[], pool}
+    end
+  end
+
+  @doc "A branch has dealt with everything up to `time`, and nothing for that will come any more."
+  @spec passed(t(), id(), Situ.Time.t()) :: {outputs(), t()}
+  def passed(pool, id, time) do
+    case pool.branches do
+      %{^id => {key, waiting}} ->
+        {missed, waiting} = Enum.split_while(waiting, &(&1 <= time))
+        entries = Entries.lost(pool.entries, missed)
+        flush(%{keep(pool, id, key, waiting) | entries: entries})
+
+      _ ->
+        {[], pool}
+    end
+  end
+
+  @doc "A branch has ended, and everything it gave is here."
+  @spec ended(t(), id()) :: {outputs(), t()}
+  def ended(pool, id) do
+    case Map.pop(pool.branches, id) do
+      {nil, _} ->
+        {[], pool}
+
+      {{key, waiting}, branches} ->
+        keys = if id(pool.keys, key) == id, do: Map.delete(pool.keys, key), else: pool.keys
+        entries = Entries.lost(pool.entries, waiting)
+        flush(%{pool | branches: branches, keys: keys, entries: entries})
+    end
+  end
+
+  @doc "The input has ended: every branch ends with it."
+  @spec close(t(), Situ.Time.t()) :: {[order()], t()}
+  def close(pool, time) do
+    stops = for {_key, {id, seen, _}} <- pool.keys, do: {:stop, id, last(time, seen)}
+    {stops, %{pool | keys: %{}}}
+  end
+
+  @doc "The key of a branch."
+  @spec key(t(), id()) :: {:ok, term()} | :error
+  def key(pool, id) do
+    with {:ok, {key, _waiting}} <- Map.fetch(pool.branches, id), do: {:ok, key}
+  end
+
+  @doc "The branches that the first undecided time waits for."
+  @spec awaited(t()) :: [id()]
+  def awaited(pool) do
+    case Entries.first(pool.entries) do
+      {:value, time} -> for {id, {_key, [^time | _]}} <- pool.branches, do: id
+      :empty -> []
+    end
+  end
+
+  defp feed({key, data}, pool, message) do
+    {id, _seen, _absent} = Map.fetch!(pool.keys, key)
+    keys = Map.put(pool.keys, key, {id, message.originating_time, 0})
+    {{:feed, id, %{message | data: data}}, %{pool | keys: keys}}
+  end
+
+  defp terminate(%{form: form} = pool, _parts, _time) when form not in [:sparse, :present],
+    do: {[], pool}
+
+  defp terminate(%{termination: rule} = pool, parts, time) do
+    rule
+    |> Until.asked(pool.keys, parts)
+    |> Enum.reduce({[], pool}, fn key, {stops, pool} ->
+      {id, seen, absent} = Map.fetch!(pool.keys, key)
+
+      case Until.decide(rule, key, {seen, absent}, parts, time) do
+        :keep -> {stops, pool}
+        {:absent, n} -> {stops, %{pool | keys: Map.put(pool.keys, key, {id, time, n})}}
+        {:close, at} -> {[{:stop, id, last(at, seen)} | stops], without(pool, key)}
+      end
+    end)
+  end
+
+  # What it was sent counts, whenever it is said to end.
+  defp last(at, nil), do: at
+  defp last(at, seen), do: max(at, seen)
+
+  defp without(pool, key), do: %{pool | keys: Map.delete(pool.keys, key)}
+
+  defp live(%{form: {:fixed, n}}, _parts), do: n
+  defp live(%{form: :variable}, parts), do: length(parts)
+  defp live(%{form: :present}, parts), do: Map.keys(parts)
+  defp live(%{form: :sparse} = pool, _parts), do: Map.keys(pool.keys)
+
+  # Lists have a part for each live position.
+  defp part?(parts, _position) when is_list(parts), do: true
+  defp part?(parts, key), do: is_map_key(parts, key)
+
+  defp id(keys, key) do
+    case keys do
+      %{^key => {id, _, _}} -> id
+      _ -> nil
+    end
+  end
+
+  defp wait(pool, id, time) do
+    {key, waiting} = Map.fetch!(pool.branches, id)
+    keep(pool, id, key, waiting ++ [time])
+  end
+
+  defp take(entries, [time | waiting], time, key, value),
+    do: {Entries.found(entries, time, key, value), waiting}
+
+  defp take(entries, waiting, _time, _key, _value), do: {entries, waiting}
+
+  defp keep(pool, id, key, waiting),
+    do: %{pool | branches: Map.put(pool.branches, id, {key, waiting})}
+
+  defp flush(pool) do
+    {outputs, entries} = Entries.flush(pool.entries)
+    {outputs, %{pool | entries: entries}}
+  end
+end

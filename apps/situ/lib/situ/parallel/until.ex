@@ -1,0 +1,47 @@
+defmodule Situ.Parallel.Until do
+  @moduledoc false
+  # When the branch of a key ends: the rules of `until:`. Pure.
+
+  @type t ::
+          :never
+          | {:after_absent, non_neg_integer()}
+          | (term(), map(), Situ.Time.t() -> :keep | {:close, Situ.Time.t()})
+
+  @doc "The rule of an `until:` option."
+  @spec parse(term()) :: t()
+  def parse(:absent), do: {:after_absent, 0}
+  def parse(:never), do: :never
+  def parse({:absent, n}) when is_integer(n) and n >= 0, do: {:after_absent, n}
+  def parse(fun) when is_function(fun, 3), do: fun
+
+  def parse(other) do
+    raise ArgumentError,
+          "until: is :absent, {:absent, n}, :never or a function of key, map and time, got: #{inspect(other)}"
+  end
+
+  @doc "The keys of `branches` that the rule has to be asked about at a message with these parts."
+  @spec asked(t(), %{term() => term()}, map()) :: [term()]
+  def asked(:never, _branches, _parts), do: []
+  def asked(rule, branches, _parts) when is_function(rule), do: Map.keys(branches)
+
+  def asked(_rule, branches, parts) do
+    :maps.fold(
+      fn key, _, keys -> if is_map_key(parts, key), do: keys, else: [key | keys] end,
+      [],
+      branches
+    )
+  end
+
+  @doc """
+  What becomes of the branch of a key that was last seen at `seen` and since then absent so often: `:keep`, `{:absent, n}` (it is alive
+  without being there), or `{:close, time}`.
+  """
+  @spec decide(t(), term(), {Situ.Time.t() | nil, non_neg_integer()}, map(), Situ.Time.t()) ::
+          :keep | {:absent, pos_integer()} | {:close, Situ.Time.t() | nil}
+  def decide({:after_absent, limit}, _key, {seen, absent}, _parts, _time) do
+    if absent + 1 > limit, do: {:close, seen}, else: {:absent, absent + 1}
+  end
+
+  def decide(rule, key, _presence, parts, time) when is_function(rule, 3),
+    do: rule.(key, parts, time)
+end
