@@ -19,7 +19,11 @@ defmodule Situ.Media.MixProject do
   end
 
   def application do
-    [extra_applications: extra_applications(Mix.env())]
+    [
+      mod: {Situ.Media.Application, []},
+      env: [store_readers: [Situ.Media.Recording]],
+      extra_applications: extra_applications(Mix.env())
+    ]
   end
 
   defp elixirc_paths(:test), do: ["lib", "test/support"]
@@ -29,6 +33,10 @@ defmodule Situ.Media.MixProject do
   defp extra_applications(_env), do: [:logger]
 
   defp deps do
-    [{:situ, in_umbrella: true}, {:situ_native, in_umbrella: true, runtime: false}]
+    [
+      {:situ, in_umbrella: true},
+      {:situ_store, in_umbrella: true},
+      {:situ_native, in_umbrella: true, runtime: false}
+    ]
   end
 end

@@ -47,6 +47,22 @@ defmodule Fixture do
     :ok = Writer.close(writer)
   end
 
+  # Ten seconds of film whose colour is that of `color/1` at its second, with a tone that begins at second 5.
+  def film(folder) do
+    picture =
+      "nullsrc=s=320x180:r=25:d=10,geq=r='mod(floor(T)*4,256)':g='255-mod(floor(T)*4,256)':b='mod(floor(T)*40,256)'"
+
+    tone = "aevalsrc='if(gte(t,5),0.8*sin(2*PI*440*t),0)':s=16000:d=10"
+
+    {_, 0} =
+      System.cmd(
+        "ffmpeg",
+        ~w(-v error -nostdin -y -f lavfi -i #{picture},format=yuv444p -f lavfi -i) ++
+          [tone] ++
+          ~w(-c:v libx264 -preset veryfast -g 50 -c:a aac) ++ [Path.join(folder, "film.mp4")]
+      )
+  end
+
   # A signal of n points, 1 kHz, with one spike that no summary may lose.
   def record_big(name, folder, n) do
     {:ok, writer} = Writer.create(name, folder)

@@ -177,6 +177,30 @@ test("4 pictures: the one at the cursor, with rectangles over it", async ({ page
   await shot("pictures");
 });
 
+test("4 a film: picture and waveform of an MP4, scrubbed back and forth", async ({ page, shot }) => {
+  await open(page, main, "film.mp4");
+  const id = await panelOf(page, "Video"), wave = await panelOf(page, "Audio");
+  const times = [];
+  for (const s of [7, 2, 1, 8, 4]) {
+    const asked = Date.now();
+    await dispatch(page, { type: "cursor", t: s * S + 5e8 });
+    // the picture is shown from its time on: 25 a second, 12 of them in half a second
+    await until(page, ([i, at]) => document.getElementById(i).dataset.at === String(at), `the picture of second ${s} is there`, [id, s * S + 48e7]);
+    times.push(Date.now() - asked);
+    await settled(page);
+    const seen = await pixel(page, `#${id} canvas`, 0.75, 0.5);
+    color(s).forEach((c, i) => near(seen[i], c, 12, `channel ${i} of second ${s}`));
+  }
+  console.log(`film: cursor to picture ${times.join(", ")} ms`);
+  const heights = await page.evaluate((i) => {
+    const points = [...window.situStudio.views].find((v) => v.el.id === i).layers[0].channel.series;
+    return [points.length > 100, points.raw];
+  }, wave);
+  equal(heights, [true, false], "the waveform is folded");
+  ok((await count(page, `#${wave} canvas`, [0x4e, 0xa1, 0xf3])) > 3000, "the waveform has a body");
+  await shot("film");
+});
+
 test("4 depth, bars and values", async ({ page }) => {
   await open(page, main, "minute.0000");
   await dispatch(page, { type: "cursor", t: 30 * S });

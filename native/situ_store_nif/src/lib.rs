@@ -2,7 +2,6 @@
 
 mod errors;
 mod reading;
-mod rows;
 mod terms;
 mod writing;
 
@@ -40,7 +39,6 @@ mod atoms {
         damaged,
         missing_extent,
         crash,
-        unknown = "$situ_unknown",
         undecodable = "$situ_undecodable",
         stream_exists
     }

@@ -8,7 +8,7 @@ defmodule Situ.Store do
       store |> Situ.Store.messages("Lobby.Speaking", from: t0, to: t1) |> Enum.each(&IO.inspect/1)
       {:ok, width, bins} = Situ.Store.summary(store, "Lobby.Loudness", t0, t1, 1_500)
 
-  A foreign file (WAV, CSV, and what `Situ.Store.Reader`s are configured for) opens in the same way.
+  A foreign file (WAV, CSV, MP4 and other media, and what `Situ.Store.Reader`s are configured for) opens in the same way.
   Recording and replay in a pipeline: `create/4`, `write/4`, `importer/3`, `stream/3`. Without a pipeline: `Situ.Store.Writer`.
 
   Reading trusts nothing: checksums are verified, no atoms or functions come out of a file. Data of a struct that this system
@@ -195,7 +195,7 @@ defmodule Situ.Store do
 
   Options: `from:`, `to:` (originating times, both ends included), `index:` (start at this ordinal), `type:` (a struct whose
   fields may have changed since: see `Situ.Store.Evolution`), `skip_damage: true` (go on behind damaged chunks; else the
-  `Situ.Error` is raised).
+  `Situ.Error` is raised), `envelopes: true` (the data may be `nil`: a reader that has to decode need not).
   """
   @spec messages(t(), name(), keyword()) :: Enumerable.t()
   def messages(store, name, opts \\ []) do
@@ -235,19 +235,24 @@ defmodule Situ.Store do
     error in Error -> {:error, error}
   end
 
-  @doc "The message with this ordinal (0 is the first, -1 the last): `{:ok, message}` or `{:ok, nil}`."
-  @spec at(t(), name(), integer()) :: {:ok, Message.t() | nil} | {:error, Error.t()}
-  def at(store, name, index) do
+  @doc """
+  The message with this ordinal (0 is the first, -1 the last): `{:ok, message}` or `{:ok, nil}`. Option `envelopes:` as `messages/3`.
+  """
+  @spec at(t(), name(), integer(), keyword()) :: {:ok, Message.t() | nil} | {:error, Error.t()}
+  def at(store, name, index, opts \\ []) do
     with {:ok, info} <- stream_info(store, name) do
-      one(store, info, if(index < 0, do: count(store, info) + index, else: index))
+      one(store, info, if(index < 0, do: count(store, info) + index, else: index), opts)
     end
   end
 
-  defp one(_store, _info, ordinal) when ordinal < 0, do: {:ok, nil}
+  defp one(store, info, ordinal, opts \\ [])
+  defp one(_store, _info, ordinal, _opts) when ordinal < 0, do: {:ok, nil}
 
-  defp one(store, info, ordinal) do
+  defp one(store, info, ordinal, opts) do
+    opts = [exact: true] ++ opts
+
     with {:ok, messages, _} <-
-           store.module.read(store.state, info, ordinal, :unbounded, 1, exact: true),
+           store.module.read(store.state, info, ordinal, :unbounded, 1, opts),
          do: {:ok, List.first(messages)}
   end
 

@@ -63,6 +63,9 @@ defmodule Situ.CLI.Store do
 
   @impl true
   def run(argv) do
+    # Pictures and sound of recordings, and the readers of media files, come with this application.
+    {:ok, _} = Application.ensure_all_started(:situ_media)
+
     case OptionParser.parse(argv, strict: @switches, aliases: [s: :stream, n: :number]) do
       {opts, [verb | args], []} -> verb(verb, args, opts)
       {_, [], []} -> wrong("which verb?")
@@ -159,8 +162,7 @@ defmodule Situ.CLI.Store do
   end
 
   defp repair(path, opts) do
-    report =
-      Progress.show("repair", opts, fn progress -> ok!(Store.repair(path, progress: progress)) end)
+    report = ok!(Store.repair(path))
 
     if opts[:json] do
       IO.puts(Situ.JSON.encode(report))

@@ -11,7 +11,7 @@ defmodule Situ.NativeBuild.Architecture do
     situ_native: [],
     situ: [],
     situ_store: [:situ],
-    situ_media: [:situ],
+    situ_media: [:situ, :situ_store],
     situ_infer: [:situ, :situ_media],
     situ_net: [:situ, :situ_store],
     situ_live: [],

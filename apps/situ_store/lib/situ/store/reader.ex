@@ -2,9 +2,12 @@ defmodule Situ.Store.Reader do
   @moduledoc """
   What a file format must answer so that it opens, lists, seeks and replays like a store.
 
-  A reader is found by the file's extension (`extensions/0`) among the built-in ones and those named in the configuration:
+  A reader is found by the file's extension (`extensions/0`): first those named in the configuration,
 
       config :situ_store, readers: [MyFormat]
+
+  then those that a loaded application brings (`env: [store_readers: [MyFormat]]` in `application/0` of its `mix.exs`), then WAV and CSV,
+  which are built in.
 
   Messages of a stream are numbered 0, 1, 2 ... (ordinals). A reader meets untrusted bytes: it answers errors, makes no
   atoms, and bounds what it allocates.
@@ -27,7 +30,8 @@ defmodule Situ.Store.Reader do
               {:ok, non_neg_integer()} | error()
   @doc """
   About `limit` messages from `ordinal` on that lie at or before `to`, and the ordinal to go on with. An empty list is
-  the end for now. `exact: true` asks for no more than `limit`.
+  the end for now. `exact: true` asks for no more than `limit`; with `envelopes: true` nobody looks at the data, and a reader that
+  has to decode may leave it `nil`.
   """
   @callback read(
               state(),
@@ -57,5 +61,11 @@ defmodule Situ.Store.Reader do
 
   @doc "Every known reader of foreign files."
   @spec all() :: [module()]
-  def all, do: Application.get_env(:situ_store, :readers, []) ++ @built_in
+  def all, do: Application.get_env(:situ_store, :readers, []) ++ brought() ++ @built_in
+
+  defp brought do
+    for {app, _, _} <- Application.loaded_applications(),
+        reader <- Application.get_env(app, :store_readers, []),
+        do: reader
+  end
 end

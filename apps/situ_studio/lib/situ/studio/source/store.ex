@@ -213,7 +213,9 @@ defmodule Situ.Studio.Source.Store do
   end
 
   defp all_marks(source, info, from, to, n) do
-    with {:ok, messages} <- Store.read(source.store, info, from: from, to: to, limit: n + 16) do
+    opts = [from: from, to: to, limit: n + 16, envelopes: true]
+
+    with {:ok, messages} <- Store.read(source.store, info, opts) do
       {:ok, Enum.map(messages, &mark/1), :all}
     end
   end
@@ -222,7 +224,8 @@ defmodule Situ.Studio.Source.Store do
     with {:ok, first} <- store.module.seek(store.state, info, from) do
       rows =
         for i <- 0..(@samples - 1),
-            {:ok, %Situ.Message{} = m} <- [Store.at(store, info, first + div(i * n, @samples))],
+            ordinal = first + div(i * n, @samples),
+            {:ok, %Situ.Message{} = m} <- [Store.at(store, info, ordinal, envelopes: true)],
             do: mark(m)
 
       {:ok, rows, :more}

@@ -1,0 +1,13 @@
+defmodule Situ.Media.Application do
+  @moduledoc false
+  # Keeps the processes that read media files opened as recordings; nothing else here lives longer than its owner.
+  use Application
+
+  @impl true
+  def start(_type, _args) do
+    Supervisor.start_link(Situ.Media.Recording.Host.children(),
+      strategy: :one_for_all,
+      name: Situ.Media.Supervisor
+    )
+  end
+end

@@ -1,0 +1,350 @@
+defmodule Situ.Media.Recording do
+  @moduledoc """
+  Media files as recordings: `Situ.Store.open("talk1.mp4")` has the streams `Video` and `Audio`, and so has everything that opens
+  stores: `bin/situ store info`, the studio, replay in a pipeline.
+
+      {:ok, store} = Situ.Store.open("talk1.mp4")
+      {:ok, message} = Situ.Store.latest_at(store, "Video", Situ.Time.ms(1_500))
+      %Situ.Image{width: 1024, height: 512} = message.data
+
+  Every kind of file FFmpeg reads by the endings of `extensions/0`. Times are those of `Situ.Media.VideoFile`: a picture's is when it is
+  shown, a piece of sound (20 ms) has that of its end, and the file begins at its own time (see `Situ.Media.FileTime`) or at the option
+  `start:` (ns; `Situ.Store.open(path, reader_opts: [start: time])`).
+
+  Opening lists the file's packets and decodes nothing but the first piece of sound (about half a second; longer for hours of film). Pictures are decoded when asked for, in a process for each
+  file that ends by itself: on from the last one, or from the key picture before, and up to 64 MB of them are kept for going back. Files
+  with a key picture every few seconds, as cameras and encoders make them, can be scrubbed well.
+
+  Pictures are `:bgr24`, sound has 16 bits. A damaged file gives what can be read, then the error `:damaged_media`; a last piece of sound that is
+  short of what the file promised is filled up with silence. `size` of a stream is that of its decoded data, `stored` what its packets take.
+  """
+  @behaviour Situ.Store.Reader
+  import Bitwise
+
+  alias Situ.{AudioBuffer, AudioFormat, Error, Message}
+  alias Situ.Media.{Decoder, FileInfo, FileTime}
+  alias Situ.Media.Recording.{Index, Pictures, Sound, Waveform}
+  alias Situ.Store.StreamInfo
+
+  @enforce_keys [:path, :version, :info, :index, :start]
+  defstruct [:path, :version, :info, :index, :start, :sound]
+
+  @typedoc "`first` is the media time of the sound's first frame, in frames; `step` the frames of a piece."
+  @type sound :: %{
+          format: AudioFormat.t(),
+          first: integer(),
+          frames: non_neg_integer(),
+          step: pos_integer()
+        }
+  @type t :: %__MODULE__{
+          path: Path.t(),
+          version: term(),
+          info: FileInfo.t(),
+          index: Index.t(),
+          start: Situ.Time.t(),
+          sound: sound() | nil
+        }
+
+  @schema [
+    start: [
+      type: {:or, [{:in, [:file]}, :integer]},
+      default: :file,
+      doc: "Originating time of the file's beginning, ns."
+    ]
+  ]
+  @piece 20_000_000
+  # Pieces that are decoded together: half a minute.
+  @stretch 1_500
+
+  @doc false
+  def stretch, do: @stretch
+
+  @impl true
+  def extensions do
+    ~w(.mp4 .m4v .mov .mkv .webm .avi .mpg .mpeg .m2ts .mts .flv .wmv .3gp .ogv) ++
+      ~w(.mp3 .m4a .aac .flac .ogg .oga .opus .mka)
+  end
+
+  @impl true
+  def open(path, opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, info} <- FileInfo.read(path),
+         {:ok, version} <- version(path),
+         {:ok, index} <- Index.read(path, info),
+         {:ok, sound} <- sound(path, info, index) do
+      start = FileTime.offset(opts[:start], info.recorded_at, 0, %{start_time: 0})
+      info = if Index.count(index) == 0, do: %{info | video: nil}, else: info
+
+      recording = %__MODULE__{
+        path: path,
+        version: version,
+        info: info,
+        index: index,
+        start: start
+      }
+
+      {:ok, %{recording | sound: sound}}
+    end
+  end
+
+  defp version(path) do
+    case File.stat(path, time: :posix) do
+      {:ok, stat} -> {:ok, {stat.size, stat.mtime}}
+      {:error, reason} -> {:error, Error.new(:no_file, "cannot read #{path}: #{reason}")}
+    end
+  end
+
+  @doc false
+  @spec unchanged(t()) :: :ok | {:error, Error.t()}
+  def unchanged(%{path: path, version: version}) do
+    case version(path) do
+      {:ok, ^version} -> :ok
+      {:ok, _} -> {:error, Error.new(:changed, "#{path} has changed since it was opened")}
+      error -> error
+    end
+  end
+
+  # Where the sound begins shows in its first piece: codecs have a lead-in that containers tell in ways of their own.
+  defp sound(_path, %{audio: nil}, _index), do: {:ok, nil}
+
+  defp sound(path, info, index) do
+    with {:ok, decoder} <- Decoder.open(path, info, video: false, audio_buffer: @piece) do
+      item = Decoder.next(decoder)
+      Decoder.close(decoder)
+
+      case item do
+        {:audio, time, %{format: format} = buffer, _} ->
+          first = AudioFormat.ns_to_frames(format, time) - AudioBuffer.frames(buffer)
+          frames = AudioFormat.ns_to_frames(format, index.sound_end) - first
+          step = max(AudioFormat.ns_to_frames(format, @piece), 1)
+          {:ok, %{format: format, first: first, frames: max(frames, 0), step: step}}
+
+        # A film with silent or broken sound is still a film.
+        _ when info.video != nil ->
+          {:ok, nil}
+
+        {:error, error, _} ->
+          {:error, error}
+
+        {:eof, _} ->
+          {:ok, nil}
+      end
+    end
+  end
+
+  @impl true
+  def info(recording) do
+    name = Path.basename(recording.path, Path.extname(recording.path))
+    %{name: name, created: recording.info.recorded_at, closed?: true, live?: false, damage: []}
+  end
+
+  @impl true
+  def streams(recording), do: video(recording) ++ audio(recording)
+
+  defp video(%{info: %{video: nil}}), do: []
+
+  defp video(%{index: index, info: %{video: video}} = recording) do
+    count = Index.count(index)
+    size = count * video.width * video.height * 3
+
+    [
+      stream(
+        recording,
+        %{id: 1, name: "Video", type: Situ.Image, count: count},
+        size,
+        index.picture_bytes
+      )
+    ]
+  end
+
+  defp audio(%{sound: nil}), do: []
+
+  defp audio(%{sound: sound, index: index} = recording) do
+    count = div(sound.frames + sound.step - 1, sound.step)
+    size = sound.frames * AudioFormat.bytes_per_frame(sound.format)
+
+    [
+      stream(
+        recording,
+        %{id: 2, name: "Audio", type: AudioBuffer, count: count},
+        size,
+        index.sound_bytes
+      )
+    ]
+  end
+
+  defp stream(recording, %{count: count} = fields, size, stored) do
+    info = struct!(StreamInfo, fields)
+    first = if count > 0, do: time(recording, info, 0)
+    last = if count > 0, do: time(recording, info, count - 1)
+
+    %{
+      info
+      | store_name: info(recording).name,
+        store_path: recording.path,
+        type_name: inspect(info.type),
+        size: size,
+        stored: stored,
+        opened: recording.start,
+        closed: last || recording.start,
+        first: first,
+        last: last,
+        first_creation: first,
+        last_creation: last
+    }
+  end
+
+  defp time(recording, %{name: "Video"}, ordinal),
+    do: recording.start + Index.time(recording.index, ordinal)
+
+  defp time(%{sound: sound} = recording, _info, ordinal) do
+    finish = sound.first + min((ordinal + 1) * sound.step, sound.frames)
+    recording.start + AudioFormat.frames_to_ns(sound.format, finish)
+  end
+
+  @impl true
+  def seek(recording, %{name: "Video"}, time),
+    do: {:ok, Index.seek(recording.index, time - recording.start)}
+
+  def seek(%{sound: sound} = recording, info, time) do
+    frame = AudioFormat.ns_to_frames(sound.format, time - recording.start) - sound.first
+    guess = div(max(frame, 0), sound.step)
+    # Rounding can put it one off either way.
+    near =
+      Enum.find(
+        max(guess - 2, 0)..(guess + 2),
+        &(&1 >= info.count or time(recording, info, &1) >= time)
+      )
+
+    {:ok, min(near || info.count, info.count)}
+  end
+
+  @impl true
+  def read(recording, info, ordinal, to, limit, opts) do
+    last = before(recording, info, to)
+
+    cond do
+      ordinal > last -> {:ok, [], ordinal}
+      opts[:envelopes] -> envelopes(recording, info, ordinal..min(last, ordinal + limit - 1))
+      info.name == "Video" -> pictures(recording, info, ordinal, min(limit, last - ordinal + 1))
+      true -> pieces(recording, info, ordinal, min(limit, last - ordinal + 1))
+    end
+  end
+
+  # The last message at or before `to`.
+  defp before(_recording, info, :unbounded), do: info.count - 1
+
+  defp before(recording, info, to) do
+    {:ok, next} = seek(recording, info, to + 1)
+    next - 1
+  end
+
+  defp envelopes(recording, info, ordinals) do
+    {:ok, Enum.map(ordinals, &message(recording, info, &1, nil)), ordinals.last + 1}
+  end
+
+  defp pictures(recording, info, ordinal, limit) do
+    case Pictures.read(recording, ordinal, limit) do
+      {:ok, []} ->
+        {:ok, [], ordinal}
+
+      {:ok, pictures} ->
+        messages = for {at, image} <- pictures, do: message(recording, info, at, image)
+        {:ok, messages, elem(List.last(pictures), 0) + 1}
+
+      {:error, error} ->
+        {:error, error}
+    end
+  end
+
+  defp pieces(%{sound: sound} = recording, info, ordinal, limit) do
+    {number, skip} = {div(ordinal, @stretch), rem(ordinal, @stretch)}
+
+    with {:ok, data} <- Sound.read(recording, number) do
+      size = sound.step * AudioFormat.bytes_per_frame(sound.format)
+      there = div(byte_size(data) + size - 1, size)
+
+      messages =
+        for i <- skip..(min(skip + limit, there) - 1)//1 do
+          at = ordinal + i - skip
+          piece = %AudioBuffer{format: sound.format, data: piece(recording, at, data, i * size)}
+          message(recording, info, at, piece)
+        end
+
+      {:ok, messages, ordinal + length(messages)}
+    end
+  end
+
+  defp piece(%{sound: sound}, ordinal, data, from) do
+    frame = AudioFormat.bytes_per_frame(sound.format)
+    wanted = min(sound.step, sound.frames - ordinal * sound.step) * frame
+    there = min(wanted, byte_size(data) - from)
+    part = binary_part(data, from, there)
+    if there == wanted, do: part, else: part <> :binary.copy(<<0>>, wanted - there)
+  end
+
+  defp message(recording, info, ordinal, data) do
+    time = time(recording, info, ordinal)
+
+    %Message{
+      data: data,
+      originating_time: time,
+      creation_time: time,
+      sequence_id: ordinal + 1,
+      source_id: info.id
+    }
+  end
+
+  @impl true
+  def summary(_recording, %{name: "Video"}, from, to, pixels),
+    do: {:ok, 1 <<< level(from, to, pixels), []}
+
+  def summary(recording, info, from, to, pixels) do
+    level = level(from, to, pixels)
+
+    if level >= Waveform.level() do
+      with {:ok, waveform} <- Sound.waveform(recording),
+           do: {:ok, 1 <<< level, Waveform.bins(waveform, from, to, level)}
+    else
+      with {:ok, first} <- seek(recording, info, from),
+           {:ok, points} <- points(recording, info, first, to + @piece, []) do
+        {:ok, 1 <<< level, fold(points, from, to, level)}
+      end
+    end
+  end
+
+  # The largest power of two that is no wider than a pixel.
+  defp level(from, to, pixels) do
+    width = max(div(to - from, pixels), 1)
+    length(Integer.digits(width, 2)) - 1
+  end
+
+  # So short a span that its samples are decoded.
+  defp points(recording, info, ordinal, to, done) do
+    case read(recording, info, ordinal, to, @stretch, []) do
+      {:ok, [], _} ->
+        {:ok, done |> Enum.reverse() |> Enum.concat()}
+
+      {:ok, messages, next} ->
+        points = Enum.flat_map(messages, &AudioBuffer.points(&1.data, &1.originating_time))
+        points(recording, info, next, to, [points | done])
+
+      {:error, error} ->
+        {:error, error}
+    end
+  end
+
+  defp fold(points, from, to, level) do
+    points
+    |> Enum.filter(fn {time, _, _, _, _} -> time >= from and time <= to end)
+    |> Enum.chunk_by(&(elem(&1, 0) >>> level))
+    |> Enum.map(fn [{time, min, max, last, n} | rest] ->
+      start = time >>> level <<< level
+
+      Enum.reduce(rest, {start, min, max, last, n}, fn {_, low, high, last, n},
+                                                       {t, min, max, _, count} ->
+        {t, min(min, low), max(max, high), last, count + n}
+      end)
+    end)
+  end
+end

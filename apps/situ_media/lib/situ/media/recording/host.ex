@@ -1,0 +1,58 @@
+defmodule Situ.Media.Recording.Host do
+  @moduledoc false
+  # One process for the pictures and one for the sound of every media file somebody reads at the moment. They are started
+  # when first asked and end after a while without a question, so that opening a file leaves nothing to be closed.
+
+  alias Situ.Error
+
+  @registry Situ.Media.Recording.Registry
+  @supervisor Situ.Media.Recording.Supervisor
+
+  @spec children() :: [Supervisor.child_spec() | {module(), keyword()}]
+  def children do
+    [
+      {Registry, keys: :unique, name: @registry},
+      {DynamicSupervisor, name: @supervisor, strategy: :one_for_one}
+    ]
+  end
+
+  @doc "Asks the process of `module` that reads this recording."
+  @spec ask(module(), Situ.Media.Recording.t(), term()) :: term()
+  def ask(module, recording, question, tries \\ 3) do
+    with {:ok, pid} <- find(module, recording) do
+      try do
+        GenServer.call(pid, question, :infinity)
+      catch
+        # It was just about to end.
+        :exit, {reason, _} when reason in [:normal, :noproc] and tries > 1 ->
+          ask(module, recording, question, tries - 1)
+      end
+    end
+  end
+
+  defp find(module, recording) do
+    key = {module, recording.path, recording.version}
+
+    # Unlike a lookup, this leaves out a process that has ended a moment ago.
+    case Registry.whereis_name({@registry, key}) do
+      :undefined -> start(module, recording, key)
+      pid -> {:ok, pid}
+    end
+  end
+
+  defp start(module, recording, key) do
+    spec = %{
+      id: module,
+      start:
+        {GenServer, :start_link, [module, recording, [name: {:via, Registry, {@registry, key}}]]},
+      restart: :temporary
+    }
+
+    case DynamicSupervisor.start_child(@supervisor, spec) do
+      {:ok, pid} -> {:ok, pid}
+      {:error, {:already_started, pid}} -> {:ok, pid}
+      {:error, %Error{} = error} -> {:error, error}
+      {:error, {:shutdown, %Error{} = error}} -> {:error, error}
+    end
+  end
+end

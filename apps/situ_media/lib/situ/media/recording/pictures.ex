@@ -1,0 +1,163 @@
+defmodule Situ.Media.Recording.Pictures do
+  @moduledoc false
+  # Decodes the pictures of one media file for whoever asks: on from where a decoder stands when that is near, else anew
+  # from the key picture before. What was decoded lately is kept, so that going back a little costs nothing.
+  use GenServer
+
+  alias Situ.Media.{Decoder, Recording}
+  alias Situ.Media.Recording.{Host, Index}
+
+  @idle_ms 20_000
+  @kept_bytes 64 * 1_048_576
+  # One answer holds no more than this, however many are asked for.
+  @answer_bytes 16 * 1_048_576
+  # So far before the wanted picture decoding begins, to have what a backward step wants next.
+  @back 24
+  # A replay and a person who looks elsewhere.
+  @decoders 2
+
+  defstruct [:recording, decoders: [], kept: %{}, order: :queue.new(), bytes: 0]
+
+  @doc "Up to `limit` pictures from `ordinal` on: `{:ok, [{ordinal, image}]}`, fewer when they are large, none at the end."
+  @spec read(Recording.t(), non_neg_integer(), pos_integer()) ::
+          {:ok, [{non_neg_integer(), Situ.Image.t()}]} | {:error, Situ.Error.t()}
+  def read(recording, ordinal, limit), do: Host.ask(__MODULE__, recording, {ordinal, limit})
+
+  @impl true
+  def init(recording) do
+    # A decoder that dies is an error of the question at hand.
+    Process.flag(:trap_exit, true)
+    {:ok, %__MODULE__{recording: recording}, @idle_ms}
+  end
+
+  @impl true
+  def handle_call({ordinal, limit}, _from, state) do
+    {result, state} =
+      case Recording.unchanged(state.recording) do
+        :ok -> answer(state, ordinal, min(limit, most(state.recording)))
+        error -> {error, state}
+      end
+
+    {:reply, result, state, @idle_ms}
+  end
+
+  @impl true
+  def handle_info(:timeout, state), do: {:stop, :normal, state}
+  def handle_info(_, state), do: {:noreply, state, @idle_ms}
+
+  @impl true
+  def terminate(_reason, state), do: Enum.each(state.decoders, &Decoder.close(elem(&1, 1)))
+
+  defp answer(state, ordinal, limit) do
+    case kept(state, ordinal, limit) do
+      [] -> decode(state, ordinal, limit)
+      pictures -> {{:ok, pictures}, state}
+    end
+  end
+
+  defp most(%{info: %{video: video}}),
+    do: max(div(@answer_bytes, max(video.width * video.height * 3, 1)), 1)
+
+  defp kept(state, ordinal, limit) do
+    ordinal
+    |> Stream.iterate(&(&1 + 1))
+    |> Stream.take_while(&is_map_key(state.kept, &1))
+    |> Enum.take(limit)
+    |> Enum.map(&{&1, state.kept[&1]})
+  end
+
+  defp decode(state, ordinal, limit) do
+    case decoder(state, ordinal) do
+      {:ok, {next, decoder}, others} ->
+        run(%{state | decoders: others}, next, decoder, {ordinal, limit}, [])
+
+      {:error, error} ->
+        {{:error, error}, state}
+    end
+  end
+
+  # A decoder that is at or a little before the picture, or a new one.
+  defp decoder(%{recording: %{index: index}} = state, ordinal) do
+    key = Index.key(index, ordinal)
+
+    near =
+      Enum.filter(state.decoders, fn {next, _} ->
+        next <= ordinal and (next >= key or ordinal - next <= @back)
+      end)
+
+    case Enum.max_by(near, &elem(&1, 0), fn -> nil end) do
+      nil -> open(state, max(key, ordinal - @back))
+      found -> {:ok, found, List.delete(state.decoders, found)}
+    end
+  end
+
+  defp open(%{recording: recording} = state, from) do
+    {keep, close} = Enum.split(state.decoders, @decoders - 1)
+    Enum.each(close, &Decoder.close(elem(&1, 1)))
+    opts = [start: before(recording.index, from), audio: false]
+
+    case Decoder.open(recording.path, recording.info, opts) do
+      {:ok, decoder} -> {:ok, {from, decoder}, keep}
+      {:error, error} -> {:error, error}
+    end
+  end
+
+  # Between the picture and the one before it, since ffmpeg seeks in microseconds.
+  defp before(_index, 0), do: 0
+
+  defp before(index, ordinal) do
+    time = Index.time(index, ordinal)
+    time - min(div(time - Index.time(index, ordinal - 1), 2), 1_000_000)
+  end
+
+  defp run(state, next, decoder, {_, limit}, found) when length(found) == limit,
+    do: {{:ok, Enum.reverse(found)}, %{state | decoders: [{next, decoder} | state.decoders]}}
+
+  defp run(state, next, decoder, {ordinal, _} = wanted, found) do
+    case Decoder.next(decoder) do
+      {:video, time, image, decoder} ->
+        at = max(Index.nearest(state.recording.index, time), next)
+
+        cond do
+          # One more than the packets promised.
+          at >= Index.count(state.recording.index) ->
+            run(state, at, decoder, wanted, found)
+
+          at >= ordinal ->
+            run(keep(state, at, image), at + 1, decoder, wanted, [{at, image} | found])
+
+          true ->
+            run(keep(state, at, image), at + 1, decoder, wanted, found)
+        end
+
+      {:eof, decoder} ->
+        Decoder.close(decoder)
+        {{:ok, Enum.reverse(found)}, state}
+
+      # What could be read comes first; who goes on from there meets the error.
+      {:error, error, decoder} ->
+        Decoder.close(decoder)
+        {if(found == [], do: {:error, error}, else: {:ok, Enum.reverse(found)}), state}
+    end
+  end
+
+  defp keep(%{kept: kept} = state, ordinal, _image) when is_map_key(kept, ordinal), do: state
+
+  defp keep(state, ordinal, image) do
+    shrink(%{
+      state
+      | kept: Map.put(state.kept, ordinal, image),
+        order: :queue.in(ordinal, state.order),
+        bytes: state.bytes + byte_size(image.data)
+    })
+  end
+
+  defp shrink(%{bytes: bytes} = state) when bytes <= @kept_bytes or map_size(state.kept) == 1,
+    do: state
+
+  defp shrink(state) do
+    {{:value, ordinal}, order} = :queue.out(state.order)
+    {image, kept} = Map.pop!(state.kept, ordinal)
+    shrink(%{state | kept: kept, order: order, bytes: state.bytes - byte_size(image.data)})
+  end
+end

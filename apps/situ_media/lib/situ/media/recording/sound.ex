@@ -1,0 +1,135 @@
+defmodule Situ.Media.Recording.Sound do
+  @moduledoc false
+  # Decodes the sound of one media file in stretches of half a minute, and once from end to end for its waveform.
+  use GenServer
+
+  alias Situ.{AudioBuffer, AudioFormat}
+  alias Situ.Media.{Decoder, Recording}
+  alias Situ.Media.Recording.{Host, Waveform}
+
+  @idle_ms 120_000
+  @kept 3
+  # Decoders of sound need some of what was before, and containers round the times of what comes after.
+  @lead 200_000_000
+  # A fraction of a second.
+  @jitter 200
+
+  defstruct [:recording, :waveform, stretches: []]
+
+  @doc "One stretch of sound, counted from 0: `{:ok, data}`; short or empty where there is no more."
+  @spec read(Recording.t(), non_neg_integer()) :: {:ok, binary()} | {:error, Situ.Error.t()}
+  def read(recording, number), do: Host.ask(__MODULE__, recording, {:stretch, number})
+
+  @spec waveform(Recording.t()) :: {:ok, Waveform.t()} | {:error, Situ.Error.t()}
+  def waveform(recording), do: Host.ask(__MODULE__, recording, :waveform)
+
+  @impl true
+  def init(recording) do
+    Process.flag(:trap_exit, true)
+    {:ok, %__MODULE__{recording: recording}, @idle_ms}
+  end
+
+  @impl true
+  def handle_call({:stretch, number}, _from, state) do
+    case List.keyfind(state.stretches, number, 0) do
+      {_, data} ->
+        {:reply, {:ok, data}, state, @idle_ms}
+
+      nil ->
+        case decode(state.recording, number) do
+          {:ok, data} ->
+            kept = Enum.take([{number, data} | state.stretches], @kept)
+            {:reply, {:ok, data}, %{state | stretches: kept}, @idle_ms}
+
+          {:error, error} ->
+            {:reply, {:error, error}, state, @idle_ms}
+        end
+    end
+  end
+
+  def handle_call(:waveform, _from, %{waveform: nil} = state) do
+    case draw(state.recording) do
+      {:ok, waveform} -> {:reply, {:ok, waveform}, %{state | waveform: waveform}, @idle_ms}
+      {:error, error} -> {:reply, {:error, error}, state, @idle_ms}
+    end
+  end
+
+  def handle_call(:waveform, _from, state), do: {:reply, {:ok, state.waveform}, state, @idle_ms}
+
+  @impl true
+  def handle_info(:timeout, state), do: {:stop, :normal, state}
+  def handle_info(_, state), do: {:noreply, state, @idle_ms}
+
+  defp decode(recording, number) do
+    %{format: format} = sound = recording.sound
+    size = sound.step * Recording.stretch()
+    first = sound.first + number * size
+    last = min(first + size, sound.first + sound.frames)
+    from = max(AudioFormat.frames_to_ns(format, first) - @lead, 0)
+    span = [start: from, end: AudioFormat.frames_to_ns(format, last) + @lead]
+
+    with :ok <- Recording.unchanged(recording),
+         {:ok, decoder} <- open(recording, span) do
+      gather(Decoder.next(decoder), last, format, {first, []})
+    end
+  end
+
+  defp open(recording, opts) do
+    opts =
+      [video: false, audio_format: recording.sound.format, audio_buffer: 1_000_000_000] ++ opts
+
+    Decoder.open(recording.path, recording.info, opts)
+  end
+
+  # Puts what comes where its time says: a gap is silence, what lies outside of the stretch is left out. Less than @jitter is
+  # the rounding of the container (1 ms in Matroska), and the sound goes on.
+  defp gather({:audio, time, buffer, decoder}, last, format, {at, parts}) do
+    n = AudioBuffer.frames(buffer)
+    start = AudioFormat.ns_to_frames(format, time) - n
+    start = if parts != [] and abs(start - at) <= div(format.rate, @jitter), do: at, else: start
+    gap = min(max(start - at, 0), last - at)
+    from = max(at - start, 0)
+    n = min(n - from, last - at - gap)
+
+    if n > 0 do
+      parts = [AudioBuffer.slice(buffer, from, n).data, silence(format, gap) | parts]
+      gather(Decoder.next(decoder), last, format, {at + gap + n, parts})
+    else
+      gather(Decoder.next(decoder), last, format, {at, parts})
+    end
+  end
+
+  defp gather({:eof, decoder}, _last, _format, {_at, parts}),
+    do: gathered(decoder, parts, nil)
+
+  defp gather({:error, error, decoder}, _last, _format, {_at, parts}),
+    do: gathered(decoder, parts, error)
+
+  defp gathered(decoder, parts, error) do
+    Decoder.close(decoder)
+    if parts == [] and error, do: {:error, error}, else: {:ok, join(parts)}
+  end
+
+  defp join(parts), do: parts |> Enum.reverse() |> IO.iodata_to_binary()
+  defp silence(format, n), do: :binary.copy(<<0>>, n * AudioFormat.bytes_per_frame(format))
+
+  defp draw(recording) do
+    with {:ok, decoder} <- open(recording, []) do
+      draw(Decoder.next(decoder), recording.start, Waveform.new())
+    end
+  end
+
+  defp draw({:audio, time, buffer, decoder}, start, waveform) do
+    points = AudioBuffer.points(buffer, start + time)
+    draw(Decoder.next(decoder), start, Waveform.add(waveform, points))
+  end
+
+  defp draw({:eof, decoder}, _start, waveform), do: drawn(decoder, waveform)
+  # The waveform of what can be read.
+  defp draw({:error, _error, decoder}, _start, waveform), do: drawn(decoder, waveform)
+
+  defp drawn(decoder, waveform) do
+    Decoder.close(decoder)
+    {:ok, Waveform.finish(waveform)}
+  end
+end

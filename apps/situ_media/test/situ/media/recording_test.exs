@@ -1,0 +1,202 @@
+defmodule Situ.Media.RecordingTest do
+  use ExUnit.Case, async: true
+
+  import Situ.Media.TestFiles
+  alias Situ.{AudioBuffer, Pipeline, Store, Time}
+  alias Situ.Media.Recording
+
+  doctest Situ.Media.Recording.Index
+  doctest Situ.Media.Recording.Waveform
+
+  @moduletag :tmp_dir
+  @talk path("talk1.mp4")
+
+  # Two seconds with a key picture every 15, pictures of B-frames out of order in the file, and a tone.
+  defp clip(root, ending, codecs) do
+    file = Path.join(root, "clip." <> ending)
+
+    ffmpeg!(~w(-f lavfi -i testsrc2=size=160x120:rate=30000/1001:duration=2
+         -f lavfi -i sine=duration=2:sample_rate=44100) ++ codecs ++ [file])
+
+    file
+  end
+
+  defp mp4(root),
+    do: clip(root, "mp4", ~w(-c:v libx264 -g 15 -bf 2 -pix_fmt yuv420p -c:a aac))
+
+  defp got(store, name),
+    do: store |> Store.messages(name) |> Enum.map(&{&1.originating_time, &1.data})
+
+  defp wanted(items, kind), do: for({^kind, time, data} <- items, do: {time, data})
+
+  test "a video file opens by its ending, and lists what is in it" do
+    assert Store.Reader.for_file("somewhere/CLIP.MP4") == Recording
+    store = Store.open!(@talk)
+    assert %{name: "talk1", closed?: true, live?: false, damage: []} = Store.info(store)
+
+    assert [
+             %{name: "Video", type: Situ.Image, count: 350, first: 0, last: 13_960_000_000},
+             %{name: "Audio", type: AudioBuffer, count: 700, first: 20_000_000} = audio
+           ] = Store.streams(store)
+
+    assert {audio.last, audio.size, Store.interval(store)} ==
+             {Time.s(14), 448_000, {0, Time.s(14)}}
+
+    assert {:ok, %{data: %{width: 1024, height: 512}, originating_time: 1_480_000_000}} =
+             Store.latest_at(store, "Video", Time.ms(1_519))
+
+    noon = 1_700_000_000_000_000_000
+    assert {:ok, later} = Store.open(@talk, reader_opts: [start: noon])
+    assert Store.interval(later) == {noon, noon + Time.s(14)}
+  end
+
+  test "holds exactly what the source of pipelines gives, read forward and at random", %{
+    tmp_dir: root
+  } do
+    file = mp4(root)
+    {items, :eof} = read(file)
+    store = Store.open!(file)
+    pictures = got(store, "Video")
+    assert length(pictures) == 60
+    assert pictures == wanted(items, :video)
+    assert got(store, "Audio") == wanted(items, :audio)
+
+    for i <- [59, 58, 31, 30, 29, 0, 44] do
+      {time, image} = Enum.at(pictures, i)
+      assert {:ok, %{data: ^image, sequence_id: id}} = Store.latest_at(store, "Video", time + 1)
+      assert id == i + 1
+      assert {:ok, %{data: ^image}} = Store.first_at(store, "Video", time)
+    end
+
+    # A process that has just read something else has other decoders and pictures at hand: the answer is the same.
+    {from, _} = Enum.at(pictures, 20)
+    {to, _} = Enum.at(pictures, 27)
+    {:ok, some} = Store.read(store, "Video", from: from, to: to)
+    assert Enum.map(some, &{&1.originating_time, &1.data}) == Enum.slice(pictures, 20..27)
+    assert {:ok, nil} = Store.first_at(store, "Video", Time.s(3))
+  end
+
+  test "every container: Matroska's clock has milliseconds, MPEG leaves out times", %{
+    tmp_dir: root
+  } do
+    file = clip(root, "mkv", ~w(-c:v libx264 -g 15 -pix_fmt yuv420p -c:a flac))
+    {items, :eof} = read(file)
+    store = Store.open!(file)
+    assert got(store, "Video") == wanted(items, :video)
+    # Where the sound ends is known to a millisecond; what it is, exactly.
+    {times, sound} = store |> got("Audio") |> Enum.unzip()
+    {wanted_times, wanted_sound} = items |> wanted(:audio) |> Enum.unzip()
+    assert Enum.take(sound, 99) == Enum.take(wanted_sound, 99)
+    assert Enum.zip(times, wanted_times) |> Enum.all?(fn {a, b} -> abs(a - b) <= Time.ms(1) end)
+    assert_in_delta sound |> Enum.map(&AudioBuffer.frames/1) |> Enum.sum(), 88_200, 45
+
+    file = clip(root, "mpg", ~w(-c:v mpeg2video -g 15 -bf 2 -c:a mp2))
+    {items, :eof} = read(file)
+    pictures = file |> Store.open!() |> got("Video")
+    # The very last has no time of its own in the file.
+    assert length(pictures) >= 59
+    assert pictures == items |> wanted(:video) |> Enum.take(length(pictures))
+  end
+
+  test "sound alone is a recording of sound", %{tmp_dir: root} do
+    file = clip(root, "flac", ~w(-vn -c:a flac))
+    {items, :eof} = read(file)
+    store = Store.open!(file)
+    assert [%{name: "Audio"}] = Store.streams(store)
+    assert got(store, "Audio") == wanted(items, :audio)
+  end
+
+  test "where only times are wanted, nothing is decoded", %{tmp_dir: root} do
+    store = Store.open!(mp4(root))
+    {:ok, all} = Store.read(store, "Video", envelopes: true)
+    assert Enum.map(all, & &1.data) == List.duplicate(nil, 60)
+    {:ok, %{data: nil, originating_time: time}} = Store.at(store, "Video", 30, envelopes: true)
+    assert {:ok, %{originating_time: ^time, data: %Situ.Image{}}} = Store.at(store, "Video", 30)
+  end
+
+  test "the waveform is that of the samples, wide or narrow", %{tmp_dir: root} do
+    file = mp4(root)
+    store = Store.open!(file)
+    {items, :eof} = read(file, video: false)
+
+    points =
+      for {:audio, time, buffer} <- items, point <- AudioBuffer.points(buffer, time), do: point
+
+    extremes = fn points ->
+      {points |> Enum.map(&elem(&1, 1)) |> Enum.min(),
+       points |> Enum.map(&elem(&1, 2)) |> Enum.max()}
+    end
+
+    {:ok, width, bins} = Store.summary(store, "Audio", 0, Time.s(2), 20)
+    assert width == 67_108_864
+    assert Enum.all?(bins, &(rem(elem(&1, 0), width) == 0))
+    {low, high} = extremes.(bins)
+    {wanted_low, wanted_high} = extremes.(points)
+    assert_in_delta low, wanted_low, 1.0e-6
+    assert_in_delta high, wanted_high, 1.0e-6
+    assert bins |> Enum.map(&elem(&1, 4)) |> Enum.sum() == frames(items)
+
+    {from, to} = {Time.ms(500), Time.ms(600)}
+    {:ok, width, bins} = Store.summary(store, "Audio", from, to, 100)
+    assert width == 524_288
+    inside = Enum.filter(points, &(elem(&1, 0) in from..to))
+    assert extremes.(bins) == extremes.(inside)
+  end
+
+  test "replays in a pipeline, from a time on", %{tmp_dir: root} do
+    file = mp4(root)
+    {items, :eof} = read(file)
+    test = self()
+
+    {:ok, _} =
+      Pipeline.run(
+        fn p ->
+          clip = Store.importer(p, file)
+
+          for name <- ["Video", "Audio"],
+              do: Store.stream(clip, name) |> Situ.each(&send(test, &1))
+        end,
+        pipeline: [replay: [interval: {Time.s(1), Time.s(2)}]]
+      )
+
+    wanted = for {_, time, data} <- items, time >= Time.s(1), do: data
+    for data <- wanted, do: assert_received(^data)
+    refute_received _
+  end
+
+  test "a file cut off gives what is readable, then says so; others are errors", %{tmp_dir: root} do
+    whole = clip(root, "mkv", ~w(-c:v libx264 -g 15 -pix_fmt yuv420p -an))
+    cut = Path.join(root, "cut.mkv")
+    bytes = File.read!(whole)
+    File.write!(cut, binary_part(bytes, 0, div(byte_size(bytes) * 2, 3)))
+    store = Store.open!(cut)
+
+    {pictures, error} =
+      try do
+        {got(store, "Video"), nil}
+      rescue
+        error in Situ.Error -> {store |> Store.messages("Video") |> Enum.take(20), error}
+      end
+
+    assert length(pictures) >= 20
+    assert error == nil or error.code == :damaged_media
+
+    junk = Path.join(root, "junk.mp4")
+    File.write!(junk, :crypto.strong_rand_bytes(5_000))
+    assert {:error, %{code: :unreadable_media}} = Store.open(junk)
+
+    File.write!(cut, bytes)
+    assert {:error, %{code: :changed}} = Store.at(store, "Video", 10)
+  end
+
+  test "the processes behind a file end when nobody asks, and come back", %{tmp_dir: root} do
+    store = Store.open!(mp4(root))
+    {:ok, first} = Store.at(store, "Video", 0)
+    key = {Recording.Pictures, store.state.path, store.state.version}
+    [{pid, _}] = Registry.lookup(Recording.Registry, key)
+    ref = Process.monitor(pid)
+    send(pid, :timeout)
+    assert_receive {:DOWN, ^ref, :process, ^pid, :normal}
+    assert Store.at(store, "Video", 0) == {:ok, first}
+  end
+end
