@@ -233,6 +233,39 @@ test("4 values: plot this path", async ({ page, shot }) => {
   await shot("values");
 });
 
+test("4 values: the tree is walked and plotted by keys alone", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  await page.dblclick("#tree .node >> nth=0");
+  await until(page, () => [...document.querySelectorAll(".value-tree .k")].some((e) => e.textContent === "pose"), "the value is shown as a tree");
+  await page.focus(".value-tree");
+  await page.keyboard.press("ArrowDown");
+  const rows = () => page.$$eval(".value-tree .row", (r) => r.length);
+  const all = await rows();
+  await page.keyboard.press("ArrowLeft");
+  await until(page, () => document.querySelectorAll(".value-tree .row").length === 1, "the root is folded");
+  await page.keyboard.press("ArrowRight");
+  equal(await rows(), all, "rows when it is unfolded again");
+  for (let i = 0; i < all && (await page.evaluate(() => document.activeElement.querySelector(".k")?.textContent)) !== "x"; i++) await page.keyboard.press("ArrowDown");
+  await page.keyboard.press("Enter");
+  await until(page, () => [...window.situStudio.views].some((v) => v.layers?.some((l) => l.vis.path === ".pose.x")), "the path is plotted");
+});
+
+test("3 timelines: a threshold covers what is below a value", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  const id = await panelOf(page, "Imu.Acc.X");
+  const blue = [0x4e, 0xa1, 0xf3];
+  await page.$eval(`#${id}`, (e) => e.scrollIntoView());
+  await settled(page);
+  const before = await count(page, `#${id} canvas`, blue);
+  await page.click(`[data-panel="${id.replace("body-", "")}"] button[title='Properties']`);
+  await page.selectOption("#threshold-side", "below");
+  await page.fill("#threshold-value", "0");
+  await until(page, (i) => JSON.parse(document.getElementById(i).dataset.config).threshold?.value === 0, "the threshold is set", id);
+  await settled(page);
+  const after = await count(page, `#${id} canvas`, blue);
+  ok(after < 0.7 * before && after > 0.3 * before, `about half of the line is covered: ${before} -> ${after}`);
+});
+
 test("5 cursor: follows the mouse and drives every panel; held when told", async ({ page }) => {
   await open(page, main, "minute.0000");
   const lanes = await panelOf(page, "Vad.Speaking"), image = await panelOf(page, "Camera.Image");
@@ -540,7 +573,9 @@ test("memory: a source in memory is shown like a recording", async ({ page }) =>
   await dispatch(page, { type: "cursor", t: 33.2 * S });
   await until(page, (i) => document.getElementById(i).dataset.at === "33000000000", "the picture is there", id);
   await open(page, main, "empty");
-  ok((await page.textContent(".stack")).includes("Nothing shown yet"), "an empty source says so");
+  ok((await page.textContent(".stack")).includes("No streams yet"), "an empty source says so");
+  const { view } = await state(page);
+  equal(view[1] - view[0], S, "a second is shown of what has no length");
 });
 
 test("a recording that is deleted while open: said, and the rest goes on", async ({ page }) => {

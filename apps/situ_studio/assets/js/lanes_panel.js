@@ -7,6 +7,7 @@ import { laneNames } from "./lanes.js";
 
 const ROW = 26;
 const EDGE = 4;
+const ROOM = 11;
 
 export class LanesPanel {
   constructor(el, app, config) {
@@ -51,7 +52,7 @@ export class LanesPanel {
       name.title = lane === "" ? l.vis.name : `${l.vis.name}  ${lane}`;
       // cut at the beginning when too long: the end tells lanes apart
       const short = l.vis.short ?? l.vis.name;
-      name.appendChild(document.createElement("bdi")).textContent = lane === "" ? short : `${short} ${lane}`;
+      name.appendChild(document.createElement("bdi")).textContent = laneName(short, lane);
     }
     this.fit();
     for (const l of this.layers) {
@@ -111,7 +112,7 @@ export class LanesPanel {
     ctx.rect(GUTTER.left, 0, inner, h);
     ctx.clip();
     this.rows.forEach(({ l, lane, index }, i) => {
-      const at = { y: EDGE + i * this.row, h: Math.max(this.row - 8, 2), x };
+      const at = { y: EDGE + i * this.row, h: Math.max(this.row - Math.min(8, this.row * 0.3), 2), x };
       if (l.channel.error) return this.note(ctx, l.channel.error, at);
       if (l.vis.draw === "marks") this.marks(ctx, l, view, at);
       else this.segments(ctx, l.channel.segments?.get(lane) ?? [], view, at, lane === "" ? null : index);
@@ -155,7 +156,7 @@ export class LanesPanel {
       ctx.fill();
       ctx.globalAlpha = 1;
       if (soft) ctx.fillRect(left, y, 2, h);
-      if (cls === "true" || cls === "many" || width <= 18 || h < 11) continue;
+      if (cls === "true" || cls === "many" || width <= 18 || h < 10) continue;
       const text = label === "" && cls === "span" ? duration(b - a) : label;
       this.label(ctx, text, left, y, width, h, soft ? t.text : t.bg);
     }
@@ -200,6 +201,10 @@ export class LanesPanel {
     for (const l of this.layers) this.app.client.close(l.channel);
   }
 }
+
+// A key that says enough stands alone where there is no room for its stream's name too.
+const laneName = (short, lane) =>
+  lane === "" ? short : isNaN(lane) && short.length + lane.length > ROOM ? lane : `${short} ${lane}`;
 
 function round(ctx, x, y, w, h, r) {
   ctx.beginPath();

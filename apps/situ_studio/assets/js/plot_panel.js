@@ -20,6 +20,8 @@ export class PlotPanel {
     this.body.className = "plot-body";
     this.legend = el.appendChild(document.createElement("div"));
     this.legend.className = "legend";
+    this.rest = el.appendChild(document.createElement("div"));
+    this.rest.className = "legend-more";
     this.layers = [];
     this.y = [0, 1];
     this.size = [0, 0];
@@ -75,7 +77,8 @@ export class PlotPanel {
     this.entries = entries.map((e, i) => ({ ...e, value: same ? rows[i].value : null, text: same ? rows[i].text : null }));
     if (same) return;
     this.legend.textContent = "";
-    let nth = 0;
+    let nth = 0, before = null;
+    const many = this.entries.length > 2;
     for (const e of this.entries) {
       const row = this.legend.appendChild(document.createElement("span"));
       row.className = "legend-item";
@@ -83,9 +86,23 @@ export class PlotPanel {
       row.dataset.key = e.name;
       const swatch = row.appendChild(document.createElement("i"));
       swatch.style.background = this.color(e, nth++);
-      row.appendChild(document.createElement("span")).textContent = e.name === "" ? e.l.vis.name : `${e.l.vis.name} ${e.name}`;
+      const stream = many ? e.l.vis.short ?? e.l.vis.name : e.l.vis.name;
+      row.title = e.name === "" ? e.l.vis.name : `${e.l.vis.name}  ${e.name}`;
+      // a stream is named once, then its keys
+      row.appendChild(document.createElement("span")).textContent =
+        e.name === "" ? stream : before === e.l ? e.name : `${stream} ${e.name}`;
+      before = e.l;
       e.value = row.appendChild(document.createElement("b"));
     }
+    this.more();
+  }
+
+  // Entries for which there is no room are counted.
+  more() {
+    const rows = [...this.legend.children];
+    const hidden = rows.filter((r) => r.offsetTop > rows[0].offsetTop + 4);
+    this.rest.textContent = hidden.length ? `+${hidden.length}` : "";
+    this.rest.title = hidden.map((r) => r.title).join("\n");
   }
 
   color({ l, name }, nth) {
@@ -99,6 +116,7 @@ export class PlotPanel {
     this.size = [w, h];
     if (!this.plot) this.build(w, h);
     else this.plot.setSize({ width: w, height: h });
+    this.more();
     this.app.client.pump();
     this.app.schedule(this);
   }
@@ -186,8 +204,23 @@ export class PlotPanel {
         });
       }
     });
+    this.cover(ctx, bbox, y);
     ctx.restore();
     this.drawn = (this.drawn ?? 0) + 1;
+  }
+
+  // What lies beyond the threshold is covered, so that the rest stands out.
+  cover(ctx, bbox, y) {
+    const { side, value } = this.config.threshold ?? {};
+    if (!side) return;
+    const at = Math.min(Math.max(y(value), bbox.top), bbox.top + bbox.height);
+    ctx.fillStyle = theme().panel;
+    ctx.globalAlpha = 0.75;
+    if (side === "below") ctx.fillRect(bbox.left, at, bbox.width, bbox.top + bbox.height - at);
+    else ctx.fillRect(bbox.left, bbox.top, bbox.width, at - bbox.top);
+    ctx.globalAlpha = 1;
+    ctx.fillStyle = theme().warn;
+    ctx.fillRect(bbox.left, at, bbox.width, devicePixelRatio);
   }
 
   // Values at the cursor, in the legend.

@@ -75,9 +75,8 @@ export function keepLines(old, lines, base, from, forget) {
   return next;
 }
 
-// Numbers by size, then the others by name.
-export const byName = (a, b) =>
-  isNaN(a) !== isNaN(b) ? (isNaN(a) ? 1 : -1) : isNaN(a) ? (a < b ? -1 : a > b ? 1 : 0) : a - b;
+// Names in the order people expect: numbers in them count by their size.
+export const byName = new Intl.Collator("en", { numeric: true }).compare;
 
 export function lowerBound(a, x, n = a.length) {
   let lo = 0, hi = n;

@@ -11,7 +11,8 @@ import { absolute, relative, duration, parseTime } from "./time_text.js";
 import * as link from "./link.js";
 import { decode, KIND } from "./wire.js";
 
-const INSTANT_TIMING = ["absolute", "relative"];
+// What times in the header count from, and how their caption says so.
+const TIMINGS = ["cursor", "cursor · start", "cursor · sel."];
 
 export class Studio {
   // options: {dataUrl, pcmUrl, source, token, layout, push}
@@ -155,7 +156,7 @@ export class Studio {
   }
 
   do_timing() {
-    this.timing = (this.timing + 1) % INSTANT_TIMING.length;
+    this.timing = (this.timing + 1) % TIMINGS.length;
     this.header(this.time.get());
   }
 
@@ -184,13 +185,17 @@ export class Studio {
     this.palette?.open();
   }
 
-  async do_copyLink() {
+  do_copyLink() {
     this.saveLink(true);
+    return this.copy(location.href, "Link copied", "The address bar holds the link");
+  }
+
+  async copy(text, done, refused = text) {
     try {
-      await navigator.clipboard.writeText(location.href);
-      this.toast("Link copied");
+      await navigator.clipboard.writeText(text);
+      this.toast(done);
     } catch {
-      this.toast("The address bar holds the link");
+      this.toast(refused);
     }
   }
 
@@ -242,8 +247,10 @@ export class Studio {
   paintHeader(s) {
     const origin = this.client.origin;
     if (origin === null) return;
+    const zero = this.timing === 2 ? s.sel[0] ?? 0 : 0;
     const show = (t) =>
-      t == null ? "–" : this.timing === 0 ? absolute(t, origin).slice(11) : relative(t, 1e3).slice(0, -2);
+      t == null ? "–" : this.timing === 0 ? absolute(t, origin).slice(11) : relative(t - zero, 1e3).slice(0, -2);
+    this.set("t-from", TIMINGS[this.timing]);
     this.set("t-cursor", show(s.cursor));
     this.set("t-start", show(s.sel[0]));
     this.set("t-end", show(s.sel[1]));

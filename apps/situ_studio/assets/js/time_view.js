@@ -4,10 +4,12 @@
 export const LIVE_WINDOW = 30e9;
 export const LIVE_CURSOR_AT = 0.8;
 const MIN_VIEW = 1e3;
+// What is shown of a recording that is one moment long.
+const POINT = 1e9;
 const SEL_PADDING = 0.1;
 
 export function initial(from = 0, to = 60e9) {
-  const data = range(from, to);
+  const data = extent(from, to);
   return {
     data,
     view: data,
@@ -20,6 +22,8 @@ export function initial(from = 0, to = 60e9) {
     play: null,
   };
 }
+
+const extent = (from, to) => (to > from ? [from, to] : [from, from + POINT]);
 
 export function range(from, to) {
   return to > from ? [from, to] : [from, from + 1];
@@ -35,7 +39,7 @@ export function reduce(s, a) {
 const handlers = {
   // The extents of the data changed (opened, or grew while live).
   data(s, { from, to }) {
-    const data = range(from, to);
+    const data = extent(from, to);
     if (data[0] === s.data[0] && data[1] === s.data[1]) return s;
     const next = { ...s, data };
     return s.mode === "live" ? follow(next, data[1]) : next;

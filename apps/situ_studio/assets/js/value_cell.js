@@ -16,9 +16,8 @@ export class ValueCell {
     this.closed = new Set();
     this.rows = new Map();
     this.body.addEventListener("click", (e) => this.click(e));
-    this.body.addEventListener("keydown", (e) => {
-      if (e.key === "Enter") this.click(e);
-    });
+    this.body.tabIndex = 0;
+    this.body.addEventListener("keydown", (e) => this.press(e));
     this.configure(config);
   }
 
@@ -84,7 +83,8 @@ export class ValueCell {
       row.children[2].className = `v ${l.kind}`;
       row.classList.toggle("changed", this.previous.has(id) && this.previous.get(id) !== l.text && !l.parent);
       const plot = l.path !== null && ["number", "boolean", "atom", "string"].includes(l.kind);
-      row.children[3].hidden = !plot;
+      row.querySelector(".plot-path").hidden = !plot;
+      row.querySelector(".copy-path").hidden = l.path == null;
       row.dataset.parent = l.parent ? "1" : "";
       row.setAttribute("aria-expanded", l.parent ? String(l.open) : "");
     });
@@ -95,14 +95,34 @@ export class ValueCell {
     const row = e.target.closest(".row");
     if (!row) return;
     const path = row.dataset.path;
-    if (e.target.closest(".plot-path")) {
-      this.app.plotPath(this.vis.stream, path, row.dataset.kind);
-      return;
-    }
+    if (e.target.closest(".plot-path")) this.app.plotPath(this.vis.stream, path, row.dataset.kind);
+    else if (e.target.closest(".copy-path")) this.app.copy(this.vis.stream + path, "Path copied");
+    else this.fold(row);
+  }
+
+  fold(row) {
     if (!row.dataset.parent) return;
-    const id = path || "/";
+    const id = row.dataset.path || "/";
     if (!this.closed.delete(id)) this.closed.add(id);
     this.render();
+  }
+
+  // Arrow keys walk the tree; Enter folds or plots, c copies the path.
+  press(e) {
+    const rows = [...this.body.children];
+    const i = rows.indexOf(document.activeElement.closest?.(".row"));
+    const row = rows[i];
+    const open = row?.getAttribute("aria-expanded");
+    if (e.key === "ArrowDown") rows[Math.min(i + 1, rows.length - 1)]?.focus();
+    else if (e.key === "ArrowUp") rows[Math.max(i - 1, 0)]?.focus();
+    else if (row && e.target === row && e.key === "Enter" && row.dataset.parent) this.fold(row);
+    else if (row && e.target === row && e.key === "Enter") row.querySelector(".plot-path:not([hidden])")?.click();
+    else if (row && e.key === "c" && !e.ctrlKey) row.querySelector(".copy-path:not([hidden])")?.click();
+    else if (open === "false" && e.key === "ArrowRight") this.fold(row);
+    else if (open === "true" && e.key === "ArrowLeft") this.fold(row);
+    else return;
+    e.preventDefault();
+    e.stopPropagation();
   }
 
   cursorMoved() {}
@@ -117,10 +137,15 @@ function makeRow() {
   const row = document.createElement("div");
   row.className = "row";
   row.setAttribute("role", "treeitem");
+  row.tabIndex = -1;
   for (const c of ["fold", "k", "v"]) row.appendChild(document.createElement("span")).className = c;
   const plot = row.appendChild(document.createElement("button"));
   plot.className = "plot-path";
   plot.textContent = "plot";
-  plot.title = "Plot this path over time";
+  plot.title = "Plot this path over time (Enter)";
+  const copy = row.appendChild(document.createElement("button"));
+  copy.className = "copy-path";
+  copy.textContent = "copy";
+  copy.title = "Copy the path (c)";
   return row;
 }

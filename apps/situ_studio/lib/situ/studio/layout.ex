@@ -25,9 +25,12 @@ defmodule Situ.Studio.Layout do
   end
 
   defmodule Panel do
-    @moduledoc "A panel: `:plot` and `:lanes` fill a row, the others are cells of one."
+    @moduledoc """
+    A panel: `:plot` and `:lanes` fill a row, the others are cells of one. `threshold` covers what lies below or above a
+    value, so that the rest stands out.
+    """
     @enforce_keys [:id, :panel]
-    defstruct [:id, :panel, row: nil, height: nil, vis: [], axis: nil]
+    defstruct [:id, :panel, row: nil, height: nil, vis: [], axis: nil, threshold: nil]
 
     @type t :: %__MODULE__{
             id: String.t(),
@@ -35,7 +38,8 @@ defmodule Situ.Studio.Layout do
             row: String.t() | nil,
             height: pos_integer() | nil,
             vis: [Vis.t()],
-            axis: {number(), number()} | nil
+            axis: {number(), number()} | nil,
+            threshold: {:below | :above, number()} | nil
           }
   end
 
@@ -45,7 +49,6 @@ defmodule Situ.Studio.Layout do
   @typedoc "`rows` holds panels; neighbours with the same `row` stand side by side."
   @type t :: %__MODULE__{name: String.t(), rows: [Panel.t()], next: pos_integer()}
 
-  @version 1
   @timeline [:plot, :lanes]
   @panels [:plot, :lanes, :image, :value, :bars, :text]
   @max_panels 64
@@ -54,6 +57,14 @@ defmodule Situ.Studio.Layout do
   @lane 26
   # More share the height of these.
   @max_lanes 12
+
+  @doc "The kinds of panels."
+  @spec panels() :: [atom()]
+  def panels, do: @panels
+
+  @doc "How many panels a layout holds at most, and streams a panel."
+  @spec limits() :: {pos_integer(), pos_integer()}
+  def limits, do: {@max_panels, @max_vis}
 
   @doc "An empty layout."
   @spec new(String.t()) :: t()
@@ -214,114 +225,9 @@ defmodule Situ.Studio.Layout do
 
   @doc "The JSON text of a layout."
   @spec to_json(t()) :: String.t()
-  def to_json(%__MODULE__{} = layout) do
-    doc = %{
-      "version" => @version,
-      "name" => layout.name,
-      "panels" => Enum.map(layout.rows, &panel_json/1)
-    }
-
-    Situ.JSON.pretty(doc)
-  end
-
-  defp panel_json(%Panel{} = p) do
-    vis =
-      for v <- p.vis,
-          do: %{"viz" => v.viz, "stream" => v.stream, "path" => v.path, "props" => v.props}
-
-    axis = p.axis && Tuple.to_list(p.axis)
-
-    %{"id" => p.id, "panel" => Atom.to_string(p.panel), "vis" => vis}
-    |> put("row", p.row)
-    |> put("height", p.height)
-    |> put("axis", axis)
-  end
-
-  defp put(map, _, nil), do: map
-  defp put(map, key, value), do: Map.put(map, key, value)
+  defdelegate to_json(layout), to: Situ.Studio.Layout.Text, as: :write
 
   @doc "Reads a layout; whatever is wrong with it is said, nothing is guessed."
   @spec from_json(binary()) :: {:ok, t()} | {:error, Error.t()}
-  def from_json(json) do
-    case Situ.JSON.decode(json) do
-      {:ok, %{"version" => @version, "name" => name, "panels" => panels}}
-      when is_binary(name) and is_list(panels) and length(panels) <= @max_panels ->
-        read_panels(name, panels)
-
-      {:ok, %{"version" => version}} when version != @version ->
-        bad("it is of version #{inspect(version)}, this studio reads #{@version}")
-
-      {:ok, _} ->
-        bad("it must hold \"version\", \"name\" and \"panels\"")
-
-      {:error, :bad_json} ->
-        bad("it is not JSON")
-    end
-  end
-
-  defp read_panels(name, panels) do
-    read = Enum.map(panels, &read_panel/1)
-
-    case Enum.find_index(read, &(&1 == :error)) do
-      nil ->
-        next = read |> Enum.map(&number/1) |> Enum.max(fn -> 0 end)
-        {:ok, %__MODULE__{name: name, rows: read, next: next + 1}}
-
-      i ->
-        bad("panel #{i + 1} is not one")
-    end
-  end
-
-  defp read_panel(%{"id" => id, "panel" => panel, "vis" => vis} = doc)
-       when is_binary(id) and is_binary(panel) and is_list(vis) do
-    kind = Enum.find(@panels, &(Atom.to_string(&1) == panel))
-    vis = Enum.map(vis, &read_vis/1)
-    height = doc["height"]
-    row = doc["row"]
-
-    if kind && id =~ ~r/\A[a-z0-9]{1,16}\z/ && :error not in vis && length(vis) <= @max_vis &&
-         (height == nil or height in 28..2_000) &&
-         (row == nil or (is_binary(row) and row =~ ~r/\A[a-z0-9]{1,16}\z/)) do
-      axis =
-        with [min, max] when is_number(min) and is_number(max) and min < max <- doc["axis"],
-             do: {min, max},
-             else: (_ -> nil)
-
-      row = if kind in @timeline, do: nil, else: row || "r" <> id
-      %Panel{id: id, panel: kind, row: row, height: height, vis: vis, axis: axis}
-    else
-      :error
-    end
-  end
-
-  defp read_panel(_), do: :error
-
-  defp read_vis(%{"viz" => viz, "stream" => stream} = doc)
-       when is_binary(viz) and is_binary(stream) do
-    path = doc["path"] || ""
-    props = doc["props"] || %{}
-
-    if is_binary(path) and is_map(props) and
-         Enum.all?(props, fn {_, v} -> is_binary(v) or is_number(v) or is_boolean(v) end),
-       do: %Vis{viz: viz, stream: stream, path: path, props: props},
-       else: :error
-  end
-
-  defp read_vis(_), do: :error
-
-  defp number(%Panel{id: "p" <> n}) do
-    case Integer.parse(n) do
-      {i, ""} -> i
-      _ -> 0
-    end
-  end
-
-  defp number(_), do: 0
-
-  defp bad(why) do
-    {:error,
-     Error.new(:bad_layout, "this file is not a layout: #{why}",
-       fix: "open another, or save this view anew"
-     )}
-  end
+  defdelegate from_json(json), to: Situ.Studio.Layout.Text, as: :read
 end

@@ -2,6 +2,8 @@ defmodule Situ.Studio.Stores do
   @moduledoc false
   # Which recordings lie at or below a path, by name; the name is what stands in an address.
 
+  alias Situ.Studio.NaturalOrder
+
   @most 5_000
 
   @spec discover(Path.t() | nil) :: [{String.t(), Path.t()}]
@@ -27,6 +29,6 @@ defmodule Situ.Studio.Stores do
     (stores ++ files)
     |> Enum.take(@most)
     |> Enum.map(&{Path.relative_to(&1, root), &1})
-    |> Enum.sort()
+    |> Enum.sort_by(fn {name, _} -> NaturalOrder.key(name) end)
   end
 end

@@ -8,6 +8,8 @@ defmodule Situ.Studio.Tree do
       [{0, "A", nil}, {1, "x", "A.x"}, {1, "y", "A.y"}, {0, "B", "B"}]
   """
 
+  alias Situ.Studio.NaturalOrder
+
   defmodule Row do
     @moduledoc "One line of the tree. `item` is `nil` for a mere group; `open?` is `nil` for a leaf."
     @enforce_keys [:path, :label, :depth]
@@ -50,7 +52,7 @@ defmodule Situ.Studio.Tree do
   def rows(tree, closed), do: tree |> rows("", 0, closed) |> List.flatten()
 
   defp rows(tree, prefix, depth, closed) do
-    for {label, {item, children}} <- Enum.sort_by(tree, &elem(&1, 0)) do
+    for {label, {item, children}} <- Enum.sort_by(tree, &NaturalOrder.key(elem(&1, 0))) do
       path = prefix <> label
       leaf? = children == %{}
       open? = if leaf?, do: nil, else: path not in closed
@@ -60,17 +62,18 @@ defmodule Situ.Studio.Tree do
   end
 
   @doc """
-  The names in which every word of `query` occurs, upper or lower case.
+  The items in whose text every word of `query` occurs, upper or lower case.
 
-      iex> Situ.Studio.Tree.search(["Camera.Image", "Mic.Audio"], "ima cam")
+      iex> Situ.Studio.Tree.search(["Camera.Image", "Mic.Audio"], "ima cam", & &1)
       ["Camera.Image"]
   """
-  @spec search([String.t()], String.t()) :: [String.t()]
-  def search(names, query) do
+  @spec search([item], String.t(), (item -> String.t())) :: [item] when item: term()
+  def search(items, query, text) do
     words = query |> String.downcase() |> String.split()
 
-    Enum.filter(names, fn name ->
-      Enum.all?(words, &String.contains?(String.downcase(name), &1))
+    Enum.filter(items, fn item ->
+      text = String.downcase(text.(item))
+      Enum.all?(words, &String.contains?(text, &1))
     end)
   end
 end

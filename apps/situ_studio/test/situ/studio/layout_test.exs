@@ -6,7 +6,7 @@ defmodule Situ.Studio.LayoutTest do
 
   doctest Situ.Studio.Link
 
-  @actions [:add, :remove, :resize, :move, :remove_vis]
+  @actions [:add, :remove, :resize, :move, :remove_vis, :threshold]
   @panels [:plot, :lanes, :image, :value, :bars]
 
   property "any editing gives a layout that its file and its link bring back" do
@@ -34,6 +34,12 @@ defmodule Situ.Studio.LayoutTest do
 
   defp edit({:remove, n, _}, layout), do: Layout.remove(layout, "p#{n}")
   defp edit({:remove_vis, n, _}, layout), do: Layout.remove_vis(layout, "p#{n}", 0)
+
+  defp edit({:threshold, n, _}, layout) do
+    side = if rem(n, 2) == 0, do: :below, else: :above
+    Layout.update(layout, "p#{n}", &%{&1 | threshold: {side, n / 3}})
+  end
+
   defp edit({:resize, n, _}, layout), do: Layout.resize(layout, "p#{n}", n * 100 - 200)
 
   defp edit({:move, n, _}, layout),

@@ -17,4 +17,5 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Draw.Spans
   doctest Situ.Studio.Draw.Lines
   doctest Situ.Studio.Draw.Key
+  doctest Situ.Studio.NaturalOrder
 end

@@ -134,6 +134,7 @@ defmodule Situ.Studio.WatchTest do
            end)
 
     assert {:ok, %{live: true, from: 1, to: 110}} = Source.call(source, :extent, [])
+    {:ok, _} = Situ.Pipeline.stop(context.pipeline)
   end
 
   test "a stream that is not there is an error of its own", context do

@@ -5,6 +5,8 @@ defmodule Situ.Studio.Draw.Key do
       iex> Situ.Studio.Draw.Key.sort([:b, 10, 9, "a"]) |> Enum.map(&Situ.Studio.Draw.Key.text/1)
       ["9", "10", "a", "b"]
   """
+  alias Situ.Studio.NaturalOrder
+
   @max_text 60
   @limit 32
 
@@ -28,7 +30,7 @@ defmodule Situ.Studio.Draw.Key do
   @spec sort([term()]) :: [term()]
   def sort(keys) do
     keys
-    |> Enum.sort_by(&if is_number(&1), do: {0, &1}, else: {1, text(&1)})
+    |> Enum.sort_by(&if is_number(&1), do: {0, &1}, else: {1, NaturalOrder.key(text(&1))})
     |> Enum.take(@limit)
   end
 end

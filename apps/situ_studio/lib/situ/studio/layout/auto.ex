@@ -9,7 +9,7 @@ defmodule Situ.Studio.Layout.Auto do
       iex> for p <- layout.rows, do: {p.panel, Enum.map(p.vis, & &1.stream)}
       [{:plot, ["Mic.Audio"]}, {:plot, ["Mic.Level"]}]
   """
-  alias Situ.Studio.{Layout, StreamInfo}
+  alias Situ.Studio.{Layout, NaturalOrder, StreamInfo}
 
   @name "Automatic"
   @pictures 3
@@ -30,7 +30,7 @@ defmodule Situ.Studio.Layout.Auto do
   @spec layout([StreamInfo.t()]) :: Layout.t()
   def layout(streams) do
     by = Enum.group_by(streams, & &1.shape)
-    of = fn shape -> Enum.sort_by(by[shape] || [], & &1.name) end
+    of = fn shape -> Enum.sort_by(by[shape] || [], &NaturalOrder.key(&1.name)) end
     pictures = Enum.take(of.(:image) ++ of.(:depth), @pictures)
 
     Layout.new(@name)

@@ -65,7 +65,7 @@ defmodule Situ.Studio.Source.Store do
     if File.exists?(source.path) do
       streams = Store.streams(store)
       live? = Store.live?(store)
-      {from, to} = Store.interval(streams) || {0, 1}
+      {from, to} = Store.interval(streams) || {0, 0}
       extent = %{from: from, to: to, live: live?, version: length(streams)}
       look = %{extent: extent, infos: Map.new(streams, &{&1.name, &1})}
       :ets.insert(cache, {:look, now + if(live?, do: @fresh_live_ms, else: @fresh_ms), look})

@@ -51,8 +51,8 @@ defmodule Situ.Studio.Web.Chrome do
         <span class="sep"></span>
         <button class="tool live" type="button" data-act="live" title="Follow what is being recorded (l)" disabled>LIVE</button>
         <span class="grow"></span>
-        <button class="timing" type="button" data-act="timing" title="Clock time or time since the start">
-          <div class="c"><span>Cursor</span><b id="t-cursor">–</b></div>
+        <button class="timing" type="button" data-act="timing" title="Clock time, time since the start, or since the selection's start">
+          <div class="c"><span id="t-from">Cursor</span><b id="t-cursor">–</b></div>
           <div class="a"><span>Selection from</span><b id="t-start">–</b></div>
           <div class="e"><span>to</span><b id="t-end">–</b></div>
           <div class="len"><span>length</span><b id="t-length">–</b></div>
@@ -89,7 +89,7 @@ defmodule Situ.Studio.Web.Chrome do
     <footer class="status">
       <span><i class="dot"></i><span id="connection" phx-update="ignore">connecting</span></span>
       <span>{@source}</span>
-      <span>{@count} streams</span>
+      <span>{@count} {if @count == 1, do: "stream", else: "streams"}</span>
       <span :if={@read_only}>read only</span>
       <span class="grow"></span>
       <span>? keys</span>

@@ -68,6 +68,15 @@ defmodule Situ.Studio.Web.Edit do
     end
   end
 
+  def apply("threshold", %{"panel" => id, "side" => side, "value" => value}, assigns) do
+    case {Enum.find([:below, :above], &(Atom.to_string(&1) == side)), number(value)} do
+      {nil, _} -> threshold(assigns, id, nil)
+      {_, :empty} -> threshold(assigns, id, nil)
+      {side, {:ok, value}} -> threshold(assigns, id, {side, value})
+      _ -> :ignore
+    end
+  end
+
   def apply("prop", %{"panel" => id, "index" => index} = params, assigns) do
     with {:ok, i} <- integer(index),
          %{vis: vis} <- Layout.panel(assigns.layout, id),
@@ -117,6 +126,9 @@ defmodule Situ.Studio.Web.Edit do
 
   defp axis(assigns, id, axis),
     do: {:ok, layout: Layout.update(assigns.layout, id, &%{&1 | axis: axis})}
+
+  defp threshold(assigns, id, value),
+    do: {:ok, layout: Layout.update(assigns.layout, id, &%{&1 | threshold: value})}
 
   defp entries(assigns, stream) do
     case assigns.shapes do

@@ -30,12 +30,25 @@ defmodule Situ.Studio.Web.HomeView do
       <h1><.logo /><span>Situ Studio</span></h1>
       <p class="hint">{count(length(@items))}</p>
       <div class="list">
-        <a :for={item <- @items} :key={item.id} class="item" href={Situ.Studio.Web.Address.of(item.id)}><b>{item.title}</b><span class="dim">{kind(item.kind)}</span></a>
+        <a :for={item <- @items} :key={item.id} class="item" href={Situ.Studio.Web.Address.of(item.id)}><b>{item.title}</b><span class="dim">{kind(item.kind)}</span><span class="dim">{at(item)}</span></a>
       </div>
       <p :if={@items == []} class="hint">Nothing has been recorded here yet; what is recorded shows up by itself.</p>
     </main>
     """
   end
+
+  # When it was last written to, in the time of this machine.
+  defp at(%{path: path}) when is_binary(path) do
+    case File.stat(path, time: :local) do
+      {:ok, %{mtime: mtime}} ->
+        mtime |> NaiveDateTime.from_erl!() |> NaiveDateTime.to_string() |> String.slice(0, 16)
+
+      _ ->
+        ""
+    end
+  end
+
+  defp at(_), do: ""
 
   defp kind(:store), do: "recording"
   defp kind(:pipeline), do: "running pipeline"

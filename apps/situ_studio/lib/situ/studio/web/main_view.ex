@@ -125,6 +125,18 @@ defmodule Situ.Studio.Web.MainView do
     {:noreply, assign(socket, closed: closed)}
   end
 
+  def handle_event("fold_all", _, socket) do
+    groups =
+      for row <- socket.assigns.infos |> Tree.build(& &1.name) |> Tree.rows(MapSet.new()),
+          row.open?,
+          into: MapSet.new(),
+          do: row.path
+
+    {:noreply, assign(socket, closed: groups)}
+  end
+
+  def handle_event("unfold_all", _, socket), do: {:noreply, assign(socket, closed: MapSet.new())}
+
   def handle_event("select", %{"path" => path}, socket) do
     if Map.has_key?(socket.assigns.shapes, path),
       do: {:noreply, assign(socket, selected: {:stream, path})},
@@ -228,7 +240,7 @@ defmodule Situ.Studio.Web.MainView do
       <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""} read_only={@read_only} pipeline={pipeline(@item, @infos)} />
       <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query} selected={@selected} names={@names} />
       <main class="centre">
-        <Panels.stack layout={@layout} selected={@selected} shapes={@shapes} extra={@extra} lanes={@lanes} />
+        <Panels.stack layout={@layout} selected={@selected} shapes={@shapes} extra={@extra} lanes={@lanes} streams={length(@infos)} />
       </main>
       <Side.right selected={@selected} stream={@stream} panel={@panel} shapes={@shapes} extra={@extra} snap={@snap} />
       <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} />
@@ -253,9 +265,12 @@ defmodule Situ.Studio.Web.MainView do
   end
 
   defp rows(%{query: query, infos: streams}) do
-    names = streams |> Enum.map(& &1.name) |> Tree.search(query) |> MapSet.new()
-    found = Enum.filter(streams, &(&1.name in names))
-    found |> Tree.build(& &1.name) |> Tree.rows(MapSet.new()) |> cut()
+    # by name and by type
+    streams
+    |> Tree.search(query, &"#{&1.name} #{&1.type}")
+    |> Tree.build(& &1.name)
+    |> Tree.rows(MapSet.new())
+    |> cut()
   end
 
   defp cut(rows), do: {Enum.take(rows, @max_rows), max(length(rows) - @max_rows, 0)}

@@ -10,6 +10,7 @@ defmodule Situ.Studio.Web.Panels do
   attr(:shapes, :map, required: true)
   attr(:extra, :list, required: true)
   attr(:lanes, :map, required: true)
+  attr(:streams, :integer, required: true)
 
   @doc false
   def stack(assigns) do
@@ -17,7 +18,8 @@ defmodule Situ.Studio.Web.Panels do
     <div class="stack" id="stack" phx-hook="Drop">
       <div id="navigator" class="navigator" phx-hook="Navigator" phx-update="ignore" aria-label="Time navigator"></div>
       <.line :for={line <- Layout.lines(@layout)} :key={row_id(line)} line={line} selected={@selected} shapes={@shapes} extra={@extra} lanes={@lanes} />
-      <div :if={@layout.rows == []} class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
+      <div :if={@layout.rows == [] and @streams > 0} class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
+      <div :if={@layout.rows == [] and @streams == 0} class="empty"><b>No streams yet</b><span>Nothing was recorded here. What comes shows up by itself.</span></div>
     </div>
     """
   end
@@ -88,7 +90,9 @@ defmodule Situ.Studio.Web.Panels do
         nil -> nil
       end
 
-    Situ.JSON.encode(%{"vis" => vis, "axis" => axis})
+    threshold = with {side, value} <- panel.threshold, do: %{"side" => side, "value" => value}
+
+    Situ.JSON.encode(%{"vis" => vis, "axis" => axis, "threshold" => threshold})
   end
 
   # The last part of a name, as long as it tells the streams of a panel apart.

@@ -22,7 +22,9 @@ defmodule Situ.Studio.Web.Side do
         <a :for={s <- @sources} :key={s.id} class={["store", s.id == @current && "current"]} href={s.href} title={s.title}><.icon name={if s.kind == :pipeline, do: :pipeline, else: :store} /><span>{s.title}</span></a>
       </nav>
       <form class="search" phx-change="search" phx-submit="search" id="search-form">
-        <input id="search" name="query" value={@query} placeholder="Search streams  /" autocomplete="off" phx-debounce="80" aria-label="Search streams">
+        <input id="search" name="query" value={@query} placeholder="Search streams  /" autocomplete="off" phx-debounce="80" aria-label="Search streams by name and type">
+        <button class="mini" type="button" phx-click="fold_all" title="Fold all" aria-label="Fold all">⊟</button>
+        <button class="mini" type="button" phx-click="unfold_all" title="Unfold all" aria-label="Unfold all">⊞</button>
       </form>
       <div id="stream-names" data-names={@names} hidden></div>
       <div id="tree" class="tree" role="tree" phx-hook="Tree">
@@ -125,6 +127,17 @@ defmodule Situ.Studio.Web.Side do
       <div class="field"><label for="axis-min">Axis from</label><input id="axis-min" name="min" value={axis(@panel.axis, 0)} placeholder="automatic" inputmode="decimal" phx-debounce="400"></div>
       <div class="field"><label for="axis-max">to</label><input id="axis-max" name="max" value={axis(@panel.axis, 1)} placeholder="automatic" inputmode="decimal" phx-debounce="400"></div>
     </form>
+    <form :if={@panel.panel == :plot} id={"threshold-" <> @panel.id} phx-change="threshold">
+      <input type="hidden" name="panel" value={@panel.id}>
+      <div class="field"><label for="threshold-side">Cover</label>
+        <select id="threshold-side" name="side">
+          <option value="">nothing</option>
+          <option value="below" selected={side(@panel) == :below}>what is below</option>
+          <option value="above" selected={side(@panel) == :above}>what is above</option>
+        </select>
+      </div>
+      <div class="field"><label for="threshold-value">the value</label><input id="threshold-value" name="value" value={axis(@panel.threshold, 1)} inputmode="decimal" phx-debounce="400"></div>
+    </form>
     <div :for={{vis, index} <- Enum.with_index(@panel.vis)} class="viz">
       <div class="head"><span title={vis.stream}>{vis.stream}{vis.path}</span>
         <button class="mini" type="button" phx-click="remove_vis" phx-value-panel={@panel.id} phx-value-index={index} title="Take it out" aria-label="Take it out"><.icon name={:close} /></button>
@@ -175,6 +188,9 @@ defmodule Situ.Studio.Web.Side do
       panel
     ]
   end
+
+  defp side(%{threshold: {side, _}}), do: side
+  defp side(_), do: nil
 
   defp axis(nil, _), do: ""
   defp axis(range, i), do: elem(range, i)

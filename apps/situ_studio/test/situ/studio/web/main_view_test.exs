@@ -32,6 +32,11 @@ defmodule Situ.Studio.Web.MainViewTest do
 
   defp edit(page), do: Page.attribute(page, "#studio", "data-edit")
 
+  defp layout(page) do
+    {:ok, layout} = page |> edit() |> Link.decode()
+    layout
+  end
+
   test "lists streams as a tree and opens with a layout by their kinds", %{studio: studio} do
     page = open(studio)
     assert Page.count(page, "#tree .node") == 6
@@ -137,6 +142,31 @@ defmodule Situ.Studio.Web.MainViewTest do
     History.put(context.history, "Late", message, 8)
     Page.event(page, "streams_changed", %{})
     assert Page.count(page, "#tree .node") == 7
+  end
+
+  test "a threshold covers one side of a value, and is in the link", %{studio: studio} do
+    page = open(studio)
+    Page.event(page, "add_viz", %{"stream" => "Mic.Level", "viz" => "line"})
+    %{id: id} = layout(page).rows |> Enum.filter(&(&1.panel == :plot)) |> List.last()
+    set = &Page.event(page, "threshold", %{"panel" => id, "side" => &1, "value" => &2})
+    threshold = fn -> Layout.panel(layout(page), id).threshold end
+    set.("above", "0.5")
+    assert threshold.() == {:above, 0.5}
+    assert Page.attribute(page, "#body-" <> id, "data-config") =~ ~s("threshold":{)
+    for {side, value} <- [{"above", "x"}, {"above", %{}}], do: set.(side, value)
+    assert threshold.() == {:above, 0.5}
+    set.("sideways", "1")
+    assert threshold.() == nil
+  end
+
+  test "streams are found by type too, and groups folded at once", %{studio: studio} do
+    page = open(studio)
+    Page.event(page, "fold_all", %{})
+    assert Page.count(page, "#tree .node") == 3
+    Page.event(page, "unfold_all", %{})
+    assert Page.count(page, "#tree .node") == 6
+    Page.event(page, "search", %{"query" => "image any"})
+    assert Page.count(page, "#tree .node") == 2
   end
 
   test "a panel has room for the lanes that are known, and for those the page meets", context do

@@ -1,0 +1,23 @@
+defmodule Situ.Studio.NaturalOrder do
+  @moduledoc """
+  Names in the order people expect: numbers in them count by their size.
+
+      iex> Enum.sort_by(["Sensor10", "Sensor9", "B", "Sensor9.x"], &Situ.Studio.NaturalOrder.key/1)
+      ["B", "Sensor9", "Sensor9.x", "Sensor10"]
+  """
+  # Longer runs of digits are no numbers people count by.
+  @digits 15
+
+  @type key :: [{0, non_neg_integer()} | {1, String.t()}]
+
+  @doc "What to sort a name by."
+  @spec key(String.t()) :: key()
+  def key(name) do
+    for part <- Regex.split(~r/[0-9]+/, name, include_captures: true, trim: true), do: part(part)
+  end
+
+  defp part(<<c, _::binary>> = part) when c in ?0..?9 and byte_size(part) <= @digits,
+    do: {0, String.to_integer(part)}
+
+  defp part(part), do: {1, part}
+end
