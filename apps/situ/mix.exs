@@ -12,10 +12,15 @@ defmodule Situ.MixProject do
       elixir: "~> 1.14",
       elixirc_paths: elixirc_paths(Mix.env()),
       start_permanent: Mix.env() == :prod,
-      # Situ.Test calls PropEr, which only tests have running.
-      xref: [exclude: [:proper, :proper_types]],
       deps: deps()
-    ]
+    ] ++ not_ours([:proper, :proper_types])
+  end
+
+  # Situ.Test calls PropEr, which only tests have running. Elixir 1.19 gave the option another name.
+  defp not_ours(modules) do
+    if Version.match?(System.version(), ">= 1.19.0"),
+      do: [elixirc_options: [no_warn_undefined: modules]],
+      else: [xref: [exclude: modules]]
   end
 
   def application do

@@ -14,6 +14,8 @@ defmodule Situ.Live.MixProject do
       elixir: "~> 1.14",
       elixirc_paths: elixirc_paths(Mix.env()),
       start_permanent: Mix.env() == :prod,
+      # Newer Elixirs drop code paths that no dependency names; Yaws is found by one.
+      prune_code_paths: false,
       deps: deps()
     ]
   end

@@ -59,7 +59,7 @@ defmodule Situ.Torture do
         :exit_status,
         line: 100,
         args: args,
-        env: [{'TORTURE_ROOT', String.to_charlist(root)}]
+        env: [{~c"TORTURE_ROOT", String.to_charlist(root)}]
       ])
 
     # A shell starts the VM by exec, so this is the VM's own process.

@@ -71,7 +71,8 @@ defmodule Situ.Number do
   @spec abs(t()) :: t()
   def abs(a) when is_number(a), do: Kernel.abs(a)
   def abs(:nan), do: :nan
-  def abs(a), do: infinite(infinite(a) && :infinity)
+  def abs(a) when a in [:infinity, :neg_infinity], do: :infinity
+  def abs(other), do: refuse(other)
 
   @doc "The smaller of both; `:nan` if either is."
   @spec min(t(), t()) :: t()

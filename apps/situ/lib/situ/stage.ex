@@ -160,7 +160,7 @@ defmodule Situ.Stage do
 
   # A crash report names the component; payloads and options have no place in a log.
   @impl true
-  def format_status(_reason, [_dictionary, state]), do: [data: [{'State', summary(state)}]]
+  def format_status(_reason, [_dictionary, state]), do: [data: [{~c"State", summary(state)}]]
 
   defp summary(%__MODULE__{} = state),
     do: %{component: state.head.path, phase: state.phase, inputs: map_size(state.inlets)}

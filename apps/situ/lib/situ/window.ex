@@ -67,13 +67,13 @@ defmodule Situ.Window do
   end
 
   # Windows that end at their anchor are decided by it: light operators, chained with their neighbours.
-  defp place(stream, from..to, {fun, with}, {name, type, opts})
+  defp place(stream, %Range{first: from, last: to}, {fun, with}, {name, type, opts})
        when (to == 0 and from <= 0) or (from == 0 and to <= 0) do
     step = Situ.Window.Past.by_count(1 - min(from, to), fun, with)
     Operator.attach(stream, name, step, opts, type)
   end
 
-  defp place(stream, _from.._to = range, {fun, with}, {name, type, opts}) do
+  defp place(stream, %Range{} = range, {fun, with}, {name, type, opts}) do
     core = {Index, :new, [range, fun, [with: with]]}
     Keeper.add(name, [in: stream], core, {type, opts})
   end

@@ -103,7 +103,7 @@ defmodule Situ.Fusion.Form do
     {&List.to_tuple(Tuple.to_list(&1) ++ Tuple.to_list(wide(&2, n))), {:tuple, a ++ b}}
   end
 
-  defp flat({:tuple, a}, b), do: {&Tuple.append(&1, &2), {:tuple, a ++ [b]}}
+  defp flat({:tuple, a}, b), do: {&Tuple.insert_at(&1, tuple_size(&1), &2), {:tuple, a ++ [b]}}
 
   defp flat(a, {:tuple, b}) do
     n = length(b)

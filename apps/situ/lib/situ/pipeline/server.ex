@@ -11,10 +11,11 @@ defmodule Situ.Pipeline.Server do
   #           └── Stage n   when the server dies, its stages release what they hold and end
   use GenServer
 
+  require Logger
+
   alias Situ.{Clock, Error}
   alias Situ.Graph.Builder
   alias Situ.Pipeline.{Archive, Death, Ending, Inputs, Launch, Life, Settings, Taps, View, Watch}
-  require Logger
 
   # Entering
 
@@ -288,7 +289,7 @@ defmodule Situ.Pipeline.Server do
   @impl true
   def format_status(_reason, [_dictionary, state]),
     do: [
-      data: [{'State', %{pipeline: state.settings.name, phase: state.phase, step: state.step}}]
+      data: [{~c"State", %{pipeline: state.settings.name, phase: state.phase, step: state.step}}]
     ]
 
   # The parent asks us to go (a supervisor shutting down): stop as by hand, within the time it gives.

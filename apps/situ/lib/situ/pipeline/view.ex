@@ -45,6 +45,7 @@ defmodule Situ.Pipeline.View do
   @doc "Remembers the totals now."
   @spec mark(Life.t()) :: Life.t()
   def mark(%{averages: nil} = state), do: state
+  def mark(%{clock: nil} = state), do: state
 
   def mark(state),
     do: %{state | averages: Averages.mark(state.averages, now(state), totals(state))}
@@ -54,7 +55,7 @@ defmodule Situ.Pipeline.View do
   @spec snapshot(Life.t()) :: Snapshot.t()
   def snapshot(state) do
     state = advance_progress(state)
-    time = if(state.clock, do: now(state), else: 0)
+    time = now(state)
     totals = totals(state)
 
     Survey.snapshot(%{
@@ -125,6 +126,6 @@ defmodule Situ.Pipeline.View do
     }
   end
 
-  defp now(%{clock: nil}), do: :os.system_time()
+  defp now(%{clock: nil}), do: 0
   defp now(state), do: Clock.now(state.clock)
 end

@@ -24,7 +24,7 @@ defmodule Situ.Window.Index do
   A range whose left end lies after its right end is put in order.
   """
   @spec new(Range.t(), (list() -> term()) | nil, keyword()) :: t()
-  def new(from..to, fun, opts \\ []) do
+  def new(%Range{first: from, last: to}, fun, opts \\ []) do
     {from, to} = {min(from, to), max(from, to)}
     start = min(from, 0)
 

@@ -196,19 +196,13 @@ defmodule Situ.Live.Template.Parser do
   defp take_space(source), do: take(source, 0, &(&1 in @space))
 
   defp take(source, n, wanted?) do
-    case source do
-      <<_::binary-size(n), c, _::binary>> ->
-        if wanted?.(c), do: take(source, n + 1, wanted?), else: split(source, n)
-
-      _ ->
-        {source, ""}
-    end
+    if n < byte_size(source) and wanted?.(:binary.at(source, n)),
+      do: take(source, n + 1, wanted?),
+      else: split(source, n)
   end
 
-  defp split(source, n) do
-    <<left::binary-size(n), right::binary>> = source
-    {left, right}
-  end
+  defp split(source, n),
+    do: {binary_part(source, 0, n), binary_part(source, n, byte_size(source) - n)}
 
   defp upto(source, stop, ctx, start) do
     case :binary.split(source, stop) do
