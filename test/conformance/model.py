@@ -277,6 +277,60 @@ def queue_case(i):
     return case(f"model-queue-{i}", "delivery_queue", {"policy": policy}, [], {"steps": steps, "dropped": dropped})
 
 
+def interval():
+    ends = sorted([R.randint(0, 12), R.randint(0, 12)])
+    ends[1] += ends[0] == ends[1]
+    flags = [R.random() < 0.5, R.random() < 0.5]
+    # An end without a bound is never inclusive.
+    for side in (0, 1):
+        if R.random() < 0.15:
+            ends[side], flags[side] = (float("-inf"), float("inf"))[side], False
+    return ends, flags
+
+
+def notation(ends, flags):
+    shown = ["inf" if abs(e) == float("inf") else str(e) for e in ends]
+    return "([" [flags[0]] + ",".join(shown) + ")]"[flags[1]]
+
+
+def holds(ends, flags, point):
+    left = ends[0] <= point if flags[0] else ends[0] < point
+    return left and (point <= ends[1] if flags[1] else point < ends[1])
+
+
+# Sets of real numbers, tried at quarters: ends are whole, so what lies between shows.
+def points(ends, flags):
+    return {q / 4 for q in range(-200, 201) if holds(ends, flags, q / 4)}
+
+
+def interval_case(i):
+    (a, fa), (b, fb) = interval(), interval()
+    pa, pb = points(a, fa), points(b, fb)
+    kind = R.choice(["contains_point", "intersects", "subset", "translate", "scale"])
+    if kind == "contains_point":
+        p = R.randint(-1, 14)
+        params, expect = {"interval": notation(a, fa), "point": p}, {"within": holds(a, fa, p)}
+    elif kind == "intersects":
+        common = bool(pa & pb)
+        params = {"a": notation(a, fa), "b": notation(b, fb)}
+        expect = {"intersects": common, "disjoint": not common, "symmetric": True}
+    elif kind == "subset":
+        params = {"b": notation(b, fb), "of": notation(a, fa)}
+        expect = {"subset": pb <= pa, "proper_subset": pb < pa}
+    elif kind == "translate":
+        by = R.randint(-9, 9)
+        params, expect = {"interval": notation(a, fa), "by": by}, {"interval": moved([e + by for e in a], fa)}
+    else:
+        left, right = R.randint(-5, 5), R.randint(-5, 5)
+        params = {"interval": notation(a, fa), "left_span": left, "right_span": right}
+        expect = {"interval": moved([a[0] - left, a[1] + right], fa)}
+    return case(f"model-interval-{i}", "interval." + kind, params, [], expect)
+
+
+def moved(ends, flags):
+    return notation(ends, flags).replace("(inf", "(-inf")
+
+
 def streams(inputs, keep_open=False):
     extra = {"keep_open": True} if keep_open else {}
     return [{"stream": f"s{k}", "messages": s, **extra} for k, s in enumerate(inputs)]
@@ -286,7 +340,7 @@ def case(id, op, params, inputs, expect):
     return {"id": id, "op": op, "params": params, "inputs": inputs, "expect": expect, "asserts": "model"}
 
 
-AREAS = [interpolation_case, fusion_case, pair_case, zip_case, index_window_case, time_window_case, sampling_case, queue_case]
+AREAS = [interpolation_case, fusion_case, pair_case, zip_case, index_window_case, time_window_case, sampling_case, queue_case, interval_case]
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

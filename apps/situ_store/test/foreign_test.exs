@@ -34,9 +34,15 @@ defmodule Situ.Store.ForeignTest do
 
     {:ok, messages} = Store.read(store, "Audio")
     assert messages |> Enum.map(& &1.data.data) |> IO.iodata_to_binary() == samples
-    # In the umbrella's own test run the media app is loaded, and sound comes as its struct.
-    sound = hd(messages).data
-    assert %{rate: 8_000, channels: 1, sample: :s16} = Map.get(sound, :format, sound)
+
+    # In the umbrella's own test run the media app is loaded, and sound comes as its struct; the shape is one.
+    assert %{rate: 8_000, channels: 1, sample: :s16} = hd(messages).data.format
+
+    {:ok, [plain], _} =
+      Store.Wav.read(%{store.state | codec: nil}, hd(Store.streams(store)), 0, :unbounded, 1, [])
+
+    assert %{format: %{rate: 8_000, channels: 1, sample: :s16}, data: bytes} = plain.data
+    assert bytes == hd(messages).data.data
     assert {:ok, %{originating_time: 500_000_000}} = Store.latest_at(store, "Audio", 519_999_999)
     assert {:ok, %{originating_time: 520_000_000}} = Store.first_at(store, "Audio", 500_000_001)
     assert {:ok, nil} = Store.first_at(store, "Audio", 2_000_000_000)
@@ -147,5 +153,77 @@ defmodule Situ.Store.ForeignTest do
     assert {:error, %{code: :not_csv, why: why}} = times.("v,when\n1,5\n", time: "whne")
     assert why =~ "when"
     assert {:error, %{code: :not_csv}} = times.("", [])
+  end
+
+  test "CSV of any length: line breaks in quotes, part after part, the same by time, by index and from the front",
+       %{tmp_dir: root} do
+    path = Path.join(root, "long.csv")
+    n = 3_500
+
+    rows =
+      for i <- 0..(n - 1) do
+        note = if rem(i, 7) == 0, do: ~s("line #{i},\r\nand ""more"""), else: "n#{i}"
+        gap = if rem(i, 5) == 0, do: "", else: "#{i}"
+        late = if rem(i, 1_000) == 999, do: "0,1,late,\r\n", else: ""
+        "#{i},#{i}.5,#{note},#{gap}\r\n" <> late
+      end
+
+    File.write!(path, ["\uFEFFt_ms,x,note,007\r\n" | rows])
+    store = Store.open!(path)
+
+    assert [
+             %{name: "x", type: :float, count: ^n},
+             %{name: "note", type: :string, count: ^n},
+             %{name: "007", type: :integer, count: 2_800}
+           ] = Store.streams(store)
+
+    assert [{_, line, "line " <> _}, _, _] = Store.info(store).damage
+    # 1,000 rows and 143 further breaks within quotes before the late one, behind the heading.
+    assert line == 1 + 1_000 + 143 + 1
+    assert [{0, "line 0,\r\nand \"more\""}, {1_000_000, "n1"}] = values(store, "note", 2)
+
+    for {name, wanted} <- [
+          {"x", for(i <- 0..(n - 1), do: {i, i + 0.5})},
+          {"007", for(i <- 0..(n - 1), rem(i, 5) != 0, do: {i, i})}
+        ] do
+      assert values(store, name, n) == for({i, v} <- wanted, do: {i * 1_000_000, v})
+
+      for {{i, v}, ordinal} <- Enum.with_index(wanted),
+          rem(ordinal, 97) == 0 or i in 994..1_006 do
+        assert {:ok, %{data: ^v, sequence_id: id}} = Store.at(store, name, ordinal)
+        assert id == ordinal + 1
+        assert {:ok, %{data: ^v}} = Store.first_at(store, name, i * 1_000_000)
+        assert {:ok, %{data: ^v}} = Store.latest_at(store, name, i * 1_000_000 + 1)
+      end
+    end
+  end
+
+  defp values(store, name, n) do
+    for m <- Enum.take(Store.messages(store, name), n), do: {m.originating_time, m.data}
+  end
+
+  test "CSV that is none says where and why", %{tmp_dir: root} do
+    why = fn text, opts ->
+      path = Path.join(root, "bad#{:erlang.phash2({text, opts})}.csv")
+      File.write!(path, text)
+      assert {:error, %{code: :not_csv, why: why}} = Store.open(path, reader_opts: opts)
+      why
+    end
+
+    assert why.("t,x\n1,2\n2,\xFF\n", []) =~ "line 3: it is not UTF-8"
+    assert why.("only\n1\n", []) =~ "one column"
+    assert why.("t,x\n1,2\n", separator: ", ") =~ "separator"
+
+    assert why.(["t,x\n1,2\n2,\"", String.duplicate("x", 40_000_000)], []) =~
+             "line 3: a row of more"
+
+    # Texts of a column of texts stay as written.
+    path = Path.join(root, "codes.csv")
+    File.write!(path, "t,code\n0,007\n1,x\n")
+    assert [{0, "007"}, {1_000_000_000, "x"}] = path |> Store.open!() |> values("code", 9)
+    # A file that was cut since is an error, no crash.
+    store = Store.open!(path)
+    File.write!(path, "t,code\n")
+    assert {:error, %{code: :damaged}} = Store.read(store, "code")
   end
 end

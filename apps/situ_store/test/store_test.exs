@@ -186,7 +186,11 @@ defmodule Situ.StoreTest do
     left = store |> Store.messages("A", skip_damage: true) |> Enum.map(& &1.data)
     assert length(left) == 1_900 and "message 800" not in left and "message 801" in left
     assert {:ok, %{damage: [%{file: "data-000000.situ"}]}} = Store.verify(path)
-    assert {:ok, %{dropped: 1, rebuilt?: true}} = Store.repair(path)
+    test = self()
+    progress = &send(test, {:done, &1, &2})
+    assert {:ok, %{dropped: 1, rebuilt?: true}} = Store.repair(path, progress: progress)
+    assert_received {:done, total, total}
+    refute_received {:situ_store, _, _}
     assert {:ok, %{damage: []}} = Store.verify(path)
     assert path |> Store.open!() |> Store.messages("A") |> Enum.map(& &1.data) == left
   end
@@ -291,6 +295,51 @@ defmodule Situ.StoreTest do
              "__struct__" => name,
              "never_seen_field_17" => 3
            }
+
+    # A struct that is known, of a version that had another field: strings for all its keys, too.
+    term = struct_term("Elixir.Situ.Store.Undecoded", "never_seen_field_18", 3)
+
+    assert Situ.Store.Test.Raw.decode(root, term) == %{
+             "__struct__" => "Elixir.Situ.Store.Undecoded",
+             "never_seen_field_18" => 3
+           }
+  end
+
+  defp struct_term(module, field, value) do
+    atom = fn text -> <<119, byte_size(text), text::binary>> end
+
+    <<131, 116, 0, 0, 0, 2, atom.("__struct__")::binary, atom.(module)::binary,
+      atom.(field)::binary, 97, value>>
+  end
+
+  test "a struct whose module is there but was not loaded yet is the struct", %{tmp_dir: root} do
+    n = System.unique_integer([:positive])
+    name = "Elixir.LoadedLater#{n}"
+    source = Path.join(root, "later.ex")
+    File.write!(source, "defmodule LoadedLater#{n} do defstruct [:later_#{n}] end")
+    # Compiled by another system: here nobody has heard of its field.
+    {_, 0} = System.cmd("elixirc", ["-o", root, source])
+    term = struct_term(name, "later_#{n}", 5)
+
+    assert %{"__struct__" => ^name} = Situ.Store.Test.Raw.decode(Path.join(root, "a"), term)
+    assert_raise ArgumentError, fn -> String.to_existing_atom("later_#{n}") end
+
+    # An application's list of modules names it, as a release's does.
+    module = String.to_atom(name)
+    true = Code.append_path(root)
+    assert decoded = Situ.Store.Test.Raw.decode(Path.join(root, "b"), term)
+    assert %{__struct__: ^module} = decoded
+    assert Map.values(Map.from_struct(decoded)) == [5]
+    # So do structs within other terms.
+    <<131, inner::binary>> = struct_term(name, "later_#{n}", 6)
+
+    assert [%{__struct__: ^module}] =
+             Situ.Store.Test.Raw.decode(
+               Path.join(root, "c"),
+               <<131, 108, 0, 0, 0, 1, inner::binary, 106>>
+             )
+
+    Code.delete_path(root)
   end
 
   test "an unknown codec gives the bytes", %{tmp_dir: root} do

@@ -9,6 +9,7 @@ pub mod index;
 pub mod pyramid;
 pub mod reader;
 pub mod repair;
+pub mod rows;
 pub mod varint;
 pub mod watch;
 pub mod writer;

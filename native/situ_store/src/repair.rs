@@ -14,6 +14,9 @@ use crate::index;
 use crate::reader::{file_length, map_file, Damage, Reader};
 use crate::writer;
 
+/// Chunks that are checked between two words on how far it is.
+const STEP: u64 = 128;
+
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
     pub kept: u64,
@@ -41,12 +44,12 @@ fn from_index(dir: &Path, reader: &Reader, progress: &mut impl FnMut(u64, u64)) 
     let mut bad = BTreeSet::new();
     let mut at = 0;
     while at < total {
-        let (found, _) = reader.verify(at, 1_024)?;
+        let (found, _) = reader.verify(at, STEP)?;
         for item in found {
             bad.insert((item.file.clone(), item.offset));
             damage.push(item);
         }
-        at += 1_024;
+        at += STEP;
         progress(at.min(total), total);
     }
     if damage.is_empty() {

@@ -1,5 +1,9 @@
 //! The writer: streams into chunks, chunks into extents, one publishing word for all of it.
 
+mod chunks;
+mod pyramids;
+mod stream;
+
 use std::fs::{File, OpenOptions};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -8,12 +12,14 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use rustix::fs::{flock, FlockOperation};
 use rustix::io::Errno;
 
-use crate::chunk::{compress, term_number, Builder, Envelope, Input};
+use crate::chunk::{term_number, Builder, Envelope, Input};
 use crate::error::{Error, Result};
 use crate::extent::{Fault, Lane};
 use crate::format::*;
 use crate::index::{self, IndexWriter};
-use crate::pyramid::{self, Bin};
+use crate::pyramid::Bin;
+
+use stream::Stream;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Durability {
@@ -40,48 +46,6 @@ impl Default for Options {
             max_extent: 256 << 20,
             durability: Durability::None,
             fault: Arc::default(),
-        }
-    }
-}
-
-/// What must be put back when a commit fails.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Position {
-    ordinal: u64,
-    last_time: Option<i64>,
-    size_sum: u64,
-    latency_sum: f64,
-}
-
-#[derive(Debug)]
-struct Stream {
-    compression: Compression,
-    large: bool,
-    position: Position,
-    saved: Option<Position>,
-    pyramid: pyramid::Builder,
-    /// Ordinals per pyramid level.
-    bins: [u64; 64],
-    last_bin: [i64; 64],
-    points: Vec<Bin>,
-}
-
-impl Stream {
-    fn new(compression: Compression, large: bool) -> Self {
-        Stream {
-            compression,
-            large,
-            position: Position {
-                ordinal: 0,
-                last_time: None,
-                size_sum: 0,
-                latency_sum: 0.0,
-            },
-            saved: None,
-            pyramid: pyramid::Builder::default(),
-            bins: [0; 64],
-            last_bin: [i64::MIN; 64],
-            points: Vec::new(),
         }
     }
 }
@@ -273,166 +237,6 @@ impl Writer {
         Ok(())
     }
 
-    fn header(
-        &self,
-        stored: usize,
-        raw: usize,
-        compression: Compression,
-        body_crc: u32,
-    ) -> ChunkHeader {
-        let builder = &self.builder;
-        let position = self.streams[builder.stream as usize].position;
-        ChunkHeader {
-            length: (CHUNK_HEADER + stored) as u32,
-            stream: builder.stream,
-            level: 0,
-            encoding: builder.encoding,
-            compression,
-            count: builder.count,
-            ordinal: position.ordinal,
-            first: builder.first.time,
-            last: builder.last.time,
-            first_sequence: builder.first.sequence,
-            first_creation: builder.first.creation,
-            size_sum: position.size_sum,
-            latency_sum: position.latency_sum,
-            raw_length: raw as u32,
-            table_length: builder.table.len() as u32,
-            codec: builder.codec,
-            body_crc,
-        }
-    }
-
-    fn flush_chunk(&mut self) -> Result<()> {
-        if self.builder.count == 0 {
-            return Ok(());
-        }
-        let compression = self.streams[self.builder.stream as usize].compression;
-        let packed = compress(compression, &self.builder.table, &self.builder.payload)?;
-        let raw = self.builder.table.len() + self.builder.payload.len();
-        let entry = match &packed {
-            Some(body) => {
-                let header = self.header(body.len(), raw, compression, crc32c::crc32c(body));
-                let bytes = header.encode(&[]);
-                self.place(LANE_DATA, 8, &header, &[&bytes, body])?
-            }
-            None => {
-                let crc = crc32c::crc32c(&self.builder.payload);
-                let header = self.header(raw, raw, Compression::None, crc);
-                let bytes = header.encode(&self.builder.table);
-                let (table, payload) = (
-                    std::mem::take(&mut self.builder.table),
-                    std::mem::take(&mut self.builder.payload),
-                );
-                let placed = self.place(LANE_DATA, 8, &header, &[&bytes, &table, &payload]);
-                self.builder.table = table;
-                self.builder.payload = payload;
-                placed?
-            }
-        };
-        self.entries.push(entry);
-        self.streams[self.builder.stream as usize].position.ordinal += self.builder.count as u64;
-        self.builder.count = 0;
-        Ok(())
-    }
-
-    /// A message in a chunk of its own, straight from the caller's memory.
-    fn write_large(&mut self, envelope: Envelope, size: usize, input: Input<'_>) -> Result<()> {
-        let compression = self.streams[self.builder.stream as usize].compression;
-        let position = &mut self.streams[self.builder.stream as usize].position;
-        // The header carries sums with this message in them; `push` adds them for good once it is written.
-        let before = *position;
-        position.size_sum += size as u64;
-        position.latency_sum += envelope.creation as f64 - envelope.time as f64;
-        let placed = self.place_large(envelope, size, input, compression);
-        self.streams[self.builder.stream as usize].position = before;
-        self.builder.count = 0;
-        self.entries.push(placed?);
-        Ok(())
-    }
-
-    fn place_large(
-        &mut self,
-        envelope: Envelope,
-        size: usize,
-        input: Input<'_>,
-        compression: Compression,
-    ) -> Result<Entry> {
-        let small;
-        let parts: &[&[u8]] = match input {
-            Input::Bytes(bytes) => {
-                small = [bytes];
-                &small
-            }
-            Input::Parts(parts) => parts,
-            other => {
-                self.builder.push(envelope, other);
-                let payload = std::mem::take(&mut self.builder.payload);
-                let placed = self.place_parts(&[&payload], size, compression);
-                self.builder.payload = payload;
-                return placed;
-            }
-        };
-        self.builder.push_envelope(envelope, size);
-        self.place_parts(parts, size, compression)
-    }
-
-    fn place_parts(
-        &mut self,
-        parts: &[&[u8]],
-        size: usize,
-        compression: Compression,
-    ) -> Result<Entry> {
-        // The payload starts at a multiple of 64: copies of unaligned neighbours run at a tenth of the speed.
-        let padded = (CHUNK_HEADER + self.builder.table.len()).next_multiple_of(64) - CHUNK_HEADER;
-        self.builder.table.resize(padded, 0);
-        if compression != Compression::None {
-            let whole = parts.concat();
-            if let Some(body) = compress(compression, &self.builder.table, &whole)? {
-                let raw = self.builder.table.len() + size;
-                let header = self.header(body.len(), raw, compression, crc32c::crc32c(&body));
-                return self.place(LANE_LARGE, 64, &header, &[&header.encode(&[]), &body]);
-            }
-        }
-        let crc = parts
-            .iter()
-            .fold(0, |crc, part| crc32c::crc32c_append(crc, part));
-        let raw = self.builder.table.len() + size;
-        let header = self.header(raw, raw, Compression::None, crc);
-        let bytes = header.encode(&self.builder.table);
-        let table = std::mem::take(&mut self.builder.table);
-        let mut slices: Vec<&[u8]> = Vec::with_capacity(parts.len() + 2);
-        slices.extend([&bytes[..], &table[..]]);
-        slices.extend_from_slice(parts);
-        let placed = self.place(LANE_LARGE, 64, &header, &slices);
-        self.builder.table = table;
-        placed
-    }
-
-    fn place(
-        &mut self,
-        lane: u8,
-        align: u64,
-        header: &ChunkHeader,
-        slices: &[&[u8]],
-    ) -> Result<Entry> {
-        let (extent, offset) = self.lanes[lane as usize].reserve(header.length as u64, align)?;
-        self.lanes[lane as usize].write(offset, slices)?;
-        Ok(Entry {
-            stream: header.stream,
-            level: header.level,
-            lane,
-            extent,
-            offset,
-            length: header.length,
-            count: header.count,
-            ordinal: header.ordinal,
-            first: header.first,
-            last: header.last,
-            first_creation: header.first_creation,
-        })
-    }
-
     /// Publishes everything pushed since the last commit: all of it, or (on an error, after `rollback`) none.
     pub fn commit(&mut self) -> Result<u64> {
         self.flush_chunk()?;
@@ -462,15 +266,7 @@ impl Writer {
     }
 
     fn after_commit(&mut self) -> Result<()> {
-        let ready =
-            (0..self.streams.len()).any(|at| self.streams[at].pyramid.has_ready(pyramid::FLUSH));
-        if ready {
-            // A full disk is told by the next message; the bins wait.
-            match self.write_pyramids(pyramid::FLUSH) {
-                Err(Error::Crash) => return Err(Error::Crash),
-                _ => self.entries.clear(),
-            }
-        }
+        self.write_ready_pyramids()?;
         match self.durability {
             Durability::Each => self.index.sync(),
             Durability::Interval(every) if self.synced.elapsed() >= every => self.sync(),
@@ -489,62 +285,6 @@ impl Writer {
             }
             stream.points.clear();
         }
-    }
-
-    fn write_pyramids(&mut self, least: usize) -> Result<()> {
-        for number in 0..self.streams.len() {
-            let mut failed = Ok(());
-            for (k, bins) in self.streams[number].pyramid.take_ready(least) {
-                if failed.is_ok() {
-                    failed = self.write_bins(number, k, &bins);
-                }
-                if failed.is_err() {
-                    self.streams[number].pyramid.put_back(k, bins);
-                }
-            }
-            failed?;
-        }
-        Ok(())
-    }
-
-    fn write_bins(&mut self, number: usize, k: u8, bins: &[Bin]) -> Result<()> {
-        for bins in bins.chunks(MAX_CHUNK_MESSAGES as usize) {
-            let (Some(first), Some(last)) = (bins.first(), bins.last()) else {
-                continue;
-            };
-            let stream = &self.streams[number];
-            if first.start <= stream.last_bin[k as usize] {
-                // Points of a codec that went back in time: their bins are left out, the messages are there.
-                continue;
-            }
-            let mut body = Vec::with_capacity(bins.len() * BIN);
-            bins.iter().for_each(|bin| bin.encode(&mut body));
-            let header = ChunkHeader {
-                length: (CHUNK_HEADER + body.len()) as u32,
-                stream: number as u32,
-                level: k,
-                encoding: Encoding::Bins,
-                compression: Compression::None,
-                count: bins.len() as u32,
-                ordinal: stream.bins[k as usize],
-                first: first.start,
-                last: last.start,
-                first_sequence: 0,
-                first_creation: 0,
-                size_sum: 0,
-                latency_sum: 0.0,
-                raw_length: body.len() as u32,
-                table_length: 0,
-                codec: 0,
-                body_crc: crc32c::crc32c(&body),
-            };
-            let entry = self.place(LANE_DATA, 8, &header, &[&header.encode(&[]), &body])?;
-            self.index.publish(&[entry])?;
-            let stream = &mut self.streams[number];
-            stream.bins[k as usize] += bins.len() as u64;
-            stream.last_bin[k as usize] = last.start;
-        }
-        Ok(())
     }
 
     fn check_folder(&mut self) -> Result<()> {

@@ -2,6 +2,7 @@
 
 mod errors;
 mod reading;
+mod rows;
 mod terms;
 mod writing;
 
@@ -39,6 +40,7 @@ mod atoms {
         damaged,
         missing_extent,
         crash,
+        unknown = "$situ_unknown",
         undecodable = "$situ_undecodable",
         stream_exists
     }

@@ -15,7 +15,8 @@ pub fn copied<'a>(env: Env<'a>, bytes: &[u8]) -> Term<'a> {
     binary.encode(env)
 }
 
-/// A term from external format. Atoms that do not exist here become strings (and a struct of theirs a plain map).
+/// A term from external format. Atoms that do not exist here become strings, and a struct of theirs a map with strings for keys:
+/// then the answer is `{:"$situ_unknown", [module], bytes, term}`, and whoever can load the modules decodes the bytes again.
 pub fn decode<'a>(env: Env<'a>, bytes: &[u8]) -> Term<'a> {
     if let Err(refusal) = etf::check(bytes) {
         return (atoms::undecodable(), refusal.text()).encode(env);
@@ -23,14 +24,29 @@ pub fn decode<'a>(env: Env<'a>, bytes: &[u8]) -> Term<'a> {
     if let Some((term, _)) = env.binary_to_term(bytes) {
         return term;
     }
-    match etf::decode(bytes, &mut Builder { env }) {
-        Some(term) => term,
+    let mut builder = Builder {
+        env,
+        unknown: Vec::new(),
+    };
+    match etf::decode(bytes, &mut builder) {
+        Some(term) if builder.unknown.is_empty() => term,
+        Some(term) => (atoms::unknown(), builder.unknown, copied(env, bytes), term).encode(env),
         None => (atoms::undecodable(), etf::Refusal::Malformed.text()).encode(env),
     }
 }
 
 struct Builder<'a> {
     env: Env<'a>,
+    /// The names of structs that cannot be made.
+    unknown: Vec<Term<'a>>,
+}
+
+/// A key of a struct that cannot be made: a string, whether or not the atom exists here.
+fn name<'a>(env: Env<'a>, term: Term<'a>) -> Term<'a> {
+    match term.atom_to_string() {
+        Ok(text) => copied(env, text.as_bytes()),
+        Err(_) => term,
+    }
 }
 
 impl<'a> Build for Builder<'a> {
@@ -76,18 +92,21 @@ impl<'a> Build for Builder<'a> {
 
     fn map(&mut self, keys: &[Term<'a>], values: &[Term<'a>]) -> Option<Term<'a>> {
         let tag = atoms::struct_key().encode(self.env);
-        let keys: Vec<Term<'a>> = keys
+        let module = keys.iter().position(|key| *key == tag).map(|at| values[at]);
+        let Some(module) =
+            module.filter(|module| !module.is_atom() || keys.iter().any(|key| !key.is_atom()))
+        else {
+            return Term::map_from_term_arrays(self.env, keys, values).ok();
+        };
+        // A struct that nobody here knows is a map that says so.
+        let module = name(self.env, module);
+        self.unknown.push(module);
+        let named: Vec<Term<'a>> = keys.iter().map(|key| name(self.env, *key)).collect();
+        let values: Vec<Term<'a>> = keys
             .iter()
             .zip(values)
-            // A struct nobody here knows is a map that says so.
-            .map(|(key, value)| {
-                if *key == tag && !value.is_atom() {
-                    "__struct__".encode(self.env)
-                } else {
-                    *key
-                }
-            })
+            .map(|(key, value)| if *key == tag { module } else { *value })
             .collect();
-        Term::map_from_term_arrays(self.env, &keys, values).ok()
+        Term::map_from_term_arrays(self.env, &named, &values).ok()
     }
 }

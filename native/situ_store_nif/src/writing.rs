@@ -130,7 +130,6 @@ fn envelope(message: Term<'_>) -> NifResult<Envelope> {
     })
 }
 
-/// The encoding that fits all of a batch; any mixture is stored as terms, so that chunks stay long.
 fn encoding_of(data: Term<'_>) -> Encoding {
     match data.get_type() {
         TermType::Integer if data.decode::<i64>().is_ok() => Encoding::Int,
@@ -138,6 +137,16 @@ fn encoding_of(data: Term<'_>) -> Encoding {
         TermType::Binary if data.is_binary() => Encoding::Bytes,
         TermType::Atom if boolean(data).is_some() => Encoding::Bool,
         _ => Encoding::Term,
+    }
+}
+
+fn fits(encoding: Encoding, data: Term<'_>) -> bool {
+    match encoding {
+        Encoding::Int => data.decode::<i64>().is_ok(),
+        Encoding::Float => data.is_float(),
+        Encoding::Bytes => data.is_binary(),
+        Encoding::Bool => boolean(data).is_some(),
+        _ => true,
     }
 }
 
@@ -214,26 +223,54 @@ fn push(
     Ok(())
 }
 
-fn append(writer: &mut Writer, stream: u32, messages: ListIterator<'_>) -> Result<u64, Failed> {
-    let mut batch = Vec::new();
-    let mut encoding = None;
-    for message in messages {
-        let data = message.map_get(atoms::data())?;
-        let here = encoding_of(data);
-        encoding = match encoding {
-            None => Some(here),
-            Some(so_far) if so_far == here => encoding,
-            Some(_) => Some(Encoding::Term),
-        };
-        batch.push((message, data));
+/// Pushes all messages of the batches in one encoding; `false` when one does not fit it.
+fn push_all(
+    writer: &mut Writer,
+    stream: u32,
+    encoding: Encoding,
+    batches: ListIterator<'_>,
+) -> Result<bool, Failed> {
+    for batch in batches {
+        for message in batch.into_list_iterator()? {
+            let data = message.map_get(atoms::data())?;
+            if !fits(encoding, data) {
+                return Ok(false);
+            }
+            push(writer, stream, encoding, envelope(message)?, data)?;
+        }
     }
-    for (message, data) in batch {
-        push(
+    Ok(true)
+}
+
+fn all_fit(encoding: Encoding, batches: ListIterator<'_>) -> NifResult<bool> {
+    for batch in batches {
+        for message in batch.into_list_iterator()? {
+            if !fits(encoding, message.map_get(atoms::data())?) {
+                return Ok(false);
+            }
+        }
+    }
+    Ok(true)
+}
+
+/// A batch is stored in the encoding of its first message; any mixture as terms, so that chunks stay long.
+fn append(writer: &mut Writer, stream: u32, batches: Term<'_>) -> Result<u64, Failed> {
+    let first = batches
+        .into_list_iterator()?
+        .find_map(|batch| batch.into_list_iterator().ok()?.next());
+    let encoding = match first {
+        Some(message) => encoding_of(message.map_get(atoms::data())?),
+        None => return Ok(writer.committed()),
+    };
+    // Binaries may be large and are written as they are pushed: they are looked through first.
+    let fit = encoding != Encoding::Bytes || all_fit(encoding, batches.into_list_iterator()?)?;
+    if !fit || !push_all(writer, stream, encoding, batches.into_list_iterator()?)? {
+        writer.rollback();
+        push_all(
             writer,
             stream,
-            encoding.unwrap_or(Encoding::Term),
-            envelope(message)?,
-            data,
+            Encoding::Term,
+            batches.into_list_iterator()?,
         )?;
     }
     Ok(writer.commit()?)
@@ -260,15 +297,15 @@ fn finish<'a>(
     }
 }
 
-/// Appends `%Situ.Message{}`s to a stream, all or none.
+/// Appends lists of `%Situ.Message{}`s to a stream, all or none.
 #[rustler::nif(schedule = "DirtyIo")]
 fn writer_append<'a>(
     env: Env<'a>,
     handle: Handle,
     stream: u32,
-    messages: ListIterator<'a>,
+    batches: Term<'a>,
 ) -> NifResult<Term<'a>> {
-    finish(env, &handle, |writer| append(writer, stream, messages))
+    finish(env, &handle, |writer| append(writer, stream, batches))
 }
 
 /// The binaries of an iolist, none of them copied; loose bytes are gathered.

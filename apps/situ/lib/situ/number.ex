@@ -59,6 +59,58 @@ defmodule Situ.Number do
   def divide(a, b) when is_number(a) and b in [:infinity, :neg_infinity], do: 0.0
   def divide(a, b) when a in [:infinity, :neg_infinity], do: nan(b)
 
+  @doc """
+  The number on the straight line from `a` (ratio 0.0) to `b` (ratio 1.0); `nil`, no value, where one of them is.
+
+      iex> Situ.Number.between(10, 20, 0.25)
+      12.5
+      iex> Situ.Number.between(1, :nan, 0.5)
+      :nan
+      iex> Situ.Number.between(nil, 3, 0.5)
+      nil
+  """
+  @spec between(t() | nil, t() | nil, float()) :: t() | nil
+  def between(nil, b, _ratio), do: if(b == nil or number?(b), do: nil, else: refuse(b))
+  def between(a, nil, _ratio), do: if(number?(a), do: nil, else: refuse(a))
+
+  def between(a, b, ratio) when is_number(a) and is_number(b) do
+    a + (b - a) * ratio
+  rescue
+    ArithmeticError -> add(multiply(a, 1.0 - ratio), multiply(b, ratio))
+  end
+
+  def between(a, b, ratio), do: add(a, multiply(subtract(b, a), ratio))
+
+  @doc "The sum of the products of two lists."
+  @spec dot([t()], [t()]) :: t()
+  def dot(a, b), do: Enum.zip_reduce(a, b, 0.0, fn x, y, sum -> add(sum, multiply(x, y)) end)
+
+  @doc """
+  The median; `:nan` if one of them is.
+
+      iex> Situ.Number.median([3, :infinity, 1])
+      3
+      iex> Situ.Number.median([1, 2])
+      1.5
+  """
+  @spec median([t(), ...]) :: t()
+  def median(numbers) do
+    sorted = sort(numbers)
+    {n, half} = {length(sorted), div(length(sorted), 2)}
+
+    cond do
+      :nan in numbers -> :nan
+      rem(n, 2) == 1 -> Enum.at(sorted, half)
+      true -> divide(add(Enum.at(sorted, half - 1), Enum.at(sorted, half)), 2)
+    end
+  end
+
+  defp sort(numbers) do
+    if Enum.all?(numbers, &is_number/1),
+      do: Enum.sort(numbers),
+      else: Enum.sort_by(numbers, &{rank(&1), &1})
+  end
+
   @doc "The number with the other sign."
   @spec negate(t()) :: t()
   def negate(:nan), do: :nan
@@ -108,6 +160,7 @@ defmodule Situ.Number do
   defp pick(a, b, :gt), do: if(rank(a) >= rank(b), do: a, else: b)
 
   # Only the infinite ones need a rank of their own: at most one of two is finite here, or both are infinite.
+  defp rank(:nan), do: 2
   defp rank(:infinity), do: 1
   defp rank(:neg_infinity), do: -1
   defp rank(a) when is_number(a), do: 0

@@ -57,10 +57,13 @@ defmodule Situ.Reproducible do
   @doc """
   Linear interpolation between the messages before and after; none before the first or after the last.
 
+  Numbers as in `Situ.Number`: `:nan` is contagious, between a number and no value (`nil`) there is none, and what is no number is
+  an error.
+
   `max_span:` gives no value between neighbours that are this far apart (ns) or farther.
   """
   @spec linear(keyword()) :: Interpolator.t()
-  def linear(opts \\ []), do: adjacent(fn a, b, ratio -> a + (b - a) * ratio end, opts)
+  def linear(opts \\ []), do: adjacent(&Situ.Number.between/3, opts)
 
   @doc "`fun.(before, after, ratio)` of the neighbours, where ratio is 0.0 at the one before and 1.0 at the one after."
   @spec adjacent((term(), term(), float() -> term()), keyword()) :: Interpolator.t()

@@ -257,6 +257,63 @@ defmodule Situ.OperatorsTest do
       assert List.last(run(inputs, &Situ.min(&1.d, compare: earlier))) == {2, ~D[2024-02-28]}
     end
 
+    test "lines and filters compute with NaN, infinities and nil as statistics do" do
+      inputs = [
+        n: [{0, 1}, {10, 3}, {20, :nan}, {30, nil}, {40, 2}, {50, :infinity}, {60, 1.0e308}]
+      ]
+
+      ticks = [t: Enum.map(1..11, &{&1 * 5, :tick})]
+      line = &Situ.interpolate(&1.n, &1.t, Reproducible.linear())
+
+      assert Enum.map(run(inputs ++ ticks, line), &elem(&1, 1)) ==
+               [2.0, 3, :nan, :nan, nil, nil, nil, 2, :infinity, :infinity, :nan]
+
+      assert Enum.map(run(inputs, &Situ.denoise(&1.n, order: 3)), &elem(&1, 1)) ==
+               [1, 2.0, :nan, nil, :nan, :nan, 1.0e308]
+
+      assert [1, _, :nan, nil, :nan, :nan, :nan] =
+               Enum.map(run(inputs, &Situ.one_euro(&1.n)), &elem(&1, 1))
+    end
+
+    test "a finite filter forgets NaN once it has left the taps, an infinite one does not" do
+      values = [1.0, :nan] ++ List.duplicate(1.0, 40)
+      inputs = [n: Enum.with_index(values, &{&2 * 10_000_000, &1})]
+      lowpass = fn opts -> &Situ.lowpass(&1.n, 100, [cutoff: 10, order: 8] ++ opts) end
+      taps = Situ.Filter.Fir.taps(:lowpass, 100, [10], 8)
+
+      {strange, plain} = inputs |> run(lowpass.([])) |> Enum.map(&elem(&1, 1)) |> Enum.split(10)
+      assert [first | nans] = strange
+      assert first == hd(taps)
+      assert Enum.all?(nans, &(&1 == :nan)) and length(nans) == length(taps)
+      assert length(plain) == 32
+      assert Enum.all?(plain, &(abs(&1 - 1.0) < 1.0e-9))
+
+      assert [first | nans] =
+               inputs |> run(lowpass.(response: :infinite)) |> Enum.map(&elem(&1, 1))
+
+      assert is_float(first)
+      assert Enum.all?(nans, &(&1 == :nan))
+    end
+
+    test "filters refuse what is no number, and are infinite where a float is too small" do
+      for filter <- [
+            &Situ.denoise(&1.n),
+            &Situ.one_euro(&1.n),
+            &Situ.lowpass(&1.n, 100, cutoff: 10)
+          ] do
+        inputs = [n: [{0, "1"}, {20_000_000, "2"}]]
+        assert {:error, %{code: :not_a_number}} = Situ.Test.run(inputs, filter)
+      end
+
+      filter = Situ.Filter.Fir.new(:highpass, 100, [10], 8)
+      # Each as large as can be, with the sign that adds up.
+      worst = for tap <- Enum.reverse(filter.taps), do: if(tap < 0, do: -1.79e308, else: 1.79e308)
+      step = fn sample, {_, filter} -> Situ.Filter.Fir.step(filter, sample) end
+      assert {:infinity, filter} = Enum.reduce(worst, {nil, filter}, step)
+      assert {out, _} = Enum.reduce(1..9, {nil, filter}, fn _, state -> step.(0.0, state) end)
+      assert out == 0.0
+    end
+
     test "logarithms of 0 and below have values" do
       assert run([n: [{0, 8}, {1, 0}, {2, -1}]], &Situ.log(&1.n, base: 2)) ==
                [{0, 3.0}, {1, :neg_infinity}, {2, :nan}]

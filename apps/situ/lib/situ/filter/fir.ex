@@ -11,9 +11,12 @@ defmodule Situ.Filter.Fir do
   Source: Oppenheim & Schafer, Discrete-Time Signal Processing, window method.
   """
 
-  @type t :: %__MODULE__{taps: [float()], past: [number()]}
+  alias Situ.Number
+
+  # `strange`: how many samples it takes until the last NaN or infinity has left the taps.
+  @type t :: %__MODULE__{taps: [float()], past: [Number.t()], strange: non_neg_integer()}
   @enforce_keys [:taps]
-  defstruct [:taps, past: []]
+  defstruct [:taps, past: [], strange: 0]
 
   @type shape :: :lowpass | :highpass | :bandpass | :bandstop
 
@@ -24,12 +27,25 @@ defmodule Situ.Filter.Fir do
     %__MODULE__{taps: taps, past: List.duplicate(0.0, length(taps))}
   end
 
-  @doc "One sample in, one sample out."
-  @spec step(t(), number()) :: {float(), t()}
-  def step(%__MODULE__{taps: taps, past: past} = filter, sample) do
-    past = [sample | past]
-    {sum, past} = dot(taps, past, 0.0, [])
+  @doc "One sample in, one sample out. `:nan` and infinities come out, too, until they have left the taps."
+  @spec step(t(), Number.t()) :: {Number.t(), t()}
+  def step(%__MODULE__{taps: taps, past: past, strange: 0} = filter, sample)
+      when is_number(sample) do
+    {sum, past} = dot(taps, [sample | past], 0.0, [])
     {sum, %{filter | past: past}}
+  rescue
+    # Too large for a float.
+    ArithmeticError -> strange(filter, sample, 0)
+  end
+
+  def step(%__MODULE__{} = filter, sample) when is_number(sample),
+    do: strange(filter, sample, filter.strange - 1)
+
+  def step(%__MODULE__{} = filter, sample), do: strange(filter, sample, length(filter.taps) - 1)
+
+  defp strange(%{taps: taps, past: past} = filter, sample, left) do
+    past = Enum.take([sample | past], length(taps))
+    {Number.dot(taps, past), %{filter | past: past, strange: left}}
   end
 
   @doc "The impulse response, `order + 1` values (an odd order is raised by one)."

@@ -11,7 +11,9 @@ defmodule Situ.Filter.Iir do
   Source: R. Bristow-Johnson, Audio EQ Cookbook (bilinear transform), with Butterworth quality factors.
   """
 
-  @type t :: %__MODULE__{sections: [{tuple(), {float(), float()}}]}
+  alias Situ.Number
+
+  @type t :: %__MODULE__{sections: [{tuple(), {Number.t(), Number.t()}}]}
   @enforce_keys [:sections]
   defstruct [:sections]
 
@@ -22,17 +24,29 @@ defmodule Situ.Filter.Iir do
     %__MODULE__{sections: Enum.map(coefficients(shape, rate, edges, pairs), &{&1, {0.0, 0.0}})}
   end
 
-  @doc "One sample in, one sample out."
-  @spec step(t(), number()) :: {float(), t()}
+  @doc "One sample in, one sample out. Such a filter never forgets: after `:nan` or an infinity it gives `:nan`."
+  @spec step(t(), Number.t()) :: {Number.t(), t()}
   def step(%__MODULE__{sections: sections} = filter, sample) do
     {sections, out} = Enum.map_reduce(sections, sample, &section/2)
     {out, %{filter | sections: sections}}
   end
 
   # Transposed direct form II.
-  defp section({{b0, b1, b2, a1, a2} = coefficients, {z1, z2}}, x) do
+  defp section({{b0, b1, b2, a1, a2} = coefficients, {z1, z2}} = section, x)
+       when is_number(x) and is_number(z1) and is_number(z2) do
     y = b0 * x + z1
     {{coefficients, {b1 * x - a1 * y + z2, b2 * x - a2 * y}}, y}
+  rescue
+    # Too large for a float.
+    ArithmeticError -> strange(section, x)
+  end
+
+  defp section(section, x), do: strange(section, x)
+
+  defp strange({{b0, b1, b2, a1, a2} = coefficients, {z1, z2}}, x) do
+    y = Number.dot([b0, 1.0], [x, z1])
+    z = {Number.dot([b1, -a1, 1.0], [x, y, z2]), Number.dot([b2, -a2], [x, y])}
+    {{coefficients, z}, y}
   end
 
   defp coefficients(:bandpass, rate, [from, to], pairs) do

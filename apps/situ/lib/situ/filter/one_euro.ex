@@ -11,6 +11,8 @@ defmodule Situ.Filter.OneEuro do
   Source: Casiez, Roussel, Vogel, 1 euro filter, CHI 2012.
   """
 
+  alias Situ.Number
+
   @type t :: %__MODULE__{}
   defstruct slope: 0.0, min_cutoff: 1.0, derivative_cutoff: 1.0, previous: nil, derivative: 0.0
 
@@ -18,20 +20,30 @@ defmodule Situ.Filter.OneEuro do
   @spec new(keyword()) :: t()
   def new(opts \\ []), do: struct!(__MODULE__, opts)
 
-  @doc "A sample at a time (ns); the first passes as it is."
-  @spec step(t(), Situ.Time.t(), number()) :: {number(), t()}
-  def step(%__MODULE__{previous: nil} = filter, time, sample),
-    do: {sample, %{filter | previous: {time, sample}}}
+  @doc """
+  A sample at a time (ns); the first passes as it is. What has become `:nan` or infinite stays so: each output goes into the next.
+  """
+  @spec step(t(), Situ.Time.t(), Number.t()) :: {Number.t(), t()}
+  def step(%__MODULE__{previous: nil} = filter, time, sample) do
+    sample = Number.add(0, sample)
+    {sample, %{filter | previous: {time, sample}}}
+  end
 
   def step(%__MODULE__{previous: {before, out}} = filter, time, sample) do
     rate = 1.0e9 / (time - before)
-    change = (sample - out) * rate
+    change = sample |> Number.subtract(out) |> Number.multiply(rate)
     derivative = blend(change, filter.derivative, alpha(rate, filter.derivative_cutoff))
-    cutoff = filter.min_cutoff + filter.slope * abs(derivative)
-    out = blend(sample, out, alpha(rate, cutoff))
+    speed = Number.multiply(filter.slope, Number.abs(derivative))
+    out = blend(sample, out, alpha(rate, Number.add(filter.min_cutoff, speed)))
     {out, %{filter | previous: {time, out}, derivative: derivative}}
   end
 
-  defp blend(new, old, alpha), do: alpha * new + (1 - alpha) * old
-  defp alpha(rate, cutoff), do: 1 / (1 + rate / (2 * :math.pi() * cutoff))
+  defp blend(new, old, alpha),
+    do: Number.add(Number.multiply(alpha, new), Number.multiply(Number.subtract(1, alpha), old))
+
+  # 1 / (1 + rate / (2 pi cutoff))
+  defp alpha(rate, cutoff) do
+    constant = Number.multiply(2 * :math.pi(), cutoff)
+    Number.divide(1, Number.add(1, Number.divide(rate, constant)))
+  end
 end

@@ -162,7 +162,8 @@ defmodule Situ.CLI.Store do
   end
 
   defp repair(path, opts) do
-    report = ok!(Store.repair(path))
+    report =
+      Progress.show("repair", opts, fn progress -> ok!(Store.repair(path, progress: progress)) end)
 
     if opts[:json] do
       IO.puts(Situ.JSON.encode(report))

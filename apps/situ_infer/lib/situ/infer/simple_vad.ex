@@ -13,7 +13,7 @@ defmodule Situ.Infer.SimpleVad do
   and ends where every one lies below it; else it stays as it was.
 
   Input `:in` is a number, the log energy of a frame of sound (`ln` of the mean square of 16-bit samples, as the acoustic features
-  give it), output `:out` a boolean at the same time. A value is known once the stream has passed the window's end, so the answer
+  give it), output `:out` a boolean at the same time. A value is known once the stream has reached the window's end, so the answer
   comes 300 ms late; the values of the last 300 ms of a stream are decided by what there is.
 
   Good enough for a quiet room and a close microphone; `Situ.Infer.VoiceActivity` is better everywhere else.
@@ -21,8 +21,7 @@ defmodule Situ.Infer.SimpleVad do
       iex> vad = Situ.Infer.SimpleVad.new(window: 20)
       iex> {[], vad} = Situ.Infer.SimpleVad.push(vad, 0, 9.0)
       iex> {[], vad} = Situ.Infer.SimpleVad.push(vad, 10, 9.0)
-      iex> {[], vad} = Situ.Infer.SimpleVad.push(vad, 20, 8.0)
-      iex> {out, _} = Situ.Infer.SimpleVad.push(vad, 30, 2.0)
+      iex> {out, _} = Situ.Infer.SimpleVad.push(vad, 20, 8.0)
       iex> out
       [{0, true}]
 
@@ -59,7 +58,7 @@ defmodule Situ.Infer.SimpleVad do
   @doc "The next log energy: the times decided by it."
   @spec push(t(), Situ.Time.t(), number()) :: {decisions(), t()}
   def push(%__MODULE__{} = vad, time, value) do
-    decide(%{vad | ahead: :queue.in({time, value > vad.threshold}, vad.ahead)}, time, [])
+    decide(%{vad | ahead: :queue.in({time, value - vad.threshold}, vad.ahead)}, time, [])
   end
 
   @doc "No more values: the times left."
@@ -71,7 +70,7 @@ defmodule Situ.Infer.SimpleVad do
   defp decide(vad, now, done) do
     case :queue.peek(vad.ahead) do
       # `now` is an integer or :infinity, which sorts after every number.
-      {:value, {time, _}} when now > time + vad.window ->
+      {:value, {time, _}} when now >= time + vad.window ->
         vad = unanimous(vad, time + vad.window)
         decide(%{vad | ahead: :queue.drop(vad.ahead)}, now, [{time, vad.speaking?} | done])
 
@@ -81,11 +80,12 @@ defmodule Situ.Infer.SimpleVad do
   end
 
   defp unanimous(vad, until) do
-    votes = for {time, vote} <- :queue.to_list(vad.ahead), time <= until, do: vote
+    above = for {time, above} <- :queue.to_list(vad.ahead), time <= until, do: above
 
+    # A value at the threshold is neither speech nor silence.
     cond do
-      Enum.all?(votes) -> %{vad | speaking?: true}
-      not Enum.any?(votes) -> %{vad | speaking?: false}
+      Enum.all?(above, &(&1 > 0)) -> %{vad | speaking?: true}
+      Enum.all?(above, &(&1 < 0)) -> %{vad | speaking?: false}
       true -> vad
     end
   end

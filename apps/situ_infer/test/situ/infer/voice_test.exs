@@ -172,4 +172,15 @@ defmodule Situ.Infer.VoiceTest do
     assert Enum.map(out ++ last, &elem(&1, 1)) ==
              [false, false, true, true, true, true, true, true, false, false, false, false]
   end
+
+  test "the simple detector decides with the value that ends the window, and not by one at the threshold" do
+    vad = SimpleVad.new(window: 20, threshold: 5)
+    {[], vad} = SimpleVad.push(vad, 0, 9)
+    {[], vad} = SimpleVad.push(vad, 10, 9)
+    {[{0, true}], vad} = SimpleVad.push(vad, 20, 9)
+    {[{10, true}], vad} = SimpleVad.push(vad, 30, 1)
+    {[{20, true}], vad} = SimpleVad.push(vad, 40, 5)
+    {[{30, true}], vad} = SimpleVad.push(vad, 50, 1)
+    assert {[{40, true}, {50, false}], _vad} = SimpleVad.close(vad)
+  end
 end

@@ -154,7 +154,24 @@ defmodule Situ.Store.Local do
   end
 
   defp plain({:"$situ_undecodable", reason}), do: %Undecoded{reason: reason}
+
+  # A struct nobody here had heard of: its module may be one of this release that was not loaded yet.
+  defp plain({:"$situ_unknown", modules, bytes, map}) do
+    if modules |> Enum.map(&known?/1) |> Enum.any?(),
+      do: :erlang.binary_to_term(bytes, [:safe]),
+      else: map
+  rescue
+    # Another version of it: it has fields that do not exist here.
+    ArgumentError -> map
+  end
+
   defp plain(data), do: data
+
+  defp known?(name) do
+    name |> String.to_existing_atom() |> Code.ensure_loaded?()
+  rescue
+    ArgumentError -> false
+  end
 
   defp run({0, list}, info), do: messages(list, info.id)
 

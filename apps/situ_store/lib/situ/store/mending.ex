@@ -36,16 +36,41 @@ defmodule Situ.Store.Mending do
 
   A sound store that was merely not closed is cut to size and marked closed. Damaged chunks are dropped from the index (the data
   files are never rewritten; the old index stays as `index.situ.before-repair`); a lost index is rebuilt from the data.
+  `progress: fun.(done, total)` is called as it goes.
   """
   @spec repair(Path.t(), keyword()) :: {:ok, map()} | {:error, Error.t()}
-  def repair(path, _opts \\ []) do
+  def repair(path, opts \\ []) do
     path = Path.expand(path)
     folder = Folder.resolve(path) || path
 
     with {:ok, {kept, dropped, rebuilt?, damage}} <-
-           folder |> Native.store_repair() |> Failure.wrap(folder) do
+           folder
+           |> mend(opts[:progress] || fn _, _ -> :ok end)
+           |> Failure.wrap(folder) do
       damage = for {file, offset, why} <- damage, do: %{file: file, offset: offset, why: why}
       {:ok, %{kept: kept, dropped: dropped, rebuilt?: rebuilt?, damage: damage}}
+    end
+  end
+
+  # The native side works in a process of its own and sends how far it is.
+  defp mend(folder, progress) do
+    {parent, tag} = {self(), make_ref()}
+    task = Task.async(fn -> Native.store_repair(folder, parent, tag) end)
+    watch(task, tag, progress)
+  end
+
+  defp watch(%{ref: ref} = task, tag, progress) do
+    receive do
+      {:situ_store, ^tag, {done, total}} ->
+        progress.(done, total)
+        watch(task, tag, progress)
+
+      {^ref, answer} ->
+        Process.demonitor(ref, [:flush])
+        answer
+
+      {:DOWN, ^ref, :process, _, reason} ->
+        exit(reason)
     end
   end
 

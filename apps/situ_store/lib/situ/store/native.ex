@@ -12,7 +12,7 @@ defmodule Situ.Store.Native do
   def writer_create(_path, _first_extent, _max_extent, _durability, _fault), do: missing()
   def writer_stream(_writer, _name, _compression, _large), do: missing()
   def writer_position(_writer, _stream), do: missing()
-  def writer_append(_writer, _stream, _messages), do: missing()
+  def writer_append(_writer, _stream, _batches), do: missing()
   def writer_append_encoded(_writer, _stream, _codec, _messages, _points), do: missing()
   def writer_sync(_writer), do: missing()
   def writer_close(_writer), do: missing()
@@ -30,7 +30,8 @@ defmodule Situ.Store.Native do
   def summary_level(_from, _to, _pixels), do: missing()
   def reader_damage(_reader), do: missing()
   def reader_verify(_reader, _from, _n), do: missing()
-  def store_repair(_path), do: missing()
+  def store_repair(_path, _pid, _tag), do: missing()
+  def csv_rows(_path, _separator, _byte, _line, _most, _bytes), do: missing()
   def reader_await(_reader, _known, _pid, _tag), do: missing()
 
   defp missing, do: :erlang.nif_error(:nif_not_loaded)

@@ -21,7 +21,17 @@ defmodule Situ.Store.Sink do
   @most 512
   @bytes 64 * 1024
 
-  defstruct [:exporter, :stream, :envelopes, :eager, pending: [], count: 0, bytes: 0, timer: nil]
+  defstruct [
+    :exporter,
+    :stream,
+    :envelopes,
+    :eager,
+    pending: [],
+    count: 0,
+    bytes: 0,
+    plain: true,
+    timer: nil
+  ]
 
   @impl true
   def init(opts) do
@@ -41,8 +51,9 @@ defmodule Situ.Store.Sink do
   @impl true
   def handle_messages(:in, messages, _context, state) do
     messages = if state.envelopes, do: Enum.map(messages, &%{&1 | data: nil}), else: messages
-    {count, bytes} = weigh(messages, state.count, state.bytes)
-    state = %{state | pending: [messages | state.pending], count: count, bytes: bytes}
+    {count, bytes, plain} = weigh(messages, state.count, state.bytes, state.plain)
+    pending = [messages | state.pending]
+    state = %{state | pending: pending, count: count, bytes: bytes, plain: plain}
 
     cond do
       state.eager or count >= @most or bytes >= @bytes -> {[], flush(state)}
@@ -51,16 +62,20 @@ defmodule Situ.Store.Sink do
     end
   end
 
-  # Pictures and sound count by their bytes: they are not to pile up here.
-  defp weigh([%{data: data} | rest], count, bytes),
-    do: weigh(rest, count + 1, bytes + weight(data))
+  # Pictures and sound count by their bytes: they are not to pile up here. A struct may have a codec of its own.
+  defp weigh([%{data: data} | rest], count, bytes, plain) when is_number(data),
+    do: weigh(rest, count + 1, bytes + 8, plain)
 
-  defp weigh([], count, bytes), do: {count, bytes}
+  defp weigh([%{data: data} | rest], count, bytes, plain) when is_binary(data),
+    do: weigh(rest, count + 1, bytes + byte_size(data), plain)
 
-  defp weight(number) when is_number(number), do: 8
-  defp weight(binary) when is_binary(binary), do: byte_size(binary)
-  defp weight(%{data: data}) when is_binary(data), do: byte_size(data)
-  defp weight(_), do: 64
+  defp weigh([%{data: %_{data: data}} | rest], count, bytes, _plain) when is_binary(data),
+    do: weigh(rest, count + 1, bytes + byte_size(data), false)
+
+  defp weigh([%{data: data} | rest], count, bytes, plain),
+    do: weigh(rest, count + 1, bytes + 64, plain and not is_struct(data))
+
+  defp weigh([], count, bytes, plain), do: {count, bytes, plain}
 
   @impl true
   def handle_info(:flush, _context, state), do: {[], flush(%{state | timer: nil})}
@@ -76,7 +91,7 @@ defmodule Situ.Store.Sink do
   @impl true
   def terminate(_reason, state) do
     # After an error what was delivered before it is still worth keeping; a second error would hide the first.
-    _ = if state.pending != [], do: Writer.append(state.stream, gathered(state))
+    _ = if state.pending != [], do: append(state)
     Exporter.release(state.exporter)
   end
 
@@ -86,13 +101,16 @@ defmodule Situ.Store.Sink do
   defp flush(%{pending: []} = state), do: state
 
   defp flush(state) do
-    stream = ok!(Writer.append(state.stream, gathered(state)))
+    stream = ok!(append(state))
     _ = state.timer && Process.cancel_timer(state.timer)
-    %{state | stream: stream, pending: [], count: 0, bytes: 0, timer: nil}
+    %{state | stream: stream, pending: [], count: 0, bytes: 0, plain: true, timer: nil}
   end
 
-  defp gathered(%{pending: [messages]}), do: messages
-  defp gathered(%{pending: pending}), do: pending |> Enum.reverse() |> Enum.concat()
+  defp append(%{plain: true} = state),
+    do: Writer.append_plain(state.stream, Enum.reverse(state.pending))
+
+  defp append(state),
+    do: Writer.append(state.stream, state.pending |> Enum.reverse() |> Enum.concat())
 
   defp ok!({:ok, value}), do: value
   defp ok!({:error, error}), do: raise(error)

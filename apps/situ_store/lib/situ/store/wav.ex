@@ -3,7 +3,8 @@ defmodule Situ.Store.Wav do
   WAV files as recordings: one stream `Audio` of 20 ms buffers.
 
   Originating times are the ends of the buffers; the file starts at time 0, or at the option `start:` (ns). Data are audio buffers
-  when the application that knows the codec `situ.audio_buffer` is there, else maps of `:rate`, `:channels`, `:sample` and `:data`.
+  when the application that knows the codec `situ.audio_buffer` is there, else maps of the same shape:
+  `%{format: %{rate: 48_000, channels: 2, sample: :s16}, data: bytes}`.
   PCM of 8, 16, 24 and 32 bits and float of 32 and 64 bits. A file cut short is read as far as it goes.
   """
   @behaviour Situ.Store.Reader
@@ -220,7 +221,10 @@ defmodule Situ.Store.Wav do
   end
 
   defp buffer(%{codec: nil} = state, data),
-    do: %{rate: state.rate, channels: state.channels, sample: state.sample, data: data}
+    do: %{
+      format: %{rate: state.rate, channels: state.channels, sample: state.sample},
+      data: data
+    }
 
   defp buffer(state, data) do
     {:ok, buffer} = state.codec.decode(encoded(state, data))

@@ -154,7 +154,7 @@ defmodule Situ.Store.Writer do
 
   def append(%Stream{} = stream, messages) do
     if plain?(messages) do
-      append_plain(stream, messages)
+      append_plain(stream, [messages])
     else
       messages
       |> Enum.chunk_by(&Codecs.of(&1.data))
@@ -171,15 +171,18 @@ defmodule Situ.Store.Writer do
   defp plain?([_ | rest]), do: plain?(rest)
   defp plain?([]), do: true
 
-  defp append_plain(stream, messages) do
-    case Native.writer_append(stream.writer.ref, stream.id, messages) do
+  @doc false
+  # Lists of messages none of which is a struct, as they came.
+  @spec append_plain(Stream.t(), [[Message.t()]]) :: {:ok, Stream.t()} | {:error, Error.t()}
+  def append_plain(stream, batches) do
+    case Native.writer_append(stream.writer.ref, stream.id, batches) do
       {:ok, _} -> {:ok, stream}
       {:error, reason} -> {:error, Failure.error(reason, stream.writer.path, stream.name)}
     end
   end
 
   defp append_run(stream, nil, messages) do
-    with {:ok, stream} <- note_fields(stream, messages), do: append_plain(stream, messages)
+    with {:ok, stream} <- note_fields(stream, messages), do: append_plain(stream, [messages])
   end
 
   defp append_run(stream, module, messages) do
@@ -278,7 +281,7 @@ defmodule Situ.Store.Writer do
       sequence_id: n + 1
     }
 
-    case Native.writer_append(writer.ref, 0, [message]) do
+    case Native.writer_append(writer.ref, 0, [[message]]) do
       # Another stream's record came between: again, behind it.
       {:error, {:not_increasing, 0, _, _}} -> catalog(writer, record)
       result -> Failure.wrap(result, writer.path)

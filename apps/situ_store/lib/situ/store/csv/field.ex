@@ -1,0 +1,86 @@
+defmodule Situ.Store.Csv.Field do
+  @moduledoc false
+  # Texts of a CSV file as values and as times. Pure.
+
+  @units %{s: 1_000_000_000, ms: 1_000_000, us: 1_000, ns: 1}
+
+  @type kind :: :integer | :float | :string
+
+  @doc "A number where it looks like one, else the text."
+  @spec value(String.t()) :: number() | String.t()
+  def value(text) do
+    case Integer.parse(text) do
+      {n, ""} -> n
+      _ -> float(text)
+    end
+  end
+
+  defp float(text) do
+    case Float.parse(text) do
+      {x, ""} -> x
+      _ -> text
+    end
+  end
+
+  @doc "What a text looks like."
+  @spec kind(String.t()) :: kind()
+  def kind(text) do
+    case value(text) do
+      n when is_integer(n) -> :integer
+      x when is_float(x) -> :float
+      _ -> :string
+    end
+  end
+
+  @doc "The kind of a column whose fields so far are of the one and the next of the other: integers among floats are floats, anything among strings a string."
+  @spec unify(kind() | nil, kind()) :: kind()
+  def unify(nil, kind), do: kind
+  def unify(kind, kind), do: kind
+  def unify(a, b) when a == :string or b == :string, do: :string
+  def unify(_, _), do: :float
+
+  @doc "The text as a value of its column's kind; texts stay as they are written."
+  @spec as(String.t(), kind()) :: number() | String.t()
+  def as(text, :string), do: text
+  def as(text, :integer), do: value(text)
+  def as(text, :float), do: value(text) / 1
+
+  @spec time(String.t(), atom()) :: {:ok, Situ.Time.t()} | String.t()
+  def time(text, :iso8601) do
+    case Situ.Time.parse(String.trim(text)) do
+      {:ok, time} -> {:ok, time}
+      {:error, error} -> error.what
+    end
+  end
+
+  def time(text, unit) do
+    case value(String.trim(text)) do
+      n when is_integer(n) -> {:ok, n * @units[unit]}
+      x when is_float(x) -> {:ok, round(x * @units[unit])}
+      _ -> "#{inspect(text)} is no time"
+    end
+  end
+
+  @doc "The unit of a time column: asked for, or told by the first field and the column's name."
+  @spec unit(String.t(), String.t() | nil, atom()) :: {:ok, atom()} | {:error, String.t()}
+  def unit(_name, nil, :auto), do: {:ok, :s}
+
+  def unit(name, sample, :auto) do
+    match = Regex.run(~r/(?:_|\(|\[|\s)(ns|us|µs|ms|s)\b/u, name)
+
+    cond do
+      kind(String.trim(sample)) == :string -> {:ok, :iso8601}
+      match -> {:ok, suffix(List.last(match))}
+      true -> {:ok, :s}
+    end
+  end
+
+  def unit(_name, _sample, unit) when unit in [:s, :ms, :us, :ns, :iso8601], do: {:ok, unit}
+  def unit(_name, _sample, unit), do: {:error, "#{inspect(unit)} is no unit of time"}
+
+  defp suffix("µs"), do: :us
+  defp suffix("ns"), do: :ns
+  defp suffix("us"), do: :us
+  defp suffix("ms"), do: :ms
+  defp suffix("s"), do: :s
+end

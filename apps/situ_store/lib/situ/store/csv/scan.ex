@@ -1,0 +1,183 @@
+defmodule Situ.Store.Csv.Scan do
+  @moduledoc false
+  # One pass over a CSV file: what its columns are, and where every thousandth row begins.
+  alias Situ.Store.Csv.Field
+  alias Situ.Store.Native
+
+  @rows 1_000
+  @bytes 4 * 1024 * 1024
+  @most_damage 10_000
+
+  # columns: index => %{name, kind, count, first, last}; parts (latest first): %{place, last, counts}: where a part begins, the
+  # last time kept before it, and how many messages of each column lie before it.
+  defstruct [:path, :separator, :width, :time, :unit, :start, columns: %{}, parts: [], damage: []]
+
+  @type place :: {byte :: non_neg_integer(), line :: pos_integer()}
+  @type row :: {line :: pos_integer(), [String.t()]}
+  @type t :: %__MODULE__{}
+
+  @spec run(Path.t(), keyword()) :: {:ok, t()} | {:error, String.t()}
+  def run(path, opts) do
+    with {:ok, start, line} <- first_line(path),
+         {:ok, separator} <- separator(opts[:separator], line),
+         scan = %__MODULE__{path: path, separator: separator, start: opts[:start] || 0},
+         {:ok, [{_, names} = first], second} <- heading(scan, start),
+         {:ok, next, _} <- some(scan, second, 1),
+         {:ok, names, rows_at, sample} <- names(names, first, start, second, next),
+         {:ok, time} <- time_column(names, opts[:time]),
+         {:ok, unit} <-
+           Field.unit(Enum.at(names, time), sample && Enum.at(sample, time), opts[:unit] || :auto) do
+      columns =
+        for {name, index} <- Enum.with_index(names),
+            index != time,
+            into: %{},
+            do: {index, %{name: name, kind: nil, count: 0, first: nil, last: nil}}
+
+      pass(
+        %{scan | width: length(names), time: time, unit: unit, columns: columns},
+        rows_at,
+        nil
+      )
+    end
+  end
+
+  @doc "The rows of the part that begins at `place`."
+  @spec rows(t(), place()) :: {:ok, [row()], place()} | {:error, String.t()}
+  def rows(scan, place), do: some(scan, place, @rows)
+
+  defp some(scan, {byte, line} = place, most) do
+    case Native.csv_rows(scan.path, scan.separator, byte, line, most, @bytes) do
+      {:ok, [], next} when next != place and elem(next, 0) > byte and most > 1 ->
+        some(scan, next, most)
+
+      {:ok, rows, next} ->
+        {:ok, rows, next}
+
+      {:error, {:damaged, _, line, why}} ->
+        {:error, "line #{line}: #{why}"}
+
+      {:error, {:io, what, _, why}} ->
+        {:error, "could not #{what}: #{why}"}
+    end
+  end
+
+  # The separator is guessed from the first line, which begins behind a byte order mark.
+  defp first_line(path) do
+    with {:ok, file} <- :file.open(path, [:read, :raw, :binary]),
+         read = :file.pread(file, 0, 64 * 1024),
+         :ok <- :file.close(file) do
+      case read do
+        {:ok, <<0xEF, 0xBB, 0xBF, rest::binary>>} -> {:ok, {3, 1}, line(rest)}
+        {:ok, text} -> {:ok, {0, 1}, line(text)}
+        :eof -> {:error, "it is empty"}
+        {:error, reason} -> {:error, reason}
+      end
+    end
+  end
+
+  defp line(text), do: text |> :binary.split("\n") |> hd()
+
+  defp separator(nil, line) do
+    {:ok,
+     Enum.max_by([?,, ?;, ?\t], fn mark -> line |> :binary.matches(<<mark>>) |> length() end)}
+  end
+
+  defp separator(<<mark>>, _line) when mark not in [?", ?\r, ?\n], do: {:ok, mark}
+
+  defp separator(other, _line),
+    do: {:error, "#{inspect(other)} is no separator: it must be one byte, and no quote"}
+
+  defp heading(scan, start) do
+    case some(scan, start, 1) do
+      {:ok, [], _} -> {:error, "it is empty"}
+      {:ok, [{_, [_]}], _} -> {:error, "its first line has one column only"}
+      other -> other
+    end
+  end
+
+  # A first line of numbers is no heading.
+  defp names(names, {_, fields}, start, second, next) do
+    trimmed = Enum.map(names, &String.trim/1)
+    sample = with [{_, row}] <- next, do: row, else: (_ -> nil)
+
+    if Enum.all?(trimmed, &(Field.kind(&1) != :string)),
+      do: {:ok, Enum.map(0..(length(names) - 1), &"Column#{&1}"), start, fields},
+      else: {:ok, trimmed, second, sample}
+  end
+
+  defp time_column(names, nil) do
+    guess = Enum.find_index(names, &(&1 =~ ~r/\A(t|time.*|timestamp.*|date.*|originating.*)\z/i))
+    {:ok, guess || 0}
+  end
+
+  defp time_column(names, column) when is_integer(column) do
+    if column in 0..(length(names) - 1),
+      do: {:ok, column},
+      else: {:error, "it has no column #{column}"}
+  end
+
+  defp time_column(names, name) do
+    case Enum.find_index(names, &(&1 == name)) do
+      nil -> {:error, "it has no column #{inspect(name)}; columns: #{Enum.join(names, ", ")}"}
+      column -> {:ok, column}
+    end
+  end
+
+  defp pass(scan, place, last) do
+    case rows(scan, place) do
+      {:ok, [], _} ->
+        {:ok, scan}
+
+      {:ok, rows, next} ->
+        counts = Map.new(scan.columns, fn {index, column} -> {index, column.count} end)
+        part = %{place: place, last: last, counts: counts}
+        {kept, damage, last} = keep(rows, last, scan)
+        columns = Enum.reduce(kept, scan.columns, &count/2)
+        damage = Enum.take(damage ++ scan.damage, -@most_damage)
+        scan = %{scan | parts: [part | scan.parts], columns: columns, damage: damage}
+        pass(scan, next, last)
+
+      {:error, why} ->
+        {:error, why}
+    end
+  end
+
+  defp count({time, row}, columns) do
+    Map.new(columns, fn {index, column} ->
+      case String.trim(elem(row, index)) do
+        "" -> {index, column}
+        text -> {index, one_more(column, text, time)}
+      end
+    end)
+  end
+
+  defp one_more(column, text, time) do
+    kind =
+      if column.kind == :string, do: :string, else: Field.unify(column.kind, Field.kind(text))
+
+    %{column | kind: kind, count: column.count + 1, first: column.first || time, last: time}
+  end
+
+  @doc "The rows that go forward in time, as `{time, fields as a tuple}`; what is wrong with the others, latest first; the last time."
+  @spec keep([row()], Situ.Time.t() | nil, t()) ::
+          {[{Situ.Time.t(), tuple()}], [tuple()], Situ.Time.t() | nil}
+  def keep(rows, last, scan) do
+    {kept, damage, last} =
+      Enum.reduce(rows, {[], [], last}, fn {line, row}, {kept, damage, last} ->
+        fields = List.to_tuple(row)
+
+        with true <-
+               tuple_size(fields) == scan.width ||
+                 "it has #{tuple_size(fields)} fields, not #{scan.width}",
+             {:ok, time} <- Field.time(elem(fields, scan.time), scan.unit),
+             time = time + scan.start,
+             true <- last == nil or time > last || "its time does not go forward" do
+          {[{time, fields} | kept], damage, time}
+        else
+          why -> {kept, [{Path.basename(scan.path), line, "line #{line}: #{why}"} | damage], last}
+        end
+      end)
+
+    {Enum.reverse(kept), damage, last}
+  end
+end

@@ -1,0 +1,198 @@
+//! Rows of a CSV file, a few at a time: bounded memory however long the file, quoted line breaks and all.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use csv::{ByteRecord, Position, ReaderBuilder, Terminator};
+
+use crate::error::{Error, Result};
+
+/// A longer row is no row: most likely a quote that nobody closed.
+const MAX_ROW: u64 = 16 << 20;
+
+/// A place in a file: byte and line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    pub byte: u64,
+    pub line: u64,
+}
+
+#[derive(Debug, PartialEq)]
+pub struct Row {
+    pub line: u64,
+    pub fields: Vec<String>,
+}
+
+/// Stops a row that does not end.
+struct Bounded {
+    file: File,
+    left: u64,
+}
+
+impl Read for Bounded {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.left == 0 {
+            return Err(io::ErrorKind::FileTooLarge.into());
+        }
+        let n = self.file.read(buffer)?;
+        self.left = self.left.saturating_sub(n as u64);
+        Ok(n)
+    }
+}
+
+impl Seek for Bounded {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.file.seek(to)
+    }
+}
+
+/// Up to `most` rows (or `bytes` bytes) from a place on, and the place behind them. Empty lines are no rows; no rows is the end.
+pub fn rows(
+    path: &Path,
+    separator: u8,
+    from: Place,
+    most: usize,
+    bytes: u64,
+) -> Result<(Vec<Row>, Place)> {
+    let failed = |error: io::Error| Error::io("read", error);
+    let file = File::open(path).map_err(failed)?;
+    let (length, whole) = ending(&file).map_err(failed)?;
+    let mut reader = ReaderBuilder::new()
+        .delimiter(separator)
+        .has_headers(false)
+        .flexible(true)
+        .terminator(Terminator::Any(b'\n'))
+        .from_reader(Bounded {
+            file,
+            left: MAX_ROW,
+        });
+    let mut start = Position::new();
+    start.set_byte(from.byte).set_line(from.line);
+    reader
+        .seek(start)
+        .map_err(|error| Error::io("read", io::Error::from(error)))?;
+    let mut rows = Vec::new();
+    let mut record = ByteRecord::new();
+    while rows.len() < most && reader.position().byte() - from.byte < bytes {
+        reader.get_mut().left = MAX_ROW;
+        let at = reader.position().line();
+        match reader.read_byte_record(&mut record) {
+            Ok(true) => {
+                let end = reader.position();
+                let open = !whole && end.byte() >= length;
+                let behind = inside(&record) + u64::from(!open);
+                let row = row(&record, end.line().saturating_sub(behind))?;
+                if row.fields.len() > 1 || row.fields.iter().any(|field| !field.trim().is_empty()) {
+                    rows.push(row);
+                }
+            }
+            Ok(false) => break,
+            Err(error) => return Err(refused(error, at)),
+        }
+    }
+    let place = Place {
+        byte: reader.position().byte(),
+        line: reader.position().line(),
+    };
+    Ok((rows, place))
+}
+
+/// The file's length, and whether its last line has an end.
+fn ending(mut file: &File) -> io::Result<(u64, bool)> {
+    let length = file.seek(SeekFrom::End(0))?;
+    let mut last = [b'\n'];
+    if length > 0 {
+        file.seek(SeekFrom::End(-1))?;
+        file.read_exact(&mut last)?;
+        file.rewind()?;
+    }
+    Ok((length, last == [b'\n']))
+}
+
+/// Line breaks within quotes.
+fn inside(record: &ByteRecord) -> u64 {
+    let breaks = |field: &[u8]| field.iter().filter(|byte| **byte == b'\n').count() as u64;
+    record.iter().map(breaks).sum()
+}
+
+fn row(record: &ByteRecord, line: u64) -> Result<Row> {
+    let fields = record.iter().map(|field| String::from_utf8(field.to_vec()));
+    let fields: std::result::Result<Vec<String>, _> = fields.collect();
+    let mut fields = fields.map_err(|_| Error::damaged("", line, "it is not UTF-8 text"))?;
+    // A line may end in CR LF.
+    if let Some(last) = fields.last_mut() {
+        if last.ends_with('\r') {
+            last.pop();
+        }
+    }
+    Ok(Row { line, fields })
+}
+
+fn refused(error: csv::Error, line: u64) -> Error {
+    match error.into_kind() {
+        csv::ErrorKind::Io(error) if error.kind() == io::ErrorKind::FileTooLarge => Error::damaged(
+            "",
+            line,
+            "a row of more than 16 MiB begins here: is a quote not closed?",
+        ),
+        csv::ErrorKind::Io(error) => Error::io("read", error),
+        _ => Error::damaged("", line, "it cannot be read"),
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    const START: Place = Place { byte: 0, line: 1 };
+
+    fn file(name: &str, text: &[u8]) -> std::path::PathBuf {
+        let path = std::env::temp_dir().join(format!("situ-rows-{}-{name}", std::process::id()));
+        std::fs::write(&path, text).unwrap();
+        path
+    }
+
+    fn fields(rows: &[Row]) -> Vec<(u64, Vec<&str>)> {
+        rows.iter()
+            .map(|row| (row.line, row.fields.iter().map(String::as_str).collect()))
+            .collect()
+    }
+
+    #[test]
+    fn goes_on_where_it_stopped() {
+        let path = file(
+            "on",
+            b"a,b\r\n1,\"two\r\nlines, \"\"here\"\"\"\r\n\n\r\n3,4",
+        );
+        let (head, place) = rows(&path, b',', START, 1, u64::MAX).unwrap();
+        assert_eq!(fields(&head), [(1, vec!["a", "b"])]);
+        let (rest, end) = rows(&path, b',', place, 10, u64::MAX).unwrap();
+        assert_eq!(
+            fields(&rest),
+            [
+                (2, vec!["1", "two\r\nlines, \"here\""]),
+                (6, vec!["3", "4"])
+            ]
+        );
+        assert_eq!(rows(&path, b',', end, 10, u64::MAX).unwrap().0, vec![]);
+        std::fs::remove_file(path).unwrap();
+    }
+
+    #[test]
+    fn refuses_what_is_no_text_and_what_does_not_end() {
+        let path = file("bad", b"a,b\n1,\xff\n");
+        let refused = rows(&path, b',', START, 10, u64::MAX);
+        assert_eq!(refused, Err(Error::damaged("", 2, "it is not UTF-8 text")));
+        let mut long = b"a,b\n1,\"".to_vec();
+        long.resize(40 << 20, b'x');
+        std::fs::write(&path, long).unwrap();
+        let refused = rows(&path, b',', START, 10, u64::MAX);
+        assert!(
+            matches!(refused, Err(Error::Damaged(_, 2, _))),
+            "{refused:?}"
+        );
+        std::fs::remove_file(path).unwrap();
+    }
+}
