@@ -161,6 +161,37 @@ defmodule Situ.Pipeline do
   @spec stop(target(), keyword()) :: result() | :ok
   def stop(p, opts \\ []), do: Ask.stop(p, opts)
 
+  @doc """
+  Stops a composite, or one component, given as a path or a `Situ.Node`; the rest of the pipeline runs on.
+
+  At the time of the stop its sources stop and its inputs from outside close; what has been posted up to then is still
+  delivered to it. Its outputs close, upstream first, with that time: whoever listens to them outside takes it as the end of those
+  streams (`handle_closed/4`, windows and joins flush). Its processes end, its devices and files are released; in diagnostics
+  its components are `:closed`. It does not start again.
+
+  What it was still to say about the end of the pipeline is void: the sources that are left decide how long it runs, and
+  without any left it stops as by hand. Options as in `stop/2`. Answers `:ok` when all of it has closed; called from inside one of
+  the pipeline's own components, at once.
+
+      iex> {:ok, p} = Situ.Pipeline.start(fn p ->
+      ...>   clock = Situ.Generator.timer(p, Situ.Time.ms(1))
+      ...>   Situ.composite(clock, "Side", fn ticks -> Situ.each(ticks, & &1) end)
+      ...>   Situ.each(clock, & &1, name: "Main")
+      ...> end, [])
+      iex> :ok = Situ.Pipeline.stop_part(p, "Side")
+      iex> {:error, error} = Situ.Pipeline.stop_part(p, "Side")
+      iex> {error.code, Situ.Pipeline.state(p)}
+      {:not_running, :running}
+      iex> {:ok, _report} = Situ.Pipeline.stop(p)
+      iex> :done
+      :done
+
+  Errors: `:unknown_component`; `:not_running` when it has ended; `:shared_process` when a synchronous policy has put an operator
+  of it into one process with one outside; `:component_killed` when it was stuck for `stop_timeout:` and had to be killed.
+  """
+  @spec stop_part(target(), String.t() | Node.t(), keyword()) :: :ok | {:error, Error.t()}
+  def stop_part(p, part, opts \\ []), do: Ask.stop_part(p, part, opts)
+
   @doc "Waits for the end; `{:error, %Situ.Error{code: :timeout}}` after `timeout` ms, and the pipeline goes on."
   @spec await(target(), timeout()) :: result()
   def await(p, timeout \\ :infinity), do: Ask.await(p, timeout)

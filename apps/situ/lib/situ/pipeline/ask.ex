@@ -17,6 +17,21 @@ defmodule Situ.Pipeline.Ask do
     end
   end
 
+  @spec stop_part(Pipeline.target(), String.t() | Situ.Node.t(), keyword()) ::
+          :ok | {:error, Error.t()}
+  def stop_part(p, part, opts) do
+    pid = pid(p)
+    path = if is_struct(part, Situ.Node), do: part.path, else: part
+    request = {:stop_part, path, Keyword.get(opts, :catch_up, Life.catch_up_ms())}
+
+    if Process.get(:situ_pipeline) == pid do
+      send(pid, put_elem(request, 0, :situ_stop_part))
+      :ok
+    else
+      ask(pid, request, Keyword.get(opts, :timeout, :infinity), nil)
+    end
+  end
+
   @spec await(Pipeline.target(), timeout()) :: Pipeline.result()
   def await(p, timeout) do
     pid = pid(p)

@@ -89,20 +89,22 @@ defmodule Situ.Pipeline.Crew do
 
   defp tail_counters(_state, _vertices), do: nil
 
-  @doc "What becomes of running stages; `:dead` becomes of all."
-  @spec mark(Life.t(), [pos_integer()], atom()) :: Life.t()
+  @doc "What becomes of running stages; `:dead` becomes of all, `:ended` of all that are not dead."
+  @spec mark(Life.t(), Enumerable.t(), atom()) :: Life.t()
   def mark(state, ids, how) do
     stages =
       Enum.reduce(ids, state.stages, fn id, stages ->
-        Map.update!(
-          stages,
-          id,
-          &%{&1 | state: if(&1.state == :running or how == :dead, do: how, else: &1.state)}
-        )
+        Map.update!(stages, id, &%{&1 | state: becomes(&1.state, how)})
       end)
 
     %{state | stages: stages}
   end
+
+  defp becomes(_state, :dead), do: :dead
+  defp becomes(:dead, _how), do: :dead
+  defp becomes(_state, :ended), do: :ended
+  defp becomes(:running, how), do: how
+  defp becomes(state, _how), do: state
 
   @spec ids(Life.t()) :: MapSet.t(pos_integer())
   def ids(state), do: state.stages |> Map.keys() |> MapSet.new()

@@ -2,7 +2,7 @@ defmodule Situ.Pipeline.Death do
   @moduledoc false
   # Stages that end before their time, or fail: begun again, or the pipeline's end.
   alias Situ.Error
-  alias Situ.Pipeline.{Crew, Ending, Inputs, Life, Notice}
+  alias Situ.Pipeline.{Crew, Ending, Inputs, Life, Notice, Part}
   alias Situ.Stage.Tally
 
   @doc "A process of the pipeline ended."
@@ -10,11 +10,20 @@ defmodule Situ.Pipeline.Death do
   def exited(state, pid, reason) do
     case Map.pop(state.pids, pid) do
       {nil, _} -> state
-      {id, pids} -> died(%{state | pids: pids}, id, state.stages[id], reason)
+      {id, pids} -> gone(%{state | pids: pids}, id, state.stages[id], reason)
     end
   end
 
-  defp died(state, _id, %{state: :dead}, _reason), do: Life.next_step(state)
+  defp gone(state, id, stage, reason) do
+    ref = state.phase == :running && Part.of(state, id)
+
+    if ref,
+      do: Part.died(state, ref, id, killed(stage, reason)),
+      else: died(state, id, stage, reason)
+  end
+
+  defp died(state, id, %{state: how}, _reason) when how in [:dead, :ended],
+    do: Life.next_step(%{state | pending: MapSet.delete(state.pending, id)})
 
   defp died(%{step: :quit} = state, id, _stage, _reason) do
     Life.next_step(%{Crew.mark(state, [id], :dead) | pending: MapSet.delete(state.pending, id)})

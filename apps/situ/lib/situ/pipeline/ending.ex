@@ -2,7 +2,7 @@ defmodule Situ.Pipeline.Ending do
   @moduledoc false
   # How a pipeline ends: sources stop, outputs close in order (Finalizer), stages quit, the result is published.
   alias Situ.Graph.Vertex
-  alias Situ.Pipeline.{Crew, Finalizer, Life, Notice, Upstream, View, Watch}
+  alias Situ.Pipeline.{Crew, Finalizer, Life, Notice, Part, Upstream, View, Watch}
   alias Situ.Stage.Counters
   alias Situ.Telemetry
 
@@ -16,8 +16,11 @@ defmodule Situ.Pipeline.Ending do
 
     sources =
       for {id, %{state: :running, vertices: [head | _]}} <- state.stages,
-          Vertex.source?(head),
+          Vertex.source?(head) and Part.of(state, id) == nil,
           do: id
+
+    # Those that are being stopped alone have been asked already.
+    asked = for {_, part} <- state.parts, id <- part.pending, do: id
 
     for id <- sources, do: send(state.stages[id].pid, {:situ, {:stop, final}})
     Watch.begin(state)
@@ -28,7 +31,7 @@ defmodule Situ.Pipeline.Ending do
       | phase: :stopping,
         step: :stop,
         final: final,
-        pending: MapSet.new(sources)
+        pending: MapSet.new(sources ++ asked)
     })
   end
 
@@ -58,7 +61,7 @@ defmodule Situ.Pipeline.Ending do
   @spec finalize(Life.t()) :: Life.t()
   def finalize(state) do
     case Finalizer.next(state.order, Map.values(state.active)) do
-      {:close, ids} -> finalize(close(state, ids))
+      {:close, ids} -> finalize(close(state, ids, state.final))
       :wait -> state
       :done -> quit(state)
       {:break, ids} -> break(state, ids)
@@ -71,7 +74,7 @@ defmodule Situ.Pipeline.Ending do
     until = state.drain_until || now + @drain_ms
 
     if quiet?(state) or now > until do
-      finalize(close(%{state | drain_until: nil}, ids))
+      finalize(close(%{state | drain_until: nil}, ids, state.final))
     else
       Process.send_after(self(), :situ_recheck, 1)
       %{state | drain_until: until}
@@ -82,8 +85,10 @@ defmodule Situ.Pipeline.Ending do
   def recheck(%{step: :finalize} = state), do: finalize(state)
   def recheck(state), do: state
 
-  defp close(state, ids) do
-    for id <- ids, do: send(state.stages[id].pid, {:situ, {:finalize, state.final}})
+  @doc "The outputs of these stages close at `time`; nothing is waited for."
+  @spec close(Life.t(), [pos_integer()], Situ.Time.t()) :: Life.t()
+  def close(state, ids, time) do
+    for id <- ids, do: send(state.stages[id].pid, {:situ, {:finalize, time}})
     paths = for id <- ids, vertex <- state.stages[id].vertices, do: vertex.path
     gone = for id <- ids, %{state: :dead} <- [state.stages[id]], do: id
 
@@ -106,7 +111,11 @@ defmodule Situ.Pipeline.Ending do
   @doc "Everything is closed: stages end."
   @spec quit(Life.t()) :: Life.t()
   def quit(state) do
-    alive = for {id, stage} <- state.stages, stage.state != :dead, do: id
+    alive =
+      for {id, stage} <- state.stages,
+          stage.state != :dead and is_map_key(state.pids, stage.pid),
+          do: id
+
     for id <- alive, do: send(state.stages[id].pid, {:situ, :quit})
     if state.phase != :stopping, do: Watch.begin(state)
     Life.next_step(%{state | phase: :stopping, step: :quit, pending: MapSet.new(alive)})

@@ -4,9 +4,9 @@ defmodule Situ.Pipeline.Life do
   # stages, never waits for them. Crew spawns stages, Ending closes and ends them in order, Death is for those that
   # end before their time, Watch for those that do not end, Notice tells others.
   alias Situ.{Clock, Telemetry}
-  alias Situ.Graph.Plan
+  alias Situ.Graph.{Plan, Vertex}
   alias Situ.Diagnostics.Averages
-  alias Situ.Pipeline.{Crew, Death, Ending, Inputs, Launch, Notice, Taps, View, Watch}
+  alias Situ.Pipeline.{Crew, Death, Ending, Inputs, Launch, Notice, Part, Taps, View, Watch}
 
   @catch_up_ms 1_000
 
@@ -45,6 +45,7 @@ defmodule Situ.Pipeline.Life do
     replacing: %{},
     taps: %{},
     inputs: %{},
+    parts: %{},
     early: [],
     described: nil,
     by_hand: false,
@@ -114,7 +115,10 @@ defmodule Situ.Pipeline.Life do
   def event(%{stages: stages} = state, id, _event) when not is_map_key(stages, id), do: state
   def event(state, id, :up), do: state |> up(id) |> next_step()
   def event(state, id, :started), do: state |> started(id) |> next_step()
-  def event(state, id, :source_stopped), do: next_step(ready(state, id, :stop))
+
+  def event(state, id, :source_stopped),
+    do: state |> Part.stopped(id) |> ready(id, :stop) |> next_step()
+
   def event(state, _id, :finalized), do: state
 
   def event(state, id, {:init_failed, error}) do
@@ -188,7 +192,7 @@ defmodule Situ.Pipeline.Life do
   end
 
   def next_step(%{step: :finalize} = state), do: Ending.finalize(state)
-  def next_step(state), do: state
+  def next_step(state), do: Part.next(state)
 
   defp step_done(%{step: :up} = state), do: start_sources(state)
 
@@ -223,6 +227,16 @@ defmodule Situ.Pipeline.Life do
     {_, state} = Notice.notify(state, :component_completed, {path, time})
     finite = MapSet.put(state.finite, id)
     %{state | latest_finite: max(state.latest_finite || time, time), finite: finite}
+  end
+
+  @doc "Sources have been stopped for good: those that are left decide how long the pipeline runs; without any it ends."
+  @spec without(t()) :: t()
+  def without(state) do
+    if Enum.any?(state.stages, fn {_, s} ->
+         s.state == :running and Vertex.source?(hd(s.vertices))
+       end),
+       do: check_complete(state),
+       else: stop(state)
   end
 
   defp check_complete(%{phase: :running, latest_finite: time} = state) when is_integer(time) do

@@ -15,7 +15,19 @@ defmodule Situ.Pipeline.Server do
 
   alias Situ.{Clock, Error}
   alias Situ.Graph.Builder
-  alias Situ.Pipeline.{Archive, Death, Ending, Inputs, Launch, Life, Settings, Taps, View, Watch}
+  alias Situ.Pipeline.{
+    Archive,
+    Death,
+    Ending,
+    Inputs,
+    Launch,
+    Life,
+    Part,
+    Settings,
+    Taps,
+    View,
+    Watch
+  }
 
   # Entering
 
@@ -191,7 +203,15 @@ defmodule Situ.Pipeline.Server do
   # A pipeline that is just starting answers when it runs.
   defp answer(request, from, %{phase: :starting} = state)
        when is_tuple(request) and
-              elem(request, 0) in [:subscription, :replace, :tap, :clock, :attach, :detach],
+              elem(request, 0) in [
+                :subscription,
+                :replace,
+                :tap,
+                :stop_part,
+                :clock,
+                :attach,
+                :detach
+              ],
        do: {:noreply, %{state | early: [{:"$gen_call", from, request} | state.early]}}
 
   defp answer({:tap, which, fun, opts}, from, state),
@@ -203,6 +223,13 @@ defmodule Situ.Pipeline.Server do
     do: later(Inputs.detach(state, taker, request, from))
 
   defp answer({:untap, id}, _from, state), do: {:reply, :ok, Taps.detach(state, id)}
+
+  defp answer({:stop_part, path, catch_up}, from, state) do
+    case Part.stop(state, path, catch_up, from) do
+      {:ok, state} -> done(state)
+      {error, state} -> {:reply, error, state}
+    end
+  end
 
   defp answer({:subscription, which}, _from, state),
     do: {:reply, Taps.subscription(state, which), state}
@@ -243,6 +270,12 @@ defmodule Situ.Pipeline.Server do
   defp event(:situ_stop, state), do: done(Life.stop(state))
   defp event({:situ_stop, time}, state), do: done(Life.stop(state, time))
   defp event(:situ_observe, state), do: {:noreply, View.observe(state)}
+  defp event({:situ_part_enough, ref}, state), do: done(Part.enough(state, ref))
+  defp event({:situ_part_stuck, ref, mark}, state), do: done(Part.stuck(state, ref, mark))
+
+  defp event({:situ_stop_part, path, catch_up}, state),
+    do: state |> Part.stop(path, catch_up, nil) |> elem(1) |> done()
+
   defp event(:situ_recheck, state), do: done(Ending.recheck(state))
   defp event(:situ_enough, state), do: done(Ending.enough(state))
   defp event({:situ_stuck, mark}, state), do: done(Watch.stuck(state, mark))
@@ -267,7 +300,8 @@ defmodule Situ.Pipeline.Server do
   defp over(result, state) do
     publish(state.settings, result)
     Enum.each(state.waiters, &GenServer.reply(&1, result))
-    state = %{state | waiters: []}
+    for {_, %{from: from}} when from != nil <- state.parts, do: GenServer.reply(from, :ok)
+    state = %{state | waiters: [], parts: %{}}
 
     case {result, state.settings.mode} do
       {{:error, error}, :linked} -> fall(error)

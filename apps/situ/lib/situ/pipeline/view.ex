@@ -100,6 +100,7 @@ defmodule Situ.Pipeline.View do
 
   defp shown(:dead, %{phase: :completed}), do: :closed
   defp shown(:dead, _state), do: :failed
+  defp shown(:ended, _state), do: :closed
   defp shown(other, _state), do: other
 
   @doc "The report up to now."

@@ -60,7 +60,9 @@ defmodule Situ.Pipeline.Watch do
          Enum.any?(state.active, fn {_, link} -> link.to == stage.id end))
   end
 
-  defp idle?(stage) do
+  @doc "Whether the stage waits for a message and has none."
+  @spec idle?(map()) :: boolean()
+  def idle?(stage) do
     case Process.info(stage.pid, [:message_queue_len, :current_function]) do
       [message_queue_len: 0, current_function: {:gen_server, _, _}] -> true
       nil -> true

@@ -101,6 +101,16 @@ defmodule Situ.Stage.Ports do
     end
   end
 
+  @doc "One subscriber gets all that waits for it, asked for or not, and the closing mark."
+  @spec cut(Stage.t(), term(), Situ.Time.t()) :: Stage.t()
+  def cut(state, tag, time) do
+    for {_, outlet} <- state.outlets,
+        %{tag: ^tag} = sub <- outlet.subs,
+        do: sub |> Subscriber.ask(:infinity) |> Subscriber.send_close(time)
+
+    unsubscribe(state, &(&1.tag == tag))
+  end
+
   @doc "Closes the outputs at `time`; where later messages count, not before the last one."
   @spec close(Stage.t(), Situ.Time.t()) :: Stage.t()
   def close(state, time) do

@@ -1,7 +1,7 @@
 defmodule Situ.Stage.Request do
   @moduledoc false
   # What the pipeline's server asks of a stage: each request is one step of its life cycle.
-  alias Situ.Stage
+  alias Situ.{Clock, Stage}
 
   alias Situ.Stage.{
     Alarm,
@@ -10,6 +10,7 @@ defmodule Situ.Stage.Request do
     Inlet,
     Outlet,
     Ports,
+    Posting,
     Probe,
     Pump,
     Setup,
@@ -72,6 +73,13 @@ defmodule Situ.Stage.Request do
     state = tap(state, tag, {output, index}, pid, counters)
     Stage.report(state, {:tapped, tag})
     {:noreply, state}
+  end
+
+  # A consumer is to end before this stage does: it gets what waits for it, and the closing mark.
+  def handle({:cut, tag, time}, state) do
+    state = Ports.each_outlet(state, &Posting.release(&1, min(time, Clock.now(state.clock))))
+    state = state |> Ports.settle() |> Ports.cut(tag, time)
+    {:noreply, Pump.pump(state)}
   end
 
   def handle({:untap, tag}, state) do

@@ -13,7 +13,7 @@ defmodule Situ.Pipeline.StressTest do
     before = Process.list() |> MapSet.new()
 
     for n <- 1..1_000 do
-      {us, result} = :timer.tc(fn -> schedule(:rand.uniform(6)) end)
+      {us, result} = :timer.tc(fn -> schedule(:rand.uniform(8)) end)
       assert us < 60_000_000, "schedule #{n} took #{us} us"
       assert match?({:ok, _}, result) or match?({:error, %Situ.Error{}}, result), inspect(result)
     end
@@ -43,6 +43,8 @@ defmodule Situ.Pipeline.StressTest do
       4 -> kill(p, :rand.uniform(3))
       5 -> Task.async(fn -> kill(p, 0) end) && Pipeline.stop(p)
       6 -> maybe_wait(p, count)
+      7 -> Pipeline.stop_part(p, "Side")
+      8 -> Task.async(fn -> Pipeline.stop_part(p, "Side") end) && kill(p, :rand.uniform(3))
     end
 
     Pipeline.stop(p)
@@ -84,7 +86,10 @@ defmodule Situ.Pipeline.StressTest do
         policy: Enum.random([nil, Situ.Delivery.latest(), Situ.Delivery.throttle(2)])
       )
 
-    Situ.each(left, & &1, async: true)
+    Situ.composite(left, "Side", fn left ->
+      left |> Situ.each(& &1, async: true) |> Situ.map(& &1, async: true)
+    end)
+
     right |> Situ.scan(0, &+/2) |> Situ.each(& &1, policy: Situ.Delivery.max_queue(3))
   end
 
