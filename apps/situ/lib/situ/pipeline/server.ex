@@ -15,6 +15,7 @@ defmodule Situ.Pipeline.Server do
 
   alias Situ.{Clock, Error}
   alias Situ.Graph.Builder
+
   alias Situ.Pipeline.{
     Archive,
     Death,
