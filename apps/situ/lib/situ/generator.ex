@@ -66,7 +66,7 @@ defmodule Situ.Generator do
   The items of any enumerable: with `interval:` (and `align:`) values that far apart, else `{time, value}` pairs or messages,
   whose times must strictly increase. Read lazily, so endless and costly enumerables are fine.
 
-  Items before the replay's start are passed over.
+  Items before the replay's start, asked for or proposed, are passed over.
   """
   @spec from_enumerable(Pipeline.t(), Enumerable.t(), keyword()) :: Stream.t()
   def from_enumerable(%Pipeline{} = p, enumerable, opts \\ []) do
@@ -77,19 +77,17 @@ defmodule Situ.Generator do
       )
 
     if opts[:start], do: Pipeline.propose_replay(p, {opts[:start], :unbounded})
-    {from, _to} = Pipeline.replay_interval(p)
 
     case opts[:interval] do
       nil ->
-        # Integers sort before atoms: :unbounded would hold everything back.
-        from = if from == :unbounded, do: -0x8000000000000000, else: from
-        source(p, "Enumerable", fn _start -> Feed.timed(Feed.items(enumerable)) end, from, opts)
+        feed = fn _start -> Feed.timed(Feed.items(enumerable)) end
+        source(p, "Enumerable", feed, [timed: true], opts)
 
       interval ->
         check_interval!(interval, :infinity)
 
         feed = fn start -> Feed.paced(Feed.items(enumerable), start, interval, opts[:align]) end
-        source(p, "Enumerable", feed, -0x8000000000000000, opts)
+        source(p, "Enumerable", feed, [], opts)
     end
   end
 
@@ -128,11 +126,11 @@ defmodule Situ.Generator do
     items = {:sequence, initial, next, count}
     feed = fn start -> Feed.paced(items, start, interval, opts[:align]) end
     opts = Keyword.put(opts, :keep_open, keep_open)
-    source(p, name, feed, -0x8000000000000000, opts)
+    source(p, name, feed, [], opts)
   end
 
-  defp source(p, name, feed, from, opts) do
-    options = [feed: feed, from: from, keep_open: opts[:keep_open]]
+  defp source(p, name, feed, timed, opts) do
+    options = [feed: feed, keep_open: opts[:keep_open]] ++ timed
     add(p, name, Source, options, opts)
   end
 

@@ -279,6 +279,11 @@ defmodule Situ.Pipeline do
     Builder.run(p, &{:ok, %{&1 | proposals: [{from, to} | &1.proposals]}})
   end
 
+  def propose_replay(%__MODULE__{}, other) do
+    raise ArgumentError,
+          "a proposed replay is {from, to}, ns, with a known start (the end may be :unbounded), got: #{inspect(other)}"
+  end
+
   @doc """
   Calls `fun` when something happens; only during `build`.
 

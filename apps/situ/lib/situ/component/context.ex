@@ -6,6 +6,7 @@ defmodule Situ.Component.Context do
     * `pipeline`: the pipeline's handle
     * `now`: the pipeline clock when this activation began, ns
     * `start_time`: the pipeline's start, ns (replay start, or the clock when it began)
+    * `replay_start`: the start of the replay interval, asked for or proposed, ns, or `:unbounded` (then the pipeline starts now)
     * `replay_end`: the end of the replay interval, ns, or `:infinity`
     * `enforced?`: whether messages wait for their time on the clock (not so at speed `:max`)
   """
@@ -14,6 +15,7 @@ defmodule Situ.Component.Context do
     :pipeline,
     now: 0,
     start_time: 0,
+    replay_start: :unbounded,
     replay_end: :infinity,
     enforced?: true
   ]
@@ -23,6 +25,7 @@ defmodule Situ.Component.Context do
           pipeline: term(),
           now: Situ.Time.t(),
           start_time: Situ.Time.t(),
+          replay_start: Situ.Time.t() | :unbounded,
           replay_end: Situ.Time.t() | :infinity,
           enforced?: boolean()
         }

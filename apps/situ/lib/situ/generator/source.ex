@@ -6,25 +6,37 @@ defmodule Situ.Generator.Source do
     outputs: [out: :any],
     options: [
       feed: [type: {:fun, 1}, required: true, doc: "Makes the feed from the start time."],
-      from: [type: :any, default: :unbounded, doc: "Times before it are passed over."],
+      timed: [type: :boolean, default: false, doc: "Times before the replay are passed over."],
       keep_open: [type: :boolean, default: false]
     ]
 
   alias Situ.Generator.Feed
 
   # phase: :open, :done (nothing more to give) or an error to raise after what came before it has gone out.
-  defstruct [:make, :feed, :from, :keep_open, :ahead, :last, :started, phase: :open, final: nil]
+  defstruct [
+    :make,
+    :feed,
+    :timed,
+    :from,
+    :keep_open,
+    :ahead,
+    :last,
+    :started,
+    phase: :open,
+    final: nil
+  ]
 
   @impl true
   def init(opts) do
-    {:ok, %__MODULE__{make: opts[:feed], from: opts[:from], keep_open: opts[:keep_open]}}
+    {:ok, %__MODULE__{make: opts[:feed], timed: opts[:timed], keep_open: opts[:keep_open]}}
   end
 
   @impl true
   def handle_start(context, state) do
     open? = state.keep_open and context.replay_end == :infinity
     feed = state.make.(context.start_time)
-    state = %{state | feed: feed, started: context.start_time, keep_open: open?}
+    from = if state.timed and is_integer(context.replay_start), do: context.replay_start
+    state = %{state | feed: feed, from: from, started: context.start_time, keep_open: open?}
     {if(open?, do: [{:complete, :infinity}], else: []), state}
   end
 
@@ -62,7 +74,7 @@ defmodule Situ.Generator.Source do
       {time, _value, _feed} = item when time > till ->
         late(item, state, actions)
 
-      {time, _value, feed} when time < state.from ->
+      {time, _value, feed} when state.from != nil and time < state.from ->
         produce(n, till, skip(state, feed), actions)
 
       {time, _value, _feed} when state.last != nil and time <= state.last ->

@@ -19,6 +19,7 @@ defmodule Situ.Pipeline.Launch do
       clock: clock,
       enforce: settings.speed != :max,
       start_time: if(from == :unbounded, do: Clock.now(clock), else: from),
+      replay_start: from,
       replay_end: if(to == :unbounded, do: :infinity, else: to)
     }
   end
@@ -71,7 +72,7 @@ defmodule Situ.Pipeline.Launch do
       |> Enum.group_by(& &1.output, &{&1.id, pid.(&1.to), state.counters[&1.id]})
 
     state
-    |> Map.take([:clock, :enforce, :start_time, :replay_end])
+    |> Map.take([:clock, :enforce, :start_time, :replay_start, :replay_end])
     |> Map.merge(%{
       control: state.stages[id].control,
       inlets: inlets,

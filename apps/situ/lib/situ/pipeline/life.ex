@@ -28,6 +28,7 @@ defmodule Situ.Pipeline.Life do
     step: :up,
     enforce: false,
     start_time: nil,
+    replay_start: :unbounded,
     replay_end: :infinity,
     stages: %{},
     pids: %{},

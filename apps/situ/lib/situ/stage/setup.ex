@@ -78,14 +78,21 @@ defmodule Situ.Stage.Setup do
     inlets =
       Map.new(wiring.inlets, fn inlet -> {inlet.tag, new_inlet(state, inlet, wiring.sizes)} end)
 
-    context = %{state.context | start_time: wiring.start_time, now: wiring.start_time}
+    context = %{
+      state.context
+      | start_time: wiring.start_time,
+        now: wiring.start_time,
+        replay_start: wiring.replay_start,
+        replay_end: wiring.replay_end,
+        enforced?: wiring.enforce
+    }
 
     %{
       state
       | clock: wiring.clock,
         control: wiring.control,
         enforce: wiring.enforce,
-        context: %{context | replay_end: wiring.replay_end, enforced?: wiring.enforce},
+        context: context,
         outlets: outlets,
         inlets: inlets,
         lossy: Enum.any?(inlets, fn {_, inlet} -> inlet.lossy end)

@@ -55,6 +55,25 @@ defmodule Situ.Pipeline.ClockTest do
     Pipeline.stop(p)
   end
 
+  test "items before a proposed replay are passed over as those before one asked for" do
+    items = fn p -> Situ.from_enumerable(p, [{10, :x}, {60, :a}, {150, :b}, {250, :c}]) end
+
+    proposed = fn p ->
+      Pipeline.propose_replay(p, {100, 200})
+      Pipeline.propose_replay(p, {50, 120})
+      items.(p)
+    end
+
+    assert Situ.to_list(proposed, pipeline: [replay: [speed: :max]]) == [:a, :b]
+    asked = [replay: [interval: {70, :unbounded}, speed: :max]]
+    assert Situ.to_list(proposed, pipeline: asked) == [:b]
+    # Without a replay the pipeline starts now, and what is old comes at once.
+    assert Situ.to_list(items, pipeline: [replay: [speed: :max]]) == [:x, :a, :b, :c]
+
+    assert {:error, %{meta: %{reason: %ArgumentError{message: "a proposed replay is" <> _}}}} =
+             Pipeline.run(&Pipeline.propose_replay(&1, {:unbounded, 5}))
+  end
+
   test "the replay interval is what was proposed, cut by what was asked for" do
     build = fn p ->
       Pipeline.propose_replay(p, {100, 900})
