@@ -24,7 +24,6 @@ use directory::Index;
 use maps::Extents;
 use summary::Computed;
 
-pub use directory::Directory;
 pub(crate) use maps::{file_length, map_file};
 pub use statistics::Statistics;
 
@@ -196,8 +195,8 @@ impl Reader {
 
     pub fn count(&self, stream: u32) -> u64 {
         self.lock_index()
-            .directory(stream, 0)
-            .map_or(0, |d| d.count)
+            .entries(stream, 0)
+            .map_or(0, |entries| entries.count())
     }
 
     /// The chunk an entry names, checked.
@@ -257,24 +256,18 @@ impl Reader {
     /// The entry holding message `ordinal` of a stream, if it has so many.
     pub fn entry_at(&self, stream: u32, ordinal: u64) -> Option<Entry> {
         let index = self.lock_index();
-        let directory = index.directory(stream, 0)?;
-        directory
-            .entries
-            .get(directory.at_ordinal(ordinal))
-            .copied()
+        let entries = index.entries(stream, 0)?;
+        entries.get(entries.at_ordinal(ordinal))
     }
 
     /// The ordinal of the first message at or after `time` (the stream's count when there is none).
     pub fn ordinal_from(&self, stream: u32, time: i64) -> Result<u64> {
         let (entry, count) = {
             let index = self.lock_index();
-            let Some(directory) = index.directory(stream, 0) else {
+            let Some(entries) = index.entries(stream, 0) else {
                 return Ok(0);
             };
-            (
-                directory.entries.get(directory.at_time(time)).copied(),
-                directory.count,
-            )
+            (entries.get(entries.at_time(time)), entries.count())
         };
         let Some(entry) = entry else { return Ok(count) };
         if entry.first >= time {

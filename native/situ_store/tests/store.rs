@@ -283,3 +283,33 @@ fn a_reader_lets_go_of_what_it_has_read() {
     // 60 MiB read twice; the window is 16 MiB.
     assert!(most > 4 * 1024 && most < 24 * 1024, "{most} KiB");
 }
+
+#[test]
+fn messages_behind_a_lost_index_entry_are_counted_on_without_a_hole() {
+    let folder = Folder::new();
+    let mut writer = Writer::create(&folder.0, small_extents()).unwrap();
+    fill(&mut writer, 1_000, 100).unwrap();
+    writer.close().unwrap();
+    let whole = Reader::open(&folder.0).unwrap();
+    let (lost, entry) = (0..whole.entries_loaded() as usize)
+        .zip(whole.all_entries())
+        .find(|(_, entry)| entry.stream == 1 && entry.ordinal > 0)
+        .unwrap();
+    let path = folder.0.join("index.situ");
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes[4_096 + lost * 64 + 20] ^= 1;
+    std::fs::write(&path, bytes).unwrap();
+
+    let reader = Reader::open(&folder.0).unwrap();
+    assert_eq!(reader.damage().len(), 1);
+    let left = 1_000 - u64::from(entry.count);
+    assert_eq!(reader.count(1), left);
+    let mut next = 0;
+    while let Some(entry) = reader.entry_at(1, next) {
+        assert_eq!(entry.ordinal, next);
+        next += u64::from(entry.count);
+    }
+    assert_eq!(next, left);
+    let behind = reader.ordinal_from(1, entry.last + 1).unwrap();
+    assert_eq!(behind, entry.ordinal);
+}

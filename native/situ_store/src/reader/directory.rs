@@ -11,23 +11,85 @@ use crate::error::Result;
 use crate::format::*;
 use crate::index;
 
-/// The chunks of one stream at one level, in time order.
+/// The chunks of one stream at one level, in time order: the numbers of their entries, which stay in the mapped index.
+/// A store that is watched for days has millions of them.
 #[derive(Debug, Default)]
-pub struct Directory {
-    pub entries: Vec<Entry>,
-    pub count: u64,
-    pub stored: u64,
+pub(super) struct Directory {
+    numbers: Vec<u32>,
+    /// From which position on the ordinals are too large, and by how much: entries before it were lost.
+    shifts: Vec<(usize, u64)>,
+    last: Option<i64>,
+    count: u64,
+    stored: u64,
 }
 
-impl Directory {
+/// A directory with the index it points into.
+#[derive(Clone, Copy)]
+pub(super) struct Entries<'a> {
+    index: &'a Index,
+    directory: &'a Directory,
+}
+
+impl<'a> Entries<'a> {
+    pub fn len(&self) -> usize {
+        self.directory.numbers.len()
+    }
+
+    /// How many messages the chunks hold.
+    pub fn count(&self) -> u64 {
+        self.directory.count
+    }
+
+    /// How many bytes they take, their entries among them.
+    pub fn stored(&self) -> u64 {
+        self.directory.stored
+    }
+
+    /// None behind the last one, and where the file was changed since it was checked.
+    pub fn get(&self, position: usize) -> Option<Entry> {
+        let number = *self.directory.numbers.get(position)?;
+        let mut entry = self.index.raw_entry(u64::from(number))?;
+        entry.ordinal = entry.ordinal.wrapping_sub(self.shift(position));
+        Some(entry)
+    }
+
+    fn shift(&self, position: usize) -> u64 {
+        let shifts = &self.directory.shifts;
+        let n = shifts.partition_point(|(from, _)| *from <= position);
+        n.checked_sub(1).map_or(0, |i| shifts[i].1)
+    }
+
+    pub fn first(&self) -> Option<Entry> {
+        self.get(0)
+    }
+
+    pub fn last(&self) -> Option<Entry> {
+        self.get(self.len().checked_sub(1)?)
+    }
+
+    pub fn from(self, position: usize) -> impl Iterator<Item = Entry> + 'a {
+        (position..self.len()).map_while(move |at| self.get(at))
+    }
+
     /// The first entry that ends at or after `time`.
     pub fn at_time(&self, time: i64) -> usize {
-        self.entries.partition_point(|entry| entry.last < time)
+        self.partition_point(|entry| entry.last < time)
     }
 
     pub fn at_ordinal(&self, ordinal: u64) -> usize {
-        self.entries
-            .partition_point(|entry| entry.ordinal + entry.count as u64 <= ordinal)
+        self.partition_point(|entry| entry.ordinal.saturating_add(entry.count.into()) <= ordinal)
+    }
+
+    fn partition_point(&self, before: impl Fn(&Entry) -> bool) -> usize {
+        let (mut low, mut high) = (0, self.len());
+        while low < high {
+            let middle = low + (high - low) / 2;
+            match self.get(middle) {
+                Some(entry) if before(&entry) => low = middle + 1,
+                _ => high = middle,
+            }
+        }
+        low
     }
 }
 
@@ -44,8 +106,12 @@ pub(super) struct Index {
 }
 
 impl Index {
-    pub fn directory(&self, stream: u32, level: u8) -> Option<&Directory> {
-        self.directories.get(&(stream, level))
+    pub fn entries(&self, stream: u32, level: u8) -> Option<Entries<'_>> {
+        let directory = self.directories.get(&(stream, level))?;
+        Some(Entries {
+            index: self,
+            directory,
+        })
     }
 
     pub fn raw_entry(&self, at: u64) -> Option<Entry> {
@@ -83,26 +149,30 @@ impl Index {
         }
         for at in self.loaded..published.min(room) {
             let byte = INDEX_HEADER as u64 + at * ENTRY as u64;
-            let Some(mut entry) = self.raw_entry(at) else {
+            let Some(entry) = self.raw_entry(at) else {
                 self.note(byte, "the entry's checksum is wrong");
                 continue;
+            };
+            let Ok(number) = u32::try_from(at) else {
+                self.note(byte, "a store has room for 4,294,967,296 chunks");
+                break;
             };
             let directory = self
                 .directories
                 .entry((entry.stream, entry.level))
                 .or_default();
-            if directory
-                .entries
-                .last()
-                .is_some_and(|last| entry.first <= last.last)
-            {
+            if directory.last.is_some_and(|last| entry.first <= last) {
                 self.note(byte, "the entry goes back in time");
                 continue;
             }
-            entry.ordinal = directory.count;
+            let shift = entry.ordinal.wrapping_sub(directory.count);
+            if directory.shifts.last().map_or(0, |(_, shift)| *shift) != shift {
+                directory.shifts.push((directory.numbers.len(), shift));
+            }
             directory.count += entry.count as u64;
             directory.stored += entry.length as u64 + ENTRY as u64;
-            directory.entries.push(entry);
+            directory.last = Some(entry.last);
+            directory.numbers.push(number);
         }
         self.loaded = published.min(room).max(self.loaded);
         Ok(self.loaded)

@@ -21,19 +21,18 @@ impl Reader {
     pub fn statistics(&self, stream: u32) -> Result<Option<Statistics>> {
         let (first, last, count, stored, chunks) = {
             let index = self.lock_index();
-            let Some(directory) = index.directory(stream, 0) else {
+            let Some(entries) = index.entries(stream, 0) else {
                 return Ok(None);
             };
-            let (Some(first), Some(last)) = (directory.entries.first(), directory.entries.last())
-            else {
+            let (Some(first), Some(last)) = (entries.first(), entries.last()) else {
                 return Ok(None);
             };
             (
-                *first,
-                *last,
-                directory.count,
-                directory.stored,
-                directory.entries.len() as u64,
+                first,
+                last,
+                entries.count(),
+                entries.stored(),
+                entries.len() as u64,
             )
         };
         let mut statistics = Statistics {
@@ -60,13 +59,13 @@ impl Reader {
     /// Stretches of at least `least` ns between chunks of a stream: `(from, to)`.
     pub fn gaps(&self, stream: u32, least: i64) -> Vec<(i64, i64)> {
         let index = self.lock_index();
-        let Some(directory) = index.directory(stream, 0) else {
+        let Some(entries) = index.entries(stream, 0) else {
             return Vec::new();
         };
-        let pairs = directory.entries.windows(2);
+        let pairs = entries.from(0).zip(entries.from(1));
         pairs
-            .filter(|w| w[1].first.saturating_sub(w[0].last) >= least)
-            .map(|w| (w[0].last, w[1].first))
+            .map(|(one, next)| (one.last, next.first))
+            .filter(|(end, start)| start.saturating_sub(*end) >= least)
             .collect()
     }
 

@@ -18,14 +18,12 @@ pub(super) struct Computed {
 impl Reader {
     fn entries_between(&self, stream: u32, level: u8, from: i64, to: i64) -> Vec<Entry> {
         let index = self.lock_index();
-        let Some(directory) = index.directory(stream, level) else {
+        let Some(entries) = index.entries(stream, level) else {
             return Vec::new();
         };
-        let start = directory.at_time(from);
-        directory.entries[start..]
-            .iter()
+        entries
+            .from(entries.at_time(from))
             .take_while(|entry| entry.first <= to)
-            .copied()
             .collect()
     }
 
@@ -86,8 +84,8 @@ impl Reader {
         let covered = {
             let index = self.lock_index();
             let last = index
-                .directory(stream, level)
-                .and_then(|d| d.entries.last())
+                .entries(stream, level)
+                .and_then(|entries| entries.last())
                 .map(|e| e.last);
             last.map_or(i64::MIN, |last| last.saturating_add(width))
         };
