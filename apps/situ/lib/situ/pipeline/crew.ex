@@ -4,7 +4,7 @@ defmodule Situ.Pipeline.Crew do
   alias Situ.Graph.Vertex
   alias Situ.Pipeline.{Launch, Life, Reaper}
   alias Situ.Stage
-  alias Situ.Stage.Tally
+  alias Situ.Stage.{Marks, Tally}
 
   @doc "A stage for each of the plan, and what they share."
   @spec spawn_all(Life.t()) :: Life.t()
@@ -38,8 +38,11 @@ defmodule Situ.Pipeline.Crew do
   @doc "One stage, new or again."
   @spec spawn(Life.t(), pos_integer(), [Vertex.t()], Tally.t()) :: Life.t()
   def spawn(state, id, vertices, tally) do
+    marks = marks(state.stages[id], vertices)
+
     pid =
       Stage.spawn_link(%{
+        marks: marks,
         id: id,
         server: self(),
         handle: state.handle,
@@ -55,6 +58,7 @@ defmodule Situ.Pipeline.Crew do
       vertices: vertices,
       tally: tally,
       control: control(state.stages[id]),
+      marks: marks,
       state: :running
     }
 
@@ -69,6 +73,14 @@ defmodule Situ.Pipeline.Crew do
   end
 
   defp control(stage), do: stage.control
+
+  # Only what may be spawned again has to know how far it came.
+  defp marks(nil, [%{on_error: :stop} | _]), do: nil
+
+  defp marks(nil, vertices),
+    do: vertices |> Enum.map(&length(&1.outputs)) |> Enum.sum() |> Marks.new()
+
+  defp marks(stage, _vertices), do: stage.marks
 
   defp tails(plan) do
     heads =

@@ -2,7 +2,7 @@ defmodule Situ.Stage.Fault do
   @moduledoc false
   # What an error does to a stage: the end, a message lost, or a fresh start.
   alias Situ.{Clock, Error, Stage}
-  alias Situ.Stage.{Actions, Call, Source, Tally}
+  alias Situ.Stage.{Actions, Call, Outlet, Ports, Source, Tally}
 
   @doc "As the component's `on_error` says."
   @spec wrong(Stage.t(), Error.t()) :: Stage.t()
@@ -26,6 +26,7 @@ defmodule Situ.Stage.Fault do
     Tally.restarted(state.tally, 0)
     Stage.report(state, {:skipped, error})
     Call.terminate(state.module, error, state.core, state.head.path)
+    state = Ports.each_outlet(state, &Outlet.resume/1)
 
     case Call.init(state.module, state.opts, state.head.path) do
       {:ok, core} ->

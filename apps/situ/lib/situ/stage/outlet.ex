@@ -3,7 +3,7 @@ defmodule Situ.Stage.Outlet do
   # One output of a running component: what is posted (see Posting), what waits for its time, and its subscribers. Only
   # `flush/1`, `ask/3` and `close/2` send.
   alias Situ.Message
-  alias Situ.Stage.Subscriber
+  alias Situ.Stage.{Marks, Subscriber}
 
   defstruct [
     :name,
@@ -19,10 +19,17 @@ defmodule Situ.Stage.Outlet do
     future_rear: [],
     closing: nil,
     closed: false,
+    mark: nil,
+    resume: nil,
+    repeated: 0,
     subs: []
   ]
 
   @type t :: %__MODULE__{}
+
+  @doc "The component begins anew: what it posts again, up to the last time, has been posted."
+  @spec resume(t()) :: t()
+  def resume(%__MODULE__{} = outlet), do: %{outlet | resume: outlet.last_time}
 
   @doc "The time of the next held message, or `nil`."
   @spec next_time(t()) :: Situ.Time.t() | nil
@@ -63,6 +70,7 @@ defmodule Situ.Stage.Outlet do
 
   def flush(%__MODULE__{pending: [last | _], pending_n: n} = outlet) do
     messages = :lists.reverse(outlet.pending)
+    Marks.put(outlet.mark, last)
     time = last.originating_time
     ages = {last.creation_time - time, outlet.posted - time}
     subs = Enum.map(outlet.subs, &Subscriber.give(&1, messages, n, ages))

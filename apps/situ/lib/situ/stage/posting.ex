@@ -12,6 +12,12 @@ defmodule Situ.Stage.Posting do
       when closing != nil,
       do: {:ok, outlet}
 
+  def emit(%Outlet{resume: until} = outlet, time, data, now, enforce) when is_integer(until) do
+    if time <= until,
+      do: {:ok, repeat(outlet)},
+      else: emit(%{outlet | resume: nil}, time, data, now, enforce)
+  end
+
   def emit(%Outlet{last_time: last} = outlet, time, _data, _now, _enforce)
       when is_integer(last) and time <= last,
       do: {:error, not_increasing(outlet, time)}
@@ -28,7 +34,7 @@ defmodule Situ.Stage.Posting do
   """
   @spec emit_all(Outlet.t(), [tuple()], Situ.Time.t(), boolean(), integer() | nil) ::
           {:ok, Outlet.t(), [tuple()]} | {:error, Error.t()}
-  def emit_all(%Outlet{closing: nil, future: []} = outlet, actions, now, false, nil) do
+  def emit_all(%Outlet{closing: nil, future: [], resume: nil} = outlet, actions, now, false, nil) do
     creation = if outlet.last_creation == nil, do: now, else: max(now, outlet.last_creation)
     first = outlet.last_time || :none
     start = {outlet.name, creation, outlet.source_id}
@@ -90,6 +96,12 @@ defmodule Situ.Stage.Posting do
       when closing != nil,
       do: {:ok, outlet}
 
+  def forward(%Outlet{resume: until} = outlet, message, now, enforce) when is_integer(until) do
+    if message.originating_time <= until,
+      do: {:ok, repeat(outlet)},
+      else: forward(%{outlet | resume: nil}, message, now, enforce)
+  end
+
   def forward(%Outlet{} = outlet, %Message{} = message, now, enforce) do
     case check(outlet, message) do
       :ok when (not enforce or message.originating_time <= now) and outlet.future == [] ->
@@ -109,7 +121,7 @@ defmodule Situ.Stage.Posting do
   @spec forward_all(Outlet.t(), [tuple()], Situ.Time.t(), boolean()) ::
           {:ok, Outlet.t(), [tuple()]} | {:error, Error.t()}
   def forward_all(
-        %Outlet{closing: nil, future: [], last_time: last} = outlet,
+        %Outlet{closing: nil, future: [], resume: nil, last_time: last} = outlet,
         [_, _ | _] = actions,
         now,
         false
@@ -210,6 +222,8 @@ defmodule Situ.Stage.Posting do
         seq: message.sequence_id
     }
   end
+
+  defp repeat(outlet), do: %{outlet | repeated: outlet.repeated + 1}
 
   defp hold(%{future: []} = outlet, item), do: %{outlet | future: [item]}
   defp hold(outlet, item), do: %{outlet | future_rear: [item | outlet.future_rear]}

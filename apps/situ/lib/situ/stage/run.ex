@@ -3,7 +3,7 @@ defmodule Situ.Stage.Run do
   # A batch of messages through a chain of light operators: one envelope at the end for each that comes through.
   alias Situ.{Message, Stage}
   alias Situ.Operator.Chain
-  alias Situ.Stage.{Call, Counters, Fault, Outlet, Tally}
+  alias Situ.Stage.{Call, Counters, Fault, Marks, Outlet, Tally}
   require Chain
 
   @doc "Runs the batch; answers the state, the last originating time, and how many messages were handled."
@@ -19,6 +19,7 @@ defmodule Situ.Stage.Run do
   def tail(%{tail: %{chain: chain, fast: fast, counters: counters}} = state, now, final) do
     {name, outlet} = Enum.find(state.outlets, fn {key, _} -> is_atom(key) end)
     messages = :lists.reverse(outlet.pending)
+    Marks.put(outlet.mark, hd(outlet.pending))
     outlets = %{state.outlets | name => %{outlet | pending: [], pending_n: 0}}
     state = %{state | outlets: outlets, chain: chain, fast: fast}
     [key] = for {{:tail, _} = key, _} <- outlets, do: key

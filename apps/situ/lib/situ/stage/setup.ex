@@ -4,7 +4,7 @@ defmodule Situ.Stage.Setup do
   alias Situ.{Error, Options, Stage}
   alias Situ.Graph.Vertex
   alias Situ.Operator.Chain
-  alias Situ.Stage.{Call, Inlet, Outlet, Subscriber}
+  alias Situ.Stage.{Call, Inlet, Marks, Outlet, Subscriber}
 
   @spec state(map()) :: Stage.t()
   def state(%{vertices: [head | _] = vertices} = args) do
@@ -21,7 +21,7 @@ defmodule Situ.Stage.Setup do
       context: Stage.context(args),
       source: source(head),
       tail: tail(vertices, args),
-      outlets: outlets(vertices)
+      outlets: vertices |> outlets() |> marked(args[:marks])
     }
   end
 
@@ -52,6 +52,13 @@ defmodule Situ.Stage.Setup do
     last = List.last(operators)
     [{name, outlet}] = Enum.map(last.outputs, &outlet(&1, last))
     component.outputs |> Map.new(&outlet(&1, component)) |> Map.put({:tail, name}, outlet)
+  end
+
+  defp marked(outlets, marks) do
+    outlets
+    |> Enum.sort_by(&elem(&1, 0))
+    |> Enum.with_index()
+    |> Map.new(fn {{key, outlet}, index} -> {key, Marks.attach(outlet, marks, index)} end)
   end
 
   @doc "The component's first state, or the chain compiled."

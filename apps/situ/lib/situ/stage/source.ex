@@ -22,7 +22,7 @@ defmodule Situ.Stage.Source do
     if room < 1 or Ports.holding?(state) do
       state
     else
-      before = {emitted(state), Tally.read(state.tally, 0).errors}
+      before = {emitted(state), repeated(state), Tally.read(state.tally, 0).errors}
       state = Turn.call(state, :handle_demand, [room, %{state.context | now: now}], now)
       state = Ports.settle(judge(state, before))
 
@@ -39,10 +39,13 @@ defmodule Situ.Stage.Source do
   # `:skip` and `:restart`, but not for ever: there is no message that would be used up by the next try.
   defp judge(%{failed: true} = state, _before), do: state
 
-  defp judge(state, {emitted, errors}) do
+  defp judge(state, {emitted, repeated, errors}) do
+    unharmed? = Tally.read(state.tally, 0).errors == errors
+
     cond do
       emitted(state) != emitted -> %{state | strikes: 0}
-      Tally.read(state.tally, 0).errors == errors -> %{state | idle: true}
+      unharmed? and repeated(state) != repeated -> state
+      unharmed? -> %{state | idle: true}
       state.strikes < @strikes -> %{state | strikes: state.strikes + 1}
       true -> Fault.fail(state, no_way_on(state))
     end
@@ -59,6 +62,9 @@ defmodule Situ.Stage.Source do
   end
 
   defp emitted(state), do: Enum.map(state.outlets, fn {_, o} -> {o.seq, o.last_time} end)
+
+  # One that began anew goes through what it has posted before; that is neither rest nor progress.
+  defp repeated(state), do: Enum.map(state.outlets, fn {_, o} -> o.repeated end)
 
   @doc "Asked to stop: nothing later than `final` goes out any more."
   @spec stop(Stage.t(), Situ.Time.t()) :: Stage.t()
