@@ -12,9 +12,10 @@ defmodule Situ.Audio.Reframer do
       doc: "Frames from one buffer to the next: less makes them overlap. Default: no overlap."
     ],
     tail: [
-      type: {:in, [:drop, :keep]},
+      type: {:in, [:drop, :keep, :pad]},
       default: :drop,
-      doc: "What to do at the end with fewer frames than asked for: lose or emit them."
+      doc:
+        "What to do at the end with fewer frames than asked for: lose them, emit them, or emit them filled up with silence."
     ]
   ]
 
@@ -23,7 +24,8 @@ defmodule Situ.Audio.Reframer do
 
   The time of each is the input's time less what follows it in that input, so exact to the sample. Where that would not be
   later than the buffer before (inputs whose times do not agree with their lengths), it is 1 ns later. When the format
-  changes, what is left of the old one goes as `tail:` says.
+  changes, what is left of the old one goes as `tail:` says; the time of that last buffer is when its sound ends, without the silence that
+  fills it up.
 
   ## Options
 
@@ -96,7 +98,7 @@ defmodule Situ.Audio.Reframer do
   defp finish(%{rest: ""} = state), do: {[], state}
 
   defp finish(%{opts: opts, rest: rest} = state) do
-    # Silence to fill it up would end after the input has: nothing may be emitted there.
+    # The silence that fills it up would end after the input has, where nothing may be emitted.
     time = later(state.seen, state.last)
 
     case opts[:tail] do
@@ -105,6 +107,12 @@ defmodule Situ.Audio.Reframer do
 
       :keep ->
         out = %AudioBuffer{format: state.format, data: rest}
+        {[{:out, time, out}], %{state | rest: "", last: time}}
+
+      :pad ->
+        frame = AudioFormat.bytes_per_frame(state.format)
+        silence = AudioBuffer.silence(state.format, div(state.size - byte_size(rest), frame))
+        out = %AudioBuffer{format: state.format, data: rest <> silence.data}
         {[{:out, time, out}], %{state | rest: "", last: time}}
     end
   end

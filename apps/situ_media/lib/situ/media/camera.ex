@@ -1,5 +1,5 @@
 defmodule Situ.Media.Camera do
-  alias Situ.Media.{Capture, Device}
+  alias Situ.Media.Device
 
   @schema [
     device: [
@@ -26,6 +26,12 @@ defmodule Situ.Media.Camera do
       type: {:optional, :string},
       default: nil,
       doc: "What a V4L2 camera should send: `\"mjpeg\"`, `\"yuyv422\"` ...; `nil`: its first."
+    ],
+    controls: [
+      type: {:list, {:tuple, [:string, :integer]}},
+      default: [],
+      doc:
+        "What a V4L2 camera is set to each time it is opened, `[{\"brightness\", 20}]`: see `controls/1`."
     ],
     buffer: [
       type: :pos_integer,
@@ -60,6 +66,7 @@ defmodule Situ.Media.Camera do
   #{Situ.Options.docs(@schema)}
   """
   use Situ.Component, outputs: [out: Situ.Image], options: @schema
+  use Situ.Media.Capture
 
   @doc "Adds the camera to a pipeline; returns its stream."
   @spec open(Situ.Pipeline.t(), keyword()) :: Situ.Stream.t()
@@ -72,24 +79,21 @@ defmodule Situ.Media.Camera do
   @spec list() :: [Device.t()]
   def list, do: Enum.filter(Device.list(), &(&1.kind == :camera))
 
+  @doc """
+  What can be set on a V4L2 camera: brightness, contrast, exposure, focus, white balance ...; empty for other devices.
+
+      controls = Situ.Media.Camera.controls("/dev/video0")
+      #=> [%{name: "brightness", type: "int", min: -64, max: 64, step: 1, default: 0, value: 0}, ...]
+      Situ.Media.Camera.open(p, controls: [{"auto_exposure", 1}, {"exposure_time_absolute", 150}])
+  """
+  @spec controls(Device.device()) :: [Device.V4L2.control()]
+  def controls(device) do
+    case Device.parse(device) do
+      {:ok, {Device.V4L2, path}} -> Device.V4L2.controls(path)
+      _ -> []
+    end
+  end
+
   @impl true
   def init(opts), do: Capture.new(opts[:device], %{video: :out}, opts)
-
-  @impl true
-  def handle_start(context, capture), do: Capture.start(capture, context)
-
-  @impl true
-  def handle_demand(n, context, capture), do: Capture.demand(capture, n, context)
-
-  @impl true
-  def handle_info(info, context, capture), do: Capture.info(capture, info, context)
-
-  @impl true
-  def handle_stop(_final_time, _context, capture), do: {[], Capture.stop(capture)}
-
-  @impl true
-  def terminate(_reason, capture), do: Capture.stop(capture)
-
-  @impl true
-  def describe(capture), do: Capture.describe(capture)
 end

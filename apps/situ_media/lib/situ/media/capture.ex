@@ -6,8 +6,10 @@ defmodule Situ.Media.Capture do
   A device cannot wait. Frames that nobody takes are kept up to a limit (`:buffer`), then the oldest is dropped and counted:
   memory stays bounded whatever happens downstream. When a device is lost (unplugged, stream ended) it is tried again
   every second, if the component was told so.
+
+  `use Situ.Media.Capture`, after `use Situ.Component`, gives a component whose state is a capture everything but its `init/1`.
   """
-  alias Situ.{AudioFormat, Component.Context}
+  alias Situ.{AudioBuffer, AudioFormat, Component.Context}
   alias Situ.Media.{Decoder, Device}
   alias Situ.Media.FFmpeg.Reader
   require Logger
@@ -43,9 +45,30 @@ defmodule Situ.Media.Capture do
   @type t :: %__MODULE__{}
   @type result :: {[Situ.Component.action()], t()}
 
+  @doc false
+  defmacro __using__(_opts) do
+    quote do
+      alias Situ.Media.Capture
+
+      @impl Situ.Component
+      def handle_start(context, capture), do: Capture.start(capture, context)
+      @impl Situ.Component
+      def handle_demand(n, context, capture), do: Capture.demand(capture, n, context)
+      @impl Situ.Component
+      def handle_info(info, context, capture), do: Capture.info(capture, info, context)
+      @impl Situ.Component
+      def handle_stop(_final_time, _context, capture), do: {[], Capture.stop(capture)}
+      @impl Situ.Component
+      def terminate(_reason, capture), do: Capture.stop(capture)
+      @impl Situ.Component
+      def describe(capture), do: Capture.describe(capture)
+    end
+  end
+
   @doc """
   A capture of `device` that is not running yet. `outputs` maps `:video` and `:audio` to outputs of the component. `opts`
-  need `:format`, `:size`, `:rate`, `:audio_format`, `:audio_buffer`, `:buffer`, `:reconnect`, `:stall_timeout`.
+  need `:format`, `:size`, `:rate`, `:audio_format`, `:audio_buffer`, `:buffer`, `:reconnect`, `:stall_timeout`, and may
+  have `:gain`.
   """
   @spec new(Device.device(), %{atom() => atom()}, keyword()) ::
           {:ok, t()} | {:error, Situ.Error.t()}
@@ -184,7 +207,7 @@ defmodule Situ.Media.Capture do
     capture = settle(capture, time, context)
 
     if capture.offset do
-      accept(capture, kind, time + capture.offset, data, context)
+      accept(capture, kind, time + capture.offset, amplify(data, capture.opts[:gain]), context)
     else
       Reader.ask(capture.reader, 1)
       {[], capture}
@@ -209,6 +232,11 @@ defmodule Situ.Media.Capture do
 
     {[{:timer, :reconnect, context.now + @retry}], %{stop(capture) | lost: why}}
   end
+
+  defp amplify(%AudioBuffer{} = buffer, gain) when gain not in [nil, 1, 1.0],
+    do: AudioBuffer.gain!(buffer, gain)
+
+  defp amplify(data, _gain), do: data
 
   # What still waits goes out first; see take/3.
   defp finish(%{size: 0} = capture), do: complete(stop(capture))

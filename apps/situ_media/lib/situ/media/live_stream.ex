@@ -1,6 +1,5 @@
 defmodule Situ.Media.LiveStream do
   alias Situ.AudioFormat
-  alias Situ.Media.Capture
 
   @schema [
     device: [
@@ -63,6 +62,7 @@ defmodule Situ.Media.LiveStream do
   #{Situ.Options.docs(@schema)}
   """
   use Situ.Component, outputs: [video: Situ.Image, audio: Situ.AudioBuffer], options: @schema
+  use Situ.Media.Capture
 
   @doc "Adds the source; returns `%{video: stream, audio: stream}`, without what was turned off."
   @spec open(Situ.Pipeline.t(), keyword()) :: %{atom() => Situ.Stream.t()}
@@ -76,24 +76,6 @@ defmodule Situ.Media.LiveStream do
 
   @impl true
   def init(opts), do: Capture.new(opts[:device], wanted(opts), opts)
-
-  @impl true
-  def handle_start(context, capture), do: Capture.start(capture, context)
-
-  @impl true
-  def handle_demand(n, context, capture), do: Capture.demand(capture, n, context)
-
-  @impl true
-  def handle_info(info, context, capture), do: Capture.info(capture, info, context)
-
-  @impl true
-  def handle_stop(_final_time, _context, capture), do: {[], Capture.stop(capture)}
-
-  @impl true
-  def terminate(_reason, capture), do: Capture.stop(capture)
-
-  @impl true
-  def describe(capture), do: Capture.describe(capture)
 
   defp wanted(opts), do: for(kind <- [:video, :audio], opts[kind], into: %{}, do: {kind, kind})
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Media.Microphone do
   alias Situ.AudioFormat
-  alias Situ.Media.{Capture, Device}
+  alias Situ.Media.Device
 
   @schema [
     device: [
@@ -14,6 +14,12 @@ defmodule Situ.Media.Microphone do
       doc: "What to deliver: 16 kHz, mono, 16 bit unless told."
     ],
     audio_buffer: [type: :pos_integer, default: 20_000_000, doc: "Length of one piece, ns."],
+    gain: [
+      type: {:or, [:number, {:tuple, [{:in, [:db]}, :number]}]},
+      default: 1.0,
+      doc:
+        "Louder or quieter: a factor, or `{:db, n}`; what gets too loud is cut off at full scale."
+    ],
     buffer: [
       type: :pos_integer,
       default: 500,
@@ -39,13 +45,15 @@ defmodule Situ.Media.Microphone do
       mic = Situ.Media.Microphone.open(p, device: "simulated:talk1.mp4")
 
   The kinds of devices: `Situ.Media.Device`; `situ devices` lists the ones that are there. Sound that a slow pipeline does
-  not take is kept for 10 s, then dropped from its oldest end, and counted.
+  not take is kept for 10 s, then dropped from its oldest end, and counted. `gain:` changes the sound that arrives; the level of the
+  device itself is the sound system's (`pactl set-source-volume`, `alsamixer`).
 
   ## Options
 
   #{Situ.Options.docs(@schema)}
   """
   use Situ.Component, outputs: [out: Situ.AudioBuffer], options: @schema
+  use Situ.Media.Capture
 
   @doc "Adds the microphone to a pipeline; returns its stream."
   @spec open(Situ.Pipeline.t(), keyword()) :: Situ.Stream.t()
@@ -60,22 +68,4 @@ defmodule Situ.Media.Microphone do
 
   @impl true
   def init(opts), do: Capture.new(opts[:device], %{audio: :out}, opts)
-
-  @impl true
-  def handle_start(context, capture), do: Capture.start(capture, context)
-
-  @impl true
-  def handle_demand(n, context, capture), do: Capture.demand(capture, n, context)
-
-  @impl true
-  def handle_info(info, context, capture), do: Capture.info(capture, info, context)
-
-  @impl true
-  def handle_stop(_final_time, _context, capture), do: {[], Capture.stop(capture)}
-
-  @impl true
-  def terminate(_reason, capture), do: Capture.stop(capture)
-
-  @impl true
-  def describe(capture), do: Capture.describe(capture)
 end

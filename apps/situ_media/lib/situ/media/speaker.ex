@@ -13,6 +13,12 @@ defmodule Situ.Media.Speaker do
       type: :pos_integer,
       default: 100_000_000,
       doc: "Sound the device keeps ahead, ns: less is sooner, more survives a busy machine."
+    ],
+    gain: [
+      type: {:or, [:number, {:tuple, [{:in, [:db]}, :number]}]},
+      default: 1.0,
+      doc:
+        "Louder or quieter: a factor, or `{:db, n}`; what gets too loud is cut off at full scale."
     ]
   ]
 
@@ -22,7 +28,8 @@ defmodule Situ.Media.Speaker do
       clip.audio |> Situ.Media.Speaker.play()
 
   Sound is played as it comes, one piece after the other; the first piece decides the format, a later one of another format
-  reopens the device. The speaker takes sound at the speed it plays: in a pipeline that runs ahead it is the brake.
+  reopens the device. The speaker takes sound at the speed it plays: in a pipeline that runs ahead it is the brake. The device's own
+  volume is the sound system's (`pactl set-sink-volume`, `alsamixer`).
 
   ## Options
 
@@ -53,6 +60,7 @@ defmodule Situ.Media.Speaker do
   @impl true
   def handle_message(:in, %{data: %AudioBuffer{} = buffer}, _context, state) do
     state = open(buffer.format, state)
+    buffer = amplify(buffer, state.opts[:gain])
     time = AudioFormat.frames_to_ns(buffer.format, state.played)
 
     case Writer.write(state.writer, 0, time, buffer.data) do
@@ -60,6 +68,9 @@ defmodule Situ.Media.Speaker do
       {:error, error} -> raise error
     end
   end
+
+  defp amplify(buffer, gain) when gain in [1, 1.0], do: buffer
+  defp amplify(buffer, gain), do: AudioBuffer.gain!(buffer, gain)
 
   @impl true
   def handle_closed(:in, _time, _context, state), do: {[], close(state)}

@@ -43,6 +43,10 @@ defmodule Situ.Audio.TimesTest do
 
     assert {_, last} = feed |> run(&Situ.Audio.reframe(&1, frames: 4, tail: :keep)) |> List.last()
     assert AudioBuffer.to_samples(last) == [8, 9, 10]
+
+    assert {at, last} = feed |> run(&Situ.Audio.reframe(&1, frames: 4, tail: :pad)) |> List.last()
+    assert AudioBuffer.to_samples(last) == [8, 9, 10, 0]
+    assert at == AudioFormat.frames_to_ns(@rate, 11)
   end
 
   property "resampling gives the same sound at the same times however it is cut" do

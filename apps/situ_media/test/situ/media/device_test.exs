@@ -96,6 +96,21 @@ defmodule Situ.Media.DeviceTest do
       capture_log(fn -> Situ.Pipeline.stop(pipeline) end)
     end
 
+    test "a microphone's gain is that of its sound" do
+      short = "simulated:" <> path("cards_001.wav") <> "?once"
+
+      [whole, half] =
+        for gain <- [1.0, 0.5] do
+          {{:ok, _}, %{mic: heard}} =
+            collect(&%{mic: Microphone.open(&1, device: short, gain: gain, reconnect: false)})
+
+          heard |> Enum.map(&elem(&1, 1)) |> Enum.take(20)
+        end
+
+      assert half == Enum.map(whole, &AudioBuffer.gain!(&1, 0.5))
+      assert Enum.any?(whole, &(&1 != AudioBuffer.silence(&1.format, 320)))
+    end
+
     @tag :capture_log
     test "a device that is lost is tried again, and its times go on" do
       short = "simulated:" <> path("cards_001.wav") <> "?once"
@@ -154,6 +169,19 @@ defmodule Situ.Media.DeviceTest do
                run_quietly(&Microphone.open(&1, device: "/dev/video0"))
 
       assert {:error, %{code: :bad_option}} = Speaker.init(device: "simulated:x", latency: 1)
+    end
+
+    test "a camera that cannot be set says so when it is opened" do
+      assert {:error, %{code: code, what: what}} =
+               run_quietly(
+                 &Camera.open(&1, device: "/dev/video99", controls: [{"brightness", 1}])
+               )
+
+      # With v4l2-ctl, or without.
+      assert code in [:bad_option, :no_v4l2_ctl]
+      assert what =~ "/dev/video99"
+      assert Camera.controls("simulated:talk1.mp4") == []
+      assert Camera.controls("/dev/video99") == []
     end
 
     test "a URL cannot read local files" do

@@ -38,6 +38,81 @@ defmodule Situ.Media.Device.V4L2 do
     end
   end
 
+  @typedoc "`min`, `max`, `step` and `default` are nil where the device does not say; a menu's `value` is the number of its row."
+  @type control :: %{
+          name: String.t(),
+          type: String.t(),
+          min: integer() | nil,
+          max: integer() | nil,
+          step: integer() | nil,
+          default: integer() | nil,
+          value: integer() | nil
+        }
+
+  @doc "What can be set on the camera at `path`; empty when there is none, or no `v4l2-ctl`."
+  @spec controls(Path.t()) :: [control()]
+  def controls(path), do: parse_controls(Device.run("v4l2-ctl", ["-d", path, "--list-ctrls"]))
+
+  @doc """
+  The controls in the listing of `v4l2-ctl --list-ctrls`.
+
+      iex> Situ.Media.Device.V4L2.parse_controls(\"\"\"
+      ...> User Controls
+      ...>
+      ...>                      brightness 0x00980900 (int)    : min=-64 max=64 step=1 default=0 value=-12
+      ...>         white_balance_automatic 0x0098090c (bool)   : default=1 value=1
+      ...> \"\"\")
+      [
+        %{name: "brightness", type: "int", min: -64, max: 64, step: 1, default: 0, value: -12},
+        %{name: "white_balance_automatic", type: "bool", min: nil, max: nil, step: nil, default: 1, value: 1}
+      ]
+  """
+  @spec parse_controls(String.t()) :: [control()]
+  def parse_controls(listing) do
+    for [_, name, type, fields] <-
+          Regex.scan(~r/^\s*(\w+) 0x[0-9a-f]+ \((\w+)\)\s*:(.*)$/m, listing) do
+      numbers =
+        for [_, key, value] <- Regex.scan(~r/(\w+)=(-?\d+)/, fields),
+            into: %{},
+            do: {key, String.to_integer(value)}
+
+      %{
+        name: name,
+        type: type,
+        min: numbers["min"],
+        max: numbers["max"],
+        step: numbers["step"],
+        default: numbers["default"],
+        value: numbers["value"]
+      }
+    end
+  end
+
+  # Set before the camera is opened; a control that it does not have is an error, not a surprise.
+  defp set(_path, []), do: :ok
+
+  defp set(path, controls) do
+    settings = Enum.map_join(controls, ",", fn {name, value} -> "#{name}=#{value}" end)
+
+    with program when is_binary(program) <- System.find_executable("v4l2-ctl"),
+         {_, 0} <-
+           System.cmd("timeout", ["5", program, "-d", path, "--set-ctrl", settings],
+             stderr_to_stdout: true
+           ) do
+      :ok
+    else
+      nil ->
+        Device.driver_error(
+          path,
+          :no_v4l2_ctl,
+          "controls are set by v4l2-ctl: apt-get install v4l-utils"
+        )
+
+      {why, _} ->
+        Device.driver_error(path, :bad_option, "cannot set #{settings}: #{String.trim(why)}")
+    end
+  end
+
   @impl true
   def list do
     for path <- Enum.sort(Path.wildcard("/sys/class/video4linux/video*")),
@@ -56,13 +131,15 @@ defmodule Situ.Media.Device.V4L2 do
     rate = if opts[:rate], do: ["-framerate", to_string(opts[:rate])], else: []
     input = if opts[:input_format], do: ["-input_format", opts[:input_format]], else: []
 
-    {:ok,
-     %{
-       args:
-         ~w(-f v4l2 -timestamps abs) ++
-           size ++ rate ++ input ++ (opts[:args] || []) ++ ["-i", path],
-       clock: :wall
-     }}
+    with :ok <- set(path, opts[:controls] || []) do
+      {:ok,
+       %{
+         args:
+           ~w(-f v4l2 -timestamps abs) ++
+             size ++ rate ++ input ++ (opts[:args] || []) ++ ["-i", path],
+         clock: :wall
+       }}
+    end
   end
 
   def capture(address, :camera, _opts),
