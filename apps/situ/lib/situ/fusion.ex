@@ -99,12 +99,12 @@ defmodule Situ.Fusion do
   Takes the input `key` of a join or fusion over a map, or of a merge, away while the pipeline runs, whether it was added or there
   from the start.
 
-  Answers the originating time from which primaries do not need it: by default, and at the earliest, behind the last primary that has
+  Answers the originating time from which primaries do not need it (`:start` when none has come yet): by default, and at the earliest, behind the last primary that has
   arrived; `until:` names a later one. Primaries before that still wait for it; then the connection goes. Errors: `:too_late`, `:unknown_input`,
   `:fixed_inputs`, `:not_running`.
   """
   @spec remove_input(Stream.t() | {Pipeline.target(), String.t()}, key :: term(), keyword()) ::
-          {:ok, Situ.Time.t()} | {:error, Situ.Error.t()}
+          {:ok, Situ.Time.t() | :start} | {:error, Situ.Error.t()}
   def remove_input(fused, key, opts \\ []), do: Build.remove_input(fused, key, opts)
 
   @doc """

@@ -15,6 +15,8 @@ defmodule Situ.Interval do
   mirror image does, and each flag stays with the point that it was given for.
   """
 
+  alias Situ.Interval.{Overlap, Scale, Text}
+
   @enforce_keys [:left, :right]
   defstruct [:left, :right, left_inclusive: false, right_inclusive: false]
 
@@ -115,19 +117,7 @@ defmodule Situ.Interval do
       :bad_interval
   """
   @spec parse(String.t()) :: {:ok, t()} | {:error, Situ.Error.t()}
-  def parse(text) when is_binary(text) do
-    with [_, open, left, right, close] <- Regex.run(~r/^\s*([\[(])(.+),(.+)([\])])\s*$/, text),
-         {:ok, left} <- parse_bound(String.trim(left), "-inf"),
-         {:ok, right} <- parse_bound(String.trim(right), "inf") do
-      {:ok, new(left, open == "[", right, close == "]")}
-    else
-      _ ->
-        {:error,
-         Situ.Error.new(:bad_interval, "not an interval: #{inspect(text)}",
-           fix: "write it like [0,10), (-inf,0] or [5,inf)"
-         )}
-    end
-  end
+  def parse(text) when is_binary(text), do: Text.parse(text)
 
   @doc "Right minus left: negative for a negative interval, `:infinity` when an end is unbounded."
   @spec span(t()) :: point() | :infinity
@@ -214,25 +204,11 @@ defmodule Situ.Interval do
 
   @doc "The points in both, or `nil` when there are none."
   @spec intersection(t(), t()) :: t() | nil
-  def intersection(a, b) do
-    {a, b} = {ordered(a), ordered(b)}
-    {left, left_inclusive} = later_left(a, b)
-    {right, right_inclusive} = earlier_right(a, b)
-
-    cond do
-      empty?(a) or empty?(b) -> nil
-      left == :unbounded or right == :unbounded or left < right -> :overlap
-      left == right and left_inclusive and right_inclusive -> :overlap
-      true -> nil
-    end && new(left, left_inclusive, right, right_inclusive)
-  end
+  def intersection(a, b), do: Overlap.intersection(ordered(a), ordered(b))
 
   @doc "Whether every point of `a` lies in `b`."
   @spec subset?(t(), t()) :: boolean()
-  def subset?(a, b) do
-    {a, b} = {ordered(a), ordered(b)}
-    empty?(a) or (left_within?(a, b) and right_within?(a, b))
-  end
+  def subset?(a, b), do: Overlap.subset?(ordered(a), ordered(b))
 
   @doc "Whether `a` is a subset of `b`, and not the other way round."
   @spec proper_subset?(t(), t()) :: boolean()
@@ -241,18 +217,12 @@ defmodule Situ.Interval do
   @doc "Moves both ends by `by`; unbounded ends stay. Also makes a relative interval absolute: `translate(window, time)`."
   @spec translate(t(), point()) :: t()
   def translate(%__MODULE__{left: left, right: right} = interval, by) do
-    %{interval | left: move(left, by), right: move(right, by)}
+    %{interval | left: Scale.move(left, by), right: Scale.move(right, by)}
   end
 
   @doc "`scale_left/2` and `scale_right/2` at once, both from the span before."
   @spec scale(t(), amount, amount) :: t() when amount: {:by, point()} | {:factor, number()}
-  def scale(interval, left, right) do
-    %{
-      interval
-      | left: move(interval.left, negate(growth(interval, left))),
-        right: move(interval.right, growth(interval, right))
-    }
-  end
+  def scale(interval, left, right), do: Scale.both(interval, left, right)
 
   @doc """
   Moves the left end outwards, `{:by, span}` or so that the span is multiplied by `{:factor, f}`.
@@ -269,10 +239,7 @@ defmodule Situ.Interval do
 
   @doc "Moves both ends outwards by half the amount each; halves of whole numbers are rounded outwards."
   @spec scale_center(t(), {:by, point()} | {:factor, number()}) :: t()
-  def scale_center(interval, amount) do
-    half = {:by, interval |> growth(amount) |> halve()}
-    scale(interval, half, half)
-  end
+  def scale_center(interval, amount), do: Scale.center(interval, amount)
 
   @doc """
   The smallest interval that holds all of these; empty ones are left out.
@@ -284,7 +251,7 @@ defmodule Situ.Interval do
   def coverage(intervals) do
     case intervals |> Enum.reject(&empty?/1) |> Enum.map(&ordered/1) do
       [] -> empty()
-      [first | rest] -> Enum.reduce(rest, first, &cover/2)
+      [first | rest] -> Enum.reduce(rest, first, &Overlap.cover/2)
     end
   end
 
@@ -305,96 +272,13 @@ defmodule Situ.Interval do
       "(-inf,0]"
   """
   @spec to_string(t()) :: String.t()
-  def to_string(%__MODULE__{} = i) do
-    open = if i.left_inclusive, do: "[", else: "("
-    close = if i.right_inclusive, do: "]", else: ")"
-    left = if i.left == :unbounded, do: "-inf", else: "#{i.left}"
-    right = if i.right == :unbounded, do: "inf", else: "#{i.right}"
-    "#{open}#{left},#{right}#{close}"
-  end
+  def to_string(%__MODULE__{} = interval), do: Text.format(interval)
 
   defp check_bound(bound) when is_number(bound) or bound == :unbounded, do: :ok
 
   defp check_bound(bound) do
     raise ArgumentError, "an end is a number or :unbounded, got: #{inspect(bound)}"
   end
-
-  defp parse_bound(text, text), do: {:ok, :unbounded}
-
-  defp parse_bound(text, _unbounded) do
-    case {Integer.parse(text), Float.parse(text)} do
-      {{integer, ""}, _} -> {:ok, integer}
-      {_, {float, ""}} -> {:ok, float}
-      _ -> :error
-    end
-  end
-
-  defp move(:unbounded, _by), do: :unbounded
-  defp move(bound, :infinity), do: bound
-  defp move(bound, by), do: bound + by
-
-  defp growth(_interval, {:by, amount}), do: amount
-
-  defp growth(interval, {:factor, factor}) do
-    case span(interval) do
-      :infinity -> :infinity
-      span when is_integer(span) -> round(span * (factor - 1))
-      span -> span * (factor - 1)
-    end
-  end
-
-  defp negate(:infinity), do: :infinity
-  defp negate(amount), do: -amount
-
-  defp halve(:infinity), do: :infinity
-  defp halve(amount) when is_integer(amount), do: div(amount + sign(amount), 2)
-  defp halve(amount), do: amount / 2
-
-  defp sign(n) when n < 0, do: -1
-  defp sign(_n), do: 1
-
-  defp later_left(%{left: :unbounded}, b), do: {b.left, b.left_inclusive}
-  defp later_left(a, %{left: :unbounded}), do: {a.left, a.left_inclusive}
-
-  defp later_left(a, b) do
-    cond do
-      a.left > b.left -> {a.left, a.left_inclusive}
-      a.left < b.left -> {b.left, b.left_inclusive}
-      true -> {a.left, a.left_inclusive and b.left_inclusive}
-    end
-  end
-
-  defp earlier_right(%{right: :unbounded}, b), do: {b.right, b.right_inclusive}
-  defp earlier_right(a, %{right: :unbounded}), do: {a.right, a.right_inclusive}
-
-  defp earlier_right(a, b) do
-    cond do
-      a.right < b.right -> {a.right, a.right_inclusive}
-      a.right > b.right -> {b.right, b.right_inclusive}
-      true -> {a.right, a.right_inclusive and b.right_inclusive}
-    end
-  end
-
-  defp left_within?(_a, %{left: :unbounded}), do: true
-  defp left_within?(%{left: :unbounded}, _b), do: false
-
-  defp left_within?(a, b),
-    do: a.left > b.left or (a.left == b.left and (b.left_inclusive or not a.left_inclusive))
-
-  defp right_within?(_a, %{right: :unbounded}), do: true
-  defp right_within?(%{right: :unbounded}, _b), do: false
-
-  defp right_within?(a, b),
-    do: a.right < b.right or (a.right == b.right and (b.right_inclusive or not a.right_inclusive))
-
-  defp cover(a, b) do
-    {left, left_inclusive} = if left_within?(a, b), do: left(b), else: left(a)
-    {right, right_inclusive} = if right_within?(a, b), do: right(b), else: right(a)
-    new(left, left_inclusive, right, right_inclusive)
-  end
-
-  defp left(i), do: {i.left, i.left_inclusive}
-  defp right(i), do: {i.right, i.right_inclusive}
 
   defimpl Inspect do
     def inspect(interval, _opts),

@@ -29,33 +29,7 @@ defmodule Situ.Test do
   """
 
   alias Situ.{Clock, Collector, Pipeline, Stream}
-
-  defmodule Input do
-    @moduledoc false
-    # A push source that emits what the test feeds it.
-    use Situ.Component,
-      inputs: [],
-      outputs: [out: :any],
-      options: [to: [type: :pid], ref: [type: :any], key: [type: :any]]
-
-    @impl true
-    def init(opts), do: {:ok, opts}
-
-    @impl true
-    def handle_start(_context, opts) do
-      send(opts[:to], {:situ_test_input, opts[:ref], opts[:key], self()})
-      {[], opts}
-    end
-
-    @impl true
-    def handle_info({:situ_feed, messages}, _context, opts) do
-      {for({time, data} <- messages, do: {:out, time, data}), opts}
-    end
-
-    def handle_info({:situ_close, nil}, _context, opts), do: {[{:close, :out}], opts}
-    def handle_info({:situ_close, time}, _context, opts), do: {[{:close, :out, time}], opts}
-    def handle_info(_other, _context, opts), do: {[], opts}
-  end
+  alias Situ.Test.{Input, Rest}
 
   @enforce_keys [:pipeline, :clock, :inputs, :ref, :shape]
   defstruct [:pipeline, :clock, :inputs, :ref, :shape]
@@ -158,48 +132,7 @@ defmodule Situ.Test do
 
   @doc "Waits until every process of the pipeline has dealt with what was sent to it."
   @spec settle(t()) :: :ok
-  def settle(%__MODULE__{} = test), do: settle(test, nil)
-
-  # A round asks every process once. When it has changed nothing, and no alarm is due, nothing is under way.
-  defp settle(test, before) do
-    case Process.info(test.pipeline, :links) do
-      nil ->
-        :ok
-
-      {:links, _links} ->
-        now = round(test.pipeline, Clock.now(test.clock))
-        if now == before and :due not in now, do: :ok, else: settle(test, now)
-    end
-  end
-
-  # The pipeline's process and its stages, and of branches in processes theirs.
-  defp round(pipeline, now) do
-    case Process.info(pipeline, :links) do
-      {:links, links} ->
-        stages = for pid <- [pipeline | links], is_pid(pid), pid != self(), do: pid
-        Enum.flat_map(stages, &look(&1, now))
-
-      nil ->
-        [:ended]
-    end
-  end
-
-  # Asking comes after all that was sent before, and is answered after it was dealt with.
-  defp look(pid, now) do
-    case :sys.get_state(pid) do
-      %Situ.Stage{alarm: {due, _wait, _ref}} when due <= now ->
-        [:due]
-
-      %Situ.Stage{core: %Situ.Parallel.Processes{} = core} = state ->
-        branches = Enum.flat_map(Situ.Parallel.Processes.pipelines(core), &round(&1, now))
-        [:erlang.phash2(state) | branches]
-
-      state ->
-        [:erlang.phash2(state)]
-    end
-  catch
-    :exit, _ended -> [:ended]
-  end
+  def settle(%__MODULE__{} = test), do: Rest.reach(test.pipeline, test.clock)
 
   defp pid(test, input) do
     Map.get(test.inputs, input) ||

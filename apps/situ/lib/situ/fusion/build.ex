@@ -136,7 +136,8 @@ defmodule Situ.Fusion.Build do
   end
 
   @doc "See `Situ.Fusion.remove_input/3`."
-  @spec remove_input(term(), term(), keyword()) :: {:ok, Situ.Time.t()} | {:error, Error.t()}
+  @spec remove_input(term(), term(), keyword()) ::
+          {:ok, Situ.Time.t() | :start} | {:error, Error.t()}
   def remove_input(fused, key, opts) do
     {pipeline, taker} = at(fused)
     Pipeline.Ask.call(pipeline, {:detach, taker, {key, opts}})

@@ -13,7 +13,7 @@ defmodule Situ.Fusion.Gather do
       ended: [type: {:in, [:stay, :leave]}, default: :stay]
     ]
 
-  alias Situ.Fusion.{Balance, Build, Members}
+  alias Situ.Fusion.{Balance, Build, Members, Span}
   alias Situ.{Interpolator, Options}
 
   @adding [
@@ -88,12 +88,15 @@ defmodule Situ.Fusion.Gather do
   defp leaving(entries, key, until) do
     Enum.map(entries, fn
       {input, ^key, interpolator, span} ->
-        {input, key, interpolator, Keyword.put_new(span, :until, until)}
+        {input, key, interpolator, Keyword.put_new(span, :until, time(until))}
 
       other ->
         other
     end)
   end
+
+  defp time(:start), do: Span.beginning()
+  defp time(until), do: until
 
   defp interpolator(nil, own), do: {:ok, own[:interpolator]}
 

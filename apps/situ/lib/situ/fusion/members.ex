@@ -19,7 +19,7 @@ defmodule Situ.Fusion.Members do
       [{:out, 2, {:b, %{"ann" => :x}}}]
   """
   alias Situ.{Error, Interpolator, Message}
-  alias Situ.Fusion.{Core, Keys, Side}
+  alias Situ.Fusion.{Core, Keys, Side, Span}
 
   defmodule Member do
     @moduledoc false
@@ -42,9 +42,6 @@ defmodule Situ.Fusion.Members do
     given_up: 0
   ]
 
-  # Before every time that there is.
-  @beginning -0x8000000000000000
-
   @type input :: atom()
   @type t :: %__MODULE__{}
 
@@ -64,10 +61,10 @@ defmodule Situ.Fusion.Members do
           {:ok, Situ.Time.t() | :start, t()} | {:error, Error.t()}
   def add(members, input, key, interpolator, opts) do
     earlier = for %{key: ^key, until: until} <- members.members, until != nil, do: until - 1
-    earliest = behind([members.arrived, opts[:after] | earlier])
+    earliest = Span.behind([members.arrived, opts[:after] | earlier])
 
     with :ok <- Keys.free(keys(members), key),
-         {:ok, from} <- possible(opts[:from], earliest, "take part from") do
+         {:ok, from} <- Span.possible(opts[:from], earliest, "take part from") do
       span = [from: from, until: opts[:until]]
       member = struct!(%Member{input: input, key: key, interpolator: interpolator}, span)
       {:ok, from || :start, %{members | members: members.members ++ [member]}}
@@ -75,16 +72,18 @@ defmodule Situ.Fusion.Members do
   end
 
   @doc """
-  The member with this key is not needed from `until:` on: by default, and at the earliest, behind the last primary that has arrived.
+  The member with this key is not needed from `until:` on: by default, and at the earliest, behind the last primary that has arrived; `:start` when
+  none has.
   """
   @spec remove(t(), term(), keyword()) ::
-          {:ok, Situ.Time.t(), [Core.output()], t()} | {:error, Error.t()}
+          {:ok, Situ.Time.t() | :start, [Core.output()], t()} | {:error, Error.t()}
   def remove(members, key, opts) do
     with {:ok, member} <- find(members, key),
-         {:ok, until} <- possible(opts[:until], behind([members.arrived]), "be left out from") do
-      until = until || member.from || @beginning
+         {:ok, until} <-
+           Span.possible(opts[:until], Span.behind([members.arrived]), "be left out from") do
+      until = until || Span.beginning()
       {outputs, members} = run(%{change(members, member, until: until) | waiting: nil})
-      {:ok, until, outputs, members}
+      {:ok, if(until == Span.beginning(), do: :start, else: until), outputs, members}
     end
   end
 
@@ -162,28 +161,6 @@ defmodule Situ.Fusion.Members do
     }
   end
 
-  # Spans
-
-  defp behind(times) do
-    case Enum.reject(times, &is_nil/1) do
-      [] -> nil
-      times -> Enum.max(times) + 1
-    end
-  end
-
-  defp possible(nil, earliest, _what), do: {:ok, earliest}
-  defp possible(time, nil, _what), do: {:ok, time}
-  defp possible(time, earliest, _what) when time >= earliest, do: {:ok, time}
-
-  defp possible(time, earliest, what) do
-    {:error,
-     Error.new(:too_late, "an input cannot #{what} #{time} ns",
-       why: "messages up to #{earliest - 1} ns have already been dealt with",
-       fix: "give a time of #{earliest} ns or later, or none",
-       meta: %{earliest: earliest}
-     )}
-  end
-
   # Those that leave have no key any more.
   defp keys(members), do: for(%{until: nil, key: key} <- members.members, do: key)
 
@@ -208,17 +185,10 @@ defmodule Situ.Fusion.Members do
   defp since([%{originating_time: time} | rest], from) when time < from, do: since(rest, from)
   defp since(messages, _from), do: messages
 
-  # No primary before `until` waits, and none can come.
-  defp over?(%{until: nil}, _members), do: false
-
-  defp over?(%{until: until}, %{arrived: arrived, closed: closed} = members) do
-    (closed or until == @beginning or (arrived != nil and arrived >= until - 1)) and
-      not waits?(members.front, members.rear, until)
+  defp over?(member, members) do
+    waiting = {members.front, members.rear}
+    Span.over?({member.from, member.until}, members.arrived, members.closed, waiting)
   end
-
-  defp waits?([%{originating_time: time} | _], _rear, until), do: time < until
-  defp waits?([], [], _until), do: false
-  defp waits?([], rear, until), do: waits?(rear |> List.last(), [], until)
 
   # Deciding
 

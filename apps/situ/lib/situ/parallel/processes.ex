@@ -19,9 +19,8 @@ defmodule Situ.Parallel.Processes do
       on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop]
     ]
 
-  alias Situ.Branch.Process, as: Branch
-  alias Situ.Parallel.{Entries, Parts, Pool}
-  alias Situ.Pipeline.{Ask, Launch}
+  alias Situ.Parallel.{Entries, Fleet, Parts, Pool}
+  alias Situ.Pipeline.Ask
 
   @limit 256
 
@@ -55,7 +54,7 @@ defmodule Situ.Parallel.Processes do
     {orders, outputs, pool} =
       or_abandon(begun, state, fn -> Pool.push(begun.pool, message, parts) end)
 
-    balance(outputs, Enum.reduce(orders, %{begun | pool: pool}, &carry_out/2))
+    balance(outputs, carry_out(%{begun | pool: pool}, orders))
   end
 
   @impl true
@@ -67,20 +66,15 @@ defmodule Situ.Parallel.Processes do
   def handle_info({:situ_branch_failed, error}, _context, _state), do: raise(error)
 
   def handle_info({:hold_ended, :in}, _context, %{held: true} = state) do
-    if state.moved or at_work?(state),
+    if state.moved or Fleet.at_work?(state.branches, Pool.awaited(state.pool)),
       do: {[{:hold, :in}], %{state | moved: false}},
       else: {[], %{state | held: false, limit: state.limit * 2}}
   end
 
-  def handle_info({id, result}, _context, state) when is_map_key(state.branches, id) do
-    {outputs, state} = over(id, result, state)
-    balance(outputs, state)
-  end
-
-  def handle_info({:DOWN, _monitor, :process, pid, reason}, _context, state) do
-    case Enum.find(state.branches, fn {_, branch} -> branch.pid == pid end) do
-      {id, _} ->
-        {outputs, state} = over(id, {:error, killed(state, id, reason)}, state)
+  def handle_info(message, _context, state) do
+    case Fleet.ended(message, state.branches) do
+      {id, result} ->
+        {outputs, state} = over(id, result, state)
         balance(outputs, state)
 
       nil ->
@@ -88,19 +82,18 @@ defmodule Situ.Parallel.Processes do
     end
   end
 
-  def handle_info(_other, _context, state), do: {[], state}
-
   # The outputs of what is still in the branches come before this one's end.
   @impl true
-  def handle_closed(_input, time, _context, state) do
+  def handle_closed(_input, time, context, state) do
     {orders, pool} = Pool.close(state.pool, time)
-    drain(Enum.reduce(orders, %{state | pool: pool}, &carry_out/2), [])
+    state = carry_out(%{state | pool: pool}, orders)
+    monitors = for {_, branch} <- state.branches, into: %{}, do: {branch.monitor, true}
+    drain(state, {context.pipeline, monitors}, nil, [])
   end
 
   @impl true
   def terminate(_reason, state) do
-    for {_, branch} <- state.branches, do: send(branch.pid, :situ_stop)
-    :ok
+    Fleet.abandon(state.branches, %{})
   end
 
   @impl true
@@ -118,22 +111,14 @@ defmodule Situ.Parallel.Processes do
   @spec pipelines(term()) :: [pid()]
   def pipelines(%__MODULE__{branches: branches}), do: for({_, branch} <- branches, do: branch.pid)
 
-  # Branches
-
   defp begin(state, key, {path, time}, before) do
     id = make_ref()
-    path = Situ.Branch.path({path, key})
     timing = Map.put(state.timing, :start, time)
-
-    built =
-      or_abandon(state, before, fn ->
-        Branch.start!(of_key(state.opts.fun, key), id, path, state.opts.type, timing)
-      end)
-
-    monitor = Process.monitor(built.pid)
-    shell = %{monitor: monitor, path: path, gate: nil, early: [], stop: nil}
-    pool = Pool.started(state.pool, key, id, built.output?)
-    %{state | pool: pool, branches: Map.put(state.branches, id, Map.merge(built, shell))}
+    at = {Situ.Branch.path({path, key}), state.opts.type, timing}
+    fun = of_key(state.opts.fun, key)
+    fleet = or_abandon(state, before, fn -> Fleet.begin(state.branches, id, fun, at) end)
+    pool = Pool.started(state.pool, key, id, fleet[id].output?)
+    %{state | pool: pool, branches: fleet}
   end
 
   # A message that fails takes the branches with it that were begun for it.
@@ -141,51 +126,18 @@ defmodule Situ.Parallel.Processes do
     fun.()
   rescue
     error ->
-      for {id, branch} <- state.branches, not is_map_key(before.branches, id) do
-        Process.demonitor(branch.monitor, [:flush])
-        send(branch.pid, :situ_stop)
-      end
-
+      Fleet.abandon(state.branches, before.branches)
       reraise error, __STACKTRACE__
   end
 
   defp of_key(fun, _key) when is_function(fun, 1), do: fun
   defp of_key(fun, key), do: &fun.(key, &1)
 
-  defp carry_out({:stop, id, time}, state) do
-    case Map.fetch!(state.branches, id) do
-      %{gate: nil} = branch ->
-        put_in(state.branches[id], %{branch | stop: time})
+  defp carry_out(state, orders),
+    do: %{state | branches: Enum.reduce(orders, state.branches, &Fleet.carry_out/2)}
 
-      branch ->
-        Branch.stop(branch.pid, time)
-        state
-    end
-  end
-
-  defp carry_out({:pass, id, time}, state) do
-    if state.branches[id].immediate?, do: feed(state, id, time), else: state
-  end
-
-  defp carry_out({:feed, id, message}, state), do: feed(state, id, message)
-
-  defp feed(state, id, entry) do
-    case Map.fetch!(state.branches, id) do
-      %{gate: nil} = branch ->
-        put_in(state.branches[id], %{branch | early: [entry | branch.early]})
-
-      %{gate: gate} ->
-        Branch.feed(gate, entry)
-        state
-    end
-  end
-
-  defp said({:open, gate}, id, state) when is_map_key(state.branches, id) do
-    branch = Map.fetch!(state.branches, id)
-    for entry <- Enum.reverse(branch.early), do: Branch.feed(gate, entry)
-    if branch.stop, do: Branch.stop(branch.pid, branch.stop)
-    {[], put_in(state.branches[id], %{branch | gate: gate, early: []})}
-  end
+  defp said({:open, gate}, id, state) when is_map_key(state.branches, id),
+    do: {[], %{state | branches: Fleet.opened(state.branches, id, gate)}}
 
   defp said({:gave, time, value}, id, state) do
     {outputs, pool} = Pool.gave(state.pool, id, time, value)
@@ -207,10 +159,9 @@ defmodule Situ.Parallel.Processes do
 
   # A branch has ended: as it was told to, or by a failure.
   defp over(id, result, state) do
-    {branch, branches} = Map.pop!(state.branches, id)
-    Process.demonitor(branch.monitor, [:flush])
     {outputs, pool} = Pool.ended(state.pool, id)
-    {outputs, failed(result, %{state | branches: branches, pool: pool, moved: true})}
+    state = %{state | branches: Fleet.remove(state.branches, id), pool: pool, moved: true}
+    {outputs, failed(result, state)}
   end
 
   defp failed({:ok, _report}, state), do: state
@@ -223,18 +174,6 @@ defmodule Situ.Parallel.Processes do
     send(self(), {:situ_branch_failed, error})
     state
   end
-
-  defp killed(state, id, reason) do
-    path = state.branches[id].path
-
-    %{
-      Launch.crashed(reason)
-      | code: :branch_killed,
-        what: "#{path} was killed: #{inspect(reason, limit: 8)}"
-    }
-  end
-
-  # Holding back
 
   defp balance(outputs, state) do
     waiting = Entries.size(state.pool.entries)
@@ -251,36 +190,31 @@ defmodule Situ.Parallel.Processes do
     end
   end
 
-  # A run of light operators tells when it is through; others are asked.
-  defp at_work?(state) do
-    Enum.any?(Pool.awaited(state.pool), fn id ->
-      branch = Map.fetch!(state.branches, id)
-      branch.immediate? or Ask.call(branch.pid, :quiet?) != true
-    end)
-  end
+  # Until every branch has ended. The pipeline around it sees that something moves, however long they take for what they have.
+  defp drain(%{branches: branches} = state, _around, _marks, outputs)
+       when map_size(branches) == 0,
+       do: drained(state, outputs)
 
-  defp drain(%{branches: branches} = state, outputs) when map_size(branches) == 0,
-    do: drained(state, outputs)
-
-  defp drain(state, outputs) do
+  defp drain(state, {pipeline, monitors} = around, marks, outputs) do
     receive do
       {:situ_branch, id, said} ->
         {more, state} = said(said, id, state)
-        drain(state, [more | outputs])
+        Ask.moving(pipeline)
+        drain(state, around, marks, [more | outputs])
 
       {id, result} when is_map_key(state.branches, id) ->
         {more, state} = over(id, result, state)
-        drain(state, [more | outputs])
+        drain(state, around, marks, [more | outputs])
 
-      {:DOWN, _, :process, pid, reason} ->
-        case Enum.find(state.branches, fn {_, branch} -> branch.pid == pid end) do
-          {id, _} ->
-            {more, state} = over(id, {:error, killed(state, id, reason)}, state)
-            drain(state, [more | outputs])
-
-          nil ->
-            drain(state, outputs)
-        end
+      {:DOWN, monitor, :process, _, _} = down when is_map_key(monitors, monitor) ->
+        {id, result} = Fleet.ended(down, state.branches)
+        {more, state} = over(id, result, state)
+        drain(state, around, marks, [more | outputs])
+    after
+      1_000 ->
+        now = Fleet.marks(state.branches)
+        if now != marks, do: Ask.moving(pipeline)
+        drain(state, around, now, outputs)
     end
   end
 

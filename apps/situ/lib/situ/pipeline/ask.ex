@@ -81,6 +81,10 @@ defmodule Situ.Pipeline.Ask do
 
   defp gone(_pid, nil), do: {:error, Launch.not_running()}
 
+  @doc "Something moves that its counters do not show: it is not stuck."
+  @spec moving(Pipeline.target()) :: term()
+  def moving(p), do: send(pid(p), :situ_moving)
+
   @doc "The process behind a handle, a stream or a name."
   @spec pid(Pipeline.target()) :: pid() | nil
   def pid(%Pipeline{pid: pid}), do: pid

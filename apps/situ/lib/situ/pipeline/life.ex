@@ -47,6 +47,7 @@ defmodule Situ.Pipeline.Life do
     taps: %{},
     inputs: %{},
     parts: %{},
+    moves: 0,
     early: [],
     described: nil,
     by_hand: false,

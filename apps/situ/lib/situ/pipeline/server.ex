@@ -193,6 +193,8 @@ defmodule Situ.Pipeline.Server do
   defp answer(:timing, _from, state),
     do: {:reply, Map.take(state, [:clock, :enforce, :replay_end]), state}
 
+  defp answer(:mark, _from, state), do: {:reply, Watch.mark(state), state}
+
   defp answer(:quiet?, _from, state),
     do: {:reply, state.phase == :running and Ending.quiet?(state), state}
 
@@ -277,6 +279,7 @@ defmodule Situ.Pipeline.Server do
   defp event({:situ_stop_part, path, catch_up}, state),
     do: state |> Part.stop(path, catch_up, nil) |> elem(1) |> done()
 
+  defp event(:situ_moving, state), do: {:noreply, %{state | moves: state.moves + 1}}
   defp event(:situ_recheck, state), do: done(Ending.recheck(state))
   defp event(:situ_enough, state), do: done(Ending.enough(state))
   defp event({:situ_stuck, mark}, state), do: done(Watch.stuck(state, mark))

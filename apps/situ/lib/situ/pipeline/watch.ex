@@ -8,13 +8,13 @@ defmodule Situ.Pipeline.Watch do
   # No counter moved for the whole stop timeout: what still owes an answer is stuck.
   @spec begin(Life.t()) :: reference()
   def begin(state),
-    do: Process.send_after(self(), {:situ_stuck, fingerprint(state)}, state.settings.stop_timeout)
+    do: Process.send_after(self(), {:situ_stuck, mark(state)}, state.settings.stop_timeout)
 
   @doc "The stop timeout has passed: kills what is stuck, unless something has moved since `mark`."
   @spec stuck(Life.t(), term()) :: Life.t()
   def stuck(%{phase: phase, stop_wish: wish} = state, mark)
       when phase == :stopping or (phase == :starting and wish != nil) do
-    if fingerprint(state) == mark, do: kill(state), else: watch_again(state)
+    if mark(state) == mark, do: kill(state), else: watch_again(state)
   end
 
   def stuck(state, _mark), do: state
@@ -70,8 +70,11 @@ defmodule Situ.Pipeline.Watch do
     end
   end
 
-  defp fingerprint(state) do
+  @doc "What stays the same as long as nothing moves."
+  @spec mark(Life.t()) :: term()
+  def mark(state) do
     flows = for {_, ref} <- state.counters, do: Counters.flow(ref)
-    {state.step, MapSet.size(state.pending), map_size(state.active), :erlang.phash2(flows)}
+    waiting = {MapSet.size(state.pending), map_size(state.active)}
+    {state.step, waiting, state.moves, :erlang.phash2(flows)}
   end
 end

@@ -98,7 +98,9 @@ defmodule Situ.Fusion.InputsTest do
     test "says :start when nothing has been yet, and takes a time later than need be" do
       {test, s} = gathering()
       assert {:ok, :start} = Situ.add_input(s.out, "b", s.b)
-      assert {:ok, _} = Situ.remove_input(s.out, "b")
+      assert {:ok, :start} = Situ.remove_input(s.out, "b")
+      assert {:ok, 30} = Situ.add_input(s.out, "b", s.b, from: 30)
+      assert {:ok, :start} = Situ.remove_input(s.out, "b")
       assert {:ok, 20} = Situ.add_input({test.pipeline, "Join"}, "b", s.b.name, from: 20)
       Test.feed(test, :a, [{10, :x}, {20, :x}])
       Test.feed(test, :p, [{10, 1}, {20, 2}])

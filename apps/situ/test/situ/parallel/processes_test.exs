@@ -219,6 +219,47 @@ defmodule Situ.Parallel.ProcessesTest do
     end
   end
 
+  describe "the end" do
+    test "waits for branches that are at work; they are not taken for stuck" do
+      me = self()
+
+      slow = fn n ->
+        send(me, {:at, n, self()})
+        receive do: (:go_on -> n)
+      end
+
+      build = fn p ->
+        p
+        |> Situ.range(0, 3, 1)
+        |> Situ.map(&[&1])
+        |> Situ.parallel(fn s -> Situ.map(s, slow) end, [size: 1] ++ @processes)
+        |> Situ.each(&send(me, {:out, &1}))
+      end
+
+      {:ok, pipeline} = Situ.Pipeline.start(build, pipeline: [replay: [speed: :max]])
+
+      # By its mark the pipeline knows whether anything moves while it ends: after each part it is another one.
+      Enum.reduce(0..2, nil, fn n, before ->
+        assert_receive {:at, ^n, branch}, 10_000
+        ending(pipeline)
+        mark = moved(pipeline, before)
+        send(branch, :go_on)
+        mark
+      end)
+
+      assert {:ok, _} = Situ.Pipeline.await(pipeline)
+      for n <- 0..2, do: assert_received({:out, [^n]})
+    end
+
+    defp moved(pipeline, before) do
+      mark = Situ.Pipeline.Ask.call(pipeline, :mark)
+      if mark == before, do: moved(pipeline, before), else: mark
+    end
+
+    defp ending(pipeline),
+      do: if(Situ.Pipeline.state(pipeline) != :stopping, do: ending(pipeline), else: :ok)
+  end
+
   describe "a branch that fails" do
     test "fails the operator, and is named" do
       build =

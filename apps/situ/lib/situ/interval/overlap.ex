@@ -1,0 +1,69 @@
+defmodule Situ.Interval.Overlap do
+  @moduledoc false
+  # Which points two intervals have in common. Both are ordered: the smaller end on the left.
+  alias Situ.Interval
+
+  @doc "The points in both, or `nil` when there are none."
+  @spec intersection(Interval.t(), Interval.t()) :: Interval.t() | nil
+  def intersection(a, b) do
+    {left, left_inclusive} = later_left(a, b)
+    {right, right_inclusive} = earlier_right(a, b)
+
+    cond do
+      Interval.empty?(a) or Interval.empty?(b) -> nil
+      left == :unbounded or right == :unbounded or left < right -> :overlap
+      left == right and left_inclusive and right_inclusive -> :overlap
+      true -> nil
+    end && Interval.new(left, left_inclusive, right, right_inclusive)
+  end
+
+  @doc "Whether every point of `a` lies in `b`."
+  @spec subset?(Interval.t(), Interval.t()) :: boolean()
+  def subset?(a, b),
+    do: Interval.empty?(a) or (left_within?(a, b) and right_within?(a, b))
+
+  @doc "The smallest interval that holds both."
+  @spec cover(Interval.t(), Interval.t()) :: Interval.t()
+  def cover(a, b) do
+    {left, left_inclusive} = if left_within?(a, b), do: left(b), else: left(a)
+    {right, right_inclusive} = if right_within?(a, b), do: right(b), else: right(a)
+    Interval.new(left, left_inclusive, right, right_inclusive)
+  end
+
+  defp later_left(%{left: :unbounded}, b), do: {b.left, b.left_inclusive}
+  defp later_left(a, %{left: :unbounded}), do: {a.left, a.left_inclusive}
+
+  defp later_left(a, b) do
+    cond do
+      a.left > b.left -> {a.left, a.left_inclusive}
+      a.left < b.left -> {b.left, b.left_inclusive}
+      true -> {a.left, a.left_inclusive and b.left_inclusive}
+    end
+  end
+
+  defp earlier_right(%{right: :unbounded}, b), do: {b.right, b.right_inclusive}
+  defp earlier_right(a, %{right: :unbounded}), do: {a.right, a.right_inclusive}
+
+  defp earlier_right(a, b) do
+    cond do
+      a.right < b.right -> {a.right, a.right_inclusive}
+      a.right > b.right -> {b.right, b.right_inclusive}
+      true -> {a.right, a.right_inclusive and b.right_inclusive}
+    end
+  end
+
+  defp left_within?(_a, %{left: :unbounded}), do: true
+  defp left_within?(%{left: :unbounded}, _b), do: false
+
+  defp left_within?(a, b),
+    do: a.left > b.left or (a.left == b.left and (b.left_inclusive or not a.left_inclusive))
+
+  defp right_within?(_a, %{right: :unbounded}), do: true
+  defp right_within?(%{right: :unbounded}, _b), do: false
+
+  defp right_within?(a, b),
+    do: a.right < b.right or (a.right == b.right and (b.right_inclusive or not a.right_inclusive))
+
+  defp left(i), do: {i.left, i.left_inclusive}
+  defp right(i), do: {i.right, i.right_inclusive}
+end

@@ -1,0 +1,39 @@
+defmodule Situ.Interval.Text do
+  @moduledoc false
+  # The usual notation of intervals: [0,10), (-inf,0].
+  alias Situ.Interval
+
+  @spec parse(String.t()) :: {:ok, Interval.t()} | {:error, Situ.Error.t()}
+  def parse(text) do
+    with [_, open, left, right, close] <- Regex.run(~r/^\s*([\[(])(.+),(.+)([\])])\s*$/, text),
+         {:ok, left} <- parse_bound(String.trim(left), "-inf"),
+         {:ok, right} <- parse_bound(String.trim(right), "inf") do
+      {:ok, Interval.new(left, open == "[", right, close == "]")}
+    else
+      _ ->
+        {:error,
+         Situ.Error.new(:bad_interval, "not an interval: #{inspect(text)}",
+           fix: "write it like [0,10), (-inf,0] or [5,inf)"
+         )}
+    end
+  end
+
+  @spec format(Interval.t()) :: String.t()
+  def format(i) do
+    open = if i.left_inclusive, do: "[", else: "("
+    close = if i.right_inclusive, do: "]", else: ")"
+    left = if i.left == :unbounded, do: "-inf", else: "#{i.left}"
+    right = if i.right == :unbounded, do: "inf", else: "#{i.right}"
+    "#{open}#{left},#{right}#{close}"
+  end
+
+  defp parse_bound(text, text), do: {:ok, :unbounded}
+
+  defp parse_bound(text, _unbounded) do
+    case {Integer.parse(text), Float.parse(text)} do
+      {{integer, ""}, _} -> {:ok, integer}
+      {_, {float, ""}} -> {:ok, float}
+      _ -> :error
+    end
+  end
+end

@@ -1,0 +1,107 @@
+defmodule Situ.Parallel.Fleet do
+  @moduledoc false
+  # The running branches of a parallel operator, each a pipeline of its own: begun, fed, stopped, taken out. A branch whose entrance is
+  # not open yet gets what it is sent as soon as it is.
+  alias Situ.Branch.Process, as: Branch
+  alias Situ.Parallel.Pool
+  alias Situ.Pipeline.{Ask, Launch}
+
+  @type t :: %{Pool.id() => map()}
+
+  @doc "Begins a branch; `timing` as of `Situ.Branch.Process.start!/5`."
+  @spec begin(t(), Pool.id(), (Situ.Stream.t() -> term()), {String.t(), Situ.Type.t(), map()}) ::
+          t()
+  def begin(fleet, id, fun, {path, type, timing}) do
+    built = Branch.start!(fun, id, path, type, timing)
+    monitor = Process.monitor(built.pid)
+    shell = %{monitor: monitor, path: path, gate: nil, early: [], stop: nil}
+    Map.put(fleet, id, Map.merge(built, shell))
+  end
+
+  @doc "Ends branches that are not among those `before`."
+  @spec abandon(t(), t()) :: :ok
+  def abandon(fleet, before) do
+    for {id, branch} <- fleet, not is_map_key(before, id) do
+      Process.demonitor(branch.monitor, [:flush])
+      send(branch.pid, :situ_stop)
+    end
+
+    :ok
+  end
+
+  @doc "Does what the pool says."
+  @spec carry_out(Pool.order(), t()) :: t()
+  def carry_out({:feed, id, message}, fleet), do: feed(fleet, id, message)
+
+  # Only a run of light operators tells what it has passed.
+  def carry_out({:pass, id, time}, fleet),
+    do: if(Map.fetch!(fleet, id).immediate?, do: feed(fleet, id, time), else: fleet)
+
+  def carry_out({:stop, id, time}, fleet) do
+    case Map.fetch!(fleet, id) do
+      %{gate: nil} = branch ->
+        %{fleet | id => %{branch | stop: time}}
+
+      branch ->
+        Branch.stop(branch.pid, time)
+        fleet
+    end
+  end
+
+  @doc "The entrance of a branch is there."
+  @spec opened(t(), Pool.id(), pid()) :: t()
+  def opened(fleet, id, gate) do
+    branch = Map.fetch!(fleet, id)
+    for entry <- Enum.reverse(branch.early), do: Branch.feed(gate, entry)
+    if branch.stop, do: Branch.stop(branch.pid, branch.stop)
+    %{fleet | id => %{branch | gate: gate, early: []}}
+  end
+
+  @doc "A branch has ended."
+  @spec remove(t(), Pool.id()) :: t()
+  def remove(fleet, id) do
+    {branch, fleet} = Map.pop!(fleet, id)
+    Process.demonitor(branch.monitor, [:flush])
+    fleet
+  end
+
+  @doc "What a message says of the end of a branch of this fleet."
+  @spec ended(term(), t()) :: {Pool.id(), Situ.Pipeline.result()} | nil
+  def ended({id, result}, fleet) when is_map_key(fleet, id), do: {id, result}
+
+  def ended({:DOWN, _monitor, :process, pid, reason}, fleet) do
+    with {id, branch} <- Enum.find(fleet, fn {_, branch} -> branch.pid == pid end),
+         do: {id, {:error, killed(branch.path, reason)}}
+  end
+
+  def ended(_other, _fleet), do: nil
+
+  @doc "Whether one of these is in the middle of something; a run of light operators says so itself when it is through."
+  @spec at_work?(t(), [Pool.id()]) :: boolean()
+  def at_work?(fleet, ids) do
+    Enum.any?(ids, fn id ->
+      branch = Map.fetch!(fleet, id)
+      branch.immediate? or Ask.call(branch.pid, :quiet?) != true
+    end)
+  end
+
+  @doc "What changes as long as the branches get on."
+  @spec marks(t()) :: term()
+  def marks(fleet), do: for({id, branch} <- fleet, do: {id, Ask.call(branch.pid, :mark)})
+
+  defp feed(fleet, id, entry) do
+    case Map.fetch!(fleet, id) do
+      %{gate: nil} = branch ->
+        %{fleet | id => %{branch | early: [entry | branch.early]}}
+
+      %{gate: gate} ->
+        Branch.feed(gate, entry)
+        fleet
+    end
+  end
+
+  defp killed(path, reason) do
+    what = "#{path} was killed: #{inspect(reason, limit: 8)}"
+    %{Launch.crashed(reason) | code: :branch_killed, what: what}
+  end
+end

@@ -1,0 +1,50 @@
+defmodule Situ.Test.Rest do
+  @moduledoc false
+  # Waits until nothing is under way in a pipeline that runs by a manual clock, without sleeping.
+  alias Situ.Clock
+  alias Situ.Parallel.Processes
+
+  @spec reach(pid(), Clock.t()) :: :ok
+  def reach(pipeline, clock), do: reach(pipeline, clock, nil)
+
+  # A round asks every process once. When it has changed nothing, and no alarm is due, nothing is under way.
+  defp reach(pipeline, clock, before) do
+    case Process.info(pipeline, :links) do
+      nil ->
+        :ok
+
+      {:links, _links} ->
+        now = round(pipeline, Clock.now(clock))
+        if now == before and :due not in now, do: :ok, else: reach(pipeline, clock, now)
+    end
+  end
+
+  # The pipeline's process and its stages, and of branches in processes theirs.
+  defp round(pipeline, now) do
+    case Process.info(pipeline, :links) do
+      {:links, links} ->
+        stages = for pid <- [pipeline | links], is_pid(pid), pid != self(), do: pid
+        Enum.flat_map(stages, &look(&1, now))
+
+      nil ->
+        [:ended]
+    end
+  end
+
+  # Asking comes after all that was sent before, and is answered after it was dealt with.
+  defp look(pid, now) do
+    case :sys.get_state(pid) do
+      %Situ.Stage{alarm: {due, _wait, _ref}} when due <= now ->
+        [:due]
+
+      %Situ.Stage{core: %Processes{} = core} = state ->
+        branches = Enum.flat_map(Processes.pipelines(core), &round(&1, now))
+        [:erlang.phash2(state) | branches]
+
+      state ->
+        [:erlang.phash2(state)]
+    end
+  catch
+    :exit, _ended -> [:ended]
+  end
+end
