@@ -68,6 +68,7 @@ defmodule Situ.ReproducibleTest do
     one_of([
       {:join, interpolator()},
       {:join_or_default, interpolator()},
+      {:join_keyed, interpolator()},
       :zip,
       {:interpolate, interpolator()},
       {:window_by, integer(0, 10)}
@@ -164,6 +165,9 @@ defmodule Situ.ReproducibleTest do
 
   defp two({:join_or_default, i}, a, b, opts),
     do: Situ.join(a, b, interpolator(i, or_default: 0), opts)
+
+  defp two({:join_keyed, i}, a, b, opts),
+    do: Situ.join(a, %{b: b, same: a}, interpolator(i, or_default: 0), opts)
 
   defp two(:zip, a, b, opts), do: Situ.zip(a, b, opts)
   defp two({:interpolate, i}, a, b, opts), do: Situ.interpolate(a, b, interpolator(i, []), opts)

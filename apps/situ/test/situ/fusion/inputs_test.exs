@@ -172,6 +172,29 @@ defmodule Situ.Fusion.InputsTest do
       Test.stop(test)
     end
 
+    test "is there again when the fusion's process is killed and begun anew" do
+      {test, s} = gathering(on_error: :restart)
+      assert {:ok, 5} = Situ.add_input(s.out, :b, s.b, from: 5)
+      assert {:ok, 8} = Situ.remove_input(s.out, :a, until: 8)
+      {:links, links} = Process.info(test.pipeline, :links)
+
+      [fusion] =
+        for pid <- links,
+            is_pid(pid),
+            match?(%Situ.Stage{module: Fusion.Gather}, :sys.get_state(pid)),
+            do: pid
+
+      monitor = Process.monitor(fusion)
+      Process.exit(fusion, :kill)
+      assert_receive {:DOWN, ^monitor, :process, _, :killed}
+      Test.settle(test)
+      Test.feed(test, :a, [{5, :x}, {10, :x}])
+      Test.feed(test, :b, [{5, :y}, {10, :z}])
+      Test.feed(test, :p, [{5, 5}, {10, 10}])
+      assert out(test) == [{5, {5, %{a: :x, b: :y}}}, {10, {10, %{b: :z}}}]
+      assert {:ok, _} = Test.stop(test)
+    end
+
     test "is shown in the graph, with its counters" do
       {test, s} = gathering()
       {:ok, _} = Situ.add_input(s.out, :b, s.b)
