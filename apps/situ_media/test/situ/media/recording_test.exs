@@ -189,6 +189,68 @@ defmodule Situ.Media.RecordingTest do
     assert {:error, %{code: :changed}} = Store.at(store, "Video", 10)
   end
 
+  test "a file with wrong bytes is an error or a recording, never a crash", %{tmp_dir: root} do
+    bytes = File.read!(mp4(root))
+    :rand.seed(:exsss, {1, 2, 3})
+    broken = Path.join(root, "broken.mp4")
+
+    for _ <- 1..8 do
+      hits =
+        for _ <- 1..20,
+            into: %{},
+            do: {:rand.uniform(byte_size(bytes)) - 1, :rand.uniform(256) - 1}
+
+      # The index of an MP4 is its last kilobytes: half of the hits go there.
+      tail =
+        for _ <- 1..10,
+            into: hits,
+            do: {byte_size(bytes) - :rand.uniform(3_000), :rand.uniform(256) - 1}
+
+      File.write!(
+        broken,
+        for(
+          {b, i} <- Enum.with_index(:binary.bin_to_list(bytes)),
+          into: <<>>,
+          do: <<Map.get(tail, i, b)>>
+        )
+      )
+
+      case Store.open(broken) do
+        {:error, error} ->
+          assert error.code in [:unreadable_media, :damaged_media]
+
+        {:ok, store} ->
+          for %{name: name} = info <- Store.streams(store) do
+            assert info.count <= 1_000
+            assert {status, _} = Store.read(store, name, limit: 70)
+            assert status in [:ok, :error]
+          end
+      end
+    end
+  end
+
+  test "a list of packets is taken in as it comes, however it is cut or wrong" do
+    alias Situ.Media.Recording.Packets
+
+    list =
+      "packet,0,512,0,512,100,K_\npacket,1,-1024,-1024,1024,7,KD,side_data,\n\npacket,0,N/A,512,512,9,__\n" <>
+        "packet,1,0,0,1024,8,K_\npacket,9,x\nstream,0,1/12800\nstream,1,0/0\nformat,0.040000\npacket,0," <>
+        "99999999999999999999999999,0,1,1,__\n"
+
+    whole = Packets.feed(Packets.new(0, 1), list)
+    assert whole.pictures == [{0, false}, {512, false}, {512, true}]
+    assert {whole.vague?, whole.sound_end, whole.zero} == {true, 1024, 40_000}
+
+    assert {whole.bases, whole.picture_bytes, whole.sound_bytes} ==
+             {%{"0" => {1, 12_800}}, 110, 15}
+
+    for n <- 1..40 do
+      parts = for <<part::binary-size(n) <- list>>, do: part
+      rest = binary_part(list, length(parts) * n, byte_size(list) - length(parts) * n)
+      assert Enum.reduce(parts ++ [rest], Packets.new(0, 1), &Packets.feed(&2, &1)) == whole
+    end
+  end
+
   test "the processes behind a file end when nobody asks, and come back", %{tmp_dir: root} do
     store = Store.open!(mp4(root))
     {:ok, first} = Store.at(store, "Video", 0)

@@ -13,6 +13,7 @@ defmodule Situ.Media.Recording.Index do
   """
   alias Situ.Error
   alias Situ.Media.{FFmpeg, FileInfo, Nut}
+  alias Situ.Media.Recording.Packets
 
   defstruct pictures: <<>>, keys: <<>>, picture_bytes: 0, sound_end: nil, sound_bytes: 0
 
@@ -25,166 +26,83 @@ defmodule Situ.Media.Recording.Index do
         }
 
   @seconds 120
+  # Ten years: no time in a file is beyond.
+  @longest 315_360_000_000_000_000
   @packets "format=start_time:stream=index,time_base:packet=stream_index,pts,dts,duration,size,flags"
   @frames "frame=best_effort_timestamp,key_frame"
 
   @doc "Reads the packets of the file. Gives up after two minutes."
   @spec read(Path.t(), FileInfo.t()) :: {:ok, t()} | {:error, Error.t()}
   def read(path, %FileInfo{} = info) do
-    with {:ok, packets} <- probe(path, info, ["-show_entries", @packets]) do
-      rows = rows(packets)
+    new = Packets.new(info.video && info.video.index, info.audio && info.audio.index)
 
-      if vague?(rows, info),
-        do: {:ok, build(rows ++ frames(path, info), info)},
-        else: {:ok, build(rows, info)}
+    with {:ok, packets} <- probe(path, info, ["-show_entries", @packets], new) do
+      {:ok, build(info, if(packets.vague?, do: frames(path, info, packets), else: packets))}
     end
   end
 
   # Some old containers (AVI, MPEG-PS) leave out times, and only a decoder can tell which picture comes when. Where that
   # takes too long, the order of the packets has to do.
-  defp frames(path, info) do
+  defp frames(path, info, packets) do
     args = ["-select_streams", "#{info.video.index}", "-show_entries", @frames]
 
-    case probe(path, info, args) do
-      {:ok, out} -> rows(out)
-      {:error, _} -> []
+    case probe(path, info, args, %{packets | rest: ""}) do
+      {:ok, %{frames: [_ | _]} = packets} -> %{packets | pictures: packets.frames}
+      _ -> packets
     end
   end
 
-  defp probe(path, info, entries) do
+  defp probe(path, info, entries, into) do
     args =
-      ~w(-k 1 #{@seconds} ffprobe -hide_banner -loglevel quiet -of compact=nokey=0:item_sep=;) ++
+      ~w(-k 1 #{@seconds} ffprobe -hide_banner -loglevel quiet -of csv) ++
         entries ++ FFmpeg.local_file(path)
 
-    case System.cmd("timeout", args, env: []) do
+    case System.cmd("timeout", args, env: [], into: into) do
       # What ffprobe could list is what can be read, also when it stumbled at the end.
-      {out, status} when status != 124 and out != "" -> {:ok, out}
+      {packets, status} when status not in [124, 137] -> {:ok, packets}
       {_, _} -> {:error, unreadable(info)}
     end
   end
 
-  defp rows(text), do: text |> String.split("\n", trim: true) |> Enum.map(&row/1)
-
-  defp vague?(_rows, %{video: nil}), do: false
-
-  defp vague?(rows, %{video: %{index: id}}),
-    do: rows |> of(id) |> Enum.any?(&(number(&1["pts"]) == nil))
-
-  defp build(rows, info) do
-    bases = for {"stream", %{"index" => i} = r} <- rows, into: %{}, do: {i, base(r["time_base"])}
-
-    zero =
-      Enum.find_value(rows, 0, fn
-        {"format", %{"start_time" => t}} -> not info.exact? && microseconds(t)
-        _ -> nil
-      end) || 0
-
-    %__MODULE__{} |> add_pictures(info, rows, bases, zero) |> add_sound(info, rows, bases, zero)
-  end
-
-  # "packet;stream_index=0;pts=512;..."; ffprobe separates side data by another "|".
-  defp row(line) do
-    [kind | fields] = line |> String.split("|", parts: 2) |> hd() |> String.split(";")
-
-    {kind,
-     for(
-       f <- fields,
-       [key, value] <- [String.split(f, "=", parts: 2)],
-       into: %{},
-       do: {key, value}
-     )}
-  end
-
-  defp base(text) do
-    case text && String.split(text, "/") |> Enum.map(&Integer.parse/1) do
-      [{num, ""}, {den, ""}] when num > 0 and den > 0 -> {num, den}
-      _ -> nil
-    end
-  end
-
-  defp microseconds(text) do
-    case Float.parse(text) do
-      {seconds, ""} -> round(seconds * 1.0e6)
-      _ -> nil
-    end
-  end
-
-  defp add_pictures(index, %{video: nil}, _rows, _bases, _zero), do: index
-
-  defp add_pictures(index, %{video: %{index: id}}, rows, bases, zero) do
-    packets = of(rows, id)
-    frames = for {"frame", row} <- rows, do: row
-    base = bases["#{id}"]
+  defp build(info, packets) do
+    video = packets.bases[packets.video]
+    audio = packets.bases[packets.audio]
+    zero = if info.exact?, do: 0, else: packets.zero
 
     pictures =
-      for row <- if(frames == [], do: packets, else: frames),
-          not discarded?(row),
-          time = time(row, base, zero),
-          time >= 0,
-          do: {time, key?(row)}
+      for {ticks, key?} <- if(video, do: packets.pictures, else: []),
+          time = time(ticks, video, zero),
+          time >= 0 and time < @longest,
+          do: {time, key?}
 
     pictures = pictures |> Enum.sort() |> Enum.dedup_by(&elem(&1, 0))
-
     keys = for {{_, true}, ordinal} <- Enum.with_index(pictures), into: <<>>, do: <<ordinal::32>>
 
-    %{
-      index
-      | pictures: for({time, _} <- pictures, into: <<>>, do: <<time::64>>),
-        keys: keys,
-        picture_bytes: bytes(packets)
+    %__MODULE__{
+      pictures: for({time, _} <- pictures, into: <<>>, do: <<time::64>>),
+      keys: keys,
+      picture_bytes: packets.picture_bytes,
+      sound_end: sound_end(info, packets.sound_end, audio, zero),
+      sound_bytes: packets.sound_bytes
     }
   end
 
-  defp add_sound(index, %{audio: nil}, _rows, _bases, _zero), do: index
+  # MP4 and its kin say exactly how long the sound is; others are believed packet by packet.
+  defp sound_end(%{audio: nil}, _ticks, _base, _zero), do: nil
 
-  defp add_sound(index, %{audio: %{index: id} = audio} = info, rows, bases, zero) do
-    mine = of(rows, id)
+  defp sound_end(%{format: "mov" <> _, audio: %{duration: stated}}, _ticks, _base, _zero)
+       when is_integer(stated),
+       do: stated
 
-    ends =
-      for packet <- mine,
-          not discarded?(packet),
-          time = time(packet, bases["#{id}"], zero),
-          do: time + length_ns(packet, bases["#{id}"])
+  defp sound_end(_info, ticks, base, zero) when ticks != nil and base != nil,
+    do: ticks |> time(base, zero) |> max(0) |> min(@longest)
 
-    # MP4 and its kin say exactly how long the sound is; others are believed packet by packet.
-    stated = if match?("mov" <> _, info.format), do: audio.duration
-    %{index | sound_end: stated || Enum.max(ends, fn -> 0 end), sound_bytes: bytes(mine)}
-  end
-
-  defp of(rows, id) do
-    id = "#{id}"
-    for {"packet", %{"stream_index" => ^id} = row} <- rows, do: row
-  end
-
-  defp bytes(packets), do: packets |> Enum.map(&(number(&1["size"]) || 0)) |> Enum.sum()
-  defp key?(row), do: row["key_frame"] == "1" or String.starts_with?(row["flags"] || "", "K")
-  defp discarded?(row), do: String.contains?(row["flags"] || "", "D")
+  defp sound_end(_info, _ticks, _base, _zero), do: 0
 
   # As ffmpeg's `-start_at_zero` does it: the file's start, in microseconds, rounded to the stream's ticks.
-  defp time(row, {num, den} = base, zero) do
-    case number(row["pts"] || row["best_effort_timestamp"]) || number(row["dts"]) do
-      nil ->
-        nil
-
-      ticks ->
-        Nut.to_ns(
-          ticks - Integer.floor_div(2 * zero * den + num * 1_000_000, 2 * num * 1_000_000),
-          base
-        )
-    end
-  end
-
-  defp time(_row, nil, _zero), do: nil
-
-  defp length_ns(packet, base), do: Nut.to_ns(number(packet["duration"]) || 0, base)
-
-  defp number(nil), do: nil
-
-  defp number(text) do
-    case Integer.parse(text) do
-      {n, ""} -> n
-      _ -> nil
-    end
+  defp time(ticks, {num, den} = base, zero) do
+    shift = Integer.floor_div(2 * zero * den + num * 1_000_000, 2 * num * 1_000_000)
+    Nut.to_ns(ticks - shift, base)
   end
 
   defp unreadable(info) do

@@ -1,0 +1,107 @@
+defmodule Situ.Media.Recording.Packets do
+  @moduledoc false
+  # What ffprobe lists (`-of csv`), taken in as it comes and kept small: a tick and a flag of every picture, and where the
+  # sound ends. A hostile file can make the list long, not large.
+
+  @most 5_000_000
+
+  defstruct [:video, :audio] ++
+              [rest: "", pictures: [], count: 0, vague?: false, frames: [], zero: 0, bases: %{}] ++
+              [picture_bytes: 0, sound_bytes: 0, sound_end: nil]
+
+  @type t :: %__MODULE__{}
+
+  @doc "For the streams with these indexes (`nil`: there is none)."
+  @spec new(non_neg_integer() | nil, non_neg_integer() | nil) :: t()
+  def new(video, audio), do: %__MODULE__{video: index(video), audio: index(audio)}
+
+  defp index(nil), do: nil
+  defp index(n), do: Integer.to_string(n)
+
+  @doc "The next bytes of the list."
+  @spec feed(t(), binary()) :: t()
+  def feed(packets, bytes) do
+    lines = String.split(packets.rest <> bytes, "\n")
+    {whole, [rest]} = Enum.split(lines, -1)
+    Enum.reduce(whole, %{packets | rest: rest}, &line/2)
+  end
+
+  defp line(line, packets), do: line |> String.split(",") |> row(packets)
+
+  defp row(["packet", id, pts, dts, _duration, size, flags | _], %{video: id} = packets) do
+    packets = %{packets | picture_bytes: packets.picture_bytes + (number(size) || 0)}
+    ticks = number(pts)
+
+    cond do
+      # Decoded, never shown.
+      String.contains?(flags, "D") -> packets
+      ticks == nil -> picture(%{packets | vague?: true}, number(dts), flags)
+      true -> picture(packets, ticks, flags)
+    end
+  end
+
+  defp row(["packet", id, pts, dts, duration, size, flags | _], %{audio: id} = packets) do
+    ticks = number(pts) || number(dts)
+    packets = %{packets | sound_bytes: packets.sound_bytes + (number(size) || 0)}
+
+    if ticks && not String.contains?(flags, "D"),
+      do: %{packets | sound_end: later(ticks + (number(duration) || 0), packets.sound_end)},
+      else: packets
+  end
+
+  defp row(["frame", key, ticks | _], packets) do
+    case number(ticks) do
+      nil -> packets
+      ticks -> %{packets | frames: [{ticks, key == "1"} | packets.frames]}
+    end
+  end
+
+  defp row(["stream", id, base | _], packets) do
+    case base |> String.split("/") |> Enum.map(&number/1) do
+      [num, den] when is_integer(num) and is_integer(den) and num > 0 and den > 0 ->
+        %{packets | bases: Map.put(packets.bases, id, {num, den})}
+
+      _ ->
+        packets
+    end
+  end
+
+  defp row(["format", start | _], packets) do
+    case Float.parse(start) do
+      {seconds, ""} when abs(seconds) < 1.0e9 -> %{packets | zero: round(seconds * 1.0e6)}
+      _ -> packets
+    end
+  end
+
+  defp row(_, packets), do: packets
+
+  defp picture(%{count: count} = packets, ticks, _flags) when ticks == nil or count >= @most,
+    do: packets
+
+  defp picture(packets, ticks, flags) do
+    entry = {ticks, String.starts_with?(flags, "K")}
+    %{packets | pictures: [entry | packets.pictures], count: packets.count + 1}
+  end
+
+  defp later(ticks, nil), do: ticks
+  defp later(ticks, last), do: max(ticks, last)
+
+  # No file counts beyond 63 bits.
+  defp number(text) do
+    case Integer.parse(text) do
+      {n, ""} when abs(n) < 0x7FFFFFFFFFFFFFFF -> n
+      _ -> nil
+    end
+  end
+
+  defimpl Collectable do
+    def into(packets) do
+      {packets,
+       fn
+         packets, {:cont, bytes} -> @for.feed(packets, bytes)
+         packets, :done -> @for.feed(packets, "\n")
+         _packets, :halt -> :ok
+       end}
+    end
+  end
+end
