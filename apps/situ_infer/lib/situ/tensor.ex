@@ -15,6 +15,9 @@ defmodule Situ.Tensor do
   """
   @behaviour Situ.Codec
 
+  # Nx is there when the application brings it.
+  @compile {:no_warn_undefined, [Nx]}
+
   @types [:f32, :f64, :s8, :s16, :s32, :s64, :u8, :u16, :u32, :u64, :bool]
   @sizes %{f32: 4, f64: 8, s8: 1, s16: 2, s32: 4, s64: 8, u8: 1, u16: 2, u32: 4, u64: 8, bool: 1}
 

@@ -200,7 +200,9 @@ defmodule Situ.Image do
     with {:ok, _} <- fetch_pixel(image, x, y) do
       pixel = Color.pack(image.format, color)
       offset = y * image.stride + x * byte_size(pixel)
-      <<before::binary-size(offset), _::binary-size(byte_size(pixel)), rest::binary>> = image.data
+      behind = offset + byte_size(pixel)
+      before = binary_part(image.data, 0, offset)
+      rest = binary_part(image.data, behind, byte_size(image.data) - behind)
       {:ok, %{image | data: <<before::binary, pixel::binary, rest::binary>>}}
     end
   end

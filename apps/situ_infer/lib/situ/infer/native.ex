@@ -4,7 +4,7 @@ defmodule Situ.Infer.Native do
   @on_load :load
 
   def load do
-    path = :filename.join([:code.priv_dir(:situ_infer), 'native', 'situ_infer_nif'])
+    path = :filename.join([:code.priv_dir(:situ_infer), ~c"native", ~c"situ_infer_nif"])
     :erlang.load_nif(path, 0)
   end
 

@@ -92,7 +92,9 @@ defmodule Situ.Image.Format do
   @doc "The channel values of one pixel's bytes."
   @spec unpack(t(), binary()) :: [non_neg_integer()]
   def unpack(format, bytes) do
-    bits = bits_per_channel(format)
-    for <<v::little-size(bits) <- bytes>>, do: v
+    case bits_per_channel(format) do
+      8 -> :binary.bin_to_list(bytes)
+      16 -> for <<v::little-16 <- bytes>>, do: v
+    end
   end
 end

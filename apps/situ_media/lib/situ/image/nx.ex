@@ -9,6 +9,7 @@ defmodule Situ.Image.Nx do
 
   Tensors are in the machine's byte order, which on every machine that Situ supports is the little-endian of its structs.
   """
+  @compile {:no_warn_undefined, [Nx]}
   alias Situ.{AudioBuffer, AudioFormat, DepthImage, Error, Image}
   alias Situ.Image.Format
 

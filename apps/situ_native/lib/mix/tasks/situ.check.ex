@@ -22,7 +22,7 @@ defmodule Mix.Tasks.Situ.Check do
         Mix.shell().info("architecture: #{length(modules)} modules, every edge is allowed")
 
       problems ->
-        Enum.each(problems, &Mix.shell().error/1)
+        Enum.each(problems, fn problem -> Mix.shell().error(problem) end)
         Mix.raise("#{length(problems)} edge(s) between apps that the architecture does not allow")
     end
   end

@@ -52,41 +52,8 @@ defmodule Situ.Studio.Sound do
     {from, rate, parts |> Enum.reverse() |> IO.iodata_to_binary()}
   end
 
-  defp floats(%AudioBuffer{format: format, data: data}, channel) do
-    bits = 8 * AudioFormat.bytes_per_sample(format)
-    before = bits * channel
-    rest = bits * (format.channels - channel - 1)
-
-    case format.sample do
-      :s16 ->
-        for <<_::size(before), v::little-signed-16, _::size(rest) <- data>>,
-          into: <<>>,
-          do: <<v / 32_768::little-float-32>>
-
-      :u8 ->
-        for <<_::size(before), v, _::size(rest) <- data>>,
-          into: <<>>,
-          do: <<(v - 128) / 128::little-float-32>>
-
-      :s24 ->
-        for <<_::size(before), v::little-signed-24, _::size(rest) <- data>>,
-          into: <<>>,
-          do: <<v / 8_388_608::little-float-32>>
-
-      :s32 ->
-        for <<_::size(before), v::little-signed-32, _::size(rest) <- data>>,
-          into: <<>>,
-          do: <<v / 2_147_483_648::little-float-32>>
-
-      :f32 ->
-        for <<_::size(before), v::little-float-32, _::size(rest) <- data>>,
-          into: <<>>,
-          do: <<v::little-float-32>>
-
-      :f64 ->
-        for <<_::size(before), v::little-float-64, _::size(rest) <- data>>,
-          into: <<>>,
-          do: <<v::little-float-32>>
-    end
+  defp floats(buffer, channel) do
+    gains = for c <- 1..buffer.format.channels, do: if(c == channel + 1, do: 1, else: 0)
+    AudioBuffer.remix!(buffer, [gains], sample: :f32).data
   end
 end

@@ -41,12 +41,12 @@ defmodule Situ.Infer.Voice.Chunker do
   defp power(<<_::32, rest::binary>>, sum), do: power(rest, sum)
   defp power(<<>>, sum), do: sum
 
-  defp cut(bytes, size, chunks) do
-    case bytes do
-      <<chunk::binary-size(size), rest::binary>> -> cut(rest, size, [chunk | chunks])
-      rest -> {chunks, :binary.copy(rest)}
-    end
+  defp cut(bytes, size, chunks) when byte_size(bytes) >= size do
+    rest = binary_part(bytes, size, byte_size(bytes) - size)
+    cut(rest, size, [binary_part(bytes, 0, size) | chunks])
   end
+
+  defp cut(rest, _size, chunks), do: {chunks, :binary.copy(rest)}
 
   # Newest first in, oldest first out. Times always grow, also when a device's clock steps back.
   defp stamp(newest_first, end_time, chunker) do

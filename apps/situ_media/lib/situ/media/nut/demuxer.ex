@@ -92,7 +92,7 @@ defmodule Situ.Media.Nut.Demuxer do
          :ok <- check_header(size, startcode <> size_bytes, demuxer),
          {:ok, bytes} <- read(demuxer, size),
          body = binary_part(bytes, 0, size - 4),
-         <<_::binary-size(size - 4), sum::32>> = bytes,
+         <<sum::32>> = binary_part(bytes, size - 4, 4),
          :ok <- check(Nut.crc(body) == sum, {:bad_checksum, name}) do
       parse(name, body, demuxer)
     end

@@ -176,10 +176,8 @@ defmodule Situ.Media.Nut.Headers do
   defp bytes(body) do
     {size, rest} = v(body)
 
-    case rest do
-      <<bytes::binary-size(size), rest::binary>> -> {bytes, rest}
-      _ -> throw({:bad_header, :short})
-    end
+    if size > byte_size(rest), do: throw({:bad_header, :short})
+    {binary_part(rest, 0, size), binary_part(rest, size, byte_size(rest) - size)}
   end
 
   defp repeat(n, body, fun), do: repeat(n, body, fun, [])

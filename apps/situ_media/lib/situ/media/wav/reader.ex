@@ -203,10 +203,7 @@ defmodule Situ.Media.Wav.Reader do
   defp recorded_at(<<_id::binary-size(4), size::little-32, rest::binary>>) do
     skip = size + rem(size, 2)
 
-    case rest do
-      <<_::binary-size(skip), rest::binary>> -> recorded_at(rest)
-      _ -> nil
-    end
+    if skip <= byte_size(rest), do: recorded_at(binary_part(rest, skip, byte_size(rest) - skip))
   end
 
   defp recorded_at(_), do: nil
