@@ -3,7 +3,7 @@ defmodule Situ.Conformance.Operators do
   alias Situ.Conformance.{Formula, Run}
 
   @operations ~w(to_enumerable to_observable subpipeline.passthrough first last select where edit_stream time_of latency delay
-                 nullable_select item1 item2 flip process do name bridge_to pipe_to)
+                 nullable_select item1 item2 flip event_source process do name bridge_to pipe_to)
 
   def operation?(op), do: op in @operations or String.starts_with?(op, "aggregate")
 
@@ -39,6 +39,69 @@ defmodule Situ.Conformance.Operators do
 
     Situ.Test.stop(test)
     verdict(expect, %{"has_subscribers" => Enum.reverse(answers)})
+  end
+
+  # By the clock: how many came, none earlier than its delay.
+  def check(%{"op" => "delay", "params" => params, "expect" => %{} = expect} = case) do
+    delay = duration(params, "delay")
+    [%{"messages" => messages}] = case["inputs"]
+    last = messages |> Enum.map(&time/1) |> Enum.max(fn -> 0 end)
+
+    test =
+      Situ.Test.start([:in], fn %{in: stream} -> stream |> Situ.delay(delay) |> Situ.latency() end)
+
+    Situ.Test.feed(test, :in, timed(messages))
+    Situ.Test.advance(test, last)
+    early = Situ.Test.outputs(test)
+    Situ.Test.advance(test, delay)
+    latencies = for {_, latency} <- early ++ Situ.Test.outputs(test), do: latency
+    Situ.Test.stop(test)
+
+    if Enum.all?(latencies, &(&1 >= delay)),
+      do:
+        verdict(
+          Map.take(expect, ["count"]),
+          Map.take(%{"count" => length(latencies)}, Map.keys(expect))
+        ),
+      else: {:fail, expect, latencies}
+  end
+
+  # What other processes post, converted or not.
+  def check(%{"op" => "event_source", "params" => params} = case) do
+    me = self()
+    convert = if f = params["function"] || params["converter"], do: Formula.of_one(f), else: & &1
+
+    events =
+      params["events"] || params["posted"] ||
+        for(i <- case["inputs"], m <- i["messages"], do: m["v"])
+
+    {:ok, pipeline} =
+      Situ.Pipeline.start(
+        fn p ->
+          p
+          |> Situ.event_source(&send(me, {:post, &1}), fn _ -> send(me, :unsubscribed) end)
+          |> Situ.each(&send(me, {:value, &1}))
+        end,
+        []
+      )
+
+    post = receive do: ({:post, post} -> post)
+    for event <- events, do: post.(convert.(event))
+    got = for _ <- events, do: receive(do: ({:value, value} -> value))
+    {:ok, _} = Situ.Pipeline.stop(pipeline)
+    unsubscribed? = receive do: (:unsubscribed -> true), after: (0 -> false)
+
+    case case["expect"] do
+      %{} = expect ->
+        all = %{"values" => got, "received" => got, "unsubscribed" => unsubscribed?}
+        verdict(expect, Map.take(all, Map.keys(expect)))
+
+      [%{"v" => _} | _] = messages ->
+        verdict(Enum.map(messages, & &1["v"]), got)
+
+      values ->
+        verdict(values, got)
+    end
   end
 
   def check(%{"op" => "subpipeline.passthrough", "params" => params} = case) do

@@ -1,6 +1,6 @@
 defmodule Situ.Conformance.PipelineLifecycle do
   # Completion, stopping, errors, order of start and of finalisation, clock, progress, composites.
-  import Situ.Conformance.Case, only: [verdict: 2, timed: 1, ms: 1]
+  import Situ.Conformance.Case, only: [attempt: 1, outputs: 2, verdict: 2, timed: 1, ms: 1]
   alias Situ.Conformance.Formula
   alias Situ.Pipeline
 
@@ -153,7 +153,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
     end
   end
 
-  @operations ~w(completion dispose events run error order clock progress finalization finalization_order subpipeline connector)
+  @operations ~w(completion dispose events run error order clock progress finalization finalization_order subpipeline connector add_component)
 
   def operation?(op), do: op in @operations
 
@@ -230,6 +230,16 @@ defmodule Situ.Conformance.PipelineLifecycle do
     result = Pipeline.run(fn p -> for _ <- 1..n, do: Situ.source(p, Situ.Pipeline.Empty, []) end)
 
     verdict(case["expect"], %{"completed" => match?({:ok, _}, result), "errors" => errors(result)})
+  end
+
+  # The graph of a running pipeline is fixed.
+  def check(%{"op" => "add_component"} = case) do
+    p = Pipeline.new()
+    Situ.source(p, Source, kind: :infinite)
+    :ok = Pipeline.start(p)
+    result = attempt(fn -> Situ.range(p, 0, 10, 100) end)
+    Pipeline.stop(p)
+    outputs(case, result)
   end
 
   def check(%{"op" => "error", "params" => params} = case) do
