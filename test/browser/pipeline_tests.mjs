@@ -5,7 +5,7 @@ const { main } = JSON.parse(process.argv[2]);
 
 async function graph(page, path) {
   await page.goto(`${main}/p/${path}`);
-  await until(page, () => document.querySelector("#graph")?.dataset.drawn >= 1 && document.querySelector(".graph .node"), "the graph is drawn");
+  await until(page, () => document.querySelector("#graph svg")?.dataset.drawn >= 1 && document.querySelector(".graph .node"), "the graph is drawn");
 }
 
 const nodes = (page) => page.$$eval(".graph .node", (n) => n.map((e) => e.dataset.path).sort());
@@ -49,10 +49,10 @@ test("7 pipeline: any statistic colours it, and the numbers move", async ({ page
   await page.selectOption("#heat select", "processed");
   const key = await page.$eval(".graph .edge", (e) => e.dataset.key);
   await until(page, (k) => parseFloat(document.querySelector(`.graph .edge[data-key="${k}"] .number`).textContent) > 0, "messages are counted", key);
-  const drawn = await page.$eval("#graph", (e) => e.dataset.drawn);
+  const drawn = await page.$eval("#graph svg", (e) => e.dataset.drawn);
   const before = await number(page, key);
   await until(page, ([k, b]) => document.querySelector(`.graph .edge[data-key="${k}"] .number`).textContent !== b, "the count grows", [key, before]);
-  equal(await page.$eval("#graph", (e) => e.dataset.drawn), drawn, "without laying it out anew");
+  equal(await page.$eval("#graph svg", (e) => e.dataset.drawn), drawn, "without laying it out anew");
   await page.selectOption("#heat select", "memory");
   await until(page, () => [...document.querySelectorAll(".graph .node .sub")].every((e) => /B$/.test(e.textContent)), "memory stands in the components");
   await shot("pipeline-memory");

@@ -168,7 +168,7 @@ test("4 pictures: the one at the cursor, with rectangles over it", async ({ page
   const id = await panelOf(page, "Camera.Image");
   for (const s of [10, 33, 50]) {
     await dispatch(page, { type: "cursor", t: s * S + 3e8 });
-    await until(page, ([i, at]) => document.getElementById(i).dataset.at === String(at), `the picture of second ${s} is there`, [id, s * S]);
+    await until(page, ([i, at]) => document.querySelector(`#${i} canvas`).dataset.at === String(at), `the picture of second ${s} is there`, [id, s * S]);
     await settled(page);
     const [r, g, b] = await pixel(page, `#${id} canvas`, 0.75, 0.5);
     equal([r, g, b], color(s), `colour of second ${s}`);
@@ -185,7 +185,7 @@ test("4 a film: picture and waveform of an MP4, scrubbed back and forth", async 
     const asked = Date.now();
     await dispatch(page, { type: "cursor", t: s * S + 5e8 });
     // the picture is shown from its time on: 25 a second, 12 of them in half a second
-    await until(page, ([i, at]) => document.getElementById(i).dataset.at === String(at), `the picture of second ${s} is there`, [id, s * S + 48e7]);
+    await until(page, ([i, at]) => document.querySelector(`#${i} canvas`).dataset.at === String(at), `the picture of second ${s} is there`, [id, s * S + 48e7]);
     times.push(Date.now() - asked);
     await settled(page);
     const seen = await pixel(page, `#${id} canvas`, 0.75, 0.5);
@@ -270,7 +270,7 @@ test("5 cursor: follows the mouse and drives every panel; held when told", async
   await open(page, main, "minute.0000");
   const lanes = await panelOf(page, "Vad.Speaking"), image = await panelOf(page, "Camera.Image");
   await pointAt(page, lanes, 42.5 * S);
-  await until(page, (i) => document.getElementById(i).dataset.at === "42000000000", "the picture follows the mouse", image);
+  await until(page, (i) => document.querySelector(`#${i} canvas`).dataset.at === "42000000000", "the picture follows the mouse", image);
   near((await state(page)).cursor, 42.5 * S, 0.1 * S, "cursor");
   await page.keyboard.press("Alt+f");
   await pointAt(page, lanes, 10 * S);
@@ -393,8 +393,8 @@ test("6 live: follows what grows, leaves and comes back", async ({ page, shot })
   const second = await state(page);
   near(second.cursor - first.cursor, 1.5 * S, 0.5 * S, "the cursor goes with the time");
   const image = await panelOf(page, "Live.Image");
-  await until(page, (i) => document.getElementById(i).dataset.at, "a picture", image);
-  const behind = await page.evaluate((i) => window.situStudio.time.get().cursor - Number(document.getElementById(i).dataset.at), image);
+  await until(page, (i) => document.querySelector(`#${i} canvas`).dataset.at, "a picture", image);
+  const behind = await page.evaluate((i) => window.situStudio.time.get().cursor - Number(document.querySelector(`#${i} canvas`).dataset.at), image);
   near(behind, 0, 0.6 * S, "the newest picture is shown");
   await shot("live");
   await page.keyboard.press("l");
@@ -411,7 +411,7 @@ test("6 live: a running pipeline is looked into; a page that hangs does not slow
   equal((await state(page)).mode, "live", "live");
   await until(page, () => {
     const image = document.querySelector(".image-cell"), line = [...window.situStudio.views].find((v) => v.plot);
-    return image?.dataset.at && line?.layers.every((l) => l.channel.series.length > 10);
+    return image?.querySelector("canvas").dataset.at && line?.layers.every((l) => l.channel.series.length > 10);
   }, "picture and lines move");
   const newest = () => page.evaluate(() => {
     const l = [...window.situStudio.views].filter((v) => v.plot).flatMap((v) => v.layers).find((k) => k.vis.stream === "Clock.Count");
@@ -571,7 +571,7 @@ test("memory: a source in memory is shown like a recording", async ({ page }) =>
   await open(page, main, "memory");
   const id = await panelOf(page, "Camera.Image");
   await dispatch(page, { type: "cursor", t: 33.2 * S });
-  await until(page, (i) => document.getElementById(i).dataset.at === "33000000000", "the picture is there", id);
+  await until(page, (i) => document.querySelector(`#${i} canvas`).dataset.at === "33000000000", "the picture is there", id);
   await open(page, main, "empty");
   ok((await page.textContent(".stack")).includes("No streams yet"), "an empty source says so");
   const { view } = await state(page);
@@ -623,10 +623,10 @@ test("speed: the first picture and the cursor", async ({ page }) => {
   await open(page, main, "minute.0000");
   const started = Date.now();
   await page.goto(`${main}/s/minute.0000`);
-  await until(page, () => [...document.querySelectorAll(".image-cell")].every((e) => e.dataset.at) && document.querySelector(".image-cell"), "the first picture");
+  await until(page, () => [...document.querySelectorAll(".image-cell canvas")].every((e) => e.dataset.at) && document.querySelector(".image-cell canvas"), "the first picture");
   const first = Date.now() - started;
   const times = await page.evaluate(async () => {
-    const app = window.situStudio, el = document.querySelector(".image-cell");
+    const app = window.situStudio, el = document.querySelector(".image-cell canvas");
     const out = [];
     for (let i = 0; i < 60; i++) {
       const t = ((i * 7) % 59) * 1e9 + 5e8;

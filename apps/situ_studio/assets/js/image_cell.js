@@ -125,8 +125,9 @@ export class ImageCell {
     this.note();
     this.drawn = (this.drawn ?? 0) + 1;
     const base = this.layers.find((l) => l.picture);
-    if (base) this.el.dataset.at = String(base.at);
-    else delete this.el.dataset.at;
+    // not on the panel's element: a diff takes away what the server did not write there
+    if (base) this.canvas.dataset.at = String(base.at);
+    else delete this.canvas.dataset.at;
   }
 
   shapes(ctx, l, f) {

@@ -5,14 +5,12 @@ import { DataClient } from "./data_client.js";
 import { Playback } from "./playback.js";
 import { Overlay } from "./overlay.js";
 import { timelineGestures } from "./gestures.js";
-import { actionFor, timeAction, KEYS } from "./keys.js";
+import { actionFor, timeAction } from "./keys.js";
+import { Header } from "./header.js";
+import { listenGoto, openGoto, openHelp } from "./dialogs.js";
 import { onTheme, setTheme } from "./theme.js";
-import { absolute, relative, duration, parseTime } from "./time_text.js";
 import * as link from "./link.js";
 import { decode, KIND } from "./wire.js";
-
-// What times in the header count from, and how their caption says so.
-const TIMINGS = ["cursor", "cursor · start", "cursor · sel."];
 
 export class Studio {
   // options: {dataUrl, pcmUrl, source, token, layout, push}
@@ -22,8 +20,6 @@ export class Studio {
     this.views = new Set();
     this.dirty = new Set();
     this.overlays = new Map();
-    this.timing = 0;
-    this.muted = new Set();
     this.frames = { count: 0, last: performance.now() };
     this.client = new DataClient({
       connect: () => new WebSocket(options.dataUrl),
@@ -37,6 +33,7 @@ export class Studio {
       fetchPcm: (x, a, b) => this.fetchPcm(x, a, b),
       onError: (text) => this.toast(text),
     });
+    this.header = new Header(root, () => this.client.origin);
     this.time.subscribe((s, old) => this.changed(s, old));
     onTheme(() => {
       for (const v of this.views) v.themeChanged?.();
@@ -85,7 +82,7 @@ export class Studio {
       else if (s.cursor !== old.cursor) v.cursorMoved();
       if (v.navigator) this.schedule(v);
     }
-    this.header(s);
+    this.header.update(s);
     this.client.pump();
     this.saveLink();
     if (s.mode !== old.mode) document.body.dataset.mode = s.mode;
@@ -95,8 +92,8 @@ export class Studio {
     if (reply.first) this.opened(reply);
     if (this.growing !== reply.live) {
       this.growing = reply.live;
+      this.header.grows(reply.live);
       document.body.dataset.growing = reply.live ? "1" : "";
-      this.header(this.time.get());
     }
     if (reply.gone) this.status("gone");
     else if (this.state !== "open") this.status("open");
@@ -117,7 +114,7 @@ export class Studio {
     if (asked.view || asked.cursor != null || asked.sel) this.time.dispatch({ type: "restore", ...asked });
     if (asked.live || (reply.live && !asked.view)) this.time.dispatch({ type: "live", on: true });
     document.body.dataset.ready = "1";
-    this.header(this.time.get());
+    this.header.update(this.time.get());
   }
 
   // What the toolbar's buttons, the keys and the palette do.
@@ -156,29 +153,15 @@ export class Studio {
   }
 
   do_timing() {
-    this.timing = (this.timing + 1) % TIMINGS.length;
-    this.header(this.time.get());
+    this.header.nextTiming();
   }
 
   do_goto() {
-    const dialog = document.getElementById("goto");
-    const input = dialog.querySelector("input");
-    input.value = "";
-    dialog.querySelector(".error").textContent = "";
-    dialog.showModal();
-    input.focus();
+    openGoto();
   }
 
   do_help() {
-    const dialog = document.getElementById("help");
-    const list = dialog.querySelector("dl");
-    if (!list.children.length) {
-      for (const [key, text] of KEYS) {
-        list.appendChild(document.createElement("dt")).textContent = key.replace("Arrow", "");
-        list.appendChild(document.createElement("dd")).textContent = text;
-      }
-    }
-    dialog.showModal();
+    openHelp();
   }
 
   do_palette() {
@@ -215,66 +198,8 @@ export class Studio {
       this.act(button.dataset.act);
       button.blur();
     });
-    document.getElementById("goto")?.addEventListener("submit", (e) => {
-      e.preventDefault();
-      const dialog = e.currentTarget;
-      const t = parseTime(dialog.querySelector("input").value, this.client.origin ?? 0n);
-      if (t == null) {
-        dialog.querySelector(".error").textContent = "Not a time. Try 1:23.5, 83.5 s, 250 ms or 2026-01-31T12:34:56Z";
-        return;
-      }
-      const [from, to] = this.time.get().data;
-      if (t < from || t > to) {
-        dialog.querySelector(".error").textContent = `Outside of the data, which lasts from 0 to ${duration(to)}`;
-        return;
-      }
-      dialog.close();
-      this.time.dispatch({ type: "goto", t });
-    });
-    setInterval(() => this.tempo(), 1000);
-  }
-
-  // Timing header: cursor, selection, and the toolbar's states.
-  header(s) {
-    this.headerState = s;
-    if (this.headerFrame) return;
-    this.headerFrame = requestAnimationFrame(() => {
-      this.headerFrame = null;
-      this.paintHeader(this.headerState);
-    });
-  }
-
-  paintHeader(s) {
-    const origin = this.client.origin;
-    if (origin === null) return;
-    const zero = this.timing === 2 ? s.sel[0] ?? 0 : 0;
-    const show = (t) =>
-      t == null ? "–" : this.timing === 0 ? absolute(t, origin).slice(11) : relative(t - zero, 1e3).slice(0, -2);
-    this.set("t-from", TIMINGS[this.timing]);
-    this.set("t-cursor", show(s.cursor));
-    this.set("t-start", show(s.sel[0]));
-    this.set("t-end", show(s.sel[1]));
-    this.set("t-length", s.sel[0] != null && s.sel[1] != null ? duration(s.sel[1] - s.sel[0]) : "–");
-    this.set("speed", `${s.speed >= 1 ? Number(s.speed.toFixed(2)) : `1/${Number((1 / s.speed).toFixed(2))}`}×`);
-    this.pressed("togglePlay", s.mode === "play");
-    this.pressed("repeat", s.repeat);
-    this.pressed("follow", s.follow);
-    this.pressed("live", s.mode === "live");
-    this.disabled(["togglePlay", "togglePlaySel", "zoomAll", "zoomSel"], s.mode === "live");
-    this.disabled(["live"], !this.growing && s.mode !== "live");
-  }
-
-  set(id, text) {
-    const el = document.getElementById(id);
-    if (el && el.textContent !== text) el.textContent = text;
-  }
-
-  pressed(act, on) {
-    for (const b of this.root.querySelectorAll(`[data-act="${act}"]`)) b.setAttribute("aria-pressed", String(on));
-  }
-
-  disabled(acts, on) {
-    for (const a of acts) for (const b of this.root.querySelectorAll(`[data-act="${a}"]`)) b.disabled = on;
+    listenGoto(this.time, () => this.client.origin);
+    this.ticking = setInterval(() => this.tempo(), 1000);
   }
 
   saveLink(now = false) {
@@ -337,7 +262,7 @@ export class Studio {
   status(name) {
     this.state = name;
     document.body.dataset.connection = name;
-    this.set("connection", { open: "connected", closed: "reconnecting", gone: "the recording is gone", broken: "unreadable answer" }[name] ?? name);
+    this.header.set("connection", { open: "connected", closed: "reconnecting", gone: "the recording is gone", broken: "unreadable answer" }[name] ?? name);
   }
 
   tempo() {
@@ -345,7 +270,7 @@ export class Studio {
     const fps = (this.frames.count * 1000) / (now - this.frames.last);
     this.fps = fps;
     this.frames = { count: 0, last: now };
-    this.set("tempo", fps >= 1 ? `${fps.toFixed(0)} fps   ${this.client.stats.roundTrip.toFixed(0)} ms` : "");
+    this.header.set("tempo", fps >= 1 ? `${fps.toFixed(0)} fps   ${this.client.stats.roundTrip.toFixed(0)} ms` : "");
   }
 
   toast(text) {
@@ -359,6 +284,7 @@ export class Studio {
 
   destroy() {
     document.removeEventListener("keydown", this.keydown);
+    clearInterval(this.ticking);
     this.client.stop();
     this.playback.end();
   }

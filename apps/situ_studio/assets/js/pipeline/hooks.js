@@ -19,8 +19,14 @@ export const hooks = {
         onFold: (path) => this.pushEvent("fold", { path }),
       });
       this.handleEvent("pipeline:graph", (graph) => {
+        // what is drawn already stays: a click may be half way through it
+        const shape = JSON.stringify(graph);
+        if (shape === this.shape) return;
+        this.shape = shape;
         this.graph.graph(graph);
-        this.el.dataset.drawn = String(Number(this.el.dataset.drawn ?? 0) + 1);
+        // not on the hook's own element: a diff takes away what the server did not write there
+        const { dataset } = this.graph.svg;
+        dataset.drawn = String(Number(dataset.drawn ?? 0) + 1);
       });
       this.handleEvent("pipeline:stats", (stats) => {
         this.graph.stats(stats);
