@@ -229,6 +229,8 @@ test("4 values: plot this path", async ({ page, shot }) => {
   await row.hover();
   await row.locator(".plot-path").click();
   await until(page, () => [...window.situStudio.views].some((v) => v.layers?.some((l) => l.vis.path === ".pose.x" && l.channel.series.length === 60)), "the path is plotted");
+  const low = await page.$eval("[data-panel].selected", (e) => e.getBoundingClientRect().bottom);
+  ok(low <= 700, `the new panel is in sight: it ends at ${low}`);
   await settled(page);
   await shot("values");
 });

@@ -89,6 +89,8 @@ const hooks = {
       const timeline = this.el.dataset.kind === "plot" || this.el.dataset.kind === "lanes";
       app.add(this.view, { timeline });
       this.config = this.el.dataset.config;
+      // one that was just added is selected: it is shown even where it lies below the edge
+      this.el.closest(".selected")?.scrollIntoView({ block: "nearest" });
     },
     updated() {
       if (!this.view || this.config === this.el.dataset.config) return;

@@ -11,6 +11,8 @@ import * as paint from "./paint.js";
 // Room above the signals for their names and values.
 const LEGEND = 22;
 
+const group = (name) => name.slice(0, name.lastIndexOf(".") + 1);
+
 export class PlotPanel {
   // app: {time, client, schedule}; config: {vis: [{id, draw, stream, name, props}], axis: {mode, min, max}}
   constructor(el, app, config) {
@@ -78,7 +80,6 @@ export class PlotPanel {
     if (same) return;
     this.legend.textContent = "";
     let nth = 0, before = null;
-    const many = this.entries.length > 2;
     for (const e of this.entries) {
       const row = this.legend.appendChild(document.createElement("span"));
       row.className = "legend-item";
@@ -86,7 +87,9 @@ export class PlotPanel {
       row.dataset.key = e.name;
       const swatch = row.appendChild(document.createElement("i"));
       swatch.style.background = this.color(e, nth++);
-      const stream = many ? e.l.vis.short ?? e.l.vis.name : e.l.vis.name;
+      // of neighbours in one group the first is named in full
+      const { name, short } = e.l.vis;
+      const stream = before && group(before.vis.name) === group(name) ? short ?? name : name;
       row.title = e.name === "" ? e.l.vis.name : `${e.l.vis.name}  ${e.name}`;
       // a stream is named once, then its keys
       row.appendChild(document.createElement("span")).textContent =
