@@ -26,7 +26,7 @@ defmodule Situ.Generator do
 
   ## Options
 
-  #{Situ.Options.docs(count: [type: :non_neg_integer, doc: "How many items (`sequence`, `repeat`)."], align: [type: :time_ns, doc: "See above."], keep_open: [type: :boolean, default: false, doc: "Stay open after the last item."], interval: [type: :pos_integer, doc: "ns between items (`from_enumerable`); without it items are `{time, value}` or messages."], start: [type: :time_ns, doc: "Proposes a replay from this time on (`from_enumerable` with times)."], on_same_time: [type: {:in, [:nudge, :drop, :error]}, default: :nudge, doc: "Two events in one ns (`event_source`): the later one 1 ns on, dropped, or an error."], type: [type: :any, doc: "Type of the stream."], name: [type: :string, doc: "Name of the node."])}
+  #{Situ.Options.docs(count: [type: :non_neg_integer, doc: "How many items (`sequence`, `repeat`)."], align: [type: :time_ns, doc: "See above."], keep_open: [type: :boolean, default: false, doc: "Stay open after the last item."], interval: [type: :pos_integer, doc: "ns between items (`from_enumerable`); without it items are `{time, value}` or messages."], start: [type: :time_ns, doc: "Proposes a replay from this time on (`from_enumerable` with times)."], on_same_time: [type: {:in, [:error, :drop, :nudge]}, doc: "Two messages of one time: an error (default), the later one dropped, or 1 ns on (default of `event_source`)."], type: [type: :any, doc: "Type of the stream."], name: [type: :string, doc: "Name of the node."])}
   """
 
   alias Situ.{Pipeline, Stream}
@@ -81,7 +81,8 @@ defmodule Situ.Generator do
     case opts[:interval] do
       nil ->
         feed = fn _start -> Feed.timed(Feed.items(enumerable)) end
-        source(p, "Enumerable", feed, [timed: true], opts)
+        equal = Keyword.get(opts, :on_same_time, :error) != :error
+        source(p, "Enumerable", feed, [timed: true, equal: equal], opts)
 
       interval ->
         check_interval!(interval, :infinity)
@@ -112,9 +113,8 @@ defmodule Situ.Generator do
           Stream.t()
         when handle: term()
   def event_source(%Pipeline{} = p, subscribe, unsubscribe \\ fn _ -> :ok end, opts \\ []) do
-    same = [on_same_time: [type: {:in, [:nudge, :drop, :error]}, default: :nudge]]
-    opts = Situ.Options.validate!(opts, same ++ common())
-    options = [subscribe: subscribe, unsubscribe: unsubscribe, on_same_time: opts[:on_same_time]]
+    opts = [on_same_time: :nudge] |> Keyword.merge(opts) |> Situ.Options.validate!(common())
+    options = [subscribe: subscribe, unsubscribe: unsubscribe]
     add(p, "EventSource", Events, options, opts)
   end
 
@@ -137,7 +137,7 @@ defmodule Situ.Generator do
   defp add(p, name, module, options, opts) do
     common =
       [default_name: name, outputs: [out: opts[:type] || :any]] ++
-        Keyword.take(opts, [:name, :on_error])
+        Keyword.take(opts, [:name, :on_error, :on_same_time])
 
     p |> Pipeline.add(module, options, common) |> Situ.Node.output(:out)
   end
@@ -150,7 +150,8 @@ defmodule Situ.Generator do
     [
       name: [type: :string],
       type: [type: :any],
-      on_error: [type: {:in, [:stop, :skip, :restart]}]
+      on_error: [type: {:in, [:stop, :skip, :restart]}],
+      on_same_time: [type: {:in, [:error, :drop, :nudge]}]
     ]
   end
 

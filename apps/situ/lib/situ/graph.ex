@@ -46,6 +46,7 @@ defmodule Situ.Graph do
     on_error: [type: {:in, [:stop, :skip, :restart]}, default: :stop],
     async: [type: :boolean, default: false],
     check: [type: {:in, [:first, :all, :off]}, default: :first],
+    on_same_time: [type: {:in, [:error, :drop, :nudge]}, default: :error],
     inputs: [type: :keyword],
     outputs: [type: :keyword]
   ]
@@ -70,6 +71,7 @@ defmodule Situ.Graph do
       on_error: common[:on_error],
       async: common[:async],
       check: common[:check],
+      on_same_time: common[:on_same_time],
       scope: handle.scope
     }
 

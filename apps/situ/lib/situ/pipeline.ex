@@ -239,7 +239,20 @@ defmodule Situ.Pipeline do
           :ok | {:error, Error.t()}
   def replace(p, node, change), do: Ask.call(p, {:replace, node, change})
 
-  @doc "Adds a component. Common options: `name:`, `on_error:`, `async:`, `check:`, and `inputs:`/`outputs:` for ports known only now."
+  @doc """
+  Adds a component. Common options: `name:`, `on_error:`, `async:`, `check:`, `on_same_time:`, and `inputs:`/`outputs:` for ports
+  known only now.
+
+  `on_same_time:` is for sources whose messages may have equal times (a coarse clock, a log of whole seconds): `:error` (default), `:drop` the
+  later one, or `:nudge` it to 1 ns behind the one before. A time that goes back is an error with each.
+
+      iex> enumerable = [{10, :a}, {10, :b}, {10, :c}, {20, :d}]
+      iex> replay = [replay: [interval: {0, 100}, speed: :max]]
+      iex> Situ.to_list(&Situ.from_enumerable(&1, enumerable, on_same_time: :nudge), times: true, pipeline: replay)
+      [{10, :a}, {11, :b}, {12, :c}, {20, :d}]
+      iex> Situ.to_list(&Situ.from_enumerable(&1, enumerable, on_same_time: :drop), times: true, pipeline: replay)
+      [{10, :a}, {20, :d}]
+  """
   @spec add(t(), module(), keyword(), keyword()) :: Node.t()
   def add(%__MODULE__{} = p, module, opts, common \\ []),
     do: Builder.run(p, &Graph.add(&1, p, module, opts, common))

@@ -6,11 +6,10 @@ defmodule Situ.Generator.Events do
     outputs: [out: :any],
     options: [
       subscribe: [type: {:fun, 1}, required: true],
-      unsubscribe: [type: {:fun, 1}, required: true],
-      on_same_time: [type: {:in, [:nudge, :drop, :error]}, default: :nudge]
+      unsubscribe: [type: {:fun, 1}, required: true]
     ]
 
-  defstruct [:opts, :ref, :handle, :last, active: false]
+  defstruct [:opts, :ref, :handle, active: false]
 
   @impl true
   def init(opts), do: {:ok, %__MODULE__{opts: opts, ref: make_ref()}}
@@ -30,7 +29,7 @@ defmodule Situ.Generator.Events do
 
   @impl true
   def handle_info({:situ_event, ref, data}, context, %{ref: ref, active: true} = state),
-    do: stamp(data, context.now, state)
+    do: {[{:out, context.now, data}], state}
 
   def handle_info(_other, _context, state), do: {[], state}
 
@@ -39,17 +38,6 @@ defmodule Situ.Generator.Events do
 
   @impl true
   def terminate(_reason, state), do: release(state)
-
-  defp stamp(data, now, %{last: last} = state) when last == nil or now > last,
-    do: {[{:out, now, data}], %{state | last: now}}
-
-  defp stamp(data, now, %{last: last} = state) do
-    case state.opts[:on_same_time] do
-      :nudge -> {[{:out, last + 1, data}], %{state | last: last + 1}}
-      :drop -> {[], state}
-      :error -> {[{:out, now, data}], state}
-    end
-  end
 
   defp release(%{active: false} = state), do: state
 

@@ -7,6 +7,7 @@ defmodule Situ.Generator.Source do
     options: [
       feed: [type: {:fun, 1}, required: true, doc: "Makes the feed from the start time."],
       timed: [type: :boolean, default: false, doc: "Times before the replay are passed over."],
+      equal: [type: :boolean, default: false, doc: "Equal times are left to `on_same_time:`."],
       keep_open: [type: :boolean, default: false]
     ]
 
@@ -17,6 +18,7 @@ defmodule Situ.Generator.Source do
     :make,
     :feed,
     :timed,
+    :equal,
     :from,
     :keep_open,
     :ahead,
@@ -28,7 +30,13 @@ defmodule Situ.Generator.Source do
 
   @impl true
   def init(opts) do
-    {:ok, %__MODULE__{make: opts[:feed], timed: opts[:timed], keep_open: opts[:keep_open]}}
+    {:ok,
+     %__MODULE__{
+       make: opts[:feed],
+       timed: opts[:timed],
+       equal: opts[:equal],
+       keep_open: opts[:keep_open]
+     }}
   end
 
   @impl true
@@ -77,7 +85,9 @@ defmodule Situ.Generator.Source do
       {time, _value, feed} when state.from != nil and time < state.from ->
         produce(n, till, skip(state, feed), actions)
 
-      {time, _value, _feed} when state.last != nil and time <= state.last ->
+      {time, _value, _feed}
+      when state.last != nil and
+             (time < state.last or (time == state.last and not state.equal)) ->
         stumble(time, state, actions)
 
       {time, value, feed} ->
@@ -100,6 +110,10 @@ defmodule Situ.Generator.Source do
   defp finish(%{keep_open: true} = state, actions),
     do: {:lists.reverse(actions), %{state | phase: :done}}
 
+  # The last one may have been nudged: the output knows its time.
+  defp finish(%{equal: true, last: last} = state, actions) when last != nil,
+    do: {:lists.reverse(actions, [{:close, :out}]), %{state | phase: :done}}
+
   # Closing says that it is complete, too, and lets operators decide now what waits for more.
   defp finish(state, actions) do
     {:lists.reverse(actions, [{:close, :out, state.last || state.started}]),
@@ -110,7 +124,8 @@ defmodule Situ.Generator.Source do
     error =
       Situ.Error.new(:time_not_increasing, "an item at #{time} ns after one at #{state.last} ns",
         why: "originating times of one stream strictly increase",
-        fix: "sort the items, or bring late ones into order with Situ.reorder/3",
+        fix:
+          "sort the items (equal times: on_same_time:), or bring late ones into order with Situ.reorder/3",
         meta: %{time: time, last_time: state.last}
       )
 

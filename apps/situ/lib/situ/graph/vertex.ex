@@ -15,7 +15,8 @@ defmodule Situ.Graph.Vertex do
     outputs: [],
     on_error: :stop,
     async: false,
-    check: :first
+    check: :first,
+    on_same_time: :error
   ]
 
   @type t :: %__MODULE__{
@@ -28,7 +29,8 @@ defmodule Situ.Graph.Vertex do
           outputs: keyword(),
           on_error: :stop | :skip | :restart,
           async: boolean(),
-          check: :first | :all | :off
+          check: :first | :all | :off,
+          on_same_time: :error | :drop | :nudge
         }
 
   @doc "Whether the component makes messages on its own: it has no inputs, or it is a pull source."

@@ -19,6 +19,8 @@ defmodule Situ.Stage.Outlet do
     future_rear: [],
     closing: nil,
     closed: false,
+    same_time: :error,
+    wanted: nil,
     mark: nil,
     resume: nil,
     repeated: 0,

@@ -18,9 +18,9 @@ defmodule Situ.Stage.Posting do
       else: emit(%{outlet | resume: nil}, time, data, now, enforce)
   end
 
-  def emit(%Outlet{last_time: last} = outlet, time, _data, _now, _enforce)
+  def emit(%Outlet{last_time: last} = outlet, time, data, now, enforce)
       when is_integer(last) and time <= last,
-      do: {:error, not_increasing(outlet, time)}
+      do: outlet |> again(time) |> emit_again(data, now, enforce)
 
   def emit(%Outlet{future: []} = outlet, time, data, now, enforce)
       when not enforce or time <= now,
@@ -29,12 +29,38 @@ defmodule Situ.Stage.Posting do
   def emit(%Outlet{} = outlet, time, data, _now, _enforce),
     do: {:ok, hold(%{outlet | last_time: time}, {time, data})}
 
+  defp emit_again({:at, time, outlet}, data, now, enforce),
+    do: emit(outlet, time, data, now, enforce)
+
+  defp emit_again({:drop, outlet}, _data, _now, _enforce), do: {:ok, repeat(outlet)}
+  defp emit_again({:error, error}, _data, _now, _enforce), do: {:error, error}
+
+  # Another message at a time that has been, as the component's `on_same_time` says. One that is nudged goes 1 ns behind the
+  # last; `wanted` is what time that one was to have, so that a time that really goes back is still an error.
+  defp again(%{same_time: :drop, last_time: time} = outlet, time), do: {:drop, outlet}
+
+  defp again(%{same_time: :nudge, last_time: last} = outlet, time) do
+    wanted = with {^last, wanted} <- outlet.wanted, do: wanted, else: (_ -> last)
+
+    if time >= wanted,
+      do: {:at, last + 1, %{outlet | wanted: {last + 1, time}}},
+      else: {:error, not_increasing(outlet, time)}
+  end
+
+  defp again(outlet, time), do: {:error, not_increasing(outlet, time)}
+
   @doc """
   Posts the leading `{name, time, data}` actions that are for this output, in one go; answers the actions left over.
   """
   @spec emit_all(Outlet.t(), [tuple()], Situ.Time.t(), boolean(), integer() | nil) ::
           {:ok, Outlet.t(), [tuple()]} | {:error, Error.t()}
-  def emit_all(%Outlet{closing: nil, future: [], resume: nil} = outlet, actions, now, false, nil) do
+  def emit_all(
+        %Outlet{closing: nil, future: [], resume: nil, same_time: :error} = outlet,
+        actions,
+        now,
+        false,
+        nil
+      ) do
     creation = if outlet.last_creation == nil, do: now, else: max(now, outlet.last_creation)
     first = outlet.last_time || :none
     start = {outlet.name, creation, outlet.source_id}
@@ -102,6 +128,20 @@ defmodule Situ.Stage.Posting do
       else: forward(%{outlet | resume: nil}, message, now, enforce)
   end
 
+  def forward(%Outlet{same_time: how, last_time: last} = outlet, message, now, enforce)
+      when how != :error and is_integer(last) and message.originating_time <= last do
+    case again(outlet, message.originating_time) do
+      {:at, time, outlet} ->
+        forward(outlet, %{message | originating_time: time}, now, enforce)
+
+      {:drop, outlet} ->
+        {:ok, repeat(outlet)}
+
+      error ->
+        error
+    end
+  end
+
   def forward(%Outlet{} = outlet, %Message{} = message, now, enforce) do
     case check(outlet, message) do
       :ok when (not enforce or message.originating_time <= now) and outlet.future == [] ->
@@ -121,7 +161,8 @@ defmodule Situ.Stage.Posting do
   @spec forward_all(Outlet.t(), [tuple()], Situ.Time.t(), boolean()) ::
           {:ok, Outlet.t(), [tuple()]} | {:error, Error.t()}
   def forward_all(
-        %Outlet{closing: nil, future: [], resume: nil, last_time: last} = outlet,
+        %Outlet{closing: nil, future: [], resume: nil, same_time: :error, last_time: last} =
+          outlet,
         [_, _ | _] = actions,
         now,
         false
@@ -256,7 +297,8 @@ defmodule Situ.Stage.Posting do
       :time_not_increasing,
       "#{outlet.path}.#{outlet.name} emitted at #{time} ns after #{outlet.last_time} ns",
       why: "originating times of one output strictly increase",
-      fix: "give each message its own, later time; in a cycle, delay the message",
+      fix:
+        "give each message its own, later time (equal ones: on_same_time: :drop or :nudge); in a cycle, delay the message",
       meta: %{
         component: outlet.path,
         output: outlet.name,

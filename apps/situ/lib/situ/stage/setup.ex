@@ -236,7 +236,14 @@ defmodule Situ.Stage.Setup do
   end
 
   defp outlet({name, port}, vertex),
-    do: {name, %Outlet{name: name, path: vertex.path, source_id: port.source_id}}
+    do:
+      {name,
+       %Outlet{
+         name: name,
+         path: vertex.path,
+         source_id: port.source_id,
+         same_time: vertex.on_same_time
+       }}
 
   defp new_inlet(state, inlet, sizes) do
     port = Keyword.fetch!(state.head.inputs, inlet.name)

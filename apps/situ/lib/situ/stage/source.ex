@@ -63,7 +63,7 @@ defmodule Situ.Stage.Source do
 
   defp emitted(state), do: Enum.map(state.outlets, fn {_, o} -> {o.seq, o.last_time} end)
 
-  # One that began anew goes through what it has posted before; that is neither rest nor progress.
+  # What was posted before (by one that began anew), or dropped for its time: neither rest nor progress.
   defp repeated(state), do: Enum.map(state.outlets, fn {_, o} -> o.repeated end)
 
   @doc "Asked to stop: nothing later than `final` goes out any more."
