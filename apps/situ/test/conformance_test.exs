@@ -1,5 +1,6 @@
 defmodule Situ.ConformanceTest do
-  # One ExUnit test per conformance file that this app answers for; `bin/conformance` prints them case by case.
+  # One ExUnit test per conformance file that this app answers for; `bin/conformance` prints them case by case, and
+  # besides those files whose cases take time (situ_running, pipeline_lifecycle, delivery_policies ...).
   use ExUnit.Case, async: true
 
   Code.require_file("../../../test/conformance/conformance.exs", __DIR__)
