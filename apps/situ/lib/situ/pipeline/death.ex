@@ -2,6 +2,7 @@ defmodule Situ.Pipeline.Death do
   @moduledoc false
   # Stages that end before their time, or fail: begun again, or the pipeline's end.
   alias Situ.Error
+  alias Situ.Graph.Cycle
   alias Situ.Pipeline.{Crew, Ending, Inputs, Life, Notice, Part}
   alias Situ.Stage.Tally
 
@@ -85,6 +86,7 @@ defmodule Situ.Pipeline.Death do
   @doc "A stage says that it failed: it takes nothing any more."
   @spec failed(Life.t(), pos_integer(), Error.t()) :: Life.t()
   def failed(state, id, error) do
+    error = Cycle.explain(error, state.graph)
     state = Notice.failed(Crew.mark(state, [id], :failed), error)
     state = %{state | completable: MapSet.delete(state.completable, id)}
 

@@ -242,6 +242,8 @@ defmodule Situ.Pipeline.FaultsTest do
       assert error.code == :time_not_increasing
       assert error.what =~ "Loop"
       assert error.fix =~ "cycle"
+      assert error.why =~ "Loop -> Map -> Loop"
+      assert error.meta.cycle == ["Loop", "Map", "Loop"]
     end
 
     test "settings and specs" do
