@@ -78,6 +78,7 @@ defmodule Situ.Test.Property do
   end
 
   # Run once more, to show the error of the shrunk input and not that of the first one found.
+  @spec explain((term() -> term()), term()) :: no_return()
   defp explain(fun, input) do
     shown = "input: " <> inspect(input, charlists: :as_lists, limit: 200, pretty: true)
 
