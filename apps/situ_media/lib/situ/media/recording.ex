@@ -260,7 +260,7 @@ defmodule Situ.Media.Recording do
   defp pieces(%{sound: sound} = recording, info, ordinal, limit) do
     {number, skip} = {div(ordinal, @stretch), rem(ordinal, @stretch)}
 
-    with {:ok, data} <- Sound.read(recording, number) do
+    with {:ok, data, error} <- Sound.read(recording, number) do
       size = sound.step * AudioFormat.bytes_per_frame(sound.format)
       there = div(byte_size(data) + size - 1, size)
 
@@ -271,7 +271,10 @@ defmodule Situ.Media.Recording do
           message(recording, info, at, piece)
         end
 
-      {:ok, messages, ordinal + length(messages)}
+      # What can be read comes first, then the error.
+      if messages == [] and error,
+        do: {:error, error},
+        else: {:ok, messages, ordinal + length(messages)}
     end
   end
 

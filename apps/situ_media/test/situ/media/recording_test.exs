@@ -106,6 +106,30 @@ defmodule Situ.Media.RecordingTest do
     assert got(store, "Audio") == wanted(items, :audio)
   end
 
+  test "a pause longer than what is decoded at once is silence, and the sound goes on", %{
+    tmp_dir: root
+  } do
+    file = Path.join(root, "pause.mkv")
+
+    # A tone of one second at the start, another at second 70; no packets between them.
+    ffmpeg!(
+      ~w{-f lavfi -i sine=duration=2:sample_rate=8000 -af asetpts='if(gte(N,8000),PTS+70/TB,PTS)'} ++
+        ~w{-c:a flac} ++ [file]
+    )
+
+    store = Store.open!(file)
+    loud = fn m -> AudioBuffer.level(m.data) |> elem(1) |> Map.fetch!(:peak) > 0.01 end
+
+    seconds =
+      store
+      |> Store.messages("Audio")
+      |> Enum.filter(loud)
+      |> Enum.map(&div(&1.originating_time, Time.s(1)))
+
+    assert Enum.uniq(seconds) -- [0, 1, 71, 72] == []
+    assert 71 in seconds
+  end
+
   test "where only times are wanted, nothing is decoded", %{tmp_dir: root} do
     store = Store.open!(mp4(root))
     {:ok, all} = Store.read(store, "Video", envelopes: true)

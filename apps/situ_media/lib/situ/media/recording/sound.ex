@@ -16,8 +16,11 @@ defmodule Situ.Media.Recording.Sound do
 
   defstruct [:recording, :waveform, stretches: []]
 
-  @doc "One stretch of sound, counted from 0: `{:ok, data}`; short or empty where there is no more."
-  @spec read(Recording.t(), non_neg_integer()) :: {:ok, binary()} | {:error, Situ.Error.t()}
+  @doc """
+  One stretch of sound, counted from 0: `{:ok, data, error}`; short where there is no more, and then `error` says why, or is `nil`.
+  """
+  @spec read(Recording.t(), non_neg_integer()) ::
+          {:ok, binary(), Situ.Error.t() | nil} | {:error, Situ.Error.t()}
   def read(recording, number), do: Host.ask(__MODULE__, recording, {:stretch, number})
 
   @spec waveform(Recording.t()) :: {:ok, Waveform.t()} | {:error, Situ.Error.t()}
@@ -31,19 +34,13 @@ defmodule Situ.Media.Recording.Sound do
 
   @impl true
   def handle_call({:stretch, number}, _from, state) do
-    case List.keyfind(state.stretches, number, 0) do
-      {_, data} ->
-        {:reply, {:ok, data}, state, @idle_ms}
-
-      nil ->
-        case decode(state.recording, number) do
-          {:ok, data} ->
-            kept = Enum.take([{number, data} | state.stretches], @kept)
-            {:reply, {:ok, data}, %{state | stretches: kept}, @idle_ms}
-
-          {:error, error} ->
-            {:reply, {:error, error}, state, @idle_ms}
-        end
+    with nil <- List.keyfind(state.stretches, number, 0),
+         {:ok, data, error} <- decode(state.recording, number) do
+      kept = Enum.take([{number, data, error} | state.stretches], @kept)
+      {:reply, {:ok, data, error}, %{state | stretches: kept}, @idle_ms}
+    else
+      {^number, data, error} -> {:reply, {:ok, data, error}, state, @idle_ms}
+      {:error, error} -> {:reply, {:error, error}, state, @idle_ms}
     end
   end
 
@@ -69,8 +66,12 @@ defmodule Situ.Media.Recording.Sound do
     span = [start: from, end: AudioFormat.frames_to_ns(format, last) + @lead]
 
     with :ok <- Recording.unchanged(recording),
-         {:ok, decoder} <- open(recording, span) do
-      gather(Decoder.next(decoder), last, format, {first, []})
+         {:ok, decoder} <- open(recording, span),
+         {:ok, data, nil} <- gather(Decoder.next(decoder), last, format, {first, []}) do
+      # A pause: the sound goes on in a later stretch.
+      more? = last < sound.first + sound.frames
+      missing = last - first - div(byte_size(data), AudioFormat.bytes_per_frame(format))
+      {:ok, if(more?, do: data <> silence(format, missing), else: data), nil}
     end
   end
 
@@ -102,12 +103,16 @@ defmodule Situ.Media.Recording.Sound do
   defp gather({:eof, decoder}, _last, _format, {_at, parts}),
     do: gathered(decoder, parts, nil)
 
+  # Nothing came, and ffmpeg had nothing to complain of: there is no sound in this span.
+  defp gather({:error, %{meta: %{log_lines: 0}}, decoder}, _last, _format, {_at, []}),
+    do: gathered(decoder, [], nil)
+
   defp gather({:error, error, decoder}, _last, _format, {_at, parts}),
     do: gathered(decoder, parts, error)
 
   defp gathered(decoder, parts, error) do
     Decoder.close(decoder)
-    if parts == [] and error, do: {:error, error}, else: {:ok, join(parts)}
+    {:ok, join(parts), error}
   end
 
   defp join(parts), do: parts |> Enum.reverse() |> IO.iodata_to_binary()
