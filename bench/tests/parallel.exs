@@ -15,7 +15,7 @@ defmodule Situ.Bench.Parallel do
           {form, run} <- [{"sparse", &sparse/3}, {"fixed", &fixed/3}],
           do: {"parallel#{form}-#{name}", &run.(name, policy.(), &1)}
 
-    forms ++ [{"parallel-100k", &many/1}]
+    forms ++ [{"parallel-processes", &processes/1}, {"parallel-100k", &many/1}]
   end
 
   defp sparse(name, policy, scale) do
@@ -32,6 +32,15 @@ defmodule Situ.Bench.Parallel do
 
     run("parallel_fixed10_" <> name, n, policy, Enum.to_list(0..9), fn stream ->
       stream |> Situ.parallel(&add_one/1, size: 10) |> Situ.map(&Enum.sum/1)
+    end)
+  end
+
+  # The same with each branch a pipeline of its own.
+  defp processes(scale) do
+    n = max(1, round(10_000 * scale))
+
+    run("parallel_processes10", n, Delivery.unlimited(), Enum.to_list(0..9), fn stream ->
+      stream |> Situ.parallel(&add_one/1, size: 10, branches: :processes) |> Situ.map(&Enum.sum/1)
     end)
   end
 

@@ -33,9 +33,18 @@ defmodule Situ.Branch.Process do
 
     @impl true
     def handle_info({:situ_feed, entry}, _context, gate),
-      do: {[], %{gate | queue: :queue.in(entry, gate.queue)}}
+      do: {[], %{gate | queue: waiting(:queue.in(entry, gate.queue))}}
 
     def handle_info(_other, _context, gate), do: {[], gate}
+
+    # All that is there already, in one turn.
+    defp waiting(queue) do
+      receive do
+        {:situ_feed, entry} -> waiting(:queue.in(entry, queue))
+      after
+        0 -> queue
+      end
+    end
 
     # What was emitted the time before has been through the operators that share this process.
     @impl true

@@ -59,7 +59,7 @@ defmodule Situ.Parallel.Processes do
 
   @impl true
   def handle_info({:situ_branch, id, said}, _context, state) do
-    {outputs, state} = said(said, id, state)
+    {outputs, state} = listen(said(said, id, state))
     balance(outputs, state)
   end
 
@@ -135,6 +135,17 @@ defmodule Situ.Parallel.Processes do
 
   defp carry_out(state, orders),
     do: %{state | branches: Enum.reduce(orders, state.branches, &Fleet.carry_out/2)}
+
+  # All that has been said already, in one turn.
+  defp listen({outputs, state}) do
+    receive do
+      {:situ_branch, id, said} ->
+        {more, state} = said(said, id, state)
+        listen({outputs ++ more, state})
+    after
+      0 -> {outputs, state}
+    end
+  end
 
   defp said({:open, gate}, id, state) when is_map_key(state.branches, id),
     do: {[], %{state | branches: Fleet.opened(state.branches, id, gate)}}
