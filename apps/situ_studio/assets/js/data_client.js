@@ -222,12 +222,20 @@ export class IntervalChannel extends Channel {
     if (w && !this.error) {
       this.keep(f, client.rel(f.time), w);
       const head = client.time.get().data[1];
-      this.held = { from: w.append ? this.held.from : w.from, to: w.to, bin: w.bin, head };
+      this.held = { from: w.append ? this.held.from : w.from, to: w.to, bin: w.bin, head, newest: this.newest(f, client) };
     } else if (this.error) {
       this.held = { from: -Infinity, to: Infinity, bin: w?.bin, head: Infinity };
     }
     this.version++;
     this.accept(this);
+  }
+
+  // The time of the newest message that is held; before all times where there is none.
+  newest(f, client) {
+    if (f.kind === KIND.segments) return f.count ? client.rel(f.time) + f.step : -Infinity;
+    if (f.kind === KIND.marks) return this.marks.t[this.marks.t.length - 1] ?? -Infinity;
+    const held = f.kind === KIND.lines ? [...this.lines.values()] : [this.series];
+    return Math.max(-Infinity, ...held.filter((s) => s.length).map((s) => s.t[s.length - 1]));
   }
 
   // A window takes the place of what was held; one that grew is put at its end.

@@ -7,7 +7,8 @@ export function binWidth(viewNs, px) {
   return 2 ** Math.max(0, Math.floor(Math.log2(Math.max(viewNs, 1) / Math.max(px, 1))));
 }
 
-// held: null or {from, to, bin, head}; answers null (enough is held) or {from, to, bin, append}.
+// held: null or {from, to, bin, head, newest}: `head` was the end of all data then, `newest` the time of the newest message
+// of this very stream, which may lag behind: what grows is asked for from there. Answers null (enough is held) or {from, to, bin, append}.
 export function want(held, view, px, data, live) {
   const [v0, v1] = view;
   const w = v1 - v0;
@@ -19,7 +20,8 @@ export function want(held, view, px, data, live) {
     const grown = head > held.head && held.to >= held.head && v1 > held.head;
     if (left && right && !grown) return null;
     if (left && grown && held.to >= held.head) {
-      const from = Math.max(Math.floor(held.head / bin - 1) * bin, held.from);
+      const known = Math.min(held.head, held.newest ?? held.head);
+      const from = Math.max(Math.floor(known / bin - 1) * bin, held.from);
       if (head - from < 4 * w) return { from, to: align(v1 + w / 2, bin), bin, append: true };
     }
   }

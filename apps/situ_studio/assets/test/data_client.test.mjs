@@ -8,6 +8,7 @@ class Server {
   constructor() {
     this.readyState = 1;
     this.head = 60e9;
+    this.lag = 0;
     this.inFlight = 0;
     this.most = 0;
     this.asked = [];
@@ -30,7 +31,7 @@ class Server {
   reply(request) {
     const frames = request.series.map(([channel, from, to]) => {
       const a = Math.max(Math.ceil(Number(from) / 1e7) - 1, 0);
-      const b = Math.min(Math.floor(Number(to) / 1e7), Math.floor(this.head / 1e7));
+      const b = Math.min(Math.floor(Number(to) / 1e7), Math.floor((this.head - this.lag) / 1e7));
       const t = [];
       for (let i = a; i <= b; i++) t.push(i * 1e7);
       return { channel, t };
@@ -100,4 +101,26 @@ test("a client that was stopped asks for nothing more, also when an answer was u
   const asked = server.asked.length;
   await new Promise((r) => setTimeout(r, 150));
   assert.equal(server.asked.length, asked);
+});
+
+test("what comes late, behind other streams, is shown all the same", async () => {
+  const server = new Server();
+  server.lag = 5e9;
+  const time = createStore();
+  const client = new DataClient({ connect: () => server, time });
+  time.subscribe(() => client.pump());
+  const { series } = client.open({ stream: "s", draw: "line" }, () => {}, { px: () => 600 });
+  client.start();
+  const wait = (ms) => new Promise((r) => setTimeout(r, ms));
+  await wait(20);
+  time.dispatch({ type: "live", on: true });
+  for (let i = 0; i < 20; i++) {
+    server.head += 200e6;
+    client.pump(true);
+    await wait(10);
+  }
+  await wait(120);
+  client.stop();
+  for (let i = 1; i < series.length; i++) assert.equal(series.t[i] - series.t[i - 1], 1e7, `row ${i} follows the one before`);
+  assert.equal(series.t[series.length - 1], Math.floor((server.head - server.lag) / 1e7) * 1e7);
 });

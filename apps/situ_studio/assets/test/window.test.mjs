@@ -45,3 +45,15 @@ test("series replace their tail and find the value at a time", () => {
   assert.equal(s.at(99), -1);
   assert.deepEqual(s.extent(100, 130), [1, 9]);
 });
+
+test("a stream that lags behind the newest data is asked for from its own newest message", () => {
+  const view = [70e9, 100e9], bin = binWidth(30e9, 600);
+  const held = { from: 70e9, to: 120e9, bin, head: 95e9, newest: 82e9 };
+  const next = want(held, view, 600, [0, 96e9], true);
+  assert.ok(next.append);
+  assert.ok(next.from <= 82e9 && next.from > 82e9 - 3 * bin, `from ${next.from}`);
+  const none = want({ ...held, newest: -Infinity }, view, 600, [0, 96e9], true);
+  assert.equal(none.from, held.from, "of one without messages all of the window");
+  const ahead = want({ ...held, newest: undefined }, view, 600, [0, 96e9], true);
+  assert.ok(ahead.from <= 95e9 && ahead.from > 95e9 - 3 * bin, "else from the end of what was there");
+});

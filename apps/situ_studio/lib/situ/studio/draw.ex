@@ -34,7 +34,7 @@ defmodule Situ.Studio.Draw do
     case Window.read(source, spec, from, to, bin) do
       {:series, points, raw?} -> Frame.series(channel, points, raw?)
       {:lines, lines, raw?} -> Frame.lines(channel, lines, raw?)
-      {:segments, rows} -> Frame.segments(channel, rows)
+      {:segments, rows, newest} -> Frame.segments(channel, rows, newest)
       {:marks, rows, raw?} -> Frame.marks(channel, rows, raw?)
       {:error, error} -> Frame.error(channel, error.what)
     end

@@ -27,7 +27,7 @@ defmodule Situ.Studio.Frame do
   | 8..11 | bytes of payload |
   | 12..15 | rows |
   | 16..23 | base time, ns (signed) |
-  | 24..31 | kind's own: samples a second for sound |
+  | 24..31 | kind's own: samples a second for sound; of segments the time of the newest message, after the base |
 
   | kind | payload |
   |---|---|
@@ -107,17 +107,18 @@ defmodule Situ.Studio.Frame do
   defp float(nil), do: @nan
   defp float(x), do: <<x::little-float-64>>
 
-  @doc "Lanes: `{from, to | nil, label, class, lane}`, lane by lane in time order."
-  @spec segments(channel(), [Situ.Studio.Draw.Segments.t()]) :: t()
-  def segments(channel, rows) do
+  @doc "Lanes: `{from, to | nil, label, class, lane}`, lane by lane in time order, made of messages up to `newest`."
+  @spec segments(channel(), [Situ.Studio.Draw.Segments.t()], Situ.Time.t() | nil) :: t()
+  def segments(channel, rows, newest) do
     base = first_time(rows)
+    own = if newest == nil, do: 0, else: newest - base
 
     json =
       for {from, to, label, class, lane} <- rows do
         [from - base, to && to - base, label, class | if(lane == "", do: [], else: [lane])]
       end
 
-    frame(:segments, channel, encode(json), length(rows), base)
+    frame(:segments, channel, encode(json), length(rows), base, 0, own)
   end
 
   @doc "Message marks: `{originating time, latency}`."

@@ -49,14 +49,21 @@ defmodule Situ.Studio.DataSessionTest do
 
   defp frame(
          <<kind::little-16, flags::little-16, channel::little-32, size::little-32,
-           rows::little-32, base::little-signed-64, _own::little-signed-64,
+           rows::little-32, base::little-signed-64, own::little-signed-64,
            payload::binary-size(size), rest::binary>>
        ) do
     pad = rem(8 - rem(size, 8), 8)
     <<0::size(pad * 8), rest::binary>> = rest
 
-    {%{kind: kind, flags: flags, channel: channel, rows: rows, base: base, payload: payload},
-     rest}
+    {%{
+       kind: kind,
+       flags: flags,
+       channel: channel,
+       rows: rows,
+       base: base,
+       own: own,
+       payload: payload
+     }, rest}
   end
 
   defp column(%{payload: payload, rows: n}, i) do
@@ -147,7 +154,8 @@ defmodule Situ.Studio.DataSessionTest do
       {1_400_000_000, %{1 => true}}
     ])
 
-    assert %{kind: 2, base: base, payload: json} =
+    # the newest message within the window is told too
+    assert %{kind: 2, base: base, own: 300_000_000, payload: json} =
              shown(session, "talk", "segments", 1_150_000_000, 1_500_000_000)
 
     rows = for [a, b | rest] <- json(json), do: [base + a, b && base + b | rest]

@@ -16,7 +16,7 @@ defmodule Situ.Studio.Draw.Window do
   @type rows ::
           {:series, Lines.line(), raw? :: boolean()}
           | {:lines, [{String.t(), Lines.line()}], raw? :: boolean()}
-          | {:segments, [Segments.t()]}
+          | {:segments, [Segments.t()], newest :: Situ.Time.t() | nil}
           | {:marks, [{Situ.Time.t(), Situ.Time.duration()}], raw? :: boolean()}
           | {:error, Situ.Error.t()}
 
@@ -47,7 +47,8 @@ defmodule Situ.Studio.Draw.Window do
     with {:ok, messages} <- messages(source, spec, from, to) do
       {within, after_it} = Enum.split_while(messages, &(&1.originating_time <= to))
       later = with [next | _] <- after_it, do: next.originating_time, else: ([] -> nil)
-      {:segments, within |> Segments.of(spec.path, later) |> Segments.thin(bin, @lane_rows)}
+      rows = within |> Segments.of(spec.path, later) |> Segments.thin(bin, @lane_rows)
+      {:segments, rows, newest(within)}
     end
   end
 
@@ -55,17 +56,18 @@ defmodule Situ.Studio.Draw.Window do
     with {:ok, messages} <- within(source, stream, from, to) do
       before = around(source, :latest_at, stream, from, -1)
       later = around(source, :next_after, stream, to, 0)
+      messages = Enum.reverse(before) ++ messages ++ later
 
       rows =
-        for message <- before ++ messages ++ later,
+        for message <- messages,
             {:ok, value} <- [Situ.Studio.Path.fetch(message.data, spec.path)],
             {a, b, _, _, _} = row <- Spans.of(value, message.originating_time),
             a <= to and b >= from,
             uniq: true,
             do: row
 
-      {:segments,
-       rows |> Enum.sort_by(&{elem(&1, 4), elem(&1, 0)}) |> Segments.thin(bin, @lane_rows)}
+      sorted = Enum.sort_by(rows, &{elem(&1, 4), elem(&1, 0)})
+      {:segments, Segments.thin(sorted, bin, @lane_rows), newest(messages)}
     end
   end
 
@@ -81,6 +83,9 @@ defmodule Situ.Studio.Draw.Window do
     with {:ok, rows, all} <- Source.call(source, :marks, [stream, from, to, @mark_rows]),
          do: {:marks, rows, all == :all}
   end
+
+  defp newest([]), do: nil
+  defp newest(messages), do: List.last(messages).originating_time
 
   # Those within, and one on both sides: what is in force at the beginning, and until when at the end.
   defp messages(source, %{stream: stream}, from, to) do
