@@ -16,21 +16,38 @@ defmodule Situ.Pipeline.Upstream do
         ) ::
           MapSet.t(id())
   def whole(stages, links, finite) do
-    upstream = Enum.group_by(links, & &1.to, & &1.from)
+    downstream = Enum.group_by(links, & &1.from, & &1.to)
+    # How many links into each stage come from stages that are not known to be whole.
+    unknown = Enum.frequencies_by(links, & &1.to)
 
-    candidates =
+    endless =
       for {id, %{vertices: [head | _]}} <- stages,
-          not Vertex.source?(head) or MapSet.member?(finite, id),
-          do: {id, Map.get(upstream, id, [])}
+          Vertex.source?(head),
+          not MapSet.member?(finite, id),
+          into: MapSet.new(),
+          do: id
 
-    grow(candidates, MapSet.new())
+    first = for {id, _stage} <- stages, not is_map_key(unknown, id), do: id
+    follow(first, downstream, unknown, {endless, MapSet.new()})
   end
 
-  # Adds those whose neighbours upstream are all in, until none is left to add; a cycle never gets in.
-  defp grow(candidates, whole) do
-    case Enum.split_with(candidates, fn {_id, froms} -> Enum.all?(froms, &(&1 in whole)) end) do
-      {[], _rest} -> whole
-      {more, rest} -> grow(rest, Enum.into(more, whole, &elem(&1, 0)))
+  # A cycle is never entered: its stages wait for one another.
+  defp follow([], _downstream, _unknown, {_endless, whole}), do: whole
+
+  defp follow([id | rest], downstream, unknown, {endless, whole} = sets) do
+    if MapSet.member?(endless, id) do
+      follow(rest, downstream, unknown, sets)
+    else
+      {rest, unknown} = downstream |> Map.get(id, []) |> Enum.reduce({rest, unknown}, &arrived/2)
+
+      follow(rest, downstream, unknown, {endless, MapSet.put(whole, id)})
+    end
+  end
+
+  defp arrived(id, {rest, unknown}) do
+    case Map.fetch!(unknown, id) do
+      1 -> {[id | rest], Map.delete(unknown, id)}
+      n -> {rest, %{unknown | id => n - 1}}
     end
   end
 end
