@@ -5,6 +5,7 @@ defmodule Situ.Live.Yaws.Dispatch do
   require Logger
   require Record
   alias Situ.Live.{Connections, Endpoint, Request, Response}
+  alias Situ.Live.Yaws.Answer
 
   @compile {:no_warn_undefined, [:yaws_api, :yaws_websockets]}
 
@@ -125,6 +126,9 @@ defmodule Situ.Live.Yaws.Dispatch do
     end
   end
 
+  defp write(arg(clisock: socket), config, request, response, keep?),
+    do: Answer.write(socket, config, request, response, keep?)
+
   # -- reading
 
   defp request(arg(headers: headers, req: req, client_ip_port: peer), config) do
@@ -204,7 +208,7 @@ defmodule Situ.Live.Yaws.Dispatch do
 
   defp read_body(arg(clisock: socket), request, length, body_ms) do
     expect = request |> Request.header("expect") |> to_string() |> String.downcase()
-    if expect == "100-continue", do: send_bytes(socket, "HTTP/1.1 100 Continue\r\n\r\n")
+    if expect == "100-continue", do: Answer.continue(socket)
     deadline = System.monotonic_time(:millisecond) + body_ms
     read(socket, length, deadline, [])
   end
@@ -221,127 +225,6 @@ defmodule Situ.Live.Yaws.Dispatch do
     end
   end
 
-  # -- writing
-
-  defp write(arg(clisock: socket), config, request, %Response{} = response, keep?) do
-    {framing, body} = framing(response.body, request, response.status, keep?)
-    keep? = keep? and framing != :until_close
-
-    head = [
-      ["HTTP/1.1 ", Integer.to_string(response.status), " ", reason(response.status), "\r\n"],
-      Enum.map(response.headers ++ config.headers, &header/1),
-      framing_header(framing),
-      if(keep?, do: [], else: "connection: close\r\n"),
-      "\r\n"
-    ]
-
-    with :ok <- send_body(socket, head, body, framing),
-         true <- keep? do
-      :done
-    else
-      _ -> :closed
-    end
-  end
-
-  # A line break in a header would start another header.
-  defp header({name, value}) do
-    value = :binary.replace(IO.iodata_to_binary(value), ["\r", "\n"], " ", [:global])
-    [name, ": ", value, "\r\n"]
-  end
-
-  defp framing(_, _, status, _) when status in [204, 304] or status < 200, do: {:none, ""}
-  defp framing({:chunks, _}, %{method: "HEAD"}, _, _), do: {:none, ""}
-  defp framing({:chunks, chunks}, _, _, true), do: {:chunked, {:chunks, chunks}}
-  defp framing({:chunks, chunks}, _, _, false), do: {:until_close, {:chunks, chunks}}
-  defp framing({:file, _, _, n}, %{method: "HEAD"}, _, _), do: {{:length, n}, ""}
-  defp framing({:file, _, _, n} = body, _, _, _), do: {{:length, n}, body}
-
-  defp framing(body, request, _, _) do
-    length = {:length, IO.iodata_length(body)}
-    if request.method == "HEAD", do: {length, ""}, else: {length, body}
-  end
-
-  defp framing_header({:length, n}), do: ["content-length: ", Integer.to_string(n), "\r\n"]
-  defp framing_header(:chunked), do: "transfer-encoding: chunked\r\n"
-  defp framing_header(_), do: []
-
-  defp send_body(socket, head, {:file, path, from, length}, _) do
-    with :ok <- send_bytes(socket, head) do
-      send_file(socket, path, from, length)
-    end
-  end
-
-  defp send_body(socket, head, {:chunks, chunks}, framing) do
-    with :ok <- send_bytes(socket, head) do
-      send_chunks(socket, chunks, framing)
-    end
-  end
-
-  defp send_body(socket, head, body, _), do: send_bytes(socket, [head, body])
-
-  defp send_chunks(socket, chunks, framing) do
-    result =
-      Enum.reduce_while(chunks, :ok, fn chunk, :ok ->
-        case send_chunk(socket, chunk, IO.iodata_length(chunk), framing) do
-          :ok -> {:cont, :ok}
-          error -> {:halt, error}
-        end
-      end)
-
-    if result == :ok and framing == :chunked, do: send_bytes(socket, "0\r\n\r\n"), else: result
-  catch
-    # The head is out already: an end without the last chunk tells the client that something is missing.
-    kind, reason ->
-      Logger.error(Exception.format(kind, reason, __STACKTRACE__))
-      :error
-  end
-
-  defp send_chunk(_socket, _chunk, 0, _), do: :ok
-
-  defp send_chunk(socket, chunk, n, :chunked),
-    do: send_bytes(socket, [Integer.to_string(n, 16), "\r\n", chunk, "\r\n"])
-
-  defp send_chunk(socket, chunk, _, :until_close), do: send_bytes(socket, chunk)
-
-  defp send_file({:ssl, socket}, path, from, length) do
-    File.open(path, [:read, :raw, :binary], fn file ->
-      {:ok, _} = :file.position(file, from)
-      copy(file, socket, length)
-    end)
-    |> case do
-      {:ok, result} -> result
-      error -> error
-    end
-  end
-
-  defp send_file(socket, path, from, length) do
-    with {:ok, file} <- :file.open(path, [:read, :raw, :binary]) do
-      result = :file.sendfile(file, socket, from, length, [])
-      :file.close(file)
-      if result == {:ok, length}, do: :ok, else: :error
-    end
-  end
-
-  defp copy(_file, _socket, 0), do: :ok
-
-  defp copy(file, socket, length) do
-    with {:ok, bytes} <- :file.read(file, min(length, @piece)),
-         :ok <- :ssl.send(socket, bytes) do
-      copy(file, socket, length - byte_size(bytes))
-    else
-      _ -> :error
-    end
-  end
-
-  defp send_bytes({:ssl, socket}, bytes), do: :ssl.send(socket, bytes)
-  defp send_bytes(socket, bytes), do: :gen_tcp.send(socket, bytes)
-
   defp recv({:ssl, socket}, n, timeout_ms), do: :ssl.recv(socket, n, timeout_ms)
   defp recv(socket, n, timeout_ms), do: :gen_tcp.recv(socket, n, timeout_ms)
-
-  # Yaws knows the older ones.
-  defp reason(421), do: "Misdirected Request"
-  defp reason(status) when status in 200..417, do: :yaws_api.code_to_phrase(status)
-  defp reason(status) when status in [500, 501, 502, 503], do: :yaws_api.code_to_phrase(status)
-  defp reason(_), do: "Status"
 end

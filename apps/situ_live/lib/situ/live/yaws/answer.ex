@@ -1,0 +1,137 @@
+defmodule Situ.Live.Yaws.Answer do
+  @moduledoc false
+  # A `Situ.Live.Response` on a socket: head, framing, body; files by the kernel where it can.
+  require Logger
+  alias Situ.Live.{Request, Response}
+
+  @compile {:no_warn_undefined, [:yaws_api]}
+
+  @piece 65_536
+
+  @type socket :: :gen_tcp.socket() | {:ssl, :ssl.sslsocket()}
+
+  @doc "Tells a client that waits for it to send the body."
+  @spec continue(socket()) :: :ok | {:error, term()}
+  def continue(socket), do: send_bytes(socket, "HTTP/1.1 100 Continue\r\n\r\n")
+
+  @doc "Writes `response`; `:done` keeps the connection, `:closed` ends it."
+  @spec write(socket(), map(), Request.t(), Response.t(), boolean()) :: :done | :closed
+  def write(socket, config, request, %Response{} = response, keep?) do
+    {framing, body} = framing(response.body, request, response.status, keep?)
+    keep? = keep? and framing != :until_close
+
+    head = [
+      ["HTTP/1.1 ", Integer.to_string(response.status), " ", reason(response.status), "\r\n"],
+      Enum.map(response.headers ++ config.headers, &header/1),
+      framing_header(framing),
+      if(keep?, do: [], else: "connection: close\r\n"),
+      "\r\n"
+    ]
+
+    with :ok <- send_body(socket, head, body, framing),
+         true <- keep? do
+      :done
+    else
+      _ -> :closed
+    end
+  end
+
+  # A line break in a header would start another header.
+  defp header({name, value}) do
+    value = :binary.replace(IO.iodata_to_binary(value), ["\r", "\n"], " ", [:global])
+    [name, ": ", value, "\r\n"]
+  end
+
+  defp framing(_, _, status, _) when status in [204, 304] or status < 200, do: {:none, ""}
+  defp framing({:chunks, _}, %{method: "HEAD"}, _, _), do: {:none, ""}
+  defp framing({:chunks, chunks}, _, _, true), do: {:chunked, {:chunks, chunks}}
+  defp framing({:chunks, chunks}, _, _, false), do: {:until_close, {:chunks, chunks}}
+  defp framing({:file, _, _, n}, %{method: "HEAD"}, _, _), do: {{:length, n}, ""}
+  defp framing({:file, _, _, n} = body, _, _, _), do: {{:length, n}, body}
+
+  defp framing(body, request, _, _) do
+    length = {:length, IO.iodata_length(body)}
+    if request.method == "HEAD", do: {length, ""}, else: {length, body}
+  end
+
+  defp framing_header({:length, n}), do: ["content-length: ", Integer.to_string(n), "\r\n"]
+  defp framing_header(:chunked), do: "transfer-encoding: chunked\r\n"
+  defp framing_header(_), do: []
+
+  defp send_body(socket, head, {:file, path, from, length}, _) do
+    with :ok <- send_bytes(socket, head) do
+      send_file(socket, path, from, length)
+    end
+  end
+
+  defp send_body(socket, head, {:chunks, chunks}, framing) do
+    with :ok <- send_bytes(socket, head) do
+      send_chunks(socket, chunks, framing)
+    end
+  end
+
+  defp send_body(socket, head, body, _), do: send_bytes(socket, [head, body])
+
+  defp send_chunks(socket, chunks, framing) do
+    result =
+      Enum.reduce_while(chunks, :ok, fn chunk, :ok ->
+        case send_chunk(socket, chunk, IO.iodata_length(chunk), framing) do
+          :ok -> {:cont, :ok}
+          error -> {:halt, error}
+        end
+      end)
+
+    if result == :ok and framing == :chunked, do: send_bytes(socket, "0\r\n\r\n"), else: result
+  catch
+    # The head is out already: an end without the last chunk tells the client that something is missing.
+    kind, reason ->
+      Logger.error(Exception.format(kind, reason, __STACKTRACE__))
+      :error
+  end
+
+  defp send_chunk(_socket, _chunk, 0, _), do: :ok
+
+  defp send_chunk(socket, chunk, n, :chunked),
+    do: send_bytes(socket, [Integer.to_string(n, 16), "\r\n", chunk, "\r\n"])
+
+  defp send_chunk(socket, chunk, _, :until_close), do: send_bytes(socket, chunk)
+
+  defp send_file({:ssl, socket}, path, from, length) do
+    File.open(path, [:read, :raw, :binary], fn file ->
+      {:ok, _} = :file.position(file, from)
+      copy(file, socket, length)
+    end)
+    |> case do
+      {:ok, result} -> result
+      error -> error
+    end
+  end
+
+  defp send_file(socket, path, from, length) do
+    with {:ok, file} <- :file.open(path, [:read, :raw, :binary]) do
+      result = :file.sendfile(file, socket, from, length, [])
+      :file.close(file)
+      if result == {:ok, length}, do: :ok, else: :error
+    end
+  end
+
+  defp copy(_file, _socket, 0), do: :ok
+
+  defp copy(file, socket, length) do
+    with {:ok, bytes} <- :file.read(file, min(length, @piece)),
+         :ok <- :ssl.send(socket, bytes) do
+      copy(file, socket, length - byte_size(bytes))
+    else
+      _ -> :error
+    end
+  end
+
+  defp send_bytes({:ssl, socket}, bytes), do: :ssl.send(socket, bytes)
+  defp send_bytes(socket, bytes), do: :gen_tcp.send(socket, bytes)
+
+  # Yaws knows the older ones.
+  defp reason(421), do: "Misdirected Request"
+  defp reason(status) when status in 200..417, do: :yaws_api.code_to_phrase(status)
+  defp reason(status) when status in [500, 501, 502, 503], do: :yaws_api.code_to_phrase(status)
+  defp reason(_), do: "Status"
+end
