@@ -450,6 +450,7 @@ test("8 layouts: saved, switched and deleted; a link gives the same picture", as
   await page.waitForTimeout(400);
   const still = async (p) => {
     await p.evaluate(() => document.getElementById("toast").remove());
+    await p.evaluate(() => (document.querySelector(".stack").scrollTop = 0));
     await p.mouse.move(5, 5);
     await settled(p);
     await p.waitForTimeout(1200);
