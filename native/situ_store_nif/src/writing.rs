@@ -11,6 +11,7 @@ use rustler::{
 };
 use situ_store::chunk::{Envelope, Input};
 use situ_store::extent::Fault;
+use situ_store::format::LARGE_MESSAGE;
 use situ_store::pyramid::Bin;
 use situ_store::writer::Durability;
 use situ_store::{etf, Compression, Encoding, Error, Options, Writer};
@@ -258,12 +259,15 @@ fn append(writer: &mut Writer, stream: u32, batches: Term<'_>) -> Result<u64, Fa
     let first = batches
         .into_list_iterator()?
         .find_map(|batch| batch.into_list_iterator().ok()?.next());
-    let encoding = match first {
-        Some(message) => encoding_of(message.map_get(atoms::data())?),
+    let data = match first {
+        Some(message) => message.map_get(atoms::data())?,
         None => return Ok(writer.committed()),
     };
-    // Binaries may be large and are written as they are pushed: they are looked through first.
-    let fit = encoding != Encoding::Bytes || all_fit(encoding, batches.into_list_iterator()?)?;
+    let encoding = encoding_of(data);
+    // Large messages are written as they are pushed: they are looked through first.
+    let large = |bytes: Binary<'_>| bytes.len() >= LARGE_MESSAGE;
+    let fit = !(encoding == Encoding::Bytes && data.decode().is_ok_and(large))
+        || all_fit(encoding, batches.into_list_iterator()?)?;
     if !fit || !push_all(writer, stream, encoding, batches.into_list_iterator()?)? {
         writer.rollback();
         push_all(
