@@ -85,7 +85,7 @@ defmodule Situ.Pipeline do
   """
   alias Situ.{Error, Graph, Node, Stream}
   alias Situ.Graph.Builder
-  alias Situ.Pipeline.{Ask, Report, Server}
+  alias Situ.Pipeline.{Ask, Entry, Report}
 
   @enforce_keys [:pid, :ref]
   defstruct [:pid, :ref, :scope]
@@ -131,19 +131,19 @@ defmodule Situ.Pipeline do
   A pipeline without finite sources runs until another process stops it.
   """
   @spec run(spec(), keyword()) :: result()
-  def run(spec, opts \\ []), do: Server.run(spec, opts)
+  def run(spec, opts \\ []), do: Entry.run(spec, opts)
 
   @doc "Builds and starts a pipeline linked to the caller; returns as soon as `build` is done."
   @spec start_link(spec(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
-  def start_link(spec, opts \\ []), do: Server.start_link(spec, opts)
+  def start_link(spec, opts \\ []), do: Entry.start_link(spec, opts)
 
   @doc "As `start_link/2` without the link: a failure is seen by `await/2` alone."
   @spec start(spec(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
-  def start(spec, opts), do: Server.start(spec, opts)
+  def start(spec, opts), do: Entry.start(spec, opts)
 
   @doc "Opens an empty pipeline, to be built from outside and started with `start/1`; it ends with its caller."
   @spec new(keyword()) :: t()
-  def new(settings \\ []), do: Server.new(settings)
+  def new(settings \\ []), do: Entry.new(settings)
 
   @doc "Starts a pipeline that was opened with `new/1`."
   @spec start(t()) :: :ok | {:error, Error.t()}

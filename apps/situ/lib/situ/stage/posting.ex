@@ -3,7 +3,7 @@ defmodule Situ.Stage.Posting do
   # The posting rules of an output: originating times and sequence ids strictly increase, creation times do not go back; what
   # is ahead of an enforced clock waits.
   alias Situ.{Error, Message}
-  alias Situ.Stage.Outlet
+  alias Situ.Stage.{Disorder, Outlet}
 
   @doc "Posts data at `time`; held back until the clock reaches it when `enforce`d."
   @spec emit(Outlet.t(), Situ.Time.t(), term(), Situ.Time.t(), boolean()) ::
@@ -44,10 +44,10 @@ defmodule Situ.Stage.Posting do
 
     if time >= wanted,
       do: {:at, last + 1, %{outlet | wanted: {last + 1, time}}},
-      else: {:error, not_increasing(outlet, time)}
+      else: {:error, Disorder.not_increasing(outlet, time)}
   end
 
-  defp again(outlet, time), do: {:error, not_increasing(outlet, time)}
+  defp again(outlet, time), do: {:error, Disorder.not_increasing(outlet, time)}
 
   @doc """
   Posts the leading `{name, time, data}` actions that are for this output, in one go; answers the actions left over.
@@ -67,7 +67,7 @@ defmodule Situ.Stage.Posting do
 
     case post_all(actions, start, first, outlet.seq, outlet.pending) do
       {:stuck, time, last} ->
-        {:error, not_increasing(%{outlet | last_time: last}, time)}
+        {:error, Disorder.not_increasing(%{outlet | last_time: last}, time)}
 
       {rest, last, seq, pending} ->
         last = if last == :none, do: nil, else: last
@@ -279,55 +279,16 @@ defmodule Situ.Stage.Posting do
   defp check(outlet, message) do
     cond do
       message.sequence_id <= outlet.seq ->
-        {:error, bad_sequence(outlet, message.sequence_id)}
+        {:error, Disorder.bad_sequence(outlet, message.sequence_id)}
 
       message.originating_time <= outlet.last_time ->
-        {:error, not_increasing(outlet, message.originating_time)}
+        {:error, Disorder.not_increasing(outlet, message.originating_time)}
 
       message.creation_time < outlet.last_creation ->
-        {:error, bad_creation(outlet, message.creation_time)}
+        {:error, Disorder.bad_creation(outlet, message.creation_time)}
 
       true ->
         :ok
     end
-  end
-
-  defp not_increasing(outlet, time) do
-    Error.new(
-      :time_not_increasing,
-      "#{outlet.path}.#{outlet.name} emitted at #{time} ns after #{outlet.last_time} ns",
-      why: "originating times of one output strictly increase",
-      fix:
-        "give each message its own, later time (equal ones: on_same_time: :drop or :nudge); in a cycle, delay the message",
-      meta: %{
-        component: outlet.path,
-        output: outlet.name,
-        time: time,
-        last_time: outlet.last_time
-      }
-    )
-  end
-
-  defp bad_sequence(outlet, id) do
-    Error.new(
-      :sequence_not_increasing,
-      "#{outlet.path}.#{outlet.name} emitted sequence id #{id} after #{outlet.seq}",
-      why: "sequence ids of one output strictly increase",
-      meta: %{component: outlet.path, output: outlet.name, sequence_id: id, last: outlet.seq}
-    )
-  end
-
-  defp bad_creation(outlet, time) do
-    Error.new(
-      :creation_time_went_back,
-      "#{outlet.path}.#{outlet.name} emitted a message created at #{time} ns after one created at #{outlet.last_creation} ns",
-      why: "creation times of one output never decrease",
-      meta: %{
-        component: outlet.path,
-        output: outlet.name,
-        time: time,
-        last_time: outlet.last_creation
-      }
-    )
   end
 end

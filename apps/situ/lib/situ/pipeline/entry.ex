@@ -1,0 +1,115 @@
+defmodule Situ.Pipeline.Entry do
+  @moduledoc false
+  # The ways into a pipeline: a process that builds the graph, answers its caller and becomes the pipeline's server.
+  alias Situ.Error
+  alias Situ.Graph.Builder
+  alias Situ.Pipeline.{Launch, Life, Server, Settings}
+
+  # The result comes as a message of its own: a short pipeline has ended before one could ask it.
+  def run(spec, opts) do
+    reply = make_ref()
+
+    with {:ok, pid} <- boot(:start, spec, opts, {:run, reply}) do
+      monitor = Process.monitor(pid)
+
+      receive do
+        {^reply, result} ->
+          Process.demonitor(monitor, [:flush])
+          result
+
+        {:DOWN, ^monitor, :process, ^pid, reason} ->
+          {:error, Launch.crashed(reason)}
+      end
+    end
+  end
+
+  @doc "Starts a pipeline that sends `{reply, result}` to the caller when it has ended, and ends with the caller."
+  @spec start_answering(Situ.Pipeline.spec(), keyword(), reference()) ::
+          {:ok, pid()} | {:error, Error.t()}
+  def start_answering(spec, opts, reply), do: boot(:start, spec, opts, {:run, reply})
+
+  def start_link(spec, opts), do: boot(:start_link, spec, opts, :linked)
+  def start(spec, opts), do: boot(:start, spec, opts, :unlinked)
+
+  def new(settings) do
+    ensure_started()
+    {:ok, handle} = :proc_lib.start(__MODULE__, :init_empty, [self(), settings])
+    handle
+  end
+
+  # A script that runs without mix may not have started the application; a pipeline would wait for its tables for ever.
+  defp ensure_started do
+    with {:error, reason} <- Application.ensure_all_started(:situ) do
+      raise Error.new(:not_started, "the :situ application does not start: #{inspect(reason)}")
+    end
+  end
+
+  defp boot(how, spec, opts, mode) do
+    ensure_started()
+    {settings, opts} = Keyword.pop(opts, :pipeline, [])
+    {mode, reply} = if is_tuple(mode), do: mode, else: {mode, nil}
+
+    with {:ok, settings} <- Settings.parse(settings, mode, spec) do
+      settings = %{settings | reply: reply && {self(), reply}}
+      how |> proc_lib([self(), spec, opts, settings]) |> entered()
+    end
+  end
+
+  defp proc_lib(how, args), do: apply(:proc_lib, how, [__MODULE__, :init_it, args])
+
+  # A process that dies in the middle of `build` has no error of its own.
+  defp entered({:error, %Error{}} = error), do: error
+  defp entered({:error, reason}), do: {:error, Launch.crashed(reason)}
+  defp entered(ok), do: ok
+
+  @doc false
+  def init_it(caller, spec, opts, settings) do
+    Process.flag(:trap_exit, true)
+    state = Life.new(settings)
+    handle = Builder.open(state.graph)
+    diagnose(handle, settings)
+
+    case build(spec, handle, opts) do
+      {:ok, result} ->
+        graph = Builder.close(handle)
+        state = watch(%{state | handle: handle, graph: graph, result: result}, caller)
+        # With its caller gone meanwhile there is nobody to run for.
+        unless Process.alive?(caller), do: exit(:normal)
+        send(self(), :situ_launch)
+        :proc_lib.init_ack({:ok, self()})
+        :gen_server.enter_loop(Server, [], state)
+
+      {:error, error} ->
+        :proc_lib.init_ack({:error, error})
+        exit(:normal)
+    end
+  end
+
+  @doc false
+  def init_empty(caller, settings) do
+    Process.flag(:trap_exit, true)
+    {:ok, settings} = Settings.parse(settings, :unlinked, nil)
+    state = Life.new(settings)
+    handle = Builder.open(state.graph)
+    diagnose(handle, settings)
+    state = watch(%{state | handle: handle, phase: :building}, caller)
+    :proc_lib.init_ack({:ok, handle})
+    :gen_server.enter_loop(Server, [], state)
+  end
+
+  defp diagnose(_handle, %{diagnostics: false}), do: :ok
+  defp diagnose(handle, %{diagnostics: true}), do: Situ.Diagnostics.stream(handle)
+  defp diagnose(handle, %{diagnostics: opts}), do: Situ.Diagnostics.stream(handle, opts)
+
+  defp build(spec, handle, opts) do
+    result = if is_function(spec, 1), do: spec.(handle), else: spec.build(handle, opts)
+    {:ok, result}
+  rescue
+    error -> {:error, Launch.build_error(spec, error, __STACKTRACE__)}
+  catch
+    kind, reason -> {:error, Launch.build_error(spec, {kind, reason}, __STACKTRACE__)}
+  end
+
+  defp watch(%{settings: %{mode: :linked}} = state, _caller), do: state
+  defp watch(state, caller), do: %{state | owner: Process.monitor(caller)}
+end
