@@ -4,8 +4,8 @@ defmodule Situ.Studio.Web.MainView do
   # layout and what is selected.
   use Situ.Live.View
 
-  alias Situ.Studio.{Catalog, Layout, Layouts, Link, Source, Tree}
-  alias Situ.Studio.Web.{Address, Chrome, Edit, Panels, Side}
+  alias Situ.Studio.{Catalog, Layout, Link, Source, Tree}
+  alias Situ.Studio.Web.{Address, Chrome, Edit, LayoutMenu, Panels, Side}
 
   @max_rows 400
   @max_lanes 32
@@ -36,7 +36,7 @@ defmodule Situ.Studio.Web.MainView do
     case Catalog.open(studio, id) do
       {:ok, item, source} ->
         socket = socket |> assign(item: item, source: source) |> load_streams()
-        {:ok, choose_layout(socket, params)}
+        {:ok, LayoutMenu.choose(socket, params)}
 
       {:error, error} ->
         {:ok, assign(socket, error: error)}
@@ -72,34 +72,11 @@ defmodule Situ.Studio.Web.MainView do
   defp entry(item),
     do: %{id: item.id, title: item.title, kind: item.kind, href: Address.of(item.id)}
 
-  defp choose_layout(socket, params) do
-    auto = Layout.Auto.layout(socket.assigns.infos)
-    names = Layouts.names(socket.assigns.layout_dir)
-
-    saved =
-      case Layouts.load(socket.assigns.layout_dir, to_string(params["layout"])) do
-        {:ok, layout} -> layout
-        {:error, _} -> auto
-      end
-
-    layout =
-      case Link.decode(to_string(params["edit"])) do
-        {:ok, layout} -> layout
-        {:error, _} -> saved
-      end
-
-    assign(socket,
-      layout: layout,
-      saved: saved,
-      layouts: [Layout.Auto.name() | names -- [auto.name]]
-    )
-  end
-
   @impl true
   def handle_event("streams_changed", _, socket) do
     first? = socket.assigns.infos == []
     socket = load_streams(socket)
-    {:noreply, if(first?, do: choose_layout(socket, %{}), else: socket)}
+    {:noreply, if(first?, do: LayoutMenu.choose(socket, %{}), else: socket)}
   end
 
   def handle_event("lanes", %{"of" => of, "count" => n}, socket)
@@ -159,44 +136,14 @@ defmodule Situ.Studio.Web.MainView do
     end
   end
 
-  def handle_event("layout_pick", %{"layout" => name}, socket) do
-    layout =
-      if name == Layout.Auto.name(),
-        do: {:ok, Layout.Auto.layout(socket.assigns.infos)},
-        else: Layouts.load(socket.assigns.layout_dir, name)
+  def handle_event("layout_" <> _ = event, params, socket),
+    do: LayoutMenu.handle_event(event, params, socket)
 
-    case layout do
-      {:ok, layout} -> {:noreply, assign(socket, layout: layout, saved: layout, selected: nil)}
-      {:error, error} -> {:noreply, toast(socket, error)}
-    end
-  end
-
-  def handle_event("layout_dialog", _, socket), do: {:noreply, assign(socket, dialog: :layout)}
   def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
-
-  def handle_event("layout_save", %{"name" => name}, %{assigns: %{read_only: false}} = socket) do
-    layout = %{socket.assigns.layout | name: String.trim(to_string(name))}
-
-    case Layouts.save(socket.assigns.layout_dir, layout) do
-      :ok ->
-        names = [Layout.Auto.name() | Layouts.names(socket.assigns.layout_dir)]
-        socket = assign(socket, layout: layout, saved: layout, layouts: names, dialog: nil)
-        {:noreply, push_event(socket, "toast", %{text: "Layout saved"})}
-
-      {:error, error} ->
-        {:noreply, toast(socket, error)}
-    end
-  end
-
-  def handle_event("layout_delete", _, %{assigns: %{read_only: false}} = socket) do
-    Layouts.delete(socket.assigns.layout_dir, socket.assigns.saved.name)
-    socket = assign(socket, dialog: nil)
-    {:noreply, choose_layout(socket, %{})}
-  end
 
   # A page that was away gets back the layout it shows in its address.
   def handle_event("restore", %{"layout" => name, "edit" => edit}, socket),
-    do: {:noreply, choose_layout(socket, %{"layout" => name, "edit" => edit})}
+    do: {:noreply, LayoutMenu.choose(socket, %{"layout" => name, "edit" => edit})}
 
   def handle_event(event, params, socket) when is_map_key(socket.assigns, :layout) do
     case Edit.apply(event, params, socket.assigns) do

@@ -1,0 +1,72 @@
+defmodule Situ.Studio.Web.LayoutMenu do
+  @moduledoc false
+  # Which layout the main view shows: chosen by its address, picked from the menu, saved under a name, deleted.
+  import Situ.Live.Socket, only: [assign: 2, push_event: 3]
+
+  alias Situ.Live.Socket
+  alias Situ.Studio.{Layout, Layouts, Link}
+
+  @doc "The layout an address asks for, or the automatic one."
+  @spec choose(Socket.t(), map()) :: Socket.t()
+  def choose(socket, params) do
+    auto = Layout.Auto.layout(socket.assigns.infos)
+    names = Layouts.names(socket.assigns.layout_dir)
+
+    saved =
+      case Layouts.load(socket.assigns.layout_dir, to_string(params["layout"])) do
+        {:ok, layout} -> layout
+        {:error, _} -> auto
+      end
+
+    layout =
+      case Link.decode(to_string(params["edit"])) do
+        {:ok, layout} -> layout
+        {:error, _} -> saved
+      end
+
+    assign(socket,
+      layout: layout,
+      saved: saved,
+      layouts: [Layout.Auto.name() | names -- [auto.name]]
+    )
+  end
+
+  @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
+  def handle_event("layout_pick", %{"layout" => name}, socket) do
+    layout =
+      if name == Layout.Auto.name(),
+        do: {:ok, Layout.Auto.layout(socket.assigns.infos)},
+        else: Layouts.load(socket.assigns.layout_dir, name)
+
+    case layout do
+      {:ok, layout} -> {:noreply, assign(socket, layout: layout, saved: layout, selected: nil)}
+      {:error, error} -> {:noreply, toast(socket, error)}
+    end
+  end
+
+  def handle_event("layout_dialog", _, socket), do: {:noreply, assign(socket, dialog: :layout)}
+
+  def handle_event("layout_save", %{"name" => name}, %{assigns: %{read_only: false}} = socket) do
+    layout = %{socket.assigns.layout | name: String.trim(to_string(name))}
+
+    case Layouts.save(socket.assigns.layout_dir, layout) do
+      :ok ->
+        names = [Layout.Auto.name() | Layouts.names(socket.assigns.layout_dir)]
+        socket = assign(socket, layout: layout, saved: layout, layouts: names, dialog: nil)
+        {:noreply, push_event(socket, "toast", %{text: "Layout saved"})}
+
+      {:error, error} ->
+        {:noreply, toast(socket, error)}
+    end
+  end
+
+  def handle_event("layout_delete", _, %{assigns: %{read_only: false}} = socket) do
+    Layouts.delete(socket.assigns.layout_dir, socket.assigns.saved.name)
+    socket = assign(socket, dialog: nil)
+    {:noreply, choose(socket, %{})}
+  end
+
+  def handle_event(_, _, socket), do: {:noreply, socket}
+
+  defp toast(socket, error), do: push_event(socket, "toast", %{text: Exception.message(error)})
+end
