@@ -9,6 +9,7 @@ defmodule Situ.Umbrella.MixProject do
       version: @version,
       elixir: "~> 1.14",
       start_permanent: Mix.env() == :prod,
+      prune_code_paths: false,
       deps: [],
       releases: releases(),
       aliases: []

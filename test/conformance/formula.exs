@@ -91,7 +91,7 @@ defmodule Situ.Conformance.Formula do
   end
 
   defp token(2, name), do: {:name, name}
-  defp token(3, text), do: {:text, String.slice(text, 1..-2)}
+  defp token(3, text), do: {:text, String.slice(text, 1, String.length(text) - 2)}
   defp token(4, symbol), do: {:symbol, symbol}
 
   # One function per level of precedence, weakest first.

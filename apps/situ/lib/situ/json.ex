@@ -64,10 +64,14 @@ defmodule Situ.JSON do
     defp valid(""), do: ""
 
     defp parse(text) do
-      {value, :ok, rest} = :json.decode(text, :ok, %{null: nil, string: &:binary.copy/1})
+      decoders = %{null: nil, string: &:binary.copy/1, object_finish: &object/2}
+      {value, :ok, rest} = :json.decode(text, :ok, decoders)
       "" = String.trim(rest)
       value
     end
+
+    # Pairs come last first.
+    defp object(pairs, outer), do: {pairs |> Enum.reverse() |> Map.new(), outer}
   else
     defp to_iodata(value, options), do: :jiffy.encode(value, [:use_nil, :force_utf8 | options])
 

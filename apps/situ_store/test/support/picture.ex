@@ -94,7 +94,9 @@ defmodule Situ.Store.Test.Raw do
     file = Path.join(path, "data-000000.situ")
     bytes = File.read!(file)
     {at, length} = :binary.match(bytes, external)
-    <<before::binary-size(at), _::binary-size(length), rest::binary>> = bytes
+    behind = at + length
+    before = binary_part(bytes, 0, at)
+    rest = binary_part(bytes, behind, byte_size(bytes) - behind)
     File.write!(file, [before, term, rest])
     {:ok, %{damage: [_]}} = Store.verify(path)
     File.write!(file, fix(before <> term <> rest, at))
@@ -121,8 +123,8 @@ defmodule Situ.Store.Test.Raw do
   end
 
   defp put(bytes, at, value) do
-    <<a::binary-size(at), _::32, b::binary>> = bytes
-    <<a::binary, value::little-32, b::binary>>
+    behind = binary_part(bytes, at + 4, byte_size(bytes) - at - 4)
+    binary_part(bytes, 0, at) <> <<value::little-32>> <> behind
   end
 
   defp crc(bytes) do

@@ -12,7 +12,9 @@ defmodule Situ.Parallel.Parts do
   @doc "Key and value of each; the keys of a list are its positions."
   @spec pairs(list() | map()) :: [{term(), term()}]
   def pairs(list) when is_list(list), do: number(list, 0)
-  def pairs(map), do: Map.to_list(map)
+
+  # By key: the order of a map's own is not the same in every Erlang, and branches begin in this one.
+  def pairs(map), do: map |> Map.to_list() |> List.keysort(0)
 
   defp number([], _i), do: []
   defp number([value | rest], i), do: [{i, value} | number(rest, i + 1)]
