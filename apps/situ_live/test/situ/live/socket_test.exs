@@ -114,7 +114,8 @@ defmodule Situ.Live.SocketTest do
       capture_log(fn ->
         {socket, _, _, _} = echo()
         :gen_tcp.send(socket, binary_part(Raw.frame(1, "never whole"), 0, 8))
-        assert {:close, _} = Raw.receive_frame(socket, 10_000)
+        # Newer versions of Yaws close without a word.
+        assert Raw.receive_frame(socket, 10_000) in [:closed, {:close, <<1000::16>>}]
         assert_receive {:closed, _}, 5_000
       end)
     end

@@ -38,6 +38,35 @@ defmodule Situ.Media.FFmpeg do
   end
 
   @doc """
+  The name by which the installed FFmpeg takes "the input's own time base" for an encoder. It was a number, and has been
+  a word from version 6.1 on; 8 no longer knows the number.
+
+      iex> Situ.Media.FFmpeg.input_time_base("ffmpeg version 5.1.9-0+deb12u1 Copyright (c) ...")
+      "-1"
+      iex> Situ.Media.FFmpeg.input_time_base("ffmpeg version N-117100-g0fc6f6b Copyright (c) ...")
+      "demux"
+  """
+  @spec input_time_base(String.t()) :: String.t()
+  def input_time_base(banner \\ banner()) do
+    case Regex.run(~r/version n?(\d+)\./, banner) do
+      [_, major] when major in ["4", "5", "6"] -> "-1"
+      _ -> "demux"
+    end
+  end
+
+  # Asked once for each program: it does not change while we run.
+  defp banner do
+    path = System.find_executable("ffmpeg")
+    key = {__MODULE__, path}
+
+    with nil <- :persistent_term.get(key, nil) do
+      {banner, _} = System.cmd(path, ["-version"], stderr_to_stdout: true)
+      :persistent_term.put(key, banner)
+      banner
+    end
+  end
+
+  @doc """
   Options that keep a local file local: a playlist or a "file" that names a URL inside must not reach the network.
 
       iex> Situ.Media.FFmpeg.local_file("-odd:name.mp4")
