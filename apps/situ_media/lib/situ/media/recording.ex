@@ -27,8 +27,9 @@ defmodule Situ.Media.Recording do
   alias Situ.Store.StreamInfo
 
   @enforce_keys [:path, :version, :info, :index, :start]
-  defstruct [:path, :version, :info, :index, :start, :sound]
+  defstruct [:path, :version, :info, :index, :start, :sound, :print]
 
+  # `print` is what tells two contents from each other that were written within one second.
   @typedoc "`first` is the media time of the sound's first frame, in frames; `step` the frames of a piece."
   @type sound :: %{
           format: AudioFormat.t(),
@@ -42,7 +43,8 @@ defmodule Situ.Media.Recording do
           info: FileInfo.t(),
           index: Index.t(),
           start: Situ.Time.t(),
-          sound: sound() | nil
+          sound: sound() | nil,
+          print: non_neg_integer()
         }
 
   @schema [
@@ -83,7 +85,7 @@ defmodule Situ.Media.Recording do
         start: start
       }
 
-      {:ok, %{recording | sound: sound}}
+      {:ok, %{recording | sound: sound, print: :erlang.phash2({info, index, sound})}}
     end
   end
 

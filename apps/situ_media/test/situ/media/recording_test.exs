@@ -239,6 +239,9 @@ defmodule Situ.Media.RecordingTest do
         )
       )
 
+      # Another file of the same size and second, as far as the file system tells.
+      File.touch!(broken, 1_767_225_600)
+
       case Store.open(broken) do
         {:error, error} ->
           assert error.code in [:unreadable_media, :damaged_media]
@@ -278,7 +281,7 @@ defmodule Situ.Media.RecordingTest do
   test "the processes behind a file end when nobody asks, and come back", %{tmp_dir: root} do
     store = Store.open!(mp4(root))
     {:ok, first} = Store.at(store, "Video", 0)
-    key = {Recording.Pictures, store.state.path, store.state.version}
+    key = {Recording.Pictures, store.state.path, store.state.version, store.state.print}
     [{pid, _}] = Registry.lookup(Recording.Registry, key)
     ref = Process.monitor(pid)
     send(pid, :timeout)

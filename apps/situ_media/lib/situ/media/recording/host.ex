@@ -31,7 +31,7 @@ defmodule Situ.Media.Recording.Host do
   end
 
   defp find(module, recording) do
-    key = {module, recording.path, recording.version}
+    key = {module, recording.path, recording.version, recording.print}
 
     # Unlike a lookup, this leaves out a process that has ended a moment ago.
     case Registry.whereis_name({@registry, key}) do
