@@ -159,13 +159,13 @@ defmodule Situ.Store.PipelineTest do
         pipeline: [clock: clock, replay: [speed: 1.0]]
       )
 
-    assert_receive {:got, 0}, 1_000
+    assert_receive {:got, 0}
     refute_received {:got, 1}
     Situ.Clock.advance(clock, 3_000_000)
-    for n <- 1..3, do: assert_receive({:got, ^n}, 1_000)
+    for n <- 1..3, do: assert_receive({:got, ^n})
     refute_received {:got, 4}
     Situ.Clock.advance(clock, 6_000_000)
-    for n <- 4..9, do: assert_receive({:got, ^n}, 1_000)
+    for n <- 4..9, do: assert_receive({:got, ^n})
     assert {:ok, _} = Pipeline.await(p, 5_000)
   end
 
@@ -184,20 +184,20 @@ defmodule Situ.Store.PipelineTest do
       )
 
     assert_receive {:importer, importer}
-    assert_receive {:got, 0}, 1_000
+    assert_receive {:got, 0}
     :ok = Pipeline.pause(p)
     assert {:ok, 1_000_000} = Store.Importer.step(importer)
-    assert_receive {:got, 1}, 1_000
+    assert_receive {:got, 1}
     assert {:ok, 2_000_000} = Store.Importer.step(importer)
-    assert_receive {:got, 2}, 1_000
+    assert_receive {:got, 2}
     refute_received {:got, 3}
     :ok = Store.Importer.seek(importer, 995_000_000)
     assert Store.Importer.position(importer) == 995_000_000
-    assert_receive {:got, 995}, 1_000
+    assert_receive {:got, 995}
     refute_received {:got, 500}
     :ok = Pipeline.set_speed(p, 1_000.0)
     :ok = Pipeline.resume(p)
-    for n <- 996..999, do: assert_receive({:got, ^n}, 1_000)
+    for n <- 996..999, do: assert_receive({:got, ^n})
     assert {:ok, _} = Pipeline.await(p, 5_000)
   end
 
@@ -229,7 +229,7 @@ defmodule Situ.Store.PipelineTest do
       )
 
     assert_receive {:importer, importer}
-    assert_receive {:got, {0, 0}, _}, 1_000
+    assert_receive {:got, {0, 0}, _}
     :ok = Pipeline.pause(p)
     {p, importer}
   end
@@ -237,7 +237,7 @@ defmodule Situ.Store.PipelineTest do
   # The joined messages from the one of recorded time `from` ms on, up to and with that of `to` ms, and their times in the pipeline.
   defp joined(from, to) do
     for i <- from..to do
-      assert_receive {:got, {^i, ^i}, m}, 1_000
+      assert_receive {:got, {^i, ^i}, m}
       # Latency is the recording's all the time.
       assert m.creation_time >= m.originating_time
       m.originating_time
@@ -329,7 +329,7 @@ defmodule Situ.Store.PipelineTest do
 
   # What comes up to and with `data`, the latest first.
   defp played(data, got) do
-    assert_receive {:got, now, m}, 5_000
+    assert_receive {:got, now, m}
     got = [{now, m.originating_time} | got]
     if now == data, do: got, else: played(data, got)
   end
@@ -404,7 +404,7 @@ defmodule Situ.Store.PipelineTest do
         for i <- 1..30, reduce: stream do
           stream ->
             {:ok, stream} = Store.Writer.append(stream, [message(i, i, i, i)])
-            if rem(i, 10) == 0, do: assert_receive({:got, ^i}, 2_000)
+            if rem(i, 10) == 0, do: assert_receive({:got, ^i})
             stream
         end
 
@@ -454,11 +454,11 @@ defmodule Situ.Store.PipelineTest do
 
     for i <- 1..5 do
       Port.command(port, "more\n")
-      assert_receive {:got, ^i}, 2_000
+      assert_receive {:got, ^i}
     end
 
     {_, 0} = System.cmd("kill", ["-9", "#{os_pid}"])
-    assert_receive {^port, {:exit_status, 137}}, 5_000
+    assert_receive {^port, {:exit_status, 137}}
     assert {:ok, _} = Pipeline.await(p, 10_000)
 
     assert %{closed?: false, live?: false} =

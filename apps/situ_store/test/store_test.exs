@@ -219,14 +219,14 @@ defmodule Situ.StoreTest do
     :ok = Store.notify(store, known, 7)
     refute_received {:situ_store, _, _}
     {:ok, _} = Writer.append(stream, [message(1, 1)])
-    assert_receive {:situ_store, 7, {:published, n}} when n > known, 2_000
+    assert_receive {:situ_store, 7, {:published, n}} when n > known
     assert Store.count(store, hd(Store.streams(store))) == 1
     :ok = Writer.close(writer)
     # Closing publishes the rest of the pyramid.
     :ok = Store.notify(store, n, 8)
-    assert_receive {:situ_store, 8, {:published, n}}, 2_000
+    assert_receive {:situ_store, 8, {:published, n}}
     :ok = Store.notify(store, n, 8)
-    assert_receive {:situ_store, 8, {:ended, _}}, 2_000
+    assert_receive {:situ_store, 8, {:ended, _}}
   end
 
   test "a summary of a number stream and of a codec's signal", %{tmp_dir: root} do

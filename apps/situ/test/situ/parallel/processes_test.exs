@@ -190,7 +190,7 @@ defmodule Situ.Parallel.ProcessesTest do
       end
 
       {:ok, pipeline} = Situ.Pipeline.start(build, pipeline: [replay: [speed: :max]])
-      assert_receive {:stuck, branch}, 10_000
+      assert_receive {:stuck, branch}
       at_rest(stages(pipeline), nil)
       edges = Situ.Pipeline.info(pipeline).edges
       # Two demand windows, and what the operator holds.
@@ -240,7 +240,7 @@ defmodule Situ.Parallel.ProcessesTest do
 
       # By its mark the pipeline knows whether anything moves while it ends: after each part it is another one.
       Enum.reduce(0..2, nil, fn n, before ->
-        assert_receive {:at, ^n, branch}, 10_000
+        assert_receive {:at, ^n, branch}
         ending(pipeline)
         mark = moved(pipeline, before)
         send(branch, :go_on)

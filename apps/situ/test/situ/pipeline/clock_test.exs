@@ -27,7 +27,7 @@ defmodule Situ.Pipeline.ClockTest do
       Pipeline.start(
         fn p ->
           p
-          |> Situ.source(Count, count: :infinity, interval: 100 * @ms)
+          |> Situ.source(Count, count: :infinity, interval: 60_000 * @ms)
           |> Situ.each(&send(me, {:got, &1}))
         end,
         pipeline: [replay: [interval: {0, :unbounded}, speed: 1.0]]
@@ -37,11 +37,11 @@ defmodule Situ.Pipeline.ClockTest do
     :ok = Pipeline.pause(p)
     now = Pipeline.now(p)
     assert Pipeline.now(p) == now
-    refute_receive {:got, 2}, 150
-    :ok = Pipeline.set_speed(p, 1_000)
+    refute_receive {:got, 1}, 150
+    :ok = Pipeline.set_speed(p, 100_000)
     :ok = Pipeline.resume(p)
     assert_receive {:got, 50}
-    assert Pipeline.now(p) > 5_000 * @ms
+    assert Pipeline.now(p) >= 50 * 60_000 * @ms
     {:ok, _} = Pipeline.stop(p)
   end
 

@@ -46,7 +46,7 @@ defmodule Situ.Live.SocketTest do
 
     port = Situ.Live.port(server)
     {:ok, socket} = Raw.upgrade(port, "/ws")
-    assert_receive {:open, pid}, 5_000
+    assert_receive {:open, pid}
     {socket, pid, port, server}
   end
 
@@ -64,7 +64,7 @@ defmodule Situ.Live.SocketTest do
       :gen_tcp.send(socket, Raw.frame(8, <<1000::16>>))
       assert {:close, <<1000::16>>} = Raw.receive_frame(socket)
       assert Raw.receive_frame(socket) == :closed
-      assert_receive {:closed, _}, 5_000
+      assert_receive {:closed, _}
     end
 
     test "a byte at a time" do
@@ -116,7 +116,7 @@ defmodule Situ.Live.SocketTest do
         :gen_tcp.send(socket, binary_part(Raw.frame(1, "never whole"), 0, 8))
         # Newer versions of Yaws close without a word.
         assert Raw.receive_frame(socket, 10_000) in [:closed, {:close, <<1000::16>>}]
-        assert_receive {:closed, _}, 5_000
+        assert_receive {:closed, _}
       end)
     end
 
@@ -126,7 +126,7 @@ defmodule Situ.Live.SocketTest do
       assert Connections.sweep(ref, 60_000) == 0
       monitor = Process.monitor(pid)
       assert Connections.sweep(ref, -1) == 1
-      assert_receive {:DOWN, ^monitor, _, _, :killed}, 5_000
+      assert_receive {:DOWN, ^monitor, _, _, :killed}
       assert Raw.receive_frame(socket) == :closed
     end
 
@@ -142,7 +142,7 @@ defmodule Situ.Live.SocketTest do
       {_socket, pid, _, _} = echo()
       monitor = Process.monitor(pid)
       stop_supervised!({Situ.Live, 0})
-      assert_receive {:DOWN, ^monitor, _, _, _}, 5_000
+      assert_receive {:DOWN, ^monitor, _, _, _}
     end
   end
 
@@ -179,12 +179,12 @@ defmodule Situ.Live.SocketTest do
       port = Situ.Live.port(server)
       {:ok, first} = Raw.upgrade(port, "/ws")
       {:ok, _} = Raw.upgrade(port, "/ws")
-      assert_receive {:open, pid}, 5_000
-      assert_receive {:open, _}, 5_000
+      assert_receive {:open, pid}
+      assert_receive {:open, _}
       assert {503, _, _} = Raw.upgrade(port, "/ws")
       monitor = Process.monitor(pid)
       :gen_tcp.close(first)
-      assert_receive {:DOWN, ^monitor, _, _, _}, 5_000
+      assert_receive {:DOWN, ^monitor, _, _, _}
       assert {:ok, _} = Raw.upgrade(port, "/ws")
     end
   end

@@ -80,17 +80,17 @@ defmodule Situ.Media.DeviceTest do
           []
         )
 
-      assert_receive {:took, pid, first}, 10_000
+      assert_receive {:took, pid, first}
       # The consumer stands still until 20 pictures later.
       ref = Process.send_after(self(), :later, 1_000)
-      assert_receive :later, 5_000
+      assert_receive :later
       assert is_reference(ref)
       send(pid, :go_on)
-      assert_receive {:took, _, _}, 10_000
+      assert_receive {:took, _, _}
       send(pid, :go_on)
-      assert_receive {:took, _, _}, 10_000
+      assert_receive {:took, _, _}
       send(pid, :go_on)
-      assert_receive {:took, _, after_gap}, 10_000
+      assert_receive {:took, _, after_gap}
       assert after_gap - first > Time.ms(500)
       Process.exit(pid, :kill)
       capture_log(fn -> Situ.Pipeline.stop(pipeline) end)

@@ -115,7 +115,7 @@ defmodule Situ.Studio.WatchTest do
 
     ref = Process.monitor(before)
     Process.exit(before, :kill)
-    assert_receive {:DOWN, ^ref, _, _, _}, 5_000
+    assert_receive {:DOWN, ^ref, _, _, _}
 
     assert eventually(fn ->
              is_pid(find.()) and find.() != before and

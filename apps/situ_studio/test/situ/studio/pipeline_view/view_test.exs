@@ -148,7 +148,7 @@ defmodule Situ.Studio.PipelineViewTest do
     page = page(id)
     ref = Process.monitor(pipeline)
     Situ.Pipeline.stop(pipeline)
-    assert_receive {:DOWN, ^ref, _, _, _}, 5_000
+    assert_receive {:DOWN, ^ref, _, _, _}
     Page.info(page, :tick)
     assert Page.alive?(page)
     assert Page.text(page, ".status") =~ "recorded"
