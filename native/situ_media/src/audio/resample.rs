@@ -15,6 +15,9 @@ pub enum Quality {
     VeryHigh,
 }
 
+/// Frames that are fed at a time: what soxr keeps of them stays in the cache.
+const PORTION: usize = 16 * 1024;
+
 /// Frames that may come beyond what rates and delay say, and room for soxr to see that nothing more comes.
 const MARGIN: usize = 64;
 
@@ -139,7 +142,8 @@ impl Resampler {
             // SAFETY: `done` frames of `frames` were consumed, so the rest lies inside the input.
             let from = unsafe { aligned.add(done * self.frame) };
             let rest = &mut out[written..];
-            let (used, made) = self.step(from as *const c_void, frames - done, rest)?;
+            let portion = (frames - done).min(PORTION);
+            let (used, made) = self.step(from as *const c_void, portion, rest)?;
             done += used;
             written += made * self.frame;
             if used == 0 && made == 0 {
