@@ -262,7 +262,14 @@ defmodule Situ.Media.FFmpeg.Reader do
   end
 
   defp close(state) do
-    if Port.info(state.port), do: Port.close(state.port)
+    close_port(state.port)
     %{state | log: Log.drain(state.log, state.port)}
+  end
+
+  # The program may end at any moment, and its port with it.
+  defp close_port(port) do
+    Port.close(port)
+  rescue
+    ArgumentError -> true
   end
 end

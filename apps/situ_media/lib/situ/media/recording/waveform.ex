@@ -1,7 +1,7 @@
 defmodule Situ.Media.Recording.Waveform do
   @moduledoc """
-  The outline of a sound, small enough to keep: minimum, maximum, last value and count of every 2^24 ns (17 ms), packed
-  (4.3 MB an hour), and folded to the width a drawing needs.
+  The outline of a sound, small enough to keep: minimum, maximum, last value and count of every 2^24 ns (17 ms) that has
+  any, packed (6 MB an hour), and folded to the width a drawing needs. A gap takes no room, however long a file says it is.
 
       iex> alias Situ.Media.Recording.Waveform
       iex> points = for i <- 0..99, do: {i * 1_000_000, -i / 1, i / 1, i / 1, 8}
@@ -12,9 +12,9 @@ defmodule Situ.Media.Recording.Waveform do
   import Bitwise
 
   @level 24
-  @bytes 20
+  @bytes 28
 
-  defstruct start: nil, open: nil, parts: [], data: <<>>
+  defstruct open: nil, parts: [], data: <<>>
   @type t :: %__MODULE__{}
   @type point :: {Situ.Time.t(), number(), number(), number(), pos_integer()}
 
@@ -33,29 +33,18 @@ defmodule Situ.Media.Recording.Waveform do
        when time >>> @level <= at,
        do: %{waveform | open: {at, min(low, min), max(high, max), last, count + n}}
 
-  defp put(point, %{open: nil} = waveform) do
-    at = elem(point, 0) >>> @level
-    begin(%{waveform | start: waveform.start || at}, at, point)
-  end
+  defp put({time, min, max, last, n}, waveform),
+    do: %{close(waveform) | open: {time >>> @level, min, max, last, n}}
 
-  defp put(point, %{open: {at, _, _, _, _}} = waveform) do
-    next = elem(point, 0) >>> @level
-    gap = :binary.copy(<<0::size(@bytes)-unit(8)>>, next - at - 1)
-    begin(%{close(waveform) | parts: [gap | close(waveform).parts]}, next, point)
-  end
+  defp close(%{open: nil} = waveform), do: waveform
 
-  defp begin(waveform, at, {_, min, max, last, n}),
-    do: %{waveform | open: {at, min, max, last, n}}
-
-  defp close(%{open: {_, min, max, last, n}} = waveform) do
-    bin = <<min::float-32, max::float-32, last::float-32, n::64>>
+  defp close(%{open: {at, min, max, last, n}} = waveform) do
+    bin = <<at::signed-64, min::float-32, max::float-32, last::float-32, n::64>>
     %{waveform | open: nil, parts: [bin | waveform.parts]}
   end
 
   @doc "Packs it, when nothing more comes."
   @spec finish(t()) :: t()
-  def finish(%{open: nil} = waveform), do: %{waveform | start: waveform.start || 0}
-
   def finish(waveform) do
     waveform = close(waveform)
     %{waveform | data: waveform.parts |> Enum.reverse() |> IO.iodata_to_binary(), parts: []}
@@ -64,25 +53,30 @@ defmodule Situ.Media.Recording.Waveform do
   @doc "Bins 2^`level` ns wide (at least `level/0`) that meet `from..to`; empty ones are left out."
   @spec bins(t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) :: [point()]
   def bins(waveform, from, to, level) when level >= @level do
-    count = div(byte_size(waveform.data), @bytes)
     # Whole bins of the width asked for.
-    first = max((from >>> level <<< (level - @level)) - waveform.start, 0)
-    last = min((((to >>> level) + 1) <<< (level - @level)) - 1 - waveform.start, count - 1)
+    first = position(waveform.data, from >>> level <<< (level - @level))
+    last = position(waveform.data, ((to >>> level) + 1) <<< (level - @level))
 
-    if last < first do
-      []
-    else
-      data = binary_part(waveform.data, first * @bytes, (last - first + 1) * @bytes)
-      fold(data, first + waveform.start, level, nil, [])
-    end
+    waveform.data
+    |> binary_part(first * @bytes, max(last - first, 0) * @bytes)
+    |> fold(level, nil, [])
   end
 
-  defp fold(<<_::96, 0::64, rest::binary>>, at, level, open, done),
-    do: fold(rest, at + 1, level, open, done)
+  # How many bins lie before number `at`.
+  defp position(data, at), do: position(data, at, 0, div(byte_size(data), @bytes))
+  defp position(_data, _at, low, high) when low >= high, do: low
+
+  defp position(data, at, low, high) do
+    middle = div(low + high, 2)
+    <<number::signed-64>> = binary_part(data, middle * @bytes, 8)
+
+    if number < at,
+      do: position(data, at, middle + 1, high),
+      else: position(data, at, low, middle)
+  end
 
   defp fold(
-         <<min::float-32, max::float-32, last::float-32, n::64, rest::binary>>,
-         at,
+         <<at::signed-64, min::float-32, max::float-32, last::float-32, n::64, rest::binary>>,
          level,
          open,
          done
@@ -91,16 +85,16 @@ defmodule Situ.Media.Recording.Waveform do
 
     case open do
       {^start, low, high, _, count} ->
-        fold(rest, at + 1, level, {start, min(low, min), max(high, max), last, count + n}, done)
+        fold(rest, level, {start, min(low, min), max(high, max), last, count + n}, done)
 
       nil ->
-        fold(rest, at + 1, level, {start, min, max, last, n}, done)
+        fold(rest, level, {start, min, max, last, n}, done)
 
       _ ->
-        fold(rest, at + 1, level, {start, min, max, last, n}, [open | done])
+        fold(rest, level, {start, min, max, last, n}, [open | done])
     end
   end
 
-  defp fold(<<>>, _at, _level, nil, done), do: Enum.reverse(done)
-  defp fold(<<>>, _at, _level, open, done), do: Enum.reverse([open | done])
+  defp fold(<<>>, _level, nil, done), do: Enum.reverse(done)
+  defp fold(<<>>, _level, open, done), do: Enum.reverse([open | done])
 end
