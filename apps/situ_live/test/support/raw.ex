@@ -43,7 +43,10 @@ defmodule Situ.Live.Raw do
     before <> mark
   end
 
-  @doc "`:closed` when the server says nothing."
+  # What must come may take its time on a busy machine.
+  @patience 30_000
+
+  @doc "`:closed` when the server says nothing and ends the connection, `:timeout` when it does neither."
   def response(socket, method \\ "GET") do
     case until(socket, "\r\n\r\n", "") do
       {:ok, head, rest} ->
@@ -59,8 +62,8 @@ defmodule Situ.Live.Raw do
         body = if method == "HEAD", do: "", else: exactly(socket, rest, length)
         {String.to_integer(status), headers, body}
 
-      :closed ->
-        :closed
+      ended ->
+        ended
     end
   end
 
@@ -70,8 +73,9 @@ defmodule Situ.Live.Raw do
         {:ok, head, rest}
 
       [_] ->
-        case :gen_tcp.recv(socket, 0, 5_000) do
+        case :gen_tcp.recv(socket, 0, @patience) do
           {:ok, more} -> until(socket, mark, seen <> more)
+          {:error, :timeout} -> :timeout
           {:error, _} -> :closed
         end
     end
@@ -80,7 +84,7 @@ defmodule Situ.Live.Raw do
   defp exactly(_socket, bytes, n) when byte_size(bytes) >= n, do: binary_part(bytes, 0, n)
 
   defp exactly(socket, bytes, n) do
-    {:ok, more} = :gen_tcp.recv(socket, n - byte_size(bytes), 5_000)
+    {:ok, more} = :gen_tcp.recv(socket, n - byte_size(bytes), @patience)
     bytes <> more
   end
 
@@ -131,7 +135,7 @@ defmodule Situ.Live.Raw do
   end
 
   @doc "The next frame: `{:text | :binary | :close | ..., payload}`, or `:closed`."
-  def receive_frame(socket, timeout \\ 5_000) do
+  def receive_frame(socket, timeout \\ @patience) do
     with {:ok, <<_fin::1, 0::3, opcode::4, 0::1, short::7>>} <- :gen_tcp.recv(socket, 2, timeout),
          {:ok, n} <- length(socket, short),
          {:ok, payload} <- payload(socket, n) do
@@ -143,15 +147,15 @@ defmodule Situ.Live.Raw do
   end
 
   defp length(socket, 126),
-    do: with({:ok, <<n::16>>} <- :gen_tcp.recv(socket, 2, 5_000), do: {:ok, n})
+    do: with({:ok, <<n::16>>} <- :gen_tcp.recv(socket, 2, @patience), do: {:ok, n})
 
   defp length(socket, 127),
-    do: with({:ok, <<n::64>>} <- :gen_tcp.recv(socket, 8, 5_000), do: {:ok, n})
+    do: with({:ok, <<n::64>>} <- :gen_tcp.recv(socket, 8, @patience), do: {:ok, n})
 
   defp length(_, n), do: {:ok, n}
 
   defp payload(_socket, 0), do: {:ok, ""}
-  defp payload(socket, n), do: :gen_tcp.recv(socket, n, 5_000)
+  defp payload(socket, n), do: :gen_tcp.recv(socket, n, @patience)
 
   defp name(1), do: :text
   defp name(2), do: :binary

@@ -37,7 +37,7 @@ defmodule Situ.Live.HttpTest do
       assert {200, %{"content-length" => "4"}, ""} = Raw.response(socket, "HEAD")
       :ok = :gen_tcp.send(socket, Raw.head("GET", "/a/last", port, [{"connection", "close"}]))
       assert {200, _, "last"} = Raw.response(socket)
-      assert {:error, :closed} = :gen_tcp.recv(socket, 0, 5_000)
+      assert {:error, :closed} = :gen_tcp.recv(socket, 0, 30_000)
     end
 
     test "a body that comes in pieces, after 100 Continue" do
@@ -45,7 +45,7 @@ defmodule Situ.Live.HttpTest do
       socket = Raw.connect(port)
       headers = [{"content-length", "6"}, {"expect", "100-continue"}]
       :ok = :gen_tcp.send(socket, Raw.head("POST", "/echo", port, headers))
-      assert {:ok, "HTTP/1.1 100 Continue\r\n\r\n"} = :gen_tcp.recv(socket, 25, 5_000)
+      assert {:ok, "HTTP/1.1 100 Continue\r\n\r\n"} = :gen_tcp.recv(socket, 25, 30_000)
       for piece <- ["ab", "cd", "ef"], do: :gen_tcp.send(socket, piece)
       assert {200, _, "POST abcdef"} = Raw.response(socket)
     end
@@ -74,7 +74,7 @@ defmodule Situ.Live.HttpTest do
         socket = Raw.connect(port)
         # the connection may end while it is written to
         _ = :gen_tcp.send(socket, Raw.head("GET", "/", port, lines.(n, bytes)))
-        assert {:error, reason} = :gen_tcp.recv(socket, 0, 10_000)
+        assert {:error, reason} = :gen_tcp.recv(socket, 0, 30_000)
         assert reason in [:closed, :econnreset]
       end
 
