@@ -10,6 +10,7 @@ pub mod pyramid;
 pub mod reader;
 pub mod repair;
 pub mod rows;
+pub mod transfer;
 pub mod varint;
 pub mod watch;
 pub mod writer;

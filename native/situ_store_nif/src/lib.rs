@@ -4,6 +4,7 @@ mod errors;
 mod reading;
 mod rows;
 mod terms;
+mod transferring;
 mod writing;
 
 mod atoms {

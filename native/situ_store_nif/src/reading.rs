@@ -30,7 +30,13 @@ pub enum Bytes {
 #[rustler::resource_impl]
 impl rustler::Resource for Bytes {}
 
-type Handle = ResourceArc<ReaderResource>;
+pub type Handle = ResourceArc<ReaderResource>;
+
+impl ReaderResource {
+    pub fn store(&self) -> &Reader {
+        &self.0
+    }
+}
 
 fn failed<'a>(env: Env<'a>, error: &Error) -> Term<'a> {
     errors::term(env, error)

@@ -24,16 +24,16 @@ pub struct WriterResource(Mutex<Writer>, Mutex<HashSet<String>>);
 #[rustler::resource_impl]
 impl rustler::Resource for WriterResource {}
 
-type Handle = ResourceArc<WriterResource>;
+pub type Handle = ResourceArc<WriterResource>;
 
-fn answer<'a, T: Encoder>(env: Env<'a>, result: situ_store::Result<T>) -> Term<'a> {
+pub fn answer<'a, T: Encoder>(env: Env<'a>, result: situ_store::Result<T>) -> Term<'a> {
     match result {
         Ok(value) => (atoms::ok(), value).encode(env),
         Err(error) => errors::term(env, &error),
     }
 }
 
-fn with<T>(
+pub fn with<T>(
     handle: &Handle,
     act: impl FnOnce(&mut Writer) -> situ_store::Result<T>,
 ) -> situ_store::Result<T> {

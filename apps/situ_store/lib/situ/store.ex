@@ -142,19 +142,9 @@ defmodule Situ.Store do
     all = streams(store)
 
     case Enum.find(all, &(&1.name == name)) do
-      nil -> {:error, no_stream(store, name, Enum.map(all, & &1.name))}
+      nil -> {:error, Failure.no_stream(name, Enum.map(all, & &1.name), store.path)}
       info -> {:ok, info}
     end
-  end
-
-  defp no_stream(store, name, names) do
-    fix =
-      case Options.nearest(name, names) do
-        nil -> "streams: " <> Enum.join(names, ", ")
-        near -> "did you mean #{inspect(near)}?"
-      end
-
-    Error.new(:no_stream, "no stream #{inspect(name)} in #{store.path}", fix: fix)
   end
 
   @doc "Whether the store has such a stream."

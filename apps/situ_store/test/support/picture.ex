@@ -85,23 +85,32 @@ defmodule Situ.Store.Test.Raw do
   import Situ.Store.Test.Record
 
   def decode(root, term) do
+    {:ok, [message]} = root |> written(term) |> Store.open!() |> Store.read("T")
+    message.data
+  end
+
+  @doc "The path of a store whose stream `T` holds a message with this external term."
+  def written(root, term) do
     # A placeholder whose external term has just as many bytes.
     placeholder = [String.duplicate("p", byte_size(term) - 12)]
     ^term = <<term::binary>>
     external = :erlang.term_to_binary(placeholder)
     true = byte_size(external) == byte_size(term)
-    path = store(root, [{"T", messages([placeholder]), []}], "raw")
+    replace(store(root, [{"T", messages([placeholder]), []}], "raw"), external, term)
+  end
+
+  @doc "Replaces bytes in a store's data by as many others; the checksums are set right."
+  def replace(path, old, new) when byte_size(old) == byte_size(new) do
     file = Path.join(path, "data-000000.situ")
     bytes = File.read!(file)
-    {at, length} = :binary.match(bytes, external)
+    {at, length} = :binary.match(bytes, old)
     behind = at + length
     before = binary_part(bytes, 0, at)
     rest = binary_part(bytes, behind, byte_size(bytes) - behind)
-    File.write!(file, [before, term, rest])
+    File.write!(file, [before, new, rest])
     {:ok, %{damage: [_]}} = Store.verify(path)
-    File.write!(file, fix(before <> term <> rest, at))
-    {:ok, [message]} = path |> Store.open!() |> Store.read("T")
-    message.data
+    File.write!(file, fix(before <> new <> rest, at))
+    path
   end
 
   # The chunk's header stands before the payload: its body checksum is at 92, its own at 4.

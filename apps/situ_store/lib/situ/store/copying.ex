@@ -1,25 +1,26 @@
 defmodule Situ.Store.Copying do
   @moduledoc """
-  Stores out of stores: copy, crop, concatenate. Called through `Situ.Store`. Envelopes, metadata and types are kept; the
-  originals are only read.
+  Stores out of stores: copy, crop, concatenate. Called through `Situ.Store`. Envelopes, types, metadata, codecs and payloads are
+  kept as they are, also those that this system has no module for; the originals are only read.
+
+  What is made gets its name when it is whole: a program that ends half way leaves a folder `NAME.*.unfinished`, swept by the next one.
   """
   alias Situ.{Error, Store}
-  alias Situ.Store.{Folder, StreamInfo, Writer}
+  alias Situ.Store.{Draft, Failure, Folder, StreamInfo, Transfer}
 
   @doc """
   Copies a store (or a foreign file) into a new one: `{:ok, path}`.
 
   `to` is `{name, root}` or a path (a new version of its last name). Options: `from:`, `to:` (originating times, both ends
-  included), `streams:` (names, or a predicate of `Situ.Store.StreamInfo`), `compression:` (for all streams), `skip_damage:` (default true: leave
+  included), `streams:` (names, patterns like `"Room.*"`, or a predicate of `Situ.Store.StreamInfo`), `compression:` (for all streams), `skip_damage:` (default true: leave
   damaged chunks out), `progress:` (`fun.(done, total)` of messages), `versioned:`.
   """
   @spec copy(Path.t(), Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def copy(from, to, opts \\ []) do
-    with {:ok, store} <- Store.open(from) do
-      streams = selected(store, opts[:streams])
-      parts = Enum.map(streams, &{&1, [{store, &1}]})
-      build(to, parts, opts)
+    with {:ok, store} <- Store.open(from),
+         {:ok, sources} <- selected(sources(store), opts[:streams], store.path) do
+      build(to, Enum.map(sources, fn {_, info} = source -> {info, [source]} end), opts)
     end
   end
 
@@ -54,7 +55,8 @@ defmodule Situ.Store.Copying do
           {:ok, Path.t()} | {:error, Error.t()}
   def concat(paths, to, opts \\ []) do
     with {:ok, stores} <- open_all(paths),
-         named = for(store <- stores, info <- selected(store, opts[:streams]), do: {store, info}),
+         where = Enum.map_join(stores, ", ", & &1.path),
+         {:ok, named} <- selected(Enum.flat_map(stores, &sources/1), opts[:streams], where),
          names = named |> Enum.map(fn {_, info} -> info.name end) |> Enum.uniq(),
          parts =
            for(
@@ -65,6 +67,8 @@ defmodule Situ.Store.Copying do
       build(to, parts, opts)
     end
   end
+
+  defp sources(store), do: Enum.map(Store.streams(store), &{store, &1})
 
   defp open_all(paths) do
     Enum.reduce_while(Enum.reverse(paths), {:ok, []}, fn path, {:ok, stores} ->
@@ -110,95 +114,105 @@ defmodule Situ.Store.Copying do
     end)
   end
 
-  defp selected(store, nil), do: Store.streams(store)
-  defp selected(store, fun) when is_function(fun, 1), do: Enum.filter(Store.streams(store), fun)
-  defp selected(store, names), do: Enum.filter(Store.streams(store), &(&1.name in names))
+  # By name or pattern (`Room.*`), each of which must mean a stream; or by a predicate.
+  defp selected(infos, nil, _path), do: {:ok, infos}
 
-  @doc false
-  def build(to, parts, opts) do
-    {name, root} = target(to)
-    total = for({_, sources} <- parts, {_, info} <- sources, do: info.count) |> Enum.sum()
+  defp selected(infos, fun, _path) when is_function(fun, 1),
+    do: {:ok, Enum.filter(infos, &fun.(elem(&1, 1)))}
 
-    with {:ok, writer} <- Writer.create(name, root, Keyword.take(opts, [:versioned, :durability])) do
-      case write(writer, parts, opts, total) do
-        :ok ->
-          with :ok <- Writer.close(writer), do: {:ok, writer.path}
+  defp selected(infos, patterns, path) do
+    names = infos |> Enum.map(fn {_, info} -> info.name end) |> Enum.uniq()
+    chosen = Map.new(patterns, &{&1, matching(&1, names)})
 
-        {:error, _} = error ->
-          # Half a copy is no copy.
-          Writer.close(writer)
-          Situ.Store.Mending.delete(writer.path)
-          error
-      end
+    case Enum.find(patterns, &(chosen[&1] == [])) do
+      nil ->
+        wanted = chosen |> Map.values() |> Enum.concat()
+        {:ok, Enum.filter(infos, fn {_, info} -> info.name in wanted end)}
+
+      unknown ->
+        {:error, Failure.no_stream(unknown, names, path)}
     end
   end
 
+  defp matching(pattern, names) do
+    if pattern in names do
+      [pattern]
+    else
+      regex =
+        pattern |> Regex.escape() |> String.replace("\\*", ".*") |> String.replace("\\?", ".")
+
+      Enum.filter(names, &(&1 =~ ~r/\A#{regex}\z/su))
+    end
+  end
+
+  # `parts`: each stream of the new store with the sources of its messages.
+  defp build(to, parts, opts) do
+    infos = for {_, sources} <- parts, {_, info} <- sources, do: info
+    told = teller(infos, opts)
+
+    to
+    |> target()
+    |> Draft.make(sized(opts, infos), fn writer ->
+      Enum.reduce_while(parts, :ok, fn {info, sources}, :ok ->
+        case write(writer, info, sources, opts, told) do
+          :ok -> {:cont, :ok}
+          error -> {:halt, error}
+        end
+      end)
+    end)
+  end
+
   @doc false
+  @spec target(Path.t() | {String.t(), Path.t()}) :: {String.t(), Path.t()}
   def target({name, root}), do: {name, root}
   def target(path), do: {Folder.name(path), path |> Path.expand() |> Path.dirname()}
 
-  defp write(writer, parts, opts, total) do
-    Enum.reduce_while(parts, {:ok, 0}, fn {info, sources}, {:ok, done} ->
-      with {:ok, stream} <- Writer.stream(writer, info.name, stream_options(info, sources, opts)),
-           {:ok, stream, done} <- messages(stream, sources, opts, done, total),
-           {:ok, _} <- close(stream, info, opts) do
-        {:cont, {:ok, done}}
+  @doc false
+  # What tells the caller's `progress` of `n` more messages.
+  @spec teller([StreamInfo.t()], keyword()) :: (pos_integer() -> any())
+  def teller(infos, opts) do
+    total = infos |> Enum.map(& &1.count) |> Enum.sum()
+    done = :counters.new(1, [])
+    progress = opts[:progress] || fn _, _ -> :ok end
+
+    fn n ->
+      :counters.add(done, 1, n)
+      progress.(min(:counters.get(done, 1), total), total)
+    end
+  end
+
+  @largest 4 * 1024 * 1024
+  @smallest 64 * 1024
+
+  @doc false
+  # A small store needs no large first extent, which a small disk may have no room for.
+  @spec sized(keyword(), [StreamInfo.t()]) :: keyword()
+  def sized(opts, infos) do
+    stored = infos |> Enum.map(& &1.stored) |> Enum.sum()
+    Keyword.put_new(opts, :first_extent, stored |> max(@smallest) |> min(@largest))
+  end
+
+  defp write(writer, info, sources, opts, told) do
+    with {:ok, transfer} <- Transfer.open(writer, info, sources, opts, told),
+         {:ok, transfer} <- messages(transfer, sources, opts) do
+      Transfer.close(transfer, info.closed && min_time(info.closed, opts[:to]))
+    end
+  end
+
+  defp messages(transfer, sources, opts) do
+    Enum.reduce_while(sources, {:ok, transfer}, fn {store, info} = source, {:ok, transfer} ->
+      with {:ok, first} <- first(store, info, opts[:from]),
+           {:ok, transfer, _} <- Transfer.take(transfer, source, first, opts[:to] || :unbounded) do
+        {:cont, {:ok, transfer}}
       else
         error -> {:halt, error}
       end
     end)
-    |> case do
-      {:ok, _} -> :ok
-      error -> error
-    end
   end
 
-  defp close(_stream, %{closed: nil}, _opts), do: {:ok, 0}
-
-  defp close(stream, %{closed: time}, opts),
-    do: Writer.close_stream(stream, min_time(time, opts[:to]))
+  defp first(_store, _info, nil), do: {:ok, 0}
+  defp first(store, info, from), do: store.module.seek(store.state, info, from)
 
   defp min_time(time, nil), do: time
   defp min_time(time, to), do: min(time, to)
-
-  @doc false
-  def stream_options(%StreamInfo{} = info, sources, opts) do
-    options = [
-      type: info.type,
-      large: info.large?,
-      compression: opts[:compression] || info.compression
-    ]
-
-    with [{store, _} | _] <- sources, {:ok, term} <- Store.metadata(store, info) do
-      [{:metadata, term} | options]
-    else
-      _ -> options
-    end
-  end
-
-  defp messages(stream, sources, opts, done, total) do
-    progress = opts[:progress] || fn _, _ -> :ok end
-
-    read =
-      Keyword.take(opts, [:from, :to]) ++ [skip_damage: Keyword.get(opts, :skip_damage, true)]
-
-    sources
-    |> Stream.flat_map(fn {store, info} ->
-      transform = opts[:transform] || (& &1)
-      store |> Store.messages(info, read) |> transform.()
-    end)
-    |> Stream.chunk_every(1_000)
-    |> Enum.reduce_while({:ok, stream, done}, fn batch, {:ok, stream, done} ->
-      case Writer.append(stream, batch) do
-        {:ok, stream} ->
-          progress.(min(done + length(batch), total), total)
-          {:cont, {:ok, stream, done + length(batch)}}
-
-        error ->
-          {:halt, error}
-      end
-    end)
-  rescue
-    error in Error -> {:error, error}
-  end
 end

@@ -3,13 +3,14 @@ defmodule Situ.Store.Editing do
   Changing single messages of a recording. Called through `Situ.Store.edit/4`; the original is only read.
   """
   alias Situ.{Error, Message, Store}
-  alias Situ.Store.Copying
+  alias Situ.Store.{Copying, Draft, Failure, Transfer, Writer}
 
   @type edit :: {:upsert, Situ.Time.t(), term()} | {:delete, Situ.Time.t()}
 
   @doc """
   A new store with edits applied by exact originating time: `edits` is a map of stream names to
-  `[{:upsert, time, data} | {:delete, time}]`. An upsert replaces the message of that time or inserts one. Options as `Situ.Store.copy/3`, and
+  `[{:upsert, time, data} | {:delete, time}]`. An upsert replaces the message of that time or inserts one; its data must fit the stream's type.
+  Everything else is kept as it is. Options as `Situ.Store.copy/3` (but for `from:`, `to:`, `streams:`), and
   `add: [{name, writer_stream_options}]` adds streams (edits may fill them).
   """
   @spec edit(Path.t(), Path.t() | {String.t(), Path.t()}, %{String.t() => [edit()]}, keyword()) ::
@@ -30,88 +31,91 @@ defmodule Situ.Store.Editing do
     names = Enum.map(infos, & &1.name)
 
     case Map.keys(edits) -- names do
-      [] ->
-        :ok
+      [] -> Enum.find_value(infos, :ok, &misfit(&1, edits[&1.name] || []))
+      [name | _] -> {:error, Failure.no_stream(name, names, store.path)}
+    end
+  end
 
-      [name | _] ->
-        {:error,
-         Error.new(:no_stream, "no stream #{inspect(name)} in #{store.path}",
-           fix: "streams: " <> Enum.join(names, ", ")
-         )}
+  # A stream goes on holding what it says it holds.
+  defp misfit(info, edits) do
+    wrong = &(elem(&1, 0) == :upsert and not Situ.Type.valid?(info.type, elem(&1, 2)))
+
+    with {:upsert, time, data} <- Enum.find(edits, wrong) do
+      {:error,
+       Error.new(:type_mismatch, "#{inspect(data, limit: 5)} does not fit #{inspect(info.name)}",
+         why: "the stream is of type #{inspect(info.type)}",
+         fix: "give a value of that type for #{Situ.Time.to_iso8601(time)}"
+       )}
     end
   end
 
   defp build(to, store, infos, added, edits, opts) do
-    {name, root} = Copying.target(to)
+    told = Copying.teller(infos, opts)
 
-    with {:ok, writer} <- Store.Writer.create(name, root, Keyword.take(opts, [:versioned])) do
-      olds =
-        Enum.map(infos, &{&1, Copying.stream_options(&1, [{store, &1}], opts), source(store, &1)})
-
-      news = Enum.map(added, fn {info, options} -> {info, options, []} end)
-
-      result =
-        Enum.reduce_while(olds ++ news, :ok, fn {info, options, messages}, :ok ->
-          case write(writer, info, options, messages, sorted(edits[info.name] || [])) do
-            {:ok, _} -> {:cont, :ok}
-            error -> {:halt, error}
-          end
-        end)
-
-      with :ok <- result, :ok <- Store.Writer.close(writer) do
-        {:ok, writer.path}
-      else
-        {:error, _} = error ->
-          Store.Writer.close(writer)
-          Store.delete(writer.path)
-          error
-      end
-    end
+    to
+    |> Copying.target()
+    |> Draft.make(Copying.sized(opts, infos), fn writer ->
+      with :ok <- each(infos, &change(writer, {store, &1}, sorted(edits[&1.name]), opts, told)),
+           do: each(added, fn {info, options} -> new(writer, info, options, edits[info.name]) end)
+    end)
   end
 
-  defp source(store, info), do: Store.messages(store, info, skip_damage: true)
+  defp each(list, fun) do
+    Enum.reduce_while(list, :ok, fn element, :ok ->
+      case fun.(element) do
+        :ok -> {:cont, :ok}
+        error -> {:halt, error}
+      end
+    end)
+  end
 
   # The last edit of a time is the one meant.
   defp sorted(edits) do
-    edits |> Enum.reverse() |> Enum.uniq_by(&elem(&1, 1)) |> Enum.sort_by(&elem(&1, 1))
+    (edits || [])
+    |> Enum.reverse()
+    |> Enum.uniq_by(&elem(&1, 1))
+    |> Enum.sort_by(&elem(&1, 1))
   end
 
-  defp write(writer, info, options, messages, edits) do
-    with {:ok, stream} <- Store.Writer.stream(writer, info.name, options) do
-      messages
-      |> Stream.transform(fn -> edits end, &merge/2, &rest/1, fn _ -> :ok end)
-      |> Stream.chunk_every(1_000)
-      |> Enum.reduce_while({:ok, stream}, fn batch, {:ok, stream} ->
-        case Store.Writer.append(stream, batch) do
-          {:ok, stream} -> {:cont, {:ok, stream}}
-          error -> {:halt, error}
-        end
-      end)
-      |> close(info)
+  defp new(writer, info, options, edits) do
+    messages = for {:upsert, time, data} <- sorted(edits), do: inserted(time, data)
+
+    with {:ok, stream} <- Writer.stream(writer, info.name, options),
+         {:ok, _} <- Writer.append(stream, messages),
+         do: :ok
+  end
+
+  defp change(writer, {_, info} = source, edits, opts, told) do
+    with {:ok, transfer} <- Transfer.open(writer, info, [source], opts, told),
+         {:ok, transfer, ordinal} <- merge(transfer, source, edits),
+         {:ok, transfer, _} <- Transfer.take(transfer, source, ordinal, :unbounded),
+         do: Transfer.close(transfer, info.closed)
+  end
+
+  # What lies between two edits is taken over as it is.
+  defp merge(transfer, source, edits) do
+    Enum.reduce_while(edits, {:ok, transfer, 0}, fn edit, {:ok, transfer, ordinal} ->
+      with {:ok, transfer, next} <- Transfer.take(transfer, source, ordinal, elem(edit, 1) - 1),
+           old = at(source, next, elem(edit, 1)),
+           {:ok, transfer} <- Transfer.append(transfer, edited(edit, old)) do
+        {:cont, {:ok, transfer, if(old, do: next + 1, else: next)}}
+      else
+        error -> {:halt, error}
+      end
+    end)
+  end
+
+  defp at({store, info}, ordinal, time) do
+    case Store.at(store, info, ordinal) do
+      {:ok, %{originating_time: ^time} = message} -> message
+      _none_or_damaged -> nil
     end
   end
 
-  defp close({:ok, stream}, %{closed: nil}), do: {:ok, stream}
-  defp close({:ok, stream}, %{closed: time}), do: Store.Writer.close_stream(stream, time)
-  defp close(error, _info), do: error
+  defp edited({:delete, _}, _old), do: []
+  defp edited({:upsert, _, data}, %Message{} = old), do: [%{old | data: data}]
+  defp edited({:upsert, time, data}, nil), do: [inserted(time, data)]
 
-  defp merge(%Message{originating_time: time} = message, edits) do
-    {before, edits} = Enum.split_while(edits, &(elem(&1, 1) < time))
-
-    {here, edits} =
-      case edits do
-        [{:upsert, ^time, data} | edits] -> {[%{message | data: data}], edits}
-        [{:delete, ^time} | edits] -> {[], edits}
-        _ -> {[message], edits}
-      end
-
-    {inserted(before) ++ here, edits}
-  end
-
-  defp rest(edits), do: {inserted(edits), []}
-
-  defp inserted(edits) do
-    for {:upsert, time, data} <- edits,
-        do: %Message{data: data, originating_time: time, creation_time: time, sequence_id: 0}
-  end
+  defp inserted(time, data),
+    do: %Message{data: data, originating_time: time, creation_time: time, sequence_id: 0}
 end

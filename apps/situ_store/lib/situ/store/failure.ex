@@ -110,6 +110,30 @@ defmodule Situ.Store.Failure do
     )
   end
 
+  @doc "There is no such stream among `names`."
+  @spec no_stream(String.t(), [String.t()], Path.t()) :: Error.t()
+  def no_stream(name, names, path) do
+    fix =
+      case Situ.Options.nearest(name, names) do
+        nil -> among(names)
+        near -> "did you mean #{inspect(near)}?"
+      end
+
+    Error.new(:no_stream, "no stream #{inspect(name)} in #{path}", fix: fix)
+  end
+
+  @shown 12
+
+  defp among([]), do: "it has no streams"
+
+  defp among(names) do
+    more = length(names) - @shown
+
+    "streams: " <>
+      Enum.map_join(Enum.take(names, @shown), ", ", & &1) <>
+      if(more > 0, do: " and #{more} more (`situ store info` lists them)", else: "")
+  end
+
   @spec wrap({:ok, value} | {:error, term()}, Path.t(), String.t() | nil) ::
           {:ok, value} | {:error, Error.t()}
         when value: term()

@@ -92,6 +92,7 @@ defmodule Situ.Store.Folder do
         |> Enum.filter(&File.dir?/1)
         |> Enum.flat_map(fn dir ->
           cond do
+            Situ.Store.Draft.unfinished?(dir) -> []
             store?(dir) -> [dir]
             recursive? -> all(dir, true)
             true -> []

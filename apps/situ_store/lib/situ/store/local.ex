@@ -138,8 +138,10 @@ defmodule Situ.Store.Local do
     end
   end
 
-  defp clamp(:unbounded), do: max_time()
-  defp clamp(time), do: time |> max(-max_time()) |> min(max_time())
+  @doc false
+  @spec clamp(Situ.Time.t() | :unbounded) :: Situ.Time.t()
+  def clamp(:unbounded), do: max_time()
+  def clamp(time), do: time |> max(-max_time()) |> min(max_time())
 
   defp messages(list, id) do
     for {sequence, time, creation, data} <- list do

@@ -30,6 +30,7 @@ defmodule Situ.Store.Native do
   def summary_level(_from, _to, _pixels), do: missing()
   def reader_damage(_reader), do: missing()
   def reader_verify(_reader, _from, _n), do: missing()
+  def store_transfer(_reader, _stream, _ordinal, _to, _bytes, _writer, _target), do: missing()
   def store_repair(_path, _pid, _tag), do: missing()
   def csv_rows(_path, _separator, _byte, _line, _most, _bytes), do: missing()
   def reader_await(_reader, _known, _pid, _tag), do: missing()

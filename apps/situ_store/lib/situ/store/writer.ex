@@ -86,10 +86,18 @@ defmodule Situ.Store.Writer do
       writer = %__MODULE__{ref: ref, path: path, name: name}
       record = %{kind: "store", name: name, writer: "situ 0.1.0", volatile: volatile?}
 
-      with {:ok, _} <- catalog(writer, record) do
-        {:ok, writer}
+      case catalog(writer, record) do
+        {:ok, _} -> {:ok, writer}
+        error -> give_up(writer, error)
       end
     end
+  end
+
+  # What could not even begin is no recording.
+  defp give_up(writer, error) do
+    _ = close(writer)
+    _ = Situ.Store.Mending.delete(writer.path)
+    error
   end
 
   defp durability({:interval, ms}), do: ms
@@ -99,27 +107,32 @@ defmodule Situ.Store.Writer do
   @spec stream(t(), String.t(), keyword()) :: {:ok, Stream.t()} | {:error, Error.t()}
   def stream(%__MODULE__{} = writer, name, opts \\ []) when is_binary(name) do
     with {:ok, opts} <- Options.validate(opts, @stream_options),
-         {:ok, id} <-
-           writer.ref
-           |> Native.writer_stream(name, opts[:compression], opts[:large])
-           |> Failure.wrap(writer.path, name),
          record = %{
-           kind: "stream",
-           id: id,
-           name: name,
            type: TypeName.write(opts[:type]),
            opened: Situ.Time.now(),
            large: opts[:large],
            compression: opts[:compression]
          },
-         {:ok, _} <- catalog(writer, record),
-         stream = %Stream{writer: writer, id: id, name: name},
+         {:ok, stream} <- add(writer, name, record),
          :ok <-
            if(Keyword.has_key?(opts, :metadata),
              do: put_metadata(stream, opts[:metadata]),
              else: :ok
            ) do
       {:ok, stream}
+    end
+  end
+
+  @doc false
+  # A stream whose catalog record says `record` of it.
+  @spec add(t(), String.t(), map()) :: {:ok, Stream.t()} | {:error, Error.t()}
+  def add(writer, name, %{compression: compression, large: large?} = record) do
+    with {:ok, id} <-
+           writer.ref
+           |> Native.writer_stream(name, compression, large?)
+           |> Failure.wrap(writer.path, name),
+         {:ok, _} <- catalog(writer, Map.merge(record, %{kind: "stream", id: id, name: name})) do
+      {:ok, %Stream{writer: writer, id: id, name: name}}
     end
   end
 
@@ -268,8 +281,10 @@ defmodule Situ.Store.Writer do
     with {:ok, _} <- writer.ref |> Native.writer_close() |> Failure.wrap(writer.path), do: :ok
   end
 
+  @doc false
   # Stream 0; its times only have to increase, whatever the clock does.
-  defp catalog(writer, record) do
+  @spec catalog(t(), map()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
+  def catalog(writer, record) do
     {:ok, {last, n}} = Native.writer_position(writer.ref, 0)
     now = Situ.Time.now()
     time = if last, do: max(now, last + 1), else: now

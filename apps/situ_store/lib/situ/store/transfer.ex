@@ -1,0 +1,176 @@
+defmodule Situ.Store.Transfer do
+  @moduledoc false
+  # A stream of other stores in a new one, as it was. Type, metadata, codecs and payloads are taken over as bytes: what this
+  # system has no module or atom for is copied all the same. Only foreign files, and signals whose pyramid their codec
+  # makes, take the way through messages.
+  alias Situ.{Error, Store}
+  alias Situ.Store.{Codecs, Failure, Local, Native, StreamInfo, TypeName, Writer}
+
+  @enforce_keys [:stream, :raw?, :numbers, :skip_damage, :told]
+  defstruct @enforce_keys
+
+  @type source :: {Store.t(), StreamInfo.t()}
+  @type t :: %__MODULE__{}
+
+  @part_bytes 4 * 1024 * 1024
+
+  @doc "The new stream. `info` describes it, the messages of `sources` will come into it; `told.(n)` is called as they do."
+  @spec open(Writer.t(), StreamInfo.t(), [source()], keyword(), (pos_integer() -> any())) ::
+          {:ok, t()} | {:error, Error.t()}
+  def open(writer, info, sources, opts, told) do
+    record = %{
+      type: type(info, sources),
+      opened: info.opened || Situ.Time.now(),
+      large: info.large?,
+      compression: opts[:compression] || info.compression
+    }
+
+    with {:ok, stream} <- Writer.add(writer, info.name, record) do
+      transfer = %__MODULE__{
+        stream: stream,
+        raw?: Enum.all?(sources, &raw?/1),
+        numbers: %{},
+        skip_damage: Keyword.get(opts, :skip_damage, true),
+        told: told
+      }
+
+      note(transfer, Enum.map(sources, &elem(&1, 1)))
+    end
+  end
+
+  defp type(info, [{%{module: Local}, _} | _]), do: info.type_name
+  defp type(info, _), do: TypeName.write(info.type)
+
+  defp raw?({%{module: Local}, info}),
+    do:
+      not Enum.any?(info.codecs, fn {_, {name, module}} -> signal?(Codecs.find(name, module)) end)
+
+  defp raw?(_foreign), do: false
+
+  defp signal?(module), do: module != nil and function_exported?(module, :points, 2)
+
+  # The catalog's other records about the stream.
+  defp note(transfer, infos) do
+    with :ok <- note_metadata(transfer, Enum.find_value(infos, & &1.supplemental)) do
+      if transfer.raw?, do: note_payload(transfer, infos), else: {:ok, transfer}
+    end
+  end
+
+  defp note_metadata(_transfer, nil), do: :ok
+
+  defp note_metadata(transfer, {type, bytes}) do
+    record = %{kind: "metadata", type: type, term: Base.encode64(bytes)}
+    with {:ok, _} <- record(transfer, record), do: :ok
+  end
+
+  defp note_payload(transfer, infos) do
+    codecs = infos |> Enum.flat_map(&Map.values(&1.codecs)) |> Enum.uniq() |> Enum.with_index(1)
+    shaped = Enum.find(infos, & &1.fields)
+
+    fields =
+      if shaped, do: [%{kind: "fields", module: shaped.module, fields: shaped.fields}], else: []
+
+    records = for({{name, module}, n} <- codecs, do: codec_record(name, module, n)) ++ fields
+
+    modules = for {{name, module}, n} <- codecs, found = Codecs.find(name, module), do: {found, n}
+
+    stream = %{transfer.stream | codecs: Map.new(modules), fields: shaped && shaped.fields}
+
+    Enum.reduce_while(records, {:ok, %{transfer | stream: stream, numbers: Map.new(codecs)}}, fn
+      record, ok ->
+        case record(transfer, record) do
+          {:ok, _} -> {:cont, ok}
+          error -> {:halt, error}
+        end
+    end)
+  end
+
+  defp codec_record(name, nil, n), do: %{kind: "codec", number: n, name: name}
+  defp codec_record(name, module, n), do: %{kind: "codec", number: n, name: name, module: module}
+
+  defp record(%{stream: stream}, record),
+    do: Writer.catalog(stream.writer, Map.put(record, :id, stream.id))
+
+  @doc "Takes a source's messages from an ordinal on, no later than `to`; answers the ordinal behind them."
+  @spec take(t(), source(), non_neg_integer(), Situ.Time.t() | :unbounded) ::
+          {:ok, t(), non_neg_integer()} | {:error, Error.t()}
+  def take(%__MODULE__{raw?: false} = transfer, {store, info}, ordinal, to) do
+    store
+    |> Store.messages(info, index: ordinal, to: to, skip_damage: transfer.skip_damage)
+    |> Stream.chunk_every(1_000)
+    |> Enum.reduce_while({:ok, transfer}, fn batch, {:ok, transfer} ->
+      case append(transfer, batch) do
+        {:ok, _} = ok -> {:cont, ok}
+        error -> {:halt, error}
+      end
+    end)
+    |> case do
+      {:ok, transfer} -> behind(transfer, store, info, to)
+      error -> error
+    end
+  rescue
+    error in Error -> {:error, error}
+  end
+
+  def take(%__MODULE__{stream: stream} = transfer, {store, info} = source, ordinal, to) do
+    numbers = for {number, codec} <- info.codecs, do: {number, transfer.numbers[codec]}
+    target = {stream.id, numbers}
+
+    case Native.store_transfer(
+           store.state.ref,
+           info.id,
+           ordinal,
+           Local.clamp(to),
+           @part_bytes,
+           stream.writer.ref,
+           target
+         ) do
+      {:ok, {0, ordinal}} ->
+        {:ok, transfer, ordinal}
+
+      {:ok, {n, next}} ->
+        transfer.told.(n)
+        take(transfer, source, next, to)
+
+      {:error, reason} ->
+        failed(reason, transfer, source, ordinal, to)
+    end
+  end
+
+  defp behind(transfer, _store, info, :unbounded), do: {:ok, transfer, info.count}
+
+  defp behind(transfer, store, info, to) do
+    with {:ok, ordinal} <- store.module.seek(store.state, info, to + 1),
+         do: {:ok, transfer, ordinal}
+  end
+
+  # What cannot be read is left out, unless the caller wants to hear of it; what cannot be written is an error.
+  defp failed(reason, transfer, {store, info} = source, ordinal, to)
+       when elem(reason, 0) in [:damaged, :missing_extent] do
+    next = Native.reader_skip(store.state.ref, info.id, ordinal)
+
+    if transfer.skip_damage and next != ordinal,
+      do: take(transfer, source, next, to),
+      else: {:error, Failure.error(reason, store.path, info.name)}
+  end
+
+  defp failed(reason, %{stream: stream}, _source, _ordinal, _to),
+    do: {:error, Failure.error(reason, stream.writer.path, stream.name)}
+
+  @doc "Messages from elsewhere, behind those taken."
+  @spec append(t(), [Situ.Message.t()]) :: {:ok, t()} | {:error, Error.t()}
+  def append(transfer, messages) do
+    with {:ok, stream} <- Writer.append(transfer.stream, messages) do
+      transfer.told.(length(messages))
+      {:ok, %{transfer | stream: stream}}
+    end
+  end
+
+  @doc "The stream closed at this time (`nil`: it never did)."
+  @spec close(t(), Situ.Time.t() | nil) :: :ok | {:error, Error.t()}
+  def close(_transfer, nil), do: :ok
+
+  def close(transfer, time) do
+    with {:ok, _} <- Writer.close_stream(transfer.stream, time), do: :ok
+  end
+end
