@@ -93,9 +93,9 @@ build_prod() {
   fi
 }
 
-# elixir_prod ARGS...: runs elixir on the production build, without mix.
+# elixir_prod ARGS...: runs elixir on the production build, without mix. Ctrl-C ends it, with the status people expect (130).
 elixir_prod() {
   local yaws
   yaws=$(ls -d /usr/lib/yaws-*/ebin 2>/dev/null | head -n 1 || true)
-  exec elixir ${yaws:+-pa "$yaws"} -pa "$SITU_ROOT/_build/prod/lib/*/ebin" "$@"
+  exec elixir --erl +Bd ${yaws:+-pa "$yaws"} -pa "$SITU_ROOT/_build/prod/lib/*/ebin" "$@"
 }

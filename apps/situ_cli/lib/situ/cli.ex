@@ -53,7 +53,12 @@ defmodule Situ.CLI do
     end
   rescue
     # The border to the user: an expected failure is a sentence, not a stacktrace.
-    error in Situ.Error -> fail(error, 1)
+    error in Situ.Error ->
+      fail(error, 1)
+
+    # Whoever read what is printed has enough of it (`situ ... | head`): the status of a program that writes to nobody.
+    error in ErlangError ->
+      if error.original == :terminated, do: 141, else: reraise(error, __STACKTRACE__)
   end
 
   defp fail(error, status) do

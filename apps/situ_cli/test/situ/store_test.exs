@@ -104,13 +104,12 @@ defmodule Situ.CLI.StoreTest do
   test "wrong usage has status 2, what fails raises an error that says how to fix it", %{
     path: path
   } do
-    for argv <- [[], ["infoo", path], ["info"], ["info", path, "--colour"]] do
+    for argv <- [[], ["infoo", path], ["info"], ["info", path, "--colour"], ["messages", path]] do
       assert capture_io(:stderr, fn -> assert Command.run(argv) == 2 end) =~ "Fix:"
     end
 
     for argv <- [
           ["info", path <> "x"],
-          ["messages", path],
           ["messages", path, "-s", "Wrods"],
           ["crop", path, path <> "y", "--start", "soon"],
           ["copy", path, path <> "y", "--compression", "rar"],
@@ -119,6 +118,119 @@ defmodule Situ.CLI.StoreTest do
       error = assert_raise Situ.Error, fn -> Command.run(argv) end
       assert error.fix
     end
+  end
+
+  test "several recordings: a line each, and the ones that cannot be read are told of", %{
+    path: path,
+    tmp_dir: root
+  } do
+    File.write!(Path.join(root, "notes.txt"), "no recording")
+    paths = [path, Path.join(root, "notes.txt"), Path.join(root, "gone")]
+    {1, text} = run(["info" | paths])
+    assert text =~ "2 streams" and text =~ "notes.txt  no reader" and text =~ "gone  no store"
+
+    assert [%{"closed" => true}, %{"error" => _}, %{"path" => _}] =
+             json(["info", "--json" | paths])
+
+    assert {0, text} = run(["verify", path, path])
+    assert text |> String.split("\n", trim: true) |> Enum.count(&(&1 =~ "all sound")) == 2
+    assert {1, text} = run(["verify", path, Path.join(root, "gone")])
+    assert text =~ "all sound" and text =~ "no store at"
+  end
+
+  test "info of one stream: all that is known of it", %{path: path, tmp_dir: root} do
+    {:ok, writer} = Writer.create("meta", root)
+    {:ok, stream} = Writer.stream(writer, "S", type: :float, metadata: %{"unit" => "rad"})
+    {:ok, stream} = Writer.append(stream, for(i <- 0..9, do: message(i / 1, i)))
+    {:ok, _} = Writer.close_stream(stream, 9_000_000_000)
+    :ok = Writer.close(writer)
+    {0, text} = run(["info", writer.path, "--stream", "S"])
+    assert text =~ ~s(%{"unit" => "rad"} \(:map\)) and text =~ "10, 1.0 Hz"
+    assert text =~ "80 B, 8 B each" and text =~ "2.00 ms on average, 20.0 ms in all"
+    assert text =~ "at 1970-01-01T00:00:09" and text =~ "compression none"
+    info = json(["info", writer.path, "-s", "S", "--json"])
+    assert %{"metadata" => %{"data" => %{"unit" => "rad"}, "type" => ":map"}} = info
+
+    assert %{"count" => 10, "size" => 80, "latency_sum" => 20_000_000, "store_name" => "meta"} =
+             info
+
+    assert_raise Situ.Error, fn -> run(["info", path, "-s", "Nope"]) end
+  end
+
+  test "messages for programs hold the data itself", %{path: path, tmp_dir: root} do
+    {0, lines} = run(["messages", path, "-s", "Words", "-n", "2", "--json"])
+
+    [first, _] =
+      lines |> String.split("\n", trim: true) |> Enum.map(&elem(Situ.JSON.decode(&1), 1))
+
+    assert %{"data" => "word 0", "sequence_id" => 1, "originating_time" => 0} = first
+    {:ok, writer} = Writer.create("odd", root)
+    {:ok, stream} = Writer.stream(writer, "S")
+    odd = [%{a: {1, :b}}, <<255, 0>>, %{{1} => 2}, [1 | 2], nil]
+    {:ok, _} = Writer.append(stream, for({data, i} <- Enum.with_index(odd), do: message(data, i)))
+    :ok = Writer.close(writer)
+    {0, lines} = run(["messages", writer.path, "-s", "S", "--json"])
+    lines = lines |> String.split("\n", trim: true) |> Enum.map(&elem(Situ.JSON.decode(&1), 1))
+    assert Enum.map(lines, &Map.get(&1, "data")) == [%{"a" => [1, "b"]}, nil, nil, nil, nil]
+
+    assert Enum.map(lines, &Map.get(&1, "text")) == [
+             nil,
+             "<<255, 0>>",
+             "%{{1} => 2}",
+             "[1 | 2]",
+             nil
+           ]
+  end
+
+  test "an option that says nothing to a verb, a crop to nothing, an edit of nothing are refused",
+       %{
+         path: path
+       } do
+    out = path <> " out"
+
+    for argv <- [
+          ["copy", path, out, "--number", "3"],
+          ["verify", path, "--stream", "Words"],
+          ["crop", path, out],
+          ["edit", path, out]
+        ] do
+      assert capture_io(:stderr, fn -> assert Command.run(argv) == 2 end) =~ "Fix:"
+    end
+
+    refute Store.exists?(out)
+  end
+
+  test "edits are of the stream's type and of messages that are there", %{
+    path: path,
+    tmp_dir: root
+  } do
+    out = Path.join(root, "out")
+    edit = &["edit", path, out | &1]
+
+    error = assert_raise Situ.Error, fn -> run(edit.(["--delete", "Words@5"])) end
+    assert error.code == :no_message and error.fix =~ "00:00:10"
+    error = assert_raise Situ.Error, fn -> run(edit.(["--set", "Room.Level@0=\"x\""])) end
+    assert error.code == :type_mismatch
+    refute Store.exists?(out)
+  end
+
+  test "an interval without messages is told of; streams are chosen by patterns", %{
+    path: path,
+    tmp_dir: root
+  } do
+    out = Path.join(root, "out")
+    argv = ["crop", path, out, "--start", "1h"]
+    assert capture_io(:stderr, fn -> assert {0, _} = run(argv) end) =~ "empty"
+    {0, made} = run(["copy", path, out, "-s", "Room.*"])
+    assert [%{name: "Room.Level"}] = made |> String.trim() |> Store.open!() |> Store.streams()
+  end
+
+  test "a store too broken to be opened can be deleted", %{path: path} do
+    folder = Store.open!(path).path
+    File.write!(Path.join(folder, "index.situ"), "rubbish")
+    assert {:error, _} = Store.open(folder)
+    assert {0, _} = run(["delete", folder, "-y"])
+    refute File.exists?(folder)
   end
 
   defp values(path, stream),

@@ -24,7 +24,7 @@ defmodule Situ.CLI.Studio do
     """
     Usage: situ studio [STORE | FOLDER] [OPTIONS]
 
-    Serves the studio until it is stopped (Ctrl-C twice) and opens the browser. STORE is a recording; FOLDER holds
+    Serves the studio until it is stopped (Ctrl-C) and opens the browser. STORE is a recording; FOLDER holds
     recordings at any depth; default: the folder "recordings", else this one. A recording that is being written is
     followed live.
 

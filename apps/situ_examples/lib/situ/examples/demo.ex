@@ -142,7 +142,7 @@ defmodule Situ.Examples.Demo do
     case Situ.Studio.start_link(path: path, port: opts[:port]) do
       {:ok, studio} ->
         url = Situ.Studio.url(studio, Situ.Studio.only_item(studio))
-        IO.puts(:stderr, "The recording is at #{url} (Ctrl-C twice to stop)")
+        IO.puts(:stderr, "The recording is at #{url} (Ctrl-C to stop)")
         Process.sleep(:infinity)
 
       {:error, error} ->

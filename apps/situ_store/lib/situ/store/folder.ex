@@ -27,14 +27,14 @@ defmodule Situ.Store.Folder do
          )}
 
       true ->
-        mkdir(root, fn -> File.mkdir_p(root) end)
+        mkdir(root, fn -> parent(root) end)
     end
   end
 
   defp create_version(name, root, version) do
     path = Path.join(root, "#{name}.#{pad(version)}")
 
-    with :ok <- File.mkdir_p(Path.dirname(path)),
+    with :ok <- parent(Path.dirname(path)),
          # Another process took this number: the next one is ours.
          {:error, :eexist} <- File.mkdir(path),
          true <- File.dir?(Path.dirname(path)) do
@@ -43,6 +43,11 @@ defmodule Situ.Store.Folder do
       false -> mkdir(path, fn -> {:error, :enotdir} end)
       result -> mkdir(path, fn -> result end)
     end
+  end
+
+  # A file where a folder is wanted "exists", which tells nobody anything.
+  defp parent(path) do
+    with {:error, :eexist} <- File.mkdir_p(path), do: {:error, :enotdir}
   end
 
   defp mkdir(path, make) do

@@ -2,36 +2,46 @@ defmodule Situ.CLI.Store.Info do
   @moduledoc false
   # `situ store info`: what a person wants to know at a glance.
   alias Situ.{Store, Time}
+  alias Situ.CLI.Store.Details
   alias Situ.Store.StreamInfo
 
-  @spec run(Path.t(), keyword()) :: 0 | 1
-  def run(path, opts) do
-    cond do
-      Store.exists?(path) or File.regular?(path) -> one(path, opts)
-      File.dir?(path) -> folder(path, opts)
-      true -> one(path, opts)
-    end
+  @doc "Of one recording all, of several (or the recordings in a folder) a line each."
+  @spec run([Path.t()], keyword()) :: 0 | 1
+  def run([path], opts) do
+    if folder?(path), do: list([path], opts), else: one(path, opts)
   end
 
-  defp folder(path, opts) do
-    stores = Store.list(path, recursive: true)
+  def run(paths, opts), do: list(paths, opts)
+
+  defp folder?(path),
+    do: File.dir?(path) and not Store.exists?(path)
+
+  # Recordings that cannot be read are told of, and are no reason to keep quiet about the others.
+  defp list(paths, opts) do
+    stores =
+      Enum.flat_map(paths, &if(folder?(&1), do: Store.list(&1, recursive: true), else: [&1]))
+
+    opened = for path <- stores, do: {path, Store.open(path)}
 
     if opts[:json] do
-      IO.puts(Situ.JSON.encode(Enum.map(stores, &json/1)))
+      IO.puts(Situ.JSON.encode(Enum.map(opened, &entry/1)))
     else
-      if stores == [], do: IO.puts("No stores in #{path}.")
-      Enum.each(stores, &IO.puts(short(&1)))
+      if stores == [], do: IO.puts("No stores in #{Enum.join(paths, ", ")}.")
+      Enum.each(opened, &IO.puts(short(&1)))
     end
 
-    0
+    if Enum.all?(opened, &match?({_, {:ok, _}}, &1)), do: 0, else: 1
   end
 
-  defp short(path) do
-    case Store.open(path) do
+  defp entry({_path, {:ok, store}}), do: json(store)
+  defp entry({path, {:error, error}}), do: %{path: path, error: error.what}
+
+  defp short({path, opened}) do
+    case opened do
       {:ok, store} ->
         streams = Store.streams(store)
 
-        "#{path}  #{length(streams)} streams, #{span(streams)}, #{bytes(size(store.path))}, #{state(Store.info(store))}"
+        "#{store.path}  #{number(length(streams), "stream")}, #{span(streams)}, #{Details.bytes(size(store.path))}, #{state(Store.info(store))}"
 
       {:error, error} ->
         "#{path}  #{error.what}"
@@ -39,12 +49,19 @@ defmodule Situ.CLI.Store.Info do
   end
 
   defp one(path, opts) do
-    if opts[:json],
-      do: IO.puts(Situ.JSON.encode(json(path))),
-      else: text(Store.open!(path))
+    store = Store.open!(path)
+
+    case {opts[:stream], opts[:json]} do
+      {nil, true} -> IO.puts(Situ.JSON.encode(json(store)))
+      {nil, _} -> text(store)
+      {name, json?} -> Details.print(store, name, json? == true)
+    end
 
     0
   end
+
+  defp number(1, what), do: "1 #{what}"
+  defp number(n, what), do: "#{n} #{what}s"
 
   defp text(store) do
     info = Store.info(store)
@@ -52,7 +69,7 @@ defmodule Situ.CLI.Store.Info do
     IO.puts("#{info.name}  (#{store.path})")
 
     IO.puts(
-      "  #{state(info)}; #{length(streams)} streams, #{count(streams)} messages, #{bytes(size(store.path))} on disk"
+      "  #{state(info)}; #{number(length(streams), "stream")}, #{number(count(streams), "message")}, #{Details.bytes(size(store.path))} on disk"
     )
 
     case Store.interval(streams) do
@@ -98,10 +115,10 @@ defmodule Situ.CLI.Store.Info do
       info.name <> if(info.large?, do: "*", else: ""),
       info.type_name,
       Integer.to_string(info.count),
-      rate(StreamInfo.rate(info)),
-      bytes(info.stored),
-      bytes(round(StreamInfo.average_size(info) || 0)),
-      latency(StreamInfo.average_latency(info)),
+      Details.rate(info),
+      Details.bytes(info.stored),
+      Details.bytes(round(StreamInfo.average_size(info) || 0)),
+      Details.latency(info),
       gaps(store, info)
     ]
   end
@@ -125,13 +142,6 @@ defmodule Situ.CLI.Store.Info do
     end
   end
 
-  defp latency(nil), do: "-"
-  defp latency(ns), do: Time.format_duration(round(ns))
-
-  defp rate(nil), do: "-"
-  defp rate(hz) when hz >= 1_000, do: "#{Float.round(hz / 1_000, 2)} kHz"
-  defp rate(hz), do: "#{Float.round(hz, 2)} Hz"
-
   defp count(streams), do: streams |> Enum.map(& &1.count) |> Enum.sum()
 
   defp span(streams) do
@@ -150,15 +160,8 @@ defmodule Situ.CLI.Store.Info do
     files |> Enum.map(&File.stat!(&1).size) |> Enum.sum()
   end
 
-  defp bytes(n) when n >= 1_000_000_000, do: "#{Float.round(n / 1.0e9, 2)} GB"
-  defp bytes(n) when n >= 1_000_000, do: "#{Float.round(n / 1.0e6, 2)} MB"
-  defp bytes(n) when n >= 1_000, do: "#{Float.round(n / 1.0e3, 1)} kB"
-  defp bytes(n), do: "#{n} B"
-
-  defp json(path) do
-    store = Store.open!(path)
+  defp json(store) do
     info = Store.info(store)
-    streams = Store.streams(store)
 
     %{
       name: info.name,
@@ -168,24 +171,7 @@ defmodule Situ.CLI.Store.Info do
       created: info.created,
       size: size(store.path),
       damage: length(info.damage),
-      streams: Enum.map(streams, &stream/1)
+      streams: Enum.map(Store.streams(store), &Details.json/1)
     }
-  end
-
-  defp stream(info) do
-    info
-    |> Map.take([:id, :name, :count, :size, :stored, :first, :last, :first_creation])
-    |> Map.merge(%{
-      last_creation: info.last_creation,
-      type: info.type_name,
-      opened: info.opened,
-      closed: info.closed,
-      large: info.large?,
-      compression: info.compression,
-      latency_sum: info.latency_sum,
-      rate: StreamInfo.rate(info),
-      average_size: StreamInfo.average_size(info),
-      average_latency: StreamInfo.average_latency(info)
-    })
   end
 end

@@ -6,28 +6,40 @@ defmodule Situ.CLI.Store.Progress do
           result
         when result: term()
   def show(label, opts, work) do
-    if opts[:quiet] || opts[:json] || not terminal?(),
-      do: work.(fn _, _ -> :ok end),
-      else: with_bar(label, work)
+    case if(opts[:quiet] || opts[:json], do: nil, else: terminal()) do
+      nil -> work.(fn _, _ -> :ok end)
+      device -> with_bar(label, device, work)
+    end
   end
 
-  defp terminal?, do: match?({:ok, _}, :io.columns(:standard_error))
+  # Without a shell the VM does not know its terminal; the system does. Opened anew, what is written is there before the next
+  # line goes to standard output.
+  defp terminal do
+    with {:ok, device} <- File.read_link("/proc/self/fd/2"),
+         true <- device =~ ~r{\A/dev/(pts/|tty|console)},
+         {:ok, device} <- :file.open(device, [:write, :raw, :binary]) do
+      device
+    else
+      _ -> nil
+    end
+  end
 
-  defp with_bar(label, work) do
+  defp with_bar(label, device, work) do
     shown = :atomics.new(2, signed: true)
     :atomics.put(shown, 1, now())
-    result = work.(&draw(label, &1, &2, shown))
-    if :atomics.get(shown, 2) == 1, do: IO.write(:stderr, "\r\e[K")
+    result = work.(&draw(device, label, {&1, &2}, shown))
+    if :atomics.get(shown, 2) == 1, do: :file.write(device, "\r\e[K")
+    _ = :file.close(device)
     result
   end
 
-  defp draw(_label, _done, 0, _shown), do: :ok
+  defp draw(_device, _label, {_, 0}, _shown), do: :ok
 
-  defp draw(label, done, total, shown) do
+  defp draw(device, label, {done, total}, shown) do
     if now() - :atomics.get(shown, 1) > 100 do
       :atomics.put(shown, 1, now())
       :atomics.put(shown, 2, 1)
-      IO.write(:stderr, "\r" <> bar(label, done, total))
+      :file.write(device, "\r" <> bar(label, done, total))
     end
   end
 

@@ -1,0 +1,50 @@
+defmodule Situ.CLI.Store.Data do
+  @moduledoc false
+  # What messages and metadata hold, for people and for programs.
+
+  @doc "In one line, long things cut short."
+  @spec text(term()) :: String.t()
+  def text(data), do: inspect(data, limit: 20, printable_limit: 200)
+
+  @doc "`data` where JSON can say it, else `text`."
+  @spec json(term()) :: %{data: term()} | %{text: String.t()}
+  def json(data) do
+    case plain(data) do
+      {:ok, value} -> %{data: value}
+      :error -> %{text: text(data)}
+    end
+  end
+
+  # Tuples become lists and atoms text, as everywhere else.
+  defp plain(data) when is_number(data) or is_atom(data), do: {:ok, data}
+
+  defp plain(data) when is_binary(data),
+    do: if(String.valid?(data), do: {:ok, data}, else: :error)
+
+  defp plain(data) when is_tuple(data), do: data |> Tuple.to_list() |> plain()
+  defp plain(%_{} = struct), do: struct |> Map.from_struct() |> plain()
+
+  defp plain([_ | _] = list) do
+    if List.improper?(list), do: :error, else: all(list)
+  end
+
+  defp plain([]), do: {:ok, []}
+
+  defp plain(%{} = map) do
+    {keys, values} = map |> Map.to_list() |> Enum.unzip()
+
+    with true <- Enum.all?(keys, &(is_binary(&1) or is_atom(&1))),
+         {:ok, values} <- all(values) do
+      {:ok, keys |> Enum.map(&to_string/1) |> Enum.zip(values) |> Map.new()}
+    else
+      _ -> :error
+    end
+  end
+
+  defp plain(_), do: :error
+
+  defp all(list) do
+    plain = Enum.map(list, &plain/1)
+    if :error in plain, do: :error, else: {:ok, Enum.map(plain, &elem(&1, 1))}
+  end
+end

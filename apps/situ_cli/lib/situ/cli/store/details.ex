@@ -1,0 +1,122 @@
+defmodule Situ.CLI.Store.Details do
+  @moduledoc false
+  # Everything that is known of one stream.
+  alias Situ.CLI.Store.Data
+  alias Situ.{Store, Time}
+  alias Situ.Store.StreamInfo
+
+  @spec print(Store.t(), String.t(), boolean()) :: :ok
+  def print(store, name, json?) do
+    case Store.stream_info(store, name) do
+      {:ok, info} when json? -> info |> json() |> Situ.JSON.encode() |> IO.puts()
+      {:ok, info} -> text(store, info)
+      {:error, error} -> raise error
+    end
+  end
+
+  defp text(store, info) do
+    IO.puts("#{info.name}  (stream #{info.id} of #{store.path})")
+
+    for {label, value} <- rows(store, info),
+        do: IO.puts("  #{String.pad_trailing(label, 12)}#{value}")
+
+    :ok
+  end
+
+  defp rows(store, info) do
+    [
+      {"type", info.type_name <> fields(info)},
+      {"metadata", supplemental(store, info)},
+      {"opened", time(info.opened)},
+      {"closed", closed(info)},
+      {"messages", "#{info.count}, #{rate(info)}"},
+      {"happened", span(info.first, info.last)},
+      {"created", span(info.first_creation, info.last_creation)},
+      {"size", "#{bytes(info.size)}, #{average(info)} each; #{bytes(info.stored)} on disk"},
+      {"latency",
+       "#{latency(info)} on average, #{Time.format_duration(info.latency_sum)} in all"},
+      {"stored", stored(info)}
+    ]
+  end
+
+  defp fields(%{fields: nil}), do: ""
+  defp fields(info), do: " (#{Enum.join(info.fields, ", ")})"
+
+  defp supplemental(_store, %{supplemental: nil}), do: "none"
+
+  defp supplemental(store, %{supplemental: {type, _}} = info) do
+    case Store.metadata(store, info) do
+      {:ok, term} -> "#{Data.text(term)} (#{type})"
+      {:error, _} -> "of type #{type}, which is not known here"
+    end
+  end
+
+  defp time(nil), do: "-"
+  defp time(time), do: Time.to_iso8601(time)
+
+  defp closed(%{closed: nil}), do: "no"
+  defp closed(info), do: "at #{time(info.closed)}"
+
+  defp span(nil, _), do: "-"
+  defp span(from, to), do: "#{time(from)} .. #{time(to)}, #{Time.format_duration(to - from)}"
+
+  defp average(info), do: bytes(round(StreamInfo.average_size(info) || 0))
+
+  defp stored(info) do
+    lane = if info.large?, do: "each message by itself", else: "in chunks"
+    codecs = for {_, {name, _}} <- info.codecs, do: ", codec #{name}"
+    "#{lane}, compression #{info.compression}#{codecs}"
+  end
+
+  @doc "For programs."
+  @spec json(StreamInfo.t()) :: map()
+  def json(info) do
+    info
+    |> Map.take([:id, :name, :store_name, :store_path, :count, :size, :stored, :first, :last])
+    |> Map.merge(Map.take(info, [:first_creation, :last_creation, :opened, :closed]))
+    |> Map.merge(Map.take(info, [:compression, :latency_sum, :fields]))
+    |> Map.merge(%{
+      type: info.type_name,
+      large: info.large?,
+      codecs: for({_, {name, _}} <- info.codecs, do: name),
+      metadata: metadata(info.supplemental),
+      rate: StreamInfo.rate(info),
+      average_size: StreamInfo.average_size(info),
+      average_latency: StreamInfo.average_latency(info)
+    })
+  end
+
+  defp metadata(nil), do: nil
+
+  defp metadata({type, bytes}) do
+    bytes |> :erlang.binary_to_term([:safe]) |> Data.json() |> Map.put(:type, type)
+  rescue
+    ArgumentError -> %{type: type}
+  end
+
+  @doc "Messages a second."
+  @spec rate(StreamInfo.t()) :: String.t()
+  def rate(info) do
+    case StreamInfo.rate(info) do
+      nil -> "-"
+      hz when hz >= 1_000 -> "#{Float.round(hz / 1_000, 2)} kHz"
+      hz -> "#{Float.round(hz, 2)} Hz"
+    end
+  end
+
+  @doc "The average latency."
+  @spec latency(StreamInfo.t()) :: String.t()
+  def latency(info) do
+    case StreamInfo.average_latency(info) do
+      nil -> "-"
+      ns -> Time.format_duration(round(ns))
+    end
+  end
+
+  @doc "A size."
+  @spec bytes(non_neg_integer()) :: String.t()
+  def bytes(n) when n >= 1_000_000_000, do: "#{Float.round(n / 1.0e9, 2)} GB"
+  def bytes(n) when n >= 1_000_000, do: "#{Float.round(n / 1.0e6, 2)} MB"
+  def bytes(n) when n >= 1_000, do: "#{Float.round(n / 1.0e3, 1)} kB"
+  def bytes(n), do: "#{n} B"
+end

@@ -1,0 +1,72 @@
+defmodule Situ.CLI.Store.Health do
+  @moduledoc false
+  # `situ store verify` and `repair`.
+  alias Situ.CLI.Store.Progress
+  alias Situ.Store
+
+  @spec verify([Path.t()], keyword()) :: 0 | 1
+  def verify(paths, opts) do
+    reports = for path <- paths, do: {path, checked(path, opts, length(paths))}
+    if opts[:json], do: json(reports)
+    if Enum.all?(reports, &match?({_, {:ok, %{damage: []}}}, &1)), do: 0, else: 1
+  end
+
+  # One that is no store does not keep the others from being checked.
+  defp checked(path, opts, n) do
+    result =
+      Progress.show("verify", opts, fn progress -> Store.verify(path, progress: progress) end)
+
+    if n == 1, do: ok!(result)
+    if not (opts[:json] || false), do: text(if(n > 1, do: path <> ": ", else: ""), path, result)
+    result
+  end
+
+  defp text(prefix, _path, {:ok, %{chunks: chunks, damage: []}}),
+    do: IO.puts("#{prefix}#{chunks} chunks, all sound")
+
+  defp text(prefix, path, {:ok, %{damage: damage}}) do
+    IO.puts(prefix <> "DAMAGED")
+    places(damage)
+    IO.puts("`situ store repair '#{path}'` keeps what is sound.")
+  end
+
+  defp text(prefix, _path, {:error, error}), do: IO.puts(prefix <> error.what)
+
+  defp places(damage),
+    do: Enum.each(damage, &IO.puts("  #{&1.file} at byte #{&1.offset}: #{&1.why}"))
+
+  defp json([{_, {:ok, report}}]), do: IO.puts(Situ.JSON.encode(report))
+
+  defp json(reports) do
+    all =
+      for {path, result} <- reports do
+        case result do
+          {:ok, report} -> Map.put(report, :path, path)
+          {:error, error} -> %{path: path, error: error.what}
+        end
+      end
+
+    IO.puts(Situ.JSON.encode(all))
+  end
+
+  @spec repair(Path.t(), keyword()) :: 0
+  def repair(path, opts) do
+    report =
+      Progress.show("repair", opts, fn progress -> ok!(Store.repair(path, progress: progress)) end)
+
+    if opts[:json] do
+      IO.puts(Situ.JSON.encode(report))
+    else
+      IO.puts("#{report.kept} chunks kept, #{report.dropped} dropped")
+      places(report.damage)
+
+      if report.rebuilt?,
+        do: IO.puts("The old index, if there was one, is index.situ.before-repair.")
+    end
+
+    0
+  end
+
+  defp ok!({:ok, value}), do: value
+  defp ok!({:error, error}), do: raise(error)
+end
