@@ -1,7 +1,7 @@
 defmodule Situ.Live.Page do
   @moduledoc false
   # From an address to a mounted view: the same for the dead render, for a join and for a patch.
-  alias Situ.Live.{Endpoint, Html, Rendered, Request, Route, Socket, View}
+  alias Situ.Live.{Endpoint, Html, Query, Rendered, Request, Route, Socket, View}
 
   @spec find(Endpoint.t(), String.t()) :: {:ok, Route.t(), map()} | :error
   def find(config, url) when is_binary(url) do
@@ -50,10 +50,8 @@ defmodule Situ.Live.Page do
   @doc "What a form or a click brings, as the map that handle_event/3 gets."
   @spec event_params(String.t(), term(), term()) :: {:ok, map()} | :error
   def event_params("form", value, meta) when is_binary(value) do
-    with {:ok, params} <- Situ.Live.Query.parse(value) do
-      target = if is_map(meta), do: Map.take(meta, ["_target"]), else: %{}
-      {:ok, Map.merge(params, target)}
-    else
+    case Query.parse(value) do
+      {:ok, params} -> {:ok, Map.merge(params, target(meta))}
       _ -> :error
     end
   end
@@ -61,4 +59,14 @@ defmodule Situ.Live.Page do
   def event_params(_type, nil, _meta), do: {:ok, %{}}
   def event_params(_type, %{} = value, _meta), do: {:ok, value}
   def event_params(_type, value, _meta), do: {:ok, %{"value" => value}}
+
+  # The browser names the field that changed as in the form; handle_event/3 gets where it is in the parameters.
+  defp target(%{"_target" => name}) when is_binary(name) do
+    case Query.path(name) do
+      path when is_list(path) -> %{"_target" => path}
+      :error -> %{}
+    end
+  end
+
+  defp target(_), do: %{}
 end

@@ -42,8 +42,14 @@ defmodule Situ.Live.Query do
     end
   end
 
-  # "a[b][]" -> ["a", "b", ""]; a name that is not of this shape is taken as it is
-  defp path(name) do
+  @doc """
+  Where a field of this name is found in what `parse/1` gives; a name of another shape is taken as it is.
+
+      iex> Situ.Live.Query.path("a[b][]")
+      ["a", "b", ""]
+  """
+  @spec path(String.t()) :: [String.t()] | :error
+  def path(name) do
     case :binary.split(name, "[") do
       [head, tail] when head != "" ->
         inner = tail |> String.trim_trailing("]") |> String.split("][")
@@ -101,6 +107,15 @@ defmodule Situ.Live.Query do
     |> Enum.flat_map(fn {key, value} -> pairs(to_string(key), value) end)
     |> URI.encode_query()
   end
+
+  @doc """
+  The name of the field at a path: `path/1` the other way.
+
+      iex> Situ.Live.Query.name(["a", "b"])
+      "a[b]"
+  """
+  @spec name([String.t(), ...]) :: String.t()
+  def name([head | inner]), do: head <> Enum.map_join(inner, &"[#{&1}]")
 
   defp pairs(key, %{} = map), do: Enum.flat_map(map, fn {k, v} -> pairs("#{key}[#{k}]", v) end)
   defp pairs(key, list) when is_list(list), do: Enum.flat_map(list, &pairs(key <> "[]", &1))

@@ -153,8 +153,10 @@ defmodule Situ.Live.Test do
 
   @doc "Changes fields of a form (nested maps of strings): its `phx-change`. `target:` is the path of the field."
   @spec change(t(), String.t(), map(), keyword()) :: :ok | {:ok, map()} | {:error, term()}
-  def change(page, selector, fields, opts \\ []),
-    do: form(page, selector, "phx-change", fields, %{"_target" => opts[:target] || []})
+  def change(page, selector, fields, opts \\ []) do
+    meta = if opts[:target], do: %{"_target" => Query.name(opts[:target])}, else: %{}
+    form(page, selector, "phx-change", fields, meta)
+  end
 
   @doc "Submits a form: its `phx-submit`."
   @spec submit(t(), String.t(), map()) :: :ok | {:ok, map()} | {:error, term()}

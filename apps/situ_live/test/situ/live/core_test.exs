@@ -1,7 +1,7 @@
 defmodule Situ.Live.CoreTest do
   # The pure parts: flow of diffs, credits, tokens, queries, routes.
   use ExUnit.Case, async: true
-  alias Situ.Live.{Flow, Json, Query, Request, Route, Token}
+  alias Situ.Live.{Flow, Json, Page, Query, Request, Route, Token}
   alias Situ.Live.DataSocket.Channel
 
   describe "Flow" do
@@ -19,6 +19,26 @@ defmodule Situ.Live.CoreTest do
       flow = Flow.sent(Flow.new(ack?: false), 0)
       assert Flow.check(flow, 10) == {:wait, 23}
       assert Flow.check(flow, 33) == :now
+    end
+  end
+
+  describe "Page.event_params/3" do
+    test "the field that changed is named by where it is, as the browser sends its name" do
+      assert Page.event_params("form", "props[width]=2", %{"_target" => "props[width]"}) ==
+               {:ok, %{"props" => %{"width" => "2"}, "_target" => ["props", "width"]}}
+
+      assert Page.event_params("form", "a=1", %{"_target" => "a"}) ==
+               {:ok, %{"a" => "1", "_target" => ["a"]}}
+    end
+
+    test "a name that is none is left out" do
+      deep = "a" <> String.duplicate("[b]", 9)
+
+      for target <- [7, nil, deep],
+          do:
+            assert(
+              Page.event_params("form", "a=1", %{"_target" => target}) == {:ok, %{"a" => "1"}}
+            )
     end
   end
 
