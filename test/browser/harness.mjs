@@ -28,15 +28,15 @@ export async function until(page, probe, what, arg) {
   }
 }
 
-export async function runAll({ filter = "", shots }) {
+export async function runAll({ filter = "", times = 1, shots }) {
   const browser = await chromium.launch({
     executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
     args: ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
       "--disable-component-update", "--disable-sync", "--autoplay-policy=no-user-gesture-required"],
   });
   let passed = 0, failed = 0;
-  for (const { name, run } of tests) {
-    if (!name.includes(filter)) continue;
+  const wanted = tests.filter(({ name }) => name.includes(filter));
+  for (const { name, run } of wanted.flatMap((t) => Array(times).fill(t))) {
     const context = await browser.newContext({ viewport: { width: 1280, height: 720 } });
     const page = await context.newPage();
     const errors = [];

@@ -2,8 +2,15 @@
 
 import { KIND } from "./wire.js";
 import { bitmap } from "./pixels.js";
-import { FONT, theme, seriesColor } from "./theme.js";
-import { number } from "./number_text.js";
+import { look, distance } from "./depth.js";
+import { drawScale } from "./color_scale.js";
+import { mapping, drawShapes, shapesAt } from "./shapes.js";
+import { PanZoom } from "./pan_zoom.js";
+import { duration } from "./time_text.js";
+import { tip } from "./tip.js";
+
+// A picture that is older than this at the cursor says so.
+const OLD = 1e9;
 
 export class ImageCell {
   constructor(el, app, config) {
@@ -13,11 +20,14 @@ export class ImageCell {
     this.info = el.appendChild(document.createElement("div"));
     this.info.className = "cell-info";
     this.layers = [];
-    this.zoom = { k: 1, x: 0, y: 0 };
+    this.mouse = new PanZoom(this.canvas, {
+      fit: () => this.fit(),
+      changed: () => this.app.schedule(this),
+      pointed: () => this.point(),
+    });
     this.configure(config);
     this.observer = new ResizeObserver(() => this.resize());
     this.observer.observe(el);
-    this.gestures();
     this.resize();
   }
 
@@ -31,6 +41,7 @@ export class ImageCell {
       return Object.assign(layer, { vis, index });
     });
     for (const l of old.values()) this.closeLayer(l);
+    for (const l of this.layers) this.recolor(l);
     this.app.schedule(this);
   }
 
@@ -46,10 +57,18 @@ export class ImageCell {
     l.picture?.image.close();
   }
 
+  // Depth that is there already is coloured anew when its properties change.
+  recolor(layer) {
+    const style = layer.vis.draw === "depth" ? JSON.stringify(layer.vis.props ?? {}) : null;
+    if (layer.style !== undefined && layer.style !== style && layer.frame) this.decode(layer, layer.frame);
+    layer.style = style;
+  }
+
   accept(layer, f) {
     layer.error = f.kind === KIND.error ? f.message : null;
     if (f.kind === KIND.image) return this.decode(layer, f);
     layer.generation = (layer.generation ?? 0) + 1;
+    layer.frame = null;
     if (f.kind === KIND.json) layer.shapes = f.value;
     else {
       layer.shapes = null;
@@ -61,6 +80,7 @@ export class ImageCell {
 
   // One picture is decoded at a time; of those that arrive meanwhile only the newest is kept.
   async decode(layer, f) {
+    layer.frame = layer.vis.draw === "depth" ? f : null;
     if (layer.decoding) {
       layer.waiting = f;
       return;
@@ -68,8 +88,7 @@ export class ImageCell {
     layer.decoding = true;
     const generation = layer.generation ?? 0;
     try {
-      const range = layer.vis.props?.range;
-      const picture = await bitmap(f, Array.isArray(range) && range[1] > range[0] ? range : null);
+      const picture = await bitmap(f, layer.vis.draw === "depth" ? look(layer.vis.props) : null);
       if (generation === (layer.generation ?? 0)) {
         layer.picture?.image.close();
         layer.picture = picture;
@@ -93,138 +112,93 @@ export class ImageCell {
     this.app.schedule(this);
   }
 
+  base() {
+    return this.layers.find((l) => l.picture);
+  }
+
   // Canvas pixels per picture pixel, and where the picture's corner is: letterboxed, then zoomed.
   fit() {
-    const base = this.layers.find((l) => l.picture)?.picture;
+    const base = this.base()?.picture;
     const shapes = this.layers.find((l) => l.shapes?.size)?.shapes.size;
     const width = base?.width ?? shapes?.[0] ?? 640, height = base?.height ?? shapes?.[1] ?? 480;
     const w = this.el.clientWidth, h = this.el.clientHeight;
-    const k = Math.min(w / width, h / height) * this.zoom.k;
-    return { k, x: (w - width * k) / 2 + this.zoom.x, y: (h - height * k) / 2 + this.zoom.y, width, height };
+    const { zoom } = this.mouse;
+    const k = Math.min(w / width, h / height) * zoom.k;
+    return { k, x: (w - width * k) / 2 + zoom.x, y: (h - height * k) / 2 + zoom.y, width, height };
+  }
+
+  // What lies over a mirrored picture is mirrored with it.
+  map() {
+    return mapping(this.fit(), this.base()?.vis.props?.flip === true);
   }
 
   render() {
     const ctx = this.canvas.getContext("2d");
-    const f = this.fit();
+    const f = this.fit(), map = this.map();
+    const w = this.el.clientWidth, h = this.el.clientHeight;
     ctx.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
-    ctx.clearRect(0, 0, this.el.clientWidth, this.el.clientHeight);
+    ctx.clearRect(0, 0, w, h);
     ctx.imageSmoothingEnabled = f.k < 3;
-    for (const l of this.layers) {
-      if (l.vis.props?.visible === false || !l.picture) continue;
-      ctx.save();
-      if (l.vis.props?.flip) {
-        ctx.translate(f.x + l.picture.width * f.k, f.y);
-        ctx.scale(-1, 1);
-      } else ctx.translate(f.x, f.y);
-      ctx.drawImage(l.picture.image, 0, 0, l.picture.width * f.k, l.picture.height * f.k);
-      ctx.restore();
-    }
-    for (const l of this.layers) {
-      if (l.vis.props?.visible !== false && l.shapes) this.shapes(ctx, l, f);
-    }
-    this.note();
+    const shown = this.layers.filter((l) => l.vis.props?.visible !== false);
+    for (const l of shown) if (l.picture) this.picture(ctx, l, f);
+    for (const l of shown) if (l.shapes) drawShapes(ctx, l, map);
+    const depth = shown.find((l) => l.picture?.range && l.vis.props?.scale !== false);
+    if (depth) drawScale(ctx, w, h, depth.picture);
+    this.point();
     this.drawn = (this.drawn ?? 0) + 1;
-    const base = this.layers.find((l) => l.picture);
+    const base = this.base();
     // not on the panel's element: a diff takes away what the server did not write there
     if (base) this.canvas.dataset.at = String(base.at);
     else delete this.canvas.dataset.at;
   }
 
-  shapes(ctx, l, f) {
-    const s = l.shapes;
-    ctx.font = FONT;
-    ctx.lineWidth = l.vis.props?.width ?? 2;
-    const px = (x) => f.x + x * f.k, py = (y) => f.y + y * f.k;
-    (s.rects ?? []).forEach(([x, y, w, h, label, score, id], i) => {
-      const color = seriesColor(l.vis.props?.color, Number.isInteger(id) ? id : l.index + i);
-      ctx.strokeStyle = color;
-      ctx.strokeRect(px(x), py(y), w * f.k, h * f.k);
-      const track = Number.isInteger(id) ? String(id) : null;
-      const text = [label, track, score == null ? null : number(score, 2)].filter((p) => p != null && p !== "").join("  ");
-      if (text && l.vis.props?.labels !== false) this.tag(ctx, text, px(x) - 1, py(y), color);
-    });
-    const color = seriesColor(l.vis.props?.color, l.index);
-    ctx.strokeStyle = ctx.fillStyle = color;
-    ctx.beginPath();
-    for (const [a, b, c, d] of s.lines ?? []) {
-      ctx.moveTo(px(a), py(b));
-      ctx.lineTo(px(c), py(d));
-    }
-    ctx.stroke();
-    const r = l.vis.props?.radius ?? ((s.points?.length ?? 0) > 100 ? 1.2 : 3);
-    ctx.beginPath();
-    for (const [x, y] of s.points ?? []) {
-      ctx.moveTo(px(x) + r, py(y));
-      ctx.arc(px(x), py(y), r, 0, 2 * Math.PI);
-    }
-    ctx.fill();
-    for (const [x, y, label] of s.points ?? []) if (label) this.tag(ctx, label, px(x) + 5, py(y), color);
-    (s.texts ?? []).forEach((text, i) => this.tag(ctx, text, f.x + 8, f.y + 26 + 22 * i, color));
+  picture(ctx, { picture, vis }, f) {
+    ctx.save();
+    if (vis.props?.flip) {
+      ctx.translate(f.x + picture.width * f.k, f.y);
+      ctx.scale(-1, 1);
+    } else ctx.translate(f.x, f.y);
+    ctx.drawImage(picture.image, 0, 0, picture.width * f.k, picture.height * f.k);
+    ctx.restore();
   }
 
-  tag(ctx, text, x, y, color) {
-    const w = ctx.measureText(text).width + 10;
-    const top = Math.max(y - 17, 0);
-    ctx.fillStyle = color;
-    ctx.fillRect(x, top, w, 17);
-    ctx.fillStyle = theme().bg;
-    ctx.textBaseline = "middle";
-    ctx.fillText(text, x + 5, top + 9);
-    ctx.textBaseline = "alphabetic";
+  // What lies under the mouse, beside it; size, age and value of the picture in the corner.
+  point() {
+    const at = this.mouse.pointer && this.map().back(...this.mouse.pointer);
+    this.note(at);
+    const { k } = this.fit();
+    const found = at
+      ? this.layers.flatMap((l) => (l.shapes && l.vis.props?.visible !== false ? shapesAt(l.shapes, ...at, k) : []))
+      : [];
+    const box = this.canvas.getBoundingClientRect();
+    tip(this, found, ...(at ? [box.left + this.mouse.pointer[0], box.top + this.mouse.pointer[1]] : []));
   }
 
-  note() {
+  note(at) {
     const error = this.layers.find((l) => l.error)?.error;
-    const base = this.layers.find((l) => l.picture);
+    const base = this.base();
     let text = error ?? "";
-    if (!error && base) {
-      text = `${base.picture.width} × ${base.picture.height}`;
-      if (this.pointer && base.picture.depth) {
-        const f = this.fit();
-        const x = Math.floor((this.pointer[0] - f.x) / f.k), y = Math.floor((this.pointer[1] - f.y) / f.k);
-        if (x >= 0 && y >= 0 && x < f.width && y < f.height) {
-          text += `   (${x}, ${y}) = ${base.picture.depth[y * f.width + x]}`;
-        }
-      }
-    } else if (!error && this.layers.length) text = this.layers.some((l) => l.shapes) ? "" : "no picture at the cursor";
+    if (!error && base) text = [...this.facts(base, at)].join("   ");
+    else if (!error && this.layers.length) text = this.layers.some((l) => l.shapes) ? "" : "no picture at the cursor";
     if (text !== this.text) this.info.textContent = this.text = text;
     this.info.classList.toggle("bad", !!error);
   }
 
-  gestures() {
-    const c = this.canvas;
-    c.addEventListener("wheel", (e) => {
-      e.preventDefault();
-      const factor = e.deltaY > 0 ? 1 / 1.1 : 1.1;
-      const f = this.fit();
-      const ix = (e.offsetX - f.x) / f.k, iy = (e.offsetY - f.y) / f.k;
-      this.zoom.k = Math.min(Math.max(this.zoom.k * factor, 0.2), 60);
-      const g = this.fit();
-      this.zoom.x += e.offsetX - (g.x + ix * g.k);
-      this.zoom.y += e.offsetY - (g.y + iy * g.k);
-      this.app.schedule(this);
-    }, { passive: false });
-    c.addEventListener("pointerdown", (e) => {
-      c.setPointerCapture(e.pointerId);
-      this.drag = [e.offsetX - this.zoom.x, e.offsetY - this.zoom.y];
-    });
-    c.addEventListener("pointermove", (e) => {
-      this.pointer = [e.offsetX, e.offsetY];
-      if (this.drag) {
-        this.zoom.x = e.offsetX - this.drag[0];
-        this.zoom.y = e.offsetY - this.drag[1];
-        this.app.schedule(this);
-      } else this.note();
-    });
-    c.addEventListener("pointerup", () => (this.drag = null));
-    c.addEventListener("pointerleave", () => (this.pointer = null));
-    c.addEventListener("dblclick", () => {
-      this.zoom = { k: 1, x: 0, y: 0 };
-      this.app.schedule(this);
-    });
+  *facts({ picture, at: time, vis }, at) {
+    const { width, height, values, unit } = picture;
+    yield `${width} × ${height}`;
+    const age = this.app.time.get().cursor - time;
+    if (age >= OLD) yield `${duration(age)} old`;
+    const [x, y] = (at ?? []).map(Math.floor);
+    if (!values || !(x >= 0 && y >= 0 && x < width && y < height)) return;
+    const value = values[y * width + x];
+    const none = vis.draw === "depth" && value === look(vis.props).invalid;
+    yield `(${x}, ${y}) = ${value}${none ? ", no reading" : unit ? `, ${distance(value, unit)}` : ""}`;
   }
 
-  cursorMoved() {}
+  cursorMoved() {
+    this.point();
+  }
 
   themeChanged() {
     this.render();
@@ -232,6 +206,7 @@ export class ImageCell {
 
   destroy() {
     this.observer.disconnect();
+    tip(this, []);
     for (const l of this.layers) this.closeLayer(l);
   }
 }

@@ -1,6 +1,7 @@
 // What the lanes of one stream hold: marks of messages, and segments of states, texts and intervals. Pure.
 
-import { byName } from "./series.js";
+import { byName, lowerBound } from "./series.js";
+import { duration, relative } from "./time_text.js";
 
 const MOST_MARKS = 20000, MOST_SEGMENTS = 5000;
 
@@ -51,4 +52,29 @@ function join(held, next, from) {
 export function laneNames(segments) {
   const names = [...(segments?.keys() ?? [])].sort(byName);
   return names.length ? names : [""];
+}
+
+// The segment at a time, the last that began where several overlap; `slack` is how far beside a narrow one counts. Or null.
+export function segmentAt(segments, t, slack) {
+  for (let i = segments.length - 1; i >= 0; i--) {
+    const [a, b] = segments[i];
+    if (t >= a - slack && t <= Math.max(b, a + slack)) return segments[i];
+  }
+  return null;
+}
+
+// A segment in words.
+export function segmentText([a, b, label, cls]) {
+  const what = label || { true: "true", many: "many short ones" }[cls];
+  const when = b === Infinity ? `since ${relative(a)}` : `${relative(a)} to ${relative(b)}, ${duration(b - a)}`;
+  return what ? [what, when] : [when];
+}
+
+// The message nearest to a time, not farther than `slack`, in words; nothing where there is none.
+export function markText({ t: times, latency }, t, slack) {
+  const i = lowerBound(times, t);
+  const near = [i - 1, i].filter((k) => k >= 0 && k < times.length && Math.abs(times[k] - t) <= slack);
+  if (!near.length) return [];
+  const k = near.reduce((p, q) => (Math.abs(times[q] - t) < Math.abs(times[p] - t) ? q : p));
+  return [`message at ${relative(times[k])}`, `latency ${duration(latency[k])}`];
 }

@@ -3,11 +3,14 @@
 import { GUTTER, FONT, theme, stateColor, seriesColor, keyIndex } from "./theme.js";
 import { ticks, duration } from "./time_text.js";
 import { lowerBound } from "./series.js";
-import { laneNames } from "./lanes.js";
+import { laneNames, segmentAt, segmentText, markText } from "./lanes.js";
+import { tip } from "./tip.js";
 
 const ROW = 26;
 const EDGE = 4;
 const ROOM = 11;
+// How far beside a mark or a narrow segment the mouse may be, in pixels.
+const NEAR = 4;
 
 export class LanesPanel {
   constructor(el, app, config) {
@@ -20,7 +23,23 @@ export class LanesPanel {
     this.configure(config);
     this.observer = new ResizeObserver(() => this.resize());
     this.observer.observe(el);
+    el.addEventListener("pointermove", (e) => tip(this, e.buttons ? [] : this.under(e), e.clientX, e.clientY));
+    el.addEventListener("pointerleave", () => tip(this, []));
     this.resize();
+  }
+
+  // What lies under the mouse, in words: labels are cut where there is no room for them.
+  under(e) {
+    const box = this.el.getBoundingClientRect();
+    const row = this.rows?.[Math.floor((e.clientY - box.top - EDGE) / this.row)];
+    const view = this.app.time.get().view;
+    const px = (view[1] - view[0]) / (box.width - GUTTER.left - GUTTER.right);
+    const t = view[0] + (e.clientX - box.left - GUTTER.left) * px;
+    if (!row || t < view[0] || t > view[1]) return [];
+    const { channel, vis } = row.l;
+    if (vis.draw === "marks") return channel.marks ? markText(channel.marks, t, NEAR * px) : [];
+    const found = segmentAt(channel.segments?.get(row.lane) ?? [], t, NEAR * px);
+    return found ? segmentText(found) : [];
   }
 
   configure(config) {
@@ -198,6 +217,7 @@ export class LanesPanel {
 
   destroy() {
     this.observer.disconnect();
+    tip(this, []);
     for (const l of this.layers) this.app.client.close(l.channel);
   }
 }

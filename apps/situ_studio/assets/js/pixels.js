@@ -1,9 +1,10 @@
 // A received picture as something a canvas can draw, whatever its pixel format.
 
 import { PIXELS } from "./wire.js";
-import { depthRange, paintDepth } from "./colormap.js";
+import { paintDepth, paintGray } from "./depth.js";
 
-export async function bitmap(f, range) {
+// look: how depth is coloured (`depth.js`), or null where 16 bits are shades of grey.
+export async function bitmap(f, look) {
   if (f.pixels === PIXELS.jpeg || f.pixels === PIXELS.png) {
     const type = f.pixels === PIXELS.jpeg ? "image/jpeg" : "image/png";
     const image = await createImageBitmap(new Blob([f.data], { type }));
@@ -11,11 +12,11 @@ export async function bitmap(f, range) {
   }
   const { width, height } = f;
   const out = new ImageData(width, height);
-  const extra = fill(f, out.data, range);
+  const extra = fill(f, out.data, look);
   return { image: await createImageBitmap(out), width, height, ...extra };
 }
 
-export function fill(f, rgba, range) {
+export function fill(f, rgba, look) {
   const n = f.width * f.height, d = f.data;
   switch (f.pixels) {
     case PIXELS.rgba:
@@ -41,10 +42,10 @@ export function fill(f, rgba, range) {
       }
       return {};
     case PIXELS.gray16: {
-      const depth = new Uint16Array(d.buffer.slice(d.byteOffset, d.byteOffset + 2 * n));
-      const used = range ?? depthRange(depth);
-      paintDepth(depth, rgba, used);
-      return { depth, range: used };
+      const values = new Uint16Array(d.buffer.slice(d.byteOffset, d.byteOffset + 2 * n));
+      if (look) return { values, unit: f.unit, range: paintDepth(values, rgba, look) };
+      paintGray(values, rgba);
+      return { values, unit: 0 };
     }
     default:
       throw new Error(`unknown pixel format ${f.pixels}`);

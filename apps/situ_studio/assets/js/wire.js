@@ -83,6 +83,7 @@ function payload(f, buffer, at) {
       f.width = v.getUint32(0, true);
       f.height = v.getUint32(4, true);
       f.pixels = v.getUint32(8, true);
+      f.unit = v.getUint32(12, true);
       f.data = new Uint8Array(buffer, at + 16, f.bytes - 16);
       return f;
     }

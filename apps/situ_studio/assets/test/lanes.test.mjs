@@ -1,6 +1,6 @@
 import test from "node:test";
 import assert from "node:assert/strict";
-import { keepSegments, laneNames } from "../js/lanes.js";
+import { keepSegments, laneNames, segmentAt, segmentText, markText } from "../js/lanes.js";
 import { Series, keepLines } from "../js/series.js";
 import { decode } from "../js/wire.js";
 
@@ -74,4 +74,26 @@ test("lines are read from their bytes", () => {
   assert.equal(lines.length, 1);
   assert.equal(lines[0].name, "x");
   assert.deepEqual([...lines[0].last], [7.5]);
+});
+
+test("what lies under the mouse is told in full, narrow segments within a few pixels", () => {
+  const rows = [[0, 4e9, "idle", "state"], [4e9, 4e9 + 10, "blip", "state"], [10e9, Infinity, "", "true"]];
+  assert.deepEqual(segmentText(segmentAt(rows, 2e9, 1e6)), ["idle", "0:00.000 to 0:04.000, 4.00 s"]);
+  assert.equal(segmentAt(rows, 4e9 + 5e5, 1e6)[2], "blip");
+  assert.equal(segmentAt(rows, 7e9, 1e6), null);
+  assert.deepEqual(segmentText(segmentAt(rows, 60e9, 1e6)), ["true", "since 0:10.000"]);
+  assert.deepEqual(segmentText([0, 5e8, "", "span"]), ["0:00.000 to 0:00.500, 500 ms"]);
+});
+
+test("of intervals that overlap the last that began is told", () => {
+  const rows = [[0, 10e9, "long", "span"], [2e9, 3e9, "short", "span"]];
+  assert.equal(segmentAt(rows, 2.5e9, 0)[2], "short");
+  assert.equal(segmentAt(rows, 5e9, 0)[2], "long");
+});
+
+test("the message nearest to the mouse is told with its latency", () => {
+  const marks = { t: [1e9, 2e9], latency: [3e6, 80e6] };
+  assert.deepEqual(markText(marks, 1.9e9, 2e8), ["message at 0:02.000", "latency 80.0 ms"]);
+  assert.deepEqual(markText(marks, 1.5e9, 1e8), []);
+  assert.deepEqual(markText({ t: [], latency: [] }, 0, 1e9), []);
 });

@@ -2,8 +2,8 @@ defmodule Situ.Studio.Draw do
   @moduledoc """
   From messages to what the page draws: one function per drawing primitive, named as in `Situ.Studio.Visualizers`.
 
-  On the time axis: `line`, `waveform`, `latency` (series), `lines` (a map's), `segments`, `spans`, `marks`. At the cursor: `image`, `shapes`,
-  `value`, `bars`, `text`.
+  On the time axis: `line`, `waveform`, `latency` (series), `lines` (a map's), `segments`, `spans`, `marks`. At the cursor: `image`, `depth`,
+  `shapes`, `value`, `bars`, `text`.
   """
   alias Situ.Studio.{Frame, Path, Source, ValueTree}
   alias Situ.Studio.Draw.{Bars, Picture, Shapes, Window}
@@ -12,7 +12,7 @@ defmodule Situ.Studio.Draw do
   @type spec :: %{stream: String.t(), draw: String.t(), path: Path.t()}
 
   @interval ~w(line lines waveform latency segments spans marks)
-  @instant ~w(image shapes value bars text)
+  @instant ~w(image depth shapes value bars text)
   @max_text 20_000
 
   @doc "Whether a primitive is drawn over an interval or at the cursor."
@@ -76,7 +76,7 @@ defmodule Situ.Studio.Draw do
     error -> Frame.error(channel, "this message cannot be drawn: #{Exception.message(error)}")
   end
 
-  defp draw("image", channel, time, data, _) do
+  defp draw(draw, channel, time, data, _) when draw in ["image", "depth"] do
     case Picture.of(data) do
       {:ok, picture} -> Frame.image(channel, time, picture)
       {:error, what} -> Frame.error(channel, what)

@@ -34,7 +34,7 @@ defmodule Situ.Studio.Frame do
   | 1 series | five columns of 64-bit floats: time after the base, min, max, last, count |
   | 2 segments | JSON `[[from, to or null, label, class, lane], ...]`, times after the base; no lane where there is one only |
   | 3 marks | two columns: time after the base, latency in ns |
-  | 4 image | width, height, pixel format, 0 (32 bits each), then the bytes: 1 JPEG, 2 PNG, 3 RGBA, 4 gray 8, 5 gray 16 (depth), 6 RGB, 7 BGR, 8 BGRA |
+  | 4 image | width, height, pixel format, micrometres of a depth of 1 or 0 (32 bits each), then the bytes: 1 JPEG, 2 PNG, 3 RGBA, 4 gray 8, 5 gray 16 (depth), 6 RGB, 7 BGR, 8 BGRA |
   | 5 json | a value tree, shapes, bars or a text |
   | 6 none | there is no message at this time |
   | 7 same | the message sent last on this channel still holds |
@@ -134,12 +134,11 @@ defmodule Situ.Studio.Frame do
     frame(:marks, channel, payload, length(rows), base, bit(raw?, 1))
   end
 
-  @doc "A picture; `pixels` names how `data` is laid out."
-  @spec image(channel(), Situ.Time.t(), {atom(), non_neg_integer(), non_neg_integer(), iodata()}) ::
-          t()
-  def image(channel, time, {pixels, width, height, data}) do
+  @doc "A picture, see `Situ.Studio.Draw.Picture`."
+  @spec image(channel(), Situ.Time.t(), Situ.Studio.Draw.Picture.t()) :: t()
+  def image(channel, time, {pixels, width, height, data, unit}) do
     code = Keyword.fetch!(@pixels, pixels)
-    head = <<width::little-32, height::little-32, code::little-32, 0::32>>
+    head = <<width::little-32, height::little-32, code::little-32, unit::little-32>>
     frame(:image, channel, [head, data], 1, time)
   end
 

@@ -11,7 +11,11 @@ defmodule Situ.Studio.Visualizers do
   """
 
   defmodule Entry do
-    @moduledoc "One row of the table. `shapes` is a list of stream shapes, or `:any`; `options` describes its properties."
+    @moduledoc """
+    One row of the table. `shapes` is a list of stream shapes, or `:any`; `options` describes its properties: each has a
+    `type` (`:boolean`, `:color`, `:text`, `{:in, [text | {text, title}]}` or `{:range, min, max}`), a `title`, perhaps a
+    `default`, and `only: {key, value}` where it means something only while another has that value.
+    """
     @enforce_keys [:id, :title, :panel, :draw, :shapes]
     defstruct [:id, :title, :panel, :draw, :shapes, options: []]
 
@@ -42,6 +46,34 @@ defmodule Situ.Studio.Visualizers do
           ]
 
   @lines Keyword.delete(@line, :color)
+
+  @flip [flip: [type: :boolean, title: "Mirror", default: false]]
+
+  @ranges [
+    {"auto", "each picture's own range"},
+    {"fixed", "a fixed range"},
+    {"all", "all 16 bits"},
+    {"nfov_binned", "Azure Kinect, narrow, binned"},
+    {"nfov", "Azure Kinect, narrow"},
+    {"wfov_binned", "Azure Kinect, wide, binned"},
+    {"wfov", "Azure Kinect, wide"}
+  ]
+
+  @depth @visible ++
+           @flip ++
+           [
+             range: [type: {:in, @ranges}, title: "Range", default: "auto"],
+             min: [type: {:range, 0, 65_535}, title: "from", default: 0, only: {:range, "fixed"}],
+             max: [
+               type: {:range, 0, 65_535},
+               title: "to",
+               default: 65_535,
+               only: {:range, "fixed"}
+             ],
+             invalid: [type: {:range, -1, 65_535}, title: "No reading is", default: 0],
+             invalid_color: [type: :color, title: "drawn in", auto: "see-through"],
+             scale: [type: :boolean, title: "Colour scale", default: true]
+           ]
 
   @over @visible ++
           @color ++
@@ -84,9 +116,16 @@ defmodule Situ.Studio.Visualizers do
       panel: :image,
       draw: "image",
       shapes: [:image],
-      options: @visible ++ [flip: [type: :boolean, title: "Mirror", default: false]]
+      options: @visible ++ @flip
     },
-    %{id: "depth", title: "Depth", panel: :image, draw: "image", shapes: [:depth]},
+    %{
+      id: "depth",
+      title: "Depth",
+      panel: :image,
+      draw: "depth",
+      shapes: [:depth],
+      options: @depth
+    },
     %{
       id: "shapes",
       title: "Shapes over pictures",
@@ -165,6 +204,34 @@ defmodule Situ.Studio.Visualizers do
   end
 
   @doc """
+  The properties that mean something, given the values of all.
+
+      iex> {:ok, depth} = Situ.Studio.Visualizers.fetch("depth", :depth)
+      iex> Keyword.has_key?(Situ.Studio.Visualizers.options(depth, %{}), :min)
+      false
+      iex> Keyword.has_key?(Situ.Studio.Visualizers.options(depth, %{"range" => "fixed"}), :min)
+      true
+  """
+  @spec options(Entry.t(), map()) :: keyword()
+  def options(%Entry{options: options}, props) do
+    Enum.filter(options, fn {_, option} ->
+      case option[:only] do
+        nil -> true
+        {key, value} -> Map.get(props, to_string(key), options[key][:default]) == value
+      end
+    end)
+  end
+
+  @doc "The values of a choice, with what people read."
+  @spec choices([String.t() | {String.t(), String.t()}]) :: [{String.t(), String.t()}]
+  def choices(values) do
+    Enum.map(values, fn
+      {value, title} -> {value, title}
+      value -> {value, value}
+    end)
+  end
+
+  @doc """
   Checks one property as a form sends it.
 
       iex> {:ok, line} = Situ.Studio.Visualizers.fetch("line", :signal)
@@ -184,7 +251,9 @@ defmodule Situ.Studio.Visualizers do
   defp cast_type(:boolean, text) when text in ["true", "on"], do: {:ok, true}
   defp cast_type(:boolean, text) when text in ["false", ""], do: {:ok, false}
   defp cast_type(:text, text) when byte_size(text) <= 40, do: {:ok, text}
-  defp cast_type({:in, values}, text), do: if(text in values, do: {:ok, text}, else: :error)
+
+  defp cast_type({:in, values}, text),
+    do: if(List.keymember?(choices(values), text, 0), do: {:ok, text}, else: :error)
 
   defp cast_type(:color, text),
     do: if(text =~ ~r/\A#[0-9a-fA-F]{6}\z/, do: {:ok, text}, else: :error)

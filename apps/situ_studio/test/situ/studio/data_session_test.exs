@@ -256,6 +256,18 @@ defmodule Situ.Studio.DataSessionTest do
     assert [%{kind: 6}] = before.frames
   end
 
+  test "depth goes as it is, with its unit in micrometres", %{session: session} do
+    {_, history} = session.source
+    data = <<500::little-16, 0::16, 65_535::little-16>>
+    depth = Situ.DepthImage.new!(width: 3, height: 1, data: data, scale: 0.001)
+    History.put(history, "depth", message(1_000_000_000, depth, 0), 8)
+    open = [[1, %{"stream" => "depth", "draw" => "depth"}]]
+    {%{frames: [frame]}, _} = ask(session, %{"open" => open, "instant" => [1]})
+
+    assert <<3::little-32, 1::little-32, 5::little-32, 1_000::little-32, ^data::binary-6>> =
+             frame.payload
+  end
+
   test "a snapped cursor is moved to the nearest message", %{session: session} do
     {reply, _} = ask(session, %{"at" => "1260000000", "snap" => "image"})
     assert reply.time == 1_300_000_000

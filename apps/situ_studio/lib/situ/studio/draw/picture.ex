@@ -10,19 +10,24 @@ defmodule Situ.Studio.Draw.Picture do
   # Below this many pixels a JPEG would blur what people look at closely, and saves little.
   @small 4_096
 
-  @type t :: {atom(), non_neg_integer(), non_neg_integer(), iodata()}
+  @type t ::
+          {atom(), non_neg_integer(), non_neg_integer(), iodata(), unit_um :: non_neg_integer()}
 
-  @doc "`{pixels, width, height, data}` as `Situ.Studio.Frame.image/3` takes it."
+  @doc "`{pixels, width, height, data, unit}` as `Situ.Studio.Frame.image/3` takes it; of depth, a value of 1 is `unit` micrometres."
   @spec of(term()) :: {:ok, t()} | {:error, String.t()}
   def of(%EncodedImage{format: format} = i) when format in [:jpeg, :png],
-    do: {:ok, {format, i.width, i.height, i.data}}
+    do: {:ok, {format, i.width, i.height, i.data, 0}}
 
-  def of(%DepthImage{} = depth), do: raw(DepthImage.to_gray16(depth))
+  def of(%DepthImage{scale: scale} = depth) do
+    with {:ok, {pixels, w, h, data, _}} <- raw(DepthImage.to_gray16(depth)),
+         do: {:ok, {pixels, w, h, data, unit(scale)}}
+  end
+
   def of(%Image{format: :gray16} = image), do: raw(image)
 
   def of(%Image{width: w, height: h} = image) when w * h > @small do
     case jpeg(image) do
-      {:ok, data} -> {:ok, {:jpeg, w, h, data}}
+      {:ok, data} -> {:ok, {:jpeg, w, h, data, 0}}
       :error -> raw(image)
     end
   end
@@ -33,17 +38,23 @@ defmodule Situ.Studio.Draw.Picture do
   defp raw(%Image{width: w, height: h, format: format} = image) do
     with {:ok, image} <- valid(image) do
       case format do
-        :gray8 -> {:ok, {:gray8, w, h, Image.pixels(image)}}
-        :gray16 -> {:ok, {:gray16, w, h, Image.pixels(image)}}
-        :bgr24 -> {:ok, {:bgr, w, h, Image.pixels(image)}}
-        :rgb24 -> {:ok, {:rgb, w, h, Image.pixels(image)}}
-        :bgra32 -> {:ok, {:bgra, w, h, Image.pixels(image)}}
-        :bgrx32 -> {:ok, {:bgra, w, h, Image.pixels(image)}}
-        :rgba32 -> {:ok, {:rgba, w, h, Image.pixels(image)}}
-        :rgba64 -> {:ok, {:rgba, w, h, high_bytes(Image.pixels(image))}}
+        :gray8 -> {:ok, {:gray8, w, h, Image.pixels(image), 0}}
+        :gray16 -> {:ok, {:gray16, w, h, Image.pixels(image), 0}}
+        :bgr24 -> {:ok, {:bgr, w, h, Image.pixels(image), 0}}
+        :rgb24 -> {:ok, {:rgb, w, h, Image.pixels(image), 0}}
+        :bgra32 -> {:ok, {:bgra, w, h, Image.pixels(image), 0}}
+        :bgrx32 -> {:ok, {:bgra, w, h, Image.pixels(image), 0}}
+        :rgba32 -> {:ok, {:rgba, w, h, Image.pixels(image), 0}}
+        :rgba64 -> {:ok, {:rgba, w, h, high_bytes(Image.pixels(image)), 0}}
       end
     end
   end
+
+  # What a file claims may be anything: what no sensor has is told as not known.
+  defp unit(scale) when is_number(scale) and scale > 0 and scale <= 1_000,
+    do: round(scale * 1.0e6)
+
+  defp unit(_), do: 0
 
   defp valid(image) do
     case Image.validate(image) do

@@ -83,20 +83,31 @@ defmodule Situ.Studio.Web.Edit do
          {:ok, one} <- fetch(vis, i),
          {:ok, entry} <- visualizer(assigns, one) do
       props = if is_map(params["props"]), do: params["props"], else: %{}
-      props = Enum.reduce(entry.options, one.props, &put(&1, &2, props, params, entry))
+      options = Visualizers.options(entry, one.props)
+      props = Enum.reduce(options, one.props, &put(&1, &2, props, params, entry))
+      {:ok, layout: put_props(assigns.layout, id, i, props)}
+    else
+      _ -> :ignore
+    end
+  end
 
-      layout =
-        Layout.update(assigns.layout, id, fn p ->
-          %{p | vis: List.replace_at(p.vis, i, %{one | props: props})}
-        end)
-
-      {:ok, layout: layout}
+  def apply("prop_auto", %{"panel" => id, "index" => index, "key" => key}, assigns) do
+    with {:ok, i} <- integer(index),
+         %{vis: vis} <- Layout.panel(assigns.layout, id),
+         {:ok, one} <- fetch(vis, i) do
+      {:ok, layout: put_props(assigns.layout, id, i, Map.delete(one.props, key))}
     else
       _ -> :ignore
     end
   end
 
   def apply(_, _, _), do: :ignore
+
+  defp put_props(layout, id, i, props) do
+    Layout.update(layout, id, fn p ->
+      %{p | vis: List.update_at(p.vis, i, &%{&1 | props: props})}
+    end)
+  end
 
   # Only the field that changed is taken over; an unchecked box is sent by its absence.
   defp put({key, option}, props, given, params, entry) do

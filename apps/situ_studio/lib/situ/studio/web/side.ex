@@ -5,6 +5,9 @@ defmodule Situ.Studio.Web.Side do
   import Situ.Studio.Web.Icons
   alias Situ.Studio.Visualizers
 
+  # The colours of streams that were given none, as in the style sheet.
+  @palette ~w(#4ea1f3 #f2994a #4cc38a #d977b8 #e0b93c #38bfc3 #ef6b64 #9f86f4)
+
   attr(:sources, :list, required: true)
   attr(:current, :string, required: true)
   attr(:rows, :list, required: true)
@@ -147,7 +150,7 @@ defmodule Situ.Studio.Web.Side do
         <input type="hidden" name="panel" value={@panel.id}><input type="hidden" name="index" value={index}>
         <div :for={{key, option} <- options(vis, @shapes, @extra)} class="field">
           <label for={"f-#{@panel.id}-#{index}-#{key}"}>{option[:title]}</label>
-          <.input id={"f-#{@panel.id}-#{index}-#{key}"} name={"props[#{key}]"} option={option} value={Map.get(vis.props, to_string(key), option[:default])} />
+          <.input id={"f-#{@panel.id}-#{index}-#{key}"} key={key} name={"props[#{key}]"} option={option} value={Map.get(vis.props, to_string(key), option[:default])} panel={@panel.id} index={index} />
         </div>
       </form>
     </div>
@@ -156,22 +159,30 @@ defmodule Situ.Studio.Web.Side do
   end
 
   defp input(%{option: option} = assigns) do
-    assigns = assign(assigns, :type, option[:type])
+    assigns = assign(assigns, type: option[:type], palette: @palette)
 
     ~H"""
     <input :if={@type == :boolean} id={@id} type="checkbox" name={@name} value="true" checked={@value == true}>
-    <input :if={@type == :color} id={@id} type="color" name={@name} value={@value || "#4ea1f3"}>
-    <select :if={match?({:in, _}, @type)} id={@id} name={@name}><option :for={v <- choices(@type)} value={v} selected={v == @value}>{v}</option></select>
-    <input :if={match?({:range, _, _}, @type) or @type == :text} id={@id} name={@name} value={@value} phx-debounce="400">
+    <span :if={@type == :color} class="color">
+      <input id={@id} type="color" name={@name} value={@value || Enum.at(@palette, rem(@index, 8))}>
+      <span :if={@value == nil} class="hint">{@option[:auto] || "automatic"}</span>
+      <button :if={@value != nil} class="mini" type="button" phx-click="prop_auto" phx-value-panel={@panel} phx-value-index={@index} phx-value-key={@key} title={"Back to " <> (@option[:auto] || "automatic")} aria-label={"Back to " <> (@option[:auto] || "automatic")}><.icon name={:close} /></button>
+    </span>
+    <select :if={match?({:in, _}, @type)} id={@id} name={@name}><option :for={{v, title} <- choices(@type)} value={v} selected={v == @value}>{title}</option></select>
+    <input :if={match?({:range, _, _}, @type) or @type == :text} id={@id} name={@name} value={plain(@value)} phx-debounce="400">
     """
   end
 
-  defp choices({:in, values}), do: values
+  # 3.0 as a person writes it
+  defp plain(x) when is_float(x) and abs(x) < 1.0e15 and trunc(x) == x, do: trunc(x)
+  defp plain(x), do: x
+
+  defp choices({:in, values}), do: Visualizers.choices(values)
   defp choices(_), do: []
 
   defp options(vis, shapes, extra) do
     case Visualizers.of(vis.viz, vis.path, Map.get(shapes, vis.stream, :value), extra) do
-      {:ok, entry} -> entry.options
+      {:ok, entry} -> Visualizers.options(entry, vis.props)
       :error -> []
     end
   end
@@ -193,7 +204,7 @@ defmodule Situ.Studio.Web.Side do
   defp side(_), do: nil
 
   defp axis(nil, _), do: ""
-  defp axis(range, i), do: elem(range, i)
+  defp axis(range, i), do: range |> elem(i) |> plain()
 
   defp clock(time),
     do: time |> Situ.Time.to_iso8601() |> String.replace("T", " ") |> String.slice(0, 23)

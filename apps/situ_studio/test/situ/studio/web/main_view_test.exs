@@ -68,12 +68,9 @@ defmodule Situ.Studio.Web.MainViewTest do
     panel = List.last(layout.rows)
     assert [%{stream: "Mic.Level", viz: "line"}] = panel.vis
 
-    Page.event(page, "prop", %{
-      "panel" => panel.id,
-      "index" => "0",
-      "props" => %{"width" => "3", "color" => "red; x", "visible" => "true"},
-      "_target" => ["props", "width"]
-    })
+    props = %{"width" => "3", "color" => "red; x", "visible" => "true"}
+    fields = %{"panel" => panel.id, "index" => "0", "props" => props}
+    Page.change(page, "#props-#{panel.id}-0", fields, target: ["props", "width"])
 
     Page.event(page, "axis", %{"panel" => panel.id, "min" => "-1", "max" => "1"})
     {:ok, layout} = Link.decode(edit(page))
@@ -82,6 +79,49 @@ defmodule Situ.Studio.Web.MainViewTest do
 
     Page.event(page, "remove_panel", %{"id" => panel.id})
     assert edit(page) == ""
+  end
+
+  test "a colour is chosen and given back; what belongs to another choice is shown with it", %{
+    studio: studio,
+    history: history
+  } do
+    depth = Situ.DepthImage.new!(width: 1, height: 1, data: <<500::little-16>>)
+    History.put(history, "Depth", %Situ.Message{data: depth, originating_time: 1_000}, 8)
+    page = open(studio)
+    Page.event(page, "add_viz", %{"stream" => "Depth", "viz" => "depth"})
+
+    id = for(%{vis: [%{viz: "depth"}], id: id} <- layout(page).rows, do: id) |> List.last()
+
+    vis = fn -> Layout.panel(layout(page), id).vis end
+
+    change = fn key, text ->
+      fields = %{"panel" => id, "index" => "0", "props" => %{key => text}}
+      Page.change(page, "#props-#{id}-0", fields, target: ["props", key])
+    end
+
+    refute Page.has?(page, "#f-#{id}-0-min")
+    change.("range", "fixed")
+    assert Page.has?(page, "#f-#{id}-0-min")
+    change.("min", "250")
+    change.("min", "-3")
+    change.("invalid_color", "#ff00ff")
+
+    assert [%{props: %{"range" => "fixed", "min" => 250.0, "invalid_color" => "#ff00ff"}}] =
+             vis.()
+
+    Page.event(page, "prop_auto", %{"panel" => id, "index" => "0", "key" => "invalid_color"})
+    assert [%{props: props}] = vis.()
+    refute Map.has_key?(props, "invalid_color")
+
+    for bad <- [%{"index" => "7"}, %{"index" => "x"}, %{"panel" => "p99"}] do
+      Page.event(
+        page,
+        "prop_auto",
+        Map.merge(%{"panel" => id, "index" => "0", "key" => "range"}, bad)
+      )
+    end
+
+    assert [%{props: ^props}] = vis.()
   end
 
   test "a part of a message is plotted; a path that is none is refused", %{studio: studio} do

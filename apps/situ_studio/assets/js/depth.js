@@ -1,0 +1,84 @@
+// Depth as pseudo-colour, near is warm: which values the colours span, and what stands for "no reading". Pure.
+
+const STOPS = [
+  [122, 18, 24], [214, 62, 38], [246, 142, 50], [247, 214, 78],
+  [150, 214, 110], [52, 178, 166], [40, 112, 190], [44, 44, 120],
+];
+
+export const COLORS = Array.from({ length: 256 }, (_, i) => {
+  const at = (i / 255) * (STOPS.length - 1);
+  const k = Math.min(Math.floor(at), STOPS.length - 2);
+  const f = at - k;
+  return STOPS[k].map((c, j) => Math.round(c + (STOPS[k + 1][j] - c) * f));
+});
+
+const pack = ([r, g, b], a = 255) => ((a << 24) | (b << 16) | (g << 8) | r) >>> 0;
+const PACKED = Uint32Array.from(COLORS, (c) => pack(c));
+
+// The values that sensors can tell in their modes, in mm; the names are those of the table of visualizers.
+const RANGES = {
+  all: [0, 65535],
+  nfov_binned: [500, 5460],
+  nfov: [500, 3860],
+  wfov_binned: [250, 2880],
+  wfov: [250, 2210],
+};
+
+// The visualizer's properties as {range, invalid, none}: `range` is null where each picture has its own, `invalid` the
+// value that is no reading (null: every value is one), `none` the packed colour it is drawn in.
+export function look({ range = "auto", min, max, invalid = 0, invalid_color: color } = {}) {
+  return {
+    range: range === "fixed" ? span(min ?? 0, max ?? 65535) : RANGES[range] ?? null,
+    invalid: invalid < 0 ? null : invalid,
+    none: color ? pack([1, 3, 5].map((i) => parseInt(color.slice(i, i + 2), 16))) : 0,
+  };
+}
+
+// Two ends in either order; a range is never empty.
+function span(a, b) {
+  const lo = Math.min(a, b), hi = Math.max(a, b);
+  return hi > lo ? [lo, hi] : [lo, lo + 1];
+}
+
+// Lowest and highest reading of a picture.
+export function depthRange(depth, invalid = 0) {
+  let lo = 65535, hi = 0;
+  for (let i = 0; i < depth.length; i++) {
+    const d = depth[i];
+    if (d === invalid) continue;
+    if (d < lo) lo = d;
+    if (d > hi) hi = d;
+  }
+  return hi < lo ? [0, 1] : span(lo, hi);
+}
+
+// Colours `depth` into the bytes `rgba`; readings beyond the range get the colour of its nearer end. Answers the range.
+export function paintDepth(depth, rgba, { range, invalid, none }) {
+  const used = range ?? depthRange(depth, invalid);
+  const [lo, hi] = used;
+  const k = 255 / (hi - lo);
+  const out = new Uint32Array(rgba.buffer, rgba.byteOffset, depth.length);
+  for (let i = 0; i < depth.length; i++) {
+    const d = depth[i];
+    out[i] = d === invalid ? none : PACKED[d <= lo ? 0 : d >= hi ? 255 : Math.round((d - lo) * k)];
+  }
+  return used;
+}
+
+// A 16-bit picture that is no depth, as an infrared one: grey from its darkest to its brightest value.
+export function paintGray(values, rgba) {
+  const [lo, hi] = depthRange(values, null);
+  const k = 255 / (hi - lo);
+  const out = new Uint32Array(rgba.buffer, rgba.byteOffset, values.length);
+  for (let i = 0; i < values.length; i++) {
+    const g = Math.round((values[i] - lo) * k);
+    out[i] = pack([g, g, g]);
+  }
+}
+
+// A reading for people; `unit` is micrometres for a value of 1, or 0 where that is not known.
+export function distance(value, unit) {
+  if (!unit) return String(value);
+  const m = (value * unit) / 1e6;
+  return m >= 100 ? `${m.toFixed(1)} m` : m >= 1 ? `${m.toFixed(2)} m` : `${Number((m * 1000).toPrecision(4))} mm`;
+}

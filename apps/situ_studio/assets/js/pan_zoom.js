@@ -1,0 +1,40 @@
+// The mouse on a 2D panel: wheel = zoom about the mouse, drag = move, double click = fit again, and where it points.
+
+export class PanZoom {
+  // fit() -> {x, y, k} with this zoom; changed() when it moved; pointed() when only the mouse did
+  constructor(el, { fit, changed, pointed }) {
+    this.zoom = { k: 1, x: 0, y: 0 };
+    this.pointer = null;
+    const on = (name, f, options) => el.addEventListener(name, f, options);
+    on("wheel", (e) => {
+      e.preventDefault();
+      const f = fit();
+      const ix = (e.offsetX - f.x) / f.k, iy = (e.offsetY - f.y) / f.k;
+      this.zoom.k = Math.min(Math.max(this.zoom.k * (e.deltaY > 0 ? 1 / 1.1 : 1.1), 0.2), 60);
+      const g = fit();
+      this.zoom.x += e.offsetX - (g.x + ix * g.k);
+      this.zoom.y += e.offsetY - (g.y + iy * g.k);
+      changed();
+    }, { passive: false });
+    let drag = null;
+    on("pointerdown", (e) => {
+      el.setPointerCapture(e.pointerId);
+      drag = [e.offsetX - this.zoom.x, e.offsetY - this.zoom.y];
+    });
+    on("pointermove", (e) => {
+      this.pointer = [e.offsetX, e.offsetY];
+      if (!drag) return pointed();
+      [this.zoom.x, this.zoom.y] = [e.offsetX - drag[0], e.offsetY - drag[1]];
+      changed();
+    });
+    on("pointerup", () => (drag = null));
+    on("pointerleave", () => {
+      this.pointer = null;
+      pointed();
+    });
+    on("dblclick", () => {
+      this.zoom = { k: 1, x: 0, y: 0 };
+      changed();
+    });
+  }
+}

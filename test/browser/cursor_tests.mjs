@@ -1,0 +1,123 @@
+// Cursor, view, selection, playback, going to a time.
+import { test, equal, ok, near, until } from "./harness.mjs";
+import { open, state, dispatch, panelOf, pointAt } from "./studio_page.mjs";
+
+const { main } = JSON.parse(process.argv[2]);
+const S = 1e9;
+
+test("5 cursor: follows the mouse and drives every panel; held when told", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  const lanes = await panelOf(page, "Vad.Speaking"), image = await panelOf(page, "Camera.Image");
+  await pointAt(page, lanes, 42.5 * S);
+  await until(page, (i) => document.querySelector(`#${i} canvas`).dataset.at === "42000000000", "the picture follows the mouse", image);
+  near((await state(page)).cursor, 42.5 * S, 0.1 * S, "cursor");
+  await page.keyboard.press("Alt+f");
+  await pointAt(page, lanes, 10 * S);
+  near((await state(page)).cursor, 42.5 * S, 0.1 * S, "held cursor");
+});
+
+test("5 cursor: snaps to the messages of a stream, and steps along them", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  await page.click("#tree .node[data-stream='Camera.Image'] .name");
+  await page.click("text=Snap cursor to it");
+  await until(page, () => window.situStudio.client.snap === "Camera.Image", "the cursor snaps");
+  const lanes = await panelOf(page, "Vad.Speaking");
+  await pointAt(page, lanes, 20.4 * S);
+  await until(page, () => window.situStudio.time.get().cursor === 20e9, "the cursor is on the nearest picture");
+  await page.keyboard.press("ArrowRight");
+  await until(page, () => window.situStudio.time.get().cursor === 21e9, "the next picture");
+  await page.keyboard.press("ArrowLeft");
+  await page.keyboard.press("ArrowLeft");
+  await until(page, () => window.situStudio.time.get().cursor === 19e9 || window.situStudio.time.get().cursor === 20e9, "the pictures before");
+});
+
+test("5 view: wheel zooms about the mouse, drag pans, keys do both", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  const id = await panelOf(page, "Vad.Speaking");
+  await pointAt(page, id, 30 * S);
+  for (let i = 0; i < 5; i++) await page.mouse.wheel(0, -120);
+  await until(page, () => window.situStudio.time.get().view[1] - window.situStudio.time.get().view[0] < 25e9, "the view is narrower");
+  const zoomed = (await state(page)).view;
+  near((30 * S - zoomed[0]) / (zoomed[1] - zoomed[0]), 0.5, 0.02, "place of the time under the mouse");
+  const at = await pointAt(page, id, 30 * S);
+  await page.mouse.down();
+  await page.mouse.move(at.x - 100, at.y, { steps: 4 });
+  await page.mouse.up();
+  const panned = (await state(page)).view;
+  ok(panned[0] > zoomed[0] && Math.abs(panned[1] - panned[0] - (zoomed[1] - zoomed[0])) < 1e3, "dragged to the left shows later times");
+  await page.keyboard.press("Control+a");
+  const data = (await state(page)).data;
+  equal((await state(page)).view, data, "everything is in view");
+  await page.keyboard.press("PageDown");
+  ok((await state(page)).view[0] > 20 * S, "the view moved by keys");
+});
+
+test("5 selection: both ends by mouse and keys, zoom to it, shift, clear", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  const id = await panelOf(page, "Vad.Speaking");
+  let at = await pointAt(page, id, 10 * S);
+  await page.keyboard.down("Shift");
+  await page.mouse.click(at.x, at.y);
+  at = await pointAt(page, id, 25 * S);
+  await page.mouse.click(at.x, at.y, { button: "right" });
+  await page.keyboard.up("Shift");
+  let s = await state(page);
+  near(s.sel[0], 10 * S, 0.1 * S, "start");
+  near(s.sel[1], 25 * S, 0.1 * S, "end");
+  ok(!(await page.$eval(`#${id} .sel-shade`, (e) => e.hidden)), "the selection is shaded");
+  equal(await page.$eval("#t-length", (e) => e.textContent.slice(0, 3)), "15.", "length in the header");
+  await page.keyboard.press("Control+s");
+  s = await state(page);
+  near(s.view[1] - s.view[0], 15 * S * 1.1, 0.2 * S, "the view is the selection, padded");
+  await page.keyboard.press("Alt+ArrowRight");
+  near((await state(page)).sel[0], 25 * S, 0.2 * S, "shifted by its length");
+  await page.keyboard.press("Alt+c");
+  equal((await state(page)).sel, [null, null], "cleared");
+});
+
+test("5 playback: runs with sound in step, repeats a selection, at another speed", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  await dispatch(page, { type: "cursor", t: 4 * S });
+  await page.keyboard.press("Space");
+  await until(page, () => window.situStudio.playback.run?.heard > 16000, "sound is scheduled");
+  const step = await page.evaluate(async () => {
+    const p = window.situStudio.playback, t0 = p.context.currentTime, c0 = window.situStudio.time.get().cursor;
+    await new Promise((r) => setTimeout(r, 1200));
+    return { sound: p.context.currentTime - t0, cursor: (window.situStudio.time.get().cursor - c0) / 1e9 };
+  });
+  near(step.cursor, step.sound, 0.1, "cursor and sound go together");
+  await page.keyboard.press("Space");
+  equal((await state(page)).mode, "manual", "stopped");
+  await dispatch(page, { type: "select", from: 20 * S, to: 20.5 * S });
+  await page.keyboard.press("r");
+  await page.keyboard.press(".");
+  await page.keyboard.press("Control+Space");
+  const seen = await page.evaluate(async () => {
+    let wraps = 0, last = 0, outside = 0;
+    const end = performance.now() + 1500;
+    while (performance.now() < end) {
+      const c = window.situStudio.time.get().cursor;
+      if (c < last) wraps++;
+      if (c < 20e9 || c > 20.5e9) outside++;
+      last = c;
+      await new Promise((r) => requestAnimationFrame(r));
+    }
+    return { wraps, outside, speed: window.situStudio.time.get().speed };
+  });
+  ok(seen.wraps >= 2 && seen.outside === 0, `the selection repeats: ${JSON.stringify(seen)}`);
+  equal(seen.speed, 2, "double speed");
+});
+
+test("5 go to time: accepts a time, refuses what is none or outside", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  await page.keyboard.press("Control+g");
+  await page.keyboard.type("tomorrow");
+  await page.keyboard.press("Enter");
+  ok((await page.$eval("#goto .error", (e) => e.textContent)).startsWith("Not a time"), "says what is wrong");
+  await page.fill("#goto input", "5:00");
+  await page.keyboard.press("Enter");
+  ok((await page.$eval("#goto .error", (e) => e.textContent)).startsWith("Outside"), "says that it is outside");
+  await page.fill("#goto input", "0:42.5");
+  await page.keyboard.press("Enter");
+  equal((await state(page)).cursor, 42.5 * S, "cursor");
+});

@@ -1,0 +1,47 @@
+// The page as a whole: tree, search, themes, its size.
+import { test, equal, ok, until } from "./harness.mjs";
+import { open, settled, dispatch } from "./studio_page.mjs";
+
+const { main } = JSON.parse(process.argv[2]);
+const S = 1e9;
+
+test("2 the page: tree, search, keyboard and themes", async ({ page, shot }) => {
+  await open(page, main, "minute.0000");
+  await page.mouse.move(640, 600);
+  await settled(page);
+  await shot("studio-dark");
+  equal(await page.$$eval("#tree .node", (n) => n.length), 22, "rows of the tree");
+  await page.keyboard.press("/");
+  await page.keyboard.type("acc");
+  await until(page, () => document.querySelectorAll("#tree .node").length === 4, "the search has narrowed the tree");
+  await page.fill("#search", "");
+  await until(page, () => document.querySelectorAll("#tree .node").length === 22, "the tree is whole again");
+  await page.focus("#tree .node");
+  for (let i = 0; i < 4; i++) await page.keyboard.press("ArrowDown");
+  await page.keyboard.press("ArrowLeft");
+  await until(page, () => [...document.querySelectorAll("#tree .node")].some((n) => n.getAttribute("aria-expanded") === "false"), "a group is folded by keys");
+  const before = await page.evaluate(() => getComputedStyle(document.body).backgroundColor);
+  await page.evaluate(() => document.activeElement.blur());
+  await page.keyboard.press("t");
+  const after = await page.evaluate(() => getComputedStyle(document.body).backgroundColor);
+  ok(before !== after, "the theme changes");
+  await settled(page);
+  await shot("studio-light");
+});
+
+test("2 the page: nothing moves after it is shown, and all of it fits 1280 x 720", async ({ page }) => {
+  await page.addInitScript(() => {
+    window.shift = 0;
+    new PerformanceObserver((list) => {
+      for (const e of list.getEntries()) window.shift += e.value;
+    }).observe({ type: "layout-shift", buffered: true });
+  });
+  await open(page, main, "minute.0000");
+  await dispatch(page, { type: "select", from: 10 * S, to: 20 * S });
+  await dispatch(page, { type: "zoomSel" });
+  await settled(page);
+  ok((await page.evaluate(() => window.shift)) < 0.01, `layout shift is ${await page.evaluate(() => window.shift)}`);
+  equal(await page.evaluate(() => [document.documentElement.scrollWidth, document.documentElement.scrollHeight]), [1280, 720], "size of the page");
+  const over = await page.$$eval(".topbar > *", (els) => els.some((e) => e.getBoundingClientRect().right > 1280));
+  ok(!over, "the toolbar fits");
+});

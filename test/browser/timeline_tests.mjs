@@ -1,0 +1,152 @@
+// Panels on the time axis: lines, lanes, waveforms, intervals.
+import { test, equal, ok, near, until } from "./harness.mjs";
+import { open, settled, dispatch, pixel, count, panelOf, pointAt } from "./studio_page.mjs";
+
+const { main } = JSON.parse(process.argv[2]);
+const S = 1e9;
+
+test("3 timelines: a line is where its values are, and its value at the cursor is right", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  const id = await panelOf(page, "Imu.Acc.X");
+  await dispatch(page, { type: "cursor", t: 20 * S });
+  await settled(page);
+  const shown = Number(await page.$eval(`#${id} .legend-item[data-stream="Imu.Acc.X"] b`, (e) => e.textContent));
+  near(shown, 9.8 * Math.sin(20 / 3), 0.15, "value at 20 s");
+  const drawn = await page.evaluate((i) => {
+    const view = [...window.situStudio.views].find((v) => v.el.id === i);
+    const c = view.plot.ctx.canvas, { bbox } = view.plot;
+    const out = [];
+    for (const s of [5, 15, 25, 45]) {
+      const x = Math.round(bbox.left + (s / 60) * bbox.width);
+      const d = view.plot.ctx.getImageData(x, 0, 1, c.height).data;
+      const v = 9.8 * Math.sin(s / 3);
+      const y = bbox.top + bbox.height - ((v - view.y[0]) / (view.y[1] - view.y[0])) * bbox.height;
+      let best = 1e9;
+      for (let k = 0; k < c.height; k++) {
+        const [r, g, b, a] = d.slice(4 * k, 4 * k + 4);
+        if (a > 60 && Math.abs(r - 0x4e) < 60 && Math.abs(g - 0xa1) < 60 && Math.abs(b - 0xf3) < 60) best = Math.min(best, Math.abs(k - y));
+      }
+      out.push(best);
+    }
+    return out;
+  }, id);
+  ok(drawn.every((d) => d < 4), `the blue line is up to ${Math.max(...drawn)} pixels from its values`);
+});
+
+test("3 timelines: waveform, lanes, labels, latency and marks are drawn", async ({ page, shot }) => {
+  await open(page, main, "minute.0000");
+  const wave = await panelOf(page, "Mic.Audio");
+  const loud = await page.evaluate((i) => {
+    const v = [...window.situStudio.views].find((w) => w.el.id === i);
+    const s = v.layers[0].channel.series;
+    const at = (t) => s.max[s.at(t)] - s.min[s.at(t)];
+    return [at(0.5e9), at(1.5e9), at(2.5e9)];
+  }, wave);
+  ok(loud[0] > 0.3 && loud[2] > 0.3 && loud[1] < 0.01, `loud, silent, loud: ${loud}`);
+  ok((await count(page, `#${wave} canvas`, [0x4e, 0xa1, 0xf3])) > 3000, "the waveform has a body");
+  const lanes = await panelOf(page, "Vad.Speaking");
+  const y = 13 / (await page.$eval(`#${lanes}`, (e) => e.clientHeight));
+  const x = (s) => page.evaluate(([i, t]) => (76 + (t / 60) * (document.getElementById(i).clientWidth - 90)) / document.getElementById(i).clientWidth, [lanes, s]);
+  const on = await pixel(page, `#${lanes} canvas`, await x(7.5), y);
+  ok(on[1] > 120 && on[3] > 100, `true is green: ${on}`);
+  const off = await pixel(page, `#${lanes} canvas`, await x(2.5), y - 0.05);
+  ok(off[1] < 100 || off[3] < 100, `false is not: ${off}`);
+  await page.click("#tree .node[data-stream='Imu.Acc.Y'] .name");
+  await page.click("button[phx-value-viz='latency']");
+  await until(page, () => [...window.situStudio.views].some((v) => v.layers?.some((l) => l.vis.draw === "latency" && l.channel.series.length)), "the latency panel has data");
+  await settled(page);
+  const lat = await page.evaluate(() => [...window.situStudio.views].find((v) => v.layers?.[0]?.vis.draw === "latency").el.id);
+  await page.$eval(`#${lat}`, (e) => e.scrollIntoView());
+  await settled(page);
+  ok((await count(page, `#${lat} canvas`, [0xf0, 0x98, 0x3e])) > 20, "latencies above the limit are in the warning colour");
+  await page.click("#tree .node[data-stream='Speech.Text'] .name");
+  await page.click("button[phx-value-viz='messages']");
+  await until(page, () => [...window.situStudio.views].some((v) => v.layers?.some((l) => l.vis.draw === "marks" && l.channel.marks?.t.length === 60)), "60 marks are held");
+  await settled(page);
+  await shot("timelines");
+});
+
+test("3 timelines: maps are lanes and lines with a name each, intervals lie over their span", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  const id = await panelOf(page, "Speech.Who");
+  await page.$eval(`#${id}`, (e) => e.scrollIntoView());
+  await settled(page);
+  const lanes = await page.evaluate((i) => {
+    const v = [...window.situStudio.views].find((w) => w.el.id === i);
+    const c = v.canvas.getContext("2d"), k = (v.el.clientWidth - 90) / 60, r = devicePixelRatio;
+    // how much of a lane is painted at a second: at its middle, and at the height of a body
+    const at = (name, s) => {
+      const row = v.rows.findIndex((q) => v.names.children[v.rows.indexOf(q)].textContent === name);
+      const y = 4 + row * v.row, x = (76 + s * k) * r;
+      const solid = (py) => c.getImageData(x, py * r, 1, 1).data[3] > 40;
+      return solid(y + 3) ? "body" : solid(y + v.row / 2 - 4) ? "line" : "nothing";
+    };
+    return {
+      names: [...v.names.children].map((e) => e.textContent),
+      ada: [at("Who Ada", 6), at("Who Ada", 16), at("Who Ada", 26)],
+      bob: [at("Who Bob", 16), at("Who Bob", 31), at("Who Bob", 46)],
+      spans: v.rows.find((q) => q.l.vis.draw === "spans").l.channel.segments.get("").slice(0, 2),
+      room: v.row,
+    };
+  }, id);
+  for (const name of ["Who Ada", "Who Bob", "Parts"]) ok(lanes.names.includes(name), `${name} is among ${lanes.names}`);
+  equal(lanes.ada, ["body", "line", "body"], "Ada speaks, is silent, speaks");
+  equal(lanes.bob, ["nothing", "line", "nothing"], "Bob comes and goes");
+  equal(lanes.spans.map(([a, b]) => [a, b]), [[0, 0.6 * S], [S, 1.6 * S]], "stretches begin and end where they say");
+  equal(lanes.room, 26, "the panel has room for all lanes");
+  const plot = await panelOf(page, "Speech.Scores");
+  await page.$eval(`#${plot}`, (e) => e.scrollIntoView());
+  await dispatch(page, { type: "cursor", t: 30 * S });
+  await settled(page);
+  const legend = await page.$$eval(`#${plot} .legend-item`, (e) => e.map((i) => [i.dataset.key, Number(i.querySelector("b").textContent)]));
+  equal(legend, [["go", 0.5], ["stop", 0.5]], "a line for each key with its value at the cursor");
+  ok((await count(page, `#${plot} canvas`, [0x4e, 0xa1, 0xf3])) > 300 && (await count(page, `#${plot} canvas`, [0xf0, 0x98, 0x3e])) > 300, "both lines are drawn");
+});
+
+test("3 timelines: zoomed out, the envelope keeps what is between the pixels", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  const id = await panelOf(page, "Mic.Level");
+  const read = () => page.evaluate((i) => {
+    const v = [...window.situStudio.views].find((w) => w.el.id === i);
+    const l = v.layers.find((k) => k.vis.stream === "Mic.Level").channel.series;
+    return { n: l.length, raw: l.raw, extent: l.extent(0, 60e9) };
+  }, id);
+  const wide = await read();
+  ok(!wide.raw && wide.n < 4000, `summaries, bounded by pixels: ${JSON.stringify(wide)}`);
+  near(wide.extent[1], 1, 1e-3, "the highest value is kept");
+  await dispatch(page, { type: "view", from: 10 * S, to: 11 * S });
+  await until(page, (i) => [...window.situStudio.views].find((w) => w.el.id === i).layers[0].channel.series.raw, "single messages are drawn when zoomed in", id);
+});
+
+test("3 timelines: a threshold covers what is below a value", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  const id = await panelOf(page, "Imu.Acc.X");
+  const blue = [0x4e, 0xa1, 0xf3];
+  await page.$eval(`#${id}`, (e) => e.scrollIntoView());
+  await settled(page);
+  const before = await count(page, `#${id} canvas`, blue);
+  await page.click(`[data-panel="${id.replace("body-", "")}"] button[title='Properties']`);
+  await page.selectOption("#threshold-side", "below");
+  await page.fill("#threshold-value", "0");
+  await until(page, (i) => JSON.parse(document.getElementById(i).dataset.config).threshold?.value === 0, "the threshold is set", id);
+  await settled(page);
+  const after = await count(page, `#${id} canvas`, blue);
+  ok(after < 0.7 * before && after > 0.3 * before, `about half of the line is covered: ${before} -> ${after}`);
+});
+
+test("3 timelines: a label that is cut is told in full under the mouse", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  const id = await panelOf(page, "Robot.State");
+  await page.$eval(`#${id}`, (e) => e.scrollIntoView());
+  await settled(page);
+  const at = await pointAt(page, id, 6 * S);
+  const row = await page.evaluate((i) => {
+    const v = [...window.situStudio.views].find((w) => w.el.id === i);
+    const n = [...v.names.children].findIndex((e) => e.textContent === "State");
+    return v.el.getBoundingClientRect().top + 4 + (n + 0.5) * v.row;
+  }, id);
+  await page.mouse.move(at.x, row);
+  await until(page, () => document.getElementById("tip")?.textContent === "moving\n0:04.000 to 0:08.000, 4.00 s", "the state is told");
+  await page.mouse.move(5, 5);
+  await until(page, () => document.getElementById("tip").hidden, "gone with the mouse");
+});
