@@ -8,11 +8,9 @@ defmodule Situ.Studio.PipelineView do
   what is shown: `heat`, `fold`, `sel`, `plots`, `at`.
   """
   use Situ.Live.View
-  import Situ.Studio.Web.Icons
 
   alias Situ.Studio.Catalog
-  alias Situ.Studio.PipelineView.{Details, Feed, Fold, Past, Stats, Wire}
-  alias Situ.Studio.Web.Address
+  alias Situ.Studio.PipelineView.{Choice, Details, Feed, Fold, Page, Past, Stats, Wire}
 
   @tick_ms 500
   # The last hour of a running pipeline and ten minutes while the page is open, or as many moments of a recording.
@@ -84,43 +82,11 @@ defmodule Situ.Studio.PipelineView do
   def handle_params(_params, _uri, %{assigns: %{error: %{}}} = socket), do: {:noreply, socket}
 
   def handle_params(params, _uri, socket) do
-    socket =
-      socket
-      |> heat(params["heat"])
-      |> fold(params["fold"])
-      |> select(params["sel"])
-      |> plots(params["plots"])
-      |> at(params["at"])
-
-    {:noreply, socket |> look() |> draw()}
+    socket = assign(socket, Choice.read(params, socket.assigns.snapshot.scopes))
+    {:noreply, socket |> at(params["at"]) |> look() |> draw()}
   end
 
-  defp heat(socket, id) do
-    case is_binary(id) and Stats.fetch(id) do
-      {:ok, _} -> assign(socket, heat: id)
-      _ -> if id == "none", do: assign(socket, heat: "none"), else: socket
-    end
-  end
-
-  defp fold(socket, text) when is_binary(text) do
-    named = text |> String.split("|", trim: true) |> MapSet.new()
-    known = MapSet.new(socket.assigns.snapshot.scopes)
-    assign(socket, folded: MapSet.intersection(named, known))
-  end
-
-  defp fold(socket, _), do: socket
-
-  defp select(socket, key) when is_binary(key) and key != "", do: assign(socket, selected: key)
-  defp select(socket, _), do: assign(socket, selected: nil)
-
-  defp plots(socket, text) when is_binary(text) do
-    assign(socket,
-      plots: for(id <- String.split(text, ","), {:ok, _} <- [Stats.fetch(id)], do: id)
-    )
-  end
-
-  defp plots(socket, _), do: assign(socket, plots: [])
-
+  # Of a recording, the moment asked for.
   defp at(%{assigns: %{live: false}} = socket, text) when is_binary(text) do
     with {time, ""} <- Integer.parse(text),
          {:ok, snapshot, taken} <- Feed.at(socket.assigns.feed, time) do
@@ -132,24 +98,8 @@ defmodule Situ.Studio.PipelineView do
 
   defp at(socket, _), do: socket
 
-  defp address(socket, changes) do
-    a = socket.assigns
-
-    now =
-      %{
-        "heat" => a.heat,
-        "fold" => Enum.join(Enum.sort(a.folded), "|"),
-        "sel" => a.selected,
-        "plots" => Enum.join(a.plots, ","),
-        "at" => if(a.live, do: nil, else: a.at)
-      }
-      |> Map.merge(changes)
-      |> Map.reject(fn {key, value} -> value in [nil, ""] and key != "fold" end)
-
-    Address.pipeline(a.id) <> "?" <> URI.encode_query(now)
-  end
-
-  defp go(socket, changes), do: push_patch(socket, to: address(socket, changes), replace: true)
+  defp go(socket, changes),
+    do: push_patch(socket, to: Choice.address(socket.assigns, changes), replace: true)
 
   # -- what the page asks
 
@@ -167,18 +117,11 @@ defmodule Situ.Studio.PipelineView do
   end
 
   def handle_event("fold", %{"path" => path}, socket) when is_binary(path) do
-    folded = socket.assigns.folded
-
-    folded =
-      if MapSet.member?(folded, path),
-        do: MapSet.delete(folded, path),
-        else: MapSet.put(folded, path)
-
-    {:noreply, go(socket, %{"fold" => Enum.join(Enum.sort(folded), "|")})}
+    {:noreply, go(socket, %{"fold" => Choice.toggle(socket.assigns.folded, path)})}
   end
 
   def handle_event("fold_all", _, socket),
-    do: {:noreply, go(socket, %{"fold" => Enum.join(socket.assigns.snapshot.scopes, "|")})}
+    do: {:noreply, go(socket, %{"fold" => Choice.folds(socket.assigns.snapshot.scopes)})}
 
   def handle_event("unfold_all", _, socket), do: {:noreply, go(socket, %{"fold" => ""})}
 
@@ -316,68 +259,6 @@ defmodule Situ.Studio.PipelineView do
     )
   end
 
-  # -- what it looks like
-
   @impl true
-  def render(%{error: %{}} = assigns) do
-    ~H"""
-    <div class="message" role="alert">
-      <h1>{@error.what}</h1>
-      <p :if={@error.why}>{@error.why}</p>
-      <p :if={@error.fix}>{@error.fix}</p>
-      <p><a class="btn" href="/">All recordings</a></p>
-    </div>
-    """
-  end
-
-  def render(assigns) do
-    ~H"""
-    <div class="studio pipeline" id="pipeline" data-selected={@selected}>
-      <header class="topbar">
-        <a class="brand" href="/" title="All recordings"><.logo /><span>Situ</span></a>
-        <a class="where" href={Address.of(@id)} title="Its streams">{@id}</a>
-        <span class="sep"></span>
-        <span class={["state", @snapshot.state]}>{@snapshot.state}</span>
-        <span class="dim">{round(@snapshot.progress * 100)} %</span>
-        <span class="sep"></span>
-        <form id="heat" phx-change="heat">
-          <label>Colour by
-            <select class="select" name="heat">
-              <option value="none" selected={@heat == "none"}>nothing</option>
-              <option :for={s <- Stats.of(:edge) ++ Stats.of(:node)} value={s.id} selected={s.id == @heat}>{s.name}</option>
-            </select>
-          </label>
-        </form>
-        <span class="grow"></span>
-        <button :if={@snapshot.scopes != []} class="tool" type="button" phx-click="fold_all">Fold all</button>
-        <button :if={@snapshot.scopes != []} class="tool" type="button" phx-click="unfold_all">Unfold all</button>
-        <button class="tool" type="button" data-graph="fit" title="View everything (f)"><.icon name={:fit} /></button>
-        <a class="tool" href={Address.of(@id)} title="Its streams">Streams</a>
-      </header>
-      <main class="centre">
-        <div id="graph" class="graph" phx-hook="PipelineGraph" phx-update="ignore" tabindex="0" role="img" aria-label="Graph of the pipeline"></div>
-        <form :if={@moments != []} id="moments" class="moments" phx-change="at">
-          <input type="range" name="moment" min="0" max={length(@moments) - 1} value={moment(@moments, @at)} aria-label="Moment" phx-debounce="30">
-          <span class="dim">{clock(@at)}</span>
-        </form>
-      </main>
-      <aside class="right">
-        <Details.panel snapshot={@snapshot} sample={@sample} selected={@selected} folded={@folded} messages={@messages} heat={@heat} plots={@plots} />
-      </aside>
-      <footer class="status">
-        <span><i class="dot"></i>{if @live, do: "running now", else: "recorded"}</span>
-        <span>{length(@snapshot.nodes)} components</span>
-        <span>{length(@snapshot.edges)} connections</span>
-        <span>{length(@snapshot.processes)} processes</span>
-        <span class="grow"></span>
-        <span>click: details · double click: fold · wheel: zoom · drag: pan</span>
-      </footer>
-    </div>
-    """
-  end
-
-  defp moment(moments, at), do: max(0, Enum.count(moments, &(&1 <= at)) - 1)
-
-  defp clock(nil), do: ""
-  defp clock(ns), do: ns |> Situ.Time.to_iso8601() |> String.slice(11, 12)
+  def render(assigns), do: Page.render(assigns)
 end

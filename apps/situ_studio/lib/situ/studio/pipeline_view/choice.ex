@@ -1,0 +1,64 @@
+defmodule Situ.Studio.PipelineView.Choice do
+  @moduledoc false
+  # What of a pipeline's graph is shown, as its page's address holds it: `heat`, `fold`, `sel`, `plots`, `at`. Pure.
+  # An address may come from anybody: what is unknown in it is left out.
+  alias Situ.Studio.PipelineView.Stats
+  alias Situ.Studio.Web.Address
+
+  @doc "What an address asks for, as assigns; `scopes` are the composites there are."
+  @spec read(map(), [String.t()]) :: keyword()
+  def read(params, scopes) do
+    heat(params["heat"]) ++
+      folded(params["fold"], scopes) ++
+      [selected: selected(params["sel"]), plots: plots(params["plots"])]
+  end
+
+  defp heat("none"), do: [heat: "none"]
+
+  defp heat(id) when is_binary(id),
+    do: with({:ok, _} <- Stats.fetch(id), do: [heat: id], else: (_ -> []))
+
+  defp heat(_), do: []
+
+  defp folded(text, scopes) when is_binary(text) do
+    named = text |> String.split("|", trim: true) |> MapSet.new()
+    [folded: MapSet.intersection(named, MapSet.new(scopes))]
+  end
+
+  defp folded(_, _), do: []
+
+  defp selected(key) when is_binary(key) and key != "", do: key
+  defp selected(_), do: nil
+
+  defp plots(text) when is_binary(text),
+    do: for(id <- String.split(text, ","), {:ok, _} <- [Stats.fetch(id)], do: id)
+
+  defp plots(_), do: []
+
+  @doc "Folded composites as the address names them."
+  @spec folds(Enumerable.t()) :: String.t()
+  def folds(paths), do: paths |> Enum.sort() |> Enum.join("|")
+
+  @doc "The same, with one folded or unfolded."
+  @spec toggle(MapSet.t(String.t()), String.t()) :: String.t()
+  def toggle(folded, path) do
+    folds(if path in folded, do: MapSet.delete(folded, path), else: MapSet.put(folded, path))
+  end
+
+  @doc "The address of what these assigns show, with some of it changed."
+  @spec address(map(), map()) :: String.t()
+  def address(assigns, changes) do
+    now =
+      %{
+        "heat" => assigns.heat,
+        "fold" => folds(assigns.folded),
+        "sel" => assigns.selected,
+        "plots" => Enum.join(assigns.plots, ","),
+        "at" => if(assigns.live, do: nil, else: assigns.at)
+      }
+      |> Map.merge(changes)
+      |> Map.reject(fn {key, value} -> value in [nil, ""] and key != "fold" end)
+
+    Address.pipeline(assigns.id) <> "?" <> URI.encode_query(now)
+  end
+end

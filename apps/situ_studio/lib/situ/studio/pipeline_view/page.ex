@@ -1,0 +1,76 @@
+defmodule Situ.Studio.PipelineView.Page do
+  @moduledoc false
+  # What the page of a pipeline's graph looks like: toolbar, graph, moments of a recording, details, status line.
+  use Situ.Live.Component
+  import Situ.Studio.Web.Icons
+
+  alias Situ.Studio.PipelineView.{Details, Stats}
+  alias Situ.Studio.Web.Address
+
+  @spec render(map()) :: Situ.Live.Rendered.t()
+  def render(%{error: %{}} = assigns) do
+    ~H"""
+    <div class="message" role="alert">
+      <h1>{@error.what}</h1>
+      <p :if={@error.why}>{@error.why}</p>
+      <p :if={@error.fix}>{@error.fix}</p>
+      <p><a class="btn" href="/">All recordings</a></p>
+    </div>
+    """
+  end
+
+  def render(assigns) do
+    ~H"""
+    <div class="studio pipeline" id="pipeline" data-selected={@selected}>
+      <header class="topbar">
+        <a class="brand" href="/" title="All recordings"><.logo /><span>Situ</span></a>
+        <a class="where" href={Address.of(@id)} title="Its streams">{@id}</a>
+        <span class="sep"></span>
+        <span class={["state", @snapshot.state]}>{@snapshot.state}</span>
+        <span class="dim">{round(@snapshot.progress * 100)} %</span>
+        <span class="sep"></span>
+        <form id="heat" phx-change="heat">
+          <label>Colour by
+            <select class="select" name="heat">
+              <option value="none" selected={@heat == "none"}>nothing</option>
+              <option :for={s <- Stats.of(:edge) ++ Stats.of(:node)} value={s.id} selected={s.id == @heat}>{s.name}</option>
+            </select>
+          </label>
+        </form>
+        <span class="grow"></span>
+        <button :if={@snapshot.scopes != []} class="tool" type="button" phx-click="fold_all">Fold all</button>
+        <button :if={@snapshot.scopes != []} class="tool" type="button" phx-click="unfold_all">Unfold all</button>
+        <button class="tool" type="button" data-graph="fit" title="View everything (f)"><.icon name={:fit} /></button>
+        <a class="tool" href={Address.of(@id)} title="Its streams">Streams</a>
+      </header>
+      <main class="centre">
+        <div id="graph" class="graph" phx-hook="PipelineGraph" phx-update="ignore" tabindex="0" role="img" aria-label="Graph of the pipeline"></div>
+        <form :if={@moments != []} id="moments" class="moments" phx-change="at">
+          <input type="range" name="moment" min="0" max={length(@moments) - 1} value={moment(@moments, @at)} aria-label="Moment" phx-debounce="30">
+          <span class="dim">{clock(@at)}</span>
+        </form>
+      </main>
+      <aside class="right">
+        <Details.panel snapshot={@snapshot} sample={@sample} selected={@selected} folded={@folded} messages={@messages} heat={@heat} plots={@plots} />
+      </aside>
+      <footer class="status">
+        <span><i class="dot"></i>{state(@live, @feed)}</span>
+        <span>{length(@snapshot.nodes)} components</span>
+        <span>{length(@snapshot.edges)} connections</span>
+        <span>{length(@snapshot.processes)} processes</span>
+        <span class="grow"></span>
+        <span>click: details · double click: fold · wheel: zoom · drag: pan</span>
+      </footer>
+    </div>
+    """
+  end
+
+  defp state(true, _), do: "running now"
+  defp state(false, {:live, _}), do: "ended: this is the last of it"
+  defp state(false, _), do: "recorded"
+
+  defp moment(moments, at), do: max(0, Enum.count(moments, &(&1 <= at)) - 1)
+
+  defp clock(nil), do: ""
+  defp clock(ns), do: ns |> Situ.Time.to_iso8601() |> String.slice(11, 12)
+end
