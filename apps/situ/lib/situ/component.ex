@@ -20,7 +20,7 @@ defmodule Situ.Component do
   Callbacks return `{actions, state}`. An action is
 
     * `{output, originating_time, data}`: emit a message; originating times strictly increase per output;
-    * `{output, %Situ.Message{}}`: emit and keep the envelope's times and sequence id (importers, connectors);
+    * `{output, %Situ.Message{}}` or `{output, [%Situ.Message{}]}`: emit and keep the envelopes' times and sequence ids (importers, connectors);
     * `{:complete, time}` or `{:complete, :infinity}`: a source knows its last originating time, or that it has none;
     * `{:close, output}` or `{:close, output, time}`: nothing more will come out of this output;
     * `{:timer, key, time}`: call `handle_info({:timer, key}, ...)` when the pipeline's clock reaches `time`;
@@ -35,7 +35,7 @@ defmodule Situ.Component do
   @type state :: term()
   @type action ::
           {output :: atom(), Situ.Time.t(), data :: term()}
-          | {output :: atom(), Situ.Message.t()}
+          | {output :: atom(), Situ.Message.t() | [Situ.Message.t()]}
           | {:complete, Situ.Time.t() | :infinity}
           | {:close, output :: atom()}
           | {:close, output :: atom(), Situ.Time.t()}

@@ -129,13 +129,13 @@ defmodule Situ.Connector.In do
 
   @impl true
   def handle_info({:situ_connector, _ref, messages}, _context, state),
-    do: {Enum.map(messages, &action(&1, state.as)), state}
+    do: {actions(messages, state.as), state}
 
   def handle_info(_other, _context, state), do: {[], state}
 
-  defp action(message, :data), do: {:out, message.originating_time, message.data}
-  defp action(message, :message), do: {:out, message.originating_time, message}
-  defp action(message, :envelope), do: {:out, message}
+  defp actions(messages, :envelope), do: [{:out, messages}]
+  defp actions(messages, :data), do: for(m <- messages, do: {:out, m.originating_time, m.data})
+  defp actions(messages, :message), do: for(m <- messages, do: {:out, m.originating_time, m})
 end
 
 defmodule Situ.Connector.Out do

@@ -46,6 +46,7 @@ defmodule Situ.Stage do
     batch: false,
     scheduled: false,
     slice: 16,
+    wide: false,
     timers: [],
     probes: [],
     early: [],

@@ -14,7 +14,7 @@ defmodule Situ.SameTimeTest do
       options: [
         times: [type: :list],
         at_once: [type: :boolean, default: true],
-        as: [type: {:in, [:data, :messages]}, default: :data]
+        as: [type: {:in, [:data, :messages, :batch]}, default: :data]
       ]
 
     @impl true
@@ -23,6 +23,11 @@ defmodule Situ.SameTimeTest do
     @impl true
     def handle_demand(_n, context, {[], at_once, as}),
       do: {[{:complete, context.start_time + 1_000}], {[], at_once, as}}
+
+    def handle_demand(_n, _context, {items, true, :batch}) do
+      messages = for item <- items, do: item |> post(:messages) |> elem(1)
+      {[{:out, messages}], {[], true, :batch}}
+    end
 
     def handle_demand(_n, _context, {items, true, as}),
       do: {Enum.map(items, &post(&1, as)), {[], true, as}}
@@ -78,6 +83,19 @@ defmodule Situ.SameTimeTest do
         back = [times: [5, 20, 15], as: unquote(as), at_once: unquote(at_once)]
         assert {{:error, %{code: :time_not_increasing}}, _} = run(back, on_same_time: how)
       end
+    end
+  end
+
+  property "a batch is what its messages are one after another",
+    numtests: 60 do
+    forall {steps, how} <- {list(integer(-1, 3)), integer(0, 2)} do
+      times = steps |> Enum.scan(&+/2) |> Enum.map(&(&1 + 40))
+      common = Enum.at([[], [on_same_time: :drop], [on_same_time: :nudge]], how)
+      {whole, got} = run([times: times, as: :batch], common)
+      {each, expected} = run([times: times, as: :messages], common)
+
+      assert elem(whole, 0) == elem(each, 0)
+      assert got == expected
     end
   end
 

@@ -17,12 +17,11 @@ defmodule Situ.Stage.Actions do
     end
   end
 
-  def run(state, [{output, %Message{}} | _] = actions, now) when is_atom(output) do
-    with {:ok, outlet} <- outlet(state, output),
-         {:ok, outlet, rest} <- Posting.forward_all(outlet, actions, now, state.enforce) do
-      run(%{state | outlets: %{state.outlets | output => outlet}}, rest, now)
-    end
-  end
+  def run(state, [{output, %Message{} = message} | rest], now) when is_atom(output),
+    do: forward(state, output, [message], rest, now)
+
+  def run(state, [{output, messages} | rest], now) when is_atom(output) and is_list(messages),
+    do: forward(state, output, messages, rest, now)
 
   def run(state, [action | rest], now) do
     case one(state, action, now) do
@@ -32,6 +31,16 @@ defmodule Situ.Stage.Actions do
   end
 
   def run(state, other, _now), do: {:error, Call.bad_action(state.head.path, other)}
+
+  defp forward(state, output, messages, rest, now) do
+    with {:ok, outlet} <- outlet(state, output),
+         {:ok, outlet} <- Posting.forward_all(outlet, messages, now, state.enforce) do
+      run(%{state | outlets: %{state.outlets | output => outlet}}, rest, now)
+    else
+      :error -> {:error, Call.bad_action(state.head.path, {output, messages})}
+      error -> error
+    end
+  end
 
   @doc "A source has said when it ends; told to the server once its held messages are out."
   @spec complete(Stage.t(), Situ.Time.t() | :infinity) :: Stage.t()

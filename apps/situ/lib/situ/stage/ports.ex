@@ -5,6 +5,8 @@ defmodule Situ.Stage.Ports do
   alias Situ.Stage.{Inlet, Outlet, Run, Setup, Subscriber}
 
   @hold_ms 20
+  @many 64
+  @wide 32_768
 
   @spec drained?(Stage.t()) :: boolean()
   def drained?(state), do: Enum.all?(state.outlets, fn {_, outlet} -> outlet.subs == [] end)
@@ -125,9 +127,23 @@ defmodule Situ.Stage.Ports do
   @doc "Sends what is pending, publishes counts and asks for more."
   @spec settle(Stage.t()) :: Stage.t()
   def settle(state) do
-    state = state |> run_tail() |> flush()
+    state = state |> run_tail() |> widen() |> flush()
     inlets = Enum.reduce(state.inlets, state.inlets, &settle_inlet/2)
     %{state | inlets: inlets}
+  end
+
+  # A stage that handles many messages at once is given a heap that holds them, once: they would otherwise be copied by one
+  # collection after another.
+  defp widen(%{wide: true} = state), do: state
+
+  defp widen(state) do
+    if Enum.any?(state.inlets, fn {_, inlet} -> inlet.taken >= @many end) or
+         Enum.any?(state.outlets, fn {_, outlet} -> outlet.pending_n >= @many end) do
+      Process.flag(:min_heap_size, @wide)
+      %{state | wide: true}
+    else
+      state
+    end
   end
 
   defp flush(%{tail: tail, phase: :starting} = state) when tail != nil, do: state

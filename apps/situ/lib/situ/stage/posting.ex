@@ -156,49 +156,47 @@ defmodule Situ.Stage.Posting do
   end
 
   @doc """
-  Forwards the leading `{name, message}` actions that are for this output, in one go; answers the actions left over.
+  Posts messages with their own envelopes, in one go where nothing stands in the way. `:error` when one of them is no message.
   """
-  @spec forward_all(Outlet.t(), [tuple()], Situ.Time.t(), boolean()) ::
-          {:ok, Outlet.t(), [tuple()]} | {:error, Error.t()}
+  @spec forward_all(Outlet.t(), [Message.t()], Situ.Time.t(), boolean()) ::
+          {:ok, Outlet.t()} | {:error, Error.t()} | :error
   def forward_all(
         %Outlet{closing: nil, future: [], resume: nil, same_time: :error, last_time: last} =
           outlet,
-        [_, _ | _] = actions,
+        [_, _ | _] = messages,
         now,
         false
       )
       when is_integer(last) do
-    case push_all(
-           actions,
-           outlet.name,
-           outlet.source_id,
-           last,
-           outlet.seq,
-           outlet.last_creation,
-           nil,
-           outlet.pending,
-           0
-         ) do
+    made = outlet.last_creation
+
+    case push_all(messages, outlet.source_id, last, outlet.seq, made, nil, outlet.pending, 0) do
       # The first does not fit: `forward/4` says why.
       {rest, 0, _last, _pending} ->
         forward_one(outlet, rest, now, false)
 
       {rest, n, message, pending} ->
         outlet = remember(outlet, message)
-        n = outlet.pending_n + n
-        {:ok, %{outlet | pending: pending, pending_n: n, posted: now}, rest}
+        outlet = %{outlet | pending: pending, pending_n: outlet.pending_n + n, posted: now}
+        forward_all(outlet, rest, now, false)
     end
   end
 
-  def forward_all(outlet, actions, now, enforce), do: forward_one(outlet, actions, now, enforce)
+  def forward_all(outlet, [], _now, _enforce), do: {:ok, outlet}
+  def forward_all(outlet, messages, now, enforce), do: forward_one(outlet, messages, now, enforce)
 
-  defp forward_one(outlet, [{_, message} | rest], now, enforce) do
-    with {:ok, outlet} <- forward(outlet, message, now, enforce), do: {:ok, outlet, rest}
+  defp forward_one(outlet, [%Message{} = message | rest], now, enforce) do
+    with {:ok, outlet} <- forward(outlet, message, now, enforce),
+         do: forward_all(outlet, rest, now, enforce)
   end
 
+  defp forward_one(_outlet, _messages, _now, _enforce), do: :error
+
   defp push_all(
-         [{name, %Message{originating_time: time, sequence_id: id} = message} | rest],
-         name,
+         [
+           %Message{originating_time: time, sequence_id: id, creation_time: created} = message
+           | rest
+         ],
          source,
          last,
          seq,
@@ -207,12 +205,12 @@ defmodule Situ.Stage.Posting do
          pending,
          n
        )
-       when time > last and id > seq and message.creation_time >= made do
+       when time > last and id > seq and created >= made do
     pending = [%{message | source_id: source} | pending]
-    push_all(rest, name, source, time, id, message.creation_time, message, pending, n + 1)
+    push_all(rest, source, time, id, created, message, pending, n + 1)
   end
 
-  defp push_all(rest, _name, _source, _last, _seq, _made, message, pending, n),
+  defp push_all(rest, _source, _last, _seq, _made, message, pending, n),
     do: {rest, n, message, pending}
 
   @doc "Releases held messages whose time has come."

@@ -190,6 +190,10 @@ defmodule Situ.Pipeline.FaultsTest do
             {{[:what], nil}, :bad_action},
             {{[{:nope, 1, 2}], nil}, :unknown_output},
             {{[{:out, "yesterday", 2}], nil}, :bad_action},
+            {{[{:out, [message(5, 1), :rubbish]}], nil}, :bad_action},
+            {{[{:out, [message(5, 1) | :rubbish]}], nil}, :bad_action},
+            {{[{:out, [message(5, 1), message(5, 2)]}], nil}, :time_not_increasing},
+            {{[{:nope, []}], nil}, :unknown_output},
             {{[{:out, 5, 1}, {:out, 5, 2}], nil}, :time_not_increasing}
           ] do
         result =
@@ -352,6 +356,9 @@ defmodule Situ.Pipeline.FaultsTest do
     assert_receive {:got, _}
     {p, pid}
   end
+
+  defp message(time, n),
+    do: %Situ.Message{data: n, originating_time: time, creation_time: time, sequence_id: n}
 
   defp code(build), do: error(build).code
 

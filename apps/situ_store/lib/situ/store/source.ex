@@ -133,22 +133,21 @@ defmodule Situ.Store.Source do
 
   defp sent([], state), do: {[], state}
 
-  defp sent(actions, state) do
-    {:out, last} = List.last(actions)
+  defp sent(messages, state) do
+    last = List.last(messages)
     envelope = {last.sequence_id, last.creation_time}
-    {actions, %{state | last: last.originating_time, sent: envelope}}
+    {[{:out, messages}], %{state | last: last.originating_time, sent: envelope}}
   end
 
-  defp shifted(messages, 0), do: for(message <- messages, do: {:out, message})
+  defp shifted(messages, 0), do: messages
 
   defp shifted(messages, shift) do
     for message <- messages do
-      {:out,
-       %{
-         message
-         | originating_time: message.originating_time + shift,
-           creation_time: message.creation_time + shift
-       }}
+      %{
+        message
+        | originating_time: message.originating_time + shift,
+          creation_time: message.creation_time + shift
+      }
     end
   end
 
