@@ -201,6 +201,17 @@ defmodule Situ.Store.CopyingTest do
     assert {:error, %{code: :no_stream}} = Store.concat([path], {"c", root}, streams: ["X*"])
   end
 
+  test "what makes no sense is refused before anything is made", %{tmp_dir: root} do
+    path = store(root, [{"N", messages([1]), []}])
+    out = {"out", root}
+    assert {:error, %{code: :unknown_option, fix: fix}} = Store.crop(path, out, strat: 5)
+    assert fix =~ ":start"
+    assert {:error, %{code: :unknown_option}} = Store.copy(path, out, form: 5)
+    assert {:error, %{code: :unknown_option}} = Store.edit(path, out, %{}, ad: [])
+    assert {:error, %{code: :no_store, fix: "name at least one"}} = Store.concat([], out)
+    assert Store.newest("out", root) == nil
+  end
+
   test "what is not whole has no name, and goes with the next of its name", %{tmp_dir: root} do
     path = store(root, [{"N", messages(Enum.to_list(1..10)), []}])
     test = self()

@@ -488,6 +488,59 @@ defmodule Situ.Store.PipelineTest do
              end)
   end
 
+  test "a pipeline that could not be built leaves no recording of nothing", %{tmp_dir: root} do
+    kept = record(root, "walk", 1..3)
+
+    build = fn p ->
+      p |> Situ.range(0, 3, 1_000) |> Store.write(Store.create(p, "walk", root), "N")
+      raise "no camera"
+    end
+
+    assert {:error, %{code: :build_failed}} = Pipeline.run(build)
+    assert Store.newest("walk", root) == kept
+    test = self()
+
+    {pid, monitor} =
+      spawn_monitor(fn ->
+        p = Pipeline.new()
+        p |> Situ.range(0, 3, 1_000) |> Store.write(Store.create(p, "walk", root), "N")
+        send(test, {:pipeline, p.pid})
+        receive do: (:go -> :ok)
+      end)
+
+    pipeline = receive do: ({:pipeline, pipeline} -> Process.monitor(pipeline))
+    assert Store.newest("walk", root) != kept
+    send(pid, :go)
+    receive do: ({:DOWN, ^monitor, :process, ^pid, _} -> :ok)
+    receive do: ({:DOWN, ^pipeline, :process, _, _} -> :ok)
+    assert Store.newest("walk", root) == kept
+  end
+
+  test "the keys of a stream's maps are kept in its metadata", %{tmp_dir: root} do
+    maps = for i <- 1..100, do: {i * 1_000, if(i == 50, do: :none, else: %{rem(i, 7) => i})}
+
+    {:ok, report} =
+      Pipeline.run(fn p ->
+        store = Store.create(p, "keys", root)
+
+        p
+        |> Situ.from_enumerable(maps)
+        |> Store.write(store, "Faces", keys: true, metadata: %{"unit" => "px"})
+
+        p |> Situ.from_enumerable([{1_000, 1}]) |> Store.write(store, "Numbers", keys: true)
+        store.writer.path
+      end)
+
+    store = Store.open!(report.result)
+    assert Store.closed?(store)
+
+    assert Store.metadata(store, "Faces") ==
+             {:ok, %{"unit" => "px", "keys" => Enum.to_list(0..6)}}
+
+    assert {:error, %{code: :no_metadata}} = Store.metadata(store, "Numbers")
+    assert Store.count(store, "Faces") == 100
+  end
+
   test "a failing pipeline leaves a whole, closed store", %{tmp_dir: root} do
     {:error, _} =
       Pipeline.run(fn p ->

@@ -101,6 +101,47 @@ defmodule Situ.StoreTest do
     assert fix =~ "S"
   end
 
+  test "reading from the end, and options that are none", %{tmp_dir: root} do
+    store = Store.open!(store(root, [{"N", messages(Enum.to_list(0..9)), []}]))
+    data = fn opts -> store |> Store.messages("N", opts) |> Enum.map(& &1.data) end
+    assert data.(index: -2) == [8, 9]
+    assert data.(index: -20) == Enum.to_list(0..9)
+    assert {:error, %{code: :unknown_option, fix: fix}} = Store.read(store, "N", form: 3)
+    assert fix =~ ":from"
+    assert_raise Situ.Error, fn -> Store.messages(store, "N", limit: 3) end
+  end
+
+  test "what was recorded as anything is checked when it is read as something", %{tmp_dir: root} do
+    streams = [{"Mixed", messages([1, 2, :odd]), []}, {"Typed", messages([1]), [type: :integer]}]
+    store = Store.open!(store(root, streams))
+    assert Enum.count(Store.messages(store, "Mixed", type: {:or, [:integer, :atom]})) == 3
+
+    error =
+      assert_raise Situ.Error, fn ->
+        Store.messages(store, "Mixed", type: :integer) |> Enum.to_list()
+      end
+
+    assert error.code == :schema_mismatch and error.why =~ ":odd" and error.fix =~ ":any"
+    error = assert_raise Situ.Error, fn -> Store.messages(store, "Typed", type: :string) end
+    assert error.code == :schema_mismatch and error.fix =~ ":integer"
+
+    error =
+      assert_raise Situ.Error, fn ->
+        store |> Store.messages("Mixed", type: Person) |> Enum.to_list()
+      end
+
+    assert error.why =~ "it is 1"
+  end
+
+  test "metadata with atoms this system does not have is readable", %{tmp_dir: root} do
+    term = %{known: 1}
+    path = store(root, [{"S", messages([1]), [metadata: term]}])
+    known = :erlang.term_to_binary(term)
+    foreign = String.replace(known, "known", "kn0wn")
+    Situ.Store.Test.Raw.replace(path, Base.encode64(known), Base.encode64(foreign))
+    assert Store.metadata(Store.open!(path), "S") == {:ok, %{"kn0wn" => 1}}
+  end
+
   test "a version is made for every recording; the newest opens", %{tmp_dir: root} do
     assert store(root, [{"A", messages([1]), []}]) =~ "test.0000"
     assert store(root, [{"A", messages([2]), []}]) =~ "test.0001"

@@ -373,6 +373,12 @@ fn summary_level(from: i64, to: i64, pixels: u32) -> u8 {
     pyramid::level_for(from, to, pixels)
 }
 
+/// A term from external format as `reader_read` gives it: no atoms are made.
+#[rustler::nif]
+fn term_decode<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
+    decode(env, bytes.as_slice())
+}
+
 fn damage(found: Vec<Damage>) -> Vec<(String, u64, String)> {
     found
         .into_iter()

@@ -304,10 +304,14 @@ defmodule Situ.Pipeline do
     * `:completed`: `fun.(report)` after everything is final, before `run/2` returns
     * `:component_completed`: `fun.({path, final_time})` when a finite source reports its end
     * `:error`: `fun.(error)` for each error
+    * `:abandoned`: `fun.(error | nil)` when `build` failed, or the owner of an empty pipeline went before it was started: nothing
+      else of it will ever be called
   """
-  @spec on(t(), :run | :completed | :component_completed | :error, (term() -> any())) :: :ok
+  @spec on(t(), event, (term() -> any())) :: :ok
+        when event: :run | :completed | :component_completed | :error | :abandoned
   def on(%__MODULE__{} = p, event, fun)
-      when event in [:run, :completed, :component_completed, :error] and is_function(fun, 1) do
+      when event in [:run, :completed, :component_completed, :error, :abandoned] and
+             is_function(fun, 1) do
     Builder.run(p, &{:ok, %{&1 | handlers: &1.handlers ++ [{event, fun}]}})
   end
 

@@ -103,7 +103,7 @@ defmodule Situ.Store do
   Records a stream under `name`; returns the stream.
 
   Options: `type:`, `compression:`, `large:`, `metadata:` (see `Situ.Store.Writer.stream/3`), `policy:` (a `Situ.Delivery`; lossless, whatever the pipeline's default), `envelopes: true` (only the
-  envelopes), `on_error:`.
+  envelopes), `keys: true` (the keys of the stream's maps are kept in its metadata, see `Situ.Store.Keys`), `on_error:`.
   """
   @spec write(Situ.Stream.t(), Situ.Store.Exporter.t(), String.t(), keyword()) :: Situ.Stream.t()
   defdelegate write(stream, exporter, name, opts \\ []), to: Situ.Store.Exporter
@@ -151,21 +151,27 @@ defmodule Situ.Store do
   @spec has_stream?(t(), String.t()) :: boolean()
   def has_stream?(store, name), do: Enum.any?(streams(store), &(&1.name == name))
 
-  @doc "The stream's supplemental metadata; an error when it has none."
+  @doc """
+  The stream's supplemental metadata; an error when it has none. Atoms and structs that this system does not have are strings
+  and maps, as in messages.
+  """
   @spec metadata(t(), name()) :: {:ok, term()} | {:error, Error.t()}
   def metadata(store, name) do
-    with {:ok, info} <- stream_info(store, name) do
-      case info.supplemental do
-        nil ->
-          {:error, Error.new(:no_metadata, "stream #{inspect(info.name)} has no metadata")}
+    with {:ok, info} <- stream_info(store, name), do: supplemental(info)
+  end
 
-        {_type, bytes} ->
-          {:ok, :erlang.binary_to_term(bytes, [:safe])}
-      end
+  defp supplemental(%{supplemental: nil, name: name}),
+    do: {:error, Error.new(:no_metadata, "stream #{inspect(name)} has no metadata")}
+
+  defp supplemental(%{supplemental: {_type, bytes}, name: name}) do
+    case Local.term(bytes) do
+      %Situ.Store.Undecoded{reason: reason} ->
+        {:error,
+         Error.new(:damaged, "the metadata of #{inspect(name)} cannot be decoded", why: reason)}
+
+      term ->
+        {:ok, term}
     end
-  rescue
-    ArgumentError ->
-      {:error, Error.new(:damaged, "the metadata of #{inspect(name)} cannot be decoded")}
   end
 
   @doc "As `metadata/2`, checked against a `Situ.Type`."
@@ -180,17 +186,42 @@ defmodule Situ.Store do
     end
   end
 
+  @reading [
+    from: [type: {:optional, :integer}, doc: "The first originating time."],
+    to: [
+      type: {:or, [{:optional, :integer}, {:in, [:unbounded]}]},
+      doc: "The last one; both ends are included."
+    ],
+    index: [
+      type: {:optional, :integer},
+      doc: "Start at this ordinal; negative ones count from the end."
+    ],
+    type: [
+      type: :any,
+      doc:
+        "What the messages have to be: a `Situ.Type` that fits the recorded one, or a struct whose fields may have changed since (`Situ.Store.Evolution`)."
+    ],
+    skip_damage: [
+      type: :boolean,
+      doc: "Go on behind damaged chunks; else the `Situ.Error` is raised."
+    ],
+    envelopes: [
+      type: :boolean,
+      doc: "The data may be `nil`: a reader that has to decode need not."
+    ]
+  ]
+
   @doc """
   The messages of a stream as an `Enumerable`, read in batches as they are taken.
 
-  Options: `from:`, `to:` (originating times, both ends included), `index:` (start at this ordinal), `type:` (a struct whose
-  fields may have changed since: see `Situ.Store.Evolution`), `skip_damage: true` (go on behind damaged chunks; else the
-  `Situ.Error` is raised), `envelopes: true` (the data may be `nil`: a reader that has to decode need not).
+  #{Options.docs(@reading)}
   """
   @spec messages(t(), name(), keyword()) :: Enumerable.t()
   def messages(store, name, opts \\ []) do
+    _ = Options.validate!(opts, @reading)
     info = ok!(stream_info(store, name))
-    upgrade = Situ.Store.Evolution.upgrade!(info, opts[:type])
+    type = if opts[:envelopes], do: nil, else: opts[:type]
+    upgrade = Situ.Store.Evolution.upgrade!(info, type)
     to = opts[:to] || :unbounded
 
     Stream.resource(
@@ -208,7 +239,7 @@ defmodule Situ.Store do
 
   defp first_ordinal(store, info, opts) do
     cond do
-      index = opts[:index] -> index
+      index = opts[:index] -> if index < 0, do: max(count(store, info) + index, 0), else: index
       from = opts[:from] -> ok!(store.module.seek(store.state, info, from))
       true -> 0
     end
@@ -220,7 +251,8 @@ defmodule Situ.Store do
   @doc "Up to `limit` messages from a time on: `{:ok, messages}`. Options as `messages/3` and `limit:` (1,000)."
   @spec read(t(), name(), keyword()) :: {:ok, [Message.t()]} | {:error, Error.t()}
   def read(store, name, opts \\ []) do
-    {:ok, store |> messages(name, opts) |> Enum.take(opts[:limit] || 1_000)}
+    {limit, opts} = Keyword.pop(opts, :limit, 1_000)
+    {:ok, store |> messages(name, opts) |> Enum.take(limit)}
   rescue
     error in Error -> {:error, error}
   end

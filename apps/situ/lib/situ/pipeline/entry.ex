@@ -3,7 +3,7 @@ defmodule Situ.Pipeline.Entry do
   # The ways into a pipeline: a process that builds the graph, answers its caller and becomes the pipeline's server.
   alias Situ.Error
   alias Situ.Graph.Builder
-  alias Situ.Pipeline.{Launch, Life, Server, Settings}
+  alias Situ.Pipeline.{Launch, Life, Notice, Server, Settings}
 
   # The result comes as a message of its own: a short pipeline has ended before one could ask it.
   def run(spec, opts) do
@@ -80,6 +80,7 @@ defmodule Situ.Pipeline.Entry do
         :gen_server.enter_loop(Server, [], state)
 
       {:error, error} ->
+        Notice.abandoned(handle, error)
         :proc_lib.init_ack({:error, error})
         exit(:normal)
     end

@@ -248,7 +248,11 @@ defmodule Situ.Pipeline.Life do
   defp check_complete(state), do: state
 
   @spec stop(t()) :: t()
-  def stop(%{phase: :building} = state), do: Ending.complete(%{state | plan: %Plan{}})
+  def stop(%{phase: :building} = state) do
+    Notice.abandoned(state.handle, nil)
+    Ending.complete(%{state | plan: %Plan{}})
+  end
+
   def stop(%{phase: :running} = state), do: Ending.begin(%{state | by_hand: true}, now(state))
 
   # What hangs in its start would keep the stop waiting.

@@ -55,6 +55,17 @@ defmodule Situ.Pipeline.Notice do
         else: {:ok, %{state | errors: state.errors ++ [error]}}
   end
 
+  @doc "A pipeline that will not run: what was opened for it can be closed."
+  @spec abandoned(Situ.Pipeline.t(), Error.t() | nil) :: :ok
+  def abandoned(handle, error) do
+    graph = Builder.close(handle)
+    for {:abandoned, fun} <- (graph && graph.handlers) || [], do: fun.(error)
+    :ok
+  catch
+    # There is an error already, or nobody to be told of one.
+    kind, reason -> Logger.error(Exception.format(kind, reason, __STACKTRACE__))
+  end
+
   defp call_handlers(%{graph: %{handlers: handlers}} = state, event, argument, done) do
     case Enum.drop(handlers, done) do
       [] ->

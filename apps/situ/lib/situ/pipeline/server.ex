@@ -23,6 +23,7 @@ defmodule Situ.Pipeline.Server do
     Inputs,
     Launch,
     Life,
+    Notice,
     Part,
     Taps,
     View,
@@ -221,7 +222,7 @@ defmodule Situ.Pipeline.Server do
   @impl true
   def terminate(_reason, %{phase: :completed}), do: :ok
 
-  def terminate(_reason, %{phase: :building}), do: :ok
+  def terminate(_reason, %{phase: :building} = state), do: Notice.abandoned(state.handle, nil)
   def terminate(_reason, state), do: state |> stop() |> shut()
 
   # What was built but not yet begun need not be begun to be stopped.

@@ -8,17 +8,40 @@ defmodule Situ.Store.Copying do
   alias Situ.{Error, Store}
   alias Situ.Store.{Draft, Failure, Folder, StreamInfo, Transfer}
 
+  @options [
+    from: [type: {:optional, :integer}, doc: "The first originating time."],
+    to: [type: {:optional, :integer}, doc: "The last one; both ends are included."],
+    streams: [
+      type: {:or, [{:list, :string}, {:fun, 1}]},
+      doc: "Names, patterns like `\"Room.*\"`, or a predicate of `Situ.Store.StreamInfo`."
+    ],
+    compression: [type: {:in, [:none, :lz4, :zstd]}, doc: "For all streams; else as they are."],
+    skip_damage: [type: :boolean, default: true, doc: "Leave damaged chunks out."],
+    progress: [type: {:fun, 2}, doc: "`fun.(done, total)` of messages, as it goes."],
+    versioned: [type: :boolean, default: true, doc: "Make a sub-folder `NAME.NNNN`."],
+    durability: [type: :any, default: :none, doc: "As `Situ.Store.Writer.create/3`."]
+  ]
+  @crop_options @options ++
+                  [
+                    start: [
+                      type: :integer,
+                      doc: "Ns from the store's first message, for `from:`."
+                    ],
+                    length: [type: :non_neg_integer, doc: "Ns from there, for `to:`."]
+                  ]
+
   @doc """
   Copies a store (or a foreign file) into a new one: `{:ok, path}`.
 
-  `to` is `{name, root}` or a path (a new version of its last name). Options: `from:`, `to:` (originating times, both ends
-  included), `streams:` (names, patterns like `"Room.*"`, or a predicate of `Situ.Store.StreamInfo`), `compression:` (for all streams), `skip_damage:` (default true: leave
-  damaged chunks out), `progress:` (`fun.(done, total)` of messages), `versioned:`.
+  `to` is `{name, root}` or a path (a new version of its last name).
+
+  #{Situ.Options.docs(@options)}
   """
   @spec copy(Path.t(), Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def copy(from, to, opts \\ []) do
-    with {:ok, store} <- Store.open(from),
+    with {:ok, opts} <- Situ.Options.validate(opts, @options),
+         {:ok, store} <- Store.open(from),
          {:ok, sources} <- selected(sources(store), opts[:streams], store.path) do
       build(to, Enum.map(sources, fn {_, info} = source -> {info, [source]} end), opts)
     end
@@ -30,7 +53,8 @@ defmodule Situ.Store.Copying do
   @spec crop(Path.t(), Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def crop(from, to, opts) do
-    with {:ok, store} <- Store.open(from) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @crop_options),
+         {:ok, store} <- Store.open(from) do
       {first, _last} = Store.interval(store) || {0, 0}
       start = opts[:from] || first + (opts[:start] || 0)
       stop = opts[:to] || (opts[:length] && start + opts[:length])
@@ -54,7 +78,8 @@ defmodule Situ.Store.Copying do
   @spec concat([Path.t()], Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def concat(paths, to, opts \\ []) do
-    with {:ok, stores} <- open_all(paths),
+    with {:ok, opts} <- Situ.Options.validate(opts, @options),
+         {:ok, stores} <- open_all(paths),
          where = Enum.map_join(stores, ", ", & &1.path),
          {:ok, named} <- selected(Enum.flat_map(stores, &sources/1), opts[:streams], where),
          names = named |> Enum.map(fn {_, info} -> info.name end) |> Enum.uniq(),
@@ -69,6 +94,9 @@ defmodule Situ.Store.Copying do
   end
 
   defp sources(store), do: Enum.map(Store.streams(store), &{store, &1})
+
+  defp open_all([]),
+    do: {:error, Error.new(:no_store, "no stores to put together", fix: "name at least one")}
 
   defp open_all(paths) do
     Enum.reduce_while(Enum.reverse(paths), {:ok, []}, fn path, {:ok, stores} ->

@@ -7,18 +7,32 @@ defmodule Situ.Store.Editing do
 
   @type edit :: {:upsert, Situ.Time.t(), term()} | {:delete, Situ.Time.t()}
 
+  @options [
+    add: [
+      type: {:list, {:tuple, [:string, :keyword]}},
+      default: [],
+      doc: "New streams, `{name, options}` as `Situ.Store.Writer.stream/3`; edits may fill them."
+    ],
+    compression: [type: {:in, [:none, :lz4, :zstd]}, doc: "For all streams; else as they are."],
+    skip_damage: [type: :boolean, default: true, doc: "Leave damaged chunks out."],
+    progress: [type: {:fun, 2}, doc: "`fun.(done, total)` of messages, as it goes."],
+    versioned: [type: :boolean, default: true, doc: "Make a sub-folder `NAME.NNNN`."]
+  ]
+
   @doc """
   A new store with edits applied by exact originating time: `edits` is a map of stream names to
-  `[{:upsert, time, data} | {:delete, time}]`. An upsert replaces the message of that time or inserts one; its data must fit the stream's type.
-  Everything else is kept as it is. Options as `Situ.Store.copy/3` (but for `from:`, `to:`, `streams:`), and
-  `add: [{name, writer_stream_options}]` adds streams (edits may fill them).
+  `[{:upsert, time, data} | {:delete, time}]`. An upsert replaces the message of that time or inserts one; its data must fit
+  the stream's type. Everything else is kept as it is.
+
+  #{Situ.Options.docs(@options)}
   """
   @spec edit(Path.t(), Path.t() | {String.t(), Path.t()}, %{String.t() => [edit()]}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}
   def edit(from, to, edits, opts \\ []) do
-    with {:ok, store} <- Store.open(from),
+    with {:ok, opts} <- Situ.Options.validate(opts, @options),
+         {:ok, store} <- Store.open(from),
          infos = Store.streams(store),
-         added = Enum.map(opts[:add] || [], &new_stream/1),
+         added = Enum.map(opts[:add], &new_stream/1),
          :ok <- known(edits, infos ++ Enum.map(added, &elem(&1, 0)), store) do
       build(to, store, infos, added, edits, opts)
     end

@@ -15,12 +15,38 @@ defmodule Situ.Store.Evolution do
   def upgrade!(%StreamInfo{} = info, type) do
     case check(info, type) do
       :ok ->
+        checked =
+          if loose?(info.type) and info.type != type, do: &fit!(&1, info, type), else: & &1
+
         if struct_module?(type),
-          do: fn messages -> Enum.map(messages, &%{&1 | data: convert(type, &1.data)}) end,
-          else: & &1
+          do: &Enum.map(&1, fn m -> checked.(%{m | data: convert(type, m.data)}) end),
+          else: if(loose?(info.type), do: &Enum.map(&1, checked), else: & &1)
 
       {:error, error} ->
         raise error
+    end
+  end
+
+  # What was recorded as anything is looked at message by message when it is read as something.
+  defp loose?(type) when type in [:any, :list, :tuple, :map], do: true
+
+  defp loose?(type) when is_tuple(type),
+    do: type |> Tuple.to_list() |> List.flatten() |> Enum.any?(&loose?/1)
+
+  defp loose?(_type), do: false
+
+  defp fit!(message, info, type) do
+    if Situ.Type.valid?(type, message.data) do
+      message
+    else
+      time = Situ.Time.to_iso8601(message.originating_time)
+
+      raise Error.new(
+              :schema_mismatch,
+              "a message of #{inspect(info.name)} is no #{inspect(type)}",
+              why: "at #{time} it is #{inspect(message.data, limit: 5, printable_limit: 50)}",
+              fix: "read the stream without a type, it was recorded as #{info.type_name}"
+            )
     end
   end
 
@@ -30,7 +56,7 @@ defmodule Situ.Store.Evolution do
     cond do
       struct_module?(type) and info.fields != nil -> check_fields(info, type)
       Situ.Type.accepts?(type, info.type) -> :ok
-      true -> {:error, mismatch(info, type, "the stream holds #{info.type_name}")}
+      true -> {:error, other(info, type)}
     end
   end
 
@@ -79,6 +105,13 @@ defmodule Situ.Store.Evolution do
 
   defp struct_module?(type) do
     is_atom(type) and Code.ensure_loaded?(type) and function_exported?(type, :__struct__, 0)
+  end
+
+  defp other(info, type) do
+    %{
+      mismatch(info, type, "the stream holds #{info.type_name}")
+      | fix: "read it as #{info.type_name}, or without a type"
+    }
   end
 
   defp mismatch(info, type, why) do

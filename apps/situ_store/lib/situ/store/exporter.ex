@@ -5,7 +5,7 @@ defmodule Situ.Store.Exporter do
   The store is closed when the pipeline has completed, whether it ended well or by an error.
   """
   alias Situ.{Pipeline, Stream}
-  alias Situ.Store.{Sink, Volatile, Writer}
+  alias Situ.Store.{Keys, Sink, Volatile, Writer}
 
   @enforce_keys [:writer, :users]
   defstruct [:writer, :users, eager: false]
@@ -28,6 +28,7 @@ defmodule Situ.Store.Exporter do
         }
 
         :ok = Pipeline.on(p, :completed, fn _report -> close(exporter) end)
+        :ok = Pipeline.on(p, :abandoned, fn _error -> give_up(exporter) end)
         exporter
 
       {:error, error} ->
@@ -43,6 +44,7 @@ defmodule Situ.Store.Exporter do
     # Nothing is lost on the way to disk unless the caller says so, whatever the pipeline's default policy.
     common = Keyword.put_new(common, :policy, Situ.Delivery.unlimited())
     {envelopes, opts} = Keyword.pop(opts, :envelopes, false)
+    {keys, opts} = Keyword.pop(opts, :keys, false)
     opts = Keyword.put_new(opts, :type, if(envelopes, do: :any, else: stream.type))
 
     case Writer.stream(exporter.writer, name, opts) do
@@ -63,11 +65,19 @@ defmodule Situ.Store.Exporter do
           |> Keyword.merge(common)
         )
 
+        if keys, do: note_keys(stream, exporter, writer_stream, opts[:metadata])
         stream
 
       {:error, error} ->
         raise error
     end
+  end
+
+  defp note_keys(stream, exporter, writer_stream, metadata) do
+    :atomics.add(exporter.users, 1, 1)
+    options = [exporter: exporter, stream: writer_stream, metadata: metadata || %{}]
+    name = "Keys " <> String.replace(writer_stream.name, ".", " ")
+    Situ.via(stream, Keys, options, name: name, policy: Situ.Delivery.unlimited())
   end
 
   @doc false
@@ -77,4 +87,13 @@ defmodule Situ.Store.Exporter do
 
   # Nobody is left to be told of a failure here, and what was committed is safe.
   defp close(exporter), do: Writer.close(exporter.writer)
+
+  # The pipeline never ran: a recording of nothing would only stand in the way of the one before it.
+  defp give_up(%{writer: writer} = exporter) do
+    _ = close(exporter)
+
+    with {:ok, store} <- Situ.Store.open(writer.path),
+         nil <- Situ.Store.interval(store),
+         do: Situ.Store.delete(writer.path)
+  end
 end

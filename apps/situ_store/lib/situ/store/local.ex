@@ -155,6 +155,11 @@ defmodule Situ.Store.Local do
     end
   end
 
+  @doc false
+  # A term outside of a stream (metadata), by the same rules.
+  @spec term(binary()) :: term() | Undecoded.t()
+  def term(bytes), do: bytes |> Native.term_decode() |> plain()
+
   defp plain({:"$situ_undecodable", reason}), do: %Undecoded{reason: reason}
 
   # A struct nobody here had heard of: its module may be one of this release that was not loaded yet.

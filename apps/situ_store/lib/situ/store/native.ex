@@ -27,6 +27,7 @@ defmodule Situ.Store.Native do
   def reader_read_quick(_reader, _stream, _ordinal, _to, _most, _bytes), do: missing()
   def reader_skip(_reader, _stream, _ordinal), do: missing()
   def reader_summary(_reader, _stream, _from, _to, _pixels), do: missing()
+  def term_decode(_bytes), do: missing()
   def summary_level(_from, _to, _pixels), do: missing()
   def reader_damage(_reader), do: missing()
   def reader_verify(_reader, _from, _n), do: missing()

@@ -1,0 +1,66 @@
+defmodule Situ.Store.Keys do
+  @moduledoc """
+  The component behind `Situ.Store.write/4` with `keys: true`: which keys the maps of a stream have had.
+
+  They stand in the stream's metadata under `"keys"`, sorted, beside what was given as `metadata:` (a map): whoever opens the
+  recording knows what to offer (a line for each tracked person) without reading it. They are noted whenever their number has doubled, and when the stream
+  closes; a recording whose writer was killed has those of the last note. Messages that are no maps are passed over.
+  """
+  use Situ.Component,
+    inputs: [in: :any],
+    outputs: [],
+    options: [
+      exporter: [type: :any, required: true, doc: "The `Situ.Store.Exporter`."],
+      stream: [type: :any, required: true, doc: "The `Situ.Store.Writer.Stream`."],
+      metadata: [type: :map, default: %{}, doc: "What else the metadata holds."]
+    ]
+
+  alias Situ.Store.{Exporter, Writer}
+
+  @enforce_keys [:exporter, :stream, :metadata]
+  defstruct [:exporter, :stream, :metadata, keys: MapSet.new(), noted: 0]
+
+  @impl true
+  def init(opts) do
+    {:ok,
+     %__MODULE__{
+       exporter: opts[:exporter],
+       stream: opts[:stream],
+       metadata: opts[:metadata]
+     }}
+  end
+
+  @impl true
+  def handle_message(:in, %{data: %{} = map}, _context, %{keys: keys} = state) do
+    keys = map |> plain() |> Map.keys() |> Enum.reduce(keys, &MapSet.put(&2, &1))
+    state = %{state | keys: keys}
+    {[], if(MapSet.size(keys) >= max(2 * state.noted, 1), do: note(state), else: state)}
+  end
+
+  def handle_message(:in, _message, _context, state), do: {[], state}
+
+  defp plain(%_{} = struct), do: Map.from_struct(struct)
+  defp plain(map), do: map
+
+  @impl true
+  def handle_closed(:in, _time, _context, state), do: {[], note(state)}
+
+  @impl true
+  def terminate(_reason, state), do: Exporter.release(state.exporter)
+
+  @impl true
+  def describe(state), do: "notes the keys of #{state.stream.name}"
+
+  defp note(%{keys: keys, noted: noted} = state) do
+    if MapSet.size(keys) == noted do
+      state
+    else
+      metadata = Map.put(state.metadata, "keys", Enum.sort(keys))
+
+      case Writer.put_metadata(state.stream, metadata) do
+        :ok -> %{state | noted: MapSet.size(keys)}
+        {:error, error} -> raise error
+      end
+    end
+  end
+end
