@@ -1,7 +1,7 @@
 // Layouts and links, and pages that outlive their server process.
 import { writeFileSync } from "node:fs";
-import { test, ok, until } from "./harness.mjs";
-import { open, settled, dispatch } from "./studio_page.mjs";
+import { test, equal, ok, until } from "./harness.mjs";
+import { open, settled, state, dispatch } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
@@ -50,4 +50,49 @@ test("8 layouts: the page survives its server process", async ({ page }) => {
   await page.evaluate(() => window.liveSocket.connect());
   await until(page, () => !document.querySelector(".phx-loading, .phx-client-error"), "connected again");
   await until(page, (n) => document.querySelectorAll(".row-box").length === n, "the layout is as it was", rows);
+});
+
+const rows = (page) => page.$$eval("[data-row]", (r) => r.map((e) => e.dataset.row));
+const cells = (page) => page.$$eval(".row-box.cells", (r) => r.map((e) => [...e.querySelectorAll("[data-panel]")].map((c) => c.dataset.panel)));
+
+test("8 layouts: panels are moved by dragging", async ({ page, shot }) => {
+  await open(page, main, "minute.0000");
+  const [pictures, sound, lanes] = await rows(page);
+  // a timeline to the top
+  await page.dragAndDrop(`#grip-${lanes}`, `#row-${pictures}`, { targetPosition: { x: 300, y: 20 } });
+  await until(page, (id) => document.querySelector("[data-row]").dataset.row === id, "the lanes are the first row", lanes);
+  equal((await rows(page)).slice(0, 3), [lanes, pictures, sound], "rows");
+  // one picture to the other side of the other, then below the sound
+  equal(await cells(page), [["p1", "p2"]], "pictures side by side");
+  await page.dragAndDrop("#grip-p1", "#cell-p2", { targetPosition: { x: 350, y: 110 } });
+  await until(page, () => document.querySelector(".row-box.cells .cell").dataset.panel === "p2", "the pictures change places");
+  await page.dragAndDrop("#grip-p1", `#row-${sound}`, { targetPosition: { x: 300, y: 80 } });
+  await until(page, () => document.querySelectorAll(".row-box.cells").length === 2, "a picture has a row of its own");
+  equal(await cells(page), [["p2"], ["p1"]], "pictures in rows of their own");
+  await page.$eval("#cell-p1", (e) => e.scrollIntoView());
+  await settled(page);
+  ok((await page.$eval("#body-p1 canvas", (c) => c.dataset.at)) !== undefined, "the moved picture is shown");
+  equal(await page.$$eval("[data-drop]", (e) => e.length), 0, "no mark is left");
+  await shot("moved");
+  // the address holds it
+  const before = await rows(page);
+  await until(page, () => new URLSearchParams(location.search).get("edit"), "the address holds the layout");
+  await page.goto(page.url());
+  await until(page, () => document.body?.dataset.ready === "1", "reloaded");
+  equal(await rows(page), before, "a reload shows the same order");
+});
+
+test("8 layouts: panels are moved by keys, and keep the focus", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  const before = await rows(page);
+  await page.focus(`#grip-${before[2]}`);
+  await page.keyboard.press("ArrowUp");
+  await until(page, (id) => document.querySelectorAll("[data-row]")[1].dataset.row === id, "one row up", before[2]);
+  await until(page, (id) => document.activeElement.id === `grip-${id}`, "the focus stays", before[2]);
+  await page.keyboard.press("ArrowUp");
+  await until(page, (id) => document.querySelector("[data-row]").dataset.row === id, "and another", before[2]);
+  await page.focus("#grip-p1");
+  await page.keyboard.press("ArrowRight");
+  await until(page, () => document.querySelector(".row-box.cells .cell").dataset.panel === "p2", "the pictures change places");
+  equal((await state(page)).cursor, 0, "the keys did not move the cursor");
 });

@@ -11,6 +11,7 @@ import { ImageCell } from "./image_cell.js";
 import { ValueCell } from "./value_cell.js";
 import { ChartCell, TextCell } from "./chart_cell.js";
 import { Palette } from "./palette.js";
+import { hooks as dragHooks, dragStream } from "./drag.js";
 import { hooks as extraHooks } from "./hooks.js";
 
 const KINDS = {
@@ -149,39 +150,12 @@ const hooks = {
         e.preventDefault();
         e.stopPropagation();
       });
-      this.el.addEventListener("dragstart", (e) => {
-        const row = e.target.closest(".node[data-stream]");
-        if (row) e.dataTransfer.setData("application/x-situ-stream", row.dataset.stream);
-      });
+      this.el.addEventListener("dragstart", dragStream);
       this.el.addEventListener("dblclick", (e) => e.target.closest(".node")?.querySelector(".add")?.click());
     },
   },
 
-  Drop: {
-    mounted() {
-      const over = (e) => {
-        if (!e.dataTransfer.types.includes("application/x-situ-stream")) return;
-        e.preventDefault();
-        this.mark(e.target.closest("[data-panel]"));
-      };
-      this.el.addEventListener("dragover", over);
-      this.el.addEventListener("dragleave", (e) => e.target === this.el && this.mark(null));
-      this.el.addEventListener("drop", (e) => {
-        const stream = e.dataTransfer.getData("application/x-situ-stream");
-        const panel = e.target.closest("[data-panel]")?.dataset.panel ?? "";
-        this.mark(null);
-        if (!stream) return;
-        e.preventDefault();
-        this.pushEvent("add_stream", { stream, panel });
-      });
-    },
-    mark(panel) {
-      if (this.marked === panel) return;
-      this.marked?.classList.remove("drop");
-      this.marked = panel;
-      panel?.classList.add("drop");
-    },
-  },
+  ...dragHooks,
   ...extraHooks,
 };
 

@@ -43,6 +43,8 @@ defmodule Situ.Studio.Layout do
           }
   end
 
+  alias Situ.Studio.Layout.Rows
+
   @enforce_keys [:name]
   defstruct [:name, rows: [], next: 1]
 
@@ -98,9 +100,9 @@ defmodule Situ.Studio.Layout do
 
   defp add_panel(layout, panel, vis, row) do
     id = "p#{layout.next}"
-    row = if panel in @timeline, do: nil, else: row || cell_row(layout) || "r#{layout.next}"
+    row = if panel in @timeline, do: nil, else: row || cell_row(layout) || Rows.free(layout.rows)
     new = %Panel{id: id, panel: panel, row: row, vis: [vis]}
-    {:ok, %{layout | rows: insert(layout.rows, new), next: layout.next + 1}, id}
+    {:ok, %{layout | rows: Rows.insert(layout.rows, new), next: layout.next + 1}, id}
   end
 
   # New cells join the last line of cells that has room.
@@ -111,21 +113,6 @@ defmodule Situ.Studio.Layout do
     |> Enum.filter(fn {_, cells} -> length(cells) < 3 end)
     |> Enum.map(&elem(&1, 0))
     |> List.last()
-  end
-
-  # Cells stand together and above the timelines.
-  defp insert(rows, %Panel{row: nil} = panel), do: rows ++ [panel]
-
-  defp insert(rows, %Panel{} = panel) do
-    case rows |> Enum.with_index() |> Enum.filter(fn {p, _} -> p.row == panel.row end) do
-      [] ->
-        {cells, timelines} = Enum.split_while(rows, & &1.row)
-        cells ++ [panel | timelines]
-
-      found ->
-        {_, last} = List.last(found)
-        List.insert_at(rows, last + 1, panel)
-    end
   end
 
   @doc "Changes one panel."
@@ -156,44 +143,41 @@ defmodule Situ.Studio.Layout do
   def resize(%__MODULE__{rows: rows} = layout, row_id, height) do
     height = height |> max(28) |> min(2_000)
 
-    rows =
-      Enum.map(rows, fn p -> if (p.row || p.id) == row_id, do: %{p | height: height}, else: p end)
+    rows = Enum.map(rows, fn p -> if Rows.id(p) == row_id, do: %{p | height: height}, else: p end)
 
     %{layout | rows: rows}
   end
 
   @doc "Moves a row up (-1) or down (1)."
   @spec move(t(), String.t(), -1 | 1) :: t()
-  def move(%__MODULE__{} = layout, row_id, by) do
-    lines = lines(layout)
-    from = Enum.find_index(lines, fn [p | _] -> (p.row || p.id) == row_id end)
-    to = from && from + by
+  def move(%__MODULE__{} = layout, row_id, by),
+    do: %{layout | rows: Rows.move(layout.rows, row_id, by)}
 
-    if from && to in 0..(length(lines) - 1) do
-      {line, rest} = List.pop_at(lines, from)
-      %{layout | rows: rest |> List.insert_at(to, line) |> List.flatten()}
-    else
-      layout
-    end
+  @doc """
+  Moves one panel above or below a row, or, where both are cells, to the left or right of another cell. What names
+  nothing changes nothing; a full row is an error.
+
+      iex> layout = Situ.Studio.Layout.new("")
+      iex> {:ok, layout, a} = Situ.Studio.Layout.add(layout, "A", "line", :plot, "")
+      iex> {:ok, layout, b} = Situ.Studio.Layout.add(layout, "B", "line", :plot, "")
+      iex> {:ok, layout} = Situ.Studio.Layout.place(layout, b, {:above, a})
+      iex> for p <- layout.rows, do: hd(p.vis).stream
+      ["B", "A"]
+  """
+  @spec place(t(), String.t(), Rows.place()) :: {:ok, t()} | {:error, Error.t()}
+  def place(%__MODULE__{} = layout, id, where) do
+    with {:ok, rows} <- Rows.place(layout.rows, id, where), do: {:ok, %{layout | rows: rows}}
+  end
+
+  @doc "Moves one panel a step: timelines up and down, cells in every direction, out of their row and into the next."
+  @spec shift(t(), String.t(), :up | :down | :left | :right) :: {:ok, t()} | {:error, Error.t()}
+  def shift(%__MODULE__{} = layout, id, way) do
+    with {:ok, rows} <- Rows.shift(layout.rows, id, way), do: {:ok, %{layout | rows: rows}}
   end
 
   @doc "The rows as shown: lists of panels side by side."
   @spec lines(t()) :: [[Panel.t(), ...]]
-  def lines(%__MODULE__{rows: rows}) do
-    Enum.chunk_while(
-      rows,
-      [],
-      fn
-        p, [] -> {:cont, [p]}
-        %{row: row} = p, [%{row: row} | _] = line when row != nil -> {:cont, line ++ [p]}
-        p, line -> {:cont, line, [p]}
-      end,
-      fn
-        [] -> {:cont, []}
-        line -> {:cont, line, []}
-      end
-    )
-  end
+  def lines(%__MODULE__{rows: rows}), do: Rows.lines(rows)
 
   @doc """
   The height of a line in pixels. `lanes` tells how many lanes a stream has, by its name, where there is more than one.

@@ -6,7 +6,7 @@ defmodule Situ.Studio.LayoutTest do
 
   doctest Situ.Studio.Link
 
-  @actions [:add, :remove, :resize, :move, :remove_vis, :threshold]
+  @actions [:add, :remove, :resize, :move, :remove_vis, :threshold, :place, :shift]
   @panels [:plot, :lanes, :image, :value, :bars]
 
   property "any editing gives a layout that its file and its link bring back" do
@@ -16,6 +16,10 @@ defmodule Situ.Studio.LayoutTest do
       assert Layout.from_json(Layout.to_json(layout)) == {:ok, renumber(layout)}
       assert Link.decode(Link.encode(layout)) == {:ok, renumber(layout)}
       assert Enum.all?(Layout.lines(layout), &(&1 != []))
+      # every row stands once, and holds either one timeline or cells
+      names = for [p | _] <- Layout.lines(layout), do: p.row || p.id
+      assert names == Enum.uniq(names)
+      assert Enum.all?(Layout.lines(layout), &(length(&1) <= 5))
     end
   end
 
@@ -44,6 +48,124 @@ defmodule Situ.Studio.LayoutTest do
 
   defp edit({:move, n, _}, layout),
     do: Layout.move(layout, "p#{n}", if(rem(n, 2) == 0, do: 1, else: -1))
+
+  defp edit({:place, n, panel}, layout) do
+    side = Enum.at([:above, :below, :left, :right], rem(n, 4))
+    target = if side in [:left, :right], do: "p#{rem(n * 5, 12) + 1}", else: row(layout, n * 7)
+    same_panels(layout, Layout.place(layout, "p#{n}", {side, target || Atom.to_string(panel)}))
+  end
+
+  defp edit({:shift, n, _}, layout),
+    do:
+      same_panels(
+        layout,
+        Layout.shift(layout, "p#{n}", Enum.at([:up, :down, :left, :right], rem(n, 4)))
+      )
+
+  defp row(layout, n) do
+    lines = Layout.lines(layout)
+    with [p | _] <- Enum.at(lines, rem(n, max(length(lines), 1))), do: p.row || p.id
+  end
+
+  # Moving loses nothing and makes nothing.
+  defp same_panels(before, {:ok, layout}) do
+    strip = fn l -> l.rows |> Enum.map(&%{&1 | row: nil, height: nil}) |> Enum.sort() end
+    assert strip.(layout) == strip.(before)
+    layout
+  end
+
+  defp same_panels(before, {:error, %{code: :full}}), do: before
+
+  describe "moving panels" do
+    # r1: A B | r2: C | plots P, Q
+    setup do
+      add = fn layout, stream, panel, row ->
+        {:ok, layout, _} = Layout.add(layout, stream, "x", panel, "", row: row)
+        layout
+      end
+
+      layout =
+        Layout.new("")
+        |> add.("A", :value, "r1")
+        |> add.("B", :value, "r1")
+        |> add.("C", :value, "r2")
+        |> add.("P", :plot, nil)
+        |> add.("Q", :lanes, nil)
+
+      {:ok, layout: layout}
+    end
+
+    defp streams({:ok, layout}), do: streams(layout)
+    defp streams(l), do: for(line <- Layout.lines(l), do: Enum.map(line, &hd(&1.vis).stream))
+
+    defp id(layout, stream), do: Enum.find(layout.rows, &(hd(&1.vis).stream == stream)).id
+
+    test "a timeline goes above or below any row", %{layout: l} do
+      assert streams(Layout.place(l, id(l, "Q"), {:above, "r1"})) == [
+               ["Q"],
+               ["A", "B"],
+               ["C"],
+               ["P"]
+             ]
+
+      assert streams(Layout.place(l, id(l, "P"), {:below, id(l, "Q")})) == [
+               ["A", "B"],
+               ["C"],
+               ["Q"],
+               ["P"]
+             ]
+    end
+
+    test "a timeline does not stand beside anything", %{layout: l} do
+      assert Layout.place(l, id(l, "P"), {:left, id(l, "A")}) == {:ok, l}
+      assert Layout.place(l, id(l, "A"), {:left, id(l, "P")}) == {:ok, l}
+    end
+
+    test "a cell goes beside another and takes the height of its row", %{layout: l} do
+      l = Layout.resize(l, "r1", 500)
+      {:ok, moved} = Layout.place(l, id(l, "C"), {:right, id(l, "A")})
+      assert streams(moved) == [["A", "C", "B"], ["P"], ["Q"]]
+      assert Layout.panel(moved, id(l, "C")).height == 500
+    end
+
+    test "a cell goes into a row of its own", %{layout: l} do
+      {:ok, moved} = Layout.place(l, id(l, "A"), {:below, id(l, "P")})
+      assert streams(moved) == [["B"], ["C"], ["P"], ["A"], ["Q"]]
+
+      assert streams(Layout.place(l, id(l, "A"), {:below, "r1"})) |> Enum.take(2) == [
+               ["B"],
+               ["A"]
+             ]
+    end
+
+    test "keys move a cell past its neighbour, out of its row and into the next", %{layout: l} do
+      assert streams(Layout.shift(l, id(l, "A"), :right)) |> hd() == ["B", "A"]
+      assert streams(Layout.shift(l, id(l, "B"), :right)) == [["A"], ["B", "C"], ["P"], ["Q"]]
+      assert streams(Layout.shift(l, id(l, "C"), :left)) == [["A", "B", "C"], ["P"], ["Q"]]
+      assert streams(Layout.shift(l, id(l, "B"), :up)) == [["B"], ["A"], ["C"], ["P"], ["Q"]]
+      assert streams(Layout.shift(l, id(l, "C"), :down)) == [["A", "B"], ["P"], ["C"], ["Q"]]
+      assert streams(Layout.shift(l, id(l, "P"), :up)) == [["A", "B"], ["P"], ["C"], ["Q"]]
+    end
+
+    test "what cannot move stays", %{layout: l} do
+      for {stream, way} <- [{"A", :left}, {"C", :right}, {"P", :left}, {"Q", :down}],
+          do: assert(Layout.shift(l, id(l, stream), way) == {:ok, l})
+
+      assert Layout.shift(l, "p99", :up) == {:ok, l}
+      assert Layout.place(l, "p99", {:above, "r1"}) == {:ok, l}
+      assert Layout.place(l, id(l, "A"), {:above, "r99"}) == {:ok, l}
+    end
+
+    test "a row that is full says so", %{layout: l} do
+      l =
+        Enum.reduce(1..3, l, fn i, l ->
+          {:ok, l, _} = Layout.add(l, "X#{i}", "x", :value, "", row: "r1")
+          l
+        end)
+
+      assert {:error, %{code: :full}} = Layout.place(l, id(l, "C"), {:left, id(l, "A")})
+    end
+  end
 
   property "no bytes make reading a layout or a link raise" do
     forall bytes <- binary() do

@@ -4,6 +4,9 @@ defmodule Situ.Studio.Web.Edit do
   alias Situ.{Error, Studio}
   alias Studio.{Layout, Visualizers}
 
+  @sides %{"above" => :above, "below" => :below, "left" => :left, "right" => :right}
+  @ways %{"up" => :up, "down" => :down, "left" => :left, "right" => :right}
+
   @spec apply(String.t(), map(), map()) :: {:ok, keyword()} | {:error, Error.t()} | :ignore
   def apply("add_stream", %{"stream" => stream} = params, assigns) do
     into = to_string(params["panel"])
@@ -55,6 +58,18 @@ defmodule Situ.Studio.Web.Edit do
 
   def apply("move_row", %{"id" => id, "by" => by}, assigns) when by in ["1", "-1"],
     do: {:ok, layout: Layout.move(assigns.layout, id, String.to_integer(by))}
+
+  # Dropped somewhere, or moved a step by a key.
+  def apply("place_panel", %{"id" => id, "side" => side, "target" => target}, assigns)
+      when is_map_key(@sides, side) and is_binary(id) and is_binary(target) do
+    with {:ok, layout} <- Layout.place(assigns.layout, id, {@sides[side], target}),
+         do: {:ok, layout: layout}
+  end
+
+  def apply("shift_panel", %{"id" => id, "way" => way}, assigns)
+      when is_map_key(@ways, way) and is_binary(id) do
+    with {:ok, layout} <- Layout.shift(assigns.layout, id, @ways[way]), do: {:ok, layout: layout}
+  end
 
   def apply("resize_row", %{"id" => id, "height" => height}, assigns)
       when is_integer(height) and is_binary(id),

@@ -26,6 +26,7 @@ defmodule Situ.Studio.Web.Icons do
     save: "M3 2.5h8l2.5 2.5v8.5h-10.5zM5 2.5V6h5V2.5M5 13.5V9h6v4.5",
     store: "M2.5 4.5h4l1.2 1.5h5.8v6.5h-11z",
     pipeline: "M2.5 8h3M10.5 4h3M10.5 12h3M5.5 6h5v4h-5zM10.5 4v8",
+    grip: "M6 3.5v.1M10 3.5v.1M6 8v.1M10 8v.1M6 12.5v.1M10 12.5v.1",
     tune: "M2.5 5h6M11.5 5h2M2.5 11h2M7.5 11h6M10 3.5v3M6 9.5v3"
   }
 

@@ -41,6 +41,7 @@ defmodule Situ.Studio.Web.Panels do
     <section class="row-box cells" id={"row-" <> row_id(@line)} data-row={row_id(@line)} style={"height: #{Layout.height(@line, @lanes)}px"}>
       <div :for={panel <- @line} :key={panel.id} id={"cell-" <> panel.id} class={["cell", @selected == {:panel, panel.id} && "selected"]} data-panel={panel.id}>
         <div class="cell-head">
+          <.grip id={panel.id} kind="cell" />
           <button class="title" type="button" phx-click="select_panel" phx-value-id={panel.id} title={names(panel)}>{names(panel)}</button>
           <button class="mini" type="button" phx-click="remove_panel" phx-value-id={panel.id} title="Remove" aria-label="Remove"><.icon name={:close} /></button>
         </div>
@@ -54,11 +55,18 @@ defmodule Situ.Studio.Web.Panels do
   defp tools(assigns) do
     ~H"""
     <div class="panel-tools">
+      <.grip id={@panel.id} kind="line" />
       <button class="mini" type="button" phx-click="select_panel" phx-value-id={@panel.id} title="Properties" aria-label="Properties"><.icon name={:tune} /></button>
       <button class="mini" type="button" phx-click="move_row" phx-value-id={@row} phx-value-by="-1" title="Up" aria-label="Up"><.icon name={:up} /></button>
       <button class="mini" type="button" phx-click="move_row" phx-value-id={@row} phx-value-by="1" title="Down" aria-label="Down"><.icon name={:down} /></button>
       <button class="mini" type="button" phx-click="remove_panel" phx-value-id={@panel.id} title="Remove" aria-label="Remove"><.icon name={:close} /></button>
     </div>
+    """
+  end
+
+  defp grip(assigns) do
+    ~H"""
+    <button id={"grip-" <> @id} class="mini grip" type="button" phx-hook="Grip" draggable="true" data-id={@id} data-grip={@kind} title={"Move: drag, or " <> if(@kind == "cell", do: "arrow keys", else: "up and down keys")} aria-label="Move this panel by arrow keys"><.icon name={:grip} /></button>
     """
   end
 

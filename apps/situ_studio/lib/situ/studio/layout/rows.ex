@@ -1,0 +1,126 @@
+defmodule Situ.Studio.Layout.Rows do
+  @moduledoc false
+  # The order of a layout's panels: lines from top to bottom, of cells the ones of a line from left to right. Pure.
+  alias Situ.Error
+  alias Situ.Studio.Layout.Panel
+
+  @type place ::
+          {:above | :below, row_id :: String.t()} | {:left | :right, panel_id :: String.t()}
+  @type placed :: {:ok, [Panel.t()]} | {:error, Error.t()}
+
+  @max_cells 5
+
+  @doc "What a panel's line is called."
+  @spec id(Panel.t()) :: String.t()
+  def id(%Panel{row: row, id: id}), do: row || id
+
+  @doc "Panels side by side are one line."
+  @spec lines([Panel.t()]) :: [[Panel.t(), ...]]
+  def lines(panels), do: Enum.chunk_by(panels, &id/1)
+
+  @doc "A new panel: cells stand together and above the timelines."
+  @spec insert([Panel.t()], Panel.t()) :: [Panel.t()]
+  def insert(panels, %Panel{row: nil} = panel), do: panels ++ [panel]
+
+  def insert(panels, %Panel{row: row} = panel) do
+    case panels |> Enum.with_index() |> Enum.filter(fn {p, _} -> p.row == row end) do
+      [] ->
+        {cells, timelines} = Enum.split_while(panels, & &1.row)
+        cells ++ [panel | timelines]
+
+      found ->
+        {_, last} = List.last(found)
+        List.insert_at(panels, last + 1, panel)
+    end
+  end
+
+  @doc "The name of a row of cells that there is not yet."
+  @spec free([Panel.t()]) :: String.t()
+  def free(panels) do
+    taken = MapSet.new(panels, & &1.row)
+    1 |> Stream.iterate(&(&1 + 1)) |> Stream.map(&"r#{&1}") |> Enum.find(&(&1 not in taken))
+  end
+
+  @spec move([Panel.t()], String.t(), -1 | 1) :: [Panel.t()]
+  def move(panels, row_id, by) do
+    lines = lines(panels)
+    from = index(lines, row_id)
+    to = from && from + by
+
+    if from && to in 0..(length(lines) - 1)//1 do
+      {line, rest} = List.pop_at(lines, from)
+      rest |> List.insert_at(to, line) |> List.flatten()
+    else
+      panels
+    end
+  end
+
+  @spec place([Panel.t()], String.t(), place()) :: placed()
+  def place(panels, id, {side, target}) when side in [:above, :below] do
+    {taken, rest} = Enum.split_with(panels, &(&1.id == id))
+    lines = lines(rest)
+
+    case {taken, index(lines, target)} do
+      {[panel], at} when at != nil ->
+        panel = if panel.row, do: %{panel | row: free(rest)}, else: panel
+        at = if side == :below, do: at + 1, else: at
+        {:ok, lines |> List.insert_at(at, [panel]) |> List.flatten()}
+
+      _ ->
+        {:ok, panels}
+    end
+  end
+
+  def place(panels, id, {side, target}) when side in [:left, :right] do
+    {taken, rest} = Enum.split_with(panels, &(&1.id == id))
+
+    with [%Panel{row: own} = panel] when own != nil <- taken,
+         at when at != nil <- Enum.find_index(rest, &(&1.id == target)),
+         %Panel{row: row, height: height} when row != nil <- Enum.at(rest, at) do
+      if Enum.count(rest, &(&1.row == row)) < @max_cells do
+        at = if side == :right, do: at + 1, else: at
+        {:ok, List.insert_at(rest, at, %{panel | row: row, height: height})}
+      else
+        {:error, Error.new(:full, "a row holds at most #{@max_cells} panels side by side")}
+      end
+    else
+      _ -> {:ok, panels}
+    end
+  end
+
+  @spec shift([Panel.t()], String.t(), :up | :down | :left | :right) :: placed()
+  def shift(panels, id, way) do
+    lines = lines(panels)
+    at = Enum.find_index(lines, fn line -> Enum.any?(line, &(&1.id == id)) end)
+    if at, do: shift(panels, lines, at, id, way), else: {:ok, panels}
+  end
+
+  # A line as a whole, or a cell out of its line.
+  defp shift(panels, lines, at, id, way) when way in [:up, :down] do
+    {by, side} = if way == :up, do: {-1, :above}, else: {1, :below}
+
+    case Enum.at(lines, at) do
+      [panel] -> {:ok, move(panels, id(panel), by)}
+      [panel | _] -> place(panels, id, {side, id(panel)})
+    end
+  end
+
+  # Past its neighbour; from the end of a line of cells into the next line of cells.
+  defp shift(panels, lines, at, id, way) do
+    line = Enum.at(lines, at)
+    step = if way == :left, do: -1, else: 1
+    i = Enum.find_index(line, &(&1.id == id)) + step
+
+    cond do
+      i in 0..(length(line) - 1)//1 -> place(panels, id, {way, Enum.at(line, i).id})
+      at + step < 0 -> {:ok, panels}
+      true -> join(panels, id, way, Enum.at(lines, at + step))
+    end
+  end
+
+  defp join(panels, _, _, nil), do: {:ok, panels}
+  defp join(panels, id, :left, line), do: place(panels, id, {:right, List.last(line).id})
+  defp join(panels, id, :right, line), do: place(panels, id, {:left, hd(line).id})
+
+  defp index(lines, row_id), do: Enum.find_index(lines, fn [panel | _] -> id(panel) == row_id end)
+end
