@@ -39,9 +39,15 @@ impl Input<'_> {
     }
 }
 
-/// The number that an external term is, if it is one (numbers among other terms of a stream).
+/// The number that an external term is, if it is one (numbers and truths among other terms of a stream).
 pub fn term_number(bytes: &[u8]) -> Option<f64> {
     match *bytes {
+        // Atoms as older and as newer systems write them.
+        [131, 100, 0, 4, b't', b'r', b'u', b'e'] | [131, 119, 4, b't', b'r', b'u', b'e'] => {
+            Some(1.0)
+        }
+        [131, 100, 0, 5, b'f', b'a', b'l', b's', b'e']
+        | [131, 119, 5, b'f', b'a', b'l', b's', b'e'] => Some(0.0),
         [131, 97, n] => Some(n as f64),
         [131, 98, a, b, c, d] => Some(i32::from_be_bytes([a, b, c, d]) as f64),
         [131, 70, a, b, c, d, e, f, g, h] => Some(f64::from_be_bytes([a, b, c, d, e, f, g, h])),

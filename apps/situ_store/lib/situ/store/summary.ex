@@ -33,6 +33,9 @@ defmodule Situ.Store.Summary do
   defp points(%{data: number, originating_time: time}) when is_number(number),
     do: [{time, number / 1, number / 1, number / 1, 1}]
 
+  defp points(%{data: true} = message), do: points(%{message | data: 1})
+  defp points(%{data: false} = message), do: points(%{message | data: 0})
+
   defp points(%{data: %module{} = data, originating_time: time}) do
     if Code.ensure_loaded?(module) and function_exported?(module, :points, 2),
       do: module.points(data, time),
