@@ -2,8 +2,11 @@
 
     pip install numpy 'opencv-python-headless<5' scipy soxr
     python bench/python/kernels.py [REPS]
+    python bench/python/kernels.py serve
 
-The value of `_cpu` is the median over REPS (default 5) of process CPU time an operation, microseconds.
+The value of `_cpu` is the median over REPS (default 5) of process CPU time an operation, microseconds. `serve` is for
+bench/tests/kernels_beside.exs: it prints the names of the jobs, then for each `NAME CALLS` on standard input the
+microseconds each call took.
 """
 import statistics
 import sys
@@ -63,5 +66,22 @@ def main(reps):
         print(f"kernel_{name}_cpu.min,{min(cpu):.6g},us/op")
 
 
+def serve():
+    table = {name: job for name, _, job in jobs()}
+    print(" ".join(table), flush=True)
+    for line in sys.stdin:
+        name, calls = line.split()
+        times = []
+        for _ in range(int(calls)):
+            started = time.perf_counter_ns()
+            result = table[name]()
+            times.append((time.perf_counter_ns() - started) / 1000)
+            del result
+        print(*times, flush=True)
+
+
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
+    if sys.argv[1:] == ["serve"]:
+        serve()
+    else:
+        main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)

@@ -9,13 +9,20 @@ defmodule Situ.Bench.Kernels do
   def tests, do: [{"kernels", &kernels/1}]
 
   defp kernels(scale) do
+    Enum.flat_map(jobs(), fn {name, n, job} ->
+      time("kernel_" <> name, max(round(n * scale), 3), job)
+    end)
+  end
+
+  @doc "Name, how often at scale 1, and a function that does it once and says whether the result has its size."
+  def jobs do
     hd1080 = picture(1920, 1080)
     hd720 = picture(1280, 720)
     gray1080 = Image.convert!(hd1080, :gray8)
     {:ok, jpeg} = Image.encode_jpeg(hd720, quality: 85)
     sound = sound(480_000)
 
-    jobs = [
+    [
       {"resize_1080p_640x360", 60, fn -> Image.resize!(hd1080, 640, 360).width == 640 end},
       {"resize_1080p_854x480", 60, fn -> Image.resize!(hd1080, 854, 480).width == 854 end},
       {"bgr_to_gray_1080p", 60, fn -> Image.convert!(hd1080, :gray8).format == :gray8 end},
@@ -27,10 +34,6 @@ defmodule Situ.Bench.Kernels do
       {"resample_10s_48k_16k", 30,
        fn -> AudioBuffer.frames(AudioBuffer.resample!(sound, 16_000)) == 160_000 end}
     ]
-
-    Enum.flat_map(jobs, fn {name, n, job} ->
-      time("kernel_" <> name, max(round(n * scale), 3), job)
-    end)
   end
 
   defp time(metric, n, job) do
