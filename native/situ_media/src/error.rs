@@ -12,6 +12,7 @@ pub enum Code {
     BadJpeg,
     BadPng,
     BadAudio,
+    BadFont,
     OutOfMemory,
     Failed,
 }

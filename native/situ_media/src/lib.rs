@@ -19,4 +19,5 @@ pub mod png_file;
 pub mod resize;
 pub mod statistics;
 pub mod tensor;
+pub mod text;
 pub mod yuv;

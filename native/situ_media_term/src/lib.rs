@@ -101,7 +101,7 @@ pub fn picture<'a>(
 mod atoms {
     rustler::atoms! {
         ok, error, bad_image, bad_format, bad_size, bad_rect, bad_option, too_large, bad_jpeg, bad_png,
-        bad_audio, out_of_memory, failed
+        bad_audio, bad_font, out_of_memory, failed
     }
 }
 
@@ -124,6 +124,7 @@ fn atom(code: Code) -> rustler::Atom {
         Code::BadJpeg => atoms::bad_jpeg(),
         Code::BadPng => atoms::bad_png(),
         Code::BadAudio => atoms::bad_audio(),
+        Code::BadFont => atoms::bad_font(),
         Code::OutOfMemory => atoms::out_of_memory(),
         Code::Failed => atoms::failed(),
     }

@@ -16,11 +16,10 @@ struct situ_picture {
 };
 
 struct situ_shape {
-  int32_t kind;  // 0 line, 1 rectangle, 2 circle, 3 text
-  double a, b, c, d;  // line: from, to; rectangle: x, y, w, h; circle: x, y, radius; text: x, y, size
+  int32_t kind;       // 0 line, 1 rectangle, 2 circle
+  double a, b, c, d;  // line: from, to; rectangle: x, y, w, h; circle: x, y, radius
   double color[4];
   int32_t thickness;  // -1: filled
-  const char *text;
 };
 }
 
@@ -67,13 +66,6 @@ const int INTERPOLATIONS[] = {cv::INTER_NEAREST, cv::INTER_LINEAR, cv::INTER_CUB
 const int BORDERS[] = {cv::BORDER_CONSTANT, cv::BORDER_REPLICATE};
 const int MORPHS[] = {cv::MORPH_ERODE, cv::MORPH_DILATE, cv::MORPH_OPEN, cv::MORPH_CLOSE};
 
-void draw_text(cv::Mat &to, const situ_shape &s) {
-  // `size` is the height of a capital letter in pixels; Hershey's is 21 units high at scale 1.
-  double scale = s.c / 21.0;
-  cv::putText(to, s.text, cv::Point(cvRound(s.a), cvRound(s.b + s.c)), cv::FONT_HERSHEY_SIMPLEX, scale,
-              scalar(s.color), std::max(1, s.thickness), cv::LINE_AA);
-}
-
 void draw_one(cv::Mat &to, const situ_shape &s) {
   // Sub-pixel places: OpenCV takes them as fixed point with `shift` fraction bits.
   const int shift = 4;
@@ -90,11 +82,8 @@ void draw_one(cv::Mat &to, const situ_shape &s) {
         cv::rectangle(to, {cvRound(s.a), cvRound(s.b)}, {cvRound(s.a + s.c) - 1, cvRound(s.b + s.d) - 1},
                       scalar(s.color), s.thickness);
       break;
-    case 2:
-      cv::circle(to, {fix(s.a), fix(s.b)}, fix(s.c), scalar(s.color), s.thickness, aa, shift);
-      break;
     default:
-      draw_text(to, s);
+      cv::circle(to, {fix(s.a), fix(s.b)}, fix(s.c), scalar(s.color), s.thickness, aa, shift);
   }
 }
 
@@ -163,10 +152,9 @@ int situ_equalize(const situ_picture *src, situ_picture *dst, char *error, size_
   return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) { cv::equalizeHist(from, to); });
 }
 
-int situ_draw(const situ_picture *src, situ_picture *dst, const situ_shape *shapes, size_t count, char *error,
-              size_t room) {
-  return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) {
-    from.copyTo(to);
+// Onto the picture itself.
+int situ_draw(situ_picture *dst, const situ_shape *shapes, size_t count, char *error, size_t room) {
+  return guarded(dst, dst, error, room, [&](cv::Mat &, cv::Mat &to) {
     for (size_t i = 0; i < count; i++) draw_one(to, shapes[i]);
   });
 }

@@ -21,8 +21,10 @@ pub struct CShape {
     pub place: [f64; 4],
     pub color: [f64; 4],
     pub thickness: i32,
-    pub text: *const c_char,
 }
+
+/// Bytes of an error's text.
+const ERROR_ROOM: usize = 512;
 
 extern "C" {
     fn situ_warp_affine(
@@ -98,7 +100,6 @@ extern "C" {
         room: usize,
     ) -> i32;
     fn situ_draw(
-        src: *const CPicture,
         dst: *mut CPicture,
         shapes: *const CShape,
         count: usize,
@@ -114,7 +115,7 @@ pub struct Sampling {
     pub color: [f64; 4],
 }
 
-pub enum Call<'a> {
+pub enum Call {
     WarpAffine([f64; 6], Sampling),
     WarpPerspective([f64; 9], Sampling),
     ResizeBilinear,
@@ -125,7 +126,6 @@ pub enum Call<'a> {
     Sobel,
     Morphology(i32, i32),
     Equalize,
-    Draw(&'a [CShape]),
 }
 
 fn c_picture(shape: Shape, stride: usize, data: *mut u8) -> CPicture {
@@ -173,7 +173,7 @@ pub fn call(src: &View, shape: Shape, out: &mut [u8], call: &Call) -> Result<()>
     // C++ reads through this pointer only.
     let from = c_picture(src.shape, stride, data.as_ptr() as *mut u8);
     let mut to = c_picture(shape, shape.row_bytes(), out.as_mut_ptr());
-    let mut text = [0 as c_char; 512];
+    let mut text = [0 as c_char; ERROR_ROOM];
     let (e, n) = (text.as_mut_ptr(), text.len());
     // SAFETY: `View` guarantees that every row of `src` lies in its slice, `out` has exactly the bytes of `shape`, the
     // C++ side checks that OpenCV wrote there, catches every exception, and fills `text` with at most `n` bytes.
@@ -207,13 +207,32 @@ pub fn call(src: &View, shape: Shape, out: &mut [u8], call: &Call) -> Result<()>
             Call::Sobel => situ_sobel(&from, &mut to, e, n),
             Call::Morphology(kind, size) => situ_morphology(&from, &mut to, *kind, *size, e, n),
             Call::Equalize => situ_equalize(&from, &mut to, e, n),
-            Call::Draw(shapes) => situ_draw(&from, &mut to, shapes.as_ptr(), shapes.len(), e, n),
         }
     };
+    outcome(status, text)
+}
+
+/// Draws onto a picture of `shape` without gaps.
+pub fn draw_on(shape: Shape, out: &mut [u8], shapes: &[CShape]) -> Result<()> {
+    if out.len() != shape.bytes() || shape.width.max(shape.height) > 1 << 30 {
+        return fail(Code::Failed, "the buffer does not fit the picture");
+    }
+    let mut to = c_picture(shape, shape.row_bytes(), out.as_mut_ptr());
+    let mut text = [0 as c_char; ERROR_ROOM];
+    // SAFETY: `out` has exactly the bytes of `shape`; C++ reads `shapes.len()` shapes, catches every exception, and fills
+    // `text` with at most its length.
+    let status = unsafe {
+        let (e, n) = (text.as_mut_ptr(), text.len());
+        situ_draw(&mut to, shapes.as_ptr(), shapes.len(), e, n)
+    };
+    outcome(status, text)
+}
+
+fn outcome(status: i32, mut text: [c_char; ERROR_ROOM]) -> Result<()> {
     if status == 0 {
         return Ok(());
     }
-    text[n - 1] = 0;
+    text[ERROR_ROOM - 1] = 0;
     // SAFETY: the last byte was just set to 0.
     let message = unsafe { CStr::from_ptr(text.as_ptr()) }.to_string_lossy();
     fail(Code::Failed, format!("OpenCV: {message}"))

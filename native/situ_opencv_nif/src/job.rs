@@ -1,11 +1,11 @@
 //! OpenCV kernels as terms: `{:gaussian, image, 5, 1.4}`.
 
-use crate::ffi::{call, CShape, Call, Sampling};
-use rustler::{Env, NifTaggedEnum, NifUnitEnum, Term};
+use crate::drawing::{draw, typeface, Figure};
+use crate::ffi::{call, Call, Sampling};
+use rustler::{Binary, Encoder, Env, NifTaggedEnum, NifUnitEnum, Term};
 use situ_media::error::{fail, Code, Result};
 use situ_media::picture::{Format, Shape, View};
 use situ_media_term::{picture, Picture};
-use std::ffi::CString;
 
 #[derive(Clone, Copy, NifUnitEnum)]
 pub enum Interpolation {
@@ -30,8 +30,6 @@ pub enum Morph {
 
 type Color = (f64, f64, f64, f64);
 type Edge = (Interpolation, Border, Color);
-/// Kind, four numbers, colour, thickness, text.
-type ShapeTerm = (i32, (f64, f64, f64, f64), Color, i32, String);
 
 #[derive(NifTaggedEnum)]
 pub enum Job<'a> {
@@ -45,7 +43,9 @@ pub enum Job<'a> {
     Sobel(Picture<'a>),
     Morphology(Picture<'a>, Morph, i32),
     Equalize(Picture<'a>),
-    Draw(Picture<'a>, Vec<ShapeTerm>),
+    Draw(Picture<'a>, Vec<Figure<'a>>),
+    /// Text, height of a capital, font files.
+    MeasureText(&'a str, f64, Vec<Binary<'a>>),
 }
 
 impl<'a> Job<'a> {
@@ -79,7 +79,10 @@ impl<'a> Job<'a> {
                 window(*size, 255)?;
                 same(env, &p.view()?, &Call::Morphology(*kind as i32, *size))
             }
-            Job::Draw(p, shapes) => draw(env, &p.view()?, shapes),
+            Job::Draw(p, figures) => draw(env, &p.view()?, figures),
+            Job::MeasureText(text, size, fonts) => {
+                Ok(typeface(fonts)?.measure(text, *size)?.encode(env))
+            }
         }
     }
 }
@@ -142,47 +145,4 @@ fn gray8<'a>(env: Env<'a>, view: &View, kernel: &Call) -> Result<Term<'a>> {
         return fail(Code::BadFormat, what);
     }
     same(env, view, kernel)
-}
-
-fn draw<'a>(env: Env<'a>, view: &View, shapes: &[ShapeTerm]) -> Result<Term<'a>> {
-    let texts: Vec<CString> = shapes
-        .iter()
-        .map(|s| printable(&s.4))
-        .collect::<Result<_>>()?;
-    let shapes: Vec<CShape> = shapes
-        .iter()
-        .zip(&texts)
-        .map(|((kind, place, color, thickness, _), text)| CShape {
-            kind: *kind,
-            place: (*place).into(),
-            color: (*color).into(),
-            thickness: (*thickness).clamp(-1, 1000),
-            text: text.as_ptr(),
-        })
-        .collect();
-    // Beyond this OpenCV's fixed point overflows; what lies so far outside is not seen anyway.
-    let reach = 1e6;
-    let fits = |s: &CShape| s.place.iter().all(|v| v.abs() <= reach);
-    if !shapes.iter().all(fits) {
-        return fail(
-            Code::BadOption,
-            "shapes must lie within 1,000,000 pixels of the picture",
-        );
-    }
-    same(env, view, &Call::Draw(&shapes))
-}
-
-/// OpenCV's letters are ASCII; anything else would come out as question marks one by one for each byte.
-fn printable(text: &str) -> Result<CString> {
-    let ascii: String = text
-        .chars()
-        .map(|c| {
-            if c.is_ascii() && !c.is_control() {
-                c
-            } else {
-                '?'
-            }
-        })
-        .collect();
-    CString::new(ascii).or_else(|_| fail(Code::BadOption, "the text holds a zero"))
 }

@@ -256,6 +256,7 @@ defmodule Situ.Image do
   defdelegate fill_circle(image, center, radius, opts \\ []), to: Drawing
   defdelegate draw_text(image, at, text, opts \\ []), to: Drawing
   defdelegate draw_detections(image, rects, opts \\ []), to: Drawing
+  defdelegate text_size(text, opts \\ []), to: Drawing
 
   # Measurements
   defdelegate statistics(image, opts \\ []), to: Measure
@@ -277,7 +278,7 @@ defmodule Situ.Image do
   @twins ~w(crop resize scale letterbox flip rotate warp_affine warp_perspective paste convert invert threshold
             extract_channel absdiff convolve pseudo_colorize blur box_blur median_blur canny sobel erode dilate open
             close equalize draw draw_line draw_rectangle fill_rectangle draw_circle fill_circle draw_text
-            draw_detections statistics average_color histogram compare to_f32 encode_jpeg encode_png parse
+            draw_detections text_size statistics average_color histogram compare to_f32 encode_jpeg encode_png parse
             decode_depth read from_raw from_yuv)a
 
   for {name, arity} <- Module.definitions_in(__MODULE__, :def), name in @twins do

@@ -3,20 +3,31 @@ defmodule Situ.Image.Drawing do
   Lines, rectangles, circles and text on a copy of a picture. Call them through `Situ.Image`; `draw/2` takes many shapes
   and copies the picture once.
 
-  | shape | drawn |
-  |---|---|
-  | `{:line, {x, y}, {x, y}, opts}` | from, to |
-  | `{:rectangle, rect, opts}` | `Situ.Rect` or `{x, y, width, height}`; outline on its edge |
-  | `{:fill_rectangle, rect, opts}` | its inside |
-  | `{:circle, {x, y}, radius, opts}` | outline centred on its edge |
-  | `{:fill_circle, {x, y}, radius, opts}` | a disc |
-  | `{:text, {x, y}, string, opts}` | top left corner; OpenCV's Hershey font: ASCII, the rest becomes `?` |
+  | shape | drawn | options |
+  |---|---|---|
+  | `{:line, {x, y}, {x, y}, opts}` | from, to | `color:`, `width:` |
+  | `{:rectangle, rect, opts}` | `Situ.Rect` or `{x, y, width, height}`; outline on its edge | `color:`, `width:` |
+  | `{:fill_rectangle, rect, opts}` | its inside | `color:` |
+  | `{:circle, {x, y}, radius, opts}` | outline centred on its edge | `color:`, `width:` |
+  | `{:fill_circle, {x, y}, radius, opts}` | a disc | `color:` |
+  | `{:text, {x, y}, string, opts}` | top left corner of the first line's capitals | `color:`, `size:`, `font:`, `background:` |
 
-  Options: `color:` (see `Situ.Image.Color`, default `:red`), `width:` of lines in pixels (default 1), `size:` of text in
-  pixels (height of a capital, default 16), `background:` of text (default none).
+  `color:` is a `Situ.Image.Color` (default `:red`), `width:` that of lines in pixels (default 1). Places may lie outside of
+  the picture, up to 1,000,000 pixels; what does is cut off.
+
+  Text is any Unicode text (marks, ligatures, right to left), in lines separated by `\\n`, anti-aliased:
+
+    * `size:` height of a capital in pixels, 1 to 2000 (default 16)
+    * `font:` the path of a TrueType or OpenType file, or several: a character is taken from the first that has it. What
+      they lack comes from DejaVu Sans, which is part of Situ and the default: Latin, Greek, Cyrillic, Hebrew, Arabic and
+      more, but no Chinese, Japanese or Korean. What no font has is drawn as a box. A file that is no font is the error
+      `:bad_font`.
+    * `background:` colour of a box behind the text, 2 pixels larger on each side (default none)
+
+  Colour fonts (emoji) have no outlines to draw: only those in one colour work.
   """
   alias Situ.{Image, Point2, Rect}
-  alias Situ.Image.Color
+  alias Situ.Image.{Color, Text}
   alias Situ.Media.Kernel
 
   @type point :: {number(), number()} | Point2.t()
@@ -33,9 +44,14 @@ defmodule Situ.Image.Drawing do
   @spec draw(Image.t(), [tuple()]) :: Image.result()
   def draw(%Image{} = image, shapes) when is_list(shapes) do
     with {:ok, image} <- Image.validate(image) do
-      terms = Enum.flat_map(shapes, &shape(&1, image.format))
-      Kernel.opencv({:draw, image, terms}, byte_size(image.data) / 8000 + 20 * length(terms))
+      terms = Enum.map(shapes, &shape(&1, image.format))
+      with :ok <- Text.check(terms), do: Kernel.opencv({:draw, image, terms}, cost(image, terms))
     end
+  end
+
+  defp cost(image, terms) do
+    texts = Enum.count(terms, &(elem(&1, 0) == :text))
+    byte_size(image.data) / 8000 + 20 * length(terms) + Text.cost_us() * texts
   end
 
   @doc "A line from point to point."
@@ -60,16 +76,40 @@ defmodule Situ.Image.Drawing do
   def fill_circle(image, center, radius, opts \\ []),
     do: draw(image, [{:fill_circle, center, radius, opts}])
 
-  @doc "Text with its top left corner at a point."
+  @doc """
+  Text with the top left corner of its capitals at a point.
+
+      iex> {:ok, image} = Situ.Image.draw_text(Situ.Image.filled(90, 30, :gray8), {4, 6}, "Ωmega, ça", size: 14, color: :white)
+      iex> {:ok, %{gray: ink}} = Situ.Image.statistics(image)
+      iex> ink.max
+      254
+  """
   @spec draw_text(Image.t(), point(), String.t(), keyword()) :: Image.result()
   def draw_text(image, at, text, opts \\ []), do: draw(image, [{:text, at, text, opts}])
 
   @doc """
-  Boxes with label and score above them, each label in a colour of its own: what detectors answer.
+  Width and height of text in pixels, to place it: the widest line, and from the top of the first line's capitals to the
+  foot of the last line. Options `size:` and `font:` as for drawing.
+
+      iex> {:ok, {width, height}} = Situ.Image.text_size("three\\nlines\\nof text", size: 20)
+      iex> {width > 60 and width < 110, height > 80 and height < 100}
+      {true, true}
+  """
+  @spec text_size(String.t(), keyword()) :: {:ok, {float(), float()}} | {:error, Situ.Error.t()}
+  def text_size(text, opts \\ []), do: Text.measure(text, opts)
+
+  @doc """
+  Boxes with label and score above them, each label in a colour of its own: what detectors answer. Options: `width:` of
+  the lines (2), `size:` and `font:` of the labels (14, the default font).
+
+      iex> face = Situ.Rect.new!(x: 30, y: 30, width: 20, height: 20, label: "Zoë", score: 0.9)
+      iex> {:ok, image} = Situ.Image.draw_detections(Situ.Image.filled(80, 60, :bgr24), [face])
+      iex> Situ.Image.fetch_pixel(image, 30, 40) == {:ok, [0, 0, 0]}
+      false
   """
   @spec draw_detections(Image.t(), [Rect.t()], keyword()) :: Image.result()
   def draw_detections(image, rects, opts \\ []) do
-    opts = Keyword.validate!(opts, width: 2, size: 14)
+    opts = Keyword.validate!(opts, width: 2, size: 14, font: nil)
     draw(image, Enum.flat_map(rects, &detection(&1, opts)))
   end
 
@@ -89,69 +129,56 @@ defmodule Situ.Image.Drawing do
     score = if rect.score, do: :erlang.float_to_binary(rect.score * 1.0, decimals: 2)
     label = [rect.label, score] |> Enum.reject(&is_nil/1) |> Enum.join(" ")
     box = {:rectangle, rect, color: color, width: opts[:width]}
-    at = {rect.x, max(rect.y - opts[:size] - 6, 0)}
-    text = {:text, at, label, color: :white, background: color, size: opts[:size]}
+    # The label's foot stands on the box.
+    at = {rect.x + 2, max(rect.y - 1.35 * opts[:size] - 3, 2)}
+
+    text =
+      {:text, at, label, color: :white, background: color, size: opts[:size], font: opts[:font]}
+
     if label == "", do: [box], else: [box, text]
   end
 
   defp shape({:line, from, to, opts}, format) do
     {{x1, y1}, {x2, y2}} = {point(from), point(to)}
-    [term(0, {x1, y1, x2, y2}, format, opts, width(opts))]
+    outline(0, {x1, y1, x2, y2}, format, opts)
   end
 
-  defp shape({:rectangle, rect, opts}, format),
-    do: [term(1, rect(rect), format, opts, width(opts))]
+  defp shape({:rectangle, rect, opts}, format), do: outline(1, rect(rect), format, opts)
+  defp shape({:fill_rectangle, rect, opts}, format), do: filled(1, rect(rect), format, opts)
 
-  defp shape({:fill_rectangle, rect, opts}, format), do: [term(1, rect(rect), format, opts, -1)]
+  defp shape({:circle, center, radius, opts}, format),
+    do: outline(2, circle(center, radius), format, opts)
 
-  defp shape({:circle, center, radius, opts}, format) do
-    {x, y} = point(center)
-    [term(2, {x, y, radius(radius), 0.0}, format, opts, width(opts))]
-  end
+  defp shape({:fill_circle, center, radius, opts}, format),
+    do: filled(2, circle(center, radius), format, opts)
 
-  defp shape({:fill_circle, center, radius, opts}, format) do
-    {x, y} = point(center)
-    [term(2, {x, y, radius(radius), 0.0}, format, opts, -1)]
-  end
-
-  defp shape({:text, at, text, opts}, format) do
-    {x, y} = point(at)
-    size = Keyword.get(opts, :size, 16) * 1.0
-    width = Keyword.get(opts, :width, max(1, round(size / 12)))
-
-    background(opts[:background], {x, y, size, text}, format) ++
-      [text_term({x, y, size, 0.0}, format, opts, width, text)]
-  end
+  defp shape({:text, at, text, opts}, format), do: Text.term(point(at), text, opts, format)
 
   defp shape(other, _format) do
     raise ArgumentError, "unknown shape #{inspect(other)}; see Situ.Image.Drawing"
   end
 
-  defp background(nil, _where, _format), do: []
-
-  # Hershey's simplex letters are about 0.87 of a capital's height wide, and hang a third below the line.
-  defp background(color, {x, y, size, text}, format) do
-    box = {x - 2.0, y - 2.0, String.length(text) * size * 0.87 + 4.0, size * 1.35 + 4.0}
-    [term(1, box, format, [color: color], -1)]
+  defp outline(kind, place, format, opts) do
+    opts = Keyword.validate!(opts, color: :red, width: 1)
+    width = opts[:width] |> max(1) |> round()
+    {:shape, kind, place, Color.scalar(format, opts[:color]), width}
   end
 
-  defp term(kind, place, format, opts, thickness) do
-    {kind, place, Color.scalar(format, Keyword.get(opts, :color, :red)), thickness, ""}
+  defp filled(kind, place, format, opts) do
+    opts = Keyword.validate!(opts, color: :red)
+    {:shape, kind, place, Color.scalar(format, opts[:color]), -1}
   end
 
-  defp text_term(place, format, opts, thickness, text) do
-    {3, place, Color.scalar(format, Keyword.get(opts, :color, :red)), thickness, text}
+  defp circle(center, radius) when is_number(radius) and radius >= 0 do
+    {x, y} = point(center)
+    {x, y, radius * 1.0, 0.0}
   end
+
+  defp circle(_center, other),
+    do: raise(ArgumentError, "a radius is 0 or more, got: #{inspect(other)}")
 
   defp point(%Point2{x: x, y: y}), do: {x * 1.0, y * 1.0}
   defp point({x, y}), do: {x * 1.0, y * 1.0}
   defp rect(%Rect{} = r), do: {r.x * 1.0, r.y * 1.0, r.width * 1.0, r.height * 1.0}
   defp rect({x, y, w, h}), do: {x * 1.0, y * 1.0, w * 1.0, h * 1.0}
-
-  defp radius(radius) when is_number(radius) and radius >= 0, do: radius * 1.0
-
-  defp radius(other),
-    do: raise(ArgumentError, "a radius is 0 or more, got: #{inspect(other)}")
-
-  defp width(opts), do: opts |> Keyword.get(:width, 1) |> max(1) |> round()
 end

@@ -1,0 +1,76 @@
+defmodule Situ.Image.Text do
+  @moduledoc false
+  # Text as the native side takes it: checked, with the font files to look in.
+
+  alias Situ.{Error, Image}
+  alias Situ.Image.Color
+  alias Situ.Media.Kernel
+
+  @drawn [color: :red, size: 16, font: nil, background: nil]
+  @measured [size: 16, font: nil]
+
+  # Placing and drawing a character takes about 5 us; reading a font file the first time a millisecond: never inline.
+  @cost_us 500
+
+  @spec cost_us() :: pos_integer()
+  def cost_us, do: @cost_us
+
+  @spec term({float(), float()}, String.t(), keyword(), Image.Format.t()) :: tuple()
+  def term({x, y}, text, opts, format) when is_binary(text) do
+    opts = Keyword.validate!(opts, @drawn)
+    background = opts[:background] && Color.scalar(format, opts[:background])
+    place = {x, y, size(opts)}
+    {:text, place, Color.scalar(format, opts[:color]), background, text, fonts(opts[:font])}
+  end
+
+  def term(_at, other, _opts, _format),
+    do: raise(ArgumentError, "text to draw is a string, got: #{inspect(other)}")
+
+  @doc "The native side takes UTF-8 only."
+  @spec check([tuple()]) :: :ok | {:error, Error.t()}
+  def check(terms) do
+    case Enum.find(terms, &(elem(&1, 0) == :text and not String.valid?(elem(&1, 4)))) do
+      nil -> :ok
+      term -> {:error, not_utf8(elem(term, 4))}
+    end
+  end
+
+  @spec measure(String.t(), keyword()) :: {:ok, {float(), float()}} | {:error, Error.t()}
+  def measure(text, opts) when is_binary(text) do
+    opts = Keyword.validate!(opts, @measured)
+
+    if String.valid?(text),
+      do: Kernel.opencv({:measure_text, text, size(opts), fonts(opts[:font])}, @cost_us),
+      else: {:error, not_utf8(text)}
+  end
+
+  defp not_utf8(text) do
+    Error.new(:bad_option, "text to draw must be UTF-8, got: #{inspect(text, limit: 20)}",
+      fix: "decode it first, for example :unicode.characters_to_binary(text, :latin1)"
+    )
+  end
+
+  defp size(opts) do
+    case opts[:size] do
+      size when is_number(size) -> size * 1.0
+      other -> raise ArgumentError, "size: is a number of pixels, got: #{inspect(other)}"
+    end
+  end
+
+  # What the fonts asked for lack comes from the default one.
+  defp fonts(nil), do: [default_font()]
+  defp fonts(path) when is_binary(path), do: [path, default_font()]
+
+  defp fonts([_ | _] = paths) do
+    unless Enum.all?(paths, &is_binary/1), do: bad_font(paths)
+    paths ++ [default_font()]
+  end
+
+  defp fonts(other), do: bad_font(other)
+
+  defp bad_font(other) do
+    raise ArgumentError, "font: is a path or a list of paths, got: #{inspect(other)}"
+  end
+
+  defp default_font, do: Application.app_dir(:situ_media, "priv/fonts/DejaVuSans.ttf")
+end

@@ -1,0 +1,138 @@
+defmodule Situ.Image.TextTest do
+  # Drawn text against HarfBuzz and FreeType (priv/golden/make_text.py), and what must hold for any text.
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  alias Situ.Image
+
+  @cjk Path.expand("../../fixtures/cjk.ttf", __DIR__)
+
+  defp black(width, height, format \\ :gray8), do: Image.filled(width, height, format)
+
+  defp ink(image) do
+    {:ok, %{gray: %{mean: mean}}} = image |> Image.convert!(:gray8) |> Image.statistics()
+    mean * image.width * image.height
+  end
+
+  test "text is where HarfBuzz puts it and as FreeType draws it" do
+    golden = :situ_media |> Application.app_dir("priv/golden/text.png") |> Image.read!()
+    white = [255]
+
+    drawn =
+      Image.draw!(black(golden.width, golden.height), [
+        {:text, {10, 8}, "Grüße, Ångström, façade, fi", size: 16, color: white},
+        {:text, {10.5, 36.25}, "Ελληνικά", size: 16, color: white},
+        {:text, {130, 36}, "Кириллица", size: 16, color: white},
+        {:text, {270, 36}, "AVATAR, Tő", size: 16, color: white},
+        {:text, {10, 64}, "שלום עולם", size: 20, color: white},
+        {:text, {160, 64}, "السلام عليكم", size: 20, color: white},
+        {:text, {10, 100}, "small: The quick brown fox jumps over the lazy dog",
+         size: 9, color: white},
+        {:text, {10, 120}, "e\u0301 a\u0308 \u0e01\u0e34", size: 24, color: white},
+        {:text, {150, 116}, "日本語中文字写真映像", size: 20, color: white, font: @cjk}
+      ])
+
+    # FreeType rounds outlines to 1/64 pixel; each side has its own way to count a pixel's covered part.
+    {:ok, result} = Image.compare(drawn, golden, tolerance: 12, outliers: 0.002)
+    assert result.equal?, inspect(result)
+    assert result.mean < 0.3
+    assert ink(golden) > 255 * 2000
+  end
+
+  test "text changes nothing but where it is, in every format" do
+    for format <- Image.Format.all() do
+      image = black(200, 60, format)
+      {:ok, {width, height}} = Image.text_size("Žluťoučký", size: 18)
+      drawn = Image.draw_text!(image, {20, 20}, "Žluťoučký", size: 18, color: :white)
+      assert ink(Image.convert!(drawn, :bgr24)) > 255 * 100
+      # The caron stands above the capitals by less than half their height.
+      box = {18, 10, ceil(width) + 4, ceil(height) + 12}
+      blank = black(elem(box, 2), elem(box, 3), format)
+      assert Image.paste!(drawn, blank, {18, 10}) == image
+    end
+  end
+
+  test "a background is behind all of the text" do
+    image = black(240, 80, :bgr24)
+
+    drawn =
+      Image.draw_text!(image, {20, 30}, "Éléphant\nÂge",
+        size: 14,
+        color: :white,
+        background: :blue
+      )
+
+    assert Image.fetch_pixel(drawn, 18, 30) == {:ok, [255, 0, 0]}
+    # What is not the background is lighter, never the black around it mixed with white.
+    assert {:ok, %{green: green, blue: blue}} = Image.statistics(drawn, rect: {20, 28, 60, 40})
+
+    assert {blue.min, green.max} == {255, 255}
+  end
+
+  test "shapes and text are drawn in the order given" do
+    text = {:text, {0, 0}, "█", size: 30, color: 50}
+    box = {:fill_rectangle, {0, 0, 40, 40}, color: 200}
+    assert Image.fetch_pixel(Image.draw!(black(40, 40), [text, box]), 10, 15) == {:ok, [200]}
+    assert Image.fetch_pixel(Image.draw!(black(40, 40), [box, text]), 10, 15) == {:ok, [50]}
+  end
+
+  test "a missing character is a box, unless another font has it" do
+    draw = &Image.draw_text!(black(60, 60), {5, 15}, &1, Keyword.merge([size: 30], &2))
+    assert draw.("日", []) == draw.("本", [])
+    assert ink(draw.("日", [])) > 0
+    assert draw.("日", font: @cjk) != draw.("日", [])
+    assert draw.("A", font: @cjk) == draw.("A", font: [@cjk, @cjk])
+    assert ink(draw.("A", font: @cjk)) > 0
+  end
+
+  @tag :tmp_dir
+  test "a file that is no font is an error that says so", %{tmp_dir: dir} do
+    image = black(20, 20)
+    garbage = Path.join(dir, "garbage.ttf")
+    File.write!(garbage, :binary.copy("font", 1000))
+    cut = Path.join(dir, "cut.ttf")
+    File.write!(cut, binary_part(File.read!(@cjk), 0, 300))
+
+    for {path, what} <- [
+          {garbage, "not a TrueType"},
+          {cut, "cut.ttf"},
+          {dir, "not a file"},
+          {"/dev/zero", "not a file"},
+          {Path.join(dir, "none.ttf"), "No such file"}
+        ] do
+      assert {:error, %{code: :bad_font} = error} =
+               Image.draw_text(image, {0, 0}, "a", font: path)
+
+      assert Exception.message(error) =~ what
+      assert {:error, %{code: :bad_font}} = Image.text_size("a", font: [@cjk, path])
+    end
+  end
+
+  test "bad text and options are refused" do
+    image = black(20, 20)
+    assert {:error, %{code: :bad_option}} = Image.draw_text(image, {0, 0}, <<200, 1>>)
+    assert {:error, %{code: :bad_option}} = Image.text_size(<<200, 1>>)
+    assert {:error, %{code: :bad_option}} = Image.draw_text(image, {0, 0}, "a", size: 0)
+    assert {:error, %{code: :bad_option}} = Image.draw_text(image, {0, 0}, "a", size: 1.0e9)
+    assert {:error, %{code: :bad_option}} = Image.draw_text(image, {1.0e9, 0}, "a")
+    assert {:error, %{code: :too_large}} = Image.text_size(String.duplicate("a", 70_000))
+    assert_raise ArgumentError, fn -> Image.draw_text(image, {0, 0}, :atom) end
+    assert_raise ArgumentError, fn -> Image.draw_text(image, {0, 0}, "a", colour: :red) end
+    assert_raise ArgumentError, fn -> Image.draw_text(image, {0, 0}, "a", font: []) end
+    assert_raise ArgumentError, fn -> Image.draw_line(image, {0, 0}, {1, 1}, colour: :red) end
+    assert_raise ArgumentError, fn -> Image.fill_circle(image, {0, 0}, 2, width: 2) end
+  end
+
+  property "any text, anywhere, at any size: a picture, and the same as the part of a larger one",
+    numtests: 150 do
+    forall {chars, x, y, size} <-
+             {list(one_of([integer(32, 0xD7FF), integer(0xE000, 0x10FFFF), integer(0, 255)])),
+              integer(-80, 60), integer(-60, 40), integer(1, 60)} do
+      text = List.to_string(chars)
+      opts = [size: size, color: :white, font: @cjk]
+      small = Image.draw_text!(black(50, 30), {x, y}, text, opts)
+      large = Image.draw_text!(black(120, 100), {x + 40, y + 50}, text, opts)
+      {:ok, {width, height}} = Image.text_size(text, Keyword.take(opts, [:size, :font]))
+      small == Image.crop!(large, {40, 50, 50, 30}) and width >= 0 and height >= size
+    end
+  end
+end
