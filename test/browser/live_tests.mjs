@@ -1,5 +1,5 @@
 // What grows, what runs, and what goes away.
-import { rmSync } from "node:fs";
+import { rmSync, writeFileSync } from "node:fs";
 import { test, equal, ok, near, until } from "./harness.mjs";
 import { open, state, dispatch, panelOf } from "./studio_page.mjs";
 
@@ -58,6 +58,26 @@ test("a recording that is deleted while open: said, and the rest goes on", async
   await dispatch(page, { type: "cursor", t: 10 * S });
   await page.evaluate(() => window.situStudio.client.pump(true));
   await until(page, () => document.body?.dataset.connection === "gone", "the page says that it is gone");
-  ok((await page.textContent("#connection")).includes("gone"), "in words");
+  ok((await page.textContent("#banner")).includes("deleted or moved"), "in words");
   await open(page, main, "minute.0000");
+});
+
+test("a server that is started anew: said while it is away, and the page is as it was", async ({ page, shot }) => {
+  await open(page, site.mortal, "minute.0000");
+  await page.click(".row-box [title='Remove'] >> nth=0");
+  await until(page, () => document.getElementById("studio").dataset.edit !== "", "the layout is changed");
+  await dispatch(page, { type: "select", from: 12 * S, to: 18 * S });
+  await dispatch(page, { type: "nudge", by: 15 * S });
+  await until(page, () => new URLSearchParams(location.search).get("sel"), "the address holds the selection");
+  const panels = await page.$$eval("[data-panel]", (p) => p.length);
+  writeFileSync(site.restart, "4");
+  await until(page, () => document.getElementById("banner").textContent.includes("does not answer"), "the page says that the server is away");
+  equal(await page.textContent("#connection"), "reconnecting", "the status line");
+  await shot("server-away");
+  await until(page, () => document.body?.dataset.connection === "open" && document.getElementById("toast")?.textContent === "Connected again", "connected again, in words");
+  await until(page, () => document.body?.dataset.ready === "1" && document.querySelector("[data-phx-main].phx-connected"), "all of it is back");
+  equal(await page.textContent("#banner"), "", "no banner any more");
+  const s = await state(page);
+  equal([s.sel, s.cursor], [[12 * S, 18 * S], 15 * S], "selection and cursor are kept");
+  equal(await page.$$eval("[data-panel]", (p) => p.length), panels, "and the layout");
 });

@@ -45,3 +45,24 @@ test("2 the page: nothing moves after it is shown, and all of it fits 1280 x 720
   const over = await page.$$eval(".topbar > *", (els) => els.some((e) => e.getBoundingClientRect().right > 1280));
   ok(!over, "the toolbar fits");
 });
+
+test("2 the page: a window of 900 px has all of the toolbar, and the properties when asked for", async ({ page, shot }) => {
+  await page.setViewportSize({ width: 900, height: 600 });
+  await open(page, main, "minute.0000");
+  equal(await page.evaluate(() => document.documentElement.scrollWidth), 900, "nothing is wider than the window");
+  const over = await page.$$eval(".topbar button, .topbar select, .topbar a", (els) =>
+    els.filter((e) => e.offsetParent && (e.getBoundingClientRect().right > 900 || e.getBoundingClientRect().width < 20)).map((e) => e.title));
+  equal(over, [], "what does not fit the toolbar");
+  equal(await page.isVisible(".right"), false, "the properties are away");
+  await page.click("#tree .node[data-stream='Imu.Acc.X'] .name");
+  await until(page, () => document.querySelector(".right h2")?.textContent === "Imu.Acc.X", "the properties are told");
+  ok(await page.isVisible(".right h2"), "and shown");
+  await shot("narrow");
+  await page.click("button[aria-label='Hide the properties']");
+  equal(await page.isVisible(".right"), false, "hidden again");
+  await page.keyboard.press("p");
+  ok(await page.isVisible(".right"), "shown by a key");
+  const wide = await page.$eval(".stack", (e) => e.clientWidth);
+  await page.keyboard.press("s");
+  ok((await page.$eval(".stack", (e) => e.clientWidth)) >= wide + 190, "without the streams there is more room");
+});

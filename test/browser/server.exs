@@ -104,6 +104,28 @@ layouts = Path.join(work, "layouts")
     token: "the-very-secret-token"
   )
 
+# One that ends and is started anew at the same address when the tests put a file there.
+{:ok, mortal} = Situ.Studio.start_link(id: "mortal", port: 0, path: folder, layouts: layouts)
+mortal_port = Situ.Studio.port(mortal)
+signal = Path.join(work, "restart")
+
+restart = fn restart, mortal ->
+  Process.sleep(20)
+
+  case File.read(signal) do
+    {:ok, seconds} when seconds != "" ->
+      File.rm(signal)
+      Supervisor.stop(mortal)
+      Process.sleep(String.to_integer(seconds) * 1_000)
+      opts = [id: "mortal", port: mortal_port, path: folder, layouts: layouts]
+      {:ok, mortal} = Situ.Studio.start_link(opts)
+      restart.(restart, mortal)
+
+    _ ->
+      restart.(restart, mortal)
+  end
+end
+
 base = &(&1 |> Situ.Studio.url() |> String.trim_trailing("/"))
 
 IO.puts(
@@ -111,10 +133,12 @@ IO.puts(
     Situ.JSON.encode(%{
       "main" => base.(main),
       "guarded" => Situ.Studio.url(guarded),
+      "mortal" => base.(mortal),
+      "restart" => signal,
       "folder" => folder,
       "points" => points,
       "t0" => Integer.to_string(Fixture.t0())
     })
 )
 
-Process.sleep(:infinity)
+restart.(restart, mortal)

@@ -32,6 +32,8 @@ function page() {
     stepUrl: `${d.base}/data/step?${q}`,
     layout: d.layout,
     edit: d.edit,
+    // Where a server that was away, or started anew, is told what the page shows.
+    moved: (href) => window.liveSocket?.main?.setHref(href),
   });
   studio.palette = new Palette(studio);
   window.situStudio = studio;
@@ -52,16 +54,6 @@ const hooks = {
     },
     updated() {
       page().setLayout(this.el.dataset.layout, this.el.dataset.edit);
-    },
-    disconnected() {
-      const { layout, edit } = page().options;
-      this.kept ??= { layout, edit };
-    },
-    // the server's process is a new one: it gets back the layout this page shows
-    reconnected() {
-      const kept = this.kept;
-      this.kept = null;
-      if (kept && (kept.edit || kept.layout !== this.el.dataset.layout)) this.pushEvent("restore", kept);
     },
     destroyed() {
       studio?.destroy();

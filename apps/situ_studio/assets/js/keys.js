@@ -36,6 +36,8 @@ export const KEYS = [
   ["/", "Search the streams", "search"],
   ["Ctrl+k", "Commands and streams", "palette"],
   ["t", "Dark or light", "theme"],
+  ["s", "Show or hide the streams", "left"],
+  ["p", "Show or hide the properties", "right"],
   ["?", "This sheet", "help"],
 ];
 

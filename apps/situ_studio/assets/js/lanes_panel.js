@@ -1,6 +1,6 @@
 // A timeline panel of rows: booleans, enums, labels and transcripts as segments, messages as marks.
 
-import { GUTTER, FONT, theme, stateColor, seriesColor, keyIndex } from "./theme.js";
+import { GUTTER, FONT, theme, ink, stateColor, seriesColor, keyIndex } from "./theme.js";
 import { ticks, duration } from "./time_text.js";
 import { lowerBound } from "./series.js";
 import { laneNames, segmentAt, segmentText, markText } from "./lanes.js";
@@ -177,7 +177,7 @@ export class LanesPanel {
       if (soft) ctx.fillRect(left, y, 2, h);
       if (cls === "true" || cls === "many" || width <= 18 || h < 10) continue;
       const text = label === "" && cls === "span" ? duration(b - a) : label;
-      this.label(ctx, text, left, y, width, h, soft ? t.text : t.bg);
+      this.label(ctx, text, left, y, width, h, soft ? t.text : ink(color));
     }
     ctx.textBaseline = "alphabetic";
   }

@@ -1,6 +1,6 @@
 // Rectangles, points, lines and texts over a picture: drawing them, and telling which lie under the mouse.
 
-import { FONT, theme, seriesColor } from "./theme.js";
+import { FONT, ink, seriesColor } from "./theme.js";
 import { number } from "./number_text.js";
 
 // How far from a point the mouse may be, in pixels of the screen.
@@ -57,7 +57,7 @@ function tag(ctx, text, x, y, color) {
   const top = Math.max(y - 17, 0);
   ctx.fillStyle = color;
   ctx.fillRect(x, top, w, 17);
-  ctx.fillStyle = theme().bg;
+  ctx.fillStyle = ink(color);
   ctx.textBaseline = "middle";
   ctx.fillText(text, x + 5, top + 9);
   ctx.textBaseline = "alphabetic";

@@ -12,6 +12,15 @@ import { onTheme, setTheme } from "./theme.js";
 import * as link from "./link.js";
 import { decode, KIND } from "./wire.js";
 
+const STATUS = { open: "connected", closed: "reconnecting", gone: "the recording is gone", broken: "unreadable answer" };
+const BANNER = {
+  closed: "The studio's server does not answer. The page goes on by itself as soon as it does.",
+  gone: "This recording was deleted or moved. What was read of it before stays on the page.",
+  broken: "The server's answer cannot be read: reload the page.",
+};
+// How long the server may be away before the page says so, in ms.
+const LOST = 1500;
+
 export class Studio {
   // options: {dataUrl, pcmUrl, source, token, layout, push}
   constructor(root, options) {
@@ -149,7 +158,22 @@ export class Studio {
   }
 
   do_search() {
+    document.documentElement.dataset.left = "open";
     this.root.querySelector("#search")?.focus();
+  }
+
+  do_left() {
+    this.toggleSide("left");
+  }
+
+  do_right() {
+    this.toggleSide("right");
+  }
+
+  // Shown or hidden: what it is now depends on the width of the window, too.
+  toggleSide(side) {
+    const shown = getComputedStyle(this.root.querySelector(`.${side}`)).display !== "none";
+    document.documentElement.dataset[side] = shown ? "closed" : "open";
   }
 
   do_timing() {
@@ -193,6 +217,8 @@ export class Studio {
     };
     document.addEventListener("keydown", this.keydown);
     this.root.addEventListener("click", (e) => {
+      // who asks for properties gets to see them
+      if (e.target.closest("[phx-click='select_panel'], #tree .name")) document.documentElement.dataset.right = "open";
       const button = e.target.closest("[data-act]");
       if (!button) return;
       this.act(button.dataset.act);
@@ -208,6 +234,7 @@ export class Studio {
     const save = () => {
       const q = link.encode(this.time.get(), this.client.origin, this.options);
       history.replaceState(history.state, "", `${location.pathname}?${q}`);
+      this.options.moved?.(location.href);
     };
     if (now) save();
     else this.linkTimer = setTimeout(save, 200);
@@ -216,7 +243,8 @@ export class Studio {
   setLayout(layout, edit) {
     if (layout === this.options.layout && edit === this.options.edit) return;
     Object.assign(this.options, { layout, edit });
-    this.saveLink();
+    // at once: a server that comes back is told the layout by the address
+    this.saveLink(true);
   }
 
   plotPath(stream, path, kind) {
@@ -262,7 +290,24 @@ export class Studio {
   status(name) {
     this.state = name;
     document.body.dataset.connection = name;
-    this.header.set("connection", { open: "connected", closed: "reconnecting", gone: "the recording is gone", broken: "unreadable answer" }[name] ?? name);
+    this.header.set("connection", STATUS[name]);
+    this.banner(name);
+  }
+
+  // What keeps the page from going on is said where it is seen; a moment without the server is not worth a word. A server
+  // that was started anew loads the page anew: what was lost is remembered across that.
+  banner(name) {
+    clearTimeout(this.bannerTimer);
+    if (name === "open" && sessionStorage.getItem("situ:lost")) {
+      sessionStorage.removeItem("situ:lost");
+      this.toast("Connected again");
+    }
+    const say = () => {
+      if (name === "closed") sessionStorage.setItem("situ:lost", "1");
+      this.header.set("banner", BANNER[name] ?? "");
+    };
+    if (name === "closed") this.bannerTimer = setTimeout(say, LOST);
+    else say();
   }
 
   tempo() {

@@ -43,6 +43,26 @@ export function seriesColor(color, index) {
 // The number of the colour of a key: tracks have the same in every panel.
 export const keyIndex = (name, otherwise) => (/^\d+$/.test(name) ? Number(name) : otherwise);
 
+// Of the dark and the light of the theme the one that is read better on a colour.
+export function ink(color) {
+  const t = theme();
+  return contrast(t.bg, color) >= contrast(t.text, color) ? t.bg : t.text;
+}
+
+// How far two colours (#rrggbb) are apart, from 1 to 21: text needs 4.5. W3C, WCAG 2.2, 1.4.3.
+export function contrast(a, b) {
+  const [dark, light] = [luminance(a), luminance(b)].sort((x, y) => x - y);
+  return (light + 0.05) / (dark + 0.05);
+}
+
+function luminance(hex) {
+  const [r, g, b] = [1, 3, 5].map((i) => {
+    const v = parseInt(hex.slice(i, i + 2), 16) / 255;
+    return v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+  });
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+}
+
 // A stable colour for a state's name; in lanes of several keys, that of the key.
 export function stateColor(label, cls, lane = null) {
   const t = theme();

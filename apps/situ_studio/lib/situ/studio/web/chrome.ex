@@ -59,7 +59,7 @@ defmodule Situ.Studio.Web.Chrome do
         </button>
       </div>
       <span class="sep"></span>
-      <form id="layout-pick" phx-change="layout_pick">
+      <form id="layout-pick" phx-change="layout_pick" phx-auto-recover="ignore">
         <select class="select" name="layout" aria-label="Layout" title="Layout">
           <option :for={name <- @layouts} value={name} selected={name == @layout}>{name}{if @changed and name == @layout, do: " *"}</option>
         </select>
@@ -67,6 +67,7 @@ defmodule Situ.Studio.Web.Chrome do
       <button :if={not @read_only} class="tool" type="button" phx-click="layout_dialog" title="Save the layout" aria-label="Save the layout"><.icon name={:save} /></button>
       <a :if={@pipeline} class="tool" href={@pipeline} title="The pipeline's graph"><.icon name={:pipeline} /></a>
       <.tool act="copyLink" icon={:link} title="Copy a link to this view" />
+      <.tool act="right" icon={:side} title="Show or hide the properties (p)" />
       <.tool act="theme" icon={:theme} title="Dark or light (t)" />
       <.tool act="help" icon={:help} title="Keys (?)" />
     </header>
@@ -115,6 +116,7 @@ defmodule Situ.Studio.Web.Chrome do
       </dialog>
       <dialog id="palette" aria-label="Commands"><input placeholder="Command or stream" autocomplete="off" aria-label="Command or stream"><ul role="listbox"></ul></dialog>
       <div id="toast" role="status"></div>
+      <div id="banner" role="alert"></div>
     </div>
     """
   end

@@ -141,10 +141,6 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
 
-  # A page that was away gets back the layout it shows in its address.
-  def handle_event("restore", %{"layout" => name, "edit" => edit}, socket),
-    do: {:noreply, LayoutMenu.choose(socket, %{"layout" => name, "edit" => edit})}
-
   def handle_event(event, params, socket) when is_map_key(socket.assigns, :layout) do
     case Edit.apply(event, params, socket.assigns) do
       {:ok, changes} -> {:noreply, assign(socket, changes)}

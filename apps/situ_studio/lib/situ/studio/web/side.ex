@@ -86,7 +86,7 @@ defmodule Situ.Studio.Web.Side do
   def right(assigns) do
     ~H"""
     <aside class="right" aria-label="Properties">
-      <div class="side-title">Properties</div>
+      <div class="side-title">Properties<button class="mini" type="button" data-act="right" title="Hide (p)" aria-label="Hide the properties"><.icon name={:close} /></button></div>
       <div class="props">
         <.stream_props :if={@stream} stream={@stream} extra={@extra} snap={@snap} />
         <.panel_props :if={@panel} panel={@panel} shapes={@shapes} extra={@extra} />

@@ -167,7 +167,6 @@ defmodule Situ.Studio.Web.MainViewTest do
           {"prop", %{"panel" => "p1", "index" => "99", "props" => "x"}},
           {"move_row", %{"id" => "zzz", "by" => "1"}},
           {"axis", %{"panel" => "p1", "min" => "1", "max" => "0"}},
-          {"restore", %{"layout" => 7, "edit" => "!!"}},
           {"layout_pick", %{"layout" => "none"}}
         ] do
       Page.event(page, event, params)
