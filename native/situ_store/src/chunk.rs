@@ -281,10 +281,16 @@ pub struct Messages<'a> {
 impl<'a> Messages<'a> {
     pub fn new(header: &ChunkHeader, body: &'a [u8]) -> Self {
         let table_end = (header.table_length as usize).min(body.len());
+        Self::with_table(header, body, &body[..table_end])
+    }
+
+    /// As `new`, with the table that the body begins with from elsewhere: the body is not looked at for it.
+    pub fn with_table(header: &ChunkHeader, body: &'a [u8], table: &'a [u8]) -> Self {
+        let table_end = table.len();
         Messages {
             body,
             encoding: header.encoding,
-            table: Cursor::new(&body[..table_end]),
+            table: Cursor::new(table),
             payload_at: table_end,
             previous: Envelope {
                 sequence: header.first_sequence.wrapping_sub(1),

@@ -283,6 +283,11 @@ impl ChunkHeader {
 
     /// Parses and checks the header of the chunk that `bytes` begin with (the bytes may go on behind the chunk).
     pub fn decode(bytes: &[u8]) -> std::result::Result<Self, &'static str> {
+        Self::decode_head(bytes, bytes.len() as u64)
+    }
+
+    /// As `decode`, from the chunk's first bytes: the header and what its checksum covers; `space` is how far the extent goes on.
+    pub fn decode_head(bytes: &[u8], space: u64) -> std::result::Result<Self, &'static str> {
         if bytes.len() < CHUNK_HEADER || u32_at(bytes, 0) != CHUNK_MAGIC {
             return Err("no chunk begins here");
         }
@@ -306,7 +311,7 @@ impl ChunkHeader {
             body_crc: u32_at(bytes, 92),
         };
         let length = header.length as usize;
-        if length < CHUNK_HEADER || length > bytes.len() {
+        if length < CHUNK_HEADER || length as u64 > space {
             return Err("the chunk does not end in its extent");
         }
         let stored = length - CHUNK_HEADER;
@@ -322,7 +327,10 @@ impl ChunkHeader {
         {
             return Err("the chunk's lengths contradict each other");
         }
-        if crc32c::crc32c(&bytes[8..CHUNK_HEADER + covered]) != u32_at(bytes, 4) {
+        let covered = bytes
+            .get(8..CHUNK_HEADER + covered)
+            .ok_or("the chunk's table is not at hand")?;
+        if crc32c::crc32c(covered) != u32_at(bytes, 4) {
             return Err("the chunk header's checksum is wrong");
         }
         Ok(header)

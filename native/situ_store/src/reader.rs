@@ -52,24 +52,29 @@ pub struct Chunk {
     pub header: ChunkHeader,
     pub map: Arc<Mmap>,
     start: usize,
-    unpacked: Option<Vec<u8>>,
+    held: Held,
+}
+
+/// What of a chunk is held beside its map.
+enum Held {
+    Nothing,
+    /// Its table, so that the map need not be looked at for it.
+    Table(Vec<u8>),
+    /// What it unpacked to.
+    Body(Vec<u8>),
 }
 
 impl Chunk {
     pub fn body(&self) -> &[u8] {
-        match &self.unpacked {
-            Some(bytes) => bytes,
-            None => &self.map[self.start + CHUNK_HEADER..self.start + self.header.length as usize],
+        match &self.held {
+            Held::Body(bytes) => bytes,
+            _ => &self.map[self.start + CHUNK_HEADER..self.start + self.header.length as usize],
         }
     }
 
     /// Where the body lies in the map, when it lies there (it was not compressed).
     pub fn mapped_at(&self) -> Option<usize> {
-        self.unpacked.is_none().then_some(self.start + CHUNK_HEADER)
-    }
-
-    pub fn take_unpacked(&mut self) -> Option<Vec<u8>> {
-        self.unpacked.take()
+        (!matches!(self.held, Held::Body(_))).then_some(self.start + CHUNK_HEADER)
     }
 
     /// The number drawn for a message, where there is one.
@@ -83,12 +88,20 @@ impl Chunk {
     }
 
     pub fn messages(&self) -> Messages<'_> {
-        Messages::new(&self.header, self.body())
+        match &self.held {
+            Held::Table(table) => Messages::with_table(&self.header, self.body(), table),
+            _ => Messages::new(&self.header, self.body()),
+        }
     }
 }
 
-fn is_plain(chunk: &[u8]) -> bool {
-    ChunkHeader::decode(chunk).is_ok_and(|header| header.compression == Compression::None)
+fn names(entry: &Entry, header: &ChunkHeader) -> bool {
+    header.stream == entry.stream
+        && header.level == entry.level
+        && header.count == entry.count
+        && header.length == entry.length
+        && header.first == entry.first
+        && header.last == entry.last
 }
 
 impl Reader {
@@ -206,6 +219,11 @@ impl Reader {
 
     pub fn chunk_checked(&self, entry: &Entry, body_too: bool) -> Result<Chunk> {
         let map = self.extents.get(entry.lane, entry.extent)?;
+        if entry.lane == LANE_LARGE && !body_too {
+            if let Some(chunk) = self.headed(entry, &map, true) {
+                return Ok(chunk);
+            }
+        }
         let broken =
             |why: &str| Error::damaged(extent::name(entry.lane, entry.extent), entry.offset, why);
         let start = usize::try_from(entry.offset)
@@ -213,44 +231,51 @@ impl Reader {
             .filter(|at| *at <= map.len());
         let start = start.ok_or_else(|| broken("the extent ends before the chunk"))?;
         let header = ChunkHeader::decode(&map[start..]).map_err(broken)?;
-        let same = header.stream == entry.stream
-            && header.level == entry.level
-            && header.count == entry.count
-            && header.length == entry.length
-            && header.first == entry.first
-            && header.last == entry.last;
-        if !same {
+        if !names(entry, &header) {
             return Err(broken("the chunk is not the one the index names"));
         }
         self.extents.touch(&map, start, header.length as usize);
-        let unpacked = match chunk::open(&header, &map[start..], !body_too).map_err(broken)? {
-            Body::Mapped(_) => None,
-            Body::Unpacked(bytes) => Some(bytes),
+        let held = match chunk::open(&header, &map[start..], !body_too).map_err(broken)? {
+            Body::Mapped(_) => Held::Nothing,
+            Body::Unpacked(bytes) => Held::Body(bytes),
         };
         Ok(Chunk {
             header,
             map,
             start,
-            unpacked,
+            held,
         })
     }
 
-    /// Whether the chunk can be read (and, where it is to be, checked) without waiting for a disk, and in little time.
-    pub fn is_quick(&self, entry: &Entry) -> bool {
-        let length = match (entry.lane, self.verify_large) {
-            (LANE_DATA, _) => entry.length as usize,
-            (_, false) => CHUNK_HEADER,
-            (_, true) => return false,
-        };
-        let Ok(start) = usize::try_from(entry.offset) else {
-            return false;
-        };
-        self.extents
-            .mapped(entry.lane, entry.extent)
-            .is_some_and(|map| {
-                maps::resident(&map, start, length)
-                    && (entry.lane == LANE_DATA || is_plain(&map[start..]))
-            })
+    /// A large chunk whose payload nobody checks: its map is not looked at.
+    fn headed(&self, entry: &Entry, map: &Arc<Mmap>, wait: bool) -> Option<Chunk> {
+        let (header, table) = self.extents.head(entry, map, wait)?;
+        let start = usize::try_from(entry.offset).ok()?;
+        let end = start.checked_add(header.length as usize)?;
+        if !names(entry, &header) || end > map.len() {
+            return None;
+        }
+        self.extents.touch(map, start, end - start);
+        Some(Chunk {
+            header,
+            map: map.clone(),
+            start,
+            held: Held::Table(table),
+        })
+    }
+
+    /// The chunk, when it can be read (and, where it is to be, checked) without waiting for a disk, and in little time.
+    pub fn quick_chunk(&self, entry: &Entry) -> Option<Result<Chunk>> {
+        let map = self.extents.mapped(entry.lane, entry.extent)?;
+        if entry.lane == LANE_LARGE {
+            return if self.verify_large {
+                None
+            } else {
+                self.headed(entry, &map, false).map(Ok)
+            };
+        }
+        let start = usize::try_from(entry.offset).ok()?;
+        maps::resident(&map, start, entry.length as usize).then(|| self.chunk(entry))
     }
 
     /// The entry holding message `ordinal` of a stream, if it has so many.

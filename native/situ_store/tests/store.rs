@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use common::*;
-use situ_store::chunk::Input;
+use situ_store::chunk::{Input, Value};
 use situ_store::extent::{self, Fault};
+use situ_store::format::CHUNK_HEADER;
 use situ_store::{pyramid, repair, watch, Compression, Encoding, Error, Options, Reader, Writer};
 
 #[test]
@@ -282,6 +283,72 @@ fn a_reader_lets_go_of_what_it_has_read() {
     }
     // 60 MiB read twice; the window is 16 MiB.
     assert!(most > 4 * 1024 && most < 24 * 1024, "{most} KiB");
+}
+
+#[test]
+fn large_messages_whose_payload_is_not_checked_are_not_looked_at() {
+    let folder = Folder::new();
+    let mut writer = Writer::create(&folder.0, Options::default()).unwrap();
+    let id = writer.add_stream(Compression::None, false);
+    let packed = writer.add_stream(Compression::Lz4, false);
+    let frame = vec![7; 1 << 20];
+    for i in 0..8 {
+        for stream in [id, packed] {
+            let input = Input::Bytes(&frame);
+            writer
+                .push(stream, envelope(i), Encoding::Bytes, 0, input)
+                .unwrap();
+        }
+        writer.commit().unwrap();
+    }
+    writer.close().unwrap();
+    let mut reader = Reader::open(&folder.0).unwrap();
+    reader.verify_large = false;
+    let pages = || resident(&folder.0.join(extent::name(1, 0)));
+    let chunk = |reader: &Reader, stream, i| {
+        let entry = reader.entry_at(stream, i).unwrap();
+        match reader.quick_chunk(&entry) {
+            Some(chunk) => chunk.unwrap(),
+            None => reader.chunk(&entry).unwrap(),
+        }
+    };
+    for i in 0..8 {
+        let chunk = chunk(&reader, id, i);
+        let (got, value) = chunk.messages().next().unwrap().unwrap();
+        assert_eq!(got, envelope(i));
+        assert_eq!(
+            value,
+            Value::Bytes {
+                start: chunk.header.table_length as usize,
+                length: frame.len()
+            }
+        );
+    }
+    // The page of the extent's own header, and those that came with it.
+    assert!(pages() <= 64, "{} KiB", pages());
+    let one = chunk(&reader, id, 3);
+    assert!(one.body().ends_with(&frame));
+    assert!(pages() >= 1024);
+
+    // What is packed has to be unpacked, and is not done quickly.
+    let entry = reader.entry_at(packed, 5).unwrap();
+    assert!(reader.quick_chunk(&entry).is_none());
+    assert!(reader.chunk(&entry).unwrap().body().ends_with(&frame));
+
+    // A payload that was changed is not noticed, a table that was is.
+    let entry = reader.entry_at(id, 6).unwrap();
+    let path = folder.0.join(extent::name(1, 0));
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes[entry.offset as usize + 5_000] ^= 1;
+    std::fs::write(&path, &bytes).unwrap();
+    assert!(Reader::open(&folder.0).unwrap().chunk(&entry).is_err());
+    assert!(reader.chunk(&entry).is_ok());
+    bytes[entry.offset as usize + CHUNK_HEADER] ^= 1;
+    std::fs::write(&path, &bytes).unwrap();
+    let fresh = Reader::open(&folder.0).unwrap();
+    let why = fresh.chunk_checked(&entry, false).err().unwrap();
+    assert!(format!("{why:?}").contains("header"), "{why:?}");
+    assert!(fresh.quick_chunk(&entry).is_none());
 }
 
 #[test]

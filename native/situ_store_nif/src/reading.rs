@@ -143,8 +143,7 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    /// Takes the unpacked body out of a compressed chunk, so that sub-binaries can point into it.
-    fn start(env: Env<'a>, chunk: &mut Chunk) -> Self {
+    fn start(env: Env<'a>, chunk: &Chunk) -> Self {
         let encoding = chunk.header.encoding;
         let wants = matches!(encoding, Encoding::Bytes | Encoding::Codec)
             && chunk.body().len() > COPY_UP_TO;
@@ -272,19 +271,23 @@ fn read<'a>(env: Env<'a>, handle: &Handle, stream: u32, from: u64, wanted: &Want
             } else {
                 1024
             };
-            if !reader.is_quick(&entry) {
-                if runs.is_empty() {
-                    return atoms::slow().encode(env);
-                }
-                break;
-            }
         }
-        let mut chunk = match reader.chunk(&entry) {
+        let opened = if wanted.quick {
+            reader.quick_chunk(&entry)
+        } else {
+            Some(reader.chunk(&entry))
+        };
+        let opened = match opened {
+            None if runs.is_empty() => return atoms::slow().encode(env),
+            None => break,
+            Some(opened) => opened,
+        };
+        let chunk = match opened {
             Ok(chunk) => chunk,
             Err(error) if runs.is_empty() => return failed(env, &error),
             Err(_) => break,
         };
-        let run = Run::start(env, &mut chunk);
+        let run = Run::start(env, &chunk);
         let codec = chunk.header.codec;
         let body = chunk.body();
         let mut list = Vec::with_capacity(entry.count as usize);

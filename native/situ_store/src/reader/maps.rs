@@ -5,7 +5,10 @@ use std::fs::File;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, RwLock};
 
+use std::io::IoSliceMut;
+
 use memmap2::{Mmap, MmapOptions, UncheckedAdvice};
+use rustix::io::{preadv2, Errno, ReadWriteFlags};
 
 use crate::error::{Error, Result};
 use crate::extent;
@@ -40,7 +43,12 @@ pub(super) struct Extents {
     id: [u8; 16],
     maps: RwLock<HashMap<(u8, u32), Arc<Mmap>>>,
     window: Mutex<Window>,
+    /// The file of large messages that was read last; one, so that long recordings do not take all the descriptors there are.
+    file: Mutex<Option<(u32, Arc<File>)>>,
 }
+
+/// As many bytes hold the header of a large chunk and its table, of one message.
+const HEAD: usize = 192;
 
 impl Extents {
     pub fn new(dir: PathBuf, id: [u8; 16]) -> Self {
@@ -49,7 +57,45 @@ impl Extents {
             id,
             maps: RwLock::default(),
             window: Mutex::default(),
+            file: Mutex::default(),
         }
+    }
+
+    /// Header and table of an uncompressed large chunk, read beside its map: there they would fault in sixteen pages to be let go of
+    /// again. `None` when there is none in so many bytes, or (when it shall not `wait`) when they are not in memory.
+    pub fn head(&self, entry: &Entry, map: &Mmap, wait: bool) -> Option<(ChunkHeader, Vec<u8>)> {
+        let file = self.large(entry.extent)?;
+        let space = (map.len() as u64).checked_sub(entry.offset)?;
+        let mut bytes = [0; HEAD];
+        let read = |bytes: &mut [u8], flags| {
+            preadv2(&*file, &mut [IoSliceMut::new(bytes)], entry.offset, flags)
+        };
+        let n = if wait {
+            read(&mut bytes, ReadWriteFlags::empty()).ok()?
+        } else {
+            match read(&mut bytes, ReadWriteFlags::NOWAIT) {
+                // A file system that cannot say.
+                Err(Errno::OPNOTSUPP) if resident(map, entry.offset as usize, HEAD) => {
+                    read(&mut bytes, ReadWriteFlags::empty()).ok()?
+                }
+                other => other.ok()?,
+            }
+        };
+        let header = ChunkHeader::decode_head(&bytes[..n], space).ok()?;
+        let table = bytes.get(CHUNK_HEADER..CHUNK_HEADER + header.covered())?;
+        (header.compression == Compression::None).then(|| (header, table.to_vec()))
+    }
+
+    fn large(&self, extent: u32) -> Option<Arc<File>> {
+        let mut last = self.file.lock().unwrap_or_else(|p| p.into_inner());
+        if let Some((number, file)) = &*last {
+            if *number == extent {
+                return Some(file.clone());
+            }
+        }
+        let file = Arc::new(File::open(self.dir.join(extent::name(LANE_LARGE, extent))).ok()?);
+        *last = Some((extent, file.clone()));
+        Some(file)
     }
 
     /// The extent's map, if it was mapped before.
