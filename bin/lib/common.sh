@@ -95,7 +95,8 @@ build_prod() {
 
 # elixir_prod ARGS...: runs elixir on the production build, without mix. Ctrl-C ends it, with the status people expect (130).
 elixir_prod() {
-  local yaws
+  local yaws flags
   yaws=$(ls -d /usr/lib/yaws-*/ebin 2>/dev/null | head -n 1 || true)
-  exec elixir --erl +Bd ${yaws:+-pa "$yaws"} -pa "$SITU_ROOT/_build/prod/lib/*/ebin" "$@"
+  flags=$(grep '^[+-]' "$SITU_ROOT/rel/vm.args.eex" | tr '\n' ' ')
+  exec elixir --erl "+Bd $flags" ${yaws:+-pa "$yaws"} -pa "$SITU_ROOT/_build/prod/lib/*/ebin" "$@"
 }
