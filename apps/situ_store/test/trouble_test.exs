@@ -214,5 +214,16 @@ defmodule Situ.Store.TroubleTest do
       end
 
     assert error.code == :schema_mismatch and error.why =~ "age"
+
+    Code.eval_string(
+      "defmodule Situ.Store.Test.PersonStrict do @enforce_keys [:age, :id]; defstruct [:id, name: \"\", age: 0] end"
+    )
+
+    error =
+      assert_raise Situ.Error, fn ->
+        Store.messages(store, "p", type: Situ.Store.Test.PersonStrict)
+      end
+
+    assert error.code == :schema_mismatch and error.why =~ ~r/not recorded: id$/
   end
 end

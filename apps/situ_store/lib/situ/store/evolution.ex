@@ -78,15 +78,17 @@ defmodule Situ.Store.Evolution do
     end
   end
 
-  # Enforced keys are those that `__struct__/1` refuses to go without.
+  # Enforced keys are those without which `__struct__/1` makes none.
   defp required(module) do
-    module.__struct__([])
-    []
+    fields = module |> struct() |> Map.from_struct() |> Map.keys()
+    for key <- fields, not makes?(module, List.delete(fields, key)), do: to_string(key)
+  end
+
+  defp makes?(module, keys) do
+    module.__struct__(Enum.map(keys, &{&1, nil}))
+    true
   rescue
-    error in ArgumentError ->
-      ~r/:(\w+[?!]?)/
-      |> Regex.scan(error.message |> String.split("struct") |> List.first())
-      |> Enum.map(fn [_, name] -> name end)
+    ArgumentError -> false
   end
 
   defp convert(module, %{} = data) do

@@ -105,7 +105,9 @@ defmodule Situ.Store.Importer do
     if info.first && not live?,
       do: Pipeline.propose_replay(importer.pipeline, {info.first, last})
 
-    add(importer, info, [importer: importer, info: info, type: type, live: live?], opts)
+    {_, asked} = Pipeline.replay_interval(importer.pipeline)
+    given = [importer: importer, info: info, type: type, live: live?, to: asked]
+    add(importer, info, given, opts)
   end
 
   defp empty(importer, name, opts) do

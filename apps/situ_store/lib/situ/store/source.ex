@@ -12,7 +12,8 @@ defmodule Situ.Store.Source do
       importer: [type: :any, required: true],
       info: [type: :any, required: true],
       type: [type: :any, default: nil],
-      live: [type: :boolean, default: false]
+      live: [type: :boolean, default: false],
+      to: [type: :any, default: :unbounded]
     ]
 
   alias Situ.{Clock, Pipeline}
@@ -48,7 +49,8 @@ defmodule Situ.Store.Source do
       importer: opts[:importer],
       info: info,
       upgrade: Evolution.upgrade!(info, opts[:type]),
-      live: opts[:live]
+      live: opts[:live],
+      to: opts[:to]
     }
 
     {:ok, state}
@@ -56,7 +58,9 @@ defmodule Situ.Store.Source do
 
   @impl true
   def handle_start(context, state) do
+    # A replay asked to end before the first message has its start for its end.
     replay_end = if context.replay_end == :infinity, do: :unbounded, else: context.replay_end
+    replay_end = earlier(replay_end, if(state.to != :unbounded, do: state.to))
     from = if state.live, do: nil, else: context.start_time
     to = if state.importer.period, do: replay_end, else: earlier(replay_end, state.info.closed)
     {:ok, ordinal} = if from, do: seek(state, from), else: {:ok, 0}

@@ -1,0 +1,130 @@
+defmodule Situ.Conformance.PipelineLifecycle.Finalization do
+  # In which order a graph closes, and that a stop asked for while it does hangs nothing.
+  import Situ.Conformance.Case, only: [verdict: 2]
+  import Situ.Conformance.PipelineLifecycle.Telling
+  alias Situ.Conformance.PipelineLifecycle.{Generator, Relay, Source}
+  alias Situ.Pipeline
+
+  def check(%{"op" => "finalization"} = case) do
+    {tell, tag} = teller()
+    messages = for i <- 0..9, do: {i * 1000, i}
+
+    {:ok, _} =
+      Pipeline.run(stopping(tell, messages), pipeline: [replay: [interval: {0, :unbounded}]])
+
+    received = for v when is_integer(v) <- drain(tag), do: v
+    verdict(case["expect"], %{"received" => received, "deadlock" => false})
+  end
+
+  def check(%{"op" => "finalization_order", "params" => params} = case) do
+    {tell, tag} = teller()
+    {:ok, report} = Pipeline.run(fn p -> graph(p, params, tell) end)
+    events = drain(tag)
+    expect = case["expect"]
+    inputs = events |> Enum.flat_map(&unsubscribed/1) |> Enum.sort()
+    position = fn name -> Enum.find_index(report.closed, &(last(&1) == name)) end
+
+    wrong =
+      Enum.reject(expect["must_close_before"], fn [a, b] -> position.(a) < position.(b) end) ++
+        if(expect["all_emitters_close"] and length(report.closed) != components(params),
+          do: [{:closed, report.closed}],
+          else: []
+        ) ++
+        if(Enum.sort(expect["inputs_unsubscribed"]) != inputs -- never(expect, inputs),
+          do: [{:inputs, inputs}],
+          else: []
+        ) ++
+        for(
+          {key, n} <- received(expect),
+          not fits?(n, count(events, key)),
+          do: {key, count(events, key)}
+        )
+
+    if wrong == [], do: :pass, else: {:fail, expect, {report.closed, wrong}}
+  end
+
+  # The pipeline of the stop-from-handler case: a component that, when its input closes, asks for the stop.
+  defp stopping(tell, messages) do
+    fn p ->
+      stream = Situ.source(p, Source, kind: {:messages, messages})
+
+      Situ.composite(stream, "Sub", fn stream ->
+        stream = Situ.each(stream, tell, async: true)
+        node = Pipeline.add(stream.pipeline, Relay, tell: tell, at_close: true)
+        Pipeline.connect(stream, node, :x)
+      end)
+    end
+  end
+
+  # Graphs of the finalisation cases.
+
+  defp graph(p, params, tell) do
+    edges = Enum.flat_map(params["edges"], &edges/1)
+    generators = for {a, "gen", _, _} <- edges, do: a
+    subs = Map.get(params, "subpipelines", %{})
+
+    nodes =
+      for name <- params["construction_order"],
+          not Map.has_key?(subs, name),
+          not (name =~ ~r/^c[A-Z]/),
+          into: %{} do
+        module = if name in generators, do: Generator, else: Relay
+        sub = Enum.find_value(subs, fn {sub, members} -> name in members && sub end)
+
+        {name,
+         Pipeline.add(scope(p, sub), module, [tell: tell, gen: name in generators], name: name)}
+      end
+
+    for {a, output, b, input} <- edges do
+      stream = Situ.Node.output(nodes[a], String.to_existing_atom(output))
+      Pipeline.connect(stream, nodes[b], String.to_existing_atom(input))
+    end
+  end
+
+  defp scope(p, nil), do: p
+  defp scope(p, sub), do: %{p | scope: sub}
+
+  # Connectors between a pipeline and its part are no components here: an edge through one is an edge.
+  defp edges(text) do
+    [first | rest] = text |> String.split("->") |> Enum.filter(&String.contains?(&1, "."))
+
+    [first | rest]
+    |> Enum.chunk_every(2, 1, :discard)
+    |> Enum.map(fn [from, to] ->
+      [a, output] = String.split(from, ".")
+      [b, input] = String.split(to, ".")
+      {a, output, b, input}
+    end)
+  end
+
+  defp components(params) do
+    subs = Map.keys(Map.get(params, "subpipelines", %{}))
+    Enum.count(params["construction_order"], &(&1 not in subs and not (&1 =~ ~r/^c[A-Z]/)))
+  end
+
+  defp unsubscribed({:closed, path, input}), do: ["#{last(path)}.#{input}"]
+  defp unsubscribed(_), do: []
+
+  # Cases list the inputs they are about; others may close besides, but for those said to stay.
+  defp never(expect, inputs) do
+    (inputs -- expect["inputs_unsubscribed"]) -- (expect["unconnected_inputs_unsubscribed"] || [])
+  end
+
+  defp received(expect) do
+    for {key, n} <- expect,
+        [_, name, input] <- [Regex.run(~r/^(\w+)_received_on_(\w+)$/, key)],
+        do: {{name, input}, n}
+  end
+
+  defp count(events, {name, input}) do
+    Enum.count(events, fn
+      {:received, path, on} -> last(path) == name and to_string(on) == input
+      _ -> false
+    end)
+  end
+
+  defp fits?(">= " <> n, got), do: got >= String.to_integer(n)
+  defp fits?(n, got), do: n == got
+
+  defp last(path), do: path |> String.split(".") |> List.last()
+end

@@ -1,0 +1,155 @@
+defmodule Situ.Conformance.Store.Recording do
+  # Stores written and read, while they are written and after.
+  import Situ.Conformance.Case, only: [verdict: 2]
+  import Situ.Conformance.Store.Tape
+  alias Situ.{Message, Pipeline, Store}
+  alias Situ.Store.Writer
+
+  def run("write_read", params, case, root) do
+    streams = streams(case)
+    large = params["large_messages"] || []
+    path = record(root, streams, fn name -> [large: name in large] end)
+    store = Store.open!(path)
+
+    read =
+      for {name, _} <- streams, into: %{}, do: {name, Enum.to_list(Store.messages(store, name))}
+
+    same = for {name, messages} <- streams, do: envelopes(messages) == envelopes(read[name])
+
+    got =
+      Map.new(case["expect"], fn
+        {"available_streams", _} ->
+          {"available_streams", length(Store.streams(store))}
+
+        {"sum_of_byte_" <> n, _} ->
+          {"sum_of_byte_" <> n, sum_of_element(read, large, String.to_integer(n))}
+
+        {"sum", _} ->
+          {"sum", read |> Map.values() |> List.flatten() |> Enum.map(& &1.data) |> Enum.sum()}
+
+        {"count", _} ->
+          {"count", read |> Map.values() |> List.flatten() |> length()}
+
+        {key, expected} ->
+          {key, if(Enum.all?(same), do: expected, else: :different)}
+      end)
+
+    if Enum.all?(same), do: verdict(case["expect"], got), else: {:fail, streams, read}
+  end
+
+  # The reader is there before the writer runs, and ends when the writer closes the store.
+  def run("live_read", params, case, root) do
+    streams = live_streams(params, case)
+    [{name, messages} | _] = streams
+
+    root =
+      case params do
+        %{"store" => "memory"} -> nil
+        %{"path" => "relative"} -> Path.relative_to(root, File.cwd!())
+        _ -> root
+      end
+
+    writer = Pipeline.new(replay: [speed: :max])
+    exporter = Store.create(writer, "live", root)
+    for {name, messages} <- streams, do: writer |> source(messages) |> Store.write(exporter, name)
+    test = self()
+
+    {:ok, reader} =
+      Pipeline.start(
+        fn p -> p |> Store.importer(exporter.writer.path) |> Store.stream(name) |> tell(test) end,
+        []
+      )
+
+    :ok = Pipeline.start(writer)
+    {:ok, _} = Pipeline.await(writer)
+    {:ok, _} = Pipeline.await(reader, 20_000)
+    if root == nil, do: Store.delete(exporter.writer.path)
+    got = told()
+
+    expect =
+      Map.new(case["expect"], fn
+        {"sum", sum} -> {{"sum", sum}, Enum.sum(Enum.map(got, & &1.data))}
+        {"messages_read", n} -> {{"messages_read", n}, length(got)}
+        {"count", n} -> {{"count", n}, length(got)}
+        {key, value} -> {{key, value}, value}
+      end)
+
+    wrong = for {{_, expected}, actual} <- expect, expected != actual, do: actual
+
+    cond do
+      wrong != [] -> {:fail, case["expect"], wrong}
+      Enum.map(got, & &1.data) != Enum.map(messages, & &1.data) -> {:fail, messages, got}
+      times(got) != times(messages) -> {:fail, times(messages), times(got)}
+      true -> :pass
+    end
+  end
+
+  def run("close_at", params, case, root) do
+    [{name, messages} | _] = streams(case)
+    stop = params["pipeline_stop_ms"] * ms()
+    {:ok, writer} = Writer.create("closing", root)
+    {:ok, stream} = Writer.stream(writer, name)
+    {:ok, stream} = Writer.append(stream, messages)
+    {:ok, _} = Writer.close_stream(stream, stop)
+    :ok = Writer.close(writer)
+    [info] = writer.path |> Store.open!() |> Store.streams()
+    last = List.last(replay(writer.path, name))
+
+    verdict(case["expect"], %{
+      "closed_time_ms" => div(info.closed, ms()),
+      "last_replayed" => %{"t_ms" => div(last.originating_time, ms()), "v" => last.data}
+    })
+  end
+
+  # One at a time may write to a folder; another of the same name goes to a folder of its own.
+  def run("second_writer", _params, case, root) do
+    {:ok, first} = Writer.create("twice", root)
+    {:ok, second} = Writer.create("twice", root)
+    {:ok, fixed} = Writer.create("fixed", root, versioned: false)
+    again = Writer.create("fixed", root, versioned: false)
+    for writer <- [first, second, fixed], do: Writer.close(writer)
+
+    case {first.path != second.path, again} do
+      {true, {:error, _}} -> :pass
+      other -> {:fail, case["expect"] || case["expect_error"], other}
+    end
+  end
+
+  # Only envelopes were written: times and order without data.
+  def run("write_envelopes", _params, case, root) do
+    [{name, messages} | _] = streams(case)
+    store = root |> record([{name, messages}], fn _ -> [envelopes: true] end) |> Store.open!()
+    got = Enum.to_list(Store.messages(store, name))
+
+    if times(got) == times(messages),
+      do: by_stream(%{case | "expect" => Map.delete(case["expect"], name)}, store),
+      else: {:fail, times(messages), times(got)}
+  end
+
+  # What a writer refuses: the same stream twice, times that do not increase.
+  def run("refused", _params, case, root) do
+    path = record(root, streams(case))
+    {:fail, {:error, case["expect_error"]}, path}
+  end
+
+  defp live_streams(%{"message_bytes" => size} = params, _case) do
+    data = :binary.copy(<<params["fill"] || 0>>, size)
+
+    messages =
+      for i <- 1..params["count"],
+          do: %Message{data: data, originating_time: i * ms(), sequence_id: i}
+
+    [{"stream", messages}]
+  end
+
+  defp live_streams(_params, case), do: streams(case)
+
+  defp sum_of_element(read, large, n) do
+    read
+    |> Map.take(large)
+    |> Map.values()
+    |> List.flatten()
+    |> Enum.map(&Enum.at(&1.data, n))
+    |> Enum.sum()
+  end
+end

@@ -1,0 +1,129 @@
+defmodule Situ.Conformance.Store.Tape do
+  # What the cases of stores share: a case's streams, recorded and played.
+  import Situ.Conformance.Case, only: [verdict: 2]
+  alias Situ.{Message, Pipeline, Store}
+
+  @ms 1_000_000
+  @units %{"ticks" => 100, "us" => 1_000, "ms" => @ms, "s" => 1_000 * @ms}
+
+  def ms, do: @ms
+
+  def streams(case) do
+    for input <- case["inputs"] || [] do
+      messages =
+        for {m, i} <- Enum.with_index(input["messages"] || [], 1) do
+          %Message{
+            data: m["v"],
+            originating_time: Situ.Conformance.Case.time(m),
+            creation_time: Situ.Conformance.Case.time(m) + 5,
+            sequence_id: i
+          }
+        end
+
+      {input["stream"], messages}
+    end
+  end
+
+  def source(p, messages),
+    do: Situ.from_enumerable(p, for(m <- messages, do: {m.originating_time, m.data}))
+
+  # Recorded by a pipeline as fast as possible; sequence ids count from 1, creation times are its clock's.
+  def record(root, streams, options \\ fn _ -> [] end, name \\ "store") do
+    result =
+      Pipeline.run(fn p ->
+        exporter = Store.create(p, name, root)
+
+        for {stream, messages} <- streams do
+          p |> source(messages) |> Store.write(exporter, stream, options.(stream))
+        end
+
+        exporter.writer.path
+      end)
+
+    case result do
+      {:ok, report} -> report.result
+      {:error, error} -> raise error
+    end
+  end
+
+  def replay(path, name, interval \\ {:unbounded, :unbounded}, options \\ []) do
+    test = self()
+
+    result =
+      Pipeline.run(
+        fn p -> p |> Store.importer(path) |> Store.stream(name, options) |> tell(test) end,
+        pipeline: [replay: [interval: interval, speed: :max]]
+      )
+
+    case result do
+      {:ok, _} -> told()
+      {:error, error} -> raise error
+    end
+  end
+
+  def tell(stream, {pid, tag}),
+    do: Situ.each(stream, fn _, message -> send(pid, {:told, {tag, message}}) end)
+
+  def tell(stream, pid), do: Situ.each(stream, fn _, message -> send(pid, {:told, message}) end)
+
+  def told(got \\ []) do
+    receive do
+      {:told, message} -> told([message | got])
+    after
+      0 -> Enum.reverse(got)
+    end
+  end
+
+  def until(fun, left \\ 500) do
+    cond do
+      fun.() -> :ok
+      left == 0 -> raise "waited in vain"
+      true -> Process.sleep(10) && until(fun, left - 1)
+    end
+  end
+
+  def envelopes(messages),
+    do: for(m <- messages, do: {m.originating_time, m.sequence_id, m.data})
+
+  def times(messages), do: Enum.map(messages, & &1.originating_time)
+  def data(store, name), do: Enum.map(Store.messages(store, name), & &1.data)
+
+  # A parameter that is a time, in whatever unit: "from_ms", "from_ticks" ...
+  def time(params, name) do
+    Enum.find_value(@units, fn {unit, ns} ->
+      n = params["#{name}_#{unit}"]
+      is_number(n) && round(n * ns)
+    end)
+  end
+
+  # `{from, to}`, `nil` where the case tells none.
+  def bounds(params), do: {time(params, "from"), time(params, "to")}
+
+  # What the case tells of each stream, of counts and of metadata.
+  def by_stream(case, store) do
+    got =
+      Map.new(case["expect"] || %{}, fn {key, expected} ->
+        cond do
+          Store.has_stream?(store, key) -> {key, data(store, key)}
+          key == "sum" -> {key, Enum.sum(all_data(store))}
+          key in ["count", "messages"] -> {key, length(all_data(store))}
+          key == "available_streams" -> {key, length(Store.streams(store))}
+          key == "supplemental_metadata" -> {key, metadata(store)}
+          true -> {key, expected}
+        end
+      end)
+
+    verdict(case["expect"] || %{}, got)
+  end
+
+  defp all_data(store), do: Enum.flat_map(Store.streams(store), &data(store, &1))
+
+  defp metadata(store) do
+    Enum.find_value(Store.streams(store), fn info ->
+      case Store.metadata(store, info.name) do
+        {:ok, term} -> term
+        {:error, _} -> nil
+      end
+    end)
+  end
+end
