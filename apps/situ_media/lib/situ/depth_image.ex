@@ -106,9 +106,10 @@ defmodule Situ.DepthImage do
       iex> {part.data, part.scale}
       {<<2, 0>>, 0.01}
   """
-  @spec through(t(), (Image.t() -> Image.result())) :: result()
+  @spec through(t(), (Image.t() -> Image.result() | {:ok, nil})) :: result() | {:ok, nil}
   def through(%__MODULE__{} = depth, fun) when is_function(fun, 1) do
-    with {:ok, %Image{} = image} <- fun.(to_gray16(depth)),
+    with {:ok, depth} <- validate(depth),
+         {:ok, %Image{} = image} <- fun.(to_gray16(depth)),
          do: from_gray16(image, semantics: depth.semantics, scale: depth.scale)
   end
 

@@ -75,7 +75,7 @@ defmodule Situ.Vision do
     vars = Enum.map(args, &Macro.var(&1, __MODULE__))
     label = name |> Atom.to_string() |> String.replace("_", " ") |> String.capitalize()
 
-    @doc "Each picture through `#{inspect(module)}.#{name}/#{length(args) + 2}`."
+    @doc "Each picture through `Situ.Image.#{name}/#{length(args) + 2}`."
     @spec unquote(name)(
             unquote_splicing([
               quote(do: Stream.t()) | Enum.map(args, fn _ -> quote(do: term()) end)
@@ -94,7 +94,7 @@ defmodule Situ.Vision do
     vars = Enum.map(args, &Macro.var(&1, __MODULE__))
     label = name |> Atom.to_string() |> String.replace("_", " ") |> String.capitalize()
 
-    @doc "Each picture through `#{inspect(module)}.#{name}/#{length(args) + 1}`."
+    @doc "Each picture through `Situ.Image.#{name}/#{length(args) + 1}`."
     @spec unquote(name)(
             unquote_splicing([
               quote(do: Stream.t()) | Enum.map(args, fn _ -> quote(do: term()) end)
@@ -111,7 +111,7 @@ defmodule Situ.Vision do
   @doc """
   The part inside `rect`: one rectangle for all, or a stream of pictures with their rectangles, `{image, rect | nil}`, when
   `rect` is `:paired` (join pictures and rectangles first). `nil` for no rectangle, or one that leaves nothing with
-  `clip: true`; so the type is `{:optional, Situ.Image}`.
+  `clip: true`; so the type is `{:optional, Situ.Image}`, or that of depth images for a stream of them.
 
       iex> {image, rect} = {Situ.Image.filled(4, 4, :gray8), Situ.Rect.new!(1, 1, 2, 2)}
       iex> Situ.to_list(fn p -> p |> Situ.repeat({image, rect}, 10, count: 1) |> Situ.Vision.crop(:paired) end)
@@ -126,8 +126,32 @@ defmodule Situ.Vision do
         do: fn {image, rect} -> rect && Result.unwrap!(Geometry.crop(image, rect, opts)) end,
         else: fn image -> Result.unwrap!(Geometry.crop(image, rect, opts)) end
 
-    Operator.attach(stream, "Crop", {:map, fun}, common, {:optional, Image})
+    picture = if depth?(stream.type), do: DepthImage, else: Image
+    Operator.attach(stream, "Crop", {:map, fun}, common, {:optional, picture})
   end
+
+  defp depth?(DepthImage), do: true
+  defp depth?({:tuple, [type | _]}), do: depth?(type)
+  defp depth?(_type), do: false
+
+  @doc """
+  `:gray16` pictures as depth images, without a copy; `semantics:` and `scale:` as in `Situ.DepthImage`.
+
+      iex> image = Situ.Image.filled(2, 1, :gray16, 1500)
+      iex> Situ.to_list(fn p -> p |> Situ.repeat(image, 10, count: 1) |> Situ.Vision.to_depth(scale: 0.002) end)
+      [Situ.DepthImage.new!(width: 2, height: 1, data: image.data, scale: 0.002)]
+  """
+  @spec to_depth(Stream.t(), keyword()) :: Stream.t()
+  def to_depth(stream, opts \\ []) do
+    {common, opts} = Keyword.split(opts, @common)
+    fun = &Result.unwrap!(DepthImage.from_gray16(&1, opts))
+    Operator.attach(stream, "To depth", {:map, fun}, common, DepthImage)
+  end
+
+  @doc "Depth images as `:gray16` pictures, without a copy: for every operator on pictures."
+  @spec to_gray16(Stream.t(), keyword()) :: Stream.t()
+  def to_gray16(stream, opts \\ []),
+    do: Operator.attach(stream, "To gray16", {:map, &DepthImage.to_gray16/1}, opts, Image)
 
   @doc "JPEG or PNG (`Situ.EncodedImage` or binaries) as pictures: `Situ.Image.parse/2`."
   @spec decode(Stream.t(), keyword()) :: Stream.t()
@@ -161,6 +185,20 @@ defmodule Situ.Vision do
       opts,
       Image
     )
+  end
+
+  @doc """
+  How alike the pictures of two streams with the same times are: a stream of maps, `Situ.Image.compare/3`.
+
+      iex> {a, b} = {Situ.Image.filled(2, 1, :gray8, 3), Situ.Image.filled(2, 1, :gray8, 5)}
+      iex> Situ.to_list(fn p -> Situ.Vision.compare(Situ.repeat(p, a, 10, count: 1), Situ.repeat(p, b, 10, count: 1), tolerance: 1) end)
+      [%{equal?: false, max: 2, mean: 2.0, outliers: 1.0}]
+  """
+  @spec compare(Stream.t(), Stream.t(), keyword()) :: Stream.t()
+  def compare(stream, other, opts \\ []) do
+    {common, opts} = Keyword.split(opts, @common)
+    fun = fn {a, b} -> Result.unwrap!(Measure.compare(a, b, opts)) end
+    stream |> Situ.join(other) |> Operator.attach("Compare", {:map, fun}, common, :map)
   end
 
   @doc "Boxes with labels on each picture of a stream of `{image, [Situ.Rect]}`."

@@ -96,6 +96,26 @@ defmodule Situ.VisionTest do
              Image.draw_detections!(@color, [rect])
   end
 
+  test "depth images are cropped as they are, and become pictures and back without a copy" do
+    depth = DepthImage.new!(width: 4, height: 2, data: <<1::128>>, scale: 0.01, semantics: :point)
+    {:ok, part} = Image.crop(depth, {2, 1, 2, 1})
+    assert part == %{depth | width: 2, height: 1, stride: 4, data: <<1::32>>}
+    assert run(depth, &Vision.crop(&1, {2, 1, 2, 1})) == part
+    assert run(depth, &Vision.crop(&1, {9, 9, 2, 1}, clip: true)) == nil
+
+    back = &(&1 |> Vision.to_gray16() |> Vision.to_depth(scale: 0.01, semantics: :point))
+    assert run(depth, back) == depth
+    assert {:error, %{code: :bad_rect}} = Image.crop(depth, {3, 1, 2, 1})
+    assert_raise ArgumentError, fn -> Image.crop(depth, {3, 1, 2, 1}, clipp: true) end
+  end
+
+  test "two streams are compared" do
+    expected = Image.compare!(@gray, Image.invert!(@gray), tolerance: 80)
+    compare = &Vision.compare(&1, Vision.invert(&1), tolerance: 80)
+    assert run(@gray, compare) == expected
+    assert expected.max == 75
+  end
+
   @tag :capture_log
   test "a picture that cannot be worked on stops the pipeline, or is passed over" do
     feed = [{1, @color}, {2, @gray}]

@@ -7,8 +7,9 @@ defmodule Situ.Audio.Mixer do
   @moduledoc """
   Two sounds as one (`Situ.Audio.mix/3`), laid over each other by their times, sample by sample.
 
-  Both need the same format. A gap in one is silence in the mix; after one has closed the other goes on alone. What
-  overlaps (times that go back) is added. Buffers come out as far as both are known.
+  Both need the same format. A gap in one is silence in the mix; after one has closed the other goes on alone. Where an
+  input overlaps itself (times that go back), what came first stays. Buffers come out as far as both are known. A gap in both whose silence would take
+  more than 256 MiB (hours of speech) is the error `:gap_too_long`: a clock was set.
 
   ## Options
 
@@ -20,27 +21,22 @@ defmodule Situ.Audio.Mixer do
     options: @schema
 
   alias Situ.{AudioBuffer, AudioFormat, Error}
+  alias Situ.Audio.Gap
+  alias Situ.Image.Result
 
   @impl true
   def init(opts) do
+    # `waiting` holds the newest first.
     track = %{waiting: [], known: nil, closed?: false}
     gains = %{in: opts[:gain] * 1.0, other: opts[:other_gain] * 1.0}
-    {:ok, %{gains: gains, format: nil, origin: nil, cursor: 0, in: track, other: track}}
+    {:ok, %{gains: gains, format: nil, origin: nil, cursor: nil, in: track, other: track}}
   end
 
   @impl true
   def handle_message(input, %{data: buffer, originating_time: time}, _context, state) do
     state = settle(state, buffer, time)
     first = frame_at(state, AudioBuffer.start_time(buffer, time))
-    track = Map.fetch!(state, input)
-    stop = first + AudioBuffer.frames(buffer)
-
-    track = %{
-      track
-      | waiting: track.waiting ++ [{first, buffer}],
-        known: max(stop, track.known || stop)
-    }
-
+    track = state |> Map.fetch!(input) |> follow(first, buffer)
     release(Map.put(state, input, track))
   end
 
@@ -62,17 +58,31 @@ defmodule Situ.Audio.Mixer do
           )
   end
 
+  # Only what lies behind the track's end so far is new.
+  defp follow(track, first, buffer) do
+    count = AudioBuffer.frames(buffer)
+    from = max(first, track.known || first)
+    part = AudioBuffer.slice(buffer, from - first, count)
+    waiting = if part.data == "", do: track.waiting, else: [{from, part} | track.waiting]
+    %{track | waiting: waiting, known: max(first + count, from)}
+  end
+
   defp frame_at(state, time), do: AudioFormat.ns_to_frames(state.format, time - state.origin)
 
   # Emits up to where both tracks are known.
   defp release(state) do
-    case ready(state.in, state.other) do
-      stop when is_integer(stop) and stop > state.cursor ->
-        {[mixed(state, stop)], forget(state, stop)}
+    stop = ready(state.in, state.other)
+    state = %{state | cursor: state.cursor || (stop && beginning(state))}
 
-      _ ->
-        {[], state}
-    end
+    if is_integer(stop) and stop > state.cursor,
+      do: {[mixed(state, stop)], forget(state, stop)},
+      else: {[], state}
+  end
+
+  # Which input's first buffer arrives first says nothing about which begins first.
+  defp beginning(state) do
+    firsts = for input <- [:in, :other], {first, _} <- state[input].waiting, do: first
+    Enum.min(firsts, fn -> 0 end)
   end
 
   defp ready(%{closed?: true} = a, %{closed?: true} = b), do: max(a.known || 0, b.known || 0)
@@ -82,25 +92,33 @@ defmodule Situ.Audio.Mixer do
   defp ready(_, _), do: nil
 
   defp mixed(state, stop) do
+    Gap.check!(state.format, stop - state.cursor)
     silence = AudioBuffer.silence(state.format, stop - state.cursor)
 
     sum =
-      for input <- [:in, :other],
-          {first, buffer} <- Map.fetch!(state, input).waiting,
-          reduce: silence do
-        sum -> add(sum, buffer, first - state.cursor, state.gains[input])
+      for input <- [:in, :other], reduce: silence do
+        sum ->
+          part = between(state[input].waiting, state.cursor, stop, state.format)
+          Result.unwrap!(AudioBuffer.mix(sum, part, gain: state.gains[input]))
       end
 
     {:out, state.origin + AudioFormat.frames_to_ns(state.format, stop), sum}
   end
 
-  defp add(sum, buffer, offset, gain) do
-    length = AudioBuffer.frames(sum)
-    skip = max(-offset, 0)
-    part = AudioBuffer.slice(buffer, skip, max(length - max(offset, 0), 0))
-    lead = AudioBuffer.silence(sum.format, min(max(offset, 0), length))
-    placed = %{part | data: lead.data <> part.data}
-    Situ.Image.Result.unwrap!(AudioBuffer.mix(sum, placed, gain: gain))
+  # A track from `cursor` on, with silence where nothing is.
+  defp between(waiting, cursor, stop, format) do
+    {data, _end} =
+      waiting
+      |> Enum.reverse()
+      |> Enum.map_reduce(cursor, fn {first, buffer}, at ->
+        from = max(first, cursor)
+        to = min(first + AudioBuffer.frames(buffer), stop)
+        part = AudioBuffer.slice(buffer, from - first, max(to - from, 0))
+        gap = if part.data == "", do: 0, else: from - at
+        {[AudioBuffer.silence(format, gap).data, part.data], max(at, to)}
+      end)
+
+    %AudioBuffer{format: format, data: IO.iodata_to_binary(data)}
   end
 
   defp forget(state, stop) do

@@ -22,6 +22,9 @@ defmodule Situ.Audio.Streamline do
     * `:unpleat`: times run on; when they have drifted from the input's by more than `max_offset`, silence goes in before
       the buffer (it came late) or its beginning is cut off (it came early).
 
+  A gap whose silence would take more than 256 MiB (hours of speech) is the error `:gap_too_long`: a clock was set. A
+  change of the format on the way is an error, too.
+
   ## Options
 
   #{Situ.Options.docs(@schema)}
@@ -31,17 +34,32 @@ defmodule Situ.Audio.Streamline do
     outputs: [out: Situ.AudioBuffer],
     options: @schema
 
-  alias Situ.{AudioBuffer, AudioFormat}
+  alias Situ.{AudioBuffer, AudioFormat, Error}
+  alias Situ.Audio.Gap
 
   @impl true
-  def init(opts), do: {:ok, %{opts: opts, origin: nil, frames: 0, last: nil}}
+  def init(opts), do: {:ok, %{opts: opts, format: nil, origin: nil, frames: 0, last: nil}}
 
   @impl true
   def handle_message(:in, %{data: buffer, originating_time: time}, _context, state) do
-    # Frames are counted from the start of the first buffer, so that rounding does not add up.
-    state = %{state | origin: state.origin || AudioBuffer.start_time(buffer, time)}
+    state = settle(state, buffer, time)
     fitted = fit(state.opts[:method], buffer, time, state)
     emit(fitted, time, state)
+  end
+
+  # Frames are counted from the start of the first buffer, so that rounding does not add up.
+  defp settle(%{format: nil} = state, buffer, time),
+    do: %{state | format: buffer.format, origin: AudioBuffer.start_time(buffer, time)}
+
+  defp settle(%{format: format} = state, %{format: format}, _time), do: state
+
+  defp settle(%{format: format}, buffer, _time) do
+    raise Error.new(
+            :bad_audio,
+            "the sound was #{inspect(format)} and is #{inspect(buffer.format)}",
+            why: "streamlining counts the frames of one format",
+            fix: "resample or reformat the stream first"
+          )
   end
 
   defp fit(:concatenate, buffer, _time, _state), do: buffer
@@ -52,7 +70,7 @@ defmodule Situ.Audio.Streamline do
 
     if wanted <= have,
       do: AudioBuffer.slice(buffer, 0, max(wanted, 0)),
-      else: join(buffer, AudioBuffer.silence(buffer.format, wanted - have))
+      else: join(buffer, Gap.silence!(buffer.format, wanted - have))
   end
 
   defp fit(:unpleat, buffer, time, state) do
@@ -66,7 +84,7 @@ defmodule Situ.Audio.Streamline do
 
       drift > 0 ->
         missing = AudioFormat.ns_to_frames(buffer.format, drift)
-        join(AudioBuffer.silence(buffer.format, missing), buffer)
+        join(Gap.silence!(buffer.format, missing), buffer)
 
       true ->
         AudioBuffer.slice(buffer, AudioFormat.ns_to_frames(buffer.format, -drift), have)

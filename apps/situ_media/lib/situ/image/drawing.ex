@@ -54,24 +54,52 @@ defmodule Situ.Image.Drawing do
     byte_size(image.data) / 8000 + 20 * length(terms) + Text.cost_us() * texts
   end
 
-  @doc "A line from point to point."
+  @doc """
+  A line from point to point.
+
+      iex> {:ok, image} = Situ.Image.draw_line(Situ.Image.filled(9, 9, :gray8), {0, 4}, {8, 4}, color: 200, width: 3)
+      iex> for y <- [0, 4, 8], do: Situ.Image.fetch_pixel(image, 4, y)
+      [{:ok, [0]}, {:ok, [200]}, {:ok, [0]}]
+  """
   @spec draw_line(Image.t(), point(), point(), keyword()) :: Image.result()
   def draw_line(image, from, to, opts \\ []), do: draw(image, [{:line, from, to, opts}])
 
-  @doc "The outline of a rectangle."
+  @doc """
+  The outline of a rectangle.
+
+      iex> Situ.Image.draw_rectangle!(Situ.Image.filled(4, 3, :gray8), {0, 0, 3, 3}, color: 9).data
+      <<9, 9, 9, 0, 9, 0, 9, 0, 9, 9, 9, 0>>
+  """
   @spec draw_rectangle(Image.t(), rect(), keyword()) :: Image.result()
   def draw_rectangle(image, rect, opts \\ []), do: draw(image, [{:rectangle, rect, opts}])
 
-  @doc "A filled rectangle."
+  @doc """
+  A filled rectangle.
+
+      iex> Situ.Image.fill_rectangle!(Situ.Image.filled(4, 3, :gray8), {1, 1, 2, 2}, color: 9).data
+      <<0, 0, 0, 0, 0, 9, 9, 0, 0, 9, 9, 0>>
+  """
   @spec fill_rectangle(Image.t(), rect(), keyword()) :: Image.result()
   def fill_rectangle(image, rect, opts \\ []), do: draw(image, [{:fill_rectangle, rect, opts}])
 
-  @doc "The outline of a circle."
+  @doc """
+  The outline of a circle.
+
+      iex> {:ok, image} = Situ.Image.draw_circle(Situ.Image.filled(21, 21, :gray8), {10, 10}, 8, color: 200, width: 3)
+      iex> for x <- [10, 18], do: Situ.Image.fetch_pixel(image, x, 10)
+      [{:ok, [0]}, {:ok, [200]}]
+  """
   @spec draw_circle(Image.t(), point(), number(), keyword()) :: Image.result()
   def draw_circle(image, center, radius, opts \\ []),
     do: draw(image, [{:circle, center, radius, opts}])
 
-  @doc "A disc."
+  @doc """
+  A disc.
+
+      iex> {:ok, image} = Situ.Image.fill_circle(Situ.Image.filled(21, 21, :gray8), {10, 10}, 8, color: 200)
+      iex> for x <- [10, 20], do: Situ.Image.fetch_pixel(image, x, 10)
+      [{:ok, [200]}, {:ok, [0]}]
+  """
   @spec fill_circle(Image.t(), point(), number(), keyword()) :: Image.result()
   def fill_circle(image, center, radius, opts \\ []),
     do: draw(image, [{:fill_circle, center, radius, opts}])

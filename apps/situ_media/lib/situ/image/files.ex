@@ -154,6 +154,13 @@ defmodule Situ.Image.Files do
 
   @doc """
   A picture from raw pixels without gaps: `width * height` pixels of `format`, exactly.
+
+      iex> {:ok, image} = Situ.Image.from_raw(<<1, 2, 3, 4>>, 2, 2, :gray8)
+      iex> image.stride
+      2
+      iex> {:error, error} = Situ.Image.from_raw(<<1, 2, 3, 4>>, 2, 2, :gray16)
+      iex> error.code
+      :bad_image
   """
   @spec from_raw(binary(), pos_integer(), pos_integer(), Image.Format.t()) :: Image.result()
   def from_raw(bytes, width, height, format) do

@@ -17,40 +17,94 @@ defmodule Situ.Image.Filter do
     run(image, {:gaussian, image, size, sigma * 1.0}, 1)
   end
 
-  @doc "Mean of a `size` x `size` window, `size` odd."
+  @doc """
+  Mean of a `size` x `size` window, `size` odd.
+
+      iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
+      iex> Situ.Image.box_blur!(dot, 3).data
+      <<0, 30, 30, 30, 0>>
+  """
   @spec box_blur(Image.t(), pos_integer()) :: Image.result()
   def box_blur(%Image{} = image, size), do: run(image, {:box_blur, image, size}, 0.6)
 
-  @doc "Median of a `size` x `size` window, `size` odd; above 5 only for 8-bit formats."
+  @doc """
+  Median of a `size` x `size` window, `size` odd; above 5 only for 8-bit formats.
+
+      iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
+      iex> Situ.Image.median_blur!(dot, 3).data
+      <<0, 0, 0, 0, 0>>
+  """
   @spec median_blur(Image.t(), pos_integer()) :: Image.result()
   def median_blur(%Image{} = image, size), do: run(image, {:median_blur, image, size}, 3)
 
-  @doc "Canny edges of a `:gray8` picture: 255 on an edge, else 0; `low` and `high` are the hysteresis thresholds."
+  @doc """
+  Canny edges of a `:gray8` picture: 255 on an edge, else 0; `low` and `high` are the hysteresis thresholds.
+
+      iex> step = Situ.Image.fill_rectangle!(Situ.Image.filled(8, 8, :gray8), {4, 0, 4, 8}, color: 200)
+      iex> step |> Situ.Image.canny!(60, 120) |> Situ.Image.crop!({0, 4, 8, 1}) |> Situ.Image.pixels()
+      <<0, 0, 0, 255, 0, 0, 0, 0>>
+  """
   @spec canny(Image.t(), number(), number()) :: Image.result()
   def canny(%Image{} = image, low, high),
     do: run(image, {:canny, image, low * 1.0, high * 1.0}, 6)
 
-  @doc "Strength of edges of a `:gray8` picture: half the sum of the absolute Sobel 3x3 derivatives."
+  @doc """
+  Strength of edges of a `:gray8` picture: half the sum of the absolute Sobel 3x3 derivatives.
+
+      iex> step = Situ.Image.fill_rectangle!(Situ.Image.filled(8, 8, :gray8), {4, 0, 4, 8}, color: 200)
+      iex> step |> Situ.Image.sobel!() |> Situ.Image.crop!({0, 4, 8, 1}) |> Situ.Image.pixels()
+      <<0, 0, 0, 128, 128, 0, 0, 0>>
+  """
   @spec sobel(Image.t()) :: Image.result()
   def sobel(%Image{} = image), do: run(image, {:sobel, image}, 2)
 
-  @doc "Minimum in a `size` x `size` window, `size` odd."
+  @doc """
+  Minimum in a `size` x `size` window, `size` odd.
+
+      iex> hole = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<90, 90, 0, 90, 90>>)
+      iex> Situ.Image.erode!(hole, 3).data
+      <<90, 0, 0, 0, 90>>
+  """
   @spec erode(Image.t(), pos_integer()) :: Image.result()
   def erode(%Image{} = image, size), do: morph(image, :erode, size)
 
-  @doc "Maximum in a `size` x `size` window, `size` odd."
+  @doc """
+  Maximum in a `size` x `size` window, `size` odd.
+
+      iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
+      iex> Situ.Image.dilate!(dot, 3).data
+      <<0, 90, 90, 90, 0>>
+  """
   @spec dilate(Image.t(), pos_integer()) :: Image.result()
   def dilate(%Image{} = image, size), do: morph(image, :dilate, size)
 
-  @doc "Erode, then dilate: removes specks."
+  @doc """
+  Erode, then dilate: removes specks.
+
+      iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
+      iex> Situ.Image.open!(dot, 3).data
+      <<0, 0, 0, 0, 0>>
+  """
   @spec open(Image.t(), pos_integer()) :: Image.result()
   def open(%Image{} = image, size), do: morph(image, :open, size)
 
-  @doc "Dilate, then erode: fills holes."
+  @doc """
+  Dilate, then erode: fills holes.
+
+      iex> hole = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<90, 90, 0, 90, 90>>)
+      iex> Situ.Image.close!(hole, 3).data
+      <<90, 90, 90, 90, 90>>
+  """
   @spec close(Image.t(), pos_integer()) :: Image.result()
   def close(%Image{} = image, size), do: morph(image, :close, size)
 
-  @doc "A `:gray8` picture with its histogram flattened."
+  @doc """
+  A `:gray8` picture with its histogram flattened.
+
+      iex> image = Situ.Image.new!(width: 4, height: 1, format: :gray8, data: <<10, 11, 12, 12>>)
+      iex> Situ.Image.equalize!(image).data
+      <<0, 85, 255, 255>>
+  """
   @spec equalize(Image.t()) :: Image.result()
   def equalize(%Image{} = image), do: run(image, {:equalize, image}, 0.6)
 

@@ -2,7 +2,7 @@ defmodule Situ.Image.Geometry do
   @moduledoc """
   Where pixels go: crop, resize, letterbox, flip, rotate, warp, paste. Call them through `Situ.Image`.
   """
-  alias Situ.{Error, Image, Rect}
+  alias Situ.{DepthImage, Error, Image, Rect}
   alias Situ.Image.{Color, Format}
   alias Situ.Media.Kernel
 
@@ -41,17 +41,25 @@ defmodule Situ.Image.Geometry do
       :bad_rect
       iex> Situ.Image.crop(image, {5, 5, 1, 1}, clip: true)
       {:ok, nil}
+
+  A depth image is cropped to a depth image of the same semantics and scale.
   """
-  @spec crop(Image.t(), Rect.t() | {number(), number(), number(), number()}, keyword()) ::
-          {:ok, Image.t() | nil} | {:error, Error.t()}
+  @spec crop(
+          Image.t() | DepthImage.t(),
+          Rect.t() | {number(), number(), number(), number()},
+          keyword()
+        ) :: {:ok, Image.t() | DepthImage.t() | nil} | {:error, Error.t()}
   def crop(image, rect, opts \\ [])
+
+  def crop(%DepthImage{} = depth, rect, opts),
+    do: DepthImage.through(depth, &crop(&1, rect, opts))
 
   def crop(%Image{} = image, {x, y, w, h}, opts),
     do: crop(image, %Rect{x: x, y: y, width: w, height: h}, opts)
 
   def crop(%Image{} = image, %Rect{} = rect, opts) do
     with {:ok, image} <- Image.validate(image) do
-      case whole(image, rect, Keyword.get(opts, :clip, false)) do
+      case whole(image, rect, Keyword.validate!(opts, clip: false)[:clip]) do
         nil ->
           {:ok, nil}
 
@@ -254,6 +262,10 @@ defmodule Situ.Image.Geometry do
 
   @doc """
   As `warp_affine/3`, by a 3x3 matrix (nine numbers) in homogeneous coordinates.
+
+      iex> image = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<5, 7>>)
+      iex> Situ.Image.warp_perspective!(image, [1, 0, 1, 0, 1, 0, 0, 0, 1]).data
+      <<0, 5>>
   """
   @spec warp_perspective(Image.t(), [number()], keyword()) :: Image.result()
   def warp_perspective(%Image{} = image, matrix, opts \\ []),

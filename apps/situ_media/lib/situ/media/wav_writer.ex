@@ -69,11 +69,18 @@ defmodule Situ.Media.WavWriter do
   defp fill(writer, gap, opts) do
     if opts[:fill_gaps] and gap > 1_000_000 do
       if gap > @longest_gap, do: raise(too_long(opts[:path], gap))
-      frames = Situ.AudioFormat.ns_to_frames(writer.format, gap)
-      append(writer, AudioBuffer.silence(writer.format, frames))
+      silence(writer, Situ.AudioFormat.ns_to_frames(writer.format, gap))
     else
       writer
     end
+  end
+
+  # A second at a time: an hour of many channels would be gigabytes.
+  defp silence(%{format: format} = writer, frames) do
+    second = AudioBuffer.silence(format, format.rate)
+    rest = AudioBuffer.silence(format, rem(frames, format.rate))
+    seconds = List.duplicate(second, div(frames, format.rate))
+    Enum.reduce(seconds ++ [rest], writer, &append(&2, &1))
   end
 
   defp append(writer, buffer) do

@@ -145,6 +145,98 @@ defmodule Situ.Audio.TimesTest do
 
   defp samples(n), do: AudioBuffer.from_samples(List.duplicate(5, n), @format)
 
+  # A clock that is set while a device runs jumps by decades; the silence would take terabytes.
+  @jump 315_360_000_000_000_000
+
+  @tag :capture_log
+  test "a jump of the times is an error, not silence without end" do
+    feed = [{1_000_000, samples(8)}, {@jump, samples(8)}]
+
+    for method <- [:pleat, :unpleat] do
+      build = fn p ->
+        p |> Situ.from_enumerable(feed) |> Situ.Audio.streamline(method: method)
+      end
+
+      assert {:error, %{code: :gap_too_long} = error} = Situ.collect(build)
+      assert Exception.message(error) =~ "87599 h"
+    end
+
+    build = fn p ->
+      Situ.Audio.mix(
+        Situ.from_enumerable(p, feed),
+        Situ.from_enumerable(p, [{@jump, samples(8)}])
+      )
+    end
+
+    assert {:error, %{code: :gap_too_long}} = Situ.collect(build)
+  end
+
+  @tag :capture_log
+  test "streamlining asks for one format" do
+    feed = [
+      {1_000_000, samples(8)},
+      {2_000_000, AudioBuffer.silence(AudioFormat.pcm(48_000), 48)}
+    ]
+
+    build = fn p -> p |> Situ.from_enumerable(feed) |> Situ.Audio.streamline() end
+    assert {:error, %{code: :bad_audio} = error} = Situ.collect(build)
+    assert Exception.message(error) =~ "48000 Hz"
+  end
+
+  property "a mix has at every moment the sum of what is there" do
+    track = nonempty_list({integer(1, 12), integer(1, 9)})
+
+    forall {left, right} <- {track, track} do
+      {left, right} = {placed(left, 1), placed(right, 100)}
+
+      out =
+        Situ.to_list(
+          fn p ->
+            Situ.Audio.mix(Situ.from_enumerable(p, left), Situ.from_enumerable(p, right))
+          end,
+          times: true
+        )
+
+      {start, samples} = heard(out)
+      expected = Map.merge(track(left), track(right), fn _at, a, b -> a + b end)
+      first = Enum.min(Map.keys(expected))
+
+      start == first and
+        samples == for(i <- first..Enum.max(Map.keys(expected)), do: Map.get(expected, i, 0))
+    end
+  end
+
+  # Buffers of 1 kHz that end this much later than the one before: gaps and overlaps. Sample values are `scale`.
+  defp placed(track, scale) do
+    {feed, _} =
+      Enum.map_reduce(track, 20, fn {later, frames}, time ->
+        buffer = AudioBuffer.from_samples(List.duplicate(scale, frames), AudioFormat.pcm(1000))
+        {{(time + later) * 1_000_000, buffer}, time + later}
+      end)
+
+    feed
+  end
+
+  # What there is by milliseconds; where a track overlaps itself, what came first.
+  defp track(feed) do
+    for {time, buffer} <- feed,
+        {value, i} <- Enum.with_index(AudioBuffer.to_samples(buffer)),
+        reduce: %{} do
+      track ->
+        at = div(time, 1_000_000) - AudioBuffer.frames(buffer) + i
+
+        if at > Enum.max(Map.keys(track), fn -> -1 end),
+          do: Map.put(track, at, value),
+          else: track
+    end
+  end
+
+  # Contiguous buffers as the start and the samples of all.
+  defp heard([{time, first} | _] = out) do
+    samples = Enum.flat_map(out, fn {_, buffer} -> AudioBuffer.to_samples(buffer) end)
+    {div(time, 1_000_000) - AudioBuffer.frames(first), samples}
+  end
+
   test "mixing lays sounds over each other by time, across gaps" do
     format = AudioFormat.pcm(1000)
     b = &AudioBuffer.from_samples(&1, format)
