@@ -541,6 +541,13 @@ defmodule Situ.Store.PipelineTest do
     assert Store.count(store, "Faces") == 100
   end
 
+  test "a loop shorter than the recording is refused when it is built", %{tmp_dir: root} do
+    path = record(root, "rec", 0..99)
+    build = fn p -> p |> Store.importer(path, loop: 99_000_000) |> Store.stream("seq") end
+    assert {:error, %{code: :bad_option, why: why}} = Pipeline.run(build)
+    assert why =~ "99.0 ms"
+  end
+
   test "a failing pipeline leaves a whole, closed store", %{tmp_dir: root} do
     {:error, _} =
       Pipeline.run(fn p ->

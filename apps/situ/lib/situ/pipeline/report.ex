@@ -10,6 +10,8 @@ defmodule Situ.Pipeline.Report do
     * `closed`: component paths in the order in which they were finalised
     * `snapshot`: the last `Situ.Diagnostics.Snapshot`: messages, drops and latency of every edge
   """
+  # A snapshot is a page long; who wants it asks for it.
+  @derive {Inspect, except: [:snapshot]}
   defstruct [
     :name,
     :result,

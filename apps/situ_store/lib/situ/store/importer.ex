@@ -69,20 +69,35 @@ defmodule Situ.Store.Importer do
       store: store,
       pipeline: p,
       head: Playhead.new(),
-      period: period(store, opts[:loop]),
+      period: period(p, store, opts[:loop]),
       keep_open: opts[:keep_open],
       skip_damage: opts[:skip_damage]
     }
   end
 
-  defp period(_store, false), do: nil
-  defp period(_store, ns) when is_integer(ns), do: ns
+  defp period(_p, _store, false), do: nil
 
-  defp period(store, true) do
+  defp period(_p, store, true) do
     case Store.interval(store) do
       nil -> nil
       {first, last} -> last - first + 1_000_000
     end
+  end
+
+  # Each round begins behind the one before it.
+  defp period(p, store, ns) do
+    {from, _} = Pipeline.replay_interval(p)
+
+    with {first, last} <- Store.interval(store),
+         span = last - if(from == :unbounded, do: first, else: max(first, from)),
+         true <- ns <= span do
+      raise Error.new(:bad_option, "a loop of #{Situ.Time.format_duration(ns)} is too short",
+              why: "what it plays of #{store.path} spans #{Situ.Time.format_duration(span)}",
+              fix: "give more than that, or loop: true"
+            )
+    end
+
+    ns
   end
 
   @doc false
