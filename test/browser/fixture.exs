@@ -47,6 +47,30 @@ defmodule Fixture do
     :ok = Writer.close(writer)
   end
 
+  # A minute in which one stream begins late and another ends early.
+  def record_uneven(name, folder) do
+    {:ok, writer} = Writer.create(name, folder)
+
+    for {stream, type, seconds} <- [
+          {"Whole", :float, 0..600},
+          {"Late", :float, 200..600},
+          {"Short", :boolean, 0..300}
+        ] do
+      {:ok, out} = Writer.stream(writer, stream, type: type)
+
+      messages =
+        for i <- seconds do
+          data = if type == :float, do: :math.sin(i / 40), else: rem(div(i, 50), 2) == 0
+          message({stream, @t0 + i * 100_000_000, 0, data, i})
+        end
+
+      {:ok, out} = Writer.append(out, messages)
+      {:ok, _} = Writer.close_stream(out, @t0 + 60_000_000_000)
+    end
+
+    :ok = Writer.close(writer)
+  end
+
   # Ten seconds of film whose colour is that of `color/1` at its second, with a tone that begins at second 5.
   def film(folder) do
     picture =

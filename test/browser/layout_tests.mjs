@@ -96,3 +96,25 @@ test("8 layouts: panels are moved by keys, and keep the focus", async ({ page })
   await until(page, () => document.querySelector(".row-box.cells .cell").dataset.panel === "p2", "the pictures change places");
   equal((await state(page)).cursor, 0, "the keys did not move the cursor");
 });
+
+test("9 export: the selection is saved as a recording that opens", async ({ page, shot }) => {
+  await open(page, main, "uneven.0000");
+  await dispatch(page, { type: "select", from: 10 * S, to: 25 * S });
+  await page.keyboard.press("Control+e");
+  await until(page, () => document.activeElement?.closest("#export-save"), "the dialog has the focus");
+  ok((await page.textContent("#export-save")).includes("The selection: 15.0 s"), "it tells what");
+  await shot("export");
+  await page.keyboard.press("Escape");
+  await until(page, () => !document.getElementById("export-save"), "closed by Escape");
+  await page.click("button[data-act='export']");
+  await until(page, () => document.getElementById("export-save"), "open again");
+  const name = `part ${Date.now()}`;
+  await page.fill("#export-save input[name=name]", name);
+  await page.keyboard.press("Enter");
+  await until(page, () => document.getElementById("toast").textContent.startsWith("Saved as"), "it says where");
+  await until(page, (n) => [...document.querySelectorAll(".store")].some((e) => e.title === `${n}.0000`), "it is listed", name);
+  await page.click(`.store[title="${name}.0000"]`);
+  await until(page, () => document.body?.dataset.ready === "1" && location.pathname.includes("part"), "it opens");
+  const { data } = await state(page);
+  equal(data[1] - data[0], 15 * S, "as long as the selection");
+});

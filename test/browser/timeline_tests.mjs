@@ -150,3 +150,27 @@ test("3 timelines: a label that is cut is told in full under the mouse", async (
   await page.mouse.move(5, 5);
   await until(page, () => document.getElementById("tip").hidden, "gone with the mouse");
 });
+
+test("3 timelines: where a stream begins late or ends early there is a bracket", async ({ page, shot }) => {
+  await open(page, main, "uneven.0000");
+  const told = await page.evaluate(() => [...window.situStudio.views].flatMap((v) => v.layers ?? []).map((l) => [l.vis.stream, window.situStudio.client.ends(l.vis.ends)]).sort());
+  equal(told, [["Late", { first: 20 * S, last: null }], ["Short", { first: null, last: 30 * S }], ["Whole", null]], "ends");
+  await settled(page);
+  // the foot of the bracket, in the colour of the line, at the top of the plot where the line is not
+  const feet = await page.evaluate(() => {
+    const v = [...window.situStudio.views].find((w) => w.plot && w.layers.some((l) => l.vis.stream === "Late"));
+    const { ctx, bbox } = v.plot;
+    const ink = (s) => {
+      const x = Math.round(bbox.left + (s / 60) * bbox.width);
+      const d = ctx.getImageData(x - 2, bbox.top, 8, bbox.height).data;
+      let n = 0;
+      for (let i = 3; i < d.length; i += 4) if (d[i] > 100) n++;
+      return n;
+    };
+    return [ink(20), ink(23)];
+  });
+  ok(feet[0] > feet[1] + 10, `a line where it begins: ${feet}`);
+  equal(await page.textContent("#t-length-of"), "data ends", "the header tells when the data ends");
+  ok((await page.textContent("#t-length")).startsWith("00:01:00.0"), "at that time");
+  await shot("uneven");
+});

@@ -120,6 +120,13 @@ export class DataClient {
     return Number(ns - this.origin);
   }
 
+  // Where a stream begins and ends, told as text by the page's configuration; null before the first answer.
+  ends(told) {
+    if (!told || this.origin === null) return null;
+    const at = (ns) => (ns == null ? null : this.rel(BigInt(ns)));
+    return { first: at(told.first), last: at(told.last) };
+  }
+
   receive(buffer) {
     const asked = this.inflight;
     let reply;

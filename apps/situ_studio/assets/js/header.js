@@ -40,7 +40,10 @@ export class Header {
     this.set("t-cursor", show(s.cursor));
     this.set("t-start", show(s.sel[0]));
     this.set("t-end", show(s.sel[1]));
-    this.set("t-length", s.sel[0] != null && s.sel[1] != null ? duration(s.sel[1] - s.sel[0]) : "–");
+    // where there is no selection to measure, the end of the data stands there
+    const length = s.sel[0] != null && s.sel[1] != null;
+    this.set("t-length-of", length ? "length" : "data ends");
+    this.set("t-length", length ? duration(s.sel[1] - s.sel[0]) : show(s.data[1]));
     this.set("speed", `${s.speed >= 1 ? Number(s.speed.toFixed(2)) : `1/${Number((1 / s.speed).toFixed(2))}`}×`);
     this.pressed("togglePlay", s.mode === "play");
     this.pressed("repeat", s.repeat);

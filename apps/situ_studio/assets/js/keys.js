@@ -28,6 +28,7 @@ export const KEYS = [
   ["Alt+ArrowLeft", "Selection back by its length", "selBack"],
   ["Alt+ArrowRight", "Selection on by its length", "selOn"],
   ["Alt+c", "Clear the selection", "clearSel"],
+  ["Ctrl+e", "Save the selection as a recording", "export"],
   ["Alt+f", "Cursor follows the mouse, or stays", "follow"],
   ["r", "Repeat playback", "repeat"],
   [",", "Half speed", "slower"],

@@ -4,6 +4,7 @@ import { GUTTER, FONT, theme, ink, stateColor, seriesColor, keyIndex } from "./t
 import { ticks, duration } from "./time_text.js";
 import { lowerBound } from "./series.js";
 import { laneNames, segmentAt, segmentText, markText } from "./lanes.js";
+import { brackets } from "./paint.js";
 import { tip } from "./tip.js";
 
 const ROW = 26;
@@ -135,9 +136,23 @@ export class LanesPanel {
       if (l.channel.error) return this.note(ctx, l.channel.error, at);
       if (l.vis.draw === "marks") this.marks(ctx, l, view, at);
       else this.segments(ctx, l.channel.segments?.get(lane) ?? [], view, at, lane === "" ? null : index);
+      const ends = this.app.client.ends(l.vis.ends);
+      if (ends) this.ends(ctx, ends, at);
     });
     ctx.restore();
     this.drawn = (this.drawn ?? 0) + 1;
+  }
+
+  // A state that is in force at a stream's end holds on, but nobody said so any more: it is paler there.
+  ends(ctx, ends, { x, y, h }) {
+    const t = theme();
+    if (ends.last != null) {
+      ctx.globalAlpha = 0.6;
+      ctx.fillStyle = t.panel;
+      ctx.fillRect(x(ends.last) + 1, y, x(this.app.time.get().data[1]) - x(ends.last), h);
+      ctx.globalAlpha = 1;
+    }
+    brackets(ctx, ends, x, y - 1, y + h + 1, { color: t.axis });
   }
 
   note(ctx, text, { y }) {

@@ -126,3 +126,23 @@ export function stems(ctx, s, view, x, y, { color, warn, threshold, ratio = 1 })
     ctx.stroke();
   }
 }
+
+// Where a stream begins later or ends earlier than its recording: a bracket that opens or closes what there is of it.
+// `ends`: {first, last} in ns of the page, either may be missing.
+export function brackets(ctx, ends, x, top, bottom, { color, ratio = 1 }) {
+  const foot = 5 * ratio;
+  ctx.strokeStyle = color;
+  ctx.lineWidth = 1.5 * ratio;
+  ctx.setLineDash([3 * ratio, 2 * ratio]);
+  for (const [t, way] of [[ends.first, 1], [ends.last, -1]]) {
+    if (t == null) continue;
+    const px = x(t);
+    ctx.beginPath();
+    ctx.moveTo(px + way * foot, top + ratio);
+    ctx.lineTo(px, top + ratio);
+    ctx.lineTo(px, bottom - ratio);
+    ctx.lineTo(px + way * foot, bottom - ratio);
+    ctx.stroke();
+  }
+  ctx.setLineDash([]);
+}

@@ -207,6 +207,10 @@ export class PlotPanel {
         });
       }
     });
+    for (const l of this.layers) {
+      const ends = l.vis.props?.visible !== false && this.app.client.ends(l.vis.ends);
+      if (ends) paint.brackets(ctx, ends, x, bbox.top, bbox.top + bbox.height, { color: this.color({ l, name: "" }, 0), ratio });
+    }
     this.cover(ctx, bbox, y);
     ctx.restore();
     this.drawn = (this.drawn ?? 0) + 1;

@@ -192,6 +192,16 @@ export class Studio {
     this.palette?.open();
   }
 
+  // The selection; where one end is missing that of the data, and without any the view.
+  do_export() {
+    const { sel, view, data } = this.time.get();
+    if (this.client.origin === null) return;
+    if (!this.root.querySelector("[data-act='export']")) return this.toast("Only from a recording on disk, in a studio that may write");
+    const selected = sel[0] != null || sel[1] != null;
+    const [from, to] = selected ? [sel[0] ?? data[0], sel[1] ?? data[1]] : [Math.max(view[0], data[0]), Math.min(view[1], data[1])];
+    this.options.push?.("export_dialog", { from: this.client.abs(from), to: this.client.abs(to), of: selected ? "selection" : "view" });
+  }
+
   do_copyLink() {
     this.saveLink(true);
     return this.copy(location.href, "Link copied", "The address bar holds the link");

@@ -3,6 +3,8 @@ defmodule Situ.Studio.PureDocTest do
 
   doctest Situ.Studio.Frame
   doctest Situ.Studio.Path
+  doctest Situ.Studio.Export
+  doctest Situ.Studio.Coverage
   doctest Situ.Studio.ValueTree
   doctest Situ.Studio.Tree
   doctest Situ.Studio.StreamInfo

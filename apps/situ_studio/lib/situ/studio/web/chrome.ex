@@ -28,6 +28,7 @@ defmodule Situ.Studio.Web.Chrome do
   attr(:changed, :boolean, required: true)
   attr(:read_only, :boolean, required: true)
   attr(:pipeline, :string, default: nil)
+  attr(:export, :boolean, default: false)
 
   @doc false
   def topbar(assigns) do
@@ -55,7 +56,7 @@ defmodule Situ.Studio.Web.Chrome do
           <div class="c"><span id="t-from">Cursor</span><b id="t-cursor">–</b></div>
           <div class="a"><span>Selection from</span><b id="t-start">–</b></div>
           <div class="e"><span>to</span><b id="t-end">–</b></div>
-          <div class="len"><span>length</span><b id="t-length">–</b></div>
+          <div class="len"><span id="t-length-of">length</span><b id="t-length">–</b></div>
         </button>
       </div>
       <span class="sep"></span>
@@ -65,6 +66,7 @@ defmodule Situ.Studio.Web.Chrome do
         </select>
       </form>
       <button :if={not @read_only} class="tool" type="button" phx-click="layout_dialog" title="Save the layout" aria-label="Save the layout"><.icon name={:save} /></button>
+      <.tool :if={@export} act="export" icon={:export} title="Save the selection as a recording (Ctrl+E)" />
       <a :if={@pipeline} class="tool" href={@pipeline} title="The pipeline's graph"><.icon name={:pipeline} /></a>
       <.tool act="copyLink" icon={:link} title="Copy a link to this view" />
       <.tool act="right" icon={:side} title="Show or hide the properties (p)" />

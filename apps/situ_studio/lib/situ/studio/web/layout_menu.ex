@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Web.LayoutMenu do
   @moduledoc false
   # Which layout the main view shows: chosen by its address, picked from the menu, saved under a name, deleted.
+  use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Live.Socket
@@ -69,4 +70,23 @@ defmodule Situ.Studio.Web.LayoutMenu do
   def handle_event(_, _, socket), do: {:noreply, socket}
 
   defp toast(socket, error), do: push_event(socket, "toast", %{text: Exception.message(error)})
+
+  attr(:saved, :any, required: true)
+
+  @doc false
+  def dialog(assigns) do
+    ~H"""
+    <div class="modal" role="dialog" phx-window-keydown="dialog_close" phx-key="Escape" aria-label="Save the layout">
+      <form id="layout-save" class="modal-box" phx-submit="layout_save">
+        <h3>Save the layout</h3>
+        <input name="name" value={if @saved.name == Layout.Auto.name(), do: "", else: @saved.name} placeholder="Name" autocomplete="off" maxlength="60" aria-label="Name" autofocus>
+        <div class="choices">
+          <button class="btn primary" type="submit">Save</button>
+          <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
+          <button :if={@saved.name != Layout.Auto.name()} class="btn" type="button" phx-click="layout_delete">Delete {@saved.name}</button>
+        </div>
+      </form>
+    </div>
+    """
+  end
 end

@@ -4,8 +4,8 @@ defmodule Situ.Studio.Web.MainView do
   # layout and what is selected.
   use Situ.Live.View
 
-  alias Situ.Studio.{Catalog, Layout, Link, Source, Tree}
-  alias Situ.Studio.Web.{Address, Chrome, Edit, LayoutMenu, Panels, Side}
+  alias Situ.Studio.{Catalog, Coverage, Layout, Link, Source, Tree}
+  alias Situ.Studio.Web.{Address, Chrome, Edit, ExportDialog, LayoutMenu, Panels, Side}
 
   @max_rows 400
   @max_lanes 32
@@ -56,9 +56,17 @@ defmodule Situ.Studio.Web.MainView do
       infos: streams,
       shapes: Map.new(streams, &{&1.name, &1.shape}),
       lanes: lanes(streams, socket.assigns.seen_lanes),
+      coverage: coverage(streams, socket.assigns.source),
       names: Situ.JSON.encode(Enum.map(names, &valid/1)),
       sources: Enum.map(Catalog.list(socket.assigns.studio), &entry/1)
     )
+  end
+
+  defp coverage(streams, source) do
+    case Source.call(source, :extent, []) do
+      {:ok, extent} -> Coverage.of(streams, extent)
+      {:error, _} -> %{}
+    end
   end
 
   # What the streams were known to have, and what the page has met since.
@@ -139,6 +147,9 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("layout_" <> _ = event, params, socket),
     do: LayoutMenu.handle_event(event, params, socket)
 
+  def handle_event("export_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
+    do: ExportDialog.handle_event(event, params, socket)
+
   def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
 
   def handle_event(event, params, socket) when is_map_key(socket.assigns, :layout) do
@@ -150,6 +161,12 @@ defmodule Situ.Studio.Web.MainView do
   end
 
   def handle_event(_, _, socket), do: {:noreply, socket}
+
+  @impl true
+  def handle_info({:exported, result}, socket),
+    do: {:noreply, result |> ExportDialog.done(socket) |> load_streams()}
+
+  def handle_info(_, socket), do: {:noreply, socket}
 
   defp toast(socket, error), do: push_event(socket, "toast", %{text: Exception.message(error)})
 
@@ -180,24 +197,15 @@ defmodule Situ.Studio.Web.MainView do
 
     ~H"""
     <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-base="" data-layout={@saved.name} data-edit={@edit}>
-      <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""} read_only={@read_only} pipeline={pipeline(@item, @infos)} />
+      <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""} read_only={@read_only} export={ExportDialog.offered?(assigns)} pipeline={pipeline(@item, @infos)} />
       <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query} selected={@selected} names={@names} />
       <main class="centre">
-        <Panels.stack layout={@layout} selected={@selected} shapes={@shapes} extra={@extra} lanes={@lanes} streams={length(@infos)} />
+        <Panels.stack layout={@layout} selected={@selected} shapes={@shapes} extra={@extra} lanes={@lanes} coverage={@coverage} streams={length(@infos)} />
       </main>
       <Side.right selected={@selected} stream={@stream} panel={@panel} shapes={@shapes} extra={@extra} snap={@snap} />
       <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} />
-      <div :if={@dialog == :layout} class="modal" role="dialog" aria-label="Save the layout">
-        <form id="layout-save" class="modal-box" phx-submit="layout_save">
-          <h3>Save the layout</h3>
-          <input name="name" value={if @saved.name == Layout.Auto.name(), do: "", else: @saved.name} placeholder="Name" autocomplete="off" maxlength="60" aria-label="Name" autofocus>
-          <div class="choices">
-            <button class="btn primary" type="submit">Save</button>
-            <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
-            <button :if={@saved.name != Layout.Auto.name()} class="btn" type="button" phx-click="layout_delete">Delete {@saved.name}</button>
-          </div>
-        </form>
-      </div>
+      <LayoutMenu.dialog :if={@dialog == :layout} saved={@saved} />
+      <ExportDialog.dialog :if={match?({:export, _, _, _}, @dialog)} dialog={@dialog} item={@item} layout={@layout} shapes={@shapes} />
     </div>
     <Chrome.dialogs />
     """

@@ -3,13 +3,14 @@ defmodule Situ.Studio.Web.Panels do
   # The centre: rows of panels. What is inside a panel belongs to the page's script.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
-  alias Situ.Studio.{Layout, Visualizers}
+  alias Situ.Studio.{Coverage, Layout, Visualizers}
 
   attr(:layout, :any, required: true)
   attr(:selected, :any, required: true)
   attr(:shapes, :map, required: true)
   attr(:extra, :list, required: true)
   attr(:lanes, :map, required: true)
+  attr(:coverage, :map, required: true)
   attr(:streams, :integer, required: true)
 
   @doc false
@@ -17,7 +18,7 @@ defmodule Situ.Studio.Web.Panels do
     ~H"""
     <div class="stack" id="stack" phx-hook="Drop">
       <div id="navigator" class="navigator" phx-hook="Navigator" phx-update="ignore" aria-label="Time navigator"></div>
-      <.line :for={line <- Layout.lines(@layout)} :key={row_id(line)} line={line} selected={@selected} shapes={@shapes} extra={@extra} lanes={@lanes} />
+      <.line :for={line <- Layout.lines(@layout)} :key={row_id(line)} line={line} selected={@selected} shapes={@shapes} extra={@extra} lanes={@lanes} coverage={@coverage} />
       <div :if={@layout.rows == [] and @streams > 0} class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
       <div :if={@layout.rows == [] and @streams == 0} class="empty"><b>No streams yet</b><span>Nothing was recorded here. What comes shows up by itself.</span></div>
     </div>
@@ -29,7 +30,7 @@ defmodule Situ.Studio.Web.Panels do
 
     ~H"""
     <section class={["row-box timeline", @selected == {:panel, @panel.id} && "selected"]} id={"row-" <> @panel.id} data-row={@panel.id} data-panel={@panel.id} style={"height: #{Layout.height(@line, @lanes)}px"}>
-      <div id={"body-" <> @panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore" data-kind={@panel.panel} data-config={config(@panel, @shapes, @extra)}></div>
+      <div id={"body-" <> @panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore" data-kind={@panel.panel} data-config={config(@panel, @shapes, @extra, @coverage)}></div>
       <.tools panel={@panel} row={@panel.id} />
       <div class="resize" id={"resize-" <> @panel.id} phx-hook="Resize" tabindex="0" role="separator" aria-label="height"></div>
     </section>
@@ -45,7 +46,7 @@ defmodule Situ.Studio.Web.Panels do
           <button class="title" type="button" phx-click="select_panel" phx-value-id={panel.id} title={names(panel)}>{names(panel)}</button>
           <button class="mini" type="button" phx-click="remove_panel" phx-value-id={panel.id} title="Remove" aria-label="Remove"><.icon name={:close} /></button>
         </div>
-        <div class="cell-body"><div id={"body-" <> panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore" data-kind={panel.panel} data-config={config(panel, @shapes, @extra)}></div></div>
+        <div class="cell-body"><div id={"body-" <> panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore" data-kind={panel.panel} data-config={config(panel, @shapes, @extra, @coverage)}></div></div>
       </div>
       <div class="resize" id={"resize-" <> row_id(@line)} phx-hook="Resize" tabindex="0" role="separator" aria-label="height"></div>
     </section>
@@ -75,8 +76,8 @@ defmodule Situ.Studio.Web.Panels do
   defp names(panel), do: Enum.map_join(panel.vis, ", ", &(&1.stream <> &1.path))
 
   @doc "What the page's script needs to draw a panel, as JSON."
-  @spec config(Layout.Panel.t(), map(), [Visualizers.Entry.t()]) :: String.t()
-  def config(panel, shapes, extra) do
+  @spec config(Layout.Panel.t(), map(), [Visualizers.Entry.t()], Coverage.t()) :: String.t()
+  def config(panel, shapes, extra, coverage) do
     short = short_names(panel.vis)
 
     vis =
@@ -88,6 +89,7 @@ defmodule Situ.Studio.Web.Panels do
           "name" => v.stream <> v.path,
           "short" => Enum.at(short, index),
           "props" => v.props,
+          "ends" => coverage[v.stream],
           "color" => index
         }
       end

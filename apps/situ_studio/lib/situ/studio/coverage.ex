@@ -1,0 +1,38 @@
+defmodule Situ.Studio.Coverage do
+  @moduledoc """
+  Which streams begin later, or end earlier, than the recording they are in by so much that it should be seen: a camera
+  that was switched on late, a microphone that died. Pure.
+
+      iex> stream = fn name, first, last -> %Situ.Studio.StreamInfo{name: name, shape: :signal, first: first, last: last, count: 9} end
+      iex> streams = [stream.("Whole", 0, 1_000), stream.("Late", 400, 998), stream.("Short", 0, 700)]
+      iex> Situ.Studio.Coverage.of(streams, %{from: 0, to: 1_000, live: false})
+      %{"Late" => %{"first" => "400"}, "Short" => %{"last" => "700"}}
+  """
+  alias Situ.Studio.{Source, StreamInfo}
+
+  # Less than this part of the recording is not worth a mark.
+  @part 0.01
+
+  @typedoc "Times in ns as text, as the page reads them."
+  @type t :: %{optional(stream :: String.t()) => %{optional(String.t()) => String.t()}}
+
+  @doc "Empty while a recording grows: what has ended is not known yet. A single message is no stretch of time."
+  @spec of([StreamInfo.t()], Source.extent() | map()) :: t()
+  def of(_, %{live: true}), do: %{}
+
+  def of(streams, %{from: from, to: to}) do
+    slack = (to - from) * @part
+
+    for %{first: first, last: last, count: count} = s when first != nil and count > 1 <- streams,
+        ends = ends(first - from > slack && first, to - last > slack && last),
+        ends != %{},
+        into: %{},
+        do: {s.name, ends}
+  end
+
+  defp ends(first, last) do
+    for {name, time} when is_integer(time) <- [{"first", first}, {"last", last}],
+        into: %{},
+        do: {name, Integer.to_string(time)}
+  end
+end

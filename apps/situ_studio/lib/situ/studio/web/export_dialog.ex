@@ -1,0 +1,117 @@
+defmodule Situ.Studio.Web.ExportDialog do
+  @moduledoc false
+  # "Save the selection as a recording": asks for a name, has it written by a process of its own, says where it is.
+  use Situ.Live.Component
+  import Situ.Live.Socket, only: [assign: 2, push_event: 3]
+
+  alias Situ.Live.Socket
+  alias Situ.Studio.{Catalog, Export}
+
+  @doc "Whether there is something on disk to export from, and it is allowed."
+  @spec offered?(map()) :: boolean()
+  def offered?(%{read_only: read_only, item: item}), do: item.kind == :store and not read_only
+
+  @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
+  def handle_event(event, params, socket) do
+    if offered?(socket.assigns), do: event(event, params, socket), else: {:noreply, socket}
+  end
+
+  # The page tells the selection, or the view where there is none.
+  defp event("export_dialog", %{"from" => from, "to" => to, "of" => of}, socket) do
+    case {time(from), time(to)} do
+      {from, to} when is_integer(from) and is_integer(to) ->
+        {:noreply, assign(socket, dialog: {:export, from, to, of == "selection"})}
+
+      _ ->
+        {:noreply, socket}
+    end
+  end
+
+  defp event(
+         "export_save",
+         %{"name" => name} = params,
+         %{assigns: %{dialog: {:export, from, to, _}}} = socket
+       )
+       when is_binary(name) do
+    streams = if params["streams"] == "shown", do: shown(socket.assigns), else: :all
+
+    case Export.new(name, from, to, streams) do
+      {:ok, export} ->
+        start(export, socket.assigns)
+        {:noreply, socket |> assign(dialog: nil) |> toast("Saving #{export.name} ...")}
+
+      {:error, error} ->
+        {:noreply, toast(socket, Exception.message(error))}
+    end
+  end
+
+  defp event(_, _, socket), do: {:noreply, socket}
+
+  # It goes on when the page is closed.
+  defp start(export, %{item: item, studio: studio}) do
+    page = self()
+    task = {Task, fn -> send(page, {:exported, Export.run(export, item)}) end}
+    {:ok, _} = DynamicSupervisor.start_child(Catalog.watches(studio), task)
+  end
+
+  @doc "What came of it."
+  @spec done({:ok, Path.t()} | {:error, Situ.Error.t()}, Socket.t()) :: Socket.t()
+  def done({:ok, path}, socket), do: toast(socket, "Saved as #{path}")
+  def done({:error, error}, socket), do: toast(socket, Exception.message(error))
+
+  defp toast(socket, text), do: push_event(socket, "toast", %{text: text})
+
+  defp shown(%{layout: layout, shapes: shapes}) do
+    for(panel <- layout.rows, v <- panel.vis, Map.has_key?(shapes, v.stream), do: v.stream)
+    |> Enum.uniq()
+  end
+
+  defp time(text) when is_binary(text) and byte_size(text) <= 20 do
+    case Integer.parse(text) do
+      {time, ""} when abs(time) < 9_223_372_036_854_775_807 -> time
+      _ -> nil
+    end
+  end
+
+  defp time(_), do: nil
+
+  attr(:dialog, :any, required: true)
+  attr(:item, :any, required: true)
+  attr(:layout, :any, required: true)
+  attr(:shapes, :map, required: true)
+
+  @doc false
+  def dialog(%{dialog: {:export, from, to, selection?}} = assigns) do
+    assigns =
+      assign(assigns,
+        length: Situ.Time.format_duration(to - from),
+        what: if(selection?, do: "The selection", else: "The view (nothing is selected)"),
+        all: map_size(assigns.shapes),
+        shown: length(shown(assigns)),
+        folder: Path.dirname(assigns.item.path)
+      )
+
+    ~H"""
+    <div class="modal" role="dialog" phx-window-keydown="dialog_close" phx-key="Escape" aria-label="Save a part as a recording">
+      <form id="export-save" class="modal-box" phx-submit="export_save">
+        <h3>Save a part as a recording</h3>
+        <p class="hint">{@what}: {@length}. It is written to {@folder}; this recording stays as it is.</p>
+        <input name="name" value={part(@item.title)} placeholder="Name" autocomplete="off" maxlength="60" aria-label="Name" autofocus>
+        <div class="choices" role="radiogroup" aria-label="Streams">
+          <label><input type="radio" name="streams" value="all" checked> All streams ({@all})</label>
+          <label><input type="radio" name="streams" value="shown"> The ones shown ({@shown})</label>
+        </div>
+        <div class="choices">
+          <button class="btn primary" type="submit">Save</button>
+          <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
+        </div>
+      </form>
+    </div>
+    """
+  end
+
+  # "lobby.0003" -> "lobby part"
+  defp part(title) do
+    title |> Path.basename() |> String.replace(~r/\.[^.]*\z/, "") |> Kernel.<>(" part")
+  end
+end
