@@ -62,7 +62,7 @@ test("security: paths, origins and malformed requests are refused", async ({ pag
       const ws = new WebSocket(url);
       await new Promise((r) => (ws.onopen = r));
       ws.send(t);
-      out.push(await new Promise((r) => { ws.onclose = () => r("closed"); ws.onmessage = () => r("answered"); setTimeout(() => r("silent"), 3000); }));
+      out.push(await new Promise((r) => { ws.onclose = () => r("closed"); ws.onmessage = () => r("answered"); setTimeout(() => r("silent"), 30000); }));
     }
     return out;
   }, main.replace("http", "ws") + "/data/socket?source=minute.0000");

@@ -166,7 +166,7 @@ defmodule Situ.Store.PipelineTest do
     refute_received {:got, 4}
     Situ.Clock.advance(clock, 6_000_000)
     for n <- 4..9, do: assert_receive({:got, ^n})
-    assert {:ok, _} = Pipeline.await(p, 5_000)
+    assert {:ok, _} = Pipeline.await(p, 30_000)
   end
 
   test "pause, step, seek, resume", %{tmp_dir: root} do
@@ -198,7 +198,7 @@ defmodule Situ.Store.PipelineTest do
     :ok = Pipeline.set_speed(p, 1_000.0)
     :ok = Pipeline.resume(p)
     for n <- 996..999, do: assert_receive({:got, ^n})
-    assert {:ok, _} = Pipeline.await(p, 5_000)
+    assert {:ok, _} = Pipeline.await(p, 30_000)
   end
 
   # A player of two streams, halted at 0; `expect.(n)` takes the messages up to and with `n` of both.
@@ -275,7 +275,7 @@ defmodule Situ.Store.PipelineTest do
     :ok = Pipeline.set_speed(p, 1_000.0)
     :ok = Pipeline.resume(p)
     assert [_] = joined(999, 999)
-    assert {:ok, _} = Pipeline.await(p, 5_000)
+    assert {:ok, _} = Pipeline.await(p, 30_000)
   end
 
   test "a player waits at its end to be sought", %{tmp_dir: root} do
@@ -374,7 +374,7 @@ defmodule Situ.Store.PipelineTest do
         pipeline: [replay: [interval: {0, 22_000_000}, speed: :max]]
       )
 
-    assert {:ok, _} = Pipeline.await(p, 5_000)
+    assert {:ok, _} = Pipeline.await(p, 30_000)
 
     for round <- 0..1, n <- 0..4 do
       time = round * 10_000_000 + n * 1_000_000
@@ -413,7 +413,7 @@ defmodule Situ.Store.PipelineTest do
 
       {:ok, _} = Store.Writer.close_stream(stream, 30)
       :ok = Store.Writer.close(writer)
-      assert {:ok, _} = Pipeline.await(p, 5_000)
+      assert {:ok, _} = Pipeline.await(p, 30_000)
       for i <- 1..9, do: assert_received({:got, ^i})
       Store.delete(writer.path)
     end
@@ -462,7 +462,7 @@ defmodule Situ.Store.PipelineTest do
 
     {_, 0} = System.cmd("kill", ["-9", "#{os_pid}"])
     assert_receive {^port, {:exit_status, 137}}
-    assert {:ok, _} = Pipeline.await(p, 10_000)
+    assert {:ok, _} = Pipeline.await(p, 30_000)
 
     assert %{closed?: false, live?: false} =
              root |> Path.join("other") |> Store.open!() |> Store.info()

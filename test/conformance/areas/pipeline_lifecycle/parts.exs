@@ -60,7 +60,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Parts do
     {:ok, target} =
       Pipeline.start(fn p -> p |> Situ.Connector.receive(connector) |> Situ.each(tell) end, [])
 
-    :ok = Situ.Connector.await_open(connector, 5_000)
+    :ok = Situ.Connector.await_open(connector, 30_000)
 
     {:ok, _} =
       Pipeline.run(

@@ -62,7 +62,7 @@ defmodule Situ.Conformance.Store.Recording do
 
     :ok = Pipeline.start(writer)
     {:ok, _} = Pipeline.await(writer)
-    {:ok, _} = Pipeline.await(reader, 20_000)
+    {:ok, _} = Pipeline.await(reader, 30_000)
     if root == nil, do: Store.delete(exporter.writer.path)
     got = told()
 

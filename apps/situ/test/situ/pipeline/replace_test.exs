@@ -49,7 +49,7 @@ defmodule Situ.Pipeline.ReplaceTest do
         []
       )
 
-    :ok = Connector.await_open(connector, 1_000)
+    :ok = Connector.await_open(connector, 30_000)
     %{p: p, connector: connector}
   end
 

@@ -20,7 +20,7 @@ defmodule Situ.Pipeline.TapTest do
         pipeline: [stop_timeout: 300]
       )
 
-    :ok = Connector.await_open(connector, 1_000)
+    :ok = Connector.await_open(connector, 30_000)
     on_exit(fn -> Pipeline.stop(p) end)
     %{p: p, connector: connector}
   end

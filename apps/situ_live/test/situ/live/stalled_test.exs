@@ -22,7 +22,7 @@ defmodule Situ.Live.StalledTest do
       end
 
     assert {200, _, ""} = Raw.get(port, "/")
-    for socket <- stalled, do: assert({:error, :closed} = :gen_tcp.recv(socket, 0, 25_000))
+    for socket <- stalled, do: assert({:error, :closed} = :gen_tcp.recv(socket, 0, 60_000))
   end
 
   test "a body that trickles is given up after its time, however often a byte comes", %{

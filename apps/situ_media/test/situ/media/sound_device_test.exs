@@ -79,7 +79,7 @@ defmodule Situ.Media.SoundDeviceTest do
         )
 
       on_exit(fn -> if Port.info(port), do: Port.close(port) end)
-      assert wait_for(fn -> Device.Pulse.list() != [] end, 100)
+      assert wait_for(fn -> Device.Pulse.list() != [] end, 600)
       %{port: port}
     end
 
