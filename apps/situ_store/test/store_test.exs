@@ -383,6 +383,33 @@ defmodule Situ.StoreTest do
     Code.delete_path(root)
   end
 
+  test "structs within structs of modules that are there are structs from the first read on", %{
+    tmp_dir: root
+  } do
+    n = System.unique_integer([:positive])
+    source = Path.join(root, "nested.ex")
+
+    File.write!(source, """
+    defmodule Outer#{n} do defstruct [:inner_#{n}] end
+    defmodule Inner#{n} do defstruct [:deep_#{n}] end
+    """)
+
+    {_, 0} = System.cmd("elixirc", ["-o", root, source])
+    inner = struct_term("Elixir.Inner#{n}", "deep_#{n}", 7)
+    <<131, body::binary>> = struct_term("Elixir.Outer#{n}", "inner_#{n}", 0)
+    # The small integer 0 at the end gives way to the struct.
+    outer =
+      <<131, binary_part(body, 0, byte_size(body) - 2)::binary,
+        binary_part(inner, 1, byte_size(inner) - 1)::binary>>
+
+    true = Code.append_path(root)
+    assert %module{} = decoded = Situ.Store.Test.Raw.decode(Path.join(root, "n"), outer)
+    assert inspect(module) == "Outer#{n}"
+    assert [%nested{} = deep] = Map.values(Map.from_struct(decoded))
+    assert inspect(nested) == "Inner#{n}" and Map.values(Map.from_struct(deep)) == [7]
+    Code.delete_path(root)
+  end
+
   test "an unknown codec gives the bytes", %{tmp_dir: root} do
     path = store(root, [{"P", messages([%Picture{width: 9, data: "abc"}]), []}])
     store = Store.open!(path)

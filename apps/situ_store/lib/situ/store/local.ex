@@ -4,7 +4,7 @@ defmodule Situ.Store.Local do
   @behaviour Situ.Store.Reader
 
   alias Situ.{Error, Message}
-  alias Situ.Store.{Catalog, Codecs, Failure, Folder, Native, StreamInfo, Undecoded}
+  alias Situ.Store.{Catalog, Codecs, Failure, Folder, Native, StreamInfo, Structs, Undecoded}
 
   defstruct [:ref, :path]
 
@@ -163,22 +163,8 @@ defmodule Situ.Store.Local do
   defp plain({:"$situ_undecodable", reason}), do: %Undecoded{reason: reason}
 
   # A struct nobody here had heard of: its module may be one of this release that was not loaded yet.
-  defp plain({:"$situ_unknown", modules, bytes, map}) do
-    if modules |> Enum.map(&known?/1) |> Enum.any?(),
-      do: :erlang.binary_to_term(bytes, [:safe]),
-      else: map
-  rescue
-    # Another version of it: it has fields that do not exist here.
-    ArgumentError -> map
-  end
-
+  defp plain({:"$situ_unknown", modules, bytes, map}), do: Structs.decode(bytes, modules) || map
   defp plain(data), do: data
-
-  defp known?(name) do
-    name |> String.to_existing_atom() |> Code.ensure_loaded?()
-  rescue
-    ArgumentError -> false
-  end
 
   defp run({0, list}, info), do: messages(list, info.id)
 

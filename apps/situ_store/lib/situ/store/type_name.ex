@@ -10,6 +10,8 @@ defmodule Situ.Store.TypeName do
       :error
       iex> Situ.Store.TypeName.read("File.rm_rf!(:x)")
       :error
+      iex> {Situ.Store.TypeName.load("Elixir.Situ.Store"), Situ.Store.TypeName.load("Elixir." <> <<255>>)}
+      {Situ.Store, nil}
   """
 
   @spec write(Situ.Type.t()) :: String.t()
@@ -40,7 +42,7 @@ defmodule Situ.Store.TypeName do
 
   defp literal({:__aliases__, _, parts}) do
     if Enum.all?(parts, &match?({:"$name", _}, &1)),
-      do: parts |> Enum.map_join(".", &elem(&1, 1)) |> module(),
+      do: module("Elixir." <> Enum.map_join(parts, ".", &elem(&1, 1))),
       else: :error
   end
 
@@ -56,13 +58,25 @@ defmodule Situ.Store.TypeName do
     ArgumentError -> :error
   end
 
+  @doc "The module of this full name (`\"Elixir.My.Pose\"`), loaded, or `nil` when there is none in this system."
+  @spec load(String.t()) :: module() | nil
+  def load("Elixir." <> _ = name) do
+    with {:ok, module} <- module(name), true <- Code.ensure_loaded?(module) do
+      module
+    else
+      _ -> nil
+    end
+  end
+
+  def load(_name), do: nil
+
   # A module that is there but not loaded yet has no atom either; there are only so many of these.
   defp module(name) do
-    name = "Elixir." <> name
     known = existing(name)
 
     cond do
       known != :error -> known
+      not String.valid?(name) or name =~ "/" -> :error
       :code.where_is_file(String.to_charlist(name <> ".beam")) == :non_existing -> :error
       true -> {:ok, String.to_atom(name)}
     end

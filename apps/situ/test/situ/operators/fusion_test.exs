@@ -1,0 +1,167 @@
+defmodule Situ.Operators.FusionTest do
+  # Joins and what they hold: options, waiting, memory.
+  use ExUnit.Case, async: true
+
+  alias Situ.{Available, Interval, Message, Reproducible}
+
+  @moduletag :capture_log
+
+  defp run(inputs, build, opts \\ []) do
+    {:ok, outputs} = Situ.Test.run(inputs, build, opts)
+    outputs
+  end
+
+  defp messages(timed), do: for({t, v} <- timed, do: %Message{originating_time: t, data: v})
+
+  describe "join/4" do
+    test "flattens both sides by their types, and not with flatten: false" do
+      inputs = [a: [{0, 1}], b: [{0, 2}], c: [{0, 3}], d: [{0, 4}]]
+
+      build = fn s ->
+        left = Situ.join(s.a, s.b)
+        right = Situ.join(s.c, s.d)
+        [Situ.join(left, right), Situ.join(left, right, flatten: false, name: "Nested")]
+      end
+
+      assert run(inputs, build) == [[{0, {1, 2, 3, 4}}], [{0, {{1, 2}, {3, 4}}}]]
+    end
+
+    test "a default of another type than the stream's is no lie about the output's" do
+      inputs = [a: [{0, 1}, {10, 2}], b: [{10, 3}]]
+
+      build = fn s ->
+        listed = Situ.map(s.b, &[&1], type: {:list, :integer})
+        s.a |> Situ.join(listed, Reproducible.exact(or_default: 0)) |> Situ.zip(s.b)
+      end
+
+      assert run(inputs, build) == [{0, [{1, 0}]}, {10, [{2, [3]}, 3]}]
+
+      build = fn s ->
+        tupled = Situ.map(s.b, &{&1, "x"}, type: {:tuple, [:integer, :string]})
+        s.a |> Situ.join(tupled, Reproducible.exact(or_default: nil)) |> Situ.zip(s.b)
+      end
+
+      assert run(inputs, build) == [{0, [{1, nil, nil}]}, {10, [{2, 3, "x"}, 3]}]
+    end
+
+    test "a line through whole numbers is no whole number" do
+      inputs = [a: [{5, 1}, {7, 1}], b: [{0, 1}, {10, 2}]]
+
+      build = fn s ->
+        b = Situ.map(s.b, & &1, type: :integer)
+        s.a |> Situ.join(b, Reproducible.linear()) |> Situ.zip(s.b)
+      end
+
+      assert run(inputs, build) |> Enum.at(1) == {5, [{1, 1.5}]}
+    end
+
+    test "leaves tuples alone that are data" do
+      inputs = [point: [{0, {3, 4}}], name: [{0, "p"}]]
+      assert run(inputs, &Situ.join(&1.point, &1.name)) == [{0, {{3, 4}, "p"}}]
+    end
+
+    test "takes one interpolator per secondary" do
+      inputs = [a: [{10, :a}], b: [{8, :b}], c: [{10, :c}]]
+
+      build = fn s ->
+        Situ.join(s.a, [s.b, s.c], [Reproducible.nearest(3), Reproducible.exact()])
+      end
+
+      assert run(inputs, build) == [{10, {:a, [:b, :c]}}]
+    end
+
+    test "refuses interpolators that are not reproducible, negative tolerances and windows that end before they begin" do
+      Situ.Pipeline.run(fn p ->
+        [a, b] = [Situ.return(p, 1), Situ.return(p, 2)]
+        error = assert_raise Situ.Error, fn -> Situ.join(a, b, Available.last()) end
+        assert error.code == :not_reproducible
+        assert_raise ArgumentError, ~r/tolerance/, fn -> Situ.join(a, b, -5) end
+        window = Interval.closed(5, -5)
+        assert_raise ArgumentError, ~r/ends before it begins/, fn -> Situ.join(a, b, window) end
+        assert_raise ArgumentError, ~r/no streams/, fn -> Situ.join([]) end
+        assert_raise ArgumentError, fn -> Situ.join(a, b, :nearest) end
+        assert_raise Situ.Error, ~r/unknown option/, fn -> Situ.join(a, b, 5, tolerence: 3) end
+      end)
+    end
+
+    test "a lossy policy drops before the join sees it; what is left is joined exactly" do
+      inputs = [a: Enum.map(0..99, &{&1, &1}), b: Enum.map(0..99, &{&1, &1})]
+
+      build =
+        &Situ.join(&1.a, &1.b, [], policy: [Situ.Delivery.latest(), Situ.Delivery.unlimited()])
+
+      outputs = run(inputs, build)
+      assert List.last(outputs) == {99, {99, 99}}
+      assert Enum.all?(outputs, fn {t, pair} -> pair == {t, t} end)
+    end
+  end
+
+  describe "give_up_after:" do
+    test "decides a primary that waited too long, and counts it" do
+      core = Situ.Fusion.Core.new([Reproducible.exact()], &{&1, &2}, give_up_after: 10)
+      {[], core} = Situ.Fusion.Core.primary(core, messages([{0, :a}, {5, :b}]))
+      {[], core} = Situ.Fusion.Core.primary(core, messages([{12, :c}]))
+      assert %{primary: 2, given_up: 1} = Situ.Fusion.Core.queued(core)
+      {outputs, _} = Situ.Fusion.Core.secondary(core, 0, messages([{5, :x}, {12, :y}]))
+      assert outputs == [{:out, 5, {:b, :x}}, {:out, 12, {:c, :y}}]
+    end
+  end
+
+  describe "nearest" do
+    test "is settled by the first message from where none can be nearer" do
+      nearest = Reproducible.nearest(5)
+      ask = &Situ.Interpolator.interpolate(nearest, 40, messages(&1), nil)
+      assert ask.([{22, :a}]) == {:wait, 40}
+      assert ask.([{22, :a}, {44, :b}]) == {:created, :b, 44}
+      assert ask.([{22, :a}, {36, :b}]) == {:wait, 40}
+    end
+  end
+
+  describe "memory" do
+    test "fusion keeps only what later primaries may need" do
+      core = Situ.Fusion.Core.new([Reproducible.nearest()], &{&1, &2})
+
+      core =
+        Enum.reduce(1..1_000, core, fn n, core ->
+          {_, core} = Situ.Fusion.Core.secondary(core, 0, messages([{n * 10, n}]))
+          {_, core} = Situ.Fusion.Core.primary(core, messages([{n * 10, n}]))
+          core
+        end)
+
+      assert %{primary: 0, secondary: [kept]} = Situ.Fusion.Core.queued(core)
+      assert kept <= 2
+    end
+
+    test "a diamond whose ways differ by many messages is no deadlock" do
+      build = fn p ->
+        numbers = Situ.range(p, 0, 40_000, 1_000)
+        rare = Situ.filter(numbers, &(rem(&1, 20_000) == 19_999), async: true)
+        numbers |> Situ.join(rare, Reproducible.nearest()) |> Situ.count() |> Situ.last()
+      end
+
+      assert Situ.to_list(build) == [40_000]
+    end
+
+    test "branches that end leave nothing behind, though keys never repeat" do
+      core =
+        Situ.Parallel.Core.new(
+          start: fn _ -> Situ.Branch.start(&Situ.window(&1, 0..1)) end,
+          form: :sparse,
+          termination: {:after_absent, 0},
+          missing: :drop,
+          creator: & &1
+        )
+
+      core =
+        Enum.reduce(1..2_000, core, fn n, core ->
+          message = %Message{originating_time: n, data: nil}
+          {_outputs, core} = Situ.Parallel.Core.push(core, message, %{n => n})
+          core
+        end)
+
+      assert map_size(core.branches) == 1
+      assert Situ.Parallel.Entries.size(core.entries) <= 1
+      assert core.started == 2_000
+    end
+  end
+end

@@ -1,0 +1,90 @@
+defmodule Situ.Operators.SourcesTest do
+  # What the conformance files do not ask of sources.
+  use ExUnit.Case, async: true
+
+  alias Situ.Time
+
+  @moduletag :capture_log
+
+  describe "sources" do
+    test "refuse intervals that let times stand still, and negative counts" do
+      Situ.Pipeline.run(fn p ->
+        assert_raise ArgumentError, fn -> Situ.range(p, 0, 3, 0) end
+        assert_raise ArgumentError, fn -> Situ.range(p, 0, 3, -5) end
+        assert_raise ArgumentError, fn -> Situ.repeat(p, 1, 10, count: -1) end
+      end)
+
+      assert Situ.to_list(&Situ.range(&1, 0, 0, 10)) == []
+    end
+
+    test "pass over items before the replay's start and stop at its end" do
+      replay = [interval: {10, 30}, speed: :max]
+      items = for t <- 0..50//5, do: {t, t}
+      opts = [pipeline: [replay: replay]]
+      assert Situ.to_list(&Situ.from_enumerable(&1, items), opts) == [10, 15, 20, 25, 30]
+
+      assert Situ.to_list(&Situ.repeat(&1, 1, 10), [times: true] ++ opts) == [
+               {10, 1},
+               {20, 1},
+               {30, 1}
+             ]
+    end
+
+    test "give what came before an item that is out of order" do
+      assert {:error, %{code: :time_not_increasing, meta: %{time: 2, last_time: 3}}} =
+               Situ.Test.run([n: [{1, :a}, {3, :b}, {2, :c}]], & &1.n)
+    end
+
+    test "read enumerables lazily, and let go of them" do
+      me = self()
+
+      endless =
+        Stream.resource(
+          fn -> 0 end,
+          fn n -> {[n], n + 1} end,
+          fn n -> send(me, {:closed, n}) end
+        )
+
+      stream = Situ.to_stream(&Situ.from_enumerable(&1, endless, interval: 10))
+      assert Enum.take(stream, 3) == [0, 1, 2]
+      assert_receive {:closed, n} when n < 200_000
+    end
+
+    test "an error in the middle of reading reaches the reader" do
+      stream = Situ.to_stream(fn p -> p |> Situ.range(0, 5, 10) |> Situ.map(&(6 / (&1 - 3))) end)
+
+      assert_raise Situ.Error, ~r/Map failed/, fn -> Enum.to_list(stream) end
+    end
+
+    test "events of one instant are nudged, dropped or refused" do
+      for {policy, expected} <- [nudge: [{0, :a}, {1, :b}], drop: [{0, :a}]] do
+        me = self()
+
+        test =
+          Situ.Test.start([], fn _, p ->
+            Situ.event_source(p, &send(me, {:post, &1}), fn _ -> send(me, :left) end,
+              on_same_time: policy
+            )
+          end)
+
+        assert_receive {:post, post}
+        post.(:a)
+        post.(:b)
+        Situ.Test.settle(test)
+        Situ.Test.advance(test, 1)
+        assert Situ.Test.outputs(test) == expected
+        Situ.Test.stop(test)
+        assert_receive :left
+      end
+    end
+
+    test "timers tick by the clock and make nothing up for" do
+      test = Situ.Test.start([], fn _, p -> Situ.timer(p, Time.ms(10)) end)
+      for _ <- 1..3, do: Situ.Test.advance(test, Time.ms(10))
+      Situ.Test.advance(test, Time.ms(35))
+      times = for {t, _} <- Situ.Test.outputs(test), do: div(t, Time.ms(1))
+      assert times == [10, 20, 30, 65]
+      Situ.Test.stop(test)
+    end
+  end
+end

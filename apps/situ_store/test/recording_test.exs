@@ -1,0 +1,142 @@
+defmodule Situ.Store.RecordingTest do
+  # Stores written by pipelines, and what stops them.
+  use ExUnit.Case, async: true
+  import Situ.Store.Test.Play
+  alias Situ.{Pipeline, Store}
+
+  @moduletag :tmp_dir
+
+  test "a pipeline records, another replays the same messages", %{tmp_dir: root} do
+    path = record(root, "rec", 0..4_999)
+    store = Store.open!(path)
+    assert %{closed?: true, live?: false} = Store.info(store)
+    assert [%{name: "seq", type: :integer, count: 5_000, closed: closed}] = Store.streams(store)
+    assert closed >= 4_999_000_000
+    written = Enum.to_list(Store.messages(store, "seq"))
+    got = replay(path, "seq")
+    assert Enum.map(got, & &1.data) == Enum.to_list(0..4_999)
+
+    assert Enum.map(got, &{&1.originating_time, &1.sequence_id}) ==
+             Enum.map(written, &{&1.originating_time, &1.sequence_id})
+
+    assert Enum.map(got, & &1.creation_time) == Enum.map(written, & &1.creation_time)
+  end
+
+  test "a lossy default policy loses nothing on the way to the disk", %{tmp_dir: root} do
+    {:ok, report} =
+      Pipeline.run(
+        fn p ->
+          exporter = Store.create(p, "lossy", root)
+          p |> Situ.range(0, 20_000, 1_000) |> Store.write(exporter, "all")
+          exporter.writer.path
+        end,
+        pipeline: [default_policy: Situ.Delivery.latest()]
+      )
+
+    assert [%{count: 20_000}] = report.result |> Store.open!() |> Store.streams()
+  end
+
+  test "a pipeline that could not be built leaves no recording of nothing", %{tmp_dir: root} do
+    kept = record(root, "walk", 1..3)
+
+    build = fn p ->
+      p |> Situ.range(0, 3, 1_000) |> Store.write(Store.create(p, "walk", root), "N")
+      raise "no camera"
+    end
+
+    assert {:error, %{code: :build_failed}} = Pipeline.run(build)
+    assert Store.newest("walk", root) == kept
+    test = self()
+
+    {pid, monitor} =
+      spawn_monitor(fn ->
+        p = Pipeline.new()
+        p |> Situ.range(0, 3, 1_000) |> Store.write(Store.create(p, "walk", root), "N")
+        send(test, {:pipeline, p.pid})
+        receive do: (:go -> :ok)
+      end)
+
+    pipeline = receive do: ({:pipeline, pipeline} -> Process.monitor(pipeline))
+    assert Store.newest("walk", root) != kept
+    send(pid, :go)
+    receive do: ({:DOWN, ^monitor, :process, ^pid, _} -> :ok)
+    receive do: ({:DOWN, ^pipeline, :process, _, _} -> :ok)
+    assert Store.newest("walk", root) == kept
+  end
+
+  test "the keys of a stream's maps are kept in its metadata", %{tmp_dir: root} do
+    maps = for i <- 1..100, do: {i * 1_000, if(i == 50, do: :none, else: %{rem(i, 7) => i})}
+
+    {:ok, report} =
+      Pipeline.run(fn p ->
+        store = Store.create(p, "keys", root)
+
+        p
+        |> Situ.from_enumerable(maps)
+        |> Store.write(store, "Faces", keys: true, metadata: %{"unit" => "px"})
+
+        p |> Situ.from_enumerable([{1_000, 1}]) |> Store.write(store, "Numbers", keys: true)
+        store.writer.path
+      end)
+
+    store = Store.open!(report.result)
+    assert Store.closed?(store)
+
+    assert Store.metadata(store, "Faces") ==
+             {:ok, %{"unit" => "px", "keys" => Enum.to_list(0..6)}}
+
+    assert {:error, %{code: :no_metadata}} = Store.metadata(store, "Numbers")
+    assert Store.count(store, "Faces") == 100
+  end
+
+  test "a failing pipeline leaves a whole, closed store", %{tmp_dir: root} do
+    {:error, _} =
+      Pipeline.run(fn p ->
+        exporter = Store.create(p, "failing", root)
+
+        p
+        |> Situ.from_enumerable(for(i <- 1..100, do: {i * 1_000, i}))
+        |> Store.write(exporter, "in")
+        |> Situ.map(fn n -> if n == 60, do: raise("no"), else: n end)
+        |> Store.write(exporter, "out")
+      end)
+
+    store = Store.open!(Path.join(root, "failing"))
+    assert %{closed?: true, damage: []} = Store.info(store)
+    out = store |> Store.messages("out") |> Enum.map(& &1.data)
+    assert out == Enum.take(1..100, length(out))
+  end
+
+  test "a message that cannot be stored stops the pipeline and names the stream", %{tmp_dir: root} do
+    {:error, error} =
+      Pipeline.run(fn p ->
+        exporter = Store.create(p, "bad", root)
+
+        p
+        |> Situ.from_enumerable([{1, 1}, {2, self()}])
+        |> Store.write(exporter, "pids")
+      end)
+
+    assert Exception.message(error) =~ "process id"
+  end
+
+  test "errors in build say what is wrong", %{tmp_dir: root} do
+    path = record(root, "rec", 0..3)
+
+    open = fn name, opts ->
+      Pipeline.run(fn p -> p |> Store.importer(path) |> Store.stream(name, opts) end)
+    end
+
+    assert {:error, %{code: :no_stream}} = open.("sek", [])
+    assert {:error, %{code: :schema_mismatch}} = open.("seq", type: :string)
+    assert {:ok, _} = open.("sek", or_empty: true)
+    assert {:ok, _} = open.("seq", type: :number)
+
+    assert {:error, %{code: :stream_exists}} =
+             Pipeline.run(fn p ->
+               exporter = Store.create(p, "twice", root)
+               stream = Situ.from_enumerable(p, [{1, 1}])
+               stream |> Store.write(exporter, "x") |> Store.write(exporter, "x")
+             end)
+  end
+end

@@ -1,0 +1,53 @@
+defmodule Situ.Store.Test.Play do
+  @moduledoc false
+  # Stores recorded and replayed by pipelines, and what came.
+  import ExUnit.Assertions
+  alias Situ.{Pipeline, Store}
+
+  def record(root, name, values, opts \\ []) do
+    items = for {v, i} <- Enum.with_index(values), do: {i * 1_000_000, v}
+
+    {:ok, report} =
+      Pipeline.run(fn p ->
+        exporter = Store.create(p, name, root, opts)
+        p |> Situ.from_enumerable(items) |> Store.write(exporter, "seq", type: :integer)
+        exporter.writer.path
+      end)
+
+    report.result
+  end
+
+  def replay(path, name, settings \\ [], opts \\ []) do
+    test = self()
+
+    {:ok, report} =
+      Pipeline.run(
+        fn p -> p |> Store.importer(path, opts) |> Store.stream(name) |> collect(test) end,
+        pipeline: settings
+      )
+
+    received(report.result)
+  end
+
+  # Sends every message to the test; returns the tag to receive them by.
+  def collect(stream, test) do
+    tag = make_ref()
+    Situ.each(stream, fn _data, message -> send(test, {tag, message}) end)
+    tag
+  end
+
+  def received(tag, got \\ []) do
+    receive do
+      {^tag, message} -> received(tag, [message | got])
+    after
+      0 -> Enum.reverse(got)
+    end
+  end
+
+  @doc "What comes up to and with `data`, the latest first."
+  def played(data, got) do
+    assert_receive {:got, now, m}
+    got = [{now, m.originating_time} | got]
+    if now == data, do: got, else: played(data, got)
+  end
+end
