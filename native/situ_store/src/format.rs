@@ -327,6 +327,9 @@ impl ChunkHeader {
         {
             return Err("the chunk's lengths contradict each other");
         }
+        if (header.encoding == Encoding::Bins) != (header.level > 0) {
+            return Err("messages are at level 0, bins above it");
+        }
         let covered = bytes
             .get(8..CHUNK_HEADER + covered)
             .ok_or("the chunk's table is not at hand")?;

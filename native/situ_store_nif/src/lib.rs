@@ -1,6 +1,9 @@
 //! BEAM glue of situ_store: decode, call, encode. No algorithms here.
 
 mod errors;
+mod health;
+mod inputs;
+mod messages;
 mod reading;
 mod rows;
 mod terms;

@@ -4,31 +4,18 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use memmap2::Mmap;
 use rustler::types::tuple::make_tuple;
-use rustler::{Binary, Encoder, Env, LocalPid, NifResult, OwnedEnv, ResourceArc, Term};
-use situ_store::chunk::Value;
-use situ_store::format::LANE_DATA;
-use situ_store::reader::{Chunk, Damage};
+use rustler::{Encoder, Env, LocalPid, NifResult, OwnedEnv, ResourceArc, Term};
 use situ_store::watch::{self, News};
-use situ_store::{pyramid, repair, Encoding, Error, Reader};
+use situ_store::{pyramid, Error, Reader};
 
-use crate::terms::{copied, decode, COPY_UP_TO};
+use crate::terms::copied;
 use crate::{atoms, errors};
 
-pub struct ReaderResource(Arc<Reader>);
+pub struct ReaderResource(pub Arc<Reader>);
 
 #[rustler::resource_impl]
 impl rustler::Resource for ReaderResource {}
-
-/// What binaries that were read point into: a mapped extent, or an unpacked chunk.
-pub enum Bytes {
-    Map(Arc<Mmap>, usize, usize),
-    Unpacked(Vec<u8>),
-}
-
-#[rustler::resource_impl]
-impl rustler::Resource for Bytes {}
 
 pub type Handle = ResourceArc<ReaderResource>;
 
@@ -38,7 +25,7 @@ impl ReaderResource {
     }
 }
 
-fn failed<'a>(env: Env<'a>, error: &Error) -> Term<'a> {
+pub fn failed<'a>(env: Env<'a>, error: &Error) -> Term<'a> {
     errors::term(env, error)
 }
 
@@ -135,218 +122,6 @@ fn reader_gaps(handle: Handle, stream: u32, least: i64) -> Vec<(i64, i64)> {
     handle.0.gaps(stream, least)
 }
 
-/// Turns the messages of one chunk into `{sequence, originating, creation, data}`.
-struct Run<'a> {
-    env: Env<'a>,
-    encoding: Encoding,
-    whole: Option<Binary<'a>>,
-}
-
-impl<'a> Run<'a> {
-    fn start(env: Env<'a>, chunk: &Chunk) -> Self {
-        let encoding = chunk.header.encoding;
-        let wants = matches!(encoding, Encoding::Bytes | Encoding::Codec)
-            && chunk.body().len() > COPY_UP_TO;
-        let whole = wants.then(|| {
-            let bytes = match chunk.mapped_at() {
-                Some(at) => Bytes::Map(chunk.map.clone(), at, chunk.body().len()),
-                None => Bytes::Unpacked(chunk.body().to_vec()),
-            };
-            ResourceArc::new(bytes).make_binary(env, |bytes| match bytes {
-                Bytes::Map(map, at, length) => &map[*at..*at + *length],
-                Bytes::Unpacked(bytes) => bytes,
-            })
-        });
-        Run {
-            env,
-            encoding,
-            whole,
-        }
-    }
-
-    fn value(&self, body: &[u8], value: Value) -> Term<'a> {
-        let env = self.env;
-        match value {
-            Value::Int(value) => value.encode(env),
-            Value::Float(value) if value.is_finite() => value.encode(env),
-            // The BEAM has no such floats; a writer of another language may.
-            Value::Float(_) => atoms::nil().encode(env),
-            Value::Bool(0) => atoms::r#false().encode(env),
-            Value::Bool(1) => atoms::r#true().encode(env),
-            Value::Bool(_) => atoms::nil().encode(env),
-            Value::Bytes { start, length } => {
-                let bytes = &body[start..start + length];
-                match (self.encoding, &self.whole) {
-                    (Encoding::Term, _) => decode(env, bytes),
-                    (_, Some(whole)) if length > COPY_UP_TO => {
-                        match whole.make_subbinary(start, length) {
-                            Ok(part) => part.encode(env),
-                            Err(_) => copied(env, bytes),
-                        }
-                    }
-                    _ => copied(env, bytes),
-                }
-            }
-        }
-    }
-}
-
-/// Messages from `ordinal` on, until one lies behind `to`, or at least `most` messages or `bytes` payload bytes are there:
-/// `{:ok, [{codec, [{sequence, originating, creation, data}]}], next_ordinal}`. Whole chunks, so a little more than `most`
-/// may come; `bytes` 0: exactly `most`. A damaged chunk ends the answer; as the first one it is the error.
-#[rustler::nif(schedule = "DirtyIo")]
-fn reader_read<'a>(
-    env: Env<'a>,
-    handle: Handle,
-    stream: u32,
-    ordinal: u64,
-    to: i64,
-    most: u64,
-    bytes: u64,
-) -> Term<'a> {
-    let wanted = Wanted {
-        to,
-        most,
-        bytes,
-        quick: false,
-    };
-    read(env, &handle, stream, ordinal, &wanted)
-}
-
-/// As `reader_read`, on a normal scheduler, which saves two changes of threads: what takes little time and waits for no disk,
-/// as much of it as fits into a time slice. `:slow` when that is nothing.
-#[rustler::nif]
-fn reader_read_quick<'a>(
-    env: Env<'a>,
-    handle: Handle,
-    stream: u32,
-    ordinal: u64,
-    to: i64,
-    most: u64,
-    bytes: u64,
-) -> Term<'a> {
-    let wanted = Wanted {
-        to,
-        most,
-        bytes,
-        quick: true,
-    };
-    let answer = read(env, &handle, stream, ordinal, &wanted);
-    rustler::schedule::consume_timeslice(env, if most > 64 { 15 } else { 2 });
-    answer
-}
-
-struct Wanted {
-    to: i64,
-    most: u64,
-    bytes: u64,
-    quick: bool,
-}
-
-/// A quick read checks and unpacks no more than about this many bytes.
-const QUICK_BYTES: u64 = 64 * 1024;
-
-fn read<'a>(env: Env<'a>, handle: &Handle, stream: u32, from: u64, wanted: &Wanted) -> Term<'a> {
-    let reader = &handle.0;
-    let Wanted {
-        to, most, bytes, ..
-    } = *wanted;
-    if let Err(error) = reader.refresh() {
-        return failed(env, &error);
-    }
-    let exact = bytes == 0;
-    let mut runs: Vec<(u16, Vec<Term<'a>>)> = Vec::new();
-    let (mut next, mut count, mut size, mut work) = (from, 0u64, 0u64, 0u64);
-    while count < most && (exact || size < bytes) && work < QUICK_BYTES {
-        let Some(entry) = reader.entry_at(stream, next) else {
-            break;
-        };
-        if entry.first > to {
-            break;
-        }
-        if wanted.quick {
-            // A large message that is not checked takes next to no time.
-            work += if entry.lane == LANE_DATA {
-                entry.length.max(1024) as u64
-            } else {
-                1024
-            };
-        }
-        let opened = if wanted.quick {
-            reader.quick_chunk(&entry)
-        } else {
-            Some(reader.chunk(&entry))
-        };
-        let opened = match opened {
-            None if runs.is_empty() => return atoms::slow().encode(env),
-            None => break,
-            Some(opened) => opened,
-        };
-        let chunk = match opened {
-            Ok(chunk) => chunk,
-            Err(error) if runs.is_empty() => return failed(env, &error),
-            Err(_) => break,
-        };
-        let run = Run::start(env, &chunk);
-        let codec = chunk.header.codec;
-        let body = chunk.body();
-        let mut list = Vec::with_capacity(entry.count as usize);
-        let mut at = entry.ordinal;
-        let mut behind = false;
-        // Messages of one batch often have one creation time, and that is a big number: made once.
-        let mut made = (i64::MIN, i64::MIN.encode(env));
-        for message in chunk.messages() {
-            let (envelope, value) = match message {
-                Ok(message) => message,
-                Err(why) if runs.is_empty() && list.is_empty() => {
-                    return failed(env, &reader.broken(&entry, why))
-                }
-                Err(_) => {
-                    // The rest of this chunk is lost: the next read tells so.
-                    behind = true;
-                    break;
-                }
-            };
-            at += 1;
-            if at <= next {
-                continue;
-            }
-            if envelope.time > to || (exact && count + list.len() as u64 >= most) {
-                at -= 1;
-                behind = true;
-                break;
-            }
-            if envelope.creation != made.0 {
-                made = (envelope.creation, envelope.creation.encode(env));
-            }
-            let terms = [
-                envelope.sequence.encode(env),
-                envelope.time.encode(env),
-                made.1,
-                run.value(body, value),
-            ];
-            list.push(make_tuple(env, &terms));
-        }
-        next = at;
-        count += list.len() as u64;
-        size += entry.length as u64;
-        runs.push((codec, list));
-        if behind {
-            break;
-        }
-    }
-    (atoms::ok(), runs, next).encode(env)
-}
-
-/// The ordinal behind the chunk that holds `ordinal`: where to go on after damage.
-#[rustler::nif]
-fn reader_skip(handle: Handle, stream: u32, ordinal: u64) -> u64 {
-    handle
-        .0
-        .entry_at(stream, ordinal)
-        .map_or(ordinal, |entry| entry.ordinal + entry.count as u64)
-}
-
 /// `{:ok, level, [{start, min, max, last, count}]}` with bins of 2^level ns.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn reader_summary<'a>(
@@ -377,54 +152,6 @@ fn summary_level(from: i64, to: i64, pixels: u32) -> u8 {
 }
 
 /// A term from external format as `reader_read` gives it: no atoms are made.
-#[rustler::nif]
-fn term_decode<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
-    decode(env, bytes.as_slice())
-}
-
-fn damage(found: Vec<Damage>) -> Vec<(String, u64, String)> {
-    found
-        .into_iter()
-        .map(|d| (d.file, d.offset, d.why))
-        .collect()
-}
-
-#[rustler::nif]
-fn reader_damage(handle: Handle) -> Vec<(String, u64, String)> {
-    damage(handle.0.damage())
-}
-
-/// Checks index entries `from..from + n` wholly: `{:ok, [{file, offset, why}], entries}`.
-#[rustler::nif(schedule = "DirtyIo")]
-fn reader_verify<'a>(env: Env<'a>, handle: Handle, from: u64, n: u64) -> Term<'a> {
-    match handle.0.verify(from, n) {
-        Ok((found, total)) => (atoms::ok(), damage(found), total).encode(env),
-        Err(error) => failed(env, &error),
-    }
-}
-
-/// `{:ok, {kept, dropped, rebuilt?, damage}}`; meanwhile `{:situ_store, tag, {done, total}}` to `pid`.
-#[rustler::nif(schedule = "DirtyIo")]
-fn store_repair<'a>(env: Env<'a>, path: String, pid: LocalPid, tag: Term<'a>) -> Term<'a> {
-    // Nobody is there any more who would want to know: then it is only mended.
-    let tell = |done: u64, total: u64| {
-        let _ = env.send(&pid, (atoms::situ_store(), tag, (done, total)));
-    };
-    match repair::repair(Path::new(&path), tell) {
-        Ok(report) => (
-            atoms::ok(),
-            (
-                report.kept,
-                report.dropped,
-                report.rebuilt,
-                damage(report.damage),
-            ),
-        )
-            .encode(env),
-        Err(error) => failed(env, &error),
-    }
-}
-
 /// Sends `{:situ_store, tag, {:published | :ended, entries}}` to `pid` once there are more than `known` entries or the
 /// writer is gone. Waits in a thread of its own, on the writer's futex, in whatever process that lives.
 #[rustler::nif]

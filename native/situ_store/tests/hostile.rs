@@ -1,0 +1,236 @@
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+//! Readers fed with files that lie and whose checksums are right, as somebody would make them on purpose: no panic, no endless
+//! loop, no message that contradicts the index, and no more memory than the store has. `SITU_FUZZ` sets the number of stores.
+mod common;
+
+use std::path::Path;
+
+use common::*;
+use rustix::process::{setrlimit, Resource, Rlimit};
+use situ_store::chunk::Value;
+use situ_store::format::*;
+use situ_store::{pyramid, repair, Reader, Writer};
+
+const MESSAGES: u64 = 600;
+
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, n: u64) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0 % n.max(1)
+    }
+
+    /// A number somebody would try.
+    fn number(&mut self) -> u64 {
+        let near = self.below(70_000);
+        match self.below(10) {
+            0 => 0,
+            1 => u64::MAX,
+            2 => i64::MAX as u64,
+            3 => i64::MIN as u64,
+            4 => u32::MAX as u64,
+            5 => 1 << self.below(64),
+            6 => (MAX_MESSAGE as u64).wrapping_add(near),
+            7 => self.below(300),
+            _ => near,
+        }
+    }
+
+    fn put(&mut self, bytes: &mut [u8], from: usize, to: usize) {
+        let width = [1, 2, 4, 8][self.below(4) as usize];
+        let at = from + self.below((to - from) as u64) as usize;
+        let end = (at + width).min(to);
+        let value = self.number().to_le_bytes();
+        bytes[at..end].copy_from_slice(&value[..end - at]);
+    }
+}
+
+type Files = Vec<(String, Vec<u8>)>;
+
+fn read_all(dir: &Path) -> Files {
+    let files = std::fs::read_dir(dir).unwrap().map(|file| {
+        let file = file.unwrap();
+        let name = file.file_name().into_string().unwrap();
+        (name, std::fs::read(file.path()).unwrap())
+    });
+    files.collect()
+}
+
+fn sign_entry(entry: &mut [u8]) {
+    let crc = crc32c::crc32c(&entry[4..ENTRY]);
+    entry[..4].copy_from_slice(&crc.to_le_bytes());
+}
+
+/// Makes a chunk's checksums right, as far as its own lengths allow.
+fn sign_chunk(chunk: &mut [u8]) {
+    let stored = (u32_at(chunk, 8) as usize).clamp(CHUNK_HEADER, chunk.len());
+    let table = if chunk[18] == 0 { u32_at(chunk, 84) } else { 0 };
+    let covered = (CHUNK_HEADER + table as usize).min(stored);
+    let body = crc32c::crc32c(&chunk[covered..stored]);
+    chunk[92..96].copy_from_slice(&body.to_le_bytes());
+    let head = crc32c::crc32c(&chunk[8..covered]);
+    chunk[4..8].copy_from_slice(&head.to_le_bytes());
+}
+
+/// A lie about one chunk: in its index entry, its header, both alike, its table or its payload.
+fn lie(files: &mut Files, random: &mut Random) {
+    let index = files.iter().position(|(n, _)| n == "index.situ").unwrap();
+    let published = u64_at(&files[index].1, COMMITTED_AT);
+    let at = INDEX_HEADER + random.below(published) as usize * ENTRY;
+    let entry = Entry::decode(&files[index].1[at..]);
+    let kind = random.below(5);
+    if kind == 0 || entry.is_none() {
+        random.put(&mut files[index].1[at..at + ENTRY], 4, ENTRY);
+    } else if let Some(entry) = entry {
+        let name = situ_store::extent::name(entry.lane, entry.extent);
+        let Some(extent) = files.iter().position(|(n, _)| *n == name) else {
+            return;
+        };
+        let length = files[extent].1.len();
+        let (start, end) = (
+            entry.offset as usize,
+            entry.offset as usize + entry.length as usize,
+        );
+        if end > length || end < start + CHUNK_HEADER {
+            return;
+        }
+        let chunk = &mut files[extent].1[start..];
+        let table_end = CHUNK_HEADER + (u32_at(chunk, 84) as usize).min(end - start - CHUNK_HEADER);
+        match kind {
+            1 => random.put(chunk, 8, 92),
+            2 => {
+                // Both say the same: length, count, first or last.
+                let fields = [
+                    (24, 8, 4),
+                    (28, 20, 4),
+                    (40, 32, 8),
+                    (48, 40, 8),
+                    (8, 16, 1),
+                ];
+                let (there, here, width) = fields[random.below(5) as usize];
+                let value = random.number().to_le_bytes();
+                chunk[here..here + width].copy_from_slice(&value[..width]);
+                sign_chunk(chunk);
+                files[index].1[at + there..at + there + width].copy_from_slice(&value[..width]);
+                return sign_entry(&mut files[index].1[at..]);
+            }
+            3 if table_end > CHUNK_HEADER => random.put(chunk, CHUNK_HEADER, table_end),
+            _ if end - start > table_end => random.put(chunk, table_end, end - start),
+            _ => random.put(chunk, 8, 92),
+        }
+        sign_chunk(chunk);
+    }
+    sign_entry(&mut files[index].1[at..]);
+}
+
+/// All that can be asked of a reader; how many messages it gave.
+fn ask(reader: &Reader, random: &mut Random) -> u64 {
+    let mut seen = 0;
+    for stream in reader.streams() {
+        let mut ordinal = 0;
+        while let Some(entry) = reader.entry_at(stream, ordinal) {
+            assert!(entry.ordinal <= ordinal);
+            ordinal = entry.ordinal.checked_add(entry.count.into()).unwrap();
+            if let Some(Ok(chunk)) = reader.quick_chunk(&entry) {
+                assert!(chunk.messages().count() as u64 <= entry.count as u64);
+            }
+            let Ok(chunk) = reader.chunk(&entry) else {
+                continue;
+            };
+            let mut last = None;
+            for (got, value) in chunk.messages().flatten() {
+                assert!(last < Some(got.time) && got.time >= entry.first && got.time <= entry.last);
+                last = Some(got.time);
+                if let Value::Bytes { start, length } = value {
+                    assert_eq!(chunk.body()[start..start + length].len(), length);
+                }
+                let _ = chunk.number(&value);
+                seen += 1;
+            }
+        }
+        assert_eq!(ordinal, reader.count(stream));
+        let _ = reader.statistics(stream);
+        let _ = reader.gaps(stream, 1);
+        for _ in 0..3 {
+            let (a, b) = (random.number() as i64, random.number() as i64);
+            let _ = reader.ordinal_from(stream, a);
+            let level = pyramid::level_for(a.min(b), a.max(b), 1 + random.below(300) as u32);
+            let _ = reader.summary(stream, a.min(b), a.max(b), level);
+        }
+        let _ = reader.summary(
+            stream,
+            0,
+            MESSAGES as i64 * 1_000,
+            8 + random.below(12) as u8,
+        );
+    }
+    seen
+}
+
+#[test]
+fn bins_among_the_messages_are_refused() {
+    let folder = Folder::new();
+    let mut writer = Writer::create(&folder.0, small_extents()).unwrap();
+    fill(&mut writer, 100, 50).unwrap();
+    writer.close().unwrap();
+    let reader = Reader::open(&folder.0).unwrap();
+    let entry = reader.entry_at(1, 0).unwrap();
+    let path = folder
+        .0
+        .join(situ_store::extent::name(entry.lane, entry.extent));
+    let mut bytes = std::fs::read(&path).unwrap();
+    let chunk = &mut bytes[entry.offset as usize..];
+    chunk[17] = Encoding::Bins as u8;
+    sign_chunk(chunk);
+    std::fs::write(&path, &bytes).unwrap();
+    let reader = Reader::open(&folder.0).unwrap();
+    let why = reader.chunk(&entry).err().unwrap();
+    assert!(format!("{why:?}").contains("bins above it"), "{why:?}");
+}
+
+#[test]
+fn stores_that_lie() {
+    let rounds: u64 = std::env::var("SITU_FUZZ")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .unwrap_or(200);
+    // Somebody's number is no reason to ask the system for as much.
+    let limit = Rlimit {
+        current: Some(4 << 30),
+        maximum: None,
+    };
+    setrlimit(Resource::As, limit).unwrap();
+    let origin = Folder::new();
+    let mut writer = Writer::create(&origin.0, small_extents()).unwrap();
+    fill(&mut writer, MESSAGES, 60).unwrap();
+    writer.close().unwrap();
+    let pristine = read_all(&origin.0);
+    let target = Folder::new();
+    let mut random = Random(0x1234_5678_9abc_def1);
+    let (mut readable, mut seen) = (0, 0);
+    for round in 0..rounds {
+        let mut files = pristine.clone();
+        for _ in 0..=random.below(4) {
+            lie(&mut files, &mut random);
+        }
+        for (name, bytes) in &files {
+            std::fs::write(target.0.join(name), bytes).unwrap();
+        }
+        if let Ok(mut reader) = Reader::open(&target.0) {
+            readable += 1;
+            reader.verify_large = round % 3 != 0;
+            seen += ask(&reader, &mut random);
+            let _ = reader.verify(0, u64::MAX);
+        }
+        if round % 8 == 0 && repair::repair(&target.0, |_, _| ()).is_ok() {
+            let reader = Reader::open(&target.0).unwrap();
+            ask(&reader, &mut random);
+            std::fs::remove_file(target.0.join("index.situ.before-repair")).ok();
+        }
+    }
+    println!("{readable} of {rounds} stores were readable, {seen} messages");
+    assert!(readable > rounds / 2 && seen > 0);
+}

@@ -1,0 +1,53 @@
+//! Damage: found, told, mended.
+
+use std::path::Path;
+
+use rustler::{Encoder, Env, LocalPid, Term};
+use situ_store::reader::Damage;
+use situ_store::repair;
+
+use crate::atoms;
+use crate::reading::{failed, Handle};
+
+fn damage(found: Vec<Damage>) -> Vec<(String, u64, String)> {
+    found
+        .into_iter()
+        .map(|d| (d.file, d.offset, d.why))
+        .collect()
+}
+
+#[rustler::nif]
+fn reader_damage(handle: Handle) -> Vec<(String, u64, String)> {
+    damage(handle.0.damage())
+}
+
+/// Checks index entries `from..from + n` wholly: `{:ok, [{file, offset, why}], entries}`.
+#[rustler::nif(schedule = "DirtyIo")]
+fn reader_verify<'a>(env: Env<'a>, handle: Handle, from: u64, n: u64) -> Term<'a> {
+    match handle.0.verify(from, n) {
+        Ok((found, total)) => (atoms::ok(), damage(found), total).encode(env),
+        Err(error) => failed(env, &error),
+    }
+}
+
+/// `{:ok, {kept, dropped, rebuilt?, damage}}`; meanwhile `{:situ_store, tag, {done, total}}` to `pid`.
+#[rustler::nif(schedule = "DirtyIo")]
+fn store_repair<'a>(env: Env<'a>, path: String, pid: LocalPid, tag: Term<'a>) -> Term<'a> {
+    // Nobody is there any more who would want to know: then it is only mended.
+    let tell = |done: u64, total: u64| {
+        let _ = env.send(&pid, (atoms::situ_store(), tag, (done, total)));
+    };
+    match repair::repair(Path::new(&path), tell) {
+        Ok(report) => (
+            atoms::ok(),
+            (
+                report.kept,
+                report.dropped,
+                report.rebuilt,
+                damage(report.damage),
+            ),
+        )
+            .encode(env),
+        Err(error) => failed(env, &error),
+    }
+}
