@@ -121,3 +121,25 @@ test("5 go to time: accepts a time, refuses what is none or outside", async ({ p
   await page.keyboard.press("Enter");
   equal((await state(page)).cursor, 42.5 * S, "cursor");
 });
+
+test("5 cursor: a link keeps the stream that it snaps to; its time is copied as 'go to' takes it", async ({ page, context }) => {
+  await context.grantPermissions(["clipboard-read", "clipboard-write"]);
+  await open(page, main, "minute.0000");
+  await page.click("#tree .node[data-stream='Camera.Image'] .name");
+  await page.click("text=Snap cursor to it");
+  await until(page, () => new URLSearchParams(location.search).get("snap") === "Camera.Image", "the address says so");
+  await page.goto(page.url());
+  await until(page, () => document.body?.dataset.ready === "1" && window.situStudio.client.snap === "Camera.Image", "and a reload keeps it");
+  await page.click(".snapped");
+  await until(page, () => window.situStudio.client.snap === null && !document.querySelector(".snapped"), "released");
+  await dispatch(page, { type: "nudge", by: 12_345_678_901 - (await state(page)).cursor });
+  await page.keyboard.press("c");
+  await until(page, () => document.getElementById("toast").textContent === "Time of the cursor copied", "copied");
+  const text = await page.evaluate(() => navigator.clipboard.readText());
+  equal(text, "2026-01-01T00:00:12.345678901Z", "the time of the cursor");
+  await page.keyboard.press("Home");
+  await page.keyboard.press("Control+g");
+  await page.fill("#goto input", text);
+  await page.keyboard.press("Enter");
+  equal((await state(page)).cursor, 12_345_678_901, "back at that time");
+});

@@ -47,6 +47,23 @@ defmodule Fixture do
     :ok = Writer.close(writer)
   end
 
+  # Two hundred streams of a few messages.
+  def record_many(name, folder) do
+    {:ok, writer} = Writer.create(name, folder)
+
+    for robot <- 1..10, joint <- 1..20 do
+      {:ok, out} = Writer.stream(writer, "Robot#{robot}.Joint#{joint}.Angle", type: :float)
+
+      rows =
+        for i <- 0..29, do: message({"", @t0 + i * 1_000_000_000, 0, :math.sin(i + joint), i})
+
+      {:ok, out} = Writer.append(out, rows)
+      {:ok, _} = Writer.close_stream(out, @t0 + 30_000_000_000)
+    end
+
+    :ok = Writer.close(writer)
+  end
+
   # A minute in which one stream begins late and another ends early.
   def record_uneven(name, folder) do
     {:ok, writer} = Writer.create(name, folder)

@@ -66,3 +66,21 @@ test("2 the page: a window of 900 px has all of the toolbar, and the properties 
   await page.keyboard.press("s");
   ok((await page.$eval(".stack", (e) => e.clientWidth)) >= wide + 190, "without the streams there is more room");
 });
+
+test("2 the page: two hundred streams are searched and walked by keys", async ({ page, shot }) => {
+  await open(page, main, "many.0000");
+  await page.keyboard.press("/");
+  await page.keyboard.type("joint7 robot");
+  await until(page, () => document.querySelector(".found")?.textContent.trim() === "10 of 200 streams", "it tells how many are found");
+  await page.keyboard.press("ArrowDown");
+  await until(page, () => document.activeElement?.id === "node-Robot1", "down into the tree");
+  await page.keyboard.press("ArrowDown");
+  await page.keyboard.press("ArrowDown");
+  const panels = await page.$$eval(".row-box", (r) => r.length);
+  await page.keyboard.press("Enter");
+  await until(page, (n) => document.querySelectorAll(".row-box").length === n + 1, "the stream is shown", panels);
+  await shot("many");
+  await page.focus("#search");
+  await page.keyboard.press("Escape");
+  await until(page, () => !document.querySelector(".found") && document.querySelectorAll("#tree .node").length === 400, "all again, as many rows as are listed");
+});

@@ -10,6 +10,7 @@ points = String.to_integer(System.get_env("POINTS") || "1000000")
 Fixture.record("minute", folder)
 Fixture.record_big("big", folder, points)
 Fixture.record_uneven("uneven", folder)
+Fixture.record_many("many", folder)
 Fixture.film(folder)
 # another writer, to be deleted while it is looked at
 Fixture.record("doomed", folder)

@@ -174,3 +174,23 @@ test("3 timelines: where a stream begins late or ends early there is a bracket",
   ok((await page.textContent("#t-length")).startsWith("00:01:00.0"), "at that time");
   await shot("uneven");
 });
+
+test("3 timelines: colour and joins of a line are set in its properties", async ({ page }) => {
+  await open(page, main, "many.0000");
+  const id = await page.$eval("[phx-hook='Panel']", (e) => e.id), panel = id.replace("body-", "");
+  const blue = () => count(page, `#${id} canvas`, [0x4e, 0xa1, 0xf3], 30), magenta = () => count(page, `#${id} canvas`, [255, 0, 255], 60);
+  const joined = await blue();
+  await page.click(`[data-panel="${panel}"] button[title='Properties']`);
+  await page.selectOption(`#f-${panel}-0-interpolation`, "none");
+  await until(page, (i) => JSON.parse(document.getElementById(i).dataset.config).vis[0].props.interpolation === "none", "points only", id);
+  await settled(page);
+  const points = await blue();
+  ok(points > 50 && points < joined / 2, `the joins are gone: ${joined} -> ${points}`);
+  await page.$eval(`#f-${panel}-0-color`, (e) => {
+    e.value = "#ff00ff";
+    e.dispatchEvent(new Event("input", { bubbles: true }));
+  });
+  await until(page, (i) => JSON.parse(document.getElementById(i).dataset.config).vis[0].props.color === "#ff00ff", "the colour is set", id);
+  await settled(page);
+  ok((await blue()) < 20 && (await magenta()) > 50, "and drawn");
+});

@@ -142,6 +142,15 @@ const hooks = {
         e.preventDefault();
         e.stopPropagation();
       });
+      // from the search box down into what it found, and back to all
+      this.el.parentElement.querySelector("#search")?.addEventListener("keydown", (e) => {
+        if (e.key === "ArrowDown") this.el.querySelector(".node")?.focus();
+        else if (e.key === "Escape" && e.target.value) {
+          e.target.value = "";
+          e.target.dispatchEvent(new Event("input", { bubbles: true }));
+        } else return;
+        e.preventDefault();
+      });
       this.el.addEventListener("dragstart", dragStream);
       this.el.addEventListener("dblclick", (e) => e.target.closest(".node")?.querySelector(".add")?.click());
     },

@@ -7,6 +7,7 @@ export const KEYS = [
   ["Space", "Play or stop, from the cursor to the end", "togglePlay"],
   ["Ctrl+Space", "Play or stop the selection", "togglePlaySel"],
   ["Ctrl+g", "Go to a time", "goto"],
+  ["c", "Copy the time of the cursor", "copyTime"],
   ["Ctrl+a", "View everything", "zoomAll"],
   ["Ctrl+s", "Zoom to the selection", "zoomSel"],
   ["+", "Zoom in", "zoomIn"],

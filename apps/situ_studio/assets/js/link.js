@@ -1,11 +1,12 @@
 // The address holds what is looked at: layout, view, cursor, selection; times are absolute nanoseconds, so that a
 // copied link gives the same picture anywhere.
 
-export function encode(s, origin, { layout, edit } = {}) {
+export function encode(s, origin, { layout, edit, snap } = {}) {
   const abs = (t) => (origin + BigInt(Math.round(t))).toString();
   const q = new URLSearchParams();
   if (layout) q.set("layout", layout);
   if (edit) q.set("edit", edit);
+  if (snap) q.set("snap", snap);
   if (s.mode === "live") q.set("live", "1");
   else {
     q.set("view", `${abs(s.view[0])}~${abs(s.view[1])}`);
@@ -22,7 +23,7 @@ export function decode(search, origin) {
   const q = new URLSearchParams(search);
   const time = (x) => (/^-?\d{1,20}$/.test(x ?? "") ? Number(BigInt(x) - origin) : null);
   const pair = (name) => (q.get(name) ?? "").split("~").map(time);
-  const out = { live: q.get("live") === "1" };
+  const out = { live: q.get("live") === "1", snap: q.get("snap") || null };
   const [a, b] = pair("view");
   if (a != null && b != null && a < b) out.view = [a, b];
   const at = time(q.get("at"));

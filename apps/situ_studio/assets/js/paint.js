@@ -3,7 +3,7 @@
 const SPACING = 9;
 
 // Line: straight or stepped joins while messages are fewer than pixels; zoomed out, a band from min to max.
-export function line(ctx, s, view, x, y, { color, width = 1.25, step = false, points = false, ratio = 1 }) {
+export function line(ctx, s, view, x, y, { color, width = 1.25, step = false, joined = true, points = false, ratio = 1 }) {
   const n = s.length;
   if (!n) return;
   const a = Math.max(s.at(view[0]), 0);
@@ -32,7 +32,7 @@ export function line(ctx, s, view, x, y, { color, width = 1.25, step = false, po
     py = p;
   }
   if (step && pen && b === n - 1) ctx.lineTo(Math.min(x(view[1]), x(s.t[b]) + 1e4), py);
-  ctx.stroke();
+  if (joined) ctx.stroke();
   // dots show single messages, as long as they are apart
   const apart = b > a ? (x(s.t[b]) - x(s.t[a])) / (b - a) : Infinity;
   if (points || (s.raw && apart > SPACING * ratio)) dots(ctx, s, a, b, x, y, points ? 2.5 * ratio : 1.75 * ratio);

@@ -35,6 +35,7 @@ export class Palette {
     return [
       ...KEYS.map(([key, text, action]) => ({ text, hint: key.replace("Arrow", ""), run: () => this.app.act(action) })),
       { text: "Copy a link to this view", hint: "", run: () => this.app.act("copyLink") },
+      { text: "Copy the time of the cursor in ns", hint: "", run: () => this.app.act("copyNs") },
       ...streams.map((name) => ({ text: name, hint: "add stream", run: () => this.app.options.push?.("add_stream", { stream: name, panel: "" }) })),
     ];
   }

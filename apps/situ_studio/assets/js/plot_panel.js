@@ -203,7 +203,8 @@ export class PlotPanel {
       } else {
         const { interpolation, width, markers } = props;
         paint.line(ctx, e.series, view, x, y, {
-          color, ratio, width, step: interpolation === "step", points: markers === true,
+          color, ratio, width, step: interpolation === "step", joined: interpolation !== "none",
+          points: markers === true || interpolation === "none",
         });
       }
     });

@@ -9,6 +9,7 @@ import { actionFor, timeAction } from "./keys.js";
 import { Header } from "./header.js";
 import { listenGoto, openGoto, openHelp } from "./dialogs.js";
 import { onTheme, setTheme } from "./theme.js";
+import { iso } from "./time_text.js";
 import * as link from "./link.js";
 import { decode, KIND } from "./wire.js";
 
@@ -120,6 +121,7 @@ export class Studio {
     const origin = reply.from;
     this.time.dispatch({ type: "reset", from: 0, to: Number(reply.to - origin) });
     const asked = link.decode(location.search, origin);
+    if (asked.snap) this.client.setSnap(asked.snap);
     if (asked.view || asked.cursor != null || asked.sel) this.time.dispatch({ type: "restore", ...asked });
     if (asked.live || (reply.live && !asked.view)) this.time.dispatch({ type: "live", on: true });
     document.body.dataset.ready = "1";
@@ -202,6 +204,15 @@ export class Studio {
     this.options.push?.("export_dialog", { from: this.client.abs(from), to: this.client.abs(to), of: selected ? "selection" : "view" });
   }
 
+  // As "go to time" takes it.
+  do_copyTime() {
+    if (this.client.origin !== null) return this.copy(iso(this.time.get().cursor, this.client.origin), "Time of the cursor copied");
+  }
+
+  do_copyNs() {
+    if (this.client.origin !== null) return this.copy(this.client.abs(this.time.get().cursor), "Nanoseconds of the cursor copied");
+  }
+
   do_copyLink() {
     this.saveLink(true);
     return this.copy(location.href, "Link copied", "The address bar holds the link");
@@ -242,7 +253,7 @@ export class Studio {
     if (this.client.origin === null) return;
     clearTimeout(this.linkTimer);
     const save = () => {
-      const q = link.encode(this.time.get(), this.client.origin, this.options);
+      const q = link.encode(this.time.get(), this.client.origin, { ...this.options, snap: this.client.snap });
       history.replaceState(history.state, "", `${location.pathname}?${q}`);
       this.options.moved?.(location.href);
     };
@@ -272,6 +283,7 @@ export class Studio {
 
   snapTo(stream) {
     this.client.setSnap(stream || null);
+    this.saveLink(true);
   }
 
   // Waveforms that are shown are heard, unless muted.

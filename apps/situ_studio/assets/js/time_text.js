@@ -62,6 +62,15 @@ export function absolute(t, origin) {
   return `${d.toISOString().slice(0, 19).replace("T", " ")}.${pad(f.toString().slice(0), 9).slice(0, 4)}`;
 }
 
+// The same to the nanosecond, as programs and "go to time" read it.
+export function iso(t, origin) {
+  const ns = origin + BigInt(Math.round(t));
+  const s = ns / 1000000000n - (ns % 1000000000n < 0n ? 1n : 0n);
+  const date = new Date(Number(s) * 1000);
+  if (Number.isNaN(date.getTime())) return String(ns);
+  return `${date.toISOString().slice(0, 19)}.${pad(ns - s * 1000000000n, 9)}Z`;
+}
+
 // "1:23.5", "83.5", "83.5 s", "250 ms" (from the start of the data), "2026-01-31T12:34:56.7Z" or integer
 // nanoseconds since 1970; null when it is none of these.
 export function parseTime(text, origin) {

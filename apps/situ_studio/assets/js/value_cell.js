@@ -97,6 +97,7 @@ export class ValueCell {
     const path = row.dataset.path;
     if (e.target.closest(".plot-path")) this.app.plotPath(this.vis.stream, path, row.dataset.kind);
     else if (e.target.closest(".copy-path")) this.app.copy(this.vis.stream + path, "Path copied");
+    else if (e.target.closest(".copy-value")) this.app.copy(row.children[2].textContent, "Value copied");
     else this.fold(row);
   }
 
@@ -107,7 +108,7 @@ export class ValueCell {
     this.render();
   }
 
-  // Arrow keys walk the tree; Enter folds or plots, c copies the path.
+  // Arrow keys walk the tree; Enter folds or plots, c copies the path, v the value.
   press(e) {
     const rows = [...this.body.children];
     const i = rows.indexOf(document.activeElement.closest?.(".row"));
@@ -117,6 +118,7 @@ export class ValueCell {
     else if (e.key === "ArrowUp") rows[Math.max(i - 1, 0)]?.focus();
     else if (row && e.target === row && e.key === "Enter" && row.dataset.parent) this.fold(row);
     else if (row && e.target === row && e.key === "Enter") row.querySelector(".plot-path:not([hidden])")?.click();
+    else if (row && e.key === "v" && !e.ctrlKey && !e.altKey) row.querySelector(".copy-value")?.click();
     else if (row && e.key === "c" && !e.ctrlKey) row.querySelector(".copy-path:not([hidden])")?.click();
     else if (open === "false" && e.key === "ArrowRight") this.fold(row);
     else if (open === "true" && e.key === "ArrowLeft") this.fold(row);
@@ -145,7 +147,11 @@ function makeRow() {
   plot.title = "Plot this path over time (Enter)";
   const copy = row.appendChild(document.createElement("button"));
   copy.className = "copy-path";
-  copy.textContent = "copy";
+  copy.textContent = "path";
   copy.title = "Copy the path (c)";
+  const value = row.appendChild(document.createElement("button"));
+  value.className = "copy-value";
+  value.textContent = "value";
+  value.title = "Copy the value (v)";
   return row;
 }

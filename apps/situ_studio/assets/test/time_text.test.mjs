@@ -1,6 +1,6 @@
 import test from "node:test";
 import assert from "node:assert/strict";
-import { relative, duration, absolute, parseTime, ticks } from "../js/time_text.js";
+import { relative, duration, absolute, parseTime, ticks, iso } from "../js/time_text.js";
 
 test("relative times", () => {
   assert.equal(relative(83.25e9), "1:23.250");
@@ -34,4 +34,11 @@ test("ruler ticks are multiples of one readable unit", () => {
   const { unit, at } = ticks([0, 60e9], 1200, 80);
   assert.equal(unit, 5e9);
   assert.equal(at.length, 13);
+});
+
+test("a copied time goes back to the very nanosecond", () => {
+  for (const [t, origin] of [[27_719_200_001, 1767225600000000000n], [5, 0n], [-1, 0n], [1_500_000_000, -10_000_000_000n]]) {
+    assert.equal(parseTime(iso(t, origin), origin), t);
+  }
+  assert.equal(iso(1, 0n), "1970-01-01T00:00:00.000000001Z");
 });

@@ -36,7 +36,7 @@ defmodule Situ.Studio.Visualizers do
           @color ++
           [
             interpolation: [
-              type: {:in, ["direct", "step"]},
+              type: {:in, [{"direct", "straight"}, {"step", "steps"}, {"none", "points only"}]},
               title: "Joins",
               default: "direct"
             ],

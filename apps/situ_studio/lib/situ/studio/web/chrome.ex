@@ -85,6 +85,7 @@ defmodule Situ.Studio.Web.Chrome do
   attr(:count, :integer, required: true)
   attr(:source, :string, required: true)
   attr(:read_only, :boolean, required: true)
+  attr(:snap, :any, default: nil)
 
   @doc false
   def status(assigns) do
@@ -94,6 +95,7 @@ defmodule Situ.Studio.Web.Chrome do
       <span>{@source}</span>
       <span>{@count} {if @count == 1, do: "stream", else: "streams"}</span>
       <span :if={@read_only}>read only</span>
+      <button :if={@snap} class="snapped" type="button" phx-click="snap" phx-value-stream={@snap} title="Release the cursor">cursor snaps to {@snap} ×</button>
       <span class="grow"></span>
       <span>? keys</span>
       <span>Ctrl+K commands</span>

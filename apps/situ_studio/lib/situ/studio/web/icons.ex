@@ -28,6 +28,7 @@ defmodule Situ.Studio.Web.Icons do
     pipeline: "M2.5 8h3M10.5 4h3M10.5 12h3M5.5 6h5v4h-5zM10.5 4v8",
     grip: "M6 3.5v.1M10 3.5v.1M6 8v.1M10 8v.1M6 12.5v.1M10 12.5v.1",
     export: "M8 2v7.5M5 6.8l3 3 3-3M2.5 10.5v3h11v-3",
+    info: "M3 4h4M3 8h4M3 12h4M10 4h3M10 8h3M10 12h3",
     side: "M2.5 3h11v10h-11zM10 3v10",
     tune: "M2.5 5h6M11.5 5h2M2.5 11h2M7.5 11h6M10 3.5v3M6 9.5v3"
   }

@@ -29,6 +29,7 @@ defmodule Situ.Studio.Web.MainView do
         seen_lanes: %{},
         selected: nil,
         snap: nil,
+        info: :rate,
         dialog: nil,
         error: nil
       )
@@ -36,12 +37,15 @@ defmodule Situ.Studio.Web.MainView do
     case Catalog.open(studio, id) do
       {:ok, item, source} ->
         socket = socket |> assign(item: item, source: source) |> load_streams()
+        socket = assign(socket, snap: known(params["snap"], socket.assigns.shapes))
         {:ok, LayoutMenu.choose(socket, params)}
 
       {:error, error} ->
         {:ok, assign(socket, error: error)}
     end
   end
+
+  defp known(stream, shapes), do: if(is_map_key(shapes, stream), do: stream)
 
   defp load_streams(socket) do
     streams =
@@ -129,9 +133,13 @@ defmodule Situ.Studio.Web.MainView do
   end
 
   def handle_event("snap", %{"stream" => stream}, socket) do
-    snap = if socket.assigns.snap == stream, do: nil, else: stream
+    %{snap: now, shapes: shapes} = socket.assigns
+    snap = if now == stream, do: nil, else: known(stream, shapes)
     {:noreply, socket |> assign(snap: snap) |> push_event("snap", %{stream: snap})}
   end
+
+  def handle_event("info_next", _, socket),
+    do: {:noreply, assign(socket, info: Side.next_info(socket.assigns.info))}
 
   def handle_event("zoom_stream", %{"stream" => name}, socket) do
     case Enum.find(socket.assigns.infos, &(&1.name == name)) do
@@ -198,12 +206,12 @@ defmodule Situ.Studio.Web.MainView do
     ~H"""
     <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-base="" data-layout={@saved.name} data-edit={@edit}>
       <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""} read_only={@read_only} export={ExportDialog.offered?(assigns)} pipeline={pipeline(@item, @infos)} />
-      <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query} selected={@selected} names={@names} />
+      <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query} count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names} />
       <main class="centre">
         <Panels.stack layout={@layout} selected={@selected} shapes={@shapes} extra={@extra} lanes={@lanes} coverage={@coverage} streams={length(@infos)} />
       </main>
       <Side.right selected={@selected} stream={@stream} panel={@panel} shapes={@shapes} extra={@extra} snap={@snap} />
-      <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} />
+      <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} snap={@snap} />
       <LayoutMenu.dialog :if={@dialog == :layout} saved={@saved} />
       <ExportDialog.dialog :if={match?({:export, _, _, _}, @dialog)} dialog={@dialog} item={@item} layout={@layout} shapes={@shapes} />
     </div>

@@ -13,6 +13,9 @@ defmodule Situ.Studio.Web.Side do
   attr(:rows, :list, required: true)
   attr(:more, :integer, required: true)
   attr(:query, :string, required: true)
+  attr(:count, :integer, required: true)
+  attr(:info, :atom, required: true)
+  attr(:snap, :any, required: true)
   attr(:selected, :any, required: true)
   attr(:names, :string, required: true)
 
@@ -26,17 +29,20 @@ defmodule Situ.Studio.Web.Side do
       </nav>
       <form class="search" phx-change="search" phx-submit="search" id="search-form">
         <input id="search" name="query" value={@query} placeholder="Search streams  /" autocomplete="off" phx-debounce="80" aria-label="Search streams by name and type">
+        <button class="mini" type="button" phx-click="info_next" title={"Beside the names: " <> info_title(@info) <> ". Click for " <> info_title(next_info(@info))} aria-label={"Show " <> info_title(next_info(@info))}><.icon name={:info} /></button>
         <button class="mini" type="button" phx-click="fold_all" title="Fold all" aria-label="Fold all">⊟</button>
         <button class="mini" type="button" phx-click="unfold_all" title="Unfold all" aria-label="Unfold all">⊞</button>
       </form>
       <div id="stream-names" data-names={@names} hidden></div>
+      <p :if={@query != ""} class="hint found" role="status">{found(@rows, @more)} of {@count} streams</p>
       <div id="tree" class="tree" role="tree" phx-hook="Tree">
         <div :for={row <- @rows} :key={row.path} class={["node", row.item == nil && "group", selected?(row, @selected) && "selected"]} id={"node-" <> row.path} role="treeitem" tabindex="0" aria-expanded={expanded(row)} data-stream={row.item && row.item.name} draggable={if row.item, do: "true"} style={"padding-left: #{row.depth * 14}px"}>
           <button :if={row.open? != nil} class="fold" type="button" tabindex="-1" phx-click="toggle" phx-value-path={row.path} aria-label="fold">{if row.open?, do: "▾", else: "▸"}</button>
           <span :if={row.open? == nil} class="fold"></span>
           <i :if={row.item} class={["type", kind(row.item.shape)]}></i>
           <button class="name" type="button" tabindex="-1" phx-click="select" phx-value-path={row.path} title={row.path}>{row.label}</button>
-          <span :if={row.item} class="info">{rate(row.item)}</span>
+          <span :if={row.item && row.item.name == @snap} class="snap" title="The cursor snaps to it">◎</span>
+          <span :if={row.item} class="info">{info(@info, row.item)}</span>
           <button :if={row.item} class="add" type="button" tabindex="-1" phx-click="add_stream" phx-value-stream={row.item.name} title="Show this stream (Enter)" aria-label="show">+</button>
         </div>
         <p :if={@more > 0} class="hint" style="padding: 6px 12px">{@more} more: search to find them</p>
@@ -60,6 +66,25 @@ defmodule Situ.Studio.Web.Side do
   defp kind(shape) when shape in [:boolean, :state, :states], do: "state"
   defp kind(shape) when shape in [:text, :spans], do: "text"
   defp kind(_), do: ""
+
+  @infos [rate: "how often", count: "how many messages", size: "size", latency: "latency"]
+
+  @doc "What stands beside the streams' names after this."
+  @spec next_info(atom()) :: atom()
+  def next_info(info) do
+    names = Keyword.keys(@infos)
+    Enum.at(names, rem(Enum.find_index(names, &(&1 == info)) + 1, length(names)))
+  end
+
+  defp info_title(info), do: @infos[info]
+
+  defp info(:rate, stream), do: rate(stream)
+  defp info(:count, %{count: count}), do: count
+  defp info(:size, %{bytes: bytes}), do: bytes(bytes)
+  defp info(:latency, %{latency: nil}), do: ""
+  defp info(:latency, %{latency: ns}), do: Situ.Time.format_duration(round(ns))
+
+  defp found(rows, more), do: Enum.count(rows, & &1.item) + more
 
   defp rate(%{count: count, first: first, last: last})
        when count > 1 and first != nil and last > first do

@@ -175,6 +175,26 @@ defmodule Situ.Studio.Web.MainViewTest do
     end
   end
 
+  test "the cursor snaps to a stream that there is, also one an address names", %{studio: studio} do
+    page = open(studio)
+    Page.event(page, "snap", %{"stream" => "Mic.Level"})
+    assert Page.pushed(page, "snap") == [%{"stream" => "Mic.Level"}]
+    assert Page.text(page, ".status") =~ "snaps to Mic.Level"
+    Page.event(page, "snap", %{"stream" => "none"})
+    assert Page.pushed(page, "snap") == [%{"stream" => nil}]
+    refute Page.text(page, ".status") =~ "snaps"
+    assert Page.text(open(studio, %{"snap" => "Mic.Loud"}), ".status") =~ "snaps to Mic.Loud"
+    refute Page.text(open(studio, %{"snap" => %{"x" => "y"}}), ".status") =~ "snaps"
+  end
+
+  test "beside the names stands what is asked for", %{studio: studio} do
+    page = open(studio)
+    beside = fn -> Page.text(page, "#tree .node[data-stream='Mic.Level'] .info") end
+    shown = for _ <- 1..4, do: beside.() |> tap(fn _ -> Page.event(page, "info_next", %{}) end)
+    assert [_rate, "1", "8 B", ""] = shown
+    assert beside.() == hd(shown)
+  end
+
   describe "saving a part as a recording" do
     setup %{tmp_dir: dir} do
       folder = Path.join(dir, "recordings")
