@@ -7,20 +7,12 @@ import { Overlay } from "./overlay.js";
 import { timelineGestures } from "./gestures.js";
 import { actionFor, timeAction } from "./keys.js";
 import { Header } from "./header.js";
-import { listenGoto, openGoto, openHelp } from "./dialogs.js";
-import { onTheme, setTheme } from "./theme.js";
-import { iso } from "./time_text.js";
+import { listenGoto } from "./dialogs.js";
+import { Connection } from "./connection.js";
+import { commands } from "./commands.js";
+import { onTheme } from "./theme.js";
 import * as link from "./link.js";
 import { decode, KIND } from "./wire.js";
-
-const STATUS = { open: "connected", closed: "reconnecting", gone: "the recording is gone", broken: "unreadable answer" };
-const BANNER = {
-  closed: "The studio's server does not answer. The page goes on by itself as soon as it does.",
-  gone: "This recording was deleted or moved. What was read of it before stays on the page.",
-  broken: "The server's answer cannot be read: reload the page.",
-};
-// How long the server may be away before the page says so, in ms.
-const LOST = 1500;
 
 export class Studio {
   // options: {dataUrl, pcmUrl, source, token, layout, push}
@@ -34,7 +26,7 @@ export class Studio {
     this.client = new DataClient({
       connect: () => new WebSocket(options.dataUrl),
       time: this.time,
-      onStatus: (s) => this.status(s),
+      onStatus: (s) => this.connection.set(s),
       onReply: (r) => this.replied(r),
     });
     this.playback = new Playback({
@@ -44,6 +36,7 @@ export class Studio {
       onError: (text) => this.toast(text),
     });
     this.header = new Header(root, () => this.client.origin);
+    this.connection = new Connection(this.header, (text) => this.toast(text));
     this.time.subscribe((s, old) => this.changed(s, old));
     onTheme(() => {
       for (const v of this.views) v.themeChanged?.();
@@ -105,8 +98,7 @@ export class Studio {
       this.header.grows(reply.live);
       document.body.dataset.growing = reply.live ? "1" : "";
     }
-    if (reply.gone) this.status("gone");
-    else if (this.state !== "open") this.status("open");
+    this.connection.set(reply.gone ? "gone" : "open");
     const s = this.time.get();
     // a snapped cursor moves to where the server found the message
     if (reply.asked?.message.snap && s.mode === "manual" && s.cursor === reply.asked.cursor && reply.cursor !== s.cursor) {
@@ -139,7 +131,7 @@ export class Studio {
     }
     const action = timeAction(name, s);
     if (action) return this.time.dispatch(action);
-    this[`do_${name}`]?.();
+    commands[name]?.(this);
   }
 
   // Steps to the message before or after the cursor in the snapped stream.
@@ -153,69 +145,6 @@ export class Studio {
       const to = this.client.rel(BigInt(t));
       this.time.dispatch({ type: "nudge", by: to - this.time.get().cursor });
     }
-  }
-
-  do_theme() {
-    setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
-  }
-
-  do_search() {
-    document.documentElement.dataset.left = "open";
-    this.root.querySelector("#search")?.focus();
-  }
-
-  do_left() {
-    this.toggleSide("left");
-  }
-
-  do_right() {
-    this.toggleSide("right");
-  }
-
-  // Shown or hidden: what it is now depends on the width of the window, too.
-  toggleSide(side) {
-    const shown = getComputedStyle(this.root.querySelector(`.${side}`)).display !== "none";
-    document.documentElement.dataset[side] = shown ? "closed" : "open";
-  }
-
-  do_timing() {
-    this.header.nextTiming();
-  }
-
-  do_goto() {
-    openGoto();
-  }
-
-  do_help() {
-    openHelp();
-  }
-
-  do_palette() {
-    this.palette?.open();
-  }
-
-  // The selection; where one end is missing that of the data, and without any the view.
-  do_export() {
-    const { sel, view, data } = this.time.get();
-    if (this.client.origin === null) return;
-    if (!this.root.querySelector("[data-act='export']")) return this.toast("Only from a recording on disk, in a studio that may write");
-    const selected = sel[0] != null || sel[1] != null;
-    const [from, to] = selected ? [sel[0] ?? data[0], sel[1] ?? data[1]] : [Math.max(view[0], data[0]), Math.min(view[1], data[1])];
-    this.options.push?.("export_dialog", { from: this.client.abs(from), to: this.client.abs(to), of: selected ? "selection" : "view" });
-  }
-
-  // As "go to time" takes it.
-  do_copyTime() {
-    if (this.client.origin !== null) return this.copy(iso(this.time.get().cursor, this.client.origin), "Time of the cursor copied");
-  }
-
-  do_copyNs() {
-    if (this.client.origin !== null) return this.copy(this.client.abs(this.time.get().cursor), "Nanoseconds of the cursor copied");
-  }
-
-  do_copyLink() {
-    this.saveLink(true);
-    return this.copy(location.href, "Link copied", "The address bar holds the link");
   }
 
   async copy(text, done, refused = text) {
@@ -307,29 +236,6 @@ export class Studio {
     const f = decode(await response.arrayBuffer()).frames[0];
     if (!f || f.kind !== KIND.pcm) return null;
     return { rate: f.rate, samples: f.samples, at: this.client.rel(f.time) };
-  }
-
-  status(name) {
-    this.state = name;
-    document.body.dataset.connection = name;
-    this.header.set("connection", STATUS[name]);
-    this.banner(name);
-  }
-
-  // What keeps the page from going on is said where it is seen; a moment without the server is not worth a word. A server
-  // that was started anew loads the page anew: what was lost is remembered across that.
-  banner(name) {
-    clearTimeout(this.bannerTimer);
-    if (name === "open" && sessionStorage.getItem("situ:lost")) {
-      sessionStorage.removeItem("situ:lost");
-      this.toast("Connected again");
-    }
-    const say = () => {
-      if (name === "closed") sessionStorage.setItem("situ:lost", "1");
-      this.header.set("banner", BANNER[name] ?? "");
-    };
-    if (name === "closed") this.bannerTimer = setTimeout(say, LOST);
-    else say();
   }
 
   tempo() {

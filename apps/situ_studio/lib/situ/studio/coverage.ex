@@ -3,15 +3,18 @@ defmodule Situ.Studio.Coverage do
   Which streams begin later, or end earlier, than the recording they are in by so much that it should be seen: a camera
   that was switched on late, a microphone that died. Pure.
 
-      iex> stream = fn name, first, last -> %Situ.Studio.StreamInfo{name: name, shape: :signal, first: first, last: last, count: 9} end
+      iex> stream = fn name, first, last -> %Situ.Studio.StreamInfo{name: name, shape: :signal, first: first, last: last, count: 99} end
       iex> streams = [stream.("Whole", 0, 1_000), stream.("Late", 400, 998), stream.("Short", 0, 700)]
       iex> Situ.Studio.Coverage.of(streams, %{from: 0, to: 1_000, live: false})
       %{"Late" => %{"first" => "400"}, "Short" => %{"last" => "700"}}
+      iex> Situ.Studio.Coverage.of([%{stream.("Now and then", 0, 700) | count: 4}], %{from: 0, to: 1_000, live: false})
+      %{}
   """
   alias Situ.Studio.{Source, StreamInfo}
 
-  # Less than this part of the recording is not worth a mark.
+  # Less than this part of the recording is not worth a mark, nor is so little that the stream's own pace explains it.
   @part 0.01
+  @periods 3
 
   @typedoc "Times in ns as text, as the page reads them."
   @type t :: %{optional(stream :: String.t()) => %{optional(String.t()) => String.t()}}
@@ -21,9 +24,8 @@ defmodule Situ.Studio.Coverage do
   def of(_, %{live: true}), do: %{}
 
   def of(streams, %{from: from, to: to}) do
-    slack = (to - from) * @part
-
     for %{first: first, last: last, count: count} = s when first != nil and count > 1 <- streams,
+        slack = max((to - from) * @part, @periods * (last - first) / (count - 1)),
         ends = ends(first - from > slack && first, to - last > slack && last),
         ends != %{},
         into: %{},

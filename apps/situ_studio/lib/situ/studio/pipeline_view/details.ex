@@ -165,7 +165,7 @@ defmodule Situ.Studio.PipelineView.Details do
       <p :if={@scope} class="sub">{length(@nodes)} components in {length(@processes)} processes</p>
       <div :for={n <- Enum.take(@nodes, 12)} class={if @scope, do: "member"}>
         <h2>{n.path}</h2>
-        <p class="sub">{n.module}, {n.kind}, {n.state}</p>
+        <p class="sub">{what(n)}, {n.state}</p>
         <p :if={n.description} class="state-text">{n.description}</p>
         <dl :if={not @scope}>
           <dt :for={p <- n.inputs}>in {p.name}</dt>
@@ -225,4 +225,11 @@ defmodule Situ.Studio.PipelineView.Details do
   # Messages may be large: what is shown is bounded before it becomes text.
   defp short(data),
     do: data |> inspect(limit: 12, printable_limit: 160, width: 80) |> String.slice(0, 400)
+
+  # "Operator, operator" says it twice.
+  defp what(%{module: module, kind: kind}) do
+    if String.downcase(to_string(module)) == to_string(kind),
+      do: to_string(module),
+      else: "#{module}, #{kind}"
+  end
 end

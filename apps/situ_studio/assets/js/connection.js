@@ -1,0 +1,38 @@
+// Whether the server answers, told in the status line and, where the page cannot go on, in words that are seen.
+
+const STATUS = { open: "connected", closed: "reconnecting", gone: "the recording is gone", broken: "unreadable answer" };
+const BANNER = {
+  closed: "The studio's server does not answer. The page goes on by itself as soon as it does.",
+  gone: "This recording was deleted or moved. What was read of it before stays on the page.",
+  broken: "The server's answer cannot be read: reload the page.",
+};
+// How long the server may be away before the page says so, in ms.
+const LOST = 1500;
+
+export class Connection {
+  // header: what writes into the page; toast(text): what says something in passing
+  constructor(header, toast) {
+    Object.assign(this, { header, toast, name: null });
+  }
+
+  set(name) {
+    if (name === this.name) return;
+    this.name = name;
+    document.body.dataset.connection = name;
+    this.header.set("connection", STATUS[name]);
+    clearTimeout(this.timer);
+    if (name === "closed") this.timer = setTimeout(() => this.say(), LOST);
+    else this.say();
+  }
+
+  // A moment without the server is not worth a word. One that was started anew loads the page anew: that it was lost is
+  // remembered across that.
+  say() {
+    if (this.name === "closed") sessionStorage.setItem("situ:lost", "1");
+    else if (this.name === "open" && sessionStorage.getItem("situ:lost")) {
+      sessionStorage.removeItem("situ:lost");
+      this.toast("Connected again");
+    }
+    this.header.set("banner", BANNER[this.name] ?? "");
+  }
+}
