@@ -24,15 +24,30 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
     record = fn stream, name -> stream && Situ.Store.write(stream, store, "Talk." <> name) end
 
     record.(talk.audio, "Sound")
-    record.(talk.video && Situ.map(talk.video, &jpeg/1, type: Situ.EncodedImage), "Pictures")
+
+    record.(
+      talk.video && Situ.map(talk.video, &jpeg/1, type: Situ.EncodedImage, name: "Jpeg"),
+      "Pictures"
+    )
+
     record.(voice, "Voice")
-    record.(voice && Situ.map(voice, & &1.probability, type: :float), "Voice.Probability")
+
+    record.(
+      voice && Situ.map(voice, & &1.probability, type: :float, name: "Probability"),
+      "Voice.Probability"
+    )
+
     record.(hear && hear.segments, "Voice.Segments")
-    record.(lips && Situ.map(lips.faces, &rects/1, type: {:list, Situ.Rect}), "Faces")
+
+    record.(
+      lips && Situ.map(lips.faces, &rects/1, type: {:list, Situ.Rect}, name: "Faces"),
+      "Faces"
+    )
+
     record.(lips && lips.mouths, "Mouths")
 
     record.(
-      lips && Situ.map(lips.mouths, &openings/1, type: {:map, :any, :float}),
+      lips && Situ.map(lips.mouths, &openings/1, type: {:map, :any, :float}, name: "Openings"),
       "Mouths.Opening"
     )
 
