@@ -16,6 +16,16 @@ fn damage(found: Vec<Damage>) -> Vec<(String, u64, String)> {
         .collect()
 }
 
+/// The extents that the index names: `[{lane, number}]`.
+#[rustler::nif(schedule = "DirtyIo")]
+fn reader_extents(handle: Handle) -> Vec<(u8, u32)> {
+    let entries = handle.0.all_entries();
+    let mut extents: Vec<_> = entries.iter().map(|e| (e.lane, e.extent)).collect();
+    extents.sort_unstable();
+    extents.dedup();
+    extents
+}
+
 #[rustler::nif]
 fn reader_damage(handle: Handle) -> Vec<(String, u64, String)> {
     damage(handle.0.damage())

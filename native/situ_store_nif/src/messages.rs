@@ -251,6 +251,7 @@ fn reader_skip(handle: Handle, stream: u32, ordinal: u64) -> u64 {
         .map_or(ordinal, |entry| entry.ordinal + entry.count as u64)
 }
 
+/// A term from external format as `reader_read` gives it: no atoms are made.
 #[rustler::nif]
 fn term_decode<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
     decode(env, bytes.as_slice())

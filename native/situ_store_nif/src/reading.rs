@@ -151,7 +151,6 @@ fn summary_level(from: i64, to: i64, pixels: u32) -> u8 {
     pyramid::level_for(from, to, pixels)
 }
 
-/// A term from external format as `reader_read` gives it: no atoms are made.
 /// Sends `{:situ_store, tag, {:published | :ended, entries}}` to `pid` once there are more than `known` entries or the
 /// writer is gone. Waits in a thread of its own, on the writer's futex, in whatever process that lives.
 #[rustler::nif]

@@ -225,6 +225,44 @@ defmodule Situ.CLI.StoreTest do
     assert [%{name: "Room.Level"}] = made |> String.trim() |> Store.open!() |> Store.streams()
   end
 
+  test "damage is an error of what reads, unless it is to be left out", %{
+    path: path,
+    tmp_dir: root
+  } do
+    folder = Store.open!(path).path
+    File.rename!(Path.join(folder, "index.situ"), Path.join(root, "index"))
+    error = assert_raise Situ.Error, fn -> run(["info", path]) end
+    assert error.code == :index_lost and error.fix =~ "repair"
+    File.rename!(Path.join(root, "index"), Path.join(folder, "index.situ"))
+    {:ok, writer} = Writer.create("big", root, first_extent: 65_536, max_extent: 65_536)
+    {:ok, stream} = Writer.stream(writer, "Noise")
+
+    Enum.reduce(0..99, stream, fn i, stream ->
+      {:ok, stream} = Writer.append(stream, [message(:crypto.strong_rand_bytes(2_000), i)])
+      stream
+    end)
+
+    :ok = Writer.close(writer)
+    File.rm!(Path.join(writer.path, "data-000001.situ"))
+    {0, text} = run(["info", writer.path])
+    assert text =~ "DAMAGED: data-000001.situ is missing"
+    {1, text} = run(["verify", writer.path])
+    assert text =~ ~r/data-000001.situ at byte 64: the file is missing \(and at \d+ more places\)/
+    out = Path.join(root, "out")
+    error = assert_raise Situ.Error, fn -> run(["copy", writer.path, out]) end
+    assert error.code == :missing_extent
+    refute Store.exists?(out)
+
+    error =
+      assert_raise Situ.Error, fn ->
+        run(["messages", writer.path, "-s", "Noise", "-n", "100"])
+      end
+
+    assert error.code == :missing_extent
+    {0, made} = run(["copy", writer.path, out, "--skip-damage"])
+    assert length(values(String.trim(made), "Noise")) in 50..90
+  end
+
   test "a store too broken to be opened can be deleted", %{path: path} do
     folder = Store.open!(path).path
     File.write!(Path.join(folder, "index.situ"), "rubbish")

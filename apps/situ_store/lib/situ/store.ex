@@ -332,6 +332,11 @@ defmodule Situ.Store do
 
   def gaps(_store, _name, _least), do: []
 
+  @doc "Files of the store that its index names and that are not there (any more): their messages cannot be read."
+  @spec missing_files(t()) :: [String.t()]
+  def missing_files(%{module: Local} = store), do: Local.missing(store.state)
+  def missing_files(_store), do: []
+
   @doc """
   Asks to be told once of the next commit: `{:situ_store, tag, {:published, n}}`, or `{:ended, n}` when the writer closed or
   died. `known` is the `n` of the last news (0 at first). Works across operating system processes, without polling.

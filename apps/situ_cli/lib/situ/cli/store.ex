@@ -17,20 +17,21 @@ defmodule Situ.CLI.Store do
     delete: :keep,
     number: :integer,
     yes: :boolean,
-    quiet: :boolean
+    quiet: :boolean,
+    skip_damage: :boolean
   ]
   # What each verb takes beside --json and --quiet.
-  @interval [:from, :to, :stream, :compression]
+  @interval [:from, :to, :stream, :compression, :skip_damage]
   @verbs %{
     "info" => [:stream],
     "list" => [],
-    "messages" => [:stream, :number, :from, :to],
+    "messages" => [:stream, :number, :from, :to, :skip_damage],
     "verify" => [],
     "repair" => [],
     "crop" => [:start, :length | @interval],
     "copy" => @interval,
     "concat" => @interval,
-    "edit" => [:set, :delete],
+    "edit" => [:set, :delete, :skip_damage],
     "delete" => [:yes],
     "rename" => []
   }
@@ -67,6 +68,7 @@ defmodule Situ.CLI.Store do
       --start, --length SPAN  from the store's first message: 10s, 1.5m, 250ms, 1h
       --stream NAME           or a pattern ('Room.*'); may be given several times
       --compression KIND      none, lz4 or zstd
+      --skip-damage           leaves out what is damaged; without it that is an error
       --json                  for programs: one JSON value on standard output (messages: one a line)
       --quiet                 no progress bar
 
@@ -121,7 +123,7 @@ defmodule Situ.CLI.Store do
   defp verb("edit", [from, to], opts) do
     case Arguments.edits!(Store.open!(from), opts) do
       none when none == %{} -> wrong("which changes? Give --set or --delete")
-      edits -> made(opts, &Store.edit(from, to, edits, progress: &1))
+      edits -> made(opts, &Store.edit(from, to, edits, Arguments.damage(opts) ++ [progress: &1]))
     end
   end
 

@@ -37,6 +37,13 @@ defmodule Situ.Store.Failure do
     )
   end
 
+  def error(:index_lost, path, _stream) do
+    Error.new(:index_lost, "the store #{path} has lost its index",
+      why: "there is no index.situ in it",
+      fix: "put the file back, or `situ store repair` makes one out of the data"
+    )
+  end
+
   def error(:not_a_store, path, _stream) do
     Error.new(:not_a_store, "#{path} is not a store",
       why: "its index does not begin like one",

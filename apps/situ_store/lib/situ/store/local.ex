@@ -17,10 +17,14 @@ defmodule Situ.Store.Local do
   @impl true
   def open(path, opts) do
     with {:ok, ref} <-
-           path |> Native.reader_open(opts[:verify] != :small) |> Failure.wrap(path) do
+           path |> Native.reader_open(opts[:verify] != :small) |> lost() |> Failure.wrap(path) do
       {:ok, %__MODULE__{ref: ref, path: path}}
     end
   end
+
+  # The folder was found by its data.
+  defp lost({:error, :no_store}), do: {:error, :index_lost}
+  defp lost(result), do: result
 
   @impl true
   def info(%__MODULE__{} = state) do
@@ -269,6 +273,18 @@ defmodule Situ.Store.Local do
 
   @doc false
   def gaps(state, %StreamInfo{id: id}, least), do: Native.reader_gaps(state.ref, id, least)
+
+  @lanes %{0 => "data", 1 => "large"}
+
+  @doc false
+  # Files that the index names and that are not there.
+  @spec missing(%__MODULE__{}) :: [String.t()]
+  def missing(state) do
+    for {lane, number} <- Native.reader_extents(state.ref),
+        name = "#{@lanes[lane]}-#{String.pad_leading(to_string(number), 6, "0")}.situ",
+        not File.exists?(Path.join(state.path, name)),
+        do: name
+  end
 
   @doc false
   @spec verify(%__MODULE__{}, (non_neg_integer(), non_neg_integer() -> any())) ::

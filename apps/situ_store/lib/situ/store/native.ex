@@ -30,6 +30,7 @@ defmodule Situ.Store.Native do
   def term_decode(_bytes), do: missing()
   def summary_level(_from, _to, _pixels), do: missing()
   def reader_damage(_reader), do: missing()
+  def reader_extents(_reader), do: missing()
   def reader_verify(_reader, _from, _n), do: missing()
   def store_transfer(_reader, _stream, _ordinal, _to, _bytes, _writer, _target), do: missing()
   def store_repair(_path, _pid, _tag), do: missing()

@@ -13,9 +13,13 @@ defmodule Situ.CLI.Store.Arguments do
     spans = for {key, text} <- Keyword.take(opts, [:start, :length]), do: {key, span!(text)}
     streams = Keyword.get_values(opts, :stream)
 
-    [{:progress, progress} | times(opts) ++ spans] ++
+    [{:progress, progress} | damage(opts) ++ times(opts) ++ spans] ++
       if(streams == [], do: [], else: [streams: streams]) ++ compression(opts[:compression])
   end
+
+  @doc "Nothing is left out unless the caller says so."
+  @spec damage(keyword()) :: keyword()
+  def damage(opts), do: [skip_damage: opts[:skip_damage] == true]
 
   @doc "`from:` and `to:`."
   @spec times(keyword()) :: keyword()

@@ -32,8 +32,13 @@ defmodule Situ.CLI.Store.Health do
 
   defp text(prefix, _path, {:error, error}), do: IO.puts(prefix <> error.what)
 
-  defp places(damage),
-    do: Enum.each(damage, &IO.puts("  #{&1.file} at byte #{&1.offset}: #{&1.why}"))
+  # Of much of the same in one file the first place, and how much it is.
+  defp places(damage) do
+    for [first | more] <- Enum.chunk_by(damage, &{&1.file, &1.why}) do
+      also = if more == [], do: "", else: " (and at #{length(more)} more places)"
+      IO.puts("  #{first.file} at byte #{first.offset}: #{first.why}#{also}")
+    end
+  end
 
   defp json([{_, {:ok, report}}]), do: IO.puts(Situ.JSON.encode(report))
 

@@ -85,7 +85,11 @@ defmodule Situ.CLI.Store.Info do
     table(store, streams)
 
     if info.damage != [] do
-      IO.puts("  DAMAGED in #{length(info.damage)} places: `situ store verify #{store.path}`")
+      IO.puts("  DAMAGED in #{length(info.damage)} places: `situ store verify '#{store.path}'`")
+    end
+
+    for file <- Store.missing_files(store) do
+      IO.puts("  DAMAGED: #{file} is missing; `situ store verify '#{store.path}'`")
     end
   end
 
@@ -171,6 +175,7 @@ defmodule Situ.CLI.Store.Info do
       created: info.created,
       size: size(store.path),
       damage: length(info.damage),
+      missing_files: Store.missing_files(store),
       streams: Enum.map(Store.streams(store), &Details.json/1)
     }
   end

@@ -1,13 +1,13 @@
 defmodule Situ.CLI.Store.Messages do
   @moduledoc false
   # `situ store messages`: a line for each.
-  alias Situ.CLI.Store.Data
+  alias Situ.CLI.Store.{Arguments, Data}
   alias Situ.{Message, Store, Time}
 
   @spec run(Store.t(), String.t(), keyword(), keyword()) :: 0
   def run(store, stream, span, opts) do
     store
-    |> Store.messages(stream, [{:skip_damage, true} | span])
+    |> Store.messages(stream, Arguments.damage(opts) ++ span)
     |> Stream.take(opts[:number] || 10)
     |> Enum.each(&IO.puts(if opts[:json], do: json(&1), else: line(&1)))
 
