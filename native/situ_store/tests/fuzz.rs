@@ -3,37 +3,9 @@
 //! `SITU_FUZZ` sets the number of mutated stores (default 500).
 mod common;
 
-use std::path::Path;
-
 use common::*;
 use situ_store::chunk::Value;
 use situ_store::{etf, repair, Reader, Writer};
-
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, n: u64) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0 % n.max(1)
-    }
-}
-
-fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
-    let mut found: Vec<(String, Vec<u8>)> = std::fs::read_dir(dir)
-        .unwrap()
-        .map(|f| f.unwrap())
-        .map(|f| {
-            (
-                f.file_name().into_string().unwrap(),
-                std::fs::read(f.path()).unwrap(),
-            )
-        })
-        .collect();
-    found.sort();
-    found
-}
 
 fn mutate(files: &mut [(String, Vec<u8>)], random: &mut Random) {
     for _ in 0..=random.below(4) {

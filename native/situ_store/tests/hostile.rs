@@ -3,8 +3,6 @@
 //! loop, no message that contradicts the index, and no more memory than the store has. `SITU_FUZZ` sets the number of stores.
 mod common;
 
-use std::path::Path;
-
 use common::*;
 use rustix::process::{setrlimit, Resource, Rlimit};
 use situ_store::chunk::Value;
@@ -13,17 +11,13 @@ use situ_store::{pyramid, repair, Reader, Writer};
 
 const MESSAGES: u64 = 600;
 
-struct Random(u64);
+/// Numbers that somebody would try.
+trait Hostile {
+    fn number(&mut self) -> u64;
+    fn put(&mut self, bytes: &mut [u8], from: usize, to: usize);
+}
 
-impl Random {
-    fn below(&mut self, n: u64) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0 % n.max(1)
-    }
-
-    /// A number somebody would try.
+impl Hostile for Random {
     fn number(&mut self) -> u64 {
         let near = self.below(70_000);
         match self.below(10) {
@@ -49,15 +43,6 @@ impl Random {
 }
 
 type Files = Vec<(String, Vec<u8>)>;
-
-fn read_all(dir: &Path) -> Files {
-    let files = std::fs::read_dir(dir).unwrap().map(|file| {
-        let file = file.unwrap();
-        let name = file.file_name().into_string().unwrap();
-        (name, std::fs::read(file.path()).unwrap())
-    });
-    files.collect()
-}
 
 fn sign_entry(entry: &mut [u8]) {
     let crc = crc32c::crc32c(&entry[4..ENTRY]);
@@ -207,7 +192,7 @@ fn stores_that_lie() {
     let mut writer = Writer::create(&origin.0, small_extents()).unwrap();
     fill(&mut writer, MESSAGES, 60).unwrap();
     writer.close().unwrap();
-    let pristine = read_all(&origin.0);
+    let pristine = files(&origin.0);
     let target = Folder::new();
     let mut random = Random(0x1234_5678_9abc_def1);
     let (mut readable, mut seen) = (0, 0);

@@ -1,5 +1,5 @@
 #![allow(dead_code, clippy::unwrap_used, clippy::expect_used)]
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use situ_store::chunk::{Envelope, Input, Value};
@@ -24,6 +24,29 @@ impl Drop for Folder {
     fn drop(&mut self) {
         let _ = std::fs::remove_dir_all(&self.0);
     }
+}
+
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn below(&mut self, n: u64) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0 % n.max(1)
+    }
+}
+
+/// The files of a folder, by name.
+pub fn files(dir: &Path) -> Vec<(String, Vec<u8>)> {
+    let file = |file: std::io::Result<std::fs::DirEntry>| {
+        let file = file.unwrap();
+        let name = file.file_name().into_string().unwrap();
+        (name, std::fs::read(file.path()).unwrap())
+    };
+    let mut found: Vec<_> = std::fs::read_dir(dir).unwrap().map(file).collect();
+    found.sort();
+    found
 }
 
 pub fn envelope(i: u64) -> Envelope {
