@@ -1,5 +1,6 @@
 //! Picture kernels as terms: `{:resize, image, width, height, :bilinear}`.
 
+use crate::drawing::{draw, typeface, Drawn};
 use rustler::{Binary, Encoder, Env, NifTaggedEnum, NifUnitEnum, Term};
 use situ_media::convolve::Kernel;
 use situ_media::depth::PseudoColor;
@@ -57,6 +58,9 @@ pub enum Job<'a> {
     PngEncode(Picture<'a>, u8),
     PngDecode(Binary<'a>),
     YuvDecode(Binary<'a>, YuvTerm, u32, u32),
+    Draw(Picture<'a>, Vec<Drawn<'a>>),
+    /// Text, height of a capital, font files.
+    MeasureText(&'a str, f64, Vec<Binary<'a>>),
 }
 
 impl<'a> Job<'a> {
@@ -106,6 +110,10 @@ impl<'a> Job<'a> {
                     yuv::to_bgr(bytes, layout, shape, out);
                     Ok(())
                 })
+            }
+            Job::Draw(p, all) => draw(env, &p.view()?, all),
+            Job::MeasureText(text, size, fonts) => {
+                Ok(typeface(fonts)?.measure(text, *size)?.encode(env))
             }
             _ => self.run_op(env),
         }

@@ -3,6 +3,7 @@
 //! Every kernel is a `Job`; the Elixir side sends small ones to `run` (on the calling scheduler, with their time
 //! charged) and large ones to `run_dirty`.
 
+mod drawing;
 mod job;
 mod sound;
 mod sound_job;

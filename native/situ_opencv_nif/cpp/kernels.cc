@@ -14,13 +14,6 @@ struct situ_picture {
   int64_t stride;
   int32_t channels, depth;  // depth: bytes a channel, 1 or 2
 };
-
-struct situ_shape {
-  int32_t kind;       // 0 line, 1 rectangle, 2 circle
-  double a, b, c, d;  // line: from, to; rectangle: x, y, w, h; circle: x, y, radius
-  double color[4];
-  int32_t thickness;  // -1: filled
-};
 }
 
 namespace {
@@ -65,27 +58,6 @@ int guarded(const situ_picture *src, situ_picture *dst, char *error, size_t room
 const int INTERPOLATIONS[] = {cv::INTER_NEAREST, cv::INTER_LINEAR, cv::INTER_CUBIC};
 const int BORDERS[] = {cv::BORDER_CONSTANT, cv::BORDER_REPLICATE};
 const int MORPHS[] = {cv::MORPH_ERODE, cv::MORPH_DILATE, cv::MORPH_OPEN, cv::MORPH_CLOSE};
-
-void draw_one(cv::Mat &to, const situ_shape &s) {
-  // Sub-pixel places: OpenCV takes them as fixed point with `shift` fraction bits.
-  const int shift = 4;
-  auto fix = [](double v) { return cvRound(v * 16); };
-  int aa = to.depth() == CV_8U ? cv::LINE_AA : cv::LINE_8;
-  switch (s.kind) {
-    case 0:
-      cv::line(to, {fix(s.a), fix(s.b)}, {fix(s.c), fix(s.d)}, scalar(s.color), s.thickness, aa, shift);
-      break;
-    case 1:
-      if (s.thickness < 0)
-        cv::rectangle(to, cv::Rect(cvRound(s.a), cvRound(s.b), cvRound(s.c), cvRound(s.d)), scalar(s.color), -1);
-      else
-        cv::rectangle(to, {cvRound(s.a), cvRound(s.b)}, {cvRound(s.a + s.c) - 1, cvRound(s.b + s.d) - 1},
-                      scalar(s.color), s.thickness);
-      break;
-    default:
-      cv::circle(to, {fix(s.a), fix(s.b)}, fix(s.c), scalar(s.color), s.thickness, aa, shift);
-  }
-}
 
 }  // namespace
 
@@ -150,12 +122,5 @@ int situ_morphology(const situ_picture *src, situ_picture *dst, int kind, int si
 
 int situ_equalize(const situ_picture *src, situ_picture *dst, char *error, size_t room) {
   return guarded(src, dst, error, room, [&](cv::Mat &from, cv::Mat &to) { cv::equalizeHist(from, to); });
-}
-
-// Onto the picture itself.
-int situ_draw(situ_picture *dst, const situ_shape *shapes, size_t count, char *error, size_t room) {
-  return guarded(dst, dst, error, room, [&](cv::Mat &, cv::Mat &to) {
-    for (size_t i = 0; i < count; i++) draw_one(to, shapes[i]);
-  });
 }
 }

@@ -15,14 +15,6 @@ pub struct CPicture {
     depth: i32,
 }
 
-#[repr(C)]
-pub struct CShape {
-    pub kind: i32,
-    pub place: [f64; 4],
-    pub color: [f64; 4],
-    pub thickness: i32,
-}
-
 /// Bytes of an error's text.
 const ERROR_ROOM: usize = 512;
 
@@ -96,13 +88,6 @@ extern "C" {
     fn situ_equalize(
         src: *const CPicture,
         dst: *mut CPicture,
-        error: *mut c_char,
-        room: usize,
-    ) -> i32;
-    fn situ_draw(
-        dst: *mut CPicture,
-        shapes: *const CShape,
-        count: usize,
         error: *mut c_char,
         room: usize,
     ) -> i32;
@@ -209,26 +194,6 @@ pub fn call(src: &View, shape: Shape, out: &mut [u8], call: &Call) -> Result<()>
             Call::Equalize => situ_equalize(&from, &mut to, e, n),
         }
     };
-    outcome(status, text)
-}
-
-/// Draws onto a picture of `shape` without gaps.
-pub fn draw_on(shape: Shape, out: &mut [u8], shapes: &[CShape]) -> Result<()> {
-    if out.len() != shape.bytes() || shape.width.max(shape.height) > 1 << 30 {
-        return fail(Code::Failed, "the buffer does not fit the picture");
-    }
-    let mut to = c_picture(shape, shape.row_bytes(), out.as_mut_ptr());
-    let mut text = [0 as c_char; ERROR_ROOM];
-    // SAFETY: `out` has exactly the bytes of `shape`; C++ reads `shapes.len()` shapes, catches every exception, and fills
-    // `text` with at most its length.
-    let status = unsafe {
-        let (e, n) = (text.as_mut_ptr(), text.len());
-        situ_draw(&mut to, shapes.as_ptr(), shapes.len(), e, n)
-    };
-    outcome(status, text)
-}
-
-fn outcome(status: i32, mut text: [c_char; ERROR_ROOM]) -> Result<()> {
     if status == 0 {
         return Ok(());
     }

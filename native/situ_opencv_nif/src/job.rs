@@ -1,8 +1,7 @@
 //! OpenCV kernels as terms: `{:gaussian, image, 5, 1.4}`.
 
-use crate::drawing::{draw, typeface, Figure};
 use crate::ffi::{call, Call, Sampling};
-use rustler::{Binary, Encoder, Env, NifTaggedEnum, NifUnitEnum, Term};
+use rustler::{Env, NifTaggedEnum, NifUnitEnum, Term};
 use situ_media::error::{fail, Code, Result};
 use situ_media::picture::{Format, Shape, View};
 use situ_media_term::{picture, Picture};
@@ -43,9 +42,6 @@ pub enum Job<'a> {
     Sobel(Picture<'a>),
     Morphology(Picture<'a>, Morph, i32),
     Equalize(Picture<'a>),
-    Draw(Picture<'a>, Vec<Figure<'a>>),
-    /// Text, height of a capital, font files.
-    MeasureText(&'a str, f64, Vec<Binary<'a>>),
 }
 
 impl<'a> Job<'a> {
@@ -78,10 +74,6 @@ impl<'a> Job<'a> {
             Job::Morphology(p, kind, size) => {
                 window(*size, 255)?;
                 same(env, &p.view()?, &Call::Morphology(*kind as i32, *size))
-            }
-            Job::Draw(p, figures) => draw(env, &p.view()?, figures),
-            Job::MeasureText(text, size, fonts) => {
-                Ok(typeface(fonts)?.measure(text, *size)?.encode(env))
             }
         }
     }

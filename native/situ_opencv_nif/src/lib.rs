@@ -1,6 +1,5 @@
 //! BEAM glue of the OpenCV kernels, in a library of its own: without OpenCV the rest of situ_media still loads.
 
-mod drawing;
 mod ffi;
 mod job;
 

@@ -21,6 +21,9 @@ const PORTION: usize = 16 * 1024;
 /// Frames that may come beyond what rates and delay say, and room for soxr to see that nothing more comes.
 const MARGIN: usize = 64;
 
+/// The most that one rate may be of the other.
+const MAX_RATIO: u64 = 1000;
+
 pub struct Resampler {
     handle: *mut soxr::Handle,
     frame: usize,
@@ -58,6 +61,13 @@ impl Resampler {
             return fail(
                 Code::BadOption,
                 format!("cannot resample {channels} channels from {from} Hz to {to} Hz"),
+            );
+        }
+        // Beyond, libsoxr's flush takes seconds, and from 8,000 times on its quick recipe never returns.
+        if u64::from(from.max(to)) > u64::from(from.min(to)) * MAX_RATIO {
+            return fail(
+                Code::BadOption,
+                format!("cannot resample from {from} Hz to {to} Hz: more than {MAX_RATIO} times"),
             );
         }
         let io = soxr::IoSpec {
@@ -259,6 +269,18 @@ mod tests {
             let got = f32::from_le_bytes([got[0], got[1], got[2], got[3]]);
             assert!((got - wanted[i]).abs() < 1e-4, "frame {i}");
         }
+        Ok(())
+    }
+
+    #[test]
+    fn rates_too_far_apart_are_refused() -> Result<()> {
+        let new = |from, to| Resampler::new(from, to, 1, Sample::F32, Quality::Quick);
+        for (from, to) in [(11_025, 1), (1, 8_000), (48_000, 47)] {
+            assert!(new(from, to).is_err_and(|e| e.code == Code::BadOption));
+        }
+        // The farthest there is ends.
+        let mut filter = new(48_000, 48)?;
+        assert_eq!(run(&mut filter, &bytes(&[0.5; 4800]), true)?.len() / 4, 5);
         Ok(())
     }
 

@@ -1,10 +1,10 @@
 //! Text in pictures: any script, from font files, anti-aliased, clipped at the picture's edges.
 //!
 //! A [`Typeface`] is a row of fonts: a character is taken from the first that has it, and drawn as the first one's box for
-//! missing characters when none has. [`layout`] places glyphs, [`ink`] draws them.
+//! missing characters when none has. [`layout`] places glyphs, [`glyphs`] draws them.
 
 mod file;
-mod ink;
+mod glyphs;
 mod layout;
 
 use crate::error::{fail, Code, Result};
@@ -54,7 +54,7 @@ impl Typeface {
             return fail(Code::Failed, "the buffer does not fit the picture");
         }
         let laid = self.lay(text, style.size)?;
-        sound(|| ink::draw(&self.fonts, &laid, style, shape, out))
+        sound(|| glyphs::draw(&self.fonts, &laid, style, shape, out))
     }
 
     fn lay(&self, text: &str, size: f64) -> Result<layout::Layout> {

@@ -1,6 +1,10 @@
 defmodule Situ.Audio.Resampler do
   @schema [
-    rate: [type: {:range, 1, 16_000_000}, required: true, doc: "Frames a second of the result."],
+    rate: [
+      type: {:range, 1, 16_000_000},
+      required: true,
+      doc: "Frames a second of the result; 1000 times more or less than the input's at most."
+    ],
     quality: [
       type: {:in, [:quick, :low, :medium, :high, :very_high]},
       default: :high,
@@ -79,14 +83,20 @@ defmodule Situ.Audio.Resampler do
     do: process(filter, %AudioBuffer{format: filter.from, data: ""}, true)
 
   defp process(filter, buffer, last?) do
-    # 10 s of 48 kHz take 1.6 ms: 3 ns a sample.
-    cost = Situ.Audio.Channels.cost(buffer) + if(last?, do: 100, else: 5)
+    cost = cost(filter, buffer, last?)
 
     with {:ok, inside} <- AudioBuffer.reformat(buffer, sample: filter.work.sample),
          {:ok, data} <- Kernel.sound({:resample, filter.native, inside.data, last?}, cost) do
       out = %AudioBuffer{format: %{filter.work | rate: filter.to.rate}, data: data}
       AudioBuffer.reformat(out, sample: filter.to.sample)
     end
+  end
+
+  # 10 s of 48 kHz take 1.6 ms: 3 ns a sample of the higher rate. At the end the filter is pushed through: it is as long as
+  # the rate falls.
+  defp cost(%{from: from, to: to}, buffer, last?) do
+    pushed = if last?, do: 20 * from.channels * max(from.rate / to.rate, 1), else: 5
+    Situ.Audio.Channels.cost(buffer) * max(to.rate / from.rate, 1) + pushed
   end
 
   @doc "A whole buffer at once: `AudioBuffer.resample/3`."

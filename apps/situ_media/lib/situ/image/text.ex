@@ -40,7 +40,7 @@ defmodule Situ.Image.Text do
     opts = Keyword.validate!(opts, @measured)
 
     if String.valid?(text),
-      do: Kernel.opencv({:measure_text, text, size(opts), fonts(opts[:font])}, @cost_us),
+      do: Kernel.picture({:measure_text, text, size(opts), fonts(opts[:font])}, @cost_us),
       else: {:error, not_utf8(text)}
   end
 

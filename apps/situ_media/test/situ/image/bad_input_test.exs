@@ -247,6 +247,9 @@ defmodule Situ.Image.BadInputTest do
     assert {:error, %{code: :bad_option}} = AudioBuffer.reformat(six, channels: 2)
     assert {:error, %{code: :bad_option}} = AudioBuffer.select_channels(six, [6])
     assert {:error, %{code: :bad_option}} = AudioBuffer.resample(six, 0)
+    # libsoxr would never come back.
+    long = AudioBuffer.silence(AudioFormat.pcm(11_025), 16_544)
+    assert {:error, %{code: :bad_option}} = AudioBuffer.resample(long, 1, quality: :quick)
 
     assert {:error, %{code: :bad_audio}} =
              AudioBuffer.mix(six, AudioBuffer.silence(AudioFormat.pcm(), 1))

@@ -1,7 +1,8 @@
-//! Glyphs as coverage, coverage as colour.
+//! Glyphs as outlines, outlines as ink.
 
 use super::layout::Layout;
 use super::Style;
+use crate::ink::{blend, fill, mix, Area};
 use crate::picture::Shape;
 use skrifa::font::glyph::outline::PathSink;
 use skrifa::font::Font;
@@ -15,56 +16,6 @@ const MAX_GLYPH: f32 = 8000.0;
 /// The background's rim around the text, pixels.
 const RIM: i64 = 2;
 
-/// Pixels from (left, top) to before (right, bottom); may be empty or lie outside of the picture.
-#[derive(Clone, Copy)]
-struct Area {
-    left: i64,
-    top: i64,
-    right: i64,
-    bottom: i64,
-}
-
-impl Area {
-    fn is_empty(&self) -> bool {
-        self.left >= self.right || self.top >= self.bottom
-    }
-
-    fn common(self, other: Area) -> Area {
-        Area {
-            left: self.left.max(other.left),
-            top: self.top.max(other.top),
-            right: self.right.min(other.right),
-            bottom: self.bottom.min(other.bottom),
-        }
-    }
-
-    fn around(self, other: Area) -> Area {
-        Area {
-            left: self.left.min(other.left),
-            top: self.top.min(other.top),
-            right: self.right.max(other.right),
-            bottom: self.bottom.max(other.bottom),
-        }
-    }
-
-    fn grown(self, by: i64) -> Area {
-        Area {
-            left: self.left - by,
-            top: self.top - by,
-            right: self.right + by,
-            bottom: self.bottom + by,
-        }
-    }
-
-    fn width(&self) -> usize {
-        (self.right - self.left).max(0) as usize
-    }
-
-    fn height(&self) -> usize {
-        (self.bottom - self.top).max(0) as usize
-    }
-}
-
 /// A glyph's outline, in pixels from `at`, and the picture's pixels it may touch.
 struct Outline {
     path: Vec<Command>,
@@ -73,12 +24,7 @@ struct Outline {
 }
 
 pub fn draw(fonts: &[Font], laid: &Layout, style: &Style, shape: Shape, out: &mut [u8]) {
-    let picture = Area {
-        left: 0,
-        top: 0,
-        right: shape.width as i64,
-        bottom: shape.height as i64,
-    };
+    let picture = Area::of(shape);
     let scalers: Vec<ScalerFont> = fonts
         .iter()
         .map(|font| ScalerFont::unhinted(font.clone(), Some(laid.ppem)))
@@ -196,42 +142,6 @@ fn coverage(outlines: &[&Outline], area: Area) -> Vec<u8> {
         }
     }
     sum
-}
-
-/// From `old` towards `new` by `cover` of 255.
-fn mix(old: u32, new: u32, cover: u32) -> u32 {
-    (old * (255 - cover) + new * cover + 127) / 255
-}
-
-fn blend(out: &mut [u8], shape: Shape, area: Area, coverage: &[u8], color: [f64; 4]) {
-    let channels = shape.format.channels();
-    let wide = shape.format.bytes_per_channel() == 2;
-    let color = color.map(|v| v.clamp(0.0, if wide { 65_535.0 } else { 255.0 }).round() as u32);
-    let rows = out.chunks_exact_mut(shape.row_bytes());
-    let rows = rows.skip(area.top as usize);
-    let from = area.left as usize * shape.format.bytes();
-    for (row, cover) in rows.zip(coverage.chunks_exact(area.width())) {
-        let pixels = row[from..].chunks_exact_mut(shape.format.bytes());
-        for (pixel, &cover) in pixels.zip(cover).filter(|(_, &cover)| cover > 0) {
-            for (i, color) in color.iter().enumerate().take(channels) {
-                if wide {
-                    let value = &mut pixel[2 * i..2 * i + 2];
-                    let old = u16::from_le_bytes([value[0], value[1]]);
-                    let new = mix(old.into(), *color, cover.into()) as u16;
-                    value.copy_from_slice(&new.to_le_bytes());
-                } else {
-                    pixel[i] = mix(pixel[i].into(), *color, cover.into()) as u8;
-                }
-            }
-        }
-    }
-}
-
-fn fill(out: &mut [u8], shape: Shape, area: Area, color: [f64; 4]) {
-    if !area.is_empty() {
-        let full = vec![255; area.width() * area.height()];
-        blend(out, shape, area, &full, color);
-    }
 }
 
 struct Pen {
