@@ -5,11 +5,14 @@ use std::fs::File;
 
 use memmap2::Mmap;
 
-use super::maps::{file_length, map_file};
+use super::maps::{file_length, map_file, release};
 use super::Damage;
 use crate::error::Result;
 use crate::format::*;
 use crate::index;
+
+/// As many bytes of the index stay mapped after they were taken in; those looked at for a message come back one by one.
+const MOST_RESIDENT: u64 = 1 << 20;
 
 /// The chunks of one stream at one level, in time order: the numbers of their entries, which stay in the mapped index.
 /// A store that is watched for days has millions of them.
@@ -99,6 +102,8 @@ pub(super) struct Index {
     segments: Vec<(u64, Mmap)>,
     mapped: u64,
     pub loaded: u64,
+    /// Entries looked at since the index's pages were let go of.
+    looked_at: u64,
     /// The index says it has more entries than it has room for.
     short: bool,
     pub directories: BTreeMap<(u32, u8), Directory>,
@@ -174,7 +179,15 @@ impl Index {
             directory.last = Some(entry.last);
             directory.numbers.push(number);
         }
-        self.loaded = published.min(room).max(self.loaded);
+        let loaded = published.min(room).max(self.loaded);
+        self.looked_at += loaded - self.loaded;
+        self.loaded = loaded;
+        if self.looked_at * ENTRY as u64 >= MOST_RESIDENT {
+            self.looked_at = 0;
+            for (_, map) in &self.segments {
+                release(map, 0, map.len());
+            }
+        }
         Ok(self.loaded)
     }
 

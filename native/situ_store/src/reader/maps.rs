@@ -17,6 +17,8 @@ use crate::format::*;
 /// A reader keeps about this many bytes of maps resident; what it looked at longest ago goes first.
 const MOST_RESIDENT: usize = 16 << 20;
 const PAGE: usize = 4096;
+/// The kernel maps the sixteen pages around one that is looked at: they are what has to be counted and let go of.
+const AROUND: usize = 16 * PAGE;
 
 #[allow(unsafe_code)]
 pub(crate) fn map_file(file: &File, from: u64, length: u64, what: &str) -> Result<Mmap> {
@@ -147,6 +149,9 @@ struct Range {
     end: usize,
 }
 
+/// Streams that are read in turn look at the same places again and again: so many of the last ranges are searched for one.
+const LATELY: usize = 8;
+
 /// What was looked at lately, oldest first; neighbours are one range.
 #[derive(Default)]
 struct Window {
@@ -156,14 +161,17 @@ struct Window {
 
 impl Window {
     fn add(&mut self, map: &Arc<Mmap>, start: usize, end: usize) {
+        let (start, end) = (start / AROUND * AROUND, end.next_multiple_of(AROUND));
+        let mut lately = self.ranges.iter().rev().take(LATELY);
+        if lately.any(|r| Arc::ptr_eq(&r.map, map) && r.start <= start && end <= r.end) {
+            return;
+        }
         match self.ranges.back_mut() {
             Some(last)
-                if Arc::ptr_eq(&last.map, map)
-                    && start >= last.start
-                    && start <= last.end + PAGE =>
+                if Arc::ptr_eq(&last.map, map) && start >= last.start && start <= last.end =>
             {
-                self.bytes += end.saturating_sub(last.end);
-                last.end = last.end.max(end);
+                self.bytes += end - last.end;
+                last.end = end;
             }
             _ => {
                 self.bytes += end - start;
@@ -205,8 +213,8 @@ impl Window {
 
 /// Gives the pages back to the page cache; whoever looks at them again has them faulted in again.
 #[allow(unsafe_code)]
-fn release(map: &Mmap, start: usize, end: usize) {
-    let (from, to) = (start / PAGE * PAGE, (end / PAGE * PAGE).min(map.len()));
+pub(super) fn release(map: &Mmap, start: usize, end: usize) {
+    let (from, to) = (start / PAGE * PAGE, end.min(map.len()));
     if to > from {
         // SAFETY: a read-only shared map of a file has no bytes of its own: the same ones come back from the file.
         let _ = unsafe { map.unchecked_advise_range(UncheckedAdvice::DontNeed, from, to - from) };
@@ -258,20 +266,25 @@ mod tests {
         for at in (0..12 << 20).step_by(1 << 20) {
             window.add(&a, at, at + (1 << 20) - 100);
         }
-        assert_eq!((window.ranges.len(), window.bytes), (1, (12 << 20) - 100));
+        // What was looked at lately counts once.
+        window.add(&a, 5 << 20, (5 << 20) + 10);
+        assert_eq!((window.ranges.len(), window.bytes), (1, 12 << 20));
         assert!(window.overdue().is_empty());
+        // A byte counts as much as the kernel maps for it.
+        window.add(&b, (4 << 20) + 70_000, (4 << 20) + 70_001);
+        assert_eq!(window.bytes, (12 << 20) + AROUND);
         window.add(&b, 5 << 20, 10 << 20);
         let old = window.overdue();
         assert_eq!(old.len(), 1);
         assert!(Arc::ptr_eq(&old[0].map, &a));
-        assert_eq!((old[0].start, old[0].end), (0, (9 << 20) - 100));
+        assert_eq!((old[0].start, old[0].end), (0, (9 << 20) + AROUND));
         assert_eq!(window.bytes, MOST_RESIDENT / 2);
         // Back to where it was: a range of its own.
         window.add(&b, 0, 1 << 20);
-        assert_eq!(window.ranges.len(), 3);
+        assert_eq!(window.ranges.len(), 4);
         // More than all of it at once.
         window.add(&a, 0, 32 << 20);
-        assert_eq!(window.overdue().len(), 4);
+        assert_eq!(window.overdue().len(), 5);
         assert_eq!(window.bytes, MOST_RESIDENT / 2);
     }
 }
