@@ -8,6 +8,7 @@ const BANNER = {
 };
 // How long the server may be away before the page says so, in ms.
 const LOST = 1500;
+const MARK = "situ:lost", REMEMBERED = 5000;
 
 export class Connection {
   // header: what writes into the page; toast(text): what says something in passing
@@ -25,13 +26,14 @@ export class Connection {
     else this.say();
   }
 
-  // A moment without the server is not worth a word. One that was started anew loads the page anew: that it was lost is
-  // remembered across that.
+  // A moment without the server is not worth a word. One that was started anew answers for data first, and then has the
+  // page loaded anew: that it was lost is remembered for a while, so that the new page says it, too.
   say() {
-    if (this.name === "closed") sessionStorage.setItem("situ:lost", "1");
-    else if (this.name === "open" && sessionStorage.getItem("situ:lost")) {
-      sessionStorage.removeItem("situ:lost");
+    clearTimeout(this.forgetting);
+    if (this.name === "closed") sessionStorage.setItem(MARK, "1");
+    else if (this.name === "open" && sessionStorage.getItem(MARK)) {
       this.toast("Connected again");
+      this.forgetting = setTimeout(() => sessionStorage.removeItem(MARK), REMEMBERED);
     }
     this.header.set("banner", BANNER[this.name] ?? "");
   }
