@@ -14,7 +14,7 @@ defmodule Situ.Studio.DataSession do
   nearest message of that stream.
   """
   alias Situ.{Error, Studio}
-  alias Studio.{Draw, Frame, Source}
+  alias Studio.{Draw, Frame, Source, WholeNumber}
 
   @max_channels 256
   @max_wants 256
@@ -110,7 +110,11 @@ defmodule Situ.Studio.DataSession do
   defp cursor(%{extent: extent}, %{"live" => true}), do: extent.to
 
   defp cursor(session, request) do
-    time = time(request["at"]) || session.extent.from
+    time =
+      case WholeNumber.parse(request["at"]) do
+        {:ok, time} -> time
+        :error -> session.extent.from
+      end
 
     with stream when is_binary(stream) <- request["snap"],
          {:ok, message} <- Source.nearest(session.source, stream, time) do
@@ -128,8 +132,8 @@ defmodule Situ.Studio.DataSession do
 
   defp window(session, [id, from, to, bin]) do
     with {:ok, {spec, _}} <- Map.fetch(session.channels, id),
-         from when from != nil <- time(from),
-         to when to != nil and to >= from <- time(to),
+         {:ok, from} <- WholeNumber.parse(from),
+         {:ok, to} when to >= from <- WholeNumber.parse(to),
          bin when is_number(bin) and bin >= 1 and bin < @max_span <- bin do
       bin = trunc(bin)
 
@@ -164,13 +168,4 @@ defmodule Situ.Studio.DataSession do
   end
 
   defp instants(session, _, _), do: {[], session}
-
-  defp time(text) when is_binary(text) and byte_size(text) <= 20 do
-    case Integer.parse(text) do
-      {time, ""} when abs(time) < 9_223_372_036_854_775_807 -> time
-      _ -> nil
-    end
-  end
-
-  defp time(_), do: nil
 end

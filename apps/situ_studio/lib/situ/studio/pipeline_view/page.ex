@@ -5,19 +5,10 @@ defmodule Situ.Studio.PipelineView.Page do
   import Situ.Studio.Web.Icons
 
   alias Situ.Studio.PipelineView.{Details, Stats}
-  alias Situ.Studio.Web.Address
+  alias Situ.Studio.Web.{Address, Chrome}
 
   @spec render(map()) :: Situ.Live.Rendered.t()
-  def render(%{error: %{}} = assigns) do
-    ~H"""
-    <div class="message" role="alert">
-      <h1>{@error.what}</h1>
-      <p :if={@error.why}>{@error.why}</p>
-      <p :if={@error.fix}>{@error.fix}</p>
-      <p><a class="btn" href="/">All recordings</a></p>
-    </div>
-    """
-  end
+  def render(%{error: %{}} = assigns), do: Chrome.failure(assigns)
 
   def render(assigns) do
     ~H"""

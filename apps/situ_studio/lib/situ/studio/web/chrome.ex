@@ -22,6 +22,19 @@ defmodule Situ.Studio.Web.Chrome do
     """
   end
 
+  @doc "The page of something that cannot be shown: what, why and how to fix it."
+  @spec failure(map()) :: Situ.Live.Rendered.t()
+  def failure(assigns) do
+    ~H"""
+    <div class="message" role="alert">
+      <h1>{@error.what}</h1>
+      <p :if={@error.why}>{@error.why}</p>
+      <p :if={@error.fix}>{@error.fix}</p>
+      <p><a class="btn" href="/">All recordings</a></p>
+    </div>
+    """
+  end
+
   attr(:title, :string, required: true)
   attr(:layouts, :list, required: true)
   attr(:layout, :string, required: true)

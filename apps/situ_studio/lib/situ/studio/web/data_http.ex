@@ -2,7 +2,7 @@ defmodule Situ.Studio.Web.DataHttp do
   @moduledoc false
   # What is fetched rather than streamed: windows for scripts and tests, sound, steps from message to message.
   alias Situ.Live.{Request, Response}
-  alias Situ.Studio.{Catalog, Draw, Frame, Path, Sound, Source}
+  alias Situ.Studio.{Catalog, Draw, Frame, Path, Sound, Source, WholeNumber}
 
   @spec call(Request.t(), {String.t(), atom()}) :: Response.t()
   def call(%Request{query: query}, {studio, what}) do
@@ -16,9 +16,10 @@ defmodule Situ.Studio.Web.DataHttp do
 
   defp answer(:window, query, source, extent) do
     with {:ok, path} <- Path.parse(to_string(query["path"])),
-         {:ok, from} <- time(query["from"] || Integer.to_string(extent.from)),
-         {:ok, to} when to >= from <- time(query["to"] || Integer.to_string(extent.to)),
-         {:ok, px} when px in 1..10_000 <- time(query["px"] || "1000"),
+         {:ok, from} <- WholeNumber.parse(query["from"] || Integer.to_string(extent.from)),
+         {:ok, to} when to >= from <-
+           WholeNumber.parse(query["to"] || Integer.to_string(extent.to)),
+         {:ok, px} when px in 1..10_000 <- WholeNumber.parse(query["px"] || "1000"),
          draw when is_binary(draw) <- query["draw"] || "line" do
       spec = %{stream: to_string(query["stream"]), draw: draw, path: path}
       frame = Draw.window(source, 0, spec, from, to, max(div(to - from, px), 1))
@@ -30,7 +31,7 @@ defmodule Situ.Studio.Web.DataHttp do
 
   defp answer(:at, query, source, extent) do
     with {:ok, path} <- Path.parse(to_string(query["path"])),
-         {:ok, time} <- time(query["at"]),
+         {:ok, time} <- WholeNumber.parse(query["at"]),
          draw when is_binary(draw) <- query["draw"] || "value" do
       spec = %{stream: to_string(query["stream"]), draw: draw, path: path}
       {frame, _} = Draw.instant(source, 0, spec, time, nil)
@@ -41,9 +42,9 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   defp answer(:pcm, query, source, extent) do
-    with {:ok, from} <- time(query["from"]),
-         {:ok, to} <- time(query["to"]),
-         {:ok, channel} <- time(query["channel"] || "0") do
+    with {:ok, from} <- WholeNumber.parse(query["from"]),
+         {:ok, to} <- WholeNumber.parse(query["to"]),
+         {:ok, channel} <- WholeNumber.parse(query["channel"] || "0") do
       case Sound.samples(source, to_string(query["stream"]), from, to, channel) do
         {:ok, {start, rate, samples}} ->
           reply([Frame.pcm(0, start, rate, samples)], extent, from)
@@ -57,7 +58,7 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   defp answer(:step, query, source, _extent) do
-    with {:ok, at} <- time(query["at"]) do
+    with {:ok, at} <- WholeNumber.parse(query["at"]) do
       {name, time} =
         if query["dir"] == "previous", do: {:latest_at, at - 1}, else: {:next_after, at}
 
@@ -79,15 +80,6 @@ defmodule Situ.Studio.Web.DataHttp do
     |> then(&Frame.reply(frames, &1))
     |> Response.binary([{"cache-control", "no-store"}])
   end
-
-  defp time(text) when is_binary(text) and byte_size(text) <= 20 do
-    case Integer.parse(text) do
-      {time, ""} when abs(time) < 9_223_372_036_854_775_807 -> {:ok, time}
-      _ -> :error
-    end
-  end
-
-  defp time(_), do: :error
 
   defp bad, do: Response.error(400, "this is not a request for data")
 end

@@ -5,7 +5,7 @@ defmodule Situ.Studio.Web.ExportDialog do
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Live.Socket
-  alias Situ.Studio.{Catalog, Export}
+  alias Situ.Studio.{Catalog, Export, WholeNumber}
 
   @doc "Whether there is something on disk to export from, and it is allowed."
   @spec offered?(map()) :: boolean()
@@ -18,12 +18,11 @@ defmodule Situ.Studio.Web.ExportDialog do
 
   # The page tells the selection, or the view where there is none.
   defp event("export_dialog", %{"from" => from, "to" => to, "of" => of}, socket) do
-    case {time(from), time(to)} do
-      {from, to} when is_integer(from) and is_integer(to) ->
-        {:noreply, assign(socket, dialog: {:export, from, to, of == "selection"})}
-
-      _ ->
-        {:noreply, socket}
+    with {:ok, from} <- WholeNumber.parse(from),
+         {:ok, to} <- WholeNumber.parse(to) do
+      {:noreply, assign(socket, dialog: {:export, from, to, of == "selection"})}
+    else
+      :error -> {:noreply, socket}
     end
   end
 
@@ -65,15 +64,6 @@ defmodule Situ.Studio.Web.ExportDialog do
     for(panel <- layout.rows, v <- panel.vis, Map.has_key?(shapes, v.stream), do: v.stream)
     |> Enum.uniq()
   end
-
-  defp time(text) when is_binary(text) and byte_size(text) <= 20 do
-    case Integer.parse(text) do
-      {time, ""} when abs(time) < 9_223_372_036_854_775_807 -> time
-      _ -> nil
-    end
-  end
-
-  defp time(_), do: nil
 
   attr(:dialog, :any, required: true)
   attr(:item, :any, required: true)

@@ -179,16 +179,7 @@ defmodule Situ.Studio.Web.MainView do
   defp toast(socket, error), do: push_event(socket, "toast", %{text: Exception.message(error)})
 
   @impl true
-  def render(%{error: %{}} = assigns) do
-    ~H"""
-    <div class="message" role="alert">
-      <h1>{@error.what}</h1>
-      <p :if={@error.why}>{@error.why}</p>
-      <p :if={@error.fix}>{@error.fix}</p>
-      <p><a class="btn" href="/">All recordings</a></p>
-    </div>
-    """
-  end
+  def render(%{error: %{}} = assigns), do: Chrome.failure(assigns)
 
   def render(assigns) do
     {rows, more} = rows(assigns)
