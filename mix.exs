@@ -22,11 +22,11 @@ defmodule Situ.Umbrella.MixProject do
       situ: [
         include_executables_for: [:unix],
         applications: [
+          situ_types: :permanent,
           situ: :permanent,
           situ_store: :permanent,
           situ_media: :permanent,
           situ_infer: :permanent,
-          situ_net: :permanent,
           situ_live: :permanent,
           situ_studio: :permanent,
           situ_cli: :permanent,

@@ -13,14 +13,7 @@ defmodule Situ.MixProject do
       elixirc_paths: elixirc_paths(Mix.env()),
       start_permanent: Mix.env() == :prod,
       deps: deps()
-    ] ++ not_ours([:proper, :proper_types])
-  end
-
-  # Situ.Test calls PropEr, which only tests have running. Elixir 1.19 gave the option another name.
-  defp not_ours(modules) do
-    if Version.match?(System.version(), ">= 1.19.0"),
-      do: [elixirc_options: [no_warn_undefined: modules]],
-      else: [xref: [exclude: modules]]
+    ]
   end
 
   def application do
@@ -31,12 +24,9 @@ defmodule Situ.MixProject do
   defp elixirc_paths(_env), do: ["lib"]
 
   defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger | json()]
-
-  # Erlang has JSON of its own from OTP 27 on.
-  defp json, do: if(Code.ensure_loaded?(:json), do: [], else: [:jiffy])
+  defp extra_applications(_env), do: [:logger]
 
   defp deps do
-    []
+    [{:situ_types, in_umbrella: true}]
   end
 end

@@ -28,11 +28,11 @@ defmodule Situ.CLI.MixProject do
 
   defp deps do
     [
+      {:situ_types, in_umbrella: true},
       {:situ, in_umbrella: true},
       {:situ_store, in_umbrella: true},
       {:situ_media, in_umbrella: true},
       {:situ_infer, in_umbrella: true},
-      {:situ_net, in_umbrella: true},
       {:situ_studio, in_umbrella: true}
     ]
   end

@@ -28,6 +28,7 @@ defmodule Situ.Examples.MixProject do
 
   defp deps do
     [
+      {:situ_types, in_umbrella: true},
       {:situ, in_umbrella: true},
       {:situ_store, in_umbrella: true},
       {:situ_media, in_umbrella: true},

@@ -30,9 +30,10 @@ defmodule Situ.Infer.MixProject do
 
   defp deps do
     [
+      {:situ_types, in_umbrella: true},
       {:situ, in_umbrella: true},
       {:situ_media, in_umbrella: true},
-      {:situ_native, in_umbrella: true, runtime: false}
+      {:situ_build, in_umbrella: true, runtime: false}
     ]
   end
 end

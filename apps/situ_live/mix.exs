@@ -40,7 +40,7 @@ defmodule Situ.Live.MixProject do
   defp json, do: if(Code.ensure_loaded?(:json), do: [], else: [:jiffy])
 
   defp deps do
-    []
+    [{:situ_types, in_umbrella: true}]
   end
 
   # Debian installs Yaws beside Erlang's own tree (LIB/yaws-VERSION, Erlang in LIB/erlang/lib), where the code server

@@ -34,9 +34,10 @@ defmodule Situ.Media.MixProject do
 
   defp deps do
     [
+      {:situ_types, in_umbrella: true},
       {:situ, in_umbrella: true},
       {:situ_store, in_umbrella: true},
-      {:situ_native, in_umbrella: true, runtime: false}
+      {:situ_build, in_umbrella: true, runtime: false}
     ]
   end
 end

@@ -29,6 +29,10 @@ defmodule Situ.Store.MixProject do
   defp extra_applications(_env), do: [:logger]
 
   defp deps do
-    [{:situ, in_umbrella: true}, {:situ_native, in_umbrella: true, runtime: false}]
+    [
+      {:situ_types, in_umbrella: true},
+      {:situ, in_umbrella: true},
+      {:situ_build, in_umbrella: true, runtime: false}
+    ]
   end
 end

@@ -1,6 +1,5 @@
 defmodule Situ.OperatorsDocTest do
   use ExUnit.Case, async: true
-  doctest Situ.Interval
   doctest Situ.Indexer
   doctest Situ.Interpolator
   doctest Situ.Reproducible
@@ -10,7 +9,6 @@ defmodule Situ.OperatorsDocTest do
   doctest Situ.Window.Index
   doctest Situ.Window.Relative
   doctest Situ.Sampling
-  doctest Situ.Number
   doctest Situ.Statistics
   doctest Situ.Filter.Fir
   doctest Situ.Filter.Iir

@@ -3,7 +3,6 @@ defmodule Situ.PipelineTest do
   doctest Situ.Pipeline
   doctest Situ.Node
   doctest Situ.Graph
-  doctest Situ.Type
   doctest Situ.Delivery
   doctest Situ.Delivery.Queue
   doctest Situ.Clock

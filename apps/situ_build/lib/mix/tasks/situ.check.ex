@@ -1,7 +1,7 @@
 defmodule Mix.Tasks.Situ.Check do
   @shortdoc "Checks that apps use each other only as the architecture allows"
   @moduledoc """
-  Refuses every reference from one app to another that `Situ.NativeBuild.Architecture` does not list.
+  Refuses every reference from one app to another that `Situ.Build.Architecture` does not list.
 
       $ mix situ.check
 
@@ -10,7 +10,7 @@ defmodule Mix.Tasks.Situ.Check do
   declared dependencies of each `mix.exs` against the same table. Exit status: 0 fine, 1 with one line per violation.
   """
   use Mix.Task
-  alias Situ.NativeBuild.Architecture
+  alias Situ.Build.Architecture
 
   @impl Mix.Task
   def run(_args) do

@@ -1,6 +1,7 @@
 defmodule Situ.JSONTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
+  doctest Situ.JSON
 
   defp value do
     simple = one_of([constant(nil), boolean(), integer(), float(), string()])

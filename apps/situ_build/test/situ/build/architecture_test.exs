@@ -1,7 +1,7 @@
-defmodule Situ.NativeBuild.ArchitectureTest do
+defmodule Situ.Build.ArchitectureTest do
   # Sets a compiler option, which is global.
   use ExUnit.Case, async: false
-  alias Situ.NativeBuild.Architecture
+  alias Situ.Build.Architecture
   doctest Architecture
 
   @tag :tmp_dir
@@ -15,26 +15,26 @@ defmodule Situ.NativeBuild.ArchitectureTest do
 
     compiled =
       Code.compile_string("""
-      defmodule Situ.NativeBuild.Sample.Sibling do
+      defmodule Situ.Build.Sample.Sibling do
         defstruct [:x]
       end
 
-      defmodule Situ.NativeBuild.Sample.ByStruct do
-        def f(%Situ.NativeBuild.Sample.Sibling{x: x}), do: x
+      defmodule Situ.Build.Sample.ByStruct do
+        def f(%Situ.Build.Sample.Sibling{x: x}), do: x
       end
 
-      defmodule Situ.NativeBuild.Sample.ByValue do
-        def f, do: Situ.NativeBuild.Sample.Sibling
+      defmodule Situ.Build.Sample.ByValue do
+        def f, do: Situ.Build.Sample.Sibling
       end
       """)
 
     for {module, beam} <- compiled do
-      app = if module == Situ.NativeBuild.Sample.Sibling, do: "situ_store", else: "situ"
+      app = if module == Situ.Build.Sample.Sibling, do: "situ_store", else: "situ"
       File.write!(Path.join(ebin.(app), "#{module}.beam"), beam)
     end
 
     assert [by_struct, by_value] = tmp |> Architecture.modules() |> Architecture.violations()
-    assert by_struct =~ "ByStruct names Situ.NativeBuild.Sample.Sibling"
-    assert by_value =~ "ByValue names Situ.NativeBuild.Sample.Sibling"
+    assert by_struct =~ "ByStruct names Situ.Build.Sample.Sibling"
+    assert by_value =~ "ByValue names Situ.Build.Sample.Sibling"
   end
 end

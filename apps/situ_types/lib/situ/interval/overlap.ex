@@ -1,33 +1,34 @@
 defmodule Situ.Interval.Overlap do
   @moduledoc false
-  # Which points two intervals have in common. Both are ordered: the smaller end on the left.
-  alias Situ.Interval
+  # Which points two intervals have in common. Both are ordered: the smaller end on the left. The answers are ends,
+  # `{left, left_inclusive, right, right_inclusive}`, of which `Situ.Interval` makes intervals.
 
-  @doc "The points in both, or `nil` when there are none."
-  @spec intersection(Interval.t(), Interval.t()) :: Interval.t() | nil
-  def intersection(a, b) do
+  @type interval :: Situ.Interval.t()
+  @type ends :: {Situ.Interval.bound(), boolean(), Situ.Interval.bound(), boolean()}
+
+  @doc "The ends of the points in both intervals, neither of them empty; `nil` when there are none."
+  @spec common(interval(), interval()) :: ends() | nil
+  def common(a, b) do
     {left, left_inclusive} = later_left(a, b)
     {right, right_inclusive} = earlier_right(a, b)
 
     cond do
-      Interval.empty?(a) or Interval.empty?(b) -> nil
       left == :unbounded or right == :unbounded or left < right -> :overlap
       left == right and left_inclusive and right_inclusive -> :overlap
       true -> nil
-    end && Interval.new(left, left_inclusive, right, right_inclusive)
+    end && {left, left_inclusive, right, right_inclusive}
   end
 
-  @doc "Whether every point of `a` lies in `b`."
-  @spec subset?(Interval.t(), Interval.t()) :: boolean()
-  def subset?(a, b),
-    do: Interval.empty?(a) or (left_within?(a, b) and right_within?(a, b))
+  @doc "Whether every point of `a`, which is not empty, lies in `b`."
+  @spec within?(interval(), interval()) :: boolean()
+  def within?(a, b), do: left_within?(a, b) and right_within?(a, b)
 
-  @doc "The smallest interval that holds both."
-  @spec cover(Interval.t(), Interval.t()) :: Interval.t()
+  @doc "The ends of the smallest interval that holds both."
+  @spec cover(interval(), interval()) :: ends()
   def cover(a, b) do
     {left, left_inclusive} = if left_within?(a, b), do: left(b), else: left(a)
     {right, right_inclusive} = if right_within?(a, b), do: right(b), else: right(a)
-    Interval.new(left, left_inclusive, right, right_inclusive)
+    {left, left_inclusive, right, right_inclusive}
   end
 
   defp later_left(%{left: :unbounded}, b), do: {b.left, b.left_inclusive}

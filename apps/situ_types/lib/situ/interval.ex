@@ -117,7 +117,9 @@ defmodule Situ.Interval do
       :bad_interval
   """
   @spec parse(String.t()) :: {:ok, t()} | {:error, Situ.Error.t()}
-  def parse(text) when is_binary(text), do: Text.parse(text)
+  def parse(text) when is_binary(text) do
+    with {:ok, ends} <- Text.parse(text), do: {:ok, from_ends(ends)}
+  end
 
   @doc "Right minus left: negative for a negative interval, `:infinity` when an end is unbounded."
   @spec span(t()) :: point() | :infinity
@@ -204,11 +206,14 @@ defmodule Situ.Interval do
 
   @doc "The points in both, or `nil` when there are none."
   @spec intersection(t(), t()) :: t() | nil
-  def intersection(a, b), do: Overlap.intersection(ordered(a), ordered(b))
+  def intersection(a, b) do
+    ends = if empty?(a) or empty?(b), do: nil, else: Overlap.common(ordered(a), ordered(b))
+    ends && from_ends(ends)
+  end
 
   @doc "Whether every point of `a` lies in `b`."
   @spec subset?(t(), t()) :: boolean()
-  def subset?(a, b), do: Overlap.subset?(ordered(a), ordered(b))
+  def subset?(a, b), do: empty?(a) or Overlap.within?(ordered(a), ordered(b))
 
   @doc "Whether `a` is a subset of `b`, and not the other way round."
   @spec proper_subset?(t(), t()) :: boolean()
@@ -222,7 +227,7 @@ defmodule Situ.Interval do
 
   @doc "`scale_left/2` and `scale_right/2` at once, both from the span before."
   @spec scale(t(), amount, amount) :: t() when amount: {:by, point()} | {:factor, number()}
-  def scale(interval, left, right), do: Scale.both(interval, left, right)
+  def scale(interval, left, right), do: Scale.both(interval, span(interval), left, right)
 
   @doc """
   Moves the left end outwards, `{:by, span}` or so that the span is multiplied by `{:factor, f}`.
@@ -239,7 +244,7 @@ defmodule Situ.Interval do
 
   @doc "Moves both ends outwards by half the amount each; halves of whole numbers are rounded outwards."
   @spec scale_center(t(), {:by, point()} | {:factor, number()}) :: t()
-  def scale_center(interval, amount), do: Scale.center(interval, amount)
+  def scale_center(interval, amount), do: Scale.center(interval, span(interval), amount)
 
   @doc """
   The smallest interval that holds all of these; empty ones are left out.
@@ -251,7 +256,7 @@ defmodule Situ.Interval do
   def coverage(intervals) do
     case intervals |> Enum.reject(&empty?/1) |> Enum.map(&ordered/1) do
       [] -> empty()
-      [first | rest] -> Enum.reduce(rest, first, &Overlap.cover/2)
+      [first | rest] -> Enum.reduce(rest, first, &from_ends(Overlap.cover(&1, &2)))
     end
   end
 
@@ -273,6 +278,9 @@ defmodule Situ.Interval do
   """
   @spec to_string(t()) :: String.t()
   def to_string(%__MODULE__{} = interval), do: Text.format(interval)
+
+  defp from_ends({left, left_inclusive, right, right_inclusive}),
+    do: new(left, left_inclusive, right, right_inclusive)
 
   defp check_bound(bound) when is_number(bound) or bound == :unbounded, do: :ok
 

@@ -1,14 +1,13 @@
 defmodule Situ.Interval.Text do
   @moduledoc false
   # The usual notation of intervals: [0,10), (-inf,0].
-  alias Situ.Interval
 
-  @spec parse(String.t()) :: {:ok, Interval.t()} | {:error, Situ.Error.t()}
+  @spec parse(String.t()) :: {:ok, Situ.Interval.Overlap.ends()} | {:error, Situ.Error.t()}
   def parse(text) do
     with [_, open, left, right, close] <- Regex.run(~r/^\s*([\[(])(.+),(.+)([\])])\s*$/, text),
          {:ok, left} <- parse_bound(String.trim(left), "-inf"),
          {:ok, right} <- parse_bound(String.trim(right), "inf") do
-      {:ok, Interval.new(left, open == "[", right, close == "]")}
+      {:ok, {left, open == "[", right, close == "]"}}
     else
       _ ->
         {:error,
@@ -18,7 +17,7 @@ defmodule Situ.Interval.Text do
     end
   end
 
-  @spec format(Interval.t()) :: String.t()
+  @spec format(Situ.Interval.t()) :: String.t()
   def format(i) do
     open = if i.left_inclusive, do: "[", else: "("
     close = if i.right_inclusive, do: "]", else: ")"

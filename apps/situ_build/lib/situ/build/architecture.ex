@@ -1,32 +1,40 @@
-defmodule Situ.NativeBuild.Architecture do
+defmodule Situ.Build.Architecture do
   @moduledoc """
   Which app may use which: the whole architecture in one table, and the reader that holds compiled code against it.
   """
 
   # The build tool may be named by any app; it is not there at run time.
-  @build :situ_native
-  @everything [:situ, :situ_store, :situ_media, :situ_infer, :situ_net, :situ_live, :situ_studio]
+  @build :situ_build
 
+  # From below: each app with those that it may use. Types stand below all others.
   @allowed %{
-    situ_native: [],
-    situ: [],
-    situ_store: [:situ],
-    situ_media: [:situ, :situ_store],
-    situ_infer: [:situ, :situ_media],
-    situ_net: [:situ, :situ_store],
-    situ_live: [],
-    situ_studio: [:situ, :situ_store, :situ_media, :situ_live],
-    situ_cli: @everything,
-    situ_examples: [:situ_cli | @everything]
+    situ_build: [],
+    situ_types: [],
+    situ: [:situ_types],
+    situ_store: [:situ, :situ_types],
+    situ_dataset: [:situ, :situ_store, :situ_types],
+    situ_media: [:situ, :situ_store, :situ_types],
+    situ_space: [:situ, :situ_media, :situ_types],
+    situ_infer: [:situ, :situ_media, :situ_types],
+    situ_remote: [:situ, :situ_store, :situ_types],
+    situ_bridge: [:situ, :situ_store, :situ_types],
+    situ_live: [:situ_types]
   }
+
+  @below_studio Map.keys(@allowed) -- [:situ_build]
+  @allowed Map.merge(@allowed, %{
+             situ_studio: @below_studio,
+             situ_cli: [:situ_studio | @below_studio],
+             situ_examples: [:situ_cli, :situ_studio | @below_studio]
+           })
 
   @type usage :: %{app: atom(), module: module(), uses: MapSet.t(module())}
 
   @doc """
   The apps that `app` may use.
 
-      iex> Situ.NativeBuild.Architecture.allowed(:situ_infer)
-      [:situ, :situ_media]
+      iex> Situ.Build.Architecture.allowed(:situ_infer)
+      [:situ, :situ_media, :situ_types]
   """
   @spec allowed(atom()) :: [atom()]
   def allowed(app), do: Map.fetch!(@allowed, app)
@@ -48,7 +56,7 @@ defmodule Situ.NativeBuild.Architecture do
       ...>   %{app: :situ, module: A, uses: MapSet.new([B])},
       ...>   %{app: :situ_store, module: B, uses: MapSet.new([A])}
       ...> ]
-      iex> Situ.NativeBuild.Architecture.violations(modules)
+      iex> Situ.Build.Architecture.violations(modules)
       ["situ must not use situ_store: A names B"]
   """
   @spec violations([usage()]) :: [String.t()]
@@ -68,7 +76,7 @@ defmodule Situ.NativeBuild.Architecture do
   @doc """
   One sentence for every dependency declared in a `mix.exs` beyond the table.
 
-      iex> Situ.NativeBuild.Architecture.undeclared(%{situ: [:situ_media]})
+      iex> Situ.Build.Architecture.undeclared(%{situ: [:situ_media]})
       ["apps/situ/mix.exs declares situ_media, which the architecture does not allow"]
   """
   @spec undeclared(%{atom() => [atom()]}) :: [String.t()]

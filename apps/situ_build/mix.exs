@@ -1,9 +1,9 @@
-defmodule Situ.NativeBuild.MixProject do
+defmodule Situ.Build.MixProject do
   use Mix.Project
 
   def project do
     [
-      app: :situ_native,
+      app: :situ_build,
       version: "0.1.0",
       build_path: "../../_build",
       config_path: "../../config/config.exs",

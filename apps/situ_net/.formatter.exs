@@ -1,1 +1,0 @@
-[line_length: 98, inputs: ["{mix,.formatter}.exs", "{config,lib,test}/**/*.{ex,exs}"]]

@@ -1,0 +1,4 @@
+defmodule Situ.CodecTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Codec
+end

@@ -1,0 +1,4 @@
+defmodule Situ.IntervalTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Interval
+end

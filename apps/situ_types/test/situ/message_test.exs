@@ -1,0 +1,4 @@
+defmodule Situ.MessageTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Message
+end

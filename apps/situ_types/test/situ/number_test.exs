@@ -1,0 +1,4 @@
+defmodule Situ.NumberTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Number
+end

@@ -1,0 +1,4 @@
+defmodule Situ.OptionsTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Options
+end

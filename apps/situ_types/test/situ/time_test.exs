@@ -1,0 +1,4 @@
+defmodule Situ.TimeTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Time
+end

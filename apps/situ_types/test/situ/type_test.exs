@@ -1,0 +1,4 @@
+defmodule Situ.TypeTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Type
+end
