@@ -1,30 +1,65 @@
 defmodule Mix.Tasks.Situ.Check do
-  @shortdoc "Checks that apps use each other only as the architecture allows"
+  @shortdoc "Checks the architecture: edges between apps, layers, cycles, sizes of files"
   @moduledoc """
-  Refuses every reference from one app to another that `Situ.Build.Architecture` does not list.
+  Holds the compiled code and the sources against the architecture.
 
       $ mix situ.check
 
+  It refuses
+
+    * every reference from one app to another that `Situ.Build.Architecture` does not list, and dependencies in a
+      `mix.exs` beyond that table;
+    * every reference from a layer of the runtime to a higher one (`Situ.Build.Layers`);
+    * every cycle between the modules of an app and between the modules of a Rust crate (`Situ.Build.Cycles`);
+    * files and lines that are too long (`Situ.Build.Sources`).
+
   The compiler's own warnings see calls only. This check reads the debug information of every compiled module, in
-  which a struct literal (`%Sibling{}`) and a module name passed as a value are atoms like any other, and holds the
-  declared dependencies of each `mix.exs` against the same table. Exit status: 0 fine, 1 with one line per violation.
+  which a struct literal (`%Sibling{}`) and a module name passed as a value are atoms like any other. Exit status:
+  0 fine, 1 with one line per violation.
   """
   use Mix.Task
-  alias Situ.Build.Architecture
+  alias Situ.Build.{Architecture, Cycles, Layers, Sources}
 
   @impl Mix.Task
   def run(_args) do
-    lib = Path.join(Mix.Project.build_path(), "lib")
-    modules = Architecture.modules(lib)
+    modules = Architecture.modules(Path.join(Mix.Project.build_path(), "lib"))
 
-    case Architecture.violations(modules) ++ Architecture.undeclared(declared()) do
-      [] ->
-        Mix.shell().info("architecture: #{length(modules)} modules, every edge is allowed")
+    problems = Architecture.violations(modules) ++ Architecture.undeclared(declared())
+    # Refused as soon as there are none left.
+    unfinished = Layers.violations(modules.situ) ++ cycles(modules) ++ rust_cycles("native")
+    long = Sources.violations(File.cwd!())
 
-      problems ->
-        Enum.each(problems, fn problem -> Mix.shell().error(problem) end)
-        Mix.raise("#{length(problems)} edge(s) between apps that the architecture does not allow")
+    report(modules)
+    Enum.each(unfinished, fn problem -> Mix.shell().info(problem) end)
+    Mix.shell().info("#{length(long)} files or lines are too long")
+
+    if problems != [] do
+      Enum.each(problems, fn problem -> Mix.shell().error(problem) end)
+      Mix.raise("#{length(problems)} violation(s) of the architecture; see docs/ARCHITECTURE.md")
     end
+
+    Mix.shell().info("architecture: every edge is allowed")
+  end
+
+  defp cycles(modules) do
+    for {app, beams} <- modules, cycle <- Cycles.of_modules(beams) do
+      "#{app}: #{length(cycle)} modules call each other in a cycle: #{Enum.map_join(cycle, ", ", &inspect/1)}"
+    end
+  end
+
+  defp rust_cycles(workspace) do
+    for src <- Path.wildcard(Path.join(workspace, "*/src")), cycle <- Cycles.of_crate(src) do
+      "#{Path.dirname(src)}: #{length(cycle)} modules use each other in a cycle: #{Enum.join(cycle, ", ")}"
+    end
+  end
+
+  defp report(modules) do
+    count = modules |> Map.values() |> Enum.map(&length/1) |> Enum.sum()
+
+    layers =
+      Enum.map_join(Layers.counts(modules.situ), " < ", fn {name, n} -> "#{name} (#{n})" end)
+
+    Mix.shell().info("architecture: #{count} modules; layers of the runtime: #{layers}")
   end
 
   defp declared do

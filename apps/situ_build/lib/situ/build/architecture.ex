@@ -2,6 +2,7 @@ defmodule Situ.Build.Architecture do
   @moduledoc """
   Which app may use which: the whole architecture in one table, and the reader that holds compiled code against it.
   """
+  alias Situ.Build.Beam
 
   # The build tool may be named by any app; it is not there at run time.
   @build :situ_build
@@ -28,8 +29,6 @@ defmodule Situ.Build.Architecture do
              situ_examples: [:situ_cli, :situ_studio | @below_studio]
            })
 
-  @type usage :: %{app: atom(), module: module(), uses: MapSet.t(module())}
-
   @doc """
   The apps that `app` may use.
 
@@ -39,32 +38,28 @@ defmodule Situ.Build.Architecture do
   @spec allowed(atom()) :: [atom()]
   def allowed(app), do: Map.fetch!(@allowed, app)
 
-  @doc "Every compiled module of the project's apps below `lib`, with all atoms its code mentions."
-  @spec modules(Path.t()) :: [usage()]
+  @doc "Every compiled module of the project's apps below `lib`, by app."
+  @spec modules(Path.t()) :: %{atom() => [Beam.t()]}
   def modules(lib) do
-    for app <- Map.keys(@allowed),
-        beam <- Path.wildcard(Path.join([lib, to_string(app), "ebin", "*.beam"])) do
-      {module, atoms} = atoms(beam)
-      %{app: app, module: module, uses: atoms}
-    end
+    Map.new(@allowed, fn {app, _} ->
+      {app, Beam.read_all(Path.join([lib, to_string(app), "ebin"]))}
+    end)
   end
 
   @doc """
   One sentence for every reference between apps that the table does not allow.
 
-      iex> modules = [
-      ...>   %{app: :situ, module: A, uses: MapSet.new([B])},
-      ...>   %{app: :situ_store, module: B, uses: MapSet.new([A])}
-      ...> ]
-      iex> Situ.Build.Architecture.violations(modules)
+      iex> beam = fn module, names -> %Situ.Build.Beam{module: module, names: names, source: "", calls: []} end
+      iex> Situ.Build.Architecture.violations(%{situ: [beam.(A, [B])], situ_store: [beam.(B, [A])]})
       ["situ must not use situ_store: A names B"]
   """
-  @spec violations([usage()]) :: [String.t()]
+  @spec violations(%{atom() => [Beam.t()]}) :: [String.t()]
   def violations(modules) do
-    owner = Map.new(modules, &{&1.module, &1.app})
+    owner = for {app, beams} <- modules, beam <- beams, into: %{}, do: {beam.module, app}
 
-    for %{app: app, module: module, uses: uses} <- modules,
-        used <- uses,
+    for {app, beams} <- modules,
+        %{module: module, names: names} <- beams,
+        used <- names,
         to = owner[used],
         to not in [nil, app, @build],
         to not in allowed(app) do
@@ -85,18 +80,4 @@ defmodule Situ.Build.Architecture do
       "apps/#{app}/mix.exs declares #{dep}, which the architecture does not allow"
     end
   end
-
-  defp atoms(beam) do
-    {:ok, {module, [debug_info: {:debug_info_v1, backend, data}]}} =
-      :beam_lib.chunks(String.to_charlist(beam), [:debug_info])
-
-    {:ok, forms} = backend.debug_info(:erlang_v1, module, data, [])
-    {module, collect(forms, MapSet.new())}
-  end
-
-  defp collect(atom, found) when is_atom(atom), do: MapSet.put(found, atom)
-  defp collect([head | tail], found), do: collect(tail, collect(head, found))
-  defp collect(tuple, found) when is_tuple(tuple), do: collect(Tuple.to_list(tuple), found)
-  defp collect(map, found) when is_map(map), do: collect(Map.to_list(map), found)
-  defp collect(_other, found), do: found
 end

@@ -1,40 +1,94 @@
 defmodule Situ.Build.ArchitectureTest do
   # Sets a compiler option, which is global.
   use ExUnit.Case, async: false
-  alias Situ.Build.Architecture
+  alias Situ.Build.{Architecture, Cycles}
   doctest Architecture
+  doctest Situ.Build.Layers
+  doctest Situ.Build.Cycles
+  doctest Situ.Build.Sources
 
-  @tag :tmp_dir
-  test "sees struct literals and module names passed as values", %{tmp_dir: tmp} do
-    ebin = fn app -> Path.join([tmp, app, "ebin"]) end
-    for app <- ~w(situ situ_store), do: File.mkdir_p!(ebin.(app))
-
+  defp compile(source, tmp, apps) do
     before = Code.get_compiler_option(:debug_info)
     Code.put_compiler_option(:debug_info, true)
     on_exit(fn -> Code.put_compiler_option(:debug_info, before) end)
 
-    compiled =
-      Code.compile_string("""
-      defmodule Situ.Build.Sample.Sibling do
-        defstruct [:x]
-      end
-
-      defmodule Situ.Build.Sample.ByStruct do
-        def f(%Situ.Build.Sample.Sibling{x: x}), do: x
-      end
-
-      defmodule Situ.Build.Sample.ByValue do
-        def f, do: Situ.Build.Sample.Sibling
-      end
-      """)
-
-    for {module, beam} <- compiled do
-      app = if module == Situ.Build.Sample.Sibling, do: "situ_store", else: "situ"
-      File.write!(Path.join(ebin.(app), "#{module}.beam"), beam)
+    for {module, beam} <- Code.compile_string(source) do
+      ebin = Path.join([tmp, to_string(Map.get(apps, module, :situ)), "ebin"])
+      File.mkdir_p!(ebin)
+      File.write!(Path.join(ebin, "#{module}.beam"), beam)
     end
 
-    assert [by_struct, by_value] = tmp |> Architecture.modules() |> Architecture.violations()
+    Architecture.modules(tmp)
+  end
+
+  @tag :tmp_dir
+  test "sees struct literals and module names passed as values", %{tmp_dir: tmp} do
+    modules =
+      compile(
+        """
+        defmodule Situ.Build.Sample.Sibling do
+          defstruct [:x]
+        end
+
+        defmodule Situ.Build.Sample.ByStruct do
+          def f(%Situ.Build.Sample.Sibling{x: x}), do: x
+        end
+
+        defmodule Situ.Build.Sample.ByValue do
+          def f, do: Situ.Build.Sample.Sibling
+        end
+        """,
+        tmp,
+        %{Situ.Build.Sample.Sibling => :situ_store}
+      )
+
+    assert [by_struct, by_value] = Architecture.violations(modules)
     assert by_struct =~ "ByStruct names Situ.Build.Sample.Sibling"
     assert by_value =~ "ByValue names Situ.Build.Sample.Sibling"
+  end
+
+  @tag :tmp_dir
+  test "sees cycles of calls and of captures, not of structs", %{tmp_dir: tmp} do
+    modules =
+      compile(
+        """
+        defmodule Situ.Build.Sample.A do
+          defstruct []
+          def f, do: Situ.Build.Sample.B.f()
+        end
+
+        defmodule Situ.Build.Sample.B do
+          def f, do: Enum.map([1], &Situ.Build.Sample.C.f/1)
+        end
+
+        defmodule Situ.Build.Sample.C do
+          def f(_), do: Situ.Build.Sample.A.f()
+        end
+
+        defmodule Situ.Build.Sample.D do
+          def f, do: Situ.Build.Sample.E.f(%Situ.Build.Sample.A{})
+        end
+
+        defmodule Situ.Build.Sample.E do
+          def f(%Situ.Build.Sample.A{}), do: :ok
+        end
+        """,
+        tmp,
+        %{}
+      )
+
+    assert [[Situ.Build.Sample.A, Situ.Build.Sample.B, Situ.Build.Sample.C]] =
+             Cycles.of_modules(modules.situ)
+  end
+
+  @tag :tmp_dir
+  test "sees cycles between the files of a crate", %{tmp_dir: tmp} do
+    File.mkdir_p!(Path.join(tmp, "reader"))
+    File.write!(Path.join(tmp, "lib.rs"), "pub mod a;\npub mod reader;\n")
+    File.write!(Path.join(tmp, "a.rs"), "use crate::reader::maps::Map;\n")
+    File.write!(Path.join(tmp, "reader/maps.rs"), "// crate::reader\nuse crate::a::{X, Y};\n")
+    File.write!(Path.join(tmp, "reader/mod.rs"), "#[cfg(test)]\nuse crate::a;\n")
+
+    assert Cycles.of_crate(tmp) == [["a", "reader::maps"]]
   end
 end

@@ -1,0 +1,76 @@
+defmodule Situ.Build.Cycles do
+  @moduledoc """
+  Groups of things that use each other in a circle.
+
+      iex> Situ.Build.Cycles.find(%{a: [:b], b: [:c], c: [:a], d: [:a]})
+      [[:a, :b, :c]]
+      iex> Situ.Build.Cycles.find(%{a: [:b], b: [:c], c: []})
+      []
+  """
+  alias Situ.Build.Beam
+
+  @doc """
+  The strongly connected groups of more than one node, each sorted, the largest first. Uses of nodes that are not keys
+  of the map, and of a node by itself, do not count.
+  """
+  @spec find(%{optional(node) => Enumerable.t()}) :: [[node, ...]] when node: term()
+  def find(uses) do
+    graph = :digraph.new()
+    for {node, _} <- uses, do: :digraph.add_vertex(graph, node)
+
+    for {node, used} <- uses,
+        to <- used,
+        to != node,
+        is_map_key(uses, to),
+        do: :digraph.add_edge(graph, node, to)
+
+    groups = for group <- :digraph_utils.strong_components(graph), length(group) > 1, do: group
+    :digraph.delete(graph)
+    groups |> Enum.map(&Enum.sort/1) |> Enum.sort_by(&{-length(&1), &1})
+  end
+
+  @doc "The cycles of calls between these modules."
+  @spec of_modules([Beam.t()]) :: [[module(), ...]]
+  def of_modules(beams), do: beams |> Map.new(&{&1.module, &1.calls}) |> find()
+
+  @doc """
+  The cycles between the files of one Rust crate, whose sources are in `src`: a file uses the modules that it names
+  behind `crate::`. `lib.rs` declares all others and takes no part.
+  """
+  @spec of_crate(Path.t()) :: [[String.t(), ...]]
+  def of_crate(src) do
+    files = src |> Path.join("**/*.rs") |> Path.wildcard()
+    modules = for file <- files, module = rust_module(file, src), module != "", do: {module, file}
+    names = MapSet.new(modules, &elem(&1, 0))
+
+    modules
+    |> Map.new(fn {module, file} -> {module, file |> File.read!() |> rust_uses(names)} end)
+    |> find()
+  end
+
+  defp rust_module(file, src) do
+    file
+    |> Path.relative_to(src)
+    |> Path.rootname()
+    |> String.split("/")
+    |> Enum.reject(&(&1 in ["mod", "lib", "main"]))
+    |> Enum.join("::")
+  end
+
+  # `use crate::a::b::Type` names the longest module of that path; tests and comments do not count.
+  defp rust_uses(text, names) do
+    code = text |> String.split("#[cfg(test)]") |> hd() |> String.replace(~r{//.*}, "")
+
+    for [_, path] <- Regex.scan(~r/\bcrate::((?:[a-z_0-9]+::)*[A-Za-z_0-9]+)/, code),
+        module = longest(String.split(path, "::"), names),
+        uniq: true,
+        do: module
+  end
+
+  defp longest([], _names), do: nil
+
+  defp longest(parts, names) do
+    path = Enum.join(parts, "::")
+    if path in names, do: path, else: parts |> Enum.drop(-1) |> longest(names)
+  end
+end
