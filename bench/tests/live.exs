@@ -24,37 +24,18 @@ defmodule Situ.Bench.Live.Table do
   end
 end
 
-defmodule Situ.Bench.Live.Frames do
-  @moduledoc false
-  # Frames of 16 KB made on demand: as many as there are credits.
-  @behaviour Situ.Live.DataSocket
-  @data :binary.copy(<<1, 2, 3, 4>>, 4_096)
-
-  @impl true
-  def connect(_request, _arg), do: {:ok, 0}
-  @impl true
-  def handle_open(_channel, _params, _state), do: {:ok, 0}
-
-  @impl true
-  def handle_credit(channel, credits, sent) do
-    frames = for i <- 1..credits, do: %{channel: channel, kind: 1, time: sent + i, data: @data}
-    {:push, frames, sent + credits}
-  end
-end
-
 defmodule Situ.Bench.Live do
   @moduledoc false
-  # The LiveView server: an event that changes one row of a table, a small page over HTTP, 16 KB frames with credits. The
+  # The LiveView server: an event that changes one row of a table, a small page over HTTP. The
   # client is a raw socket in the same VM, so the CPU is that of both ends.
   import Situ.Bench, only: [measure: 3, measure: 4]
-  alias Situ.Bench.Live.{Frames, Table}
+  alias Situ.Bench.Live.Table
   alias Situ.Live.{Diff, Page, Socket}
 
   def tests do
     [
       {"live-diff", &diff(round(2_000 * &1))},
-      {"live-http", &http(round(5_000 * &1))},
-      {"live-frames", &frames(round(20_000 * &1))}
+      {"live-http", &http(round(5_000 * &1))}
     ]
   end
 
@@ -101,45 +82,5 @@ defmodule Situ.Bench.Live do
 
     Supervisor.stop(server)
     result
-  end
-
-  defp frames(n) do
-    {server, port} = serve([{:socket, "/data", Situ.Live.DataSocket, {Frames, nil}}])
-    {:ok, socket} = :gen_tcp.connect(~c"localhost", port, [:binary, active: false, nodelay: true])
-
-    :ok =
-      :gen_tcp.send(socket, [
-        "GET /data HTTP/1.1\r\nhost: localhost\r\nupgrade: websocket\r\nconnection: upgrade\r\n",
-        "sec-websocket-version: 13\r\nsec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
-      ])
-
-    {:ok, "HTTP/1.1 101" <> _} = :gen_tcp.recv(socket, 0, 5_000)
-    :ok = say(socket, %{"op" => "open", "ch" => 1, "credits" => 8})
-    {:ok, <<0x81, length>>} = :gen_tcp.recv(socket, 2, 5_000)
-    {:ok, _opened} = :gen_tcp.recv(socket, length, 5_000)
-
-    result =
-      measure("live_frames_16k", n, "frames/s", fn ->
-        for i <- 1..n do
-          {:ok, <<0x82, 126, size::16>>} = :gen_tcp.recv(socket, 4, 5_000)
-
-          {:ok, <<1, 1, _::16, 1::little-32, ^i::little-64, _::binary>>} =
-            :gen_tcp.recv(socket, size, 5_000)
-
-          if rem(i, 4) == 0, do: :ok = say(socket, %{"op" => "credit", "ch" => 1, "n" => 4})
-        end
-
-        :ok
-      end)
-
-    :gen_tcp.close(socket)
-    Supervisor.stop(server)
-    result
-  end
-
-  # A mask of zeros changes nothing.
-  defp say(socket, message) do
-    text = Situ.JSON.encode(message)
-    :gen_tcp.send(socket, [<<0x81, 1::1, byte_size(text)::7, 0::32>>, text])
   end
 end

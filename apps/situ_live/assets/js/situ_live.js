@@ -1,5 +1,4 @@
-// The browser's half of situ_live beside the stock clients: the hook that acknowledges diffs, and binary frames.
-export { DataSocket } from "./data_socket.js";
+// The browser's half of situ_live beside the stock clients: the hook that acknowledges diffs.
 
 // The server sends one diff at a time by itself. It marks each with the event "situ:ack"; answering it tells that
 // the page has taken the diff in.

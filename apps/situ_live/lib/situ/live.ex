@@ -20,14 +20,14 @@ defmodule Situ.Live do
         {:live, "/", Hello},
         {:static, "/assets", {:my_app, "priv/static"}},
         {:get, "/data/:stream", &MyData.window/1},      # Situ.Live.Request -> Situ.Live.Response
-        {:socket, "/live/data", MyFrames, :any_term}    # Situ.Live.DataSocket or Situ.Live.SocketHandler
+        {:socket, "/live/data", MyFrames, :any_term}    # Situ.Live.SocketHandler
       ]
 
       children = [{Situ.Live, port: 4040, routes: routes, layout: &MyLayout.root/1}]
 
   The pieces: `Situ.Live.View` (callbacks), `Situ.Live.Template` (`~H`), `Situ.Live.Component` (function components, slots,
   islands), `Situ.Live.Socket` (assign, push_event, push_patch, streams ...), `Situ.Live.JS` (commands), `Situ.Live.Route`
-  (routes), `Situ.Live.Request` and `Situ.Live.Response` (HTTP), `Situ.Live.DataSocket` (binary frames with credits),
+  (routes), `Situ.Live.Request` and `Situ.Live.Response` (HTTP), `Situ.Live.SocketHandler` (WebSockets of your own),
   `Situ.Live.Token`, `Situ.Live.Test` (tests of views without a browser).
 
   ## The page's script

@@ -20,7 +20,7 @@ defmodule Situ.Live.SocketHandler do
   Before `init/2` the server has checked host, token and origin. An incoming message above the route's `max_frame:` closes the
   connection (1009), a raise in a callback too (1011, logged). A connection from which nothing came for 90 s is closed, so a client
   sends something at least every 60 s. What the other side does not read blocks this process, not the sender of its
-  messages: send on demand only (see `Situ.Live.DataSocket`, which counts credits).
+  messages: send only what it asked for, as the studio does with signals and pictures.
   """
 
   @type frame :: {:text | :binary, iodata()}

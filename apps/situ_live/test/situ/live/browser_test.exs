@@ -6,13 +6,12 @@ defmodule Situ.Live.BrowserTest do
   @moduletag :browser
   @moduletag timeout: 120_000
 
-  test "the stock clients drive a view: events, forms, lists, streams, navigation, crash, frames" do
+  test "the stock clients drive a view: events, forms, lists, streams, navigation, crash" do
     bundle = NodeTools.bundle!()
 
     routes = [
       {:live, "/", Demo.Main, session: %{"user" => "ann"}},
       {:live, "/other", Demo.Other},
-      {:socket, "/live/data", Situ.Live.DataSocket, {Demo.Frames, nil}},
       {:static, "/", bundle}
     ]
 
@@ -27,6 +26,6 @@ defmodule Situ.Live.BrowserTest do
 
     assert status == 0, output
     refute output =~ "FAIL"
-    assert output =~ "ok   binary frames by credits"
+    assert output =~ "ok   push_navigate"
   end
 end

@@ -1,8 +1,7 @@
 defmodule Situ.Live.CoreTest do
-  # The pure parts: flow of diffs, credits, tokens, queries, routes.
+  # The pure parts: flow of diffs, tokens, queries, routes.
   use ExUnit.Case, async: true
   alias Situ.Live.{Flow, Json, Page, Query, Request, Route, Token}
-  alias Situ.Live.DataSocket.Channel
 
   describe "Flow" do
     test "one diff is under way until it is acknowledged or given up" do
@@ -39,49 +38,6 @@ defmodule Situ.Live.CoreTest do
             assert(
               Page.event_params("form", "a=1", %{"_target" => target}) == {:ok, %{"a" => "1"}}
             )
-    end
-  end
-
-  describe "DataSocket.Channel" do
-    defp numbers(frames), do: for({:binary, [_, n]} <- frames, do: n)
-
-    test "never sends more than it was given, and keeps the newest" do
-      property =
-        :proper.forall(
-          {:proper_types.integer(1, 5),
-           :proper_types.list(:proper_types.oneof([:push, :proper_types.integer(1, 3)]))},
-          fn {limit, steps} ->
-            start = {Channel.new(1, 0, queue: limit), 0, [], 0}
-
-            {channel, granted, sent, pushed} =
-              Enum.reduce(steps, start, fn
-                :push, {channel, granted, sent, n} ->
-                  {frames, channel} = Channel.push(channel, %{kind: 1, data: n})
-                  {channel, granted, sent ++ numbers(frames), n + 1}
-
-                k, {channel, granted, sent, n} ->
-                  {frames, channel} = Channel.grant(channel, k)
-                  {channel, granted + k, sent ++ numbers(frames), n}
-              end)
-
-            waiting = channel.waiting |> :queue.to_list() |> Enum.map(& &1.data)
-
-            length(sent) <= granted and sent == Enum.sort(sent) and length(waiting) <= limit and
-              waiting == Enum.take(Enum.to_list(0..(pushed - 1)//1), -length(waiting))
-          end
-        )
-
-      assert :proper.quickcheck(property, [:quiet, numtests: 500]) == true
-    end
-
-    test "what was dropped is counted in the next frame" do
-      channel = Channel.new(9, 0, [])
-      {[], channel} = Channel.push(channel, %{kind: 1, data: "a"})
-      {[], channel} = Channel.push(channel, %{kind: 1, data: "b", time: -5})
-      {[{:binary, io}], _} = Channel.grant(channel, 1)
-
-      assert <<1, 1, 1::little-16, 9::little-32, -5::little-signed-64, "b">> =
-               IO.iodata_to_binary(io)
     end
   end
 

@@ -32,8 +32,7 @@ defmodule Situ.Live.SocketTest do
         max_sockets: 40,
         routes: [
           {:live, "/", Demo.Main, session: %{"user" => "ann"}},
-          {:live, "/raises", Demo.Raises},
-          {:socket, "/data", Situ.Live.DataSocket, {Demo.Frames, nil}}
+          {:live, "/raises", Demo.Raises}
         ]
       )
 
@@ -371,72 +370,6 @@ defmodule Situ.Live.SocketTest do
       supervisor
       |> DynamicSupervisor.which_children()
       |> Enum.find_value(fn {_, pid, _, _} -> :sys.get_state(pid).socket.id == id && pid end)
-    end
-  end
-
-  describe "the data socket" do
-    defp data(port) do
-      {:ok, socket} = Raw.upgrade(port, "/data")
-      socket
-    end
-
-    test "sends as many frames as there are credits", %{port: port} do
-      socket = data(port)
-      push(socket, %{op: "open", ch: 3, params: %{n: 5}, credits: 2})
-      assert take(socket) == %{"op" => "opened", "ch" => 3}
-
-      for i <- 1..2 do
-        assert {:binary, <<1, 7, 0::16, 3::little-32, time::little-64, _::float-little-32>>} =
-                 take(socket)
-
-        assert time == i * 1000
-      end
-
-      assert Raw.receive_frame(socket, 50) == :timeout
-      push(socket, %{op: "credit", ch: 3, n: 10})
-      for _ <- 3..5, do: assert({:binary, _} = take(socket))
-      assert Raw.receive_frame(socket, 50) == :timeout
-      push(socket, %{op: "close", ch: 3})
-      assert take(socket) == %{"op" => "closed", "ch" => 3}
-      push(socket, %{op: "ping"})
-      assert take(socket) == %{"op" => "pong"}
-    end
-
-    test "keeps the newest when credits are out, and tells how many it dropped", %{port: port} do
-      socket = data(port)
-      push(socket, %{op: "open", ch: 1, params: %{n: 0}, credits: 1})
-      assert %{"op" => "opened"} = take(socket)
-      push(socket, %{op: "msg", ch: 1, params: %{burst: 10}})
-      assert {:binary, <<1, 8, 0::16, _::32, 1::little-64, 1::32>>} = take(socket)
-      assert Raw.receive_frame(socket, 50) == :timeout
-      push(socket, %{op: "credit", ch: 1, n: 1})
-      assert {:binary, <<1, 8, 8::little-16, _::32, 10::little-64, 10::32>>} = take(socket)
-    end
-
-    test "refuses a channel, and what is no message", %{port: port} do
-      socket = data(port)
-      push(socket, %{op: "open", ch: 1, params: %{}})
-      assert %{"op" => "error", "ch" => 1, "reason" => "no n in %{}"} = take(socket)
-      push(socket, %{op: "open", ch: 1, params: %{n: 1}})
-      assert %{"op" => "opened"} = take(socket)
-      assert {:binary, _} = take(socket)
-      push(socket, %{op: "open", ch: 1, params: %{n: 1}})
-      assert %{"op" => "error", "reason" => "channel 1 is open"} = take(socket)
-
-      capture_log(fn ->
-        for bad <- [
-              "x",
-              "{}",
-              ~s({"op":"open","ch":-1}),
-              ~s({"op":"open","ch":"a"}),
-              ~s({"op":"nope"}),
-              ~s({"op":"msg"})
-            ] do
-          socket = data(port)
-          Raw.send_text(socket, bad)
-          assert {:close, <<1007::16, _::binary>>} = take(socket)
-        end
-      end)
     end
   end
 end
