@@ -32,7 +32,8 @@ defmodule Situ.Live.SocketTest do
         max_sockets: 40,
         routes: [
           {:live, "/", Demo.Main, session: %{"user" => "ann"}},
-          {:live, "/raises", Demo.Raises}
+          {:live, "/raises", Demo.Raises},
+          {:socket, "/ws", Echo, self()}
         ]
       )
 
@@ -149,18 +150,18 @@ defmodule Situ.Live.SocketTest do
     test "asks for the right headers", %{port: port} do
       assert {426, %{"upgrade" => "websocket"}, _} = Raw.get(port, "/live/websocket")
       headers = [{"upgrade", "websocket"}, {"connection", "upgrade"}]
-      assert {426, %{"sec-websocket-version" => "13"}, _} = Raw.get(port, "/data", headers)
+      assert {426, %{"sec-websocket-version" => "13"}, _} = Raw.get(port, "/ws", headers)
     end
 
     test "refuses foreign origins and hosts", %{port: port} do
-      assert {:ok, _} = Raw.upgrade(port, "/data", [{"origin", "http://localhost:#{port}"}])
+      assert {:ok, _} = Raw.upgrade(port, "/ws", [{"origin", "http://localhost:#{port}"}])
 
-      for path <- ["/data", "/live/websocket?vsn=2.0.0"],
+      for path <- ["/ws", "/live/websocket?vsn=2.0.0"],
           origin <- ["http://evil.example", "null", "https://localhost:#{port}", ""] do
         assert {403, _, _} = Raw.upgrade(port, path, [{"origin", origin}])
       end
 
-      assert {421, _, _} = Raw.upgrade(port, "/data", [{"host", "evil.example"}])
+      assert {421, _, _} = Raw.upgrade(port, "/ws", [{"host", "evil.example"}])
     end
 
     test "refuses without the token" do
