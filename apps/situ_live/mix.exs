@@ -34,10 +34,7 @@ defmodule Situ.Live.MixProject do
   defp elixirc_paths(_env), do: ["lib"]
 
   defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger, :crypto, :ssl | json()]
-
-  # Erlang has JSON of its own from OTP 27 on.
-  defp json, do: if(Code.ensure_loaded?(:json), do: [], else: [:jiffy])
+  defp extra_applications(_env), do: [:logger, :crypto, :ssl]
 
   defp deps do
     [{:situ_types, in_umbrella: true}]

@@ -67,7 +67,8 @@ defmodule Situ.Live do
     * `:name` - a registered name of the server's supervisor
   """
   use Supervisor
-  alias Situ.Live.{Endpoint, Error, Listener, Route, Yaws}
+  alias Situ.Error
+  alias Situ.Live.{Endpoint, Listener, Route, Yaws}
 
   @loopback_names ["localhost", "127.0.0.1", "::1"]
   @known [:routes, :port, :ip, :token, :secret, :layout, :hosts, :origins, :headers, :max_body] ++
@@ -88,7 +89,7 @@ defmodule Situ.Live do
   end
 
   @doc """
-  Starts a server. A port in use, a missing certificate ... is `{:error, %Situ.Live.Error{}}`; a wrong option raises
+  Starts a server. A port in use, a missing certificate ... is `{:error, %Situ.Error{}}`; a wrong option raises
   `ArgumentError`.
   """
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}

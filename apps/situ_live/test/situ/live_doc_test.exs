@@ -1,7 +1,6 @@
 defmodule Situ.Live.DocTest do
   use ExUnit.Case, async: true
 
-  doctest Situ.Live.Error
   doctest Situ.Live.Html
   doctest Situ.Live.JS
   doctest Situ.Live.Query

@@ -81,8 +81,8 @@ defmodule Situ.Studio do
     opts = Situ.Options.validate!(opts, @schema)
 
     case Supervisor.start_link(__MODULE__, opts) do
-      {:error, {:shutdown, {:failed_to_start_child, _, %Situ.Live.Error{} = error}}} ->
-        {:error, struct!(Situ.Error, Map.take(error, [:code, :what, :why, :fix]))}
+      {:error, {:shutdown, {:failed_to_start_child, _, %Situ.Error{} = error}}} ->
+        {:error, error}
 
       {:error, {:shutdown, {:failed_to_start_child, Catalog, {:already_started, _}}}} ->
         {:error,

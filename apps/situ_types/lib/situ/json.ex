@@ -30,13 +30,34 @@ defmodule Situ.JSON do
   @spec pretty(value()) :: String.t()
   def pretty(value), do: value |> to_iodata([:pretty]) |> IO.iodata_to_binary()
 
-  @doc "Reads one value; its strings are copies and do not hold on to `text`. The last of several equal keys counts."
+  # The time to read an integer grows with the square of its digits, and nothing else runs meanwhile.
+  @most_digits 400
+
+  @doc """
+  Reads one value; its strings are copies and do not hold on to `text`. The last of several equal keys counts.
+
+  A number of more than #{@most_digits} digits is refused: reading it would hold up the whole node.
+  """
   @spec decode(binary()) :: {:ok, value()} | {:error, :bad_json}
   def decode(text) when is_binary(text) do
-    {:ok, parse(text)}
+    if long_number?(text), do: {:error, :bad_json}, else: {:ok, parse(text)}
   catch
     _, _ -> {:error, :bad_json}
   end
+
+  # Digits inside a string are text, however many: only where some stand in a row is it worth telling the two apart.
+  defp long_number?(text), do: text =~ ~r/[0-9]{401}/ and outside(text, 0)
+
+  defp outside(_, n) when n > @most_digits, do: true
+  defp outside(<<digit, rest::binary>>, n) when digit in ?0..?9, do: outside(rest, n + 1)
+  defp outside(<<?", rest::binary>>, _), do: inside(rest)
+  defp outside(<<_, rest::binary>>, _), do: outside(rest, 0)
+  defp outside("", _), do: false
+
+  defp inside(<<?\\, _, rest::binary>>), do: inside(rest)
+  defp inside(<<?", rest::binary>>), do: outside(rest, 0)
+  defp inside(<<_, rest::binary>>), do: inside(rest)
+  defp inside(""), do: false
 
   if Code.ensure_loaded?(:json) do
     defp to_iodata(value, options) do

@@ -60,6 +60,18 @@ defmodule Situ.JSONTest do
     assert :binary.referenced_byte_size(text) == 100
   end
 
+  test "a number of more than 400 digits is refused, such text and shorter numbers are not" do
+    digits = &String.duplicate("7", &1)
+    assert {:ok, [n]} = Situ.JSON.decode("[" <> digits.(400) <> "]")
+    assert n == String.to_integer(digits.(400))
+
+    for bad <- [digits.(401), "[1, -#{digits.(500)}]", ~s({"a\\"b": 0.#{digits.(401)}})],
+        do: assert(Situ.JSON.decode(bad) == {:error, :bad_json})
+
+    text = ~s(\\" #{digits.(1_000)})
+    assert Situ.JSON.decode(~s(["#{text}"])) == {:ok, [~s(" #{digits.(1_000)})]}
+  end
+
   test "what JSON cannot say is an error" do
     for bad <- [{1, 2}, self(), fn -> 1 end],
         do: assert_raise(ErlangError, fn -> Situ.JSON.encode(bad) end)

@@ -3,7 +3,8 @@ defmodule Situ.Live.Channel do
   # The connection of one page: Phoenix Channels, version 2, over one WebSocket; `[join_ref, ref, topic, event, payload]`.
   # Views live in processes of their own; this one routes, counts and answers for them when they are gone.
   @behaviour Situ.Live.SocketHandler
-  alias Situ.Live.{Endpoint, Json, Page, Token, ViewServer}
+  alias Situ.JSON
+  alias Situ.Live.{Endpoint, Page, Token, ViewServer}
 
   @session_age_s 14 * 86_400
   # More unanswered messages than a person can make: the connection is closed.
@@ -28,7 +29,7 @@ defmodule Situ.Live.Channel do
 
   @impl true
   def handle_in({text, opcode: :text}, state) do
-    case Json.decode(text) do
+    case JSON.decode(text) do
       {:ok, [join_ref, ref, topic, event, payload]}
       when (is_binary(join_ref) or join_ref == nil) and (is_binary(ref) or ref == nil) and
              is_binary(topic) and is_binary(event) ->
@@ -120,7 +121,7 @@ defmodule Situ.Live.Channel do
     case Map.pop(state.monitors, monitor) do
       {{topic, join_ref}, monitors} ->
         event = if crashed?(reason), do: "phx_error", else: "phx_close"
-        text = Json.encode([join_ref, join_ref, topic, event, %{}])
+        text = JSON.encode([join_ref, join_ref, topic, event, %{}])
         state = %{state | monitors: monitors, topics: Map.delete(state.topics, topic), pending: 0}
         {:push, {:text, text}, state}
 
@@ -153,6 +154,6 @@ defmodule Situ.Live.Channel do
 
   defp reply(join_ref, ref, topic, status, response) do
     payload = %{"status" => status, "response" => response}
-    {:text, Json.encode([join_ref, ref, topic, "phx_reply", payload])}
+    {:text, JSON.encode([join_ref, ref, topic, "phx_reply", payload])}
   end
 end

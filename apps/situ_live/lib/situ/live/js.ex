@@ -74,6 +74,6 @@ defmodule Situ.Live.JS do
     do: %{js | ops: ops ++ [[name, Map.new(args)]]}
 
   defimpl String.Chars do
-    def to_string(js), do: Situ.Live.Json.encode(js.ops)
+    def to_string(js), do: Situ.JSON.encode(js.ops)
   end
 end

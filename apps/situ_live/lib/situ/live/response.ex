@@ -28,7 +28,7 @@ defmodule Situ.Live.Response do
 
   @doc "JSON of maps, lists, strings, numbers, booleans and `nil`."
   @spec json(term(), 100..599) :: t()
-  def json(value, status \\ 200), do: of(status, "application/json", Situ.Live.Json.encode(value))
+  def json(value, status \\ 200), do: of(status, "application/json", Situ.JSON.encode(value))
 
   @doc "Bytes; `headers` are added."
   @spec binary(iodata(), [{String.t(), String.t()}]) :: t()

@@ -138,7 +138,7 @@ defmodule Situ.Live.Test do
   end
 
   defp commands(page, json, value) do
-    {:ok, commands} = Situ.Live.Json.decode(json)
+    {:ok, commands} = Situ.JSON.decode(json)
 
     for ["push", %{"event" => event} = args] <- commands, reduce: :ok do
       _ -> event(page, event, Map.merge(value, args["value"] || %{}), "click")
@@ -180,7 +180,7 @@ defmodule Situ.Live.Test do
 
   # What is not JSON would not come from a browser.
   defp json(value) do
-    {:ok, value} = value |> Situ.Live.Json.encode() |> Situ.Live.Json.decode()
+    {:ok, value} = value |> Situ.JSON.encode() |> Situ.JSON.decode()
     value
   end
 

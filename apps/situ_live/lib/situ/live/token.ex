@@ -10,12 +10,12 @@ defmodule Situ.Live.Token do
       iex> Situ.Live.Token.verify("another secret", "session", token, 60)
       {:error, :bad_token}
   """
-  alias Situ.Live.Json
+  alias Situ.JSON
 
   @doc "Signs a JSON-able value for one purpose (`salt`)."
   @spec sign(binary(), String.t(), term(), integer()) :: String.t()
   def sign(secret, salt, value, now_s \\ System.system_time(:second)) do
-    body = Base.url_encode64(Json.encode([salt, now_s, value]), padding: false)
+    body = Base.url_encode64(JSON.encode([salt, now_s, value]), padding: false)
     body <> "." <> mac(secret, body)
   end
 
@@ -29,7 +29,7 @@ defmodule Situ.Live.Token do
          expected = mac(secret, body),
          true <- byte_size(mac) == byte_size(expected) and :crypto.hash_equals(mac, expected),
          {:ok, json} <- Base.url_decode64(body, padding: false),
-         {:ok, [^salt, issued_s, value]} when is_integer(issued_s) <- Json.decode(json) do
+         {:ok, [^salt, issued_s, value]} when is_integer(issued_s) <- JSON.decode(json) do
       if now_s - issued_s <= max_age_s, do: {:ok, value}, else: {:error, :expired}
     else
       _ -> {:error, :bad_token}

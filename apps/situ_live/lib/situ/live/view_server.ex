@@ -7,7 +7,8 @@ defmodule Situ.Live.ViewServer do
   # the answer to that message.
   use GenServer, restart: :temporary
   require Logger
-  alias Situ.Live.{Diff, Endpoint, Flow, Json, Page, Socket, View}
+  alias Situ.JSON
+  alias Situ.Live.{Diff, Endpoint, Flow, Page, Socket, View}
 
   @version "1.2.12"
   @stale_ms 60_000
@@ -262,7 +263,7 @@ defmodule Situ.Live.ViewServer do
   end
 
   defp transmit(state, ref, message) do
-    send(state.transport, {:situ_live, state.topic, ref, Json.encode(message)})
+    send(state.transport, {:situ_live, state.topic, ref, JSON.encode(message)})
     :ok
   end
 

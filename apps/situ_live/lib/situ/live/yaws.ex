@@ -5,7 +5,7 @@ defmodule Situ.Live.Yaws do
   use Supervisor
 
   require Logger
-  alias Situ.Live.Error
+  alias Situ.Error
 
   @compile {:no_warn_undefined, [:yaws, :yaws_api, :yaws_sup, :yaws_config, :yaws_log]}
 

@@ -1,7 +1,8 @@
 defmodule Situ.Live.CoreTest do
   # The pure parts: flow of diffs, tokens, queries, routes.
   use ExUnit.Case, async: true
-  alias Situ.Live.{Flow, Json, Page, Query, Request, Route, Token}
+  alias Situ.JSON
+  alias Situ.Live.{Flow, Page, Query, Request, Route, Token}
 
   describe "Flow" do
     test "one diff is under way until it is acknowledged or given up" do
@@ -87,7 +88,7 @@ defmodule Situ.Live.CoreTest do
 
       any =
         :proper.forall(:proper_types.binary(), fn bytes ->
-          match?({_, _}, Query.parse(bytes)) and match?({_, _}, Json.decode(bytes))
+          match?({_, _}, Query.parse(bytes)) and match?({_, _}, JSON.decode(bytes))
         end)
 
       assert :proper.quickcheck(any, [:quiet, numtests: 500]) == true

@@ -12,7 +12,7 @@ defmodule Situ.Live.DiffClientTest do
   test "the client rebuilds the server's HTML from #{@sequences * @length} diffs" do
     seed = System.get_env("SITU_SEED", "7") |> String.to_integer()
     :rand.seed(:exsss, {1, 2, seed})
-    lines = for _ <- 1..@sequences, line <- sequence(), do: Situ.Live.Json.encode(line)
+    lines = for _ <- 1..@sequences, line <- sequence(), do: Situ.JSON.encode(line)
     assert replay(lines, "whole") == %{"states" => @sequences * @length, "wrong" => []}
   end
 
@@ -21,7 +21,7 @@ defmodule Situ.Live.DiffClientTest do
 
     lines =
       for {line, i} <- Enum.with_index(sequence()) do
-        Situ.Live.Json.encode(if i == 9, do: %{line | "diff" => %{}}, else: line)
+        Situ.JSON.encode(if i == 9, do: %{line | "diff" => %{}}, else: line)
       end
 
     assert %{"wrong" => [%{"state" => 10} | _]} = replay(lines, "spoilt")
@@ -32,7 +32,7 @@ defmodule Situ.Live.DiffClientTest do
     path = Path.join(bundle, name <> ".jsonl")
     File.write!(path, Enum.intersperse(lines, "\n"))
     {output, 0} = NodeTools.run(Path.join(bundle, "rendered.mjs"), [path])
-    {:ok, result} = Situ.Live.Json.decode(String.trim(output))
+    {:ok, result} = Situ.JSON.decode(String.trim(output))
     result
   end
 

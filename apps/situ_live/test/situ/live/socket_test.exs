@@ -2,7 +2,8 @@ defmodule Situ.Live.SocketTest do
   # WebSockets from outside, by raw sockets: what is refused, and that what is served goes on.
   use ExUnit.Case, async: true
   import ExUnit.CaptureLog
-  alias Situ.Live.{Connections, Demo, Json, Raw, ViewServer}
+  alias Situ.JSON
+  alias Situ.Live.{Connections, Demo, Raw, ViewServer}
 
   defmodule Echo do
     @behaviour Situ.Live.SocketHandler
@@ -200,11 +201,11 @@ defmodule Situ.Live.SocketTest do
       {socket, id, token}
     end
 
-    defp push(socket, message), do: Raw.send_text(socket, Json.encode(message))
+    defp push(socket, message), do: Raw.send_text(socket, JSON.encode(message))
 
     defp take(socket) do
       case Raw.receive_frame(socket) do
-        {:text, text} -> text |> Json.decode() |> elem(1)
+        {:text, text} -> text |> JSON.decode() |> elem(1)
         other -> other
       end
     end
@@ -228,7 +229,7 @@ defmodule Situ.Live.SocketTest do
       assert [nil, "2", "phoenix", "phx_reply", %{"status" => "ok"}] = take(socket)
       push(socket, ["1", "3", topic, "event", %{type: "click", event: "inc", value: %{}}])
       assert ["1", "3", ^topic, "phx_reply", %{"response" => %{"diff" => diff}}] = take(socket)
-      assert Json.encode(diff) =~ "1"
+      assert JSON.encode(diff) =~ "1"
       push(socket, ["1", "4", topic, "phx_leave", %{}])
       assert ["1", "4", ^topic, "phx_reply", %{"status" => "ok"}] = take(socket)
       assert ["1", "1", ^topic, "phx_close", _] = take(socket)
@@ -362,7 +363,7 @@ defmodule Situ.Live.SocketTest do
 
       messages = for _ <- 1..2, do: take(socket2)
       assert [[_, nil, _, "diff", diff]] = Enum.filter(messages, &match?([_, nil | _], &1))
-      assert Json.encode(diff) =~ "1000"
+      assert JSON.encode(diff) =~ "1000"
     end
 
     defp view_of(server, id) do

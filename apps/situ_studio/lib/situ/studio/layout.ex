@@ -1,11 +1,11 @@
 defmodule Situ.Studio.Layout do
   @moduledoc """
   What is on the page: rows from top to bottom, each one panel on the time axis or a line of cells at the cursor. Pure
-  data with a JSON form, so that layouts are kept in files and written by hand.
+  data with a JSON form (`Situ.Studio.Layout.Text`), so that layouts are kept in files and written by hand.
 
       iex> layout = Situ.Studio.Layout.new("mine")
       iex> {:ok, layout, id} = Situ.Studio.Layout.add(layout, "A.level", "line", :plot, "")
-      iex> {:ok, again} = layout |> Situ.Studio.Layout.to_json() |> Situ.Studio.Layout.from_json()
+      iex> {:ok, again} = layout |> Situ.Studio.Layout.Text.write() |> Situ.Studio.Layout.Text.read()
       iex> {again == layout, id, hd(layout.rows).panel}
       {true, "p1", :plot}
   """
@@ -206,12 +206,4 @@ defmodule Situ.Studio.Layout do
   defp full(what, n) do
     {:error, Error.new(:full, "a #{what} holds at most #{n}", fix: "take something out first")}
   end
-
-  @doc "The JSON text of a layout."
-  @spec to_json(t()) :: String.t()
-  defdelegate to_json(layout), to: Situ.Studio.Layout.Text, as: :write
-
-  @doc "Reads a layout; whatever is wrong with it is said, nothing is guessed."
-  @spec from_json(binary()) :: {:ok, t()} | {:error, Error.t()}
-  defdelegate from_json(json), to: Situ.Studio.Layout.Text, as: :read
 end

@@ -44,7 +44,7 @@ defmodule Situ.Studio.Layouts do
       temporary = path <> ".#{System.unique_integer([:positive])}.tmp"
 
       with :ok <- File.mkdir_p(dir),
-           :ok <- File.write(temporary, Layout.to_json(layout)),
+           :ok <- File.write(temporary, Layout.Text.write(layout)),
            :ok <- File.rename(temporary, path) do
         :ok
       else
@@ -87,7 +87,7 @@ defmodule Situ.Studio.Layouts do
     for path <- dir |> Path.join("*.json") |> Path.wildcard() |> Enum.sort() |> Enum.take(500),
         {:ok, %{size: size}} when size <= @max_bytes <- [File.stat(path)],
         {:ok, json} <- [File.read(path)],
-        {:ok, layout} <- [Layout.from_json(json)],
+        {:ok, layout} <- [Layout.Text.read(json)],
         do: {path, layout}
   end
 end

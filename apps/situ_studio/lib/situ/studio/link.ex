@@ -19,7 +19,7 @@ defmodule Situ.Studio.Link do
   @doc "The layout in letters an address can carry."
   @spec encode(Layout.t()) :: String.t()
   def encode(%Layout{} = layout) do
-    layout |> Layout.to_json() |> :zlib.zip() |> Base.url_encode64(padding: false)
+    layout |> Layout.Text.write() |> :zlib.zip() |> Base.url_encode64(padding: false)
   end
 
   @doc "The layout of a code; a damaged or overlong one is an error."
@@ -27,7 +27,7 @@ defmodule Situ.Studio.Link do
   def decode(code) when is_binary(code) and byte_size(code) <= @max_code do
     with {:ok, zipped} <- Base.url_decode64(code, padding: false),
          {:ok, json} <- inflate(zipped) do
-      Layout.from_json(json)
+      Layout.Text.read(json)
     else
       _ -> bad()
     end

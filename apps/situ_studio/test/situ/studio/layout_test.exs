@@ -13,7 +13,7 @@ defmodule Situ.Studio.LayoutTest do
     forall actions <- list({one_of(@actions), integer(1, 12), one_of(@panels)}) do
       layout = Enum.reduce(actions, Layout.new("x"), &edit/2)
 
-      assert Layout.from_json(Layout.to_json(layout)) == {:ok, renumber(layout)}
+      assert Layout.Text.read(Layout.Text.write(layout)) == {:ok, renumber(layout)}
       assert Link.decode(Link.encode(layout)) == {:ok, renumber(layout)}
       assert Enum.all?(Layout.lines(layout), &(&1 != []))
       # every row stands once, and holds either one timeline or cells
@@ -169,7 +169,7 @@ defmodule Situ.Studio.LayoutTest do
 
   property "no bytes make reading a layout or a link raise" do
     forall bytes <- binary() do
-      assert {:error, %Situ.Error{}} = Layout.from_json(bytes)
+      assert {:error, %Situ.Error{}} = Layout.Text.read(bytes)
       assert {:error, %Situ.Error{}} = Link.decode(bytes)
     end
   end
@@ -203,7 +203,7 @@ defmodule Situ.Studio.LayoutTest do
 
   test "a layout of another version or with nonsense in it is refused with the reason" do
     assert {:error, %{why: nil, what: what}} =
-             Layout.from_json(~s({"version": 9, "name": "x", "panels": []}))
+             Layout.Text.read(~s({"version": 9, "name": "x", "panels": []}))
 
     assert what =~ "version 9"
 
@@ -215,7 +215,7 @@ defmodule Situ.Studio.LayoutTest do
           "17"
         ] do
       json = ~s({"version": 1, "name": "x", "panels": [#{panel}]})
-      assert {:error, %{code: :bad_layout}} = Layout.from_json(json)
+      assert {:error, %{code: :bad_layout}} = Layout.Text.read(json)
     end
   end
 

@@ -2,7 +2,8 @@ defmodule Situ.Live.Test.Browser do
   @moduledoc false
   # Stands where the connection stands: takes what the view sends, keeps the page, acknowledges.
   use GenServer
-  alias Situ.Live.{Json, ViewServer}
+  alias Situ.JSON
+  alias Situ.Live.ViewServer
   alias Situ.Live.Test.Tree
 
   defstruct [:view, :topic, :join, tree: %{}, rows: %{}, events: [], visits: [], title: nil] ++
@@ -43,7 +44,7 @@ defmodule Situ.Live.Test.Browser do
 
   @impl true
   def handle_info({:situ_live, _topic, _ref, text}, state) do
-    {:ok, [_join_ref, ref, _, event, payload]} = Json.decode(text)
+    {:ok, [_join_ref, ref, _, event, payload]} = JSON.decode(text)
     {:noreply, message(event, ref, payload, state)}
   end
 
