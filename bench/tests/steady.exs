@@ -6,7 +6,7 @@ defmodule Situ.Bench.Steady do
 
   The store takes 57,600 bytes a picture (1 GB at scale 1) in `SITU_BENCH_DIR`, removed afterwards.
   """
-  alias Situ.{Bench, Image, Pipeline, Store, Time, Vision}
+  alias Situ.{Bench, Image, Imaging, Pipeline, Store, Time, Vision}
 
   @rate 30
 
@@ -43,7 +43,10 @@ defmodule Situ.Bench.Steady do
     store = Store.create(p, "Steady", root)
 
     p
-    |> Situ.sequence(noise(), &Image.invert!/1, div(Time.s(1), @rate), count: frames, type: Image)
+    |> Situ.sequence(noise(), &Imaging.invert!/1, div(Time.s(1), @rate),
+      count: frames,
+      type: Image
+    )
     |> Vision.resize(320, 180)
     |> Vision.convert(:gray8)
     |> Situ.each(fn _image, message ->

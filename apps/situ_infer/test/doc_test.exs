@@ -1,7 +1,6 @@
 defmodule Situ.Infer.DocTest do
   use ExUnit.Case, async: true
 
-  doctest Situ.Tensor
   doctest Situ.Infer.Patch
   doctest Situ.Infer.Face
   doctest Situ.Infer.FaceMesh

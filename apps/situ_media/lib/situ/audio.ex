@@ -1,7 +1,7 @@
 defmodule Situ.Audio do
   @moduledoc """
   Streams of sound: every function takes a stream of `Situ.AudioBuffer` first and returns a stream (or a map of them).
-  The same on one buffer in hand is in `Situ.AudioBuffer`.
+  The same on one buffer in hand is in `Situ.Sound`.
 
       def build(p, _opts) do
         clip = Situ.Media.VideoFile.open(p, "talk1.mp4")
@@ -13,9 +13,8 @@ defmodule Situ.Audio do
   The originating time of a buffer is the time of its **end**, and every operator keeps that exact to the sample.
   All take the common options `name:`, `policy:`, `async:` and `on_error:` besides their own.
   """
-  alias Situ.{AudioBuffer, AudioFormat, Operator, Stream}
+  alias Situ.{AudioBuffer, AudioFormat, Error, Operator, Sound, Stream}
   alias Situ.Audio.{Analyzer, Level, Mixer, Reframer, Resampler, Streamline}
-  alias Situ.Image.Result
 
   @common [:name, :policy, :async, :on_error]
 
@@ -31,22 +30,22 @@ defmodule Situ.Audio do
   @spec resample(Stream.t(), pos_integer(), keyword()) :: Stream.t()
   def resample(stream, rate, opts \\ []), do: via(stream, Resampler, [rate: rate] ++ opts)
 
-  @doc "In another sample type or number of channels: `Situ.AudioBuffer.reformat/2`."
+  @doc "In another sample type or number of channels: `Situ.Sound.reformat/2`."
   @spec reformat(Stream.t(), keyword()) :: Stream.t()
   def reformat(stream, opts) do
     {common, opts} = Keyword.split(opts, @common)
-    map(stream, "Reformat", &Result.unwrap!(AudioBuffer.reformat(&1, opts)), common)
+    map(stream, "Reformat", &Error.unwrap!(Sound.reformat(&1, opts)), common)
   end
 
   @doc "The mean of all channels."
   @spec to_mono(Stream.t(), keyword()) :: Stream.t()
   def to_mono(stream, opts \\ []),
-    do: map(stream, "Mono", &Result.unwrap!(AudioBuffer.reformat(&1, channels: 1)), opts)
+    do: map(stream, "Mono", &Error.unwrap!(Sound.reformat(&1, channels: 1)), opts)
 
   @doc "One channel as both, or two as they are."
   @spec to_stereo(Stream.t(), keyword()) :: Stream.t()
   def to_stereo(stream, opts \\ []),
-    do: map(stream, "Stereo", &Result.unwrap!(AudioBuffer.reformat(&1, channels: 2)), opts)
+    do: map(stream, "Stereo", &Error.unwrap!(Sound.reformat(&1, channels: 2)), opts)
 
   @doc "One channel, counted from 0, as mono."
   @spec select_channel(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
@@ -54,20 +53,20 @@ defmodule Situ.Audio do
     map(
       stream,
       "Channel #{channel}",
-      &Result.unwrap!(AudioBuffer.select_channels(&1, [channel])),
+      &Error.unwrap!(Sound.select_channels(&1, [channel])),
       opts
     )
   end
 
-  @doc "Mixed by a matrix of gains: `Situ.AudioBuffer.remix/3`."
+  @doc "Mixed by a matrix of gains: `Situ.Sound.remix/3`."
   @spec remix(Stream.t(), [[number()]], keyword()) :: Stream.t()
   def remix(stream, matrix, opts \\ []),
-    do: map(stream, "Remix", &Result.unwrap!(AudioBuffer.remix(&1, matrix)), opts)
+    do: map(stream, "Remix", &Error.unwrap!(Sound.remix(&1, matrix)), opts)
 
   @doc "Louder or quieter, by a factor or `{:db, n}`."
   @spec gain(Stream.t(), number() | {:db, number()}, keyword()) :: Stream.t()
   def gain(stream, gain, opts \\ []),
-    do: map(stream, "Gain", &Result.unwrap!(AudioBuffer.gain(&1, gain)), opts)
+    do: map(stream, "Gain", &Error.unwrap!(Sound.gain(&1, gain)), opts)
 
   @doc """
   Two streams as one sound, laid over each other by their times: `Situ.Audio.Mixer`.
@@ -125,7 +124,7 @@ defmodule Situ.Audio do
   @doc "How loud each buffer is: a stream of `Situ.Audio.Level`."
   @spec level(Stream.t(), keyword()) :: Stream.t()
   def level(stream, opts \\ []) do
-    Operator.attach(stream, "Level", {:map, &Result.unwrap!(AudioBuffer.level(&1))}, opts, Level)
+    Operator.attach(stream, "Level", {:map, &Error.unwrap!(Sound.level(&1))}, opts, Level)
   end
 
   @doc "The bytes of each buffer."

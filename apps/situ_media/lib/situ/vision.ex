@@ -1,7 +1,7 @@
 defmodule Situ.Vision do
   @moduledoc """
   Streams of pictures: every function takes a stream of `Situ.Image` first and returns a stream. The same on one picture
-  in hand is in `Situ.Image`, with the same name and options; originating times are kept.
+  in hand is in `Situ.Imaging`, with the same name and options; originating times are kept.
 
       def build(p, _opts) do
         camera = Situ.Media.Camera.open(p, size: {1280, 720})
@@ -21,8 +21,8 @@ defmodule Situ.Vision do
       iex> Situ.to_list(fn p -> p |> Situ.repeat(image, 10, count: 2) |> Situ.Vision.convert(:gray8) |> Situ.Vision.resize(2, 1) end)
       [Situ.Image.filled(2, 1, :gray8, 76), Situ.Image.filled(2, 1, :gray8, 76)]
   """
-  alias Situ.{DepthImage, EncodedImage, Image, Operator, Stream}
-  alias Situ.Image.{Drawing, Files, Filter, Geometry, Measure, Pixels, Result}
+  alias Situ.{DepthImage, EncodedImage, Error, Image, Operator, Stream}
+  alias Situ.Imaging.{Drawing, Files, Filter, Geometry, Measure, Pixels}
 
   @common [:name, :type, :policy, :async, :on_error]
 
@@ -75,7 +75,7 @@ defmodule Situ.Vision do
     vars = Enum.map(args, &Macro.var(&1, __MODULE__))
     label = name |> Atom.to_string() |> String.replace("_", " ") |> String.capitalize()
 
-    @doc "Each picture through `Situ.Image.#{name}/#{length(args) + 2}`."
+    @doc "Each picture through `Situ.Imaging.#{name}/#{length(args) + 2}`."
     @spec unquote(name)(
             unquote_splicing([
               quote(do: Stream.t()) | Enum.map(args, fn _ -> quote(do: term()) end)
@@ -85,7 +85,7 @@ defmodule Situ.Vision do
             Stream.t()
     def unquote(name)(stream, unquote_splicing(vars), opts \\ []) do
       {common, opts} = Keyword.split(opts, @common)
-      fun = &Result.unwrap!(unquote(module).unquote(name)(&1, unquote_splicing(vars), opts))
+      fun = &Error.unwrap!(unquote(module).unquote(name)(&1, unquote_splicing(vars), opts))
       Operator.attach(stream, unquote(label), {:map, fun}, common, unquote(type))
     end
   end
@@ -94,7 +94,7 @@ defmodule Situ.Vision do
     vars = Enum.map(args, &Macro.var(&1, __MODULE__))
     label = name |> Atom.to_string() |> String.replace("_", " ") |> String.capitalize()
 
-    @doc "Each picture through `Situ.Image.#{name}/#{length(args) + 1}`."
+    @doc "Each picture through `Situ.Imaging.#{name}/#{length(args) + 1}`."
     @spec unquote(name)(
             unquote_splicing([
               quote(do: Stream.t()) | Enum.map(args, fn _ -> quote(do: term()) end)
@@ -103,7 +103,7 @@ defmodule Situ.Vision do
           ) ::
             Stream.t()
     def unquote(name)(stream, unquote_splicing(vars), opts \\ []) do
-      fun = &Result.unwrap!(unquote(module).unquote(name)(&1, unquote_splicing(vars)))
+      fun = &Error.unwrap!(unquote(module).unquote(name)(&1, unquote_splicing(vars)))
       Operator.attach(stream, unquote(label), {:map, fun}, opts, Image)
     end
   end
@@ -123,8 +123,8 @@ defmodule Situ.Vision do
 
     fun =
       if rect == :paired,
-        do: fn {image, rect} -> rect && Result.unwrap!(Geometry.crop(image, rect, opts)) end,
-        else: fn image -> Result.unwrap!(Geometry.crop(image, rect, opts)) end
+        do: fn {image, rect} -> rect && Error.unwrap!(Geometry.crop(image, rect, opts)) end,
+        else: fn image -> Error.unwrap!(Geometry.crop(image, rect, opts)) end
 
     picture = if depth?(stream.type), do: DepthImage, else: Image
     Operator.attach(stream, "Crop", {:map, fun}, common, {:optional, picture})
@@ -144,7 +144,7 @@ defmodule Situ.Vision do
   @spec to_depth(Stream.t(), keyword()) :: Stream.t()
   def to_depth(stream, opts \\ []) do
     {common, opts} = Keyword.split(opts, @common)
-    fun = &Result.unwrap!(DepthImage.from_gray16(&1, opts))
+    fun = &Error.unwrap!(DepthImage.from_gray16(&1, opts))
     Operator.attach(stream, "To depth", {:map, fun}, common, DepthImage)
   end
 
@@ -153,11 +153,11 @@ defmodule Situ.Vision do
   def to_gray16(stream, opts \\ []),
     do: Operator.attach(stream, "To gray16", {:map, &DepthImage.to_gray16/1}, opts, Image)
 
-  @doc "JPEG or PNG (`Situ.EncodedImage` or binaries) as pictures: `Situ.Image.parse/2`."
+  @doc "JPEG or PNG (`Situ.EncodedImage` or binaries) as pictures: `Situ.Imaging.parse/2`."
   @spec decode(Stream.t(), keyword()) :: Stream.t()
   def decode(stream, opts \\ []) do
     {common, opts} = Keyword.split(opts, @common)
-    fun = &Result.unwrap!(Files.parse(&1, opts))
+    fun = &Error.unwrap!(Files.parse(&1, opts))
     Operator.attach(stream, "Decode", {:map, fun}, common, Image)
   end
 
@@ -168,27 +168,27 @@ defmodule Situ.Vision do
   def motion(stream, opts \\ []) do
     step = fn
       image, _message, nil -> {:skip, image}
-      image, _message, last -> {:emit, Result.unwrap!(Pixels.absdiff(image, last)), image}
+      image, _message, last -> {:emit, Error.unwrap!(Pixels.absdiff(image, last)), image}
     end
 
     Operator.attach(stream, "Motion", {:step, step, nil}, opts, Image)
   end
 
-  @doc "|a - b| of two streams of pictures with the same times: `Situ.Image.absdiff/2`."
+  @doc "|a - b| of two streams of pictures with the same times: `Situ.Imaging.absdiff/2`."
   @spec absdiff(Stream.t(), Stream.t(), keyword()) :: Stream.t()
   def absdiff(stream, other, opts \\ []) do
     stream
     |> Situ.join(other)
     |> Operator.attach(
       "Absdiff",
-      {:map, fn {a, b} -> Result.unwrap!(Pixels.absdiff(a, b)) end},
+      {:map, fn {a, b} -> Error.unwrap!(Pixels.absdiff(a, b)) end},
       opts,
       Image
     )
   end
 
   @doc """
-  How alike the pictures of two streams with the same times are: a stream of maps, `Situ.Image.compare/3`.
+  How alike the pictures of two streams with the same times are: a stream of maps, `Situ.Imaging.compare/3`.
 
       iex> {a, b} = {Situ.Image.filled(2, 1, :gray8, 3), Situ.Image.filled(2, 1, :gray8, 5)}
       iex> Situ.to_list(fn p -> Situ.Vision.compare(Situ.repeat(p, a, 10, count: 1), Situ.repeat(p, b, 10, count: 1), tolerance: 1) end)
@@ -197,7 +197,7 @@ defmodule Situ.Vision do
   @spec compare(Stream.t(), Stream.t(), keyword()) :: Stream.t()
   def compare(stream, other, opts \\ []) do
     {common, opts} = Keyword.split(opts, @common)
-    fun = fn {a, b} -> Result.unwrap!(Measure.compare(a, b, opts)) end
+    fun = fn {a, b} -> Error.unwrap!(Measure.compare(a, b, opts)) end
     stream |> Situ.join(other) |> Operator.attach("Compare", {:map, fun}, common, :map)
   end
 
@@ -205,7 +205,7 @@ defmodule Situ.Vision do
   @spec draw_detections(Stream.t(), keyword()) :: Stream.t()
   def draw_detections(stream, opts \\ []) do
     {common, opts} = Keyword.split(opts, @common)
-    fun = fn {image, rects} -> Result.unwrap!(Drawing.draw_detections(image, rects, opts)) end
+    fun = fn {image, rects} -> Error.unwrap!(Drawing.draw_detections(image, rects, opts)) end
     Operator.attach(stream, "Draw detections", {:map, fun}, common, Image)
   end
 
@@ -215,7 +215,7 @@ defmodule Situ.Vision do
     checked = fn image ->
       case fun.(image) do
         %Image{} = image -> image
-        result -> Result.unwrap!(result)
+        result -> Error.unwrap!(result)
       end
     end
 

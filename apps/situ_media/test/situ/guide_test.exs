@@ -2,7 +2,7 @@ defmodule Situ.Media.PicturesGuideTest do
   # The blocks of docs/guides/pictures-and-sound.md run, give what they say, and make the pictures the page shows.
   # SITU_PICTURES=write makes the page's pictures anew.
   use ExUnit.Case, async: true
-  alias Situ.Image
+  alias Situ.Imaging
 
   @guides Path.expand("../../../../docs/guides", __DIR__)
   @pictures Path.join(@guides, "pictures-and-sound")
@@ -23,11 +23,11 @@ defmodule Situ.Media.PicturesGuideTest do
     assert length(made) == 5
 
     for name <- made do
-      page = Image.read!(Path.join(@pictures, name))
-      fresh = Image.read!(Path.join(out, name))
+      page = Imaging.read!(Path.join(@pictures, name))
+      fresh = Imaging.read!(Path.join(out, name))
 
       # Releases of OpenCV and libjpeg-turbo differ in details; a wrong operator differs everywhere.
-      {:ok, %{mean: mean}} = Image.compare(page, fresh)
+      {:ok, %{mean: mean}} = Imaging.compare(page, fresh)
       assert mean < 1.0, "#{name} is out of date"
     end
   end

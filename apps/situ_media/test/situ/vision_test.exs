@@ -1,7 +1,8 @@
 defmodule Situ.VisionTest do
   # Every stream operator gives what the function of the same name gives, at the picture's own times.
   use ExUnit.Case, async: true
-  alias Situ.{DepthImage, Image, Rect, Vision}
+  doctest Situ.Vision
+  alias Situ.{DepthImage, Image, Imaging, Rect, Vision}
 
   @color Image.filled(12, 8, :bgr24, [10, 120, 240])
   @gray Image.filled(12, 8, :gray8, 90)
@@ -49,7 +50,7 @@ defmodule Situ.VisionTest do
     test "#{name}(#{Enum.map_join(args, ", ", &inspect/1)})" do
       image = if unquote(input) == :gray, do: @gray, else: @color
       args = unquote(Macro.escape(args))
-      {:ok, expected} = apply(Image, unquote(name), [image | args])
+      {:ok, expected} = apply(Imaging, unquote(name), [image | args])
       stream = fn p -> apply(Vision, unquote(name), [source(p, image) | args]) end
       assert Situ.to_list(stream, times: true) == [{10, expected}, {20, expected}]
     end
@@ -57,27 +58,27 @@ defmodule Situ.VisionTest do
 
   test "paste, decode, decode_depth, pseudo_colorize and transform" do
     part = Image.filled(2, 2, :bgr24, 1)
-    assert run(@color, &Vision.paste(&1, part, {3, 3})) == Image.paste!(@color, part, {3, 3})
-    png = Image.encode_png!(@color)
+    assert run(@color, &Vision.paste(&1, part, {3, 3})) == Imaging.paste!(@color, part, {3, 3})
+    png = Imaging.encode_png!(@color)
     assert run(png, &Vision.decode(&1, format: :bgr24)) == @color
     depth = DepthImage.new!(width: 2, height: 1, data: <<1, 2, 3, 4>>)
-    assert run(Image.encode_png!(depth), &Vision.decode_depth/1) == depth
+    assert run(Imaging.encode_png!(depth), &Vision.decode_depth/1) == depth
 
     assert run(depth, &Vision.pseudo_colorize(&1, {0.1, 2})) ==
-             Image.pseudo_colorize!(depth, {0.1, 2})
+             Imaging.pseudo_colorize!(depth, {0.1, 2})
 
-    assert run(@color, &Vision.transform(&1, fn i -> Image.invert(i) end)) ==
-             Image.invert!(@color)
+    assert run(@color, &Vision.transform(&1, fn i -> Imaging.invert(i) end)) ==
+             Imaging.invert!(@color)
 
-    assert run(@color, &Vision.transform(&1, fn i -> Image.invert!(i) end)) ==
-             Image.invert!(@color)
+    assert run(@color, &Vision.transform(&1, fn i -> Imaging.invert!(i) end)) ==
+             Imaging.invert!(@color)
   end
 
   test "differences of streams and of a stream with its past" do
     assert run(@color, &Vision.absdiff(&1, Vision.invert(&1))) ==
-             Image.absdiff!(@color, Image.invert!(@color))
+             Imaging.absdiff!(@color, Imaging.invert!(@color))
 
-    frames = [{1, @gray}, {2, Image.invert!(@gray)}, {3, @gray}]
+    frames = [{1, @gray}, {2, Imaging.invert!(@gray)}, {3, @gray}]
 
     moved =
       Situ.to_list(fn p -> p |> Situ.from_enumerable(frames) |> Vision.motion() end, times: true)
@@ -90,27 +91,27 @@ defmodule Situ.VisionTest do
     rect = Rect.new!(1, 1, 3, 3)
     feed = [{1, {@color, rect}}, {2, {@color, nil}}]
     out = Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Vision.crop(:paired) end)
-    assert out == [Image.crop!(@color, rect), nil]
+    assert out == [Imaging.crop!(@color, rect), nil]
 
     assert run({@color, [rect]}, &Vision.draw_detections/1) ==
-             Image.draw_detections!(@color, [rect])
+             Imaging.draw_detections!(@color, [rect])
   end
 
   test "depth images are cropped as they are, and become pictures and back without a copy" do
     depth = DepthImage.new!(width: 4, height: 2, data: <<1::128>>, scale: 0.01, semantics: :point)
-    {:ok, part} = Image.crop(depth, {2, 1, 2, 1})
+    {:ok, part} = Imaging.crop(depth, {2, 1, 2, 1})
     assert part == %{depth | width: 2, height: 1, stride: 4, data: <<1::32>>}
     assert run(depth, &Vision.crop(&1, {2, 1, 2, 1})) == part
     assert run(depth, &Vision.crop(&1, {9, 9, 2, 1}, clip: true)) == nil
 
     back = &(&1 |> Vision.to_gray16() |> Vision.to_depth(scale: 0.01, semantics: :point))
     assert run(depth, back) == depth
-    assert {:error, %{code: :bad_rect}} = Image.crop(depth, {3, 1, 2, 1})
-    assert_raise ArgumentError, fn -> Image.crop(depth, {3, 1, 2, 1}, clipp: true) end
+    assert {:error, %{code: :bad_rect}} = Imaging.crop(depth, {3, 1, 2, 1})
+    assert_raise ArgumentError, fn -> Imaging.crop(depth, {3, 1, 2, 1}, clipp: true) end
   end
 
   test "two streams are compared" do
-    expected = Image.compare!(@gray, Image.invert!(@gray), tolerance: 80)
+    expected = Imaging.compare!(@gray, Imaging.invert!(@gray), tolerance: 80)
     compare = &Vision.compare(&1, Vision.invert(&1), tolerance: 80)
     assert run(@gray, compare) == expected
     assert expected.max == 75
@@ -122,7 +123,7 @@ defmodule Situ.VisionTest do
     build = fn opts -> fn p -> p |> Situ.from_enumerable(feed) |> Vision.sobel(opts) end end
     assert {:error, error} = Situ.collect(build.([]))
     assert Exception.message(error) =~ "sobel"
-    assert Situ.to_list(build.(on_error: :skip)) == [Image.sobel!(@gray)]
+    assert Situ.to_list(build.(on_error: :skip)) == [Imaging.sobel!(@gray)]
   end
 
   defp source(p, data), do: Situ.from_enumerable(p, [{10, data}, {20, data}])

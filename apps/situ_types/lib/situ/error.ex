@@ -32,6 +32,19 @@ defmodule Situ.Error do
     struct!(%__MODULE__{code: code, what: what}, details)
   end
 
+  @doc """
+  The value of `{:ok, value}`; raises the error of `{:error, error}`. What functions with `!` are made of.
+
+      iex> Situ.Error.unwrap!({:ok, 1})
+      1
+      iex> Situ.Error.unwrap!({:error, Situ.Error.new(:busy, "port 4040 is in use")})
+      ** (Situ.Error) port 4040 is in use
+  """
+  @spec unwrap!(:ok | {:ok, value} | {:error, Exception.t()}) :: :ok | value when value: term()
+  def unwrap!(:ok), do: :ok
+  def unwrap!({:ok, value}), do: value
+  def unwrap!({:error, error}), do: raise(error)
+
   @impl true
   def message(%__MODULE__{} = error) do
     [error.what, error.why && "Why: " <> error.why, error.fix && "Fix: " <> error.fix]

@@ -25,13 +25,13 @@ defmodule Situ.Examples.FaceRegions do
 
   defp regions({picture, faces}) do
     for face <- faces,
-        {:ok, %Situ.Image{} = region} <- [Situ.Image.crop(picture, face.rect, clip: true)],
+        {:ok, %Situ.Image{} = region} <- [Situ.Imaging.crop(picture, face.rect, clip: true)],
         into: %{},
         do: {face.rect.id, region}
   end
 
   defp mean(region) do
-    {:ok, colors} = Situ.Image.average_color(region)
+    {:ok, colors} = Situ.Imaging.average_color(region)
     Enum.sum(Map.values(colors)) / map_size(colors)
   end
 end

@@ -57,7 +57,7 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
   end
 
   defp jpeg(picture) do
-    {:ok, jpeg} = Situ.Image.encode_jpeg(picture, quality: 80)
+    {:ok, jpeg} = Situ.Imaging.encode_jpeg(picture, quality: 80)
     jpeg
   end
 

@@ -85,7 +85,7 @@ defmodule Situ.Infer.FaceDetector do
     Model.shared(path, Keyword.merge(opts[:model_options], Blaze.ports()))
   end
 
-  defp load!(opts), do: opts |> load() |> unwrap!()
+  defp load!(opts), do: opts |> load() |> Situ.Error.unwrap!()
 
   defp detect!(model, image, search) do
     case step(model, image, search) do
@@ -102,7 +102,4 @@ defmodule Situ.Infer.FaceDetector do
       end
     end)
   end
-
-  defp unwrap!({:ok, value}), do: value
-  defp unwrap!({:error, error}), do: raise(error)
 end

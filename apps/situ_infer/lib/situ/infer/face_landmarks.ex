@@ -49,11 +49,12 @@ defmodule Situ.Infer.FaceLandmarks do
   def init(opts), do: {:ok, %__MODULE__{opts: opts}}
 
   @impl true
-  def handle_start(_context, state), do: {[], %{state | model: unwrap!(load(state.opts))}}
+  def handle_start(_context, state),
+    do: {[], %{state | model: Situ.Error.unwrap!(load(state.opts))}}
 
   @impl true
   def handle_message(:in, %{data: {image, faces}} = message, _context, state) do
-    meshes = unwrap!(find(state.model, image, faces, state.opts))
+    meshes = Situ.Error.unwrap!(find(state.model, image, faces, state.opts))
     {[{:out, message.originating_time, meshes}], state}
   end
 
@@ -102,7 +103,4 @@ defmodule Situ.Infer.FaceLandmarks do
        }}
     end
   end
-
-  defp unwrap!({:ok, value}), do: value
-  defp unwrap!({:error, error}), do: raise(error)
 end

@@ -96,7 +96,7 @@ defmodule Situ.Infer.VoiceActivity do
   defp detector!(opts) do
     case opts[:detector] do
       :energy -> Energy.new(opts)
-      :silero -> opts |> Silero.load() |> unwrap!()
+      :silero -> opts |> Silero.load() |> Situ.Error.unwrap!()
     end
   end
 
@@ -130,7 +130,4 @@ defmodule Situ.Infer.VoiceActivity do
       {time, speaking?} -> {:speaking, time, speaking?}
     end)
   end
-
-  defp unwrap!({:ok, value}), do: value
-  defp unwrap!({:error, error}), do: raise(error)
 end

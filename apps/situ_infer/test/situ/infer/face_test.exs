@@ -1,13 +1,13 @@
 defmodule Situ.Infer.FaceTest do
   use ExUnit.Case, async: true
 
-  alias Situ.{Image, Rect}
+  alias Situ.{Image, Imaging, Rect}
   alias Situ.Infer.{ActiveSpeaker, FaceDetector, FaceLandmarks, FaceTracker, Mouth, Patch, Voice}
 
   @fixtures Path.expand("../../fixtures", __DIR__)
 
   defp picture(name) do
-    {:ok, image} = Image.read(Path.join(@fixtures, name))
+    {:ok, image} = Imaging.read(Path.join(@fixtures, name))
     image
   end
 

@@ -3,7 +3,7 @@ defmodule Situ.Infer.PropertyTest do
   import Situ.Test.Property, only: [property: 2]
 
   alias Situ.Infer.{FaceTracker, SimpleVad, VoiceGate}
-  alias Situ.{Rect, Tensor}
+  alias Situ.Rect
 
   property "a gate decides every span once, in order, and never later than it may" do
     {
@@ -72,18 +72,5 @@ defmodule Situ.Infer.PropertyTest do
 
        Enum.all?(ok)
      end}
-  end
-
-  property "a tensor comes back from its bytes, and foreign bytes are refused without raising" do
-    {
-      {:proper_types.list(:proper_types.range(-100, 100)), :proper_types.binary()},
-      fn {list, junk} ->
-        tensor = Tensor.from_list(list, :s16, {length(list)})
-        result = Tensor.decode(junk)
-
-        Tensor.decode(IO.iodata_to_binary(Tensor.encode(tensor))) == {:ok, tensor} and
-          (match?({:ok, %Tensor{}}, result) or match?({:error, _}, result))
-      end
-    }
   end
 end

@@ -156,7 +156,7 @@ defmodule Situ.Audio.Analyzer do
     state = follow(state, buffer.format)
     %{analyzer: analyzer, rest: rest, index: index} = state
     whole = %AudioBuffer{format: buffer.format, data: rest <> buffer.data}
-    frames = Situ.Image.Result.unwrap!(analyze(analyzer, whole, index))
+    frames = Situ.Error.unwrap!(analyze(analyzer, whole, index))
     {actions, last} = emit(frames, whole, time, state)
     used = length(frames) * analyzer.config.shift
     left = AudioBuffer.slice(whole, used, AudioBuffer.frames(whole)).data
@@ -166,7 +166,7 @@ defmodule Situ.Audio.Analyzer do
   defp follow(%{analyzer: %{format: format}} = state, format), do: state
 
   defp follow(state, format) do
-    analyzer = Situ.Image.Result.unwrap!(new(format, state.opts))
+    analyzer = Situ.Error.unwrap!(new(format, state.opts))
     %{state | analyzer: analyzer, rest: "", index: 0}
   end
 

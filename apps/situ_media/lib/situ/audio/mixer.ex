@@ -20,9 +20,8 @@ defmodule Situ.Audio.Mixer do
     outputs: [out: Situ.AudioBuffer],
     options: @schema
 
-  alias Situ.{AudioBuffer, AudioFormat, Error}
+  alias Situ.{AudioBuffer, AudioFormat, Error, Sound}
   alias Situ.Audio.Gap
-  alias Situ.Image.Result
 
   @impl true
   def init(opts) do
@@ -99,7 +98,7 @@ defmodule Situ.Audio.Mixer do
       for input <- [:in, :other], reduce: silence do
         sum ->
           part = between(state[input].waiting, state.cursor, stop, state.format)
-          Result.unwrap!(AudioBuffer.mix(sum, part, gain: state.gains[input]))
+          Error.unwrap!(Sound.mix(sum, part, gain: state.gains[input]))
       end
 
     {:out, state.origin + AudioFormat.frames_to_ns(state.format, stop), sum}

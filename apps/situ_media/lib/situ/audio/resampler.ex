@@ -40,6 +40,7 @@ defmodule Situ.Audio.Resampler do
 
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Media.Kernel
+  alias Situ.Sound.Channels
 
   @enforce_keys [:native, :from, :work, :to]
   defstruct [:native, :from, :work, :to]
@@ -85,10 +86,10 @@ defmodule Situ.Audio.Resampler do
   defp process(filter, buffer, last?) do
     cost = cost(filter, buffer, last?)
 
-    with {:ok, inside} <- AudioBuffer.reformat(buffer, sample: filter.work.sample),
+    with {:ok, inside} <- Channels.reformat(buffer, sample: filter.work.sample),
          {:ok, data} <- Kernel.sound({:resample, filter.native, inside.data, last?}, cost) do
       out = %AudioBuffer{format: %{filter.work | rate: filter.to.rate}, data: data}
-      AudioBuffer.reformat(out, sample: filter.to.sample)
+      Channels.reformat(out, sample: filter.to.sample)
     end
   end
 
@@ -96,10 +97,10 @@ defmodule Situ.Audio.Resampler do
   # the rate falls.
   defp cost(%{from: from, to: to}, buffer, last?) do
     pushed = if last?, do: 20 * from.channels * max(from.rate / to.rate, 1), else: 5
-    Situ.Audio.Channels.cost(buffer) * max(to.rate / from.rate, 1) + pushed
+    Channels.cost(buffer) * max(to.rate / from.rate, 1) + pushed
   end
 
-  @doc "A whole buffer at once: `AudioBuffer.resample/3`."
+  @doc "A whole buffer at once: `Situ.Sound.resample/3`."
   @spec whole(AudioBuffer.t(), pos_integer(), keyword()) :: AudioBuffer.result()
   def whole(%AudioBuffer{format: %{rate: rate}} = buffer, rate, _opts),
     do: AudioBuffer.validate(buffer)
@@ -122,7 +123,7 @@ defmodule Situ.Audio.Resampler do
     if state.filter == :same do
       {flushed ++ [{:out, time, buffer}], %{state | last: time}}
     else
-      out = unwrap!(feed(state.filter, buffer))
+      out = Error.unwrap!(feed(state.filter, buffer))
       state = %{state | taken: state.taken + AudioBuffer.frames(buffer), seen: time}
       {actions, state} = emit(state, out)
       {flushed ++ actions, state}
@@ -141,12 +142,12 @@ defmodule Situ.Audio.Resampler do
     if format.rate == opts[:rate] do
       {actions, %{state | filter: :same}}
     else
-      {actions, %{state | filter: unwrap!(new(format, opts)), taken: 0, given: 0}}
+      {actions, %{state | filter: Error.unwrap!(new(format, opts)), taken: 0, given: 0}}
     end
   end
 
   defp drain(%{filter: %__MODULE__{} = filter} = state) do
-    {actions, state} = emit(state, unwrap!(flush(filter)))
+    {actions, state} = emit(state, Error.unwrap!(flush(filter)))
     {actions, %{state | filter: nil}}
   end
 
@@ -165,6 +166,4 @@ defmodule Situ.Audio.Resampler do
     time = if state.last, do: max(time, state.last + 1), else: time
     {[{:out, time, out}], %{state | given: given, last: time}}
   end
-
-  defp unwrap!(result), do: Situ.Image.Result.unwrap!(result)
 end

@@ -9,7 +9,7 @@ defmodule Situ.Media.Capture do
 
   `use Situ.Media.Capture`, after `use Situ.Component`, gives a component whose state is a capture everything but its `init/1`.
   """
-  alias Situ.{AudioBuffer, AudioFormat, Component.Context}
+  alias Situ.{AudioBuffer, AudioFormat, Component.Context, Sound}
   alias Situ.Media.{Decoder, Device}
   alias Situ.Media.FFmpeg.Reader
   require Logger
@@ -234,7 +234,7 @@ defmodule Situ.Media.Capture do
   end
 
   defp amplify(%AudioBuffer{} = buffer, gain) when gain not in [nil, 1, 1.0],
-    do: AudioBuffer.gain!(buffer, gain)
+    do: Sound.gain!(buffer, gain)
 
   defp amplify(data, _gain), do: data
 

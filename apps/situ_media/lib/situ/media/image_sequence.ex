@@ -1,5 +1,5 @@
 defmodule Situ.Media.ImageSequence do
-  alias Situ.{Error, Image}
+  alias Situ.{Error, Image, Imaging}
   alias Situ.Media.FileTime
   alias Situ.Media.ImageSequence.Index
 
@@ -74,7 +74,7 @@ defmodule Situ.Media.ImageSequence do
   def handle_demand(_n, context, %{shots: [{time, path} | rest]} = state) do
     state = %{state | shots: rest}
 
-    case Image.read(path, format: state.opts[:format]) do
+    case Imaging.read(path, format: state.opts[:format]) do
       {:ok, image} ->
         time = time + state.offset
         {[{:out, time, image}], %{state | last: time}}

@@ -1,5 +1,5 @@
 defmodule Situ.Media.ImageSequenceWriter do
-  alias Situ.{EncodedImage, Error, Image}
+  alias Situ.{EncodedImage, Error, Image, Imaging}
   alias Situ.Media.ImageSequence.Index
 
   @schema [
@@ -88,8 +88,8 @@ defmodule Situ.Media.ImageSequenceWriter do
   defp encode(%Image{} = image, opts) do
     result =
       if opts[:type] == :png,
-        do: Image.encode_png(image),
-        else: Image.encode_jpeg(image, quality: opts[:quality])
+        do: Imaging.encode_png(image),
+        else: Imaging.encode_jpeg(image, quality: opts[:quality])
 
     case result do
       {:ok, encoded} -> encode(encoded, opts)

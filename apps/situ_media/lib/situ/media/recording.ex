@@ -331,7 +331,7 @@ defmodule Situ.Media.Recording do
         {:ok, done |> Enum.reverse() |> Enum.concat()}
 
       {:ok, messages, next} ->
-        points = Enum.flat_map(messages, &AudioBuffer.points(&1.data, &1.originating_time))
+        points = Enum.flat_map(messages, &Situ.Sound.points!(&1.data, &1.originating_time))
         points(recording, info, next, to, [points | done])
 
       {:error, error} ->

@@ -1,5 +1,5 @@
 defmodule Situ.Media.Speaker do
-  alias Situ.{AudioBuffer, AudioFormat}
+  alias Situ.{AudioBuffer, AudioFormat, Sound}
   alias Situ.Media.{Device, Pixels}
   alias Situ.Media.FFmpeg.Writer
 
@@ -70,7 +70,7 @@ defmodule Situ.Media.Speaker do
   end
 
   defp amplify(buffer, gain) when gain in [1, 1.0], do: buffer
-  defp amplify(buffer, gain), do: AudioBuffer.gain!(buffer, gain)
+  defp amplify(buffer, gain), do: Sound.gain!(buffer, gain)
 
   @impl true
   def handle_closed(:in, _time, _context, state), do: {[], close(state)}

@@ -49,13 +49,13 @@ defmodule Situ.Media.WavWriter do
 
   @impl true
   def terminate(_reason, %{writer: nil}), do: :ok
-  def terminate(_reason, %{writer: writer}), do: ok!(Writer.close(writer))
+  def terminate(_reason, %{writer: writer}), do: Situ.Error.unwrap!(Writer.close(writer))
 
   @impl true
   def handle_closed(:in, _time, _context, %{writer: nil} = state), do: {[], state}
 
   def handle_closed(:in, _time, _context, state) do
-    ok!(Writer.close(state.writer))
+    Situ.Error.unwrap!(Writer.close(state.writer))
     {[], %{state | writer: nil}}
   end
 
@@ -89,9 +89,6 @@ defmodule Situ.Media.WavWriter do
       {:error, error} -> raise error
     end
   end
-
-  defp ok!(:ok), do: :ok
-  defp ok!({:error, error}), do: raise(error)
 
   defp too_long(path, gap) do
     Situ.Error.new(

@@ -1,5 +1,6 @@
 defmodule Situ.Audio.AnalyzerTest do
   use ExUnit.Case, async: true
+  doctest Situ.Audio.Analyzer
   import Bitwise
 
   alias Situ.{AudioBuffer, AudioFormat}

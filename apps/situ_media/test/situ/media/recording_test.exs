@@ -2,7 +2,7 @@ defmodule Situ.Media.RecordingTest do
   use ExUnit.Case, async: true
 
   import Situ.Media.TestFiles
-  alias Situ.{AudioBuffer, Pipeline, Store, Time}
+  alias Situ.{AudioBuffer, Pipeline, Sound, Store, Time}
   alias Situ.Media.Recording
 
   doctest Situ.Media.Recording.Index
@@ -118,7 +118,7 @@ defmodule Situ.Media.RecordingTest do
     )
 
     store = Store.open!(file)
-    loud = fn m -> AudioBuffer.level(m.data) |> elem(1) |> Map.fetch!(:peak) > 0.01 end
+    loud = fn m -> Sound.level(m.data) |> elem(1) |> Map.fetch!(:peak) > 0.01 end
 
     seconds =
       store

@@ -2,7 +2,7 @@ defmodule Situ.Studio.Sound do
   @moduledoc """
   A stretch of an audio stream as 32-bit float samples of one channel, put where their times say: gaps are silence.
   """
-  alias Situ.{AudioBuffer, AudioFormat, Error}
+  alias Situ.{AudioBuffer, AudioFormat, Error, Sound}
   alias Situ.Studio.Source
 
   @max_span 10_000_000_000
@@ -54,6 +54,6 @@ defmodule Situ.Studio.Sound do
 
   defp floats(buffer, channel) do
     gains = for c <- 1..buffer.format.channels, do: if(c == channel + 1, do: 1, else: 0)
-    AudioBuffer.remix!(buffer, [gains], sample: :f32).data
+    Sound.remix!(buffer, [gains], sample: :f32).data
   end
 end

@@ -125,7 +125,7 @@ defmodule Situ.Media.Recording.Sound do
   end
 
   defp draw({:audio, time, buffer, decoder}, start, waveform) do
-    points = AudioBuffer.points(buffer, start + time)
+    points = Situ.Sound.points!(buffer, start + time)
     draw(Decoder.next(decoder), start, Waveform.add(waveform, points))
   end
 

@@ -25,7 +25,7 @@ defmodule Situ.Media.Recording.Waveform do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "Takes in points in the order of time, as `Situ.AudioBuffer.points/2` gives them."
+  @doc "Takes in points in the order of time, as `Situ.Sound.points/2` gives them."
   @spec add(t(), [point()]) :: t()
   def add(waveform, points), do: Enum.reduce(points, waveform, &put/2)
 

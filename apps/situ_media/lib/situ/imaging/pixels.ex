@@ -1,7 +1,7 @@
-defmodule Situ.Image.Pixels do
+defmodule Situ.Imaging.Pixels do
   @moduledoc """
   What pixels become: conversion, inversion, thresholds, differences, convolution, pseudo-colour. Call them through
-  `Situ.Image`.
+  `Situ.Imaging`.
   """
   alias Situ.{DepthImage, Error, Image}
   alias Situ.Image.Format
@@ -14,7 +14,7 @@ defmodule Situ.Image.Pixels do
   narrow by `v >> 8`; a missing alpha is opaque.
 
       iex> red = Situ.Image.filled(1, 1, :rgb24, [255, 0, 0])
-      iex> for format <- [:gray8, :bgr24, :bgra32, :rgba64], do: Situ.Image.convert!(red, format).data
+      iex> for format <- [:gray8, :bgr24, :bgra32, :rgba64], do: Situ.Imaging.convert!(red, format).data
       [<<76>>, <<0, 0, 255>>, <<0, 0, 255, 255>>, <<255, 255, 0, 0, 0, 0, 255, 255>>]
   """
   @spec convert(Image.t(), Format.t()) :: Image.result()
@@ -40,7 +40,7 @@ defmodule Situ.Image.Pixels do
   @doc """
   255 - v of every channel (65535 - v for 16 bit); alpha and unused channels are kept.
 
-      iex> Situ.Image.invert!(Situ.Image.filled(1, 1, :bgra32, [0, 1, 255, 40])).data
+      iex> Situ.Imaging.invert!(Situ.Image.filled(1, 1, :bgra32, [0, 1, 255, 40])).data
       <<255, 254, 0, 40>>
   """
   @spec invert(Image.t()) :: Image.result()
@@ -53,7 +53,7 @@ defmodule Situ.Image.Pixels do
 
       iex> image = Situ.Image.new!(width: 3, height: 1, format: :gray8, data: <<9, 10, 11>>)
       iex> for kind <- [:binary, :binary_inverted, :truncate, :to_zero, :to_zero_inverted],
-      ...>     do: Situ.Image.threshold!(image, 10, kind).data
+      ...>     do: Situ.Imaging.threshold!(image, 10, kind).data
       [<<0, 0, 255>>, <<255, 255, 0>>, <<9, 10, 10>>, <<0, 0, 11>>, <<9, 10, 0>>]
   """
   @spec threshold(Image.t(), non_neg_integer(), atom(), keyword()) :: Image.result()
@@ -66,7 +66,7 @@ defmodule Situ.Image.Pixels do
   @doc """
   One channel as grey of the same depth, by its place in memory (0 is blue in `:bgr24`) or its name.
 
-      iex> Situ.Image.extract_channel!(Situ.Image.filled(1, 1, :bgr24, [1, 2, 3]), :red).data
+      iex> Situ.Imaging.extract_channel!(Situ.Image.filled(1, 1, :bgr24, [1, 2, 3]), :red).data
       <<3>>
   """
   @spec extract_channel(Image.t(), non_neg_integer() | atom()) :: Image.result()
@@ -88,7 +88,7 @@ defmodule Situ.Image.Pixels do
   |a - b| of every channel of two pictures of the same size and format.
 
       iex> {a, b} = {Situ.Image.filled(1, 1, :gray8, 3), Situ.Image.filled(1, 1, :gray8, 10)}
-      iex> Situ.Image.absdiff!(a, b).data
+      iex> Situ.Imaging.absdiff!(a, b).data
       <<7>>
   """
   @spec absdiff(Image.t(), Image.t()) :: Image.result()
@@ -101,7 +101,7 @@ defmodule Situ.Image.Pixels do
   picture, divided by **how many taps those are** (not by their sum), truncated, clipped. \\\\psi's rule.
 
       iex> image = Situ.Image.new!(width: 3, height: 1, format: :gray8, data: <<10, 20, 40>>)
-      iex> Situ.Image.convolve!(image, [[1, 1, 1]]).data
+      iex> Situ.Imaging.convolve!(image, [[1, 1, 1]]).data
       <<15, 23, 30>>
   """
   @spec convolve(Image.t(), [[integer()]]) :: Image.result()
@@ -123,7 +123,7 @@ defmodule Situ.Image.Pixels do
   transparent with `transparent: true`. The result is `:bgra32`.
 
       iex> depth = Situ.DepthImage.new!(width: 3, height: 1, data: <<0::16, 500::little-16, 2000::little-16>>)
-      iex> {:ok, colored} = Situ.Image.pseudo_colorize(depth, {0.5, 2.0})
+      iex> {:ok, colored} = Situ.Imaging.pseudo_colorize(depth, {0.5, 2.0})
       iex> colored.data
       <<0, 0, 0, 255, 255, 0, 0, 255, 0, 0, 255, 255>>
   """

@@ -1,6 +1,6 @@
-defmodule Situ.Audio.Channels do
+defmodule Situ.Sound.Channels do
   @moduledoc """
-  Channels, gain and sample types of one buffer. Call them through `Situ.AudioBuffer`.
+  Channels, gain and sample types of one buffer. Call them through `Situ.Sound`.
 
   All are one kernel: every output channel is a weighted sum of input channels, rounded to the nearest and clipped.
   """
@@ -12,7 +12,7 @@ defmodule Situ.Audio.Channels do
   their mean; any other change needs `remix/3`.
 
       iex> stereo = Situ.AudioBuffer.from_samples([100, 300], Situ.AudioFormat.pcm(16_000, 2))
-      iex> {:ok, mono} = Situ.AudioBuffer.reformat(stereo, channels: 1, sample: :s32)
+      iex> {:ok, mono} = Situ.Sound.reformat(stereo, channels: 1, sample: :s32)
       iex> Situ.AudioBuffer.to_samples(mono)
       [200 * 65_536]
   """
@@ -39,7 +39,7 @@ defmodule Situ.Audio.Channels do
   Mixed by a matrix: one list for each output channel, of gains for the input channels. `sample:` as in `reformat/2`.
 
       iex> stereo = Situ.AudioBuffer.from_samples([1, 2, 3, 4], Situ.AudioFormat.pcm(16_000, 2))
-      iex> {:ok, swapped} = Situ.AudioBuffer.remix(stereo, [[0, 1], [1, 0]])
+      iex> {:ok, swapped} = Situ.Sound.remix(stereo, [[0, 1], [1, 0]])
       iex> Situ.AudioBuffer.to_samples(swapped)
       [2, 1, 4, 3]
   """
@@ -76,7 +76,7 @@ defmodule Situ.Audio.Channels do
   The channels with these numbers (0 is the first), in this order.
 
       iex> stereo = Situ.AudioBuffer.from_samples([1, 2, 3, 4], Situ.AudioFormat.pcm(16_000, 2))
-      iex> Situ.AudioBuffer.select_channels!(stereo, [1]) |> Situ.AudioBuffer.to_samples()
+      iex> Situ.Sound.select_channels!(stereo, [1]) |> Situ.AudioBuffer.to_samples()
       [2, 4]
   """
   @spec select_channels(AudioBuffer.t(), [non_neg_integer()]) :: AudioBuffer.result()
@@ -96,7 +96,7 @@ defmodule Situ.Audio.Channels do
   Louder or quieter: `gain` is a factor, `{:db, n}` decibels.
 
       iex> buffer = Situ.AudioBuffer.from_samples([100, 30_000], Situ.AudioFormat.pcm())
-      iex> Situ.AudioBuffer.gain!(buffer, 2) |> Situ.AudioBuffer.to_samples()
+      iex> Situ.Sound.gain!(buffer, 2) |> Situ.AudioBuffer.to_samples()
       [200, 32_767]
   """
   @spec gain(AudioBuffer.t(), number() | {:db, number()}) :: AudioBuffer.result()
@@ -115,7 +115,7 @@ defmodule Situ.Audio.Channels do
 
       iex> format = Situ.AudioFormat.pcm()
       iex> {a, b} = {Situ.AudioBuffer.from_samples([1, 2], format), Situ.AudioBuffer.from_samples([10], format)}
-      iex> Situ.AudioBuffer.mix!(a, b) |> Situ.AudioBuffer.to_samples()
+      iex> Situ.Sound.mix!(a, b) |> Situ.AudioBuffer.to_samples()
       [11, 2]
   """
   @spec mix(AudioBuffer.t(), AudioBuffer.t(), keyword()) :: AudioBuffer.result()
@@ -139,7 +139,7 @@ defmodule Situ.Audio.Channels do
   How loud: peak and root mean square, 1.0 is full scale.
 
       iex> buffer = Situ.AudioBuffer.from_samples([16_384, -16_384], Situ.AudioFormat.pcm())
-      iex> {:ok, level} = Situ.AudioBuffer.level(buffer)
+      iex> {:ok, level} = Situ.Sound.level(buffer)
       iex> {level.peak, level.rms, Float.round(level.rms_db, 2)}
       {0.5, 0.5, -6.02}
   """
@@ -149,6 +149,27 @@ defmodule Situ.Audio.Channels do
          {:ok, channels} <-
            Kernel.sound({:levels, buffer.data, layout(buffer.format)}, cost(buffer)),
          do: {:ok, Situ.Audio.Level.new(channels)}
+  end
+
+  @doc """
+  The waveform, as `Situ.AudioBuffer.points/2` gives it, made by a kernel: for whole films.
+
+      iex> buffer = Situ.AudioBuffer.from_samples([0, 16384, -16384], Situ.AudioFormat.pcm(2000))
+      iex> Situ.Sound.points(buffer, 1_500_000)
+      {:ok, [{0, 0.0, 0.5, 0.5, 2}, {1_000_000, -0.5, -0.5, -0.5, 1}]}
+  """
+  @spec points(AudioBuffer.t(), Situ.Time.t()) ::
+          {:ok, [Situ.Codec.point()]} | {:error, Error.t()}
+  def points(%AudioBuffer{format: format} = buffer, originating_time) do
+    span = max(div(format.rate, 1000), 1)
+    start = AudioBuffer.start_time(buffer, originating_time)
+
+    with {:ok, points} <- Kernel.sound({:points, buffer.data, layout(format), span}, cost(buffer)) do
+      {:ok,
+       for {{min, max, last, count}, i} <- Enum.with_index(points) do
+         {start + AudioFormat.frames_to_ns(format, i * span), min, max, last, count}
+       end}
+    end
   end
 
   @doc false

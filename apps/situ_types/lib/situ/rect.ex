@@ -57,7 +57,7 @@ defmodule Situ.Rect do
 
   @doc "As `new/1`, but returns the rectangle or raises the error."
   @spec new!(keyword()) :: t()
-  def new!(opts), do: Situ.Image.Result.unwrap!(new(opts))
+  def new!(opts), do: Situ.Error.unwrap!(new(opts))
 
   @doc "The rectangle with these edges, without label."
   @spec new!(number(), number(), number(), number()) :: t()

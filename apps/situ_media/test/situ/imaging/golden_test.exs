@@ -1,76 +1,78 @@
-defmodule Situ.Image.GoldenTest do
+defmodule Situ.Imaging.GoldenTest do
   # Kernels against what NumPy, OpenCV, Pillow, SciPy and soxr made of the same input: priv/golden/make_golden.py.
   use ExUnit.Case, async: true
-  alias Situ.{AudioBuffer, AudioFormat, Image}
+  alias Situ.{AudioBuffer, AudioFormat, Image, Imaging, Sound}
 
   @dir Application.app_dir(:situ_media, "priv/golden")
 
-  defp golden(name), do: Image.read!(Path.join(@dir, name <> ".png"), format: :bgr24)
-  defp gray(name), do: Image.read!(Path.join(@dir, name <> ".png"))
+  defp golden(name), do: Imaging.read!(Path.join(@dir, name <> ".png"), format: :bgr24)
+  defp gray(name), do: Imaging.read!(Path.join(@dir, name <> ".png"))
 
   defp numbers,
     do: @dir |> Path.join("numbers.json") |> File.read!() |> Situ.JSON.decode() |> elem(1)
 
   # tolerance: no channel value may be further off, but for a fraction `outliers`.
   defp assert_same(got, golden, tolerance, outliers \\ 0.0) do
-    got = if golden.format == :gray8, do: got, else: Image.convert!(got, :bgr24)
-    {:ok, result} = Image.compare(got, golden, tolerance: tolerance, outliers: outliers)
+    got = if golden.format == :gray8, do: got, else: Imaging.convert!(got, :bgr24)
+    {:ok, result} = Imaging.compare(got, golden, tolerance: tolerance, outliers: outliers)
     assert result.equal?, inspect(result)
   end
 
   setup_all do
-    source = Image.read!(Path.join(@dir, "source.png"), format: :bgr24)
-    %{source: source, gray: Image.convert!(source, :gray8)}
+    source = Imaging.read!(Path.join(@dir, "source.png"), format: :bgr24)
+    %{source: source, gray: Imaging.convert!(source, :gray8)}
   end
 
   test "grey is \\psi's, exactly", %{source: source} do
-    assert_same(Image.convert!(source, :gray8), gray("gray"), 0)
-    assert_same(source |> Image.convert!(:rgb24) |> Image.convert!(:gray8), gray("gray"), 0)
-    assert_same(source |> Image.convert!(:bgra32) |> Image.convert!(:gray8), gray("gray"), 0)
+    assert_same(Imaging.convert!(source, :gray8), gray("gray"), 0)
+    assert_same(source |> Imaging.convert!(:rgb24) |> Imaging.convert!(:gray8), gray("gray"), 0)
+    assert_same(source |> Imaging.convert!(:bgra32) |> Imaging.convert!(:gray8), gray("gray"), 0)
   end
 
   describe "resize equals" do
     test "OpenCV's INTER_LINEAR within 1", %{source: source} do
-      assert_same(Image.resize!(source, 80, 60), golden("resize_bilinear_opencv"), 1)
-      assert_same(Image.resize!(source, 288, 192), golden("resize_up_bilinear_opencv"), 1)
+      assert_same(Imaging.resize!(source, 80, 60), golden("resize_bilinear_opencv"), 1)
+      assert_same(Imaging.resize!(source, 288, 192), golden("resize_up_bilinear_opencv"), 1)
     end
 
     test "OpenCV's INTER_AREA for whole factors within 1", %{source: source} do
-      assert_same(Image.resize!(source, 96, 64, filter: :area), golden("resize_area_opencv"), 1)
+      assert_same(Imaging.resize!(source, 96, 64, filter: :area), golden("resize_area_opencv"), 1)
     end
 
     test "Pillow's bilinear within 1, Lanczos but for 1 value in 1000, nearest exactly", %{
       source: source
     } do
       assert_same(
-        Image.resize!(source, 80, 60, filter: :smooth),
+        Imaging.resize!(source, 80, 60, filter: :smooth),
         golden("resize_smooth_pillow"),
         1
       )
 
       assert_same(
-        Image.resize!(source, 80, 60, filter: :lanczos),
+        Imaging.resize!(source, 80, 60, filter: :lanczos),
         golden("resize_lanczos_pillow"),
         1,
         0.001
       )
 
       assert_same(
-        Image.resize!(source, 64, 32, filter: :nearest),
+        Imaging.resize!(source, 64, 32, filter: :nearest),
         golden("resize_nearest_pillow"),
         0
       )
     end
 
     test "itself for 16 bit and for strided parts", %{gray: gray} do
-      wide = gray |> Image.convert!(:gray16) |> Image.resize!(80, 60) |> Image.convert!(:gray8)
-      assert_same(wide, Image.resize!(gray, 80, 60), 1)
+      wide =
+        gray |> Imaging.convert!(:gray16) |> Imaging.resize!(80, 60) |> Imaging.convert!(:gray8)
+
+      assert_same(wide, Imaging.resize!(gray, 80, 60), 1)
       # A part as a view into the whole: same stride, no copy, odd offset.
       offset = 3 * gray.stride + 5
       data = binary_part(gray.data, offset, byte_size(gray.data) - offset)
       view = %{gray | width: 101, height: 99, data: data}
-      part = Image.crop!(gray, {5, 3, 101, 99})
-      assert Image.resize!(view, 31, 17) == Image.resize!(part, 31, 17)
+      part = Imaging.crop!(gray, {5, 3, 101, 99})
+      assert Imaging.resize!(view, 31, 17) == Imaging.resize!(part, 31, 17)
     end
   end
 
@@ -78,44 +80,44 @@ defmodule Situ.Image.GoldenTest do
     # Two releases of OpenCV: the fixed-point interpolation differs by 1 or 2 here and there.
     test "warps", %{source: source} do
       matrix = [0.9, -0.3, 20.5, 0.25, 1.1, -10.25]
-      warped = Image.warp_affine!(source, matrix, color: [10, 20, 30])
+      warped = Imaging.warp_affine!(source, matrix, color: [10, 20, 30])
       assert_same(warped, golden("warp_affine"), 2, 0.002)
-      perspective = Image.warp_perspective!(source, numbers()["perspective"])
+      perspective = Imaging.warp_perspective!(source, numbers()["perspective"])
       assert_same(perspective, golden("warp_perspective"), 2, 0.002)
     end
 
     test "blurs", %{source: source} do
-      assert_same(Image.blur!(source, 1.4), golden("blur"), 1)
-      assert_same(Image.box_blur!(source, 5), golden("box_blur"), 1)
-      assert_same(Image.median_blur!(source, 5), golden("median_blur"), 0)
+      assert_same(Imaging.blur!(source, 1.4), golden("blur"), 1)
+      assert_same(Imaging.box_blur!(source, 5), golden("box_blur"), 1)
+      assert_same(Imaging.median_blur!(source, 5), golden("median_blur"), 0)
     end
 
     test "edges and shapes", %{gray: gray} do
-      assert_same(Image.canny!(gray, 60, 120), gray("canny"), 0, 0.001)
-      assert_same(Image.sobel!(gray), gray("sobel"), 1)
-      assert_same(Image.erode!(gray, 3), gray("erode"), 0)
-      assert_same(Image.close!(gray, 3), gray("close"), 0)
-      assert_same(Image.equalize!(gray), gray("equalize"), 1)
+      assert_same(Imaging.canny!(gray, 60, 120), gray("canny"), 0, 0.001)
+      assert_same(Imaging.sobel!(gray), gray("sobel"), 1)
+      assert_same(Imaging.erode!(gray, 3), gray("erode"), 0)
+      assert_same(Imaging.close!(gray, 3), gray("close"), 0)
+      assert_same(Imaging.equalize!(gray), gray("equalize"), 1)
     end
   end
 
   test "a quarter turn is Pillow's, exactly", %{source: source} do
-    assert_same(Image.rotate!(source, 90), golden("rotate_pillow_90"), 0)
+    assert_same(Imaging.rotate!(source, 90), golden("rotate_pillow_90"), 0)
   end
 
   test "convolution divides by the taps inside", %{gray: gray} do
     kernel = [[1, 2, 1], [0, 5, 0], [-1, -2, -1]]
-    assert_same(Image.convolve!(gray, kernel), gray("convolve"), 0)
+    assert_same(Imaging.convolve!(gray, kernel), gray("convolve"), 0)
   end
 
   test "a JPEG decodes as Pillow decodes it, within 2" do
     jpeg = File.read!(Path.join(@dir, "source.jpg"))
-    assert_same(Image.parse!(jpeg), golden("jpeg_decoded_pillow"), 2)
+    assert_same(Imaging.parse!(jpeg), golden("jpeg_decoded_pillow"), 2)
   end
 
   test "raw camera frames are OpenCV's within 1" do
     i420 = File.read!(Path.join(@dir, "frame.i420"))
-    assert_same(Image.from_yuv!(i420, 192, 128, :i420), golden("i420_opencv"), 1)
+    assert_same(Imaging.from_yuv!(i420, 192, 128, :i420), golden("i420_opencv"), 1)
     <<luma::binary-size(24_576), u::binary-size(6144), v::binary>> = i420
 
     pairs =
@@ -123,34 +125,34 @@ defmodule Situ.Image.GoldenTest do
           into: <<>>,
           do: <<u, v>>
 
-    assert Image.from_yuv!(luma <> pairs, 192, 128, :nv12) ==
-             Image.from_yuv!(i420, 192, 128, :i420)
+    assert Imaging.from_yuv!(luma <> pairs, 192, 128, :nv12) ==
+             Imaging.from_yuv!(i420, 192, 128, :i420)
 
-    assert {:error, %{code: :bad_image}} = Image.from_yuv(luma, 192, 128, :nv12)
-    assert {:error, %{code: :bad_image}} = Image.from_yuv(<<0::72>>, 3, 2, :i420)
-    assert {:error, %{code: :too_large}} = Image.from_yuv("", 100_000, 100_000, :nv12)
+    assert {:error, %{code: :bad_image}} = Imaging.from_yuv(luma, 192, 128, :nv12)
+    assert {:error, %{code: :bad_image}} = Imaging.from_yuv(<<0::72>>, 3, 2, :i420)
+    assert {:error, %{code: :too_large}} = Imaging.from_yuv("", 100_000, 100_000, :nv12)
   end
 
   test "a JPEG of our own is close to its source", %{source: source} do
-    {:ok, jpeg} = Image.encode_jpeg(source, quality: 95, subsampling: :full)
-    {:ok, back} = Image.parse(jpeg)
-    assert {:ok, %{mean: mean}} = Image.compare(back, source)
+    {:ok, jpeg} = Imaging.encode_jpeg(source, quality: 95, subsampling: :full)
+    {:ok, back} = Imaging.parse(jpeg)
+    assert {:ok, %{mean: mean}} = Imaging.compare(back, source)
     assert mean < 2.5
   end
 
   test "16-bit depth comes back from OpenCV's PNG", %{gray: gray} do
     {:ok, depth} =
-      @dir |> Path.join("depth.png") |> File.read!() |> Image.decode_depth(scale: 0.002)
+      @dir |> Path.join("depth.png") |> File.read!() |> Imaging.decode_depth(scale: 0.002)
 
     {:ok, [value]} = Image.fetch_pixel(gray, 50, 40)
     assert {:ok, metres} = Situ.DepthImage.fetch_distance(depth, 50, 40)
     assert_in_delta metres, value * 20 * 0.002, 1.0e-9
-    {:ok, png} = Image.encode_png(depth)
-    assert {:ok, ^depth} = Image.decode_depth(png, scale: 0.002)
+    {:ok, png} = Imaging.encode_png(depth)
+    assert {:ok, ^depth} = Imaging.decode_depth(png, scale: 0.002)
   end
 
   test "statistics and histogram are NumPy's", %{source: source} do
-    {:ok, statistics} = Image.statistics(source)
+    {:ok, statistics} = Imaging.statistics(source)
 
     for {name, golden} <- Enum.zip([:blue, :green, :red], numbers()["channels"]) do
       got = statistics[name]
@@ -159,13 +161,13 @@ defmodule Situ.Image.GoldenTest do
       assert_in_delta got.deviation, golden["deviation"], 1.0e-6
     end
 
-    {:ok, %{blue: blue}} = Image.histogram(source)
+    {:ok, %{blue: blue}} = Imaging.histogram(source)
     assert blue == numbers()["histogram_blue"]
   end
 
   describe "sound" do
     test "resampled is soxr's" do
-      got = AudioBuffer.resample!(sound("sweep_48k.f32", 48_000), 16_000)
+      got = Sound.resample!(sound("sweep_48k.f32", 48_000), 16_000)
       golden = sound("sweep_16k.f32", 16_000)
       assert AudioBuffer.frames(got) == AudioBuffer.frames(golden)
       pairs = Enum.zip(AudioBuffer.to_samples(got), AudioBuffer.to_samples(golden))

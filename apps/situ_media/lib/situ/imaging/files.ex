@@ -1,11 +1,12 @@
-defmodule Situ.Image.Files do
+defmodule Situ.Imaging.Files do
   @moduledoc """
-  Pictures as JPEG, PNG and raw bytes. Call them through `Situ.Image`.
+  Pictures as JPEG, PNG and raw bytes. Call them through `Situ.Imaging`.
 
   Whatever a header claims, memory is only taken when the bytes there could hold such a picture, and never more than
   `Situ.Image.max_bytes/0`.
   """
   alias Situ.{DepthImage, EncodedImage, Error, Image}
+  alias Situ.Imaging.Pixels
   alias Situ.Media.Kernel
 
   @jpeg [
@@ -24,10 +25,10 @@ defmodule Situ.Image.Files do
 
   #{Situ.Options.docs(@jpeg)}
 
-      iex> {:ok, jpeg} = Situ.Image.encode_jpeg(Situ.Image.filled(16, 8, :bgr24, [0, 128, 255]))
+      iex> {:ok, jpeg} = Situ.Imaging.encode_jpeg(Situ.Image.filled(16, 8, :bgr24, [0, 128, 255]))
       iex> {jpeg.format, jpeg.width, jpeg.height}
       {:jpeg, 16, 8}
-      iex> {:error, error} = Situ.Image.encode_jpeg(Situ.Image.filled(2, 2, :gray16))
+      iex> {:error, error} = Situ.Imaging.encode_jpeg(Situ.Image.filled(2, 2, :gray16))
       iex> error.code
       :bad_format
   """
@@ -46,8 +47,8 @@ defmodule Situ.Image.Files do
   `:bgrx32` loses its unused channel.
 
       iex> image = Situ.Image.filled(3, 2, :gray16, 1234)
-      iex> {:ok, png} = Situ.Image.encode_png(image)
-      iex> Situ.Image.parse(png)
+      iex> {:ok, png} = Situ.Imaging.encode_png(image)
+      iex> Situ.Imaging.parse(png)
       {:ok, image}
   """
   @spec encode_png(Image.t() | DepthImage.t(), keyword()) ::
@@ -73,7 +74,7 @@ defmodule Situ.Image.Files do
   `:rgb24`, `:rgba32` or `:rgba64` as the file has it, converted when `format:` is given. A truncated or broken file is an
   error: `:bad_jpeg`, `:bad_png`.
 
-      iex> {:error, error} = Situ.Image.parse(<<0xFF, 0xD8, 0xFF, 0xE0, 0>>)
+      iex> {:error, error} = Situ.Imaging.parse(<<0xFF, 0xD8, 0xFF, 0xE0, 0>>)
       iex> error.code
       :bad_jpeg
   """
@@ -96,7 +97,7 @@ defmodule Situ.Image.Files do
     cost = if byte_size(bytes) < 512, do: 1, else: 1000
 
     with {:ok, image} <- Kernel.picture({:png_decode, bytes}, cost) do
-      if wanted, do: Image.convert(image, wanted), else: {:ok, image}
+      if wanted, do: Pixels.convert(image, wanted), else: {:ok, image}
     end
   end
 
@@ -109,7 +110,7 @@ defmodule Situ.Image.Files do
   @doc """
   Reads a `.jpg` or `.png` file (by its bytes, not its name).
 
-      iex> {:error, error} = Situ.Image.read("no/such/file.png")
+      iex> {:error, error} = Situ.Imaging.read("no/such/file.png")
       iex> error.code
       :unreadable
   """
@@ -155,10 +156,10 @@ defmodule Situ.Image.Files do
   @doc """
   A picture from raw pixels without gaps: `width * height` pixels of `format`, exactly.
 
-      iex> {:ok, image} = Situ.Image.from_raw(<<1, 2, 3, 4>>, 2, 2, :gray8)
+      iex> {:ok, image} = Situ.Imaging.from_raw(<<1, 2, 3, 4>>, 2, 2, :gray8)
       iex> image.stride
       2
-      iex> {:error, error} = Situ.Image.from_raw(<<1, 2, 3, 4>>, 2, 2, :gray16)
+      iex> {:error, error} = Situ.Imaging.from_raw(<<1, 2, 3, 4>>, 2, 2, :gray16)
       iex> error.code
       :bad_image
   """
@@ -178,10 +179,10 @@ defmodule Situ.Image.Files do
   A `:bgr24` picture from a camera's or decoder's raw frame: `:nv12`, `:i420` (both sides even) or `:yuyv` (even width),
   BT.601 with luma 16..235, rows without gaps.
 
-      iex> {:ok, image} = Situ.Image.from_yuv(<<235, 128, 16, 128>>, 2, 1, :yuyv)
+      iex> {:ok, image} = Situ.Imaging.from_yuv(<<235, 128, 16, 128>>, 2, 1, :yuyv)
       iex> image.data
       <<255, 255, 255, 0, 0, 0>>
-      iex> {:error, error} = Situ.Image.from_yuv("short", 640, 480, :nv12)
+      iex> {:error, error} = Situ.Imaging.from_yuv("short", 640, 480, :nv12)
       iex> error.code
       :bad_image
   """

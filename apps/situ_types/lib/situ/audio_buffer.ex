@@ -13,7 +13,6 @@ defmodule Situ.AudioBuffer do
   """
   @behaviour Situ.Codec
 
-  alias Situ.Audio.Channels
   alias Situ.{AudioFormat, Error}
 
   @enforce_keys [:format, :data]
@@ -49,7 +48,7 @@ defmodule Situ.AudioBuffer do
 
   @doc "As `new/1`, but returns the buffer or raises the error."
   @spec new!(keyword()) :: t()
-  def new!(opts), do: Situ.Image.Result.unwrap!(new(opts))
+  def new!(opts), do: Situ.Error.unwrap!(new(opts))
 
   @doc "Checks a struct built by hand."
   @spec validate(t()) :: result()
@@ -166,36 +165,6 @@ defmodule Situ.AudioBuffer do
     new!(format: format, data: data)
   end
 
-  @doc """
-  At another rate, the whole buffer at once; `quality:` as in `Situ.Audio.Resampler`.
-
-      iex> buffer = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(48_000), 480)
-      iex> Situ.AudioBuffer.resample!(buffer, 16_000) |> Situ.AudioBuffer.frames()
-      160
-  """
-  @spec resample(t(), pos_integer(), keyword()) :: result()
-  def resample(%__MODULE__{} = buffer, rate, opts \\ []),
-    do: Situ.Audio.Resampler.whole(buffer, rate, opts)
-
-  defdelegate reformat(buffer, opts), to: Channels
-  defdelegate remix(buffer, matrix, opts \\ []), to: Channels
-  defdelegate select_channels(buffer, channels), to: Channels
-  defdelegate gain(buffer, gain), to: Channels
-  defdelegate mix(a, b, opts \\ []), to: Channels
-  defdelegate level(buffer), to: Channels
-
-  for {name, arity} <-
-        [resample: 2, resample: 3, reformat: 2, remix: 2, remix: 3, select_channels: 2] ++
-          [gain: 2, mix: 2, mix: 3, level: 1] do
-    args = Macro.generate_arguments(arity, __MODULE__)
-    types = List.duplicate(quote(do: term()), arity)
-
-    @doc "As `#{name}/#{arity}`, but returns the value or raises the `Situ.Error`."
-    @spec unquote(:"#{name}!")(unquote_splicing(types)) :: term()
-    def unquote(:"#{name}!")(unquote_splicing(args)),
-      do: Situ.Image.Result.unwrap!(unquote(name)(unquote_splicing(args)))
-  end
-
   @impl Situ.Codec
   def codec_name, do: "situ.audio_buffer"
 
@@ -231,16 +200,44 @@ defmodule Situ.AudioBuffer do
   @impl Situ.Codec
   def points(%__MODULE__{format: format} = buffer, originating_time) do
     span = max(div(format.rate, 1000), 1)
-    start = start_time(buffer, originating_time)
-    job = {:points, buffer.data, Channels.layout(format), span}
-    {:ok, points} = Situ.Media.Kernel.sound(job, Channels.cost(buffer))
-
-    points
-    |> Enum.with_index()
-    |> Enum.map(fn {{min, max, last, count}, i} ->
-      {start + AudioFormat.frames_to_ns(format, i * span), min, max, last, count}
-    end)
+    bytes = span * AudioFormat.bytes_per_frame(format)
+    fold(buffer, start_time(buffer, originating_time), span, bytes, 0)
   end
+
+  defp fold(%{data: <<>>}, _start, _span, _bytes, _i), do: []
+
+  defp fold(%{format: format, data: data} = buffer, start, span, bytes, i) do
+    {piece, rest} = split(data, bytes)
+    time = start + AudioFormat.frames_to_ns(format, i * span)
+    later = fold(%{buffer | data: rest}, start, span, bytes, i + 1)
+
+    frames = div(byte_size(piece), AudioFormat.bytes_per_frame(format))
+
+    # What is not a number has no place in a drawing.
+    case to_samples(%{buffer | data: piece}) do
+      [] ->
+        later
+
+      [first | samples] ->
+        {min, max, last} = extremes(samples, first, first, first)
+        scale = &full_scale(format.sample, &1)
+        [{time, scale.(min), scale.(max), scale.(last), frames} | later]
+    end
+  end
+
+  defp split(data, bytes) when byte_size(data) <= bytes, do: {data, <<>>}
+  defp split(data, bytes), do: :erlang.split_binary(data, bytes)
+
+  defp extremes([v | rest], min, max, _) when v < min, do: extremes(rest, v, max, v)
+  defp extremes([v | rest], min, max, _) when v > max, do: extremes(rest, min, v, v)
+  defp extremes([v | rest], min, max, _), do: extremes(rest, min, max, v)
+  defp extremes([], min, max, last), do: {min, max, last}
+
+  defp full_scale(:u8, v), do: (v - 128) / 128
+  defp full_scale(:s16, v), do: v / 32_768
+  defp full_scale(:s24, v), do: v / 8_388_608
+  defp full_scale(:s32, v), do: v / 2_147_483_648
+  defp full_scale(_float, v), do: v
 
   defp bad(what), do: {:error, Error.new(:bad_audio, what)}
 

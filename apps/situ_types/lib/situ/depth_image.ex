@@ -59,7 +59,7 @@ defmodule Situ.DepthImage do
 
   @doc "As `new/1`, but returns the image or raises the error."
   @spec new!(keyword()) :: t()
-  def new!(opts), do: Image.Result.unwrap!(new(opts))
+  def new!(opts), do: Situ.Error.unwrap!(new(opts))
 
   @doc "Checks a struct built by hand."
   @spec validate(t()) :: result()
@@ -98,13 +98,13 @@ defmodule Situ.DepthImage do
   end
 
   @doc """
-  The depth image that a picture function makes of this one: crop, resize, flip, rotate ... see `Situ.Image`. Interpolating
+  The depth image that a function on pictures makes of this one: crop, resize, flip, rotate ... Interpolating
   across unknown values (0) mixes them in, so resize with `filter: :nearest`.
 
       iex> depth = Situ.DepthImage.new!(width: 2, height: 1, data: <<1, 0, 2, 0>>, scale: 0.01)
-      iex> {:ok, part} = Situ.DepthImage.through(depth, &Situ.Image.crop(&1, {1, 0, 1, 1}))
+      iex> {:ok, part} = Situ.DepthImage.through(depth, &Situ.Image.put_pixel(&1, 0, 0, 9))
       iex> {part.data, part.scale}
-      {<<2, 0>>, 0.01}
+      {<<9, 0, 2, 0>>, 0.01}
   """
   @spec through(t(), (Image.t() -> Image.result() | {:ok, nil})) :: result() | {:ok, nil}
   def through(%__MODULE__{} = depth, fun) when is_function(fun, 1) do
@@ -123,7 +123,59 @@ defmodule Situ.DepthImage do
     end
   end
 
-  defdelegate interpolated_distance(depth, x, y, opts \\ []), to: Situ.Image.Measure
+  @doc """
+  The distance in metres at a pixel, made up from its neighbours where it is not known (`invalid:`, default 0): the nearest
+  known values to the left, right, above and below, each weighted by one over how far away it is. `{:ok, nil}` when there
+  is none in any direction.
+
+      iex> depth = Situ.DepthImage.new!(width: 4, height: 1, data: <<100, 0, 0, 0, 0, 0, 160, 0>>, scale: 0.01)
+      iex> {:ok, metres} = Situ.DepthImage.interpolated_distance(depth, 1, 0)
+      iex> Float.round(metres, 6)
+      1.2
+      iex> Situ.DepthImage.interpolated_distance(Situ.DepthImage.new!(width: 1, height: 1, data: <<0, 0>>), 0, 0)
+      {:ok, nil}
+  """
+  @spec interpolated_distance(t(), integer(), integer(), keyword()) ::
+          {:ok, float() | nil} | {:error, Error.t()}
+  def interpolated_distance(%__MODULE__{} = depth, x, y, opts \\ []) do
+    invalid = Keyword.get(opts, :invalid, 0)
+
+    with {:ok, [value]} <- Image.fetch_pixel(to_gray16(depth), x, y) do
+      if value == invalid,
+        do: {:ok, mean_around(depth, x, y, invalid)},
+        else: {:ok, value * depth.scale}
+    end
+  end
+
+  defp mean_around(depth, x, y, invalid) do
+    found =
+      for {dx, dy} <- [{-1, 0}, {1, 0}, {0, -1}, {0, 1}],
+          {value, offset} <- [look(depth, x, y, {dx, dy}, invalid)],
+          value != nil,
+          do: {value, 1 / offset}
+
+    case found do
+      [] ->
+        nil
+
+      found ->
+        weights = found |> Enum.map(&elem(&1, 1)) |> Enum.sum()
+        sum = found |> Enum.map(fn {value, weight} -> value * weight end) |> Enum.sum()
+        sum / weights * depth.scale
+    end
+  end
+
+  defp look(depth, x, y, {dx, dy}, invalid) do
+    1
+    |> Stream.iterate(&(&1 + 1))
+    |> Enum.find_value(fn n ->
+      case Image.fetch_pixel(to_gray16(depth), x + n * dx, y + n * dy) do
+        {:ok, [^invalid]} -> nil
+        {:ok, [value]} -> {value, n}
+        {:error, _} -> {nil, n}
+      end
+    end)
+  end
 
   @header_bytes 64
 

@@ -1,6 +1,6 @@
-defmodule Situ.Image.Geometry do
+defmodule Situ.Imaging.Geometry do
   @moduledoc """
-  Where pixels go: crop, resize, letterbox, flip, rotate, warp, paste. Call them through `Situ.Image`.
+  Where pixels go: crop, resize, letterbox, flip, rotate, warp, paste. Call them through `Situ.Imaging`.
   """
   alias Situ.{DepthImage, Error, Image, Rect}
   alias Situ.Image.{Color, Format}
@@ -33,13 +33,13 @@ defmodule Situ.Image.Geometry do
   `{:ok, nil}` says that nothing is left.
 
       iex> image = Situ.Image.new!(width: 3, height: 2, format: :gray8, data: <<1, 2, 3, 4, 5, 6>>)
-      iex> {:ok, part} = Situ.Image.crop(image, {1, 0, 2, 2})
+      iex> {:ok, part} = Situ.Imaging.crop(image, {1, 0, 2, 2})
       iex> part.data
       <<2, 3, 5, 6>>
-      iex> {:error, error} = Situ.Image.crop(image, {2, 0, 2, 2})
+      iex> {:error, error} = Situ.Imaging.crop(image, {2, 0, 2, 2})
       iex> error.code
       :bad_rect
-      iex> Situ.Image.crop(image, {5, 5, 1, 1}, clip: true)
+      iex> Situ.Imaging.crop(image, {5, 5, 1, 1}, clip: true)
       {:ok, nil}
 
   A depth image is cropped to a depth image of the same semantics and scale.
@@ -94,7 +94,7 @@ defmodule Situ.Image.Geometry do
   `filter:` `:bilinear` (default; two by two pixels, what OpenCV calls INTER_LINEAR), `:nearest`, `:bicubic`, `:area`
   (mean of the pixels covered), `:smooth` (bilinear over all pixels covered: shrinks without jagged edges), `:lanczos`.
 
-      iex> {:ok, small} = Situ.Image.resize(Situ.Image.filled(64, 48, :bgr24, [1, 2, 3]), 32, 24)
+      iex> {:ok, small} = Situ.Imaging.resize(Situ.Image.filled(64, 48, :bgr24, [1, 2, 3]), 32, 24)
       iex> {small, Situ.Image.fetch_pixel(small, 31, 23)}
       {small, {:ok, [1, 2, 3]}}
   """
@@ -131,7 +131,7 @@ defmodule Situ.Image.Geometry do
   @doc """
   Resized by factors; sizes are rounded to the nearest pixel, at least 1.
 
-      iex> {:ok, image} = Situ.Image.scale(Situ.Image.filled(10, 10, :gray8), 0.5, 2)
+      iex> {:ok, image} = Situ.Imaging.scale(Situ.Image.filled(10, 10, :gray8), 0.5, 2)
       iex> {image.width, image.height}
       {5, 20}
   """
@@ -146,7 +146,7 @@ defmodule Situ.Image.Geometry do
   Resized to the largest size of the same proportions that fits `width` by `height`, in the middle, the rest filled with
   `color:` (default 0). `letterbox_rect/4` tells where it lands.
 
-      iex> {:ok, image} = Situ.Image.letterbox(Situ.Image.filled(4, 2, :gray8, 9), 4, 4)
+      iex> {:ok, image} = Situ.Imaging.letterbox(Situ.Image.filled(4, 2, :gray8, 9), 4, 4)
       iex> image.data
       <<0, 0, 0, 0, 9, 9, 9, 9, 9, 9, 9, 9, 0, 0, 0, 0>>
   """
@@ -166,7 +166,7 @@ defmodule Situ.Image.Geometry do
   @doc """
   Where a `from_width` x `from_height` picture lies in its `width` x `height` letterbox.
 
-      iex> Situ.Image.letterbox_rect(1280, 720, 640, 640)
+      iex> Situ.Imaging.letterbox_rect(1280, 720, 640, 640)
       %Situ.Rect{x: 0, y: 140, width: 640, height: 360}
   """
   @spec letterbox_rect(pos_integer(), pos_integer(), pos_integer(), pos_integer()) :: Rect.t()
@@ -182,7 +182,7 @@ defmodule Situ.Image.Geometry do
   becomes right), or `:both`.
 
       iex> image = Situ.Image.new!(width: 2, height: 2, format: :gray8, data: <<1, 2, 3, 4>>)
-      iex> for axis <- [:horizontal, :vertical, :both], do: Situ.Image.flip!(image, axis).data
+      iex> for axis <- [:horizontal, :vertical, :both], do: Situ.Imaging.flip!(image, axis).data
       [<<3, 4, 1, 2>>, <<2, 1, 4, 3>>, <<4, 3, 2, 1>>]
   """
   @spec flip(Image.t(), :horizontal | :vertical | :both) :: Image.result()
@@ -199,8 +199,8 @@ defmodule Situ.Image.Geometry do
   diagonal whatever the angle; `:same`, the source's size.
 
       iex> image = Situ.Image.filled(100, 200, :gray8)
-      iex> {:ok, tight} = Situ.Image.rotate(image, 10)
-      iex> {:ok, loose} = Situ.Image.rotate(image, 10, fit: :loose)
+      iex> {:ok, tight} = Situ.Imaging.rotate(image, 10)
+      iex> {:ok, loose} = Situ.Imaging.rotate(image, 10, fit: :loose)
       iex> {tight.width, tight.height, loose.width, loose.height}
       {133, 214, 223, 223}
   """
@@ -253,7 +253,7 @@ defmodule Situ.Image.Geometry do
   #{Situ.Options.docs(@warp)}
 
       iex> image = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<5, 7>>)
-      iex> Situ.Image.warp_affine!(image, [1, 0, 1, 0, 1, 0]).data
+      iex> Situ.Imaging.warp_affine!(image, [1, 0, 1, 0, 1, 0]).data
       <<0, 5>>
   """
   @spec warp_affine(Image.t(), [number()], keyword()) :: Image.result()
@@ -264,7 +264,7 @@ defmodule Situ.Image.Geometry do
   As `warp_affine/3`, by a 3x3 matrix (nine numbers) in homogeneous coordinates.
 
       iex> image = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<5, 7>>)
-      iex> Situ.Image.warp_perspective!(image, [1, 0, 1, 0, 1, 0, 0, 0, 1]).data
+      iex> Situ.Imaging.warp_perspective!(image, [1, 0, 1, 0, 1, 0, 0, 0, 1]).data
       <<0, 5>>
   """
   @spec warp_perspective(Image.t(), [number()], keyword()) :: Image.result()
@@ -290,7 +290,7 @@ defmodule Situ.Image.Geometry do
   format. With `mask:`, a `:gray8` picture of the size of `part`, only where the mask is not 0.
 
       iex> image = Situ.Image.filled(3, 1, :gray8, 1)
-      iex> {:ok, pasted} = Situ.Image.paste(image, Situ.Image.filled(2, 1, :gray8, 8), {2, 0})
+      iex> {:ok, pasted} = Situ.Imaging.paste(image, Situ.Image.filled(2, 1, :gray8, 8), {2, 0})
       iex> pasted.data
       <<1, 1, 8>>
   """

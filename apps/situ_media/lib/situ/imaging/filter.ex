@@ -1,6 +1,6 @@
-defmodule Situ.Image.Filter do
+defmodule Situ.Imaging.Filter do
   @moduledoc """
-  Filters by OpenCV: blurs, edges, morphology, histogram equalisation. Call them through `Situ.Image`.
+  Filters by OpenCV: blurs, edges, morphology, histogram equalisation. Call them through `Situ.Imaging`.
   """
   alias Situ.Image
   alias Situ.Media.Kernel
@@ -8,7 +8,7 @@ defmodule Situ.Image.Filter do
   @doc """
   Gaussian blur. `size` is the odd side of the window; `nil` takes 3 standard deviations to each side (sigma 1.4: 9).
 
-      iex> Situ.Image.blur!(Situ.Image.filled(8, 8, :gray8, 100), 1.4) |> Situ.Image.fetch_pixel(4, 4)
+      iex> Situ.Imaging.blur!(Situ.Image.filled(8, 8, :gray8, 100), 1.4) |> Situ.Image.fetch_pixel(4, 4)
       {:ok, [100]}
   """
   @spec blur(Image.t(), number(), keyword()) :: Image.result()
@@ -21,7 +21,7 @@ defmodule Situ.Image.Filter do
   Mean of a `size` x `size` window, `size` odd.
 
       iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
-      iex> Situ.Image.box_blur!(dot, 3).data
+      iex> Situ.Imaging.box_blur!(dot, 3).data
       <<0, 30, 30, 30, 0>>
   """
   @spec box_blur(Image.t(), pos_integer()) :: Image.result()
@@ -31,7 +31,7 @@ defmodule Situ.Image.Filter do
   Median of a `size` x `size` window, `size` odd; above 5 only for 8-bit formats.
 
       iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
-      iex> Situ.Image.median_blur!(dot, 3).data
+      iex> Situ.Imaging.median_blur!(dot, 3).data
       <<0, 0, 0, 0, 0>>
   """
   @spec median_blur(Image.t(), pos_integer()) :: Image.result()
@@ -40,8 +40,8 @@ defmodule Situ.Image.Filter do
   @doc """
   Canny edges of a `:gray8` picture: 255 on an edge, else 0; `low` and `high` are the hysteresis thresholds.
 
-      iex> step = Situ.Image.fill_rectangle!(Situ.Image.filled(8, 8, :gray8), {4, 0, 4, 8}, color: 200)
-      iex> step |> Situ.Image.canny!(60, 120) |> Situ.Image.crop!({0, 4, 8, 1}) |> Situ.Image.pixels()
+      iex> step = Situ.Imaging.fill_rectangle!(Situ.Image.filled(8, 8, :gray8), {4, 0, 4, 8}, color: 200)
+      iex> step |> Situ.Imaging.canny!(60, 120) |> Situ.Imaging.crop!({0, 4, 8, 1}) |> Situ.Image.pixels()
       <<0, 0, 0, 255, 0, 0, 0, 0>>
   """
   @spec canny(Image.t(), number(), number()) :: Image.result()
@@ -51,8 +51,8 @@ defmodule Situ.Image.Filter do
   @doc """
   Strength of edges of a `:gray8` picture: half the sum of the absolute Sobel 3x3 derivatives.
 
-      iex> step = Situ.Image.fill_rectangle!(Situ.Image.filled(8, 8, :gray8), {4, 0, 4, 8}, color: 200)
-      iex> step |> Situ.Image.sobel!() |> Situ.Image.crop!({0, 4, 8, 1}) |> Situ.Image.pixels()
+      iex> step = Situ.Imaging.fill_rectangle!(Situ.Image.filled(8, 8, :gray8), {4, 0, 4, 8}, color: 200)
+      iex> step |> Situ.Imaging.sobel!() |> Situ.Imaging.crop!({0, 4, 8, 1}) |> Situ.Image.pixels()
       <<0, 0, 0, 128, 128, 0, 0, 0>>
   """
   @spec sobel(Image.t()) :: Image.result()
@@ -62,7 +62,7 @@ defmodule Situ.Image.Filter do
   Minimum in a `size` x `size` window, `size` odd.
 
       iex> hole = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<90, 90, 0, 90, 90>>)
-      iex> Situ.Image.erode!(hole, 3).data
+      iex> Situ.Imaging.erode!(hole, 3).data
       <<90, 0, 0, 0, 90>>
   """
   @spec erode(Image.t(), pos_integer()) :: Image.result()
@@ -72,7 +72,7 @@ defmodule Situ.Image.Filter do
   Maximum in a `size` x `size` window, `size` odd.
 
       iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
-      iex> Situ.Image.dilate!(dot, 3).data
+      iex> Situ.Imaging.dilate!(dot, 3).data
       <<0, 90, 90, 90, 0>>
   """
   @spec dilate(Image.t(), pos_integer()) :: Image.result()
@@ -82,7 +82,7 @@ defmodule Situ.Image.Filter do
   Erode, then dilate: removes specks.
 
       iex> dot = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<0, 0, 90, 0, 0>>)
-      iex> Situ.Image.open!(dot, 3).data
+      iex> Situ.Imaging.open!(dot, 3).data
       <<0, 0, 0, 0, 0>>
   """
   @spec open(Image.t(), pos_integer()) :: Image.result()
@@ -92,7 +92,7 @@ defmodule Situ.Image.Filter do
   Dilate, then erode: fills holes.
 
       iex> hole = Situ.Image.new!(width: 5, height: 1, format: :gray8, data: <<90, 90, 0, 90, 90>>)
-      iex> Situ.Image.close!(hole, 3).data
+      iex> Situ.Imaging.close!(hole, 3).data
       <<90, 90, 90, 90, 90>>
   """
   @spec close(Image.t(), pos_integer()) :: Image.result()
@@ -102,7 +102,7 @@ defmodule Situ.Image.Filter do
   A `:gray8` picture with its histogram flattened.
 
       iex> image = Situ.Image.new!(width: 4, height: 1, format: :gray8, data: <<10, 11, 12, 12>>)
-      iex> Situ.Image.equalize!(image).data
+      iex> Situ.Imaging.equalize!(image).data
       <<0, 85, 255, 255>>
   """
   @spec equalize(Image.t()) :: Image.result()

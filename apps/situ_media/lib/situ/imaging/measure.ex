@@ -1,8 +1,8 @@
-defmodule Situ.Image.Measure do
+defmodule Situ.Imaging.Measure do
   @moduledoc """
-  Numbers about pictures: statistics, histogram, comparison. Call them through `Situ.Image`.
+  Numbers about pictures: statistics, histogram, comparison. Call them through `Situ.Imaging`.
   """
-  alias Situ.{DepthImage, Error, Image, Rect}
+  alias Situ.{Error, Image, Rect}
   alias Situ.Image.Format
   alias Situ.Media.Kernel
 
@@ -12,7 +12,7 @@ defmodule Situ.Image.Measure do
   Minimum, maximum, mean and standard deviation (of the population) of each channel, by name; of a part with `rect:`.
 
       iex> image = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<10, 20>>)
-      iex> Situ.Image.statistics(image)
+      iex> Situ.Imaging.statistics(image)
       {:ok, %{gray: %{min: 10, max: 20, mean: 15.0, deviation: 5.0}}}
   """
   @spec statistics(Image.t(), keyword()) :: {:ok, %{atom() => channel()}} | {:error, Error.t()}
@@ -30,7 +30,7 @@ defmodule Situ.Image.Measure do
   @doc """
   The mean of each channel, by name; of a part with `rect:`.
 
-      iex> Situ.Image.average_color(Situ.Image.filled(2, 2, :bgr24, [1, 2, 3]))
+      iex> Situ.Imaging.average_color(Situ.Image.filled(2, 2, :bgr24, [1, 2, 3]))
       {:ok, %{blue: 1.0, green: 2.0, red: 3.0}}
   """
   @spec average_color(Image.t(), keyword()) :: {:ok, %{atom() => float()}} | {:error, Error.t()}
@@ -42,7 +42,7 @@ defmodule Situ.Image.Measure do
   @doc """
   How often each value occurs, 256 counts a channel (16-bit values by their high byte); of a part with `rect:`.
 
-      iex> {:ok, %{gray: counts}} = Situ.Image.histogram(Situ.Image.filled(2, 2, :gray8, 3))
+      iex> {:ok, %{gray: counts}} = Situ.Imaging.histogram(Situ.Image.filled(2, 2, :gray8, 3))
       iex> Enum.take(counts, 5)
       [0, 0, 0, 4, 0]
   """
@@ -58,7 +58,7 @@ defmodule Situ.Image.Measure do
   values off by more than `tolerance:` (default 0). `equal?` when that fraction is at most `outliers:` (default 0).
 
       iex> {a, b} = {Situ.Image.filled(2, 1, :gray8, 3), Situ.Image.filled(2, 1, :gray8, 5)}
-      iex> Situ.Image.compare(a, b, tolerance: 2)
+      iex> Situ.Imaging.compare(a, b, tolerance: 2)
       {:ok, %{equal?: true, max: 2, mean: 2.0, outliers: 0.0}}
   """
   @spec compare(Image.t(), Image.t(), keyword()) ::
@@ -81,7 +81,7 @@ defmodule Situ.Image.Measure do
   `layout:` `:nhwc` (default) or `:nchw`; `scale:` (default 1/255, 1/65535 for 16 bit); `offset:` (default 0.0). The
   answer is a binary of native floats and its shape.
 
-      iex> {:ok, {data, shape}} = Situ.Image.to_f32(Situ.Image.filled(1, 1, :bgr24, [0, 51, 255]))
+      iex> {:ok, {data, shape}} = Situ.Imaging.to_f32(Situ.Image.filled(1, 1, :bgr24, [0, 51, 255]))
       iex> {shape, for(<<v::float-native-32 <- data>>, do: Float.round(v, 3))}
       {{1, 1, 1, 3}, [1.0, 0.2, 0.0]}
   """
@@ -99,60 +99,6 @@ defmodule Situ.Image.Measure do
          {:ok, data} <- Kernel.picture(job, byte_size(image.data) / 500) do
       {:ok, {data, if(first?, do: {1, channels, h, w}, else: {1, h, w, channels})}}
     end
-  end
-
-  @doc """
-  The distance in metres at a pixel, made up from its neighbours where it is not known (`invalid:`, default 0): the nearest
-  known values to the left, right, above and below, each weighted by one over how far away it is. `{:ok, nil}` when there
-  is none in any direction.
-
-      iex> depth = Situ.DepthImage.new!(width: 4, height: 1, data: <<100, 0, 0, 0, 0, 0, 160, 0>>, scale: 0.01)
-      iex> {:ok, metres} = Situ.DepthImage.interpolated_distance(depth, 1, 0)
-      iex> Float.round(metres, 6)
-      1.2
-      iex> Situ.DepthImage.interpolated_distance(Situ.DepthImage.new!(width: 1, height: 1, data: <<0, 0>>), 0, 0)
-      {:ok, nil}
-  """
-  @spec interpolated_distance(DepthImage.t(), integer(), integer(), keyword()) ::
-          {:ok, float() | nil} | {:error, Error.t()}
-  def interpolated_distance(%DepthImage{} = depth, x, y, opts \\ []) do
-    invalid = Keyword.get(opts, :invalid, 0)
-
-    with {:ok, [value]} <- Image.fetch_pixel(DepthImage.to_gray16(depth), x, y) do
-      if value == invalid,
-        do: {:ok, mean_around(depth, x, y, invalid)},
-        else: {:ok, value * depth.scale}
-    end
-  end
-
-  defp mean_around(depth, x, y, invalid) do
-    found =
-      for {dx, dy} <- [{-1, 0}, {1, 0}, {0, -1}, {0, 1}],
-          {value, offset} <- [look(depth, x, y, {dx, dy}, invalid)],
-          value != nil,
-          do: {value, 1 / offset}
-
-    case found do
-      [] ->
-        nil
-
-      found ->
-        weights = found |> Enum.map(&elem(&1, 1)) |> Enum.sum()
-        sum = found |> Enum.map(fn {value, weight} -> value * weight end) |> Enum.sum()
-        sum / weights * depth.scale
-    end
-  end
-
-  defp look(depth, x, y, {dx, dy}, invalid) do
-    1
-    |> Stream.iterate(&(&1 + 1))
-    |> Enum.find_value(fn n ->
-      case Image.fetch_pixel(DepthImage.to_gray16(depth), x + n * dx, y + n * dy) do
-        {:ok, [^invalid]} -> nil
-        {:ok, [value]} -> {value, n}
-        {:error, _} -> {nil, n}
-      end
-    end)
   end
 
   defp over(image, kind, opts) do

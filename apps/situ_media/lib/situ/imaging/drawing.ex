@@ -1,6 +1,6 @@
-defmodule Situ.Image.Drawing do
+defmodule Situ.Imaging.Drawing do
   @moduledoc """
-  Lines, rectangles, circles and text on a copy of a picture. Call them through `Situ.Image`; `draw/2` takes many shapes
+  Lines, rectangles, circles and text on a copy of a picture. Call them through `Situ.Imaging`; `draw/2` takes many shapes
   and copies the picture once.
 
   | shape | drawn | options |
@@ -29,7 +29,8 @@ defmodule Situ.Image.Drawing do
   Colour fonts (emoji) have no outlines to draw: only those in one colour work.
   """
   alias Situ.{Image, Point2, Rect}
-  alias Situ.Image.{Color, Text}
+  alias Situ.Image.Color
+  alias Situ.Imaging.Text
   alias Situ.Media.Kernel
 
   @type point :: {number(), number()} | Point2.t()
@@ -39,7 +40,7 @@ defmodule Situ.Image.Drawing do
   Several shapes at once, in order.
 
       iex> image = Situ.Image.filled(5, 5, :gray8)
-      iex> {:ok, drawn} = Situ.Image.draw(image, [{:fill_rectangle, {1, 1, 3, 3}, color: 9}])
+      iex> {:ok, drawn} = Situ.Imaging.draw(image, [{:fill_rectangle, {1, 1, 3, 3}, color: 9}])
       iex> for y <- 0..2, do: Situ.Image.fetch_pixel(drawn, 2, y)
       [{:ok, [0]}, {:ok, [9]}, {:ok, [9]}]
   """
@@ -60,7 +61,7 @@ defmodule Situ.Image.Drawing do
   @doc """
   A line from point to point.
 
-      iex> Situ.Image.draw_line!(Situ.Image.filled(5, 3, :gray8), {1, 1}, {3, 1}, color: 9).data
+      iex> Situ.Imaging.draw_line!(Situ.Image.filled(5, 3, :gray8), {1, 1}, {3, 1}, color: 9).data
       <<0, 0, 0, 0, 0, 0, 9, 9, 9, 0, 0, 0, 0, 0, 0>>
   """
   @spec draw_line(Image.t(), point(), point(), keyword()) :: Image.result()
@@ -69,7 +70,7 @@ defmodule Situ.Image.Drawing do
   @doc """
   The outline of a rectangle.
 
-      iex> Situ.Image.draw_rectangle!(Situ.Image.filled(4, 3, :gray8), {0, 0, 3, 3}, color: 9).data
+      iex> Situ.Imaging.draw_rectangle!(Situ.Image.filled(4, 3, :gray8), {0, 0, 3, 3}, color: 9).data
       <<9, 9, 9, 0, 9, 0, 9, 0, 9, 9, 9, 0>>
   """
   @spec draw_rectangle(Image.t(), rect(), keyword()) :: Image.result()
@@ -78,7 +79,7 @@ defmodule Situ.Image.Drawing do
   @doc """
   A filled rectangle.
 
-      iex> Situ.Image.fill_rectangle!(Situ.Image.filled(4, 3, :gray8), {1, 1, 2, 2}, color: 9).data
+      iex> Situ.Imaging.fill_rectangle!(Situ.Image.filled(4, 3, :gray8), {1, 1, 2, 2}, color: 9).data
       <<0, 0, 0, 0, 0, 9, 9, 0, 0, 9, 9, 0>>
   """
   @spec fill_rectangle(Image.t(), rect(), keyword()) :: Image.result()
@@ -87,7 +88,7 @@ defmodule Situ.Image.Drawing do
   @doc """
   The outline of a circle.
 
-      iex> {:ok, image} = Situ.Image.draw_circle(Situ.Image.filled(21, 21, :gray8), {10, 10}, 8, color: 200, width: 3)
+      iex> {:ok, image} = Situ.Imaging.draw_circle(Situ.Image.filled(21, 21, :gray8), {10, 10}, 8, color: 200, width: 3)
       iex> for x <- [10, 18], do: Situ.Image.fetch_pixel(image, x, 10)
       [{:ok, [0]}, {:ok, [200]}]
   """
@@ -98,7 +99,7 @@ defmodule Situ.Image.Drawing do
   @doc """
   A disc.
 
-      iex> {:ok, image} = Situ.Image.fill_circle(Situ.Image.filled(21, 21, :gray8), {10, 10}, 8, color: 200)
+      iex> {:ok, image} = Situ.Imaging.fill_circle(Situ.Image.filled(21, 21, :gray8), {10, 10}, 8, color: 200)
       iex> for x <- [10, 20], do: Situ.Image.fetch_pixel(image, x, 10)
       [{:ok, [200]}, {:ok, [0]}]
   """
@@ -109,8 +110,8 @@ defmodule Situ.Image.Drawing do
   @doc """
   Text with the top left corner of its capitals at a point.
 
-      iex> {:ok, image} = Situ.Image.draw_text(Situ.Image.filled(90, 30, :gray8), {4, 6}, "Ωmega, ça", size: 14, color: :white)
-      iex> {:ok, %{gray: ink}} = Situ.Image.statistics(image)
+      iex> {:ok, image} = Situ.Imaging.draw_text(Situ.Image.filled(90, 30, :gray8), {4, 6}, "Ωmega, ça", size: 14, color: :white)
+      iex> {:ok, %{gray: ink}} = Situ.Imaging.statistics(image)
       iex> ink.max
       254
   """
@@ -121,7 +122,7 @@ defmodule Situ.Image.Drawing do
   Width and height of text in pixels, to place it: the widest line, and from the top of the first line's capitals to the
   foot of the last line. Options `size:` and `font:` as for drawing.
 
-      iex> {:ok, {width, height}} = Situ.Image.text_size("three\\nlines\\nof text", size: 20)
+      iex> {:ok, {width, height}} = Situ.Imaging.text_size("three\\nlines\\nof text", size: 20)
       iex> {width > 60 and width < 110, height > 80 and height < 100}
       {true, true}
   """
@@ -133,7 +134,7 @@ defmodule Situ.Image.Drawing do
   the lines (2), `size:` and `font:` of the labels (14, the default font).
 
       iex> face = Situ.Rect.new!(x: 30, y: 30, width: 20, height: 20, label: "Zoë", score: 0.9)
-      iex> {:ok, image} = Situ.Image.draw_detections(Situ.Image.filled(80, 60, :bgr24), [face])
+      iex> {:ok, image} = Situ.Imaging.draw_detections(Situ.Image.filled(80, 60, :bgr24), [face])
       iex> Situ.Image.fetch_pixel(image, 30, 40) == {:ok, [0, 0, 0]}
       false
   """
@@ -192,7 +193,7 @@ defmodule Situ.Image.Drawing do
   defp shape({:text, at, text, opts}, format), do: Text.term(point(at), text, opts, format)
 
   defp shape(other, _format) do
-    raise ArgumentError, "unknown shape #{inspect(other)}; see Situ.Image.Drawing"
+    raise ArgumentError, "unknown shape #{inspect(other)}; see Situ.Imaging.Drawing"
   end
 
   defp shape_term(shape, opts, format),

@@ -1,4 +1,4 @@
-defmodule Situ.Image.Text do
+defmodule Situ.Imaging.Text do
   @moduledoc false
   # Text as the native side takes it: checked, with the font files to look in.
 

@@ -1,24 +1,24 @@
-defmodule Situ.Image.TextTest do
+defmodule Situ.Imaging.TextTest do
   # Drawn text against HarfBuzz and FreeType (priv/golden/make_text.py), and what must hold for any text.
   use ExUnit.Case, async: true
   use Situ.Test.Property
-  alias Situ.Image
+  alias Situ.{Image, Imaging}
 
   @cjk Path.expand("../../fixtures/cjk.ttf", __DIR__)
 
   defp black(width, height, format \\ :gray8), do: Image.filled(width, height, format)
 
   defp ink(image) do
-    {:ok, %{gray: %{mean: mean}}} = image |> Image.convert!(:gray8) |> Image.statistics()
+    {:ok, %{gray: %{mean: mean}}} = image |> Imaging.convert!(:gray8) |> Imaging.statistics()
     mean * image.width * image.height
   end
 
   test "text is where HarfBuzz puts it and as FreeType draws it" do
-    golden = :situ_media |> Application.app_dir("priv/golden/text.png") |> Image.read!()
+    golden = :situ_media |> Application.app_dir("priv/golden/text.png") |> Imaging.read!()
     white = [255]
 
     drawn =
-      Image.draw!(black(golden.width, golden.height), [
+      Imaging.draw!(black(golden.width, golden.height), [
         {:text, {10, 8}, "Grüße, Ångström, façade, fi", size: 16, color: white},
         {:text, {10.5, 36.25}, "Ελληνικά", size: 16, color: white},
         {:text, {130, 36}, "Кириллица", size: 16, color: white},
@@ -32,7 +32,7 @@ defmodule Situ.Image.TextTest do
       ])
 
     # FreeType rounds outlines to 1/64 pixel; each side has its own way to count a pixel's covered part.
-    {:ok, result} = Image.compare(drawn, golden, tolerance: 12, outliers: 0.002)
+    {:ok, result} = Imaging.compare(drawn, golden, tolerance: 12, outliers: 0.002)
     assert result.equal?, inspect(result)
     assert result.mean < 0.3
     assert ink(golden) > 255 * 2000
@@ -41,13 +41,13 @@ defmodule Situ.Image.TextTest do
   test "text changes nothing but where it is, in every format" do
     for format <- Image.Format.all() do
       image = black(200, 60, format)
-      {:ok, {width, height}} = Image.text_size("Žluťoučký", size: 18)
-      drawn = Image.draw_text!(image, {20, 20}, "Žluťoučký", size: 18, color: :white)
-      assert ink(Image.convert!(drawn, :bgr24)) > 255 * 100
+      {:ok, {width, height}} = Imaging.text_size("Žluťoučký", size: 18)
+      drawn = Imaging.draw_text!(image, {20, 20}, "Žluťoučký", size: 18, color: :white)
+      assert ink(Imaging.convert!(drawn, :bgr24)) > 255 * 100
       # The caron stands above the capitals by less than half their height.
       box = {18, 10, ceil(width) + 4, ceil(height) + 12}
       blank = black(elem(box, 2), elem(box, 3), format)
-      assert Image.paste!(drawn, blank, {18, 10}) == image
+      assert Imaging.paste!(drawn, blank, {18, 10}) == image
     end
   end
 
@@ -55,7 +55,7 @@ defmodule Situ.Image.TextTest do
     image = black(240, 80, :bgr24)
 
     drawn =
-      Image.draw_text!(image, {20, 30}, "Éléphant\nÂge",
+      Imaging.draw_text!(image, {20, 30}, "Éléphant\nÂge",
         size: 14,
         color: :white,
         background: :blue
@@ -63,7 +63,7 @@ defmodule Situ.Image.TextTest do
 
     assert Image.fetch_pixel(drawn, 18, 30) == {:ok, [255, 0, 0]}
     # What is not the background is lighter, never the black around it mixed with white.
-    assert {:ok, %{green: green, blue: blue}} = Image.statistics(drawn, rect: {20, 28, 60, 40})
+    assert {:ok, %{green: green, blue: blue}} = Imaging.statistics(drawn, rect: {20, 28, 60, 40})
 
     assert {blue.min, green.max} == {255, 255}
   end
@@ -71,12 +71,12 @@ defmodule Situ.Image.TextTest do
   test "shapes and text are drawn in the order given" do
     text = {:text, {0, 0}, "█", size: 30, color: 50}
     box = {:fill_rectangle, {0, 0, 40, 40}, color: 200}
-    assert Image.fetch_pixel(Image.draw!(black(40, 40), [text, box]), 10, 15) == {:ok, [200]}
-    assert Image.fetch_pixel(Image.draw!(black(40, 40), [box, text]), 10, 15) == {:ok, [50]}
+    assert Image.fetch_pixel(Imaging.draw!(black(40, 40), [text, box]), 10, 15) == {:ok, [200]}
+    assert Image.fetch_pixel(Imaging.draw!(black(40, 40), [box, text]), 10, 15) == {:ok, [50]}
   end
 
   test "a missing character is a box, unless another font has it" do
-    draw = &Image.draw_text!(black(60, 60), {5, 15}, &1, Keyword.merge([size: 30], &2))
+    draw = &Imaging.draw_text!(black(60, 60), {5, 15}, &1, Keyword.merge([size: 30], &2))
     assert draw.("日", []) == draw.("本", [])
     assert ink(draw.("日", [])) > 0
     assert draw.("日", font: @cjk) != draw.("日", [])
@@ -100,26 +100,26 @@ defmodule Situ.Image.TextTest do
           {Path.join(dir, "none.ttf"), "No such file"}
         ] do
       assert {:error, %{code: :bad_font} = error} =
-               Image.draw_text(image, {0, 0}, "a", font: path)
+               Imaging.draw_text(image, {0, 0}, "a", font: path)
 
       assert Exception.message(error) =~ what
-      assert {:error, %{code: :bad_font}} = Image.text_size("a", font: [@cjk, path])
+      assert {:error, %{code: :bad_font}} = Imaging.text_size("a", font: [@cjk, path])
     end
   end
 
   test "bad text and options are refused" do
     image = black(20, 20)
-    assert {:error, %{code: :bad_option}} = Image.draw_text(image, {0, 0}, <<200, 1>>)
-    assert {:error, %{code: :bad_option}} = Image.text_size(<<200, 1>>)
-    assert {:error, %{code: :bad_option}} = Image.draw_text(image, {0, 0}, "a", size: 0)
-    assert {:error, %{code: :bad_option}} = Image.draw_text(image, {0, 0}, "a", size: 1.0e9)
-    assert {:error, %{code: :bad_option}} = Image.draw_text(image, {1.0e9, 0}, "a")
-    assert {:error, %{code: :too_large}} = Image.text_size(String.duplicate("a", 70_000))
-    assert_raise ArgumentError, fn -> Image.draw_text(image, {0, 0}, :atom) end
-    assert_raise ArgumentError, fn -> Image.draw_text(image, {0, 0}, "a", colour: :red) end
-    assert_raise ArgumentError, fn -> Image.draw_text(image, {0, 0}, "a", font: []) end
-    assert_raise ArgumentError, fn -> Image.draw_line(image, {0, 0}, {1, 1}, colour: :red) end
-    assert_raise ArgumentError, fn -> Image.fill_circle(image, {0, 0}, 2, width: 2) end
+    assert {:error, %{code: :bad_option}} = Imaging.draw_text(image, {0, 0}, <<200, 1>>)
+    assert {:error, %{code: :bad_option}} = Imaging.text_size(<<200, 1>>)
+    assert {:error, %{code: :bad_option}} = Imaging.draw_text(image, {0, 0}, "a", size: 0)
+    assert {:error, %{code: :bad_option}} = Imaging.draw_text(image, {0, 0}, "a", size: 1.0e9)
+    assert {:error, %{code: :bad_option}} = Imaging.draw_text(image, {1.0e9, 0}, "a")
+    assert {:error, %{code: :too_large}} = Imaging.text_size(String.duplicate("a", 70_000))
+    assert_raise ArgumentError, fn -> Imaging.draw_text(image, {0, 0}, :atom) end
+    assert_raise ArgumentError, fn -> Imaging.draw_text(image, {0, 0}, "a", colour: :red) end
+    assert_raise ArgumentError, fn -> Imaging.draw_text(image, {0, 0}, "a", font: []) end
+    assert_raise ArgumentError, fn -> Imaging.draw_line(image, {0, 0}, {1, 1}, colour: :red) end
+    assert_raise ArgumentError, fn -> Imaging.fill_circle(image, {0, 0}, 2, width: 2) end
   end
 
   property "any text, anywhere, at any size: a picture, and the same as the part of a larger one",
@@ -129,10 +129,10 @@ defmodule Situ.Image.TextTest do
               integer(-80, 60), integer(-60, 40), integer(1, 60)} do
       text = List.to_string(chars)
       opts = [size: size, color: :white, font: @cjk]
-      small = Image.draw_text!(black(50, 30), {x, y}, text, opts)
-      large = Image.draw_text!(black(120, 100), {x + 40, y + 50}, text, opts)
-      {:ok, {width, height}} = Image.text_size(text, Keyword.take(opts, [:size, :font]))
-      small == Image.crop!(large, {40, 50, 50, 30}) and width >= 0 and height >= size
+      small = Imaging.draw_text!(black(50, 30), {x, y}, text, opts)
+      large = Imaging.draw_text!(black(120, 100), {x + 40, y + 50}, text, opts)
+      {:ok, {width, height}} = Imaging.text_size(text, Keyword.take(opts, [:size, :font]))
+      small == Imaging.crop!(large, {40, 50, 50, 30}) and width >= 0 and height >= size
     end
   end
 end

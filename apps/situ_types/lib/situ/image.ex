@@ -79,7 +79,7 @@ defmodule Situ.Image do
 
   @doc "As `new/1`, but returns the picture or raises the error."
   @spec new!(keyword()) :: t()
-  def new!(opts), do: Situ.Image.Result.unwrap!(new(opts))
+  def new!(opts), do: Situ.Error.unwrap!(new(opts))
 
   @doc """
   A picture of one colour (`Situ.Image.Color`: channel values in memory order, one for all, a name, `{r, g, b}`).
@@ -211,85 +211,6 @@ defmodule Situ.Image do
   @spec describe(t()) :: String.t()
   def describe(%__MODULE__{} = image),
     do: "#{image.width}x#{image.height} #{inspect(image.format)}"
-
-  alias Situ.Image.{Drawing, Files, Filter, Geometry, Measure, Pixels}
-
-  # Geometry
-  defdelegate crop(image, rect, opts \\ []), to: Geometry
-  defdelegate resize(image, width, height, opts \\ []), to: Geometry
-  defdelegate scale(image, sx, sy, opts \\ []), to: Geometry
-  defdelegate letterbox(image, width, height, opts \\ []), to: Geometry
-  defdelegate letterbox_rect(from_width, from_height, width, height), to: Geometry
-  defdelegate flip(image, axis), to: Geometry
-  defdelegate rotate(image, degrees, opts \\ []), to: Geometry
-  defdelegate warp_affine(image, matrix, opts \\ []), to: Geometry
-  defdelegate warp_perspective(image, matrix, opts \\ []), to: Geometry
-  defdelegate paste(image, part, place, opts \\ []), to: Geometry
-
-  # Pixels
-  defdelegate convert(image, format), to: Pixels
-  defdelegate invert(image), to: Pixels
-  defdelegate threshold(image, threshold, kind \\ :binary, opts \\ []), to: Pixels
-  defdelegate extract_channel(image, channel), to: Pixels
-  defdelegate absdiff(a, b), to: Pixels
-  defdelegate convolve(image, kernel), to: Pixels
-  defdelegate pseudo_colorize(depth, range_m, opts \\ []), to: Pixels
-
-  # Filters
-  defdelegate blur(image, sigma, opts \\ []), to: Filter
-  defdelegate box_blur(image, size), to: Filter
-  defdelegate median_blur(image, size), to: Filter
-  defdelegate canny(image, low, high), to: Filter
-  defdelegate sobel(image), to: Filter
-  defdelegate erode(image, size), to: Filter
-  defdelegate dilate(image, size), to: Filter
-  defdelegate open(image, size), to: Filter
-  defdelegate close(image, size), to: Filter
-  defdelegate equalize(image), to: Filter
-
-  # Drawing
-  defdelegate draw(image, shapes), to: Drawing
-  defdelegate draw_line(image, from, to, opts \\ []), to: Drawing
-  defdelegate draw_rectangle(image, rect, opts \\ []), to: Drawing
-  defdelegate fill_rectangle(image, rect, opts \\ []), to: Drawing
-  defdelegate draw_circle(image, center, radius, opts \\ []), to: Drawing
-  defdelegate fill_circle(image, center, radius, opts \\ []), to: Drawing
-  defdelegate draw_text(image, at, text, opts \\ []), to: Drawing
-  defdelegate draw_detections(image, rects, opts \\ []), to: Drawing
-  defdelegate text_size(text, opts \\ []), to: Drawing
-
-  # Measurements
-  defdelegate statistics(image, opts \\ []), to: Measure
-  defdelegate average_color(image, opts \\ []), to: Measure
-  defdelegate histogram(image, opts \\ []), to: Measure
-  defdelegate compare(a, b, opts \\ []), to: Measure
-  defdelegate to_f32(image, opts \\ []), to: Measure
-
-  # Files
-  defdelegate encode_jpeg(image, opts \\ []), to: Files
-  defdelegate encode_png(image, opts \\ []), to: Files
-  defdelegate parse(encoded, opts \\ []), to: Files
-  defdelegate decode_depth(encoded, opts \\ []), to: Files
-  defdelegate read(path, opts \\ []), to: Files
-  defdelegate write(image, path, opts \\ []), to: Files
-  defdelegate from_raw(bytes, width, height, format), to: Files
-  defdelegate from_yuv(bytes, width, height, layout), to: Files
-
-  @twins ~w(crop resize scale letterbox flip rotate warp_affine warp_perspective paste convert invert threshold
-            extract_channel absdiff convolve pseudo_colorize blur box_blur median_blur canny sobel erode dilate open
-            close equalize draw draw_line draw_rectangle fill_rectangle draw_circle fill_circle draw_text
-            draw_detections text_size statistics average_color histogram compare to_f32 encode_jpeg encode_png parse
-            decode_depth read from_raw from_yuv)a
-
-  for {name, arity} <- Module.definitions_in(__MODULE__, :def), name in @twins do
-    args = Macro.generate_arguments(arity, __MODULE__)
-
-    @doc "As `#{name}/#{arity}`, but returns the value or raises the `Situ.Error`."
-    @spec unquote(:"#{name}!")(unquote_splicing(List.duplicate(quote(do: term()), arity))) ::
-            term()
-    def unquote(:"#{name}!")(unquote_splicing(args)),
-      do: Situ.Image.Result.unwrap!(unquote(name)(unquote_splicing(args)))
-  end
 
   # 64 bytes, so that pixels stored after it keep the alignment of the record.
   @header_bytes 64

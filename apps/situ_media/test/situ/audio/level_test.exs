@@ -1,0 +1,4 @@
+defmodule Situ.Audio.LevelTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Audio.Level
+end

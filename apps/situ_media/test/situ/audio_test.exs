@@ -1,0 +1,4 @@
+defmodule Situ.AudioTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Audio
+end

@@ -1,0 +1,4 @@
+defmodule Situ.Imaging.DrawingTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Imaging.Drawing
+end

@@ -1,0 +1,4 @@
+defmodule Situ.Imaging.FilesTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Imaging.Files
+end

@@ -1,0 +1,4 @@
+defmodule Situ.Imaging.FilterTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Imaging.Filter
+end

@@ -1,0 +1,4 @@
+defmodule Situ.Imaging.PixelsTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Imaging.Pixels
+end

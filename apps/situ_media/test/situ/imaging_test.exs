@@ -1,0 +1,4 @@
+defmodule Situ.ImagingTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Imaging
+end

@@ -1,0 +1,4 @@
+defmodule Situ.Image.FormatTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Image.Format
+end

@@ -1,0 +1,4 @@
+defmodule Situ.Point2Test do
+  use ExUnit.Case, async: true
+  doctest Situ.Point2
+end

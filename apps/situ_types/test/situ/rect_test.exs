@@ -1,0 +1,4 @@
+defmodule Situ.RectTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Rect
+end
