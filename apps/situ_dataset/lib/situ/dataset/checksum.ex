@@ -1,0 +1,87 @@
+defmodule Situ.Dataset.Checksum do
+  @moduledoc """
+  A checksum over all bytes of a recording, by which a study tells years later that its data is what was analysed.
+
+  `sha256:` and the hex digest of the list of files (name, size, digest of the content; sorted by name). A store's lock and marks of
+  running writers are no part of it.
+  """
+  alias Situ.Error
+
+  @chunk 1_048_576
+
+  @doc "The checksum of a file or a folder. Error: `:io`, naming the file."
+  @spec of(Path.t()) :: {:ok, String.t()} | {:error, Error.t()}
+  def of(path) do
+    with {:ok, files} <- files(path),
+         {:ok, lines} <- lines(files, path) do
+      {:ok, "sha256:" <> hex(:crypto.hash(:sha256, lines))}
+    end
+  end
+
+  @doc "`:ok` when the recording still has that checksum. Error: `:changed`."
+  @spec verify(Path.t(), String.t()) :: :ok | {:error, Error.t()}
+  def verify(path, checksum) do
+    case of(path) do
+      {:ok, ^checksum} ->
+        :ok
+
+      {:ok, now} ->
+        {:error,
+         Error.new(:changed, "#{path} is not the recording that the dataset was sealed with",
+           why: "its checksum is #{now}, the dataset says #{checksum}",
+           fix: "restore the recording, or seal the dataset again if the change was meant"
+         )}
+
+      error ->
+        error
+    end
+  end
+
+  defp files(path) do
+    cond do
+      File.regular?(path) -> {:ok, [path]}
+      File.dir?(path) -> {:ok, path |> Path.join("*") |> Path.wildcard() |> Enum.sort()}
+      true -> {:error, io(path, :enoent)}
+    end
+  end
+
+  defp lines(files, root) do
+    files
+    |> Enum.filter(&(File.regular?(&1) and Path.extname(&1) != ".lock"))
+    |> Enum.reduce_while({:ok, []}, fn file, {:ok, lines} ->
+      case digest(file) do
+        {:ok, size, digest} ->
+          name = if file == root, do: "", else: Path.basename(file)
+          {:cont, {:ok, [lines, name, 0, Integer.to_string(size), 0, digest]}}
+
+        {:error, reason} ->
+          {:halt, {:error, io(file, reason)}}
+      end
+    end)
+  end
+
+  defp digest(file) do
+    with {:ok, device} <- :file.open(file, [:read, :raw, :binary]) do
+      result = fold(device, :crypto.hash_init(:sha256), 0)
+      _ = :file.close(device)
+      result
+    end
+  end
+
+  defp fold(device, hash, size) do
+    case :file.read(device, @chunk) do
+      {:ok, bytes} -> fold(device, :crypto.hash_update(hash, bytes), size + byte_size(bytes))
+      :eof -> {:ok, size, :crypto.hash_final(hash)}
+      {:error, reason} -> {:error, reason}
+    end
+  end
+
+  defp hex(bytes), do: Base.encode16(bytes, case: :lower)
+
+  defp io(path, reason) do
+    Error.new(:io, "cannot read #{path}",
+      why: to_string(:file.format_error(reason)),
+      fix: "check that the recording is there and may be read"
+    )
+  end
+end

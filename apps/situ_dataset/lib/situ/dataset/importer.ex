@@ -1,0 +1,67 @@
+defmodule Situ.Dataset.Importer do
+  @moduledoc """
+  All recordings of a session as one importer of a pipeline.
+
+      Situ.Pipeline.run(fn p ->
+        importer = Situ.Dataset.Importer.open(p, session)
+        Situ.Dataset.Importer.stream(importer, "[Room]:Loudness") |> Situ.each(&IO.inspect/1)
+      end)
+
+  Streams are found as in `Situ.Dataset.OpenSession`; each has a reader of its own. Partitions that cannot be opened are left out
+  and named in `importer.session.troubles`; asking for a stream of one raises its error.
+  """
+  alias Situ.Dataset.{OpenSession, Session}
+  alias Situ.{Error, Pipeline, Store}
+
+  @enforce_keys [:pipeline, :session, :importers]
+  defstruct [:pipeline, :session, :importers]
+
+  @type t :: %__MODULE__{
+          pipeline: Pipeline.t(),
+          session: OpenSession.t(),
+          importers: %{String.t() => Store.Importer.t()}
+        }
+
+  @doc "During `build`: opens the session. Options as `Situ.Store.importer/3`."
+  @spec open(Pipeline.t(), Session.t(), keyword()) :: t()
+  def open(%Pipeline{} = p, %Session{} = session, opts \\ []) do
+    open = OpenSession.open(session, Keyword.take(opts, [:verify]))
+    importers = Map.new(open.stores, fn {name, s} -> {name, Store.importer(p, s, opts)} end)
+    %__MODULE__{pipeline: p, session: open, importers: importers}
+  end
+
+  @doc """
+  A stream of the session, `"Stream"` or `"[Partition]:Stream"`. Options as `Situ.Store.stream/3`; with `or_empty: true` a stream that no
+  partition has is one without messages (an ambiguous name still raises).
+  """
+  @spec stream(t(), String.t(), keyword()) :: Situ.Stream.t()
+  def stream(%__MODULE__{} = importer, spec, opts \\ []) do
+    case OpenSession.find(importer.session, spec) do
+      {:ok, {partition, _, name}} ->
+        Store.stream(Map.fetch!(importer.importers, partition), name, opts)
+
+      {:error, %Error{code: code} = error} ->
+        if opts[:or_empty] && code in [:no_stream, :no_partition],
+          do: empty(importer, spec, opts),
+          else: raise(error)
+    end
+  end
+
+  defp empty(%{importers: importers} = importer, spec, opts) do
+    case Map.values(importers) do
+      [some | _] -> Store.stream(some, spec, opts)
+      [] -> Situ.from_enumerable(importer.pipeline, [], name: spec)
+    end
+  end
+
+  @doc "Whether a name means exactly one stream."
+  @spec has?(t(), String.t()) :: boolean()
+  def has?(%__MODULE__{} = importer, spec), do: OpenSession.has?(importer.session, spec)
+
+  @doc "The importer of one partition. Error: `:no_partition`, or why it cannot be opened."
+  @spec partition(t(), String.t()) :: {:ok, Store.Importer.t()} | {:error, Error.t()}
+  def partition(%__MODULE__{} = importer, name) do
+    with {:ok, _} <- OpenSession.store(importer.session, name),
+         do: Map.fetch(importer.importers, name)
+  end
+end

@@ -1,0 +1,232 @@
+defmodule Situ.Dataset.JsonStore do
+  @moduledoc """
+  \\psi's JSON stores, as recordings: `NAME.Catalog.json` (an array of stream descriptions) beside `NAME.Data.json` (an array of
+  `{"Envelope": {"SourceId", "SequenceId", "OriginatingTime", "Time"}, "Data": ...}`, in the order of time).
+
+      {:ok, store} = Situ.Store.open("notes.Catalog.json")
+
+  Data is what the JSON says: maps with string keys, lists, numbers, text. A message at the left end of an interval is part of it
+  (\\psi's own reader leaves it out). Messages that are no messages, or of no stream in the catalogue, are damage and passed over.
+  """
+  @behaviour Situ.Store.Reader
+
+  alias Situ.{Error, Message, Time}
+  alias Situ.Store.StreamInfo
+
+  @largest 256 * 1024 * 1024
+  @types %{
+    "System.Double" => :float,
+    "System.Single" => :float,
+    "System.Int32" => :integer,
+    "System.Int64" => :integer,
+    "System.Boolean" => :boolean,
+    "System.String" => :string
+  }
+
+  @enforce_keys [:name, :streams, :messages]
+  defstruct [:name, :streams, :messages, damage: []]
+
+  @impl true
+  def extensions, do: [".json"]
+
+  @impl true
+  def open(path, _opts) do
+    with {:ok, base} <- base(path),
+         {:ok, catalog} <- array(base <> ".Catalog.json"),
+         {:ok, data} <- array(base <> ".Data.json") do
+      {messages, damage} = messages(data, base <> ".Data.json")
+      name = Path.basename(base)
+      streams = for {%{} = entry, i} <- Enum.with_index(catalog), do: info(entry, i, name, base)
+      known = MapSet.new(streams, & &1.id)
+
+      {grouped, strangers} =
+        messages |> Enum.group_by(&elem(&1, 0), &elem(&1, 1)) |> Map.split(MapSet.to_list(known))
+
+      lost = for {id, list} <- strangers, do: lost(base, id, length(list))
+
+      {:ok,
+       %__MODULE__{
+         name: name,
+         streams: Enum.map(streams, &counted(&1, grouped[&1.id] || [])),
+         messages:
+           Map.new(grouped, fn {id, list} -> {id, list |> ordered() |> List.to_tuple()} end),
+         damage: damage ++ lost
+       }}
+    end
+  end
+
+  defp base(path) do
+    case Regex.run(~r/\A(.+)\.(Catalog|Data)\.json\z/s, path) do
+      [_, base, _] ->
+        {:ok, base}
+
+      nil ->
+        {:error,
+         Error.new(:unknown_format, "#{path} is not a recording",
+           why: "a JSON store is NAME.Catalog.json beside NAME.Data.json",
+           fix: "name the catalogue; a dataset file opens with `situ dataset`"
+         )}
+    end
+  end
+
+  defp array(path) do
+    with {:ok, %{size: size}} when size <= @largest <- File.stat(path),
+         {:ok, text} <- File.read(path),
+         {:ok, list} when is_list(list) <- text |> unmarked() |> Situ.JSON.decode() do
+      {:ok, list}
+    else
+      {:ok, %File.Stat{size: size}} ->
+        {:error, damaged(path, "it has #{size} bytes, more than #{@largest}")}
+
+      {:ok, _} ->
+        {:error, damaged(path, "it holds no array")}
+
+      {:error, :bad_json} ->
+        {:error, damaged(path, "it is not whole JSON")}
+
+      {:error, reason} ->
+        {:error, damaged(path, to_string(:file.format_error(reason)))}
+    end
+  end
+
+  # .NET writes a byte order mark now and then.
+  defp unmarked(<<0xEF, 0xBB, 0xBF, text::binary>>), do: text
+  defp unmarked(text), do: text
+
+  defp damaged(path, why) do
+    Error.new(:damaged, "the JSON store's file #{path} cannot be read",
+      why: why,
+      fix: "restore the file"
+    )
+  end
+
+  defp info(entry, index, name, base) do
+    type = text(entry["TypeName"]) || "any"
+
+    %StreamInfo{
+      id: if(is_integer(entry["Id"]), do: entry["Id"], else: -1 - index),
+      name: text(entry["Name"]) || "Stream #{index}",
+      store_name: name,
+      store_path: Path.dirname(base),
+      type_name: type,
+      type: Map.get(@types, hd(String.split(type, ",")), :any),
+      size:
+        if(is_integer(entry["MessageSizeCumulativeSum"]),
+          do: entry["MessageSizeCumulativeSum"],
+          else: 0
+        ),
+      opened: bound(entry["OpenedTime"], "0001-01-01"),
+      closed: bound(entry["ClosedTime"], "9999-12-31")
+    }
+  end
+
+  defp text(value), do: if(is_binary(value), do: value)
+
+  # The least and the greatest time of .NET stand for none.
+  defp bound(value, none) do
+    with text when is_binary(text) <- value,
+         false <- String.starts_with?(text, none),
+         {:ok, time} <- Time.parse(text) do
+      time
+    else
+      _ -> nil
+    end
+  end
+
+  defp counted(info, []), do: info
+
+  defp counted(info, messages) do
+    [first | _] = messages = ordered(messages)
+    last = List.last(messages)
+    creations = Enum.map(messages, & &1.creation_time)
+
+    %{
+      info
+      | count: length(messages),
+        first: first.originating_time,
+        last: last.originating_time,
+        first_creation: Enum.min(creations),
+        last_creation: Enum.max(creations),
+        latency_sum: messages |> Enum.map(&Message.latency/1) |> Enum.sum(),
+        closed: info.closed && max(info.closed, last.originating_time)
+    }
+  end
+
+  defp ordered(messages), do: Enum.sort_by(messages, & &1.originating_time)
+
+  defp messages(data, file) do
+    {messages, broken} =
+      data
+      |> Enum.with_index()
+      |> Enum.map(fn {entry, index} -> message(entry) || index end)
+      |> Enum.split_with(&is_tuple/1)
+
+    {messages,
+     for(index <- broken, do: %{file: file, offset: index, why: "entry #{index} is no message"})}
+  end
+
+  defp message(%{"Envelope" => %{"SourceId" => id, "SequenceId" => n} = envelope} = entry)
+       when is_integer(id) and is_integer(n) do
+    with %{"OriginatingTime" => at, "Time" => made} when is_binary(at) and is_binary(made) <-
+           envelope,
+         {:ok, at} <- Time.parse(at),
+         {:ok, made} <- Time.parse(made) do
+      {id,
+       %Message{
+         data: entry["Data"],
+         originating_time: at,
+         creation_time: made,
+         sequence_id: n,
+         source_id: id
+       }}
+    else
+      _ -> nil
+    end
+  end
+
+  defp message(_), do: nil
+
+  defp lost(base, id, n),
+    do: %{
+      file: base <> ".Data.json",
+      offset: 0,
+      why: "#{n} messages of source #{id}, which the catalogue lacks"
+    }
+
+  @impl true
+  def info(state),
+    do: %{name: state.name, created: nil, closed?: true, live?: false, damage: state.damage}
+
+  @impl true
+  def streams(state), do: state.streams
+
+  @impl true
+  def seek(state, info, time) do
+    messages = Map.get(state.messages, info.id, {})
+    {:ok, first(messages, time, 0, tuple_size(messages))}
+  end
+
+  defp first(_messages, _time, low, low), do: low
+
+  defp first(messages, time, low, high) do
+    middle = div(low + high, 2)
+
+    if elem(messages, middle).originating_time < time,
+      do: first(messages, time, middle + 1, high),
+      else: first(messages, time, low, middle)
+  end
+
+  @impl true
+  def read(state, info, ordinal, to, limit, _opts) do
+    messages = Map.get(state.messages, info.id, {})
+    last = min(ordinal + limit, tuple_size(messages)) - 1
+
+    found =
+      for i <- ordinal..last//1,
+          message = elem(messages, i),
+          to == :unbounded or message.originating_time <= to,
+          do: message
+
+    {:ok, found, ordinal + length(found)}
+  end
+end

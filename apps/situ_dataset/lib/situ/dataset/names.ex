@@ -1,0 +1,78 @@
+defmodule Situ.Dataset.Names do
+  @moduledoc false
+  # The names of sessions and partitions: unique among their like, and fit for a stream's address "[Partition]:Stream".
+  alias Situ.Error
+
+  @longest 200
+
+  @spec check(term(), String.t()) :: :ok | {:error, Error.t()}
+  def check(name, kind) do
+    if is_binary(name) and String.valid?(name) and name =~ ~r/\A[^\x00-\x1f\]\[]+\z/u and
+         String.length(name) <= @longest and String.trim(name) == name do
+      :ok
+    else
+      {:error,
+       Error.new(:bad_name, "not a name for a #{kind}: #{inspect(name)}",
+         fix: "use 1 to #{@longest} printable characters without [ and ], no blank at either end"
+       )}
+    end
+  end
+
+  @spec free(String.t(), [%{name: String.t()}], String.t()) :: :ok | {:error, Error.t()}
+  def free(name, taken, place) do
+    if Enum.any?(taken, &(&1.name == name)) do
+      {:error,
+       Error.new(:duplicate_name, "#{place} already has a #{inspect(name)}",
+         why: "names are unique there",
+         fix: "choose another name"
+       )}
+    else
+      :ok
+    end
+  end
+
+  @spec fetch([named], String.t(), atom(), String.t(), String.t()) ::
+          {:ok, named} | {:error, Error.t()}
+        when named: %{name: String.t()}
+  def fetch(all, name, code, kind, place) do
+    case Enum.find(all, &(&1.name == name)) do
+      nil -> {:error, missing(name, Enum.map(all, & &1.name), code, kind, place)}
+      found -> {:ok, found}
+    end
+  end
+
+  @doc "The name, or the name with the first number that makes it unique."
+  @spec unique(String.t(), [String.t()]) :: String.t()
+  def unique(name, taken) do
+    if name in taken,
+      do: Enum.find_value(2..100_000, &unless("#{name} #{&1}" in taken, do: "#{name} #{&1}")),
+      else: name
+  end
+
+  @doc "Whether a name fits a pattern in which `*` stands for any text and `?` for one character."
+  @spec matcher(String.t()) :: (String.t() -> boolean())
+  def matcher(pattern) do
+    source =
+      pattern
+      |> String.graphemes()
+      |> Enum.map_join(fn
+        "*" -> ".*"
+        "?" -> "."
+        character -> Regex.escape(character)
+      end)
+
+    regex = Regex.compile!("\\A" <> source <> "\\z", "su")
+    &(&1 =~ regex)
+  end
+
+  defp missing(name, known, code, kind, place) do
+    fix =
+      case {Situ.Options.nearest(to_string(name), known), known} do
+        {nil, []} -> "it has none"
+        {nil, _} -> "it has #{Enum.map_join(Enum.take(known, 8), ", ", &inspect/1)}"
+        {near, _} -> "did you mean #{inspect(near)}?"
+      end
+
+    Error.new(code, "#{place} has no #{kind} #{inspect(name)}", fix: fix)
+  end
+end

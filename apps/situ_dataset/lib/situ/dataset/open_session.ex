@@ -1,0 +1,145 @@
+defmodule Situ.Dataset.OpenSession do
+  @moduledoc """
+  A session with its recordings open: streams of all partitions by one name.
+
+      {:ok, dataset} = Situ.Dataset.open("study.json")
+      {:ok, session} = Situ.Dataset.session(dataset, "p01")
+      open = Situ.Dataset.OpenSession.open(session)
+      {:ok, messages} = Situ.Dataset.OpenSession.messages(open, "Room.Loudness", from: t0)
+      {:ok, messages} = Situ.Dataset.OpenSession.messages(open, "[Annotation]:Speaker")
+
+  A stream's name is enough where one partition has it; where several do, `"[Partition]:Stream"` says which. Partitions that cannot
+  be opened are in `troubles` and the others are read.
+  """
+  alias Situ.Dataset.{Names, Partition, Session}
+  alias Situ.{Error, Store}
+
+  @enforce_keys [:session]
+  defstruct [:session, stores: [], troubles: []]
+
+  @type t :: %__MODULE__{
+          session: Session.t(),
+          stores: [{partition :: String.t(), Store.t()}],
+          troubles: [{partition :: String.t(), Error.t()}]
+        }
+
+  @doc "Opens every partition that can be opened. Options as `Situ.Store.open/2`."
+  @spec open(Session.t(), keyword()) :: t()
+  def open(%Session{} = session, opts \\ []) do
+    Enum.reduce(Enum.reverse(session.partitions), %__MODULE__{session: session}, fn p, open ->
+      case Partition.open(p, opts) do
+        {:ok, store} -> %{open | stores: [{p.name, store} | open.stores]}
+        {:error, error} -> %{open | troubles: [{p.name, error} | open.troubles]}
+      end
+    end)
+  end
+
+  @doc "Every stream: `[{partition, Situ.Store.StreamInfo}]`, partition by partition."
+  @spec streams(t()) :: [{String.t(), Store.StreamInfo.t()}]
+  def streams(%__MODULE__{} = open) do
+    for {partition, store} <- open.stores, info <- Store.streams(store), do: {partition, info}
+  end
+
+  @doc """
+  The shortest name that means this stream here: its own, or `"[Partition]:Stream"` where several partitions have one of that name.
+  """
+  @spec address(t(), String.t(), String.t()) :: String.t()
+  def address(%__MODULE__{} = open, partition, stream) do
+    case find(open, stream) do
+      {:ok, {^partition, _, ^stream}} -> stream
+      _ -> "[#{partition}]:#{stream}"
+    end
+  end
+
+  @doc """
+  The partition, store and name of the stream that `spec` means.
+
+  Errors: `:no_stream`, `:no_partition`, `:ambiguous_stream` (it says how to qualify), and that of the partition named when it cannot be
+  opened.
+  """
+  @spec find(t(), String.t()) ::
+          {:ok, {partition :: String.t(), Store.t(), stream :: String.t()}} | {:error, Error.t()}
+  def find(%__MODULE__{} = open, spec) when is_binary(spec) do
+    plain = for {p, store} <- open.stores, Store.has_stream?(store, spec), do: {p, store, spec}
+
+    case {qualified(open, spec), plain} do
+      {{:ok, found}, []} -> {:ok, found}
+      {{:ok, found}, plain} -> {:error, ambiguous(spec, [found | plain])}
+      {_, [found]} -> {:ok, found}
+      {{:error, error}, []} -> {:error, error}
+      {:none, []} -> {:error, missing(open, spec)}
+      {_, several} -> {:error, ambiguous(spec, several)}
+    end
+  end
+
+  @doc "Whether `spec` means exactly one stream."
+  @spec has?(t(), String.t()) :: boolean()
+  def has?(%__MODULE__{} = open, spec), do: match?({:ok, _}, find(open, spec))
+
+  @doc "The messages of a stream, lazily: `{:ok, enumerable}`. Options as `Situ.Store.messages/3`."
+  @spec messages(t(), String.t(), keyword()) :: {:ok, Enumerable.t()} | {:error, Error.t()}
+  def messages(%__MODULE__{} = open, spec, opts \\ []) do
+    with {:ok, {_, store, stream}} <- find(open, spec),
+         do: {:ok, Store.messages(store, stream, opts)}
+  end
+
+  @doc "The open store of a partition."
+  @spec store(t(), String.t()) :: {:ok, Store.t()} | {:error, Error.t()}
+  def store(%__MODULE__{} = open, partition) do
+    stores = for {name, store} <- open.stores, do: %{name: name, store: store}
+
+    case {Enum.find(open.troubles, &(elem(&1, 0) == partition)), open.session.name} do
+      {{_, error}, _} ->
+        {:error, error}
+
+      {nil, name} ->
+        place = "session #{inspect(name)}"
+
+        with {:ok, found} <- Names.fetch(stores, partition, :no_partition, "partition", place),
+             do: {:ok, found.store}
+    end
+  end
+
+  defp qualified(open, spec) do
+    with [_, partition, stream] <- Regex.run(~r/\A\[([^\]]+)\]:(.+)\z/s, spec),
+         {:ok, store} <- store(open, partition),
+         {:ok, _} <- Store.stream_info(store, stream) do
+      {:ok, {partition, store, stream}}
+    else
+      nil -> :none
+      {:error, error} -> {:error, error}
+    end
+  end
+
+  defp ambiguous(spec, found) do
+    names = Enum.map_join(found, ", ", fn {p, _, s} -> inspect("[#{p}]:#{s}") end)
+
+    Error.new(:ambiguous_stream, "#{inspect(spec)} may mean #{length(found)} streams",
+      why: "several partitions have a stream of that name",
+      fix: "name the partition too: #{names}"
+    )
+  end
+
+  defp missing(open, spec) do
+    names = for {_, info} <- streams(open), do: info.name
+
+    why =
+      case open.troubles do
+        [] -> nil
+        troubles -> "not open: " <> Enum.map_join(troubles, "; ", fn {_, e} -> e.what end)
+      end
+
+    fix =
+      case Situ.Options.nearest(spec, Enum.uniq(names)) do
+        nil -> "it has #{names |> Enum.uniq() |> Enum.take(8) |> Enum.map_join(", ", &inspect/1)}"
+        near -> "did you mean #{inspect(near)}?"
+      end
+
+    Error.new(
+      :no_stream,
+      "session #{inspect(open.session.name)} has no stream #{inspect(spec)}",
+      why: why,
+      fix: fix
+    )
+  end
+end

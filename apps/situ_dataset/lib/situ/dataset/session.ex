@@ -1,0 +1,96 @@
+defmodule Situ.Dataset.Session do
+  @moduledoc """
+  One session of a dataset: its partitions (recordings of the same time and place), metadata and tags.
+
+      iex> session = Situ.Dataset.Session.new("p01", metadata: %{"participant" => "P01"}, tags: ["pilot"])
+      iex> {:ok, session} = Situ.Dataset.Session.add(session, Situ.Dataset.Partition.new("Room", "/study/p01/room.0000"))
+      iex> {:error, error} = Situ.Dataset.Session.add(session, Situ.Dataset.Partition.new("Room", "/elsewhere"))
+      iex> error.code
+      :duplicate_name
+
+  `metadata` is free (a JSON object: participant, condition, notes ...), `tags` are words to select sessions by.
+  Read a session's streams with `Situ.Dataset.OpenSession`, in a pipeline with `Situ.Dataset.Importer`.
+  """
+  alias Situ.Dataset.{Names, Partition, Summary}
+  alias Situ.Error
+
+  @enforce_keys [:name]
+  defstruct [:name, partitions: [], metadata: %{}, tags: [], extra: %{}]
+
+  @type t :: %__MODULE__{
+          name: String.t(),
+          partitions: [Partition.t()],
+          metadata: map(),
+          tags: [String.t()],
+          extra: map()
+        }
+
+  @doc "An empty session; options `metadata:`, `tags:`."
+  @spec new(String.t(), keyword()) :: t()
+  def new(name, opts \\ []) when is_binary(name),
+    do: %__MODULE__{name: name, metadata: opts[:metadata] || %{}, tags: opts[:tags] || []}
+
+  @doc "Adds a partition behind the others. Errors: `:duplicate_name`, `:bad_name`."
+  @spec add(t(), Partition.t()) :: {:ok, t()} | {:error, Error.t()}
+  def add(%__MODULE__{} = session, %Partition{} = partition) do
+    with :ok <- Names.check(partition.name, "partition"),
+         :ok <- Names.free(partition.name, session.partitions, place(session)) do
+      {:ok, %{session | partitions: session.partitions ++ [partition]}}
+    end
+  end
+
+  @doc "Puts `partition` in the place of the one of its name."
+  @spec replace(t(), Partition.t()) :: {:ok, t()} | {:error, Error.t()}
+  def replace(%__MODULE__{} = session, %Partition{} = partition) do
+    with {:ok, _} <- partition(session, partition.name) do
+      swap = &if(&1.name == partition.name, do: partition, else: &1)
+      {:ok, %{session | partitions: Enum.map(session.partitions, swap)}}
+    end
+  end
+
+  @doc "Takes a partition out of the session; the recording stays where it is."
+  @spec remove(t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def remove(%__MODULE__{} = session, name) do
+    with {:ok, found} <- partition(session, name),
+         do: {:ok, %{session | partitions: List.delete(session.partitions, found)}}
+  end
+
+  @doc "Gives a partition another name."
+  @spec rename_partition(t(), String.t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def rename_partition(%__MODULE__{} = session, from, to) do
+    with {:ok, found} <- partition(session, from),
+         :ok <- Names.check(to, "partition"),
+         :ok <- Names.free(to, List.delete(session.partitions, found), place(session)) do
+      swap = &if(&1.name == from, do: %{&1 | name: to}, else: &1)
+      {:ok, %{session | partitions: Enum.map(session.partitions, swap)}}
+    end
+  end
+
+  @doc "The partition of that name. Error: `:no_partition`, with the nearest name."
+  @spec partition(t(), String.t()) :: {:ok, Partition.t()} | {:error, Error.t()}
+  def partition(%__MODULE__{} = session, name),
+    do: Names.fetch(session.partitions, name, :no_partition, "partition", place(session))
+
+  @doc "Spans, sizes and counts over all partitions; those that cannot be read are counted as `unknown`."
+  @spec summary(t()) :: Summary.t()
+  def summary(%__MODULE__{} = session) do
+    session.partitions
+    |> Enum.map(fn partition ->
+      case Partition.summary(partition) do
+        {:ok, summary} -> summary
+        {:error, _} -> Summary.unknown()
+      end
+    end)
+    |> Summary.sum()
+  end
+
+  @doc "What is wrong: `[{partition_name, error}]`, empty when every recording opens and is whole."
+  @spec troubles(t()) :: [{String.t(), Error.t()}]
+  def troubles(%__MODULE__{} = session) do
+    for partition <- session.partitions,
+        {:error, error} <- [Partition.check(partition)],
+        do: {partition.name, error}
+  end
+
+  defp place(session), do: "session #{inspect(session.name)}"
+end

@@ -1,0 +1,129 @@
+defmodule Situ.Dataset.StoredPath do
+  @moduledoc """
+  How a dataset file writes down where a recording lies: relative to itself, so that file and recordings move together.
+
+      iex> Situ.Dataset.StoredPath.to_stored("/study/p01/lobby.0000", "/study/study.json")
+      "p01/lobby.0000"
+      iex> Situ.Dataset.StoredPath.from_stored("../old/lobby.0000", "/study/study.json")
+      "/old/lobby.0000"
+
+  A dataset file whose own path is of the Windows kind (`C:\\\\...` or `\\\\\\\\host\\\\share\\\\...`) gets Windows paths, which is how the
+  files of \\\\psi are written; a path on another drive or share stays absolute:
+
+      iex> Situ.Dataset.StoredPath.to_stored("D:\\\\runs\\\\a", ~S(C:\\study\\study.pds))
+      "D:\\\\runs\\\\a"
+      iex> Situ.Dataset.StoredPath.from_stored("../a", ~S(C:\\study\\study.pds))
+      "C:\\\\a"
+  """
+
+  @typedoc "Root (\"\" when relative) and segments."
+  @type parts :: {root :: String.t(), [String.t()]}
+
+  @doc "What the dataset file at `dataset_file` says for `path`; a path that is relative already stays so, as it is spelt."
+  @spec to_stored(Path.t(), Path.t()) :: String.t()
+  def to_stored(path, dataset_file) do
+    style = style(dataset_file)
+    {root, segments} = parts(path, style)
+    {base_root, base} = folder(dataset_file, style)
+
+    cond do
+      root == "" ->
+        join("", segments, style)
+
+      same?(rooted(root, base_root), base_root, style) ->
+        relative(normal(segments), base, style)
+
+      true ->
+        join(root, normal(segments), style)
+    end
+  end
+
+  @doc "The absolute path that the dataset file at `dataset_file` means by `stored`."
+  @spec from_stored(String.t(), Path.t()) :: Path.t()
+  def from_stored(stored, dataset_file) do
+    style = style(dataset_file)
+    {root, segments} = parts(stored, style)
+    {base_root, base} = folder(dataset_file, style)
+
+    if root == "",
+      do: join(base_root, normal(base ++ segments), style),
+      else: join(rooted(root, base_root), normal(segments), style)
+  end
+
+  @doc """
+  A path out of a file that was written on Windows, for this system: backslashes divide.
+
+      iex> Situ.Dataset.StoredPath.portable(~S(Session1\\Robot.0000))
+      "Session1/Robot.0000"
+  """
+  @spec portable(String.t()) :: String.t()
+  def portable(path), do: String.replace(path, "\\", "/")
+
+  @doc "Whether a path names a Windows drive or share."
+  @spec windows?(String.t()) :: boolean()
+  def windows?(path), do: path =~ ~r/\A([A-Za-z]:([\\\/]|\z)|\\\\)/
+
+  defp style(path), do: if(windows?(path), do: :windows, else: :posix)
+
+  defp folder(file, style) do
+    {root, segments} = parts(file, style)
+    {root, segments |> normal() |> Enum.drop(-1)}
+  end
+
+  @spec parts(String.t(), :windows | :posix) :: parts()
+  defp parts("/" <> rest, :posix), do: {"/", split(rest, ["/"])}
+  defp parts(path, :posix), do: {"", split(path, ["/"])}
+
+  defp parts(path, :windows) do
+    cond do
+      path =~ ~r/\A[\\\/]{2}/ ->
+        {share, rest} = path |> split(["\\", "/"]) |> Enum.split(2)
+        {"\\\\" <> Enum.join(share, "\\") <> "\\", rest}
+
+      path =~ ~r/\A[A-Za-z]:/ ->
+        <<drive::binary-size(2), rest::binary>> = path
+        {drive <> "\\", split(rest, ["\\", "/"])}
+
+      path =~ ~r/\A[\\\/]/ ->
+        {"\\", split(path, ["\\", "/"])}
+
+      true ->
+        {"", split(path, ["\\", "/"])}
+    end
+  end
+
+  defp split(text, separators), do: String.split(text, separators, trim: true)
+
+  # A path from the root of "this drive": the drive of the dataset file.
+  defp rooted("\\", base_root), do: base_root
+  defp rooted(root, _base_root), do: root
+
+  defp normal(segments) do
+    segments
+    |> Enum.reduce([], fn
+      ".", kept -> kept
+      "..", [] -> []
+      "..", [_ | kept] -> kept
+      segment, kept -> [segment | kept]
+    end)
+    |> Enum.reverse()
+  end
+
+  defp relative(segments, base, style) do
+    {up, down} = diverge(base, segments, style)
+    join("", List.duplicate("..", length(up)) ++ down, style)
+  end
+
+  defp diverge([a | base], [b | segments], style) do
+    if same?(a, b, style), do: diverge(base, segments, style), else: {[a | base], [b | segments]}
+  end
+
+  defp diverge(base, segments, _style), do: {base, segments}
+
+  defp same?(a, b, :windows), do: String.downcase(a) == String.downcase(b)
+  defp same?(a, b, :posix), do: a == b
+
+  defp join("", [], _style), do: "."
+  defp join(root, segments, :windows), do: root <> Enum.join(segments, "\\")
+  defp join(root, segments, :posix), do: root <> Enum.join(segments, "/")
+end
