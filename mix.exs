@@ -25,6 +25,7 @@ defmodule Situ.Umbrella.MixProject do
           situ_types: :permanent,
           situ: :permanent,
           situ_store: :permanent,
+          situ_dataset: :permanent,
           situ_media: :permanent,
           situ_infer: :permanent,
           situ_live: :permanent,

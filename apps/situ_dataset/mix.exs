@@ -30,6 +30,10 @@ defmodule Situ.Dataset.MixProject do
   defp extra_applications(_env), do: [:logger, :crypto]
 
   defp deps do
-    [{:situ, in_umbrella: true}, {:situ_store, in_umbrella: true}]
+    [
+      {:situ_types, in_umbrella: true},
+      {:situ, in_umbrella: true},
+      {:situ_store, in_umbrella: true}
+    ]
   end
 end

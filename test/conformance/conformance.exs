@@ -25,7 +25,7 @@ defmodule Situ.Conformance do
     "delivery_policies" => Situ.Conformance.DeliveryPolicies,
     "pipeline_lifecycle" => Situ.Conformance.PipelineLifecycle,
     "store" => Situ.Conformance.Store,
-    "datasets" => "datasets are not part of Situ yet",
+    "datasets" => Situ.Conformance.Datasets,
     "interop" => "wire formats of other systems are not part of Situ yet",
     "serialization" => "Situ writes no other system's object graphs",
     "memory_sharing" => "terms are immutable and collected: there is nothing to share by hand",
@@ -315,7 +315,14 @@ defmodule Situ.Conformance.Case do
   @codes %{
     "argument_error" => [ArgumentError],
     "not_supported" => [:not_supported],
-    "invalid_operation" => [:empty_list, :wrong_length, :already_connected, :pipeline_running],
+    "invalid_operation" => [
+      :empty_list,
+      :wrong_length,
+      :already_connected,
+      :pipeline_running,
+      :duplicate_name,
+      :ambiguous_stream
+    ],
     "empty_sequence" => [:empty_list],
     "window_before_previous_obsolete" => [:window_before_obsolete],
     "window_before_obsolete_time" => [:window_before_obsolete],

@@ -1,10 +1,11 @@
 defmodule Situ.Dataset do
   @moduledoc """
-  A study as data: sessions, each with its recordings (partitions), metadata and tags, in one JSON file that people may edit.
+  A study as data: sessions, each with its recordings (partitions), metadata and tags, in one JSON file that people
+  may edit.
 
       iex> folder = Path.join(System.tmp_dir!(), "situ-doc-dataset")
       iex> {:ok, dataset} = Situ.Dataset.new("Study", file: Path.join(folder, "study.json"), autosave: true)
-      iex> {:ok, dataset} = Situ.Dataset.add_session(dataset, "p01", metadata: %{"participant" => "P01"}, tags: ["pilot"])
+      iex> {:ok, dataset} = Situ.Dataset.add_session(dataset, "p01", tags: ["pilot"])
       iex> {:ok, dataset} = Situ.Dataset.add_partition(dataset, "p01", "Room", Path.join(folder, "p01/room.0000"))
       iex> dataset.unsaved?
       false
@@ -15,8 +16,10 @@ defmodule Situ.Dataset do
       iex> File.rm_rf!(folder) != []
       true
 
-  `open/1` takes a dataset file (`Situ.Dataset.Document`), a `.pds` of \\psi, a folder of recordings, or one recording. A dataset is a plain value:
-  edits answer `{:ok, dataset}`, and with `autosave: true` are on disk by then (whole or not at all); else `unsaved?` says so.
+  `open/1` takes a dataset file (`Situ.Dataset.Document`), a `.pds` of \\psi, a folder of recordings, or one
+  recording. A dataset is a plain value:
+  edits answer `{:ok, dataset}`, and with `autosave: true` are on disk by then (whole or not at all); else
+  `unsaved?` says so.
   `Situ.Dataset.Server` is a process that holds one for several users and tells them of changes.
 
   | to | see |
@@ -81,7 +84,8 @@ defmodule Situ.Dataset do
     do: {:ok, %{dataset | file: file && Path.expand(file), autosave?: autosave?}}
 
   @doc """
-  Opens a dataset file, a `.pds` file, a folder of recordings (each folder in it a session) or one recording (one session of it).
+  Opens a dataset file, a `.pds` file, a folder of recordings (each folder in it a session) or one recording (one
+  session of it).
 
   Option `autosave:` (false). A `.pds` has no `file`: it is saved under another name, and not overwritten.
   """
@@ -221,7 +225,8 @@ defmodule Situ.Dataset do
   end
 
   @doc """
-  Changes one session by a function `session -> {:ok, session} | {:error, error}`: the way to every edit of `Situ.Dataset.Session`.
+  Changes one session by a function `session -> {:ok, session} | {:error, error}`: the way to every edit of
+  `Situ.Dataset.Session`.
 
       Situ.Dataset.update_session(dataset, "p01", &Situ.Dataset.Session.remove(&1, "Room"))
   """
@@ -273,7 +278,8 @@ defmodule Situ.Dataset do
   # Asking
 
   @doc """
-  Spans, sizes and counts over all sessions: opens every recording, several at once. `Situ.Dataset.Summary.unknown` counts those that
+  Spans, sizes and counts over all sessions: opens every recording, several at once. `Situ.Dataset.Summary.unknown`
+  counts those that
   cannot be read.
   """
   @spec summary(t()) :: Summary.t()
@@ -299,7 +305,10 @@ defmodule Situ.Dataset do
     |> Enum.map(fn {:ok, result} -> result end)
   end
 
-  @doc "Notes the checksum of every recording (`Situ.Dataset.Checksum`; reads all bytes). Option `progress:`, `fun.(done, total)`."
+  @doc """
+  Notes the checksum of every recording (`Situ.Dataset.Checksum`; reads all bytes). Option `progress:`,
+  `fun.(done, total)`.
+  """
   @spec seal(t(), keyword()) :: result()
   def seal(%__MODULE__{} = dataset, opts \\ []) do
     progress = opts[:progress] || fn _, _ -> :ok end

@@ -1,6 +1,7 @@
 defmodule Situ.Dataset.Discovery do
   @moduledoc false
-  # A folder of recordings read as a dataset: each folder in it a session, each recording in such a folder (at any depth) a partition;
+  # A folder of recordings read as a dataset: each folder in it a session, each recording in such a folder (at any
+  # depth) a partition;
   # recordings that lie in the folder itself are sessions of their own.
   alias Situ.Dataset.{Names, Partition, Session}
   alias Situ.{Error, Store}
@@ -65,7 +66,8 @@ defmodule Situ.Dataset.Discovery do
     end)
   end
 
-  # Stores, files that a reader knows, and folders to look into, by name. Links to folders are not followed: they may lead in a circle.
+  # Stores, files that a reader knows, and folders to look into, by name. Links to folders are not followed: they
+  # may lead in a circle.
   defp entries(folder) do
     stores = MapSet.new(Store.list(folder))
 

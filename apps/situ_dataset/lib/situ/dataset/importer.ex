@@ -7,7 +7,8 @@ defmodule Situ.Dataset.Importer do
         Situ.Dataset.Importer.stream(importer, "[Room]:Loudness") |> Situ.each(&IO.inspect/1)
       end)
 
-  Streams are found as in `Situ.Dataset.OpenSession`; each has a reader of its own. Partitions that cannot be opened are left out
+  Streams are found as in `Situ.Dataset.OpenSession`; each has a reader of its own. Partitions that cannot be opened
+  are left out
   and named in `importer.session.troubles`; asking for a stream of one raises its error.
   """
   alias Situ.Dataset.{OpenSession, Session}
@@ -31,7 +32,8 @@ defmodule Situ.Dataset.Importer do
   end
 
   @doc """
-  A stream of the session, `"Stream"` or `"[Partition]:Stream"`. Options as `Situ.Store.stream/3`; with `or_empty: true` a stream that no
+  A stream of the session, `"Stream"` or `"[Partition]:Stream"`. Options as `Situ.Store.stream/3`; with `or_empty:
+  true` a stream that no
   partition has is one without messages (an ambiguous name still raises).
   """
   @spec stream(t(), String.t(), keyword()) :: Situ.Stream.t()

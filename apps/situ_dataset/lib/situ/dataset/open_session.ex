@@ -8,7 +8,8 @@ defmodule Situ.Dataset.OpenSession do
       {:ok, messages} = Situ.Dataset.OpenSession.messages(open, "Room.Loudness", from: t0)
       {:ok, messages} = Situ.Dataset.OpenSession.messages(open, "[Annotation]:Speaker")
 
-  A stream's name is enough where one partition has it; where several do, `"[Partition]:Stream"` says which. Partitions that cannot
+  A stream's name is enough where one partition has it; where several do, `"[Partition]:Stream"` says which.
+  Partitions that cannot
   be opened are in `troubles` and the others are read.
   """
   alias Situ.Dataset.{Names, Partition, Session}
@@ -41,7 +42,8 @@ defmodule Situ.Dataset.OpenSession do
   end
 
   @doc """
-  The shortest name that means this stream here: its own, or `"[Partition]:Stream"` where several partitions have one of that name.
+  The shortest name that means this stream here: its own, or `"[Partition]:Stream"` where several partitions have
+  one of that name.
   """
   @spec address(t(), String.t(), String.t()) :: String.t()
   def address(%__MODULE__{} = open, partition, stream) do
@@ -54,7 +56,8 @@ defmodule Situ.Dataset.OpenSession do
   @doc """
   The partition, store and name of the stream that `spec` means.
 
-  Errors: `:no_stream`, `:no_partition`, `:ambiguous_stream` (it says how to qualify), and that of the partition named when it cannot be
+  Errors: `:no_stream`, `:no_partition`, `:ambiguous_stream` (it says how to qualify), and that of the partition
+  named when it cannot be
   opened.
   """
   @spec find(t(), String.t()) ::

@@ -2,7 +2,8 @@ defmodule Situ.Dataset.Partition do
   @moduledoc """
   One recording of a session: a store, or any file that a `Situ.Store.Reader` opens (WAV, CSV, films, MCAP, bags ...).
 
-  A partition is a name and a place; nothing is opened until it is asked for, so that a dataset with a missing or damaged recording
+  A partition is a name and a place; nothing is opened until it is asked for, so that a dataset with a missing or
+  damaged recording
   still opens, lists the others, and says of this one what is wrong (`open/1`).
 
       iex> partition = Situ.Dataset.Partition.new("Video", "/nowhere/lobby.0000")
@@ -10,7 +11,8 @@ defmodule Situ.Dataset.Partition do
       iex> error.code
       :no_store
 
-  Fields: `name`, `store` (the recording's own name), `path` (absolute), `reader` (the name of a reader's module or of a reader
+  Fields: `name`, `store` (the recording's own name), `path` (absolute), `reader` (the name of a reader's module or
+  of a reader
   of \\psi, or `nil` to go by the file), `checksum` (`Situ.Dataset.Checksum`, or `nil`), `metadata` (a JSON object),
   `extra` (what else the dataset file says of it; kept).
   """
@@ -31,7 +33,8 @@ defmodule Situ.Dataset.Partition do
         }
 
   @doc """
-  A partition for the recording at `path`: a store's folder, `ROOT/NAME` for its newest version now, or a foreign file. `name` may be `nil`:
+  A partition for the recording at `path`: a store's folder, `ROOT/NAME` for its newest version now, or a foreign
+  file. `name` may be `nil`:
   then it is the recording's.
 
   Options: `reader:` (a module), `metadata:`.
@@ -110,7 +113,8 @@ defmodule Situ.Dataset.Partition do
     %{error | what: "partition #{inspect(partition.name)}: #{error.what}", meta: meta}
   end
 
-  # Stores of \psi are files NAME.*_000000.psi in a folder that may hold several; its JSON stores are NAME.Catalog.json and NAME.Data.json.
+  # Stores of \psi are files NAME.*_000000.psi in a folder that may hold several; its JSON stores are
+  # NAME.Catalog.json and NAME.Data.json.
   defp place(%{path: path, store: store, reader: reader} = partition) do
     cond do
       StoredPath.windows?(path) -> {:error, foreign(partition)}

@@ -1,6 +1,7 @@
 defmodule Situ.Dataset.Server do
   @moduledoc """
-  A dataset that several look at: one process holds it, edits go through it one after another, subscribers are told of changes.
+  A dataset that several look at: one process holds it, edits go through it one after another, subscribers are told
+  of changes.
 
       iex> {:ok, dataset} = Situ.Dataset.new("Study")
       iex> {:ok, server} = Situ.Dataset.Server.start_link(dataset: dataset)
@@ -9,9 +10,12 @@ defmodule Situ.Dataset.Server do
       iex> receive do {:situ_dataset, ^server, changes} -> changes end
       [:dataset, {:session_added, "p01"}]
 
-  Options of `start_link/1`: `dataset:` (required), and those of a GenServer (`name:`). A change is `:dataset` (always the first: something in
-  it has changed), `{:session_added, name}`, `{:session_removed, name}` or `{:session, name}`; a session renamed or moved is told as both `{:session, new}` and
-  `{:session_removed, old}`. It ends with its supervisor; nothing unsaved is written then, so use `autosave: true` where that matters.
+  Options of `start_link/1`: `dataset:` (required), and those of a GenServer (`name:`). A change is `:dataset`
+  (always the first: something in
+  it has changed), `{:session_added, name}`, `{:session_removed, name}` or `{:session, name}`; a session renamed or
+  moved is told as both `{:session, new}` and
+  `{:session_removed, old}`. It ends with its supervisor; nothing unsaved is written then, so use `autosave: true`
+  where that matters.
   """
   use GenServer
   alias Situ.{Dataset, Error}
@@ -33,7 +37,10 @@ defmodule Situ.Dataset.Server do
   @spec get(GenServer.server()) :: Dataset.t()
   def get(server), do: GenServer.call(server, :get)
 
-  @doc "Changes it by a function `dataset -> {:ok, dataset} | {:error, error}`; a function that raises changes nothing (`:edit_failed`)."
+  @doc """
+  Changes it by a function `dataset -> {:ok, dataset} | {:error, error}`; a function that raises changes nothing
+  (`:edit_failed`).
+  """
   @spec edit(GenServer.server(), (Dataset.t() -> Dataset.result()), timeout()) :: Dataset.result()
   def edit(server, fun, timeout \\ 60_000) when is_function(fun, 1),
     do: GenServer.call(server, {:edit, fun}, timeout)

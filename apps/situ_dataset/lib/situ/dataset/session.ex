@@ -3,7 +3,8 @@ defmodule Situ.Dataset.Session do
   One session of a dataset: its partitions (recordings of the same time and place), metadata and tags.
 
       iex> session = Situ.Dataset.Session.new("p01", metadata: %{"participant" => "P01"}, tags: ["pilot"])
-      iex> {:ok, session} = Situ.Dataset.Session.add(session, Situ.Dataset.Partition.new("Room", "/study/p01/room.0000"))
+      iex> room = Situ.Dataset.Partition.new("Room", "/study/p01/room.0000")
+      iex> {:ok, session} = Situ.Dataset.Session.add(session, room)
       iex> {:error, error} = Situ.Dataset.Session.add(session, Situ.Dataset.Partition.new("Room", "/elsewhere"))
       iex> error.code
       :duplicate_name

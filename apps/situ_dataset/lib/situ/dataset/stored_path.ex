@@ -7,7 +7,8 @@ defmodule Situ.Dataset.StoredPath do
       iex> Situ.Dataset.StoredPath.from_stored("../old/lobby.0000", "/study/study.json")
       "/old/lobby.0000"
 
-  A dataset file whose own path is of the Windows kind (`C:\\\\...` or `\\\\\\\\host\\\\share\\\\...`) gets Windows paths, which is how the
+  A dataset file whose own path is of the Windows kind (`C:\\\\...` or `\\\\\\\\host\\\\share\\\\...`) gets Windows
+  paths, which is how the
   files of \\\\psi are written; a path on another drive or share stays absolute:
 
       iex> Situ.Dataset.StoredPath.to_stored("D:\\\\runs\\\\a", ~S(C:\\study\\study.pds))
@@ -19,7 +20,10 @@ defmodule Situ.Dataset.StoredPath do
   @typedoc "Root (\"\" when relative) and segments."
   @type parts :: {root :: String.t(), [String.t()]}
 
-  @doc "What the dataset file at `dataset_file` says for `path`; a path that is relative already stays so, as it is spelt."
+  @doc """
+  What the dataset file at `dataset_file` says for `path`; a path that is relative already stays so, as it is
+  spelt.
+  """
   @spec to_stored(Path.t(), Path.t()) :: String.t()
   def to_stored(path, dataset_file) do
     style = style(dataset_file)

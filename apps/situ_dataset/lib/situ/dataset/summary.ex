@@ -1,9 +1,11 @@
 defmodule Situ.Dataset.Summary do
   @moduledoc """
-  Spans, sizes and counts of a partition, a session or a dataset; those of a group are the coverage and the sums of its members.
+  Spans, sizes and counts of a partition, a session or a dataset; those of a group are the coverage and the sums of
+  its members.
 
     * `originating`, `creation`: the spans of originating and creation times, `Situ.Interval`, empty without messages
-    * `streams_open`: the span from the first stream's opening to the last one's close (ns; what \\psi calls the stream interval)
+    * `streams_open`: the span from the first stream's opening to the last one's close (ns; what \\psi calls the
+      stream interval)
     * `size`: payload bytes; `streams`, `messages`: counts
     * `unknown`: how many partitions could not be read and are left out
 
