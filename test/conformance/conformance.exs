@@ -4,7 +4,8 @@ defmodule Situ.Conformance do
   # Runs conformance files: JSON with an area, conventions and cases. One module per area, listed in `@areas`; its
   # `check/1` answers `:pass`, `{:fail, expected, got}` or `{:not_applicable, reason}`.
   #
-  # The area of a file is in its name ("fuse.json", "situ_fuse.json"); in a file that names none, that of each case follows from
+  # The area of a file is in its name ("fuse.json", "situ_fuse.json"); in a file that names none, that of each case
+  # follows from
   # its operation.
 
   @folder Path.join(__DIR__, "areas")
@@ -189,7 +190,8 @@ defmodule Situ.Conformance do
 
   defp check({:not_applicable, _} = verdict, _case), do: verdict
 
-  # A case that tells what the reference does against its own definition ("do not require it of a better system"): shown when Situ
+  # A case that tells what the reference does against its own definition ("do not require it of a better system"):
+  # shown when Situ
   # does otherwise, but no failure.
   defp check(module, %{"known_quirk" => true} = case) do
     case checked(module, case) do
@@ -360,7 +362,8 @@ defmodule Situ.Conformance.Run do
 
   @long_ago_is_over 1_000_000_000_000_000
 
-  # `build.(streams)`, the inputs' streams in the order of the case. Inputs whose arrival matters or which stay open are fed one
+  # `build.(streams)`, the inputs' streams in the order of the case. Inputs whose arrival matters or which stay open
+  # are fed one
   # by one into a pipeline that waits; the others run as fast as they can.
   def inputs(case, build) do
     if Enum.any?(case["inputs"], &(&1["keep_open"] || &1["arrives_after_ms"])),

@@ -16,7 +16,10 @@ defmodule Situ.Dataset.JsonStoreTest do
   defp entry(id, n, second, data) do
     time = "2020-01-01T00:00:0#{second}.5Z"
 
-    ~s({"Envelope": {"SourceId": #{id}, "SequenceId": #{n}, "OriginatingTime": "#{time}", "Time": "#{time}"}, "Data": #{data}})
+    envelope =
+      ~s("SourceId": #{id}, "SequenceId": #{n}, "OriginatingTime": "#{time}", "Time": "#{time}")
+
+    ~s({"Envelope": {#{envelope}}, "Data": #{data}})
   end
 
   test "streams, times, values, intervals with both ends", %{tmp_dir: root} do
