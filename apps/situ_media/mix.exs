@@ -21,7 +21,7 @@ defmodule Situ.Media.MixProject do
   def application do
     [
       mod: {Situ.Media.Application, []},
-      env: [store_readers: [Situ.Media.Recording]],
+      env: [store_readers: [Situ.Media.Recording, Situ.Media.Wav.Recording]],
       extra_applications: extra_applications(Mix.env())
     ]
   end

@@ -1,137 +1,39 @@
 defmodule Situ.Media.Recording do
   @moduledoc """
-  Media files as recordings: `Situ.Store.open("talk1.mp4")` has the streams `Video` and `Audio`, and so has everything that opens
-  stores: `bin/situ store info`, the studio, replay in a pipeline.
+  Media files as recordings: `Situ.Store.open("talk1.mp4")` has the streams `Video` and `Audio`, and so has everything that
+  opens stores: `bin/situ store info`, the studio, replay in a pipeline.
 
       {:ok, store} = Situ.Store.open("talk1.mp4")
       {:ok, message} = Situ.Store.latest_at(store, "Video", Situ.Time.ms(1_500))
       %Situ.Image{width: 1024, height: 512} = message.data
 
-  Every kind of file FFmpeg reads by the endings of `extensions/0`. Times are those of `Situ.Media.VideoFile`: a picture's is when it is
-  shown, a piece of sound (20 ms) has that of its end, and the file begins at its own time (see `Situ.Media.FileTime`) or at the option
-  `start:` (ns; `Situ.Store.open(path, reader_opts: [start: time])`).
+  Every kind of file FFmpeg reads by the endings of `extensions/0`. Times are those of `Situ.Media.VideoFile`: a picture's is
+  when it is shown, a piece of sound (20 ms) has that of its end, and the file begins at its own time (see
+  `Situ.Media.FileTime`) or at the option `start:` (ns; `Situ.Store.open(path, reader_opts: [start: time])`).
 
-  Opening lists the file's packets and decodes nothing but the first piece of sound (about half a second; longer for hours of film). Pictures are decoded when asked for, in a process for each
-  file that ends by itself: on from the last one, or from the key picture before, and up to 64 MB of them are kept for going back. Files
-  with a key picture every few seconds, as cameras and encoders make them, can be scrubbed well.
+  Opening lists the file's packets and decodes nothing but the first piece of sound (about half a second; longer for hours
+  of film). Pictures are decoded when asked for, in a process for each file that ends by itself: on from the last one, or
+  from the key picture before, and up to 64 MB of them are kept for going back. Files with a key picture every few seconds,
+  as cameras and encoders make them, can be scrubbed well.
 
-  Pictures are `:bgr24`, sound has 16 bits. A damaged file gives what can be read, then the error `:damaged_media`; a last piece of sound that is
-  short of what the file promised is filled up with silence. `size` of a stream is that of its decoded data, `stored` what its packets take.
+  Pictures are `:bgr24`, sound has 16 bits. A damaged file gives what can be read, then the error `:damaged_media`; a last
+  piece of sound that is short of what the file promised is filled up with silence. `size` of a stream is that of its
+  decoded data, `stored` what its packets take.
   """
   @behaviour Situ.Store.Reader
   import Bitwise
 
-  alias Situ.{AudioBuffer, AudioFormat, Error, Message}
-  alias Situ.Media.{Decoder, FileInfo, FileTime}
-  alias Situ.Media.Recording.{Index, Pictures, Sound, Waveform}
+  alias Situ.{AudioBuffer, AudioFormat, Message}
+  alias Situ.Media.Recording.{Index, OpenFile, Pictures, Sound, Waveform}
   alias Situ.Store.StreamInfo
 
-  @enforce_keys [:path, :version, :info, :index, :start]
-  defstruct [:path, :version, :info, :index, :start, :sound, :print]
-
-  # `print` is what tells two contents from each other that were written within one second.
-  @typedoc "`first` is the media time of the sound's first frame, in frames; `step` the frames of a piece."
-  @type sound :: %{
-          format: AudioFormat.t(),
-          first: integer(),
-          frames: non_neg_integer(),
-          step: pos_integer()
-        }
-  @type t :: %__MODULE__{
-          path: Path.t(),
-          version: term(),
-          info: FileInfo.t(),
-          index: Index.t(),
-          start: Situ.Time.t(),
-          sound: sound() | nil,
-          print: non_neg_integer()
-        }
-
-  @schema [
-    start: [
-      type: {:or, [{:in, [:file]}, :integer]},
-      default: :file,
-      doc: "Originating time of the file's beginning, ns."
-    ]
-  ]
-  @piece 20_000_000
-  # Pieces that are decoded together: half a minute.
-  @stretch 1_500
-
-  @doc false
-  def stretch, do: @stretch
+  @impl true
+  defdelegate open(path, opts), to: OpenFile
 
   @impl true
   def extensions do
     ~w(.mp4 .m4v .mov .mkv .webm .avi .mpg .mpeg .m2ts .mts .flv .wmv .3gp .ogv) ++
       ~w(.mp3 .m4a .aac .flac .ogg .oga .opus .mka)
-  end
-
-  @impl true
-  def open(path, opts) do
-    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, info} <- FileInfo.read(path),
-         {:ok, version} <- version(path),
-         {:ok, index} <- Index.read(path, info),
-         {:ok, sound} <- sound(path, info, index) do
-      start = FileTime.offset(opts[:start], info.recorded_at, 0, %{start_time: 0})
-      info = if Index.count(index) == 0, do: %{info | video: nil}, else: info
-
-      recording = %__MODULE__{
-        path: path,
-        version: version,
-        info: info,
-        index: index,
-        start: start
-      }
-
-      {:ok, %{recording | sound: sound, print: :erlang.phash2({info, index, sound})}}
-    end
-  end
-
-  defp version(path) do
-    case File.stat(path, time: :posix) do
-      {:ok, stat} -> {:ok, {stat.size, stat.mtime}}
-      {:error, reason} -> {:error, Error.new(:no_file, "cannot read #{path}: #{reason}")}
-    end
-  end
-
-  @doc false
-  @spec unchanged(t()) :: :ok | {:error, Error.t()}
-  def unchanged(%{path: path, version: version}) do
-    case version(path) do
-      {:ok, ^version} -> :ok
-      {:ok, _} -> {:error, Error.new(:changed, "#{path} has changed since it was opened")}
-      error -> error
-    end
-  end
-
-  # Where the sound begins shows in its first piece: codecs have a lead-in that containers tell in ways of their own.
-  defp sound(_path, %{audio: nil}, _index), do: {:ok, nil}
-
-  defp sound(path, info, index) do
-    with {:ok, decoder} <- Decoder.open(path, info, video: false, audio_buffer: @piece) do
-      item = Decoder.next(decoder)
-      Decoder.close(decoder)
-
-      case item do
-        {:audio, time, %{format: format} = buffer, _} ->
-          first = AudioFormat.ns_to_frames(format, time) - AudioBuffer.frames(buffer)
-          frames = AudioFormat.ns_to_frames(format, index.sound_end) - first
-          step = max(AudioFormat.ns_to_frames(format, @piece), 1)
-          {:ok, %{format: format, first: first, frames: max(frames, 0), step: step}}
-
-        # A film with silent or broken sound is still a film.
-        _ when info.video != nil ->
-          {:ok, nil}
-
-        {:error, error, _} ->
-          {:error, error}
-
-        {:eof, _} ->
-          {:ok, nil}
-      end
-    end
   end
 
   @impl true
@@ -260,7 +162,7 @@ defmodule Situ.Media.Recording do
   end
 
   defp pieces(%{sound: sound} = recording, info, ordinal, limit) do
-    {number, skip} = {div(ordinal, @stretch), rem(ordinal, @stretch)}
+    {number, skip} = {div(ordinal, OpenFile.stretch()), rem(ordinal, OpenFile.stretch())}
 
     with {:ok, data, error} <- Sound.read(recording, number) do
       size = sound.step * AudioFormat.bytes_per_frame(sound.format)
@@ -312,7 +214,7 @@ defmodule Situ.Media.Recording do
            do: {:ok, 1 <<< level, Waveform.bins(waveform, from, to, level)}
     else
       with {:ok, first} <- seek(recording, info, from),
-           {:ok, points} <- points(recording, info, first, to + @piece, []) do
+           {:ok, points} <- points(recording, info, first, to + OpenFile.piece(), []) do
         {:ok, 1 <<< level, fold(points, from, to, level)}
       end
     end
@@ -326,7 +228,7 @@ defmodule Situ.Media.Recording do
 
   # So short a span that its samples are decoded.
   defp points(recording, info, ordinal, to, done) do
-    case read(recording, info, ordinal, to, @stretch, []) do
+    case read(recording, info, ordinal, to, OpenFile.stretch(), []) do
       {:ok, [], _} ->
         {:ok, done |> Enum.reverse() |> Enum.concat()}
 

@@ -14,17 +14,11 @@ defmodule Situ.Media.Wav do
       iex> File.rm!(path)
       :ok
 
-  In pipelines: `Situ.Media.WavFile` (source) and `Situ.Media.WavWriter` (sink). Compressed WAV (A-law, ADPCM, ...) is
+  In pipelines: `Situ.Media.WavFile` (source) and `Situ.Media.WavWriter` (sink). As a recording: `Situ.Store.open("talk.wav")`. Compressed WAV (A-law, ADPCM, ...) is
   read by `Situ.Media.VideoFile`, which knows every codec FFmpeg does.
   """
-  alias Situ.{AudioBuffer, AudioFormat, Error}
+  alias Situ.{AudioBuffer, Error}
   alias Situ.Media.Wav.{Reader, Writer}
-
-  @pcm 1
-  @float 3
-  @extensible 0xFFFE
-  # The tail of the sub-format's GUID: xxxxxxxx-0000-0010-8000-00AA00389B71.
-  @guid <<0x0000::little-16, 0x0010::little-16, 0x80, 0x00, 0x00, 0xAA, 0x00, 0x38, 0x9B, 0x71>>
 
   @doc "The whole file as one buffer. A truncated file is an error here; `Situ.Media.Wav.Reader` gives what there is."
   @spec read(Path.t()) :: {:ok, AudioBuffer.t()} | {:error, Error.t()}
@@ -57,74 +51,4 @@ defmodule Situ.Media.Wav do
       Writer.close(writer)
     end
   end
-
-  @doc """
-  The body of a `fmt ` chunk for a format.
-
-      iex> {:ok, format} = Situ.Media.Wav.parse_format(Situ.Media.Wav.encode_format(Situ.AudioFormat.pcm(44_100, 2, :f32)))
-      iex> format
-      #Situ.AudioFormat<44100 Hz, 2 ch, :f32>
-  """
-  @spec encode_format(AudioFormat.t()) :: binary()
-  def encode_format(%AudioFormat{} = format) do
-    tag = if format.sample in [:f32, :f64], do: @float, else: @pcm
-    bits = 8 * AudioFormat.bytes_per_sample(format)
-
-    plain =
-      <<format.rate::little-32, AudioFormat.bytes_per_second(format)::little-32,
-        AudioFormat.bytes_per_frame(format)::little-16, bits::little-16>>
-
-    # More than two channels or 16 bits, and float, are written the extensible way, as the format's authors ask.
-    if tag == @pcm and bits <= 16 and format.channels <= 2 do
-      <<@pcm::little-16, format.channels::little-16, plain::binary>>
-    else
-      <<@extensible::little-16, format.channels::little-16, plain::binary, 22::little-16,
-        bits::little-16, 0::little-32, tag::little-32, @guid::binary>>
-    end
-  end
-
-  @doc "The format a `fmt ` chunk means."
-  @spec parse_format(binary()) :: {:ok, AudioFormat.t()} | {:error, Error.t()}
-  def parse_format(
-        <<@extensible::little-16, plain::binary-size(14), _size::little-16, _valid::little-16,
-          _mask::little-32, tag::little-16, _guid::binary-size(14), _::binary>>
-      ),
-      do: parse_plain(tag, plain)
-
-  def parse_format(<<tag::little-16, plain::binary-size(14), _::binary>>),
-    do: parse_plain(tag, plain)
-
-  def parse_format(bytes), do: bad("its fmt chunk has only #{byte_size(bytes)} bytes")
-
-  defp parse_plain(
-         tag,
-         <<channels::little-16, rate::little-32, _::32, block::little-16, bits::little-16>>
-       ) do
-    with {:ok, sample} <- sample(tag, bits),
-         {:ok, format} <-
-           AudioFormat.validate(%AudioFormat{rate: rate, channels: channels, sample: sample}) do
-      if block == AudioFormat.bytes_per_frame(format),
-        do: {:ok, format},
-        else: bad("a frame of #{channels} channels of #{bits} bits cannot have #{block} bytes")
-    else
-      {:error, %{what: what}} -> bad(what)
-    end
-  end
-
-  defp sample(@pcm, 8), do: {:ok, :u8}
-  defp sample(@pcm, 16), do: {:ok, :s16}
-  defp sample(@pcm, 24), do: {:ok, :s24}
-  defp sample(@pcm, 32), do: {:ok, :s32}
-  defp sample(@float, 32), do: {:ok, :f32}
-  defp sample(@float, 64), do: {:ok, :f64}
-
-  defp sample(tag, bits) when tag in [@pcm, @float],
-    do: {:error, Error.new(:bad_wav, "samples of #{bits} bits are unknown")}
-
-  defp sample(tag, _bits) do
-    {:error,
-     Error.new(:bad_wav, "its sound is compressed (format tag #{tag}), read it with VideoFile")}
-  end
-
-  defp bad(why), do: {:error, Error.new(:bad_wav, "not a usable WAV file", why: why)}
 end

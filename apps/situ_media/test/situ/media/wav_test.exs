@@ -112,7 +112,7 @@ defmodule Situ.Media.WavTest do
 
   test "impossible headers are refused", %{tmp_dir: dir} do
     file = Path.join(dir, "bad.wav")
-    fmt = Wav.encode_format(AudioFormat.pcm())
+    fmt = Wav.Format.encode(AudioFormat.pcm())
 
     wav = fn chunks ->
       File.write!(file, ["RIFF", <<0::32>>, "WAVE", chunks])

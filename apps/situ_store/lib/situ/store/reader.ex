@@ -6,8 +6,8 @@ defmodule Situ.Store.Reader do
 
       config :situ_store, readers: [MyFormat]
 
-  then those that a loaded application brings (`env: [store_readers: [MyFormat]]` in `application/0` of its `mix.exs`), then WAV and CSV,
-  which are built in.
+  then those that a loaded application brings (`env: [store_readers: [MyFormat]]` in `application/0` of its `mix.exs`), then CSV,
+  which is built in.
 
   Messages of a stream are numbered 0, 1, 2 ... (ordinals). A reader meets untrusted bytes: it answers errors, makes no
   atoms, and bounds what it allocates.
@@ -50,7 +50,7 @@ defmodule Situ.Store.Reader do
 
   @optional_callbacks summary: 5, await: 4, close: 1
 
-  @built_in [Situ.Store.Wav, Situ.Store.Csv]
+  @built_in [Situ.Store.Csv]
 
   @doc "The reader for a file, or `nil`."
   @spec for_file(Path.t()) :: module() | nil

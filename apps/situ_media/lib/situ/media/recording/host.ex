@@ -17,7 +17,7 @@ defmodule Situ.Media.Recording.Host do
   end
 
   @doc "Asks the process of `module` that reads this recording."
-  @spec ask(module(), Situ.Media.Recording.t(), term()) :: term()
+  @spec ask(module(), Situ.Media.Recording.OpenFile.t(), term()) :: term()
   def ask(module, recording, question, tries \\ 3) do
     with {:ok, pid} <- find(module, recording) do
       try do

@@ -4,8 +4,8 @@ defmodule Situ.Media.Recording.Pictures do
   # from the key picture before. What was decoded lately is kept, so that going back a little costs nothing.
   use GenServer
 
-  alias Situ.Media.{Decoder, Recording}
-  alias Situ.Media.Recording.{Host, Index}
+  alias Situ.Media.Decoder
+  alias Situ.Media.Recording.{Host, Index, OpenFile}
 
   @idle_ms 20_000
   @kept_bytes 64 * 1_048_576
@@ -19,7 +19,7 @@ defmodule Situ.Media.Recording.Pictures do
   defstruct [:recording, decoders: [], kept: %{}, order: :queue.new(), bytes: 0]
 
   @doc "Up to `limit` pictures from `ordinal` on: `{:ok, [{ordinal, image}]}`, fewer when they are large, none at the end."
-  @spec read(Recording.t(), non_neg_integer(), pos_integer()) ::
+  @spec read(OpenFile.t(), non_neg_integer(), pos_integer()) ::
           {:ok, [{non_neg_integer(), Situ.Image.t()}]} | {:error, Situ.Error.t()}
   def read(recording, ordinal, limit), do: Host.ask(__MODULE__, recording, {ordinal, limit})
 
@@ -33,7 +33,7 @@ defmodule Situ.Media.Recording.Pictures do
   @impl true
   def handle_call({ordinal, limit}, _from, state) do
     {result, state} =
-      case Recording.unchanged(state.recording) do
+      case OpenFile.unchanged(state.recording) do
         :ok -> answer(state, ordinal, min(limit, most(state.recording)))
         error -> {error, state}
       end

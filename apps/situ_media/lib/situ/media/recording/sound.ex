@@ -4,8 +4,8 @@ defmodule Situ.Media.Recording.Sound do
   use GenServer
 
   alias Situ.{AudioBuffer, AudioFormat}
-  alias Situ.Media.{Decoder, Recording}
-  alias Situ.Media.Recording.{Host, Waveform}
+  alias Situ.Media.Decoder
+  alias Situ.Media.Recording.{Host, OpenFile, Waveform}
 
   @idle_ms 120_000
   @kept 3
@@ -19,11 +19,11 @@ defmodule Situ.Media.Recording.Sound do
   @doc """
   One stretch of sound, counted from 0: `{:ok, data, error}`; short where there is no more, and then `error` says why, or is `nil`.
   """
-  @spec read(Recording.t(), non_neg_integer()) ::
+  @spec read(OpenFile.t(), non_neg_integer()) ::
           {:ok, binary(), Situ.Error.t() | nil} | {:error, Situ.Error.t()}
   def read(recording, number), do: Host.ask(__MODULE__, recording, {:stretch, number})
 
-  @spec waveform(Recording.t()) :: {:ok, Waveform.t()} | {:error, Situ.Error.t()}
+  @spec waveform(OpenFile.t()) :: {:ok, Waveform.t()} | {:error, Situ.Error.t()}
   def waveform(recording), do: Host.ask(__MODULE__, recording, :waveform)
 
   @impl true
@@ -59,13 +59,13 @@ defmodule Situ.Media.Recording.Sound do
 
   defp decode(recording, number) do
     %{format: format} = sound = recording.sound
-    size = sound.step * Recording.stretch()
+    size = sound.step * OpenFile.stretch()
     first = sound.first + number * size
     last = min(first + size, sound.first + sound.frames)
     from = max(AudioFormat.frames_to_ns(format, first) - @lead, 0)
     span = [start: from, end: AudioFormat.frames_to_ns(format, last) + @lead]
 
-    with :ok <- Recording.unchanged(recording),
+    with :ok <- OpenFile.unchanged(recording),
          {:ok, decoder} <- open(recording, span),
          {:ok, data, nil} <- gather(Decoder.next(decoder), last, format, {first, []}) do
       # A pause: the sound goes on in a later stretch.

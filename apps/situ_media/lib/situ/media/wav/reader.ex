@@ -9,7 +9,7 @@ defmodule Situ.Media.Wav.Reader do
   last whole frame comes `:eof`, or an error when the file ends before its header says it should.
   """
   alias Situ.{AudioBuffer, AudioFormat, Error}
-  alias Situ.Media.Wav
+  alias Situ.Media.Wav.Format
 
   @schema [
     buffer: [type: :pos_integer, default: 20_000_000, doc: "Length of one piece, ns."],
@@ -61,6 +61,37 @@ defmodule Situ.Media.Wav.Reader do
   @doc "How long the sound is, ns."
   @spec duration(t()) :: Situ.Time.duration()
   def duration(%__MODULE__{} = reader), do: AudioFormat.frames_to_ns(reader.format, total(reader))
+
+  @doc "Frames there are."
+  @spec frames(t()) :: non_neg_integer()
+  def frames(%__MODULE__{} = reader), do: total(reader)
+
+  @doc "Bytes of sound that the header announces and the file lacks."
+  @spec missing(t()) :: non_neg_integer()
+  def missing(%__MODULE__{} = reader), do: reader.claimed - reader.bytes
+
+  @doc "The same reader with its file open again, in the calling process: what `open/2` found out is kept."
+  @spec reopen(t(), Path.t()) :: {:ok, t()} | {:error, Error.t()}
+  def reopen(%__MODULE__{} = reader, path) do
+    with {:ok, file} <- open_file(path), do: {:ok, %{reader | file: file}}
+  end
+
+  @doc "`count` frames from frame `first` on; an error when the file has become shorter."
+  @spec slice(t(), non_neg_integer(), non_neg_integer()) :: AudioBuffer.result()
+  def slice(%__MODULE__{format: format} = reader, first, count) do
+    size = AudioFormat.bytes_per_frame(format)
+
+    case :file.pread(reader.file, reader.data + first * size, count * size) do
+      {:ok, data} when byte_size(data) == count * size ->
+        {:ok, %AudioBuffer{format: format, data: data}}
+
+      {:error, reason} ->
+        {:error, unreadable(reader.name, :file.format_error(reason))}
+
+      _ ->
+        {:error, truncated(reader)}
+    end
+  end
 
   @doc "The next piece."
   @spec next(t()) :: {:ok, Situ.Time.t(), AudioBuffer.t(), t()} | :eof | {:error, Error.t()}
@@ -162,7 +193,7 @@ defmodule Situ.Media.Wav.Reader do
 
   defp chunk("fmt ", size, file, at, seen) do
     with {:ok, bytes} <- :file.pread(file, at, min(size, 40)),
-         {:ok, format} <- Wav.parse_format(bytes) do
+         {:ok, format} <- Format.parse(bytes) do
       {:ok, %{seen | format: format}}
     else
       {:error, %Error{} = error} -> {:error, %{error | what: "cannot read #{seen.name}"}}

@@ -9,7 +9,7 @@ defmodule Situ.Media.Wav.Writer do
       :ok = Situ.Media.Wav.Writer.close(writer)
   """
   alias Situ.{AudioBuffer, AudioFormat, Error}
-  alias Situ.Media.Wav
+  alias Situ.Media.Wav.Format
 
   @enforce_keys [:file, :format, :path, :header]
   defstruct [:file, :format, :path, :header, bytes: 0]
@@ -23,7 +23,7 @@ defmodule Situ.Media.Wav.Writer do
   @doc "Creates the file. `start_time:` (ns) is written into it as its date of creation."
   @spec open(Path.t(), AudioFormat.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def open(path, %AudioFormat{} = format, opts \\ []) do
-    header = %{fmt: Wav.encode_format(format), info: info(opts[:start_time])}
+    header = %{fmt: Format.encode(format), info: info(opts[:start_time])}
 
     with {:ok, file} <- :file.open(path, [:write, :raw, :binary]),
          :ok <- :file.write(file, header(header, :unknown)) do

@@ -1,0 +1,82 @@
+defmodule Situ.Media.Wav.Format do
+  @moduledoc """
+  The `fmt ` chunk of a WAV file: which kind of samples follow.
+  """
+  alias Situ.{AudioFormat, Error}
+
+  @pcm 1
+  @float 3
+  @extensible 0xFFFE
+  # The tail of the sub-format's GUID: xxxxxxxx-0000-0010-8000-00AA00389B71.
+  @guid <<0x0000::little-16, 0x0010::little-16, 0x80, 0x00, 0x00, 0xAA, 0x00, 0x38, 0x9B, 0x71>>
+
+  @doc """
+  The body of a `fmt ` chunk for a format.
+
+      iex> {:ok, format} = Situ.Media.Wav.Format.parse(Situ.Media.Wav.Format.encode(Situ.AudioFormat.pcm(44_100, 2, :f32)))
+      iex> format
+      #Situ.AudioFormat<44100 Hz, 2 ch, :f32>
+  """
+  @spec encode(AudioFormat.t()) :: binary()
+  def encode(%AudioFormat{} = format) do
+    tag = if format.sample in [:f32, :f64], do: @float, else: @pcm
+    bits = 8 * AudioFormat.bytes_per_sample(format)
+
+    plain =
+      <<format.rate::little-32, AudioFormat.bytes_per_second(format)::little-32,
+        AudioFormat.bytes_per_frame(format)::little-16, bits::little-16>>
+
+    # More than two channels or 16 bits, and float, are written the extensible way, as the format's authors ask.
+    if tag == @pcm and bits <= 16 and format.channels <= 2 do
+      <<@pcm::little-16, format.channels::little-16, plain::binary>>
+    else
+      <<@extensible::little-16, format.channels::little-16, plain::binary, 22::little-16,
+        bits::little-16, 0::little-32, tag::little-32, @guid::binary>>
+    end
+  end
+
+  @doc "The format a `fmt ` chunk means."
+  @spec parse(binary()) :: {:ok, AudioFormat.t()} | {:error, Error.t()}
+  def parse(
+        <<@extensible::little-16, plain::binary-size(14), _size::little-16, _valid::little-16,
+          _mask::little-32, tag::little-16, _guid::binary-size(14), _::binary>>
+      ),
+      do: parse_plain(tag, plain)
+
+  def parse(<<tag::little-16, plain::binary-size(14), _::binary>>),
+    do: parse_plain(tag, plain)
+
+  def parse(bytes), do: bad("its fmt chunk has only #{byte_size(bytes)} bytes")
+
+  defp parse_plain(
+         tag,
+         <<channels::little-16, rate::little-32, _::32, block::little-16, bits::little-16>>
+       ) do
+    with {:ok, sample} <- sample(tag, bits),
+         {:ok, format} <-
+           AudioFormat.validate(%AudioFormat{rate: rate, channels: channels, sample: sample}) do
+      if block == AudioFormat.bytes_per_frame(format),
+        do: {:ok, format},
+        else: bad("a frame of #{channels} channels of #{bits} bits cannot have #{block} bytes")
+    else
+      {:error, %{what: what}} -> bad(what)
+    end
+  end
+
+  defp sample(@pcm, 8), do: {:ok, :u8}
+  defp sample(@pcm, 16), do: {:ok, :s16}
+  defp sample(@pcm, 24), do: {:ok, :s24}
+  defp sample(@pcm, 32), do: {:ok, :s32}
+  defp sample(@float, 32), do: {:ok, :f32}
+  defp sample(@float, 64), do: {:ok, :f64}
+
+  defp sample(tag, bits) when tag in [@pcm, @float],
+    do: {:error, Error.new(:bad_wav, "samples of #{bits} bits are unknown")}
+
+  defp sample(tag, _bits) do
+    {:error,
+     Error.new(:bad_wav, "its sound is compressed (format tag #{tag}), read it with VideoFile")}
+  end
+
+  defp bad(why), do: {:error, Error.new(:bad_wav, "not a usable WAV file", why: why)}
+end
