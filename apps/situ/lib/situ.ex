@@ -12,7 +12,7 @@ defmodule Situ do
   @doc "Adds a source; returns its stream, or a map of streams when it has several outputs."
   @spec source(Pipeline.t(), module(), keyword(), keyword()) ::
           Stream.t() | %{atom() => Stream.t()}
-  def source(%Pipeline{} = p, module, opts \\ [], common \\ []),
+  def source(%Situ.Graph.Handle{} = p, module, opts \\ [], common \\ []),
     do: p |> Pipeline.add(module, opts, common) |> Node.streams()
 
   @doc """
@@ -39,7 +39,7 @@ defmodule Situ do
   @doc "Groups components under one name; given a stream, the function gets the stream inside the group."
   @spec composite(Pipeline.t() | Stream.t(), String.t(), (term() -> result)) :: result
         when result: term()
-  def composite(%Pipeline{} = p, name, fun), do: Pipeline.composite(p, name, fun)
+  def composite(%Situ.Graph.Handle{} = p, name, fun), do: Pipeline.composite(p, name, fun)
 
   def composite(%Stream{} = stream, name, fun),
     do: Pipeline.composite(stream.pipeline, name, fn p -> fun.(%{stream | pipeline: p}) end)

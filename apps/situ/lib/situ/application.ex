@@ -1,14 +1,12 @@
 defmodule Situ.Application do
   @moduledoc false
-  # Creates the tables that outlive any pipeline. Nothing else is global.
+  # The processes that outlive any pipeline. Nothing else is global.
   use Application
 
   @impl true
   def start(_type, _args) do
-    Situ.Telemetry.setup()
-    Situ.Pipeline.Archive.setup()
-
     children = [
+      Situ.Application.Tables,
       Situ.Pipeline.Reaper,
       Situ.Clock.registry(),
       Situ.Connector.registry(),

@@ -2,25 +2,26 @@ defmodule Situ.Graph.Builder do
   @moduledoc false
   # Holds graphs while they are built: in the dictionary of the process that builds (a pipeline runs `build/2` itself,
   # so adding a component is a map update), or behind a call for a pipeline that was opened empty and is built from outside.
-  alias Situ.{Error, Graph, Pipeline}
+  alias Situ.{Error, Graph}
+  alias Situ.Graph.Handle
 
   @doc "A handle whose graph this process holds from now on."
-  @spec open(Graph.t(), pid()) :: Pipeline.t()
+  @spec open(Graph.t(), pid()) :: Handle.t()
   def open(graph \\ %Graph{}, pid \\ self()) do
     ref = make_ref()
     Process.put({__MODULE__, ref}, graph)
-    %Pipeline{pid: pid, ref: ref}
+    %Handle{pid: pid, ref: ref}
   end
 
   @doc "Ends the building: the graph, no longer held."
-  @spec close(Pipeline.t()) :: Graph.t()
-  def close(%Pipeline{ref: ref}), do: Process.delete({__MODULE__, ref})
+  @spec close(Handle.t()) :: Graph.t()
+  def close(%Handle{ref: ref}), do: Process.delete({__MODULE__, ref})
 
   @doc "The graph so far."
-  @spec peek(Pipeline.t()) :: Graph.t() | nil
-  def peek(%Pipeline{ref: ref}), do: Process.get({__MODULE__, ref})
+  @spec peek(Handle.t()) :: Graph.t() | nil
+  def peek(%Handle{ref: ref}), do: Process.get({__MODULE__, ref})
 
-  @spec collect((Pipeline.t() -> result)) :: {Graph.t(), result} when result: term()
+  @spec collect((Handle.t() -> result)) :: {Graph.t(), result} when result: term()
   def collect(fun) do
     handle = open()
 
@@ -33,8 +34,8 @@ defmodule Situ.Graph.Builder do
   end
 
   @doc "Runs `fun` while the graph can be built on again, for handlers that add handlers; answers the handlers then."
-  @spec lend(Pipeline.t(), Graph.t(), (() -> result)) :: {result, list()} when result: term()
-  def lend(%Pipeline{ref: ref}, graph, fun) do
+  @spec lend(Handle.t(), Graph.t(), (() -> result)) :: {result, list()} when result: term()
+  def lend(%Handle{ref: ref}, graph, fun) do
     Process.put({__MODULE__, ref}, graph)
 
     try do
@@ -46,8 +47,8 @@ defmodule Situ.Graph.Builder do
   end
 
   @doc "Applies `change`, which returns `{result, graph}` or raises, to the handle's graph."
-  @spec run(Pipeline.t(), (Graph.t() -> {result, Graph.t()})) :: result when result: term()
-  def run(%Pipeline{ref: ref} = handle, change) do
+  @spec run(Handle.t(), (Graph.t() -> {result, Graph.t()})) :: result when result: term()
+  def run(%Handle{ref: ref} = handle, change) do
     case Process.get({__MODULE__, ref}) do
       nil -> remote(handle, change)
       graph -> local(ref, graph, change)
@@ -60,9 +61,9 @@ defmodule Situ.Graph.Builder do
     result
   end
 
-  defp remote(%Pipeline{pid: pid}, _change) when pid == self(), do: raise(running())
+  defp remote(%Handle{pid: pid}, _change) when pid == self(), do: raise(running())
 
-  defp remote(%Pipeline{pid: pid}, change) do
+  defp remote(%Handle{pid: pid}, change) do
     case GenServer.call(pid, {:build, change}) do
       {:ok, result} -> result
       {:error, error} -> raise error

@@ -52,11 +52,11 @@ defmodule Situ.Graph do
   ]
 
   @doc "Runs `fun` with a handle of a new graph held by this process alone; returns the graph and the function's result."
-  @spec build((Situ.Pipeline.t() -> result)) :: {t(), result} when result: term()
+  @spec build((Situ.Graph.Handle.t() -> result)) :: {t(), result} when result: term()
   def build(fun) when is_function(fun, 1), do: Situ.Graph.Builder.collect(fun)
 
   @doc "Adds a component; `common` are the options every component takes. Raises `Situ.Error`."
-  @spec add(t(), Situ.Pipeline.t(), module(), keyword(), keyword()) :: {Situ.Node.t(), t()}
+  @spec add(t(), Situ.Graph.Handle.t(), module(), keyword(), keyword()) :: {Situ.Node.t(), t()}
   def add(%__MODULE__{} = graph, handle, module, opts, common) do
     check_module!(module)
     common = Options.validate!(common, @common)
@@ -150,6 +150,17 @@ defmodule Situ.Graph do
   @spec stream_name(String.t(), atom(), keyword()) :: String.t()
   def stream_name(path, _output, [_only]), do: path
   def stream_name(path, output, _outputs), do: path <> "." <> Atom.to_string(output)
+
+  @doc "Every stream's name and the vertex and output it comes from; an explicit name replaces the default one."
+  @spec stream_names(t()) :: %{String.t() => {pos_integer(), atom()}}
+  def stream_names(%__MODULE__{} = graph) do
+    default =
+      for {id, vertex} <- graph.vertices, {output, _} <- vertex.outputs, into: %{} do
+        {stream_name(vertex.path, output, vertex.outputs), {id, output}}
+      end
+
+    Map.merge(default, graph.stream_names)
+  end
 
   @doc "The error for a port that does not exist, with the nearest name."
   @spec unknown_port(:input | :output, Situ.Node.t(), atom()) :: Error.t()

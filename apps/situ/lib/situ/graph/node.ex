@@ -16,7 +16,7 @@ defmodule Situ.Node do
   defstruct [:pipeline, :id, :path, :module, :inputs, :outputs]
 
   @type t :: %__MODULE__{
-          pipeline: Situ.Pipeline.t(),
+          pipeline: Situ.Graph.Handle.t(),
           id: pos_integer(),
           path: String.t(),
           module: module() | :operator,

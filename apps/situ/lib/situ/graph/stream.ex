@@ -11,7 +11,7 @@ defmodule Situ.Stream do
   defstruct [:pipeline, :node, :output, :name, type: :any]
 
   @type t :: %__MODULE__{
-          pipeline: Situ.Pipeline.t(),
+          pipeline: Situ.Graph.Handle.t(),
           node: pos_integer(),
           output: atom(),
           name: String.t() | nil,

@@ -37,29 +37,31 @@ defmodule Situ.Generator do
   @doc "`initial`, `next.(initial)`, ...: `interval` ns apart. Without `count:` it never ends."
   @spec sequence(Pipeline.t(), value, (value -> value), interval(), keyword()) :: Stream.t()
         when value: term()
-  def sequence(%Pipeline{} = p, initial, next, interval, opts \\ []) when is_function(next, 1),
-    do: paced(p, "Sequence", {initial, next}, interval, opts)
+  def sequence(%Situ.Graph.Handle{} = p, initial, next, interval, opts \\ [])
+      when is_function(next, 1),
+      do: paced(p, "Sequence", {initial, next}, interval, opts)
 
   @doc "The integers from `start` on, `count` of them."
   @spec range(Pipeline.t(), integer(), non_neg_integer(), interval(), keyword()) :: Stream.t()
-  def range(%Pipeline{} = p, start, count, interval, opts \\ []) when is_integer(start) do
+  def range(%Situ.Graph.Handle{} = p, start, count, interval, opts \\ [])
+      when is_integer(start) do
     opts = [count: count, type: :integer] |> Keyword.merge(opts)
     paced(p, "Range", {start, &(&1 + 1)}, interval, opts)
   end
 
   @doc "The same value again and again. Without `count:` it never ends."
   @spec repeat(Pipeline.t(), term(), interval(), keyword()) :: Stream.t()
-  def repeat(%Pipeline{} = p, value, interval, opts \\ []),
+  def repeat(%Situ.Graph.Handle{} = p, value, interval, opts \\ []),
     do: paced(p, "Repeat", {value, & &1}, interval, opts)
 
   @doc "One value at the pipeline's start, and that was all."
   @spec return(Pipeline.t(), term(), keyword()) :: Stream.t()
-  def return(%Pipeline{} = p, value, opts \\ []),
+  def return(%Situ.Graph.Handle{} = p, value, opts \\ []),
     do: paced(p, "Return", {value, & &1}, 1, [count: 1] ++ opts)
 
   @doc "One value at the pipeline's start; the stream stays open."
   @spec once(Pipeline.t(), term(), keyword()) :: Stream.t()
-  def once(%Pipeline{} = p, value, opts \\ []),
+  def once(%Situ.Graph.Handle{} = p, value, opts \\ []),
     do: paced(p, "Once", {value, & &1}, 1, [count: 1, keep_open: true] ++ opts)
 
   @doc """
@@ -69,7 +71,7 @@ defmodule Situ.Generator do
   Items before the replay's start, asked for or proposed, are passed over.
   """
   @spec from_enumerable(Pipeline.t(), Enumerable.t(), keyword()) :: Stream.t()
-  def from_enumerable(%Pipeline{} = p, enumerable, opts \\ []) do
+  def from_enumerable(%Situ.Graph.Handle{} = p, enumerable, opts \\ []) do
     opts =
       Situ.Options.validate!(
         opts,
@@ -98,7 +100,7 @@ defmodule Situ.Generator do
   where exact times matter more than the clock.
   """
   @spec timer(Pipeline.t(), interval(), keyword()) :: Stream.t()
-  def timer(%Pipeline{} = p, interval, opts \\ []) do
+  def timer(%Situ.Graph.Handle{} = p, interval, opts \\ []) do
     opts = Situ.Options.validate!(opts, [fun: [type: {:fun, 2}]] ++ common())
     options = [interval: interval] ++ Keyword.take(opts, [:fun])
     type = if opts[:fun], do: :any, else: :integer
@@ -112,7 +114,12 @@ defmodule Situ.Generator do
   @spec event_source(Pipeline.t(), ((term() -> :ok) -> handle), (handle -> any()), keyword()) ::
           Stream.t()
         when handle: term()
-  def event_source(%Pipeline{} = p, subscribe, unsubscribe \\ fn _ -> :ok end, opts \\ []) do
+  def event_source(
+        %Situ.Graph.Handle{} = p,
+        subscribe,
+        unsubscribe \\ fn _ -> :ok end,
+        opts \\ []
+      ) do
     opts = [on_same_time: :nudge] |> Keyword.merge(opts) |> Situ.Options.validate!(common())
     options = [subscribe: subscribe, unsubscribe: unsubscribe]
     add(p, "EventSource", Events, options, opts)

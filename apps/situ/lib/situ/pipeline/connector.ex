@@ -43,23 +43,18 @@ defmodule Situ.Connector do
 
     common = Keyword.merge([name: connector.name, outputs: [out: type]], common)
 
-    Situ.source(
-      p,
-      Situ.Connector.In,
-      [connector: connector, as: Keyword.get(own, :as, :data)],
-      common
-    )
+    options = [connector: connector, as: Keyword.get(own, :as, :data)]
+    p |> Situ.Pipeline.add(Situ.Connector.In, options, common) |> Situ.Node.output(:out)
   end
 
   @doc "Sends a stream into the connector. Options: `policy:` and the common ones of `Situ.Pipeline.add/4`."
   @spec send(Stream.t(), t(), keyword()) :: %{}
   def send(%Stream{} = stream, %__MODULE__{} = connector, opts \\ []) do
-    Situ.via(
-      stream,
-      Situ.Connector.Out,
-      [connector: connector],
-      Keyword.put_new(opts, :name, connector.name)
-    )
+    {own, common} = Keyword.split(opts, [:policy])
+    common = Keyword.put_new(common, :name, connector.name)
+    sink = Situ.Pipeline.add(stream.pipeline, Situ.Connector.Out, [connector: connector], common)
+    :ok = Situ.Pipeline.connect(stream, sink, :in, own)
+    %{}
   end
 
   @doc "Waits until a receiving side runs."

@@ -11,37 +11,27 @@ defmodule Situ.Diagnostics do
   """
   alias Situ.Diagnostics.{Snapshot, Window}
   alias Situ.Graph
+  alias Situ.Pipeline.Client
 
   @doc """
   The Diagnostics stream of the pipeline being built: a snapshot every `interval:` ns (default 100 ms). Asked for twice it is the
   same stream; `diagnostics: true` among the pipeline's settings adds it too, for tools to find under the name "Diagnostics".
   """
   @spec stream(Situ.Pipeline.t(), keyword()) :: Situ.Stream.t()
-  def stream(%Situ.Pipeline{} = p, opts \\ []) do
+  def stream(%Situ.Graph.Handle{} = p, opts \\ []) do
     root = %{p | scope: nil}
 
     case Graph.Builder.run(root, &{Map.get(&1.paths, "Diagnostics"), &1}) do
       nil ->
-        Situ.source(root, Situ.Diagnostics.Source, opts, name: "Diagnostics")
+        root
+        |> Graph.Builder.run(
+          &Graph.add(&1, root, Situ.Diagnostics.Source, opts, name: "Diagnostics")
+        )
+        |> Situ.Node.output(:out)
 
       id ->
         %Situ.Stream{pipeline: p, node: id, output: :out, name: "Diagnostics", type: Snapshot}
     end
-  end
-
-  @doc false
-  # Every stream's name and where it comes from; an explicit name replaces the default one.
-  @spec stream_names(Graph.t()) :: %{String.t() => {pos_integer(), atom()}}
-  def stream_names(graph) do
-    default =
-      for {id, vertex} <- graph.vertices,
-          types = vertex.outputs,
-          {output, _} <- types,
-          into: %{} do
-        {Graph.stream_name(vertex.path, output, types), {id, output}}
-      end
-
-    Map.merge(default, graph.stream_names)
   end
 
   @doc "The snapshot as a compact table, for iex; means are of the last averaging span."
@@ -54,10 +44,10 @@ defmodule Situ.Diagnostics do
   def watch(_p, _ms, 0), do: :ok
 
   def watch(p, ms, times) do
-    if Situ.Pipeline.state(p) == :completed do
+    if Client.state(p) == :completed do
       IO.puts("the pipeline has ended")
     else
-      IO.puts([IO.ANSI.clear(), IO.ANSI.home(), format(Situ.Pipeline.info(p))])
+      IO.puts([IO.ANSI.clear(), IO.ANSI.home(), format(Client.call!(p, :info))])
       # A person reads it: this is the one place where waiting is the purpose.
       Elixir.Process.sleep(ms)
       watch(p, ms, if(times == :infinity, do: :infinity, else: times - 1))
@@ -66,13 +56,11 @@ defmodule Situ.Diagnostics do
 
   @doc "`part` in percent of `whole`; 0.0 of nothing."
   @spec percent(number(), number()) :: float()
-  def percent(_part, whole) when whole <= 0, do: 0.0
-  def percent(part, whole), do: part * 100 / whole
+  defdelegate percent(part, whole), to: Window
 
   @doc "A window's count as so many per second."
   @spec rate(number(), Window.t()) :: float()
-  def rate(_n, %Window{span: 0}), do: 0.0
-  def rate(n, %Window{span: span}), do: n * 1.0e9 / span
+  defdelegate rate(n, window), to: Window
 
   @doc """
   A snapshot, or the connections of it for which `which?` is true, in a few numbers: how many of everything there are, what

@@ -43,15 +43,15 @@ defmodule Situ.GenStage do
       iex> error.code
       :not_running
   """
-  alias Situ.Pipeline.Ask
+  alias Situ.Pipeline.Client
 
   @doc "Where to subscribe for a stream: the process and the options that name the output. The pipeline must be running."
   @spec subscription(Situ.Pipeline.target(), Situ.Stream.t() | String.t()) ::
           {:ok, {pid(), keyword()}} | {:error, Situ.Error.t()}
   def subscription(p, %Situ.Stream{} = stream),
-    do: Ask.call(p, {:subscription, {stream.node, stream.output}})
+    do: Client.call(p, {:subscription, {stream.node, stream.output}})
 
-  def subscription(p, name) when is_binary(name), do: Ask.call(p, {:subscription, name})
+  def subscription(p, name) when is_binary(name), do: Client.call(p, {:subscription, name})
 
   @doc """
   The events of a GenStage producer (pid or name) as a stream.
@@ -60,18 +60,14 @@ defmodule Situ.GenStage do
   `Situ.Pipeline.add/4`.
   """
   @spec from(Situ.Pipeline.t(), GenServer.server(), keyword()) :: Situ.Stream.t()
-  def from(%Situ.Pipeline{} = p, producer, opts \\ []) do
+  def from(%Situ.Graph.Handle{} = p, producer, opts \\ []) do
     {own, common} = Keyword.split(opts, [:type, :subscribe])
 
     common =
       Keyword.merge([name: "GenStage", outputs: [out: Keyword.get(own, :type, :any)]], common)
 
-    Situ.source(
-      p,
-      Situ.GenStage.Source,
-      [producer: producer, subscribe: Keyword.get(own, :subscribe, [])],
-      common
-    )
+    options = [producer: producer, subscribe: Keyword.get(own, :subscribe, [])]
+    p |> Situ.Pipeline.add(Situ.GenStage.Source, options, common) |> Situ.Node.output(:out)
   end
 end
 

@@ -104,7 +104,7 @@ defmodule Situ.Pipeline.Inputs do
 
   defp lend(state, {id, taker}, {origin, output, source}, asked, from) do
     tag = state.graph.next_edge
-    input = free(state, id)
+    input = free(state, id, asked.input)
     policy = asked.policy || state.graph.default_policy || Delivery.unlimited()
     edge = %Edge{id: tag, from: {origin, output}, to: {id, input}, policy: policy, explicit: true}
     ends = %{from: source.id, output: output, to: taker.id, input: input}
@@ -127,12 +127,12 @@ defmodule Situ.Pipeline.Inputs do
   defp ask(state, ref, asked), do: %{state | inputs: Map.put(state.inputs, ref, asked)}
 
   # The smallest free name: as many atoms as there ever are inputs at once.
-  defp free(state, id) do
+  defp free(state, id, name) do
     asked = for {_, %{link: %{to: ^id, input: input}}} <- state.inputs, do: input
     taken = asked ++ Keyword.keys(state.graph.vertices[id].inputs)
 
     Stream.iterate(0, &(&1 + 1))
-    |> Stream.map(&Situ.Fusion.Fuse.input/1)
+    |> Stream.map(name)
     |> Enum.find(&(&1 not in taken))
   end
 

@@ -1,38 +1,4 @@
 defmodule Situ.Pipeline do
-  @settings [
-    name: [type: :string, doc: "Default: the module's last name, or \"Pipeline\"."],
-    replay: [
-      type: :keyword,
-      default: [],
-      doc: "`interval: {from | :unbounded, to | :unbounded}` and `speed:` (a number, or `:max`)."
-    ],
-    clock: [type: :any, doc: "A `Situ.Clock` to run by (tests: `Situ.Clock.manual/1`)."],
-    default_policy: [
-      type: {:struct, Situ.Delivery},
-      doc: "For connections without a policy of their own; default `Situ.Delivery.unlimited()`."
-    ],
-    diagnostics: [
-      type: {:or, [:boolean, :keyword]},
-      default: false,
-      doc: "Adds the Diagnostics stream (`interval:` ns between snapshots, default 100 ms)."
-    ],
-    averaging: [
-      type: :pos_integer,
-      default: 1_000_000_000,
-      doc: "The span of the windowed statistics in diagnostics, ns."
-    ],
-    message_sizes: [
-      type: :boolean,
-      default: false,
-      doc: "Weighs every message for diagnostics: cheap for binaries, costly for large terms."
-    ],
-    stop_timeout: [
-      type: :pos_integer,
-      default: 30_000,
-      doc: "Milliseconds without any progress after which a stop kills what is stuck."
-    ]
-  ]
-
   @moduledoc """
   A pipeline: a graph of components, run as a supervised set of processes.
 
@@ -56,7 +22,7 @@ defmodule Situ.Pipeline do
 
   ## Settings, under the reserved key `pipeline:` of the options
 
-  #{Situ.Options.docs(@settings)}
+  #{Situ.Options.docs(Situ.Pipeline.Settings.schema())}
 
   `run/2` defaults to speed `:max`, `start_link/2` and `child_spec/1` to real time (`1.0`).
 
@@ -84,14 +50,11 @@ defmodule Situ.Pipeline do
       :not_running
   """
   alias Situ.{Error, Graph, Node, Stream}
-  alias Situ.Graph.Builder
-  alias Situ.Pipeline.{Ask, Entry, Report}
+  alias Situ.Graph.{Builder, Handle}
+  alias Situ.Pipeline.{Client, Launcher, Report}
 
-  @enforce_keys [:pid, :ref]
-  defstruct [:pid, :ref, :scope]
-
-  @typedoc "A handle. `scope` is the path of the composite being built, or `nil`."
-  @type t :: %__MODULE__{pid: pid(), ref: reference(), scope: String.t() | nil}
+  @typedoc "A handle: what `build/2` is given and `new/1` returns."
+  @type t :: Handle.t()
   @type spec :: module() | (t() -> term())
   @type target :: t() | pid() | GenServer.name() | Stream.t()
   @type result :: {:ok, Report.t()} | {:error, Error.t()}
@@ -109,9 +72,6 @@ defmodule Situ.Pipeline do
       defoverridable child_spec: 1
     end
   end
-
-  @doc false
-  def settings, do: @settings
 
   @doc "A supervisor's child specification for `{module_or_fun, opts}`; transient: restarted when it fails."
   @spec child_spec({spec(), keyword()}) :: Supervisor.child_spec()
@@ -131,23 +91,23 @@ defmodule Situ.Pipeline do
   A pipeline without finite sources runs until another process stops it.
   """
   @spec run(spec(), keyword()) :: result()
-  def run(spec, opts \\ []), do: Entry.run(spec, opts)
+  def run(spec, opts \\ []), do: Launcher.run(spec, opts)
 
   @doc "Builds and starts a pipeline linked to the caller; returns as soon as `build` is done."
   @spec start_link(spec(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
-  def start_link(spec, opts \\ []), do: Entry.start_link(spec, opts)
+  def start_link(spec, opts \\ []), do: Launcher.start_link(spec, opts)
 
   @doc "As `start_link/2` without the link: a failure is seen by `await/2` alone."
   @spec start(spec(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
-  def start(spec, opts), do: Entry.start(spec, opts)
+  def start(spec, opts), do: Launcher.start(spec, opts)
 
   @doc "Opens an empty pipeline, to be built from outside and started with `start/1`; it ends with its caller."
   @spec new(keyword()) :: t()
-  def new(settings \\ []), do: Entry.new(settings)
+  def new(settings \\ []), do: Launcher.new(settings)
 
   @doc "Starts a pipeline that was opened with `new/1`."
   @spec start(t()) :: :ok | {:error, Error.t()}
-  def start(%__MODULE__{} = p), do: Ask.call(p, :start)
+  def start(%Handle{} = p), do: Client.call(p, :start)
 
   @doc """
   Stops: sources first, what is on its way up to now is still delivered, then every output closes, upstream first.
@@ -159,7 +119,7 @@ defmodule Situ.Pipeline do
   inside one of the pipeline's own components it returns `:ok` at once and the stop goes its way.
   """
   @spec stop(target(), keyword()) :: result() | :ok
-  def stop(p, opts \\ []), do: Ask.stop(p, opts)
+  def stop(p, opts \\ []), do: Client.stop(p, opts)
 
   @doc """
   Stops a composite, or one component, given as a path or a `Situ.Node`; the rest of the pipeline runs on.
@@ -190,19 +150,19 @@ defmodule Situ.Pipeline do
   of it into one process with one outside; `:component_killed` when it was stuck for `stop_timeout:` and had to be killed.
   """
   @spec stop_part(target(), String.t() | Node.t(), keyword()) :: :ok | {:error, Error.t()}
-  def stop_part(p, part, opts \\ []), do: Ask.stop_part(p, part, opts)
+  def stop_part(p, part, opts \\ []), do: Client.stop_part(p, part, opts)
 
   @doc "Waits for the end; `{:error, %Situ.Error{code: :timeout}}` after `timeout` ms, and the pipeline goes on."
   @spec await(target(), timeout()) :: result()
-  def await(p, timeout \\ :infinity), do: Ask.await(p, timeout)
+  def await(p, timeout \\ :infinity), do: Client.await(p, timeout)
 
   @doc "Graph, counters, queues, latencies, processes: a `Situ.Diagnostics.Snapshot`. Asks no component."
   @spec info(target()) :: Situ.Diagnostics.Snapshot.t()
-  def info(p), do: Ask.call!(p, :info)
+  def info(p), do: Client.call!(p, :info)
 
   @doc "The state: `:building`, `:starting`, `:running`, `:stopping` or `:completed`."
   @spec state(target()) :: atom()
-  def state(p), do: Ask.state(p)
+  def state(p), do: Client.state(p)
 
   @doc "The pipeline's clock now, ns."
   @spec now(target()) :: Situ.Time.t()
@@ -210,24 +170,24 @@ defmodule Situ.Pipeline do
 
   @doc "The pipeline's clock; available once it has started."
   @spec clock(target()) :: Situ.Clock.t()
-  def clock(p), do: Ask.call!(p, :clock)
+  def clock(p), do: Client.call!(p, :clock)
 
   @doc "How far the replay or the finite sources are, 0.0 to 1.0; never decreases, 1.0 only at the end."
   @spec progress(target()) :: float()
-  def progress(p), do: Ask.call!(p, :progress)
+  def progress(p), do: Client.call!(p, :progress)
 
   @doc "Halts the clock of a running pipeline: replayed and timed messages wait."
   @spec pause(target()) :: :ok | {:error, Error.t()}
-  def pause(p), do: Ask.call(p, {:clock, :pause})
+  def pause(p), do: Client.call(p, {:clock, :pause})
 
   @doc "Lets a paused clock go on from where it stood."
   @spec resume(target()) :: :ok | {:error, Error.t()}
-  def resume(p), do: Ask.call(p, {:clock, :resume})
+  def resume(p), do: Client.call(p, {:clock, :resume})
 
   @doc "Changes the speed of a running pipeline's clock (1.0 is real time)."
   @spec set_speed(target(), number()) :: :ok | {:error, Error.t()}
   def set_speed(p, speed) when is_number(speed) and speed > 0,
-    do: Ask.call(p, {:clock, {:set_speed, speed}})
+    do: Client.call(p, {:clock, {:set_speed, speed}})
 
   @doc """
   Replaces the module or the options of a running component; its edges, queues and place stay.
@@ -237,7 +197,7 @@ defmodule Situ.Pipeline do
   """
   @spec replace(target(), Node.t() | String.t(), {module(), keyword()} | keyword()) ::
           :ok | {:error, Error.t()}
-  def replace(p, node, change), do: Ask.call(p, {:replace, node, change})
+  def replace(p, node, change), do: Client.call(p, {:replace, node, change})
 
   @doc """
   Adds a component. Common options: `name:`, `on_error:`, `async:`, `check:`, `on_same_time:`, and `inputs:`/`outputs:` for ports
@@ -254,7 +214,7 @@ defmodule Situ.Pipeline do
       [{10, :a}, {20, :d}]
   """
   @spec add(t(), module(), keyword(), keyword()) :: Node.t()
-  def add(%__MODULE__{} = p, module, opts, common \\ []),
+  def add(%Handle{} = p, module, opts, common \\ []),
     do: Builder.run(p, &Graph.add(&1, p, module, opts, common))
 
   @doc "Connects `stream` to the `input` of `node`; option `policy:`, a `Situ.Delivery`."
@@ -264,7 +224,7 @@ defmodule Situ.Pipeline do
 
   @doc "Groups what `fun` adds under one name, drawn as one box; returns what `fun` returns."
   @spec composite(t(), String.t(), (t() -> result)) :: result when result: term()
-  def composite(%__MODULE__{} = p, name, fun) when is_binary(name) and is_function(fun, 1) do
+  def composite(%Handle{} = p, name, fun) when is_binary(name) and is_function(fun, 1) do
     scope = Builder.run(p, &Graph.open_scope(&1, p.scope, name))
     p |> Map.put(:scope, scope) |> fun.() |> rescope(p.scope)
   end
@@ -287,12 +247,12 @@ defmodule Situ.Pipeline do
   Proposals are merged (smallest span that holds all) and cut by `replay: [interval: ...]`; the clock starts at the result.
   """
   @spec propose_replay(t(), {Situ.Time.t(), Situ.Time.t() | :unbounded}) :: :ok
-  def propose_replay(%__MODULE__{} = p, {from, to})
+  def propose_replay(%Handle{} = p, {from, to})
       when is_integer(from) and (is_integer(to) or to == :unbounded) do
     Builder.run(p, &{:ok, %{&1 | proposals: [{from, to} | &1.proposals]}})
   end
 
-  def propose_replay(%__MODULE__{}, other) do
+  def propose_replay(%Handle{}, other) do
     raise ArgumentError,
           "a proposed replay is {from, to}, ns, with a known start (the end may be :unbounded), got: #{inspect(other)}"
   end
@@ -309,7 +269,7 @@ defmodule Situ.Pipeline do
   """
   @spec on(t(), event, (term() -> any())) :: :ok
         when event: :run | :completed | :component_completed | :error | :abandoned
-  def on(%__MODULE__{} = p, event, fun)
+  def on(%Handle{} = p, event, fun)
       when event in [:run, :completed, :component_completed, :error, :abandoned] and
              is_function(fun, 1) do
     Builder.run(p, &{:ok, %{&1 | handlers: &1.handlers ++ [{event, fun}]}})
@@ -317,5 +277,5 @@ defmodule Situ.Pipeline do
 
   @doc "What replay interval the pipeline has been given: `{from | :unbounded, to | :unbounded}`; for importers during `build`."
   @spec replay_interval(t()) :: {Situ.Time.t() | :unbounded, Situ.Time.t() | :unbounded}
-  def replay_interval(%__MODULE__{} = p), do: Builder.run(p, &{&1.replay, &1})
+  def replay_interval(%Handle{} = p), do: Builder.run(p, &{&1.replay, &1})
 end

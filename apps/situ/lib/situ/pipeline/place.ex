@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Place do
   @moduledoc false
   # Where a stream of a running pipeline is to be had: which vertex and output, in which stage, and how far down its chain.
-  alias Situ.{Error, Options}
+  alias Situ.{Error, Graph, Options}
   alias Situ.Pipeline.{Launch, Life}
 
   @type port_id :: {pos_integer(), atom()}
@@ -15,7 +15,7 @@ defmodule Situ.Pipeline.Place do
   end
 
   def port(state, name) do
-    named = Situ.Diagnostics.stream_names(state.graph)
+    named = Graph.stream_names(state.graph)
 
     case named do
       %{^name => port} -> {:ok, port}

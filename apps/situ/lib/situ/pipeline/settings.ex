@@ -3,6 +3,43 @@ defmodule Situ.Pipeline.Settings do
   # The `pipeline:` options, parsed once.
   alias Situ.{Delivery, Error, Options, Pipeline}
 
+  @schema [
+    name: [type: :string, doc: "Default: the module's last name, or \"Pipeline\"."],
+    replay: [
+      type: :keyword,
+      default: [],
+      doc: "`interval: {from | :unbounded, to | :unbounded}` and `speed:` (a number, or `:max`)."
+    ],
+    clock: [type: :any, doc: "A `Situ.Clock` to run by (tests: `Situ.Clock.manual/1`)."],
+    default_policy: [
+      type: {:struct, Situ.Delivery},
+      doc: "For connections without a policy of their own; default `Situ.Delivery.unlimited()`."
+    ],
+    diagnostics: [
+      type: {:or, [:boolean, :keyword]},
+      default: false,
+      doc: "Adds the Diagnostics stream (`interval:` ns between snapshots, default 100 ms)."
+    ],
+    averaging: [
+      type: :pos_integer,
+      default: 1_000_000_000,
+      doc: "The span of the windowed statistics in diagnostics, ns."
+    ],
+    message_sizes: [
+      type: :boolean,
+      default: false,
+      doc: "Weighs every message for diagnostics: cheap for binaries, costly for large terms."
+    ],
+    stop_timeout: [
+      type: :pos_integer,
+      default: 30_000,
+      doc: "Milliseconds without any progress after which a stop kills what is stuck."
+    ]
+  ]
+
+  @doc false
+  def schema, do: @schema
+
   defstruct [
     :name,
     :clock,
@@ -27,7 +64,7 @@ defmodule Situ.Pipeline.Settings do
   @spec parse(keyword(), :run | :linked | :unlinked, Pipeline.spec() | nil) ::
           {:ok, t()} | {:error, Error.t()}
   def parse(opts, mode, spec) do
-    with {:ok, opts} <- Options.validate(opts, Pipeline.settings()),
+    with {:ok, opts} <- Options.validate(opts, @schema),
          {:ok, replay} <- Options.validate(opts[:replay], @replay),
          :ok <- check_interval(replay[:interval]),
          :ok <- check_clock(opts[:clock]),

@@ -1,82 +1,86 @@
-defmodule Situ.Pipeline.Tap do
+defmodule Situ.Tap do
   @moduledoc """
-  A look at a stream of a running pipeline, attached and detached while it runs; see `Situ.tap/3`.
+  A place in a running pipeline where any process may listen.
 
-  The function runs in a process of its own behind a lossy queue (default `Situ.Delivery.max_queue(1_000)`), so a slow
-  or stuck tap costs the pipeline nothing but the copy of the messages. A tap that raises skips the message. It goes with
-  its pipeline, and with the process that attached it.
+      {level, tap} = Situ.Tap.new(level)
+      ...
+      :ok = Situ.Tap.subscribe(tap)
+      receive do
+        {:situ_tap, ^tap, message} -> IO.inspect(message.data)
+      end
 
-      iex> me = self()
-      iex> connector = Situ.Connector.new("taps")
-      iex> {:ok, p} = Situ.Pipeline.start(fn p ->
-      ...>   p |> Situ.Connector.receive(connector) |> Situ.map(&(&1 * 2), name: "Doubled")
-      ...> end, [])
-      iex> {:ok, tap} = Situ.tap({p, "Doubled"}, &send(me, {:seen, &1.data}), [])
-      iex> Situ.Connector.deliver(connector, [%Situ.Message{data: 21, originating_time: 1}])
-      iex> receive do {:seen, n} -> n end
-      42
-      iex> Situ.Pipeline.Tap.detach(tap)
-      :ok
-      iex> {:ok, _} = Situ.Pipeline.stop(p)
-      iex> Situ.Pipeline.Tap.detach(tap)
-      :ok
+  A subscriber gets `{:situ_tap, tap, message}` for each message from then on, and nothing once it has unsubscribed or ended. A listener does
+  not slow the pipeline down: when more than `max_queue:` messages (default 10,000) wait in its mailbox, it misses messages.
   """
-  alias Situ.Pipeline.Ask
 
-  @enforce_keys [:pipeline, :id]
-  defstruct [:pipeline, :id]
+  alias Situ.Stream
 
-  @type t :: %__MODULE__{pipeline: pid(), id: pos_integer()}
+  @enforce_keys [:ref]
+  defstruct [:ref]
 
-  @schema [
-    policy: [
-      type: {:struct, Situ.Delivery},
-      doc: "What its queue does under load; default `Situ.Delivery.max_queue(1_000)`."
-    ],
-    name: [type: :string, doc: "Its name in diagnostics; default \"Tap\"."]
-  ]
+  @type t :: %__MODULE__{ref: reference()}
+
+  defmodule Outlet do
+    @moduledoc false
+    use Situ.Component,
+      inputs: [in: :any],
+      outputs: [out: :any],
+      options: [
+        tap: [type: :any, required: true],
+        max_queue: [type: :pos_integer, default: 10_000]
+      ]
+
+    @impl true
+    def init(opts), do: {:ok, {opts[:tap], opts[:max_queue]}}
+
+    @impl true
+    def handle_message(_input, message, _context, {tap, limit} = state) do
+      for {pid, _} <- Registry.lookup(Situ.Tap, tap.ref), room?(pid, limit) do
+        send(pid, {:situ_tap, tap, message})
+      end
+
+      {[{:out, message.originating_time, message.data}], state}
+    end
+
+    defp room?(pid, limit) when node(pid) == node() do
+      case Process.info(pid, :message_queue_len) do
+        {:message_queue_len, n} -> n < limit
+        nil -> false
+      end
+    end
+
+    defp room?(_remote, _limit), do: true
+  end
 
   @doc false
-  def schema, do: @schema
+  def registry, do: {Registry, keys: :duplicate, name: __MODULE__}
 
-  @doc false
-  @spec attach(
-          Situ.Stream.t() | {Situ.Pipeline.target(), String.t()},
-          (Situ.Message.t() -> any()),
-          keyword()
-        ) ::
-          {:ok, t()} | {:error, Situ.Error.t()}
-  def attach(target, fun, opts) when is_function(fun, 1) do
-    with {:ok, opts} <- Situ.Options.validate(opts, @schema) do
-      {pipeline, which} = which(target)
-      Ask.call(pipeline, {:tap, which, fun, opts})
-    end
+  @doc "A tap behind `stream`: the stream that goes on, and the tap to subscribe to."
+  @spec new(Stream.t(), keyword()) :: {Stream.t(), t()}
+  def new(%Stream{} = stream, opts \\ []) do
+    tap = %__MODULE__{ref: make_ref()}
+    {own, opts} = Keyword.split(opts, [:max_queue])
+    {edge, common} = Keyword.split(opts, [:policy])
+    ports = [inputs: [in: stream.type], outputs: [out: stream.type], default_name: "Tap"]
+    node = Situ.Pipeline.add(stream.pipeline, Outlet, [{:tap, tap} | own], ports ++ common)
+    :ok = Situ.Pipeline.connect(stream, node, :in, edge)
+    {Situ.Node.output(node, :out), tap}
   end
 
-  @doc "Takes the tap away; a tap whose pipeline has ended is gone already."
-  @spec detach(t()) :: :ok
-  def detach(%__MODULE__{} = tap) do
-    case Ask.call(tap.pipeline, {:untap, tap.id}) do
-      :ok -> :ok
-      {:error, %Situ.Error{code: :not_running}} -> :ok
-    end
+  @doc "The calling process gets messages from now on."
+  @spec subscribe(t()) :: :ok
+  def subscribe(%__MODULE__{ref: ref}) do
+    unless self() in subscribers(ref), do: {:ok, _} = Registry.register(__MODULE__, ref, nil)
+    :ok
   end
 
-  defp which(%Situ.Stream{} = stream), do: {stream, {stream.node, stream.output}}
-  defp which({pipeline, name}) when is_binary(name), do: {pipeline, name}
-end
+  @doc "The calling process gets no more messages."
+  @spec unsubscribe(t()) :: :ok
+  def unsubscribe(%__MODULE__{ref: ref}), do: Registry.unregister(__MODULE__, ref)
 
-defmodule Situ.Pipeline.Tap.Sink do
-  @moduledoc false
-  # The component behind a tap.
-  use Situ.Component, inputs: [in: :any], options: [fun: [type: {:fun, 1}, required: true]]
+  @doc "Whether anyone listens."
+  @spec subscribed?(t()) :: boolean()
+  def subscribed?(%__MODULE__{ref: ref}), do: subscribers(ref) != []
 
-  @impl true
-  def init(opts), do: {:ok, opts[:fun]}
-
-  @impl true
-  def handle_message(:in, message, _context, fun) do
-    fun.(message)
-    {[], fun}
-  end
+  defp subscribers(ref), do: for({pid, _} <- Registry.lookup(__MODULE__, ref), do: pid)
 end

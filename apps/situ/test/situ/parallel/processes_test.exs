@@ -252,7 +252,7 @@ defmodule Situ.Parallel.ProcessesTest do
     end
 
     defp moved(pipeline, before) do
-      mark = Situ.Pipeline.Ask.call(pipeline, :mark)
+      mark = Situ.Pipeline.Client.call(pipeline, :mark)
       if mark == before, do: moved(pipeline, before), else: mark
     end
 

@@ -119,7 +119,7 @@ defmodule Situ.Pipeline.StressTest do
     case Process.info(pid, :dictionary) do
       {:dictionary, dictionary} ->
         match?({Situ.Stage, _, _}, dictionary[:"$initial_call"]) or
-          match?({Situ.Pipeline.Entry, _, _}, dictionary[:"$initial_call"])
+          match?({Situ.Pipeline.Launcher, _, _}, dictionary[:"$initial_call"])
 
       nil ->
         false

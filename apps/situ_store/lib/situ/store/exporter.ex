@@ -13,7 +13,7 @@ defmodule Situ.Store.Exporter do
 
   @doc false
   @spec create(Pipeline.t(), String.t(), Path.t() | nil, keyword()) :: t()
-  def create(%Pipeline{} = p, name, root, opts) do
+  def create(%Situ.Graph.Handle{} = p, name, root, opts) do
     {root, opts} =
       if root in [nil, ""],
         do: {Volatile.root(), [{:volatile, true} | opts]},

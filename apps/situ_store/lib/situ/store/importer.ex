@@ -61,7 +61,7 @@ defmodule Situ.Store.Importer do
   def stream_options, do: @stream_options
 
   @doc false
-  def open(%Pipeline{} = p, path, opts) do
+  def open(%Situ.Graph.Handle{} = p, path, opts) do
     opts = Situ.Options.validate!(opts, @options)
     store = if is_struct(path, Store), do: path, else: Store.open!(path, verify: opts[:verify])
 

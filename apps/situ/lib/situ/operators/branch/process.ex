@@ -10,7 +10,7 @@ defmodule Situ.Branch.Process do
   # It ends with the process that started it.
   alias Situ.Graph.{Builder, Plan}
   alias Situ.{Delivery, Message, Operator, Pipeline, Stream}
-  alias Situ.Pipeline.Entry
+  alias Situ.Pipeline.Launcher
 
   defmodule Gate do
     @moduledoc false
@@ -102,7 +102,7 @@ defmodule Situ.Branch.Process do
     settings = [name: path, clock: timing.clock, replay: replay]
     spec = fn p -> build(p, fun, {to, id}, path, type) end
 
-    case Entry.start_answering(spec, [pipeline: settings], id) do
+    case Launcher.start_answering(spec, [pipeline: settings], id) do
       {:ok, pid} ->
         receive do
           {:situ_branch, ^id, {:built, built}} -> Map.put(built, :pid, pid)

@@ -131,8 +131,16 @@ defmodule Situ.Fusion.Build do
     own = Options.validate!(own, policy: [type: {:struct, Situ.Delivery}])
     {pipeline, taker} = at(fused)
     from = of_pipeline(pipeline, stream)
-    asked = %{taker: taker, stream: from, policy: own[:policy], request: {key, opts}}
-    Pipeline.Ask.call(pipeline, {:attach, asked})
+
+    asked = %{
+      taker: taker,
+      stream: from,
+      policy: own[:policy],
+      request: {key, opts},
+      input: &Fuse.input/1
+    }
+
+    Pipeline.Client.call(pipeline, {:attach, asked})
   end
 
   @doc "See `Situ.Fusion.remove_input/3`."
@@ -140,7 +148,7 @@ defmodule Situ.Fusion.Build do
           {:ok, Situ.Time.t() | :start} | {:error, Error.t()}
   def remove_input(fused, key, opts) do
     {pipeline, taker} = at(fused)
-    Pipeline.Ask.call(pipeline, {:detach, taker, {key, opts}})
+    Pipeline.Client.call(pipeline, {:detach, taker, {key, opts}})
   end
 
   @doc "Refuses an interpolator that may give other answers at other times."
@@ -165,7 +173,7 @@ defmodule Situ.Fusion.Build do
   defp of_pipeline(_pipeline, name) when is_binary(name), do: name
 
   defp of_pipeline(pipeline, %Stream{} = stream) do
-    if Pipeline.Ask.pid(pipeline) == stream.pipeline.pid do
+    if Pipeline.Client.pid(pipeline) == stream.pipeline.pid do
       {stream.node, stream.output}
     else
       raise Error.new(

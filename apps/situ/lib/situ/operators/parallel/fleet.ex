@@ -4,7 +4,7 @@ defmodule Situ.Parallel.Fleet do
   # not open yet gets what it is sent as soon as it is.
   alias Situ.Branch.Process, as: Branch
   alias Situ.Parallel.Pool
-  alias Situ.Pipeline.{Ask, Launch}
+  alias Situ.Pipeline.{Client, Launch}
 
   @type t :: %{Pool.id() => map()}
 
@@ -81,13 +81,13 @@ defmodule Situ.Parallel.Fleet do
   def at_work?(fleet, ids) do
     Enum.any?(ids, fn id ->
       branch = Map.fetch!(fleet, id)
-      branch.immediate? or Ask.call(branch.pid, :quiet?) != true
+      branch.immediate? or Client.call(branch.pid, :quiet?) != true
     end)
   end
 
   @doc "What changes as long as the branches get on."
   @spec marks(t()) :: term()
-  def marks(fleet), do: for({id, branch} <- fleet, do: {id, Ask.call(branch.pid, :mark)})
+  def marks(fleet), do: for({id, branch} <- fleet, do: {id, Client.call(branch.pid, :mark)})
 
   defp feed(fleet, id, entry) do
     case Map.fetch!(fleet, id) do

@@ -20,7 +20,7 @@ defmodule Situ.Parallel.Processes do
     ]
 
   alias Situ.Parallel.{Entries, Fleet, Parts, Pool}
-  alias Situ.Pipeline.Ask
+  alias Situ.Pipeline.Client
 
   @limit 256
 
@@ -43,7 +43,7 @@ defmodule Situ.Parallel.Processes do
 
   @impl true
   def handle_start(context, state),
-    do: {[], %{state | timing: Ask.call!(context.pipeline, :timing)}}
+    do: {[], %{state | timing: Client.call!(context.pipeline, :timing)}}
 
   @impl true
   def handle_message(_input, message, context, state) do
@@ -210,7 +210,7 @@ defmodule Situ.Parallel.Processes do
     receive do
       {:situ_branch, id, said} ->
         {more, state} = said(said, id, state)
-        Ask.moving(pipeline)
+        Client.moving(pipeline)
         drain(state, around, marks, [more | outputs])
 
       {id, result} when is_map_key(state.branches, id) ->
@@ -224,7 +224,7 @@ defmodule Situ.Parallel.Processes do
     after
       1_000 ->
         now = Fleet.marks(state.branches)
-        if now != marks, do: Ask.moving(pipeline)
+        if now != marks, do: Client.moving(pipeline)
         drain(state, around, now, outputs)
     end
   end

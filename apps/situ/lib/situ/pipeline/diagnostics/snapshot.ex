@@ -115,6 +115,16 @@ defmodule Situ.Diagnostics.Window do
           queue: float() | nil,
           size: non_neg_integer() | nil
         }
+
+  @doc "`part` in percent of `whole`; 0.0 of nothing."
+  @spec percent(number(), number()) :: float()
+  def percent(_part, whole) when whole <= 0, do: 0.0
+  def percent(part, whole), do: part * 100 / whole
+
+  @doc "A window's count as so many per second."
+  @spec rate(number(), t()) :: float()
+  def rate(_n, %__MODULE__{span: 0}), do: 0.0
+  def rate(n, %__MODULE__{span: span}), do: n * 1.0e9 / span
 end
 
 defmodule Situ.Diagnostics.Edge do

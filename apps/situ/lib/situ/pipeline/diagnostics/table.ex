@@ -1,7 +1,7 @@
 defmodule Situ.Diagnostics.Table do
   @moduledoc false
   # A snapshot as text for people.
-  alias Situ.Diagnostics.Snapshot
+  alias Situ.Diagnostics.{Snapshot, Window}
 
   @spec format(Snapshot.t()) :: String.t()
   def format(%Snapshot{} = snapshot) do
@@ -14,7 +14,7 @@ defmodule Situ.Diagnostics.Table do
           "#{paths[edge.from]} -> #{paths[edge.to]}",
           edge.policy,
           "#{edge.processed}",
-          "#{round(Situ.Diagnostics.rate(edge.window.processed, edge.window))}",
+          "#{round(Window.rate(edge.window.processed, edge.window))}",
           "#{edge.queue}#{if edge.throttled, do: "!", else: ""}",
           "#{edge.dropped}",
           duration(edge.window.latency || edge.latency_mean),

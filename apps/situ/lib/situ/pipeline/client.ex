@@ -1,4 +1,4 @@
-defmodule Situ.Pipeline.Ask do
+defmodule Situ.Pipeline.Client do
   @moduledoc false
   # Questions to a pipeline's process, asked by its handle, a stream, pid or name; one that has ended is an error, or its result.
   alias Situ.{Error, Pipeline}
@@ -87,7 +87,7 @@ defmodule Situ.Pipeline.Ask do
 
   @doc "The process behind a handle, a stream or a name."
   @spec pid(Pipeline.target()) :: pid() | nil
-  def pid(%Pipeline{pid: pid}), do: pid
+  def pid(%Situ.Graph.Handle{pid: pid}), do: pid
   def pid(%Situ.Stream{pipeline: p}), do: p.pid
   def pid(pid) when is_pid(pid), do: pid
   def pid(name), do: GenServer.whereis(name)

@@ -1,4 +1,4 @@
-defmodule Situ.Pipeline.Entry do
+defmodule Situ.Pipeline.Launcher do
   @moduledoc false
   # The ways into a pipeline: a process that builds the graph, answers its caller and becomes the pipeline's server.
   alias Situ.Error
