@@ -25,7 +25,7 @@ defmodule Situ.Dataset.Importer do
 
   @doc "During `build`: opens the session. Options as `Situ.Store.importer/3`."
   @spec open(Pipeline.t(), Session.t(), keyword()) :: t()
-  def open(%Pipeline{} = p, %Session{} = session, opts \\ []) do
+  def open(%Situ.Graph.Handle{} = p, %Session{} = session, opts \\ []) do
     open = OpenSession.open(session, Keyword.take(opts, [:verify]))
     importers = Map.new(open.stores, fn {name, s} -> {name, Store.importer(p, s, opts)} end)
     %__MODULE__{pipeline: p, session: open, importers: importers}
