@@ -30,6 +30,7 @@ defmodule Situ.Umbrella.MixProject do
           situ_dataset: :permanent,
           situ_media: :permanent,
           situ_infer: :permanent,
+          situ_bridge: :permanent,
           situ_live: :permanent,
           situ_studio: :permanent,
           situ_cli: :permanent,

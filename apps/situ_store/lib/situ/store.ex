@@ -54,12 +54,22 @@ defmodule Situ.Store do
 
   defp find(path, reader) do
     path = Path.expand(path)
+    folder = Folder.resolve(path)
 
     cond do
-      folder = Folder.resolve(path) -> {:ok, folder, reader || Local}
+      folder && Folder.store?(folder) -> {:ok, folder, reader || Local}
       reader != nil -> {:ok, path, reader}
       File.regular?(path) -> find_reader(path)
-      true -> {:error, Failure.error(:no_store, path)}
+      true -> find_folder(path, folder)
+    end
+  end
+
+  # A folder with a version's name whose store lost its files is still ours.
+  defp find_folder(path, folder) do
+    case {Reader.for_folder(path), folder} do
+      {{module, path}, _} -> {:ok, path, module}
+      {nil, nil} -> {:error, Failure.error(:no_store, path)}
+      {nil, folder} -> {:ok, folder, Local}
     end
   end
 
@@ -378,9 +388,12 @@ defmodule Situ.Store do
     end
   end
 
-  @doc "Whether `path` is a store (or the name of one with versions)."
+  @doc "Whether `path` is a store (or the name of one with versions), or a foreign recording that is a folder."
   @spec exists?(Path.t()) :: boolean()
-  def exists?(path), do: Folder.resolve(Path.expand(path)) != nil
+  def exists?(path) do
+    path = Path.expand(path)
+    Folder.resolve(path) != nil or Reader.for_folder(path) != nil
+  end
 
   @doc "Whether every stream of the store was closed and the writer finished."
   @spec closed?(t()) :: boolean()

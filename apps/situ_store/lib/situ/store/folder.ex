@@ -2,6 +2,7 @@ defmodule Situ.Store.Folder do
   @moduledoc false
   # Where stores lie: root/name.NNNN, the highest number being the newest.
   alias Situ.Error
+  alias Situ.Store.{Draft, Reader}
 
   @index "index.situ"
 
@@ -83,7 +84,7 @@ defmodule Situ.Store.Folder do
     if store?(path), do: path, else: newest(Path.basename(path), Path.dirname(path))
   end
 
-  @doc "All stores below `root`, by path."
+  @doc "All stores below `root`, by path; foreign ones that are folders too."
   @spec all(Path.t(), boolean()) :: [Path.t()]
   def all(root, recursive?) do
     case File.ls(root) do
@@ -91,18 +92,18 @@ defmodule Situ.Store.Folder do
         []
 
       {:ok, names} ->
-        names
-        |> Enum.sort()
-        |> Enum.map(&Path.join(root, &1))
-        |> Enum.filter(&File.dir?/1)
-        |> Enum.flat_map(fn dir ->
-          cond do
-            Situ.Store.Draft.unfinished?(dir) -> []
-            store?(dir) -> [dir]
-            recursive? -> all(dir, true)
-            true -> []
-          end
-        end)
+        dirs = names |> Enum.sort() |> Enum.map(&Path.join(root, &1)) |> Enum.filter(&File.dir?/1)
+        (Reader.within(root) -- [root]) ++ Enum.flat_map(dirs, &in_folder(&1, recursive?))
+    end
+  end
+
+  defp in_folder(dir, recursive?) do
+    cond do
+      Draft.unfinished?(dir) -> []
+      store?(dir) -> [dir]
+      dir in Reader.within(dir) -> [dir]
+      recursive? -> all(dir, true)
+      true -> []
     end
   end
 

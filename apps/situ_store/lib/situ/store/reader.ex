@@ -19,6 +19,12 @@ defmodule Situ.Store.Reader do
 
   @doc "File name endings, lower case, with the dot."
   @callback extensions() :: [String.t()]
+  @doc """
+  Where recordings are folders: the one that `path` means, a folder or the name of one, or `nil`. `open/2` gets the answer.
+  """
+  @callback resolve(Path.t()) :: Path.t() | nil
+  @doc "The recordings of this kind that lie in this very folder, as `resolve/1` has them."
+  @callback within(folder :: Path.t()) :: [Path.t()]
   @doc "Opens the file. Options are the reader's own."
   @callback open(Path.t(), opts :: keyword()) :: {:ok, state()} | error()
   @doc "`name`, `created` (ns or nil), `closed?`, `live?`, `damage` (list)."
@@ -48,7 +54,7 @@ defmodule Situ.Store.Reader do
   @callback await(state(), known :: non_neg_integer(), pid(), tag :: non_neg_integer()) :: :ok
   @callback close(state()) :: any()
 
-  @optional_callbacks summary: 5, await: 4, close: 1
+  @optional_callbacks summary: 5, await: 4, close: 1, resolve: 1, within: 1
 
   @built_in [Situ.Store.Csv]
 
@@ -58,6 +64,22 @@ defmodule Situ.Store.Reader do
     extension = path |> Path.extname() |> String.downcase()
     Enum.find(all(), &(extension in &1.extensions()))
   end
+
+  @doc "The reader whose recordings are folders and what `path` means to it, or `nil`."
+  @spec for_folder(Path.t()) :: {module(), Path.t()} | nil
+  def for_folder(path) do
+    Enum.find_value(of_folders(), fn reader ->
+      resolved = reader.resolve(path)
+      resolved && {reader, resolved}
+    end)
+  end
+
+  @doc "The foreign recordings that lie in this very folder."
+  @spec within(Path.t()) :: [Path.t()]
+  def within(folder), do: Enum.flat_map(of_folders(), & &1.within(folder))
+
+  defp of_folders,
+    do: Enum.filter(all(), &(Code.ensure_loaded?(&1) and function_exported?(&1, :resolve, 1)))
 
   @doc "Every known reader of foreign files."
   @spec all() :: [module()]

@@ -1,0 +1,286 @@
+defmodule Situ.Bridge.Psi do
+  @moduledoc """
+  Recordings of Microsoft's *Platform for Situated Intelligence* (\\psi), opened like our own: `Situ.Store.open/2` takes the folder
+  (`lobby.0003`), the name of a store in a folder with several (`recordings/lobby`), or the name of which the newest version is meant.
+
+      {:ok, store} = Situ.Store.open("recordings/lobby.0003")
+      Situ.Store.streams(store)
+      {:ok, messages} = Situ.Store.read(store, "Head.Pose", from: t0, to: t1)
+
+  So does whatever opens recordings: `bin/situ store info`, the studio, replay in a pipeline, `situ store copy`.
+
+  | .NET | here |
+  |---|---|
+  | numbers, `bool`, `string`, enums | integers, floats, booleans, strings, integers; NaN and infinities are `:nan`, `:infinity`, `:neg_infinity` |
+  | `DateTime`, `TimeSpan` | nanoseconds (since 1970; of a duration) |
+  | `char`, `decimal`, `Guid` | strings |
+  | arrays, `List`, `IEnumerable`; `byte[]`, `MemoryStream` | lists; binaries |
+  | `Dictionary`; tuples; `Nullable`; `Shared<T>` | maps; tuples; the value or `nil`; what is shared |
+  | images, depth images, encoded images, sound | the same as Situ's |
+  | classes and structs | maps with the names of the fields or properties, private ones too; `"$type"` where the declared type leaves it open |
+
+  Any object may be `nil`. An object met again is the same term again; in a cycle it is `%{"$ref" => n}`, and the object meant has the
+  key `"$id"`. A message that cannot be decoded is a `Situ.Store.Undecoded` with its bytes and the reason.
+
+  Opening passes over the data once and keeps 28 bytes a message. Everything that is whole is there, whatever state the store is in: not
+  closed, its writer killed, files cut short or missing; `Situ.Store.info/1` tells what is lost under `:damage`, and under `:notes` which
+  streams are of types that Situ only knows by the schemas in the store. A store that is being written is read as it was when
+  opened. Times, sequence numbers and stream ids are the recorded ones.
+  """
+  @behaviour Situ.Store.Reader
+  alias Situ.{Error, Message}
+  alias Situ.Bridge.Psi.{Bytes, Catalog, Decoder, Files, Scan, TypeName, Types}
+  alias Situ.Bridge.Psi.Catalog.Entry
+  alias Situ.Bridge.Psi.Scan.Track
+  alias Situ.Store.{StreamInfo, Undecoded}
+
+  defstruct [:folder, :name, :catalog, :types, :tracks, :streams, :damage]
+
+  # What is read at once: a batch is no more than this, or one message.
+  @most_bytes 16 * 1024 * 1024
+
+  @impl true
+  def extensions, do: []
+
+  @impl true
+  def resolve(path) do
+    case Files.find(path) do
+      {:ok, folder, name} ->
+        if Files.names(folder) == [name], do: folder, else: Path.join(folder, name)
+
+      :error ->
+        nil
+    end
+  end
+
+  @impl true
+  def within(folder) do
+    case Files.names(folder) do
+      [_only] -> [folder]
+      names -> Enum.map(names, &Path.join(folder, &1))
+    end
+  end
+
+  @impl true
+  def open(path, _opts) do
+    with {:ok, folder, name} <- find(path),
+         {catalog, damage} = Catalog.read(folder, name),
+         :ok <- check(catalog, folder, name) do
+      {tracks, lost} = Scan.run(folder, name, catalog.streams)
+      types = Types.new(Map.values(catalog.schemas))
+
+      state = %__MODULE__{
+        folder: folder,
+        name: name,
+        catalog: catalog,
+        types: types,
+        tracks: tracks
+      }
+
+      streams = for entry <- Map.values(catalog.streams), do: stream(state, entry)
+      missing = Enum.flat_map(Map.values(catalog.streams), &missing(state, &1))
+      damage = Enum.reverse(damage) ++ Enum.reverse(lost) ++ missing
+      {:ok, %{state | streams: Enum.sort_by(streams, & &1.id), damage: damage}}
+    end
+  end
+
+  defp find(path) do
+    with :error <- Files.find(path) do
+      {:error,
+       Error.new(:no_store, "no \\psi store at #{path}",
+         why: "there is no file called NAME.Catalog_000000.psi",
+         fix: "name the folder of a store, or folder/NAME where it has several"
+       )}
+    end
+  end
+
+  # Every catalog begins with the version of the runtime that wrote it.
+  defp check(%{runtime: nil, streams: streams}, folder, name) when streams == %{} do
+    {:error,
+     Error.new(:not_psi, "#{Files.path(folder, name, :catalog, 0)} is not a catalog of \\psi",
+       why: "nothing in it can be read as a stream, a type or a version",
+       fix: "check that the file is whole"
+     )}
+  end
+
+  defp check(_catalog, _folder, _name), do: :ok
+
+  defp stream(state, entry) do
+    track = Map.get(state.tracks, entry.id, %Track{})
+
+    %StreamInfo{
+      id: entry.id,
+      name: entry.name,
+      store_name: state.name,
+      store_path: state.folder,
+      type: Types.situ(state.types, entry.type_name),
+      type_name: TypeName.short(entry.type_name),
+      opened: entry.opened,
+      closed: if(Entry.closed?(entry), do: entry.closed),
+      count: track.count,
+      size: if(entry.count == track.count and track.count > 0, do: entry.size, else: track.size),
+      stored: track.size + 28 * track.count,
+      latency_sum: track.latency,
+      first: track.first,
+      last: track.last,
+      first_creation: track.first_creation,
+      last_creation: track.last_creation,
+      large?: Entry.indexed?(entry),
+      supplemental: supplemental(state.types, entry)
+    }
+  end
+
+  defp supplemental(_types, %{supplemental_type: nil}), do: nil
+
+  defp supplemental(types, entry) do
+    handler = Types.handler(types, entry.supplemental_type)
+
+    case Decoder.decode(entry.supplemental, handler, types, rest: :any) do
+      {:ok, value} -> {TypeName.short(entry.supplemental_type), :erlang.term_to_binary(value)}
+      {:error, _} -> nil
+    end
+  end
+
+  # A closed stream tells how many messages it had.
+  defp missing(state, entry) do
+    there = Map.get(state.tracks, entry.id, %Track{}).count
+
+    if Entry.closed?(entry) and entry.count > there,
+      do: [
+        "#{entry.count - there} of #{entry.count} messages of the stream #{entry.name} are missing"
+      ],
+      else: []
+  end
+
+  @impl true
+  def info(state) do
+    %{
+      name: state.name,
+      created: state.streams |> Enum.map(& &1.opened) |> Enum.min(fn -> nil end),
+      closed?: Enum.all?(state.streams, & &1.closed),
+      live?: false,
+      damage: state.damage,
+      notes: Enum.flat_map(state.streams, &note/1),
+      written_by: state.catalog.runtime
+    }
+  end
+
+  defp note(%{type: :map, type_name: "System." <> _}), do: []
+
+  defp note(%{type: type} = info) when type in [:map, :any, {:list, :map}, {:list, :any}],
+    do: [
+      "#{info.name} is of the type #{info.type_name}: its messages are maps, by the schema in the store"
+    ]
+
+  defp note(_info), do: []
+
+  @impl true
+  def streams(state), do: state.streams
+
+  @impl true
+  def seek(state, info, time), do: {:ok, Track.seek(track(state, info), time)}
+
+  defp track(state, %{id: id}), do: Map.get(state.tracks, id, %Track{})
+
+  @impl true
+  def read(state, info, ordinal, to, limit, opts) do
+    track = track(state, info)
+    last = min(before(track, to), ordinal + limit - 1)
+
+    case places(track, ordinal, last) do
+      [] -> {:ok, [], ordinal}
+      places -> messages(state, info, places, ordinal, opts)
+    end
+  end
+
+  defp before(track, :unbounded), do: track.count - 1
+  defp before(track, to), do: Track.seek(track, to + 1) - 1
+
+  defp places(track, ordinal, last) do
+    ordinal..last//1
+    |> Enum.reduce_while({[], 0}, fn at, {places, bytes} ->
+      place = Track.place(track, at)
+      bytes = bytes + place.length
+
+      if places != [] and bytes > @most_bytes,
+        do: {:halt, {places, bytes}},
+        else: {:cont, {[place | places], bytes}}
+    end)
+    |> elem(0)
+    |> Enum.reverse()
+  end
+
+  defp messages(state, info, places, ordinal, opts) do
+    envelopes? = opts[:envelopes] == true
+    handler = Types.handler(state.types, state.catalog.streams[info.id].type_name)
+
+    with {:ok, blocks} <- blocks(state, places, envelopes?) do
+      messages = Enum.map(blocks, &message(&1, handler, state.types, envelopes?))
+      {:ok, messages, ordinal + length(messages)}
+    end
+  end
+
+  defp message(
+         <<id::little-signed-32, seq::little-signed-32, time::little-64, created::little-64,
+           data::binary>>,
+         handler,
+         types,
+         envelopes?
+       ) do
+    %Message{
+      data: if(envelopes?, do: nil, else: data(data, handler, types)),
+      originating_time: Bytes.time(time),
+      creation_time: Bytes.time(created),
+      sequence_id: seq,
+      source_id: id
+    }
+  end
+
+  defp data(bytes, handler, types) do
+    case Decoder.decode(bytes, handler, types) do
+      {:ok, value} -> value
+      {:error, why} -> %Undecoded{codec: "psi", bytes: bytes, reason: why}
+    end
+  end
+
+  # Neighbours mostly lie in one file: it is opened once for them.
+  defp blocks(state, places, envelopes?) do
+    places
+    |> Enum.chunk_by(&{&1.file, &1.extent})
+    |> Enum.reduce_while({:ok, []}, fn [%{file: kind, extent: extent} | _] = chunk, {:ok, done} ->
+      path = Files.path(state.folder, state.name, kind, extent)
+
+      case pread(path, for(p <- chunk, do: {p.at, if(envelopes?, do: 24, else: p.length)})) do
+        {:ok, blocks} -> {:cont, {:ok, [blocks | done]}}
+        {:error, error} -> {:halt, {:error, error}}
+      end
+    end)
+    |> case do
+      {:ok, done} -> {:ok, done |> Enum.reverse() |> Enum.concat()}
+      error -> error
+    end
+  end
+
+  defp pread(path, wanted) do
+    with {:ok, file} <- :file.open(path, [:read, :raw, :binary]),
+         result = :file.pread(file, wanted),
+         :ok <- :file.close(file),
+         {:ok, blocks} <- result,
+         true <-
+           Enum.all?(Enum.zip(wanted, blocks), fn {{_, n}, block} ->
+             is_binary(block) and byte_size(block) == n
+           end) do
+      {:ok, blocks}
+    else
+      false ->
+        {:error,
+         Error.new(:damaged, "#{path} has changed since it was opened",
+           fix: "open the store again"
+         )}
+
+      {:error, reason} ->
+        {:error,
+         Error.new(:io, "cannot read #{path}", why: to_string(:file.format_error(reason)))}
+    end
+  end
+end

@@ -1,0 +1,118 @@
+defmodule Situ.Bridge.Psi.Blocks do
+  @moduledoc false
+  # The blocks of the files of one kind, in order, over all their extents: [length][payload, padded to a multiple of 4].
+  # A length of 0 is where nothing has been written yet, a negative one names the next extent.
+  alias Situ.Bridge.Psi.Files
+
+  @window 1_048_576
+
+  @typedoc "`{extent, position of the payload, length, its first bytes}`"
+  @type block :: {non_neg_integer(), non_neg_integer(), pos_integer(), binary()}
+
+  @doc """
+  Folds `fun` over the blocks; it gets each block with its first `head` bytes (fewer when the block is shorter). Answers what
+  was folded and what is wrong with the files, in sentences.
+  """
+  @spec reduce({Path.t(), String.t(), Files.kind()}, pos_integer(), acc, (block(), acc -> acc)) ::
+          {acc, [String.t()]}
+        when acc: term()
+  def reduce({folder, name, kind}, head, acc, fun) do
+    extents = Files.extents(folder, name, kind)
+    context = %{files: {folder, name, kind}, extents: extents, head: head, fun: fun}
+
+    case Map.keys(extents) do
+      [] -> {acc, []}
+      numbers -> extent(Enum.min(numbers), context, {acc, []})
+    end
+  end
+
+  defp extent(number, context, {acc, damage}) do
+    {folder, name, kind} = context.files
+    path = Files.path(folder, name, kind, number)
+
+    case :file.open(path, [:read, :raw, :binary]) do
+      {:ok, file} ->
+        result = window(file, 0, Map.put(context, :extent, number), acc)
+        :file.close(file)
+        after_extent(result, path, number, context, damage)
+
+      {:error, reason} ->
+        {acc, ["#{path} cannot be read: #{:file.format_error(reason)}" | damage]}
+    end
+  end
+
+  defp after_extent({:next, next, acc}, path, number, context, damage) do
+    cond do
+      next <= number -> {acc, ["#{path} ends with a link to itself" | damage]}
+      is_map_key(context.extents, next) -> extent(next, context, {acc, damage})
+      true -> go_on(number, context, acc, ["the file that follows #{path} is missing" | damage])
+    end
+  end
+
+  defp after_extent({:end, acc}, _path, number, context, damage),
+    do: go_on(number, context, acc, damage)
+
+  defp after_extent({:cut, at, acc}, path, number, context, damage),
+    do:
+      go_on(number, context, acc, ["#{path} is cut short in the message at byte #{at}" | damage])
+
+  # An extent without a link is the last one, unless something was lost at its end.
+  defp go_on(number, context, acc, damage) do
+    case context.extents |> Map.keys() |> Enum.filter(&(&1 > number)) do
+      [] -> {acc, damage}
+      later -> extent(Enum.min(later), context, {acc, damage})
+    end
+  end
+
+  defp window(file, at, context, acc) do
+    case :file.pread(file, at, @window) do
+      {:ok, bytes} -> blocks(bytes, at, file, context, acc)
+      _ -> {:end, acc}
+    end
+  end
+
+  defp blocks(<<0::32, _::binary>>, _at, _file, _context, acc), do: {:end, acc}
+
+  defp blocks(<<next::little-signed-32, _::binary>>, _at, _file, _context, acc) when next < 0,
+    do: {:next, -next, acc}
+
+  defp blocks(<<n::little-signed-32, rest::binary>>, at, file, context, acc) do
+    stored = n + padding(n)
+    size = Map.fetch!(context.extents, context.extent)
+
+    cond do
+      at + 4 + n > size ->
+        {:cut, at, acc}
+
+      byte_size(rest) >= stored ->
+        head = binary_part(rest, 0, min(n, context.head))
+        <<_::binary-size(stored), rest::binary>> = rest
+        acc = context.fun.({context.extent, at + 4, n, head}, acc)
+
+        if rest == "",
+          do: window(file, at + 4 + stored, context, acc),
+          else: blocks(rest, at + 4 + stored, file, context, acc)
+
+      byte_size(rest) >= min(n, context.head) ->
+        head = binary_part(rest, 0, min(n, context.head))
+        acc = context.fun.({context.extent, at + 4, n, head}, acc)
+        window(file, at + 4 + stored, context, acc)
+
+      true ->
+        # The block's head lies beyond the window: a window that begins with the block has it.
+        window(file, at, context, acc)
+    end
+  end
+
+  # Too few bytes for a length: the end of the file, or of the window.
+  defp blocks(rest, at, file, context, acc) do
+    if at + 4 <= Map.fetch!(context.extents, context.extent),
+      do: window(file, at, context, acc),
+      else: {if(rest == "", do: :end, else: :cut), at, acc} |> ended()
+  end
+
+  defp ended({:end, _at, acc}), do: {:end, acc}
+  defp ended(cut), do: cut
+
+  defp padding(n), do: rem(4 - rem(n, 4), 4)
+end

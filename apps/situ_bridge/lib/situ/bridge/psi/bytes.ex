@@ -1,0 +1,34 @@
+defmodule Situ.Bridge.Psi.Bytes do
+  @moduledoc false
+  # The primitives of \psi's files: little-endian numbers, strings with a 32-bit length, and .NET times.
+  import Bitwise
+
+  # 1970-01-01 in ticks of 100 ns since the year 1.
+  @epoch 621_355_968_000_000_000
+  @kind_bits 0x3FFF_FFFF_FFFF_FFFF
+  @never 3_155_378_975_999_999_999
+
+  @doc """
+  A .NET time as nanoseconds since 1970. The top two bits are the kind (UTC, local, unspecified) and not part of the time.
+
+      iex> Situ.Bridge.Psi.Bytes.time(0x48D924F4C841A000)
+      1622548800000000000
+      iex> Situ.Bridge.Psi.Bytes.time(0)
+      -62135596800000000000
+  """
+  @spec time(integer()) :: Situ.Time.t()
+  def time(binary), do: ((binary &&& @kind_bits) - @epoch) * 100
+
+  @doc "As `time/1`; nil for the end of time, which stands for \"not yet\"."
+  @spec time_or_nil(integer()) :: Situ.Time.t() | nil
+  def time_or_nil(binary), do: if((binary &&& @kind_bits) == @never, do: nil, else: time(binary))
+
+  @doc "A string (nil is a string too) and what follows it."
+  @spec string(binary()) :: {:ok, String.t() | nil, binary()} | :error
+  def string(<<-1::little-signed-32, rest::binary>>), do: {:ok, nil, rest}
+
+  def string(<<n::little-signed-32, text::binary-size(n), rest::binary>>) when n >= 0,
+    do: {:ok, :binary.copy(text), rest}
+
+  def string(_), do: :error
+end

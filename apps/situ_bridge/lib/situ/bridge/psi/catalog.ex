@@ -1,0 +1,159 @@
+defmodule Situ.Bridge.Psi.Catalog do
+  @moduledoc false
+  # The catalog: what streams and types there are. It is only appended to, and the last word on a stream counts.
+  import Bitwise
+  alias Situ.Bridge.Psi.{Blocks, Bytes, Schema}
+
+  defstruct streams: %{}, schemas: %{}, runtime: nil
+
+  defmodule Entry do
+    @moduledoc false
+    # One stream as the catalog has it. `count`, `size` and the times are 0 or far away while it is not closed.
+    @enforce_keys [:name, :id, :type_name, :flags]
+    defstruct [
+      :name,
+      :id,
+      :type_name,
+      :flags,
+      :opened,
+      :closed,
+      :supplemental_type,
+      :supplemental,
+      count: 0,
+      size: 0,
+      latency_ticks: 0,
+      runtime_types: %{}
+    ]
+
+    @type t :: %__MODULE__{}
+
+    @doc "Its messages lie in the files for large ones."
+    def indexed?(%{flags: flags}), do: (flags &&& 4) != 0
+    def closed?(%{flags: flags}), do: (flags &&& 2) != 0
+  end
+
+  @type t :: %__MODULE__{}
+
+  # An entry of the catalog has one name, a few numbers and perhaps a schema: a megabyte is a hundred times what is met.
+  @most 1_048_576
+
+  @doc "The catalog of a store, and what is wrong with it in sentences."
+  @spec read(Path.t(), String.t()) :: {t(), [String.t()]}
+  def read(folder, name) do
+    Blocks.reduce({folder, name, :catalog}, @most, %__MODULE__{}, fn {_, _, _, bytes}, catalog ->
+      add(catalog, bytes)
+    end)
+  end
+
+  @doc "The catalog with one more entry. Entries that make no sense change nothing."
+  @spec add(t(), binary()) :: t()
+  def add(catalog, bytes) do
+    with {:ok, header, rest} <- header(bytes) do
+      entry(header.kind, header, rest, catalog)
+    else
+      :error -> catalog
+    end
+  end
+
+  defp header(bytes) do
+    with {:ok, name, <<id::little-signed-32, rest::binary>>} <- Bytes.string(bytes),
+         {:ok, type, <<version::little-signed-32, rest::binary>>} <- Bytes.string(rest),
+         {:ok, serializer, rest} <- Bytes.string(rest),
+         <<system::little-signed-32, flags::little-16, kind::little-16, rest::binary>> <- rest do
+      header = %{name: name || "", id: id, type_name: type || "", version: version}
+
+      {:ok,
+       Map.merge(header, %{serializer: serializer || "", system: system, flags: flags, kind: kind}),
+       rest}
+    else
+      _ -> :error
+    end
+  end
+
+  defp entry(0, header, rest, catalog) do
+    case stream(header, rest) do
+      {:ok, entry} -> put_in(catalog.streams[header.id], entry)
+      :error -> catalog
+    end
+  end
+
+  defp entry(1, header, _rest, catalog), do: %{catalog | runtime: header.name}
+
+  defp entry(2, header, rest, catalog) do
+    case Schema.parse(header, rest) do
+      {:ok, schema} -> put_in(catalog.schemas[header.name], schema)
+      :error -> catalog
+    end
+  end
+
+  defp entry(_kind, _header, _rest, catalog), do: catalog
+
+  defp stream(header, <<opened::little-64, closed::little-64, rest::binary>>) do
+    entry = %Entry{
+      name: header.name,
+      id: header.id,
+      type_name: header.type_name,
+      flags: header.flags,
+      opened: Bytes.time_or_nil(opened),
+      closed: Bytes.time_or_nil(closed)
+    }
+
+    with {:ok, entry, rest} <- statistics(header.version, entry, rest),
+         {:ok, entry, rest} <- runtime_types(entry, rest),
+         do: {:ok, supplemental(header.version, entry, rest)}
+  end
+
+  defp stream(_header, _rest), do: :error
+
+  defp statistics(version, entry, rest) when version >= 2 do
+    case rest do
+      <<count::little-signed-64, size::little-signed-64, latency::little-signed-64,
+        _times::binary-32, rest::binary>> ->
+        {:ok, %{entry | count: count, size: size, latency_ticks: latency}, rest}
+
+      _ ->
+        :error
+    end
+  end
+
+  # Before version 2 there were averages instead of sums, of bytes and of microseconds.
+  defp statistics(
+         _old,
+         entry,
+         <<count::little-signed-32, _times::binary-32, size::little-signed-32,
+           latency::little-signed-32, rest::binary>>
+       ) do
+    {:ok, %{entry | count: count, size: count * size, latency_ticks: count * latency * 10}, rest}
+  end
+
+  defp statistics(_old, _entry, _rest), do: :error
+
+  defp runtime_types(%{flags: flags} = entry, <<n::little-signed-32, rest::binary>>)
+       when (flags &&& 8) != 0 and n >= 0 do
+    runtime_types(entry, n, rest)
+  end
+
+  defp runtime_types(%{flags: flags}, _rest) when (flags &&& 8) != 0, do: :error
+  defp runtime_types(entry, rest), do: {:ok, entry, rest}
+
+  defp runtime_types(entry, 0, rest), do: {:ok, entry, rest}
+
+  defp runtime_types(entry, n, <<id::little-signed-32, rest::binary>>) do
+    with {:ok, name, rest} <- Bytes.string(rest),
+         do: runtime_types(put_in(entry.runtime_types[id], name), n - 1, rest)
+  end
+
+  defp runtime_types(_entry, _n, _rest), do: :error
+
+  defp supplemental(0, entry, _rest), do: entry
+
+  defp supplemental(_version, entry, rest) do
+    with {:ok, type, <<n::little-signed-32, bytes::binary-size(n), _::binary>>}
+         when type != nil and n >= 0 <-
+           Bytes.string(rest) do
+      %{entry | supplemental_type: type, supplemental: :binary.copy(bytes)}
+    else
+      _ -> entry
+    end
+  end
+end

@@ -1,0 +1,82 @@
+defmodule Situ.Bridge.Psi.Files do
+  @moduledoc false
+  # Where \psi's stores lie: NAME.KIND_NNNNNN.psi in a folder that is often called NAME.VVVV, one extent a file.
+
+  @catalog ".Catalog_000000.psi"
+
+  @type kind :: :catalog | :data | :large
+  @kinds %{catalog: "Catalog", data: "Data", large: "LargeData"}
+
+  @doc "The names of the stores in a folder."
+  @spec names(Path.t()) :: [String.t()]
+  def names(folder) do
+    case File.ls(folder) do
+      {:ok, files} ->
+        for file <- Enum.sort(files),
+            String.ends_with?(file, @catalog),
+            do: String.replace_suffix(file, @catalog, "")
+
+      {:error, _} ->
+        []
+    end
+  end
+
+  @doc """
+  The store that `path` means, as its folder and name: a folder with one store in it, `folder/NAME`, or the newest of
+  `folder/NAME.VVVV`.
+  """
+  @spec find(Path.t()) :: {:ok, Path.t(), String.t()} | :error
+  def find(path) do
+    {folder, name} = {Path.dirname(path), Path.basename(path)}
+
+    case names(path) do
+      [only] ->
+        {:ok, path, only}
+
+      _ ->
+        if File.regular?(path(folder, name, :catalog, 0)),
+          do: {:ok, folder, name},
+          else: newest(folder, name)
+    end
+  end
+
+  defp newest(folder, name) do
+    versions =
+      for entry <- ls(folder),
+          [_, digits] <- [Regex.run(~r/\A#{Regex.escape(name)}\.(\d{4})\z/, entry)],
+          version = Path.join(folder, entry),
+          File.regular?(path(version, name, :catalog, 0)),
+          do: {digits, version}
+
+    case Enum.max(versions, fn -> nil end) do
+      nil -> :error
+      {_, version} -> {:ok, version, name}
+    end
+  end
+
+  defp ls(folder) do
+    case File.ls(folder) do
+      {:ok, entries} -> entries
+      {:error, _} -> []
+    end
+  end
+
+  @doc "The file of an extent."
+  @spec path(Path.t(), String.t(), kind(), non_neg_integer()) :: Path.t()
+  def path(folder, name, kind, extent) do
+    number = extent |> Integer.to_string() |> String.pad_leading(6, "0")
+    Path.join(folder, "#{name}.#{@kinds[kind]}_#{number}.psi")
+  end
+
+  @doc "The numbers of the extents that are there, with their sizes."
+  @spec extents(Path.t(), String.t(), kind()) :: %{non_neg_integer() => non_neg_integer()}
+  def extents(folder, name, kind) do
+    pattern = ~r/\A#{Regex.escape(name)}\.#{@kinds[kind]}_(\d{6})\.psi\z/
+
+    for entry <- ls(folder),
+        [_, digits] <- [Regex.run(pattern, entry)],
+        {:ok, %{type: :regular, size: size}} <- [File.stat(Path.join(folder, entry))],
+        into: %{},
+        do: {String.to_integer(digits), size}
+  end
+end

@@ -1,0 +1,170 @@
+defmodule Situ.Bridge.Psi.Layout do
+  @moduledoc false
+  # Plain values as they lie in .NET's memory: primitives, and structs of them with the gaps that alignment leaves.
+  alias Situ.Bridge.Psi.Bytes
+
+  @type t ::
+          atom() | {:struct, pos_integer(), pos_integer(), [{String.t(), non_neg_integer(), t()}]}
+
+  # {size, alignment}
+  @primitives %{
+    bool: {1, 1},
+    int8: {1, 1},
+    uint8: {1, 1},
+    int16: {2, 2},
+    uint16: {2, 2},
+    char: {2, 2},
+    int32: {4, 4},
+    uint32: {4, 4},
+    int64: {8, 8},
+    uint64: {8, 8},
+    float32: {4, 4},
+    float64: {8, 8},
+    datetime: {8, 8},
+    timespan: {8, 8},
+    decimal: {16, 8},
+    guid: {16, 4}
+  }
+
+  @names %{
+    "System.Boolean" => :bool,
+    "System.SByte" => :int8,
+    "System.Byte" => :uint8,
+    "System.Int16" => :int16,
+    "System.UInt16" => :uint16,
+    "System.Char" => :char,
+    "System.Int32" => :int32,
+    "System.UInt32" => :uint32,
+    "System.Int64" => :int64,
+    "System.UInt64" => :uint64,
+    "System.IntPtr" => :int64,
+    "System.UIntPtr" => :uint64,
+    "System.Single" => :float32,
+    "System.Double" => :float64,
+    "System.DateTime" => :datetime,
+    "System.TimeSpan" => :timespan,
+    "System.Decimal" => :decimal,
+    "System.Guid" => :guid
+  }
+
+  @doc "The layout of a primitive by its .NET name, or nil."
+  @spec primitive(String.t()) :: atom() | nil
+  def primitive(name), do: @names[name]
+
+  @doc "Bytes that a value takes, with the gap behind it in an array."
+  @spec size(t()) :: pos_integer()
+  def size({:struct, size, _align, _fields}), do: size
+  def size(primitive), do: elem(Map.fetch!(@primitives, primitive), 0)
+
+  defp alignment({:struct, _size, align, _fields}), do: align
+  defp alignment(primitive), do: elem(Map.fetch!(@primitives, primitive), 1)
+
+  @doc """
+  The layout of a struct: fields in order, each at a multiple of its alignment.
+
+      iex> Situ.Bridge.Psi.Layout.struct([{"hasValue", :bool}, {"value", :float64}])
+      {:struct, 16, 8, [{"hasValue", 0, :bool}, {"value", 8, :float64}]}
+  """
+  @spec struct([{String.t(), t()}]) :: t()
+  def struct(fields) do
+    {placed, finish} =
+      Enum.map_reduce(fields, 0, fn {name, layout}, at ->
+        at = align(at, alignment(layout))
+        {{name, at, layout}, at + size(layout)}
+      end)
+
+    most = fields |> Enum.map(&alignment(elem(&1, 1))) |> Enum.max(fn -> 1 end)
+    {:struct, max(align(finish, most), 1), most, placed}
+  end
+
+  defp align(at, to), do: div(at + to - 1, to) * to
+
+  @doc "The value in `bytes`, which are as many as `size/1` says. A struct of the one field `value__` is an enum: an integer."
+  @spec read(t(), binary()) :: term()
+  def read({:struct, _, _, [{"value__", 0, layout}]}, bytes), do: read(layout, bytes)
+  def read({:struct, _, _, [{"m_value", 0, layout}]}, bytes), do: read(layout, bytes)
+
+  def read({:struct, _, _, [{"hasValue", 0, :bool}, {"value", at, layout}]}, bytes) do
+    if :binary.first(bytes) == 0,
+      do: nil,
+      else: read(layout, binary_part(bytes, at, size(layout)))
+  end
+
+  def read({:struct, _, _, fields}, bytes) do
+    Map.new(fields, fn {name, at, layout} ->
+      {name, read(layout, binary_part(bytes, at, size(layout)))}
+    end)
+  end
+
+  def read(:bool, <<b>>), do: b != 0
+  def read(:int8, <<n::signed-8>>), do: n
+  def read(:uint8, <<n>>), do: n
+  def read(:int16, <<n::little-signed-16>>), do: n
+  def read(:uint16, <<n::little-16>>), do: n
+  def read(:int32, <<n::little-signed-32>>), do: n
+  def read(:uint32, <<n::little-32>>), do: n
+  def read(:int64, <<n::little-signed-64>>), do: n
+  def read(:uint64, <<n::little-64>>), do: n
+  def read(:float32, <<x::little-float-32>>), do: x
+  def read(:float32, bytes), do: special32(bytes)
+  def read(:float64, <<x::little-float-64>>), do: x
+  def read(:float64, <<bits::little-64>>), do: special(bits, 63, 52)
+  def read(:datetime, <<n::little-64>>), do: Bytes.time(n)
+  def read(:timespan, <<n::little-signed-64>>), do: n * 100
+
+  def read(:char, <<c::little-16>>) when c in 0xD800..0xDFFF, do: "\uFFFD"
+  def read(:char, <<c::little-16>>), do: <<c::utf8>>
+
+  def read(:guid, <<a::little-32, b::little-16, c::little-16, d::binary-2, e::binary-6>>) do
+    [<<a::32>>, <<b::16>>, <<c::16>>, d, e]
+    |> Enum.map_join("-", &Base.encode16(&1, case: :lower))
+  end
+
+  # Sign and number of decimals, then 96 bits.
+  def read(:decimal, <<_::16, scale, sign, high::little-32, low::little-64>>) do
+    digits = Integer.to_string(Bitwise.bsl(high, 64) + low)
+    minus = if Bitwise.band(sign, 0x80) != 0, do: "-", else: ""
+    minus <> point(digits, scale)
+  end
+
+  defp point(digits, 0), do: digits
+
+  defp point(digits, scale) do
+    digits = String.pad_leading(digits, scale + 1, "0")
+    {whole, fraction} = String.split_at(digits, -scale)
+    whole <> "." <> fraction
+  end
+
+  defp special32(<<bits::little-32>>), do: special(bits, 31, 23)
+
+  # What IEEE 754 has and Elixir's floats have not.
+  defp special(bits, sign, mantissa) do
+    cond do
+      Bitwise.band(bits, Bitwise.bsl(1, mantissa) - 1) != 0 -> :nan
+      Bitwise.bsr(bits, sign) == 1 -> :neg_infinity
+      true -> :infinity
+    end
+  end
+
+  @doc "A list of `n` values in `bytes`."
+  @spec read_all(t(), binary()) :: [term()]
+  def read_all(:float64, bytes),
+    do: floats(for(<<x::little-float-64 <- bytes>>, do: x), :float64, bytes)
+
+  def read_all(:float32, bytes),
+    do: floats(for(<<x::little-float-32 <- bytes>>, do: x), :float32, bytes)
+
+  def read_all(:int32, bytes), do: for(<<n::little-signed-32 <- bytes>>, do: n)
+  def read_all(:int16, bytes), do: for(<<n::little-signed-16 <- bytes>>, do: n)
+  def read_all(:uint16, bytes), do: for(<<n::little-16 <- bytes>>, do: n)
+  def read_all(layout, bytes), do: each(layout, size(layout), bytes)
+
+  # A comprehension leaves out what is no number.
+  defp floats(all, layout, bytes) do
+    size = size(layout)
+    if length(all) * size == byte_size(bytes), do: all, else: each(layout, size, bytes)
+  end
+
+  defp each(layout, size, bytes),
+    do: for(<<value::binary-size(size) <- bytes>>, do: read(layout, value))
+end

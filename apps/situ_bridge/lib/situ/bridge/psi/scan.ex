@@ -1,0 +1,201 @@
+defmodule Situ.Bridge.Psi.Scan do
+  @moduledoc false
+  # One pass over a store's data: where each message of each stream lies. 28 bytes a message are kept, packed.
+  alias Situ.Bridge.Psi.{Blocks, Bytes, Files}
+  alias Situ.Bridge.Psi.Catalog.Entry
+
+  defmodule Track do
+    @moduledoc false
+    # One stream's messages in order of time: `places` holds 28 bytes for each.
+    defstruct places: "",
+              count: 0,
+              size: 0,
+              latency: 0,
+              first: nil,
+              last: nil,
+              first_creation: nil,
+              last_creation: nil
+
+    @type t :: %__MODULE__{}
+
+    @place 28
+
+    @doc "The place of the message with this ordinal."
+    def place(%{places: places}, ordinal) do
+      <<large::1, extent::31, at::64, length::32, time::signed-96>> =
+        binary_part(places, ordinal * @place, @place)
+
+      %{
+        file: if(large == 1, do: :large, else: :data),
+        extent: extent,
+        at: at,
+        length: length,
+        time: time
+      }
+    end
+
+    @doc "The ordinal of the first message at or after `time`."
+    def seek(track, time), do: seek(track, time, 0, track.count)
+
+    defp seek(_track, _time, low, high) when low >= high, do: low
+
+    defp seek(track, time, low, high) do
+      middle = div(low + high, 2)
+
+      if place(track, middle).time < time,
+        do: seek(track, time, middle + 1, high),
+        else: seek(track, time, low, middle)
+    end
+
+    @doc false
+    def pack(large?, extent, at, length, time),
+      do: <<if(large?, do: 1, else: 0)::1, extent::31, at::64, length::32, time::signed-96>>
+  end
+
+  # The sequence number of the message that closes a stream; it has no data.
+  @closing 0x7FFF_FFFF
+
+  @doc "The tracks of all streams by their ids, and what is wrong in sentences."
+  @spec run(Path.t(), String.t(), %{integer() => Entry.t()}) ::
+          {%{integer() => Track.t()}, [String.t()]}
+  def run(folder, name, entries) do
+    large = Files.extents(folder, name, :large)
+    indexed = for {id, entry} <- entries, Entry.indexed?(entry), into: MapSet.new(), do: id
+    acc = %{found: %{}, large: MapSet.new(), indexed: indexed}
+
+    {acc, damage} = Blocks.reduce({folder, name, :data}, 48, acc, &message/2)
+    {whole, lost} = whole_large(folder, name, large, acc.large)
+
+    {tracks, behind} =
+      Enum.map_reduce(acc.found, 0, fn {id, found}, behind ->
+        {track, left_out} = track(found, whole)
+        {{id, track}, behind + left_out}
+      end)
+
+    {Map.new(tracks), notes(lost, behind) ++ damage}
+  end
+
+  defp notes(lost, behind) do
+    for {n, sentence} <- [
+          {lost, "messages have lost their payload in the files for large ones"},
+          {behind, "messages have the time of another one of their stream and are left out"}
+        ],
+        n > 0,
+        do: "#{n} #{sentence}"
+  end
+
+  defp message(
+         {extent, at, length,
+          <<id::little-signed-32, seq::little-signed-32, time::little-64, created::little-64,
+            rest::binary>>},
+         acc
+       )
+       when seq != @closing do
+    times = {Bytes.time(time), Bytes.time(created)}
+
+    if MapSet.member?(acc.indexed, id),
+      do: large(id, times, rest, acc),
+      else: put(acc, id, {times, {:data, extent, at, length}})
+  end
+
+  defp message(_block, acc), do: acc
+
+  # What lies in the files for large messages has its place instead of its data: an extent (the smallest number added) and a position.
+  defp large(id, times, <<extent::little-signed-32, at::little-signed-32, _::binary>>, acc)
+       when extent < 0 and at >= 0 do
+    place = {extent + 0x8000_0000, at}
+    acc = %{acc | large: MapSet.put(acc.large, place)}
+    {extent, at} = place
+    put(acc, id, {times, {:large, extent, at}})
+  end
+
+  defp large(_id, _times, _rest, acc), do: acc
+
+  defp put(acc, id, found), do: %{acc | found: Map.update(acc.found, id, [found], &[found | &1])}
+
+  # Where the large messages that are whole lie: `{extent, position of the block} => {extent, position of the payload, length}`.
+  defp whole_large(folder, name, sizes, places) do
+    context = %{folder: folder, name: name, sizes: sizes}
+
+    whole =
+      for {extent, positions} <- Enum.group_by(places, &elem(&1, 0), &elem(&1, 1)),
+          {at, block} <- whole_blocks(context, extent, Enum.sort(positions)),
+          into: %{},
+          do: {{extent, at}, block}
+
+    {whole, MapSet.size(places) - map_size(whole)}
+  end
+
+  defp whole_blocks(context, extent, positions) do
+    for {at, length} <- lengths(context, extent, positions),
+        block = block(context, extent, at, length),
+        do: {at, block}
+  end
+
+  defp block(context, extent, at, length) when length > 24,
+    do: if(at + 4 + length <= context.sizes[extent], do: {extent, at + 4, length})
+
+  # The message had no room at the end of its extent: it begins the next one.
+  defp block(context, extent, _at, next) when next < 0 and -next > extent do
+    with [{0, length}] when length > 24 <- lengths(context, -next, [0]),
+         do: block(context, -next, 0, length),
+         else: (_ -> nil)
+  end
+
+  defp block(_context, _extent, _at, _length), do: nil
+
+  defp lengths(%{sizes: sizes}, extent, _positions) when not is_map_key(sizes, extent), do: []
+
+  defp lengths(context, extent, positions) do
+    path = Files.path(context.folder, context.name, :large, extent)
+
+    with {:ok, file} <- :file.open(path, [:read, :raw, :binary]),
+         result = :file.pread(file, Enum.map(positions, &{&1, 4})),
+         :ok <- :file.close(file),
+         {:ok, read} <- result do
+      for {at, <<length::little-signed-32>>} <- Enum.zip(positions, read), do: {at, length}
+    else
+      _ -> []
+    end
+  end
+
+  # Messages come in the order in which they were written; within a stream that is the order of time unless something went wrong.
+  defp track(found, whole) do
+    messages =
+      found
+      |> Enum.reverse()
+      |> Enum.flat_map(&placed(&1, whole))
+      |> Enum.sort_by(&elem(&1, 0))
+
+    kept = Enum.dedup_by(messages, &elem(&1, 0))
+    {Enum.reduce(kept, %Track{}, &add/2) |> packed(kept), length(messages) - length(kept)}
+  end
+
+  defp placed({{time, created}, {:data, extent, at, length}}, _whole),
+    do: [{time, created, length, Track.pack(false, extent, at, length, time)}]
+
+  defp placed({{time, created}, {:large, extent, at}}, whole) do
+    case whole do
+      %{{^extent, ^at} => {extent, at, length}} ->
+        [{time, created, length, Track.pack(true, extent, at, length, time)}]
+
+      _ ->
+        []
+    end
+  end
+
+  defp add({time, created, length, _place}, track) do
+    %{
+      track
+      | count: track.count + 1,
+        size: track.size + length - 24,
+        latency: track.latency + created - time,
+        first: track.first || time,
+        last: time,
+        first_creation: track.first_creation || created,
+        last_creation: created
+    }
+  end
+
+  defp packed(track, kept), do: %{track | places: for(m <- kept, into: "", do: elem(m, 3))}
+end

@@ -1,0 +1,74 @@
+defmodule Situ.Bridge.Psi.Schema do
+  @moduledoc false
+  # One type as the catalog describes it: its members in the order in which they are written, and who wrote it.
+  import Bitwise
+  alias Situ.Bridge.Psi.{Bytes, TypeName}
+
+  @enforce_keys [:id, :name, :type_name]
+  defstruct [:id, :name, :type_name, :serializer, :version, flags: 0, members: []]
+
+  @type t :: %__MODULE__{
+          id: integer(),
+          name: String.t(),
+          type_name: String.t(),
+          serializer: String.t(),
+          version: integer(),
+          flags: non_neg_integer(),
+          members: [{String.t(), type_name :: String.t()}]
+        }
+
+  @most_members 10_000
+
+  @doc "The schema behind an entry's header."
+  @spec parse(map(), binary()) :: {:ok, t()} | :error
+  def parse(header, <<n::little-signed-32, rest::binary>>) when n in 0..@most_members do
+    with {:ok, members, rest} <- members(n, rest, []) do
+      {:ok,
+       %__MODULE__{
+         id: header.id &&& 0x3FFF_FFFF,
+         name: header.name,
+         type_name: header.type_name,
+         serializer: serializer(header.serializer),
+         version: header.version,
+         flags: flags(header.version, n, rest),
+         members: members
+       }}
+    end
+  end
+
+  def parse(_header, _rest), do: :error
+
+  defp members(0, rest, found), do: {:ok, Enum.reverse(found), rest}
+
+  defp members(n, bytes, found) do
+    with {:ok, name, rest} when is_binary(name) <- Bytes.string(bytes),
+         {:ok, type, <<_required, rest::binary>>} when is_binary(type) <- Bytes.string(rest) do
+      members(n - 1, rest, [{field(name), type} | found])
+    else
+      _ -> :error
+    end
+  end
+
+  # The compiler's name for what stands behind a property.
+  defp field("<" <> rest = name) do
+    case String.split(rest, ">") do
+      [property, "k__BackingField"] -> property
+      _ -> name
+    end
+  end
+
+  defp field(name), do: name
+
+  # "Microsoft.Psi.Serialization.ClassSerializer`1[[...]]" -> "ClassSerializer"
+  defp serializer(name) do
+    TypeName.parse(name).name
+    |> String.replace_prefix("Microsoft.Psi.Serialization.", "")
+    |> String.replace(~r/`\d+/, "")
+  end
+
+  defp flags(version, n, <<flags::little-32, _::binary>>) when version >= 2 and n > 0, do: flags
+  defp flags(_version, _n, _rest), do: 0
+
+  def class?(%{flags: flags}), do: (flags &&& 0x0D) != 0
+  def struct?(%{flags: flags}), do: (flags &&& 0x02) != 0
+end

@@ -1,0 +1,90 @@
+defmodule Situ.Bridge.Psi.TypeName do
+  @moduledoc false
+  # .NET's names of types without the assemblies they came from, which differ between frameworks and versions.
+
+  # `arrays` are the suffixes, as in `System.Int32[][]`.
+  defstruct [:name, args: [], arrays: 0]
+
+  @type t :: %__MODULE__{name: String.t(), args: [t()], arrays: non_neg_integer()}
+
+  @deepest 32
+
+  @doc """
+  The parts of a name.
+
+      iex> alias Situ.Bridge.Psi.TypeName
+      iex> list = TypeName.parse("System.Collections.Generic.List`1[[System.Int32, mscorlib, Version=4.0.0.0]], mscorlib, Version=4.0.0.0")
+      iex> {list.name, Enum.map(list.args, & &1.name)}
+      {"System.Collections.Generic.List`1", ["System.Int32"]}
+      iex> TypeName.parse("System.Byte[], mscorlib")
+      %TypeName{name: "System.Byte", arrays: 1}
+  """
+  @spec parse(String.t()) :: t()
+  def parse(text) do
+    {type, _rest} = type(text, 0)
+    type
+  end
+
+  @doc """
+  The name without assemblies.
+
+      iex> Situ.Bridge.Psi.TypeName.short("System.Nullable`1[[System.Double, mscorlib]], mscorlib")
+      "System.Nullable`1[[System.Double]]"
+  """
+  @spec short(String.t() | t()) :: String.t()
+  def short(text) when is_binary(text), do: text |> parse() |> short()
+
+  def short(%__MODULE__{name: name, args: args, arrays: arrays}) do
+    arguments =
+      if args == [], do: "", else: "[" <> Enum.map_join(args, ",", &"[#{short(&1)}]") <> "]"
+
+    name <> arguments <> String.duplicate("[]", arrays)
+  end
+
+  @doc "The type of an array's elements."
+  @spec element(t()) :: t()
+  def element(%{arrays: n} = type) when n > 0, do: %{type | arrays: n - 1}
+
+  defp type(text, depth) when depth > @deepest, do: {%__MODULE__{name: text}, ""}
+
+  defp type(text, depth) do
+    {name, rest} = name(text)
+    {args, rest} = arguments(rest, depth)
+    {arrays, rest} = arrays(rest, 0)
+    {%__MODULE__{name: name, args: args, arrays: arrays}, assembly(rest)}
+  end
+
+  defp name(text) do
+    case :binary.match(text, ["[", "]", ","]) do
+      {at, _} -> {binary_part(text, 0, at), binary_part(text, at, byte_size(text) - at)}
+      :nomatch -> {text, ""}
+    end
+  end
+
+  defp arguments("[[" <> rest, depth), do: arguments(rest, depth, [])
+  defp arguments(rest, _depth), do: {[], rest}
+
+  defp arguments(text, depth, found) do
+    {type, rest} = type(text, depth + 1)
+    found = [type | found]
+
+    case rest do
+      "],[" <> rest -> arguments(rest, depth, found)
+      "]]" <> rest -> {Enum.reverse(found), rest}
+      rest -> {Enum.reverse(found), rest}
+    end
+  end
+
+  defp arrays("[]" <> rest, n), do: arrays(rest, n + 1)
+  defp arrays(rest, n), do: {n, rest}
+
+  # An assembly goes on to the bracket that closes the argument.
+  defp assembly("," <> _ = text) do
+    case :binary.match(text, "]") do
+      {at, _} -> binary_part(text, at, byte_size(text) - at)
+      :nomatch -> ""
+    end
+  end
+
+  defp assembly(rest), do: rest
+end

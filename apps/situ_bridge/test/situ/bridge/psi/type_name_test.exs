@@ -1,0 +1,21 @@
+defmodule Situ.Bridge.Psi.TypeNameTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  alias Situ.Bridge.Psi.TypeName
+  doctest TypeName
+
+  test "assemblies of any depth are left out" do
+    name =
+      "System.Collections.Generic.Dictionary`2[[System.String, mscorlib, Version=4.0.0.0],[System.Collections.Generic.List`1[[A.B+C[], X, Version=1.0.0.0]], mscorlib, Version=4.0.0.0]][], mscorlib, Version=4.0.0.0"
+
+    assert TypeName.short(name) ==
+             "System.Collections.Generic.Dictionary`2[[System.String],[System.Collections.Generic.List`1[[A.B+C[]]]]][]"
+  end
+
+  property "any text has a name, and a short one stays" do
+    forall parts <- list(one_of([text(), "[[", "]]", "],[", "[]", ", ", "System.Int32"])) do
+      short = parts |> Enum.join() |> TypeName.short()
+      assert is_binary(short)
+    end
+  end
+end

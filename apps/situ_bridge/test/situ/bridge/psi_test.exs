@@ -1,0 +1,218 @@
+defmodule Situ.Bridge.PsiTest do
+  use ExUnit.Case, async: true
+  alias Situ.Bridge.Test.Expected
+  alias Situ.Store
+
+  @data Path.expand("../../data/psi", __DIR__)
+
+  # Every store that \psi's runtime wrote, beside what its own reader made of it.
+  @stores (for file <- Path.wildcard(Path.join(@data, "**/*expected*.json")) do
+             name = Path.basename(file, ".json")
+             folder = Path.dirname(file)
+
+             pattern =
+               case String.split(name, ".") do
+                 ["expected"] -> "*.0000/*"
+                 ["expected", version] -> "*.#{version}/*"
+                 [store, "expected"] -> "#{store}.0000/*"
+               end
+
+             found =
+               for at <- [pattern, "*"],
+                   catalog <- Path.wildcard(Path.join(folder, at <> ".Catalog_000000.psi")),
+                   do: catalog
+
+             path = hd(found)
+             {Path.relative_to(file, @data), file, Path.dirname(path)}
+           end)
+
+  for {name, file, path} <- @stores do
+    test "#{name} is read as \\psi reads it" do
+      {:ok, want} = unquote(file) |> File.read!() |> Situ.JSON.decode()
+      store = Store.open!(unquote(path))
+      assert Store.info(store).name == want["store"]
+      assert Store.closed?(store) == want["isClosed"]
+
+      assert Enum.sort(Enum.map(Store.streams(store), & &1.name)) ==
+               Enum.sort(Enum.map(want["streams"], & &1["name"]))
+
+      for stream <- want["streams"], do: stream!(store, stream, want["cut"])
+    end
+  end
+
+  defp stream!(store, want, cut) do
+    {:ok, info} = Store.stream_info(store, want["name"])
+    all = store |> Store.messages(info) |> Enum.to_list()
+
+    assert {info.name, info.id, info.count, length(all)} ==
+             {want["name"], want["id"], want["messagesRead"], want["messagesRead"]}
+
+    for message <- want["messages"], do: message!(store, message, all, want["name"])
+    if want["messageCount"] == length(all), do: statistics!(info, want)
+    if cut == nil, do: assert(Situ.Store.StreamInfo.closed?(info) == want["isClosed"])
+
+    if supplemental = want["supplementalMetadata"] do
+      {:ok, got} = Store.metadata(store, info)
+      Expected.same!(supplemental, got, "metadata of #{want["name"]}")
+    else
+      assert {:error, %{code: :no_metadata}} = Store.metadata(store, info)
+    end
+  end
+
+  defp message!(store, want, all, name) do
+    got = Enum.find(all, &(&1.sequence_id == want["seq"]))
+    assert got, "message #{want["seq"]} of #{name} is missing"
+    assert got.originating_time == Expected.ns(want["originatingTime"])
+    assert got.creation_time == Expected.ns(want["creationTime"])
+    Expected.same!(want["value"], got.data, "message #{want["seq"]} of #{name}")
+    assert {:ok, ^got} = Store.first_at(store, name, got.originating_time)
+    assert {:ok, ^got} = Store.latest_at(store, name, got.originating_time)
+  end
+
+  defp statistics!(%{count: 0} = info, _want), do: assert({info.first, info.last} == {nil, nil})
+
+  defp statistics!(info, want) do
+    assert info.size == want["messageSizeCumulativeSum"]
+    assert info.latency_sum == want["latencyCumulativeSum"] * 100
+    assert info.opened == Expected.ns(want["openedTime"])
+    assert info.closed == Expected.ns(want["closedTime"])
+    assert info.first == Expected.ns(want["firstMessageOriginatingTime"])
+    assert info.last == Expected.ns(want["lastMessageOriginatingTime"])
+    assert info.first_creation == Expected.ns(want["firstMessageCreationTime"])
+    assert info.last_creation == Expected.ns(want["lastMessageCreationTime"])
+  end
+
+  describe "open/2" do
+    test "takes a folder, a name, and finds the newest version" do
+      assert Store.open!(Path.join(@data, "timing/Timing")) |> Store.info() |> Map.fetch!(:name) ==
+               "Timing"
+
+      assert Store.open!(Path.join(@data, "timing/Timing")).path =~ "Timing.0001"
+      assert Store.exists?(Path.join(@data, "large"))
+      assert {:error, %{code: :no_store}} = Store.open(Path.join(@data, "sessions"))
+    end
+
+    test "stores are listed beside our own" do
+      found = Store.list(@data, recursive: true)
+      assert Path.join(@data, "basics/Basics.0000") in found
+      assert Path.join(@data, "sessions/Session2/Robot.0000") in found
+      assert length(found) == length(@stores)
+    end
+
+    @tag :tmp_dir
+    test "two stores in one folder are opened by their names", %{tmp_dir: dir} do
+      for store <- ["large", "killed"],
+          file <- Path.wildcard(Path.join([@data, store, "*.psi"])),
+          do: File.cp!(file, Path.join(dir, Path.basename(file)))
+
+      assert Store.list(dir) == [Path.join(dir, "Killed"), Path.join(dir, "Large")]
+      assert Store.open!(Path.join(dir, "Large")) |> Store.has_stream?("Blob")
+      assert {:error, %{code: :no_store}} = Store.open(dir)
+    end
+
+    @tag :tmp_dir
+    test "a catalog of something else is an error", %{tmp_dir: dir} do
+      File.write!(Path.join(dir, "X.Catalog_000000.psi"), :binary.copy("nothing of ours", 100))
+      assert {:error, %{code: :not_psi}} = Store.open(dir)
+    end
+  end
+
+  describe "info/1" do
+    test "tells what is lost, and which types are only known by their schemas" do
+      %{damage: damage} = Store.info(Store.open!(Path.join(@data, "truncated")))
+      assert Enum.any?(damage, &(&1 =~ "9 of 10 messages of the stream Small are missing"))
+      assert Enum.any?(damage, &(&1 =~ "cut short in the message at byte 27616"))
+      %{notes: notes} = Store.info(Store.open!(Path.join(@data, "objects")))
+      assert Enum.any?(notes, &(&1 =~ "Reading is of the type Sample.Telemetry.Reading"))
+    end
+  end
+
+  describe "a store cut short" do
+    @tag :tmp_dir
+    test "at any byte of its data opens to the last whole message", %{tmp_dir: dir} do
+      source = Path.join(@data, "sessions/Session1/Robot.0000")
+
+      for file <- Path.wildcard(Path.join(source, "*")),
+          do: File.cp!(file, Path.join(dir, Path.basename(file)))
+
+      data = Path.join(dir, "Robot.Data_000000.psi")
+      bytes = File.read!(data)
+      whole = all(Store.open!(source))
+      ends = ends(bytes)
+
+      for size <- Enum.to_list(0..200) ++ Enum.take_random(201..byte_size(bytes), 100) do
+        File.write!(data, binary_part(bytes, 0, size))
+        assert length(all(Store.open!(dir))) == Enum.count(ends, &(&1 <= size))
+        assert all(Store.open!(dir)) -- whole == []
+      end
+    end
+  end
+
+  defp all(store),
+    do: Enum.flat_map(Store.streams(store), &Enum.to_list(Store.messages(store, &1)))
+
+  # Where each message's bytes are complete, padding left out.
+  defp ends(bytes), do: ends(bytes, 0)
+
+  defp ends(<<n::little-signed-32, rest::binary>>, at) when n > 0 do
+    padded = n + rem(4 - rem(n, 4), 4)
+    <<_::binary-size(padded), rest::binary>> = rest
+    [at + 4 + n | ends(rest, at + 4 + padded)]
+  end
+
+  defp ends(_rest, _at), do: []
+
+  describe "conversion" do
+    @tag :tmp_dir
+    test "a copy into our own format has the same messages", %{tmp_dir: dir} do
+      for name <- ["basics/Basics.0000", "objects", "media/Media.0000"] do
+        from = Store.open!(Path.join(@data, name))
+        target = Path.join(dir, String.replace(name, "/", "-"))
+        {:ok, _} = Store.copy(Path.join(@data, name), target)
+        to = Store.open!(target)
+        for info <- Store.streams(from), do: assert(data(to, info.name) == data(from, info.name))
+      end
+    end
+  end
+
+  defp data(store, name),
+    do: for(m <- Store.messages(store, name), do: {m.originating_time, m.data})
+
+  describe "damaged and hostile files" do
+    @tag :tmp_dir
+    test "mutated stores open and read, or tell why not", %{tmp_dir: dir} do
+      sources = [
+        Path.join(@data, "objects"),
+        Path.join(@data, "large"),
+        Path.join(@data, "extents")
+      ]
+
+      :rand.seed(:exsss, {1, 2, 3})
+      atoms = :erlang.system_info(:atom_count)
+
+      for n <- 1..300, source = Enum.random(sources) do
+        to = Path.join(dir, "s#{rem(n, 3)}")
+        File.rm_rf!(to)
+        File.mkdir_p!(to)
+
+        for file <- Path.wildcard(Path.join(source, "*.psi")),
+            do: File.write!(Path.join(to, Path.basename(file)), mutate(File.read!(file)))
+
+        case Store.open(to) do
+          {:ok, store} -> for info <- Store.streams(store), do: {:ok, _} = Store.read(store, info)
+          {:error, %Situ.Error{}} -> :ok
+        end
+      end
+
+      assert :erlang.system_info(:atom_count) - atoms < 50
+    end
+  end
+
+  defp mutate(bytes) do
+    Enum.reduce(1..:rand.uniform(4), bytes, fn _, bytes ->
+      at = :rand.uniform(byte_size(bytes)) - 1
+      <<before::binary-size(at), _, rest::binary>> = bytes
+      before <> <<Enum.random([0, 1, 0x7F, 0x80, 0xC0, 0xFF, :rand.uniform(255)])>> <> rest
+    end)
+  end
+end
