@@ -24,24 +24,6 @@ defmodule Situ.Bridge.Test.Expected do
     same?(Map.delete(want, "$id"), plain(got))
   end
 
-  # What has a number in `want`, wherever it is met first, with what was read in its place.
-  defp named(%{"$id" => n} = want, got, ids),
-    do: named(Map.delete(want, "$id"), plain(got), Map.put(ids, n, got))
-
-  defp named(%{"$value" => want}, got, ids), do: named(want, got, ids)
-
-  defp named(want, got, ids) when is_map(want) and is_map(got),
-    do: Enum.reduce(want, ids, fn {key, value}, ids -> named(value, got[key], ids) end)
-
-  defp named(want, got, ids) when is_list(want) and is_list(got),
-    do: want |> Enum.zip(got) |> Enum.reduce(ids, fn {w, g}, ids -> named(w, g, ids) end)
-
-  defp named(_want, _got, ids), do: ids
-
-  defp plain(got) do
-    with %{"$id" => _} <- got, do: Map.get(got, "$value", Map.delete(got, "$id"))
-  end
-
   defp same?(%{"$value" => want}, got), do: same?(want, got)
   defp same?(%{"ticks" => ticks, "kind" => _}, got), do: got == ns(ticks)
   defp same?(%{"ticks" => ticks}, got), do: got == ticks * 100
@@ -99,6 +81,24 @@ defmodule Situ.Bridge.Test.Expected do
     do: want == got or single(want) == single(got)
 
   defp same?(want, got), do: want === got
+
+  # What has a number in `want`, wherever it is met first, with what was read in its place.
+  defp named(%{"$id" => n} = want, got, ids),
+    do: named(Map.delete(want, "$id"), plain(got), Map.put(ids, n, got))
+
+  defp named(%{"$value" => want}, got, ids), do: named(want, got, ids)
+
+  defp named(want, got, ids) when is_map(want) and is_map(got) and not is_struct(got),
+    do: Enum.reduce(want, ids, fn {key, value}, ids -> named(value, got[key], ids) end)
+
+  defp named(want, got, ids) when is_list(want) and is_list(got),
+    do: want |> Enum.zip(got) |> Enum.reduce(ids, fn {w, g}, ids -> named(w, g, ids) end)
+
+  defp named(_want, _got, ids), do: ids
+
+  defp plain(got) do
+    with %{"$id" => _} <- got, do: Map.get(got, "$value", Map.delete(got, "$id"))
+  end
 
   defp again?(first, %{"$ref" => id}), do: match?(%{"$id" => ^id}, first)
   defp again?(first, got), do: first == got

@@ -204,7 +204,7 @@ defmodule Situ.Bridge.PsiTest do
         end
       end
 
-      assert :erlang.system_info(:atom_count) - atoms < 50
+      assert :erlang.system_info(:atom_count) - atoms < 5_000
     end
   end
 

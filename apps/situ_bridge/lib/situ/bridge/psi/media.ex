@@ -22,59 +22,54 @@ defmodule Situ.Bridge.Psi.Media do
     {3, 64} => :f64
   }
 
+  @types %{
+    "Microsoft.Psi.Imaging.Image" => Situ.Image,
+    "Microsoft.Psi.Imaging.DepthImage" => Situ.DepthImage,
+    "Microsoft.Psi.Imaging.EncodedImage" => Situ.EncodedImage,
+    "Microsoft.Psi.Audio.AudioBuffer" => Situ.AudioBuffer
+  }
+
   @doc "Our type for one of \\psi's, or nil."
   @spec type(String.t()) :: Situ.Type.t() | nil
-  def type("Microsoft.Psi.Imaging." <> name)
-      when name in ["Image", "DepthImage", "EncodedImage", "EncodedDepthImage"],
-      do: :map
-
-  def type("Microsoft.Psi.Audio.AudioBuffer"), do: :map
-  def type(_name), do: nil
+  def type(name), do: @types[name]
 
   @doc "The value of one of the shapes, out of its members; the members where they make no sense."
   @spec value(atom(), map()) :: term()
-  def value(:image, %{"image" => data, "width" => w, "height" => h, "stride" => stride} = fields) do
-    case @formats[fields["pixelFormat"]] do
-      nil -> fields
-      format -> %{width: w, height: h, stride: stride, format: format, data: data}
+  def value(shape, fields) do
+    case make(shape, fields) do
+      {:ok, value} -> value
+      _ -> fields
     end
   end
 
-  def value(
-        :depth_image,
-        %{"image" => data, "width" => w, "height" => h, "stride" => stride} = fields
-      ) do
-    Map.merge(%{width: w, height: h, stride: stride, data: data}, depth(fields))
+  defp make(:image, %{"image" => data, "pixelFormat" => code} = fields) when is_binary(data),
+    do: fields |> size() |> Keyword.merge(format: @formats[code], data: data) |> Situ.Image.new()
+
+  defp make(:depth_image, %{"image" => data} = fields) when is_binary(data),
+    do: (size(fields) ++ depth(fields) ++ [data: data]) |> Situ.DepthImage.new()
+
+  defp make(:encoded_image, %{"stream" => data, "Width" => w, "Height" => h})
+       when is_binary(data) do
+    with {:ok, format} <- Situ.EncodedImage.sniff(data),
+         do: Situ.EncodedImage.new(format: format, width: w, height: h, data: data)
   end
 
-  def value(:encoded_image, %{"stream" => data, "Width" => w, "Height" => h} = fields)
-      when is_binary(data) do
-    case sniff(data) do
-      nil -> fields
-      format -> %{width: w, height: h, format: format, data: data}
-    end
+  defp make(:audio, %{"format" => %{"FormatTag" => tag} = wave, "data" => data})
+       when is_binary(data) do
+    sample = @samples[{tag, wave["BitsPerSample"]}]
+    format = [rate: wave["SamplesPerSec"], channels: wave["Channels"], sample: sample]
+
+    with {:ok, format} <- Situ.AudioFormat.new(format),
+         do: Situ.AudioBuffer.new(format: format, data: data)
   end
 
-  def value(:audio, %{"format" => %{"FormatTag" => tag} = wave, "data" => data} = fields)
-      when is_binary(data) do
-    case @samples[{tag, wave["BitsPerSample"]}] do
-      nil ->
-        fields
+  defp make(_shape, _fields), do: :error
 
-      sample ->
-        format = %{rate: wave["SamplesPerSec"], channels: wave["Channels"], sample: sample}
-        %{format: format, data: data}
-    end
-  end
-
-  def value(_shape, fields), do: fields
+  defp size(fields),
+    do: [width: fields["width"], height: fields["height"], stride: fields["stride"]]
 
   defp depth(fields) do
     semantics = if (fields["depthValueSemantics"] || 0) == 1, do: :point, else: :plane
-    %{semantics: semantics, scale: fields["depthValueToMetersScaleFactor"] || 0.001}
+    [semantics: semantics, scale: fields["depthValueToMetersScaleFactor"] || 0.001]
   end
-
-  defp sniff(<<0xFF, 0xD8, 0xFF, _::binary>>), do: :jpeg
-  defp sniff(<<0x89, "PNG", _::binary>>), do: :png
-  defp sniff(_), do: nil
 end
