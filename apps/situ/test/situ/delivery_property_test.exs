@@ -5,7 +5,7 @@ defmodule Situ.DeliveryPropertyTest do
   alias Situ.{Delivery, Message, Pipeline}
   alias Situ.Delivery.Queue
   alias Situ.Fixture.Count
-  alias Situ.Stage.{Outlet, Posting, Subscriber}
+  alias Situ.Stage.{Output, Posting, Subscriber}
 
   # A policy as plain data, so that it can shrink: {max_queue | nil, max_latency | nil, guarantee even?}.
   defp policy({max, latency, guarantee}) do
@@ -50,19 +50,22 @@ defmodule Situ.DeliveryPropertyTest do
       tag = make_ref()
 
       start = %{
-        %Outlet{name: :out, path: "P", source_id: 1}
+        Output.new(:out, "P", 1)
         | subs: [Subscriber.new(tag, self(), nil)]
       }
 
       {outlet, sent, asked} =
         Enum.reduce(steps, {start, 0, 0}, fn
-          {true, n}, {outlet, sent, asked} -> {post(outlet, sent, n), sent + n, asked}
-          {false, n}, {outlet, sent, asked} -> {Outlet.ask(outlet, tag, n), sent, asked + n}
+          {true, n}, {outlet, sent, asked} ->
+            {post(outlet, sent, n), sent + n, asked}
+
+          {false, n}, {outlet, sent, asked} ->
+            {Output.ask(outlet, {self(), tag}, n), sent, asked + n}
         end)
 
       got = received(tag)
       assert got == Enum.to_list(1..min(sent, asked)//1)
-      outlet |> Outlet.close(sent + 1) |> Outlet.ask(tag, sent + 1)
+      outlet |> Output.close(sent + 1) |> Output.ask({self(), tag}, sent + 1)
       assert got ++ received(tag) == Enum.to_list(1..sent//1)
       assert_received {:"$gen_consumer", {_, ^tag}, {:cancel, {:shutdown, {:closed, _}}}}
     end
@@ -73,7 +76,7 @@ defmodule Situ.DeliveryPropertyTest do
       {:ok, outlet} = Posting.emit(outlet, i, i, 0, false)
       outlet
     end)
-    |> Outlet.flush()
+    |> Output.flush()
   end
 
   defp received(tag) do

@@ -23,7 +23,14 @@ defmodule Situ.Delivery do
   @window 1_000
   @small_window 128
   @enforce_keys [:kind]
-  defstruct [:kind, :guarantee, max_queue: :infinity, max_latency: :infinity, window: @window]
+  defstruct [
+    :kind,
+    :guarantee,
+    max_queue: :infinity,
+    max_latency: :infinity,
+    window: @window,
+    throttle: false
+  ]
 
   @type kind :: :unlimited | :latest | :max_queue | :max_latency | :throttle | :synchronous
   @type t :: %__MODULE__{
@@ -31,7 +38,8 @@ defmodule Situ.Delivery do
           guarantee: (term() -> boolean()) | nil,
           max_queue: pos_integer() | :infinity,
           max_latency: Situ.Time.duration() | :infinity,
-          window: pos_integer() | :infinity
+          window: pos_integer() | :infinity,
+          throttle: boolean()
         }
 
   @schema [

@@ -4,7 +4,7 @@ defmodule Situ.Pipeline.Crew do
   alias Situ.Graph.Vertex
   alias Situ.Pipeline.{Launch, Life, Reaper}
   alias Situ.Stage
-  alias Situ.Stage.{Marks, Tally}
+  alias Situ.Stage.{Output, Tally}
 
   @doc "A stage for each of the plan, and what they share."
   @spec spawn_all(Life.t()) :: Life.t()
@@ -78,7 +78,7 @@ defmodule Situ.Pipeline.Crew do
   defp marks(nil, [%{on_error: :stop} | _]), do: nil
 
   defp marks(nil, vertices),
-    do: vertices |> Enum.map(&length(&1.outputs)) |> Enum.sum() |> Marks.new()
+    do: vertices |> Enum.map(&length(&1.outputs)) |> Enum.sum() |> Output.marks()
 
   defp marks(stage, _vertices), do: stage.marks
 

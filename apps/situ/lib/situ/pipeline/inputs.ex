@@ -110,7 +110,7 @@ defmodule Situ.Pipeline.Inputs do
     ends = %{from: source.id, output: output, to: taker.id, input: input}
     link = Map.merge(ends, %{id: tag, policy: policy})
     counters = Counters.new()
-    send(source.pid, {:situ, {:lend, tag, output, taker.pid, counters}})
+    send(source.pid, {:situ, {:lend, tag, output, taker.pid, counters, policy}})
     edges = Map.put(state.graph.edges, tag, edge)
 
     ask(

@@ -69,7 +69,7 @@ defmodule Situ.Pipeline.Launch do
       links
       |> Enum.filter(&(&1.from == id))
       |> Enum.sort_by(& &1.id)
-      |> Enum.group_by(& &1.output, &{&1.id, pid.(&1.to), state.counters[&1.id]})
+      |> Enum.group_by(& &1.output, &{&1.id, pid.(&1.to), state.counters[&1.id], &1.policy})
 
     state
     |> Map.take([:clock, :enforce, :start_time, :replay_start, :replay_end])

@@ -124,7 +124,17 @@ defmodule Situ.Pipeline.Taps do
     source = state.stages[tap.source]
     last = length(source.vertices) - 1
     index = if tap.index < last, do: tap.index
-    send(source.pid, {:situ, {:tap, tap.tag, tap.output, index, pid, state.counters[tap.tag]}})
+
+    wiring = %{
+      tag: tap.tag,
+      output: tap.output,
+      index: index,
+      pid: pid,
+      counters: state.counters[tap.tag],
+      policy: state.links[tap.tag].policy
+    }
+
+    send(source.pid, {:situ, {:tap, wiring}})
     send(pid, {:situ, :run})
     state
   end

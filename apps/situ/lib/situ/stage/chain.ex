@@ -6,11 +6,46 @@ defmodule Situ.Operator.Chain do
   @type step ::
           {atom(), fun(), index :: non_neg_integer()}
           | {atom(), fun(), index :: non_neg_integer(), term()}
-  @type t :: [step()]
+  @type steps :: [step()]
   @skip :"$situ_skip"
 
+  @enforce_keys [:steps, :fast]
+  defstruct [:steps, :fast, :counters, sizes: false]
+
+  @typedoc """
+  The steps of a stage, and whether none keeps state. Behind a component: the counters of the edge into it, and whether sizes
+  are counted.
+  """
+  @type t :: %__MODULE__{
+          steps: steps(),
+          fast: boolean(),
+          counters: :atomics.atomics_ref() | nil,
+          sizes: boolean()
+        }
+
+  @doc "The chain of vertices that stand from index `first` on in their stage."
+  @spec compile([Situ.Graph.Vertex.t()], non_neg_integer()) :: t()
+  def compile(vertices, first) do
+    steps = vertices |> Enum.map(& &1.opts) |> new(first)
+    %__MODULE__{steps: steps, fast: not stateful?(steps)}
+  end
+
+  @doc "The chain with other steps."
+  @spec update(t(), (steps() -> steps())) :: t()
+  def update(%__MODULE__{} = chain, fun) do
+    steps = fun.(chain.steps)
+    %{chain | steps: steps, fast: not stateful?(steps)}
+  end
+
+  @doc "A new step in the place of that of the operator at `index`, without the state of the old one."
+  @spec exchange(t(), non_neg_integer(), Situ.Operator.step()) :: t()
+  def exchange(chain, index, step) do
+    [fresh] = new([step], index)
+    update(chain, fn steps -> Enum.map(steps, &if(elem(&1, 2) == index, do: fresh, else: &1)) end)
+  end
+
   @doc "The steps of operators, in order; `first` is the index of the first one among the vertices of its stage."
-  @spec new([Situ.Operator.step()], non_neg_integer()) :: t()
+  @spec new([Situ.Operator.step()], non_neg_integer()) :: steps()
   def new(steps, first \\ 0) do
     steps
     |> Enum.with_index(first)
@@ -21,11 +56,11 @@ defmodule Situ.Operator.Chain do
   end
 
   @doc "Whether any step keeps state."
-  @spec stateful?(t()) :: boolean()
+  @spec stateful?(steps()) :: boolean()
   def stateful?(steps), do: Enum.any?(steps, &(tuple_size(&1) == 4))
 
   @doc "One message through stateless steps: the data, or `skip/0`; throws `{:situ_step, index, kind, reason, stack}`."
-  @spec run(t(), term(), Situ.Message.t()) :: term()
+  @spec run(steps(), term(), Situ.Message.t()) :: term()
   def run([], data, _message), do: data
 
   def run([{:map, fun, i} | rest], data, message) do
@@ -47,7 +82,7 @@ defmodule Situ.Operator.Chain do
   end
 
   @doc "One message through steps with state: `{data | skip, steps}`."
-  @spec run_stateful(t(), term(), Situ.Message.t()) :: {term(), t()}
+  @spec run_stateful(steps(), term(), Situ.Message.t()) :: {term(), steps()}
   def run_stateful([], data, _message), do: {data, []}
 
   def run_stateful([{:step, fun, i, state} | rest], data, message) do

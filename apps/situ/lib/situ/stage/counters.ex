@@ -12,6 +12,7 @@ defmodule Situ.Stage.Counters do
   @posted_last 4
   @kept_sum 5
   @waiting 6
+  @held 7
   @processed 17
   @dropped 18
   @reached 19
@@ -60,6 +61,14 @@ defmodule Situ.Stage.Counters do
   @doc "The producer waits for this edge (1) or not (0)."
   @spec waiting(t(), 0 | 1) :: :ok
   def waiting(ref, flag), do: :atomics.put(ref, @waiting, flag)
+
+  @doc "`n` messages are held back at the producer, under a lossy policy."
+  @spec held(t(), non_neg_integer()) :: :ok
+  def held(ref, n), do: :atomics.put(ref, @held, n)
+
+  @doc "How many messages are held back at the producer."
+  @spec held(t()) :: non_neg_integer()
+  def held(ref), do: :atomics.get(ref, @held)
 
   @doc "The policy dropped `n`."
   @spec dropped(t(), pos_integer()) :: :ok

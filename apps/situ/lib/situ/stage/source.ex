@@ -1,104 +1,92 @@
 defmodule Situ.Stage.Source do
   @moduledoc false
-  # What a source does besides answering: it produces while there is demand, and stops when it is asked to.
-  alias Situ.{Clock, Stage}
-  alias Situ.Stage.{Fault, Outlet, Ports, Pump, Tally, Turn}
+  # How far a source has come with its end. Pure; Production makes it produce and stop.
 
-  @pull 1_000
   @strikes 10
 
-  # A pull source: asked while there is room, no further than the clock when that is enforced.
-  @spec produce(Stage.t(), Situ.Time.t(), integer()) :: Stage.t()
-  def produce(
-        %{source: :pull, completed: false, idle: false, stopping: stopping} = state,
-        now,
-        _final
-      )
-      when stopping in [nil, :stopping] do
-    room = min(Ports.room(state), @pull)
-    room = if state.enforce, do: min(room, 8), else: room
-    room = if state.tail, do: min(room, state.slice), else: room
+  defstruct [:kind, :completing, :stopping, :final, completed: false, idle: false, strikes: 0]
 
-    if room < 1 or Ports.holding?(state) do
-      state
-    else
-      before = {emitted(state), repeated(state), Tally.read(state.tally, 0).errors}
-      state = Turn.call(state, :handle_demand, [room, %{state.context | now: now}], now)
-      state = Ports.settle(judge(state, before))
+  @typedoc """
+  `kind`: asked for messages, makes them by itself, or no source at all. `completing`: the last time, to be told once nothing is
+  held back. `stopping`: how far a stop has come. `final`: nothing later than this goes out. `idle`: has nothing until something
+  happens. `strikes`: errors in a row.
+  """
+  @type t :: %__MODULE__{
+          kind: :pull | :push | nil,
+          completing: Situ.Time.t() | nil,
+          stopping: nil | :asked | :stopping | :held | :done,
+          final: Situ.Time.t() | nil,
+          completed: boolean(),
+          idle: boolean(),
+          strikes: non_neg_integer()
+        }
 
-      state =
-        if state.tail, do: Pump.resize(state, room, Clock.now(state.clock) - now), else: state
+  @spec new(Situ.Graph.Vertex.t()) :: t()
+  def new(%{module: :operator}), do: %__MODULE__{}
 
-      if state.idle or state.completed or state.failed, do: state, else: Ports.schedule(state)
-    end
-  end
-
-  def produce(state, _now, _final), do: state
-
-  # A source that has nothing now is asked again when something happens; one that raised is asked again at once, with
-  # `:skip` and `:restart`, but not for ever: there is no message that would be used up by the next try.
-  defp judge(%{failed: true} = state, _before), do: state
-
-  defp judge(state, {emitted, repeated, errors}) do
-    unharmed? = Tally.read(state.tally, 0).errors == errors
-
+  def new(vertex) do
     cond do
-      emitted(state) != emitted -> %{state | strikes: 0}
-      unharmed? and repeated(state) != repeated -> state
-      unharmed? -> %{state | idle: true}
-      state.strikes < @strikes -> %{state | strikes: state.strikes + 1}
-      true -> Fault.fail(state, no_way_on(state))
+      function_exported?(vertex.module, :handle_demand, 3) -> %__MODULE__{kind: :pull}
+      vertex.inputs == [] -> %__MODULE__{kind: :push}
+      true -> %__MODULE__{}
     end
   end
 
-  defp no_way_on(state) do
-    Situ.Error.new(
-      :no_way_on,
-      "#{state.head.path} failed #{@strikes + 1} times without emitting anything",
-      why: "a source that raises has no message to skip: it meets the same error again",
-      fix: "handle the error in handle_demand/3, or use on_error: :stop",
-      meta: %{component: state.head.path}
-    )
-  end
+  @doc "Something happened: a source that had nothing may have something."
+  @spec wake(t()) :: t()
+  def wake(%__MODULE__{idle: false} = source), do: source
+  def wake(%__MODULE__{} = source), do: %{source | idle: false}
 
-  defp emitted(state), do: Enum.map(state.outlets, fn {_, o} -> {o.seq, o.last_time} end)
+  @doc "Whether it may be asked for messages."
+  @spec ready?(t()) :: boolean()
+  def ready?(%__MODULE__{kind: :pull, completed: false, idle: false, stopping: stopping}),
+    do: stopping in [nil, :stopping]
 
-  # What was posted before (by one that began anew), or dropped for its time: neither rest nor progress.
-  defp repeated(state), do: Enum.map(state.outlets, fn {_, o} -> o.repeated end)
+  def ready?(%__MODULE__{}), do: false
 
-  @doc "Asked to stop: nothing later than `final` goes out any more."
-  @spec stop(Stage.t(), Situ.Time.t()) :: Stage.t()
-  def stop(%{stopping: nil} = state, final) do
-    state = Ports.each_outlet(%{state | final: final, stopping: :asked}, &Outlet.cut(&1, final))
-    timers = Enum.filter(state.timers, fn {time, _} -> time <= final end)
-    state = %{state | timers: timers}
+  @doc "It ends at `time`; `held?`: messages wait for their time. `:tell` when the pipeline is to know now."
+  @spec complete(t(), Situ.Time.t(), boolean()) :: {:tell | :later, t()}
+  def complete(%__MODULE__{completed: true, completing: nil} = source, _time, _held?),
+    do: {:later, source}
 
-    state =
-      if state.failed,
-        do: state,
-        else:
-          Turn.call(
-            state,
-            :handle_stop,
-            [final, %{state.context | now: Clock.now(state.clock)}],
-            nil
-          )
+  def complete(%__MODULE__{} = source, time, true),
+    do: {:later, %{source | completing: time, completed: true}}
 
-    if state.stopping == :asked, do: stopped(state), else: Pump.pump(%{state | idle: false})
-  end
+  def complete(%__MODULE__{} = source, _time, false),
+    do: {:tell, %{source | completing: nil, completed: true}}
 
-  def stop(state, _final), do: state
+  @doc "Asked to stop at `final`."
+  @spec ask(t(), Situ.Time.t()) :: t()
+  def ask(%__MODULE__{} = source, final), do: %{source | final: final, stopping: :asked}
 
-  @doc "It has posted its last message; told once nothing is held back any more."
-  @spec stopped(Stage.t()) :: Stage.t()
-  def stopped(%{stopping: :done} = state), do: state
+  @doc "It goes on until it says that it has stopped."
+  @spec stopping(t()) :: t()
+  def stopping(%__MODULE__{stopping: :asked} = source), do: %{source | stopping: :stopping}
+  def stopping(%__MODULE__{} = source), do: source
 
-  def stopped(state) do
-    if Ports.holding?(state) and not state.failed do
-      %{state | stopping: :held}
-    else
-      Stage.report(state, :source_stopped)
-      %{state | stopping: :done}
-    end
-  end
+  @doc "It has posted its last message; `held?`: not all of them are out."
+  @spec stopped(t(), boolean()) :: {:tell | :later, t()}
+  def stopped(%__MODULE__{stopping: :done} = source, _held?), do: {:later, source}
+  def stopped(%__MODULE__{} = source, true), do: {:later, %{source | stopping: :held}}
+  def stopped(%__MODULE__{} = source, false), do: {:tell, %{source | stopping: :done}}
+
+  @doc """
+  What came of asking it for messages. One that has nothing is asked again when something happens; one that failed at once, but
+  not for ever: there is no message that would be used up by the next try.
+  """
+  @spec judge(t(), emitted? :: boolean(), harmed? :: boolean(), repeated? :: boolean()) ::
+          {:ok | :no_way_on, t()}
+  def judge(%__MODULE__{} = source, true, _harmed?, _repeated?), do: {:ok, %{source | strikes: 0}}
+  def judge(%__MODULE__{} = source, false, false, true), do: {:ok, source}
+  def judge(%__MODULE__{} = source, false, false, false), do: {:ok, %{source | idle: true}}
+
+  def judge(%__MODULE__{strikes: strikes} = source, false, true, _repeated?)
+      when strikes < @strikes,
+      do: {:ok, %{source | strikes: strikes + 1}}
+
+  def judge(%__MODULE__{} = source, false, true, _repeated?), do: {:no_way_on, source}
+
+  @doc "How many errors in a row are too many."
+  @spec strikes() :: pos_integer()
+  def strikes, do: @strikes + 1
 end

@@ -206,7 +206,7 @@ defmodule Situ.Parallel.ProcessesTest do
 
       for pid <- links,
           is_pid(pid),
-          %Situ.Stage{module: module} <- [:sys.get_state(pid)],
+          %Situ.Stage.State{callback: %{module: module}} <- [:sys.get_state(pid)],
           module != Situ.Parallel.Processes,
           do: pid
     end
@@ -377,7 +377,10 @@ defmodule Situ.Parallel.ProcessesTest do
 
       for pid <- links,
           is_pid(pid),
-          match?(%Situ.Stage{module: Situ.Parallel.Processes}, :sys.get_state(pid)),
+          match?(
+            %Situ.Stage.State{callback: %{module: Situ.Parallel.Processes}},
+            :sys.get_state(pid)
+          ),
           do: Process.exit(pid, :kill)
 
       for monitor <- monitors, do: assert_receive({:DOWN, ^monitor, :process, _, _})

@@ -2,7 +2,7 @@ defmodule Situ.Branch.Chained do
   @moduledoc false
   # A branch that is a straight run of light operators: only data moves.
   alias Situ.Operator.Chain
-  alias Situ.Stage.Call
+  alias Situ.Stage.Callback
   require Chain
 
   @enforce_keys [:chain, :fast, :paths, :result]
@@ -75,6 +75,6 @@ defmodule Situ.Branch.Chained do
 
   defp failed(%{paths: {path, steps}}, index, kind, reason, stack) do
     path = Situ.Branch.path(path) <> "." <> Enum.at(steps, index)
-    raise Call.failure(path, :in, kind, reason, stack)
+    raise Callback.failure(path, :in, kind, reason, stack)
   end
 end

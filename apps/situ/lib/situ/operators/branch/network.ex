@@ -3,7 +3,7 @@ defmodule Situ.Branch.Network do
   # A branch of any shape: what a component answers is handed on to the next before the next message comes in.
   alias Situ.{Error, Message}
   alias Situ.Operator.Chain
-  alias Situ.Stage.Call
+  alias Situ.Stage.Callback
   require Chain
 
   @enforce_keys [:nodes, :inlet, :result, :context]
@@ -48,7 +48,7 @@ defmodule Situ.Branch.Network do
   end
 
   defp component(base, module, vertex) do
-    case Call.init(module, vertex.opts, base.path) do
+    case Callback.init(module, vertex.opts, base.path) do
       {:ok, core} ->
         open = for {name, _} <- vertex.inputs, do: name
         Map.merge(base, %{module: module, core: core, open: open})
@@ -95,7 +95,7 @@ defmodule Situ.Branch.Network do
     end
   catch
     {:situ_step, _index, kind, reason, stack} ->
-      raise Call.failure(node.path, :in, kind, reason, stack)
+      raise Callback.failure(node.path, :in, kind, reason, stack)
   end
 
   defp handle(network, node, input, message) do
@@ -104,7 +104,7 @@ defmodule Situ.Branch.Network do
   end
 
   defp call(network, node, callback, args) do
-    case Call.run(node.module, callback, args, node.path) do
+    case Callback.run(node.module, callback, args, node.path) do
       {:ok, actions, core} ->
         Enum.reduce(actions, keep(network, %{node | core: core}), &act(&1, node, &2))
 

@@ -3,6 +3,7 @@ defmodule Situ.Test.Rest do
   # Waits until nothing is under way in a pipeline that runs by a manual clock, without sleeping.
   alias Situ.Clock
   alias Situ.Parallel.Processes
+  alias Situ.Stage.State
 
   @spec reach(pid(), Clock.t()) :: :ok
   def reach(pipeline, clock), do: reach(pipeline, clock, nil)
@@ -34,10 +35,10 @@ defmodule Situ.Test.Rest do
   # Asking comes after all that was sent before, and is answered after it was dealt with.
   defp look(pid, now) do
     case :sys.get_state(pid) do
-      %Situ.Stage{alarm: {due, _wait, _ref}} when due <= now ->
+      %State{timers: %{alarm: {due, _wait, _timer}}} when due <= now ->
         [:due]
 
-      %Situ.Stage{core: %Processes{} = core} = state ->
+      %State{callback: %{core: %Processes{} = core}} = state ->
         branches = Enum.flat_map(Processes.pipelines(core), &round(&1, now))
         [:erlang.phash2(state) | branches]
 

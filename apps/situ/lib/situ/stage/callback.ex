@@ -1,9 +1,91 @@
-defmodule Situ.Stage.Call do
+defmodule Situ.Stage.Callback do
   @moduledoc false
-  # Calls into a component: whatever comes back or goes wrong becomes a value. Nothing here knows of processes.
+  # A component and the calls into it: whatever comes back or goes wrong becomes a value. Nothing here knows of processes.
   alias Situ.{Component, Error, Message}
 
+  @enforce_keys [:module, :path, :opts, :on_error]
+  defstruct [:module, :path, :opts, :on_error, :core, batch: false]
+
+  @typedoc "`core` is the component's state; `batch`: it takes several messages at once."
+  @type t :: %__MODULE__{
+          module: module(),
+          path: String.t(),
+          opts: keyword(),
+          on_error: :stop | :skip | :restart,
+          core: Component.state(),
+          batch: boolean()
+        }
   @type outcome :: {:ok, [Component.action()], Component.state()} | {:error, Error.t()}
+
+  @doc "The component of a vertex, before its `init/1`."
+  @spec new(Situ.Graph.Vertex.t()) :: t()
+  def new(vertex) do
+    %__MODULE__{
+      module: vertex.module,
+      path: vertex.path,
+      opts: vertex.opts,
+      on_error: vertex.on_error,
+      batch: function_exported?(vertex.module, :handle_messages, 4)
+    }
+  end
+
+  @doc "With its first state."
+  @spec start(t()) :: {:ok, t()} | {:error, Error.t()}
+  def start(%__MODULE__{} = callback) do
+    with {:ok, core} <- init(callback.module, callback.opts, callback.path),
+         do: {:ok, %{callback | core: core}}
+  end
+
+  @doc "Releases what it holds."
+  @spec stop(t(), term()) :: :ok | {:error, Error.t()}
+  def stop(%__MODULE__{} = callback, reason),
+    do: terminate(callback.module, reason, callback.core, callback.path)
+
+  @doc "Calls any callback that answers `{actions, state}`; the state comes last among its arguments."
+  @spec call(t(), atom(), [term()]) :: outcome()
+  def call(%__MODULE__{} = callback, name, args),
+    do: run(callback.module, name, args ++ [callback.core], callback.path)
+
+  @doc "One line about its state, if it has any to say."
+  @spec describe(t()) :: String.t() | nil
+  def describe(%__MODULE__{module: module, core: core}) do
+    if function_exported?(module, :describe, 1), do: module.describe(core)
+  rescue
+    error -> "describe failed: " <> Exception.message(error)
+  end
+
+  @doc """
+  Another module or other options in its place: with `migrate/3` the state is carried over, otherwise the new one starts. Its
+  first actions are answered as well.
+  """
+  @spec replace(t(), module(), keyword(), Component.Context.t()) ::
+          {:ok, t(), [Component.action()]} | {:error, Error.t()}
+  def replace(%__MODULE__{} = old, module, opts, context) do
+    batch = function_exported?(module, :handle_messages, 4)
+    new = %{old | module: module, opts: opts, batch: batch}
+
+    if function_exported?(module, :migrate, 3),
+      do: carry(old, new),
+      else: exchange(old, new, context)
+  end
+
+  defp carry(old, new) do
+    case new.module.migrate(old.core, old.opts, new.opts) do
+      {:ok, core} -> {:ok, %{new | core: core}, []}
+      {:error, %Error{} = error} -> {:error, located(error, old.path)}
+      other -> {:error, rubbish(old.path, "migrate", "{:ok, state} or {:error, error}", other)}
+    end
+  catch
+    kind, reason -> {:error, failure(old.path, "migrate", kind, reason, __STACKTRACE__)}
+  end
+
+  defp exchange(old, new, context) do
+    with {:ok, new} <- start(new),
+         {:ok, actions, core} <- call(new, :handle_start, [context]) do
+      stop(old, :replaced)
+      {:ok, %{new | core: core}, actions}
+    end
+  end
 
   @doc "`init/1`, which answers `{:ok, state}` or `{:error, error}`."
   @spec init(module(), keyword(), String.t()) :: {:ok, term()} | {:error, Error.t()}
@@ -26,11 +108,10 @@ defmodule Situ.Stage.Call do
   end
 
   @doc "`handle_message/4`, the callback that is called most."
-  @spec message(module(), atom(), Message.t(), Component.Context.t(), term(), String.t()) ::
-          outcome()
-  def message(module, input, message, context, state, path) do
-    case module.handle_message(input, message, context, state) do
-      {actions, state} when is_list(actions) -> {:ok, actions, state}
+  @spec message(t(), atom(), Message.t(), Component.Context.t()) :: outcome()
+  def message(%__MODULE__{module: module, path: path, core: core}, input, message, context) do
+    case module.handle_message(input, message, context, core) do
+      {actions, core} when is_list(actions) -> {:ok, actions, core}
       other -> {:error, bad_result(path, input, message, other)}
     end
   catch
@@ -40,11 +121,11 @@ defmodule Situ.Stage.Call do
   end
 
   @doc "`handle_messages/4`; `:failed` for whatever goes wrong, since the messages are then taken one by one."
-  @spec messages(module(), atom(), [Message.t()], Component.Context.t(), term()) ::
+  @spec messages(t(), atom(), [Message.t()], Component.Context.t()) ::
           {:ok, [Component.action()], Component.state()} | :failed
-  def messages(module, input, messages, context, state) do
-    case module.handle_messages(input, messages, context, state) do
-      {actions, state} when is_list(actions) -> {:ok, actions, state}
+  def messages(%__MODULE__{module: module, core: core}, input, messages, context) do
+    case module.handle_messages(input, messages, context, core) do
+      {actions, core} when is_list(actions) -> {:ok, actions, core}
       _ -> :failed
     end
   catch
@@ -52,10 +133,10 @@ defmodule Situ.Stage.Call do
   end
 
   @doc "A callback that answers `{:ok, reply, opts, actions, state}` or `{:error, error}`."
-  @spec ask(module(), atom(), [term()], String.t()) ::
+  @spec ask(t(), atom(), [term()]) ::
           {:ok, term(), keyword(), [Component.action()], Component.state()} | {:error, Error.t()}
-  def ask(module, callback, args, path) do
-    case apply(module, callback, args) do
+  def ask(%__MODULE__{module: module, path: path, core: core}, callback, args) do
+    case apply(module, callback, args ++ [core]) do
       {:ok, _reply, opts, actions, _state} = answer when is_list(opts) and is_list(actions) ->
         answer
 

@@ -1,0 +1,50 @@
+defmodule Situ.Stage.Activation do
+  @moduledoc false
+  # A call into the component, and what came of it: its actions, or an error.
+  alias Situ.{Clock, Error}
+  alias Situ.Stage.{Callback, Emission, ErrorPolicy, Output, Outputs, State, Timers}
+
+  @doc "Calls a callback at clock time `now`; the context comes in as its last argument but the state."
+  @spec call(State.t(), atom(), [term()], Situ.Time.t()) :: State.t()
+  def call(state, callback, args, now) do
+    case Callback.call(state.callback, callback, args ++ [State.context(state, now)]) do
+      {:ok, actions, core} -> act(state, core, actions, now)
+      {:error, error} -> wrong(state, error)
+    end
+  end
+
+  @doc "The component's new state and actions; an action that is wrong takes the new state back, too."
+  @spec act(State.t(), term(), [Situ.Component.action()], Situ.Time.t()) :: State.t()
+  def act(state, core, actions, now) do
+    case Emission.run(%{state | callback: %{state.callback | core: core}}, actions, now) do
+      {:ok, state} -> state
+      {:error, error} -> wrong(state, error)
+    end
+  end
+
+  @doc "An error, as the component's `on_error` says."
+  @spec wrong(State.t(), Error.t()) :: State.t()
+  def wrong(state, error) do
+    case ErrorPolicy.decide(state) do
+      :fail -> ErrorPolicy.fail(state, error)
+      :skip -> ErrorPolicy.skip(state, error)
+      :restart -> restart(state, error)
+    end
+  end
+
+  defp restart(state, error) do
+    state = ErrorPolicy.restarted(state, error)
+    Callback.stop(state.callback, error)
+    state = %{state | outputs: Outputs.each(state.outputs, &Output.resume/1)}
+
+    with {:ok, callback} <- Callback.start(state.callback),
+         state = %{state | callback: callback, timers: Timers.clear(state.timers)},
+         {:ok, actions, core} <- Callback.call(callback, :handle_start, [state.context]),
+         state = %{state | callback: %{callback | core: core}},
+         {:ok, state} <- Emission.run(state, actions, Clock.now(state.clock)) do
+      state
+    else
+      {:error, error} -> ErrorPolicy.fail(state, error)
+    end
+  end
+end

@@ -1,0 +1,210 @@
+defmodule Situ.Stage.Attachment do
+  @moduledoc false
+  # Connections that come and go while a stage runs: subscribers of its outputs, taps on streams inside a chain, inputs of a
+  # component that takes more.
+  alias Situ.{Clock, Error}
+  alias Situ.Operator.Chain
+
+  alias Situ.Stage.{
+    Activation,
+    Callback,
+    Counters,
+    Emission,
+    Input,
+    Inputs,
+    Output,
+    Outputs,
+    State,
+    Subscriber
+  }
+
+  @most_waiting 1_000
+
+  @doc "A process from outside subscribes."
+  @spec subscribe(State.t(), {pid(), term()}, term()) :: State.t()
+  def subscribe(state, {pid, tag}, opts) do
+    with :ok <- options(opts), {:ok, output} <- State.find_output(state, opts) do
+      monitor = Process.monitor(pid)
+      sub = %{Subscriber.new(tag, pid, nil) | monitor: monitor}
+      put(state, output.port.name, &Output.subscribe(&1, sub))
+    else
+      {:error, error} ->
+        send(pid, {:"$gen_consumer", {self(), tag}, {:cancel, error}})
+        state
+    end
+  end
+
+  defp options(opts) do
+    if Keyword.keyword?(opts) do
+      :ok
+    else
+      {:error,
+       Error.new(
+         :bad_subscription,
+         "subscription options are a keyword list, not #{inspect(opts)}",
+         fix: "see Situ.GenStage.subscription/2"
+       )}
+    end
+  end
+
+  defp put(state, name, fun),
+    do: %{state | outputs: Outputs.update_open(state.outputs, name, fun)}
+
+  @doc "A tap on an output, or behind the operator at `index` of a chain."
+  @spec tap(State.t(), map()) :: State.t()
+  def tap(state, %{index: nil} = tap) do
+    {:ok, output} = State.find_output(state, output: tap.output)
+    sub = Subscriber.new(tap.tag, tap.pid, tap.counters, tap.policy)
+    put(state, output.port.name, &Output.subscribe(&1, sub))
+  end
+
+  def tap(state, tap) do
+    state = probe(state, tap)
+    ended = for %{closing: time} when time != nil <- Outputs.all(state.outputs), do: time
+    if ended != [], do: close_probe(tap.tag, tap.pid, hd(ended))
+    state
+  end
+
+  # A step that sends a copy of what passes. It has no demand: a tap that does not keep up misses what comes meanwhile.
+  defp probe(state, %{tag: tag, pid: pid, counters: counters} = tap) do
+    me = self()
+    [{_name, port} | _] = Enum.at(state.vertices, tap.index).outputs
+
+    look = fn data, message ->
+      age = message.creation_time - message.originating_time
+      Counters.emitted(counters, 1, age, age)
+      {emitted, processed, dropped} = Counters.flow(counters)
+
+      if emitted - processed - dropped > @most_waiting,
+        do: Counters.dropped(counters, 1),
+        else:
+          send(
+            pid,
+            {:"$gen_consumer", {me, tag}, [%{message | data: data, source_id: port.source_id}]}
+          )
+    end
+
+    step = {:each2, look, {:probe, tag, pid}}
+    %{state | chain: Chain.update(state.chain, &insert(&1, tap.index, step))}
+  end
+
+  # In front of the first step of a later operator.
+  defp insert(steps, index, step) do
+    {before, rest} = Enum.split_while(steps, &(is_tuple(elem(&1, 2)) or elem(&1, 2) <= index))
+    before ++ [step | rest]
+  end
+
+  @doc "Tells the taps inside the chain that nothing more will come."
+  @spec close_probes(State.t(), Situ.Time.t()) :: :ok
+  def close_probes(%{chain: nil}, _time), do: :ok
+
+  def close_probes(%{chain: chain}, time) do
+    for {_kind, _look, {:probe, tag, pid}} <- chain.steps, do: close_probe(tag, pid, time)
+    :ok
+  end
+
+  defp close_probe(tag, pid, time),
+    do: send(pid, {:"$gen_consumer", {self(), tag}, {:cancel, {:shutdown, {:closed, time}}}})
+
+  @doc "A tap, or another subscriber, goes."
+  @spec untap(State.t(), term()) :: State.t()
+  def untap(state, tag) do
+    state = %{state | outputs: Outputs.unsubscribe(state.outputs, &(&1.tag == tag))}
+
+    if state.chain,
+      do: %{
+        state
+        | chain: Chain.update(state.chain, &Enum.reject(&1, fn s -> probe?(s, tag) end))
+      },
+      else: state
+  end
+
+  defp probe?({_kind, _look, {:probe, tag, _pid}}, tag), do: true
+  defp probe?(_step, _tag), do: false
+
+  @doc """
+  A subscriber without demand, so that nothing is lost before it asks; answers the last time that it will not see, or when the
+  output ended.
+  """
+  @spec lend(State.t(), term(), atom(), pid(), term(), Situ.Delivery.t() | nil) ::
+          {{:open, Situ.Time.t() | nil} | {:closed, Situ.Time.t()}, State.t()}
+  def lend(state, tag, name, pid, counters, policy) do
+    case State.find_output(state, output: name) do
+      {:ok, %{closed: true, closing: time}} ->
+        {{:closed, time}, state}
+
+      {:ok, output} ->
+        sub = Subscriber.new(tag, pid, counters, policy)
+        {{:open, output.last_time}, put(state, name, &Output.subscribe(&1, sub))}
+    end
+  end
+
+  @doc "Another input, if the component takes it: it is asked for the first messages."
+  @spec input(State.t(), term(), Situ.Time.t() | nil, map()) ::
+          {:ok, term(), State.t()} | {:error, Error.t()}
+  def input(%{phase: :failed}, _request, _last, _wiring), do: {:error, failed()}
+
+  def input(state, request, last, wiring) do
+    now = Clock.now(state.clock)
+    args = [wiring.name, request, last, State.context(state, now)]
+
+    with {:ok, reply, opts, actions, core} <- Callback.ask(state.callback, :handle_attach, args) do
+      port = {wiring.name, %{type: :any, optional: true}}
+      head = State.head(state)
+      state = State.put_head(state, %{head | inputs: head.inputs ++ [port]})
+      state = state |> Emission.reform(opts) |> connect(wiring)
+      {:ok, reply, Activation.act(state, core, actions, now)}
+    end
+  end
+
+  defp connect(state, wiring) do
+    extra = %{type: :any, check: :off, counters: wiring.counters, sizes: wiring.sizes}
+    input = Input.new(wiring.name, wiring.tag, wiring.producer, wiring.policy, extra)
+
+    input =
+      case wiring.end do
+        {:closed, time} ->
+          Input.push_closed(input, time)
+
+        {:open, _last} ->
+          Input.open(input)
+          input
+      end
+
+    %{state | inputs: Inputs.put(state.inputs, input)}
+  end
+
+  @doc "An added input shall go, when the component says so."
+  @spec release(State.t(), term()) :: {:ok, term(), State.t()} | {:error, Error.t()}
+  def release(%{phase: :failed}, _request), do: {:error, failed()}
+
+  def release(state, request) do
+    now = Clock.now(state.clock)
+    args = [request, State.context(state, now)]
+
+    with {:ok, reply, opts, actions, core} <- Callback.ask(state.callback, :handle_detach, args),
+         do: {:ok, reply, state |> Emission.reform(opts) |> Activation.act(core, actions, now)}
+  end
+
+  @doc "The component has detached an input: the connection goes."
+  @spec left(State.t(), atom()) :: State.t()
+  def left(state, name) do
+    head = State.head(state)
+    state = State.put_head(state, %{head | inputs: Keyword.delete(head.inputs, name)})
+    State.report(state, {:detached, name, state.callback.opts})
+
+    case Inputs.find(state.inputs, name) do
+      nil ->
+        state
+
+      input ->
+        send(input.producer, {:"$gen_producer", {self(), input.tag}, {:cancel, :normal}})
+        Input.hold(input, false)
+        %{state | inputs: Inputs.delete(state.inputs, input.tag)}
+    end
+  end
+
+  defp failed do
+    Error.new(:not_running, "the component has failed", why: "it takes no messages any more")
+  end
+end

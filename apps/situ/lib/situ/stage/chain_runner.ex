@@ -1,0 +1,176 @@
+defmodule Situ.Stage.ChainRunner do
+  @moduledoc false
+  # A batch of messages through a chain of light operators: one envelope at the end for each that comes through.
+  alias Situ.{Clock, Message}
+  alias Situ.Operator.Chain
+  alias Situ.Stage.{Callback, Counters, ErrorPolicy, Input, Inputs, Output, Outputs, State}
+  require Chain
+
+  @doc "Runs the batch; answers the state, the last originating time, and how many messages were handled."
+  @spec batch(State.t(), [Message.t()], Situ.Time.t(), integer()) ::
+          {State.t(), integer(), non_neg_integer()}
+  def batch(state, messages, now, final) do
+    output = Outputs.last(state.outputs)
+    {state, messages} = cut(state, messages, final)
+    creation = if output.last_creation == nil, do: now, else: max(now, output.last_creation)
+    out = %{seq: output.seq, id: output.port.source_id, now: creation, made: output.subs != []}
+    {state, seq, reversed, last, n} = go(state, messages, out)
+
+    last_time = last || output.last_time
+    output = %{output | seq: seq, last_creation: creation, last_time: last_time, posted: now}
+    output = if out.made, do: Output.push_reversed(output, reversed, seq - out.seq), else: output
+    {%{state | outputs: Outputs.put_last(state.outputs, output)}, last || now, n}
+  end
+
+  @doc """
+  Runs what a component has posted through the light operators behind it in its process. Before the start there is no clock:
+  what a source posts from `handle_start/2` waits for its first turn.
+  """
+  @spec tail(State.t()) :: State.t()
+  def tail(%{outputs: %{tail: nil}} = state), do: state
+  def tail(%{clock: nil} = state), do: state
+  def tail(%{phase: :starting} = state), do: state
+  def tail(%{outputs: %{own: [{_, %{pending: []}}]}} = state), do: state
+
+  def tail(%{outputs: %{own: [{_name, output}]}} = state) do
+    now = Clock.now(state.clock)
+    messages = :lists.reverse(output.pending)
+    Output.note(output, hd(output.pending))
+    outputs = Outputs.put(state.outputs, %{output | pending: [], pending_n: 0})
+    {state, last, n} = batch(%{state | outputs: outputs}, messages, now, State.final(state))
+    if state.chain.counters, do: count(state.chain, messages, output.posted, {n, now - last})
+    state
+  end
+
+  defp count(%{counters: counters, sizes: sizes}, messages, posted, {n, latency}) do
+    %{originating_time: time, creation_time: created} = List.last(messages)
+    Counters.emitted(counters, length(messages), created - time, posted - time)
+    if sizes, do: Counters.sized(counters, messages)
+    if n > 0, do: Counters.processed(counters, n, latency, 0)
+  end
+
+  defp go(%{chain: %{fast: true, steps: steps}} = state, messages, out) do
+    {seq, reversed, last, n, rest} = fast(messages, steps, out, out.seq, [], nil, 0)
+    resume(state, rest, out, {seq, reversed, last, n})
+  end
+
+  defp go(%{chain: chain} = state, messages, out) do
+    {steps, seq, reversed, last, n, rest} = slow(messages, chain.steps, out, out.seq, [], nil, 0)
+    resume(%{state | chain: %{chain | steps: steps}}, rest, out, {seq, reversed, last, n})
+  end
+
+  defp resume(state, [], _out, {seq, reversed, last, n}), do: {state, seq, reversed, last, n}
+
+  defp resume(state, {failure, message, rest}, out, {seq, reversed, last, n}) do
+    state = failed(state, failure, message)
+
+    if state.phase == :failed do
+      state = drop(state, length(rest))
+      {state, seq, reversed, message.originating_time, n + 1}
+    else
+      {state, seq, more, last2, n2} = go(state, rest, %{out | seq: seq})
+      {state, seq, more ++ reversed, last2 || last, n + 1 + n2}
+    end
+  end
+
+  defp fast([], _steps, _out, seq, acc, last, n), do: {seq, acc, last, n, []}
+
+  defp fast([message | rest], steps, out, seq, acc, _last, n) do
+    %{originating_time: time, data: data} = message
+
+    case attempt(steps, data, message) do
+      Chain.skip() ->
+        fast(rest, steps, out, seq, acc, time, n + 1)
+
+      {:situ_step, _, _, _, _} = failure ->
+        {seq, acc, time, n, {failure, message, rest}}
+
+      data ->
+        seq = seq + 1
+        acc = if out.made, do: [envelope(data, time, seq, out) | acc], else: acc
+        fast(rest, steps, out, seq, acc, time, n + 1)
+    end
+  end
+
+  defp slow([], steps, _out, seq, acc, last, n), do: {steps, seq, acc, last, n, []}
+
+  defp slow([message | rest], steps, out, seq, acc, _last, n) do
+    %{originating_time: time, data: data} = message
+
+    case attempt_stateful(steps, data, message) do
+      {:situ_step, _, _, _, _} = failure ->
+        {steps, seq, acc, time, n, {failure, message, rest}}
+
+      {Chain.skip(), steps} ->
+        slow(rest, steps, out, seq, acc, time, n + 1)
+
+      {data, steps} ->
+        seq = seq + 1
+        acc = if out.made, do: [envelope(data, time, seq, out) | acc], else: acc
+        slow(rest, steps, out, seq, acc, time, n + 1)
+    end
+  end
+
+  defp envelope(data, time, seq, out) do
+    %Message{
+      data: data,
+      originating_time: time,
+      creation_time: out.now,
+      sequence_id: seq,
+      source_id: out.id
+    }
+  end
+
+  defp attempt(steps, data, message) do
+    Chain.run(steps, data, message)
+  catch
+    {:situ_step, _, _, _, _} = failure -> failure
+  end
+
+  defp attempt_stateful(steps, data, message) do
+    Chain.run_stateful(steps, data, message)
+  catch
+    {:situ_step, _, _, _, _} = failure -> failure
+  end
+
+  defp failed(state, {_, index, kind, reason, stack}, message) do
+    vertex = Enum.at(state.vertices, index)
+    error = vertex.path |> Callback.failure(:in, kind, reason, stack) |> Callback.at(:in, message)
+
+    case vertex.on_error do
+      :stop ->
+        ErrorPolicy.fail(state, error)
+
+      :skip ->
+        ErrorPolicy.skip(state, error, index)
+
+      :restart ->
+        state = ErrorPolicy.restarted(state, error, index)
+        %{state | chain: Chain.exchange(state.chain, index, vertex.opts)}
+    end
+  end
+
+  defp cut(state, messages, final) do
+    if final == State.never() do
+      {state, messages}
+    else
+      {kept, late} = Enum.split_while(messages, &(&1.originating_time <= final))
+      {drop(state, length(late)), kept}
+    end
+  end
+
+  # What is thrown away still counts as taken, so that the producer gets its demand back.
+  defp drop(state, 0), do: state
+
+  defp drop(%{callback: nil} = state, n) do
+    input = Inputs.only(state.inputs)
+    %{state | inputs: Inputs.put(state.inputs, Input.skip(input, n))}
+  end
+
+  defp drop(%{chain: %{counters: nil}} = state, _n), do: state
+
+  defp drop(%{chain: %{counters: counters}} = state, n) do
+    Counters.dropped(counters, n)
+    state
+  end
+end

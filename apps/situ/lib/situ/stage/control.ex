@@ -1,0 +1,185 @@
+defmodule Situ.Stage.Control do
+  @moduledoc false
+  # What the pipeline's server asks of a stage: each request is one step of its life cycle, or a change while it runs.
+  alias Situ.{Clock, Options}
+  alias Situ.Operator.Chain
+
+  alias Situ.Stage.{
+    Activation,
+    Attachment,
+    Callback,
+    Emission,
+    ErrorPolicy,
+    Input,
+    Loop,
+    Output,
+    Outputs,
+    Posting,
+    Production,
+    State
+  }
+
+  @spec handle(term(), State.t()) :: {:noreply, State.t()} | {:stop, :normal, State.t()}
+  def handle({:start, wiring}, state) do
+    state = State.wire(state, wiring)
+    state.pace.early |> Enum.reverse() |> Enum.each(&send(self(), &1))
+    state = start(%{state | pace: %{state.pace | early: []}})
+    State.report(state, :started)
+    {:noreply, state}
+  end
+
+  def handle(:run, state) do
+    Enum.each(state.inputs.by_tag, fn {_, input} -> Input.open(input) end)
+    phase = if state.phase == :failed, do: :failed, else: :running
+    {:noreply, Loop.turn(%{state | phase: phase})}
+  end
+
+  def handle({:ask, tag}, state) do
+    with %{^tag => input} <- state.inputs.by_tag, do: Input.open(input)
+    {:noreply, state}
+  end
+
+  def handle({:refresh, from}, state),
+    do: {:noreply, outputs(state, &Output.refresh(&1, from), from)}
+
+  def handle({:stop, final}, state),
+    do: {:noreply, state |> Production.stop(final) |> Loop.turn()}
+
+  def handle(:stop_now, state), do: {:noreply, Production.stop_now(state)}
+
+  def handle({:finalize, time}, state) do
+    state = state |> Emission.settle() |> close(time) |> Emission.settle()
+    Attachment.close_probes(state, time)
+    State.report(state, :finalized)
+    {:noreply, Loop.turn(state)}
+  end
+
+  # Subscribers from outside the pipeline still get what they have coming, at their own pace.
+  def handle(:quit, state) do
+    state = state |> Emission.settle() |> close(state.source.final || 0)
+
+    if Outputs.drained?(state.outputs),
+      do: {:stop, :normal, state},
+      else: {:noreply, %{state | pace: %{state.pace | quitting: true}}}
+  end
+
+  def handle({:tap, tap}, state) do
+    state = Attachment.tap(state, tap)
+    State.report(state, {:tapped, tap.tag})
+    {:noreply, state}
+  end
+
+  # A consumer is to end before this stage does: it gets what waits for it, and the closing mark.
+  def handle({:cut, tag, time}, state) do
+    until = min(time, Clock.now(state.clock))
+    outputs = Outputs.each(state.outputs, &Posting.release(&1, until))
+    state = Emission.settle(%{state | outputs: outputs})
+    {:noreply, Loop.turn(%{state | outputs: Outputs.cut(state.outputs, tag, time)})}
+  end
+
+  def handle({:untap, tag}, state),
+    do: {:noreply, state |> Attachment.untap(tag) |> State.wake() |> Loop.turn()}
+
+  def handle({:lend, tag, output, pid, counters, policy}, state) do
+    {answer, state} = Attachment.lend(state, tag, output, pid, counters, policy)
+    State.report(state, {:lent, tag, answer})
+    {:noreply, Loop.turn(state)}
+  end
+
+  def handle({:attach, request, last, wiring}, state),
+    do: answered(Attachment.input(state, request, last, wiring), wiring.tag, state)
+
+  def handle({:detach, ref, request}, state),
+    do: answered(Attachment.release(state, request), ref, state)
+
+  def handle({:leave, input}, state),
+    do: {:noreply, state |> Attachment.left(input) |> Loop.turn()}
+
+  def handle({:fail, error}, state),
+    do: {:noreply, state |> ErrorPolicy.fail(error) |> Loop.turn()}
+
+  def handle(:clock, state), do: {:noreply, Loop.turn(state)}
+  def handle({:peer, tag, pid}, state), do: {:noreply, State.rewire(state, tag, pid)}
+
+  def handle({:peer_gone, tag, time}, state) do
+    case state.inputs.by_tag do
+      %{^tag => input} -> {:noreply, Loop.closing(state, input, time)}
+      _ -> handle({:untap, tag}, state)
+    end
+  end
+
+  def handle({:replace, index, module, opts}, state) do
+    case replace(state, index, module, opts) do
+      {:ok, state, actions} ->
+        State.report(state, {:replaced, :ok})
+        {:noreply, state |> act(actions) |> Loop.turn()}
+
+      {:error, error} ->
+        State.report(state, {:replaced, {:error, error}})
+        {:noreply, state}
+    end
+  end
+
+  def handle(:describe, state) do
+    State.report(state, {:description, state.callback && Callback.describe(state.callback)})
+    {:noreply, state}
+  end
+
+  # The start time is the time of the first activation.
+  defp start(%{callback: nil} = state), do: state
+
+  defp start(state) do
+    case Callback.call(state.callback, :handle_start, [state.context]) do
+      {:ok, actions, core} -> state |> Activation.act(core, actions, Clock.now(state.clock))
+      {:error, error} -> Activation.wrong(state, error)
+    end
+    |> Loop.turn()
+  end
+
+  # At `time`; where later messages count, not before the last one.
+  defp close(state, time) do
+    whole? = State.final(state) == State.never() and state.control != nil
+
+    close = fn output ->
+      Output.close(output, if(whole?, do: max(output.last_time || time, time), else: time))
+    end
+
+    %{state | outputs: Outputs.each(state.outputs, close)}
+  end
+
+  defp replace(%{chain: chain} = state, index, :operator, step) when chain != nil do
+    vertices = List.update_at(state.vertices, index, &%{&1 | opts: step})
+    {:ok, %{state | vertices: vertices, chain: Chain.exchange(chain, index, step)}, []}
+  end
+
+  defp replace(state, 0, module, opts) do
+    with {:ok, opts} <- Options.validate(opts, module.options()),
+         {:ok, callback, actions} <-
+           Callback.replace(state.callback, module, opts, state.context) do
+      state = State.put_head(state, %{State.head(state) | module: module, opts: opts})
+      {:ok, %{state | callback: callback}, actions}
+    end
+  end
+
+  defp act(state, []), do: state
+
+  defp act(state, actions),
+    do: Activation.act(state, state.callback.core, actions, Clock.now(state.clock))
+
+  defp answered({:ok, reply, state}, ref, _before) do
+    State.report(state, {:answered, ref, {:ok, reply}, state.callback.opts})
+    {:noreply, Loop.turn(state)}
+  end
+
+  defp answered({:error, error}, ref, state) do
+    State.report(state, {:answered, ref, {:error, error}, state.callback && state.callback.opts})
+    {:noreply, state}
+  end
+
+  defp outputs(state, fun, from) do
+    outputs =
+      Outputs.each(state.outputs, &if(Output.subscriber?(&1, from), do: fun.(&1), else: &1))
+
+    %{state | outputs: outputs}
+  end
+end

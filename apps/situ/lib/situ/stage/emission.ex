@@ -1,0 +1,170 @@
+defmodule Situ.Stage.Emission do
+  @moduledoc false
+  # What a component returned, applied to the state of its stage: all of it, or on the first bad action none. Then `settle/1`
+  # sends it.
+  alias Situ.{Error, Message}
+
+  alias Situ.Stage.{
+    Callback,
+    ChainRunner,
+    ErrorPolicy,
+    Inputs,
+    Output,
+    Outputs,
+    Pace,
+    Posting,
+    Source,
+    State,
+    Timers
+  }
+
+  @spec run(State.t(), [Situ.Component.action()], Situ.Time.t()) ::
+          {:ok, State.t()} | {:error, Error.t()}
+  def run(state, [], _now), do: {:ok, state}
+
+  def run(state, [{output, time, _} | _] = actions, now)
+      when is_integer(time) and is_atom(output) and output not in [:timer, :close, :complete] do
+    with {:ok, output} <- output(state, output),
+         {:ok, output, rest} <-
+           Posting.emit_all(output, actions, now, state.context.enforced?, state.source.final) do
+      run(put(state, output), rest, now)
+    end
+  end
+
+  def run(state, [{output, %Message{} = message} | rest], now) when is_atom(output),
+    do: forward(state, output, [message], rest, now)
+
+  def run(state, [{output, messages} | rest], now) when is_atom(output) and is_list(messages),
+    do: forward(state, output, messages, rest, now)
+
+  def run(state, [action | rest], now) do
+    case one(state, action, now) do
+      {:ok, state} -> run(state, rest, now)
+      error -> error
+    end
+  end
+
+  def run(state, other, _now), do: {:error, Callback.bad_action(state.callback.path, other)}
+
+  defp forward(state, name, messages, rest, now) do
+    with {:ok, output} <- output(state, name),
+         {:ok, output} <- Posting.forward_all(output, messages, now, state.context.enforced?) do
+      run(put(state, output), rest, now)
+    else
+      :error -> {:error, Callback.bad_action(state.callback.path, {name, messages})}
+      error -> error
+    end
+  end
+
+  defp put(state, output), do: %{state | outputs: Outputs.put(state.outputs, output)}
+
+  # An infinite source goes on producing; only what is said, not what is done, is over.
+  defp one(state, {:complete, :infinity}, _now) do
+    if not state.source.completed, do: State.report(state, {:completed, :infinity})
+    {:ok, state}
+  end
+
+  defp one(state, {:complete, time}, _now) when is_integer(time), do: {:ok, complete(state, time)}
+
+  defp one(state, {:close, name}, now) do
+    with {:ok, output} <- output(state, name),
+         do: {:ok, close(state, output, output.last_time || now)}
+  end
+
+  defp one(state, {:close, name, time}, _now) when is_integer(time) do
+    with {:ok, output} <- output(state, name), do: {:ok, close(state, output, time)}
+  end
+
+  defp one(state, {:hold, input}, _now) when is_atom(input),
+    do: {:ok, %{state | inputs: Inputs.hold(state.inputs, input, true)}}
+
+  defp one(state, {:resume, input}, _now) when is_atom(input),
+    do: {:ok, %{state | inputs: Inputs.hold(state.inputs, input, false)}}
+
+  # The component may be in the middle of a message of the input: the connection goes with the next turn.
+  defp one(state, {:detach, input, opts}, _now) when is_atom(input) and is_list(opts) do
+    send(self(), {:situ, {:leave, input}})
+    {:ok, reform(state, opts)}
+  end
+
+  defp one(%{source: %{final: final}} = state, {:timer, _key, time}, _now)
+       when is_integer(time) and is_integer(final) and time > final,
+       do: {:ok, state}
+
+  defp one(state, {:timer, key, time}, _now) when is_integer(time),
+    do: {:ok, %{state | timers: Timers.add(state.timers, time, key)}}
+
+  defp one(state, :stopping, _now), do: {:ok, %{state | source: Source.stopping(state.source)}}
+
+  defp one(%{source: %{stopping: :stopping}} = state, :stopped, _now),
+    do: {:ok, ErrorPolicy.stopped(state)}
+
+  defp one(state, :stopped, _now), do: {:ok, state}
+  defp one(state, action, _now), do: {:error, Callback.bad_action(state.callback.path, action)}
+
+  @doc "The component's options are others from now on."
+  @spec reform(State.t(), keyword()) :: State.t()
+  def reform(state, opts) do
+    state = State.put_head(state, %{State.head(state) | opts: opts})
+    %{state | callback: %{state.callback | opts: opts}}
+  end
+
+  @doc "A source has said when it ends; told to the server once its held messages are out."
+  @spec complete(State.t(), Situ.Time.t()) :: State.t()
+  def complete(state, time) do
+    {how, source} = Source.complete(state.source, time, Outputs.holding?(state.outputs))
+    if how == :tell, do: State.report(state, {:completed, time})
+    %{state | source: source}
+  end
+
+  # The operators behind a component close with it.
+  defp close(%{outputs: %{tail: %Output{}}} = state, _output, time) do
+    state = settle(state)
+    closed(%{state | outputs: Outputs.each(state.outputs, &Output.close(&1, time))}, time)
+  end
+
+  defp close(state, output, time), do: state |> put(Output.close(output, time)) |> closed(time)
+
+  defp closed(%{source: %{kind: nil}} = state, _time), do: state
+
+  defp closed(state, time) do
+    closing = for output <- Outputs.all(state.outputs), do: output.closing
+    if nil in closing, do: state, else: complete(state, Enum.max([time | closing]))
+  end
+
+  defp output(state, name) do
+    case Outputs.fetch(state.outputs, name) do
+      {:ok, output} -> {:ok, output}
+      :error -> {:error, unknown_output(state, name)}
+    end
+  end
+
+  defp unknown_output(state, name) do
+    known = state.outputs |> Outputs.names() |> Enum.map_join(", ", &inspect/1)
+
+    Error.new(
+      :unknown_output,
+      "#{state.callback.path} emitted on #{inspect(name)}, but it has no such output",
+      fix: "its outputs: " <> known,
+      meta: %{component: state.callback.path}
+    )
+  end
+
+  @doc "Sends what is pending, publishes counts and asks for more."
+  @spec settle(State.t()) :: State.t()
+  def settle(state) do
+    state = state |> ChainRunner.tail() |> widen()
+    %{state | outputs: flush(state), inputs: Inputs.settle(state.inputs)}
+  end
+
+  defp flush(%{outputs: %{tail: %Output{}} = outputs, phase: :starting}), do: outputs
+  defp flush(%{outputs: outputs}), do: Outputs.flush(outputs)
+
+  defp widen(%{pace: %{wide: true}} = state), do: state
+
+  defp widen(state) do
+    sent = for output <- Outputs.all(state.outputs), do: output.pending_n
+    taken = for {_, input} <- state.inputs.by_tag, do: elem(input.handled, 0)
+    %{state | pace: Pace.widen(state.pace, Enum.max(sent ++ taken, fn -> 0 end))}
+  end
+end

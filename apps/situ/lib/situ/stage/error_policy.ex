@@ -1,0 +1,48 @@
+defmodule Situ.Stage.ErrorPolicy do
+  @moduledoc false
+  # What an error does to a stage, as its component's `on_error` says: a message lost, a restart, or the end.
+  alias Situ.Error
+  alias Situ.Stage.{Outputs, Source, State, Tally, Timers}
+
+  @doc "What is to be done. While the pipeline starts every error is its end."
+  @spec decide(State.t()) :: :skip | :restart | :fail
+  def decide(%{phase: :starting}), do: :fail
+  def decide(%{callback: %{on_error: :stop}}), do: :fail
+  def decide(%{callback: %{on_error: on_error}}), do: on_error
+
+  @doc "The message at which the operator or component at `index` failed is lost."
+  @spec skip(State.t(), Error.t(), non_neg_integer()) :: State.t()
+  def skip(state, error, index \\ 0) do
+    Tally.skipped(state.tally, index)
+    State.report(state, {:skipped, error})
+    state
+  end
+
+  @doc "The operator or component at `index` starts again with a fresh state; the message is lost."
+  @spec restarted(State.t(), Error.t(), non_neg_integer()) :: State.t()
+  def restarted(state, error, index \\ 0) do
+    Tally.restarted(state.tally, index)
+    State.report(state, {:skipped, error})
+    state
+  end
+
+  @doc "Nothing more is taken; what comes is thrown away."
+  @spec fail(State.t(), Error.t()) :: State.t()
+  def fail(%{phase: :failed} = state, _error), do: state
+
+  def fail(state, error) do
+    Tally.failed(state.tally, 0)
+    State.report(state, {:failed, error})
+    state = %{state | phase: :failed, timers: Timers.clear(state.timers)}
+    if state.source.stopping in [nil, :done], do: state, else: stopped(state)
+  end
+
+  @doc "A source has posted its last message: the pipeline knows once nothing is held back any more."
+  @spec stopped(State.t()) :: State.t()
+  def stopped(state) do
+    held? = state.phase != :failed and Outputs.holding?(state.outputs)
+    {how, source} = Source.stopped(state.source, held?)
+    if how == :tell, do: State.report(state, :source_stopped)
+    %{state | source: source}
+  end
+end

@@ -1,0 +1,333 @@
+defmodule Situ.Stage.Loop do
+  @moduledoc false
+  # A turn of a stage: takes messages as long as there are any, there is room for what comes of them, and its slice of time
+  # lasts; then the next entry of the mailbox has its turn. While another turn is on its way (Pace), what arrives only waits.
+  alias Situ.Clock
+
+  alias Situ.Stage.{
+    Activation,
+    Callback,
+    ChainRunner,
+    Emission,
+    Input,
+    Inputs,
+    Outputs,
+    Pace,
+    Production,
+    State,
+    Timers
+  }
+
+  @slice_ns 5_000_000
+  @flush_ns 200_000
+  @many 64
+
+  @doc "A batch arrived at the input `tag`, or `{:fresh, batch}`, all that the producer of a lossy input had."
+  @spec arrived(State.t(), Input.t(), [Situ.Message.t()] | {:fresh, [Situ.Message.t()]}) ::
+          State.t()
+  def arrived(state, input, {:fresh, batch}),
+    do: state |> put_input(Input.refreshed(input, batch)) |> turn()
+
+  def arrived(state, input, batch), do: state |> put_input(Input.push(input, batch)) |> turn()
+
+  @doc "The input closes behind what waits in it."
+  @spec closing(State.t(), Input.t(), Situ.Time.t()) :: State.t()
+  def closing(state, input, time),
+    do: state |> put_input(Input.push_closed(input, time)) |> turn()
+
+  @doc "A plain message for the component."
+  @spec info(State.t(), term()) :: State.t()
+  # A neighbour that started sooner may have closed already: its word waits until this stage knows its neighbours too.
+  def info(%{clock: nil, pace: pace} = state, message),
+    do: %{state | pace: %{pace | early: [message | pace.early]}}
+
+  def info(%{callback: nil} = state, _message), do: state
+  def info(%{phase: :failed} = state, _message), do: state
+
+  def info(state, message) do
+    now = Clock.now(state.clock)
+    state |> State.wake() |> Activation.call(:handle_info, [message], now) |> turn()
+  end
+
+  @doc "Something is due: timers, or messages ahead of time."
+  @spec ring(State.t()) :: State.t()
+  def ring(state) do
+    now = Clock.now(state.clock)
+    {keys, timers} = Timers.due(Timers.rang(state.timers), now)
+    outputs = Outputs.release(state.outputs, now)
+    state = State.wake(%{state | timers: timers, outputs: outputs})
+    keys |> Enum.reduce(state, &timer(&1, &2, now)) |> Emission.settle() |> turn()
+  end
+
+  defp timer(_key, %{phase: :failed} = state, _now), do: state
+  defp timer(key, state, now), do: Activation.call(state, :handle_info, [{:timer, key}], now)
+
+  @doc "A turn, unless one is on its way: then what is pending is sent."
+  @spec turn(State.t()) :: State.t()
+  def turn(%{pace: %{scheduled: true}} = state), do: finish(state)
+
+  def turn(%{phase: :running, callback: nil} = state) do
+    now = Clock.now(state.clock)
+    chain(state, now, now + @slice_ns, State.final(state))
+  end
+
+  def turn(%{phase: :running} = state) do
+    now = Clock.now(state.clock)
+    component(state, now, {now, now + @slice_ns}, State.final(state))
+  end
+
+  def turn(%{phase: :failed} = state), do: discard(state)
+  def turn(state), do: finish(state)
+
+  @doc "The turn that was on its way."
+  @spec again(State.t()) :: State.t()
+  def again(%{pace: pace} = state), do: turn(%{state | pace: %{pace | scheduled: false}})
+
+  # Sends what is pending, and sets the alarm for what waits for its time.
+  defp finish(state), do: state |> Emission.settle() |> Production.released() |> arm()
+
+  defp later(state) do
+    state = finish(state)
+    %{state | pace: Pace.schedule(state.pace)}
+  end
+
+  defp arm(%{clock: nil} = state), do: state
+
+  defp arm(state) do
+    if not state.context.enforced? and Timers.idle?(state.timers) do
+      state
+    else
+      # `nil` is more than any number.
+      due = min(Timers.next_time(state.timers), Outputs.next_time(state.outputs))
+      %{state | timers: Timers.arm(state.timers, due, state.clock)}
+    end
+  end
+
+  # A component: one message at a time, the earliest among its inputs first.
+  defp component(state, now, {_from, till} = times, final) do
+    cond do
+      now > till -> later(state)
+      Outputs.room(state.outputs) < 1 -> blocked(state, now, times, final)
+      true -> next(state, now, times, final)
+    end
+  end
+
+  defp blocked(state, now, times, final) do
+    state = Emission.settle(state)
+    if Outputs.room(state.outputs) < 1, do: finish(state), else: next(state, now, times, final)
+  end
+
+  defp next(state, now, times, final) do
+    case Inputs.earliest(state.inputs) do
+      nil ->
+        produce(state, now)
+
+      %{queue: nil, check: :off} = input when state.callback.batch ->
+        state |> take_batch(input, now, final) |> go_on(times, final)
+
+      %{queue: nil} = input ->
+        state |> take_one(input, now, final) |> go_on(times, final)
+
+      input ->
+        lossy(state, input, now, times, final)
+    end
+  end
+
+  # What is in the mailbox belongs to the queue before the next message is taken.
+  defp lossy(state, input, now, times, final) do
+    case Input.freshen(input) do
+      {:wait, input} ->
+        state |> put_input(input) |> component(now, times, final)
+
+      {:ok, input} ->
+        {state, _now} = take_one(state, input, now, final)
+        if state.phase == :failed, do: discard(state), else: later(state)
+    end
+  end
+
+  defp produce(state, now) do
+    case Production.produce(Emission.settle(state), now) do
+      {:more, state} -> later(state)
+      {:enough, %{phase: :failed} = state} -> discard(state)
+      {:enough, state} -> finish(state)
+    end
+  end
+
+  defp go_on({%{phase: :failed} = state, _now}, _times, _final), do: discard(state)
+
+  defp go_on({state, now}, {from, till}, final) do
+    if now - from > @flush_ns,
+      do: component(Emission.settle(state), now, {now, till}, final),
+      else: component(state, now, {from, till}, final)
+  end
+
+  defp take_one(state, input, now, final) do
+    {entry, input} = Input.pop(input, now)
+    entry(entry, state, input, now, final)
+  end
+
+  defp entry(nil, state, input, now, _final), do: {put_input(state, input), now}
+
+  defp entry({:closed, time}, state, input, now, _final),
+    do: {state |> put_input(input) |> Emission.settle() |> closed(input, time), now}
+
+  defp entry(%{originating_time: time}, state, input, now, final) when time > final,
+    do: {put_input(state, Input.skip(input, 1)), now}
+
+  defp entry(message, state, input, now, _final) do
+    state = handle(put_input(state, input), input, message, now)
+    after_time = Clock.now(state.clock)
+
+    # Whether it is held, and whether it is there at all, is for the component to say, and it may just have said so.
+    input = Map.get(state.inputs.by_tag, input.tag, input)
+    input = Input.handled(input, 1, message.originating_time, {now, after_time - now})
+    {put_input(state, input), after_time}
+  end
+
+  defp handle(state, %{check: :off} = input, message, now), do: call(state, input, message, now)
+
+  defp handle(state, input, message, now) do
+    case Input.check(input, message, state.callback.path) do
+      {:ok, input} -> state |> put_input(input) |> call(input, message, now)
+      {:error, error} -> wrong(state, error, input, message)
+    end
+  end
+
+  defp call(state, input, message, now) do
+    context = State.context(state, now)
+
+    with {:ok, actions, core} <- Callback.message(state.callback, input.name, message, context),
+         after_call = %{state | callback: %{state.callback | core: core}},
+         {:ok, state} <- Emission.run(after_call, actions, now) do
+      state
+    else
+      {:error, error} -> wrong(state, error, input, message)
+    end
+  end
+
+  defp wrong(state, error, input, message),
+    do: Activation.wrong(state, Callback.at(error, input.name, message))
+
+  # Components with `handle_messages/4` get what waits at once, as far as it is in time and there is room.
+  defp take_batch(state, input, now, final) do
+    room = min(Outputs.room(state.outputs), state.pace.slice)
+
+    case Input.take(input, room) do
+      {[_, _ | _] = messages, rest} -> try_batch(state, input, {messages, rest}, now, final)
+      _ -> take_one(state, input, now, final)
+    end
+  end
+
+  defp try_batch(state, input, {messages, rest}, now, final) do
+    last = List.last(messages).originating_time
+    context = State.context(state, now)
+
+    with true <- last <= final,
+         {:ok, actions, core} <- Callback.messages(state.callback, input.name, messages, context),
+         after_call = %{state | callback: %{state.callback | core: core}},
+         {:ok, state} <- Emission.run(after_call, actions, now) do
+      after_time = Clock.now(state.clock)
+      n = length(messages)
+      rest = %{rest | held: Map.fetch!(state.inputs.by_tag, input.tag).held}
+      rest = Input.handled(rest, n, last, {now, after_time - now})
+      pace = Pace.resize(state.pace, n, after_time - now)
+      {put_input(%{state | pace: pace}, rest), after_time}
+    else
+      _ -> one_by_one(state, input, now, final, length(messages))
+    end
+  end
+
+  # All of the failed batch, before another batch is tried.
+  defp one_by_one(%{phase: :failed} = state, _input, now, _final, _n), do: {state, now}
+  defp one_by_one(state, _input, now, _final, 0), do: {state, now}
+
+  defp one_by_one(state, input, now, final, n) do
+    {state, now} = take_one(state, input, now, final)
+    one_by_one(state, Map.fetch!(state.inputs.by_tag, input.tag), now, final, n - 1)
+  end
+
+  defp closed(state, input, time) do
+    state = %{state | inputs: Inputs.delete(state.inputs, input.tag)}
+
+    state =
+      if state.callback != nil and state.phase != :failed,
+        do: Activation.call(state, :handle_closed, [input.name, time], Clock.now(state.clock)),
+        else: state
+
+    state = Emission.settle(state)
+    State.report(state, {:unsubscribed, input.tag, input.name, time})
+    state
+  end
+
+  # A chain: as many messages at once as there is room for; slices grow while they are quick.
+  defp chain(state, now, till, final) do
+    case Inputs.only(state.inputs) do
+      nil -> finish(state)
+      input -> take(state, input, Outputs.room(state.outputs), {now, till, final})
+    end
+  end
+
+  defp take(state, _input, room, _times) when is_integer(room) and room < 1, do: finish(state)
+
+  defp take(state, %{queue: nil} = input, room, {now, _till, _final} = times) do
+    case Input.take(input, min(room, state.pace.slice)) do
+      {[], %{front: [{:closed, time} | _]} = input} ->
+        {_closed, input} = Input.pop(input, now)
+        state |> Emission.settle() |> closed(input, time)
+
+      {[], input} ->
+        state |> put_input(input) |> finish()
+
+      {messages, input} ->
+        {state, n, now} = run(put_input(state, input), messages, times)
+        chain_on(state, n, now, times)
+    end
+  end
+
+  defp take(state, input, _room, {now, _till, _final} = times) do
+    with time when time != :none <- Input.head_time(input),
+         {:ok, input} <- Input.freshen(input),
+         {%Situ.Message{} = message, input} <- Input.pop(input, now) do
+      {state, _n, _now} = run(put_input(state, input), [message], times)
+      if state.phase == :failed, do: discard(state), else: later(state)
+    else
+      :none -> finish(state)
+      {:wait, input} -> state |> put_input(input) |> finish()
+      {nil, input} -> state |> put_input(input) |> finish()
+      {{:closed, time}, input} -> state |> Emission.settle() |> closed(input, time)
+    end
+  end
+
+  defp run(state, messages, {now, _till, final}) do
+    {state, last, n} = ChainRunner.batch(state, messages, now, final)
+    after_time = Clock.now(state.clock)
+    input = Inputs.only(state.inputs)
+    input = if n > 0, do: Input.handled(input, n, last, {now, after_time - now}), else: input
+    pace = Pace.resize(state.pace, n, after_time - now)
+    {put_input(%{state | pace: pace}, input), n, after_time}
+  end
+
+  defp chain_on(state, n, after_time, {now, till, final}) do
+    cond do
+      state.phase == :failed -> discard(state)
+      after_time > till -> later(state)
+      n >= @many and after_time - now < @flush_ns -> chain(state, after_time, till, final)
+      true -> chain(Emission.settle(state), after_time, till, final)
+    end
+  end
+
+  # A stage that has failed takes what comes and throws it away, so that nobody waits for it.
+  defp discard(state) do
+    inputs = Map.values(state.inputs.by_tag)
+
+    inputs
+    |> Enum.reduce(state, fn input, state ->
+      {time, input} = Input.discard(input)
+      state = put_input(state, input)
+      if time, do: closed(state, input, time), else: state
+    end)
+    |> finish()
+  end
+
+  defp put_input(state, input), do: %{state | inputs: Inputs.put(state.inputs, input)}
+end

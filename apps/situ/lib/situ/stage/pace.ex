@@ -1,0 +1,53 @@
+defmodule Situ.Stage.Pace do
+  @moduledoc false
+  # How much a stage does in one go: the slice of messages, whether another turn is on its way, the size of the heap.
+
+  @many 64
+  @wide_words 32_768
+  @quick_ns 100_000
+  @slow_ns 1_000_000
+  @most 512
+
+  defstruct slice: 16, scheduled: false, wide: false, early: [], quitting: false
+
+  @typedoc "`early`: what came before the stage knew its neighbours, newest first. `quitting`: it ends once its outputs are drained."
+  @type t :: %__MODULE__{
+          slice: pos_integer(),
+          scheduled: boolean(),
+          wide: boolean(),
+          early: [term()],
+          quitting: boolean()
+        }
+
+  @doc "Another turn, after what is in the mailbox."
+  @spec schedule(t()) :: t()
+  def schedule(%__MODULE__{scheduled: true} = pace), do: pace
+
+  def schedule(%__MODULE__{} = pace) do
+    send(self(), :situ_turn)
+    %{pace | scheduled: true}
+  end
+
+  @doc "Slices grow while they are quick, and shrink when they are slow: `n` messages took `elapsed` ns."
+  @spec resize(t(), non_neg_integer(), integer()) :: t()
+  def resize(%__MODULE__{slice: slice} = pace, n, elapsed) do
+    cond do
+      elapsed > @slow_ns and slice > 1 -> %{pace | slice: div(slice, 2)}
+      elapsed < @quick_ns and n == slice and slice < @most -> %{pace | slice: slice * 2}
+      true -> pace
+    end
+  end
+
+  @doc """
+  A stage that handles many messages at once is given a heap that holds them, once: they would otherwise be copied by one
+  collection after another.
+  """
+  @spec widen(t(), non_neg_integer()) :: t()
+  def widen(%__MODULE__{wide: true} = pace, _messages), do: pace
+  def widen(%__MODULE__{} = pace, messages) when messages < @many, do: pace
+
+  def widen(%__MODULE__{} = pace, _messages) do
+    Process.flag(:min_heap_size, @wide_words)
+    %{pace | wide: true}
+  end
+end

@@ -1,0 +1,179 @@
+defmodule Situ.Delivery.Queue do
+  @moduledoc """
+  The queue in front of one input, under its policy; pure. Every operation takes constant time on average.
+
+  Entries are messages and, last, `{:closed, time}`.
+
+      iex> alias Situ.Delivery.Queue
+      iex> m = fn v, t -> %Situ.Message{data: v, originating_time: t} end
+      iex> queue = Queue.new(Situ.Delivery.latest())
+      iex> {queue, []} = Queue.push(queue, m.(1, 10))
+      iex> {queue, [dropped]} = Queue.push(queue, m.(2, 20))
+      iex> {%{data: 2}, _queue, []} = Queue.pop(queue, 30)
+      iex> dropped.data
+      1
+
+  A full queue drops its oldest entry for a newcomer; with a guarantee the oldest that is not protected, and the newcomer
+  itself when all waiting ones are protected and it is not; the closing mark never costs a message its place.
+  """
+  alias Situ.{Delivery, Message}
+
+  # Two queues of numbered entries: `free` may be dropped, `kept` are protected. The lower number is the older entry. Without a
+  # guarantee everything is free.
+  @enforce_keys [:policy]
+  defstruct [:policy, free: {[], []}, kept: {[], []}, size: 0, next: 0]
+
+  @type closed :: {:closed, Situ.Time.t()}
+  @type entry :: Message.t() | closed()
+  @typep numbered :: {non_neg_integer(), entry()}
+  @typep fifo :: {[numbered()], [numbered()]}
+  @type t :: %__MODULE__{
+          policy: Delivery.t(),
+          free: fifo(),
+          kept: fifo(),
+          size: non_neg_integer(),
+          next: non_neg_integer()
+        }
+
+  @doc "An empty queue under `policy`."
+  @spec new(Delivery.t()) :: t()
+  def new(%Delivery{} = policy), do: %__MODULE__{policy: policy}
+
+  @doc "Appends an entry; returns the queue and what it dropped for it, oldest first."
+  @spec push(t(), entry()) :: {t(), [Message.t()]}
+  def push(%__MODULE__{} = queue, {:closed, time} = closed) do
+    {queue, late} = cut(queue, time)
+    {append(queue, closed, :kept), late}
+  end
+
+  def push(%__MODULE__{policy: %{guarantee: nil} = policy} = queue, message) do
+    queue = append(queue, message, :free)
+    if queue.size > policy.max_queue, do: overflow(queue), else: {queue, []}
+  end
+
+  def push(%__MODULE__{policy: policy, size: size} = queue, message) do
+    class = if policy.guarantee.(message.data) == true, do: :kept, else: :free
+
+    cond do
+      size < policy.max_queue -> {append(queue, message, class), []}
+      size > policy.max_queue and class == :free -> {queue, [message]}
+      size > policy.max_queue -> {append(queue, message, class), []}
+      queue.free != {[], []} -> queue |> append(message, class) |> overflow()
+      class == :kept -> {append(queue, message, class), []}
+      true -> {queue, [message]}
+    end
+  end
+
+  @doc "Appends messages; returns the queue and how many were dropped for them."
+  @spec push_all(t(), [Message.t()]) :: {t(), non_neg_integer()}
+  def push_all(%__MODULE__{} = queue, messages), do: push_all(queue, messages, 0)
+
+  defp push_all(queue, [], dropped), do: {queue, dropped}
+
+  defp push_all(queue, [message | rest], dropped) do
+    {queue, lost} = push(queue, message)
+    push_all(queue, rest, dropped + length(lost))
+  end
+
+  @doc "Takes the first entry that is not too old at clock time `now`; also returns what was too old."
+  @spec pop(t(), Situ.Time.t()) :: {entry() | nil, t(), [Message.t()]}
+  def pop(%__MODULE__{} = queue, now), do: pop(queue, now, [])
+
+  @doc "Takes up to `n` entries, whatever their age: `{entries, how_many, queue}`."
+  @spec take(t(), non_neg_integer() | :infinity) :: {[entry()], non_neg_integer(), t()}
+  def take(%__MODULE__{} = queue, n), do: take(queue, n, [], 0)
+
+  defp take(queue, n, taken, count) when count < n do
+    case shift(queue) do
+      {nil, _class, queue} -> {:lists.reverse(taken), count, queue}
+      {entry, _class, queue} -> take(queue, n, [entry | taken], count + 1)
+    end
+  end
+
+  defp take(queue, _n, taken, count), do: {:lists.reverse(taken), count, queue}
+
+  @doc "Drops from the front what is too old at clock time `now`."
+  @spec expire(t(), Situ.Time.t()) :: {t(), [Message.t()]}
+  def expire(%__MODULE__{policy: %{max_latency: :infinity}} = queue, _now), do: {queue, []}
+  def expire(%__MODULE__{} = queue, now), do: expire(queue, now, [])
+
+  defp expire(queue, now, dropped) do
+    case shift(queue) do
+      {nil, _class, queue} ->
+        {queue, Enum.reverse(dropped)}
+
+      {entry, class, rest} ->
+        if class == :free and too_old?(entry, now, queue.policy),
+          do: expire(rest, now, [entry | dropped]),
+          else: {queue, Enum.reverse(dropped)}
+    end
+  end
+
+  @doc "Drops from the front what is later than `time`, at which the stream closes."
+  @spec cut(t(), Situ.Time.t()) :: {t(), [Message.t()]}
+  def cut(%__MODULE__{} = queue, time), do: cut(queue, time, [])
+
+  defp cut(queue, time, late) do
+    case shift(queue) do
+      {%Message{originating_time: t} = entry, _class, rest} when t > time ->
+        cut(rest, time, [entry | late])
+
+      _ ->
+        {queue, Enum.reverse(late)}
+    end
+  end
+
+  @doc "The first entry, without looking at its age."
+  @spec peek(t()) :: entry() | nil
+  def peek(%__MODULE__{size: 0}), do: nil
+  def peek(%__MODULE__{} = queue), do: queue |> shift() |> elem(0)
+
+  @doc "Everything waiting, oldest first."
+  @spec to_list(t()) :: [entry()]
+  def to_list(%__MODULE__{size: 0}), do: []
+  def to_list(%__MODULE__{} = queue), do: queue |> take(:infinity) |> elem(0)
+
+  defp pop(queue, now, dropped) do
+    case shift(queue) do
+      {nil, _class, queue} ->
+        {nil, queue, Enum.reverse(dropped)}
+
+      {entry, class, rest} ->
+        if class == :free and too_old?(entry, now, queue.policy),
+          do: pop(rest, now, [entry | dropped]),
+          else: {entry, rest, Enum.reverse(dropped)}
+    end
+  end
+
+  defp overflow(%{free: {[{_, oldest} | front], rear}, size: size} = queue),
+    do: {%{queue | free: balance(front, rear), size: size - 1}, [oldest]}
+
+  defp append(%{next: next, size: size} = queue, entry, :free),
+    do: %{queue | free: enter(queue.free, {next, entry}), size: size + 1, next: next + 1}
+
+  defp append(%{next: next, size: size} = queue, entry, :kept),
+    do: %{queue | kept: enter(queue.kept, {next, entry}), size: size + 1, next: next + 1}
+
+  # A front is empty only if all is.
+  defp enter({[], []}, entry), do: {[entry], []}
+  defp enter({front, rear}, entry), do: {front, [entry | rear]}
+
+  defp balance([], rear), do: {:lists.reverse(rear), []}
+  defp balance(front, rear), do: {front, rear}
+
+  # The oldest entry, and its class.
+  defp shift(%{free: {[], _}, kept: {[], _}} = queue), do: {nil, :free, queue}
+
+  defp shift(%{free: {[{i, entry} | front], rear}, kept: {[{j, _} | _], _}} = queue) when i < j,
+    do: {entry, :free, %{queue | free: balance(front, rear), size: queue.size - 1}}
+
+  defp shift(%{free: {[{_, entry} | front], rear}, kept: {[], _}} = queue),
+    do: {entry, :free, %{queue | free: balance(front, rear), size: queue.size - 1}}
+
+  defp shift(%{kept: {[{_, entry} | front], rear}} = queue),
+    do: {entry, :kept, %{queue | kept: balance(front, rear), size: queue.size - 1}}
+
+  defp too_old?({:closed, _}, _now, _policy), do: false
+  defp too_old?(_message, _now, %{max_latency: :infinity}), do: false
+  defp too_old?(message, now, policy), do: now - message.originating_time > policy.max_latency
+end

@@ -1,0 +1,126 @@
+defmodule Situ.Stage.Production do
+  @moduledoc false
+  # What a source does besides answering: it produces while there is demand, and stops when it is asked to.
+  alias Situ.{Clock, Error}
+
+  alias Situ.Stage.{
+    Activation,
+    Emission,
+    ErrorPolicy,
+    Output,
+    Outputs,
+    Pace,
+    Source,
+    State,
+    Tally,
+    Timers
+  }
+
+  @most 1_000
+  # No further than the clock, when that is enforced: what is made ahead of it has to be held.
+  @most_ahead 8
+
+  @doc "A pull source is asked while there is room; answers whether it may have more."
+  @spec produce(State.t(), Situ.Time.t()) :: {:more | :enough, State.t()}
+  def produce(state, now) do
+    room = if Source.ready?(state.source), do: room(state), else: 0
+
+    if room < 1 or Outputs.holding?(state.outputs),
+      do: {:enough, state},
+      else: ask(state, room, now)
+  end
+
+  defp room(state) do
+    room = min(Outputs.room(state.outputs), @most)
+    room = if state.context.enforced?, do: min(room, @most_ahead), else: room
+    if state.outputs.tail, do: min(room, state.pace.slice), else: room
+  end
+
+  defp ask(state, room, now) do
+    before = {Outputs.progress(state.outputs), Outputs.repeated(state.outputs), errors(state)}
+    state = state |> Activation.call(:handle_demand, [room], now) |> judge(before)
+    state = Emission.settle(state)
+
+    # The slice is for the operators behind it, which work in the same turn.
+    state =
+      if state.outputs.tail,
+        do: %{state | pace: Pace.resize(state.pace, room, Clock.now(state.clock) - now)},
+        else: state
+
+    if state.source.idle or state.source.completed or state.phase == :failed,
+      do: {:enough, state},
+      else: {:more, state}
+  end
+
+  defp judge(%{phase: :failed} = state, _before), do: state
+
+  defp judge(state, {progress, repeated, errors}) do
+    emitted? = Outputs.progress(state.outputs) != progress
+    harmed? = errors(state) != errors
+    repeated? = Outputs.repeated(state.outputs) != repeated
+
+    case Source.judge(state.source, emitted?, harmed?, repeated?) do
+      {:ok, source} -> %{state | source: source}
+      {:no_way_on, _source} -> ErrorPolicy.fail(state, no_way_on(state))
+    end
+  end
+
+  defp errors(state), do: Tally.read(state.tally, 0).errors
+
+  defp no_way_on(state) do
+    path = state.callback.path
+
+    Error.new(
+      :no_way_on,
+      "#{path} failed #{Source.strikes()} times without emitting anything",
+      why: "a source that raises has no message to skip: it meets the same error again",
+      fix: "handle the error in handle_demand/3, or use on_error: :stop",
+      meta: %{component: path}
+    )
+  end
+
+  @doc "Asked to stop: nothing later than `final` goes out any more."
+  @spec stop(State.t(), Situ.Time.t()) :: State.t()
+  def stop(%{source: %{stopping: nil}} = state, final) do
+    state = %{
+      state
+      | source: Source.ask(state.source, final),
+        outputs: Outputs.each(state.outputs, &Output.cut(&1, final)),
+        timers: Timers.cut(state.timers, final)
+    }
+
+    state =
+      if state.phase == :failed,
+        do: state,
+        else: Activation.call(state, :handle_stop, [final], Clock.now(state.clock))
+
+    if state.source.stopping == :asked, do: ErrorPolicy.stopped(state), else: State.wake(state)
+  end
+
+  def stop(state, _final), do: state
+
+  @doc "Asked to stop at once: what it holds back is lost."
+  @spec stop_now(State.t()) :: State.t()
+  def stop_now(%{source: %{stopping: :done}} = state), do: state
+
+  def stop_now(state) do
+    state = %{state | outputs: Outputs.each(state.outputs, &Output.forget/1)}
+    ErrorPolicy.stopped(state)
+  end
+
+  @doc "Nothing is held back any more: what waited for that is told."
+  @spec released(State.t()) :: State.t()
+  def released(%{source: %{completing: nil, stopping: stopping}} = state)
+      when stopping != :held,
+      do: state
+
+  def released(state) do
+    if Outputs.holding?(state.outputs) do
+      state
+    else
+      time = state.source.completing
+      state = if time, do: Emission.complete(state, time), else: state
+      if state.source.stopping == :held, do: ErrorPolicy.stopped(state), else: state
+    end
+  end
+end

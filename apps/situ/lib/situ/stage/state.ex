@@ -1,0 +1,204 @@
+defmodule Situ.Stage.State do
+  @moduledoc false
+  # The state of a stage: a part for each concern, owned by the module of its type. Here are only the making and the wiring.
+  alias Situ.{Clock, Component.Context, Error, Graph.Vertex}
+  alias Situ.Operator.Chain
+
+  alias Situ.Stage.{
+    Callback,
+    Input,
+    Inputs,
+    Output,
+    Outputs,
+    Pace,
+    Source,
+    Subscriber,
+    Tally,
+    Timers
+  }
+
+  @never 9_000_000_000_000_000_000
+
+  @enforce_keys [:id, :server, :vertices, :context, :tally, :source, :outputs]
+  defstruct [
+    :id,
+    :server,
+    :vertices,
+    :context,
+    :tally,
+    :source,
+    :outputs,
+    :callback,
+    :chain,
+    :clock,
+    :control,
+    inputs: %Inputs{},
+    timers: %Timers{},
+    pace: %Pace{},
+    phase: :starting
+  ]
+
+  @typedoc """
+  `callback` is the component, `chain` its light operators or those behind it (one of the two may be `nil`). `control` is the
+  shared cell that holds the time up to which messages count. `phase`: `:failed` takes nothing any more.
+  """
+  @type t :: %__MODULE__{
+          id: pos_integer(),
+          server: pid(),
+          vertices: [Vertex.t(), ...],
+          context: Context.t(),
+          tally: Tally.t(),
+          source: Source.t(),
+          outputs: Outputs.t(),
+          callback: Callback.t() | nil,
+          chain: Chain.t() | nil,
+          clock: Clock.t() | nil,
+          control: :atomics.atomics_ref() | nil,
+          inputs: Inputs.t(),
+          timers: Timers.t(),
+          pace: Pace.t(),
+          phase: :starting | :running | :failed
+        }
+
+  @doc "No final time yet: what the control cell holds until the pipeline stops."
+  @spec never() :: integer()
+  def never, do: @never
+
+  @spec new(map()) :: t()
+  def new(%{vertices: [head | _] = vertices} = args) do
+    %__MODULE__{
+      id: args.id,
+      server: args.server,
+      vertices: vertices,
+      context: %Context{path: head.path, pipeline: args.handle},
+      tally: args.tally,
+      source: Source.new(head),
+      outputs: Outputs.new(vertices, args[:marks]),
+      callback: if(head.module != :operator, do: Callback.new(head)),
+      chain: chain(vertices, args)
+    }
+  end
+
+  # Behind a component the edge into the operators is counted like a queue.
+  defp chain([%{module: :operator} | _] = vertices, _args), do: Chain.compile(vertices, 0)
+  defp chain([_component], _args), do: nil
+
+  defp chain([_component | operators], args) do
+    chain = Chain.compile(operators, 1)
+    %{chain | counters: args[:tail_counters], sizes: args[:sizes]}
+  end
+
+  @doc "The component's first state."
+  @spec init(t()) :: {:ok, t()} | {:error, Error.t()}
+  def init(%{callback: nil} = state), do: {:ok, state}
+
+  def init(state) do
+    with {:ok, callback} <- Callback.start(state.callback),
+         do: {:ok, %{state | callback: callback}}
+  end
+
+  @doc "Clock, neighbours and their counters, known when every stage is up."
+  @spec wire(t(), map()) :: t()
+  def wire(state, wiring) do
+    outputs =
+      Enum.reduce(wiring.subs, state.outputs, fn {name, subs}, outputs ->
+        subs =
+          for {tag, pid, counters, policy} <- subs, do: Subscriber.new(tag, pid, counters, policy)
+
+        Outputs.update_open(outputs, name, &%{&1 | subs: subs})
+      end)
+
+    context = %{
+      state.context
+      | start_time: wiring.start_time,
+        now: wiring.start_time,
+        replay_start: wiring.replay_start,
+        replay_end: wiring.replay_end,
+        enforced?: wiring.enforce
+    }
+
+    inputs = Inputs.new(for inlet <- wiring.inlets, do: input(state, inlet, wiring.sizes))
+
+    %{
+      state
+      | clock: wiring.clock,
+        control: wiring.control,
+        context: context,
+        outputs: outputs,
+        inputs: inputs
+    }
+  end
+
+  defp input(%{vertices: [head | _]}, inlet, sizes) do
+    port = Keyword.fetch!(head.inputs, inlet.name)
+    extra = %{type: port.type, check: head.check, counters: inlet.counters, sizes: sizes}
+    Input.new(inlet.name, inlet.tag, inlet.producer, inlet.policy, extra)
+  end
+
+  @doc "A neighbour was restarted under another pid."
+  @spec rewire(t(), term(), pid()) :: t()
+  def rewire(state, tag, pid) do
+    inputs =
+      case state.inputs.by_tag do
+        %{^tag => input} -> Inputs.put(state.inputs, Input.replace(input, pid))
+        _ -> state.inputs
+      end
+
+    outputs =
+      Outputs.each(state.outputs, fn %Output{} = output ->
+        subs =
+          Enum.map(output.subs, &if(&1.tag == tag, do: Subscriber.replace(&1, pid), else: &1))
+
+        %{output | subs: subs}
+      end)
+
+    %{state | inputs: inputs, outputs: outputs}
+  end
+
+  @doc "The output a subscriber asks for with `output: name`; the only one needs no name."
+  @spec find_output(t(), keyword()) :: {:ok, Output.t()} | {:error, Error.t()}
+  def find_output(state, opts) do
+    case {Keyword.fetch(opts, :output), Outputs.open(state.outputs)} do
+      {:error, [{_, output}]} -> {:ok, output}
+      {:error, _} -> {:error, no_output(state, opts)}
+      {{:ok, name}, open} -> named(List.keyfind(open, name, 0), state, opts)
+    end
+  end
+
+  defp named({_, output}, _state, _opts), do: {:ok, output}
+  defp named(nil, state, opts), do: {:error, no_output(state, opts)}
+
+  @doc "The component in front, or the first operator of a chain."
+  @spec head(t()) :: Vertex.t()
+  def head(%{vertices: [head | _]}), do: head
+
+  @doc "Changes the component in front."
+  @spec put_head(t(), Vertex.t()) :: t()
+  def put_head(%{vertices: [_ | rest]} = state, head), do: %{state | vertices: [head | rest]}
+
+  @doc "What a callback sees now."
+  @spec context(t(), Situ.Time.t()) :: Context.t()
+  def context(%{context: context}, now), do: %{context | now: now}
+
+  @doc "Up to which time messages count."
+  @spec final(t()) :: integer()
+  def final(%{control: nil}), do: @never
+  def final(%{control: control}), do: :atomics.get(control, 1)
+
+  @doc "Something happened that a source without messages may have waited for."
+  @spec wake(t()) :: t()
+  def wake(%{source: %{idle: false}} = state), do: state
+  def wake(state), do: %{state | source: Source.wake(state.source)}
+
+  @doc "Tells the pipeline's server."
+  @spec report(t(), term()) :: term()
+  def report(state, event), do: send(state.server, {:situ_stage, state.id, event})
+
+  defp no_output(state, opts) do
+    known = state.outputs |> Outputs.open() |> Enum.map_join(", ", &inspect(elem(&1, 0)))
+
+    Error.new(:unknown_output, "#{head(state).path} has no output #{inspect(opts[:output])}",
+      fix: "subscribe with output: one of " <> known
+    )
+  end
+end
