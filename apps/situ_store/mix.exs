@@ -19,7 +19,10 @@ defmodule Situ.Store.MixProject do
   end
 
   def application do
-    [extra_applications: extra_applications(Mix.env())]
+    [
+      env: [store_readers: [Situ.Store.Csv]],
+      extra_applications: extra_applications(Mix.env())
+    ]
   end
 
   defp elixirc_paths(:test), do: ["lib", "test/support"]

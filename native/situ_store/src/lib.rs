@@ -9,7 +9,6 @@ pub mod index;
 pub mod pyramid;
 pub mod reader;
 pub mod repair;
-pub mod rows;
 pub mod transfer;
 pub mod varint;
 pub mod watch;

@@ -44,8 +44,8 @@ mod atoms {
         damaged,
         missing_extent,
         crash,
-        unknown = "$situ_unknown",
-        undecodable = "$situ_undecodable",
+        unknown,
+        undecodable,
         stream_exists
     }
 }

@@ -8,11 +8,11 @@ use rustler::{Binary, Encoder, Env, ResourceArc, Term};
 use situ_store::chunk::Value;
 use situ_store::format::{LANE_DATA, MAX_CHUNK_MESSAGES};
 use situ_store::reader::Chunk;
-use situ_store::Encoding;
+use situ_store::{etf, Encoding};
 
 use crate::atoms;
 use crate::reading::{failed, Handle};
-use crate::terms::{copied, decode, COPY_UP_TO};
+use crate::terms::{copied, decode, Decoded, COPY_UP_TO};
 
 /// What binaries that were read point into: a mapped extent, or an unpacked chunk.
 pub enum Bytes {
@@ -52,6 +52,23 @@ impl<'a> Run<'a> {
         }
     }
 
+    /// The last elements of a message's tuple: its data, or (for terms that are not plain) a tag and what there is.
+    fn data(&self, body: &[u8], value: Value) -> (Term<'a>, Option<Term<'a>>) {
+        let env = self.env;
+        if let (Encoding::Term, Value::Bytes { start, length }) = (self.encoding, value) {
+            let bytes = &body[start..start + length];
+            return match decode(env, bytes) {
+                Decoded::Plain(term) => (term, None),
+                Decoded::Refused(why) => (atoms::undecodable().encode(env), Some(why.encode(env))),
+                Decoded::Unknown(modules, term) => (
+                    atoms::unknown().encode(env),
+                    Some((modules, copied(env, bytes), term).encode(env)),
+                ),
+            };
+        }
+        (self.value(body, value), None)
+    }
+
     fn value(&self, body: &[u8], value: Value) -> Term<'a> {
         let env = self.env;
         match value {
@@ -64,9 +81,8 @@ impl<'a> Run<'a> {
             Value::Bool(_) => atoms::nil().encode(env),
             Value::Bytes { start, length } => {
                 let bytes = &body[start..start + length];
-                match (self.encoding, &self.whole) {
-                    (Encoding::Term, _) => decode(env, bytes),
-                    (_, Some(whole)) if length > COPY_UP_TO => {
+                match &self.whole {
+                    Some(whole) if length > COPY_UP_TO => {
                         match whole.make_subbinary(start, length) {
                             Ok(part) => part.encode(env),
                             Err(_) => copied(env, bytes),
@@ -80,7 +96,8 @@ impl<'a> Run<'a> {
 }
 
 /// Messages from `ordinal` on, until one lies behind `to`, or at least `most` messages or `bytes` payload bytes are there:
-/// `{:ok, [{codec, [{sequence, originating, creation, data}]}], next_ordinal}`. Whole chunks, so a little more than `most`
+/// `{:ok, [{codec, [{sequence, originating, creation, data}]}], next_ordinal}`, a message whose data are no plain term being
+/// `{sequence, originating, creation, :unknown, {modules, bytes, term}}` or `{..., :undecodable, why}`. Whole chunks, so a little more than `most`
 /// may come; `bytes` 0: exactly `most`. A damaged chunk ends the answer; as the first one it is the error.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_read<'a>(
@@ -229,13 +246,16 @@ impl<'a> Part<'a> {
             if envelope.creation != made.0 {
                 made = (envelope.creation, envelope.creation.encode(env));
             }
+            let (data, more) = run.data(body, value);
             let terms = [
                 envelope.sequence.encode(env),
                 envelope.time.encode(env),
                 made.1,
-                run.value(body, value),
+                data,
+                more.unwrap_or(data),
             ];
-            list.push(make_tuple(env, &terms));
+            let length = if more.is_some() { 5 } else { 4 };
+            list.push(make_tuple(env, &terms[..length]));
         }
         let codec = chunk.header.codec;
         Ok(Part { codec, list, ended })
@@ -251,8 +271,21 @@ fn reader_skip(handle: Handle, stream: u32, ordinal: u64) -> u64 {
         .map_or(ordinal, |entry| entry.ordinal + entry.count as u64)
 }
 
-/// A term from external format as `reader_read` gives it: no atoms are made.
-#[rustler::nif]
+/// A term from external format: `{:ok, term}`, `{:unknown, modules, term}` or `{:undecodable, why}`. No atoms are made.
+#[rustler::nif(schedule = "DirtyCpu")]
 fn term_decode<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
-    decode(env, bytes.as_slice())
+    match decode(env, bytes.as_slice()) {
+        Decoded::Plain(term) => (atoms::ok(), term).encode(env),
+        Decoded::Unknown(modules, term) => (atoms::unknown(), modules, term).encode(env),
+        Decoded::Refused(why) => (atoms::undecodable(), why).encode(env),
+    }
+}
+
+/// Whether bytes in external format are plain data: `:ok` or `{:error, what_else}`.
+#[rustler::nif(schedule = "DirtyCpu")]
+fn term_check<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
+    match etf::check(bytes.as_slice()) {
+        Ok(()) => atoms::ok().encode(env),
+        Err(refusal) => (atoms::error(), refusal.text()).encode(env),
+    }
 }

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use rustler::{Encoder, Env, Term};
-use situ_store::rows::{rows, Place};
+use situ_csv::{rows, Error, Place};
 
-use crate::{atoms, errors};
+use crate::atoms;
 
 /// Up to `most` rows or `bytes` bytes from `byte` (in line `line`) on: `{:ok, [{line, [field]}], {byte, line}}`.
 #[rustler::nif(schedule = "DirtyIo")]
@@ -29,6 +29,11 @@ fn csv_rows<'a>(
             let rows: Vec<_> = rows.into_iter().map(|row| (row.line, row.fields)).collect();
             (atoms::ok(), rows, (place.byte, place.line)).encode(env)
         }
-        Err(error) => errors::term(env, &error),
+        Err(Error::Io(number, why)) => {
+            (atoms::error(), (atoms::io(), "read", number, why)).encode(env)
+        }
+        Err(Error::Damaged(line, why)) => {
+            (atoms::error(), (atoms::damaged(), line, why)).encode(env)
+        }
     }
 }

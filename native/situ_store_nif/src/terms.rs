@@ -15,23 +15,32 @@ pub fn copied<'a>(env: Env<'a>, bytes: &[u8]) -> Term<'a> {
     binary.encode(env)
 }
 
-/// A term from external format. Atoms that do not exist here become strings, and a struct of theirs a map with strings for keys:
-/// then the answer is `{:"$situ_unknown", [module], bytes, term}`, and whoever can load the modules decodes the bytes again.
-pub fn decode<'a>(env: Env<'a>, bytes: &[u8]) -> Term<'a> {
+/// Bytes in external format as a term of this system. No value of a file can pass for another kind than `Plain`.
+pub enum Decoded<'a> {
+    /// The term. Atoms that do not exist here are strings in it.
+    Plain(Term<'a>),
+    /// A term with structs that do not exist here, which are maps with strings for keys: `[module]` and the term. Whoever can
+    /// load the modules decodes the bytes once more.
+    Unknown(Vec<Term<'a>>, Term<'a>),
+    /// Why there is no term.
+    Refused(&'static str),
+}
+
+pub fn decode<'a>(env: Env<'a>, bytes: &[u8]) -> Decoded<'a> {
     if let Err(refusal) = etf::check(bytes) {
-        return (atoms::undecodable(), refusal.text()).encode(env);
+        return Decoded::Refused(refusal.text());
     }
     if let Some((term, _)) = env.binary_to_term(bytes) {
-        return term;
+        return Decoded::Plain(term);
     }
     let mut builder = Builder {
         env,
         unknown: Vec::new(),
     };
     match etf::decode(bytes, &mut builder) {
-        Some(term) if builder.unknown.is_empty() => term,
-        Some(term) => (atoms::unknown(), builder.unknown, copied(env, bytes), term).encode(env),
-        None => (atoms::undecodable(), etf::Refusal::Malformed.text()).encode(env),
+        Some(term) if builder.unknown.is_empty() => Decoded::Plain(term),
+        Some(term) => Decoded::Unknown(builder.unknown, term),
+        None => Decoded::Refused(etf::Refusal::Malformed.text()),
     }
 }
 

@@ -2,12 +2,11 @@
 
 use std::collections::HashSet;
 use std::path::Path;
-use std::sync::{Arc, Mutex};
+use std::sync::Mutex;
 use std::time::Duration;
 
 use rustler::types::list::ListIterator;
 use rustler::{Atom, Encoder, Env, Error as NifError, NifResult, ResourceArc, Term};
-use situ_store::extent::Fault;
 use situ_store::writer::Durability;
 use situ_store::{Compression, Error, Options, Writer};
 
@@ -44,7 +43,7 @@ pub fn with<T>(
     result
 }
 
-/// durability: `:none`, `:each` or milliseconds; `fault`: 0, or the step at which the process is to be killed (tests).
+/// durability: `:none`, `:each` or milliseconds.
 #[rustler::nif(schedule = "DirtyIo")]
 fn writer_create<'a>(
     env: Env<'a>,
@@ -52,7 +51,6 @@ fn writer_create<'a>(
     first_extent: u64,
     max_extent: u64,
     durability: Term<'a>,
-    fault: i64,
 ) -> NifResult<Term<'a>> {
     let durability = if durability.is_atom() {
         if atoms::each() == durability {
@@ -63,16 +61,11 @@ fn writer_create<'a>(
     } else {
         Durability::Interval(Duration::from_millis(durability.decode()?))
     };
-    let fault = if fault == 0 {
-        Arc::default()
-    } else {
-        Fault::after(fault.abs(), fault > 0)
-    };
     let options = Options {
         first_extent,
         max_extent,
         durability,
-        fault,
+        ..Options::default()
     };
     let created = Writer::create(Path::new(&path), options);
     Ok(answer(
@@ -82,7 +75,7 @@ fn writer_create<'a>(
     ))
 }
 
-#[rustler::nif]
+#[rustler::nif(schedule = "DirtyIo")]
 fn writer_stream<'a>(
     env: Env<'a>,
     handle: Handle,
@@ -109,7 +102,7 @@ fn writer_stream<'a>(
     ))
 }
 
-#[rustler::nif]
+#[rustler::nif(schedule = "DirtyIo")]
 fn writer_position<'a>(env: Env<'a>, handle: Handle, stream: u32) -> Term<'a> {
     answer(
         env,

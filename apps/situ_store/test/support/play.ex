@@ -11,7 +11,7 @@ defmodule Situ.Store.Test.Play do
       Pipeline.run(fn p ->
         exporter = Store.create(p, name, root, opts)
         p |> Situ.from_enumerable(items) |> Store.write(exporter, "seq", type: :integer)
-        exporter.writer.path
+        exporter.path
       end)
 
     report.result

@@ -56,14 +56,14 @@ defmodule Situ.Conformance.Store.Recording do
 
     {:ok, reader} =
       Pipeline.start(
-        fn p -> p |> Store.importer(exporter.writer.path) |> Store.stream(name) |> tell(test) end,
+        fn p -> p |> Store.importer(exporter.path) |> Store.stream(name) |> tell(test) end,
         []
       )
 
     :ok = Pipeline.start(writer)
     {:ok, _} = Pipeline.await(writer)
     {:ok, _} = Pipeline.await(reader, 30_000)
-    if root == nil, do: Store.delete(exporter.writer.path)
+    if root == nil, do: Store.delete(exporter.path)
     got = told()
 
     expect =

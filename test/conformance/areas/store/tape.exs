@@ -37,7 +37,7 @@ defmodule Situ.Conformance.Store.Tape do
           p |> source(messages) |> Store.write(exporter, stream, options.(stream))
         end
 
-        exporter.writer.path
+        exporter.path
       end)
 
     case result do

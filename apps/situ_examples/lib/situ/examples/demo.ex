@@ -56,8 +56,7 @@ defmodule Situ.Examples.Demo do
     with {:ok, report} <- run_pipeline(build, opts) do
       spent = System.monotonic_time() - started
 
-      {:ok, report.result.writer.path,
-       System.convert_time_unit(spent, :native, :microsecond) / 1.0e6}
+      {:ok, report.result.path, System.convert_time_unit(spent, :native, :microsecond) / 1.0e6}
     end
   end
 

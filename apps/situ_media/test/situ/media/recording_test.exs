@@ -30,7 +30,7 @@ defmodule Situ.Media.RecordingTest do
   defp wanted(items, kind), do: for({^kind, time, data} <- items, do: {time, data})
 
   test "a video file opens by its ending, and lists what is in it" do
-    assert Store.Reader.for_file("somewhere/CLIP.MP4") == Recording
+    assert Store.Formats.for_file("somewhere/CLIP.MP4") == Recording
     store = Store.open!(@talk)
     assert %{name: "talk1", closed?: true, live?: false, damage: []} = Store.info(store)
 

@@ -5,8 +5,8 @@ defmodule Situ.Store.Copying do
 
   What is made gets its name when it is whole: a program that ends half way leaves a folder `NAME.*.unfinished`, swept by the next one.
   """
-  alias Situ.{Error, Store}
-  alias Situ.Store.{Draft, Failure, Folder, StreamInfo, Transfer}
+  alias Situ.Error
+  alias Situ.Store.{Draft, Failure, Folder, Reading, StreamInfo, Transfer}
 
   @options [
     from: [type: {:optional, :integer}, doc: "The first originating time."],
@@ -41,7 +41,7 @@ defmodule Situ.Store.Copying do
           {:ok, Path.t()} | {:error, Error.t()}
   def copy(from, to, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
-         {:ok, store} <- Store.open(from),
+         {:ok, store} <- Reading.open(from),
          {:ok, sources} <- selected(sources(store), opts[:streams], store.path) do
       build(to, Enum.map(sources, fn {_, info} = source -> {info, [source]} end), opts)
     end
@@ -54,8 +54,8 @@ defmodule Situ.Store.Copying do
           {:ok, Path.t()} | {:error, Error.t()}
   def crop(from, to, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @crop_options),
-         {:ok, store} <- Store.open(from) do
-      {first, _last} = Store.interval(store) || {0, 0}
+         {:ok, store} <- Reading.open(from) do
+      {first, _last} = Reading.interval(store) || {0, 0}
       start = opts[:from] || first + (opts[:start] || 0)
       stop = opts[:to] || (opts[:length] && start + opts[:length])
 
@@ -93,14 +93,14 @@ defmodule Situ.Store.Copying do
     end
   end
 
-  defp sources(store), do: Enum.map(Store.streams(store), &{store, &1})
+  defp sources(store), do: Enum.map(Reading.streams(store), &{store, &1})
 
   defp open_all([]),
     do: {:error, Error.new(:no_store, "no stores to put together", fix: "name at least one")}
 
   defp open_all(paths) do
     Enum.reduce_while(Enum.reverse(paths), {:ok, []}, fn path, {:ok, stores} ->
-      case Store.open(path) do
+      case Reading.open(path) do
         {:ok, store} -> {:cont, {:ok, [store | stores]}}
         error -> {:halt, error}
       end
@@ -239,7 +239,7 @@ defmodule Situ.Store.Copying do
   end
 
   defp first(_store, _info, nil), do: {:ok, 0}
-  defp first(store, info, from), do: store.module.seek(store.state, info, from)
+  defp first(store, info, from), do: Reading.seek(store, info, from)
 
   defp min_time(time, nil), do: time
   defp min_time(time, to), do: min(time, to)

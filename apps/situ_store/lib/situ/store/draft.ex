@@ -2,10 +2,8 @@ defmodule Situ.Store.Draft do
   @moduledoc false
   # A store made out of others. While it is written its folder is NAME.PID-N.unfinished, which nothing takes for a store;
   # only the whole gets a name. What a killed program left is swept by the next one that makes a store of this name.
-  alias Situ.{Error, Store}
-  alias Situ.Store.{Folder, Mending, Writer}
-
-  @suffix ".unfinished"
+  alias Situ.Error
+  alias Situ.Store.{Folder, Reading, Writer}
 
   @doc "`work.(writer)` fills it and answers `:ok`; on an error nothing of it stays."
   @spec make({String.t(), Path.t()}, keyword(), (Writer.t() -> :ok | {:error, Error.t()})) ::
@@ -27,12 +25,8 @@ defmodule Situ.Store.Draft do
     |> explained()
   end
 
-  @doc "Whether a folder is one in the making."
-  @spec unfinished?(Path.t()) :: boolean()
-  def unfinished?(path), do: String.ends_with?(path, @suffix)
-
   defp unique(base),
-    do: "#{base}.#{System.pid()}-#{System.unique_integer([:positive])}#{@suffix}"
+    do: "#{base}.#{System.pid()}-#{System.unique_integer([:positive])}#{Folder.unfinished()}"
 
   # What would be refused at the end is refused before the work.
   defp free(_name, _root, true), do: :ok
@@ -47,7 +41,7 @@ defmodule Situ.Store.Draft do
 
   defp drop(writer, error) do
     _ = Writer.close(writer)
-    _ = Mending.delete(writer.path)
+    _ = Folder.remove(writer.path)
     error
   end
 
@@ -88,11 +82,11 @@ defmodule Situ.Store.Draft do
     prefix = Path.basename(base) <> "."
 
     for entry <- ls(Path.dirname(base)),
-        String.starts_with?(entry, prefix) and unfinished?(entry),
+        String.starts_with?(entry, prefix) and Folder.unfinished?(entry),
         path = Path.join(Path.dirname(base), entry),
-        {:ok, store} <- [Store.open(path)],
-        not Store.live?(store),
-        do: Mending.delete(path)
+        {:ok, store} <- [Reading.open(path)],
+        not Reading.live?(store),
+        do: Folder.remove(path)
   end
 
   defp ls(folder) do

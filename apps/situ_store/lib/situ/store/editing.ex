@@ -2,8 +2,8 @@ defmodule Situ.Store.Editing do
   @moduledoc """
   Changing single messages of a recording. Called through `Situ.Store.edit/4`; the original is only read.
   """
-  alias Situ.{Error, Message, Store}
-  alias Situ.Store.{Copying, Draft, Failure, Transfer, Writer}
+  alias Situ.{Error, Message}
+  alias Situ.Store.{Copying, Draft, Failure, Reading, StreamInfo, Transfer, Writer}
 
   @type edit :: {:upsert, Situ.Time.t(), term()} | {:delete, Situ.Time.t()}
 
@@ -30,8 +30,8 @@ defmodule Situ.Store.Editing do
           {:ok, Path.t()} | {:error, Error.t()}
   def edit(from, to, edits, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @options),
-         {:ok, store} <- Store.open(from),
-         infos = Store.streams(store),
+         {:ok, store} <- Reading.open(from),
+         infos = Reading.streams(store),
          added = Enum.map(opts[:add], &new_stream/1),
          :ok <- known(edits, infos ++ Enum.map(added, &elem(&1, 0)), store) do
       build(to, store, infos, added, edits, opts)
@@ -39,7 +39,7 @@ defmodule Situ.Store.Editing do
   end
 
   defp new_stream({name, options}),
-    do: {%Store.StreamInfo{id: -1, name: name, type: options[:type] || :any}, options}
+    do: {%StreamInfo{id: -1, name: name, type: options[:type] || :any}, options}
 
   defp known(edits, infos, store) do
     names = Enum.map(infos, & &1.name)
@@ -120,7 +120,7 @@ defmodule Situ.Store.Editing do
   end
 
   defp at({store, info}, ordinal, time) do
-    case Store.at(store, info, ordinal) do
+    case Reading.at(store, info, ordinal) do
       {:ok, %{originating_time: ^time} = message} -> message
       _none_or_damaged -> nil
     end

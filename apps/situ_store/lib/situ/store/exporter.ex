@@ -4,12 +4,40 @@ defmodule Situ.Store.Exporter do
 
   The store is closed when the pipeline has completed, whether it ended well or by an error.
   """
-  alias Situ.{Pipeline, Stream}
-  alias Situ.Store.{Keys, Sink, Volatile, Writer}
+  alias Situ.{Options, Pipeline, Stream}
+  alias Situ.Store.{Folder, Keys, Reading, SharedWriter, Sink, Volatile, Writer}
 
-  @enforce_keys [:writer, :users]
-  defstruct [:writer, :users, eager: false]
-  @type t :: %__MODULE__{writer: Writer.t(), users: :atomics.atomics_ref(), eager: boolean()}
+  @write_options Keyword.delete(Writer.stream_options(), :type) ++
+                   [
+                     type: [type: :any, doc: "The `Situ.Type` to note; default: the stream's."],
+                     envelopes: [
+                       type: :boolean,
+                       default: false,
+                       doc: "Record the envelopes only; the data become `nil`."
+                     ],
+                     keys: [
+                       type: :boolean,
+                       default: false,
+                       doc:
+                         "Keep the keys of the stream's maps in its metadata (`Situ.Store.Keys`)."
+                     ],
+                     policy: [
+                       type: :any,
+                       doc:
+                         "A `Situ.Delivery`; default: lossless, whatever the pipeline's default."
+                     ],
+                     name: [type: :string, doc: "The component's name."],
+                     on_error: [type: :any, doc: "As for every component."]
+                   ]
+
+  # `path` is the store's folder.
+  @enforce_keys [:path, :shared]
+  defstruct [:path, :shared, eager: false]
+  @type t :: %__MODULE__{path: Path.t(), shared: SharedWriter.t(), eager: boolean()}
+
+  @doc false
+  @spec write_options() :: Options.schema()
+  def write_options, do: @write_options
 
   @doc false
   @spec create(Pipeline.t(), String.t(), Path.t() | nil, keyword()) :: t()
@@ -21,15 +49,10 @@ defmodule Situ.Store.Exporter do
 
     case Writer.create(name, root, opts) do
       {:ok, writer} ->
-        exporter = %__MODULE__{
-          writer: writer,
-          users: :atomics.new(1, signed: true),
-          eager: opts[:durability] == :each
-        }
-
-        :ok = Pipeline.on(p, :completed, fn _report -> close(exporter) end)
-        :ok = Pipeline.on(p, :abandoned, fn _error -> give_up(exporter) end)
-        exporter
+        shared = SharedWriter.new(writer)
+        :ok = Pipeline.on(p, :completed, fn _report -> SharedWriter.close(shared) end)
+        :ok = Pipeline.on(p, :abandoned, fn _error -> give_up(shared) end)
+        %__MODULE__{path: writer.path, shared: shared, eager: opts[:durability] == :each}
 
       {:error, error} ->
         raise error
@@ -37,35 +60,23 @@ defmodule Situ.Store.Exporter do
   end
 
   @doc false
-  @spec write(Stream.t(), t(), String.t(), keyword()) :: Stream.t()
-  def write(%Stream{} = stream, %__MODULE__{} = exporter, name, opts) do
-    {common, opts} = Keyword.split(opts, [:policy, :name, :on_error])
+  @spec write(Stream.t() | nil, t() | nil, String.t(), keyword()) :: Stream.t() | nil
+  def write(nil, _exporter, _name, _opts), do: nil
+  def write(%Stream{} = stream, nil, _name, _opts), do: stream
 
-    # Nothing is lost on the way to disk unless the caller says so, whatever the pipeline's default policy.
-    common = Keyword.put_new(common, :policy, Situ.Delivery.unlimited())
-    {envelopes, opts} = Keyword.pop(opts, :envelopes, false)
-    {keys, opts} = Keyword.pop(opts, :keys, false)
-    opts = Keyword.put_new(opts, :type, if(envelopes, do: :any, else: stream.type))
+  def write(%Stream{} = stream, %__MODULE__{shared: shared} = exporter, name, opts) do
+    opts = Options.validate!(opts, @write_options)
+    type = opts[:type] || if(opts[:envelopes], do: :any, else: stream.type)
 
-    case Writer.stream(exporter.writer, name, opts) do
+    of_stream =
+      opts |> Keyword.take(Keyword.keys(Writer.stream_options())) |> Keyword.put(:type, type)
+
+    case Writer.stream(shared.writer, name, of_stream) do
       {:ok, writer_stream} ->
-        :atomics.add(exporter.users, 1, 1)
-
-        Situ.via(
-          stream,
-          Sink,
-          [
-            exporter: exporter,
-            stream: writer_stream,
-            envelopes: envelopes,
-            eager: exporter.eager
-          ],
-          # A lossy default of the pipeline does not thin out its recording.
-          [policy: Situ.Delivery.unlimited(), name: "Write " <> String.replace(name, ".", " ")]
-          |> Keyword.merge(common)
-        )
-
-        if keys, do: note_keys(stream, exporter, writer_stream, opts[:metadata])
+        SharedWriter.join(shared)
+        given = [shared: shared, stream: writer_stream, envelopes: opts[:envelopes]]
+        Situ.via(stream, Sink, given ++ [eager: exporter.eager], component(name, opts))
+        if opts[:keys], do: note_keys(stream, shared, writer_stream, opts[:metadata])
         stream
 
       {:error, error} ->
@@ -73,27 +84,25 @@ defmodule Situ.Store.Exporter do
     end
   end
 
-  defp note_keys(stream, exporter, writer_stream, metadata) do
-    :atomics.add(exporter.users, 1, 1)
-    options = [exporter: exporter, stream: writer_stream, metadata: metadata || %{}]
+  # A lossy default of the pipeline does not thin out its recording: nothing is lost on the way to disk unless the caller says so.
+  defp component(name, opts) do
+    [policy: Situ.Delivery.unlimited(), name: "Write " <> String.replace(name, ".", " ")]
+    |> Keyword.merge(Keyword.take(opts, [:policy, :name, :on_error]))
+  end
+
+  defp note_keys(stream, shared, writer_stream, metadata) do
+    SharedWriter.join(shared)
+    options = [shared: shared, stream: writer_stream, metadata: metadata || %{}]
     name = "Keys " <> String.replace(writer_stream.name, ".", " ")
     Situ.via(stream, Keys, options, name: name, policy: Situ.Delivery.unlimited())
   end
 
-  @doc false
-  def release(%__MODULE__{} = exporter) do
-    if :atomics.sub_get(exporter.users, 1, 1) == 0, do: close(exporter), else: :ok
-  end
-
-  # Nobody is left to be told of a failure here, and what was committed is safe.
-  defp close(exporter), do: Writer.close(exporter.writer)
-
   # The pipeline never ran: a recording of nothing would only stand in the way of the one before it.
-  defp give_up(%{writer: writer} = exporter) do
-    _ = close(exporter)
+  defp give_up(%{writer: writer} = shared) do
+    SharedWriter.close(shared)
 
-    with {:ok, store} <- Situ.Store.open(writer.path),
-         nil <- Situ.Store.interval(store),
-         do: Situ.Store.delete(writer.path)
+    with {:ok, store} <- Reading.open(writer.path),
+         nil <- Reading.interval(store),
+         do: Folder.remove(writer.path)
   end
 end

@@ -2,7 +2,7 @@ defmodule Situ.Store.Folder do
   @moduledoc false
   # Where stores lie: root/name.NNNN, the highest number being the newest.
   alias Situ.Error
-  alias Situ.Store.{Draft, Reader}
+  alias Situ.Store.Formats
 
   @index "index.situ"
 
@@ -10,6 +10,16 @@ defmodule Situ.Store.Folder do
   def store?(path) do
     File.exists?(Path.join(path, @index)) or File.exists?(Path.join(path, "data-000000.situ"))
   end
+
+  @unfinished ".unfinished"
+
+  @doc "The ending of a folder in the making."
+  @spec unfinished() :: String.t()
+  def unfinished, do: @unfinished
+
+  @doc "Whether a folder is one in the making."
+  @spec unfinished?(Path.t()) :: boolean()
+  def unfinished?(path), do: String.ends_with?(path, @unfinished)
 
   @doc "A new folder for store `name` below `root`."
   @spec create(String.t(), Path.t(), boolean()) :: {:ok, Path.t()} | {:error, Error.t()}
@@ -93,24 +103,42 @@ defmodule Situ.Store.Folder do
 
       {:ok, names} ->
         dirs = names |> Enum.sort() |> Enum.map(&Path.join(root, &1)) |> Enum.filter(&File.dir?/1)
-        (Reader.within(root) -- [root]) ++ Enum.flat_map(dirs, &in_folder(&1, recursive?))
+        (Formats.within(root) -- [root]) ++ Enum.flat_map(dirs, &in_folder(&1, recursive?))
     end
   end
 
   defp in_folder(dir, recursive?) do
     cond do
-      Draft.unfinished?(dir) -> []
+      unfinished?(dir) -> []
       store?(dir) -> [dir]
-      dir in Reader.within(dir) -> [dir]
+      dir in Formats.within(dir) -> [dir]
       recursive? -> all(dir, true)
       true -> []
     end
   end
 
+  @doc "Deletes a store's files, and its folder when nothing else is in it."
+  @spec remove(Path.t()) :: :ok | {:error, Error.t()}
+  def remove(folder) do
+    folder
+    |> File.ls!()
+    |> Enum.filter(&(&1 =~ ~r/\A(index\.situ.*|data-\d+\.situ|large-\d+\.situ|lock)\z/))
+    |> Enum.each(&File.rm!(Path.join(folder, &1)))
+
+    # Someone's notes beside the recording stay, and with them the folder.
+    _ = File.rmdir(folder)
+    :ok
+  rescue
+    error in File.Error ->
+      {:error, Error.new(:io, "cannot delete #{folder}", why: Exception.message(error))}
+  end
+
   @doc "The store's name as its folder has it."
+  @spec name(Path.t()) :: String.t()
   def name(path), do: path |> Path.basename() |> String.replace(~r/\.\d{4,}$/, "")
 
   @doc "The version number of a store's folder, or `nil`."
+  @spec version(Path.t()) :: non_neg_integer() | nil
   def version(path) do
     case Regex.run(~r/\.(\d{4,})$/, Path.basename(path)) do
       [_, digits] -> String.to_integer(digits)

@@ -18,8 +18,7 @@ defmodule Situ.Store.Importer do
   A stream that has ended stays ended; with `keep_open: true` streams wait at their ends to be sought.
   """
   alias Situ.{Clock, Error, Pipeline}
-  alias Situ.Store
-  alias Situ.Store.{Evolution, Playhead, Source}
+  alias Situ.Store.{Evolution, Handle, Playhead, Reading, Source, StreamInfo}
 
   @options [
     loop: [
@@ -63,7 +62,7 @@ defmodule Situ.Store.Importer do
   @doc false
   def open(%Situ.Graph.Handle{} = p, path, opts) do
     opts = Situ.Options.validate!(opts, @options)
-    store = if is_struct(path, Store), do: path, else: Store.open!(path, verify: opts[:verify])
+    store = if is_struct(path, Handle), do: path, else: Reading.open!(path, verify: opts[:verify])
 
     %__MODULE__{
       store: store,
@@ -78,7 +77,7 @@ defmodule Situ.Store.Importer do
   defp period(_p, _store, false), do: nil
 
   defp period(_p, store, true) do
-    case Store.interval(store) do
+    case Reading.interval(store) do
       nil -> nil
       {first, last} -> last - first + 1_000_000
     end
@@ -88,7 +87,7 @@ defmodule Situ.Store.Importer do
   defp period(p, store, ns) do
     {from, _} = Pipeline.replay_interval(p)
 
-    with {first, last} <- Store.interval(store),
+    with {first, last} <- Reading.interval(store),
          span = last - if(from == :unbounded, do: first, else: max(first, from)),
          true <- ns <= span do
       raise Error.new(:bad_option, "a loop of #{Situ.Time.format_duration(ns)} is too short",
@@ -104,7 +103,7 @@ defmodule Situ.Store.Importer do
   def stream(%__MODULE__{} = importer, name, opts) do
     opts = Situ.Options.validate!(opts, @stream_options)
 
-    case Store.stream_info(importer.store, name) do
+    case Reading.stream_info(importer.store, name) do
       {:ok, info} -> source(importer, info, opts)
       {:error, error} -> if opts[:or_empty], do: empty(importer, name, opts), else: raise(error)
     end
@@ -113,7 +112,7 @@ defmodule Situ.Store.Importer do
   defp source(importer, info, opts) do
     type = opts[:type]
     if type, do: check!(info, type)
-    live? = Store.live?(importer.store)
+    live? = Reading.live?(importer.store)
 
     last = if importer.period, do: :unbounded, else: info.last
 
@@ -126,7 +125,7 @@ defmodule Situ.Store.Importer do
   end
 
   defp empty(importer, name, opts) do
-    info = %Store.StreamInfo{id: -1, name: name}
+    info = %StreamInfo{id: -1, name: name}
     add(importer, info, [importer: importer, info: info, type: nil, live: false], opts)
   end
 
@@ -198,8 +197,8 @@ defmodule Situ.Store.Importer do
     now = Clock.now(clock) - shift
 
     next =
-      for info <- Store.streams(importer.store),
-          {:ok, %{originating_time: time}} <- [Store.first_at(importer.store, info, now + 1)],
+      for info <- Reading.streams(importer.store),
+          {:ok, %{originating_time: time}} <- [Reading.first_at(importer.store, info, now + 1)],
           do: time
 
     case next do

@@ -10,21 +10,21 @@ defmodule Situ.Store.Keys do
     inputs: [in: :any],
     outputs: [],
     options: [
-      exporter: [type: :any, required: true, doc: "The `Situ.Store.Exporter`."],
+      shared: [type: :any, required: true, doc: "The `Situ.Store.SharedWriter`."],
       stream: [type: :any, required: true, doc: "The `Situ.Store.Writer.Stream`."],
       metadata: [type: :map, default: %{}, doc: "What else the metadata holds."]
     ]
 
-  alias Situ.Store.{Exporter, Writer}
+  alias Situ.Store.{SharedWriter, Writer}
 
-  @enforce_keys [:exporter, :stream, :metadata]
-  defstruct [:exporter, :stream, :metadata, keys: MapSet.new(), noted: 0]
+  @enforce_keys [:shared, :stream, :metadata]
+  defstruct [:shared, :stream, :metadata, keys: MapSet.new(), noted: 0]
 
   @impl true
   def init(opts) do
     {:ok,
      %__MODULE__{
-       exporter: opts[:exporter],
+       shared: opts[:shared],
        stream: opts[:stream],
        metadata: opts[:metadata]
      }}
@@ -46,7 +46,7 @@ defmodule Situ.Store.Keys do
   def handle_closed(:in, _time, _context, state), do: {[], note(state)}
 
   @impl true
-  def terminate(_reason, state), do: Exporter.release(state.exporter)
+  def terminate(_reason, state), do: SharedWriter.leave(state.shared)
 
   @impl true
   def describe(state), do: "notes the keys of #{state.stream.name}"

@@ -4,7 +4,8 @@ defmodule Situ.Store.Local do
   @behaviour Situ.Store.Reader
 
   alias Situ.{Error, Message}
-  alias Situ.Store.{Catalog, Codecs, Failure, Folder, Native, StreamInfo, Structs, Undecoded}
+  alias Situ.Store.Summary.Bins
+  alias Situ.Store.{Catalog, Codecs, Failure, Folder, Native, StreamInfo, Terms, Undecoded}
 
   defstruct [:ref, :path]
 
@@ -147,28 +148,24 @@ defmodule Situ.Store.Local do
   def clamp(:unbounded), do: max_time()
   def clamp(time), do: time |> max(-max_time()) |> min(max_time())
 
-  defp messages(list, id) do
-    for {sequence, time, creation, data} <- list do
-      %Message{
-        data: plain(data),
-        originating_time: time,
-        creation_time: creation,
-        sequence_id: sequence,
-        source_id: id
-      }
-    end
+  defp messages(list, id), do: Enum.map(list, &message(&1, id))
+
+  defp message({sequence, time, creation, data}, id) do
+    %Message{
+      data: data,
+      originating_time: time,
+      creation_time: creation,
+      sequence_id: sequence,
+      source_id: id
+    }
   end
 
-  @doc false
-  # A term outside of a stream (metadata), by the same rules.
-  @spec term(binary()) :: term() | Undecoded.t()
-  def term(bytes), do: bytes |> Native.term_decode() |> plain()
+  # Five elements tell that the data are no plain term.
+  defp message({sequence, time, creation, :undecodable, reason}, id),
+    do: message({sequence, time, creation, %Undecoded{reason: reason}}, id)
 
-  defp plain({:"$situ_undecodable", reason}), do: %Undecoded{reason: reason}
-
-  # A struct nobody here had heard of: its module may be one of this release that was not loaded yet.
-  defp plain({:"$situ_unknown", modules, bytes, map}), do: Structs.decode(bytes, modules) || map
-  defp plain(data), do: data
+  defp message({sequence, time, creation, :unknown, {modules, bytes, term}}, id),
+    do: message({sequence, time, creation, Terms.known(modules, bytes, term)}, id)
 
   defp run({0, list}, info), do: messages(list, info.id)
 
@@ -176,15 +173,8 @@ defmodule Situ.Store.Local do
     {name, module_name} = Map.get(info.codecs, number, {nil, nil})
     module = name && Codecs.find(name, module_name)
 
-    for {sequence, time, creation, bytes} <- list do
-      %Message{
-        data: decode(module, name, bytes),
-        originating_time: time,
-        creation_time: creation,
-        sequence_id: sequence,
-        source_id: info.id
-      }
-    end
+    for {sequence, time, creation, bytes} <- list,
+        do: message({sequence, time, creation, decode(module, name, bytes)}, info.id)
   end
 
   defp decode(nil, name, bytes) do
@@ -230,13 +220,8 @@ defmodule Situ.Store.Local do
   defp codec_summary(state, info, from, to, level) do
     with {:ok, ordinal} <- seek(state, info, from),
          {:ok, points} <- points(state, info, max(ordinal - 1, 0), to + 1_000_000_000, []) do
-      bins =
-        points
-        |> Enum.filter(fn {time, _, _, _, _} -> time >= from and time <= to end)
-        |> Enum.chunk_by(fn {time, _, _, _, _} -> Bitwise.bsr(time, level) end)
-        |> Enum.map(&fold(&1, level))
-
-      {:ok, bins}
+      within = Enum.filter(points, fn {time, _, _, _, _} -> time >= from and time <= to end)
+      {:ok, Bins.fold(within, level)}
     end
   end
 
@@ -248,22 +233,8 @@ defmodule Situ.Store.Local do
     end
   end
 
-  defp signal(messages) do
-    for %{data: %module{}} = message <- messages,
-        Code.ensure_loaded?(module) and function_exported?(module, :points, 2),
-        point <- module.points(message.data, message.originating_time),
-        do: point
-  end
-
-  defp fold([{time, _, _, _, _} | _] = points, level) do
-    {
-      time |> Bitwise.bsr(level) |> Bitwise.bsl(level),
-      points |> Enum.map(&elem(&1, 1)) |> Enum.min(),
-      points |> Enum.map(&elem(&1, 2)) |> Enum.max(),
-      points |> List.last() |> elem(3),
-      points |> Enum.map(&elem(&1, 4)) |> Enum.sum()
-    }
-  end
+  defp signal(messages),
+    do: for(%{data: %_{}} = message <- messages, point <- Bins.points(message), do: point)
 
   @impl true
   def await(state, known, pid, tag) do
@@ -271,15 +242,19 @@ defmodule Situ.Store.Local do
     :ok
   end
 
-  @doc false
+  @impl true
+  def count(state, info) do
+    Native.reader_refresh(state.ref)
+    Native.reader_count(state.ref, info.id)
+  end
+
+  @impl true
   def gaps(state, %StreamInfo{id: id}, least), do: Native.reader_gaps(state.ref, id, least)
 
   @lanes %{0 => "data", 1 => "large"}
 
-  @doc false
-  # Files that the index names and that are not there.
-  @spec missing(%__MODULE__{}) :: [String.t()]
-  def missing(state) do
+  @impl true
+  def missing_files(state) do
     for {lane, number} <- Native.reader_extents(state.ref),
         name = "#{@lanes[lane]}-#{String.pad_leading(to_string(number), 6, "0")}.situ",
         not File.exists?(Path.join(state.path, name)),

@@ -2,8 +2,8 @@ defmodule Situ.Store.Mending do
   @moduledoc """
   Checking, mending, deleting and renaming stores. Called through `Situ.Store`.
   """
-  alias Situ.{Error, Store}
-  alias Situ.Store.{Failure, Folder, Local, Native}
+  alias Situ.Error
+  alias Situ.Store.{Failure, Folder, Handle, Local, Native, Reading}
 
   @typedoc "A wrong place: the file, the byte, and what is wrong there."
   @type damage :: %{file: String.t(), offset: non_neg_integer(), why: String.t()}
@@ -16,7 +16,7 @@ defmodule Situ.Store.Mending do
   @spec verify(Path.t(), keyword()) ::
           {:ok, %{chunks: non_neg_integer(), damage: [damage()]}} | {:error, Error.t()}
   def verify(path, opts \\ []) do
-    with {:ok, store} <- Store.open(path),
+    with {:ok, store} <- Reading.open(path),
          :ok <- ours(store),
          {:ok, found, total} <- Local.verify(store.state, opts[:progress] || fn _, _ -> :ok end) do
       damage =
@@ -26,7 +26,7 @@ defmodule Situ.Store.Mending do
     end
   end
 
-  defp ours(%Store{module: Local}), do: :ok
+  defp ours(%Handle{module: Local}), do: :ok
 
   defp ours(store),
     do: {:error, Error.new(:not_a_store, "#{store.path} is a foreign file, not a store")}
@@ -78,19 +78,8 @@ defmodule Situ.Store.Mending do
   @spec delete(Path.t()) :: :ok | {:error, Error.t()}
   def delete(path) do
     with {:ok, folder} <- resolve(path),
-         :ok <- idle(folder) do
-      folder
-      |> File.ls!()
-      |> Enum.filter(&(&1 =~ ~r/\A(index\.situ.*|data-\d+\.situ|large-\d+\.situ|lock)\z/))
-      |> Enum.each(&File.rm!(Path.join(folder, &1)))
-
-      # Someone's notes beside the recording stay, and with them the folder.
-      _ = File.rmdir(folder)
-      :ok
-    end
-  rescue
-    error in File.Error ->
-      {:error, Error.new(:io, "cannot delete #{path}", why: Exception.message(error))}
+         :ok <- idle(folder),
+         do: Folder.remove(folder)
   end
 
   @doc "Gives a store another name (its folder's, keeping the version number): `{:ok, new_path}`."
@@ -116,9 +105,9 @@ defmodule Situ.Store.Mending do
   end
 
   defp idle(folder) do
-    case Store.open(folder) do
+    case Reading.open(folder) do
       {:ok, store} ->
-        if Store.live?(store), do: {:error, Failure.error(:locked, folder)}, else: :ok
+        if Reading.live?(store), do: {:error, Failure.error(:locked, folder)}, else: :ok
 
       # Damaged or not ours to read: no reason to keep it.
       {:error, _} ->

@@ -9,7 +9,7 @@ defmodule Situ.Store.Native do
     :erlang.load_nif(path, 0)
   end
 
-  def writer_create(_path, _first_extent, _max_extent, _durability, _fault), do: missing()
+  def writer_create(_path, _first_extent, _max_extent, _durability), do: missing()
   def writer_stream(_writer, _name, _compression, _large), do: missing()
   def writer_position(_writer, _stream), do: missing()
   def writer_append(_writer, _stream, _batches), do: missing()
@@ -28,6 +28,7 @@ defmodule Situ.Store.Native do
   def reader_skip(_reader, _stream, _ordinal), do: missing()
   def reader_summary(_reader, _stream, _from, _to, _pixels), do: missing()
   def term_decode(_bytes), do: missing()
+  def term_check(_bytes), do: missing()
   def summary_level(_from, _to, _pixels), do: missing()
   def reader_damage(_reader), do: missing()
   def reader_extents(_reader), do: missing()

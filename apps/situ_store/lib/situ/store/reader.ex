@@ -2,12 +2,7 @@ defmodule Situ.Store.Reader do
   @moduledoc """
   What a file format must answer so that it opens, lists, seeks and replays like a store.
 
-  A reader is found by the file's extension (`extensions/0`): first those named in the configuration,
-
-      config :situ_store, readers: [MyFormat]
-
-  then those that a loaded application brings (`env: [store_readers: [MyFormat]]` in `application/0` of its `mix.exs`), then CSV,
-  which is built in.
+  Which file is read by which reader: `Situ.Store.Formats`.
 
   Messages of a stream are numbered 0, 1, 2 ... (ordinals). A reader meets untrusted bytes: it answers errors, makes no
   atoms, and bounds what it allocates.
@@ -50,44 +45,26 @@ defmodule Situ.Store.Reader do
   @doc "Min/max/last/count bins: `{:ok, width_ns, [{start, min, max, last, count}]}`."
   @callback summary(state(), StreamInfo.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
               {:ok, pos_integer(), [tuple()]} | error()
+  @doc "Counts and tracks in bins of 2^level ns: `{:ok, counts, tracks}` of a `Situ.Store.Summary`."
+  @callback tracks(
+              state(),
+              StreamInfo.t(),
+              Situ.Time.t(),
+              Situ.Time.t(),
+              level :: non_neg_integer(),
+              most_changes :: non_neg_integer()
+            ) ::
+              {:ok, [{Situ.Time.t(), pos_integer()}], [{term(), Situ.Store.Summary.track()}]}
+              | error()
   @doc "Sends one `{:situ_store, tag, {:published | :ended, n}}` once there is more than `known`."
   @callback await(state(), known :: non_neg_integer(), pid(), tag :: non_neg_integer()) :: :ok
-  @callback close(state()) :: any()
+  @doc "The number of messages now, without the rest of `streams/1`."
+  @callback count(state(), StreamInfo.t()) :: non_neg_integer()
+  @doc "Spans of at least `least` ns without a message."
+  @callback gaps(state(), StreamInfo.t(), least :: Situ.Time.duration()) ::
+              [{Situ.Time.t(), Situ.Time.t()}]
+  @doc "Files that belong to the recording and are not there."
+  @callback missing_files(state()) :: [String.t()]
 
-  @optional_callbacks summary: 5, await: 4, close: 1, resolve: 1, within: 1
-
-  @built_in [Situ.Store.Csv]
-
-  @doc "The reader for a file, or `nil`."
-  @spec for_file(Path.t()) :: module() | nil
-  def for_file(path) do
-    extension = path |> Path.extname() |> String.downcase()
-    Enum.find(all(), &(extension in &1.extensions()))
-  end
-
-  @doc "The reader whose recordings are folders and what `path` means to it, or `nil`."
-  @spec for_folder(Path.t()) :: {module(), Path.t()} | nil
-  def for_folder(path) do
-    Enum.find_value(of_folders(), fn reader ->
-      resolved = reader.resolve(path)
-      resolved && {reader, resolved}
-    end)
-  end
-
-  @doc "The foreign recordings that lie in this very folder."
-  @spec within(Path.t()) :: [Path.t()]
-  def within(folder), do: Enum.flat_map(of_folders(), & &1.within(folder))
-
-  defp of_folders,
-    do: Enum.filter(all(), &(Code.ensure_loaded?(&1) and function_exported?(&1, :resolve, 1)))
-
-  @doc "Every known reader of foreign files."
-  @spec all() :: [module()]
-  def all, do: Application.get_env(:situ_store, :readers, []) ++ brought() ++ @built_in
-
-  defp brought do
-    for {app, _, _} <- Application.loaded_applications(),
-        reader <- Application.get_env(app, :store_readers, []),
-        do: reader
-  end
+  @optional_callbacks resolve: 1, within: 1, summary: 5, tracks: 6, await: 4, count: 2, gaps: 3, missing_files: 1
 end

@@ -9,20 +9,20 @@ defmodule Situ.Store.Sink do
     inputs: [in: :any],
     outputs: [],
     options: [
-      exporter: [type: :any, required: true, doc: "The `Situ.Store.Exporter`."],
+      shared: [type: :any, required: true, doc: "The `Situ.Store.SharedWriter`."],
       stream: [type: :any, required: true, doc: "The `Situ.Store.Writer.Stream`."],
       envelopes: [type: :boolean, default: false, doc: "Write the envelopes only."],
       eager: [type: :boolean, default: false, doc: "Commit every delivery at once."]
     ]
 
-  alias Situ.Store.{Exporter, Writer}
+  alias Situ.Store.{SharedWriter, Writer}
 
   @flush_ms 20
   @most 512
   @bytes 64 * 1024
 
   defstruct [
-    :exporter,
+    :shared,
     :stream,
     :envelopes,
     :eager,
@@ -37,7 +37,7 @@ defmodule Situ.Store.Sink do
   def init(opts) do
     {:ok,
      %__MODULE__{
-       exporter: opts[:exporter],
+       shared: opts[:shared],
        stream: opts[:stream],
        envelopes: opts[:envelopes],
        eager: opts[:eager]
@@ -92,11 +92,11 @@ defmodule Situ.Store.Sink do
   def terminate(_reason, state) do
     # After an error what was delivered before it is still worth keeping; a second error would hide the first.
     _ = if state.pending != [], do: append(state)
-    Exporter.release(state.exporter)
+    SharedWriter.leave(state.shared)
   end
 
   @impl true
-  def describe(state), do: "writes #{state.stream.name} to #{state.exporter.writer.path}"
+  def describe(state), do: "writes #{state.stream.name} to #{state.shared.writer.path}"
 
   defp flush(%{pending: []} = state), do: state
 

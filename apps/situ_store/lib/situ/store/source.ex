@@ -17,7 +17,7 @@ defmodule Situ.Store.Source do
     ]
 
   alias Situ.{Clock, Pipeline}
-  alias Situ.Store.{Evolution, Playhead}
+  alias Situ.Store.{Evolution, Playhead, Reading}
 
   defstruct [
     :importer,
@@ -79,10 +79,7 @@ defmodule Situ.Store.Source do
 
   defp seek(%{info: %{id: -1}}, _time), do: {:ok, 0}
 
-  defp seek(state, time) do
-    %{module: module, state: reader} = state.importer.store
-    module.seek(reader, state.info, time)
-  end
+  defp seek(state, time), do: Reading.seek(state.importer.store, state.info, time)
 
   @impl true
   def handle_demand(_n, _context, %{done: true} = state), do: {[], state}
@@ -158,10 +155,9 @@ defmodule Situ.Store.Source do
   defp load(n, context, %{info: %{id: -1}} = state), do: finish(n, context, state)
 
   defp load(n, context, state) do
-    %{module: module, state: reader} = state.importer.store
-    opts = [skip_damage: state.importer.skip_damage]
+    %{store: store, skip_damage: skip?} = state.importer
 
-    case module.read(reader, state.info, state.ordinal, before(state), 512, opts) do
+    case Reading.batch(store, state.info, state.ordinal, before(state), 512, skip_damage: skip?) do
       {:ok, [], _} ->
         finish(n, context, state)
 
@@ -230,7 +226,7 @@ defmodule Situ.Store.Source do
 
   # Nothing more for now: wait to be woken by the writer.
   defp follow(state) do
-    Situ.Store.notify(state.importer.store, state.known, @tag)
+    Reading.notify(state.importer.store, state.known, @tag)
     {[], state}
   end
 
@@ -240,8 +236,7 @@ defmodule Situ.Store.Source do
 
   def handle_info({:situ_store, @tag, {:ended, n}}, _context, state) do
     # The writer has gone: what it noted last (its close among it) decides where the stream ends.
-    info =
-      Enum.find(Situ.Store.streams(state.importer.store), state.info, &(&1.id == state.info.id))
+    info = Enum.find(Reading.streams(state.importer.store), state.info, &(&1.id == state.info.id))
 
     {[], %{state | known: n, live: false, to: earlier(state.to, info.closed)}}
   end

@@ -4,21 +4,9 @@ defmodule Situ.Store.Structs do
   # values are looked for in the other modules of the same applications. So a struct is one from the first read on.
   alias Situ.Store.TypeName
 
-  @doc "The term, once the modules of its structs are loaded; `nil` when it has some that are not here."
-  @spec decode(binary(), [String.t()]) :: term() | nil
-  def decode(bytes, names) do
-    case Enum.filter(Enum.map(names, &find/1), & &1) do
-      [] -> nil
-      modules -> safe(bytes) || (load_all(modules) && safe(bytes)) || nil
-    end
-  end
-
-  # Another version of the struct has fields that do not exist here: no term.
-  defp safe(bytes) do
-    :erlang.binary_to_term(bytes, [:safe])
-  rescue
-    ArgumentError -> nil
-  end
+  @doc "Loads the modules of these names that are in this system; whether there is any."
+  @spec load([String.t()]) :: boolean()
+  def load(names), do: names |> Enum.map(&find/1) |> Enum.any?()
 
   # What lies nowhere is remembered by the process that reads: every message of a foreign stream asks for the same few.
   defp find(name) do
@@ -45,9 +33,16 @@ defmodule Situ.Store.Structs do
     ArgumentError -> nil
   end
 
-  # Whether there was anything to load.
-  defp load_all(modules) do
-    apps = for module <- modules, app = Application.get_application(module), uniq: true, do: app
+  @doc "Loads every module of the applications these structs belong to; whether there was anything to load."
+  @spec load_all([String.t()]) :: boolean()
+  def load_all(names) do
+    apps =
+      for name <- names,
+          module = find(name),
+          app = Application.get_application(module),
+          uniq: true,
+          do: app
+
     fresh = Enum.reject(apps, &:persistent_term.get({__MODULE__, &1}, false))
 
     for app <- fresh do

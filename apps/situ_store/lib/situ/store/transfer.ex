@@ -3,13 +3,13 @@ defmodule Situ.Store.Transfer do
   # A stream of other stores in a new one, as it was. Type, metadata, codecs and payloads are taken over as bytes: what this
   # system has no module or atom for is copied all the same. Only foreign files, and signals whose pyramid their codec
   # makes, take the way through messages.
-  alias Situ.{Error, Store}
-  alias Situ.Store.{Codecs, Failure, Local, Native, StreamInfo, TypeName, Writer}
+  alias Situ.Error
+  alias Situ.Store.{Codecs, Failure, Handle, Local, Native, Reading, StreamInfo, TypeName, Writer}
 
   @enforce_keys [:stream, :raw?, :numbers, :skip_damage, :told]
   defstruct @enforce_keys
 
-  @type source :: {Store.t(), StreamInfo.t()}
+  @type source :: {Handle.t(), StreamInfo.t()}
   @type t :: %__MODULE__{}
 
   @part_bytes 4 * 1024 * 1024
@@ -96,7 +96,7 @@ defmodule Situ.Store.Transfer do
           {:ok, t(), non_neg_integer()} | {:error, Error.t()}
   def take(%__MODULE__{raw?: false} = transfer, {store, info}, ordinal, to) do
     store
-    |> Store.messages(info, index: ordinal, to: to, skip_damage: transfer.skip_damage)
+    |> Reading.messages(info, index: ordinal, to: to, skip_damage: transfer.skip_damage)
     |> Stream.chunk_every(1_000)
     |> Enum.reduce_while({:ok, transfer}, fn batch, {:ok, transfer} ->
       case append(transfer, batch) do
@@ -140,7 +140,7 @@ defmodule Situ.Store.Transfer do
   defp behind(transfer, _store, info, :unbounded), do: {:ok, transfer, info.count}
 
   defp behind(transfer, store, info, to) do
-    with {:ok, ordinal} <- store.module.seek(store.state, info, to + 1),
+    with {:ok, ordinal} <- Reading.seek(store, info, to + 1),
          do: {:ok, transfer, ordinal}
   end
 

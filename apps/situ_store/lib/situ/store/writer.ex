@@ -13,7 +13,11 @@ defmodule Situ.Store.Writer do
       doc: "Bytes of the first extent."
     ],
     max_extent: [type: :pos_integer, default: 256 * 1024 * 1024, doc: "Bytes of the largest."],
-    fault: [type: :integer, default: 0, doc: "Tests: kill the process at this step of writing."]
+    volatile: [
+      type: :boolean,
+      default: false,
+      doc: "Note that the store lies in memory (`Situ.Store.Volatile`)."
+    ]
   ]
   @stream_options [
     type: [type: :any, default: :any, doc: "The `Situ.Type` of the messages."],
@@ -49,7 +53,7 @@ defmodule Situ.Store.Writer do
   #{Situ.Options.docs(@stream_options)}
   """
   alias Situ.{Error, Message, Options}
-  alias Situ.Store.{Catalog, Codecs, Failure, Folder, Native, TypeName}
+  alias Situ.Store.{Catalog, Codecs, Failure, Folder, Native, Terms, TypeName}
 
   @enforce_keys [:ref, :path, :name]
   defstruct [:ref, :path, :name]
@@ -70,8 +74,6 @@ defmodule Situ.Store.Writer do
   @doc "A new store `name` below `root`, open for writing."
   @spec create(String.t(), Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def create(name, root, opts \\ []) do
-    {volatile?, opts} = Keyword.pop(opts, :volatile, false)
-
     with {:ok, opts} <- Options.validate(opts, @options),
          {:ok, path} <- Folder.create(name, root, opts[:versioned]),
          {:ok, ref} <-
@@ -79,12 +81,11 @@ defmodule Situ.Store.Writer do
            |> Native.writer_create(
              opts[:first_extent],
              opts[:max_extent],
-             durability(opts[:durability]),
-             opts[:fault]
+             durability(opts[:durability])
            )
            |> Failure.wrap(path) do
       writer = %__MODULE__{ref: ref, path: path, name: name}
-      record = %{kind: "store", name: name, writer: "situ 0.1.0", volatile: volatile?}
+      record = %{kind: "store", name: name, writer: "situ 0.1.0", volatile: opts[:volatile]}
 
       case catalog(writer, record) do
         {:ok, _} -> {:ok, writer}
@@ -96,7 +97,7 @@ defmodule Situ.Store.Writer do
   # What could not even begin is no recording.
   defp give_up(writer, error) do
     _ = close(writer)
-    _ = Situ.Store.Mending.delete(writer.path)
+    _ = Folder.remove(writer.path)
     error
   end
 
@@ -139,14 +140,15 @@ defmodule Situ.Store.Writer do
   @doc "Sets (or replaces) the stream's supplemental metadata: any plain term."
   @spec put_metadata(Stream.t(), term()) :: :ok | {:error, Error.t()}
   def put_metadata(%Stream{} = stream, term) do
-    record = %{
-      kind: "metadata",
-      id: stream.id,
-      type: kind_of(term),
-      term: term |> :erlang.term_to_binary() |> Base.encode64()
-    }
-
-    with {:ok, _} <- catalog(stream.writer, record), do: :ok
+    with {:ok, bytes} <- term |> Terms.encode() |> Failure.wrap(stream.writer.path, stream.name),
+         record = %{
+           kind: "metadata",
+           id: stream.id,
+           type: kind_of(term),
+           term: Base.encode64(bytes)
+         },
+         {:ok, _} <- catalog(stream.writer, record),
+         do: :ok
   end
 
   defp kind_of(%module{}), do: inspect(module)

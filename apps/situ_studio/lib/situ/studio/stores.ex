@@ -21,7 +21,7 @@ defmodule Situ.Studio.Stores do
 
   defp below(root) do
     stores = Situ.Store.list(root, recursive: true)
-    endings = Situ.Store.Reader.all() |> Enum.flat_map(& &1.extensions()) |> Enum.join(",")
+    endings = Situ.Store.Formats.all() |> Enum.flat_map(& &1.extensions()) |> Enum.join(",")
 
     files =
       root |> Path.join("**/*{#{endings}}") |> Path.wildcard() |> Enum.filter(&File.regular?/1)

@@ -53,7 +53,7 @@ defmodule Situ.Store.Csv.Scan do
       {:ok, rows, next} ->
         {:ok, rows, next}
 
-      {:error, {:damaged, _, line, why}} ->
+      {:error, {:damaged, line, why}} ->
         {:error, "line #{line}: #{why}"}
 
       {:error, {:io, what, _, why}} ->

@@ -1,4 +1,4 @@
-defmodule Situ.Store.ForeignTest do
+defmodule Situ.Store.CsvTest do
   use ExUnit.Case, async: true
   alias Situ.{Pipeline, Store}
 

@@ -1,4 +1,4 @@
-defmodule Situ.Store.LiveTest do
+defmodule Situ.Store.LocalTest do
   # Stores read while they are written, here and in another process of the system.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Record

@@ -1,4 +1,4 @@
-defmodule Situ.Store.RecordingTest do
+defmodule Situ.Store.ExporterTest do
   # Stores written by pipelines, and what stops them.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Play
@@ -28,7 +28,7 @@ defmodule Situ.Store.RecordingTest do
         fn p ->
           exporter = Store.create(p, "lossy", root)
           p |> Situ.range(0, 20_000, 1_000) |> Store.write(exporter, "all")
-          exporter.writer.path
+          exporter.path
         end,
         pipeline: [default_policy: Situ.Delivery.latest()]
       )
@@ -76,7 +76,7 @@ defmodule Situ.Store.RecordingTest do
         |> Store.write(store, "Faces", keys: true, metadata: %{"unit" => "px"})
 
         p |> Situ.from_enumerable([{1_000, 1}]) |> Store.write(store, "Numbers", keys: true)
-        store.writer.path
+        store.path
       end)
 
     store = Store.open!(report.result)
@@ -138,5 +138,28 @@ defmodule Situ.Store.RecordingTest do
                stream = Situ.from_enumerable(p, [{1, 1}])
                stream |> Store.write(exporter, "x") |> Store.write(exporter, "x")
              end)
+  end
+
+  test "an optional stream and an optional recording need no condition", %{tmp_dir: root} do
+    {:ok, _} =
+      Pipeline.run(fn p ->
+        store = Store.create(p, "some", root)
+        assert Store.write(nil, store, "Absent") == nil
+        numbers = Situ.range(p, 1, 3, 10)
+        assert Store.write(numbers, nil, "Unrecorded") == numbers
+        Store.write(numbers, store, "N")
+      end)
+
+    assert ["N"] = Enum.map(Store.streams(Store.open!(Path.join(root, "some"))), & &1.name)
+  end
+
+  test "an unknown option is an error that names the nearest one", %{tmp_dir: root} do
+    assert {:error, %Situ.Error{code: :unknown_option, fix: fix}} =
+             Pipeline.run(fn p ->
+               store = Store.create(p, "typo", root)
+               Store.write(Situ.range(p, 1, 3, 10), store, "N", compresion: :zstd)
+             end)
+
+    assert fix =~ ":compression"
   end
 end

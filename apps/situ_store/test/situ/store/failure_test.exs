@@ -1,4 +1,4 @@
-defmodule Situ.Store.TroubleTest do
+defmodule Situ.Store.FailureTest do
   # What disks, clocks, people and other programs do to a recording.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Record
@@ -42,7 +42,7 @@ defmodule Situ.Store.TroubleTest do
           |> Store.write(exporter, "s")
           |> Situ.each(fn _ -> :ok end)
 
-          send(test, {:path, exporter.writer.path})
+          send(test, {:path, exporter.path})
         end)
 
       assert Exception.message(error) =~ "no room left on the disk"

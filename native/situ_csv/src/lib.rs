@@ -6,7 +6,34 @@ use std::path::Path;
 
 use csv::{ByteRecord, Position, ReaderBuilder, Terminator};
 
-use crate::error::{Error, Result};
+/// Why there are no rows.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Error {
+    /// The file cannot be read: the error's number, and its text.
+    Io(i32, String),
+    /// What is wrong in which line.
+    Damaged(u64, &'static str),
+}
+
+impl std::fmt::Display for Error {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Error::Io(_, why) => write!(f, "cannot read the file: {why}"),
+            Error::Damaged(line, why) => write!(f, "line {line}: {why}"),
+        }
+    }
+}
+
+impl std::error::Error for Error {}
+
+impl From<io::Error> for Error {
+    fn from(error: io::Error) -> Self {
+        Error::Io(error.raw_os_error().unwrap_or(0), error.to_string())
+    }
+}
+
+/// Rows, or why there are none.
+pub type Result<T> = std::result::Result<T, Error>;
 
 /// A longer row is no row: most likely a quote that nobody closed.
 const MAX_ROW: u64 = 16 << 20;
@@ -14,13 +41,18 @@ const MAX_ROW: u64 = 16 << 20;
 /// A place in a file: byte and line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
+    /// Bytes before it.
     pub byte: u64,
+    /// Its line, 1 being the first.
     pub line: u64,
 }
 
+/// A row: the line it begins in, and its fields without their quotes.
 #[derive(Debug, PartialEq)]
 pub struct Row {
+    /// The line it begins in.
     pub line: u64,
+    /// Its fields.
     pub fields: Vec<String>,
 }
 
@@ -55,9 +87,8 @@ pub fn rows(
     most: usize,
     bytes: u64,
 ) -> Result<(Vec<Row>, Place)> {
-    let failed = |error: io::Error| Error::io("read", error);
-    let file = File::open(path).map_err(failed)?;
-    let (length, whole) = ending(&file).map_err(failed)?;
+    let file = File::open(path)?;
+    let (length, whole) = ending(&file)?;
     let mut reader = ReaderBuilder::new()
         .delimiter(separator)
         .has_headers(false)
@@ -69,9 +100,7 @@ pub fn rows(
         });
     let mut start = Position::new();
     start.set_byte(from.byte).set_line(from.line);
-    reader
-        .seek(start)
-        .map_err(|error| Error::io("read", io::Error::from(error)))?;
+    reader.seek(start).map_err(io::Error::from)?;
     let mut rows = Vec::new();
     let mut record = ByteRecord::new();
     while rows.len() < most && reader.position().byte() - from.byte < bytes {
@@ -119,7 +148,7 @@ fn inside(record: &ByteRecord) -> u64 {
 fn row(record: &ByteRecord, line: u64) -> Result<Row> {
     let fields = record.iter().map(|field| String::from_utf8(field.to_vec()));
     let fields: std::result::Result<Vec<String>, _> = fields.collect();
-    let mut fields = fields.map_err(|_| Error::damaged("", line, "it is not UTF-8 text"))?;
+    let mut fields = fields.map_err(|_| Error::Damaged(line, "it is not UTF-8 text"))?;
     // A line may end in CR LF.
     if let Some(last) = fields.last_mut() {
         if last.ends_with('\r') {
@@ -131,13 +160,12 @@ fn row(record: &ByteRecord, line: u64) -> Result<Row> {
 
 fn refused(error: csv::Error, line: u64) -> Error {
     match error.into_kind() {
-        csv::ErrorKind::Io(error) if error.kind() == io::ErrorKind::FileTooLarge => Error::damaged(
-            "",
+        csv::ErrorKind::Io(error) if error.kind() == io::ErrorKind::FileTooLarge => Error::Damaged(
             line,
             "a row of more than 16 MiB begins here: is a quote not closed?",
         ),
-        csv::ErrorKind::Io(error) => Error::io("read", error),
-        _ => Error::damaged("", line, "it cannot be read"),
+        csv::ErrorKind::Io(error) => error.into(),
+        _ => Error::Damaged(line, "it cannot be read"),
     }
 }
 
@@ -184,15 +212,12 @@ mod tests {
     fn refuses_what_is_no_text_and_what_does_not_end() {
         let path = file("bad", b"a,b\n1,\xff\n");
         let refused = rows(&path, b',', START, 10, u64::MAX);
-        assert_eq!(refused, Err(Error::damaged("", 2, "it is not UTF-8 text")));
+        assert_eq!(refused, Err(Error::Damaged(2, "it is not UTF-8 text")));
         let mut long = b"a,b\n1,\"".to_vec();
         long.resize(40 << 20, b'x');
         std::fs::write(&path, long).unwrap();
         let refused = rows(&path, b',', START, 10, u64::MAX);
-        assert!(
-            matches!(refused, Err(Error::Damaged(_, 2, _))),
-            "{refused:?}"
-        );
+        assert!(matches!(refused, Err(Error::Damaged(2, _))), "{refused:?}");
         std::fs::remove_file(path).unwrap();
     }
 }

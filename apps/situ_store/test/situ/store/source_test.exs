@@ -1,4 +1,4 @@
-defmodule Situ.Store.SeekTest do
+defmodule Situ.Store.SourceTest do
   # Importers moved while they play.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Play

@@ -1,4 +1,4 @@
-defmodule Situ.Store.ReplayTest do
+defmodule Situ.Store.ImporterTest do
   # Stores played by pipelines: intervals, clocks, speeds, several at once, again and again.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Play
@@ -42,7 +42,7 @@ defmodule Situ.Store.ReplayTest do
         exporter = Store.create(p, "two", root)
         p |> Situ.from_enumerable(fast) |> Store.write(exporter, "fast")
         p |> Situ.from_enumerable(slow) |> Store.write(exporter, "slow")
-        exporter.writer.path
+        exporter.path
       end)
 
     derive = fn replay ->

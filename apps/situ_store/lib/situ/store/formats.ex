@@ -1,0 +1,51 @@
+defmodule Situ.Store.Formats do
+  @moduledoc """
+  The readers of foreign files, found by a file's extension.
+
+  First come those named in the configuration,
+
+      config :situ_store, readers: [MyFormat]
+
+  then those that a loaded application brings (`env: [store_readers: [MyFormat]]` in `application/0` of its `mix.exs`). This
+  application brings CSV; `situ_media` brings WAV and everything FFmpeg reads.
+
+      iex> Situ.Store.Formats.for_file("walk/imu.CSV")
+      Situ.Store.Csv
+      iex> Situ.Store.Formats.for_file("notes.txt")
+      nil
+  """
+
+  @doc "The `Situ.Store.Reader` for a file, or `nil`."
+  @spec for_file(Path.t()) :: module() | nil
+  def for_file(path) do
+    extension = path |> Path.extname() |> String.downcase()
+    Enum.find(all(), &(extension in &1.extensions()))
+  end
+
+  @doc "The reader whose recordings are folders and what `path` means to it, or `nil`."
+  @spec for_folder(Path.t()) :: {module(), Path.t()} | nil
+  def for_folder(path) do
+    Enum.find_value(of_folders(), fn reader ->
+      resolved = reader.resolve(path)
+      resolved && {reader, resolved}
+    end)
+  end
+
+  @doc "The foreign recordings that lie in this very folder."
+  @spec within(Path.t()) :: [Path.t()]
+  def within(folder), do: Enum.flat_map(of_folders(), & &1.within(folder))
+
+  defp of_folders,
+    do: Enum.filter(all(), &(Code.ensure_loaded?(&1) and function_exported?(&1, :resolve, 1)))
+
+  @doc "Every known reader."
+  @spec all() :: [module()]
+  def all do
+    brought =
+      for {app, _, _} <- Application.loaded_applications(),
+          reader <- Application.get_env(app, :store_readers, []),
+          do: reader
+
+    Application.get_env(:situ_store, :readers, []) ++ brought
+  end
+end

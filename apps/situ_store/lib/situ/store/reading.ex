@@ -1,0 +1,319 @@
+defmodule Situ.Store.Reading do
+  @moduledoc false
+  # Reading an open recording, whoever's format it is. Public as `Situ.Store`, where the documentation is.
+  alias Situ.{Error, Message, Options}
+  alias Situ.Store.{Evolution, Failure, Folder, Formats, Handle, Local, StreamInfo, Terms}
+
+  @open_options [
+    verify: [
+      type: {:in, [:all, :small]},
+      default: :all,
+      doc:
+        "`:small` leaves out the checksums of large payloads (images): reading them costs no pass over the bytes."
+    ],
+    reader: [type: :module, doc: "The `Situ.Store.Reader` to use, whatever the file's ending."],
+    reader_opts: [type: :keyword, default: [], doc: "That reader's own options."]
+  ]
+
+  @envelopes [
+    type: :boolean,
+    default: false,
+    doc: "Leave the data `nil` where decoding it costs time."
+  ]
+
+  @message_options [
+    from: [type: {:optional, :integer}, doc: "The first originating time."],
+    to: [
+      type: {:or, [{:optional, :integer}, {:in, [:unbounded]}]},
+      doc: "The last one; both ends are included."
+    ],
+    index: [
+      type: {:optional, :integer},
+      doc: "Start at this ordinal; negative ones count from the end."
+    ],
+    type: [
+      type: :any,
+      doc:
+        "The type wanted: a `Situ.Type` that fits the recorded one, or a struct whose fields may have changed since (`Situ.Store.Evolution`)."
+    ],
+    skip_damage: [
+      type: :boolean,
+      default: false,
+      doc: "Go on behind damaged chunks; else the `Situ.Error` is raised."
+    ],
+    envelopes: @envelopes
+  ]
+
+  @read_options @message_options ++
+                  [limit: [type: :pos_integer, default: 1_000, doc: "At most so many messages."]]
+  @at_options [envelopes: @envelopes]
+
+  @type name :: String.t() | StreamInfo.t()
+
+  @spec open_options() :: Options.schema()
+  def open_options, do: @open_options
+  @spec message_options() :: Options.schema()
+  def message_options, do: @message_options
+  @spec read_options() :: Options.schema()
+  def read_options, do: @read_options
+  @spec at_options() :: Options.schema()
+  def at_options, do: @at_options
+
+  @spec open(Path.t(), keyword()) :: {:ok, Handle.t()} | {:error, Error.t()}
+  def open(path, opts \\ []) do
+    with {:ok, opts} <- Options.validate(opts, @open_options),
+         {:ok, path, module} <- find(path, opts[:reader]),
+         {:ok, state} <- module.open(path, reader_opts(module, opts)) do
+      {:ok, %Handle{path: path, module: module, state: state}}
+    end
+  end
+
+  defp reader_opts(Local, opts), do: [{:verify, opts[:verify]} | opts[:reader_opts]]
+  defp reader_opts(_module, opts), do: opts[:reader_opts]
+
+  defp find(path, reader) do
+    path = Path.expand(path)
+    folder = Folder.resolve(path)
+
+    cond do
+      folder && Folder.store?(folder) -> {:ok, folder, reader || Local}
+      reader != nil -> {:ok, path, reader}
+      File.regular?(path) -> find_reader(path)
+      true -> find_folder(path, folder)
+    end
+  end
+
+  # A folder with a version's name whose store lost its files is still ours.
+  defp find_folder(path, folder) do
+    case {Formats.for_folder(path), folder} do
+      {{module, path}, _} -> {:ok, path, module}
+      {nil, nil} -> {:error, Failure.error(:no_store, path)}
+      {nil, folder} -> {:ok, folder, Local}
+    end
+  end
+
+  defp find_reader(path) do
+    with nil <- Formats.for_file(path) do
+      known = Formats.all() |> Enum.flat_map(& &1.extensions()) |> Enum.join(", ")
+
+      {:error,
+       Error.new(:unknown_format, "no reader for #{path}",
+         why: "readers are known for #{known} and for store folders",
+         fix: "name one with `reader: Module`"
+       )}
+    else
+      module -> {:ok, path, module}
+    end
+  end
+
+  @spec open!(Path.t(), keyword()) :: Handle.t()
+  def open!(path, opts \\ []), do: ok!(open(path, opts))
+
+  @spec info(Handle.t()) :: map()
+  def info(%Handle{} = store), do: store.module.info(store.state)
+
+  @spec closed?(Handle.t()) :: boolean()
+  def closed?(store), do: info(store).closed?
+
+  @spec live?(Handle.t()) :: boolean()
+  def live?(store), do: info(store).live?
+
+  @spec streams(Handle.t()) :: [StreamInfo.t()]
+  def streams(%Handle{} = store), do: store.module.streams(store.state)
+
+  @spec stream_info(Handle.t(), name()) :: {:ok, StreamInfo.t()} | {:error, Error.t()}
+  def stream_info(_store, %StreamInfo{} = info), do: {:ok, info}
+
+  def stream_info(store, name) when is_binary(name) do
+    all = streams(store)
+
+    case Enum.find(all, &(&1.name == name)) do
+      nil -> {:error, Failure.no_stream(name, Enum.map(all, & &1.name), store.path)}
+      info -> {:ok, info}
+    end
+  end
+
+  @spec has_stream?(Handle.t(), String.t()) :: boolean()
+  def has_stream?(store, name), do: match?({:ok, _}, stream_info(store, name))
+
+  @spec metadata(Handle.t(), name()) :: {:ok, term()} | {:error, Error.t()}
+  def metadata(store, name) do
+    with {:ok, info} <- stream_info(store, name), do: supplemental(info)
+  end
+
+  defp supplemental(%{supplemental: nil, name: name}),
+    do: {:error, Error.new(:no_metadata, "stream #{inspect(name)} has no metadata")}
+
+  defp supplemental(%{supplemental: {_type, bytes}, name: name}) do
+    with {:error, reason} <- Terms.decode(bytes) do
+      {:error,
+       Error.new(:damaged, "the metadata of #{inspect(name)} cannot be decoded", why: reason)}
+    end
+  end
+
+  @spec metadata(Handle.t(), name(), Situ.Type.t()) :: {:ok, term()} | {:error, Error.t()}
+  def metadata(store, name, type) do
+    with {:ok, term} <- metadata(store, name) do
+      if Situ.Type.valid?(type, term),
+        do: {:ok, term},
+        else:
+          {:error,
+           Error.new(:type_mismatch, "the metadata of #{inspect(name)} is not #{inspect(type)}")}
+    end
+  end
+
+  @spec messages(Handle.t(), name(), keyword()) :: Enumerable.t()
+  def messages(store, name, opts \\ []) do
+    opts = Options.validate!(opts, @message_options)
+    info = ok!(stream_info(store, name))
+    type = if opts[:envelopes], do: nil, else: opts[:type]
+    upgrade = Evolution.upgrade!(info, type)
+    to = opts[:to] || :unbounded
+
+    Stream.resource(
+      fn -> first_ordinal(store, info, opts) end,
+      fn ordinal ->
+        case batch(store, info, ordinal, to, 1_000, opts) do
+          {:ok, [], _} -> {:halt, ordinal}
+          {:ok, messages, next} -> {upgrade.(messages), next}
+          {:error, error} -> raise error
+        end
+      end,
+      fn _ -> :ok end
+    )
+  end
+
+  defp first_ordinal(store, info, opts) do
+    cond do
+      index = opts[:index] -> if index < 0, do: max(count(store, info) + index, 0), else: index
+      from = opts[:from] -> ok!(seek(store, info, from))
+      true -> 0
+    end
+  end
+
+  defp ok!({:ok, value}), do: value
+  defp ok!({:error, error}), do: raise(error)
+
+  @spec read(Handle.t(), name(), keyword()) :: {:ok, [Message.t()]} | {:error, Error.t()}
+  def read(store, name, opts \\ []) do
+    with {:ok, opts} <- Options.validate(opts, @read_options) do
+      {limit, opts} = Keyword.pop(opts, :limit)
+      {:ok, store |> messages(name, opts) |> Enum.take(limit)}
+    end
+  rescue
+    error in Error -> {:error, error}
+  end
+
+  @spec at(Handle.t(), name(), integer(), keyword()) ::
+          {:ok, Message.t() | nil} | {:error, Error.t()}
+  def at(store, name, index, opts \\ []) do
+    with {:ok, opts} <- Options.validate(opts, @at_options),
+         {:ok, info} <- stream_info(store, name) do
+      one(store, info, if(index < 0, do: count(store, info) + index, else: index), opts)
+    end
+  end
+
+  defp one(store, info, ordinal, opts \\ [])
+  defp one(_store, _info, ordinal, _opts) when ordinal < 0, do: {:ok, nil}
+
+  defp one(store, info, ordinal, opts) do
+    with {:ok, messages, _} <-
+           batch(store, info, ordinal, :unbounded, 1, [exact: true] ++ opts),
+         do: {:ok, List.first(messages)}
+  end
+
+  @spec count(Handle.t(), name()) :: non_neg_integer()
+  def count(store, %StreamInfo{} = info) do
+    if function_exported?(store.module, :count, 2),
+      do: store.module.count(store.state, info),
+      else: ok!(stream_info(store, info.name)).count
+  end
+
+  def count(store, name), do: ok!(stream_info(store, name)).count
+
+  @spec count(Handle.t(), name(), Situ.Time.t(), Situ.Time.t()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def count(store, name, from, to) do
+    with {:ok, first} <- ordinal(store, name, from),
+         {:ok, next} <- ordinal(store, name, to + 1),
+         do: {:ok, max(next - first, 0)}
+  end
+
+  @spec ordinal(Handle.t(), name(), Situ.Time.t()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def ordinal(store, name, time) do
+    with {:ok, info} <- stream_info(store, name), do: seek(store, info, time)
+  end
+
+  @spec latest_at(Handle.t(), name(), Situ.Time.t()) ::
+          {:ok, Message.t() | nil} | {:error, Error.t()}
+  def latest_at(store, name, time) do
+    with {:ok, info} <- stream_info(store, name),
+         {:ok, ordinal} <- seek(store, info, time + 1),
+         do: one(store, info, ordinal - 1)
+  end
+
+  @spec first_at(Handle.t(), name(), Situ.Time.t()) ::
+          {:ok, Message.t() | nil} | {:error, Error.t()}
+  def first_at(store, name, time) do
+    with {:ok, info} <- stream_info(store, name),
+         {:ok, ordinal} <- seek(store, info, time),
+         do: one(store, info, ordinal)
+  end
+
+  @doc "The ordinal of the first message at or after `time`; the count when there is none."
+  @spec seek(Handle.t(), StreamInfo.t(), Situ.Time.t()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def seek(store, info, time), do: store.module.seek(store.state, info, time)
+
+  @doc "About `limit` messages from an ordinal on, and the ordinal to go on with; see `Situ.Store.Reader`."
+  @spec batch(
+          Handle.t(),
+          StreamInfo.t(),
+          non_neg_integer(),
+          Situ.Time.t() | :unbounded,
+          pos_integer(),
+          keyword()
+        ) :: {:ok, [Message.t()], non_neg_integer()} | {:error, Error.t()}
+  def batch(store, info, ordinal, to, limit, opts),
+    do: store.module.read(store.state, info, ordinal, to, limit, opts)
+
+  @spec gaps(Handle.t(), name(), Situ.Time.duration()) :: [{Situ.Time.t(), Situ.Time.t()}]
+  def gaps(store, name, least) do
+    if function_exported?(store.module, :gaps, 3),
+      do: store.module.gaps(store.state, ok!(stream_info(store, name)), least),
+      else: []
+  end
+
+  @spec missing_files(Handle.t()) :: [String.t()]
+  def missing_files(store) do
+    if function_exported?(store.module, :missing_files, 1),
+      do: store.module.missing_files(store.state),
+      else: []
+  end
+
+  @spec notify(Handle.t(), non_neg_integer(), non_neg_integer()) :: :ok
+  def notify(store, known \\ 0, tag \\ 0) do
+    if function_exported?(store.module, :await, 4) do
+      store.module.await(store.state, known, self(), tag)
+    else
+      send(self(), {:situ_store, tag, {:ended, known}})
+      :ok
+    end
+  end
+
+  @spec interval(Handle.t() | [StreamInfo.t()]) :: {Situ.Time.t(), Situ.Time.t()} | nil
+  def interval(%Handle{} = store), do: store |> streams() |> interval()
+  def interval(streams), do: span(streams, & &1.first, & &1.last)
+
+  @spec creation_interval(Handle.t()) :: {Situ.Time.t(), Situ.Time.t()} | nil
+  def creation_interval(store),
+    do: store |> streams() |> span(& &1.first_creation, & &1.last_creation)
+
+  defp span(streams, first, last) do
+    case Enum.filter(streams, & &1.first) do
+      [] -> nil
+      some -> {some |> Enum.map(first) |> Enum.min(), some |> Enum.map(last) |> Enum.max()}
+    end
+  end
+end

@@ -1,0 +1,140 @@
+defmodule Situ.Store.Summary.Fold do
+  @moduledoc false
+  # Summaries by reading every message: for readers that keep no pyramid, and as the reference of those that do.
+  import Bitwise
+  alias Situ.Store.{Handle, Reading, StreamInfo, Summary}
+  alias Situ.Store.Summary.Bins
+
+  @most_keys 64
+  @most_states 256
+  @longest 64
+  @other :"$other"
+
+  @spec numbers(Handle.t(), StreamInfo.t(), integer(), integer(), non_neg_integer()) ::
+          {:ok, pos_integer(), [Summary.bin()]} | {:error, Situ.Error.t()}
+  def numbers(store, info, from, to, level) do
+    bins =
+      store
+      |> Reading.messages(info, from: from, to: to)
+      |> Stream.flat_map(&Bins.points/1)
+      |> Stream.filter(fn {time, _, _, _, _} -> time >= from and time <= to end)
+      |> Bins.fold(level)
+
+    {:ok, bsl(1, level), bins}
+  rescue
+    error in Situ.Error -> {:error, error}
+  end
+
+  @spec tracks(
+          Handle.t(),
+          StreamInfo.t(),
+          integer(),
+          integer(),
+          non_neg_integer(),
+          non_neg_integer()
+        ) ::
+          {:ok, [{integer(), pos_integer()}], [{term(), Summary.track()}]}
+          | {:error, Situ.Error.t()}
+  def tracks(store, info, from, to, level, most) do
+    span = {Bins.floor(from, level), Bins.floor(to, level) + bsl(1, level) - 1}
+
+    with {:ok, before} <- Reading.latest_at(store, info, from - 1) do
+      messages = Reading.messages(store, info, from: elem(span, 0), to: elem(span, 1))
+
+      seed =
+        for %{data: data, originating_time: time} <- [before],
+            part <- parts(data),
+            do: {time, part}
+
+      {counts, tracks} = fold(messages, level, seed)
+      {:ok, counts, Enum.map(tracks, &track(&1, {from, to}, most))}
+    end
+  rescue
+    error in Situ.Error -> {:error, error}
+  end
+
+  # Per track, latest first: `{time, value}` of each of its messages.
+  defp fold(messages, level, seed) do
+    {counts, order, values} =
+      Enum.reduce(messages, {[], [], %{}}, fn %{originating_time: time, data: data},
+                                              {counts, order, values} ->
+        {order, values} = Enum.reduce(parts(data), {order, values}, &note(&1, time, &2))
+        {count(counts, Bins.floor(time, level)), order, values}
+      end)
+
+    seeds = Map.new(seed, fn {time, {name, value}} -> {name, {time, value}} end)
+
+    tracks =
+      for name <- Enum.reverse(order), do: {name, level, Enum.reverse(values[name]), seeds[name]}
+
+    {Enum.reverse(counts), tracks}
+  end
+
+  defp note({name, value}, time, {order, values}) do
+    case values do
+      %{^name => list} -> {order, %{values | name => [{time, value} | list]}}
+      _ -> {[name | order], Map.put(values, name, [{time, value}])}
+    end
+  end
+
+  defp count([{start, n} | rest], start), do: [{start, n + 1} | rest]
+  defp count(counts, start), do: [{start, 1} | counts]
+
+  defp track({{key, :number}, level, values, _seed}, _span, _most) do
+    points = for {time, x} <- values, do: {time, x, x, x, 1}
+    {key, {:numbers, Bins.fold(points, level)}}
+  end
+
+  defp track({{key, :state}, level, values, seed}, {from, to}, most) do
+    within = Enum.filter(values, fn {time, _} -> time <= to end)
+    {earlier, within} = Enum.split_while(within, fn {time, _} -> time <= from end)
+    first = List.last(earlier) || seed
+    changes = Enum.dedup_by(List.wrap(first) ++ within, &elem(&1, 1))
+
+    if length(changes) - if(first, do: 1, else: 0) <= most,
+      do: {key, {:changes, changes}},
+      else: {key, {:states, states(values, level)}}
+  end
+
+  defp states(values, level) do
+    known =
+      values |> Enum.map(&elem(&1, 1)) |> Enum.uniq() |> Enum.take(@most_states) |> MapSet.new()
+
+    values = for {time, v} <- values, do: {time, if(v in known, do: v, else: @other)}
+
+    for [{time, _} | _] = bin <- Enum.chunk_by(values, fn {time, _} -> bsr(time, level) end) do
+      tally = bin |> Enum.map(&elem(&1, 1)) |> Enum.frequencies()
+      order = bin |> Enum.map(&elem(&1, 1)) |> Enum.uniq()
+      {_, last} = List.last(bin)
+
+      {Bins.floor(time, level), last,
+       Enum.sort_by(for(v <- order, do: {v, tally[v]}), &(-elem(&1, 1)))}
+    end
+  end
+
+  # What of a message belongs to which track.
+  defp parts(%module{} = data) do
+    if Situ.Codec.implemented_by?(module), do: [], else: data |> Map.from_struct() |> fields()
+  end
+
+  defp parts(data) when is_map(data), do: fields(data)
+
+  defp parts(data) do
+    with {kind, value} <- value(data), do: [{{nil, kind}, value}], else: (nil -> [])
+  end
+
+  defp fields(map) when map_size(map) > @most_keys, do: []
+
+  defp fields(map) do
+    for {key, data} <- map,
+        is_atom(key) or is_integer(key) or (is_binary(key) and byte_size(key) <= @longest),
+        {kind, value} <- List.wrap(value(data)),
+        do: {{key, kind}, value}
+  end
+
+  defp value(x) when is_float(x), do: {:number, x}
+  defp value(n) when is_integer(n) and abs(n) < 0x8000000000000000, do: {:number, n / 1}
+  defp value(state) when is_atom(state), do: {:state, state}
+  defp value(text) when is_binary(text) and byte_size(text) <= @longest, do: {:state, text}
+  defp value(_), do: nil
+end

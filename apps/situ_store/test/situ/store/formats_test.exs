@@ -1,0 +1,4 @@
+defmodule Situ.Store.FormatsTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Store.Formats
+end
