@@ -103,7 +103,7 @@ defmodule Situ.Dataset do
       Document.dataset?(path) ->
         load(path, opts)
 
-      File.regular?(path) and Situ.Store.Reader.for_file(path) != nil ->
+      File.regular?(path) and Situ.Store.Formats.for_file(path) != nil ->
         found(Discovery.recording(path))
 
       true ->

@@ -89,7 +89,7 @@ defmodule Situ.Dataset.Discovery do
     cond do
       path in stores -> :recording
       match?({:ok, %{type: :directory}}, File.lstat(path)) -> :folder
-      File.regular?(path) and Store.Reader.for_file(path) != nil and whole?(path) -> :recording
+      File.regular?(path) and Store.Formats.for_file(path) != nil and whole?(path) -> :recording
       true -> nil
     end
   end

@@ -37,7 +37,7 @@ defmodule Situ.Dataset.Summary do
 
   @doc "Of an open recording."
   @spec of(Store.t()) :: t()
-  def of(%Store{} = store) do
+  def of(%Store.Handle{} = store) do
     streams = Store.streams(store)
 
     %__MODULE__{
