@@ -4,6 +4,7 @@ defmodule Situ.Store do
     Editing,
     Exporter,
     Folder,
+    Formats,
     Importer,
     Mending,
     Reading,

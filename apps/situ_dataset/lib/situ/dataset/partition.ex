@@ -145,7 +145,7 @@ defmodule Situ.Dataset.Partition do
   defp reader(nil), do: {:ok, []}
 
   defp reader(name) do
-    case Enum.find(Store.Reader.all(), &(inspect(&1) == name)) do
+    case Enum.find(Store.Formats.all(), &(inspect(&1) == name)) do
       nil when is_binary(name) -> if(foreign_reader?(name), do: {:ok, []}, else: unknown(name))
       module -> {:ok, [reader: module]}
     end
@@ -155,7 +155,7 @@ defmodule Situ.Dataset.Partition do
   defp foreign_reader?(name), do: name =~ ~r/StreamReader\b/ or name =~ ~r/, /
 
   defp unknown(name) do
-    known = Enum.map_join(Store.Reader.all(), ", ", &inspect/1)
+    known = Enum.map_join(Store.Formats.all(), ", ", &inspect/1)
 
     {:error,
      Error.new(:unknown_reader, "there is no reader #{inspect(name)}",

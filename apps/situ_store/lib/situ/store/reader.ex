@@ -66,5 +66,12 @@ defmodule Situ.Store.Reader do
   @doc "Files that belong to the recording and are not there."
   @callback missing_files(state()) :: [String.t()]
 
-  @optional_callbacks resolve: 1, within: 1, summary: 5, tracks: 6, await: 4, count: 2, gaps: 3, missing_files: 1
+  @optional_callbacks resolve: 1,
+                      within: 1,
+                      summary: 5,
+                      tracks: 6,
+                      await: 4,
+                      count: 2,
+                      gaps: 3,
+                      missing_files: 1
 end
