@@ -1,0 +1,154 @@
+defmodule Situ.Box3 do
+  @moduledoc """
+  A box in space: bounds `min..max` (metres) in the frame of its pose.
+
+      iex> box = Situ.Box3.new!({-1.0, -1.0, 0.0}, {1.0, 1.0, 2.0})
+      iex> {Situ.Box3.center(box), Situ.Box3.volume(box), Situ.Box3.contains?(box, {0.5, 0.5, 2.0})}
+      {{0.0, 0.0, 1.0}, 8.0, true}
+  """
+  alias Situ.{Error, Pose, Ray3, Vector3}
+
+  @enforce_keys [:min, :max]
+  defstruct [:min, :max, pose: nil]
+
+  @type t :: %__MODULE__{min: Vector3.t(), max: Vector3.t(), pose: Pose.t() | nil}
+  @type facet :: :x_min | :x_max | :y_min | :y_max | :z_min | :z_max
+
+  @doc "The box with these bounds; every coordinate of `min` must be at most that of `max`. Without a pose it is upright."
+  @spec new(Vector3.t(), Vector3.t(), Pose.t() | nil) :: {:ok, t()} | {:error, Error.t()}
+  def new({ax, ay, az} = min, {bx, by, bz} = max, pose \\ nil) do
+    if ax <= bx and ay <= by and az <= bz,
+      do: {:ok, %__MODULE__{min: min, max: max, pose: pose}},
+      else: {:error, Error.new(:bad_box, "a box from #{inspect(min)} to #{inspect(max)} is turned inside out")}
+  end
+
+  @doc "As `new/3`, but returns the box or raises the error."
+  @spec new!(Vector3.t(), Vector3.t(), Pose.t() | nil) :: t()
+  def new!(min, max, pose \\ nil), do: min |> new(max, pose) |> Error.unwrap!()
+
+  @doc "The smallest upright box that holds all points; `nil` for none."
+  @spec around([Vector3.t()]) :: t() | nil
+  def around([]), do: nil
+
+  def around(points) do
+    {xs, ys, zs} = unzip(points)
+
+    %__MODULE__{
+      min: {Enum.min(xs), Enum.min(ys), Enum.min(zs)},
+      max: {Enum.max(xs), Enum.max(ys), Enum.max(zs)}
+    }
+  end
+
+  defp unzip(points), do: {Enum.map(points, &elem(&1, 0)), Enum.map(points, &elem(&1, 1)), Enum.map(points, &elem(&1, 2))}
+
+  @doc "Extents along the box's own axes (metres)."
+  @spec size(t()) :: Vector3.t()
+  def size(%__MODULE__{} = box), do: Vector3.subtract(box.max, box.min)
+
+  @doc "Volume (cubic metres)."
+  @spec volume(t()) :: float()
+  def volume(%__MODULE__{} = box) do
+    {x, y, z} = size(box)
+    x * y * z
+  end
+
+  @doc "Whether at least one extent is 0."
+  @spec degenerate?(t()) :: boolean()
+  def degenerate?(box), do: volume(box) == 0
+
+  @doc "The middle, in the outer frame."
+  @spec center(t()) :: Vector3.t()
+  def center(%__MODULE__{} = box), do: outer(box, Vector3.lerp(box.min, box.max, 0.5))
+
+  @doc "The eight corners in the outer frame: z slowest, x fastest."
+  @spec corners(t()) :: [Vector3.t()]
+  def corners(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box) do
+    for z <- [az, bz], y <- [ay, by], x <- [ax, bx], do: outer(box, {x, y, z})
+  end
+
+  @doc "The twelve edges, as pairs of places in `corners/1`."
+  @spec edges() :: [{0..7, 0..7}]
+  def edges do
+    [{0, 1}, {2, 3}, {4, 5}, {6, 7}, {0, 2}, {1, 3}, {4, 6}, {5, 7}, {0, 4}, {1, 5}, {2, 6}, {3, 7}]
+  end
+
+  @doc "Whether a point lies in the box or at most `epsilon` (metres) outside of it."
+  @spec contains?(t(), Vector3.t(), number()) :: boolean()
+  def contains?(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box, point, epsilon \\ 0) do
+    {x, y, z} = inner(box, point)
+
+    x >= ax - epsilon and x <= bx + epsilon and y >= ay - epsilon and y <= by + epsilon and
+      z >= az - epsilon and z <= bz + epsilon
+  end
+
+  @doc "The nearest point of the box (a point inside is its own)."
+  @spec closest_point(t(), Vector3.t()) :: Vector3.t()
+  def closest_point(%__MODULE__{min: {ax, ay, az}, max: {bx, by, bz}} = box, point) do
+    {x, y, z} = inner(box, point)
+    outer(box, {clamp(x, ax, bx), clamp(y, ay, by), clamp(z, az, bz)})
+  end
+
+  @doc """
+  Where a ray enters the box (from inside: where it leaves), and through which facet; `nil` where it misses.
+
+      iex> box = Situ.Box3.new!({1.0, -1.0, -1.0}, {3.0, 1.0, 1.0})
+      iex> {:ok, ray} = Situ.Ray3.new({0.0, 0.0, 0.0}, {1.0, 0.0, 0.0})
+      iex> Situ.Box3.intersection(box, ray)
+      {{1.0, 0.0, 0.0}, :x_min}
+  """
+  @spec intersection(t(), Ray3.t()) :: {Vector3.t(), facet()} | nil
+  def intersection(%__MODULE__{} = box, %Ray3{} = ray) do
+    local = if box.pose, do: Ray3.transform(ray, Pose.invert(box.pose)), else: ray
+
+    slabs =
+      for {axis, name} <- [{0, :x}, {1, :y}, {2, :z}],
+          do: slab(elem(local.origin, axis), elem(local.direction, axis), elem(box.min, axis), elem(box.max, axis), name)
+
+    if :miss not in slabs do
+      {enter, entry} = slabs |> Enum.map(&elem(&1, 0)) |> Enum.max_by(&elem(&1, 0))
+      {leave, exit} = slabs |> Enum.map(&elem(&1, 1)) |> Enum.min_by(&elem(&1, 0))
+
+      cond do
+        enter > leave or leave < 0 -> nil
+        enter >= 0 -> {outer(box, Ray3.point_at(local, enter)), entry}
+        true -> {outer(box, Ray3.point_at(local, leave)), exit}
+      end
+    end
+  end
+
+  # Distances along the ray between which it is within one pair of facets. Beside them it always is, or never.
+  @far 1.0e300
+  defp slab(origin, direction, low, high, name) when abs(direction) < 1.0e-15 do
+    if origin >= low and origin <= high, do: {{-@far, facet(name, :min)}, {@far, facet(name, :max)}}, else: :miss
+  end
+
+  defp slab(origin, direction, low, high, name) do
+    {first, last} = {{(low - origin) / direction, facet(name, :min)}, {(high - origin) / direction, facet(name, :max)}}
+    if direction > 0, do: {first, last}, else: {last, first}
+  end
+
+  defp facet(:x, :min), do: :x_min
+  defp facet(:x, :max), do: :x_max
+  defp facet(:y, :min), do: :y_min
+  defp facet(:y, :max), do: :y_max
+  defp facet(:z, :min), do: :z_min
+  defp facet(:z, :max), do: :z_max
+
+  @doc "The box, given in a pose's own frame, in the frame of the pose."
+  @spec transform(t(), Pose.t()) :: t()
+  def transform(%__MODULE__{} = box, %Pose{} = pose),
+    do: %{box | pose: if(box.pose, do: Pose.compose(pose, box.pose), else: pose)}
+
+  @doc "The box grown around its middle by a factor."
+  @spec scale(t(), number()) :: t()
+  def scale(%__MODULE__{} = box, factor) when is_number(factor) and factor >= 0 do
+    middle = Vector3.lerp(box.min, box.max, 0.5)
+    %{box | min: Vector3.lerp(middle, box.min, factor), max: Vector3.lerp(middle, box.max, factor)}
+  end
+
+  defp inner(%{pose: nil}, point), do: point
+  defp inner(%{pose: pose}, point), do: Pose.transform(Pose.invert(pose), point)
+  defp outer(%{pose: nil}, point), do: point
+  defp outer(%{pose: pose}, point), do: Pose.transform(pose, point)
+  defp clamp(value, low, high), do: value |> max(low) |> min(high)
+end

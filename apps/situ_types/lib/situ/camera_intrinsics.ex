@@ -1,0 +1,132 @@
+defmodule Situ.CameraIntrinsics do
+  @moduledoc """
+  The optics of a camera: picture size, focal lengths and principal point in pixels, and distortion of the lens.
+
+  `radial` holds k1 to k6, `tangential` p0 and p1, of the rational model (Brown-Conrady, as OpenCV and \\psi have it).
+  `Situ.Space.Camera` projects with them.
+
+      iex> camera = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {500, 500})
+      iex> camera.principal
+      {320.0, 240.0}
+      iex> {:error, error} = Situ.CameraIntrinsics.new(width: 640, height: 480, focal: {0, 500})
+      iex> error.code
+      :bad_camera
+  """
+  @behaviour Situ.Codec
+
+  alias Situ.Error
+
+  @enforce_keys [:width, :height, :focal, :principal]
+  defstruct [
+    :width,
+    :height,
+    :focal,
+    :principal,
+    radial: {0.0, 0.0, 0.0, 0.0, 0.0, 0.0},
+    tangential: {0.0, 0.0},
+    distorts?: true
+  ]
+
+  @type t :: %__MODULE__{
+          width: pos_integer(),
+          height: pos_integer(),
+          focal: {float(), float()},
+          principal: {float(), float()},
+          radial: {float(), float(), float(), float(), float(), float()},
+          tangential: {float(), float()},
+          distorts?: boolean()
+        }
+
+  @pair {:tuple, [:number, :number]}
+  @schema [
+    width: [type: :pos_integer, required: true, doc: "Pixels in a row."],
+    height: [type: :pos_integer, required: true, doc: "Rows."],
+    focal: [type: @pair, required: true, doc: "Focal lengths in pixels, along x and y."],
+    principal: [type: {:optional, @pair}, default: nil, doc: "Principal point in pixels; the middle by default."],
+    radial: [
+      type: {:list, :number},
+      default: [],
+      doc: "Up to six coefficients k1 to k6; those left out are 0."
+    ],
+    tangential: [type: @pair, default: {0.0, 0.0}, doc: "Coefficients p0 and p1."],
+    distorts?: [
+      type: :boolean,
+      default: true,
+      doc: "Whether the closed form distorts (undistorted to distorted), as with OpenCV; some devices give the inverse."
+    ]
+  ]
+
+  @doc """
+  Checked intrinsics.
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @spec new(keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def new(opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         opts = Map.new(opts),
+         :ok <- check(opts) do
+      {px, py} = opts.principal || {opts.width / 2, opts.height / 2}
+      {fx, fy} = opts.focal
+      {p0, p1} = opts.tangential
+      radial = (opts.radial ++ List.duplicate(0.0, 6)) |> Enum.take(6) |> Enum.map(&(&1 * 1.0)) |> List.to_tuple()
+
+      {:ok,
+       struct!(__MODULE__, %{
+         opts
+         | focal: {fx * 1.0, fy * 1.0},
+           principal: {px * 1.0, py * 1.0},
+           radial: radial,
+           tangential: {p0 * 1.0, p1 * 1.0}
+       })}
+    end
+  end
+
+  @doc "As `new/1`, but returns the intrinsics or raises the error."
+  @spec new!(keyword()) :: t()
+  def new!(opts), do: Error.unwrap!(new(opts))
+
+  defp check(%{focal: {fx, fy}}) when fx <= 0 or fy <= 0 do
+    {:error,
+     Error.new(:bad_camera, "a camera cannot have the focal lengths #{fx} and #{fy}",
+       why: "both are positive numbers of pixels"
+     )}
+  end
+
+  defp check(%{radial: radial}) when length(radial) > 6,
+    do: {:error, Error.new(:bad_camera, "#{length(radial)} radial coefficients; the model has six")}
+
+  defp check(_opts), do: :ok
+
+  @impl Situ.Codec
+  def codec_name, do: "situ.camera_intrinsics"
+
+  @impl Situ.Codec
+  def encode(%__MODULE__{} = c) do
+    numbers = Enum.flat_map([c.focal, c.principal, c.radial, c.tangential], &Tuple.to_list/1)
+    head = <<1, if(c.distorts?, do: 1, else: 0), 0::16, c.width::little-32, c.height::little-32, 0::32>>
+    for number <- numbers, into: head, do: <<number::little-float-64>>
+  end
+
+  @impl Situ.Codec
+  def decode(<<1, distorts, 0::16, width::little-32, height::little-32, 0::32, numbers::binary-size(96)>>)
+      when distorts in [0, 1] do
+    case for <<number::little-float-64 <- numbers>>, do: number do
+      [fx, fy, px, py, k1, k2, k3, k4, k5, k6, p0, p1] ->
+        new(
+          width: width,
+          height: height,
+          focal: {fx, fy},
+          principal: {px, py},
+          radial: [k1, k2, k3, k4, k5, k6],
+          tangential: {p0, p1},
+          distorts?: distorts == 1
+        )
+
+      _not_finite ->
+        {:error, Error.new(:bad_camera, "stored intrinsics that are not finite numbers")}
+    end
+  end
+
+  def decode(_bytes), do: {:error, Error.new(:bad_camera, "not stored camera intrinsics")}
+end

@@ -1,0 +1,106 @@
+defmodule Situ.Mesh do
+  @moduledoc """
+  Triangles in space: vertices as a binary of 32-bit little-endian floats (x, y, z in metres), and three 32-bit
+  little-endian indices of vertices for each triangle.
+
+      iex> {:ok, mesh} = Situ.Mesh.from_lists([{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}], [{0, 1, 2}])
+      iex> {Situ.Mesh.vertex_count(mesh), Situ.Mesh.triangle_count(mesh)}
+      {3, 1}
+      iex> {:error, error} = Situ.Mesh.from_lists([{0.0, 0.0, 0.0}], [{0, 1, 2}])
+      iex> error.what
+      "a triangle names vertex 2, and there are 1"
+  """
+  @behaviour Situ.Codec
+
+  alias Situ.{Error, Pose, Vector3}
+
+  @enforce_keys [:vertices, :indices]
+  defstruct [:vertices, :indices, pose: nil]
+
+  @type t :: %__MODULE__{vertices: binary(), indices: binary(), pose: Pose.t() | nil}
+
+  @doc "A checked mesh; nothing is copied. An index beyond the vertices is an error."
+  @spec new(binary(), binary(), Pose.t() | nil) :: {:ok, t()} | {:error, Error.t()}
+  def new(vertices, indices, pose \\ nil) when is_binary(vertices) and is_binary(indices) do
+    count = div(byte_size(vertices), 12)
+    highest = highest(indices, -1)
+
+    cond do
+      rem(byte_size(vertices), 12) != 0 -> {:error, Error.new(:bad_mesh, "a vertex has 12 bytes")}
+      rem(byte_size(indices), 12) != 0 -> {:error, Error.new(:bad_mesh, "a triangle has 12 bytes of indices")}
+      highest >= count -> {:error, Error.new(:bad_mesh, "a triangle names vertex #{highest}, and there are #{count}")}
+      true -> {:ok, %__MODULE__{vertices: vertices, indices: indices, pose: pose}}
+    end
+  end
+
+  defp highest(<<i::little-32, rest::binary>>, most), do: highest(rest, max(i, most))
+  defp highest(_rest, most), do: most
+
+  @doc "The mesh of lists of vertices and of triangles."
+  @spec from_lists([Vector3.t()], [{non_neg_integer(), non_neg_integer(), non_neg_integer()}]) ::
+          {:ok, t()} | {:error, Error.t()}
+  def from_lists(vertices, triangles) do
+    indices = for {a, b, c} <- triangles, into: <<>>, do: <<a::little-32, b::little-32, c::little-32>>
+    new(Situ.PointCloud.from_points(vertices).points, indices)
+  end
+
+  @doc "How many vertices."
+  @spec vertex_count(t()) :: non_neg_integer()
+  def vertex_count(%__MODULE__{vertices: vertices}), do: div(byte_size(vertices), 12)
+
+  @doc "How many triangles."
+  @spec triangle_count(t()) :: non_neg_integer()
+  def triangle_count(%__MODULE__{indices: indices}), do: div(byte_size(indices), 12)
+
+  @doc "The corners of every triangle, in the outer frame."
+  @spec triangles(t()) :: [{Vector3.t(), Vector3.t(), Vector3.t()}]
+  def triangles(%__MODULE__{} = mesh) do
+    for <<a::little-32, b::little-32, c::little-32 <- mesh.indices>>,
+        do: {vertex(mesh, a), vertex(mesh, b), vertex(mesh, c)}
+  end
+
+  defp vertex(%{vertices: vertices, pose: pose}, index) do
+    <<x::little-float-32, y::little-float-32, z::little-float-32>> = binary_part(vertices, index * 12, 12)
+    if pose, do: Pose.transform(pose, {x, y, z}), else: {x, y, z}
+  end
+
+  @doc "The mesh, given in a pose's own frame, in the frame of the pose."
+  @spec transform(t(), Pose.t()) :: t()
+  def transform(%__MODULE__{} = mesh, %Pose{} = pose),
+    do: %{mesh | pose: if(mesh.pose, do: Pose.compose(pose, mesh.pose), else: pose)}
+
+  @impl Situ.Codec
+  def codec_name, do: "situ.mesh"
+
+  @impl Situ.Codec
+  def encode(%__MODULE__{} = mesh) do
+    pose = if mesh.pose, do: Pose.encode(mesh.pose), else: <<>>
+
+    [
+      <<1, if(mesh.pose, do: 1, else: 0), 0::16, vertex_count(mesh)::little-32, triangle_count(mesh)::little-32>>,
+      pose,
+      mesh.vertices,
+      mesh.indices
+    ]
+  end
+
+  @impl Situ.Codec
+  def decode(<<1, 1, 0::16, v::little-32, t::little-32, pose::binary-size(64), rest::binary>>) do
+    with {:ok, pose} <- Pose.decode(pose), do: decode(rest, v, t, pose)
+  end
+
+  def decode(<<1, 0, 0::16, v::little-32, t::little-32, rest::binary>>), do: decode(rest, v, t, nil)
+  def decode(_bytes), do: {:error, Error.new(:bad_mesh, "not a stored mesh")}
+
+  defp decode(rest, vertices, triangles, pose) do
+    case rest do
+      <<v::binary-size(vertices)-unit(96), i::binary-size(triangles)-unit(96)>> -> new(v, i, pose)
+      _ -> {:error, Error.new(:bad_mesh, "a stored mesh has #{byte_size(rest)} bytes, its head tells otherwise")}
+    end
+  end
+
+  defimpl Inspect do
+    def inspect(mesh, _opts),
+      do: "#Situ.Mesh<#{Situ.Mesh.vertex_count(mesh)} vertices, #{Situ.Mesh.triangle_count(mesh)} triangles>"
+  end
+end

@@ -1,0 +1,98 @@
+defmodule Situ.PointCloud do
+  @moduledoc """
+  Many points in space as one binary: three 32-bit little-endian floats a point (x, y, z in metres), and optionally a
+  colour a point (three bytes: red, green, blue) in another binary.
+
+      iex> cloud = Situ.PointCloud.from_points([{0.0, 0.0, 0.0}, {2.0, 4.0, 6.0}])
+      iex> {Situ.PointCloud.count(cloud), Situ.PointCloud.bounds(cloud).max, Situ.PointCloud.centroid(cloud)}
+      {2, {2.0, 4.0, 6.0}, {1.0, 2.0, 3.0}}
+  """
+  @behaviour Situ.Codec
+
+  alias Situ.{Box3, Error, Pose, Vector3}
+
+  @enforce_keys [:points]
+  defstruct [:points, colors: nil]
+
+  @type t :: %__MODULE__{points: binary(), colors: binary() | nil}
+
+  @doc "A checked cloud; nothing is copied. Floats that are not finite are no points, and refused by whoever uses them."
+  @spec new(binary(), binary() | nil) :: {:ok, t()} | {:error, Error.t()}
+  def new(points, colors \\ nil) when is_binary(points) do
+    cond do
+      rem(byte_size(points), 12) != 0 ->
+        {:error, Error.new(:bad_cloud, "#{byte_size(points)} bytes are no whole number of points of 12 bytes")}
+
+      colors != nil and byte_size(colors) * 4 != byte_size(points) ->
+        {:error,
+         Error.new(:bad_cloud, "#{div(byte_size(points), 12)} points have #{byte_size(colors)} bytes of colour",
+           fix: "give three bytes for each point"
+         )}
+
+      true ->
+        {:ok, %__MODULE__{points: points, colors: colors}}
+    end
+  end
+
+  @doc "The cloud of a list of points."
+  @spec from_points([Vector3.t()]) :: t()
+  def from_points(points) do
+    %__MODULE__{
+      points: for({x, y, z} <- points, into: <<>>, do: <<x::little-float-32, y::little-float-32, z::little-float-32>>)
+    }
+  end
+
+  @doc "The points as a list; those whose coordinates are not finite are left out."
+  @spec to_points(t()) :: [Vector3.t()]
+  def to_points(%__MODULE__{points: points}) do
+    for <<x::little-float-32, y::little-float-32, z::little-float-32 <- points>>, do: {x, y, z}
+  end
+
+  @doc "How many points."
+  @spec count(t()) :: non_neg_integer()
+  def count(%__MODULE__{points: points}), do: div(byte_size(points), 12)
+
+  @doc "The smallest upright box that holds all points; `nil` for an empty cloud."
+  @spec bounds(t()) :: Box3.t() | nil
+  def bounds(%__MODULE__{} = cloud), do: cloud |> to_points() |> Box3.around()
+
+  @doc "The mean of all points; `nil` for an empty cloud."
+  @spec centroid(t()) :: Vector3.t() | nil
+  def centroid(%__MODULE__{} = cloud) do
+    case to_points(cloud) do
+      [] -> nil
+      points -> points |> Enum.reduce(&Vector3.add/2) |> Vector3.scale(1 / length(points))
+    end
+  end
+
+  @doc "The cloud, given in a pose's own frame, in the frame of the pose; colours stay."
+  @spec transform(t(), Pose.t()) :: t()
+  def transform(%__MODULE__{} = cloud, %Pose{} = pose) do
+    %{points: points} = cloud |> to_points() |> Enum.map(&Pose.transform(pose, &1)) |> from_points()
+    %{cloud | points: points}
+  end
+
+  @impl Situ.Codec
+  def codec_name, do: "situ.point_cloud"
+
+  @impl Situ.Codec
+  def encode(%__MODULE__{points: points, colors: colors}) do
+    [<<1, if(colors, do: 1, else: 0), 0::16, div(byte_size(points), 12)::little-32>>, points | List.wrap(colors)]
+  end
+
+  @impl Situ.Codec
+  def decode(<<1, colors, 0::16, count::little-32, rest::binary>>) when colors in [0, 1] do
+    case rest do
+      <<points::binary-size(count)-unit(96)>> when colors == 0 -> new(points)
+      <<points::binary-size(count)-unit(96), rgb::binary-size(count)-unit(24)>> when colors == 1 -> new(points, rgb)
+      _ -> {:error, Error.new(:bad_cloud, "a stored cloud of #{count} points has #{byte_size(rest)} bytes")}
+    end
+  end
+
+  def decode(_bytes), do: {:error, Error.new(:bad_cloud, "not a stored point cloud")}
+
+  defimpl Inspect do
+    def inspect(cloud, _opts),
+      do: "#Situ.PointCloud<#{Situ.PointCloud.count(cloud)} points#{if cloud.colors, do: ", coloured"}>"
+  end
+end

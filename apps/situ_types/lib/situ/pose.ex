@@ -1,0 +1,163 @@
+defmodule Situ.Pose do
+  @moduledoc """
+  A place and an orientation in space: where the origin of one frame lies in another, and how it is turned.
+
+  Axes are x forward, y left, z up, in metres (as \\psi and ROS have them). A pose maps coordinates of its own frame to
+  those of the frame it is given in:
+
+      iex> camera = Situ.Pose.new({1.0, 0.0, 0.5}, Situ.Quaternion.from_euler(:math.pi() / 2, 0, 0))
+      iex> {x, y, z} = Situ.Pose.transform(camera, {2.0, 0.0, 0.0})
+      iex> {Float.round(x, 9), Float.round(y, 9), z}
+      {1.0, 2.0, 0.5}
+
+  `compose(a, b)` is the pose of `b`'s frame where `b` is given in `a`'s frame, and `a` in the frame of the result.
+  """
+  @behaviour Situ.Codec
+
+  alias Situ.{Error, Quaternion, Vector3}
+
+  @enforce_keys [:position, :rotation]
+  defstruct [:position, :rotation]
+
+  @type t :: %__MODULE__{position: Vector3.t(), rotation: Quaternion.t()}
+
+  @doc "The pose at `position` (metres), turned by `rotation`, which is made to have unit length."
+  @spec new(Vector3.t(), Quaternion.t()) :: t()
+  def new({_, _, _} = position, rotation \\ {1.0, 0.0, 0.0, 0.0}) do
+    case Quaternion.normalize(rotation) do
+      {:ok, rotation} -> %__MODULE__{position: position, rotation: rotation}
+      :error -> raise ArgumentError, "#{inspect(rotation)} is no rotation: a quaternion has unit length"
+    end
+  end
+
+  @doc "No displacement, no rotation."
+  @spec identity() :: t()
+  def identity, do: %__MODULE__{position: {0.0, 0.0, 0.0}, rotation: Quaternion.identity()}
+
+  @doc """
+  The pose at `position` whose x axis points along `forward` and whose z axis lies as near to `up` as it can.
+
+      iex> {:ok, pose} = Situ.Pose.looking({0.0, 0.0, 1.0}, {0.0, 2.0, 0.0})
+      iex> {yaw, pitch, roll} = Situ.Quaternion.to_euler(pose.rotation)
+      iex> {Float.round(yaw / :math.pi(), 9), Float.round(pitch, 9) + 0.0, Float.round(roll, 9) + 0.0}
+      {0.5, 0.0, 0.0}
+      iex> {:error, error} = Situ.Pose.looking({0.0, 0.0, 0.0}, {0.0, 0.0, 1.0})
+      iex> error.code
+      :degenerate_pose
+  """
+  @spec looking(Vector3.t(), Vector3.t(), Vector3.t()) :: {:ok, t()} | {:error, Error.t()}
+  def looking(position, forward, up \\ {0.0, 0.0, 1.0}) do
+    with {:ok, {fx, fy, fz} = x} <- Vector3.normalize(forward),
+         {:ok, {lx, ly, lz} = y} <- up |> Vector3.cross(x) |> Vector3.normalize(),
+         {ux, uy, uz} = Vector3.cross(x, y),
+         {:ok, rotation} <- Quaternion.from_matrix({{fx, lx, ux}, {fy, ly, uy}, {fz, lz, uz}}) do
+      {:ok, new(position, rotation)}
+    else
+      :error ->
+        {:error,
+         Error.new(:degenerate_pose, "no pose looks along #{inspect(forward)} with up #{inspect(up)}",
+           why: "the two are parallel, or one of them has no length",
+           fix: "give an up direction that differs from the forward direction"
+         )}
+    end
+  end
+
+  @doc "The pose of `b`'s frame in the frame that `a` is given in; `b` is given in `a`'s frame."
+  @spec compose(t(), t()) :: t()
+  def compose(%__MODULE__{} = a, %__MODULE__{} = b),
+    do: %__MODULE__{position: transform(a, b.position), rotation: Quaternion.multiply(a.rotation, b.rotation)}
+
+  @doc "The pose of the outer frame in this pose's own frame."
+  @spec invert(t()) :: t()
+  def invert(%__MODULE__{} = pose) do
+    rotation = Quaternion.inverse(pose.rotation)
+    %__MODULE__{position: Quaternion.rotate(rotation, Vector3.scale(pose.position, -1)), rotation: rotation}
+  end
+
+  @doc "A point of the pose's own frame, in the frame that the pose is given in."
+  @spec transform(t(), Vector3.t()) :: Vector3.t()
+  def transform(%__MODULE__{} = pose, point),
+    do: Vector3.add(pose.position, Quaternion.rotate(pose.rotation, point))
+
+  @doc "The directions of the pose's x, y and z axes."
+  @spec axes(t()) :: {Vector3.t(), Vector3.t(), Vector3.t()}
+  def axes(%__MODULE__{rotation: q}) do
+    {Quaternion.rotate(q, {1.0, 0.0, 0.0}), Quaternion.rotate(q, {0.0, 1.0, 0.0}), Quaternion.rotate(q, {0.0, 0.0, 1.0})}
+  end
+
+  @doc """
+  The pose between `a` (ratio 0) and `b` (ratio 1): position on the straight line, rotation on the shortest arc. Other
+  ratios extrapolate. `nil` where either is `nil`.
+
+      iex> a = Situ.Pose.identity()
+      iex> b = Situ.Pose.new({2.0, 0.0, 0.0}, Situ.Quaternion.from_euler(1.0, 0, 0))
+      iex> half = Situ.Pose.interpolate(a, b, 0.5)
+      iex> {half.position, Float.round(Situ.Quaternion.angle(a.rotation, half.rotation), 9)}
+      {{1.0, 0.0, 0.0}, 0.5}
+  """
+  @spec interpolate(t() | nil, t() | nil, number()) :: t() | nil
+  def interpolate(%__MODULE__{} = a, %__MODULE__{} = b, ratio) do
+    %__MODULE__{
+      position: Vector3.lerp(a.position, b.position, ratio),
+      rotation: Quaternion.slerp(a.rotation, b.rotation, ratio)
+    }
+  end
+
+  def interpolate(_a, _b, _ratio), do: nil
+
+  @doc "The 4x4 matrix, a list of 16 numbers, row by row."
+  @spec to_matrix(t()) :: [float()]
+  def to_matrix(%__MODULE__{position: {x, y, z}, rotation: q}) do
+    {{a, b, c}, {d, e, f}, {g, h, i}} = Quaternion.to_matrix(q)
+    [a, b, c, x, d, e, f, y, g, h, i, z, 0.0, 0.0, 0.0, 1.0]
+  end
+
+  @doc """
+  The pose of a 4x4 matrix given row by row. A matrix that scales, shears or mirrors, or whose last row is not
+  `0 0 0 1`, is an error.
+  """
+  @spec from_matrix([number()]) :: {:ok, t()} | {:error, Error.t()}
+  def from_matrix([a, b, c, x, d, e, f, y, g, h, i, z, 0, 0, 0, 1]) do
+    matrix = {{a, b, c}, {d, e, f}, {g, h, i}}
+
+    case Quaternion.from_matrix(matrix) do
+      {:ok, rotation} -> {:ok, new(Vector3.new(x, y, z), rotation)}
+      :error -> {:error, not_rigid(matrix)}
+    end
+  end
+
+  def from_matrix([_, _, _, _, _, _, _, _, _, _, _, _, l, m, n, o] = matrix) when l == 0 and m == 0 and n == 0 and o == 1,
+    do: matrix |> Enum.take(12) |> Kernel.++([0, 0, 0, 1]) |> from_matrix()
+
+  def from_matrix(other), do: {:error, not_rigid(other)}
+
+  defp not_rigid(matrix) do
+    Error.new(:degenerate_pose, "no pose has the matrix #{inspect(matrix)}",
+      why: "a pose turns and moves; it does not scale, shear or mirror",
+      fix: "divide the columns by their lengths, or use a mesh or box with a size"
+    )
+  end
+
+  @impl Situ.Codec
+  def codec_name, do: "situ.pose"
+
+  @impl Situ.Codec
+  def encode(%__MODULE__{position: {x, y, z}, rotation: {w, i, j, k}}) do
+    for value <- [x, y, z, w, i, j, k], into: <<1, 0::56>>, do: <<value::little-float-64>>
+  end
+
+  @impl Situ.Codec
+  def decode(
+        <<1, _::56, x::little-float-64, y::little-float-64, z::little-float-64, w::little-float-64,
+          i::little-float-64, j::little-float-64, k::little-float-64>>
+      ) do
+    case Quaternion.normalize({w, i, j, k}) do
+      {:ok, _} -> {:ok, %__MODULE__{position: {x, y, z}, rotation: {w, i, j, k}}}
+      :error -> {:error, Error.new(:degenerate_pose, "the stored rotation has no length")}
+    end
+  rescue
+    ArithmeticError -> {:error, Error.new(:degenerate_pose, "the stored rotation is too large to be one")}
+  end
+
+  def decode(_bytes), do: {:error, Error.new(:bad_pose, "not a stored pose")}
+end

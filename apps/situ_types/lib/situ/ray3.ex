@@ -1,0 +1,60 @@
+defmodule Situ.Ray3 do
+  @moduledoc """
+  A ray in space: where it begins (metres) and where it points (a unit vector).
+
+      iex> {:ok, ray} = Situ.Ray3.new({0.0, 0.0, 1.0}, {2.0, 0.0, 0.0})
+      iex> Situ.Ray3.point_at(ray, 3)
+      {3.0, 0.0, 1.0}
+  """
+  alias Situ.{Error, Pose, Quaternion, Vector3}
+
+  @enforce_keys [:origin, :direction]
+  defstruct [:origin, :direction]
+
+  @type t :: %__MODULE__{origin: Vector3.t(), direction: Vector3.t()}
+
+  @doc "The ray from `origin` along `direction`, of any length but 0."
+  @spec new(Vector3.t(), Vector3.t()) :: {:ok, t()} | {:error, Error.t()}
+  def new(origin, direction) do
+    case Vector3.normalize(direction) do
+      {:ok, unit} -> {:ok, %__MODULE__{origin: origin, direction: unit}}
+      :error -> {:error, Error.new(:degenerate_ray, "a ray along #{inspect(direction)} points nowhere")}
+    end
+  end
+
+  @doc "The ray along the x axis of a pose: where a camera or a head looks."
+  @spec from_pose(Pose.t()) :: t()
+  def from_pose(%Pose{} = pose),
+    do: %__MODULE__{origin: pose.position, direction: Quaternion.rotate(pose.rotation, {1.0, 0.0, 0.0})}
+
+  @doc "The point at a distance (metres) along the ray."
+  @spec point_at(t(), number()) :: Vector3.t()
+  def point_at(%__MODULE__{} = ray, distance), do: Vector3.add(ray.origin, Vector3.scale(ray.direction, distance))
+
+  @doc "The ray, given in a pose's own frame, in the frame of the pose."
+  @spec transform(t(), Pose.t()) :: t()
+  def transform(%__MODULE__{} = ray, %Pose{} = pose) do
+    %__MODULE__{origin: Pose.transform(pose, ray.origin), direction: Quaternion.rotate(pose.rotation, ray.direction)}
+  end
+
+  @doc "The distance (metres) of a point from the ray; behind its origin, from the origin."
+  @spec distance(t(), Vector3.t()) :: float()
+  def distance(%__MODULE__{} = ray, point) do
+    along = point |> Vector3.subtract(ray.origin) |> Vector3.dot(ray.direction)
+    Vector3.distance(point, point_at(ray, max(along, 0.0)))
+  end
+
+  @doc """
+  The ray between `a` (ratio 0) and `b` (ratio 1): origins on the straight line, directions blended and made a unit
+  vector again. `nil` where either is `nil`, and where opposite directions leave none.
+  """
+  @spec interpolate(t() | nil, t() | nil, number()) :: t() | nil
+  def interpolate(%__MODULE__{} = a, %__MODULE__{} = b, ratio) do
+    case a.direction |> Vector3.lerp(b.direction, ratio) |> Vector3.normalize() do
+      {:ok, direction} -> %__MODULE__{origin: Vector3.lerp(a.origin, b.origin, ratio), direction: direction}
+      :error -> nil
+    end
+  end
+
+  def interpolate(_a, _b, _ratio), do: nil
+end

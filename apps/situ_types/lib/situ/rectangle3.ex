@@ -1,0 +1,64 @@
+defmodule Situ.Rectangle3 do
+  @moduledoc """
+  A flat rectangle in space: the pose of its middle, whose x axis is its normal, and its width (along y) and height
+  (along z), metres.
+
+      iex> wall = Situ.Rectangle3.new!(Situ.Pose.new({2.0, 0.0, 1.0}), 4, 2)
+      iex> {:ok, ray} = Situ.Ray3.new({0.0, 1.0, 1.0}, {1.0, 0.0, 0.0})
+      iex> Situ.Rectangle3.intersection(wall, ray)
+      {2.0, 1.0, 1.0}
+  """
+  alias Situ.{Error, Plane, Pose, Ray3, Vector3}
+
+  @enforce_keys [:pose, :width, :height]
+  defstruct [:pose, :width, :height]
+
+  @type t :: %__MODULE__{pose: Pose.t(), width: float(), height: float()}
+
+  @doc "The rectangle around a pose; width and height may be 0, not negative."
+  @spec new(Pose.t(), number(), number()) :: {:ok, t()} | {:error, Error.t()}
+  def new(%Pose{} = pose, width, height) when is_number(width) and is_number(height) do
+    if width >= 0 and height >= 0,
+      do: {:ok, %__MODULE__{pose: pose, width: width * 1.0, height: height * 1.0}},
+      else: {:error, Error.new(:bad_rectangle, "a rectangle cannot be #{width} m by #{height} m")}
+  end
+
+  @doc "As `new/3`, but returns the rectangle or raises the error."
+  @spec new!(Pose.t(), number(), number()) :: t()
+  def new!(pose, width, height), do: pose |> new(width, height) |> Error.unwrap!()
+
+  @doc "Top left, top right, bottom right, bottom left, as seen against the normal."
+  @spec corners(t()) :: [Vector3.t()]
+  def corners(%__MODULE__{pose: pose, width: w, height: h}) do
+    for {y, z} <- [{-w / 2, h / 2}, {w / 2, h / 2}, {w / 2, -h / 2}, {-w / 2, -h / 2}],
+        do: Pose.transform(pose, {0.0, y, z})
+  end
+
+  @doc "The plane it lies in."
+  @spec plane(t()) :: Plane.t()
+  def plane(%__MODULE__{pose: pose}) do
+    {normal, _, _} = Pose.axes(pose)
+    %Plane{normal: normal, offset: Vector3.dot(normal, pose.position)}
+  end
+
+  @doc "Where a ray meets the rectangle; `nil` where it misses."
+  @spec intersection(t(), Ray3.t()) :: Vector3.t() | nil
+  def intersection(%__MODULE__{} = rectangle, %Ray3{} = ray) do
+    with {_, _, _} = point <- Plane.intersection(plane(rectangle), ray),
+         do: if(contains?(rectangle, point, 1.0e-9), do: point)
+  end
+
+  @doc "Whether a point lies on the rectangle, or at most `epsilon` (metres) off it."
+  @spec contains?(t(), Vector3.t(), number()) :: boolean()
+  def contains?(%__MODULE__{} = rectangle, point, epsilon \\ 1.0e-6),
+    do: Vector3.distance(closest_point(rectangle, point), point) <= epsilon
+
+  @doc "The nearest point of the rectangle."
+  @spec closest_point(t(), Vector3.t()) :: Vector3.t()
+  def closest_point(%__MODULE__{pose: pose, width: w, height: h}, point) do
+    {_, y, z} = Pose.transform(Pose.invert(pose), point)
+    Pose.transform(pose, {0.0, clamp(y, w / 2), clamp(z, h / 2)})
+  end
+
+  defp clamp(value, half), do: value |> max(-half) |> min(half)
+end

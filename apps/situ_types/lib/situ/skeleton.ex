@@ -1,0 +1,70 @@
+defmodule Situ.Skeleton do
+  @moduledoc """
+  A body or a hand as named joints with poses and confidences, and the bones between them.
+
+      iex> body = Situ.Skeleton.new!(%{head: Situ.Pose.new({0.0, 0.0, 1.7}), neck: Situ.Pose.new({0.0, 0.0, 1.5})}, [{:head, :neck}])
+      iex> Situ.Skeleton.position(body, :head)
+      {0.0, 0.0, 1.7}
+      iex> {:error, error} = Situ.Skeleton.new(%{}, [{:head, :neck}])
+      iex> error.code
+      :bad_skeleton
+  """
+  alias Situ.{Error, Pose, Vector3}
+
+  @enforce_keys [:joints, :bones]
+  defstruct [:joints, :bones, id: nil, confidence: %{}]
+
+  @type joint :: atom() | String.t()
+  @type t :: %__MODULE__{
+          joints: %{joint() => Pose.t()},
+          bones: [{joint(), joint()}],
+          id: term(),
+          confidence: %{joint() => float()}
+        }
+
+  @schema [
+    id: [type: :any, default: nil, doc: "Which body, through time."],
+    confidence: [type: :map, default: %{}, doc: "How sure, 0..1, by joint; 1 where it says nothing."]
+  ]
+
+  @doc """
+  A skeleton of these joints, whose bones join joints that it has.
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @spec new(%{joint() => Pose.t()}, [{joint(), joint()}], keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def new(joints, bones, opts \\ []) when is_map(joints) and is_list(bones) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         nil <- Enum.find(bones, fn {a, b} -> not (is_map_key(joints, a) and is_map_key(joints, b)) end) do
+      {:ok, struct!(__MODULE__, [joints: joints, bones: bones] ++ opts)}
+    else
+      {:error, _} = error -> error
+      bone -> {:error, Error.new(:bad_skeleton, "the bone #{inspect(bone)} names a joint that is not there")}
+    end
+  end
+
+  @doc "As `new/3`, but returns the skeleton or raises the error."
+  @spec new!(%{joint() => Pose.t()}, [{joint(), joint()}], keyword()) :: t()
+  def new!(joints, bones, opts \\ []), do: joints |> new(bones, opts) |> Error.unwrap!()
+
+  @doc "Where a joint is; `nil` where the skeleton has no such joint."
+  @spec position(t(), joint()) :: Vector3.t() | nil
+  def position(%__MODULE__{joints: joints}, joint) do
+    with %Pose{position: position} <- joints[joint], do: position
+  end
+
+  @doc "The skeleton, given in a pose's own frame, in the frame of the pose."
+  @spec transform(t(), Pose.t()) :: t()
+  def transform(%__MODULE__{} = skeleton, %Pose{} = pose),
+    do: %{skeleton | joints: Map.new(skeleton.joints, fn {name, joint} -> {name, Pose.compose(pose, joint)} end)}
+
+  @doc "The skeleton between `a` (ratio 0) and `b` (ratio 1): joints that both have, each as `Situ.Pose.interpolate/3`."
+  @spec interpolate(t() | nil, t() | nil, number()) :: t() | nil
+  def interpolate(%__MODULE__{} = a, %__MODULE__{} = b, ratio) do
+    joints = for {name, pose} <- a.joints, other = b.joints[name], into: %{}, do: {name, Pose.interpolate(pose, other, ratio)}
+    bones = Enum.filter(a.bones, fn {from, to} -> is_map_key(joints, from) and is_map_key(joints, to) end)
+    %{a | joints: joints, bones: bones}
+  end
+
+  def interpolate(_a, _b, _ratio), do: nil
+end

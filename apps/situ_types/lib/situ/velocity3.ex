@@ -1,0 +1,51 @@
+defmodule Situ.Velocity3 do
+  @moduledoc """
+  How fast and where to something moves (`:linear`, metres a second) or turns (`:angular`, radians a second around the
+  direction), and where it is.
+
+      iex> a = Situ.Pose.identity()
+      iex> b = Situ.Pose.new({0.0, 1.0, 0.0})
+      iex> {:ok, velocity} = Situ.Velocity3.linear(a, b, Situ.Time.ms(500))
+      iex> {velocity.direction, velocity.magnitude, Situ.Velocity3.destination(velocity, Situ.Time.s(2))}
+      {{0.0, 1.0, 0.0}, 2.0, {0.0, 5.0, 0.0}}
+  """
+  alias Situ.{Error, Pose, Quaternion, Vector3}
+
+  @enforce_keys [:kind, :origin, :direction, :magnitude]
+  defstruct [:kind, :origin, :direction, :magnitude]
+
+  @type t :: %__MODULE__{
+          kind: :linear | :angular,
+          origin: Vector3.t(),
+          direction: Vector3.t(),
+          magnitude: float()
+        }
+
+  @doc "The velocity between two poses that are `duration` ns apart, at the later one. Rest has the direction x."
+  @spec linear(Pose.t(), Pose.t(), Situ.Time.duration()) :: {:ok, t()} | {:error, Error.t()}
+  def linear(%Pose{} = from, %Pose{} = to, duration) do
+    moved = Vector3.subtract(to.position, from.position)
+    direction = with {:ok, unit} <- Vector3.normalize(moved), do: unit
+    direction = if direction == :error, do: {1.0, 0.0, 0.0}, else: direction
+    new(:linear, to.position, direction, Vector3.norm(moved), duration)
+  end
+
+  @doc "The rate of turning between two poses that are `duration` ns apart, at the later one."
+  @spec angular(Pose.t(), Pose.t(), Situ.Time.duration()) :: {:ok, t()} | {:error, Error.t()}
+  def angular(%Pose{} = from, %Pose{} = to, duration) do
+    {axis, angle} = to.rotation |> Quaternion.multiply(Quaternion.inverse(from.rotation)) |> Quaternion.to_axis_angle()
+    new(:angular, to.position, axis, angle, duration)
+  end
+
+  defp new(kind, origin, direction, moved, duration) when is_integer(duration) and duration > 0 do
+    {:ok, %__MODULE__{kind: kind, origin: origin, direction: direction, magnitude: moved * 1.0e9 / duration}}
+  end
+
+  defp new(_kind, _origin, _direction, _moved, duration),
+    do: {:error, Error.new(:bad_duration, "no velocity over #{inspect(duration)} ns", why: "time must have passed")}
+
+  @doc "Where something that moves on like this is after `duration` ns. Linear only."
+  @spec destination(t(), Situ.Time.duration()) :: Vector3.t()
+  def destination(%__MODULE__{kind: :linear} = velocity, duration),
+    do: Vector3.add(velocity.origin, Vector3.scale(velocity.direction, velocity.magnitude * duration / 1.0e9))
+end

@@ -1,0 +1,53 @@
+defmodule Situ.VoxelGrid do
+  @moduledoc """
+  Values in cubes of space: the cube of a point has the indices `floor(coordinate / size)`.
+
+      iex> grid = Situ.VoxelGrid.new(0.5) |> Situ.VoxelGrid.update({0.6, -0.1, 0.0}, 1, &(&1 + 1))
+      iex> Situ.VoxelGrid.fetch(grid, {0.9, -0.4, 0.2})
+      {:ok, 1}
+  """
+  alias Situ.Vector3
+
+  @enforce_keys [:size]
+  defstruct [:size, voxels: %{}]
+
+  @type index :: {integer(), integer(), integer()}
+  @type t :: t(term())
+  @type t(value) :: %__MODULE__{size: float(), voxels: %{index() => value}}
+
+  @doc "An empty grid of cubes with edges of `size` metres."
+  @spec new(number()) :: t()
+  def new(size) when is_number(size) and size > 0, do: %__MODULE__{size: size * 1.0}
+
+  @doc "The indices of the cube that holds a point."
+  @spec index(t(), Vector3.t()) :: index()
+  def index(%__MODULE__{size: size}, {x, y, z}), do: {floor(x / size), floor(y / size), floor(z / size)}
+
+  @doc "The middle of a cube."
+  @spec center(t(), index()) :: Vector3.t()
+  def center(%__MODULE__{size: size}, {i, j, k}), do: {(i + 0.5) * size, (j + 0.5) * size, (k + 0.5) * size}
+
+  @doc "Puts a value into the cube of a point."
+  @spec put(t(), Vector3.t(), term()) :: t()
+  def put(%__MODULE__{} = grid, point, value), do: %{grid | voxels: Map.put(grid.voxels, index(grid, point), value)}
+
+  @doc "`initial` in the cube of a point, or what `fun` makes of the value that is there."
+  @spec update(t(), Vector3.t(), term(), (term() -> term())) :: t()
+  def update(%__MODULE__{} = grid, point, initial, fun),
+    do: %{grid | voxels: Map.update(grid.voxels, index(grid, point), initial, fun)}
+
+  @doc "The value in the cube of a point."
+  @spec fetch(t(), Vector3.t()) :: {:ok, term()} | :error
+  def fetch(%__MODULE__{} = grid, point), do: Map.fetch(grid.voxels, index(grid, point))
+
+  @doc "The grid without the cubes for which `fun.(center, value)` is true."
+  @spec reject(t(), (Vector3.t(), term() -> boolean())) :: t()
+  def reject(%__MODULE__{} = grid, fun) do
+    kept = for {index, value} <- grid.voxels, not fun.(center(grid, index), value), into: %{}, do: {index, value}
+    %{grid | voxels: kept}
+  end
+
+  @doc "How many cubes hold a value."
+  @spec count(t()) :: non_neg_integer()
+  def count(%__MODULE__{voxels: voxels}), do: map_size(voxels)
+end
