@@ -1,0 +1,157 @@
+defmodule Situ.Annotation do
+  @moduledoc """
+  Somebody's word on a span of time: "participant 1 speaks from here to there".
+
+  An annotation has an interval, a track (a row of the timeline: one per person, say), a value for each attribute of the
+  stream's `Situ.Annotation.Schema`, and where it comes from:
+
+    * `from`, `to`: ns, `from <= to`; a point in time has both alike
+    * `track`: one track holds no two annotations that overlap; touching is no overlap
+    * `values`: `%{"Speaker" => "P1", "Laughs" => false}`
+    * `by`: the annotator or program, or `nil`; `confidence`: 0.0..1.0 or `nil`
+    * `proposed?`: a program's suggestion that nobody has accepted yet
+    * `note`: free text; `id`: a number that stays the same while it is edited
+
+  **Annotations are an ordinary stream**: a message is the list of the annotations that end at its originating time, at
+  most one of each track, sorted by track. So they are recorded, replayed, joined and queried like any other stream.
+
+      iex> a = Situ.Annotation.new(0, 10, "P1", %{"Speaks" => true})
+      iex> b = Situ.Annotation.new(10, 20, "P1", %{"Speaks" => false})
+      iex> {Situ.Annotation.overlap?(a, b), Situ.Annotation.contains?(a, 10)}
+      {false, true}
+      iex> Situ.Annotation.messages([b, a]) |> Enum.map(&{&1.originating_time, length(&1.data)})
+      [{10, 1}, {20, 1}]
+
+  | to | see |
+  |---|---|
+  | describe attributes, their values, colours and keys | `Situ.Annotation.Schema` |
+  | hold, edit and check the annotations of a stream | `Situ.Annotation.Layer` |
+  | undo and redo, keep unsaved edits through a crash | `Situ.Annotation.Editor` |
+  | read them from and write them to a recording | `Situ.Annotation.Recording` |
+  | make them out of a stream of booleans or maps | `Situ.Annotation.Segmenting` |
+  | exchange them with ELAN, Praat, WebVTT and others | `Situ.Annotation.Exchange` |
+  | compare two annotators | `Situ.Annotation.Agreement` |
+  """
+  alias Situ.{Error, Message}
+
+  @enforce_keys [:from, :to, :track]
+  defstruct [:from, :to, :track, :id, :by, :confidence, :note, values: %{}, proposed?: false]
+
+  @type t :: %__MODULE__{
+          from: Situ.Time.t(),
+          to: Situ.Time.t(),
+          track: String.t(),
+          id: pos_integer() | nil,
+          by: String.t() | nil,
+          confidence: float() | nil,
+          note: String.t() | nil,
+          values: %{String.t() => Situ.Annotation.Schema.value()},
+          proposed?: boolean()
+        }
+
+  @doc "An annotation; `more` sets the other fields. Raises `ArgumentError` when it ends before it begins."
+  @spec new(Situ.Time.t(), Situ.Time.t(), String.t(), map(), keyword()) :: t()
+  def new(from, to, track, values \\ %{}, more \\ []) do
+    annotation = struct!(%__MODULE__{from: from, to: to, track: track, values: values}, more)
+
+    case check(annotation) do
+      :ok -> annotation
+      {:error, error} -> raise ArgumentError, Exception.message(error)
+    end
+  end
+
+  @doc "Whether the fields are of their types and the interval runs forward. Error: `:bad_annotation`."
+  @spec check(t()) :: :ok | {:error, Error.t()}
+  def check(%__MODULE__{from: from, to: to} = a) do
+    cond do
+      not (is_integer(from) and is_integer(to)) ->
+        bad("its times are no nanoseconds")
+
+      from > to ->
+        bad("it ends #{Situ.Time.format_duration(from - to)} before it begins")
+
+      not text?(a.track) or a.track == "" ->
+        bad("its track has no name")
+
+      not is_map(a.values) or not Enum.all?(Map.keys(a.values), &text?/1) ->
+        bad("its values are no map of names")
+
+      a.confidence != nil and not unit?(a.confidence) ->
+        bad("its confidence is not 0.0 to 1.0")
+
+      not Enum.all?([a.by, a.note], &(&1 == nil or text?(&1))) ->
+        bad("its annotator or note is no text")
+
+      not is_boolean(a.proposed?) ->
+        bad("proposed? is no boolean")
+
+      true ->
+        :ok
+    end
+  end
+
+  defp text?(value), do: is_binary(value) and String.valid?(value)
+  defp unit?(value), do: is_number(value) and value >= 0 and value <= 1
+
+  defp bad(why) do
+    {:error,
+     Error.new(:bad_annotation, "this is no annotation", why: why, fix: "mend its fields")}
+  end
+
+  @doc """
+  Whether two annotations of one track exclude each other: they share more than a point, they end together, or one is a
+  point inside the other.
+  """
+  @spec overlap?(t(), t()) :: boolean()
+  def overlap?(%{from: a, to: b}, %{from: c, to: d}), do: b == d or (a < d and c < b)
+
+  @doc "Whether `time` lies in the interval, both ends included."
+  @spec contains?(t(), Situ.Time.t()) :: boolean()
+  def contains?(%__MODULE__{from: from, to: to}, time), do: from <= time and time <= to
+
+  @doc "To minus from, ns."
+  @spec duration(t()) :: Situ.Time.duration()
+  def duration(%__MODULE__{from: from, to: to}), do: to - from
+
+  @doc "The messages of an annotation stream: one for each end, in order; creation times are the originating ones."
+  @spec messages([t()]) :: [Message.t()]
+  def messages(annotations) do
+    annotations
+    |> Enum.group_by(& &1.to)
+    |> Enum.sort()
+    |> Enum.with_index(1)
+    |> Enum.map(fn {{to, together}, n} ->
+      data = Enum.sort_by(together, & &1.track)
+      %Message{data: data, originating_time: to, creation_time: to, sequence_id: n}
+    end)
+  end
+
+  @doc "For JSON: `from` and `to` in ns, fields that say nothing left out."
+  @spec to_json(t()) :: map()
+  def to_json(%__MODULE__{} = annotation) do
+    annotation
+    |> Map.from_struct()
+    |> Enum.reject(fn {key, value} -> value == nil or {key, value} == {:proposed?, false} end)
+    |> Map.new(fn {key, value} -> {key |> to_string() |> String.trim_trailing("?"), value} end)
+  end
+
+  @doc "Back from `to_json/1`."
+  @spec from_json(term()) :: {:ok, t()} | {:error, Error.t()}
+  def from_json(%{} = json) do
+    annotation = %__MODULE__{
+      from: json["from"],
+      to: json["to"],
+      track: json["track"],
+      id: if(is_integer(json["id"]) and json["id"] > 0, do: json["id"]),
+      by: json["by"],
+      confidence: json["confidence"],
+      note: json["note"],
+      values: json["values"] || %{},
+      proposed?: json["proposed"] || false
+    }
+
+    with :ok <- check(annotation), do: {:ok, annotation}
+  end
+
+  def from_json(_), do: bad("it is no object")
+end

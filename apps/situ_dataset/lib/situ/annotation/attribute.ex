@@ -1,0 +1,178 @@
+defmodule Situ.Annotation.Attribute do
+  @moduledoc """
+  One attribute of a `Situ.Annotation.Schema`: its name, kind, default, and for a finite one its values with colours and
+  keys.
+
+  `fill` and `text` are the colours of an attribute without values of its own; a value's `key` sets it from the
+  keyboard.
+  """
+  @kinds %{"finite" => :finite, "text" => :text, "number" => :number, "bool" => :bool}
+
+  @enforce_keys [:name, :kind]
+  defstruct [:name, :kind, :default, :fill, :text, description: "", values: []]
+
+  @type choice :: %{
+          value: String.t(),
+          fill: String.t() | nil,
+          text: String.t() | nil,
+          key: String.t() | nil
+        }
+  @type t :: %__MODULE__{
+          name: String.t(),
+          kind: :finite | :text | :number | :bool,
+          default: String.t() | number() | boolean(),
+          fill: String.t() | nil,
+          text: String.t() | nil,
+          description: String.t(),
+          values: [choice()]
+        }
+
+  @doc false
+  @spec parse(term()) :: {:ok, t()} | {:error, String.t()}
+  def parse(%{"name" => name, "kind" => kind} = json)
+      when is_binary(name) and is_map_key(@kinds, kind) do
+    attribute = %__MODULE__{
+      name: name,
+      kind: @kinds[kind],
+      description: if(is_binary(json["description"]), do: json["description"], else: "")
+    }
+
+    with :ok <-
+           if(String.trim(name) == "", do: {:error, "an attribute has an empty name"}, else: :ok),
+         {:ok, fill, text} <- colours(json),
+         {:ok, values} <- values(attribute.kind, json["values"], name),
+         attribute = %{attribute | fill: fill, text: text, values: values},
+         {:ok, default} <- default(attribute, json["default"]) do
+      {:ok, %{attribute | default: default}}
+    end
+  end
+
+  def parse(%{"name" => name}),
+    do: {:error, "the kind of attribute #{inspect(name)} is none of finite, text, number, bool"}
+
+  def parse(_), do: {:error, "an attribute is an object with a \"name\" and a \"kind\""}
+
+  defp values(:finite, [_ | _] = values, name) do
+    values
+    |> Enum.reduce_while({:ok, []}, fn json, {:ok, done} ->
+      case choice(json) do
+        {:ok, choice} -> {:cont, {:ok, [choice | done]}}
+        {:error, why} -> {:halt, {:error, why <> " (attribute #{inspect(name)})"}}
+      end
+    end)
+    |> unique(name)
+  end
+
+  defp values(:finite, _, name),
+    do: {:error, "the finite attribute #{inspect(name)} has no values"}
+
+  defp values(_kind, none, _name) when none in [nil, []], do: {:ok, []}
+
+  defp values(_, _, name),
+    do: {:error, "attribute #{inspect(name)} is not finite and has no list of values"}
+
+  defp unique({:ok, choices}, name) do
+    choices = Enum.reverse(choices)
+    values = Enum.map(choices, & &1.value)
+
+    if Enum.uniq(values) == values,
+      do: {:ok, choices},
+      else: {:error, "attribute #{inspect(name)} has a value twice"}
+  end
+
+  defp unique(error, _name), do: error
+
+  defp choice(value) when is_binary(value), do: choice(%{"value" => value})
+
+  defp choice(%{"value" => value} = json) when is_binary(value) do
+    with {:ok, fill, text} <- colours(json), {:ok, key} <- key(json["key"]) do
+      {:ok, %{value: value, fill: fill, text: text, key: key}}
+    end
+  end
+
+  defp choice(_), do: {:error, "a value is an object with a text \"value\""}
+
+  defp key(nil), do: {:ok, nil}
+
+  defp key(key) do
+    if is_binary(key) and String.length(key) == 1 and String.printable?(key) and key != " ",
+      do: {:ok, key},
+      else: {:error, "a key is one printable character, not #{inspect(key)}"}
+  end
+
+  defp colours(json) do
+    case Enum.find([json["fill"], json["text"]], &(&1 != nil and not colour?(&1))) do
+      nil -> {:ok, json["fill"], json["text"]}
+      bad -> {:error, "a colour is \#rrggbb, not #{inspect(bad)}"}
+    end
+  end
+
+  defp colour?(value), do: is_binary(value) and value =~ ~r/\A#[0-9a-fA-F]{6}\z/
+
+  defp default(%{kind: :finite, values: [first | _]}, nil), do: {:ok, first.value}
+  defp default(%{kind: :text}, nil), do: {:ok, ""}
+  defp default(%{kind: :number}, nil), do: {:ok, 0}
+  defp default(%{kind: :bool}, nil), do: {:ok, false}
+
+  defp default(attribute, value) do
+    case check(attribute, value) do
+      :ok -> {:ok, value}
+      {:error, why} -> {:error, "the default of #{inspect(attribute.name)}: #{why}"}
+    end
+  end
+
+  @doc false
+  @spec to_json(t()) :: map()
+  def to_json(%__MODULE__{} = attribute) do
+    plain(%{
+      "name" => attribute.name,
+      "kind" => Atom.to_string(attribute.kind),
+      "default" => attribute.default,
+      "description" => if(attribute.description != "", do: attribute.description),
+      "fill" => attribute.fill,
+      "text" => attribute.text,
+      "values" => if(attribute.values != [], do: Enum.map(attribute.values, &choice_json/1))
+    })
+  end
+
+  defp choice_json(choice),
+    do: choice |> Map.new(fn {k, v} -> {Atom.to_string(k), v} end) |> plain()
+
+  defp plain(map), do: map |> Enum.reject(fn {_, value} -> value == nil end) |> Map.new()
+
+  @doc "Whether a value fits: `:ok`, or why not."
+  @spec check(t(), term()) :: :ok | {:error, String.t()}
+  def check(%__MODULE__{kind: :finite, values: choices}, value) do
+    if Enum.any?(choices, &(&1.value == value)),
+      do: :ok,
+      else:
+        {:error,
+         "#{inspect(value)} is none of #{Enum.map_join(choices, ", ", &inspect(&1.value))}"}
+  end
+
+  def check(%__MODULE__{kind: :text}, value) do
+    if is_binary(value) and String.valid?(value),
+      do: :ok,
+      else: {:error, "#{inspect(value)} is no text"}
+  end
+
+  def check(%__MODULE__{kind: :number}, value),
+    do: if(is_number(value), do: :ok, else: {:error, "#{inspect(value)} is no number"})
+
+  def check(%__MODULE__{kind: :bool}, value),
+    do:
+      if(is_boolean(value), do: :ok, else: {:error, "#{inspect(value)} is neither true nor false"})
+
+  @doc "A value out of text: a number or a boolean where the attribute is such and the text can be read as one."
+  @spec read(t(), String.t()) :: term()
+  def read(%__MODULE__{kind: :number}, text) do
+    case {Integer.parse(text), Float.parse(text)} do
+      {{n, ""}, _} -> n
+      {_, {x, ""}} -> x
+      _ -> text
+    end
+  end
+
+  def read(%__MODULE__{kind: :bool}, text) when text in ["true", "false"], do: text == "true"
+  def read(_attribute, text), do: text
+end

@@ -1,0 +1,188 @@
+defmodule Situ.Annotation.Edit do
+  @moduledoc """
+  Edits of a `Situ.Annotation.Layer` that change several annotations at once: edges that move together, whole tracks,
+  cuts, proposals. Each answers `{:ok, layer, transaction}` and is undone as one.
+
+      iex> alias Situ.Annotation.{Edit, Layer, Schema}
+      iex> {:ok, layer} = Layer.new(Schema.text("Words"),
+      ...>   [Situ.Annotation.new(0, 10, "P1"), Situ.Annotation.new(10, 20, "P1")])
+      iex> {:ok, layer, _} = Edit.move_edge(layer, 1, :to, 12)
+      iex> for a <- Layer.annotations(layer), do: {a.from, a.to}
+      [{0, 12}, {12, 20}]
+      iex> {:ok, layer, _} = Edit.split(layer, 1, 4)
+      iex> for a <- Layer.annotations(layer), do: {a.from, a.to}
+      [{0, 4}, {4, 12}, {12, 20}]
+  """
+  alias Situ.Annotation
+  alias Situ.Annotation.{Layer, Schema}
+  alias Situ.Error
+
+  @doc """
+  Moves one end (`:from` or `:to`) of an annotation to `time`. A neighbour that touches there moves along, unless
+  `alone: true`; otherwise the edge stops at the neighbour. It stops at its other end too.
+
+  The time it has moved to is that of the annotation in the answer.
+  """
+  @spec move_edge(Layer.t(), Layer.id(), :from | :to, Situ.Time.t(), keyword()) :: Layer.edited()
+  def move_edge(%Layer{} = layer, id, edge, time, opts \\ []) when edge in [:from, :to] do
+    with {:ok, annotation} <- Layer.fetch(layer, id) do
+      touching = if opts[:alone], do: nil, else: touching(layer, annotation, edge)
+      time = clamp(layer, annotation, edge, time, touching)
+      moved = [{id, annotation, Map.put(annotation, edge, time)}]
+
+      along =
+        if touching, do: [{touching.id, touching, Map.put(touching, other(edge), time)}], else: []
+
+      Layer.commit(layer, moved ++ along)
+    end
+  end
+
+  defp other(:from), do: :to
+  defp other(:to), do: :from
+
+  defp touching(layer, annotation, edge) do
+    at = Map.fetch!(annotation, edge)
+    beside = beside(layer, annotation, edge)
+    if beside && Map.fetch!(beside, other(edge)) == at, do: beside
+  end
+
+  defp beside(layer, annotation, :from) do
+    case Layer.previous(layer, annotation.track, annotation.from) do
+      %{id: id} when id == annotation.id -> nil
+      found -> found
+    end
+  end
+
+  defp beside(layer, annotation, :to) do
+    layer
+    |> Layer.on_track(annotation.track)
+    |> Enum.find(&(&1.id != annotation.id and &1.from >= annotation.to))
+  end
+
+  # Of two that move together neither becomes a point: they would end together.
+  defp clamp(_layer, annotation, :from, time, %{from: least}),
+    do: time |> min(annotation.to - 1) |> max(least + 1)
+
+  defp clamp(_layer, annotation, :to, time, %{to: most}),
+    do: time |> max(annotation.from + 1) |> min(most - 1)
+
+  defp clamp(layer, annotation, :from, time, nil) do
+    beside = beside(layer, annotation, :from)
+    time |> min(annotation.to) |> then(&if(beside, do: max(&1, beside.to), else: &1))
+  end
+
+  defp clamp(layer, annotation, :to, time, nil) do
+    beside = beside(layer, annotation, :to)
+    time |> max(annotation.from) |> then(&if(beside, do: min(&1, beside.from), else: &1))
+  end
+
+  @doc "Gives an annotation another interval. Error: `:overlap`."
+  @spec set_interval(Layer.t(), Layer.id(), {Situ.Time.t(), Situ.Time.t()}) :: Layer.edited()
+  def set_interval(%Layer{} = layer, id, {from, to}),
+    do: Layer.change(layer, id, from: from, to: to)
+
+  @doc "Cuts an annotation in two at `time`; both keep its values. Error: `:outside`."
+  @spec split(Layer.t(), Layer.id(), Situ.Time.t()) :: Layer.edited()
+  def split(%Layer{} = layer, id, time) do
+    with {:ok, whole} <- Layer.fetch(layer, id) do
+      if whole.from < time and time < whole.to do
+        second = %{whole | id: layer.next, from: time}
+        Layer.commit(layer, [{id, whole, %{whole | to: time}}, {second.id, nil, second}])
+      else
+        {:error,
+         Error.new(:outside, "an annotation is cut inside, not at its ends",
+           why: "it lasts from #{whole.from} to #{whole.to}, and #{time} is not between",
+           fix: "move the cursor into it"
+         )}
+      end
+    end
+  end
+
+  @doc "Makes one annotation of two neighbours of a track; it has the values of the first. Error: `:no_neighbours`."
+  @spec merge(Layer.t(), Layer.id(), Layer.id()) :: Layer.edited()
+  def merge(%Layer{} = layer, id, other) do
+    with {:ok, a} <- Layer.fetch(layer, id), {:ok, b} <- Layer.fetch(layer, other) do
+      if a.track == b.track and a.id != b.id do
+        whole = %{a | from: min(a.from, b.from), to: max(a.to, b.to)}
+        Layer.commit(layer, [{other, b, nil}, {id, a, whole}])
+      else
+        {:error,
+         Error.new(:no_neighbours, "only two annotations of one track become one",
+           why: "these are on #{inspect(a.track)} and #{inspect(b.track)}",
+           fix: "move one to the other's track"
+         )}
+      end
+    end
+  end
+
+  @doc "Gives a track another name. Error: `:overlap` when a track of that name has annotations in the way."
+  @spec rename_track(Layer.t(), String.t(), String.t()) :: Layer.edited()
+  def rename_track(%Layer{} = layer, from, to) do
+    Layer.commit(layer, for(a <- Layer.on_track(layer, from), do: {a.id, a, %{a | track: to}}))
+  end
+
+  @doc "Deletes all annotations of a track."
+  @spec delete_track(Layer.t(), String.t()) :: Layer.edited()
+  def delete_track(%Layer{} = layer, track),
+    do: Layer.remove(layer, Enum.map(Layer.on_track(layer, track), & &1.id))
+
+  @doc """
+  Copies the intervals of other annotations to a track that is empty; the values are the defaults. Error:
+  `:not_empty`.
+  """
+  @spec copy_boundaries(Layer.t(), [Annotation.t()], String.t()) :: Layer.edited()
+  def copy_boundaries(%Layer{} = layer, annotations, track) do
+    case Layer.on_track(layer, track) do
+      [] ->
+        values = Schema.defaults(layer.schema)
+
+        new =
+          for {a, id} <- Enum.with_index(annotations, layer.next),
+              do:
+                {id, nil,
+                 %Annotation{id: id, from: a.from, to: a.to, track: track, values: values}}
+
+        Layer.commit(layer, new)
+
+      some ->
+        {:error,
+         Error.new(:not_empty, "track #{inspect(track)} has #{length(some)} annotations already",
+           fix: "copy to a new track, or delete them first"
+         )}
+    end
+  end
+
+  @doc "Accepts every proposal whose confidence is at least `least`; proposals without a confidence count as 1.0."
+  @spec accept_all(Layer.t(), float(), String.t() | nil) :: Layer.edited()
+  def accept_all(%Layer{} = layer, least \\ 0.0, by \\ nil) do
+    accepted =
+      for a <- Layer.annotations(layer),
+          a.proposed? and (a.confidence || 1.0) >= least,
+          do: {a.id, a, %{a | proposed?: false, by: by || a.by}}
+
+    Layer.commit(layer, accepted)
+  end
+
+  @doc "Deletes every proposal whose confidence is below `most`."
+  @spec reject_all(Layer.t(), float()) :: Layer.edited()
+  def reject_all(%Layer{} = layer, most) do
+    ids =
+      for a <- Layer.annotations(layer), a.proposed? and (a.confidence || 1.0) < most, do: a.id
+
+    Layer.remove(layer, ids)
+  end
+
+  @doc "Adds annotations as proposals; those that overlap with what is there are left out. The rest in one transaction."
+  @spec propose(Layer.t(), [Annotation.t()]) :: Layer.edited()
+  def propose(%Layer{} = layer, annotations) do
+    {full, changes} =
+      Enum.reduce(annotations, {layer, []}, fn annotation, {layer, changes} ->
+        case Layer.add(layer, %{annotation | proposed?: true}) do
+          {:ok, layer, change} -> {layer, [change | changes]}
+          {:error, _} -> {layer, changes}
+        end
+      end)
+
+    {:ok, full, changes |> Enum.reverse() |> Enum.concat()}
+  end
+end

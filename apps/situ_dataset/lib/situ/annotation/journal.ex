@@ -1,0 +1,176 @@
+defmodule Situ.Annotation.Journal do
+  @moduledoc false
+  # The transactions since the last save, a line of JSON each, behind a line that names the version they are made on. A
+  # line that a crash cut short was never answered for, and is taken off; a broken line before others is damage.
+  alias Situ.{Annotation, Error}
+  alias Situ.Annotation.Layer
+
+  @spec path(Path.t(), String.t()) :: Path.t()
+  def path(store, stream), do: "#{store}.#{String.replace(stream, ~r/[^\w.-]/u, "_")}.journal"
+
+  @doc "Appends a transaction that was made on the version `base` (the store's folder, `nil` before the first)."
+  @spec append(Path.t(), Path.t() | nil, Layer.transaction()) :: :ok | {:error, Error.t()}
+  def append(path, base, transaction) do
+    line = [Situ.JSON.encode(Enum.map(transaction, &change/1)), "\n"]
+
+    line =
+      if File.exists?(path),
+        do: line,
+        else: [Situ.JSON.encode(%{base: version(base)}), "\n", line]
+
+    with :ok <- File.mkdir_p(Path.dirname(path)),
+         {:ok, device} <- :file.open(path, [:append, :raw, :binary]) do
+      written(device, line, path)
+    else
+      {:error, reason} -> {:error, failed(path, reason)}
+    end
+  end
+
+  # A line that could not be written whole is taken off again: it would be damage in front of the next.
+  defp written(device, line, path) do
+    {:ok, before} = :file.position(device, :eof)
+
+    with :ok <- :file.write(device, line), :ok <- :file.datasync(device) do
+      :ok
+    else
+      {:error, reason} ->
+        _ = :file.position(device, before)
+        _ = :file.truncate(device)
+        {:error, failed(path, reason)}
+    end
+  after
+    :file.close(device)
+  end
+
+  defp version(nil), do: nil
+  defp version(folder), do: Path.basename(folder)
+
+  defp change({id, before, later}), do: [id, json(before), json(later)]
+  defp json(nil), do: nil
+  defp json(annotation), do: Annotation.to_json(annotation)
+
+  defp failed(path, reason) do
+    Error.new(:not_saved, "the edit cannot be kept in #{path}",
+      why: to_string(:file.format_error(reason)),
+      fix: "make room or check the folder; the edit was not made"
+    )
+  end
+
+  @doc """
+  The transactions, oldest first; none where there is no journal. One made on an older version than `base` is done with:
+  the version was saved, and only the journal not yet removed.
+  """
+  @spec read(Path.t(), Path.t() | nil) :: {:ok, [Layer.transaction()]} | {:error, Error.t()}
+  def read(path, base) do
+    case File.read(path) do
+      {:ok, text} ->
+        text |> whole(path) |> String.split("\n") |> Enum.drop(-1) |> parse(path, version(base))
+
+      {:error, :enoent} ->
+        {:ok, []}
+
+      {:error, reason} ->
+        {:error, failed(path, reason)}
+    end
+  end
+
+  defp whole(text, path) do
+    case :binary.matches(text, "\n") do
+      [] ->
+        _ = File.rm(path)
+        ""
+
+      feeds ->
+        {last, 1} = List.last(feeds)
+        if last + 1 < byte_size(text), do: cut(path, last + 1)
+        binary_part(text, 0, last + 1)
+    end
+  end
+
+  defp cut(path, size) do
+    {:ok, device} = :file.open(path, [:read, :write, :raw])
+    {:ok, ^size} = :file.position(device, size)
+    :ok = :file.truncate(device)
+    :ok = :file.close(device)
+  end
+
+  defp parse([], _path, _base), do: {:ok, []}
+
+  defp parse([first | lines], path, base) do
+    case Situ.JSON.decode(first) do
+      {:ok, %{"base" => ^base}} ->
+        transactions(lines, path)
+
+      {:ok, %{"base" => older}} when older == nil or older < base ->
+        done_with(path)
+
+      {:ok, %{"base" => _}} ->
+        {:error, unfit(Error.new(:other_version, "it was made on another version"))}
+
+      _ ->
+        {:error, damaged(path, 1)}
+    end
+  end
+
+  defp done_with(path) do
+    _ = File.rm(path)
+    {:ok, []}
+  end
+
+  defp transactions(lines, path) do
+    lines
+    |> Enum.with_index(2)
+    |> Enum.reduce_while({:ok, []}, fn {line, n}, {:ok, done} ->
+      case transaction(line) do
+        {:ok, transaction} -> {:cont, {:ok, [transaction | done]}}
+        :error -> {:halt, {:error, damaged(path, n)}}
+      end
+    end)
+    |> case do
+      {:ok, transactions} -> {:ok, Enum.reverse(transactions)}
+      error -> error
+    end
+  end
+
+  defp transaction(line) do
+    with {:ok, list} when is_list(list) <- Situ.JSON.decode(line) do
+      changes = Enum.map(list, &read_change/1)
+      if :error in changes, do: :error, else: {:ok, changes}
+    else
+      _ -> :error
+    end
+  end
+
+  defp read_change([id, before, later]) when is_integer(id) do
+    with {:ok, before} <- annotation(before),
+         {:ok, later} <- annotation(later),
+         do: {id, before, later}
+  end
+
+  defp read_change(_), do: :error
+
+  defp annotation(nil), do: {:ok, nil}
+
+  defp annotation(json) do
+    case Annotation.from_json(json) do
+      {:ok, annotation} -> {:ok, annotation}
+      {:error, _} -> :error
+    end
+  end
+
+  defp damaged(path, line) do
+    Error.new(:bad_journal, "the journal of unsaved edits #{path} is damaged",
+      why: "line #{line} is no transaction",
+      fix: "move the file away to edit without them; the lines before #{line} are sound"
+    )
+  end
+
+  @doc "What is wrong when a journal does not belong to the recording beside it."
+  @spec unfit(Error.t()) :: Error.t()
+  def unfit(error) do
+    Error.new(:bad_journal, "the journal of unsaved edits does not fit the recording",
+      why: error.what,
+      fix: "move the journal away, or put back the version of the recording it was made on"
+    )
+  end
+end

@@ -1,0 +1,301 @@
+defmodule Situ.Annotation.Layer do
+  @moduledoc """
+  The annotations of one stream, as a value: every edit keeps the rules, and is a transaction that can be undone.
+
+      iex> alias Situ.Annotation.{Layer, Schema}
+      iex> {:ok, layer} = Layer.new(Schema.finite("Speech", ["speaks", "laughs"]))
+      iex> {:ok, layer, _} = Layer.add(layer, Situ.Annotation.new(0, 10, "P1"))
+      iex> {:error, error} = Layer.add(layer, Situ.Annotation.new(5, 15, "P1"))
+      iex> error.code
+      :overlap
+      iex> {:ok, layer, edit} = Layer.set_value(layer, 1, "Speech", "laughs")
+      iex> Layer.fetch!(layer, 1).values
+      %{"Speech" => "laughs"}
+      iex> {:ok, layer} = Layer.apply(layer, Layer.inverse(edit))
+      iex> Layer.fetch!(layer, 1).values
+      %{"Speech" => "speaks"}
+
+  The rules: an annotation does not end before it begins, its values fit the schema, and no two of one track overlap
+  (`Situ.Annotation.overlap?/2`).
+
+  A transaction is a list of `{id, before, after}`, `nil` where there is none. Edits answer `{:ok, layer,
+  transaction}`; `apply/2`
+  takes one, `inverse/1` turns it round.
+  """
+  alias Situ.{Annotation, Error}
+  alias Situ.Annotation.Schema
+
+  @enforce_keys [:schema]
+  defstruct [:schema, by_id: %{}, tracks: %{}, next: 1]
+
+  @type id :: pos_integer()
+  @type transaction :: [{id(), Annotation.t() | nil, Annotation.t() | nil}]
+  @type t :: %__MODULE__{
+          schema: Schema.t(),
+          by_id: %{id() => Annotation.t()},
+          tracks: %{String.t() => :gb_trees.tree({Situ.Time.t(), Situ.Time.t()}, id())},
+          next: id()
+        }
+  @type edited :: {:ok, t(), transaction()} | {:error, Error.t()}
+
+  @doc "A layer of these annotations; those without an id get one. Errors: as of the edits, naming the annotation."
+  @spec new(Schema.t(), [Annotation.t()]) :: {:ok, t()} | {:error, Error.t()}
+  def new(%Schema{} = schema, annotations \\ []) do
+    # Ids that several have are given again.
+    {numbered, _} =
+      Enum.map_reduce(annotations, MapSet.new(), fn a, seen ->
+        if a.id in seen, do: {%{a | id: nil}, seen}, else: {a, MapSet.put(seen, a.id)}
+      end)
+
+    next = numbered |> Enum.map(&(&1.id || 0)) |> Enum.max(fn -> 0 end)
+    layer = %__MODULE__{schema: schema, next: next + 1}
+
+    Enum.reduce_while(numbered, {:ok, layer}, fn annotation, {:ok, layer} ->
+      case put_new(layer, annotation) do
+        {:ok, layer, _} -> {:cont, {:ok, layer}}
+        {:error, error} -> {:halt, {:error, error}}
+      end
+    end)
+  end
+
+  defp put_new(layer, %{id: nil} = annotation), do: add(layer, annotation)
+
+  defp put_new(layer, annotation),
+    do: commit(layer, [{annotation.id, nil, filled(layer, annotation)}])
+
+  # Asking
+
+  @doc "All annotations by end, then begin, then track."
+  @spec annotations(t()) :: [Annotation.t()]
+  def annotations(%__MODULE__{} = layer),
+    do: layer.by_id |> Map.values() |> Enum.sort_by(&{&1.to, &1.from, &1.track})
+
+  @doc "The names of the tracks that hold annotations, sorted."
+  @spec tracks(t()) :: [String.t()]
+  def tracks(%__MODULE__{} = layer), do: layer.tracks |> Map.keys() |> Enum.sort()
+
+  @doc "The annotations of a track in the order of time."
+  @spec on_track(t(), String.t()) :: [Annotation.t()]
+  def on_track(%__MODULE__{} = layer, track) do
+    for id <- :gb_trees.values(tree(layer, track)), do: Map.fetch!(layer.by_id, id)
+  end
+
+  @doc """
+  The annotation of a track that `time` lies in (both ends included; of two that touch there, the later), or
+  `nil`.
+  """
+  @spec at(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
+  def at(%__MODULE__{} = layer, track, time) do
+    # From one ns later backwards, the first that begins at or before `time`.
+    case previous(layer, track, time + 1) do
+      nil -> nil
+      found -> if Annotation.contains?(found, time), do: found
+    end
+  end
+
+  @doc "The last annotation of a track that begins before `time`, or `nil`."
+  @spec previous(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
+  def previous(%__MODULE__{} = layer, track, time) do
+    case layer |> tree(track) |> before(time) do
+      [id] -> Map.fetch!(layer.by_id, id)
+      [] -> nil
+    end
+  end
+
+  @doc "The first annotation of a track that begins after `time`, or `nil`."
+  @spec next(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
+  def next(%__MODULE__{} = layer, track, time) do
+    case :gb_trees.next(:gb_trees.iterator_from({time + 1, time + 1}, tree(layer, track))) do
+      {_, id, _} -> Map.fetch!(layer.by_id, id)
+      :none -> nil
+    end
+  end
+
+  @doc "The annotation of that id. Error: `:no_annotation`."
+  @spec fetch(t(), id()) :: {:ok, Annotation.t()} | {:error, Error.t()}
+  def fetch(%__MODULE__{} = layer, id) do
+    case layer.by_id do
+      %{^id => annotation} ->
+        {:ok, annotation}
+
+      _ ->
+        {:error,
+         Error.new(:no_annotation, "there is no annotation #{inspect(id)}",
+           fix: "it may be deleted"
+         )}
+    end
+  end
+
+  @doc "As `fetch/2`, but raises the error."
+  @spec fetch!(t(), id()) :: Annotation.t()
+  def fetch!(layer, id) do
+    case fetch(layer, id) do
+      {:ok, annotation} -> annotation
+      {:error, error} -> raise error
+    end
+  end
+
+  defp tree(layer, track), do: Map.get(layer.tracks, track, :gb_trees.empty())
+
+  # Editing
+
+  @doc "Adds an annotation; attributes it says nothing of get their defaults, and it gets an id."
+  @spec add(t(), Annotation.t()) :: edited()
+  def add(%__MODULE__{} = layer, %Annotation{} = annotation) do
+    annotation = filled(layer, %{annotation | id: layer.next})
+    commit(layer, [{layer.next, nil, annotation}])
+  end
+
+  defp filled(layer, annotation),
+    do: %{annotation | values: Map.merge(Schema.defaults(layer.schema), annotation.values)}
+
+  @doc "Deletes annotations, all or none."
+  @spec remove(t(), id() | [id()]) :: edited()
+  def remove(%__MODULE__{} = layer, ids) do
+    ids
+    |> List.wrap()
+    |> Enum.reduce_while({:ok, []}, fn id, {:ok, changes} ->
+      case fetch(layer, id) do
+        {:ok, annotation} -> {:cont, {:ok, [{id, annotation, nil} | changes]}}
+        error -> {:halt, error}
+      end
+    end)
+    |> case do
+      {:ok, changes} -> commit(layer, changes)
+      error -> error
+    end
+  end
+
+  @doc """
+  Changes fields of an annotation: `from:`, `to:`, `track:`, `values:`, `by:`, `confidence:`, `note:`,
+  `proposed?:`.
+  """
+  @spec change(t(), id(), keyword()) :: edited()
+  def change(%__MODULE__{} = layer, id, fields) do
+    with {:ok, old} <- fetch(layer, id),
+         do: commit(layer, [{id, old, %{struct!(old, fields) | id: id}}])
+  end
+
+  @doc "Sets one attribute."
+  @spec set_value(t(), id(), String.t(), Schema.value()) :: edited()
+  def set_value(%__MODULE__{} = layer, id, attribute, value) do
+    with {:ok, old} <- fetch(layer, id),
+         do: change(layer, id, values: Map.put(old.values, attribute, value))
+  end
+
+  @doc "Takes a proposal for an annotation."
+  @spec accept(t(), id(), String.t() | nil) :: edited()
+  def accept(%__MODULE__{} = layer, id, by \\ nil) do
+    with {:ok, old} <- fetch(layer, id), do: change(layer, id, proposed?: false, by: by || old.by)
+  end
+
+  @doc "Makes a transaction, or says which rule it would break; the layer is checked where it changes."
+  @spec commit(t(), transaction()) :: edited()
+  def commit(%__MODULE__{} = layer, transaction) do
+    with {:ok, layer} <- __MODULE__.apply(layer, transaction), do: {:ok, layer, transaction}
+  end
+
+  @doc """
+  Applies a transaction, all or nothing. Errors: `:overlap`, `:bad_value`, `:unknown_attribute`, `:bad_annotation`, and
+  `:stale_edit` when the layer is not what the transaction was made for.
+  """
+  @spec apply(t(), transaction()) :: {:ok, t()} | {:error, Error.t()}
+  def apply(%__MODULE__{} = layer, transaction) do
+    with :ok <- current(layer, transaction) do
+      bare = Enum.reduce(transaction, layer, fn {id, old, _}, layer -> take(layer, id, old) end)
+      Enum.reduce_while(transaction, {:ok, bare}, &put/2)
+    end
+  end
+
+  defp current(layer, transaction) do
+    if Enum.all?(transaction, fn {id, old, _} -> Map.get(layer.by_id, id) == old end) do
+      :ok
+    else
+      {:error,
+       Error.new(:stale_edit, "the annotation was changed by somebody else meanwhile",
+         fix: "look again and repeat the edit"
+       )}
+    end
+  end
+
+  defp take(layer, _id, nil), do: layer
+
+  defp take(layer, id, old) do
+    tree = :gb_trees.delete({old.from, old.to}, Map.fetch!(layer.tracks, old.track))
+
+    tracks =
+      if :gb_trees.is_empty(tree),
+        do: Map.delete(layer.tracks, old.track),
+        else: Map.put(layer.tracks, old.track, tree)
+
+    %{layer | by_id: Map.delete(layer.by_id, id), tracks: tracks}
+  end
+
+  defp put({_id, _old, nil}, {:ok, layer}), do: {:cont, {:ok, layer}}
+
+  defp put({id, _old, new}, {:ok, layer}) do
+    with :ok <- Annotation.check(new),
+         :ok <- Schema.check(layer.schema, new.values),
+         :ok <- free(layer, new) do
+      tree = :gb_trees.insert({new.from, new.to}, id, tree(layer, new.track))
+
+      {:cont,
+       {:ok,
+        %{
+          layer
+          | by_id: Map.put(layer.by_id, id, new),
+            tracks: Map.put(layer.tracks, new.track, tree),
+            next: max(layer.next, id + 1)
+        }}}
+    else
+      error -> {:halt, error}
+    end
+  end
+
+  # Those of a track do not overlap, so only the nearest on either side can be in the way.
+  defp free(layer, new) do
+    case Enum.find(neighbours(layer, new), &Annotation.overlap?(&1, new)) do
+      nil -> :ok
+      other -> {:error, overlap(new, other)}
+    end
+  end
+
+  defp neighbours(layer, new) do
+    tree = tree(layer, new.track)
+    after_it = tree |> from({new.from, new.from}) |> Enum.take(2)
+    before = before(tree, new.from)
+    for id <- before ++ after_it, do: Map.fetch!(layer.by_id, id)
+  end
+
+  defp from(tree, key) do
+    Stream.unfold(:gb_trees.iterator_from(key, tree), fn iterator ->
+      case :gb_trees.next(iterator) do
+        {_, id, iterator} -> {id, iterator}
+        :none -> nil
+      end
+    end)
+  end
+
+  # The last that begins before `time`: gb_trees of the floor iterate forward only, so this walks down the tree.
+  defp before({_size, node}, time), do: descend(node, time, [])
+
+  defp descend(nil, _time, best), do: best
+
+  defp descend({{from, _}, id, smaller, bigger}, time, best) do
+    if from < time, do: descend(bigger, time, [id]), else: descend(smaller, time, best)
+  end
+
+  defp overlap(new, other) do
+    Error.new(:overlap, "an annotation on track #{inspect(new.track)} is in the way",
+      why:
+        "it lasts from #{Situ.Time.to_iso8601(other.from)} to #{Situ.Time.to_iso8601(other.to)}",
+      fix: "move its edge, or use another track"
+    )
+  end
+
+  @doc "The transaction that undoes one."
+  @spec inverse(transaction()) :: transaction()
+  def inverse(transaction),
+    do:
+      transaction |> Enum.reverse() |> Enum.map(fn {id, before, later} -> {id, later, before} end)
+end

@@ -1,0 +1,231 @@
+defmodule Situ.Annotation.Schema do
+  @moduledoc """
+  Which attributes the annotations of a stream have: names, kinds, allowed values, colours, and the keys that set them.
+
+      iex> {:ok, schema} = Situ.Annotation.Schema.parse(%{"name" => "Speech", "attributes" => [
+      ...>   %{"name" => "Speaker", "kind" => "finite", "values" => [
+      ...>     %{"value" => "P1", "fill" => "#1f77b4", "key" => "1"}, %{"value" => "P2", "key" => "2"}]},
+      ...>   %{"name" => "Words", "kind" => "text"}]})
+      iex> Situ.Annotation.Schema.defaults(schema)
+      %{"Speaker" => "P1", "Words" => ""}
+      iex> Situ.Annotation.Schema.by_key(schema, "2")
+      {:ok, {"Speaker", "P2"}}
+      iex> {:error, error} = Situ.Annotation.Schema.check(schema, %{"Speaker" => "P3"})
+      iex> error.why
+      "\\"P3\\" is none of \\"P1\\", \\"P2\\""
+
+  The JSON form (`parse/1`, `to_json/1`, files by `load/1` and `save/2`) is described by
+  `priv/schema/annotation.schema.json`. Kinds: `:finite` (one of `values`), `:text`, `:number`, `:bool`. Colours are
+  `#rrggbb`. A key is one character; it belongs to one value of the whole schema.
+  """
+  alias Situ.Annotation.Attribute
+  alias Situ.Error
+
+  @enforce_keys [:name, :attributes]
+  defstruct [:name, attributes: [], description: ""]
+
+  @type value :: String.t() | number() | boolean()
+  @type t :: %__MODULE__{name: String.t(), description: String.t(), attributes: [Attribute.t()]}
+
+  @doc "One attribute `name` with these values, for a start: `finite(\"Speech\", [\"speaking\", \"silent\"])`."
+  @spec finite(String.t(), [String.t()]) :: t()
+  def finite(name, values) do
+    {:ok, schema} =
+      parse(%{
+        "name" => name,
+        "attributes" => [
+          %{"name" => name, "kind" => "finite", "values" => Enum.map(values, &%{"value" => &1})}
+        ]
+      })
+
+    schema
+  end
+
+  @doc "One attribute of free text."
+  @spec text(String.t()) :: t()
+  def text(name) do
+    {:ok, schema} =
+      parse(%{"name" => name, "attributes" => [%{"name" => name, "kind" => "text"}]})
+
+    schema
+  end
+
+  @doc "Out of the JSON form. Error: `:bad_schema`, which says where."
+  @spec parse(term()) :: {:ok, t()} | {:error, Error.t()}
+  def parse(%{"name" => name, "attributes" => [_ | _] = attributes} = json)
+      when is_binary(name) do
+    with :ok <- named(name),
+         {:ok, attributes} <- attributes(attributes, []),
+         :ok <- distinct(Enum.map(attributes, & &1.name), "attribute"),
+         :ok <- distinct(keys(attributes), "key") do
+      description = if is_binary(json["description"]), do: json["description"], else: ""
+      {:ok, %__MODULE__{name: name, attributes: attributes, description: description}}
+    end
+  end
+
+  def parse(_), do: bad("a schema has a \"name\" and at least one of \"attributes\"")
+
+  defp named(name), do: if(String.trim(name) == "", do: bad("its name is empty"), else: :ok)
+
+  defp attributes([], done), do: {:ok, Enum.reverse(done)}
+
+  defp attributes([json | rest], done) do
+    case Attribute.parse(json) do
+      {:ok, attribute} -> attributes(rest, [attribute | done])
+      {:error, why} -> bad(why)
+    end
+  end
+
+  defp keys(attributes), do: for(a <- attributes, v <- a.values, v.key, do: v.key)
+
+  defp distinct(names, kind) do
+    case names -- Enum.uniq(names) do
+      [] -> :ok
+      [twice | _] -> bad("the #{kind} #{inspect(twice)} is there twice")
+    end
+  end
+
+  defp bad(why) do
+    {:error,
+     Error.new(:bad_schema, "this is no annotation schema",
+       why: why,
+       fix: "see priv/schema/annotation.schema.json"
+     )}
+  end
+
+  @doc "The JSON form."
+  @spec to_json(t()) :: map()
+  def to_json(%__MODULE__{} = schema) do
+    json = %{
+      "name" => schema.name,
+      "attributes" => Enum.map(schema.attributes, &Attribute.to_json/1)
+    }
+
+    if schema.description == "", do: json, else: Map.put(json, "description", schema.description)
+  end
+
+  @doc "Reads a schema file."
+  @spec load(Path.t()) :: {:ok, t()} | {:error, Error.t()}
+  def load(path) do
+    with {:ok, text} <- File.read(path),
+         {:ok, json} <- Situ.JSON.decode(text),
+         {:ok, schema} <- parse(json) do
+      {:ok, schema}
+    else
+      {:error, %Error{} = error} ->
+        {:error, %{error | what: "#{path} is no annotation schema"}}
+
+      {:error, :bad_json} ->
+        bad("#{path} is not JSON")
+
+      {:error, reason} ->
+        {:error,
+         Error.new(:not_found, "cannot read the annotation schema #{path}",
+           why: to_string(:file.format_error(reason)),
+           fix: "check the path"
+         )}
+    end
+  end
+
+  @doc "Writes a schema file."
+  @spec save(t(), Path.t()) :: :ok | {:error, Error.t()}
+  def save(%__MODULE__{} = schema, path) do
+    case File.write(path, Situ.JSON.pretty(to_json(schema)) <> "\n") do
+      :ok ->
+        :ok
+
+      {:error, reason} ->
+        {:error,
+         Error.new(:not_saved, "cannot write #{path}", why: to_string(:file.format_error(reason)))}
+    end
+  end
+
+  @doc "The attribute of that name, or `nil`."
+  @spec attribute(t(), String.t()) :: Attribute.t() | nil
+  def attribute(%__MODULE__{} = schema, name),
+    do: Enum.find(schema.attributes, &(&1.name == name))
+
+  @doc "The value of every attribute before anybody has said otherwise."
+  @spec defaults(t()) :: %{String.t() => value()}
+  def defaults(%__MODULE__{} = schema), do: Map.new(schema.attributes, &{&1.name, &1.default})
+
+  @doc "Whether these values fit. Errors: `:unknown_attribute`, `:bad_value`."
+  @spec check(t(), map()) :: :ok | {:error, Error.t()}
+  def check(%__MODULE__{} = schema, values) do
+    Enum.find_value(values, :ok, fn {name, value} ->
+      case attribute(schema, name) do
+        nil -> {:error, unknown(schema, name)}
+        attribute -> wrong(attribute, value)
+      end
+    end)
+  end
+
+  defp wrong(attribute, value) do
+    case Attribute.check(attribute, value) do
+      :ok ->
+        nil
+
+      {:error, why} ->
+        {:error, Error.new(:bad_value, "not a value of #{inspect(attribute.name)}", why: why)}
+    end
+  end
+
+  defp unknown(schema, name) do
+    known = Enum.map(schema.attributes, & &1.name)
+
+    Error.new(
+      :unknown_attribute,
+      "schema #{inspect(schema.name)} has no attribute #{inspect(name)}",
+      fix: "it has #{Enum.map_join(known, ", ", &inspect/1)}"
+    )
+  end
+
+  @doc "A value as people write it in a text file, read for its attribute: `\"12.5\"` of a number is `12.5`."
+  @spec read(t(), String.t(), String.t()) :: {:ok, value()} | {:error, Error.t()}
+  def read(%__MODULE__{} = schema, name, text) do
+    case attribute(schema, name) do
+      nil ->
+        {:error, unknown(schema, name)}
+
+      attribute ->
+        value = Attribute.read(attribute, text)
+        wrong(attribute, value) || {:ok, value}
+    end
+  end
+
+  @doc "The attribute and value that a key sets."
+  @spec by_key(t(), String.t()) :: {:ok, {String.t(), value()}} | :error
+  def by_key(%__MODULE__{} = schema, key) do
+    Enum.find_value(schema.attributes, :error, fn attribute ->
+      found = Enum.find(attribute.values, &(&1.key == key))
+      found && {:ok, {attribute.name, found.value}}
+    end)
+  end
+
+  @doc """
+  A schema for annotations whose values came without one: text attributes, numbers and booleans where all values are
+  such.
+  """
+  @spec guess(String.t(), [map()]) :: t()
+  def guess(name, all_values) do
+    attributes =
+      all_values
+      |> Enum.flat_map(&Map.to_list/1)
+      |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
+      |> Enum.map(fn {attribute, values} -> %{"name" => attribute, "kind" => kind(values)} end)
+
+    attributes =
+      if attributes == [], do: [%{"name" => "Value", "kind" => "text"}], else: attributes
+
+    {:ok, schema} = parse(%{"name" => name, "attributes" => attributes})
+    schema
+  end
+
+  defp kind(values) do
+    cond do
+      Enum.all?(values, &is_boolean/1) -> "bool"
+      Enum.all?(values, &is_number/1) -> "number"
+      true -> "text"
+    end
+  end
+end
