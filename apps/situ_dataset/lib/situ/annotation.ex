@@ -2,8 +2,8 @@ defmodule Situ.Annotation do
   @moduledoc """
   Somebody's word on a span of time: "participant 1 speaks from here to there".
 
-  An annotation has an interval, a track (a row of the timeline: one per person, say), a value for each attribute of the
-  stream's `Situ.Annotation.Schema`, and where it comes from:
+  An annotation has an interval, a track (a row of the timeline: one per person, say), a value for each attribute of
+  the stream's `Situ.Annotation.Schema`, and where it comes from:
 
     * `from`, `to`: ns, `from <= to`; a point in time has both alike
     * `track`: one track holds no two annotations that overlap; touching is no overlap
@@ -12,8 +12,9 @@ defmodule Situ.Annotation do
     * `proposed?`: a program's suggestion that nobody has accepted yet
     * `note`: free text; `id`: a number that stays the same while it is edited
 
-  **Annotations are an ordinary stream**: a message is the list of the annotations that end at its originating time, at
-  most one of each track, sorted by track. So they are recorded, replayed, joined and queried like any other stream.
+  **Annotations are an ordinary stream**: a message is the list of the annotations that end at its originating time,
+  at most one of each track, sorted by track. So they are recorded, replayed, joined and queried like any other
+  stream.
 
       iex> a = Situ.Annotation.new(0, 10, "P1", %{"Speaks" => true})
       iex> b = Situ.Annotation.new(10, 20, "P1", %{"Speaks" => false})
@@ -99,8 +100,8 @@ defmodule Situ.Annotation do
   end
 
   @doc """
-  Whether two annotations of one track exclude each other: they share more than a point, they end together, or one is a
-  point inside the other.
+  Whether two annotations of one track exclude each other: they share more than a point, they end together, or one
+  is a point inside the other.
   """
   @spec overlap?(t(), t()) :: boolean()
   def overlap?(%{from: a, to: b}, %{from: c, to: d}), do: b == d or (a < d and c < b)

@@ -17,10 +17,9 @@ defmodule Situ.Dataset do
       true
 
   `open/1` takes a dataset file (`Situ.Dataset.Document`), a `.pds` of \\psi, a folder of recordings, or one
-  recording. A dataset is a plain value:
-  edits answer `{:ok, dataset}`, and with `autosave: true` are on disk by then (whole or not at all); else
-  `unsaved?` says so.
-  `Situ.Dataset.Server` is a process that holds one for several users and tells them of changes.
+  recording. A dataset is a plain value: edits answer `{:ok, dataset}`, and with `autosave: true` are on disk by
+  then (whole or not at all); else `unsaved?` says so. `Situ.Dataset.Server` is a process that holds one for several
+  users and tells them of changes.
 
   | to | see |
   |---|---|
@@ -279,8 +278,7 @@ defmodule Situ.Dataset do
 
   @doc """
   Spans, sizes and counts over all sessions: opens every recording, several at once. `Situ.Dataset.Summary.unknown`
-  counts those that
-  cannot be read.
+  counts those that cannot be read.
   """
   @spec summary(t()) :: Summary.t()
   def summary(%__MODULE__{} = dataset),
@@ -306,8 +304,8 @@ defmodule Situ.Dataset do
   end
 
   @doc """
-  Notes the checksum of every recording (`Situ.Dataset.Checksum`; reads all bytes). Option `progress:`,
-  `fun.(done, total)`.
+  Notes the checksum of every recording (`Situ.Dataset.Checksum`; reads all bytes). Option `progress:`, `fun.(done,
+  total)`.
   """
   @spec seal(t(), keyword()) :: result()
   def seal(%__MODULE__{} = dataset, opts \\ []) do

@@ -1,7 +1,7 @@
 defmodule Situ.Annotation.Attribute do
   @moduledoc """
-  One attribute of a `Situ.Annotation.Schema`: its name, kind, default, and for a finite one its values with colours and
-  keys.
+  One attribute of a `Situ.Annotation.Schema`: its name, kind, default, and for a finite one its values with colours
+  and keys.
 
   `fill` and `text` are the colours of an attribute without values of its own; a value's `key` sets it from the
   keyboard.

@@ -1,7 +1,7 @@
 defmodule Situ.Annotation.Edit do
   @moduledoc """
-  Edits of a `Situ.Annotation.Layer` that change several annotations at once: edges that move together, whole tracks,
-  cuts, proposals. Each answers `{:ok, layer, transaction}` and is undone as one.
+  Edits of a `Situ.Annotation.Layer` that change several annotations at once: edges that move together, whole
+  tracks, cuts, proposals. Each answers `{:ok, layer, transaction}` and is undone as one.
 
       iex> alias Situ.Annotation.{Edit, Layer, Schema}
       iex> {:ok, layer} = Layer.new(Schema.text("Words"),

@@ -20,9 +20,9 @@ defmodule Situ.Annotation.Editor do
   Options of `start_link/1`: `path:` (the annotation store, `ROOT/NAME`; its newest version is opened), `stream:`,
   `schema:` (for a stream that is not there yet), and those of a GenServer (`name:`).
 
-  Every transaction is appended to `ROOT/NAME.STREAM.journal` and on the disk before `edit/2` answers. `save/1` writes a
-  new version of the store (`Situ.Annotation.Recording`) and removes the journal; an editor started after a crash finds
-  the journal and carries on (`recovered` in `status/1` counts the transactions). Subscribers get
+  Every transaction is appended to `ROOT/NAME.STREAM.journal` and on the disk before `edit/2` answers. `save/1`
+  writes a new version of the store (`Situ.Annotation.Recording`) and removes the journal; an editor started after a
+  crash finds the journal and carries on (`recovered` in `status/1` counts the transactions). Subscribers get
   `{:situ_annotation, pid, transaction}` after every edit, undo and redo, and `{:situ_annotation, pid, :saved}`.
   """
   use GenServer
@@ -114,15 +114,14 @@ defmodule Situ.Annotation.Editor do
   def layer(server), do: GenServer.call(server, :layer)
 
   @doc """
-  `undo`, `redo`: how many steps each way; `unsaved?`; `recovered`: transactions found in the journal at the
-  start.
+  `undo`, `redo`: how many steps each way; `unsaved?`; `recovered`: transactions found in the journal at the start.
   """
   @spec status(server()) :: map()
   def status(server), do: GenServer.call(server, :status)
 
   @doc """
-  Makes an edit, `layer -> {:ok, layer, transaction} | {:error, error}` (the functions of `Situ.Annotation.Layer` and
-  `Situ.Annotation.Edit`): `{:ok, layer}`. What was undone before can no longer be redone.
+  Makes an edit, `layer -> {:ok, layer, transaction} | {:error, error}` (the functions of `Situ.Annotation.Layer`
+  and `Situ.Annotation.Edit`): `{:ok, layer}`. What was undone before can no longer be redone.
   """
   @spec edit(server(), (Layer.t() -> Layer.edited())) :: {:ok, Layer.t()} | {:error, Error.t()}
   def edit(server, fun) when is_function(fun, 1), do: GenServer.call(server, {:edit, fun}, 60_000)

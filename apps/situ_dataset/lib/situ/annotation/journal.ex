@@ -57,8 +57,8 @@ defmodule Situ.Annotation.Journal do
   end
 
   @doc """
-  The transactions, oldest first; none where there is no journal. One made on an older version than `base` is done with:
-  the version was saved, and only the journal not yet removed.
+  The transactions, oldest first; none where there is no journal. One made on an older version than `base` is done
+  with: the version was saved, and only the journal not yet removed.
   """
   @spec read(Path.t(), Path.t() | nil) :: {:ok, [Layer.transaction()]} | {:error, Error.t()}
   def read(path, base) do

@@ -19,8 +19,7 @@ defmodule Situ.Annotation.Layer do
   (`Situ.Annotation.overlap?/2`).
 
   A transaction is a list of `{id, before, after}`, `nil` where there is none. Edits answer `{:ok, layer,
-  transaction}`; `apply/2`
-  takes one, `inverse/1` turns it round.
+  transaction}`; `apply/2` takes one, `inverse/1` turns it round.
   """
   alias Situ.{Annotation, Error}
   alias Situ.Annotation.Schema
@@ -81,8 +80,7 @@ defmodule Situ.Annotation.Layer do
   end
 
   @doc """
-  The annotation of a track that `time` lies in (both ends included; of two that touch there, the later), or
-  `nil`.
+  The annotation of a track that `time` lies in (both ends included; of two that touch there, the later), or `nil`.
   """
   @spec at(t(), String.t(), Situ.Time.t()) :: Annotation.t() | nil
   def at(%__MODULE__{} = layer, track, time) do
@@ -167,8 +165,7 @@ defmodule Situ.Annotation.Layer do
   end
 
   @doc """
-  Changes fields of an annotation: `from:`, `to:`, `track:`, `values:`, `by:`, `confidence:`, `note:`,
-  `proposed?:`.
+  Changes fields of an annotation: `from:`, `to:`, `track:`, `values:`, `by:`, `confidence:`, `note:`, `proposed?:`.
   """
   @spec change(t(), id(), keyword()) :: edited()
   def change(%__MODULE__{} = layer, id, fields) do
@@ -196,8 +193,8 @@ defmodule Situ.Annotation.Layer do
   end
 
   @doc """
-  Applies a transaction, all or nothing. Errors: `:overlap`, `:bad_value`, `:unknown_attribute`, `:bad_annotation`, and
-  `:stale_edit` when the layer is not what the transaction was made for.
+  Applies a transaction, all or nothing. Errors: `:overlap`, `:bad_value`, `:unknown_attribute`, `:bad_annotation`,
+  and `:stale_edit` when the layer is not what the transaction was made for.
   """
   @spec apply(t(), transaction()) :: {:ok, t()} | {:error, Error.t()}
   def apply(%__MODULE__{} = layer, transaction) do

@@ -5,9 +5,9 @@ defmodule Situ.Annotation.Recording do
       {:ok, layer} = Situ.Annotation.Recording.load(store, "Speech")
       {:ok, path} = Situ.Annotation.Recording.write(layer, "study/p01/annotation", "Speech")
 
-  A store is not changed where it lies. Writing makes a new version (`annotation.0001`, `annotation.0002` ...), whole or
-  not at all, so that every earlier state can still be opened; the recording of the session itself is never touched, and
-  may be being written meanwhile. The schema is the stream's supplemental metadata, in its JSON form.
+  A store is not changed where it lies. Writing makes a new version (`annotation.0001`, `annotation.0002` ...),
+  whole or not at all, so that every earlier state can still be opened; the recording of the session itself is never
+  touched, and may be being written meanwhile. The schema is the stream's supplemental metadata, in its JSON form.
   """
   alias Situ.{Annotation, Error, Store}
   alias Situ.Annotation.{Layer, Schema}
@@ -20,12 +20,12 @@ defmodule Situ.Annotation.Recording do
 
   @doc "Whether a stored stream holds annotations: its type says so, or its metadata is a schema."
   @spec annotations?(Store.t(), Store.StreamInfo.t()) :: boolean()
-  def annotations?(%Store{} = store, %Store.StreamInfo{} = info),
+  def annotations?(%Store.Handle{} = store, %Store.StreamInfo{} = info),
     do: info.type == @type_wanted or match?({:ok, _}, schema(store, info))
 
   @doc "The schema that the stream was recorded with. Error: `:no_metadata`, `:bad_schema`."
   @spec schema(Store.t(), Store.name()) :: {:ok, Schema.t()} | {:error, Error.t()}
-  def schema(%Store{} = store, stream) do
+  def schema(%Store.Handle{} = store, stream) do
     with {:ok, term} <- Store.metadata(store, stream), do: Schema.parse(term)
   end
 
@@ -35,7 +35,7 @@ defmodule Situ.Annotation.Recording do
   Errors: those of the store; `:bad_annotation` when its messages are no annotations.
   """
   @spec load(Store.t(), Store.name()) :: {:ok, Layer.t()} | {:error, Error.t()}
-  def load(%Store{} = store, stream) do
+  def load(%Store.Handle{} = store, stream) do
     with {:ok, info} <- Store.stream_info(store, stream),
          {:ok, annotations} <- annotations(store, info) do
       schema =
@@ -51,7 +51,7 @@ defmodule Situ.Annotation.Recording do
   @doc "The annotations of a stream without their schema. Options as `Situ.Store.messages/3`."
   @spec annotations(Store.t(), Store.name(), keyword()) ::
           {:ok, [Annotation.t()]} | {:error, Error.t()}
-  def annotations(%Store{} = store, stream, opts \\ []) do
+  def annotations(%Store.Handle{} = store, stream, opts \\ []) do
     store
     |> Store.messages(stream, opts)
     |> Enum.reduce_while({:ok, []}, fn message, {:ok, done} ->

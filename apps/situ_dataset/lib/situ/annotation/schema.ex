@@ -1,6 +1,7 @@
 defmodule Situ.Annotation.Schema do
   @moduledoc """
-  Which attributes the annotations of a stream have: names, kinds, allowed values, colours, and the keys that set them.
+  Which attributes the annotations of a stream have: names, kinds, allowed values, colours, and the keys that set
+  them.
 
       iex> {:ok, schema} = Situ.Annotation.Schema.parse(%{"name" => "Speech", "attributes" => [
       ...>   %{"name" => "Speaker", "kind" => "finite", "values" => [

@@ -3,8 +3,7 @@ defmodule Situ.Dataset.Checksum do
   A checksum over all bytes of a recording, by which a study tells years later that its data is what was analysed.
 
   `sha256:` and the hex digest of the list of files (name, size, digest of the content; sorted by name). A store's
-  lock and marks of
-  running writers are no part of it.
+  lock and marks of running writers are no part of it.
   """
   alias Situ.Error
 

@@ -8,8 +8,7 @@ defmodule Situ.Dataset.Importer do
       end)
 
   Streams are found as in `Situ.Dataset.OpenSession`; each has a reader of its own. Partitions that cannot be opened
-  are left out
-  and named in `importer.session.troubles`; asking for a stream of one raises its error.
+  are left out and named in `importer.session.troubles`; asking for a stream of one raises its error.
   """
   alias Situ.Dataset.{OpenSession, Session}
   alias Situ.{Error, Pipeline, Store}
@@ -33,8 +32,7 @@ defmodule Situ.Dataset.Importer do
 
   @doc """
   A stream of the session, `"Stream"` or `"[Partition]:Stream"`. Options as `Situ.Store.stream/3`; with `or_empty:
-  true` a stream that no
-  partition has is one without messages (an ambiguous name still raises).
+  true` a stream that no partition has is one without messages (an ambiguous name still raises).
   """
   @spec stream(t(), String.t(), keyword()) :: Situ.Stream.t()
   def stream(%__MODULE__{} = importer, spec, opts \\ []) do

@@ -1,15 +1,14 @@
 defmodule Situ.Dataset.JsonStore do
   @moduledoc """
   \\psi's JSON stores, as recordings: `NAME.Catalog.json` (an array of stream descriptions) beside `NAME.Data.json`
-  (an array of
-  `{"Envelope": {"SourceId", "SequenceId", "OriginatingTime", "Time"}, "Data": ...}`, in the order of time).
+  (an array of `{"Envelope": {"SourceId", "SequenceId", "OriginatingTime", "Time"}, "Data": ...}`, in the order of
+  time).
 
       {:ok, store} = Situ.Store.open("notes.Catalog.json")
 
   Data is what the JSON says: maps with string keys, lists, numbers, text. A message at the left end of an interval
-  is part of it
-  (\\psi's own reader leaves it out). Messages that are no messages, or of no stream in the catalogue, are damage
-  and passed over.
+  is part of it (\\psi's own reader leaves it out). Messages that are no messages, or of no stream in the catalogue,
+  are damage and passed over.
   """
   @behaviour Situ.Store.Reader
 

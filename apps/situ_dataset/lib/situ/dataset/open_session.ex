@@ -9,8 +9,7 @@ defmodule Situ.Dataset.OpenSession do
       {:ok, messages} = Situ.Dataset.OpenSession.messages(open, "[Annotation]:Speaker")
 
   A stream's name is enough where one partition has it; where several do, `"[Partition]:Stream"` says which.
-  Partitions that cannot
-  be opened are in `troubles` and the others are read.
+  Partitions that cannot be opened are in `troubles` and the others are read.
   """
   alias Situ.Dataset.{Names, Partition, Session}
   alias Situ.{Error, Store}
@@ -57,8 +56,7 @@ defmodule Situ.Dataset.OpenSession do
   The partition, store and name of the stream that `spec` means.
 
   Errors: `:no_stream`, `:no_partition`, `:ambiguous_stream` (it says how to qualify), and that of the partition
-  named when it cannot be
-  opened.
+  named when it cannot be opened.
   """
   @spec find(t(), String.t()) ::
           {:ok, {partition :: String.t(), Store.t(), stream :: String.t()}} | {:error, Error.t()}

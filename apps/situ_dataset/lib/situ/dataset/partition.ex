@@ -1,10 +1,10 @@
 defmodule Situ.Dataset.Partition do
   @moduledoc """
-  One recording of a session: a store, or any file that a `Situ.Store.Reader` opens (WAV, CSV, films, MCAP, bags ...).
+  One recording of a session: a store, or any file that a `Situ.Store.Reader` opens (WAV, CSV, films, MCAP, bags
+  ...).
 
   A partition is a name and a place; nothing is opened until it is asked for, so that a dataset with a missing or
-  damaged recording
-  still opens, lists the others, and says of this one what is wrong (`open/1`).
+  damaged recording still opens, lists the others, and says of this one what is wrong (`open/1`).
 
       iex> partition = Situ.Dataset.Partition.new("Video", "/nowhere/lobby.0000")
       iex> {:error, error} = Situ.Dataset.Partition.open(partition)
@@ -12,9 +12,8 @@ defmodule Situ.Dataset.Partition do
       :no_store
 
   Fields: `name`, `store` (the recording's own name), `path` (absolute), `reader` (the name of a reader's module or
-  of a reader
-  of \\psi, or `nil` to go by the file), `checksum` (`Situ.Dataset.Checksum`, or `nil`), `metadata` (a JSON object),
-  `extra` (what else the dataset file says of it; kept).
+  of a reader of \\psi, or `nil` to go by the file), `checksum` (`Situ.Dataset.Checksum`, or `nil`), `metadata` (a
+  JSON object), `extra` (what else the dataset file says of it; kept).
   """
   alias Situ.{Error, Store}
   alias Situ.Dataset.{StoredPath, Summary}
@@ -34,8 +33,7 @@ defmodule Situ.Dataset.Partition do
 
   @doc """
   A partition for the recording at `path`: a store's folder, `ROOT/NAME` for its newest version now, or a foreign
-  file. `name` may be `nil`:
-  then it is the recording's.
+  file. `name` may be `nil`: then it is the recording's.
 
   Options: `reader:` (a module), `metadata:`.
   """

@@ -11,11 +11,9 @@ defmodule Situ.Dataset.Server do
       [:dataset, {:session_added, "p01"}]
 
   Options of `start_link/1`: `dataset:` (required), and those of a GenServer (`name:`). A change is `:dataset`
-  (always the first: something in
-  it has changed), `{:session_added, name}`, `{:session_removed, name}` or `{:session, name}`; a session renamed or
-  moved is told as both `{:session, new}` and
-  `{:session_removed, old}`. It ends with its supervisor; nothing unsaved is written then, so use `autosave: true`
-  where that matters.
+  (always the first: something in it has changed), `{:session_added, name}`, `{:session_removed, name}` or
+  `{:session, name}`; a session renamed or moved is told as both `{:session, new}` and `{:session_removed, old}`. It
+  ends with its supervisor; nothing unsaved is written then, so use `autosave: true` where that matters.
   """
   use GenServer
   alias Situ.{Dataset, Error}

@@ -1,6 +1,7 @@
 defmodule Situ.Dataset.StoredPath do
   @moduledoc """
-  How a dataset file writes down where a recording lies: relative to itself, so that file and recordings move together.
+  How a dataset file writes down where a recording lies: relative to itself, so that file and recordings move
+  together.
 
       iex> Situ.Dataset.StoredPath.to_stored("/study/p01/lobby.0000", "/study/study.json")
       "p01/lobby.0000"
@@ -8,8 +9,7 @@ defmodule Situ.Dataset.StoredPath do
       "/old/lobby.0000"
 
   A dataset file whose own path is of the Windows kind (`C:\\\\...` or `\\\\\\\\host\\\\share\\\\...`) gets Windows
-  paths, which is how the
-  files of \\\\psi are written; a path on another drive or share stays absolute:
+  paths, which is how the files of \\\\psi are written; a path on another drive or share stays absolute:
 
       iex> Situ.Dataset.StoredPath.to_stored("D:\\\\runs\\\\a", ~S(C:\\study\\study.pds))
       "D:\\\\runs\\\\a"
@@ -21,8 +21,7 @@ defmodule Situ.Dataset.StoredPath do
   @type parts :: {root :: String.t(), [String.t()]}
 
   @doc """
-  What the dataset file at `dataset_file` says for `path`; a path that is relative already stays so, as it is
-  spelt.
+  What the dataset file at `dataset_file` says for `path`; a path that is relative already stays so, as it is spelt.
   """
   @spec to_stored(Path.t(), Path.t()) :: String.t()
   def to_stored(path, dataset_file) do

@@ -3,7 +3,8 @@ defmodule Situ.Dataset.Summary do
   Spans, sizes and counts of a partition, a session or a dataset; those of a group are the coverage and the sums of
   its members.
 
-    * `originating`, `creation`: the spans of originating and creation times, `Situ.Interval`, empty without messages
+    * `originating`, `creation`: the spans of originating and creation times, `Situ.Interval`, empty without
+      messages
     * `streams_open`: the span from the first stream's opening to the last one's close (ns; what \\psi calls the
       stream interval)
     * `size`: payload bytes; `streams`, `messages`: counts
