@@ -90,7 +90,7 @@ test("security: a browser that stops reading slows nobody", async ({ page }) => 
   await page.waitForTimeout(300);
   const t0 = BigInt(site.t0);
   for (let i = 0; i < 400; i++) {
-    const request = { req: i, open: [[1, { stream: "Signal", draw: "line" }]], series: [[1, String(t0), String(t0 + 1000000000000n), 2 ** 26]] };
+    const request = { req: i, open: [[1, { stream: "Signal", viz: "line" }]], series: [[1, String(t0), String(t0 + 1000000000000n), 2 ** 26]] };
     const text = Buffer.from(JSON.stringify(request));
     const head = Buffer.from([0x81, 0x80 | 126, text.length >> 8, text.length & 255, 0, 0, 0, 0]);
     s.write(Buffer.concat([head, text]));

@@ -11,10 +11,10 @@ export async function open(page, base, source, query = "") {
 export async function settled(page) {
   await until(page, () => {
     const s = window.situStudio;
-    return s && !s.client.inflight && s.dirty.size === 0 && document.querySelectorAll("[phx-hook='Panel']").length >= 0;
+    return s && !s.client.inflight && s.frames.dirty.size === 0 && document.querySelectorAll("[phx-hook='Panel']").length >= 0;
   }, "the page is still");
   await page.waitForTimeout(80);
-  await until(page, () => !window.situStudio.client.inflight && window.situStudio.dirty.size === 0, "the page is still");
+  await until(page, () => !window.situStudio.client.inflight && window.situStudio.frames.dirty.size === 0, "the page is still");
 }
 
 export const state = (page) => page.evaluate(() => window.situStudio.time.get());

@@ -61,7 +61,7 @@ test("3 timelines: waveform, lanes, labels, latency and marks are drawn", async 
   ok((await count(page, `#${lat} canvas`, [0xf0, 0x98, 0x3e])) > 20, "latencies above the limit are in the warning colour");
   await page.click("#tree .node[data-stream='Speech.Text'] .name");
   await page.click("button[phx-value-viz='messages']");
-  await until(page, () => [...window.situStudio.views].some((v) => v.layers?.some((l) => l.vis.draw === "marks" && l.channel.marks?.t.length === 60)), "60 marks are held");
+  await until(page, () => [...window.situStudio.views].some((v) => v.layers?.some((l) => l.vis.viz === "messages" && l.channel.marks?.t.length === 60)), "60 marks are held");
   await settled(page);
   await shot("timelines");
 });

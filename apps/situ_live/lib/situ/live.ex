@@ -1,6 +1,7 @@
 defmodule Situ.Live do
   @moduledoc """
-  Web pages that live on the server, spoken to by the stock `phoenix_live_view` JavaScript client; and the HTTP and WebSocket
+  Web pages that live on the server, spoken to by the stock `phoenix_live_view` JavaScript client; and the HTTP and
+  WebSocket
   server below them. Knows nothing of streams or stores.
 
       defmodule Hello do
@@ -25,8 +26,10 @@ defmodule Situ.Live do
 
       children = [{Situ.Live, port: 4040, routes: routes, layout: &MyLayout.root/1}]
 
-  The pieces: `Situ.Live.View` (callbacks), `Situ.Live.Template` (`~H`), `Situ.Live.Component` (function components, slots,
-  islands), `Situ.Live.Socket` (assign, push_event, push_patch, streams ...), `Situ.Live.JS` (commands), `Situ.Live.Route`
+  The pieces: `Situ.Live.View` (callbacks), `Situ.Live.Template` (`~H`), `Situ.Live.Component` (function components,
+  slots,
+  islands), `Situ.Live.Socket` (assign, push_event, push_patch, streams ...), `Situ.Live.JS` (commands),
+  `Situ.Live.Route`
   (routes), `Situ.Live.Request` and `Situ.Live.Response` (HTTP), `Situ.Live.SocketHandler` (WebSockets of your own),
   `Situ.Live.Token`, `Situ.Live.Test` (tests of views without a browser).
 
@@ -38,15 +41,19 @@ defmodule Situ.Live do
 
       new LiveSocket("/live", Socket, {params: connectParams, hooks: {SituFlow, ...mine}}).connect()
 
-  `SituFlow` acknowledges each diff that the server sent by itself, so that only one is under way; without it nothing breaks,
-  but a slow browser may fall behind. The layout is a component that gets `@page_title` and `@inner_content` and writes the
+  `SituFlow` acknowledges each diff that the server sent by itself, so that only one is under way; without it nothing
+  breaks,
+  but a slow browser may fall behind. The layout is a component that gets `@page_title` and `@inner_content` and
+  writes the
   `<html>` element, with a `<script defer src=...>`: scripts inside the page are refused by its content security policy.
 
   ## What is refused
 
-  The server listens on `127.0.0.1` unless told otherwise; elsewhere a token is required, made anew at each start unless given:
+  The server listens on `127.0.0.1` unless told otherwise; elsewhere a token is required, made anew at each start
+  unless given:
   `url/2` returns the address with it, opening that sets a cookie. Every request is checked for its host name (against
-  DNS rebinding), token, and, where it matters, origin. Heads (to about 128 KiB), bodies, frames, numbers of connections and
+  DNS rebinding), token, and, where it matters, origin. Heads (to about 128 KiB), bodies, frames, numbers of
+  connections and
   waiting times are bounded.
 
   ## Options

@@ -4,19 +4,13 @@ import { Socket } from "phoenix";
 import { LiveSocket } from "phoenix_live_view";
 import { SituFlow, connectParams } from "situ_live";
 import { Studio } from "./studio.js";
-import { Navigator } from "./navigator.js";
-import { PlotPanel } from "./plot_panel.js";
-import { LanesPanel } from "./lanes_panel.js";
-import { ImageCell } from "./image_cell.js";
-import { ValueCell } from "./value_cell.js";
-import { ChartCell, TextCell } from "./chart_cell.js";
-import { Palette } from "./palette.js";
-import { hooks as dragHooks, dragStream } from "./drag.js";
+import { Navigator } from "./time/navigator.js";
+import { openPanel, timeline } from "./panels/index.js";
+import { Palette } from "./page/palette.js";
+import { hooks as dragHooks, dragStream } from "./page/drag.js";
 import { hooks as extraHooks } from "./hooks.js";
-
-const KINDS = {
-  plot: PlotPanel, lanes: LanesPanel, image: ImageCell, value: ValueCell, bars: ChartCell, text: TextCell,
-};
+import { seriesColor } from "./page/theme.js";
+import { toast } from "./page/toast.js";
 
 let studio = null;
 
@@ -46,7 +40,7 @@ const hooks = {
       const app = page();
       app.options.push = (event, payload) => this.pushEvent(event, payload);
       this.handleEvent("snap", ({ stream }) => app.snapTo(stream));
-      this.handleEvent("toast", ({ text }) => app.toast(text));
+      this.handleEvent("toast", ({ text }) => toast(text));
       this.handleEvent("zoom_to", ({ from, to }) => {
         app.time.dispatch({ type: "view", from: app.client.rel(BigInt(from)), to: app.client.rel(BigInt(to)) });
       });
@@ -76,11 +70,10 @@ const hooks = {
   Panel: {
     mounted() {
       const app = page();
-      const Kind = KINDS[this.el.dataset.kind];
-      if (!Kind) return;
-      this.view = new Kind(this.el, app, JSON.parse(this.el.dataset.config));
-      const timeline = this.el.dataset.kind === "plot" || this.el.dataset.kind === "lanes";
-      app.add(this.view, { timeline });
+      const { kind, config } = this.el.dataset;
+      this.view = openPanel(kind, this.el, app, JSON.parse(config));
+      if (!this.view) return;
+      app.add(this.view, { timeline: timeline(kind) });
       this.config = this.el.dataset.config;
       // one that was just added is selected: it is shown even where it lies below the edge
       this.el.closest(".selected")?.scrollIntoView({ block: "nearest" });
@@ -120,6 +113,16 @@ const hooks = {
         row.style.height = `${Math.max(32, row.offsetHeight + by)}px`;
         done();
       });
+    },
+  },
+
+  // The colour that a stream has by itself, in the field where another can be given.
+  Swatch: {
+    mounted() {
+      this.updated();
+    },
+    updated() {
+      if (this.el.dataset.auto) this.el.value = seriesColor(null, Number(this.el.dataset.auto));
     },
   },
 

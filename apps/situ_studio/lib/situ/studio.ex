@@ -33,7 +33,7 @@ defmodule Situ.Studio do
     visualizers: [
       type: :list,
       default: [],
-      doc: "More rows for the table of visualizers, see `Situ.Studio.Visualizers`."
+      doc: "Modules of further ways to draw streams, see `Situ.Studio.Visualizer`."
     ],
     id: [type: :string, default: "studio", doc: "Tells several studios of one VM apart."]
   ]
@@ -60,7 +60,7 @@ defmodule Situ.Studio do
   The page is a LiveView (`Situ.Live`): streams, layout and properties come from a process on the server. Times, cursor
   and drawing live in the page. Data comes on one WebSocket, as binary answers to the page's own requests
   (`Situ.Studio.DataSession`, `Situ.Studio.Frame`), at most one under way: a slow browser asks less often and slows
-  nothing down. What is drawn of which kind of stream is one table (`Situ.Studio.Visualizers`).
+  nothing down. Each way to draw a stream is a module here and one in the page (`Situ.Studio.Visualizer`).
   """
   use Supervisor
 

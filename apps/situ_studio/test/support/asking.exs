@@ -62,15 +62,27 @@ defmodule Situ.Studio.Asking do
      }, rest}
   end
 
+  def json(text) do
+    {:ok, value} = Situ.JSON.decode(text)
+    value
+  end
+
+  def put(session, stream, rows) do
+    {_, history} = session.source
+
+    for {{t, data}, i} <- Enum.with_index(rows),
+        do: History.put(history, stream, message(t, data, i), 8)
+  end
+
   def column(%{payload: payload, rows: n}, i) do
     column = binary_part(payload, i * 8 * n, 8 * n)
     for <<x::little-float-64 <- column>>, do: x
   end
 
-  def shown(session, stream, draw, from, to) do
+  def shown(session, stream, viz, from, to) do
     {reply, _} =
       ask(session, %{
-        "open" => [[1, %{"stream" => stream, "draw" => draw}]],
+        "open" => [[1, %{"stream" => stream, "viz" => viz}]],
         "series" => [[1, Integer.to_string(from), Integer.to_string(to), div(to - from, 1_000)]]
       })
 

@@ -1,6 +1,7 @@
 defmodule Situ.Live.Channel do
   @moduledoc false
-  # The connection of one page: Phoenix Channels, version 2, over one WebSocket; `[join_ref, ref, topic, event, payload]`.
+  # The connection of one page: Phoenix Channels, version 2, over one WebSocket; `[join_ref, ref, topic, event,
+  # payload]`.
   # Views live in processes of their own; this one routes, counts and answers for them when they are gone.
   @behaviour Situ.Live.SocketHandler
   alias Situ.JSON

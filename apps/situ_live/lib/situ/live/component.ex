@@ -18,7 +18,8 @@ defmodule Situ.Live.Component do
 
       <Buttons.button kind="warm" phx-click="go">Go</Buttons.button>
 
-  `attr` fills in defaults and complains about a missing one that is required; `:global` gathers the attributes that are not
+  `attr` fills in defaults and complains about a missing one that is required; `:global` gathers the attributes that
+  are not
   named. Types are documentation.
   """
   alias Situ.Live.{Island, Rendered}
@@ -133,7 +134,8 @@ defmodule Situ.Live.Component do
   def render_slot(slots, argument), do: Enum.map(slots, & &1.inner_block.(argument))
 
   @doc """
-  A part of the page that the browser patches alone: a change inside it costs the browser the size of the island, a change
+  A part of the page that the browser patches alone: a change inside it costs the browser the size of the island, a
+  change
   outside does not touch it. Worth it around large or often changing parts (a table, a row that ticks).
 
       <.island><table id="rows">...</table></.island>

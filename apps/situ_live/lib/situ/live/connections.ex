@@ -1,6 +1,7 @@
 defmodule Situ.Live.Connections do
   @moduledoc false
-  # The open WebSockets of each server, with the time something last came from each of them. A process blocked in reading or
+  # The open WebSockets of each server, with the time something last came from each of them. A process blocked in
+  # reading or
   # writing cannot watch itself, so `sweep/2` is called from outside.
 
   @spec register(reference()) :: :atomics.atomics_ref()

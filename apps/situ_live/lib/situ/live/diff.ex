@@ -5,7 +5,8 @@ defmodule Situ.Live.Diff do
   Pure: `run/2` takes the tree and the memory of the last one, and returns the message and the new memory. Only values
   that differ are sent; entries of a list that moved are sent as moves; each text of a template once.
 
-  The memory holds the values last sent: `{:tree, fingerprint, values}`, `{:list, fingerprint, %{key => {index, values}}}`,
+  The memory holds the values last sent: `{:tree, fingerprint, values}`, `{:list, fingerprint, %{key => {index,
+  values}}}`,
   `{:stream, fingerprint}`, `{:island, cid, memory}` or a text.
   """
   alias Situ.Live.{Comprehension, Island, Rendered}

@@ -1,9 +1,11 @@
 defmodule Situ.Live.Flow do
   @moduledoc false
-  # When a diff that no one asked for may be sent: at most one is under way, and at most one per `interval_ms`. What changes
+  # When a diff that no one asked for may be sent: at most one is under way, and at most one per `interval_ms`. What
+  # changes
   # meanwhile is summed up in the next. The answer to a user's event is never held back.
   #
-  # Each such diff carries the event "situ:ack"; the page's hook answers it once the browser has applied the diff. Without
+  # Each such diff carries the event "situ:ack"; the page's hook answers it once the browser has applied the diff.
+  # Without
   # the hook (`ack?` false) only the interval counts; a lost answer is given up after `timeout_ms`. Pure: times are
   # milliseconds, given by the caller.
 

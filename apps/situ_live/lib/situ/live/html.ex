@@ -12,7 +12,8 @@ defmodule Situ.Live.Html do
   @type safe :: {:safe, iodata()}
 
   @doc """
-  A value of a template as text that is safe in HTML; trees pass through. `{:safe, iodata}` is taken as it is: never make
+  A value of a template as text that is safe in HTML; trees pass through. `{:safe, iodata}` is taken as it is: never
+  make
   one of foreign text. Text that is not UTF-8 is mended (`\uFFFD`), since a browser would refuse the whole message.
   """
   @spec escape(term()) :: Rendered.value()

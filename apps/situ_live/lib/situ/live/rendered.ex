@@ -3,7 +3,8 @@ defmodule Situ.Live.Rendered do
   What `~H` makes: the template's fixed texts and, between them, its values.
 
   `n` values stand between `n + 1` texts. A value is escaped text (a binary), another `Rendered`, a
-  `Situ.Live.Comprehension`, a `Situ.Live.Island`, or `:unchanged` (since the last render). `fingerprint` is the same for
+  `Situ.Live.Comprehension`, a `Situ.Live.Island`, or `:unchanged` (since the last render). `fingerprint` is the same
+  for
   the same template; `root?` tells that the template is one tag and nothing beside it.
   """
   @enforce_keys [:static, :dynamic, :fingerprint]

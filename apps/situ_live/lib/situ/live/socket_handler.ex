@@ -17,8 +17,10 @@ defmodule Situ.Live.SocketHandler do
         def handle_info(message, state), do: {:push, {:text, inspect(message)}, state}
       end
 
-  Before `init/2` the server has checked host, token and origin. An incoming message above the route's `max_frame:` closes the
-  connection (1009), a raise in a callback too (1011, logged). A connection from which nothing came for 90 s is closed, so a client
+  Before `init/2` the server has checked host, token and origin. An incoming message above the route's `max_frame:`
+  closes the
+  connection (1009), a raise in a callback too (1011, logged). A connection from which nothing came for 90 s is
+  closed, so a client
   sends something at least every 60 s. What the other side does not read blocks this process, not the sender of its
   messages: send only what it asked for, as the studio does with signals and pictures.
   """

@@ -1,6 +1,7 @@
 defmodule Situ.Live.Static do
   @moduledoc false
-  # Files below one folder. Only names that lead to a regular file inside it are answered: a `..`, a link that leaves the
+  # Files below one folder. Only names that lead to a regular file inside it are answered: a `..`, a link that leaves
+  # the
   # folder, a device or a folder is 404, and nothing tells one from the other.
   alias Situ.Live.{Mime, Request, Response}
 

@@ -8,7 +8,8 @@ defmodule Situ.Live.Test do
       assert Situ.Live.Test.text(page, "#inc") == "1"
 
   The view runs in a process of its own as behind a browser, and what it sends is merged as a browser merges it. After
-  each function the view has handled all that came before, so nothing waits or sleeps. Selectors: `tag`, `#id`, `.class`,
+  each function the view has handled all that came before, so nothing waits or sleeps. Selectors: `tag`, `#id`,
+  `.class`,
   `[name=value]`, and descendants.
   """
   alias Situ.Live.{Endpoint, Query, Route}
@@ -120,7 +121,8 @@ defmodule Situ.Live.Test do
   end
 
   @doc """
-  Clicks the first element that a selector finds: its `phx-click` (or its link), with its `phx-value-*`. Returns what the view
+  Clicks the first element that a selector finds: its `phx-click` (or its link), with its `phx-value-*`. Returns what
+  the view
   answered: `:ok`, `{:ok, reply}` of a `{:reply, ...}`, or `{:error, reason}` when it died.
   """
   @spec click(t(), String.t(), map()) :: :ok | {:ok, map()} | {:error, term()}

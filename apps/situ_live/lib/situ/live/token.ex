@@ -2,7 +2,8 @@ defmodule Situ.Live.Token do
   @moduledoc """
   Signed tokens: what a browser keeps for the server and cannot change.
 
-  A token is `BODY.MAC`: base64url of the JSON `[salt, issued_at_seconds, value]`, and its HMAC-SHA256. It is not encrypted.
+  A token is `BODY.MAC`: base64url of the JSON `[salt, issued_at_seconds, value]`, and its HMAC-SHA256. It is not
+  encrypted.
 
       iex> token = Situ.Live.Token.sign("a secret of 32 bytes or more ....", "session", %{"id" => 1})
       iex> Situ.Live.Token.verify("a secret of 32 bytes or more ....", "session", token, 60)

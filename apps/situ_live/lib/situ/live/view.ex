@@ -19,7 +19,8 @@ defmodule Situ.Live.View do
         end
       end
 
-  A page is mounted twice: once for its first HTML (`connected?(socket)` is false), once in a process of its own when the
+  A page is mounted twice: once for its first HTML (`connected?(socket)` is false), once in a process of its own when
+  the
   browser connects. `handle_params/3` follows each `mount/3` and each patch of the address.
 
   A form's fields come as nested maps of strings, `"_target"` names the field that changed. A raise in a callback ends

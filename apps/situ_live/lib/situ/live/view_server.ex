@@ -3,7 +3,8 @@ defmodule Situ.Live.ViewServer do
   # The process of one joined view, under its server's view supervisor. It ends with the connection that asked for it.
   # Messages for the browser are encoded here, so that one large page does not hold up the connection's other topics.
   #
-  # From the connection: {:situ_live, ref, event, payload}. To it: {:situ_live, topic, ref | nil, text}, `ref` when it is
+  # From the connection: {:situ_live, ref, event, payload}. To it: {:situ_live, topic, ref | nil, text}, `ref` when it
+  # is
   # the answer to that message.
   use GenServer, restart: :temporary
   require Logger

@@ -13,8 +13,10 @@ defmodule Situ.Live.Yaws do
   @idle_ms 15_000
   @send_timeout_ms 15_000
   @max_connections 2_000
-  # Yaws reads a head line by line, up to a thousand lines of 16 KiB, into the heap of the connection's process, sixteen bytes
-  # for each. So many words hold a head of about 128 KiB; a larger one ends the connection. `Situ.Live.Yaws.Dispatch` lifts
+  # Yaws reads a head line by line, up to a thousand lines of 16 KiB, into the heap of the connection's process,
+  # sixteen bytes
+  # for each. So many words hold a head of about 128 KiB; a larger one ends the connection. `Situ.Live.Yaws.Dispatch`
+  # lifts
   # the limit once the head is read.
   @head_heap %{size: 1_000_000, kill: true, error_logger: false}
 
@@ -53,8 +55,10 @@ defmodule Situ.Live.Yaws do
     :ignore
   end
 
-  # Yaws would write a module to a file of a known name in the common temporary folder, compile and load it, where others
-  # of the machine may have put theirs. It is given a folder of its own in which it cannot write that file, and then uses
+  # Yaws would write a module to a file of a known name in the common temporary folder, compile and load it, where
+  # others
+  # of the machine may have put theirs. It is given a folder of its own in which it cannot write that file, and then
+  # uses
   # the module it has.
   defp without_generated_code(fun) do
     name = "situ-" <> Base.url_encode64(:crypto.strong_rand_bytes(12), padding: false)
@@ -71,7 +75,8 @@ defmodule Situ.Live.Yaws do
     end
   end
 
-  # What Yaws says about listening and stopping is for its own operators, and what it says about rude clients (a line for
+  # What Yaws says about listening and stopping is for its own operators, and what it says about rude clients (a line
+  # for
   # each) would let them fill the log. Its own failures pass.
   @doc false
   def quiet(%{level: level} = event, _) do
@@ -134,7 +139,8 @@ defmodule Situ.Live.Yaws do
     :exit, _ -> :ok
   end
 
-  # Yaws makes a port that it already serves a virtual host of the same port, and a port 0 one port for all: so look first.
+  # Yaws makes a port that it already serves a virtual host of the same port, and a port 0 one port for all: so look
+  # first.
   defp check_free(ip, port) do
     options =
       [:binary, ip: ip, reuseaddr: true] ++ if(tuple_size(ip) == 8, do: [:inet6], else: [])

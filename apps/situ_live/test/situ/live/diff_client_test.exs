@@ -1,5 +1,6 @@
 defmodule Situ.Live.DiffClientTest do
-  # Random states of the demo view, diffed, and merged by the stock client's own Rendered class: after each state it must hold
+  # Random states of the demo view, diffed, and merged by the stock client's own Rendered class: after each state it
+  # must hold
   # exactly the HTML that the server renders whole.
   use ExUnit.Case, async: true
   alias Situ.Live.{Demo, Diff, Html, NodeTools, Page, Socket}

@@ -8,7 +8,10 @@ export class PipelineGraph {
     Object.assign(this, { el, onPick, onFold });
     this.svg = this.make("svg", el);
     const defs = this.make("defs", this.svg);
-    const marker = this.make("marker", defs, { id: "arrow", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: 7, markerHeight: 7, orient: "auto-start-reverse", markerUnits: "userSpaceOnUse" });
+    const marker = this.make("marker", defs, {
+      id: "arrow", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: 7, markerHeight: 7,
+      orient: "auto-start-reverse", markerUnits: "userSpaceOnUse",
+    });
     this.make("path", marker, { d: "M0 0.5 L7.5 4 L0 7.5z", class: "arrow" });
     this.world = this.make("g", this.svg);
     this.view = { x: 0, y: 0, k: 1 };
@@ -51,9 +54,13 @@ export class PipelineGraph {
   }
 
   node(node, place) {
-    const g = this.make("g", this.world, { class: `node ${node.kind}${node.joins ? " joins" : ""}`, "data-key": node.key, "data-path": node.path, transform: `translate(${place.x} ${place.y})` });
+    const g = this.make("g", this.world, {
+      class: `node ${node.kind}${node.joins ? " joins" : ""}`, "data-key": node.key, "data-path": node.path,
+      transform: `translate(${place.x} ${place.y})`,
+    });
     this.make("title", g, {}, node.path);
-    const rect = this.make("rect", g, { width: place.width, height: place.height, rx: node.kind === "operator" || node.kind === "tap" ? place.height / 2 : 7 });
+    const round = node.kind === "operator" || node.kind === "tap" ? place.height / 2 : 7;
+    const rect = this.make("rect", g, { width: place.width, height: place.height, rx: round });
     const mark = { source: "●", composite: "▸", tap: "◌" }[node.kind] ?? (node.joins ? "+" : "");
     if (mark) this.make("text", g, { class: "mark", x: 14, y: place.height / 2 + 4 }, mark);
     const x = mark ? place.width / 2 + 8 : place.width / 2;
@@ -65,7 +72,8 @@ export class PipelineGraph {
 
   edge(edge, place) {
     if (!place) return;
-    const g = this.make("g", this.world, { class: `edge${edge.lossy ? " lossy" : ""}${edge.inline ? " inline" : ""}`, "data-key": edge.key });
+    const kind = `edge${edge.lossy ? " lossy" : ""}${edge.inline ? " inline" : ""}`;
+    const g = this.make("g", this.world, { class: kind, "data-key": edge.key });
     const d = path(place.points);
     this.make("title", g, {}, `${edge.label} [${edge.policy}]`);
     this.make("path", g, { class: "hit", d });

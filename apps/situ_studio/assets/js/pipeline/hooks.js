@@ -1,5 +1,5 @@
 // The hooks of the pipeline's page.
-import { setTheme } from "../theme.js";
+import { setTheme } from "../page/theme.js";
 import { PipelineGraph as Graph } from "./graph.js";
 import { HistoryPlot } from "./plot.js";
 

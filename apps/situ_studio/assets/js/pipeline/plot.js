@@ -1,5 +1,5 @@
 // The past of one statistic of what is selected: a small line, its range, and the value under the mouse.
-import { theme, onTheme } from "../theme.js";
+import { theme, onTheme } from "../page/theme.js";
 
 export class HistoryPlot {
   constructor(el) {
@@ -80,10 +80,15 @@ export class HistoryPlot {
   }
 }
 
+const SI = [[1e9, 1e9, "G"], [1e6, 1e6, "M"], [1e4, 1e3, "k"]];
+
 export function text(value, unit) {
-  if (unit === "ms") return value >= 1000 ? `${(value / 1000).toPrecision(3)} s` : value > 0 && value < 0.1 ? `${(value * 1000).toPrecision(3)} µs` : `${digits(value)} ms`;
+  if (unit === "ms" && value >= 1000) return `${(value / 1000).toPrecision(3)} s`;
+  if (unit === "ms" && value > 0 && value < 0.1) return `${(value * 1000).toPrecision(3)} µs`;
+  if (unit === "ms") return `${digits(value)} ms`;
   if (unit === "percent") return `${digits(value)} %`;
-  const [scaled, letter] = value >= 1e9 ? [value / 1e9, "G"] : value >= 1e6 ? [value / 1e6, "M"] : value >= 1e4 ? [value / 1e3, "k"] : [value, ""];
+  const [, factor, letter] = SI.find(([least]) => value >= least) ?? [0, 1, ""];
+  const scaled = value / factor;
   return `${digits(scaled)} ${letter}${unit === "bytes" ? "B" : unit === "rate" ? "/s" : ""}`.trim();
 }
 

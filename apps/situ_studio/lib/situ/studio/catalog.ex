@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Catalog do
   @moduledoc """
-  What one studio can show: the recordings below its folder, the sources it was given and the pipelines it watches. Hands
+  What one studio can show: the recordings below its folder, the sources it was given and the pipelines it watches.
+  Hands
   out open sources, so that many pages share one; a recording opened once stays open until it is gone.
   """
   use GenServer

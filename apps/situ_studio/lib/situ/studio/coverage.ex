@@ -3,7 +3,9 @@ defmodule Situ.Studio.Coverage do
   Which streams begin later, or end earlier, than the recording they are in by so much that it should be seen: a camera
   that was switched on late, a microphone that died. Pure.
 
-      iex> stream = fn name, first, last -> %Situ.Studio.StreamInfo{name: name, shape: :signal, first: first, last: last, count: 99} end
+      iex> stream = fn name, first, last ->
+      ...>   %Situ.Studio.StreamInfo{name: name, shape: :signal, first: first, last: last, count: 99}
+      ...> end
       iex> streams = [stream.("Whole", 0, 1_000), stream.("Late", 400, 998), stream.("Short", 0, 700)]
       iex> Situ.Studio.Coverage.of(streams, %{from: 0, to: 1_000, live: false})
       %{"Late" => %{"first" => "400"}, "Short" => %{"last" => "700"}}

@@ -6,7 +6,7 @@ defmodule Situ.Studio.DataSession do
   under way is bounded by the page's own pace:
 
       {"req": 7, "at": "1700000000000000000", "live": false, "snap": "Camera.Image",
-       "open": [[1, {"stream": "Mic.Level", "draw": "line", "path": ""}]], "close": [],
+       "open": [[1, {"stream": "Mic.Level", "viz": "line", "path": ""}]], "close": [],
        "series": [[1, FROM, TO, BIN]], "instant": [2]}
 
   `at` is the cursor, `series` are windows in ns (as text) with bins of BIN ns, `instant` the channels that show the
@@ -14,7 +14,7 @@ defmodule Situ.Studio.DataSession do
   nearest message of that stream.
   """
   alias Situ.{Error, Studio}
-  alias Studio.{Draw, Frame, Source, WholeNumber}
+  alias Studio.{Draw, Frame, Source, Visualizer, Visualizers, WholeNumber}
 
   @max_channels 256
   @max_wants 256
@@ -22,17 +22,25 @@ defmodule Situ.Studio.DataSession do
   @max_span 4_000_000_000_000_000_000
 
   @enforce_keys [:source]
-  defstruct [:source, channels: %{}, extent: %{from: 0, to: 1, live: false, version: 0}]
+  defstruct [
+    :source,
+    visualizers: [],
+    channels: %{},
+    extent: %{from: 0, to: 1, live: false, version: 0}
+  ]
 
   @type t :: %__MODULE__{
           source: Source.t(),
-          channels: %{optional(Frame.channel()) => {Draw.spec() | {:error, String.t()}, term()}},
+          visualizers: [module()],
+          channels: %{
+            optional(Frame.channel()) => {Visualizer.spec() | {:error, String.t()}, term()}
+          },
           extent: Source.extent()
         }
 
-  @doc "A conversation about `source`."
-  @spec new(Source.t()) :: t()
-  def new(source), do: %__MODULE__{source: source}
+  @doc "A conversation about `source`; `visualizers` are the studio's own beside the built-in ones."
+  @spec new(Source.t(), [module()]) :: t()
+  def new(source, visualizers \\ []), do: %__MODULE__{source: source, visualizers: visualizers}
 
   @doc "The answer to one request; `{:error, error}` when it is no request at all (close the socket)."
   @spec handle(binary(), t()) :: {:ok, iodata(), t()} | {:error, Error.t()}
@@ -87,7 +95,7 @@ defmodule Situ.Studio.DataSession do
     Enum.reduce(wanted, session, fn
       [id, spec], session when is_integer(id) and id in 0..4_294_967_295 and is_map(spec) ->
         if map_size(session.channels) < @max_channels,
-          do: put_in(session.channels[id], {spec(spec), nil}),
+          do: put_in(session.channels[id], {spec(spec, session.visualizers), nil}),
           else: session
 
       _, session ->
@@ -97,15 +105,18 @@ defmodule Situ.Studio.DataSession do
 
   defp open(session, _), do: session
 
-  defp spec(%{"stream" => stream, "draw" => draw} = spec)
-       when is_binary(stream) and is_binary(draw) do
-    case Studio.Path.parse(spec["path"] || "") do
-      {:ok, path} -> %{stream: stream, draw: draw, path: path}
+  defp spec(%{"stream" => stream, "viz" => id} = spec, extra)
+       when is_binary(stream) and is_binary(id) do
+    with {:ok, path} <- Studio.Path.parse(spec["path"] || ""),
+         {:ok, viz} <- Visualizers.named(id, extra) do
+      %{stream: stream, viz: viz, path: path}
+    else
+      :error -> {:error, "there is no visualizer called #{inspect(id)}"}
       {:error, error} -> {:error, error.what}
     end
   end
 
-  defp spec(_), do: {:error, "a channel needs \"stream\" and \"draw\""}
+  defp spec(_, _), do: {:error, "a channel needs \"stream\" and \"viz\""}
 
   defp cursor(%{extent: extent}, %{"live" => true}), do: extent.to
 

@@ -22,7 +22,7 @@ defmodule Situ.Studio.Frame do
   | bytes | what |
   |---|---|
   | 0..1 | kind, below |
-  | 2..3 | flags: 1 = single messages, not summaries |
+  | 2..3 | flags: 1 = single messages, not summaries; 2 = a sample: more messages than were read |
   | 4..7 | channel, as the page numbered it |
   | 8..11 | bytes of payload |
   | 12..15 | rows |
@@ -58,8 +58,14 @@ defmodule Situ.Studio.Frame do
 
   @type t :: iodata()
   @type channel :: 0..4_294_967_295
+  @type segment ::
+          {Situ.Time.t(), Situ.Time.t() | nil, label :: String.t(), class :: String.t(),
+           lane :: String.t()}
 
-  @doc "Header and frames. `meta`: `:request`, `:from`, `:to`, `:time` and, when they differ from nothing, `:live`, `:gone`, `:version`."
+  @doc """
+  Header and frames. `meta`: `:request`, `:from`, `:to`, `:time` and, when they differ from nothing, `:live`,
+  `:gone`, `:version`.
+  """
   @spec reply([t()], map()) :: iodata()
   def reply(frames, %{request: request, from: from, to: to, time: time} = meta) do
     flags = bit(meta[:live], 1) + bit(meta[:gone], 2)
@@ -73,15 +79,17 @@ defmodule Situ.Studio.Frame do
   end
 
   @doc "A signal: points as of `Situ.Codec`, and gaps, in time order. `raw?` says that each stands for one message."
-  @spec series(channel(), [Bins.point() | Bins.gap()], boolean()) :: t()
-  def series(channel, points, raw?) do
+  @spec series(channel(), [Bins.point() | Bins.gap()], boolean(), sampled: boolean()) :: t()
+  def series(channel, points, raw?, opts \\ []) do
     base = first_time(points)
-    frame(:series, channel, columns(points, base), length(points), base, bit(raw?, 1))
+    frame(:series, channel, columns(points, base), length(points), base, flags(raw?, opts))
   end
 
   @doc "Several signals of one stream, each with its name."
-  @spec lines(channel(), [{String.t(), [Bins.point() | Bins.gap()]}], boolean()) :: t()
-  def lines(channel, lines, raw?) do
+  @spec lines(channel(), [{String.t(), [Bins.point() | Bins.gap()]}], boolean(),
+          sampled: boolean()
+        ) :: t()
+  def lines(channel, lines, raw?, opts \\ []) do
     base = lines |> Enum.map(fn {_, points} -> first_time(points) end) |> Enum.min(fn -> 0 end)
 
     payload =
@@ -91,7 +99,7 @@ defmodule Situ.Studio.Frame do
         [head, name, padding(rem(size, 8)), columns(points, base)]
       end
 
-    frame(:lines, channel, payload, length(lines), base, bit(raw?, 1))
+    frame(:lines, channel, payload, length(lines), base, flags(raw?, opts))
   end
 
   defp columns(points, base) do
@@ -108,8 +116,8 @@ defmodule Situ.Studio.Frame do
   defp float(x), do: <<x::little-float-64>>
 
   @doc "Lanes: `{from, to | nil, label, class, lane}`, lane by lane in time order, made of messages up to `newest`."
-  @spec segments(channel(), [Situ.Studio.Draw.Segments.t()], Situ.Time.t() | nil) :: t()
-  def segments(channel, rows, newest) do
+  @spec segments(channel(), [segment()], Situ.Time.t() | nil, sampled: boolean()) :: t()
+  def segments(channel, rows, newest, opts \\ []) do
     base = first_time(rows)
     own = if newest == nil, do: 0, else: newest - base
 
@@ -118,7 +126,7 @@ defmodule Situ.Studio.Frame do
         [from - base, to && to - base, label, class | if(lane == "", do: [], else: [lane])]
       end
 
-    frame(:segments, channel, encode(json), length(rows), base, 0, own)
+    frame(:segments, channel, encode(json), length(rows), base, flags(false, opts), own)
   end
 
   @doc "Message marks: `{originating time, latency}`."
@@ -182,6 +190,8 @@ defmodule Situ.Studio.Frame do
 
   defp first_time([]), do: 0
   defp first_time([row | _]), do: elem(row, 0)
+
+  defp flags(raw?, opts), do: bit(raw?, 1) + bit(opts[:sampled], 2)
 
   defp bit(true, value), do: value
   defp bit(_, _), do: 0

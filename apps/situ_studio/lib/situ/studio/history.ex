@@ -22,7 +22,9 @@ defmodule Situ.Studio.History do
           live: boolean()
         }
 
-  @doc "An empty history. Options: `:seconds` kept (120), `:megabytes` kept per stream (64), `:live`, whether more comes."
+  @doc """
+  An empty history. Options: `:seconds` kept (120), `:megabytes` kept per stream (64), `:live`, whether more comes.
+  """
   @spec new(keyword()) :: t()
   def new(opts \\ []) do
     %__MODULE__{

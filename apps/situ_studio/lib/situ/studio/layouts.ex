@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Layouts do
   @moduledoc """
-  Named layouts in a folder, one JSON file each. The name is in the file; the file is called after its letters and digits.
+  Named layouts in a folder, one JSON file each. The name is in the file; the file is called after its letters and
+  digits.
   """
   alias Situ.Error
   alias Situ.Studio.Layout

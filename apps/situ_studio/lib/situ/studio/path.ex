@@ -2,7 +2,8 @@ defmodule Situ.Studio.Path do
   @moduledoc """
   Where a value lies inside of a message: `.rect.x`, `[0].score`, `["left"]`.
 
-  A name after a dot is a field of a struct or a key of a map (atom or string); a number in brackets is a place in a list
+  A name after a dot is a field of a struct or a key of a map (atom or string); a number in brackets is a place in a
+  list
   or tuple; a quoted name in brackets is a string key with characters a dot cannot carry. Nothing is made into an atom.
 
       iex> {:ok, path} = Situ.Studio.Path.parse(".faces[1].score")

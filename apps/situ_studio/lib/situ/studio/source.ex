@@ -63,20 +63,45 @@ defmodule Situ.Studio.Source do
   @callback next_after(handle :: term(), stream :: String.t(), Situ.Time.t()) ::
               {:ok, Situ.Message.t()} | :none | {:error, Situ.Error.t()}
 
+  @doc """
+  At most about `n` messages of those between two times, evenly by number, each with its place in the stream (neighbours
+  differ by one). Where it is missing, the sample is taken evenly over the time.
+  """
+  @callback sample(
+              handle :: term(),
+              stream :: String.t(),
+              Situ.Time.t(),
+              Situ.Time.t(),
+              n :: pos_integer()
+            ) :: {:ok, [{integer(), Situ.Message.t()}]} | {:error, Situ.Error.t()}
+
+  @optional_callbacks sample: 5
+
   @doc "Calls the source's function of this name."
   @spec call(t(), atom(), list()) :: term()
   def call({module, handle}, function, args), do: apply(module, function, [handle | args])
 
-  @doc "At most `n` messages spread evenly over the time from `from` to `to`, each once."
-  @spec sample(t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) :: [Situ.Message.t()]
-  def sample(source, stream, from, to, n) do
-    for i <- 1..n,
-        {:ok, message} <- [
-          Source.call(source, :latest_at, [stream, from + div((to - from) * i, n)])
-        ],
-        message.originating_time >= from,
-        uniq: true,
-        do: message
+  @doc "At most about `n` messages of those between two times, with their places, see `c:sample/5`."
+  @spec sample(t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
+          {:ok, [{integer(), Situ.Message.t()}]} | {:error, Situ.Error.t()}
+  def sample({module, handle} = source, stream, from, to, n) do
+    if function_exported?(module, :sample, 5),
+      do: module.sample(handle, stream, from, to, n),
+      else: {:ok, over_time(source, stream, from, to, n)}
+  end
+
+  # Nobody knows what lies between them: no two are neighbours.
+  defp over_time(source, stream, from, to, n) do
+    messages =
+      for i <- 1..n,
+          {:ok, message} <- [
+            Source.call(source, :latest_at, [stream, from + div((to - from) * i, n)])
+          ],
+          message.originating_time >= from,
+          uniq: true,
+          do: message
+
+    Enum.with_index(messages, &{2 * &2, &1})
   end
 
   @doc "The message whose originating time is nearest to `time`."

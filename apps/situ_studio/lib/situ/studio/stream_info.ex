@@ -15,7 +15,8 @@ defmodule Situ.Studio.StreamInfo do
       iex> Situ.Studio.StreamInfo.shape_of(%{"a" => 1.5})
       :signals
   """
-  alias Situ.Studio.Draw.{Bars, Key, Segments, Shapes, Spans}
+  alias Situ.Studio.Draw.{Key, Segments}
+  alias Situ.Studio.Visualizers.{Bars, Shapes, Spans}
 
   @enforce_keys [:name, :shape]
   defstruct [
@@ -129,7 +130,8 @@ defmodule Situ.Studio.StreamInfo do
   end
 
   @doc """
-  What some messages tell beyond the shape of their declared type: the shape where that is `:value`, and the lanes of maps.
+  What some messages tell beyond the shape of their declared type: the shape where that is `:value`, and the lanes of
+  maps.
 
       iex> Situ.Studio.StreamInfo.look_inside(:value, [%{}, %{left: true}, %{right: false}])
       {:states, ["left", "right"]}

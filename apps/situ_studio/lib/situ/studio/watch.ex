@@ -3,7 +3,8 @@ defmodule Situ.Studio.Watch do
   Looks into one running pipeline: taps a stream when a page first asks for it, keeps its recent past in a
   `Situ.Studio.History`, and lets go of it when no page has asked for a while.
 
-  Each tap runs behind a lossy queue in a process of its own (`Situ.Pipeline.Tap`); pages read the history. So however slow
+  Each tap runs behind a lossy queue in a process of its own (`Situ.Pipeline.Tap`); pages read the history. So however
+  slow
   or many the pages are, the pipeline only ever hands over messages.
   """
   use GenServer, restart: :temporary

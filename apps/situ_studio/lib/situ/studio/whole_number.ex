@@ -1,6 +1,7 @@
 defmodule Situ.Studio.WholeNumber do
   @moduledoc """
-  Whole numbers of 64 bits as the page sends them: nanoseconds do not fit into JavaScript's numbers, so they come as text.
+  Whole numbers of 64 bits as the page sends them: nanoseconds do not fit into JavaScript's numbers, so they come as
+  text.
 
       iex> Situ.Studio.WholeNumber.parse("-1700000000000000001")
       {:ok, -1_700_000_000_000_000_001}

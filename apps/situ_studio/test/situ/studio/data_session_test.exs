@@ -17,7 +17,7 @@ defmodule Situ.Studio.DataSessionTest do
   end
 
   test "a picture is sent once while it holds", %{session: session} do
-    open = %{"open" => [[3, %{"stream" => "image", "draw" => "image"}]], "instant" => [3]}
+    open = %{"open" => [[3, %{"stream" => "image", "viz" => "image"}]], "instant" => [3]}
     {first, session} = ask(session, Map.put(open, "at", "1250000000"))
     assert [%{kind: 4, base: 1_200_000_000, payload: payload}] = first.frames
 
@@ -34,7 +34,7 @@ defmodule Situ.Studio.DataSessionTest do
     data = <<500::little-16, 0::16, 65_535::little-16>>
     depth = Situ.DepthImage.new!(width: 3, height: 1, data: data, scale: 0.001)
     History.put(history, "depth", message(1_000_000_000, depth, 0), 8)
-    open = [[1, %{"stream" => "depth", "draw" => "depth"}]]
+    open = [[1, %{"stream" => "depth", "viz" => "depth"}]]
     {%{frames: [frame]}, _} = ask(session, %{"open" => open, "instant" => [1]})
 
     assert <<3::little-32, 1::little-32, 5::little-32, 1_000::little-32, ^data::binary-6>> =
@@ -54,10 +54,10 @@ defmodule Situ.Studio.DataSessionTest do
     {reply, _} =
       ask(session, %{
         "open" => [
-          [1, %{"stream" => "level", "draw" => "dance"}],
-          [2, %{"stream" => "level", "draw" => "line", "path" => "..."}],
-          [3, %{"stream" => "level", "draw" => "line"}],
-          [4, %{"stream" => "gone", "draw" => "line"}]
+          [1, %{"stream" => "level", "viz" => "dance"}],
+          [2, %{"stream" => "level", "viz" => "line", "path" => "..."}],
+          [3, %{"stream" => "level", "viz" => "line"}],
+          [4, %{"stream" => "gone", "viz" => "line"}]
         ],
         "series" => [
           [1, "0", "2000000000", 1_000_000],
@@ -79,7 +79,7 @@ defmodule Situ.Studio.DataSessionTest do
 
     {reply, _} =
       ask(session, %{
-        "open" => [[1, %{"stream" => "image", "draw" => "image"}]],
+        "open" => [[1, %{"stream" => "image", "viz" => "image"}]],
         "instant" => [1]
       })
 
@@ -109,7 +109,7 @@ defmodule Situ.Studio.DataSessionTest do
     for {data, i} <- Enum.with_index(broken), draw <- ~w(image shapes value bars text) do
       name = "broken#{i}"
       History.put(history, name, message(1_500_000_000, data, 0), 8)
-      open = [[1, %{"stream" => name, "draw" => draw}]]
+      open = [[1, %{"stream" => name, "viz" => draw}]]
 
       {reply, _} = ask(session, %{"open" => open, "instant" => [1], "at" => "1600000000"})
       assert [%{kind: kind}] = reply.frames
@@ -146,7 +146,7 @@ defmodule Situ.Studio.DataSessionTest do
   defp key, do: one_of(~w(open close series instant at live snap))
   defp value, do: one_of([scalar(), list(list(one_of([scalar(), list(scalar()), spec()])))])
   defp scalar, do: one_of([integer(), boolean(), nil, "1", float(), "s", "line"])
-  defp spec, do: one_of([constant(%{"stream" => "s", "draw" => "line"}), constant(%{})])
+  defp spec, do: one_of([constant(%{"stream" => "s", "viz" => "line"}), constant(%{})])
 
   test "sizes are as documented", %{session: session} do
     {:ok, reply, _} = DataSession.handle(~s({"req": 1}), session)

@@ -10,15 +10,18 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Tree
   doctest Situ.Studio.StreamInfo
   doctest Situ.Studio.Visualizers
+  doctest Situ.Studio.Visualizer
+  doctest Situ.Studio.Visualizers.Line
+  doctest Situ.Studio.Color
   doctest Situ.Studio.Layout
   doctest Situ.Studio.Layout.Auto
   doctest Situ.Studio.History
-  doctest Situ.Studio.Draw.Shapes
-  doctest Situ.Studio.Draw.Bars
+  doctest Situ.Studio.Visualizers.Shapes
+  doctest Situ.Studio.Visualizers.Bars
   doctest Situ.Studio.Draw.Bins
   doctest Situ.Studio.Draw.Segments
-  doctest Situ.Studio.Draw.Spans
-  doctest Situ.Studio.Draw.Lines
+  doctest Situ.Studio.Visualizers.Spans
+  doctest Situ.Studio.Visualizers.Lines
   doctest Situ.Studio.Draw.Key
   doctest Situ.Studio.NaturalOrder
 end

@@ -98,7 +98,7 @@ defmodule Situ.Studio.WatchTest do
     # what the page asks at each picture: the window at the end of a line
     ask = fn session, from ->
       request =
-        ~s({"req":1,"open":[[1,{"stream":"Doubled","draw":"line"}]],"series":[[1,"#{from}","#{from + 50}",1]]})
+        ~s({"req":1,"open":[[1,{"stream":"Doubled","viz":"line"}]],"series":[[1,"#{from}","#{from + 50}",1]]})
 
       {:ok, reply, session} = Situ.Studio.DataSession.handle(request, session)
 

@@ -2,8 +2,10 @@ defmodule Situ.Live.Template.Compiler do
   @moduledoc false
   # Nodes -> Elixir code that builds a %Rendered{}. Pieces of a template are gathered as texts and values, in order.
   #
-  # At the top level a value is guarded by the assigns that it reads: when none of them changed it is `:unchanged`. Inside
-  # (loops, branches, slots) all values are made, and the differ drops the equal ones: so a mistake here costs time only.
+  # At the top level a value is guarded by the assigns that it reads: when none of them changed it is `:unchanged`.
+  # Inside
+  # (loops, branches, slots) all values are made, and the differ drops the equal ones: so a mistake here costs time
+  # only.
   alias Situ.Live.{Comprehension, Html, Rendered}
   alias Situ.Live.Template.{Parser, Runtime}
 

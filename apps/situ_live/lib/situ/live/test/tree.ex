@@ -70,7 +70,9 @@ defmodule Situ.Live.Test.Tree do
   defp stream(tree, %{"stream" => stream}), do: Map.put(tree, "stream", stream)
   defp stream(tree, _), do: tree
 
-  @doc "The HTML of the tree. `rows` are the streams' rows by the stream's ref; they are kept by the page, not the tree."
+  @doc """
+  The HTML of the tree. `rows` are the streams' rows by the stream's ref; they are kept by the page, not the tree.
+  """
   @spec html(t()) :: String.t()
   def html(tree), do: tree |> out(Map.get(tree, "c", %{}), &entries/2) |> IO.iodata_to_binary()
 

@@ -33,9 +33,11 @@ defmodule Situ.Studio.Draw.Bins do
     end
   end
 
-  @doc "A value as a number to draw: booleans are 0 and 1; what is no number is left out."
+  @doc "A value as a number to draw: booleans are 0 and 1; what is no number, or too large for one, is left out."
   @spec number(term()) :: {:ok, number()} | :error
-  def number(value) when is_number(value), do: {:ok, value}
+  def number(value) when is_number(value) and value < 1.0e308 and value > -1.0e308,
+    do: {:ok, value}
+
   def number(true), do: {:ok, 1}
   def number(false), do: {:ok, 0}
   def number(_), do: :error

@@ -13,7 +13,10 @@ defmodule Situ.Studio.Draw.Picture do
   @type t ::
           {atom(), non_neg_integer(), non_neg_integer(), iodata(), unit_um :: non_neg_integer()}
 
-  @doc "`{pixels, width, height, data, unit}` as `Situ.Studio.Frame.image/3` takes it; of depth, a value of 1 is `unit` micrometres."
+  @doc """
+  `{pixels, width, height, data, unit}` as `Situ.Studio.Frame.image/3` takes it; of depth, a value of 1 is `unit`
+  micrometres.
+  """
   @spec of(term()) :: {:ok, t()} | {:error, String.t()}
   def of(%EncodedImage{format: format} = i) when format in [:jpeg, :png],
     do: {:ok, {format, i.width, i.height, i.data, 0}}

@@ -1,28 +1,62 @@
 defmodule Situ.Studio.Draw.Segments do
   @moduledoc """
-  Lanes of states and labels: what a message says holds until the next. Neighbours that say the same are one segment. A map
+  Lanes of states and labels: what a message says holds until the next. Neighbours that say the same are one segment.
+  A map
   has a lane for each of its keys, which ends where a message no longer has the key.
 
-      iex> messages = for {t, v} <- [{0, true}, {1, true}, {2, false}], do: %Situ.Message{data: v, originating_time: t}
-      iex> Situ.Studio.Draw.Segments.of(messages, [], nil)
+      iex> said = [{0, true}, {1, true}, {2, false}]
+      iex> messages = for {t, v} <- said, do: {t, %Situ.Message{data: v, originating_time: t}}
+      iex> Situ.Studio.Draw.Segments.of(messages, [], 9)
       [{0, 2, "true", "true", ""}, {2, nil, "false", "false", ""}]
-      iex> messages = for {t, v} <- [{0, %{a: true}}, {1, %{a: true, b: :off}}, {2, %{}}], do: %Situ.Message{data: v, originating_time: t}
-      iex> Situ.Studio.Draw.Segments.of(messages, [], nil)
-      [{0, 2, "true", "true", "a"}, {1, 2, "off", "state", "b"}]
+
+  Only what is known is drawn. Between two messages of a sample lie others that nobody read: such a stretch is of the
+  class `"many"` and says how many.
+
+      iex> messages = for {n, v} <- [{0, true}, {100, true}], do: {n, %Situ.Message{data: v, originating_time: n}}
+      iex> Situ.Studio.Draw.Segments.of(messages, [], 200)
+      [{0, 100, "100 messages", "many", ""}, {100, nil, "true", "true", ""}]
   """
-  alias Situ.Studio.Draw.Key
-  alias Situ.Studio.Path
+  alias Situ.Studio.{Frame, Path, Source, Visualizer}
+  alias Situ.Studio.Draw.{Key, Messages}
 
   @typedoc "From, to (`nil`: open), what it says, the way it is drawn, the name of its lane (`\"\"`: the only one)."
   @type t ::
           {Situ.Time.t(), Situ.Time.t() | nil, label :: String.t(), class :: String.t(),
            lane :: String.t()}
   @max_label 200
+  @rows 3_000
 
-  @doc "Segments of messages in order, lane by lane; the last ones end at `later`, or are open (`nil`)."
-  @spec of([Situ.Message.t()], Path.t(), Situ.Time.t() | nil) :: [t()]
-  def of(messages, path, later) do
-    by_lane = messages |> spread(path, later) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
+  @doc "The frame of a window, as `c:Situ.Studio.Visualizer.window/6` of what is drawn as segments."
+  @spec window(
+          Source.t(),
+          Frame.channel(),
+          Visualizer.spec(),
+          Situ.Time.t(),
+          Situ.Time.t(),
+          pos_integer()
+        ) :: Frame.t() | {:error, Situ.Error.t()}
+  def window(source, channel, spec, from, to, bin) do
+    with {:ok, numbered, all?} <- Messages.numbered(source, spec, from, to) do
+      within = for {_, m} <- numbered, m.originating_time <= to, do: m
+      numbered |> of(spec.path, to) |> frame(channel, bin, within, all?)
+    end
+  end
+
+  @doc "The frame of segments made of `messages`; where there are too many to tell apart, neighbours become one."
+  @spec frame([t()], Frame.channel(), pos_integer(), [Situ.Message.t()], boolean()) :: Frame.t()
+  def frame(rows, channel, bin, messages, all?) do
+    newest = if messages != [], do: List.last(messages).originating_time
+    Frame.segments(channel, thin(rows, bin, @rows), newest, sampled: not all?)
+  end
+
+  @doc """
+  Segments of messages in order, lane by lane. Of messages after `to` only the time counts: the last segment ends
+  there, or
+  is open where there is none.
+  """
+  @spec of([Messages.numbered()], Path.t(), Situ.Time.t()) :: [t()]
+  def of(messages, path, to) do
+    by_lane = messages |> spread(path, to) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
     keys = for {:key, key} <- Map.keys(by_lane), do: key
 
     keyed = for key <- Key.sort(keys), do: merge(by_lane[{:key, key}], Key.text(key))
@@ -36,27 +70,30 @@ defmodule Situ.Studio.Draw.Segments do
   end
 
   # {lane, {from, to, label, class}} of every message
-  defp spread([], _, _), do: []
-
-  defp spread([message | rest], path, later) do
-    until =
+  defp spread([{n, message} | rest], path, to) when message.originating_time <= to do
+    {until, more} =
       case rest do
-        [next | _] -> next.originating_time
-        [] -> later
+        [{next, later} | _] -> {later.originating_time, next - n}
+        [] -> {nil, 1}
       end
 
     rows =
       case Path.fetch(message.data, path) do
         {:ok, value} ->
           for {lane, v} <- entries(value),
-              do: {lane, {message.originating_time, until, label(v), class(v)}}
+              do: {lane, row(message.originating_time, until, v, more)}
 
         :error ->
           []
       end
 
-    rows ++ spread(rest, path, later)
+    rows ++ spread(rest, path, to)
   end
+
+  defp spread(_, _, _), do: []
+
+  defp row(from, until, value, 1), do: {from, until, label(value), class(value)}
+  defp row(from, until, _, more), do: {from, until, {:unread, more}, "many"}
 
   defp entries(map) when is_map(map) and not is_struct(map),
     do: for({key, value} <- map, do: {{:key, key}, value})
@@ -65,8 +102,14 @@ defmodule Situ.Studio.Draw.Segments do
 
   # Texts stay apart: saying the same twice is two utterances.
   defp merge([{a, same, label, class}, {same, b, label, class} | rest], lane)
-       when class != "text",
+       when class not in ["text", "many"],
        do: merge([{a, b, label, class} | rest], lane)
+
+  defp merge([{a, same, {:unread, n}, class}, {same, b, {:unread, more}, class} | rest], lane),
+    do: merge([{a, b, {:unread, n + more}, class} | rest], lane)
+
+  defp merge([{a, b, {:unread, n}, class} | rest], lane),
+    do: [{a, b, "#{n} messages", class, lane} | merge(rest, lane)]
 
   defp merge([{_, _, "", _} | rest], lane), do: merge(rest, lane)
 
@@ -76,27 +119,37 @@ defmodule Situ.Studio.Draw.Segments do
   defp merge([], _), do: []
 
   @doc """
-  Many segments shorter than `least` become few: neighbours that are all too short to be told apart are one, of the class `"many"`.
+  Many segments shorter than `least` become few: neighbours that are all too short to be told apart are one, of the
+  class
+  `"many"`, which says how often it changes.
 
-      iex> rows = for t <- 0..9, do: {t, t + 1, "x", "state", ""}
+      iex> rows = for t <- 0..9, do: {t, t + 1, "x\#{t}", "state", ""}
       iex> Situ.Studio.Draw.Segments.thin(rows ++ [{10, 90, "y", "state", ""}], 5, 3)
-      [{0, 10, "", "many", ""}, {10, 90, "y", "state", ""}]
+      [{0, 10, "10 changes", "many", ""}, {10, 90, "y", "state", ""}]
   """
   @spec thin([t()], pos_integer(), pos_integer()) :: [t()]
   def thin(rows, least, keep) do
     if length(rows) <= keep,
       do: rows,
-      else: rows |> Enum.reduce([], &thin_one(&1, &2, least)) |> Enum.reverse()
+      else:
+        rows |> Enum.reduce([], &thin_one(&1, &2, least)) |> Enum.map(&many/1) |> Enum.reverse()
   end
 
-  defp thin_one({a, b, _, _, lane} = row, [{from, a, _, class, lane} = last | rest], least)
-       when b - a < least do
-    if class == "many" or a - from < least,
-      do: [{from, b, "", "many", lane} | rest],
-      else: [row, last | rest]
+  # `{:many, n}` in the place of the label counts while it grows.
+  defp thin_one({a, b, label, class, lane} = row, [{from, a, held, _, lane} = last | rest], least)
+       when is_integer(b) and b - a < least and class not in ["many", "text", "span"] do
+    case held do
+      {:many, n} -> [{from, b, {:many, n + 1}, class, lane} | rest]
+      ^label -> [row, last | rest]
+      _ when a - from < least -> [{from, b, {:many, 2}, class, lane} | rest]
+      _ -> [row, last | rest]
+    end
   end
 
   defp thin_one(row, rows, _), do: [row | rows]
+
+  defp many({a, b, {:many, n}, _, lane}), do: {a, b, "#{n} changes", "many", lane}
+  defp many(row), do: row
 
   @doc "A value in a few words."
   @spec label(term()) :: String.t()

@@ -1,7 +1,8 @@
 defmodule Situ.Studio.Layout.Auto do
   @moduledoc """
   The layout a recording is first shown with, chosen by the kinds of its streams: pictures with their shapes on top,
-  then sound, states, intervals and labels in lanes, maps of numbers as lines, then signals, those of one group in one panel.
+  then sound, states, intervals and labels in lanes, maps of numbers as lines, then signals, those of one group in one
+  panel.
 
       iex> audio = %Situ.Studio.StreamInfo{name: "Mic.Audio", shape: :audio}
       iex> level = %Situ.Studio.StreamInfo{name: "Mic.Level", shape: :signal}

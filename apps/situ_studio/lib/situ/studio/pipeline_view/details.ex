@@ -69,7 +69,8 @@ defmodule Situ.Studio.PipelineView.Details do
       <p class="hint">Click a component or a connection for its numbers.</p>
       <div :if={@rows != []} class="worst">
         <h3>{heading(@heat)}</h3>
-        <button :for={{key, name, text} <- @rows} class="row-button" type="button" phx-click="pick" phx-value-key={key}><span>{name}</span><b>{text}</b></button>
+        <button :for={{key, name, text} <- @rows} class="row-button" type="button" phx-click="pick"
+            phx-value-key={key}><span>{name}</span><b>{text}</b></button>
       </div>
     </div>
     """
@@ -128,12 +129,14 @@ defmodule Situ.Studio.PipelineView.Details do
     <div class="props">
       <div :for={e <- @edges} class="ends">
         <h2>{@paths[e.from]} → {@paths[e.to]}</h2>
-        <p class="sub">{e.from_output} → {e.to_input}, {e.policy}{if e.kind == :inline, do: ", inside one process"}</p>
+        <p
+            class="sub">{e.from_output} → {e.to_input}, {e.policy}{if e.kind == :inline, do: ", inside one process"}</p>
       </div>
       <h3>Last messages</h3>
       <p :if={@messages == []} class="hint">None is kept or none has come yet.</p>
       <ol class="messages">
-        <li :for={m <- @messages} :key={m.originating_time}><time>{clock(m.originating_time)}</time><code>{short(m.data)}</code></li>
+        <li :for={m <- @messages}
+            :key={m.originating_time}><time>{clock(m.originating_time)}</time><code>{short(m.data)}</code></li>
       </ol>
       <h3>Numbers</h3>
       <.numbers stats={@stats} values={@values} shown={@shown} />
@@ -198,7 +201,8 @@ defmodule Situ.Studio.PipelineView.Details do
     ~H"""
     <table class="numbers">
       <tr :for={s <- @stats} :key={s.id}>
-        <td><button type="button" class={["plot-it", s.id in @shown && "on"]} phx-click="plot" phx-value-stat={s.id} aria-pressed={to_string(s.id in @shown)} title="Plot it"></button></td>
+        <td><button type="button" class={["plot-it", s.id in @shown && "on"]} phx-click="plot"
+            phx-value-stat={s.id} aria-pressed={to_string(s.id in @shown)} title="Plot it"></button></td>
         <th>{s.name}</th>
         <td class="value">{Stats.format(s.id, @values[s.id])}</td>
       </tr>
@@ -211,7 +215,8 @@ defmodule Situ.Studio.PipelineView.Details do
     <div class="charts">
       <figure :for={id <- @shown} :key={id}>
         <figcaption>{name(id)}</figcaption>
-        <div id={"plot-#{id}"} class="spark" phx-hook="PipelinePlot" phx-update="ignore" data-stat={id} data-unit={unit(id)}></div>
+        <div id={"plot-#{id}"} class="spark" phx-hook="PipelinePlot" phx-update="ignore" data-stat={id}
+            data-unit={unit(id)}></div>
       </figure>
     </div>
     """

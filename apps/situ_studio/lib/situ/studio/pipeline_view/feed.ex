@@ -1,6 +1,7 @@
 defmodule Situ.Studio.PipelineView.Feed do
   @moduledoc false
-  # Where snapshots come from: a running pipeline (a source module with `snapshot/1`), or a stream of them in a recording.
+  # Where snapshots come from: a running pipeline (a source module with `snapshot/1`), or a stream of them in a
+  # recording.
   alias Situ.{Error, Message}
   alias Situ.Diagnostics.{Edge, Node, Snapshot, Window}
   alias Situ.Studio.Source

@@ -24,7 +24,8 @@ defmodule Situ.Studio.PipelineView.Page do
           <label>Colour by
             <select class="select" name="heat">
               <option value="none" selected={@heat == "none"}>nothing</option>
-              <option :for={s <- Stats.of(:edge) ++ Stats.of(:node)} value={s.id} selected={s.id == @heat}>{s.name}</option>
+              <option :for={s <- Stats.of(:edge) ++ Stats.of(:node)} value={s.id}
+                  selected={s.id == @heat}>{s.name}</option>
             </select>
           </label>
         </form>
@@ -35,14 +36,17 @@ defmodule Situ.Studio.PipelineView.Page do
         <a class="tool" href={Address.of(@id)} title="Its streams">Streams</a>
       </header>
       <main class="centre">
-        <div id="graph" class="graph" phx-hook="PipelineGraph" phx-update="ignore" tabindex="0" role="img" aria-label="Graph of the pipeline"></div>
+        <div id="graph" class="graph" phx-hook="PipelineGraph" phx-update="ignore" tabindex="0" role="img"
+            aria-label="Graph of the pipeline"></div>
         <form :if={@moments != []} id="moments" class="moments" phx-change="at">
-          <input type="range" name="moment" min="0" max={length(@moments) - 1} value={moment(@moments, @at)} aria-label="Moment" phx-debounce="30">
+          <input type="range" name="moment" min="0" max={length(@moments) - 1} value={moment(@moments, @at)}
+              aria-label="Moment" phx-debounce="30">
           <span class="dim">{clock(@at)}</span>
         </form>
       </main>
       <aside class="right">
-        <Details.panel snapshot={@snapshot} sample={@sample} selected={@selected} folded={@folded} messages={@messages} heat={@heat} plots={@plots} />
+        <Details.panel snapshot={@snapshot} sample={@sample} selected={@selected} folded={@folded}
+            messages={@messages} heat={@heat} plots={@plots} />
       </aside>
       <footer class="status">
         <span><i class="dot"></i>{state(@live, @feed)}</span>

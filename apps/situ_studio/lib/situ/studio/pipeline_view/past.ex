@@ -1,6 +1,7 @@
 defmodule Situ.Studio.PipelineView.Past do
   @moduledoc false
-  # What the studio's pipelines did before anybody looked: their statistics once a second for the last five minutes, every ten
+  # What the studio's pipelines did before anybody looked: their statistics once a second for the last five minutes,
+  # every ten
   # seconds for the last hour. One process a studio writes them; pages read the table.
   use GenServer
 
@@ -17,7 +18,9 @@ defmodule Situ.Studio.PipelineView.Past do
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
 
-  @doc "The samples of the pipeline called `title` in the studio `id`, newest first; times are the VM's monotonic clock."
+  @doc """
+  The samples of the pipeline called `title` in the studio `id`, newest first; times are the VM's monotonic clock.
+  """
   @spec samples(String.t(), String.t()) :: [Stats.sample()]
   def samples(id, title) do
     case Registry.lookup(Situ.Studio.Registry, {id, :past}) do

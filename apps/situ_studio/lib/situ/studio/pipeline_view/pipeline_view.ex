@@ -3,7 +3,8 @@ defmodule Situ.Studio.PipelineView do
   The page of a pipeline's graph: components, composites that fold, connections with their policies, coloured by any
   statistic of `Situ.Studio.PipelineView.Stats`; what is clicked is told on the right, with plots of its past.
 
-  Of a running pipeline it shows now, twice a second, and the hour before the page was opened; of a recording, the moment
+  Of a running pipeline it shows now, twice a second, and the hour before the page was opened; of a recording, the
+  moment
   chosen below the graph. The address holds
   what is shown: `heat`, `fold`, `sel`, `plots`, `at`.
   """

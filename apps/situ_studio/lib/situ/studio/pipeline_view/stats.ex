@@ -2,7 +2,8 @@ defmodule Situ.Studio.PipelineView.Stats do
   @moduledoc """
   The statistics of a running pipeline that can be coloured by and plotted: one table.
 
-  Rates come from two snapshots (`Situ.Diagnostics.Snapshot`) and the time between them, everything else from one. Means and
+  Rates come from two snapshots (`Situ.Diagnostics.Snapshot`) and the time between them, everything else from one.
+  Means and
   what is called recent are of the pipeline's last averaging span; while nothing moves, means are of all there was.
 
       iex> Situ.Studio.PipelineView.Stats.format("latency_mean", 12.3456)

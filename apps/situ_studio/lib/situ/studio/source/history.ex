@@ -104,6 +104,14 @@ defmodule Situ.Studio.Source.History do
   end
 
   @impl true
+  def sample(history, stream, from, to, n) do
+    with {:ok, messages, _} <- messages(history, stream, from, to, 1_000_000) do
+      every = max(div(length(messages), n), 1)
+      {:ok, messages |> Enum.with_index(&{&2, &1}) |> Enum.take_every(every)}
+    end
+  end
+
+  @impl true
   def latest_at(%History{messages: table}, stream, time) do
     found(table, stream, :ets.prev(table, {stream, time + 1}))
   rescue

@@ -90,6 +90,10 @@ defmodule Situ.Studio.Source.Pipeline do
     do: wanted(watch, stream, &History.marks(&1, stream, from, to, limit))
 
   @impl true
+  def sample(watch, stream, from, to, n),
+    do: wanted(watch, stream, &History.sample(&1, stream, from, to, n))
+
+  @impl true
   def latest_at(watch, stream, time),
     do: wanted(watch, stream, &History.latest_at(&1, stream, time))
 

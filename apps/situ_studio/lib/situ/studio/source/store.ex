@@ -119,9 +119,8 @@ defmodule Situ.Studio.Source.Store do
   defp look_inside(_, %{count: 0}, shape), do: {shape, []}
 
   defp look_inside(source, info, shape) do
-    some =
-      Source.sample({__MODULE__, source}, info.name, info.first, info.last, @inside)
-      |> Enum.map(& &1.data)
+    {:ok, sample} = Source.sample({__MODULE__, source}, info.name, info.first, info.last, @inside)
+    some = Enum.map(sample, fn {_, message} -> message.data end)
 
     inside = StreamInfo.look_inside(shape, some)
     if inside != {:value, []}, do: :ets.insert(source.cache, {{:inside, info.name}, inside})
@@ -220,16 +219,29 @@ defmodule Situ.Studio.Source.Store do
     end
   end
 
-  defp thinned(%{store: store}, info, from, n) do
+  defp thinned(source, info, from, n) do
+    with {:ok, rows} <- some(source, info, from, n, @samples, envelopes: true),
+         do: {:ok, for({_, message} <- rows, do: mark(message)), :more}
+  end
+
+  # Of `n` messages from `from` on at most about `keep`, evenly by number.
+  defp some(%{store: store}, info, from, n, keep, opts) do
     with {:ok, first} <- store.module.seek(store.state, info, from) do
       rows =
-        for i <- 0..(@samples - 1),
-            ordinal = first + div(i * n, @samples),
-            {:ok, %Situ.Message{} = m} <- [Store.at(store, info, ordinal, envelopes: true)],
-            do: mark(m)
+        for i <- 0..(min(n, keep) - 1)//1,
+            ordinal = first + div(i * n, min(n, keep)),
+            {:ok, %Situ.Message{} = m} <- [Store.at(store, info, ordinal, opts)],
+            do: {ordinal, m}
 
-      {:ok, rows, :more}
+      {:ok, rows}
     end
+  end
+
+  @impl true
+  def sample(source, name, from, to, keep) do
+    with {:ok, info} <- info(source, name),
+         {:ok, n} <- count(source, info, from, to),
+         do: some(source, info, from, n, keep, [])
   end
 
   defp mark(message), do: {message.originating_time, Situ.Message.latency(message)}

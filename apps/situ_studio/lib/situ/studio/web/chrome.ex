@@ -63,9 +63,11 @@ defmodule Situ.Studio.Web.Chrome do
         <.tool act="clearSel" icon={:clear} title="Clear the selection (Alt+C)" />
         <.tool act="follow" icon={:follow} title="Cursor follows the mouse (Alt+F)" />
         <span class="sep"></span>
-        <button class="tool live" type="button" data-act="live" title="Follow what is being recorded (l)" disabled>LIVE</button>
+        <button class="tool live" type="button" data-act="live" title="Follow what is being recorded (l)"
+            disabled>LIVE</button>
         <span class="grow"></span>
-        <button class="timing" type="button" data-act="timing" title="Clock time, time since the start, or since the selection's start">
+        <button class="timing" type="button" data-act="timing"
+            title="Clock time, time since the start, or since the selection's start">
           <div class="c"><span id="t-from">Cursor</span><b id="t-cursor">–</b></div>
           <div class="a"><span>Selection from</span><b id="t-start">–</b></div>
           <div class="e"><span>to</span><b id="t-end">–</b></div>
@@ -75,10 +77,12 @@ defmodule Situ.Studio.Web.Chrome do
       <span class="sep"></span>
       <form id="layout-pick" phx-change="layout_pick" phx-auto-recover="ignore">
         <select class="select" name="layout" aria-label="Layout" title="Layout">
-          <option :for={name <- @layouts} value={name} selected={name == @layout}>{name}{if @changed and name == @layout, do: " *"}</option>
+          <option :for={name <- @layouts} value={name}
+              selected={name == @layout}>{name}{if @changed and name == @layout, do: " *"}</option>
         </select>
       </form>
-      <button :if={not @read_only} class="tool" type="button" phx-click="layout_dialog" title="Save the layout" aria-label="Save the layout"><.icon name={:save} /></button>
+      <button :if={not @read_only} class="tool" type="button" phx-click="layout_dialog"
+          title="Save the layout" aria-label="Save the layout"><.icon name={:save} /></button>
       <.tool :if={@export} act="export" icon={:export} title="Save the selection as a recording (Ctrl+E)" />
       <a :if={@pipeline} class="tool" href={@pipeline} title="The pipeline's graph"><.icon name={:pipeline} /></a>
       <.tool act="copyLink" icon={:link} title="Copy a link to this view" />
@@ -91,7 +95,9 @@ defmodule Situ.Studio.Web.Chrome do
 
   defp play(assigns) do
     ~H"""
-    <button class="tool play" type="button" data-act="togglePlay" title="Play or stop (Space)" aria-label="Play or stop" aria-pressed="false"><.icon name={:play} class="i-play" /><.icon name={:stop} class="i-stop" /></button>
+    <button class="tool play" type="button" data-act="togglePlay" title="Play or stop (Space)"
+        aria-label="Play or stop" aria-pressed="false"><.icon name={:play} class="i-play" /><.icon
+        name={:stop} class="i-stop" /></button>
     """
   end
 
@@ -108,7 +114,8 @@ defmodule Situ.Studio.Web.Chrome do
       <span>{@source}</span>
       <span>{@count} {if @count == 1, do: "stream", else: "streams"}</span>
       <span :if={@read_only}>read only</span>
-      <button :if={@snap} class="snapped" type="button" phx-click="snap" phx-value-stream={@snap} title="Release the cursor">cursor snaps to {@snap} ×</button>
+      <button :if={@snap} class="snapped" type="button" phx-click="snap" phx-value-stream={@snap}
+          title="Release the cursor">cursor snaps to {@snap} ×</button>
       <span class="grow"></span>
       <span>? keys</span>
       <span>Ctrl+K commands</span>
@@ -124,14 +131,20 @@ defmodule Situ.Studio.Web.Chrome do
       <dialog id="goto" aria-label="Go to time">
         <form method="dialog">
           <h3>Go to time</h3>
-          <input name="time" autocomplete="off" placeholder="1:23.5, 83.5 s, 250 ms, 2026-01-31T12:34:56Z" aria-label="Time">
+          <input name="time" autocomplete="off" placeholder="1:23.5, 83.5 s, 250 ms, 2026-01-31T12:34:56Z"
+              aria-label="Time">
           <div class="error" role="alert"></div>
         </form>
       </dialog>
       <dialog id="help" aria-label="Keys"><h3>Keys</h3><dl></dl>
-        <p class="hint">Mouse on a timeline: move = cursor, drag = pan, wheel = zoom, Shift+drag = select, Shift+click and Shift+right click = ends of the selection.</p>
+        <p
+            class="hint">
+          Mouse on a timeline: move = cursor, drag = pan, wheel = zoom, Shift+drag = select,
+          Shift+click and Shift+right click = ends of the selection.
+        </p>
       </dialog>
-      <dialog id="palette" aria-label="Commands"><input placeholder="Command or stream" autocomplete="off" aria-label="Command or stream"><ul role="listbox"></ul></dialog>
+      <dialog id="palette" aria-label="Commands"><input placeholder="Command or stream" autocomplete="off"
+          aria-label="Command or stream"><ul role="listbox"></ul></dialog>
       <div id="toast" role="status"></div>
       <div id="banner" role="alert"></div>
     </div>

@@ -2,13 +2,18 @@ defmodule Situ.Studio.Web.DataHttp do
   @moduledoc false
   # What is fetched rather than streamed: windows for scripts and tests, sound, steps from message to message.
   alias Situ.Live.{Request, Response}
-  alias Situ.Studio.{Catalog, Draw, Frame, Path, Sound, Source, WholeNumber}
+  alias Situ.Studio.{Catalog, Draw, Frame, Path, Sound, Source, Visualizers, WholeNumber}
 
   @spec call(Request.t(), {String.t(), atom()}) :: Response.t()
   def call(%Request{query: query}, {studio, what}) do
     with {:ok, _item, source} <- Catalog.open(studio, to_string(query["source"])),
          {:ok, extent} <- Source.call(source, :extent, []) do
-      answer(what, query, source, extent)
+      answer(
+        what,
+        Map.put(query, :visualizers, Catalog.settings(studio).visualizers),
+        source,
+        extent
+      )
     else
       {:error, error} -> Response.error(404, error.what)
     end
@@ -20,8 +25,8 @@ defmodule Situ.Studio.Web.DataHttp do
          {:ok, to} when to >= from <-
            WholeNumber.parse(query["to"] || Integer.to_string(extent.to)),
          {:ok, px} when px in 1..10_000 <- WholeNumber.parse(query["px"] || "1000"),
-         draw when is_binary(draw) <- query["draw"] || "line" do
-      spec = %{stream: to_string(query["stream"]), draw: draw, path: path}
+         {:ok, viz} <- Visualizers.named(query["viz"] || "line", query.visualizers) do
+      spec = %{stream: to_string(query["stream"]), viz: viz, path: path}
       frame = Draw.window(source, 0, spec, from, to, max(div(to - from, px), 1))
       reply([frame], extent, extent.to)
     else
@@ -32,8 +37,8 @@ defmodule Situ.Studio.Web.DataHttp do
   defp answer(:at, query, source, extent) do
     with {:ok, path} <- Path.parse(to_string(query["path"])),
          {:ok, time} <- WholeNumber.parse(query["at"]),
-         draw when is_binary(draw) <- query["draw"] || "value" do
-      spec = %{stream: to_string(query["stream"]), draw: draw, path: path}
+         {:ok, viz} <- Visualizers.named(query["viz"] || "value", query.visualizers) do
+      spec = %{stream: to_string(query["stream"]), viz: viz, path: path}
       {frame, _} = Draw.instant(source, 0, spec, time, nil)
       reply([frame], extent, time)
     else

@@ -2,7 +2,7 @@ defmodule Situ.Studio.Web.Edit do
   @moduledoc false
   # What the page's buttons and forms do to the layout. Pure: from an event and the assigns to the assigns that change.
   alias Situ.{Error, Studio}
-  alias Studio.{Layout, Visualizers}
+  alias Studio.{Layout, Visualizer, Visualizers}
 
   @sides %{"above" => :above, "below" => :below, "left" => :left, "right" => :right}
   @ways %{"up" => :up, "down" => :down, "left" => :left, "right" => :right}
@@ -98,7 +98,7 @@ defmodule Situ.Studio.Web.Edit do
          {:ok, one} <- fetch(vis, i),
          {:ok, entry} <- visualizer(assigns, one) do
       props = if is_map(params["props"]), do: params["props"], else: %{}
-      options = Visualizers.options(entry, one.props)
+      options = Visualizer.options(entry, one.props)
       props = Enum.reduce(options, one.props, &put(&1, &2, props, params, entry))
       {:ok, layout: put_props(assigns.layout, id, i, props)}
     else
@@ -138,7 +138,7 @@ defmodule Situ.Studio.Web.Edit do
   end
 
   defp cast(props, name, text, entry) do
-    case Visualizers.cast(entry, name, text) do
+    case Visualizer.cast(entry, name, text) do
       {:ok, value} -> Map.put(props, name, value)
       :error -> props
     end

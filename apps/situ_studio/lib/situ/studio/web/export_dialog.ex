@@ -82,11 +82,13 @@ defmodule Situ.Studio.Web.ExportDialog do
       )
 
     ~H"""
-    <div class="modal" role="dialog" phx-window-keydown="dialog_close" phx-key="Escape" aria-label="Save a part as a recording">
+    <div class="modal" role="dialog" phx-window-keydown="dialog_close" phx-key="Escape"
+        aria-label="Save a part as a recording">
       <form id="export-save" class="modal-box" phx-submit="export_save">
         <h3>Save a part as a recording</h3>
         <p class="hint">{@what}: {@length}. It is written to {@folder}; this recording stays as it is.</p>
-        <input name="name" value={part(@item.title)} placeholder="Name" autocomplete="off" maxlength="60" aria-label="Name" autofocus>
+        <input name="name" value={part(@item.title)} placeholder="Name" autocomplete="off" maxlength="60"
+            aria-label="Name" autofocus>
         <div class="choices" role="radiogroup" aria-label="Streams">
           <label><input type="radio" name="streams" value="all" checked> All streams ({@all})</label>
           <label><input type="radio" name="streams" value="shown"> The ones shown ({@shown})</label>

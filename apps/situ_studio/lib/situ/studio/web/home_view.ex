@@ -30,7 +30,9 @@ defmodule Situ.Studio.Web.HomeView do
       <h1><.logo /><span>Situ Studio</span></h1>
       <p class="hint">{count(length(@items))}</p>
       <div class="list">
-        <a :for={item <- @items} :key={item.id} class="item" href={Situ.Studio.Web.Address.of(item.id)}><b>{item.title}</b><span class="dim">{kind(item.kind)}</span><span class="dim">{at(item)}</span></a>
+        <a :for={item <- @items} :key={item.id} class="item"
+            href={Situ.Studio.Web.Address.of(item.id)}><b>{item.title}</b><span
+            class="dim">{kind(item.kind)}</span><span class="dim">{at(item)}</span></a>
       </div>
       <p :if={@items == []} class="hint">Nothing has been recorded here yet; what is recorded shows up by itself.</p>
     </main>

@@ -62,14 +62,16 @@ defmodule Situ.Studio.Web.Icons do
   @doc false
   def tool(assigns) do
     ~H"""
-    <button class={["tool", @class]} type="button" data-act={@act} title={@title} aria-label={@title}><.icon name={@icon} /></button>
+    <button class={["tool", @class]} type="button" data-act={@act} title={@title} aria-label={@title}><.icon
+        name={@icon} /></button>
     """
   end
 
   @doc false
   def logo(assigns) do
     ~H"""
-    <svg viewBox="0 0 32 32" fill="none" stroke="currentColor" stroke-width="2.6" stroke-linecap="round" stroke-linejoin="round" aria-hidden="true"><path d="M3 21h5l3-12 4 17 3-10 2 5h9"></path></svg>
+    <svg viewBox="0 0 32 32" fill="none" stroke="currentColor" stroke-width="2.6" stroke-linecap="round"
+        stroke-linejoin="round" aria-hidden="true"><path d="M3 21h5l3-12 4 17 3-10 2 5h9"></path></svg>
     """
   end
 end

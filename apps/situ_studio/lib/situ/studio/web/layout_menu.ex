@@ -79,11 +79,13 @@ defmodule Situ.Studio.Web.LayoutMenu do
     <div class="modal" role="dialog" phx-window-keydown="dialog_close" phx-key="Escape" aria-label="Save the layout">
       <form id="layout-save" class="modal-box" phx-submit="layout_save">
         <h3>Save the layout</h3>
-        <input name="name" value={if @saved.name == Layout.Auto.name(), do: "", else: @saved.name} placeholder="Name" autocomplete="off" maxlength="60" aria-label="Name" autofocus>
+        <input name="name" value={if @saved.name == Layout.Auto.name(), do: "", else: @saved.name}
+            placeholder="Name" autocomplete="off" maxlength="60" aria-label="Name" autofocus>
         <div class="choices">
           <button class="btn primary" type="submit">Save</button>
           <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
-          <button :if={@saved.name != Layout.Auto.name()} class="btn" type="button" phx-click="layout_delete">Delete {@saved.name}</button>
+          <button :if={@saved.name != Layout.Auto.name()} class="btn" type="button"
+              phx-click="layout_delete">Delete {@saved.name}</button>
         </div>
       </form>
     </div>

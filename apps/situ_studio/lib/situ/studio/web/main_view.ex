@@ -4,7 +4,7 @@ defmodule Situ.Studio.Web.MainView do
   # layout and what is selected.
   use Situ.Live.View
 
-  alias Situ.Studio.{Catalog, Coverage, Layout, Link, Source, Tree}
+  alias Situ.Studio.{Catalog, Color, Coverage, Layout, Link, Source, Tree}
   alias Situ.Studio.Web.{Address, Chrome, Edit, ExportDialog, LayoutMenu, Panels, Side}
 
   @max_rows 400
@@ -59,6 +59,7 @@ defmodule Situ.Studio.Web.MainView do
     assign(socket,
       infos: streams,
       shapes: Map.new(streams, &{&1.name, &1.shape}),
+      colors: Color.ranks(Enum.map(streams, & &1.name)),
       lanes: lanes(streams, socket.assigns.seen_lanes),
       coverage: coverage(streams, socket.assigns.source),
       names: Situ.JSON.encode(Enum.map(names, &valid/1)),
@@ -188,6 +189,7 @@ defmodule Situ.Studio.Web.MainView do
       assign(assigns,
         rows: rows,
         more: more,
+        known: Map.take(assigns, [:shapes, :extra, :lanes, :coverage, :colors]),
         stream: selected_stream(assigns),
         panel: selected_panel(assigns),
         edit:
@@ -195,16 +197,20 @@ defmodule Situ.Studio.Web.MainView do
       )
 
     ~H"""
-    <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-base="" data-layout={@saved.name} data-edit={@edit}>
-      <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""} read_only={@read_only} export={ExportDialog.offered?(assigns)} pipeline={pipeline(@item, @infos)} />
-      <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query} count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names} />
+    <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-base="" data-layout={@saved.name}
+        data-edit={@edit}>
+      <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""}
+          read_only={@read_only} export={ExportDialog.offered?(assigns)} pipeline={pipeline(@item, @infos)} />
+      <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query}
+          count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names} />
       <main class="centre">
-        <Panels.stack layout={@layout} selected={@selected} shapes={@shapes} extra={@extra} lanes={@lanes} coverage={@coverage} streams={length(@infos)} />
+        <Panels.stack layout={@layout} selected={@selected} known={@known} streams={length(@infos)} />
       </main>
-      <Side.right selected={@selected} stream={@stream} panel={@panel} shapes={@shapes} extra={@extra} snap={@snap} />
+      <Side.right stream={@stream} panel={@panel} known={@known} snap={@snap} />
       <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} snap={@snap} />
       <LayoutMenu.dialog :if={@dialog == :layout} saved={@saved} />
-      <ExportDialog.dialog :if={match?({:export, _, _, _}, @dialog)} dialog={@dialog} item={@item} layout={@layout} shapes={@shapes} />
+      <ExportDialog.dialog :if={match?({:export, _, _, _}, @dialog)} dialog={@dialog} item={@item}
+          layout={@layout} shapes={@shapes} />
     </div>
     <Chrome.dialogs />
     """

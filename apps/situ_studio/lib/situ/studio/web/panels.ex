@@ -3,24 +3,28 @@ defmodule Situ.Studio.Web.Panels do
   # The centre: rows of panels. What is inside a panel belongs to the page's script.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
-  alias Situ.Studio.{Coverage, Layout, Visualizers}
+  alias Situ.Studio.{Color, Layout, Visualizers}
 
   attr(:layout, :any, required: true)
   attr(:selected, :any, required: true)
-  attr(:shapes, :map, required: true)
-  attr(:extra, :list, required: true)
-  attr(:lanes, :map, required: true)
-  attr(:coverage, :map, required: true)
+
+  # what is known of the streams: their shapes, lanes, coverage and colours, and the studio's own visualizers (`:extra`)
+  attr(:known, :map, required: true)
   attr(:streams, :integer, required: true)
 
   @doc false
   def stack(assigns) do
     ~H"""
     <div class="stack" id="stack" phx-hook="Drop">
-      <div id="navigator" class="navigator" phx-hook="Navigator" phx-update="ignore" aria-label="Time navigator"></div>
-      <.line :for={line <- Layout.lines(@layout)} :key={row_id(line)} line={line} selected={@selected} shapes={@shapes} extra={@extra} lanes={@lanes} coverage={@coverage} />
-      <div :if={@layout.rows == [] and @streams > 0} class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
-      <div :if={@layout.rows == [] and @streams == 0} class="empty"><b>No streams yet</b><span>Nothing was recorded here. What comes shows up by itself.</span></div>
+      <div id="navigator" class="navigator" phx-hook="Navigator" phx-update="ignore"
+          aria-label="Time navigator"></div>
+      <.line :for={line <- Layout.lines(@layout)} :key={row_id(line)} line={line} selected={@selected}
+          known={@known} />
+      <div :if={@layout.rows == [] and @streams > 0}
+          class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
+      <div :if={@layout.rows == [] and @streams == 0}
+          class="empty"><b>No streams yet</b><span>Nothing was recorded here. What comes shows up by
+          itself.</span></div>
     </div>
     """
   end
@@ -29,26 +33,37 @@ defmodule Situ.Studio.Web.Panels do
     assigns = assign(assigns, :panel, panel)
 
     ~H"""
-    <section class={["row-box timeline", @selected == {:panel, @panel.id} && "selected"]} id={"row-" <> @panel.id} data-row={@panel.id} data-panel={@panel.id} style={"height: #{Layout.height(@line, @lanes)}px"}>
-      <div id={"body-" <> @panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore" data-kind={@panel.panel} data-config={config(@panel, @shapes, @extra, @coverage)}></div>
+    <section class={["row-box timeline", @selected == {:panel, @panel.id} && "selected"]}
+        id={"row-" <> @panel.id} data-row={@panel.id} data-panel={@panel.id}
+        style={"height: #{Layout.height(@line, @known.lanes)}px"}>
+      <div id={"body-" <> @panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore"
+          data-kind={@panel.panel} data-config={config(@panel, @known)}></div>
       <.tools panel={@panel} row={@panel.id} />
-      <div class="resize" id={"resize-" <> @panel.id} phx-hook="Resize" tabindex="0" role="separator" aria-label="height"></div>
+      <div class="resize" id={"resize-" <> @panel.id} phx-hook="Resize" tabindex="0" role="separator"
+          aria-label="height"></div>
     </section>
     """
   end
 
   defp line(assigns) do
     ~H"""
-    <section class="row-box cells" id={"row-" <> row_id(@line)} data-row={row_id(@line)} style={"height: #{Layout.height(@line, @lanes)}px"}>
-      <div :for={panel <- @line} :key={panel.id} id={"cell-" <> panel.id} class={["cell", @selected == {:panel, panel.id} && "selected"]} data-panel={panel.id}>
+    <section class="row-box cells" id={"row-" <> row_id(@line)} data-row={row_id(@line)}
+        style={"height: #{Layout.height(@line, @known.lanes)}px"}>
+      <div :for={panel <- @line} :key={panel.id} id={"cell-" <> panel.id}
+          class={["cell", @selected == {:panel, panel.id} && "selected"]} data-panel={panel.id}>
         <div class="cell-head">
           <.grip id={panel.id} kind="cell" />
-          <button class="title" type="button" phx-click="select_panel" phx-value-id={panel.id} title={names(panel)}>{names(panel)}</button>
-          <button class="mini" type="button" phx-click="remove_panel" phx-value-id={panel.id} title="Remove" aria-label="Remove"><.icon name={:close} /></button>
+          <button class="title" type="button" phx-click="select_panel" phx-value-id={panel.id}
+              title={names(panel)}>{names(panel)}</button>
+          <button class="mini" type="button" phx-click="remove_panel" phx-value-id={panel.id} title="Remove"
+              aria-label="Remove"><.icon name={:close} /></button>
         </div>
-        <div class="cell-body"><div id={"body-" <> panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore" data-kind={panel.panel} data-config={config(panel, @shapes, @extra, @coverage)}></div></div>
+        <div class="cell-body"><div id={"body-" <> panel.id} class="panel-body" phx-hook="Panel"
+            phx-update="ignore" data-kind={panel.panel}
+            data-config={config(panel, @known)}></div></div>
       </div>
-      <div class="resize" id={"resize-" <> row_id(@line)} phx-hook="Resize" tabindex="0" role="separator" aria-label="height"></div>
+      <div class="resize" id={"resize-" <> row_id(@line)} phx-hook="Resize" tabindex="0" role="separator"
+          aria-label="height"></div>
     </section>
     """
   end
@@ -57,17 +72,24 @@ defmodule Situ.Studio.Web.Panels do
     ~H"""
     <div class="panel-tools">
       <.grip id={@panel.id} kind="line" />
-      <button class="mini" type="button" phx-click="select_panel" phx-value-id={@panel.id} title="Properties" aria-label="Properties"><.icon name={:tune} /></button>
-      <button class="mini" type="button" phx-click="move_row" phx-value-id={@row} phx-value-by="-1" title="Up" aria-label="Up"><.icon name={:up} /></button>
-      <button class="mini" type="button" phx-click="move_row" phx-value-id={@row} phx-value-by="1" title="Down" aria-label="Down"><.icon name={:down} /></button>
-      <button class="mini" type="button" phx-click="remove_panel" phx-value-id={@panel.id} title="Remove" aria-label="Remove"><.icon name={:close} /></button>
+      <button class="mini" type="button" phx-click="select_panel" phx-value-id={@panel.id} title="Properties"
+          aria-label="Properties"><.icon name={:tune} /></button>
+      <button class="mini" type="button" phx-click="move_row" phx-value-id={@row} phx-value-by="-1" title="Up"
+          aria-label="Up"><.icon name={:up} /></button>
+      <button class="mini" type="button" phx-click="move_row" phx-value-id={@row} phx-value-by="1"
+          title="Down" aria-label="Down"><.icon name={:down} /></button>
+      <button class="mini" type="button" phx-click="remove_panel" phx-value-id={@panel.id} title="Remove"
+          aria-label="Remove"><.icon name={:close} /></button>
     </div>
     """
   end
 
   defp grip(assigns) do
     ~H"""
-    <button id={"grip-" <> @id} class="mini grip" type="button" phx-hook="Grip" draggable="true" data-id={@id} data-grip={@kind} title={"Move: drag, or " <> if(@kind == "cell", do: "arrow keys", else: "up and down keys")} aria-label="Move this panel by arrow keys"><.icon name={:grip} /></button>
+    <button id={"grip-" <> @id} class="mini grip" type="button" phx-hook="Grip" draggable="true" data-id={@id}
+        data-grip={@kind}
+        title={"Move: drag, or " <> if(@kind == "cell", do: "arrow keys", else: "up and down keys")}
+        aria-label="Move this panel by arrow keys"><.icon name={:grip} /></button>
     """
   end
 
@@ -76,21 +98,23 @@ defmodule Situ.Studio.Web.Panels do
   defp names(panel), do: Enum.map_join(panel.vis, ", ", &(&1.stream <> &1.path))
 
   @doc "What the page's script needs to draw a panel, as JSON."
-  @spec config(Layout.Panel.t(), map(), [Visualizers.Entry.t()], Coverage.t()) :: String.t()
-  def config(panel, shapes, extra, coverage) do
+  @spec config(Layout.Panel.t(), map()) :: String.t()
+  def config(panel, known) do
     short = short_names(panel.vis)
+    colors = Color.of(Enum.map(panel.vis, & &1.stream), known.colors)
 
     vis =
       for {v, index} <- Enum.with_index(panel.vis) do
         %{
-          "draw" => draw(v, shapes, extra),
+          "viz" => v.viz,
+          "draw" => draw(v, known),
           "stream" => v.stream,
           "path" => v.path,
           "name" => v.stream <> v.path,
           "short" => Enum.at(short, index),
           "props" => v.props,
-          "ends" => coverage[v.stream],
-          "color" => index
+          "ends" => known.coverage[v.stream],
+          "color" => Enum.at(colors, index)
         }
       end
 
@@ -117,14 +141,16 @@ defmodule Situ.Studio.Web.Panels do
   end
 
   # A stream that is not there (yet) is drawn as its layout says: it may come.
-  defp draw(vis, shapes, extra) do
+  defp draw(vis, %{shapes: shapes, extra: extra}) do
     case Visualizers.of(vis.viz, vis.path, Map.get(shapes, vis.stream, :value), extra) do
-      {:ok, entry} ->
-        entry.draw
+      {:ok, viz} ->
+        viz.drawer
 
       :error ->
-        entry = Enum.find(extra ++ Visualizers.all(), &(&1.id == vis.viz))
-        if entry, do: entry.draw, else: vis.viz
+        case Visualizers.named(vis.viz, extra) do
+          {:ok, viz} -> viz.drawer
+          :error -> vis.viz
+        end
     end
   end
 end

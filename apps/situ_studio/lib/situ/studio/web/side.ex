@@ -3,10 +3,7 @@ defmodule Situ.Studio.Web.Side do
   # Left: recordings and the tree of streams. Right: properties of what is selected.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
-  alias Situ.Studio.Visualizers
-
-  # The colours of streams that were given none, as in the style sheet.
-  @palette ~w(#4ea1f3 #f2994a #4cc38a #d977b8 #e0b93c #38bfc3 #ef6b64 #9f86f4)
+  alias Situ.Studio.{Color, Visualizer, Visualizers}
 
   attr(:sources, :list, required: true)
   attr(:current, :string, required: true)
@@ -25,28 +22,42 @@ defmodule Situ.Studio.Web.Side do
     <aside class="left" aria-label="Streams">
       <div :if={length(@sources) > 1} class="side-title">Recordings</div>
       <nav :if={length(@sources) > 1} class="stores">
-        <a :for={s <- @sources} :key={s.id} class={["store", s.id == @current && "current"]} href={s.href} title={s.title}><.icon name={if s.kind == :pipeline, do: :pipeline, else: :store} /><span>{s.title}</span></a>
+        <a :for={s <- @sources} :key={s.id} class={["store", s.id == @current && "current"]} href={s.href}
+            title={s.title}><.icon
+            name={if s.kind == :pipeline, do: :pipeline, else: :store} /><span>{s.title}</span></a>
       </nav>
       <form class="search" phx-change="search" phx-submit="search" id="search-form">
-        <input id="search" name="query" value={@query} placeholder="Search streams  /" autocomplete="off" phx-debounce="80" aria-label="Search streams by name and type">
-        <button class="mini" type="button" phx-click="info_next" title={"Beside the names: " <> info_title(@info) <> ". Click for " <> info_title(next_info(@info))} aria-label={"Show " <> info_title(next_info(@info))}><.icon name={:info} /></button>
+        <input id="search" name="query" value={@query} placeholder="Search streams  /" autocomplete="off"
+            phx-debounce="80" aria-label="Search streams by name and type">
+        <button class="mini" type="button" phx-click="info_next"
+            title={"Beside the names: " <> info_title(@info) <> ". Click for " <> info_title(next_info(@info))}
+            aria-label={"Show " <> info_title(next_info(@info))}><.icon name={:info} /></button>
         <button class="mini" type="button" phx-click="fold_all" title="Fold all" aria-label="Fold all">⊟</button>
-        <button class="mini" type="button" phx-click="unfold_all" title="Unfold all" aria-label="Unfold all">⊞</button>
+        <button class="mini" type="button" phx-click="unfold_all" title="Unfold all"
+            aria-label="Unfold all">⊞</button>
       </form>
       <div id="stream-names" data-names={@names} hidden></div>
       <p :if={@query != ""} class="hint found" role="status">{found(@rows, @more)} of {@count} streams</p>
       <div id="tree" class="tree" role="tree" phx-hook="Tree">
-        <div :for={row <- @rows} :key={row.path} class={["node", row.item == nil && "group", selected?(row, @selected) && "selected"]} id={"node-" <> row.path} role="treeitem" tabindex="0" aria-expanded={expanded(row)} data-stream={row.item && row.item.name} draggable={if row.item, do: "true"} style={"padding-left: #{row.depth * 14}px"}>
-          <button :if={row.open? != nil} class="fold" type="button" tabindex="-1" phx-click="toggle" phx-value-path={row.path} aria-label="fold">{if row.open?, do: "▾", else: "▸"}</button>
+        <div :for={row <- @rows} :key={row.path}
+            class={["node", row.item == nil && "group", selected?(row, @selected) && "selected"]}
+            id={"node-" <> row.path} role="treeitem" tabindex="0" aria-expanded={expanded(row)}
+            data-stream={row.item && row.item.name} draggable={if row.item, do: "true"}
+            style={"padding-left: #{row.depth * 14}px"}>
+          <button :if={row.open? != nil} class="fold" type="button" tabindex="-1" phx-click="toggle"
+              phx-value-path={row.path} aria-label="fold">{if row.open?, do: "▾", else: "▸"}</button>
           <span :if={row.open? == nil} class="fold"></span>
           <i :if={row.item} class={["type", kind(row.item.shape)]}></i>
-          <button class="name" type="button" tabindex="-1" phx-click="select" phx-value-path={row.path} title={row.path}>{row.label}</button>
+          <button class="name" type="button" tabindex="-1" phx-click="select" phx-value-path={row.path}
+              title={row.path}>{row.label}</button>
           <span :if={row.item && row.item.name == @snap} class="snap" title="The cursor snaps to it">◎</span>
           <span :if={row.item} class="info">{info(@info, row.item)}</span>
-          <button :if={row.item} class="add" type="button" tabindex="-1" phx-click="add_stream" phx-value-stream={row.item.name} title="Show this stream (Enter)" aria-label="show">+</button>
+          <button :if={row.item} class="add" type="button" tabindex="-1" phx-click="add_stream"
+              phx-value-stream={row.item.name} title="Show this stream (Enter)" aria-label="show">+</button>
         </div>
         <p :if={@more > 0} class="hint" style="padding: 6px 12px">{@more} more: search to find them</p>
-        <p :if={@rows == []} class="hint" style="padding: 6px 12px">{if @query == "", do: "No streams yet", else: "Nothing is called like that"}</p>
+        <p :if={@rows == []} class="hint"
+            style="padding: 6px 12px">{if @query == "", do: "No streams yet", else: "Nothing is called like that"}</p>
       </div>
     </aside>
     """
@@ -100,22 +111,22 @@ defmodule Situ.Studio.Web.Side do
   def number(x) when x >= 10, do: :erlang.float_to_binary(x / 1, [:compact, decimals: 1])
   def number(x), do: :erlang.float_to_binary(x / 1, [:compact, decimals: 2])
 
-  attr(:selected, :any, required: true)
   attr(:stream, :any, required: true)
   attr(:panel, :any, required: true)
-  attr(:shapes, :map, required: true)
-  attr(:extra, :list, required: true)
+  attr(:known, :map, required: true)
   attr(:snap, :any, required: true)
 
   @doc false
   def right(assigns) do
     ~H"""
     <aside class="right" aria-label="Properties">
-      <div class="side-title">Properties<button class="mini" type="button" data-act="right" title="Hide (p)" aria-label="Hide the properties"><.icon name={:close} /></button></div>
+      <div class="side-title">Properties<button class="mini" type="button" data-act="right" title="Hide (p)"
+          aria-label="Hide the properties"><.icon name={:close} /></button></div>
       <div class="props">
-        <.stream_props :if={@stream} stream={@stream} extra={@extra} snap={@snap} />
-        <.panel_props :if={@panel} panel={@panel} shapes={@shapes} extra={@extra} />
-        <p :if={@stream == nil and @panel == nil} class="hint">Select a stream or a panel. Double click or drag a stream to show it.</p>
+        <.stream_props :if={@stream} stream={@stream} extra={@known.extra} snap={@snap} />
+        <.panel_props :if={@panel} panel={@panel} known={@known} />
+        <p :if={@stream == nil and @panel == nil} class="hint">Select a stream or a panel. Double click or
+          drag a stream to show it.</p>
       </div>
     </aside>
     """
@@ -132,28 +143,38 @@ defmodule Situ.Studio.Web.Side do
       <dt :if={@stream.first}>First</dt><dd :if={@stream.first}>{clock(@stream.first)}</dd>
       <dt :if={@stream.last}>Last</dt><dd :if={@stream.last}>{clock(@stream.last)}</dd>
       <dt :if={@stream.keys != []}>Lanes</dt><dd :if={@stream.keys != []}>{Enum.join(@stream.keys, ", ")}</dd>
-      <dt :if={@stream.latency}>Latency, mean</dt><dd :if={@stream.latency}>{Situ.Time.format_duration(round(@stream.latency))}</dd>
+      <dt :if={@stream.latency}>Latency, mean</dt><dd
+          :if={@stream.latency}>{Situ.Time.format_duration(round(@stream.latency))}</dd>
       <div :for={{name, value} <- @stream.details} style="display: contents"><dt>{name}</dt><dd>{value}</dd></div>
     </dl>
     <div class="hint">Show as</div>
     <div class="choices">
-      <button :for={v <- Visualizers.for_shape(@stream.shape, @extra)} class="btn" type="button" phx-click="add_viz" phx-value-stream={@stream.name} phx-value-viz={v.id}>{v.title}</button>
+      <button :for={v <- Visualizers.for_shape(@stream.shape, @extra)} class="btn" type="button"
+          phx-click="add_viz" phx-value-stream={@stream.name} phx-value-viz={v.id}>{v.title}</button>
     </div>
     <div class="choices">
-      <button class="btn" type="button" phx-click="snap" phx-value-stream={@stream.name} aria-pressed={to_string(@snap == @stream.name)}>{if @snap == @stream.name, do: "Release the cursor", else: "Snap cursor to it"}</button>
-      <button :if={@stream.first} class="btn" type="button" phx-click="zoom_stream" phx-value-stream={@stream.name}>Zoom to it</button>
+      <button class="btn" type="button" phx-click="snap" phx-value-stream={@stream.name}
+          aria-pressed={to_string(@snap == @stream.name)}>
+          {if @snap == @stream.name, do: "Release the cursor", else: "Snap cursor to it"}</button>
+      <button :if={@stream.first} class="btn" type="button" phx-click="zoom_stream"
+          phx-value-stream={@stream.name}>Zoom to it</button>
     </div>
     """
   end
 
   defp panel_props(assigns) do
+    streams = Enum.map(assigns.panel.vis, & &1.stream)
+    assigns = assign(assigns, colors: Color.of(streams, assigns.known.colors))
+
     ~H"""
     <h2>{title(@panel)}</h2>
     <div class="sub">{length(@panel.vis)} {if length(@panel.vis) == 1, do: "stream", else: "streams"}</div>
     <form :if={@panel.panel == :plot} id={"axis-" <> @panel.id} phx-change="axis">
       <input type="hidden" name="panel" value={@panel.id}>
-      <div class="field"><label for="axis-min">Axis from</label><input id="axis-min" name="min" value={axis(@panel.axis, 0)} placeholder="automatic" inputmode="decimal" phx-debounce="400"></div>
-      <div class="field"><label for="axis-max">to</label><input id="axis-max" name="max" value={axis(@panel.axis, 1)} placeholder="automatic" inputmode="decimal" phx-debounce="400"></div>
+      <div class="field"><label for="axis-min">Axis from</label><input id="axis-min" name="min"
+          value={axis(@panel.axis, 0)} placeholder="automatic" inputmode="decimal" phx-debounce="400"></div>
+      <div class="field"><label for="axis-max">to</label><input id="axis-max" name="max"
+          value={axis(@panel.axis, 1)} placeholder="automatic" inputmode="decimal" phx-debounce="400"></div>
     </form>
     <form :if={@panel.panel == :plot} id={"threshold-" <> @panel.id} phx-change="threshold">
       <input type="hidden" name="panel" value={@panel.id}>
@@ -164,37 +185,47 @@ defmodule Situ.Studio.Web.Side do
           <option value="above" selected={side(@panel) == :above}>what is above</option>
         </select>
       </div>
-      <div class="field"><label for="threshold-value">the value</label><input id="threshold-value" name="value" value={axis(@panel.threshold, 1)} inputmode="decimal" phx-debounce="400"></div>
+      <div class="field"><label for="threshold-value">the value</label><input id="threshold-value"
+          name="value" value={axis(@panel.threshold, 1)} inputmode="decimal" phx-debounce="400"></div>
     </form>
     <div :for={{vis, index} <- Enum.with_index(@panel.vis)} class="viz">
       <div class="head"><span title={vis.stream}>{vis.stream}{vis.path}</span>
-        <button class="mini" type="button" phx-click="remove_vis" phx-value-panel={@panel.id} phx-value-index={index} title="Take it out" aria-label="Take it out"><.icon name={:close} /></button>
+        <button class="mini" type="button" phx-click="remove_vis" phx-value-panel={@panel.id}
+            phx-value-index={index} title="Take it out" aria-label="Take it out"><.icon
+            name={:close} /></button>
       </div>
-      <div class="kind">{kind_title(vis, @shapes, @extra)}</div>
+      <div class="kind">{kind_title(vis, @known)}</div>
       <form id={"props-#{@panel.id}-#{index}"} phx-change="prop">
         <input type="hidden" name="panel" value={@panel.id}><input type="hidden" name="index" value={index}>
-        <div :for={{key, option} <- options(vis, @shapes, @extra)} class="field">
+        <div :for={{key, option} <- options(vis, @known)} class="field">
           <label for={"f-#{@panel.id}-#{index}-#{key}"}>{option[:title]}</label>
-          <.input id={"f-#{@panel.id}-#{index}-#{key}"} key={key} name={"props[#{key}]"} option={option} value={Map.get(vis.props, to_string(key), option[:default])} panel={@panel.id} index={index} />
+          <.input id={"f-#{@panel.id}-#{index}-#{key}"} key={key} name={"props[#{key}]"} option={option}
+              value={Map.get(vis.props, to_string(key), option[:default])} panel={@panel.id} index={index}
+              color={Enum.at(@colors, index)} />
         </div>
       </form>
     </div>
-    <div class="choices"><button class="btn" type="button" phx-click="remove_panel" phx-value-id={@panel.id}>Remove panel</button></div>
+    <div class="choices"><button class="btn" type="button" phx-click="remove_panel"
+        phx-value-id={@panel.id}>Remove panel</button></div>
     """
   end
 
   defp input(%{option: option} = assigns) do
-    assigns = assign(assigns, type: option[:type], palette: @palette)
+    assigns = assign(assigns, type: option[:type])
 
     ~H"""
     <input :if={@type == :boolean} id={@id} type="checkbox" name={@name} value="true" checked={@value == true}>
     <span :if={@type == :color} class="color">
-      <input id={@id} type="color" name={@name} value={@value || Enum.at(@palette, rem(@index, 8))}>
+      <input id={@id} type="color" name={@name} value={@value} phx-hook="Swatch" data-auto={@value == nil && @color}>
       <span :if={@value == nil} class="hint">{@option[:auto] || "automatic"}</span>
-      <button :if={@value != nil} class="mini" type="button" phx-click="prop_auto" phx-value-panel={@panel} phx-value-index={@index} phx-value-key={@key} title={"Back to " <> (@option[:auto] || "automatic")} aria-label={"Back to " <> (@option[:auto] || "automatic")}><.icon name={:close} /></button>
+      <button :if={@value != nil} class="mini" type="button" phx-click="prop_auto" phx-value-panel={@panel}
+          phx-value-index={@index} phx-value-key={@key} title={"Back to " <> (@option[:auto] || "automatic")}
+          aria-label={"Back to " <> (@option[:auto] || "automatic")}><.icon name={:close} /></button>
     </span>
-    <select :if={match?({:in, _}, @type)} id={@id} name={@name}><option :for={{v, title} <- choices(@type)} value={v} selected={v == @value}>{title}</option></select>
-    <input :if={match?({:range, _, _}, @type) or @type == :text} id={@id} name={@name} value={plain(@value)} phx-debounce="400">
+    <select :if={match?({:in, _}, @type)} id={@id} name={@name}><option :for={{v, title} <- choices(@type)}
+        value={v} selected={v == @value}>{title}</option></select>
+    <input :if={match?({:range, _, _}, @type) or @type == :text} id={@id} name={@name} value={plain(@value)}
+        phx-debounce="400">
     """
   end
 
@@ -202,17 +233,17 @@ defmodule Situ.Studio.Web.Side do
   defp plain(x) when is_float(x) and abs(x) < 1.0e15 and trunc(x) == x, do: trunc(x)
   defp plain(x), do: x
 
-  defp choices({:in, values}), do: Visualizers.choices(values)
+  defp choices({:in, values}), do: Visualizer.choices(values)
   defp choices(_), do: []
 
-  defp options(vis, shapes, extra) do
+  defp options(vis, %{shapes: shapes, extra: extra}) do
     case Visualizers.of(vis.viz, vis.path, Map.get(shapes, vis.stream, :value), extra) do
-      {:ok, entry} -> Visualizers.options(entry, vis.props)
+      {:ok, entry} -> Visualizer.options(entry, vis.props)
       :error -> []
     end
   end
 
-  defp kind_title(vis, shapes, extra) do
+  defp kind_title(vis, %{shapes: shapes, extra: extra}) do
     case Visualizers.of(vis.viz, vis.path, Map.get(shapes, vis.stream, :value), extra) do
       {:ok, entry} -> entry.title
       :error -> vis.viz

@@ -1,0 +1,106 @@
+// What one panel is shown of one stream: windows over time, or the message at the cursor. The client asks and delivers.
+
+import { KIND } from "./wire.js";
+import { want } from "./window.js";
+import { Series, keepLines } from "./series.js";
+import { keepMarks, keepSegments } from "./lanes.js";
+
+class Channel {
+  constructor(id, spec, accept) {
+    Object.assign(this, { id, spec, accept, opened: false, error: null });
+  }
+
+  reopen() {
+    this.opened = false;
+  }
+}
+
+export class IntervalChannel extends Channel {
+  constructor(id, spec, accept, { px }) {
+    super(id, spec, accept);
+    this.px = px;
+    this.held = null;
+    this.series = new Series();
+    this.lines = new Map();
+    this.marks = null;
+    this.segments = null;
+    this.version = 0;
+  }
+
+  reopen() {
+    super.reopen();
+    this.held = null;
+    this.asking = null;
+  }
+
+  gather(message, s, origin, live) {
+    const px = this.px();
+    if (px <= 0) return;
+    const w = want(this.held, s.view, px, s.data, live);
+    this.asking = w;
+    if (!w) return;
+    const abs = (t) => (origin + BigInt(Math.round(t))).toString();
+    this.asking.head = s.data[1];
+    message.series.push([this.id, abs(w.from), abs(w.to), w.bin]);
+  }
+
+  receive(f, client) {
+    const w = this.asking;
+    this.asking = null;
+    this.error = f.kind === KIND.error ? f.message : null;
+    if (w && !this.error) {
+      this.keep(f, client.rel(f.time), w);
+      const head = client.time.get().data[1];
+      this.held = { from: w.append ? this.held.from : w.from, to: w.to, bin: w.bin, head, newest: this.newest(f, client) };
+    } else if (this.error) {
+      this.held = { from: -Infinity, to: Infinity, bin: w?.bin, head: Infinity };
+    }
+    this.version++;
+    this.accept(this);
+  }
+
+  // The time of the newest message that is held; before all times where there is none.
+  newest(f, client) {
+    if (f.kind === KIND.segments) return f.count ? client.rel(f.time) + f.step : -Infinity;
+    if (f.kind === KIND.marks) return this.marks.t[this.marks.t.length - 1] ?? -Infinity;
+    const held = f.kind === KIND.lines ? [...this.lines.values()] : [this.series];
+    return Math.max(-Infinity, ...held.filter((s) => s.length).map((s) => s.t[s.length - 1]));
+  }
+
+  // A window takes the place of what was held; one that grew is put at its end.
+  keep(f, base, w) {
+    const from = w.append ? w.from : -Infinity;
+    const forget = w.from - 4 * (w.to - w.from);
+    if (f.kind === KIND.series) {
+      this.series.put(f, base, from);
+      if (w.append) this.series.trim(forget);
+    } else if (f.kind === KIND.lines) this.lines = keepLines(w.append ? this.lines : new Map(), f.lines, base, from, forget);
+    else if (f.kind === KIND.marks) this.marks = keepMarks(w.append ? this.marks : null, f, base, w.from);
+    else if (f.kind === KIND.segments) this.segments = keepSegments(w.append ? this.segments : null, f.value, base, w.from);
+  }
+}
+
+export class InstantChannel extends Channel {
+  constructor(id, spec, accept) {
+    super(id, spec, accept);
+    this.at = null;
+  }
+
+  reopen() {
+    super.reopen();
+    this.at = null;
+  }
+
+  gather(message, s, _origin, live) {
+    if (!live && this.at === s.cursor) return;
+    this.at = s.cursor;
+    message.instant.push(this.id);
+  }
+
+  receive(f, client) {
+    this.error = f.kind === KIND.error ? f.message : null;
+    if (f.kind === KIND.same) return;
+    f.at = client.rel(f.time);
+    this.accept(f, this);
+  }
+}

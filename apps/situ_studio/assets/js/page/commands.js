@@ -1,0 +1,57 @@
+// What toolbar, keys and palette do beyond the time (`keys.js` names them): each a function of the page.
+
+import { openGoto, openHelp } from "./dialogs.js";
+import { setTheme } from "./theme.js";
+import { iso } from "../time/text.js";
+import { copy, toast } from "./toast.js";
+
+export const commands = {
+  theme: () => setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light"),
+  timing: (app) => app.header.nextTiming(),
+  goto: openGoto,
+  help: openHelp,
+  palette: (app) => app.palette?.open(),
+  left: (app) => toggleSide(app, "left"),
+  right: (app) => toggleSide(app, "right"),
+
+  search(app) {
+    document.documentElement.dataset.left = "open";
+    app.root.querySelector("#search")?.focus();
+  },
+
+  // The selection; where one end is missing that of the data, and without any the view.
+  export(app) {
+    const { sel, view, data } = app.time.get();
+    if (app.client.origin === null) return;
+    if (!app.root.querySelector("[data-act='export']")) {
+      return toast("Only a recording on disk can be saved in part, in a studio that is not read only");
+    }
+    const selected = sel[0] != null || sel[1] != null;
+    const [from, to] = selected
+      ? [sel[0] ?? data[0], sel[1] ?? data[1]]
+      : [Math.max(view[0], data[0]), Math.min(view[1], data[1])];
+    const of = selected ? "selection" : "view";
+    app.options.push?.("export_dialog", { from: app.client.abs(from), to: app.client.abs(to), of });
+  },
+
+  // As "go to time" takes it.
+  copyTime(app) {
+    const { origin } = app.client;
+    if (origin !== null) return copy(iso(app.time.get().cursor, origin), "Time of the cursor copied");
+  },
+
+  copyNs(app) {
+    if (app.client.origin !== null) return copy(app.client.abs(app.time.get().cursor), "Nanoseconds of the cursor copied");
+  },
+
+  copyLink(app) {
+    app.address.save(true);
+    return copy(location.href, "Link copied", "The address bar holds the link");
+  },
+};
+
+// Shown or hidden: what it is now depends on the width of the window, too.
+function toggleSide(app, side) {
+  const shown = getComputedStyle(app.root.querySelector(`.${side}`)).display !== "none";
+  document.documentElement.dataset[side] = shown ? "closed" : "open";
+}

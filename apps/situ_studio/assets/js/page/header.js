@@ -1,0 +1,68 @@
+// The timing header and the states of the toolbar's buttons. Painted once per picture at most.
+
+import { absolute, relative, duration } from "../time/text.js";
+
+// What times count from, and how the caption says so.
+const TIMINGS = ["cursor", "cursor · start", "cursor · sel."];
+
+export class Header {
+  // origin() -> the first time of the data as a BigInt, or null before there is any
+  constructor(root, origin) {
+    Object.assign(this, { root, origin, timing: 0, growing: false });
+  }
+
+  update(state) {
+    this.state = state;
+    this.frame ??= requestAnimationFrame(() => {
+      this.frame = null;
+      this.paint(this.state);
+    });
+  }
+
+  nextTiming() {
+    this.timing = (this.timing + 1) % TIMINGS.length;
+    if (this.state) this.update(this.state);
+  }
+
+  // Whether what is shown is still being recorded.
+  grows(growing) {
+    this.growing = growing;
+    if (this.state) this.update(this.state);
+  }
+
+  paint(s) {
+    const origin = this.origin();
+    if (origin === null) return;
+    const zero = this.timing === 2 ? s.sel[0] ?? 0 : 0;
+    const show = (t) =>
+      t == null ? "–" : this.timing === 0 ? absolute(t, origin).slice(11) : relative(t - zero, 1e3).slice(0, -2);
+    this.set("t-from", TIMINGS[this.timing]);
+    this.set("t-cursor", show(s.cursor));
+    this.set("t-start", show(s.sel[0]));
+    this.set("t-end", show(s.sel[1]));
+    // where there is no selection to measure, the end of the data stands there
+    const length = s.sel[0] != null && s.sel[1] != null;
+    this.set("t-length-of", length ? "length" : "data ends");
+    this.set("t-length", length ? duration(s.sel[1] - s.sel[0]) : show(s.data[1]));
+    this.set("speed", `${s.speed >= 1 ? Number(s.speed.toFixed(2)) : `1/${Number((1 / s.speed).toFixed(2))}`}×`);
+    this.pressed("togglePlay", s.mode === "play");
+    this.pressed("repeat", s.repeat);
+    this.pressed("follow", s.follow);
+    this.pressed("live", s.mode === "live");
+    this.disabled(["togglePlay", "togglePlaySel", "zoomAll", "zoomSel"], s.mode === "live");
+    this.disabled(["live"], !this.growing && s.mode !== "live");
+  }
+
+  set(id, text) {
+    const el = document.getElementById(id);
+    if (el && el.textContent !== text) el.textContent = text;
+  }
+
+  pressed(act, on) {
+    for (const b of this.root.querySelectorAll(`[data-act="${act}"]`)) b.setAttribute("aria-pressed", String(on));
+  }
+
+  disabled(acts, on) {
+    for (const a of acts) for (const b of this.root.querySelectorAll(`[data-act="${a}"]`)) b.disabled = on;
+  }
+}

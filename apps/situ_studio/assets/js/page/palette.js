@@ -1,0 +1,103 @@
+// Commands and streams in one list, found by typing parts of their names.
+
+import { KEYS } from "./keys.js";
+
+export class Palette {
+  constructor(app) {
+    this.app = app;
+    this.dialog = document.getElementById("palette");
+    if (!this.dialog) return;
+    this.input = this.dialog.querySelector("input");
+    this.list = this.dialog.querySelector("ul");
+    this.input.addEventListener("input", () => this.fill());
+    this.dialog.addEventListener("keydown", (e) => this.key(e));
+    this.list.addEventListener("click", (e) => {
+      const i = [...this.list.children].indexOf(e.target.closest("li"));
+      if (i >= 0) this.run(i);
+    });
+  }
+
+  open() {
+    this.input.value = "";
+    this.selected = 0;
+    this.fill();
+    this.dialog.showModal();
+    this.input.focus();
+  }
+
+  entries() {
+    let streams = [];
+    try {
+      streams = JSON.parse(document.getElementById("stream-names")?.dataset.names ?? "[]");
+    } catch {
+      // without the list only commands are offered
+    }
+    return [
+      ...KEYS.map(([key, text, action]) => ({ text, hint: key.replace("Arrow", ""), run: () => this.app.act(action) })),
+      { text: "Copy a link to this view", hint: "", run: () => this.app.act("copyLink") },
+      { text: "Copy the time of the cursor in ns", hint: "", run: () => this.app.act("copyNs") },
+      ...streams.map((stream) => ({
+        text: stream, hint: "add stream", run: () => this.app.options.push?.("add_stream", { stream, panel: "" }),
+      })),
+    ];
+  }
+
+  fill() {
+    this.shown = rank(this.entries(), this.input.value).slice(0, 12);
+    this.selected = 0;
+    this.list.textContent = "";
+    this.shown.forEach((entry, i) => {
+      const li = this.list.appendChild(document.createElement("li"));
+      li.setAttribute("role", "option");
+      li.setAttribute("aria-selected", String(i === 0));
+      li.appendChild(document.createElement("span")).textContent = entry.text;
+      li.appendChild(document.createElement("kbd")).textContent = entry.hint;
+    });
+  }
+
+  key(e) {
+    const n = this.shown.length;
+    if (e.key === "ArrowDown" || e.key === "ArrowUp") {
+      this.selected = (this.selected + (e.key === "ArrowDown" ? 1 : n - 1)) % Math.max(n, 1);
+      [...this.list.children].forEach((li, i) => li.setAttribute("aria-selected", String(i === this.selected)));
+      e.preventDefault();
+    } else if (e.key === "Enter") {
+      e.preventDefault();
+      this.run(this.selected);
+    }
+  }
+
+  run(i) {
+    this.dialog.close();
+    this.shown[i]?.run();
+  }
+}
+
+// Every typed word must occur, or its letters in order; earlier and tighter matches come first.
+export function rank(entries, query) {
+  const words = query.toLowerCase().split(/\s+/).filter(Boolean);
+  return entries
+    .map((entry, i) => ({ entry, i, score: score(entry.text.toLowerCase(), words) }))
+    .filter((x) => x.score !== null)
+    .sort((a, b) => a.score - b.score || a.i - b.i)
+    .map((x) => x.entry);
+}
+
+function score(text, words) {
+  let total = 0;
+  for (const w of words) {
+    const at = text.indexOf(w);
+    if (at >= 0) {
+      total += at;
+      continue;
+    }
+    let p = -1, first = -1;
+    for (const c of w) {
+      p = text.indexOf(c, p + 1);
+      if (p < 0) return null;
+      if (first < 0) first = p;
+    }
+    total += 100 + (p - first);
+  }
+  return total;
+}

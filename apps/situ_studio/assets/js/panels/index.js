@@ -1,0 +1,16 @@
+// The kinds of panels, by the names that layouts give them.
+
+import { PlotPanel } from "./plot.js";
+import { LanesPanel } from "./lanes.js";
+import { ImagePanel } from "./image.js";
+import { WHOLE } from "../visualizers/index.js";
+
+const KINDS = { plot: PlotPanel, lanes: LanesPanel, image: ImagePanel, ...WHOLE };
+
+export const timeline = (kind) => kind === "plot" || kind === "lanes";
+
+// The view of a panel, or null of a kind that this page does not know.
+export function openPanel(kind, el, app, config) {
+  const Kind = KINDS[kind];
+  return Kind ? new Kind(el, app, config) : null;
+}

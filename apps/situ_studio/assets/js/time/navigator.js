@@ -1,0 +1,167 @@
+// The time navigator: the whole recording with a thumb for the view above, a ruler of the view below.
+
+import { GUTTER, FONT, theme } from "../page/theme.js";
+import { ticks, relative, duration } from "./text.js";
+
+const BAR = 18;
+const GRIP = 6;
+
+export class Navigator {
+  constructor(el, app) {
+    Object.assign(this, { el, app });
+    this.canvas = el.appendChild(document.createElement("canvas"));
+    this.observer = new ResizeObserver(() => this.resize());
+    this.observer.observe(el);
+    el.addEventListener("pointerdown", (e) => this.down(e));
+    el.addEventListener("pointermove", (e) => this.hover(e));
+    el.addEventListener("wheel", (e) => this.wheel(e), { passive: false });
+    el.addEventListener("dblclick", () => this.app.time.dispatch({ type: "zoomAll" }));
+    this.resize();
+  }
+
+  resize() {
+    const w = this.el.clientWidth, h = this.el.clientHeight;
+    if (!w || !h) return;
+    this.canvas.width = Math.round(w * devicePixelRatio);
+    this.canvas.height = Math.round(h * devicePixelRatio);
+    this.app.schedule(this);
+  }
+
+  // The bar shows the data, and the view where it reaches beyond it.
+  span() {
+    const s = this.app.time.get();
+    if (s.mode === "live") return [Math.min(s.data[0], s.view[0]), Math.max(s.data[1], s.view[1])];
+    return s.data;
+  }
+
+  scale() {
+    const [a, b] = this.span();
+    const inner = this.el.clientWidth - GUTTER.left - GUTTER.right;
+    return { x: (t) => GUTTER.left + ((t - a) / (b - a)) * inner, t: (x) => a + ((x - GUTTER.left) / inner) * (b - a), inner };
+  }
+
+  down(e) {
+    if (e.button !== 0) return;
+    const y = e.offsetY;
+    if (y > BAR + 6) return; // the ruler belongs to the panels' gestures, see app.js
+    const s = this.app.time.get();
+    if (s.mode === "live") return;
+    const { x, t } = this.scale();
+    const left = x(s.view[0]), right = x(s.view[1]);
+    const at = e.offsetX;
+    let part = "body";
+    if (Math.abs(at - left) < GRIP) part = "left";
+    else if (Math.abs(at - right) < GRIP) part = "right";
+    else if (at < left || at > right) {
+      const w = s.view[1] - s.view[0];
+      const mid = t(at);
+      this.app.time.dispatch({ type: "view", from: mid - w / 2, to: mid + w / 2 });
+    }
+    const start = this.app.time.get().view;
+    const t0 = t(at);
+    this.el.setPointerCapture(e.pointerId);
+    const move = (m) => {
+      const by = t(m.offsetX) - t0;
+      let [from, to] = start;
+      if (part !== "right") from += by;
+      if (part !== "left") to += by;
+      if (from < to) this.app.time.dispatch({ type: "view", from, to });
+    };
+    const up = () => {
+      this.el.removeEventListener("pointermove", move);
+      this.el.removeEventListener("pointerup", up);
+    };
+    this.el.addEventListener("pointermove", move);
+    this.el.addEventListener("pointerup", up);
+  }
+
+  hover(e) {
+    const s = this.app.time.get();
+    const { x } = this.scale();
+    const near = (t) => Math.abs(e.offsetX - x(t)) < GRIP;
+    const grip = e.offsetY <= BAR + 6 && (near(s.view[0]) || near(s.view[1]));
+    this.el.style.cursor = grip ? "ew-resize" : e.offsetY <= BAR + 6 ? "grab" : "default";
+  }
+
+  wheel(e) {
+    if (e.offsetY > BAR + 6) return;
+    e.preventDefault();
+    const { t } = this.scale();
+    this.app.time.dispatch({ type: "zoomAt", t: t(e.offsetX), factor: e.deltaY > 0 ? 1.2 : 1 / 1.2 });
+  }
+
+  render() {
+    const ctx = this.canvas.getContext("2d");
+    const c = theme();
+    const s = this.app.time.get();
+    const w = this.el.clientWidth, h = this.el.clientHeight;
+    ctx.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+    ctx.clearRect(0, 0, w, h);
+    const { x, inner } = this.scale();
+    const top = 5;
+
+    // overview
+    ctx.fillStyle = c.grid;
+    ctx.fillRect(GUTTER.left, top, inner, BAR);
+    if (s.sel[0] != null && s.sel[1] != null) {
+      ctx.fillStyle = c.accent;
+      ctx.globalAlpha = 0.35;
+      ctx.fillRect(x(s.sel[0]), top, Math.max(x(s.sel[1]) - x(s.sel[0]), 1), BAR);
+      ctx.globalAlpha = 1;
+    }
+    const l = Math.max(x(s.view[0]), GUTTER.left), r = Math.min(x(s.view[1]), GUTTER.left + inner);
+    ctx.fillStyle = c.accent;
+    ctx.globalAlpha = 0.2;
+    ctx.fillRect(l, top, Math.max(r - l, 2), BAR);
+    ctx.globalAlpha = 1;
+    ctx.fillRect(l, top, 2, BAR);
+    ctx.fillRect(Math.max(r - 2, l), top, 2, BAR);
+    ctx.fillStyle = c.dim;
+    ctx.font = FONT;
+    ctx.textBaseline = "middle";
+    const over = ticks(this.span(), inner, 110);
+    for (const t of over.at) {
+      const px = x(t);
+      if (px > GUTTER.left + inner - 36) continue;
+      ctx.fillRect(px, top + BAR - 4, 1, 4);
+      ctx.fillText(relative(t, over.unit), px + 4, top + BAR / 2 + 1);
+    }
+    ctx.fillStyle = c.cursor;
+    ctx.fillRect(x(s.cursor) - 0.5, top - 1, 1.5, BAR + 2);
+    ctx.fillStyle = c.dim;
+    ctx.textAlign = "right";
+    ctx.fillText(duration(s.data[1] - s.data[0]), GUTTER.left - 10, top + BAR / 2 + 1);
+
+    // ruler of the view
+    const base = h - 1;
+    const k = inner / (s.view[1] - s.view[0]);
+    const vx = (t) => GUTTER.left + (t - s.view[0]) * k;
+    const rule = ticks(s.view, inner, 90);
+    ctx.textAlign = "center";
+    ctx.fillStyle = c.axis;
+    for (const t of rule.at) {
+      const px = vx(t);
+      ctx.globalAlpha = 0.6;
+      ctx.fillRect(px, base - 5, 1, 5);
+      ctx.globalAlpha = 1;
+      ctx.fillText(relative(t, rule.unit), Math.min(Math.max(px, GUTTER.left + 16), w - 24), base - 12);
+    }
+    ctx.textAlign = "right";
+    ctx.fillStyle = c.dim;
+    ctx.fillText(duration(s.view[1] - s.view[0]), GUTTER.left - 10, base - 12);
+    ctx.textAlign = "left";
+    ctx.textBaseline = "alphabetic";
+  }
+
+  cursorMoved() {
+    this.app.schedule(this);
+  }
+
+  themeChanged() {
+    this.render();
+  }
+
+  destroy() {
+    this.observer.disconnect();
+  }
+}

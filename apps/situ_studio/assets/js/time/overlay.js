@@ -1,0 +1,43 @@
+// Cursor line and selection over one timeline panel; moved by transform only, so that nothing is laid out again.
+
+import { GUTTER } from "../page/theme.js";
+
+export class Overlay {
+  constructor(el) {
+    this.el = el;
+    this.box = el.appendChild(document.createElement("div"));
+    this.box.className = "overlay";
+    [this.shade, this.start, this.end, this.cursor] = ["sel-shade", "sel-line start", "sel-line end", "cursor-line"].map(
+      (c) => {
+        const d = this.box.appendChild(document.createElement("div"));
+        d.className = c;
+        return d;
+      },
+    );
+  }
+
+  update(s) {
+    const inner = this.el.clientWidth - GUTTER.left - GUTTER.right;
+    if (inner <= 0) return;
+    const k = inner / (s.view[1] - s.view[0]);
+    const x = (t) => (t - s.view[0]) * k;
+    place(this.cursor, x(s.cursor), inner);
+    const live = s.mode === "live";
+    place(this.start, live || s.sel[0] == null ? null : x(s.sel[0]), inner);
+    place(this.end, live || s.sel[1] == null ? null : x(s.sel[1]), inner);
+    const both = !live && s.sel[0] != null && s.sel[1] != null;
+    this.shade.hidden = !both;
+    if (both) {
+      const a = Math.max(x(s.sel[0]), 0), b = Math.min(x(s.sel[1]), inner);
+      this.shade.hidden = b <= a;
+      this.shade.style.transform = `translateX(${a}px)`;
+      this.shade.style.width = `${Math.max(b - a, 0)}px`;
+    }
+  }
+}
+
+function place(el, x, inner) {
+  const show = x != null && x >= 0 && x <= inner;
+  el.hidden = !show;
+  if (show) el.style.transform = `translateX(${x}px)`;
+}

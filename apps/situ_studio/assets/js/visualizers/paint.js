@@ -1,0 +1,147 @@
+// Drawing of one stream's window onto a plot. `x` and `y` map time and value to canvas pixels.
+
+const SPACING = 9;
+
+// Line: straight or stepped joins while messages are fewer than pixels; zoomed out, a band from min to max.
+export function line(ctx, s, view, x, y, { color, width = 1.25, step = false, joined = true, points = false, ratio = 1 }) {
+  const n = s.length;
+  if (!n) return;
+  const a = Math.max(s.at(view[0]), 0);
+  let b = s.at(view[1]) + 1;
+  b = Math.min(Math.max(b, a), n - 1);
+  ctx.strokeStyle = color;
+  ctx.fillStyle = color;
+  ctx.lineWidth = width * ratio;
+  ctx.lineJoin = "round";
+  if (!s.raw) band(ctx, s, a, b, x, y);
+  ctx.beginPath();
+  let pen = false, py = 0;
+  // what stands between two holes is a dot
+  const alone = (i) => {
+    if (i > a && !s.holeBefore(i)) return;
+    ctx.moveTo(x(s.t[i]), py);
+    ctx.lineTo(x(s.t[i]) + ratio, py);
+  };
+  for (let i = a; i <= b; i++) {
+    const v = s.last[i];
+    if (!Number.isFinite(v)) {
+      pen = false;
+      continue;
+    }
+    const px = x(s.t[i]), p = y(v);
+    if (pen && s.holeBefore(i)) {
+      pen = false;
+      alone(i - 1);
+    }
+    if (!pen) ctx.moveTo(px, p);
+    else {
+      if (step) ctx.lineTo(px, py);
+      ctx.lineTo(px, p);
+    }
+    pen = true;
+    py = p;
+  }
+  if (pen && s.holeBefore(b)) alone(b);
+  // a step holds until the next message is due
+  if (step && pen && b === n - 1) ctx.lineTo(Math.min(x(view[1]), x(s.t[b] + Math.min(s.patience, 1e15))), py);
+  if (joined) ctx.stroke();
+  // dots show single messages, as long as they are apart
+  const apart = b > a ? (x(s.t[b]) - x(s.t[a])) / (b - a) : Infinity;
+  if (points || (s.raw && apart > SPACING * ratio)) dots(ctx, s, a, b, x, y, points ? 2.5 * ratio : 1.75 * ratio);
+}
+
+function band(ctx, s, a, b, x, y) {
+  ctx.globalAlpha = 0.42;
+  ctx.beginPath();
+  let start = a;
+  while (start <= b) {
+    while (start <= b && !Number.isFinite(s.max[start])) start++;
+    let end = start;
+    while (end <= b && Number.isFinite(s.max[end]) && (end === start || !s.holeBefore(end))) end++;
+    if (end > start) {
+      ctx.moveTo(x(s.t[start]), y(s.max[start]) - 0.5);
+      for (let i = start + 1; i < end; i++) ctx.lineTo(x(s.t[i]), y(s.max[i]) - 0.5);
+      for (let i = end - 1; i >= start; i--) ctx.lineTo(x(s.t[i]), y(s.min[i]) + 0.5);
+      ctx.closePath();
+    }
+    start = Math.max(end, start + 1);
+  }
+  ctx.fill();
+  ctx.globalAlpha = 1;
+}
+
+function dots(ctx, s, a, b, x, y, r) {
+  ctx.beginPath();
+  for (let i = a; i <= b; i++) {
+    const v = s.last[i];
+    if (!Number.isFinite(v)) continue;
+    const px = x(s.t[i]), py = y(v);
+    ctx.moveTo(px + r, py);
+    ctx.arc(px, py, r, 0, 2 * Math.PI);
+  }
+  ctx.fill();
+}
+
+// Audio: one filled shape between the extremes, at least a hair thick so that silence shows.
+export function wave(ctx, s, view, x, y, { color, ratio = 1 }) {
+  const n = s.length;
+  if (!n) return;
+  const a = Math.max(s.at(view[0]), 0);
+  const b = Math.min(s.at(view[1]) + 1, n - 1);
+  const hair = 0.5 * ratio;
+  ctx.fillStyle = color;
+  ctx.globalAlpha = 0.9;
+  let start = a;
+  ctx.beginPath();
+  while (start <= b) {
+    let end = start + 1;
+    while (end <= b && !s.holeBefore(end)) end++;
+    ctx.moveTo(x(s.t[start]), y(s.max[start]) - hair);
+    for (let i = start + 1; i < end; i++) ctx.lineTo(x(s.t[i]), y(s.max[i]) - hair);
+    for (let i = end - 1; i >= start; i--) ctx.lineTo(x(s.t[i]), y(s.min[i]) + hair);
+    ctx.closePath();
+    start = end;
+  }
+  ctx.fill();
+  ctx.globalAlpha = 1;
+}
+
+// Latency: a stem per message, in the warning colour above the threshold.
+export function stems(ctx, s, view, x, y, { color, warn, threshold, ratio = 1 }) {
+  const n = s.length;
+  if (!n) return;
+  const a = Math.max(s.at(view[0]), 0);
+  const b = Math.min(s.at(view[1]) + 1, n - 1);
+  for (const over of [false, true]) {
+    ctx.strokeStyle = over ? warn : color;
+    ctx.lineWidth = 1.25 * ratio;
+    ctx.beginPath();
+    for (let i = a; i <= b; i++) {
+      if (s.max[i] > threshold !== over) continue;
+      const px = x(s.t[i]);
+      ctx.moveTo(px, y(0));
+      ctx.lineTo(px, y(s.max[i]));
+    }
+    ctx.stroke();
+  }
+}
+
+// Where a stream begins later or ends earlier than its recording: a bracket that opens or closes what there is of it.
+// `ends`: {first, last} in ns of the page, either may be missing.
+export function brackets(ctx, ends, x, top, bottom, { color, ratio = 1 }) {
+  const foot = 5 * ratio;
+  ctx.strokeStyle = color;
+  ctx.lineWidth = 1.5 * ratio;
+  ctx.setLineDash([3 * ratio, 2 * ratio]);
+  for (const [t, way] of [[ends.first, 1], [ends.last, -1]]) {
+    if (t == null) continue;
+    const px = x(t);
+    ctx.beginPath();
+    ctx.moveTo(px + way * foot, top + ratio);
+    ctx.lineTo(px, top + ratio);
+    ctx.lineTo(px, bottom - ratio);
+    ctx.lineTo(px + way * foot, bottom - ratio);
+    ctx.stroke();
+  }
+  ctx.setLineDash([]);
+}

@@ -1,0 +1,53 @@
+// A received picture as something a canvas can draw, whatever its pixel format.
+
+import { PIXELS } from "../data/wire.js";
+import { paintDepth, paintGray } from "./depth_colors.js";
+
+// look: how depth is coloured (`depth.js`), or null where 16 bits are shades of grey.
+export async function bitmap(f, look) {
+  if (f.pixels === PIXELS.jpeg || f.pixels === PIXELS.png) {
+    const type = f.pixels === PIXELS.jpeg ? "image/jpeg" : "image/png";
+    const image = await createImageBitmap(new Blob([f.data], { type }));
+    return { image, width: image.width, height: image.height };
+  }
+  const { width, height } = f;
+  const out = new ImageData(width, height);
+  const extra = fill(f, out.data, look);
+  return { image: await createImageBitmap(out), width, height, ...extra };
+}
+
+export function fill(f, rgba, look) {
+  const n = f.width * f.height, d = f.data;
+  switch (f.pixels) {
+    case PIXELS.rgba:
+      rgba.set(d.subarray(0, 4 * n));
+      return {};
+    case PIXELS.bgra:
+    case PIXELS.rgb:
+    case PIXELS.bgr: {
+      const step = f.pixels === PIXELS.bgra ? 4 : 3;
+      const [r, b] = f.pixels === PIXELS.rgb ? [0, 2] : [2, 0];
+      for (let i = 0, p = 0, o = 0; i < n; i++, p += step, o += 4) {
+        rgba[o] = d[p + r];
+        rgba[o + 1] = d[p + 1];
+        rgba[o + 2] = d[p + b];
+        rgba[o + 3] = 255;
+      }
+      return {};
+    }
+    case PIXELS.gray8:
+      for (let i = 0, o = 0; i < n; i++, o += 4) {
+        rgba[o] = rgba[o + 1] = rgba[o + 2] = d[i];
+        rgba[o + 3] = 255;
+      }
+      return {};
+    case PIXELS.gray16: {
+      const values = new Uint16Array(d.buffer.slice(d.byteOffset, d.byteOffset + 2 * n));
+      if (look) return { values, unit: f.unit, range: paintDepth(values, rgba, look) };
+      paintGray(values, rgba);
+      return { values, unit: 0 };
+    }
+    default:
+      throw new Error(`unknown pixel format ${f.pixels}`);
+  }
+}

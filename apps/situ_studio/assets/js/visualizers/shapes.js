@@ -1,0 +1,112 @@
+// Rectangles, points, lines and texts over a picture: drawing them, and telling which lie under the mouse.
+
+import { KIND } from "../data/wire.js";
+import { FONT, ink, seriesColor } from "../page/theme.js";
+import { number } from "../page/number_text.js";
+
+// How far from a point the mouse may be, in pixels of the screen.
+const NEAR = 5;
+const MANY = 100;
+
+// Where a picture lies on the canvas, from `fit` = {x, y, k, width}: its pixels to those of the canvas and back.
+export function mapping(fit, mirrored) {
+  const { x, y, k, width } = fit;
+  return {
+    k,
+    x: (v) => x + (mirrored ? width - v : v) * k,
+    y: (v) => y + v * k,
+    back: (px, py) => [mirrored ? width - (px - x) / k : (px - x) / k, (py - y) / k],
+  };
+}
+
+export const shapes = {
+  id: "shapes",
+  panel: "image",
+
+  accept(layer, frame, changed) {
+    layer.error = frame.kind === KIND.error ? frame.message : null;
+    layer.shapes = frame.kind === KIND.json ? frame.value : null;
+    changed();
+  },
+
+  restyle() {},
+  close() {},
+
+  draw(ctx, layer, { map }) {
+    if (layer.shapes) drawShapes(ctx, layer, map);
+  },
+
+  under: (layer, x, y, k) => (layer.shapes ? shapesAt(layer.shapes, x, y, k) : []),
+};
+
+export function drawShapes(ctx, { shapes: s, vis, index }, map) {
+  const props = vis.props ?? {};
+  const own = vis.color ?? index;
+  ctx.font = FONT;
+  ctx.lineWidth = props.width ?? 2;
+  (s.rects ?? []).forEach(([x, y, w, h, label, score, id], i) => {
+    const color = seriesColor(props.color, Number.isInteger(id) ? id : own + i);
+    const left = Math.min(map.x(x), map.x(x + w));
+    ctx.strokeStyle = color;
+    ctx.strokeRect(left, map.y(y), w * map.k, h * map.k);
+    const track = Number.isInteger(id) ? String(id) : null;
+    const text = [label, track, score == null ? null : number(score, 2)].filter((p) => p != null && p !== "").join("  ");
+    if (text && props.labels !== false) tag(ctx, text, left - 1, map.y(y), color);
+  });
+  const color = seriesColor(props.color, own);
+  ctx.strokeStyle = ctx.fillStyle = color;
+  ctx.beginPath();
+  for (const [a, b, c, d] of s.lines ?? []) {
+    ctx.moveTo(map.x(a), map.y(b));
+    ctx.lineTo(map.x(c), map.y(d));
+  }
+  ctx.stroke();
+  const r = props.radius ?? ((s.points?.length ?? 0) > MANY ? 1.2 : 3);
+  ctx.beginPath();
+  for (const [x, y] of s.points ?? []) {
+    ctx.moveTo(map.x(x) + r, map.y(y));
+    ctx.arc(map.x(x), map.y(y), r, 0, 2 * Math.PI);
+  }
+  ctx.fill();
+  if (props.labels !== false) {
+    for (const [x, y, label] of s.points ?? []) if (label) tag(ctx, label, map.x(x) + 5, map.y(y), color);
+  }
+  (s.texts ?? []).forEach((text, i) => tag(ctx, text, map.x(0) + 8, map.y(0) + 26 + 22 * i, color));
+}
+
+function tag(ctx, text, x, y, color) {
+  const w = ctx.measureText(text).width + 10;
+  const top = Math.max(y - 17, 0);
+  ctx.fillStyle = color;
+  ctx.fillRect(x, top, w, 17);
+  ctx.fillStyle = ink(color);
+  ctx.textBaseline = "middle";
+  ctx.fillText(text, x + 5, top + 9);
+  ctx.textBaseline = "alphabetic";
+}
+
+// What of these shapes lies at a place of the picture, in words: the nearest point, and the smallest rectangle around it.
+// `k` is pixels of the screen for one of the picture. Empty where there is nothing.
+export function shapesAt(shapes, x, y, k) {
+  return [...pointAt(shapes.points ?? [], x, y, NEAR / k), ...rectAt(shapes.rects ?? [], x, y)];
+}
+
+function pointAt(points, x, y, within) {
+  let best = null, nearest = within;
+  for (const p of points) {
+    const d = Math.hypot(p[0] - x, p[1] - y);
+    if (d <= nearest) [best, nearest] = [p, d];
+  }
+  return best ? [`${best[2] || "point"}  (${number(best[0], 4)}, ${number(best[1], 4)})`] : [];
+}
+
+function rectAt(rects, x, y) {
+  const around = rects.filter(([l, t, w, h]) => x >= l && x <= l + w && y >= t && y <= t + h);
+  if (!around.length) return [];
+  const [l, t, w, h, label, score, id] = around.reduce((a, b) => (b[2] * b[3] < a[2] * a[3] ? b : a));
+  const lines = [label || "rectangle"];
+  if (score != null) lines.push(`score ${number(score, 4)}`);
+  if (id != null) lines.push(`id ${id}`);
+  lines.push(`${number(w, 4)} × ${number(h, 4)} at (${number(l, 4)}, ${number(t, 4)})`);
+  return lines;
+}

@@ -1,0 +1,158 @@
+// Any message as a tree, with what changed since the previous one marked, and "plot this path" on its numbers.
+// Nodes come as [kind, text, children]: children are [key, node, path]; texts are only ever set as textContent.
+
+import { KIND } from "../data/wire.js";
+import { absolute, duration } from "../time/text.js";
+import { copy } from "../page/toast.js";
+
+export class ValuePanel {
+  constructor(el, app, config) {
+    Object.assign(this, { el, app });
+    el.classList.add("value-cell");
+    this.head = el.appendChild(document.createElement("div"));
+    this.head.className = "value-head";
+    this.body = el.appendChild(document.createElement("div"));
+    this.body.className = "value-tree";
+    this.body.setAttribute("role", "tree");
+    this.closed = new Set();
+    this.rows = new Map();
+    this.body.addEventListener("click", (e) => this.click(e));
+    this.body.tabIndex = 0;
+    this.body.addEventListener("keydown", (e) => this.press(e));
+    this.configure(config);
+  }
+
+  configure(config) {
+    const vis = config.vis[0];
+    const key = vis ? JSON.stringify([vis.stream, vis.path]) : "";
+    this.vis = vis;
+    if (key === this.key) return;
+    this.key = key;
+    this.app.client.close(this.channel);
+    this.channel = null;
+    this.value = null;
+    this.previous = new Map();
+    if (!vis) return;
+    const spec = { stream: vis.stream, viz: vis.viz, path: vis.path };
+    this.channel = this.app.client.open(spec, (f) => this.accept(f), { instant: true });
+  }
+
+  accept(f) {
+    this.message = f.kind === KIND.error ? f.message : f.kind === KIND.none ? "no message at the cursor" : null;
+    this.value = f.kind === KIND.json ? f.value : null;
+    this.app.schedule(this);
+  }
+
+  render() {
+    const v = this.value;
+    if (!v) {
+      this.head.textContent = this.message ?? "";
+      this.body.textContent = "";
+      this.previous = new Map();
+      return;
+    }
+    const origin = this.app.client.origin ?? 0n;
+    const rel = Number(BigInt(v.time) - origin);
+    this.head.textContent = `#${v.sequence}   ${absolute(rel, origin).slice(11)}   latency ${duration(v.latency)}   ${v.type}`;
+    const lines = [];
+    this.collect(v.tree, "value", "", 0, lines);
+    this.lines(lines);
+  }
+
+  collect(node, key, path, depth, out) {
+    const [kind, text, children] = node;
+    const open = children && !this.closed.has(path || "/");
+    out.push({ kind, text, key, path, depth, parent: !!children, open });
+    if (open) for (const [k, child, p] of children) this.collect(child, k, p, depth + 1, out);
+  }
+
+  lines(lines) {
+    const body = this.body;
+    while (body.children.length > lines.length) body.lastChild.remove();
+    const seen = new Map();
+    lines.forEach((l, i) => {
+      let row = body.children[i];
+      if (!row) row = body.appendChild(makeRow());
+      const id = l.path || "/";
+      seen.set(id, l.text);
+      row.dataset.path = l.path ?? "";
+      row.dataset.kind = l.kind;
+      row.style.paddingLeft = `${8 + l.depth * 14}px`;
+      row.children[0].textContent = l.parent ? (l.open ? "▾" : "▸") : "";
+      row.children[1].textContent = l.key;
+      if (row.children[2].textContent !== l.text) row.children[2].textContent = l.text;
+      row.children[2].className = `v ${l.kind}`;
+      row.classList.toggle("changed", this.previous.has(id) && this.previous.get(id) !== l.text && !l.parent);
+      const plot = l.path !== null && ["number", "boolean", "atom", "string"].includes(l.kind);
+      row.querySelector(".plot-path").hidden = !plot;
+      row.querySelector(".copy-path").hidden = l.path == null;
+      row.dataset.parent = l.parent ? "1" : "";
+      row.setAttribute("aria-expanded", l.parent ? String(l.open) : "");
+    });
+    this.previous = seen;
+  }
+
+  click(e) {
+    const row = e.target.closest(".row");
+    if (!row) return;
+    const path = row.dataset.path;
+    if (e.target.closest(".plot-path")) this.app.plotPath(this.vis.stream, path, row.dataset.kind);
+    else if (e.target.closest(".copy-path")) copy(this.vis.stream + path, "Path copied");
+    else if (e.target.closest(".copy-value")) copy(row.children[2].textContent, "Value copied");
+    else this.fold(row);
+  }
+
+  fold(row) {
+    if (!row.dataset.parent) return;
+    const id = row.dataset.path || "/";
+    if (!this.closed.delete(id)) this.closed.add(id);
+    this.render();
+  }
+
+  // Arrow keys walk the tree; Enter folds or plots, c copies the path, v the value.
+  press(e) {
+    const rows = [...this.body.children];
+    const i = rows.indexOf(document.activeElement.closest?.(".row"));
+    const row = rows[i];
+    const open = row?.getAttribute("aria-expanded");
+    if (e.key === "ArrowDown") rows[Math.min(i + 1, rows.length - 1)]?.focus();
+    else if (e.key === "ArrowUp") rows[Math.max(i - 1, 0)]?.focus();
+    else if (row && e.target === row && e.key === "Enter" && row.dataset.parent) this.fold(row);
+    else if (row && e.target === row && e.key === "Enter") row.querySelector(".plot-path:not([hidden])")?.click();
+    else if (row && e.key === "v" && !e.ctrlKey && !e.altKey) row.querySelector(".copy-value")?.click();
+    else if (row && e.key === "c" && !e.ctrlKey) row.querySelector(".copy-path:not([hidden])")?.click();
+    else if (open === "false" && e.key === "ArrowRight") this.fold(row);
+    else if (open === "true" && e.key === "ArrowLeft") this.fold(row);
+    else return;
+    e.preventDefault();
+    e.stopPropagation();
+  }
+
+  cursorMoved() {}
+  themeChanged() {}
+
+  destroy() {
+    this.app.client.close(this.channel);
+  }
+}
+
+function makeRow() {
+  const row = document.createElement("div");
+  row.className = "row";
+  row.setAttribute("role", "treeitem");
+  row.tabIndex = -1;
+  for (const c of ["fold", "k", "v"]) row.appendChild(document.createElement("span")).className = c;
+  const plot = row.appendChild(document.createElement("button"));
+  plot.className = "plot-path";
+  plot.textContent = "plot";
+  plot.title = "Plot this path over time (Enter)";
+  const copy = row.appendChild(document.createElement("button"));
+  copy.className = "copy-path";
+  copy.textContent = "path";
+  copy.title = "Copy the path (c)";
+  const value = row.appendChild(document.createElement("button"));
+  value.className = "copy-value";
+  value.textContent = "value";
+  value.title = "Copy the value (v)";
+  return row;
+}

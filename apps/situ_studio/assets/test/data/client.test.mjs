@@ -1,0 +1,126 @@
+import test from "node:test";
+import assert from "node:assert/strict";
+import { DataClient } from "../../js/data/client.js";
+import { createStore } from "../../js/time/view.js";
+
+// A server in miniature: one signal, a message every 10 ms, that grows with `head`.
+class Server {
+  constructor() {
+    this.readyState = 1;
+    this.head = 60e9;
+    this.lag = 0;
+    this.inFlight = 0;
+    this.most = 0;
+    this.asked = [];
+    queueMicrotask(() => this.onopen());
+  }
+
+  close() {}
+
+  send(text) {
+    this.inFlight++;
+    this.most = Math.max(this.most, this.inFlight);
+    const request = JSON.parse(text);
+    this.asked.push(request);
+    setTimeout(() => {
+      this.inFlight--;
+      this.onmessage({ data: this.reply(request) });
+    }, 1);
+  }
+
+  reply(request) {
+    const frames = request.series.map(([channel, from, to]) => {
+      const a = Math.max(Math.ceil(Number(from) / 1e7) - 1, 0);
+      const b = Math.min(Math.floor(Number(to) / 1e7), Math.floor((this.head - this.lag) / 1e7));
+      const t = [];
+      for (let i = a; i <= b; i++) t.push(i * 1e7);
+      return { channel, t };
+    });
+    const size = 40 + frames.reduce((n, f) => n + 32 + 40 * f.t.length, 0);
+    const v = new DataView(new ArrayBuffer(size));
+    v.setUint8(0, 1);
+    v.setUint16(2, 1, true);
+    v.setUint32(4, request.req, true);
+    v.setBigInt64(16, BigInt(this.head), true);
+    v.setUint32(24, frames.length, true);
+    let at = 40;
+    for (const f of frames) {
+      const n = f.t.length;
+      v.setUint16(at, 1, true);
+      v.setUint16(at + 2, 1, true);
+      v.setUint32(at + 4, f.channel, true);
+      v.setUint32(at + 8, 40 * n, true);
+      v.setUint32(at + 12, n, true);
+      at += 32;
+      f.t.forEach((t, i) => v.setFloat64(at + 8 * i, t, true));
+      at += 40 * n;
+    }
+    return v.buffer;
+  }
+}
+
+test("a live window grows in order, whatever happens meanwhile, with one request under way", async () => {
+  const server = new Server();
+  const time = createStore();
+  const client = new DataClient({ connect: () => server, time });
+  time.subscribe(() => client.pump());
+  const channel = client.open({ stream: "s", draw: "line" }, () => {}, { px: () => 600 });
+  client.start();
+  const wait = (ms) => new Promise((r) => setTimeout(r, ms));
+  await wait(20);
+  time.dispatch({ type: "live", on: true });
+  for (let i = 0; i < 40; i++) {
+    server.head += 33e6;
+    if (i % 7 === 0) time.dispatch({ type: "zoomAt", t: 0, factor: i % 2 ? 3 : 0.4 });
+    client.pump(true);
+    await wait(6);
+  }
+  await wait(120);
+  client.stop();
+  assert.ok(server.asked.length < 25, `${server.asked.length} requests in 400 ms`);
+  const { series } = channel;
+  assert.equal(server.most, 1);
+  for (let i = 1; i < series.length; i++) {
+    assert.equal(series.t[i] - series.t[i - 1], 1e7, `row ${i} follows the one before`);
+  }
+  assert.equal(series.t[series.length - 1], Math.floor(server.head / 1e7) * 1e7);
+  const [from] = time.get().view;
+  assert.ok(series.t[0] <= Math.max(from, 0) + 1e7, "the window reaches the left edge");
+});
+
+test("a client that was stopped asks for nothing more, also when an answer was under way", async () => {
+  const server = new Server();
+  const time = createStore();
+  const client = new DataClient({ connect: () => server, time });
+  client.open({ stream: "s", draw: "line" }, () => {}, { px: () => 600 });
+  client.start();
+  await new Promise((r) => setTimeout(r, 20));
+  time.dispatch({ type: "live", on: true });
+  client.pump(true);
+  client.stop();
+  const asked = server.asked.length;
+  await new Promise((r) => setTimeout(r, 150));
+  assert.equal(server.asked.length, asked);
+});
+
+test("what comes late, behind other streams, is shown all the same", async () => {
+  const server = new Server();
+  server.lag = 5e9;
+  const time = createStore();
+  const client = new DataClient({ connect: () => server, time });
+  time.subscribe(() => client.pump());
+  const { series } = client.open({ stream: "s", draw: "line" }, () => {}, { px: () => 600 });
+  client.start();
+  const wait = (ms) => new Promise((r) => setTimeout(r, ms));
+  await wait(20);
+  time.dispatch({ type: "live", on: true });
+  for (let i = 0; i < 20; i++) {
+    server.head += 200e6;
+    client.pump(true);
+    await wait(10);
+  }
+  await wait(120);
+  client.stop();
+  for (let i = 1; i < series.length; i++) assert.equal(series.t[i] - series.t[i - 1], 1e7, `row ${i} follows the one before`);
+  assert.equal(series.t[series.length - 1], Math.floor((server.head - server.lag) / 1e7) * 1e7);
+});

@@ -1,0 +1,63 @@
+// The page's modules: no circle among them, and each small enough to be read at once.
+import test from "node:test";
+import assert from "node:assert/strict";
+import { build } from "esbuild";
+import { fileURLToPath } from "node:url";
+
+const folder = fileURLToPath(new URL("..", import.meta.url));
+const MOST_LINES = 300;
+
+async function imports() {
+  const { metafile } = await build({
+    entryPoints: ["js/app.js"],
+    absWorkingDir: folder,
+    alias: { situ_live: fileURLToPath(new URL("../../../situ_live/assets/js/situ_live.js", import.meta.url)) },
+    bundle: true,
+    metafile: true,
+    write: false,
+    logLevel: "silent",
+  });
+  const own = Object.entries(metafile.inputs).filter(([path]) => path.startsWith("js/"));
+  return new Map(own.map(([path, { imports }]) => [path, imports.map((i) => i.path).filter((p) => p.startsWith("js/"))]));
+}
+
+// The first circle found, as the way round, or null.
+export function circle(graph) {
+  const done = new Set();
+  const walk = (node, way) => {
+    if (way.includes(node)) return [...way.slice(way.indexOf(node)), node];
+    if (done.has(node)) return null;
+    for (const next of graph.get(node) ?? []) {
+      const found = walk(next, [...way, node]);
+      if (found) return found;
+    }
+    done.add(node);
+    return null;
+  };
+  for (const node of graph.keys()) {
+    const found = walk(node, []);
+    if (found) return found;
+  }
+  return null;
+}
+
+test("a circle among modules is found", () => {
+  assert.deepEqual(circle(new Map([["a", ["b"]], ["b", ["c"]], ["c", ["b"]]])), ["b", "c", "b"]);
+  assert.equal(circle(new Map([["a", ["b", "c"]], ["b", ["c"]], ["c", []]])), null);
+});
+
+test("the page's modules form none", async () => {
+  const graph = await imports();
+  assert.ok(graph.size > 30);
+  assert.equal(circle(graph)?.join(" -> ") ?? null, null);
+});
+
+test("no module is longer than is read at once", async () => {
+  const { readFileSync } = await import("node:fs");
+  for (const path of (await imports()).keys()) {
+    const lines = readFileSync(folder + path, "utf8").split("\n");
+    assert.ok(lines.length <= MOST_LINES, `${path} has ${lines.length} lines`);
+    const long = lines.findIndex((l) => l.length > 140);
+    assert.equal(long, -1, `${path}:${long + 1} is too long`);
+  }
+});

@@ -1,0 +1,44 @@
+import test from "node:test";
+import assert from "node:assert/strict";
+import { relative, duration, absolute, parseTime, ticks, iso } from "../../js/time/text.js";
+
+test("relative times", () => {
+  assert.equal(relative(83.25e9), "1:23.250");
+  assert.equal(relative(-1.5e9), "-0:01.500");
+  assert.equal(relative(3725e9, 1e9), "1:02:05");
+  assert.equal(relative(0.9999999e9, 1e9), "0:01");
+});
+
+test("durations", () => {
+  assert.equal(duration(1234567), "1.23 ms");
+  assert.equal(duration(95e9), "1 min 35 s");
+});
+
+test("absolute times keep tenths of milliseconds", () => {
+  assert.equal(absolute(1.5e9, 0n), "1970-01-01 00:00:01.5000");
+  assert.equal(absolute(0, 1767225600123456789n), "2026-01-01 00:00:00.1234");
+});
+
+test("go to time accepts clock, seconds, units, ISO and nanoseconds", () => {
+  const o = 1767225600000000000n;
+  assert.equal(parseTime("1:23.5", o), 83.5e9);
+  assert.equal(parseTime("83.5", o), 83.5e9);
+  assert.equal(parseTime("250 ms", o), 250e6);
+  assert.equal(parseTime("2026-01-01T00:00:01.25Z", o), 1.25e9);
+  assert.equal(parseTime("1767225601000000000", o), 1e9);
+  assert.equal(parseTime("yesterday", o), null);
+  assert.equal(parseTime("2026-99-99T00:00:00Z", o), null);
+});
+
+test("ruler ticks are multiples of one readable unit", () => {
+  const { unit, at } = ticks([0, 60e9], 1200, 80);
+  assert.equal(unit, 5e9);
+  assert.equal(at.length, 13);
+});
+
+test("a copied time goes back to the very nanosecond", () => {
+  for (const [t, origin] of [[27_719_200_001, 1767225600000000000n], [5, 0n], [-1, 0n], [1_500_000_000, -10_000_000_000n]]) {
+    assert.equal(parseTime(iso(t, origin), origin), t);
+  }
+  assert.equal(iso(1, 0n), "1970-01-01T00:00:00.000000001Z");
+});

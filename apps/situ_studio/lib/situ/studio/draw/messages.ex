@@ -1,0 +1,75 @@
+defmodule Situ.Studio.Draw.Messages do
+  @moduledoc """
+  The messages that a visualizer over time draws: those of a window, with what is in force at its beginning and until
+  when that holds at its end. Of more than can be read at once, a sample over the whole window, evenly by number.
+  """
+  alias Situ.Studio.{Source, Visualizer}
+
+  @scan 200_000
+  @sample 1_500
+
+  @typedoc "A message and its place in the stream; neighbours in the stream differ by one."
+  @type numbered :: {integer(), Situ.Message.t()}
+
+  @doc "Those within, and one on both sides; `false` when they are a sample."
+  @spec around(Source.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
+          {:ok, [Situ.Message.t()], all? :: boolean()} | {:error, Situ.Error.t()}
+  def around(source, spec, from, to) do
+    with {:ok, numbered, all?} <- numbered(source, spec, from, to),
+         do: {:ok, Enum.map(numbered, &elem(&1, 1)), all?}
+  end
+
+  @doc "The same with their places."
+  @spec numbered(Source.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
+          {:ok, [numbered()], all? :: boolean()} | {:error, Situ.Error.t()}
+  def numbered(source, %{stream: stream}, from, to) do
+    with {:ok, rows, all?} <- read(source, stream, from, to) do
+      {first, last} = ends(rows)
+      before = for m <- neighbours(source, :latest_at, stream, from, 1), do: {first - 1, m}
+      later = for m <- neighbours(source, :next_after, stream, to, 1), do: {last + 1, m}
+      {:ok, before ++ rows ++ later, all?}
+    end
+  end
+
+  @doc "Those within the window only."
+  @spec within(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
+          {:ok, [Situ.Message.t()], all? :: boolean()} | {:error, Situ.Error.t()}
+  def within(source, stream, from, to) do
+    with {:ok, rows, all?} <- read(source, stream, from, to),
+         do: {:ok, Enum.map(rows, &elem(&1, 1)), all?}
+  end
+
+  defp read(source, stream, from, to) do
+    case Source.call(source, :messages, [stream, from, to, @scan]) do
+      {:ok, messages, :all} ->
+        {:ok, Enum.with_index(messages, &{&2, &1}), true}
+
+      {:ok, _, :more} ->
+        with {:ok, rows} <- Source.sample(source, stream, from, to, @sample),
+             do: {:ok, rows, false}
+
+      error ->
+        error
+    end
+  end
+
+  defp ends([]), do: {0, -1}
+  defp ends([{first, _} | _] = rows), do: {first, rows |> List.last() |> elem(0)}
+
+  @doc """
+  At most `n` messages outside of the window, the nearest first: `:latest_at` its beginning or `:next_after` its end.
+  """
+  @spec neighbours(Source.t(), :latest_at | :next_after, String.t(), Situ.Time.t(), pos_integer()) ::
+          [Situ.Message.t()]
+  def neighbours(source, side, stream, time, n) do
+    step = if side == :latest_at, do: -1, else: 0
+
+    time
+    |> Stream.unfold(fn time ->
+      with {:ok, message} <- Source.call(source, side, [stream, time + step]),
+           do: {message, message.originating_time},
+           else: (_ -> nil)
+    end)
+    |> Enum.take(n)
+  end
+end

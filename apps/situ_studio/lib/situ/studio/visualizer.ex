@@ -1,0 +1,141 @@
+defmodule Situ.Studio.Visualizer do
+  @moduledoc """
+  One way to draw a stream: the shapes it takes, its options, and how it reads and encodes what the page draws.
+
+  A visualizer over time (`panel: :plot` or `:lanes`) has `window/6` and reads an interval from the source; one at the
+  cursor (`:image`, `:value`, `:bars`, `:text`) has `instant/3` and encodes one message. Its other half is the module of
+  the same name under `assets/js/visualizers`, which draws the frame, tells what lies under the mouse and writes the
+  legend. A visualizer of your own that one of the page's drawers can draw names it in `drawer:`:
+
+      defmodule Celsius do
+        @behaviour Situ.Studio.Visualizer
+        alias Situ.Studio.{Draw, Frame, Visualizer}
+
+        @impl true
+        def about,
+          do: %Visualizer{id: "celsius", title: "Celsius", panel: :plot, shapes: [:signal], drawer: "line"}
+
+        @impl true
+        def window(source, channel, spec, from, to, _bin) do
+          with {:ok, messages} <- Draw.Messages.around(source, spec, from, to) do
+            points = for m <- messages, do: Draw.Bins.point(m.originating_time, (m.data - 32) / 1.8)
+            Frame.series(channel, points, true)
+          end
+        end
+      end
+
+      Situ.Studio.start_link(visualizers: [Celsius])
+  """
+  alias Situ.Studio.{Frame, Source, StreamInfo}
+
+  @enforce_keys [:id, :title, :panel, :shapes]
+  defstruct [:id, :title, :panel, :shapes, :module, :drawer, options: []]
+
+  @typedoc """
+  `shapes` is a list of stream shapes, or `:any`. `options` describes its properties: each has a `type` (`:boolean`,
+  `:color`, `:text`, `{:in, [text | {text, title}]}` or `{:range, min, max}`), a `title`, perhaps a `default`, and
+  `only: {key, value}` where it means something only while another has that value.
+  """
+  @type t :: %__MODULE__{
+          id: String.t(),
+          title: String.t(),
+          panel: atom(),
+          shapes: [StreamInfo.shape()] | :any,
+          module: module() | nil,
+          drawer: String.t() | nil,
+          options: keyword()
+        }
+
+  @typedoc "The stream to draw, and the part of its messages."
+  @type spec :: %{stream: String.t(), viz: t(), path: Situ.Studio.Path.t()}
+
+  @doc "What it is. `module` is filled in by the table, `drawer` is its `id` unless it names another."
+  @callback about() :: t()
+
+  @doc "The frame of the window `from..to`, times in ns and inclusive, with bins of `bin` ns."
+  @callback window(
+              Source.t(),
+              Frame.channel(),
+              spec(),
+              Situ.Time.t(),
+              Situ.Time.t(),
+              bin :: pos_integer()
+            ) :: Frame.t() | {:error, Situ.Error.t()}
+
+  @doc "The frame of one message; `data` is the part of it that the channel's path names."
+  @callback instant(Frame.channel(), data :: term(), Situ.Message.t()) ::
+              Frame.t() | {:error, String.t()}
+
+  @optional_callbacks window: 6, instant: 3
+
+  @doc "The description of a module, complete."
+  @spec of(module()) :: t()
+  def of(module) do
+    about = module.about()
+    %{about | module: module, drawer: about.drawer || about.id}
+  end
+
+  @doc """
+  The properties that mean something, given the values of all.
+
+      iex> {:ok, depth} = Situ.Studio.Visualizers.fetch("depth", :depth)
+      iex> Keyword.has_key?(Situ.Studio.Visualizer.options(depth, %{}), :min)
+      false
+      iex> Keyword.has_key?(Situ.Studio.Visualizer.options(depth, %{"range" => "fixed"}), :min)
+      true
+  """
+  @spec options(t(), map()) :: keyword()
+  def options(%__MODULE__{options: options}, props) do
+    Enum.filter(options, fn {_, option} ->
+      case option[:only] do
+        nil -> true
+        {key, value} -> Map.get(props, to_string(key), options[key][:default]) == value
+      end
+    end)
+  end
+
+  @doc "The values of a choice, with what people read."
+  @spec choices([String.t() | {String.t(), String.t()}]) :: [{String.t(), String.t()}]
+  def choices(values) do
+    Enum.map(values, fn
+      {value, title} -> {value, title}
+      value -> {value, value}
+    end)
+  end
+
+  @doc """
+  Checks one property as a form sends it.
+
+      iex> {:ok, line} = Situ.Studio.Visualizers.fetch("line", :signal)
+      iex> Situ.Studio.Visualizer.cast(line, "width", "2.5")
+      {:ok, 2.5}
+      iex> Situ.Studio.Visualizer.cast(line, "width", "thick")
+      :error
+  """
+  @spec cast(t(), String.t(), String.t()) :: {:ok, term()} | :error
+  def cast(%__MODULE__{options: options}, name, text) do
+    case Enum.find(options, fn {key, _} -> Atom.to_string(key) == name end) do
+      {_, option} -> cast_type(option[:type], text)
+      nil -> :error
+    end
+  end
+
+  defp cast_type(:boolean, text) when text in ["true", "on"], do: {:ok, true}
+  defp cast_type(:boolean, text) when text in ["false", ""], do: {:ok, false}
+  defp cast_type(:text, text) when byte_size(text) <= 40, do: {:ok, text}
+
+  defp cast_type({:in, values}, text),
+    do: if(List.keymember?(choices(values), text, 0), do: {:ok, text}, else: :error)
+
+  defp cast_type(:color, text),
+    do: if(text =~ ~r/\A#[0-9a-fA-F]{6}\z/, do: {:ok, text}, else: :error)
+
+  defp cast_type({:range, min, max}, text) do
+    case Float.parse(text) do
+      {x, ""} when x >= min and x <= max -> {:ok, x}
+      _ -> :error
+    end
+  end
+
+  defp cast_type(_, _), do: :error
+end

@@ -1,0 +1,19 @@
+defmodule Situ.Studio.Visualizers.Image do
+  @moduledoc "The picture at the cursor."
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Studio.{Draw.Picture, Frame, Visualizer}
+  alias Situ.Studio.Visualizers.Option
+
+  @impl true
+  def about do
+    options = Option.visible() ++ Option.flip()
+    %Visualizer{id: "image", title: "Picture", panel: :image, shapes: [:image], options: options}
+  end
+
+  @impl true
+  def instant(channel, data, message) do
+    with {:ok, picture} <- Picture.of(data),
+         do: Frame.image(channel, message.originating_time, picture)
+  end
+end

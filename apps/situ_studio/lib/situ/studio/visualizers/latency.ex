@@ -1,0 +1,26 @@
+defmodule Situ.Studio.Visualizers.Latency do
+  @moduledoc "Milliseconds between a message's originating and its creation time, a stem each."
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Studio.{Draw.Bins, Frame, Source, Visualizer}
+  alias Situ.Studio.Visualizers.Option
+
+  @rows 20_000
+  @points 1_500
+
+  @impl true
+  def about do
+    limit = [threshold_ms: [type: {:range, 0, 1.0e6}, title: "Limit, ms", default: 50]]
+    options = Option.visible() ++ Option.color() ++ limit
+    %Visualizer{id: "latency", title: "Latency", panel: :plot, shapes: :any, options: options}
+  end
+
+  @impl true
+  def window(source, channel, %{stream: stream}, from, to, bin) do
+    with {:ok, rows, all} <- Source.call(source, :marks, [stream, from, to, @rows]) do
+      points = for {t, latency} <- rows, do: Bins.point(t, latency / 1.0e6)
+      {points, raw?} = Bins.fold(points, bin, @points)
+      Frame.series(channel, points, raw?, sampled: all == :more)
+    end
+  end
+end

@@ -1,0 +1,55 @@
+defmodule Situ.Studio.Visualizers.Line do
+  @moduledoc "One number over time, of a whole stream or of a part of its messages."
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Studio.{Draw, Frame, Path, Source, Visualizer}
+  alias Draw.{Bins, Messages}
+  alias Situ.Studio.Visualizers.Option
+
+  @points 1_500
+
+  @impl true
+  def about do
+    options = Option.visible() ++ Option.color() ++ Option.line()
+
+    %Visualizer{
+      id: "line",
+      title: "Line",
+      panel: :plot,
+      shapes: [:signal, :boolean],
+      options: options
+    }
+  end
+
+  @impl true
+  def window(source, channel, %{stream: stream, path: []}, from, to, bin) do
+    with {:ok, points, raw?} <- Source.call(source, :series, [stream, from, to, bin]),
+         do: Frame.series(channel, points, raw?)
+  end
+
+  def window(source, channel, spec, from, to, bin) do
+    with {:ok, messages, all?} <- Messages.around(source, spec, from, to) do
+      {points, raw?} = messages |> of(spec.path) |> Bins.fold(bin, @points)
+      Frame.series(channel, points, raw?, sampled: not all?)
+    end
+  end
+
+  @doc """
+  The line of the number at `path` in each message; where it is missing, or `nil`, the line has a gap.
+
+      iex> messages = for {t, v} <- [{0, %{a: 1}}, {1, %{}}], do: %Situ.Message{data: v, originating_time: t}
+      iex> Situ.Studio.Visualizers.Line.of(messages, [{:name, "a"}])
+      [{0, 1, 1, 1, 1}, {1, nil, nil, nil, 1}]
+  """
+  @spec of([Situ.Message.t()], Path.t()) :: [Bins.point() | Bins.gap()]
+  def of(messages, path) do
+    for message <- messages, point <- one(message, path), do: point
+  end
+
+  defp one(%{data: data, originating_time: time}, path) do
+    case Path.fetch(data, path) do
+      {:ok, value} -> Bins.points(time, value)
+      :error -> [Bins.gap(time)]
+    end
+  end
+end

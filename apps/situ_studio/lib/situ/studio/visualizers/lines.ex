@@ -1,0 +1,78 @@
+defmodule Situ.Studio.Visualizers.Lines do
+  @moduledoc """
+  A line for each key of maps of numbers. Where a value is missing, or `nil`, a line has a gap.
+
+      iex> maps = [{0, %{a: 1}}, {1, %{a: 2, b: 5}}, {2, %{b: 6}}]
+      iex> messages = for {t, v} <- maps, do: %Situ.Message{data: v, originating_time: t}
+      iex> Situ.Studio.Visualizers.Lines.of_maps(messages, [])
+      [{"a", [{0, 1, 1, 1, 1}, {1, 2, 2, 2, 1}, {2, nil, nil, nil, 1}]}, {"b", [{1, 5, 5, 5, 1}, {2, 6, 6, 6, 1}]}]
+  """
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Studio.{Draw, Frame, Path, Visualizer}
+  alias Draw.{Bins, Key, Messages}
+  alias Situ.Studio.Visualizers.Option
+
+  @points 1_500
+
+  @type line :: [Bins.point() | Bins.gap()]
+
+  @impl true
+  def about do
+    options = Option.visible() ++ Option.line()
+    %Visualizer{id: "lines", title: "Lines", panel: :plot, shapes: [:signals], options: options}
+  end
+
+  @impl true
+  def window(source, channel, spec, from, to, bin) do
+    with {:ok, messages, all?} <- Messages.around(source, spec, from, to) do
+      folded =
+        for {name, points} <- of_maps(messages, spec.path),
+            do: {name, Bins.fold(points, bin, @points)}
+
+      raw? = Enum.all?(folded, fn {_, {_, raw?}} -> raw? end)
+      lines = for {name, {points, _}} <- folded, do: {name, points}
+      Frame.lines(channel, lines, raw?, sampled: not all?)
+    end
+  end
+
+  @doc "A line for each key of the maps at `path`, by the keys' names."
+  @spec of_maps([Situ.Message.t()], Path.t()) :: [{name :: String.t(), line()}]
+  def of_maps(messages, path) do
+    lines = Enum.reduce(messages, %{}, &add(&2, &1, path))
+
+    for key <- Key.sort(Map.keys(lines)),
+        line = Enum.reverse(lines[key]),
+        Enum.any?(line, &(not Bins.gap?(&1))),
+        do: {Key.text(key), line}
+  end
+
+  defp add(lines, %{data: data, originating_time: time}, path) do
+    values =
+      case Path.fetch(data, path) do
+        {:ok, map} when is_map(map) and not is_struct(map) -> map
+        _ -> %{}
+      end
+
+    lines
+    |> end_missing(values, time)
+    |> then(&Enum.reduce(values, &1, fn {key, value}, lines -> put(lines, key, time, value) end))
+  end
+
+  defp put(lines, key, time, value) do
+    case {Bins.points(time, value), lines} do
+      {[], _} -> lines
+      {[point], %{^key => line}} -> %{lines | key => [point | line]}
+      {[point], _} -> Map.put(lines, key, [point])
+    end
+  end
+
+  # A key that is no longer there ends its line, once.
+  defp end_missing(lines, values, time) do
+    Enum.reduce(lines, lines, fn {key, [last | _] = line}, lines ->
+      if is_map_key(values, key) or Bins.gap?(last),
+        do: lines,
+        else: %{lines | key => [Bins.gap(time) | line]}
+    end)
+  end
+end

@@ -1,0 +1,21 @@
+defmodule Situ.Studio.Visualizers.Messages do
+  @moduledoc "A mark at the time of each message."
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Studio.{Frame, Source, Visualizer}
+  alias Situ.Studio.Visualizers.Option
+
+  @rows 20_000
+
+  @impl true
+  def about do
+    options = Option.color()
+    %Visualizer{id: "messages", title: "Messages", panel: :lanes, shapes: :any, options: options}
+  end
+
+  @impl true
+  def window(source, channel, %{stream: stream}, from, to, _bin) do
+    with {:ok, rows, all} <- Source.call(source, :marks, [stream, from, to, @rows]),
+         do: Frame.marks(channel, rows, all == :all)
+  end
+end

@@ -1,0 +1,128 @@
+defmodule Situ.Studio.Visualizers.Spans do
+  @moduledoc """
+  Intervals of time inside of messages, drawn from their beginning to their end whatever the message's own time: a
+  `Situ.Interval` of times, anything with `start` and `stop` (or `end`) in nanoseconds and perhaps a `text`, `label` or
+  `name` (a stretch of speech, a recognised sentence), an interval and its text as a pair, lists of these, and maps from
+  names of lanes to these.
+
+      iex> Situ.Studio.Visualizers.Spans.of(%{"Ada" => [%{start: 10, stop: 20, text: "hello"}]}, 25)
+      [{10, 20, "hello", "span", "Ada"}]
+      iex> Situ.Studio.Visualizers.Spans.of({Situ.Interval.closed(1, 5), "yes"}, 5)
+      [{1, 5, "yes", "span", ""}]
+      iex> Situ.Studio.Visualizers.Spans.of(%{"count" => 3}, 5)
+      []
+  """
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Interval
+  alias Situ.Studio.Draw.{Key, Messages, Segments}
+  alias Situ.Studio.{Path, Visualizer}
+
+  @limit 1_000
+  @starts [:start, "start"]
+  @stops [:stop, :end, "stop", "end"]
+  @texts [:text, :label, :name, "text", "label", "name"]
+
+  @impl true
+  def about, do: %Visualizer{id: "spans", title: "Intervals", panel: :lanes, shapes: [:spans]}
+
+  # Intervals that began before the window or are told of after it: so many messages on both sides are looked at.
+  @around 8
+
+  @impl true
+  def window(source, channel, %{stream: stream} = spec, from, to, bin) do
+    with {:ok, messages, all?} <- Messages.within(source, stream, from, to) do
+      before = Messages.neighbours(source, :latest_at, stream, from, @around)
+      later = Messages.neighbours(source, :next_after, stream, to, @around)
+      messages = Enum.reverse(before) ++ messages ++ later
+
+      rows =
+        for message <- messages,
+            {:ok, value} <- [Path.fetch(message.data, spec.path)],
+            {a, b, _, _, _} = row <- of(value, message.originating_time),
+            a <= to and b >= from,
+            uniq: true,
+            do: row
+
+      rows
+      |> Enum.sort_by(&{elem(&1, 4), elem(&1, 0)})
+      |> Segments.frame(channel, bin, messages, all?)
+    end
+  end
+
+  @doc "The intervals in a message's data, in order; `time` is where those without a beginning begin."
+  @spec of(term(), Situ.Time.t()) :: [Segments.t()]
+  def of(data, time) do
+    case lanes(data, time) do
+      {:ok, spans} ->
+        spans |> Enum.take(@limit) |> Enum.sort_by(fn s -> {elem(s, 4), elem(s, 0)} end)
+
+      :error ->
+        []
+    end
+  end
+
+  @doc "Whether structs of this module are intervals."
+  @spec struct?(module()) :: boolean()
+  def struct?(Interval), do: true
+
+  def struct?(module) do
+    Code.ensure_loaded?(module) and function_exported?(module, :__struct__, 0) and
+      bounded?(Map.keys(module.__struct__()))
+  end
+
+  defp bounded?(keys), do: :start in keys and (:stop in keys or :end in keys)
+
+  defp lanes(data, time) do
+    with :error <- spans(data, "", time), do: by_lane(data, time)
+  end
+
+  defp by_lane(map, time) when is_map(map) and not is_struct(map) and map_size(map) > 0 do
+    all(Map.to_list(map), fn {key, value} -> spans(value, Key.text(key), time) end)
+  end
+
+  defp by_lane(_, _), do: :error
+
+  defp spans([_ | _] = list, lane, time), do: all(list, &span(&1, lane, time))
+  defp spans(value, lane, time), do: span(value, lane, time)
+
+  # All of them, or it is something else. An improper list is something else.
+  defp all([], _), do: {:ok, []}
+
+  defp all([head | tail], fun) do
+    with {:ok, spans} <- fun.(head), {:ok, more} <- all(tail, fun), do: {:ok, spans ++ more}
+  end
+
+  defp all(_, _), do: :error
+
+  defp span({%Interval{} = interval, text}, lane, time) when is_binary(text) or is_atom(text),
+    do: bounds(interval, text, lane, time)
+
+  defp span(%Interval{} = interval, lane, time), do: bounds(interval, nil, lane, time)
+
+  defp span(%{interval: %Interval{} = interval} = map, lane, time),
+    do: bounds(interval, first(map, @texts), lane, time)
+
+  defp span(map, lane, _time) when is_map(map) do
+    case {first(map, @starts), first(map, @stops)} do
+      {from, to} when is_integer(from) and is_integer(to) ->
+        {:ok, [{from, max(from, to), label(first(map, @texts)), "span", lane}]}
+
+      _ ->
+        :error
+    end
+  end
+
+  defp span(_, _, _), do: :error
+
+  defp bounds(%Interval{left: left, right: right}, text, lane, time) do
+    from = if is_number(left), do: round(left), else: time
+    to = if is_number(right), do: max(round(right), from)
+    {:ok, [{from, to, label(text), "span", lane}]}
+  end
+
+  defp first(map, keys), do: Enum.find_value(keys, &Map.get(map, &1))
+
+  defp label(nil), do: ""
+  defp label(text), do: Segments.label(text)
+end

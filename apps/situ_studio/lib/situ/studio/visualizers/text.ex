@@ -1,0 +1,21 @@
+defmodule Situ.Studio.Visualizers.Text do
+  @moduledoc "The text at the cursor, large."
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Studio.{Frame, Visualizer}
+
+  @max_text 20_000
+
+  @impl true
+  def about, do: %Visualizer{id: "text", title: "Text", panel: :text, shapes: [:text]}
+
+  @impl true
+  def instant(channel, data, message),
+    do: Frame.json(channel, message.originating_time, %{"text" => text(data)})
+
+  defp text(data) when is_binary(data) do
+    if String.valid?(data), do: String.slice(data, 0, @max_text), else: inspect(data)
+  end
+
+  defp text(data), do: inspect(data, pretty: true, limit: 200, printable_limit: 4_000)
+end

@@ -1,0 +1,35 @@
+defmodule Situ.Studio.Visualizers.LineTest do
+  # Signals, summed up and message by message.
+  use ExUnit.Case, async: true
+
+  import Situ.Studio.Asking
+
+  setup do: {:ok, session: session()}
+
+  test "a wide window is summed up and keeps the extremes", %{session: session} do
+    {reply, _} =
+      ask(session, %{
+        "open" => [[1, %{"stream" => "level", "viz" => "line"}]],
+        "series" => [[1, "1000000000", "1999000000", 100_000_000]]
+      })
+
+    assert [%{kind: 1, channel: 1, flags: 0} = frame] = reply.frames
+    assert frame.rows in 9..12
+    assert Enum.min(column(frame, 1)) == 0.0
+    assert Enum.max(column(frame, 2)) == 999.0
+    assert Enum.sum(column(frame, 4)) == 1000.0
+  end
+
+  test "a narrow window has single messages, with the neighbours outside of it", %{
+    session: session
+  } do
+    {reply, _} =
+      ask(session, %{
+        "open" => [[1, %{"stream" => "level", "viz" => "line"}]],
+        "series" => [[1, "1500000000", "1502000000", 1_000]]
+      })
+
+    assert [%{kind: 1, flags: 1} = frame] = reply.frames
+    assert column(frame, 3) == [499.0, 500.0, 501.0, 502.0, 503.0]
+  end
+end

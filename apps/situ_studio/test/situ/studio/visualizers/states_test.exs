@@ -1,0 +1,82 @@
+defmodule Situ.Studio.Visualizers.StatesTest do
+  # Booleans and maps of states as lanes.
+  use ExUnit.Case, async: true
+
+  import Situ.Studio.Asking
+
+  setup do: {:ok, session: session()}
+
+  test "states are merged, the one in force at the left edge included", %{session: session} do
+    {reply, _} =
+      ask(session, %{
+        "open" => [[1, %{"stream" => "on", "viz" => "states"}]],
+        "series" => [[1, "1150000000", "1350000000", 100_000]]
+      })
+
+    assert [%{kind: 2, payload: json}] = reply.frames
+
+    assert Situ.JSON.decode(json) ==
+             {:ok,
+              [
+                [0, 51_000_000, "false", "false"],
+                [51_000_000, 151_000_000, "true", "true"],
+                [151_000_000, 202_000_000, "false", "false"]
+              ]}
+  end
+
+  test "maps of states are lanes with names; a key that is gone ends its lane", %{
+    session: session
+  } do
+    put(session, "talk", [
+      {1_100_000_000, %{0 => false}},
+      {1_200_000_000, %{0 => true, 1 => false}},
+      {1_300_000_000, %{1 => false}},
+      {1_400_000_000, %{1 => true}}
+    ])
+
+    # the newest message within the window is told too
+    assert %{kind: 2, base: base, own: 300_000_000, payload: json} =
+             shown(session, "talk", "states", 1_150_000_000, 1_500_000_000)
+
+    rows = for [a, b | rest] <- json(json), do: [base + a, b && base + b | rest]
+
+    assert rows == [
+             [1_100_000_000, 1_200_000_000, "false", "false", "0"],
+             [1_200_000_000, 1_300_000_000, "true", "true", "0"],
+             [1_200_000_000, 1_400_000_000, "false", "false", "1"],
+             [1_400_000_000, nil, "true", "true", "1"]
+           ]
+  end
+
+  test "an hour of states is bounded by what can be told apart", %{session: session} do
+    put(
+      session,
+      "flicker",
+      for(i <- 0..19_999, do: {1_000_000_000 + i * 40_000_000, rem(i, 2) == 0})
+    )
+
+    {reply, _} =
+      ask(session, %{
+        "open" => [[1, %{"stream" => "flicker", "viz" => "states"}]],
+        "series" => [[1, "0", "900000000000", 1_000_000_000]]
+      })
+
+    assert [%{kind: 2, payload: json}] = reply.frames
+    rows = json(json)
+    assert length(rows) < 10
+    assert [[_, _, label, "many"] | _] = rows
+    assert label =~ ~r/\A\d+ changes\z/
+  end
+
+  test "of more messages than can be read at once, only what is known is drawn", %{
+    session: session
+  } do
+    put(session, "long", for(i <- 0..250_000, do: {1_000_000_000 + i * 400_000, i > 125_000}))
+
+    assert %{kind: 2, flags: 2, payload: json} =
+             shown(session, "long", "states", 0, 102_000_000_000)
+
+    assert [[0, until, label, "many"], [until, nil, "true", "true"]] = json(json)
+    assert label =~ ~r/\A\d+ messages\z/
+  end
+end
