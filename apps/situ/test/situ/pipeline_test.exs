@@ -4,7 +4,6 @@ defmodule Situ.PipelineTest do
   doctest Situ.Node
   doctest Situ.Graph
   doctest Situ.Delivery
-  doctest Situ.Delivery.Queue
   doctest Situ.Clock
   doctest Situ.Diagnostics
   doctest Situ

@@ -8,11 +8,12 @@ defmodule Situ.Delivery do
   | `throttle/2` | never | the same with a window of `n` (default 128) |
   | `synchronous/1` | never | light operators run inside the producer's process; other consumers are throttled |
   | `latest/1` | yes | only the newest waiting message is kept |
-  | `max_queue/2` | yes | the `n` newest waiting messages are kept |
+  | `max_queue/2` | yes | the `n` newest waiting messages are kept; with `throttle: true` sources that can wait do |
   | `max_latency/2` | yes | messages older than `d` when their turn comes are dropped |
 
   Every policy takes `guarantee: fn data -> boolean end`: what it answers `true` for is never dropped. Guarantees add up
-  (`with_guarantee/2`). A push source (a camera) cannot wait: in front of a lossless input its output buffer grows.
+  (`with_guarantee/2`). A push source (a camera) cannot wait: in front of a lossless input its output buffer grows. A policy
+  that drops keeps its queue at the producer, so a consumer that is slow never holds more than the queue's size.
 
       iex> policy = Situ.Delivery.max_queue(3, guarantee: &is_atom/1)
       iex> {Situ.Delivery.lossy?(policy), policy.max_queue}
@@ -59,10 +60,21 @@ defmodule Situ.Delivery do
   @spec latest(keyword()) :: t()
   def latest(opts \\ []), do: build(:latest, [max_queue: 1], opts)
 
-  @doc "Keeps the `n` newest waiting messages."
+  @doc """
+  Keeps the `n` newest waiting messages.
+
+  With `throttle: true` a full queue makes whoever can wait wait (files, generators, operators behind them) and drops only what
+  a source that cannot wait (a camera, a timer) makes meanwhile.
+  """
   @spec max_queue(pos_integer(), keyword()) :: t()
-  def max_queue(n, opts \\ []) when is_integer(n) and n > 0,
-    do: build(:max_queue, [max_queue: n], opts)
+  def max_queue(n, opts \\ []) when is_integer(n) and n > 0 do
+    {throttle, opts} = Keyword.pop(opts, :throttle, false)
+
+    if not is_boolean(throttle),
+      do: raise(ArgumentError, "throttle: is true or false, got: #{inspect(throttle)}")
+
+    build(:max_queue, [max_queue: n, throttle: throttle], opts)
+  end
 
   @doc "Drops a message whose age (clock - originating time) is more than `d` ns when its turn comes."
   @spec max_latency(Situ.Time.duration(), keyword()) :: t()
