@@ -3,132 +3,431 @@ defmodule Situ.GenStageTest do
   doctest Situ.GenStage
 
   alias Situ.Fixture.Count
-  alias Situ.Pipeline
+  alias Situ.{Clock, Delivery, GenStage, Pipeline}
 
-  # Peers written after GenStage's documented protocol alone.
+  @moduletag :capture_log
+
+  # Peers written after GenStage's documented protocol alone, byte for byte what GenStage 1.3 sends.
 
   defmodule Producer do
-    # Counts; hands out no more than it was asked for; remembers what it was told.
+    # Counts; hands out no more than it was asked for, as a demand dispatcher does; remembers what it was told.
     use GenServer
 
-    def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
+    def start(opts), do: GenServer.start(__MODULE__, opts)
+
     @impl true
     def init(opts),
-      do:
-        {:ok, %{next: 0, limit: opts[:limit], consumer: nil, demand: 0, watcher: opts[:watcher]}}
+      do: {:ok, %{next: opts[:from] || 0, limit: opts[:limit], opts: opts, consumers: %{}}}
 
     @impl true
-    def handle_info({:"$gen_producer", {pid, ref} = from, {:subscribe, nil, opts}}, state) do
+    def handle_info({:"$gen_producer", {pid, ref}, {:subscribe, nil, opts}}, state)
+        when is_reference(ref) and is_list(opts) do
       Process.monitor(pid)
-      send(state.watcher, {:subscribed, opts})
-      {:noreply, %{state | consumer: {from, ref}}}
+      send(state.opts[:watcher], {:subscribed, self(), opts})
+      {:noreply, put_in(state.consumers[ref], pid)}
     end
 
-    def handle_info({:"$gen_producer", {pid, ref}, {:ask, n}}, state) do
-      send(state.watcher, {:asked, n})
+    def handle_info({:"$gen_producer", {pid, ref}, {:ask, n}}, state)
+        when is_map_key(state.consumers, ref) and is_integer(n) and n > 0 do
+      send(state.opts[:watcher], {:asked, n})
       last = min(state.next + n, state.limit)
-      events = Enum.to_list(state.next..(last - 1)//1)
+      events = Enum.map(state.next..(last - 1)//1, state.opts[:event] || (& &1))
       if events != [], do: send(pid, {:"$gen_consumer", {self(), ref}, events})
-      if last == state.limit, do: send(pid, {:"$gen_consumer", {self(), ref}, {:cancel, :normal}})
+      if last == state.limit, do: finish(state.opts[:finish] || {:cancel, :normal}, {pid, ref})
       {:noreply, %{state | next: last}}
     end
 
     def handle_info({:"$gen_producer", {pid, ref}, {:cancel, reason}}, state) do
       send(pid, {:"$gen_consumer", {self(), ref}, {:cancel, reason}})
-      send(state.watcher, {:cancelled, reason})
+      send(state.opts[:watcher], {:cancelled, reason})
       {:noreply, state}
     end
 
     def handle_info(_other, state), do: {:noreply, state}
+
+    defp finish({:cancel, reason}, {pid, ref}),
+      do: send(pid, {:"$gen_consumer", {self(), ref}, {:cancel, reason}})
+
+    defp finish({:exit, reason}, _from), do: Process.exit(self(), reason)
   end
 
-  test "a producer's events become a stream that ends with it, asked for in bounded portions" do
-    {:ok, producer} = Producer.start_link(limit: 5_000, watcher: self())
+  defp producer(opts) do
+    {:ok, pid} = Producer.start(Keyword.put(opts, :watcher, self()))
+    pid
+  end
+
+  defp run(producers, opts \\ []) do
     me = self()
 
-    {:ok, _} =
-      Pipeline.run(fn p ->
-        p
-        |> Situ.GenStage.from(producer, type: :integer, subscribe: [partition: 1])
-        |> Situ.each(fn v, m -> send(me, {:got, v, m.originating_time}) end)
-      end)
-
-    got = drain()
-    assert Enum.map(got, &elem(&1, 0)) == Enum.to_list(0..4_999)
-    times = Enum.map(got, &elem(&1, 1))
-    assert times == Enum.sort(Enum.uniq(times))
-    assert_received {:subscribed, [partition: 1]}
-    assert Enum.all?(asks(), &(&1 <= 1_000))
-  end
-
-  test "a producer that dies ends the stream" do
-    {:ok, producer} = Producer.start_link(limit: 1_000_000_000, watcher: self())
-    Process.unlink(producer)
-
-    {:ok, p} =
-      Pipeline.start(fn p -> p |> Situ.GenStage.from(producer) |> Situ.each(& &1) end, [])
-
-    assert_receive {:asked, _}
-    Process.exit(producer, :kill)
-    assert {:ok, _} = Pipeline.await(p, 30_000)
-  end
-
-  test "stopping the pipeline cancels the subscription" do
-    {:ok, producer} = Producer.start_link(limit: 100_000_000, watcher: self())
-
-    {:ok, p} =
-      Pipeline.start(fn p -> p |> Situ.GenStage.from(producer) |> Situ.each(& &1) end, [])
-
-    assert_receive {:asked, _}
-    {:ok, _} = Pipeline.stop(p)
-    assert_receive {:cancelled, :normal}
-  end
-
-  test "a missing producer fails the start with its name" do
-    ExUnit.CaptureLog.capture_log(fn ->
-      assert {:error, %{code: :no_producer}} =
-               Pipeline.run(fn p -> Situ.GenStage.from(p, :nobody_here) end)
+    Pipeline.run(fn p ->
+      p
+      |> GenStage.from(producers, [type: :integer] ++ opts)
+      |> Situ.each(fn v, m -> send(me, {:got, v, m.originating_time}) end)
     end)
   end
 
-  test "a consumer gets what it asks for, never more, and then the closing mark" do
-    # The clock waits until the consumer is there.
-    clock = Situ.Clock.manual(0)
+  describe "a producer as a source" do
+    test "its events become a stream that ends with it, asked for in bounded portions" do
+      {:ok, _} = run(producer(limit: 5_000), subscribe: [partition: 1])
+      got = drain()
+      assert Enum.map(got, &elem(&1, 0)) == Enum.to_list(0..4_999)
+      times = Enum.map(got, &elem(&1, 1))
+      assert times == Enum.sort(Enum.uniq(times))
+      assert_received {:subscribed, _, [partition: 1, max_demand: 1_000, min_demand: 500]}
+      asks = asks()
+      assert Enum.all?(asks, &(&1 <= 1_000))
+      assert length(asks) <= 1 + 5_000 / 500
+    end
+
+    test "max_demand and min_demand are kept to" do
+      {:ok, _} = run(producer(limit: 100), subscribe: [max_demand: 10, min_demand: 8])
+      assert length(drain()) == 100
+      assert [10 | asks] = asks()
+      assert Enum.all?(asks, &(&1 in 2..10))
+    end
+
+    test "events that are messages keep their times; others lie behind the one before" do
+      event = &%Situ.Message{data: &1, originating_time: 1_000 + &1}
+      {:ok, _} = run(producer(limit: 20, event: event))
+      assert drain() == for(i <- 0..19, do: {i, 1_000 + i})
+    end
+
+    test "of messages out of order the component says so" do
+      event = &%Situ.Message{data: &1, originating_time: 1_000 - &1}
+
+      assert {:error, %{code: :time_not_increasing}} = run(producer(limit: 20, event: event))
+    end
+
+    test "several producers are one stream, which ends with the last" do
+      a = producer(limit: 300)
+      b = producer(from: 1_000, limit: 1_400)
+      {:ok, _} = run([a, b])
+      values = Enum.map(drain(), &elem(&1, 0))
+      assert Enum.sort(values) == Enum.to_list(0..299) ++ Enum.to_list(1_000..1_399)
+      assert Enum.filter(values, &(&1 < 1_000)) == Enum.to_list(0..299)
+    end
+
+    test "an end in order completes the stream" do
+      for finish <- [{:cancel, :normal}, {:cancel, {:shutdown, :done}}, {:exit, :shutdown}] do
+        assert {:ok, _} = run(producer(limit: 3, finish: finish))
+        assert length(drain()) == 3
+      end
+    end
+
+    test "any other end fails the pipeline, with the reason" do
+      for finish <- [{:cancel, {:down, :disk_full}}, {:exit, :disk_full}, {:exit, :kill}] do
+        assert {:error, error} = run(producer(limit: 3, finish: finish))
+        assert error.code == :producer_failed
+        assert error.what =~ if(finish == {:exit, :kill}, do: "killed", else: "disk_full")
+        assert length(drain()) == 3
+      end
+
+      # What a partition dispatcher does to one that names no partition.
+      refused = ArgumentError.exception("the :partition option is required")
+      assert {:error, error} = run(producer(limit: 0, finish: {:cancel, refused}))
+      assert error.what =~ "the :partition option is required"
+      assert error.fix =~ "partition:"
+    end
+
+    test "with cancel: :temporary a failure ends the subscription only" do
+      good = producer(limit: 5)
+      bad = producer(limit: 5, from: 2, finish: {:exit, :disk_full})
+      assert {:ok, _} = run([good, bad], subscribe: [cancel: :temporary])
+      assert length(drain()) == 8
+    end
+
+    test "with on_error: :skip the stream completes all the same" do
+      assert {:ok, _} = run(producer(limit: 3, finish: {:exit, :disk_full}), on_error: :skip)
+      assert length(drain()) == 3
+    end
+
+    test "stopping the pipeline cancels the subscription" do
+      producer = producer(limit: 100_000_000)
+      {:ok, p} = Pipeline.start(fn p -> p |> GenStage.from(producer) |> Situ.each(& &1) end, [])
+      assert_receive {:asked, _}, 10_000
+      {:ok, _} = Pipeline.stop(p)
+      assert_receive {:cancelled, :normal}, 10_000
+    end
+
+    test "a slow pipeline asks for no more than its window" do
+      me = self()
+      producer = producer(limit: 100_000)
+
+      {:ok, p} =
+        Pipeline.start(
+          fn p ->
+            p
+            |> GenStage.from(producer, subscribe: [max_demand: 50])
+            |> Situ.each(
+              fn _ ->
+                send(me, {:stuck, self()})
+                receive do: (:go_on -> :ok)
+              end,
+              policy: Delivery.throttle(10)
+            )
+          end,
+          []
+        )
+
+      assert_receive {:stuck, _}, 10_000
+      {:ok, %{edges: _}} = {:ok, Pipeline.info(p)}
+      assert Enum.sum(asks()) <= 50 + 10 + 10
+      Process.exit(p, :kill)
+    end
+
+    test "a missing producer fails the start with its name; so do bad options" do
+      for {producer, opts, code} <- [
+            {:nobody_here, [], :no_producer},
+            {self(), [max_demand: 0], :bad_subscription},
+            {self(), [max_demand: 3, min_demand: 3], :bad_subscription},
+            {self(), [max_demand: :lots], :bad_subscription}
+          ] do
+        assert {:error, %{code: ^code}} =
+                 Pipeline.run(fn p -> GenStage.from(p, producer, subscribe: opts) end)
+      end
+    end
+  end
+
+  describe "a source that waits for producers (Flow.into_stages)" do
+    setup do
+      me = self()
+
+      {:ok, p} =
+        Pipeline.start(
+          fn p ->
+            p |> GenStage.from([], name: "In") |> Situ.each(&send(me, {:got, &1, 0}), async: true)
+          end,
+          []
+        )
+
+      {:ok, {pid, _}} = GenStage.subscription(p, "In")
+      %{p: p, pid: pid}
+    end
+
+    test "takes those named by a call or a cast", %{p: p, pid: pid} do
+      a = producer(limit: 10)
+      b = producer(from: 100, limit: 110)
+      assert {:ok, ref} = GenServer.call(pid, {:"$subscribe", nil, a, [max_demand: 4]})
+      assert is_reference(ref)
+      GenServer.cast(pid, {:"$subscribe", nil, b, []})
+      got = for _ <- 1..20, do: assert_receive({:got, _, _}, 10_000) |> elem(1)
+      assert Enum.sort(got) == Enum.to_list(0..9) ++ Enum.to_list(100..109)
+      assert_received {:subscribed, ^a, [max_demand: 4, min_demand: 2]}
+      assert {:ok, _} = Pipeline.stop(p)
+    end
+
+    test "refuses what is none", %{p: p, pid: pid} do
+      assert {:error, %{code: :no_producer}} =
+               GenServer.call(pid, {:"$subscribe", nil, :nobody_here, []})
+
+      assert {:error, %{code: :bad_subscription}} =
+               GenServer.call(pid, {:"$subscribe", nil, self(), :x})
+
+      assert {:error, %{code: :unknown_request}} = GenServer.call(pid, :hello)
+      GenServer.cast(pid, :hello)
+      assert {:ok, _} = Pipeline.stop(p)
+    end
+  end
+
+  # A consumer made of this test process.
+  defp subscribe(pid, opts, tag \\ make_ref()) do
+    send(pid, {:"$gen_producer", {self(), tag}, {:subscribe, nil, opts}})
+    tag
+  end
+
+  defp ask(pid, tag, n), do: send(pid, {:"$gen_producer", {self(), tag}, {:ask, n}})
+
+  # A counting source by a clock that waits until the consumer is there.
+  defp count(n \\ 10) do
+    clock = Clock.manual(0)
 
     {:ok, p} =
       Pipeline.start(
-        fn p -> p |> Situ.source(Count, [count: 10, interval: 20_000_000], name: "C") end,
+        fn p -> p |> Situ.source(Count, [count: n, interval: 20_000_000], name: "C") end,
         pipeline: [clock: clock]
       )
 
-    {:ok, {pid, opts}} = Situ.GenStage.subscription(p, "C")
-    ref = Process.monitor(pid)
-    send(pid, {:"$gen_producer", {self(), ref}, {:subscribe, nil, [max_demand: 3] ++ opts}})
-    refute_received {:"$gen_consumer", _, _}
-    send(pid, {:"$gen_producer", {self(), ref}, {:ask, 3}})
-    Situ.Clock.advance(clock, 1_000_000_000)
-    got = events(pid, ref, 3)
-    send(pid, {:"$gen_producer", {self(), ref}, {:ask, 100}})
-    got = got ++ events(pid, ref, :closed)
-    data = Enum.map(got, & &1.data)
-    assert data == Enum.to_list(hd(data)..9)
-    Pipeline.await(p, 30_000)
+    {:ok, {pid, opts}} = GenStage.subscription(p, "C")
+    %{p: p, pid: pid, opts: opts, clock: clock}
   end
 
-  test "an unknown output is refused with a reason; a cancel is answered" do
-    {:ok, p} =
-      Pipeline.start(
-        fn p -> p |> Situ.source(Count, [count: :infinity, interval: 1_000_000], name: "C") end,
-        []
-      )
+  describe "a consumer behind an output" do
+    test "gets what it asks for, never more, and then the closing mark" do
+      %{p: p, pid: pid, opts: opts, clock: clock} = count()
+      ref = subscribe(pid, [max_demand: 3] ++ opts)
+      refute_received {:"$gen_consumer", _, _}
+      ask(pid, ref, 3)
+      Clock.advance(clock, 1_000_000_000)
+      got = events(pid, ref, 3)
+      ask(pid, ref, 100)
+      got = got ++ events(pid, ref, :closed)
+      data = Enum.map(got, & &1.data)
+      assert data == Enum.to_list(hd(data)..9)
+      Pipeline.await(p, 30_000)
+    end
 
-    {:ok, {pid, opts}} = Situ.GenStage.subscription(p, "C")
-    send(pid, {:"$gen_producer", {self(), :a}, {:subscribe, nil, [output: :nope]}})
-    assert_receive {:"$gen_consumer", {^pid, :a}, {:cancel, %Situ.Error{code: :unknown_output}}}
-    send(pid, {:"$gen_producer", {self(), :b}, {:subscribe, nil, opts}})
-    send(pid, {:"$gen_producer", {self(), :b}, {:cancel, :enough}})
-    assert_receive {:"$gen_consumer", {^pid, :b}, {:cancel, :enough}}
-    {:ok, _} = Pipeline.stop(p)
+    test "is known by its pid and tag: another's demand is not its own" do
+      %{p: p, pid: pid, opts: opts, clock: clock} = count()
+      subscribe(pid, opts, 2)
+      me = self()
+
+      other =
+        spawn_link(fn ->
+          subscribe(pid, opts, 2)
+          ask(pid, 2, 5)
+          send(me, {:other, events(pid, 2, 5)})
+        end)
+
+      monitor = Process.monitor(other)
+      Clock.advance(clock, 1_000_000_000)
+      assert_receive {:DOWN, ^monitor, _, _, _} when is_reference(monitor), 1_000
+      assert_received {:other, five} when length(five) == 5
+      assert GenServer.call(pid, :"$estimate_buffered_count") >= 0
+      refute_received {:"$gen_consumer", {_, 2}, _}
+      Process.exit(p, :kill)
+    end
+
+    test "cannot widen an edge of the pipeline by its number" do
+      me = self()
+
+      {:ok, p} =
+        Pipeline.start(
+          fn p ->
+            p
+            |> Situ.source(Count, [count: 10_000, interval: 1], name: "C")
+            |> Situ.each(
+              fn _ ->
+                send(me, {:stuck, self()})
+                receive do: (:go_on -> :ok)
+              end,
+              policy: Delivery.throttle(10)
+            )
+          end,
+          pipeline: [replay: [speed: :max]]
+        )
+
+      assert_receive {:stuck, _}, 10_000
+      {:ok, {pid, _}} = GenStage.subscription(p, "C")
+      for tag <- 0..5, do: ask(pid, tag, 5_000)
+      GenServer.call(pid, :"$estimate_buffered_count")
+      assert [%{queue: queue}] = Pipeline.info(p).edges
+      assert queue <= 20
+      Process.exit(p, :kill)
+    end
+
+    test "that subscribes late misses nothing of an output that accumulates" do
+      {:ok, p} =
+        Pipeline.start(
+          fn p ->
+            p |> Situ.range(0, 2_000, 10) |> GenStage.accumulate(name: "Out")
+          end,
+          pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+        )
+
+      {:ok, {pid, opts}} = GenStage.subscription(p, "Out")
+      assert GenServer.call(pid, :"$estimate_buffered_count") == 0
+      ref = subscribe(pid, opts)
+      ask(pid, ref, 5_000)
+      assert Pipeline.state(p) == :running
+      refute_received {:"$gen_consumer", _, _}
+      # What GenStage.demand(pid, :forward) sends.
+      GenServer.cast(pid, {:"$demand", :forward})
+      assert Enum.map(events(pid, ref, :closed), & &1.data) == Enum.to_list(0..1_999)
+      assert {:ok, _} = Pipeline.await(p, 30_000)
+    end
+
+    test "an output that accumulates does not keep a pipeline from ending" do
+      {:ok, p} =
+        Pipeline.start(
+          fn p -> p |> Situ.range(0, 100, 10) |> GenStage.accumulate(name: "Out") end,
+          pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+        )
+
+      assert {:ok, _} = Pipeline.stop(p)
+    end
+
+    test "learns that the component failed" do
+      {:ok, p} =
+        Pipeline.start(
+          fn p ->
+            p
+            |> Situ.range(0, 1_000, 10)
+            |> GenStage.accumulate(name: "Gate")
+            |> Situ.map(fn v -> if v == 500, do: raise("bang"), else: v end,
+              name: "Out",
+              async: true
+            )
+          end,
+          pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+        )
+
+      {:ok, {pid, opts}} = GenStage.subscription(p, "Out")
+      {:ok, {gate, _}} = GenStage.subscription(p, "Gate")
+      ref = subscribe(pid, opts)
+      ask(pid, ref, 5_000)
+      GenServer.cast(gate, {:"$demand", :forward})
+      assert_receive {:"$gen_consumer", {^pid, ^ref}, {:cancel, %Situ.Error{} = error}}, 10_000
+      assert error.code == :component_failed
+      assert {:error, _} = Pipeline.await(p, 30_000)
+    end
+
+    test "an unknown output is refused with a reason; a cancel is answered, also another's" do
+      %{p: p, pid: pid, opts: opts} = count()
+      subscribe(pid, [output: :nope], :a)
+      assert_receive {:"$gen_consumer", {^pid, :a}, {:cancel, %Situ.Error{code: :unknown_output}}}
+      subscribe(pid, opts, :b)
+      send(pid, {:"$gen_producer", {self(), :b}, {:cancel, :enough}})
+      assert_receive {:"$gen_consumer", {^pid, :b}, {:cancel, :enough}}
+
+      ref = subscribe(pid, opts)
+      # GenStage.cancel/2, called by another process.
+      spawn_link(fn -> send(pid, {:"$gen_producer", {self(), ref}, {:cancel, :enough}}) end)
+      assert_receive {:"$gen_consumer", {^pid, ^ref}, {:cancel, :enough}}
+      {:ok, _} = Pipeline.stop(p)
+    end
+
+    test "what is malformed is refused, answered or ignored, never fatal" do
+      %{p: p, pid: pid, opts: opts} = count()
+      stage = Process.monitor(pid)
+
+      subscribe(pid, :x, :bad)
+      assert_receive {:"$gen_consumer", {^pid, :bad}, {:cancel, %{code: :bad_subscription}}}
+      ask(pid, :nobody, 3)
+      assert_receive {:"$gen_consumer", {^pid, :nobody}, {:cancel, :unknown_subscription}}
+
+      for bad <- [:lots, -5, 1.5, nil] do
+        ref = subscribe(pid, opts)
+        ask(pid, ref, bad)
+        assert_receive {:"$gen_consumer", {^pid, ^ref}, {:cancel, %{code: :bad_request}}}
+      end
+
+      ref = subscribe(pid, opts)
+      subscribe(pid, opts, ref)
+      assert_receive {:"$gen_consumer", {^pid, ^ref}, {:cancel, :duplicated_subscription}}
+      ask(pid, ref, 0)
+
+      for strange <- [
+            {:"$gen_producer", :x, :y},
+            {:"$gen_consumer", :x, :y},
+            {:"$gen_consumer", {self(), :t}, :z},
+            {:"$gen_producer", {self(), 7}, {:ask, 1}},
+            :hello
+          ],
+          do: send(pid, strange)
+
+      assert {:error, %{code: :unknown_request}} = GenServer.call(pid, :hello)
+      assert GenServer.call(pid, {:"$info", :hello}) == :ok
+      assert GenServer.call(pid, :"$estimate_buffered_count") == 0
+      GenServer.cast(pid, :hello)
+      GenServer.cast(pid, {:"$info", :hello})
+      GenServer.cast(pid, {:"$demand", :sometimes})
+      GenServer.cast(pid, {:"$demand", :accumulate})
+      GenServer.cast(pid, {:"$demand", :forward})
+      assert GenServer.call(pid, :"$estimate_buffered_count") == 0
+      refute_received {:DOWN, ^stage, _, _, _}
+      assert Pipeline.state(p) == :running
+      {:ok, _} = Pipeline.stop(p)
+    end
   end
 
   defp events(pid, ref, n), do: events(pid, ref, n, [])

@@ -27,6 +27,7 @@ defmodule Situ.Component do
     * `{:hold, input}`: take nothing from `input` for 20 ms of real time (then `handle_info({:hold_ended, input}, ...)` is called), or until
       `{:resume, input}`: its producer runs out of demand and waits. For components that must not let one input run far ahead;
     * `{:detach, input, opts}`: an input that `handle_attach/5` took is not needed any more; `opts` are the component's options from now on;
+    * `{:demand, :accumulate}`: emit nothing and take nothing until `{:demand, :forward}` (or `GenStage.demand(pid, :forward)`);
     * `:stopped`: a source that answered `handle_stop/3` with `:stopping` has now posted its last message.
   """
 
@@ -43,6 +44,7 @@ defmodule Situ.Component do
           | {:hold, input :: atom()}
           | {:resume, input :: atom()}
           | {:detach, input :: atom(), opts :: keyword()}
+          | {:demand, :accumulate | :forward}
           | :stopping
           | :stopped
   @type result :: {[action()], state()}
@@ -73,6 +75,14 @@ defmodule Situ.Component do
 
   @doc "A plain process message (push sources), or `{:timer, key}`."
   @callback handle_info(term(), Context.t(), state()) :: result()
+
+  @doc """
+  Another process asks with `GenServer.call/3`, or casts (then `from` is `nil`); answer with `GenServer.reply/2`, now or later.
+
+  Optional: without it a call is answered with an error and a cast is ignored.
+  """
+  @callback handle_request(request :: term(), GenServer.from() | nil, Context.t(), state()) ::
+              result()
 
   @doc "A source is asked to stop: it may still emit up to `final_time`; with `:stopping` it goes on until `:stopped`."
   @callback handle_stop(final_time :: Situ.Time.t(), Context.t(), state()) :: result()
@@ -117,6 +127,7 @@ defmodule Situ.Component do
   @callback options() :: Situ.Options.schema()
 
   @optional_callbacks handle_demand: 3, handle_messages: 4, handle_attach: 5, handle_detach: 3
+  @optional_callbacks handle_request: 4
   @optional_callbacks migrate: 3, describe: 1
 
   @doc false

@@ -13,6 +13,26 @@ defmodule Situ.Stage.Activation do
     end
   end
 
+  @doc "Another process asks something of the component; what it does not know is answered or ignored, never fatal."
+  @spec request(State.t(), term(), GenServer.from() | nil) :: State.t()
+  def request(%{phase: :running, callback: %Callback{}} = state, request, from) do
+    if function_exported?(state.callback.module, :handle_request, 4),
+      do: call(state, :handle_request, [request, from], Clock.now(state.clock)),
+      else: unknown(state, request, from)
+  end
+
+  def request(state, request, from), do: unknown(state, request, from)
+
+  defp unknown(state, _request, nil), do: state
+
+  defp unknown(state, request, from) do
+    path = State.head(state).path
+    what = "#{path} does not answer #{inspect(request, limit: 8, printable_limit: 80)}"
+    fix = "define handle_request/4 in the component"
+    GenServer.reply(from, {:error, Error.new(:unknown_request, what, fix: fix)})
+    state
+  end
+
   @doc "The component's new state and actions; an action that is wrong takes the new state back, too."
   @spec act(State.t(), term(), [Situ.Component.action()], Situ.Time.t()) :: State.t()
   def act(state, core, actions, now) do

@@ -20,17 +20,72 @@ defmodule Situ.Stage.Attachment do
 
   @most_waiting 1_000
 
-  @doc "A process from outside subscribes."
-  @spec subscribe(State.t(), {pid(), term()}, term()) :: State.t()
-  def subscribe(state, {pid, tag}, opts) do
+  @doc "What a consumer says in GenStage's protocol: it subscribes, asks, cancels. Whatever else it says ends its subscription."
+  @spec asked(State.t(), {pid(), term()}, term()) :: State.t()
+  def asked(state, from, {:ask, n}) when (is_integer(n) and n > 0) or n == :infinity do
+    if consumer?(state, from),
+      do: State.wake(%{state | outputs: Outputs.ask(state.outputs, from, n)}),
+      else: unknown(state, from)
+  end
+
+  def asked(state, _from, {:ask, 0}), do: state
+
+  def asked(state, from, {:subscribe, _current, opts}) do
+    if consumer?(state, from),
+      do: refuse(state, from, :duplicated_subscription),
+      else: subscribe(state, from, opts)
+  end
+
+  # `GenStage.cancel/2` may be called by any process: a reference names the subscription all the same.
+  def asked(state, {pid, tag} = from, {:cancel, reason}) do
+    case Enum.find(Outputs.subscribers(state.outputs), &named?(&1, from)) do
+      nil ->
+        refuse(state, {pid, tag}, reason)
+
+      sub ->
+        Subscriber.send_cancel(sub, reason)
+        leave(state, &(&1.tag == sub.tag and &1.pid == sub.pid))
+    end
+  end
+
+  def asked(state, from, request) do
+    what = "#{inspect(request, limit: 8, printable_limit: 80)} is no request of a consumer"
+    fix = "{:subscribe, current, opts}, {:ask, count} and {:cancel, reason} are"
+    error = Error.new(:bad_request, what, fix: fix)
+
+    if consumer?(state, from),
+      do: state |> refuse(from, error) |> leave(&named?(&1, from)),
+      else: unknown(state, from)
+  end
+
+  defp consumer?(state, from),
+    do: Enum.any?(Outputs.all(state.outputs), &Output.subscriber?(&1, from))
+
+  defp named?(sub, {_pid, tag}) when is_reference(tag), do: sub.tag == tag
+  defp named?(sub, {pid, tag}), do: sub.tag == tag and sub.pid == pid
+
+  # Within the pipeline (tags are numbers) it is a last word that has crossed the end of the connection.
+  defp unknown(state, {_pid, tag}) when is_integer(tag), do: state
+  defp unknown(state, from), do: refuse(state, from, :unknown_subscription)
+
+  defp refuse(state, {pid, tag}, reason) do
+    send(pid, {:"$gen_consumer", {self(), tag}, {:cancel, reason}})
+    state
+  end
+
+  @doc "The consumer with this monitor is gone."
+  @spec left_by(State.t(), reference()) :: State.t()
+  def left_by(state, monitor), do: leave(state, &(&1.monitor == monitor))
+
+  defp leave(state, which?),
+    do: State.wake(%{state | outputs: Outputs.unsubscribe(state.outputs, which?)})
+
+  defp subscribe(state, {pid, tag} = from, opts) do
     with :ok <- options(opts), {:ok, output} <- State.find_output(state, opts) do
-      monitor = Process.monitor(pid)
-      sub = %{Subscriber.new(tag, pid, nil) | monitor: monitor}
+      sub = %{Subscriber.new(tag, pid, nil) | monitor: Process.monitor(pid)}
       put(state, output.port.name, &Output.subscribe(&1, sub))
     else
-      {:error, error} ->
-        send(pid, {:"$gen_consumer", {self(), tag}, {:cancel, error}})
-        state
+      {:error, error} -> refuse(state, from, error)
     end
   end
 

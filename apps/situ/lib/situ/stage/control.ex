@@ -63,6 +63,10 @@ defmodule Situ.Stage.Control do
       else: {:noreply, %{state | pace: %{state.pace | quitting: true}}}
   end
 
+  # The pipeline has failed elsewhere.
+  def handle({:abandon, error}, state),
+    do: {:noreply, state |> Emission.settle() |> ErrorPolicy.abandon(error)}
+
   def handle({:tap, tap}, state) do
     state = Attachment.tap(state, tap)
     State.report(state, {:tapped, tap.tag})

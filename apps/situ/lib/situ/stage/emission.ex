@@ -94,6 +94,9 @@ defmodule Situ.Stage.Emission do
   defp one(state, {:timer, key, time}, _now) when is_integer(time),
     do: {:ok, %{state | timers: Timers.add(state.timers, time, key)}}
 
+  defp one(state, {:demand, mode}, _now) when mode in [:accumulate, :forward],
+    do: {:ok, %{state | outputs: %{state.outputs | demand: mode}}}
+
   defp one(state, :stopping, _now), do: {:ok, %{state | source: Source.stopping(state.source)}}
 
   defp one(%{source: %{stopping: :stopping}} = state, :stopped, _now),

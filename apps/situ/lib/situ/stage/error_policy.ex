@@ -33,9 +33,13 @@ defmodule Situ.Stage.ErrorPolicy do
   def fail(state, error) do
     Tally.failed(state.tally, 0)
     State.report(state, {:failed, error})
-    state = %{state | phase: :failed, timers: Timers.clear(state.timers)}
+    state = abandon(%{state | phase: :failed, timers: Timers.clear(state.timers)}, error)
     if state.source.stopping in [nil, :done], do: state, else: stopped(state)
   end
+
+  @doc "Consumers from outside the pipeline learn that it failed."
+  @spec abandon(State.t(), Error.t()) :: State.t()
+  def abandon(state, error), do: %{state | outputs: Outputs.abandon(state.outputs, error)}
 
   @doc "A source has posted its last message: the pipeline knows once nothing is held back any more."
   @spec stopped(State.t()) :: State.t()

@@ -49,6 +49,16 @@ defmodule Situ.Stage.Loop do
     state |> State.wake() |> Activation.call(:handle_info, [message], now) |> turn()
   end
 
+  @doc "Another process asks something of the component (`from` is `nil` for a cast)."
+  @spec request(State.t(), term(), GenServer.from() | nil) :: State.t()
+  def request(state, request, from),
+    do: state |> State.wake() |> Activation.request(request, from) |> turn()
+
+  @doc "Whether what comes is taken and goes out."
+  @spec demand(State.t(), :accumulate | :forward) :: State.t()
+  def demand(state, mode),
+    do: turn(State.wake(%{state | outputs: %{state.outputs | demand: mode}}))
+
   @doc "Something is due: timers, or messages ahead of time."
   @spec ring(State.t()) :: State.t()
   def ring(state) do
@@ -73,11 +83,21 @@ defmodule Situ.Stage.Loop do
 
   def turn(%{phase: :running} = state) do
     now = Clock.now(state.clock)
-    component(state, now, {now, now + @slice_ns}, State.final(state))
+    final = State.final(state)
+    state |> unlock(final) |> component(now, {now, now + @slice_ns}, final)
   end
 
   def turn(%{phase: :failed} = state), do: discard(state)
   def turn(state), do: finish(state)
+
+  # A pipeline that ends does not wait for somebody to let it go on.
+  defp unlock(%{outputs: %{demand: :accumulate} = outputs} = state, final) do
+    if final == State.never(),
+      do: state,
+      else: %{state | outputs: %{outputs | demand: :forward}}
+  end
+
+  defp unlock(state, _final), do: state
 
   @doc "The turn that was on its way."
   @spec again(State.t()) :: State.t()

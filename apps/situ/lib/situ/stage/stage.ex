@@ -45,6 +45,21 @@ defmodule Situ.Stage do
   @impl true
   def init(_), do: :ignore
 
+  # GenStage's own calls and casts, and those of the component.
+  @impl true
+  def handle_call(:"$estimate_buffered_count", _from, state),
+    do: {:reply, Outputs.buffered(state.outputs), state}
+
+  def handle_call({:"$info", message}, _from, state), do: {:reply, :ok, Loop.info(state, message)}
+  def handle_call(request, from, state), do: {:noreply, Loop.request(state, request, from)}
+
+  @impl true
+  def handle_cast({:"$demand", mode}, state) when mode in [:forward, :accumulate],
+    do: {:noreply, Loop.demand(state, mode)}
+
+  def handle_cast({:"$info", message}, state), do: {:noreply, Loop.info(state, message)}
+  def handle_cast(request, state), do: {:noreply, Loop.request(state, request, nil)}
+
   @impl true
   def handle_info({:"$gen_consumer", {_, tag}, {:cancel, reason}} = message, state) do
     case state.inputs.by_tag do
@@ -60,20 +75,8 @@ defmodule Situ.Stage do
     end
   end
 
-  def handle_info({:"$gen_producer", {pid, _tag} = from, {:ask, n}}, state)
-      when is_pid(pid) and ((is_integer(n) and n > 0) or n == :infinity) do
-    outputs = Outputs.ask(state.outputs, from, n)
-    State.wake(%{state | outputs: outputs}) |> Loop.turn() |> unless_over()
-  end
-
-  def handle_info({:"$gen_producer", {pid, tag}, {:subscribe, _current, opts}}, state)
-      when is_pid(pid),
-      do: {:noreply, Attachment.subscribe(state, {pid, tag}, opts)}
-
-  def handle_info({:"$gen_producer", {pid, tag}, {:cancel, reason}}, state) when is_pid(pid) do
-    send(pid, {:"$gen_consumer", {self(), tag}, {:cancel, reason}})
-    state |> unsubscribe(&(&1.tag == tag and &1.pid == pid)) |> unless_over()
-  end
+  def handle_info({:"$gen_producer", {pid, _tag} = from, request}, state) when is_pid(pid),
+    do: state |> Attachment.asked(from, request) |> Loop.turn() |> unless_over()
 
   def handle_info(:situ_turn, state), do: {:noreply, Loop.again(state)}
   def handle_info({:situ_alarm, _}, state), do: {:noreply, Loop.ring(state)}
@@ -93,9 +96,14 @@ defmodule Situ.Stage do
 
   def handle_info({:DOWN, ref, :process, _pid, _} = message, state) do
     if Enum.any?(Outputs.subscribers(state.outputs), &(&1.monitor == ref)),
-      do: state |> unsubscribe(&(&1.monitor == ref)) |> unless_over(),
+      do: state |> Attachment.left_by(ref) |> Loop.turn() |> unless_over(),
       else: {:noreply, Loop.info(state, message)}
   end
+
+  # Nobody speaks like this; whoever does is no reason to fail.
+  def handle_info({protocol, _from, _request}, state)
+      when protocol in [:"$gen_producer", :"$gen_consumer"],
+      do: {:noreply, state}
 
   def handle_info({:EXIT, _pid, :normal}, state), do: {:noreply, state}
   def handle_info(message, state), do: {:noreply, Loop.info(state, message)}
@@ -103,11 +111,6 @@ defmodule Situ.Stage do
   @impl true
   def terminate(_reason, %{callback: nil}), do: :ok
   def terminate(reason, state), do: Callback.stop(state.callback, reason)
-
-  defp unsubscribe(state, which?) do
-    outputs = Outputs.unsubscribe(state.outputs, which?)
-    State.wake(%{state | outputs: outputs}) |> Loop.turn()
-  end
 
   defp unless_over(%{pace: %{quitting: true}} = state) do
     if Outputs.drained?(state.outputs), do: {:stop, :normal, state}, else: {:noreply, state}

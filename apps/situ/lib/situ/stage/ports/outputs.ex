@@ -5,9 +5,14 @@ defmodule Situ.Stage.Outputs do
   alias Situ.Graph.Vertex
   alias Situ.Stage.{Output, Posting, Subscriber}
 
-  defstruct own: [], tail: nil
+  defstruct own: [], tail: nil, demand: :forward
 
-  @type t :: %__MODULE__{own: [{atom(), Output.t()}], tail: Output.t() | nil}
+  @typedoc "`demand`: with `:accumulate` nothing goes out, whatever is asked for, until it is `:forward`."
+  @type t :: %__MODULE__{
+          own: [{atom(), Output.t()}],
+          tail: Output.t() | nil,
+          demand: :forward | :accumulate
+        }
 
   @doc "The outputs of the vertices of one stage, as far as `marks` say they have come."
   @spec new([Vertex.t()], Output.marks() | nil) :: t()
@@ -92,6 +97,7 @@ defmodule Situ.Stage.Outputs do
 
   @doc "How many messages may go out now."
   @spec room(t()) :: integer() | :infinity
+  def room(%__MODULE__{demand: :accumulate}), do: 0
   def room(%__MODULE__{tail: nil, own: [{_, output}]}), do: Output.room(output)
   def room(%__MODULE__{tail: nil, own: own}), do: room(own, :infinity)
   def room(%__MODULE__{tail: tail}), do: Output.room(tail)
@@ -101,6 +107,7 @@ defmodule Situ.Stage.Outputs do
 
   @spec flush(t()) :: t()
   def flush(%__MODULE__{tail: nil, own: []} = outputs), do: outputs
+  def flush(%__MODULE__{demand: :accumulate} = outputs), do: outputs
 
   def flush(%__MODULE__{tail: nil, own: [{name, output}]} = outputs) do
     case Output.flush(output) do
@@ -148,6 +155,11 @@ defmodule Situ.Stage.Outputs do
   @spec subscribers(t()) :: [Subscriber.t()]
   def subscribers(%__MODULE__{} = outputs), do: Enum.flat_map(all(outputs), & &1.subs)
 
+  @doc "How many messages wait for demand: the most among the subscribers of an output."
+  @spec buffered(t()) :: non_neg_integer()
+  def buffered(%__MODULE__{} = outputs),
+    do: Enum.reduce(all(outputs), 0, &(Output.buffered(&1) + &2))
+
   @doc "Takes subscribers away, with what waited for them."
   @spec unsubscribe(t(), (Subscriber.t() -> boolean())) :: t()
   def unsubscribe(%__MODULE__{} = outputs, which?) do
@@ -156,6 +168,17 @@ defmodule Situ.Stage.Outputs do
         do: Process.demonitor(ref, [:flush])
 
     each(outputs, &Output.cancel(&1, which?))
+  end
+
+  @doc "Consumers from outside the pipeline end with `reason`; those inside are closed in their order."
+  @spec abandon(t(), term()) :: t()
+  def abandon(%__MODULE__{} = outputs, reason) do
+    outputs = flush(outputs)
+
+    for %{monitor: ref} = sub when ref != nil <- subscribers(outputs),
+        do: Subscriber.send_cancel(sub, reason)
+
+    unsubscribe(outputs, &(&1.monitor != nil))
   end
 
   @doc "One subscriber gets all that waits for it, asked for or not, and the closing mark."

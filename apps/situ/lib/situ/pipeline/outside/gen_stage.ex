@@ -1,0 +1,299 @@
+defmodule Situ.GenStage do
+  @moduledoc """
+  GenStage and Flow as neighbours: Situ's processes speak GenStage's message protocol, so a real GenStage consumer can
+  subscribe to any output and a real GenStage producer can be a source. GenStage itself is not needed.
+
+  ## A GenStage consumer behind an output
+
+      {:ok, {pid, opts}} = Situ.GenStage.subscription(pipeline, "Lobby.Speaking")
+      GenStage.sync_subscribe(consumer, [to: pid, max_demand: 500] ++ opts)
+
+  It receives `%Situ.Message{}` structs as events. An output waits for all its subscribers: a consumer that stops asking holds
+  the pipeline up, which is what back-pressure means (`Situ.tap/3` never does). When the output ends the subscription is
+  cancelled with `{:shutdown, {:closed, time}}`; when its component failed, with the `Situ.Error`, so that a `:transient` consumer fails
+  as well.
+
+  A pipeline runs as soon as it is started, and what was emitted before somebody subscribed is not seen. `accumulate/2` holds a
+  stream back until `GenStage.demand(pid, :forward)`, which `Flow.from_stages/2` calls by itself.
+
+  ## A GenStage producer as a source
+
+      stream = Situ.GenStage.from(p, producer, type: :integer)
+
+  Events that are `%Situ.Message{}` keep their originating times; other events get the pipeline's clock, at least 1 ns after
+  the one before. When the producer ends in order (`:normal`, `:shutdown`, `{:shutdown, _}`) the stream completes; any other reason is an
+  error of the component, `:producer_failed`, which fails the pipeline unless its `on_error` says otherwise.
+
+  Without a producer, `from(p, [])`, the stream waits for others to name one: `Flow.into_stages(flow, [pid])` or
+  `GenStage.sync_subscribe(pid, to: producer)`, where `pid` is that of `subscription/2`.
+
+  ## The messages
+
+  | from | to | message |
+  |---|---|---|
+  | consumer | producer | `{:"$gen_producer", {consumer_pid, tag}, {:subscribe, current, opts}}`; `opts[:output]` names the output |
+  | consumer | producer | `{:"$gen_producer", {consumer_pid, tag}, {:ask, count}}` |
+  | consumer | producer | `{:"$gen_producer", {consumer_pid, tag}, {:cancel, reason}}` |
+  | producer | consumer | `{:"$gen_consumer", {producer_pid, tag}, [event]}`, never more than asked for |
+  | producer | consumer | `{:"$gen_consumer", {producer_pid, tag}, {:cancel, reason}}`, also in answer to a cancel |
+
+  `tag` is a term the consumer chooses (GenStage: its monitor's reference); with the consumer's pid it names the subscription in both
+  directions. Both sides monitor each other. Of GenStage's calls and casts `:"$estimate_buffered_count"`, `{:"$demand", mode}`,
+  `{:"$info", message}` and (a source) `{:"$subscribe", current, to, opts}` are answered; what is malformed is refused, and never fatal. Within a pipeline tags are the edge's number and the subscription is made at the start.
+
+      iex> {:ok, p} = Situ.Pipeline.start(fn p ->
+      ...>   p |> Situ.Connector.receive(Situ.Connector.new("x")) |> Situ.map(& &1, name: "Same")
+      ...> end, [])
+      iex> {:ok, {pid, opts}} = Situ.GenStage.subscription(p, "Same")
+      iex> {is_pid(pid), opts}
+      {true, [output: :out]}
+      iex> {:ok, _report} = Situ.Pipeline.stop(p)
+      iex> {:error, error} = Situ.GenStage.subscription(p, "Same")
+      iex> error.code
+      :not_running
+  """
+  alias Situ.Pipeline.Client
+
+  @doc "Where to subscribe for a stream: the process and the options that name the output. The pipeline must be running."
+  @spec subscription(Situ.Pipeline.target(), Situ.Stream.t() | String.t()) ::
+          {:ok, {pid(), keyword()}} | {:error, Situ.Error.t()}
+  def subscription(p, %Situ.Stream{} = stream),
+    do: Client.call(p, {:subscription, {stream.node, stream.output}})
+
+  def subscription(p, name) when is_binary(name), do: Client.call(p, {:subscription, name})
+
+  @doc """
+  The events of GenStage producers (a pid or name, or a list of them) as a stream.
+
+  Options: `type:`, `subscribe:` (options for the producers, such as `partition:`, `selector:`, `max_demand:` (1,000), `min_demand:` (half of
+  it) and `cancel:`, with `:temporary` a producer's failure ends its subscription only), and the common ones of `Situ.Pipeline.add/4`.
+  """
+  @spec from(Situ.Pipeline.t(), GenServer.server() | [GenServer.server()], keyword()) ::
+          Situ.Stream.t()
+  def from(%Situ.Graph.Handle{} = p, producers, opts \\ []) do
+    {own, common} = Keyword.split(opts, [:type, :subscribe])
+
+    common =
+      Keyword.merge([name: "GenStage", outputs: [out: Keyword.get(own, :type, :any)]], common)
+
+    given = [producers: List.wrap(producers), subscribe: Keyword.get(own, :subscribe, [])]
+    p |> Situ.Pipeline.add(Situ.GenStage.Source, given, common) |> Situ.Node.streams()
+  end
+
+  @doc """
+  The stream, held back until a consumer lets it go with `GenStage.demand(pid, :forward)`: none of its messages is lost to one that
+  subscribes after the start. Options: the common ones of `Situ.Pipeline.add/4`, and `policy:`.
+
+      Situ.range(p, 0, 1_000, Situ.Time.ms(1)) |> Situ.GenStage.accumulate(name: "Numbers")
+  """
+  @spec accumulate(Situ.Stream.t(), keyword()) :: Situ.Stream.t()
+  def accumulate(%Situ.Stream{} = stream, opts \\ []) do
+    {connect, common} = Keyword.split(opts, [:policy])
+    common = Keyword.merge([name: "Accumulate", outputs: [out: stream.type]], common)
+    node = Situ.Pipeline.add(stream.pipeline, Situ.GenStage.Gate, [], common)
+    Situ.Pipeline.connect(stream, node, :in, connect)
+    Situ.Node.streams(node)
+  end
+end
+
+defmodule Situ.GenStage.Gate do
+  @moduledoc false
+  # Passes everything on, once it is told to.
+  use Situ.Component, inputs: [in: :any], outputs: [out: :any]
+
+  @impl true
+  def handle_start(_context, state), do: {[{:demand, :accumulate}], state}
+
+  @impl true
+  def handle_message(:in, message, _context, state), do: {[{:out, message}], state}
+
+  @impl true
+  def handle_messages(:in, messages, _context, state), do: {[{:out, messages}], state}
+end
+
+defmodule Situ.GenStage.Source do
+  @moduledoc false
+  # The consumer's side of the protocol: asks each producer for `max_demand`, and again once the pipeline has taken part of it.
+  use Situ.Component,
+    outputs: [out: :any],
+    options: [
+      producers: [type: {:list, :any}, default: []],
+      subscribe: [type: :keyword, default: []]
+    ]
+
+  alias Situ.{Error, Message}
+
+  @max_demand 1_000
+
+  @impl true
+  def init(opts) do
+    with {:ok, _, _} <- demand(opts[:subscribe]),
+         do: {:ok, %{opts: opts, subs: %{}, last: nil, ended: false}}
+  end
+
+  @impl true
+  def handle_start(_context, %{opts: opts} = state) do
+    state = Enum.reduce(opts[:producers], state, &begin(&2, &1, opts[:subscribe]))
+    {if(opts[:producers] == [], do: [{:complete, :infinity}], else: []), state}
+  end
+
+  defp begin(state, producer, opts) do
+    case subscribe(state, producer, opts) do
+      {:ok, _ref, state} -> state
+      {:error, error} -> raise error
+    end
+  end
+
+  # There is room: what was taken is asked for again, as soon as it is the better part of the window.
+  @impl true
+  def handle_demand(_n, _context, state) do
+    {[], %{state | subs: Map.new(state.subs, fn {ref, sub} -> {ref, ask(ref, sub)} end)}}
+  end
+
+  defp ask(ref, %{taken: taken, max: max, min: min} = sub)
+       when taken > 0 and taken >= max - min do
+    send(sub.pid, {:"$gen_producer", {self(), ref}, {:ask, taken}})
+    %{sub | taken: 0}
+  end
+
+  defp ask(_ref, sub), do: sub
+
+  @impl true
+  def handle_info({:"$gen_consumer", {_pid, ref}, {:cancel, reason}}, context, state)
+      when is_map_key(state.subs, ref),
+      do: ended(ref, reason, context, state)
+
+  def handle_info({:"$gen_consumer", {_pid, ref}, events}, context, state)
+      when is_map_key(state.subs, ref) and is_list(events) do
+    n = length(events)
+    state = update_in(state.subs[ref].taken, &(&1 + n))
+    # The last of them is now, if there is room for the others between it and those before.
+    first =
+      max(context.now - n + 1, if(state.last, do: state.last + 1, else: context.now - n + 1))
+
+    {actions, last} = Enum.map_reduce(events, {first, state.last}, &post/2)
+    {actions, %{state | last: elem(last, 1)}}
+  end
+
+  def handle_info({:DOWN, ref, :process, _pid, reason}, context, state)
+      when is_map_key(state.subs, ref),
+      do: ended(ref, reason, context, state)
+
+  # By messages of its own: an error that is skipped takes back only what belongs to its own message.
+  def handle_info({:situ_producer_failed, error}, _context, _state), do: raise(error)
+
+  def handle_info(:situ_producer_ended, context, %{subs: subs, ended: false} = state)
+      when subs == %{} do
+    if state.opts[:producers] == [],
+      do: {[], state},
+      else: {[{:complete, state.last || context.now}], %{state | ended: true}}
+  end
+
+  def handle_info(_other, _context, state), do: {[], state}
+
+  @impl true
+  def handle_request({:"$subscribe", _current, to, opts}, from, _context, state) do
+    case if(state.ended, do: {:error, stopped()}, else: subscribe(state, to, opts)) do
+      {:ok, ref, state} -> reply(from, {:ok, ref}, state)
+      {:error, error} -> reply(from, {:error, error}, state)
+    end
+  end
+
+  def handle_request(request, from, _context, state) do
+    what = "a GenStage source does not answer #{inspect(request, limit: 8, printable_limit: 80)}"
+    reply(from, {:error, Error.new(:unknown_request, what)}, state)
+  end
+
+  defp reply(nil, _answer, state), do: {[], state}
+
+  defp reply(from, answer, state) do
+    GenServer.reply(from, answer)
+    {[], state}
+  end
+
+  @impl true
+  def handle_stop(_final, _context, state), do: {[], cancel(state)}
+
+  @impl true
+  def terminate(_reason, state), do: cancel(state)
+
+  defp subscribe(state, producer, opts) do
+    with {:ok, max, min} <- demand(opts), {:ok, pid} <- find(producer) do
+      ref = Process.monitor(pid)
+      opts = Keyword.merge(opts, max_demand: max, min_demand: min)
+      send(pid, {:"$gen_producer", {self(), ref}, {:subscribe, nil, opts}})
+      send(pid, {:"$gen_producer", {self(), ref}, {:ask, max}})
+      cancel = Keyword.get(opts, :cancel, :permanent)
+      sub = %{pid: pid, taken: 0, max: max, min: min, cancel: cancel}
+      {:ok, ref, put_in(state.subs[ref], sub)}
+    end
+  end
+
+  defp demand(opts) do
+    max = is_list(opts) && Keyword.keyword?(opts) && Keyword.get(opts, :max_demand, @max_demand)
+    min = is_integer(max) && Keyword.get(opts, :min_demand, div(max, 2))
+
+    if is_integer(min) and max > 0 and min >= 0 and min < max,
+      do: {:ok, max, min},
+      else: {:error, bad_options(opts)}
+  end
+
+  defp bad_options(opts) do
+    Error.new(:bad_subscription, "cannot subscribe with #{inspect(opts, limit: 8)}",
+      why: "the options are a keyword list with 0 <= min_demand < max_demand"
+    )
+  end
+
+  defp find(producer) do
+    case GenServer.whereis(producer) do
+      nil -> {:error, none(producer)}
+      pid -> {:ok, pid}
+    end
+  rescue
+    # No name that a process can have.
+    FunctionClauseError -> {:error, none(producer)}
+  end
+
+  defp none(producer),
+    do: Error.new(:no_producer, "no process #{inspect(producer)} to subscribe to")
+
+  defp stopped, do: Error.new(:not_running, "the stream has ended", why: "its producers have")
+
+  defp cancel(state) do
+    for {ref, sub} <- state.subs do
+      send(sub.pid, {:"$gen_producer", {self(), ref}, {:cancel, :normal}})
+      Process.demonitor(ref, [:flush])
+    end
+
+    %{state | subs: %{}, ended: true}
+  end
+
+  defp ended(ref, reason, _context, state) do
+    Process.demonitor(ref, [:flush])
+    {sub, subs} = Map.pop(state.subs, ref)
+
+    if not in_order?(reason) and sub.cancel != :temporary,
+      do: send(self(), {:situ_producer_failed, failed(sub.pid, reason)})
+
+    send(self(), :situ_producer_ended)
+    {[], %{state | subs: subs}}
+  end
+
+  defp in_order?(reason), do: reason in [:normal, :shutdown] or match?({:shutdown, _}, reason)
+
+  defp failed(pid, reason) do
+    Error.new(:producer_failed, "the GenStage producer #{inspect(pid)} failed: #{reason(reason)}",
+      why: "it cancelled the subscription or died with this reason",
+      fix: "a partition dispatcher needs subscribe: [partition: ...]; see the producer's log",
+      meta: %{reason: reason}
+    )
+  end
+
+  defp reason(%{__exception__: true} = error), do: Exception.message(error)
+  defp reason(reason), do: Exception.format_exit(reason)
+
+  defp post(%Message{originating_time: time} = message, {next, _last}),
+    do: {{:out, time, message.data}, {max(next, time + 1), time}}
+
+  defp post(data, {next, _last}), do: {{:out, next, data}, {next + 1, next}}
+end
