@@ -7,9 +7,9 @@ mod runtime;
 mod tensor;
 
 pub use model::{Busy, Model, Options, Port, Provider};
-pub use patch::{cut, Patch, Picture, PixelLayout};
+pub use patch::{cut, patch_bytes, Patch, Picture, PixelLayout};
 pub use runtime::{load, version};
-pub use tensor::{as_bytes, ElementType, Tensor, TensorView};
+pub use tensor::{ElementType, Tensor, TensorView};
 
 /// Why something failed. The kind is for programs, the text for people.
 #[derive(Debug, Clone, PartialEq, Eq)]

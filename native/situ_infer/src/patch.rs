@@ -86,6 +86,7 @@ impl Picture<'_> {
         ]
     }
 
+    /// Anywhere: what lies outside of the picture is black.
     fn sample(&self, x: f64, y: f64) -> [f32; 3] {
         if !(x > -1.0 && y > -1.0 && x < self.width as f64 && y < self.height as f64) {
             return [0.0; 3];
@@ -103,29 +104,124 @@ impl Picture<'_> {
         }
         out
     }
+
+    /// As `sample`, where all four neighbours lie inside. With the layout known to the compiler nothing is left to be checked
+    /// but the two ends.
+    #[inline(always)]
+    fn sample_inside<const BYTES: usize, const RED: usize, const BLUE: usize>(
+        &self,
+        x: f64,
+        y: f64,
+    ) -> Option<[f32; 3]> {
+        // Both are 0 or more: truncation is the floor.
+        let (ix, iy) = (x as i32, y as i32);
+        let (ax, ay) = (x as f32 - ix as f32, y as f32 - iy as f32);
+        let at = iy as usize * self.stride + ix as usize * BYTES;
+        let top = self.data.get(at..at + 2 * BYTES)?;
+        let bottom = self
+            .data
+            .get(at + self.stride..at + self.stride + 2 * BYTES)?;
+        let (right, low) = (ax, ay);
+        let (left, high) = (1.0 - ax, 1.0 - ay);
+        let channel = |c: usize| {
+            let upper = f32::from(top[c]) * left + f32::from(top[c + BYTES]) * right;
+            let lower = f32::from(bottom[c]) * left + f32::from(bottom[c + BYTES]) * right;
+            upper * high + lower * low
+        };
+        let green = if BYTES == 1 { 0 } else { 1 };
+        Some([channel(RED), channel(green), channel(BLUE)])
+    }
 }
 
-/// The patch as RGB floats, rows first (`[height, width, 3]`), or `None` when the picture's numbers do not agree with its bytes
-/// or the patch is empty or over 16 million pixels.
-#[must_use]
-pub fn cut(picture: &Picture<'_>, patch: &Patch) -> Option<Vec<f32>> {
-    let pixels = patch
-        .width
-        .checked_mul(patch.height)
-        .filter(|n| (1..=1 << 24).contains(n))?;
-    if !picture.fits() || patch.matrix.iter().any(|m| !m.is_finite()) {
-        return None;
+/// The steps `0..count` at which `start + step * i` lies in `0..limit`, with room to spare at both ends.
+fn inside(start: f64, step: f64, limit: f64, count: usize) -> std::ops::Range<usize> {
+    const ROOM: f64 = 1e-6;
+    let all = 0..count;
+    if step.abs() < 1e-12 {
+        return if start >= ROOM && start < limit - ROOM {
+            all
+        } else {
+            0..0
+        };
     }
-    let [m0, m1, m2, m3, m4, m5] = patch.matrix;
-    let mut out = Vec::with_capacity(pixels * 3);
-    for y in 0..patch.height {
-        let (bx, by) = (m1 * y as f64 + m2, m4 * y as f64 + m5);
-        for x in 0..patch.width {
-            let rgb = picture.sample(m0 * x as f64 + bx, m3 * x as f64 + by);
-            out.extend(rgb.map(|v| v * patch.scale + patch.offset));
+    let (a, b) = ((ROOM - start) / step, (limit - ROOM - start) / step);
+    let (from, to) = (a.min(b).ceil().max(0.0), a.max(b).floor());
+    if to < from {
+        return 0..0;
+    }
+    // Casts saturate.
+    (from as usize).min(count)..(to as usize).saturating_add(1).min(count)
+}
+
+/// How many bytes the floats of a patch take; `None` when it is empty or over 16 million pixels.
+#[must_use]
+pub fn patch_bytes(patch: &Patch) -> Option<usize> {
+    let pixels = patch.width.checked_mul(patch.height)?;
+    (1..=1 << 24)
+        .contains(&pixels)
+        .then_some(pixels * 3 * std::mem::size_of::<f32>())
+}
+
+/// Writes the patch as RGB floats in native order, rows first (`[height, width, 3]`), to `out`, which holds `patch_bytes`.
+/// Answers false, with nothing written, when the picture's numbers do not agree with its bytes or those of the patch with `out`.
+#[must_use]
+pub fn cut(picture: &Picture<'_>, patch: &Patch, out: &mut [u8]) -> bool {
+    if patch_bytes(patch) != Some(out.len())
+        || !picture.fits()
+        || patch.matrix.iter().any(|m| !m.is_finite())
+    {
+        return false;
+    }
+    match bytemuck::try_cast_slice_mut::<u8, f32>(out) {
+        Ok(floats) => cut_floats(picture, patch, floats),
+        // Memory that is not aligned for floats.
+        Err(_) => {
+            let mut floats = vec![0.0; out.len() / std::mem::size_of::<f32>()];
+            cut_floats(picture, patch, &mut floats);
+            out.copy_from_slice(bytemuck::cast_slice(&floats));
         }
     }
-    Some(out)
+    true
+}
+
+fn cut_floats(picture: &Picture<'_>, patch: &Patch, out: &mut [f32]) {
+    match (picture.layout.bytes, picture.layout.red) {
+        (1, _) => fill::<1, 0, 0>(picture, patch, out),
+        (3, 0) => fill::<3, 0, 2>(picture, patch, out),
+        (3, _) => fill::<3, 2, 0>(picture, patch, out),
+        (_, 0) => fill::<4, 0, 2>(picture, patch, out),
+        _ => fill::<4, 2, 0>(picture, patch, out),
+    }
+}
+
+fn fill<const BYTES: usize, const RED: usize, const BLUE: usize>(
+    picture: &Picture<'_>,
+    patch: &Patch,
+    out: &mut [f32],
+) {
+    let [m0, m1, m2, m3, m4, m5] = patch.matrix;
+    let (right, bottom) = (picture.width as f64 - 1.0, picture.height as f64 - 1.0);
+    let put = |pixel: &mut [f32], rgb: [f32; 3]| {
+        for (o, v) in pixel.iter_mut().zip(rgb) {
+            *o = v * patch.scale + patch.offset;
+        }
+    };
+    for (y, row) in out.chunks_exact_mut(patch.width * 3).enumerate() {
+        let (bx, by) = (m1 * y as f64 + m2, m4 * y as f64 + m5);
+        let across = inside(bx, m0, right, patch.width);
+        let down = inside(by, m3, bottom, patch.width);
+        let from = across.start.max(down.start);
+        let to = across.end.min(down.end).max(from);
+        for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
+            let (sx, sy) = (m0 * x as f64 + bx, m3 * x as f64 + by);
+            let fast = if x >= from && x < to {
+                picture.sample_inside::<BYTES, RED, BLUE>(sx, sy)
+            } else {
+                None
+            };
+            put(pixel, fast.unwrap_or_else(|| picture.sample(sx, sy)));
+        }
+    }
 }
 
 #[cfg(test)]
@@ -161,11 +257,26 @@ mod tests {
         }
     }
 
+    fn floats(picture: &Picture<'_>, patch: &Patch) -> Option<Vec<f32>> {
+        let mut out = vec![0.0_f32; patch_bytes(patch)? / 4];
+        cut(picture, patch, bytemuck::cast_slice_mut(&mut out)).then_some(out)
+    }
+
+    #[test]
+    fn memory_that_is_not_aligned_is_filled_too() {
+        let p = picture(&[1, 2, 3, 4, 5, 6], 2, 1, "bgr24");
+        let mut bytes = vec![0_u8; 2 * 12 + 1];
+        assert!(cut(&p, &patch(IDENTITY, 2, 1), &mut bytes[1..]));
+        let first = [bytes[1], bytes[2], bytes[3], bytes[4]];
+        assert_eq!(f32::from_ne_bytes(first), 3.0);
+        assert!(!cut(&p, &patch(IDENTITY, 2, 1), &mut bytes));
+    }
+
     #[test]
     fn the_identity_swaps_bgr_to_rgb() {
         let p = picture(&[1, 2, 3, 4, 5, 6], 2, 1, "bgr24");
         assert_eq!(
-            cut(&p, &patch(IDENTITY, 2, 1)),
+            floats(&p, &patch(IDENTITY, 2, 1)),
             Some(vec![3.0, 2.0, 1.0, 6.0, 5.0, 4.0])
         );
     }
@@ -175,20 +286,44 @@ mod tests {
         let p = picture(&[10, 30], 2, 1, "gray8");
         let half = patch([1.0, 0.0, 0.5, 0.0, 1.0, 0.0], 2, 1);
         assert_eq!(
-            cut(&p, &half),
+            floats(&p, &half),
             Some(vec![20.0, 20.0, 20.0, 15.0, 15.0, 15.0])
         );
+    }
+
+    // Every way through is the slow one: turned, mirrored, partly and wholly outside, in every layout.
+    #[test]
+    fn the_fast_way_is_the_slow_way() {
+        let data: Vec<u8> = (0..4 * 23 * 17).map(|i| (i * 37 % 251) as u8).collect();
+        for format in ["gray8", "rgb24", "bgr24", "rgba32", "bgrx32"] {
+            let p = picture(&data, 23, 17, format);
+            for i in 0..40 {
+                let (angle, side) = (f64::from(i) * 0.37, 0.1 + f64::from(i) * 0.11);
+                let (c, s) = (side * angle.cos(), side * angle.sin());
+                let (x, y) = (f64::from(i % 7) * 5.0 - 8.0, f64::from(i % 5) * 4.0 - 6.0);
+                let patch = patch([c, -s, x, s, c, y], 19, 13);
+                let fast = floats(&p, &patch).unwrap_or_default();
+                assert_eq!(fast.len(), 19 * 13 * 3);
+                for (n, rgb) in fast.chunks_exact(3).enumerate() {
+                    let (u, v) = ((n % 19) as f64, (n / 19) as f64);
+                    let slow = p.sample(c * u - s * v + x, s * u + c * v + y);
+                    for (a, b) in rgb.iter().zip(slow) {
+                        assert!((a - b).abs() < 1e-2, "{format} {i} {n}: {rgb:?} {slow:?}");
+                    }
+                }
+            }
+        }
     }
 
     #[test]
     fn lies_about_the_size_are_refused() {
         let mut p = picture(&[0; 4], 2, 2, "gray8");
         p.height = 3;
-        assert_eq!(cut(&p, &patch(IDENTITY, 2, 2)), None);
+        assert_eq!(floats(&p, &patch(IDENTITY, 2, 2)), None);
         p.height = 0;
-        assert_eq!(cut(&p, &patch(IDENTITY, 2, 2)), None);
+        assert_eq!(floats(&p, &patch(IDENTITY, 2, 2)), None);
         p.height = 2;
-        assert_eq!(cut(&p, &patch([f64::NAN; 6], 2, 2)), None);
-        assert_eq!(cut(&p, &patch(IDENTITY, 0, 2)), None);
+        assert_eq!(floats(&p, &patch([f64::NAN; 6], 2, 2)), None);
+        assert_eq!(floats(&p, &patch(IDENTITY, 0, 2)), None);
     }
 }

@@ -61,12 +61,6 @@ impl ElementType {
     }
 }
 
-/// Floats as their bytes, native order.
-#[must_use]
-pub fn as_bytes(floats: &[f32]) -> &[u8] {
-    bytemuck::cast_slice(floats)
-}
-
 /// One input, borrowed from the caller.
 #[derive(Debug, Clone)]
 pub struct TensorView<'a> {

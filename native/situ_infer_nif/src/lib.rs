@@ -172,7 +172,8 @@ fn cut_patch<'a>(
         scale: range.0 as f32,
         offset: range.1 as f32,
     };
-    let floats = PixelLayout::parse(&format).and_then(|layout| {
+    let cut = || {
+        let layout = PixelLayout::parse(&format)?;
         let picture = Picture {
             data: data.as_slice(),
             width,
@@ -180,15 +181,11 @@ fn cut_patch<'a>(
             stride,
             layout,
         };
-        situ_infer::cut(&picture, &patch)
-    });
-    match floats {
-        Some(floats) => {
-            let bytes = situ_infer::as_bytes(&floats);
-            let mut out = OwnedBinary::new(bytes.len());
-            out.as_mut_slice().copy_from_slice(bytes);
-            (atoms::ok(), out.release(env)).encode(env)
-        }
+        let mut out = OwnedBinary::new(situ_infer::patch_bytes(&patch)?);
+        situ_infer::cut(&picture, &patch, out.as_mut_slice()).then_some(out)
+    };
+    match cut() {
+        Some(out) => (atoms::ok(), out.release(env)).encode(env),
         None => atoms::error().encode(env),
     }
 }
