@@ -2,7 +2,7 @@ defmodule Situ.Bench.Chain do
   @moduledoc false
   # A range one tick apart through k maps that add one, counted at the end; each policy as the pipeline's default.
   import Situ.Bench, only: [measure: 3]
-  alias Situ.{Delivery, Generator, Pipeline, Time}
+  alias Situ.{Delivery, Pipeline, Time}
 
   @policies [
     unlimited: Delivery.unlimited(),
@@ -32,7 +32,8 @@ defmodule Situ.Bench.Chain do
         Pipeline.run(
           fn p ->
             1..k
-            |> Enum.reduce(Generator.range(p, 0, n, Time.ticks(1)), fn _, stream ->
+            |> Enum.reduce(Situ.from_enumerable(p, 0..(n - 1)//1, every: Time.ticks(1)), fn _,
+                                                                                            stream ->
               Situ.map(stream, &(&1 + 1), async: async)
             end)
             |> Situ.each(fn v ->

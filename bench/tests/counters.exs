@@ -4,7 +4,7 @@ defmodule Situ.Bench.Counters do
   # time, since a busy machine shows in the clock first. `one` hands over one message at a time, which is as dear as
   # counting gets.
   import Situ.Bench, only: [cpu_us: 0]
-  alias Situ.{Delivery, Generator, Pipeline, Time}
+  alias Situ.{Delivery, Pipeline, Time}
   alias Situ.Stage.Counters
 
   @rounds 5
@@ -67,7 +67,8 @@ defmodule Situ.Bench.Counters do
     {:ok, _} =
       Pipeline.run(fn p ->
         1..k
-        |> Enum.reduce(Generator.range(p, 0, n, Time.ticks(1)), fn _, stream ->
+        |> Enum.reduce(Situ.from_enumerable(p, 0..(n - 1)//1, every: Time.ticks(1)), fn _,
+                                                                                        stream ->
           Situ.map(stream, &(&1 + 1), opts)
         end)
         |> Situ.each(& &1)

@@ -2,7 +2,7 @@ defmodule Situ.Bench.Fanout do
   @moduledoc false
   # One range to ten sinks.
   import Situ.Bench, only: [measure: 3]
-  alias Situ.{Delivery, Generator, Pipeline, Time}
+  alias Situ.{Delivery, Pipeline, Time}
 
   @policies [
     unlimited: Delivery.unlimited(),
@@ -22,7 +22,7 @@ defmodule Situ.Bench.Fanout do
       {:ok, _} =
         Pipeline.run(
           fn p ->
-            stream = Generator.range(p, 0, n, Time.ticks(1))
+            stream = Situ.from_enumerable(p, 0..(n - 1)//1, every: Time.ticks(1))
             for i <- 1..10, do: Situ.each(stream, fn _ -> :counters.add(counts, i, 1) end)
           end,
           pipeline: [default_policy: policy]

@@ -25,10 +25,10 @@ defmodule Situ.Bench.Join do
       {:ok, _} =
         Situ.Pipeline.run(
           fn p ->
-            primary = Situ.range(p, 0, n, @ms)
+            primary = Situ.from_enumerable(p, 0..(n - 1)//1, every: @ms)
 
             # Both count from the start; the shift is in the times alone.
-            secondary = Situ.range(p, 0, n, @ms, align: shift)
+            secondary = Situ.from_enumerable(p, 0..(n - 1)//1, every: @ms, align: shift)
 
             primary
             |> Situ.join(secondary, interpolator)

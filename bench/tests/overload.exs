@@ -2,7 +2,7 @@ defmodule Situ.Bench.Overload do
   @moduledoc false
   # A source five times as fast as its sink, in real time, under each policy: what is lost, how old what arrives is, how
   # much waits.
-  alias Situ.{Delivery, Generator, Pipeline, Time}
+  alias Situ.{Delivery, Pipeline, Time}
 
   @policies [
     {"unlimited", Delivery.unlimited()},
@@ -26,7 +26,7 @@ defmodule Situ.Bench.Overload do
       Pipeline.start(
         fn p ->
           p
-          |> Generator.repeat(:x, Time.us(@sink_us / 5))
+          |> Situ.repeat(:x, every: Time.us(@sink_us / 5))
           |> Situ.each(fn _, message -> work(message, test) end, policy: policy, name: "Sink")
         end,
         []

@@ -54,7 +54,7 @@ defmodule Situ.Bench.Parallel do
         Situ.Pipeline.run(
           fn p ->
             p
-            |> Situ.repeat(parts, 1_000, count: n)
+            |> Situ.repeat(parts, every: 1_000, count: n)
             |> build.()
             |> Situ.each(fn sum ->
               :counters.add(counter, 1, 1)
@@ -88,7 +88,7 @@ defmodule Situ.Bench.Parallel do
 
               rest = Stream.map(1..n, fn i -> Map.new(0..9, &{rem(i * 10 + &1, keys) + 1, 1}) end)
 
-              Situ.from_enumerable(p, Stream.concat([first], rest), interval: 1_000)
+              Situ.from_enumerable(p, Stream.concat([first], rest), every: 1_000)
               |> Situ.parallel(fn _key, branch -> Situ.sum(branch) end,
                 of: :maps,
                 until: :never,

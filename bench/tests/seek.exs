@@ -29,7 +29,10 @@ defmodule Situ.Bench.StoreSeek do
       Pipeline.run(
         fn p ->
           exporter = Store.create(p, "bench", root)
-          p |> Situ.range(0, n, 100) |> Store.write(exporter, "s", type: :integer)
+
+          p
+          |> Situ.from_enumerable(0..(n - 1)//1, every: 100)
+          |> Store.write(exporter, "s", type: :integer)
         end,
         pipeline: [replay: [speed: :max, interval: {0, :unbounded}]]
       )

@@ -43,7 +43,8 @@ defmodule Situ.Bench.Steady do
     store = Store.create(p, "Steady", root)
 
     p
-    |> Situ.sequence(noise(), &Imaging.invert!/1, div(Time.s(1), @rate),
+    |> Situ.sequence(noise(), &Imaging.invert!/1,
+      every: div(Time.s(1), @rate),
       count: frames,
       type: Image
     )

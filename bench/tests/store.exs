@@ -61,7 +61,7 @@ defmodule Situ.Bench.Store do
             exporter = Store.create(p, "bench", root)
 
             p
-            |> Situ.range(0, n, 100)
+            |> Situ.from_enumerable(0..(n - 1)//1, every: 100)
             |> Situ.map(value, type: type)
             |> Store.write(exporter, "s", type: type)
           end,

@@ -21,7 +21,7 @@ defmodule Situ.Bench.Window do
       {:ok, _} =
         Situ.Pipeline.run(
           fn p ->
-            Situ.range(p, 0, n, 100)
+            Situ.from_enumerable(p, 0..(n - 1)//1, every: 100)
             |> Situ.window(-9..0)
             |> Situ.each(fn [first | _] ->
               :counters.add(counter, 1, 1)

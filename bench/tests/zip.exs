@@ -11,8 +11,8 @@ defmodule Situ.Bench.Zip do
       {:ok, _} =
         Situ.Pipeline.run(
           fn p ->
-            Situ.range(p, 0, n, 1_000)
-            |> Situ.zip(Situ.range(p, 0, n, 1_000))
+            Situ.from_enumerable(p, 0..(n - 1)//1, every: 1_000)
+            |> Situ.zip(Situ.from_enumerable(p, 0..(n - 1)//1, every: 1_000))
             |> Situ.each(fn [a, b] ->
               :counters.add(counter, 1, 1)
               :counters.add(counter, 2, a + b)

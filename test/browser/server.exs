@@ -58,7 +58,7 @@ Task.start_link(fn -> ticker.(ticker, 0) end)
       belt =
         Situ.composite(p, "Belt", fn p ->
           p
-          |> Situ.range(0, 10_000_000, Situ.Time.ms(10), name: "Source")
+          |> Situ.from_enumerable(0..9_999_999, every: Situ.Time.ms(10), name: "Source")
           |> Situ.map(&(&1 * 2), name: "Double", async: true)
         end)
 

@@ -2,37 +2,40 @@ defmodule Situ do
   @moduledoc """
   Streams and the functions over them: the facade that pipelines are written with.
 
-      iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.source(p, Situ.Pipeline.Empty, []) end)
+      iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.source(p, Situ.Pipeline.Empty) end)
       iex> report.errors
       []
   """
   import Kernel, except: [min: 2, max: 2, abs: 1, tap: 2, inspect: 1, inspect: 2]
   alias Situ.{Node, Operator, Pipeline, Stream}
 
-  @doc "Adds a source; returns its stream, or a map of streams when it has several outputs."
-  @spec source(Pipeline.t(), module(), keyword(), keyword()) ::
-          Stream.t() | %{atom() => Stream.t()}
-  def source(%Situ.Graph.Handle{} = p, module, opts \\ [], common \\ []),
-    do: p |> Pipeline.add(module, opts, common) |> Node.streams()
+  @doc """
+  Adds a source; returns its stream, or a map of streams when it has several outputs.
+
+  `opts` are the component's own options and those of `Situ.Graph.Placement` (`name:`, `on_error:` ...).
+  """
+  @spec source(Pipeline.t(), module(), keyword()) :: Stream.t() | %{atom() => Stream.t()}
+  def source(%Situ.Graph.Handle{} = p, module, opts \\ []),
+    do: p |> Pipeline.add(module, opts) |> Node.streams()
 
   @doc """
-  Sends a stream (or `[input: stream, ...]`) through a component; returns as `source/4` does.
+  Sends a stream (or `[input: stream, ...]`) through a component; returns as `source/3` does.
 
-  `common` may hold `policy:`, for all inputs of this call, besides what `Situ.Pipeline.add/4` takes.
+  `opts` are the component's own options and those of `Situ.Graph.Placement` (`name:`, `policy:`, `on_error:` ...).
   """
-  @spec via(Stream.t() | [{atom(), Stream.t()}], module(), keyword(), keyword()) ::
+  @spec via(Stream.t() | keyword(Stream.t()), module(), keyword()) ::
           Stream.t() | %{atom() => Stream.t()}
-  def via(streams, module, opts \\ [], common \\ [])
+  def via(streams, module, opts \\ [])
 
-  def via(%Stream{} = stream, module, opts, common) do
-    {node, connect} = place(stream.pipeline, module, opts, common)
-    wire_single(stream, node, connect)
+  def via(%Stream{} = stream, module, opts) do
+    node = Pipeline.add(stream.pipeline, module, opts)
+    Pipeline.connect(stream, node, only_input(node))
     Node.streams(node)
   end
 
-  def via([{_, %Stream{} = first} | _] = streams, module, opts, common) do
-    {node, connect} = place(first.pipeline, module, opts, common)
-    Enum.each(streams, fn {input, stream} -> Pipeline.connect(stream, node, input, connect) end)
+  def via([{_, %Stream{} = first} | _] = streams, module, opts) do
+    node = Pipeline.add(first.pipeline, module, opts)
+    Enum.each(streams, fn {input, stream} -> Pipeline.connect(stream, node, input) end)
     Node.streams(node)
   end
 
@@ -44,7 +47,7 @@ defmodule Situ do
   def composite(%Stream{} = stream, name, fun),
     do: Pipeline.composite(stream.pipeline, name, fn p -> fun.(%{stream | pipeline: p}) end)
 
-  @doc "The data through `fun` (of data, or of data and message). Options: `Situ.Operator`."
+  @doc "The data through `fun` (of data, or of data and message). Options: `Situ.Graph.Placement`."
   @spec map(Stream.t(), (term() -> term()) | (term(), Situ.Message.t() -> term()), keyword()) ::
           Stream.t()
   def map(stream, fun, opts \\ []), do: Operator.attach(stream, "Map", {:map, fun}, opts)
@@ -237,17 +240,13 @@ defmodule Situ do
 
   # Generators
 
-  @doc "See `Situ.Generator.sequence/5`."
+  @doc "See `Situ.Generator.sequence/4`."
   @doc group: "Generators"
-  defdelegate sequence(p, initial, next, interval, opts \\ []), to: Situ.Generator
+  defdelegate sequence(p, initial, next, opts), to: Situ.Generator
 
-  @doc "See `Situ.Generator.range/5`."
+  @doc "See `Situ.Generator.repeat/3`."
   @doc group: "Generators"
-  defdelegate range(p, start, count, interval, opts \\ []), to: Situ.Generator
-
-  @doc "See `Situ.Generator.repeat/4`."
-  @doc group: "Generators"
-  defdelegate repeat(p, value, interval, opts \\ []), to: Situ.Generator
+  defdelegate repeat(p, value, opts), to: Situ.Generator
 
   @doc "See `Situ.Generator.return/3`."
   @doc group: "Generators"
@@ -261,32 +260,31 @@ defmodule Situ do
   @doc group: "Generators"
   defdelegate from_enumerable(p, enumerable, opts \\ []), to: Situ.Generator
 
-  @doc "See `Situ.Generator.timer/3`."
+  @doc "See `Situ.Generator.timer/2`."
   @doc group: "Generators"
-  defdelegate timer(p, interval, opts \\ []), to: Situ.Generator
+  defdelegate timer(p, opts), to: Situ.Generator
 
-  @doc "See `Situ.Generator.event_source/4`."
+  @doc "See `Situ.Generator.event_source/3`."
   @doc group: "Generators"
-  defdelegate event_source(p, subscribe, unsubscribe \\ fn _ -> :ok end, opts \\ []),
-    to: Situ.Generator
+  defdelegate event_source(p, subscribe, opts \\ []), to: Situ.Generator
 
   # Filters
 
-  @doc "See `Situ.Filter.lowpass/3`."
+  @doc "See `Situ.Filter.lowpass/2`."
   @doc group: "Filters"
-  defdelegate lowpass(stream, rate, opts), to: Situ.Filter
+  defdelegate lowpass(stream, opts), to: Situ.Filter
 
-  @doc "See `Situ.Filter.highpass/3`."
+  @doc "See `Situ.Filter.highpass/2`."
   @doc group: "Filters"
-  defdelegate highpass(stream, rate, opts), to: Situ.Filter
+  defdelegate highpass(stream, opts), to: Situ.Filter
 
-  @doc "See `Situ.Filter.bandpass/3`."
+  @doc "See `Situ.Filter.bandpass/2`."
   @doc group: "Filters"
-  defdelegate bandpass(stream, rate, opts), to: Situ.Filter
+  defdelegate bandpass(stream, opts), to: Situ.Filter
 
-  @doc "See `Situ.Filter.bandstop/3`."
+  @doc "See `Situ.Filter.bandstop/2`."
   @doc group: "Filters"
-  defdelegate bandstop(stream, rate, opts), to: Situ.Filter
+  defdelegate bandstop(stream, opts), to: Situ.Filter
 
   @doc "See `Situ.Filter.denoise/2`."
   @doc group: "Filters"
@@ -323,19 +321,19 @@ defmodule Situ do
   @doc """
   Looks at a stream of a running pipeline: `fun` gets every `Situ.Message`, in a process of its own behind a lossy queue.
 
-  `target` is a stream, or `{pipeline, stream_name}`. Options: `policy:` and `name:`. `untap/1` ends it. See `Situ.Pipeline.Tap`;
-  for a tap that is built in from the start see `Situ.Tap`.
+  `target` is a stream, or `{pipeline, stream_name}`. Options: `policy:` and `name:`. `detach_tap/1` ends it. See `Situ.Pipeline.Tap`;
+  `tap/2` builds a tap into the pipeline from the start.
   """
-  @spec tap(
+  @spec attach_tap(
           Stream.t() | {Pipeline.target(), String.t()},
           (Situ.Message.t() -> any()),
           keyword()
         ) :: {:ok, Pipeline.Tap.t()} | {:error, Situ.Error.t()}
-  def tap(target, fun, opts), do: Pipeline.Tap.attach(target, fun, opts)
+  defdelegate attach_tap(target, fun, opts \\ []), to: Pipeline.Tap, as: :attach
 
-  @doc "Takes a tap away."
-  @spec untap(Pipeline.Tap.t()) :: :ok
-  defdelegate untap(tap), to: Pipeline.Tap, as: :detach
+  @doc "Takes a tap of `attach_tap/3` away."
+  @spec detach_tap(Pipeline.Tap.t()) :: :ok
+  defdelegate detach_tap(tap), to: Pipeline.Tap, as: :detach
 
   @doc """
   Prints a running pipeline as a table: edges with counts, queues, drops and latencies, and its processes.
@@ -350,15 +348,9 @@ defmodule Situ do
     end
   end
 
-  defp place(p, module, opts, common) do
-    {connect, common} = Keyword.split(common, [:policy])
-    {Pipeline.add(p, module, opts, common), connect}
-  end
+  defp only_input(%Node{inputs: [{input, _}]}), do: input
 
-  defp wire_single(stream, %Node{inputs: [{input, _}]} = node, connect),
-    do: Pipeline.connect(stream, node, input, connect)
-
-  defp wire_single(_stream, node, _connect) do
+  defp only_input(node) do
     raise ArgumentError,
           "#{node.path} has #{length(node.inputs)} inputs; name them: Situ.via([left: stream, ...], ...)"
   end

@@ -19,7 +19,7 @@ defmodule Situ.RuntimeGuidesTest do
         Enum.reduce(snippets, [], fn [code], bindings ->
           {_, bindings} =
             Code.eval_string(
-              "alias Situ.{Delivery, Generator, Pipeline, Time}\n_ = {Delivery, Generator, Pipeline, Time}\n" <>
+              "alias Situ.{Delivery, Pipeline, Time}\n_ = {Delivery, Pipeline, Time}\n" <>
                 code,
               bindings,
               file: path

@@ -49,7 +49,7 @@ defmodule Pictures.Delivery do
       Pipeline.start(
         fn p ->
           p
-          |> Situ.source(Pictures.Camera, [])
+          |> Situ.source(Pictures.Camera)
           |> Situ.map(fn i -> if i == 0 and :rand.uniform(2) == 1, do: :keep, else: i end)
           |> Situ.each(fn _ -> Process.sleep(9) end, policy: policy, name: "Consumer")
         end,

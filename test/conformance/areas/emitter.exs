@@ -73,7 +73,7 @@ defmodule Situ.Conformance.Emitter do
   end
 
   def check(%{"id" => "emitter-post-across" <> _} = case) do
-    {result, _} = collect(fn p -> p |> one() |> Situ.via(Stranger, [], async: true) end)
+    {result, _} = collect(fn p -> p |> one() |> Situ.via(Stranger, async: true) end)
     outcome(case, result, nil)
   end
 
@@ -88,13 +88,13 @@ defmodule Situ.Conformance.Emitter do
   def check(%{"op" => "subscribe", "id" => "subscribe-across" <> _} = case) do
     {p, q} = {Pipeline.new(), Pipeline.new()}
     stream = one(p)
-    node = Pipeline.add(q, Stranger, [])
+    node = Pipeline.add(q, Stranger)
     refused(case, [p, q], fn -> Pipeline.connect(stream, node, :in) end)
   end
 
   def check(%{"op" => "subscribe", "params" => %{"pipeline" => "running"}} = case) do
     p = Pipeline.new()
-    node = Pipeline.add(p, Stranger, [], inputs: [in: {:any, optional: true}])
+    node = Pipeline.add(p, Stranger, inputs: [in: {:any, optional: true}])
     # Infinite, or the pipeline may have ended before anyone could subscribe.
     stream = Situ.source(p, Script, actions: [{:out, 1, 1}, {:complete, :infinity}])
     :ok = Pipeline.start(p)
@@ -103,7 +103,7 @@ defmodule Situ.Conformance.Emitter do
 
   def check(%{"op" => "subscribe"} = case) do
     p = Pipeline.new()
-    node = Pipeline.add(p, Stranger, [])
+    node = Pipeline.add(p, Stranger)
     stream = one(p)
     :ok = Pipeline.connect(stream, node, :in)
     refused(case, [p], fn -> Pipeline.connect(stream, node, :in) end)

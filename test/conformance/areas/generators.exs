@@ -83,16 +83,32 @@ defmodule Situ.Conformance.Generators do
 
   defp generator({"sequence", flags}, p, params) do
     next = Formula.of_one(params["next"])
-    Situ.sequence(p, params["initial"] || 0, next, interval(params), options(params, flags))
+
+    Situ.sequence(
+      p,
+      params["initial"] || 0,
+      next,
+      [every: interval(params)] ++ options(params, flags)
+    )
   end
 
   defp generator({"range", flags}, p, params) do
     flags = params |> Map.delete("count") |> options(flags)
-    Situ.range(p, params["start"] || 0, params["count"] || 10, interval(params), flags)
+
+    Situ.from_enumerable(
+      p,
+      params["start"] || 0..(params["start"] || 0 + params["count"] || 10 - 1)//1,
+      [every: interval(params)] ++ flags
+    )
   end
 
   defp generator({"repeat", flags}, p, params),
-    do: Situ.repeat(p, Map.get(params, "value", 1), interval(params), options(params, flags))
+    do:
+      Situ.repeat(
+        p,
+        Map.get(params, "value", 1),
+        [every: interval(params)] ++ options(params, flags)
+      )
 
   defp generator({"return", _flags}, p, params), do: Situ.return(p, Map.get(params, "value", 1))
   defp generator({"once", _flags}, p, params), do: Situ.once(p, Map.get(params, "value", 1))

@@ -79,7 +79,9 @@ defmodule Situ.Conformance.Operators do
       Situ.Pipeline.start(
         fn p ->
           p
-          |> Situ.event_source(&send(me, {:post, &1}), fn _ -> send(me, :unsubscribed) end)
+          |> Situ.event_source(&send(me, {:post, &1}),
+            unsubscribe: fn _ -> send(me, :unsubscribed) end
+          )
           |> Situ.each(&send(me, {:value, &1}))
         end,
         []
@@ -122,7 +124,7 @@ defmodule Situ.Conformance.Operators do
   defp nested(stream, depth, extra) do
     Situ.composite(stream, "Level#{depth}", fn inner ->
       if extra == :infinite,
-        do: Situ.repeat(inner.pipeline, :tick, Situ.Time.ms(1), name: "Endless")
+        do: Situ.repeat(inner.pipeline, :tick, every: Situ.Time.ms(1), name: "Endless")
 
       if extra == :finite, do: Situ.return(inner.pipeline, :tick, name: "Once")
       inner |> Situ.map(& &1) |> nested(depth - 1, extra)

@@ -84,7 +84,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
   end
 
   def check(%{"op" => "run", "params" => %{"empty_sequences" => n}} = case) do
-    result = Pipeline.run(fn p -> for _ <- 1..n, do: Situ.source(p, Situ.Pipeline.Empty, []) end)
+    result = Pipeline.run(fn p -> for _ <- 1..n, do: Situ.source(p, Situ.Pipeline.Empty) end)
 
     verdict(case["expect"], %{"completed" => match?({:ok, _}, result), "errors" => errors(result)})
   end
@@ -94,7 +94,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
     p = Pipeline.new()
     Situ.source(p, Source, kind: :infinite)
     :ok = Pipeline.start(p)
-    result = attempt(fn -> Situ.range(p, 0, 10, 100) end)
+    result = attempt(fn -> Situ.from_enumerable(p, 0..9, every: 100) end)
     Pipeline.stop(p)
     outputs(case, result)
   end
@@ -108,7 +108,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
           if params["source_start"] || params["start"], do: Situ.source(p, Source, kind: :raises)
 
           if params["generator"] || params["source"],
-            do: Situ.sequence(p, 0, &div(1, &1), ms(1), count: 2)
+            do: Situ.sequence(p, 0, &div(1, &1), every: ms(1), count: 2)
 
           inner =
             Pipeline.composite(p, "Sub", fn sub ->
@@ -134,7 +134,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
 
     {:ok, _} =
       Pipeline.run(fn p ->
-        nodes = for name <- names, do: Pipeline.add(p, Probe, [tell: tell], name: name)
+        nodes = for name <- names, do: Pipeline.add(p, Probe, tell: tell, name: name)
 
         for {from, to} <- Enum.zip(nodes, tl(nodes) ++ [hd(nodes)]),
             do: Pipeline.connect(Situ.Node.output(from, :out), to, :in)

@@ -11,9 +11,9 @@ defmodule Situ.Graph.CycleTest do
   defp graph do
     {graph, _} =
       Graph.build(fn p ->
-        a = Pipeline.add(p, Two, [], name: "A")
-        b = Pipeline.add(p, Two, [], name: "B")
-        c = Pipeline.add(p, Two, [], name: "C")
+        a = Pipeline.add(p, Two, name: "A")
+        b = Pipeline.add(p, Two, name: "B")
+        c = Pipeline.add(p, Two, name: "C")
         out = &Situ.Node.output(&1, :out)
         Pipeline.connect(out.(a), b, :a)
         Pipeline.connect(out.(b), c, :a)

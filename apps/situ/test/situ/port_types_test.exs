@@ -14,8 +14,8 @@ defmodule Situ.PortTypesTest do
   test "a tuple type with an optional element is a type, not a port's options" do
     assert {:ok, %{errors: []}} =
              Situ.Pipeline.run(fn p ->
-               pairs = Situ.from_enumerable(p, [{nil, 1}, {2, 3}], interval: 1)
-               node = Situ.Pipeline.add(p, Pairs, [])
+               pairs = Situ.from_enumerable(p, [{nil, 1}, {2, 3}], every: 1)
+               node = Situ.Pipeline.add(p, Pairs)
                assert node.inputs == [in: {:tuple, [{:optional, :integer}, :integer]}]
                Situ.Pipeline.connect(pairs, node, :in)
              end)

@@ -108,7 +108,7 @@ defmodule Situ.ReproducibleTest do
     build = fn p ->
       sources =
         for {batches, i} <- Enum.with_index(scheduled),
-            do: Situ.source(p, Schedule, [batches: batches], name: "Input#{i}")
+            do: Situ.source(p, Schedule, batches: batches, name: "Input#{i}")
 
       streams =
         graph

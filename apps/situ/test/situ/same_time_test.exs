@@ -50,7 +50,7 @@ defmodule Situ.SameTimeTest do
       Pipeline.run(
         fn p ->
           p
-          |> Situ.source(Times, opts, common)
+          |> Situ.source(Times, opts ++ common)
           |> Situ.each(fn n, m -> send(me, {tag, m.originating_time, n}) end)
         end,
         pipeline: [replay: [interval: {0, 1_000}, speed: :max]]

@@ -40,12 +40,12 @@ defmodule Situ.Infer do
   """
   @spec who_speaks(Stream.t(), Stream.t() | nil, keyword()) :: Stream.t()
   def who_speaks(mouths, voice, opts \\ []),
-    do: mouths |> beside(voice) |> Situ.via(ActiveSpeaker, opts, name: "ActiveSpeaker")
+    do: mouths |> beside(voice) |> Situ.via(ActiveSpeaker, opts)
 
   defp beside(mouths, nil), do: Situ.map(mouths, &{&1, nil}, type: {:tuple, [mouths.type, :any]})
 
   defp beside(mouths, voice),
     do: Situ.join(mouths, voice, Situ.Reproducible.nearest(@near, or_default: nil))
 
-  defp hear(sound, opts), do: Situ.via(sound, VoiceActivity, opts, name: "VoiceActivity")
+  defp hear(sound, opts), do: Situ.via(sound, VoiceActivity, opts)
 end

@@ -13,10 +13,9 @@ defmodule Situ.Audio do
   The originating time of a buffer is the time of its **end**, and every operator keeps that exact to the sample.
   All take the common options `name:`, `policy:`, `async:` and `on_error:` besides their own.
   """
+  alias Situ.Graph.Placement
   alias Situ.{AudioBuffer, AudioFormat, Error, Operator, Sound, Stream}
   alias Situ.Audio.{Analyzer, Level, Mixer, Reframer, Resampler, Streamline}
-
-  @common [:name, :policy, :async, :on_error]
 
   @doc """
   At another rate; `quality:` as in `Situ.Audio.Resampler`.
@@ -28,13 +27,13 @@ defmodule Situ.Audio do
       {200_000_000, 3200}
   """
   @spec resample(Stream.t(), pos_integer(), keyword()) :: Stream.t()
-  def resample(stream, rate, opts \\ []), do: via(stream, Resampler, [rate: rate] ++ opts)
+  def resample(stream, rate, opts \\ []), do: Situ.via(stream, Resampler, [rate: rate] ++ opts)
 
   @doc "In another sample type or number of channels: `Situ.Sound.reformat/2`."
   @spec reformat(Stream.t(), keyword()) :: Stream.t()
   def reformat(stream, opts) do
-    {common, opts} = Keyword.split(opts, @common)
-    map(stream, "Reformat", &Error.unwrap!(Sound.reformat(&1, opts)), common)
+    {placed, opts} = Placement.apart(opts, :component)
+    map(stream, "Reformat", &Error.unwrap!(Sound.reformat(&1, opts)), placed)
   end
 
   @doc "The mean of all channels."
@@ -79,10 +78,7 @@ defmodule Situ.Audio do
       [1, 11, 10]
   """
   @spec mix(Stream.t(), Stream.t(), keyword()) :: Stream.t()
-  def mix(stream, other, opts \\ []) do
-    {common, opts} = Keyword.split(opts, @common)
-    Situ.via([in: stream, other: other], Mixer, opts, common)
-  end
+  def mix(stream, other, opts \\ []), do: Situ.via([in: stream, other: other], Mixer, opts)
 
   @doc """
   In buffers of an exact size: `frames:` or `duration:`, and `hop:` for overlapping ones (`Situ.Audio.Reframer`).
@@ -94,17 +90,17 @@ defmodule Situ.Audio do
       [{2_000_000, [1, 2]}, {4_000_000, [3, 4]}]
   """
   @spec reframe(Stream.t(), keyword()) :: Stream.t()
-  def reframe(stream, opts), do: via(stream, Reframer, opts)
+  def reframe(stream, opts), do: Situ.via(stream, Reframer, opts)
 
   @doc "Gaps, overlaps and shaky times made good: `Situ.Audio.Streamline`."
   @spec streamline(Stream.t(), keyword()) :: Stream.t()
-  def streamline(stream, opts \\ []), do: via(stream, Streamline, opts)
+  def streamline(stream, opts \\ []), do: Situ.via(stream, Streamline, opts)
 
   @doc """
   Acoustic features, a map of streams (`:log_energy`, `:zero_crossing_rate`, ...): `Situ.Audio.Analyzer`.
   """
   @spec features(Stream.t(), keyword()) :: %{atom() => Stream.t()}
-  def features(stream, opts \\ []), do: via(stream, Analyzer, opts)
+  def features(stream, opts \\ []), do: Situ.via(stream, Analyzer, opts)
 
   @doc "The logarithms of `bands` mel bands (default 40) of each frame, a stream of lists."
   @spec log_mel(Stream.t(), keyword()) :: Stream.t()
@@ -139,9 +135,4 @@ defmodule Situ.Audio do
 
   defp map(stream, name, fun, opts),
     do: Operator.attach(stream, name, {:map, fun}, opts, AudioBuffer)
-
-  defp via(stream, component, opts) do
-    {common, opts} = Keyword.split(opts, @common)
-    Situ.via(stream, component, opts, common)
-  end
 end

@@ -18,13 +18,12 @@ defmodule Situ.Vision do
   format) raises the operator's `Situ.Error` inside the component, so `on_error: :skip` passes over it.
 
       iex> image = Situ.Image.filled(4, 2, :bgr24, [0, 0, 255])
-      iex> Situ.to_list(fn p -> p |> Situ.repeat(image, 10, count: 2) |> Situ.Vision.convert(:gray8) |> Situ.Vision.resize(2, 1) end)
+      iex> Situ.to_list(fn p -> p |> Situ.repeat(image, every: 10, count: 2) |> Situ.Vision.convert(:gray8) |> Situ.Vision.resize(2, 1) end)
       [Situ.Image.filled(2, 1, :gray8, 76), Situ.Image.filled(2, 1, :gray8, 76)]
   """
+  alias Situ.Graph.Placement
   alias Situ.{DepthImage, EncodedImage, Error, Image, Operator, Stream}
   alias Situ.Imaging.{Drawing, Files, Filter, Geometry, Measure, Pixels}
-
-  @common [:name, :type, :policy, :async, :on_error]
 
   # Each row: function, its arguments after the picture, the module it is in, the type that comes out.
   @operators [
@@ -84,9 +83,9 @@ defmodule Situ.Vision do
           ) ::
             Stream.t()
     def unquote(name)(stream, unquote_splicing(vars), opts \\ []) do
-      {common, opts} = Keyword.split(opts, @common)
+      {placed, opts} = Placement.apart(opts, :operator)
       fun = &Error.unwrap!(unquote(module).unquote(name)(&1, unquote_splicing(vars), opts))
-      Operator.attach(stream, unquote(label), {:map, fun}, common, unquote(type))
+      Operator.attach(stream, unquote(label), {:map, fun}, placed, unquote(type))
     end
   end
 
@@ -114,12 +113,12 @@ defmodule Situ.Vision do
   `clip: true`; so the type is `{:optional, Situ.Image}`, or that of depth images for a stream of them.
 
       iex> {image, rect} = {Situ.Image.filled(4, 4, :gray8), Situ.Rect.new!(1, 1, 2, 2)}
-      iex> Situ.to_list(fn p -> p |> Situ.repeat({image, rect}, 10, count: 1) |> Situ.Vision.crop(:paired) end)
+      iex> Situ.to_list(fn p -> p |> Situ.repeat({image, rect}, every: 10, count: 1) |> Situ.Vision.crop(:paired) end)
       [Situ.Image.filled(2, 2, :gray8)]
   """
   @spec crop(Stream.t(), Situ.Rect.t() | tuple() | :paired, keyword()) :: Stream.t()
   def crop(stream, rect, opts \\ []) do
-    {common, opts} = Keyword.split(opts, @common)
+    {placed, opts} = Placement.apart(opts, :operator)
 
     fun =
       if rect == :paired,
@@ -127,7 +126,7 @@ defmodule Situ.Vision do
         else: fn image -> Error.unwrap!(Geometry.crop(image, rect, opts)) end
 
     picture = if depth?(stream.type), do: DepthImage, else: Image
-    Operator.attach(stream, "Crop", {:map, fun}, common, {:optional, picture})
+    Operator.attach(stream, "Crop", {:map, fun}, placed, {:optional, picture})
   end
 
   defp depth?(DepthImage), do: true
@@ -138,14 +137,14 @@ defmodule Situ.Vision do
   `:gray16` pictures as depth images, without a copy; `semantics:` and `scale:` as in `Situ.DepthImage`.
 
       iex> image = Situ.Image.filled(2, 1, :gray16, 1500)
-      iex> Situ.to_list(fn p -> p |> Situ.repeat(image, 10, count: 1) |> Situ.Vision.to_depth(scale: 0.002) end)
+      iex> Situ.to_list(fn p -> p |> Situ.repeat(image, every: 10, count: 1) |> Situ.Vision.to_depth(scale: 0.002) end)
       [Situ.DepthImage.new!(width: 2, height: 1, data: image.data, scale: 0.002)]
   """
   @spec to_depth(Stream.t(), keyword()) :: Stream.t()
   def to_depth(stream, opts \\ []) do
-    {common, opts} = Keyword.split(opts, @common)
+    {placed, opts} = Placement.apart(opts, :operator)
     fun = &Error.unwrap!(DepthImage.from_gray16(&1, opts))
-    Operator.attach(stream, "To depth", {:map, fun}, common, DepthImage)
+    Operator.attach(stream, "To depth", {:map, fun}, placed, DepthImage)
   end
 
   @doc "Depth images as `:gray16` pictures, without a copy: for every operator on pictures."
@@ -156,9 +155,9 @@ defmodule Situ.Vision do
   @doc "JPEG or PNG (`Situ.EncodedImage` or binaries) as pictures: `Situ.Imaging.parse/2`."
   @spec decode(Stream.t(), keyword()) :: Stream.t()
   def decode(stream, opts \\ []) do
-    {common, opts} = Keyword.split(opts, @common)
+    {placed, opts} = Placement.apart(opts, :operator)
     fun = &Error.unwrap!(Files.parse(&1, opts))
-    Operator.attach(stream, "Decode", {:map, fun}, common, Image)
+    Operator.attach(stream, "Decode", {:map, fun}, placed, Image)
   end
 
   @doc """
@@ -191,22 +190,22 @@ defmodule Situ.Vision do
   How alike the pictures of two streams with the same times are: a stream of maps, `Situ.Imaging.compare/3`.
 
       iex> {a, b} = {Situ.Image.filled(2, 1, :gray8, 3), Situ.Image.filled(2, 1, :gray8, 5)}
-      iex> Situ.to_list(fn p -> Situ.Vision.compare(Situ.repeat(p, a, 10, count: 1), Situ.repeat(p, b, 10, count: 1), tolerance: 1) end)
+      iex> Situ.to_list(fn p -> Situ.Vision.compare(Situ.repeat(p, a, every: 10, count: 1), Situ.repeat(p, b, every: 10, count: 1), tolerance: 1) end)
       [%{equal?: false, max: 2, mean: 2.0, outliers: 1.0}]
   """
   @spec compare(Stream.t(), Stream.t(), keyword()) :: Stream.t()
   def compare(stream, other, opts \\ []) do
-    {common, opts} = Keyword.split(opts, @common)
+    {placed, opts} = Placement.apart(opts, :operator)
     fun = fn {a, b} -> Error.unwrap!(Measure.compare(a, b, opts)) end
-    stream |> Situ.join(other) |> Operator.attach("Compare", {:map, fun}, common, :map)
+    stream |> Situ.join(other) |> Operator.attach("Compare", {:map, fun}, placed, :map)
   end
 
   @doc "Boxes with labels on each picture of a stream of `{image, [Situ.Rect]}`."
   @spec draw_detections(Stream.t(), keyword()) :: Stream.t()
   def draw_detections(stream, opts \\ []) do
-    {common, opts} = Keyword.split(opts, @common)
+    {placed, opts} = Placement.apart(opts, :operator)
     fun = fn {image, rects} -> Error.unwrap!(Drawing.draw_detections(image, rects, opts)) end
-    Operator.attach(stream, "Draw detections", {:map, fun}, common, Image)
+    Operator.attach(stream, "Draw detections", {:map, fun}, placed, Image)
   end
 
   @doc "Any function from picture to picture: `{:ok, image}`, `{:error, error}` or the picture itself."

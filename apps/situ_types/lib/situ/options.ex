@@ -16,7 +16,8 @@ defmodule Situ.Options do
 
   @type type :: atom() | tuple()
   @type schema :: [
-          {atom(), [type: type(), default: term(), required: boolean(), doc: String.t()]}
+          {atom(),
+           [type: type(), default: term(), required: boolean(), doc: String.t() | false]}
         ]
 
   @doc """
@@ -34,7 +35,7 @@ defmodule Situ.Options do
   @spec validate(keyword(), schema()) :: {:ok, keyword()} | {:error, Error.t()}
   def validate(opts, schema) do
     with :ok <- check_keyword(opts),
-         :ok <- check_known(opts, Keyword.keys(schema)) do
+         :ok <- check_known(opts, schema) do
       collect(schema, opts, [])
     end
   end
@@ -49,14 +50,16 @@ defmodule Situ.Options do
   end
 
   @doc """
-  Renders `schema` as a Markdown list, to interpolate into a `@moduledoc`.
+  Renders `schema` as a Markdown list, to interpolate into a `@moduledoc`; options with `doc: false` are left out.
 
       iex> Situ.Options.docs(rate: [type: :pos_integer, default: 16_000, doc: "Samples per second."])
       "  * `:rate` (a positive integer, default `16000`) - Samples per second."
   """
   @spec docs(schema()) :: String.t()
   def docs(schema) do
-    Enum.map_join(schema, "\n", fn {key, spec} ->
+    schema
+    |> Enum.reject(&hidden?/1)
+    |> Enum.map_join("\n", fn {key, spec} ->
       "  * `#{inspect(key)}` (#{describe(spec[:type] || :any)}#{presence(spec)})#{doc(spec[:doc])}"
     end)
   end
@@ -96,16 +99,22 @@ defmodule Situ.Options do
         {:error, Error.new(:bad_options, "options must be a keyword list, got: #{inspect(opts)}")}
   end
 
-  defp check_known(opts, known) do
-    case Enum.find(Keyword.keys(opts), &(&1 not in known)) do
+  defp hidden?({_key, spec}), do: spec[:doc] == false
+
+  defp check_known(opts, schema) do
+    case Enum.find(Keyword.keys(opts), &(not Keyword.has_key?(schema, &1))) do
       nil ->
         :ok
 
       bad ->
+        known = schema |> Enum.reject(&hidden?/1) |> Keyword.keys()
+
         {:error,
          Error.new(:unknown_option, "unknown option #{inspect(bad)}", fix: hint(bad, known))}
     end
   end
+
+  defp hint(_bad, []), do: "there are no options here"
 
   defp hint(bad, known) do
     list = "Known options: " <> Enum.map_join(known, ", ", &inspect/1)

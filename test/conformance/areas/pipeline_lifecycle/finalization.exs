@@ -72,7 +72,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Finalization do
         sub = Enum.find_value(subs, fn {sub, members} -> name in members && sub end)
 
         {name,
-         Pipeline.add(scope(p, sub), module, [tell: tell, gen: name in generators], name: name)}
+         Pipeline.add(scope(p, sub), module, tell: tell, gen: name in generators, name: name)}
       end
 
     for {a, output, b, input} <- edges do

@@ -5,12 +5,12 @@ defmodule Situ.Graph do
   Everything here is pure. `Situ.Graph.Builder` holds the graph being built; `Situ.Graph.build/1` builds one without any
   pipeline process, for components that run graphs of their own:
 
-      iex> {graph, node} = Situ.Graph.build(fn p -> Situ.Pipeline.add(p, Situ.Pipeline.Empty, [], name: "A") end)
+      iex> {graph, node} = Situ.Graph.build(fn p -> Situ.Pipeline.add(p, Situ.Pipeline.Empty, name: "A") end)
       iex> {node.path, Map.keys(graph.vertices)}
       {"A", [1]}
   """
   alias Situ.{Delivery, Error, Options, Type}
-  alias Situ.Graph.{Edge, Vertex}
+  alias Situ.Graph.{Edge, Placement, Vertex}
 
   defstruct vertices: %{},
             edges: %{},
@@ -40,43 +40,32 @@ defmodule Situ.Graph do
           replay: {Situ.Time.t() | :unbounded, Situ.Time.t() | :unbounded}
         }
 
-  @common [
-    name: [type: :string],
-    default_name: [type: :string],
-    on_error: [type: {:in, [:stop, :skip, :restart]}, default: :stop],
-    async: [type: :boolean, default: false],
-    check: [type: {:in, [:first, :all, :off]}, default: :first],
-    on_same_time: [type: {:in, [:error, :drop, :nudge]}, default: :error],
-    inputs: [type: :keyword],
-    outputs: [type: :keyword]
-  ]
-
   @doc "Runs `fun` with a handle of a new graph held by this process alone; returns the graph and the function's result."
   @spec build((Situ.Graph.Handle.t() -> result)) :: {t(), result} when result: term()
   def build(fun) when is_function(fun, 1), do: Situ.Graph.Builder.collect(fun)
 
-  @doc "Adds a component; `common` are the options every component takes. Raises `Situ.Error`."
-  @spec add(t(), Situ.Graph.Handle.t(), module(), keyword(), keyword()) :: {Situ.Node.t(), t()}
-  def add(%__MODULE__{} = graph, handle, module, opts, common) do
+  @doc "Adds a component; `opts` are its own and those of `Situ.Graph.Placement`. Raises `Situ.Error`."
+  @spec add(t(), Situ.Graph.Handle.t(), module(), keyword()) :: {Situ.Node.t(), t()}
+  def add(%__MODULE__{} = graph, handle, module, opts) do
     check_module!(module)
-    common = Options.validate!(common, @common)
-    opts = Options.validate!(opts, module.options())
+    {opts, placed} = Placement.split!(opts, module.options(), :component)
 
     vertex = %Vertex{
       id: graph.next_vertex,
       module: module,
       opts: opts,
-      inputs: ports(common[:inputs] || module.inputs()),
+      inputs: ports(placed[:inputs] || module.inputs()),
       outputs: [],
-      on_error: common[:on_error],
-      async: common[:async],
-      check: common[:check],
-      on_same_time: common[:on_same_time],
+      policy: placed[:policy],
+      on_error: placed[:on_error],
+      async: placed[:async],
+      check: placed[:check],
+      on_same_time: placed[:on_same_time],
       scope: handle.scope
     }
 
-    name = common[:name] || common[:default_name] || default_name(module)
-    insert(graph, handle, vertex, common[:outputs] || module.outputs(), name, common[:name])
+    name = placed[:name] || placed[:default_name] || default_name(module)
+    insert(graph, handle, vertex, placed[:outputs] || module.outputs(), name, placed[:name])
   end
 
   @doc "Adds a light operator behind `stream`; see `Situ.Operator.attach/5`."
@@ -96,7 +85,7 @@ defmodule Situ.Graph do
       scope: stream.pipeline.scope
     }
 
-    name = opts[:name] || spec.name
+    name = opts[:name] || opts[:default_name] || spec.name
 
     {node, graph} =
       insert(graph, stream.pipeline, vertex, [out: spec.out_type], name, opts[:name])
@@ -115,13 +104,14 @@ defmodule Situ.Graph do
     port = Keyword.get(to.inputs, input) || raise unknown_port(:input, node, input)
     check_free!(graph, to, input)
     check_types!(from, stream, to, input, port.type)
+    policy = opts[:policy] || to.policy
 
     edge = %Edge{
       id: graph.next_edge,
       from: {from.id, stream.output},
       to: {to.id, input},
-      policy: opts[:policy] || graph.default_policy || Delivery.unlimited(),
-      explicit: opts[:policy] != nil
+      policy: policy || graph.default_policy || Delivery.unlimited(),
+      explicit: policy != nil
     }
 
     {:ok, %{graph | edges: Map.put(graph.edges, edge.id, edge), next_edge: edge.id + 1}}

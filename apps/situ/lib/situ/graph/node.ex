@@ -1,6 +1,6 @@
 defmodule Situ.Node do
   @moduledoc """
-  A component placed in a pipeline: what `Situ.Pipeline.add/4` returns and what streams are connected to.
+  A component placed in a pipeline: what `Situ.Pipeline.add/3` returns and what streams are connected to.
 
     * `pipeline`: the handle it belongs to
     * `id`: 1, 2, 3 ... in the order of construction
@@ -8,7 +8,7 @@ defmodule Situ.Node do
     * `module`: the component's module, or `:operator`
     * `inputs`, `outputs`: keyword lists of name and type
 
-      iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.Pipeline.add(p, Situ.Pipeline.Empty, []) end)
+      iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.Pipeline.add(p, Situ.Pipeline.Empty) end)
       iex> report.result.path
       "Empty"
   """

@@ -23,26 +23,13 @@ defmodule Situ.Operator do
         end
       end
 
-  ## Options of every operator
-
-  #{Situ.Options.docs(name: [type: :string, doc: "The node's name; default the operator's."], type: [type: :any, doc: "Type of the output."], policy: [type: {:struct, Situ.Delivery}, doc: "Delivery policy of the input."], async: [type: :boolean, default: false, doc: "Give it a process of its own."], on_error: [type: {:in, [:stop, :skip, :restart]}, default: :stop, doc: "What a raising function does."])}
+  Every operator takes the options of `Situ.Graph.Placement`: `name:`, `type:`, `policy:`, `async:` and `on_error:`.
   """
-  alias Situ.{Graph, Options, Stream}
+  alias Situ.{Graph, Node, Stream}
+  alias Situ.Graph.{Builder, Placement}
 
   @type step ::
           {:map, fun()} | {:filter, fun()} | {:each, fun()} | {:step, fun(), state :: term()}
-
-  @schema [
-    name: [type: :string],
-    type: [type: :any],
-    policy: [type: {:optional, {:struct, Situ.Delivery}}],
-    async: [type: :boolean, default: false],
-    on_error: [type: {:in, [:stop, :skip, :restart]}, default: :stop]
-  ]
-
-  @doc "The schema of the options every operator takes, to merge into your own."
-  @spec schema() :: Options.schema()
-  def schema, do: @schema
 
   @doc """
   Adds a light operator behind `stream` and returns its output stream. `name` is its default name; `default_type` the
@@ -51,14 +38,58 @@ defmodule Situ.Operator do
   @spec attach(Stream.t(), String.t(), step(), keyword(), Situ.Type.t()) :: Stream.t()
   def attach(%Stream{} = stream, name, step, opts \\ [], default_type \\ :any) do
     check_step!(step)
-    opts = Options.validate!(opts, @schema)
+    {[], opts} = Placement.split!(opts, [], :operator)
     type = opts[:type] || default_type
     spec = %{step: step, name: name, in_type: :any, out_type: type, opts: opts}
 
     stream.pipeline
-    |> Graph.Builder.run(&Graph.add_operator(&1, stream, spec))
-    |> Situ.Node.output(:out)
+    |> Builder.run(&Graph.add_operator(&1, stream, spec))
+    |> Node.output(:out)
   end
+
+  @doc """
+  Adds a component with one output, `:out`, behind a stream (or `[input: stream, ...]`) and returns its output stream: for operators that
+  are more than a step. `{module, own}` is the component and its own options; the rest as in `attach/5`.
+
+  `policy:` may be a list here, one for each input.
+  """
+  @spec through(
+          Stream.t() | keyword(Stream.t()),
+          String.t(),
+          {module(), keyword()},
+          keyword(),
+          Situ.Type.t()
+        ) :: Stream.t()
+  def through(streams, name, component, opts \\ [], default_type \\ :any)
+
+  def through(%Stream{} = stream, name, component, opts, default_type),
+    do: through([in: stream], name, component, opts, default_type)
+
+  def through([{_, first} | _] = inputs, name, {module, own}, opts, default_type) do
+    {policies, opts} = Keyword.pop(opts, :policy)
+    {[], opts} = Placement.split!(opts, [], :operator)
+    {type, opts} = Keyword.pop(opts, :type)
+    ports = for {input, stream} <- inputs, do: {input, stream.type}
+    placed = [inputs: ports, outputs: [out: type || default_type]]
+    opts = own ++ placed ++ Keyword.put_new(opts, :default_name, name)
+    handle = first.pipeline
+    node = Builder.run(handle, &Graph.add(&1, handle, module, opts))
+
+    inputs
+    |> Enum.zip(policies(policies, length(inputs)))
+    |> Enum.each(fn {{input, stream}, policy} ->
+      Builder.run(handle, &Graph.connect(&1, stream, node, input, policy: policy))
+    end)
+
+    Node.output(node, :out)
+  end
+
+  defp policies(policies, n) when is_list(policies) and length(policies) == n, do: policies
+
+  defp policies(policies, n) when is_list(policies),
+    do: raise(ArgumentError, "#{length(policies)} policies for #{n} inputs")
+
+  defp policies(policy, n), do: List.duplicate(policy, n)
 
   defp check_step!({kind, fun}) when kind in [:map, :filter, :each] and is_function(fun, 1),
     do: :ok

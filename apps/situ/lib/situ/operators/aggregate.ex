@@ -1,4 +1,25 @@
 defmodule Situ.Aggregate do
+  @where [
+    type: {:fun, 1},
+    doc:
+      "Only messages (with `:list`: elements) for which it is true; the others cause no output."
+  ]
+  @schema [
+    over: [type: :any, default: :all, doc: "See the table."],
+    where: @where,
+    by: [type: {:fun, 1}, doc: "The number in a message (with `:list`: in an element)."],
+    nullable: [
+      type: :boolean,
+      doc: "An empty list gives `nil` for the least, greatest and average, instead of an error."
+    ],
+    initial: [type: :any, doc: "The running deviation of one number, default `:nan`."],
+    compare: [
+      type: {:fun, 2},
+      doc: "For the least and greatest: whether the first comes before the second or is equal."
+    ]
+  ]
+  @base [type: :number, doc: "The base; by default that of the natural logarithm."]
+
   @moduledoc """
   Statistics of streams of numbers. All are on `Situ` too: `Situ.sum/2` ...
 
@@ -18,28 +39,20 @@ defmodule Situ.Aggregate do
       Situ.count(words, where: &(&1 != ""))
       Situ.max(faces, over: :list, by: & &1.score, nullable: true)
 
-      iex> Situ.to_list(fn p -> p |> Situ.range(1, 5, 10) |> Situ.average(over: {:last, 2}) end)
+      iex> Situ.to_list(fn p -> p |> Situ.from_enumerable(1..5, every: 10) |> Situ.average(over: {:last, 2}) end)
       [1.5, 2.5, 3.5, 4.5]
 
   ## Options
 
-  #{Situ.Options.docs(over: [type: :any, default: :all, doc: "See the table."], where: [type: {:fun, 1}, doc: "Only messages (with `:list`: elements) for which it is true; the others cause no output."], by: [type: {:fun, 1}, doc: "The number in a message (with `:list`: in an element)."], nullable: [type: :boolean, doc: "Nothing to take the least, greatest or average of gives `nil` and is no error."], initial: [type: :any, doc: "The running deviation of one number, default `:nan`."], compare: [type: {:fun, 2}, doc: "For the least and greatest: whether the first comes before the second or is equal."])}
+  #{Situ.Options.docs(@schema)}
 
-  and `name:`, `type:`, `policy:`, `on_error:`, `async:` as for every operator (`Situ.Operator`).
+  and those of every operator (`Situ.Graph.Placement`).
   """
 
   import Kernel, except: [abs: 1, max: 2, min: 2]
 
-  alias Situ.{Interval, Number, Operator, Options, Statistics, Stream, Window}
-
-  @schema [
-    over: [type: :any, default: :all],
-    where: [type: {:fun, 1}],
-    by: [type: {:fun, 1}],
-    nullable: [type: :boolean],
-    initial: [type: :any],
-    compare: [type: {:fun, 2}]
-  ]
+  alias Situ.Graph.Placement
+  alias Situ.{Interval, Number, Operator, Statistics, Stream, Window}
 
   @doc """
   Folds without an initial value: the first message passes as it is, then `fun.(data, previous_output)`.
@@ -86,29 +99,23 @@ defmodule Situ.Aggregate do
   """
   @spec delta(Stream.t(), keyword()) :: Stream.t()
   def delta(stream, opts \\ []) do
-    {stream, opts} = filtered(stream, opts)
-
-    Window.window(
-      stream,
-      0..1,
-      fn [this, next] -> Number.subtract(next, this) end,
-      name("Delta", opts)
-    )
+    {stream, _own, placed} = filtered(stream, opts, where: @where)
+    fun = fn [this, next] -> Number.subtract(next, this) end
+    Window.window(stream, 0..1, fun, name("Delta", placed))
   end
 
   @doc "Each number without its sign. `where:` filters first."
   @spec abs(Stream.t(), keyword()) :: Stream.t()
   def abs(stream, opts \\ []) do
-    {stream, opts} = filtered(stream, opts)
-    Operator.attach(stream, "Abs", {:map, &Number.abs/1}, opts, stream.type)
+    {stream, _own, placed} = filtered(stream, opts, where: @where)
+    Operator.attach(stream, "Abs", {:map, &Number.abs/1}, placed, stream.type)
   end
 
   @doc "The logarithm of each number: natural, or to `base:`. `where:` filters first."
   @spec log(Stream.t(), keyword()) :: Stream.t()
   def log(stream, opts \\ []) do
-    {base, opts} = Keyword.pop(opts, :base)
-    {stream, opts} = filtered(stream, opts)
-    Operator.attach(stream, "Log", {:map, logarithm(base)}, opts, :any)
+    {stream, own, placed} = filtered(stream, opts, where: @where, base: @base)
+    Operator.attach(stream, "Log", {:map, logarithm(own[:base])}, placed, :any)
   end
 
   defp logarithm(nil), do: &Number.log/1
@@ -123,8 +130,7 @@ defmodule Situ.Aggregate do
   end
 
   defp statistic(%Stream{} = stream, kind, opts) do
-    {own, opts} = Keyword.split(opts, Keyword.keys(@schema))
-    own = Options.validate!(own, @schema)
+    {own, opts} = Placement.split!(opts, @schema, :operator)
     name = kind |> Atom.to_string() |> String.capitalize()
     over(own[:over], stream, {kind, name, own}, opts)
   end
@@ -163,7 +169,11 @@ defmodule Situ.Aggregate do
     end
   end
 
-  defp filtered(stream, opts), do: narrowed(stream, opts)
+  defp filtered(stream, opts, schema) do
+    {own, placed} = Placement.split!(opts, schema, :operator)
+    {stream, own} = narrowed(stream, own)
+    {stream, own, placed}
+  end
 
   defp name(name, opts), do: Keyword.put_new(opts, :default_name, name)
 

@@ -21,7 +21,7 @@ defmodule Situ.Available do
   @spec nearest(Reproducible.window() | keyword(), keyword()) :: Interpolator.t()
   def nearest(window \\ Interval.infinite(), opts \\ []) do
     {window, opts} = Interpolator.window(window, opts, Interval.infinite())
-    Interpolator.new(Nearest, {window, false}, opts)
+    Interpolator.new(Nearest, {window, false}, [gives: :messages] ++ opts)
   end
 
   @doc "The first arrived message in the window (default: from the asked time on)."
@@ -29,13 +29,13 @@ defmodule Situ.Available do
   def first(window \\ Interval.future(), opts \\ []) do
     {window, opts} = Interpolator.window(window, opts, Interval.future())
     Reproducible.left_bounded!(window)
-    Interpolator.new(First, {window, false}, opts)
+    Interpolator.new(First, {window, false}, [gives: :messages] ++ opts)
   end
 
   @doc "The last arrived message in the window (default: up to the asked time)."
   @spec last(Reproducible.window() | keyword(), keyword()) :: Interpolator.t()
   def last(window \\ Interval.past(), opts \\ []) do
     {window, opts} = Interpolator.window(window, opts, Interval.past())
-    Interpolator.new(Last, {window, false}, opts)
+    Interpolator.new(Last, {window, false}, [gives: :messages] ++ opts)
   end
 end

@@ -36,7 +36,7 @@ defmodule Situ.Branch do
   def seed(type \\ :any) do
     Graph.build(fn p ->
       p
-      |> Situ.Pipeline.add(Inlet, [], name: "In", outputs: [out: type])
+      |> Situ.Pipeline.add(Inlet, name: "In", outputs: [out: type])
       |> Situ.Node.output(:out)
     end)
   end

@@ -1,4 +1,39 @@
 defmodule Situ.Fusion do
+  @waiting [
+    give_up_after: [
+      type: :pos_integer,
+      doc:
+        "ns: a primary that still waits when a primary this much later has arrived is decided by the messages that are there. " <>
+          "The result then depends on timing."
+    ],
+    max_queue: [
+      type: :pos_integer,
+      doc:
+        "So many primaries, and so many messages of each secondary, wait at most. Sources that can wait are made to; where that does " <>
+          "not help the oldest primary is decided by the messages that are there, and the oldest secondary message is dropped. " <>
+          "The result then depends on timing."
+    ]
+  ]
+  @with [type: {:fun, 2}, doc: "Makes the output: `fun.(primary, secondary)`."]
+  @flatten [type: :boolean, default: true, doc: "Puts tuple-typed sides in flat."]
+  @fuse [with: @with, flatten: @flatten] ++
+          @waiting ++
+          [
+            ended: [
+              type: {:in, [:stay, :leave]},
+              default: :stay,
+              doc:
+                "Maps: an input that has ended is still asked for (it has no value then), or is left out from then on."
+            ]
+          ]
+  @pair [
+    with: @with,
+    flatten: @flatten,
+    initial: [type: :any, doc: "Stands for the secondary before its first message."]
+  ]
+  @tick [align: [type: :time_ns, doc: "With an interval: ticks congruent to this time."]] ++
+          @waiting
+
   @moduledoc """
   Operators that bring streams together by time. All are on `Situ` too: `Situ.join/4` ...
 
@@ -25,18 +60,19 @@ defmodule Situ.Fusion do
   A tolerance (ns) or a window in place of an interpolator means `Situ.Reproducible.nearest/2`.
 
   Primaries wait until every secondary can answer. A secondary that falls silent without ending makes them wait (see the queue
-  lengths in the diagnostics): `give_up_after:` bounds that. A lossy policy on an input drops messages before the operator sees them; what is
+  lengths in the diagnostics): `give_up_after:` and `max_queue:` bound that. A lossy policy on an input drops messages before the operator sees them; what is
   left is fused by the same rule, but which messages are left depends on timing.
 
   ## Options
 
-  #{Situ.Options.docs(with: [type: {:fun, 2}, doc: "Makes the output."], flatten: [type: :boolean, default: true, doc: "Put tuple-typed sides in flat."], give_up_after: [type: :pos_integer, doc: "ns: a primary that still waits when a primary this much later has arrived is decided by what is there. The result then depends on timing."], ended: [type: {:in, [:stay, :leave]}, default: :stay, doc: "Maps: an input that has ended is still asked for (it has no value then), or is left out from then on."], policy: [type: :any, doc: "Delivery policy of the inputs, or a list of them, primary first."])}
+  #{Situ.Options.docs(@fuse)}
 
-  and `name:`, `type:`, `on_error:`, `async:` as for every operator (`Situ.Operator`).
+  and those of `Situ.Graph.Placement`, where `policy:` may be a list with one for each input, primary first.
   """
 
+  alias Situ.Fusion.{Arguments, Assembly, DynamicInputs}
+  alias Situ.Graph.Placement
   alias Situ.{Interpolator, Interval, Pipeline, Reproducible, Stream}
-  alias Situ.Fusion.{Build, Form}
 
   @typedoc "An interpolator, a tolerance in ns, or a window."
   @type interpolator :: Interpolator.t() | Situ.Time.duration() | Interval.t()
@@ -52,10 +88,10 @@ defmodule Situ.Fusion do
           keyword()
         ) :: Stream.t()
   def join(first, second \\ [], third \\ [], opts \\ []) do
-    {streams, interpolator, opts} = Form.arguments(first, second, third, opts)
-    interpolator = Form.given(interpolator, Reproducible.exact())
-    Enum.each(List.wrap(interpolator), &Build.reproducible!/1)
-    Build.attach("Join", streams, interpolator, opts)
+    {streams, interpolator, opts} = Arguments.parse(first, second, third, opts)
+    interpolator = Arguments.given(interpolator, Reproducible.exact())
+    Enum.each(List.wrap(interpolator), &Arguments.reproducible!/1)
+    Assembly.fuse("Join", streams, interpolator, split(opts, @fuse))
   end
 
   @doc "Fusion by any interpolator: see the forms above."
@@ -66,8 +102,8 @@ defmodule Situ.Fusion do
           keyword()
         ) :: Stream.t()
   def fuse(first, second, third \\ [], opts \\ []) do
-    {streams, interpolator, opts} = Form.arguments(first, second, third, opts)
-    Build.attach("Fuse", streams, Form.given(interpolator, :none), opts)
+    {streams, interpolator, opts} = Arguments.parse(first, second, third, opts)
+    Assembly.fuse("Fuse", streams, Arguments.given(interpolator, :none), split(opts, @fuse))
   end
 
   @doc """
@@ -93,7 +129,7 @@ defmodule Situ.Fusion do
           Stream.t() | String.t(),
           keyword()
         ) :: {:ok, Situ.Time.t() | :start} | {:error, Situ.Error.t()}
-  def add_input(fused, key, stream, opts \\ []), do: Build.add_input(fused, key, stream, opts)
+  def add_input(fused, key, stream, opts \\ []), do: DynamicInputs.add(fused, key, stream, opts)
 
   @doc """
   Takes the input `key` of a join or fusion over a map, or of a merge, away while the pipeline runs, whether it was added or there
@@ -105,15 +141,17 @@ defmodule Situ.Fusion do
   """
   @spec remove_input(Stream.t() | {Pipeline.target(), String.t()}, key :: term(), keyword()) ::
           {:ok, Situ.Time.t() | :start} | {:error, Situ.Error.t()}
-  def remove_input(fused, key, opts \\ []), do: Build.remove_input(fused, key, opts)
+  def remove_input(fused, key, opts \\ []), do: DynamicInputs.remove(fused, key, opts)
 
   @doc """
   Each primary with the latest secondary that has arrived by then; primaries before the first secondary are dropped, unless
-  `initial:` gives a value. Not reproducible.
+  `initial:` gives a value. Reproducible: no.
+
+  #{Situ.Options.docs(@pair)}
   """
   @spec pair(Stream.t(), Stream.t(), keyword()) :: Stream.t()
   def pair(%Stream{} = primary, %Stream{} = secondary, opts \\ []),
-    do: Build.pair(primary, secondary, opts)
+    do: Assembly.pair(primary, secondary, split(opts, @pair))
 
   @doc """
   The messages of all streams, grouped by originating time: a list of those that share it, in the order of the streams. A group goes out when
@@ -121,29 +159,33 @@ defmodule Situ.Fusion do
   """
   @spec zip(Stream.t() | [Stream.t()], Stream.t() | keyword(), keyword()) :: Stream.t()
   def zip(first, second \\ [], opts \\ []) do
-    {streams, opts} = Form.inputs(first, second, opts)
-    Build.zip(streams, opts)
+    {streams, opts} = Arguments.inputs(first, second, opts)
+    {[], placed} = split(opts, [])
+    Assembly.zip(streams, placed)
   end
 
   @doc """
-  All messages of all streams as they arrive, each a whole `Situ.Message`, stamped with the clock. Not reproducible.
+  All messages of all streams as they arrive, each a whole `Situ.Message`, stamped with the clock. Reproducible: no.
 
   Streams may be added and taken away while it runs (`add_input/4`, `remove_input/3`); those it begins with have the keys 0, 1, 2 ...
   """
   @spec merge(Stream.t() | [Stream.t()], Stream.t() | keyword(), keyword()) :: Stream.t()
   def merge(first, second \\ [], opts \\ []) do
-    {streams, opts} = Form.inputs(first, second, opts)
-    Build.merge(streams, opts)
+    {streams, opts} = Arguments.inputs(first, second, opts)
+    {[], placed} = split(opts, [])
+    Assembly.merge(streams, placed)
   end
 
   @doc """
   The stream's value at every tick: of another stream (`clock`), or of an interval in ns, counted from the pipeline's start or
   aligned with `align:` (a time). Ticks end with the stream; one without a value gives nothing.
+
+  #{Situ.Options.docs(@tick)}
   """
   @spec interpolate(Stream.t(), Stream.t() | Situ.Time.duration(), interpolator(), keyword()) ::
           Stream.t()
   def interpolate(stream, clock, interpolator, opts \\ []),
-    do: Build.tick("Interpolate", stream, clock, interpolator, opts)
+    do: tick("Interpolate", stream, clock, interpolator, opts)
 
   @doc "As `interpolate/4`, by default with the nearest message: of all, or within a tolerance or window."
   @spec sample(
@@ -158,5 +200,12 @@ defmodule Situ.Fusion do
   def sample(stream, clock, opts, []) when is_list(opts),
     do: sample(stream, clock, Interval.infinite(), opts)
 
-  def sample(stream, clock, window, opts), do: Build.tick("Sample", stream, clock, window, opts)
+  def sample(stream, clock, window, opts), do: tick("Sample", stream, clock, window, opts)
+
+  defp tick(name, %Stream{} = stream, clock, interpolator, opts) do
+    interpolator = Arguments.interpolator(interpolator)
+    Assembly.tick(name, stream, clock, interpolator, split(opts, @tick))
+  end
+
+  defp split(opts, schema), do: Placement.split!(opts, schema, :fusion)
 end

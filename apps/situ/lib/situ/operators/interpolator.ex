@@ -39,12 +39,13 @@ defmodule Situ.Interpolator do
   alias Situ.{Interval, Message, Type}
 
   @enforce_keys [:module, :config]
-  defstruct [:module, :config, reproducible: false, default: :none]
+  defstruct [:module, :config, reproducible: false, gives: :values, default: :none]
 
   @type t :: %__MODULE__{
           module: module(),
           config: term(),
           reproducible: boolean(),
+          gives: :messages | :values,
           default: :none | {:value, term()}
         }
   @type result ::
@@ -63,7 +64,8 @@ defmodule Situ.Interpolator do
   @doc """
   An interpolator from a module of this behaviour and its configuration.
 
-  Options: `reproducible:` (default false), `or_default:` the value to give where none exists.
+  Options: `reproducible:` (default false); `gives:` `:messages` when its values are data of the stream's messages (then their type is
+  the stream's), else `:values` (default); `or_default:` the value to give where none exists.
   """
   @spec new(module(), term(), keyword()) :: t()
   def new(module, config, opts \\ []) when is_atom(module) do
@@ -71,25 +73,9 @@ defmodule Situ.Interpolator do
       module: module,
       config: config,
       reproducible: Keyword.get(opts, :reproducible, false),
+      gives: Keyword.get(opts, :gives, :values),
       default: default(opts)
     }
-  end
-
-  @doc """
-  What a fusion operator accepts as an interpolator: one of these, a tolerance (ns) or a window, both meaning
-  `Situ.Reproducible.nearest/1`.
-
-      iex> Situ.Interpolator.from(5) == Situ.Reproducible.nearest(5)
-      true
-  """
-  @spec from(t() | Situ.Time.duration() | Interval.t()) :: t()
-  def from(%__MODULE__{} = interpolator), do: interpolator
-  def from(tolerance) when is_integer(tolerance), do: Situ.Reproducible.nearest(tolerance)
-  def from(%Interval{} = window), do: Situ.Reproducible.nearest(window)
-
-  def from(other) do
-    raise ArgumentError,
-          "expected an interpolator, a tolerance in ns or a Situ.Interval, got: #{inspect(other)}"
   end
 
   @doc "The answer at `time`, with the default in place of a value that does not exist."
@@ -111,26 +97,21 @@ defmodule Situ.Interpolator do
       :any
   """
   @spec type(t(), Type.t()) :: Type.t()
-  def type(%__MODULE__{module: module, default: default}, type)
-      when module in [Situ.Interpolator.Nearest, Situ.Interpolator.First, Situ.Interpolator.Last],
-      do: widened(type, default)
+  def type(%__MODULE__{gives: :messages, default: default}, type), do: widened(type, default)
 
-  def type(%__MODULE__{}, {:tuple, types}), do: {:tuple, Enum.map(types, fn _ -> :any end)}
+  def type(%__MODULE__{default: default}, {:tuple, types}),
+    do: widened({:tuple, Enum.map(types, fn _ -> :any end)}, default)
+
   def type(%__MODULE__{}, _type), do: :any
 
   @doc "The type with a default among its values: `:none`, or `{:value, default}`."
   @spec widened(Type.t(), :none | {:value, term()}) :: Type.t()
   def widened(type, :none), do: type
 
-  # A default that is no tuple stands for each element of one.
-  def widened({:tuple, types}, {:value, value} = default) when not is_tuple(value),
-    do: {:tuple, Enum.map(types, &widened(&1, default))}
-
   def widened(type, {:value, value}) do
     cond do
       Type.valid?(type, value) -> type
       value == nil -> {:optional, type}
-      match?({:tuple, _}, type) -> {:tuple, type |> elem(1) |> Enum.map(fn _ -> :any end)}
       true -> :any
     end
   end

@@ -1,4 +1,26 @@
 defmodule Situ.Parallel do
+  @schema [
+    size: [type: :pos_integer, doc: "Fixed form."],
+    of: [type: {:in, [:lists, :maps]}, doc: "The form, where neither type nor function tell."],
+    split: [type: {:fun, 1}, doc: "Makes the list or map of a message."],
+    with: [type: {:fun, 1}, doc: "Makes the output of the list or map of results."],
+    or_default: [type: :any, doc: "See above."],
+    until: [
+      type:
+        {:or,
+         [{:in, [:absent, :never]}, {:tuple, [{:in, [:absent]}, :non_neg_integer]}, {:fun, 3}]},
+      default: :absent,
+      doc: "See above."
+    ],
+    only_present: [
+      type: :boolean,
+      default: false,
+      doc: "Maps: output only keys of the message, not all that are alive."
+    ],
+    on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop, doc: "See above."],
+    branches: [type: {:in, [:values, :processes]}, default: :values, doc: "See above."]
+  ]
+
   @moduledoc """
   The parts of each message through branches of their own, and the results back together.
 
@@ -56,25 +78,14 @@ defmodule Situ.Parallel do
 
   ## Options
 
-  #{Situ.Options.docs(size: [type: :pos_integer, doc: "Fixed form."], split: [type: {:fun, 1}, doc: "Makes the list or map of a message."], with: [type: {:fun, 1}, doc: "Makes the output of the list or map of results."], or_default: [type: :any, doc: "See above."], until: [type: :any, default: :absent, doc: "See above."], only_present: [type: :boolean, default: false, doc: "Maps: output only keys of the message, not all that are alive."], on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop, doc: "See above."], branches: [type: {:in, [:values, :processes]}, default: :values, doc: "See above."])}
+  #{Situ.Options.docs(@schema)}
 
-  and `name:`, `type:`, `policy:`, `on_error:`, `async:` as for every operator (`Situ.Operator`).
+  and those of every operator (`Situ.Graph.Placement`).
   """
 
   alias Situ.Parallel.{Box, Processes, Until}
-  alias Situ.Stream
-
-  @schema [
-    size: [type: :pos_integer],
-    split: [type: {:fun, 1}],
-    with: [type: {:fun, 1}],
-    or_default: [type: :any],
-    until: [type: :any, default: :absent],
-    only_present: [type: :boolean, default: false],
-    on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop],
-    branches: [type: {:in, [:values, :processes]}, default: :values],
-    of: [type: {:in, [:lists, :maps]}]
-  ]
+  alias Situ.Graph.Placement
+  alias Situ.{Operator, Stream}
 
   @doc """
   Branches by `fun`: see the forms above. Which form it is follows from the stream's type, `size:`, and the function: with a key as first
@@ -84,15 +95,14 @@ defmodule Situ.Parallel do
           Stream.t()
   def parallel(%Stream{} = stream, fun, opts \\ [])
       when is_function(fun, 1) or is_function(fun, 2) do
-    {own, opts} = Keyword.split(opts, Keyword.keys(@schema))
-    own = Situ.Options.validate!(own, @schema)
+    {own, placed} = Placement.split!(opts, @schema, :operator)
     form = form(stream.type, fun, own)
     options = [fun: fun, form: form, type: part(stream.type, own), missing: missing(own)]
     shared = Keyword.take(own, [:split, :with, :on_branch_error])
     options = options ++ shared ++ [termination: Until.parse(own[:until])]
     type = if own[:with], do: :any, else: if(is_map_form(form), do: :map, else: :list)
     box = if own[:branches] == :processes, do: Processes, else: Box
-    Situ.Selection.Keeper.add(stream, "Parallel", box, options, {type, opts})
+    Operator.through(stream, "Parallel", {box, options}, placed, type)
   end
 
   defp form(type, fun, own) do

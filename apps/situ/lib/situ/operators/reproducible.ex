@@ -36,7 +36,7 @@ defmodule Situ.Reproducible do
   @spec nearest(window() | keyword(), keyword()) :: Interpolator.t()
   def nearest(window \\ Interval.infinite(), opts \\ []) do
     {window, opts} = Interpolator.window(window, opts, Interval.infinite())
-    Interpolator.new(Nearest, {window, true}, [reproducible: true] ++ opts)
+    Interpolator.new(Nearest, {window, true}, [reproducible: true, gives: :messages] ++ opts)
   end
 
   @doc "The first message in the window (default: from the asked time on). The window's left end must be bounded."
@@ -44,14 +44,14 @@ defmodule Situ.Reproducible do
   def first(window \\ Interval.future(), opts \\ []) do
     {window, opts} = Interpolator.window(window, opts, Interval.future())
     left_bounded!(window)
-    Interpolator.new(First, {window, true}, [reproducible: true] ++ opts)
+    Interpolator.new(First, {window, true}, [reproducible: true, gives: :messages] ++ opts)
   end
 
   @doc "The last message in the window (default: up to the asked time)."
   @spec last(window() | keyword(), keyword()) :: Interpolator.t()
   def last(window \\ Interval.past(), opts \\ []) do
     {window, opts} = Interpolator.window(window, opts, Interval.past())
-    Interpolator.new(Last, {window, true}, [reproducible: true] ++ opts)
+    Interpolator.new(Last, {window, true}, [reproducible: true, gives: :messages] ++ opts)
   end
 
   @doc """

@@ -50,7 +50,7 @@ defmodule Situ.Sampling do
   def first_tick(start, interval, align), do: start + Integer.mod(align - start, interval)
 
   @doc "Messages of the source arrived."
-  @spec push(t(), [Message.t()]) :: {[Situ.Fusion.Core.output()], t()}
+  @spec push(t(), [Message.t()]) :: {[Situ.Component.action()], t()}
   def push(sampling, []), do: {[], sampling}
 
   def push(sampling, messages) do
@@ -59,7 +59,7 @@ defmodule Situ.Sampling do
   end
 
   @doc "The source ended at `time`: ticks up to and including it are decided."
-  @spec close(t(), Situ.Time.t()) :: {[Situ.Fusion.Core.output()], t()}
+  @spec close(t(), Situ.Time.t()) :: {[Situ.Component.action()], t()}
   def close(sampling, time), do: run(merge(sampling), time, time, [])
 
   defp run(%{tick: tick} = sampling, until, _closed, outputs) when tick > until,

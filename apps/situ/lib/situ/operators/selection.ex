@@ -1,4 +1,19 @@
 defmodule Situ.Selection do
+  @process [
+    on_close: [
+      type: {:fun, 2},
+      doc: "`fun.(closing_time, state)`: a last list of `{time, data}` at the stream's end."
+    ]
+  ]
+  @reorder [
+    time: [type: {:fun, 1}, doc: "The time of a message, ns; by default its originating time."],
+    late: [
+      type: {:in, [:drop, :error]},
+      default: :drop,
+      doc: "A message later than that is dropped, or is an error."
+    ]
+  ]
+
   @moduledoc """
   Operators that pick, move, edit and re-time messages. All are on `Situ` too: `Situ.first/2` ...
 
@@ -14,15 +29,16 @@ defmodule Situ.Selection do
   | `edit/3` | the stream with messages replaced, inserted and deleted | input's or the edit's |
   | `reorder/3` | messages brought into order, up to a lateness | as `fun` says |
 
-      iex> Situ.to_list(fn p -> p |> Situ.range(1, 9, 10) |> Situ.last(2) end)
+      iex> Situ.to_list(fn p -> p |> Situ.from_enumerable(1..9, every: 10) |> Situ.last(2) end)
       [8, 9]
 
   All but `latency/2` (which shows timing) and `delay/3` (which waits by the clock, its values and times being the input's) are reproducible.
-  They take `name:`, `type:`, `policy:`, `on_error:`, `async:` as every operator does (`Situ.Operator`).
+  They take the options of every operator (`Situ.Graph.Placement`).
   """
 
-  alias Situ.{Operator, Stream}
-  alias Situ.Selection.{Delay, Edit, Keeper, Last, Process, Reorder}
+  alias Situ.Graph.Placement
+  alias Situ.{Generator, Operator, Stream}
+  alias Situ.Selection.{Delay, Edit, Last, Process, Reorder}
 
   @doc "The first `n` messages; the stream stays open and silent after them."
   @spec first(Stream.t(), non_neg_integer(), keyword()) :: Stream.t()
@@ -48,7 +64,7 @@ defmodule Situ.Selection do
   def last(stream, opts, []) when is_list(opts), do: last(stream, 1, opts)
 
   def last(%Stream{} = stream, n, opts) when is_integer(n) and n >= 0,
-    do: Keeper.add(stream, "Last", Last, [count: n], {stream.type, opts})
+    do: Operator.through(stream, "Last", {Last, [count: n]}, opts, stream.type)
 
   @doc "`fun` of the data, but `nil` stays `nil`."
   @spec map_present(Stream.t(), (term() -> term()), keyword()) :: Stream.t()
@@ -76,12 +92,12 @@ defmodule Situ.Selection do
   """
   @spec delay(Stream.t(), Situ.Time.duration(), keyword()) :: Stream.t()
   def delay(%Stream{} = stream, duration, opts \\ []) when is_integer(duration) and duration >= 0,
-    do: Keeper.add(stream, "Delay", Delay, [duration: duration], {stream.type, opts})
+    do: Operator.through(stream, "Delay", {Delay, [duration: duration]}, opts, stream.type)
 
   @doc """
   Any number of messages from each: `fun.(message, state)` answers `{[{time, data}], state}`. Times must strictly increase.
 
-  At the stream's end `on_close: fun`, called with the closing time and the state, may answer a last list of `{time, data}`.
+  #{Situ.Options.docs(@process)}
 
       # Each word of a sentence as a message of its own, 1 ns apart.
       Situ.process(sentences, nil, fn message, state ->
@@ -98,9 +114,8 @@ defmodule Situ.Selection do
           Stream.t()
         when state: term()
   def process(%Stream{} = stream, state, fun, opts \\ []) when is_function(fun, 2) do
-    {on_close, opts} = Keyword.pop(opts, :on_close)
-    options = [state: state, fun: fun, on_close: on_close]
-    Keeper.add(stream, "Process", Process, options, {:any, opts})
+    {own, placed} = Placement.split!(opts, @process, :operator)
+    Operator.through(stream, "Process", {Process, [state: state, fun: fun] ++ own}, placed)
   end
 
   @doc """
@@ -110,19 +125,27 @@ defmodule Situ.Selection do
   @spec edit(Stream.t(), [{Situ.Time.t(), {:put, term()} | :delete}], keyword()) :: Stream.t()
   def edit(%Stream{} = stream, edits, opts \\ []) when is_list(edits) do
     edits = Situ.from_enumerable(stream.pipeline, Edit.sorted(edits))
-    Keeper.add([in: stream, edits: edits], "Edit", Edit, [], {stream.type, opts})
+    Operator.through([in: stream, edits: edits], "Edit", {Edit, []}, opts, stream.type)
   end
 
   @doc """
-  Brings messages into order by a time of their own (a device's time stamp): `time.(message)`, ns. Each waits until one has come whose time is more than
-  `lateness` ns later, or the stream ends; one that comes later than that is dropped (`late: :drop`, the default) or an error (`late: :error`).
-  Of several at one time the first to come stays.
+  Brings messages into order by a time of their own (a device's time stamp). Each waits until one has come whose time is more than
+  `lateness` ns later, or the stream ends. Of several at one time the first to come stays.
+
+  #{Situ.Options.docs(@reorder)}
   """
   @spec reorder(Stream.t(), Situ.Time.duration(), keyword()) :: Stream.t()
   def reorder(%Stream{} = stream, lateness, opts \\ [])
       when is_integer(lateness) and lateness >= 0 do
-    {own, opts} = Keyword.split(opts, [:time, :late])
-    own = Keyword.merge([time: & &1.originating_time, late: :drop], own)
-    Keeper.add(stream, "Reorder", Reorder, [{:lateness, lateness} | own], {stream.type, opts})
+    {own, placed} = Placement.split!(opts, @reorder, :operator)
+    own = Keyword.put_new(own, :time, & &1.originating_time)
+
+    Operator.through(
+      stream,
+      "Reorder",
+      {Reorder, [lateness: lateness] ++ own},
+      placed,
+      stream.type
+    )
   end
 end

@@ -1,4 +1,18 @@
 defmodule Situ.Window do
+  @schema [
+    with: [
+      type: {:in, [:data, :messages]},
+      default: :data,
+      doc: "The function gets data, or whole messages."
+    ]
+  ]
+  @by [
+    with: [
+      type: {:fun, 2},
+      doc: "Makes the output: `fun.(window_message, messages)`; by default the list of data."
+    ]
+  ]
+
   @moduledoc """
   Windows over a stream: each message together with its neighbours.
 
@@ -14,22 +28,21 @@ defmodule Situ.Window do
       Situ.window(level, -9..0, &Enum.max/1)                                  # the greatest of the last ten
       Situ.window(level, Situ.Interval.past(Situ.Time.s(1)), &Enum.max/1)     # the greatest of the last second
 
-      iex> Situ.to_list(fn p -> p |> Situ.range(1, 5, 10) |> Situ.window(-2..0) end)
+      iex> Situ.to_list(fn p -> p |> Situ.from_enumerable(1..5, every: 10) |> Situ.window(-2..0) end)
       [[1, 2, 3], [2, 3, 4], [3, 4, 5]]
 
   A window whose left end lies after its right end is put in order.
 
   ## Options
 
-  #{Situ.Options.docs(with: [type: {:in, [:data, :messages]}, default: :data, doc: "What the function gets: data, or whole messages."])}
+  #{Situ.Options.docs(@schema)}
 
-  and `name:`, `type:`, `policy:`, `on_error:`, `async:` as for every operator (`Situ.Operator`).
+  and those of every operator (`Situ.Graph.Placement`).
   """
 
+  alias Situ.Graph.Placement
   alias Situ.{Interval, Operator, Stream}
   alias Situ.Window.{Dynamic, Index, Keeper, Relative}
-
-  @schema [with: [type: {:in, [:data, :messages]}, default: :data]]
 
   @doc "Windows of `stream` (see the table); `fun` makes the output of each from its list, which is the output when left out."
   @spec window(Stream.t(), Range.t() | Interval.t(), (list() -> term()) | nil, keyword()) ::
@@ -39,17 +52,16 @@ defmodule Situ.Window do
   def window(stream, window, opts, []) when is_list(opts), do: window(stream, window, nil, opts)
 
   def window(%Stream{} = stream, window, fun, opts) when is_nil(fun) or is_function(fun, 1) do
-    {own, opts} = Keyword.split(opts, [:with, :default_name])
-    {name, own} = Keyword.pop(own, :default_name, "Window")
-    own = Situ.Options.validate!(own, @schema)
+    {own, placed} = Placement.split!(opts, @schema, :operator)
     type = if fun == nil, do: {:list, item(stream, own[:with])}, else: :any
-    place(stream, window, {fun, own[:with]}, {name, type, opts})
+    place(stream, window, {fun, own[:with]}, {type, placed})
   end
 
   @doc """
   A window per message of `windows`. `interval.(message)` gives `{interval, obsolete}`: which span of `stream` (a `Situ.Interval` of
-  time points), and the time before which no later window will need it. The output, at the window message's time, is
-  `creator.(window_message, messages)`; by default the list of data.
+  time points), and the time before which no later window will need it. The output is at the window message's time.
+
+  #{Situ.Options.docs(@by)}
   """
   @spec window_by(
           Stream.t(),
@@ -59,35 +71,34 @@ defmodule Situ.Window do
         ) :: Stream.t()
   def window_by(%Stream{} = stream, %Stream{} = windows, interval, opts \\ [])
       when is_function(interval, 1) do
-    {creator, opts} = Keyword.pop(opts, :with)
-    creator = creator || fn _window, messages -> Enum.map(messages, & &1.data) end
+    {own, placed} = Placement.split!(opts, @by, :operator)
+    creator = own[:with] || fn _window, messages -> Enum.map(messages, & &1.data) end
     core = {Dynamic, :new, [interval, creator]}
-    inputs = [in: stream, windows: windows]
-    Keeper.add("Window", inputs, core, {:any, opts})
+    Operator.through([in: stream, windows: windows], "Window", {Keeper, [core: core]}, placed)
   end
 
   # Windows that end at their anchor are decided by it: light operators, chained with their neighbours.
-  defp place(stream, %Range{first: from, last: to}, {fun, with}, {name, type, opts})
+  defp place(stream, %Range{first: from, last: to}, {fun, with}, {type, placed})
        when (to == 0 and from <= 0) or (from == 0 and to <= 0) do
     step = Situ.Window.Past.by_count(1 - min(from, to), fun, with)
-    Operator.attach(stream, name, step, opts, type)
+    Operator.attach(stream, "Window", step, placed, type)
   end
 
-  defp place(stream, %Range{} = range, {fun, with}, {name, type, opts}) do
+  defp place(stream, %Range{} = range, {fun, with}, {type, placed}) do
     core = {Index, :new, [range, fun, [with: with]]}
-    Keeper.add(name, [in: stream], core, {type, opts})
+    Operator.through(stream, "Window", {Keeper, [core: core]}, placed, type)
   end
 
-  defp place(stream, %Interval{} = interval, {fun, with}, {name, type, opts}) do
+  defp place(stream, %Interval{} = interval, {fun, with}, {type, placed}) do
     case Interval.ordered(interval) do
       %{right: 0, right_inclusive: true, left: left} = past when is_integer(left) ->
         step = Situ.Window.Past.by_time(past, fun, with)
-        Operator.attach(stream, name, step, opts, type)
+        Operator.attach(stream, "Window", step, placed, type)
 
       ordered ->
         check_whole!(ordered)
         core = {Relative, :new, [ordered, fun, [with: with]]}
-        Keeper.add(name, [in: stream], core, {type, opts})
+        Operator.through(stream, "Window", {Keeper, [core: core]}, placed, type)
     end
   end
 

@@ -2,14 +2,14 @@ defmodule Situ.Collector do
   @moduledoc """
   Streams as lists and as Elixir enumerables, for iex, scripts and tests. All are on `Situ` too.
 
-      iex> Situ.to_list(fn p -> p |> Situ.range(1, 5, 10) |> Situ.map(&(&1 * &1)) end)
+      iex> Situ.to_list(fn p -> p |> Situ.from_enumerable(1..5, every: 10) |> Situ.map(&(&1 * &1)) end)
       [1, 4, 9, 16, 25]
 
-      iex> {:ok, %{odd: odd}} = Situ.collect(fn p -> %{odd: p |> Situ.range(0, 5, 10) |> Situ.filter(&(rem(&1, 2) == 1))} end)
+      iex> {:ok, %{odd: odd}} = Situ.collect(fn p -> %{odd: p |> Situ.from_enumerable(0..4, every: 10) |> Situ.filter(&(rem(&1, 2) == 1))} end)
       iex> Enum.map(odd, & &1.data)
       [1, 3]
 
-      iex> fn p -> Situ.sequence(p, 1, &(&1 * 3), 10) end |> Situ.to_stream() |> Enum.take(4)
+      iex> fn p -> Situ.sequence(p, 1, &(&1 * 3), every: 10) end |> Situ.to_stream() |> Enum.take(4)
       [1, 3, 9, 27]
   """
 
@@ -136,7 +136,7 @@ defmodule Situ.Collector do
   @doc false
   @spec sink(Stream.t(), pid(), term()) :: :ok
   def sink(%Stream{} = stream, to, key) do
-    node = Pipeline.add(stream.pipeline, Sink, [to: to, key: key], default_name: "Collect")
+    node = Pipeline.add(stream.pipeline, Sink, to: to, key: key, default_name: "Collect")
     Pipeline.connect(stream, node, :in, [])
   end
 
@@ -200,7 +200,7 @@ defmodule Situ.Collector do
 
     spec = fn p ->
       stream = build.(p)
-      node = Pipeline.add(p, Gate, [to: me, ref: ref], default_name: "Enumerable")
+      node = Pipeline.add(p, Gate, to: me, ref: ref, default_name: "Enumerable")
       Pipeline.connect(stream, node, :in, [])
     end
 

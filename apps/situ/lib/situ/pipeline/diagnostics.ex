@@ -4,7 +4,7 @@ defmodule Situ.Diagnostics do
 
   Numbers come from shared counters and from the VM's process table; no component is asked, so a stuck one is seen.
 
-      iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.source(p, Situ.Pipeline.Empty, []) end)
+      iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.source(p, Situ.Pipeline.Empty) end)
       iex> [node] = report.snapshot.nodes
       iex> {node.path, node.kind, node.state}
       {"Empty", :source, :closed}
@@ -23,10 +23,10 @@ defmodule Situ.Diagnostics do
 
     case Graph.Builder.run(root, &{Map.get(&1.paths, "Diagnostics"), &1}) do
       nil ->
+        opts = [name: "Diagnostics"] ++ opts
+
         root
-        |> Graph.Builder.run(
-          &Graph.add(&1, root, Situ.Diagnostics.Source, opts, name: "Diagnostics")
-        )
+        |> Graph.Builder.run(&Graph.add(&1, root, Situ.Diagnostics.Source, opts))
         |> Situ.Node.output(:out)
 
       id ->
@@ -68,7 +68,7 @@ defmodule Situ.Diagnostics do
   process have no queue and do not count.
 
       iex> {:ok, report} = Situ.Pipeline.run(fn p ->
-      ...>   p |> Situ.Generator.range(0, 10, 1) |> Situ.each(& &1, policy: Situ.Delivery.max_queue(100))
+      ...>   p |> Situ.from_enumerable(0..9, every: 1) |> Situ.each(& &1, policy: Situ.Delivery.max_queue(100))
       ...> end)
       iex> summary = Situ.Diagnostics.summary(report.snapshot)
       iex> {summary.nodes, summary.edges, summary.emitted, summary.processed_percent, summary.throttled}

@@ -7,7 +7,7 @@ defmodule Situ.Pipeline do
 
         @impl true
         def build(p, _opts) do
-          p |> Situ.source(Camera, []) |> Situ.map(&Blob.find/1) |> Situ.each(&IO.inspect/1)
+          p |> Situ.source(Camera) |> Situ.map(&Blob.find/1) |> Situ.each(&IO.inspect/1)
         end
       end
 
@@ -41,7 +41,7 @@ defmodule Situ.Pipeline do
   `new/1` opens an empty pipeline in state `:building`; add to it from any process, then `start/1`:
 
       iex> p = Situ.Pipeline.new()
-      iex> node = Situ.Pipeline.add(p, Situ.Pipeline.Empty, [])
+      iex> node = Situ.Pipeline.add(p, Situ.Pipeline.Empty)
       iex> node.path
       "Empty"
       iex> {:ok, _report} = Situ.Pipeline.stop(p)
@@ -134,7 +134,7 @@ defmodule Situ.Pipeline do
   the pipeline's own components, at once.
 
       iex> {:ok, p} = Situ.Pipeline.start(fn p ->
-      ...>   clock = Situ.Generator.timer(p, Situ.Time.ms(1))
+      ...>   clock = Situ.timer(p, every: Situ.Time.ms(1))
       ...>   Situ.composite(clock, "Side", fn ticks -> Situ.each(ticks, & &1) end)
       ...>   Situ.each(clock, & &1, name: "Main")
       ...> end, [])
@@ -200,8 +200,8 @@ defmodule Situ.Pipeline do
   def replace(p, node, change), do: Client.call(p, {:replace, node, change})
 
   @doc """
-  Adds a component. Common options: `name:`, `on_error:`, `async:`, `check:`, `on_same_time:`, and `inputs:`/`outputs:` for ports
-  known only now.
+  Adds a component without connecting it (`Situ.source/3` and `Situ.via/3` do both). `opts` are its own options and those of
+  `Situ.Graph.Placement`.
 
   `on_same_time:` is for sources whose messages may have equal times (a coarse clock, a log of whole seconds): `:error` (default), `:drop` the
   later one, or `:nudge` it to 1 ns behind the one before. A time that goes back is an error with each.
@@ -213,9 +213,9 @@ defmodule Situ.Pipeline do
       iex> Situ.to_list(&Situ.from_enumerable(&1, enumerable, on_same_time: :drop), times: true, pipeline: replay)
       [{10, :a}, {20, :d}]
   """
-  @spec add(t(), module(), keyword(), keyword()) :: Node.t()
-  def add(%Handle{} = p, module, opts, common \\ []),
-    do: Builder.run(p, &Graph.add(&1, p, module, opts, common))
+  @spec add(t(), module(), keyword()) :: Node.t()
+  def add(%Handle{} = p, module, opts \\ []),
+    do: Builder.run(p, &Graph.add(&1, p, module, opts))
 
   @doc "Connects `stream` to the `input` of `node`; option `policy:`, a `Situ.Delivery`."
   @spec connect(Stream.t(), Node.t(), atom(), keyword()) :: :ok

@@ -13,7 +13,10 @@ defmodule Situ.Tap do
   not slow the pipeline down: when more than `max_queue:` messages (default 10,000) wait in its mailbox, it misses messages.
   """
 
-  alias Situ.Stream
+  alias Situ.Graph.Placement
+  alias Situ.{Operator, Stream}
+
+  @schema [max_queue: [type: :pos_integer, default: 10_000, doc: "See above."]]
 
   @enforce_keys [:ref]
   defstruct [:ref]
@@ -27,7 +30,7 @@ defmodule Situ.Tap do
       outputs: [out: :any],
       options: [
         tap: [type: :any, required: true],
-        max_queue: [type: :pos_integer, default: 10_000]
+        max_queue: [type: :pos_integer, required: true]
       ]
 
     @impl true
@@ -59,12 +62,9 @@ defmodule Situ.Tap do
   @spec new(Stream.t(), keyword()) :: {Stream.t(), t()}
   def new(%Stream{} = stream, opts \\ []) do
     tap = %__MODULE__{ref: make_ref()}
-    {own, opts} = Keyword.split(opts, [:max_queue])
-    {edge, common} = Keyword.split(opts, [:policy])
-    ports = [inputs: [in: stream.type], outputs: [out: stream.type], default_name: "Tap"]
-    node = Situ.Pipeline.add(stream.pipeline, Outlet, [{:tap, tap} | own], ports ++ common)
-    :ok = Situ.Pipeline.connect(stream, node, :in, edge)
-    {Situ.Node.output(node, :out), tap}
+    {own, placed} = Placement.split!(opts, @schema, :operator)
+    outlet = {Outlet, [tap: tap] ++ own}
+    {Operator.through(stream, "Tap", outlet, placed, stream.type), tap}
   end
 
   @doc "The calling process gets messages from now on."

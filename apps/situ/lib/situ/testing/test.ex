@@ -170,7 +170,7 @@ defmodule Situ.Test do
 
   defp fed(p, key, to, ref) do
     p
-    |> Pipeline.add(Input, [to: to, ref: ref, key: key], name: "Input #{inspect(key)}")
+    |> Pipeline.add(Input, to: to, ref: ref, key: key, name: "Input #{inspect(key)}")
     |> Situ.Node.output(:out)
   end
 

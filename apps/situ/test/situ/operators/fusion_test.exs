@@ -134,7 +134,7 @@ defmodule Situ.Operators.FusionTest do
 
     test "a diamond whose ways differ by many messages is no deadlock" do
       build = fn p ->
-        numbers = Situ.range(p, 0, 40_000, 1_000)
+        numbers = Situ.from_enumerable(p, 0..39_999, every: 1_000)
         rare = Situ.filter(numbers, &(rem(&1, 20_000) == 19_999), async: true)
         numbers |> Situ.join(rare, Reproducible.nearest()) |> Situ.count() |> Situ.last()
       end

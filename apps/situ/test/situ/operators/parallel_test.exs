@@ -71,7 +71,9 @@ defmodule Situ.Operators.ParallelTest do
     end
 
     test "refuses sources inside of a branch" do
-      build = &Situ.parallel(&1.m, fn _k, s -> Situ.join(s, Situ.repeat(s.pipeline, 1, 1)) end)
+      build =
+        &Situ.parallel(&1.m, fn _k, s -> Situ.join(s, Situ.repeat(s.pipeline, 1, every: 1)) end)
+
       assert {:error, %{code: :not_in_branch}} = Situ.Test.run([m: [{0, %{a: 1}}]], build)
     end
   end

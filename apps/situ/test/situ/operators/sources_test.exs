@@ -9,12 +9,12 @@ defmodule Situ.Operators.SourcesTest do
   describe "sources" do
     test "refuse intervals that let times stand still, and negative counts" do
       Situ.Pipeline.run(fn p ->
-        assert_raise ArgumentError, fn -> Situ.range(p, 0, 3, 0) end
-        assert_raise ArgumentError, fn -> Situ.range(p, 0, 3, -5) end
-        assert_raise ArgumentError, fn -> Situ.repeat(p, 1, 10, count: -1) end
+        assert_raise ArgumentError, fn -> Situ.from_enumerable(p, 0..2, every: 0) end
+        assert_raise ArgumentError, fn -> Situ.from_enumerable(p, 0..2, every: -5) end
+        assert_raise ArgumentError, fn -> Situ.repeat(p, 1, every: 10, count: -1) end
       end)
 
-      assert Situ.to_list(&Situ.range(&1, 0, 0, 10)) == []
+      assert Situ.to_list(&Situ.from_enumerable(&1, [], every: 10)) == []
     end
 
     test "pass over items before the replay's start and stop at its end" do
@@ -23,7 +23,7 @@ defmodule Situ.Operators.SourcesTest do
       opts = [pipeline: [replay: replay]]
       assert Situ.to_list(&Situ.from_enumerable(&1, items), opts) == [10, 15, 20, 25, 30]
 
-      assert Situ.to_list(&Situ.repeat(&1, 1, 10), [times: true] ++ opts) == [
+      assert Situ.to_list(&Situ.repeat(&1, 1, every: 10), [times: true] ++ opts) == [
                {10, 1},
                {20, 1},
                {30, 1}
@@ -45,13 +45,16 @@ defmodule Situ.Operators.SourcesTest do
           fn n -> send(me, {:closed, n}) end
         )
 
-      stream = Situ.to_stream(&Situ.from_enumerable(&1, endless, interval: 10))
+      stream = Situ.to_stream(&Situ.from_enumerable(&1, endless, every: 10))
       assert Enum.take(stream, 3) == [0, 1, 2]
       assert_receive {:closed, n} when n < 200_000
     end
 
     test "an error in the middle of reading reaches the reader" do
-      stream = Situ.to_stream(fn p -> p |> Situ.range(0, 5, 10) |> Situ.map(&(6 / (&1 - 3))) end)
+      stream =
+        Situ.to_stream(fn p ->
+          p |> Situ.from_enumerable(0..4, every: 10) |> Situ.map(&(6 / (&1 - 3)))
+        end)
 
       assert_raise Situ.Error, ~r/Map failed/, fn -> Enum.to_list(stream) end
     end
@@ -62,7 +65,8 @@ defmodule Situ.Operators.SourcesTest do
 
         test =
           Situ.Test.start([], fn _, p ->
-            Situ.event_source(p, &send(me, {:post, &1}), fn _ -> send(me, :left) end,
+            Situ.event_source(p, &send(me, {:post, &1}),
+              unsubscribe: fn _ -> send(me, :left) end,
               on_same_time: policy
             )
           end)
@@ -79,7 +83,7 @@ defmodule Situ.Operators.SourcesTest do
     end
 
     test "timers tick by the clock and make nothing up for" do
-      test = Situ.Test.start([], fn _, p -> Situ.timer(p, Time.ms(10)) end)
+      test = Situ.Test.start([], fn _, p -> Situ.timer(p, every: Time.ms(10)) end)
       for _ <- 1..3, do: Situ.Test.advance(test, Time.ms(10))
       Situ.Test.advance(test, Time.ms(35))
       times = for {t, _} <- Situ.Test.outputs(test), do: div(t, Time.ms(1))

@@ -66,7 +66,7 @@ defmodule Situ.Operators.StatisticsTest do
     test "a finite filter forgets NaN once it has left the taps, an infinite one does not" do
       values = [1.0, :nan] ++ List.duplicate(1.0, 40)
       inputs = [n: Enum.with_index(values, &{&2 * 10_000_000, &1})]
-      lowpass = fn opts -> &Situ.lowpass(&1.n, 100, [cutoff: 10, order: 8] ++ opts) end
+      lowpass = fn opts -> &Situ.lowpass(&1.n, [rate: 100] ++ [cutoff: 10, order: 8] ++ opts) end
       taps = Situ.Filter.Fir.taps(:lowpass, 100, [10], 8)
 
       {strange, plain} = inputs |> run(lowpass.([])) |> Enum.map(&elem(&1, 1)) |> Enum.split(10)
@@ -87,7 +87,7 @@ defmodule Situ.Operators.StatisticsTest do
       for filter <- [
             &Situ.denoise(&1.n),
             &Situ.one_euro(&1.n),
-            &Situ.lowpass(&1.n, 100, cutoff: 10)
+            &Situ.lowpass(&1.n, rate: 100, cutoff: 10)
           ] do
         inputs = [n: [{0, "1"}, {20_000_000, "2"}]]
         assert {:error, %{code: :not_a_number}} = Situ.Test.run(inputs, filter)
@@ -125,13 +125,13 @@ defmodule Situ.Operators.StatisticsTest do
       high = [s: for({t, {_, high}} <- tones(), do: {t, high})]
 
       for response <- [:finite, :infinite] do
-        lowpass = &Situ.lowpass(&1.s, 200, cutoff: 8, response: response)
-        highpass = &Situ.highpass(&1.s, 200, cutoff: 15, response: response)
+        lowpass = &Situ.lowpass(&1.s, rate: 200, cutoff: 8, response: response)
+        highpass = &Situ.highpass(&1.s, rate: 200, cutoff: 15, response: response)
         assert power(run(low, lowpass)) > 50 * power(run(high, lowpass))
         assert power(run(high, highpass)) > 50 * power(run(low, highpass))
-        bandpass = &Situ.bandpass(&1.s, 200, band: {20, 40}, response: response)
+        bandpass = &Situ.bandpass(&1.s, rate: 200, band: {20, 40}, response: response)
         assert power(run(high, bandpass)) > 20 * power(run(low, bandpass))
-        bandstop = &Situ.bandstop(&1.s, 200, band: {20, 45}, response: response, order: 64)
+        bandstop = &Situ.bandstop(&1.s, rate: 200, band: {20, 45}, response: response, order: 64)
         assert power(run(low, bandstop)) > 20 * power(run(high, bandstop))
       end
     end
@@ -139,9 +139,13 @@ defmodule Situ.Operators.StatisticsTest do
     test "refuse edges that the rate cannot have" do
       Situ.Pipeline.run(fn p ->
         s = Situ.return(p, 1.0)
-        assert_raise ArgumentError, ~r/half the rate/, fn -> Situ.lowpass(s, 100, cutoff: 60) end
-        assert_raise ArgumentError, fn -> Situ.bandpass(s, 100, band: {30, 20}) end
-        assert_raise Situ.Error, ~r/required/, fn -> Situ.lowpass(s, 100, []) end
+
+        assert_raise ArgumentError, ~r/half the rate/, fn ->
+          Situ.lowpass(s, rate: 100, cutoff: 60)
+        end
+
+        assert_raise ArgumentError, fn -> Situ.bandpass(s, rate: 100, band: {30, 20}) end
+        assert_raise Situ.Error, ~r/required/, fn -> Situ.lowpass(s, rate: 100) end
       end)
     end
 

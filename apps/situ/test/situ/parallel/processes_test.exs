@@ -69,7 +69,9 @@ defmodule Situ.Parallel.ProcessesTest do
       build = fn s ->
         Situ.parallel(
           s.m,
-          fn _key, part -> Situ.join(part, Situ.range(part.pipeline, 100, 1_000, 10)) end,
+          fn _key, part ->
+            Situ.join(part, Situ.from_enumerable(part.pipeline, 100..1099, every: 10))
+          end,
           @processes
         )
       end
@@ -82,7 +84,7 @@ defmodule Situ.Parallel.ProcessesTest do
 
       assert {:error, %{code: :not_in_branch, fix: fix}} =
                Test.run(inputs, fn s ->
-                 Situ.parallel(s.m, fn _, part -> Situ.repeat(part.pipeline, 1, 1) end)
+                 Situ.parallel(s.m, fn _, part -> Situ.repeat(part.pipeline, 1, every: 1) end)
                end)
 
       assert fix =~ "branches: :processes"
@@ -174,7 +176,7 @@ defmodule Situ.Parallel.ProcessesTest do
 
       build = fn p ->
         p
-        |> Situ.range(0, 5_000, 1)
+        |> Situ.from_enumerable(0..4999, every: 1)
         |> Situ.map(&[&1])
         |> Situ.parallel(
           fn s ->
@@ -230,7 +232,7 @@ defmodule Situ.Parallel.ProcessesTest do
 
       build = fn p ->
         p
-        |> Situ.range(0, 3, 1)
+        |> Situ.from_enumerable(0..2, every: 1)
         |> Situ.map(&[&1])
         |> Situ.parallel(fn s -> Situ.map(s, slow) end, [size: 1] ++ @processes)
         |> Situ.each(&send(me, {:out, &1}))

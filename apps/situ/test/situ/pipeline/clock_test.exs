@@ -78,7 +78,7 @@ defmodule Situ.Pipeline.ClockTest do
     build = fn p ->
       Pipeline.propose_replay(p, {100, 900})
       Pipeline.propose_replay(p, {50, 500})
-      Situ.source(p, Situ.Pipeline.Empty, [])
+      Situ.source(p, Situ.Pipeline.Empty)
       Pipeline.replay_interval(p)
     end
 

@@ -95,7 +95,7 @@ defmodule Situ.Pipeline.FaultsTest do
     for {on_error, code} <- [stop: :component_failed, skip: :no_way_on, restart: :no_way_on] do
       result =
         Pipeline.run(fn p ->
-          p |> Situ.source(Broken, [], on_error: on_error) |> Situ.map(& &1)
+          p |> Situ.source(Broken, on_error: on_error) |> Situ.map(& &1)
         end)
 
       assert {:error, %{code: ^code}} = result
@@ -206,8 +206,8 @@ defmodule Situ.Pipeline.FaultsTest do
     end
 
     test "graphs" do
-      assert code(fn p -> Pipeline.add(p, Sum, []) end) == :unconnected_input
-      assert code(fn p -> Pipeline.add(p, String, []) end) == :not_a_component
+      assert code(fn p -> Pipeline.add(p, Sum) end) == :unconnected_input
+      assert code(fn p -> Pipeline.add(p, String) end) == :not_a_component
       assert code(fn _ -> raise "no" end) == :build_failed
       assert code(fn _ -> throw(:no) end) == :build_failed
       assert code(fn _ -> exit(:no) end) == :build_failed
@@ -238,7 +238,7 @@ defmodule Situ.Pipeline.FaultsTest do
       error =
         error(fn p ->
           source = Situ.source(p, Count, count: 3)
-          merge = Pipeline.add(p, Situ.Pipeline.FaultsTest.Loop, [])
+          merge = Pipeline.add(p, Situ.Pipeline.FaultsTest.Loop)
           Pipeline.connect(source, merge, :first)
           merge |> Situ.Node.output(:out) |> Situ.map(& &1) |> Pipeline.connect(merge, :again)
         end)
@@ -331,7 +331,7 @@ defmodule Situ.Pipeline.FaultsTest do
       Pipeline.run(fn p ->
         p
         |> Situ.source(Count, count: 6)
-        |> Situ.via(Sum, opts, common)
+        |> Situ.via(Sum, opts ++ common)
         |> Situ.each(&send(me, {:got, &1}))
       end)
 
@@ -346,7 +346,7 @@ defmodule Situ.Pipeline.FaultsTest do
         fn p ->
           p
           |> Situ.source(Count, count: :infinity, interval: 1_000_000)
-          |> Situ.via(Sum, [tell: &send(me, &1)], on_error: on_error)
+          |> Situ.via(Sum, tell: &send(me, &1), on_error: on_error)
           |> Situ.each(&send(me, {:got, &1}))
         end,
         []

@@ -56,7 +56,11 @@ defmodule Situ.Pipeline.LateTest do
 
   test "merge loses nothing, at any speed" do
     build = fn p ->
-      Situ.merge([Situ.range(p, 0, 3, 10), Situ.range(p, 100, 3, 15)]) |> Situ.map(& &1.data)
+      Situ.merge([
+        Situ.from_enumerable(p, 0..2, every: 10),
+        Situ.from_enumerable(p, 100..102, every: 15)
+      ])
+      |> Situ.map(& &1.data)
     end
 
     for opts <- [[], [replay: [speed: :max]], [replay: [interval: {0, 1_000}, speed: 1.0]]] do
@@ -80,8 +84,8 @@ defmodule Situ.Pipeline.LateTest do
   end
 
   test "what ran ahead does not count" do
-    ticks = fn p -> Situ.repeat(p, :tick, 1) end
-    echo = fn p -> p |> Situ.range(0, 2, 10) |> Situ.via(Echo, []) end
+    ticks = fn p -> Situ.repeat(p, :tick, every: 1) end
+    echo = fn p -> p |> Situ.from_enumerable(0..1, every: 10) |> Situ.via(Echo) end
 
     assert replay(fn p ->
              ticks.(p) |> Situ.join(echo.(p), Situ.Reproducible.exact()) |> Situ.map(&elem(&1, 1))
@@ -90,11 +94,14 @@ defmodule Situ.Pipeline.LateTest do
 
   test "a component's own late messages count, and so does what others make of them" do
     assert replay(fn p ->
-             p |> Situ.range(0, 2, 10) |> Situ.via(Echo, []) |> Situ.window(-1..0, &Enum.sum/1)
+             p
+             |> Situ.from_enumerable(0..1, every: 10)
+             |> Situ.via(Echo)
+             |> Situ.window(-1..0, &Enum.sum/1)
            end) == [{5, 0}, {10, 1}, {15, 2}]
 
     assert replay(fn p ->
-             p |> Situ.range(0, 2, 10) |> Situ.via(Echo, []) |> Situ.last(2)
+             p |> Situ.from_enumerable(0..1, every: 10) |> Situ.via(Echo) |> Situ.last(2)
            end) == [{10, 1}, {15, 1}]
   end
 
@@ -102,8 +109,8 @@ defmodule Situ.Pipeline.LateTest do
     {:ok, report} =
       Situ.Pipeline.run(
         fn p ->
-          echo = Situ.Pipeline.add(p, Loop, [], name: "Loop")
-          Situ.Pipeline.connect(Situ.range(p, 0, 3, 10), echo, :in)
+          echo = Situ.Pipeline.add(p, Loop, name: "Loop")
+          Situ.Pipeline.connect(Situ.from_enumerable(p, 0..2, every: 10), echo, :in)
           Situ.Pipeline.connect(Situ.Node.output(echo, :out), echo, :back)
         end,
         pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]

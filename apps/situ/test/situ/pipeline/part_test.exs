@@ -40,7 +40,7 @@ defmodule Situ.Pipeline.PartTest do
     Pipeline.start(
       fn p ->
         numbers = Situ.source(p, Count, count: :infinity, interval: Time.ms(10))
-        Situ.via(numbers, Tell, [as: :main, to: me], name: "Main")
+        Situ.via(numbers, Tell, as: :main, to: me, name: "Main")
 
         numbers
         |> Situ.composite("Side", fn numbers ->
@@ -48,15 +48,15 @@ defmodule Situ.Pipeline.PartTest do
 
           p
           |> Situ.source(Count, count: :infinity, interval: Time.ms(10))
-          |> Situ.via(Tell, [as: :own, to: me], name: "Own")
+          |> Situ.via(Tell, as: :own, to: me, name: "Own")
 
           numbers
           |> Situ.map(&(&1 * 2), name: "Double")
-          |> Situ.via(Tell, [as: :side, to: me], name: "Inner")
+          |> Situ.via(Tell, as: :side, to: me, name: "Inner")
           |> Situ.map(&(&1 + 1), name: "Last")
         end)
-        |> Situ.via(Tell, [as: :outside, to: me], name: "Outside")
-        |> Situ.via(Tell, [as: :next, to: me], name: "Next")
+        |> Situ.via(Tell, as: :outside, to: me, name: "Outside")
+        |> Situ.via(Tell, as: :next, to: me, name: "Next")
       end,
       pipeline: settings
     )
@@ -145,7 +145,7 @@ defmodule Situ.Pipeline.PartTest do
 
         for n <- 1..others//1 do
           p
-          |> Situ.source(Count, [count: :infinity, interval: Time.ms(10)], name: "Other#{n}")
+          |> Situ.source(Count, count: :infinity, interval: Time.ms(10), name: "Other#{n}")
           |> Situ.each(& &1)
         end
       end

@@ -42,7 +42,7 @@ defmodule Situ.Pipeline.ReplaceTest do
         fn p ->
           p
           |> Connector.receive(connector, type: :integer)
-          |> Situ.via(Gain, [factor: 2], name: "Gain")
+          |> Situ.via(Gain, factor: 2, name: "Gain")
           |> Situ.map(& &1, name: "Same")
           |> Situ.each(&send(me, {:got, &1}))
         end,

@@ -63,7 +63,7 @@ defmodule Situ.Pipeline.RestartTest do
         Pipeline.start(
           fn p ->
             p
-            |> Situ.source(Count, [count: :infinity, interval: Time.ms(10)], on_error: :restart)
+            |> Situ.source(Count, count: :infinity, interval: Time.ms(10), on_error: :restart)
             |> unquote(behind).()
             |> told(me)
           end,
@@ -120,7 +120,7 @@ defmodule Situ.Pipeline.RestartTest do
     assert {:ok, report} =
              Pipeline.run(fn p ->
                p
-               |> Situ.source(Flaky, [tries: :counters.new(1, [])], on_error: :restart)
+               |> Situ.source(Flaky, tries: :counters.new(1, []), on_error: :restart)
                |> told(me)
              end)
 
@@ -146,7 +146,9 @@ defmodule Situ.Pipeline.RestartTest do
     assert {:ok, _} =
              Pipeline.run(fn p ->
                p
-               |> Situ.source(__MODULE__.Replay, [messages: replay.(), tries: tries],
+               |> Situ.source(__MODULE__.Replay,
+                 messages: replay.(),
+                 tries: tries,
                  on_error: :restart
                )
                |> told(me)

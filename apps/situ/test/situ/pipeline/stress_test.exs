@@ -75,7 +75,9 @@ defmodule Situ.Pipeline.StressTest do
 
   defp build(p, count) do
     stream =
-      Situ.source(p, Count, [count: count, interval: 20_000],
+      Situ.source(p, Count,
+        count: count,
+        interval: 20_000,
         on_error: Enum.random([:stop, :restart, :skip])
       )
 

@@ -30,7 +30,7 @@ defmodule Situ.Pipeline.TapTest do
     me = self()
 
     for name <- ["in", "Plus", "Even", "Ten"],
-        do: {:ok, _} = Situ.tap({p, name}, &send(me, {name, &1.data}), [])
+        do: {:ok, _} = Situ.attach_tap({p, name}, &send(me, {name, &1.data}))
 
     post(c, [1, 2, 3])
     for m <- [{"in", 1}, {"in", 2}, {"in", 3}], do: assert_receive(^m)
@@ -43,12 +43,12 @@ defmodule Situ.Pipeline.TapTest do
   test "after detach nothing comes any more and the graph is as before", %{p: p} = c do
     me = self()
     before = Pipeline.info(p)
-    {:ok, tap} = Situ.tap({p, "Even"}, &send(me, {:seen, &1.data}), [])
+    {:ok, tap} = Situ.attach_tap({p, "Even"}, &send(me, {:seen, &1.data}))
     post(c, [1])
     assert_receive {:seen, 2}
     :ok = Tap.detach(tap)
     assert Enum.map(Pipeline.info(p).nodes, & &1.path) == Enum.map(before.nodes, & &1.path)
-    {:ok, _} = Situ.tap({p, "Ten"}, &send(me, {:end, &1.data}), [])
+    {:ok, _} = Situ.attach_tap({p, "Ten"}, &send(me, {:end, &1.data}))
     post(c, [3], 10)
     assert_receive {:end, 40}
     refute_received {:seen, 4}
@@ -56,8 +56,8 @@ defmodule Situ.Pipeline.TapTest do
 
   test "a stuck tap does not hold up the pipeline, nor its stop", %{p: p} = c do
     me = self()
-    {:ok, _} = Situ.tap({p, "Ten"}, fn _ -> receive do: (:never -> :ok) end, [])
-    {:ok, _} = Situ.tap({p, "Ten"}, &send(me, {:seen, &1.data}), [])
+    {:ok, _} = Situ.attach_tap({p, "Ten"}, fn _ -> receive do: (:never -> :ok) end)
+    {:ok, _} = Situ.attach_tap({p, "Ten"}, &send(me, {:seen, &1.data}))
     post(c, [1])
     assert_receive {:seen, 20}
     post(c, Enum.to_list(3..21//2), 10)
@@ -65,13 +65,13 @@ defmodule Situ.Pipeline.TapTest do
   end
 
   test "a tap goes with the process that attached it", %{p: p} do
-    task = Task.async(fn -> Situ.tap({p, "Ten"}, fn _ -> :ok end, []) end)
+    task = Task.async(fn -> Situ.attach_tap({p, "Ten"}, fn _ -> :ok end) end)
     {:ok, _tap} = Task.await(task)
     assert eventually(fn -> Enum.all?(Pipeline.info(p).nodes, &(&1.kind != :tap)) end)
   end
 
   test "a wrong name is told with the nearest", %{p: p} do
-    assert {:error, %{code: :unknown_stream, fix: fix}} = Situ.tap({p, "Evem"}, & &1, [])
+    assert {:error, %{code: :unknown_stream, fix: fix}} = Situ.attach_tap({p, "Evem"}, & &1)
     assert fix =~ "Even"
   end
 

@@ -15,7 +15,7 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
   def build(p, opts) do
     talk = Situ.Media.open(p, opts[:input], audio_format: Situ.AudioFormat.pcm(16_000))
 
-    hear = talk.audio && Situ.via(talk.audio, VoiceActivity, [], name: "VoiceActivity")
+    hear = talk.audio && Situ.via(talk.audio, VoiceActivity, name: "VoiceActivity")
     voice = hear && hear.voice
     lips = talk.video && MouthShape.parts(talk.video, policy: opts[:policy])
     speaking = lips && Situ.Infer.who_speaks(lips.mouths, voice)

@@ -43,20 +43,17 @@ defmodule Situ.Infer.MouthShape do
     Situ.composite(pictures, "MouthShape", fn pictures ->
       faces =
         pictures
-        |> Situ.via(FaceDetector, opts[:detector], named("FaceDetector", opts[:policy]))
-        |> Situ.via(FaceTracker, opts[:tracker], name: "FaceTracker")
+        |> Situ.via(FaceDetector, [policy: opts[:policy]] ++ opts[:detector])
+        |> Situ.via(FaceTracker, opts[:tracker])
 
       # Exact: a picture that the detector dropped has no faces and goes no further.
       meshes =
         pictures
         |> Situ.join(faces)
-        |> Situ.via(FaceLandmarks, opts[:landmarks], named("FaceLandmarks", opts[:policy]))
+        |> Situ.via(FaceLandmarks, [policy: opts[:policy]] ++ opts[:landmarks])
 
-      mouths = Situ.via(meshes, MouthMeasure, [], name: "MouthMeasure")
+      mouths = Situ.via(meshes, MouthMeasure)
       %{faces: faces, meshes: meshes, mouths: mouths}
     end)
   end
-
-  defp named(name, nil), do: [name: name]
-  defp named(name, policy), do: [name: name, policy: policy]
 end

@@ -70,10 +70,7 @@ defmodule Situ.Media.Camera do
 
   @doc "Adds the camera to a pipeline; returns its stream."
   @spec open(Situ.Pipeline.t(), keyword()) :: Situ.Stream.t()
-  def open(p, opts \\ []) do
-    {common, opts} = Keyword.split(opts, [:name, :on_error])
-    Situ.source(p, __MODULE__, opts, common)
-  end
+  def open(p, opts \\ []), do: Situ.source(p, __MODULE__, opts)
 
   @doc "The cameras there are."
   @spec list() :: [Device.t()]

@@ -1,4 +1,5 @@
 defmodule Situ.Media.ImageSequence do
+  alias Situ.Graph.Placement
   alias Situ.{Error, Image, Imaging}
   alias Situ.Media.FileTime
   alias Situ.Media.ImageSequence.Index
@@ -47,11 +48,10 @@ defmodule Situ.Media.ImageSequence do
   @doc "Adds the source and returns its stream; raises `Situ.Error` when there is no picture."
   @spec open(Situ.Pipeline.t(), Path.t() | [Path.t()], keyword()) :: Situ.Stream.t()
   def open(p, files, opts \\ []) do
-    {common, opts} = Keyword.split(opts, [:name, :on_error])
-    opts = Situ.Options.validate!([files: files] ++ opts, @schema)
+    {opts, placed} = Placement.split!([files: files] ++ opts, @schema, :component)
     {recorded_at, [{first, _} | _] = shots} = shots!(opts)
     {last, _} = List.last(shots)
-    stream = Situ.source(p, __MODULE__, opts, common)
+    stream = Situ.source(p, __MODULE__, opts ++ placed)
     FileTime.propose(p, opts[:start_time], recorded_at, {first, last})
     stream
   end

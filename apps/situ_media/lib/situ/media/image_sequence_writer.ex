@@ -30,8 +30,7 @@ defmodule Situ.Media.ImageSequenceWriter do
   @doc "Connects the sink to `stream`; returns `stream`, so that it can be used further."
   @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def write(stream, folder, opts \\ []) do
-    {common, opts} = Keyword.split(opts, [:name, :on_error, :policy])
-    Situ.via(stream, __MODULE__, [folder: folder] ++ opts, common)
+    Situ.via(stream, __MODULE__, [folder: folder] ++ opts)
     stream
   end
 

@@ -1,4 +1,5 @@
 defmodule Situ.Media.LiveStream do
+  alias Situ.Graph.Placement
   alias Situ.AudioFormat
 
   @schema [
@@ -67,10 +68,9 @@ defmodule Situ.Media.LiveStream do
   @doc "Adds the source; returns `%{video: stream, audio: stream}`, without what was turned off."
   @spec open(Situ.Pipeline.t(), keyword()) :: %{atom() => Situ.Stream.t()}
   def open(p, opts) do
-    {common, opts} = Keyword.split(opts, [:name, :on_error])
-    opts = Situ.Options.validate!(opts, @schema)
+    {opts, placed} = Placement.split!(opts, @schema, :component)
     ports = for {kind, type} <- outputs(), opts[kind], do: {kind, type}
-    node = Situ.Pipeline.add(p, __MODULE__, opts, [outputs: ports] ++ common)
+    node = Situ.Pipeline.add(p, __MODULE__, [outputs: ports] ++ opts ++ placed)
     Map.new(ports, fn {kind, _} -> {kind, Situ.Node.output(node, kind)} end)
   end
 

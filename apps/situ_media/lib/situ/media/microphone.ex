@@ -57,10 +57,7 @@ defmodule Situ.Media.Microphone do
 
   @doc "Adds the microphone to a pipeline; returns its stream."
   @spec open(Situ.Pipeline.t(), keyword()) :: Situ.Stream.t()
-  def open(p, opts \\ []) do
-    {common, opts} = Keyword.split(opts, [:name, :on_error])
-    Situ.source(p, __MODULE__, opts, common)
-  end
+  def open(p, opts \\ []), do: Situ.source(p, __MODULE__, opts)
 
   @doc "The microphones there are."
   @spec list() :: [Device.t()]

@@ -40,8 +40,7 @@ defmodule Situ.Media.Speaker do
   @doc "Connects the speaker to `stream`; returns `stream`, so that it can be used further."
   @spec play(Situ.Stream.t(), keyword()) :: Situ.Stream.t()
   def play(stream, opts \\ []) do
-    {common, opts} = Keyword.split(opts, [:name, :on_error, :policy])
-    Situ.via(stream, __MODULE__, opts, common)
+    Situ.via(stream, __MODULE__, opts)
     stream
   end
 

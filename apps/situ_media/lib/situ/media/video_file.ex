@@ -1,4 +1,5 @@
 defmodule Situ.Media.VideoFile do
+  alias Situ.Graph.Placement
   alias Situ.Media.{Decoder, FileInfo, FileTime}
 
   @hidden [:loop]
@@ -53,12 +54,11 @@ defmodule Situ.Media.VideoFile do
           audio: Situ.Stream.t() | nil
         }
   def open(p, path, opts \\ []) do
-    {common, opts} = Keyword.split(opts, [:name, :on_error])
     info = read!(path)
-    opts = Situ.Options.validate!([path: path, info: info] ++ opts, @schema)
+    {opts, placed} = Placement.split!([path: path, info: info] ++ opts, @schema, :component)
     ports = ports(info, opts)
     if ports == [], do: raise(nothing(info))
-    node = Situ.Pipeline.add(p, __MODULE__, opts, [outputs: ports] ++ common)
+    node = Situ.Pipeline.add(p, __MODULE__, [outputs: ports] ++ opts ++ placed)
 
     FileTime.propose(
       p,

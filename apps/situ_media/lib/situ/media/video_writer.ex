@@ -35,10 +35,9 @@ defmodule Situ.Media.VideoWriter do
   @doc "Connects the sink to one or two streams. `opts` may hold `name:`, `on_error:` and `policy:` besides the options."
   @spec write([video: Situ.Stream.t(), audio: Situ.Stream.t()], Path.t(), keyword()) :: :ok
   def write([{_, _} | _] = streams, path, opts \\ []) do
-    {common, opts} = Keyword.split(opts, [:name, :on_error, :policy])
     inputs = Keyword.take(inputs(), Keyword.keys(streams))
-    settings = [path: path, expect: Keyword.keys(inputs)] ++ opts
-    Situ.via(streams, __MODULE__, settings, [inputs: inputs] ++ common)
+    own = [path: path, expect: Keyword.keys(inputs)]
+    Situ.via(streams, __MODULE__, own ++ [inputs: inputs] ++ opts)
     :ok
   end
 

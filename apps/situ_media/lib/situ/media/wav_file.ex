@@ -1,4 +1,5 @@
 defmodule Situ.Media.WavFile do
+  alias Situ.Graph.Placement
   alias Situ.Media.FileTime
   alias Situ.Media.Wav.Reader
 
@@ -37,10 +38,9 @@ defmodule Situ.Media.WavFile do
   @doc "Adds the source and returns its stream; raises `Situ.Error` when the file cannot be read."
   @spec open(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def open(p, path, opts \\ []) do
-    {common, opts} = Keyword.split(opts, [:name, :on_error])
-    opts = Situ.Options.validate!([path: path] ++ opts, @schema)
+    {opts, placed} = Placement.split!([path: path] ++ opts, @schema, :component)
     {recorded_at, duration} = look!(path)
-    stream = Situ.source(p, __MODULE__, opts, common)
+    stream = Situ.source(p, __MODULE__, opts ++ placed)
     FileTime.propose(p, opts[:start_time], recorded_at, {opts[:start], opts[:end] || duration})
     stream
   end

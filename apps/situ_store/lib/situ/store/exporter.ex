@@ -75,7 +75,7 @@ defmodule Situ.Store.Exporter do
       {:ok, writer_stream} ->
         SharedWriter.join(shared)
         given = [shared: shared, stream: writer_stream, envelopes: opts[:envelopes]]
-        Situ.via(stream, Sink, given ++ [eager: exporter.eager], component(name, opts))
+        Situ.via(stream, Sink, given ++ [eager: exporter.eager] ++ component(name, opts))
         if opts[:keys], do: note_keys(stream, shared, writer_stream, opts[:metadata])
         stream
 
@@ -92,9 +92,9 @@ defmodule Situ.Store.Exporter do
 
   defp note_keys(stream, shared, writer_stream, metadata) do
     SharedWriter.join(shared)
-    options = [shared: shared, stream: writer_stream, metadata: metadata || %{}]
+    own = [shared: shared, stream: writer_stream, metadata: metadata || %{}]
     name = "Keys " <> String.replace(writer_stream.name, ".", " ")
-    Situ.via(stream, Keys, options, name: name, policy: Situ.Delivery.unlimited())
+    Situ.via(stream, Keys, own ++ [name: name, policy: Situ.Delivery.unlimited()])
   end
 
   # The pipeline never ran: a recording of nothing would only stand in the way of the one before it.

@@ -137,7 +137,7 @@ defmodule Situ.Store.Importer do
 
   # Streams of several stores often have the same name: the later ones get a number.
   defp named(p, source_opts, outputs, name, next) do
-    Situ.source(p, Source, source_opts, name: name, outputs: outputs)
+    Situ.source(p, Source, [name: name, outputs: outputs] ++ source_opts)
   rescue
     error in Error ->
       if error.code == :duplicate_name and next != nil,

@@ -27,7 +27,7 @@ defmodule Situ.Store.ExporterTest do
       Pipeline.run(
         fn p ->
           exporter = Store.create(p, "lossy", root)
-          p |> Situ.range(0, 20_000, 1_000) |> Store.write(exporter, "all")
+          p |> Situ.from_enumerable(0..19_999, every: 1_000) |> Store.write(exporter, "all")
           exporter.path
         end,
         pipeline: [default_policy: Situ.Delivery.latest()]
@@ -40,7 +40,10 @@ defmodule Situ.Store.ExporterTest do
     kept = record(root, "walk", 1..3)
 
     build = fn p ->
-      p |> Situ.range(0, 3, 1_000) |> Store.write(Store.create(p, "walk", root), "N")
+      p
+      |> Situ.from_enumerable(0..2, every: 1_000)
+      |> Store.write(Store.create(p, "walk", root), "N")
+
       raise "no camera"
     end
 
@@ -51,7 +54,11 @@ defmodule Situ.Store.ExporterTest do
     {pid, monitor} =
       spawn_monitor(fn ->
         p = Pipeline.new()
-        p |> Situ.range(0, 3, 1_000) |> Store.write(Store.create(p, "walk", root), "N")
+
+        p
+        |> Situ.from_enumerable(0..2, every: 1_000)
+        |> Store.write(Store.create(p, "walk", root), "N")
+
         send(test, {:pipeline, p.pid})
         receive do: (:go -> :ok)
       end)
@@ -145,7 +152,7 @@ defmodule Situ.Store.ExporterTest do
       Pipeline.run(fn p ->
         store = Store.create(p, "some", root)
         assert Store.write(nil, store, "Absent") == nil
-        numbers = Situ.range(p, 1, 3, 10)
+        numbers = Situ.from_enumerable(p, 1..3, every: 10)
         assert Store.write(numbers, nil, "Unrecorded") == numbers
         Store.write(numbers, store, "N")
       end)
@@ -157,7 +164,7 @@ defmodule Situ.Store.ExporterTest do
     assert {:error, %Situ.Error{code: :unknown_option, fix: fix}} =
              Pipeline.run(fn p ->
                store = Store.create(p, "typo", root)
-               Store.write(Situ.range(p, 1, 3, 10), store, "N", compresion: :zstd)
+               Store.write(Situ.from_enumerable(p, 1..3, every: 10), store, "N", compresion: :zstd)
              end)
 
     assert fix =~ ":compression"

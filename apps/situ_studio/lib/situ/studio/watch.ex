@@ -152,13 +152,13 @@ defmodule Situ.Studio.Watch do
 
   # A pipeline may end at any moment: then there is nothing to tap, and nothing to let go of.
   defp attach(target, stream, keep) do
-    Situ.tap({target(target), stream}, keep, name: "Studio: " <> stream)
+    Situ.attach_tap({target(target), stream}, keep, name: "Studio: " <> stream)
   catch
     :exit, _ -> {:error, Error.new(:not_running, "the pipeline has ended")}
   end
 
   defp detach(tap) do
-    Situ.untap(tap)
+    Situ.detach_tap(tap)
   catch
     :exit, _ -> :ok
   end

@@ -127,7 +127,7 @@ defmodule Situ.Branch.Process do
   # Errors and processes inside carry the branch's name.
   defp build(p, fun, {to, id}, path, type) do
     p = %{p | scope: path}
-    gate = Pipeline.add(p, Gate, [to: to, id: id], name: "In", outputs: [out: type])
+    gate = Pipeline.add(p, Gate, to: to, id: id, name: "In", outputs: [out: type])
     result = fun.(Situ.Node.output(gate, :out))
 
     if is_struct(result, Stream) do

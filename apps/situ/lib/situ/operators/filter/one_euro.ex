@@ -1,4 +1,14 @@
 defmodule Situ.Filter.OneEuro do
+  @options [
+    slope: [
+      type: :number,
+      default: 0.0,
+      doc: "How fast the cutoff rises with the speed of change."
+    ],
+    min_cutoff: [type: :number, default: 1.0, doc: "Hz, the cutoff for what stands still."],
+    derivative_cutoff: [type: :number, default: 1.0, doc: "Hz, for the speed of change."]
+  ]
+
   @moduledoc """
   The 1 euro filter: an adaptive low pass for irregular samples. Slow changes are smoothed, fast ones pass.
 
@@ -8,17 +18,25 @@ defmodule Situ.Filter.OneEuro do
       iex> {first, Float.round(second, 4)}
       {10.0, 10.5912}
 
+  ## Options
+
+  #{Situ.Options.docs(@options)}
+
   Source: Casiez, Roussel, Vogel, 1 euro filter, CHI 2012.
   """
 
   alias Situ.Number
 
   @type t :: %__MODULE__{}
-  defstruct slope: 0.0, min_cutoff: 1.0, derivative_cutoff: 1.0, previous: nil, derivative: 0.0
+  defstruct [:slope, :min_cutoff, :derivative_cutoff, :previous, derivative: 0.0]
 
-  @doc "`slope:` (default 0.0), `min_cutoff:` (Hz, default 1.0), `derivative_cutoff:` (Hz, default 1.0)."
+  @doc "A filter that has seen nothing."
   @spec new(keyword()) :: t()
-  def new(opts \\ []), do: struct!(__MODULE__, opts)
+  def new(opts \\ []), do: struct!(__MODULE__, Situ.Options.validate!(opts, @options))
+
+  @doc false
+  @spec options() :: Situ.Options.schema()
+  def options, do: @options
 
   @doc """
   A sample at a time (ns); the first passes as it is. What has become `:nan` or infinite stays so: each output goes into the next.

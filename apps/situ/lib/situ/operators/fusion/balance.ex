@@ -13,7 +13,14 @@ defmodule Situ.Fusion.Balance do
   @limit 8_192
   @patience 25
 
+  alias Situ.Fusion.MessageQueue
+
   defstruct limit: @limit, newest: %{}, held: [], idle: 0
+
+  @doc "For inputs that may run ahead by some 8,000 messages, or by half of `max_queue`."
+  @spec new(pos_integer() | nil) :: t()
+  def new(nil), do: %__MODULE__{}
+  def new(max_queue), do: %__MODULE__{limit: max(min(@limit, div(max_queue, 2)), 1)}
 
   @type input :: atom()
   @type t :: %__MODULE__{
@@ -26,7 +33,35 @@ defmodule Situ.Fusion.Balance do
   @doc "Messages of `input` arrived."
   @spec seen(t(), input(), [Situ.Message.t()]) :: t()
   def seen(balance, input, messages),
-    do: %{balance | newest: Map.put(balance.newest, input, last(messages)), idle: 0}
+    do: %{
+      balance
+      | newest: Map.put(balance.newest, input, MessageQueue.last(messages).sequence_id),
+        idle: 0
+    }
+
+  @doc """
+  The outputs of a component after it has taken something in, with the holds and resumes of its inputs, and its state, which keeps the
+  balance under `balance`: `heads` are the inputs' queues, `{input, sequence id of the first message | nil}`; `awaited` are the inputs
+  that the operator waits for.
+  """
+  @spec after_step([term()], state, [{input(), non_neg_integer() | nil}], [input()]) ::
+          {[term()], state}
+        when state: %{balance: t()}
+  def after_step(outputs, state, heads, awaited) do
+    case actions(state.balance, heads, awaited) do
+      {[], balance} -> {outputs, %{state | balance: balance}}
+      {actions, balance} -> {outputs ++ actions, %{state | balance: balance}}
+    end
+  end
+
+  @doc "As the component's callback of that name: the end of a hold; everything else is ignored."
+  @spec handle_info(term(), state) :: {[term()], state} when state: %{balance: t()}
+  def handle_info({:hold_ended, input}, state) do
+    {actions, balance} = ended(state.balance, input, busy?())
+    {actions, %{state | balance: balance}}
+  end
+
+  def handle_info(_other, state), do: {[], state}
 
   @doc "`input` is no more."
   @spec forget(t(), input()) :: t()
@@ -81,7 +116,4 @@ defmodule Situ.Fusion.Balance do
   defp change(hold, held) do
     Enum.map(hold, &{:hold, &1}) ++ Enum.map(held -- hold, &{:resume, &1})
   end
-
-  defp last([message]), do: message.sequence_id
-  defp last([_ | rest]), do: last(rest)
 end

@@ -8,241 +8,242 @@ defmodule Situ.Fusion.Core do
     * One cannot say yet: the primary waits, and later ones behind it, so outputs come in the primaries' order.
     * One has none: the primary is given up.
 
-  Secondary messages that no later primary can need are dropped at once, so memory is bounded by what is undecided.
+  Secondary messages that no later primary can need are dropped at once, so memory is bounded by the messages that are undecided.
 
-      iex> core = Situ.Fusion.Core.new([Situ.Reproducible.exact()], &{&1, &2})
+      iex> core = Situ.Fusion.Core.new(&{&1, &2}, members: [{:s0, 0, Situ.Reproducible.exact()}], values: :one)
       iex> message = &%Situ.Message{originating_time: &1, data: &2}
       iex> {[], core} = Situ.Fusion.Core.primary(core, [message.(1, :a), message.(2, :b)])
-      iex> {outputs, _core} = Situ.Fusion.Core.secondary(core, 0, [message.(2, :x)])
+      iex> {outputs, _core} = Situ.Fusion.Core.secondary(core, :s0, [message.(2, :x)])
       iex> outputs
       [{:out, 2, {:b, :x}}]
 
-  With one secondary the creator is called `creator.(primary, value)`, else `creator.(primary, [value])`.
+  Secondaries may come and go. Each takes part for a span of originating times: a primary at time t needs a value of every member with
+  `from <= t < until`, and of no other; of a member's messages those before `from` are as if they had never been. So the outputs depend on
+  the spans alone, and not on when a member was added or removed, as long as no primary of the span had arrived before: `add/5`
+  and `remove/3` refuse to change a decision that may have been made.
+
+      iex> core = Situ.Fusion.Core.new(&{&1, &2}, values: :map)
+      iex> message = &%Situ.Message{originating_time: &1, data: &2}
+      iex> {outputs, core} = Situ.Fusion.Core.primary(core, [message.(1, :a)])
+      iex> outputs
+      [{:out, 1, {:a, %{}}}]
+      iex> {:ok, 2, core} = Situ.Fusion.Core.add(core, :s0, "ann", Situ.Reproducible.exact(), from: 2)
+      iex> {[], core} = Situ.Fusion.Core.primary(core, [message.(2, :b)])
+      iex> {outputs, _core} = Situ.Fusion.Core.secondary(core, :s0, [message.(2, :x)])
+      iex> outputs
+      [{:out, 2, {:b, %{"ann" => :x}}}]
   """
+  alias Situ.{Component, Error, Interpolator, Message}
+  alias Situ.Fusion.{Decision, Keys, Member, MessageQueue, Secondary, Span}
 
-  alias Situ.Fusion.Side
-  alias Situ.{Interpolator, Message}
-
-  @type output :: {:out, Situ.Time.t(), term()}
-
-  @enforce_keys [:interpolators, :creator, :sides]
+  @enforce_keys [:creator, :values]
   defstruct [
-    :interpolators,
     :creator,
-    :sides,
+    :values,
     :give_up_after,
-    front: [],
-    rear: [],
-    newest: nil,
-    waiting: nil,
-    given_up: 0
+    :max_queue,
+    :arrived,
+    :waiting,
+    ended: :stay,
+    members: [],
+    queue: MessageQueue.new(),
+    closed: false,
+    given_up: 0,
+    dropped: 0
   ]
 
+  @type input :: atom()
   @type t :: %__MODULE__{
-          interpolators: [Interpolator.t()],
-          creator: fun(),
-          sides: [Side.t()],
+          creator: (term(), term() -> term()),
+          values: :one | :list | :map,
           give_up_after: Situ.Time.duration() | nil,
-          front: [Message.t()],
-          rear: [[Message.t()]],
-          newest: Situ.Time.t() | nil,
-          waiting: nil | {non_neg_integer(), Situ.Time.t() | :infinity | nil},
-          given_up: non_neg_integer()
+          max_queue: pos_integer() | nil,
+          arrived: Message.t() | nil,
+          waiting: {input(), Situ.Time.t() | :infinity | nil} | nil,
+          ended: :stay | :leave,
+          members: [Member.t()],
+          queue: MessageQueue.t(),
+          closed: boolean(),
+          given_up: non_neg_integer(),
+          dropped: non_neg_integer()
         }
 
   @doc """
-  A core with one interpolator per secondary.
+  A fusion whose outputs are `creator.(primary, values)`.
 
-  `give_up_after:` (ns): a primary that still waits when a primary this much later has arrived is decided as if the secondary
-  streams had ended. It bounds memory when a secondary falls silent, and makes the result depend on timing.
+    * `members:` `{input, key, interpolator}` or `{input, key, interpolator, span}` of each secondary
+    * `values:` `:one` (the only secondary's value), `:list` or `:map` (by key)
+    * `give_up_after:` ns: a primary that still waits when a primary this much later has arrived is decided by the messages that are there.
+      It bounds memory when a secondary falls silent, and makes the result depend on timing.
+    * `max_queue:` the same by count: so many primaries wait at most, and so many messages of each secondary
+    * `ended: :leave`: a member whose stream has ended is not needed after that time
   """
-  @spec new([Interpolator.t()], fun(), keyword()) :: t()
-  def new(interpolators, creator, opts \\ []) do
-    %__MODULE__{
-      interpolators: interpolators,
-      creator: creator,
-      sides: Enum.map(interpolators, fn _ -> Side.new() end),
-      give_up_after: opts[:give_up_after]
-    }
+  @spec new((term(), term() -> term()), keyword()) :: t()
+  def new(creator, opts) do
+    {members, opts} = Keyword.pop(opts, :members, [])
+    Enum.reduce(members, struct!(__MODULE__, [creator: creator] ++ opts), &member/2)
+  end
+
+  defp member({input, key, interpolator}, core), do: member({input, key, interpolator, []}, core)
+
+  defp member({input, key, interpolator, span}, core) do
+    {:ok, _from, core} = add(core, input, key, interpolator, span)
+    core
+  end
+
+  @doc """
+  A member from now on. `from:` is the first time that needs it: by default, and at the earliest, behind the last primary that has
+  arrived and behind `after:`, the last of its messages that will not come. Answers the time, or `:start` when nothing has been yet.
+  `until:` as `remove/3` would set it.
+  """
+  @spec add(t(), input(), term(), Interpolator.t(), keyword()) ::
+          {:ok, Situ.Time.t() | :start, t()} | {:error, Error.t()}
+  def add(core, input, key, interpolator, opts) do
+    earlier = for %{key: ^key, until: until} <- core.members, until != nil, do: until - 1
+    earliest = Span.behind([arrived(core), opts[:after] | earlier])
+
+    with :ok <- Keys.free(keys(core), key),
+         {:ok, from} <- Span.possible(opts[:from], earliest, "take part from") do
+      span = [from: from, until: opts[:until]]
+      member = struct!(%Member{input: input, key: key, interpolator: interpolator}, span)
+      {:ok, from || :start, %{core | members: core.members ++ [member]}}
+    end
+  end
+
+  @doc """
+  The member with this key is not needed from `until:` on: by default, and at the earliest, behind the last primary that has arrived; `:start` when
+  none has.
+  """
+  @spec remove(t(), term(), keyword()) ::
+          {:ok, Situ.Time.t() | :start, [Component.action()], t()} | {:error, Error.t()}
+  def remove(core, key, opts) do
+    earliest = Span.behind([arrived(core)])
+
+    with {:ok, member} <- find(core, key),
+         {:ok, until} <- Span.possible(opts[:until], earliest, "be left out from") do
+      until = until || Span.beginning()
+      {outputs, core} = Decision.run(change(core, member, until: until))
+      {:ok, if(until == Span.beginning(), do: :start, else: until), outputs, core}
+    end
   end
 
   @doc "Primary messages arrived."
-  @spec primary(t(), [Message.t()]) :: {[output()], t()}
+  @spec primary(t(), [Message.t()]) :: {[Component.action()], t()}
   def primary(core, []), do: {[], core}
 
-  def primary(%{sides: []} = core, messages) do
-    {for(m <- messages, do: {:out, m.originating_time, core.creator.(m.data, [])}), core}
-  end
-
-  def primary(%{give_up_after: nil} = core, messages) do
-    core = %{core | rear: [messages | core.rear]}
-    if core.waiting == nil, do: run(core), else: {[], core}
-  end
-
   def primary(core, messages) do
-    newest = List.last(messages).originating_time
-    run(%{core | rear: [messages | core.rear], newest: newest, waiting: nil})
+    arrived = MessageQueue.last(messages)
+    core = %{core | queue: MessageQueue.push(core.queue, messages), arrived: arrived}
+
+    # Only where the wait is bounded can a primary decide something about another one.
+    if core.waiting == nil or core.give_up_after != nil or core.max_queue != nil,
+      do: Decision.run(core),
+      else: {[], core}
   end
 
-  @doc "Messages of secondary number `index` (from 0) arrived."
-  @spec secondary(t(), non_neg_integer(), [Message.t()]) :: {[output()], t()}
-  def secondary(core, _index, []), do: {[], core}
+  @doc "The primary stream ended: primaries that still wait are decided by their secondaries alone."
+  @spec close_primary(t()) :: t()
+  def close_primary(core), do: %{core | closed: true}
 
-  def secondary(%{sides: [side]} = core, 0, messages) do
-    side = Side.push(side, messages)
-    awake(%{core | sides: [side]}, 0, Side.reached(side))
+  @doc "Messages of a member arrived; those of one that is gone are passed over."
+  @spec secondary(t(), input(), [Message.t()]) :: {[Component.action()], t()}
+  def secondary(
+        %{members: [%{input: input, from: nil} = member]} = core,
+        input,
+        [_ | _] = messages
+      ) do
+    {queue, dropped} = Secondary.push(member.queue, messages, core.max_queue)
+    core = %{core | members: [%{member | queue: queue}], dropped: core.dropped + dropped}
+    awake(core, input, Secondary.reached(queue))
   end
 
-  def secondary(core, index, messages) do
-    side = core.sides |> Enum.at(index) |> Side.push(messages)
-    awake(%{core | sides: List.replace_at(core.sides, index, side)}, index, Side.reached(side))
+  def secondary(core, input, messages) do
+    with %Member{} = member <- Enum.find(core.members, &(&1.input == input)),
+         [_ | _] = messages <- Member.since(messages, member.from) do
+      {queue, dropped} = Secondary.push(member.queue, messages, core.max_queue)
+      core = change(%{core | dropped: core.dropped + dropped}, member, queue: queue)
+      awake(core, input, Secondary.reached(queue))
+    else
+      _ -> {[], core}
+    end
   end
 
-  @doc "Secondary number `index` ended at `time`."
-  @spec close(t(), non_neg_integer(), Situ.Time.t()) :: {[output()], t()}
-  def close(core, index, time) do
-    sides = List.update_at(core.sides, index, &Side.close(&1, time))
-    run(%{core | sides: sides, waiting: nil})
+  @doc "A member's stream ended at `time`."
+  @spec close(t(), input(), Situ.Time.t()) :: {[Component.action()], t()}
+  def close(core, input, time) do
+    case Enum.find(core.members, &(&1.input == input)) do
+      nil ->
+        {[], core}
+
+      member ->
+        queue = Secondary.close(member.queue, time)
+        until = if core.ended == :leave, do: min(time + 1, member.until), else: member.until
+        Decision.run(change(core, member, queue: queue, until: until))
+    end
   end
 
-  @doc "Which queue a decision waits for: a secondary's index, or `:primary`."
-  @spec awaited(t()) :: :primary | non_neg_integer()
-  def awaited(%{waiting: {index, _until}}), do: index
+  @doc "Inputs whose members nobody will need any more; they are forgotten."
+  @spec gone(t()) :: {[input()], t()}
+  def gone(%{values: :map} = core) do
+    case Enum.split_with(core.members, &over?(&1, core)) do
+      {[], _} -> {[], core}
+      {over, kept} -> {Enum.map(over, & &1.input), %{core | members: kept}}
+    end
+  end
+
+  def gone(core), do: {[], core}
+
+  @doc "The input that a decision waits for, or `:primary`."
+  @spec awaited(t()) :: input()
+  def awaited(%{waiting: {input, _until}}), do: input
   def awaited(_core), do: :primary
 
-  @doc "The sequence ids of the first messages that wait: of the primary, and of each secondary."
-  @spec heads(t()) :: {non_neg_integer() | nil, [non_neg_integer() | nil]}
+  @doc "The sequence ids of the first messages that wait, per input."
+  @spec heads(t()) :: [{input(), non_neg_integer() | nil}]
   def heads(core) do
-    {Side.first(core.front, core.rear), Enum.map(core.sides, &Side.head/1)}
+    secondary =
+      for %{input: input, queue: {front, rear, _, _}} <- core.members,
+          do: {input, MessageQueue.head({front, rear})}
+
+    [{:primary, MessageQueue.head(core.queue)} | secondary]
   end
 
-  @doc "What waits: `%{primary: count, secondary: [count]}`, and how many primaries were given up on a stalled secondary."
-  @spec queued(t()) :: %{
-          primary: non_neg_integer(),
-          secondary: [non_neg_integer()],
-          given_up: non_neg_integer()
-        }
+  @doc "How many messages wait: of the primary, and of each key."
+  @spec queued(t()) :: %{primary: non_neg_integer(), secondary: [{term(), non_neg_integer()}]}
   def queued(core) do
     %{
-      primary: Side.count(core.front, core.rear),
-      secondary: Enum.map(core.sides, &Side.count/1),
-      given_up: core.given_up
+      primary: MessageQueue.count(core.queue),
+      secondary: for(m <- core.members, do: {m.key, MessageQueue.count(Secondary.queue(m.queue))})
     }
   end
 
   # A waiting primary is looked at again only when the stream that it waits for got far enough.
-  defp awake(%{waiting: nil} = core, _index, _last), do: run(core)
-  defp awake(%{waiting: {index, nil}} = core, index, _last), do: run(%{core | waiting: nil})
+  defp awake(%{waiting: nil} = core, _input, _last), do: Decision.run(core)
+  defp awake(%{waiting: {input, nil}} = core, input, _last), do: Decision.run(core)
 
-  defp awake(%{waiting: {index, until}} = core, index, last) when last >= until,
-    do: run(%{core | waiting: nil})
+  defp awake(%{waiting: {input, until}} = core, input, last) when last >= until,
+    do: Decision.run(core)
 
-  defp awake(core, _index, _last), do: {[], core}
+  defp awake(core, _input, _last), do: {[], core}
 
-  defp run(%{front: [], rear: []} = core), do: {[], core}
+  defp arrived(%{arrived: nil}), do: nil
+  defp arrived(%{arrived: message}), do: message.originating_time
 
-  defp run(%{front: [], rear: rear} = core),
-    do: run(%{core | front: Side.merge([], rear), rear: []})
+  # Those that leave have no key any more.
+  defp keys(core), do: for(%{until: nil, key: key} <- core.members, do: key)
 
-  defp run(%{sides: [side], interpolators: [interpolator]} = core) do
-    {front, side, waiting, outputs, given_up} =
-      single(core.front, side, interpolator, {core.creator, limit(core)}, [], core.given_up)
-
-    finish(core, front, [side], waiting, outputs, given_up)
-  end
-
-  defp run(core) do
-    {front, sides, waiting, outputs, given_up} =
-      several(core.front, core.sides, core, limit(core), [], core.given_up)
-
-    finish(core, front, sides, waiting, outputs, given_up)
-  end
-
-  defp finish(%{rear: []} = core, front, sides, waiting, outputs, given_up) do
-    core = %{core | front: front, sides: sides, waiting: waiting, given_up: given_up}
-    {:lists.reverse(outputs), core}
-  end
-
-  defp finish(core, [], sides, nil, outputs, given_up) do
-    {more, core} = run(%{core | front: [], sides: sides, waiting: nil, given_up: given_up})
-    {:lists.reverse(outputs, more), core}
-  end
-
-  defp finish(core, front, sides, waiting, outputs, given_up) do
-    core = %{core | front: front, sides: sides, waiting: waiting, given_up: given_up}
-    {:lists.reverse(outputs), core}
-  end
-
-  # Primaries before this time wait no longer.
-  defp limit(%{give_up_after: nil}), do: nil
-  defp limit(%{newest: nil}), do: nil
-  defp limit(core), do: core.newest - core.give_up_after
-
-  # One secondary: the common case, without lists of sides.
-  defp single([], side, _interpolator, _context, outputs, given_up),
-    do: {[], side, nil, outputs, given_up}
-
-  defp single([primary | rest] = front, side, interpolator, context, outputs, given_up) do
-    {creator, limit} = context
-    time = primary.originating_time
-
-    case Side.ask(interpolator, time, side, limit) do
-      {:created, value, side} ->
-        output = {:out, time, creator.(primary.data, value)}
-        single(rest, side, interpolator, context, [output | outputs], given_up)
-
-      {:does_not_exist, side} ->
-        single(rest, side, interpolator, context, outputs, given_up)
-
-      {:given_up, side} ->
-        single(rest, side, interpolator, context, outputs, given_up + 1)
-
-      {:wait, until, side} ->
-        {front, side, {0, until}, outputs, given_up}
+  defp find(core, key) do
+    case Enum.find(core.members, &(&1.key == key and &1.until == nil)) do
+      nil -> Keys.unknown(keys(core), key)
+      member -> {:ok, member}
     end
   end
 
-  defp several([], sides, _core, _limit, outputs, given_up),
-    do: {[], sides, nil, outputs, given_up}
-
-  defp several([primary | rest] = front, sides, core, limit, outputs, given_up) do
-    time = primary.originating_time
-
-    case ask_all(core.interpolators, sides, time, limit, 0, [], []) do
-      {:all, values, sides} ->
-        output = {:out, time, core.creator.(primary.data, values)}
-        several(rest, sides, core, limit, [output | outputs], given_up)
-
-      {:none, sides} ->
-        several(rest, sides, core, limit, outputs, given_up)
-
-      {:given_up, sides} ->
-        several(rest, sides, core, limit, outputs, given_up + 1)
-
-      # The same primary is asked for again: its secondaries must be as they were.
-      {:wait, waiting} ->
-        {front, sides, waiting, outputs, given_up}
-    end
+  defp change(core, %{input: input}, changes) do
+    members = Enum.map(core.members, &if(&1.input == input, do: struct!(&1, changes), else: &1))
+    %{core | members: members}
   end
 
-  # Values of all secondaries in order. Each queue is trimmed as its own answer allows even when another one has
-  # no value, since a trimmed message is one that later primaries cannot need either.
-  defp ask_all([], [], _time, _limit, _index, values, done),
-    do: {:all, :lists.reverse(values), :lists.reverse(done)}
-
-  defp ask_all([interpolator | interpolators], [side | sides], time, limit, index, values, done) do
-    case Side.ask(interpolator, time, side, limit) do
-      {:created, value, side} ->
-        ask_all(interpolators, sides, time, limit, index + 1, [value | values], [side | done])
-
-      {:does_not_exist, side} ->
-        {:none, :lists.reverse(done, [side | sides])}
-
-      {:given_up, side} ->
-        {:given_up, :lists.reverse(done, [side | sides])}
-
-      {:wait, until, _side} ->
-        {:wait, {index, until}}
-    end
-  end
+  defp over?(member, core),
+    do: Span.over?({member.from, member.until}, arrived(core), core.closed, core.queue)
 end

@@ -1,29 +1,34 @@
 defmodule Situ.Fusion.Fuse do
   @moduledoc false
-  # The component behind join, fuse, interpolate and sample by a clock: input :primary, and secondaries :s0, :s1 ...
+  # The component behind join, fuse, interpolate and sample by a clock: input :primary, and secondaries :s0, :s1 ..., which may come and
+  # go where their values are a map.
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],
     options: [
-      interpolators: [type: {:list, {:struct, Situ.Interpolator}}, required: true],
+      members: [type: :list, required: true, doc: "{input, key, interpolator, span} of each."],
+      values: [type: {:in, [:one, :list, :map]}, required: true],
+      interpolator: [type: {:optional, {:struct, Situ.Interpolator}}, doc: "Of added inputs."],
       creator: [type: {:fun, 2}, required: true],
-      give_up_after: [type: {:optional, :pos_integer}]
+      reproducible: [type: :boolean, default: false],
+      give_up_after: [type: {:optional, :pos_integer}],
+      max_queue: [type: {:optional, :pos_integer}],
+      ended: [type: {:in, [:stay, :leave]}, default: :stay]
     ]
 
-  alias Situ.Fusion.{Balance, Core}
+  alias Situ.Fusion.{Arguments, Balance, Core, Span}
+  alias Situ.{Error, Options}
 
-  @doc "The input's name of secondary number `index`. Graphs are built by programs: the atoms are as few as their inputs."
-  @spec input(non_neg_integer()) :: atom()
-  def input(index), do: :"s#{index}"
+  @core [:members, :values, :give_up_after, :max_queue, :ended]
+  @adding [from: [type: :time_ns], interpolator: [type: :any]]
+  @removing [until: [type: :time_ns]]
 
-  defstruct [:core, :inputs, :names, balance: %Balance{}]
+  defstruct [:core, :opts, :balance]
 
   @impl true
   def init(opts) do
-    names = for {_, index} <- Enum.with_index(opts[:interpolators]), do: input(index)
-    give_up = [give_up_after: opts[:give_up_after]]
-    core = Core.new(opts[:interpolators], opts[:creator], give_up)
-    {:ok, %__MODULE__{core: core, names: names, inputs: Map.new(Enum.with_index(names))}}
+    core = Core.new(opts[:creator], Keyword.take(opts, @core))
+    {:ok, %__MODULE__{core: core, opts: opts, balance: Balance.new(opts[:max_queue])}}
   end
 
   @impl true
@@ -34,51 +39,99 @@ defmodule Situ.Fusion.Fuse do
   def handle_messages(:primary, messages, _context, state),
     do: done(Core.primary(state.core, messages), seen(state, :primary, messages))
 
-  def handle_messages(input, messages, _context, state) do
-    index = Map.fetch!(state.inputs, input)
-    done(Core.secondary(state.core, index, messages), seen(state, input, messages))
-  end
+  def handle_messages(input, messages, _context, state),
+    do: done(Core.secondary(state.core, input, messages), seen(state, input, messages))
 
-  # Primaries that still wait are decided by their secondaries alone.
   @impl true
-  def handle_closed(:primary, _time, _context, state), do: done({[], state.core}, state)
+  def handle_closed(:primary, _time, _context, state),
+    do: done({[], Core.close_primary(state.core)}, state)
 
   def handle_closed(input, time, _context, state),
-    do: done(Core.close(state.core, Map.fetch!(state.inputs, input), time), state)
+    do: done(Core.close(state.core, input, time), state)
 
   @impl true
-  def handle_info({:hold_ended, input}, _context, state) do
-    {actions, balance} = Balance.ended(state.balance, input, Balance.busy?())
-    {actions, %{state | balance: balance}}
+  def handle_attach(input, {key, opts}, last, _context, state) do
+    with :ok <- map!(state),
+         {:ok, opts} <- Options.validate(opts, @adding),
+         {:ok, interpolator} <- interpolator(opts[:interpolator], state.opts),
+         span = [from: opts[:from], after: last],
+         {:ok, from, core} <- Core.add(state.core, input, key, interpolator, span) do
+      entry = {input, key, interpolator, if(from == :start, do: [], else: [from: from])}
+      opts = Keyword.update!(state.opts, :members, &(&1 ++ [entry]))
+      {:ok, from, opts, [], %{state | core: core, opts: opts}}
+    end
   end
 
-  def handle_info(_other, _context, state), do: {[], state}
+  @impl true
+  def handle_detach({key, opts}, _context, state) do
+    with :ok <- map!(state),
+         {:ok, opts} <- Options.validate(opts, @removing),
+         {:ok, until, outputs, core} <- Core.remove(state.core, key, opts) do
+      opts = Keyword.update!(state.opts, :members, &leaving(&1, key, until))
+      {actions, state} = done({outputs, core}, %{state | opts: opts})
+      {:ok, until, state.opts, actions, state}
+    end
+  end
+
+  @impl true
+  def handle_info(message, _context, state), do: Balance.handle_info(message, state)
+
+  defp map!(%{opts: opts}) do
+    if opts[:values] == :map,
+      do: :ok,
+      else:
+        {:error, Error.new(:fixed_inputs, "its inputs are fixed", fix: "join a map of streams")}
+  end
+
+  defp leaving(entries, key, until) do
+    until = if until == :start, do: Span.beginning(), else: until
+
+    Enum.map(entries, fn
+      {input, ^key, interpolator, span} ->
+        {input, key, interpolator, Keyword.put_new(span, :until, until)}
+
+      other ->
+        other
+    end)
+  end
+
+  defp interpolator(nil, own), do: {:ok, own[:interpolator]}
+
+  defp interpolator(given, own) do
+    interpolator = Arguments.interpolator(given)
+
+    if own[:reproducible] and not interpolator.reproducible,
+      do: {:error, Arguments.not_reproducible(interpolator)},
+      else: {:ok, interpolator}
+  end
 
   defp seen(state, input, messages),
     do: %{state | balance: Balance.seen(state.balance, input, messages)}
 
   defp done({outputs, core}, state) do
-    {primary, secondaries} = Core.heads(core)
-    heads = [{:primary, primary} | Enum.zip(state.names, secondaries)]
-
-    case Balance.actions(state.balance, heads, [awaited(core, state.names)]) do
-      {[], balance} -> {outputs, %{state | core: core, balance: balance}}
-      {actions, balance} -> {outputs ++ actions, %{state | core: core, balance: balance}}
-    end
+    {gone, core} = Core.gone(core)
+    state = Enum.reduce(gone, %{state | core: core}, &forget/2)
+    leave = for input <- gone, do: {:detach, input, state.opts}
+    Balance.after_step(outputs ++ leave, state, Core.heads(core), [Core.awaited(core)])
   end
 
-  defp awaited(core, names) do
-    case Core.awaited(core) do
-      :primary -> :primary
-      index -> Enum.at(names, index)
-    end
+  defp forget(input, state) do
+    opts = Keyword.update!(state.opts, :members, &List.keydelete(&1, input, 0))
+    %{state | opts: opts, balance: Balance.forget(state.balance, input)}
   end
 
   @impl true
   def describe(%{core: core}) do
     queued = Core.queued(core)
-    given_up = if queued.given_up > 0, do: ", #{queued.given_up} given up", else: ""
+    named? = core.values == :map
 
-    "waiting: #{queued.primary} primary, #{Enum.join(queued.secondary, " + ")} secondary#{given_up}"
+    waiting =
+      Enum.map_join(Enum.take(queued.secondary, 8), " + ", fn {key, n} ->
+        if named?, do: "#{n} of #{inspect(key)}", else: "#{n}"
+      end)
+
+    given_up = if core.given_up > 0, do: ", #{core.given_up} given up", else: ""
+    dropped = if core.dropped > 0, do: ", #{core.dropped} secondary dropped", else: ""
+    "waiting: #{queued.primary} primary, #{waiting} secondary#{given_up}#{dropped}"
   end
 end

@@ -16,109 +16,87 @@ defmodule Situ.Fusion.Zip do
       [{:out, 3, [:b]}]
   """
 
-  alias Situ.Message
+  alias Situ.{Component, Message}
+  alias Situ.Fusion.MessageQueue
 
-  # Per input: the queue (in order), batches that came later (newest first), and the time it has reached. An input
-  # that has sent nothing is at `:nothing`, an ended one at `:closed`.
-  @enforce_keys [:sides]
-  defstruct [:sides, frontier: :nothing]
+  # Per input: its queue and the time it has reached. An input that has sent nothing is at `:nothing`, an ended one at `:closed`.
+  @enforce_keys [:inputs]
+  defstruct [:inputs, frontier: :nothing]
 
   @type reached :: Situ.Time.t() | :nothing | :closed
   @type t :: %__MODULE__{
-          sides: [{[Message.t()], [[Message.t()]], reached()}],
+          inputs: [{MessageQueue.t(), reached()}],
           frontier: reached()
         }
 
   @doc "For this many inputs."
   @spec new(pos_integer()) :: t()
-  def new(inputs), do: %__MODULE__{sides: List.duplicate({[], [], :nothing}, inputs)}
+  def new(n), do: %__MODULE__{inputs: List.duplicate({MessageQueue.new(), :nothing}, n)}
 
   @doc "Messages of input number `index` (from 0) arrived."
-  @spec push(t(), non_neg_integer(), [Message.t()]) :: {[Situ.Fusion.Core.output()], t()}
+  @spec push(t(), non_neg_integer(), [Message.t()]) :: {[Component.action()], t()}
   def push(zip, _index, []), do: {[], zip}
 
   def push(zip, index, messages) do
-    %Message{originating_time: last} = List.last(messages)
+    %Message{originating_time: last} = MessageQueue.last(messages)
 
-    sides =
-      List.update_at(zip.sides, index, fn
-        {[], [], _reached} -> {messages, [], last}
-        {front, rear, _reached} -> {front, [messages | rear], last}
+    inputs =
+      List.update_at(zip.inputs, index, fn {queue, _} ->
+        {MessageQueue.push(queue, messages), last}
       end)
 
-    release(%{zip | sides: sides})
+    release(%{zip | inputs: inputs})
   end
 
   @doc "Input number `index` ended."
-  @spec close(t(), non_neg_integer()) :: {[Situ.Fusion.Core.output()], t()}
+  @spec close(t(), non_neg_integer()) :: {[Component.action()], t()}
   def close(zip, index) do
-    release(%{zip | sides: List.update_at(zip.sides, index, &put_elem(&1, 2, :closed))})
+    release(%{zip | inputs: List.update_at(zip.inputs, index, &put_elem(&1, 1, :closed))})
   end
 
   @doc "Indices of the inputs that hold the others back."
   @spec awaited(t()) :: [non_neg_integer()]
   def awaited(zip) do
-    least = frontier(zip.sides, :closed)
-    for {{_, _, reached}, index} <- Enum.with_index(zip.sides), reached == least, do: index
+    least = frontier(zip.inputs, :closed)
+    for {{_, reached}, index} <- Enum.with_index(zip.inputs), reached == least, do: index
   end
 
   @doc "The sequence ids of the first messages that wait, per input."
   @spec heads(t()) :: [non_neg_integer() | nil]
-  def heads(zip), do: for({front, rear, _} <- zip.sides, do: head(front, rear))
-
-  defp head([%{sequence_id: id} | _], _rear), do: id
-  defp head([], []), do: nil
-  defp head([], rear), do: rear |> List.last() |> hd() |> Map.fetch!(:sequence_id)
+  def heads(zip), do: for({queue, _} <- zip.inputs, do: MessageQueue.head(queue))
 
   @doc "How many messages wait, per input."
   @spec queued(t()) :: [non_neg_integer()]
-  def queued(zip) do
-    for {front, rear, _} <- zip.sides,
-        do: length(front) + Enum.reduce(rear, 0, &(length(&1) + &2))
-  end
+  def queued(zip), do: for({queue, _} <- zip.inputs, do: MessageQueue.count(queue))
 
   defp release(%{frontier: frontier} = zip) do
-    case frontier(zip.sides, :closed) do
+    case frontier(zip.inputs, :closed) do
       ^frontier -> {[], zip}
       :nothing -> {[], zip}
       new -> emit(%{zip | frontier: new})
     end
   end
 
-  defp emit(%{sides: sides, frontier: frontier} = zip) do
-    {released, kept} = sides |> Enum.map(&split(&1, frontier)) |> Enum.unzip()
-    {group(:lists.reverse(released)), %{zip | sides: kept}}
+  defp emit(%{inputs: inputs, frontier: frontier} = zip) do
+    {released, kept} = inputs |> Enum.map(&split(&1, frontier)) |> Enum.unzip()
+    {group(:lists.reverse(released)), %{zip | inputs: kept}}
   end
 
   # `:closed`, an atom, sorts after every time; an input that has sent nothing holds everything back.
   defp frontier([], least), do: least
-  defp frontier([{_, _, :nothing} | _], _least), do: :nothing
-  defp frontier([{_, _, reached} | sides], least), do: frontier(sides, min(reached, least))
+  defp frontier([{_, :nothing} | _], _least), do: :nothing
+  defp frontier([{_, reached} | inputs], least), do: frontier(inputs, min(reached, least))
 
-  defp split({front, rear, reached}, :closed), do: {merge(front, rear), {[], [], reached}}
-
-  # This input is the one that holds the others back: all of it goes out.
-  defp split({front, rear, reached}, reached), do: {merge(front, rear), {[], [], reached}}
-
-  # What came later is looked at only when all of the queue goes out: an input that is far ahead costs nothing.
-  defp split({front, rear, reached}, frontier) do
-    case take(front, frontier, []) do
-      {released, []} when rear != [] ->
-        {more, kept} = take(merge([], rear), frontier, [])
-        {released ++ more, {kept, [], reached}}
-
-      {released, kept} ->
-        {released, {kept, rear, reached}}
-    end
+  # An input at the frontier is one that holds the others back: all of it goes out.
+  defp split({queue, reached}, frontier) when frontier == :closed or frontier == reached do
+    {released, []} = MessageQueue.whole(queue)
+    {released, {MessageQueue.new(), reached}}
   end
 
-  defp take([%{originating_time: time} = message | rest], frontier, taken) when time <= frontier,
-    do: take(rest, frontier, [message | taken])
-
-  defp take(rest, _frontier, taken), do: {:lists.reverse(taken), rest}
-
-  defp merge(front, []), do: front
-  defp merge(front, rear), do: front ++ :lists.append(:lists.reverse(rear))
+  defp split({queue, reached}, frontier) do
+    {released, queue} = MessageQueue.take(queue, frontier)
+    {released, {queue, reached}}
+  end
 
   # Inputs from the last to the first, so that each one's value is put in front.
   defp group([last | others]) do

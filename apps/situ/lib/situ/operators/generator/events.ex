@@ -6,7 +6,7 @@ defmodule Situ.Generator.Events do
     outputs: [out: :any],
     options: [
       subscribe: [type: {:fun, 1}, required: true],
-      unsubscribe: [type: {:fun, 1}, required: true]
+      unsubscribe: [type: {:fun, 1}]
     ]
 
   defstruct [:opts, :ref, :handle, active: false]
@@ -42,7 +42,7 @@ defmodule Situ.Generator.Events do
   defp release(%{active: false} = state), do: state
 
   defp release(state) do
-    state.opts[:unsubscribe].(state.handle)
+    if unsubscribe = state.opts[:unsubscribe], do: unsubscribe.(state.handle)
     %{state | active: false}
   end
 end

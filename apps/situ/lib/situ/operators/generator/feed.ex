@@ -81,7 +81,7 @@ defmodule Situ.Generator.Feed do
     Situ.Error.new(
       :no_time,
       "expected {time, value} or a message, got: #{inspect(other, limit: 5)}",
-      fix: "give interval: for values without times"
+      fix: "give every: for values without times"
     )
   end
 end

@@ -4,12 +4,11 @@ defmodule Situ.Generator.Timer do
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],
-    options: [interval: [type: :pos_integer, required: true], fun: [type: {:fun, 2}]]
+    options: [every: [type: :pos_integer, required: true], fun: [type: {:fun, 2}]]
 
   @impl true
   def init(opts) do
-    {:ok,
-     %{interval: opts[:interval], fun: opts[:fun] || fn _now, elapsed -> elapsed end, last: nil}}
+    {:ok, %{every: opts[:every], fun: opts[:fun] || fn _now, elapsed -> elapsed end, last: nil}}
   end
 
   # A timer has no end of its own: only a replay's end is one.
@@ -24,14 +23,14 @@ defmodule Situ.Generator.Timer do
     time = if state.last == nil, do: context.now, else: max(context.now, state.last + 1)
     data = state.fun.(time, time - context.start_time)
     # Ticks that were missed are not made up for.
-    missed = div(max(context.now - due, 0), state.interval) * state.interval
+    missed = div(max(context.now - due, 0), state.every) * state.every
     {[{:out, time, data} | next(due + missed, context, state)], %{state | last: time}}
   end
 
   def handle_info(_other, _context, state), do: {[], state}
 
   defp next(after_time, context, state) do
-    due = after_time + state.interval
+    due = after_time + state.every
 
     if due > context.replay_end,
       do: [{:complete, context.replay_end}],

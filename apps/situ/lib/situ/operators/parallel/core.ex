@@ -41,7 +41,7 @@ defmodule Situ.Parallel.Core do
   end
 
   @doc "One message of parts: a list or a map."
-  @spec push(t(), Situ.Message.t(), list() | map()) :: {[Situ.Fusion.Core.output()], t()}
+  @spec push(t(), Situ.Message.t(), list() | map()) :: {[Situ.Component.action()], t()}
   def push(core, message, parts) do
     time = message.originating_time
     {branches, values, core} = parts |> Parts.pairs() |> feed(core.branches, [], message, core)
@@ -54,7 +54,7 @@ defmodule Situ.Parallel.Core do
   end
 
   @doc "The input ended: every branch ends with it."
-  @spec close(t(), Situ.Time.t()) :: {[Situ.Fusion.Core.output()], t()}
+  @spec close(t(), Situ.Time.t()) :: {[Situ.Component.action()], t()}
   def close(core, time) do
     core =
       Enum.reduce(core.branches, core, fn {key, branch}, core ->

@@ -50,7 +50,7 @@ defmodule Situ.Parallel.Entries do
     do: %{entries | waiting: Map.update!(entries.waiting, time, fun)}
 
   @doc "The outputs that are decided, up to the first time that is not."
-  @spec flush(t()) :: {[Situ.Fusion.Core.output()], t()}
+  @spec flush(t()) :: {[Situ.Component.action()], t()}
   def flush(entries), do: flush(entries, [])
 
   defp flush(entries, outputs) do
@@ -65,7 +65,7 @@ defmodule Situ.Parallel.Entries do
   end
 
   @doc "The output at a time of which all is known."
-  @spec output(t(), Situ.Time.t(), live(), map()) :: [Situ.Fusion.Core.output()]
+  @spec output(t(), Situ.Time.t(), live(), map()) :: [Situ.Component.action()]
   def output(entries, time, live, values) do
     case {map_size(values) == count(live), entries.missing} do
       {true, _} -> [{:out, time, entries.creator.(shape(live, values, nil))}]

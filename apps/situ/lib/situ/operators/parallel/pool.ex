@@ -21,7 +21,7 @@ defmodule Situ.Parallel.Pool do
   @type id :: reference()
   @type order ::
           {:feed, id(), Message.t()} | {:pass, id(), Situ.Time.t()} | {:stop, id(), Situ.Time.t()}
-  @type outputs :: [Situ.Fusion.Core.output()]
+  @type outputs :: [Situ.Component.action()]
   @type t :: %__MODULE__{}
 
   @doc "`form`, `termination`, `missing`, `creator` as of `Situ.Parallel.Core.new/1`."

@@ -25,7 +25,7 @@ defmodule Situ.Window.Dynamic do
   def new(fun, creator), do: %__MODULE__{fun: fun, creator: creator}
 
   @doc "Source messages arrived."
-  @spec source(t(), [Message.t()]) :: {[Situ.Fusion.Core.output()], t()}
+  @spec source(t(), [Message.t()]) :: {[Situ.Component.action()], t()}
   def source(core, []), do: {[], core}
 
   def source(core, messages) do
@@ -34,11 +34,11 @@ defmodule Situ.Window.Dynamic do
   end
 
   @doc "The source ended: every window is decided by what is there."
-  @spec close_source(t()) :: {[Situ.Fusion.Core.output()], t()}
+  @spec close_source(t()) :: {[Situ.Component.action()], t()}
   def close_source(core), do: run(%{core | reached: :closed}, [])
 
   @doc "Window messages arrived."
-  @spec window(t(), [Message.t()]) :: {[Situ.Fusion.Core.output()], t()}
+  @spec window(t(), [Message.t()]) :: {[Situ.Component.action()], t()}
   def window(core, messages) do
     {windows, obsolete} =
       Enum.map_reduce(messages, core.obsolete, fn message, obsolete ->

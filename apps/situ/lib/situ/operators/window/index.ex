@@ -39,7 +39,7 @@ defmodule Situ.Window.Index do
   end
 
   @doc "Messages arrived."
-  @spec push(t(), [Message.t()]) :: {[Situ.Fusion.Core.output()], t()}
+  @spec push(t(), [Message.t()]) :: {[Situ.Component.action()], t()}
   def push(%{need: need} = window, messages) do
     count = window.count + length(messages)
     queue = window.queue ++ messages

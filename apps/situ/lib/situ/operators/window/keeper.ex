@@ -8,17 +8,6 @@ defmodule Situ.Window.Keeper do
 
   alias Situ.Window.{Dynamic, Index, Relative}
 
-  @doc "Adds it behind `inputs`."
-  @spec add(
-          String.t(),
-          keyword(Situ.Stream.t()),
-          {module(), atom(), [term()]},
-          {Situ.Type.t(), keyword()}
-        ) ::
-          Situ.Stream.t()
-  def add(name, inputs, core, rest),
-    do: Situ.Selection.Keeper.add(inputs, name, __MODULE__, [core: core], rest)
-
   @impl true
   def init(opts) do
     {module, function, arguments} = opts[:core]

@@ -31,7 +31,7 @@ defmodule Situ.Window.Relative do
   end
 
   @doc "Messages arrived."
-  @spec push(t(), [Message.t()]) :: {[Situ.Fusion.Core.output()], t()}
+  @spec push(t(), [Message.t()]) :: {[Situ.Component.action()], t()}
   def push(window, []), do: {[], window}
 
   def push(window, messages) do
@@ -41,7 +41,7 @@ defmodule Situ.Window.Relative do
   end
 
   @doc "The stream ended."
-  @spec close(t()) :: {[Situ.Fusion.Core.output()], t()}
+  @spec close(t()) :: {[Situ.Component.action()], t()}
   def close(window), do: run(window, window.queue, :closed)
 
   defp run(window, queue, newest) do

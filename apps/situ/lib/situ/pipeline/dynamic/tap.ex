@@ -1,6 +1,6 @@
 defmodule Situ.Pipeline.Tap do
   @moduledoc """
-  A look at a stream of a running pipeline, attached and detached while it runs; see `Situ.tap/3`.
+  A look at a stream of a running pipeline, attached and detached while it runs; see `Situ.attach_tap/3`.
 
   The function runs in a process of its own behind a lossy queue (default `Situ.Delivery.max_queue(1_000)`), so a slow
   or stuck tap costs the pipeline nothing but the copy of the messages. A tap that raises skips the message. It goes with
@@ -11,7 +11,7 @@ defmodule Situ.Pipeline.Tap do
       iex> {:ok, p} = Situ.Pipeline.start(fn p ->
       ...>   p |> Situ.Connector.receive(connector) |> Situ.map(&(&1 * 2), name: "Doubled")
       ...> end, [])
-      iex> {:ok, tap} = Situ.tap({p, "Doubled"}, &send(me, {:seen, &1.data}), [])
+      iex> {:ok, tap} = Situ.attach_tap({p, "Doubled"}, &send(me, {:seen, &1.data}))
       iex> Situ.Connector.deliver(connector, [%Situ.Message{data: 21, originating_time: 1}])
       iex> receive do {:seen, n} -> n end
       42

@@ -35,26 +35,21 @@ defmodule Situ.Connector do
   @spec new(String.t()) :: t()
   def new(name) when is_binary(name), do: %__MODULE__{name: name, ref: make_ref()}
 
-  @doc "The stream on the receiving side. Options: `as:`, `type:`, and the common ones of `Situ.Pipeline.add/4`."
+  @doc "The stream on the receiving side. Options: `as:`, `type:`, and those of `Situ.Graph.Placement`."
   @spec receive(Situ.Pipeline.t(), t(), keyword()) :: Stream.t()
   def receive(p, %__MODULE__{} = connector, opts \\ []) do
-    {own, common} = Keyword.split(opts, [:as, :type])
-    type = Keyword.get(own, :type, :any)
-
-    common = Keyword.merge([name: connector.name, outputs: [out: type]], common)
-
-    options = [connector: connector, as: Keyword.get(own, :as, :data)]
-    p |> Situ.Pipeline.add(Situ.Connector.In, options, common) |> Situ.Node.output(:out)
+    {type, opts} = Keyword.pop(opts, :type, :any)
+    opts = Keyword.put_new(opts, :name, connector.name)
+    own = [connector: connector, outputs: [out: type]]
+    p |> Situ.Pipeline.add(Situ.Connector.In, own ++ opts) |> Situ.Node.output(:out)
   end
 
-  @doc "Sends a stream into the connector. Options: `policy:` and the common ones of `Situ.Pipeline.add/4`."
-  @spec send(Stream.t(), t(), keyword()) :: %{}
+  @doc "Sends a stream into the connector. Options: `policy:` and those of `Situ.Graph.Placement`."
+  @spec send(Stream.t(), t(), keyword()) :: :ok
   def send(%Stream{} = stream, %__MODULE__{} = connector, opts \\ []) do
-    {own, common} = Keyword.split(opts, [:policy])
-    common = Keyword.put_new(common, :name, connector.name)
-    sink = Situ.Pipeline.add(stream.pipeline, Situ.Connector.Out, [connector: connector], common)
-    :ok = Situ.Pipeline.connect(stream, sink, :in, own)
-    %{}
+    opts = [connector: connector] ++ Keyword.put_new(opts, :name, connector.name)
+    node = Situ.Pipeline.add(stream.pipeline, Situ.Connector.Out, opts)
+    Situ.Pipeline.connect(stream, node, :in)
   end
 
   @doc "Waits until a receiving side runs."

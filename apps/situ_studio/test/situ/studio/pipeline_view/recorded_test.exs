@@ -18,7 +18,7 @@ defmodule Situ.Studio.PipelineView.RecordedTest do
 
           Situ.composite(p, "Belt", fn p ->
             p
-            |> Situ.range(0, 60, Situ.Time.ms(10), name: "Numbers")
+            |> Situ.from_enumerable(0..59, every: Situ.Time.ms(10), name: "Numbers")
             |> Situ.map(&(&1 * 2), name: "Double", async: true)
           end)
           |> Situ.each(fn _ -> :ok end, name: "End", policy: Situ.Delivery.latest())

@@ -11,7 +11,7 @@ defmodule Situ.Studio.PipelineViewTest do
     def build(p, _opts) do
       Situ.composite(p, "Front", fn p ->
         p
-        |> Situ.range(0, 1_000, Situ.Time.ms(20), name: "Numbers")
+        |> Situ.from_enumerable(0..999, every: Situ.Time.ms(20), name: "Numbers")
         |> Situ.map(&(&1 * 2), name: "Double")
       end)
       |> Situ.map(&"<b>#{&1}", name: "Plus", policy: Situ.Delivery.latest())

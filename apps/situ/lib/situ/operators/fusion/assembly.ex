@@ -1,0 +1,107 @@
+defmodule Situ.Fusion.Assembly do
+  @moduledoc false
+  # Puts the components of fusion operators into the graph: names their inputs and connects them.
+  alias Situ.Fusion.{Arguments, Fuse, Merger, Output, Pair, Sampler, Zipper}
+  alias Situ.{Interpolator, Operator, Stream}
+
+  @typedoc "An operator's own options, and those of its placement."
+  @type options :: {keyword(), keyword()}
+
+  @doc "join and fuse, in all their forms."
+  @spec fuse(String.t(), Arguments.streams(), Interpolator.t() | [Interpolator.t()], options()) ::
+          Stream.t()
+  def fuse(name, {:keyed, _, keyed} = streams, %Interpolator{} = interpolator, options) do
+    members =
+      for {key, index} <- Enum.with_index(Map.keys(keyed)),
+          do: {input(index), key, interpolator}
+
+    fuse(name, streams, members, [interpolator: interpolator], options)
+  end
+
+  def fuse(_name, {:keyed, _, _}, _interpolators, _options),
+    do: raise(ArgumentError, "a map of streams takes one interpolator for all")
+
+  def fuse(name, streams, interpolator, {own, _placed} = options) do
+    if own[:ended] == :leave, do: raise(ArgumentError, "ended: :leave is for a map of streams")
+    {_primary, secondaries} = Arguments.sides(streams)
+    interpolators = Arguments.each(interpolator, length(secondaries))
+    members = for {one, index} <- Enum.with_index(interpolators), do: {input(index), index, one}
+    fuse(name, streams, members, [], options)
+  end
+
+  defp fuse(name, streams, members, more, {own, placed}) do
+    {primary, secondaries} = Arguments.sides(streams)
+    interpolators = Enum.map(members, &elem(&1, 2))
+    {creator, type, values} = Output.plan(streams, interpolators, own)
+    options = [members: members, values: values, creator: creator, reproducible: name == "Join"]
+    options = options ++ more ++ Keyword.take(own, [:give_up_after, :max_queue, :ended])
+    inputs = [{:primary, primary} | named(secondaries)]
+    Operator.through(inputs, name, {Fuse, options}, placed, type)
+  end
+
+  @doc "The latest of one stream with each of another."
+  @spec pair(Stream.t(), Stream.t(), options()) :: Stream.t()
+  def pair(primary, secondary, {own, placed}) do
+    initial = with {:ok, value} <- Keyword.fetch(own, :initial), do: {:value, value}
+    default = if initial == :error, do: :none, else: initial
+    {creator, type} = Output.creator(primary.type, {secondary.type, default}, own)
+    pair = {Pair, [creator: creator] ++ Keyword.take(own, [:initial])}
+    Operator.through([primary: primary, secondary: secondary], "Pair", pair, placed, type)
+  end
+
+  @doc "Groups of equal times."
+  @spec zip([Stream.t()], keyword()) :: Stream.t()
+  def zip(streams, placed) do
+    inputs = named(streams)
+    zipper = {Zipper, [names: Keyword.keys(inputs)]}
+    Operator.through(inputs, "Zip", zipper, placed, {:list, common(streams)})
+  end
+
+  @doc "Everything as it arrives."
+  @spec merge([Stream.t()], keyword()) :: Stream.t()
+  def merge(streams, placed) do
+    inputs = named(streams)
+    members = for {{input, _}, index} <- Enum.with_index(inputs), do: {input, index}
+    type = {:message, common(streams)}
+    Operator.through(inputs, "Merge", {Merger, [members: members]}, placed, type)
+  end
+
+  @doc "A stream's values at the ticks of a clock."
+  @spec tick(String.t(), Stream.t(), term(), Interpolator.t(), options()) :: Stream.t()
+  def tick(name, %Stream{} = stream, %Stream{} = clock, interpolator, {own, placed}) do
+    if own[:align], do: raise(ArgumentError, "align: goes with an interval, not with a stream")
+
+    options = [
+      members: [{:s0, 0, interpolator}],
+      values: :one,
+      creator: fn _tick, value -> value end
+    ]
+
+    options = options ++ Keyword.take(own, [:give_up_after, :max_queue])
+    type = Interpolator.type(interpolator, stream.type)
+    Operator.through([primary: clock, s0: stream], name, {Fuse, options}, placed, type)
+  end
+
+  def tick(name, %Stream{} = stream, interval, interpolator, {own, placed})
+      when is_integer(interval) and interval > 0 do
+    if own[:give_up_after] || own[:max_queue],
+      do: raise(ArgumentError, "give_up_after: and max_queue: go with a stream as the clock")
+
+    options = [interpolator: interpolator, interval: interval] ++ Keyword.take(own, [:align])
+    type = Interpolator.type(interpolator, stream.type)
+    Operator.through(stream, name, {Sampler, options}, placed, type)
+  end
+
+  def tick(_name, _stream, clock, _interpolator, _options) do
+    raise ArgumentError,
+          "a clock is a stream or an interval of 1 ns or more, got: #{inspect(clock)}"
+  end
+
+  defp common(streams), do: streams |> Enum.map(& &1.type) |> Output.common()
+
+  defp named(streams),
+    do: for({stream, index} <- Enum.with_index(streams), do: {input(index), stream})
+
+  # Graphs are built by programs: the atoms are as few as their inputs.
+  defp input(index), do: :"s#{index}"
+end

@@ -1,0 +1,54 @@
+defmodule Situ.Fusion.DynamicInputs do
+  @moduledoc false
+  # Asks a running pipeline to add an input to a fusion operator, or to take one away.
+  alias Situ.{Error, Options, Pipeline, Stream}
+
+  @policy [policy: [type: {:struct, Situ.Delivery}]]
+
+  @doc "See `Situ.Fusion.add_input/4`."
+  @spec add(term(), term(), Stream.t() | String.t(), keyword()) ::
+          {:ok, Situ.Time.t() | :start} | {:error, Error.t()}
+  def add(fused, key, stream, opts) do
+    {policy, request} = Keyword.split(opts, [:policy])
+    policy = Options.validate!(policy, @policy)[:policy]
+    {pipeline, taker} = at(fused)
+    from = of_pipeline(pipeline, stream)
+
+    asked = %{
+      taker: taker,
+      stream: from,
+      policy: policy,
+      request: {key, request},
+      input: &input/1
+    }
+
+    Pipeline.Client.call(pipeline, {:attach, asked})
+  end
+
+  @doc "See `Situ.Fusion.remove_input/3`."
+  @spec remove(term(), term(), keyword()) ::
+          {:ok, Situ.Time.t() | :start} | {:error, Error.t()}
+  def remove(fused, key, opts) do
+    {pipeline, taker} = at(fused)
+    Pipeline.Client.call(pipeline, {:detach, taker, {key, opts}})
+  end
+
+  defp input(index), do: :"s#{index}"
+
+  defp at(%Stream{} = stream), do: {stream.pipeline, {stream.node, stream.output}}
+  defp at({pipeline, name}) when is_binary(name), do: {pipeline, name}
+
+  defp of_pipeline(_pipeline, name) when is_binary(name), do: name
+
+  defp of_pipeline(pipeline, %Stream{} = stream) do
+    if Pipeline.Client.pid(pipeline) == stream.pipeline.pid do
+      {stream.node, stream.output}
+    else
+      raise Error.new(
+              :different_pipeline,
+              "stream #{inspect(stream.name)} belongs to another pipeline",
+              fix: "carry the stream over with Situ.Connector"
+            )
+    end
+  end
+end

@@ -1,0 +1,24 @@
+defmodule Situ.Fusion.Member do
+  @moduledoc false
+  # A secondary stream of a fusion: the input it comes by, the key of its values, and the span of originating times for which it takes
+  # part. `from`: the first time that needs it (`nil`: all do); `until`: the first that does not any more.
+  alias Situ.Fusion.Secondary
+
+  @enforce_keys [:input, :key, :interpolator]
+  defstruct [:input, :key, :interpolator, :from, :until, queue: Secondary.new()]
+
+  @type t :: %__MODULE__{
+          input: atom(),
+          key: term(),
+          interpolator: Situ.Interpolator.t(),
+          from: Situ.Time.t() | nil,
+          until: Situ.Time.t() | nil,
+          queue: Secondary.t()
+        }
+
+  @doc "Those of some messages that it takes part with."
+  @spec since([Situ.Message.t()], Situ.Time.t() | nil) :: [Situ.Message.t()]
+  def since(messages, nil), do: messages
+  def since([%{originating_time: time} | rest], from) when time < from, do: since(rest, from)
+  def since(messages, _from), do: messages
+end

@@ -1,0 +1,99 @@
+defmodule Situ.Fusion.Secondary do
+  @moduledoc false
+  # One secondary stream of a fusion: the messages that wait, the last time it has reached, and the time at which it ended. Messages
+  # that no later primary can need are dropped with each answer.
+  alias Situ.{Interpolator, Message}
+  alias Situ.Fusion.MessageQueue
+
+  @typedoc "The two parts of a `MessageQueue`, the last message's time, and that of the end."
+  @type t :: {[Message.t()], [[Message.t()]], Situ.Time.t() | nil, Situ.Time.t() | nil}
+  @type answer ::
+          {:created, term(), t()}
+          | {:does_not_exist, t()}
+          | {:given_up, t()}
+          | {:wait, Situ.Time.t() | :infinity | nil, t()}
+
+  @spec new() :: t()
+  def new, do: {[], [], nil, nil}
+
+  @doc "Messages arrived, of which at most `max` stay (`nil`: all); how many had to go."
+  @spec push(t(), [Message.t(), ...], pos_integer() | nil) :: {t(), non_neg_integer()}
+  def push({front, rear, _last, closed}, messages, max) do
+    last = MessageQueue.last(messages)
+    queue = MessageQueue.push({front, rear}, messages)
+    dropped = MessageQueue.excess(queue, last.sequence_id, max)
+    {front, rear} = if dropped == 0, do: queue, else: MessageQueue.drop(queue, dropped)
+    {{front, rear, last.originating_time, closed}, dropped}
+  end
+
+  @doc "The stream ended at `time`."
+  @spec close(t(), Situ.Time.t()) :: t()
+  def close(secondary, time), do: put_elem(secondary, 3, time)
+
+  @doc "The time of the last message that arrived."
+  @spec reached(t()) :: Situ.Time.t() | nil
+  def reached({_front, _rear, last, _closed}), do: last
+
+  @doc "What waits."
+  @spec queue(t()) :: MessageQueue.t()
+  def queue({front, rear, _last, _closed}), do: {front, rear}
+
+  @doc """
+  The value at `time`. Before `limit` (a time, or `nil`) nothing is waited for: what is there decides.
+  """
+  # The end of the queue is the end of what arrived only when nothing is left in `rear`: an interpolator that does not
+  # wait, and any one asked about a closed stream, must see all.
+  @spec ask(Interpolator.t(), Situ.Time.t(), t(), Situ.Time.t() | nil) :: answer()
+  def ask(interpolator, time, {_front, rear, last, closed} = secondary, limit) do
+    closed = closed || if limit != nil and time < limit, do: last || time
+
+    if rear != [] and (closed != nil or not interpolator.reproducible),
+      do: answer(interpolator, time, whole(secondary), closed, limit),
+      else: answer(interpolator, time, secondary, closed, limit)
+  end
+
+  defp answer(interpolator, time, {front, rear, _, _} = secondary, closed, limit) do
+    %{module: module, config: config, default: default} = interpolator
+
+    case module.interpolate(time, front, closed, config) do
+      {:created, value, obsolete} ->
+        {:created, value, trim(secondary, obsolete)}
+
+      {:does_not_exist, obsolete} when default != :none ->
+        {:created, elem(default, 1), trim(secondary, obsolete)}
+
+      {:does_not_exist, obsolete} ->
+        gone(secondary, obsolete, closed)
+
+      _undecided when rear != [] ->
+        ask(interpolator, time, whole(secondary), limit)
+
+      {:wait, until} ->
+        {:wait, until, secondary}
+
+      :insufficient_data ->
+        {:wait, nil, secondary}
+    end
+  end
+
+  # Closed in earnest, or only for this primary because it waited too long.
+  defp gone({_, _, _, nil} = secondary, obsolete, closed) when closed != nil,
+    do: {:given_up, trim(secondary, obsolete)}
+
+  defp gone(secondary, obsolete, _closed), do: {:does_not_exist, trim(secondary, obsolete)}
+
+  defp whole({front, rear, last, closed}) do
+    {front, rear} = MessageQueue.whole({front, rear})
+    {front, rear, last, closed}
+  end
+
+  defp trim(secondary, nil), do: secondary
+
+  defp trim({front, rear, last, closed}, obsolete),
+    do: {drop(front, obsolete), rear, last, closed}
+
+  defp drop([%{originating_time: time} | rest], obsolete) when time < obsolete,
+    do: drop(rest, obsolete)
+
+  defp drop(front, _obsolete), do: front
+end
