@@ -95,11 +95,8 @@ defmodule Situ.Conformance.Generators do
   defp generator({"range", flags}, p, params) do
     flags = params |> Map.delete("count") |> options(flags)
 
-    Situ.from_enumerable(
-      p,
-      params["start"] || 0..(params["start"] || 0 + params["count"] || 10 - 1)//1,
-      [every: interval(params)] ++ flags
-    )
+    {start, count} = {params["start"] || 0, params["count"] || 10}
+    Situ.from_enumerable(p, start..(start + count - 1)//1, [every: interval(params)] ++ flags)
   end
 
   defp generator({"repeat", flags}, p, params),
@@ -120,7 +117,7 @@ defmodule Situ.Conformance.Generators do
     case params["items"] do
       [%{} | _] = items -> Situ.from_enumerable(p, timed(items), started(params) ++ opts)
       [] -> Situ.from_enumerable(p, [], opts)
-      items -> Situ.from_enumerable(p, value(items), [interval: interval(params)] ++ opts)
+      items -> Situ.from_enumerable(p, value(items), [every: interval(params)] ++ opts)
     end
   end
 

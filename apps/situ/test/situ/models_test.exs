@@ -33,18 +33,18 @@ defmodule Situ.ModelsTest do
 
         {:secondary, n}, {core, primary, secondary} ->
           {now, later} = Enum.split(secondary, n)
-          {outputs, core} = Core.secondary(core, 0, now)
+          {outputs, core} = Core.secondary(core, :s0, now)
           {outputs, {core, primary, later}}
       end)
 
     {more, core} = Core.primary(core, primary)
-    {even_more, core} = Core.secondary(core, 0, secondary)
-    {last, _core} = Core.close(core, 0, 1_000)
+    {even_more, core} = Core.secondary(core, :s0, secondary)
+    {last, _core} = Core.close(core, :s0, 1_000)
     outputs ++ more ++ even_more ++ last
   end
 
   defp joined(interpolator, deal, primary, secondary) do
-    core = Core.new([interpolator], &{&1, &2})
+    core = Core.new(&{&1, &2}, members: [{:s0, 0, interpolator, []}], values: :one)
     for {:out, t, {_, v}} <- dealt(core, deal, messages(primary), messages(secondary)), do: {t, v}
   end
 

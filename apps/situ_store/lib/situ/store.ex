@@ -27,7 +27,7 @@ defmodule Situ.Store do
       iex> {:ok, _report} =
       ...>   Situ.Pipeline.run(fn p ->
       ...>     store = Situ.Store.create(p, "squares", root)
-      ...>     p |> Situ.range(1, 3, Situ.Time.ms(10)) |> Situ.map(&(&1 * &1)) |> Situ.Store.write(store, "Square")
+      ...>     p |> Situ.from_enumerable(1..3, every: Situ.Time.ms(10)) |> Situ.map(&(&1 * &1)) |> Situ.Store.write(store, "Square")
       ...>   end, pipeline: [replay: [interval: {0, :unbounded}, speed: :max]])
       iex> {:ok, store} = Situ.Store.open(Path.join(root, "squares"))
       iex> Enum.map(Situ.Store.messages(store, "Square"), & &1.data)

@@ -115,7 +115,7 @@ defmodule Situ.Generator do
         add(p, "Enumerable", {Source, options}, placed)
 
       every ->
-        check_every!(every, :infinity)
+        check_every!(every, at_most(enumerable))
         feed = fn start -> Feed.paced(Feed.items(enumerable), start, every, own[:align]) end
         add(p, "Enumerable", {Source, [feed: feed, keep_open: own[:keep_open]]}, placed)
     end
@@ -173,6 +173,11 @@ defmodule Situ.Generator do
     placed = [default_name: name, outputs: [out: type]] ++ placed
     p |> Pipeline.add(module, own ++ placed) |> Situ.Node.output(:out)
   end
+
+  # No more is known of what is read lazily.
+  defp at_most(list) when is_list(list) and length(list) < 2, do: length(list)
+  defp at_most(%Range{} = range), do: min(Range.size(range), 2)
+  defp at_most(_enumerable), do: :infinity
 
   defp type(%Range{}), do: :integer
   defp type(_enumerable), do: :any

@@ -11,7 +11,8 @@ defmodule Situ.Operators.FusionTest do
     outputs
   end
 
-  defp messages(timed), do: for({t, v} <- timed, do: %Message{originating_time: t, data: v})
+  defp messages(timed),
+    do: for({t, v} <- timed, do: %Message{originating_time: t, sequence_id: t, data: v})
 
   describe "join/4" do
     test "flattens both sides by their types, and not with flatten: false" do
@@ -96,14 +97,36 @@ defmodule Situ.Operators.FusionTest do
     end
   end
 
+  defp core(interpolator, opts \\ []) do
+    members = [{:s0, 0, interpolator, []}]
+    Situ.Fusion.Core.new(&{&1, &2}, [members: members, values: :one] ++ opts)
+  end
+
   describe "give_up_after:" do
     test "decides a primary that waited too long, and counts it" do
-      core = Situ.Fusion.Core.new([Reproducible.exact()], &{&1, &2}, give_up_after: 10)
+      core = core(Reproducible.exact(), give_up_after: 10)
       {[], core} = Situ.Fusion.Core.primary(core, messages([{0, :a}, {5, :b}]))
       {[], core} = Situ.Fusion.Core.primary(core, messages([{12, :c}]))
-      assert %{primary: 2, given_up: 1} = Situ.Fusion.Core.queued(core)
-      {outputs, _} = Situ.Fusion.Core.secondary(core, 0, messages([{5, :x}, {12, :y}]))
+      assert %{primary: 2} = Situ.Fusion.Core.queued(core)
+      assert core.given_up == 1
+      {outputs, _} = Situ.Fusion.Core.secondary(core, :s0, messages([{5, :x}, {12, :y}]))
       assert outputs == [{:out, 5, {:b, :x}}, {:out, 12, {:c, :y}}]
+    end
+  end
+
+  describe "max_queue:" do
+    test "bounds both sides: the oldest primary is decided, the oldest secondary message dropped" do
+      core = core(Reproducible.exact(or_default: :none), max_queue: 3)
+      {[], core} = Situ.Fusion.Core.primary(core, messages(for(t <- 1..3, do: {t, t})))
+      {outputs, core} = Situ.Fusion.Core.primary(core, messages([{4, 4}, {5, 5}]))
+      assert outputs == [{:out, 1, {1, :none}}, {:out, 2, {2, :none}}]
+      {outputs, core} = Situ.Fusion.Core.secondary(core, :s0, messages([{5, :x}]))
+      assert List.last(outputs) == {:out, 5, {5, :x}}
+      {[], core} = Situ.Fusion.Core.secondary(core, :s0, messages(for(t <- 6..12, do: {t, t})))
+      assert Situ.Fusion.Core.queued(core) == %{primary: 0, secondary: [{0, 3}]}
+      assert core.dropped == 5
+      {outputs, _} = Situ.Fusion.Core.primary(core, messages([{9, 9}, {11, 11}]))
+      assert outputs == [{:out, 9, {9, :none}}, {:out, 11, {11, 11}}]
     end
   end
 
@@ -119,16 +142,16 @@ defmodule Situ.Operators.FusionTest do
 
   describe "memory" do
     test "fusion keeps only what later primaries may need" do
-      core = Situ.Fusion.Core.new([Reproducible.nearest()], &{&1, &2})
+      core = core(Reproducible.nearest())
 
       core =
         Enum.reduce(1..1_000, core, fn n, core ->
-          {_, core} = Situ.Fusion.Core.secondary(core, 0, messages([{n * 10, n}]))
+          {_, core} = Situ.Fusion.Core.secondary(core, :s0, messages([{n * 10, n}]))
           {_, core} = Situ.Fusion.Core.primary(core, messages([{n * 10, n}]))
           core
         end)
 
-      assert %{primary: 0, secondary: [kept]} = Situ.Fusion.Core.queued(core)
+      assert %{primary: 0, secondary: [{0, kept}]} = Situ.Fusion.Core.queued(core)
       assert kept <= 2
     end
 

@@ -164,6 +164,7 @@ defmodule Situ.Store.ExporterTest do
     assert {:error, %Situ.Error{code: :unknown_option, fix: fix}} =
              Pipeline.run(fn p ->
                store = Store.create(p, "typo", root)
+
                Store.write(Situ.from_enumerable(p, 1..3, every: 10), store, "N", compresion: :zstd)
              end)
 

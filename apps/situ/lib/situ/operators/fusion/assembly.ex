@@ -13,7 +13,7 @@ defmodule Situ.Fusion.Assembly do
   def fuse(name, {:keyed, _, keyed} = streams, %Interpolator{} = interpolator, options) do
     members =
       for {key, index} <- Enum.with_index(Map.keys(keyed)),
-          do: {input(index), key, interpolator}
+          do: {input(index), key, interpolator, []}
 
     fuse(name, streams, members, [interpolator: interpolator], options)
   end
@@ -25,7 +25,10 @@ defmodule Situ.Fusion.Assembly do
     if own[:ended] == :leave, do: raise(ArgumentError, "ended: :leave is for a map of streams")
     {_primary, secondaries} = Arguments.sides(streams)
     interpolators = Arguments.each(interpolator, length(secondaries))
-    members = for {one, index} <- Enum.with_index(interpolators), do: {input(index), index, one}
+
+    members =
+      for {one, index} <- Enum.with_index(interpolators), do: {input(index), index, one, []}
+
     fuse(name, streams, members, [], options)
   end
 
@@ -72,7 +75,7 @@ defmodule Situ.Fusion.Assembly do
     if own[:align], do: raise(ArgumentError, "align: goes with an interval, not with a stream")
 
     options = [
-      members: [{:s0, 0, interpolator}],
+      members: [{:s0, 0, interpolator, []}],
       values: :one,
       creator: fn _tick, value -> value end
     ]

@@ -10,7 +10,7 @@ defmodule Situ.Fusion.Core do
 
   Secondary messages that no later primary can need are dropped at once, so memory is bounded by the messages that are undecided.
 
-      iex> core = Situ.Fusion.Core.new(&{&1, &2}, members: [{:s0, 0, Situ.Reproducible.exact()}], values: :one)
+      iex> core = Situ.Fusion.Core.new(&{&1, &2}, members: [{:s0, 0, Situ.Reproducible.exact(), []}], values: :one)
       iex> message = &%Situ.Message{originating_time: &1, data: &2}
       iex> {[], core} = Situ.Fusion.Core.primary(core, [message.(1, :a), message.(2, :b)])
       iex> {outputs, _core} = Situ.Fusion.Core.secondary(core, :s0, [message.(2, :x)])
@@ -71,7 +71,7 @@ defmodule Situ.Fusion.Core do
   @doc """
   A fusion whose outputs are `creator.(primary, values)`.
 
-    * `members:` `{input, key, interpolator}` or `{input, key, interpolator, span}` of each secondary
+    * `members:` `{input, key, interpolator, span}` of each secondary, the span as options of `add/5`
     * `values:` `:one` (the only secondary's value), `:list` or `:map` (by key)
     * `give_up_after:` ns: a primary that still waits when a primary this much later has arrived is decided by the messages that are there.
       It bounds memory when a secondary falls silent, and makes the result depend on timing.
@@ -83,8 +83,6 @@ defmodule Situ.Fusion.Core do
     {members, opts} = Keyword.pop(opts, :members, [])
     Enum.reduce(members, struct!(__MODULE__, [creator: creator] ++ opts), &member/2)
   end
-
-  defp member({input, key, interpolator}, core), do: member({input, key, interpolator, []}, core)
 
   defp member({input, key, interpolator, span}, core) do
     {:ok, _from, core} = add(core, input, key, interpolator, span)
