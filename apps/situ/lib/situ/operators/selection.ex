@@ -124,7 +124,7 @@ defmodule Situ.Selection do
   """
   @spec edit(Stream.t(), [{Situ.Time.t(), {:put, term()} | :delete}], keyword()) :: Stream.t()
   def edit(%Stream{} = stream, edits, opts \\ []) when is_list(edits) do
-    edits = Situ.from_enumerable(stream.pipeline, Edit.sorted(edits))
+    edits = Generator.from_enumerable(stream.pipeline, Edit.sorted(edits))
     Operator.through([in: stream, edits: edits], "Edit", {Edit, []}, opts, stream.type)
   end
 
