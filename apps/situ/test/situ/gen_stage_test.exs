@@ -243,7 +243,7 @@ defmodule Situ.GenStageTest do
 
     {:ok, p} =
       Pipeline.start(
-        fn p -> p |> Situ.source(Count, [count: n, interval: 20_000_000], name: "C") end,
+        fn p -> p |> Situ.source(Count, count: n, interval: 20_000_000, name: "C") end,
         pipeline: [clock: clock]
       )
 
@@ -294,7 +294,7 @@ defmodule Situ.GenStageTest do
         Pipeline.start(
           fn p ->
             p
-            |> Situ.source(Count, [count: 10_000, interval: 1], name: "C")
+            |> Situ.source(Count, count: 10_000, interval: 1, name: "C")
             |> Situ.each(
               fn _ ->
                 send(me, {:stuck, self()})
@@ -319,7 +319,7 @@ defmodule Situ.GenStageTest do
       {:ok, p} =
         Pipeline.start(
           fn p ->
-            p |> Situ.range(0, 2_000, 10) |> GenStage.accumulate(name: "Out")
+            p |> Situ.from_enumerable(0..1999, every: 10) |> GenStage.accumulate(name: "Out")
           end,
           pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
         )
@@ -339,7 +339,9 @@ defmodule Situ.GenStageTest do
     test "an output that accumulates does not keep a pipeline from ending" do
       {:ok, p} =
         Pipeline.start(
-          fn p -> p |> Situ.range(0, 100, 10) |> GenStage.accumulate(name: "Out") end,
+          fn p ->
+            p |> Situ.from_enumerable(0..99, every: 10) |> GenStage.accumulate(name: "Out")
+          end,
           pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
         )
 
@@ -351,7 +353,7 @@ defmodule Situ.GenStageTest do
         Pipeline.start(
           fn p ->
             p
-            |> Situ.range(0, 1_000, 10)
+            |> Situ.from_enumerable(0..999, every: 10)
             |> GenStage.accumulate(name: "Gate")
             |> Situ.map(fn v -> if v == 500, do: raise("bang"), else: v end,
               name: "Out",

@@ -42,7 +42,7 @@ defmodule Situ.Stage.LossyTest do
     {:ok, p} =
       Pipeline.start(
         fn p ->
-          p |> source.(test) |> Situ.via(Slow, [test: test], policy: policy, name: "Slow")
+          p |> source.(test) |> Situ.via(Slow, test: test, policy: policy, name: "Slow")
         end,
         pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
       )
@@ -112,7 +112,9 @@ defmodule Situ.Stage.LossyTest do
 
   test "a pull source in front of a slow lossy consumer uses bounded memory" do
     source = fn p, _ ->
-      p |> Situ.range(0, 2_000_000, 1) |> Situ.map(&{&1, :binary.copy(<<0>>, 100)})
+      p
+      |> Situ.from_enumerable(0..1_999_999, every: 1)
+      |> Situ.map(&{&1, :binary.copy(<<0>>, 100)})
     end
 
     p = start(Delivery.latest(), source)
@@ -128,7 +130,7 @@ defmodule Situ.Stage.LossyTest do
     {:ok, report} =
       Pipeline.run(fn p ->
         p
-        |> Situ.range(0, 500, 1)
+        |> Situ.from_enumerable(0..499, every: 1)
         |> Situ.each(&send(test, {:got, &1}),
           policy: Delivery.max_queue(3, throttle: true),
           async: true

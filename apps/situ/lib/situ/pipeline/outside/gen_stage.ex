@@ -66,32 +66,27 @@ defmodule Situ.GenStage do
   The events of GenStage producers (a pid or name, or a list of them) as a stream.
 
   Options: `type:`, `subscribe:` (options for the producers, such as `partition:`, `selector:`, `max_demand:` (1,000), `min_demand:` (half of
-  it) and `cancel:`, with `:temporary` a producer's failure ends its subscription only), and the common ones of `Situ.Pipeline.add/4`.
+  it) and `cancel:`, with `:temporary` a producer's failure ends its subscription only), and those of `Situ.Graph.Placement`.
   """
   @spec from(Situ.Pipeline.t(), GenServer.server() | [GenServer.server()], keyword()) ::
           Situ.Stream.t()
   def from(%Situ.Graph.Handle{} = p, producers, opts \\ []) do
-    {own, common} = Keyword.split(opts, [:type, :subscribe])
-
-    common =
-      Keyword.merge([name: "GenStage", outputs: [out: Keyword.get(own, :type, :any)]], common)
-
-    given = [producers: List.wrap(producers), subscribe: Keyword.get(own, :subscribe, [])]
-    p |> Situ.Pipeline.add(Situ.GenStage.Source, given, common) |> Situ.Node.streams()
+    {type, opts} = Keyword.pop(opts, :type, :any)
+    own = [producers: List.wrap(producers), default_name: "GenStage", outputs: [out: type]]
+    p |> Situ.Pipeline.add(Situ.GenStage.Source, own ++ opts) |> Situ.Node.streams()
   end
 
   @doc """
   The stream, held back until a consumer lets it go with `GenStage.demand(pid, :forward)`: none of its messages is lost to one that
-  subscribes after the start. Options: the common ones of `Situ.Pipeline.add/4`, and `policy:`.
+  subscribes after the start. Options: those of `Situ.Graph.Placement`.
 
-      Situ.range(p, 0, 1_000, Situ.Time.ms(1)) |> Situ.GenStage.accumulate(name: "Numbers")
+      Situ.from_enumerable(p, 0..999, every: Situ.Time.ms(1)) |> Situ.GenStage.accumulate(name: "Numbers")
   """
   @spec accumulate(Situ.Stream.t(), keyword()) :: Situ.Stream.t()
   def accumulate(%Situ.Stream{} = stream, opts \\ []) do
-    {connect, common} = Keyword.split(opts, [:policy])
-    common = Keyword.merge([name: "Accumulate", outputs: [out: stream.type]], common)
-    node = Situ.Pipeline.add(stream.pipeline, Situ.GenStage.Gate, [], common)
-    Situ.Pipeline.connect(stream, node, :in, connect)
+    own = [default_name: "Accumulate", outputs: [out: stream.type]]
+    node = Situ.Pipeline.add(stream.pipeline, Situ.GenStage.Gate, own ++ opts)
+    Situ.Pipeline.connect(stream, node, :in)
     Situ.Node.streams(node)
   end
 end
