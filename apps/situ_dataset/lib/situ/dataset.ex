@@ -28,7 +28,17 @@ defmodule Situ.Dataset do
   | know spans, sizes, counts | `summary/1`, `Situ.Dataset.Session.summary/1`, `Situ.Dataset.Partition.summary/1` |
   | know what is missing or damaged | `troubles/1` |
   """
-  alias Situ.Dataset.{Checksum, Discovery, Document, Names, Partition, Session, Summary}
+  alias Situ.Dataset.{
+    Checksum,
+    Derivation,
+    Discovery,
+    Document,
+    Names,
+    Partition,
+    Session,
+    Summary
+  }
+
   alias Situ.{Error, Options}
 
   @options [
@@ -344,5 +354,55 @@ defmodule Situ.Dataset do
     tags = opts[:tags] || []
     fits? = Names.matcher(opts[:name] || "*")
     Enum.filter(dataset.sessions, &(tags -- &1.tags == [] and fits?.(&1.name)))
+  end
+
+  # Running
+
+  @doc """
+  Runs a pipeline over every session and adds its output to each as a new partition.
+
+      {:ok, dataset, report} =
+        Situ.Dataset.derive(dataset, Study.Loudness, output: "Loudness", parallel: 2,
+          progress: fn progress -> IO.write("\\r\#{round(100 * progress.done)} %") end)
+
+      Situ.Dataset.Derivation.Report.failures(report)
+
+  Answers with the dataset as it is then, also when sessions failed or the run was cancelled; a dataset that has a file
+  is saved after every session. How to write the pipeline, and what happens to a run that is killed:
+  `Situ.Dataset.Derivation`. Errors before anything runs: `:partition_exists`, `:no_session`.
+
+  #{Options.docs(Derivation.options())}
+  """
+  @spec derive(t(), Derivation.Job.compute(), keyword()) ::
+          {:ok, t(), Derivation.Report.t()} | {:error, Error.t()}
+  def derive(%__MODULE__{} = dataset, compute, opts \\ []) do
+    with {:ok, sessions} <- chosen(dataset, opts[:sessions]),
+         do: Derivation.run(sessions, compute, dataset.file, {dataset, &taken/3}, opts)
+  end
+
+  defp chosen(dataset, nil), do: {:ok, dataset.sessions}
+
+  defp chosen(dataset, names) do
+    with nil <- Enum.find_value(names, &unknown(dataset, &1)),
+         do: {:ok, Enum.filter(dataset.sessions, &(&1.name in names))}
+  end
+
+  defp unknown(dataset, name) do
+    case session(dataset, name) do
+      {:ok, _} -> nil
+      error -> error
+    end
+  end
+
+  defp taken(dataset, %{name: name}, partition) do
+    put = fn session ->
+      case Session.partition(session, partition.name) do
+        {:ok, _} -> Session.replace(session, partition)
+        {:error, _} -> Session.add(session, partition)
+      end
+    end
+
+    with {:ok, dataset} <- update_session(dataset, name, put),
+         do: if(dataset.file, do: save(dataset), else: {:ok, dataset})
   end
 end

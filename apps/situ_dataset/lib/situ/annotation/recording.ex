@@ -11,6 +11,7 @@ defmodule Situ.Annotation.Recording do
   """
   alias Situ.{Annotation, Error, Store}
   alias Situ.Annotation.{Layer, Schema}
+  alias Situ.Dataset.Version
 
   @type_wanted {:list, Annotation}
 
@@ -96,41 +97,13 @@ defmodule Situ.Annotation.Recording do
   @spec write_all(%{String.t() => Layer.t()}, Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def write_all(layers, path) do
     path = Path.expand(path)
-    draft = "#{path}.#{System.pid()}-#{System.unique_integer([:positive])}.unfinished"
     options = [durability: :each, versioned: false]
 
-    with {:ok, writer} <- Store.Writer.create(Path.basename(path), draft, options) do
+    with {:ok, writer} <- Store.Writer.create(Path.basename(path), Version.draft(path), options) do
       case fill(writer, Enum.sort(layers)) do
-        :ok -> name(writer.path, path)
+        :ok -> Version.publish(writer.path, path)
         {:error, error} -> give_up(writer, error)
       end
-    end
-  end
-
-  # Under its name it is whole; a number that another process took meanwhile is followed by the next.
-  defp name(draft, path) do
-    folder = "#{path}.#{path |> next() |> Integer.to_string() |> String.pad_leading(4, "0")}"
-
-    case File.rename(draft, folder) do
-      :ok ->
-        {:ok, folder}
-
-      {:error, reason} when reason in [:eexist, :enotempty] ->
-        name(draft, path)
-
-      {:error, reason} ->
-        {:error,
-         Error.new(:not_saved, "cannot give #{draft} its name",
-           why: to_string(:file.format_error(reason)),
-           fix: "rename the folder to #{folder}; the store in it is whole"
-         )}
-    end
-  end
-
-  defp next(path) do
-    case Store.newest(Path.basename(path), Path.dirname(path)) do
-      nil -> 0
-      newest -> newest |> String.split(".") |> List.last() |> String.to_integer() |> Kernel.+(1)
     end
   end
 

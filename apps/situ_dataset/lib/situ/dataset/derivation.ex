@@ -1,0 +1,303 @@
+defmodule Situ.Dataset.Derivation do
+  @options [
+    output: [
+      type: {:optional, :string},
+      doc: "The new partition's name; without it the pipeline runs for what it does and returns."
+    ],
+    overwrite: [
+      type: :boolean,
+      default: false,
+      doc:
+        "Put the result in the place of a partition of that name; the old recording stays on the disk."
+    ],
+    store: [type: :string, doc: "The new store's name; default: the output's."],
+    path: [
+      type: {:or, [:string, {:fun, 1}]},
+      doc:
+        "Its folder, or a function of the session; default: where the session's first partition lies."
+    ],
+    sessions: [type: {:list, :string}, doc: "Only these sessions."],
+    options: [type: :keyword, default: [], doc: "Given to a module's `build/2`."],
+    pipeline: [
+      type: :keyword,
+      default: [],
+      doc: "Settings of each pipeline (`Situ.Pipeline`); default: all of it, as fast as possible."
+    ],
+    parallel: [type: :pos_integer, default: 1, doc: "So many sessions at once on each node."],
+    nodes: [
+      type: {:list, :atom},
+      doc: "Nodes of the cluster that share these files; default: this one."
+    ],
+    on_failure: [
+      type: {:in, [:continue, :stop]},
+      default: :continue,
+      doc: "Whether the other sessions go on when one fails."
+    ],
+    resume: [
+      type: :boolean,
+      default: true,
+      doc: "Keep what a run of the same output did before it was killed."
+    ],
+    progress: [
+      type: {:fun, 1},
+      doc: "Called with a `Situ.Dataset.Derivation.Progress`, at most ten times a second."
+    ],
+    cancel: [type: {:fun, 0}, doc: "Asked ten times a second; `true` ends the run."]
+  ]
+
+  @moduledoc """
+  A pipeline run over every session of a dataset, its output a new partition of each: what is behind
+  `Situ.Dataset.derive/3`.
+
+  The pipeline is a function of the pipeline, the session's importer (`Situ.Dataset.Importer`) and an exporter
+  (`nil` without `output:`),
+
+      fn p, importer, exporter ->
+        importer
+        |> Situ.Dataset.Importer.stream("Level")
+        |> Situ.map(&abs/1)
+        |> Situ.Store.write(exporter, "Loudness")
+      end
+
+  or a module with `build/2`, whose options then hold `importer:`, `exporter:` and `session:` besides those of
+  `options:`.
+
+  A session's output has its name only when it is whole. A session that fails leaves none, and the others go on; a
+  run that is cancelled leaves what is done. A run that was killed, was cancelled or had failures is taken up by the
+  next one of the same output, which does what is not done: a journal beside the dataset file (`FILE.OUTPUT.run`)
+  says what was done and what was begun.
+
+  ## Options
+
+  #{Situ.Options.docs(@options)}
+  """
+  alias Situ.Dataset.Derivation.{Job, Log, Progress, Report}
+  alias Situ.Dataset.{Partition, Session, Summary}
+  alias Situ.{Error, Options}
+
+  @tick_ms 100
+
+  @typedoc "Takes a finished partition into the dataset, which this module does not know."
+  @type commit ::
+          (acc :: term(), Session.t(), Partition.t() ->
+             {:ok, acc :: term()} | {:error, Error.t()})
+
+  @doc false
+  def options, do: @options
+
+  @doc """
+  Runs `compute` over `sessions`; `commit` takes each result into `acc`. `file` is the dataset's file, or `nil`.
+  """
+  @spec run([Session.t()], Job.compute(), Path.t() | nil, {term(), commit()}, keyword()) ::
+          {:ok, acc :: term(), Report.t()} | {:error, Error.t()}
+  def run(sessions, compute, file, {acc, commit}, opts) do
+    with {:ok, opts} <- Options.validate(opts, @options),
+         {log, done} = Log.open(file, opts[:output], Keyword.take(opts, [:resume, :overwrite])),
+         {:ok, acc, kept} <- recover(sessions, done, acc, commit, opts),
+         :ok <- free(sessions, kept, opts) do
+      waiting = Enum.reject(sessions, &(&1.name in kept))
+
+      state = %{
+        acc: acc,
+        commit: commit,
+        log: log,
+        opts: opts,
+        compute: compute,
+        waiting: waiting,
+        running: %{},
+        slots: slots(opts),
+        results: Enum.map(kept, &%{session: &1, status: :kept, error: nil, result: nil, took: 0}),
+        progress: Progress.new(weights(sessions), kept),
+        cancelled?: false
+      }
+
+      coordinate(state, Enum.map(sessions, & &1.name))
+    end
+  end
+
+  # In a process of its own: pipelines end with the process that runs them, and their messages meet no others.
+  defp coordinate(state, order) do
+    started = System.monotonic_time()
+
+    state =
+      Task.async(fn ->
+        Process.flag(:trap_exit, true)
+        state |> fill() |> loop()
+      end)
+      |> Task.await(:infinity)
+
+    failed? = Enum.any?(state.results, &(&1.status == :failed))
+    if state.cancelled? or failed?, do: Log.ended(state.log), else: Log.remove(state.log)
+
+    {:ok, state.acc,
+     %Report{
+       output: state.opts[:output],
+       results: Enum.sort_by(state.results, &Enum.find_index(order, fn n -> n == &1.session end)),
+       cancelled?: state.cancelled?,
+       duration: System.convert_time_unit(System.monotonic_time() - started, :native, :nanosecond)
+     }}
+  end
+
+  # What was whole when the run was killed, and may not be in the dataset yet.
+  defp recover(sessions, done, acc, commit, opts) do
+    sessions
+    |> Enum.filter(&(is_map_key(done, &1.name) and File.dir?(done[&1.name])))
+    |> Enum.reduce_while({:ok, acc, []}, fn session, {:ok, acc, kept} ->
+      partition = Partition.new(opts[:output], done[session.name])
+
+      case commit.(acc, session, partition) do
+        {:ok, acc} -> {:cont, {:ok, acc, [session.name | kept]}}
+        {:error, error} -> {:halt, {:error, error}}
+      end
+    end)
+  end
+
+  defp free(sessions, kept, opts) do
+    name = opts[:output]
+
+    taken =
+      for s <- sessions,
+          s.name not in kept,
+          Enum.any?(s.partitions, &(&1.name == name)),
+          do: s.name
+
+    if taken == [] or opts[:overwrite] do
+      :ok
+    else
+      {:error,
+       Error.new(:partition_exists, "#{length(taken)} sessions have a partition #{inspect(name)}",
+         why: "the first is #{inspect(hd(taken))}",
+         fix: "choose another output, or overwrite: true"
+       )}
+    end
+  end
+
+  defp slots(opts) do
+    nodes = opts[:nodes] || [node()]
+    for _ <- 1..opts[:parallel], node <- nodes, do: node
+  end
+
+  # Long sessions count for more.
+  defp weights(sessions) do
+    for session <- sessions do
+      {session.name, session |> Session.summary() |> Summary.duration() |> max(1)}
+    end
+  end
+
+  defp fill(%{waiting: [], slots: _} = state), do: state
+  defp fill(%{slots: []} = state), do: state
+
+  defp fill(%{waiting: [session | waiting], slots: [node | slots]} = state) do
+    job = Job.new(session, state.compute, state.opts)
+    state = %{state | waiting: waiting, slots: slots}
+
+    case Log.begun(state.log, session.name, job.draft) do
+      :ok ->
+        pid = Node.spawn_link(node, Job, :run, [job, self()])
+        running = %{job: job, node: node, pipeline: nil, began: System.monotonic_time()}
+        fill(%{state | running: Map.put(state.running, pid, running)})
+
+      {:error, error} ->
+        fill(finished(%{state | slots: [node | slots]}, session.name, :failed, error, nil, 0))
+    end
+  end
+
+  defp loop(%{running: running, waiting: []} = state) when running == %{}, do: state
+  defp loop(%{running: running, cancelled?: true} = state) when running == %{}, do: state
+
+  defp loop(state) do
+    receive do
+      {:pipeline, pid, pipeline} when is_map_key(state.running, pid) ->
+        loop(put_in(state.running[pid].pipeline, pipeline))
+
+      {:EXIT, pid, reason} when is_map_key(state.running, pid) ->
+        state |> ended(pid, reason) |> fill() |> loop()
+
+      {:EXIT, _caller, reason} when reason != :normal ->
+        exit(reason)
+    after
+      @tick_ms -> state |> tick() |> loop()
+    end
+  end
+
+  defp tick(state) do
+    fractions = for {_, r} <- state.running, do: {r.job.session.name, Progress.of(r.pipeline)}
+    progress = Progress.update(state.progress, fractions)
+    if fun = state.opts[:progress], do: fun.(progress)
+    state = %{state | progress: progress}
+    if not state.cancelled? and cancel?(state), do: cancel(state), else: state
+  end
+
+  defp cancel?(state), do: state.opts[:cancel] != nil and state.opts[:cancel].() == true
+
+  # The pipelines end with the processes that run them.
+  defp cancel(state) do
+    for {pid, _} <- state.running, do: Process.exit(pid, :kill)
+    %{state | cancelled?: true, waiting: []}
+  end
+
+  defp ended(state, pid, reason) do
+    {%{job: job, node: node, began: began} = running, others} = Map.pop(state.running, pid)
+    took = System.convert_time_unit(System.monotonic_time() - began, :native, :nanosecond)
+    state = %{state | running: others, slots: [node | state.slots]}
+
+    case outcome(reason, state) do
+      {:done, result} ->
+        publish(state, job, result, took)
+
+      {status, error} ->
+        state |> discard(running) |> finished(job.session.name, status, error, nil, took)
+    end
+  end
+
+  defp outcome({:shutdown, {:done, result}}, _state), do: {:done, result}
+  defp outcome({:shutdown, {:failed, error}}, _state), do: {:failed, error}
+  defp outcome(:killed, %{cancelled?: true}), do: {:cancelled, nil}
+
+  defp outcome(reason, _state) do
+    {:failed,
+     Error.new(:session_crashed, "the session's process ended",
+       why: inspect(reason, limit: 10),
+       fix: "see the log; the other sessions are not touched"
+     )}
+  end
+
+  # A pipeline whose owner was killed still closes its store: the folder goes when it has.
+  defp discard(state, %{job: job, pipeline: pipeline}) do
+    if pipeline, do: wait(pipeline.pid)
+    Job.discard(job)
+    state
+  end
+
+  defp wait(pid) do
+    monitor = Process.monitor(pid)
+
+    receive do
+      {:DOWN, ^monitor, _, _, _} -> :ok
+    after
+      30_000 -> Process.demonitor(monitor, [:flush])
+    end
+  end
+
+  defp publish(state, %{draft: nil} = job, result, took),
+    do: finished(state, job.session.name, :done, nil, result, took)
+
+  defp publish(state, job, result, took) do
+    with {:ok, folder} <- Job.publish(job),
+         :ok <- Log.done(state.log, job.session.name, folder),
+         partition = Partition.new(state.opts[:output], folder),
+         {:ok, acc} <- state.commit.(state.acc, job.session, partition) do
+      finished(%{state | acc: acc}, job.session.name, :done, nil, result, took)
+    else
+      {:error, error} -> finished(state, job.session.name, :failed, error, nil, took)
+    end
+  end
+
+  defp finished(state, name, status, error, result, took) do
+    entry = %{session: name, status: status, error: error, result: result, took: took}
+    progress = Progress.finish(state.progress, name)
+    state = %{state | results: [entry | state.results], progress: progress}
+    if fun = state.opts[:progress], do: fun.(progress)
+    if status == :failed and state.opts[:on_failure] == :stop, do: cancel(state), else: state
+  end
+end

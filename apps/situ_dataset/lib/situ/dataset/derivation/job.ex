@@ -1,0 +1,87 @@
+defmodule Situ.Dataset.Derivation.Job do
+  @moduledoc false
+  # One session of a run: what to compute, and where the output goes. Runs in a process of its own, on any node.
+  alias Situ.Dataset.{Importer, Partition, Session, StoredPath, Version}
+  alias Situ.{Error, Pipeline, Store}
+
+  @enforce_keys [:session, :compute]
+  defstruct [:session, :compute, :path, :draft, options: [], settings: []]
+
+  @type compute :: module() | (Pipeline.t(), Importer.t(), Store.Exporter.t() | nil -> term())
+  @type t :: %__MODULE__{}
+
+  @spec new(Session.t(), compute(), keyword()) :: t()
+  def new(session, compute, opts) do
+    path = opts[:output] && place(session, opts)
+
+    %__MODULE__{
+      session: session,
+      compute: compute,
+      path: path,
+      draft: path && Version.draft(path),
+      options: opts[:options],
+      settings: Keyword.put_new(opts[:pipeline], :replay, speed: :max)
+    }
+  end
+
+  defp place(session, opts) do
+    folder =
+      case opts[:path] do
+        nil -> beside(session.partitions)
+        fun when is_function(fun) -> fun.(session)
+        path -> Path.join(path, session.name)
+      end
+
+    Path.join(Path.expand(folder), opts[:store] || opts[:output])
+  end
+
+  defp beside([%Partition{path: path} | rest]),
+    do: if(StoredPath.windows?(path), do: beside(rest), else: Path.dirname(path))
+
+  defp beside([]), do: "."
+
+  @doc "The body of the process: says which pipeline it runs, and ends with what became of it."
+  @spec run(t(), pid()) :: no_return()
+  def run(%__MODULE__{} = job, coordinator) do
+    me = self()
+
+    result =
+      Pipeline.run(
+        fn p ->
+          send(coordinator, {:pipeline, me, p})
+          build(p, job)
+        end,
+        pipeline: job.settings
+      )
+
+    case result do
+      {:ok, report} -> exit({:shutdown, {:done, report.result}})
+      {:error, error} -> exit({:shutdown, {:failed, error}})
+    end
+  end
+
+  defp build(p, job) do
+    importer = Importer.open(p, job.session)
+    exporter = job.draft && Store.create(p, Path.basename(job.path), job.draft, versioned: false)
+    computed(job.compute, p, importer, exporter, job)
+  end
+
+  defp computed(fun, p, importer, exporter, _job) when is_function(fun, 3),
+    do: fun.(p, importer, exporter)
+
+  defp computed(module, p, importer, exporter, job) when is_atom(module),
+    do:
+      module.build(
+        p,
+        [importer: importer, exporter: exporter, session: job.session] ++ job.options
+      )
+
+  @doc "Gives the output its name."
+  @spec publish(t()) :: {:ok, Path.t()} | {:error, Error.t()}
+  def publish(%__MODULE__{} = job), do: Version.publish(job.draft, job.path)
+
+  @doc "Deletes what a session that came to nothing has written."
+  @spec discard(t()) :: :ok
+  def discard(%__MODULE__{draft: nil}), do: :ok
+  def discard(%__MODULE__{draft: draft}), do: Version.discard(draft)
+end

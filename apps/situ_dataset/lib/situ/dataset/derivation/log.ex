@@ -1,0 +1,82 @@
+defmodule Situ.Dataset.Derivation.Log do
+  @moduledoc false
+  # What a run has begun and done, a line of JSON each, on the disk before it goes on. The next run of the same output
+  # keeps what is done and clears away what was only begun.
+  alias Situ.Dataset.Version
+  alias Situ.Error
+
+  defstruct [:path]
+  @type t :: %__MODULE__{path: Path.t() | nil}
+
+  @doc """
+  The log, and what an earlier run had done: `%{session => folder}`. With `overwrite` one that ended by itself (with
+  sessions that failed) counts for nothing.
+  """
+  @spec open(Path.t() | nil, String.t() | nil, keyword()) :: {t(), %{String.t() => Path.t()}}
+  def open(file, output, _opts) when file == nil or output == nil, do: {%__MODULE__{}, %{}}
+
+  def open(file, output, opts) do
+    path = "#{file}.#{String.replace(output, ~r/[^\w.-]/u, "_")}.run"
+    lines = read(path)
+    done = for %{"done" => session, "path" => folder} <- lines, into: %{}, do: {session, folder}
+    for %{"begun" => _, "draft" => draft} <- lines, is_binary(draft), do: Version.discard(draft)
+    log = %__MODULE__{path: path}
+
+    over? = Enum.any?(lines, &is_map_key(&1, "ended"))
+
+    if opts[:resume] and not (over? and opts[:overwrite]),
+      do: {log, done},
+      else: {remove(log), %{}}
+  end
+
+  # The last line may be cut short.
+  defp read(path) do
+    case File.read(path) do
+      {:ok, text} ->
+        for line <- String.split(text, "\n"),
+            {:ok, %{} = entry} <- [Situ.JSON.decode(line)],
+            do: entry
+
+      {:error, _} ->
+        []
+    end
+  end
+
+  @spec begun(t(), String.t(), Path.t() | nil) :: :ok | {:error, Error.t()}
+  def begun(log, session, draft), do: append(log, %{begun: session, draft: draft})
+
+  @spec done(t(), String.t(), Path.t()) :: :ok | {:error, Error.t()}
+  def done(log, session, folder), do: append(log, %{done: session, path: folder})
+
+  @doc "The run came to its end, though not every session did."
+  @spec ended(t()) :: :ok | {:error, Error.t()}
+  def ended(log), do: append(log, %{ended: true})
+
+  defp append(%{path: nil}, _entry), do: :ok
+
+  defp append(%{path: path}, entry) do
+    # A line feed first: what a crash cut short stays a line of its own.
+    line = ["\n", Situ.JSON.encode(entry), "\n"]
+
+    with {:ok, device} <- :file.open(path, [:append, :raw, :binary]),
+         :ok <- :file.write(device, line),
+         :ok <- :file.datasync(device) do
+      :file.close(device)
+    else
+      {:error, reason} ->
+        {:error,
+         Error.new(:not_saved, "cannot write #{path}",
+           why: to_string(:file.format_error(reason)),
+           fix: "make room or check the folder; the run keeps its journal there"
+         )}
+    end
+  end
+
+  @spec remove(t()) :: t()
+  def remove(%{path: nil} = log), do: log
+
+  def remove(%{path: path} = log) do
+    _ = File.rm(path)
+    log
+  end
+end

@@ -1,0 +1,55 @@
+defmodule Situ.Dataset.Derivation.Progress do
+  @moduledoc """
+  How far a run over the sessions is: `done` (0.0 to 1.0, sessions weighted by their length), `finished` of `total`
+  sessions, and `running`, `[{session, fraction}]`.
+  """
+  alias Situ.Pipeline
+
+  defstruct weights: %{}, done: 0.0, finished: 0, total: 0, over: MapSet.new(), running: []
+
+  @type t :: %__MODULE__{}
+
+  @doc false
+  @spec new([{String.t(), pos_integer()}], [String.t()]) :: t()
+  def new(weights, kept) do
+    progress = %__MODULE__{weights: Map.new(weights), total: length(weights)}
+    Enum.reduce(kept, progress, &finish(&2, &1))
+  end
+
+  @doc false
+  @spec finish(t(), String.t()) :: t()
+  def finish(progress, name) do
+    over = MapSet.put(progress.over, name)
+    running = List.keydelete(progress.running, name, 0)
+    update(%{progress | over: over, finished: MapSet.size(over)}, running)
+  end
+
+  @doc false
+  @spec update(t(), [{String.t(), float()}]) :: t()
+  def update(progress, running) do
+    all = progress.weights |> Map.values() |> Enum.sum()
+    over = progress.over |> Enum.map(&Map.get(progress.weights, &1, 0)) |> Enum.sum()
+
+    part =
+      running
+      |> Enum.map(fn {name, f} -> f * Map.get(progress.weights, name, 0) end)
+      |> Enum.sum()
+
+    done = if all == 0, do: 1.0, else: (over + part) / all
+    # A pipeline that ended between two looks does not set the whole back.
+    %{progress | running: Enum.sort(running), done: max(progress.done, min(done, 1.0))}
+  end
+
+  @doc false
+  # The store is closed and named after the pipeline: the last twentieth.
+  @spec of(Pipeline.t() | nil) :: float()
+  def of(nil), do: 0.0
+
+  def of(pipeline) do
+    0.95 * Pipeline.progress(pipeline)
+  rescue
+    Situ.Error -> 0.95
+  catch
+    :exit, _ -> 0.95
+  end
+end
