@@ -17,8 +17,10 @@ import subprocess
 import sys
 
 DATA, LARGE = 0, 1
+HEADERS = {b"CHNK": 96, b"CHK2": 112}
 LANES = {DATA: "data", LARGE: "large"}
-BINS, INTS, FLOATS, BINARIES, TERMS, CODEC, BOOLEANS = range(7)
+BINS, INTS, FLOATS, BINARIES, TERMS, CODEC, BOOLEANS, TRACKS = range(8)
+HOLE = 255
 MASK = (1 << 64) - 1
 
 
@@ -128,7 +130,7 @@ class Store:
         if index[:8] != b"SITUIDX1":
             raise Damaged("index.situ is no index")
         version, crc = struct.unpack_from("<II", index, 8)
-        if version > 1:
+        if version > 2:
             raise Damaged(f"version {version} is newer than this reader")
         check(crc, index[16:64], "the index header")
         self.id = index[16:32]
@@ -162,17 +164,22 @@ class Store:
     def chunk(self, entry):
         data = self.extent(entry["lane"], entry["extent"])
         raw = data[entry["offset"] : entry["offset"] + entry["length"]]
-        if entry["offset"] % 8 or raw[:4] != b"CHNK":
+        if entry["offset"] % 8 or raw[:4] not in HEADERS:
             raise Damaged("no chunk where the index says")
+        begin = HEADERS[raw[:4]]
         names = "crc length stream level encoding compression zero count ordinal first last sequence creation size latency "
         names += "raw table codec zero2 body_crc"
         header = dict(zip(names.split(), struct.unpack_from("<IIIBBBBIQqqQqQdIIHHI", raw, 4)))
         for key in ("length", "stream", "level", "count", "first", "last", "creation"):
             if header[key] != entry[key]:
                 raise Damaged(f"chunk and index disagree about {key}")
-        stored = raw[96:]
+        stored = raw[begin:]
+        if begin == 112:
+            number, committed = struct.unpack_from("<QQ", raw, 96)
+            if self.entries[number] is not entry or committed > number:
+                raise Damaged("a chunk tells another number than its entry has")
         covered = 0 if header["compression"] else header["table"]
-        check(header["crc"], raw[8:96] + stored[:covered], "a chunk's header")
+        check(header["crc"], raw[8:begin] + stored[:covered], "a chunk's header")
         check(header["body_crc"], stored[covered:], "a chunk's body")
         body = UNPACK[header["compression"]](stored, header["raw"])
         if len(body) != header["raw"]:
@@ -226,7 +233,7 @@ class Store:
         return store, {id: stream for id, stream in streams.items() if "stream" in stream}
 
     def of(self, stream, level):
-        return [e for e in self.entries if e["stream"] == stream and e["level"] == level]
+        return [e for e in self.entries if e["stream"] == stream and e["level"] == level and e["level"] != HOLE]
 
 
 def dump(store):

@@ -102,7 +102,7 @@ fn write(dir: &Path, seed: u64, fault: i64) -> situ_store::Result<()> {
 
 fn read(reader: &Reader, stream: u32) -> u64 {
     let mut ordinal = 0;
-    while let Some(entry) = reader.entry_at(stream, ordinal) {
+    while let Some(entry) = reader.entry_at(stream, ordinal).unwrap() {
         let chunk = reader.chunk(&entry).unwrap();
         for message in chunk.messages() {
             let (got, value) = message.unwrap();
@@ -147,7 +147,7 @@ fn check(dir: &Path, acknowledged: u64) {
         counts[0],
         "the pyramid"
     );
-    let report = repair::repair(dir, |_, _| ()).unwrap();
+    let report = repair::repair(dir, false, |_, _| ()).unwrap();
     assert_eq!((report.dropped, report.damage), (0, vec![]));
     let repaired = Reader::open(dir).unwrap();
     assert!(repaired.is_closed());
@@ -169,7 +169,7 @@ fn copy(reader: &Reader, dir: &Path, count: u64) {
     for stream in 1..=3 {
         writer.add_stream(Compression::None, false);
         let mut ordinal = 0;
-        while let Some(entry) = reader.entry_at(stream, ordinal) {
+        while let Some(entry) = reader.entry_at(stream, ordinal).unwrap() {
             let chunk = reader.chunk(&entry).unwrap();
             for (envelope, value) in chunk.messages().flatten() {
                 let (encoding, input) = match value {

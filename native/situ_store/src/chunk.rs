@@ -212,7 +212,7 @@ pub fn open<'a>(
     trust_body: bool,
 ) -> std::result::Result<Body<'a>, &'static str> {
     let stored = bytes
-        .get(CHUNK_HEADER..header.length as usize)
+        .get(header.size()..header.length as usize)
         .ok_or("the chunk does not end in its extent")?;
     if !trust_body && crc32c::crc32c(&stored[header.covered()..]) != header.body_crc {
         return Err("the chunk's checksum is wrong");
@@ -298,7 +298,7 @@ impl<'a> Messages<'a> {
                 creation: header.first_creation,
             },
             latency: header.first_creation.wrapping_sub(header.first),
-            left: if header.encoding == Encoding::Bins {
+            left: if header.encoding.is_pyramid() {
                 0
             } else {
                 header.count
@@ -355,7 +355,7 @@ impl<'a> Messages<'a> {
                 self.payload_at = end;
                 Value::Bytes { start: at, length }
             }
-            Encoding::Bins => return None,
+            Encoding::Bins | Encoding::Tracks => return None,
         };
         self.previous = envelope;
         Some((envelope, value))

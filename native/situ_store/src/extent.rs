@@ -217,6 +217,13 @@ impl Lane {
         self.fault.step()
     }
 
+    /// Makes the chunk at this place none any more.
+    pub fn erase(&self, extent: u32, offset: u64) -> std::io::Result<()> {
+        let path = self.dir.join(name(self.lane, extent));
+        let file = OpenOptions::new().write(true).open(path)?;
+        Ok(write_all(&file, &[0; 8], offset)?)
+    }
+
     pub fn sync(&mut self) -> Result<()> {
         if self.created {
             let folder =

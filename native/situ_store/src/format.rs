@@ -2,14 +2,22 @@
 
 use crate::error::{Error, Result};
 
-pub const VERSION: u32 = 1;
+/// The version of new stores; lower ones are read too.
+pub const VERSION: u32 = 2;
 pub const INDEX_MAGIC: &[u8; 8] = b"SITUIDX1";
 pub const EXTENT_MAGIC: &[u8; 8] = b"SITUDAT1";
-pub const CHUNK_MAGIC: u32 = 0x4b4e_4843;
+/// What a chunk begins with: `CHK2`, in stores of version 1 `CHNK`.
+pub const CHUNK_MAGIC: u32 = 0x324b_4843;
+pub const CHUNK_MAGIC_1: u32 = 0x4b4e_4843;
 pub const INDEX_HEADER: usize = 4096;
 pub const ENTRY: usize = 64;
 pub const EXTENT_HEADER: usize = 64;
-pub const CHUNK_HEADER: usize = 96;
+pub const CHUNK_HEADER: usize = 112;
+pub const CHUNK_HEADER_1: usize = 96;
+/// The level of an index entry that names nothing any more: a place kept so that the numbers of the others stay.
+pub const HOLE: u8 = 255;
+/// Levels of what is counted and told of a stream's messages stand this much above those of its signal.
+pub const TRACKS: u8 = 64;
 pub const BIN: usize = 40;
 pub const COMMITTED_AT: usize = 64;
 pub const SYNCED_AT: usize = 72;
@@ -33,6 +41,8 @@ pub enum Encoding {
     Term = 4,
     Codec = 5,
     Bool = 6,
+    /// Counts, states and numbers by key of the messages in bins, at levels above `TRACKS`.
+    Tracks = 7,
 }
 
 impl Encoding {
@@ -45,8 +55,14 @@ impl Encoding {
             4 => Self::Term,
             5 => Self::Codec,
             6 => Self::Bool,
+            7 => Self::Tracks,
             _ => return None,
         })
+    }
+
+    /// Bins instead of messages.
+    pub fn is_pyramid(self) -> bool {
+        matches!(self, Self::Bins | Self::Tracks)
     }
 
     pub fn has_lengths(self) -> bool {
@@ -101,13 +117,14 @@ fn set(bytes: &mut [u8], at: usize, value: &[u8]) {
 pub struct IndexHeader {
     pub id: [u8; 16],
     pub created: i64,
+    pub version: u32,
 }
 
 impl IndexHeader {
     pub fn encode(&self) -> [u8; INDEX_HEADER] {
         let mut bytes = [0; INDEX_HEADER];
         set(&mut bytes, 0, INDEX_MAGIC);
-        set(&mut bytes, 8, &VERSION.to_le_bytes());
+        set(&mut bytes, 8, &self.version.to_le_bytes());
         set(&mut bytes, 16, &self.id);
         set(&mut bytes, 32, &self.created.to_le_bytes());
         let crc = crc32c::crc32c(&bytes[16..64]);
@@ -135,6 +152,7 @@ impl IndexHeader {
         Ok(IndexHeader {
             id,
             created: i64_at(bytes, 32),
+            version,
         })
     }
 }
@@ -224,12 +242,34 @@ impl Entry {
             last: i64_at(bytes, 48),
             first_creation: i64_at(bytes, 56),
         };
+        let level = entry.level < 63 || (TRACKS + 1..TRACKS + 63).contains(&entry.level);
         let sane = entry.count > 0
             && entry.first <= entry.last
             && entry.lane <= 1
-            && entry.level < 63
-            && entry.length as usize >= CHUNK_HEADER;
-        sane.then_some(entry)
+            && level
+            && entry.length as usize >= CHUNK_HEADER_1;
+        (sane || entry.is_hole()).then_some(entry)
+    }
+
+    /// An entry that keeps the place of a chunk that is gone.
+    pub fn hole() -> Self {
+        Entry {
+            stream: 0,
+            level: HOLE,
+            lane: 0,
+            extent: 0,
+            offset: 0,
+            length: 0,
+            count: 0,
+            ordinal: 0,
+            first: 0,
+            last: 0,
+            first_creation: 0,
+        }
+    }
+
+    pub fn is_hole(&self) -> bool {
+        self.level == HOLE
     }
 }
 
@@ -252,9 +292,22 @@ pub struct ChunkHeader {
     pub table_length: u32,
     pub codec: u16,
     pub body_crc: u32,
+    /// The number of the chunk's entry in the index, where the chunk tells (version 2).
+    pub number: Option<u64>,
+    /// How many entries were committed when it was written: whatever they name was acknowledged.
+    pub committed: u64,
 }
 
 impl ChunkHeader {
+    /// How many bytes the header takes.
+    pub fn size(&self) -> usize {
+        if self.number.is_some() {
+            CHUNK_HEADER
+        } else {
+            CHUNK_HEADER_1
+        }
+    }
+
     /// The header's bytes; `table` is what the header's checksum covers besides them.
     pub fn encode(&self, table: &[u8]) -> [u8; CHUNK_HEADER] {
         let mut bytes = [0; CHUNK_HEADER];
@@ -276,6 +329,12 @@ impl ChunkHeader {
         set(&mut bytes, 84, &self.table_length.to_le_bytes());
         set(&mut bytes, 88, &self.codec.to_le_bytes());
         set(&mut bytes, 92, &self.body_crc.to_le_bytes());
+        set(
+            &mut bytes,
+            96,
+            &self.number.unwrap_or(u64::MAX).to_le_bytes(),
+        );
+        set(&mut bytes, 104, &self.committed.to_le_bytes());
         let crc = crc32c::crc32c_append(crc32c::crc32c(&bytes[8..]), table);
         set(&mut bytes, 4, &crc.to_le_bytes());
         bytes
@@ -288,9 +347,15 @@ impl ChunkHeader {
 
     /// As `decode`, from the chunk's first bytes: the header and what its checksum covers; `space` is how far the extent goes on.
     pub fn decode_head(bytes: &[u8], space: u64) -> std::result::Result<Self, &'static str> {
-        if bytes.len() < CHUNK_HEADER || u32_at(bytes, 0) != CHUNK_MAGIC {
+        let size = match bytes.get(..4).map(|magic| u32_at(magic, 0)) {
+            Some(CHUNK_MAGIC) => CHUNK_HEADER,
+            Some(CHUNK_MAGIC_1) => CHUNK_HEADER_1,
+            _ => return Err("no chunk begins here"),
+        };
+        if bytes.len() < size {
             return Err("no chunk begins here");
         }
+        let second = size == CHUNK_HEADER;
         let header = ChunkHeader {
             length: u32_at(bytes, 8),
             stream: u32_at(bytes, 12),
@@ -309,12 +374,14 @@ impl ChunkHeader {
             table_length: u32_at(bytes, 84),
             codec: u32_at(bytes, 88) as u16,
             body_crc: u32_at(bytes, 92),
+            number: second.then(|| u64_at(bytes, 96)),
+            committed: if second { u64_at(bytes, 104) } else { 0 },
         };
         let length = header.length as usize;
-        if length < CHUNK_HEADER || length as u64 > space {
+        if length < size || length as u64 > space {
             return Err("the chunk does not end in its extent");
         }
-        let stored = length - CHUNK_HEADER;
+        let stored = length - size;
         let covered = if header.compression == Compression::None {
             header.table_length as usize
         } else {
@@ -327,11 +394,11 @@ impl ChunkHeader {
         {
             return Err("the chunk's lengths contradict each other");
         }
-        if (header.encoding == Encoding::Bins) != (header.level > 0) {
+        if header.encoding.is_pyramid() != (header.level > 0) {
             return Err("messages are at level 0, bins above it");
         }
         let covered = bytes
-            .get(8..CHUNK_HEADER + covered)
+            .get(8..size + covered)
             .ok_or("the chunk's table is not at hand")?;
         if crc32c::crc32c(covered) != u32_at(bytes, 4) {
             return Err("the chunk header's checksum is wrong");

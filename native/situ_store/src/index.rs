@@ -5,17 +5,20 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::Arc;
 
-use memmap2::{MmapMut, MmapOptions};
+use memmap2::MmapOptions;
 use rustix::fs::{fdatasync, ftruncate};
 use rustix::thread::futex;
 
 use crate::error::{Error, Result};
 use crate::extent::{allocate, Fault};
 use crate::format::*;
+use crate::guard::MapMut;
 
 pub const FILE: &str = "index.situ";
 const FIRST_GROWTH: u64 = 64 * 1024;
 const MAX_GROWTH: u64 = 16 * 1024 * 1024;
+/// What is wrong when a map is torn.
+pub const CUT: &str = "the file was cut while it was open";
 
 /// The word at `at` of a mapped index header.
 #[allow(unsafe_code)]
@@ -35,24 +38,25 @@ pub fn futex_word(map: &[u8]) -> &AtomicU32 {
 }
 
 #[allow(unsafe_code)]
-fn map_mut(file: &File, from: u64, length: u64) -> Result<MmapMut> {
+fn map_mut(file: &File, from: u64, length: u64) -> Result<MapMut> {
     // SAFETY: the file is ours under the writer's lock, its bytes are allocated, and it is cut only in `finish`, after
-    // which nothing is written any more.
+    // which nothing is written any more. Where somebody else cuts it, the guard answers.
     unsafe {
         MmapOptions::new()
             .offset(from)
             .len(length as usize)
             .map_mut(file)
     }
+    .map(MapMut::new)
     .map_err(|e| Error::io("map index.situ", e))
 }
 
 #[derive(Debug)]
 pub struct IndexWriter {
     pub file: File,
-    header: MmapMut,
+    header: MapMut,
     /// (first byte in the file, map)
-    segments: Vec<(u64, MmapMut)>,
+    segments: Vec<(u64, MapMut)>,
     size: u64,
     pub committed: u64,
     fault: Arc<Fault>,
@@ -128,6 +132,9 @@ impl IndexWriter {
             at += ENTRY as u64;
         }
         self.fault.step()?;
+        if self.torn() {
+            return Err(Error::damaged(FILE, 0, CUT));
+        }
         self.committed += entries.len() as u64;
         word(&self.header, COMMITTED_AT).store(self.committed, Ordering::Release);
         let _ = futex::wake(
@@ -135,7 +142,14 @@ impl IndexWriter {
             futex::Flags::empty(),
             i32::MAX as u32,
         );
+        if self.torn() {
+            return Err(Error::damaged(FILE, 0, CUT));
+        }
         self.fault.step()
+    }
+
+    fn torn(&self) -> bool {
+        self.header.torn() || self.segments.iter().any(|(_, map)| map.torn())
     }
 
     pub fn sync(&mut self) -> Result<()> {

@@ -11,14 +11,14 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, RwLock, RwLockReadGuard};
 
-use memmap2::Mmap;
 use rustix::fs::{flock, FlockOperation};
 
 use crate::chunk::{self, Body, Messages};
 use crate::error::{Error, Result};
 use crate::extent;
 use crate::format::*;
-use crate::index::{self, word};
+use crate::guard::Map;
+use crate::index::{self, word, CUT};
 
 use directory::Index;
 use maps::Extents;
@@ -38,7 +38,7 @@ pub struct Reader {
     dir: PathBuf,
     pub header: IndexHeader,
     file: File,
-    head: Mmap,
+    head: Map,
     index: RwLock<Index>,
     extents: Extents,
     /// Pyramids computed for want of stored ones: (level, bins, messages seen).
@@ -50,7 +50,7 @@ pub struct Reader {
 /// A checked chunk: its header, its raw body, and the map it lies in.
 pub struct Chunk {
     pub header: ChunkHeader,
-    pub map: Arc<Mmap>,
+    pub map: Arc<Map>,
     start: usize,
     held: Held,
 }
@@ -68,13 +68,15 @@ impl Chunk {
     pub fn body(&self) -> &[u8] {
         match &self.held {
             Held::Body(bytes) => bytes,
-            _ => &self.map[self.start + CHUNK_HEADER..self.start + self.header.length as usize],
+            _ => {
+                &self.map[self.start + self.header.size()..self.start + self.header.length as usize]
+            }
         }
     }
 
     /// Where the body lies in the map, when it lies there (it was not compressed).
     pub fn mapped_at(&self) -> Option<usize> {
-        (!matches!(self.held, Held::Body(_))).then_some(self.start + CHUNK_HEADER)
+        (!matches!(self.held, Held::Body(_))).then(|| self.start + self.header.size())
     }
 
     /// The number drawn for a message, where there is one.
@@ -95,7 +97,7 @@ impl Chunk {
     }
 }
 
-fn names(entry: &Entry, header: &ChunkHeader) -> bool {
+pub(crate) fn names(entry: &Entry, header: &ChunkHeader) -> bool {
     header.stream == entry.stream
         && header.level == entry.level
         && header.count == entry.count
@@ -163,7 +165,7 @@ impl Reader {
         word(&self.head, SYNCED_AT).load(Ordering::Acquire)
     }
 
-    pub(crate) fn head(&self) -> &Mmap {
+    pub(crate) fn head(&self) -> &Map {
         &self.head
     }
 
@@ -173,8 +175,17 @@ impl Reader {
             .unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
+    /// An error when the index was cut by somebody since it was opened: what it answered then means nothing.
+    pub fn whole(&self) -> Result<()> {
+        if self.head.torn() || self.lock_index().torn() {
+            return Err(Error::damaged(index::FILE, 0, CUT));
+        }
+        Ok(())
+    }
+
     /// Takes in what was published since; the number of entries now known.
     pub fn refresh(&self) -> Result<u64> {
+        self.whole()?;
         let published = self.published();
         let loaded = self.lock_index().loaded;
         if loaded >= published {
@@ -224,8 +235,10 @@ impl Reader {
                 return Ok(chunk);
             }
         }
-        let broken =
-            |why: &str| Error::damaged(extent::name(entry.lane, entry.extent), entry.offset, why);
+        let broken = |why: &str| {
+            let why = if map.torn() { CUT } else { why };
+            Error::damaged(extent::name(entry.lane, entry.extent), entry.offset, why)
+        };
         let start = usize::try_from(entry.offset)
             .ok()
             .filter(|at| *at <= map.len());
@@ -248,7 +261,7 @@ impl Reader {
     }
 
     /// A large chunk whose payload nobody checks: its map is not looked at.
-    fn headed(&self, entry: &Entry, map: &Arc<Mmap>, wait: bool) -> Option<Chunk> {
+    fn headed(&self, entry: &Entry, map: &Arc<Map>, wait: bool) -> Option<Chunk> {
         let (header, table) = self.extents.head(entry, map, wait)?;
         let start = usize::try_from(entry.offset).ok()?;
         let end = start.checked_add(header.length as usize)?;
@@ -279,10 +292,14 @@ impl Reader {
     }
 
     /// The entry holding message `ordinal` of a stream, if it has so many.
-    pub fn entry_at(&self, stream: u32, ordinal: u64) -> Option<Entry> {
-        let index = self.lock_index();
-        let entries = index.entries(stream, 0)?;
-        entries.get(entries.at_ordinal(ordinal))
+    pub fn entry_at(&self, stream: u32, ordinal: u64) -> Result<Option<Entry>> {
+        let entry = {
+            let index = self.lock_index();
+            let entries = index.entries(stream, 0);
+            entries.and_then(|entries| entries.get(entries.at_ordinal(ordinal)))
+        };
+        self.whole()?;
+        Ok(entry)
     }
 
     /// The ordinal of the first message at or after `time` (the stream's count when there is none).
@@ -294,6 +311,7 @@ impl Reader {
             };
             (entries.get(entries.at_time(time)), entries.count())
         };
+        self.whole()?;
         let Some(entry) = entry else { return Ok(count) };
         if entry.first >= time {
             return Ok(entry.ordinal);
@@ -319,6 +337,7 @@ impl Reader {
         let index = self.lock_index();
         (0..index.loaded)
             .filter_map(|at| index.raw_entry(at))
+            .filter(|entry| !entry.is_hole())
             .collect()
     }
 }

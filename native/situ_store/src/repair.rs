@@ -1,286 +1,237 @@
 //! Mending a store whose index or data are damaged, and closing one whose writer died.
+//!
+//! Whatever a reader was given before is there afterwards: entries of the index that name a sound chunk are kept as they are.
+//! Places in between that are damaged are filled with the chunks that carry their numbers, as far as these are known to have been
+//! committed; a place that stays empty is a hole, so that every other entry keeps its number. Data are never rewritten.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{File, OpenOptions};
+mod apply;
+mod claims;
+mod scan;
+
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use rustix::fs::{fdatasync, ftruncate};
-
-use crate::chunk;
 use crate::error::{Error, Result};
-use crate::extent::{self, write_all};
+use crate::extent;
 use crate::format::*;
 use crate::index;
-use crate::reader::{file_length, map_file, Damage, Reader};
+use crate::reader::{names, Damage};
 use crate::writer;
 
-/// Chunks that are checked between two words on how far it is.
-const STEP: u64 = 128;
+use claims::Claims;
+use scan::Files;
 
+/// Chunks that are checked between two words on how far it is.
+const STEP: usize = 128;
+
+/// What was found, and done about it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
+    /// Chunks that are there now.
     pub kept: u64,
+    /// Chunks that were acknowledged once and are lost.
     pub dropped: u64,
+    /// Chunks whose place in the index was lost and that were found in the data.
+    pub recovered: u64,
+    /// Whether the index is (or, in a dry run, would be) a new one.
     pub rebuilt: bool,
+    /// All that was found wrong.
     pub damage: Vec<Damage>,
 }
 
-/// Makes the store in `dir` whole: drops what is damaged from the index (data is never rewritten), cuts unused bytes,
-/// marks it closed. The old index is kept as `index.situ.before-repair` when anything was dropped.
-pub fn repair(dir: &Path, mut progress: impl FnMut(u64, u64)) -> Result<Report> {
+/// What is to be done.
+struct Plan {
+    report: Report,
+    header: IndexHeader,
+    entries: Vec<Entry>,
+    /// Extents whose headers are damaged though they hold chunks of this store.
+    heads: Vec<(u8, u32)>,
+    closed: bool,
+}
+
+/// Makes the store in `dir` whole and marks it closed; with `dry` it only tells. The old index stays as `index.situ.before-repair`
+/// (`.before-repair-2` ...) when a new one is written.
+pub fn repair(dir: &Path, dry: bool, mut progress: impl FnMut(u64, u64)) -> Result<Report> {
+    // A folder that is none of a store gets no lock file.
+    let files = Files::open(dir)?;
+    if files.is_empty() && !dir.join(index::FILE).exists() {
+        return Err(Error::NoStore);
+    }
     let _lock = writer::lock(dir)?;
-    match Reader::open(dir) {
-        Ok(reader) => from_index(dir, &reader, &mut progress),
-        Err(Error::Damaged(..)) | Err(Error::NotAStore) => from_scan(dir, &mut progress),
-        Err(Error::NoStore) if extent_files(dir)?.is_empty() => Err(Error::NoStore),
-        Err(Error::NoStore) => from_scan(dir, &mut progress),
-        Err(error) => Err(error),
+    let plan = plan(dir, files, &mut progress)?;
+    if !dry {
+        apply::apply(dir, &plan)?;
     }
+    Ok(plan.report)
 }
 
-fn from_index(dir: &Path, reader: &Reader, progress: &mut impl FnMut(u64, u64)) -> Result<Report> {
-    let total = reader.refresh()?;
-    let mut damage = reader.damage();
-    let mut bad = BTreeSet::new();
-    let mut at = 0;
-    while at < total {
-        let (found, _) = reader.verify(at, STEP)?;
-        for item in found {
-            bad.insert((item.file.clone(), item.offset));
-            damage.push(item);
-        }
-        at += STEP;
-        progress(at.min(total), total);
-    }
-    if damage.is_empty() {
-        finish(dir, reader)?;
-        return Ok(Report {
-            kept: total,
-            dropped: 0,
-            rebuilt: false,
-            damage,
-        });
-    }
-    if damage.iter().any(|d| d.file == index::FILE) {
-        // Entries are lost: the extents know what they held.
-        return from_scan(dir, progress);
-    }
-    let good = |e: &Entry| !bad.contains(&(extent::name(e.lane, e.extent), e.offset));
-    let entries: Vec<Entry> = reader.all_entries().into_iter().filter(good).collect();
-    rewrite(dir, reader.header, &entries)?;
-    let kept = entries.len() as u64;
-    Ok(Report {
-        kept,
-        dropped: total.saturating_sub(kept),
-        rebuilt: true,
-        damage,
-    })
-}
+fn plan(dir: &Path, mut files: Files, progress: &mut impl FnMut(u64, u64)) -> Result<Plan> {
+    let claims = Claims::read(dir)?;
+    let mut damage = claims.damage.clone();
+    let id = claims.header.map(|header| header.id);
+    let id = id.or_else(|| files.id()).ok_or(Error::NotAStore)?;
+    files.expect(id, &mut damage);
 
-/// An unclosed but sound store: cut and mark it.
-fn finish(dir: &Path, reader: &Reader) -> Result<()> {
-    if reader.is_closed() {
-        return Ok(());
-    }
-    trim(dir, &reader.all_entries())?;
-    let file = OpenOptions::new()
-        .read(true)
-        .write(true)
-        .open(dir.join(index::FILE))
-        .map_err(|e| Error::io("open index.situ", e))?;
-    let end = (INDEX_HEADER as u64 + reader.entries_loaded() * ENTRY as u64).next_multiple_of(4096);
-    if file_length(&file, index::FILE)? > end {
-        ftruncate(&file, end).map_err(|e| Error::io("trim index.situ", e))?;
-    }
-    write_all(
-        &file,
-        &reader.entries_loaded().to_le_bytes(),
-        SYNCED_AT as u64,
-    )
-    .map_err(|e| Error::io("write index.situ", e))?;
-    write_all(&file, &[1], STATE_AT as u64).map_err(|e| Error::io("write index.situ", e))?;
-    fdatasync(&file).map_err(|e| Error::io("sync index.situ", e))
-}
-
-/// Cuts each extent behind its last chunk.
-fn trim(dir: &Path, entries: &[Entry]) -> Result<()> {
-    let mut ends: BTreeMap<(u8, u32), u64> = BTreeMap::new();
-    for entry in entries {
-        let end = ends.entry((entry.lane, entry.extent)).or_default();
-        *end = (*end).max(entry.offset + entry.length as u64);
-    }
-    for ((lane, number), end) in ends {
-        let name = extent::name(lane, number);
-        let file = OpenOptions::new()
-            .write(true)
-            .open(dir.join(&name))
-            .map_err(|e| Error::io(format!("open {name}"), e))?;
-        let end = end.next_multiple_of(4096);
-        if file_length(&file, &name)? > end {
-            ftruncate(&file, end).map_err(|e| Error::io(format!("trim {name}"), e))?;
-        }
-        fdatasync(&file).map_err(|e| Error::io(format!("sync {name}"), e))?;
-    }
-    Ok(())
-}
-
-fn extent_files(dir: &Path) -> Result<Vec<(u8, u32)>> {
-    let listing = std::fs::read_dir(dir).map_err(|e| Error::io("list the store", e))?;
-    let mut found = Vec::new();
-    for item in listing {
-        let item = item.map_err(|e| Error::io("list the store", e))?;
-        let name = item.file_name().to_string_lossy().into_owned();
-        let Some(stem) = name.strip_suffix(".situ") else {
-            continue;
-        };
-        let parsed = match stem.split_once('-') {
-            Some(("data", n)) => n.parse().ok().map(|n| (LANE_DATA, n)),
-            Some(("large", n)) => n.parse().ok().map(|n| (LANE_LARGE, n)),
-            _ => None,
-        };
-        found.extend(parsed);
-    }
-    found.sort();
-    Ok(found)
-}
-
-/// A new index from the chunks themselves.
-fn from_scan(dir: &Path, progress: &mut impl FnMut(u64, u64)) -> Result<Report> {
-    let files = extent_files(dir)?;
-    let total = files.len() as u64;
-    let mut damage = Vec::new();
-    let mut entries: Vec<Entry> = Vec::new();
-    let mut header: Option<IndexHeader> = None;
-    for (at, (lane, number)) in files.into_iter().enumerate() {
-        let name = extent::name(lane, number);
-        let file = File::open(dir.join(&name)).map_err(|e| Error::io(format!("open {name}"), e))?;
-        let length = file_length(&file, &name)?;
-        if length < EXTENT_HEADER as u64 {
-            damage.push(Damage {
-                file: name,
-                offset: 0,
-                why: "shorter than an extent's header".into(),
-            });
-            continue;
-        }
-        let map = map_file(&file, 0, length, &name)?;
-        let mut id = [0; 16];
-        id.copy_from_slice(&map[16..32]);
-        let id = header.map_or(id, |h| h.id);
-        if let Err(why) = check_extent(&map, &id, lane, number) {
-            damage.push(Damage {
-                file: name,
-                offset: 0,
-                why: why.into(),
-            });
-            continue;
-        }
-        header.get_or_insert(IndexHeader {
-            id,
-            created: writer::now(),
-        });
-        scan(&map, lane, number, &mut entries, &mut damage);
-        progress(at as u64 + 1, total);
-    }
-    let Some(mut header) = header else {
-        return Err(Error::NotAStore);
+    let good = check_claims(&claims, &files, &mut damage, progress);
+    let scan = if claims.whole() {
+        scan::Scan::default()
+    } else {
+        files.scan(&good, &mut damage, progress)
     };
-    // Chunks found twice (a failed commit that was repeated) or out of order: the first wins.
-    entries.sort_by_key(|e| (e.stream, e.level, e.first, e.ordinal, e.extent, e.offset));
-    let found = entries.len() as u64;
-    let mut kept: Vec<Entry> = Vec::with_capacity(entries.len());
-    for entry in entries {
-        match kept.last() {
-            Some(last)
-                if (last.stream, last.level) == (entry.stream, entry.level)
-                    && entry.first <= last.last => {}
-            _ => kept.push(entry),
-        }
-    }
-    let creation = |e: &Entry| (e.stream == CATALOG).then_some(e.first_creation);
-    if let Some(created) = kept.iter().filter_map(creation).min() {
-        header.created = created;
-    }
-    rewrite(dir, header, &kept)?;
-    Ok(Report {
-        kept: kept.len() as u64,
-        dropped: found - kept.len() as u64 + damage.len() as u64,
-        rebuilt: true,
-        damage,
+    let header = claims.header.unwrap_or(IndexHeader {
+        id,
+        created: scan.created.unwrap_or_else(writer::now),
+        version: if scan.unnumbered.is_empty() {
+            VERSION
+        } else {
+            1
+        },
+    });
+    let wanted = good.iter().filter(|claim| claim.is_some()).count() as u64;
+    let (entries, lost) = if header.version == 1 {
+        by_time(&claims, good, scan.unnumbered)
+    } else {
+        by_number(good, scan)
+    };
+    let kept = entries.iter().filter(|entry| !entry.is_hole()).count() as u64;
+    let heads = files.mistitled(&entries);
+    Ok(Plan {
+        report: Report {
+            kept,
+            dropped: lost,
+            recovered: kept.saturating_sub(wanted),
+            rebuilt: !damage.is_empty(),
+            damage,
+        },
+        header,
+        entries,
+        heads,
+        closed: claims.closed,
     })
 }
 
-fn scan(map: &[u8], lane: u8, number: u32, entries: &mut Vec<Entry>, damage: &mut Vec<Damage>) {
-    let mut at = EXTENT_HEADER;
-    while at + CHUNK_HEADER <= map.len() {
-        if u32_at(map, at) != CHUNK_MAGIC {
-            at += 8;
+/// The entries whose chunks are sound.
+fn check_claims(
+    claims: &Claims,
+    files: &Files,
+    damage: &mut Vec<Damage>,
+    progress: &mut impl FnMut(u64, u64),
+) -> Vec<Option<Entry>> {
+    let total = claims.entries.len();
+    let mut good = Vec::with_capacity(total);
+    let mut last: BTreeMap<(u32, u8), i64> = BTreeMap::new();
+    for (number, claim) in claims.entries.iter().enumerate() {
+        if number % STEP == 0 {
+            progress(number as u64, total as u64);
+        }
+        let Some(entry) = claim.filter(|entry| !entry.is_hole()) else {
+            good.push(*claim);
+            continue;
+        };
+        let before = last.get(&(entry.stream, entry.level));
+        if before.is_some_and(|before| entry.first <= *before) {
+            damage.push(Damage {
+                file: index::FILE.into(),
+                offset: (INDEX_HEADER + number * ENTRY) as u64,
+                why: "the entry goes back in time".into(),
+            });
+            good.push(None);
             continue;
         }
-        let checked = ChunkHeader::decode(&map[at..])
-            .and_then(|header| chunk::open(&header, &map[at..], false).map(|_| header));
+        let checked = files.check(entry.lane, entry.extent, entry.offset);
+        let checked = checked.and_then(|header| match names(&entry, &header) {
+            true => Ok(()),
+            false => Err("the chunk is not the one the index names"),
+        });
         match checked {
-            Ok(header) => {
-                let entry = Entry {
-                    stream: header.stream,
-                    level: header.level,
-                    lane,
-                    extent: number,
-                    offset: at as u64,
-                    length: header.length,
-                    count: header.count,
-                    ordinal: header.ordinal,
-                    first: header.first,
-                    last: header.last,
-                    first_creation: header.first_creation,
-                };
-                entries.extend(Entry::decode(&entry.encode()));
-                at += (header.length as usize).next_multiple_of(8);
+            Ok(()) => {
+                last.insert((entry.stream, entry.level), entry.last);
+                good.push(Some(entry));
             }
             Err(why) => {
                 damage.push(Damage {
-                    file: extent::name(lane, number),
-                    offset: at as u64,
+                    file: extent::name(entry.lane, entry.extent),
+                    offset: entry.offset,
                     why: why.into(),
                 });
-                at += 8;
+                good.push(None);
             }
         }
     }
+    progress(total as u64, total as u64);
+    good
 }
 
-/// Puts a new index in the old one's place, in one step.
-fn rewrite(dir: &Path, header: IndexHeader, entries: &[Entry]) -> Result<()> {
-    let failed = |e: std::io::Error| Error::io("write the new index", e);
-    let fresh = dir.join("index.situ.new");
-    let file = OpenOptions::new()
-        .write(true)
-        .create(true)
-        .truncate(true)
-        .open(&fresh)
-        .map_err(failed)?;
-    let mut bytes = header.encode().to_vec();
-    bytes[COMMITTED_AT..COMMITTED_AT + 8].copy_from_slice(&(entries.len() as u64).to_le_bytes());
-    bytes[SYNCED_AT..SYNCED_AT + 8].copy_from_slice(&(entries.len() as u64).to_le_bytes());
-    bytes[STATE_AT] = 1;
-    let mut ordinals: BTreeMap<(u32, u8), u64> = BTreeMap::new();
-    for entry in entries {
-        let ordinal = ordinals.entry((entry.stream, entry.level)).or_default();
-        bytes.extend_from_slice(
-            &Entry {
-                ordinal: *ordinal,
-                ..*entry
-            }
-            .encode(),
-        );
-        *ordinal += entry.count as u64;
+/// Every entry at its number. A chunk from the scan fills an empty place when it was committed for certain.
+fn by_number(good: Vec<Option<Entry>>, scan: scan::Scan) -> (Vec<Entry>, u64) {
+    let mut found = scan.numbered;
+    found.retain(|number, _| *number < scan.committed);
+    let behind = found
+        .keys()
+        .next_back()
+        .map_or(0, |last| *last as usize + 1);
+    let mut entries: Vec<Option<Entry>> = good;
+    entries.resize(entries.len().max(behind), None);
+    // What a later sound entry of its stream contradicts is not what it says.
+    let mut next: BTreeMap<(u32, u8), i64> = BTreeMap::new();
+    for number in (0..entries.len()).rev() {
+        let entry = match entries[number] {
+            Some(entry) => Some(entry),
+            None => found.remove(&(number as u64)).filter(|entry| {
+                let next = next.get(&(entry.stream, entry.level));
+                next.is_none_or(|next| entry.last < *next)
+            }),
+        };
+        if let Some(entry) = entry.filter(|entry| !entry.is_hole()) {
+            next.insert((entry.stream, entry.level), entry.first);
+        }
+        entries[number] = entry;
     }
-    bytes.resize(bytes.len().next_multiple_of(4096), 0);
-    write_all(&file, &bytes, 0).map_err(|e| Error::io("write the new index", e))?;
-    fdatasync(&file).map_err(|e| Error::io("sync the new index", e))?;
-    let old = dir.join(index::FILE);
-    if old.exists() {
-        std::fs::copy(&old, dir.join("index.situ.before-repair")).map_err(failed)?;
+    let mut last: BTreeMap<(u32, u8), i64> = BTreeMap::new();
+    let mut lost = scan.committed.saturating_sub(entries.len() as u64);
+    for entry in &mut entries {
+        let kept = entry.filter(|entry| {
+            let before = last.get(&(entry.stream, entry.level));
+            entry.is_hole() || before.is_none_or(|before| entry.first > *before)
+        });
+        if let Some(kept) = kept.filter(|kept| !kept.is_hole()) {
+            last.insert((kept.stream, kept.level), kept.last);
+        }
+        lost += u64::from(kept.is_none());
+        *entry = kept;
     }
-    std::fs::rename(&fresh, &old).map_err(failed)
+    let entries = entries
+        .into_iter()
+        .map(|entry| entry.unwrap_or(Entry::hole()));
+    (entries.collect(), lost)
+}
+
+/// Stores of version 1, whose chunks tell no number: chunks from the scan go where their stream has nothing at their times. Of
+/// two for the same times the one behind in the file was written when the other had failed.
+fn by_time(claims: &Claims, good: Vec<Option<Entry>>, found: Vec<Entry>) -> (Vec<Entry>, u64) {
+    let mut streams: BTreeMap<(u32, u8), BTreeMap<i64, Entry>> = BTreeMap::new();
+    let expected = claims.published.max(good.len() as u64);
+    for entry in good.into_iter().flatten().filter(|entry| !entry.is_hole()) {
+        let stream = streams.entry((entry.stream, entry.level)).or_default();
+        stream.insert(entry.first, entry);
+    }
+    for entry in found.into_iter().rev() {
+        let stream = streams.entry((entry.stream, entry.level)).or_default();
+        let before = stream.range(..=entry.last).next_back();
+        if before.is_none_or(|(_, before)| before.last < entry.first) {
+            stream.insert(entry.first, entry);
+        }
+    }
+    let mut entries = Vec::new();
+    for stream in streams.into_values() {
+        let mut ordinal = 0;
+        for entry in stream.into_values() {
+            entries.push(Entry { ordinal, ..entry });
+            ordinal += u64::from(entry.count);
+        }
+    }
+    let lost = expected
+        .min(claims.room)
+        .saturating_sub(entries.len() as u64);
+    (entries, lost)
 }

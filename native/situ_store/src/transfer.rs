@@ -25,7 +25,7 @@ pub fn transfer(
 ) -> Result<(u64, u64)> {
     let (mut next, mut count, mut size) = (part.ordinal, 0, 0);
     while size < part.bytes {
-        let Some(entry) = part.reader.entry_at(part.stream, next) else {
+        let Some(entry) = part.reader.entry_at(part.stream, next)? else {
             break;
         };
         if entry.first > part.to {

@@ -108,7 +108,11 @@ impl Writer {
     pub fn create(dir: &Path, options: Options) -> Result<Writer> {
         let lock = lock(dir)?;
         let id = random_id()?;
-        let header = IndexHeader { id, created: now() };
+        let header = IndexHeader {
+            id,
+            created: now(),
+            version: VERSION,
+        };
         let fault = options.fault.clone();
         let lane = |lane, size| {
             Lane::new(
@@ -178,6 +182,17 @@ impl Writer {
         if self.closed {
             return Err(Error::Closed);
         }
+        self.push_open(stream, envelope, encoding, codec, input)
+    }
+
+    fn push_open(
+        &mut self,
+        stream: u32,
+        envelope: Envelope,
+        encoding: Encoding,
+        codec: u16,
+        input: Input<'_>,
+    ) -> Result<()> {
         let state = self
             .streams
             .get_mut(stream as usize)
@@ -274,10 +289,13 @@ impl Writer {
         }
     }
 
-    /// Forgets what was pushed since the last commit. Its bytes in the extents mean nothing.
+    /// Forgets what was pushed since the last commit. Its chunks are no chunks any more, whoever looks for some.
     pub fn rollback(&mut self) {
         self.builder.count = 0;
-        self.entries.clear();
+        for entry in std::mem::take(&mut self.entries) {
+            // One that stays on a failing disk has the number of a later one, which then wins.
+            let _ = self.lanes[entry.lane as usize].erase(entry.extent, entry.offset);
+        }
         for number in std::mem::take(&mut self.touched) {
             let stream = &mut self.streams[number as usize];
             if let Some(saved) = stream.saved.take() {
@@ -322,6 +340,30 @@ impl Writer {
         finished
     }
 
+    /// A last record: it says of all chunks before it that they were committed, should the index be lost.
+    fn write_end(&mut self) -> Result<()> {
+        let (last, n) = self.position(CATALOG).unwrap_or_default();
+        let time = last.map_or_else(now, |last| now().max(last.saturating_add(1)));
+        let envelope = Envelope {
+            sequence: n + 1,
+            time,
+            creation: time,
+        };
+        let input = Input::Bytes(br#"{"kind":"end"}"#);
+        let written = self
+            .push_open(CATALOG, envelope, Encoding::Bytes, 0, input)
+            .and_then(|()| self.commit());
+        match written {
+            Err(Error::Crash) => Err(Error::Crash),
+            // A full disk: the store is whole without it.
+            Err(_) => {
+                self.rollback();
+                Ok(())
+            }
+            Ok(_) => Ok(()),
+        }
+    }
+
     fn finish(&mut self) -> Result<()> {
         self.fault.step()?;
         if !self.lanes[0].folder_lives(&self.index.file) {
@@ -331,6 +373,7 @@ impl Writer {
             .iter_mut()
             .for_each(|stream| stream.pyramid.finish());
         let pyramids = self.write_pyramids(1);
+        self.write_end()?;
         self.lanes.iter_mut().try_for_each(Lane::trim)?;
         if self.durability != Durability::None {
             self.sync()?;

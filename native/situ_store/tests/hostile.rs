@@ -116,7 +116,7 @@ fn ask(reader: &Reader, random: &mut Random) -> u64 {
     let mut seen = 0;
     for stream in reader.streams() {
         let mut ordinal = 0;
-        while let Some(entry) = reader.entry_at(stream, ordinal) {
+        while let Some(entry) = reader.entry_at(stream, ordinal).unwrap() {
             assert!(entry.ordinal <= ordinal);
             ordinal = entry.ordinal.checked_add(entry.count.into()).unwrap();
             if let Some(Ok(chunk)) = reader.quick_chunk(&entry) {
@@ -162,7 +162,7 @@ fn bins_among_the_messages_are_refused() {
     fill(&mut writer, 100, 50).unwrap();
     writer.close().unwrap();
     let reader = Reader::open(&folder.0).unwrap();
-    let entry = reader.entry_at(1, 0).unwrap();
+    let entry = reader.entry_at(1, 0).unwrap().unwrap();
     let path = folder
         .0
         .join(situ_store::extent::name(entry.lane, entry.extent));
@@ -210,7 +210,7 @@ fn stores_that_lie() {
             seen += ask(&reader, &mut random);
             let _ = reader.verify(0, u64::MAX);
         }
-        if round % 8 == 0 && repair::repair(&target.0, |_, _| ()).is_ok() {
+        if round % 8 == 0 && repair::repair(&target.0, false, |_, _| ()).is_ok() {
             let reader = Reader::open(&target.0).unwrap();
             ask(&reader, &mut random);
             std::fs::remove_file(target.0.join("index.situ.before-repair")).ok();

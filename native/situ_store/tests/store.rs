@@ -33,7 +33,10 @@ fn what_is_written_is_read() {
         .sum();
     assert_eq!(statistics.latency_sum, latency);
     assert_eq!(reader.verify(0, u64::MAX).unwrap().0, vec![]);
-    assert_eq!(repair::repair(&folder.0, |_, _| ()).unwrap().dropped, 0);
+    assert_eq!(
+        repair::repair(&folder.0, false, |_, _| ()).unwrap().dropped,
+        0
+    );
 }
 
 #[test]
@@ -177,7 +180,7 @@ fn a_crash_at_any_step_keeps_what_was_committed() {
             );
             assert_eq!(reader.verify(0, u64::MAX).unwrap().0, vec![]);
             assert_eq!(reader.damage(), vec![]);
-            let report = repair::repair(&folder.0, |_, _| ()).unwrap();
+            let report = repair::repair(&folder.0, false, |_, _| ()).unwrap();
             assert_eq!(report.damage, vec![]);
             let repaired = Reader::open(&folder.0).unwrap();
             assert!(repaired.is_closed());
@@ -199,7 +202,7 @@ fn a_lost_index_is_rebuilt_from_the_extents() {
     writer.close().unwrap();
     std::fs::remove_file(folder.0.join("index.situ")).unwrap();
     assert_eq!(Reader::open(&folder.0).err(), Some(Error::NoStore));
-    assert!(repair::repair(&folder.0, |_, _| ()).unwrap().rebuilt);
+    assert!(repair::repair(&folder.0, false, |_, _| ()).unwrap().rebuilt);
     let reader = Reader::open(&folder.0).unwrap();
     (1..=4).for_each(|stream| assert_eq!(check_stream(&reader, stream), 1_000));
 }
@@ -271,6 +274,7 @@ fn a_reader_lets_go_of_what_it_has_read() {
             // Forwards, then backwards.
             let entry = reader
                 .entry_at(id, if turn == 0 { i } else { 59 - i })
+                .unwrap()
                 .unwrap();
             let chunk = reader.chunk(&entry).unwrap();
             assert!(chunk.body().ends_with(&frame));
@@ -316,7 +320,7 @@ fn a_reader_lets_go_of_small_chunks_far_apart_and_of_its_index() {
     assert!(index < 2 * 1024, "{index} KiB of the index");
     let mut most = 0;
     for i in 0..1_000 {
-        let entry = reader.entry_at(small, i).unwrap();
+        let entry = reader.entry_at(small, i).unwrap().unwrap();
         assert_eq!(reader.chunk(&entry).unwrap().messages().count(), 1);
         if i % 50 == 0 {
             let data = (0..9).map(|n| resident(&folder.0.join(extent::name(0, n))));
@@ -348,7 +352,7 @@ fn large_messages_whose_payload_is_not_checked_are_not_looked_at() {
     reader.verify_large = false;
     let pages = || resident(&folder.0.join(extent::name(1, 0)));
     let chunk = |reader: &Reader, stream, i| {
-        let entry = reader.entry_at(stream, i).unwrap();
+        let entry = reader.entry_at(stream, i).unwrap().unwrap();
         match reader.quick_chunk(&entry) {
             Some(chunk) => chunk.unwrap(),
             None => reader.chunk(&entry).unwrap(),
@@ -373,12 +377,12 @@ fn large_messages_whose_payload_is_not_checked_are_not_looked_at() {
     assert!(pages() >= 1024);
 
     // What is packed has to be unpacked, and is not done quickly.
-    let entry = reader.entry_at(packed, 5).unwrap();
+    let entry = reader.entry_at(packed, 5).unwrap().unwrap();
     assert!(reader.quick_chunk(&entry).is_none());
     assert!(reader.chunk(&entry).unwrap().body().ends_with(&frame));
 
     // A payload that was changed is not noticed, a table that was is.
-    let entry = reader.entry_at(id, 6).unwrap();
+    let entry = reader.entry_at(id, 6).unwrap().unwrap();
     let path = folder.0.join(extent::name(1, 0));
     let mut bytes = std::fs::read(&path).unwrap();
     bytes[entry.offset as usize + 5_000] ^= 1;
@@ -414,7 +418,7 @@ fn messages_behind_a_lost_index_entry_are_counted_on_without_a_hole() {
     let left = 1_000 - u64::from(entry.count);
     assert_eq!(reader.count(1), left);
     let mut next = 0;
-    while let Some(entry) = reader.entry_at(1, next) {
+    while let Some(entry) = reader.entry_at(1, next).unwrap() {
         assert_eq!(entry.ordinal, next);
         next += u64::from(entry.count);
     }

@@ -40,19 +40,26 @@ fn reader_verify<'a>(env: Env<'a>, handle: Handle, from: u64, n: u64) -> Term<'a
     }
 }
 
-/// `{:ok, {kept, dropped, rebuilt?, damage}}`; meanwhile `{:situ_store, tag, {done, total}}` to `pid`.
+/// `{:ok, {kept, dropped, recovered, rebuilt?, damage}}`, with `dry` of what would be done; meanwhile `{:situ_store, tag, {done, total}}` to `pid`.
 #[rustler::nif(schedule = "DirtyIo")]
-fn store_repair<'a>(env: Env<'a>, path: String, pid: LocalPid, tag: Term<'a>) -> Term<'a> {
+fn store_repair<'a>(
+    env: Env<'a>,
+    path: String,
+    dry: bool,
+    pid: LocalPid,
+    tag: Term<'a>,
+) -> Term<'a> {
     // Nobody is there any more who would want to know: then it is only mended.
     let tell = |done: u64, total: u64| {
         let _ = env.send(&pid, (atoms::situ_store(), tag, (done, total)));
     };
-    match repair::repair(Path::new(&path), tell) {
+    match repair::repair(Path::new(&path), dry, tell) {
         Ok(report) => (
             atoms::ok(),
             (
                 report.kept,
                 report.dropped,
+                report.recovered,
                 report.rebuilt,
                 damage(report.damage),
             ),

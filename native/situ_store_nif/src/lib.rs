@@ -28,6 +28,7 @@ mod atoms {
         each,
         situ_store,
         slow,
+        stale,
         published,
         ended,
         io,

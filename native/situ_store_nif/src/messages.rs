@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use memmap2::Mmap;
 use rustler::types::tuple::make_tuple;
 use rustler::{Binary, Encoder, Env, ResourceArc, Term};
 use situ_store::chunk::Value;
 use situ_store::format::{LANE_DATA, MAX_CHUNK_MESSAGES};
+use situ_store::guard::Map;
 use situ_store::reader::Chunk;
 use situ_store::{etf, Encoding};
 
@@ -16,7 +16,7 @@ use crate::terms::{copied, decode, Decoded, COPY_UP_TO};
 
 /// What binaries that were read point into: a mapped extent, or an unpacked chunk.
 pub enum Bytes {
-    Map(Arc<Mmap>, usize, usize),
+    Map(Arc<Map>, usize, usize),
     Unpacked(Vec<u8>),
 }
 
@@ -160,8 +160,11 @@ fn read<'a>(env: Env<'a>, handle: &Handle, stream: u32, from: u64, wanted: &Want
     let mut runs: Vec<(u16, Vec<Term<'a>>)> = Vec::new();
     let (mut next, mut count, mut size, mut work) = (from, 0u64, 0u64, 0u64);
     while count < wanted.most && (exact || size < wanted.bytes) && work < QUICK_BYTES {
-        let Some(entry) = reader.entry_at(stream, next) else {
-            break;
+        let entry = match reader.entry_at(stream, next) {
+            Ok(Some(entry)) => entry,
+            Ok(None) => break,
+            Err(error) if runs.is_empty() => return failed(env, &error),
+            Err(_) => break,
         };
         if entry.first > wanted.to {
             break;
@@ -265,10 +268,10 @@ impl<'a> Part<'a> {
 /// The ordinal behind the chunk that holds `ordinal`: where to go on after damage.
 #[rustler::nif]
 fn reader_skip(handle: Handle, stream: u32, ordinal: u64) -> u64 {
-    handle
-        .0
-        .entry_at(stream, ordinal)
-        .map_or(ordinal, |entry| entry.ordinal + entry.count as u64)
+    match handle.0.entry_at(stream, ordinal) {
+        Ok(Some(entry)) => entry.ordinal + entry.count as u64,
+        _ => ordinal,
+    }
 }
 
 /// A term from external format: `{:ok, term}`, `{:unknown, modules, term}` or `{:undecodable, why}`. No atoms are made.

@@ -1,18 +1,28 @@
 //! The reader's functions.
 
+use std::collections::HashMap;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use rustler::types::tuple::make_tuple;
-use rustler::{Encoder, Env, LocalPid, NifResult, OwnedEnv, ResourceArc, Term};
+use rustler::{Binary, Encoder, Env, LocalPid, NifResult, OwnedEnv, ResourceArc, Term};
+use situ_store::format::CATALOG;
 use situ_store::watch::{self, News};
 use situ_store::{pyramid, Error, Reader};
 
 use crate::terms::copied;
 use crate::{atoms, errors};
 
-pub struct ReaderResource(pub Arc<Reader>);
+/// A reader, and what was worked out of its catalog.
+pub struct ReaderResource(pub Arc<Reader>, Mutex<Shelf>);
+
+/// External terms by name, made of a catalog of so many records.
+#[derive(Default)]
+struct Shelf {
+    records: u64,
+    terms: HashMap<Vec<u8>, Vec<u8>>,
+}
 
 #[rustler::resource_impl]
 impl rustler::Resource for ReaderResource {}
@@ -36,7 +46,7 @@ fn reader_open<'a>(env: Env<'a>, path: String, verify_large: bool) -> Term<'a> {
             reader.verify_large = verify_large;
             (
                 atoms::ok(),
-                ResourceArc::new(ReaderResource(Arc::new(reader))),
+                ResourceArc::new(ReaderResource(Arc::new(reader), Mutex::default())),
             )
                 .encode(env)
         }
@@ -74,6 +84,37 @@ fn reader_refresh<'a>(env: Env<'a>, handle: Handle) -> Term<'a> {
         Ok(entries) => (atoms::ok(), entries).encode(env),
         Err(error) => failed(env, &error),
     }
+}
+
+fn shelf(handle: &Handle) -> MutexGuard<'_, Shelf> {
+    handle
+        .1
+        .lock()
+        .unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+/// What `reader_shelve` put there under a name: `{:ok, external_term}`, `nil`, or `:stale` when the catalog has grown since.
+#[rustler::nif]
+fn reader_shelved<'a>(env: Env<'a>, handle: Handle, name: Binary<'a>) -> Term<'a> {
+    let shelf = shelf(&handle);
+    if shelf.terms.is_empty() || shelf.records != handle.0.count(CATALOG) {
+        return atoms::stale().encode(env);
+    }
+    match shelf.terms.get(name.as_slice()) {
+        Some(bytes) => (atoms::ok(), copied(env, bytes)).encode(env),
+        None => atoms::nil().encode(env),
+    }
+}
+
+/// Keeps external terms by name, made of a catalog of so many records.
+#[rustler::nif(schedule = "DirtyCpu")]
+fn reader_shelve<'a>(handle: Handle, records: u64, terms: Vec<(Binary<'a>, Binary<'a>)>) -> bool {
+    let terms = terms
+        .iter()
+        .map(|(name, term)| (name.as_slice().to_vec(), term.as_slice().to_vec()));
+    let terms = terms.collect();
+    *shelf(&handle) = Shelf { records, terms };
+    true
 }
 
 #[rustler::nif]

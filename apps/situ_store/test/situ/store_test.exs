@@ -194,7 +194,7 @@ defmodule Situ.StoreTest do
     path = store(root, [{"A", messages([1]), []}])
     index = Path.join(path, "index.situ")
     <<magic::binary-8, _version::little-32, rest::binary>> = good = File.read!(index)
-    File.write!(index, [magic, <<2::little-32>>, rest])
+    File.write!(index, [magic, <<3::little-32>>, rest])
     assert {:error, %{code: :newer_version, why: _}} = Store.open(path)
     File.write!(index, "not an index")
     assert {:error, %{code: :not_a_store}} = Store.open(path)
@@ -202,6 +202,7 @@ defmodule Situ.StoreTest do
     File.rm!(Path.join(path, "data-000000.situ"))
     store = Store.open!(path)
     assert Store.streams(store) == []
+    assert {:error, %{code: :missing_extent}} = Store.stream_info(store, "A")
     assert {:ok, %{damage: [_ | _]}} = Store.verify(path)
     assert {:error, %{code: :unknown_format}} = Store.open(file(root, "x.doc", "abc"))
     assert {:error, %{code: :not_csv}} = Store.open(file(root, "x.csv", <<255, 254, 0>>))

@@ -117,7 +117,7 @@ defmodule Situ.Store.Test.Raw do
   defp fix(bytes, payload) do
     start =
       bytes
-      |> :binary.matches("CHNK")
+      |> :binary.matches("CHK2")
       |> Enum.map(&elem(&1, 0))
       |> Enum.filter(&(&1 < payload))
       |> Enum.max()
@@ -126,9 +126,9 @@ defmodule Situ.Store.Test.Raw do
     <<table::little-32>> = binary_part(bytes, start + 84, 4)
 
     bytes =
-      put(bytes, start + 92, crc(binary_part(bytes, start + 96 + table, length - 96 - table)))
+      put(bytes, start + 92, crc(binary_part(bytes, start + 112 + table, length - 112 - table)))
 
-    put(bytes, start + 4, crc(binary_part(bytes, start + 8, 88 + table)))
+    put(bytes, start + 4, crc(binary_part(bytes, start + 8, 104 + table)))
   end
 
   defp put(bytes, at, value) do

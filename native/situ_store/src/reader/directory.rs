@@ -3,12 +3,11 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 
-use memmap2::Mmap;
-
 use super::maps::{file_length, map_file, release};
 use super::Damage;
 use crate::error::Result;
 use crate::format::*;
+use crate::guard::Map;
 use crate::index;
 
 /// As many bytes of the index stay mapped after they were taken in; those looked at for a message come back one by one.
@@ -99,7 +98,7 @@ impl<'a> Entries<'a> {
 #[derive(Default)]
 pub(super) struct Index {
     /// Maps of the index's entries: (first byte, map).
-    segments: Vec<(u64, Mmap)>,
+    segments: Vec<(u64, Map)>,
     mapped: u64,
     pub loaded: u64,
     /// Entries looked at since the index's pages were let go of.
@@ -117,6 +116,11 @@ impl Index {
             index: self,
             directory,
         })
+    }
+
+    /// Whether the index was cut by somebody since it was opened.
+    pub fn torn(&self) -> bool {
+        self.segments.iter().any(|(_, map)| map.torn())
     }
 
     pub fn raw_entry(&self, at: u64) -> Option<Entry> {
@@ -162,6 +166,9 @@ impl Index {
                 self.note(byte, "a store has room for 4,294,967,296 chunks");
                 break;
             };
+            if entry.is_hole() {
+                continue;
+            }
             let directory = self
                 .directories
                 .entry((entry.stream, entry.level))

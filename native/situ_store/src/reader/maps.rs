@@ -7,12 +7,13 @@ use std::sync::{Arc, Mutex, RwLock};
 
 use std::io::IoSliceMut;
 
-use memmap2::{Mmap, MmapOptions, UncheckedAdvice};
+use memmap2::{MmapOptions, UncheckedAdvice};
 use rustix::io::{preadv2, Errno, ReadWriteFlags};
 
 use crate::error::{Error, Result};
 use crate::extent;
 use crate::format::*;
+use crate::guard::Map;
 
 /// A reader keeps about this many bytes of maps resident; what it looked at longest ago goes first.
 const MOST_RESIDENT: usize = 16 << 20;
@@ -21,15 +22,16 @@ const PAGE: usize = 4096;
 const AROUND: usize = 16 * PAGE;
 
 #[allow(unsafe_code)]
-pub(crate) fn map_file(file: &File, from: u64, length: u64, what: &str) -> Result<Mmap> {
+pub(crate) fn map_file(file: &File, from: u64, length: u64, what: &str) -> Result<Map> {
     // SAFETY: mapped read-only and shared. The length was taken from the file; the format's writer never cuts a file
-    // below what is committed, and only what is committed is looked at.
+    // below what is committed, and only what is committed is looked at. Where somebody else cuts it, the guard answers.
     unsafe {
         MmapOptions::new()
             .offset(from)
             .len(length as usize)
             .map(file)
     }
+    .map(Map::new)
     .map_err(|e| Error::io(format!("map {what}"), e))
 }
 
@@ -43,14 +45,14 @@ pub(crate) fn file_length(file: &File, what: &str) -> Result<u64> {
 pub(super) struct Extents {
     dir: PathBuf,
     id: [u8; 16],
-    maps: RwLock<HashMap<(u8, u32), Arc<Mmap>>>,
+    maps: RwLock<HashMap<(u8, u32), Arc<Map>>>,
     window: Mutex<Window>,
     /// The file of large messages that was read last; one, so that long recordings do not take all the descriptors there are.
     file: Mutex<Option<(u32, Arc<File>)>>,
 }
 
 /// As many bytes hold the header of a large chunk and its table, of one message.
-const HEAD: usize = 192;
+const HEAD: usize = 256;
 
 impl Extents {
     pub fn new(dir: PathBuf, id: [u8; 16]) -> Self {
@@ -65,7 +67,7 @@ impl Extents {
 
     /// Header and table of an uncompressed large chunk, read beside its map: there they would fault in sixteen pages to be let go of
     /// again. `None` when there is none in so many bytes, or (when it shall not `wait`) when they are not in memory.
-    pub fn head(&self, entry: &Entry, map: &Mmap, wait: bool) -> Option<(ChunkHeader, Vec<u8>)> {
+    pub fn head(&self, entry: &Entry, map: &Map, wait: bool) -> Option<(ChunkHeader, Vec<u8>)> {
         let file = self.large(entry.extent)?;
         let space = (map.len() as u64).checked_sub(entry.offset)?;
         let mut bytes = [0; HEAD];
@@ -84,7 +86,7 @@ impl Extents {
             }
         };
         let header = ChunkHeader::decode_head(&bytes[..n], space).ok()?;
-        let table = bytes.get(CHUNK_HEADER..CHUNK_HEADER + header.covered())?;
+        let table = bytes.get(header.size()..header.size() + header.covered())?;
         (header.compression == Compression::None).then(|| (header, table.to_vec()))
     }
 
@@ -101,12 +103,12 @@ impl Extents {
     }
 
     /// The extent's map, if it was mapped before.
-    pub fn mapped(&self, lane: u8, number: u32) -> Option<Arc<Mmap>> {
+    pub fn mapped(&self, lane: u8, number: u32) -> Option<Arc<Map>> {
         let maps = self.maps.read().unwrap_or_else(|p| p.into_inner());
         maps.get(&(lane, number)).cloned()
     }
 
-    pub fn get(&self, lane: u8, number: u32) -> Result<Arc<Mmap>> {
+    pub fn get(&self, lane: u8, number: u32) -> Result<Arc<Map>> {
         if let Some(map) = self.mapped(lane, number) {
             return Ok(map);
         }
@@ -115,7 +117,7 @@ impl Extents {
         Ok(maps.entry((lane, number)).or_insert(map).clone())
     }
 
-    fn open(&self, lane: u8, number: u32) -> Result<Mmap> {
+    fn open(&self, lane: u8, number: u32) -> Result<Map> {
         let name = extent::name(lane, number);
         let file = File::open(self.dir.join(&name)).map_err(|e| match e.kind() {
             std::io::ErrorKind::NotFound => Error::MissingExtent(name.clone()),
@@ -131,7 +133,7 @@ impl Extents {
     }
 
     /// Notes that these bytes are about to be read, and lets go of the pages that were read longest ago.
-    pub fn touch(&self, map: &Arc<Mmap>, start: usize, length: usize) {
+    pub fn touch(&self, map: &Arc<Map>, start: usize, length: usize) {
         let old = {
             let mut window = self.window.lock().unwrap_or_else(|p| p.into_inner());
             window.add(map, start, start.saturating_add(length));
@@ -144,7 +146,7 @@ impl Extents {
 }
 
 struct Range {
-    map: Arc<Mmap>,
+    map: Arc<Map>,
     start: usize,
     end: usize,
 }
@@ -160,7 +162,7 @@ struct Window {
 }
 
 impl Window {
-    fn add(&mut self, map: &Arc<Mmap>, start: usize, end: usize) {
+    fn add(&mut self, map: &Arc<Map>, start: usize, end: usize) {
         let (start, end) = (start / AROUND * AROUND, end.next_multiple_of(AROUND));
         let mut lately = self.ranges.iter().rev().take(LATELY);
         if lately.any(|r| Arc::ptr_eq(&r.map, map) && r.start <= start && end <= r.end) {
@@ -213,17 +215,20 @@ impl Window {
 
 /// Gives the pages back to the page cache; whoever looks at them again has them faulted in again.
 #[allow(unsafe_code)]
-pub(super) fn release(map: &Mmap, start: usize, end: usize) {
+pub(super) fn release(map: &Map, start: usize, end: usize) {
     let (from, to) = (start / PAGE * PAGE, end.min(map.len()));
     if to > from {
         // SAFETY: a read-only shared map of a file has no bytes of its own: the same ones come back from the file.
-        let _ = unsafe { map.unchecked_advise_range(UncheckedAdvice::DontNeed, from, to - from) };
+        let _ = unsafe {
+            map.inner()
+                .unchecked_advise_range(UncheckedAdvice::DontNeed, from, to - from)
+        };
     }
 }
 
 /// Whether reading these bytes needs no disk. True of another user's file, too, of which the kernel does not tell.
 #[allow(unsafe_code)]
-pub(super) fn resident(map: &Mmap, start: usize, length: usize) -> bool {
+pub(super) fn resident(map: &Map, start: usize, length: usize) -> bool {
     let mut pages = [0u8; 64];
     let from = start / PAGE * PAGE;
     let end = start.saturating_add(length).min(map.len());
@@ -251,14 +256,8 @@ mod tests {
     #[test]
     fn the_window_lets_go_of_the_oldest_half() {
         let map = |n| {
-            Arc::new(
-                MmapOptions::new()
-                    .len(n)
-                    .map_anon()
-                    .unwrap()
-                    .make_read_only()
-                    .unwrap(),
-            )
+            let map = MmapOptions::new().len(n).map_anon().unwrap();
+            Arc::new(Map::new(map.make_read_only().unwrap()))
         };
         let (a, b) = (map(32 << 20), map(32 << 20));
         let mut window = Window::default();

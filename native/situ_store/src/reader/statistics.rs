@@ -77,6 +77,9 @@ impl Reader {
             let Some(entry) = self.lock_index().raw_entry(at) else {
                 continue;
             };
+            if entry.is_hole() {
+                continue;
+            }
             let checked = self.chunk_checked(&entry, true).and_then(|chunk| {
                 let mut messages = chunk.messages();
                 messages

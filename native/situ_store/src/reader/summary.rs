@@ -177,7 +177,7 @@ impl Reader {
     fn catch_up(&self, stream: u32, computed: &mut Computed) {
         let count = self.count(stream);
         while computed.seen < count {
-            let Some(entry) = self.entry_at(stream, computed.seen) else {
+            let Ok(Some(entry)) = self.entry_at(stream, computed.seen) else {
                 break;
             };
             if let Ok(chunk) = self.chunk(&entry) {

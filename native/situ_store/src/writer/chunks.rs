@@ -33,7 +33,14 @@ impl Writer {
             table_length: builder.table.len() as u32,
             codec: builder.codec,
             body_crc,
+            number: Some(self.next_number()),
+            committed: self.index.committed,
         }
+    }
+
+    /// The number that the entry of the next chunk gets.
+    pub(super) fn next_number(&self) -> u64 {
+        self.index.committed + self.entries.len() as u64
     }
 
     pub(super) fn flush_chunk(&mut self) -> Result<()> {

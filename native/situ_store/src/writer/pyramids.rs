@@ -64,6 +64,8 @@ impl Writer {
                 table_length: 0,
                 codec: 0,
                 body_crc: crc32c::crc32c(&body),
+                number: Some(self.next_number()),
+                committed: self.index.committed,
             };
             let entry = self.place(LANE_DATA, 8, &header, &[&header.encode(&[]), &body])?;
             self.index.publish(&[entry])?;

@@ -119,7 +119,7 @@ pub fn size_of_message(at: usize, i: u64) -> usize {
 /// Every message of a stream, in order; panics on one that is not what `fill` wrote.
 pub fn check_stream(reader: &Reader, stream: u32) -> u64 {
     let mut ordinal = 0;
-    while let Some(entry) = reader.entry_at(stream, ordinal) {
+    while let Some(entry) = reader.entry_at(stream, ordinal).unwrap() {
         assert_eq!(entry.ordinal, ordinal);
         let chunk = reader.chunk(&entry).unwrap();
         for message in chunk.messages() {

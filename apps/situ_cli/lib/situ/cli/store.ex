@@ -18,7 +18,8 @@ defmodule Situ.CLI.Store do
     number: :integer,
     yes: :boolean,
     quiet: :boolean,
-    skip_damage: :boolean
+    skip_damage: :boolean,
+    dry_run: :boolean
   ]
   # What each verb takes beside --json and --quiet.
   @interval [:from, :to, :stream, :compression, :skip_damage]
@@ -27,7 +28,7 @@ defmodule Situ.CLI.Store do
     "list" => [],
     "messages" => [:stream, :number, :from, :to, :skip_damage],
     "verify" => [],
-    "repair" => [],
+    "repair" => [:dry_run],
     "crop" => [:start, :length | @interval],
     "copy" => @interval,
     "concat" => @interval,
@@ -53,7 +54,7 @@ defmodule Situ.CLI.Store do
                                    (--stream NAME: all that is known of one stream)
       messages PATH --stream NAME  prints messages: time, latency, data (--number N, default 10; --from, --to)
       verify PATH...               checks every checksum; status 1 when anything is damaged
-      repair PATH                  makes an unclosed or damaged store whole
+      repair PATH                  makes an unclosed or damaged store whole (--dry-run: only tells what it would do)
       crop PATH OUT                a new store with an interval (--from/--to times, or --start/--length)
       copy PATH OUT                a new store with all or some streams (--stream, --compression, --from, --to)
       concat PATH PATH... OUT      one store out of several

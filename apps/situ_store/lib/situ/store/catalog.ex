@@ -3,7 +3,10 @@ defmodule Situ.Store.Catalog do
   # Stream 0 of a store: JSON records about the others. Unknown kinds and keys are ignored.
   alias Situ.Store.{StreamInfo, TypeName}
 
-  defstruct name: nil, volatile?: false, writer: nil, streams: %{}
+  defstruct name: nil, volatile?: false, writer: nil, streams: %{}, types: %{}
+
+  # Numbers of streams have 32 bits.
+  @most 0xFFFFFFFF
 
   @compressions %{"none" => :none, "lz4" => :lz4, "zstd" => :zstd}
 
@@ -26,12 +29,8 @@ defmodule Situ.Store.Catalog do
   end
 
   defp record(%{"kind" => "stream", "id" => id, "name" => name} = r, catalog)
-       when is_integer(id) and is_binary(name) do
-    type =
-      case TypeName.read(r["type"] || ":any") do
-        {:ok, type} -> type
-        :error -> :any
-      end
+       when id in 1..@most and is_binary(name) do
+    {type, catalog} = type(r["type"], catalog)
 
     info = %StreamInfo{
       id: id,
@@ -62,6 +61,20 @@ defmodule Situ.Store.Catalog do
     do: update(catalog, id, &%{&1 | closed: time})
 
   defp record(_, catalog), do: catalog
+
+  # Thousands of streams have few types.
+  defp type(text, %{types: types} = catalog) when is_map_key(types, text),
+    do: {types[text], catalog}
+
+  defp type(text, catalog) do
+    type =
+      case TypeName.read(text || ":any") do
+        {:ok, type} -> type
+        :error -> :any
+      end
+
+    {type, %{catalog | types: Map.put(catalog.types, text, type)}}
+  end
 
   defp update(catalog, id, fun) do
     case catalog.streams do

@@ -53,7 +53,7 @@ defmodule Situ.Store.Failure do
 
   def error({:newer_version, version}, path, _stream) do
     Error.new(:newer_version, "the store #{path} has format version #{version}",
-      why: "this release of Situ reads versions up to 1",
+      why: "this release of Situ reads versions up to 2",
       fix: "read it with a newer release"
     )
   end

@@ -122,7 +122,10 @@ defmodule Situ.Store.Folder do
   def remove(folder) do
     folder
     |> File.ls!()
-    |> Enum.filter(&(&1 =~ ~r/\A(index\.situ.*|data-\d+\.situ|large-\d+\.situ|lock)\z/))
+    |> Enum.filter(
+      &(&1 =~
+          ~r/\A(index\.situ.*|data-\d+\.situ|large-\d+\.situ|lock|(data|large)-\d+\.situ\.before-repair.*)\z/)
+    )
     |> Enum.each(&File.rm!(Path.join(folder, &1)))
 
     # Someone's notes beside the recording stay, and with them the folder.

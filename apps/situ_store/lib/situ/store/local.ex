@@ -31,15 +31,15 @@ defmodule Situ.Store.Local do
   def info(%__MODULE__{} = state) do
     case Native.reader_state(state.ref) do
       {:ok, {entries, closed?, live?, created, synced, id}} ->
-        catalog = catalog(state)
+        shelf = shelf(state)
 
         %{
-          name: catalog.name || Folder.name(state.path),
+          name: shelf.name,
           version: Folder.version(state.path),
           created: created,
           closed?: closed?,
           live?: live?,
-          volatile?: catalog.volatile?,
+          volatile?: shelf.volatile?,
           entries: entries,
           synced: synced,
           id: Base.encode16(id, case: :lower),
@@ -54,17 +54,31 @@ defmodule Situ.Store.Local do
   @impl true
   def streams(%__MODULE__{} = state) do
     Native.reader_refresh(state.ref)
-    catalog = catalog(state)
-
-    catalog.streams
-    |> Map.values()
-    |> Enum.sort_by(& &1.id)
-    |> Enum.map(&statistics(state, catalog, &1))
+    Enum.map(shelf(state).streams, &statistics(state, &1))
   end
 
-  defp statistics(state, catalog, info) do
-    info = %{info | store_name: catalog.name || Folder.name(state.path), store_path: state.path}
+  @impl true
+  def stream_named(%__MODULE__{} = state, name) do
+    Native.reader_refresh(state.ref)
 
+    case shelved(state, name) do
+      nil -> missing_stream(state, name)
+      info -> {:ok, statistics(state, info)}
+    end
+  end
+
+  defp missing_stream(state, name) do
+    shelf = shelf(state)
+
+    error =
+      if shelf.damage,
+        do: Failure.error(shelf.damage, state.path, name),
+        else: Failure.no_stream(name, Enum.map(shelf.streams, & &1.name), state.path)
+
+    {:error, error}
+  end
+
+  defp statistics(state, info) do
     case Native.reader_statistics(state.ref, info.id) do
       {:ok, {count, first, last, first_creation, last_creation, size, latency, stored, _}} ->
         %{
@@ -84,22 +98,57 @@ defmodule Situ.Store.Local do
     end
   end
 
-  defp catalog(state), do: state |> records(0, []) |> Catalog.parse()
+  # The catalog, worked out once for as long as it has no more records. Under its name every stream, and under this one
+  # (which is none: names are text) the rest.
+  @shelf <<0xFF>>
 
-  defp records(state, ordinal, parts) do
+  defp shelf(state), do: shelved(state, @shelf)
+
+  defp shelved(state, name) do
+    case Native.reader_shelved(state.ref, name) do
+      {:ok, term} ->
+        :erlang.binary_to_term(term)
+
+      nil ->
+        nil
+
+      :stale ->
+        records = Native.reader_count(state.ref, @catalog)
+        Native.reader_shelve(state.ref, records, terms(state))
+        shelved(state, name)
+    end
+  end
+
+  defp terms(state) do
+    {records, damage} = records(state, 0, [], nil)
+    catalog = Catalog.parse(records)
+    name = if is_binary(catalog.name), do: catalog.name, else: Folder.name(state.path)
+
+    streams =
+      for {_, info} <- Enum.sort(catalog.streams),
+          do: %{info | store_name: name, store_path: state.path}
+
+    shelf = %{name: name, volatile?: catalog.volatile?, streams: streams, damage: damage}
+    # Of two of one name the first is found by it, as in the list.
+    named = for info <- Enum.reverse(streams), do: {info.name, :erlang.term_to_binary(info)}
+    named ++ [{@shelf, :erlang.term_to_binary(shelf)}]
+  end
+
+  # The records, and what was wrong with some of them.
+  defp records(state, ordinal, parts, damage) do
     case native_read(state.ref, @catalog, ordinal, max_time(), 10_000, @read_bytes) do
       {:ok, [], _} ->
-        parts |> Enum.reverse() |> Enum.concat()
+        {parts |> Enum.reverse() |> Enum.concat(), damage}
 
       {:ok, runs, next} ->
         bytes = for {_, list} <- runs, {_, _, _, data} <- list, is_binary(data), do: data
-        records(state, next, [bytes | parts])
+        records(state, next, [bytes | parts], damage)
 
-      {:error, _} ->
+      {:error, reason} ->
         # A damaged part of the catalog: what follows it is still good.
         case Native.reader_skip(state.ref, @catalog, ordinal) do
-          ^ordinal -> parts |> Enum.reverse() |> Enum.concat()
-          next -> records(state, next, parts)
+          ^ordinal -> {parts |> Enum.reverse() |> Enum.concat(), reason}
+          next -> records(state, next, parts, reason)
         end
     end
   end

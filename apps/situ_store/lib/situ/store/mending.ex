@@ -8,23 +8,32 @@ defmodule Situ.Store.Mending do
   @typedoc "A wrong place: the file, the byte, and what is wrong there."
   @type damage :: %{file: String.t(), offset: non_neg_integer(), why: String.t()}
 
+  @progress [type: {:fun, 2}, doc: "`fun.(done, total)`, called as it goes."]
+  @verify_options [progress: @progress]
+  @repair_options [
+    dry_run: [type: :boolean, default: false, doc: "Only tell what would be done."],
+    progress: @progress
+  ]
+
   @doc """
   Reads everything and checks every checksum: `{:ok, %{chunks, damage}}`.
 
-  `progress: fun.(done, total)` is called as it goes.
+  #{Situ.Options.docs(@verify_options)}
   """
   @spec verify(Path.t(), keyword()) ::
           {:ok, %{chunks: non_neg_integer(), damage: [damage()]}} | {:error, Error.t()}
   def verify(path, opts \\ []) do
-    with {:ok, store} <- Reading.open(path),
+    with {:ok, opts} <- Situ.Options.validate(opts, @verify_options),
+         {:ok, store} <- Reading.open(path),
          :ok <- ours(store),
-         {:ok, found, total} <- Local.verify(store.state, opts[:progress] || fn _, _ -> :ok end) do
-      damage =
-        for {file, offset, why} <- Enum.uniq(found), do: %{file: file, offset: offset, why: why}
-
-      {:ok, %{chunks: total, damage: damage}}
-    end
+         {:ok, found, total} <- Local.verify(store.state, progress(opts)),
+         do: {:ok, %{chunks: total, damage: places(Enum.uniq(found))}}
   end
+
+  defp progress(opts), do: opts[:progress] || fn _, _ -> :ok end
+
+  defp places(found),
+    do: for({file, offset, why} <- found, do: %{file: file, offset: offset, why: why})
 
   defp ours(%Handle{module: Local}), do: :ok
 
@@ -32,30 +41,38 @@ defmodule Situ.Store.Mending do
     do: {:error, Error.new(:not_a_store, "#{store.path} is a foreign file, not a store")}
 
   @doc """
-  Makes a store whole that was not closed or is damaged: `{:ok, %{kept, dropped, rebuilt?, damage}}`.
+  Makes a store whole that was not closed or is damaged: `{:ok, %{kept, dropped, recovered, rebuilt?, damage}}`.
 
-  A sound store that was merely not closed is cut to size and marked closed. Damaged chunks are dropped from the index (the data
-  files are never rewritten; the old index stays as `index.situ.before-repair`); a lost index is rebuilt from the data.
-  `progress: fun.(done, total)` is called as it goes.
+  A sound store that was merely not closed is cut to size and marked closed. Every chunk that could be read before is kept. Where the
+  index is damaged or lost, its places are filled from the data with the chunks that are known to have been committed (`recovered`);
+  chunks that are damaged themselves are left out (`dropped`). The data files are not rewritten, but for the header of an
+  extent when that is damaged; the old index stays as `index.situ.before-repair`, with a number where there is one already.
+
+  #{Situ.Options.docs(@repair_options)}
   """
   @spec repair(Path.t(), keyword()) :: {:ok, map()} | {:error, Error.t()}
   def repair(path, opts \\ []) do
     path = Path.expand(path)
     folder = Folder.resolve(path) || path
 
-    with {:ok, {kept, dropped, rebuilt?, damage}} <-
-           folder
-           |> mend(opts[:progress] || fn _, _ -> :ok end)
-           |> Failure.wrap(folder) do
-      damage = for {file, offset, why} <- damage, do: %{file: file, offset: offset, why: why}
-      {:ok, %{kept: kept, dropped: dropped, rebuilt?: rebuilt?, damage: damage}}
+    with {:ok, opts} <- Situ.Options.validate(opts, @repair_options),
+         {:ok, {kept, dropped, recovered, rebuilt?, damage}} <-
+           folder |> mend(opts[:dry_run], progress(opts)) |> Failure.wrap(folder) do
+      {:ok,
+       %{
+         kept: kept,
+         dropped: dropped,
+         recovered: recovered,
+         rebuilt?: rebuilt?,
+         damage: places(damage)
+       }}
     end
   end
 
   # The native side works in a process of its own and sends how far it is.
-  defp mend(folder, progress) do
+  defp mend(folder, dry?, progress) do
     {parent, tag} = {self(), make_ref()}
-    task = Task.async(fn -> Native.store_repair(folder, parent, tag) end)
+    task = Task.async(fn -> Native.store_repair(folder, dry?, parent, tag) end)
     watch(task, tag, progress)
   end
 

@@ -20,6 +20,8 @@ defmodule Situ.Store.Native do
   def reader_state(_reader), do: missing()
   def reader_refresh(_reader), do: missing()
   def reader_count(_reader, _stream), do: missing()
+  def reader_shelved(_reader, _name), do: missing()
+  def reader_shelve(_reader, _records, _terms), do: missing()
   def reader_statistics(_reader, _stream), do: missing()
   def reader_seek(_reader, _stream, _time), do: missing()
   def reader_gaps(_reader, _stream, _least), do: missing()
@@ -34,7 +36,7 @@ defmodule Situ.Store.Native do
   def reader_extents(_reader), do: missing()
   def reader_verify(_reader, _from, _n), do: missing()
   def store_transfer(_reader, _stream, _ordinal, _to, _bytes, _writer, _target), do: missing()
-  def store_repair(_path, _pid, _tag), do: missing()
+  def store_repair(_path, _dry, _pid, _tag), do: missing()
   def csv_rows(_path, _separator, _byte, _line, _most, _bytes), do: missing()
   def reader_await(_reader, _known, _pid, _tag), do: missing()
 

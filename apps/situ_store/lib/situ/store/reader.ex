@@ -26,6 +26,8 @@ defmodule Situ.Store.Reader do
   @callback info(state()) :: map()
   @doc "The streams there are now."
   @callback streams(state()) :: [StreamInfo.t()]
+  @doc "One of them, found by its name without the others."
+  @callback stream_named(state(), String.t()) :: {:ok, StreamInfo.t()} | error()
   @doc "The ordinal of the first message at or after `time`; the count when there is none."
   @callback seek(state(), StreamInfo.t(), Situ.Time.t()) ::
               {:ok, non_neg_integer()} | error()
@@ -66,7 +68,8 @@ defmodule Situ.Store.Reader do
   @doc "Files that belong to the recording and are not there."
   @callback missing_files(state()) :: [String.t()]
 
-  @optional_callbacks resolve: 1,
+  @optional_callbacks stream_named: 2,
+                      resolve: 1,
                       within: 1,
                       summary: 5,
                       tracks: 6,

@@ -125,8 +125,12 @@ defmodule Situ.Store.Reading do
   def stream_info(_store, %StreamInfo{} = info), do: {:ok, info}
 
   def stream_info(store, name) when is_binary(name) do
-    all = streams(store)
+    if function_exported?(store.module, :stream_named, 2),
+      do: store.module.stream_named(store.state, name),
+      else: among(streams(store), name, store)
+  end
 
+  defp among(all, name, store) do
     case Enum.find(all, &(&1.name == name)) do
       nil -> {:error, Failure.no_stream(name, Enum.map(all, & &1.name), store.path)}
       info -> {:ok, info}

@@ -56,21 +56,33 @@ defmodule Situ.CLI.Store.Health do
 
   @spec repair(Path.t(), keyword()) :: 0
   def repair(path, opts) do
+    dry? = opts[:dry_run] == true
+
     report =
-      Progress.show("repair", opts, fn progress -> ok!(Store.repair(path, progress: progress)) end)
+      Progress.show("repair", opts, fn progress ->
+        ok!(Store.repair(path, dry_run: dry?, progress: progress))
+      end)
 
     if opts[:json] do
       IO.puts(Situ.JSON.encode(report))
     else
-      IO.puts("#{report.kept} chunks kept, #{report.dropped} dropped")
-      places(report.damage)
+      IO.puts(
+        "#{report.kept} chunks kept, #{report.recovered} of them found again, #{report.dropped} lost"
+      )
 
-      if report.rebuilt?,
-        do: IO.puts("The old index, if there was one, is index.situ.before-repair.")
+      places(report.damage)
+      IO.puts(done(report, dry?))
     end
 
     0
   end
+
+  defp done(_report, true), do: "Nothing was changed (--dry-run)."
+
+  defp done(%{rebuilt?: true}, _dry?),
+    do: "The index is new; the old one, if there was one, is kept as index.situ.before-repair."
+
+  defp done(_report, _dry?), do: "The store is whole and closed."
 
   defp ok!({:ok, value}), do: value
   defp ok!({:error, error}), do: raise(error)
