@@ -5,21 +5,41 @@ defmodule Situ.Stage.ChainRunner do
   alias Situ.Operator.Chain
   alias Situ.Stage.{Callback, Counters, ErrorPolicy, Input, Inputs, Output, Outputs, State}
   require Chain
+  import Bitwise
 
-  @doc "Runs the batch; answers the state, the last originating time, and how many messages were handled."
+  # So long (ns) a batch may take, looked at after every fourth message: an operator that becomes slow must not keep requests
+  # waiting for hundreds of messages.
+  @longest :erlang.convert_time_unit(5, :millisecond, :native)
+  @every 3
+
+  @doc """
+  Runs the batch at clock time `now`; answers the state, the last originating time, how many messages were handled, and those that are
+  left because it took too long.
+  """
   @spec batch(State.t(), [Message.t()], Situ.Time.t(), integer()) ::
-          {State.t(), integer(), non_neg_integer()}
-  def batch(state, messages, now, final) do
+          {State.t(), integer(), non_neg_integer(), [Message.t()]}
+  def batch(state, messages, now, final),
+    do: batch(state, messages, now, final, :erlang.monotonic_time() + @longest)
+
+  defp batch(state, messages, now, final, till) do
     output = Outputs.last(state.outputs)
     {state, messages} = cut(state, messages, final)
     creation = if output.last_creation == nil, do: now, else: max(now, output.last_creation)
-    out = %{seq: output.seq, id: output.port.source_id, now: creation, made: output.subs != []}
-    {state, seq, reversed, last, n} = go(state, messages, out)
+
+    out = %{
+      seq: output.seq,
+      id: output.port.source_id,
+      now: creation,
+      made: output.subs != [],
+      till: till
+    }
+
+    {state, seq, reversed, last, n, rest} = go(state, messages, out)
 
     last_time = last || output.last_time
     output = %{output | seq: seq, last_creation: creation, last_time: last_time, posted: now}
     output = if out.made, do: Output.push_reversed(output, reversed, seq - out.seq), else: output
-    {%{state | outputs: Outputs.put_last(state.outputs, output)}, last || now, n}
+    {%{state | outputs: Outputs.put_last(state.outputs, output)}, last || now, n, rest}
   end
 
   @doc """
@@ -37,7 +57,8 @@ defmodule Situ.Stage.ChainRunner do
     messages = :lists.reverse(output.pending)
     Output.note(output, hd(output.pending))
     outputs = Outputs.put(state.outputs, %{output | pending: [], pending_n: 0})
-    {state, last, n} = batch(%{state | outputs: outputs}, messages, now, State.final(state))
+    final = State.final(state)
+    {state, last, n, []} = batch(%{state | outputs: outputs}, messages, now, final, :never)
     if state.chain.counters, do: count(state.chain, messages, output.posted, {n, now - last})
     state
   end
@@ -59,25 +80,32 @@ defmodule Situ.Stage.ChainRunner do
     resume(%{state | chain: %{chain | steps: steps}}, rest, out, {seq, reversed, last, n})
   end
 
-  defp resume(state, [], _out, {seq, reversed, last, n}), do: {state, seq, reversed, last, n}
+  defp resume(state, [], _out, {seq, reversed, last, n}), do: {state, seq, reversed, last, n, []}
+
+  defp resume(state, {:late, rest}, _out, {seq, reversed, last, n}),
+    do: {state, seq, reversed, last, n, rest}
 
   defp resume(state, {failure, message, rest}, out, {seq, reversed, last, n}) do
     state = failed(state, failure, message)
 
     if state.phase == :failed do
       state = drop(state, length(rest))
-      {state, seq, reversed, message.originating_time, n + 1}
+      {state, seq, reversed, message.originating_time, n + 1, []}
     else
-      {state, seq, more, last2, n2} = go(state, rest, %{out | seq: seq})
-      {state, seq, more ++ reversed, last2 || last, n + 1 + n2}
+      {state, seq, more, last2, n2, rest} = go(state, rest, %{out | seq: seq})
+      {state, seq, more ++ reversed, last2 || last, n + 1 + n2, rest}
     end
   end
 
   defp fast([], _steps, _out, seq, acc, last, n), do: {seq, acc, last, n, []}
 
-  defp fast([message | rest], steps, out, seq, acc, _last, n) do
-    %{originating_time: time, data: data} = message
+  defp fast(messages, steps, out, seq, acc, last, n) do
+    if late?(n, out.till),
+      do: {seq, acc, last, n, {:late, messages}},
+      else: fast_one(messages, steps, out, seq, acc, n)
+  end
 
+  defp fast_one([%{originating_time: time, data: data} = message | rest], steps, out, seq, acc, n) do
     case attempt(steps, data, message) do
       Chain.skip() ->
         fast(rest, steps, out, seq, acc, time, n + 1)
@@ -94,9 +122,13 @@ defmodule Situ.Stage.ChainRunner do
 
   defp slow([], steps, _out, seq, acc, last, n), do: {steps, seq, acc, last, n, []}
 
-  defp slow([message | rest], steps, out, seq, acc, _last, n) do
-    %{originating_time: time, data: data} = message
+  defp slow(messages, steps, out, seq, acc, last, n) do
+    if late?(n, out.till),
+      do: {steps, seq, acc, last, n, {:late, messages}},
+      else: slow_one(messages, steps, out, seq, acc, n)
+  end
 
+  defp slow_one([%{originating_time: time, data: data} = message | rest], steps, out, seq, acc, n) do
     case attempt_stateful(steps, data, message) do
       {:situ_step, _, _, _, _} = failure ->
         {steps, seq, acc, time, n, {failure, message, rest}}
@@ -110,6 +142,9 @@ defmodule Situ.Stage.ChainRunner do
         slow(rest, steps, out, seq, acc, time, n + 1)
     end
   end
+
+  # An atom is more than any number.
+  defp late?(n, till), do: (n &&& @every) == @every and :erlang.monotonic_time() > till
 
   defp envelope(data, time, seq, out) do
     %Message{

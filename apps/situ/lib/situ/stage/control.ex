@@ -19,6 +19,33 @@ defmodule Situ.Stage.Control do
     State
   }
 
+  # What may be answered before what has come sooner: it neither begins nor ends anything.
+  defguardp overtakes(request)
+            when request in [:describe, :clock] or
+                   (is_tuple(request) and
+                      elem(request, 0) in [
+                        :tap,
+                        :untap,
+                        :cut,
+                        :replace,
+                        :lend,
+                        :attach,
+                        :detach,
+                        :refresh
+                      ])
+
+  @doc "Answers the requests that wait behind other messages."
+  @spec overtake(State.t()) :: State.t()
+  def overtake(state) do
+    receive do
+      {:situ, request} when overtakes(request) ->
+        {:noreply, state} = handle(request, state)
+        overtake(state)
+    after
+      0 -> state
+    end
+  end
+
   @spec handle(term(), State.t()) :: {:noreply, State.t()} | {:stop, :normal, State.t()}
   def handle({:start, wiring}, state) do
     state = State.wire(state, wiring)

@@ -299,8 +299,8 @@ defmodule Situ.Stage.Loop do
         state |> put_input(input) |> finish()
 
       {messages, input} ->
-        {state, n, now} = run(put_input(state, input), messages, times)
-        chain_on(state, n, now, times)
+        {state, done, now} = run(put_input(state, input), messages, times)
+        chain_on(state, done, now, times)
     end
   end
 
@@ -319,18 +319,18 @@ defmodule Situ.Stage.Loop do
   end
 
   defp run(state, messages, {now, _till, final}) do
-    {state, last, n} = ChainRunner.batch(state, messages, now, final)
+    {state, last, n, rest} = ChainRunner.batch(state, messages, now, final)
     after_time = Clock.now(state.clock)
-    input = Inputs.only(state.inputs)
+    input = state.inputs |> Inputs.only() |> Input.put_back(rest)
     input = if n > 0, do: Input.handled(input, n, last, {now, after_time - now}), else: input
     pace = Pace.resize(state.pace, n, after_time - now)
-    {put_input(%{state | pace: pace}, input), n, after_time}
+    {put_input(%{state | pace: pace}, input), {n, rest}, after_time}
   end
 
-  defp chain_on(state, n, after_time, {now, till, final}) do
+  defp chain_on(state, {n, rest}, after_time, {now, till, final}) do
     cond do
       state.phase == :failed -> discard(state)
-      after_time > till -> later(state)
+      after_time > till or rest != [] -> later(state)
       n >= @many and after_time - now < @flush_ns -> chain(state, after_time, till, final)
       true -> chain(Emission.settle(state), after_time, till, final)
     end

@@ -16,6 +16,9 @@ defmodule Situ.Stage do
   alias Situ.Clock
   alias Situ.Stage.{Attachment, Callback, Control, Inputs, Loop, Outputs, State}
 
+  # A plain message that took this long (ns) is overtaken by requests: many more may be waiting.
+  @slow :erlang.convert_time_unit(1, :millisecond, :native)
+
   @doc "No final time yet: what the control cell holds until the pipeline stops."
   @spec never() :: integer()
   defdelegate never, to: State
@@ -106,7 +109,13 @@ defmodule Situ.Stage do
       do: {:noreply, state}
 
   def handle_info({:EXIT, _pid, :normal}, state), do: {:noreply, state}
-  def handle_info(message, state), do: {:noreply, Loop.info(state, message)}
+
+  def handle_info(message, state) do
+    started = :erlang.monotonic_time()
+    state = Loop.info(state, message)
+    slow? = :erlang.monotonic_time() - started > @slow
+    {:noreply, if(slow?, do: Control.overtake(state), else: state)}
+  end
 
   @impl true
   def terminate(_reason, %{callback: nil}), do: :ok

@@ -189,6 +189,13 @@ defmodule Situ.Stage.Input do
     {taken, %{input | front: rest}}
   end
 
+  @doc "Messages that were taken, but not handled, wait again in front of the others."
+  @spec put_back(t(), [Message.t()]) :: t()
+  def put_back(%__MODULE__{} = input, []), do: input
+
+  def put_back(%__MODULE__{queue: nil} = input, messages),
+    do: %{input | front: messages ++ input.front}
+
   @doc "Throws away all that waits; answers the time of the closing mark if there was one."
   @spec discard(t()) :: {Situ.Time.t() | nil, t()}
   def discard(%__MODULE__{} = input) do

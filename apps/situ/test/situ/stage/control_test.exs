@@ -1,0 +1,175 @@
+defmodule Situ.Stage.ControlTest do
+  use ExUnit.Case, async: true
+  @moduletag :capture_log
+
+  alias Situ.{Delivery, Pipeline}
+
+  # Each message, and each plain message `:work`, takes until the test lets it go: how many pass before an answer comes is then
+  # known exactly, however busy the machine is.
+  defmodule Slow do
+    use Situ.Component,
+      inputs: [in: :any],
+      outputs: [out: :any],
+      options: [test: [type: :pid], k: [type: :integer, default: 0]]
+
+    @impl true
+    def init(opts), do: {:ok, opts}
+    @impl true
+    def handle_message(:in, message, _context, opts) do
+      work(opts)
+      {[{:out, message.originating_time, message.data}], opts}
+    end
+
+    @impl true
+    def handle_info(:work, _context, opts) do
+      work(opts)
+      {[], opts}
+    end
+
+    def handle_info(_other, _context, opts), do: {[], opts}
+
+    defp work(opts) do
+      send(opts[:test], {:at_work, self()})
+
+      receive do
+        :go_on -> :ok
+      end
+    end
+
+    @impl true
+    def migrate(_state, _old, new), do: {:ok, new}
+  end
+
+  defp start(opts \\ []) do
+    test = self()
+
+    {:ok, p} =
+      Pipeline.start(
+        fn p ->
+          p
+          |> Situ.range(0, 1_000_000, 10)
+          |> Situ.via(Slow, [test: test],
+            name: "Slow",
+            policy: opts[:policy] || Delivery.unlimited(window: 10_000)
+          )
+          |> Situ.each(fn _ -> :ok end, name: "Sink", async: true)
+        end,
+        pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+      )
+
+    assert_receive {:at_work, slow}, 10_000
+    {p, slow}
+  end
+
+  # Lets messages go one by one until the request is answered; how many it took.
+  defp messages_until(slow, request) do
+    task = Task.async(request)
+    {answer, n} = let_go(slow, task, 0)
+    assert match?(:ok, answer) or match?({:ok, _}, answer)
+    n
+  end
+
+  # A message is let go only once the request has come to the stage: then it may be answered after it.
+  defp let_go(slow, task, n) do
+    assert n < 10, "not answered after #{n} messages"
+
+    case Task.yield(task, 5) do
+      {:ok, answer} ->
+        {answer, n}
+
+      nil ->
+        if asked?(slow) do
+          send(slow, :go_on)
+          assert_receive {:at_work, ^slow}, 10_000
+          let_go(slow, task, n + 1)
+        else
+          let_go(slow, task, n)
+        end
+    end
+  end
+
+  defp asked?(pid) do
+    {:messages, messages} = Process.info(pid, :messages)
+    Enum.any?(messages, &match?({:situ, _}, &1))
+  end
+
+  defp requests(p) do
+    [
+      tap: fn -> Situ.tap({p, "Slow"}, fn _ -> :ok end, []) end,
+      replace: fn -> Pipeline.replace(p, "Slow", test: self_of(p), k: 1) end,
+      stop_part: fn -> Pipeline.stop_part(p, "Sink") end
+    ]
+  end
+
+  defp self_of(_p), do: hd(Process.get(:"$callers") || [self()])
+
+  for policy <- [:window, :throttle, :lossy] do
+    test "with thousands of messages waiting a request waits for one or two (#{policy})" do
+      policy =
+        case unquote(policy) do
+          :window -> Delivery.unlimited(window: 10_000)
+          :throttle -> Delivery.throttle(100)
+          :lossy -> Delivery.max_queue(10_000)
+        end
+
+      {p, slow} = start(policy: policy)
+      assert %{edges: [_ | _]} = Pipeline.info(p)
+
+      for {name, request} <- requests(p) do
+        n = messages_until(slow, request)
+        assert n <= 2, "#{name} was answered after #{n} messages"
+      end
+
+      Process.exit(p, :kill)
+    end
+  end
+
+  test "with thousands of plain messages waiting a request waits for one or two" do
+    {p, slow} = start()
+    for _ <- 1..10_000, do: send(slow, :work)
+
+    for {name, request} <- requests(p) do
+      n = messages_until(slow, request)
+      assert n <= 2, "#{name} was answered after #{n} messages"
+    end
+
+    Process.exit(p, :kill)
+  end
+
+  test "an operator that becomes slow keeps a request waiting for a few messages only" do
+    test = self()
+
+    {:ok, p} =
+      Pipeline.start(
+        fn p ->
+          p
+          |> Situ.range(0, 1_000_000, 10)
+          |> Situ.map(
+            fn v ->
+              if v > 5_000 do
+                send(test, {:at_work, self()})
+                receive do: (:go_on -> v)
+              else
+                v
+              end
+            end,
+            name: "Slow",
+            async: true
+          )
+          |> Situ.each(fn _ -> :ok end, name: "Sink", async: true)
+        end,
+        pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+      )
+
+    assert_receive {:at_work, slow}, 10_000
+
+    for request <- [
+          fn -> Situ.tap({p, "Slow"}, fn _ -> :ok end, []) end,
+          fn -> Pipeline.stop_part(p, "Sink") end
+        ] do
+      assert messages_until(slow, request) <= 8
+    end
+
+    Process.exit(p, :kill)
+  end
+end
