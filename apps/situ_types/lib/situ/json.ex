@@ -11,6 +11,13 @@ defmodule Situ.JSON do
 
       iex> Situ.JSON.decode(~s({"open": ))
       {:error, :bad_json}
+
+  Where the order of an object's members matters, `{[{key, value}]}` is an object in that order:
+
+      iex> {:ok, ordered} = Situ.JSON.decode(~s({"b":1,"a":{}}), objects: :pairs)
+      {:ok, {[{"b", 1}, {"a", {[]}}]}}
+      iex> Situ.JSON.encode(ordered)
+      ~s({"b":1,"a":{}})
   """
 
   @type value ::
@@ -21,6 +28,7 @@ defmodule Situ.JSON do
           | atom()
           | [value()]
           | %{optional(atom() | String.t()) => value()}
+          | {[{atom() | String.t(), value()}]}
 
   @doc "The value as one line of text. Raises on what JSON cannot say (tuples, pids, functions)."
   @spec encode(value()) :: String.t()
@@ -34,13 +42,14 @@ defmodule Situ.JSON do
   @most_digits 400
 
   @doc """
-  Reads one value; its strings are copies and do not hold on to `text`. The last of several equal keys counts.
+  Reads one value; its strings are copies and do not hold on to `text`. The last of several equal keys counts; with
+  `objects: :pairs` all of them are there, in order.
 
   A number of more than #{@most_digits} digits is refused: reading it would hold up the whole node.
   """
-  @spec decode(binary()) :: {:ok, value()} | {:error, :bad_json}
-  def decode(text) when is_binary(text) do
-    if long_number?(text), do: {:error, :bad_json}, else: {:ok, parse(text)}
+  @spec decode(binary(), keyword()) :: {:ok, value()} | {:error, :bad_json}
+  def decode(text, opts \\ []) when is_binary(text) do
+    if long_number?(text), do: {:error, :bad_json}, else: {:ok, parse(text, opts[:objects])}
   catch
     _, _ -> {:error, :bad_json}
   end
@@ -70,22 +79,29 @@ defmodule Situ.JSON do
     defp write(value, [:pretty]), do: :json.format(value, &one/3, %{indent: 2})
 
     defp one(nil, _encoder), do: "null"
+    defp one({pairs}, encoder) when is_list(pairs), do: :json.encode_key_value_list(pairs, encoder)
     defp one(value, encoder), do: :json.encode_value(value, encoder)
 
     defp one(nil, _encoder, _state), do: "null"
+
+    defp one({pairs}, encoder, state) when is_list(pairs),
+      do: :json.format_key_value_list(pairs, encoder, state)
+
     defp one(value, encoder, state), do: :json.format_value(value, encoder, state)
 
     defp mend(text) when is_binary(text), do: if(String.valid?(text), do: text, else: valid(text))
     defp mend(list) when is_list(list), do: Enum.map(list, &mend/1)
     defp mend(map) when is_map(map), do: Map.new(map, fn {k, v} -> {mend(k), mend(v)} end)
+    defp mend({pairs}) when is_list(pairs), do: {Enum.map(pairs, fn {k, v} -> {mend(k), mend(v)} end)}
     defp mend(other), do: other
 
     defp valid(<<c::utf8, rest::binary>>), do: <<c::utf8, valid(rest)::binary>>
     defp valid(<<_, rest::binary>>), do: <<"\uFFFD", valid(rest)::binary>>
     defp valid(""), do: ""
 
-    defp parse(text) do
-      decoders = %{null: nil, string: &:binary.copy/1, object_finish: &object/2}
+    defp parse(text, objects) do
+      finish = if objects == :pairs, do: &pairs/2, else: &object/2
+      decoders = %{null: nil, string: &:binary.copy/1, object_finish: finish}
       {value, :ok, rest} = :json.decode(text, :ok, decoders)
       "" = String.trim(rest)
       value
@@ -93,10 +109,13 @@ defmodule Situ.JSON do
 
     # Pairs come last first.
     defp object(pairs, outer), do: {pairs |> Enum.reverse() |> Map.new(), outer}
+    defp pairs(pairs, outer), do: {{Enum.reverse(pairs)}, outer}
   else
     defp to_iodata(value, options), do: :jiffy.encode(value, [:use_nil, :force_utf8 | options])
 
-    defp parse(text),
+    defp parse(text, :pairs), do: :jiffy.decode(text, [:use_nil, :copy_strings])
+
+    defp parse(text, _objects),
       do: :jiffy.decode(text, [:return_maps, :use_nil, :copy_strings, :dedupe_keys])
   end
 end

@@ -1,0 +1,100 @@
+defmodule Situ.Bridge.Datagram do
+  @moduledoc """
+  Payloads of any size as datagrams (UDP) of at most so many bytes, and back.
+
+  A chunk is `<<set::little-signed-64, count::little-16, number::little-16>>`, filled up with zeros to 40 bytes, then a part of the
+  payload, as \\psi has it. Chunks may come in any order, twice, or not at all: a set that is not complete when a later one is, or
+  when #{16} later ones have begun, is abandoned and counted.
+
+      iex> alias Situ.Bridge.Datagram
+      iex> [one, two] = Datagram.chunks("hello", 7, 43)
+      iex> {nil, state} = Datagram.push(Datagram.new(), two)
+      iex> {payload, _} = Datagram.push(state, one)
+      iex> payload
+      "hello"
+  """
+  @header 40
+  @open 16
+  @most 0xFFFF
+
+  defstruct sets: %{}, started: 0, abandoned: 0, received: 0, done: nil
+
+  @type t :: %__MODULE__{}
+
+  @doc "The payload's chunks, each at most `most` bytes. Raises `ArgumentError` when that takes more than 65,535."
+  @spec chunks(binary(), integer(), pos_integer()) :: [binary()]
+  def chunks(payload, set, most \\ 0xFFFE) when most > @header do
+    parts = parts(payload, most - @header)
+    count = length(parts)
+
+    if count > @most,
+      do:
+        raise(
+          ArgumentError,
+          "#{byte_size(payload)} bytes take #{count} datagrams; the most are #{@most}"
+        )
+
+    for {part, number} <- Enum.with_index(parts),
+        do: <<set::little-signed-64, count::little-16, number::little-16, 0::224, part::binary>>
+  end
+
+  defp parts(payload, size) when byte_size(payload) <= size, do: [payload]
+
+  defp parts(payload, size) do
+    <<part::binary-size(size), rest::binary>> = payload
+    [part | parts(rest, size)]
+  end
+
+  @doc "Nothing received yet."
+  @spec new() :: t()
+  def new, do: %__MODULE__{}
+
+  @doc "One datagram: the payload that it completes, or `nil`. What is no chunk changes nothing."
+  @spec push(t(), binary()) :: {binary() | nil, t()}
+  def push(
+        state,
+        <<set::little-signed-64, count::little-16, number::little-16, _::224, part::binary>>
+      )
+      when number < count do
+    state = %{state | received: state.received + 1}
+
+    if late?(state, set),
+      do: {nil, state},
+      else: put(state, set, {count, number, :binary.copy(part)})
+  end
+
+  def push(state, _noise), do: {nil, state}
+
+  defp late?(state, set),
+    do: state.done != nil and set <= state.done and not is_map_key(state.sets, set)
+
+  defp put(state, set, {count, number, part}) do
+    state = if is_map_key(state.sets, set), do: state, else: begin(state, set, count)
+
+    case state.sets do
+      # Another count for the same set is noise.
+      %{^set => {^count, parts}} -> complete(state, set, count, Map.put(parts, number, part))
+      _ -> {nil, state}
+    end
+  end
+
+  defp begin(state, set, count) do
+    state = %{state | sets: Map.put(state.sets, set, {count, %{}}), started: state.started + 1}
+
+    if map_size(state.sets) > @open,
+      do: abandon(state, [Enum.min(Map.keys(state.sets))]),
+      else: state
+  end
+
+  defp complete(state, set, count, parts) when map_size(parts) == count do
+    payload = for i <- 0..(count - 1), into: "", do: Map.fetch!(parts, i)
+    state = %{state | sets: Map.delete(state.sets, set), done: max(state.done || set, set)}
+    {payload, abandon(state, Enum.filter(Map.keys(state.sets), &(&1 < set)))}
+  end
+
+  defp complete(state, set, count, parts),
+    do: {nil, %{state | sets: Map.put(state.sets, set, {count, parts})}}
+
+  defp abandon(state, sets),
+    do: %{state | sets: Map.drop(state.sets, sets), abandoned: state.abandoned + length(sets)}
+end

@@ -1,0 +1,183 @@
+defmodule Situ.Bridge.File do
+  alias Situ.Bridge.Format
+  alias Situ.Error
+
+  @formats [:json, :json_lines, :csv, :message_pack]
+  @write [
+    path: [type: :string, required: true, doc: "The file; an existing one is replaced."],
+    format: [type: {:in, @formats}, required: true, doc: "One of `Situ.Bridge.Format`'s."]
+  ]
+  @read [
+    format: [type: {:in, @formats}, required: true, doc: "One of `Situ.Bridge.Format`'s."],
+    objects: [
+      type: {:in, [:maps, :pairs]},
+      default: :maps,
+      doc: "How objects come, see `Situ.Bridge.Format`."
+    ],
+    type: [type: :any, default: :any, doc: "Type of the stream."],
+    name: [type: :string, doc: "The component's name."]
+  ]
+
+  @moduledoc """
+  Streams to files that other programs read, and back: JSON, JSON lines, CSV, MessagePack (`Situ.Bridge.Format`).
+
+      Situ.Bridge.File.write(stream, "levels.csv", format: :csv)
+      p |> Situ.Bridge.File.read("levels.json", format: :json) |> Situ.each(&IO.inspect/1)
+
+  Files are written and read piece by piece, whatever their length. The end of a file is written when the stream closes, and what came before
+  a kill can be read all the same. Named pipes are files too.
+
+  ## Options of `write/3`
+
+  #{Situ.Options.docs(Keyword.delete(@write, :path))}
+  """
+  use Situ.Component, inputs: [in: :any], options: @write
+
+  @chunk 65_536
+
+  @doc "Writes a stream to a file; returns the stream."
+  @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def write(stream, path, opts) do
+    {common, opts} = Keyword.split(opts, [:name, :on_error, :policy])
+    Situ.via(stream, __MODULE__, [path: path] ++ opts, common)
+    stream
+  end
+
+  @doc """
+  A source of the messages in a file, with their times; it proposes a replay from the first one on. A file without messages is an error,
+  `:empty_file`.
+
+  #{Situ.Options.docs(@read)}
+  """
+  @spec read(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def read(p, path, opts) do
+    opts = Situ.Options.validate!(opts, @read)
+    messages = messages(path, opts[:format], Keyword.take(opts, [:objects]))
+
+    case Enum.take(messages, 1) do
+      [{first, _}] ->
+        Situ.from_enumerable(p, messages, [start: first] ++ Keyword.take(opts, [:type, :name]))
+
+      [] ->
+        raise Error.new(:empty_file, "there is no message in #{path}",
+                fix: "check that its writer wrote to it"
+              )
+    end
+  end
+
+  @doc "The messages of a file as a lazy enumerable of `{time, value}`; raises `Situ.Error` (`:io`, `:bad_file`) while it is taken from."
+  @spec messages(Path.t(), Format.name(), keyword()) :: Enumerable.t()
+  def messages(path, format, opts \\ []) do
+    module = Format.module!(format)
+
+    Stream.resource(
+      fn -> {open!(path), {"", module.start()}, 0} end,
+      fn acc -> next(acc, module, path, opts) end,
+      fn {file, _, _} -> file && :file.close(file) end
+    )
+  end
+
+  defp open!(path) do
+    case :file.open(path, [:read, :raw, :binary, :read_ahead]) do
+      {:ok, file} -> file
+      {:error, reason} -> raise io(path, reason)
+    end
+  end
+
+  defp io(path, reason),
+    do: Error.new(:io, "cannot open #{path}", why: to_string(:file.format_error(reason)))
+
+  defp next({nil, _, _} = acc, _module, _path, _opts), do: {:halt, acc}
+
+  defp next({file, {rest, state}, at}, module, path, opts) do
+    case :file.read(file, @chunk) do
+      {:ok, bytes} ->
+        found(module.split(rest <> bytes, state, false, opts), file, at + byte_size(bytes), path)
+
+      :eof ->
+        file |> ended(module.split(rest, state, true, opts), at, path)
+
+      {:error, reason} ->
+        raise io(path, reason)
+    end
+  end
+
+  defp found({:ok, messages, rest}, file, at, _path), do: {messages, {file, rest, at}}
+  defp found({:error, why}, _file, at, path), do: raise(bad(path, at, why))
+
+  defp ended(file, {:ok, messages, _rest}, at, _path) do
+    :file.close(file)
+    {messages, {nil, nil, at}}
+  end
+
+  defp ended(_file, {:error, why}, at, path), do: raise(bad(path, at, why))
+
+  defp bad(path, at, why) do
+    Error.new(:bad_file, "#{path} cannot be read as it should",
+      why: "#{why} (before byte #{at})",
+      fix: "check its format"
+    )
+  end
+
+  # Writing
+
+  @impl true
+  def init(opts),
+    do:
+      {:ok,
+       %{
+         path: opts[:path],
+         module: Format.module!(opts[:format]),
+         format: opts[:format],
+         file: nil,
+         n: 0
+       }}
+
+  @impl true
+  def handle_start(_context, state) do
+    case :file.open(state.path, [:write, :raw, :binary, {:delayed_write, @chunk, 1_000}]) do
+      {:ok, file} -> {[], %{state | file: file}}
+      {:error, reason} -> raise io(state.path, reason)
+    end
+  end
+
+  @impl true
+  def handle_message(:in, message, _context, state) do
+    append(state, record(state, message))
+    {[], %{state | n: state.n + 1}}
+  end
+
+  defp record(state, message) do
+    state.module.record(message.data, message.originating_time, state.n)
+  catch
+    {:not_writable, what} -> raise Format.not_writable(state.format, what)
+  end
+
+  @impl true
+  def handle_closed(:in, _time, _context, state) do
+    append(state, state.module.finish(state.n))
+    {[], close(state)}
+  end
+
+  @impl true
+  def terminate(_reason, state), do: close(state)
+
+  defp append(state, bytes) do
+    with {:error, reason} <- :file.write(state.file, bytes) do
+      raise Error.new(:io, "cannot write to #{state.path}",
+              why: to_string(:file.format_error(reason))
+            )
+    end
+  end
+
+  defp close(%{file: nil} = state), do: state
+
+  defp close(state) do
+    result = :file.close(state.file)
+
+    if result == {:error, :enospc},
+      do: raise(Error.new(:disk_full, "no room left on the disk of #{state.path}"))
+
+    %{state | file: nil}
+  end
+end

@@ -1,0 +1,86 @@
+defmodule Situ.Bridge.Format do
+  @moduledoc """
+  Messages as bytes that other programs read: one at a time (for a transport), or many in a file.
+
+  | name | one message | a file |
+  |---|---|---|
+  | `:json` | `{"originatingTime":"2020-01-31T12:34:56.1234567Z","message":...}` | an array of them |
+  | `:json_lines` | the same | one a line |
+  | `:csv` | a heading and a record, `\\r\\n` behind each; `_OriginatingTime_` and `_Value_`, `_Column0_` ... or the fields | one heading, then records |
+  | `:message_pack` | a map of `message` and `originatingTime` (ticks of 100 ns since the year 1) | frames: a 32-bit length (little-endian) and a message; a length of 0 at the end |
+
+  The layouts are those of \\psi's, so that both read each other's files and sockets. Where \\psi has quirks, this has the sensible
+  answer: integers of any size, times that are always UTC, strings that look like dates stay strings, an empty stream is a whole file,
+  and nanoseconds that are no multiple of 100 survive.
+
+      iex> alias Situ.Bridge.Format
+      iex> {:ok, bytes} = Format.encode(:json, %{x: 1.5}, 0)
+      {:ok, ~s({"originatingTime":"1970-01-01T00:00:00.0000000Z","message":{"x":1.5}})}
+      iex> Format.decode(:json, bytes)
+      {:ok, {0, %{"x" => 1.5}}}
+
+  Values are numbers, strings, booleans, `nil`, `:nan`, `:infinity`, `:neg_infinity`, lists, maps, structs (as maps of their fields) and
+  `{[{key, value}]}`, an object in a given order. What is read has string keys, and makes no atoms; with `objects: :pairs` objects come as such ordered ones.
+  """
+  alias Situ.Bridge.Format.{Csv, Json, JsonLines, MessagePack}
+  alias Situ.Error
+
+  @type name :: :json | :json_lines | :csv | :message_pack
+  @type timed :: {Situ.Time.t(), value :: term()}
+  @typedoc "What is left of the bytes read so far, and what a format remembers of a file."
+  @type rest :: {binary(), state :: term()}
+
+  @doc "One message by itself."
+  @callback encode(value :: term(), Situ.Time.t()) :: iodata()
+  @doc "Reads it back."
+  @callback decode(binary(), opts :: keyword()) :: {:ok, timed()} | {:error, String.t()}
+  @doc "A record of a file, the `n`th (0 is the first)."
+  @callback record(value :: term(), Situ.Time.t(), n :: non_neg_integer()) :: iodata()
+  @doc "The end of a file with `n` records."
+  @callback finish(n :: non_neg_integer()) :: iodata()
+  @doc "State before the first byte of a file."
+  @callback start() :: term()
+  @doc "The whole records in `bytes` (with `last?` they are the file's last) and what is left for the next call."
+  @callback split(bytes :: binary(), state :: term(), last? :: boolean(), opts :: keyword()) ::
+              {:ok, [timed()], rest()} | {:error, String.t()}
+
+  @modules %{json: Json, json_lines: JsonLines, csv: Csv, message_pack: MessagePack}
+
+  @doc "The names of all formats."
+  @spec names() :: [name()]
+  def names, do: Map.keys(@modules)
+
+  @doc "The format's module; raises `ArgumentError` for another name."
+  @spec module!(name()) :: module()
+  def module!(name) do
+    Map.get(@modules, name) ||
+      raise ArgumentError, "no format #{inspect(name)}; there are #{inspect(names())}"
+  end
+
+  @doc "One message as bytes. Error: `:not_writable` when the value is none that the format has."
+  @spec encode(name(), value :: term(), Situ.Time.t()) :: {:ok, binary()} | {:error, Error.t()}
+  def encode(name, value, time) do
+    {:ok, name |> module!() |> apply(:encode, [value, time]) |> IO.iodata_to_binary()}
+  catch
+    {:not_writable, what} -> {:error, not_writable(name, what)}
+  end
+
+  @doc "The time and the value of one message. Option: `objects: :maps | :pairs`. Error: `:bad_message`."
+  @spec decode(name(), binary(), keyword()) :: {:ok, timed()} | {:error, Error.t()}
+  def decode(name, bytes, opts \\ []) do
+    with {:error, why} <- module!(name).decode(bytes, opts) do
+      {:error,
+       Error.new(:bad_message, "#{byte_size(bytes)} bytes are no #{name} message",
+         why: why,
+         fix: "check that sender and receiver use the same format"
+       )}
+    end
+  end
+
+  @doc false
+  def not_writable(name, what) do
+    Error.new(:not_writable, "#{inspect(what, limit: 5)} cannot be written as #{name}",
+      fix: "map the stream to numbers, strings, lists and maps before it is written"
+    )
+  end
+end

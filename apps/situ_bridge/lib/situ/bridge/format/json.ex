@@ -1,0 +1,113 @@
+defmodule Situ.Bridge.Format.Json do
+  @moduledoc false
+  # Messages as JSON; a file is an array of them.
+  @behaviour Situ.Bridge.Format
+  alias Situ.Bridge.Format.{Stamp, Value}
+
+  # No message that anyone means to send is larger, and a file that never closes a bracket would fill the memory.
+  @most 64 * 1024 * 1024
+
+  @impl true
+  def encode(value, time) do
+    ordered = {[{"originatingTime", Stamp.iso8601(time)}, {"message", Value.plain(value)}]}
+    Situ.JSON.encode(ordered)
+  end
+
+  @impl true
+  def decode(bytes, opts) do
+    with {:ok, {pairs}} <- Situ.JSON.decode(bytes, objects: :pairs),
+         {:ok, stamp} when is_binary(stamp) <- Value.fetch(pairs, "originatingTime"),
+         {:ok, value} <- Value.fetch(pairs, "message"),
+         {:ok, time} <- Situ.Time.parse(stamp) do
+      {:ok, {time, Value.shaped(value, opts)}}
+    else
+      {:error, :bad_json} -> {:error, "it is not JSON"}
+      {:error, %Situ.Error{what: what}} -> {:error, "its originatingTime is #{what}"}
+      {:ok, _} -> {:error, "it is no object with originatingTime and message"}
+      :error -> {:error, "it has no originatingTime or no message"}
+    end
+  end
+
+  @impl true
+  def record(value, time, 0), do: ["[", encode(value, time)]
+  def record(value, time, _n), do: [",", encode(value, time)]
+
+  @impl true
+  def finish(0), do: "[]"
+  def finish(_n), do: "]"
+
+  @impl true
+  def start, do: :before
+
+  # :before the array's bracket, :within it before a value or a comma, :behind it.
+  @impl true
+  def split(bytes, state, last?, opts), do: split(bytes, state, last?, opts, [])
+
+  defp split(<<c, rest::binary>>, state, last?, opts, found) when c in ' \t\r\n',
+    do: split(rest, state, last?, opts, found)
+
+  defp split(<<0xEF, 0xBB, 0xBF, rest::binary>>, :before, last?, opts, found),
+    do: split(rest, :before, last?, opts, found)
+
+  defp split("[" <> rest, :before, last?, opts, found),
+    do: split(rest, :first, last?, opts, found)
+
+  defp split("]" <> rest, state, last?, opts, found) when state in [:first, :next],
+    do: split(rest, :behind, last?, opts, found)
+
+  defp split("," <> rest, :next, last?, opts, found), do: split(rest, :within, last?, opts, found)
+
+  defp split("{" <> _ = bytes, state, last?, opts, found) when state in [:first, :within] do
+    case object(bytes) do
+      {:ok, size} ->
+        <<text::binary-size(size), rest::binary>> = bytes
+
+        with {:ok, timed} <- decode(text, opts),
+             do: split(rest, :next, last?, opts, [timed | found])
+
+      :more when byte_size(bytes) > @most ->
+        {:error, "a message is longer than #{@most} bytes"}
+
+      :more when last? ->
+        ended(found)
+
+      :more ->
+        {:ok, Enum.reverse(found), {bytes, state}}
+    end
+  end
+
+  defp split("", :behind, _last?, _opts, found), do: {:ok, Enum.reverse(found), {"", :behind}}
+  defp split("", _state, true, _opts, found), do: ended(found)
+  defp split("", state, false, _opts, found), do: {:ok, Enum.reverse(found), {"", state}}
+
+  defp split(<<c, _::binary>>, _state, _last?, _opts, []),
+    do: {:error, "it has #{inspect(<<c>>)} where a message, a comma or the end is due"}
+
+  defp split(bytes, state, _last?, _opts, found), do: {:ok, Enum.reverse(found), {bytes, state}}
+
+  # A file cut short (its writer was killed) has what is whole.
+  defp ended(found), do: {:ok, Enum.reverse(found), {"", :behind}}
+
+  # The length of the object that `bytes` begin with.
+  defp object(bytes), do: object(bytes, 0, 0)
+
+  defp object(bytes, at, depth) do
+    case bytes do
+      <<_::binary-size(at), c, _::binary>> when c in '{[' -> object(bytes, at + 1, depth + 1)
+      <<_::binary-size(at), c, _::binary>> when c in '}]' and depth == 1 -> {:ok, at + 1}
+      <<_::binary-size(at), c, _::binary>> when c in '}]' -> object(bytes, at + 1, depth - 1)
+      <<_::binary-size(at), ?", _::binary>> -> string(bytes, at + 1, depth)
+      <<_::binary-size(at), _, _::binary>> -> object(bytes, at + 1, depth)
+      _ -> :more
+    end
+  end
+
+  defp string(bytes, at, depth) do
+    case bytes do
+      <<_::binary-size(at), ?\\, _, _::binary>> -> string(bytes, at + 2, depth)
+      <<_::binary-size(at), ?", _::binary>> -> object(bytes, at + 1, depth)
+      <<_::binary-size(at), _, _::binary>> -> string(bytes, at + 1, depth)
+      _ -> :more
+    end
+  end
+end

@@ -1,0 +1,31 @@
+defmodule Situ.Bridge.Format.Stamp do
+  @moduledoc false
+  # Originating times as other systems write them: ISO 8601 with seven decimals, or ticks of 100 ns since the year 1.
+
+  @epoch 621_355_968_000_000_000
+
+  @doc """
+  ISO 8601 with seven decimals, nine where the time is no multiple of 100 ns.
+
+      iex> Situ.Bridge.Format.Stamp.iso8601(1_234_567_800)
+      "1970-01-01T00:00:01.2345678Z"
+      iex> Situ.Bridge.Format.Stamp.iso8601(-1)
+      "1969-12-31T23:59:59.999999999Z"
+  """
+  @spec iso8601(Situ.Time.t()) :: String.t()
+  def iso8601(time) do
+    text = Situ.Time.to_iso8601(time)
+    if rem(time, 100) == 0, do: String.replace_suffix(text, "00Z", "Z"), else: text
+  end
+
+  @doc "Ticks since the year 1, and the nanoseconds that are less than one."
+  @spec to_ticks(Situ.Time.t()) :: {integer(), 0..99}
+  def to_ticks(time), do: {Integer.floor_div(time, 100) + @epoch, Integer.mod(time, 100)}
+
+  @doc """
+      iex> Situ.Bridge.Format.Stamp.from_ticks(621_355_968_000_000_001)
+      100
+  """
+  @spec from_ticks(integer()) :: Situ.Time.t()
+  def from_ticks(ticks), do: (ticks - @epoch) * 100
+end

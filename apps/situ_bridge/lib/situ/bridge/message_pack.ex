@@ -1,0 +1,204 @@
+defmodule Situ.Bridge.MessagePack do
+  @moduledoc """
+  MessagePack (https://github.com/msgpack/msgpack/blob/master/spec.md), whole: any term of numbers, strings, booleans, `nil`, lists and
+  maps as bytes and back.
+
+      iex> alias Situ.Bridge.MessagePack
+      iex> bytes = MessagePack.encode(%{"x" => [1, -2.5, nil, true]}) |> IO.iodata_to_binary()
+      iex> MessagePack.decode(bytes)
+      {:ok, %{"x" => [1, -2.5, nil, true]}, ""}
+
+  A valid UTF-8 string is a `str`, other bytes are a `bin`, atoms (but `nil`, `true`, `false`) strings; `:nan`, `:infinity` and `:neg_infinity` floats.
+  Integers go from -2^63 to 2^64-1. Extensions come as `{:ext, type, bytes}`; the timestamp extension as nanoseconds since 1970,
+  `{:timestamp, ns}`. Objects of maps may be ordered: `{[{key, value}]}`. What is read is bounded by the bytes there are, 512 levels deep,
+  and makes no atoms.
+  """
+  @deepest 512
+
+  @doc "The term as bytes. Throws `{:not_writable, term}` for what MessagePack has not."
+  @spec encode(term()) :: iodata()
+  def encode(nil), do: <<0xC0>>
+  def encode(false), do: <<0xC2>>
+  def encode(true), do: <<0xC3>>
+  def encode(:nan), do: <<0xCB, 0x7FF8::16, 0::48>>
+  def encode(:infinity), do: <<0xCB, 0x7FF0::16, 0::48>>
+  def encode(:neg_infinity), do: <<0xCB, 0xFFF0::16, 0::48>>
+  def encode(atom) when is_atom(atom), do: atom |> Atom.to_string() |> encode()
+  def encode(x) when is_float(x), do: <<0xCB, x::float>>
+  def encode(n) when is_integer(n), do: integer(n)
+
+  def encode(bytes) when is_binary(bytes),
+    do: if(String.valid?(bytes), do: text(bytes), else: bin(bytes))
+
+  def encode({pairs}) when is_list(pairs), do: map(pairs)
+  def encode({:timestamp, ns}) when is_integer(ns), do: timestamp(ns)
+
+  def encode({:ext, type, bytes}) when type in -128..127 and is_binary(bytes),
+    do: [ext(byte_size(bytes)), <<type::signed-8>>, bytes]
+
+  def encode(list) when is_list(list), do: [list_head(length(list)) | Enum.map(list, &encode/1)]
+  def encode(map) when is_map(map) and not is_struct(map), do: map |> Enum.sort() |> map()
+  def encode(other), do: throw({:not_writable, other})
+
+  defp integer(n) when n in 0..127, do: <<n>>
+  defp integer(n) when n in -32..-1, do: <<n::signed-8>>
+  defp integer(n) when n in 0..0xFF, do: <<0xCC, n>>
+  defp integer(n) when n in 0..0xFFFF, do: <<0xCD, n::16>>
+  defp integer(n) when n in 0..0xFFFF_FFFF, do: <<0xCE, n::32>>
+  defp integer(n) when n in 0..0xFFFF_FFFF_FFFF_FFFF, do: <<0xCF, n::64>>
+  defp integer(n) when n in -0x80..-1, do: <<0xD0, n::signed-8>>
+  defp integer(n) when n in -0x8000..-1, do: <<0xD1, n::signed-16>>
+  defp integer(n) when n in -0x8000_0000..-1, do: <<0xD2, n::signed-32>>
+  defp integer(n) when n in -0x8000_0000_0000_0000..-1, do: <<0xD3, n::signed-64>>
+  defp integer(n), do: throw({:not_writable, n})
+
+  defp text(bytes) do
+    head =
+      case byte_size(bytes) do
+        n when n < 32 -> <<0b101::3, n::5>>
+        n when n <= 0xFF -> <<0xD9, n>>
+        n when n <= 0xFFFF -> <<0xDA, n::16>>
+        n -> <<0xDB, n::32>>
+      end
+
+    [head, bytes]
+  end
+
+  defp bin(bytes) do
+    head =
+      case byte_size(bytes) do
+        n when n <= 0xFF -> <<0xC4, n>>
+        n when n <= 0xFFFF -> <<0xC5, n::16>>
+        n -> <<0xC6, n::32>>
+      end
+
+    [head, bytes]
+  end
+
+  defp list_head(n) when n < 16, do: <<0b1001::4, n::4>>
+  defp list_head(n) when n <= 0xFFFF, do: <<0xDC, n::16>>
+  defp list_head(n), do: <<0xDD, n::32>>
+
+  defp map(pairs) do
+    head =
+      case length(pairs) do
+        n when n < 16 -> <<0b1000::4, n::4>>
+        n when n <= 0xFFFF -> <<0xDE, n::16>>
+        n -> <<0xDF, n::32>>
+      end
+
+    [head | Enum.map(pairs, &pair/1)]
+  end
+
+  defp pair({key, value}), do: [encode(key), encode(value)]
+  defp pair(other), do: throw({:not_writable, other})
+
+  defp ext(n) when n in [1, 2, 4, 8, 16], do: <<0xD4 + trunc(:math.log2(n))>>
+  defp ext(n) when n <= 0xFF, do: <<0xC7, n>>
+  defp ext(n) when n <= 0xFFFF, do: <<0xC8, n::16>>
+  defp ext(n), do: <<0xC9, n::32>>
+
+  defp timestamp(ns) do
+    seconds = Integer.floor_div(ns, 1_000_000_000)
+    <<0xC7, 12, -1::signed-8, Integer.mod(ns, 1_000_000_000)::32, seconds::signed-64>>
+  end
+
+  @doc "The first value and what follows it, or why there is none. Option: `objects: :maps | :pairs`."
+  @spec decode(binary(), keyword()) :: {:ok, term(), binary()} | {:error, String.t()}
+  def decode(bytes, opts \\ []) do
+    {value, rest} = value(bytes, 0, opts[:objects] == :pairs)
+    {:ok, value, rest}
+  catch
+    {:not_message_pack, why} -> {:error, why}
+  end
+
+  defp value(_bytes, depth, _pairs?) when depth > @deepest,
+    do: fail("it is nested more than #{@deepest} levels deep")
+
+  defp value(<<0::1, n::7, rest::binary>>, _, _), do: {n, rest}
+  defp value(<<0b1000::4, n::4, rest::binary>>, d, p), do: object(n, rest, d, p)
+  defp value(<<0b1001::4, n::4, rest::binary>>, d, p), do: list(n, rest, d, p)
+  defp value(<<0b101::3, n::5, rest::binary>>, _, _), do: take(n, rest)
+  defp value(<<0xC0, rest::binary>>, _, _), do: {nil, rest}
+  defp value(<<0xC2, rest::binary>>, _, _), do: {false, rest}
+  defp value(<<0xC3, rest::binary>>, _, _), do: {true, rest}
+  defp value(<<0xC4, n, rest::binary>>, _, _), do: take(n, rest)
+  defp value(<<0xC5, n::16, rest::binary>>, _, _), do: take(n, rest)
+  defp value(<<0xC6, n::32, rest::binary>>, _, _), do: take(n, rest)
+  defp value(<<0xC7, n, type::signed-8, rest::binary>>, _, _), do: extension(n, type, rest)
+  defp value(<<0xC8, n::16, type::signed-8, rest::binary>>, _, _), do: extension(n, type, rest)
+  defp value(<<0xC9, n::32, type::signed-8, rest::binary>>, _, _), do: extension(n, type, rest)
+  defp value(<<0xCA, x::float-32, rest::binary>>, _, _), do: {x, rest}
+  defp value(<<0xCA, sign::1, _::8, m::23, rest::binary>>, _, _), do: {special(sign, m), rest}
+  defp value(<<0xCB, x::float, rest::binary>>, _, _), do: {x, rest}
+  defp value(<<0xCB, sign::1, _::11, m::52, rest::binary>>, _, _), do: {special(sign, m), rest}
+  defp value(<<0xCC, n, rest::binary>>, _, _), do: {n, rest}
+  defp value(<<0xCD, n::16, rest::binary>>, _, _), do: {n, rest}
+  defp value(<<0xCE, n::32, rest::binary>>, _, _), do: {n, rest}
+  defp value(<<0xCF, n::64, rest::binary>>, _, _), do: {n, rest}
+  defp value(<<0xD0, n::signed-8, rest::binary>>, _, _), do: {n, rest}
+  defp value(<<0xD1, n::signed-16, rest::binary>>, _, _), do: {n, rest}
+  defp value(<<0xD2, n::signed-32, rest::binary>>, _, _), do: {n, rest}
+  defp value(<<0xD3, n::signed-64, rest::binary>>, _, _), do: {n, rest}
+
+  defp value(<<kind, type::signed-8, rest::binary>>, _, _) when kind in 0xD4..0xD8,
+    do: extension(Bitwise.bsl(1, kind - 0xD4), type, rest)
+
+  defp value(<<0xD9, n, rest::binary>>, _, _), do: take(n, rest)
+  defp value(<<0xDA, n::16, rest::binary>>, _, _), do: take(n, rest)
+  defp value(<<0xDB, n::32, rest::binary>>, _, _), do: take(n, rest)
+  defp value(<<0xDC, n::16, rest::binary>>, d, p), do: list(n, rest, d, p)
+  defp value(<<0xDD, n::32, rest::binary>>, d, p), do: list(n, rest, d, p)
+  defp value(<<0xDE, n::16, rest::binary>>, d, p), do: object(n, rest, d, p)
+  defp value(<<0xDF, n::32, rest::binary>>, d, p), do: object(n, rest, d, p)
+  defp value(<<0b111::3, n::5, rest::binary>>, _, _), do: {n - 32, rest}
+  defp value(<<0xC1, _::binary>>, _, _), do: fail("the byte 0xC1 begins nothing")
+  defp value(_short, _, _), do: fail("it ends within a value")
+
+  defp special(_sign, mantissa) when mantissa != 0, do: :nan
+  defp special(0, _), do: :infinity
+  defp special(1, _), do: :neg_infinity
+
+  defp take(n, bytes) do
+    case bytes do
+      <<taken::binary-size(n), rest::binary>> -> {:binary.copy(taken), rest}
+      _ -> fail("it ends within #{n} bytes")
+    end
+  end
+
+  # Each element takes a byte at least: a count beyond that is a lie.
+  defp list(n, bytes, _depth, _pairs?) when n > byte_size(bytes),
+    do: fail("a list of #{n} in #{byte_size(bytes)} bytes")
+
+  defp list(n, bytes, depth, pairs?),
+    do: Enum.map_reduce(1..n//1, bytes, fn _, rest -> value(rest, depth + 1, pairs?) end)
+
+  defp object(n, bytes, _depth, _pairs?) when 2 * n > byte_size(bytes),
+    do: fail("a map of #{n} in #{byte_size(bytes)} bytes")
+
+  defp object(n, bytes, depth, pairs?) do
+    {pairs, rest} =
+      Enum.map_reduce(1..n//1, bytes, fn _, rest ->
+        {key, rest} = value(rest, depth + 1, pairs?)
+        {value, rest} = value(rest, depth + 1, pairs?)
+        {{key, value}, rest}
+      end)
+
+    {if(pairs?, do: {pairs}, else: Map.new(pairs)), rest}
+  end
+
+  defp extension(n, type, bytes) do
+    {data, rest} = take(n, bytes)
+    {extension(type, data), rest}
+  end
+
+  defp extension(-1, <<seconds::32>>), do: {:timestamp, seconds * 1_000_000_000}
+  defp extension(-1, <<ns::30, seconds::34>>), do: {:timestamp, seconds * 1_000_000_000 + ns}
+
+  defp extension(-1, <<ns::32, seconds::signed-64>>),
+    do: {:timestamp, seconds * 1_000_000_000 + ns}
+
+  defp extension(type, data), do: {:ext, type, data}
+
+  defp fail(why), do: throw({:not_message_pack, why})
+end

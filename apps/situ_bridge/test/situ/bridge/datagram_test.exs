@@ -1,0 +1,43 @@
+defmodule Situ.Bridge.DatagramTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  alias Situ.Bridge.Datagram
+  doctest Datagram
+
+  property "a payload comes whole through chunks in any order and twice over" do
+    forall {payload, most, seed} <- {binary(), integer(41, 60), integer()} do
+      chunks = Datagram.chunks(payload, 3, most)
+      assert Enum.all?(chunks, &(byte_size(&1) <= most))
+      :rand.seed(:exsss, seed)
+      {got, state} = receive_all(Enum.shuffle(chunks ++ chunks))
+      assert got == [payload]
+      assert {state.started, state.abandoned} == {1, 0}
+    end
+  end
+
+  test "sizes at the edge of a datagram arrive whole" do
+    for size <- [65_493, 65_494, 65_495, 65_500, 65_533, 65_534, 130_988, 131_067] do
+      payload = :binary.copy("x", size)
+      assert {[^payload], _} = receive_all(Datagram.chunks(payload, 1))
+    end
+  end
+
+  test "sets that stay incomplete are abandoned, and few are kept" do
+    {[], state} = receive_all(for set <- 1..100, do: hd(Datagram.chunks("abc", set, 41)))
+    assert {state.started, state.abandoned, map_size(state.sets)} == {100, 84, 16}
+  end
+
+  property "noise changes nothing" do
+    forall bytes <- binary() do
+      {payload, state} = Datagram.push(Datagram.new(), bytes)
+      assert payload == nil or state.received == 1
+    end
+  end
+
+  defp receive_all(chunks) do
+    Enum.reduce(chunks, {[], Datagram.new()}, fn chunk, {got, state} ->
+      {payload, state} = Datagram.push(state, chunk)
+      {if(payload, do: got ++ [payload], else: got), state}
+    end)
+  end
+end

@@ -1,0 +1,156 @@
+defmodule Situ.Bridge.FormatTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  alias Situ.Bridge.Format
+  alias Situ.Bridge.Format.{Csv, Stamp}
+  doctest Format
+  doctest Stamp
+  doctest Format.Value
+  doctest Csv.Number
+  doctest Csv.Row
+
+  # 1971-11-03T00:00:00.1234567Z
+  @time 57_974_400_123_456_700
+
+  defp value, do: resize(value(2), 6)
+  defp value(0), do: one_of([integer(), float(), boolean(), text(), constant(nil)])
+
+  defp value(n) do
+    members = map(list(pair({:proper_types.non_empty(text()), value(n - 1)})), &Map.new/1)
+    frequency([{3, value(0)}, {1, list(value(n - 1))}, {1, members}])
+  end
+
+  defp pair({a, b}), do: :proper_types.tuple([a, b])
+
+  for format <- [:json, :json_lines, :message_pack] do
+    property "#{format} gives back the value and the time" do
+      forall {value, time} <-
+               pair({value(), integer(-10_000_000_000_000_000_000, 10_000_000_000_000_000_000)}) do
+        {:ok, bytes} = Format.encode(unquote(format), value, time)
+        assert Format.decode(unquote(format), bytes) == {:ok, {time, value}}
+      end
+    end
+  end
+
+  property "CSV gives back flat records of texts and numbers, and the time" do
+    forall {fields, time} <-
+             pair(
+               {nonempty_list(pair({text(), one_of([integer(), boolean(), text()])})), integer()}
+             ) do
+      fields =
+        for {{name, value}, i} <- Enum.with_index(fields), do: {"#{i}#{name}", text_or(value)}
+
+      {:ok, bytes} = Format.encode(:csv, {fields}, time)
+      assert Format.decode(:csv, bytes, objects: :pairs) == {:ok, {time, {fields}}}
+    end
+  end
+
+  # A text that looks like something else comes back as that.
+  defp text_or(value) when is_binary(value), do: "t" <> value
+  defp text_or(value), do: value
+
+  property "floats in CSV come back as the same number" do
+    forall x <- float() do
+      assert Csv.Number.read(Csv.Number.write(x)) == x
+    end
+  end
+
+  test "structs are objects in the order of their fields" do
+    assert Format.encode(:csv, %Situ.Point3{x: 1.0, y: 2.5, z: -1.0}, @time) ==
+             {:ok, "_OriginatingTime_,x,y,z\r\n1971-11-03T00:00:00.1234567Z,1,2.5,-1\r\n"}
+  end
+
+  test "what cannot be written is an error" do
+    for format <- Format.names() do
+      assert {:error, %{code: :not_writable}} = Format.encode(format, %{a: self()}, 0)
+      assert {:error, %{code: :bad_message}} = Format.decode(format, "nonsense \xFF")
+      assert {:error, %{code: :bad_message}} = Format.decode(format, "")
+    end
+  end
+
+  describe "files" do
+    # Split anywhere, the records are the same.
+    for format <- [:json, :json_lines, :csv, :message_pack] do
+      property "of #{format} may come in pieces of any size" do
+        forall {values, sizes} <-
+                 pair({list(pair({text(), integer()})), nonempty_list(integer(1, 50))}) do
+          module = Format.module!(unquote(format))
+
+          timed =
+            for {{text, n}, i} <- Enum.with_index(values),
+                do: {i, %{"n" => n, "text" => "x" <> text}}
+
+          records =
+            for {{time, value}, i} <- Enum.with_index(timed), do: module.record(value, time, i)
+
+          bytes = IO.iodata_to_binary([records, module.finish(length(records))])
+          assert pieces(module, bytes, sizes, module.start(), "") == timed
+        end
+      end
+
+      test "of #{format} that are cut short have what is whole" do
+        module = Format.module!(unquote(format))
+        records = for i <- 0..4, do: module.record(%{"n" => i}, i, i) |> IO.iodata_to_binary()
+        bytes = Enum.join(records)
+
+        for size <- 0..(byte_size(bytes) - 1) do
+          case module.split(binary_part(bytes, 0, size), module.start(), true, []) do
+            # A last CSV record needs no line break: it may be short of digits.
+            {:ok, found, _} ->
+              whole = if unquote(format) == :csv, do: Enum.drop(found, -1), else: found
+              assert whole == Enum.take(for(i <- 0..4, do: {i, %{"n" => i}}), length(whole))
+
+            {:error, why} ->
+              assert is_binary(why)
+          end
+        end
+      end
+    end
+  end
+
+  defp pieces(module, bytes, [size | sizes], state, rest) do
+    size = min(size, byte_size(bytes))
+    <<piece::binary-size(size), bytes::binary>> = bytes
+    {:ok, found, {rest, state}} = module.split(rest <> piece, state, bytes == "", [])
+
+    if bytes == "",
+      do: found,
+      else: found ++ pieces(module, bytes, sizes ++ [size + 1], state, rest)
+  end
+
+  @tag timeout: 300_000
+  test "20,000 mutations of each are values or errors" do
+    value = %{"a" => [1, 2.5, nil, "x,\"y\""], "b" => %{"c" => -3}}
+    :rand.seed(:exsss, {7, 8, 9})
+
+    for format <- Format.names() do
+      module = Format.module!(format)
+
+      bytes =
+        IO.iodata_to_binary([
+          module.record(value, 12_345, 0),
+          module.record(value, 99_999, 1),
+          module.finish(2)
+        ])
+
+      for _ <- 1..20_000 do
+        case module.split(mutate(bytes), module.start(), true, []) do
+          {:ok, found, _} -> assert is_list(found)
+          {:error, why} -> assert is_binary(why)
+        end
+      end
+    end
+  end
+
+  defp mutate(bytes) do
+    at = :rand.uniform(byte_size(bytes)) - 1
+    <<before::binary-size(at), c, rest::binary>> = bytes
+
+    case :rand.uniform(4) do
+      1 -> before
+      2 -> before <> rest
+      3 -> before <> <<:rand.uniform(256) - 1>> <> rest
+      4 -> before <> <<c, Enum.random('{}[]",:\\\r\n'), c>> <> rest
+    end
+  end
+end
