@@ -27,7 +27,7 @@ defmodule Situ.Conformance do
     "pipeline_lifecycle" => Situ.Conformance.PipelineLifecycle,
     "store" => Situ.Conformance.Store,
     "datasets" => Situ.Conformance.Datasets,
-    "interop" => "wire formats of other systems are not part of Situ yet",
+    "interop" => Situ.Conformance.Interop,
     "serialization" => "Situ writes no other system's object graphs",
     "memory_sharing" => "terms are immutable and collected: there is nothing to share by hand",
     "time" => "the VM keeps system time; Situ calibrates no counter"
@@ -133,14 +133,22 @@ defmodule Situ.Conformance do
 
   defp read(file) do
     with {:ok, text} <- File.read(file),
-         {:ok, %{"cases" => cases}} when is_list(cases) <- Situ.JSON.decode(text) do
-      {:ok, cases}
+         {:ok, %{"cases" => cases}} when is_list(cases) <- Situ.JSON.decode(text),
+         {:ok, {ordered}} <- Situ.JSON.decode(text, objects: :pairs),
+         {"cases", ordered} <- List.keyfind(ordered, "cases", 0) do
+      {:ok, Enum.zip_with(cases, ordered, &with_order/2)}
     else
       {:ok, _} -> {:error, "it has no list of \"cases\""}
       {:error, :bad_json} -> {:error, "it is not JSON"}
       {:error, reason} -> {:error, "it cannot be read: #{:file.format_error(reason)}"}
     end
   end
+
+  # Where the order of an object's members is part of the case, it is read from there.
+  defp with_order(%{"op" => "format." <> _} = case, ordered),
+    do: Map.put(case, "ordered", ordered)
+
+  defp with_order(case, _ordered), do: case
 
   defp id(%{"id" => id}) when is_binary(id), do: id
   defp id(_case), do: "(no id)"

@@ -38,8 +38,7 @@ defmodule Situ.Bridge.File do
   @doc "Writes a stream to a file; returns the stream."
   @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
   def write(stream, path, opts) do
-    {common, opts} = Keyword.split(opts, [:name, :on_error, :policy])
-    Situ.via(stream, __MODULE__, [path: path] ++ opts, common)
+    Situ.via(stream, __MODULE__, [path: path] ++ opts)
     stream
   end
 

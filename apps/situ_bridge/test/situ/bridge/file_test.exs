@@ -12,7 +12,7 @@ defmodule Situ.Bridge.FileTest do
         Situ.Pipeline.run(
           fn p ->
             p
-            |> Situ.range(0, 5_000, Situ.Time.ms(10))
+            |> Situ.from_enumerable(0..4_999, every: Situ.Time.ms(10))
             |> Files.write(path, format: unquote(format))
           end,
           pipeline: [replay: [interval: {0, :unbounded}]]

@@ -1,0 +1,158 @@
+defmodule Situ.Bridge.ZeroMQ.Peer do
+  @moduledoc false
+  # One connection of a ZeroMQ socket: shakes hands, writes what the socket hands over, reads what comes.
+  use GenServer, restart: :temporary
+  alias Situ.Bridge.ZeroMQ.Wire
+
+  # Time for a peer to say who it is, and for it to take what is sent.
+  @handshake 5_000
+  @send_timeout 30_000
+
+  def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
+
+  @doc "Hands over an accepted connection, whose owner is the caller."
+  def adopt(peer, tcp) do
+    with :ok <- :gen_tcp.controlling_process(tcp, peer), do: send(peer, {:adopt, tcp})
+  end
+
+  @impl true
+  def init(opts) do
+    state =
+      Map.merge(%{tcp: nil, phase: :greeting, buffer: "", parts: [], waiting: 0}, Map.new(opts))
+
+    if state.address, do: send(self(), :connect)
+    Process.send_after(self(), :too_slow, @handshake)
+    {:ok, state}
+  end
+
+  @impl true
+  def handle_info(:connect, %{address: {host, port}} = state) do
+    case :gen_tcp.connect(host, port, tcp_options(), @handshake) do
+      {:ok, tcp} -> begin(tcp, state)
+      {:error, reason} -> {:stop, {:shutdown, {:unreachable, reason}}, state}
+    end
+  end
+
+  def handle_info({:adopt, tcp}, state) do
+    :inet.setopts(tcp, tcp_options())
+    begin(tcp, state)
+  end
+
+  def handle_info({:tcp, tcp, bytes}, %{tcp: tcp} = state) do
+    case read(%{state | buffer: state.buffer <> bytes}) do
+      {:ok, state} -> {:noreply, arm(state)}
+      {:error, why} -> {:stop, {:shutdown, {:refused, why}}, state}
+    end
+  end
+
+  def handle_info({:tcp_closed, _}, state), do: {:stop, {:shutdown, :closed}, state}
+  def handle_info({:tcp_error, _, reason}, state), do: {:stop, {:shutdown, reason}, state}
+  def handle_info(:arm, state), do: {:noreply, arm(state)}
+  def handle_info(:too_slow, %{phase: :open} = state), do: {:noreply, state}
+
+  def handle_info(:too_slow, state),
+    do: {:stop, {:shutdown, {:refused, "it did not shake hands in time"}}, state}
+
+  # Whatever else is there to be sent goes with it: one call into the kernel for many messages.
+  def handle_info({:send, bytes}, state) do
+    {n, all} = gather(1, [bytes])
+
+    case :gen_tcp.send(state.tcp, Enum.reverse(all)) do
+      :ok ->
+        :atomics.sub(state.queued, 1, n)
+        {:noreply, state}
+
+      {:error, reason} ->
+        {:stop, {:shutdown, reason}, state}
+    end
+  end
+
+  defp gather(n, all) when n >= 500, do: {n, all}
+
+  defp gather(n, all) do
+    receive do
+      {:send, bytes} -> gather(n + 1, [bytes | all])
+    after
+      0 -> {n, all}
+    end
+  end
+
+  defp tcp_options,
+    do: [
+      mode: :binary,
+      active: false,
+      nodelay: true,
+      send_timeout: @send_timeout,
+      send_timeout_close: true,
+      buffer: 65_536
+    ]
+
+  defp begin(tcp, state) do
+    case :gen_tcp.send(tcp, Wire.greeting()) do
+      :ok -> {:noreply, arm(%{state | tcp: tcp})}
+      {:error, reason} -> {:stop, {:shutdown, reason}, state}
+    end
+  end
+
+  # As long as too much has not been taken by the component, nothing more is read: the other side fills up and waits or drops.
+  defp arm(%{tcp: nil} = state), do: state
+
+  defp arm(state) do
+    if :atomics.get(state.untaken, 1) < state.high_water_mark,
+      do: :inet.setopts(state.tcp, active: :once),
+      else: Process.send_after(self(), :arm, 5)
+
+    state
+  end
+
+  defp read(%{phase: :greeting} = state) do
+    case Wire.greeted(state.buffer) do
+      {:ok, rest} ->
+        :ok = ok(:gen_tcp.send(state.tcp, Wire.ready(state.type)))
+        read(%{state | phase: :ready, buffer: rest})
+
+      :more ->
+        {:ok, state}
+
+      error ->
+        error
+    end
+  end
+
+  defp read(%{phase: :ready} = state) do
+    case Wire.readied(state.buffer, state.type, 65_536) do
+      {:ok, rest} ->
+        for prefix <- state.subscriptions,
+            do: ok(:gen_tcp.send(state.tcp, Wire.subscription(:subscribe, prefix)))
+
+        send(state.socket, {:peer, self(), :open})
+        read(%{state | phase: :open, buffer: rest})
+
+      :more ->
+        {:ok, state}
+
+      error ->
+        error
+    end
+  end
+
+  defp read(%{phase: :open} = state) do
+    with {:ok, events, parts, rest} <-
+           Wire.events(state.buffer, state.parts, state.type, state.most) do
+      messages = for {:message, frames} <- events, do: frames
+
+      for {kind, prefix} when kind != :message <- events,
+          do: send(state.socket, {:peer, self(), {kind, prefix}})
+
+      if messages != [] do
+        :atomics.add(state.untaken, 1, length(messages))
+        send(state.owner, {:zeromq, messages})
+      end
+
+      {:ok, %{state | buffer: rest, parts: parts}}
+    end
+  end
+
+  # A connection that breaks here is told of by its closing.
+  defp ok(_result), do: :ok
+end

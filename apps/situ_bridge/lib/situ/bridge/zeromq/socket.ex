@@ -1,0 +1,291 @@
+defmodule Situ.Bridge.ZeroMQ.Socket do
+  @moduledoc false
+  # A ZeroMQ socket: its peers, who wants what, and how much waits for each. The owner gets `{:zeromq, [[frame]]}`.
+  use GenServer
+  alias Situ.Bridge.ZeroMQ.{Peer, Wire}
+  alias Situ.Error
+  require Logger
+
+  @first_wait 50
+  @longest_wait 5_000
+
+  defstruct [
+    :type,
+    :address,
+    :bind?,
+    :owner,
+    :listener,
+    :acceptor,
+    :opts,
+    :untaken,
+    peers: %{},
+    wait: @first_wait,
+    dropped: 0,
+    turn: 0,
+    told: nil
+  ]
+
+  @doc "Binds or connects. Errors: `:bad_address`, `:address_in_use`."
+  @spec open(Wire.type(), String.t(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
+  def open(type, address, opts) do
+    with {:ok, parsed} <- parse(address),
+         {:ok, listener} <- listen(parsed, address, opts[:bind]) do
+      args = %{type: type, address: parsed, listener: listener, owner: self(), opts: opts}
+      {:ok, socket} = GenServer.start_link(__MODULE__, args)
+      if listener, do: :ok = :gen_tcp.controlling_process(listener, socket)
+      send(socket, :begin)
+      {:ok, socket}
+    end
+  end
+
+  @doc """
+      iex> Situ.Bridge.ZeroMQ.Socket.parse("tcp://127.0.0.1:5555")
+      {:ok, {'127.0.0.1', 5555}}
+      iex> {:error, error} = Situ.Bridge.ZeroMQ.Socket.parse("ipc:///tmp/x")
+      iex> error.code
+      :bad_address
+  """
+  @spec parse(String.t()) :: {:ok, {charlist(), :inet.port_number()}} | {:error, Error.t()}
+  def parse(address) do
+    with [_, host, port] <-
+           Regex.run(~r"\Atcp://([^:/]+|\[[0-9a-fA-F:]+\]):(\d{1,5})\z", address),
+         port when port <= 65_535 <- String.to_integer(port) do
+      {:ok,
+       {host |> String.trim_leading("[") |> String.trim_trailing("]") |> String.to_charlist(),
+        port}}
+    else
+      _ ->
+        {:error,
+         Error.new(:bad_address, "#{inspect(address)} is no address of ZeroMQ that Situ knows",
+           fix: "write it like tcp://127.0.0.1:5555; tcp://*:5555 listens on all interfaces"
+         )}
+    end
+  end
+
+  @doc "The port that a bound socket listens on."
+  def port(socket), do: GenServer.call(socket, :port)
+
+  @doc "Sends to whom it concerns: `:ok`, or `:full` when a pusher has nobody with room."
+  def send_message(socket, topic, frames),
+    do: GenServer.call(socket, {:message, topic, frames}, :infinity)
+
+  @doc "How many subscribers (of a publisher) or peers there are."
+  def ready(socket), do: GenServer.call(socket, :ready)
+
+  @doc "How many messages were dropped for peers that are too slow."
+  def dropped(socket), do: GenServer.call(socket, :dropped)
+
+  @doc "The owner has taken so many messages."
+  def taken(socket_state, n), do: :atomics.sub(socket_state, 1, n)
+
+  @doc "The counter that `taken/2` counts down."
+  def untaken(socket), do: GenServer.call(socket, :untaken)
+
+  @doc "Waits until everything has been handed to the network, at most `timeout` ms, and closes."
+  def close(socket, timeout) do
+    GenServer.call(
+      socket,
+      {:drain, System.monotonic_time(:millisecond) + timeout},
+      timeout + 5_000
+    )
+
+    GenServer.stop(socket)
+  catch
+    :exit, _ -> :ok
+  end
+
+  defp listen(_address, _text, false), do: {:ok, nil}
+
+  defp listen({host, port}, text, true) do
+    with {:ok, ip} <- interface(host),
+         {:ok, listener} <-
+           :gen_tcp.listen(port, [:binary, ip: ip, active: false, reuseaddr: true, backlog: 128]) do
+      {:ok, listener}
+    else
+      {:error, :eaddrinuse} ->
+        {:error,
+         Error.new(:address_in_use, "#{text} is in use",
+           fix: "choose another port, or stop who listens there"
+         )}
+
+      {:error, reason} ->
+        {:error,
+         Error.new(:bad_address, "cannot listen on #{text}",
+           why: to_string(:inet.format_error(reason))
+         )}
+    end
+  end
+
+  defp interface('*'), do: {:ok, {0, 0, 0, 0}}
+  defp interface(host), do: :inet.getaddr(host, :inet)
+
+  @impl true
+  def init(args) do
+    Process.flag(:trap_exit, true)
+    bind? = args.listener != nil
+    {:ok, struct!(__MODULE__, Map.merge(args, %{bind?: bind?, untaken: :atomics.new(1, [])}))}
+  end
+
+  @impl true
+  def handle_call(:port, _from, state), do: {:reply, elem(:inet.port(state.listener), 1), state}
+
+  def handle_call(:adopt, _from, state) do
+    {pid, state} = peer(state, nil)
+    {:reply, pid, state}
+  end
+
+  def handle_call(:untaken, _from, state), do: {:reply, state.untaken, state}
+  def handle_call(:dropped, _from, state), do: {:reply, state.dropped, state}
+
+  def handle_call(:ready, _from, %{type: :pub} = state),
+    do:
+      {:reply, Enum.count(state.peers, fn {_, peer} -> peer.open? and peer.wants != [] end),
+       state}
+
+  def handle_call(:ready, _from, state),
+    do: {:reply, Enum.count(state.peers, fn {_, p} -> p.open? end), state}
+
+  def handle_call({:message, topic, frames}, _from, %{type: :pub} = state) do
+    bytes = Wire.message(frames)
+
+    wanting =
+      for {pid, peer} <- state.peers,
+          peer.open?,
+          Enum.any?(peer.wants, &String.starts_with?(topic, &1)),
+          do: {pid, peer}
+
+    dropped = Enum.count(wanting, &(put(&1, bytes, state) == :full))
+    {:reply, :ok, %{state | dropped: state.dropped + dropped}}
+  end
+
+  # In turn, to whoever has room.
+  def handle_call({:message, _topic, frames}, _from, %{type: :push} = state) do
+    open = Enum.filter(state.peers, fn {_, peer} -> peer.open? end)
+    {before, from} = Enum.split(open, rem(state.turn, max(length(open), 1)))
+    bytes = Wire.message(frames)
+    sent = Enum.any?(from ++ before, &(put(&1, bytes, state) == :ok))
+    {:reply, if(sent, do: :ok, else: :full), %{state | turn: state.turn + 1}}
+  end
+
+  def handle_call({:drain, until}, from, state) do
+    waiting? = Enum.any?(state.peers, fn {_, peer} -> :atomics.get(peer.queued, 1) > 0 end)
+
+    if waiting? and System.monotonic_time(:millisecond) < until do
+      Process.send_after(self(), {:drain, from, until}, 5)
+      {:noreply, state}
+    else
+      {:reply, :ok, state}
+    end
+  end
+
+  defp put({pid, peer}, bytes, state) do
+    if :atomics.get(peer.queued, 1) < state.opts[:high_water_mark] do
+      :atomics.add(peer.queued, 1, 1)
+      send(pid, {:send, bytes})
+      :ok
+    else
+      :full
+    end
+  end
+
+  @impl true
+  def handle_info(:begin, %{bind?: true} = state) do
+    socket = self()
+    listener = state.listener
+    {:noreply, %{state | acceptor: spawn_link(fn -> accept(listener, socket) end)}}
+  end
+
+  def handle_info(:begin, state), do: {:noreply, connect(state)}
+
+  def handle_info({:drain, from, until}, state) do
+    with {:reply, reply, state} <- handle_call({:drain, until}, from, state) do
+      GenServer.reply(from, reply)
+      {:noreply, state}
+    end
+  end
+
+  def handle_info({:peer, pid, :open}, state),
+    do: {:noreply, update(%{state | wait: @first_wait, told: nil}, pid, &%{&1 | open?: true})}
+
+  def handle_info({:peer, pid, {:subscribe, prefix}}, state),
+    do: {:noreply, update(state, pid, &%{&1 | wants: [prefix | &1.wants]})}
+
+  def handle_info({:peer, pid, {:unsubscribe, prefix}}, state),
+    do: {:noreply, update(state, pid, &%{&1 | wants: List.delete(&1.wants, prefix)})}
+
+  def handle_info({:EXIT, pid, reason}, %{acceptor: pid} = state), do: {:stop, reason, state}
+
+  def handle_info({:EXIT, pid, reason}, state) when is_map_key(state.peers, pid) do
+    state = state |> Map.update!(:peers, &Map.delete(&1, pid)) |> tell(reason)
+    unless state.bind?, do: Process.send_after(self(), :again, state.wait)
+    {:noreply, %{state | wait: min(state.wait * 2, @longest_wait)}}
+  end
+
+  def handle_info({:EXIT, pid, reason}, %{owner: pid} = state), do: {:stop, reason, state}
+  def handle_info({:EXIT, _pid, _reason}, state), do: {:noreply, state}
+  def handle_info(:again, state), do: {:noreply, connect(state)}
+
+  # A socket that ends well takes its connections along; their links would not.
+  @impl true
+  def terminate(_reason, state) do
+    for {pid, _} <- state.peers, do: Process.exit(pid, :shutdown)
+    if state.listener, do: :gen_tcp.close(state.listener)
+  end
+
+  defp update(state, pid, fun) do
+    if is_map_key(state.peers, pid),
+      do: %{state | peers: Map.update!(state.peers, pid, fun)},
+      else: state
+  end
+
+  # The same trouble is told once, not at every attempt.
+  defp tell(state, {:shutdown, {kind, _} = reason}) when kind in [:refused, :unreachable] do
+    if state.told != reason,
+      do:
+        Logger.warning(
+          "ZeroMQ #{state.type} at #{elem(state.address, 0)}:#{elem(state.address, 1)}: #{inspect(reason)}"
+        )
+
+    %{state | told: reason}
+  end
+
+  defp tell(state, _reason), do: state
+
+  defp connect(state), do: state |> peer(state.address) |> elem(1)
+
+  defp peer(state, address) do
+    queued = :atomics.new(1, [])
+
+    {:ok, pid} =
+      Peer.start_link(
+        socket: self(),
+        owner: state.owner,
+        address: address,
+        type: state.type,
+        subscriptions: state.opts[:subscriptions] || [],
+        high_water_mark: state.opts[:high_water_mark],
+        most: state.opts[:most],
+        queued: queued,
+        untaken: state.untaken
+      )
+
+    {pid, %{state | peers: Map.put(state.peers, pid, %{open?: false, wants: [], queued: queued})}}
+  end
+
+  # Runs in a process of its own: a connection is handed to a peer that the socket makes for it.
+  defp accept(listener, socket) do
+    case :gen_tcp.accept(listener) do
+      {:ok, tcp} ->
+        peer = GenServer.call(socket, :adopt)
+        Peer.adopt(peer, tcp)
+        accept(listener, socket)
+
+      {:error, :emfile} ->
+        Process.sleep(100)
+        accept(listener, socket)
+
+      {:error, _closed} ->
+        :ok
+    end
+  end
+end

@@ -1,0 +1,98 @@
+defmodule Situ.Bridge.ZeroMQ.Source do
+  alias Situ.Bridge.Inlet
+
+  @schema [
+            socket: [type: {:in, [:sub, :pull]}, required: true, doc: "Which socket."],
+            address: [type: :string, required: true, doc: "tcp://HOST:PORT."],
+            topic: [type: :string, default: "", doc: "What to subscribe to."],
+            prefix: [
+              type: :boolean,
+              default: false,
+              doc: "Take all topics that begin so, not just this one."
+            ],
+            bind: [
+              type: :boolean,
+              default: false,
+              doc: "Listen at the address instead of connecting to it."
+            ],
+            high_water_mark: [
+              type: :pos_integer,
+              default: 1_000,
+              doc: "The most messages that are taken ahead."
+            ],
+            most: [
+              type: :pos_integer,
+              default: 64 * 1024 * 1024,
+              doc: "The largest message, bytes; a peer that sends a larger one is cut off."
+            ],
+            listening: [
+              type: {:optional, :pid},
+              default: nil,
+              doc: "Gets `{:listening, port}` once bound; of use with port 0."
+            ]
+          ] ++ Inlet.options()
+  @moduledoc false
+  # A ZeroMQ socket as a source that never ends.
+  use Situ.Component, outputs: [out: :any], options: @schema
+  alias Situ.Bridge.ZeroMQ.Socket
+
+  def schema, do: @schema
+
+  @impl true
+  def init(opts), do: {:ok, %{opts: opts, socket: nil, untaken: nil, inlet: Inlet.new(opts)}}
+
+  @impl true
+  def handle_start(_context, %{opts: opts} = state) do
+    subscriptions = if opts[:socket] == :sub, do: [opts[:topic]], else: []
+    given = Keyword.take(opts, [:bind, :high_water_mark, :most])
+
+    case Socket.open(opts[:socket], opts[:address], [subscriptions: subscriptions] ++ given) do
+      {:ok, socket} ->
+        if opts[:listening] && opts[:bind],
+          do: send(opts[:listening], {:listening, Socket.port(socket)})
+
+        {[{:complete, :infinity}], %{state | socket: socket, untaken: Socket.untaken(socket)}}
+
+      {:error, error} ->
+        raise error
+    end
+  end
+
+  @impl true
+  def handle_info({:zeromq, messages}, context, state) do
+    Socket.taken(state.untaken, length(messages))
+    payloads = Enum.flat_map(messages, &payload(&1, state.opts))
+    {actions, inlet} = Inlet.take(state.inlet, payloads, context.now)
+    {actions, %{state | inlet: inlet}}
+  end
+
+  def handle_info(_other, _context, state), do: {[], state}
+
+  defp payload([payload], opts), do: if(opts[:socket] == :pull, do: [payload], else: [])
+
+  defp payload([topic, payload], opts) do
+    cond do
+      opts[:socket] == :pull -> [payload]
+      topic == opts[:topic] or opts[:prefix] -> [payload]
+      true -> []
+    end
+  end
+
+  defp payload(_frames, _opts), do: [""]
+
+  @impl true
+  def handle_stop(_final_time, _context, state), do: {[], close(state)}
+
+  @impl true
+  def terminate(_reason, state), do: close(state)
+
+  defp close(%{socket: nil} = state), do: state
+
+  defp close(state) do
+    Socket.close(state.socket, 0)
+    %{state | socket: nil}
+  end
+
+  @impl true
+  def describe(state), do: Inlet.describe(state.inlet)
+end

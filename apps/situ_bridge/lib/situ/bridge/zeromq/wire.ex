@@ -1,0 +1,148 @@
+defmodule Situ.Bridge.ZeroMQ.Wire do
+  @moduledoc false
+  # ZMTP 3.0 (https://rfc.zeromq.org/spec/23/) with the NULL mechanism: greeting, READY, frames, subscriptions. Pure.
+  import Bitwise
+
+  @greeting <<0xFF, 0::64, 0x7F, 3, 0, "NULL", 0::128, 0, 0::248>>
+  @names %{pub: "PUB", sub: "SUB", push: "PUSH", pull: "PULL"}
+  # Who may talk to whom; XPUB and XSUB are what proxies have.
+  @peers %{pub: ["SUB", "XSUB"], sub: ["PUB", "XPUB"], push: ["PULL"], pull: ["PUSH"]}
+
+  @type type :: :pub | :sub | :push | :pull
+  @type event :: {:message, [binary()]} | {:subscribe | :unsubscribe, binary()}
+
+  @doc "The 64 bytes that both sides begin with."
+  def greeting, do: @greeting
+
+  @doc "Looks at the other side's greeting."
+  @spec greeted(binary()) :: {:ok, rest :: binary()} | :more | {:error, String.t()}
+  def greeted(
+        <<0xFF, _::64, 0x7F, major, _minor, mechanism::binary-20, _::binary-32, rest::binary>>
+      ) do
+    cond do
+      major < 3 ->
+        {:error, "it speaks ZMTP #{major}, which is older than 3"}
+
+      String.trim_trailing(mechanism, <<0>>) != "NULL" ->
+        {:error,
+         "it wants the mechanism #{inspect(String.trim_trailing(mechanism, <<0>>))}; only NULL is known"}
+
+      true ->
+        {:ok, rest}
+    end
+  end
+
+  def greeted(<<0xFF, _::binary>> = short) when byte_size(short) < 64, do: :more
+  def greeted(""), do: :more
+  def greeted(_), do: {:error, "it does not begin like ZMTP"}
+
+  @doc "The command that says which type of socket this is."
+  @spec ready(type()) :: iodata()
+  def ready(type) do
+    name = @names[type]
+    body = <<5, "READY", 11, "Socket-Type", byte_size(name)::32, name::binary>>
+    [<<0x04, byte_size(body)>>, body]
+  end
+
+  @doc "Looks at the other side's READY command: its type must fit ours."
+  @spec readied(binary(), type(), pos_integer()) ::
+          {:ok, rest :: binary()} | :more | {:error, String.t()}
+  def readied(bytes, type, most) do
+    case frame(bytes, most) do
+      {:ok, {flags, <<5, "READY", properties::binary>>}, rest} when (flags &&& 4) != 0 ->
+        theirs = property(properties, "socket-type")
+
+        if theirs in @peers[type],
+          do: {:ok, rest},
+          else:
+            {:error,
+             "it is a #{theirs || "socket without a type"}, which a #{@names[type]} cannot talk to"}
+
+      {:ok, {flags, <<5, "ERROR", n, reason::binary-size(n), _::binary>>}, _}
+      when (flags &&& 4) != 0 ->
+        {:error, "it refuses: #{reason}"}
+
+      {:ok, _, _} ->
+        {:error, "it sends something else before READY"}
+
+      other ->
+        other
+    end
+  end
+
+  defp property(<<n, name::binary-size(n), m::32, value::binary-size(m), rest::binary>>, wanted),
+    do: if(String.downcase(name) == wanted, do: value, else: property(rest, wanted))
+
+  defp property(_, _wanted), do: nil
+
+  @doc "A message of several frames."
+  @spec message([iodata()]) :: iodata()
+  def message([last]), do: encode(last, 0)
+  def message([frame | frames]), do: [encode(frame, 1) | message(frames)]
+
+  @doc "What a subscriber sends: it wants (or no longer wants) topics that begin so."
+  @spec subscription(:subscribe | :unsubscribe, binary()) :: iodata()
+  def subscription(:subscribe, prefix), do: message([<<1, prefix::binary>>])
+  def subscription(:unsubscribe, prefix), do: message([<<0, prefix::binary>>])
+
+  defp encode(frame, flags) do
+    case IO.iodata_length(frame) do
+      n when n < 256 -> [<<flags, n>>, frame]
+      n -> [<<flags ||| 2, n::64>>, frame]
+    end
+  end
+
+  @doc """
+  The whole messages in `bytes`; `parts` are the frames of one that has begun. Answers them in order, and what is left.
+  """
+  @spec events(binary(), [binary()], type(), pos_integer()) ::
+          {:ok, [event()], [binary()], binary()} | {:error, String.t()}
+  def events(bytes, parts, type, most), do: events(bytes, parts, type, most, [])
+
+  defp events(bytes, parts, type, most, found) do
+    case frame(bytes, most - size(parts)) do
+      {:ok, {flags, body}, rest} when (flags &&& 4) != 0 ->
+        events(rest, parts, type, most, command(body) ++ found)
+
+      {:ok, {flags, body}, rest} when (flags &&& 1) != 0 ->
+        events(rest, [body | parts], type, most, found)
+
+      {:ok, {_flags, body}, rest} ->
+        events(rest, [], type, most, [event(type, Enum.reverse([body | parts])) | found])
+
+      :more ->
+        {:ok, Enum.reverse(found), parts, bytes}
+
+      error ->
+        error
+    end
+  end
+
+  defp size(parts), do: parts |> Enum.map(&(byte_size(&1) + 9)) |> Enum.sum()
+
+  defp event(:pub, [<<1, prefix::binary>>]), do: {:subscribe, prefix}
+  defp event(:pub, [<<0, prefix::binary>>]), do: {:unsubscribe, prefix}
+  defp event(_type, frames), do: {:message, frames}
+
+  # Peers of ZMTP 3.1 may subscribe by commands.
+  defp command(<<9, "SUBSCRIBE", prefix::binary>>), do: [{:subscribe, prefix}]
+  defp command(<<6, "CANCEL", prefix::binary>>), do: [{:unsubscribe, prefix}]
+  defp command(_other), do: []
+
+  defp frame(<<flags, _::binary>>, _most) when flags > 7,
+    do: {:error, "a frame with the reserved flags #{flags}"}
+
+  defp frame(<<flags, n::64, _::binary>>, most) when (flags &&& 2) != 0 and n > most,
+    do: {:error, "a message of more than #{most} bytes"}
+
+  defp frame(<<flags, n::64, body::binary-size(n), rest::binary>>, _most) when (flags &&& 2) != 0,
+    do: {:ok, {flags, :binary.copy(body)}, rest}
+
+  defp frame(<<flags, n, _::binary>>, most) when (flags &&& 2) == 0 and n > most,
+    do: {:error, "a message of more bytes than allowed"}
+
+  defp frame(<<flags, n, body::binary-size(n), rest::binary>>, _most) when (flags &&& 2) == 0,
+    do: {:ok, {flags, :binary.copy(body)}, rest}
+
+  defp frame(_short, _most), do: :more
+end

@@ -1,0 +1,84 @@
+defmodule Situ.Bridge.ZeroMQ.WireTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  alias Situ.Bridge.ZeroMQ.Wire
+
+  @most 100_000
+
+  defp bytes(iodata), do: IO.iodata_to_binary(iodata)
+
+  test "two sides that fit shake hands" do
+    assert byte_size(Wire.greeting()) == 64
+    assert Wire.greeted(Wire.greeting() <> "rest") == {:ok, "rest"}
+    assert Wire.readied(bytes(Wire.ready(:pub)), :sub, @most) == {:ok, ""}
+    assert Wire.readied(bytes(Wire.ready(:push)), :pull, @most) == {:ok, ""}
+    assert {:error, why} = Wire.readied(bytes(Wire.ready(:pub)), :pull, @most)
+    assert why =~ "PUB"
+  end
+
+  test "others are refused with a reason" do
+    assert {:error, _} = Wire.greeted("GET / HTTP/1.1\r\n")
+    assert {:error, why} = Wire.greeted(<<0xFF, 0::64, 0x7F, 2, 0, "NULL", 0::128, 0, 0::248>>)
+    assert why =~ "ZMTP 2"
+    assert {:error, why} = Wire.greeted(<<0xFF, 0::64, 0x7F, 3, 1, "CURVE", 0::120, 0, 0::248>>)
+    assert why =~ "CURVE"
+    assert Wire.greeted(binary_part(Wire.greeting(), 0, 63)) == :more
+  end
+
+  property "messages come back however they are cut" do
+    forall {messages, at} <- :proper_types.tuple([list(nonempty_list(binary())), integer(0, 200)]) do
+      all = bytes(Enum.map(messages, &Wire.message/1))
+      at = min(at, byte_size(all))
+      <<first::binary-size(at), second::binary>> = all
+      {:ok, one, parts, rest} = Wire.events(first, [], :pull, @most)
+      {:ok, two, [], ""} = Wire.events(rest <> second, parts, :pull, @most)
+      assert one ++ two == Enum.map(messages, &{:message, &1})
+    end
+  end
+
+  test "a publisher hears subscriptions, in messages and in commands" do
+    sent = [
+      Wire.subscription(:subscribe, "a"),
+      Wire.subscription(:unsubscribe, "a"),
+      <<4, 11, 9, "SUBSCRIBE", "b">>
+    ]
+
+    assert Wire.events(bytes(sent), [], :pub, @most) ==
+             {:ok, [subscribe: "a", unsubscribe: "a", subscribe: "b"], [], ""}
+  end
+
+  test "a frame or a message beyond the most is refused before it is there" do
+    assert {:error, _} = Wire.events(<<2, 0xFFFFFFFFFFFFFFFF::64>>, [], :sub, @most)
+    parts = for _ <- 1..10, do: <<1, 200, 0::1600>>
+    assert {:error, _} = Wire.events(bytes(parts), [], :sub, 1_000)
+  end
+
+  test "20,000 mutations of a conversation are events or errors" do
+    all =
+      bytes([
+        Wire.message(["topic", String.duplicate("x", 300)]),
+        Wire.message(["t", "y"]),
+        Wire.subscription(:subscribe, "z")
+      ])
+
+    :rand.seed(:exsss, {1, 1, 1})
+
+    for _ <- 1..20_000 do
+      at = :rand.uniform(byte_size(all)) - 1
+      <<before::binary-size(at), _, rest::binary>> = all
+
+      case Wire.events(
+             before <> <<:rand.uniform(256) - 1>> <> rest,
+             [],
+             Enum.random([:pub, :sub]),
+             @most
+           ) do
+        {:ok, events, parts, rest} ->
+          assert is_list(events) and is_list(parts) and is_binary(rest)
+
+        {:error, why} ->
+          assert is_binary(why)
+      end
+    end
+  end
+end

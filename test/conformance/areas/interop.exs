@@ -1,0 +1,200 @@
+defmodule Situ.Conformance.Interop do
+  # Wire formats: what is written is the very text expected, and reads back; files, sockets and datagrams give what was put in.
+  import Situ.Conformance.Case
+  alias Situ.Bridge.{Datagram, Format, ZeroMQ}
+
+  def operation?("format." <> name), do: format(name) != nil
+  def operation?(op), do: op in ~w(file_write_then_read zeromq datagram_chunks)
+
+  def check(%{"op" => op} = case) do
+    {:ok, _} = Application.ensure_all_started(:situ_bridge)
+    run(op, case)
+  end
+
+  defp run("format." <> name, case), do: formatted(format(name), case)
+  defp run("file_write_then_read", case), do: file(case["params"], case["expect"])
+  defp run("zeromq", case), do: zeromq(case["params"], case["expect"])
+  defp run("datagram_chunks", case), do: datagrams(case["params"], case["expect"])
+
+  defp format(name), do: Enum.find(Format.names(), &(Atom.to_string(&1) == name))
+
+  # The case's own text has the order of an object's members, which a decoded map has not.
+  defp formatted(format, case) do
+    {:ok, time} = Situ.Time.parse(case["params"]["originating_time"])
+    value = in_order(case)
+    {:ok, bytes} = Format.encode(format, value, time)
+    {:ok, {back_time, back}} = Format.decode(format, bytes, objects: :pairs)
+
+    first_of(
+      for {key, want} <- case["expect"],
+          do:
+            expectation(key, want, %{
+              format: format,
+              bytes: bytes,
+              value: value,
+              back_time: back_time,
+              back: back,
+              time: time
+            })
+    )
+  end
+
+  defp in_order(%{"ordered" => {pairs}}) do
+    {"params", {params}} = List.keyfind(pairs, "params", 0)
+    {"value", value} = List.keyfind(params, "value", 0)
+    value(value)
+  end
+
+  defp expectation("text", want, at), do: verdict(want, at.bytes)
+  defp expectation("round_trip_value", want, at), do: verdict(value(want), plain_maps(at.back))
+
+  defp expectation("round_trip_time", want, at) do
+    {:ok, time} = Situ.Time.parse(want)
+    verdict(time, at.back_time)
+  end
+
+  # Parsing gives the same time, and what was parsed gives the same text.
+  defp expectation("round_trip", true, at) do
+    with :pass <- verdict(at.time, at.back_time) do
+      {:ok, again} = Format.encode(at.format, at.back, at.back_time)
+      verdict(at.bytes, again)
+    end
+  end
+
+  # No more can be asked of what loses something than that it is read.
+  defp expectation("round_trip", false, at), do: verdict(at.time, at.back_time)
+  defp expectation("error", _want, _at), do: {:fail, "an error", "none"}
+  defp expectation(key, want, _at), do: {:fail, "an expectation that is known", {key, want}}
+
+  defp plain_maps({pairs}), do: Map.new(pairs, fn {k, v} -> {k, plain_maps(v)} end)
+  defp plain_maps(list) when is_list(list), do: Enum.map(list, &plain_maps/1)
+  defp plain_maps(other), do: other
+
+  defp first_of(verdicts), do: Enum.find(verdicts, :pass, &(&1 != :pass))
+
+  defp file(params, expect) do
+    path =
+      Path.join(
+        System.tmp_dir!(),
+        "situ-conformance-#{System.pid()}-#{System.unique_integer([:positive])}"
+      )
+
+    format = format(params["format"])
+    interval = ms(params["interval_ms"] || 10)
+    replay = [pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]]
+
+    try do
+      {:ok, _} =
+        Situ.Pipeline.run(
+          fn p ->
+            p |> written(params, interval) |> Situ.Bridge.File.write(path, format: format)
+          end,
+          replay
+        )
+
+      got = Situ.to_list(fn p -> Situ.Bridge.File.read(p, path, format: format) end)
+      verdict(Enum.map(expect["values"], &value/1), got)
+    after
+      File.rm(path)
+    end
+  end
+
+  defp written(p, %{"values" => values}, interval),
+    do: Situ.from_enumerable(p, values, every: interval)
+
+  defp written(p, params, interval),
+    do: Situ.from_enumerable(p, 0..(params["count"] - 1)//1, every: interval)
+
+  # A publisher and a subscriber, each a pipeline, over a socket of this machine.
+  defp zeromq(params, expect) do
+    me = self()
+    opts = [topic: params["topic"], format: format(params["format"])]
+    values = Enum.map(params["values"], &value/1)
+
+    {:ok, sender} =
+      Situ.Pipeline.start_link(fn p ->
+        p
+        |> Situ.from_enumerable(values, every: ms(1))
+        |> ZeroMQ.publish("tcp://127.0.0.1:0", [wait_for: 1, listening: me] ++ opts)
+      end)
+
+    address = receive(do: ({:listening, port} -> "tcp://127.0.0.1:#{port}"))
+
+    {:ok, receiver} =
+      Situ.Pipeline.start_link(fn p ->
+        p |> ZeroMQ.subscribe(address, opts) |> Situ.each(&send(me, {:got, &1}))
+      end)
+
+    got = for _ <- expect["values"], do: received()
+    Situ.Pipeline.stop(sender)
+    Situ.Pipeline.stop(receiver)
+    verdict(Enum.map(expect["values"], &value/1), got)
+  end
+
+  defp received do
+    receive do
+      {:got, value} -> value
+    after
+      5_000 -> :nothing
+    end
+  end
+
+  defp datagrams(params, expect) do
+    most = params["max_datagram_bytes"]
+    sizes = params["payloads_bytes"] || [params["payload_bytes"]]
+
+    payloads =
+      for {size, i} <- Enum.with_index(sizes),
+          do: :binary.copy(<<i + 1, i + 7>>, div(size, 2) + 1) |> binary_part(0, size)
+
+    sets = for {payload, i} <- Enum.with_index(payloads, 1), do: Datagram.chunks(payload, i, most)
+    sent = sets |> lost(params["lost"]) |> arriving(params["arrival"])
+
+    {got, state} =
+      Enum.reduce(sent, {[], Datagram.new()}, fn chunk, {got, state} ->
+        {payload, state} = Datagram.push(state, chunk)
+        {got ++ [payload], state}
+      end)
+
+    whole = Enum.reject(got, &is_nil/1)
+
+    result = %{
+      "chunks" => length(hd(sets)),
+      "chunks_received" => state.received,
+      "payload_equal" => whole == payloads,
+      "complete_on_last_chunk" => List.last(got) != nil,
+      "completed_payload" => Enum.find_index(payloads, &(&1 in whole)) |> then(&(&1 && &1 + 1)),
+      "completed_payloads" => length(whole),
+      "sets_started" => state.started,
+      "sets_abandoned" => state.abandoned
+    }
+
+    verdict(expect, Map.take(result, Map.keys(expect)))
+  end
+
+  @ordinals ~w(first second third fourth fifth sixth seventh eighth ninth tenth)
+
+  # "the eighth chunk of the first payload"
+  defp lost(sets, nil), do: sets
+
+  defp lost(sets, text) do
+    [_, chunk, payload] = Regex.run(~r/the (\w+) chunk of the (\w+) payload/, text)
+    List.update_at(sets, place(payload), &List.delete_at(&1, place(chunk)))
+  end
+
+  defp place("last"), do: -1
+  defp place(word), do: Enum.find_index(@ordinals, &(&1 == word))
+
+  defp arriving(sets, how) when how in [nil, "in order"], do: Enum.concat(sets)
+
+  defp arriving(sets, how) when how in ["reversed", "reverse", "in reverse order"],
+    do: sets |> Enum.map(&Enum.reverse/1) |> Enum.concat()
+
+  defp arriving(sets, how) when how in ["shuffled", "random", "out of order"] do
+    :rand.seed(:exsss, {1, 2, 3})
+    sets |> Enum.map(&Enum.shuffle/1) |> Enum.concat()
+  end
+
+  defp arriving(sets, how) when how in ["duplicated", "twice"],
+    do: sets |> Enum.map(fn set -> Enum.flat_map(set, &[&1, &1]) end) |> Enum.concat()
+end
