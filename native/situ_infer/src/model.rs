@@ -5,68 +5,157 @@ use ort::ep::{self, ExecutionProvider};
 use ort::session::{builder::SessionBuilder, Session};
 use ort::value::{Outlet, ValueType};
 use std::borrow::Cow;
-use std::sync::{Mutex, PoisonError, TryLockError};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError, TryLockError};
 
 /// A named input or output. A dimension of -1 is free.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Port {
+    /// As the model file has it.
     pub name: String,
+    /// `None` for what is no tensor or of a type that does not cross the border.
     pub ty: Option<ElementType>,
+    /// Sizes, the outermost first.
     pub shape: Vec<i64>,
 }
 
+/// What computes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Provider {
+    /// The machine's processor.
     Cpu,
-    Cuda { device: i32 },
+    /// NVIDIA's, when the library was built with it.
+    Cuda {
+        /// Its number.
+        device: i32,
+    },
 }
 
+/// How a network is run.
 #[derive(Debug, Clone, Copy)]
 pub struct Options {
+    /// Threads inside one run.
     pub threads: usize,
+    /// The most runs at once.
+    pub sessions: usize,
+    /// What computes.
     pub provider: Provider,
 }
 
-/// Another caller is inside the network: come back on a thread that may wait.
+/// Every session is in use: come back on a thread that may wait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Busy;
 
-/// A network ready to run. ONNX Runtime's `Run` is not safe to enter twice, hence the lock.
+/// A network ready to run, by several callers at once.
+///
+/// A session of ONNX Runtime may run once at a time, so a second caller gets a session of its own, made when it is first
+/// needed, up to `Options::sessions` of them; then callers wait.
 pub struct Model {
-    session: Mutex<Session>,
+    pool: Mutex<Pool>,
+    returned: Condvar,
+    /// What the network takes.
     pub inputs: Vec<Port>,
+    /// What it gives.
     pub outputs: Vec<Port>,
+}
+
+struct Pool {
+    idle: Vec<Session>,
+    /// Sessions that may still be made, and what of; the bytes go when that is none.
+    left: usize,
+    bytes: Vec<u8>,
+    options: Options,
 }
 
 impl Model {
     /// Builds a network from a model file's bytes.
     pub fn load(bytes: &[u8], options: Options) -> Result<Self, Failure> {
-        let environment = runtime::environment()?;
-        let mut builder = configure(Session::builder(&environment).map_err(no_model)?, options)?;
-        let session = builder.commit_from_memory(bytes).map_err(no_model)?;
+        let session = build(bytes, options)?;
         let inputs = session.inputs().iter().map(port).collect();
         let outputs = session.outputs().iter().map(port).collect();
+        let left = options.sessions.saturating_sub(1);
+        let bytes = if left > 0 { bytes.to_vec() } else { Vec::new() };
         Ok(Self {
-            session: Mutex::new(session),
+            pool: Mutex::new(Pool {
+                idle: vec![session],
+                left,
+                bytes,
+                options,
+            }),
+            returned: Condvar::new(),
             inputs,
             outputs,
         })
     }
 
-    /// Runs the network, waiting for its turn.
+    /// Runs the network; makes a session or waits for one where all are in use.
     pub fn run(&self, inputs: &[TensorView<'_>]) -> Result<Vec<Tensor>, Failure> {
-        let mut session = self.session.lock().unwrap_or_else(PoisonError::into_inner);
-        run(&mut session, inputs)
+        let session = self.take()?;
+        self.run_with(session, inputs)
     }
 
-    /// Runs the network unless another caller is inside: never waits for a lock.
+    /// Runs the network unless all sessions are in use: never waits and makes none.
     pub fn try_run(&self, inputs: &[TensorView<'_>]) -> Result<Result<Vec<Tensor>, Failure>, Busy> {
-        match self.session.try_lock() {
-            Ok(mut session) => Ok(run(&mut session, inputs)),
-            Err(TryLockError::Poisoned(poisoned)) => Ok(run(&mut poisoned.into_inner(), inputs)),
-            Err(TryLockError::WouldBlock) => Err(Busy),
+        let session = match self.pool.try_lock() {
+            Ok(mut pool) => pool.idle.pop(),
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner().idle.pop(),
+            Err(TryLockError::WouldBlock) => None,
+        };
+        Ok(self.run_with(session.ok_or(Busy)?, inputs))
+    }
+
+    fn pool(&self) -> MutexGuard<'_, Pool> {
+        self.pool.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn take(&self) -> Result<Session, Failure> {
+        let mut pool = self.pool();
+        loop {
+            if let Some(session) = pool.idle.pop() {
+                return Ok(session);
+            }
+            if pool.left > 0 {
+                return self.another(pool);
+            }
+            pool = self
+                .returned
+                .wait(pool)
+                .unwrap_or_else(PoisonError::into_inner);
         }
     }
+
+    // Building takes a while: nobody else waits for it.
+    fn another(&self, mut pool: MutexGuard<'_, Pool>) -> Result<Session, Failure> {
+        pool.left -= 1;
+        let options = pool.options;
+        let bytes = if pool.left == 0 {
+            std::mem::take(&mut pool.bytes)
+        } else {
+            pool.bytes.clone()
+        };
+        drop(pool);
+        build(&bytes, options).inspect_err(|_| {
+            let mut pool = self.pool();
+            pool.left += 1;
+            pool.bytes = bytes;
+        })
+    }
+
+    fn run_with(
+        &self,
+        mut session: Session,
+        inputs: &[TensorView<'_>],
+    ) -> Result<Vec<Tensor>, Failure> {
+        let result = run(&mut session, inputs);
+        self.pool().idle.push(session);
+        self.returned.notify_one();
+        result
+    }
+}
+
+fn build(bytes: &[u8], options: Options) -> Result<Session, Failure> {
+    let environment = runtime::environment()?;
+    let mut builder = configure(Session::builder(&environment).map_err(no_model)?, options)?;
+    builder.commit_from_memory(bytes).map_err(no_model)
 }
 
 fn no_model(error: ort::Error) -> Failure {

@@ -45,13 +45,24 @@ fn runtime_version(env: Env<'_>) -> Term<'_> {
 
 /// `device` below 0 is the CPU, else the number of a CUDA device.
 #[rustler::nif(schedule = "DirtyCpu")]
-fn load_model<'a>(env: Env<'a>, bytes: Binary<'a>, threads: usize, device: i32) -> Term<'a> {
+fn load_model<'a>(
+    env: Env<'a>,
+    bytes: Binary<'a>,
+    threads: usize,
+    sessions: usize,
+    device: i32,
+) -> Term<'a> {
     let provider = if device < 0 {
         Provider::Cpu
     } else {
         Provider::Cuda { device }
     };
-    match Model::load(bytes.as_slice(), Options { threads, provider }) {
+    let options = Options {
+        threads,
+        sessions,
+        provider,
+    };
+    match Model::load(bytes.as_slice(), options) {
         Ok(model) => {
             let inputs = ports(&model.inputs);
             let outputs = ports(&model.outputs);

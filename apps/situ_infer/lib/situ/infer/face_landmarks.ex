@@ -5,7 +5,7 @@ defmodule Situ.Infer.FaceLandmarks do
       default: nil,
       doc: "The ONNX file; `nil` for the one that ships with the app."
     ],
-    model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.load/2`."],
+    model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.shared/2`."],
     margin: [
       type: {:range, 1.0, 4.0},
       default: 1.5,
@@ -22,7 +22,8 @@ defmodule Situ.Infer.FaceLandmarks do
   Finds 468 points on every face (MediaPipe's face mesh).
 
   Input `:in` is `{image, faces}`, a `Situ.Image` and the list of `Situ.Infer.Face` in it; output `:out` a list of
-  `Situ.Infer.FaceMesh` in the same order. Costs about 3 ms a face on one core.
+  `Situ.Infer.FaceMesh` in the same order. Costs about 2.5 ms a face on one core; faces
+  of one picture run side by side.
 
       frames |> Situ.join(faces) |> Situ.via(Situ.Infer.FaceLandmarks)
 
@@ -62,11 +63,11 @@ defmodule Situ.Infer.FaceLandmarks do
   def describe(%{model: nil}), do: "not started"
   def describe(%{model: model}), do: Model.describe(model)
 
-  @doc "Loads the network. Each component has its own copy: two may run at once."
+  @doc "Loads the network, which all who ask for it share."
   @spec load(keyword()) :: {:ok, Model.t()} | {:error, Situ.Error.t()}
   def load(opts) do
     path = opts[:model] || Model.path("face_landmark.onnx")
-    Model.load(path, Keyword.merge(opts[:model_options] || [], @ports))
+    Model.shared(path, Keyword.merge(opts[:model_options] || [], @ports))
   end
 
   @doc "The points of `faces` in `image`. `opts` as above; errors are those of `Situ.Infer.Model` and `:bad_image`."
@@ -74,16 +75,19 @@ defmodule Situ.Infer.FaceLandmarks do
           {:ok, [FaceMesh.t()]} | {:error, Situ.Error.t()}
   def find(model, image, faces, opts \\ []) do
     min_score = opts[:min_score] || 0.5
+    meshes = at_once(faces, &mesh(model, image, &1, opts[:margin] || 1.5))
 
-    faces
-    |> Enum.reduce_while({:ok, []}, fn face, {:ok, found} ->
-      case mesh(model, image, face, opts[:margin] || 1.5) do
-        {:ok, %{score: score}} when score < min_score -> {:cont, {:ok, found}}
-        {:ok, mesh} -> {:cont, {:ok, [mesh | found]}}
-        {:error, _} = error -> {:halt, error}
-      end
-    end)
-    |> then(fn result -> with {:ok, meshes} <- result, do: {:ok, Enum.reverse(meshes)} end)
+    with nil <- Enum.find(meshes, &match?({:error, _}, &1)) do
+      {:ok, for({:ok, mesh} <- meshes, mesh.score >= min_score, do: mesh)}
+    end
+  end
+
+  # The first face here, each other one in a process of its own: the cores take them side by side.
+  defp at_once([], _fun), do: []
+
+  defp at_once([first | others], fun) do
+    tasks = Enum.map(others, &Task.async(fn -> fun.(&1) end))
+    [fun.(first) | Task.await_many(tasks, :infinity)]
   end
 
   defp mesh(model, image, face, margin) do

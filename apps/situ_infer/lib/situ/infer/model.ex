@@ -15,6 +15,12 @@ defmodule Situ.Infer.Model do
       default: 1,
       doc: "Threads inside one run. One is best while several components share the cores."
     ],
+    sessions: [
+      type: {:optional, :pos_integer},
+      default: nil,
+      doc:
+        "How many runs may go on at once, each with the network's memory; made when needed. `nil`: as many as cores."
+    ],
     schedule: [
       type: {:in, [:auto, :inline, :dirty]},
       default: :auto,
@@ -41,9 +47,8 @@ defmodule Situ.Infer.Model do
       {:ok, model} = Situ.Infer.Model.load("silero_vad.onnx", inputs: %{"input" => {:f32, {nil, nil}}})
       {:ok, %{"output" => p}} = Situ.Infer.Model.run(model, %{"input" => x, "state" => s, "sr" => rate})
 
-  A model is loaded once and may be used by any process; `shared/2` gives components that name the same file and options the
-  same copy. One run at a time goes through a model: the others wait on a dirty scheduler. Load it twice (`load/2`) where
-  two must run at once.
+  A model is loaded once and may be used by any process, by several at once; `shared/2` gives components that name the same file
+  and options the same copy, which is given back when the last of them ends.
 
   What a model must take and give is checked **at load**: `:inputs` and `:outputs` name the ports with type and shape
   (`nil` for any size, and a size the file leaves free matches anything), so a wrong file stops a pipeline before its first
@@ -85,6 +90,7 @@ defmodule Situ.Infer.Model do
   @spec load(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(path, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         opts = Keyword.update!(opts, :sessions, &(&1 || System.schedulers_online())),
          {:ok, bytes} <- read(path),
          started = System.monotonic_time(:nanosecond),
          {:ok, loaded} <- with_path(opts[:engine].load(bytes, opts), path),
@@ -98,14 +104,18 @@ defmodule Situ.Infer.Model do
     end
   end
 
-  @doc "As `load/2`, but every caller with the same file and options gets the same model."
+  @doc """
+  As `load/2`, but every caller with the same file and options gets the same model.
+
+  It is kept while a process that asked for it lives, and for a minute after. Beyond 512 MB of model files (`config :situ_infer,
+  shared_bytes: n`) the one asked for longest ago is no longer shared: who has it keeps it.
+  """
   @spec shared(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def shared(path, opts \\ []) do
     case File.stat(path, time: :posix) do
       {:ok, stat} ->
-        Situ.Infer.Shelf.fetch({Path.expand(path), stat.size, stat.mtime, opts}, fn ->
-          load(path, opts)
-        end)
+        key = {Path.expand(path), stat.size, stat.mtime, opts}
+        Situ.Infer.Shelf.fetch(key, stat.size, fn -> load(path, opts) end)
 
       {:error, _} ->
         load(path, opts)

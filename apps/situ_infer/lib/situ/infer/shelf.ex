@@ -1,28 +1,143 @@
 defmodule Situ.Infer.Shelf do
   @moduledoc false
-  # Models loaded once and lent to every component that names the same file and options. The process only guards
-  # against loading twice at the same time; it holds no session lock, so a lost shelf costs a reload and nothing else.
+  # Models loaded once and lent to every process that names the same file and options. Each is loaded in a process of its
+  # own, so that none waits for another; a process that asked is watched, and a model nobody is left to use goes after a
+  # while. The shelf holds no session, so a lost shelf costs a reload and nothing else.
   use GenServer
 
-  @load_timeout 60_000
+  @keep_ms 60_000
+  @bytes 512 * 1_048_576
 
-  def start_link(_), do: GenServer.start_link(__MODULE__, %{}, name: __MODULE__)
+  defstruct [:keep_ms, :bytes, loaded: %{}, loading: %{}, used: 0]
 
-  @spec fetch(term(), (() -> {:ok, term()} | {:error, Situ.Error.t()})) ::
-          {:ok, term()} | {:error, Situ.Error.t()}
-  def fetch(key, load), do: GenServer.call(__MODULE__, {:fetch, key, load}, @load_timeout)
+  def start_link(opts) do
+    {name, opts} = Keyword.pop(opts, :name, __MODULE__)
+    GenServer.start_link(__MODULE__, opts, name: name)
+  end
+
+  @doc "The model under `key`; else what `load` answers, which runs in another process. `size` is what it counts, in bytes."
+  @spec fetch(GenServer.server(), term(), non_neg_integer(), (() -> result)) :: result
+        when result: {:ok, term()} | {:error, Exception.t()}
+  def fetch(shelf \\ __MODULE__, key, size, load),
+    do: GenServer.call(shelf, {:fetch, key, size, load}, :infinity)
+
+  @doc "The keys of the models there are, the one used last first."
+  @spec keys(GenServer.server()) :: [term()]
+  def keys(shelf \\ __MODULE__), do: GenServer.call(shelf, :keys)
 
   @impl true
-  def init(models), do: {:ok, models}
+  def init(opts) do
+    bytes = Application.get_env(:situ_infer, :shared_bytes, @bytes)
+    {:ok, struct!(%__MODULE__{keep_ms: @keep_ms, bytes: bytes}, opts)}
+  end
 
   @impl true
-  def handle_call({:fetch, key, load}, _from, models) do
-    with :error <- Map.fetch(models, key),
-         {:ok, model} <- load.() do
-      {:reply, {:ok, model}, Map.put(models, key, model)}
+  def handle_call(:keys, _from, state) do
+    keys =
+      state.loaded |> Enum.sort_by(fn {_, entry} -> -entry.used end) |> Enum.map(&elem(&1, 0))
+
+    {:reply, keys, state}
+  end
+
+  def handle_call({:fetch, key, size, load}, {pid, _} = from, state) do
+    case state do
+      %{loaded: %{^key => entry}} ->
+        {:reply, {:ok, entry.model}, put(state, key, watch(entry, pid))}
+
+      %{loading: %{^key => loading}} ->
+        loading = %{loading | waiting: [from | loading.waiting]}
+        {:noreply, %{state | loading: Map.put(state.loading, key, loading)}}
+
+      _ ->
+        {_pid, ref} = spawn_monitor(fn -> exit({:loaded, attempt(load)}) end)
+        loading = %{ref: ref, size: size, waiting: [from]}
+        {:noreply, %{state | loading: Map.put(state.loading, key, loading)}}
+    end
+  end
+
+  @impl true
+  def handle_info({:DOWN, ref, :process, _pid, reason}, state) do
+    case Enum.find(state.loading, fn {_, loading} -> loading.ref == ref end) do
+      {key, loading} -> {:noreply, finish(state, key, loading, result(reason))}
+      nil -> {:noreply, left(state, ref)}
+    end
+  end
+
+  # Nobody asked for it since its last user ended.
+  def handle_info({:unused, key, used}, state) do
+    case state.loaded do
+      %{^key => %{used: ^used, users: users}} when users == %{} ->
+        {:noreply, %{state | loaded: Map.delete(state.loaded, key)}}
+
+      _ ->
+        {:noreply, state}
+    end
+  end
+
+  defp attempt(load) do
+    load.()
+  rescue
+    error -> {:error, error}
+  end
+
+  defp result({:loaded, result}), do: result
+
+  defp result(reason) do
+    {:error, Situ.Error.new(:bad_model, "loading the model failed: #{inspect(reason)}")}
+  end
+
+  defp finish(state, key, loading, result) do
+    Enum.each(loading.waiting, &GenServer.reply(&1, result))
+    state = %{state | loading: Map.delete(state.loading, key)}
+
+    case result do
+      {:ok, model} ->
+        entry = %{model: model, size: loading.size, users: %{}, used: 0}
+        entry = Enum.reduce(loading.waiting, entry, fn {pid, _}, entry -> watch(entry, pid) end)
+        state |> put(key, entry) |> shrink(key)
+
+      {:error, _} ->
+        state
+    end
+  end
+
+  defp watch(%{users: users} = entry, pid) do
+    if pid in Map.values(users),
+      do: entry,
+      else: %{entry | users: Map.put(users, Process.monitor(pid), pid)}
+  end
+
+  defp put(state, key, entry) do
+    used = state.used + 1
+    %{state | used: used, loaded: Map.put(state.loaded, key, %{entry | used: used})}
+  end
+
+  defp left(state, ref) do
+    case Enum.find(state.loaded, fn {_, entry} -> is_map_key(entry.users, ref) end) do
+      {key, entry} ->
+        users = Map.delete(entry.users, ref)
+
+        if users == %{},
+          do: Process.send_after(self(), {:unused, key, entry.used}, state.keep_ms)
+
+        %{state | loaded: Map.put(state.loaded, key, %{entry | users: users})}
+
+      nil ->
+        state
+    end
+  end
+
+  # The one just loaded stays, however large.
+  defp shrink(state, key) do
+    total = state.loaded |> Map.values() |> Enum.map(& &1.size) |> Enum.sum()
+    others = Map.delete(state.loaded, key)
+
+    if total > state.bytes and others != %{} do
+      {oldest, entry} = Enum.min_by(others, fn {_, entry} -> entry.used end)
+      Enum.each(Map.keys(entry.users), &Process.demonitor(&1, [:flush]))
+      shrink(%{state | loaded: Map.delete(state.loaded, oldest)}, key)
     else
-      {:ok, model} -> {:reply, {:ok, model}, models}
-      {:error, _} = error -> {:reply, error, models}
+      state
     end
   end
 end

@@ -60,6 +60,19 @@ defmodule Situ.Infer.ModelTest do
     assert {:ok, ^model} = Model.shared(Model.path("face_landmark.onnx"))
   end
 
+  test "as many runs go on at once as there are sessions" do
+    path = Model.path("face_landmark.onnx")
+    input = %{"input_1" => Tensor.zeros(:f32, {1, 192, 192, 3})}
+
+    for sessions <- [1, 3] do
+      {:ok, model} = Model.load(path, sessions: sessions)
+      one = fn -> for _ <- 1..5, do: {:ok, _} = Model.run(model, input) end
+      outputs = 1..6 |> Enum.map(fn _ -> Task.async(one) end) |> Task.await_many(60_000)
+      assert [_] = outputs |> Enum.concat() |> Enum.uniq()
+      assert Model.stats(model).runs == 30
+    end
+  end
+
   describe "refuses" do
     test "a file that is not there" do
       assert {:error, %{code: :no_model_file}} = Model.load("/nowhere/x.onnx")

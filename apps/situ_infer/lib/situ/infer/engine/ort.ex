@@ -39,7 +39,7 @@ defmodule Situ.Infer.Engine.Ort do
   def load(bytes, opts) do
     with :ok <- open(),
          {:ok, {handle, inputs, outputs}} <-
-           Native.load_model(bytes, opts[:threads], device(opts[:provider])) do
+           Native.load_model(bytes, opts[:threads], opts[:sessions], device(opts[:provider])) do
       {:ok,
        %{handle: handle, inputs: Enum.map(inputs, &port/1), outputs: Enum.map(outputs, &port/1)}}
     else

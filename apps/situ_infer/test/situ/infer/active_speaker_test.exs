@@ -1,0 +1,47 @@
+defmodule Situ.Infer.ActiveSpeakerTest do
+  use ExUnit.Case, async: true
+  alias Situ.Infer.{ActiveSpeaker, Mouth, Voice}
+
+  # 25 pictures a second; `lips` and `voice` are functions of the picture's number.
+  defp decide(n, lips, voice) do
+    {decisions, {speaker, _}} =
+      Enum.flat_map_reduce(0..(n - 1), {ActiveSpeaker.new(), %{}}, fn i, {speaker, known} ->
+        time = i * 40_000_000
+        mouths = Map.new(lips.(i), fn {id, o} -> {id, Mouth.watch(known[id], time, o)} end)
+        {p, level} = voice.(i)
+
+        {out, speaker} =
+          ActiveSpeaker.push(speaker, time, mouths, %Voice{probability: p, level: level})
+
+        {out, {speaker, mouths}}
+      end)
+
+    {last, _} = ActiveSpeaker.close(speaker)
+    Enum.map(decisions ++ last, fn {_, map} -> for({id, true} <- map, do: id) end)
+  end
+
+  defp wave(i), do: abs(:math.sin(i * 0.7))
+  defp talk(i) when i in 25..60, do: {1.0, 0.05 + 0.2 * wave(i)}
+  defp talk(_), do: {0.0, 0.001}
+
+  test "the face whose lips follow the voice speaks" do
+    lips = fn i -> %{0 => 0.1, 1 => if(i in 25..60, do: 0.05 + 0.1 * wave(i), else: 0.05)} end
+    said = decide(90, lips, &talk/1)
+    assert length(said) == 90
+    assert Enum.slice(said, 30, 30) |> Enum.uniq() == [[1]]
+    assert (Enum.slice(said, 0, 20) ++ Enum.slice(said, 67, 23)) |> Enum.uniq() == [[]]
+  end
+
+  test "a voice from outside and lips that move in silence are nobody's" do
+    still = fn _ -> %{0 => 0.1, 1 => 0.2} end
+    assert decide(90, still, &talk/1) |> Enum.uniq() == [[]]
+    chewing = fn i -> %{0 => 0.1 + 0.1 * wave(i)} end
+    assert decide(90, chewing, fn _ -> {0.0, 0.001} end) |> Enum.uniq() == [[]]
+  end
+
+  test "no faces and no sound are no error" do
+    assert decide(10, fn _ -> %{} end, &talk/1) |> Enum.uniq() == [[]]
+    {out, speaker} = ActiveSpeaker.push(ActiveSpeaker.new(), 0, %{}, nil)
+    assert {[{0, %{}}], _} = {out ++ elem(ActiveSpeaker.close(speaker), 0), nil}
+  end
+end

@@ -1,0 +1,4 @@
+defmodule Situ.Infer.MouthTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Infer.Mouth
+end

@@ -1,0 +1,4 @@
+defmodule Situ.Infer.VoiceSegmentTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Infer.VoiceSegment
+end
