@@ -29,6 +29,7 @@ defmodule Situ.Umbrella.MixProject do
           situ_store: :permanent,
           situ_dataset: :permanent,
           situ_media: :permanent,
+          situ_space: :permanent,
           situ_infer: :permanent,
           situ_bridge: :permanent,
           situ_live: :permanent,

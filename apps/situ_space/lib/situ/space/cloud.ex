@@ -1,0 +1,133 @@
+defmodule Situ.Space.Cloud do
+  @moduledoc """
+  Operations on point clouds: fewer points, parts, planes, normals, clusters. Binary in, binary out.
+
+      iex> cloud = Situ.PointCloud.from_points([{0.1, 0.1, 0.1}, {0.3, 0.1, 0.1}, {5.0, 5.0, 5.0}])
+      iex> {:ok, fewer} = Situ.Space.Cloud.downsample(cloud, 1.0)
+      iex> Situ.PointCloud.count(fewer)
+      2
+  """
+  alias Situ.{Box3, Error, Plane, PointCloud, Pose, Quaternion, Vector3}
+  alias Situ.Space.Kernel
+
+  @type result :: {:ok, PointCloud.t()} | {:error, Error.t()}
+
+  @doc """
+  One point for every cube with edges of `size` metres: the mean of the points in it, in the order in which the cubes are
+  first met. Colours are left out.
+  """
+  @spec downsample(PointCloud.t(), number()) :: result()
+  def downsample(%PointCloud{} = cloud, size) when is_number(size) do
+    with {:ok, {points, _counts}} <- Kernel.call(:downsample, [cloud.points, size * 1.0]),
+         do: PointCloud.new(points)
+  end
+
+  @doc "The cloud, given in a pose's own frame, in the frame of the pose; colours stay."
+  @spec transform(PointCloud.t(), Pose.t()) :: result()
+  def transform(%PointCloud{} = cloud, %Pose{} = pose) do
+    with {:ok, points} <-
+           Kernel.call(:transform, [
+             cloud.points,
+             Quaternion.to_matrix(pose.rotation),
+             pose.position
+           ]),
+         do: PointCloud.new(points, cloud.colors)
+  end
+
+  @doc "The points inside a box, its skin included, in their order, with their colours."
+  @spec clip(PointCloud.t(), Box3.t()) :: result()
+  def clip(%PointCloud{} = cloud, %Box3{} = box) do
+    with {:ok, local} <-
+           if(box.pose, do: transform(cloud, Pose.invert(box.pose)), else: {:ok, cloud}),
+         {:ok, {_points, places}} <- Kernel.call(:clip, [local.points, box.min, box.max]),
+         do:
+           PointCloud.new(
+             pick(cloud.points, places, 12),
+             cloud.colors && pick(cloud.colors, places, 3)
+           )
+  end
+
+  defp pick(bytes, places, size) do
+    for <<place::little-32 <- places>>, into: <<>>, do: binary_part(bytes, place * size, size)
+  end
+
+  @plane [
+    tolerance: [
+      type: :number,
+      default: 0.02,
+      doc: "How far off the plane a point may lie, metres."
+    ],
+    rounds: [
+      type: :pos_integer,
+      default: 500,
+      doc: "How many planes through three random points are tried."
+    ],
+    seed: [type: :non_neg_integer, default: 0, doc: "The same seed gives the same plane."]
+  ]
+
+  @doc """
+  The plane on which most points lie, and their places in the cloud (32-bit little-endian numbers, from 0). The normal's
+  z is not negative. Fewer than three points, or points on one line, are an error.
+
+  #{Situ.Options.docs(@plane)}
+
+      iex> points = for x <- 0..4, y <- 0..4, do: {x * 1.0, y * 1.0, 0.5}
+      iex> {:ok, plane, on_it} = Situ.Space.Cloud.fit_plane(Situ.PointCloud.from_points(points))
+      iex> {plane.normal |> elem(2) |> Float.round(6), Float.round(plane.offset, 6), byte_size(on_it)}
+      {1.0, 0.5, 100}
+  """
+  @spec fit_plane(PointCloud.t(), keyword()) ::
+          {:ok, Plane.t(), places :: binary()} | {:error, Error.t()}
+  def fit_plane(%PointCloud{} = cloud, opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @plane),
+         arguments = [cloud.points, opts[:tolerance] * 1.0, opts[:rounds], opts[:seed]],
+         {:ok, {normal, offset, places}} <- Kernel.call(:plane, arguments),
+         do: {:ok, %Plane{normal: normal, offset: offset}, places}
+  end
+
+  @doc """
+  For every point the unit normal of the surface through its neighbours within `radius` metres, turned towards
+  `viewpoint`, and how curved the surface is (0 flat, at most 1/3): two binaries of 32-bit little-endian floats, three
+  and one a point. Where a point has fewer than two neighbours the normal is zero.
+  """
+  @spec normals(PointCloud.t(), number(), Vector3.t()) ::
+          {:ok, {normals :: binary(), curvatures :: binary()}} | {:error, Error.t()}
+  def normals(%PointCloud{} = cloud, radius, viewpoint \\ {0.0, 0.0, 0.0}) when is_number(radius),
+    do: Kernel.call(:normals, [cloud.points, radius * 1.0, viewpoint])
+
+  @doc """
+  The clusters of at least `least` points, in which every point has another within `radius` metres: the largest first.
+  """
+  @spec clusters(PointCloud.t(), number(), pos_integer()) ::
+          {:ok, [PointCloud.t()]} | {:error, Error.t()}
+  def clusters(%PointCloud{} = cloud, radius, least \\ 1)
+      when is_number(radius) and is_integer(least) and least > 0 do
+    with {:ok, names} <- Kernel.call(:clusters, [cloud.points, radius * 1.0, least]) do
+      places =
+        for(<<name::little-32 <- names>>, do: name)
+        |> Enum.with_index()
+        |> Enum.reject(fn {name, _} -> name == 0xFFFFFFFF end)
+        |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
+
+      {:ok, for({_name, places} <- Enum.sort(places), do: part(cloud, places))}
+    end
+  end
+
+  defp part(cloud, places) do
+    places = for place <- places, into: <<>>, do: <<place::little-32>>
+
+    %PointCloud{
+      points: pick(cloud.points, places, 12),
+      colors: cloud.colors && pick(cloud.colors, places, 3)
+    }
+  end
+
+  @doc "The point of the cloud nearest to a ray, and its distance from it (metres); `nil` for an empty cloud."
+  @spec nearest_to_ray(PointCloud.t(), Situ.Ray3.t()) :: {Vector3.t(), float()} | nil
+  def nearest_to_ray(%PointCloud{} = cloud, ray) do
+    cloud
+    |> PointCloud.to_points()
+    |> Enum.map(&{&1, Situ.Ray3.distance(ray, &1)})
+    |> Enum.min_by(&elem(&1, 1), fn -> nil end)
+  end
+end

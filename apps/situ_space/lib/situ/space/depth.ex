@@ -1,0 +1,112 @@
+defmodule Situ.Space.Depth do
+  @moduledoc """
+  Point clouds and meshes from depth images, and where a ray meets what a depth camera saw.
+
+  A camera is given by its intrinsics or, faster for many images, by its `Situ.Space.RayTable`.
+
+      iex> camera = Situ.CameraIntrinsics.new!(width: 2, height: 1, focal: {1, 1}, principal: {0, 0})
+      iex> depth = Situ.DepthImage.new!(width: 2, height: 1, data: <<1000::little-16, 2000::little-16>>)
+      iex> {:ok, cloud} = Situ.Space.Depth.to_cloud(depth, camera)
+      iex> Situ.PointCloud.to_points(cloud)
+      [{1.0, -0.0, -0.0}, {2.0, -2.0, -0.0}]
+  """
+  alias Situ.{
+    CameraIntrinsics,
+    CameraView,
+    DepthImage,
+    Error,
+    Mesh,
+    PointCloud,
+    Pose,
+    Ray3,
+    Vector3
+  }
+
+  alias Situ.Space.{Camera, Kernel, RayTable}
+
+  @type camera :: CameraIntrinsics.t() | RayTable.t()
+
+  @cloud [
+    sparsity: [type: :pos_integer, default: 1, doc: "Takes every n-th pixel of every n-th row."],
+    robust: [
+      type: :boolean,
+      default: false,
+      doc: "Takes only pixels whose eight neighbours were measured too."
+    ]
+  ]
+
+  @doc """
+  The points that a depth image shows, in the camera's frame; pixels without a reading (0) give none.
+
+  #{Situ.Options.docs(@cloud)}
+  """
+  @spec to_cloud(DepthImage.t(), camera(), keyword()) ::
+          {:ok, PointCloud.t()} | {:error, Error.t()}
+  def to_cloud(%DepthImage{} = depth, camera, opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @cloud),
+         {:ok, table} <- RayTable.of(camera),
+         {:ok, points} <-
+           Kernel.call(:depth_cloud, [term(depth), table.rays, opts[:sparsity], opts[:robust]]),
+         do: PointCloud.new(points)
+  end
+
+  @mesh [
+    edge: [
+      type: :number,
+      default: 0.2,
+      doc: "Triangles whose corners' depths differ by more (metres) are left out."
+    ],
+    sparsity: [type: :pos_integer, default: 1, doc: "Takes every n-th pixel of every n-th row."]
+  ]
+
+  @doc """
+  The surface that a depth image shows, as triangles between neighbouring pixels, in the camera's frame.
+
+  #{Situ.Options.docs(@mesh)}
+  """
+  @spec to_mesh(DepthImage.t(), camera(), keyword()) :: {:ok, Mesh.t()} | {:error, Error.t()}
+  def to_mesh(%DepthImage{} = depth, camera, opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @mesh),
+         {:ok, table} <- RayTable.of(camera),
+         arguments = [term(depth), table.rays, opts[:edge] * 1.0, opts[:sparsity]],
+         {:ok, {vertices, indices}} <- Kernel.call(:depth_mesh, arguments),
+         do: Mesh.new(vertices, indices)
+  end
+
+  defp term(%DepthImage{} = d),
+    do: {d.width, d.height, d.stride, d.data, d.scale, d.semantics == :point}
+
+  @march [
+    step: [type: :number, default: 0.05, doc: "How far to go between looks, metres."],
+    range: [type: :number, default: 5.0, doc: "How far to look, metres."]
+  ]
+
+  @doc """
+  Where a ray of the outer frame first meets what the camera of a view saw: the first step at which the point lies behind
+  the measured depth. `nil` where it meets nothing within the range or leaves the picture. Depths that were not measured
+  are made up from their neighbours (`Situ.DepthImage.interpolated_distance/4`).
+
+  #{Situ.Options.docs(@march)}
+  """
+  @spec intersection(CameraView.t(DepthImage.t()), Ray3.t(), keyword()) :: Vector3.t() | nil
+  def intersection(%CameraView{viewed: %DepthImage{}} = view, %Ray3{} = ray, opts \\ []) do
+    opts = Situ.Options.validate!(opts, @march)
+    local = Ray3.transform(ray, Pose.invert(view.pose))
+    steps = trunc(opts[:range] / opts[:step])
+
+    Enum.find_value(1..max(steps, 1)//1, fn n ->
+      point = Ray3.point_at(local, n * opts[:step])
+      if hidden?(view, point), do: Pose.transform(view.pose, point)
+    end)
+  end
+
+  defp hidden?(%{viewed: depth, intrinsics: camera}, {x, _, _} = point) do
+    with {:ok, {px, py}} <- Camera.project(camera, point),
+         {:ok, measured} when is_number(measured) <-
+           DepthImage.interpolated_distance(depth, trunc(px), trunc(py)) do
+      measured < if(depth.semantics == :point, do: Vector3.norm(point), else: x)
+    else
+      _ -> false
+    end
+  end
+end

@@ -1,0 +1,180 @@
+defmodule Situ.Space.Frames do
+  @moduledoc """
+  A tree of frames of reference: where each lies in its parent, static or moving, looked up at any originating time.
+
+  Moving frames keep their poses of the last `keep` ns and are interpolated between them (`Situ.Pose.interpolate/3`), so
+  an answer does not depend on what happens to have arrived: a time outside of what is known is an error, not a guess.
+
+      iex> alias Situ.Space.Frames
+      iex> {:ok, frames} = Frames.put_static(Frames.new(), "base", "world", Situ.Pose.new({1.0, 0.0, 0.0}))
+      iex> {:ok, frames} = Frames.put(frames, "camera", "base", 0, Situ.Pose.new({0.0, 0.0, 0.0}))
+      iex> {:ok, frames} = Frames.put(frames, "camera", "base", 100, Situ.Pose.new({0.0, 0.0, 2.0}))
+      iex> {:ok, pose} = Frames.lookup(frames, "camera", "world", 50)
+      iex> pose.position
+      {1.0, 0.0, 1.0}
+      iex> {:error, error} = Frames.lookup(frames, "camera", "world", 200)
+      iex> error.what
+      "the pose of \\"camera\\" in \\"base\\" is not known at 200 ns"
+  """
+  alias Situ.{Error, Pose}
+  alias Situ.Space.History
+
+  defstruct frames: %{}, keep: 10_000_000_000
+
+  @type name :: String.t()
+  @typep frame :: {parent :: name(), {:static, Pose.t()} | {:moving, History.t()}}
+  @opaque t :: %__MODULE__{frames: %{name() => frame()}, keep: Situ.Time.duration()}
+
+  @schema [
+    keep: [
+      type: :pos_integer,
+      default: 10_000_000_000,
+      doc: "How long poses of moving frames are kept, ns."
+    ]
+  ]
+
+  @doc """
+  No frames.
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @spec new(keyword()) :: t()
+  def new(opts \\ []), do: struct!(__MODULE__, Situ.Options.validate!(opts, @schema))
+
+  @doc "Fixes `frame` at a pose in `parent`, for all times."
+  @spec put_static(t(), name(), name(), Pose.t()) :: {:ok, t()} | {:error, Error.t()}
+  def put_static(%__MODULE__{} = frames, frame, parent, %Pose{} = pose) do
+    with :ok <- check(frames, frame, parent, :static),
+         do: {:ok, %{frames | frames: Map.put(frames.frames, frame, {parent, {:static, pose}})}}
+  end
+
+  @doc "The pose of `frame` in `parent` at an originating time. Times may come in any order."
+  @spec put(t(), name(), name(), Situ.Time.t(), Pose.t()) :: {:ok, t()} | {:error, Error.t()}
+  def put(%__MODULE__{} = frames, frame, parent, time, %Pose{} = pose) when is_integer(time) do
+    with :ok <- check(frames, frame, parent, :moving) do
+      history = History.put(history(frames.frames[frame]), time, pose, frames.keep)
+      {:ok, %{frames | frames: Map.put(frames.frames, frame, {parent, {:moving, history}})}}
+    end
+  end
+
+  defp history({_parent, {:moving, history}}), do: history
+  defp history(nil), do: History.new()
+
+  defp check(_frames, frame, frame, _kind),
+    do: {:error, Error.new(:frame_cycle, "the frame #{inspect(frame)} cannot be its own parent")}
+
+  defp check(frames, frame, parent, kind) do
+    case frames.frames[frame] do
+      {^parent, {^kind, _}} ->
+        :ok
+
+      {^parent, {other, _}} ->
+        {:error,
+         Error.new(
+           :frame_conflict,
+           "the frame #{inspect(frame)} is #{other}, and cannot become #{kind}"
+         )}
+
+      {old, _} ->
+        {:error,
+         Error.new(:frame_conflict, "the frame #{inspect(frame)} has the parent #{inspect(old)}",
+           why: "each frame has one parent; #{inspect(parent)} would be a second one",
+           fix: "remove it first with Situ.Space.Frames.delete/2"
+         )}
+
+      nil ->
+        path = ancestors(frames, parent)
+
+        if frame in path do
+          circle = Enum.take_while(path, &(&1 != frame)) ++ [frame]
+          names = Enum.map_join([frame | circle], " in ", &inspect/1)
+          {:error, Error.new(:frame_cycle, "the frames would form a cycle: #{names}")}
+        else
+          :ok
+        end
+    end
+  end
+
+  @doc "Forgets a frame; frames in it lose their way up."
+  @spec delete(t(), name()) :: t()
+  def delete(%__MODULE__{} = frames, frame),
+    do: %{frames | frames: Map.delete(frames.frames, frame)}
+
+  @doc "Every frame with its parent, sorted by name."
+  @spec list(t()) :: [{name(), parent :: name(), :static | :moving}]
+  def list(%__MODULE__{frames: frames}),
+    do: Enum.sort(for {frame, {parent, {kind, _}}} <- frames, do: {frame, parent, kind})
+
+  @doc """
+  The pose of `frame` in `reference` at an originating time: `Situ.Pose.transform(pose, p)` takes a point of `frame` to
+  `reference`. Both must hang on one tree, and every moving frame on the way must be known at that time.
+  """
+  @spec lookup(t(), name(), name(), Situ.Time.t()) :: {:ok, Pose.t()} | {:error, Error.t()}
+  def lookup(%__MODULE__{} = frames, frame, reference, time) when is_integer(time) do
+    up = ancestors(frames, frame)
+    down = if reference in up, do: [reference], else: ancestors(frames, reference)
+
+    case Enum.find(up, &(&1 in down)) do
+      nil ->
+        {:error, not_connected(frames, frame, reference)}
+
+      common ->
+        with {:ok, from} <- climb(frames, frame, common, time),
+             {:ok, to} <- climb(frames, reference, common, time),
+             do: {:ok, relative(from, to)}
+    end
+  end
+
+  defp relative(nil, nil), do: Pose.identity()
+  defp relative(from, nil), do: from
+  defp relative(nil, to), do: Pose.invert(to)
+  defp relative(from, to), do: Pose.compose(Pose.invert(to), from)
+
+  defp ancestors(frames, frame) do
+    case frames.frames[frame] do
+      {parent, _} -> [frame | ancestors(frames, parent)]
+      nil -> [frame]
+    end
+  end
+
+  # The pose of a frame in one of its ancestors; nil in itself.
+  defp climb(_frames, common, common, _time), do: {:ok, nil}
+
+  defp climb(frames, frame, common, time) do
+    {parent, known} = :erlang.map_get(frame, frames.frames)
+
+    with {:ok, own} <- at(known, time, frame, parent),
+         {:ok, outer} <- climb(frames, parent, common, time),
+         do: {:ok, if(outer, do: Pose.compose(outer, own), else: own)}
+  end
+
+  defp at({:static, pose}, _time, _frame, _parent), do: {:ok, pose}
+
+  defp at({:moving, history}, time, frame, parent) do
+    case History.around(history, time) do
+      {:exact, pose} -> {:ok, pose}
+      {:between, {t0, a}, {t1, b}} -> {:ok, Pose.interpolate(a, b, (time - t0) / (t1 - t0))}
+      :outside -> {:error, not_known(History.span(history), time, frame, parent)}
+    end
+  end
+
+  defp not_known({first, last}, time, frame, parent) do
+    Error.new(
+      :frame_unknown_at,
+      "the pose of #{inspect(frame)} in #{inspect(parent)} is not known at #{time} ns",
+      why: "its poses reach from #{first} to #{last} ns",
+      fix: "ask for a time between them, wait for later poses, or keep more with keep:"
+    )
+  end
+
+  defp not_connected(frames, frame, reference) do
+    {top, other} = {List.last(ancestors(frames, frame)), List.last(ancestors(frames, reference))}
+
+    Error.new(
+      :frame_not_connected,
+      "no way leads from the frame #{inspect(frame)} to #{inspect(reference)}",
+      why: "the first hangs on #{inspect(top)}, the second on #{inspect(other)}",
+      fix: "put the pose of one of the two into the other's tree"
+    )
+  end
+end

@@ -1,0 +1,102 @@
+defmodule Situ.Space.History do
+  @moduledoc false
+  # Poses by time, the last `keep` ns of them. The older ones stand in a sorted tuple, which is searched by halves; the
+  # latest few in a list, the latest first, which is merged into the tuple when it has grown. Poses mostly come in order, and
+  # are mostly asked for soon.
+  alias Situ.Pose
+
+  @recent 32
+
+  defstruct sorted: {}, recent: [], count: 0
+
+  @type entry :: {Situ.Time.t(), Pose.t()}
+  @type t :: %__MODULE__{sorted: tuple(), recent: [entry()], count: non_neg_integer()}
+
+  @spec new() :: t()
+  def new, do: %__MODULE__{}
+
+  @doc "Adds a pose; of two at one time the later call counts. Now and then forgets those older than `keep` ns but one."
+  @spec put(t(), Situ.Time.t(), Pose.t(), Situ.Time.duration()) :: t()
+  def put(
+        %__MODULE__{recent: [{latest, _} | _] = recent, count: count} = history,
+        time,
+        pose,
+        _keep
+      )
+      when time > latest and count < @recent,
+      do: %{history | recent: [{time, pose} | recent], count: count + 1}
+
+  def put(%__MODULE__{recent: [], sorted: {}} = history, time, pose, _keep),
+    do: %{history | recent: [{time, pose}], count: 1}
+
+  def put(%__MODULE__{} = history, time, pose, keep) do
+    all = Tuple.to_list(history.sorted) ++ Enum.reverse(history.recent)
+    {before, later} = Enum.split_while(all, fn {at, _} -> at < time end)
+    all = before ++ [{time, pose} | Enum.drop_while(later, fn {at, _} -> at == time end)]
+    {latest, _} = List.last(all)
+    %__MODULE__{sorted: all |> forget(latest - keep) |> List.to_tuple()}
+  end
+
+  # One pose before the span stays, so that all of it can be interpolated.
+  defp forget([_, {second, _} = next | rest], since) when second <= since,
+    do: forget([next | rest], since)
+
+  defp forget(entries, _since), do: entries
+
+  @doc "The times of the oldest and the latest pose."
+  @spec span(t()) :: {Situ.Time.t(), Situ.Time.t()}
+  def span(%__MODULE__{sorted: {}, recent: [{latest, _} | _] = recent}),
+    do: {recent |> List.last() |> elem(0), latest}
+
+  def span(%__MODULE__{sorted: sorted, recent: recent}) do
+    {oldest, _} = elem(sorted, 0)
+    {latest, _} = if recent == [], do: elem(sorted, tuple_size(sorted) - 1), else: hd(recent)
+    {oldest, latest}
+  end
+
+  @doc "The pose at a time, those on either side of it, or `:outside` where it is not between two."
+  @spec around(t(), Situ.Time.t()) :: {:exact, Pose.t()} | {:between, entry(), entry()} | :outside
+  def around(%__MODULE__{recent: [{latest, _} | _]}, time) when time > latest, do: :outside
+
+  def around(%__MODULE__{recent: recent, sorted: sorted}, time),
+    do: in_recent(recent, time, nil, sorted)
+
+  defp in_recent([{time, pose} | _], time, _later, _sorted), do: {:exact, pose}
+
+  defp in_recent([{at, _} = entry | _], time, later, _sorted) when at < time,
+    do: {:between, entry, later}
+
+  defp in_recent([entry | rest], time, _later, sorted), do: in_recent(rest, time, entry, sorted)
+  defp in_recent([], _time, _later, {}), do: :outside
+
+  defp in_recent([], time, later, sorted) do
+    case search(sorted, time, 0, tuple_size(sorted)) do
+      0 ->
+        if time == elem(elem(sorted, 0), 0),
+          do: {:exact, elem(elem(sorted, 0), 1)},
+          else: :outside
+
+      n ->
+        beside(
+          elem(sorted, n - 1),
+          if(n < tuple_size(sorted), do: elem(sorted, n), else: later),
+          time
+        )
+    end
+  end
+
+  defp beside(_before, {time, pose}, time), do: {:exact, pose}
+  defp beside(_before, nil, _time), do: :outside
+  defp beside(before, later, _time), do: {:between, before, later}
+
+  # How many entries lie before `time`.
+  defp search(_sorted, _time, low, high) when low >= high, do: low
+
+  defp search(sorted, time, low, high) do
+    middle = div(low + high, 2)
+
+    if elem(elem(sorted, middle), 0) < time,
+      do: search(sorted, time, middle + 1, high),
+      else: search(sorted, time, low, middle)
+  end
+end

@@ -1,0 +1,22 @@
+defmodule Situ.Space.Kernel do
+  @moduledoc false
+  # The door to the native kernels: turns their failures, and arguments of the wrong kind, into Situ.Error.
+  alias Situ.Error
+  alias Situ.Space.Native
+
+  @doc "Calls a function of `Situ.Space.Native`."
+  @spec call(atom(), [term()]) :: {:ok, term()} | {:error, Error.t()}
+  def call(function, arguments) do
+    case apply(Native, function, arguments) do
+      {:ok, value} -> {:ok, value}
+      {:error, code, what} -> {:error, Error.new(code, what)}
+    end
+  rescue
+    ArgumentError ->
+      {:error,
+       Error.new(
+         :bad_option,
+         "#{function} cannot take these arguments: #{inspect(arguments, limit: 5)}"
+       )}
+  end
+end

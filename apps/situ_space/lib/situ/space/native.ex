@@ -1,0 +1,23 @@
+defmodule Situ.Space.Native do
+  @moduledoc false
+  # Stubs of native/situ_space_nif; all of it runs on dirty schedulers. Situ.Space.Kernel is the one caller.
+
+  @on_load :load
+
+  @doc false
+  def load do
+    path = :filename.join([:code.priv_dir(:situ_space), "native", "situ_space_nif"])
+    :erlang.load_nif(path, 0)
+  end
+
+  def ray_table(_camera, _undistort), do: :erlang.nif_error(:not_loaded)
+  def depth_cloud(_depth, _table, _sparsity, _robust), do: :erlang.nif_error(:not_loaded)
+  def depth_mesh(_depth, _table, _edge, _sparsity), do: :erlang.nif_error(:not_loaded)
+  def downsample(_points, _size), do: :erlang.nif_error(:not_loaded)
+  def clusters(_points, _radius, _least), do: :erlang.nif_error(:not_loaded)
+  def clip(_points, _min, _max), do: :erlang.nif_error(:not_loaded)
+  def transform(_points, _rotation, _position), do: :erlang.nif_error(:not_loaded)
+  def plane(_points, _tolerance, _rounds, _seed), do: :erlang.nif_error(:not_loaded)
+  def normals(_points, _radius, _viewpoint), do: :erlang.nif_error(:not_loaded)
+  def render(_shapes, _position, _rotation, _table, _scale), do: :erlang.nif_error(:not_loaded)
+end

@@ -1,0 +1,44 @@
+defmodule Situ.Space.RayTable do
+  @moduledoc """
+  The direction that every pixel of a camera shows, computed once and used for every depth image of that camera.
+
+      iex> camera = Situ.CameraIntrinsics.new!(width: 4, height: 2, focal: {2, 2})
+      iex> {:ok, table} = Situ.Space.RayTable.new(camera)
+      iex> {table.width, table.height, byte_size(table.rays)}
+      {4, 2, 64}
+  """
+  alias Situ.{CameraIntrinsics, Error}
+  alias Situ.Space.Kernel
+
+  @enforce_keys [:width, :height, :rays]
+  defstruct [:width, :height, :rays]
+
+  @typedoc "`rays` holds two 32-bit little-endian floats a pixel: where its ray meets the plane at distance 1."
+  @type t :: %__MODULE__{width: pos_integer(), height: pos_integer(), rays: binary()}
+
+  @schema [
+    undistort: [
+      type: :boolean,
+      default: true,
+      doc: "Whether the distortion of the lens is taken back."
+    ]
+  ]
+
+  @doc """
+  The table of a camera. Pixels whose distortion cannot be taken back have no ray, and give no point.
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @spec new(CameraIntrinsics.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def new(%CameraIntrinsics{} = c, opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         camera = {c.width, c.height, c.focal, c.principal, c.radial, c.tangential, c.distorts?},
+         {:ok, rays} <- Kernel.call(:ray_table, [camera, opts[:undistort]]),
+         do: {:ok, %__MODULE__{width: c.width, height: c.height, rays: rays}}
+  end
+
+  @doc "A table as it is, or that of a camera."
+  @spec of(t() | CameraIntrinsics.t()) :: {:ok, t()} | {:error, Error.t()}
+  def of(%__MODULE__{} = table), do: {:ok, table}
+  def of(%CameraIntrinsics{} = camera), do: new(camera)
+end

@@ -1,0 +1,108 @@
+defmodule Situ.Space.FramesTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  alias Situ.{Pose, Quaternion, Vector3}
+  alias Situ.Space.Frames
+  doctest Frames
+
+  defp coordinate, do: map(integer(-500, 500), &(&1 / 100))
+
+  defp pose do
+    map({coordinate(), coordinate(), coordinate(), coordinate()}, fn {x, y, z, yaw} ->
+      Pose.new({x, y, z}, Quaternion.from_euler(yaw, 0, 0))
+    end)
+  end
+
+  defp ok({:ok, value}), do: value
+
+  property "there and back is the identity, by whatever way" do
+    forall {a, b, c, point} <-
+             {pose(), pose(), pose(), {coordinate(), coordinate(), coordinate()}} do
+      frames =
+        Frames.new()
+        |> Frames.put_static("a", "world", a)
+        |> ok()
+        |> Frames.put_static("b", "a", b)
+        |> ok()
+        |> Frames.put("c", "world", 5, c)
+        |> ok()
+
+      there = ok(Frames.lookup(frames, "b", "c", 5))
+      back = ok(Frames.lookup(frames, "c", "b", 5))
+      assert Vector3.distance(point, Pose.transform(back, Pose.transform(there, point))) < 1.0e-6
+
+      world = Pose.transform(Pose.compose(a, b), point)
+
+      assert Vector3.distance(
+               Pose.transform(ok(Frames.lookup(frames, "b", "world", 0)), point),
+               world
+             ) < 1.0e-6
+    end
+  end
+
+  property "poses are those of a list of all that was put, whatever the order" do
+    forall {times, asked} <- {list(integer(0, 50)), integer(-5, 55)} do
+      poses = times |> Enum.uniq() |> Enum.map(&{&1, Pose.new({&1 * &1 * 1.0, 0.0, 0.0})})
+
+      frames =
+        Enum.reduce(poses, Frames.new(keep: 1_000), fn {t, p}, f ->
+          ok(Frames.put(f, "m", "w", t, p))
+        end)
+
+      before =
+        poses |> Enum.filter(&(elem(&1, 0) <= asked)) |> Enum.max_by(&elem(&1, 0), fn -> nil end)
+
+      later =
+        poses |> Enum.filter(&(elem(&1, 0) >= asked)) |> Enum.min_by(&elem(&1, 0), fn -> nil end)
+
+      case {before, later, Frames.lookup(frames, "m", "w", asked)} do
+        {{t, pose}, {t, _}, result} ->
+          assert result == {:ok, pose}
+
+        {{s, a}, {t, b}, {:ok, pose}} ->
+          assert pose == Pose.interpolate(a, b, (asked - s) / (t - s))
+
+        {_, _, {:error, error}} ->
+          assert (before == nil or later == nil) and error.code != nil
+      end
+    end
+  end
+
+  test "only the last span is kept, with one pose before it" do
+    frames =
+      Enum.reduce(
+        0..100,
+        Frames.new(keep: 10),
+        &ok(Frames.put(&2, "m", "w", &1, Pose.identity()))
+      )
+
+    assert {:ok, _} = Frames.lookup(frames, "m", "w", 90)
+    assert {:error, %{code: :frame_unknown_at}} = Frames.lookup(frames, "m", "w", 89)
+  end
+
+  test "cycles, second parents and lost connections name the frames" do
+    frames = ok(Frames.put_static(Frames.new(), "b", "a", Pose.identity()))
+    frames = ok(Frames.put_static(frames, "c", "b", Pose.identity()))
+
+    assert {:error, %{code: :frame_cycle, what: what}} =
+             Frames.put_static(frames, "a", "c", Pose.identity())
+
+    assert what == ~s(the frames would form a cycle: "a" in "c" in "b" in "a")
+    assert {:error, %{code: :frame_cycle}} = Frames.put_static(frames, "a", "a", Pose.identity())
+
+    assert {:error, %{code: :frame_conflict}} =
+             Frames.put_static(frames, "c", "a", Pose.identity())
+
+    assert {:error, %{code: :frame_conflict}} = Frames.put(frames, "c", "b", 0, Pose.identity())
+
+    assert {:error, %{code: :frame_not_connected, why: why}} =
+             Frames.lookup(frames, "c", "elsewhere", 0)
+
+    assert why == ~s(the first hangs on "a", the second on "elsewhere")
+
+    assert {:error, %{code: :frame_not_connected}} =
+             frames |> Frames.delete("b") |> Frames.lookup("c", "a", 0)
+
+    assert Frames.list(frames) == [{"b", "a", :static}, {"c", "b", :static}]
+  end
+end

@@ -1,0 +1,145 @@
+//! Clouds made smaller, and cut into parts.
+
+use crate::error::{fail, Code, Result};
+use crate::grid::{bytes, cell, length, points, Cell, Grid, Point};
+use rustc_hash::FxHashMap as HashMap;
+
+/// One point for every cube with edges of `size` metres: the mean of those inside, in the order in which the cubes were
+/// first met, with their number.
+pub fn downsample(cloud: &[u8], size: f64) -> Result<(Vec<u8>, Vec<u32>)> {
+    let size = length(size, "the size of a voxel")?;
+    let points = points(cloud)?;
+    let mut places: HashMap<Cell, usize> = HashMap::default();
+    let mut sums: Vec<([f64; 3], u32)> = Vec::new();
+    for point in &points {
+        let place = *places.entry(cell(point, size)).or_insert(sums.len());
+        if place == sums.len() {
+            sums.push(([0.0; 3], 0));
+        }
+        let (sum, count) = &mut sums[place];
+        for (s, c) in sum.iter_mut().zip(point) {
+            *s += f64::from(*c);
+        }
+        *count += 1;
+    }
+    let means = sums
+        .iter()
+        .map(|(sum, count)| sum.map(|s| (s / f64::from(*count)) as f32));
+    Ok((bytes(means), sums.iter().map(|(_, count)| *count).collect()))
+}
+
+/// For every point the number of its cluster: points closer than `radius` metres belong together. Clusters of fewer than
+/// `least` points are none (`u32::MAX`); the others are numbered from the largest, ties by their first point.
+pub fn clusters(cloud: &[u8], radius: f64, least: usize) -> Result<Vec<u32>> {
+    let radius = length(radius, "the radius")?;
+    let points = points(cloud)?;
+    if points.len() >= u32::MAX as usize {
+        return fail(Code::TooLarge, format!("{} points", points.len()));
+    }
+    let grid = Grid::new(&points, radius);
+    let mut group = vec![u32::MAX; points.len()];
+    let mut sizes: Vec<usize> = Vec::new();
+    for start in 0..points.len() {
+        if group[start] != u32::MAX {
+            continue;
+        }
+        let number = sizes.len() as u32;
+        sizes.push(flood(&grid, &points, start, number, &mut group));
+    }
+    let mut order: Vec<usize> = (0..sizes.len()).filter(|&i| sizes[i] >= least).collect();
+    order.sort_by_key(|&i| (std::cmp::Reverse(sizes[i]), i));
+    let mut names = vec![u32::MAX; sizes.len()];
+    for (name, &i) in order.iter().enumerate() {
+        names[i] = name as u32;
+    }
+    Ok(group.iter().map(|&g| names[g as usize]).collect())
+}
+
+fn flood(grid: &Grid, points: &[Point], start: usize, number: u32, group: &mut [u32]) -> usize {
+    let mut open = vec![start];
+    group[start] = number;
+    let mut size = 0;
+    while let Some(i) = open.pop() {
+        size += 1;
+        grid.around(&points[i], |j| {
+            if group[j] == u32::MAX {
+                group[j] = number;
+                open.push(j);
+            }
+        });
+    }
+    size
+}
+
+/// The points within `min..=max`, in their order, and their places in the cloud.
+pub fn clip(cloud: &[u8], min: [f64; 3], max: [f64; 3]) -> Result<(Vec<u8>, Vec<u32>)> {
+    let points = points(cloud)?;
+    let inside = |p: &Point| (0..3).all(|i| f64::from(p[i]) >= min[i] && f64::from(p[i]) <= max[i]);
+    let kept: Vec<usize> = (0..points.len()).filter(|&i| inside(&points[i])).collect();
+    let places = kept.iter().map(|&i| i as u32).collect();
+    Ok((bytes(kept.into_iter().map(|i| points[i])), places))
+}
+
+/// Every point moved by a rotation (rows of a matrix) and a displacement.
+pub fn transform(cloud: &[u8], rotation: [[f64; 3]; 3], move_by: [f64; 3]) -> Result<Vec<u8>> {
+    let moved = points(cloud)?.into_iter().map(|p| {
+        let p = p.map(f64::from);
+        let mut out = [0.0f32; 3];
+        for (o, (row, d)) in out.iter_mut().zip(rotation.iter().zip(move_by)) {
+            *o = (row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + d) as f32;
+        }
+        out
+    });
+    Ok(bytes(moved))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_voxel_holds_the_mean_of_its_points() -> Result<()> {
+        let cloud = bytes([
+            [0.1, 0.1, 0.1],
+            [5.0, 0.0, 0.0],
+            [0.3, 0.1, 0.1],
+            [-0.1, 0.0, 0.0],
+        ]);
+        let (means, counts) = downsample(&cloud, 1.0)?;
+        assert_eq!(counts, [2, 1, 1]);
+        let first = points(&means)?[0];
+        assert!((first[0] - 0.2).abs() < 1e-6 && (first[1] - 0.1).abs() < 1e-6);
+        Ok(())
+    }
+
+    #[test]
+    fn points_that_touch_are_one_cluster() -> Result<()> {
+        let line = (0..10).map(|i| [i as f32 * 0.1, 0.0, 0.0]);
+        let far = (0..3).map(|i| [5.0, i as f32 * 0.1, 0.0]);
+        let cloud = bytes(far.chain(line).chain([[9.0, 9.0, 9.0]]));
+        let named = clusters(&cloud, 0.15, 2)?;
+        assert_eq!(named[..3], [1, 1, 1]);
+        assert_eq!(named[3..13], [0; 10]);
+        assert_eq!(named[13], u32::MAX);
+        Ok(())
+    }
+
+    #[test]
+    fn clouds_that_are_none_and_lengths_of_nothing_are_refused() {
+        assert!(downsample(&[0; 13], 1.0).is_err());
+        assert!(downsample(&bytes([[f32::NAN, 0.0, 0.0]]), 1.0).is_err());
+        for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(downsample(&[], bad).is_err());
+            assert!(clusters(&[], bad, 1).is_err());
+        }
+        assert_eq!(downsample(&[], 1.0).map(|(b, _)| b.len()), Ok(0));
+    }
+
+    #[test]
+    fn clipping_keeps_the_order_and_tells_the_places() -> Result<()> {
+        let cloud = bytes([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.5, 0.5, 0.5]]);
+        let (kept, places) = clip(&cloud, [-1.0; 3], [1.0; 3])?;
+        assert_eq!((kept.len() / 12, places), (2, vec![0, 2]));
+        Ok(())
+    }
+}

@@ -1,0 +1,271 @@
+//! Clouds and meshes from depth images.
+
+use crate::error::{fail, Code, Result};
+
+/// A depth image: 16-bit little-endian values, 0 where nothing was measured.
+#[derive(Clone, Copy, Debug)]
+pub struct Depth<'a> {
+    width: usize,
+    height: usize,
+    stride: usize,
+    data: &'a [u8],
+    scale: f32,
+    along_ray: bool,
+}
+
+/// Which pixels become points.
+#[derive(Clone, Copy, Debug)]
+pub struct Sampling {
+    /// Every n-th pixel of every n-th row.
+    pub sparsity: usize,
+    /// Only pixels whose eight neighbours were measured too.
+    pub robust: bool,
+}
+
+impl<'a> Depth<'a> {
+    /// A checked view of the bytes. `scale` is metres for a value of 1; `along_ray` says that values measure the ray, not
+    /// the distance of the plane.
+    pub fn new(
+        (width, height, stride): (usize, usize, usize),
+        data: &'a [u8],
+        scale: f64,
+        along_ray: bool,
+    ) -> Result<Depth<'a>> {
+        let row = width.checked_mul(2);
+        let needed = height
+            .checked_sub(1)
+            .and_then(|rows| rows.checked_mul(stride))
+            .zip(row)
+            .and_then(|(above, row)| above.checked_add(row));
+        match (row, needed) {
+            (Some(row), Some(needed)) if width > 0 && row <= stride && needed <= data.len() => {
+                Ok(Depth {
+                    width,
+                    height,
+                    stride,
+                    data,
+                    scale: scale as f32,
+                    along_ray,
+                })
+            }
+            _ => fail(
+                Code::BadDepth,
+                format!(
+                    "{} bytes are no depth image of {width}x{height} with {stride} bytes a row",
+                    data.len()
+                ),
+            ),
+        }
+    }
+
+    fn value(&self, x: usize, y: usize) -> u16 {
+        let at = y * self.stride + 2 * x;
+        match self.data.get(at..at + 2) {
+            Some(bytes) => u16::from_le_bytes([bytes[0], bytes[1]]),
+            None => 0,
+        }
+    }
+
+    fn surrounded(&self, x: usize, y: usize) -> bool {
+        x > 0
+            && y > 0
+            && x + 1 < self.width
+            && y + 1 < self.height
+            && (y - 1..=y + 1).all(|y| (x - 1..=x + 1).all(|x| self.value(x, y) != 0))
+    }
+
+    fn check(&self, table: &[u8]) -> Result<()> {
+        if table.len() == self.width * self.height * 8 {
+            Ok(())
+        } else {
+            fail(
+                Code::BadCamera,
+                format!(
+                    "the table has {} pixels, the depth image {}",
+                    table.len() / 8,
+                    self.width * self.height
+                ),
+            )
+        }
+    }
+
+    fn point(&self, x: usize, y: usize, table: &[u8]) -> Option<[f32; 3]> {
+        let value = self.value(x, y);
+        let at = (y * self.width + x) * 8;
+        let ray = table.get(at..at + 8)?;
+        let nx = f32::from_le_bytes([ray[0], ray[1], ray[2], ray[3]]);
+        let ny = f32::from_le_bytes([ray[4], ray[5], ray[6], ray[7]]);
+        if value == 0 || !nx.is_finite() || !ny.is_finite() {
+            return None;
+        }
+        let mut depth = f32::from(value) * self.scale;
+        if self.along_ray {
+            depth /= (nx * nx + ny * ny + 1.0).sqrt();
+        }
+        Some([depth, -nx * depth, -ny * depth])
+    }
+
+    /// The points of the camera's frame, row by row; pixels without a reading are left out. `table` is a camera's
+    /// (`Camera::table`), as bytes.
+    pub fn cloud(&self, table: &[u8], sampling: Sampling) -> Result<Vec<u8>> {
+        self.check(table)?;
+        let step = sampling.sparsity.max(1);
+        let mut out =
+            Vec::with_capacity(self.width.div_ceil(step) * self.height.div_ceil(step) * 12);
+        for y in (0..self.height).step_by(step) {
+            for x in (0..self.width).step_by(step) {
+                if sampling.robust && !self.surrounded(x, y) {
+                    continue;
+                }
+                if let Some([px, py, pz]) = self.point(x, y, table) {
+                    out.extend_from_slice(&px.to_le_bytes());
+                    out.extend_from_slice(&py.to_le_bytes());
+                    out.extend_from_slice(&pz.to_le_bytes());
+                }
+            }
+        }
+        Ok(out)
+    }
+
+    /// Triangles between neighbouring pixels, whose depths differ by at most `edge` metres: vertices and indices.
+    pub fn mesh(&self, table: &[u8], edge: f64, sparsity: usize) -> Result<(Vec<u8>, Vec<u8>)> {
+        self.check(table)?;
+        let step = sparsity.max(1);
+        let (columns, rows) = (self.width.div_ceil(step), self.height.div_ceil(step));
+        let mut vertices = Vec::new();
+        let mut numbers = vec![u32::MAX; columns * rows];
+        let mut count = 0u32;
+        for row in 0..rows {
+            for column in 0..columns {
+                if let Some(point) = self.point(column * step, row * step, table) {
+                    point
+                        .iter()
+                        .for_each(|c| vertices.extend_from_slice(&c.to_le_bytes()));
+                    numbers[row * columns + column] = count;
+                    count += 1;
+                }
+            }
+        }
+        let depth = |column: usize, row: usize| {
+            f64::from(self.value(column * step, row * step)) * f64::from(self.scale)
+        };
+        let mut indices = Vec::new();
+        for row in 1..rows {
+            for column in 1..columns {
+                let corners = [
+                    (column - 1, row - 1),
+                    (column, row - 1),
+                    (column - 1, row),
+                    (column, row),
+                ];
+                for triangle in [[0, 2, 1], [1, 2, 3]] {
+                    let corners = triangle.map(|i: usize| corners[i]);
+                    let number = corners.map(|(c, r)| numbers[r * columns + c]);
+                    let depths = corners.map(|(c, r)| depth(c, r));
+                    let near = depths.iter().fold(f64::INFINITY, |a, b| a.min(*b));
+                    let far = depths.iter().fold(0.0f64, |a, b| a.max(*b));
+                    if number.iter().all(|n| *n != u32::MAX) && far - near <= edge {
+                        number
+                            .iter()
+                            .for_each(|n| indices.extend_from_slice(&n.to_le_bytes()));
+                    }
+                }
+            }
+        }
+        Ok((vertices, indices))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(width: usize, height: usize) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        for y in 0..height {
+            for x in 0..width {
+                bytes.extend_from_slice(&(x as f32).to_le_bytes());
+                bytes.extend_from_slice(&(y as f32).to_le_bytes());
+            }
+        }
+        bytes
+    }
+
+    fn depth(values: &[u16]) -> Vec<u8> {
+        values.iter().flat_map(|v| v.to_le_bytes()).collect()
+    }
+
+    fn floats(bytes: &[u8]) -> Vec<f32> {
+        bytes
+            .chunks_exact(4)
+            .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+            .collect()
+    }
+
+    const ALL: Sampling = Sampling {
+        sparsity: 1,
+        robust: false,
+    };
+
+    #[test]
+    fn points_lie_on_their_rays_and_unknown_pixels_are_left_out() -> Result<()> {
+        let data = depth(&[1000, 0, 2000, 500]);
+        let d = Depth::new((2, 2, 4), &data, 0.001, false)?;
+        let points = floats(&d.cloud(&table(2, 2), ALL)?);
+        assert_eq!(points, [1.0, -0.0, -0.0, 2.0, -0.0, -2.0, 0.5, -0.5, -0.5]);
+        Ok(())
+    }
+
+    #[test]
+    fn a_depth_along_the_ray_is_shorter_on_the_axis() -> Result<()> {
+        let data = depth(&[1000, 1732]);
+        let d = Depth::new((2, 1, 4), &data, 0.001, true)?;
+        let mut rays = table(2, 1);
+        rays[12..16].copy_from_slice(&1.0f32.to_le_bytes());
+        let points = floats(&d.cloud(&rays, ALL)?);
+        assert!((points[3] - 1.732 / 3.0f32.sqrt()).abs() < 1e-6);
+        Ok(())
+    }
+
+    #[test]
+    fn robust_points_have_eight_measured_neighbours() -> Result<()> {
+        let mut values = [1000u16; 16];
+        values[0] = 0;
+        let data = depth(&values);
+        let d = Depth::new((4, 4, 8), &data, 0.001, false)?;
+        let robust = Sampling {
+            robust: true,
+            ..ALL
+        };
+        assert_eq!(d.cloud(&table(4, 4), robust)?.len() / 12, 3);
+        assert_eq!(
+            d.cloud(&table(4, 4), Sampling { sparsity: 2, ..ALL })?
+                .len()
+                / 12,
+            3
+        );
+        Ok(())
+    }
+
+    #[test]
+    fn triangles_do_not_bridge_an_edge() -> Result<()> {
+        let data = depth(&[1000, 1000, 3000, 1000, 1000, 3000]);
+        let d = Depth::new((3, 2, 6), &data, 0.001, false)?;
+        let (vertices, indices) = d.mesh(&table(3, 2), 0.2, 1)?;
+        assert_eq!((vertices.len() / 12, indices.len() / 12), (6, 2));
+        let (_, all) = d.mesh(&table(3, 2), 5.0, 1)?;
+        assert_eq!(all.len() / 12, 4);
+        Ok(())
+    }
+
+    #[test]
+    fn images_and_tables_that_do_not_fit_are_refused() -> Result<()> {
+        assert!(Depth::new((2, 2, 4), &[0; 7], 1.0, false).is_err());
+        assert!(Depth::new((0, 2, 4), &[0; 8], 1.0, false).is_err());
+        assert!(Depth::new((usize::MAX, usize::MAX, usize::MAX), &[0; 8], 1.0, false).is_err());
+        let data = [0; 8];
+        let d = Depth::new((2, 2, 4), &data, 1.0, false)?;
+        assert!(d.cloud(&[0; 31], ALL).is_err());
+        Ok(())
+    }
+}

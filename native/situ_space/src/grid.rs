@@ -1,0 +1,108 @@
+//! Points in cubes: everything within a radius is in the cube of a point or in one of the 26 around it.
+
+use crate::error::{fail, Code, Result};
+use rustc_hash::FxHashMap as HashMap;
+
+/// A point as its three coordinates.
+pub type Point = [f32; 3];
+
+/// The points of the bytes; those with coordinates that are not finite are an error.
+pub fn points(bytes: &[u8]) -> Result<Vec<Point>> {
+    if !bytes.len().is_multiple_of(12) {
+        return fail(
+            Code::BadCloud,
+            format!("{} bytes are no whole number of points", bytes.len()),
+        );
+    }
+    let points: Vec<Point> = bytes
+        .chunks_exact(12)
+        .map(|b| {
+            [
+                f32::from_le_bytes([b[0], b[1], b[2], b[3]]),
+                f32::from_le_bytes([b[4], b[5], b[6], b[7]]),
+                f32::from_le_bytes([b[8], b[9], b[10], b[11]]),
+            ]
+        })
+        .collect();
+    match points.iter().position(|p| p.iter().any(|c| !c.is_finite())) {
+        Some(at) => fail(Code::BadCloud, format!("point {at} is not finite")),
+        None => Ok(points),
+    }
+}
+
+/// The bytes of points.
+pub fn bytes(points: impl IntoIterator<Item = Point>) -> Vec<u8> {
+    let mut out = Vec::new();
+    for point in points {
+        point
+            .iter()
+            .for_each(|c| out.extend_from_slice(&c.to_le_bytes()));
+    }
+    out
+}
+
+/// The cube of a point, by its indices.
+pub type Cell = [i64; 3];
+
+/// The cube with edges of `size` that holds the point.
+pub fn cell(point: &Point, size: f32) -> Cell {
+    point.map(|c| (f64::from(c) / f64::from(size)).floor() as i64)
+}
+
+/// A length in metres that can be an edge or a radius.
+pub fn length(value: f64, name: &str) -> Result<f32> {
+    if (1e-6..=1e6).contains(&value) {
+        Ok(value as f32)
+    } else {
+        fail(
+            Code::BadOption,
+            format!("{name} is a length between 1e-6 and 1e6 metres, got: {value}"),
+        )
+    }
+}
+
+/// Finds all points within one radius of a point.
+pub struct Grid<'a> {
+    points: &'a [Point],
+    radius: f32,
+    cells: HashMap<Cell, Vec<u32>>,
+}
+
+impl<'a> Grid<'a> {
+    /// Sorts the points into cubes.
+    pub fn new(points: &'a [Point], radius: f32) -> Grid<'a> {
+        let mut cells: HashMap<Cell, Vec<u32>> = HashMap::default();
+        for (i, point) in points.iter().enumerate() {
+            cells.entry(cell(point, radius)).or_default().push(i as u32);
+        }
+        Grid {
+            points,
+            radius,
+            cells,
+        }
+    }
+
+    /// Calls `found` with the number of each point within the radius, the point itself among them.
+    pub fn around(&self, point: &Point, mut found: impl FnMut(usize)) {
+        let middle = cell(point, self.radius);
+        let limit = self.radius * self.radius;
+        for dx in -1..=1 {
+            for dy in -1..=1 {
+                for dz in -1..=1 {
+                    let near = [middle[0] + dx, middle[1] + dy, middle[2] + dz];
+                    for &i in self.cells.get(&near).into_iter().flatten() {
+                        if distance2(&self.points[i as usize], point) <= limit {
+                            found(i as usize);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The squared distance.
+pub fn distance2(a: &Point, b: &Point) -> f32 {
+    let (x, y, z) = (a[0] - b[0], a[1] - b[1], a[2] - b[2]);
+    x * x + y * y + z * z
+}

@@ -1,0 +1,13 @@
+//! Kernels of space: clouds and meshes from depth, and what is computed from clouds.
+//!
+//! Points are three little-endian 32-bit floats, in metres: x forward, y left, z up. No BEAM types here.
+#![deny(missing_docs)]
+
+pub mod camera;
+pub mod cloud;
+pub mod depth;
+pub mod error;
+pub mod grid;
+pub mod normals;
+pub mod plane;
+pub mod room;

@@ -1,0 +1,266 @@
+//! A room seen by a depth camera, exactly: rays against boxes and capsules.
+
+use crate::error::{fail, Code, Result};
+use crate::grid::Point;
+
+/// Something in the room, with a colour (red, green, blue).
+#[derive(Clone, Copy, Debug)]
+pub enum Shape {
+    /// An upright box seen from outside (from inside: the walls of the room).
+    Box {
+        /// Least corner.
+        min: Point,
+        /// Greatest corner.
+        max: Point,
+        /// Colour.
+        color: [u8; 3],
+    },
+    /// All points within a radius of a line: a limb, or a ball where both ends are one.
+    Capsule {
+        /// One end.
+        from: Point,
+        /// The other end.
+        to: Point,
+        /// Metres.
+        radius: f32,
+        /// Colour.
+        color: [u8; 3],
+    },
+}
+
+/// Where the camera is: its position, and the rows of its rotation matrix.
+#[derive(Clone, Copy, Debug)]
+pub struct Viewpoint {
+    /// Metres.
+    pub position: Point,
+    /// Takes directions of the camera's frame to the room's.
+    pub rotation: [[f32; 3]; 3],
+}
+
+fn dot(a: &Point, b: &Point) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn minus(a: &Point, b: &Point) -> Point {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+impl Shape {
+    /// The distance along a ray (in lengths of its direction), and the normal there.
+    fn hit(&self, origin: &Point, ray: &Point) -> Option<(f32, Point)> {
+        match self {
+            Shape::Box { min, max, .. } => hit_box(min, max, origin, ray),
+            Shape::Capsule {
+                from, to, radius, ..
+            } => hit_capsule(from, to, *radius, origin, ray),
+        }
+    }
+
+    fn color(&self) -> [u8; 3] {
+        match self {
+            Shape::Box { color, .. } | Shape::Capsule { color, .. } => *color,
+        }
+    }
+}
+
+fn hit_box(min: &Point, max: &Point, origin: &Point, ray: &Point) -> Option<(f32, Point)> {
+    let (mut enter, mut leave) = (f32::NEG_INFINITY, f32::INFINITY);
+    let (mut entry, mut exit) = ([0.0; 3], [0.0; 3]);
+    for axis in 0..3 {
+        let inverse = 1.0 / ray[axis];
+        let (a, b) = (
+            (min[axis] - origin[axis]) * inverse,
+            (max[axis] - origin[axis]) * inverse,
+        );
+        let (near, far) = if a <= b { (a, b) } else { (b, a) };
+        let facing = if ray[axis] > 0.0 { -1.0 } else { 1.0 };
+        if near > enter {
+            enter = near;
+            entry = [0.0; 3];
+            entry[axis] = facing;
+        }
+        if far < leave {
+            leave = far;
+            exit = [0.0; 3];
+            exit[axis] = facing;
+        }
+    }
+    if enter > leave || leave <= 0.0 {
+        None
+    } else if enter > 0.0 {
+        Some((enter, entry))
+    } else {
+        Some((leave, exit))
+    }
+}
+
+fn hit_ball(center: &Point, radius: f32, origin: &Point, ray: &Point) -> Option<(f32, Point)> {
+    let from = minus(origin, center);
+    let (a, b, c) = (
+        dot(ray, ray),
+        dot(&from, ray),
+        dot(&from, &from) - radius * radius,
+    );
+    let under = b * b - a * c;
+    if under < 0.0 {
+        return None;
+    }
+    let t = (-b - under.sqrt()) / a;
+    (t > 0.0).then(|| {
+        let p = std::array::from_fn(|i| (from[i] + t * ray[i]) / radius);
+        (t, p)
+    })
+}
+
+fn hit_capsule(
+    a: &Point,
+    b: &Point,
+    radius: f32,
+    origin: &Point,
+    ray: &Point,
+) -> Option<(f32, Point)> {
+    let axis = minus(b, a);
+    let from = minus(origin, a);
+    let (length2, along, start) = (dot(&axis, &axis), dot(&axis, ray), dot(&axis, &from));
+    let qa = length2 * dot(ray, ray) - along * along;
+    if length2 > 0.0 && qa > 1e-12 {
+        let qb = length2 * dot(&from, ray) - start * along;
+        let qc = length2 * (dot(&from, &from) - radius * radius) - start * start;
+        let under = qb * qb - qa * qc;
+        if under < 0.0 {
+            return None;
+        }
+        let t = (-qb - under.sqrt()) / qa;
+        let y = start + t * along;
+        if t > 0.0 && y > 0.0 && y < length2 {
+            let s = y / length2;
+            let normal = std::array::from_fn(|i| (from[i] + t * ray[i] - s * axis[i]) / radius);
+            return Some((t, normal));
+        }
+    }
+    let (near, far) = (
+        hit_ball(a, radius, origin, ray),
+        hit_ball(b, radius, origin, ray),
+    );
+    match (near, far) {
+        (Some(x), Some(y)) => Some(if x.0 <= y.0 { x } else { y }),
+        (x, y) => x.or(y),
+    }
+}
+
+/// The room as a camera sees it, whose pixels' rays stand in `table` (two floats a pixel): depth to the plane in units of
+/// `scale` metres (0 beyond the range of 16 bits), and the colours (red, green, blue), shaded by a lamp at the camera.
+pub fn render(
+    shapes: &[Shape],
+    view: &Viewpoint,
+    table: &[u8],
+    scale: f64,
+) -> Result<(Vec<u8>, Vec<u8>)> {
+    if table.is_empty() || !table.len().is_multiple_of(8) {
+        return fail(Code::BadCamera, "the table has no whole number of pixels");
+    }
+    if !(scale.is_finite() && scale > 0.0) {
+        return fail(
+            Code::BadOption,
+            format!("a depth scale of {scale} m is impossible"),
+        );
+    }
+    let pixels = table.len() / 8;
+    let mut depth = Vec::with_capacity(pixels * 2);
+    let mut rgb = Vec::with_capacity(pixels * 3);
+    for bytes in table.chunks_exact(8) {
+        let nx = f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+        let ny = f32::from_le_bytes([bytes[4], bytes[5], bytes[6], bytes[7]]);
+        let (value, color) = pixel(shapes, view, nx, ny, scale);
+        depth.extend_from_slice(&value.to_le_bytes());
+        rgb.extend_from_slice(&color);
+    }
+    Ok((depth, rgb))
+}
+
+fn pixel(shapes: &[Shape], view: &Viewpoint, nx: f32, ny: f32, scale: f64) -> (u16, [u8; 3]) {
+    if !(nx.is_finite() && ny.is_finite()) {
+        return (0, [0; 3]);
+    }
+    // A length of 1 along the ray is a depth of 1 m.
+    let local = [1.0, -nx, -ny];
+    let ray: Point = std::array::from_fn(|i| dot(&view.rotation[i], &local));
+    let mut nearest: Option<(f32, Point, [u8; 3])> = None;
+    for shape in shapes {
+        if let Some((t, normal)) = shape.hit(&view.position, &ray) {
+            if nearest.is_none_or(|(least, _, _)| t < least) {
+                nearest = Some((t, normal, shape.color()));
+            }
+        }
+    }
+    match nearest {
+        None => (0, [0; 3]),
+        Some((t, normal, color)) => {
+            let light = (dot(&normal, &ray).abs() / dot(&ray, &ray).sqrt()).clamp(0.0, 1.0);
+            let value = (f64::from(t) / scale).round();
+            let value = if value <= f64::from(u16::MAX) {
+                value as u16
+            } else {
+                0
+            };
+            (
+                value,
+                color.map(|c| (f32::from(c) * (0.35 + 0.65 * light)) as u8),
+            )
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LEVEL: Viewpoint = Viewpoint {
+        position: [0.0, 0.0, 1.0],
+        rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+    };
+    const ROOM: Shape = Shape::Box {
+        min: [-1.0, -2.0, 0.0],
+        max: [4.0, 2.0, 3.0],
+        color: [200, 200, 200],
+    };
+
+    fn depth_at(shapes: &[Shape], nx: f32, ny: f32) -> u16 {
+        pixel(shapes, &LEVEL, nx, ny, 0.001).0
+    }
+
+    #[test]
+    fn walls_floor_and_things_are_where_they_are() {
+        assert_eq!(depth_at(&[ROOM], 0.0, 0.0), 4000);
+        // Down to the floor at 45 degrees: one metre ahead.
+        assert_eq!(depth_at(&[ROOM], 0.0, 1.0), 1000);
+        // To the right at 45 degrees: the wall is 2 m to the side.
+        assert_eq!(depth_at(&[ROOM], 1.0, 0.0), 2000);
+        let ball = Shape::Capsule {
+            from: [2.0, 0.0, 1.0],
+            to: [2.0, 0.0, 1.0],
+            radius: 0.5,
+            color: [255, 0, 0],
+        };
+        assert_eq!(depth_at(&[ROOM, ball], 0.0, 0.0), 1500);
+        let person = Shape::Capsule {
+            from: [2.0, 0.0, 0.2],
+            to: [2.0, 0.0, 1.6],
+            radius: 0.2,
+            color: [0, 0, 255],
+        };
+        assert_eq!(depth_at(&[ROOM, person], 0.0, 0.0), 1800);
+        assert_eq!(
+            depth_at(&[ROOM, person], 0.2, 0.0),
+            depth_at(&[ROOM], 0.2, 0.0)
+        );
+    }
+
+    #[test]
+    fn nothing_is_black_and_unknown() {
+        assert_eq!(pixel(&[], &LEVEL, 0.0, 0.0, 0.001), (0, [0; 3]));
+        assert_eq!(pixel(&[ROOM], &LEVEL, f32::NAN, 0.0, 0.001), (0, [0; 3]));
+        assert!(render(&[ROOM], &LEVEL, &[0; 7], 0.001).is_err());
+        assert!(render(&[ROOM], &LEVEL, &[0; 8], 0.0).is_err());
+    }
+}
