@@ -22,7 +22,7 @@ defmodule Situ.Number do
   @doc "Sum; a sum too large for a float is infinite."
   @spec add(t(), t()) :: t()
   def add(a, b) when is_integer(a) and is_integer(b), do: a + b
-  def add(a, b) when is_number(a) and is_number(b), do: guard(fn -> a + b end, sign(a))
+  def add(a, b) when is_number(a) and is_number(b), do: sum(a, b)
   def add(:nan, b), do: nan(b)
   def add(a, :nan), do: nan(a)
   def add(:infinity, :neg_infinity), do: :nan
@@ -34,14 +34,14 @@ defmodule Situ.Number do
   @doc "Difference."
   @spec subtract(t(), t()) :: t()
   def subtract(a, b) when is_integer(a) and is_integer(b), do: a - b
+  def subtract(a, b) when is_float(a) and is_float(b), do: sum(a, -b)
   def subtract(a, b), do: add(a, negate(b))
 
   @doc "Product."
   @spec multiply(t(), t()) :: t()
   def multiply(a, b) when is_integer(a) and is_integer(b), do: a * b
 
-  def multiply(a, b) when is_number(a) and is_number(b),
-    do: guard(fn -> a * b end, sign(a) * sign(b))
+  def multiply(a, b) when is_number(a) and is_number(b), do: product(a, b)
 
   def multiply(:nan, b), do: nan(b)
   def multiply(a, :nan), do: nan(a)
@@ -49,8 +49,7 @@ defmodule Situ.Number do
 
   @doc "Quotient, always a float; by zero it is infinite, or `:nan` for 0/0."
   @spec divide(t(), t()) :: t()
-  def divide(a, b) when is_number(a) and is_number(b) and b != 0,
-    do: guard(fn -> a / b end, sign(a) * sign(b))
+  def divide(a, b) when is_number(a) and is_number(b) and b != 0, do: quotient(a, b)
 
   def divide(:nan, b), do: nan(b)
   def divide(a, :nan), do: nan(a)
@@ -178,10 +177,22 @@ defmodule Situ.Number do
   defp of_sign(0), do: :nan
 
   # The VM raises where IEEE 754 gives an infinite result.
-  defp guard(fun, sign) do
-    fun.()
+  defp sum(a, b) do
+    a + b
   rescue
-    ArithmeticError -> of_sign(sign)
+    ArithmeticError -> of_sign(sign(a))
+  end
+
+  defp product(a, b) do
+    a * b
+  rescue
+    ArithmeticError -> of_sign(sign(a) * sign(b))
+  end
+
+  defp quotient(a, b) do
+    a / b
+  rescue
+    ArithmeticError -> of_sign(sign(a) * sign(b))
   end
 
   defp infinite(a) when a in [:infinity, :neg_infinity], do: a

@@ -24,6 +24,8 @@ defmodule Situ.Component do
     * `{:complete, time}` or `{:complete, :infinity}`: a source knows its last originating time, or that it has none;
     * `{:close, output}` or `{:close, output, time}`: nothing more will come out of this output;
     * `{:timer, key, time}`: call `handle_info({:timer, key}, ...)` when the pipeline's clock reaches `time`;
+    * `{:continue, term}`: call `handle_info({:continue, term}, ...)` as soon as the outputs have room, before anything else is taken in: for
+      what gives more than a few hundred messages at once;
     * `{:hold, input}`: take nothing from `input` for 20 ms of real time (then `handle_info({:hold_ended, input}, ...)` is called), or until
       `{:resume, input}`: its producer runs out of demand and waits. For components that must not let one input run far ahead;
     * `{:detach, input, opts}`: an input that `handle_attach/5` took is not needed any more; `opts` are the component's options from now on;
@@ -41,6 +43,7 @@ defmodule Situ.Component do
           | {:close, output :: atom()}
           | {:close, output :: atom(), Situ.Time.t()}
           | {:timer, key :: term(), Situ.Time.t()}
+          | {:continue, term()}
           | {:hold, input :: atom()}
           | {:resume, input :: atom()}
           | {:detach, input :: atom(), opts :: keyword()}

@@ -52,7 +52,8 @@ defmodule Situ.Aggregate do
   import Kernel, except: [abs: 1, max: 2, min: 2]
 
   alias Situ.Graph.Placement
-  alias Situ.{Interval, Number, Operator, Statistics, Stream, Window}
+  alias Situ.{Number, Operator, Statistics, Stream, Window}
+  alias Situ.Statistics.Sliding
 
   @doc """
   Folds without an initial value: the first message passes as it is, then `fun.(data, previous_output)`.
@@ -146,20 +147,38 @@ defmodule Situ.Aggregate do
   end
 
   defp over({:last, n}, stream, spec, opts) when is_integer(n) and n > 0,
-    do: history(stream, (1 - n)..0, spec, opts)
+    do: history(stream, spec, opts, &last(&1, n))
 
   defp over({:past, span}, stream, spec, opts) when is_integer(span) and span >= 0,
-    do: history(stream, Interval.past(span), spec, opts)
+    do: history(stream, spec, opts, &past(&1, span))
 
   defp over(other, _stream, _spec, _opts) do
     raise ArgumentError,
           "over: is :all, :list, {:last, n} or {:past, ns}, got: #{inspect(other)}"
   end
 
-  defp history(stream, window, {kind, name, own}, opts) do
+  defp history(stream, {kind, name, own}, opts, step) do
     {stream, own} = narrowed(stream, own)
-    fun = fn list -> list |> picked(own) |> listed(kind, own) end
-    Window.window(stream, window, fun, name(name, opts))
+    window = Sliding.new(kind, Keyword.take(own, [:compare]))
+    Operator.attach(stream, name, {:step, step.(own[:by] || (& &1)), window}, opts, :any)
+  end
+
+  defp last(by, n) do
+    fn data, message, window ->
+      window = if Sliding.size(window) == n, do: Sliding.pop(window), else: window
+      window = Sliding.push(window, message.originating_time, by.(data))
+
+      if Sliding.size(window) == n,
+        do: {:emit, Sliding.result(window), window},
+        else: {:skip, window}
+    end
+  end
+
+  defp past(by, span) do
+    fn data, %{originating_time: time}, window ->
+      window = window |> Sliding.since(time - span) |> Sliding.push(time, by.(data))
+      {:emit, Sliding.result(window), window}
+    end
   end
 
   defp narrowed(stream, own) do

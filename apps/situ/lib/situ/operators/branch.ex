@@ -17,16 +17,10 @@ defmodule Situ.Branch do
   """
 
   alias Situ.{Error, Graph, Message, Stream}
-  alias Situ.Branch.{Chained, Network}
+  alias Situ.Branch.{Chained, Inlet, Network, Path}
 
   @type t :: Chained.t() | Network.t()
   @type outputs :: [{Situ.Time.t(), term()}]
-
-  defmodule Inlet do
-    @moduledoc false
-    # Stands for the world outside, where the branch's graph begins.
-    use Situ.Component, inputs: [], outputs: [out: :any]
-  end
 
   @typedoc "Where branches begin: a graph that holds the way in and nothing else."
   @opaque seed :: {Graph.t(), Stream.t()}
@@ -56,15 +50,9 @@ defmodule Situ.Branch do
 
     case Chained.plan(graph, inlet.node, result, path) do
       {:ok, chained} -> chained
-      :error -> Network.start(graph, inlet.node, result, path(path), opts[:context])
+      :error -> Network.start(graph, inlet.node, result, Path.to_string(path), opts[:context])
     end
   end
-
-  @doc false
-  # Branches are many and errors few: their names are made when one is wanted.
-  @spec path(String.t() | {String.t(), term()}) :: String.t()
-  def path({path, key}), do: "#{path}[#{inspect(key, limit: 5, printable_limit: 40)}]"
-  def path(path), do: path
 
   defp build(fun, graph, inlet) do
     handle = Graph.Builder.open(graph)
@@ -100,15 +88,15 @@ defmodule Situ.Branch do
 
   defp allowed!({inlet, _vertex}, inlet), do: :ok
 
-  defp allowed!({_id, %{module: Situ.Parallel.Processes} = vertex}, _inlet) do
-    raise Error.new(
-            :not_in_branch,
-            "#{vertex.path} has branches in processes inside of a branch that is a value",
-            fix: "give the outer parallel branches: :processes, too"
-          )
-  end
-
   defp allowed!({_id, vertex}, _inlet) do
+    if is_list(vertex.opts) and vertex.opts[:branches] == :processes do
+      raise Error.new(
+              :not_in_branch,
+              "#{vertex.path} has branches in processes inside of a branch that is a value",
+              fix: "give the outer parallel branches: :processes, too"
+            )
+    end
+
     if Graph.Vertex.source?(vertex) do
       raise Error.new(:not_in_branch, "#{vertex.path} is a source inside of a parallel branch",
               why: "a branch only answers what comes in",

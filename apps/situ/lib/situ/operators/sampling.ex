@@ -10,20 +10,34 @@ defmodule Situ.Sampling do
       iex> {outputs, _sampling} = Situ.Sampling.push(sampling, messages)
       iex> outputs
       [{:out, 0, 0}, {:out, 30, 40}]
+
+  A long gap in the source has many ticks. At most some hundred are made at a time; as long as `more?/1` is true, `more/1` makes the next
+  ones, so that memory does not depend on the gap.
+
+      iex> sampling = Situ.Sampling.new(Situ.Reproducible.linear(), 1, 0)
+      iex> messages = for t <- [0, 1_000_000_000], do: %Situ.Message{originating_time: t, data: t}
+      iex> {outputs, sampling} = Situ.Sampling.push(sampling, messages)
+      iex> {length(outputs), Situ.Sampling.more?(sampling)}
+      {256, true}
   """
 
-  alias Situ.{Interpolator, Message}
+  alias Situ.{Component, Interpolator, Message}
+  alias Situ.Fusion.MessageQueue
+
+  @slice 256
 
   @enforce_keys [:interpolator, :interval, :tick]
-  defstruct [:interpolator, :interval, :tick, front: [], rear: [], last: nil]
+  defstruct [:interpolator, :interval, :tick, :until, :closed, queue: {[], []}, more?: false]
 
+  @typedoc "`until`: the time that the source has reached; `closed`: the time at which it ended."
   @type t :: %__MODULE__{
           interpolator: Interpolator.t(),
           interval: Situ.Time.duration(),
           tick: Situ.Time.t(),
-          front: [Message.t()],
-          rear: [[Message.t()]],
-          last: Situ.Time.t() | nil
+          until: Situ.Time.t() | nil,
+          closed: Situ.Time.t() | nil,
+          queue: MessageQueue.t(),
+          more?: boolean()
         }
 
   @doc "Ticks from `start` (or the first aligned time at or after it)."
@@ -50,44 +64,52 @@ defmodule Situ.Sampling do
   def first_tick(start, interval, align), do: start + Integer.mod(align - start, interval)
 
   @doc "Messages of the source arrived."
-  @spec push(t(), [Message.t()]) :: {[Situ.Component.action()], t()}
+  @spec push(t(), [Message.t()]) :: {[Component.action()], t()}
   def push(sampling, []), do: {[], sampling}
 
   def push(sampling, messages) do
-    last = List.last(messages).originating_time
-    run(%{sampling | rear: [messages | sampling.rear], last: last}, last, nil, [])
+    until = MessageQueue.last(messages).originating_time
+    more(%{sampling | queue: MessageQueue.push(sampling.queue, messages), until: until})
   end
 
   @doc "The source ended at `time`: ticks up to and including it are decided."
-  @spec close(t(), Situ.Time.t()) :: {[Situ.Component.action()], t()}
-  def close(sampling, time), do: run(merge(sampling), time, time, [])
+  @spec close(t(), Situ.Time.t()) :: {[Component.action()], t()}
+  def close(sampling, time),
+    do: more(%{sampling | queue: MessageQueue.whole(sampling.queue), until: time, closed: time})
 
-  defp run(%{tick: tick} = sampling, until, _closed, outputs) when tick > until,
-    do: {Enum.reverse(outputs), sampling}
+  @doc "Whether there are ticks that can be decided now."
+  @spec more?(t()) :: boolean()
+  def more?(sampling), do: sampling.more?
 
-  defp run(%{tick: tick} = sampling, until, closed, outputs) do
-    case Interpolator.interpolate(sampling.interpolator, tick, sampling.front, closed) do
+  @doc "The next ticks of those that can be decided."
+  @spec more(t()) :: {[Component.action()], t()}
+  def more(sampling), do: run(sampling, @slice, [])
+
+  defp run(%{tick: tick, until: until} = sampling, _left, outputs) when tick > until,
+    do: {:lists.reverse(outputs), %{sampling | more?: false}}
+
+  defp run(sampling, 0, outputs), do: {:lists.reverse(outputs), %{sampling | more?: true}}
+
+  defp run(%{tick: tick, queue: {front, rear}} = sampling, left, outputs) do
+    case Interpolator.interpolate(sampling.interpolator, tick, front, sampling.closed) do
       {:created, value, obsolete} ->
-        run(step(sampling, obsolete), until, closed, [{:out, tick, value} | outputs])
+        run(step(sampling, obsolete), left - 1, [{:out, tick, value} | outputs])
 
       {:does_not_exist, obsolete} ->
-        run(step(sampling, obsolete), until, closed, outputs)
+        run(step(sampling, obsolete), left - 1, outputs)
 
-      _undecided when sampling.rear != [] ->
-        run(merge(sampling), until, closed, outputs)
+      _undecided when rear != [] ->
+        run(%{sampling | queue: MessageQueue.whole(sampling.queue)}, left, outputs)
 
       _undecided ->
-        {Enum.reverse(outputs), sampling}
+        {:lists.reverse(outputs), %{sampling | more?: false}}
     end
   end
 
   defp step(sampling, nil), do: %{sampling | tick: sampling.tick + sampling.interval}
 
-  defp step(sampling, obsolete) do
-    front = Enum.drop_while(sampling.front, &(&1.originating_time < obsolete))
-    %{sampling | tick: sampling.tick + sampling.interval, front: front}
+  defp step(%{queue: {front, rear}} = sampling, obsolete) do
+    front = Enum.drop_while(front, &(&1.originating_time < obsolete))
+    %{sampling | tick: sampling.tick + sampling.interval, queue: {front, rear}}
   end
-
-  defp merge(%{front: front, rear: rear} = sampling),
-    do: %{sampling | front: front ++ Enum.concat(Enum.reverse(rear)), rear: []}
 end

@@ -32,7 +32,7 @@ defmodule Situ.Selection do
       iex> Situ.to_list(fn p -> p |> Situ.from_enumerable(1..9, every: 10) |> Situ.last(2) end)
       [8, 9]
 
-  All but `latency/2` (which shows timing) and `delay/3` (which waits by the clock, its values and times being the input's) are reproducible.
+  All but `latency/2`, which shows timing, are reproducible.
   They take the options of every operator (`Situ.Graph.Placement`).
   """
 
@@ -79,7 +79,7 @@ defmodule Situ.Selection do
     Operator.attach(stream, "TimeOf", step, opts, :integer)
   end
 
-  @doc "Creation time minus originating time of each message as its data, ns: how late it is here."
+  @doc "Creation time minus originating time of each message as its data, ns: how late it is here. Reproducible: no."
   @spec latency(Stream.t(), keyword()) :: Stream.t()
   def latency(stream, opts \\ []) do
     step = {:map, fn _data, message -> Situ.Message.latency(message) end}
@@ -87,8 +87,10 @@ defmodule Situ.Selection do
   end
 
   @doc """
-  Holds each message until its creation time plus `duration` (ns) on the pipeline's clock; its times stay what they are. When the pipeline
-  does not run by a clock (speed `:max`) there is no wait.
+  Holds each message until its creation time plus `duration` (ns) on the pipeline's clock. Its times and data stay as they are, and none is
+  lost: when the stream ends, the messages that are still held come out at once. Without an enforced clock (speed `:max`) there is no wait.
+
+  Reproducible: yes. The clock decides when a message comes out, not whether; operators that go by arrival (`pair/3`, `merge/3`) see it later.
   """
   @spec delay(Stream.t(), Situ.Time.duration(), keyword()) :: Stream.t()
   def delay(%Stream{} = stream, duration, opts \\ []) when is_integer(duration) and duration >= 0,

@@ -134,8 +134,11 @@ defmodule Situ.Statistics do
     |> Number.sqrt()
   end
 
-  defp better(:min, a, b, %{compare: fun}), do: if(fun.(a, b), do: a, else: b)
-  defp better(:max, a, b, %{compare: fun}), do: if(fun.(a, b), do: b, else: a)
-  defp better(:min, a, b, _opts), do: if(Number.number?(a), do: Number.min(a, b), else: min(a, b))
-  defp better(:max, a, b, _opts), do: if(Number.number?(a), do: Number.max(a, b), else: max(a, b))
+  @doc false
+  # The lesser, or greater, of two; of equal ones the first.
+  @spec better(:min | :max, term(), term(), map()) :: term()
+  def better(:min, a, b, %{compare: fun}), do: if(fun.(a, b), do: a, else: b)
+  def better(:max, a, b, %{compare: fun}), do: if(fun.(a, b), do: b, else: a)
+  def better(:min, a, b, _opts), do: if(Number.number?(a), do: Number.min(a, b), else: min(a, b))
+  def better(:max, a, b, _opts), do: if(Number.number?(a), do: Number.max(a, b), else: max(a, b))
 end

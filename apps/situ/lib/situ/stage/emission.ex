@@ -23,7 +23,8 @@ defmodule Situ.Stage.Emission do
   def run(state, [], _now), do: {:ok, state}
 
   def run(state, [{output, time, _} | _] = actions, now)
-      when is_integer(time) and is_atom(output) and output not in [:timer, :close, :complete] do
+      when is_integer(time) and is_atom(output) and
+             output not in [:timer, :close, :complete, :continue] do
     with {:ok, output} <- output(state, output),
          {:ok, output, rest} <-
            Posting.emit_all(output, actions, now, state.context.enforced?, state.source.final) do
@@ -93,6 +94,9 @@ defmodule Situ.Stage.Emission do
 
   defp one(state, {:timer, key, time}, _now) when is_integer(time),
     do: {:ok, %{state | timers: Timers.add(state.timers, time, key)}}
+
+  defp one(state, {:continue, term}, _now),
+    do: {:ok, %{state | pace: %{state.pace | continue: {:some, term}}}}
 
   defp one(state, {:demand, mode}, _now) when mode in [:accumulate, :forward],
     do: {:ok, %{state | outputs: %{state.outputs | demand: mode}}}

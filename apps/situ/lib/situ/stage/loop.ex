@@ -137,6 +137,13 @@ defmodule Situ.Stage.Loop do
     if Outputs.room(state.outputs) < 1, do: finish(state), else: next(state, now, times, final)
   end
 
+  # The component has more to give for what it has taken in.
+  defp next(%{pace: %{continue: {:some, term}}} = state, now, times, final) do
+    state = %{state | pace: %{state.pace | continue: :none}}
+    state = Activation.call(state, :handle_info, [{:continue, term}], now)
+    go_on({settled(state), Clock.now(state.clock)}, times, final)
+  end
+
   defp next(state, now, times, final) do
     case Inputs.earliest(state.inputs) do
       nil ->
@@ -274,9 +281,23 @@ defmodule Situ.Stage.Loop do
         do: Activation.call(state, :handle_closed, [input.name, time], Clock.now(state.clock)),
         else: state
 
+    settled(%{
+      state
+      | pace: %{state.pace | closings: state.pace.closings ++ [{input.tag, input.name, time}]}
+    })
+  end
+
+  # An input has closed when the component has given all that it had for it.
+  defp settled(%{phase: phase, pace: %{continue: {:some, _}}} = state) when phase != :failed,
+    do: Emission.settle(state)
+
+  defp settled(state) do
     state = Emission.settle(state)
-    State.report(state, {:unsubscribed, input.tag, input.name, time})
-    state
+
+    for {tag, name, time} <- state.pace.closings,
+        do: State.report(state, {:unsubscribed, tag, name, time})
+
+    %{state | pace: %{state.pace | closings: []}}
   end
 
   # A chain: as many messages at once as there is room for; slices grow while they are quick.

@@ -8,15 +8,26 @@ defmodule Situ.Stage.Pace do
   @slow_ns 1_000_000
   @most 512
 
-  defstruct slice: 16, scheduled: false, wide: false, early: [], quitting: false
+  defstruct slice: 16,
+            scheduled: false,
+            wide: false,
+            early: [],
+            quitting: false,
+            continue: :none,
+            closings: []
 
-  @typedoc "`early`: what came before the stage knew its neighbours, newest first. `quitting`: it ends once its outputs are drained."
+  @typedoc """
+  `early`: what came before the stage knew its neighbours, newest first. `quitting`: it ends once its outputs are drained. `continue`: the
+  component goes on with this, `{:some, term}`, before it takes anything else in; `closings`: inputs that have closed meanwhile.
+  """
   @type t :: %__MODULE__{
           slice: pos_integer(),
           scheduled: boolean(),
           wide: boolean(),
           early: [term()],
-          quitting: boolean()
+          quitting: boolean(),
+          continue: :none | {:some, term()},
+          closings: [term()]
         }
 
   @doc "Another turn, after what is in the mailbox."

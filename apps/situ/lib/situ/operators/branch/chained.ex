@@ -74,7 +74,7 @@ defmodule Situ.Branch.Chained do
   defp last(vertices, _inlet), do: {List.last(vertices).id, :out}
 
   defp failed(%{paths: {path, steps}}, index, kind, reason, stack) do
-    path = Situ.Branch.path(path) <> "." <> Enum.at(steps, index)
+    path = Situ.Branch.Path.to_string(path) <> "." <> Enum.at(steps, index)
     raise Callback.failure(path, :in, kind, reason, stack)
   end
 end

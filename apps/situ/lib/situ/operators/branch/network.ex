@@ -121,6 +121,12 @@ defmodule Situ.Branch.Network do
   defp act({output, %Message{} = message}, node, network),
     do: emit(network, {node.id, output}, message)
 
+  defp act({:continue, term}, node, network) do
+    context = %{network.context | path: node.path}
+    args = [{:continue, term}, context, Map.fetch!(network.nodes, node.id).core]
+    call(network, node, :handle_info, args)
+  end
+
   defp act({:close, output}, node, network), do: shut(network, {node.id, output}, 0)
   defp act({:close, output, time}, node, network), do: shut(network, {node.id, output}, time)
 

@@ -27,7 +27,12 @@ defmodule Situ.Fusion.Sampler do
     handle_messages(:in, messages, context, sampling)
   end
 
-  def handle_messages(:in, messages, _context, sampling), do: Sampling.push(sampling, messages)
+  def handle_messages(:in, messages, _context, sampling),
+    do: go_on(Sampling.push(sampling, messages))
+
+  @impl true
+  def handle_info({:continue, :ticks}, _context, sampling), do: go_on(Sampling.more(sampling))
+  def handle_info(_other, _context, sampling), do: {[], sampling}
 
   @impl true
   # A source that never gave anything has values by default only.
@@ -38,9 +43,15 @@ defmodule Situ.Fusion.Sampler do
 
       interpolator ->
         start = min(context.start_time, time)
-        interpolator |> Sampling.new(opts[:interval], start, opts[:align]) |> Sampling.close(time)
+        sampling = Sampling.new(interpolator, opts[:interval], start, opts[:align])
+        go_on(Sampling.close(sampling, time))
     end
   end
 
-  def handle_closed(:in, time, _context, sampling), do: Sampling.close(sampling, time)
+  def handle_closed(:in, time, _context, sampling), do: go_on(Sampling.close(sampling, time))
+
+  defp go_on({outputs, %{more?: true} = sampling}),
+    do: {outputs ++ [{:continue, :ticks}], sampling}
+
+  defp go_on(done), do: done
 end

@@ -16,7 +16,8 @@ defmodule Situ.Parallel.Processes do
       with: [type: {:optional, {:fun, 1}}],
       termination: [type: :any, default: :never],
       missing: [type: :any, default: :drop],
-      on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop]
+      on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop],
+      branches: [type: {:in, [:processes]}, default: :processes]
     ]
 
   alias Situ.Parallel.{Entries, Fleet, Parts, Pool}
@@ -114,7 +115,7 @@ defmodule Situ.Parallel.Processes do
   defp begin(state, key, {path, time}, before) do
     id = make_ref()
     timing = Map.put(state.timing, :start, time)
-    at = {Situ.Branch.path({path, key}), state.opts.type, timing}
+    at = {Situ.Branch.Path.to_string({path, key}), state.opts.type, timing}
     fun = of_key(state.opts.fun, key)
     fleet = or_abandon(state, before, fn -> Fleet.begin(state.branches, id, fun, at) end)
     pool = Pool.started(state.pool, key, id, fleet[id].output?)

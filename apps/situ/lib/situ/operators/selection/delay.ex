@@ -1,52 +1,54 @@
 defmodule Situ.Selection.Delay do
   @moduledoc false
-  # Holds messages until their time has come on the clock.
+  # Holds messages until their time has come on the clock. When the stream ends, all that it holds comes out: only the moment at
+  # which a message comes depends on the clock, never whether it does.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],
     options: [duration: [type: :non_neg_integer, required: true]]
 
   @impl true
-  def init(opts), do: {:ok, {opts[:duration], :queue.new(), nil}}
+  def init(opts), do: {:ok, {opts[:duration], :queue.new()}}
 
   # Where nothing waits for the clock, nor does this.
   @impl true
-  def handle_message(_input, message, %{enforced?: false}, state),
-    do: {[{:out, message.originating_time, message.data}], state}
+  def handle_message(_input, message, %{enforced?: false}, state), do: {[output(message)], state}
 
-  def handle_message(_input, message, context, {duration, held, closing}) do
+  def handle_message(_input, message, context, {duration, held}) do
     due = message.creation_time + duration
 
-    if due <= context.now and :queue.is_empty(held) do
-      {[{:out, message.originating_time, message.data}], {duration, held, closing}}
-    else
-      timer = if :queue.is_empty(held), do: [{:timer, :due, due}], else: []
-      {timer, {duration, :queue.in({due, message}, held), closing}}
+    cond do
+      not :queue.is_empty(held) -> {[], {duration, :queue.in({due, message}, held)}}
+      due <= context.now -> {[output(message)], {duration, held}}
+      true -> {[{:timer, :due, due}], {duration, :queue.in({due, message}, held)}}
     end
   end
 
   @impl true
-  def handle_info({:timer, :due}, context, state), do: release(state, context.now, [])
+  def handle_info({:timer, :due}, context, {duration, held}) do
+    {outputs, held} = release(held, context.now, [])
+    {outputs, {duration, held}}
+  end
+
   def handle_info(_other, _context, state), do: {[], state}
 
-  # Later than the end is too late.
   @impl true
-  def handle_closed(_input, time, context, state) do
-    {outputs, _rest} = release(state, max(time, context.now), [])
-    {Enum.filter(outputs, &match?({:out, _, _}, &1)), {elem(state, 0), :queue.new(), nil}}
+  def handle_closed(_input, _time, _context, {duration, held}) do
+    {for({_due, message} <- :queue.to_list(held), do: output(message)), {duration, :queue.new()}}
   end
 
-  defp release({duration, held, closing}, now, outputs) do
+  defp release(held, now, outputs) do
     case :queue.peek(held) do
       {:value, {due, message}} when due <= now ->
-        output = {:out, message.originating_time, message.data}
-        release({duration, :queue.drop(held), closing}, now, [output | outputs])
+        release(:queue.drop(held), now, [output(message) | outputs])
 
       {:value, {due, _message}} ->
-        {Enum.reverse([{:timer, :due, due} | outputs]), {duration, held, closing}}
+        {Enum.reverse([{:timer, :due, due} | outputs]), held}
 
       :empty ->
-        {Enum.reverse(outputs), {duration, held, closing}}
+        {Enum.reverse(outputs), held}
     end
   end
+
+  defp output(message), do: {:out, message.originating_time, message.data}
 end

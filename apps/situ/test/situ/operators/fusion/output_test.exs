@@ -1,0 +1,61 @@
+defmodule Situ.Fusion.OutputTest do
+  # Outputs are checked against their declared type by the next input: zip, here.
+  use ExUnit.Case, async: true
+
+  alias Situ.Reproducible
+
+  @moduletag :capture_log
+
+  defp zipped(build) do
+    inputs = [a: [{1, :a1}, {50, :a50}], x: [{50, 1}], y: [{50, 2}], c: [{1, :c}]]
+
+    with {:ok, groups} <-
+           Situ.Test.run(inputs, fn s ->
+             pair = Situ.join(s.x, s.y)
+             Situ.zip(build.(s.a, pair), s.c)
+           end),
+         do: for({1, [value, :c]} <- groups, do: value)
+  end
+
+  @none Reproducible.nearest(3, or_default: :none)
+
+  test "a default is of the output's type in every form" do
+    assert zipped(&Situ.join(&1, &2, @none, flatten: false)) == [{:a1, :none}]
+    assert zipped(&Situ.join(&1, &2, @none)) == [{:a1, :none, :none}]
+    assert zipped(&Situ.join(&1, [&2, &2], @none)) == [{:a1, [:none, :none]}]
+    assert zipped(&Situ.join([&1, &2], @none)) == [[:a1, :none]]
+    assert zipped(&Situ.join(&1, %{k: &2}, @none)) == [{:a1, %{k: :none}}]
+
+    assert zipped(&Situ.join(&1, &2, Reproducible.nearest(3, or_default: nil))) == [
+             {:a1, nil, nil}
+           ]
+
+    for {default, wanted} <- [{{1, 2}, {:a1, 1, 2}}, {{1}, {:a1, 1}}, {{nil, :x}, {:a1, nil, :x}}] do
+      assert zipped(&Situ.join(&1, &2, Reproducible.nearest(3, or_default: default))) == [wanted]
+    end
+
+    assert zipped(&Situ.interpolate(&2, &1, @none)) == [:none]
+  end
+
+  test "so is the initial value of pair" do
+    for {opts, wanted} <- [
+          {[initial: :nothing, flatten: false], {:a1, :nothing}},
+          {[initial: :nothing], {:a1, :nothing, :nothing}},
+          {[initial: {0, 0}], {:a1, 0, 0}}
+        ] do
+      assert zipped(&Situ.pair(&1, &2, opts)) == [wanted]
+    end
+  end
+
+  test "the output of parallel with a default" do
+    inputs = [l: [{1, [1, 2]}], c: [{1, :c}]]
+
+    assert {:ok, [{1, [[:none, :none], :c]}]} =
+             Situ.Test.run(inputs, fn s ->
+               s.l
+               |> Situ.Stream.as({:list, :integer})
+               |> Situ.parallel(&Situ.filter(&1, fn n -> n > 5 end), or_default: :none, size: 2)
+               |> Situ.zip(s.c)
+             end)
+  end
+end
