@@ -61,6 +61,28 @@ pub fn allocate(file: &File, from: u64, length: u64) -> std::result::Result<(), 
     }
 }
 
+/// As `allocate`, of what is left on a disk that is nearly full: `length` bytes, or a quarter, and so on down to `least`.
+pub fn allocate_some(
+    file: &File,
+    from: u64,
+    length: u64,
+    least: u64,
+) -> std::result::Result<u64, Errno> {
+    let mut length = length.max(least);
+    loop {
+        match allocate(file, from, length) {
+            Ok(()) => return Ok(length),
+            Err(Errno::NOSPC) if length > least => {
+                // What a failed attempt took goes back before the next one.
+                let _ = ftruncate(file, from);
+                length = (length / 4).next_multiple_of(4096).max(least);
+            }
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+/// Writes all of `bytes` at a place of a file.
 pub fn write_all(file: &File, mut bytes: &[u8], mut at: u64) -> std::result::Result<(), Errno> {
     while !bytes.is_empty() {
         match pwrite(file, bytes, at) {
@@ -147,7 +169,7 @@ impl Lane {
             .min(self.max_size)
             .max((length + 4096).next_multiple_of(4096));
         self.fault.step()?;
-        // A leftover of a failed attempt under this number was never committed: start it anew.
+        // A leftover of a failed attempt under this number was never committed: it is written over.
         let file = OpenOptions::new()
             .read(true)
             .write(true)
@@ -156,15 +178,14 @@ impl Lane {
             .open(&path)
             .map_err(|e| Error::io(format!("create {file_name}"), e))?;
         self.fault.step()?;
-        let made = allocate(&file, 0, size)
-            .and_then(|()| write_all(&file, &extent_header(&self.id, self.lane, number), 0));
-        if let Err(error) = made {
+        let least = (length + 4096).next_multiple_of(4096);
+        let made = allocate_some(&file, 0, size, least).and_then(|size| {
+            write_all(&file, &extent_header(&self.id, self.lane, number), 0).map(|()| size)
+        });
+        let size = made.map_err(|error| {
             let _ = std::fs::remove_file(&path);
-            return Err(Error::io(
-                format!("allocate {size} bytes for {file_name}"),
-                error,
-            ));
-        }
+            Error::io(format!("allocate {least} bytes for {file_name}"), error)
+        })?;
         self.fault.step()?;
         if let Some(full) = self.file.replace(file) {
             if self.dirty {

@@ -10,7 +10,7 @@ use rustix::fs::{fdatasync, ftruncate};
 use rustix::thread::futex;
 
 use crate::error::{Error, Result};
-use crate::extent::{allocate, Fault};
+use crate::extent::{allocate, allocate_some, Fault};
 use crate::format::*;
 use crate::guard::MapMut;
 
@@ -93,7 +93,8 @@ impl IndexWriter {
     fn grow(&mut self) -> Result<()> {
         let more = (self.size - INDEX_HEADER as u64).clamp(FIRST_GROWTH, MAX_GROWTH);
         self.fault.step()?;
-        allocate(&self.file, self.size, more).map_err(|e| Error::io("allocate index.situ", e))?;
+        let more = allocate_some(&self.file, self.size, more, 4096)
+            .map_err(|e| Error::io("allocate index.situ", e))?;
         self.fault.step()?;
         let map = map_mut(&self.file, self.size, more)?;
         // Old segments are full: only the last two can still be written.

@@ -175,13 +175,56 @@ enum Part<'a> {
     Loose(Vec<u8>),
 }
 
-pub fn append_encoded(
+/// Runs of messages of one kind each, `{codec, messages, points}`, committed as one. Of codec 0 are plain messages.
+pub fn append_runs(
+    writer: &mut Writer,
+    stream: u32,
+    runs: ListIterator<'_>,
+) -> Result<u64, Failed> {
+    for run in runs {
+        let (codec, messages, points): (u16, Term<'_>, ListIterator<'_>) = run.decode()?;
+        if codec == 0 {
+            push_plain(writer, stream, messages)?;
+        } else {
+            push_encoded(
+                writer,
+                stream,
+                codec,
+                messages.into_list_iterator()?,
+                points,
+            )?;
+        }
+    }
+    Ok(writer.commit()?)
+}
+
+/// A list of messages that are looked through before the first is written: what lies before them stays.
+fn push_plain(writer: &mut Writer, stream: u32, messages: Term<'_>) -> Result<(), Failed> {
+    let list = || messages.into_list_iterator();
+    let Some(first) = list()?.next() else {
+        return Ok(());
+    };
+    let mut encoding = encoding_of(first.map_get(atoms::data())?);
+    for message in list()? {
+        if !fits(encoding, message.map_get(atoms::data())?) {
+            encoding = Encoding::Term;
+            break;
+        }
+    }
+    for message in list()? {
+        let data = message.map_get(atoms::data())?;
+        push(writer, stream, encoding, envelope(message)?, data)?;
+    }
+    Ok(())
+}
+
+fn push_encoded(
     writer: &mut Writer,
     stream: u32,
     codec: u16,
     messages: ListIterator<'_>,
     points: ListIterator<'_>,
-) -> Result<u64, Failed> {
+) -> Result<(), Failed> {
     let mut found = Vec::new();
     for message in messages {
         let (sequence, time, creation, bytes): (u64, i64, i64, Term<'_>) = message.decode()?;
@@ -220,5 +263,5 @@ pub fn append_encoded(
             },
         )?;
     }
-    Ok(writer.commit()?)
+    Ok(())
 }

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use rustler::types::tuple::make_tuple;
-use rustler::{Binary, Encoder, Env, LocalPid, NifResult, OwnedEnv, ResourceArc, Term};
+use rustler::{Binary, Encoder, Env, LocalPid, OwnedEnv, ResourceArc, Term};
 use situ_store::format::CATALOG;
 use situ_store::watch::{self, News};
 use situ_store::{pyramid, Error, Reader};
@@ -14,8 +14,15 @@ use situ_store::{pyramid, Error, Reader};
 use crate::terms::copied;
 use crate::{atoms, errors};
 
-/// A reader, and what was worked out of its catalog.
-pub struct ReaderResource(pub Arc<Reader>, Mutex<Shelf>);
+/// A reader, what was worked out of its catalog, and who waits for its writer.
+pub struct ReaderResource(pub Arc<Reader>, Mutex<Shelf>, Arc<Mutex<Waiting>>);
+
+/// Who waits: the entries it knows, whom to tell and by which tag. One thread serves them all.
+#[derive(Default)]
+pub struct Waiting {
+    asked: Vec<(u64, LocalPid, u64)>,
+    served: bool,
+}
 
 /// External terms by name, made of a catalog of so many records.
 #[derive(Default)]
@@ -46,7 +53,11 @@ fn reader_open<'a>(env: Env<'a>, path: String, verify_large: bool) -> Term<'a> {
             reader.verify_large = verify_large;
             (
                 atoms::ok(),
-                ResourceArc::new(ReaderResource(Arc::new(reader), Mutex::default())),
+                ResourceArc::new(ReaderResource(
+                    Arc::new(reader),
+                    Mutex::default(),
+                    Arc::default(),
+                )),
             )
                 .encode(env)
         }
@@ -193,27 +204,64 @@ fn summary_level(from: i64, to: i64, pixels: u32) -> u8 {
 }
 
 /// Sends `{:situ_store, tag, {:published | :ended, entries}}` to `pid` once there are more than `known` entries or the
-/// writer is gone. Waits in a thread of its own, on the writer's futex, in whatever process that lives.
+/// writer is gone. `false` when the system has no thread left to wait in.
 #[rustler::nif]
-fn reader_await(handle: Handle, known: u64, pid: LocalPid, tag: u64) -> NifResult<bool> {
-    let reader = handle.0.clone();
-    let spawned = std::thread::Builder::new()
-        .name("situ-store-wait".into())
-        .stack_size(64 * 1024)
-        .spawn(move || loop {
-            let news = match watch::wait(&reader, known, Duration::from_millis(500)) {
-                News::Published(n) => (atoms::published(), n),
+fn reader_await(env: Env<'_>, handle: Handle, known: u64, pid: LocalPid, tag: u64) -> bool {
+    let reader = &handle.0;
+    let published = reader.published();
+    if published > known {
+        let _ = env.send(
+            &pid,
+            (atoms::situ_store(), tag, (atoms::published(), published)),
+        );
+        return true;
+    }
+    let mut waiting = lock(&handle.2);
+    waiting.asked.push((known, pid, tag));
+    if !waiting.served {
+        let (reader, shared) = (reader.clone(), handle.2.clone());
+        let spawned = std::thread::Builder::new()
+            .name("situ-store-wait".into())
+            .stack_size(64 * 1024)
+            .spawn(move || serve(&reader, &shared));
+        if spawned.is_err() {
+            waiting.asked.pop();
+            return false;
+        }
+    }
+    waiting.served = true;
+    true
+}
+
+fn lock(waiting: &Mutex<Waiting>) -> MutexGuard<'_, Waiting> {
+    waiting
+        .lock()
+        .unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+/// Waits on the writer's futex, in whatever process that lives, until nobody is left to be told.
+fn serve(reader: &Arc<Reader>, waiting: &Mutex<Waiting>) {
+    loop {
+        let known = lock(waiting).asked.iter().map(|(known, _, _)| *known).min();
+        let news = watch::wait(
+            reader,
+            known.unwrap_or(u64::MAX),
+            Duration::from_millis(500),
+        );
+        let mut waiting = lock(waiting);
+        let mut env = OwnedEnv::new();
+        waiting.asked.retain(|(known, pid, tag)| {
+            let told = match news {
+                News::Published(n) if n > *known => (atoms::published(), n),
                 News::Ended(n) => (atoms::ended(), n),
-                News::Nothing => {
-                    let alive = OwnedEnv::new().run(|env| pid.is_alive(env));
-                    if alive {
-                        continue;
-                    }
-                    return;
-                }
+                _ => return env.run(|env| pid.is_alive(env)),
             };
-            let _ = OwnedEnv::new().send_and_clear(&pid, |_| (atoms::situ_store(), tag, news));
-            return;
+            let _ = env.send_and_clear(pid, |_| (atoms::situ_store(), *tag, told));
+            false
         });
-    Ok(spawned.is_ok())
+        if waiting.asked.is_empty() {
+            waiting.served = false;
+            return;
+        }
+    }
 }

@@ -10,7 +10,7 @@ use rustler::{Atom, Encoder, Env, Error as NifError, NifResult, ResourceArc, Ter
 use situ_store::writer::Durability;
 use situ_store::{Compression, Error, Options, Writer};
 
-use crate::inputs::{append, append_encoded, Failed};
+use crate::inputs::{append, append_runs, Failed};
 use crate::{atoms, errors};
 
 /// The writer and the names its streams have.
@@ -144,19 +144,16 @@ fn writer_append<'a>(
     finish(env, &handle, |writer| append(writer, stream, batches))
 }
 
-/// Appends `{sequence, originating, creation, iodata}` of a codec, with the points of its signal, all or none.
+/// Appends runs of messages, `{codec, messages, points}`, all or none. Messages of a codec are
+/// `{sequence, originating, creation, iodata}`, and points those of their signal; of codec 0 they are `%Situ.Message{}`s.
 #[rustler::nif(schedule = "DirtyIo")]
-fn writer_append_encoded<'a>(
+fn writer_append_runs<'a>(
     env: Env<'a>,
     handle: Handle,
     stream: u32,
-    codec: u16,
-    messages: ListIterator<'a>,
-    points: ListIterator<'a>,
+    runs: ListIterator<'a>,
 ) -> NifResult<Term<'a>> {
-    finish(env, &handle, |writer| {
-        append_encoded(writer, stream, codec, messages, points)
-    })
+    finish(env, &handle, |writer| append_runs(writer, stream, runs))
 }
 
 #[rustler::nif(schedule = "DirtyIo")]

@@ -5,8 +5,7 @@ defmodule Situ.StoreTest do
   alias Situ.Store.Test.{Person, Picture, Sound}
   alias Situ.Store.{StreamInfo, Undecoded, Writer}
 
-  doctest Situ.Store.Writer
-  doctest Situ.Store.TypeName
+  doctest Situ.Store
 
   @moduletag :tmp_dir
 

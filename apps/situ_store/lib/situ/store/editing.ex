@@ -103,8 +103,12 @@ defmodule Situ.Store.Editing do
     with {:ok, transfer} <- Transfer.open(writer, info, [source], opts, told),
          {:ok, transfer, ordinal} <- merge(transfer, source, edits),
          {:ok, transfer, _} <- Transfer.take(transfer, source, ordinal, :unbounded),
-         do: Transfer.close(transfer, info.closed)
+         do: Transfer.close(transfer, closed(info.closed, edits))
   end
+
+  # What was inserted behind the stream's end belongs to it.
+  defp closed(nil, _edits), do: nil
+  defp closed(time, edits), do: Enum.max([time | for({:upsert, at, _} <- edits, do: at)])
 
   # What lies between two edits is taken over as it is.
   defp merge(transfer, source, edits) do

@@ -287,8 +287,16 @@ defmodule Situ.Store.Local do
 
   @impl true
   def await(state, known, pid, tag) do
-    Native.reader_await(state.ref, known, pid, tag)
-    :ok
+    if Native.reader_await(state.ref, known, pid, tag),
+      do: :ok,
+      else:
+        raise(
+          Error.new(:no_thread, "nobody can wait for the writer of #{state.path}",
+            why: "the system has no thread left",
+            fix:
+              "raise the limit of threads (`ulimit -u`), or open fewer stores that are being written"
+          )
+        )
   end
 
   @impl true

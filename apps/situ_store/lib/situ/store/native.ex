@@ -13,7 +13,7 @@ defmodule Situ.Store.Native do
   def writer_stream(_writer, _name, _compression, _large), do: missing()
   def writer_position(_writer, _stream), do: missing()
   def writer_append(_writer, _stream, _batches), do: missing()
-  def writer_append_encoded(_writer, _stream, _codec, _messages, _points), do: missing()
+  def writer_append_runs(_writer, _stream, _runs), do: missing()
   def writer_sync(_writer), do: missing()
   def writer_close(_writer), do: missing()
   def reader_open(_path, _verify_large), do: missing()

@@ -168,18 +168,7 @@ defmodule Situ.Store.Writer do
   def append(stream, []), do: {:ok, stream}
 
   def append(%Stream{} = stream, messages) do
-    if plain?(messages) do
-      append_plain(stream, [messages])
-    else
-      messages
-      |> Enum.chunk_by(&Codecs.of(&1.data))
-      |> Enum.reduce_while({:ok, stream}, fn [first | _] = run, {:ok, stream} ->
-        case append_run(stream, Codecs.of(first.data), run) do
-          {:ok, _} = ok -> {:cont, ok}
-          error -> {:halt, error}
-        end
-      end)
-    end
+    if plain?(messages), do: append_plain(stream, [messages]), else: append_runs(stream, messages)
   end
 
   defp plain?([%{data: %{__struct__: _}} | _]), do: false
@@ -196,52 +185,73 @@ defmodule Situ.Store.Writer do
     end
   end
 
-  defp append_run(stream, nil, messages) do
-    with {:ok, stream} <- note_fields(stream, messages), do: append_plain(stream, [messages])
+  # Runs of messages of one codec, or of none; one commit.
+  defp append_runs(stream, messages) do
+    runs = Enum.chunk_by(messages, &Codecs.of(&1.data))
+
+    with {:ok, stream} <- noted(stream, runs),
+         runs = Enum.map(runs, &run(&1, stream)),
+         {:ok, _} <-
+           stream.writer.ref
+           |> Native.writer_append_runs(stream.id, runs)
+           |> Failure.wrap(stream.writer.path, stream.name),
+         do: {:ok, stream}
   end
 
-  defp append_run(stream, module, messages) do
-    with {:ok, stream, number} <- codec_number(stream, module) do
-      encoded =
-        for m <- messages,
-            do: {m.sequence_id, m.originating_time, m.creation_time, module.encode(m.data)}
+  # What readers need to know before the first such message.
+  defp noted(stream, runs) do
+    Enum.reduce_while(runs, {:ok, stream}, fn [first | _] = run, {:ok, stream} ->
+      result =
+        case Codecs.of(first.data) do
+          nil -> note_fields(stream, run)
+          module -> note_codec(stream, module)
+        end
 
-      points =
-        if function_exported?(module, :points, 2),
-          do: Enum.flat_map(messages, &points(module, &1)),
-          else: []
+      if match?({:ok, _}, result), do: {:cont, result}, else: {:halt, result}
+    end)
+  end
 
-      case Native.writer_append_encoded(stream.writer.ref, stream.id, number, encoded, points) do
-        {:ok, _} -> {:ok, stream}
-        {:error, reason} -> {:error, Failure.error(reason, stream.writer.path, stream.name)}
-      end
+  defp run([first | _] = messages, stream) do
+    case Codecs.of(first.data) do
+      nil ->
+        {0, messages, []}
+
+      module ->
+        encoded =
+          for m <- messages,
+              do: {m.sequence_id, m.originating_time, m.creation_time, module.encode(m.data)}
+
+        {Map.fetch!(stream.codecs, module), encoded, points(module, messages)}
     end
   end
 
-  defp points(module, message) do
+  defp points(module, messages) do
+    if function_exported?(module, :points, 2),
+      do: Enum.flat_map(messages, &signal(module, &1)),
+      else: []
+  end
+
+  defp signal(module, message) do
     for {time, min, max, last, count} <- module.points(message.data, message.originating_time),
         do: {time, min / 1, max / 1, last / 1, count}
   end
 
-  defp codec_number(%{codecs: codecs} = stream, module) do
-    case codecs do
-      %{^module => number} ->
-        {:ok, stream, number}
+  defp note_codec(%{codecs: codecs} = stream, module) when is_map_key(codecs, module),
+    do: {:ok, stream}
 
-      _ ->
-        number = map_size(codecs) + 1
+  defp note_codec(%{codecs: codecs} = stream, module) do
+    number = map_size(codecs) + 1
 
-        record = %{
-          kind: "codec",
-          id: stream.id,
-          number: number,
-          name: module.codec_name(),
-          module: Atom.to_string(module)
-        }
+    record = %{
+      kind: "codec",
+      id: stream.id,
+      number: number,
+      name: module.codec_name(),
+      module: Atom.to_string(module)
+    }
 
-        with {:ok, _} <- catalog(stream.writer, record),
-             do: {:ok, %{stream | codecs: Map.put(codecs, module, number)}, number}
-    end
+    with {:ok, _} <- catalog(stream.writer, record),
+         do: {:ok, %{stream | codecs: Map.put(codecs, module, number)}}
   end
 
   # The first struct's fields, so that a reader whose struct has changed can say so when it opens the stream.

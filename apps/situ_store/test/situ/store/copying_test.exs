@@ -254,9 +254,19 @@ defmodule Situ.Store.CopyingTest do
          ) do
       {_, 0} ->
         try do
+          ballast = Path.join(disk, "ballast")
+          File.write!(ballast, :binary.copy(<<1>>, 1_040_000))
           assert {:error, %{code: :disk_full}} = Writer.create("big", disk)
-          assert File.ls!(disk) == []
-          # A small copy fits where a recording of unknown length would not.
+          assert File.ls!(disk) == ["ballast"]
+          # A disk that is nearly full takes what it has room for.
+          File.write!(ballast, :binary.copy(<<1>>, 900_000))
+          assert {:ok, writer} = Writer.create("little", disk)
+          assert {:ok, stream} = Writer.stream(writer, "S")
+          assert {:ok, _} = Writer.append(stream, messages([1, 2, 3]))
+          assert :ok = Writer.close(writer)
+          assert data(writer.path, "S") == [1, 2, 3]
+          :ok = Store.delete(writer.path)
+          File.rm!(ballast)
           path = store(root, [{"N", messages([1]), []}])
           assert {:ok, _} = Store.copy(path, {"small", disk})
 
@@ -287,5 +297,21 @@ defmodule Situ.Store.CopyingTest do
     File.write!(Path.join(notes, "readme.txt"), "mine")
     assert {:ok, ^notes} = Store.copy(path, {"n", notes}, versioned: false)
     assert data(notes, "N") == [1, 2] and "readme.txt" in File.ls!(notes)
+  end
+
+  test "what is inserted behind a stream's end is replayed, and is in copies", %{tmp_dir: root} do
+    path = store(root, [{"N", messages([1, 2, 3]), [type: :integer]}])
+
+    {:ok, edited} =
+      Store.edit(path, Path.join(root, "edited"), %{
+        "N" => [{:upsert, 9_000, 4}, {:delete, 9_500}]
+      })
+
+    assert [%{closed: 9_000}] = Store.streams(Store.open!(edited))
+    {:ok, copied} = Store.copy(edited, Path.join(root, "copied"))
+
+    for path <- [edited, copied] do
+      assert path |> Situ.Store.Test.Play.replay("N") |> Enum.map(& &1.data) == [1, 2, 3, 4]
+    end
   end
 end

@@ -3,6 +3,7 @@ defmodule Situ.Store.LocalTest do
   use ExUnit.Case, async: true
   import Situ.Store.Test.Record
   alias Situ.{Pipeline, Store}
+  alias Situ.Store.Writer
 
   @moduletag :tmp_dir
 
@@ -87,5 +88,23 @@ defmodule Situ.Store.LocalTest do
 
     assert %{closed?: false, live?: false} =
              root |> Path.join("other") |> Store.open!() |> Store.info()
+  end
+
+  test "thousands wait for one store in one thread", %{tmp_dir: root} do
+    {:ok, writer} = Writer.create("wait", root)
+    {:ok, stream} = Writer.stream(writer, "N", type: :integer)
+    store = Store.open!(writer.path)
+    known = Store.info(store).entries
+    threads = fn -> length(File.ls!("/proc/self/task")) end
+    before = threads.()
+    for tag <- 1..2_000, do: :ok = Store.notify(store, known, tag)
+    # Other tests run threads of their own.
+    assert threads.() - before < 20
+    {:ok, _} = Writer.append(stream, messages([1]))
+    for tag <- 1..2_000, do: assert_receive({:situ_store, ^tag, {:published, _}}, 2_000)
+    :ok = Writer.close(writer)
+    # What is known to be old news is answered at once.
+    :ok = Store.notify(store, known, 1)
+    assert_receive {:situ_store, 1, {:published, n}} when n > known
   end
 end
