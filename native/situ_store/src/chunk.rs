@@ -205,11 +205,12 @@ impl Body<'_> {
     }
 }
 
-/// Checks the stored body of the chunk that `bytes` begin with (unless `trust_body`) and unpacks it.
+/// Checks the stored body of the chunk that `bytes` begin with (unless `trust_body`) and unpacks it, to at most `most` bytes.
 pub fn open<'a>(
     header: &ChunkHeader,
     bytes: &'a [u8],
     trust_body: bool,
+    most: usize,
 ) -> std::result::Result<Body<'a>, &'static str> {
     let stored = bytes
         .get(header.size()..header.length as usize)
@@ -218,6 +219,9 @@ pub fn open<'a>(
         return Err("the chunk's checksum is wrong");
     }
     let raw_length = header.raw_length as usize;
+    if header.compression != Compression::None && raw_length > most {
+        return Err("the chunk unpacks to more bytes than are allowed");
+    }
     match header.compression {
         Compression::None => Ok(Body::Mapped(stored)),
         Compression::Lz4 => {

@@ -1,11 +1,16 @@
 //! Erlang's external term format: whether bytes from a file may be decoded at all, and a decoder that makes no atoms.
 
+/// Terms are not nested deeper.
 pub const MAX_DEPTH: u32 = 512;
+/// Lists, tuples, maps and numbers of a term do not take more bytes in memory; a byte of a file can become sixteen. Binaries do not
+/// count: they are as long there as here.
+pub const MAX_STRUCTURE: usize = 64 << 20;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
     Malformed,
     TooDeep,
+    TooLarge,
     Compressed,
     Function,
     Pid,
@@ -18,6 +23,7 @@ impl Refusal {
         match self {
             Refusal::Malformed => "malformed term",
             Refusal::TooDeep => "a term nested deeper than 512 levels",
+            Refusal::TooLarge => "a term that takes more than 64 MiB in memory",
             Refusal::Compressed => "a compressed term",
             Refusal::Function => "a function",
             Refusal::Pid => "a process id",
@@ -55,21 +61,25 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// Whether `bytes` are one whole external term of plain data: bounded, shallow, nothing alive in it.
-pub fn check(bytes: &[u8]) -> Result<(), Refusal> {
+/// How many bytes the structure of a term takes in memory, if `bytes` are one whole external term of plain data: bounded, shallow,
+/// nothing alive in it.
+pub fn check(bytes: &[u8]) -> Result<usize, Refusal> {
     let mut walk = Walk { bytes, at: 0 };
     if walk.u8()? != 131 {
         return Err(Refusal::Malformed);
     }
     // Elements still to come at each level that is open.
     let mut open: Vec<usize> = vec![1];
+    let mut size = 0usize;
     while let Some(left) = open.last_mut() {
         if *left == 0 {
             open.pop();
             continue;
         }
         *left -= 1;
-        let children = match walk.u8()? {
+        let tag = walk.u8()?;
+        let start = walk.at;
+        let children = match tag {
             97 => walk.take(1).map(|_| 0)?,
             98 => walk.take(4).map(|_| 0)?,
             70 => walk.take(8).map(|_| 0)?,
@@ -125,6 +135,22 @@ pub fn check(bytes: &[u8]) -> Result<(), Refusal> {
             90 | 101 | 114 => return Err(Refusal::Reference),
             _ => return Err(Refusal::Malformed),
         };
+        size = size.saturating_add(match tag {
+            70 | 99 => 16,
+            107 => (walk.at - start) * 16,
+            104 | 105 => (children + 1) * 8,
+            108 => children * 16,
+            // Pairs, and the nodes of a large map.
+            116 => children * 16 + 40,
+            110 | 111 => walk.at - start + 8,
+            109 | 77 => 48,
+            // An atom that does not exist here becomes a text.
+            100 | 118 | 115 | 119 => 24,
+            _ => 0,
+        });
+        if size > MAX_STRUCTURE {
+            return Err(Refusal::TooLarge);
+        }
         if children > 0 {
             // Every element takes a byte at least.
             if children > bytes.len() - walk.at {
@@ -137,7 +163,7 @@ pub fn check(bytes: &[u8]) -> Result<(), Refusal> {
         }
     }
     if walk.at == bytes.len() {
-        Ok(())
+        Ok(size)
     } else {
         Err(Refusal::Malformed)
     }
@@ -283,7 +309,7 @@ mod tests {
             131, 104, 3, 119, 2, b'o', b'k', 108, 0, 0, 0, 3, 97, 1, 70, 64, 0, 0, 0, 0, 0, 0, 0,
             109, 0, 0, 0, 1, b'x', 106, 116, 0, 0, 0, 1, 119, 1, b'a', 97, 5,
         ];
-        assert_eq!(check(&bytes), Ok(()));
+        assert_eq!(check(&bytes), Ok(24 + 48 + 48 + 16 + 48 + 72 + 24));
         for end in 0..bytes.len() {
             assert!(check(&bytes[..end]).is_err());
         }

@@ -27,6 +27,11 @@ pub const MAX_CHUNK_PAYLOAD: usize = 64 * 1024;
 pub const LARGE_MESSAGE: usize = 32 * 1024;
 /// No message is larger, so a file that says otherwise is damaged, and nobody is made to allocate more.
 pub const MAX_MESSAGE: usize = 1 << 30;
+/// A chunk of the data lane does not unpack to more: its payload, one message that was too many, and its table.
+pub const MAX_SMALL_BODY: usize =
+    MAX_CHUNK_PAYLOAD + LARGE_MESSAGE + 40 * MAX_CHUNK_MESSAGES as usize;
+/// Larger messages are stored plain, and a reader unpacks no larger ones unless it was asked to.
+pub const MAX_UNPACKED: usize = 64 << 20;
 pub const LANE_DATA: u8 = 0;
 pub const LANE_LARGE: u8 = 1;
 pub const CATALOG: u32 = 0;

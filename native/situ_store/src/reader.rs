@@ -45,6 +45,8 @@ pub struct Reader {
     computed: Mutex<HashMap<u32, Computed>>,
     /// Check payloads of large chunks too.
     pub verify_large: bool,
+    /// The most bytes that a message may unpack to.
+    pub max_unpacked: usize,
 }
 
 /// A checked chunk: its header, its raw body, and the map it lies in.
@@ -61,7 +63,7 @@ enum Held {
     /// Its table, so that the map need not be looked at for it.
     Table(Vec<u8>),
     /// What it unpacked to.
-    Body(Vec<u8>),
+    Body(Arc<Vec<u8>>),
 }
 
 impl Chunk {
@@ -77,6 +79,14 @@ impl Chunk {
     /// Where the body lies in the map, when it lies there (it was not compressed).
     pub fn mapped_at(&self) -> Option<usize> {
         (!matches!(self.held, Held::Body(_))).then(|| self.start + self.header.size())
+    }
+
+    /// What it unpacked to, where it was compressed.
+    pub fn unpacked(&self) -> Option<Arc<Vec<u8>>> {
+        match &self.held {
+            Held::Body(bytes) => Some(bytes.clone()),
+            _ => None,
+        }
     }
 
     /// The number drawn for a message, where there is one.
@@ -126,6 +136,7 @@ impl Reader {
             extents: Extents::new(dir.to_path_buf(), header.id),
             computed: Mutex::new(HashMap::new()),
             verify_large: true,
+            max_unpacked: MAX_UNPACKED,
         };
         reader.refresh()?;
         Ok(reader)
@@ -154,6 +165,23 @@ impl Reader {
                 Err(_) => true,
             },
         }
+    }
+
+    /// How many entries were published that are not taken in yet.
+    pub fn behind(&self) -> u64 {
+        self.published().saturating_sub(self.entries_loaded())
+    }
+
+    /// The header of the chunk an entry names; its body is not looked at.
+    pub fn chunk_header(&self, entry: &Entry) -> Result<ChunkHeader> {
+        let map = self.extents.get(entry.lane, entry.extent)?;
+        let at = usize::try_from(entry.offset).ok();
+        let bytes = at.and_then(|at| map.get(at..));
+        let header = bytes
+            .ok_or("the extent ends before the chunk")
+            .and_then(ChunkHeader::decode)
+            .map_err(|why| self.broken(entry, why))?;
+        Ok(header)
     }
 
     /// How many entries the writer has published.
@@ -248,9 +276,13 @@ impl Reader {
             return Err(broken("the chunk is not the one the index names"));
         }
         self.extents.touch(&map, start, header.length as usize);
-        let held = match chunk::open(&header, &map[start..], !body_too).map_err(broken)? {
+        let most = match entry.lane {
+            LANE_DATA => MAX_SMALL_BODY,
+            _ => self.max_unpacked,
+        };
+        let held = match chunk::open(&header, &map[start..], !body_too, most).map_err(broken)? {
             Body::Mapped(_) => Held::Nothing,
-            Body::Unpacked(bytes) => Held::Body(bytes),
+            Body::Unpacked(bytes) => Held::Body(Arc::new(bytes)),
         };
         Ok(Chunk {
             header,
@@ -281,11 +313,14 @@ impl Reader {
     pub fn quick_chunk(&self, entry: &Entry) -> Option<Result<Chunk>> {
         let map = self.extents.mapped(entry.lane, entry.extent)?;
         if entry.lane == LANE_LARGE {
-            return if self.verify_large {
-                None
-            } else {
-                self.headed(entry, &map, false).map(Ok)
+            // A term of that size takes long to make.
+            let chunk = match self.verify_large {
+                true => None,
+                false => self.headed(entry, &map, false),
             };
+            return chunk
+                .filter(|chunk| chunk.header.encoding != Encoding::Term)
+                .map(Ok);
         }
         let start = usize::try_from(entry.offset).ok()?;
         maps::resident(&map, start, entry.length as usize).then(|| self.chunk(entry))
@@ -304,19 +339,38 @@ impl Reader {
 
     /// The ordinal of the first message at or after `time` (the stream's count when there is none).
     pub fn ordinal_from(&self, stream: u32, time: i64) -> Result<u64> {
+        Ok(self.find(stream, time, false)?.unwrap_or_default())
+    }
+
+    /// As `ordinal_from`; `None` when that has to wait for a disk.
+    pub fn ordinal_quick(&self, stream: u32, time: i64) -> Result<Option<u64>> {
+        self.find(stream, time, true)
+    }
+
+    fn find(&self, stream: u32, time: i64, quick: bool) -> Result<Option<u64>> {
         let (entry, count) = {
             let index = self.lock_index();
             let Some(entries) = index.entries(stream, 0) else {
-                return Ok(0);
+                return Ok(Some(0));
             };
             (entries.get(entries.at_time(time)), entries.count())
         };
         self.whole()?;
-        let Some(entry) = entry else { return Ok(count) };
-        if entry.first >= time {
-            return Ok(entry.ordinal);
+        let Some(entry) = entry else {
+            return Ok(Some(count));
+        };
+        // A large chunk holds one message.
+        if entry.first >= time || entry.lane == LANE_LARGE {
+            return Ok(Some(entry.ordinal));
         }
-        let chunk = self.chunk_checked(&entry, entry.lane == LANE_DATA)?;
+        let chunk = if quick {
+            match self.quick_chunk(&entry) {
+                Some(chunk) => chunk?,
+                None => return Ok(None),
+            }
+        } else {
+            self.chunk(&entry)?
+        };
         let mut ordinal = entry.ordinal;
         for message in chunk.messages() {
             let (envelope, _) = message.map_err(|why| self.broken(&entry, why))?;
@@ -325,7 +379,7 @@ impl Reader {
             }
             ordinal += 1;
         }
-        Ok(ordinal)
+        Ok(Some(ordinal))
     }
 
     pub fn broken(&self, entry: &Entry, why: &str) -> Error {

@@ -165,7 +165,7 @@ fn mutated_terms() {
         131, 104, 2, 119, 2, b'o', b'k', 108, 0, 0, 0, 2, 97, 1, 116, 0, 0, 0, 1, 119, 1, b'a',
         110, 9, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 106,
     ];
-    assert_eq!(etf::check(&term), Ok(()));
+    assert!(etf::check(&term).is_ok());
     for _ in 0..200_000 {
         let mut bytes = term.to_vec();
         for _ in 0..=random.below(3) {

@@ -11,13 +11,13 @@ use situ_store::reader::Chunk;
 use situ_store::{etf, Encoding};
 
 use crate::atoms;
-use crate::reading::{failed, Handle};
+use crate::reading::{failed, Handle, QUICK_ENTRIES};
 use crate::terms::{copied, decode, Decoded, COPY_UP_TO};
 
 /// What binaries that were read point into: a mapped extent, or an unpacked chunk.
 pub enum Bytes {
     Map(Arc<Map>, usize, usize),
-    Unpacked(Vec<u8>),
+    Unpacked(Arc<Vec<u8>>),
 }
 
 #[rustler::resource_impl]
@@ -28,6 +28,8 @@ struct Run<'a> {
     env: Env<'a>,
     encoding: Encoding,
     whole: Option<Binary<'a>>,
+    /// Bytes that the structure of terms takes.
+    structure: u64,
 }
 
 impl<'a> Run<'a> {
@@ -36,9 +38,9 @@ impl<'a> Run<'a> {
         let wants = matches!(encoding, Encoding::Bytes | Encoding::Codec)
             && chunk.body().len() > COPY_UP_TO;
         let whole = wants.then(|| {
-            let bytes = match chunk.mapped_at() {
-                Some(at) => Bytes::Map(chunk.map.clone(), at, chunk.body().len()),
-                None => Bytes::Unpacked(chunk.body().to_vec()),
+            let bytes = match (chunk.unpacked(), chunk.mapped_at()) {
+                (Some(bytes), _) => Bytes::Unpacked(bytes),
+                (None, at) => Bytes::Map(chunk.map.clone(), at.unwrap_or(0), chunk.body().len()),
             };
             ResourceArc::new(bytes).make_binary(env, |bytes| match bytes {
                 Bytes::Map(map, at, length) => &map[*at..*at + *length],
@@ -49,15 +51,18 @@ impl<'a> Run<'a> {
             env,
             encoding,
             whole,
+            structure: 0,
         }
     }
 
     /// The last elements of a message's tuple: its data, or (for terms that are not plain) a tag and what there is.
-    fn data(&self, body: &[u8], value: Value) -> (Term<'a>, Option<Term<'a>>) {
+    fn data(&mut self, body: &[u8], value: Value) -> (Term<'a>, Option<Term<'a>>) {
         let env = self.env;
         if let (Encoding::Term, Value::Bytes { start, length }) = (self.encoding, value) {
             let bytes = &body[start..start + length];
-            return match decode(env, bytes) {
+            let (decoded, structure) = decode(env, bytes);
+            self.structure += structure as u64;
+            return match decoded {
                 Decoded::Plain(term) => (term, None),
                 Decoded::Refused(why) => (atoms::undecodable().encode(env), Some(why.encode(env))),
                 Decoded::Unknown(modules, term) => (
@@ -153,6 +158,9 @@ const QUICK_BYTES: u64 = 64 * 1024;
 
 fn read<'a>(env: Env<'a>, handle: &Handle, stream: u32, from: u64, wanted: &Wanted) -> Term<'a> {
     let reader = &handle.0;
+    if wanted.quick && reader.behind() > QUICK_ENTRIES {
+        return atoms::slow().encode(env);
+    }
     if let Err(error) = reader.refresh() {
         return failed(env, &error);
     }
@@ -194,7 +202,10 @@ fn read<'a>(env: Env<'a>, handle: &Handle, stream: u32, from: u64, wanted: &Want
             Ok(part) => {
                 next += part.list.len() as u64;
                 count += part.list.len() as u64;
-                size += entry.length as u64;
+                size += part.size;
+                if wanted.quick {
+                    work += part.size.saturating_sub(entry.length.into());
+                }
                 runs.push((part.codec, part.list));
                 if part.ended {
                     break;
@@ -213,6 +224,8 @@ struct Part<'a> {
     list: Vec<Term<'a>>,
     /// None behind these is wanted, or (when the chunk is damaged there) can be had now: the next read tells.
     ended: bool,
+    /// Bytes it takes in memory: unpacked, with the structure of terms.
+    size: u64,
 }
 
 impl<'a> Part<'a> {
@@ -224,7 +237,7 @@ impl<'a> Part<'a> {
         to: i64,
         most: u64,
     ) -> Result<Part<'a>, &'static str> {
-        let run = Run::start(env, chunk);
+        let mut run = Run::start(env, chunk);
         let body = chunk.body();
         let mut list = Vec::with_capacity(chunk.header.count.min(MAX_CHUNK_MESSAGES) as usize);
         let mut ended = false;
@@ -261,7 +274,12 @@ impl<'a> Part<'a> {
             list.push(make_tuple(env, &terms[..length]));
         }
         let codec = chunk.header.codec;
-        Ok(Part { codec, list, ended })
+        Ok(Part {
+            codec,
+            list,
+            ended,
+            size: body.len() as u64 + run.structure,
+        })
     }
 }
 
@@ -277,7 +295,7 @@ fn reader_skip(handle: Handle, stream: u32, ordinal: u64) -> u64 {
 /// A term from external format: `{:ok, term}`, `{:unknown, modules, term}` or `{:undecodable, why}`. No atoms are made.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn term_decode<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
-    match decode(env, bytes.as_slice()) {
+    match decode(env, bytes.as_slice()).0 {
         Decoded::Plain(term) => (atoms::ok(), term).encode(env),
         Decoded::Unknown(modules, term) => (atoms::unknown(), modules, term).encode(env),
         Decoded::Refused(why) => (atoms::undecodable(), why).encode(env),
@@ -288,7 +306,7 @@ fn term_decode<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
 #[rustler::nif(schedule = "DirtyCpu")]
 fn term_check<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
     match etf::check(bytes.as_slice()) {
-        Ok(()) => atoms::ok().encode(env),
+        Ok(_) => atoms::ok().encode(env),
         Err(refusal) => (atoms::error(), refusal.text()).encode(env),
     }
 }

@@ -47,10 +47,11 @@ pub fn failed<'a>(env: Env<'a>, error: &Error) -> Term<'a> {
 }
 
 #[rustler::nif(schedule = "DirtyIo")]
-fn reader_open<'a>(env: Env<'a>, path: String, verify_large: bool) -> Term<'a> {
+fn reader_open<'a>(env: Env<'a>, path: String, verify_large: bool, max_unpacked: u64) -> Term<'a> {
     match Reader::open(Path::new(&path)) {
         Ok(mut reader) => {
             reader.verify_large = verify_large;
+            reader.max_unpacked = max_unpacked as usize;
             (
                 atoms::ok(),
                 ResourceArc::new(ReaderResource(
@@ -88,9 +89,24 @@ fn reader_state<'a>(env: Env<'a>, handle: Handle) -> Term<'a> {
     }
 }
 
-/// Takes in what was published since; `{:ok, entries}`.
+/// On a normal scheduler no more entries are taken in at once.
+pub const QUICK_ENTRIES: u64 = 4_096;
+
+/// Takes in what was published since; `{:ok, entries}`, or `:slow` when that is much.
 #[rustler::nif]
 fn reader_refresh<'a>(env: Env<'a>, handle: Handle) -> Term<'a> {
+    if handle.0.behind() > QUICK_ENTRIES {
+        return atoms::slow().encode(env);
+    }
+    match handle.0.refresh() {
+        Ok(entries) => (atoms::ok(), entries).encode(env),
+        Err(error) => failed(env, &error),
+    }
+}
+
+/// As `reader_refresh`, however much it is.
+#[rustler::nif(schedule = "DirtyIo")]
+fn reader_refresh_all<'a>(env: Env<'a>, handle: Handle) -> Term<'a> {
     match handle.0.refresh() {
         Ok(entries) => (atoms::ok(), entries).encode(env),
         Err(error) => failed(env, &error),
@@ -134,7 +150,7 @@ fn reader_count(handle: Handle, stream: u32) -> u64 {
 }
 
 /// `{:ok, nil}` or `{:ok, {count, first, last, first_creation, last_creation, size, latency, stored, chunks}}`
-#[rustler::nif]
+#[rustler::nif(schedule = "DirtyIo")]
 fn reader_statistics<'a>(env: Env<'a>, handle: Handle, stream: u32) -> Term<'a> {
     match handle.0.statistics(stream) {
         Ok(None) => (atoms::ok(), atoms::nil()).encode(env),
@@ -160,9 +176,26 @@ fn reader_statistics<'a>(env: Env<'a>, handle: Handle, stream: u32) -> Term<'a> 
     }
 }
 
-/// The ordinal of the first message at or after `time`.
+/// The ordinal of the first message at or after `time`, or `:slow` when a disk has to be waited for.
 #[rustler::nif]
+fn reader_seek_quick<'a>(env: Env<'a>, handle: Handle, stream: u32, time: i64) -> Term<'a> {
+    if handle.0.behind() > QUICK_ENTRIES {
+        return atoms::slow().encode(env);
+    }
+    let found = handle.0.refresh();
+    match found.and_then(|_| handle.0.ordinal_quick(stream, time)) {
+        Ok(Some(ordinal)) => (atoms::ok(), ordinal).encode(env),
+        Ok(None) => atoms::slow().encode(env),
+        Err(error) => failed(env, &error),
+    }
+}
+
+/// The ordinal of the first message at or after `time`.
+#[rustler::nif(schedule = "DirtyIo")]
 fn reader_seek<'a>(env: Env<'a>, handle: Handle, stream: u32, time: i64) -> Term<'a> {
+    if let Err(error) = handle.0.refresh() {
+        return failed(env, &error);
+    }
     match handle.0.ordinal_from(stream, time) {
         Ok(ordinal) => (atoms::ok(), ordinal).encode(env),
         Err(error) => failed(env, &error),

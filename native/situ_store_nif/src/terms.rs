@@ -26,10 +26,15 @@ pub enum Decoded<'a> {
     Refused(&'static str),
 }
 
-pub fn decode<'a>(env: Env<'a>, bytes: &[u8]) -> Decoded<'a> {
-    if let Err(refusal) = etf::check(bytes) {
-        return Decoded::Refused(refusal.text());
+/// The term, and how many bytes its structure takes.
+pub fn decode<'a>(env: Env<'a>, bytes: &[u8]) -> (Decoded<'a>, usize) {
+    match etf::check(bytes) {
+        Ok(size) => (build(env, bytes), size),
+        Err(refusal) => (Decoded::Refused(refusal.text()), 0),
     }
+}
+
+fn build<'a>(env: Env<'a>, bytes: &[u8]) -> Decoded<'a> {
     if let Some((term, _)) = env.binary_to_term(bytes) {
         return Decoded::Plain(term);
     }

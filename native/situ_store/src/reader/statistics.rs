@@ -46,7 +46,13 @@ impl Reader {
             stored,
             chunks,
         };
-        if let Ok(chunk) = self.chunk_checked(&last, last.lane == LANE_DATA) {
+        if last.lane == LANE_LARGE {
+            // One message, whose creation time the entry has.
+            if let Ok(header) = self.chunk_header(&last) {
+                statistics.size_sum = header.size_sum;
+                statistics.latency_sum = header.latency_sum;
+            }
+        } else if let Ok(chunk) = self.chunk(&last) {
             statistics.size_sum = chunk.header.size_sum;
             statistics.latency_sum = chunk.header.latency_sum;
             if let Some(Ok((envelope, _))) = chunk.messages().last() {

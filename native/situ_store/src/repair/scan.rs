@@ -217,7 +217,7 @@ impl Scan {
 /// The header of the chunk that `bytes` begin with, when all of it is sound.
 fn sound(bytes: &[u8]) -> std::result::Result<ChunkHeader, &'static str> {
     let header = ChunkHeader::decode(bytes)?;
-    let body = chunk::open(&header, bytes, false)?;
+    let body = chunk::open(&header, bytes, false, MAX_UNPACKED.max(MAX_MESSAGE))?;
     match header.encoding {
         Encoding::Tracks => tracks::check(body.bytes(), header.count)?,
         Encoding::Bins if body.bytes().len() != header.count as usize * BIN => {

@@ -131,7 +131,7 @@ impl Writer {
         // The payload starts at a multiple of 64: copies of unaligned neighbours run at a tenth of the speed.
         let padded = (CHUNK_HEADER + self.builder.table.len()).next_multiple_of(64) - CHUNK_HEADER;
         self.builder.table.resize(padded, 0);
-        if compression != Compression::None {
+        if compression != Compression::None && size + self.builder.table.len() <= MAX_UNPACKED {
             let whole = parts.concat();
             if let Some(body) = compress(compression, &self.builder.table, &whole)? {
                 let raw = self.builder.table.len() + size;

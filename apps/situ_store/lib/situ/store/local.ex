@@ -18,7 +18,10 @@ defmodule Situ.Store.Local do
   @impl true
   def open(path, opts) do
     with {:ok, ref} <-
-           path |> Native.reader_open(opts[:verify] != :small) |> lost() |> Failure.wrap(path) do
+           path
+           |> Native.reader_open(opts[:verify] != :small, opts[:max_unpacked] || 64 * 1024 * 1024)
+           |> lost()
+           |> Failure.wrap(path) do
       {:ok, %__MODULE__{ref: ref, path: path}}
     end
   end
@@ -26,6 +29,11 @@ defmodule Situ.Store.Local do
   # The folder was found by its data.
   defp lost({:error, :no_store}), do: {:error, :index_lost}
   defp lost(result), do: result
+
+  # What was published since, for whoever asks for numbers next.
+  defp refresh(state) do
+    with :slow <- Native.reader_refresh(state.ref), do: Native.reader_refresh_all(state.ref)
+  end
 
   @impl true
   def info(%__MODULE__{} = state) do
@@ -53,13 +61,13 @@ defmodule Situ.Store.Local do
 
   @impl true
   def streams(%__MODULE__{} = state) do
-    Native.reader_refresh(state.ref)
+    refresh(state)
     Enum.map(shelf(state).streams, &statistics(state, &1))
   end
 
   @impl true
   def stream_named(%__MODULE__{} = state, name) do
-    Native.reader_refresh(state.ref)
+    refresh(state)
 
     case shelved(state, name) do
       nil -> missing_stream(state, name)
@@ -157,8 +165,12 @@ defmodule Situ.Store.Local do
 
   @impl true
   def seek(state, info, time) do
-    Native.reader_refresh(state.ref)
-    state.ref |> Native.reader_seek(info.id, clamp(time)) |> Failure.wrap(state.path, info.name)
+    time = clamp(time)
+
+    with :slow <- Native.reader_seek_quick(state.ref, info.id, time) do
+      Native.reader_seek(state.ref, info.id, time)
+    end
+    |> Failure.wrap(state.path, info.name)
   end
 
   @impl true
@@ -243,7 +255,7 @@ defmodule Situ.Store.Local do
 
   @impl true
   def summary(state, info, from, to, pixels) do
-    Native.reader_refresh(state.ref)
+    refresh(state)
 
     case Native.reader_summary(state.ref, info.id, clamp(from), clamp(to), pixels) do
       {:ok, level, bins} when map_size(info.codecs) == 0 ->
@@ -301,7 +313,7 @@ defmodule Situ.Store.Local do
 
   @impl true
   def count(state, info) do
-    Native.reader_refresh(state.ref)
+    refresh(state)
     Native.reader_count(state.ref, info.id)
   end
 

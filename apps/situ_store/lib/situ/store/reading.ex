@@ -11,6 +11,12 @@ defmodule Situ.Store.Reading do
       doc:
         "`:small` leaves out the checksums of large payloads (images): reading them costs no pass over the bytes."
     ],
+    max_unpacked: [
+      type: :pos_integer,
+      default: 64 * 1024 * 1024,
+      doc:
+        "Compressed messages that take more bytes are an error: a small file may hold large ones."
+    ],
     reader: [type: :module, doc: "The `Situ.Store.Reader` to use, whatever the file's ending."],
     reader_opts: [type: :keyword, default: [], doc: "That reader's own options."]
   ]
@@ -68,7 +74,9 @@ defmodule Situ.Store.Reading do
     end
   end
 
-  defp reader_opts(Local, opts), do: [{:verify, opts[:verify]} | opts[:reader_opts]]
+  defp reader_opts(Local, opts),
+    do: Keyword.take(opts, [:verify, :max_unpacked]) ++ opts[:reader_opts]
+
   defp reader_opts(_module, opts), do: opts[:reader_opts]
 
   defp find(path, reader) do

@@ -25,12 +25,16 @@ defmodule Situ.Store.TypeName do
     # its loading is what makes the words of types known
     {:module, _} = Code.ensure_loaded(Situ.Type)
 
-    with {:ok, quoted} <- Code.string_to_quoted(text, opts),
+    with true <- String.valid?(text),
+         {:ok, quoted} <- Code.string_to_quoted(text, opts),
          {:ok, type} <- literal(quoted) do
       {:ok, type}
     else
       _ -> :error
     end
+  rescue
+    # The tokenizer takes some keys of keyword lists for atoms, which here they are not.
+    _ in [ArgumentError, FunctionClauseError] -> :error
   end
 
   def read(_), do: :error

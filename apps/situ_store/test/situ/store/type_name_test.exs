@@ -30,7 +30,8 @@ defmodule Situ.Store.TypeNameTest do
   end
 
   test "no spelling of a name makes an atom" do
-    for {spelling, n} <- Enum.with_index(~w[:N :"N" N [N:1] 'N' %{N:1} @N N() A.N() ~s(x)N &N/1 {:list,:N}]) do
+    for {spelling, n} <-
+          Enum.with_index(~w|:N :"N" N [N:1] 'N' %{N:1} @N N() A.N() ~s(x)N &N/1 {:list,:N}|) do
       name = "never#{System.unique_integer([:positive])}heard#{n}"
       _ = TypeName.read(String.replace(spelling, "N", name))
       assert_raise ArgumentError, fn -> String.to_existing_atom(name) end
