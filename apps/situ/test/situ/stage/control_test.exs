@@ -47,8 +47,9 @@ defmodule Situ.Stage.ControlTest do
       Pipeline.start(
         fn p ->
           p
-          |> Situ.range(0, 1_000_000, 10)
-          |> Situ.via(Slow, [test: test],
+          |> Situ.from_enumerable(0..999_999, every: 10)
+          |> Situ.via(Slow,
+            test: test,
             name: "Slow",
             policy: opts[:policy] || Delivery.unlimited(window: 10_000)
           )
@@ -95,7 +96,7 @@ defmodule Situ.Stage.ControlTest do
 
   defp requests(p) do
     [
-      tap: fn -> Situ.tap({p, "Slow"}, fn _ -> :ok end, []) end,
+      tap: fn -> Situ.attach_tap({p, "Slow"}, fn _ -> :ok end) end,
       replace: fn -> Pipeline.replace(p, "Slow", test: self_of(p), k: 1) end,
       stop_part: fn -> Pipeline.stop_part(p, "Sink") end
     ]
@@ -143,7 +144,7 @@ defmodule Situ.Stage.ControlTest do
       Pipeline.start(
         fn p ->
           p
-          |> Situ.range(0, 1_000_000, 10)
+          |> Situ.from_enumerable(0..999_999, every: 10)
           |> Situ.map(
             fn v ->
               if v > 5_000 do
@@ -164,7 +165,7 @@ defmodule Situ.Stage.ControlTest do
     assert_receive {:at_work, slow}, 10_000
 
     for request <- [
-          fn -> Situ.tap({p, "Slow"}, fn _ -> :ok end, []) end,
+          fn -> Situ.attach_tap({p, "Slow"}, fn _ -> :ok end) end,
           fn -> Pipeline.stop_part(p, "Sink") end
         ] do
       assert messages_until(slow, request) <= 8

@@ -2,8 +2,10 @@ defmodule Situ.Connector do
   @moduledoc """
   Carries a stream from one pipeline into another that runs on its own.
 
-  The two pipelines share nothing but the connector: each has its own clock, life cycle and errors. The target sees a push
-  source that is infinite; what arrives while the target does not run is lost.
+  The two pipelines share nothing but the connector: each has its own clock, life cycle and errors. The target sees an infinite
+  source. Its demand goes through the connector: a target that is slow makes the sender wait (at most `window:` messages are under way,
+  1,000 if not said otherwise), unless the sender's policy drops; several targets all get all. What is sent while no target runs is
+  lost.
 
       iex> connector = Situ.Connector.new("numbers")
       iex> me = self()
@@ -35,7 +37,7 @@ defmodule Situ.Connector do
   @spec new(String.t()) :: t()
   def new(name) when is_binary(name), do: %__MODULE__{name: name, ref: make_ref()}
 
-  @doc "The stream on the receiving side. Options: `as:`, `type:`, and those of `Situ.Graph.Placement`."
+  @doc "The stream on the receiving side. Options: `as:`, `window:`, `type:`, and those of `Situ.Graph.Placement`."
   @spec receive(Situ.Pipeline.t(), t(), keyword()) :: Stream.t()
   def receive(p, %__MODULE__{} = connector, opts \\ []) do
     {type, opts} = Keyword.pop(opts, :type, :any)
@@ -77,16 +79,29 @@ defmodule Situ.Connector do
   end
 
   @doc false
+  # The receiving side runs: tells those who wait, and answers the sending sides there are.
   def open(%__MODULE__{ref: ref}) do
     {:ok, _} = Registry.register(@registry, ref, nil)
 
     for {pid, _} <- Registry.lookup(@registry, {:waiting, ref}),
         do: Kernel.send(pid, {:situ_connector_open, ref})
 
-    :ok
+    for {pid, _} <- Registry.lookup(@registry, {:out, ref}), do: pid
   end
 
   @doc false
+  # The sending side runs: the receiving sides there are learn of it.
+  def offer(%__MODULE__{ref: ref}) do
+    {:ok, _} = Registry.register(@registry, {:out, ref}, nil)
+
+    for {pid, _} <- Registry.lookup(@registry, ref) do
+      Kernel.send(pid, {:situ_connector_offer, self()})
+      pid
+    end
+  end
+
+  @doc false
+  # Messages put in by hand, whatever was asked for.
   def deliver(%__MODULE__{ref: ref}, messages) do
     for {pid, _} <- Registry.lookup(@registry, ref),
         do: Kernel.send(pid, {:situ_connector, ref, messages})
@@ -100,28 +115,85 @@ end
 
 defmodule Situ.Connector.In do
   @moduledoc false
-  # The receiving side: a push source without an end.
+  # The receiving side: a consumer, in GenStage's protocol, of every sending side; a source without an end.
   use Situ.Component,
     outputs: [out: :any],
     options: [
       connector: [type: {:struct, Situ.Connector}, required: true],
-      as: [type: {:in, [:data, :message, :envelope]}, default: :data]
+      as: [type: {:in, [:data, :message, :envelope]}, default: :data],
+      window: [type: :pos_integer, default: 1_000]
     ]
 
   @impl true
-  def init(opts), do: {:ok, Map.new(opts)}
+  def init(opts), do: {:ok, opts |> Map.new() |> Map.put(:subs, %{})}
 
   @impl true
   def handle_start(_context, state) do
-    Situ.Connector.open(state.connector)
-    {[{:complete, :infinity}], state}
+    senders = Situ.Connector.open(state.connector)
+    {[{:complete, :infinity}], Enum.reduce(senders, state, &subscribe/2)}
   end
 
+  # Both sides may have found each other.
+  defp subscribe(pid, state) do
+    if Enum.any?(state.subs, fn {_, sub} -> sub.pid == pid end) do
+      state
+    else
+      ref = Process.monitor(pid)
+      Kernel.send(pid, {:"$gen_producer", {self(), ref}, {:subscribe, nil, []}})
+      Kernel.send(pid, {:"$gen_producer", {self(), ref}, {:ask, state.window}})
+      Kernel.send(pid, {:situ_connector_joined, self()})
+      put_in(state.subs[ref], %{pid: pid, taken: 0})
+    end
+  end
+
+  # There is room: what was taken is asked for again.
   @impl true
+  def handle_demand(_n, _context, state) do
+    {[], %{state | subs: Map.new(state.subs, fn {ref, sub} -> {ref, ask(ref, sub, state)} end)}}
+  end
+
+  defp ask(ref, %{taken: taken} = sub, %{window: window})
+       when taken > 0 and taken >= div(window, 2) do
+    Kernel.send(sub.pid, {:"$gen_producer", {self(), ref}, {:ask, taken}})
+    %{sub | taken: 0}
+  end
+
+  defp ask(_ref, sub, _state), do: sub
+
+  @impl true
+  def handle_info({:"$gen_consumer", {_pid, ref}, {:cancel, _reason}}, _context, state)
+      when is_map_key(state.subs, ref) do
+    Process.demonitor(ref, [:flush])
+    {[], %{state | subs: Map.delete(state.subs, ref)}}
+  end
+
+  def handle_info({:"$gen_consumer", {_pid, ref}, messages}, _context, state)
+      when is_map_key(state.subs, ref),
+      do:
+        {actions(messages, state.as), update_in(state.subs[ref].taken, &(&1 + length(messages)))}
+
+  def handle_info({:DOWN, ref, :process, _pid, _reason}, _context, state),
+    do: {[], %{state | subs: Map.delete(state.subs, ref)}}
+
+  def handle_info({:situ_connector_offer, pid}, _context, state), do: {[], subscribe(pid, state)}
+
   def handle_info({:situ_connector, _ref, messages}, _context, state),
     do: {actions(messages, state.as), state}
 
   def handle_info(_other, _context, state), do: {[], state}
+
+  @impl true
+  def handle_stop(_final, _context, state), do: {[], cancel(state)}
+
+  @impl true
+  def terminate(_reason, state), do: cancel(state)
+
+  defp cancel(state) do
+    for {ref, sub} <- state.subs,
+        do: Kernel.send(sub.pid, {:"$gen_producer", {self(), ref}, {:cancel, :normal}})
+
+    %{state | subs: %{}}
+  end
 
   defp actions(messages, :envelope), do: [{:out, messages}]
   defp actions(messages, :data), do: for(m <- messages, do: {:out, m.originating_time, m.data})
@@ -130,22 +202,42 @@ end
 
 defmodule Situ.Connector.Out do
   @moduledoc false
-  # The sending side.
+  # The sending side: its output has consumers outside the pipeline. Nothing goes out before those that run have subscribed.
   use Situ.Component,
     inputs: [in: :any],
+    outputs: [out: :any],
     options: [connector: [type: {:struct, Situ.Connector}, required: true]]
 
   @impl true
-  def handle_message(:in, message, _context, opts) do
-    Situ.Connector.deliver(opts[:connector], [message])
-    {[], opts}
+  def init(opts), do: {:ok, %{connector: opts[:connector], awaited: %{}}}
+
+  @impl true
+  def handle_start(_context, state) do
+    awaited = Map.new(Situ.Connector.offer(state.connector), &{&1, Process.monitor(&1)})
+    {if(awaited == %{}, do: [], else: [{:demand, :accumulate}]), %{state | awaited: awaited}}
   end
 
   @impl true
-  def handle_messages(:in, messages, _context, opts) do
-    Situ.Connector.deliver(opts[:connector], messages)
-    {[], opts}
+  def handle_info({:situ_connector_joined, pid}, _context, state), do: arrived(pid, state)
+  def handle_info({:DOWN, _, :process, pid, _}, _context, state), do: arrived(pid, state)
+  def handle_info(_other, _context, state), do: {[], state}
+
+  defp arrived(pid, state) do
+    case Map.pop(state.awaited, pid) do
+      {nil, _} ->
+        {[], state}
+
+      {monitor, awaited} ->
+        Process.demonitor(monitor, [:flush])
+        {if(awaited == %{}, do: [{:demand, :forward}], else: []), %{state | awaited: awaited}}
+    end
   end
+
+  @impl true
+  def handle_message(:in, message, _context, state), do: {[{:out, message}], state}
+
+  @impl true
+  def handle_messages(:in, messages, _context, state), do: {[{:out, messages}], state}
 end
 
 defmodule Situ.Connector.Once do
