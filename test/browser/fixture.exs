@@ -128,6 +128,73 @@ defmodule Fixture do
     :ok = Writer.close(writer)
   end
 
+  # Streams whose like nobody chose: regular ones with holes, irregular ones, states that flicker and states that stay, maps of
+  # them. What was written is told beside the recording, for whoever wants to compare.
+  def record_zoo(name, folder, told) do
+    :rand.seed(:exsss, {1, 7, 1})
+    ms = 1_000_000
+
+    streams = [
+      {"Zoo.Regular", :float,
+       for(i <- steps(6_000, [10]), do: {i, Float.round(:math.sin(i / 900) * 10, 3)})},
+      {"Zoo.Irregular", :float,
+       for(i <- steps(400, 20..400), do: {i, Float.round(:rand.uniform() * 5, 3)})},
+      {"Zoo.Runs", :boolean, runs(steps(30_000, [2]), 2_000)},
+      {"Zoo.Flicker", :boolean, runs(steps(20_000, [3]), 2)},
+      {"Zoo.State", {:in, [:idle, :moving, :turning]}, states(steps(500, 60..180))},
+      {"Zoo.Map", {:map, :string, :boolean},
+       for(
+         {i, v} <- runs(steps(3_000, [20]), 400),
+         do: {i, %{"a" => v, "b" => rem(i, 7_000) < 3_500}}
+       )}
+    ]
+
+    {:ok, writer} = Writer.create(name, folder)
+
+    for {stream, type, rows} <- streams do
+      {:ok, out} = Writer.stream(writer, stream, type: type)
+
+      messages =
+        for {{i, data}, n} <- Enum.with_index(rows),
+            do: message({stream, @t0 + i * ms, 0, data, n})
+
+      {:ok, out} = Writer.append(out, messages)
+      {:ok, _} = Writer.close_stream(out, @t0 + 60_000 * ms)
+    end
+
+    :ok = Writer.close(writer)
+
+    truth =
+      for {stream, _, rows} <- streams, into: %{}, do: {stream, Enum.map(rows, &Tuple.to_list/1)}
+
+    File.write!(told, Situ.JSON.encode(truth))
+  end
+
+  # Milliseconds, so many apart, within a minute; three holes of some seconds in them.
+  defp steps(n, pauses) do
+    holes = for _ <- 1..3, at = :rand.uniform(55_000), do: at..(at + 500 + :rand.uniform(4_000))
+
+    0
+    |> Stream.iterate(&(&1 + Enum.random(pauses)))
+    |> Stream.take_while(&(&1 < 60_000))
+    |> Stream.reject(fn i -> Enum.any?(holes, &(i in &1)) end)
+    |> Enum.take(n)
+  end
+
+  # Values that stay for 1 to `most` messages.
+  defp runs(steps, most) do
+    {rows, _} =
+      Enum.map_reduce(steps, {true, 1}, fn
+        i, {value, 1} -> {{i, value}, {not value, round(:math.pow(most, :rand.uniform()))}}
+        i, {value, left} -> {{i, not value}, {value, left - 1}}
+      end)
+
+    rows
+  end
+
+  defp states(steps),
+    do: for(i <- steps, do: {i, Enum.at([:idle, :moving, :turning], div(i, 2_300) |> rem(3))})
+
   # Written for as long as the process lives, 30 pictures and values of ten signals a second.
   def record_live(name, folder) do
     {:ok, writer} = Writer.create(name, folder)

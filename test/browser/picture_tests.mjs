@@ -1,6 +1,6 @@
 // Panels at the cursor: pictures with what lies over them, depth, bars, values.
 import { test, equal, ok, near, until } from "./harness.mjs";
-import { open, settled, dispatch, pixel, count, panelOf } from "./studio_page.mjs";
+import { open, settled, dispatch, pixel, count, colorOf, panelOf } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
@@ -40,7 +40,7 @@ test("4 a film: picture and waveform of an MP4, scrubbed back and forth", async 
     return [points.length > 100, points.raw];
   }, wave);
   equal(heights, [true, false], "the waveform is folded");
-  ok((await count(page, `#${wave} canvas`, [0x4e, 0xa1, 0xf3])) > 3000, "the waveform has a body");
+  ok((await count(page, `#${wave} canvas`, await colorOf(page, "Audio"))) > 3000, "the waveform has a body");
   await shot("film");
 });
 
@@ -58,7 +58,7 @@ test("4 depth, bars and values", async ({ page }) => {
   await until(page, () => document.querySelector(".chart-cell"), "bars are shown");
   await settled(page);
   const bars = await page.evaluate(() => document.querySelector(".chart-cell").id);
-  ok((await count(page, `#${bars} canvas`, [0x4e, 0xa1, 0xf3])) > 2000, "bars are drawn");
+  ok((await count(page, `#${bars} canvas`, await colorOf(page, "Speech.Scores"))) > 2000, "bars are drawn");
   await page.click("#tree .node[data-stream='Camera.Faces'] .name");
   await page.click("button[phx-value-viz='value']");
   await until(page, () => [...document.querySelectorAll(".value-tree .v")].some((e) => e.textContent === '"Ada"'), "the value tree shows the label");

@@ -12,6 +12,10 @@ Fixture.record_big("big", folder, points)
 Fixture.record_uneven("uneven", folder)
 Fixture.record_many("many", folder)
 Fixture.film(folder)
+Fixture.record_zoo("zoo", folder, Path.join(work, "zoo.json"))
+# to be replaced, and to be damaged, while they are looked at
+Fixture.record("changing", folder)
+Fixture.record_uneven("broken", folder)
 # another writer, to be deleted while it is looked at
 Fixture.record("doomed", folder)
 Task.start_link(fn -> Fixture.record_live("growing", folder) end)
@@ -50,6 +54,24 @@ ticker = fn ticker, i ->
 end
 
 Task.start_link(fn -> ticker.(ticker, 0) end)
+
+# One that ends when the tests say so.
+{:ok, brief} =
+  Situ.Pipeline.start(
+    fn p ->
+      p
+      |> Situ.range(0, 10_000_000, Situ.Time.ms(40), name: "Ticks")
+      |> Situ.map(&:math.sin(&1 / 20), name: "Brief.Level", type: :float)
+    end,
+    pipeline: [name: "Brief", replay: [speed: 1.0]]
+  )
+
+stop = Path.join(work, "stop")
+
+Task.start_link(fn ->
+  Stream.repeatedly(fn -> Process.sleep(50) end) |> Enum.find(fn _ -> File.exists?(stop) end)
+  Situ.Pipeline.stop(brief)
+end)
 
 # One with composites, a part that is too slow and a connection that drops, for the page of its graph.
 {:ok, factory} =
@@ -92,7 +114,7 @@ layouts = Path.join(work, "layouts")
     port: 0,
     path: folder,
     sources: sources,
-    pipelines: [pipeline, factory],
+    pipelines: [pipeline, factory, brief],
     layouts: layouts
   )
 
@@ -138,6 +160,8 @@ IO.puts(
       "mortal" => base.(mortal),
       "restart" => signal,
       "folder" => folder,
+      "zoo" => Path.join(work, "zoo.json"),
+      "stop" => Path.join(work, "stop"),
       "points" => points,
       "t0" => Integer.to_string(Fixture.t0())
     })

@@ -61,3 +61,11 @@ export async function pointAt(page, id, t) {
   await page.mouse.move(x, y);
   return { x, y };
 }
+
+// The colour a stream has on the page, as [r, g, b]; of a map, that of its nth key.
+export const colorOf = (page, stream, nth = 0) => page.evaluate(([name, k]) => {
+  const panels = [...document.querySelectorAll("[phx-hook='Panel']")].map((e) => JSON.parse(e.dataset.config));
+  const vis = panels.flatMap((p) => p.vis).find((v) => v.stream === name);
+  const own = vis.props.color ?? getComputedStyle(document.documentElement).getPropertyValue(`--s${(vis.color + k) % 8}`).trim();
+  return [1, 3, 5].map((i) => parseInt(own.slice(i, i + 2), 16));
+}, [stream, nth]);

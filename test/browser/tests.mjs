@@ -3,6 +3,7 @@ import { runAll } from "./harness.mjs";
 import "./page_tests.mjs";
 import "./timeline_tests.mjs";
 import "./picture_tests.mjs";
+import "./truth_tests.mjs";
 import "./cursor_tests.mjs";
 import "./live_tests.mjs";
 import "./pipeline_tests.mjs";

@@ -1,6 +1,6 @@
 // Panels on the time axis: lines, lanes, waveforms, intervals.
 import { test, equal, ok, near, until } from "./harness.mjs";
-import { open, settled, dispatch, pixel, count, panelOf, pointAt } from "./studio_page.mjs";
+import { open, settled, dispatch, pixel, count, colorOf, panelOf, pointAt } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
@@ -12,7 +12,7 @@ test("3 timelines: a line is where its values are, and its value at the cursor i
   await settled(page);
   const shown = Number(await page.$eval(`#${id} .legend-item[data-stream="Imu.Acc.X"] b`, (e) => e.textContent));
   near(shown, 9.8 * Math.sin(20 / 3), 0.15, "value at 20 s");
-  const drawn = await page.evaluate((i) => {
+  const drawn = await page.evaluate(([i, [R, G, B]]) => {
     const view = [...window.situStudio.views].find((v) => v.el.id === i);
     const c = view.plot.ctx.canvas, { bbox } = view.plot;
     const out = [];
@@ -24,13 +24,13 @@ test("3 timelines: a line is where its values are, and its value at the cursor i
       let best = 1e9;
       for (let k = 0; k < c.height; k++) {
         const [r, g, b, a] = d.slice(4 * k, 4 * k + 4);
-        if (a > 60 && Math.abs(r - 0x4e) < 60 && Math.abs(g - 0xa1) < 60 && Math.abs(b - 0xf3) < 60) best = Math.min(best, Math.abs(k - y));
+        if (a > 60 && Math.abs(r - R) < 60 && Math.abs(g - G) < 60 && Math.abs(b - B) < 60) best = Math.min(best, Math.abs(k - y));
       }
       out.push(best);
     }
     return out;
-  }, id);
-  ok(drawn.every((d) => d < 4), `the blue line is up to ${Math.max(...drawn)} pixels from its values`);
+  }, [id, await colorOf(page, "Imu.Acc.X")]);
+  ok(drawn.every((d) => d < 4), `the line is up to ${Math.max(...drawn)} pixels from its values`);
 });
 
 test("3 timelines: waveform, lanes, labels, latency and marks are drawn", async ({ page, shot }) => {
@@ -43,7 +43,7 @@ test("3 timelines: waveform, lanes, labels, latency and marks are drawn", async 
     return [at(0.5e9), at(1.5e9), at(2.5e9)];
   }, wave);
   ok(loud[0] > 0.3 && loud[2] > 0.3 && loud[1] < 0.01, `loud, silent, loud: ${loud}`);
-  ok((await count(page, `#${wave} canvas`, [0x4e, 0xa1, 0xf3])) > 3000, "the waveform has a body");
+  ok((await count(page, `#${wave} canvas`, await colorOf(page, "Mic.Audio"))) > 3000, "the waveform has a body");
   const lanes = await panelOf(page, "Vad.Speaking");
   const y = 13 / (await page.$eval(`#${lanes}`, (e) => e.clientHeight));
   const x = (s) => page.evaluate(([i, t]) => (76 + (t / 60) * (document.getElementById(i).clientWidth - 90)) / document.getElementById(i).clientWidth, [lanes, s]);
@@ -100,7 +100,7 @@ test("3 timelines: maps are lanes and lines with a name each, intervals lie over
   await settled(page);
   const legend = await page.$$eval(`#${plot} .legend-item`, (e) => e.map((i) => [i.dataset.key, Number(i.querySelector("b").textContent)]));
   equal(legend, [["go", 0.5], ["stop", 0.5]], "a line for each key with its value at the cursor");
-  ok((await count(page, `#${plot} canvas`, [0x4e, 0xa1, 0xf3])) > 300 && (await count(page, `#${plot} canvas`, [0xf0, 0x98, 0x3e])) > 300, "both lines are drawn");
+  ok((await count(page, `#${plot} canvas`, await colorOf(page, "Speech.Scores"))) > 300 && (await count(page, `#${plot} canvas`, await colorOf(page, "Speech.Scores", 1))) > 300, "both lines are drawn");
 });
 
 test("3 timelines: zoomed out, the envelope keeps what is between the pixels", async ({ page }) => {
@@ -121,16 +121,16 @@ test("3 timelines: zoomed out, the envelope keeps what is between the pixels", a
 test("3 timelines: a threshold covers what is below a value", async ({ page }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Imu.Acc.X");
-  const blue = [0x4e, 0xa1, 0xf3];
+  const own = await colorOf(page, "Imu.Acc.X");
   await page.$eval(`#${id}`, (e) => e.scrollIntoView());
   await settled(page);
-  const before = await count(page, `#${id} canvas`, blue);
+  const before = await count(page, `#${id} canvas`, own);
   await page.click(`[data-panel="${id.replace("body-", "")}"] button[title='Properties']`);
   await page.selectOption("#threshold-side", "below");
   await page.fill("#threshold-value", "0");
   await until(page, (i) => JSON.parse(document.getElementById(i).dataset.config).threshold?.value === 0, "the threshold is set", id);
   await settled(page);
-  const after = await count(page, `#${id} canvas`, blue);
+  const after = await count(page, `#${id} canvas`, own);
   ok(after < 0.7 * before && after > 0.3 * before, `about half of the line is covered: ${before} -> ${after}`);
 });
 
@@ -178,7 +178,8 @@ test("3 timelines: where a stream begins late or ends early there is a bracket",
 test("3 timelines: colour and joins of a line are set in its properties", async ({ page }) => {
   await open(page, main, "many.0000");
   const id = await page.$eval("[phx-hook='Panel']", (e) => e.id), panel = id.replace("body-", "");
-  const blue = () => count(page, `#${id} canvas`, [0x4e, 0xa1, 0xf3], 30), magenta = () => count(page, `#${id} canvas`, [255, 0, 255], 60);
+  const own = await colorOf(page, await page.$eval(`#${id}`, (e) => JSON.parse(e.dataset.config).vis[0].stream));
+  const blue = () => count(page, `#${id} canvas`, own, 30), magenta = () => count(page, `#${id} canvas`, [255, 0, 255], 60);
   const joined = await blue();
   await page.click(`[data-panel="${panel}"] button[title='Properties']`);
   await page.selectOption(`#f-${panel}-0-interpolation`, "none");

@@ -14,6 +14,7 @@ import { Frames } from "./page/frames.js";
 import { commands } from "./page/commands.js";
 import { toast } from "./page/toast.js";
 import { onTheme } from "./page/theme.js";
+import { absolute } from "./time/text.js";
 
 export class Studio {
   // options: {dataUrl, pcmUrl, stepUrl, source, layout, edit, push, moved}
@@ -77,14 +78,25 @@ export class Studio {
   replied(reply) {
     if (reply.first) this.opened(reply);
     if (this.growing !== reply.live) {
+      if (this.growing && !reply.gone) this.ended(reply);
       this.growing = reply.live;
       this.header.grows(reply.live);
       document.body.dataset.growing = reply.live ? "1" : "";
     }
+    // another recording under the name has other times: the page begins with it
+    if (reply.replaced) return location.replace(location.pathname);
     this.connection.set(reply.gone ? "gone" : "open");
     this.snapped(reply);
     if (this.catalog !== undefined && this.catalog !== reply.version) this.options.push?.("streams_changed", {});
     this.catalog = reply.version;
+  }
+
+  // What grew has come to its end: its past stays, where it was looked at.
+  ended(reply) {
+    const at = absolute(Number(reply.to - this.client.origin), this.client.origin).slice(11, 19);
+    this.connection.ended(`ended ${at}`);
+    this.time.dispatch({ type: "live", on: false });
+    toast(`It has ended at ${at}. What was seen of it stays here.`);
   }
 
   // A snapped cursor moves to where the server found the message.

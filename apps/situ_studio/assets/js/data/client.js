@@ -5,10 +5,9 @@ import { decode } from "./wire.js";
 import { InstantChannel, IntervalChannel } from "./channels.js";
 
 const RETRY = [100, 250, 500, 1000, 2000, 5000];
+// What is deleted, replaced or goes on growing is noticed after so long, in ms.
 const IDLE_POLL = 1000;
 const LIVE_PERIOD = 33;
-// The server closes a socket from which nothing comes for 90 s.
-const KEEP_ALIVE = 30000;
 
 export class DataClient {
   // connect() -> a WebSocket-like object; time: the time store; onStatus(name), onReply(reply)
@@ -175,8 +174,8 @@ export class DataClient {
     clearTimeout(this.timer);
     if (this.closed) return;
     const live = this.time.get().mode === "live";
-    const period = live ? LIVE_PERIOD : growing ? IDLE_POLL : KEEP_ALIVE;
-    const wait = live ? period - (performance.now() - this.sentAt) : period;
+    const period = live && growing ? LIVE_PERIOD : IDLE_POLL;
+    const wait = live && growing ? period - (performance.now() - this.sentAt) : period;
     this.timer = setTimeout(() => this.pump(true), Math.max(wait, 0));
   }
 }

@@ -18,6 +18,7 @@ export function decode(buffer) {
     request: v.getUint32(4, true),
     live: (flags & 1) === 1,
     gone: (flags & 2) === 2,
+    replaced: (flags & 4) === 4,
     from: v.getBigInt64(8, true),
     to: v.getBigInt64(16, true),
     version: v.getUint32(28, true),

@@ -16,11 +16,18 @@ export class Connection {
     Object.assign(this, { header, toast, name: null });
   }
 
+  // What was live is no more; the connection still stands.
+  ended(text) {
+    this.over = text;
+    document.body.dataset.ended = "1";
+    if (this.name === "open") this.header.set("connection", text);
+  }
+
   set(name) {
     if (name === this.name) return;
     this.name = name;
     document.body.dataset.connection = name;
-    this.header.set("connection", STATUS[name]);
+    this.header.set("connection", (name === "open" && this.over) || STATUS[name]);
     clearTimeout(this.timer);
     if (name === "closed") this.timer = setTimeout(() => this.say(), LOST);
     else this.say();

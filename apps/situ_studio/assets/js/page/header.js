@@ -49,7 +49,6 @@ export class Header {
     this.pressed("repeat", s.repeat);
     this.pressed("follow", s.follow);
     this.pressed("live", s.mode === "live");
-    this.disabled(["togglePlay", "togglePlaySel", "zoomAll", "zoomSel"], s.mode === "live");
     this.disabled(["live"], !this.growing && s.mode !== "live");
   }
 

@@ -2,6 +2,7 @@
 
 import { GUTTER, FONT, theme, seriesColor, keyIndex } from "../page/theme.js";
 import { ticks } from "../time/text.js";
+import { byName } from "../data/series.js";
 import { brackets } from "../visualizers/paint.js";
 import { visualizers } from "../visualizers/index.js";
 import { tip } from "../page/tip.js";
@@ -9,6 +10,7 @@ import { tip } from "../page/tip.js";
 const ROW = 26;
 const EDGE = 4;
 const ROOM = 11;
+const MOST_LANES = 32;
 // How far beside a mark or a narrow segment the mouse may be, in pixels.
 const NEAR = 4;
 
@@ -57,7 +59,7 @@ export class LanesPanel {
   // One row a stream, or one for each key of a stream of maps.
   layOut() {
     const rows = this.layers.flatMap((l) =>
-      l.drawer.lanes(l.channel).map((lane, i) => ({ l, lane, index: keyIndex(lane, i) })));
+      known(l).map((lane, i) => ({ l, lane, index: keyIndex(lane, i) })));
     const named = JSON.stringify(rows.map((r) => [r.l.index, r.lane]));
     if (this.rows && named === this.named) return;
     this.rows = rows;
@@ -169,6 +171,13 @@ export class LanesPanel {
     tip(this, []);
     for (const l of this.layers) this.app.client.close(l.channel);
   }
+}
+
+// A lane that was there stays, also where the window holds nothing of it: rows must not jump.
+function known(l) {
+  const named = l.drawer.lanes(l.channel).filter((n) => n !== "");
+  if (named.length) l.known = [...new Set([...(l.known ?? []), ...named])].sort(byName).slice(0, MOST_LANES);
+  return l.known ?? [""];
 }
 
 // A key that says enough stands alone where there is no room for its stream's name too.

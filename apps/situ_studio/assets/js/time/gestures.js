@@ -39,7 +39,7 @@ export function timelineGestures(el, app) {
     state.drag = null;
     if (!d || d.moved) return;
     if (d.select) app.time.dispatch({ type: "selStart", t: d.t });
-    else if (!app.time.get().follow) app.time.dispatch({ type: "cursor", t: d.t });
+    else if (app.time.get().mode === "play" || !app.time.get().follow) app.time.dispatch({ type: "seek", t: d.t });
     else app.selectPanelOf(e.target);
   };
   const menu = (e) => {

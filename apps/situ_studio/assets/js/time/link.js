@@ -11,6 +11,7 @@ export function encode(s, origin, { layout, edit, snap } = {}) {
   else {
     q.set("view", `${abs(s.view[0])}~${abs(s.view[1])}`);
     q.set("at", abs(s.cursor));
+    if (!s.follow) q.set("held", "1");
     if (s.sel[0] != null || s.sel[1] != null) {
       q.set("sel", s.sel.map((t) => (t == null ? "" : abs(t))).join("~"));
     }
@@ -23,7 +24,7 @@ export function decode(search, origin) {
   const q = new URLSearchParams(search);
   const time = (x) => (/^-?\d{1,20}$/.test(x ?? "") ? Number(BigInt(x) - origin) : null);
   const pair = (name) => (q.get(name) ?? "").split("~").map(time);
-  const out = { live: q.get("live") === "1", snap: q.get("snap") || null };
+  const out = { live: q.get("live") === "1", snap: q.get("snap") || null, held: q.get("held") === "1" };
   const [a, b] = pair("view");
   if (a != null && b != null && a < b) out.view = [a, b];
   const at = time(q.get("at"));

@@ -45,7 +45,6 @@ export class Navigator {
     const y = e.offsetY;
     if (y > BAR + 6) return; // the ruler belongs to the panels' gestures, see app.js
     const s = this.app.time.get();
-    if (s.mode === "live") return;
     const { x, t } = this.scale();
     const left = x(s.view[0]), right = x(s.view[1]);
     const at = e.offsetX;

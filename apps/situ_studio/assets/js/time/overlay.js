@@ -22,10 +22,9 @@ export class Overlay {
     const k = inner / (s.view[1] - s.view[0]);
     const x = (t) => (t - s.view[0]) * k;
     place(this.cursor, x(s.cursor), inner);
-    const live = s.mode === "live";
-    place(this.start, live || s.sel[0] == null ? null : x(s.sel[0]), inner);
-    place(this.end, live || s.sel[1] == null ? null : x(s.sel[1]), inner);
-    const both = !live && s.sel[0] != null && s.sel[1] != null;
+    place(this.start, s.sel[0] == null ? null : x(s.sel[0]), inner);
+    place(this.end, s.sel[1] == null ? null : x(s.sel[1]), inner);
+    const both = s.sel[0] != null && s.sel[1] != null;
     this.shade.hidden = !both;
     if (both) {
       const a = Math.max(x(s.sel[0]), 0), b = Math.min(x(s.sel[1]), inner);

@@ -44,6 +44,12 @@ export function duration(t) {
   if (a < MS) return `${sign}${digits(a / US)} µs`;
   if (a < S) return `${sign}${digits(a / MS)} ms`;
   if (a < MIN) return `${sign}${digits(a / S)} s`;
+  if (a < 10 * MIN) {
+    // to a tenth of a second; 59.96 s is a minute then
+    const tenths = Math.round(a / (S / 10));
+    const rest = (tenths % 600) / 10;
+    return `${sign}${Math.floor(tenths / 600)} min ${rest < 10 ? "0" : ""}${rest} s`;
+  }
   if (a < H) return `${sign}${Math.floor(a / MIN)} min ${pad(Math.floor((a % MIN) / S))} s`;
   return `${sign}${Math.floor(a / H)} h ${pad(Math.floor((a % H) / MIN))} min`;
 }

@@ -47,21 +47,32 @@ const handlers = {
   reset(s, { from, to }) {
     return { ...initial(from, to), speed: s.speed, follow: s.follow };
   },
-  restore(s, { view, cursor, sel }) {
+  restore(s, { view, cursor, sel, held }) {
     return {
       ...s,
       view: view ? range(view[0], view[1]) : s.view,
       cursor: cursor ?? s.cursor,
       sel: sel ?? s.sel,
-      follow: cursor == null ? s.follow : false,
+      follow: !held,
     };
   },
 
   // cursor
   move: (s, { t }) => (s.mode === "manual" && s.follow ? { ...s, cursor: t } : s),
   cursor: (s, { t }) => (s.mode === "live" ? s : { ...s, cursor: clamp(t, s.data) }),
-  nudge: (s, { by }) =>
-    s.mode === "live" ? s : visible({ ...s, cursor: clamp(s.cursor + by, s.data), follow: false }),
+  // Who moves the cursor by hand leaves the newest time; playing goes on from there.
+  nudge(s, { by }) {
+    const cursor = clamp(s.cursor + by, s.data);
+    if (s.mode === "play") return handlers.seek(s, { t: cursor });
+    return visible({ ...leaveLive(s), cursor, follow: false });
+  },
+  seek(s, { t }) {
+    const cursor = clamp(t, s.data);
+    if (s.mode !== "play") return { ...leaveLive(s), cursor };
+    const [from, to] = s.play;
+    // another range, if only by its identity: the sound begins there, too
+    return { ...s, cursor, play: cursor >= from && cursor < to ? [from, to] : range(cursor, s.data[1]) };
+  },
   goto(s, { t }) {
     const cursor = clamp(t, s.data);
     const half = width(s.view) / 2;
@@ -73,7 +84,7 @@ const handlers = {
   follow: (s) => ({ ...s, follow: !s.follow }),
 
   // view
-  view: (s, { from, to }) => ({ ...s, view: bound(range(from, to), s.data) }),
+  view: (s, { from, to }) => ({ ...leaveLive(s), view: bound(range(from, to), s.data) }),
   zoomAt(s, { t, factor }) {
     if (s.mode === "live") return zoomLive(s, factor);
     const [from, to] = s.view;
@@ -87,15 +98,14 @@ const handlers = {
     return handlers.zoomAt(s, { t: mid, factor });
   },
   pan(s, { by }) {
-    if (s.mode === "live") return s;
-    return { ...s, view: bound([s.view[0] + by, s.view[1] + by], s.data) };
+    return { ...leaveLive(s), view: bound([s.view[0] + by, s.view[1] + by], s.data) };
   },
-  zoomAll: (s) => (s.mode === "live" ? s : { ...s, view: s.data }),
+  zoomAll: (s) => ({ ...leaveLive(s), view: s.data }),
   zoomSel(s) {
     const sel = finiteSel(s);
-    if (!sel || s.mode === "live") return s;
+    if (!sel) return s;
     const pad = Math.max(width(sel) * SEL_PADDING * 0.5, MIN_VIEW / 2);
-    return { ...s, view: [sel[0] - pad, sel[1] + pad] };
+    return { ...leaveLive(s), view: [sel[0] - pad, sel[1] + pad] };
   },
 
   // selection: both ends are optional; an end that would lie before the start is dropped
@@ -127,12 +137,13 @@ const handlers = {
 
   // playback
   play(s, { from, to, repeat }) {
-    if (s.mode === "live") return s;
     const r = range(from, to);
     return visible({ ...s, mode: "play", play: r, cursor: from, repeat: repeat ?? s.repeat });
   },
   playView(s) {
-    const start = s.cursor >= s.data[1] - 1 ? s.data[0] : s.cursor;
+    const ended = s.cursor >= s.data[1] - 1;
+    // what is live ends at its newest time: playing begins where the view does
+    const start = !ended ? s.cursor : s.mode === "live" ? Math.max(s.view[0], s.data[0]) : s.data[0];
     return handlers.play(s, { from: start, to: s.data[1] });
   },
   playSel(s) {

@@ -12,6 +12,8 @@ test("relative times", () => {
 test("durations", () => {
   assert.equal(duration(1234567), "1.23 ms");
   assert.equal(duration(95e9), "1 min 35 s");
+  assert.equal(duration(61.94e9), "1 min 01.9 s");
+  assert.equal(duration(119.97e9), "2 min 00 s");
 });
 
 test("absolute times keep tenths of milliseconds", () => {

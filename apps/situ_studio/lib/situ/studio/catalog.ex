@@ -12,13 +12,14 @@ defmodule Situ.Studio.Catalog do
   defmodule Item do
     @moduledoc "One thing to look at; `id` is what stands in the address."
     @enforce_keys [:id, :title, :kind]
-    defstruct [:id, :title, :kind, :path]
+    defstruct [:id, :title, :kind, :path, live: false]
 
     @type t :: %__MODULE__{
             id: String.t(),
             title: String.t(),
             kind: :store | :pipeline | :source,
-            path: Path.t() | nil
+            path: Path.t() | nil,
+            live: boolean()
           }
   end
 
@@ -99,11 +100,17 @@ defmodule Situ.Studio.Catalog do
       for {id, path} <- Situ.Studio.Stores.discover(state.path),
           do: %Item{id: id, title: id, kind: :store, path: path}
 
-    pipelines =
+    running =
       for {id, _} <- Situ.Studio.Source.Pipeline.running(state.pipelines),
-          do: %Item{id: id, title: id, kind: :pipeline}
+          do: %Item{id: id, title: id, kind: :pipeline, live: true}
 
-    Enum.sort_by(given, & &1.title) ++ pipelines ++ stores
+    # one that was looked at and has ended: what was seen of it is still there
+    ended =
+      for {id, {Situ.Studio.Source.Pipeline, _}} <- state.open,
+          not Enum.any?(running, &(&1.id == id)),
+          do: %Item{id: id, title: id, kind: :pipeline, live: false}
+
+    Enum.sort_by(given, & &1.title) ++ running ++ ended ++ stores
   end
 
   defp source(state, %Item{kind: :source, id: id}), do: {:ok, Map.fetch!(state.given, id), state}

@@ -46,7 +46,7 @@ defmodule Situ.Studio.DataSession do
   @spec handle(binary(), t()) :: {:ok, iodata(), t()} | {:error, Error.t()}
   def handle(text, %__MODULE__{} = session) do
     with {:ok, request} <- decode(text) do
-      {gone?, session} = refresh(session)
+      {state, session} = refresh(session)
       session = session |> close(request["close"]) |> open(request["open"])
       time = cursor(session, request)
       windows = windows(session, request["series"])
@@ -58,7 +58,8 @@ defmodule Situ.Studio.DataSession do
         to: session.extent.to,
         live: session.extent.live,
         version: session.extent.version,
-        gone: gone?,
+        gone: state == :gone,
+        replaced: state == :replaced,
         time: time
       }
 
@@ -81,10 +82,13 @@ defmodule Situ.Studio.DataSession do
   # A source that went away keeps the extents it had, so that the page stays where it is.
   defp refresh(session) do
     case Source.call(session.source, :extent, []) do
-      {:ok, extent} -> {false, %{session | extent: extent}}
-      {:error, _} -> {true, %{session | extent: %{session.extent | live: false}}}
+      {:ok, extent} -> {:there, %{session | extent: extent}}
+      {:error, %{code: :replaced}} -> {:replaced, ended(session)}
+      {:error, _} -> {:gone, ended(session)}
     end
   end
+
+  defp ended(session), do: %{session | extent: %{session.extent | live: false}}
 
   defp close(session, ids) when is_list(ids),
     do: %{session | channels: Map.drop(session.channels, ids)}

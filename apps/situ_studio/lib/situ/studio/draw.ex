@@ -3,7 +3,7 @@ defmodule Situ.Studio.Draw do
   What a channel of a page shows: the frame of a window, or of the message at the cursor, made by the channel's
   visualizer.
   """
-  alias Situ.Studio.{Frame, Path, Source, Visualizer}
+  alias Situ.Studio.{Frame, Hole, Path, Source, Visualizer}
 
   @doc "The frame of a window `from..to` with bins of `bin` nanoseconds."
   @spec window(
@@ -31,6 +31,9 @@ defmodule Situ.Studio.Draw do
   def instant(source, channel, %{stream: stream, viz: viz} = spec, time, last) do
     if draws?(viz, :instant, 3) do
       case Source.call(source, :latest_at, [stream, time]) do
+        {:ok, %{data: %Hole{}}} ->
+          {if(last == :hole, do: Frame.same(channel), else: Frame.none(channel)), :hole}
+
         {:ok, message} ->
           mark = {message.originating_time, message.sequence_id}
 

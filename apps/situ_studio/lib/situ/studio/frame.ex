@@ -9,7 +9,7 @@ defmodule Situ.Studio.Frame do
   |---|---|
   | 0 | version, 1 |
   | 1 | 0 |
-  | 2..3 | flags: 1 = the source grows (live), 2 = the source is gone |
+  | 2..3 | flags: 1 = the source grows (live), 2 = the source is gone, 4 = another has taken its place |
   | 4..7 | the request this answers |
   | 8..15 | first time of the source, ns since 1970 (signed) |
   | 16..23 | last time |
@@ -68,7 +68,7 @@ defmodule Situ.Studio.Frame do
   """
   @spec reply([t()], map()) :: iodata()
   def reply(frames, %{request: request, from: from, to: to, time: time} = meta) do
-    flags = bit(meta[:live], 1) + bit(meta[:gone], 2)
+    flags = bit(meta[:live], 1) + bit(meta[:gone], 2) + bit(meta[:replaced], 4)
 
     [
       <<@version, 0, flags::little-16, request::little-32, from::little-signed-64,

@@ -39,7 +39,7 @@ defmodule Situ.Studio.History do
   @doc "Makes a stream known before its first message; `type` as in `Situ.Type`."
   @spec open(t(), String.t(), Situ.Type.t()) :: :ok
   def open(%__MODULE__{streams: streams}, name, type) do
-    :ets.insert_new(streams, {name, type, 0, 0, nil, nil, 0})
+    :ets.insert_new(streams, {name, type, 0, 0, nil, nil, 0, 0})
     :ok
   end
 
@@ -49,13 +49,30 @@ defmodule Situ.Studio.History do
     open(history, name, :any)
     time = message.originating_time
     :ets.insert(history.messages, {{name, time}, message, bytes})
-    [{_, type, count, held, first, _, total}] = :ets.lookup(history.streams, name)
-    row = {name, type, count + 1, held + bytes, first || time, time, total + bytes}
+    [{_, type, count, held, first, _, total, kept}] = :ets.lookup(history.streams, name)
+    row = {name, type, count + 1, held + bytes, first || time, time, total + bytes, kept + 1}
     :ets.insert(history.streams, forget(history, row))
     :ok
   end
 
-  defp forget(history, {name, type, count, held, first, last, total} = row) do
+  @doc """
+  Nobody looks at the stream from here on: what it says is not known until the next message. A hole takes no part in
+  counts; `Situ.Studio.Hole` stands in the place of its data.
+  """
+  @spec interrupt(t(), String.t()) :: :ok
+  def interrupt(%__MODULE__{} = history, name) do
+    case :ets.lookup(history.streams, name) do
+      [{_, _, _, _, _, last, _, _}] when last != nil ->
+        hole = %Situ.Message{data: %Situ.Studio.Hole{}, originating_time: last + 1}
+        :ets.insert(history.messages, {{name, last + 1}, hole, 0})
+        :ok
+
+      _ ->
+        :ok
+    end
+  end
+
+  defp forget(history, {name, type, count, held, first, last, total, kept} = row) do
     if held > history.max_bytes or last - first > history.max_age do
       case :ets.lookup(history.messages, {name, first}) do
         [{key, _, bytes}] ->
@@ -64,14 +81,14 @@ defmodule Situ.Studio.History do
 
           case next do
             {^name, time} ->
-              forget(history, {name, type, count, held - bytes, time, last, total})
+              forget(history, {name, type, count, held - bytes, time, last, total, kept - 1})
 
             _ ->
-              {name, type, count, 0, last, last, total}
+              {name, type, count, 0, last, last, total, 1}
           end
 
         [] ->
-          {name, type, count, held, last, last, total}
+          {name, type, count, held, last, last, total, kept}
       end
     else
       row

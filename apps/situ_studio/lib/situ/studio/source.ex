@@ -75,11 +75,41 @@ defmodule Situ.Studio.Source do
               n :: pos_integer()
             ) :: {:ok, [{integer(), Situ.Message.t()}]} | {:error, Situ.Error.t()}
 
-  @optional_callbacks sample: 5
+  @doc """
+  What a store knows of many messages without reading them (`Situ.Store.Summary.read/6`), or `:none` where there are so
+  few that they are better read.
+  """
+  @callback summary(
+              handle :: term(),
+              stream :: String.t(),
+              Situ.Time.t(),
+              Situ.Time.t(),
+              bins :: pos_integer()
+            ) :: {:ok, Situ.Store.Summary.t()} | :none | {:error, Situ.Error.t()}
+
+  @doc "What is wrong with the source, in sentences; nothing where all of it can be read."
+  @callback damage(handle :: term()) :: [String.t()]
+
+  @optional_callbacks sample: 5, summary: 5, damage: 1
 
   @doc "Calls the source's function of this name."
   @spec call(t(), atom(), list()) :: term()
   def call({module, handle}, function, args), do: apply(module, function, [handle | args])
+
+  @doc "What is wrong with the source, see `c:damage/1`."
+  @spec damage(t()) :: [String.t()]
+  def damage({module, handle}) do
+    if function_exported?(module, :damage, 1), do: module.damage(handle), else: []
+  end
+
+  @doc "The summary of a stream, see `c:summary/5`; `:none` where the source makes none."
+  @spec summary(t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
+          {:ok, Situ.Store.Summary.t()} | :none | {:error, Situ.Error.t()}
+  def summary({module, handle}, stream, from, to, bins) do
+    if function_exported?(module, :summary, 5),
+      do: module.summary(handle, stream, from, to, bins),
+      else: :none
+  end
 
   @doc "At most about `n` messages of those between two times, with their places, see `c:sample/5`."
   @spec sample(t(), String.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::

@@ -28,6 +28,7 @@ defmodule Situ.Studio.StreamInfo do
     count: 0,
     bytes: 0,
     latency: nil,
+    rate: nil,
     keys: [],
     details: []
   ]
@@ -56,9 +57,22 @@ defmodule Situ.Studio.StreamInfo do
           count: non_neg_integer(),
           bytes: non_neg_integer(),
           latency: number() | nil,
+          rate: float() | nil,
           keys: [String.t()],
           details: [{String.t(), String.t()}]
         }
+
+  @doc """
+  Messages a second, of so many between two times; `nil` where that says nothing.
+
+      iex> Situ.Studio.StreamInfo.rate(101, 0, 1_000_000_000)
+      100.0
+  """
+  @spec rate(non_neg_integer(), Situ.Time.t() | nil, Situ.Time.t() | nil) :: float() | nil
+  def rate(count, first, last) when count > 1 and first != nil and last > first,
+    do: (count - 1) * 1.0e9 / (last - first)
+
+  def rate(_, _, _), do: nil
 
   @doc "The shape of a declared type; `:any` is known better by `shape_of/1`."
   @spec shape(Situ.Type.t() | nil) :: shape()

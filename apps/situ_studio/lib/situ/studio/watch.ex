@@ -143,6 +143,8 @@ defmodule Situ.Studio.Watch do
     for {stream, tap} <- idle do
       :ets.delete(state.uses, stream)
       detach(tap)
+      # one whose pipeline has ended is seen to its end
+      if Process.alive?(tap.pipeline), do: History.interrupt(state.history, stream)
     end
 
     {:noreply, %{state | taps: Map.drop(state.taps, Enum.map(idle, &elem(&1, 0)))}}

@@ -19,6 +19,8 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Visualizers.Shapes
   doctest Situ.Studio.Visualizers.Bars
   doctest Situ.Studio.Draw.Bins
+  doctest Situ.Studio.Draw.Rhythm
+  doctest Situ.Studio.Draw.Tracks
   doctest Situ.Studio.Draw.Segments
   doctest Situ.Studio.Visualizers.Spans
   doctest Situ.Studio.Visualizers.Lines

@@ -25,6 +25,7 @@ defmodule Situ.Studio.Draw.Bins do
   @doc "What a line shows of one value: a point, a gap for `nil`, nothing of what is no number."
   @spec points(Situ.Time.t(), term()) :: [point() | gap()]
   def points(time, nil), do: [gap(time)]
+  def points(time, %Situ.Studio.Hole{}), do: [gap(time)]
 
   def points(time, value) do
     case number(value) do

@@ -16,8 +16,8 @@ defmodule Situ.Studio.Draw.Segments do
       iex> Situ.Studio.Draw.Segments.of(messages, [], 200)
       [{0, 100, "100 messages", "many", ""}, {100, nil, "true", "true", ""}]
   """
-  alias Situ.Studio.{Frame, Path, Source, Visualizer}
-  alias Situ.Studio.Draw.{Key, Messages}
+  alias Situ.Studio.{Frame, Hole, Path, Source, Visualizer}
+  alias Situ.Studio.Draw.{Key, Messages, Rhythm}
 
   @typedoc "From, to (`nil`: open), what it says, the way it is drawn, the name of its lane (`\"\"`: the only one)."
   @type t ::
@@ -26,7 +26,10 @@ defmodule Situ.Studio.Draw.Segments do
   @max_label 200
   @rows 3_000
 
-  @doc "The frame of a window, as `c:Situ.Studio.Visualizer.window/6` of what is drawn as segments."
+  @doc """
+  The frame of a window made of messages, for a visualizer's `window`. Where messages are missing that should have come,
+  nothing is drawn.
+  """
   @spec window(
           Source.t(),
           Frame.channel(),
@@ -38,8 +41,40 @@ defmodule Situ.Studio.Draw.Segments do
   def window(source, channel, spec, from, to, bin) do
     with {:ok, numbered, all?} <- Messages.numbered(source, spec, from, to) do
       within = for {_, m} <- numbered, m.originating_time <= to, do: m
-      numbered |> of(spec.path, to) |> frame(channel, bin, within, all?)
+
+      holes =
+        if all?, do: Rhythm.holes(for {_, m} <- numbered, do: {m.originating_time, 1}), else: []
+
+      numbered
+      |> of(spec.path, to, spec.viz.id == "labels")
+      |> cut(holes)
+      |> frame(channel, bin, within, all?)
     end
+  end
+
+  @doc """
+  Without what would lie in holes.
+
+      iex> Situ.Studio.Draw.Segments.cut([{0, 90, "x", "state", ""}, {90, nil, "y", "state", ""}], [{20, 50}])
+      [{0, 20, "x", "state", ""}, {50, 90, "x", "state", ""}, {90, nil, "y", "state", ""}]
+  """
+  @spec cut([t()], [{Situ.Time.t(), Situ.Time.t()}]) :: [t()]
+  def cut(rows, []), do: rows
+
+  def cut(rows, holes) do
+    Enum.flat_map(rows, fn {a, b, label, class, lane} ->
+      for {from, to} <- outside(a, b, holes), do: {from, to, label, class, lane}
+    end)
+  end
+
+  # `nil` is later than every time, as atoms are in the order of terms.
+  defp outside(a, b, [{_, to} | holes]) when to <= a, do: outside(a, b, holes)
+  defp outside(a, b, [{from, _} | _]) when from >= b, do: [{a, b}]
+  defp outside(a, b, []), do: [{a, b}]
+
+  defp outside(a, b, [{from, to} | holes]) do
+    before = if from > a, do: [{a, from}], else: []
+    if to < b, do: before ++ outside(to, b, holes), else: before
   end
 
   @doc "The frame of segments made of `messages`; where there are too many to tell apart, neighbours become one."
@@ -52,11 +87,12 @@ defmodule Situ.Studio.Draw.Segments do
   @doc """
   Segments of messages in order, lane by lane. Of messages after `to` only the time counts: the last segment ends
   there, or
-  is open where there is none.
+  is open where there is none. Texts are states, a name for what holds, but for what people said (`texts?`): saying the
+  same twice is two utterances.
   """
-  @spec of([Messages.numbered()], Path.t(), Situ.Time.t()) :: [t()]
-  def of(messages, path, to) do
-    by_lane = messages |> spread(path, to) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
+  @spec of([Messages.numbered()], Path.t(), Situ.Time.t(), texts? :: boolean()) :: [t()]
+  def of(messages, path, to, texts? \\ false) do
+    by_lane = messages |> spread(path, to, texts?) |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
     keys = for {:key, key} <- Map.keys(by_lane), do: key
 
     keyed = for key <- Key.sort(keys), do: merge(by_lane[{:key, key}], Key.text(key))
@@ -70,7 +106,7 @@ defmodule Situ.Studio.Draw.Segments do
   end
 
   # {lane, {from, to, label, class}} of every message
-  defp spread([{n, message} | rest], path, to) when message.originating_time <= to do
+  defp spread([{n, message} | rest], path, to, texts?) when message.originating_time <= to do
     {until, more} =
       case rest do
         [{next, later} | _] -> {later.originating_time, next - n}
@@ -81,26 +117,30 @@ defmodule Situ.Studio.Draw.Segments do
       case Path.fetch(message.data, path) do
         {:ok, value} ->
           for {lane, v} <- entries(value),
-              do: {lane, row(message.originating_time, until, v, more)}
+              do: {lane, row(message.originating_time, until, v, more, texts?)}
 
         :error ->
           []
       end
 
-    rows ++ spread(rest, path, to)
+    rows ++ spread(rest, path, to, texts?)
   end
 
-  defp spread(_, _, _), do: []
+  defp spread(_, _, _, _), do: []
 
-  defp row(from, until, value, 1), do: {from, until, label(value), class(value)}
-  defp row(from, until, _, more), do: {from, until, {:unread, more}, "many"}
+  defp row(from, until, text, 1, true) when is_binary(text),
+    do: {from, until, label(text), "text"}
+
+  defp row(from, until, value, 1, _), do: {from, until, label(value), class(value)}
+  defp row(from, until, _, more, _), do: {from, until, {:unread, more}, "many"}
+
+  defp entries(%Hole{}), do: []
 
   defp entries(map) when is_map(map) and not is_struct(map),
     do: for({key, value} <- map, do: {{:key, key}, value})
 
   defp entries(value), do: [{:only, value}]
 
-  # Texts stay apart: saying the same twice is two utterances.
   defp merge([{a, same, label, class}, {same, b, label, class} | rest], lane)
        when class not in ["text", "many"],
        do: merge([{a, b, label, class} | rest], lane)
@@ -163,8 +203,9 @@ defmodule Situ.Studio.Draw.Segments do
   def label(value),
     do: value |> inspect(limit: 10, printable_limit: 80) |> String.slice(0, @max_label)
 
-  defp class(true), do: "true"
-  defp class(false), do: "false"
-  defp class(value) when is_binary(value), do: "text"
-  defp class(_), do: "state"
+  @doc "The way a state is drawn."
+  @spec class(term()) :: String.t()
+  def class(true), do: "true"
+  def class(false), do: "false"
+  def class(_), do: "state"
 end

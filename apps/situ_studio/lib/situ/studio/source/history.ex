@@ -4,14 +4,14 @@ defmodule Situ.Studio.Source.History do
   """
   @behaviour Situ.Studio.Source
 
-  alias Situ.Studio.{History, StreamInfo}
+  alias Situ.Studio.{History, Hole, StreamInfo}
   alias Situ.Studio.Draw.Bins
 
   @impl true
   def extent(%History{streams: streams, live: live}) do
     rows = :ets.tab2list(streams)
-    firsts = for {_, _, _, _, first, _, _} <- rows, first != nil, do: first
-    lasts = for {_, _, _, _, _, last, _} <- rows, last != nil, do: last
+    firsts = for {_, _, _, _, first, _, _, _} <- rows, first != nil, do: first
+    lasts = for {_, _, _, _, _, last, _, _} <- rows, last != nil, do: last
     now = Situ.Time.now()
 
     {:ok,
@@ -28,7 +28,7 @@ defmodule Situ.Studio.Source.History do
   @impl true
   def streams(%History{streams: streams} = history) do
     infos =
-      for {name, type, count, _, first, last, total} <- :ets.tab2list(streams) do
+      for {name, type, count, _, first, last, total, kept} <- :ets.tab2list(streams) do
         {shape, keys} = look_inside(history, name, type, last)
 
         %StreamInfo{
@@ -39,6 +39,7 @@ defmodule Situ.Studio.Source.History do
           first: first,
           last: last,
           count: count,
+          rate: StreamInfo.rate(kept, first, last),
           bytes: total
         }
       end
@@ -74,6 +75,8 @@ defmodule Situ.Studio.Source.History do
 
   defp neighbour({:ok, message}), do: [message]
   defp neighbour(_), do: []
+
+  defp points(%{data: %Hole{}, originating_time: time}), do: [Bins.gap(time)]
 
   defp points(%{data: %module{} = data, originating_time: time}) do
     if function_exported?(module, :points, 2), do: module.points(data, time), else: []

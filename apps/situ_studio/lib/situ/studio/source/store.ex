@@ -17,15 +17,19 @@ defmodule Situ.Studio.Source.Store do
   @type t :: %__MODULE__{store: Store.t(), path: Path.t(), cache: :ets.table()}
 
   @fresh_live_ms 30
-  @fresh_ms 1_000
+  @fresh_ms 500
   @samples 2_000
   @inside 8
+  # So many messages are read one by one, and so many changes told.
+  @few 2_000
+  @changes 2_000
 
   @doc "Opens a recording. Called by the process that is to keep it: the table ends with it."
   @spec open(Path.t()) :: {:ok, Source.t()} | {:error, Error.t()}
   def open(path) do
     with {:ok, store} <- Store.open(path) do
       cache = :ets.new(__MODULE__, [:set, :public, read_concurrency: true])
+      :ets.insert(cache, {:stamp, stamp(store.path), Store.live?(store)})
       for info <- Store.streams(store), do: load(info.type)
       {:ok, {__MODULE__, %__MODULE__{store: store, path: store.path, cache: cache}}}
     end
@@ -62,19 +66,65 @@ defmodule Situ.Studio.Source.Store do
   end
 
   defp look_again(%__MODULE__{store: store, cache: cache} = source, now) do
-    if File.exists?(source.path) do
+    live? = Store.live?(store)
+
+    with :ok <- same?(source, live?) do
       streams = Store.streams(store)
-      live? = Store.live?(store)
       {from, to} = Store.interval(streams) || {0, 0}
       extent = %{from: from, to: to, live: live?, version: length(streams)}
       look = %{extent: extent, infos: Map.new(streams, &{&1.name, &1})}
       :ets.insert(cache, {:look, now + if(live?, do: @fresh_live_ms, else: @fresh_ms), look})
       {:ok, look}
-    else
-      gone(source)
     end
   rescue
     error in Error -> {:error, error}
+  end
+
+  @impl true
+  def damage(%__MODULE__{store: store}) do
+    missing =
+      for file <- Store.missing_files(store),
+          do: "#{Path.basename(file)} is missing: its messages cannot be read"
+
+    case Store.info(store) do
+      %{damage: [_ | _] = damage} -> missing ++ ["#{length(damage)} parts are damaged"]
+      _ -> missing
+    end
+  rescue
+    error in Error -> [Exception.message(error)]
+  end
+
+  # A file may be deleted and another put in its place: the open one would go on showing what is no longer there.
+  defp same?(%__MODULE__{cache: cache} = source, live?) do
+    case {stamp(source.path), :ets.lookup(cache, :stamp)} do
+      {nil, _} ->
+        gone(source)
+
+      {{inode, _, _}, [{:stamp, {other, _, _}, _}]} when inode != other ->
+        replaced(source)
+
+      {stamp, [{:stamp, before, false}]} when stamp != before and not live? ->
+        replaced(source)
+
+      {stamp, _} ->
+        :ets.insert(cache, {:stamp, stamp, live?})
+        :ok
+    end
+  end
+
+  # The index of a store, or the file itself; what is being written keeps its inode only.
+  defp stamp(path) do
+    index = Path.join(path, "index.situ")
+
+    case File.stat(if(File.exists?(index), do: index, else: path), time: :posix) do
+      {:ok, stat} -> {stat.inode, stat.size, stat.mtime}
+      {:error, _} -> nil
+    end
+  end
+
+  defp replaced(source) do
+    {:error,
+     Error.new(:replaced, "the recording #{Path.basename(source.path)} was replaced by another")}
   end
 
   defp gone(source) do
@@ -100,6 +150,7 @@ defmodule Situ.Studio.Source.Store do
       first: info.first,
       last: info.last,
       count: info.count,
+      rate: StreamInfo.rate(info.count, info.first, info.last),
       bytes: info.size,
       latency: Store.StreamInfo.average_latency(info),
       keys: keys,
@@ -141,21 +192,12 @@ defmodule Situ.Studio.Source.Store do
     bins = max(div(to - from, bin), 2)
 
     with {:ok, info} <- info(source, name),
-         {:ok, n} <- count(source, info, from, to) do
+         {:ok, n} <- Store.count(source.store, info, from, to) do
       cond do
-        elem(look_inside(source, info), 0) == :audio -> summary(source, info, from, to, bins)
+        elem(look_inside(source, info), 0) == :audio -> numbers(source, info, from, to, bins)
         n <= bins -> raw(source, info, from, to, n)
-        info.type == :boolean -> folded(source, info, from, to, bin)
-        true -> summary(source, info, from, to, bins)
+        true -> numbers(source, info, from, to, bins)
       end
-    end
-  end
-
-  # Messages within [from, to], by their ordinals.
-  defp count(%{store: store}, info, from, to) do
-    with {:ok, first} <- store.module.seek(store.state, info, from),
-         {:ok, next} <- store.module.seek(store.state, info, to + 1) do
-      {:ok, next - first}
     end
   end
 
@@ -177,16 +219,23 @@ defmodule Situ.Studio.Source.Store do
         do: point
   end
 
-  defp summary(source, info, from, to, bins) do
+  defp numbers(source, info, from, to, bins) do
     with {:ok, _width, rows} <- Store.summary(source.store, info, from, to, bins) do
       {:ok, rows, false}
     end
   end
 
-  defp folded(source, info, from, to, bin) do
-    with {:ok, messages} <- Store.read(source.store, info, from: from, to: to, limit: 200_000) do
-      {points, raw?} = messages |> points() |> Bins.fold(bin, 2)
-      {:ok, points, raw?}
+  @impl true
+  def summary(source, name, from, to, bins) do
+    with {:ok, info} <- info(source, name),
+         {:ok, n} when n > @few <- Store.count(source.store, info, from, to) do
+      # of a map's key only the counts of bins tell that it is no longer there
+      keyed? = elem(look_inside(source, info), 0) in [:states, :spans, :value]
+      changes = if keyed?, do: 0, else: @changes
+      Store.Summary.read(source.store, info, from, to, bins, changes: changes)
+    else
+      {:ok, _few} -> :none
+      error -> error
     end
   end
 
@@ -204,7 +253,7 @@ defmodule Situ.Studio.Source.Store do
   @impl true
   def marks(source, name, from, to, limit) do
     with {:ok, info} <- info(source, name),
-         {:ok, n} <- count(source, info, from, to) do
+         {:ok, n} <- Store.count(source.store, info, from, to) do
       if n <= limit,
         do: all_marks(source, info, from, to, n),
         else: thinned(source, info, from, n)
@@ -226,21 +275,21 @@ defmodule Situ.Studio.Source.Store do
 
   # Of `n` messages from `from` on at most about `keep`, evenly by number.
   defp some(%{store: store}, info, from, n, keep, opts) do
-    with {:ok, first} <- store.module.seek(store.state, info, from) do
-      rows =
-        for i <- 0..(min(n, keep) - 1)//1,
-            ordinal = first + div(i * n, min(n, keep)),
-            {:ok, %Situ.Message{} = m} <- [Store.at(store, info, ordinal, opts)],
-            do: {ordinal, m}
+    {:ok, first} = Store.ordinal(store, info, from)
 
-      {:ok, rows}
-    end
+    rows =
+      for i <- 0..(min(n, keep) - 1)//1,
+          ordinal = first + div(i * n, min(n, keep)),
+          {:ok, %Situ.Message{} = m} <- [Store.at(store, info, ordinal, opts)],
+          do: {ordinal, m}
+
+    {:ok, rows}
   end
 
   @impl true
   def sample(source, name, from, to, keep) do
     with {:ok, info} <- info(source, name),
-         {:ok, n} <- count(source, info, from, to),
+         {:ok, n} <- Store.count(source.store, info, from, to),
          do: some(source, info, from, n, keep, [])
   end
 

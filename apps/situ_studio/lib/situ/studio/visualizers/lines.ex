@@ -9,7 +9,7 @@ defmodule Situ.Studio.Visualizers.Lines do
   """
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Draw, Frame, Path, Visualizer}
+  alias Situ.Studio.{Draw, Frame, Path, Source, Visualizer}
   alias Draw.{Bins, Key, Messages}
   alias Situ.Studio.Visualizers.Option
 
@@ -24,7 +24,24 @@ defmodule Situ.Studio.Visualizers.Lines do
   end
 
   @impl true
-  def window(source, channel, spec, from, to, bin) do
+  def window(source, channel, %{path: []} = spec, from, to, bin) do
+    case Source.summary(source, spec.stream, from, to, max(div(to - from, bin), 2)) do
+      {:ok, %{tracks: tracks}} -> summed(channel, tracks)
+      :none -> of_messages(source, channel, spec, from, to, bin)
+      error -> error
+    end
+  end
+
+  def window(source, channel, spec, from, to, bin),
+    do: of_messages(source, channel, spec, from, to, bin)
+
+  defp summed(channel, tracks) do
+    bins = for {key, {:numbers, bins}} <- tracks, key != nil, into: %{}, do: {key, bins}
+    lines = for key <- Key.sort(Map.keys(bins)), do: {Key.text(key), bins[key]}
+    Frame.lines(channel, lines, false)
+  end
+
+  defp of_messages(source, channel, spec, from, to, bin) do
     with {:ok, messages, all?} <- Messages.around(source, spec, from, to) do
       folded =
         for {name, points} <- of_maps(messages, spec.path),

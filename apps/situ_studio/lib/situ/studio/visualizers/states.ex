@@ -2,7 +2,8 @@ defmodule Situ.Studio.Visualizers.States do
   @moduledoc "What a message says holds until the next: booleans, atoms, and maps of them, a lane for each key."
   @behaviour Situ.Studio.Visualizer
 
-  alias Situ.Studio.{Draw.Segments, Visualizer}
+  alias Situ.Studio.{Draw, Source, Visualizer}
+  alias Draw.{Rhythm, Segments, Tracks}
 
   @impl true
   def about,
@@ -13,6 +14,30 @@ defmodule Situ.Studio.Visualizers.States do
       shapes: [:boolean, :state, :states]
     }
 
+  # Of more messages than can be told apart the source's summary is drawn; of a part of a message there is none.
   @impl true
-  defdelegate window(source, channel, spec, from, to, bin), to: Segments
+  def window(source, channel, %{stream: stream, path: []} = spec, from, to, bin) do
+    case Source.summary(source, stream, from, to, max(div(to - from, bin), 2)) do
+      {:ok, summary} ->
+        later = time(Source.call(source, :next_after, [stream, to]))
+        newest = List.wrap(time(Source.call(source, :latest_at, [stream, to])))
+
+        summary
+        |> Tracks.segments(later)
+        |> Segments.cut(Rhythm.holes(summary.counts))
+        |> Segments.frame(channel, bin, Enum.map(newest, &%{originating_time: &1}), true)
+
+      :none ->
+        Segments.window(source, channel, spec, from, to, bin)
+
+      error ->
+        error
+    end
+  end
+
+  def window(source, channel, spec, from, to, bin),
+    do: Segments.window(source, channel, spec, from, to, bin)
+
+  defp time({:ok, message}), do: message.originating_time
+  defp time(_), do: nil
 end

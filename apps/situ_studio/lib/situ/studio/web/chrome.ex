@@ -35,6 +35,23 @@ defmodule Situ.Studio.Web.Chrome do
     """
   end
 
+  attr(:damage, :list, required: true)
+  attr(:path, :string, required: true)
+
+  @doc "That a recording is damaged, and the command that saves what is left."
+  @spec damage(map()) :: Situ.Live.Rendered.t()
+  def damage(assigns) do
+    ~H"""
+    <div class="damage" role="alert">
+      <b>This recording is damaged.</b>
+      <span :for={what <- Enum.take(@damage, 3)}>{what}.</span>
+      <span :if={length(@damage) > 3}>{length(@damage) - 3} more.</span>
+      <span><code>situ store verify '{@path}'</code> lists what is lost,
+        <code>situ store repair '{@path}'</code> keeps the rest.</span>
+    </div>
+    """
+  end
+
   attr(:title, :string, required: true)
   attr(:layouts, :list, required: true)
   attr(:layout, :string, required: true)

@@ -8,6 +8,7 @@ defmodule Situ.Studio.Web.MainView do
   alias Situ.Studio.Web.{Address, Chrome, Edit, ExportDialog, LayoutMenu, Panels, Side}
 
   @max_rows 400
+  @refresh_ms 2_000
   @max_lanes 32
 
   @impl true
@@ -36,7 +37,9 @@ defmodule Situ.Studio.Web.MainView do
 
     case Catalog.open(studio, id) do
       {:ok, item, source} ->
-        socket = socket |> assign(item: item, source: source) |> load_streams()
+        if connected?(socket), do: Process.send_after(self(), :refresh, @refresh_ms)
+        damage = Source.damage(source)
+        socket = socket |> assign(item: item, source: source, damage: damage) |> load_streams()
         socket = assign(socket, snap: known(params["snap"], socket.assigns.shapes))
         {:ok, LayoutMenu.choose(socket, params)}
 
@@ -175,6 +178,16 @@ defmodule Situ.Studio.Web.MainView do
   def handle_info({:exported, result}, socket),
     do: {:noreply, result |> ExportDialog.done(socket) |> load_streams()}
 
+  # What grows has other numbers a moment later.
+  def handle_info(:refresh, socket) do
+    Process.send_after(self(), :refresh, @refresh_ms)
+
+    case Source.call(socket.assigns.source, :extent, []) do
+      {:ok, %{live: true}} -> {:noreply, load_streams(socket)}
+      _ -> {:noreply, socket}
+    end
+  end
+
   def handle_info(_, socket), do: {:noreply, socket}
 
   defp toast(socket, error), do: push_event(socket, "toast", %{text: Exception.message(error)})
@@ -189,7 +202,10 @@ defmodule Situ.Studio.Web.MainView do
       assign(assigns,
         rows: rows,
         more: more,
-        known: Map.take(assigns, [:shapes, :extra, :lanes, :coverage, :colors]),
+        known:
+          assigns
+          |> Map.take([:shapes, :extra, :lanes, :coverage, :colors])
+          |> Map.put(:damaged, assigns.damage != []),
         stream: selected_stream(assigns),
         panel: selected_panel(assigns),
         edit:
@@ -204,6 +220,8 @@ defmodule Situ.Studio.Web.MainView do
       <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query}
           count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names} />
       <main class="centre">
+        <Chrome.damage :if={@damage != []} damage={@damage} path={@item.path} />
+        <button class="pill" type="button" data-act="live" title="Follow what is being recorded (l)">Back to live</button>
         <Panels.stack layout={@layout} selected={@selected} known={@known} streams={length(@infos)} />
       </main>
       <Side.right stream={@stream} panel={@panel} known={@known} snap={@snap} />

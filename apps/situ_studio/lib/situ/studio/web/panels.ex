@@ -23,8 +23,8 @@ defmodule Situ.Studio.Web.Panels do
       <div :if={@layout.rows == [] and @streams > 0}
           class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
       <div :if={@layout.rows == [] and @streams == 0}
-          class="empty"><b>No streams yet</b><span>Nothing was recorded here. What comes shows up by
-          itself.</span></div>
+          class="empty"><b>No streams yet</b><span>{if @known.damaged, do: "What is left of this
+          recording cannot be read.", else: "Nothing was recorded here. What comes shows up by itself."}</span></div>
     </div>
     """
   end

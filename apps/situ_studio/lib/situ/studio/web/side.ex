@@ -97,11 +97,8 @@ defmodule Situ.Studio.Web.Side do
 
   defp found(rows, more), do: Enum.count(rows, & &1.item) + more
 
-  defp rate(%{count: count, first: first, last: last})
-       when count > 1 and first != nil and last > first do
-    hz = (count - 1) * 1.0e9 / (last - first)
-    if hz >= 1, do: "#{number(hz)}/s", else: "#{number(hz * 60)}/min"
-  end
+  defp rate(%{rate: hz}) when is_number(hz),
+    do: if(hz >= 1, do: "#{number(hz)}/s", else: "#{number(hz * 60)}/min")
 
   defp rate(%{count: 1}), do: "1"
   defp rate(_), do: ""

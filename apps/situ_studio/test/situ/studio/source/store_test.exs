@@ -1,0 +1,134 @@
+defmodule Situ.Studio.Source.StoreTest do
+  # What is drawn of recordings on disk: nothing that is not in them, at any zoom, and in any system.
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+
+  import Situ.Studio.Asking, only: [ask: 2, json: 1]
+  alias Situ.Store.Writer
+  alias Situ.Studio.{DataSession, Source, StreamInfo}
+
+  @moduletag :tmp_dir
+
+  defp record(dir, name, type, rows) do
+    {:ok, writer} = Writer.create(name, dir)
+    {:ok, out} = Writer.stream(writer, "S", type: type)
+
+    messages =
+      for {{t, data}, i} <- Enum.with_index(rows),
+          do: %Situ.Message{data: data, originating_time: t, creation_time: t, sequence_id: i}
+
+    {:ok, out} = Writer.append(out, messages)
+    {:ok, _} = Writer.close_stream(out, elem(List.last(rows), 0))
+    :ok = Writer.close(writer)
+    writer.path
+  end
+
+  defp source(path) do
+    {:ok, source} = Source.Store.open(path)
+    source
+  end
+
+  # Segments in times of the recording.
+  defp lanes(source, from, to, px) do
+    {reply, _} =
+      ask(DataSession.new(source), %{
+        "open" => [[1, %{"stream" => "S", "viz" => "states"}]],
+        "series" => [
+          [1, Integer.to_string(from), Integer.to_string(to), max(div(to - from, px), 1)]
+        ]
+      })
+
+    [%{kind: 2, payload: payload, base: base}] = reply.frames
+    for [a, b | rest] <- json(payload), do: {base + a, b && base + b, rest}
+  end
+
+  # A boolean every 10 ms that keeps its value for a random while: runs of 1 to 2,000 messages.
+  defp runs(n) do
+    :rand.seed(:exsss, {1, 2, n})
+
+    Stream.repeatedly(fn -> round(:math.pow(2_000, :rand.uniform())) end)
+    |> Enum.reduce_while({[], 0, true}, fn run, {rows, i, value} ->
+      rows = Enum.reduce(i..(i + run - 1), rows, &[{&1 * 10_000_000, value} | &2])
+      if i + run > n, do: {:halt, Enum.reverse(rows)}, else: {:cont, {rows, i + run, not value}}
+    end)
+  end
+
+  test "states are told exactly or said to be many, in any window of 50,000 messages", %{
+    tmp_dir: dir
+  } do
+    rows = runs(50_000)
+    source = source(record(dir, "runs", :boolean, rows))
+    truth = List.to_tuple(Enum.map(rows, &elem(&1, 1)))
+    last = elem(List.last(rows), 0)
+
+    windows =
+      forall {a, w} <- {:proper_types.integer(0, last), :proper_types.integer(1, 9)} do
+        from = a
+        to = min(last, a + div(last, Integer.pow(4, w)))
+        bin = max(div(max(to - from, 1), 800), 1)
+
+        for {a, b, [label, class]} when class in ["true", "false"] <- lanes(source, from, to, 800) do
+          assert label == class
+          # a bin at either end may hold the change itself
+          first = ceil(max(a, from) + 2 * bin) |> div(10_000_000) |> Kernel.+(1)
+          stop = div(min(b || last, to) - 2 * bin, 10_000_000) - 1
+
+          for i <- first..stop//max(div(stop - first, 50), 1), i < tuple_size(truth) do
+            assert elem(truth, i) == (label == "true")
+          end
+        end
+      end
+
+    Situ.Test.Property.check(windows, numtests: 60)
+  end
+
+  test "a state that changes with every message is told to be many", %{tmp_dir: dir} do
+    rows = for i <- 0..9_999, do: {i * 10_000_000, rem(i, 2) == 0}
+    rows = rows ++ for i <- 10_000..10_999, do: {i * 10_000_000, true}
+
+    assert [{0, until, [label, "many"]}, {until, nil, ["true", "true"]}] =
+             lanes(source(record(dir, "flicker", :boolean, rows)), 0, 109_990_000_000, 800)
+
+    assert_in_delta until, 100_000_000_000, 150_000_000
+    assert label =~ ~r/\A\d+ messages: \d+ (true|false), \d+ (true|false)\z/
+  end
+
+  test "maps of states and of numbers come from the summary too", %{tmp_dir: dir} do
+    rows = for i <- 0..20_000, do: {i * 1_000_000, %{on: i > 10_000, level: i / 1}}
+    source = source(record(dir, "maps", {:map, :atom, :any}, rows))
+    on = for {a, _, [label, _, "on"]} <- lanes(source, 0, 20_000_000_000, 800), do: {a, label}
+    assert [{0, "false"} | changes] = on
+    assert {changed, "true"} = List.last(changes)
+    assert_in_delta changed, 10_001_000_000, 25_000_000
+  end
+
+  test "a hole in what comes regularly is empty in a lane", %{tmp_dir: dir} do
+    rows = for i <- Enum.concat(0..499, 1_200..1_999), do: {i * 10_000_000, true}
+    source = source(record(dir, "hole", :boolean, rows))
+
+    assert [{0, until, ["true", "true"]}, {later, nil, ["true", "true"]}] =
+             lanes(source, 0, 19_990_000_000, 800)
+
+    assert until in 4_990_000_000..5_100_000_000
+    assert_in_delta later, 12_000_000_000, 25_000_000
+  end
+
+  test "an atom that this system does not know is a state all the same", %{tmp_dir: dir} do
+    type = {:in, [:situ_test_idle, :situ_test_moving]}
+    atom = "situ_never_seen_#{System.unique_integer([:positive])}"
+    path = record(dir, "atoms", type, for(i <- 0..9, do: {i * 1_000_000_000, atom}))
+    assert [{0, nil, [^atom, "state"]}] = lanes(source(path), 0, 9_000_000_000, 800)
+  end
+
+  test "a recording that is replaced under its name is another", %{tmp_dir: dir} do
+    path = record(dir, "again", :boolean, [{0, true}, {1_000, false}])
+    source = source(path)
+    assert {:ok, [%StreamInfo{count: 2}]} = Source.call(source, :streams, [])
+    File.rm_rf!(path)
+    record(dir, "other", :float, for(i <- 0..9, do: {i, 1.0}))
+    File.rename!(Path.join(dir, "other.0000"), path)
+    {_, handle} = source
+    :ets.delete(handle.cache, :look)
+    assert {:error, %{code: :replaced}} = Source.call(source, :extent, [])
+  end
+end
