@@ -33,17 +33,14 @@ defmodule Situ.Graph.Builder do
     end
   end
 
-  @doc "Runs `fun` while the graph can be built on again, for handlers that add handlers; answers the handlers then."
-  @spec lend(Handle.t(), Graph.t(), (() -> result)) :: {result, list()} when result: term()
+  @doc "Runs `fun` while this process holds `graph`: what it returns, and the graph with what it has added."
+  @spec lend(Handle.t(), Graph.t(), (() -> result)) :: {result, Graph.t()} when result: term()
   def lend(%Handle{ref: ref}, graph, fun) do
     Process.put({__MODULE__, ref}, graph)
-
-    try do
-      result = fun.()
-      {result, Process.get({__MODULE__, ref}).handlers}
-    after
-      Process.delete({__MODULE__, ref})
-    end
+    result = fun.()
+    {result, Process.get({__MODULE__, ref})}
+  after
+    Process.delete({__MODULE__, ref})
   end
 
   @doc "Applies `change`, which returns `{result, graph}` or raises, to the handle's graph."

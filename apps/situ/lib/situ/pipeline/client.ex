@@ -2,7 +2,7 @@ defmodule Situ.Pipeline.Client do
   @moduledoc false
   # Questions to a pipeline's process, asked by its handle, a stream, pid or name; one that has ended is an error, or its result.
   alias Situ.{Error, Pipeline}
-  alias Situ.Pipeline.{Archive, Launch, Life}
+  alias Situ.Pipeline.{Errors, Lifecycle, Results}
 
   @spec stop(Pipeline.target(), keyword()) :: Pipeline.result() | :ok
   def stop(p, opts) do
@@ -12,7 +12,7 @@ defmodule Situ.Pipeline.Client do
       send(pid, :situ_stop)
       :ok
     else
-      request = {:stop, Keyword.get(opts, :catch_up, Life.catch_up_ms())}
+      request = {:stop, Keyword.get(opts, :catch_up, Lifecycle.catch_up_ms())}
       ask(pid, request, Keyword.get(opts, :timeout, :infinity), nil)
     end
   end
@@ -22,7 +22,7 @@ defmodule Situ.Pipeline.Client do
   def stop_part(p, part, opts) do
     pid = pid(p)
     path = if is_struct(part, Situ.Node), do: part.path, else: part
-    request = {:stop_part, path, Keyword.get(opts, :catch_up, Life.catch_up_ms())}
+    request = {:stop_part, path, Keyword.get(opts, :catch_up, Lifecycle.catch_up_ms())}
 
     if Process.get(:situ_pipeline) == pid do
       send(pid, put_elem(request, 0, :situ_stop_part))
@@ -36,7 +36,7 @@ defmodule Situ.Pipeline.Client do
   def await(p, timeout) do
     pid = pid(p)
 
-    case Archive.fetch(pid) do
+    case Results.fetch(pid) do
       {:ok, result} -> result
       :error -> ask(pid, :await, timeout, :archive)
     end
@@ -63,23 +63,23 @@ defmodule Situ.Pipeline.Client do
     end
   end
 
-  defp ask(nil, _request, _timeout, _), do: {:error, Launch.not_running()}
+  defp ask(nil, _request, _timeout, _), do: {:error, Errors.not_running()}
 
   defp ask(pid, request, timeout, fallback) do
     GenServer.call(pid, request, timeout)
   catch
-    :exit, {:timeout, _} -> {:error, Launch.timeout(request, timeout)}
+    :exit, {:timeout, _} -> {:error, Errors.timeout(request, timeout)}
     :exit, _ -> gone(pid, fallback)
   end
 
   defp gone(pid, :archive) do
-    case Archive.fetch(pid) do
+    case Results.fetch(pid) do
       {:ok, result} -> result
-      :error -> {:error, Launch.not_running()}
+      :error -> {:error, Errors.not_running()}
     end
   end
 
-  defp gone(_pid, nil), do: {:error, Launch.not_running()}
+  defp gone(_pid, nil), do: {:error, Errors.not_running()}
 
   @doc "Something moves that its counters do not show: it is not stuck."
   @spec moving(Pipeline.target()) :: term()

@@ -3,7 +3,7 @@ defmodule Situ.Pipeline.Launcher do
   # The ways into a pipeline: a process that builds the graph, answers its caller and becomes the pipeline's server.
   alias Situ.Error
   alias Situ.Graph.Builder
-  alias Situ.Pipeline.{Launch, Life, Notice, Server, Settings}
+  alias Situ.Pipeline.{Errors, Handlers, Server, Settings, State}
 
   # The result comes as a message of its own: a short pipeline has ended before one could ask it.
   def run(spec, opts) do
@@ -18,7 +18,7 @@ defmodule Situ.Pipeline.Launcher do
           result
 
         {:DOWN, ^monitor, :process, ^pid, reason} ->
-          {:error, Launch.crashed(reason)}
+          {:error, Errors.crashed(reason)}
       end
     end
   end
@@ -59,13 +59,13 @@ defmodule Situ.Pipeline.Launcher do
 
   # A process that dies in the middle of `build` has no error of its own.
   defp entered({:error, %Error{}} = error), do: error
-  defp entered({:error, reason}), do: {:error, Launch.crashed(reason)}
+  defp entered({:error, reason}), do: {:error, Errors.crashed(reason)}
   defp entered(ok), do: ok
 
   @doc false
   def init_it(caller, spec, opts, settings) do
     Process.flag(:trap_exit, true)
-    state = Life.new(settings)
+    state = State.new(settings)
     handle = Builder.open(state.graph)
     diagnose(handle, settings)
 
@@ -80,7 +80,7 @@ defmodule Situ.Pipeline.Launcher do
         :gen_server.enter_loop(Server, [], state)
 
       {:error, error} ->
-        Notice.abandoned(handle, error)
+        Handlers.abandoned(handle, error)
         :proc_lib.init_ack({:error, error})
         exit(:normal)
     end
@@ -90,10 +90,10 @@ defmodule Situ.Pipeline.Launcher do
   def init_empty(caller, settings) do
     Process.flag(:trap_exit, true)
     {:ok, settings} = Settings.parse(settings, :unlinked, nil)
-    state = Life.new(settings)
+    state = State.new(settings)
     handle = Builder.open(state.graph)
     diagnose(handle, settings)
-    state = watch(%{state | handle: handle, phase: :building}, caller)
+    state = watch(%{state | handle: handle}, caller)
     :proc_lib.init_ack({:ok, handle})
     :gen_server.enter_loop(Server, [], state)
   end
@@ -106,9 +106,9 @@ defmodule Situ.Pipeline.Launcher do
     result = if is_function(spec, 1), do: spec.(handle), else: spec.build(handle, opts)
     {:ok, result}
   rescue
-    error -> {:error, Launch.build_error(spec, error, __STACKTRACE__)}
+    error -> {:error, Errors.build_failed(spec, error, __STACKTRACE__)}
   catch
-    kind, reason -> {:error, Launch.build_error(spec, {kind, reason}, __STACKTRACE__)}
+    kind, reason -> {:error, Errors.build_failed(spec, {kind, reason}, __STACKTRACE__)}
   end
 
   defp watch(%{settings: %{mode: :linked}} = state, _caller), do: state

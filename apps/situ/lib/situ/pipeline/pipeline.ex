@@ -195,9 +195,12 @@ defmodule Situ.Pipeline do
   `node` is a `Situ.Node` or a path. The state goes through the new module's `migrate/3` if it has one, else it starts
   fresh. Refused with a reason when ports or types do not fit.
   """
-  @spec replace(target(), Node.t() | String.t(), {module(), keyword()} | keyword()) ::
+  @spec replace(target(), Node.t() | String.t(), {module(), keyword()} | keyword(), keyword()) ::
           :ok | {:error, Error.t()}
-  def replace(p, node, change), do: Client.call(p, {:replace, node, change})
+  def replace(p, node, change, opts \\ []) do
+    timeout = Keyword.get(opts, :timeout, 30_000)
+    Client.call(p, {:replace, %{node: node, change: change, timeout: timeout}})
+  end
 
   @doc """
   Adds a component without connecting it (`Situ.source/3` and `Situ.via/3` do both). `opts` are its own options and those of

@@ -1,40 +1,34 @@
 defmodule Situ.Pipeline.Server do
   @moduledoc false
-  # The process of one pipeline: owner of its life cycle, parent of its stages. Only this process decides what comes next.
-  #
-  #   building -> starting (all stages up, then all started) -> running -> stopping (sources stop, outputs close in order,
-  #   stages quit) -> completed
+  # The process of one pipeline, parent of its stages. It decides nothing about the life of the pipeline: it turns messages into events
+  # for `Situ.Pipeline.Lifecycle` and performs the actions that come back.
   #
   #   caller/supervisor
   #     └── Server (traps exits)
-  #           ├── Stage 1   linked: when a stage dies, the server decides by `on_error`;
-  #           └── Stage n   when the server dies, its stages release what they hold and end
+  #           ├── Stage 1    linked; when a stage dies, the life cycle decides by `on_error`
+  #           ├── Stage n    when the server dies, its stages release what they hold and end
+  #           └── Handlers   linked; runs the functions given to `Situ.Pipeline.on/3`
   use GenServer
 
   require Logger
 
-  alias Situ.{Clock, Error}
+  alias Situ.Clock
   alias Situ.Graph.Builder
+  alias Situ.Pipeline.{Dynamic, Errors, Handlers, Inspection, Lifecycle, Lookup}
+  alias Situ.Pipeline.{Performer, Results, Stages}
 
-  alias Situ.Pipeline.{
-    Archive,
-    Death,
-    Ending,
-    Inputs,
-    Launch,
-    Life,
-    Notice,
-    Part,
-    Taps,
-    View,
-    Watch
-  }
+  # Requests to a pipeline that is just starting wait until it runs.
+  @patient [:subscription, :replace, :tap, :stop_part, :clock, :attach, :detach]
 
   @impl true
   def init(_), do: :ignore
 
   @impl true
   def handle_call(request, from, state), do: guard(state, fn -> answer(request, from, state) end)
+
+  # Nobody has anything to cast; a stray one is no reason to end.
+  @impl true
+  def handle_cast(_message, state), do: {:noreply, state}
 
   @impl true
   def handle_info(message, state), do: guard(state, fn -> event(message, state) end)
@@ -46,154 +40,231 @@ defmodule Situ.Pipeline.Server do
   catch
     kind, reason ->
       Logger.error(Exception.format(kind, reason, __STACKTRACE__))
-      error = Launch.crashed({kind, reason, __STACKTRACE__})
-      over({:error, %{error | meta: %{errors: [error]}}}, %{state | phase: :completed})
+      error = Errors.crashed({kind, reason, __STACKTRACE__})
+      life = %{state.life | phase: :completed, step: :over}
+      over({:error, %{error | meta: %{errors: [error]}}}, %{state | life: life})
   end
 
-  defp answer({:build, change}, _from, %{phase: :building} = state) do
+  # Questions
+
+  defp answer({:build, change}, _from, %{life: %{phase: :building}} = state) do
     {:reply, {:ok, Builder.run(state.handle, change)}, state}
   rescue
-    error in Error -> {:reply, {:error, error}, state}
+    error in Situ.Error -> {:reply, {:error, error}, state}
   end
 
   defp answer({:build, _change}, _from, state),
     do: {:reply, {:error, Builder.running()}, state}
 
-  defp answer(:start, _from, %{phase: :building} = state) do
-    graph = Builder.close(state.handle)
-    {:reply, :ok, Life.launch(%{state | graph: graph, phase: :starting})}
+  defp answer(:start, from, %{life: %{phase: :building}} = state) do
+    GenServer.reply(from, :ok)
+    apply_event(%{state | graph: Builder.close(state.handle)}, :start)
   end
 
   defp answer(:start, _from, state), do: {:reply, {:error, Builder.running()}, state}
 
   defp answer({:stop, catch_up}, from, state),
-    do: done(Life.stop(%{state | waiters: [from | state.waiters], catch_up: catch_up}))
+    do: apply_event(%{state | waiters: [from | state.waiters]}, {:stop, catch_up})
 
   defp answer(:await, from, state), do: {:noreply, %{state | waiters: [from | state.waiters]}}
-  defp answer(:state, _from, state), do: {:reply, state.phase, state}
+  defp answer(:state, _from, state), do: {:reply, state.life.phase, state}
 
-  defp answer(:clock, from, %{phase: :starting, clock: nil} = state),
-    do: {:noreply, %{state | early: [{:"$gen_call", from, :clock} | state.early]}}
+  defp answer(:clock, from, %{life: %{phase: :starting}, timing: nil} = state),
+    do: {:noreply, later({:"$gen_call", from, :clock}, state)}
 
-  defp answer(:clock, _from, state), do: {:reply, state.clock || Clock.real(), state}
+  defp answer(:clock, _from, %{timing: nil} = state), do: {:reply, Clock.real(), state}
+  defp answer(:clock, _from, state), do: {:reply, state.timing.clock, state}
 
   # For pipelines inside of this one's components.
   defp answer(:timing, _from, state),
-    do: {:reply, Map.take(state, [:clock, :enforce, :replay_end]), state}
+    do: {:reply, Map.take(state.timing, [:clock, :enforce, :replay_end]), state}
 
-  defp answer(:mark, _from, state), do: {:reply, Watch.mark(state), state}
+  defp answer(:mark, _from, state), do: {:reply, Stages.fingerprint(state, :all), state}
 
   defp answer(:quiet?, _from, state),
-    do: {:reply, state.phase == :running and Ending.quiet?(state), state}
+    do: {:reply, state.life.phase == :running and Stages.quiet?(state), state}
 
   defp answer(:info, _from, state) do
-    snapshot = View.snapshot(state)
-    {:reply, snapshot, state |> View.mark() |> View.describe()}
+    snapshot = Inspection.snapshot(state)
+    {:reply, snapshot, state |> Inspection.mark() |> Inspection.describe()}
   end
-
-  # A pipeline that is just starting answers when it runs.
-  defp answer(request, from, %{phase: :starting} = state)
-       when is_tuple(request) and
-              elem(request, 0) in [
-                :subscription,
-                :replace,
-                :tap,
-                :stop_part,
-                :clock,
-                :attach,
-                :detach
-              ],
-       do: {:noreply, %{state | early: [{:"$gen_call", from, request} | state.early]}}
-
-  defp answer({:tap, which, fun, opts}, from, state),
-    do: later(Taps.attach(state, which, fun, opts, from))
-
-  defp answer({:attach, asked}, from, state), do: later(Inputs.attach(state, asked, from))
-
-  defp answer({:detach, taker, request}, from, state),
-    do: later(Inputs.detach(state, taker, request, from))
-
-  defp answer({:untap, id}, _from, state), do: {:reply, :ok, Taps.detach(state, id)}
-
-  defp answer({:stop_part, path, catch_up}, from, state) do
-    case Part.stop(state, path, catch_up, from) do
-      {:ok, state} -> done(state)
-      {error, state} -> {:reply, error, state}
-    end
-  end
-
-  defp answer({:subscription, which}, _from, state),
-    do: {:reply, Taps.subscription(state, which), state}
 
   defp answer(:progress, _from, state) do
-    state = View.advance_progress(state)
-    {:reply, state.progress, state}
+    state = Inspection.advance_progress(state)
+    {:reply, state.view.progress, state}
   end
 
-  defp answer({:clock, _}, _from, %{clock: nil} = state),
-    do: {:reply, {:error, Launch.not_running()}, state}
+  # What a supervisor answers.
+  defp answer(:which_children, _from, state), do: {:reply, Stages.children(state), state}
 
-  defp answer({:clock, :pause}, _from, state), do: {:reply, Clock.pause(state.clock), state}
-  defp answer({:clock, :resume}, _from, state), do: {:reply, Clock.resume(state.clock), state}
+  defp answer(:count_children, _from, state) do
+    children = Stages.children(state)
+    active = Enum.count(children, fn {_, pid, _, _} -> is_pid(pid) end)
+    n = length(children)
+    {:reply, [specs: n, active: active, supervisors: 0, workers: n], state}
+  end
 
-  defp answer({:clock, {:set_speed, speed}}, _from, state),
-    do: {:reply, Clock.set_speed(state.clock, speed), state}
+  defp answer(request, from, %{life: %{phase: :starting}} = state)
+       when is_tuple(request) and elem(request, 0) in @patient,
+       do: {:noreply, later({:"$gen_call", from, request}, state)}
 
-  defp answer({:replace, node, change}, from, state) do
-    case Launch.replacement(state, node, change) do
-      {:ok, stage, request} ->
-        send(state.stages[stage].pid, {:situ, request})
-        {:noreply, %{state | replacing: Map.put(state.replacing, stage, {from, request})}}
+  defp answer({:untap, id}, _from, state) do
+    {state, events} = Dynamic.Tap.detach(state, id)
+    reply(:ok, Performer.apply_all(state, events))
+  end
+
+  defp answer(request, from, %{life: %{phase: :running}} = state),
+    do: running(request, from, state)
+
+  defp answer(_request, _from, state), do: {:reply, {:error, Errors.not_running()}, state}
+
+  defp running({:tap, asked}, from, state), do: dynamic(Dynamic.Tap.attach(state, asked, from))
+
+  defp running({:attach, asked}, from, state),
+    do: dynamic(Dynamic.Input.attach(state, asked, from))
+
+  defp running({:detach, asked}, from, state),
+    do: dynamic(Dynamic.Input.detach(state, asked, from))
+
+  defp running({:replace, asked}, from, state),
+    do: {:noreply, Dynamic.Replacement.ask(state, asked, from)}
+
+  defp running({:subscription, which}, _from, state),
+    do: {:reply, Dynamic.Tap.subscription(state, which), state}
+
+  defp running({:stop_part, path, catch_up}, from, state) do
+    case Lookup.part(state, path) do
+      {:ok, ids} ->
+        apply_event(state, {:stop_part, make_ref(), ids, %{catch_up: catch_up, from: from}})
 
       {:error, error} ->
         {:reply, {:error, error}, state}
     end
   end
 
-  defp answer(_request, _from, state), do: {:reply, {:error, Launch.not_running()}, state}
+  defp running({:clock, :pause}, _from, state),
+    do: {:reply, Clock.pause(state.timing.clock), state}
 
-  # Who asked is answered when it is done, or at once when it cannot be.
-  defp later({:ok, state}), do: {:noreply, state}
-  defp later({error, state}), do: {:reply, error, state}
+  defp running({:clock, :resume}, _from, state),
+    do: {:reply, Clock.resume(state.timing.clock), state}
 
-  defp event(:situ_launch, state), do: done(Life.launch(state))
-  defp event({:situ_stage, id, event}, state), do: done(Life.event(state, id, event))
-  defp event(:situ_stop, state), do: done(Life.stop(state))
-  defp event({:situ_stop, time}, state), do: done(Life.stop(state, time))
-  defp event(:situ_observe, state), do: {:noreply, View.observe(state)}
-  defp event({:situ_part_enough, ref}, state), do: done(Part.enough(state, ref))
-  defp event({:situ_part_stuck, ref, mark}, state), do: done(Part.stuck(state, ref, mark))
+  defp running({:clock, {:set_speed, speed}}, _from, state),
+    do: {:reply, Clock.set_speed(state.timing.clock, speed), state}
 
-  defp event({:situ_stop_part, path, catch_up}, state),
-    do: state |> Part.stop(path, catch_up, nil) |> elem(1) |> done()
+  defp running(_request, _from, state), do: {:reply, {:error, Errors.unknown_request()}, state}
 
-  defp event(:situ_moving, state), do: {:noreply, %{state | moves: state.moves + 1}}
-  defp event(:situ_recheck, state), do: done(Ending.recheck(state))
-  defp event(:situ_enough, state), do: done(Ending.enough(state))
-  defp event({:situ_stuck, mark}, state), do: done(Watch.stuck(state, mark))
-  defp event({:EXIT, pid, reason}, state), do: done(Death.exited(state, pid, reason))
+  defp later(message, state), do: %{state | early: [message | state.early]}
+  defp dynamic({state, events}), do: done(Performer.apply_all(state, events))
+
+  # What happens
+
+  defp event(:situ_launch, state), do: apply_event(state, :start)
+  defp event({:situ_stage, id, event}, state), do: stage(event, id, state)
+  defp event({:situ_event, event}, state), do: apply_event(state, event)
+  defp event(:situ_stop, state), do: apply_event(state, {:stop, Lifecycle.catch_up_ms()})
+  defp event({:situ_stop, time}, state), do: apply_event(state, {:stop_at, time})
+  defp event(:situ_observe, state), do: {:noreply, Inspection.observe(state)}
+  defp event(:situ_moving, state), do: apply_event(state, :moving)
+
+  defp event({:situ_stop_part, path, catch_up}, %{life: %{phase: :running}} = state) do
+    case Lookup.part(state, path) do
+      {:ok, ids} ->
+        apply_event(state, {:stop_part, make_ref(), ids, %{catch_up: catch_up, from: nil}})
+
+      _ ->
+        {:noreply, state}
+    end
+  end
+
+  defp event({:situ_handled, event, result, graph}, state),
+    do: state |> Performer.handled(event, result, graph) |> done()
+
+  defp event({:situ_watch, which, mark}, state) do
+    moved? = Stages.fingerprint(state, which) != mark
+    seen = %{moved?: moved?, idle: if(moved?, do: MapSet.new(), else: Stages.idle(state))}
+    apply_event(state, {:watched, which, seen})
+  end
+
+  defp event({:situ_late, ref, timeout}, state),
+    do: {:noreply, Dynamic.Replacement.late(state, ref, timeout)}
+
+  defp event({:EXIT, pid, reason}, state), do: state |> Performer.exited(pid, reason) |> done()
 
   defp event({:situ_clock, _}, state) do
-    for {_, stage} <- state.stages, do: send(stage.pid, {:situ, :clock})
+    for {id, _} <- state.stages, do: Stages.tell(state, id, :clock)
     {:noreply, state}
   end
 
   defp event({:DOWN, owner, :process, _, _}, %{owner: owner} = state),
-    do: done(stop(state))
+    do: apply_event(state, {:stop, Lifecycle.catch_up_ms()})
 
   defp event({:DOWN, ref, :process, _, _}, state),
-    do: {:noreply, Taps.owner_down(state, ref)}
+    do: dynamic(Dynamic.Tap.owner_down(state, ref))
 
   defp event(_other, state), do: {:noreply, state}
 
-  defp done(%{phase: :completed} = state), do: over(View.result(state), state)
-  defp done(state), do: {:noreply, state}
+  # The last words of a stage that is gone.
+  defp stage(_event, id, %{stages: stages} = state) when not is_map_key(stages, id),
+    do: {:noreply, state}
+
+  defp stage(:started, id, %{dynamic: %{taps: taps}} = state) when is_map_key(taps, id),
+    do: {:noreply, Dynamic.Tap.open(state, id)}
+
+  defp stage(event, id, state) when event in [:up, :started, :source_stopped, :settled],
+    do: apply_event(state, {event, id})
+
+  defp stage({:completed, time}, id, state), do: apply_event(state, {:completed, id, time})
+
+  defp stage({:unsubscribed, tag, _name, time}, id, state),
+    do: apply_event(state, {:unsubscribed, id, tag, time})
+
+  defp stage({:failed, error, reached}, id, state),
+    do: apply_event(state, {:failed, id, Performer.explained(error, state), reached})
+
+  defp stage({:init_failed, error}, id, state),
+    do: state |> Performer.interrupted(id) |> apply_event({:init_failed, id, error})
+
+  defp stage({lost, error}, _id, state) when lost in [:skipped, :restarted],
+    do: {:noreply, Performer.noted(state, error)}
+
+  defp stage({:description, text}, id, state),
+    do: {:noreply, Inspection.described(state, id, text)}
+
+  defp stage({:tapped, tag}, _id, state), do: {:noreply, Dynamic.Tap.opened(state, tag)}
+  defp stage({:lent, tag, how}, _id, state), do: dynamic(Dynamic.Input.lent(state, tag, how))
+
+  defp stage({:answered, ref, answer, opts}, id, state),
+    do: dynamic(Dynamic.Input.answered(state, ref, id, answer, opts))
+
+  defp stage({:detached, input, opts}, id, state),
+    do: dynamic(Dynamic.Input.detached(state, id, input, opts))
+
+  defp stage({:replaced, ref, answer}, id, state),
+    do: {:noreply, Dynamic.Replacement.answered(state, id, ref, answer)}
+
+  defp stage(:finalized, _id, state), do: {:noreply, state}
+
+  # On
+
+  defp apply_event(state, event), do: state |> Performer.apply(event) |> done()
+
+  defp reply(answer, state) do
+    case done(state) do
+      {:noreply, state} -> {:reply, answer, state}
+      {:stop, reason, state} -> {:stop, reason, answer, state}
+    end
+  end
+
+  defp done(%{view: %{outcome: nil}} = state), do: {:noreply, state}
+  defp done(state), do: over(state.view.outcome, state)
 
   defp over(result, state) do
     publish(state.settings, result)
     Enum.each(state.waiters, &GenServer.reply(&1, result))
-    for {_, %{from: from}} when from != nil <- state.parts, do: GenServer.reply(from, :ok)
-    state = %{state | waiters: [], parts: %{}}
+    for {_, %{from: from}} when from != nil <- state.life.parts, do: GenServer.reply(from, :ok)
+    Dynamic.cancel(state.dynamic, {:error, Errors.not_running()})
+    Handlers.quit(state.handlers)
+    state = %{state | waiters: [], dynamic: %Dynamic{}, life: %{state.life | parts: %{}}}
 
     case {result, state.settings.mode} do
       {{:error, error}, :linked} -> fall(error)
@@ -209,29 +280,28 @@ defmodule Situ.Pipeline.Server do
   end
 
   defp publish(%{mode: :run, reply: {caller, reply}}, result), do: send(caller, {reply, result})
-  defp publish(_settings, result), do: Archive.put(self(), result)
+  defp publish(_settings, result), do: Results.put(self(), result)
 
   # A crash report names the pipeline; its graph has no place in a log.
   @impl true
-  def format_status(_reason, [_dictionary, state]),
-    do: [
-      data: [{~c"State", %{pipeline: state.settings.name, phase: state.phase, step: state.step}}]
-    ]
+  def format_status(_reason, [_dictionary, state]) do
+    summary = %{pipeline: state.settings.name, phase: state.life.phase, step: state.life.step}
+    [data: [{~c"State", summary}]]
+  end
 
   # The parent asks us to go (a supervisor shutting down): stop as by hand, within the time it gives.
   @impl true
-  def terminate(_reason, %{phase: :completed}), do: :ok
+  def terminate(_reason, %{life: %{phase: :completed}}), do: :ok
 
-  def terminate(_reason, %{phase: :building} = state), do: Notice.abandoned(state.handle, nil)
-  def terminate(_reason, state), do: state |> stop() |> shut()
+  def terminate(_reason, %{life: %{phase: :building}} = state),
+    do: Handlers.abandoned(state.handle, nil)
 
-  # What was built but not yet begun need not be begun to be stopped.
-  defp stop(%{phase: :starting, plan: nil} = state), do: Ending.complete(state)
-  defp stop(state), do: Life.stop(state)
+  def terminate(_reason, state),
+    do: state |> Performer.apply({:stop, Lifecycle.catch_up_ms()}) |> shut()
 
-  defp shut(%{phase: :completed} = state) do
-    Archive.put(self(), View.result(state))
-    Enum.each(state.waiters, &GenServer.reply(&1, View.result(state)))
+  defp shut(%{view: %{outcome: result}} = state) when result != nil do
+    Results.put(self(), result)
+    Enum.each(state.waiters, &GenServer.reply(&1, result))
   end
 
   defp shut(state) do
@@ -240,7 +310,7 @@ defmodule Situ.Pipeline.Server do
         shut(%{state | waiters: [from | state.waiters]})
 
       {:"$gen_call", from, _} ->
-        GenServer.reply(from, {:error, Launch.not_running()})
+        GenServer.reply(from, {:error, Errors.not_running()})
         shut(state)
 
       message ->

@@ -30,6 +30,16 @@ defmodule Situ.Pipeline.Settings do
       default: false,
       doc: "Weighs every message for diagnostics: cheap for binaries, costly for large terms."
     ],
+    max_restarts: [
+      type: :non_neg_integer,
+      default: 3,
+      doc: "How often a component with `on_error: :restart` or `:skip` may be restarted ..."
+    ],
+    max_seconds: [
+      type: :pos_integer,
+      default: 5,
+      doc: "... in so many seconds, before that is an error which ends the pipeline."
+    ],
     stop_timeout: [
       type: :pos_integer,
       default: 30_000,
@@ -51,6 +61,8 @@ defmodule Situ.Pipeline.Settings do
     diagnostics: false,
     averaging: 1_000_000_000,
     message_sizes: false,
+    max_restarts: 3,
+    max_seconds: 5,
     stop_timeout: 30_000
   ]
 
@@ -80,6 +92,8 @@ defmodule Situ.Pipeline.Settings do
          diagnostics: opts[:diagnostics],
          averaging: opts[:averaging],
          message_sizes: opts[:message_sizes],
+         max_restarts: opts[:max_restarts],
+         max_seconds: opts[:max_seconds],
          stop_timeout: opts[:stop_timeout]
        }}
     end

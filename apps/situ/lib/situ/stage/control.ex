@@ -69,6 +69,18 @@ defmodule Situ.Stage.Control do
   def handle({:refresh, from}, state),
     do: {:noreply, outputs(state, &Output.refresh(&1, from), from)}
 
+  # What had been posted to this source before has been dealt with: it came first.
+  def handle(:settle, state) do
+    State.report(state, :settled)
+    {:noreply, state}
+  end
+
+  # Something this stage depends on failed: what it would say about later times is made up.
+  def handle({:limit, time}, state) do
+    final = min(state.source.final || time, time)
+    {:noreply, %{state | source: %{state.source | final: final}}}
+  end
+
   def handle({:stop, final}, state),
     do: {:noreply, state |> Production.stop(final) |> Loop.turn()}
 
@@ -139,14 +151,14 @@ defmodule Situ.Stage.Control do
     end
   end
 
-  def handle({:replace, index, module, opts}, state) do
+  def handle({:replace, ref, index, module, opts}, state) do
     case replace(state, index, module, opts) do
       {:ok, state, actions} ->
-        State.report(state, {:replaced, :ok})
+        State.report(state, {:replaced, ref, :ok})
         {:noreply, state |> act(actions) |> Loop.turn()}
 
       {:error, error} ->
-        State.report(state, {:replaced, {:error, error}})
+        State.report(state, {:replaced, ref, {:error, error}})
         {:noreply, state}
     end
   end

@@ -32,9 +32,17 @@ defmodule Situ.Stage.ErrorPolicy do
 
   def fail(state, error) do
     Tally.failed(state.tally, 0)
-    State.report(state, {:failed, error})
+    State.report(state, {:failed, error, reached(state, error)})
     state = abandon(%{state | phase: :failed, timers: Timers.clear(state.timers)}, error)
     if state.source.stopping in [nil, :done], do: state, else: stopped(state)
+  end
+
+  # Up to where its streams are whole: in front of the message it failed at, or, where there was none, up to what it has posted.
+  defp reached(_state, %{meta: %{originating_time: time}}) when is_integer(time), do: time - 1
+
+  defp reached(state, _error) do
+    times = for %{last_time: time} <- Outputs.all(state.outputs), time != nil, do: time
+    Enum.min(times, fn -> nil end)
   end
 
   @doc "Consumers from outside the pipeline learn that it failed."

@@ -30,7 +30,7 @@ defmodule Situ.Fusion.DynamicInputs do
           {:ok, Situ.Time.t() | :start} | {:error, Error.t()}
   def remove(fused, key, opts) do
     {pipeline, taker} = at(fused)
-    Pipeline.Client.call(pipeline, {:detach, taker, {key, opts}})
+    Pipeline.Client.call(pipeline, {:detach, %{taker: taker, request: {key, opts}}})
   end
 
   defp input(index), do: :"s#{index}"

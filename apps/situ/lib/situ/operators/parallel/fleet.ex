@@ -4,7 +4,7 @@ defmodule Situ.Parallel.Fleet do
   # not open yet gets what it is sent as soon as it is.
   alias Situ.Branch.Process, as: Branch
   alias Situ.Parallel.Pool
-  alias Situ.Pipeline.{Client, Launch}
+  alias Situ.Pipeline.{Client, Errors}
 
   @type t :: %{Pool.id() => map()}
 
@@ -102,6 +102,6 @@ defmodule Situ.Parallel.Fleet do
 
   defp killed(path, reason) do
     what = "#{path} was killed: #{inspect(reason, limit: 8)}"
-    %{Launch.crashed(reason) | code: :branch_killed, what: what}
+    %{Errors.crashed(reason) | code: :branch_killed, what: what}
   end
 end

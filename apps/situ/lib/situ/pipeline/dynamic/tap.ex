@@ -1,82 +1,196 @@
-defmodule Situ.Pipeline.Tap do
-  @moduledoc """
-  A look at a stream of a running pipeline, attached and detached while it runs; see `Situ.attach_tap/3`.
-
-  The function runs in a process of its own behind a lossy queue (default `Situ.Delivery.max_queue(1_000)`), so a slow
-  or stuck tap costs the pipeline nothing but the copy of the messages. A tap that raises skips the message. It goes with
-  its pipeline, and with the process that attached it.
-
-      iex> me = self()
-      iex> connector = Situ.Connector.new("taps")
-      iex> {:ok, p} = Situ.Pipeline.start(fn p ->
-      ...>   p |> Situ.Connector.receive(connector) |> Situ.map(&(&1 * 2), name: "Doubled")
-      ...> end, [])
-      iex> {:ok, tap} = Situ.attach_tap({p, "Doubled"}, &send(me, {:seen, &1.data}))
-      iex> Situ.Connector.deliver(connector, [%Situ.Message{data: 21, originating_time: 1}])
-      iex> receive do {:seen, n} -> n end
-      42
-      iex> Situ.Pipeline.Tap.detach(tap)
-      :ok
-      iex> {:ok, _} = Situ.Pipeline.stop(p)
-      iex> Situ.Pipeline.Tap.detach(tap)
-      :ok
-  """
-  alias Situ.Pipeline.Client
-
-  @enforce_keys [:pipeline, :id]
-  defstruct [:pipeline, :id]
-
-  @type t :: %__MODULE__{pipeline: pid(), id: pos_integer()}
-
-  @schema [
-    policy: [
-      type: {:struct, Situ.Delivery},
-      doc: "What its queue does under load; default `Situ.Delivery.max_queue(1_000)`."
-    ],
-    name: [type: :string, doc: "Its name in diagnostics; default \"Tap\"."]
-  ]
-
-  @doc false
-  def schema, do: @schema
-
-  @doc false
-  @spec attach(
-          Situ.Stream.t() | {Situ.Pipeline.target(), String.t()},
-          (Situ.Message.t() -> any()),
-          keyword()
-        ) ::
-          {:ok, t()} | {:error, Situ.Error.t()}
-  def attach(target, fun, opts) when is_function(fun, 1) do
-    with {:ok, opts} <- Situ.Options.validate(opts, @schema) do
-      {pipeline, which} = which(target)
-      Client.call(pipeline, {:tap, which, fun, opts})
-    end
-  end
-
-  @doc "Takes the tap away; a tap whose pipeline has ended is gone already."
-  @spec detach(t()) :: :ok
-  def detach(%__MODULE__{} = tap) do
-    case Client.call(tap.pipeline, {:untap, tap.id}) do
-      :ok -> :ok
-      {:error, %Situ.Error{code: :not_running}} -> :ok
-    end
-  end
-
-  defp which(%Situ.Stream{} = stream), do: {stream, {stream.node, stream.output}}
-  defp which({pipeline, name}) when is_binary(name), do: {pipeline, name}
-end
-
-defmodule Situ.Pipeline.Tap.Sink do
+defmodule Situ.Pipeline.Dynamic.Tap do
   @moduledoc false
-  # The component behind a tap.
-  use Situ.Component, inputs: [in: :any], options: [fun: [type: {:fun, 1}, required: true]]
+  # Taps of a running pipeline: a stage of its own for each, subscribed to an output or, inside a chain, to a probe.
+  alias Situ.{Delivery, Error}
+  alias Situ.Graph.{Edge, Vertex}
+  alias Situ.Pipeline.{Errors, Lookup, Stages, State}
+  alias Situ.Stage.Counters
 
-  @impl true
-  def init(opts), do: {:ok, opts[:fun]}
+  @type events :: [Situ.Pipeline.Lifecycle.event()]
 
-  @impl true
-  def handle_message(:in, message, _context, fun) do
-    fun.(message)
-    {[], fun}
+  @doc "Attaches; the caller gets its answer when the first message can come, or at once when it cannot be."
+  @spec attach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
+  def attach(state, %{stream: which, fun: fun, opts: opts}, from) do
+    with {:ok, {id, output}} <- Lookup.port(state, which),
+         {:ok, stage, index} <- Lookup.stage(state, id) do
+      add(state, {id, output, stage, index}, fun, opts, from)
+    else
+      {:error, error} ->
+        GenServer.reply(from, {:error, error})
+        {state, []}
+    end
+  end
+
+  @doc "The source has taken the tap in."
+  @spec opened(State.t(), term()) :: State.t()
+  def opened(state, tag) do
+    case Enum.find(state.dynamic.taps, fn {_, tap} -> tap.tag == tag and tap.from != nil end) do
+      {id, tap} ->
+        GenServer.reply(tap.from, {:ok, %Situ.Pipeline.Tap{pipeline: self(), id: id}})
+        put(state, id, %{tap | from: nil})
+
+      nil ->
+        state
+    end
+  end
+
+  @doc "Detaches; a tap that is gone is no error."
+  @spec detach(State.t(), pos_integer()) :: {State.t(), events()}
+  def detach(state, id) do
+    case state.dynamic.taps do
+      %{^id => tap} ->
+        Process.demonitor(tap.monitor, [:flush])
+
+        if is_map_key(state.stages, tap.source),
+          do: Stages.tell(state, tap.source, {:untap, tap.tag})
+
+        Stages.tell(state, id, :quit)
+        {forget(state, id, tap), [{:unlinked, tap.tag}, {:left, id}]}
+
+      _ ->
+        {state, []}
+    end
+  end
+
+  @doc "The process that attached a tap is gone."
+  @spec owner_down(State.t(), reference()) :: {State.t(), events()}
+  def owner_down(state, monitor) do
+    case Enum.find(state.dynamic.taps, fn {_, tap} -> tap.monitor == monitor end) do
+      {id, _} -> detach(state, id)
+      nil -> {state, []}
+    end
+  end
+
+  @doc "A stage is gone: who waits for a tap on it waits in vain."
+  @spec interrupted(State.t(), pos_integer()) :: {State.t(), events()}
+  def interrupted(state, id) do
+    Enum.reduce(state.dynamic.taps, {state, []}, fn {tap_id, tap}, {state, events} ->
+      if tap.from != nil and id in [tap.source, tap_id] do
+        path = hd(state.stages[tap.source].vertices).path
+        GenServer.reply(tap.from, {:error, Errors.interrupted(path)})
+        {state, more} = detach(put(state, tap_id, %{tap | from: nil}), tap_id)
+        {state, events ++ more}
+      else
+        {state, events}
+      end
+    end)
+  end
+
+  @doc "The outlet another process may subscribe to: `{pid, [output: name]}`."
+  @spec subscription(State.t(), term()) :: {:ok, {pid(), keyword()}} | {:error, Error.t()}
+  def subscription(state, which) do
+    with {:ok, {id, output}} <- Lookup.port(state, which),
+         {:ok, stage} <- Lookup.outlet(state, id),
+         do: {:ok, {stage.pid, [output: output]}}
+  end
+
+  defp add(state, {from, output, source, index}, fun, opts, {owner, _} = caller) do
+    id = state.graph.next_vertex
+    tag = state.graph.next_edge
+    name = unique(state.graph, opts[:name] || "Tap")
+
+    vertex = %Vertex{
+      id: id,
+      module: Situ.Pipeline.Tap.Sink,
+      path: name,
+      opts: [fun: fun],
+      inputs: [in: %{type: :any, optional: false}],
+      on_error: :skip
+    }
+
+    policy = opts[:policy] || Delivery.max_queue(1_000)
+    edge = %Edge{id: tag, from: {from, output}, to: {id, :in}, policy: policy, explicit: true}
+    link = Stages.link(edge, source.id, id)
+
+    tap = %{
+      tag: tag,
+      source: source.id,
+      output: output,
+      index: index,
+      from: caller,
+      monitor: Process.monitor(owner)
+    }
+
+    graph = %{
+      state.graph
+      | vertices: Map.put(state.graph.vertices, id, vertex),
+        edges: Map.put(state.graph.edges, tag, edge),
+        paths: Map.put(state.graph.paths, name, id),
+        next_vertex: id + 1,
+        next_edge: tag + 1
+    }
+
+    stage = Stages.entry(id, [vertex])
+    wires = state.wires
+
+    state = %{
+      state
+      | graph: graph,
+        stages: Map.put(state.stages, id, stage),
+        wires: %{
+          links: Map.put(wires.links, tag, link),
+          counters: Map.put(wires.counters, tag, Counters.new())
+        }
+    }
+
+    state = state |> put(id, tap) |> Stages.spawn([id])
+    {state, [{:joined, Stages.member(stage, tap?: true)}, {:linked, tag, link}]}
+  end
+
+  @doc "The tap's stage is up and wired: let its messages come."
+  @spec open(State.t(), pos_integer()) :: State.t()
+  def open(state, id) do
+    tap = Map.fetch!(state.dynamic.taps, id)
+    pid = state.stages[id].pid
+    last = length(state.stages[tap.source].vertices) - 1
+    index = if tap.index < last, do: tap.index
+
+    wiring = %{
+      tag: tap.tag,
+      output: tap.output,
+      index: index,
+      pid: pid,
+      counters: state.wires.counters[tap.tag],
+      policy: state.wires.links[tap.tag].policy
+    }
+
+    Stages.tell(state, tap.source, {:tap, wiring})
+    Stages.tell(state, id, :run)
+  end
+
+  defp put(state, id, tap),
+    do: %{state | dynamic: %{state.dynamic | taps: Map.put(state.dynamic.taps, id, tap)}}
+
+  defp forget(state, id, tap) do
+    name = state.graph.vertices[id].path
+
+    graph = %{
+      state.graph
+      | vertices: Map.delete(state.graph.vertices, id),
+        edges: Map.delete(state.graph.edges, tap.tag),
+        paths: Map.delete(state.graph.paths, name)
+    }
+
+    {stage, stages} = Map.pop(state.stages, id)
+    wires = state.wires
+
+    %{
+      state
+      | graph: graph,
+        stages: stages,
+        pids: Map.delete(state.pids, stage.pid),
+        wires: %{
+          links: Map.delete(wires.links, tap.tag),
+          counters: Map.delete(wires.counters, tap.tag)
+        },
+        dynamic: %{state.dynamic | taps: Map.delete(state.dynamic.taps, id)}
+    }
+  end
+
+  defp unique(graph, name) do
+    Stream.iterate(2, &(&1 + 1))
+    |> Stream.map(&(name <> Integer.to_string(&1)))
+    |> then(&Stream.concat([name], &1))
+    |> Enum.find(&(not Map.has_key?(graph.paths, &1)))
   end
 end

@@ -1,4 +1,4 @@
-defmodule Situ.Pipeline.Archive do
+defmodule Situ.Pipeline.Results do
   @moduledoc false
   # Results of pipelines that have ended, so that `await/2` a moment too late still answers. The last 256 are kept.
   @table __MODULE__

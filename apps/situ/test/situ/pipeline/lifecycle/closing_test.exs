@@ -1,7 +1,7 @@
-defmodule Situ.Pipeline.FinalizerTest do
+defmodule Situ.Pipeline.Lifecycle.ClosingTest do
   use ExUnit.Case, async: true
 
-  alias Situ.Pipeline.Finalizer
+  alias Situ.Pipeline.Lifecycle.Closing
 
   # Closes what the rule says, with everything it fed unsubscribed at once, until all is closed: the ids, step by step.
   defp steps(order, edges) do
@@ -10,7 +10,7 @@ defmodule Situ.Pipeline.FinalizerTest do
   end
 
   defp close(order, active, steps) do
-    case Finalizer.next(order, active) do
+    case Closing.next(order, active) do
       :done -> Enum.reverse(steps)
       {_rule, ids} -> close(order -- ids, Enum.reject(active, &(&1.from in ids)), [ids | steps])
     end
@@ -39,10 +39,10 @@ defmodule Situ.Pipeline.FinalizerTest do
       for {from, output, to} <- [{1, :a, 2}, {2, :a, 1}, {2, :b, 3}, {3, :a, 2}],
           do: %{from: from, output: output, to: to}
 
-    assert Finalizer.next([3, 1, 2], active) == {:break, [2]}
+    assert Closing.next([3, 1, 2], active) == {:break, [2]}
   end
 
   test "closing marks under way are waited for" do
-    assert Finalizer.next([2], [%{from: 1, output: :out, to: 2}]) == :wait
+    assert Closing.next([2], [%{from: 1, output: :out, to: 2}]) == :wait
   end
 end

@@ -1,8 +1,6 @@
-defmodule Situ.Pipeline.Upstream do
+defmodule Situ.Pipeline.Lifecycle.Upstream do
   @moduledoc false
   # What the sources upstream of a stage say about it. Pure.
-  alias Situ.Graph.Vertex
-
   @type id :: pos_integer()
 
   @doc """
@@ -10,7 +8,7 @@ defmodule Situ.Pipeline.Upstream do
   and none of them lies on or behind a cycle.
   """
   @spec whole(
-          %{id() => %{vertices: [Vertex.t(), ...]}},
+          %{id() => %{source?: boolean()}},
           [%{from: id(), to: id()}],
           MapSet.t(id())
         ) ::
@@ -21,8 +19,7 @@ defmodule Situ.Pipeline.Upstream do
     unknown = Enum.frequencies_by(links, & &1.to)
 
     endless =
-      for {id, %{vertices: [head | _]}} <- stages,
-          Vertex.source?(head),
+      for {id, %{source?: true}} <- stages,
           not MapSet.member?(finite, id),
           into: MapSet.new(),
           do: id

@@ -1,4 +1,4 @@
-defmodule Situ.Pipeline.Finalizer do
+defmodule Situ.Pipeline.Lifecycle.Closing do
   @moduledoc false
   # In which order the outputs of a stopping pipeline close. Pure.
   #
@@ -32,7 +32,9 @@ defmodule Situ.Pipeline.Finalizer do
     end
   end
 
-  defp break(order, active) do
+  @doc "Which of `order` to close when every one of them waits for another: at least one."
+  @spec break([id(), ...], [edge()]) :: [id(), ...]
+  def break(order, active) do
     with [] <- one_by_one(order, active, &alone?/2),
          [] <- one_by_one(order, active, &pure?/2) do
       [Enum.max_by(order, &listened(&1, active), fn -> hd(order) end)]

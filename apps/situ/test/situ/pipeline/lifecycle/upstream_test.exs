@@ -1,15 +1,13 @@
-defmodule Situ.Pipeline.UpstreamTest do
+defmodule Situ.Pipeline.Lifecycle.UpstreamTest do
   use ExUnit.Case, async: true
 
-  alias Situ.Graph.Vertex
-  alias Situ.Pipeline.Upstream
+  alias Situ.Pipeline.Lifecycle.Upstream
 
   # Stages 1 and 2 are sources, the others are not.
   defp whole(edges, finite, ids \\ 1..6) do
     stages =
       for id <- ids, into: %{} do
-        inputs = if id in [1, 2], do: [], else: [in: %{type: :any, optional: true}]
-        {id, %{vertices: [%Vertex{id: id, module: Situ.Pipeline.Empty, inputs: inputs}]}}
+        {id, %{source?: id in [1, 2]}}
       end
 
     links = for {from, to} <- edges, do: %{from: from, to: to}

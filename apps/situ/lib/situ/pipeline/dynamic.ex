@@ -1,0 +1,32 @@
+defmodule Situ.Pipeline.Dynamic do
+  @moduledoc false
+  # The requests under way that change a running pipeline. Every one has a reference, names the stages that owe it an answer, and is
+  # answered when one of these ends before it has given it.
+  #
+  #   taps      by the id of their stage: Dynamic.Tap
+  #   inputs    inputs being added or taken away: Dynamic.Input
+  #   replaces  per stage, the replacement under way and those that wait for it: Dynamic.Replacement
+  defstruct taps: %{}, inputs: %{}, replaces: %{}
+
+  @type t :: %__MODULE__{
+          taps: %{pos_integer() => map()},
+          inputs: %{term() => map()},
+          replaces: %{pos_integer() => {map(), :queue.queue(map())}}
+        }
+
+  @doc "The pipeline has ended: whoever still waits is told so."
+  @spec cancel(t(), term()) :: :ok
+  def cancel(dynamic, answer) do
+    waiting =
+      for(%{from: from} <- Map.values(dynamic.taps), do: from) ++
+        for(%{from: from} <- Map.values(dynamic.inputs), do: from) ++
+        for(
+          {current, queue} <- Map.values(dynamic.replaces),
+          %{from: from} <- [current | :queue.to_list(queue)],
+          do: from
+        )
+
+    for from <- waiting, from != nil, do: GenServer.reply(from, answer)
+    :ok
+  end
+end

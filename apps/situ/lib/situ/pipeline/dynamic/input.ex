@@ -1,0 +1,214 @@
+defmodule Situ.Pipeline.Dynamic.Input do
+  @moduledoc false
+  # Inputs that are added to a running component, and taken away. Three steps, so that it is exact which messages come:
+  #
+  #   the source's stage takes a subscriber in, without demand, and tells the last time that it will not see ({:lend, ...});
+  #   the component takes the input, or does not, and asks for the first messages ({:attach, ...});
+  #   the caller gets its answer, and the graph has the connection.
+  alias Situ.{Delivery, Error}
+  alias Situ.Graph.Edge
+  alias Situ.Pipeline.{Errors, Lookup, Stages, State}
+  alias Situ.Stage.Counters
+
+  @type events :: [Situ.Pipeline.Lifecycle.event()]
+
+  @doc "An input of the component behind the stream `taker`, connected to the stream `stream`."
+  @spec attach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
+  def attach(state, asked, from) do
+    with {:ok, {id, _}} <- Lookup.port(state, asked.taker),
+         {:ok, taker} <- taker(state, id),
+         {:ok, {origin, output}} <- Lookup.port(state, asked.stream),
+         {:ok, source} <- Lookup.outlet(state, origin),
+         :ok <- upstream(state.graph, id, origin) do
+      {lend(state, {id, taker}, {origin, output, source}, asked, from), []}
+    else
+      {:error, error} -> refuse(state, from, error)
+    end
+  end
+
+  @doc "An added input is to go."
+  @spec detach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
+  def detach(state, asked, from) do
+    with {:ok, {id, _}} <- Lookup.port(state, asked.taker), {:ok, stage} <- taker(state, id) do
+      ref = make_ref()
+      Stages.tell(state, stage.id, {:detach, ref, asked.request})
+      {ask(state, ref, %{from: from, stages: [stage.id], link: nil}), []}
+    else
+      {:error, error} -> refuse(state, from, error)
+    end
+  end
+
+  defp refuse(state, from, error) do
+    GenServer.reply(from, {:error, error})
+    {state, []}
+  end
+
+  @doc "The source has taken the subscriber in: now the component is asked."
+  @spec lent(State.t(), term(), term()) :: {State.t(), events()}
+  def lent(%{life: %{phase: :running}, dynamic: %{inputs: inputs}} = state, tag, how)
+      when is_map_key(inputs, tag) do
+    %{link: link, request: request} = asked = inputs[tag]
+
+    wiring = %{
+      name: link.input,
+      tag: tag,
+      producer: state.stages[link.from].pid,
+      policy: link.policy,
+      counters: state.wires.counters[tag],
+      sizes: state.settings.message_sizes,
+      end: how
+    }
+
+    Stages.tell(state, link.to, {:attach, request, elem(how, 1), wiring})
+    state = ask(state, tag, %{asked | stages: [link.to]})
+    {wire(state, &%{&1 | links: Map.put(&1.links, tag, link)}), [{:linked, tag, link}]}
+  end
+
+  def lent(state, tag, _how), do: refused(state, tag, Errors.not_running())
+
+  @doc "The component has answered."
+  @spec answered(State.t(), term(), pos_integer(), term(), keyword()) :: {State.t(), events()}
+  def answered(state, ref, id, {:ok, reply}, opts) do
+    {asked, inputs} = Map.pop(state.dynamic.inputs, ref)
+    if asked, do: GenServer.reply(asked.from, {:ok, reply})
+    state = %{state | dynamic: %{state.dynamic | inputs: inputs}}
+    added = fn vertex -> %{vertex | opts: opts, inputs: added(vertex, asked && asked.link)} end
+    {change(state, id, added), []}
+  end
+
+  def answered(state, ref, _id, {:error, error}, _opts), do: refused(state, ref, error)
+
+  @doc "The component has let an input go."
+  @spec detached(State.t(), pos_integer(), atom(), keyword()) :: {State.t(), events()}
+  def detached(state, id, input, opts) do
+    state = change(state, id, &%{&1 | opts: opts, inputs: Keyword.delete(&1.inputs, input)})
+
+    case Enum.find(state.wires.links, fn {_, link} -> link.to == id and link.input == input end) do
+      {tag, _} -> {forget(state, tag), [{:unlinked, tag}]}
+      nil -> {state, []}
+    end
+  end
+
+  @doc "A stage that owes an answer is gone: it has forgotten the question."
+  @spec interrupted(State.t(), pos_integer()) :: {State.t(), events()}
+  def interrupted(state, id) do
+    error = Errors.interrupted(hd(state.stages[id].vertices).path)
+
+    for {ref, %{stages: stages}} <- state.dynamic.inputs, id in stages, reduce: {state, []} do
+      {state, events} ->
+        {state, more} = refused(state, ref, error)
+        {state, events ++ more}
+    end
+  end
+
+  defp lend(state, {id, taker}, {origin, output, source}, asked, from) do
+    tag = state.graph.next_edge
+    input = free(state, id, asked.input)
+    policy = asked.policy || state.graph.default_policy || Delivery.unlimited()
+    edge = %Edge{id: tag, from: {origin, output}, to: {id, input}, policy: policy, explicit: true}
+    link = Stages.link(edge, source.id, taker.id)
+    counters = Counters.new()
+    Stages.tell(state, source.id, {:lend, tag, output, taker.pid, counters, policy})
+    edges = Map.put(state.graph.edges, tag, edge)
+    state = %{state | graph: %{state.graph | edges: edges, next_edge: tag + 1}}
+    state = wire(state, &%{&1 | counters: Map.put(&1.counters, tag, counters)})
+    ask(state, tag, %{from: from, stages: [source.id], link: link, request: asked.request})
+  end
+
+  defp ask(state, ref, asked),
+    do: %{state | dynamic: %{state.dynamic | inputs: Map.put(state.dynamic.inputs, ref, asked)}}
+
+  defp wire(state, change), do: %{state | wires: change.(state.wires)}
+
+  # The smallest free name: as many atoms as there ever are inputs at once.
+  defp free(state, id, name) do
+    asked = for {_, %{link: %{to: ^id, input: input}}} <- state.dynamic.inputs, do: input
+    taken = asked ++ Keyword.keys(state.graph.vertices[id].inputs)
+
+    Stream.iterate(0, &(&1 + 1)) |> Stream.map(name) |> Enum.find(&(&1 not in taken))
+  end
+
+  defp taker(state, id) do
+    with {:ok, stage, index} <- Lookup.stage(state, id) do
+      vertex = state.graph.vertices[id]
+
+      if index == 0 and vertex.module != :operator and
+           function_exported?(vertex.module, :handle_attach, 5),
+         do: {:ok, stage},
+         else: {:error, fixed(vertex)}
+    end
+  end
+
+  # A stream that comes from the component itself would wait for it.
+  defp upstream(graph, id, origin) do
+    next = Enum.group_by(graph.edges, fn {_, e} -> elem(e.from, 0) end, &elem(elem(&1, 1).to, 0))
+
+    if origin in downstream([id], next, []),
+      do: {:error, cycle(graph.vertices[origin])},
+      else: :ok
+  end
+
+  defp downstream([], _next, seen), do: seen
+
+  defp downstream([id | rest], next, seen) do
+    if id in seen,
+      do: downstream(rest, next, seen),
+      else: downstream(Map.get(next, id, []) ++ rest, next, [id | seen])
+  end
+
+  defp added(vertex, nil), do: vertex.inputs
+
+  defp added(vertex, link),
+    do: vertex.inputs ++ [{link.input, %{type: :any, optional: true}}]
+
+  # The first vertex of a stage, in the graph and in what a restart begins with.
+  defp change(state, id, fun) do
+    stage = Map.fetch!(state.stages, id)
+    [head | rest] = stage.vertices
+    head = fun.(head)
+    vertices = Map.put(state.graph.vertices, head.id, head)
+    stages = Map.put(state.stages, id, %{stage | vertices: [head | rest]})
+    %{state | graph: %{state.graph | vertices: vertices}, stages: stages}
+  end
+
+  defp refused(state, ref, error) do
+    case Map.pop(state.dynamic.inputs, ref) do
+      {nil, _} ->
+        {state, []}
+
+      {asked, inputs} ->
+        GenServer.reply(asked.from, {:error, error})
+        state = %{state | dynamic: %{state.dynamic | inputs: inputs}}
+        if asked.link, do: cut(state, asked.link), else: {state, []}
+    end
+  end
+
+  defp cut(state, link) do
+    Stages.tell(state, link.from, {:untap, link.id})
+    {forget(state, link.id), [{:unlinked, link.id}]}
+  end
+
+  defp forget(state, tag) do
+    state = %{state | graph: %{state.graph | edges: Map.delete(state.graph.edges, tag)}}
+
+    wire(state, fn wires ->
+      %{links: Map.delete(wires.links, tag), counters: Map.delete(wires.counters, tag)}
+    end)
+  end
+
+  defp fixed(vertex) do
+    Error.new(:fixed_inputs, "#{vertex.path} takes no inputs while it runs",
+      why: "its inputs are fixed when the pipeline starts",
+      fix: "build it over a map of streams (Situ.join/4), or with Situ.merge/3",
+      meta: %{component: vertex.path}
+    )
+  end
+
+  defp cycle(vertex) do
+    Error.new(:circle, "#{vertex.path} depends on the operator that is to take it",
+      why: "each would wait for the other",
+      fix: "take a stream in front of the operator",
+      meta: %{component: vertex.path}
+    )
+  end
+end

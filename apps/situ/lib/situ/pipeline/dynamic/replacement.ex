@@ -1,0 +1,207 @@
+defmodule Situ.Pipeline.Dynamic.Replacement do
+  @moduledoc false
+  # Another module, or other options, for a running component. One at a time for each stage, in the order in which they were asked
+  # for; what waits is checked when it is its turn, against what the component has become by then.
+  alias Situ.{Error, Type}
+  alias Situ.Graph.{Edge, Vertex}
+  alias Situ.Pipeline.{Errors, Lookup, State}
+
+  @doc "Asks the stage, or waits for its turn; the caller is answered when it has been done, or cannot be."
+  @spec ask(State.t(), map(), GenServer.from()) :: State.t()
+  def ask(state, %{node: node, change: change, timeout: timeout}, from) do
+    with {:ok, vertex} <- Lookup.vertex(state, node),
+         {:ok, stage, _index} <- Lookup.stage(state, vertex.id) do
+      ref = make_ref()
+      if timeout != :infinity, do: Process.send_after(self(), {:situ_late, ref, timeout}, timeout)
+      enter(state, stage.id, %{ref: ref, vertex: vertex.id, change: change, from: from})
+    else
+      {:error, error} ->
+        GenServer.reply(from, {:error, error})
+        state
+    end
+  end
+
+  defp enter(%{dynamic: %{replaces: replaces}} = state, id, request) do
+    case replaces do
+      %{^id => {current, waiting}} -> put(state, id, {current, :queue.in(request, waiting)})
+      _ -> begin(state, id, request, :queue.new())
+    end
+  end
+
+  defp begin(state, id, request, waiting) do
+    vertex = state.graph.vertices[request.vertex]
+
+    with {:ok, stage, index} <- Lookup.stage(state, vertex.id),
+         {:ok, module, opts} <- target(vertex, request.change),
+         :ok <- fits(state.graph, vertex, module) do
+      send(stage.pid, {:situ, {:replace, request.ref, index, module, opts}})
+      put(state, id, {Map.merge(request, %{index: index, module: module, opts: opts}), waiting})
+    else
+      {:error, error} ->
+        reply(request, {:error, error})
+        next(state, id, waiting)
+    end
+  end
+
+  defp next(state, id, waiting) do
+    case :queue.out(waiting) do
+      {{:value, request}, waiting} -> begin(state, id, request, waiting)
+      {:empty, _} -> put(state, id, nil)
+    end
+  end
+
+  @doc "The stage has answered."
+  @spec answered(State.t(), pos_integer(), reference(), :ok | {:error, Error.t()}) :: State.t()
+  def answered(state, id, ref, answer) do
+    case state.dynamic.replaces do
+      %{^id => {%{ref: ^ref} = request, waiting}} ->
+        reply(request, answer)
+        state = if answer == :ok, do: replaced(state, id, request), else: state
+        next(state, id, waiting)
+
+      _ ->
+        state
+    end
+  end
+
+  @doc "The caller has waited long enough; the replacement goes its way."
+  @spec late(State.t(), reference(), timeout()) :: State.t()
+  def late(state, ref, timeout) do
+    error = {:error, Errors.timeout(:replace, timeout)}
+
+    replaces =
+      Map.new(state.dynamic.replaces, fn {id, {current, waiting}} ->
+        waiting = :queue.from_list(Enum.map(:queue.to_list(waiting), &told(&1, ref, error)))
+        {id, {told(current, ref, error), waiting}}
+      end)
+
+    %{state | dynamic: %{state.dynamic | replaces: replaces}}
+  end
+
+  defp told(%{ref: ref} = request, ref, error) do
+    reply(request, error)
+    %{request | from: nil}
+  end
+
+  defp told(request, _ref, _error), do: request
+
+  @doc "The stage is gone, and with it what it was asked: whoever waits for it is answered."
+  @spec interrupted(State.t(), pos_integer()) :: State.t()
+  def interrupted(state, id) do
+    case state.dynamic.replaces do
+      %{^id => {current, waiting}} ->
+        path = state.graph.vertices[current.vertex].path
+
+        for request <- [current | :queue.to_list(waiting)],
+            do: reply(request, {:error, Errors.interrupted(path)})
+
+        put(state, id, nil)
+
+      _ ->
+        state
+    end
+  end
+
+  defp reply(%{from: nil}, _answer), do: :ok
+  defp reply(%{from: from}, answer), do: GenServer.reply(from, answer)
+
+  defp put(state, id, nil),
+    do: %{state | dynamic: %{state.dynamic | replaces: Map.delete(state.dynamic.replaces, id)}}
+
+  defp put(state, id, entry),
+    do: %{
+      state
+      | dynamic: %{state.dynamic | replaces: Map.put(state.dynamic.replaces, id, entry)}
+    }
+
+  # What a restart begins with from now on.
+  defp replaced(state, id, %{index: index, module: module, opts: opts}) do
+    stage = Map.fetch!(state.stages, id)
+    vertices = List.update_at(stage.vertices, index, &%{&1 | module: module, opts: opts})
+    vertex = Enum.at(vertices, index)
+    graph = %{state.graph | vertices: Map.put(state.graph.vertices, vertex.id, vertex)}
+    %{state | graph: graph, stages: Map.put(state.stages, id, %{stage | vertices: vertices})}
+  end
+
+  # What it is to become
+
+  defp target(%Vertex{module: :operator} = vertex, {kind, fun} = step) when is_function(fun) do
+    if kind == elem(vertex.opts, 0),
+      do: {:ok, :operator, step},
+      else: {:error, other_kind(vertex)}
+  end
+
+  defp target(%Vertex{module: :operator} = vertex, {:step, _fun, _state} = step),
+    do:
+      if(elem(vertex.opts, 0) == :step,
+        do: {:ok, :operator, step},
+        else: {:error, other_kind(vertex)}
+      )
+
+  defp target(%Vertex{module: :operator} = vertex, _), do: {:error, other_kind(vertex)}
+
+  defp target(_vertex, {module, opts}) when is_atom(module) and is_list(opts) do
+    if Code.ensure_loaded?(module) and function_exported?(module, :handle_message, 4),
+      do: {:ok, module, opts},
+      else: {:error, Error.new(:not_a_component, "#{inspect(module)} is not a component")}
+  end
+
+  defp target(vertex, opts) when is_list(opts), do: {:ok, vertex.module, opts}
+
+  defp target(_vertex, other),
+    do:
+      {:error,
+       Error.new(:bad_replacement, "expected {module, opts} or options, got: #{inspect(other)}")}
+
+  defp other_kind(vertex) do
+    Error.new(
+      :bad_replacement,
+      "#{vertex.path} is an operator of kind #{inspect(elem(vertex.opts, 0))}",
+      fix: "replace it by a step of the same kind, as in Situ.Operator"
+    )
+  end
+
+  defp fits(_graph, %Vertex{module: same}, same), do: :ok
+
+  defp fits(graph, vertex, module) do
+    with :ok <- inputs_fit(graph, vertex, module.inputs()),
+         do: outputs_fit(graph, vertex, module.outputs())
+  end
+
+  defp inputs_fit(graph, vertex, inputs) do
+    Enum.find_value(Map.values(graph.edges), :ok, fn %Edge{from: {from, output}, to: {to, input}} ->
+      type = graph.vertices[from].outputs[output].type
+
+      if to == vertex.id and not accepts?(inputs[input], type),
+        do: {:error, misfit(vertex, module_port(:input, input), inputs[input], type)}
+    end)
+  end
+
+  defp outputs_fit(graph, vertex, outputs) do
+    Enum.find_value(Map.values(graph.edges), :ok, fn %Edge{from: {from, output}, to: {to, input}} ->
+      type = graph.vertices[to].inputs[input].type
+
+      if from == vertex.id and
+           (outputs[output] == nil or not Type.accepts?(type, port_type(outputs[output]))),
+         do: {:error, misfit(vertex, module_port(:output, output), type, outputs[output])}
+    end)
+  end
+
+  defp accepts?(nil, _type), do: false
+  defp accepts?(port, type), do: Type.accepts?(port_type(port), type)
+
+  defp port_type({type, opts}) when is_list(opts) and (opts == [] or is_tuple(hd(opts))), do: type
+  defp port_type(type), do: type
+
+  defp module_port(kind, name), do: "#{kind} #{inspect(name)}"
+
+  defp misfit(vertex, port, wanted, given) do
+    Error.new(:type_mismatch, "#{vertex.path} cannot be replaced: #{port} does not fit",
+      why: "it is connected: #{describe(given)} flows where #{describe(wanted)} is declared",
+      meta: %{component: vertex.path}
+    )
+  end
+
+  defp describe(nil), do: "nothing"
+  defp describe(port), do: port |> port_type() |> Type.to_string()
+end

@@ -1,0 +1,100 @@
+defmodule Situ.Pipeline.Handlers do
+  @moduledoc false
+  # The process in which the handlers of `Situ.Pipeline.on/3` run, one after another in the order of what happened. A slow one holds
+  # nobody up but the start (`:run`) and the end (`:completed`), and may ask the pipeline anything. What it sends the server:
+  #
+  #   {:situ_handled, event, :ok or {:error, error}, graph}   they have returned; the graph with what they have added
+  alias Situ.Error
+  alias Situ.Graph.Builder
+  require Logger
+
+  @doc "The handlers of a graph that are for `event`."
+  @spec any?(Situ.Graph.t(), atom()) :: boolean()
+  def any?(graph, event), do: Enum.any?(graph.handlers, &(elem(&1, 0) == event))
+
+  @doc "Calls them; starts the process if there is none yet."
+  @spec call(pid() | nil, {atom(), term()}, Situ.Graph.t(), Situ.Graph.Handle.t()) :: pid()
+  def call(nil, job, graph, handle) do
+    server = self()
+    call(:proc_lib.spawn_link(__MODULE__, :loop, [server]), job, graph, handle)
+  end
+
+  def call(pid, job, graph, handle) do
+    send(pid, {:situ_handle, job, graph, handle})
+    pid
+  end
+
+  @spec quit(pid() | nil) :: term()
+  def quit(nil), do: :ok
+  def quit(pid), do: send(pid, :situ_quit)
+
+  @doc false
+  def loop(server) do
+    # What asks the pipeline to stop from in here is not made to wait for it.
+    Process.put(:situ_pipeline, server)
+    Process.monitor(server)
+    work(server)
+  end
+
+  defp work(server) do
+    receive do
+      {:situ_handle, {event, argument}, graph, handle} ->
+        {result, graph} = run(handle, graph, event, argument)
+        send(server, {:situ_handled, event, result, graph})
+        work(server)
+
+      :situ_quit ->
+        :ok
+
+      {:DOWN, _, :process, ^server, _} ->
+        :ok
+
+      _other ->
+        work(server)
+    end
+  end
+
+  # One that raises is an error of the pipeline. A handler may add others of its kind: they run too.
+  defp run(handle, graph, event, argument) do
+    Builder.lend(handle, graph, fn -> each(handle, event, argument, 0) end)
+  end
+
+  defp each(handle, event, argument, done) do
+    case Enum.drop(Builder.peek(handle).handlers, done) do
+      [] ->
+        :ok
+
+      fresh ->
+        for {^event, fun} <- fresh, do: fun.(argument)
+        each(handle, event, argument, done + length(fresh))
+    end
+  catch
+    kind, reason -> {:error, failed(event, kind, reason, __STACKTRACE__)}
+  end
+
+  defp failed(event, kind, reason, stack) do
+    exception = if kind == :error, do: Exception.normalize(:error, reason, stack)
+
+    Error.new(
+      :handler_failed,
+      "the #{inspect(event)} handler failed: #{Exception.format_banner(kind, reason, stack)}",
+      meta: %{
+        kind: kind,
+        exception: exception,
+        reason: exception || reason,
+        stacktrace: stack
+      }
+    )
+  end
+
+  @doc "A pipeline that will not run: what was opened for it can be closed."
+  @spec abandoned(Situ.Graph.Handle.t(), Error.t() | nil) :: :ok
+  def abandoned(handle, error) do
+    graph = Builder.close(handle)
+    for {:abandoned, fun} <- (graph && graph.handlers) || [], do: fun.(error)
+    :ok
+  catch
+    # There is an error already, or nobody to be told of one.
+    kind, reason -> Logger.error(Exception.format(kind, reason, __STACKTRACE__))
+  end
+end

@@ -1,0 +1,106 @@
+defmodule Situ.Pipeline.Lifecycle.Links do
+  @moduledoc false
+  # The connections between the stages of a pipeline, by both of their ends. Pure.
+  #
+  #   active    those whose consumer has not taken the closing mark yet
+  #   closing   active ones whose producer has closed: the mark is under way
+  #   topology  all there ever were, for what follows the way of the streams
+
+  @type id :: pos_integer()
+  @type link :: %{
+          required(:from) => id(),
+          required(:to) => id(),
+          required(:output) => atom(),
+          optional(atom()) => term()
+        }
+
+  defstruct active: %{}, into: %{}, out_of: %{}, closing: MapSet.new(), topology: %{}
+
+  @type t :: %__MODULE__{
+          active: %{term() => link()},
+          into: %{id() => MapSet.t()},
+          out_of: %{id() => MapSet.t()},
+          closing: MapSet.t(),
+          topology: %{term() => link()}
+        }
+
+  @spec new(%{term() => link()}) :: t()
+  def new(links),
+    do: Enum.reduce(links, %__MODULE__{}, fn {tag, link}, all -> add(all, tag, link) end)
+
+  @spec add(t(), term(), link()) :: t()
+  def add(links, tag, link) do
+    %{
+      links
+      | active: Map.put(links.active, tag, link),
+        into: put(links.into, link.to, tag),
+        out_of: put(links.out_of, link.from, tag),
+        topology: Map.put(links.topology, tag, link)
+    }
+  end
+
+  @doc "The consumer has taken the closing mark, or is gone."
+  @spec drop(t(), term()) :: t()
+  def drop(links, tag) do
+    case links.active do
+      %{^tag => link} ->
+        %{
+          links
+          | active: Map.delete(links.active, tag),
+            into: delete(links.into, link.to, tag),
+            out_of: delete(links.out_of, link.from, tag),
+            closing: MapSet.delete(links.closing, tag)
+        }
+
+      _ ->
+        links
+    end
+  end
+
+  @doc "As though it had never been there."
+  @spec forget(t(), term()) :: t()
+  def forget(links, tag) do
+    links = drop(links, tag)
+    %{links | topology: Map.delete(links.topology, tag)}
+  end
+
+  @doc "The outputs of `id` have closed: its closing marks are under way."
+  @spec close(t(), id()) :: t()
+  def close(links, id),
+    do: %{links | closing: Enum.into(Map.get(links.out_of, id, []), links.closing)}
+
+  @spec into(t(), id()) :: [{term(), link()}]
+  def into(links, id), do: look(links, Map.get(links.into, id, []))
+
+  @spec out_of(t(), id()) :: [{term(), link()}]
+  def out_of(links, id), do: look(links, Map.get(links.out_of, id, []))
+
+  @doc "Whether nothing comes into `id` any more."
+  @spec free?(t(), id()) :: boolean()
+  def free?(links, id), do: not is_map_key(links.into, id)
+
+  @doc "All stages that get, over however many others, something of `id`; itself only on a cycle."
+  @spec downstream(t(), id()) :: MapSet.t(id())
+  def downstream(links, id) do
+    next = Enum.group_by(Map.values(links.topology), & &1.from, & &1.to)
+    follow(Map.get(next, id, []), next, MapSet.new())
+  end
+
+  defp follow([], _next, seen), do: seen
+
+  defp follow([id | rest], next, seen) do
+    if MapSet.member?(seen, id),
+      do: follow(rest, next, seen),
+      else: follow(Map.get(next, id, []) ++ rest, next, MapSet.put(seen, id))
+  end
+
+  defp look(links, tags), do: for(tag <- tags, do: {tag, Map.fetch!(links.active, tag)})
+
+  defp put(sets, id, tag), do: Map.update(sets, id, MapSet.new([tag]), &MapSet.put(&1, tag))
+
+  # A stage without any is no key: `free?/2` is one look.
+  defp delete(sets, id, tag) do
+    rest = MapSet.delete(Map.fetch!(sets, id), tag)
+    if MapSet.size(rest) == 0, do: Map.delete(sets, id), else: %{sets | id => rest}
+  end
+end

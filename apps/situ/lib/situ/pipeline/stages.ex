@@ -1,0 +1,260 @@
+defmodule Situ.Pipeline.Stages do
+  @moduledoc false
+  # The processes of a pipeline: spawned, wired, measured. Carries out what the life cycle decides; decides nothing.
+  alias Situ.Graph.{Edge, Plan, Vertex}
+  alias Situ.Pipeline.Lifecycle.{Links, Member}
+  alias Situ.Pipeline.{Lifecycle, Reaper, State}
+  alias Situ.Stage
+  alias Situ.Stage.{Counters, Output, Tally}
+
+  @doc "What a plan needs besides processes: links, counters, entries of stages; and the members for the life cycle."
+  @spec lay_out(State.t(), Plan.t()) :: {State.t(), %{pos_integer() => Member.t()}}
+  def lay_out(state, plan) do
+    Reaper.watch(self())
+    links = links(plan)
+    counters = Map.new(plan.edges, &{&1.id, Counters.new()})
+    heads = heads(plan)
+    inline = Map.new(plan.inline, &{elem(&1.from, 0), &1})
+    entered = for id <- heads, edge = inline[id], do: {edge.id, Counters.new()}
+    counters = Enum.into(entered, counters)
+
+    stages =
+      Map.new(plan.stages, fn %{id: id, vertices: [head | _] = vertices} ->
+        tail = if edge = inline[head.id], do: counters[edge.id]
+        {id, entry(id, vertices, tail)}
+      end)
+
+    members = Map.new(stages, fn {id, stage} -> {id, member(stage)} end)
+    {%{state | stages: stages, wires: %{links: links, counters: counters}}, members}
+  end
+
+  # The edge from a component into the operators that share its process is counted like a queue.
+  defp heads(plan) do
+    for %{vertices: [%{module: module, id: id}, _ | _]} <- plan.stages,
+        module != :operator,
+        do: id
+  end
+
+  defp links(plan) do
+    place =
+      for stage <- plan.stages, vertex <- stage.vertices, into: %{}, do: {vertex.id, stage.id}
+
+    Map.new(plan.edges, &{&1.id, link(&1, place[elem(&1.from, 0)], place[elem(&1.to, 0)])})
+  end
+
+  @doc "An edge with the stages that it joins instead of vertices."
+  @spec link(Edge.t(), pos_integer(), pos_integer()) :: map()
+  def link(%Edge{from: {_, output}, to: {_, input}} = edge, from, to),
+    do: %{id: edge.id, from: from, output: output, to: to, input: input, policy: edge.policy}
+
+  @doc "A stage that has no process yet."
+  @spec entry(pos_integer(), [Vertex.t(), ...], Counters.t() | nil) :: State.stage()
+  def entry(id, vertices, tail \\ nil) do
+    control = :atomics.new(1, signed: true)
+    :atomics.put(control, 1, Stage.never())
+
+    %{
+      id: id,
+      pid: nil,
+      vertices: vertices,
+      tally: Tally.new(length(vertices)),
+      control: control,
+      marks: marks(vertices),
+      tail: tail
+    }
+  end
+
+  # Only what may be spawned again has to know how far it came.
+  defp marks([%{on_error: :stop} | _]), do: nil
+
+  defp marks(vertices),
+    do: vertices |> Enum.map(&length(&1.outputs)) |> Enum.sum() |> Output.marks()
+
+  @doc "What the life cycle has to know of a stage."
+  @spec member(State.stage(), keyword()) :: Member.t()
+  def member(%{id: id, vertices: [head | _]}, extra \\ []) do
+    base = %Member{
+      id: id,
+      path: head.path,
+      source?: Vertex.source?(head),
+      on_error: head.on_error
+    }
+
+    struct!(base, extra)
+  end
+
+  @doc "A process for each, new or again."
+  @spec spawn(State.t(), [pos_integer()]) :: State.t()
+  def spawn(state, ids), do: Enum.reduce(ids, state, &spawn_one/2)
+
+  defp spawn_one(id, state) do
+    stage = state.stages[id]
+
+    pid =
+      Stage.spawn_link(%{
+        marks: stage.marks,
+        id: id,
+        server: self(),
+        handle: state.handle,
+        vertices: stage.vertices,
+        tally: stage.tally,
+        tail_counters: stage.tail,
+        sizes: state.settings.message_sizes
+      })
+
+    stages = Map.put(state.stages, id, %{stage | pid: pid})
+    %{state | stages: stages, pids: Map.put(state.pids, pid, id)}
+  end
+
+  @doc "The stages get to know clock and neighbours, and start."
+  @spec start(State.t(), [pos_integer()]) :: State.t()
+  def start(state, ids) do
+    links = Map.values(state.wires.links)
+    into = Enum.group_by(links, & &1.to)
+    out_of = Enum.group_by(links, & &1.from)
+
+    for id <- ids do
+      ports = {Map.get(into, id, []), Map.get(out_of, id, [])}
+      send(state.stages[id].pid, {:situ, {:start, wiring(state, id, ports)}})
+    end
+
+    state
+  end
+
+  defp wiring(state, id, {into, out_of}) do
+    counters = state.wires.counters
+
+    inlets =
+      for link <- into, is_map_key(state.life.links.active, link.id) do
+        %{
+          name: link.input,
+          tag: link.id,
+          producer: state.stages[link.from].pid,
+          policy: link.policy,
+          counters: counters[link.id]
+        }
+      end
+
+    subs =
+      out_of
+      |> Enum.sort_by(& &1.id)
+      |> Enum.group_by(& &1.output, &{&1.id, state.stages[&1.to].pid, counters[&1.id], &1.policy})
+
+    state.timing
+    |> Map.take([:clock, :enforce, :start_time, :replay_start, :replay_end])
+    |> Map.merge(%{
+      control: state.stages[id].control,
+      inlets: inlets,
+      subs: subs,
+      sizes: state.settings.message_sizes
+    })
+  end
+
+  @doc "A restarted stage is made known to its neighbours."
+  @spec rewire(State.t(), pos_integer(), [{term(), map()}]) :: State.t()
+  def rewire(state, id, links) do
+    pid = state.stages[id].pid
+
+    for {tag, link} <- links, link.from != link.to do
+      other = state.stages[if(link.from == id, do: link.to, else: link.from)].pid
+      send(other, {:situ, {:peer, tag, pid}})
+      if link.from == id and state.life.phase != :starting, do: send(other, {:situ, {:ask, tag}})
+    end
+
+    state
+  end
+
+  @spec tell(State.t(), pos_integer(), term()) :: State.t()
+  def tell(state, id, request) do
+    if pid = state.stages[id].pid, do: send(pid, {:situ, request})
+    state
+  end
+
+  @doc "What is later than `time` does not count in these stages; what was bound already stays so."
+  @spec cut(State.t(), [pos_integer()], Situ.Time.t()) :: State.t()
+  def cut(state, ids, time) do
+    for id <- ids,
+        cell = state.stages[id].control,
+        time < :atomics.get(cell, 1),
+        do: :atomics.put(cell, 1, time)
+
+    state
+  end
+
+  @doc "Up to where those that get something of `id` have come: what it has sent behind that is not known."
+  @spec reached(State.t(), pos_integer()) :: Situ.Time.t() | nil
+  def reached(state, id) do
+    times =
+      for {tag, _} <- Links.out_of(state.life.links, id),
+          ref = state.wires.counters[tag],
+          time = Counters.last_time(ref),
+          time != 0,
+          do: time
+
+    Enum.min(times, fn -> nil end)
+  end
+
+  @doc "Whether no message is on its way between its processes."
+  @spec quiet?(State.t()) :: boolean()
+  def quiet?(state) do
+    Enum.all?(state.life.links.active, fn {tag, _} ->
+      {emitted, processed, dropped} = Counters.flow(state.wires.counters[tag])
+      emitted == processed + dropped
+    end)
+  end
+
+  @doc "Something else as soon as anything has moved: for a part, as soon as anything has in it."
+  @spec fingerprint(State.t(), :all | reference()) :: term()
+  def fingerprint(state, :all) do
+    flows = for {_, ref} <- state.wires.counters, do: Counters.flow(ref)
+    {Lifecycle.State.mark_of(state.life), :erlang.phash2(flows)}
+  end
+
+  def fingerprint(state, part) do
+    case state.life.parts do
+      %{^part => %{ids: ids, pending: pending}} ->
+        open = Enum.count(ids, &state.life.stages[&1].open?)
+        links = for id <- ids, {tag, _} <- Links.into(state.life.links, id), do: tag
+        {MapSet.size(pending), open, Enum.map(links, &Counters.flow(state.wires.counters[&1]))}
+
+      _ ->
+        nil
+    end
+  end
+
+  @doc "The stages that wait for a message and have none."
+  @spec idle(State.t()) :: MapSet.t(pos_integer())
+  def idle(state), do: for({id, stage} <- state.stages, idle?(stage), into: MapSet.new(), do: id)
+
+  defp idle?(%{pid: nil}), do: true
+
+  defp idle?(stage) do
+    case Process.info(stage.pid, [:message_queue_len, :current_function]) do
+      [message_queue_len: 0, current_function: {:gen_server, _, _}] -> true
+      nil -> true
+      _ -> false
+    end
+  end
+
+  @doc "As `Supervisor.which_children/1` tells them."
+  @spec children(State.t()) :: [{String.t(), pid() | :undefined, :worker, [module()]}]
+  def children(state) do
+    for {id, %{vertices: [head | _], pid: pid}} <- Enum.sort(state.stages) do
+      alive? = state.life.stages[id].alive? and pid != nil
+      module = if head.module == :operator, do: Stage, else: head.module
+      {head.path, if(alive?, do: pid, else: :undefined), :worker, [module]}
+    end
+  end
+
+  @doc "What was measured of cycles that are waited for."
+  @spec look(State.t()) :: map()
+  def look(state) do
+    if quiet?(state) do
+      %{quiet?: true, mark: nil, busy?: false}
+    else
+      idle = idle(state)
+      busy? = Enum.any?(state.life.pending, &(&1 not in idle))
+      %{quiet?: false, mark: fingerprint(state, :all), busy?: busy?}
+    end
+  end
+end

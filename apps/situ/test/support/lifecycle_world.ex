@@ -1,0 +1,188 @@
+defmodule Situ.Fixture.LifecycleWorld do
+  # A world for `Situ.Pipeline.Lifecycle` without processes: stages are what they owe. Everything that is under way is in one bag, and
+  # chance takes out what happens next; so every order is tried that messages between processes might take.
+  alias Situ.Pipeline.Lifecycle
+  alias Situ.Pipeline.Lifecycle.{Links, Member, State}
+
+  defstruct [:life, :graph, bag: [], alive: MapSet.new(), log: [], seed: nil, steps: 0]
+
+  @doc """
+  Lives a life. `graph`: `%{sources: [end], others: [on_error], links: [{from, to}]}`; `wishes`: events from outside (stops, deaths,
+  failures) that come in between. Answers the world when nothing more is under way.
+  """
+  def live(graph, wishes, seed) do
+    members = members(graph)
+
+    links =
+      for {{from, to}, tag} <- Enum.with_index(graph.links, 1),
+          into: %{},
+          do: {tag, %{from: from, to: to, output: :out, id: tag}}
+
+    world = %__MODULE__{
+      life: %State{mode: :unlinked},
+      graph: {members, links, graph},
+      seed: :rand.seed_s(:exsss, seed),
+      bag: Enum.map(wishes, &{:wish, &1})
+    }
+
+    world |> apply_event(:start) |> run()
+  end
+
+  defp members(%{sources: sources, others: others}) do
+    for {kind, id} <-
+          Enum.with_index(Enum.map(sources, &{:source, &1}) ++ Enum.map(others, &{:other, &1}), 1),
+        into: %{} do
+      {source?, on_error} =
+        case kind do
+          {:source, _} -> {true, :stop}
+          {:other, on_error} -> {false, on_error}
+        end
+
+      {id, %Member{id: id, path: "S#{id}", source?: source?, on_error: on_error}}
+    end
+  end
+
+  defp run(%{bag: []} = world), do: world
+  defp run(%{steps: 20_000} = world), do: world
+
+  # Timers come when nothing else is left, or by chance before.
+  defp run(world) do
+    {n, seed} = :rand.uniform_s(length(world.bag), world.seed)
+    {what, bag} = List.pop_at(world.bag, n - 1)
+    world = %{world | seed: seed, steps: world.steps + 1}
+    idle? = Enum.all?(bag, &timer?/1)
+
+    if timer?(what) and not idle? and rem(world.steps, 7) != 0,
+      do: run(world),
+      else: run(happen(what, %{world | bag: bag}))
+  end
+
+  defp timer?({:timer, _}), do: true
+  defp timer?({:watch, _}), do: true
+  defp timer?(_), do: false
+
+  # What a stage owes is void when its process is gone.
+  defp happen({:stage, id, event}, world) do
+    if MapSet.member?(world.alive, id), do: apply_event(world, event), else: world
+  end
+
+  defp happen({:event, event}, world), do: apply_event(world, event)
+  defp happen({:timer, event}, world), do: apply_event(world, event)
+
+  defp happen({:watch, which}, world),
+    do: apply_event(world, {:watched, which, %{moved?: false, idle: world.alive}})
+
+  defp happen({:wish, {:kill, id}}, world), do: kill(world, id)
+
+  defp happen({:wish, {:fail, id}}, world) do
+    if MapSet.member?(world.alive, id) and world.life.phase == :running,
+      do: apply_event(world, {:failed, id, error(id), 5}),
+      else: world
+  end
+
+  # A part is named by those that run.
+  defp happen({:wish, {:part, ids}}, world) do
+    alone = for {_, part} <- world.life.parts, id <- part.ids, do: id
+
+    ids =
+      for id <- ids,
+          %{status: :running} <- [world.life.stages[id]],
+          id not in alone,
+          do: id
+
+    if ids != [] and world.life.phase == :running,
+      do:
+        apply_event(world, {:stop_part, make_ref(), ids, %{catch_up: 10, from: {:caller, ids}}}),
+      else: world
+  end
+
+  defp happen({:wish, event}, world), do: apply_event(world, event)
+
+  defp kill(world, id) do
+    if MapSet.member?(world.alive, id) do
+      world = %{world | alive: MapSet.delete(world.alive, id)}
+      # Its last words may still be under way, behind them the news of its end.
+      world = %{world | bag: Enum.reject(world.bag, &match?({:stage, ^id, _}, &1))}
+      apply_event(world, {:exited, id, error(id), nil})
+    else
+      world
+    end
+  end
+
+  defp error(id), do: Situ.Error.new(:component_failed, "S#{id} failed")
+
+  defp apply_event(world, event) do
+    {life, actions} = Lifecycle.apply(world.life, event, 1_000 + world.steps)
+    world = %{world | life: life, log: [{:event, event} | world.log]}
+    Enum.reduce(actions, world, &perform(&1, %{&2 | log: [{:action, &1} | &2.log]}))
+  end
+
+  defp perform({:handle, :run}, world), do: put(world, {:event, {:handled, :run, :ok}})
+  defp perform({:handle, :completed}, world), do: put(world, {:event, {:handled, :completed}})
+
+  defp perform(:plan, %{graph: {members, links, _}} = world),
+    do: put(world, {:event, {:planned, members, links}})
+
+  defp perform({:spawn, ids}, world) do
+    world = %{world | alive: MapSet.union(world.alive, MapSet.new(ids))}
+    Enum.reduce(ids, world, &put(&2, {:stage, &1, {:up, &1}}))
+  end
+
+  defp perform({:start, ids}, world),
+    do: Enum.reduce(ids, world, &put(&2, {:stage, &1, {:started, &1}}))
+
+  defp perform({:run, ids}, world) do
+    {_, _, %{sources: sources}} = world.graph
+
+    for id <- ids, time = Enum.at(sources, id - 1), reduce: world do
+      world -> put(world, {:stage, id, {:completed, id, time}})
+    end
+  end
+
+  defp perform({:tell, id, :settle}, world), do: put(world, {:stage, id, {:settled, id}})
+
+  defp perform({:tell, id, {:stop, _}}, world),
+    do: put(world, {:stage, id, {:source_stopped, id}})
+
+  # The closing marks travel; a consumer that is gone takes none.
+  defp perform({:tell, id, {:finalize, time}}, world) do
+    if MapSet.member?(world.alive, id) do
+      Enum.reduce(Links.out_of(world.life.links, id), world, fn {tag, link}, world ->
+        put(world, {:stage, link.to, {:unsubscribed, link.to, tag, time}})
+      end)
+    else
+      world
+    end
+  end
+
+  defp perform({:tell, _id, {:cut, tag, time}}, world) do
+    case world.life.links.active do
+      %{^tag => %{to: to}} -> put(world, {:stage, to, {:unsubscribed, to, tag, time}})
+      _ -> world
+    end
+  end
+
+  defp perform({:tell, id, {:peer_gone, tag, time}}, world) do
+    case world.life.links.active do
+      %{^tag => %{to: ^id}} -> put(world, {:stage, id, {:unsubscribed, id, tag, time}})
+      _ -> world
+    end
+  end
+
+  defp perform({:tell, id, :quit}, world), do: put(world, {:wish, {:kill, id}})
+  defp perform({:kill, id}, world), do: put(world, {:wish, {:kill, id}})
+
+  defp perform({:measure, :drain}, world),
+    do: put(world, {:event, {:measured, :drain, rest(world)}})
+
+  defp perform({:after, _ms, event}, world), do: put(world, {:timer, event})
+
+  # Once is enough for a world in which nobody is ever stuck.
+  defp perform({:watch, _ms, _which}, world), do: world
+  defp perform(_action, world), do: world
+
+  # A cycle comes to rest some time.
+  defp rest(world), do: %{quiet?: rem(world.steps, 3) == 0, mark: world.steps, busy?: false}
+
+  defp put(world, what), do: %{world | bag: [what | world.bag]}
+end
