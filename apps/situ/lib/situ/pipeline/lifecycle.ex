@@ -25,7 +25,7 @@ defmodule Situ.Pipeline.Lifecycle do
   # | `{:handle, event}`, `{:handle, event, argument}` | calls the handlers of `Situ.Pipeline.on/3` |
   # | `:start_clock`, `:running`, `{:spawn, ids}`, `{:start, ids}`, `{:run, ids}`, `{:rewire, id, links}`, `{:kill, id}` | as they say |
   # | `{:tell, id, request}` | sends a stage a request |
-  # | `{:cut, ids, time}` | later messages do not count in these stages |
+  # | `{:cut, ids, time}`, `{:release, ids}` | later messages do not count in these stages; all do, but they end |
   # | `{:failed, error}`, `{:noted, error}`, `{:restarted, id, error}` | logs it and tells who listens |
   # | `{:reply, from, answer}` | answers a caller |
   # | `{:after, ms, event}`, `{:watch, ms, which}`, `{:measure, which}` | says it, or what it saw, later |

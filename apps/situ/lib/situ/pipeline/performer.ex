@@ -116,6 +116,8 @@ defmodule Situ.Pipeline.Performer do
   defp perform({:rewire, id, links}, state), do: Stages.rewire(state, id, links)
   defp perform({:cut, ids, time}, state), do: Stages.cut(state, ids, time)
 
+  defp perform({:release, ids}, state), do: Stages.release(state, ids)
+
   defp perform({:kill, id}, state) do
     Process.exit(state.stages[id].pid, :kill)
     state

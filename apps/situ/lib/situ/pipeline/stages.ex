@@ -181,6 +181,11 @@ defmodule Situ.Pipeline.Stages do
     state
   end
 
+  @doc "All messages count in these stages, but nothing waits any more for somebody to let it go on."
+  @spec release(State.t(), [pos_integer()]) :: State.t()
+  def release(state, ids),
+    do: Enum.reduce(ids, cut(state, ids, Stage.never() - 1), &tell(&2, &1, :clock))
+
   @doc "Up to where those that get something of `id` have come: what it has sent behind that is not known."
   @spec reached(State.t(), pos_integer()) :: Situ.Time.t() | nil
   def reached(state, id) do

@@ -181,7 +181,7 @@ defmodule Situ.Stage.Control do
 
   # At `time`; where later messages count, not before the last one.
   defp close(state, time) do
-    whole? = State.final(state) == State.never() and state.control != nil
+    whole? = State.final(state) >= State.never() - 1 and state.control != nil
 
     close = fn output ->
       Output.close(output, if(whole?, do: max(output.last_time || time, time), else: time))

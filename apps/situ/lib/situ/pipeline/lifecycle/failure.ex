@@ -55,7 +55,7 @@ defmodule Situ.Pipeline.Lifecycle.Failure do
     case count(state, member.id) do
       {:ok, state} ->
         state = state |> act({:restarted, member.id, reason}) |> act({:spawn, [member.id]})
-        state = change(state, member.id, &%{&1 | alive?: true})
+        state = change(state, member.id, &%{&1 | alive?: true, again?: true})
         # The others wait for it: it has yet to take the step that they have taken.
         if state.step in [:up, :sources],
           do: %{state | pending: MapSet.put(state.pending, member.id)},
@@ -106,7 +106,7 @@ defmodule Situ.Pipeline.Lifecycle.Failure do
         %{state | links: Links.drop(state.links, tag)}
       end)
 
-    state = %{state | links: Links.close(state.links, id)}
+    state = %{state | links: Links.close(state.links, id, time)}
     state = %{state | awaited: MapSet.delete(state.awaited, id)}
     state |> mark([id], :dead) |> change(id, &%{&1 | alive?: false}) |> answered(id)
   end

@@ -3,7 +3,7 @@ defmodule Situ.Pipeline.Lifecycle.Links do
   # The connections between the stages of a pipeline, by both of their ends. Pure.
   #
   #   active    those whose consumer has not taken the closing mark yet
-  #   closing   active ones whose producer has closed: the mark is under way
+  #   closing   active ones whose producer has closed, with the time: the mark is under way
   #   topology  all there ever were, for what follows the way of the streams
 
   @type id :: pos_integer()
@@ -14,13 +14,13 @@ defmodule Situ.Pipeline.Lifecycle.Links do
           optional(atom()) => term()
         }
 
-  defstruct active: %{}, into: %{}, out_of: %{}, closing: MapSet.new(), topology: %{}
+  defstruct active: %{}, into: %{}, out_of: %{}, closing: %{}, topology: %{}
 
   @type t :: %__MODULE__{
           active: %{term() => link()},
           into: %{id() => MapSet.t()},
           out_of: %{id() => MapSet.t()},
-          closing: MapSet.t(),
+          closing: %{term() => Situ.Time.t()},
           topology: %{term() => link()}
         }
 
@@ -49,7 +49,7 @@ defmodule Situ.Pipeline.Lifecycle.Links do
           | active: Map.delete(links.active, tag),
             into: delete(links.into, link.to, tag),
             out_of: delete(links.out_of, link.from, tag),
-            closing: MapSet.delete(links.closing, tag)
+            closing: Map.delete(links.closing, tag)
         }
 
       _ ->
@@ -64,10 +64,12 @@ defmodule Situ.Pipeline.Lifecycle.Links do
     %{links | topology: Map.delete(links.topology, tag)}
   end
 
-  @doc "The outputs of `id` have closed: its closing marks are under way."
-  @spec close(t(), id()) :: t()
-  def close(links, id),
-    do: %{links | closing: Enum.into(Map.get(links.out_of, id, []), links.closing)}
+  @doc "The outputs of `id` have closed at `time`: its closing marks are under way."
+  @spec close(t(), id(), Situ.Time.t()) :: t()
+  def close(links, id, time) do
+    tags = Map.get(links.out_of, id, [])
+    %{links | closing: Enum.into(tags, links.closing, &{&1, time})}
+  end
 
   @spec into(t(), id()) :: [{term(), link()}]
   def into(links, id), do: look(links, Map.get(links.into, id, []))

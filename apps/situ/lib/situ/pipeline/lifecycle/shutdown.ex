@@ -47,7 +47,11 @@ defmodule Situ.Pipeline.Lifecycle.Shutdown do
     state = ending(state, final: final)
     state = if state.ending.by_hand and state.step != :settle, do: catch_up(state), else: state
     state = %{state | step: :stop, pending: MapSet.new(sources ++ asked)}
-    state = state |> act({:cut, cut(state), final}) |> tell(sources, {:stop, final})
+    {whole, cut} = Enum.split_with(Map.keys(state.stages), whole(state))
+    state = act(state, {:cut, cut, final})
+    # Whoever waits to be let go on does not keep a stop by hand waiting.
+    state = if state.ending.by_hand, do: act(state, {:release, whole}), else: state
+    state = tell(state, sources, {:stop, final})
     if state.ending.enough?, do: tell(state, sources, :stop_now), else: state
   end
 
@@ -63,9 +67,9 @@ defmodule Situ.Pipeline.Lifecycle.Shutdown do
 
   # What is later than the end does not count: it has run ahead. Where every source upstream has given all it has, nothing has,
   # and what operators made later than their inputs (`merge`, by the clock) belongs to the result.
-  defp cut(state) do
+  defp whole(state) do
     whole = Upstream.whole(state.stages, Map.values(state.links.topology), state.finite)
-    for {id, _} <- state.stages, not MapSet.member?(whole, id), do: id
+    &MapSet.member?(whole, &1)
   end
 
   @doc "Stopped by hand, sources that lag behind the clock may catch up to it, but not for ever: they end where they are."
@@ -94,9 +98,9 @@ defmodule Situ.Pipeline.Lifecycle.Shutdown do
   def close(state, ids), do: Enum.reduce(ids, state, &close_one/2)
 
   defp close_one(id, state) do
-    member = state.stages[id]
-    state = act(state, {:tell, id, {:finalize, closing_time(member, state)}})
-    state = %{state | links: Links.close(state.links, id), closed: [id | state.closed]}
+    time = closing_time(state.stages[id], state)
+    state = act(state, {:tell, id, {:finalize, time}})
+    state = %{state | links: Links.close(state.links, id, time), closed: [id | state.closed]}
     state = if state.step == :close, do: answered(state, id), else: state
     mark(state, [id], :closed)
   end
@@ -114,6 +118,10 @@ defmodule Situ.Pipeline.Lifecycle.Shutdown do
 
   @doc "An input of `id` has closed. One whose inputs are all closed has nothing more to say."
   @spec input_closed(State.t(), State.id(), term(), Situ.Time.t()) :: State.t()
+  def input_closed(%{links: %{active: active}} = state, _id, tag, _time)
+      when not is_map_key(active, tag),
+      do: state
+
   def input_closed(state, id, tag, time) do
     state = %{state | links: Links.drop(state.links, tag)}
     state = change(state, id, &%{&1 | ends_at: max(&1.ends_at || time, time)})
@@ -132,7 +140,7 @@ defmodule Situ.Pipeline.Lifecycle.Shutdown do
 
     cond do
       not open? and state.links.active == %{} -> quit(state)
-      not open? or MapSet.size(state.links.closing) > 0 -> state
+      not open? or state.links.closing != %{} -> state
       state.ending.drain == nil -> state |> ending(drain: {nil, 0}) |> act({:measure, :drain})
       true -> state
     end
@@ -145,7 +153,7 @@ defmodule Situ.Pipeline.Lifecycle.Shutdown do
     open = MapSet.to_list(state.pending)
 
     cond do
-      open == [] or MapSet.size(state.links.closing) > 0 ->
+      open == [] or state.links.closing != %{} ->
         ending(state, drain: nil)
 
       seen.quiet? or polls > @still or (state.ending.by_hand and state.ending.enough?) ->

@@ -45,18 +45,29 @@ defmodule Situ.Pipeline.Lifecycle.Startup do
   @spec started(State.t(), State.id()) :: State.t()
   def started(%{step: :sources} = state, id) do
     state = answered(state, id)
-
-    if state.stages[id].restarts > 0,
-      do: act(state, {:rewire, id, neighbours(state, id)}),
-      else: state
+    if state.stages[id].again?, do: known(state, id), else: state
   end
 
   def started(state, id) do
-    state = state |> act({:rewire, id, neighbours(state, id)}) |> act({:run, [id]})
+    state = state |> known(id) |> act({:run, [id]})
 
     if state.ending.final != nil and state.phase == :stopping,
       do: tell(state, [id], {:stop, state.ending.final}),
       else: state
+  end
+
+  defp known(state, id) do
+    state = act(state, {:rewire, id, neighbours(state, id)})
+    state = Enum.reduce(Links.into(state.links, id), state, &closed(&1, &2, id))
+    change(state, id, &%{&1 | again?: false})
+  end
+
+  # The mark was for the process that is gone.
+  defp closed({tag, _link}, state, id) do
+    case state.links.closing do
+      %{^tag => time} -> tell(state, [id], {:peer_gone, tag, time})
+      _ -> state
+    end
   end
 
   defp neighbours(state, id),

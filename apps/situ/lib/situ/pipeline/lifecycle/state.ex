@@ -7,6 +7,7 @@ defmodule Situ.Pipeline.Lifecycle.Member do
   #   open?    whether its outputs have yet to close
   #   ends_at  the latest closing time among inputs that have closed; limit: nothing of it counts behind that time
   #   up?      whether its process has said so since it was spawned last; alive?: whether there is a process
+  #   again?   whether that process took the place of another, and its neighbours do not know it yet
   @enforce_keys [:id, :path]
   defstruct [
     :id,
@@ -20,6 +21,7 @@ defmodule Situ.Pipeline.Lifecycle.Member do
     open?: true,
     up?: false,
     alive?: true,
+    again?: false,
     restarts: 0
   ]
 
@@ -35,6 +37,7 @@ defmodule Situ.Pipeline.Lifecycle.Member do
           open?: boolean(),
           up?: boolean(),
           alive?: boolean(),
+          again?: boolean(),
           restarts: non_neg_integer()
         }
 end
