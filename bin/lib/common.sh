@@ -100,3 +100,15 @@ elixir_prod() {
   flags=$(grep '^[+-]' "$SITU_ROOT/rel/vm.args.eex" | tr '\n' ' ')
   exec elixir --erl "+Bd $flags" ${yaws:+-pa "$yaws"} -pa "$SITU_ROOT/_build/prod/lib/*/ebin" "$@"
 }
+
+# situ_prod ARGS...: the command line itself, started by erl: elixir's own start refuses arguments that are no UTF-8, which names of
+# files may be.
+situ_prod() {
+  local elixir yaws flags
+  elixir=$(dirname "$(dirname "$(readlink -f "$(command -v elixir)")")")
+  yaws=$(ls -d /usr/lib/yaws-*/ebin 2>/dev/null | head -n 1 || true)
+  flags=$(grep '^[+-]' "$SITU_ROOT/rel/vm.args.eex" | tr '\n' ' ')
+  # shellcheck disable=SC2086
+  exec erl -noshell +Bd $flags -pa "$elixir"/lib/*/ebin ${yaws:+"$yaws"} "$SITU_ROOT"/_build/prod/lib/*/ebin \
+    -s Elixir.Situ.CLI start -extra "$@"
+}

@@ -1,15 +1,34 @@
 defmodule Situ.CLI do
   @moduledoc """
-  The `situ` command line: finds the command, runs it, turns its answer into an exit status.
+  The `situ` command line: finds the verb, reads its arguments, runs it, turns its answer into an exit status.
 
       $ bin/situ --help
       $ bin/situ store info recordings/lobby.0000
 
-  Exit status: 0 done, 1 the command failed and said why on standard error, 2 wrong usage.
+  Exit status: 0 done; 1 the command failed and said why on standard error, or found damage or differences; 2 wrong
+  usage; 130 stopped by Ctrl-C; 141 the reader of a pipe closed it.
 
-  Commands are modules that implement `Situ.CLI.Command`; `Situ.CLI.Commands` lists them.
+  Verbs are tables (`Situ.CLI.Verb`); `situ completion` and `situ manual` are made from the same.
   """
-  alias Situ.CLI.Commands
+  alias Situ.CLI.{Commands, Help, Output, Parser}
+
+  @doc "Runs the command line that the VM was started with, and ends the VM with its exit status."
+  @spec start() :: no_return()
+  def start do
+    # The shell's own start of Elixir would refuse bytes that are no UTF-8; file names may have them.
+    {:ok, _} = Application.ensure_all_started(:elixir)
+    main(Enum.map(:init.get_plain_arguments(), &argument/1))
+  end
+
+  defp argument({kind, read, rest}) when kind in [:incomplete, :error],
+    do: IO.iodata_to_binary([List.to_string(read), rest])
+
+  defp argument(characters) do
+    case :unicode.characters_to_binary(characters) do
+      text when is_binary(text) -> text
+      {_, read, rest} -> IO.iodata_to_binary([read, rest])
+    end
+  end
 
   @doc "Runs the command line `argv` and ends the VM with its exit status."
   @spec main([String.t()]) :: no_return()
@@ -25,66 +44,99 @@ defmodule Situ.CLI do
       true
   """
   @spec run([String.t()]) :: 0..255
-  def run([]), do: help(2)
-  def run([flag | _]) when flag in ["--help", "-h", "help"], do: help(0)
+  def run(argv), do: guarded(fn -> dispatch(argv) end)
 
-  def run([flag | _]) when flag in ["--version", "-v", "version"] do
+  defp dispatch([]), do: help(2)
+  defp dispatch([flag]) when flag in ["--help", "-h", "help"], do: help(0)
+  defp dispatch(["help" | words]), do: dispatch(words ++ ["--help"])
+
+  defp dispatch([flag | _]) when flag in ["--version", "-v", "version"] do
     IO.puts("situ #{version()} (Elixir #{System.version()}, OTP #{System.otp_release()})")
     0
   end
 
-  def run([name | argv]) do
-    case Commands.fetch(name) do
-      {:ok, command} -> run_command(command, argv)
+  defp dispatch([flag | _]) when flag in ["--help", "-h"], do: help(0)
+
+  defp dispatch(argv) do
+    case Commands.find(argv) do
+      {:ok, verb, rest} -> verb(verb, rest)
+      {:group, word, verbs} -> group(word, verbs, argv)
       {:error, error} -> fail(error, 2)
     end
+  end
+
+  defp group(word, verbs, argv) do
+    IO.write(Help.group(word, Commands.groups()[word] || word, verbs))
+    if length(argv) > 1, do: 0, else: 2
+  end
+
+  defp verb(verb, argv) do
+    case Parser.parse(verb, argv) do
+      {:ok, arguments, options} ->
+        ran(verb, arguments, options)
+
+      :help ->
+        IO.write(Help.verb(verb))
+        0
+
+      {:error, why} ->
+        wrong(verb, why)
+    end
+  end
+
+  # A verb finds wrong what its table alone cannot say.
+  defp ran(verb, arguments, options) do
+    verb.run.(arguments, options)
+  catch
+    :throw, {:usage, why} -> wrong(verb, why)
+  end
+
+  defp wrong(verb, why) do
+    name = Enum.join(verb.words, " ")
+    Output.warn("situ #{name}: #{why}\n  Fix: see `situ #{name} --help`")
+    2
   end
 
   @doc "This version of Situ."
   @spec version() :: String.t()
   def version, do: to_string(Application.spec(:situ_cli, :vsn) || "0.1.0")
 
-  defp run_command(command, argv) do
-    if Enum.any?(argv, &(&1 in ["--help", "-h"])) do
-      IO.puts(command.usage())
-      0
-    else
-      command.run(argv)
-    end
+  # The border to the user: an expected failure is a sentence, not a stacktrace.
+  defp guarded(work) do
+    work.()
   rescue
-    # The border to the user: an expected failure is a sentence, not a stacktrace.
     error in Situ.Error ->
       fail(error, 1)
 
     # Whoever read what is printed has enough of it (`situ ... | head`): the status of a program that writes to nobody.
     error in ErlangError ->
-      if error.original == :terminated, do: 141, else: reraise(error, __STACKTRACE__)
+      if Map.get(error, :original) == :terminated, do: 141, else: fault(error, __STACKTRACE__)
+
+    error ->
+      fault(error, __STACKTRACE__)
+  catch
+    :exit, :terminated ->
+      141
   end
 
   defp fail(error, status) do
-    IO.puts(:stderr, "situ: " <> Exception.message(error))
+    Output.warn("situ: " <> Exception.message(error))
     status
   end
 
+  # Not the user's fault: what a report needs, and nothing of it hidden.
+  defp fault(error, stack) do
+    Output.warn("situ: a fault in situ itself: #{Exception.format_banner(:error, error, stack)}")
+
+    if System.get_env("SITU_DEBUG") in [nil, ""],
+      do: Output.warn("  Fix: report it with what `SITU_DEBUG=1 situ ...` prints"),
+      else: Output.warn(Exception.format_stacktrace(stack))
+
+    1
+  end
+
   defp help(status) do
-    width = Commands.all() |> Enum.map(&String.length(&1.name())) |> Enum.max(fn -> 0 end)
-
-    commands =
-      Enum.map_join(Commands.all(), "\n", fn command ->
-        "  #{String.pad_trailing(command.name(), width)}   #{command.summary()}"
-      end)
-
-    IO.puts("""
-    Situ records, replays and shows streams of what was seen and heard.
-
-    Usage: situ COMMAND [ARGUMENTS]
-
-    #{commands}
-
-      --version   print the version
-      --help      this text; `situ COMMAND --help` explains one command
-    """)
-
+    IO.write(Help.all(Commands.all(), Commands.groups()))
     status
   end
 end

@@ -1,27 +1,77 @@
 defmodule Situ.CLI.Commands do
   @moduledoc false
-  # The table of commands, in the order `situ --help` shows them.
+  # Every verb, in the order `situ --help` shows them, and how one is found.
+  alias Situ.CLI.{Annotate, Dataset, Devices, Shell, Store, Studio, Verb}
 
-  @commands [Situ.CLI.Store, Situ.CLI.Studio, Situ.CLI.Devices]
+  @modules [
+    Store.Looking,
+    Store.Making,
+    Store.Care,
+    Dataset,
+    Annotate,
+    Studio,
+    Devices,
+    Shell
+  ]
 
-  @spec all() :: [module()]
-  def all, do: @commands
+  @groups %{
+    "store" => "look at recordings, check, repair, cut, copy, edit them",
+    "dataset" => "group recordings into sessions, list them, run pipelines over them",
+    "annotate" => "exchange annotations with other programs, compare annotators"
+  }
 
-  @spec fetch(String.t()) :: {:ok, module()} | {:error, Situ.Error.t()}
-  def fetch(name) do
-    case Enum.find(all(), &(&1.name() == name)) do
-      nil -> {:error, unknown(name)}
-      command -> {:ok, command}
+  @spec all() :: [Verb.t()]
+  def all, do: Enum.flat_map(@modules, & &1.verbs())
+
+  @spec groups() :: %{String.t() => String.t()}
+  def groups, do: @groups
+
+  @doc "The verb that a command line begins with, and the rest of it."
+  @spec find([String.t()]) ::
+          {:ok, Verb.t(), [String.t()]}
+          | {:group, String.t(), [Verb.t()]}
+          | {:error, Situ.Error.t()}
+  def find([first | rest]) do
+    case Enum.filter(all(), &(hd(&1.words) == first)) do
+      [] -> {:error, unknown(first)}
+      [%{words: [_]} = verb] -> {:ok, verb, rest}
+      group -> second(first, rest, group)
     end
   end
 
-  defp unknown(name) do
+  defp second(first, [], group), do: {:group, first, group}
+
+  defp second(first, [help | _], group) when help in ["help", "--help", "-h"],
+    do: {:group, first, group}
+
+  defp second(first, [word | rest], group) do
+    case Enum.find(group, &(word in [List.last(&1.words) | &1.aliases])) do
+      nil -> {:error, no_verb(first, word, group)}
+      verb -> {:ok, verb, rest}
+    end
+  end
+
+  defp unknown(word) do
+    words = all() |> Enum.map(&hd(&1.words)) |> Enum.uniq()
+
     fix =
-      case Situ.Options.nearest(name, Enum.map(all(), & &1.name())) do
+      case Situ.Options.nearest(word, words) do
         nil -> "`situ --help` lists the commands"
         near -> "did you mean `situ #{near}`? `situ --help` lists the commands"
       end
 
-    Situ.Error.new(:unknown_command, "there is no command #{inspect(name)}", fix: fix)
+    Situ.Error.new(:unknown_command, "there is no command #{inspect(word)}", fix: fix)
+  end
+
+  defp no_verb(first, word, group) do
+    words = Enum.flat_map(group, &[List.last(&1.words) | &1.aliases])
+
+    fix =
+      case Situ.Options.nearest(word, words) do
+        nil -> "see `situ #{first} --help`"
+        near -> "did you mean `situ #{first} #{near}`? See `situ #{first} --help`"
+      end
+
+    Situ.Error.new(:unknown_verb, "situ #{first}: there is no verb #{inspect(word)}", fix: fix)
   end
 end

@@ -1,58 +1,50 @@
 defmodule Situ.CLI.Studio do
   @moduledoc "`situ studio`: recordings in the browser."
-  @behaviour Situ.CLI.Command
+  @behaviour Situ.CLI.Verb
 
+  alias Situ.CLI.{Option, Output, Verb}
   alias Situ.{Error, Studio}
 
-  @switches [
-    port: :integer,
-    listen: :string,
-    token: :string,
-    layouts: :string,
-    read_only: :boolean,
-    open: :boolean
-  ]
-
   @impl true
-  def name, do: "studio"
-
-  @impl true
-  def summary, do: "look at recordings in the browser: scrub, play, watch live"
-
-  @impl true
-  def usage do
-    """
-    Usage: situ studio [STORE | FOLDER] [OPTIONS]
-
-    Serves the studio until it is stopped (Ctrl-C) and opens the browser. STORE is a recording; FOLDER holds
-    recordings at any depth; default: the folder "recordings", else this one. A recording that is being written is
-    followed live.
-
-      --port N          listen on port N (default 4040; 0 takes a free one)
-      --listen ADDRESS  listen on this address (default 127.0.0.1); elsewhere a browser must bring a token
-      --token TEXT      the token (8 characters or more) in place of a random one
-      --layouts FOLDER  where layouts are saved (default: the user's configuration folder)
-      --read-only       nothing on disk can be changed
-      --no-open         do not open the browser
-
-    Exit status: 0 stopped, 1 could not start, 2 wrong usage.
-
-    Example: situ studio recordings/lobby --port 4041
-    """
-  end
-
-  @impl true
-  def run(argv) do
-    case OptionParser.parse(argv, strict: @switches) do
-      {opts, paths, []} when length(paths) <= 1 -> serve(List.first(paths), opts)
-      {_, _, [{switch, _} | _]} -> wrong("unknown or incomplete option #{switch}")
-      {_, [_, extra | _], _} -> wrong("one recording or folder at a time, not also #{extra}")
-    end
-  end
-
-  defp wrong(text) do
-    IO.puts(:stderr, "situ studio: #{text}\n  Fix: see `situ studio --help`")
-    2
+  def verbs do
+    [
+      %Verb{
+        words: ["studio"],
+        summary: "look at recordings in the browser: scrub, play, watch live",
+        about: """
+        Serves the studio until it is stopped (Ctrl-C) and opens the browser. PATH is a recording, or a folder that
+        holds recordings at any depth; default: the folder "recordings", else this one. A recording that is being
+        written is followed live.
+        """,
+        arguments: [
+          path: [kind: :recording, optional: true, doc: "a recording, or a folder of recordings"]
+        ],
+        options: [
+          Option.new(:port, :integer, "listen on this port; 0 takes a free one", default: 4040),
+          Option.new(
+            :listen,
+            :string,
+            "listen on this address; elsewhere a browser must bring a token",
+            value: "ADDRESS",
+            default: "127.0.0.1"
+          ),
+          Option.new(
+            :token,
+            :string,
+            "the token (8 characters or more) in place of a random one"
+          ),
+          Option.new(
+            :layouts,
+            :path,
+            "where layouts are saved (default: the user's configuration folder)"
+          ),
+          Option.new(:read_only, :flag, "nothing on disk can be changed"),
+          Option.new(:open, :flag, "do not open the browser", negated?: true)
+        ],
+        examples: ["situ studio recordings/lobby --port 4041"],
+        run: fn %{path: path}, opts -> serve(path, opts) end
+      }
+    ]
   end
 
   defp serve(path, opts) do
@@ -60,11 +52,11 @@ defmodule Situ.CLI.Studio do
     path = path || if(File.dir?("recordings"), do: "recordings", else: ".")
 
     with :ok <- check_path(path),
-         {:ok, ip} <- address(opts[:listen] || "127.0.0.1"),
+         {:ok, ip} <- address(opts[:listen]),
          {:ok, studio} <- start(path, ip, opts) do
       url = Studio.url(studio, Studio.only_item(studio))
-      IO.puts("Situ Studio shows #{path} at #{url}")
-      if Keyword.get(opts, :open, true), do: open(url)
+      Output.puts("Situ Studio shows #{path} at #{url}")
+      if opts[:open], do: open(url)
       wait(studio)
     else
       {:error, error} -> raise error
@@ -99,7 +91,7 @@ defmodule Situ.CLI.Studio do
     Process.flag(:trap_exit, true)
 
     Studio.start_link(
-      [path: path, ip: ip, port: opts[:port] || 4040, read_only: opts[:read_only] || false] ++
+      [path: path, ip: ip, port: opts[:port], read_only: opts[:read_only]] ++
         if(opts[:token], do: [token: opts[:token]], else: []) ++
         if(opts[:layouts], do: [layouts: opts[:layouts]], else: [])
     )
@@ -116,7 +108,7 @@ defmodule Situ.CLI.Studio do
   defp wait(studio) do
     receive do
       {:EXIT, ^studio, reason} ->
-        IO.puts(:stderr, "situ studio: the studio ended: #{inspect(reason)}")
+        Output.warn("situ studio: the studio ended: #{inspect(reason)}")
         1
     end
   end

@@ -4,17 +4,15 @@ defmodule Situ.CLI.Store.Arguments do
   alias Situ.{Error, Store, Time}
 
   @compressions %{"none" => :none, "lz4" => :lz4, "zstd" => :zstd}
-  @units %{"ns" => 1, "us" => 1_000, "ms" => 1_000_000, "s" => 1_000_000_000}
-         |> Map.merge(%{"m" => 60_000_000_000, "min" => 60_000_000_000, "h" => 3_600_000_000_000})
 
   @doc "The options of `Situ.Store.copy/3` and its like."
   @spec copying(keyword(), function()) :: keyword()
   def copying(opts, progress) do
-    spans = for {key, text} <- Keyword.take(opts, [:start, :length]), do: {key, span!(text)}
-    streams = Keyword.get_values(opts, :stream)
+    spans = Keyword.take(opts, [:start, :length])
+    streams = chosen(opts[:stream] || [], opts[:exclude] || [])
 
     [{:progress, progress} | damage(opts) ++ times(opts) ++ spans] ++
-      if(streams == [], do: [], else: [streams: streams]) ++ compression(opts[:compression])
+      streams ++ compression(opts[:compression])
   end
 
   @doc "Nothing is left out unless the caller says so."
@@ -24,7 +22,7 @@ defmodule Situ.CLI.Store.Arguments do
   @doc "`from:` and `to:`."
   @spec times(keyword()) :: keyword()
   def times(opts),
-    do: for({key, text} <- Keyword.take(opts, [:from, :to]), do: {key, time!(text)})
+    do: Keyword.take(opts, [:from, :to])
 
   defp compression(nil), do: []
 
@@ -36,10 +34,10 @@ defmodule Situ.CLI.Store.Arguments do
   end
 
   @doc "`--set` and `--delete` by stream, fit for the streams of this store."
-  @spec edits!(Store.t(), keyword()) :: %{String.t() => [tuple()]}
+  @spec edits!(Store.Handle.t(), keyword()) :: %{String.t() => [tuple()]}
   def edits!(store, opts) do
-    sets = for text <- Keyword.get_values(opts, :set), do: set!(store, text)
-    deletes = for text <- Keyword.get_values(opts, :delete), do: delete!(store, text)
+    sets = for text <- opts[:set], do: set!(store, text)
+    deletes = for text <- opts[:delete], do: delete!(store, text)
     Enum.group_by(sets ++ deletes, &elem(&1, 0), &elem(&1, 1))
   end
 
@@ -113,13 +111,27 @@ defmodule Situ.CLI.Store.Arguments do
     end
   end
 
-  defp span!(text) do
-    with {number, unit} <- Float.parse(text),
-         {:ok, ns} <- Map.fetch(@units, if(unit == "", do: "s", else: unit)) do
-      round(number * ns)
-    else
-      _ -> raise bad("not a span of time: #{text}", "write 10s, 250ms, 1.5m, 1h")
-    end
+  # Names and patterns that are wanted, without those that are not.
+  defp chosen([], []), do: []
+  defp chosen(wanted, []), do: [streams: wanted]
+
+  defp chosen(wanted, unwanted) do
+    wanted = Enum.map(if(wanted == [], do: ["*"], else: wanted), &pattern/1)
+    unwanted = Enum.map(unwanted, &pattern/1)
+
+    fits? = fn name, patterns -> Enum.any?(patterns, &(name =~ &1)) end
+    [streams: fn %{name: name} -> fits?.(name, wanted) and not fits?.(name, unwanted) end]
+  end
+
+  defp pattern(text) do
+    source =
+      Regex.replace(~r/[*?]|[^*?]+/u, text, fn
+        "*" -> ".*"
+        "?" -> "."
+        other -> Regex.escape(other)
+      end)
+
+    Regex.compile!("\\A" <> source <> "\\z", "su")
   end
 
   defp bad(what, fix), do: Error.new(:bad_option, what, fix: fix)

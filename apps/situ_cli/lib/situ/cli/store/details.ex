@@ -1,24 +1,24 @@
 defmodule Situ.CLI.Store.Details do
   @moduledoc false
   # Everything that is known of one stream.
-  alias Situ.CLI.Store.Data
+  alias Situ.CLI.{Data, Output}
   alias Situ.{Store, Time}
   alias Situ.Store.StreamInfo
 
-  @spec print(Store.t(), String.t(), boolean()) :: :ok
+  @spec print(Store.Handle.t(), String.t(), boolean()) :: :ok
   def print(store, name, json?) do
     case Store.stream_info(store, name) do
-      {:ok, info} when json? -> info |> json() |> Situ.JSON.encode() |> IO.puts()
+      {:ok, info} when json? -> info |> json() |> Output.json()
       {:ok, info} -> text(store, info)
       {:error, error} -> raise error
     end
   end
 
   defp text(store, info) do
-    IO.puts("#{info.name}  (stream #{info.id} of #{store.path})")
+    Output.puts("#{info.name}  (stream #{info.id} of #{store.path})")
 
     for {label, value} <- rows(store, info),
-        do: IO.puts("  #{String.pad_trailing(label, 12)}#{value}")
+        do: Output.puts("  #{String.pad_trailing(label, 12)}#{value}")
 
     :ok
   end
@@ -32,7 +32,8 @@ defmodule Situ.CLI.Store.Details do
       {"messages", "#{info.count}, #{rate(info)}"},
       {"happened", span(info.first, info.last)},
       {"created", span(info.first_creation, info.last_creation)},
-      {"size", "#{bytes(info.size)}, #{average(info)} each; #{bytes(info.stored)} on disk"},
+      {"size",
+       "#{Output.bytes(info.size)}, #{average(info)} each; #{Output.bytes(info.stored)} on disk"},
       {"latency",
        "#{latency(info)} on average, #{Time.format_duration(info.latency_sum)} in all"},
       {"stored", stored(info)}
@@ -60,7 +61,7 @@ defmodule Situ.CLI.Store.Details do
   defp span(nil, _), do: "-"
   defp span(from, to), do: "#{time(from)} .. #{time(to)}, #{Time.format_duration(to - from)}"
 
-  defp average(info), do: bytes(round(StreamInfo.average_size(info) || 0))
+  defp average(info), do: Output.bytes(round(StreamInfo.average_size(info) || 0))
 
   defp stored(info) do
     lane = if info.large?, do: "each message by itself", else: "in chunks"
@@ -112,11 +113,4 @@ defmodule Situ.CLI.Store.Details do
       ns -> Time.format_duration(round(ns))
     end
   end
-
-  @doc "A size."
-  @spec bytes(non_neg_integer()) :: String.t()
-  def bytes(n) when n >= 1_000_000_000, do: "#{Float.round(n / 1.0e9, 2)} GB"
-  def bytes(n) when n >= 1_000_000, do: "#{Float.round(n / 1.0e6, 2)} MB"
-  def bytes(n) when n >= 1_000, do: "#{Float.round(n / 1.0e3, 1)} kB"
-  def bytes(n), do: "#{n} B"
 end

@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Store.Health do
   @moduledoc false
   # `situ store verify` and `repair`.
-  alias Situ.CLI.Store.Progress
+  alias Situ.CLI.{Output, Progress}
   alias Situ.Store
 
   @spec verify([Path.t()], keyword()) :: 0 | 1
@@ -22,25 +22,25 @@ defmodule Situ.CLI.Store.Health do
   end
 
   defp text(prefix, _path, {:ok, %{chunks: chunks, damage: []}}),
-    do: IO.puts("#{prefix}#{chunks} chunks, all sound")
+    do: Output.puts("#{prefix}#{chunks} chunks, all sound")
 
   defp text(prefix, path, {:ok, %{damage: damage}}) do
-    IO.puts(prefix <> "DAMAGED")
+    Output.puts(prefix <> "DAMAGED")
     places(damage)
-    IO.puts("`situ store repair '#{path}'` keeps what is sound.")
+    Output.puts("`situ store repair '#{path}'` keeps what is sound.")
   end
 
-  defp text(prefix, _path, {:error, error}), do: IO.puts(prefix <> error.what)
+  defp text(prefix, _path, {:error, error}), do: Output.puts(prefix <> error.what)
 
   # Of much of the same in one file the first place, and how much it is.
   defp places(damage) do
     for [first | more] <- Enum.chunk_by(damage, &{&1.file, &1.why}) do
       also = if more == [], do: "", else: " (and at #{length(more)} more places)"
-      IO.puts("  #{first.file} at byte #{first.offset}: #{first.why}#{also}")
+      Output.puts("  #{first.file} at byte #{first.offset}: #{first.why}#{also}")
     end
   end
 
-  defp json([{_, {:ok, report}}]), do: IO.puts(Situ.JSON.encode(report))
+  defp json([{_, {:ok, report}}]), do: Output.json(report)
 
   defp json(reports) do
     all =
@@ -51,7 +51,7 @@ defmodule Situ.CLI.Store.Health do
         end
       end
 
-    IO.puts(Situ.JSON.encode(all))
+    Output.json(all)
   end
 
   @spec repair(Path.t(), keyword()) :: 0
@@ -64,14 +64,14 @@ defmodule Situ.CLI.Store.Health do
       end)
 
     if opts[:json] do
-      IO.puts(Situ.JSON.encode(report))
+      Output.json(report)
     else
-      IO.puts(
+      Output.puts(
         "#{report.kept} chunks kept, #{report.recovered} of them found again, #{report.dropped} lost"
       )
 
       places(report.damage)
-      IO.puts(done(report, dry?))
+      Output.puts(done(report, dry?))
     end
 
     0

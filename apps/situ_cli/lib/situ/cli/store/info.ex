@@ -2,6 +2,7 @@ defmodule Situ.CLI.Store.Info do
   @moduledoc false
   # `situ store info`: what a person wants to know at a glance.
   alias Situ.{Store, Time}
+  alias Situ.CLI.{Output, Recording}
   alias Situ.CLI.Store.Details
   alias Situ.Store.StreamInfo
 
@@ -24,10 +25,10 @@ defmodule Situ.CLI.Store.Info do
     opened = for path <- stores, do: {path, Store.open(path)}
 
     if opts[:json] do
-      IO.puts(Situ.JSON.encode(Enum.map(opened, &entry/1)))
+      Output.json(Enum.map(opened, &entry/1))
     else
-      if stores == [], do: IO.puts("No stores in #{Enum.join(paths, ", ")}.")
-      Enum.each(opened, &IO.puts(short(&1)))
+      if stores == [], do: Output.puts("No stores in #{Enum.join(paths, ", ")}.")
+      Enum.each(opened, &Output.puts(short(&1)))
     end
 
     if Enum.all?(opened, &match?({_, {:ok, _}}, &1)), do: 0, else: 1
@@ -41,7 +42,8 @@ defmodule Situ.CLI.Store.Info do
       {:ok, store} ->
         streams = Store.streams(store)
 
-        "#{store.path}  #{number(length(streams), "stream")}, #{span(streams)}, #{Details.bytes(size(store.path))}, #{state(Store.info(store))}"
+        "#{store.path}  #{Output.number(length(streams), "stream")}, #{span(streams)},
+        #{Output.bytes(Recording.size(store.path))}, #{state(Store.info(store))}"
 
       {:error, error} ->
         "#{path}  #{error.what}"
@@ -52,7 +54,7 @@ defmodule Situ.CLI.Store.Info do
     store = Store.open!(path)
 
     case {opts[:stream], opts[:json]} do
-      {nil, true} -> IO.puts(Situ.JSON.encode(json(store)))
+      {nil, true} -> Output.json(json(store))
       {nil, _} -> text(store)
       {name, json?} -> Details.print(store, name, json? == true)
     end
@@ -60,16 +62,14 @@ defmodule Situ.CLI.Store.Info do
     0
   end
 
-  defp number(1, what), do: "1 #{what}"
-  defp number(n, what), do: "#{n} #{what}s"
-
   defp text(store) do
     info = Store.info(store)
     streams = Store.streams(store)
-    IO.puts("#{info.name}  (#{store.path})")
+    Output.puts("#{info.name}  (#{store.path})")
 
-    IO.puts(
-      "  #{state(info)}; #{number(length(streams), "stream")}, #{number(count(streams), "message")}, #{Details.bytes(size(store.path))} on disk"
+    Output.puts(
+      "  #{state(info)}; #{Output.number(length(streams), "stream")}, #{Output.number(count(streams), "message")},
+      #{Output.bytes(Recording.size(store.path))} on disk"
     )
 
     case Store.interval(streams) do
@@ -77,41 +77,39 @@ defmodule Situ.CLI.Store.Info do
         :ok
 
       {first, last} ->
-        IO.puts(
+        Output.puts(
           "  #{Time.to_iso8601(first)} .. #{Time.to_iso8601(last)}, #{Time.format_duration(last - first)}"
         )
     end
 
     table(store, streams)
 
-    if info.damage != [] do
-      IO.puts("  DAMAGED in #{length(info.damage)} places: `situ store verify '#{store.path}'`")
-    end
+    for line <- damage(store, info), do: Output.puts("  DAMAGED " <> line)
 
     for file <- Store.missing_files(store) do
-      IO.puts("  DAMAGED: #{file} is missing; `situ store verify '#{store.path}'`")
+      Output.puts("  DAMAGED: #{file} is missing; `situ store verify '#{store.path}'`")
     end
+  end
+
+  # Only what Situ wrote has checksums to verify; of a foreign file the first places are all there is to say.
+  defp damage(_store, %{damage: []}), do: []
+
+  defp damage(%{module: Store.Local} = store, info),
+    do: ["in #{Output.number(length(info.damage), "place")}: `situ store verify '#{store.path}'`"]
+
+  defp damage(_store, info) do
+    shown =
+      for place <- Enum.take(info.damage, 5), do: "at byte #{place[:offset]}: #{place[:why]}"
+
+    more = length(info.damage) - length(shown)
+    shown ++ if(more > 0, do: ["at #{Output.number(more, "more place")}"], else: [])
   end
 
   defp table(_store, []), do: :ok
 
   defp table(store, streams) do
     head = ~w(stream type messages rate size avg latency gaps)
-    rows = [head | Enum.map(streams, &row(store, &1))]
-
-    widths =
-      for column <- 0..7, do: rows |> Enum.map(&String.length(Enum.at(&1, column))) |> Enum.max()
-
-    for row <- rows do
-      cells =
-        for {{cell, width}, column} <- row |> Enum.zip(widths) |> Enum.with_index() do
-          if column < 2,
-            do: String.pad_trailing(cell, width),
-            else: String.pad_leading(cell, width)
-        end
-
-      IO.puts("  " <> String.trim_trailing(Enum.join(cells, "  ")))
-    end
+    Output.table([head | Enum.map(streams, &row(store, &1))], 2)
   end
 
   defp row(store, info) do
@@ -120,8 +118,8 @@ defmodule Situ.CLI.Store.Info do
       info.type_name,
       Integer.to_string(info.count),
       Details.rate(info),
-      Details.bytes(info.stored),
-      Details.bytes(round(StreamInfo.average_size(info) || 0)),
+      Output.bytes(info.stored),
+      Output.bytes(round(StreamInfo.average_size(info) || 0)),
       Details.latency(info),
       gaps(store, info)
     ]
@@ -141,7 +139,8 @@ defmodule Situ.CLI.Store.Info do
             "-"
 
           gaps ->
-            "#{length(gaps)} (#{Time.format_duration(gaps |> Enum.map(fn {a, b} -> b - a end) |> Enum.max())})"
+            longest = gaps |> Enum.map(fn {a, b} -> b - a end) |> Enum.max()
+            "#{length(gaps)}, longest #{Time.format_duration(longest)}"
         end
     end
   end
@@ -159,11 +158,6 @@ defmodule Situ.CLI.Store.Info do
   defp state(%{closed?: true}), do: "closed"
   defp state(_), do: "not closed (its writer was killed; readable, `situ store repair` closes it)"
 
-  defp size(path) do
-    files = if File.dir?(path), do: Path.wildcard(Path.join(path, "*")), else: [path]
-    files |> Enum.map(&File.stat!(&1).size) |> Enum.sum()
-  end
-
   defp json(store) do
     info = Store.info(store)
 
@@ -173,7 +167,7 @@ defmodule Situ.CLI.Store.Info do
       closed: info.closed?,
       live: info.live?,
       created: info.created,
-      size: size(store.path),
+      size: Recording.size(store.path),
       damage: length(info.damage),
       missing_files: Store.missing_files(store),
       streams: Enum.map(Store.streams(store), &Details.json/1)

@@ -1,4 +1,4 @@
-defmodule Situ.CLI.Store.Data do
+defmodule Situ.CLI.Data do
   @moduledoc false
   # What messages and metadata hold, for people and for programs.
 
@@ -22,7 +22,15 @@ defmodule Situ.CLI.Store.Data do
     do: if(String.valid?(data), do: {:ok, data}, else: :error)
 
   defp plain(data) when is_tuple(data), do: data |> Tuple.to_list() |> plain()
-  defp plain(%_{} = struct), do: struct |> Map.from_struct() |> plain()
+  # The pixels of a picture are no text, whatever bytes they are.
+  defp plain(%_{} = struct) do
+    struct
+    |> Map.from_struct()
+    |> Map.new(fn {key, value} ->
+      {key, if(bytes?(value), do: %{bytes: byte_size(value)}, else: value)}
+    end)
+    |> plain()
+  end
 
   defp plain([_ | _] = list) do
     if List.improper?(list), do: :error, else: all(list)
@@ -42,6 +50,9 @@ defmodule Situ.CLI.Store.Data do
   end
 
   defp plain(_), do: :error
+
+  defp bytes?(value),
+    do: is_binary(value) and (byte_size(value) > 1_000 or not String.printable?(value))
 
   defp all(list) do
     plain = Enum.map(list, &plain/1)

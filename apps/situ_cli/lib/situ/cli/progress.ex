@@ -1,4 +1,4 @@
-defmodule Situ.CLI.Store.Progress do
+defmodule Situ.CLI.Progress do
   @moduledoc false
   # A bar on standard error, when a person watches and the work takes longer than a moment.
 
@@ -12,8 +12,8 @@ defmodule Situ.CLI.Store.Progress do
     end
   end
 
-  # Without a shell the VM does not know its terminal; the system does. Opened anew, what is written is there before the next
-  # line goes to standard output.
+  # Without a shell the VM does not know its terminal; the system does. Opened anew, what is written is there before
+  # the next line goes to standard output.
   defp terminal do
     with {:ok, device} <- File.read_link("/proc/self/fd/2"),
          true <- device =~ ~r{\A/dev/(pts/|tty|console)},

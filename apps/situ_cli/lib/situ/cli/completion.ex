@@ -1,0 +1,170 @@
+defmodule Situ.CLI.Completion do
+  @moduledoc false
+  # What a shell needs to complete `situ ...`, out of the verbs' tables: words and options are in the script itself,
+  # so that completing starts no program.
+  alias Situ.CLI.{Option, Verb}
+
+  @shells ["bash", "zsh", "fish"]
+
+  @spec shells() :: [String.t()]
+  def shells, do: @shells
+
+  @spec script(String.t(), [Verb.t()], %{String.t() => String.t()}) :: String.t()
+  def script("bash", verbs, _groups), do: bash(verbs)
+  def script("zsh", verbs, groups), do: zsh(verbs, groups)
+  def script("fish", verbs, groups), do: fish(verbs, groups)
+
+  defp firsts(verbs), do: verbs |> Enum.map(&hd(&1.words)) |> Enum.uniq()
+
+  defp seconds(verbs) do
+    for {first, group} <- Enum.group_by(verbs, &hd(&1.words)),
+        words = for(%{words: [_, second]} <- group, do: second),
+        words != [],
+        do: {first, words}
+  end
+
+  defp switches(verb), do: verb |> Verb.options() |> Enum.flat_map(&typed/1)
+
+  defp typed(%{negated?: true} = option),
+    do: [String.replace_prefix(Option.switch(option), "--", "--no-")]
+
+  defp typed(option), do: [Option.switch(option)]
+
+  defp choices(verbs) do
+    for verb <- verbs,
+        %{type: words} = option when is_list(words) <- verb.options,
+        uniq: true,
+        do: {Option.switch(option), words}
+  end
+
+  defp bash(verbs) do
+    """
+    # situ: completion for bash. Use: source <(situ completion bash)
+    _situ() {
+      local cur=${COMP_WORDS[COMP_CWORD]} prev=${COMP_WORDS[COMP_CWORD-1]}
+      COMPREPLY=()
+      if [ "$COMP_CWORD" -eq 1 ]; then
+        COMPREPLY=($(compgen -W "#{Enum.join(firsts(verbs), " ")} --help --version" -- "$cur"))
+        return
+      fi
+      if [ "$COMP_CWORD" -eq 2 ]; then
+        case ${COMP_WORDS[1]} in
+    #{lines(seconds(verbs), fn {first, words} -> "      #{first}) #{compgen(words)}; return ;;" end)}
+        esac
+      fi
+      case "$prev" in
+    #{lines(choices(verbs), fn {switch, words} -> "    #{switch}) #{compgen(words)}; return ;;" end)}
+      esac
+      if [[ $cur == -* ]]; then
+        case "${COMP_WORDS[1]} ${COMP_WORDS[2]}" in
+    #{lines(verbs, fn verb -> "      #{pattern(verb.words)}) #{compgen(switches(verb))} ;;" end)}
+        esac
+        return
+      fi
+      compopt -o filenames
+      COMPREPLY=($(compgen -f -- "$cur"))
+    }
+    complete -F _situ situ bin/situ
+    """
+  end
+
+  defp lines(items, fun), do: Enum.map_join(items, "\n", fun)
+  defp compgen(words), do: ~s|COMPREPLY=($(compgen -W "#{Enum.join(words, " ")}" -- "$cur"))|
+
+  defp pattern([one]), do: ~s("#{one} "*)
+  defp pattern(words), do: ~s("#{Enum.join(words, " ")}")
+
+  defp zsh(verbs, groups) do
+    """
+    #compdef situ
+    # situ: completion for zsh. Use: situ completion zsh > "${fpath[1]}/_situ"
+    _situ() {
+      local -a words_1
+      words_1=(
+    #{Enum.map_join(firsts(verbs), "\n", fn word -> "    #{zsh_item(word, summary(word, verbs, groups))}" end)}
+      )
+      if (( CURRENT == 2 )); then _describe command words_1; return; fi
+      local -a verbs_2
+      case $words[2] in
+    #{lines(seconds(verbs), fn {first, _} -> "    #{first}) verbs_2=(#{zsh_verbs(first, verbs)}) ;;" end)}
+      esac
+      if (( CURRENT == 3 && $#verbs_2 )); then _describe verb verbs_2; return; fi
+      case "$words[2] $words[3]" in
+    #{lines(verbs, fn verb -> "    #{pattern(verb.words)}) _arguments #{zsh_options(verb)} '*:file:_files' ;;" end)}
+        *) _files ;;
+      esac
+    }
+    _situ "$@"
+    """
+  end
+
+  defp summary(word, verbs, groups),
+    do: Map.get_lazy(groups, word, fn -> Enum.find(verbs, &(hd(&1.words) == word)).summary end)
+
+  defp zsh_verbs(first, verbs) do
+    Enum.join(for(%{words: [^first, second]} = v <- verbs, do: zsh_item(second, v.summary)), " ")
+  end
+
+  defp zsh_options(verb), do: Enum.map_join(Verb.options(verb), " ", &zsh_option/1)
+
+  defp zsh_item(word, text), do: quoted("#{word}:#{String.replace(text, ":", "\\:")}")
+
+  defp zsh_option(option) do
+    action =
+      case option.type do
+        :flag -> ""
+        words when is_list(words) -> ":value:(#{Enum.join(words, " ")})"
+        :path -> ":path:_files"
+        _ -> ":value:"
+      end
+
+    text = option.doc |> String.replace(~r/[\[\]:]/, " ")
+    many = if option.many?, do: "*", else: ""
+    quoted("#{many}#{hd(typed(option))}[#{text}]#{action}")
+  end
+
+  defp quoted(text), do: "'" <> String.replace(text, "'", "'\\''") <> "'"
+
+  defp fish(verbs, groups) do
+    """
+    # situ: completion for fish. Use: situ completion fish > ~/.config/fish/completions/situ.fish
+    #{lines(firsts(verbs), &fish_command(&1, summary(&1, verbs, groups)))}
+    #{Enum.map_join(verbs, "\n", &fish_verb/1)}
+    """
+  end
+
+  defp fish_command(word, text),
+    do: "complete -c situ -n __fish_use_subcommand -f -a #{word} -d #{quoted(text)}"
+
+  defp fish_verb(%{words: words} = verb) do
+    seen = Enum.map_join(words, "; and ", &"__fish_seen_subcommand_from #{&1}")
+
+    word =
+      case words do
+        [first, second] ->
+          [
+            "complete -c situ -n '__fish_seen_subcommand_from #{first}' -f -a #{second} -d #{quoted(verb.summary)}"
+          ]
+
+        _ ->
+          []
+      end
+
+    options =
+      for option <- Verb.options(verb) do
+        "--" <> name = hd(typed(option))
+        short = if option.short, do: " -s #{option.short}", else: ""
+
+        value =
+          case option.type do
+            :flag -> ""
+            choices when is_list(choices) -> " -x -a #{quoted(Enum.join(choices, " "))}"
+            _ -> " -r"
+          end
+
+        "complete -c situ -n '#{seen}' -l #{name}#{short}#{value} -d #{quoted(option.doc)}"
+      end
+
+    Enum.join(word ++ options, "\n")
+  end
+end

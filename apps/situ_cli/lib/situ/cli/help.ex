@@ -1,0 +1,127 @@
+defmodule Situ.CLI.Help do
+  @moduledoc false
+  # The texts of `--help`, out of the verbs' tables.
+  alias Situ.CLI.{Option, Verb}
+
+  @width 100
+
+  @spec all([Verb.t()], %{String.t() => String.t()}) :: String.t()
+  def all(verbs, groups) do
+    lines =
+      verbs
+      |> Enum.map(fn verb -> {hd(verb.words), verb} end)
+      |> Enum.uniq_by(&elem(&1, 0))
+      |> Enum.map(fn {word, verb} -> {word, Map.get(groups, word, verb.summary)} end)
+
+    """
+    Situ records, replays and shows streams of what was seen and heard.
+
+    Usage: situ COMMAND [VERB] [ARGUMENTS] [OPTIONS]
+
+    #{table(lines)}
+
+      --version   print the version
+      --help      this text; `situ COMMAND --help` explains one command
+
+    Exit status: 0 done, 1 failed (or damage or differences found), 2 wrong usage.
+    """
+  end
+
+  @doc "The verbs of one group."
+  @spec group(String.t(), String.t(), [Verb.t()]) :: String.t()
+  def group(word, summary, verbs) do
+    lines =
+      for verb <- verbs do
+        arguments = Enum.map_join(verb.arguments, " ", fn {n, spec} -> Verb.argument(n, spec) end)
+        {String.trim(Enum.join(tl(verb.words), " ") <> " " <> arguments), verb.summary}
+      end
+
+    """
+    Usage: situ #{word} VERB [ARGUMENTS] [OPTIONS]
+
+    To #{summary}.
+
+    #{table(lines)}
+
+    `situ #{word} VERB --help` explains one verb. --json, --quiet and --help go with each.
+    """
+  end
+
+  @doc "One verb."
+  @spec verb(Verb.t()) :: String.t()
+  def verb(%Verb{} = verb) do
+    [
+      "Usage: #{Verb.usage(verb)}",
+      sentence(verb.summary),
+      if(verb.about != "", do: String.trim(verb.about)),
+      arguments(verb),
+      table(for option <- Verb.options(verb), do: {Option.label(option), described(option)}),
+      if(verb.aliases != [], do: "Also called: #{Enum.join(verb.aliases, ", ")}."),
+      "Exit status: 0 done, 1 failed, 2 wrong usage.",
+      examples(verb.examples)
+    ]
+    |> Enum.reject(&(&1 in [nil, ""]))
+    |> Enum.join("\n\n")
+    |> Kernel.<>("\n")
+  end
+
+  defp sentence(text), do: "To " <> text <> "."
+
+  defp arguments(verb) do
+    table(for {name, spec} <- verb.arguments, do: {Verb.argument(name, spec), spec[:doc]})
+  end
+
+  @doc "What an option does, with its default."
+  @spec described(Option.t()) :: String.t()
+  def described(option) do
+    default =
+      cond do
+        option.default == nil -> ""
+        option.type == :span -> " (default #{Situ.Time.format_duration(option.default)})"
+        true -> " (default #{option.default})"
+      end
+
+    option.doc <> default <> if(option.many?, do: "; may be given several times", else: "")
+  end
+
+  defp examples([]), do: nil
+  defp examples([one]), do: "Example: #{one}"
+  defp examples(several), do: "Examples:\n" <> Enum.map_join(several, "\n", &("  " <> &1))
+
+  defp table([]), do: ""
+
+  defp table(rows) do
+    widest =
+      rows
+      |> Enum.map(fn {left, _} -> String.length(left) end)
+      |> Enum.filter(&(&1 <= 34))
+      |> Enum.max(fn -> 34 end)
+
+    Enum.map_join(rows, "\n", fn {left, right} ->
+      [first | rest] = fold(right, @width - widest - 5)
+      indent = String.duplicate(" ", widest + 5)
+
+      head =
+        if String.length(left) > widest,
+          do: "  #{left}\n#{indent}",
+          else: "  #{String.pad_trailing(left, widest)}   "
+
+      Enum.join([head <> first | Enum.map(rest, &(indent <> &1))], "\n")
+    end)
+  end
+
+  @doc "Text in lines of at most `width` characters."
+  @spec fold(String.t(), pos_integer()) :: [String.t(), ...]
+  def fold(text, width) do
+    text
+    |> String.split()
+    |> Enum.reduce([""], fn word, [line | lines] ->
+      cond do
+        line == "" -> [word | lines]
+        String.length(line) + String.length(word) < width -> [line <> " " <> word | lines]
+        true -> [word, line | lines]
+      end
+    end)
+    |> Enum.reverse()
+  end
+end

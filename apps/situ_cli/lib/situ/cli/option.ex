@@ -1,0 +1,114 @@
+defmodule Situ.CLI.Option do
+  @moduledoc """
+  One option of a verb: the source of its parsing, its line in `--help` and the manual, and its completion.
+
+  `type` is `:flag`, `:string`, `:path`, `:integer`, `:float`, `:time` (ISO 8601, or nanoseconds since 1970),
+  `:span` (`10s`, `250ms`), or a list of words of which one is meant. `value` is how help names the value; `many?`
+  options may be given several times; `negated?` flags are on unless `--no-NAME` is given.
+
+      iex> alias Situ.CLI.Option
+      iex> option = Option.new(:length, :span, "so long")
+      iex> {Option.label(option), Option.read(option, "1.5m")}
+      {"--length SPAN", {:ok, 90_000_000_000}}
+      iex> Option.read(option, "soon")
+      {:error, "--length takes a span of time like 10s, 250ms, 1.5m or 1h, not \\"soon\\""}
+  """
+  @enforce_keys [:name, :type, :doc]
+  defstruct [:name, :type, :doc, :short, :value, :default, many?: false, negated?: false]
+
+  @type type :: :flag | :string | :path | :integer | :float | :time | :span | [String.t()]
+  @type t :: %__MODULE__{
+          name: atom(),
+          type: type(),
+          doc: String.t(),
+          short: atom() | nil,
+          value: String.t() | nil,
+          default: term(),
+          many?: boolean(),
+          negated?: boolean()
+        }
+
+  @units %{"ns" => 1, "us" => 1_000, "ms" => 1_000_000, "s" => 1_000_000_000}
+         |> Map.merge(%{"m" => 60_000_000_000, "min" => 60_000_000_000, "h" => 3_600_000_000_000})
+
+  @doc "An option; `more` sets `short:`, `value:`, `default:`, `many?:`, `negated?:`."
+  @spec new(atom(), type(), String.t(), keyword()) :: t()
+  def new(name, type, doc, more \\ []),
+    do: struct!(%__MODULE__{name: name, type: type, doc: doc}, more)
+
+  @doc "The option as it is typed, without its value: `--skip-damage`."
+  @spec switch(t()) :: String.t()
+  def switch(%__MODULE__{name: name}),
+    do: "--" <> (name |> Atom.to_string() |> String.replace("_", "-"))
+
+  @doc "As help shows it: `-s, --stream NAME`."
+  @spec label(t()) :: String.t()
+  def label(%__MODULE__{} = option) do
+    short = if option.short, do: "-#{option.short}, ", else: ""
+
+    switch =
+      if option.negated?,
+        do: String.replace_prefix(switch(option), "--", "--no-"),
+        else: switch(option)
+
+    value = value(option)
+    short <> switch <> if(value, do: " " <> value, else: "")
+  end
+
+  @doc "The word for its value, `nil` of a flag."
+  @spec value(t()) :: String.t() | nil
+  def value(%__MODULE__{type: :flag}), do: nil
+  def value(%__MODULE__{value: value}) when value != nil, do: value
+  def value(%__MODULE__{type: words}) when is_list(words), do: Enum.join(words, "|")
+  def value(%__MODULE__{type: :integer}), do: "N"
+  def value(%__MODULE__{type: :float}), do: "X"
+  def value(%__MODULE__{type: :string}), do: "TEXT"
+  def value(%__MODULE__{type: type}), do: type |> Atom.to_string() |> String.upcase()
+
+  @doc "The value that `text` means: `{:ok, value}`, or the sentence that refuses it."
+  @spec read(t(), String.t()) :: {:ok, term()} | {:error, String.t()}
+  def read(%__MODULE__{type: type}, text) when type in [:string, :path], do: {:ok, text}
+
+  def read(%__MODULE__{type: :integer} = option, text) do
+    case Integer.parse(text) do
+      {n, ""} -> {:ok, n}
+      _ -> refuse(option, "a whole number", text)
+    end
+  end
+
+  def read(%__MODULE__{type: :float} = option, text) do
+    case Float.parse(text) do
+      {x, ""} -> {:ok, x}
+      _ -> refuse(option, "a number", text)
+    end
+  end
+
+  def read(%__MODULE__{type: :time} = option, text) do
+    with :error <- whole(text), {:error, _} <- Situ.Time.parse(text) do
+      refuse(option, "a time like 2026-01-31T12:34:56.789Z, or nanoseconds since 1970", text)
+    end
+  end
+
+  def read(%__MODULE__{type: :span} = option, text) do
+    with {number, unit} <- Float.parse(text),
+         {:ok, ns} <- Map.fetch(@units, if(unit == "", do: "s", else: unit)) do
+      {:ok, round(number * ns)}
+    else
+      _ -> refuse(option, "a span of time like 10s, 250ms, 1.5m or 1h", text)
+    end
+  end
+
+  def read(%__MODULE__{type: words} = option, text) when is_list(words) do
+    if text in words, do: {:ok, text}, else: refuse(option, Enum.join(words, ", "), text)
+  end
+
+  defp whole(text) do
+    case Integer.parse(text) do
+      {ns, ""} -> {:ok, ns}
+      _ -> :error
+    end
+  end
+
+  defp refuse(option, wanted, text),
+    do: {:error, "#{switch(option)} takes #{wanted}, not #{inspect(text)}"}
+end

@@ -1,0 +1,51 @@
+defmodule Situ.CLI.Recording do
+  @moduledoc false
+  # Recordings as arguments: patterns, several at once, and the applications that read foreign files, started when
+  # one is met.
+  alias Situ.Store
+
+  @readers [:situ_media, :situ_bridge, :situ_dataset]
+
+  @doc "Opens a recording, or raises the error."
+  @spec open!(Path.t()) :: Store.Handle.t()
+  def open!(path) do
+    ready([path])
+    Store.open!(path)
+  end
+
+  @doc "Makes the readers of all kinds of files known; of what is a file, started."
+  @spec ready([Path.t()]) :: :ok
+  def ready(paths) do
+    for app <- @readers, do: Application.load(app)
+
+    if Enum.any?(paths, &File.regular?/1),
+      do: for(app <- @readers, do: {:ok, _} = Application.ensure_all_started(app))
+
+    :ok
+  end
+
+  @doc "Patterns that no shell has expanded (quoted ones) name what they fit; those that fit nothing stay."
+  @spec expand([Path.t()]) :: [Path.t()]
+  def expand(paths) do
+    Enum.flat_map(paths, fn path ->
+      if path =~ ~r/[*?\[{]/ and not File.exists?(path),
+        do: path |> Path.wildcard() |> Enum.sort() |> then(&if(&1 == [], do: [path], else: &1)),
+        else: [path]
+    end)
+  end
+
+  @doc "Bytes on the disk."
+  @spec size(Path.t()) :: non_neg_integer()
+  def size(path) do
+    files = if File.dir?(path), do: Path.wildcard(Path.join(path, "*")), else: [path]
+
+    files
+    |> Enum.map(fn file ->
+      case File.stat(file) do
+        {:ok, %{type: :regular, size: size}} -> size
+        _ -> 0
+      end
+    end)
+    |> Enum.sum()
+  end
+end

@@ -1,0 +1,45 @@
+defmodule Situ.CLI.Shell do
+  @moduledoc "`situ completion` and `situ manual`: what shells and `man` are told of this command line."
+  @behaviour Situ.CLI.Verb
+  alias Situ.CLI.{Commands, Completion, Manual, Verb}
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["completion"],
+        summary: "print what a shell needs to complete situ's commands and options",
+        about: """
+        bash: source <(situ completion bash)
+        zsh: situ completion zsh > "${fpath[1]}/_situ"
+        fish: situ completion fish > ~/.config/fish/completions/situ.fish
+        """,
+        arguments: [shell: [kind: :text, doc: Enum.join(Completion.shells(), ", ")]],
+        examples: ["source <(situ completion bash)"],
+        run: &completion/2
+      },
+      %Verb{
+        words: ["manual"],
+        summary: "print the manual page, for man",
+        examples: ["situ manual > ~/.local/share/man/man1/situ.1", "situ manual | man -l -"],
+        run: &manual/2
+      }
+    ]
+  end
+
+  defp completion(%{shell: shell}, _opts) do
+    if shell in Completion.shells() do
+      IO.write(Completion.script(shell, Commands.all(), Commands.groups()))
+      0
+    else
+      raise Situ.Error.new(:bad_option, "no completion for the shell #{inspect(shell)}",
+              fix: "there is one for #{Enum.join(Completion.shells(), ", ")}"
+            )
+    end
+  end
+
+  defp manual(_args, _opts) do
+    IO.write(Manual.page(Commands.all(), to_string(Application.spec(:situ_cli, :vsn) || "")))
+    0
+  end
+end

@@ -1,0 +1,82 @@
+defmodule Situ.CLI.Store.Care do
+  @moduledoc "The verbs of `situ store` that look after a store where it lies: verify, repair, delete, rename."
+  @behaviour Situ.CLI.Verb
+  alias Situ.CLI.{Option, Output, Recording, Verb}
+  alias Situ.CLI.Store.Health
+  alias Situ.Store
+
+  @store [kind: :recording, doc: "a store's folder, or ROOT/NAME for the newest NAME.NNNN"]
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["store", "verify"],
+        aliases: ["doctor"],
+        summary: "check every checksum; status 1 when anything is damaged",
+        arguments: [path: Keyword.put(@store, :many, true)],
+        examples: ["situ store verify 'recordings/*'"],
+        run: fn %{path: paths}, opts -> Health.verify(Recording.expand(paths), opts) end
+      },
+      %Verb{
+        words: ["store", "repair"],
+        aliases: ["recover", "reindex"],
+        summary: "make a store whole that was not closed, or is damaged; sound data stays",
+        arguments: [path: @store],
+        options: [Option.new(:dry_run, :flag, "only say what it would do")],
+        examples: ["situ store repair recordings/lobby.0007"],
+        run: fn %{path: path}, opts -> Health.repair(path, opts) end
+      },
+      %Verb{
+        words: ["store", "delete"],
+        summary: "delete a store (asks first)",
+        arguments: [path: @store],
+        options: [Option.new(:yes, :flag, "do not ask", short: :y)],
+        run: &delete/2
+      },
+      %Verb{
+        words: ["store", "rename"],
+        summary: "give a store another name",
+        arguments: [path: @store, name: [kind: :text, doc: "its new name"]],
+        examples: ["situ store rename recordings/lobby.0000 entrance"],
+        run: &rename/2
+      }
+    ]
+  end
+
+  defp rename(%{path: path, name: name}, opts) do
+    path = ok!(Store.rename(path, name))
+    if opts[:json], do: Output.json(%{path: path}), else: Output.puts(path)
+    0
+  end
+
+  defp delete(%{path: path}, opts) do
+    folder = folder!(path)
+
+    if opts[:yes] || sure?(folder) do
+      :ok = ok!(Store.delete(folder))
+      if opts[:json], do: Output.json(%{deleted: folder})
+      0
+    else
+      Output.warn("Nothing deleted.")
+      1
+    end
+  end
+
+  # One too broken to be opened can be deleted all the same.
+  defp folder!(path) do
+    case Store.open(path) do
+      {:ok, store} -> store.path
+      {:error, error} -> if Store.exists?(path), do: Path.expand(path), else: raise(error)
+    end
+  end
+
+  defp sure?(folder) do
+    answer = IO.gets("Delete #{Output.name(folder)}? [y/N] ")
+    is_binary(answer) and String.trim(answer) in ["y", "Y", "yes"]
+  end
+
+  defp ok!(:ok), do: :ok
+  defp ok!({:ok, value}), do: value
+  defp ok!({:error, error}), do: raise(error)
+end

@@ -1,0 +1,224 @@
+defmodule Situ.CLI.Store.Looking do
+  @moduledoc "The verbs of `situ store` that only look: info, messages, stats, analyze, diff."
+  @behaviour Situ.CLI.Verb
+  alias Situ.CLI.{Option, Output, Recording, Verb}
+  alias Situ.CLI.Store.{Difference, Info, Lag, Messages, Statistics}
+  alias Situ.{Error, Store, Time}
+
+  @recording [
+    kind: :recording,
+    doc: "a store's folder, ROOT/NAME for the newest NAME.NNNN, or a foreign file"
+  ]
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["store", "info"],
+        aliases: ["list", "ls"],
+        summary: "list the streams of a recording: types, rates, gaps, sizes, latency",
+        about: """
+        Of several recordings, or of a folder of recordings, a line each. The gaps are those between chunks of the file;
+        `situ store stats` looks at every message.
+        """,
+        arguments: [path: Keyword.put(@recording, :many, true)],
+        options: [
+          Option.new(:stream, :string, "all that is known of one stream", short: :s, value: "NAME")
+        ],
+        examples: ["situ store info recordings/lobby", "situ store info recordings --json"],
+        run: &info/2
+      },
+      %Verb{
+        words: ["store", "messages"],
+        aliases: ["cat", "echo"],
+        summary: "print messages: time, latency, data",
+        arguments: [path: @recording],
+        options: [
+          Option.new(
+            :stream,
+            :string,
+            "the stream; of several the messages come in the order of time",
+            short: :s,
+            value: "NAME",
+            many?: true
+          ),
+          Option.new(:number, :integer, "so many messages; 0 is all", short: :n, default: 10),
+          Option.new(:from, :time, "from this originating time on"),
+          Option.new(:to, :time, "up to this originating time"),
+          Option.new(
+            :skip_damage,
+            :flag,
+            "leave out what is damaged; without it that is an error"
+          )
+        ],
+        examples: ["situ store messages recordings/lobby -s Lobby.Speaking -n 0 --json"],
+        run: &messages/2
+      },
+      %Verb{
+        words: ["store", "stats"],
+        summary: "measure every stream: periods, jitter, gaps, latency percentiles",
+        about: "Reads the times of every message. Percentiles are right within half a percent.",
+        arguments: [path: @recording],
+        options: [
+          Option.new(:stream, :string, "only this stream", short: :s, value: "NAME", many?: true),
+          Option.new(
+            :gap,
+            :span,
+            "a longer pause is a gap (default: ten times the stream's period, at least 100 ms)"
+          )
+        ],
+        examples: ["situ store stats recordings/lobby --gap 1s"],
+        run: &stats/2
+      },
+      %Verb{
+        words: ["store", "analyze"],
+        summary: "find the streams that lag behind the others, in the order of time",
+        about:
+          "A replay in the order of originating times waits that long, in creation time, for a message of the stream.",
+        arguments: [path: @recording],
+        options: [
+          Option.new(:order, ["avg", "max"], "sort by the average or the greatest lag",
+            short: :o,
+            default: "avg"
+          )
+        ],
+        examples: ["situ store analyze recordings/lobby -o max"],
+        run: &analyze/2
+      },
+      %Verb{
+        words: ["store", "diff"],
+        summary: "compare two recordings, message by message; status 1 when they differ",
+        arguments: [first: @recording, second: @recording],
+        options: [Option.new(:envelopes, :flag, "creation times and sequence numbers count too")],
+        examples: ["situ store diff recordings/lobby.0000 recordings/lobby.0001"],
+        run: &diff/2
+      }
+    ]
+  end
+
+  defp info(%{path: paths}, opts) do
+    paths = Recording.expand(paths)
+    Recording.ready(paths)
+    Info.run(paths, opts)
+  end
+
+  defp messages(%{path: path}, opts) do
+    if opts[:stream] == [],
+      do: throw({:usage, "which stream? Give --stream NAME"})
+
+    if (opts[:number] || 0) < 0, do: throw({:usage, "--number is 0 or more"})
+    store = Recording.open!(path)
+
+    for name <- opts[:stream],
+        {:error, error} <- [Store.stream_info(store, name)],
+        do: raise(error)
+
+    Messages.run(store, opts[:stream], opts)
+  end
+
+  defp stats(%{path: path}, opts) do
+    store = Recording.open!(path)
+    stats = for info <- chosen(store, opts[:stream]), do: Statistics.of(store, info, opts[:gap])
+    if opts[:json], do: Output.json(stats), else: table(stats)
+    0
+  end
+
+  defp chosen(store, []), do: Store.streams(store)
+
+  defp chosen(store, names) do
+    for name <- names do
+      case Store.stream_info(store, name) do
+        {:ok, info} -> info
+        {:error, error} -> raise error
+      end
+    end
+  end
+
+  defp table(stats) do
+    head = [
+      "stream",
+      "messages",
+      "rate",
+      "period",
+      "jitter",
+      "p99",
+      "longest",
+      "gaps",
+      "latency p50",
+      "p95",
+      "p99"
+    ]
+
+    rows =
+      for s <- stats do
+        [
+          s.stream,
+          "#{s.messages}",
+          rate(s.rate),
+          span(s.period_mean),
+          span(s.period_deviation),
+          span(s.period_p99)
+        ] ++
+          [
+            span(s.period_most),
+            gaps(s),
+            span(s.latency_p50),
+            span(s.latency_p95),
+            span(s.latency_p99)
+          ]
+      end
+
+    Output.table([head | rows], 1)
+  end
+
+  defp rate(nil), do: "-"
+  defp rate(hz), do: "#{Float.round(hz, 2)} Hz"
+  defp span(nil), do: "-"
+  defp span(ns), do: Time.format_duration(round(ns))
+  defp gaps(%{gaps: 0}), do: "-"
+  defp gaps(s), do: "#{s.gaps} (#{Time.format_duration(s.gap_time)})"
+
+  defp analyze(%{path: path}, opts) do
+    lags =
+      path |> Recording.open!() |> Lag.of(if(opts[:order] == "max", do: :most, else: :average))
+
+    if opts[:json] do
+      Output.json(lags)
+    else
+      rows =
+        for lag <- lags, do: [lag.stream, "#{lag.messages}", span(lag.average), span(lag.most)]
+
+      Output.table([["stream", "messages", "average lag", "greatest"] | rows], 1)
+    end
+
+    0
+  end
+
+  defp diff(%{first: first, second: second}, opts) do
+    differences = Difference.of(Recording.open!(first), Recording.open!(second), opts)
+    same? = Enum.all?(differences, & &1.same)
+
+    if opts[:json],
+      do: Output.json(%{same: same?, streams: differences}),
+      else: for(d <- differences, do: Output.puts(difference(d)))
+
+    if same?, do: 0, else: 1
+  rescue
+    # Damage is no difference, but nothing was compared behind it.
+    error in Error -> raise error
+  end
+
+  defp difference(%{only: where} = d) when where != nil,
+    do: "#{Output.name(d.stream)}: only in the #{where} (#{Output.number(d.messages, "message")})"
+
+  defp difference(%{same: true} = d),
+    do: "#{Output.name(d.stream)}: the same (#{Output.number(d.equal, "message")})"
+
+  defp difference(d) do
+    types = if d.types, do: "types #{Enum.join(d.types, " and ")}; ", else: ""
+    at = if d.at, do: "; the first difference at #{Time.to_iso8601(d.at)}", else: ""
+
+    "#{Output.name(d.stream)}: #{types}#{d.equal} equal, #{d.different} different, " <>
+      "#{d.only_first} only in the first, #{d.only_second} only in the second#{at}"
+  end
+end

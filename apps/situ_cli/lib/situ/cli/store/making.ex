@@ -1,0 +1,223 @@
+defmodule Situ.CLI.Store.Making do
+  @moduledoc """
+  The verbs of `situ store` that make a new recording out of others: copy, crop, concat, split, remove, edit.
+  """
+  @behaviour Situ.CLI.Verb
+  alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.Store.Arguments
+  alias Situ.{Error, Store}
+
+  @recording [
+    kind: :recording,
+    doc: "a store's folder, ROOT/NAME for the newest NAME.NNNN, or a foreign file"
+  ]
+  @new [kind: :new, doc: "ROOT/NAME of the new store; it becomes NAME.NNNN"]
+  @about """
+  The original is never changed. The new store has its name when it is whole: stopped half way (Ctrl-C), a
+  NAME.*.unfinished is left, which the next of that name removes.
+  """
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["store", "copy"],
+        aliases: ["import", "filter", "convert", "compress", "decompress", "sort"],
+        summary:
+          "make a new store with all or some streams of a recording, store or foreign file",
+        about: @about,
+        arguments: [path: @recording, out: @new],
+        options: streams() ++ interval() ++ storing(),
+        examples: [
+          "situ store copy talk1.mp4 recordings/talk",
+          "situ store copy recordings/lobby small --exclude 'Lobby.Video*' --compression zstd"
+        ],
+        run: fn %{path: path, out: out}, opts ->
+          made([path], opts, &Store.copy(path, out, copying(opts, &1)))
+        end
+      },
+      %Verb{
+        words: ["store", "crop"],
+        summary: "make a new store with an interval of a recording",
+        about: @about,
+        arguments: [path: @recording, out: @new],
+        options:
+          [
+            Option.new(:start, :span, "so long behind the recording's first message"),
+            Option.new(:length, :span, "so long from there")
+          ] ++ interval() ++ streams() ++ storing(),
+        examples: ["situ store crop recordings/lobby lunch --start 30m --length 10m"],
+        run: &crop/2
+      },
+      %Verb{
+        words: ["store", "concat"],
+        aliases: ["merge"],
+        summary: "make one store out of several; streams of one name follow each other in time",
+        about: @about,
+        arguments: [path: Keyword.put(@recording, :many, true), out: @new],
+        options: streams() ++ interval() ++ storing(),
+        examples: ["situ store concat monday tuesday week"],
+        run: fn %{path: paths, out: out}, opts ->
+          paths = Recording.expand(paths)
+          made(paths, opts, &Store.concat(paths, out, copying(opts, &1)))
+        end
+      },
+      %Verb{
+        words: ["store", "split"],
+        summary: "cut a recording into stores of equal length, OUT-001, OUT-002 ...",
+        about: @about,
+        arguments: [path: @recording, out: @new],
+        options: [Option.new(:every, :span, "the length of each")] ++ streams() ++ storing(),
+        examples: ["situ store split recordings/day hours --every 1h"],
+        run: &split/2
+      },
+      %Verb{
+        words: ["store", "remove"],
+        aliases: ["remove-stream", "removestream"],
+        summary: "make the next version of a store, without some of its streams",
+        about: "The version before it stays: `situ store delete` removes it.",
+        arguments: [
+          path: @recording,
+          stream: [kind: :text, many: true, doc: "names or patterns of streams"]
+        ],
+        options: storing(),
+        examples: ["situ store remove recordings/lobby 'Lobby.Debug.*'"],
+        run: &remove/2
+      },
+      %Verb{
+        words: ["store", "edit"],
+        summary: "make a new store with single messages changed or deleted",
+        about: @about,
+        arguments: [path: @recording, out: @new],
+        options: [
+          Option.new(:set, :string, "puts a message there", value: "STREAM@TIME=JSON", many?: true),
+          Option.new(:delete, :string, "deletes the message there",
+            value: "STREAM@TIME",
+            many?: true
+          ),
+          skip_damage()
+        ],
+        examples: [
+          "situ store edit recordings/lobby mended --set 'Words@2026-01-31T12:00:00Z=\"five\"'"
+        ],
+        run: &edit/2
+      }
+    ]
+  end
+
+  defp streams do
+    [
+      Option.new(:stream, :string, "this stream, or a pattern ('Room.*')",
+        short: :s,
+        value: "NAME",
+        many?: true
+      ),
+      Option.new(:exclude, :string, "not this stream, or pattern",
+        short: :x,
+        value: "NAME",
+        many?: true
+      )
+    ]
+  end
+
+  defp interval do
+    [
+      Option.new(:from, :time, "from this originating time on"),
+      Option.new(:to, :time, "up to this originating time; both ends are included")
+    ]
+  end
+
+  defp storing do
+    [
+      Option.new(:compression, ["none", "lz4", "zstd"], "of the new store; else as it was"),
+      skip_damage()
+    ]
+  end
+
+  defp skip_damage,
+    do: Option.new(:skip_damage, :flag, "leave out what is damaged; without it that is an error")
+
+  defp copying(opts, progress), do: Arguments.copying(opts, progress)
+
+  defp crop(%{path: path, out: out}, opts) do
+    if Keyword.take(opts, [:from, :to, :start, :length]) == [],
+      do: throw({:usage, "to what? Give --start and --length, or --from and --to"})
+
+    made([path], opts, &Store.crop(path, out, copying(opts, &1)))
+  end
+
+  defp made(paths, opts, make) do
+    Recording.ready(paths)
+    path = Progress.show("write", opts, fn progress -> ok!(make.(progress)) end)
+    if opts[:json], do: Output.json(%{path: path}), else: Output.puts(path)
+    if opts[:from] || opts[:to] || opts[:start] || opts[:length], do: tell_empty(path)
+    0
+  end
+
+  # Nothing wrong with an empty interval, but most likely somebody has mistaken the time.
+  defp tell_empty(path) do
+    if Store.interval(Store.open!(path)) == nil,
+      do: Output.warn("No message lies in that interval: the new store is empty.")
+  end
+
+  defp split(%{path: path, out: out}, opts) do
+    every = opts[:every] || throw({:usage, "into which lengths? Give --every SPAN"})
+    if every <= 0, do: throw({:usage, "--every is more than nothing"})
+    store = Recording.open!(path)
+
+    paths =
+      case Store.interval(store) do
+        nil -> []
+        {first, last} -> parts(path, out, {first, last, every}, opts)
+      end
+
+    if opts[:json], do: Output.json(%{paths: paths}), else: Enum.each(paths, &Output.puts/1)
+    0
+  end
+
+  defp parts(path, out, {first, last, every}, opts) do
+    for {from, n} <- Enum.with_index(first..last//every, 1) do
+      name = "#{out}-#{n |> Integer.to_string() |> String.pad_leading(3, "0")}"
+
+      Progress.show("part #{n}", opts, fn progress ->
+        span = [from: from, to: min(from + every - 1, last)]
+        ok!(Store.copy(path, name, span ++ copying(opts, progress)))
+      end)
+    end
+  end
+
+  defp remove(%{path: path, stream: unwanted}, opts) do
+    store = Recording.open!(path)
+    name = Store.info(store).name
+    out = Path.join(Path.dirname(store.path), name)
+    streams = Arguments.copying([exclude: unwanted], fn _, _ -> :ok end)[:streams]
+    kept = Enum.filter(Store.streams(store), streams)
+
+    if length(kept) == length(Store.streams(store)) do
+      raise Error.new(:no_stream, "no stream of #{store.path} fits #{Enum.join(unwanted, ", ")}",
+              fix: "`situ store info` lists them"
+            )
+    end
+
+    made([path], opts, fn progress ->
+      Store.copy(store.path, out, [streams: streams] ++ copying(opts, progress))
+    end)
+  end
+
+  defp edit(%{path: path, out: out}, opts) do
+    case Arguments.edits!(Recording.open!(path), opts) do
+      none when none == %{} ->
+        throw({:usage, "which changes? Give --set or --delete"})
+
+      edits ->
+        made(
+          [path],
+          opts,
+          &Store.edit(path, out, edits, Arguments.damage(opts) ++ [progress: &1])
+        )
+    end
+  end
+
+  defp ok!({:ok, value}), do: value
+  defp ok!({:error, error}), do: raise(error)
+end

@@ -1,0 +1,48 @@
+defmodule Situ.CLI.Store.Tape do
+  @moduledoc false
+  # An enumerable read one by one, so that several can be held side by side.
+
+  @opaque t :: function() | nil
+
+  @doc "The first item and the rest, or `nil` at the end."
+  @spec next(Enumerable.t() | t()) :: {term(), t()} | nil
+  def next(tape) when is_function(tape, 1), do: step(tape)
+  def next(nil), do: nil
+
+  @spec open(Enumerable.t()) :: t()
+  def open(enumerable), do: &Enumerable.reduce(enumerable, &1, fn item, _ -> {:suspend, item} end)
+
+  defp step(tape) do
+    case tape.({:cont, nil}) do
+      {:suspended, item, rest} -> {item, rest}
+      {:done, _} -> nil
+      {:halted, _} -> nil
+    end
+  end
+
+  @doc "Several, by what `key` says of their items, each with its tag: an enumerable of `{tag, item}`."
+  @spec merge([{term(), Enumerable.t()}], (term() -> term())) :: Enumerable.t()
+  def merge(tagged, key) do
+    Stream.resource(
+      fn ->
+        for {tag, enumerable} <- tagged,
+            {item, rest} <- [next(open(enumerable))],
+            do: {tag, item, rest}
+      end,
+      fn
+        [] ->
+          {:halt, []}
+
+        heads ->
+          {tag, item, rest} = first = Enum.min_by(heads, fn {_, item, _} -> key.(item) end)
+          others = List.delete(heads, first)
+
+          case next(rest) do
+            nil -> {[{tag, item}], others}
+            {following, rest} -> {[{tag, item}], [{tag, following, rest} | others]}
+          end
+      end,
+      fn _ -> :ok end
+    )
+  end
+end
