@@ -99,7 +99,7 @@ defmodule Situ.CLI.StoreTest do
     assert text =~ "DAMAGED" and text =~ "data-000000.situ at byte"
     assert %{"damage" => [_ | _]} = json(["verify", path, "--json"])
     assert {0, text} = run(["repair", path])
-    assert text =~ "1 dropped"
+    assert text =~ "1 lost"
     assert {0, _} = run(["verify", path])
   end
 
