@@ -52,6 +52,10 @@ defmodule Situ do
           Stream.t()
   def map(stream, fun, opts \\ []), do: Operator.attach(stream, "Map", {:map, fun}, opts)
 
+  @doc "See `Situ.MapAsync.map_async/3`."
+  @spec map_async(Stream.t(), (term() -> term()), keyword()) :: Stream.t()
+  defdelegate map_async(stream, fun, opts \\ []), to: Situ.MapAsync
+
   @doc "Only messages for which `fun` (of data, or of data and message) is true."
   @spec filter(
           Stream.t(),

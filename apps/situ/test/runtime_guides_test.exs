@@ -6,7 +6,8 @@ defmodule Situ.RuntimeGuidesTest do
   @folder Path.expand("../../../docs/guides", __DIR__)
 
   for guide <-
-        ~w(your-first-pipeline writing-a-component choosing-a-delivery-policy when-things-fail) do
+        ~w(your-first-pipeline writing-a-component choosing-a-delivery-policy when-things-fail
+            genstage) do
     test "every snippet of #{guide} runs, in its order" do
       path = Path.join(@folder, unquote(guide) <> ".md")
 

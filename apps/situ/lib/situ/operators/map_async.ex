@@ -1,0 +1,229 @@
+defmodule Situ.MapAsync do
+  @schema [
+    max: [
+      type: :pos_integer,
+      doc:
+        "How many messages are worked on, or wait for an older one, at most (default: one for each core)."
+    ],
+    timeout: [
+      type: {:or, [:pos_integer, {:in, [:infinity]}]},
+      default: :infinity,
+      doc: "How long one message may take, in ms of real time; longer is an error."
+    ]
+  ]
+
+  @moduledoc """
+  A map whose function runs for several messages at once, each in a process of its own; the results come in the messages' order.
+
+  For work that waits (a request to a server, a file) or that fills more than one core. Light work is faster in `Situ.map/3`: a process
+  for each message costs a few microseconds.
+
+      iex> square = fn v -> v * v end
+      iex> build = fn p -> p |> Situ.from_enumerable(1..5, every: 10) |> Situ.map_async(square, max: 2) end
+      iex> Situ.to_list(build, pipeline: [replay: [interval: {0, :unbounded}, speed: :max]])
+      [1, 4, 9, 16, 25]
+  """
+  alias Situ.Graph.Placement
+  alias Situ.{Operator, Stream}
+
+  @doc """
+  The data through `fun` (of data, or of data and message), for up to `max:` messages at once, in order.
+
+  When `max:` messages are under way the stream waits. A function that raises, exits or takes longer than `timeout:` is an error at its
+  message's time, which `on_error:` decides about: `:stop` emits what is older, `:skip` all but that message, and `:restart` also gives up
+  what was under way. Reproducible: yes, if `fun` is.
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @spec map_async(
+          Stream.t(),
+          (term() -> term()) | (term(), Situ.Message.t() -> term()),
+          keyword()
+        ) ::
+          Stream.t()
+  def map_async(%Stream{} = stream, fun, opts \\ [])
+      when is_function(fun, 1) or is_function(fun, 2) do
+    {own, placed} = Placement.split!(opts, @schema, :operator)
+    own = Keyword.put_new(own, :max, System.schedulers_online())
+    own = [fun: fun, on_error: placed[:on_error] || :stop] ++ own
+    given = for {key, value} <- own, do: {if(key == :on_error, do: :errors, else: key), value}
+    Operator.through(stream, "MapAsync", {Situ.MapAsync.Component, given}, placed)
+  end
+end
+
+defmodule Situ.MapAsync.Component do
+  @moduledoc false
+  # Jobs in the order of their messages. The oldest decides what can be emitted; a failed one is an error when it is the oldest.
+  use Situ.Component,
+    inputs: [in: :any],
+    outputs: [out: :any],
+    options: [
+      fun: [type: :any, required: true],
+      max: [type: :pos_integer, required: true],
+      timeout: [type: :any, default: :infinity],
+      errors: [type: {:in, [:stop, :skip, :restart]}, default: :stop]
+    ]
+
+  alias Situ.Error
+
+  @impl true
+  def init(opts),
+    do: {:ok, %{opts: Map.new(opts), jobs: :queue.new(), count: 0, done: %{}, failing: false}}
+
+  @impl true
+  def handle_message(:in, message, context, state) do
+    ref = start(message, state.opts)
+    jobs = :queue.in({ref, message.originating_time}, state.jobs)
+    hold(%{state | jobs: jobs, count: state.count + 1}, [], context)
+  end
+
+  defp start(message, %{fun: fun, timeout: timeout}) do
+    me = self()
+
+    {pid, ref} =
+      spawn_monitor(fn ->
+        # Ends with the component, also when that is killed.
+        watch(me, self())
+        exit({:situ_result, run(fun, message)})
+      end)
+
+    if timeout != :infinity, do: Process.send_after(self(), {:situ_late, ref, pid}, timeout)
+    ref
+  end
+
+  defp watch(component, job) do
+    spawn(fn ->
+      [a, b] = for pid <- [component, job], do: Process.monitor(pid)
+
+      receive do
+        {:DOWN, ^a, _, _, _} -> Process.exit(job, :kill)
+        {:DOWN, ^b, _, _, _} -> :ok
+      end
+    end)
+  end
+
+  defp run(fun, message) when is_function(fun, 1), do: guard(fn -> fun.(message.data) end)
+  defp run(fun, message), do: guard(fn -> fun.(message.data, message) end)
+
+  defp guard(fun) do
+    {:ok, fun.()}
+  catch
+    kind, reason -> {:failed, kind, reason, __STACKTRACE__}
+  end
+
+  @impl true
+  def handle_info({:DOWN, ref, :process, _pid, reason}, context, state),
+    do: state |> note(ref, reason) |> emit([], context)
+
+  def handle_info({:situ_late, ref, pid}, _context, state) do
+    if Enum.any?(:queue.to_list(state.jobs), &(elem(&1, 0) == ref)) and
+         not is_map_key(state.done, ref),
+       do: Process.exit(pid, :kill)
+
+    {[], state}
+  end
+
+  def handle_info({:hold_ended, :in}, context, state), do: hold(state, [], context)
+
+  # The error is a message of its own: what is done about it takes back nothing else.
+  def handle_info({:situ_failed, error}, _context, _state), do: raise(error)
+
+  def handle_info(:situ_failed_job_done, context, state),
+    do: emit(%{state | failing: false}, [], context)
+
+  def handle_info(_other, _context, state), do: {[], state}
+
+  # No message comes any more: what is under way is waited for.
+  @impl true
+  def handle_closed(:in, _time, context, state) do
+    state = await(state)
+    {actions, state} = emit(state, [], context)
+    finish(actions, state, context)
+  end
+
+  defp await(state) do
+    if map_size(state.done) == state.count do
+      state
+    else
+      receive do
+        {:DOWN, ref, :process, _pid, reason} ->
+          await(note(state, ref, reason))
+
+        {:situ_late, ref, pid} ->
+          if not is_map_key(state.done, ref), do: Process.exit(pid, :kill)
+          await(state)
+      end
+    end
+  end
+
+  # With `:stop` nothing comes behind an error; otherwise all the others do.
+  defp finish(actions, %{failing: true, opts: %{errors: errors}} = state, context)
+       when errors != :stop do
+    {more, state} = emit(%{state | failing: false}, [], context)
+    finish(actions ++ more, state, context)
+  end
+
+  defp finish(actions, state, _context), do: {actions, state}
+
+  @impl true
+  def terminate(_reason, _state), do: :ok
+
+  defp note(state, ref, {:situ_result, result}), do: put_in(state.done[ref], result)
+  defp note(state, ref, reason), do: put_in(state.done[ref], {:failed, :exit, reason, []})
+
+  # The oldest, as long as they are done.
+  defp emit(%{failing: true} = state, actions, _context), do: {Enum.reverse(actions), state}
+
+  defp emit(state, actions, context) do
+    with {:value, {ref, time}} <- :queue.peek(state.jobs), %{^ref => result} <- state.done do
+      state = %{
+        state
+        | jobs: :queue.drop(state.jobs),
+          count: state.count - 1,
+          done: Map.delete(state.done, ref)
+      }
+
+      case result do
+        {:ok, value} ->
+          emit(state, [{:out, time, value} | actions], context)
+
+        {:failed, kind, reason, stack} ->
+          send(self(), {:situ_failed, failed(kind, reason, stack, time, context, state.opts)})
+          send(self(), :situ_failed_job_done)
+          emit(%{state | failing: true}, actions, context)
+      end
+    else
+      _ -> hold(state, actions, context)
+    end
+  end
+
+  # Full: nothing is taken, so that the stream waits.
+  defp hold(%{count: count, opts: %{max: max}} = state, actions, _context) do
+    action = if count >= max, do: {:hold, :in}, else: {:resume, :in}
+    {Enum.reverse([action | actions]), state}
+  end
+
+  defp failed(_kind, :killed, _stack, time, context, %{timeout: timeout})
+       when timeout != :infinity do
+    Error.new(:timeout, "#{context.path} did not answer within #{timeout} ms",
+      why: "its function still ran, for the message at #{time} ns",
+      fix: "raise timeout:, or skip such messages with on_error: :skip",
+      meta: %{component: context.path, originating_time: time}
+    )
+  end
+
+  defp failed(kind, reason, stack, time, context, _opts) do
+    Error.new(
+      :component_failed,
+      "#{context.path} failed: #{Exception.format_banner(kind, reason, stack)}",
+      meta: %{
+        component: context.path,
+        kind: kind,
+        exception: if(kind == :error, do: Exception.normalize(:error, reason, stack)),
+        reason: reason,
+        stacktrace: stack,
+        originating_time: time
+      }
+    )
+  end
+end

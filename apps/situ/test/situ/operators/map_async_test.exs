@@ -1,0 +1,150 @@
+defmodule Situ.MapAsyncTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  doctest Situ.MapAsync
+
+  alias Situ.Pipeline
+
+  @moduletag :capture_log
+  @replay [replay: [interval: {0, :unbounded}, speed: :max]]
+
+  defp list(values, fun, opts) do
+    Situ.to_list(
+      &(&1 |> Situ.from_enumerable(values, every: 10) |> Situ.map_async(fun, opts)),
+      times: true,
+      pipeline: @replay
+    )
+  end
+
+  defp run(values, fun, opts) do
+    me = self()
+
+    result =
+      Pipeline.run(
+        fn p ->
+          p
+          |> Situ.from_enumerable(values, every: 10)
+          |> Situ.map_async(fun, opts)
+          |> Situ.each(&send(me, {:got, &1}))
+        end,
+        pipeline: @replay
+      )
+
+    {result, got()}
+  end
+
+  defp got do
+    receive do
+      {:got, v} -> [v | got()]
+    after
+      0 -> []
+    end
+  end
+
+  property "it is a map, whatever the order in which the work is done", numtests: 30 do
+    forall {waits, max} <- {list(integer(0, 3)), integer(1, 4)} do
+      work = fn wait ->
+        for _ <- 1..(wait * 2_000)//1, do: :erlang.yield()
+        wait * 2
+      end
+
+      expected = for {w, i} <- Enum.with_index(waits), do: {i * 10, w * 2}
+      assert list(waits, work, max: max) == expected
+    end
+  end
+
+  test "as many at once as allowed, never more" do
+    me = self()
+
+    {:ok, p} =
+      Pipeline.start(
+        fn p ->
+          p
+          |> Situ.from_enumerable(1..100, every: 10)
+          |> Situ.map_async(
+            fn v ->
+              send(me, {:begun, v, self()})
+              receive do: (:go_on -> v)
+            end,
+            max: 3
+          )
+          |> Situ.each(&send(me, {:got, &1}))
+        end,
+        pipeline: @replay
+      )
+
+    jobs = for v <- 1..3, do: begun(v)
+    refute_receive {:begun, _, _}, 60
+    # The oldest still runs: what comes behind it waits, and counts.
+    send(Enum.at(jobs, 1), :go_on)
+    refute_receive {:begun, _, _}, 60
+    refute_received {:got, _}
+    send(hd(jobs), :go_on)
+    for v <- 4..5, do: begun(v)
+    assert_receive {:got, 1}, 10_000
+    assert_receive {:got, 2}, 10_000
+    refute_received {:begun, _, _}
+    job = Process.monitor(Enum.at(jobs, 2))
+    Process.exit(p, :kill)
+    assert_receive {:DOWN, ^job, _, _, _}, 10_000
+  end
+
+  defp begun(v) do
+    assert_receive {:begun, ^v, pid}, 10_000
+    pid
+  end
+
+  defp fails_at(n) do
+    fn
+      ^n -> raise "bang"
+      v -> v
+    end
+  end
+
+  test "an error stops the pipeline at its message; what is older comes out" do
+    {result, got} = run(1..200, fails_at(150), max: 8)
+    assert {:error, error} = result
+    assert error.what =~ "bang"
+    assert error.meta.originating_time == 1_490
+    assert got == Enum.to_list(1..149)
+  end
+
+  test "also when it is the last" do
+    {result, got} = run(1..200, fails_at(200), max: 8)
+    assert {:error, %{code: :component_failed}} = result
+    assert got == Enum.to_list(1..199)
+  end
+
+  test "on_error: :skip loses that message only, wherever it is" do
+    for n <- [1, 100, 199, 200] do
+      {result, got} = run(1..200, fails_at(n), max: 8, on_error: :skip)
+      assert {:ok, _report} = result
+      assert got == Enum.to_list(1..200) -- [n]
+    end
+  end
+
+  test "a job that exits, or is killed, is an error like one that raises" do
+    for bad <- [
+          fn -> exit(:gone) end,
+          fn -> throw(:ball) end,
+          fn -> Process.exit(self(), :kill) end
+        ] do
+      {result, _} = run([1], fn _ -> bad.() end, max: 2)
+      assert {:error, %{code: :component_failed}} = result
+    end
+  end
+
+  test "a job that takes too long is an error" do
+    {result, got} =
+      run(1..5, fn v -> if v == 3, do: Process.sleep(:infinity), else: v end,
+        max: 2,
+        timeout: 20,
+        on_error: :skip
+      )
+
+    assert {:ok, _} = result
+    assert got == [1, 2, 4, 5]
+    {result, _} = run([1], fn _ -> Process.sleep(:infinity) end, timeout: 20)
+    assert {:error, %{code: :timeout}} = result
+  end
+end
