@@ -2,7 +2,7 @@ defmodule Situ.Infer.ActiveSpeaker do
   @schema [
     lookahead: [
       type: :time_ns,
-      default: 120_000_000,
+      default: 80_000_000,
       doc: "How far past a picture it waits before it decides on it: the delay of the answers."
     ],
     window: [
@@ -221,11 +221,12 @@ defmodule Situ.Infer.ActiveSpeaker do
     end
   end
 
-  # Nobody agrees clearly: who spoke a moment ago, or who alone began to move with the voice.
+  # Nobody agrees clearly: who spoke a moment ago, or who alone began to move with the voice. A mouth that merely stays open
+  # after its last word does not move.
   defp unclear(state, time, seen, until) do
     movers =
       for {id, _} <- hd(seen).mouths,
-          moving?(id, seen, until - @syllable_ns, state.opts.movement),
+          range(id, seen, until - @syllable_ns, until) > state.opts.movement,
           do: id
 
     case {state.before, movers} do

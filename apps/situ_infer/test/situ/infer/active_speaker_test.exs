@@ -39,6 +39,25 @@ defmodule Situ.Infer.ActiveSpeakerTest do
     assert decide(90, chewing, fn _ -> {0.0, 0.001} end) |> Enum.uniq() == [[]]
   end
 
+  # Face 0 speaks, and rests with its mouth a little open; then somebody outside of the picture speaks.
+  test "a mouth that stays open after its last word does not speak when another voice comes" do
+    lips = fn i ->
+      %{
+        0 =>
+          cond do
+            i < 25 -> 0.05
+            i <= 60 -> 0.05 + 0.1 * wave(i)
+            true -> 0.09 + 0.004 * wave(i)
+          end
+      }
+    end
+
+    outside = fn i -> if i in 84..110, do: {1.0, 0.05 + 0.2 * wave(3 * i)}, else: talk(i) end
+    said = decide(120, lips, outside)
+    assert Enum.slice(said, 30, 30) |> Enum.uniq() == [[0]]
+    assert Enum.slice(said, 70, 50) |> Enum.uniq() == [[]]
+  end
+
   test "no faces and no sound are no error" do
     assert decide(10, fn _ -> %{} end, &talk/1) |> Enum.uniq() == [[]]
     {out, speaker} = ActiveSpeaker.push(ActiveSpeaker.new(), 0, %{}, nil)
