@@ -97,7 +97,7 @@ defmodule Situ.Conformance.Emitter do
     node = Pipeline.add(p, Stranger, inputs: [in: {:any, optional: true}])
     # Infinite, or the pipeline may have ended before anyone could subscribe.
     stream = Situ.source(p, Script, actions: [{:out, 1, 1}, {:complete, :infinity}])
-    :ok = Pipeline.start(p)
+    :ok = Pipeline.launch(p)
     refused(case, [p], fn -> Pipeline.connect(stream, node, :in) end)
   end
 

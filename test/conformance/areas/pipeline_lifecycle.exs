@@ -39,7 +39,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
   def check(%{"op" => "dispose", "params" => params} = case) do
     p = Pipeline.new()
     p |> Situ.source(Source, kind: :infinite) |> Situ.map(& &1)
-    if params["pipeline"] == "running", do: :ok = Pipeline.start(p)
+    if params["pipeline"] == "running", do: :ok = Pipeline.launch(p)
     times = params["threads"] || params["times"] || params["concurrently"] || 1
     stops = for _ <- 1..times, do: Task.async(fn -> Pipeline.stop(p) end)
     # Whoever comes when all is over is told so.
@@ -93,7 +93,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
   def check(%{"op" => "add_component"} = case) do
     p = Pipeline.new()
     Situ.source(p, Source, kind: :infinite)
-    :ok = Pipeline.start(p)
+    :ok = Pipeline.launch(p)
     result = attempt(fn -> Situ.from_enumerable(p, 0..9, every: 100) end)
     Pipeline.stop(p)
     outputs(case, result)

@@ -60,7 +60,7 @@ defmodule Situ.Conformance.Store.Recording do
         []
       )
 
-    :ok = Pipeline.start(writer)
+    :ok = Pipeline.launch(writer)
     {:ok, _} = Pipeline.await(writer)
     {:ok, _} = Pipeline.await(reader, 30_000)
     if root == nil, do: Store.delete(exporter.path)

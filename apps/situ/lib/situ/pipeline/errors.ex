@@ -10,6 +10,14 @@ defmodule Situ.Pipeline.Errors do
     )
   end
 
+  @spec unpaced() :: Error.t()
+  def unpaced do
+    Error.new(:unpaced, "the pipeline runs as fast as it can: there is no speed to change",
+      why: "with speed: :max no message waits for the clock",
+      fix: "start it with a speed, as in replay: [speed: 1.0]"
+    )
+  end
+
   @spec unknown_request() :: Error.t()
   def unknown_request do
     Error.new(:unknown_request, "a pipeline has no answer to this call",

@@ -38,7 +38,7 @@ defmodule Situ.Pipeline do
 
   ## Building from outside
 
-  `new/1` opens an empty pipeline in state `:building`; add to it from any process, then `start/1`:
+  `new/1` opens an empty pipeline in state `:building`; add to it from any process, then `launch/1`:
 
       iex> p = Situ.Pipeline.new()
       iex> node = Situ.Pipeline.add(p, Situ.Pipeline.Empty)
@@ -99,15 +99,15 @@ defmodule Situ.Pipeline do
 
   @doc "As `start_link/2` without the link: a failure is seen by `await/2` alone."
   @spec start(spec(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
-  def start(spec, opts), do: Launcher.start(spec, opts)
+  def start(spec, opts \\ []), do: Launcher.start(spec, opts)
 
-  @doc "Opens an empty pipeline, to be built from outside and started with `start/1`; it ends with its caller."
+  @doc "Opens an empty pipeline, to be built from outside and then launched with `launch/1`; it ends with its caller."
   @spec new(keyword()) :: t()
   def new(settings \\ []), do: Launcher.new(settings)
 
-  @doc "Starts a pipeline that was opened with `new/1`."
-  @spec start(t()) :: :ok | {:error, Error.t()}
-  def start(%Handle{} = p), do: Client.call(p, :start)
+  @doc "Runs a pipeline that was opened with `new/1` and built from outside."
+  @spec launch(t()) :: :ok | {:error, Error.t()}
+  def launch(%Handle{} = p), do: Client.call(p, :launch)
 
   @doc """
   Stops: sources first, what is on its way up to now is still delivered, then every output closes, upstream first.

@@ -56,12 +56,12 @@ defmodule Situ.Pipeline.Server do
   defp answer({:build, _change}, _from, state),
     do: {:reply, {:error, Builder.running()}, state}
 
-  defp answer(:start, from, %{life: %{phase: :building}} = state) do
+  defp answer(:launch, from, %{life: %{phase: :building}} = state) do
     GenServer.reply(from, :ok)
     apply_event(%{state | graph: Builder.close(state.handle)}, :start)
   end
 
-  defp answer(:start, _from, state), do: {:reply, {:error, Builder.running()}, state}
+  defp answer(:launch, _from, state), do: {:reply, {:error, Builder.running()}, state}
 
   defp answer({:stop, catch_up}, from, state),
     do: apply_event(%{state | waiters: [from | state.waiters]}, {:stop, catch_up})
@@ -141,6 +141,10 @@ defmodule Situ.Pipeline.Server do
         {:reply, {:error, error}, state}
     end
   end
+
+  # Nothing waits for the clock: it cannot hold anything up.
+  defp running({:clock, _change}, _from, %{timing: %{enforce: false}} = state),
+    do: {:reply, {:error, Errors.unpaced()}, state}
 
   defp running({:clock, :pause}, _from, state),
     do: {:reply, Clock.pause(state.timing.clock), state}

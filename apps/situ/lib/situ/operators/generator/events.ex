@@ -1,6 +1,6 @@
 defmodule Situ.Generator.Events do
   @moduledoc false
-  # The push source behind event_source: what other processes post, stamped with the pipeline's clock.
+  # The push source behind event_source: what other processes post, stamped with the pipeline's clock when they post it.
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],
@@ -9,17 +9,17 @@ defmodule Situ.Generator.Events do
       unsubscribe: [type: {:fun, 1}]
     ]
 
-  defstruct [:opts, :ref, :handle, active: false]
+  defstruct [:opts, :ref, :handle, :last, active: false]
 
   @impl true
   def init(opts), do: {:ok, %__MODULE__{opts: opts, ref: make_ref()}}
 
   @impl true
-  def handle_start(_context, state) do
-    {stage, ref} = {self(), state.ref}
+  def handle_start(context, state) do
+    {stage, ref, clock} = {self(), state.ref, Situ.Pipeline.clock(context.pipeline)}
 
     post = fn data ->
-      send(stage, {:situ_event, ref, data})
+      send(stage, {:situ_event, ref, Situ.Clock.now(clock), data})
       :ok
     end
 
@@ -28,8 +28,11 @@ defmodule Situ.Generator.Events do
   end
 
   @impl true
-  def handle_info({:situ_event, ref, data}, context, %{ref: ref, active: true} = state),
-    do: {[{:out, context.now, data}], state}
+  # Two processes may post at once: what comes later is not earlier.
+  def handle_info({:situ_event, ref, time, data}, _context, %{ref: ref, active: true} = state) do
+    time = max(time, state.last || time)
+    {[{:out, time, data}], %{state | last: time}}
+  end
 
   def handle_info(_other, _context, state), do: {[], state}
 

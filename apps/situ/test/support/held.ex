@@ -1,0 +1,13 @@
+defmodule Situ.Fixture.Held do
+  # A source whose start waits for a word.
+  use Situ.Component, outputs: [out: :any], options: [to: [type: :pid, required: true]]
+
+  @impl true
+  def init(opts), do: {:ok, opts[:to]}
+
+  @impl true
+  def handle_start(_context, to) do
+    send(to, {:held, self()})
+    receive do: (:go -> {[{:complete, :infinity}], to})
+  end
+end

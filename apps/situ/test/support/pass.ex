@@ -1,0 +1,25 @@
+defmodule Situ.Fixture.Pass do
+  # Passes everything on: a component, not an operator.
+  use Situ.Component, inputs: [in: :any], outputs: [out: :any]
+
+  @impl true
+  def handle_message(:in, message, _context, state),
+    do: {[{:out, message.originating_time, message.data}], state}
+end
+
+defmodule Situ.Fixture.Closing do
+  # Tells when its input closes.
+  use Situ.Component, inputs: [in: :any], options: [to: [type: :pid, required: true]]
+
+  @impl true
+  def init(opts), do: {:ok, opts[:to]}
+
+  @impl true
+  def handle_message(:in, _message, _context, to), do: {[], to}
+
+  @impl true
+  def handle_closed(input, time, _context, to) do
+    send(to, {:closed, input, time})
+    {[], to}
+  end
+end
