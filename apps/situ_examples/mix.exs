@@ -33,7 +33,8 @@ defmodule Situ.Examples.MixProject do
       {:situ_store, in_umbrella: true},
       {:situ_media, in_umbrella: true},
       {:situ_infer, in_umbrella: true},
-      {:situ_studio, in_umbrella: true}
+      {:situ_studio, in_umbrella: true},
+      {:situ_cli, in_umbrella: true}
     ]
   end
 end

@@ -56,7 +56,7 @@ defmodule Situ.CLI.Studio do
          {:ok, studio} <- start(path, ip, opts) do
       url = Studio.url(studio, Studio.only_item(studio))
       Output.puts("Situ Studio shows #{path} at #{url}")
-      if opts[:open], do: open(url)
+      if opts[:open], do: Situ.CLI.Desktop.open(url)
       wait(studio)
     else
       {:error, error} -> raise error
@@ -95,14 +95,6 @@ defmodule Situ.CLI.Studio do
         if(opts[:token], do: [token: opts[:token]], else: []) ++
         if(opts[:layouts], do: [layouts: opts[:layouts]], else: [])
     )
-  end
-
-  # The desktop's own way to open an address; where there is no desktop, the printed address is all there is.
-  defp open(url) do
-    desktop? = System.get_env("DISPLAY") || System.get_env("WAYLAND_DISPLAY")
-    opener = desktop? && (System.find_executable("xdg-open") || System.find_executable("open"))
-    if opener, do: Task.start(fn -> System.cmd(opener, [url], stderr_to_stdout: true) end)
-    :ok
   end
 
   defp wait(studio) do

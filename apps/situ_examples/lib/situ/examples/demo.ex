@@ -13,7 +13,9 @@ defmodule Situ.Examples.Demo do
     --seconds N      stop after N seconds (for cameras; default: until Enter is pressed)
     --headless       do not serve the studio afterwards
     --json           print one JSON object and nothing else
+    --profile        print where the time went, component by component
     --port N         the studio's port (default 4040; 0 takes a free one)
+    --no-open        do not open a browser
 
   Exit status: 0 done, 1 it failed, 2 wrong usage.
   """
@@ -25,7 +27,7 @@ defmodule Situ.Examples.Demo do
   ```
   """
   alias Situ.Error
-  alias Situ.Examples.Demo.{Options, Recording, Score, Table, Truth}
+  alias Situ.Examples.Demo.{Options, Profile, Recording, Score, Table, Truth}
   alias Situ.Examples.MultimodalVoiceActivity
 
   @doc "Runs the demo and ends the VM with its exit status."
@@ -43,11 +45,13 @@ defmodule Situ.Examples.Demo do
   end
 
   @doc """
-  Runs the pipeline on what the options name. Answers the recording's path and the seconds it took.
+  Runs the pipeline on what the options name. Answers its report, whose `result.path` is the recording's, and the
+  seconds it took.
 
   Options: `input:`, `out:`, `realtime:`, `seconds:`.
   """
-  @spec record(keyword()) :: {:ok, Path.t(), wall_s :: float()} | {:error, Error.t()}
+  @spec record(keyword()) ::
+          {:ok, Situ.Pipeline.Report.t(), wall_s :: float()} | {:error, Error.t()}
   def record(opts) do
     {:ok, _} = Application.ensure_all_started(:situ_examples)
     build = [input: opts[:input], path: opts[:out], policy: opts[:policy]]
@@ -56,7 +60,7 @@ defmodule Situ.Examples.Demo do
     with {:ok, report} <- run_pipeline(build, opts) do
       spent = System.monotonic_time() - started
 
-      {:ok, report.result.path, System.convert_time_unit(spent, :native, :microsecond) / 1.0e6}
+      {:ok, report, System.convert_time_unit(spent, :native, :microsecond) / 1.0e6}
     end
   end
 
@@ -97,7 +101,7 @@ defmodule Situ.Examples.Demo do
   defp demo(opts) do
     with {:ok, truth} <- truth(opts[:truth]) do
       case record(opts) do
-        {:ok, path, wall_s} -> show(path, wall_s, truth, opts)
+        {:ok, report, wall_s} -> show(report, wall_s, truth, opts)
         {:error, error} -> salvage(error, opts)
       end
     else
@@ -107,11 +111,12 @@ defmodule Situ.Examples.Demo do
     error in Error -> fail(Exception.message(error), 1)
   end
 
-  defp show(path, wall_s, truth, opts) do
+  defp show(%{result: %{path: path}} = report, wall_s, truth, opts) do
     case Recording.read(path) do
       {:ok, recording} ->
         score = truth && Score.of(truth, recording.found)
         IO.puts(table(opts, recording, score, wall_s, path))
+        if opts[:profile], do: IO.puts(:stderr, ["\n", Profile.render(report.snapshot, wall_s)])
         if opts[:headless], do: 0, else: serve(path, opts)
 
       {:error, error} ->
@@ -121,7 +126,7 @@ defmodule Situ.Examples.Demo do
 
   # A recording that ended by an error is whole up to there: what is in it is shown all the same.
   defp salvage(error, opts) do
-    with %{report: %{result: %{writer: %{path: path}}}} <- error.meta,
+    with %{report: %{result: %{path: path}}} <- error.meta,
          false <- opts[:json] == true,
          {:ok, %{frames: n} = recording} when n > 0 <- Recording.read(path) do
       IO.puts(["Until it failed:\n", table(opts, recording, nil, 0.0, path)])
@@ -142,6 +147,7 @@ defmodule Situ.Examples.Demo do
       {:ok, studio} ->
         url = Situ.Studio.url(studio, Situ.Studio.only_item(studio))
         IO.puts(:stderr, "The recording is at #{url} (Ctrl-C to stop)")
+        if opts[:open], do: Situ.CLI.Desktop.open(url)
         Process.sleep(:infinity)
 
       {:error, error} ->

@@ -27,8 +27,10 @@ defmodule Situ.Examples.DemoTest do
 
   @tag :tmp_dir
   test "the clip is scored right, and two runs record the same bytes", %{tmp_dir: dir} do
-    assert {:ok, one, _} = Demo.record(input: Options.clip(), out: dir)
-    assert {:ok, two, _} = Demo.record(input: Options.clip(), out: dir)
+    assert {:ok, %{result: %{path: one}} = report, _} =
+             Demo.record(input: Options.clip(), out: dir)
+
+    assert {:ok, %{result: %{path: two}}, _} = Demo.record(input: Options.clip(), out: dir)
     assert one != two
     first = messages(one)
 
@@ -37,6 +39,12 @@ defmodule Situ.Examples.DemoTest do
                ~w(Talk.Voice Talk.Voice.Probability Talk.Voice.Segments)
 
     assert first == messages(two)
+
+    rows = Demo.Profile.rows(report.snapshot)
+    assert %{calls: 350, mean_ms: ms} = Enum.find(rows, &(&1.path =~ "FaceLandmarks"))
+    assert ms > 0
+    text = IO.iodata_to_binary(Demo.Profile.render(report.snapshot, 5.0))
+    assert text =~ "FaceDetector" and text =~ "calls"
 
     {:ok, truth} = Truth.read(@truth)
     {:ok, recording} = Recording.read(one)

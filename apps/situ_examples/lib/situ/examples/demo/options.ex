@@ -7,7 +7,9 @@ defmodule Situ.Examples.Demo.Options do
     truth: :string,
     out: :string,
     headless: :boolean,
+    open: :boolean,
     json: :boolean,
+    profile: :boolean,
     realtime: :boolean,
     seconds: :float,
     port: :integer,
@@ -30,7 +32,7 @@ defmodule Situ.Examples.Demo.Options do
     input = input(opts[:input])
     live? = not File.exists?(input) or String.starts_with?(input, "/dev/")
 
-    [out: "recordings", port: 4040]
+    [out: "recordings", port: 4040, open: true]
     |> Keyword.merge(opts)
     |> Keyword.merge(input: input, live: live? and device?(input))
     |> Keyword.put(:policy, if(live? and device?(input), do: Situ.Delivery.latest()))

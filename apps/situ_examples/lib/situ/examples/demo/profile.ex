@@ -1,0 +1,66 @@
+defmodule Situ.Examples.Demo.Profile do
+  @moduledoc """
+  Where a run's time went: a table of the pipeline's components, the busiest first.
+
+  `busy` is the time a component spent handling messages, waiting for other processes (a decoder, a model in use) included;
+  components run side by side, so that shares of the run's time may add up to more than one core has.
+  """
+  alias Situ.Diagnostics.Snapshot
+
+  @type row :: %{
+          path: String.t(),
+          calls: non_neg_integer(),
+          mean_ms: float(),
+          busy_s: float(),
+          about: String.t() | nil
+        }
+
+  @doc "One row for each component that took a millisecond or more, the busiest first."
+  @spec rows(Snapshot.t()) :: [row()]
+  def rows(%Snapshot{} = snapshot) do
+    nodes = Map.new(snapshot.nodes, &{&1.id, &1})
+
+    snapshot.edges
+    |> Enum.filter(&(&1.kind == :process))
+    |> Enum.group_by(& &1.to)
+    |> Enum.map(fn {id, edges} -> row(nodes[id], edges) end)
+    |> Enum.filter(&(&1.busy_s >= 0.001))
+    |> Enum.sort_by(&{-&1.busy_s, &1.path})
+  end
+
+  defp row(node, edges) do
+    busy = edges |> Enum.map(& &1.busy) |> Enum.sum()
+    calls = edges |> Enum.map(& &1.processed) |> Enum.sum()
+    mean = if calls > 0, do: busy / calls / 1.0e6, else: 0.0
+    %{path: node.path, calls: calls, mean_ms: mean, busy_s: busy / 1.0e9, about: node.description}
+  end
+
+  @doc "The rows as text; `wall_s` is how long the run took."
+  @spec render(Snapshot.t(), float()) :: iodata()
+  def render(%Snapshot{} = snapshot, wall_s) do
+    [
+      "    busy  share    calls  ms each  component\n",
+      for row <- rows(snapshot) do
+        [
+          pad(row.busy_s, 7, 2),
+          " s",
+          pad(100 * row.busy_s / max(wall_s, 1.0e-9), 5, 0),
+          " %",
+          String.pad_leading(to_string(row.calls), 9),
+          pad(row.mean_ms, 9, 2),
+          "  ",
+          row.path,
+          if(row.about in [nil, ""], do: "", else: ["  (", row.about, ")"]),
+          "\n"
+        ]
+      end
+    ]
+  end
+
+  defp pad(number, width, decimals),
+    do:
+      number
+      |> Kernel.*(1.0)
+      |> :erlang.float_to_binary(decimals: decimals)
+      |> String.pad_leading(width)
+end
