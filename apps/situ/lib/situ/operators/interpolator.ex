@@ -99,9 +99,6 @@ defmodule Situ.Interpolator do
   @spec type(t(), Type.t()) :: Type.t()
   def type(%__MODULE__{gives: :messages, default: default}, type), do: widened(type, default)
 
-  def type(%__MODULE__{default: default}, {:tuple, types}),
-    do: widened({:tuple, Enum.map(types, fn _ -> :any end)}, default)
-
   def type(%__MODULE__{}, _type), do: :any
 
   @doc "The type with a default among its values: `:none`, or `{:value, default}`."

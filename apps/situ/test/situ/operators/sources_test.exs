@@ -82,6 +82,29 @@ defmodule Situ.Operators.SourcesTest do
       end
     end
 
+    test "what was posted before a stop is delivered, in the order of its times" do
+      me = self()
+
+      {:ok, p} =
+        Situ.Pipeline.start(
+          fn p ->
+            p
+            |> Situ.event_source(&send(me, {:post, &1}))
+            |> Situ.each(&send(me, {:got, &2.originating_time, &1}))
+          end,
+          []
+        )
+
+      assert_receive {:post, post}, 5_000
+      posters = for k <- 1..4, do: Task.async(fn -> for n <- 1..2_500, do: post.({k, n}) end)
+      Task.await_many(posters)
+      assert {:ok, _} = Situ.Pipeline.stop(p)
+      got = received([])
+      assert length(got) == 10_000
+      assert got == Enum.sort_by(got, &elem(&1, 0))
+      for k <- 1..4, do: assert(for({_, {^k, n}} <- got, do: n) == Enum.to_list(1..2_500))
+    end
+
     test "timers tick by the clock and make nothing up for" do
       test = Situ.Test.start([], fn _, p -> Situ.timer(p, every: Time.ms(10)) end)
       for _ <- 1..3, do: Situ.Test.advance(test, Time.ms(10))
@@ -89,6 +112,14 @@ defmodule Situ.Operators.SourcesTest do
       times = for {t, _} <- Situ.Test.outputs(test), do: div(t, Time.ms(1))
       assert times == [10, 20, 30, 65]
       Situ.Test.stop(test)
+    end
+  end
+
+  defp received(got) do
+    receive do
+      {:got, time, data} -> received([{time, data} | got])
+    after
+      0 -> Enum.reverse(got)
     end
   end
 end

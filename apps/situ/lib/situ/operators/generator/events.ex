@@ -1,6 +1,7 @@
 defmodule Situ.Generator.Events do
   @moduledoc false
-  # The push source behind event_source: what other processes post, stamped with the pipeline's clock when they post it.
+  # The push source behind event_source: data that other processes post, stamped with the pipeline's clock by the poster. So a message's
+  # time does not depend on when this process gets to it, and all that was posted before a stop comes out.
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],
@@ -9,6 +10,9 @@ defmodule Situ.Generator.Events do
       unsubscribe: [type: {:fun, 1}]
     ]
 
+  alias Situ.Clock
+  alias Situ.Pipeline.Client
+
   defstruct [:opts, :ref, :handle, :last, active: false]
 
   @impl true
@@ -16,10 +20,11 @@ defmodule Situ.Generator.Events do
 
   @impl true
   def handle_start(context, state) do
-    {stage, ref, clock} = {self(), state.ref, Situ.Pipeline.clock(context.pipeline)}
+    {stage, ref} = {self(), state.ref}
+    %{clock: clock} = Client.call!(context.pipeline, :timing)
 
     post = fn data ->
-      send(stage, {:situ_event, ref, Situ.Clock.now(clock), data})
+      send(stage, {:situ_event, ref, Clock.now(clock), data})
       :ok
     end
 
@@ -28,19 +33,33 @@ defmodule Situ.Generator.Events do
   end
 
   @impl true
-  # Two processes may post at once: what comes later is not earlier.
-  def handle_info({:situ_event, ref, time, data}, _context, %{ref: ref, active: true} = state) do
-    time = max(time, state.last || time)
-    {[{:out, time, data}], %{state | last: time}}
-  end
+  def handle_info({:situ_event, ref, time, data}, _context, %{ref: ref} = state),
+    do: posted(time, data, state)
 
   def handle_info(_other, _context, state), do: {[], state}
 
   @impl true
-  def handle_stop(_final, _context, state), do: {[], release(state)}
+  def handle_stop(_final, _context, state), do: state |> release() |> waiting([])
 
   @impl true
   def terminate(_reason, state), do: release(state)
+
+  # Everything that is in the mailbox was posted before the stop.
+  defp waiting(%{ref: ref} = state, actions) do
+    receive do
+      {:situ_event, ^ref, time, data} ->
+        {[action], state} = posted(time, data, state)
+        waiting(state, [action | actions])
+    after
+      0 -> {Enum.reverse(actions), state}
+    end
+  end
+
+  # Of two posters, the one that was interrupted between the clock and the mailbox comes behind the other.
+  defp posted(time, data, %{last: last} = state) do
+    time = if last != nil and time < last, do: last + 1, else: time
+    {[{:out, time, data}], %{state | last: time}}
+  end
 
   defp release(%{active: false} = state), do: state
 

@@ -37,6 +37,16 @@ defmodule Situ.Fusion.OutputTest do
     assert zipped(&Situ.interpolate(&2, &1, @none)) == [:none]
   end
 
+  test "values that an interpolator computes are of any shape" do
+    three = Reproducible.adjacent(&{&1, &2, &3})
+    inputs = [a: [{25, :a}], x: [{0, 1}, {50, 2}], c: [{25, :c}]]
+
+    assert {:ok, [{25, [{:a, {{1, 1}, {2, 2}, 0.5}}, :c]}]} =
+             Situ.Test.run(inputs, fn s ->
+               s.a |> Situ.join(Situ.join(s.x, s.x), three) |> Situ.zip(s.c)
+             end)
+  end
+
   test "so is the initial value of pair" do
     for {opts, wanted} <- [
           {[initial: :nothing, flatten: false], {:a1, :nothing}},
