@@ -1,4 +1,5 @@
 Code.require_file("formula.exs", __DIR__)
+Code.require_file("mutation.exs", __DIR__)
 
 defmodule Situ.Conformance do
   # Runs conformance files: JSON with an area, conventions and cases. One module per area, listed in `@areas`; its
@@ -53,6 +54,17 @@ defmodule Situ.Conformance do
     {~r/^(format|file_|zeromq|datagram)/, "interop"}
   ]
 
+  # `--mutants`: besides, every expectation is changed, and the case must fail then.
+  def main(["--mutants" | paths]) do
+    survivors =
+      for file <- Enum.flat_map(paths, &found/1),
+          {id, how} <- Situ.Conformance.Mutation.survivors(file, 12),
+          do: IO.puts("SURVIVED #{Path.basename(file, ".json")} #{id} #{how}")
+
+    IO.puts("#{length(survivors)} changed expectations went unnoticed")
+    if survivors == [], do: 0, else: 1
+  end
+
   def main(paths) do
     case Enum.flat_map(paths, &found/1) do
       [] ->
@@ -74,6 +86,16 @@ defmodule Situ.Conformance do
     case read(file) do
       {:ok, cases} -> Enum.map(cases, &{id(&1), verdict(area(file), &1)})
       {:error, reason} -> [{Path.basename(file), {:fail, "a readable conformance file", reason}}]
+    end
+  end
+
+  # The cases of one file, each with its verdict and the us it took.
+  def timed_verdicts(file) do
+    {:ok, cases} = read(file)
+
+    for case <- cases do
+      {us, verdict} = :timer.tc(fn -> verdict(area(file), case) end)
+      {case, verdict, us}
     end
   end
 
@@ -154,7 +176,8 @@ defmodule Situ.Conformance do
   defp id(_case), do: "(no id)"
 
   # A case is a map with an operation and what is expected of it; parameters and inputs may be missing.
-  defp verdict(area, %{"op" => op} = case) when is_binary(op) do
+  # The verdict on one case.
+  def verdict(area, %{"op" => op} = case) when is_binary(op) do
     case = case |> fill("params", %{}) |> fill("inputs", [])
 
     cond do
@@ -169,7 +192,7 @@ defmodule Situ.Conformance do
     end
   end
 
-  defp verdict(_area, other), do: {:fail, "a case with an \"op\"", other}
+  def verdict(_area, other), do: {:fail, "a case with an \"op\"", other}
 
   defp fill(case, key, default),
     do: if(case[key] == nil, do: Map.put(case, key, default), else: case)
@@ -198,18 +221,28 @@ defmodule Situ.Conformance do
 
   defp check({:not_applicable, _} = verdict, _case), do: verdict
 
-  # A case that tells what the reference does against its own definition ("do not require it of a better system"):
-  # shown when Situ
-  # does otherwise, but no failure.
+  # A quirk of the reference. Most of these cases list the right answer, which is required as any other; where the answer listed is
+  # the reference's own ("a better system does otherwise") it is shown when Situ does otherwise, but is no failure.
   defp check(module, %{"known_quirk" => true} = case) do
-    case checked(module, case) do
-      {:fail, expected, got} -> {:quirk, expected, got}
-      {:wrong, expected, got} -> {:fail, expected, got}
-      verdict -> verdict
-    end
+    if right_answer?(case), do: checked(module, case), else: quirk(module, case)
   end
 
   defp check(module, case), do: checked(module, case)
+
+  @right ~r/(listed|expected|right) (answer|result|value|output)s?\b|must |no matter|for every|sensible/i
+  @theirs ~r/better (system|implementation)|reference[- ]behaviou?r/i
+
+  defp right_answer?(case) do
+    told = "#{case["id"]} #{case["notes"]}"
+    told =~ @right or not (told =~ @theirs)
+  end
+
+  defp quirk(module, case) do
+    case checked(module, case) do
+      {:fail, expected, got} -> {:quirk, expected, got}
+      verdict -> verdict
+    end
+  end
 
   defp checked(module, case) do
     module.check(case)
@@ -305,6 +338,48 @@ defmodule Situ.Conformance.Case do
     if same?(expected, got, tolerance), do: :pass, else: {:fail, expected, got}
   end
 
+  # Every part of an expectation against what came; a part that no check answers for is a failure.
+  def all(case, got, tolerance \\ 1.0e-12)
+
+  def all(%{"expect" => %{} = expect}, got, tolerance) do
+    case Map.keys(expect) -- Map.keys(got) do
+      [] ->
+        verdict(value(expect), got |> Map.take(Map.keys(expect)) |> plain(), tolerance)
+
+      unread ->
+        {:fail, expect, "nothing checks #{Enum.map_join(unread, ", ", &inspect/1)}"}
+    end
+  end
+
+  def all(%{"expect" => expect}, got, _tolerance), do: {:fail, expect, got}
+
+  # A property told in words: the words themselves when one of the readings fits them and holds. `readings`: `{regex, holds?}`, or a
+  # function of what the regex captured; the regex has to fit from beginning to end.
+  def told(text, readings) when is_binary(text) do
+    Enum.find_value(readings, {:unread, text}, fn {regex, holds?} ->
+      case Regex.run(regex, text) do
+        [^text | captured] -> if holds(holds?, captured), do: text, else: {:not_so, text}
+        _ -> nil
+      end
+    end)
+  end
+
+  def told(other, _readings), do: {:unread, other}
+
+  # The same where the words may differ: `regex` has to be in them, and nothing but words.
+  def meant(text, regex, holds?) when is_binary(text) do
+    cond do
+      not (text =~ regex) or text =~ "_" -> {:unread, text}
+      holds? -> text
+      true -> {:not_so, text}
+    end
+  end
+
+  def meant(other, _regex, _holds?), do: {:unread, other}
+
+  defp holds(fun, captured) when is_function(fun, 1), do: fun.(captured)
+  defp holds(holds?, _captured), do: holds?
+
   # The outputs `[{time, value}]` of an operator against the case.
   def outputs(case, result, tolerance \\ 1.0e-12)
 
@@ -340,14 +415,22 @@ defmodule Situ.Conformance.Case do
     "negative_interval" => [:window_negative],
     "interval_not_finite" => [:window_not_finite],
     "division_by_zero" => [ArithmeticError],
+    "validator_error" => [ArgumentError],
     "originating_times_not_increasing" => [:time_not_increasing],
     "originating_time_not_strictly_increasing" => [:time_not_increasing]
   }
+
+  # What a run throws holds all errors of the pipeline: its name is theirs.
+  def error_fits?("aggregate_pipeline_error(" <> name, error),
+    do: error |> errors() |> Enum.any?(&error_fits?(String.replace_suffix(name, ")", ""), &1))
 
   def error_fits?(name, error) do
     code = code(error)
     code in Map.get(@codes, name, []) or to_string(code) == name
   end
+
+  defp errors(%Situ.Error{meta: %{errors: [_ | _] = errors}}), do: errors
+  defp errors(error), do: [error]
 
   # The innermost cause: a pipeline wraps the error of its component.
   defp code(%Situ.Error{meta: %{reason: %_{} = inner}}), do: code(inner)

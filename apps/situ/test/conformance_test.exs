@@ -19,6 +19,13 @@ defmodule Situ.ConformanceTest do
     end
   end
 
+  # The system test tries more of them, and the slow areas.
+  test "no case passes when its expectation is changed" do
+    for file <- Situ.Conformance.files(), Path.basename(file, ".json") in @areas do
+      assert {file, []} == {file, Situ.Conformance.Mutation.survivors(file, 4)}
+    end
+  end
+
   @tag :tmp_dir
   test "what cannot be read or is no case fails and says why", %{tmp_dir: dir} do
     verdict = fn text ->

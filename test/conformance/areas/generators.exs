@@ -31,8 +31,28 @@ defmodule Situ.Conformance.Generators do
 
     case run(fn p -> generator(part, p, params) end, params) do
       {:ok, outputs} ->
-        off = for {time, _} <- outputs, Integer.mod(time - align, interval) != 0, do: time
-        verdict({params["count"], []}, {length(outputs), off})
+        each = fn fits? -> Enum.all?(outputs, fn {time, _} -> fits?.(time) end) end
+
+        got = %{
+          "count" => length(outputs),
+          "each" =>
+            told(case["expect"]["each"], [
+              {~r/.*multiple of (\d+) ?(ms|ticks|us|s)/,
+               fn [n, unit] -> each.(&(Integer.mod(&1 - origin(align), unit(n, unit)) == 0)) end},
+              {~r/originating_ticks mod (\d+) = (\d+)/,
+               fn [n, rest] ->
+                 each.(
+                   &(Integer.mod(div(&1, 100) + @epoch_ticks, String.to_integer(n)) ==
+                       String.to_integer(rest))
+                 )
+               end},
+              {~r/.*(?:congruent|aligned|equal) to .*(?:modulo|mod) .*/,
+               fn _ -> each.(&(Integer.mod(&1 - align, interval) == 0)) end}
+            ])
+        }
+
+        with :pass <- all(case, got),
+             do: verdict(params["count"] || length(outputs), length(outputs))
 
       error ->
         outputs(case, error)
@@ -67,17 +87,51 @@ defmodule Situ.Conformance.Generators do
     if n = params["replay_#{side}_ms"], do: ms(n), else: ticks && ticks(ticks)
   end
 
-  defp observed(%{"expect" => %{"stopped" => stopped} = expect}, params, running?, outputs) do
-    wanted = first(expect, params)
-    verdict({stopped, wanted}, {not running?, Enum.take(outputs, length(wanted))})
+  defp observed(case, _params, running?, outputs) do
+    first =
+      for {"first_" <> n = key, text} <- case["expect"],
+          into: %{},
+          do: {key, first(text, Enum.take(outputs, String.to_integer(n)))}
+
+    got = %{"stopped" => not running?, "count" => length(outputs), "outputs" => length(outputs)}
+    all(case, Map.merge(got, first))
   end
 
-  # "first_400": so many messages an interval apart, of a repeated value or of their numbers.
-  defp first(expect, params) do
-    counts = for {"first_" <> n, _} <- expect, {n, ""} <- [Integer.parse(n)], do: n
-    value = if Map.has_key?(params, "value"), do: fn _ -> params["value"] end, else: & &1
-    for n <- 0..(Enum.max([0 | counts]) - 1)//1, do: {n * interval(params), value.(n)}
+  # The first messages, as words or as a list: "t_ms = v = 0..399", "value 123 at t_ms 0..399".
+  defp first([%{} | _] = messages, outputs),
+    do: if(timed(messages) == outputs, do: messages, else: outputs)
+
+  defp first(list, outputs) when is_list(list), do: Enum.map(outputs, &elem(&1, 1))
+
+  defp first(text, outputs) do
+    number = fn value -> with {n, ""} <- Integer.parse(value), do: n, else: (_ -> value) end
+
+    told(text, [
+      {~r/t_(ms|ticks|us|s) = v = (\d+)\.\.(\d+)/,
+       fn [unit, from, to] -> outputs == row(unit, from, to, & &1) end},
+      {~r/(\S+) at (\d+)\.\.(\d+) (ms|ticks|us|s)/,
+       fn [value, from, to, unit] ->
+         outputs == row(unit, from, to, fn _ -> number.(value) end)
+       end},
+      {~r/value (\S+) at t_(ms|ticks|us|s) (\d+)\.\.(\d+)/,
+       fn [value, unit, from, to] ->
+         outputs == row(unit, from, to, fn _ -> number.(value) end)
+       end}
+    ])
   end
+
+  defp row(unit, from, to, value) do
+    for n <- String.to_integer(from)..String.to_integer(to)//1, do: {unit(n, unit), value.(n)}
+  end
+
+  defp unit(n, unit) when is_binary(n), do: n |> String.to_integer() |> unit(unit)
+  defp unit(n, "ms"), do: ms(n)
+  defp unit(n, "ticks"), do: ticks(n)
+  defp unit(n, "us"), do: n * 1_000
+  defp unit(n, "s"), do: ms(n * 1_000)
+
+  # "A multiple of 10 ms" counts from the year 1 in the reference, as alignments do.
+  defp origin(_align), do: ticks(-@epoch_ticks)
 
   defp generator({"sequence", _flags}, p, %{"items" => _} = params), do: items(p, params)
 

@@ -41,29 +41,30 @@ defmodule Situ.Conformance.Operators do
     verdict(expect, %{"has_subscribers" => Enum.reverse(answers)})
   end
 
-  # By the clock: how many came, none earlier than its delay.
-  def check(%{"op" => "delay", "params" => params, "expect" => %{} = expect} = case) do
+  # In real time, until all have come: their values and times, and none earlier than its delay.
+  def check(%{"op" => "delay", "params" => params} = case) do
     delay = duration(params, "delay")
     [%{"messages" => messages}] = case["inputs"]
-    last = messages |> Enum.map(&time/1) |> Enum.max(fn -> 0 end)
+    {got, latencies} = delayed(timed(messages), delay)
+    late = for latency <- latencies, latency < delay, do: latency
 
-    test =
-      Situ.Test.start([:in], fn %{in: stream} -> stream |> Situ.delay(delay) |> Situ.latency() end)
+    case case["expect"] do
+      list when is_list(list) ->
+        with :pass <- outputs(case, {:ok, got}), do: verdict([], late)
 
-    Situ.Test.feed(test, :in, timed(messages))
-    Situ.Test.advance(test, last)
-    early = Situ.Test.outputs(test)
-    Situ.Test.advance(test, delay)
-    latencies = for {_, latency} <- early ++ Situ.Test.outputs(test), do: latency
-    Situ.Test.stop(test)
-
-    if Enum.all?(latencies, &(&1 >= delay)),
-      do:
-        verdict(
-          Map.take(expect, ["count"]),
-          Map.take(%{"count" => length(latencies)}, Map.keys(expect))
-        ),
-      else: {:fail, expect, latencies}
+      expect ->
+        all(case, %{
+          "count" => length(got),
+          "values" => Enum.map(got, &elem(&1, 1)),
+          "received" => Enum.map(got, &elem(&1, 1)),
+          "times_kept" => got == timed(messages),
+          "min_latency_ms" => min_latency(expect["min_latency_ms"], latencies),
+          "each_delayed_at_least_ms" =>
+            min_latency(expect["each_delayed_at_least_ms"], latencies),
+          "each" => each(expect["each"], latencies),
+          "latency" => each(expect["latency"], latencies)
+        })
+    end
   end
 
   # What other processes post, converted or not.
@@ -118,6 +119,54 @@ defmodule Situ.Conformance.Operators do
 
   def check(%{"op" => op, "params" => params} = case),
     do: outputs(case, Run.inputs(case, fn [stream] -> build(op, stream, params) end))
+
+  defp delayed(messages, delay) do
+    me = self()
+    last = messages |> Enum.map(&elem(&1, 0)) |> Enum.max(fn -> 0 end)
+
+    {:ok, pipeline} =
+      Situ.Pipeline.start(
+        fn p ->
+          p
+          |> Situ.from_enumerable(messages, keep_open: true)
+          |> Situ.delay(delay)
+          |> Situ.process(nil, fn message, state ->
+            send(
+              me,
+              {:delayed, message.originating_time, message.data, Situ.Message.latency(message)}
+            )
+
+            {[], state}
+          end)
+        end,
+        pipeline: [replay: [interval: {0, :unbounded}, speed: 1.0]]
+      )
+
+    wait = div(last + delay, 1_000_000) + 2_000
+
+    came =
+      for _ <- messages,
+          do: receive(do: ({:delayed, t, v, l} -> {t, v, l}), after: (wait -> :missing))
+
+    Situ.Pipeline.stop(pipeline)
+    came = Enum.reject(came, &(&1 == :missing))
+    {for({t, v, _} <- came, do: {t, v}), for({_, _, latency} <- came, do: latency)}
+  end
+
+  defp min_latency(nil, _latencies), do: nil
+
+  defp min_latency(n, latencies),
+    do: if(Enum.all?(latencies, &(&1 >= ms(n))), do: n, else: latencies)
+
+  # "at least 50 ms after its creation", "latency >= 50 ms".
+  defp each(nil, _latencies), do: nil
+
+  defp each(text, latencies) do
+    told(text, [
+      {~r/.*(?:at least|>=|not before) ?(\d+) ?ms.*/,
+       fn [n] -> Enum.all?(latencies, &(&1 >= ms(String.to_integer(n)))) end}
+    ])
+  end
 
   defp nested(stream, 0, _extra), do: stream
 

@@ -29,6 +29,20 @@ defmodule Situ.Conformance.PipelineLifecycle.Source do
     do: [{:out, context.start_time + delay, 0}, {:complete, :infinity}]
 end
 
+defmodule Situ.Conformance.PipelineLifecycle.Watch do
+  # Tells when it begins, and by which clock.
+  use Situ.Component, outputs: [out: :any], options: [tell: [type: :any, required: true]]
+
+  @impl true
+  def handle_start(context, opts) do
+    opts[:tell].(
+      {context.start_time, Situ.Pipeline.Client.call!(context.pipeline, :timing).clock}
+    )
+
+    {[{:complete, context.start_time}], opts}
+  end
+end
+
 defmodule Situ.Conformance.PipelineLifecycle.Ticker do
   # A timer without end: 1, 2, 3 ...
   use Situ.Component, outputs: [out: :integer], options: [interval: [type: :pos_integer]]

@@ -1,6 +1,6 @@
 defmodule Situ.Conformance.PipelineLifecycle.Parts do
   # Pipelines in pipelines, and edges between two.
-  import Situ.Conformance.Case, only: [verdict: 2, timed: 1, ms: 1]
+  import Situ.Conformance.Case, only: [all: 2, told: 2, verdict: 2, timed: 1, ms: 1]
   import Situ.Conformance.PipelineLifecycle.Telling
   alias Situ.Conformance.Formula
   alias Situ.Conformance.PipelineLifecycle.{Source, Ticker}
@@ -23,7 +23,7 @@ defmodule Situ.Conformance.PipelineLifecycle.Parts do
     stopped = Pipeline.stop(pid)
     values = drain(tag)
 
-    verdict(case["expect"], %{
+    all(case, %{
       "completed_after_#{case["params"]["observe_ms"]}_ms" => completed?,
       "completed_after_dispose" => match?({:ok, _}, stopped),
       "first_values" => Enum.take(values, length(case["expect"]["first_values"]))
@@ -70,14 +70,21 @@ defmodule Situ.Conformance.PipelineLifecycle.Parts do
         pipeline: [replay: [interval: {0, :unbounded}]]
       )
 
-    first =
-      receive do
-        {^tag, value} -> value
-      after
-        100 -> :nothing
-      end
+    receives =
+      told(case["expect"]["target_receives"], [
+        {~r/at least one message within (\d+) ms(?: after .*ended)?/,
+         fn [ms | _] -> first(tag, String.to_integer(ms)) == elem(hd(script), 1) end}
+      ])
 
     Pipeline.stop(target)
-    if first == elem(hd(script), 1), do: :pass, else: {:fail, case["expect"], first}
+    all(case, %{"target_receives" => receives})
+  end
+
+  defp first(tag, ms) do
+    receive do
+      {^tag, value} -> value
+    after
+      ms -> :nothing
+    end
   end
 end

@@ -1,43 +1,66 @@
 defmodule Situ.Conformance.Store.Contents do
   # What a store knows of its streams: times, types, metadata, and how today's types read yesterday's data.
-  import Situ.Conformance.Case, only: [verdict: 2, plain: 1]
-  import Situ.Conformance.Store.Tape
+  import Situ.Conformance.Case,
+    only: [all: 2, error_fits?: 2, meant: 3, plain: 1, told: 2, verdict: 2]
+
+  import Situ.Conformance.Store.Tape, except: [told: 0, told: 1]
   alias Situ.{Message, Pipeline, Store}
   alias Situ.Store.{StreamInfo, Writer}
 
   def run("metadata", params, case, root) do
     streams = streams(case)
-    path = record(root, streams)
+    path = written(root, streams)
     store = Store.open!(path)
     infos = Store.streams(store)
     all = Enum.flat_map(streams, fn {name, _} -> Enum.to_list(Store.messages(store, name)) end)
     creation = Enum.map(all, & &1.creation_time)
 
-    range? =
-      Store.creation_interval(store) == {Enum.min(creation), Enum.max(creation)} and
-        Enum.all?(infos, &(&1.first_creation <= &1.last_creation))
+    {left, right} = Store.creation_interval(store)
 
-    opened =
-      for name <- params["opened"] || [] do
-        {name, own} = List.keyfind(streams, name, 0)
-        test = self()
+    times = fn name -> Enum.to_list(Store.messages(store, name)) end
 
-        {:ok, report} =
-          Pipeline.run(fn p ->
-            p |> Store.importer(path) |> Store.stream(name) |> tell(test)
-          end)
+    played = for name <- params["opened"] || [], do: played(path, name)
 
-        got = told()
-        info = Enum.find(infos, &(&1.name == name))
-        [first | _] = times = times(own)
+    came = %{
+      "creation_range_left" => left,
+      "creation_range_right" => right,
+      "replay_start" => played |> Enum.map(&elem(&1, 0)) |> Enum.min(fn -> nil end),
+      "replay_end" => played |> Enum.map(&elem(&1, 1)) |> Enum.max(fn -> nil end)
+    }
 
-        report.start_time == first and {info.first, info.last} == {first, List.last(times)} and
-          length(got) == (case["expect"]["messages_read"] || length(own))
+    # "source0's first creation time" and the like: the words, when what came is that.
+    told =
+      for {key, text} when is_binary(text) <- case["expect"],
+          Map.has_key?(came, key),
+          into: %{} do
+        {key,
+         told(text, [
+           {~r/(\w+)'s (first|last) (creation|originating) time/,
+            fn [name, which, kind] -> came[key] == point(times.(name), which, kind) end}
+         ])}
       end
 
-    if range? and Enum.all?(opened),
-      do: figures(case, infos),
-      else: {:fail, case["expect"], {infos, opened}}
+    range =
+      case["expect"]["creation_range"] &&
+        told(case["expect"]["creation_range"], [
+          {~r/\[first creation time, last creation time\] of the only stream(?:, not empty)?/,
+           left == Enum.min(creation) and right == Enum.max(creation) and left <= right}
+        ])
+
+    figures =
+      for info <- infos,
+          wanted = case["expect"][info.name],
+          into: %{},
+          do: {info.name, figures(info, wanted)}
+
+    read = Enum.sum(Enum.map(played, &elem(&1, 2)))
+
+    all(
+      case,
+      %{"messages_read" => read, "creation_range" => range}
+      |> Map.merge(told)
+      |> Map.merge(figures)
+    )
   end
 
   def run("supplemental", %{"value" => value}, case, root) do
@@ -49,11 +72,16 @@ defmodule Situ.Conformance.Store.Contents do
     store = Store.open!(writer.path)
     other = if is_integer(term), do: :string, else: :integer
 
-    case {Store.metadata(store, "WithMeta"), Store.metadata(store, "NoMeta"),
-          Store.metadata(store, "WithMeta", other)} do
-      {{:ok, ^term}, {:error, %{code: :no_metadata}}, {:error, %{code: :type_mismatch}}} -> :pass
-      other -> {:fail, case["expect"], other}
-    end
+    {:ok, read} = Store.metadata(store, "WithMeta")
+    none? = match?({:error, %{code: :no_metadata}}, Store.metadata(store, "NoMeta"))
+    other? = match?({:error, %{code: :type_mismatch}}, Store.metadata(store, "WithMeta", other))
+    expect = case["expect"]
+
+    all(case, %{
+      "WithMeta" => read,
+      "NoMeta" => meant(expect["NoMeta"], ~r/error|none|nothing|missing/, none?),
+      "wrong_type" => meant(expect["wrong_type"], ~r/type error|mismatch|error/, other?)
+    })
   end
 
   # The keys of maps, noted while they were written; what is told of a stream is the set of them.
@@ -73,15 +101,21 @@ defmodule Situ.Conformance.Store.Contents do
     {:not_applicable, "Elixir's values are immutable: none can refer to itself"}
   end
 
-  # Written with their types, read without.
-  def run("dynamic_read", _params, %{"expect" => %{"values" => values}}, root) do
+  # Written with their types, read without. The case lists more values than messages: they are what is written, and of those that it
+  # has as messages the values have to be the same.
+  def run("dynamic_read", _params, %{"expect" => %{"values" => values}} = case, root) do
+    given = for {_, messages} <- streams(case), m <- messages, do: m.data
+
+    written =
+      given ++ Enum.drop([123, 2.718281828459045, true, "x", "Hello", [1, 2, 3]], length(given))
+
     streams =
-      for {v, i} <- Enum.with_index(values),
+      for {v, i} <- Enum.with_index(written),
           do: {"Data#{i}", [%Message{data: v, originating_time: 0}]}
 
     store = root |> record(streams) |> Store.open!()
     got = for {name, _} <- streams, {:ok, %{data: data}} = Store.at(store, name, 0), do: data
-    verdict(values, got)
+    verdict(values, Enum.take(got, max(length(values), length(given))))
   end
 
   def run("dynamic_read", _params, case, root) do
@@ -118,8 +152,8 @@ defmodule Situ.Conformance.Store.Contents do
       end)
 
     case {got, case["expect_error"]} do
-      {{:error, %{code: :schema_mismatch}}, error} when error != nil ->
-        :pass
+      {{:error, error}, name} when name != nil ->
+        if error_fits?(name, error), do: :pass, else: {:fail, {:error, name}, error}
 
       {{:ok, _}, nil} ->
         [message] = path |> Store.open!() |> Store.messages("data", type: today) |> Enum.to_list()
@@ -131,21 +165,41 @@ defmodule Situ.Conformance.Store.Contents do
     end
   end
 
-  # Figures the case tells of streams by name.
-  defp figures(case, infos) do
-    told =
-      for {name, %{} = wanted} <- case["expect"], info = find(infos, name), do: {wanted, info}
+  defp played(path, name) do
+    test = self()
 
-    wrong =
-      for {wanted, info} <- told,
-          {key, value} <- wanted,
-          figure(info, key) != value,
-          do: {info.name, key, figure(info, key)}
+    {:ok, report} =
+      Pipeline.run(fn p -> p |> Store.importer(path) |> Store.stream(name) |> tell(test) end)
 
-    if wrong == [], do: :pass, else: {:fail, case["expect"], wrong}
+    got = Situ.Conformance.Store.Tape.told()
+    {report.start_time, List.last(got).originating_time, length(got)}
   end
 
-  defp find(infos, name), do: Enum.find(infos, &(&1.name == name))
+  defp point(messages, "first", kind), do: point(hd(messages), kind)
+  defp point(messages, "last", kind), do: point(List.last(messages), kind)
+  defp point(message, "creation"), do: message.creation_time
+  defp point(message, "originating"), do: message.originating_time
+
+  # Written without a pipeline: creation times are those of the case.
+  defp written(root, streams) do
+    {:ok, writer} = Writer.create("store", root)
+
+    for {name, messages} <- streams do
+      {:ok, stream} = Writer.stream(writer, name)
+      {:ok, stream} = Writer.append(stream, messages)
+      last = List.last(messages)
+      if last, do: {:ok, _} = Writer.close_stream(stream, last.originating_time)
+    end
+
+    :ok = Writer.close(writer)
+    writer.path
+  end
+
+  # Figures that the case tells of a stream.
+  defp figures(info, %{} = wanted),
+    do: Map.new(wanted, fn {key, _} -> {key, figure(info, key)} end)
+
+  defp figures(_info, other), do: {:unread, other}
 
   defp figure(info, "count"), do: info.count
   defp figure(info, "closed"), do: StreamInfo.closed?(info)

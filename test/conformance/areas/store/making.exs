@@ -1,6 +1,6 @@
 defmodule Situ.Conformance.Store.Making do
   # Stores out of stores: cut, copied, edited, mended, put together, named, deleted.
-  import Situ.Conformance.Case, only: [verdict: 2]
+  import Situ.Conformance.Case, only: [all: 2, meant: 3, verdict: 2]
   import Situ.Conformance.Store.Tape
   alias Situ.Store
   alias Situ.Store.Writer
@@ -41,10 +41,28 @@ defmodule Situ.Conformance.Store.Making do
     repaired = Store.open!(path)
     got = Enum.to_list(Store.messages(repaired, name))
 
-    if closed_before == Map.get(case["expect"], "closed_before", closed_before) and
-         Store.closed?(repaired) and envelopes(got) == envelopes(before),
-       do: :pass,
-       else: {:fail, case["expect"], got}
+    prefix? = envelopes(got) == envelopes(Enum.take(messages, length(got)))
+    limit = case["expect"]["nothing_at_or_after_ticks"]
+    none? = limit == nil or Enum.all?(got, &(&1.originating_time < limit * 100))
+
+    values =
+      case case["expect"]["values"] do
+        text when is_binary(text) -> meant(text, ~r/prefix|unchanged|same/, prefix?)
+        _ -> Enum.map(got, & &1.data)
+      end
+
+    if envelopes(got) == envelopes(before),
+      do:
+        all(case, %{
+          "closed_before" => closed_before,
+          "readable_after" => Store.closed?(repaired),
+          "closed_after" => Store.closed?(repaired),
+          "count" => length(got),
+          "nothing_at_or_after_ticks" => if(none?, do: limit, else: :later),
+          "values" => values,
+          name => Enum.map(got, & &1.data)
+        }),
+      else: {:fail, envelopes(before), envelopes(got)}
   end
 
   # Edits of one stream, or of several by name; the streams without any stay what they are.
@@ -80,7 +98,7 @@ defmodule Situ.Conformance.Store.Making do
           Enum.map(Store.messages(new, name), &%{&1 | source_id: nil})
       end)
 
-    if same?, do: by_stream(case, new), else: {:fail, "the same messages", "others"}
+    if same?, do: by_stream(case, new, true), else: {:fail, "the same messages", "others"}
   end
 
   # Gone from the disk, and nothing else with it.
@@ -119,8 +137,8 @@ defmodule Situ.Conformance.Store.Making do
 
     old = Store.open!(path)
 
-    verdict(
-      Map.take(case["expect"], [name, params["new_stream"], "supplemental_metadata", "envelopes"]),
+    all(
+      case,
       %{
         name => data(new, name),
         params["new_stream"] => data(new, params["new_stream"]),
@@ -171,10 +189,18 @@ defmodule Situ.Conformance.Store.Making do
       for {name, [%{data: first} | _]} <- streams(case) do
         messages = Enum.to_list(Store.messages(store, name))
         wanted = if is_binary(first), do: Enum.map(kept, &to_string/1), else: kept
-        Enum.map(messages, & &1.data) == wanted and Enum.map(messages, & &1.sequence_id) == kept
+        {Enum.map(messages, & &1.data) == wanted, Enum.map(messages, & &1.sequence_id) == kept}
       end
 
-    if Enum.all?(got), do: :pass, else: {:fail, kept, got}
+    all(case, %{
+      "kept_values" => if(Enum.all?(got, &elem(&1, 0)), do: kept, else: got),
+      "sequence_id" =>
+        meant(
+          case["expect"]["sequence_id"],
+          ~r/equals?|same|unchanged|value/,
+          Enum.all?(got, &elem(&1, 1))
+        )
+    })
   end
 
   defp crashed(name, messages, root) do

@@ -1,7 +1,8 @@
 defmodule Situ.Conformance.Store.Replaying do
   # Stores played in pipelines.
-  import Situ.Conformance.Case, only: [verdict: 2]
-  import Situ.Conformance.Store.Tape
+  import Situ.Conformance.Case, only: [all: 2, meant: 3, told: 2, verdict: 2]
+  import Situ.Conformance.Store.Tape, except: [told: 0, told: 1]
+  alias Situ.Conformance.Store.Tape
   alias Situ.{Message, Pipeline, Store}
 
   def run("replay_interval", %{"start" => _} = _params, case, root) do
@@ -14,7 +15,10 @@ defmodule Situ.Conformance.Store.Replaying do
           first.originating_time != time,
           do: {time, first.originating_time}
 
-    if wrong == [], do: :pass, else: {:fail, "the first message's time is the start", wrong}
+    all(case, %{
+      "first_message_time" =>
+        meant(case["expect"]["first_message_time"], ~r/equals? (to )?the start/, wrong == [])
+    })
   end
 
   def run("replay_interval", params, case, root) do
@@ -33,10 +37,12 @@ defmodule Situ.Conformance.Store.Replaying do
     inside = Enum.filter(messages, &(&1.originating_time >= from and &1.originating_time <= to))
     range = div(last - first, ms())
     answer = %{"count" => length(got), "store_range_ms" => range}
-    wanted = Map.take(case["expect"], Map.keys(answer))
+    values = %{"values" => Enum.map(got, & &1.data), name => Enum.map(got, & &1.data)}
+    answer = Map.merge(answer, values)
+    answer = if got == [], do: answer, else: Map.merge(answer, ends(got))
 
     if times(got) == times(inside),
-      do: verdict(wanted, Map.take(answer, Map.keys(wanted))),
+      do: all(case, answer),
       else: {:fail, times(inside), times(got)}
   end
 
@@ -56,7 +62,7 @@ defmodule Situ.Conformance.Store.Replaying do
         end
       end)
 
-    got = told()
+    got = Tape.told()
     sums = for n <- 0..(length(paths) - 1), do: Enum.sum(for {^n, m} <- got, do: m.data)
     verdict(case["expect"]["sums"], sums)
   end
@@ -122,9 +128,28 @@ defmodule Situ.Conformance.Store.Replaying do
     last = receive do: ({:last, progress} -> progress)
     all = samples ++ [last]
 
-    if all == Enum.sort(all) and last == 1.0,
-      do: :pass,
-      else: {:fail, case["expect"], all}
+    steady? = all == Enum.sort(all)
+
+    all(case, %{
+      "progress" =>
+        told(case["expect"]["progress"] || "", [
+          {~r/never decreases, last (?:value|report) (?:is )?exactly 1(?:\.0)?/,
+           steady? and last == 1.0},
+          {~r/never decreases/, steady?}
+        ]),
+      "never_decreases" => steady?,
+      "final" => last,
+      "last" => last
+    })
+  end
+
+  defp ends(got) do
+    %{
+      "first" => hd(got).data,
+      "last" => List.last(got).data,
+      "first_ms" => div(hd(got).originating_time, ms()),
+      "last_ms" => div(List.last(got).originating_time, ms())
+    }
   end
 
   defp sample(p, got) do

@@ -1,6 +1,6 @@
 defmodule Situ.Conformance.Store.Tape do
   # What the cases of stores share: a case's streams, recorded and played.
-  import Situ.Conformance.Case, only: [verdict: 2]
+  import Situ.Conformance.Case, only: [meant: 3, verdict: 2]
   alias Situ.{Message, Pipeline, Store}
 
   @ms 1_000_000
@@ -100,7 +100,8 @@ defmodule Situ.Conformance.Store.Tape do
   def bounds(params), do: {time(params, "from"), time(params, "to")}
 
   # What the case tells of each stream, of counts and of metadata.
-  def by_stream(case, store) do
+  # `same?`: whether its messages are known to be those of the store that it was made of.
+  def by_stream(case, store, same? \\ nil) do
     got =
       Map.new(case["expect"] || %{}, fn {key, expected} ->
         cond do
@@ -109,7 +110,8 @@ defmodule Situ.Conformance.Store.Tape do
           key in ["count", "messages"] -> {key, length(all_data(store))}
           key == "available_streams" -> {key, length(Store.streams(store))}
           key == "supplemental_metadata" -> {key, metadata(store)}
-          true -> {key, expected}
+          same? -> {key, meant(expected, ~r/same|unchanged|identical|equal|kept|preserved/, true)}
+          true -> {key, {:unread, expected}}
         end
       end)
 
