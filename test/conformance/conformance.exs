@@ -1,5 +1,4 @@
 Code.require_file("formula.exs", __DIR__)
-Code.require_file("mutation.exs", __DIR__)
 
 defmodule Situ.Conformance do
   # Runs conformance files: JSON with an area, conventions and cases. One module per area, listed in `@areas`; its
@@ -44,7 +43,7 @@ defmodule Situ.Conformance do
     {~r/^(sample|interpolate)/, "sampling"},
     {~r/\.(running|of_list|history)$|^(delta|abs|log)/, "statistics"},
     {~r/^parallel/, "parallel"},
-    {~r/^(sequence|range|repeat|return|once)/, "generators"},
+    {~r/^(sequence|range|repeat|return|once|timer)/, "generators"},
     {~r/^(deliver|post|subscribe)$/, "emitter"},
     {~r/^delivery/, "delivery_policies"},
     {~r/^(completion|dispose|events|run|error|order|clock|progress|finali|add_component|subpipeline$|connector)/,
@@ -521,3 +520,5 @@ defmodule Situ.Conformance.Run do
 
   defp in_order(streams), do: streams |> Enum.sort() |> Enum.map(&elem(&1, 1))
 end
+
+Code.require_file("mutation.exs", __DIR__)

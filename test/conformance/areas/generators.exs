@@ -7,7 +7,8 @@ defmodule Situ.Conformance.Generators do
   @max_ticks 3_155_378_975_999_999_999
 
   def operation?(op),
-    do: Enum.all?(parts(op), fn {kind, _} -> kind in ~w(sequence range repeat return once) end)
+    do:
+      Enum.all?(parts(op), fn {kind, _} -> kind in ~w(sequence range repeat return once timer) end)
 
   # Some time of the clock: is the pipeline over, and what came first.
   def check(%{"op" => op, "params" => %{"observe_ms" => observe} = params} = case) do
@@ -68,7 +69,10 @@ defmodule Situ.Conformance.Generators do
   defp parts(op) do
     for part <- String.split(op, "+") do
       [kind | flags] = String.split(part)
-      {hd(String.split(kind, ".")), if("keep_open" in flags, do: [keep_open: true], else: [])}
+      [kind | more] = String.split(kind, ".")
+      flags = flags ++ more
+      open = if "keep_open" in flags, do: [keep_open: true], else: []
+      {kind, if("infinite" in flags, do: [count: :infinity], else: []) ++ open}
     end
   end
 
@@ -147,11 +151,14 @@ defmodule Situ.Conformance.Generators do
   end
 
   defp generator({"range", flags}, p, params) do
+    {count, flags} = Keyword.pop(flags, :count, Map.get(params, "count", 10))
     flags = params |> Map.delete("count") |> options(flags)
-
-    {start, count} = {params["start"] || 0, params["count"] || 10}
-    Situ.from_enumerable(p, start..(start + count - 1)//1, [every: interval(params)] ++ flags)
+    start = params["start"] || 0
+    range(p, start, if(count == nil, do: :infinity, else: count), params, flags)
   end
+
+  # Ticks of the clock: they count from the start.
+  defp generator({"timer", _flags}, p, params), do: Situ.timer(p, every: interval(params))
 
   defp generator({"repeat", flags}, p, params),
     do:
@@ -163,6 +170,13 @@ defmodule Situ.Conformance.Generators do
 
   defp generator({"return", _flags}, p, params), do: Situ.return(p, Map.get(params, "value", 1))
   defp generator({"once", _flags}, p, params), do: Situ.once(p, Map.get(params, "value", 1))
+
+  defp range(p, start, :infinity, params, flags),
+    do: Situ.sequence(p, start, &(&1 + 1), [every: interval(params)] ++ flags)
+
+  defp range(p, start, count, params, flags) do
+    Situ.from_enumerable(p, start..(start + count - 1)//1, [every: interval(params)] ++ flags)
+  end
 
   # Values an interval apart, or with times of their own.
   defp items(p, params) do

@@ -41,6 +41,22 @@ defmodule Situ.Conformance.Operators do
     verdict(expect, %{"has_subscribers" => Enum.reverse(answers)})
   end
 
+  # What an observer is given: every value, and then that it was all.
+  def check(%{"op" => "to_observable", "inputs" => [_ | _], "expect" => %{}} = case) do
+    {:ok, outputs} = Run.inputs(case, fn [stream] -> Situ.each(stream, & &1) end)
+    values = Enum.map(outputs, &elem(&1, 1))
+
+    all(case, %{
+      "values" => values,
+      "received" => values,
+      "on_next" => values,
+      "count" => length(values),
+      "completed" => true,
+      "on_completed" => true,
+      "on_error" => false
+    })
+  end
+
   # In real time, until all have come: their values and times, and none earlier than its delay.
   def check(%{"op" => "delay", "params" => params} = case) do
     delay = duration(params, "delay")

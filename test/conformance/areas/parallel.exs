@@ -59,9 +59,9 @@ defmodule Situ.Conformance.Parallel do
     form(form, params) ++ default ++ until
   end
 
-  defp form("fixed", params), do: [size: params["size"]]
-  defp form("variable", _params), do: [of: :lists]
-  defp form("sparse", _params), do: [of: :maps]
+  defp form("fixed" <> _, params), do: [size: params["size"]]
+  defp form("variable" <> _, _params), do: [of: :lists]
+  defp form("sparse" <> _, _params), do: [of: :maps]
 
   # Branches as the files tell them: "v / 100", "aggregate from 0: v - previous", "keep even values only", "last".
   defp branch(text, stream) when text in [nil, "identity", "v"], do: stream
@@ -74,6 +74,12 @@ defmodule Situ.Conformance.Parallel do
     Situ.scan(stream, seed, fn v, previous -> fun.(previous, v) end)
   end
 
+  defp branch("first" <> _, stream), do: Situ.first(stream)
+  defp branch("count" <> _, stream), do: Situ.count(stream)
+  defp branch("running count" <> _, stream), do: Situ.count(stream)
+  defp branch("sum" <> _, stream), do: Situ.sum(stream)
+  defp branch("running sum" <> _, stream), do: Situ.sum(stream)
+  defp branch("where " <> text, stream), do: Situ.filter(stream, Formula.condition(text))
   defp branch("keep " <> _ = text, stream), do: Situ.filter(stream, Formula.condition(text))
   defp branch(text, stream), do: Situ.map(stream, Formula.of_one(text))
 end
