@@ -60,7 +60,7 @@ Task.start_link(fn -> ticker.(ticker, 0) end)
   Situ.Pipeline.start(
     fn p ->
       p
-      |> Situ.range(0, 10_000_000, Situ.Time.ms(40), name: "Ticks")
+      |> Situ.from_enumerable(0..9_999_999, every: Situ.Time.ms(40), name: "Ticks")
       |> Situ.map(&:math.sin(&1 / 20), name: "Brief.Level", type: :float)
     end,
     pipeline: [name: "Brief", replay: [speed: 1.0]]
