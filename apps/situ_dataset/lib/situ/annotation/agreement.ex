@@ -1,0 +1,273 @@
+defmodule Situ.Annotation.Agreement do
+  @options [
+    attribute: [type: :string, doc: "The attribute compared; default: the schema's first."],
+    frame: [
+      type: :pos_integer,
+      default: 10_000_000,
+      doc: "Ns between the instants at which labels are compared."
+    ],
+    from: [
+      type: :integer,
+      doc: "Begin of the span; default: that of the first annotation of either."
+    ],
+    to: [
+      type: :integer,
+      doc: "Its end (not included); default: the end of the last annotation of either."
+    ],
+    tracks: [type: {:list, :string}, doc: "Only these; default: the tracks of either."]
+  ]
+
+  @moduledoc """
+  How far two annotators agree: Cohen's kappa over frames, and how far their boundaries lie apart.
+
+  Every track is cut into frames; at the middle of each frame an annotator's label is the value of the annotation
+  there, or none, which counts as a label of its own. With `p_o` the share of frames with equal labels and `p_e` the
+  share expected by chance from how often each uses each label,
+
+      kappa = (p_o - p_e) / (1 - p_e)
+
+  (J. Cohen, *A coefficient of agreement for nominal scales*, Educational and Psychological Measurement 20, 1960). 1
+  is full agreement, 0 is chance; where both use one and the same label throughout, kappa has no value (`nil`), as
+  chance explains all.
+
+  Annotations of the two are paired where they overlap most on a track; their begins and ends give the boundary
+  errors.
+
+      iex> alias Situ.Annotation.{Agreement, Layer, Schema}
+      iex> schema = Schema.finite("S", ["speaks"])
+      iex> {:ok, a} = Layer.new(schema, [Situ.Annotation.new(0, 60, "P1")])
+      iex> {:ok, b} = Layer.new(schema, [Situ.Annotation.new(10, 60, "P1")])
+      iex> {:ok, r} = Agreement.of(a, b, frame: 10, to: 100)
+      iex> {r.agreement, Float.round(r.kappa, 3), r.begin_error, r.end_error, r.paired, r.only_first}
+      {0.9, 0.8, 10.0, 0.0, 1, 0}
+
+  ## Options
+
+  #{Situ.Options.docs(@options)}
+  """
+  alias Situ.Annotation
+  alias Situ.Annotation.Layer
+  alias Situ.{Error, Options}
+
+  @most_frames 100_000_000
+
+  @type t :: %{
+          attribute: String.t(),
+          frames: non_neg_integer(),
+          agreement: float() | nil,
+          kappa: float() | nil,
+          confusion: %{{label(), label()} => pos_integer()},
+          paired: non_neg_integer(),
+          only_first: non_neg_integer(),
+          only_second: non_neg_integer(),
+          begin_error: float() | nil,
+          end_error: float() | nil,
+          tracks: %{String.t() => float() | nil}
+        }
+  @type label :: term() | nil
+
+  @doc """
+  Compares two layers. `confusion` counts frames by `{label_of_first, label_of_second}`, `begin_error` and
+  `end_error` are means of absolute differences in ns over the paired annotations, `tracks` has the kappa of each
+  track.
+
+  Errors: `:unknown_attribute`; `:too_many_frames`.
+  """
+  @spec of(Layer.t(), Layer.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def of(%Layer{} = a, %Layer{} = b, opts \\ []) do
+    with {:ok, opts} <- Options.validate(opts, @options),
+         {:ok, attribute} <- attribute(a, b, opts[:attribute]),
+         tracks = opts[:tracks] || Enum.uniq(Layer.tracks(a) ++ Layer.tracks(b)),
+         span = span(a, b, opts),
+         :ok <- bounded(span, opts[:frame], length(tracks)) do
+      confusions = Map.new(tracks, &{&1, confusion(a, b, &1, attribute, span, opts[:frame])})
+
+      confusion =
+        confusions
+        |> Map.values()
+        |> Enum.reduce(%{}, &Map.merge(&1, &2, fn _, m, n -> m + n end))
+
+      {agreement, kappa} = kappa(confusion)
+
+      {:ok,
+       %{
+         attribute: attribute,
+         frames: confusion |> Map.values() |> Enum.sum(),
+         agreement: agreement,
+         kappa: kappa,
+         confusion: confusion,
+         tracks: Map.new(confusions, fn {track, c} -> {track, elem(kappa(c), 1)} end)
+       }
+       |> Map.merge(boundaries(a, b, tracks))}
+    end
+  end
+
+  defp attribute(a, b, nil), do: attribute(a, b, hd(a.schema.attributes).name)
+
+  defp attribute(a, b, name) do
+    case Enum.find([a, b], &(Situ.Annotation.Schema.attribute(&1.schema, name) == nil)) do
+      nil ->
+        {:ok, name}
+
+      layer ->
+        {:error,
+         Error.new(
+           :unknown_attribute,
+           "schema #{inspect(layer.schema.name)} has no attribute #{inspect(name)}",
+           fix: "it has #{Enum.map_join(layer.schema.attributes, ", ", &inspect(&1.name))}"
+         )}
+    end
+  end
+
+  defp span(a, b, opts) do
+    all = Layer.annotations(a) ++ Layer.annotations(b)
+    from = opts[:from] || all |> Enum.map(& &1.from) |> Enum.min(fn -> 0 end)
+    to = opts[:to] || all |> Enum.map(& &1.to) |> Enum.max(fn -> 0 end)
+    {from, max(from, to)}
+  end
+
+  defp bounded({from, to}, frame, tracks) do
+    n = div(to - from, frame) * max(tracks, 1)
+
+    if n <= @most_frames do
+      :ok
+    else
+      {:error,
+       Error.new(:too_many_frames, "that would be #{n} frames",
+         why: "at most #{@most_frames} are compared",
+         fix: "give a longer frame: or a shorter span"
+       )}
+    end
+  end
+
+  # Between changes of either label all frames are alike: the work goes with the annotations, not with the frames. A
+  # frame belongs to the run in which its middle lies.
+  defp confusion(a, b, track, attribute, {from, to}, frame) do
+    one = pieces(Layer.on_track(a, track), attribute, from, to)
+    two = pieces(Layer.on_track(b, track), attribute, from, to)
+
+    {counts, _} =
+      Enum.reduce(runs(one, two), {%{}, 0}, fn {end_time, pair}, {counts, seen} ->
+        n = middles_before(end_time, from, to, frame)
+        {if(n > seen, do: Map.update(counts, pair, n - seen, &(&1 + n - seen)), else: counts), n}
+      end)
+
+    counts
+  end
+
+  # `{end, label}` one behind the other from `from` to `to`; nil where there is no annotation.
+  defp pieces(annotations, attribute, from, to) do
+    {pieces, at} =
+      annotations
+      |> Enum.filter(&(&1.to > from and &1.from < to and &1.from < &1.to))
+      |> Enum.flat_map_reduce(from, fn a, at ->
+        label = a.values[attribute]
+        gap = if a.from > at, do: [{a.from, nil}], else: []
+        {gap ++ [{min(a.to, to), {:label, label}}], min(a.to, to)}
+      end)
+
+    if at < to, do: pieces ++ [{to, nil}], else: pieces
+  end
+
+  defp runs([{a_end, a} | one] = left, [{b_end, b} | two] = right) do
+    cond do
+      a_end < b_end -> [{a_end, pair(a, b)} | runs(one, right)]
+      a_end > b_end -> [{b_end, pair(a, b)} | runs(left, two)]
+      true -> [{a_end, pair(a, b)} | runs(one, two)]
+    end
+  end
+
+  defp runs(_, _), do: []
+
+  defp pair(a, b), do: {label(a), label(b)}
+  defp label(nil), do: nil
+  defp label({:label, value}), do: value
+
+  # Frame k has its middle at from + k * frame + frame / 2; only whole frames count.
+  defp middles_before(time, from, to, frame) do
+    whole = div(to - from, frame)
+    n = div(2 * (time - from) + frame - 1, 2 * frame)
+    min(max(n, 0), whole)
+  end
+
+  @doc """
+  Share of agreement and kappa of a table `%{{first, second} => count}`; `nil` where they have no value.
+
+      iex> {0.7, kappa} = Situ.Annotation.Agreement.kappa(%{{1, 1} => 20, {1, 0} => 5, {0, 1} => 10, {0, 0} => 15})
+      iex> Float.round(kappa, 6)
+      0.4
+  """
+  @spec kappa(%{{label(), label()} => pos_integer()}) :: {float() | nil, float() | nil}
+  def kappa(confusion) do
+    case confusion |> Map.values() |> Enum.sum() do
+      0 ->
+        {nil, nil}
+
+      n ->
+        same = for({{l, l}, count} <- confusion, do: count) |> Enum.sum()
+        first = totals(confusion, 0)
+        second = totals(confusion, 1)
+
+        chance =
+          first |> Enum.map(fn {l, count} -> count * Map.get(second, l, 0) end) |> Enum.sum()
+
+        observed = same / n
+        # Whole numbers decide whether chance explains all.
+        {observed,
+         if(chance == n * n, do: nil, else: (observed - chance / (n * n)) / (1 - chance / (n * n)))}
+    end
+  end
+
+  defp totals(confusion, side) do
+    Enum.reduce(confusion, %{}, fn {labels, count}, totals ->
+      Map.update(totals, elem(labels, side), count, &(&1 + count))
+    end)
+  end
+
+  defp boundaries(a, b, tracks) do
+    per_track =
+      for track <- tracks, do: {track, Layer.on_track(a, track), Layer.on_track(b, track)}
+
+    pairs = Enum.flat_map(per_track, fn {_, left, right} -> pairs(left, right) end)
+    count = fn side -> per_track |> Enum.map(&length(elem(&1, side))) |> Enum.sum() end
+
+    %{
+      paired: length(pairs),
+      only_first: count.(1) - length(pairs),
+      only_second: count.(2) - length(pairs),
+      begin_error: mean(for {x, y} <- pairs, do: abs(x.from - y.from)),
+      end_error: mean(for {x, y} <- pairs, do: abs(x.to - y.to))
+    }
+  end
+
+  # The widest overlaps first; each annotation is in one pair at most.
+  defp pairs(left, right) do
+    candidates =
+      for x <- left,
+          y <- overlapping(right, x),
+          do: {overlap(x, y), x, y}
+
+    {pairs, _, _} =
+      candidates
+      |> Enum.sort_by(fn {width, x, y} -> {-width, x.from, y.from} end)
+      |> Enum.reduce({[], MapSet.new(), MapSet.new()}, fn {_, x, y}, {pairs, xs, ys} ->
+        if x.id in xs or y.id in ys,
+          do: {pairs, xs, ys},
+          else: {[{x, y} | pairs], MapSet.put(xs, x.id), MapSet.put(ys, y.id)}
+      end)
+
+    pairs
+  end
+
+  defp overlapping(annotations, x) do
+    annotations
+    |> Enum.drop_while(&(&1.to < x.from))
+    |> Enum.take_while(&(&1.from <= x.to))
+    |> Enum.filter(&(overlap(x, &1) > 0 or (x.from == &1.from and x.to == &1.to)))
+  end
+
+  defp overlap(%Annotation{} = x, %Annotation{} = y), do: min(x.to, y.to) - max(x.from, y.from)
+
+  defp mean([]), do: nil
+  defp mean(list), do: Enum.sum(list) / length(list)
+end

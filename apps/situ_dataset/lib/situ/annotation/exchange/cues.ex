@@ -1,0 +1,130 @@
+defmodule Situ.Annotation.Exchange.Cues do
+  @moduledoc false
+  # What WebVTT and SubRip share: cues with times in milliseconds, a blank line between them.
+  alias Situ.Annotation
+  alias Situ.Annotation.Exchange.Rows
+  alias Situ.Annotation.{Layer, Schema}
+
+  @ms 1_000_000
+
+  @doc "The cues of a layer: `{from_ms, to_ms, track, text}`, and what is lost; points last a millisecond."
+  @spec of(Layer.t(), integer(), String.t()) :: {[tuple()], [String.t()]}
+  def of(layer, origin, format) do
+    annotations = layer |> Layer.annotations() |> Enum.sort_by(&{&1.from, &1.to, &1.track})
+    cues = for a <- annotations, do: cue(a, layer.schema, origin)
+    points = Enum.count(annotations, &(ms(&1.from) == ms(&1.to)))
+    short = if points > 0, do: ["#{format} has no points: #{points} last 1 ms"], else: []
+    before = Enum.count(annotations, &(&1.from < origin))
+
+    early =
+      if before > 0,
+        do: ["#{format} begins at 0: #{before} annotations before the origin are left out"],
+        else: []
+
+    {Enum.reject(cues, &(elem(&1, 0) < 0)),
+     Rows.losses(annotations, [:fine, :by, :confidence, :note, :proposed?], format) ++
+       short ++ early}
+  end
+
+  defp cue(a, schema, origin) do
+    from = ms(a.from - origin)
+    {from, max(ms(a.to - origin), from + 1), a.track, text(a.values, schema)}
+  end
+
+  defp ms(ns), do: Integer.floor_div(ns + div(@ms, 2), @ms)
+
+  # Several attributes are a line each.
+  defp text(values, %{attributes: [attribute]}), do: Rows.text(values[attribute.name])
+
+  defp text(values, schema),
+    do: Enum.map_join(schema.attributes, "\n", &"#{&1.name}: #{Rows.text(values[&1.name])}")
+
+  @doc "`HH:MM:SS` and the milliseconds behind `mark`."
+  @spec time(non_neg_integer(), String.t()) :: String.t()
+  def time(ms, mark) do
+    pad = fn n, width -> n |> Integer.to_string() |> String.pad_leading(width, "0") end
+    seconds = div(ms, 1_000)
+
+    "#{pad.(div(seconds, 3_600), 2)}:#{pad.(rem(div(seconds, 60), 60), 2)}:#{pad.(rem(seconds, 60),
+    2)}#{mark}#{pad.(rem(ms, 1_000), 3)}"
+  end
+
+  @doc "The blocks of a file: lists of lines."
+  @spec blocks(binary()) :: {:ok, [[String.t()]]} | {:error, String.t()}
+  def blocks(<<0xEF, 0xBB, 0xBF, text::binary>>), do: blocks(text)
+
+  def blocks(text) do
+    if String.valid?(text),
+      do:
+        {:ok,
+         text
+         |> String.split(~r/\r\n|\n|\r/)
+         |> Enum.chunk_by(&(&1 == ""))
+         |> Enum.reject(&match?(["" | _], &1))},
+      else: {:error, "it is not UTF-8"}
+  end
+
+  @doc "The cue of a block, `{from_ms, to_ms, text}`, or `nil` when it has no line of times."
+  @spec cue([String.t()]) :: {integer(), integer(), String.t()} | nil
+  def cue(lines) do
+    time = ~S"(?:(\d+):)?(\d\d):(\d\d)[.,](\d{3})"
+    {_, rest} = Enum.split_while(lines, &(not (&1 =~ "-->")))
+
+    with [line | text] <- rest,
+         [_ | parts] <- Regex.run(~r/\A\s*#{time}\s*-->\s*#{time}(?:\s|\z)/, line) do
+      {from, to} = Enum.split(parts, 4)
+      {milliseconds(from), milliseconds(to), Enum.join(text, "\n")}
+    else
+      _ -> nil
+    end
+  end
+
+  defp milliseconds([h, m, s, ms]) do
+    [h, m, s, ms] =
+      for text <- [h, m, s, ms], do: if(text == "", do: 0, else: String.to_integer(text))
+
+    ((h * 60 + m) * 60 + s) * 1_000 + ms
+  end
+
+  @doc "An annotation out of a cue."
+  @spec annotation({integer(), integer(), String.t()}, String.t(), Schema.t() | nil, integer()) ::
+          {:ok, Annotation.t()} | :error
+  def annotation({from, to, text}, track, schema, origin) do
+    with true <- to >= from, {:ok, values} <- values(text, schema) do
+      {:ok,
+       %Annotation{from: from * @ms + origin, to: to * @ms + origin, track: track, values: values}}
+    else
+      _ -> :error
+    end
+  end
+
+  defp values(text, nil), do: {:ok, %{"Value" => text}}
+
+  defp values(text, %{attributes: [attribute]} = schema) do
+    with {:ok, value} <- Schema.read(schema, attribute.name, text),
+         do: {:ok, %{attribute.name => value}}
+  end
+
+  # A line that begins with no attribute goes on with the value of the one before it.
+  defp values(text, schema) do
+    names = Enum.map(schema.attributes, & &1.name)
+
+    text
+    |> String.split("\n")
+    |> Enum.chunk_while([], &collect(&1, &2, names), &{:cont, Enum.reverse(&1), []})
+    |> Enum.reduce_while({:ok, %{}}, fn lines, {:ok, values} ->
+      with [name, value] <- lines |> Enum.join("\n") |> String.split(": ", parts: 2),
+           {:ok, value} <- Schema.read(schema, name, value) do
+        {:cont, {:ok, Map.put(values, name, value)}}
+      else
+        _ -> {:halt, :error}
+      end
+    end)
+  end
+
+  defp collect(line, lines, names) do
+    if lines != [] and Enum.any?(names, &String.starts_with?(line, &1 <> ": ")),
+      do: {:cont, Enum.reverse(lines), [line]},
+      else: {:cont, [line | lines]}
+  end
+end

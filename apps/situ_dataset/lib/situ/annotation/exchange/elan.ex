@@ -1,0 +1,268 @@
+defmodule Situ.Annotation.Exchange.Elan do
+  @moduledoc """
+  ELAN's annotation files (`.eaf`, format 3.0): a tier for each track, or for each track and attribute.
+
+  Times are milliseconds from `origin:`. The schema and the origin are kept as properties of the header
+  (`situ.schema`, `situ.origin`), finite attributes also as controlled vocabularies, so that ELAN offers their
+  values. Tiers that refer to others (`REF_ANNOTATION`) are read with the times of what they refer to.
+  """
+  @behaviour Situ.Annotation.Exchange
+  alias Situ.Annotation.Exchange.{Rows, Xml}
+  alias Situ.Annotation.{Layer, Schema}
+
+  @ms 1_000_000
+
+  @impl true
+  def encode(layer, opts) do
+    rows = Rows.of(layer)
+    slots = slots(rows, opts[:origin])
+    ids = slots |> Map.keys() |> Enum.sort() |> Enum.with_index(1) |> Map.new()
+
+    text = [
+      ~s(<?xml version="1.0" encoding="UTF-8"?>\n),
+      ~s(<ANNOTATION_DOCUMENT AUTHOR="" DATE="#{DateTime.to_iso8601(DateTime.from_unix!(0))}" FORMAT="3.0"
+      VERSION="3.0" ),
+      ~s(xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" ),
+      ~s(xsi:noNamespaceSchemaLocation="http://www.mpi.nl/tools/elan/EAFv3.0.xsd">\n),
+      header(layer.schema, opts),
+      ["    <TIME_ORDER>\n", times(ids), "    </TIME_ORDER>\n"],
+      rows
+      |> Enum.zip(offsets(rows))
+      |> Enum.map(&tier(&1, layer.schema, ids, opts[:origin])),
+      types(layer.schema),
+      vocabularies(layer.schema),
+      "</ANNOTATION_DOCUMENT>\n"
+    ]
+
+    {text, Rows.losses(Layer.annotations(layer), [:fine, :confidence, :note, :proposed?], "ELAN")}
+  end
+
+  defp slots(rows, origin) do
+    for {_, _, labels} <- rows,
+        {a, _} <- labels,
+        time <- [a.from, a.to],
+        into: %{},
+        do: {ms(time - origin), true}
+  end
+
+  # Rounded alike everywhere, so that what touches goes on touching.
+  defp ms(ns), do: Integer.floor_div(ns + div(@ms, 2), @ms)
+
+  defp times(ids) do
+    for {ms, id} <- Enum.sort(ids),
+        do: ~s(        <TIME_SLOT TIME_SLOT_ID="ts#{id}" TIME_VALUE="#{ms}"/>\n)
+  end
+
+  defp header(schema, opts) do
+    media =
+      if opts[:media] do
+        url = Xml.escape("file://" <> Path.expand(opts[:media]))
+        ~s(        <MEDIA_DESCRIPTOR MEDIA_URL="#{url}" MIME_TYPE="#{mime(opts[:media])}"/>\n)
+      else
+        ""
+      end
+
+    [
+      ~s(    <HEADER MEDIA_FILE="" TIME_UNITS="milliseconds">\n),
+      media,
+      ~s(        <PROPERTY NAME="situ.schema">#{Xml.escape(Situ.JSON.encode(Schema.to_json(schema)))}</PROPERTY>\n),
+      ~s(        <PROPERTY NAME="situ.origin">#{opts[:origin]}</PROPERTY>\n),
+      "    </HEADER>\n"
+    ]
+  end
+
+  defp mime(path),
+    do: if(Path.extname(path) in [".wav", ".WAV"], do: "audio/x-wav", else: "video/mp4")
+
+  defp offsets(rows) do
+    rows
+    |> Enum.map(fn {_, _, labels} -> length(labels) end)
+    |> Enum.scan(&+/2)
+    |> then(&[0 | &1])
+  end
+
+  defp tier({{track, name, labels}, offset}, schema, ids, origin) do
+    attribute =
+      Enum.find(schema.attributes, hd(schema.attributes), &(name == "#{track}.#{&1.name}"))
+
+    [
+      ~s(    <TIER LINGUISTIC_TYPE_REF="#{Xml.escape(attribute.name)}"
+      TIER_ID="#{Xml.escape(name)}"#{annotator(labels)}>\n),
+      labels
+      |> Enum.with_index(offset + 1)
+      |> Enum.map(&annotation(&1, ids, origin)),
+      "    </TIER>\n"
+    ]
+  end
+
+  # ELAN has one annotator for each tier.
+  defp annotator(labels) do
+    case labels |> Enum.map(fn {a, _} -> a.by end) |> Enum.uniq() do
+      [by] when is_binary(by) -> ~s( ANNOTATOR="#{Xml.escape(by)}")
+      _ -> ""
+    end
+  end
+
+  defp annotation({{a, text}, n}, ids, origin) do
+    [from, to] = for time <- [a.from, a.to], do: Map.fetch!(ids, ms(time - origin))
+
+    """
+            <ANNOTATION>
+                <ALIGNABLE_ANNOTATION ANNOTATION_ID="a#{n}" TIME_SLOT_REF1="ts#{from}" TIME_SLOT_REF2="ts#{to}">
+                    <ANNOTATION_VALUE>#{Xml.escape(text)}</ANNOTATION_VALUE>
+                </ALIGNABLE_ANNOTATION>
+            </ANNOTATION>
+    """
+  end
+
+  defp types(schema) do
+    for attribute <- schema.attributes do
+      name = Xml.escape(attribute.name)
+
+      vocabulary =
+        if attribute.kind == :finite, do: ~s( CONTROLLED_VOCABULARY_REF="#{name}"), else: ""
+
+      ~s(    <LINGUISTIC_TYPE#{vocabulary} GRAPHIC_REFERENCES="false" LINGUISTIC_TYPE_ID="#{name}"
+      TIME_ALIGNABLE="true"/>\n)
+    end
+  end
+
+  defp vocabularies(schema) do
+    if Enum.any?(schema.attributes, &(&1.kind == :finite)) do
+      [
+        ~s(    <LANGUAGE LANG_DEF="http://cdb.iso.org/lg/CDB-00130975-001" LANG_ID="und" LANG_LABEL="undetermined"/>\n),
+        for %{kind: :finite} = attribute <- schema.attributes do
+          name = Xml.escape(attribute.name)
+
+          [
+            ~s(    <CONTROLLED_VOCABULARY CV_ID="#{name}">\n        <DESCRIPTION LANG_REF="und"/>\n),
+            for {choice, n} <- Enum.with_index(attribute.values, 1) do
+              value = ~s(<CVE_VALUE LANG_REF="und">#{Xml.escape(choice.value)}</CVE_VALUE>)
+              ~s(        <CV_ENTRY_ML CVE_ID="#{name}_#{n}">#{value}</CV_ENTRY_ML>\n)
+            end,
+            "    </CONTROLLED_VOCABULARY>\n"
+          ]
+        end
+      ]
+    else
+      []
+    end
+  end
+
+  @impl true
+  def decode(text, opts) do
+    with {:ok, {"ANNOTATION_DOCUMENT", _, _} = document} <- Xml.parse(text) do
+      properties = properties(document)
+      schema = opts[:schema] || schema(properties["situ.schema"])
+      origin = opts[:origin] || whole(properties["situ.origin"]) || 0
+      slots = slots(document)
+      {rows, missing} = document |> Xml.children("TIER") |> rows(slots, origin)
+      {annotations, losses} = Rows.annotations(rows, schema)
+      annotations = annotators(annotations, document, schema)
+      {:ok, schema, annotations, losses ++ untimed(missing)}
+    else
+      {:ok, {name, _, _}} -> {:error, "its root is #{inspect(name)}, not ANNOTATION_DOCUMENT"}
+      {:error, why} -> {:error, why}
+    end
+  end
+
+  defp properties(document) do
+    for header <- Xml.children(document, "HEADER"),
+        {_, %{"NAME" => name}, _} = property <- Xml.children(header, "PROPERTY"),
+        into: %{},
+        do: {name, Xml.text(property)}
+  end
+
+  defp schema(nil), do: nil
+
+  defp schema(text) do
+    with {:ok, json} <- Situ.JSON.decode(text), {:ok, schema} <- Schema.parse(json) do
+      schema
+    else
+      _ -> nil
+    end
+  end
+
+  defp whole(nil), do: nil
+
+  defp whole(text) do
+    case Integer.parse(String.trim(text)) do
+      {n, ""} -> n
+      _ -> nil
+    end
+  end
+
+  defp slots(document) do
+    for order <- Xml.children(document, "TIME_ORDER"),
+        {_, %{"TIME_SLOT_ID" => id, "TIME_VALUE" => value}, _} <-
+          Xml.children(order, "TIME_SLOT"),
+        ms = whole(value),
+        into: %{},
+        do: {id, ms * @ms}
+  end
+
+  # Those that refer to another have its times; the other may itself refer to one.
+  defp rows(tiers, slots, origin) do
+    found = for {_, %{"TIER_ID" => name}, _} = tier <- tiers, do: {name, annotations(tier)}
+
+    parents =
+      for {_, all} <- found, {id, parent, _, _} <- all, parent, into: %{}, do: {id, parent}
+
+    aligned = for {_, all} <- found, {id, nil, refs, _} <- all, into: %{}, do: {id, refs}
+
+    Enum.map_reduce(found, 0, fn {name, all}, missing ->
+      labels =
+        for {id, _, _, text} <- all,
+            {from, to} <- [aligned[root(id, parents, 0)]],
+            is_map_key(slots, from) and is_map_key(slots, to),
+            do: {slots[from] + origin, slots[to] + origin, text}
+
+      {{name, labels}, missing + length(all) - length(labels)}
+    end)
+  end
+
+  # A circle of references ends somewhere.
+  defp root(id, parents, depth) do
+    case parents do
+      %{^id => parent} when depth < 100 -> root(parent, parents, depth + 1)
+      _ -> id
+    end
+  end
+
+  defp annotations(tier) do
+    for annotation <- Xml.children(tier, "ANNOTATION"),
+        {_, _, inner} = annotation,
+        {kind, attributes, _} = a <- inner do
+      text = a |> Xml.children("ANNOTATION_VALUE") |> Enum.map_join(&Xml.text/1)
+
+      if kind == "REF_ANNOTATION",
+        do: {attributes["ANNOTATION_ID"], attributes["ANNOTATION_REF"], nil, text},
+        else:
+          {attributes["ANNOTATION_ID"], nil,
+           {attributes["TIME_SLOT_REF1"], attributes["TIME_SLOT_REF2"]}, text}
+    end
+  end
+
+  defp untimed(0), do: []
+  defp untimed(n), do: ["#{n} annotations have no times of their own and are left out"]
+
+  defp annotators(annotations, document, schema) do
+    by =
+      for {_, %{"TIER_ID" => name, "ANNOTATOR" => by}, _} <- Xml.children(document, "TIER"),
+          by != "",
+          into: %{},
+          do: {name, by}
+
+    for a <- annotations do
+      names = [
+        a.track
+        | for(
+            attribute <- (schema && schema.attributes) || [],
+            do: "#{a.track}.#{attribute.name}"
+          )
+      ]
+
+      %{a | by: Enum.find_value(names, &by[&1])}
+    end
+  end
+end

@@ -1,0 +1,111 @@
+defmodule Situ.Annotation.Exchange.Rows do
+  @moduledoc false
+  # Rows of labelled intervals, as ELAN's tiers and Praat's are: one for each track and attribute, and back.
+  alias Situ.Annotation
+  alias Situ.Annotation.{Layer, Schema}
+
+  @type label :: {from :: integer(), to :: integer(), text :: String.t()}
+  @type row :: {name :: String.t(), [label()]}
+
+  @doc "The rows of a layer, by track, then in the order of the attributes; times as in the layer."
+  @spec of(Layer.t()) :: [{String.t(), String.t(), [{Annotation.t(), String.t()}]}]
+  def of(layer) do
+    attributes = layer.schema.attributes
+
+    for track <- Layer.tracks(layer), attribute <- attributes do
+      labels = for a <- Layer.on_track(layer, track), do: {a, text(a.values[attribute.name])}
+      {track, name(track, attribute.name, attributes), labels}
+    end
+  end
+
+  defp name(track, _attribute, [_]), do: track
+  defp name(track, attribute, _), do: "#{track}.#{attribute}"
+
+  @doc "A value as text."
+  @spec text(term()) :: String.t()
+  def text(nil), do: ""
+  def text(value) when is_binary(value), do: value
+  def text(value), do: to_string(value)
+
+  @doc """
+  Annotations out of rows, by a schema or without one: rows `TRACK.ATTRIBUTE` of a schema with several attributes
+  are put together where their intervals are the same.
+  """
+  @spec annotations([row()], Schema.t() | nil) :: {[Annotation.t()], [String.t()]}
+  def annotations(rows, schema) do
+    labelled =
+      for {name, labels} <- rows,
+          {track, attribute} = place(name, schema),
+          l <- labels,
+          do: {track, attribute, l}
+
+    {annotations, refused} =
+      labelled
+      |> Enum.group_by(fn {track, _, {from, to, _}} -> {from, to, track} end, fn {_, a,
+                                                                                  {_, _, text}} ->
+        {a, text}
+      end)
+      |> Enum.map_reduce(0, fn {{from, to, track}, texts}, refused ->
+        {values, bad} = values(texts, schema)
+        {%Annotation{from: from, to: max(to, from), track: track, values: values}, refused + bad}
+      end)
+
+    losses =
+      if refused > 0,
+        do: ["#{refused} labels are no values of the schema: the defaults stand for them"],
+        else: []
+
+    {Enum.sort_by(annotations, &{&1.from, &1.to, &1.track}), losses}
+  end
+
+  # The longest attribute name that ends the row's name; a row without one is a track's first attribute.
+  defp place(name, %Schema{attributes: [_, _ | _] = attributes}) do
+    found =
+      Enum.find(attributes, &(String.ends_with?(name, "." <> &1.name) and name != "." <> &1.name))
+
+    if found,
+      do: {String.replace_suffix(name, "." <> found.name, ""), found.name},
+      else: {name, hd(attributes).name}
+  end
+
+  defp place(name, %Schema{attributes: [attribute]}), do: {name, attribute.name}
+  defp place(name, nil), do: {name, "Value"}
+
+  defp values(texts, nil), do: {Map.new(texts), 0}
+
+  defp values(texts, schema) do
+    Enum.reduce(texts, {%{}, 0}, fn {attribute, text}, {values, bad} ->
+      case Schema.read(schema, attribute, text) do
+        {:ok, value} -> {Map.put(values, attribute, value), bad}
+        {:error, _} -> {values, bad + 1}
+      end
+    end)
+  end
+
+  @doc "What a format that holds intervals and labels alone leaves out of these annotations."
+  @spec losses([Annotation.t()], [:by | :confidence | :note | :proposed? | :fine], String.t()) ::
+          [String.t()]
+  def losses(annotations, left_out, format) do
+    for field <- left_out,
+        n = Enum.count(annotations, &says?(&1, field)),
+        n > 0,
+        do: sentence(field, n, format)
+  end
+
+  defp says?(a, :fine), do: rem(a.from, 1_000_000) != 0 or rem(a.to, 1_000_000) != 0
+  defp says?(a, :proposed?), do: a.proposed?
+  defp says?(a, field), do: Map.fetch!(a, field) != nil
+
+  defp sentence(:fine, n, format),
+    do: "#{format} has milliseconds: the times of #{n} annotations are rounded"
+
+  defp sentence(:proposed?, n, format),
+    do: "#{format} does not know proposals: #{n} look like any other"
+
+  defp sentence(field, n, format),
+    do: "#{format} has no place for #{word(field)}: those of #{n} annotations are left out"
+
+  defp word(:by), do: "annotators"
+  defp word(:confidence), do: "confidences"
+  defp word(:note), do: "notes"
+end

@@ -1,0 +1,60 @@
+defmodule Situ.Annotation.Exchange.Srt do
+  @moduledoc """
+  SubRip subtitles: a cue for each annotation, its track in brackets before the text (`[P1] Hello`), times in
+  milliseconds from `origin:`. Cues without brackets are read as those of the track "Cues".
+  """
+  @behaviour Situ.Annotation.Exchange
+  alias Situ.Annotation.Exchange.Cues
+
+  @impl true
+  def encode(layer, opts) do
+    {cues, losses} = Cues.of(layer, opts[:origin], "SubRip")
+
+    text =
+      for {{from, to, track, text}, n} <- Enum.with_index(cues, 1) do
+        # A blank line would end the cue.
+        text =
+          text |> String.replace(~r/\r\n?/, "\n") |> String.replace(~r/\n(?=\n|\z)/, "\n\u00A0")
+
+        "#{n}\n#{Cues.time(from, ",")} --> #{Cues.time(to, ",")}\n[#{String.replace(track, ~r/[\]\s]+/u, " ")}] #{text}\n\n"
+      end
+
+    {text, losses}
+  end
+
+  @impl true
+  def decode(text, opts) do
+    with {:ok, blocks} <- Cues.blocks(text) do
+      {annotations, bad} =
+        Enum.flat_map_reduce(blocks, 0, fn block, bad ->
+          with {from, to, text} <- Cues.cue(block),
+               {track, text} = speaker(String.replace(text, "\u00A0", "")),
+               {:ok, annotation} <-
+                 Cues.annotation({from, to, text}, track, opts[:schema], opts[:origin] || 0) do
+            {[annotation], bad}
+          else
+            _ -> {[], bad + 1}
+          end
+        end)
+
+      cond do
+        annotations == [] and bad > 0 ->
+          {:error, "it has no cue with times like 00:00:01,000 --> 00:00:02,500"}
+
+        bad > 0 ->
+          {:ok, nil, annotations,
+           ["#{bad} cues are damaged or no values of the schema, and are left out"]}
+
+        true ->
+          {:ok, nil, annotations, []}
+      end
+    end
+  end
+
+  defp speaker(text) do
+    case Regex.run(~r/\A\[([^\]]+)\] ?(.*)\z/s, text) do
+      [_, track, rest] -> {track, rest}
+      nil -> {"Cues", text}
+    end
+  end
+end

@@ -1,0 +1,91 @@
+defmodule Situ.Annotation.Exchange.WebVtt do
+  @moduledoc """
+  WebVTT: a cue for each annotation, its track as the cue's voice (`<v TRACK>`), times in milliseconds from
+  `origin:`.
+
+  Several attributes are lines `ATTRIBUTE: VALUE`. Reading takes the text without its tags; cues without a voice are
+  on the track "Cues".
+  """
+  @behaviour Situ.Annotation.Exchange
+  alias Situ.Annotation.Exchange.Cues
+
+  @impl true
+  def encode(layer, opts) do
+    {cues, losses} = Cues.of(layer, opts[:origin], "WebVTT")
+
+    text =
+      for {{from, to, track, text}, n} <- Enum.with_index(cues, 1) do
+        # A blank line would end the cue.
+        text = text |> escape() |> String.replace(~r/\n(?=\n|\z)/, "\n&nbsp;")
+
+        "\n#{n}\n#{Cues.time(from, ".")} --> #{Cues.time(to, ".")}\n<v #{voice(track)}>#{text}</v>\n"
+      end
+
+    {["WEBVTT\n", text], losses}
+  end
+
+  defp escape(text) do
+    text
+    |> String.replace("&", "&amp;")
+    |> String.replace("<", "&lt;")
+    |> String.replace(">", "&gt;")
+    |> String.replace(~r/\r\n?/, "\n")
+  end
+
+  defp voice(track), do: track |> escape() |> String.replace(~r/\s+/u, " ")
+
+  @impl true
+  def decode(text, opts) do
+    case Cues.blocks(text) do
+      {:ok, [["WEBVTT" <> rest | _] | blocks]}
+      when rest == "" or binary_part(rest, 0, 1) in [" ", "\t"] ->
+        read(blocks, opts)
+
+      {:ok, _} ->
+        {:error, "it does not begin with WEBVTT"}
+
+      {:error, why} ->
+        {:error, why}
+    end
+  end
+
+  defp read(blocks, opts) do
+    cues = for block <- blocks, cue = Cues.cue(block), do: cue
+
+    notes =
+      Enum.count(blocks, &(Cues.cue(&1) == nil and not (hd(&1) =~ ~r/\A(NOTE|STYLE|REGION)\b/)))
+
+    {annotations, bad} =
+      Enum.flat_map_reduce(cues, notes, fn {from, to, text}, bad ->
+        {track, text} = voiced(text)
+
+        case Cues.annotation({from, to, text}, track, opts[:schema], opts[:origin] || 0) do
+          {:ok, annotation} -> {[annotation], bad}
+          :error -> {[], bad + 1}
+        end
+      end)
+
+    losses =
+      if bad > 0,
+        do: ["#{bad} cues are damaged or no values of the schema, and are left out"],
+        else: []
+
+    {:ok, nil, annotations, losses}
+  end
+
+  defp voiced(text) do
+    case Regex.run(~r/\A<v(?:\.[^\s>]*)?[ \t]+([^>]+)>(.*)\z/s, text) do
+      [_, track, rest] -> {plain(track), plain(rest)}
+      nil -> {"Cues", plain(text)}
+    end
+  end
+
+  defp plain(text) do
+    text
+    |> String.replace(~r/<[^>]*>/, "")
+    |> String.replace("&nbsp;", "")
+    |> String.replace("&lt;", "<")
+    |> String.replace("&gt;", ">")
+    |> String.replace("&amp;", "&")
+  end
+end

@@ -1,0 +1,84 @@
+defmodule Situ.Annotation.Exchange.Xml do
+  @moduledoc false
+  # XML of strangers, by xmerl's SAX parser (it makes no atoms): elements as {name, attributes, children}. A
+  # document type, in which entities are declared that unfold to gigabytes or read files, is refused before anything
+  # in it is looked at.
+
+  @type element :: {String.t(), %{String.t() => String.t()}, [element() | String.t()]}
+  @deepest 100
+
+  @spec parse(binary()) :: {:ok, element()} | {:error, String.t()}
+  def parse(text) do
+    options = [event_fun: &event/3, event_state: [], continuation_fun: &finished/1]
+
+    case :xmerl_sax_parser.stream(unmarked(text), options) do
+      {:ok, [{:root, element}], _rest} -> {:ok, element}
+      {:ok, _, _} -> {:error, "it is no whole XML"}
+      {:refused, _, why, _, _} -> {:error, to_string(why)}
+      {_, {_, _, line}, reason, _, _} -> {:error, "line #{line} is no XML: #{text_of(reason)}"}
+    end
+  catch
+    {:refused, why} -> {:error, why}
+    kind, _ when kind in [:error, :exit] -> {:error, "it is no XML"}
+  end
+
+  defp unmarked(<<0xEF, 0xBB, 0xBF, text::binary>>), do: text
+  defp unmarked(text), do: text
+
+  # There is no more than the text.
+  defp finished(state), do: {<<>>, state}
+
+  defp text_of(reason) when is_list(reason), do: reason |> :lists.flatten() |> to_string()
+  defp text_of(reason), do: inspect(reason)
+
+  defp event({:startDTD, _, _, _}, _location, _stack),
+    do:
+      throw(
+        {:refused,
+         "it has a document type (<!DOCTYPE): no annotation file needs one, and an entity in it may be a trap"}
+      )
+
+  defp event({:startElement, _, name, _, attributes}, _location, stack) do
+    if length(stack) > @deepest,
+      do: throw({:refused, "its elements are nested more than #{@deepest} deep"})
+
+    attributes =
+      Map.new(attributes, fn {_, _, key, value} -> {to_string(key), to_string(value)} end)
+
+    [{to_string(name), attributes, []} | stack]
+  end
+
+  defp event({:endElement, _, _, _}, _location, [{name, attributes, children} | stack]) do
+    element = {name, attributes, Enum.reverse(children)}
+
+    case stack do
+      [] -> [{:root, element}]
+      [{parent, own, siblings} | rest] -> [{parent, own, [element | siblings]} | rest]
+    end
+  end
+
+  defp event({:characters, text}, _location, [{name, attributes, children} | stack]),
+    do: [{name, attributes, [to_string(text) | children]} | stack]
+
+  defp event(_event, _location, stack), do: stack
+
+  @doc "The child elements of that name."
+  @spec children(element(), String.t()) :: [element()]
+  def children({_, _, children}, name), do: for({^name, _, _} = child <- children, do: child)
+
+  @doc "The text of an element."
+  @spec text(element()) :: String.t()
+  def text({_, _, children}), do: for(text when is_binary(text) <- children, into: "", do: text)
+
+  @doc "Text as it is written in XML; characters that XML cannot say are left out."
+  @spec escape(String.t()) :: String.t()
+  def escape(text) do
+    text
+    |> String.replace(~r/[\x00-\x08\x0b\x0c\x0e-\x1f\x{fffe}\x{ffff}]/u, "")
+    |> String.replace("&", "&amp;")
+    |> String.replace("<", "&lt;")
+    |> String.replace(">", "&gt;")
+    |> String.replace("\"", "&quot;")
+    |> String.replace("\r", "&#13;")
+  end
+end

@@ -1,0 +1,125 @@
+defmodule Situ.Annotation.Segmenting do
+  @moduledoc """
+  Streams that say what is the case made into annotation streams.
+
+      voice                                    # booleans: one track
+      |> Situ.Annotation.Segmenting.from_booleans(track: "P1", values: %{"Speech" => "speaks"})
+
+      speakers                                 # maps %{"P1" => true, "P2" => false}: a track for each key
+      |> Situ.Annotation.Segmenting.from_keys(fn key, value -> value && %{"Speech" => key} end)
+
+  An annotation begins with the first message in which its condition holds (for keys: in which the key is there and
+  the function gives values), lasts while the following messages say the same, and ends at the first message in
+  which they do not; it is emitted at that message, whose originating time is its end. What is still open when the
+  stream closes ends at the last message and is emitted then. Changed values end an annotation and begin the next,
+  which touches it.
+  """
+  use Situ.Component,
+    inputs: [in: :any],
+    outputs: [out: {:list, Situ.Annotation}],
+    options: [
+      segments: [type: {:fun, 1}, required: true],
+      proposed: [type: :boolean, default: false],
+      by: [type: {:optional, :string}]
+    ]
+
+  alias Situ.Annotation
+
+  @shared [
+    proposed: [type: :boolean, default: false, doc: "They are proposals."],
+    by: [type: {:optional, :string}, doc: "Who says so."],
+    name: [type: :string, default: "Segments", doc: "The component's name."]
+  ]
+  @booleans [
+              track: [type: :string, default: "Track", doc: "The track of all of them."],
+              values: [type: :map, default: %{}, doc: "The values of each."]
+            ] ++ @shared
+
+  defstruct [:segments, :by, :last, :emitted, proposed: false, open: %{}]
+
+  @doc """
+  Intervals while a stream of booleans is true.
+
+  #{Situ.Options.docs(@booleans)}
+  """
+  @spec from_booleans(Situ.Stream.t(), keyword()) :: Situ.Stream.t()
+  def from_booleans(stream, opts \\ []) do
+    opts = Situ.Options.validate!(opts, @booleans)
+    {track, values} = {opts[:track], opts[:values]}
+    add(stream, fn on? -> if on?, do: %{track => values}, else: %{} end, opts)
+  end
+
+  @doc """
+  Intervals of the keys of a stream of maps: a track for each key, named by it. `fun.(key, value)` answers the
+  values of the annotation, or `nil` (`false`) where there is none.
+
+  #{Situ.Options.docs(@shared)}
+  """
+  @spec from_keys(Situ.Stream.t(), (term(), term() -> map() | nil | false), keyword()) ::
+          Situ.Stream.t()
+  def from_keys(stream, fun, opts \\ []) when is_function(fun, 2) do
+    opts = Situ.Options.validate!(opts, @shared)
+
+    segments = fn map ->
+      for {key, value} <- map, values = fun.(key, value), into: %{}, do: {track(key), values}
+    end
+
+    add(stream, segments, opts)
+  end
+
+  defp track(key) when is_binary(key), do: key
+  defp track(key) when is_atom(key) or is_number(key), do: to_string(key)
+  defp track(key), do: inspect(key)
+
+  defp add(stream, segments, opts) do
+    own = [segments: segments, proposed: opts[:proposed], by: opts[:by]]
+    Situ.via(stream, __MODULE__, own ++ [name: opts[:name]])
+  end
+
+  @impl true
+  def init(opts),
+    do: {:ok, %__MODULE__{segments: opts[:segments], by: opts[:by], proposed: opts[:proposed]}}
+
+  @impl true
+  def handle_message(:in, message, _context, state) do
+    now = state.segments.(message.data)
+    time = message.originating_time
+
+    {ended, kept} =
+      Enum.split_with(state.open, fn {track, {_, values}} -> now[track] != values end)
+
+    begun =
+      for {track, values} <- now, not List.keymember?(kept, track, 0), do: {track, {time, values}}
+
+    emitted = if ended == [], do: state.emitted, else: time
+
+    {emit(ended, time, state),
+     %{state | open: Map.new(kept ++ begun), last: time, emitted: emitted}}
+  end
+
+  @impl true
+  def handle_closed(:in, _time, _context, state) do
+    time =
+      if state.emitted == state.last and state.last != nil, do: state.last + 1, else: state.last
+
+    {emit(Map.to_list(state.open), time, state), %{state | open: %{}}}
+  end
+
+  defp emit([], _time, _state), do: []
+
+  defp emit(segments, time, state) do
+    annotations =
+      for {track, {from, values}} <- Enum.sort(segments) do
+        %Annotation{
+          from: from,
+          to: time,
+          track: track,
+          values: values,
+          by: state.by,
+          proposed?: state.proposed
+        }
+      end
+
+    [{:out, time, annotations}]
+  end
+end
