@@ -2,7 +2,7 @@
 """A second reader of Situ stores, written from priv/schema/store.md alone. Standard library only.
 
     read_store.py FOLDER            every message of every stream, one JSON object a line
-    read_store.py --bins FOLDER     the stored pyramids
+    read_store.py --bins FOLDER     the stored pyramids, signals as lists and tracks as objects
 
 Chunks compressed with zstd need the program zstd; without it the rest of their stream is left out, and a line says so. Any other
 trouble is said on standard error and ends with status 1.
@@ -218,6 +218,29 @@ class Store:
         for n in range(header["count"]):
             yield struct.unpack_from("<qdddQ", body, n * 40)
 
+    def tallies(self, entry):
+        header, body = self.chunk(entry)
+        cursor, width = Cursor(body), 1 << (entry["level"] - 64)
+        keys = [None] + [cursor.take(cursor.varint()) for _ in range(cursor.varint())]
+        states = [None] + [cursor.take(cursor.varint()) for _ in range(cursor.varint())]
+        start = header["first"]
+        for _ in range(header["count"]):
+            start += cursor.varint() * width
+            bin = {"start": start, "count": cursor.varint(), "tracks": []}
+            for _ in range(cursor.varint()):
+                key, kind = divmod(cursor.varint(), 2)
+                if kind == 0:
+                    count, values = cursor.varint(), struct.unpack("<ddd", cursor.take(24))
+                    track = {"count": count, "numbers": values}
+                else:
+                    changes, first, last = cursor.varint(), cursor.varint(), cursor.varint()
+                    counts = [(term(states[cursor.varint()]), cursor.varint()) for _ in range(cursor.varint())]
+                    track = {"changes": changes, "first": term(states[first]), "last": term(states[last]), "states": counts}
+                bin["tracks"].append(dict(track, key=term(keys[key])))
+            yield bin
+        if cursor.at != len(body):
+            raise Damaged("bins end before their chunk")
+
     def catalog(self):
         streams, store = {}, {}
         for entry in self.of(0, 0):
@@ -234,6 +257,10 @@ class Store:
 
     def of(self, stream, level):
         return [e for e in self.entries if e["stream"] == stream and e["level"] == level and e["level"] != HOLE]
+
+
+def term(external):
+    return external and base64.b64encode(external).decode()
 
 
 def dump(store):
@@ -270,6 +297,10 @@ def dump_bins(store):
             for entry in store.of(id, level):
                 for bin in store.bins(entry):
                     print(json.dumps([stream["stream"]["name"], level, *bin]))
+        for level in range(65, 127):
+            for entry in store.of(id, level):
+                for bin in store.tallies(entry):
+                    print(json.dumps(dict(bin, stream=stream["stream"]["name"], level=level)))
 
 
 def main(arguments):

@@ -27,7 +27,7 @@ defmodule SecondReader do
     :ok = Writer.close(writer)
     file = Path.join(writer.path, "data-000000.situ")
     bytes = File.read!(file)
-    [{_, _}, {_, _}, {_, _}, {at, _}, {_, _} | _] = :binary.matches(bytes, "CHNK")
+    [{_, _}, {_, _}, {_, _}, {at, _}, {_, _} | _] = :binary.matches(bytes, "CHK2")
 
     File.write!(file, [
       binary_part(bytes, 0, at),
@@ -190,9 +190,38 @@ defmodule SecondReader do
   # JSON of a float keeps all its bits but the sign of zero.
   defp same?(%{"data" => data}, own), do: data === own or (data == own and is_float(own))
 
-  # Each stored bin, made anew from the messages.
+  # Each bin of tracks has the messages of its time, and their states in all.
+  defp tallies(store, read) do
+    groups = Enum.group_by(read, &{&1["stream"], &1["level"] - 64})
+    true = map_size(groups) > 50
+
+    for {{name, level}, bins} <- groups do
+      messages = Enum.to_list(Store.messages(store, name))
+
+      starts =
+        Enum.map(messages, &(Bitwise.bsr(&1.originating_time, level) |> Bitwise.bsl(level)))
+
+      counted = for bin <- bins, do: {bin["start"], bin["count"]}
+
+      if Enum.sort(Enum.frequencies(starts)) != counted,
+        do: raise("#{name}: counts at level #{level}")
+
+      for %{"tracks" => tracks} <- bins,
+          %{"states" => states, "key" => nil} <- tracks,
+          [state, n] <- states do
+        term = state && state |> Base.decode64!() |> :erlang.binary_to_term()
+        had = Enum.count(messages, &(&1.data === term))
+        if state && had < n, do: raise("#{name}: #{had} messages are #{inspect(term)}, not #{n}")
+      end
+    end
+
+    IO.puts("tracks: #{length(read)} bins are the same to both")
+  end
+
+  # Each stored bin, made again from the messages.
   defp bins(store) do
-    read = read(["--bins", store.path])
+    {tallies, read} = ["--bins", store.path] |> read() |> Enum.split_with(&is_map/1)
+    tallies(store, tallies)
     names = read |> Enum.map(&hd/1) |> Enum.uniq()
     true = "Floats" in names and "Ints" in names and "Sound" in names and length(read) > 100
 

@@ -68,6 +68,23 @@ pub fn check(bytes: &[u8]) -> Result<usize, Refusal> {
     if walk.u8()? != 131 {
         return Err(Refusal::Malformed);
     }
+    let size = pass(&mut walk)?;
+    if walk.at == bytes.len() {
+        Ok(size)
+    } else {
+        Err(Refusal::Malformed)
+    }
+}
+
+/// Where the term that begins at `at` (without a version byte) ends.
+pub fn end_of(bytes: &[u8], at: usize) -> Option<usize> {
+    let mut walk = Walk { bytes, at };
+    pass(&mut walk).ok()?;
+    Some(walk.at)
+}
+
+/// Passes over one term; the bytes its structure takes.
+fn pass(walk: &mut Walk<'_>) -> Result<usize, Refusal> {
     // Elements still to come at each level that is open.
     let mut open: Vec<usize> = vec![1];
     let mut size = 0usize;
@@ -153,7 +170,7 @@ pub fn check(bytes: &[u8]) -> Result<usize, Refusal> {
         }
         if children > 0 {
             // Every element takes a byte at least.
-            if children > bytes.len() - walk.at {
+            if children > walk.bytes.len() - walk.at {
                 return Err(Refusal::Malformed);
             }
             if open.len() as u32 >= MAX_DEPTH {
@@ -162,11 +179,7 @@ pub fn check(bytes: &[u8]) -> Result<usize, Refusal> {
             open.push(children);
         }
     }
-    if walk.at == bytes.len() {
-        Ok(size)
-    } else {
-        Err(Refusal::Malformed)
-    }
+    Ok(size)
 }
 
 /// Builds terms of some runtime; atoms that do not exist there are the builder's affair.
@@ -324,7 +337,7 @@ mod tests {
         assert_eq!(check(&[131, 113, 100]), Err(Refusal::Function));
         assert_eq!(
             check(&[131, 105, 255, 255, 255, 255]),
-            Err(Refusal::Malformed)
+            Err(Refusal::TooLarge)
         );
         let mut deep = vec![131];
         for _ in 0..1000 {

@@ -399,7 +399,12 @@ impl ChunkHeader {
         {
             return Err("the chunk's lengths contradict each other");
         }
-        if header.encoding.is_pyramid() != (header.level > 0) {
+        let kind = match header.level {
+            0 => !header.encoding.is_pyramid(),
+            level if level > TRACKS => header.encoding == Encoding::Tracks,
+            _ => header.encoding == Encoding::Bins,
+        };
+        if !kind {
             return Err("messages are at level 0, bins above it");
         }
         let covered = bytes

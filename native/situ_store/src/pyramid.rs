@@ -31,16 +31,6 @@ impl Bin {
         }
     }
 
-    /// Takes in what came after it.
-    #[inline]
-    pub fn absorb(&mut self, later: &Bin) {
-        // NaN never becomes an extreme, so one bad sample does not blank a whole zoom level.
-        self.min = self.min.min(later.min);
-        self.max = self.max.max(later.max);
-        self.last = later.last;
-        self.count += later.count;
-    }
-
     pub fn encode(&self, out: &mut Vec<u8>) {
         out.extend_from_slice(&self.start.to_le_bytes());
         for value in [self.min, self.max, self.last] {
@@ -60,6 +50,35 @@ impl Bin {
     }
 }
 
+impl Fold for Bin {
+    fn start(&self) -> i64 {
+        self.start
+    }
+
+    fn at(self, start: i64) -> Self {
+        Bin { start, ..self }
+    }
+
+    #[inline]
+    fn absorb(&mut self, later: &Bin) {
+        // NaN never becomes an extreme, so one bad sample does not blank a whole zoom level.
+        self.min = self.min.min(later.min);
+        self.max = self.max.max(later.max);
+        self.last = later.last;
+        self.count += later.count;
+    }
+}
+
+/// What bins are made of.
+pub trait Fold: Clone {
+    /// Its time, or that of the bin's beginning.
+    fn start(&self) -> i64;
+    /// The same at another time.
+    fn at(self, start: i64) -> Self;
+    /// Takes in what came after it.
+    fn absorb(&mut self, later: &Self);
+}
+
 /// Where the bin of level `k` that holds `time` starts.
 #[inline]
 pub fn floor(time: i64, k: u8) -> i64 {
@@ -74,21 +93,41 @@ pub fn level_for(from: i64, to: i64, pixels: u32) -> u8 {
 }
 
 #[derive(Debug, Clone)]
-struct Level {
+struct Level<B> {
     k: u8,
-    current: Option<Bin>,
-    ready: Vec<Bin>,
+    current: Option<B>,
+    ready: Vec<B>,
 }
 
 /// Builds all levels of one stream while it is recorded.
-#[derive(Debug, Clone, Default)]
-pub struct Builder {
-    warm: Vec<Bin>,
-    levels: Vec<Level>,
+#[derive(Debug, Clone)]
+pub struct Builder<B> {
+    warm: Vec<B>,
+    levels: Vec<Level<B>>,
 }
 
-impl Builder {
-    pub fn add(&mut self, point: Bin) {
+impl<B> Default for Builder<B> {
+    fn default() -> Self {
+        Builder {
+            warm: Vec::new(),
+            levels: Vec::new(),
+        }
+    }
+}
+
+impl<B: Fold> Builder<B> {
+    /// Takes in a point that may well lie in the bin under way: `into` adds it there; if not, it is `made`.
+    pub fn observe(&mut self, time: i64, into: impl FnOnce(&mut B), made: impl FnOnce() -> B) {
+        if let Some(level) = self.levels.first_mut() {
+            let start = floor(time, level.k);
+            if let Some(bin) = level.current.as_mut().filter(|bin| bin.start() >= start) {
+                return into(bin);
+            }
+        }
+        self.add(made());
+    }
+
+    pub fn add(&mut self, point: B) {
         if !self.levels.is_empty() {
             return self.feed(0, point);
         }
@@ -102,7 +141,7 @@ impl Builder {
         let (Some(first), Some(last)) = (self.warm.first(), self.warm.last()) else {
             return;
         };
-        let span = (last.start as i128 - first.start as i128).max(1);
+        let span = (last.start() as i128 - first.start() as i128).max(1);
         let interval = (span / (self.warm.len() as i128 - 1).max(1)).clamp(1, 1 << 40) as i64;
         let wanted = (interval * POINTS_PER_BIN) as u64;
         let base = (64 - (wanted - 1).leading_zeros()).clamp(4, (TOP - STEP) as u32) as u8;
@@ -120,18 +159,18 @@ impl Builder {
     }
 
     #[inline]
-    fn feed(&mut self, mut at: usize, point: Bin) {
+    fn feed(&mut self, mut at: usize, point: B) {
         let mut point = point;
         while let Some(level) = self.levels.get_mut(at) {
-            let start = floor(point.start, level.k);
+            let start = floor(point.start(), level.k);
             match level.current.as_mut() {
-                Some(bin) if bin.start >= start => return bin.absorb(&point),
+                Some(bin) if bin.start() >= start => return bin.absorb(&point),
                 _ => {
-                    let begun = Bin { start, ..point };
+                    let begun = point.at(start);
                     match level.current.replace(begun) {
                         None => return,
                         Some(done) => {
-                            level.ready.push(done);
+                            level.ready.push(done.clone());
                             point = done;
                             at += 1;
                         }
@@ -142,8 +181,8 @@ impl Builder {
     }
 
     /// Levels with at least `least` complete bins, and those bins.
-    pub fn take_ready(&mut self, least: usize) -> Vec<(u8, Vec<Bin>)> {
-        let full = |level: &mut Level| {
+    pub fn take_ready(&mut self, least: usize) -> Vec<(u8, Vec<B>)> {
+        let full = |level: &mut Level<B>| {
             (level.ready.len() >= least).then(|| (level.k, std::mem::take(&mut level.ready)))
         };
         self.levels.iter_mut().filter_map(full).collect()
@@ -156,7 +195,7 @@ impl Builder {
     }
 
     /// Puts back what could not be written.
-    pub fn put_back(&mut self, k: u8, mut bins: Vec<Bin>) {
+    pub fn put_back(&mut self, k: u8, mut bins: Vec<B>) {
         if let Some(level) = self.levels.iter_mut().find(|level| level.k == k) {
             bins.append(&mut level.ready);
             level.ready = bins;
@@ -170,7 +209,7 @@ impl Builder {
         }
         for at in 0..self.levels.len() {
             if let Some(done) = self.levels[at].current.take() {
-                self.levels[at].ready.push(done);
+                self.levels[at].ready.push(done.clone());
                 self.feed(at + 1, done);
             }
         }
@@ -178,12 +217,12 @@ impl Builder {
 }
 
 /// Folds points in time order into bins of level `k`.
-pub struct Folder {
+pub struct Folder<B> {
     k: u8,
-    pub bins: Vec<Bin>,
+    pub bins: Vec<B>,
 }
 
-impl Folder {
+impl<B: Fold> Folder<B> {
     pub fn new(k: u8) -> Self {
         Folder {
             k,
@@ -192,11 +231,11 @@ impl Folder {
     }
 
     #[inline]
-    pub fn add(&mut self, point: Bin) {
-        let start = floor(point.start, self.k);
+    pub fn add(&mut self, point: B) {
+        let start = floor(point.start(), self.k);
         match self.bins.last_mut() {
-            Some(bin) if bin.start >= start => bin.absorb(&point),
-            _ => self.bins.push(Bin { start, ..point }),
+            Some(bin) if bin.start() >= start => bin.absorb(&point),
+            _ => self.bins.push(point.at(start)),
         }
     }
 }

@@ -4,6 +4,7 @@ mod directory;
 mod maps;
 mod statistics;
 mod summary;
+mod tracks;
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -26,6 +27,7 @@ use summary::Computed;
 
 pub(crate) use maps::{file_length, map_file};
 pub use statistics::Statistics;
+pub use tracks::{lock, Known, Line, Told};
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct Damage {
@@ -43,6 +45,8 @@ pub struct Reader {
     extents: Extents,
     /// Pyramids computed for want of stored ones: (level, bins, messages seen).
     computed: Mutex<HashMap<u32, Computed>>,
+    /// What is remembered of the tracks of streams.
+    known: tracks::KnownStreams,
     /// Check payloads of large chunks too.
     pub verify_large: bool,
     /// The most bytes that a message may unpack to.
@@ -135,6 +139,7 @@ impl Reader {
             index: RwLock::default(),
             extents: Extents::new(dir.to_path_buf(), header.id),
             computed: Mutex::new(HashMap::new()),
+            known: Mutex::default(),
             verify_large: true,
             max_unpacked: MAX_UNPACKED,
         };

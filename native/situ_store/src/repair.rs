@@ -200,10 +200,18 @@ fn by_number(good: Vec<Option<Entry>>, scan: scan::Scan) -> (Vec<Entry>, u64) {
         lost += u64::from(kept.is_none());
         *entry = kept;
     }
-    let entries = entries
+    let mut entries: Vec<Entry> = entries
         .into_iter()
-        .map(|entry| entry.unwrap_or(Entry::hole()));
-    (entries.collect(), lost)
+        .map(|entry| entry.unwrap_or(Entry::hole()))
+        .collect();
+    // Ordinals go on without a gap over what is lost.
+    let mut ordinals: BTreeMap<(u32, u8), u64> = BTreeMap::new();
+    for entry in entries.iter_mut().filter(|entry| !entry.is_hole()) {
+        let next = ordinals.entry((entry.stream, entry.level)).or_default();
+        entry.ordinal = *next;
+        *next += u64::from(entry.count);
+    }
+    (entries, lost)
 }
 
 /// Stores of version 1, whose chunks tell no number: chunks from the scan go where their stream has nothing at their times. Of

@@ -1,6 +1,207 @@
-//! What is counted of any message and told of states and keys, in bins. See `priv/schema/store.md`.
+//! What is counted of any message and told of states and of keys, in bins. See `priv/schema/store.md`.
 
-/// Whether the body of a chunk of bins is whole.
-pub fn check(_body: &[u8], _count: u32) -> std::result::Result<(), &'static str> {
-    Ok(())
+mod coding;
+mod names;
+mod parts;
+
+pub use coding::{check, decode, encode};
+pub use names::{Names, OTHER};
+pub use parts::{parts, Part};
+
+use crate::pyramid::Fold;
+
+/// The key of the message itself.
+pub const ITSELF: u32 = 0;
+
+/// What one bin holds of one key's values of one kind.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Track {
+    /// Extremes, last value and how many there were.
+    Numbers {
+        min: f64,
+        max: f64,
+        last: f64,
+        count: u64,
+    },
+    /// First and last state, how often it changed in between, and how many messages had which, in the order they came.
+    States {
+        first: u32,
+        last: u32,
+        changes: u64,
+        counts: Vec<(u32, u64)>,
+    },
+}
+
+impl Track {
+    fn of(value: Noted) -> Track {
+        match value {
+            Noted::Number(x) => Track::Numbers {
+                min: x,
+                max: x,
+                last: x,
+                count: 1,
+            },
+            Noted::State(state) => Track::States {
+                first: state,
+                last: state,
+                changes: 0,
+                counts: vec![(state, 1)],
+            },
+        }
+    }
+
+    fn same_kind(&self, other: &Track) -> bool {
+        matches!(self, Track::Numbers { .. }) == matches!(other, Track::Numbers { .. })
+    }
+
+    /// Takes in one more value of its kind; `false` when it is of the other.
+    fn note(&mut self, value: Noted) -> bool {
+        match (self, value) {
+            (
+                Track::Numbers {
+                    min,
+                    max,
+                    last,
+                    count,
+                },
+                Noted::Number(x),
+            ) => {
+                *min = min.min(x);
+                *max = max.max(x);
+                *last = x;
+                *count += 1;
+                true
+            }
+            (
+                Track::States {
+                    last,
+                    changes,
+                    counts,
+                    ..
+                },
+                Noted::State(state),
+            ) => {
+                *changes += u64::from(*last != state);
+                *last = state;
+                add(counts, state, 1);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    fn absorb(&mut self, later: &Track) {
+        match (self, later) {
+            (
+                Track::Numbers {
+                    min,
+                    max,
+                    last,
+                    count,
+                },
+                Track::Numbers {
+                    min: low,
+                    max: high,
+                    last: end,
+                    count: n,
+                },
+            ) => {
+                *min = min.min(*low);
+                *max = max.max(*high);
+                *last = *end;
+                *count += n;
+            }
+            (
+                Track::States {
+                    last,
+                    changes,
+                    counts,
+                    ..
+                },
+                Track::States {
+                    first,
+                    last: end,
+                    changes: more,
+                    counts: others,
+                },
+            ) => {
+                *changes += more + u64::from(*last != *first);
+                *last = *end;
+                others.iter().for_each(|(state, n)| add(counts, *state, *n));
+            }
+            _ => {}
+        }
+    }
+}
+
+fn add(counts: &mut Vec<(u32, u64)>, state: u32, n: u64) {
+    match counts.iter_mut().find(|(known, _)| *known == state) {
+        Some((_, count)) => *count += n,
+        None => counts.push((state, n)),
+    }
+}
+
+/// A value of a key, its state by number.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Noted {
+    Number(f64),
+    State(u32),
+}
+
+/// A bin: how many messages lie in it, and what its tracks hold, by key.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tally {
+    pub start: i64,
+    pub count: u64,
+    pub tracks: Vec<(u32, Track)>,
+}
+
+impl Tally {
+    /// A bin with nothing in it yet.
+    pub fn empty(start: i64) -> Self {
+        Tally {
+            start,
+            count: 0,
+            tracks: Vec::new(),
+        }
+    }
+
+    /// Takes in a message.
+    pub fn note(&mut self, values: &[(u32, Noted)]) {
+        self.count += 1;
+        for (key, value) in values {
+            let known = self
+                .tracks
+                .iter_mut()
+                .any(|(name, track)| name == key && track.note(*value));
+            if !known {
+                self.tracks.push((*key, Track::of(*value)));
+            }
+        }
+    }
+}
+
+impl Fold for Tally {
+    fn start(&self) -> i64 {
+        self.start
+    }
+
+    fn at(mut self, start: i64) -> Self {
+        self.start = start;
+        self
+    }
+
+    fn absorb(&mut self, later: &Self) {
+        self.count += later.count;
+        for (key, track) in &later.tracks {
+            let known = self
+                .tracks
+                .iter_mut()
+                .find(|(name, known)| name == key && known.same_kind(track));
+            match known {
+                Some((_, known)) => known.absorb(track),
+                None => self.tracks.push((*key, track.clone())),
+            }
+        }
+    }
 }

@@ -17,7 +17,7 @@ use crate::error::{Error, Result};
 use crate::extent::{Fault, Lane};
 use crate::format::*;
 use crate::index::{self, IndexWriter};
-use crate::pyramid::Bin;
+use crate::pyramid::{Bin, FLUSH};
 
 use stream::Stream;
 
@@ -58,6 +58,8 @@ pub struct Writer {
     index: IndexWriter,
     streams: Vec<Stream>,
     touched: Vec<u32>,
+    /// Streams with bins enough for a chunk.
+    ready: Vec<usize>,
     entries: Vec<Entry>,
     builder: Builder,
     durability: Durability,
@@ -140,6 +142,7 @@ impl Writer {
             index: IndexWriter::create(&dir.join(index::FILE), header, fault.clone())?,
             streams: vec![Stream::new(Compression::None, false)],
             touched: Vec::new(),
+            ready: Vec::new(),
             entries: Vec::new(),
             builder: Builder::default(),
             durability: options.durability,
@@ -227,6 +230,9 @@ impl Writer {
                 .points
                 .push(Bin::sample(envelope.time, number));
         }
+        if stream != CATALOG {
+            self.streams[stream as usize].mark(envelope.time, encoding, &input);
+        }
         if alone {
             self.write_large(envelope, size, input)?;
         } else {
@@ -271,11 +277,13 @@ impl Writer {
     }
 
     fn settle(&mut self) {
+        self.ready.clear();
         for number in std::mem::take(&mut self.touched) {
             let stream = &mut self.streams[number as usize];
             stream.saved = None;
-            for point in stream.points.drain(..) {
-                stream.pyramid.add(point);
+            stream.settle();
+            if stream.pyramid.has_ready(FLUSH) || stream.tallies.has_ready(FLUSH) {
+                self.ready.push(number as usize);
             }
         }
     }
@@ -301,7 +309,7 @@ impl Writer {
             if let Some(saved) = stream.saved.take() {
                 stream.position = saved;
             }
-            stream.points.clear();
+            stream.forget();
         }
     }
 
@@ -369,10 +377,12 @@ impl Writer {
         if !self.lanes[0].folder_lives(&self.index.file) {
             return Err(Error::Deleted);
         }
-        self.streams
-            .iter_mut()
-            .for_each(|stream| stream.pyramid.finish());
-        let pyramids = self.write_pyramids(1);
+        self.streams.iter_mut().for_each(|stream| {
+            stream.pyramid.finish();
+            stream.tallies.finish();
+        });
+        let pyramids =
+            (0..self.streams.len()).try_for_each(|number| self.write_pyramids(number, 1));
         self.write_end()?;
         self.lanes.iter_mut().try_for_each(Lane::trim)?;
         if self.durability != Durability::None {

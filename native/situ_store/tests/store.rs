@@ -358,6 +358,9 @@ fn large_messages_whose_payload_is_not_checked_are_not_looked_at() {
             None => reader.chunk(&entry).unwrap(),
         }
     };
+    // The page of the extent's own header, and as many as the kernel maps around it.
+    chunk(&reader, id, 0);
+    let first = pages();
     for i in 0..8 {
         let chunk = chunk(&reader, id, i);
         let (got, value) = chunk.messages().next().unwrap().unwrap();
@@ -370,11 +373,10 @@ fn large_messages_whose_payload_is_not_checked_are_not_looked_at() {
             }
         );
     }
-    // The page of the extent's own header, and those that came with it.
-    assert!(pages() <= 256, "{} KiB", pages());
-    let one = chunk(&reader, id, 3);
+    assert!(pages() <= first + 64, "{first}, then {} KiB", pages());
+    let one = chunk(&reader, id, 5);
     assert!(one.body().ends_with(&frame));
-    assert!(pages() >= 1024);
+    assert!(pages() >= first + 512, "{first}, then {} KiB", pages());
 
     // What is packed has to be unpacked, and is not done quickly.
     let entry = reader.entry_at(packed, 5).unwrap().unwrap();

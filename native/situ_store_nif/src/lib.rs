@@ -7,6 +7,7 @@ mod messages;
 mod reading;
 mod rows;
 mod terms;
+mod tracks;
 mod transferring;
 mod writing;
 
@@ -47,7 +48,11 @@ mod atoms {
         crash,
         unknown,
         undecodable,
-        stream_exists
+        stream_exists,
+        numbers,
+        changes,
+        states,
+        other = "$other"
     }
 }
 

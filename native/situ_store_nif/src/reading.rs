@@ -207,7 +207,7 @@ fn reader_gaps(handle: Handle, stream: u32, least: i64) -> Vec<(i64, i64)> {
     handle.0.gaps(stream, least)
 }
 
-/// `{:ok, level, [{start, min, max, last, count}]}` with bins of 2^level ns.
+/// `{:ok, [{start, min, max, last, count}]}` with bins of 2^level ns.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn reader_summary<'a>(
     env: Env<'a>,
@@ -215,20 +215,20 @@ fn reader_summary<'a>(
     stream: u32,
     from: i64,
     to: i64,
-    pixels: u32,
+    level: u8,
 ) -> Term<'a> {
-    let level = pyramid::level_for(from, to, pixels);
     match handle.0.summary(stream, from, to, level) {
-        Ok(bins) => {
-            let bins: Vec<Term<'a>> = bins
-                .iter()
-                .filter(|bin| bin.min.is_finite() && bin.max.is_finite() && bin.last.is_finite())
-                .map(|bin| (bin.start, bin.min, bin.max, bin.last, bin.count).encode(env))
-                .collect();
-            (atoms::ok(), level, bins).encode(env)
-        }
+        Ok(found) => (atoms::ok(), bins(env, &found)).encode(env),
         Err(error) => failed(env, &error),
     }
+}
+
+/// Bins as `{start, min, max, last, count}`, those without a number left out.
+pub fn bins<'a>(env: Env<'a>, bins: &[pyramid::Bin]) -> Vec<Term<'a>> {
+    bins.iter()
+        .filter(|bin| bin.min.is_finite() && bin.max.is_finite() && bin.last.is_finite())
+        .map(|bin| (bin.start, bin.min, bin.max, bin.last, bin.count).encode(env))
+        .collect()
 }
 
 #[rustler::nif]

@@ -10,13 +10,13 @@ use crate::pyramid::{self, Bin, Folder};
 /// A pyramid computed for want of a stored one.
 #[derive(Default)]
 pub(super) struct Computed {
-    builder: pyramid::Builder,
+    builder: pyramid::Builder<Bin>,
     levels: BTreeMap<u8, Vec<Bin>>,
     seen: u64,
 }
 
 impl Reader {
-    fn entries_between(&self, stream: u32, level: u8, from: i64, to: i64) -> Vec<Entry> {
+    pub(super) fn entries_between(&self, stream: u32, level: u8, from: i64, to: i64) -> Vec<Entry> {
         let index = self.lock_index();
         let Some(entries) = index.entries(stream, level) else {
             return Vec::new();
@@ -35,7 +35,7 @@ impl Reader {
         let mut folder = Folder::new(k);
         let levels: Vec<u8> = {
             let index = self.lock_index();
-            let range = index.directories.range((stream, 0)..=(stream, k));
+            let range = index.directories.range((stream, 0)..=(stream, k.min(62)));
             range
                 .filter(|((_, level), _)| *level > 0)
                 .map(|((_, level), _)| *level)
@@ -60,7 +60,7 @@ impl Reader {
         level: u8,
         from: i64,
         to: i64,
-        folder: &mut Folder,
+        folder: &mut Folder<Bin>,
     ) -> Result<i64> {
         let width = 1i64 << level;
         let mut at = from;
@@ -98,7 +98,7 @@ impl Reader {
         from: i64,
         to: i64,
         k: u8,
-        folder: &mut Folder,
+        folder: &mut Folder<Bin>,
     ) -> Result<()> {
         let entries = self.entries_between(stream, 0, from, to);
         let messages: u64 = entries.iter().map(|e| e.count as u64).sum();
@@ -133,7 +133,7 @@ impl Reader {
         from: i64,
         to: i64,
         k: u8,
-        folder: &mut Folder,
+        folder: &mut Folder<Bin>,
     ) -> Result<()> {
         let mut all = self.computed.lock().unwrap_or_else(|p| p.into_inner());
         let computed = all.entry(stream).or_default();

@@ -3,14 +3,25 @@
 use super::Writer;
 use crate::error::{Error, Result};
 use crate::format::*;
-use crate::pyramid::{self, Bin};
+use crate::pyramid;
+use crate::tracks;
+
+/// Bins of one level that make a chunk.
+struct Bins {
+    stream: usize,
+    level: u8,
+    encoding: Encoding,
+    count: u32,
+    first: i64,
+    last: i64,
+    body: Vec<u8>,
+}
 
 impl Writer {
     /// Writes the bins that make a chunk. A full disk is told by the next message; the bins wait.
     pub(super) fn write_ready_pyramids(&mut self) -> Result<()> {
-        let ready = |stream: &super::Stream| stream.pyramid.has_ready(pyramid::FLUSH);
-        if self.streams.iter().any(ready) {
-            match self.write_pyramids(pyramid::FLUSH) {
+        for number in std::mem::take(&mut self.ready) {
+            match self.write_pyramids(number, pyramid::FLUSH) {
                 Err(Error::Crash) => return Err(Error::Crash),
                 _ => self.entries.clear(),
             }
@@ -18,61 +29,98 @@ impl Writer {
         Ok(())
     }
 
-    pub(super) fn write_pyramids(&mut self, least: usize) -> Result<()> {
-        for number in 0..self.streams.len() {
-            let mut failed = Ok(());
-            for (k, bins) in self.streams[number].pyramid.take_ready(least) {
-                if failed.is_ok() {
-                    failed = self.write_bins(number, k, &bins);
-                }
-                if failed.is_err() {
-                    self.streams[number].pyramid.put_back(k, bins);
-                }
-            }
-            failed?;
-        }
-        Ok(())
+    pub(super) fn write_pyramids(&mut self, number: usize, least: usize) -> Result<()> {
+        self.write_signal(number, least)?;
+        self.write_tallies(number, least)
     }
 
-    fn write_bins(&mut self, number: usize, k: u8, bins: &[Bin]) -> Result<()> {
-        for bins in bins.chunks(MAX_CHUNK_MESSAGES as usize) {
-            let (Some(first), Some(last)) = (bins.first(), bins.last()) else {
-                continue;
-            };
-            let stream = &self.streams[number];
-            if first.start <= stream.last_bin[k as usize] {
-                // Points of a codec that went back in time: their bins are left out, the messages are there.
-                continue;
+    fn write_signal(&mut self, number: usize, least: usize) -> Result<()> {
+        let mut written = Ok(());
+        for (k, bins) in self.streams[number].pyramid.take_ready(least) {
+            for bins in bins.chunks(MAX_CHUNK_MESSAGES as usize) {
+                let (Some(first), Some(last)) = (bins.first(), bins.last()) else {
+                    continue;
+                };
+                let mut body = Vec::with_capacity(bins.len() * BIN);
+                bins.iter().for_each(|bin| bin.encode(&mut body));
+                if written.is_ok() {
+                    written = self.write_bins(Bins {
+                        stream: number,
+                        level: k,
+                        encoding: Encoding::Bins,
+                        count: bins.len() as u32,
+                        first: first.start,
+                        last: last.start,
+                        body,
+                    });
+                }
             }
-            let mut body = Vec::with_capacity(bins.len() * BIN);
-            bins.iter().for_each(|bin| bin.encode(&mut body));
-            let header = ChunkHeader {
-                length: (CHUNK_HEADER + body.len()) as u32,
-                stream: number as u32,
-                level: k,
-                encoding: Encoding::Bins,
-                compression: Compression::None,
-                count: bins.len() as u32,
-                ordinal: stream.bins[k as usize],
-                first: first.start,
-                last: last.start,
-                first_sequence: 0,
-                first_creation: 0,
-                size_sum: 0,
-                latency_sum: 0.0,
-                raw_length: body.len() as u32,
-                table_length: 0,
-                codec: 0,
-                body_crc: crc32c::crc32c(&body),
-                number: Some(self.next_number()),
-                committed: self.index.committed,
-            };
-            let entry = self.place(LANE_DATA, 8, &header, &[&header.encode(&[]), &body])?;
-            self.index.publish(&[entry])?;
-            let stream = &mut self.streams[number];
-            stream.bins[k as usize] += bins.len() as u64;
-            stream.last_bin[k as usize] = last.start;
+            if written.is_err() {
+                self.streams[number].pyramid.put_back(k, bins);
+            }
         }
+        written
+    }
+
+    fn write_tallies(&mut self, number: usize, least: usize) -> Result<()> {
+        let mut written = Ok(());
+        for (k, bins) in self.streams[number].tallies.take_ready(least) {
+            for bins in bins.chunks(MAX_CHUNK_MESSAGES as usize) {
+                let (Some(first), Some(last)) = (bins.first(), bins.last()) else {
+                    continue;
+                };
+                if written.is_ok() {
+                    written = self.write_bins(Bins {
+                        stream: number,
+                        level: TRACKS + k,
+                        encoding: Encoding::Tracks,
+                        count: bins.len() as u32,
+                        first: first.start,
+                        last: last.start,
+                        body: tracks::encode(bins, k, &self.streams[number].names),
+                    });
+                }
+            }
+            if written.is_err() {
+                self.streams[number].tallies.put_back(k, bins);
+            }
+        }
+        written
+    }
+
+    fn write_bins(&mut self, bins: Bins) -> Result<()> {
+        let stream = &self.streams[bins.stream];
+        let level = bins.level as usize;
+        if bins.first <= stream.last_bin[level] {
+            // Points of a codec that went back in time: their bins are left out, the messages are there.
+            return Ok(());
+        }
+        let header = ChunkHeader {
+            length: (CHUNK_HEADER + bins.body.len()) as u32,
+            stream: bins.stream as u32,
+            level: bins.level,
+            encoding: bins.encoding,
+            compression: Compression::None,
+            count: bins.count,
+            ordinal: stream.bins[level],
+            first: bins.first,
+            last: bins.last,
+            first_sequence: 0,
+            first_creation: 0,
+            size_sum: 0,
+            latency_sum: 0.0,
+            raw_length: bins.body.len() as u32,
+            table_length: 0,
+            codec: 0,
+            body_crc: crc32c::crc32c(&bins.body),
+            number: Some(self.next_number()),
+            committed: self.index.committed,
+        };
+        let entry = self.place(LANE_DATA, 8, &header, &[&header.encode(&[]), &bins.body])?;
+        self.index.publish(&[entry])?;
+        let stream = &mut self.streams[bins.stream];
+        stream.bins[level] += u64::from(bins.count);
+        stream.last_bin[level] = bins.last;
         Ok(())
     }
 }

@@ -1,7 +1,10 @@
 //! One stream being written: where it stands, and its pyramid.
 
+use crate::chunk::{Input, Value};
 use crate::format::Compression;
+use crate::format::{Encoding, LARGE_MESSAGE};
 use crate::pyramid::{self, Bin};
+use crate::tracks::{self, Names, Noted, Part, Tally};
 
 /// What must be put back when a commit fails.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,11 +21,16 @@ pub(super) struct Stream {
     pub large: bool,
     pub position: Position,
     pub saved: Option<Position>,
-    pub pyramid: pyramid::Builder,
-    /// Ordinals per pyramid level.
-    pub bins: [u64; 64],
-    pub last_bin: [i64; 64],
+    pub pyramid: pyramid::Builder<Bin>,
+    pub tallies: pyramid::Builder<Tally>,
+    /// Ordinals per level of both.
+    pub bins: [u64; 128],
+    pub last_bin: [i64; 128],
     pub points: Vec<Bin>,
+    pub names: Names,
+    /// Messages of the commit under way: their times, and how many of `noted` are theirs.
+    pub marks: Vec<(i64, u32)>,
+    pub noted: Vec<(u32, Noted)>,
 }
 
 impl Stream {
@@ -38,9 +46,71 @@ impl Stream {
             },
             saved: None,
             pyramid: pyramid::Builder::default(),
-            bins: [0; 64],
-            last_bin: [i64::MIN; 64],
+            tallies: pyramid::Builder::default(),
+            bins: [0; 128],
+            last_bin: [i64::MIN; 128],
             points: Vec::new(),
+            names: Names::default(),
+            marks: Vec::new(),
+            noted: Vec::new(),
         }
+    }
+
+    /// Notes a message for the tracks. Small ones only are looked into.
+    pub fn mark(&mut self, time: i64, encoding: Encoding, input: &Input<'_>) {
+        let before = self.noted.len();
+        let (names, noted) = (&mut self.names, &mut self.noted);
+        let each = |key: &[u8], part: Part<'_>| {
+            let number = match key {
+                [] => Some(tracks::ITSELF),
+                key => names.key(key),
+            };
+            let Some(number) = number else { return };
+            noted.push(match part {
+                Part::Number(value) => (number, Noted::Number(value)),
+                Part::State(term) => (number, Noted::State(names.state(number, term))),
+            });
+        };
+        match input {
+            Input::Bool(value) => tracks::parts(encoding, &Value::Bool(*value), &[], each),
+            Input::Bytes(bytes) if bytes.len() < LARGE_MESSAGE => {
+                let value = Value::Bytes {
+                    start: 0,
+                    length: bytes.len(),
+                };
+                tracks::parts(encoding, &value, bytes, each);
+            }
+            _ => {}
+        }
+        self.marks.push((time, (self.noted.len() - before) as u32));
+    }
+
+    /// What was committed goes into the pyramids.
+    pub fn settle(&mut self) {
+        for point in self.points.drain(..) {
+            self.pyramid.add(point);
+        }
+        let mut rest = self.noted.as_slice();
+        for (time, n) in self.marks.drain(..) {
+            let (values, behind) = rest.split_at((n as usize).min(rest.len()));
+            rest = behind;
+            self.tallies.observe(
+                time,
+                |bin| bin.note(values),
+                || {
+                    let mut bin = Tally::empty(time);
+                    bin.note(values);
+                    bin
+                },
+            );
+        }
+        self.noted.clear();
+    }
+
+    /// What was taken back never was.
+    pub fn forget(&mut self) {
+        self.points.clear();
+        self.marks.clear();
+        self.noted.clear();
     }
 }

@@ -255,18 +255,50 @@ defmodule Situ.Store.Local do
 
   @impl true
   def summary(state, info, from, to, pixels) do
+    {from, to} = {clamp(from), clamp(to)}
+    level = Native.summary_level(from, to, pixels)
+
+    with {:ok, bins} <- signal(state, info, from, to, level),
+         do: {:ok, Bitwise.bsl(1, level), bins}
+  end
+
+  defp signal(state, info, from, to, level) do
     refresh(state)
 
-    case Native.reader_summary(state.ref, info.id, clamp(from), clamp(to), pixels) do
-      {:ok, level, bins} when map_size(info.codecs) == 0 ->
-        {:ok, Bitwise.bsl(1, level), bins}
+    case Native.reader_summary(state.ref, info.id, from, to, level) do
+      {:ok, bins} when map_size(info.codecs) == 0 ->
+        {:ok, bins}
 
-      {:ok, level, bins} ->
+      {:ok, bins} ->
         with {:ok, rest} <- codec_summary(state, info, behind(bins, from, level), to, level),
-             do: {:ok, Bitwise.bsl(1, level), bins ++ rest}
+             do: {:ok, bins ++ rest}
 
       {:error, reason} ->
         {:error, Failure.error(reason, state.path, info.name)}
+    end
+  end
+
+  @impl true
+  def tracks(state, info, from, to, level, most) do
+    {from, to} = {clamp(from), clamp(to)}
+
+    with {:ok, counts, tracks} <-
+           state.ref
+           |> Native.reader_tracks(info.id, from, to, level, most)
+           |> Failure.wrap(state.path, info.name),
+         {:ok, tracks} <- sound(state, info, tracks, from, to, level),
+         do: {:ok, counts, tracks}
+  end
+
+  # The signal inside of messages is made by their codec where the stored one is too coarse.
+  defp sound(_state, %{codecs: codecs}, tracks, _from, _to, _level) when map_size(codecs) == 0,
+    do: {:ok, tracks}
+
+  defp sound(state, info, tracks, from, to, level) do
+    case signal(state, info, from, to, level) do
+      {:ok, []} -> {:ok, tracks}
+      {:ok, bins} -> {:ok, [{nil, {:numbers, bins}} | List.keydelete(tracks, nil, 0)]}
+      error -> error
     end
   end
 
@@ -289,12 +321,12 @@ defmodule Situ.Store.Local do
   defp points(state, info, ordinal, to, found) do
     case read(state, info, ordinal, to, 1_000, []) do
       {:ok, [], _} -> {:ok, found |> Enum.reverse() |> Enum.concat()}
-      {:ok, messages, next} -> points(state, info, next, to, [signal(messages) | found])
+      {:ok, messages, next} -> points(state, info, next, to, [in_messages(messages) | found])
       error -> error
     end
   end
 
-  defp signal(messages),
+  defp in_messages(messages),
     do: for(%{data: %_{}} = message <- messages, point <- Bins.points(message), do: point)
 
   @impl true

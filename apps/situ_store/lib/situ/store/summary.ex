@@ -23,7 +23,7 @@ defmodule Situ.Store.Summary do
   States are booleans, atoms, `nil` and texts of up to 64 bytes. Maps and structs of up to 64 keys have a track for each key whose
   value is a number or a state, so a stream of intervals (`%{start: t0, stop: t1, label: "door"}`) has the numbers `:start` and
   `:stop` (the least `:start` and the greatest `:stop` of a bin tell what reaches into a window) and the states `:label`. A key
-  that holds numbers at one time and states at another has two tracks. Beyond 256 different states of a key the further ones
+  that holds numbers at one time and states at another has two tracks (but for numbers among the truths of a stream, which have none). Beyond 256 different states of a key the further ones
   are counted as `:"$other"`. Everything else has counts only.
 
       iex> root = Path.join(System.tmp_dir!(), "situ-doc-summary")

@@ -38,7 +38,7 @@ defmodule Situ.Store.Summary.Fold do
   def tracks(store, info, from, to, level, most) do
     span = {Bins.floor(from, level), Bins.floor(to, level) + bsl(1, level) - 1}
 
-    with {:ok, before} <- Reading.latest_at(store, info, from - 1) do
+    with {:ok, before} <- Reading.latest_at(store, info, from) do
       messages = Reading.messages(store, info, from: elem(span, 0), to: elem(span, 1))
 
       seed =
@@ -47,7 +47,7 @@ defmodule Situ.Store.Summary.Fold do
             do: {time, part}
 
       {counts, tracks} = fold(messages, level, seed)
-      {:ok, counts, Enum.map(tracks, &track(&1, {from, to}, most))}
+      {:ok, counts, tracks |> truths() |> Enum.map(&track(&1, {from, to}, most))}
     end
   rescue
     error in Situ.Error -> {:error, error}
@@ -70,6 +70,18 @@ defmodule Situ.Store.Summary.Fold do
     {Enum.reverse(counts), tracks}
   end
 
+  # Where there are truths, which have a signal too, numbers among them are not told.
+  defp truths(tracks) do
+    truths? =
+      Enum.any?(tracks, fn {name, _, values, _} ->
+        name == {nil, :state} and Enum.any?(values, fn {_, value} -> is_boolean(value) end)
+      end)
+
+    if truths?,
+      do: Enum.reject(tracks, fn {name, _, _, _} -> name == {nil, :number} end),
+      else: tracks
+  end
+
   defp note({name, value}, time, {order, values}) do
     case values do
       %{^name => list} -> {order, %{values | name => [{time, value} | list]}}
@@ -86,12 +98,10 @@ defmodule Situ.Store.Summary.Fold do
   end
 
   defp track({{key, :state}, level, values, seed}, {from, to}, most) do
-    within = Enum.filter(values, fn {time, _} -> time <= to end)
-    {earlier, within} = Enum.split_while(within, fn {time, _} -> time <= from end)
-    first = List.last(earlier) || seed
-    changes = Enum.dedup_by(List.wrap(first) ++ within, &elem(&1, 1))
+    within = Enum.filter(values, fn {time, _} -> time > from and time <= to end)
+    changes = Enum.dedup_by(List.wrap(seed) ++ within, &elem(&1, 1))
 
-    if length(changes) - if(first, do: 1, else: 0) <= most,
+    if length(changes) - length(List.wrap(seed)) <= most,
       do: {key, {:changes, changes}},
       else: {key, {:states, states(values, level)}}
   end
