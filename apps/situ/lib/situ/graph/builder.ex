@@ -75,7 +75,7 @@ defmodule Situ.Graph.Builder do
   def running do
     Error.new(:pipeline_running, "the pipeline is already running",
       why: "components and connections are fixed when it starts",
-      fix: "build it first; to look into a running pipeline use Situ.tap/3"
+      fix: "build it first; to look into a running pipeline use Situ.attach_tap/3"
     )
   end
 end

@@ -124,7 +124,7 @@ defmodule Situ.Pipeline.Lookup do
     Error.new(
       :inside_chain,
       "#{path} runs inside a chain of operators and has no output of its own",
-      fix: "give it a process of its own with async: true, or look at it with Situ.tap/3"
+      fix: "give it a process of its own with async: true, or look at it with Situ.attach_tap/3"
     )
   end
 

@@ -9,7 +9,7 @@ defmodule Situ.GenStage do
       GenStage.sync_subscribe(consumer, [to: pid, max_demand: 500] ++ opts)
 
   It receives `%Situ.Message{}` structs as events. An output waits for all its subscribers: a consumer that stops asking holds
-  the pipeline up, which is what back-pressure means (`Situ.tap/3` never does). When the output ends the subscription is
+  the pipeline up, which is what back-pressure means (`Situ.attach_tap/3` never does). When the output ends the subscription is
   cancelled with `{:shutdown, {:closed, time}}`; when its component failed, with the `Situ.Error`, so that a `:transient` consumer fails
   as well.
 
