@@ -5,12 +5,11 @@ defmodule Situ.Stage.ChainRunner do
   alias Situ.Operator.Chain
   alias Situ.Stage.{Callback, Counters, ErrorPolicy, Input, Inputs, Output, Outputs, State}
   require Chain
-  import Bitwise
 
-  # So long (ns) a batch may take, looked at after every fourth message: an operator that becomes slow must not keep requests
+  # So long a batch may take, looked at after every so many messages: an operator that becomes slow must not keep requests
   # waiting for hundreds of messages.
   @longest :erlang.convert_time_unit(5, :millisecond, :native)
-  @every 3
+  @every 16
 
   @doc """
   Runs the batch at clock time `now`; answers the state, the last originating time, how many messages were handled, and those that are
@@ -71,12 +70,14 @@ defmodule Situ.Stage.ChainRunner do
   end
 
   defp go(%{chain: %{fast: true, steps: steps}} = state, messages, out) do
-    {seq, reversed, last, n, rest} = fast(messages, steps, out, out.seq, [], nil, 0)
+    {seq, reversed, last, n, rest} = fast(messages, steps, out, out.seq, [], nil, 0, @every)
     resume(state, rest, out, {seq, reversed, last, n})
   end
 
   defp go(%{chain: chain} = state, messages, out) do
-    {steps, seq, reversed, last, n, rest} = slow(messages, chain.steps, out, out.seq, [], nil, 0)
+    {steps, seq, reversed, last, n, rest} =
+      slow(messages, chain.steps, out, out.seq, [], nil, 0, @every)
+
     resume(%{state | chain: %{chain | steps: steps}}, rest, out, {seq, reversed, last, n})
   end
 
@@ -97,18 +98,21 @@ defmodule Situ.Stage.ChainRunner do
     end
   end
 
-  defp fast([], _steps, _out, seq, acc, last, n), do: {seq, acc, last, n, []}
+  # `k`: how many more messages until the next look at the time.
+  defp fast([], _steps, _out, seq, acc, last, n, _k), do: {seq, acc, last, n, []}
 
-  defp fast(messages, steps, out, seq, acc, last, n) do
-    if late?(n, out.till),
+  defp fast(messages, steps, out, seq, acc, last, n, 0) do
+    if :erlang.monotonic_time() > out.till,
       do: {seq, acc, last, n, {:late, messages}},
-      else: fast_one(messages, steps, out, seq, acc, n)
+      else: fast(messages, steps, out, seq, acc, last, n, @every)
   end
 
-  defp fast_one([%{originating_time: time, data: data} = message | rest], steps, out, seq, acc, n) do
+  defp fast([message | rest], steps, out, seq, acc, _last, n, k) do
+    %{originating_time: time, data: data} = message
+
     case attempt(steps, data, message) do
       Chain.skip() ->
-        fast(rest, steps, out, seq, acc, time, n + 1)
+        fast(rest, steps, out, seq, acc, time, n + 1, k - 1)
 
       {:situ_step, _, _, _, _} = failure ->
         {seq, acc, time, n, {failure, message, rest}}
@@ -116,35 +120,34 @@ defmodule Situ.Stage.ChainRunner do
       data ->
         seq = seq + 1
         acc = if out.made, do: [envelope(data, time, seq, out) | acc], else: acc
-        fast(rest, steps, out, seq, acc, time, n + 1)
+        fast(rest, steps, out, seq, acc, time, n + 1, k - 1)
     end
   end
 
-  defp slow([], steps, _out, seq, acc, last, n), do: {steps, seq, acc, last, n, []}
+  defp slow([], steps, _out, seq, acc, last, n, _k), do: {steps, seq, acc, last, n, []}
 
-  defp slow(messages, steps, out, seq, acc, last, n) do
-    if late?(n, out.till),
+  defp slow(messages, steps, out, seq, acc, last, n, 0) do
+    if :erlang.monotonic_time() > out.till,
       do: {steps, seq, acc, last, n, {:late, messages}},
-      else: slow_one(messages, steps, out, seq, acc, n)
+      else: slow(messages, steps, out, seq, acc, last, n, @every)
   end
 
-  defp slow_one([%{originating_time: time, data: data} = message | rest], steps, out, seq, acc, n) do
+  defp slow([message | rest], steps, out, seq, acc, _last, n, k) do
+    %{originating_time: time, data: data} = message
+
     case attempt_stateful(steps, data, message) do
       {:situ_step, _, _, _, _} = failure ->
         {steps, seq, acc, time, n, {failure, message, rest}}
 
       {Chain.skip(), steps} ->
-        slow(rest, steps, out, seq, acc, time, n + 1)
+        slow(rest, steps, out, seq, acc, time, n + 1, k - 1)
 
       {data, steps} ->
         seq = seq + 1
         acc = if out.made, do: [envelope(data, time, seq, out) | acc], else: acc
-        slow(rest, steps, out, seq, acc, time, n + 1)
+        slow(rest, steps, out, seq, acc, time, n + 1, k - 1)
     end
   end
-
-  # An atom is more than any number.
-  defp late?(n, till), do: (n &&& @every) == @every and :erlang.monotonic_time() > till
 
   defp envelope(data, time, seq, out) do
     %Message{

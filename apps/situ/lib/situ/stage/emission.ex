@@ -11,7 +11,6 @@ defmodule Situ.Stage.Emission do
     Inputs,
     Output,
     Outputs,
-    Pace,
     Posting,
     Source,
     State,
@@ -160,18 +159,11 @@ defmodule Situ.Stage.Emission do
   @doc "Sends what is pending, publishes counts and asks for more."
   @spec settle(State.t()) :: State.t()
   def settle(state) do
-    state = state |> ChainRunner.tail() |> widen()
+    state = ChainRunner.tail(state)
     %{state | outputs: flush(state), inputs: Inputs.settle(state.inputs)}
   end
 
+  # What a source posts before there is a clock waits for the operators behind it.
   defp flush(%{outputs: %{tail: %Output{}} = outputs, phase: :starting}), do: outputs
   defp flush(%{outputs: outputs}), do: Outputs.flush(outputs)
-
-  defp widen(%{pace: %{wide: true}} = state), do: state
-
-  defp widen(state) do
-    sent = for output <- Outputs.all(state.outputs), do: output.pending_n
-    taken = for {_, input} <- state.inputs.by_tag, do: elem(input.handled, 0)
-    %{state | pace: Pace.widen(state.pace, Enum.max(sent ++ taken, fn -> 0 end))}
-  end
 end

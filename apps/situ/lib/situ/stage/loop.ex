@@ -77,8 +77,12 @@ defmodule Situ.Stage.Loop do
   def turn(%{pace: %{scheduled: true}} = state), do: finish(state)
 
   def turn(%{phase: :running, callback: nil} = state) do
-    now = Clock.now(state.clock)
-    chain(state, now, now + @slice_ns, State.final(state))
+    if idle?(Inputs.only(state.inputs), state.outputs) do
+      finish(state)
+    else
+      now = Clock.now(state.clock)
+      chain(state, now, now + @slice_ns, State.final(state))
+    end
   end
 
   def turn(%{phase: :running} = state) do
@@ -89,6 +93,10 @@ defmodule Situ.Stage.Loop do
 
   def turn(%{phase: :failed} = state), do: discard(state)
   def turn(state), do: finish(state)
+
+  # Nothing to take, or no room for what would come of it.
+  defp idle?(nil, _outputs), do: true
+  defp idle?(input, outputs), do: Input.empty?(input) or Outputs.room(outputs) < 1
 
   # A pipeline that ends does not wait for somebody to let it go on.
   defp unlock(%{outputs: %{demand: :accumulate} = outputs} = state, final) do
@@ -104,7 +112,14 @@ defmodule Situ.Stage.Loop do
   def again(%{pace: pace} = state), do: turn(%{state | pace: %{pace | scheduled: false}})
 
   # Sends what is pending, and sets the alarm for what waits for its time.
-  defp finish(state), do: state |> Emission.settle() |> Production.released() |> arm()
+  defp finish(state), do: state |> settle() |> Production.released() |> arm()
+
+  defp settle(%{pace: %{wide: false} = pace} = state) do
+    pace = Pace.widen(pace, Inputs.handled(state.inputs))
+    Emission.settle(%{state | pace: pace})
+  end
+
+  defp settle(state), do: Emission.settle(state)
 
   defp later(state) do
     state = finish(state)
@@ -133,7 +148,7 @@ defmodule Situ.Stage.Loop do
   end
 
   defp blocked(state, now, times, final) do
-    state = Emission.settle(state)
+    state = settle(state)
     if Outputs.room(state.outputs) < 1, do: finish(state), else: next(state, now, times, final)
   end
 
@@ -173,7 +188,7 @@ defmodule Situ.Stage.Loop do
   end
 
   defp produce(state, now) do
-    case Production.produce(Emission.settle(state), now) do
+    case Production.produce(settle(state), now) do
       {:more, state} -> later(state)
       {:enough, %{phase: :failed} = state} -> discard(state)
       {:enough, state} -> finish(state)
@@ -184,7 +199,7 @@ defmodule Situ.Stage.Loop do
 
   defp go_on({state, now}, {from, till}, final) do
     if now - from > @flush_ns,
-      do: component(Emission.settle(state), now, {now, till}, final),
+      do: component(settle(state), now, {now, till}, final),
       else: component(state, now, {from, till}, final)
   end
 
@@ -196,7 +211,7 @@ defmodule Situ.Stage.Loop do
   defp entry(nil, state, input, now, _final), do: {put_input(state, input), now}
 
   defp entry({:closed, time}, state, input, now, _final),
-    do: {state |> put_input(input) |> Emission.settle() |> closed(input, time), now}
+    do: {state |> put_input(input) |> settle() |> closed(input, time), now}
 
   defp entry(%{originating_time: time}, state, input, now, final) when time > final,
     do: {put_input(state, Input.skip(input, 1)), now}
@@ -289,10 +304,10 @@ defmodule Situ.Stage.Loop do
 
   # An input has closed when the component has given all that it had for it.
   defp settled(%{phase: phase, pace: %{continue: {:some, _}}} = state) when phase != :failed,
-    do: Emission.settle(state)
+    do: settle(state)
 
   defp settled(state) do
-    state = Emission.settle(state)
+    state = settle(state)
 
     for {tag, name, time} <- state.pace.closings,
         do: State.report(state, {:unsubscribed, tag, name, time})
@@ -314,7 +329,7 @@ defmodule Situ.Stage.Loop do
     case Input.take(input, min(room, state.pace.slice)) do
       {[], %{front: [{:closed, time} | _]} = input} ->
         {_closed, input} = Input.pop(input, now)
-        state |> Emission.settle() |> closed(input, time)
+        state |> settle() |> closed(input, time)
 
       {[], input} ->
         state |> put_input(input) |> finish()
@@ -335,7 +350,7 @@ defmodule Situ.Stage.Loop do
       :none -> finish(state)
       {:wait, input} -> state |> put_input(input) |> finish()
       {nil, input} -> state |> put_input(input) |> finish()
-      {{:closed, time}, input} -> state |> Emission.settle() |> closed(input, time)
+      {{:closed, time}, input} -> state |> settle() |> closed(input, time)
     end
   end
 
@@ -344,16 +359,19 @@ defmodule Situ.Stage.Loop do
     after_time = Clock.now(state.clock)
     input = state.inputs |> Inputs.only() |> Input.put_back(rest)
     input = if n > 0, do: Input.handled(input, n, last, {now, after_time - now}), else: input
-    pace = Pace.resize(state.pace, n, after_time - now)
+    pace = pace(state.pace, n, rest, after_time - now)
     {put_input(%{state | pace: pace}, input), {n, rest}, after_time}
   end
+
+  defp pace(pace, n, [], elapsed), do: Pace.resize(pace, n, elapsed)
+  defp pace(pace, n, _rest, _elapsed), do: Pace.slow(pace, n)
 
   defp chain_on(state, {n, rest}, after_time, {now, till, final}) do
     cond do
       state.phase == :failed -> discard(state)
       after_time > till or rest != [] -> later(state)
       n >= @many and after_time - now < @flush_ns -> chain(state, after_time, till, final)
-      true -> chain(Emission.settle(state), after_time, till, final)
+      true -> chain(settle(state), after_time, till, final)
     end
   end
 

@@ -39,8 +39,13 @@ defmodule Situ.Stage.Pace do
     %{pace | scheduled: true}
   end
 
-  @doc "Slices grow while they are quick, and shrink when they are slow: `n` messages took `elapsed` ns."
+  @doc """
+  Slices grow while they are quick, and shrink when they are slow: `n` messages took `elapsed` ns.
+  """
   @spec resize(t(), non_neg_integer(), integer()) :: t()
+  def resize(%__MODULE__{wide: false} = pace, n, elapsed) when n >= @many,
+    do: pace |> widen(n) |> resize(n, elapsed)
+
   def resize(%__MODULE__{slice: slice} = pace, n, elapsed) do
     cond do
       elapsed > @slow_ns and slice > 1 -> %{pace | slice: div(slice, 2)}
@@ -49,16 +54,19 @@ defmodule Situ.Stage.Pace do
     end
   end
 
+  @doc "A batch took too long after `n` messages: the next one is to take a millisecond or so."
+  @spec slow(t(), pos_integer()) :: t()
+  def slow(%__MODULE__{} = pace, n), do: %{pace | slice: max(div(n, 5), 1)}
+
   @doc """
   A stage that handles many messages at once is given a heap that holds them, once: they would otherwise be copied by one
   collection after another.
   """
-  @spec widen(t(), non_neg_integer()) :: t()
-  def widen(%__MODULE__{wide: true} = pace, _messages), do: pace
-  def widen(%__MODULE__{} = pace, messages) when messages < @many, do: pace
-
-  def widen(%__MODULE__{} = pace, _messages) do
+  @spec widen(t(), non_neg_integer() | :infinity) :: t()
+  def widen(%__MODULE__{wide: false} = pace, n) when n >= @many do
     Process.flag(:min_heap_size, @wide_words)
     %{pace | wide: true}
   end
+
+  def widen(%__MODULE__{} = pace, _messages), do: pace
 end

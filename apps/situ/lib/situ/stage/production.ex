@@ -39,7 +39,7 @@ defmodule Situ.Stage.Production do
   defp ask(state, room, now) do
     before = {Outputs.progress(state.outputs), Outputs.repeated(state.outputs), errors(state)}
     state = state |> Activation.call(:handle_demand, [room], now) |> judge(before)
-    state = Emission.settle(state)
+    state = Emission.settle(%{state | pace: Pace.widen(state.pace, room)})
 
     # The slice is for the operators behind it, which work in the same turn.
     state =

@@ -26,7 +26,12 @@ defmodule Situ.Stage do
   @doc "Starts the process; it reports `:up` or `{:init_failed, error}` to the server by itself."
   @spec spawn_link(map()) :: pid()
   def spawn_link(args),
-    do: :proc_lib.spawn_opt(__MODULE__, :init_it, [args], [:link, fullsweep_after: 30])
+    do:
+      :proc_lib.spawn_opt(__MODULE__, :init_it, [args], [
+        :link,
+        fullsweep_after: 30,
+        min_heap_size: 1_200
+      ])
 
   @doc false
   def init_it(args) do

@@ -212,10 +212,18 @@ defmodule Situ.Stage.Input do
   def handled(%__MODULE__{handled: {taken, _, _, spent}} = input, n, time, {now, busy}),
     do: %{input | handled: {taken + n, now - time, time, spent + busy}}
 
+  @doc "Whether there is nothing to publish and nothing to ask for."
+  @spec settled?(t()) :: boolean()
+  def settled?(%__MODULE__{handled: @nothing, window: %{owed: 0}}), do: true
+  def settled?(%__MODULE__{}), do: false
+
+  @doc "Whether nothing waits in it."
+  @spec empty?(t()) :: boolean()
+  def empty?(%__MODULE__{queue: nil, front: front, rear: rear}), do: front == [] and rear == []
+  def empty?(%__MODULE__{queue: %{size: size}}), do: size == 0
+
   @doc "Publishes counts, and asks the producer for more when it is time."
   @spec settle(t()) :: t()
-  def settle(%__MODULE__{handled: @nothing, window: %{owed: 0}} = input), do: input
-
   def settle(%__MODULE__{handled: {taken, latency, reached, busy}, window: window} = input) do
     if taken > 0 do
       Counters.processed(input.counters, taken, latency, busy)

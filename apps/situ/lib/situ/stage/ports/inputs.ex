@@ -3,30 +3,33 @@ defmodule Situ.Stage.Inputs do
   # The inputs of a stage by their tags: which is next, and what is asked of their producers.
   alias Situ.Stage.Input
 
-  defstruct by_tag: %{}, lossy: false
+  defstruct by_tag: %{}, tags: []
 
-  @typedoc "`lossy`: whether one of them drops."
-  @type t :: %__MODULE__{by_tag: %{term() => Input.t()}, lossy: boolean()}
+  @typedoc "`tags` are the keys of `by_tag`: going through a list is cheaper, and most stages have one input."
+  @type t :: %__MODULE__{by_tag: %{term() => Input.t()}, tags: [term()]}
 
   @spec new([Input.t()]) :: t()
   def new(inputs), do: Enum.reduce(inputs, %__MODULE__{}, &put(&2, &1))
 
   @doc "Adds or changes an input."
   @spec put(t(), Input.t()) :: t()
-  def put(%__MODULE__{by_tag: by_tag, lossy: lossy} = inputs, %Input{tag: tag} = input),
-    do: %{inputs | by_tag: Map.put(by_tag, tag, input), lossy: lossy or Input.lossy?(input)}
+  def put(%__MODULE__{by_tag: by_tag} = inputs, %Input{tag: tag} = input) do
+    case by_tag do
+      %{^tag => _} -> %{inputs | by_tag: %{by_tag | tag => input}}
+      _ -> %__MODULE__{by_tag: Map.put(by_tag, tag, input), tags: [tag | inputs.tags]}
+    end
+  end
 
   @spec delete(t(), term()) :: t()
-  def delete(%__MODULE__{} = inputs, tag), do: %{inputs | by_tag: Map.delete(inputs.by_tag, tag)}
+  def delete(%__MODULE__{} = inputs, tag) do
+    by_tag = Map.delete(inputs.by_tag, tag)
+    %__MODULE__{by_tag: by_tag, tags: Map.keys(by_tag)}
+  end
 
   @doc "The only input of a chain."
   @spec only(t()) :: Input.t() | nil
-  def only(%__MODULE__{by_tag: by_tag}) do
-    case Map.to_list(by_tag) do
-      [{_tag, input}] -> input
-      [] -> nil
-    end
-  end
+  def only(%__MODULE__{tags: [tag], by_tag: by_tag}), do: :erlang.map_get(tag, by_tag)
+  def only(%__MODULE__{tags: []}), do: nil
 
   @spec find(t(), atom()) :: Input.t() | nil
   def find(%__MODULE__{by_tag: by_tag}, name),
@@ -34,39 +37,43 @@ defmodule Situ.Stage.Inputs do
 
   @doc "The input whose head is the oldest."
   @spec earliest(t()) :: Input.t() | nil
-  def earliest(%__MODULE__{by_tag: by_tag}) when map_size(by_tag) == 0, do: nil
-  def earliest(%__MODULE__{by_tag: by_tag}), do: earliest(Map.to_list(by_tag), nil, nil)
+  def earliest(%__MODULE__{tags: tags, by_tag: by_tag}), do: earliest(tags, by_tag, nil, nil)
 
-  defp earliest([], _time, best), do: best
+  defp earliest([], _by_tag, _time, best), do: best
 
-  defp earliest([{_tag, input} | rest], best_time, best) do
+  defp earliest([tag | rest], by_tag, best_time, best) do
+    input = :erlang.map_get(tag, by_tag)
+
     case Input.head_time(input) do
-      :none -> earliest(rest, best_time, best)
-      time when best == nil or time < best_time -> earliest(rest, time, input)
-      _later -> earliest(rest, best_time, best)
+      :none -> earliest(rest, by_tag, best_time, best)
+      time when best == nil or time < best_time -> earliest(rest, by_tag, time, input)
+      _later -> earliest(rest, by_tag, best_time, best)
     end
+  end
+
+  @doc "The most messages handled since the last settling, among the inputs."
+  @spec handled(t()) :: non_neg_integer()
+  def handled(%__MODULE__{tags: tags, by_tag: by_tag}), do: handled(tags, by_tag, 0)
+
+  defp handled([], _by_tag, most), do: most
+
+  defp handled([tag | rest], by_tag, most) do
+    %{handled: {n, _, _, _}} = :erlang.map_get(tag, by_tag)
+    handled(rest, by_tag, max(n, most))
   end
 
   @doc "Publishes counts and asks for more."
   @spec settle(t()) :: t()
-  def settle(%__MODULE__{by_tag: by_tag} = inputs) do
-    case Map.to_list(by_tag) do
-      [] ->
-        inputs
+  def settle(%__MODULE__{tags: tags} = inputs), do: settle(tags, inputs)
 
-      [{tag, input}] ->
-        settle_one(inputs, tag, input)
+  defp settle([], inputs), do: inputs
 
-      many ->
-        Enum.reduce(many, inputs, fn {tag, input}, inputs -> settle_one(inputs, tag, input) end)
-    end
-  end
+  defp settle([tag | rest], %{by_tag: by_tag} = inputs) do
+    input = :erlang.map_get(tag, by_tag)
 
-  defp settle_one(inputs, tag, input) do
-    case Input.settle(input) do
-      ^input -> inputs
-      input -> %{inputs | by_tag: %{inputs.by_tag | tag => input}}
-    end
+    if Input.settled?(input),
+      do: settle(rest, inputs),
+      else: settle(rest, %{inputs | by_tag: %{by_tag | tag => Input.settle(input)}})
   end
 
   @doc "The component holds an input, or resumes it."
