@@ -138,7 +138,7 @@ defmodule Situ.MapAsyncTest do
     {result, got} =
       run(1..5, fn v -> if v == 3, do: Process.sleep(:infinity), else: v end,
         max: 2,
-        timeout: 20,
+        timeout: 2_000,
         on_error: :skip
       )
 
