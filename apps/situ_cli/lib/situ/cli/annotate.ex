@@ -1,6 +1,321 @@
 defmodule Situ.CLI.Annotate do
-  @moduledoc false
+  @moduledoc "The verbs of `situ annotate`: annotations from and for other programs, and how far annotators agree."
   @behaviour Situ.CLI.Verb
+  alias Situ.Annotation.{Agreement, Exchange, Layer, Recording, Schema}
+  alias Situ.CLI.{Option, Output, Verb}
+  alias Situ.{Error, Store, Time}
+
+  @formats ["eaf", "textgrid", "webvtt", "srt", "label_studio", "csv"]
+
   @impl true
-  def verbs, do: []
+  def verbs do
+    [
+      %Verb{
+        words: ["annotate", "info"],
+        aliases: ["list"],
+        summary: "list the annotation streams of a recording: tracks, counts, attributes",
+        arguments: [path: [kind: :recording, doc: "a recording with annotations"]],
+        examples: ["situ annotate info study/p01/annotation"],
+        run: &info/2
+      },
+      %Verb{
+        words: ["annotate", "export"],
+        summary:
+          "write an annotation stream for ELAN, Praat, players, Label Studio or spreadsheets",
+        about:
+          "The format goes by the file's ending (.eaf, .TextGrid, .vtt, .srt, .json, .csv). Whatever it cannot hold
+          is said.",
+        arguments: [
+          path: [kind: :recording, doc: "a recording with annotations"],
+          file: [kind: :file, doc: "the file to write; - for standard output, with --format"]
+        ],
+        options: [
+          stream(),
+          Option.new(:format, @formats, "the format, whatever the ending"),
+          Option.new(
+            :origin,
+            :time,
+            "the time that the file calls zero (default: that of --media-of, else the first annotation)"
+          ),
+          Option.new(
+            :media_of,
+            :path,
+            "the recording that the annotations are about: its first message is zero",
+            value: "PATH"
+          ),
+          Option.new(:media, :path, "the film or sound that the file names")
+        ],
+        examples: [
+          "situ annotate export study/p01/annotation p01.eaf --media-of study/p01/room --media p01.mp4"
+        ],
+        run: &export/2
+      },
+      %Verb{
+        words: ["annotate", "import"],
+        summary:
+          "make an annotation store out of a file of ELAN, Praat, players, Label Studio or spreadsheets",
+        about: "A store of that name gets a new version; its other streams go along.",
+        arguments: [
+          file: [kind: :file, doc: "the file to read; - for standard input, with --format"],
+          out: [kind: :new, doc: "ROOT/NAME of the annotation store"]
+        ],
+        options: [
+          stream(),
+          Option.new(:format, @formats, "the format, whatever the ending"),
+          Option.new(
+            :schema,
+            :path,
+            "the schema to read by (JSON); default: the file's own, or text"
+          ),
+          Option.new(
+            :origin,
+            :time,
+            "the time that the file calls zero (default: what the file says, else 0)"
+          ),
+          Option.new(
+            :media_of,
+            :path,
+            "the recording that the annotations are about: its first message is zero",
+            value: "PATH"
+          )
+        ],
+        examples: [
+          "situ annotate import p01.TextGrid study/p01/annotation --media-of study/p01/room"
+        ],
+        run: &import_file/2
+      },
+      %Verb{
+        words: ["annotate", "agreement"],
+        summary: "compare two annotators: Cohen's kappa per frame, boundary errors",
+        arguments: [
+          first: [kind: :recording, doc: "annotations: a recording, or a file to import"],
+          second: [kind: :recording, doc: "the same of the other annotator"]
+        ],
+        options: [
+          stream(),
+          Option.new(:attribute, :string, "the attribute compared (default: the first)",
+            value: "NAME"
+          ),
+          Option.new(:track, :string, "only this track", many?: true, value: "NAME"),
+          Option.new(:frame, :span, "the distance of the instants compared", default: 10_000_000),
+          Option.new(:from, :time, "begin of the span"),
+          Option.new(:to, :time, "its end"),
+          Option.new(:least, :float, "status 1 when kappa is below this")
+        ],
+        examples: ["situ annotate agreement anna/annotation ben.eaf --frame 40ms --least 0.8"],
+        run: &agreement/2
+      }
+    ]
+  end
+
+  defp stream,
+    do:
+      Option.new(:stream, :string, "the annotation stream (default: the only one)",
+        short: :s,
+        value: "NAME"
+      )
+
+  defp info(%{path: path}, opts) do
+    store = Situ.CLI.Recording.open!(path)
+    layers = for {info, layer} <- layers(store), do: described(info.name, layer)
+    if opts[:json], do: Output.json(layers), else: for(layer <- layers, do: text(layer))
+
+    if layers == [] and not opts[:json],
+      do: Output.puts("#{store.path} has no annotation streams.")
+
+    0
+  end
+
+  defp layers(store) do
+    for info <- Store.streams(store), Recording.annotations?(store, info) do
+      {info, ok!(Recording.load(store, info))}
+    end
+  end
+
+  defp described(name, layer) do
+    all = Layer.annotations(layer)
+
+    %{
+      stream: name,
+      schema: Schema.to_json(layer.schema),
+      annotations: length(all),
+      proposals: Enum.count(all, & &1.proposed?),
+      tracks:
+        for(
+          track <- Layer.tracks(layer),
+          do: %{name: track, annotations: length(Layer.on_track(layer, track))}
+        )
+    }
+  end
+
+  defp text(layer) do
+    attributes = Enum.map_join(layer.schema["attributes"], ", ", &"#{&1["name"]} (#{&1["kind"]})")
+
+    proposals =
+      if layer.proposals > 0,
+        do: ", #{Output.number(layer.proposals, "proposal")} among them",
+        else: ""
+
+    Output.puts(
+      "#{Output.name(layer.stream)}: #{Output.number(layer.annotations, "annotation")}#{proposals}; #{attributes}"
+    )
+
+    for track <- layer.tracks,
+        do: Output.puts("  #{Output.name(track.name)}: #{track.annotations}")
+  end
+
+  # A recording's only annotation stream, or the one named.
+  defp chosen(store, nil) do
+    case for info <- Store.streams(store), Recording.annotations?(store, info), do: info.name do
+      [one] ->
+        one
+
+      [] ->
+        raise Error.new(:no_stream, "#{store.path} has no annotation stream",
+                fix: "`situ store info` lists its streams"
+              )
+
+      several ->
+        raise Error.new(
+                :ambiguous_stream,
+                "#{store.path} has #{length(several)} annotation streams",
+                fix: "choose by --stream: #{Enum.join(several, ", ")}"
+              )
+    end
+  end
+
+  defp chosen(_store, name), do: name
+
+  defp export(%{path: path, file: file}, opts) do
+    store = Situ.CLI.Recording.open!(path)
+    layer = ok!(Recording.load(store, chosen(store, opts[:stream])))
+    options = origin(opts) ++ if(opts[:media], do: [media: opts[:media]], else: [])
+
+    losses =
+      if file == "-" do
+        format =
+          format(opts) || throw({:usage, "to standard output in which format? Give --format"})
+
+        {:ok, text, losses} = Exchange.encode(layer, format, options)
+        IO.binwrite(text)
+        losses
+      else
+        ok!(
+          Exchange.write(layer, file, options ++ if(f = format(opts), do: [format: f], else: []))
+        )
+      end
+
+    told(losses, opts, %{file: file, annotations: length(Layer.annotations(layer))}, file)
+  end
+
+  # The words of the table are the formats' names.
+  defp format(opts), do: opts[:format] && String.to_existing_atom(opts[:format])
+
+  defp origin(opts) do
+    cond do
+      opts[:origin] -> [origin: opts[:origin]]
+      opts[:media_of] -> [origin: first(opts[:media_of])]
+      true -> []
+    end
+  end
+
+  defp first(path) do
+    case path |> Situ.CLI.Recording.open!() |> Store.interval() do
+      {first, _} -> first
+      nil -> raise Error.new(:empty, "#{path} has no messages", fix: "give --origin")
+    end
+  end
+
+  defp told(losses, opts, report, out) do
+    if opts[:json] and out != "-" do
+      Output.json(Map.put(report, :losses, losses))
+    else
+      for loss <- losses, do: Output.warn("lost: #{loss}")
+    end
+
+    0
+  end
+
+  defp import_file(%{file: file, out: out}, opts) do
+    schema = if opts[:schema], do: [schema: ok!(Schema.load(opts[:schema]))], else: []
+    stream = opts[:stream] || "Annotation"
+    options = schema ++ origin(opts) ++ [name: stream]
+
+    {layer, losses} =
+      if file == "-" do
+        format = format(opts) || throw({:usage, "standard input in which format? Give --format"})
+        read(Exchange.decode(IO.binread(:stdio, :all), format, options))
+      else
+        read(Exchange.read(file, options ++ if(f = format(opts), do: [format: f], else: [])))
+      end
+
+    others =
+      if Store.exists?(out),
+        do: Map.new(layers(Store.open!(out)), fn {i, l} -> {i.name, l} end),
+        else: %{}
+
+    path = ok!(Recording.write_all(Map.put(others, stream, layer), out))
+    unless opts[:json], do: Output.puts(path)
+
+    told(
+      losses,
+      opts,
+      %{path: path, stream: stream, annotations: length(Layer.annotations(layer))},
+      out
+    )
+  end
+
+  defp read({:ok, layer, losses}), do: {layer, losses}
+  defp read({:error, error}), do: raise(error)
+
+  defp agreement(%{first: first, second: second}, opts) do
+    [a, b] = for path <- [first, second], do: layer(path, opts[:stream])
+    options = Keyword.take(opts, [:attribute, :frame, :from, :to])
+    options = if opts[:track] == [], do: options, else: [{:tracks, opts[:track]} | options]
+    report = ok!(Agreement.of(a, b, options))
+    if opts[:json], do: Output.json(json(report)), else: shown(report)
+    if opts[:least] && (report.kappa || 1.0) < opts[:least], do: 1, else: 0
+  end
+
+  # A recording, or a file of another program.
+  defp layer(path, stream) do
+    with true <- File.regular?(path), {:ok, _} <- Exchange.format(path) do
+      path |> Exchange.read(name: stream || "Annotation") |> read() |> elem(0)
+    else
+      _ ->
+        store = Situ.CLI.Recording.open!(path)
+        ok!(Recording.load(store, chosen(store, stream)))
+    end
+  end
+
+  defp json(report) do
+    confusion =
+      for {{a, b}, n} <- Enum.sort(report.confusion), do: %{first: a, second: b, frames: n}
+
+    %{report | confusion: confusion}
+  end
+
+  defp shown(report) do
+    Output.puts(
+      "#{Output.name(report.attribute)}: kappa #{number(report.kappa)}, agreement #{number(report.agreement)} of
+      #{Output.number(report.frames, "frame")}"
+    )
+
+    for {track, kappa} <- Enum.sort(report.tracks),
+        do: Output.puts("  #{Output.name(track)}: kappa #{number(kappa)}")
+
+    Output.puts(
+      "#{Output.number(report.paired, "pair")}; begins #{span(report.begin_error)} apart, ends
+      #{span(report.end_error)}; " <>
+        "#{report.only_first} only in the first, #{report.only_second} only in the second"
+    )
+  end
+
+  defp number(nil), do: "-"
+  defp number(x), do: :erlang.float_to_binary(x, decimals: 4)
+  defp span(nil), do: "-"
+  defp span(ns), do: Time.format_duration(round(ns))
+
+  defp ok!({:ok, value}), do: value
+  defp ok!({:error, error}), do: raise(error)
 end

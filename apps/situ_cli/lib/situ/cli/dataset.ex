@@ -1,6 +1,458 @@
 defmodule Situ.CLI.Dataset do
-  @moduledoc false
+  @moduledoc "The verbs of `situ dataset`: sessions of recordings in one file."
   @behaviour Situ.CLI.Verb
+  alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
+  alias Situ.Dataset
+  alias Situ.Dataset.{Checksum, Partition, Session, Summary}
+  alias Situ.Time
+
+  @file_argument [kind: :file, doc: "a dataset file"]
+  @any [
+    kind: :recording,
+    doc: "a dataset file, a .pds of \\psi, a folder of recordings, or a recording"
+  ]
+
   @impl true
-  def verbs, do: []
+  def verbs do
+    [
+      %Verb{
+        words: ["dataset", "info"],
+        aliases: ["list", "ls"],
+        summary:
+          "list the sessions of a dataset: partitions, spans, sizes, and what is missing or damaged",
+        arguments: [
+          path: @any,
+          session: [kind: :text, optional: true, doc: "one session, with its streams"]
+        ],
+        options: [
+          Option.new(:tag, :string, "only sessions with this tag", many?: true),
+          Option.new(:name, :string, "only sessions whose name fits this pattern",
+            value: "PATTERN"
+          )
+        ],
+        examples: ["situ dataset info study.json", "situ dataset info recordings --json"],
+        run: &info/2
+      },
+      %Verb{
+        words: ["dataset", "create"],
+        summary: "make a dataset file, of a folder of recordings or empty",
+        about:
+          "Each folder in FOLDER becomes a session, each recording in it a partition. Paths in the file are relative.",
+        arguments: [
+          file: @file_argument,
+          folder: [kind: :folder, optional: true, doc: "a folder of recordings, or a .pds"]
+        ],
+        options: [
+          Option.new(:name, :string, "the dataset's name (default: the file's)"),
+          Option.new(:force, :flag, "replace a file that is there", short: :f)
+        ],
+        examples: ["situ dataset create study/study.json study"],
+        run: &create/2
+      },
+      %Verb{
+        words: ["dataset", "add"],
+        summary: "add recordings to a session; the session is made if it is not there",
+        arguments: [
+          file: @file_argument,
+          session: [kind: :text, doc: "the session's name"],
+          path: [
+            kind: :recording,
+            many: true,
+            doc: "recordings; each becomes a partition with its name"
+          ]
+        ],
+        options: [
+          Option.new(:partition, :string, "the partition's name, of one recording", value: "NAME"),
+          Option.new(:tag, :string, "a tag of the session", many?: true),
+          Option.new(:set, :string, "metadata of the session", value: "KEY=VALUE", many?: true)
+        ],
+        examples: ["situ dataset add study.json p11 recordings/p11/* --tag pilot --set age=31"],
+        run: &add/2
+      },
+      %Verb{
+        words: ["dataset", "set"],
+        summary: "set tags and metadata of a session, or of the dataset",
+        arguments: [
+          file: @file_argument,
+          session: [kind: :text, optional: true, doc: "a session; without it the dataset"]
+        ],
+        options: [
+          Option.new(:tag, :string, "add this tag", many?: true),
+          Option.new(:untag, :string, "take this tag away", many?: true),
+          Option.new(:set, :string, "metadata; VALUE is JSON, or text",
+            value: "KEY=VALUE",
+            many?: true
+          ),
+          Option.new(:unset, :string, "take this metadata away", value: "KEY", many?: true)
+        ],
+        examples: ["situ dataset set study.json p03 --set 'notes=came late' --tag left-handed"],
+        run: &set/2
+      },
+      %Verb{
+        words: ["dataset", "rename"],
+        summary: "give a session, or a partition (SESSION/PARTITION), another name",
+        arguments: [
+          file: @file_argument,
+          name: [kind: :text, doc: "SESSION or SESSION/PARTITION"],
+          to: [kind: :text, doc: "the new name"]
+        ],
+        examples: ["situ dataset rename study.json p3/lobby Room"],
+        run: &rename/2
+      },
+      %Verb{
+        words: ["dataset", "remove"],
+        summary:
+          "take a session, or a partition (SESSION/PARTITION), out; recordings stay where they are",
+        arguments: [
+          file: @file_argument,
+          name: [kind: :text, many: true, doc: "SESSION or SESSION/PARTITION"]
+        ],
+        examples: ["situ dataset remove study.json pilot1 p3/Room"],
+        run: &remove/2
+      },
+      %Verb{
+        words: ["dataset", "append"],
+        summary: "add the sessions of another dataset",
+        arguments: [file: @file_argument, other: @any],
+        examples: ["situ dataset append study.json monday.pds"],
+        run: &append/2
+      },
+      %Verb{
+        words: ["dataset", "seal"],
+        summary: "note a checksum of every recording, so that verify notices later changes",
+        arguments: [file: @file_argument],
+        run: &seal/2
+      },
+      %Verb{
+        words: ["dataset", "verify"],
+        summary:
+          "check that every recording is there, whole and (if sealed) unchanged; status 1 when not",
+        arguments: [path: @any],
+        run: &verify/2
+      }
+    ]
+  end
+
+  defp open!(path) do
+    Recording.ready([path])
+    for app <- [:situ_media, :situ_bridge], do: {:ok, _} = Application.ensure_all_started(app)
+    ok!(Dataset.open(path))
+  end
+
+  defp edit(file, opts, fun) do
+    dataset = file |> open!() |> fun.()
+    {:ok, dataset} = {:ok, ok!(dataset)}
+    saved = ok!(Dataset.save(dataset))
+    if opts[:json], do: Output.json(%{file: saved.file, sessions: length(saved.sessions)})
+    0
+  end
+
+  # Looking
+
+  defp info(%{path: path, session: nil}, opts) do
+    dataset = open!(path)
+    sessions = Dataset.select(dataset, tags: opts[:tag], name: opts[:name] || "*")
+    shown = %{dataset | sessions: sessions}
+    summaries = Dataset.summaries(shown)
+    if opts[:json], do: Output.json(json(shown, summaries)), else: text(shown, summaries)
+    if Enum.any?(summaries, fn {_, s} -> s.unknown > 0 end), do: 1, else: 0
+  end
+
+  defp info(%{path: path, session: name}, opts) do
+    session = path |> open!() |> Dataset.session(name) |> ok!()
+
+    if opts[:json],
+      do: Output.json(session_json(session, Session.summary(session))),
+      else: session_text(session)
+
+    0
+  end
+
+  defp text(dataset, summaries) do
+    Output.puts("#{dataset.name}  (#{dataset.file || "not saved"})")
+    total = Summary.sum(Enum.map(summaries, &elem(&1, 1)))
+    length = Time.format_duration(Enum.sum(for {_, s} <- summaries, do: Summary.duration(s)))
+
+    Output.puts(
+      "  #{Output.number(length(summaries), "session")}, #{Output.number(total.messages, "message")} in " <>
+        "#{Output.number(total.streams, "stream")}, #{Output.bytes(total.size)}, #{length} in all"
+    )
+
+    head = ["session", "tags", "from", "length", "partitions", "streams", "messages", "size", ""]
+    rows = for {session, {_, s}} <- Enum.zip(dataset.sessions, summaries), do: row(session, s)
+    if rows != [], do: Output.table([head | rows], 3)
+
+    for {session, partition, error} <- unreadable(dataset, summaries),
+        do: Output.warn("#{session}/#{partition}: #{error.what}")
+  end
+
+  defp row(session, s) do
+    from =
+      if s.messages > 0,
+        do: s.originating.left |> Time.to_iso8601() |> String.slice(0, 19),
+        else: "-"
+
+    state = if s.unknown > 0, do: "#{s.unknown} unreadable", else: ""
+
+    [session.name, Enum.join(session.tags, " "), from, Time.format_duration(Summary.duration(s))] ++
+      [
+        "#{length(session.partitions)}",
+        "#{s.streams}",
+        "#{s.messages}",
+        Output.bytes(s.size),
+        state
+      ]
+  end
+
+  defp unreadable(dataset, summaries) do
+    for {session, {_, %{unknown: n}}} <- Enum.zip(dataset.sessions, summaries),
+        n > 0,
+        partition <- session.partitions,
+        {:error, error} <- [Partition.open(partition)],
+        do: {session.name, partition.name, error}
+  end
+
+  defp json(dataset, summaries) do
+    %{
+      name: dataset.name,
+      file: dataset.file,
+      tags: dataset.tags,
+      metadata: dataset.metadata,
+      sessions:
+        for(
+          {session, {_, s}} <- Enum.zip(dataset.sessions, summaries),
+          do: session_json(session, s)
+        )
+    }
+  end
+
+  defp session_json(session, summary) do
+    partitions =
+      for p <- session.partitions do
+        state =
+          case Partition.summary(p) do
+            {:ok, s} -> numbers(s)
+            {:error, error} -> %{error: error.what}
+          end
+
+        Map.merge(
+          %{name: p.name, path: p.path, checksum: p.checksum, metadata: p.metadata},
+          state
+        )
+      end
+
+    Map.merge(numbers(summary), %{
+      name: session.name,
+      tags: session.tags,
+      metadata: session.metadata,
+      partitions: partitions
+    })
+  end
+
+  defp numbers(s) do
+    {from, to} =
+      if s.messages > 0, do: {s.originating.left, s.originating.right}, else: {nil, nil}
+
+    %{from: from, to: to, streams: s.streams, messages: s.messages, size: s.size}
+  end
+
+  defp session_text(session) do
+    Output.puts("#{session.name}  #{Enum.map_join(session.tags, " ", &("#" <> &1))}")
+
+    for {key, value} <- Enum.sort(session.metadata),
+        do: Output.puts("  #{key}: #{Situ.JSON.encode(value)}")
+
+    rows =
+      for p <- session.partitions do
+        case Partition.summary(p) do
+          {:ok, s} -> [p.name, p.path, "#{s.streams}", "#{s.messages}", Output.bytes(s.size), ""]
+          {:error, error} -> [p.name, p.path, "-", "-", "-", error.what]
+        end
+      end
+
+    Output.table([["partition", "path", "streams", "messages", "size", ""] | rows], 2)
+    open = Situ.Dataset.OpenSession.open(session)
+
+    streams =
+      for {partition, info} <- Situ.Dataset.OpenSession.streams(open) do
+        [
+          Situ.Dataset.OpenSession.address(open, partition, info.name),
+          info.type_name,
+          "#{info.count}"
+        ]
+      end
+
+    if streams != [], do: Output.table([["stream", "type", "messages"] | streams], 2)
+  end
+
+  # Changing
+
+  defp create(%{file: file, folder: folder}, opts) do
+    if File.exists?(file) and not opts[:force] do
+      raise Situ.Error.new(:file_exists, "#{file} is there already",
+              fix: "choose another name, or --force"
+            )
+    end
+
+    dataset = if folder, do: open!(folder), else: ok!(Dataset.new())
+    name = opts[:name] || Path.basename(file, Path.extname(file))
+    dataset = ok!(Dataset.put(dataset, name: name))
+    saved = ok!(Dataset.save_as(dataset, file))
+
+    if opts[:json],
+      do: Output.json(%{file: saved.file, sessions: length(saved.sessions)}),
+      else: Output.puts("#{saved.file}: #{Output.number(length(saved.sessions), "session")}")
+
+    0
+  end
+
+  defp add(%{file: file, session: name, path: paths}, opts) do
+    paths = Recording.expand(paths)
+
+    if opts[:partition] && length(paths) > 1,
+      do: throw({:usage, "--partition names one recording, not #{length(paths)}"})
+
+    edit(file, opts, fn dataset ->
+      dataset =
+        case Dataset.session(dataset, name) do
+          {:ok, _} -> dataset
+          {:error, _} -> ok!(Dataset.add_session(dataset, name))
+        end
+
+      Dataset.update_session(dataset, name, fn session ->
+        session =
+          Enum.reduce(paths, session, &ok!(Session.add(&2, partition!(opts[:partition], &1))))
+
+        {:ok, changed(session, opts)}
+      end)
+    end)
+  end
+
+  # What cannot be opened now is most likely a mistake.
+  defp partition!(name, path) do
+    Recording.ready([path])
+    partition = Partition.new(name, path)
+    _ = ok!(Partition.open(partition))
+    partition
+  end
+
+  defp set(%{file: file, session: nil}, opts) do
+    edit(file, opts, fn dataset ->
+      changed = changed(dataset, opts)
+      Dataset.put(dataset, tags: changed.tags, metadata: changed.metadata)
+    end)
+  end
+
+  defp set(%{file: file, session: name}, opts),
+    do:
+      edit(
+        file,
+        opts,
+        &Dataset.update_session(&1, name, fn session -> {:ok, changed(session, opts)} end)
+      )
+
+  defp changed(thing, opts) do
+    tags = Enum.uniq(thing.tags ++ opts[:tag]) -- (opts[:untag] || [])
+    metadata = Enum.reduce(opts[:set], thing.metadata, fn text, map -> put(map, text) end)
+    %{thing | tags: tags, metadata: Map.drop(metadata, opts[:unset] || [])}
+  end
+
+  defp put(map, text) do
+    case String.split(text, "=", parts: 2) do
+      [key, value] -> Map.put(map, key, value(value))
+      [_] -> throw({:usage, "--set takes KEY=VALUE, not #{inspect(text)}"})
+    end
+  end
+
+  defp value(text) do
+    case Situ.JSON.decode(text) do
+      {:ok, value} -> value
+      {:error, :bad_json} -> text
+    end
+  end
+
+  defp rename(%{file: file, name: name, to: to}, opts) do
+    edit(file, opts, fn dataset ->
+      case place(dataset, name) do
+        {session, nil} ->
+          Dataset.rename_session(dataset, session, to)
+
+        {session, partition} ->
+          Dataset.update_session(dataset, session, &Session.rename_partition(&1, partition, to))
+      end
+    end)
+  end
+
+  defp remove(%{file: file, name: names}, opts) do
+    edit(file, opts, fn dataset ->
+      Enum.reduce(names, {:ok, dataset}, fn name, {:ok, dataset} ->
+        removed =
+          case place(dataset, name) do
+            {session, nil} ->
+              Dataset.remove_session(dataset, session)
+
+            {session, partition} ->
+              Dataset.update_session(dataset, session, &Session.remove(&1, partition))
+          end
+
+        {:ok, ok!(removed)}
+      end)
+    end)
+  end
+
+  # A session may have a slash in its name.
+  defp place(dataset, name) do
+    with {:error, _} <- Dataset.session(dataset, name),
+         [session, partition] <- String.split(name, "/", parts: 2) do
+      {session, partition}
+    else
+      _ -> {name, nil}
+    end
+  end
+
+  defp append(%{file: file, other: other}, opts),
+    do: edit(file, opts, &Dataset.append(&1, open!(other)))
+
+  defp seal(%{file: file}, opts) do
+    edit(file, opts, fn dataset ->
+      Progress.show("seal", opts, fn progress -> Dataset.seal(dataset, progress: progress) end)
+    end)
+  end
+
+  defp verify(%{path: path}, opts) do
+    dataset = open!(path)
+    total = dataset.sessions |> Enum.map(&length(&1.partitions)) |> Enum.sum()
+
+    all =
+      for session <- dataset.sessions, partition <- session.partitions, do: {session, partition}
+
+    wrong =
+      Progress.show("verify", opts, fn progress ->
+        for {{session, partition}, n} <- Enum.with_index(all, 1),
+            progress.(n, total) || true,
+            {:error, error} <- [checked(partition)],
+            do: {session.name, partition.name, error}
+      end)
+
+    if opts[:json] do
+      Output.json(
+        for {s, p, e} <- wrong,
+            do: %{session: s, partition: p, code: e.code, what: e.what, why: e.why}
+      )
+    else
+      for {s, p, e} <- wrong, do: Output.puts("#{s}/#{p}: #{Exception.message(e)}")
+      if wrong == [], do: Output.puts("#{Output.number(total, "recording")}, all sound")
+    end
+
+    if wrong == [], do: 0, else: 1
+  end
+
+  defp checked(partition) do
+    with :ok <- Partition.check(partition) do
+      if partition.checksum, do: Checksum.verify(partition.path, partition.checksum), else: :ok
+    end
+  end
+
+  defp ok!({:ok, value}), do: value
+  defp ok!({:error, error}), do: raise(error)
 end
