@@ -14,7 +14,9 @@ defmodule Situ.Graph do
 
   defstruct vertices: %{},
             edges: %{},
+            connected: %{},
             paths: %{},
+            numbers: %{},
             stream_names: %{},
             scopes: %{},
             proposals: [],
@@ -28,7 +30,9 @@ defmodule Situ.Graph do
   @type t :: %__MODULE__{
           vertices: %{pos_integer() => Vertex.t()},
           edges: %{pos_integer() => Edge.t()},
+          connected: %{{pos_integer(), atom()} => pos_integer()},
           paths: %{String.t() => pos_integer()},
+          numbers: %{String.t() => pos_integer()},
           stream_names: %{String.t() => {pos_integer(), atom()}},
           scopes: %{String.t() => true},
           proposals: [{Situ.Time.t(), Situ.Time.t() | :unbounded}],
@@ -114,7 +118,9 @@ defmodule Situ.Graph do
       explicit: policy != nil
     }
 
-    {:ok, %{graph | edges: Map.put(graph.edges, edge.id, edge), next_edge: edge.id + 1}}
+    connected = Map.put(graph.connected, edge.to, edge.id)
+    edges = Map.put(graph.edges, edge.id, edge)
+    {:ok, %{graph | edges: edges, connected: connected, next_edge: edge.id + 1}}
   end
 
   @doc "Names a stream; the name must be free."
@@ -166,7 +172,7 @@ defmodule Situ.Graph do
   end
 
   defp insert(graph, handle, vertex, outputs, name, explicit) do
-    path = unique_path(graph, join(handle.scope, name), explicit)
+    {path, graph} = unique_path(graph, join(handle.scope, name), explicit)
 
     {outputs, next_source} =
       Enum.map_reduce(ports(outputs), graph.next_source, fn {port, info}, id ->
@@ -225,17 +231,22 @@ defmodule Situ.Graph do
   end
 
   defp unique_path(graph, path, nil) do
-    if taken?(graph, path) do
-      Stream.iterate(2, &(&1 + 1))
-      |> Stream.map(&(path <> Integer.to_string(&1)))
-      |> Enum.find(&(not taken?(graph, &1)))
-    else
-      path
-    end
+    if taken?(graph, path),
+      do: numbered(graph, path, Map.get(graph.numbers, path, 2)),
+      else: {path, graph}
   end
 
   defp unique_path(graph, path, _explicit) do
-    if taken?(graph, path), do: raise(duplicate("component", path)), else: path
+    if taken?(graph, path), do: raise(duplicate("component", path)), else: {path, graph}
+  end
+
+  # The smallest number that is free; those below the one that was found last are not.
+  defp numbered(graph, path, n) do
+    name = path <> Integer.to_string(n)
+
+    if taken?(graph, name),
+      do: numbered(graph, path, n + 1),
+      else: {name, %{graph | numbers: Map.put(graph.numbers, path, n + 1)}}
   end
 
   defp taken?(graph, path),
@@ -266,12 +277,12 @@ defmodule Situ.Graph do
   end
 
   defp check_free!(graph, to, input) do
-    case Enum.find(graph.edges, fn {_, edge} -> edge.to == {to.id, input} end) do
+    case Map.get(graph.connected, {to.id, input}) do
       nil ->
         :ok
 
-      {_, edge} ->
-        other = Map.fetch!(graph.vertices, elem(edge.from, 0))
+      id ->
+        other = Map.fetch!(graph.vertices, elem(graph.edges[id].from, 0))
 
         raise Error.new(
                 :already_connected,

@@ -97,45 +97,27 @@ defmodule Situ.Graph.Plan do
 
   # Back-pressure around a cycle would stop it for ever: edges that lie on one get no bound.
   defp unbound_cycles(graph, process, edges) do
-    case cyclic(Map.keys(graph.vertices), edges) do
-      [] -> process
-      rest -> Enum.map(process, &unbound(&1, rest))
+    case cycles(Map.keys(graph.vertices), edges) do
+      cycles when cycles == %{} -> process
+      cycles -> Enum.map(process, &unbound(&1, cycles))
     end
   end
 
-  defp unbound(edge, cyclic_edges) do
-    {from, to} = {elem(edge.from, 0), elem(edge.to, 0)}
+  defp unbound(edge, cycles) do
+    {from, to} = {cycles[elem(edge.from, 0)], cycles[elem(edge.to, 0)]}
 
-    if edge in cyclic_edges and reaches?(to, from, cyclic_edges) and
-         not Delivery.lossy?(edge.policy),
-       do: %{edge | policy: %{edge.policy | window: :infinity}},
-       else: edge
+    if from != nil and from == to and not Delivery.lossy?(edge.policy),
+      do: %{edge | policy: %{edge.policy | window: :infinity}},
+      else: edge
   end
 
-  # Edges that remain when vertices without incoming edges are taken away again and again.
-  defp cyclic(_ids, []), do: []
-
-  defp cyclic(ids, edges) do
-    targets = MapSet.new(edges, &elem(&1.to, 0))
-    {kept, free} = Enum.split_with(ids, &MapSet.member?(targets, &1))
-    free = MapSet.new(free)
-
-    if MapSet.size(free) == 0,
-      do: edges,
-      else: cyclic(kept, Enum.reject(edges, &MapSet.member?(free, elem(&1.from, 0))))
-  end
-
-  defp reaches?(from, to, edges) do
-    next = Enum.group_by(edges, &elem(&1.from, 0), &elem(&1.to, 0))
-    walk([from], to, next, MapSet.new())
-  end
-
-  defp walk([], _to, _next, _seen), do: false
-  defp walk([to | _], to, _next, _seen), do: true
-
-  defp walk([id | rest], to, next, seen) do
-    if MapSet.member?(seen, id),
-      do: walk(rest, to, next, seen),
-      else: walk(Map.get(next, id, []) ++ rest, to, next, MapSet.put(seen, id))
+  # Each vertex on a cycle with the number of the group of those that lead to one another.
+  defp cycles(ids, edges) do
+    digraph = :digraph.new()
+    Enum.each(ids, &:digraph.add_vertex(digraph, &1))
+    for edge <- edges, do: :digraph.add_edge(digraph, elem(edge.from, 0), elem(edge.to, 0))
+    groups = :digraph_utils.cyclic_strong_components(digraph)
+    :digraph.delete(digraph)
+    for {group, n} <- Enum.with_index(groups), id <- group, into: %{}, do: {id, n}
   end
 end

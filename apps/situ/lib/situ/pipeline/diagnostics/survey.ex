@@ -10,6 +10,9 @@ defmodule Situ.Diagnostics.Survey do
   @spec snapshot(map()) :: Snapshot.t()
   def snapshot(view) do
     place = places(view.stages)
+    names = Map.new(view.graph.stream_names, fn {name, port} -> {port, name} end)
+    entries = Map.new(view.graph.edges, fn {id, edge} -> {elem(edge.to, 0), id} end)
+    view = Map.merge(view, %{names: names, entries: entries})
 
     %Snapshot{
       pipeline: view.name,
@@ -53,7 +56,7 @@ defmodule Situ.Diagnostics.Survey do
         process: stage && stage.id,
         description: stage && Map.get(view.descriptions, stage.id),
         inputs: Enum.map(vertex.inputs, &port(&1, nil)),
-        outputs: Enum.map(vertex.outputs, &port(&1, stream_name(view.graph, vertex, elem(&1, 0))))
+        outputs: Enum.map(vertex.outputs, &port(&1, stream_name(view, vertex, elem(&1, 0))))
       },
       tally
     )
@@ -69,11 +72,9 @@ defmodule Situ.Diagnostics.Survey do
   defp port({name, port}, stream),
     do: %{name: Atom.to_string(name), type: Type.to_string(port.type), stream: stream}
 
-  defp stream_name(graph, vertex, output) do
-    case Enum.find(graph.stream_names, fn {_, port} -> port == {vertex.id, output} end) do
-      {name, _} -> name
-      nil -> Graph.stream_name(vertex.path, output, vertex.outputs)
-    end
+  defp stream_name(view, vertex, output) do
+    with nil <- view.names[{vertex.id, output}],
+         do: Graph.stream_name(vertex.path, output, vertex.outputs)
   end
 
   defp edge(%{id: id} = edge, view, place) do
@@ -108,8 +109,7 @@ defmodule Situ.Diagnostics.Survey do
   # Inside a chain there is no queue: what entered the chain is what there is to tell.
   defp inline(base, view, place, from) do
     with {stage, _} <- Map.get(place, from, nil),
-         %{id: entry} <-
-           Enum.find(Map.values(view.graph.edges), &(elem(&1.to, 0) == hd(stage.vertices).id)),
+         entry when entry != nil <- view.entries[hd(stage.vertices).id],
          true <- Map.has_key?(view.counters, entry) do
       %{window: window} = numbers = numbers(entry, view)
       window = %{window | emitted: window.processed, dropped: 0, queue: nil, size: nil}

@@ -1,0 +1,65 @@
+defmodule Situ.GraphTest do
+  use ExUnit.Case, async: true
+
+  alias Situ.Graph
+  alias Situ.Graph.Plan
+
+  # What building and planning cost, by the VM's own count: a clock would measure who else is at work.
+  defp cost(fun) do
+    me = self()
+
+    spawn_link(fn ->
+      {:reductions, before} = Process.info(self(), :reductions)
+      fun.()
+      {:reductions, later} = Process.info(self(), :reductions)
+      send(me, {:cost, later - before})
+    end)
+
+    receive do: ({:cost, n} -> n)
+  end
+
+  defp fan(n) do
+    fn p ->
+      source = Situ.from_enumerable(p, [{1, 1}])
+      for _ <- 1..n, do: source |> Situ.map(& &1, async: true) |> Situ.each(& &1, async: true)
+    end
+  end
+
+  defp chain(n) do
+    fn p ->
+      source = Situ.from_enumerable(p, [{1, 1}])
+      Enum.reduce(1..n, source, fn _, s -> Situ.map(s, & &1, async: true) end)
+    end
+  end
+
+  test "building and planning are linear in the number of components" do
+    for shape <- [&fan/1, &chain/1] do
+      [small, large] =
+        for n <- [500, 2_000] do
+          cost(fn ->
+            {graph, _} = Graph.build(shape.(n))
+            assert {:ok, %Plan{}} = Plan.compile(graph)
+          end)
+        end
+
+      # Four times as many: a tree a little deeper, nothing quadratic (which were sixteen times).
+      assert large < 7 * small
+    end
+  end
+
+  test "edges on a cycle get no bound, and only these" do
+    {graph, _} =
+      Graph.build(fn p ->
+        one = Situ.Pipeline.add(p, Situ.Fixture.Pass, name: "One")
+        two = Situ.Pipeline.add(p, Situ.Fixture.Pass, name: "Two")
+        three = Situ.Pipeline.add(p, Situ.Fixture.Pass, name: "Three")
+        Situ.Pipeline.connect(Situ.Node.output(one, :out), two, :in)
+        Situ.Pipeline.connect(Situ.Node.output(two, :out), one, :in)
+        Situ.Pipeline.connect(Situ.Node.output(two, :out), three, :in)
+      end)
+
+    {:ok, plan} = Plan.compile(graph)
+    windows = Map.new(plan.edges, &{&1.id, &1.policy.window})
+    assert windows == %{1 => :infinity, 2 => :infinity, 3 => 1_000}
+  end
+end
