@@ -4,7 +4,17 @@ defmodule Situ.Fixture.LifecycleWorld do
   alias Situ.Pipeline.Lifecycle
   alias Situ.Pipeline.Lifecycle.{Links, Member, State}
 
-  defstruct [:life, :graph, bag: [], alive: MapSet.new(), log: [], seed: nil, steps: 0]
+  defstruct [
+    :life,
+    :graph,
+    bag: [],
+    alive: MapSet.new(),
+    log: [],
+    seed: nil,
+    steps: 0,
+    next: 100,
+    forgotten: []
+  ]
 
   @doc """
   Lives a life. `graph`: `%{sources: [end], others: [on_error], links: [{from, to}]}`; `wishes`: events from outside (stops, deaths,
@@ -96,6 +106,25 @@ defmodule Situ.Fixture.LifecycleWorld do
       else: world
   end
 
+  # Two stages, the first a source, the second behind it and behind one that runs; or such a one alone.
+  defp happen({:wish, {:grow, on_error}}, world) do
+    {a, b} = {world.next, world.next + 1}
+    world = %{world | next: b + 1}
+    flowing = for {id, %{status: :running, up?: true}} <- world.life.stages, id < a, do: id
+    member = %Member{id: a, path: "S#{a}", source?: true, on_error: on_error, added?: true}
+    other = %{member | id: b, path: "S#{b}", source?: false}
+    inner = %{from: a, to: b, output: :out, id: {a, b}}
+    outer = for id <- Enum.take(flowing, 1), do: %{from: id, to: b, output: :out, id: {id, b}}
+
+    plan = %{
+      members: %{a => member, b => other},
+      links: Map.new([inner | outer], &{&1.id, &1}),
+      lent: Enum.map(outer, & &1.id)
+    }
+
+    apply_event(world, {:grow, make_ref(), plan, {:grower, a}})
+  end
+
   defp happen({:wish, event}, world), do: apply_event(world, event)
 
   defp kill(world, id) do
@@ -103,7 +132,8 @@ defmodule Situ.Fixture.LifecycleWorld do
       world = %{world | alive: MapSet.delete(world.alive, id)}
       # Its last words may still be under way, behind them the news of its end.
       world = %{world | bag: Enum.reject(world.bag, &match?({:stage, ^id, _}, &1))}
-      apply_event(world, {:exited, id, error(id), nil})
+      world = apply_event(world, {:exited, id, error(id), nil})
+      if id in world.forgotten, do: apply_event(world, {:left, id}), else: world
     else
       world
     end
@@ -134,11 +164,22 @@ defmodule Situ.Fixture.LifecycleWorld do
   defp perform({:run, ids}, world) do
     {_, _, %{sources: sources}} = world.graph
 
-    for id <- ids, time = Enum.at(sources, id - 1), reduce: world do
+    for id <- ids,
+        %{source?: true} <- [world.life.stages[id]],
+        time = if(id < 100, do: Enum.at(sources, id - 1), else: 9),
+        reduce: world do
       world -> put(world, {:stage, id, {:completed, id, time}})
     end
   end
 
+  # A stream that has closed says so.
+  defp perform({:lend, tag}, world) do
+    %{from: from} = world.life.links.topology[tag]
+    closed? = not world.life.stages[from].open?
+    put(world, {:stage, from, {:lent, tag, if(closed?, do: {:closed, 7}, else: {:open, 5})}})
+  end
+
+  defp perform({:forget, ids}, world), do: %{world | forgotten: ids ++ world.forgotten}
   defp perform({:tell, id, :settle}, world), do: put(world, {:stage, id, {:settled, id}})
 
   defp perform({:tell, id, {:stop, _}}, world),

@@ -158,6 +158,32 @@ defmodule Situ.Graph do
     Map.merge(default, graph.stream_names)
   end
 
+  @doc "The stream of this name. Raises `Situ.Error`."
+  @spec stream!(t(), Situ.Graph.Handle.t(), String.t()) :: Situ.Stream.t()
+  def stream!(%__MODULE__{} = graph, handle, name) do
+    named = stream_names(graph)
+
+    case named do
+      %{^name => {id, output}} ->
+        type = graph.vertices[id].outputs[output].type
+        %Situ.Stream{pipeline: handle, node: id, output: output, name: name, type: type}
+
+      _ ->
+        raise unknown_stream(name, Map.keys(named))
+    end
+  end
+
+  @doc "The error for a stream that does not exist, with the nearest name."
+  @spec unknown_stream(term(), [String.t()]) :: Error.t()
+  def unknown_stream(name, known) do
+    near = is_binary(name) && Options.nearest(name, known)
+
+    fix =
+      if near, do: "did you mean #{inspect(near)}?", else: "streams: " <> Enum.join(known, ", ")
+
+    Error.new(:unknown_stream, "the pipeline has no stream #{inspect(name)}", fix: fix)
+  end
+
   @doc "The error for a port that does not exist, with the nearest name."
   @spec unknown_port(:input | :output, Situ.Node.t(), atom()) :: Error.t()
   def unknown_port(kind, node, name) do

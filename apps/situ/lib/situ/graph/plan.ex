@@ -23,10 +23,28 @@ defmodule Situ.Graph.Plan do
   def compile(%Graph{} = graph) do
     edges = graph.edges |> Map.values() |> Enum.sort_by(& &1.id)
 
-    with :ok <- check_inputs(graph, edges) do
-      outgoing = Enum.group_by(edges, &elem(&1.from, 0))
-      {inline, process} = Enum.split_with(edges, &inline?(graph, outgoing, &1))
-      {:ok, build(graph, inline, unbound_cycles(graph, process, edges))}
+    with :ok <- check_inputs(graph, edges), do: compile_checked(graph, edges)
+  end
+
+  defp compile_checked(graph, edges) do
+    outgoing = Enum.group_by(edges, &elem(&1.from, 0))
+    {inline, process} = Enum.split_with(edges, &inline?(graph, outgoing, &1))
+    {:ok, build(graph, inline, unbound_cycles(graph, process, edges))}
+  end
+
+  @doc "The plan of the vertices `fresh` alone, which are added to the rest of the graph while that runs."
+  @spec extend(Graph.t(), MapSet.t(pos_integer())) :: {:ok, t()} | {:error, Error.t()}
+  def extend(%Graph{} = graph, fresh) do
+    edges = for {_, %{to: {to, _}} = edge} <- graph.edges, MapSet.member?(fresh, to), do: edge
+
+    vertices = Map.take(graph.vertices, MapSet.to_list(fresh))
+    edges = Enum.sort_by(edges, & &1.id)
+
+    with :ok <- check_inputs(%{graph | vertices: vertices}, edges) do
+      {inner, outer} = Enum.split_with(edges, &MapSet.member?(fresh, elem(&1.from, 0)))
+      part = %{graph | vertices: vertices, edges: Map.new(inner, &{&1.id, &1})}
+      {:ok, plan} = compile_checked(part, inner)
+      {:ok, %{plan | edges: outer ++ plan.edges}}
     end
   end
 

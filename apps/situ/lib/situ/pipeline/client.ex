@@ -2,6 +2,7 @@ defmodule Situ.Pipeline.Client do
   @moduledoc false
   # Questions to a pipeline's process, asked by its handle, a stream, pid or name; one that has ended is an error, or its result.
   alias Situ.{Error, Pipeline}
+  alias Situ.Graph.{Builder, Handle}
   alias Situ.Pipeline.{Errors, Lifecycle, Results}
 
   @spec stop(Pipeline.target(), keyword()) :: Pipeline.result() | :ok
@@ -22,7 +23,13 @@ defmodule Situ.Pipeline.Client do
   def stop_part(p, part, opts) do
     pid = pid(p)
     path = if is_struct(part, Situ.Node), do: part.path, else: part
-    request = {:stop_part, path, Keyword.get(opts, :catch_up, Lifecycle.catch_up_ms())}
+
+    how = %{
+      catch_up: Keyword.get(opts, :catch_up, Lifecycle.catch_up_ms()),
+      forget?: Keyword.get(opts, :forget?, false)
+    }
+
+    request = {:stop_part, path, how}
 
     if Process.get(:situ_pipeline) == pid do
       send(pid, put_elem(request, 0, :situ_stop_part))
@@ -48,6 +55,23 @@ defmodule Situ.Pipeline.Client do
       {:error, %Error{code: :not_running}} -> :completed
       state -> state
     end
+  end
+
+  @doc "Builds on the graph of a running pipeline; all of it runs when this returns, or nothing of it."
+  @spec extend(Pipeline.target(), (Pipeline.t() -> result)) :: {:ok, result} | {:error, Error.t()}
+        when result: term()
+  def extend(p, fun) do
+    with {:ok, {handle, graph}} <- call(p, :extension),
+         handle = if(is_struct(p, Handle), do: %{handle | scope: p.scope}, else: handle),
+         {:ok, {result, built}} <- build(handle, graph, fun),
+         :ok <- call(p, {:extend, built}),
+         do: {:ok, result}
+  end
+
+  defp build(handle, graph, fun) do
+    {:ok, Builder.lend(handle, graph, fn -> fun.(handle) end)}
+  rescue
+    error in Error -> {:error, error}
   end
 
   @doc "The server's answer, or `{:error, error}` when it has ended."
@@ -87,7 +111,7 @@ defmodule Situ.Pipeline.Client do
 
   @doc "The process behind a handle, a stream or a name."
   @spec pid(Pipeline.target()) :: pid() | nil
-  def pid(%Situ.Graph.Handle{pid: pid}), do: pid
+  def pid(%Handle{pid: pid}), do: pid
   def pid(%Situ.Stream{pipeline: p}), do: p.pid
   def pid(pid) when is_pid(pid), do: pid
   def pid(name), do: GenServer.whereis(name)

@@ -16,6 +16,7 @@ defmodule Situ.Pipeline.Lifecycle do
   # | `{:failed, id, error, reached}`, `{:init_failed, id, error}` | a stage fails |
   # | `{:exited, id, error, reached}` | a stage's process ended |
   # | `{:stop, catch_up}`, `{:stop_at, time}`, `{:stop_part, ref, ids, opts}` | somebody wants an end |
+  # | `{:grow, ref, plan, from}`, `{:lent, tag, how}` | components are added while it runs |
   # | `{:joined, member}`, `{:linked, tag, link}`, `{:unlinked, tag}`, `{:left, id}` | what changes while it runs |
   # | `{:measured, which, seen}`, `{:watched, which, seen}` | what was asked to be looked at |
   # | `:enough`, `{:part_enough, ref}`, `:drain`, `{:forgive, id}` | a time has passed |
@@ -24,23 +25,15 @@ defmodule Situ.Pipeline.Lifecycle do
   # |---|---|
   # | `{:handle, event}`, `{:handle, event, argument}` | calls the handlers of `Situ.Pipeline.on/3` |
   # | `:start_clock`, `:running`, `{:spawn, ids}`, `{:start, ids}`, `{:run, ids}`, `{:rewire, id, links}`, `{:kill, id}` | as they say |
-  # | `{:tell, id, request}` | sends a stage a request |
+  # | `{:tell, id, request}`, `{:lend, tag}` | sends a stage a request; asks a stage to take a subscriber in |
+  # | `{:forget, ids}` | what it knows of stages that were removed |
   # | `{:cut, ids, time}`, `{:release, ids}` | later messages do not count in these stages; all do, but they end |
   # | `{:failed, error}`, `{:noted, error}`, `{:restarted, id, error}` | logs it and tells who listens |
   # | `{:reply, from, answer}` | answers a caller |
   # | `{:after, ms, event}`, `{:watch, ms, which}`, `{:measure, which}` | says it, or what it saw, later |
   # | `:finished` | publishes the result and ends |
-  alias Situ.Pipeline.Lifecycle.{
-    Failure,
-    Links,
-    Member,
-    PartialStop,
-    Shutdown,
-    Stall,
-    Startup,
-    State
-  }
-
+  alias Situ.Pipeline.Lifecycle.{Failure, Growth, Links, Member, PartialStop}
+  alias Situ.Pipeline.Lifecycle.{Shutdown, Stall, Startup, State}
   import Situ.Pipeline.Lifecycle.State
 
   @type event :: term()
@@ -56,6 +49,9 @@ defmodule Situ.Pipeline.Lifecycle do
   @doc "The wish of a caller to stop by hand, told how long sources may catch up."
   @spec catch_up_ms() :: pos_integer()
   def catch_up_ms, do: %Situ.Pipeline.Lifecycle.Ending{}.catch_up
+
+  defp event(%{phase: phase} = state, {:grow, _ref, _plan, from}, _now) when phase != :running,
+    do: Growth.refuse(state, from)
 
   # Nothing happens to what is over, but that its last handlers return.
   defp event(%{phase: :completed} = state, {:handled, :completed}, _now),
@@ -90,6 +86,11 @@ defmodule Situ.Pipeline.Lifecycle do
   defp event(%{phase: :running} = state, {:stop_part, ref, ids, opts}, now),
     do: PartialStop.begin(state, ref, ids, opts, now)
 
+  defp event(state, {:grow, ref, plan, from}, _now),
+    do: Growth.begin(state, ref, plan, from)
+
+  defp event(state, {:lent, tag, how}, _now), do: Growth.lent(state, tag, how)
+
   defp event(state, {:joined, %Member{id: id} = member}, _now),
     do: %{state | stages: Map.put(state.stages, id, member)}
 
@@ -102,7 +103,8 @@ defmodule Situ.Pipeline.Lifecycle do
   end
 
   defp event(state, {:left, id}, _now) do
-    state = answered(%{state | stages: Map.delete(state.stages, id)}, id)
+    links = Links.forget_all(state.links, id)
+    state = answered(%{state | stages: Map.delete(state.stages, id), links: links}, id)
     %{state | awaited: MapSet.delete(state.awaited, id)}
   end
 
@@ -121,27 +123,38 @@ defmodule Situ.Pipeline.Lifecycle do
 
   defp event(state, _event, _now), do: state
 
-  defp stage({:up, id}, state, _now), do: Startup.up(state, id)
-  defp stage({:started, id}, state, _now), do: Startup.started(state, id)
-  defp stage({:completed, id, time}, state, _now), do: completed(state, id, time)
+  # What is being added takes the steps of a start by itself; if it fails, the rest goes on without it.
+  defp stage(event, %{growths: growths} = state, now)
+       when growths != %{} and elem(event, 0) in [:up, :started, :init_failed, :failed, :exited] do
+    case Growth.of(state, elem(event, 1)) do
+      nil -> known(event, state, now)
+      ref -> Growth.event(state, ref, event, now)
+    end
+  end
 
-  defp stage({:settled, id}, %{step: :settle} = state, _now), do: answered(state, id)
+  defp stage(event, state, now), do: known(event, state, now)
 
-  defp stage({:source_stopped, id}, state, _now) do
+  defp known({:up, id}, state, _now), do: Startup.up(state, id)
+  defp known({:started, id}, state, _now), do: Startup.started(state, id)
+  defp known({:completed, id, time}, state, _now), do: completed(state, id, time)
+
+  defp known({:settled, id}, %{step: :settle} = state, _now), do: answered(state, id)
+
+  defp known({:source_stopped, id}, state, _now) do
     state = PartialStop.stopped(state, id)
     if state.step == :stop, do: answered(state, id), else: state
   end
 
-  defp stage({:unsubscribed, id, tag, time}, state, _now),
+  defp known({:unsubscribed, id, tag, time}, state, _now),
     do: Shutdown.input_closed(state, id, tag, time)
 
-  defp stage({:failed, id, error, reached}, state, _now),
+  defp known({:failed, id, error, reached}, state, _now),
     do: Failure.failed(state, id, error, reached)
 
-  defp stage({:init_failed, id, error}, state, now),
+  defp known({:init_failed, id, error}, state, now),
     do: Failure.init_failed(state, id, error, now)
 
-  defp stage({:exited, id, error, reached}, state, now) do
+  defp known({:exited, id, error, reached}, state, now) do
     ref = state.phase == :running && PartialStop.of(state, id)
 
     if ref && state.stages[id].status not in [:dead, :ended],
@@ -149,7 +162,7 @@ defmodule Situ.Pipeline.Lifecycle do
       else: Failure.exited(state, id, error, reached, now)
   end
 
-  defp stage(_event, state, _now), do: state
+  defp known(_event, state, _now), do: state
 
   defp keep(state, error), do: %{state | errors: [error | state.errors]}
 
@@ -172,7 +185,10 @@ defmodule Situ.Pipeline.Lifecycle do
 
   defp told(state, id, time) do
     state = act(state, {:handle, :component_completed, {state.stages[id].path, time}})
-    %{state | latest: max(state.latest || time, time), finite: MapSet.put(state.finite, id)}
+    ending = state.ending
+    # The end of a source that was added is no reason to end what ran before.
+    latest = if state.stages[id].added?, do: ending.latest, else: max(ending.latest || time, time)
+    ending(state, latest: latest, finite: MapSet.put(ending.finite, id))
   end
 
   # On to the next step, and the next, as long as nothing is waited for.
@@ -192,8 +208,11 @@ defmodule Situ.Pipeline.Lifecycle do
 
   defp next(%{step: :running} = state, now) do
     case PartialStop.go_on(state) do
-      %{ending: %{wish: {_, _} = wish}} = state -> Shutdown.begin(state, wish, now)
-      state -> check_complete(state, now)
+      %{ending: %{wish: {_, _} = wish}} = state ->
+        state |> Growth.abandon() |> Shutdown.begin(wish, now)
+
+      state ->
+        check_complete(state, now)
     end
   end
 
@@ -208,9 +227,9 @@ defmodule Situ.Pipeline.Lifecycle do
   defp step_done(%{step: :quit} = state, _now), do: Shutdown.complete(state)
 
   # With only infinite sources it runs until somebody stops it.
-  defp check_complete(%{latest: time} = state, now) when is_integer(time) do
+  defp check_complete(%{ending: %{latest: time}} = state, now) when is_integer(time) do
     if MapSet.size(state.awaited) == 0,
-      do: Shutdown.begin(state, {time, false}, now),
+      do: state |> Growth.abandon() |> Shutdown.begin({time, false}, now),
       else: state
   end
 

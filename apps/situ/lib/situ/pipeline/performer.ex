@@ -2,8 +2,10 @@ defmodule Situ.Pipeline.Performer do
   @moduledoc false
   # Performs the actions of the life cycle: the one place where a decision becomes a message, a process, a line in the log.
   alias Situ.{Clock, Error, Telemetry}
+  alias Situ.Graph
   alias Situ.Graph.{Cycle, Plan}
   alias Situ.Pipeline.{Dynamic, Errors, Handlers, Inspection, Lifecycle, Stages, State, Timing}
+  alias Situ.Pipeline.Dynamic.Extension
   alias Situ.Stage.Tally
   require Logger
 
@@ -42,8 +44,12 @@ defmodule Situ.Pipeline.Performer do
   defp stage_exited(state, id, reason) do
     error = Errors.killed(hd(state.stages[id].vertices).path, reason)
     reached = Stages.reached(state, id)
-    state |> interrupted(id) |> __MODULE__.apply({:exited, id, error, reached})
+    state = state |> interrupted(id) |> __MODULE__.apply({:exited, id, error, reached})
+    if Extension.forgotten?(state, id), do: leave(state, id), else: state
   end
+
+  defp leave(state, id),
+    do: __MODULE__.apply(%{state | stages: Map.delete(state.stages, id)}, {:left, id})
 
   @doc "Whoever waits for an answer of this stage gets one."
   @spec interrupted(State.t(), pos_integer()) :: State.t()
@@ -55,7 +61,7 @@ defmodule Situ.Pipeline.Performer do
   end
 
   @doc "Handlers have returned, perhaps with more in the graph than there was."
-  @spec handled(State.t(), atom(), :ok | {:error, Error.t()}, Situ.Graph.t()) :: State.t()
+  @spec handled(State.t(), atom(), :ok | {:error, Error.t()}, Graph.t()) :: State.t()
   def handled(state, :run, result, graph),
     do: __MODULE__.apply(%{state | graph: graph}, {:handled, :run, result})
 
@@ -64,7 +70,7 @@ defmodule Situ.Pipeline.Performer do
     state = %{state | graph: %{state.graph | handlers: state.graph.handlers ++ more}}
 
     state =
-      if graph.next_vertex > state.graph.next_vertex,
+      if Graph.Extension.grown?(graph, state.graph),
         do: __MODULE__.apply(state, {:handler_failed, late_building(event)}),
         else: state
 
@@ -78,7 +84,7 @@ defmodule Situ.Pipeline.Performer do
   end
 
   defp late_building(event) do
-    error = Situ.Graph.Builder.running()
+    error = Graph.Builder.running()
     %{error | what: "the #{inspect(event)} handler added components: #{error.what}"}
   end
 
@@ -116,6 +122,8 @@ defmodule Situ.Pipeline.Performer do
   defp perform({:rewire, id, links}, state), do: Stages.rewire(state, id, links)
   defp perform({:cut, ids, time}, state), do: Stages.cut(state, ids, time)
 
+  defp perform({:lend, tag}, state), do: Extension.lend(state, tag)
+  defp perform({:forget, ids}, state), do: Extension.forget(state, ids)
   defp perform({:release, ids}, state), do: Stages.release(state, ids)
 
   defp perform({:kill, id}, state) do

@@ -152,6 +152,42 @@ defmodule Situ.Pipeline do
   @spec stop_part(target(), String.t() | Node.t(), keyword()) :: :ok | {:error, Error.t()}
   def stop_part(p, part, opts \\ []), do: Client.stop_part(p, part, opts)
 
+  @doc """
+  Adds components to a running pipeline: `fun` gets its handle and builds as `build/2` does. It may listen to streams that flow already
+  (see `stream/2`), at a message boundary: the last message before is not seen, every one after it is.
+
+  Either all of it runs when this returns, or nothing does: what is wrong with it is returned and the pipeline runs on as before. A
+  pipeline waits for the end of finite sources that were added; that they have ended is no reason to end. Take it away again with
+  `remove/3`.
+
+      iex> me = self()
+      iex> {:ok, p} = Situ.Pipeline.start(fn p -> p |> Situ.timer(every: Situ.Time.ms(1)) |> Situ.name("Ticks") end)
+      iex> {:ok, _} = Situ.Pipeline.extend(p, fn p ->
+      ...>   Situ.composite(Situ.Pipeline.stream(p, "Ticks"), "Watch", fn ticks -> Situ.each(ticks, &send(me, {:tick, &1})) end)
+      ...> end)
+      iex> receive do {:tick, _} -> :seen end
+      :seen
+      iex> Situ.Pipeline.remove(p, "Watch")
+      :ok
+      iex> {:ok, _} = Situ.Pipeline.stop(p)
+      iex> :done
+      :done
+
+  Errors: those of building; `:inside_chain` when a stream has no output of its own, `:fixed_inputs` when an input of what runs is
+  connected, `:not_running`; whatever `init/1` and `handle_start/2` of what is added fail with.
+  """
+  @spec extend(target(), (t() -> result)) :: {:ok, result} | {:error, Error.t()}
+        when result: term()
+  def extend(p, fun) when is_function(fun, 1), do: Client.extend(p, fun)
+
+  @doc "As `stop_part/3`, and then it is as though it had never been: its names are free again."
+  @spec remove(target(), String.t() | Node.t(), keyword()) :: :ok | {:error, Error.t()}
+  def remove(p, part, opts \\ []), do: Client.stop_part(p, part, [{:forget?, true} | opts])
+
+  @doc "A stream of the pipeline being built (or extended), by its name. Raises `Situ.Error` (`:unknown_stream`)."
+  @spec stream(t(), String.t()) :: Stream.t()
+  def stream(%Handle{} = p, name), do: Builder.run(p, &{Graph.stream!(&1, p, name), &1})
+
   @doc "Waits for the end; `{:error, %Situ.Error{code: :timeout}}` after `timeout` ms, and the pipeline goes on."
   @spec await(target(), timeout()) :: result()
   def await(p, timeout \\ :infinity), do: Client.await(p, timeout)

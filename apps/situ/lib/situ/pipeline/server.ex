@@ -18,7 +18,7 @@ defmodule Situ.Pipeline.Server do
   alias Situ.Pipeline.{Performer, Results, Stages}
 
   # Requests to a pipeline that is just starting wait until it runs.
-  @patient [:subscription, :replace, :tap, :stop_part, :clock, :attach, :detach]
+  @patient [:extend, :subscription, :replace, :tap, :stop_part, :clock, :attach, :detach]
 
   @impl true
   def init(_), do: :ignore
@@ -108,6 +108,9 @@ defmodule Situ.Pipeline.Server do
        when is_tuple(request) and elem(request, 0) in @patient,
        do: {:noreply, later({:"$gen_call", from, request}, state)}
 
+  defp answer(:extension, from, %{life: %{phase: :starting}} = state),
+    do: {:noreply, later({:"$gen_call", from, :extension}, state)}
+
   defp answer({:untap, id}, _from, state) do
     {state, events} = Dynamic.Tap.detach(state, id)
     reply(:ok, Performer.apply_all(state, events))
@@ -126,19 +129,28 @@ defmodule Situ.Pipeline.Server do
   defp running({:detach, asked}, from, state),
     do: dynamic(Dynamic.Input.detach(state, asked, from))
 
+  defp running(:extension, _from, state) do
+    {graph, state} = Dynamic.Extension.offer(state)
+    {:reply, {:ok, {state.handle, graph}}, state}
+  end
+
+  defp running({:extend, graph}, from, state) do
+    case Dynamic.Extension.take(state, graph) do
+      {:ok, state, plan} -> apply_event(state, {:grow, make_ref(), plan, from})
+      {:error, error} -> {:reply, {:error, error}, state}
+    end
+  end
+
   defp running({:replace, asked}, from, state),
     do: {:noreply, Dynamic.Replacement.ask(state, asked, from)}
 
   defp running({:subscription, which}, _from, state),
     do: {:reply, Dynamic.Tap.subscription(state, which), state}
 
-  defp running({:stop_part, path, catch_up}, from, state) do
+  defp running({:stop_part, path, opts}, from, state) do
     case Lookup.part(state, path) do
-      {:ok, ids} ->
-        apply_event(state, {:stop_part, make_ref(), ids, %{catch_up: catch_up, from: from}})
-
-      {:error, error} ->
-        {:reply, {:error, error}, state}
+      {:ok, ids} -> apply_event(state, {:stop_part, make_ref(), ids, Map.put(opts, :from, from)})
+      {:error, error} -> {:reply, {:error, error}, state}
     end
   end
 
@@ -170,13 +182,10 @@ defmodule Situ.Pipeline.Server do
   defp event(:situ_observe, state), do: {:noreply, Inspection.observe(state)}
   defp event(:situ_moving, state), do: apply_event(state, :moving)
 
-  defp event({:situ_stop_part, path, catch_up}, %{life: %{phase: :running}} = state) do
+  defp event({:situ_stop_part, path, opts}, %{life: %{phase: :running}} = state) do
     case Lookup.part(state, path) do
-      {:ok, ids} ->
-        apply_event(state, {:stop_part, make_ref(), ids, %{catch_up: catch_up, from: nil}})
-
-      _ ->
-        {:noreply, state}
+      {:ok, ids} -> apply_event(state, {:stop_part, make_ref(), ids, Map.put(opts, :from, nil)})
+      _ -> {:noreply, state}
     end
   end
 
@@ -235,7 +244,12 @@ defmodule Situ.Pipeline.Server do
     do: {:noreply, Inspection.described(state, id, text)}
 
   defp stage({:tapped, tag}, _id, state), do: {:noreply, Dynamic.Tap.opened(state, tag)}
-  defp stage({:lent, tag, how}, _id, state), do: dynamic(Dynamic.Input.lent(state, tag, how))
+
+  defp stage({:lent, tag, how}, _id, %{dynamic: %{inputs: inputs}} = state)
+       when is_map_key(inputs, tag),
+       do: dynamic(Dynamic.Input.lent(state, tag, how))
+
+  defp stage({:lent, tag, how}, _id, state), do: apply_event(state, {:lent, tag, how})
 
   defp stage({:answered, ref, answer, opts}, id, state),
     do: dynamic(Dynamic.Input.answered(state, ref, id, answer, opts))

@@ -11,11 +11,18 @@ defmodule Situ.Pipeline.Stages do
   @spec lay_out(State.t(), Plan.t()) :: {State.t(), %{pos_integer() => Member.t()}}
   def lay_out(state, plan) do
     Reaper.watch(self())
-    links = links(plan)
+    add(state, plan, %{})
+  end
+
+  @doc "The same for stages that are added; `lent`: the stages that the sources of edges from outside of the plan are in."
+  @spec add(State.t(), Plan.t(), %{pos_integer() => pos_integer()}, keyword()) ::
+          {State.t(), %{pos_integer() => Member.t()}}
+  def add(state, plan, lent, extra \\ []) do
+    wires = state.wires
+    links = links(plan, lent)
     counters = Map.new(plan.edges, &{&1.id, Counters.new()})
-    heads = heads(plan)
     inline = Map.new(plan.inline, &{elem(&1.from, 0), &1})
-    entered = for id <- heads, edge = inline[id], do: {edge.id, Counters.new()}
+    entered = for id <- heads(plan), edge = inline[id], do: {edge.id, Counters.new()}
     counters = Enum.into(entered, counters)
 
     stages =
@@ -24,8 +31,14 @@ defmodule Situ.Pipeline.Stages do
         {id, entry(id, vertices, tail)}
       end)
 
-    members = Map.new(stages, fn {id, stage} -> {id, member(stage)} end)
-    {%{state | stages: stages, wires: %{links: links, counters: counters}}, members}
+    members = Map.new(stages, fn {id, stage} -> {id, member(stage, extra)} end)
+
+    wires = %{
+      links: Map.merge(wires.links, links),
+      counters: Map.merge(wires.counters, counters)
+    }
+
+    {%{state | stages: Map.merge(state.stages, stages), wires: wires}, members}
   end
 
   # The edge from a component into the operators that share its process is counted like a queue.
@@ -35,11 +48,13 @@ defmodule Situ.Pipeline.Stages do
         do: id
   end
 
-  defp links(plan) do
+  defp links(plan, lent) do
     place =
       for stage <- plan.stages, vertex <- stage.vertices, into: %{}, do: {vertex.id, stage.id}
 
-    Map.new(plan.edges, &{&1.id, link(&1, place[elem(&1.from, 0)], place[elem(&1.to, 0)])})
+    Map.new(plan.edges, fn %{from: {from, _}, to: {to, _}} = edge ->
+      {edge.id, link(edge, lent[edge.id] || place[from], place[to])}
+    end)
   end
 
   @doc "An edge with the stages that it joins instead of vertices."

@@ -36,6 +36,7 @@ defmodule Situ.Pipeline.LifecycleTest do
       {:kill, integer(1, 10)},
       {:fail, integer(1, 10)},
       {:part, list(integer(1, 10))},
+      {:grow, one_of([:stop, :restart])},
       :moving
     ])
   end
@@ -61,6 +62,7 @@ defmodule Situ.Pipeline.LifecycleTest do
       closed = for {:action, {:tell, id, {:finalize, _}}} <- world.log, do: id
       assert closed == Enum.uniq(closed)
       gone = for {:event, {:exited, id, _, _}} <- world.log, do: id
+      gone = world.forgotten ++ gone
 
       if Enum.any?(world.log, &match?({:action, :running}, &1)) do
         assert [] = Map.keys(world.life.stages) -- (closed ++ gone)
@@ -91,6 +93,16 @@ defmodule Situ.Pipeline.LifecycleTest do
         assert times[from] <= times[to]
         assert times[to] <= world.life.ending.final
       end
+    end
+  end
+
+  property "whoever adds something is answered once" do
+    forall spec <- lives() do
+      world = live(spec)
+      asked = for {:event, {:grow, _, _, from}} <- world.log, do: from
+      answered = for {:action, {:reply, {:grower, _} = from, _}} <- world.log, do: from
+      assert Enum.sort(answered) == Enum.sort(asked)
+      assert world.life.growths == %{}
     end
   end
 

@@ -19,7 +19,7 @@ defmodule Situ.Pipeline.Lookup do
 
     case named do
       %{^name => port} -> {:ok, port}
-      _ -> {:error, unknown_stream(name, Map.keys(named))}
+      _ -> {:error, Graph.unknown_stream(name, Map.keys(named))}
     end
   end
 
@@ -99,15 +99,6 @@ defmodule Situ.Pipeline.Lookup do
       nil -> {:ok, Enum.map(stages, & &1.id)}
       stage -> {:error, shared(stage, path)}
     end
-  end
-
-  defp unknown_stream(name, known) do
-    near = Options.nearest(name, known)
-
-    fix =
-      if near, do: "did you mean #{inspect(near)}?", else: "streams: " <> Enum.join(known, ", ")
-
-    Error.new(:unknown_stream, "the pipeline has no stream #{inspect(name)}", fix: fix)
   end
 
   defp unknown_part(state, path) do

@@ -71,6 +71,13 @@ defmodule Situ.Pipeline.Lifecycle.Links do
     %{links | closing: Enum.into(tags, links.closing, &{&1, time})}
   end
 
+  @doc "The stage itself is forgotten."
+  @spec forget_all(t(), id()) :: t()
+  def forget_all(links, id) do
+    tags = for {tag, link} <- links.topology, link.from == id or link.to == id, do: tag
+    Enum.reduce(tags, links, &forget(&2, &1))
+  end
+
   @spec into(t(), id()) :: [{term(), link()}]
   def into(links, id), do: look(links, Map.get(links.into, id, []))
 

@@ -13,12 +13,13 @@ defmodule Situ.Pipeline.Lifecycle.PartialStop do
           pending: MapSet.t(State.id()),
           final: Situ.Time.t(),
           from: GenServer.from() | nil,
+          forget?: boolean(),
           error: Error.t() | nil
         }
 
   @doc "Begins; `from` is answered when all of it has closed."
   @spec begin(State.t(), reference(), [State.id()], map(), Situ.Time.t()) :: State.t()
-  def begin(state, ref, ids, %{catch_up: catch_up, from: from}, final) do
+  def begin(state, ref, ids, %{catch_up: catch_up, from: from} = opts, final) do
     ids = MapSet.new(ids)
     sources = for id <- ids, state.stages[id].source?, do: id
     state = act(state, {:cut, MapSet.to_list(ids), final})
@@ -32,7 +33,15 @@ defmodule Situ.Pipeline.Lifecycle.PartialStop do
 
     state = Enum.reduce(ids, state, fn id, state -> change(state, id, &bound(&1, final)) end)
     state = tell(state, sources, {:stop, final})
-    part = %{ids: ids, pending: MapSet.new(sources), final: final, from: from, error: nil}
+
+    part = %{
+      ids: ids,
+      pending: MapSet.new(sources),
+      final: final,
+      from: from,
+      forget?: Map.get(opts, :forget?, false),
+      error: nil
+    }
 
     %{
       state
@@ -104,6 +113,7 @@ defmodule Situ.Pipeline.Lifecycle.PartialStop do
     answer = if part.error, do: {:error, part.error}, else: :ok
     state = state |> tell(alive, :quit) |> act({:reply, part.from, answer})
     state = mark(%{state | parts: Map.delete(state.parts, ref)}, ids, :ended)
+    state = if part.forget?, do: act(state, {:forget, ids}), else: state
     had? = Enum.any?(ids, &state.stages[&1].source?)
     left? = Enum.any?(state.stages, fn {_, m} -> m.source? and m.status == :running end)
     if had? and not left?, do: wish(state, :now, true), else: state

@@ -39,7 +39,7 @@ defmodule Situ.Pipeline.Lifecycle.Shutdown do
   @doc "Sources stop at `time`, or at the last end that one of them has told."
   @spec stop(State.t(), Situ.Time.t()) :: State.t()
   def stop(state, time) do
-    final = max(time, state.latest || time)
+    final = max(time, state.ending.latest || time)
     sources = running_sources(state)
     # Those that are being stopped alone have been asked already.
     asked = for {_, part} <- state.parts, id <- part.pending, do: id
@@ -68,7 +68,7 @@ defmodule Situ.Pipeline.Lifecycle.Shutdown do
   # What is later than the end does not count: it has run ahead. Where every source upstream has given all it has, nothing has,
   # and what operators made later than their inputs (`merge`, by the clock) belongs to the result.
   defp whole(state) do
-    whole = Upstream.whole(state.stages, Map.values(state.links.topology), state.finite)
+    whole = Upstream.whole(state.stages, Map.values(state.links.topology), state.ending.finite)
     &MapSet.member?(whole, &1)
   end
 

@@ -7,6 +7,7 @@ defmodule Situ.Pipeline.Lifecycle.Member do
   #   open?    whether its outputs have yet to close
   #   ends_at  the latest closing time among inputs that have closed; limit: nothing of it counts behind that time
   #   up?      whether its process has said so since it was spawned last; alive?: whether there is a process
+  #   added?   whether it was added to the running pipeline
   #   again?   whether that process took the place of another, and its neighbours do not know it yet
   @enforce_keys [:id, :path]
   defstruct [
@@ -21,6 +22,7 @@ defmodule Situ.Pipeline.Lifecycle.Member do
     open?: true,
     up?: false,
     alive?: true,
+    added?: false,
     again?: false,
     restarts: 0
   ]
@@ -37,6 +39,7 @@ defmodule Situ.Pipeline.Lifecycle.Member do
           open?: boolean(),
           up?: boolean(),
           alive?: boolean(),
+          added?: boolean(),
           again?: boolean(),
           restarts: non_neg_integer()
         }
@@ -51,13 +54,26 @@ defmodule Situ.Pipeline.Lifecycle.Ending do
   #   by_hand  sources that lag behind the clock, and cycles that never rest, may go on for `catch_up` ms only
   #   enough?  those ms have passed
   #   drain    what was measured last of a cycle that is waited for: `{mark, polls}`
+  #   latest   the latest end that a source has told; finite: the sources that have told one
   #   moves    how often something has moved that no counter shows
-  defstruct [:wish, :final, :drain, by_hand: false, enough?: false, catch_up: 1_000, moves: 0]
+  defstruct [
+    :wish,
+    :final,
+    :drain,
+    :latest,
+    finite: MapSet.new(),
+    by_hand: false,
+    enough?: false,
+    catch_up: 1_000,
+    moves: 0
+  ]
 
   @type t :: %__MODULE__{
           wish: {Situ.Time.t() | :now, boolean()} | nil,
           final: Situ.Time.t() | nil,
           drain: {term(), non_neg_integer()} | nil,
+          latest: Situ.Time.t() | nil,
+          finite: MapSet.t(pos_integer()),
           by_hand: boolean(),
           enough?: boolean(),
           catch_up: non_neg_integer(),
@@ -70,8 +86,9 @@ defmodule Situ.Pipeline.Lifecycle.State do
   # The state of a pipeline's life, and the actions that the event at hand has led to. Pure.
   #
   #   pending  the stages that owe an answer in this step
-  #   awaited  the sources that have not told their end; latest: the latest end told; finite: those that told one
+  #   awaited  the sources that have not told their end
   #   parts    what is being stopped alone, by reference: Lifecycle.PartialStop
+  #   growths  what is being added, by reference: Lifecycle.Growth
   #   limits   `{restarts, ms}`: how often in how long a stage may be restarted; `stop_timeout` ms
   alias Situ.Pipeline.Lifecycle.{Ending, Links, Member}
 
@@ -96,10 +113,9 @@ defmodule Situ.Pipeline.Lifecycle.State do
             links: %Links{},
             pending: MapSet.new(),
             awaited: MapSet.new(),
-            finite: MapSet.new(),
-            latest: nil,
             ending: %Ending{},
             parts: %{},
+            growths: %{},
             limits: %{restarts: {3, 5_000}, stop_timeout: 30_000},
             errors: [],
             closed: [],
@@ -113,10 +129,9 @@ defmodule Situ.Pipeline.Lifecycle.State do
           links: Links.t(),
           pending: MapSet.t(id()),
           awaited: MapSet.t(id()),
-          finite: MapSet.t(id()),
-          latest: Situ.Time.t() | nil,
           ending: Ending.t(),
           parts: %{reference() => map()},
+          growths: %{reference() => map()},
           limits: %{restarts: {non_neg_integer(), pos_integer()}, stop_timeout: pos_integer()},
           errors: [Situ.Error.t()],
           closed: [String.t()],

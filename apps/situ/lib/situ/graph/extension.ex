@@ -1,0 +1,117 @@
+defmodule Situ.Graph.Extension do
+  @moduledoc false
+  # What is added to a graph that runs already, and taken away again. Pure.
+  alias Situ.{Error, Graph}
+
+  @doc "Leaves the next `n` numbers to somebody else."
+  @spec advance(Graph.t(), pos_integer()) :: Graph.t()
+  def advance(%Graph{} = graph, n) do
+    %{
+      graph
+      | next_vertex: graph.next_vertex + n,
+        next_edge: graph.next_edge + n,
+        next_source: graph.next_source + n
+    }
+  end
+
+  @doc "Whether `built` has components or connections that `graph` has not."
+  @spec grown?(Graph.t(), Graph.t()) :: boolean()
+  def grown?(built, graph),
+    do: fresh(built.vertices, graph.vertices) != [] or fresh(built.edges, graph.edges) != []
+
+  @doc """
+  `graph` with what is new in `built`, a copy of it from before that was built on; and the ids of the new vertices.
+  """
+  @spec merge(Graph.t(), Graph.t()) ::
+          {:ok, Graph.t(), MapSet.t(pos_integer())} | {:error, Error.t()}
+  def merge(%Graph{} = graph, %Graph{} = built) do
+    ids = MapSet.new(fresh(built.vertices, graph.vertices))
+    edges = built.edges |> Map.take(fresh(built.edges, graph.edges)) |> Map.values()
+    paths = for id <- ids, do: built.vertices[id].path
+    scopes = fresh(built.scopes, graph.scopes)
+
+    with :ok <- free(paths ++ scopes, graph), :ok <- whole(edges, ids, graph) do
+      {:ok,
+       %{
+         graph
+         | vertices: Map.merge(graph.vertices, Map.take(built.vertices, MapSet.to_list(ids))),
+           edges: Map.merge(graph.edges, Map.new(edges, &{&1.id, &1})),
+           connected: Map.merge(graph.connected, Map.new(edges, &{&1.to, &1.id})),
+           paths: Map.merge(graph.paths, Map.take(built.paths, paths)),
+           scopes: Map.merge(graph.scopes, Map.take(built.scopes, scopes)),
+           stream_names: Map.merge(built.stream_names, graph.stream_names),
+           handlers: graph.handlers ++ Enum.drop(built.handlers, length(graph.handlers))
+       }, ids}
+    end
+  end
+
+  defp fresh(built, graph), do: for({key, _} <- built, not is_map_key(graph, key), do: key)
+
+  defp free(names, graph) do
+    case Enum.find(names, &(is_map_key(graph.paths, &1) or is_map_key(graph.scopes, &1))) do
+      nil ->
+        :ok
+
+      name ->
+        {:error,
+         Error.new(:duplicate_name, "there is already a component named #{inspect(name)}",
+           why: "it was added at the same time",
+           fix: "give one of them another name:"
+         )}
+    end
+  end
+
+  # What runs already has its inputs, and still is where it was.
+  defp whole(edges, ids, graph) do
+    Enum.find_value(edges, :ok, fn %{from: {from, _}, to: {to, input}} ->
+      cond do
+        not MapSet.member?(ids, to) ->
+          {:error, fixed(graph, to, input)}
+
+        not MapSet.member?(ids, from) and not is_map_key(graph.vertices, from) ->
+          {:error,
+           Error.new(:not_running, "a component that is listened to was removed meanwhile")}
+
+        true ->
+          nil
+      end
+    end)
+  end
+
+  defp fixed(graph, id, input) do
+    path = if vertex = graph.vertices[id], do: vertex.path, else: "the component"
+
+    Error.new(:fixed_inputs, "#{path}.#{input} cannot be connected: it runs already",
+      why: "the inputs of a component are fixed when it starts",
+      fix: "connect inputs of what is added; a join over a map of streams takes Situ.add_input/4",
+      meta: %{component: path}
+    )
+  end
+
+  @doc "The graph without these vertices, their connections and names; composites that are empty now go, too."
+  @spec without(Graph.t(), MapSet.t(pos_integer())) :: Graph.t()
+  def without(%Graph{} = graph, ids) do
+    gone? = &MapSet.member?(ids, &1)
+    edges = reject(graph.edges, fn {_, e} -> gone?.(elem(e.from, 0)) or gone?.(elem(e.to, 0)) end)
+    vertices = Map.drop(graph.vertices, MapSet.to_list(ids))
+
+    %{
+      graph
+      | vertices: vertices,
+        edges: edges,
+        connected: reject(graph.connected, fn {_, id} -> not is_map_key(edges, id) end),
+        paths: reject(graph.paths, fn {_, id} -> gone?.(id) end),
+        stream_names: reject(graph.stream_names, fn {_, {id, _}} -> gone?.(id) end),
+        scopes: reject(graph.scopes, fn {path, _} -> emptied?(graph, vertices, path) end),
+        numbers: %{}
+    }
+  end
+
+  defp emptied?(before, vertices, path),
+    do: inside?(before.vertices, path) and not inside?(vertices, path)
+
+  defp inside?(vertices, path),
+    do: Enum.any?(vertices, fn {_, v} -> String.starts_with?(v.path, path <> ".") end)
+
+  defp reject(map, fun), do: map |> Enum.reject(fun) |> Map.new()
+end

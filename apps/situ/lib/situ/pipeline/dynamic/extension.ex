@@ -1,0 +1,73 @@
+defmodule Situ.Pipeline.Dynamic.Extension do
+  @moduledoc false
+  # Components that are added to a running pipeline, and taken away. The caller builds on a copy of the graph whose numbers are its own;
+  # the server takes over what is new in it, plans it as a graph is planned, and has the life cycle start it.
+  alias Situ.{Error, Graph}
+  alias Situ.Graph.{Extension, Plan}
+  alias Situ.Pipeline.{Lookup, Stages, State}
+
+  # So many numbers are set apart for one extension: ids are for telling apart, not for counting.
+  @numbers 1_000_000
+
+  @doc "A copy of the graph to build on."
+  @spec offer(State.t()) :: {Graph.t(), State.t()}
+  def offer(%{graph: graph} = state),
+    do: {graph, %{state | graph: Extension.advance(graph, @numbers)}}
+
+  @doc "What was built, as a plan for the life cycle. `{:error, error}` when it does not fit what runs."
+  @spec take(State.t(), Graph.t()) :: {:ok, State.t(), map()} | {:error, Error.t()}
+  def take(state, built) do
+    with {:ok, graph, fresh} <- Extension.merge(state.graph, built),
+         {:ok, plan} <- Plan.extend(graph, fresh),
+         {:ok, lent} <- lent(state, plan) do
+      {state, members} = Stages.add(%{state | graph: graph}, plan, Map.new(lent), added?: true)
+      links = Map.take(state.wires.links, Enum.map(plan.edges, & &1.id))
+      lent = Enum.map(lent, fn {id, _} -> id end)
+      {:ok, state, %{members: members, links: links, lent: lent}}
+    end
+  end
+
+  # Edges from streams that flow already, each with the stage that has the output.
+  defp lent(state, plan) do
+    new = for stage <- plan.stages, vertex <- stage.vertices, into: MapSet.new(), do: vertex.id
+
+    Enum.reduce_while(plan.edges, {:ok, []}, fn %{from: {from, _}} = edge, {:ok, lent} ->
+      with false <- MapSet.member?(new, from),
+           {:ok, stage} <- Lookup.outlet(state, from) do
+        {:cont, {:ok, [{edge.id, stage.id} | lent]}}
+      else
+        true -> {:cont, {:ok, lent}}
+        {:error, error} -> {:halt, {:error, error}}
+      end
+    end)
+  end
+
+  @doc "The producer takes a new stage in, without demand: from here on nothing is lost to it."
+  @spec lend(State.t(), term()) :: State.t()
+  def lend(state, tag) do
+    link = state.wires.links[tag]
+    counters = state.wires.counters[tag]
+    pid = state.stages[link.to].pid
+    Stages.tell(state, link.from, {:lend, tag, link.output, pid, counters, link.policy})
+  end
+
+  @doc "These stages were removed: nothing in the graph names them any more. They are dropped once their processes have ended."
+  @spec forget(State.t(), [pos_integer()]) :: State.t()
+  def forget(state, ids) do
+    gone = for id <- ids, vertex <- state.stages[id].vertices, into: MapSet.new(), do: vertex.id
+    graph = Extension.without(state.graph, gone)
+    kept? = fn {_, link} -> link.to not in ids and link.from not in ids end
+    links = state.wires.links |> Enum.filter(kept?) |> Map.new()
+    counters = Map.drop(state.wires.counters, Map.keys(state.wires.links) -- Map.keys(links))
+    %{state | graph: graph, wires: %{links: links, counters: counters}}
+  end
+
+  @doc "Whether a stage was removed and its process has ended."
+  @spec forgotten?(State.t(), pos_integer()) :: boolean()
+  def forgotten?(state, id) do
+    case state.stages do
+      %{^id => %{vertices: [head | _]}} -> not is_map_key(state.graph.vertices, head.id)
+      _ -> false
+    end
+  end
+end

@@ -1,0 +1,252 @@
+defmodule Situ.Pipeline.Dynamic.ExtensionTest do
+  use ExUnit.Case, async: true
+
+  alias Situ.{Clock, Pipeline, Time}
+  alias Situ.Fixture.{Closing, Count, Pass}
+
+  @moduletag :capture_log
+
+  defmodule Refusing do
+    use Situ.Component,
+      inputs: [in: :any],
+      options: [how: [type: :atom, required: true], to: [type: :pid, required: true]]
+
+    @impl true
+    def init(opts) do
+      if opts[:how] == :init,
+        do: {:error, Situ.Error.new(:refused, "no")},
+        else: {:ok, Map.new(opts)}
+    end
+
+    @impl true
+    def handle_start(_context, %{how: :start}), do: raise("no start")
+    def handle_start(_context, %{how: :die}), do: Process.exit(self(), :kill)
+    def handle_start(_context, state), do: {[], state}
+  end
+
+  defp start(opts \\ []) do
+    me = self()
+
+    {:ok, p} =
+      Pipeline.start(
+        fn p ->
+          p
+          |> Situ.source(Count, count: :infinity, interval: Time.ms(1), name: "Count")
+          |> Situ.each(&send(me, {:main, &1}), async: true, name: "Main")
+        end,
+        opts
+      )
+
+    p
+  end
+
+  defp told(stream, tag, opts \\ []) do
+    me = self()
+    Situ.each(stream, &send(me, {tag, &1}), opts)
+  end
+
+  defp all(tag) do
+    receive do
+      {^tag, v} -> [v | all(tag)]
+    after
+      0 -> []
+    end
+  end
+
+  defp names(p), do: Enum.map(Pipeline.info(p).nodes, & &1.path)
+
+  test "what is added sees every message from its first on" do
+    p = start()
+    assert_receive {:main, 0}
+    me = self()
+
+    {:ok, _} =
+      Pipeline.extend(p, fn p ->
+        count = Pipeline.stream(p, "Count")
+        doubled = count |> Situ.map(&(&1 * 2), name: "Double") |> Situ.via(Pass, name: "Pass")
+        Situ.each(doubled, &send(me, {:added, &1}), name: "Told")
+        # Two ways that meet again.
+        count |> Situ.join(doubled) |> Situ.each(&send(me, {:joined, &1}), name: "Joined")
+      end)
+
+    assert_receive {:added, first}
+    assert_receive {:added, _}
+    assert {:ok, report} = Pipeline.stop(p)
+    added = [first | all(:added)]
+    # One that was taken out between the two.
+    first = hd(added)
+    assert Enum.all?(all(:joined), fn {v, doubled} -> doubled == 2 * v end)
+    assert Enum.all?(added, &(rem(&1, 2) == 0))
+    assert added -- Enum.to_list(first..List.last(added)//2) == []
+    assert report.errors == []
+    for name <- ~w(Double Pass Told Joined), do: assert(name in report.closed)
+    # Upstream first, as everywhere.
+    place = report.closed |> Enum.with_index() |> Map.new()
+    assert place["Count"] < place["Double"] and place["Double"] < place["Pass"]
+  end
+
+  test "no message is lost and none comes twice, wherever it is cut, under load" do
+    me = self()
+
+    {:ok, p} =
+      Pipeline.start(
+        fn p -> Situ.source(p, Count, count: :infinity, interval: 1, name: "Count") end,
+        pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+      )
+
+    for n <- 1..20 do
+      name = "Part#{n}"
+
+      {:ok, _} =
+        Pipeline.extend(p, fn p ->
+          p
+          |> Pipeline.stream("Count")
+          |> Situ.composite(name, fn count ->
+            count
+            |> Situ.map(& &1, async: true)
+            |> Situ.each(&send(me, {name, &1}), async: true, policy: Situ.Delivery.throttle(5))
+          end)
+        end)
+
+      assert_receive {^name, first}
+      assert :ok = Pipeline.remove(p, name)
+      seen = [first | all(name)]
+      assert seen == Enum.to_list(first..List.last(seen)//1)
+    end
+
+    assert names(p) == ["Count"]
+    assert %{life: %{stages: stages, links: links}} = :sys.get_state(p)
+    assert map_size(stages) == 1
+    assert links.topology == %{}
+    assert {:ok, _} = Pipeline.stop(p, catch_up: 0)
+  end
+
+  test "a source that is added runs, is waited for, and does not end the rest" do
+    p = start()
+
+    {:ok, stream} =
+      Pipeline.extend(p, fn p ->
+        p |> Situ.from_enumerable([{1, :a}, {2, :b}], name: "More") |> told(:more)
+      end)
+
+    assert %Situ.Stream{} = stream
+    assert_receive {:more, :a}
+    assert_receive {:more, :b}
+    assert_receive {:main, n}
+    for m <- (n + 1)..(n + 20), do: assert_receive({:main, ^m})
+    assert Pipeline.state(p) == :running
+    assert {:ok, _} = Pipeline.stop(p)
+  end
+
+  test "a stream that has ended is seen to have ended" do
+    {:ok, p} =
+      Pipeline.start(
+        fn p ->
+          p |> Situ.from_enumerable([{0, :x}], name: "Short") |> Situ.each(& &1, async: true)
+          Situ.from_enumerable(p, [{0, :x}, {40, :x}], name: "Long")
+        end,
+        pipeline: [clock: Clock.manual(0)]
+      )
+
+    me = self()
+    closed(p, "Short")
+
+    assert {:ok, _} =
+             Pipeline.extend(p, &(&1 |> Pipeline.stream("Short") |> Situ.via(Closing, to: me)))
+
+    assert_receive {:closed, :in, 0}
+    assert {:ok, _} = Pipeline.stop(p)
+  end
+
+  defp closed(p, name) do
+    %{life: %{stages: stages}} = :sys.get_state(p)
+
+    case Enum.find(stages, fn {_, m} -> m.path == "Each" end) do
+      {_, %{open?: false}} -> :ok
+      _ -> closed(p, name)
+    end
+  end
+
+  test "what is wrong is returned, and nothing of it is left" do
+    p = start()
+    me = self()
+
+    for {code, fun} <- [
+          unknown_stream: &Pipeline.stream(&1, "Cuont"),
+          duplicate_name:
+            &(&1 |> Pipeline.stream("Count") |> Situ.map(fn v -> v end, name: "Main")),
+          unconnected_input: &Pipeline.add(&1, Pass, name: "Alone"),
+          refused: &(&1 |> Pipeline.stream("Count") |> Situ.via(Refusing, how: :init, to: me)),
+          component_failed:
+            &(&1 |> Pipeline.stream("Count") |> Situ.via(Refusing, how: :start, to: me)),
+          component_killed:
+            &(&1 |> Pipeline.stream("Count") |> Situ.via(Refusing, how: :die, to: me))
+        ] do
+      assert {:error, %{code: ^code}} = Pipeline.extend(p, fun)
+    end
+
+    gone(p)
+    assert names(p) == ["Count", "Main"]
+    assert_receive {:main, _}
+    assert {:ok, %{errors: []}} = Pipeline.stop(p)
+  end
+
+  # The processes of what was refused have ended.
+  defp gone(p), do: if(map_size(:sys.get_state(p).stages) == 2, do: :ok, else: gone(p))
+
+  test "many at once, from many processes" do
+    p = start()
+    me = self()
+
+    tasks =
+      for n <- 1..20 do
+        Task.async(fn ->
+          Pipeline.extend(p, fn p ->
+            p |> Pipeline.stream("Count") |> Situ.each(&send(me, {n, &1}), name: "Each#{n}")
+          end)
+        end)
+      end
+
+    assert Enum.all?(Task.await_many(tasks), &match?({:ok, _}, &1))
+    for n <- 1..20, do: assert_receive({^n, _})
+    removals = for n <- 1..20, do: Task.async(fn -> Pipeline.remove(p, "Each#{n}") end)
+    assert Enum.all?(Task.await_many(removals), &(&1 == :ok))
+    assert {:ok, %{errors: []}} = Pipeline.stop(p)
+  end
+
+  test "names are free again once it is removed" do
+    p = start()
+
+    for _ <- 1..3 do
+      assert {:ok, _} =
+               Pipeline.extend(p, fn p ->
+                 Situ.composite(Pipeline.stream(p, "Count"), "Side", fn s ->
+                   s |> Situ.map(& &1, name: "Map") |> Situ.name("Side stream")
+                 end)
+               end)
+
+      assert "Side.Map" in names(p)
+      assert :ok = Pipeline.remove(p, "Side")
+      refute "Side.Map" in names(p)
+    end
+
+    assert {:ok, _} = Pipeline.stop(p)
+  end
+
+  test "a pipeline that is stopped meanwhile says so, and ends" do
+    p = start()
+    me = self()
+
+    task =
+      Task.async(fn ->
+        Pipeline.extend(p, fn p -> Situ.source(p, Situ.Fixture.Held, to: me) end)
+      end)
+
+    assert_receive {:held, held}
+    stop = Task.async(fn -> Pipeline.stop(p) end)
+    assert {:error, %{code: :not_running}} = Task.await(task)
+    send(held, :go)
+    assert {:ok, _} = Task.await(stop)
+    assert {:error, %{code: :not_running}} = Pipeline.extend(p, & &1)
+  end
+end
