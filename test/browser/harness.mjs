@@ -37,7 +37,7 @@ export async function runAll({ filter = "", times = 1, shots }) {
   let passed = 0, failed = 0;
   const wanted = tests.filter(({ name }) => name.includes(filter));
   for (const { name, run } of wanted.flatMap((t) => Array(times).fill(t))) {
-    const context = await browser.newContext({ viewport: { width: 1280, height: 720 } });
+    const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: "dark" });
     const page = await context.newPage();
     const errors = [];
     page.on("pageerror", (e) => errors.push(e.message));

@@ -27,7 +27,9 @@ test("8 layouts: saved, switched and deleted; a link gives the same picture", as
   await page.waitForTimeout(400);
   const still = async (p) => {
     await p.evaluate(() => document.getElementById("toast").remove());
-    await p.evaluate(() => (document.querySelector(".stack").scrollTop = 0));
+    await p.evaluate(() => (document.querySelector(".times").scrollTop = 0));
+    // what is selected is no part of a link
+    await p.evaluate(() => document.querySelectorAll(".selected").forEach((e) => e.classList.remove("selected")));
     await p.mouse.move(5, 5);
     await settled(p);
     await p.waitForTimeout(1200);
@@ -55,8 +57,17 @@ test("8 layouts: the page survives its server process", async ({ page }) => {
 const rows = (page) => page.$$eval("[data-row]", (r) => r.map((e) => e.dataset.row));
 const cells = (page) => page.$$eval(".row-box.cells", (r) => r.map((e) => [...e.querySelectorAll("[data-panel]")].map((c) => c.dataset.panel)));
 
+// The pictures above the timelines, side by side.
+async function stacked(page) {
+  await page.keyboard.press("b");
+  await until(page, () => !document.querySelector(".stack.beside"), "pictures above");
+  await page.evaluate(() => window.situStudio.options.push("place_panel", { id: "p2", side: "right", target: "p1" }));
+  await until(page, () => document.querySelectorAll(".row-box.cells").length === 1, "side by side");
+}
+
 test("8 layouts: panels are moved by dragging", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
+  await stacked(page);
   const [pictures, sound, lanes] = await rows(page);
   // a timeline to the top
   await page.dragAndDrop(`#grip-${lanes}`, `#row-${pictures}`, { targetPosition: { x: 300, y: 20 } });
@@ -84,6 +95,7 @@ test("8 layouts: panels are moved by dragging", async ({ page, shot }) => {
 
 test("8 layouts: panels are moved by keys, and keep the focus", async ({ page }) => {
   await open(page, main, "minute.0000");
+  await stacked(page);
   const before = await rows(page);
   await page.focus(`#grip-${before[2]}`);
   await page.keyboard.press("ArrowUp");

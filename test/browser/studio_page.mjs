@@ -56,7 +56,7 @@ export async function pointAt(page, id, t) {
   const { x, y } = await page.evaluate(([i, time]) => {
     const box = document.getElementById(i).getBoundingClientRect();
     const [a, b] = window.situStudio.time.get().view;
-    return { x: box.left + 76 + ((time - a) / (b - a)) * (box.width - 90), y: box.top + box.height / 2 };
+    return { x: box.left + window.situStudio.gutter.left + ((time - a) / (b - a)) * (box.width - window.situStudio.gutter.left - 14), y: box.top + box.height / 2 };
   }, [id, t]);
   await page.mouse.move(x, y);
   return { x, y };

@@ -46,7 +46,10 @@ test("3 timelines: waveform, lanes, labels, latency and marks are drawn", async 
   ok((await count(page, `#${wave} canvas`, await colorOf(page, "Mic.Audio"))) > 3000, "the waveform has a body");
   const lanes = await panelOf(page, "Vad.Speaking");
   const y = 13 / (await page.$eval(`#${lanes}`, (e) => e.clientHeight));
-  const x = (s) => page.evaluate(([i, t]) => (76 + (t / 60) * (document.getElementById(i).clientWidth - 90)) / document.getElementById(i).clientWidth, [lanes, s]);
+  const x = (s) => page.evaluate(([i, t]) => {
+    const wide = document.getElementById(i).clientWidth, { left } = window.situStudio.gutter;
+    return (left + (t / 60) * (wide - left - 14)) / wide;
+  }, [lanes, s]);
   const on = await pixel(page, `#${lanes} canvas`, await x(7.5), y);
   ok(on[1] > 120 && on[3] > 100, `true is green: ${on}`);
   const off = await pixel(page, `#${lanes} canvas`, await x(2.5), y - 0.05);
@@ -73,11 +76,11 @@ test("3 timelines: maps are lanes and lines with a name each, intervals lie over
   await settled(page);
   const lanes = await page.evaluate((i) => {
     const v = [...window.situStudio.views].find((w) => w.el.id === i);
-    const c = v.canvas.getContext("2d"), k = (v.el.clientWidth - 90) / 60, r = devicePixelRatio;
+    const c = v.canvas.getContext("2d"), left = window.situStudio.gutter.left, k = (v.el.clientWidth - left - 14) / 60, r = devicePixelRatio;
     // how much of a lane is painted at a second: at its middle, and at the height of a body
     const at = (name, s) => {
       const row = v.rows.findIndex((q) => v.names.children[v.rows.indexOf(q)].textContent === name);
-      const y = 4 + row * v.row, x = (76 + s * k) * r;
+      const y = 4 + row * v.row, x = (left + s * k) * r;
       const solid = (py) => c.getImageData(x, py * r, 1, 1).data[3] > 40;
       return solid(y + 3) ? "body" : solid(y + v.row / 2 - 4) ? "line" : "nothing";
     };
@@ -93,7 +96,7 @@ test("3 timelines: maps are lanes and lines with a name each, intervals lie over
   equal(lanes.ada, ["body", "line", "body"], "Ada speaks, is silent, speaks");
   equal(lanes.bob, ["nothing", "line", "nothing"], "Bob comes and goes");
   equal(lanes.spans.map(([a, b]) => [a, b]), [[0, 0.6 * S], [S, 1.6 * S]], "stretches begin and end where they say");
-  equal(lanes.room, 26, "the panel has room for all lanes");
+  ok(lanes.room >= 26, `the panel has room for all lanes: ${lanes.room}`);
   const plot = await panelOf(page, "Speech.Scores");
   await page.$eval(`#${plot}`, (e) => e.scrollIntoView());
   await dispatch(page, { type: "cursor", t: 30 * S });
@@ -171,7 +174,7 @@ test("3 timelines: where a stream begins late or ends early there is a bracket",
   });
   ok(feet[0] > feet[1] + 10, `a line where it begins: ${feet}`);
   equal(await page.textContent("#t-length-of"), "data ends", "the header tells when the data ends");
-  ok((await page.textContent("#t-length")).startsWith("00:01:00.0"), "at that time");
+  ok((await page.textContent("#t-length")).startsWith("1:00.0"), "at that time");
   await shot("uneven");
 });
 

@@ -1,6 +1,7 @@
 // Bundles the page's script and style into priv/static. `npm run build`; `npm run watch` rebuilds on change.
 import * as esbuild from "esbuild";
-import { mkdirSync, copyFileSync } from "node:fs";
+import { mkdirSync, copyFileSync, readFileSync, writeFileSync } from "node:fs";
+import { gzipSync } from "node:zlib";
 
 const out = new URL("../priv/static/", import.meta.url).pathname;
 mkdirSync(out, { recursive: true });
@@ -23,4 +24,5 @@ if (process.argv.includes("--watch")) {
   await context.watch();
 } else {
   await esbuild.build(options);
+  for (const f of ["studio.js", "studio.css", "theme.js"]) writeFileSync(out + f + ".gz", gzipSync(readFileSync(out + f), { level: 9 }));
 }

@@ -1,7 +1,23 @@
-// Before the first paint: the theme chosen last, so that nothing flashes.
-try {
-  var chosen = localStorage.getItem("situ:theme");
-  if (chosen === "light" || chosen === "dark") document.documentElement.dataset.theme = chosen;
-} catch (e) {
-  // no storage: the dark theme stays
-}
+// Before the first paint: the theme chosen last, or the one the system prefers, so that nothing flashes.
+(function () {
+  var chosen = null;
+  try {
+    chosen = localStorage.getItem("situ:theme");
+  } catch (e) {
+    // no storage: the system's theme
+  }
+  if (chosen !== "light" && chosen !== "dark") {
+    chosen = window.matchMedia && matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
+  }
+  document.documentElement.dataset.theme = chosen;
+})();
+
+// The widths that columns were dragged to.
+["--left", "--right", "--side"].forEach(function (name) {
+  try {
+    var px = localStorage.getItem("situ:" + name);
+    if (px) document.documentElement.style.setProperty(name, px + "px");
+  } catch (e) {
+    // no storage: the usual widths
+  }
+});

@@ -116,6 +116,63 @@ const hooks = {
     },
   },
 
+  // Between two columns: drag it, or move it with the arrow keys. The width is a variable of the style, kept in the browser.
+  Split: {
+    mounted() {
+      const { var: name, edge } = this.el.dataset;
+      const parent = this.el.parentElement;
+      const set = (px) => {
+        document.documentElement.style.setProperty(name, `${Math.round(px)}px`);
+        this.el.setAttribute("aria-valuenow", String(Math.round((100 * px) / innerWidth)));
+        try {
+          localStorage.setItem(`situ:${name}`, String(Math.round(px)));
+        } catch {
+          // it lasts as long as the page
+        }
+      };
+      const width = () => parent.getBoundingClientRect().width;
+      const bound = (px) => Math.min(Math.max(px, 120), innerWidth * 0.7);
+      this.el.addEventListener("pointerdown", (e) => {
+        e.preventDefault();
+        this.el.setPointerCapture(e.pointerId);
+        const start = e.clientX, from = width();
+        const move = (m) => set(bound(from + (edge === "right" ? 1 : -1) * (m.clientX - start)));
+        this.el.addEventListener("pointermove", move);
+        this.el.addEventListener("pointerup", () => this.el.removeEventListener("pointermove", move), { once: true });
+      });
+      this.el.addEventListener("keydown", (e) => {
+        const by = { ArrowLeft: -20, ArrowRight: 20 }[e.key];
+        if (!by) return;
+        e.preventDefault();
+        e.stopPropagation();
+        set(bound(width() + (edge === "right" ? by : -by)));
+      });
+      this.el.addEventListener("dblclick", () => document.documentElement.style.removeProperty(name));
+    },
+  },
+
+  // A dialog that the server opened: it takes the focus, keeps it, and goes with Escape.
+  Modal: {
+    mounted() {
+      this.el.showModal();
+      (this.el.querySelector("[autofocus]") ?? this.el.querySelector("input, button"))?.focus();
+      this.el.querySelector("input:not([type=radio])")?.select?.();
+      // what cannot be undone is asked twice
+      this.el.addEventListener("click", (e) => {
+        const sure = e.target.closest("[data-sure]");
+        if (!sure || sure.dataset.asked) return;
+        e.preventDefault();
+        e.stopPropagation();
+        sure.dataset.asked = "1";
+        sure.textContent = sure.dataset.sure;
+      }, true);
+      this.el.addEventListener("cancel", (e) => {
+        e.preventDefault();
+        this.pushEvent("dialog_close", {});
+      });
+    },
+  },
+
   // The colour that a stream has by itself, in the field where another can be given.
   Swatch: {
     mounted() {

@@ -11,10 +11,14 @@ import { listenGoto } from "./page/dialogs.js";
 import { Connection } from "./page/connection.js";
 import { Address } from "./page/address.js";
 import { Frames } from "./page/frames.js";
+import { Gutter } from "./page/gutter.js";
+import { Menu } from "./page/menu.js";
+import { menuItems } from "./page/menus.js";
 import { commands } from "./page/commands.js";
 import { toast } from "./page/toast.js";
 import { onTheme } from "./page/theme.js";
 import { absolute } from "./time/text.js";
+import { onClock } from "./time/clock.js";
 
 export class Studio {
   // options: {dataUrl, pcmUrl, stepUrl, source, layout, edit, push, moved}
@@ -40,6 +44,9 @@ export class Studio {
       facts: () => ({ ...this.options, snap: this.client.snap }),
       moved: options.moved,
     });
+    this.gutter = new Gutter(() => this.redraw());
+    this.menu = new Menu(document.body, (target, e) => menuItems(this, target, e));
+    onClock(() => this.redraw());
     this.header = new Header(root, () => this.client.origin);
     this.connection = new Connection(this.header, toast);
     this.time.subscribe((s, old) => this.changed(s, old));
@@ -50,13 +57,22 @@ export class Studio {
     this.client.start();
   }
 
+  // Everything, as after a change of the window.
+  redraw() {
+    for (const v of this.views) {
+      v.named = null;
+      this.schedule(v);
+    }
+    for (const o of this.frames.overlays.values()) o.update(this.time.get());
+  }
+
   get views() {
     return this.frames.views;
   }
 
   add(view, { timeline = false, gestures = timeline } = {}) {
     this.frames.add(view, { timeline });
-    if (gestures) timelineGestures(view.el, this);
+    if (gestures) timelineGestures(view.el, this, view);
   }
 
   remove(view) {
@@ -201,6 +217,7 @@ export class Studio {
     document.removeEventListener("keydown", this.keydown);
     clearInterval(this.ticking);
     this.client.stop();
+    this.menu.destroy();
     this.playback.end();
   }
 }

@@ -14,6 +14,20 @@ export const commands = {
   left: (app) => toggleSide(app, "left"),
   right: (app) => toggleSide(app, "right"),
 
+  undo: (app) => app.options.push?.("undo", {}),
+  redo: (app) => app.options.push?.("redo", {}),
+  beside: (app) => app.options.push?.("beside", {}),
+  nextChange: (app) => stepChange(app, 1),
+  previousChange: (app) => stepChange(app, -1),
+
+  maximise(app) {
+    const panel = app.root.querySelector(".maxed[data-panel]") ?? app.root.querySelector("[data-panel].selected") ?? hovered(app);
+    if (panel) app.options.push?.("maximise", { id: panel.dataset.panel });
+    else toast("Point at a panel, or select one, to let it fill the window");
+  },
+
+  restore: (app) => app.root.querySelector(".stack.max") && app.options.push?.("restore", {}),
+
   search(app) {
     document.documentElement.dataset.left = "open";
     app.root.querySelector("#search")?.focus();
@@ -49,6 +63,20 @@ export const commands = {
     return copy(location.href, "Link copied", "The address bar holds the link");
   },
 };
+
+const hovered = (app) => app.root.querySelector("[data-panel]:hover");
+
+// The nearest beginning or end of a segment in the selected panel's lanes, or in all.
+function stepChange(app, way) {
+  const chosen = app.root.querySelector("[data-panel].selected") ?? hovered(app);
+  const own = [...app.views].filter((v) => v.changes && (!chosen || chosen.contains(v.el)));
+  const views = own.length ? own : [...app.views].filter((v) => v.changes);
+  const { cursor } = app.time.get();
+  const times = views.flatMap((v) => v.changes()).filter((t) => (way > 0 ? t > cursor + 0.5 : t < cursor - 0.5));
+  if (!times.length) return toast(way > 0 ? "No later change in what is loaded" : "No earlier change in what is loaded");
+  const t = way > 0 ? Math.min(...times) : Math.max(...times);
+  app.time.dispatch({ type: "nudge", by: t - cursor });
+}
 
 // Shown or hidden: what it is now depends on the width of the window, too.
 function toggleSide(app, side) {

@@ -2,6 +2,7 @@
 
 import { KEYS } from "./keys.js";
 import { duration, parseTime } from "../time/text.js";
+import { parseClock } from "../time/clock.js";
 
 const byId = (id) => document.getElementById(id);
 
@@ -11,7 +12,8 @@ export function listenGoto(time, origin) {
     e.preventDefault();
     const dialog = e.currentTarget;
     const error = dialog.querySelector(".error");
-    const t = parseTime(dialog.querySelector("input").value, origin() ?? 0n);
+    const text = dialog.querySelector("input").value;
+    const t = parseClock(text, origin() ?? 0n) ?? parseTime(text, origin() ?? 0n);
     const [from, to] = time.get().data;
     if (t == null) error.textContent = "Not a time. Try 1:23.5, 83.5 s, 250 ms or 2026-01-31T12:34:56Z";
     else if (t < from || t > to) error.textContent = `Outside of the data, which lasts from 0 to ${duration(to)}`;

@@ -1,14 +1,13 @@
 // The timing header and the states of the toolbar's buttons. Painted once per picture at most.
 
-import { absolute, relative, duration } from "../time/text.js";
-
-// What times count from, and how the caption says so.
-const TIMINGS = ["cursor", "cursor · start", "cursor · sel."];
+import { duration } from "../time/text.js";
+import { day, nextClock, onClock, shown } from "../time/clock.js";
 
 export class Header {
   // origin() -> the first time of the data as a BigInt, or null before there is any
   constructor(root, origin) {
-    Object.assign(this, { root, origin, timing: 0, growing: false });
+    Object.assign(this, { root, origin, growing: false });
+    onClock(() => this.state && this.update(this.state));
   }
 
   update(state) {
@@ -20,8 +19,7 @@ export class Header {
   }
 
   nextTiming() {
-    this.timing = (this.timing + 1) % TIMINGS.length;
-    if (this.state) this.update(this.state);
+    nextClock();
   }
 
   // Whether what is shown is still being recorded.
@@ -33,10 +31,8 @@ export class Header {
   paint(s) {
     const origin = this.origin();
     if (origin === null) return;
-    const zero = this.timing === 2 ? s.sel[0] ?? 0 : 0;
-    const show = (t) =>
-      t == null ? "–" : this.timing === 0 ? absolute(t, origin).slice(11) : relative(t - zero, 1e3).slice(0, -2);
-    this.set("t-from", TIMINGS[this.timing]);
+    const show = (t) => (t == null ? "–" : shown(t, origin, 1e6));
+    this.set("t-from", `Cursor, ${day(s.cursor, origin)}`);
     this.set("t-cursor", show(s.cursor));
     this.set("t-start", show(s.sel[0]));
     this.set("t-end", show(s.sel[1]));

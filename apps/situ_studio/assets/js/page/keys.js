@@ -35,6 +35,14 @@ export const KEYS = [
   [",", "Half speed", "slower"],
   [".", "Double speed", "faster"],
   ["l", "Live on or off", "live"],
+  ["n", "Cursor to the next change, of the snapped stream or the selected panel", "nextChange"],
+  ["N", "Cursor to the change before", "previousChange"],
+  ["m", "Fill the window with the selected panel, or back", "maximise"],
+  ["b", "Pictures beside the timelines, or above them", "beside"],
+  ["Ctrl+z", "Undo a change of the layout", "undo"],
+  ["Ctrl+Shift+z", "Redo it", "redo"],
+  ["u", "Times in UTC, local, or since the start", "timing"],
+  ["Escape", "Restore a panel that fills the window", "restore"],
   ["/", "Search the streams", "search"],
   ["Ctrl+k", "Commands and streams", "palette"],
   ["t", "Dark or light", "theme"],
@@ -87,6 +95,7 @@ export function timeAction(name, s) {
     case "selEnd": return { type: "selEnd", t: s.cursor };
     case "selBack": return { type: "shiftSel", dir: -1 };
     case "selOn": return { type: "shiftSel", dir: 1 };
+    case "normalSpeed": return { type: "speed", value: 1 };
     case "slower": return { type: "speed", value: s.speed / 2 };
     case "faster": return { type: "speed", value: s.speed * 2 };
     case "live": return { type: "live", on: s.mode !== "live" };

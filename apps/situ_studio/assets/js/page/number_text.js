@@ -8,8 +8,27 @@ export function number(x, digits = 6) {
   return String(Number(x.toPrecision(digits)));
 }
 
-// Ticks of a value axis between lo and hi, at most n of them, at 1, 2 or 5 times a power of ten.
+const SI = [[1e12, "T"], [1e9, "G"], [1e6, "M"], [1e3, "k"]];
+
+// A number beside an axis: short, large ones with the prefixes of SI.
+export function axisNumber(x) {
+  const a = Math.abs(x);
+  if (a < 10000) return number(x, 4);
+  if (a >= 1e15) return x.toExponential(1);
+  const [factor, letter] = SI.find(([f]) => a >= f);
+  return `${number(x / factor, 4)} ${letter}`;
+}
+
+// Ticks of a value axis between lo and hi, about n of them and never one alone, at 1, 2 or 5 times a power of ten.
 export function valueTicks(lo, hi, n) {
+  for (let k = n; k <= 4 * n + 8; k++) {
+    const found = ticksOf(lo, hi, k);
+    if (found.length >= 2 || !found.length) return found;
+  }
+  return ticksOf(lo, hi, n);
+}
+
+function ticksOf(lo, hi, n) {
   const span = hi - lo;
   if (!(span > 0) || !Number.isFinite(span)) return [];
   const raw = span / Math.max(n, 1);

@@ -4,10 +4,11 @@ import { GUTTER, FONT, theme, seriesColor, keyIndex } from "../page/theme.js";
 import { ticks } from "../time/text.js";
 import { byName } from "../data/series.js";
 import { brackets } from "../visualizers/paint.js";
+import { segmentAt } from "../data/lanes.js";
 import { visualizers } from "../visualizers/index.js";
 import { tip } from "../page/tip.js";
 
-const ROW = 26;
+const ROW = 26, HIGH = 34;
 const EDGE = 4;
 const ROOM = 11;
 const MOST_LANES = 32;
@@ -26,19 +27,47 @@ export class LanesPanel {
     this.observer = new ResizeObserver(() => this.resize());
     this.observer.observe(el);
     el.addEventListener("pointermove", (e) => tip(this, e.buttons ? [] : this.under(e), e.clientX, e.clientY));
+    el.addEventListener("dblclick", (e) => {
+      const found = this.segment(e);
+      if (!found) return;
+      this.app.time.dispatch({ type: "select", from: found[0], to: found[1] });
+      this.app.time.dispatch({ type: "zoomSel" });
+    });
     el.addEventListener("pointerleave", () => tip(this, []));
     this.resize();
   }
 
-  // What lies under the mouse, in words: labels are cut where there is no room for them.
-  under(e) {
+  // The row and the time under the mouse, and how many ns a pixel is.
+  place(e) {
     const box = this.el.getBoundingClientRect();
     const row = this.rows?.[Math.floor((e.clientY - box.top - EDGE) / this.row)];
     const view = this.app.time.get().view;
     const px = (view[1] - view[0]) / (box.width - GUTTER.left - GUTTER.right);
     const t = view[0] + (e.clientX - box.left - GUTTER.left) * px;
-    if (!row || t < view[0] || t > view[1]) return [];
+    return !row || t < view[0] || t > view[1] ? null : { row, t, px };
+  }
+
+  // What lies under the mouse, in words: labels are cut where there is no room for them.
+  under(e) {
+    const at = this.place(e);
+    if (!at) return [];
+    const { row, t, px } = at;
     return row.l.drawer.under({ channel: row.l.channel, name: row.lane }, t, NEAR * px);
+  }
+
+  // The times at which something begins or ends.
+  changes() {
+    return this.layers.flatMap((l) => [...(l.channel.segments?.values() ?? [])])
+      .flatMap((rows) => rows.flatMap(([a, b]) => (Number.isFinite(b) ? [a, b] : [a])));
+  }
+
+  // The segment under the mouse as an interval of time, or null.
+  segment(e) {
+    const at = this.place(e);
+    if (!at?.row) return null;
+    const segments = at.row.l.channel.segments?.get(at.row.lane) ?? [];
+    const found = segmentAt(segments, at.t, NEAR * at.px);
+    return found && [found[0], Number.isFinite(found[1]) ? found[1] : this.app.time.get().data[1]];
   }
 
   configure(config) {
@@ -74,6 +103,7 @@ export class LanesPanel {
       name.appendChild(document.createElement("bdi")).textContent = laneName(short, lane);
     }
     this.fit();
+    this.app.gutter.need(this, rows.map(({ l, lane }) => laneName(l.vis.short ?? l.vis.name, lane)));
     for (const l of this.layers) {
       const count = rows.filter((r) => r.l === l).length;
       if (count > (l.told ?? 1)) this.app.tellLanes(l.vis.stream + (l.vis.path ?? ""), (l.told = count));
@@ -83,7 +113,7 @@ export class LanesPanel {
   // Rows share the height there is.
   fit() {
     const room = (this.el.clientHeight - 2 * EDGE + 1) / Math.max(this.rows?.length ?? 1, 1);
-    this.row = Math.max(Math.min(ROW, room), 3);
+    this.row = Math.max(Math.min(HIGH, room), 3);
     const style = this.names.style;
     style.setProperty("--row", `${this.row}px`);
     style.setProperty("--font", `${Math.min(11, this.row)}px`);
@@ -108,6 +138,7 @@ export class LanesPanel {
 
   render() {
     this.layOut();
+    this.el.classList.toggle("loading", this.layers.some((l) => !l.channel.held && !l.channel.error));
     const ctx = this.canvas.getContext("2d");
     const t = theme();
     const w = this.el.clientWidth, h = this.el.clientHeight;
@@ -168,6 +199,7 @@ export class LanesPanel {
 
   destroy() {
     this.observer.disconnect();
+    this.app.gutter.need(this, null);
     tip(this, []);
     for (const l of this.layers) this.app.client.close(l.channel);
   }

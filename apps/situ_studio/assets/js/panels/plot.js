@@ -4,12 +4,14 @@
 import uPlot from "uplot";
 import { GUTTER, FONT, theme, seriesColor, keyIndex } from "../page/theme.js";
 import { duration, ticks } from "../time/text.js";
-import { number, valueTicks, paddedRange } from "../page/number_text.js";
+import { axisNumber, valueTicks, paddedRange } from "../page/number_text.js";
 import { brackets } from "../visualizers/paint.js";
 import { visualizers } from "../visualizers/index.js";
 
 // Room above the signals for their names and values.
 const LEGEND = 22;
+// A second click within so many ms is a double click.
+const DOUBLE = 220;
 
 const group = (name) => name.slice(0, name.lastIndexOf(".") + 1);
 
@@ -22,6 +24,7 @@ export class PlotPanel {
     this.body.className = "plot-body";
     this.legend = el.appendChild(document.createElement("div"));
     this.legend.className = "legend";
+    this.legend.addEventListener("click", (e) => this.clicked(e));
     this.rest = el.appendChild(document.createElement("div"));
     this.rest.className = "legend-more";
     this.layers = [];
@@ -69,7 +72,7 @@ export class PlotPanel {
     for (const layer of this.layers) {
       if (!entries.some((e) => e.layer === layer)) entries.push({ layer, name: "", series: null });
     }
-    const named = JSON.stringify(entries.map((e) => [e.layer.vis.name, e.name, this.color(e, 0)]));
+    const named = JSON.stringify(entries.map((e) => [e.layer.vis.name, e.name, this.color(e, 0), e.layer.vis.props?.visible]));
     const same = named === this.named;
     this.named = named;
     const rows = this.entries;
@@ -78,7 +81,7 @@ export class PlotPanel {
     this.legend.textContent = "";
     let nth = 0, before = null;
     for (const e of this.entries) {
-      const row = this.legend.appendChild(document.createElement("span"));
+      const row = this.legend.appendChild(document.createElement("button"));
       row.className = "legend-item";
       row.dataset.stream = e.layer.vis.stream;
       row.dataset.key = e.name;
@@ -87,7 +90,11 @@ export class PlotPanel {
       // of neighbours in one group the first is named in full
       const { name, short } = e.layer.vis;
       const stream = before && group(before.vis.name) === group(name) ? short ?? name : name;
-      row.title = e.name === "" ? e.layer.vis.name : `${e.layer.vis.name}  ${e.name}`;
+      const full = e.name === "" ? e.layer.vis.name : `${e.layer.vis.name}  ${e.name}`;
+      row.title = `${full}\nClick: hide or show. Double click: only this one.`;
+      row.type = "button";
+      row.classList.toggle("hidden", e.layer.vis.props?.visible === false);
+      row.setAttribute("aria-pressed", String(e.layer.vis.props?.visible !== false));
       // a stream is named once, then its keys
       row.appendChild(document.createElement("span")).textContent =
         e.name === "" ? stream : before === e.layer ? e.name : `${stream} ${e.name}`;
@@ -95,6 +102,18 @@ export class PlotPanel {
       e.value = row.appendChild(document.createElement("b"));
     }
     this.more();
+  }
+
+  // A name is a switch: a click hides or shows, a double click leaves it alone.
+  clicked(e) {
+    const stream = e.target.closest(".legend-item")?.dataset.stream;
+    const index = this.config.vis.findIndex((v) => v.stream === stream);
+    const panel = this.el.closest("[data-panel]")?.dataset.panel;
+    if (index < 0 || !panel) return;
+    clearTimeout(this.clickTimer);
+    const push = (more) => this.app.options.push?.("show_vis", { panel, index, ...more });
+    if (e.detail > 1) push({ only: "true" });
+    else this.clickTimer = setTimeout(push, DOUBLE, {});
   }
 
   // Entries for which there is no room are counted.
@@ -142,9 +161,9 @@ export class PlotPanel {
           splits: (u, _i, lo, hi) => ticks([lo, hi], u.width - GUTTER.left - GUTTER.right).at,
         },
         {
-          size: GUTTER.left, gap: 6, font: FONT, stroke: () => theme().axis, ticks: { show: false }, grid: grid(),
+          size: () => GUTTER.left, gap: 6, font: FONT, stroke: () => theme().axis, ticks: { show: false }, grid: grid(),
           splits: (u, _i, lo, hi) => valueTicks(lo, hi, Math.max(2, Math.floor((u.height - LEGEND) / 24))),
-          values: (_u, at) => at.map((v) => number(v)),
+          values: (_u, at) => this.labels(at),
         },
       ],
       hooks: { draw: [(u) => this.draw(u)] },
@@ -161,9 +180,18 @@ export class PlotPanel {
     return [-m, m];
   }
 
+  // The numbers beside the axis; none before there is anything to measure.
+  labels(at) {
+    const texts = this.loading ? at.map(() => "") : at.map(axisNumber);
+    this.app.gutter.need(this, texts);
+    return texts;
+  }
+
   // Called once per picture, at most, when something this panel shows has changed.
   render() {
     if (!this.plot) return;
+    this.loading = this.layers.some((l) => !l.channel.held && !l.channel.error) && !this.lines().some((e) => e.series.length);
+    this.el.classList.toggle("loading", this.loading);
     const view = this.app.time.get().view;
     this.buildLegend();
     this.y = this.range(view);
@@ -248,6 +276,7 @@ export class PlotPanel {
 
   destroy() {
     this.observer.disconnect();
+    this.app.gutter.need(this, null);
     for (const l of this.layers) this.app.client.close(l.channel);
     this.plot?.destroy();
   }

@@ -2,7 +2,10 @@
 
 import { GUTTER } from "../page/theme.js";
 
-export function timelineGestures(el, app) {
+// How far, in pixels, an edge of a selection is from what it snaps to.
+const NEAR = 6;
+
+export function timelineGestures(el, app, view) {
   const inside = (e) => {
     const box = el.getBoundingClientRect();
     const inner = box.width - GUTTER.left - GUTTER.right;
@@ -12,6 +15,18 @@ export function timelineGestures(el, app) {
   };
   const state = { drag: null };
 
+  // Edges of a selection go to where something begins or ends, within a few pixels; not with the Alt key.
+  const snap = (t, drag) => {
+    if (drag.free) return t;
+    const s = app.time.get();
+    const near = ((s.view[1] - s.view[0]) / drag.inner) * NEAR;
+    let best = t, least = near;
+    for (const v of app.views) {
+      for (const c of v.changes?.() ?? []) if (Math.abs(c - t) < least) [best, least] = [c, Math.abs(c - t)];
+    }
+    return best;
+  };
+
   const move = (e) => {
     const at = inside(e);
     const d = state.drag;
@@ -19,7 +34,7 @@ export function timelineGestures(el, app) {
       if (Math.abs(e.clientX - d.x) > 3) d.moved = true;
       if (!d.moved) return;
       const w = d.view[1] - d.view[0];
-      if (d.select) app.time.dispatch({ type: "select", from: d.t, to: at.t });
+      if (d.select) app.time.dispatch({ type: "select", from: snap(d.t, d), to: snap(at.t, d) });
       else {
         const by = ((e.clientX - d.x) / at.inner) * w;
         app.time.dispatch({ type: "view", from: d.view[0] - by, to: d.view[1] - by });
@@ -32,12 +47,16 @@ export function timelineGestures(el, app) {
     const at = inside(e);
     if (!at.ok || e.button !== 0) return;
     el.setPointerCapture(e.pointerId);
-    state.drag = { x: e.clientX, view: app.time.get().view, t: at.t, select: e.shiftKey, moved: false };
+    if (e.target.closest(".legend-item, button")) return;
+    state.drag = { x: e.clientX, view: app.time.get().view, t: at.t, select: e.shiftKey, free: e.altKey, inner: at.inner, moved: false };
   };
   const up = (e) => {
     const d = state.drag;
     state.drag = null;
     if (!d || d.moved) return;
+    // an interval that is clicked is selected
+    const found = d.select ? null : view?.segment?.(e);
+    if (found) app.time.dispatch({ type: "select", from: found[0], to: found[1] });
     if (d.select) app.time.dispatch({ type: "selStart", t: d.t });
     else if (app.time.get().mode === "play" || !app.time.get().follow) app.time.dispatch({ type: "seek", t: d.t });
     else app.selectPanelOf(e.target);

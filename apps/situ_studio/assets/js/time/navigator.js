@@ -1,7 +1,8 @@
 // The time navigator: the whole recording with a thumb for the view above, a ruler of the view below.
 
 import { GUTTER, FONT, theme } from "../page/theme.js";
-import { ticks, relative, duration } from "./text.js";
+import { ticks, duration } from "./text.js";
+import { shown } from "./clock.js";
 
 const BAR = 18;
 const GRIP = 6;
@@ -123,13 +124,15 @@ export class Navigator {
       const px = x(t);
       if (px > GUTTER.left + inner - 36) continue;
       ctx.fillRect(px, top + BAR - 4, 1, 4);
-      ctx.fillText(relative(t, over.unit), px + 4, top + BAR / 2 + 1);
+      ctx.fillText(shown(t, this.app.client.origin, over.unit), px + 4, top + BAR / 2 + 1);
     }
     ctx.fillStyle = c.cursor;
     ctx.fillRect(x(s.cursor) - 0.5, top - 1, 1.5, BAR + 2);
     ctx.fillStyle = c.dim;
     ctx.textAlign = "right";
     ctx.fillText(duration(s.data[1] - s.data[0]), GUTTER.left - 10, top + BAR / 2 + 1);
+
+    this.app.gutter.need(this, [duration(s.data[1] - s.data[0]), duration(s.view[1] - s.view[0])]);
 
     // ruler of the view
     const base = h - 1;
@@ -143,7 +146,9 @@ export class Navigator {
       ctx.globalAlpha = 0.6;
       ctx.fillRect(px, base - 5, 1, 5);
       ctx.globalAlpha = 1;
-      ctx.fillText(relative(t, rule.unit), Math.min(Math.max(px, GUTTER.left + 16), w - 24), base - 12);
+      const text = shown(t, this.app.client.origin, rule.unit);
+      const half = ctx.measureText(text).width / 2;
+      ctx.fillText(text, Math.min(Math.max(px, GUTTER.left + half), w - half - 2), base - 12);
     }
     ctx.textAlign = "right";
     ctx.fillStyle = c.dim;

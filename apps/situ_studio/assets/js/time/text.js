@@ -58,14 +58,15 @@ function digits(x) {
   return x >= 100 ? x.toFixed(0) : x >= 10 ? x.toFixed(1) : x.toFixed(2);
 }
 
-// Absolute UTC time of `t` ns after the BigInt `origin`.
-export function absolute(t, origin) {
+// Absolute UTC time of `t` ns after the BigInt `origin`, with so many decimals of its seconds.
+export function absolute(t, origin, decimals = 4) {
   const ns = origin + BigInt(Math.round(t));
   let s = ns / 1000000000n, f = ns % 1000000000n;
   if (f < 0n) { f += 1000000000n; s -= 1n; }
   const d = new Date(Number(s) * 1000);
   if (Number.isNaN(d.getTime())) return String(ns);
-  return `${d.toISOString().slice(0, 19).replace("T", " ")}.${pad(f.toString().slice(0), 9).slice(0, 4)}`;
+  const text = d.toISOString().slice(0, 19).replace("T", " ");
+  return decimals ? `${text}.${pad(f.toString(), 9).slice(0, decimals)}` : text;
 }
 
 // The same to the nanosecond, as programs and "go to time" read it.

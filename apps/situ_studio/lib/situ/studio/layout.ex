@@ -46,16 +46,26 @@ defmodule Situ.Studio.Layout do
   alias Situ.Studio.Layout.Rows
 
   @enforce_keys [:name]
-  defstruct [:name, rows: [], next: 1]
+  defstruct [:name, rows: [], next: 1, beside: false]
 
-  @typedoc "`rows` holds panels; neighbours with the same `row` stand side by side."
-  @type t :: %__MODULE__{name: String.t(), rows: [Panel.t()], next: pos_integer()}
+  @typedoc """
+  `rows` holds panels; neighbours with the same `row` stand side by side. With `beside` the cells have a column of their
+  own, to the left of the timelines.
+  """
+  @type t :: %__MODULE__{
+          name: String.t(),
+          rows: [Panel.t()],
+          next: pos_integer(),
+          beside: boolean()
+        }
 
   @timeline [:plot, :lanes]
   @panels [:plot, :lanes, :image, :value, :bars, :text]
   @max_panels 64
   @max_vis 32
-  @heights %{plot: 116, lanes: 34, image: 320, value: 240, bars: 240, text: 120}
+  # The least height, and the part of what is left over that a row takes.
+  @heights %{plot: 84, lanes: 34, image: 200, value: 160, bars: 160, text: 90}
+  @weights %{plot: 4, lanes: 1, image: 9, value: 6, bars: 6, text: 3}
   @lane 26
   # More share the height of these.
   @max_lanes 12
@@ -179,8 +189,33 @@ defmodule Situ.Studio.Layout do
   @spec lines(t()) :: [[Panel.t(), ...]]
   def lines(%__MODULE__{rows: rows}), do: Rows.lines(rows)
 
+  @doc "Cells beside the timelines, or above them again."
+  @spec beside(t()) :: t()
+  def beside(%__MODULE__{} = layout), do: %{layout | beside: not layout.beside}
+
   @doc """
-  The height of a line in pixels. `lanes` tells how many lanes a stream has, by its name, where there is more than one.
+  How high a line is: as high as somebody made it, or at least so many pixels and a part of what the window has left.
+
+      iex> {:ok, layout, _} = Situ.Studio.Layout.add(Situ.Studio.Layout.new(""), "A", "line", :plot, "")
+      iex> [line] = Situ.Studio.Layout.lines(layout)
+      iex> Situ.Studio.Layout.style(line, %{})
+      "flex: 4 0 84px"
+      iex> [line] = layout |> Situ.Studio.Layout.resize("p1", 300) |> Situ.Studio.Layout.lines()
+      iex> Situ.Studio.Layout.style(line, %{})
+      "flex: 0 0 300px"
+  """
+  @spec style([Panel.t(), ...], map()) :: String.t()
+  def style(line, lanes) do
+    if Enum.any?(line, & &1.height) do
+      "flex: 0 0 #{height(line, lanes)}px"
+    else
+      weight = line |> Enum.map(&@weights[&1.panel]) |> Enum.max()
+      "flex: #{weight} 0 #{height(line, lanes)}px"
+    end
+  end
+
+  @doc """
+  The least height of a line in pixels. `lanes` tells how many lanes a stream has, by its name, where there is more than one.
 
       iex> {:ok, layout, _} = Situ.Studio.Layout.add(Situ.Studio.Layout.new(""), "A", "states", :lanes, "")
       iex> [line] = Situ.Studio.Layout.lines(layout)

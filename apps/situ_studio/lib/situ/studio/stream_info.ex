@@ -62,6 +62,13 @@ defmodule Situ.Studio.StreamInfo do
           details: [{String.t(), String.t()}]
         }
 
+  @doc "All shapes."
+  @spec shapes() :: [shape()]
+  def shapes do
+    [:signal, :boolean, :state, :text, :audio, :image, :depth, :shapes, :bars, :signals] ++
+      [:states, :spans, :value]
+  end
+
   @doc """
   Messages a second, of so many between two times; `nil` where that says nothing.
 

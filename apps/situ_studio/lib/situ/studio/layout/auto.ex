@@ -19,9 +19,7 @@ defmodule Situ.Studio.Layout.Auto do
   @lanes 10
   @sounds 3
   @maps 3
-  @many 4
-  @small 232
-  @low 92
+  @many 2
 
   @doc "The name under which it is offered."
   @spec name() :: String.t()
@@ -50,19 +48,10 @@ defmodule Situ.Studio.Layout.Auto do
     for {shape, viz} <- kinds, s <- of.(shape), do: {s, viz}
   end
 
-  # Where there is much to see, each takes less room, so that most layouts fit a small screen as a whole.
+  # Where there are timelines, too, pictures stand beside them.
   defp fit(layout) do
-    below = Enum.filter(layout.rows, &Layout.timeline?(&1.panel))
-
-    if length(below) < @many do
-      layout
-    else
-      plots = for %{panel: :plot, id: id} <- below, do: {id, @low}
-
-      Enum.reduce([{"r1", @small} | plots], layout, fn {row, px}, l ->
-        Layout.resize(l, row, px)
-      end)
-    end
+    {cells, timelines} = Enum.split_with(layout.rows, & &1.row)
+    %{layout | beside: cells != [] and length(timelines) >= @many}
   end
 
   # Shapes go over the picture whose name shares most of its beginning.
@@ -72,7 +61,8 @@ defmodule Situ.Studio.Layout.Auto do
     {layout, ids} =
       Enum.reduce(pictures, {layout, %{}}, fn s, {layout, ids} ->
         viz = if s.shape == :depth, do: "depth", else: "image"
-        {:ok, layout, id} = Layout.add(layout, s.name, viz, :image, "", row: "r1")
+        row = "r#{map_size(ids) + 1}"
+        {:ok, layout, id} = Layout.add(layout, s.name, viz, :image, "", row: row)
         {layout, Map.put(ids, s.name, id)}
       end)
 

@@ -19,7 +19,7 @@ defmodule Situ.Studio.Layout.Text do
       "panels" => Enum.map(layout.rows, &panel_json/1)
     }
 
-    Situ.JSON.pretty(doc)
+    Situ.JSON.pretty(if layout.beside, do: Map.put(doc, "beside", true), else: doc)
   end
 
   defp panel_json(%Panel{} = p) do
@@ -40,9 +40,10 @@ defmodule Situ.Studio.Layout.Text do
   @spec read(binary()) :: {:ok, Layout.t()} | {:error, Error.t()}
   def read(json) do
     case Situ.JSON.decode(json) do
-      {:ok, %{"version" => @version, "name" => name, "panels" => panels}}
+      {:ok, %{"version" => @version, "name" => name, "panels" => panels} = doc}
       when is_binary(name) and is_list(panels) and length(panels) <= @max_panels ->
-        read_panels(name, panels)
+        with {:ok, layout} <- read_panels(name, panels),
+             do: {:ok, %{layout | beside: doc["beside"] == true}}
 
       {:ok, %{"version" => version}} when version != @version ->
         bad("it is of version #{inspect(version)}, this studio reads #{@version}")

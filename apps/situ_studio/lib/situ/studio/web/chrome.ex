@@ -7,7 +7,7 @@ defmodule Situ.Studio.Web.Chrome do
   @doc false
   def layout(assigns) do
     ~H"""
-    <html lang="en" data-theme="dark">
+    <html lang="en">
       <head>
         <meta charset="utf-8">
         <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -72,7 +72,7 @@ defmodule Situ.Studio.Web.Chrome do
         <.tool act="togglePlaySel" icon={:selection} title="Play the selection (Ctrl+Space)" />
         <.tool act="repeat" icon={:repeat} title="Repeat (r)" />
         <.tool act="slower" icon={:slower} title="Half speed (,)" />
-        <span id="speed" title="Playback speed">1×</span>
+        <button id="speed" class="tool" type="button" data-act="normalSpeed" title="Playback speed; click for normal">1×</button>
         <.tool act="faster" icon={:faster} title="Double speed (.)" />
         <span class="sep"></span>
         <.tool act="zoomAll" icon={:fit} title="View everything (Ctrl+A)" />
@@ -102,6 +102,9 @@ defmodule Situ.Studio.Web.Chrome do
           title="Save the layout" aria-label="Save the layout"><.icon name={:save} /></button>
       <.tool :if={@export} act="export" icon={:export} title="Save the selection as a recording (Ctrl+E)" />
       <a :if={@pipeline} class="tool" href={@pipeline} title="The pipeline's graph"><.icon name={:pipeline} /></a>
+      <.tool act="undo" icon={:undo} title="Undo (Ctrl+Z)" />
+      <.tool act="redo" icon={:redo} title="Redo (Ctrl+Shift+Z)" />
+      <.tool act="beside" icon={:beside} title="Pictures beside the timelines, or above (b)" />
       <.tool act="copyLink" icon={:link} title="Copy a link to this view" />
       <.tool act="right" icon={:side} title="Show or hide the properties (p)" />
       <.tool act="theme" icon={:theme} title="Dark or light (t)" />
@@ -134,8 +137,8 @@ defmodule Situ.Studio.Web.Chrome do
       <button :if={@snap} class="snapped" type="button" phx-click="snap" phx-value-stream={@snap}
           title="Release the cursor">cursor snaps to {@snap} ×</button>
       <span class="grow"></span>
-      <span>? keys</span>
-      <span>Ctrl+K commands</span>
+      <button class="linkish" type="button" data-act="help"><kbd>?</kbd> keys</button>
+      <button class="linkish" type="button" data-act="palette"><kbd>Ctrl+K</kbd> commands</button>
       <span id="tempo" phx-update="ignore"></span>
     </footer>
     """

@@ -43,6 +43,34 @@ defmodule Situ.Studio.Web.Edit do
     end
   end
 
+  def apply("beside", _, assigns), do: {:ok, layout: Layout.beside(assigns.layout)}
+
+  # One panel fills the window, until it is asked to go back.
+  def apply("maximise", %{"id" => id}, assigns) do
+    cond do
+      assigns.maximised == id -> {:ok, maximised: nil}
+      Layout.panel(assigns.layout, id) -> {:ok, maximised: id}
+      true -> :ignore
+    end
+  end
+
+  def apply("restore", _, assigns), do: {:ok, maximised: nil, selected: assigns.selected}
+
+  def apply("undo", _, assigns), do: step(assigns, :undo, :redo)
+  def apply("redo", _, assigns), do: step(assigns, :redo, :undo)
+
+  # Shown or hidden; `only` hides the panel's other streams, or shows them again.
+  def apply("show_vis", %{"panel" => id, "index" => index} = params, assigns) do
+    with {:ok, i} <- integer(to_string(index)),
+         %{vis: vis} <- Layout.panel(assigns.layout, id),
+         {:ok, one} <- fetch(vis, i) do
+      layout = Layout.update(assigns.layout, id, &%{&1 | vis: shown(vis, i, one, params["only"])})
+      {:ok, layout: layout}
+    else
+      _ -> :ignore
+    end
+  end
+
   def apply("select_panel", %{"id" => id}, assigns) do
     if Layout.panel(assigns.layout, id), do: {:ok, selected: {:panel, id}}, else: :ignore
   end
@@ -117,6 +145,27 @@ defmodule Situ.Studio.Web.Edit do
   end
 
   def apply(_, _, _), do: :ignore
+
+  defp step(assigns, from, to) do
+    case Map.fetch!(assigns, from) do
+      [layout | rest] ->
+        {:ok, [{:layout, layout}, {from, rest}, {to, [assigns.layout | Map.fetch!(assigns, to)]}]}
+
+      [] ->
+        {:error, Error.new(:nothing, "there is nothing to #{from}")}
+    end
+  end
+
+  defp shown(vis, i, one, "true") do
+    alone? = vis |> List.delete_at(i) |> Enum.all?(&hidden?/1) and not hidden?(one)
+    for {v, k} <- Enum.with_index(vis), do: visible(v, alone? or k == i)
+  end
+
+  defp shown(vis, i, one, _), do: List.replace_at(vis, i, visible(one, hidden?(one)))
+
+  defp hidden?(vis), do: vis.props["visible"] == false
+  defp visible(vis, true), do: %{vis | props: Map.delete(vis.props, "visible")}
+  defp visible(vis, false), do: %{vis | props: Map.put(vis.props, "visible", false)}
 
   defp put_props(layout, id, i, props) do
     Layout.update(layout, id, fn p ->

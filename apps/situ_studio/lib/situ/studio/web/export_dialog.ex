@@ -82,9 +82,9 @@ defmodule Situ.Studio.Web.ExportDialog do
       )
 
     ~H"""
-    <div class="modal" role="dialog" phx-window-keydown="dialog_close" phx-key="Escape"
+    <dialog id="export-dialog" phx-hook="Modal" phx-update="ignore"
         aria-label="Save a part as a recording">
-      <form id="export-save" class="modal-box" phx-submit="export_save">
+      <form id="export-save" phx-submit="export_save">
         <h3>Save a part as a recording</h3>
         <p class="hint">{@what}: {@length}. It is written to {@folder}; this recording stays as it is.</p>
         <input name="name" value={part(@item.title)} placeholder="Name" autocomplete="off" maxlength="60"
@@ -98,7 +98,7 @@ defmodule Situ.Studio.Web.ExportDialog do
           <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
         </div>
       </form>
-    </div>
+    </dialog>
     """
   end
 

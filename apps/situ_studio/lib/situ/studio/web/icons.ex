@@ -29,6 +29,12 @@ defmodule Situ.Studio.Web.Icons do
     grip: "M6 3.5v.1M10 3.5v.1M6 8v.1M10 8v.1M6 12.5v.1M10 12.5v.1",
     export: "M8 2v7.5M5 6.8l3 3 3-3M2.5 10.5v3h11v-3",
     info: "M3 4h4M3 8h4M3 12h4M10 4h3M10 8h3M10 12h3",
+    grow: "M9.5 2.5h4v4M6.5 13.5h-4v-4M13.5 2.5l-4.5 4.5M2.5 13.5l4.5-4.5",
+    shrink: "M13 7H9V3M3 9h4v4M9 7l4.5-4.5M7 9l-4.5 4.5",
+    beside: "M2.5 3h11v10h-11zM6.5 3v10M6.5 8h7",
+    undo: "M6 4L3 7l3 3M3 7h6.5a3 3 0 0 1 0 6H7",
+    redo: "M10 4l3 3-3 3M13 7H6.5a3 3 0 0 0 0 6H9",
+    mark: "M3.5 13V3h8l-2 3 2 3h-8",
     side: "M2.5 3h11v10h-11zM10 3v10",
     tune: "M2.5 5h6M11.5 5h2M2.5 11h2M7.5 11h6M10 3.5v3M6 9.5v3"
   }

@@ -76,8 +76,8 @@ defmodule Situ.Studio.Web.LayoutMenu do
   @doc false
   def dialog(assigns) do
     ~H"""
-    <div class="modal" role="dialog" phx-window-keydown="dialog_close" phx-key="Escape" aria-label="Save the layout">
-      <form id="layout-save" class="modal-box" phx-submit="layout_save">
+    <dialog id="layout-dialog" phx-hook="Modal" phx-update="ignore" aria-label="Save the layout">
+      <form id="layout-save" phx-submit="layout_save">
         <h3>Save the layout</h3>
         <input name="name" value={if @saved.name == Layout.Auto.name(), do: "", else: @saved.name}
             placeholder="Name" autocomplete="off" maxlength="60" aria-label="Name" autofocus>
@@ -85,10 +85,10 @@ defmodule Situ.Studio.Web.LayoutMenu do
           <button class="btn primary" type="submit">Save</button>
           <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
           <button :if={@saved.name != Layout.Auto.name()} class="btn" type="button"
-              phx-click="layout_delete">Delete {@saved.name}</button>
+              data-sure="Really delete it?" phx-click="layout_delete">Delete {@saved.name}</button>
         </div>
       </form>
-    </div>
+    </dialog>
     """
   end
 end

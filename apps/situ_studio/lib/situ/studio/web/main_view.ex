@@ -4,11 +4,24 @@ defmodule Situ.Studio.Web.MainView do
   # layout and what is selected.
   use Situ.Live.View
 
-  alias Situ.Studio.{Catalog, Color, Coverage, Layout, Link, Source, Tree}
+  alias Situ.Studio.{
+    Catalog,
+    Color,
+    Coverage,
+    Layout,
+    Link,
+    Source,
+    StreamInfo,
+    Tree,
+    Visualizers
+  }
+
   alias Situ.Studio.Web.{Address, Chrome, Edit, ExportDialog, LayoutMenu, Panels, Side}
 
   @max_rows 400
   @refresh_ms 2_000
+  # So many changes of the layout can be taken back.
+  @undo 100
   @max_lanes 32
 
   @impl true
@@ -30,6 +43,9 @@ defmodule Situ.Studio.Web.MainView do
         seen_lanes: %{},
         selected: nil,
         snap: nil,
+        maximised: nil,
+        undo: [],
+        redo: [],
         info: :rate,
         dialog: nil,
         error: nil
@@ -166,13 +182,23 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_event(event, params, socket) when is_map_key(socket.assigns, :layout) do
     case Edit.apply(event, params, socket.assigns) do
-      {:ok, changes} -> {:noreply, assign(socket, changes)}
+      {:ok, changes} -> {:noreply, socket |> remember(event, changes) |> assign(changes)}
       {:error, error} -> {:noreply, toast(socket, error)}
       :ignore -> {:noreply, socket}
     end
   end
 
   def handle_event(_, _, socket), do: {:noreply, socket}
+
+  # What the layout was before a change; picking a layout is one, too.
+  defp remember(%{assigns: assigns} = socket, event, changes)
+       when event not in ["undo", "redo"] do
+    if Keyword.get(changes, :layout, assigns.layout) == assigns.layout,
+      do: socket,
+      else: assign(socket, undo: Enum.take([assigns.layout | assigns.undo], @undo), redo: [])
+  end
+
+  defp remember(socket, _, _), do: socket
 
   @impl true
   def handle_info({:exported, result}, socket),
@@ -209,7 +235,12 @@ defmodule Situ.Studio.Web.MainView do
         stream: selected_stream(assigns),
         panel: selected_panel(assigns),
         edit:
-          if(assigns.layout.rows == assigns.saved.rows, do: "", else: Link.encode(assigns.layout))
+          if(
+            {assigns.layout.rows, assigns.layout.beside} ==
+              {assigns.saved.rows, assigns.saved.beside},
+            do: "",
+            else: Link.encode(assigns.layout)
+          )
       )
 
     ~H"""
@@ -218,11 +249,11 @@ defmodule Situ.Studio.Web.MainView do
       <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""}
           read_only={@read_only} export={ExportDialog.offered?(assigns)} pipeline={pipeline(@item, @infos)} />
       <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query}
-          count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names} />
+          count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names} kinds={kinds(@extra)} />
       <main class="centre">
         <Chrome.damage :if={@damage != []} damage={@damage} path={@item.path} />
         <button class="pill" type="button" data-act="live" title="Follow what is being recorded (l)">Back to live</button>
-        <Panels.stack layout={@layout} selected={@selected} known={@known} streams={length(@infos)} />
+        <Panels.stack layout={@layout} selected={@selected} maximised={@maximised} known={@known} streams={length(@infos)} />
       </main>
       <Side.right stream={@stream} panel={@panel} known={@known} snap={@snap} />
       <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} snap={@snap} />
@@ -232,6 +263,13 @@ defmodule Situ.Studio.Web.MainView do
     </div>
     <Chrome.dialogs />
     """
+  end
+
+  # What each shape can be shown as, for the page's menus.
+  defp kinds(extra) do
+    StreamInfo.shapes()
+    |> Map.new(&{&1, for(v <- Visualizers.for_shape(&1, extra), do: [v.id, v.title])})
+    |> Situ.JSON.encode()
   end
 
   defp rows(%{query: "", infos: streams, closed: closed}) do

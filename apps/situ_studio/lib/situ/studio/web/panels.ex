@@ -11,75 +11,107 @@ defmodule Situ.Studio.Web.Panels do
   # what is known of the streams: their shapes, lanes, coverage and colours, and the studio's own visualizers (`:extra`)
   attr(:known, :map, required: true)
   attr(:streams, :integer, required: true)
+  attr(:maximised, :any, required: true)
 
   @doc false
   def stack(assigns) do
+    {cells, times} = assigns.layout |> Layout.lines() |> Enum.split_with(&hd(&1).row)
+
+    {side, main} =
+      if assigns.layout.beside, do: {cells, times}, else: {[], Layout.lines(assigns.layout)}
+
+    assigns = assign(assigns, side: side, main: main, max: maximised(assigns))
+
     ~H"""
-    <div class="stack" id="stack" phx-hook="Drop">
-      <div id="navigator" class="navigator" phx-hook="Navigator" phx-update="ignore"
-          aria-label="Time navigator"></div>
-      <.line :for={line <- Layout.lines(@layout)} :key={row_id(line)} line={line} selected={@selected}
-          known={@known} />
-      <div :if={@layout.rows == [] and @streams > 0}
-          class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
-      <div :if={@layout.rows == [] and @streams == 0}
-          class="empty"><b>No streams yet</b><span>{if @known.damaged, do: "What is left of this
-          recording cannot be read.", else: "Nothing was recorded here. What comes shows up by itself."}</span></div>
+    <div class={["stack", @side != [] && "beside", @max && "max"]} id="stack" phx-hook="Drop">
+      <div class={["side", holds?(@side, @max) && "maxed"]} id="side" :if={@side != []}>
+        <.line :for={line <- @side} :key={row_id(line)} line={line} selected={@selected} max={@max} known={@known} />
+        <div class="split" id="split-side" phx-hook="Split" data-var="--side" data-edge="right" tabindex="0"
+            role="separator" aria-orientation="vertical" aria-label="Width of the pictures" aria-valuenow="40"
+            aria-valuemin="10" aria-valuemax="80"></div>
+      </div>
+      <div class={["times", holds?(@main, @max) && "maxed"]} id="times">
+        <div id="navigator" class="navigator" phx-hook="Navigator" phx-update="ignore" role="group"
+            aria-label="Time navigator"></div>
+        <.line :for={line <- @main} :key={row_id(line)} line={line} selected={@selected} max={@max} known={@known} />
+        <div :if={@layout.rows == [] and @streams > 0}
+            class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
+        <div :if={@layout.rows == [] and @streams == 0} class="empty"><b>No streams yet</b><span>{if @known.damaged,
+          do: "What is left of this recording cannot be read.",
+          else: "Nothing was recorded here. What comes shows up by itself."}</span></div>
+      </div>
     </div>
     """
   end
+
+  defp maximised(%{layout: layout, maximised: id}), do: if(Layout.panel(layout, id), do: id)
+
+  defp holds?(lines, max), do: max != nil and Enum.any?(List.flatten(lines), &(&1.id == max))
 
   defp line(%{line: [%{row: nil} = panel]} = assigns) do
     assigns = assign(assigns, :panel, panel)
 
     ~H"""
-    <section class={["row-box timeline", @selected == {:panel, @panel.id} && "selected"]}
-        id={"row-" <> @panel.id} data-row={@panel.id} data-panel={@panel.id}
-        style={"height: #{Layout.height(@line, @known.lanes)}px"}>
-      <div id={"body-" <> @panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore"
-          data-kind={@panel.panel} data-config={config(@panel, @known)}></div>
-      <.tools panel={@panel} row={@panel.id} />
-      <div class="resize" id={"resize-" <> @panel.id} phx-hook="Resize" tabindex="0" role="separator"
-          aria-label="height"></div>
+    <section class={["row-box timeline", @selected == {:panel, @panel.id} && "selected", @max == @panel.id && "maxed"]}
+        id={"row-" <> @panel.id} data-row={@panel.id} data-panel={@panel.id} data-menu="panel"
+        style={Layout.style(@line, @known.lanes)}>
+      <div id={"body-" <> @panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore" role="group"
+          aria-label={names(@panel)} data-kind={@panel.panel} data-config={config(@panel, @known)}></div>
+      <.tools panel={@panel} row={@panel.id} max={@max} />
+      <.edge row={@panel.id} line={@line} known={@known} />
     </section>
     """
   end
 
   defp line(assigns) do
     ~H"""
-    <section class="row-box cells" id={"row-" <> row_id(@line)} data-row={row_id(@line)}
-        style={"height: #{Layout.height(@line, @known.lanes)}px"}>
-      <div :for={panel <- @line} :key={panel.id} id={"cell-" <> panel.id}
-          class={["cell", @selected == {:panel, panel.id} && "selected"]} data-panel={panel.id}>
+    <section class={["row-box cells", holds?([@line], @max) && "maxed"]} id={"row-" <> row_id(@line)}
+        data-row={row_id(@line)} style={Layout.style(@line, @known.lanes)}>
+      <div :for={panel <- @line} :key={panel.id} id={"cell-" <> panel.id} data-panel={panel.id} data-menu="panel"
+          class={["cell", @selected == {:panel, panel.id} && "selected", @max == panel.id && "maxed"]}>
         <div class="cell-head">
           <.grip id={panel.id} kind="cell" />
           <button class="title" type="button" phx-click="select_panel" phx-value-id={panel.id}
               title={names(panel)}>{names(panel)}</button>
+          <.maximise panel={panel} max={@max} />
           <button class="mini" type="button" phx-click="remove_panel" phx-value-id={panel.id} title="Remove"
-              aria-label="Remove"><.icon name={:close} /></button>
+              aria-label={"Remove " <> names(panel)}><.icon name={:close} /></button>
         </div>
-        <div class="cell-body"><div id={"body-" <> panel.id} class="panel-body" phx-hook="Panel"
-            phx-update="ignore" data-kind={panel.panel}
-            data-config={config(panel, @known)}></div></div>
+        <div class="cell-body"><div id={"body-" <> panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore"
+            role="group" aria-label={names(panel)} data-kind={panel.panel} data-config={config(panel, @known)}></div></div>
       </div>
-      <div class="resize" id={"resize-" <> row_id(@line)} phx-hook="Resize" tabindex="0" role="separator"
-          aria-label="height"></div>
+      <.edge row={row_id(@line)} line={@line} known={@known} />
     </section>
+    """
+  end
+
+  # The lower edge of a row: dragged, it gives the row a height of its own.
+  defp edge(assigns) do
+    ~H"""
+    <div class="resize" id={"resize-" <> @row} phx-hook="Resize" tabindex="0" role="separator"
+        aria-orientation="horizontal" aria-label={"Height of " <> Enum.map_join(@line, ", ", &names/1)}
+        aria-valuenow={Layout.height(@line, @known.lanes)} aria-valuemin="28" aria-valuemax="2000"></div>
+    """
+  end
+
+  defp maximise(assigns) do
+    ~H"""
+    <button class="mini" type="button" phx-click="maximise" phx-value-id={@panel.id}
+        title={if @max == @panel.id, do: "Back among the others (m)", else: "Fill the window (m)"}
+        aria-label={if(@max == @panel.id, do: "Restore ", else: "Maximise ") <> names(@panel)}
+        ><.icon name={if @max == @panel.id, do: :shrink, else: :grow} /></button>
     """
   end
 
   defp tools(assigns) do
     ~H"""
-    <div class="panel-tools">
+    <div class="panel-tools" role="toolbar" aria-label={names(@panel)}>
       <.grip id={@panel.id} kind="line" />
+      <.maximise panel={@panel} max={@max} />
       <button class="mini" type="button" phx-click="select_panel" phx-value-id={@panel.id} title="Properties"
-          aria-label="Properties"><.icon name={:tune} /></button>
-      <button class="mini" type="button" phx-click="move_row" phx-value-id={@row} phx-value-by="-1" title="Up"
-          aria-label="Up"><.icon name={:up} /></button>
-      <button class="mini" type="button" phx-click="move_row" phx-value-id={@row} phx-value-by="1"
-          title="Down" aria-label="Down"><.icon name={:down} /></button>
+          aria-label={"Properties of " <> names(@panel)}><.icon name={:tune} /></button>
       <button class="mini" type="button" phx-click="remove_panel" phx-value-id={@panel.id} title="Remove"
-          aria-label="Remove"><.icon name={:close} /></button>
+          aria-label={"Remove " <> names(@panel)}><.icon name={:close} /></button>
     </div>
     """
   end

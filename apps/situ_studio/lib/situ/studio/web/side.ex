@@ -15,6 +15,7 @@ defmodule Situ.Studio.Web.Side do
   attr(:snap, :any, required: true)
   attr(:selected, :any, required: true)
   attr(:names, :string, required: true)
+  attr(:kinds, :string, required: true)
 
   @doc false
   def left(assigns) do
@@ -36,13 +37,14 @@ defmodule Situ.Studio.Web.Side do
         <button class="mini" type="button" phx-click="unfold_all" title="Unfold all"
             aria-label="Unfold all">⊞</button>
       </form>
-      <div id="stream-names" data-names={@names} hidden></div>
+      <div id="stream-names" data-names={@names} data-kinds={@kinds} hidden></div>
       <p :if={@query != ""} class="hint found" role="status">{found(@rows, @more)} of {@count} streams</p>
       <div id="tree" class="tree" role="tree" phx-hook="Tree">
         <div :for={row <- @rows} :key={row.path}
             class={["node", row.item == nil && "group", selected?(row, @selected) && "selected"]}
             id={"node-" <> row.path} role="treeitem" tabindex="0" aria-expanded={expanded(row)}
-            data-stream={row.item && row.item.name} draggable={if row.item, do: "true"}
+            data-stream={row.item && row.item.name} data-shape={row.item && row.item.shape}
+            draggable={if row.item, do: "true"}
             style={"padding-left: #{row.depth * 14}px"}>
           <button :if={row.open? != nil} class="fold" type="button" tabindex="-1" phx-click="toggle"
               phx-value-path={row.path} aria-label="fold">{if row.open?, do: "▾", else: "▸"}</button>
@@ -59,6 +61,9 @@ defmodule Situ.Studio.Web.Side do
         <p :if={@rows == []} class="hint"
             style="padding: 6px 12px">{if @query == "", do: "No streams yet", else: "Nothing is called like that"}</p>
       </div>
+      <div class="split" id="split-left" phx-hook="Split" data-var="--left" data-edge="right" tabindex="0"
+          role="separator" aria-orientation="vertical" aria-label="Width of the streams" aria-valuenow="15"
+          aria-valuemin="5" aria-valuemax="70"></div>
     </aside>
     """
   end
@@ -123,8 +128,11 @@ defmodule Situ.Studio.Web.Side do
         <.stream_props :if={@stream} stream={@stream} extra={@known.extra} snap={@snap} />
         <.panel_props :if={@panel} panel={@panel} known={@known} />
         <p :if={@stream == nil and @panel == nil} class="hint">Select a stream or a panel. Double click or
-          drag a stream to show it.</p>
+          drag a stream to show it. The right mouse button has more.</p>
       </div>
+      <div class="split left-edge" id="split-right" phx-hook="Split" data-var="--right" data-edge="left" tabindex="0"
+          role="separator" aria-orientation="vertical" aria-label="Width of the properties" aria-valuenow="15"
+          aria-valuemin="5" aria-valuemax="70"></div>
     </aside>
     """
   end

@@ -1,0 +1,91 @@
+// Menus under the right mouse button, the menu key and a long touch. What is in them comes from `menus.js`.
+
+const LONG = 550;
+
+export class Menu {
+  // itemsFor(target, event) -> [{text, hint?, run, disabled?} or "-"], or null where there is none
+  constructor(root, itemsFor) {
+    Object.assign(this, { itemsFor });
+    this.el = document.body.appendChild(document.createElement("div"));
+    this.el.id = "menu";
+    this.el.setAttribute("role", "menu");
+    this.el.hidden = true;
+    root.addEventListener("contextmenu", (e) => this.asked(e));
+    root.addEventListener("pointerdown", (e) => this.pressed(e));
+    for (const name of ["pointerup", "pointercancel", "pointermove"]) root.addEventListener(name, (e) => this.lifted(e));
+    this.el.addEventListener("keydown", (e) => this.key(e));
+    this.outside = (e) => this.el.contains(e.target) || this.close();
+    document.addEventListener("pointerdown", this.outside, true);
+    addEventListener("blur", () => this.close());
+  }
+
+  asked(e) {
+    // shift is the end of a selection; fields have the browser's own menu
+    if (e.shiftKey || e.target.closest("input, textarea, select")) return;
+    const items = this.itemsFor(e.target, e);
+    if (!items?.length) return;
+    e.preventDefault();
+    this.open(items, e.clientX, e.clientY);
+  }
+
+  pressed(e) {
+    if (e.pointerType !== "touch") return;
+    this.at = [e.clientX, e.clientY];
+    this.timer = setTimeout(() => this.asked(e), LONG);
+  }
+
+  lifted(e) {
+    if (!this.timer) return;
+    if (e.type === "pointermove" && Math.hypot(e.clientX - this.at[0], e.clientY - this.at[1]) < 8) return;
+    clearTimeout(this.timer);
+    this.timer = null;
+  }
+
+  open(items, x, y) {
+    this.back = document.activeElement;
+    this.el.textContent = "";
+    for (const item of items) {
+      if (item === "-") {
+        this.el.appendChild(document.createElement("hr"));
+        continue;
+      }
+      const b = this.el.appendChild(document.createElement("button"));
+      b.type = "button";
+      b.setAttribute("role", "menuitem");
+      b.disabled = item.disabled === true;
+      b.appendChild(document.createElement("span")).textContent = item.text;
+      if (item.hint) b.appendChild(document.createElement("kbd")).textContent = item.hint;
+      b.addEventListener("click", () => {
+        this.close();
+        item.run();
+      });
+    }
+    this.el.hidden = false;
+    const { offsetWidth: w, offsetHeight: h } = this.el;
+    this.el.style.left = `${Math.max(4, Math.min(x, innerWidth - w - 4))}px`;
+    this.el.style.top = `${Math.max(4, Math.min(y, innerHeight - h - 4))}px`;
+    this.el.querySelector("button:not(:disabled)")?.focus({ preventScroll: true });
+  }
+
+  key(e) {
+    const all = [...this.el.querySelectorAll("button:not(:disabled)")];
+    const i = all.indexOf(document.activeElement);
+    if (e.key === "ArrowDown") all[(i + 1) % all.length].focus();
+    else if (e.key === "ArrowUp") all[(i + all.length - 1) % all.length].focus();
+    else if (e.key === "Escape" || e.key === "Tab") this.close();
+    else return;
+    e.preventDefault();
+    e.stopPropagation();
+  }
+
+  close() {
+    if (this.el.hidden) return;
+    this.el.hidden = true;
+    if (this.el.contains(document.activeElement)) this.back?.focus?.({ preventScroll: true });
+  }
+
+  destroy() {
+    document.removeEventListener("pointerdown", this.outside, true);
+    this.el.remove();
+  }
+}

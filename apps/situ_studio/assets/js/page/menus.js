@@ -1,0 +1,96 @@
+// What the menus hold: of a stream, a panel, a line's name, a time, a recording.
+
+import { GUTTER } from "./theme.js";
+import { copy } from "./toast.js";
+import { savePicture } from "./picture_file.js";
+
+export function menuItems(app, target, event) {
+  const node = target.closest(".node[data-stream]");
+  if (node) return streamItems(app, node.dataset);
+  const legend = target.closest(".legend-item");
+  const panel = target.closest("[data-panel]");
+  if (panel) return panelItems(app, panel, legend, event);
+  if (target.closest("#navigator")) return timeItems(app, timeAt(app, target.closest("#navigator"), event));
+  const link = target.closest("a.store, a.item");
+  if (link) {
+    return [
+      { text: "Open", run: () => link.click() },
+      { text: "Open in a new tab", run: () => window.open(link.href) },
+      { text: "Copy its address", run: () => copy(link.href, "Address copied") },
+    ];
+  }
+  return null;
+}
+
+function streamItems(app, { stream, shape }) {
+  const push = (event, more = {}) => app.options.push?.(event, { stream, ...more });
+  const kinds = JSON.parse(document.getElementById("stream-names")?.dataset.kinds ?? "{}")[shape] ?? [];
+  return [
+    ...kinds.map(([viz, title]) => ({ text: `Show as ${title.toLowerCase()}`, run: () => push("add_viz", { viz }) })),
+    "-",
+    { text: "Properties", run: () => push("select", { path: stream }) },
+    { text: "Zoom to it", run: () => push("zoom_stream") },
+    { text: app.client.snap === stream ? "Release the cursor" : "Snap the cursor to it", run: () => push("snap") },
+    "-",
+    { text: "Copy its name", run: () => copy(stream, "Name copied") },
+  ];
+}
+
+function panelItems(app, panel, legend, event) {
+  const id = panel.dataset.panel;
+  const push = (name, more = {}) => app.options.push?.(name, { id, panel: id, ...more });
+  const body = panel.querySelector("[phx-hook='Panel']");
+  const { vis } = JSON.parse(body.dataset.config);
+  const items = [];
+  const index = legend ? vis.findIndex((v) => v.stream === legend.dataset.stream) : -1;
+  if (index >= 0) {
+    const hidden = vis[index].props?.visible === false;
+    items.push(
+      { text: hidden ? "Show it" : "Hide it", run: () => push("show_vis", { index }) },
+      { text: "Only this one", run: () => push("show_vis", { index, only: "true" }), disabled: vis.length < 2 },
+      { text: "Take it out", run: () => push("remove_vis", { index: String(index) }) },
+      "-",
+    );
+  }
+  if (panel.matches(".timeline")) items.push(...timeItems(app, timeAt(app, body, event)), "-");
+  items.push(
+    { text: "Properties", run: () => push("select_panel") },
+    { text: panel.matches(".maxed") ? "Restore" : "Maximise", hint: "m", run: () => push("maximise") },
+    { text: "Move up", run: () => push("shift_panel", { way: "up" }) },
+    { text: "Move down", run: () => push("shift_panel", { way: "down" }) },
+    "-",
+    { text: "Save as PNG", run: () => savePicture(app, body) },
+    {
+      text: vis.length === 1 ? "Copy the stream's name" : "Copy the streams' names",
+      run: () => copy(vis.map((v) => v.name).join("\n"), "Copied"),
+    },
+    "-",
+    { text: "Remove", run: () => push("remove_panel") },
+  );
+  return items;
+}
+
+function timeItems(app, t) {
+  const { sel } = app.time.get();
+  const go = (action) => () => app.time.dispatch(action);
+  const both = sel[0] != null && sel[1] != null;
+  return [
+    { text: "Cursor here", run: go({ type: "nudge", by: t - app.time.get().cursor }) },
+    { text: "Selection starts here", hint: "[", run: go({ type: "selStart", t }) },
+    { text: "Selection ends here", hint: "]", run: go({ type: "selEnd", t }) },
+    { text: "Zoom to the selection", hint: "Ctrl+S", run: go({ type: "zoomSel" }), disabled: !both },
+    { text: "Clear the selection", hint: "Alt+C", run: go({ type: "clearSel" }), disabled: sel[0] == null && sel[1] == null },
+    { text: "View everything", hint: "Ctrl+A", run: go({ type: "zoomAll" }) },
+    { text: "Save the selection as a recording", hint: "Ctrl+E", run: () => app.act("export"), disabled: !both },
+  ];
+}
+
+// The time under the mouse; the cursor's where a key asked.
+function timeAt(app, el, event) {
+  const box = el.getBoundingClientRect();
+  const { view, cursor } = app.time.get();
+  const inner = box.width - GUTTER.left - GUTTER.right;
+  const x = event.clientX - box.left - GUTTER.left;
+  if (!event.clientX || x < 0 || x > inner) return cursor;
+  return view[0] + (x / inner) * (view[1] - view[0]);
+}

@@ -1,0 +1,76 @@
+// One language for times everywhere on the page: UTC, this browser's local time, or since the start of the data.
+
+import { absolute, relative } from "./text.js";
+
+export const MODES = [
+  ["utc", "UTC"],
+  ["local", "local"],
+  ["start", "since start"],
+];
+
+let mode = remembered();
+const listeners = new Set();
+
+function remembered() {
+  try {
+    const name = localStorage.getItem("situ:clock");
+    return MODES.some(([m]) => m === name) ? name : "start";
+  } catch {
+    return "start";
+  }
+}
+
+export const clockMode = () => mode;
+
+export function nextClock() {
+  const i = MODES.findIndex(([m]) => m === mode);
+  mode = MODES[(i + 1) % MODES.length][0];
+  try {
+    localStorage.setItem("situ:clock", mode);
+  } catch {
+    // it lasts as long as the page
+  }
+  for (const l of listeners) l(mode);
+}
+
+export function onClock(listener) {
+  listeners.add(listener);
+  return () => listeners.delete(listener);
+}
+
+// Nanoseconds that local time is ahead of UTC then.
+function ahead(t, origin) {
+  const ms = Number((origin + BigInt(Math.round(t))) / 1000000n);
+  return -new Date(ms).getTimezoneOffset() * 60e9;
+}
+
+// A time of the page for people; `unit` is how fine it has to be, as of the ruler's ticks.
+export function shown(t, origin, unit = 1e6) {
+  if (mode === "start" || origin === null) return relative(t, unit);
+  const decimals = unit >= 1e9 ? 0 : unit >= 1e6 ? 3 : unit >= 1e3 ? 6 : 9;
+  const text = absolute(t + (mode === "local" ? ahead(t, origin) : 0), origin, decimals);
+  return unit >= 86400e9 ? text.slice(0, 10) : text.slice(11);
+}
+
+// The day and the zone, for a caption.
+export function day(t, origin) {
+  if (mode === "start" || origin === null) return "since start";
+  const local = mode === "local";
+  const date = absolute(t + (local ? ahead(t, origin) : 0), origin, 0).slice(0, 10);
+  return `${date} ${local ? Intl.DateTimeFormat().resolvedOptions().timeZone : "UTC"}`;
+}
+
+// A clock time as the page shows it ("13:45:02.5") on the day of the data, or null.
+export function parseClock(text, origin) {
+  if (mode === "start") return null;
+  const m = /^(\d{1,2}):(\d{2})(?::(\d{2})(?:\.(\d{1,9}))?)?$/.exec(text.trim());
+  if (!m) return null;
+  const shift = mode === "local" ? ahead(0, origin) : 0;
+  const local = origin + BigInt(Math.round(shift));
+  const midnight = local - (((local % 86400000000000n) + 86400000000000n) % 86400000000000n);
+  const s = (Number(m[1]) * 60 + Number(m[2])) * 60 + Number(m[3] ?? 0);
+  let at = Number(midnight - local) + s * 1e9 + Number((m[4] ?? "").padEnd(9, "0"));
+  // the day after, of what goes on past midnight
+  if (at < -1e9) at += 86400e9;
+  return at;
+}
