@@ -211,8 +211,14 @@ defmodule Situ.Live do
   end
 
   defp host({127, 0, 0, 1}), do: "localhost"
-  defp host({0, 0, 0, 0}), do: "localhost"
-  defp host({0, 0, 0, 0, 0, 0, 0, _}), do: "localhost"
+  defp host({0, 0, 0, 0, 0, 0, 0, 1}), do: "localhost"
+  # Who listens everywhere wants others to come: the name by which this machine is known.
+  defp host(any) when any in [{0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0, 0}] do
+    case :inet.gethostname() do
+      {:ok, name} -> to_string(name)
+    end
+  end
+
   defp host(ip) when tuple_size(ip) == 8, do: "[#{:inet.ntoa(ip)}]"
   defp host(ip), do: "#{:inet.ntoa(ip)}"
 

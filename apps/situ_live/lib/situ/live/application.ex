@@ -7,6 +7,8 @@ defmodule Situ.Live.Application do
 
   @impl true
   def start(_type, _args) do
+    Situ.Live.Guesses.setup()
+
     children = [
       {Registry, keys: :unique, name: Situ.Live.Registry},
       {Registry, keys: :duplicate, name: Situ.Live.Connections},

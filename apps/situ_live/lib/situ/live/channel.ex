@@ -54,9 +54,11 @@ defmodule Situ.Live.Channel do
     state = drop(topic, state)
 
     with true <- map_size(state.topics) < @max_topics || "too many views",
-         {:ok, %{"id" => ^id, "session" => session}} <- session(state, payload["session"]),
+         {:ok, %{"id" => ^id, "view" => view, "session" => session}} <-
+           session(state, payload["session"]),
          url = payload["url"] || payload["redirect"],
-         {:ok, route, params} <- Page.find(state.config, url) do
+         {:ok, route, params} <- Page.find(state.config, url),
+         true <- Page.name(route) == view || "stale" do
       start(
         %{id: id, topic: topic, join_ref: join_ref, ref: ref, uri: url, session: session},
         route,

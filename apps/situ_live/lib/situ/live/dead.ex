@@ -22,7 +22,8 @@ defmodule Situ.Live.Dead do
   end
 
   defp page(config, route, socket, session) do
-    token = Token.sign(config.secret, "session", %{"id" => socket.id, "session" => session})
+    claims = %{"id" => socket.id, "view" => Page.name(route), "session" => session}
+    token = Token.sign(config.secret, "session", claims)
 
     content = [
       ~s(<div id="),

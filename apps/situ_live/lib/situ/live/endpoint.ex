@@ -2,7 +2,7 @@ defmodule Situ.Live.Endpoint do
   @moduledoc false
   # What one server knows (kept in a persistent term: read at each request), and the gate every request passes:
   # host, token, origin, route. Pure: takes a request, says what to do.
-  alias Situ.Live.{Dead, Request, Response, Route, Static, Token}
+  alias Situ.Live.{Dead, Guesses, Request, Response, Route, Static, Token}
 
   @cookie_age_s 30 * 86_400
 
@@ -83,18 +83,50 @@ defmodule Situ.Live.Endpoint do
   end
 
   @doc false
-  def host_name("[" <> _ = host), do: host |> String.split("]") |> hd() |> String.trim("[")
-  def host_name(host), do: host |> String.split(":") |> hd() |> String.downcase()
+  # The name without the port; "" for anything that is no host name with a port.
+  def host_name(host) do
+    case Regex.run(~r/\A(?:\[([0-9a-f:.]+)\]|([a-z0-9._-]+))(?::\d{1,5})?\z/i, host) do
+      [_, "", name] -> String.downcase(name)
+      [_, address] -> String.downcase(address)
+      nil -> ""
+    end
+  end
 
   defp check_token(%{token: nil}, _), do: :ok
 
   defp check_token(config, request) do
+    if cookie?(config, request), do: :ok, else: check_given(config, request, given(request))
+  end
+
+  defp check_given(_config, _request, nil), do: {:respond, unauthorized()}
+
+  # After too many wrong guesses a peer's next ones are not even compared.
+  defp check_given(config, %{peer: {address, _}} = request, {how, token}) do
     cond do
-      cookie?(config, request) -> :ok
-      bearer?(config, request) -> :ok
-      same?(request.query["token"], config.token) -> {:respond, welcome(config, request)}
-      true -> {:respond, unauthorized()}
+      Guesses.too_many?(config.ref, address) ->
+        {:respond, too_many_guesses()}
+
+      same?(token, config.token) ->
+        if how == :query, do: {:respond, welcome(config, request)}, else: :ok
+
+      true ->
+        Guesses.wrong(config.ref, address)
+        {:respond, unauthorized()}
     end
+  end
+
+  defp given(request) do
+    case {Request.header(request, "authorization"), request.query["token"]} do
+      {"Bearer " <> token, _} -> {:bearer, token}
+      {_, token} when is_binary(token) -> {:query, token}
+      _ -> nil
+    end
+  end
+
+  defp too_many_guesses do
+    429
+    |> Response.error("too many wrong tokens came from this address; wait a minute")
+    |> Response.put_header("retry-after", "60")
   end
 
   defp cookie?(config, request) do
@@ -108,13 +140,6 @@ defmodule Situ.Live.Endpoint do
   # Cookies do not know ports, and several servers may run on a machine.
   defp cookie_name(config), do: "situ_#{config.port}"
 
-  defp bearer?(config, request) do
-    case Request.header(request, "authorization") do
-      "Bearer " <> token -> same?(token, config.token)
-      _ -> false
-    end
-  end
-
   defp same?(given, token) when is_binary(given) and byte_size(given) == byte_size(token),
     do: :crypto.hash_equals(given, token)
 
@@ -123,7 +148,15 @@ defmodule Situ.Live.Endpoint do
   # The token goes from the address into a cookie, and out of the address bar.
   defp welcome(config, request) do
     rest = request.query |> Map.delete("token") |> Situ.Live.Query.encode()
-    path = "/" <> Enum.map_join(request.segments, "/", &URI.encode_www_form/1)
+
+    path =
+      "/" <>
+        Enum.map_join(
+          request.segments,
+          "/",
+          &URI.encode(&1, fn char -> URI.char_unreserved?(char) end)
+        )
+
     cookie = Token.sign(cookie_key(config), "cookie", %{})
     secure = if config.scheme == "https", do: "; Secure", else: ""
 

@@ -2,9 +2,10 @@ defmodule Situ.Live.Listener do
   @moduledoc false
   # Owns the port of one server: opens it, publishes its configuration, sweeps dead connections, closes all at the end.
   use GenServer, shutdown: 100_000
-  alias Situ.Live.{Connections, Endpoint, Yaws}
+  alias Situ.Live.{Connections, Endpoint, Peers, Yaws}
 
   @sweep_ms 15_000
+  @crowd_ms 1_000
   @idle_ms 90_000
 
   def start_link(arg), do: GenServer.start_link(__MODULE__, arg)
@@ -21,6 +22,7 @@ defmodule Situ.Live.Listener do
     case Yaws.add(config.ref, config.ip, config.port, tls) do
       {:ok, sconf} ->
         Process.monitor(:yaws_server)
+        crowd_tick()
         {:ok, %{config: config, sconf: sconf, tick: tick()}}
 
       {:error, error} ->
@@ -31,6 +33,8 @@ defmodule Situ.Live.Listener do
 
   defp tick, do: Process.send_after(self(), :sweep, @sweep_ms)
 
+  defp crowd_tick, do: Process.send_after(self(), :crowd, @crowd_ms)
+
   @impl true
   def handle_call(:endpoint, _from, state), do: {:reply, state.config, state}
 
@@ -38,6 +42,12 @@ defmodule Situ.Live.Listener do
   def handle_info(:sweep, state) do
     Connections.sweep(state.config.ref, @idle_ms)
     {:noreply, %{state | tick: tick()}}
+  end
+
+  def handle_info(:crowd, state) do
+    for pid <- Peers.excess(state.config.port), pid != self(), do: Process.exit(pid, :kill)
+    crowd_tick()
+    {:noreply, state}
   end
 
   # Yaws starts anew without its ports: so do we.

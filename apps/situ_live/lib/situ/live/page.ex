@@ -18,6 +18,18 @@ defmodule Situ.Live.Page do
 
   def find(_, _), do: :error
 
+  @doc """
+  What a session's token holds for: the view, or all views whose routes give the same fixed session. A route that makes
+  its session from the request, or refuses to, is only for those whose own page it made.
+  """
+  @spec name(Route.t()) :: String.t()
+  def name(%Route{opts: opts, target: view}) do
+    case opts[:session] do
+      session when is_function(session) -> inspect(view)
+      session -> "session #{:erlang.phash2(session || %{}, 4_294_967_296)}"
+    end
+  end
+
   @spec mount(Route.t(), map(), map(), String.t(), Socket.t()) :: Socket.t()
   def mount(route, params, session, uri, socket) do
     socket = Socket.assign(%{socket | view: route.target}, :live_action, route.opts[:action])

@@ -247,7 +247,7 @@ defmodule Situ.Live.HttpTest do
       assert {200, _, _} = Raw.get(port, "/a%20b", [{"authorization", "Bearer a good token"}])
 
       assert {303, headers, _} = Raw.get(port, "/a%20b?x=1&token=a+good+token")
-      assert headers["location"] == "/a+b?x=1"
+      assert headers["location"] == "/a%20b?x=1"
       assert headers["set-cookie"] =~ "HttpOnly; SameSite=Strict"
       [cookie | _] = String.split(headers["set-cookie"], ";")
       assert {200, _, _} = Raw.get(port, "/a%20b", [{"cookie", cookie}])

@@ -34,6 +34,8 @@ defmodule Situ.Live.SocketTest do
         routes: [
           {:live, "/", Demo.Main, session: %{"user" => "ann"}},
           {:live, "/raises", Demo.Raises},
+          {:live, "/again", Demo.Main, session: %{"user" => "ann"}},
+          {:live, "/guarded", Demo.Main, session: fn _request -> raise "not for you" end},
           {:socket, "/ws", Echo, self()}
         ]
       )
@@ -258,6 +260,17 @@ defmodule Situ.Live.SocketTest do
                  "phx_reply",
                  %{"status" => "error", "response" => %{"reason" => "stale"}}
                ] = take(socket)
+      end
+    end
+
+    test "a page's token joins pages of the same fixed session, not one that makes its own", %{
+      port: port
+    } do
+      for {path, status} <- [{"again", "ok"}, {"guarded", "error"}, {"raises", "error"}] do
+        {socket, id, token} = join(port)
+        url = "http://localhost:#{port}/#{path}"
+        push(socket, ["1", "1", "lv:" <> id, "phx_join", %{redirect: url, session: token}])
+        assert ["1", "1", _, "phx_reply", %{"status" => ^status}] = take(socket)
       end
     end
 

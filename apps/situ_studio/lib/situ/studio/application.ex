@@ -11,7 +11,11 @@ defmodule Situ.Studio.Application do
     Enum.each(@drawn, &Code.ensure_loaded/1)
 
     # One registry for all studios of the VM: pages find their studio by the name in their session.
-    children = [{Registry, keys: :unique, name: Situ.Studio.Registry}]
+    children = [
+      {Registry, keys: :unique, name: Situ.Studio.Registry},
+      {Task.Supervisor, name: Situ.Studio.Tasks}
+    ]
+
     Supervisor.start_link(children, strategy: :one_for_one, name: Situ.Studio.Supervisor)
   end
 end

@@ -1,13 +1,18 @@
 defmodule Situ.Studio.Catalog do
   @moduledoc """
   What one studio can show: the recordings below its folder, the sources it was given and the pipelines it watches.
-  Hands
-  out open sources, so that many pages share one; a recording opened once stays open until it is gone.
+  Hands out open sources, so that many pages share one; a recording opened once stays open until it is gone.
+
+  The folder is looked through by a task, at most every two seconds and only when somebody asks, so that a folder of many
+  thousand files makes nobody wait but the first. A recording is opened by its name without looking through the rest.
   """
   use GenServer
 
   alias Situ.Error
-  alias Situ.Studio.{Layouts, Source}
+  alias Situ.Studio.{Layouts, Source, Stores}
+
+  # How old the list of recordings may be.
+  @fresh_ms 2_000
 
   defmodule Item do
     @moduledoc "One thing to look at; `id` is what stands in the address."
@@ -42,9 +47,16 @@ defmodule Situ.Studio.Catalog do
   @spec list(id()) :: [Item.t()]
   def list(id), do: GenServer.call(via(id), :list, 30_000)
 
-  @doc "Opens one of them."
-  @spec open(id(), String.t()) :: {:ok, Item.t(), Source.t()} | {:error, Error.t()}
-  def open(id, item_id), do: GenServer.call(via(id), {:open, item_id}, 60_000)
+  @doc "Forgets the list of recordings: a new one was just made, and the next list holds it."
+  @spec look_again(id()) :: :ok
+  def look_again(id), do: GenServer.call(via(id), :look_again, 30_000)
+
+  @doc "Opens one of them. What is no text names nothing."
+  @spec open(id(), term()) :: {:ok, Item.t(), Source.t()} | {:error, Error.t()}
+  def open(id, item_id) when is_binary(item_id),
+    do: GenServer.call(via(id), {:open, item_id}, 60_000)
+
+  def open(_id, item_id), do: {:error, not_found(item_id)}
 
   @impl true
   def init(opts) do
@@ -60,7 +72,11 @@ defmodule Situ.Studio.Catalog do
       path: opts[:path],
       given: opts[:sources] || %{},
       pipelines: opts[:pipelines] || [],
-      open: %{}
+      open: %{},
+      stores: nil,
+      looked_at: nil,
+      looking: nil,
+      waiting: []
     }
 
     {:ok, state}
@@ -68,7 +84,19 @@ defmodule Situ.Studio.Catalog do
 
   @impl true
   def handle_call(:settings, _from, state), do: {:reply, state.settings, state}
-  def handle_call(:list, _from, state), do: {:reply, items(state), state}
+
+  def handle_call(:list, from, state) do
+    case look(state) do
+      %{stores: nil} = state -> {:noreply, %{state | waiting: [from | state.waiting]}}
+      state -> {:reply, items(state), state}
+    end
+  end
+
+  def handle_call(:look_again, _from, state) do
+    if state.looking, do: Task.shutdown(state.looking, :brutal_kill)
+    state = %{state | looking: nil, looked_at: nil, stores: nil}
+    {:reply, :ok, if(state.waiting == [], do: state, else: look(state))}
+  end
 
   def handle_call({:open, id}, _from, state) do
     with {:ok, item} <- find(state, id),
@@ -79,26 +107,77 @@ defmodule Situ.Studio.Catalog do
     end
   end
 
-  # Only what is listed can be opened: an address names an item, never a path.
+  @impl true
+  def handle_info({task, stores}, %{looking: %Task{ref: task}} = state) do
+    Process.demonitor(task, [:flush])
+    waiting = state.waiting
+    state = %{state | stores: stores, looking: nil, looked_at: now(), waiting: []}
+    {:noreply, answer(state, waiting)}
+  end
+
+  # The list as it was is better than none.
+  def handle_info({:DOWN, task, :process, _, _}, %{looking: %Task{ref: task}} = state) do
+    waiting = state.waiting
+    state = %{state | stores: state.stores || [], looking: nil, looked_at: now(), waiting: []}
+    {:noreply, answer(state, waiting)}
+  end
+
+  def handle_info(_stray, state), do: {:noreply, state}
+
+  defp answer(state, waiting) do
+    items = items(state)
+    Enum.each(waiting, &GenServer.reply(&1, items))
+    state
+  end
+
+  # Looks through the folder, unless that is under way or was done a moment ago.
+  defp look(%{looking: nil, looked_at: at, path: path} = state) do
+    if at == nil or now() - at >= @fresh_ms,
+      do: %{
+        state
+        | looking:
+            Task.Supervisor.async_nolink(Situ.Studio.Tasks, fn -> Stores.discover(path) end)
+      },
+      else: state
+  end
+
+  defp look(state), do: state
+
+  defp now, do: System.monotonic_time(:millisecond)
+
+  # An address names an item, never a path: only recordings below the folder can be opened.
   defp find(state, id) do
-    case Enum.find(items(state), &(&1.id == id)) do
+    case Enum.find(given(state), &(&1.id == id)) || store(state, id) do
       nil ->
-        {:error,
-         Error.new(:not_found, "there is no recording called #{inspect(id)}",
-           fix: "choose one from the list"
-         )}
+        {:error, not_found(id)}
 
       item ->
         {:ok, item}
     end
   end
 
-  defp items(state) do
-    given = for {id, _} <- state.given, do: %Item{id: id, title: id, kind: :source}
+  defp not_found(id) do
+    Error.new(
+      :not_found,
+      "there is no recording called #{inspect(id, limit: 5, printable_limit: 200)}",
+      fix: "choose one from the list"
+    )
+  end
 
-    stores =
-      for {id, path} <- Situ.Studio.Stores.discover(state.path),
-          do: %Item{id: id, title: id, kind: :store, path: path}
+  defp store(state, id) do
+    with {:ok, path} <- Stores.find(state.path, id),
+         do: store_item(id, path),
+         else: (:error -> nil)
+  end
+
+  defp store_item(id, path), do: %Item{id: id, title: id, kind: :store, path: path}
+
+  defp items(state),
+    do: given(state) ++ for({id, path} <- state.stores || [], do: store_item(id, path))
+
+  # Everything but the recordings of the folder.
+  defp given(state) do
+    given = for {id, _} <- state.given, do: %Item{id: id, title: id, kind: :source}
 
     running =
       for {id, _} <- Situ.Studio.Source.Pipeline.running(state.pipelines),
@@ -110,7 +189,7 @@ defmodule Situ.Studio.Catalog do
           not Enum.any?(running, &(&1.id == id)),
           do: %Item{id: id, title: id, kind: :pipeline, live: false}
 
-    Enum.sort_by(given, & &1.title) ++ running ++ ended ++ stores
+    Enum.sort_by(given, & &1.title) ++ running ++ ended
   end
 
   defp source(state, %Item{kind: :source, id: id}), do: {:ok, Map.fetch!(state.given, id), state}

@@ -19,6 +19,8 @@ defmodule Situ.Studio.DataSession do
   @max_channels 256
   @max_wants 256
   @max_bins 50_000
+  # All windows of one request together: a screen of 8,000 pixels with 25 plots.
+  @max_bins_at_once 200_000
   @max_span 4_000_000_000_000_000_000
 
   @enforce_keys [:source]
@@ -140,10 +142,36 @@ defmodule Situ.Studio.DataSession do
   end
 
   defp windows(session, wants) when is_list(wants) do
-    wants |> Enum.take(@max_wants) |> Enum.map(&window(session, &1)) |> Enum.reject(&is_nil/1)
+    {frames, _bins} =
+      wants
+      |> Enum.take(@max_wants)
+      |> Enum.map_reduce(0, fn want, bins ->
+        bins = bins + bins(want)
+        {if(bins > @max_bins_at_once, do: too_many(want), else: window(session, want)), bins}
+      end)
+
+    Enum.reject(frames, &is_nil/1)
   end
 
   defp windows(_, _), do: []
+
+  defp bins([_id, from, to, bin]) when is_number(bin) and bin >= 1 do
+    case {WholeNumber.parse(from), WholeNumber.parse(to)} do
+      {{:ok, from}, {:ok, to}} when to > from -> div(to - from, trunc(bin)) + 1
+      _ -> 0
+    end
+    |> affordable()
+  end
+
+  defp bins(_want), do: 0
+
+  # One that is refused by itself costs nothing.
+  defp affordable(bins), do: if(bins > @max_bins + 1, do: 0, else: bins)
+
+  defp too_many([id | _]) when is_integer(id) and id in 0..4_294_967_295,
+    do: Frame.error(id, "the windows of one request have too many bins together")
+
+  defp too_many(_want), do: nil
 
   defp window(session, [id, from, to, bin]) do
     with {:ok, {spec, _}} <- Map.fetch(session.channels, id),

@@ -1,34 +1,92 @@
 defmodule Situ.Studio.Stores do
   @moduledoc false
-  # Which recordings lie at or below a path, by name; the name is what stands in an address.
+  # Which recordings lie at or below a path, by name; the name is what stands in an address. Links are not followed: they may
+  # lead round in a circle, or out of the folder.
 
   alias Situ.Studio.NaturalOrder
 
   @most 5_000
+  @depth 8
+  @entries 200_000
 
-  @spec discover(Path.t() | nil) :: [{String.t(), Path.t()}]
+  @type name :: String.t()
+
+  @doc "The recordings at or below a path: at most 5,000, at most eight folders deep."
+  @spec discover(Path.t() | nil) :: [{name(), Path.t()}]
   def discover(nil), do: []
 
   def discover(path) do
     root = Path.expand(path)
 
     cond do
-      Situ.Store.exists?(root) or File.regular?(root) -> [{Path.basename(root), root}]
+      recording?(root) -> [{Path.basename(root), root}]
       File.dir?(root) -> below(root)
       true -> []
     end
   end
 
+  @doc "The one recording of that name, looked up without looking at the others."
+  @spec find(Path.t() | nil, name()) :: {:ok, Path.t()} | :error
+  def find(nil, _name), do: :error
+
+  def find(path, name) do
+    root = Path.expand(path)
+
+    cond do
+      recording?(root) -> if name == Path.basename(root), do: {:ok, root}, else: :error
+      inside?(root, name) and recording?(Path.join(root, name)) -> {:ok, Path.join(root, name)}
+      true -> :error
+    end
+  end
+
+  defp recording?(path), do: Situ.Store.exists?(path) or known_file?(path)
+
+  defp known_file?(path), do: Situ.Store.Formats.for_file(path) != nil and File.regular?(path)
+
+  # Every part of the name is a part of a path, and none is a link.
+  defp inside?(root, name) do
+    parts = String.split(name, "/")
+
+    String.valid?(name) and not String.contains?(name, <<0>>) and length(parts) <= @depth + 1 and
+      Enum.all?(parts, &(&1 not in ["", ".", ".."])) and
+      parts
+      |> Enum.scan(&Path.join(&2, &1))
+      |> Enum.all?(&(kind(Path.join(root, &1)) != :symlink))
+  end
+
   defp below(root) do
-    stores = Situ.Store.list(root, recursive: true)
-    endings = Situ.Store.Formats.all() |> Enum.flat_map(& &1.extensions()) |> Enum.join(",")
+    {found, _budget} = walk(root, @depth, {[], @entries})
 
-    files =
-      root |> Path.join("**/*{#{endings}}") |> Path.wildcard() |> Enum.filter(&File.regular?/1)
-
-    (stores ++ files)
+    found
     |> Enum.take(@most)
     |> Enum.map(&{Path.relative_to(&1, root), &1})
     |> Enum.sort_by(fn {name, _} -> NaturalOrder.key(name) end)
+  end
+
+  defp walk(_folder, _depth, {found, budget}) when budget <= 0 or length(found) >= @most,
+    do: {found, 0}
+
+  defp walk(folder, depth, {found, budget}) do
+    names = with {:ok, names} <- File.ls(folder), do: Enum.sort(names), else: (_ -> [])
+
+    entries =
+      for name <- Enum.take(names, budget), path = Path.join(folder, name), do: {kind(path), path}
+
+    stores = folder |> Situ.Store.list() |> Enum.reject(&(kind(&1) == :symlink))
+    files = for {:regular, path} <- entries, Situ.Store.Formats.for_file(path), do: path
+    folders = for {:directory, path} <- entries, path not in stores, depth > 0, do: path
+
+    Enum.reduce(
+      folders,
+      {Enum.uniq(stores ++ files) ++ found, budget - length(entries)},
+      &walk(&1, depth - 1, &2)
+    )
+  end
+
+  defp kind(path) do
+    case File.lstat(path) do
+      {:ok, %{type: type}} -> type
+      {:error, _} -> :none
+    end
   end
 end

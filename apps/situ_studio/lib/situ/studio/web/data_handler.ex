@@ -8,7 +8,7 @@ defmodule Situ.Studio.Web.DataHandler do
 
   @impl true
   def init(request, studio) do
-    case Catalog.open(studio, to_string(request.query["source"])) do
+    case Catalog.open(studio, request.query["source"]) do
       {:ok, _item, source} -> {:ok, DataSession.new(source, Catalog.settings(studio).visualizers)}
       {:error, error} -> {:error, error.what}
     end

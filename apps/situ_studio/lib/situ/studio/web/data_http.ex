@@ -6,7 +6,7 @@ defmodule Situ.Studio.Web.DataHttp do
 
   @spec call(Request.t(), {String.t(), atom()}) :: Response.t()
   def call(%Request{query: query}, {studio, what}) do
-    with {:ok, _item, source} <- Catalog.open(studio, to_string(query["source"])),
+    with {:ok, _item, source} <- Catalog.open(studio, query["source"]),
          {:ok, extent} <- Source.call(source, :extent, []) do
       answer(
         what,
@@ -20,13 +20,13 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   defp answer(:window, query, source, extent) do
-    with {:ok, path} <- Path.parse(to_string(query["path"])),
+    with {:ok, path} <- Path.parse(text(query["path"])),
          {:ok, from} <- WholeNumber.parse(query["from"] || Integer.to_string(extent.from)),
          {:ok, to} when to >= from <-
            WholeNumber.parse(query["to"] || Integer.to_string(extent.to)),
          {:ok, px} when px in 1..10_000 <- WholeNumber.parse(query["px"] || "1000"),
          {:ok, viz} <- Visualizers.named(query["viz"] || "line", query.visualizers) do
-      spec = %{stream: to_string(query["stream"]), viz: viz, path: path}
+      spec = %{stream: text(query["stream"]), viz: viz, path: path}
       frame = Draw.window(source, 0, spec, from, to, max(div(to - from, px), 1))
       reply([frame], extent, extent.to)
     else
@@ -35,10 +35,10 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   defp answer(:at, query, source, extent) do
-    with {:ok, path} <- Path.parse(to_string(query["path"])),
+    with {:ok, path} <- Path.parse(text(query["path"])),
          {:ok, time} <- WholeNumber.parse(query["at"]),
          {:ok, viz} <- Visualizers.named(query["viz"] || "value", query.visualizers) do
-      spec = %{stream: to_string(query["stream"]), viz: viz, path: path}
+      spec = %{stream: text(query["stream"]), viz: viz, path: path}
       {frame, _} = Draw.instant(source, 0, spec, time, nil)
       reply([frame], extent, time)
     else
@@ -50,7 +50,7 @@ defmodule Situ.Studio.Web.DataHttp do
     with {:ok, from} <- WholeNumber.parse(query["from"]),
          {:ok, to} <- WholeNumber.parse(query["to"]),
          {:ok, channel} <- WholeNumber.parse(query["channel"] || "0") do
-      case Sound.samples(source, to_string(query["stream"]), from, to, channel) do
+      case Sound.samples(source, text(query["stream"]), from, to, channel) do
         {:ok, {start, rate, samples}} ->
           reply([Frame.pcm(0, start, rate, samples)], extent, from)
 
@@ -67,7 +67,7 @@ defmodule Situ.Studio.Web.DataHttp do
       {name, time} =
         if query["dir"] == "previous", do: {:latest_at, at - 1}, else: {:next_after, at}
 
-      case Source.call(source, name, [to_string(query["stream"]), time]) do
+      case Source.call(source, name, [text(query["stream"]), time]) do
         {:ok, message} ->
           Response.json(%{"time" => Integer.to_string(message.originating_time)})
 
@@ -87,4 +87,7 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   defp bad, do: Response.error(400, "this is not a request for data")
+
+  # A query may hold lists and maps where a text belongs; they name nothing.
+  defp text(value), do: if(is_binary(value), do: value, else: "")
 end

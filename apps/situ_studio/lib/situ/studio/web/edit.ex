@@ -9,7 +9,7 @@ defmodule Situ.Studio.Web.Edit do
 
   @spec apply(String.t(), map(), map()) :: {:ok, keyword()} | {:error, Error.t()} | :ignore
   def apply("add_stream", %{"stream" => stream} = params, assigns) do
-    into = to_string(params["panel"])
+    into = if(is_binary(params["panel"]), do: params["panel"], else: "")
 
     with {:ok, entries} <- entries(assigns, stream) do
       # dropped on a panel, a stream is drawn the way that fits it, if there is one

@@ -21,6 +21,10 @@ defmodule Situ.Studio.Web.HomeView do
 
   def handle_info(_, socket), do: {:noreply, socket}
 
+  # A page of another version may send what this one does not know.
+  @impl true
+  def handle_event(_event, _params, socket), do: {:noreply, socket}
+
   defp load(socket), do: assign(socket, items: Catalog.list(socket.assigns.studio))
 
   @impl true

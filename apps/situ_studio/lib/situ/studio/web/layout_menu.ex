@@ -14,13 +14,13 @@ defmodule Situ.Studio.Web.LayoutMenu do
     names = Layouts.names(socket.assigns.layout_dir)
 
     saved =
-      case Layouts.load(socket.assigns.layout_dir, to_string(params["layout"])) do
+      case Layouts.load(socket.assigns.layout_dir, text(params["layout"])) do
         {:ok, layout} -> layout
         {:error, _} -> auto
       end
 
     layout =
-      case Link.decode(to_string(params["edit"])) do
+      case Link.decode(text(params["edit"])) do
         {:ok, layout} -> layout
         {:error, _} -> saved
       end
@@ -91,4 +91,6 @@ defmodule Situ.Studio.Web.LayoutMenu do
     </dialog>
     """
   end
+
+  defp text(value), do: if(is_binary(value), do: value, else: "")
 end

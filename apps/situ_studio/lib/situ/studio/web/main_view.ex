@@ -123,15 +123,22 @@ defmodule Situ.Studio.Web.MainView do
     end
   end
 
-  def handle_event("search", %{"query" => query}, socket),
-    do: {:noreply, assign(socket, query: String.slice(to_string(query), 0, 200))}
+  def handle_event("search", %{"query" => query}, socket) when is_binary(query),
+    do: {:noreply, assign(socket, query: String.slice(query, 0, 200))}
 
-  def handle_event("toggle", %{"path" => path}, socket) do
+  def handle_event("toggle", %{"path" => path}, socket) when is_binary(path) do
     closed = socket.assigns.closed
 
-    closed = if path in closed, do: MapSet.delete(closed, path), else: MapSet.put(closed, path)
+    cond do
+      path in closed ->
+        {:noreply, assign(socket, closed: MapSet.delete(closed, path))}
 
-    {:noreply, assign(socket, closed: closed)}
+      group?(socket.assigns.infos, path) ->
+        {:noreply, assign(socket, closed: MapSet.put(closed, path))}
+
+      true ->
+        {:noreply, socket}
+    end
   end
 
   def handle_event("fold_all", _, socket) do
@@ -201,8 +208,10 @@ defmodule Situ.Studio.Web.MainView do
   defp remember(socket, _, _), do: socket
 
   @impl true
-  def handle_info({:exported, result}, socket),
-    do: {:noreply, result |> ExportDialog.done(socket) |> load_streams()}
+  def handle_info({:exported, result}, socket) do
+    Catalog.look_again(socket.assigns.studio)
+    {:noreply, result |> ExportDialog.done(socket) |> load_streams()}
+  end
 
   # What grows has other numbers a moment later.
   def handle_info(:refresh, socket) do
@@ -291,6 +300,9 @@ defmodule Situ.Studio.Web.MainView do
     do: Enum.find(streams, &(&1.name == name))
 
   defp selected_stream(_), do: nil
+
+  # Only what can be folded is remembered as folded.
+  defp group?(infos, path), do: Enum.any?(infos, &String.starts_with?(&1.name, path <> "."))
 
   defp selected_panel(%{selected: {:panel, id}, layout: layout}), do: Layout.panel(layout, id)
   defp selected_panel(_), do: nil

@@ -1,0 +1,43 @@
+defmodule Situ.Live.Guesses do
+  @moduledoc false
+  # How many wrong tokens came from each address within the last minute, for every server of the VM.
+
+  @table __MODULE__
+  @most 20
+  @minute_ms 60_000
+  # A peer with many addresses does not fill the memory: the table is emptied.
+  @most_addresses 10_000
+
+  @doc "Creates the table; called once by the application's supervisor process."
+  @spec setup() :: :ok
+  def setup do
+    _ = :ets.new(@table, [:named_table, :public, write_concurrency: true])
+    :ok
+  end
+
+  @doc "Counts a wrong token."
+  @spec wrong(term(), :inet.ip_address(), integer()) :: :ok
+  def wrong(server, address, now_ms \\ now()) do
+    if :ets.info(@table, :size) > @most_addresses, do: :ets.delete_all_objects(@table)
+    key = {server, address, div(now_ms, @minute_ms)}
+    :ets.update_counter(@table, key, 1, {key, 0})
+    :ets.delete(@table, {server, address, div(now_ms, @minute_ms) - 2})
+    :ok
+  end
+
+  @doc "Whether an address has used up its guesses of this minute and the one before."
+  @spec too_many?(term(), :inet.ip_address(), integer()) :: boolean()
+  def too_many?(server, address, now_ms \\ now()) do
+    minute = div(now_ms, @minute_ms)
+    Enum.sum(for at <- [minute - 1, minute], do: count({server, address, at})) >= @most
+  end
+
+  defp count(key) do
+    case :ets.lookup(@table, key) do
+      [{_, count}] -> count
+      [] -> 0
+    end
+  end
+
+  defp now, do: System.monotonic_time(:millisecond)
+end
