@@ -34,7 +34,7 @@ defmodule Situ.Live.MixProject do
   defp elixirc_paths(_env), do: ["lib"]
 
   defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger, :crypto, :ssl]
+  defp extra_applications(_env), do: [:logger, :crypto, :public_key, :ssl]
 
   defp deps do
     [{:situ_types, in_umbrella: true}]

@@ -27,6 +27,13 @@ defmodule Situ.Studio do
       default: :auto,
       doc: "What a browser must bring: made anew where one is needed, or this text."
     ],
+    tls: [
+      type: {:or, [:keyword, {:in, [:own]}]},
+      default: [],
+      doc:
+        "`certfile:` and `keyfile:` of a certificate, or `:own` for one that is made for this machine's names and kept " <>
+          "in the user's configuration folder (`Situ.Live.Certificate`)."
+    ],
     hosts: [type: :any, default: nil, doc: "Host names the server answers for; see `Situ.Live`."],
     read_only: [type: :boolean, default: false, doc: "Nothing on disk can be changed."],
     layouts: [type: {:optional, :string}, default: nil, doc: "The folder of saved layouts."],
@@ -80,6 +87,29 @@ defmodule Situ.Studio do
   def start_link(opts) do
     opts = Situ.Options.validate!(opts, @schema)
 
+    with {:ok, tls} <- tls(opts[:tls], opts[:ip]), do: start(Keyword.put(opts, :tls, tls))
+  end
+
+  defp tls(:own, ip) do
+    {:ok, name} = :inet.gethostname()
+    {:ok, addresses} = :inet.getifaddrs()
+
+    bound =
+      if ip in [{0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0, 0}],
+        do: for({_, i} <- addresses, {:addr, a} <- i, do: a),
+        else: [ip]
+
+    folder = Path.join(:filename.basedir(:user_config, ~c"situ"), "tls")
+
+    hosts =
+      Enum.uniq(["localhost", to_string(name) | Enum.map(bound, &to_string(:inet.ntoa(&1)))])
+
+    Situ.Live.Certificate.ensure(folder, hosts)
+  end
+
+  defp tls(given, _ip), do: {:ok, given}
+
+  defp start(opts) do
     case Supervisor.start_link(__MODULE__, opts) do
       {:error, {:shutdown, {:failed_to_start_child, _, %Situ.Error{} = error}}} ->
         {:error, error}
@@ -116,7 +146,9 @@ defmodule Situ.Studio do
       routes: Web.Routes.all(opts[:id]),
       layout: &Web.Chrome.layout/1,
       max_frame: 262_144
-    ] ++ if(opts[:hosts], do: [hosts: opts[:hosts]], else: [])
+    ] ++
+      if(opts[:hosts], do: [hosts: opts[:hosts]], else: []) ++
+      if(opts[:tls] != [], do: [tls: opts[:tls]], else: [])
   end
 
   @doc "The port a studio listens on."

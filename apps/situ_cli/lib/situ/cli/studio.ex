@@ -33,6 +33,9 @@ defmodule Situ.CLI.Studio do
             :string,
             "the token (8 characters or more) in place of a random one"
           ),
+          Option.new(:tls, :flag, "speak https, by a certificate made for this machine"),
+          Option.new(:certificate, :path, "speak https by this certificate (PEM)"),
+          Option.new(:key, :path, "the certificate's key (PEM)"),
           Option.new(
             :layouts,
             :path,
@@ -53,7 +56,8 @@ defmodule Situ.CLI.Studio do
 
     with :ok <- check_path(path),
          {:ok, ip} <- address(opts[:listen]),
-         {:ok, studio} <- start(path, ip, opts) do
+         {:ok, tls} <- tls(opts),
+         {:ok, studio} <- start(path, ip, [tls: tls] ++ opts) do
       url = Studio.url(studio, Studio.only_item(studio))
       Output.puts("Situ Studio shows #{path} at #{url}")
       if opts[:open], do: Situ.CLI.Desktop.open(url)
@@ -87,11 +91,27 @@ defmodule Situ.CLI.Studio do
     end
   end
 
+  defp tls(opts) do
+    case {opts[:certificate], opts[:key]} do
+      {nil, nil} ->
+        {:ok, if(opts[:tls], do: :own, else: [])}
+
+      {certificate, key} when is_binary(certificate) and is_binary(key) ->
+        {:ok, [certfile: certificate, keyfile: key]}
+
+      _ ->
+        {:error,
+         Error.new(:usage, "--certificate and --key go together",
+           fix: "name both files, or take --tls for a certificate made for this machine"
+         )}
+    end
+  end
+
   defp start(path, ip, opts) do
     Process.flag(:trap_exit, true)
 
     Studio.start_link(
-      [path: path, ip: ip, port: opts[:port], read_only: opts[:read_only]] ++
+      [path: path, ip: ip, port: opts[:port], read_only: opts[:read_only], tls: opts[:tls]] ++
         if(opts[:token], do: [token: opts[:token]], else: []) ++
         if(opts[:layouts], do: [layouts: opts[:layouts]], else: [])
     )

@@ -1,0 +1,126 @@
+defmodule Situ.Live.Certificate do
+  @moduledoc """
+  A certificate of one's own, for a server that nobody has given one: a browser asks once whether to trust it.
+
+      {:ok, tls} = Situ.Live.Certificate.ensure("/home/ann/.config/situ/tls", ["lab1", "192.168.1.7"])
+      Situ.Live.start_link(routes: routes, ip: {0, 0, 0, 0}, tls: tls)
+
+  A program that is to trust the server takes `authority.pem` of the same folder as its authority. The key never leaves
+  the folder and is readable for its owner alone. A certificate that names all these hosts and is
+  valid for another week is used again, so that a browser's exception stays good.
+  """
+  alias Situ.Error
+  require Record
+
+  # Of public_key.hrl, which systems without Erlang's header files lack.
+  Record.defrecordp(:extension, :Extension, extnID: nil, critical: :asn1_DEFAULT, extnValue: nil)
+
+  Record.defrecordp(:certificate, :OTPCertificate, [
+    :tbsCertificate,
+    :signatureAlgorithm,
+    :signature
+  ])
+
+  Record.defrecordp(
+    :tbs,
+    :OTPTBSCertificate,
+    [:version, :serialNumber, :signature, :issuer, :validity, :subject, :subjectPublicKeyInfo] ++
+      [:issuerUniqueID, :subjectUniqueID, :extensions]
+  )
+
+  @subject_alternative_name {2, 5, 29, 17}
+  @days 825
+  @renew_days 7
+
+  @doc "The options of `:tls` for a certificate in `folder` that names these hosts (names or addresses)."
+  @spec ensure(Path.t(), [String.t(), ...]) :: {:ok, keyword()} | {:error, Error.t()}
+  def ensure(folder, hosts) do
+    tls = [certfile: Path.join(folder, "certificate.pem"), keyfile: Path.join(folder, "key.pem")]
+    if usable?(tls, hosts), do: {:ok, tls}, else: make(folder, tls, hosts)
+  end
+
+  defp make(folder, tls, hosts) do
+    %{certificate: certificate, key: {kind, key}, authority: authority} = issue(hosts)
+
+    with :ok <- File.mkdir_p(folder),
+         :ok <- File.chmod(folder, 0o700),
+         # The file is closed to others before the key is in it.
+         :ok <- File.write(tls[:keyfile], ""),
+         :ok <- File.chmod(tls[:keyfile], 0o600),
+         :ok <- File.write(tls[:keyfile], pem(kind, key)),
+         :ok <- File.write(Path.join(folder, "authority.pem"), pem(:Certificate, authority)),
+         :ok <-
+           File.write(tls[:certfile], [
+             pem(:Certificate, certificate),
+             pem(:Certificate, authority)
+           ]) do
+      {:ok, tls}
+    else
+      {:error, reason} ->
+        {:error,
+         Error.new(
+           :cannot_write,
+           "cannot keep a certificate in #{folder}: #{:file.format_error(reason)}",
+           fix: "make the folder writable, or bring a certificate of your own"
+         )}
+    end
+  end
+
+  # An authority that signs this one certificate, and whose key nobody keeps.
+  defp issue(hosts) do
+    today = Date.utc_today()
+    validity = {Date.to_erl(Date.add(today, -1)), Date.to_erl(Date.add(today, @days))}
+    common = [digest: :sha256, key: {:namedCurve, :secp256r1}, validity: validity]
+
+    names =
+      extension(extnID: @subject_alternative_name, extnValue: Enum.map(hosts, &general_name/1))
+
+    chain = %{root: common, intermediates: [], peer: common ++ [extensions: [names]]}
+    made = :public_key.pkix_test_data(chain)
+    %{certificate: made[:cert], key: made[:key], authority: hd(made[:cacerts])}
+  end
+
+  defp general_name(host) do
+    case host |> String.to_charlist() |> :inet.parse_address() do
+      {:ok, {a, b, c, d}} ->
+        {:iPAddress, <<a, b, c, d>>}
+
+      {:ok, address} ->
+        {:iPAddress, for(word <- Tuple.to_list(address), into: <<>>, do: <<word::16>>)}
+
+      {:error, _} ->
+        {:dNSName, String.to_charlist(host)}
+    end
+  end
+
+  defp pem(kind, der), do: :public_key.pem_encode([{kind, der, :not_encrypted}])
+
+  defp usable?(tls, hosts) do
+    with {:ok, text} <- File.read(tls[:certfile]),
+         true <- File.exists?(tls[:keyfile]),
+         [{:Certificate, der, :not_encrypted} | _] <- :public_key.pem_decode(text) do
+      certificate(tbsCertificate: tbs) = :public_key.pkix_decode_cert(der, :otp)
+      lasts?(tbs) and Enum.all?(hosts, &(general_name(&1) in names(tbs)))
+    else
+      _ -> false
+    end
+  end
+
+  defp names(tbs) do
+    for extension(extnID: @subject_alternative_name, extnValue: names) <- tbs(tbs, :extensions),
+        name <- names,
+        do: name
+  end
+
+  defp lasts?(tbs) do
+    {:Validity, _from, until} = tbs(tbs, :validity)
+    days = fn {{_, _, _} = date, _time} -> :calendar.date_to_gregorian_days(date) end
+    days.(time(until)) - days.(:calendar.universal_time()) > @renew_days
+  end
+
+  defp time({:utcTime, text}), do: text |> to_string() |> then(&("20" <> &1)) |> date()
+  defp time({:generalTime, text}), do: text |> to_string() |> date()
+
+  defp date(<<y::binary-4, m::binary-2, d::binary-2, _::binary>>),
+    do: {{String.to_integer(y), String.to_integer(m), String.to_integer(d)}, {0, 0, 0}}
+end
