@@ -4,7 +4,7 @@ mod coding;
 mod names;
 mod parts;
 
-pub use coding::{check, decode, encode};
+pub use coding::{check, decode, encode, Wanted};
 pub use names::{Names, OTHER};
 pub use parts::{parts, Part};
 

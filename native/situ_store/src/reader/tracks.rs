@@ -51,6 +51,11 @@ struct Span {
     to: i64,
 }
 
+const EVER: Span = Span {
+    from: i64::MIN,
+    to: i64::MAX,
+};
+
 pub type KnownStreams = Mutex<BTreeMap<u32, Arc<Mutex<Known>>>>;
 
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -172,9 +177,13 @@ impl Reader {
             let Ok(chunk) = self.chunk(&entry) else {
                 return at;
             };
-            let (count, first) = (chunk.header.count, chunk.header.first);
-            let names = &mut known.names;
-            let whole = tracks::decode(chunk.body(), count, first, level, names, |bin| {
+            let wanted = tracks::Wanted {
+                count: chunk.header.count,
+                first: chunk.header.first,
+                k: level,
+                from: at,
+            };
+            let whole = tracks::decode(chunk.body(), wanted, &mut known.names, |bin| {
                 if bin.start > span.to {
                     return false;
                 }
@@ -222,12 +231,11 @@ impl Reader {
             }
         }
         for entry in entries.iter().filter(|entry| entry.last >= at) {
-            self.each_noted(entry, &mut known.names, |time, values| {
-                if time >= at && time <= span.to {
-                    let mut bin = Tally::empty(time);
-                    bin.note(values);
-                    folder.add(bin);
-                }
+            let rest = Span { from: at, ..span };
+            self.each_noted(entry, rest, &mut known.names, |time, values| {
+                let mut bin = Tally::empty(time);
+                bin.note(values);
+                folder.add(bin);
             });
         }
         Ok(())
@@ -241,7 +249,7 @@ impl Reader {
             let Ok(Some(entry)) = self.entry_at(stream, computed.seen) else {
                 break;
             };
-            self.each_noted(&entry, &mut known.names, |time, values| {
+            self.each_noted(&entry, EVER, &mut known.names, |time, values| {
                 computed.builder.observe(
                     time,
                     |bin| bin.note(values),
@@ -260,20 +268,30 @@ impl Reader {
         known.computed = Some(computed);
     }
 
-    /// Every message of a chunk with the values of its keys.
+    /// Every message of a chunk within a span, with the values of its keys.
     fn each_noted(
         &self,
         entry: &Entry,
+        span: Span,
         names: &mut Names,
         mut each: impl FnMut(i64, &[(u32, Noted)]),
     ) {
         // A large message has no tracks, and looking at it costs its bytes.
         if entry.lane == LANE_LARGE && entry.length as usize >= LARGE_MESSAGE {
-            return each(entry.first, &[]);
+            if entry.first >= span.from && entry.first <= span.to {
+                each(entry.first, &[]);
+            }
+            return;
         }
         let Ok(chunk) = self.chunk(entry) else { return };
         let mut values = Vec::new();
         for (envelope, value) in chunk.messages().map_while(|message| message.ok()) {
+            if envelope.time < span.from {
+                continue;
+            }
+            if envelope.time > span.to {
+                return;
+            }
             values.clear();
             tracks::parts(chunk.header.encoding, &value, chunk.body(), |key, part| {
                 let key = match key {
@@ -372,10 +390,8 @@ impl Reader {
             if line.full() {
                 return;
             }
-            self.each_noted(&entry, &mut known.names, |time, values| {
-                if time >= span.from && time <= span.to {
-                    line.see(time, values);
-                }
+            self.each_noted(&entry, span, &mut known.names, |time, values| {
+                line.see(time, values);
             });
         }
     }
@@ -396,13 +412,15 @@ impl Reader {
             return Ok(None);
         };
         let mut found = None;
-        self.each_noted(&entry, &mut known.names, |at, values| {
-            if at <= time {
-                found = values.iter().find_map(|(name, value)| match value {
-                    Noted::State(state) if *name == key => Some((at, *state)),
-                    _ => None,
-                });
-            }
+        let latest = Span {
+            from: i64::MIN,
+            to: time,
+        };
+        self.each_noted(&entry, latest, &mut known.names, |at, values| {
+            found = values.iter().find_map(|(name, value)| match value {
+                Noted::State(state) if *name == key => Some((at, *state)),
+                _ => None,
+            });
         });
         Ok(found)
     }

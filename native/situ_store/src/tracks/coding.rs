@@ -82,16 +82,32 @@ fn table<'a>(
     }
 }
 
-/// The bins of a body, of a chunk that begins at `first`, whose keys and states are numbered by `names`. Ends early, with
-/// `None`, where the body contradicts itself. `wanted` tells which bins are (by their starts): `None` those behind are not either.
+/// Which bins of a chunk are wanted, and how the chunk numbers them.
+pub struct Wanted {
+    /// Bins in the chunk.
+    pub count: u32,
+    /// The start of its first.
+    pub first: i64,
+    /// Their width is 2^k ns.
+    pub k: u8,
+    /// Those that begin earlier are passed over.
+    pub from: i64,
+}
+
+/// The wanted bins of a chunk's body, their keys and states numbered by `names`, until `each` says `false`. `None` where the body
+/// contradicts itself.
 pub fn decode(
     body: &[u8],
-    count: u32,
-    first: i64,
-    k: u8,
+    wanted: Wanted,
     names: &mut Names,
     mut each: impl FnMut(Tally) -> bool,
 ) -> Option<()> {
+    let Wanted {
+        count,
+        first,
+        k,
+        from,
+    } = wanted;
     let mut cursor = Cursor::new(body);
     let key_terms = terms(&mut cursor)?;
     let state_terms = terms(&mut cursor)?;
@@ -103,6 +119,10 @@ pub fn decode(
         let step = cursor.varint()?;
         let step = step.checked_shl(u32::from(k)).filter(|s| s >> k == step)?;
         start = start.checked_add_unsigned(step)?;
+        if start < from {
+            pass(&mut cursor)?;
+            continue;
+        }
         let mut bin = Tally::empty(start);
         bin.count = cursor.varint()?;
         for _ in 0..bounded(cursor.varint()?)? {
@@ -119,6 +139,25 @@ pub fn decode(
         }
     }
     (cursor.remaining() == 0).then_some(())
+}
+
+/// Passes over a bin behind its start.
+fn pass(cursor: &mut Cursor<'_>) -> Option<()> {
+    cursor.varint()?;
+    for _ in 0..bounded(cursor.varint()?)? {
+        if cursor.varint()? % 2 == 0 {
+            cursor.varint()?;
+            cursor.take(24)?;
+        } else {
+            cursor.varint()?;
+            cursor.varint()?;
+            cursor.varint()?;
+            for _ in 0..2 * bounded(cursor.varint()?)? {
+                cursor.varint()?;
+            }
+        }
+    }
+    Some(())
 }
 
 fn bounded(n: u64) -> Option<u64> {
@@ -183,7 +222,13 @@ fn states(
 /// Whether the body of a chunk of so many bins is whole.
 pub fn check(body: &[u8], count: u32) -> std::result::Result<(), &'static str> {
     let mut seen = 0;
-    let decoded = decode(body, count, 0, 0, &mut Names::default(), |_| {
+    let all = Wanted {
+        count,
+        first: 0,
+        k: 0,
+        from: 0,
+    };
+    let decoded = decode(body, all, &mut Names::default(), |_| {
         seen += 1;
         true
     });

@@ -12,6 +12,11 @@ defmodule Situ.Store.Local do
   @catalog 0
   @read_bytes 4 * 1024 * 1024
 
+  # The catalog, worked out once for as long as it has no more records. Under its name every stream, and under these two
+  # (which are none: names are text) all of them, and the rest.
+  @all <<0xFE>>
+  @shelf <<0xFF>>
+
   @impl true
   def extensions, do: []
 
@@ -62,7 +67,7 @@ defmodule Situ.Store.Local do
   @impl true
   def streams(%__MODULE__{} = state) do
     refresh(state)
-    Enum.map(shelf(state).streams, &statistics(state, &1))
+    state |> shelved(@all) |> Enum.map(&statistics(state, &1))
   end
 
   @impl true
@@ -81,7 +86,7 @@ defmodule Situ.Store.Local do
     error =
       if shelf.damage,
         do: Failure.error(shelf.damage, state.path, name),
-        else: Failure.no_stream(name, Enum.map(shelf.streams, & &1.name), state.path)
+        else: Failure.no_stream(name, Enum.map(shelved(state, @all), & &1.name), state.path)
 
     {:error, error}
   end
@@ -105,10 +110,6 @@ defmodule Situ.Store.Local do
         info
     end
   end
-
-  # The catalog, worked out once for as long as it has no more records. Under its name every stream, and under this one
-  # (which is none: names are text) the rest.
-  @shelf <<0xFF>>
 
   defp shelf(state), do: shelved(state, @shelf)
 
@@ -136,10 +137,13 @@ defmodule Situ.Store.Local do
       for {_, info} <- Enum.sort(catalog.streams),
           do: %{info | store_name: name, store_path: state.path}
 
-    shelf = %{name: name, volatile?: catalog.volatile?, streams: streams, damage: damage}
+    shelf = %{name: name, volatile?: catalog.volatile?, damage: damage}
     # Of two of one name the first is found by it, as in the list.
     named = for info <- Enum.reverse(streams), do: {info.name, :erlang.term_to_binary(info)}
-    named ++ [{@shelf, :erlang.term_to_binary(shelf)}]
+
+    named ++
+      for {key, term} <- [{@all, streams}, {@shelf, shelf}],
+          do: {key, :erlang.term_to_binary(term)}
   end
 
   # The records, and what was wrong with some of them.

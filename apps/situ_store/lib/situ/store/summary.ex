@@ -69,7 +69,7 @@ defmodule Situ.Store.Summary do
   @options [
     changes: [
       type: :non_neg_integer,
-      default: 250,
+      default: 100,
       doc: "Up to so many changes of a track are told one by one; more of them as counts."
     ]
   ]
