@@ -6,7 +6,11 @@ defmodule Situ.Filter do
       default: :finite,
       doc: "Windowed sinc (`Situ.Filter.Fir`) or Butterworth (`Situ.Filter.Iir`)."
     ],
-    order: [type: :pos_integer, doc: "Default 64 finite, 4 infinite."],
+    order: [
+      type: :pos_integer,
+      doc:
+        "Default 4 infinite; 64 finite, and for narrow bands so many that they are separated: 4 times the rate over the width."
+    ],
     interpolator: [
       type: {:struct, Situ.Interpolator},
       doc: "How the input is sampled, default `Situ.Reproducible.linear/1`."
@@ -121,7 +125,10 @@ defmodule Situ.Filter do
     check!(rate, edges)
     interpolator = own[:interpolator] || Reproducible.linear()
     clock = if own[:align], do: [align: own[:align]], else: []
-    {module, order} = if own[:response] == :finite, do: {Fir, 64}, else: {Iir, 4}
+
+    {module, order} =
+      if own[:response] == :finite, do: {Fir, finite_order(rate, edges)}, else: {Iir, 4}
+
     filter = module.new(shape, rate, edges, own[:order] || order)
     step = valued(fn sample, filter -> module.step(filter, sample) end)
 
@@ -129,6 +136,12 @@ defmodule Situ.Filter do
     |> Fusion.interpolate(round(1.0e9 / rate), interpolator, clock)
     |> Operator.attach(name, {:step, step, filter}, placed, :float)
   end
+
+  @most 4096
+  defp finite_order(_rate, [_cutoff]), do: 64
+
+  defp finite_order(rate, [low, high]),
+    do: (2 * ceil(2 * rate / max(high - low, 1.0e-9))) |> max(64) |> min(@most)
 
   defp check!(rate, edges) do
     unless is_number(rate) and rate > 0 do

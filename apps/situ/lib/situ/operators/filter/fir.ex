@@ -1,6 +1,9 @@
 defmodule Situ.Filter.Fir do
   @moduledoc """
-  Finite impulse response filters: windowed sinc (Hamming), symmetric, so the phase is linear and the delay half the order.
+  Finite impulse response filters: windowed sinc (Hamming), symmetric, so the phase is linear and the delay half the order. The
+  gain is 1 in the middle of what passes: at 0 Hz, at half the rate, or in the middle of the band. `firwin` in SciPy.
+
+  About 3.3 times the rate over the order wide are the slopes: a narrow band needs a high order.
 
       iex> taps = Situ.Filter.Fir.taps(:lowpass, 1_000, [50], 40)
       iex> length(taps)
@@ -52,32 +55,26 @@ defmodule Situ.Filter.Fir do
   @spec taps(shape(), number(), [number()], pos_integer()) :: [float()]
   def taps(shape, rate, edges, order) do
     half = div(order + 1, 2)
-
-    case {shape, Enum.map(edges, &(&1 / rate))} do
-      {:lowpass, [cutoff]} -> low(cutoff, half)
-      {:highpass, [cutoff]} -> inverted(low(cutoff, half))
-      {:bandpass, [from, to]} -> minus(low(to, half), low(from, half))
-      {:bandstop, [from, to]} -> inverted(minus(low(to, half), low(from, half)))
-    end
+    edges = Enum.map(edges, &(&1 / rate))
+    # What passes, and where in it the gain is to be 1, in cycles per sample.
+    {bands, at} = bands(shape, edges)
+    raw = for n <- -half..half, do: ideal(bands, n) * hamming(n, half)
+    gain = Enum.sum(Enum.zip_with(raw, -half..half, &(&1 * :math.cos(2 * :math.pi() * at * &2))))
+    Enum.map(raw, &(&1 / gain))
   end
 
-  defp low(cutoff, half) do
-    raw = for n <- -half..half, do: sinc(n, cutoff) * hamming(n, half)
-    sum = Enum.sum(raw)
-    Enum.map(raw, &(&1 / sum))
-  end
+  defp bands(:lowpass, [cutoff]), do: {[{0.0, cutoff}], 0.0}
+  defp bands(:highpass, [cutoff]), do: {[{cutoff, 0.5}], 0.5}
+  defp bands(:bandpass, [low, high]), do: {[{low, high}], (low + high) / 2}
+  defp bands(:bandstop, [low, high]), do: {[{0.0, low}, {high, 0.5}], 0.0}
+
+  defp ideal(bands, n),
+    do: bands |> Enum.map(fn {low, high} -> sinc(n, high) - sinc(n, low) end) |> Enum.sum()
 
   defp sinc(0, cutoff), do: 2 * cutoff
   defp sinc(n, cutoff), do: :math.sin(2 * :math.pi() * cutoff * n) / (:math.pi() * n)
 
   defp hamming(n, half), do: 0.54 + 0.46 * :math.cos(:math.pi() * n / half)
-
-  defp minus(a, b), do: Enum.zip_with(a, b, &(&1 - &2))
-
-  # What the filter takes away, from everything.
-  defp inverted(taps) do
-    taps |> Enum.map(&(-&1)) |> List.update_at(div(length(taps), 2), &(&1 + 1.0))
-  end
 
   defp dot([tap | taps], [x | past], sum, kept), do: dot(taps, past, sum + tap * x, [x | kept])
   defp dot([], _past, sum, kept), do: {sum, :lists.reverse(kept)}
