@@ -4,6 +4,9 @@ use crate::error::{fail, Code, Error, Result};
 use crate::picture::{Format, Shape, View};
 use turbojpeg::{Compressor, Decompressor, Image, OutputBuf, OwnedBuf, PixelFormat, Subsamp};
 
+/// Cameras and programs write ten or so. A progressive file may have thousands, a few bytes and a pass over the whole picture each.
+const MAX_SCANS: usize = 100;
+
 /// Above this, memory is taken as it is needed.
 const LARGE: usize = 64 << 20;
 
@@ -120,6 +123,13 @@ pub fn header(bytes: &[u8], wanted: Option<Format>) -> Result<Shape> {
 }
 
 pub fn decode(bytes: &[u8], shape: Shape, out: &mut [u8]) -> Result<()> {
+    let scans = bytes.windows(2).filter(|w| w == &[0xFF, 0xDA]).count();
+    if scans > MAX_SCANS {
+        return fail(
+            Code::BadJpeg,
+            format!("JPEG: {scans} scans are more than the {MAX_SCANS} that a picture may have"),
+        );
+    }
     let mut decompressor = Decompressor::new().map_err(bad)?;
     let header = decompressor.read_header(bytes).map_err(bad)?;
     if (header.width, header.height) != (shape.width, shape.height) || out.len() != shape.bytes() {

@@ -1,5 +1,6 @@
 //! Resizing, by the `fast_image_resize` crate.
 
+use crate::area;
 use crate::error::{fail, Code, Error, Result};
 use crate::picture::{Format, Shape, View};
 use fast_image_resize::images::{Image, ImageRef};
@@ -26,8 +27,7 @@ fn algorithm(filter: Filter) -> ResizeAlg {
         Filter::Nearest => ResizeAlg::Nearest,
         Filter::Bilinear => ResizeAlg::Interpolation(FilterType::Bilinear),
         Filter::Bicubic => ResizeAlg::Interpolation(FilterType::CatmullRom),
-        Filter::Area => ResizeAlg::Convolution(FilterType::Box),
-        Filter::Smooth => ResizeAlg::Convolution(FilterType::Bilinear),
+        Filter::Area | Filter::Smooth => ResizeAlg::Convolution(FilterType::Bilinear),
         Filter::Lanczos => ResizeAlg::Convolution(FilterType::Lanczos3),
     }
 }
@@ -44,6 +44,10 @@ fn pixel_type(format: Format) -> PixelType {
 
 /// Resizes `src` to `shape` (same format) into `out`. Colours are weighted by alpha where there is one.
 pub fn resize(src: &View, shape: Shape, filter: Filter, out: &mut [u8]) -> Result<()> {
+    if filter == Filter::Area {
+        area::resize(src, shape, out);
+        return Ok(());
+    }
     let kind = pixel_type(src.shape.format);
     let tight = src.tight();
     // 16-bit kernels ask for 2-byte alignment, which a part of a binary need not have.

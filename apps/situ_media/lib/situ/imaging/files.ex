@@ -6,7 +6,7 @@ defmodule Situ.Imaging.Files do
   `Situ.Image.max_bytes/0`.
   """
   alias Situ.{DepthImage, EncodedImage, Error, Image}
-  alias Situ.Imaging.Pixels
+  alias Situ.Imaging.{Cost, Pixels}
   alias Situ.Media.Kernel
 
   @jpeg [
@@ -86,7 +86,7 @@ defmodule Situ.Imaging.Files do
     wanted = Keyword.validate!(opts, format: nil)[:format]
 
     case EncodedImage.sniff(bytes) do
-      {:ok, :jpeg} -> Kernel.picture({:jpeg_decode, bytes, wanted}, byte_size(bytes) / 30)
+      {:ok, :jpeg} -> Kernel.picture({:jpeg_decode, bytes, wanted}, Cost.jpeg(bytes))
       {:ok, :png} -> decode_png(bytes, wanted)
       {:error, _} = error -> error
     end

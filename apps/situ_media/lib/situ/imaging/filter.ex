@@ -3,6 +3,7 @@ defmodule Situ.Imaging.Filter do
   Filters by OpenCV: blurs, edges, morphology, histogram equalisation. Call them through `Situ.Imaging`.
   """
   alias Situ.Image
+  alias Situ.Imaging.Argument
   alias Situ.Media.Kernel
 
   @doc """
@@ -12,10 +13,24 @@ defmodule Situ.Imaging.Filter do
       {:ok, [100]}
   """
   @spec blur(Image.t(), number(), keyword()) :: Image.result()
-  def blur(%Image{} = image, sigma, opts \\ []) when is_number(sigma) and sigma > 0 do
-    size = Keyword.validate!(opts, size: nil)[:size] || 2 * ceil(3 * sigma - 0.5) + 1
-    run(image, {:gaussian, image, size, sigma * 1.0}, 1)
+  def blur(%Image{} = image, sigma, opts \\ []) do
+    opts = Keyword.validate!(opts, size: nil)
+
+    with {:ok, [sigma]} <- Argument.floats([sigma], "sigma"),
+         {:ok, size} <- window(opts[:size], sigma) do
+      # A window many times as large as the picture would only take longer.
+      run(image, {:gaussian, image, size, sigma}, size / 9)
+    end
   end
+
+  @widest 4095
+  defp window(nil, sigma) when sigma > 0 and sigma < @widest / 6.1,
+    do: {:ok, 2 * ceil(3 * sigma - 0.5) + 1}
+
+  defp window(nil, sigma),
+    do: Argument.bad("sigma must be above 0 and below #{div(@widest, 6)}, got: #{sigma}")
+
+  defp window(size, _sigma), do: Argument.integer(size, 1..@widest, "size")
 
   @doc """
   Mean of a `size` x `size` window, `size` odd.
@@ -45,8 +60,10 @@ defmodule Situ.Imaging.Filter do
       <<0, 0, 0, 255, 0, 0, 0, 0>>
   """
   @spec canny(Image.t(), number(), number()) :: Image.result()
-  def canny(%Image{} = image, low, high),
-    do: run(image, {:canny, image, low * 1.0, high * 1.0}, 6)
+  def canny(%Image{} = image, low, high) do
+    with {:ok, [low, high]} <- Argument.floats([low, high], "thresholds"),
+         do: run(image, {:canny, image, low, high}, 6)
+  end
 
   @doc """
   Strength of edges of a `:gray8` picture: half the sum of the absolute Sobel 3x3 derivatives.

@@ -4,6 +4,7 @@ defmodule Situ.Imaging.Measure do
   """
   alias Situ.{Error, Image, Rect}
   alias Situ.Image.Format
+  alias Situ.Imaging.Argument
   alias Situ.Media.Kernel
 
   @type channel :: %{min: integer(), max: integer(), mean: float(), deviation: float()}
@@ -95,7 +96,8 @@ defmodule Situ.Imaging.Measure do
     first? = opts[:layout] == :nchw
 
     with {:ok, image} <- Image.validate(image),
-         job = {:to_f32, image, first?, scale * 1.0, opts[:offset] * 1.0},
+         {:ok, [scale, offset]} <- Argument.floats([scale, opts[:offset]], "scale and offset"),
+         job = {:to_f32, image, first?, scale, offset},
          {:ok, data} <- Kernel.picture(job, byte_size(image.data) / 500) do
       {:ok, {data, if(first?, do: {1, channels, h, w}, else: {1, h, w, channels})}}
     end

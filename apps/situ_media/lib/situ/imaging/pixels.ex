@@ -5,7 +5,10 @@ defmodule Situ.Imaging.Pixels do
   """
   alias Situ.{DepthImage, Error, Image}
   alias Situ.Image.Format
+  alias Situ.Imaging.Argument
   alias Situ.Media.Kernel
+
+  @huge 0xFFFFFFFF
 
   @thresholds [:binary, :binary_inverted, :truncate, :to_zero, :to_zero_inverted]
 
@@ -58,9 +61,13 @@ defmodule Situ.Imaging.Pixels do
   """
   @spec threshold(Image.t(), non_neg_integer(), atom(), keyword()) :: Image.result()
   def threshold(%Image{} = image, threshold, kind \\ :binary, opts \\ [])
-      when kind in @thresholds and is_integer(threshold) and threshold >= 0 do
+      when kind in @thresholds do
     max = Keyword.validate!(opts, [:max])[:max] || 65_535
-    simple({:threshold, image, min(threshold, 65_535), min(max, 65_535), kind})
+
+    with {:ok, threshold} <- Argument.integer(threshold, 0..@huge, "a threshold"),
+         {:ok, max} <- Argument.integer(max, 0..@huge, "max") do
+      simple({:threshold, image, min(threshold, 65_535), min(max, 65_535), kind})
+    end
   end
 
   @doc """

@@ -66,14 +66,54 @@ defmodule Situ.Media.FFmpeg do
     end
   end
 
+  # Which of FFmpeg's demuxers may read a file of this ending. None of them follows names of other files inside, as playlists
+  # (HLS, DASH, concat) do, whatever they are called.
+  @demuxers [
+    {~w(.mp4 .m4v .mov .m4a .3gp .3g2 .mj2), ~w(mov)},
+    {~w(.mkv .webm .mka .mk3d), ~w(matroska)},
+    {~w(.avi), ~w(avi)},
+    {~w(.mpg .mpeg .vob), ~w(mpeg mpegvideo mpegts)},
+    {~w(.ts .m2ts .mts), ~w(mpegts)},
+    {~w(.flv), ~w(flv live_flv)},
+    {~w(.wmv .wma .asf), ~w(asf)},
+    {~w(.ogg .ogv .oga .opus .spx), ~w(ogg)},
+    {~w(.mp3), ~w(mp3)},
+    {~w(.aac), ~w(aac)},
+    {~w(.flac), ~w(flac)},
+    {~w(.wav .w64), ~w(wav w64)},
+    {~w(.aiff .aif .aifc), ~w(aiff)},
+    {~w(.caf), ~w(caf)},
+    {~w(.au .snd), ~w(au)},
+    {~w(.amr), ~w(amr)},
+    {~w(.nut), ~w(nut)},
+    {~w(.y4m), ~w(yuv4mpegpipe)},
+    {~w(.h264 .264), ~w(h264)},
+    {~w(.hevc .265), ~w(hevc)},
+    {~w(.mjpeg .mjpg), ~w(mjpeg)},
+    {~w(.gif), ~w(gif)}
+  ]
+  @all_demuxers @demuxers |> Enum.flat_map(&elem(&1, 1)) |> Enum.uniq()
+
   @doc """
-  Options that keep a local file local: a playlist or a "file" that names a URL inside must not reach the network.
+  Options that keep a local file local: only the formats of its ending are tried (any that holds sound or pictures itself, for an
+  ending nobody knows), and nothing in it reaches another file or the network.
 
       iex> Situ.Media.FFmpeg.local_file("-odd:name.mp4")
-      ["-protocol_whitelist", "file,crypto,data", "-i", "file:-odd:name.mp4"]
+      ["-protocol_whitelist", "file,crypto,data", "-format_whitelist", "mov", "-i", "file:-odd:name.mp4"]
   """
   @spec local_file(Path.t()) :: [String.t()]
-  def local_file(path), do: ~w(-protocol_whitelist file,crypto,data -i) ++ ["file:" <> path]
+  def local_file(path) do
+    ~w(-protocol_whitelist file,crypto,data -format_whitelist #{formats(path)} -i) ++
+      ["file:" <> path]
+  end
+
+  defp formats(path) do
+    ending = path |> Path.extname() |> String.downcase()
+
+    @demuxers
+    |> Enum.find_value(@all_demuxers, fn {endings, demuxers} -> ending in endings && demuxers end)
+    |> Enum.join(",")
+  end
 
   # Runs a program whose life is bound to the port: when the port closes (its owner ended, or the VM did), the shell's
   # standard input ends and the program is killed. Without it a program that waits for a camera would stay forever.

@@ -202,6 +202,21 @@ defmodule Situ.Media.DecoderTest do
       assert {:error, %{code: :unreadable_media}} = Decoder.open(empty)
     end
 
+    test "a playlist under another name reads no other file", %{tmp_dir: dir} do
+      secret = Path.join(dir, "secret.mp4")
+      File.cp!(path("talk1.mp4"), secret)
+      hls = "#EXTM3U\n#EXT-X-TARGETDURATION:20\n#EXTINF:14,\nfile:#{secret}\n#EXT-X-ENDLIST\n"
+      concat = "ffconcat version 1.0\nfile secret.mp4\n"
+
+      for text <- [hls, concat], name <- ["a.mp4", "a.mkv", "a.ts", "a.m3u8", "a.unknown", "a"] do
+        File.write!(Path.join(dir, name), text)
+        assert {:error, %{code: :unreadable_media}} = Decoder.open(Path.join(dir, name))
+      end
+
+      assert {:ok, decoder} = Decoder.open(secret)
+      Decoder.close(decoder)
+    end
+
     test "a playlist cannot reach the network", %{tmp_dir: dir} do
       list = Path.join(dir, "list.m3u8")
       File.write!(list, "#EXTM3U\n#EXTINF:10,\nhttp://127.0.0.1:1/x.ts\n#EXT-X-ENDLIST\n")

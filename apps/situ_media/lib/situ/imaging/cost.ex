@@ -1,0 +1,47 @@
+defmodule Situ.Imaging.Cost do
+  @moduledoc false
+  # How long work on a picture will take, in microseconds: by what has to be read and written. What takes long runs on a
+  # dirty scheduler; where nothing can be told from the bytes, they count as long.
+
+  alias Situ.Image
+  alias Situ.Image.Format
+
+  @unknown 100_000.0
+
+  @doc "Decoding a JPEG, by the size in its header. Progressive ones may take any number of times longer."
+  @spec jpeg(binary()) :: float()
+  def jpeg(<<0xFF, 0xD8, rest::binary>>), do: segment(rest)
+  def jpeg(_), do: @unknown
+
+  # Frames: baseline and sequential ones first.
+  defp segment(<<0xFF, marker, _::16, _, height::16, width::16, _::binary>>)
+       when marker in [0xC0, 0xC1],
+       do: width * height / 150
+
+  defp segment(<<0xFF, marker, _::binary>>)
+       when marker in 0xC2..0xCF and marker not in [0xC4, 0xC8, 0xCC],
+       do: @unknown
+
+  defp segment(<<0xFF, 0xFF, rest::binary>>), do: segment(<<0xFF, rest::binary>>)
+
+  defp segment(<<0xFF, _, length::16, rest::binary>>)
+       when length >= 2 and byte_size(rest) >= length - 2,
+       do: rest |> binary_part(length - 2, byte_size(rest) - length + 2) |> segment()
+
+  defp segment(_), do: @unknown
+
+  @doc "Resizing: filters that look at all pixels covered read the whole picture."
+  @spec resize(Image.t(), pos_integer(), pos_integer(), atom()) :: float()
+  def resize(image, width, height, filter) do
+    bytes = Format.bytes_per_pixel(image.format)
+    made = width * height * bytes * 1.5
+    (read(image, height, filter) * bytes + made) / 1000
+  end
+
+  defp read(image, _height, :lanczos), do: image.width * image.height * 3.0
+
+  defp read(image, _height, filter) when filter in [:area, :smooth],
+    do: image.width * image.height * 1.5
+
+  defp read(image, height, _filter), do: min(image.height, 4 * height) * image.width * 0.1
+end
