@@ -60,6 +60,10 @@ defmodule Situ.ReproducibleTest do
       {:sample, integer(1, 15), window()},
       {:smooth, integer(1, 3)},
       {:parallel, one_of([:scan, :filter, :last, :window])},
+      {:delay, integer(0, 60)},
+      {:lowpass, integer(1, 9)},
+      {:sliding, one_of([:average, :std, :min]), integer(1, 12)},
+      :cycle,
       :time
     ])
   end
@@ -149,6 +153,28 @@ defmodule Situ.ReproducibleTest do
     do: s |> Situ.map(&number/1) |> Situ.denoise([order: n] ++ opts)
 
   defp one(:time, s, opts), do: Situ.time_of(s, opts)
+  defp one({:delay, ns}, s, opts), do: Situ.delay(s, ns, opts)
+
+  defp one({:lowpass, every}, s, opts) do
+    s
+    |> Situ.map(&number/1)
+    |> Situ.lowpass([rate: 1.0e9 / every, cutoff: 1.0e8 / every, order: 4] ++ opts)
+    |> Situ.map(&Float.round(&1, 6))
+  end
+
+  defp one({:sliding, kind, span}, s, opts) do
+    apply(Situ, kind, [s, [over: {:past, span}, by: &number/1] ++ opts])
+    |> Situ.map(&Float.round(&1 / 1, 6))
+  end
+
+  # y(t) = x(t) + y(t - 1), the second by way of another process.
+  defp one(:cycle, s, _opts) do
+    loop = Situ.Pipeline.add(s.pipeline, Situ.Fixture.Feedback)
+    out = Situ.Node.output(loop, :out)
+    :ok = Situ.Pipeline.connect(Situ.map(s, &number/1), loop, :in)
+    :ok = Situ.Pipeline.connect(Situ.map(out, &rem(&1, 97), async: true), loop, :back)
+    out
+  end
 
   defp one({:parallel, kind}, s, opts) do
     s
