@@ -3,13 +3,14 @@ defmodule Situ.Branch.Process do
   # A branch as a pipeline of its own: its own processes, any component inside. What it says to the process that started it:
   #
   #   {:situ_branch, id, {:open, pid}}          where its input is sent
-  #   {:situ_branch, id, {:gave, time, data}}   something came out
-  #   {:situ_branch, id, {:passed, time}}       all up to that time is dealt with (if it is a run of light operators)
+  #   {:situ_branch, id, {:gave, [{time, data}], passed}}
+  #                                             this came out, and if `passed` is a time, all up to it is dealt with (of a run of light
+  #                                             operators; `nil` of others)
   #   {id, result}                              it has ended; everything it gave came before
   #
   # It ends with the process that started it.
   alias Situ.Graph.{Builder, Plan}
-  alias Situ.{Delivery, Message, Operator, Pipeline, Stream}
+  alias Situ.{Delivery, Operator, Pipeline, Stream}
   alias Situ.Pipeline.Launcher
 
   defmodule Gate do
@@ -20,72 +21,100 @@ defmodule Situ.Branch.Process do
       outputs: [out: :any],
       options: [to: [type: :pid, required: true], id: [type: :any, required: true]]
 
-    defstruct [:to, :id, queue: :queue.new(), passed: nil, stopping: false]
+    defstruct [:to, :id, :since, queue: [], slice: 1, passed: nil, stopping: false]
+
+    @quick_us 1_000
+    @most 512
 
     @impl true
     def init(opts), do: {:ok, %__MODULE__{to: opts[:to], id: opts[:id]}}
 
     @impl true
     def handle_start(_context, gate) do
+      Process.put({__MODULE__, gate.id}, [])
       send(gate.to, {:situ_branch, gate.id, {:open, self()}})
       {[], gate}
     end
 
     @impl true
-    def handle_info({:situ_feed, entry}, _context, gate),
-      do: {[], %{gate | queue: waiting(:queue.in(entry, gate.queue))}}
+    def handle_info({:situ_feed, entries}, _context, gate),
+      do: {[], %{gate | queue: put(gate.queue, waiting(entries))}}
 
     def handle_info(_other, _context, gate), do: {[], gate}
 
     # All that is there already, in one turn.
-    defp waiting(queue) do
+    defp waiting(entries) do
       receive do
-        {:situ_feed, entry} -> waiting(:queue.in(entry, queue))
+        {:situ_feed, more} -> waiting(entries ++ more)
       after
-        0 -> queue
+        0 -> entries
       end
     end
 
-    # What was emitted the time before has been through the operators that share this process.
+    defp put([], entries), do: entries
+    defp put(queue, entries), do: queue ++ entries
+
+    @doc "What came out of the branch: told with the next time that is passed if it came out in this process, else at once."
+    def gave(to, id, time, data) do
+      case Process.get({__MODULE__, id}) do
+        nil -> send(to, {:situ_branch, id, {:gave, [{time, data}], nil}})
+        gave -> Process.put({__MODULE__, id}, [{time, data} | gave])
+      end
+    end
+
+    # What was emitted the time before has been through the operators that share this process. As long as that was quick, more goes
+    # next time: whoever asks in between sees that a slow branch gets on, part by part.
     @impl true
     def handle_demand(n, _context, gate) do
-      {actions, gate} = take(n, tell(gate), [])
+      gate = gate |> tell() |> resize()
+      {actions, gate} = take(min(n, gate.slice), gate, [])
       gate = if actions == [], do: tell(gate), else: gate
-      {actions ++ over(gate), gate}
+      since = if gate.queue != [], do: System.monotonic_time(:microsecond)
+      {actions ++ over(gate), %{gate | since: since}}
+    end
+
+    defp resize(%{since: nil} = gate), do: gate
+
+    defp resize(gate) do
+      if System.monotonic_time(:microsecond) - gate.since < @quick_us,
+        do: %{gate | slice: min(2 * gate.slice, @most)},
+        else: %{gate | slice: 1}
     end
 
     @impl true
     def handle_stop(_final, _context, gate) do
-      if :queue.is_empty(gate.queue) and gate.passed == nil,
+      if gate.queue == [] and gate.passed == nil,
         do: {[], gate},
         else: {[:stopping], %{gate | stopping: true}}
     end
 
+    # What came out before a failure counts.
+    @impl true
+    def terminate(_reason, gate), do: tell(gate)
+
     defp tell(%{passed: nil} = gate), do: gate
 
     defp tell(gate) do
-      send(gate.to, {:situ_branch, gate.id, {:passed, gate.passed}})
+      gave = Process.put({__MODULE__, gate.id}, [])
+      send(gate.to, {:situ_branch, gate.id, {:gave, :lists.reverse(gave), gate.passed}})
       %{gate | passed: nil}
     end
 
-    defp take(0, gate, actions), do: {:lists.reverse(actions), gate}
-
     defp take(n, gate, actions) do
-      case :queue.out(gate.queue) do
-        {:empty, _} ->
-          {:lists.reverse(actions), gate}
-
-        {{:value, %Message{originating_time: time, data: data}}, queue} ->
-          take(n - 1, %{gate | queue: queue, passed: time}, [{:out, time, data} | actions])
-
-        {{:value, time}, queue} ->
-          take(n, %{gate | queue: queue, passed: time}, actions)
-      end
+      {queue, passed, actions} = entries(n, gate.queue, gate.passed, actions)
+      {:lists.reverse(actions), %{gate | queue: queue, passed: passed}}
     end
 
-    defp over(%{stopping: true, queue: queue}),
-      do: if(:queue.is_empty(queue), do: [:stopped], else: [])
+    defp entries(0, queue, passed, actions), do: {queue, passed, actions}
+    defp entries(_n, [], passed, actions), do: {[], passed, actions}
 
+    defp entries(n, [{time, data} | rest], _passed, actions),
+      do: entries(n - 1, rest, time, [{:out, time, data} | actions])
+
+    defp entries(n, [time | rest], _passed, actions), do: entries(n, rest, time, actions)
+
+    # Not before what came of the last entries has been told.
+    defp over(%{stopping: true, queue: [], passed: nil}), do: [:stopped]
     defp over(_gate), do: []
   end
 
@@ -113,9 +142,11 @@ defmodule Situ.Branch.Process do
     end
   end
 
-  @doc "A part for the branch, or a time at which it gets none."
-  @spec feed(pid(), Message.t() | Situ.Time.t()) :: term()
-  def feed(gate, entry), do: send(gate, {:situ_feed, entry})
+  @typedoc "A part for the branch, or a time at which it gets none."
+  @type entry :: {Situ.Time.t(), term()} | Situ.Time.t()
+
+  @spec feed(pid(), [entry()]) :: term()
+  def feed(gate, entries), do: send(gate, {:situ_feed, entries})
 
   @doc "The branch ends at `time`, after everything it was sent."
   @spec stop(pid(), Situ.Time.t()) :: term()
@@ -131,10 +162,7 @@ defmodule Situ.Branch.Process do
     result = fun.(Situ.Node.output(gate, :out))
 
     if is_struct(result, Stream) do
-      tell = fn data, message ->
-        send(to, {:situ_branch, id, {:gave, message.originating_time, data}})
-      end
-
+      tell = fn data, message -> Gate.gave(to, id, message.originating_time, data) end
       Operator.attach(result, "Out", {:each, tell})
     end
 

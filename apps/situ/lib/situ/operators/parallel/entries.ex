@@ -32,10 +32,10 @@ defmodule Situ.Parallel.Entries do
 
   @doc "A branch gave this at a time that waits for it."
   @spec found(t(), Situ.Time.t(), term(), term()) :: t()
-  def found(entries, time, key, value) do
-    update(entries, time, fn entry ->
-      %{entry | values: Map.put(entry.values, key, value), open: entry.open - 1}
-    end)
+  def found(%{waiting: waiting} = entries, time, key, value) do
+    %{^time => %{values: values, open: open} = entry} = waiting
+    entry = %{entry | values: Map.put(values, key, value), open: open - 1}
+    %{entries | waiting: %{waiting | time => entry}}
   end
 
   @doc "A branch gives nothing at these times, which wait for it."

@@ -29,15 +29,36 @@ defmodule Situ.Parallel.Fleet do
     :ok
   end
 
-  @doc "Does what the pool says."
-  @spec carry_out(Pool.order(), t()) :: t()
-  def carry_out({:feed, id, message}, fleet), do: feed(fleet, id, message)
+  @doc "Does what the pool says: all that one branch gets goes in one message."
+  @spec carry_out([Pool.order()], t()) :: t()
+  def carry_out(orders, fleet) do
+    {fleet, entries} = Enum.reduce(orders, {fleet, %{}}, &carry_out_one/2)
+    Enum.reduce(entries, fleet, fn {id, entries}, fleet -> feed(fleet, id, entries) end)
+  end
+
+  defp carry_out_one({:feed, id, entry}, {fleet, entries}),
+    do: {fleet, later(entries, id, entry)}
 
   # Only a run of light operators tells what it has passed.
-  def carry_out({:pass, id, time}, fleet),
-    do: if(Map.fetch!(fleet, id).immediate?, do: feed(fleet, id, time), else: fleet)
+  defp carry_out_one({:pass, id, time}, {fleet, entries}) do
+    if Map.fetch!(fleet, id).immediate?,
+      do: {fleet, later(entries, id, time)},
+      else: {fleet, entries}
+  end
 
-  def carry_out({:stop, id, time}, fleet) do
+  defp carry_out_one({:stop, id, time}, {fleet, entries}) do
+    {mine, entries} = Map.pop(entries, id, [])
+    {fleet |> feed(id, mine) |> stop(id, time), entries}
+  end
+
+  defp later(entries, id, entry) do
+    case entries do
+      %{^id => before} -> %{entries | id => [entry | before]}
+      _ -> Map.put(entries, id, [entry])
+    end
+  end
+
+  defp stop(fleet, id, time) do
     case Map.fetch!(fleet, id) do
       %{gate: nil} = branch ->
         %{fleet | id => %{branch | stop: time}}
@@ -52,7 +73,7 @@ defmodule Situ.Parallel.Fleet do
   @spec opened(t(), Pool.id(), pid()) :: t()
   def opened(fleet, id, gate) do
     branch = Map.fetch!(fleet, id)
-    for entry <- Enum.reverse(branch.early), do: Branch.feed(gate, entry)
+    if branch.early != [], do: Branch.feed(gate, Enum.reverse(branch.early))
     if branch.stop, do: Branch.stop(branch.pid, branch.stop)
     %{fleet | id => %{branch | gate: gate, early: []}}
   end
@@ -89,13 +110,16 @@ defmodule Situ.Parallel.Fleet do
   @spec marks(t()) :: term()
   def marks(fleet), do: for({id, branch} <- fleet, do: {id, Client.call(branch.pid, :mark)})
 
-  defp feed(fleet, id, entry) do
+  # Entries come newest first.
+  defp feed(fleet, _id, []), do: fleet
+
+  defp feed(fleet, id, entries) do
     case Map.fetch!(fleet, id) do
       %{gate: nil} = branch ->
-        %{fleet | id => %{branch | early: [entry | branch.early]}}
+        %{fleet | id => %{branch | early: entries ++ branch.early}}
 
       %{gate: gate} ->
-        Branch.feed(gate, entry)
+        Branch.feed(gate, :lists.reverse(entries))
         fleet
     end
   end

@@ -20,7 +20,9 @@ defmodule Situ.Parallel.Pool do
 
   @type id :: reference()
   @type order ::
-          {:feed, id(), Message.t()} | {:pass, id(), Situ.Time.t()} | {:stop, id(), Situ.Time.t()}
+          {:feed, id(), {Situ.Time.t(), term()}}
+          | {:pass, id(), Situ.Time.t()}
+          | {:stop, id(), Situ.Time.t()}
   @type outputs :: [Situ.Component.action()]
   @type t :: %__MODULE__{}
 
@@ -43,7 +45,7 @@ defmodule Situ.Parallel.Pool do
     %{
       pool
       | keys: Map.put(pool.keys, key, {id, nil, 0}),
-        branches: Map.put(pool.branches, id, {key, []}),
+        branches: Map.put(pool.branches, id, {key, {[], []}}),
         output: if(pool.output == nil, do: output?, else: pool.output),
         started: pool.started + 1
     }
@@ -70,34 +72,39 @@ defmodule Situ.Parallel.Pool do
     end
   end
 
-  @doc "A branch gave this."
-  @spec gave(t(), id(), Situ.Time.t(), term()) :: {outputs(), t()}
-  def gave(pool, id, time, value) do
+  @doc """
+  A branch gave these, in order. With `passed`, a time, it has dealt with everything up to that, and nothing for it will come any more.
+  """
+  @spec gave(t(), id(), [{Situ.Time.t(), term()}], Situ.Time.t() | nil) :: {outputs(), t()}
+  def gave(pool, id, gave, passed) do
     case pool.branches do
-      %{^id => {key, waiting}} ->
-        {missed, waiting} = Enum.split_while(waiting, &(&1 < time))
-        entries = Entries.lost(pool.entries, missed)
-        {entries, waiting} = take(entries, waiting, time, key, value)
-        flush(%{keep(pool, id, key, waiting) | entries: entries})
+      %{^id => {key, {front, rear}}} ->
+        {entries, waiting} = settle(gave, passed, whole(front, rear), key, pool.entries)
+        branches = Map.put(pool.branches, id, {key, {waiting, []}})
+        flush(%{pool | branches: branches, entries: entries})
 
       _ ->
         {[], pool}
     end
   end
 
-  @doc "A branch has dealt with everything up to `time`, and nothing for that will come any more."
-  @spec passed(t(), id(), Situ.Time.t()) :: {outputs(), t()}
-  def passed(pool, id, time) do
-    case pool.branches do
-      %{^id => {key, waiting}} ->
-        {missed, waiting} = Enum.split_while(waiting, &(&1 <= time))
-        entries = Entries.lost(pool.entries, missed)
-        flush(%{keep(pool, id, key, waiting) | entries: entries})
+  # Times that wait for the branch, against those that it gave something for, both in order.
+  defp settle([{at, value} | gave], passed, [time | waiting], key, entries) when at == time,
+    do: settle(gave, passed, waiting, key, Entries.found(entries, time, key, value))
 
-      _ ->
-        {[], pool}
-    end
-  end
+  defp settle([{at, _} | _] = gave, passed, [time | waiting], key, entries) when time < at,
+    do: settle(gave, passed, waiting, key, Entries.lost(entries, [time]))
+
+  defp settle([_not_asked_for | gave], passed, waiting, key, entries),
+    do: settle(gave, passed, waiting, key, entries)
+
+  defp settle([], passed, [time | waiting], key, entries) when passed != nil and time <= passed,
+    do: settle([], passed, waiting, key, Entries.lost(entries, [time]))
+
+  defp settle([], _passed, waiting, _key, entries), do: {entries, waiting}
+
+  defp whole(front, []), do: front
+  defp whole(front, rear), do: front ++ :lists.reverse(rear)
 
   @doc "A branch has ended, and everything it gave is here."
   @spec ended(t(), id()) :: {outputs(), t()}
@@ -108,7 +115,8 @@ defmodule Situ.Parallel.Pool do
 
       {{key, waiting}, branches} ->
         keys = if id(pool.keys, key) == id, do: Map.delete(pool.keys, key), else: pool.keys
-        entries = Entries.lost(pool.entries, waiting)
+        {front, rear} = waiting
+        entries = Entries.lost(pool.entries, whole(front, rear))
         flush(%{pool | branches: branches, keys: keys, entries: entries})
     end
   end
@@ -130,15 +138,26 @@ defmodule Situ.Parallel.Pool do
   @spec awaited(t()) :: [id()]
   def awaited(pool) do
     case Entries.first(pool.entries) do
-      {:value, time} -> for {id, {_key, [^time | _]}} <- pool.branches, do: id
-      :empty -> []
+      {:value, time} ->
+        for {id, {_key, {front, rear}}} <- pool.branches,
+            match?([^time | _], whole(front, rear)),
+            do: id
+
+      :empty ->
+        []
     end
+  end
+
+  # Lists never ask when a branch was last seen: nothing to note.
+  defp feed({key, data}, %{form: form} = pool, message) when form not in [:sparse, :present] do
+    {id, _seen, _absent} = Map.fetch!(pool.keys, key)
+    {{:feed, id, {message.originating_time, data}}, pool}
   end
 
   defp feed({key, data}, pool, message) do
     {id, _seen, _absent} = Map.fetch!(pool.keys, key)
     keys = Map.put(pool.keys, key, {id, message.originating_time, 0})
-    {{:feed, id, %{message | data: data}}, %{pool | keys: keys}}
+    {{:feed, id, {message.originating_time, data}}, %{pool | keys: keys}}
   end
 
   defp terminate(%{form: form} = pool, _parts, _time) when form not in [:sparse, :present],
@@ -181,17 +200,9 @@ defmodule Situ.Parallel.Pool do
   end
 
   defp wait(pool, id, time) do
-    {key, waiting} = Map.fetch!(pool.branches, id)
-    keep(pool, id, key, waiting ++ [time])
+    {key, {front, rear}} = Map.fetch!(pool.branches, id)
+    %{pool | branches: Map.put(pool.branches, id, {key, {front, [time | rear]}})}
   end
-
-  defp take(entries, [time | waiting], time, key, value),
-    do: {Entries.found(entries, time, key, value), waiting}
-
-  defp take(entries, waiting, _time, _key, _value), do: {entries, waiting}
-
-  defp keep(pool, id, key, waiting),
-    do: %{pool | branches: Map.put(pool.branches, id, {key, waiting})}
 
   defp flush(pool) do
     {outputs, entries} = Entries.flush(pool.entries)

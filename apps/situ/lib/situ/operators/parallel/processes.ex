@@ -47,15 +47,31 @@ defmodule Situ.Parallel.Processes do
     do: {[], %{state | timing: Client.call!(context.pipeline, :timing)}}
 
   @impl true
-  def handle_message(_input, message, context, state) do
-    parts = Parts.of(state.opts.form, state.opts[:split], message.data)
-    at = {context.path, message.originating_time}
-    begun = Enum.reduce(Pool.unknown(state.pool, parts), state, &begin(&2, &1, at, state))
+  def handle_message(input, message, context, state),
+    do: handle_messages(input, [message], context, state)
 
-    {orders, outputs, pool} =
-      or_abandon(begun, state, fn -> Pool.push(begun.pool, message, parts) end)
+  @impl true
+  def handle_messages(_input, messages, context, state) do
+    {orders, outputs, after_all} =
+      Enum.reduce(messages, {[], [], state}, &push(&1, &2, context, state))
 
-    balance(outputs, carry_out(%{begun | pool: pool}, orders))
+    orders = orders |> :lists.reverse() |> :lists.append()
+    outputs = outputs |> :lists.reverse() |> :lists.append()
+    balance(outputs, carry_out(after_all, orders))
+  end
+
+  # Nothing is sent before all messages are known to be good.
+  defp push(message, {orders, outputs, state}, context, before) do
+    or_abandon(state, before, fn ->
+      parts = Parts.of(state.opts.form, state.opts[:split], message.data)
+      at = {context.path, message.originating_time}
+      begun = Enum.reduce(Pool.unknown(state.pool, parts), state, &begin(&2, &1, at, before))
+
+      {more, came, pool} =
+        or_abandon(begun, before, fn -> Pool.push(begun.pool, message, parts) end)
+
+      {[more | orders], [came | outputs], %{begun | pool: pool}}
+    end)
   end
 
   @impl true
@@ -135,7 +151,7 @@ defmodule Situ.Parallel.Processes do
   defp of_key(fun, key), do: &fun.(key, &1)
 
   defp carry_out(state, orders),
-    do: %{state | branches: Enum.reduce(orders, state.branches, &Fleet.carry_out/2)}
+    do: %{state | branches: Fleet.carry_out(orders, state.branches)}
 
   # All that has been said already, in one turn.
   defp listen({outputs, state}) do
@@ -151,20 +167,10 @@ defmodule Situ.Parallel.Processes do
   defp said({:open, gate}, id, state) when is_map_key(state.branches, id),
     do: {[], %{state | branches: Fleet.opened(state.branches, id, gate)}}
 
-  defp said({:gave, time, value}, id, state) do
-    {outputs, pool} = Pool.gave(state.pool, id, time, value)
+  defp said({:gave, gave, passed}, id, %{branches: branches} = state) do
+    passed = if match?(%{^id => %{immediate?: true}}, branches), do: passed
+    {outputs, pool} = Pool.gave(state.pool, id, gave, passed)
     {outputs, %{state | pool: pool, moved: true}}
-  end
-
-  defp said({:passed, time}, id, %{branches: branches} = state) do
-    case branches do
-      %{^id => %{immediate?: true}} ->
-        {outputs, pool} = Pool.passed(state.pool, id, time)
-        {outputs, %{state | pool: pool, moved: true}}
-
-      _ ->
-        {[], state}
-    end
   end
 
   defp said(_of_a_branch_that_is_gone, _id, state), do: {[], state}
