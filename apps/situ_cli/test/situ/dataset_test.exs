@@ -131,7 +131,8 @@ defmodule Situ.CLI.DatasetTest do
     assert Layer.annotations(again) == Layer.annotations(anna)
 
     {0, text} = run(["annotate", "agreement", eaf, Path.join(root, "ben"), "--frame", "1s"])
-    assert text =~ "Speech: kappa 0.7966" and text =~ "2 pairs; begins 500 ms apart, ends 1.00 s"
+    assert text =~ "Speech: kappa 0.7966"
+    assert text =~ "2 pairs; begins 500 ms apart, ends 1.00 s"
     assert {1, _} = run(["annotate", "agreement", eaf, Path.join(root, "ben"), "--least", "0.95"])
 
     assert %{"paired" => 2, "confusion" => [_ | _]} =
@@ -170,5 +171,49 @@ defmodule Situ.CLI.DatasetTest do
       end)
 
     assert said =~ "document type"
+  end
+
+  test "queries: of a recording, of all sessions, kept as proposals", %{tmp_dir: root} do
+    for i <- 1..2, do: record(Path.join(root, "p#{i}"), "room", i * 100)
+    file = Path.join(root, "study.json")
+    {0, _} = run(["dataset", "create", file, root])
+
+    assert {0, text} =
+             run(["store", "query", Path.join(root, "p1/room"), "Level >= 3 and Level < 5"])
+
+    assert text == "1970-01-01T00:01:43.000000000Z  1970-01-01T00:01:45.000000000Z  2.00 s\n"
+
+    assert [%{"session" => "p1", "intervals" => [_]}, %{"session" => "p2"}] =
+             json(["dataset", "query", file, "Level > 7"])
+
+    assert {0, _} =
+             run([
+               "dataset",
+               "query",
+               file,
+               "Level in [2, 3]",
+               "--name",
+               "p2",
+               "--annotate",
+               "Found"
+             ])
+
+    {:ok, dataset} = Situ.Dataset.open(file)
+    {:ok, session} = Situ.Dataset.session(dataset, "p2")
+    {:ok, layer} = Recording.load(Store.open!(List.last(session.partitions).path), "Found")
+
+    assert [%{from: 202_000_000_000, to: 204_000_000_000, proposed?: true}] =
+             Layer.annotations(layer)
+
+    said =
+      capture_io(:stderr, fn ->
+        assert Situ.CLI.run(["store", "query", Path.join(root, "p1/room"), "Level >"]) == 1
+      end)
+
+    assert said =~ "character 8"
+
+    assert capture_io(:stderr, fn ->
+             assert Situ.CLI.run(["store", "query", Path.join(root, "p1/room"), "Levl > 1"]) == 1
+           end) =~ "Level"
   end
 end

@@ -22,9 +22,10 @@ defmodule Situ.CLI.Annotate do
         words: ["annotate", "export"],
         summary:
           "write an annotation stream for ELAN, Praat, players, Label Studio or spreadsheets",
-        about:
-          "The format goes by the file's ending (.eaf, .TextGrid, .vtt, .srt, .json, .csv). Whatever it cannot hold
-          is said.",
+        about: """
+        The format goes by the file's ending (.eaf, .TextGrid, .vtt, .srt, .json, .csv). Whatever it cannot hold
+        is said.
+        """,
         arguments: [
           path: [kind: :recording, doc: "a recording with annotations"],
           file: [kind: :file, doc: "the file to write; - for standard output, with --format"]
@@ -297,16 +298,16 @@ defmodule Situ.CLI.Annotate do
 
   defp shown(report) do
     Output.puts(
-      "#{Output.name(report.attribute)}: kappa #{number(report.kappa)}, agreement #{number(report.agreement)} of
-      #{Output.number(report.frames, "frame")}"
+      "#{Output.name(report.attribute)}: kappa #{number(report.kappa)}, " <>
+        "agreement #{number(report.agreement)} of #{Output.number(report.frames, "frame")}"
     )
 
     for {track, kappa} <- Enum.sort(report.tracks),
         do: Output.puts("  #{Output.name(track)}: kappa #{number(kappa)}")
 
     Output.puts(
-      "#{Output.number(report.paired, "pair")}; begins #{span(report.begin_error)} apart, ends
-      #{span(report.end_error)}; " <>
+      "#{Output.number(report.paired, "pair")}; begins #{span(report.begin_error)} apart, " <>
+        "ends #{span(report.end_error)}; " <>
         "#{report.only_first} only in the first, #{report.only_second} only in the second"
     )
   end

@@ -1,13 +1,14 @@
 defmodule Situ.CLI.Commands do
   @moduledoc false
   # Every verb, in the order `situ --help` shows them, and how one is found.
-  alias Situ.CLI.{Annotate, Dataset, Devices, Shell, Store, Studio, Verb}
+  alias Situ.CLI.{Annotate, Dataset, Devices, Query, Shell, Store, Studio, Verb}
 
   @modules [
     Store.Looking,
     Store.Making,
     Store.Care,
     Dataset,
+    Query,
     Annotate,
     Studio,
     Devices,
@@ -20,8 +21,13 @@ defmodule Situ.CLI.Commands do
     "annotate" => "exchange annotations with other programs, compare annotators"
   }
 
+  # The verbs of one command stand together, whatever module they are in.
   @spec all() :: [Verb.t()]
-  def all, do: Enum.flat_map(@modules, & &1.verbs())
+  def all do
+    verbs = Enum.flat_map(@modules, & &1.verbs())
+    order = verbs |> Enum.map(&hd(&1.words)) |> Enum.uniq()
+    Enum.sort_by(verbs, fn verb -> Enum.find_index(order, &(&1 == hd(verb.words))) end)
+  end
 
   @spec groups() :: %{String.t() => String.t()}
   def groups, do: @groups

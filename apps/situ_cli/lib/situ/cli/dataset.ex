@@ -133,7 +133,9 @@ defmodule Situ.CLI.Dataset do
     ]
   end
 
-  defp open!(path) do
+  @doc "Opens a dataset, or whatever can be taken for one; the readers of all kinds of recordings are started."
+  @spec open!(Path.t()) :: Dataset.t()
+  def open!(path) do
     Recording.ready([path])
     for app <- [:situ_media, :situ_bridge], do: {:ok, _} = Application.ensure_all_started(app)
     ok!(Dataset.open(path))

@@ -15,8 +15,7 @@ defmodule Situ.Annotation.Exchange do
     origin: [
       type: :integer,
       doc:
-        "The time (ns) that the file calls zero. Default: writing, the first annotation's begin; reading, what the
-        file says, else 0."
+        "The time (ns) that the file calls zero. Default: the first begin; reading, what the file says, or 0."
     ],
     schema: [
       type: {:struct, Situ.Annotation.Schema},
@@ -48,7 +47,8 @@ defmodule Situ.Annotation.Exchange do
   Whatever is lost is told: `write/3` and `read/2` answer with a list of sentences, empty when all is there.
 
       iex> alias Situ.Annotation.{Exchange, Layer, Schema}
-      iex> {:ok, layer} = Layer.new(Schema.text("Words"), [Situ.Annotation.new(1_000_000_000, 2_500_000_000, "P1", %{"Words" => "Hi"})])
+      iex> hi = Situ.Annotation.new(1_000_000_000, 2_500_000_000, "P1", %{"Words" => "Hi"})
+      iex> {:ok, layer} = Layer.new(Schema.text("Words"), [hi])
       iex> {:ok, text, []} = Exchange.encode(layer, :webvtt, origin: 0)
       iex> text |> String.split("\\n") |> Enum.drop(2)
       ["1", "00:00:01.000 --> 00:00:02.500", "<v P1>Hi</v>", ""]

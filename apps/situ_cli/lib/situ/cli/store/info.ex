@@ -42,8 +42,8 @@ defmodule Situ.CLI.Store.Info do
       {:ok, store} ->
         streams = Store.streams(store)
 
-        "#{store.path}  #{Output.number(length(streams), "stream")}, #{span(streams)},
-        #{Output.bytes(Recording.size(store.path))}, #{state(Store.info(store))}"
+        "#{store.path}  #{Output.number(length(streams), "stream")}, #{span(streams)}, " <>
+          "#{Output.bytes(Recording.size(store.path))}, #{state(Store.info(store))}"
 
       {:error, error} ->
         "#{path}  #{error.what}"
@@ -68,8 +68,9 @@ defmodule Situ.CLI.Store.Info do
     Output.puts("#{info.name}  (#{store.path})")
 
     Output.puts(
-      "  #{state(info)}; #{Output.number(length(streams), "stream")}, #{Output.number(count(streams), "message")},
-      #{Output.bytes(Recording.size(store.path))} on disk"
+      "  #{state(info)}; #{Output.number(length(streams), "stream")}, " <>
+        "#{Output.number(count(streams), "message")}, " <>
+        "#{Output.bytes(Recording.size(store.path))} on disk"
     )
 
     case Store.interval(streams) do

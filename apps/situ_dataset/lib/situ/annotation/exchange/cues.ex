@@ -45,8 +45,8 @@ defmodule Situ.Annotation.Exchange.Cues do
     pad = fn n, width -> n |> Integer.to_string() |> String.pad_leading(width, "0") end
     seconds = div(ms, 1_000)
 
-    "#{pad.(div(seconds, 3_600), 2)}:#{pad.(rem(div(seconds, 60), 60), 2)}:#{pad.(rem(seconds, 60),
-    2)}#{mark}#{pad.(rem(ms, 1_000), 3)}"
+    clock = [div(seconds, 3_600), rem(div(seconds, 60), 60), rem(seconds, 60)]
+    Enum.map_join(clock, ":", &pad.(&1, 2)) <> mark <> pad.(rem(ms, 1_000), 3)
   end
 
   @doc "The blocks of a file: lists of lines."

@@ -20,8 +20,7 @@ defmodule Situ.Annotation.Exchange.Elan do
 
     text = [
       ~s(<?xml version="1.0" encoding="UTF-8"?>\n),
-      ~s(<ANNOTATION_DOCUMENT AUTHOR="" DATE="#{DateTime.to_iso8601(DateTime.from_unix!(0))}" FORMAT="3.0"
-      VERSION="3.0" ),
+      ~s(<ANNOTATION_DOCUMENT AUTHOR="" DATE="1970-01-01T00:00:00+00:00" FORMAT="3.0" VERSION="3.0" ),
       ~s(xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" ),
       ~s(xsi:noNamespaceSchemaLocation="http://www.mpi.nl/tools/elan/EAFv3.0.xsd">\n),
       header(layer.schema, opts),
@@ -86,8 +85,8 @@ defmodule Situ.Annotation.Exchange.Elan do
       Enum.find(schema.attributes, hd(schema.attributes), &(name == "#{track}.#{&1.name}"))
 
     [
-      ~s(    <TIER LINGUISTIC_TYPE_REF="#{Xml.escape(attribute.name)}"
-      TIER_ID="#{Xml.escape(name)}"#{annotator(labels)}>\n),
+      ~s(    <TIER LINGUISTIC_TYPE_REF="#{Xml.escape(attribute.name)}" TIER_ID="#{Xml.escape(name)}"),
+      annotator(labels) <> ">\n",
       labels
       |> Enum.with_index(offset + 1)
       |> Enum.map(&annotation(&1, ids, origin)),

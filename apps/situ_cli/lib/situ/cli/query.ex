@@ -1,0 +1,170 @@
+defmodule Situ.CLI.Query do
+  @moduledoc "`situ store query` and `situ dataset query`: when does an expression over streams hold?"
+  @behaviour Situ.CLI.Verb
+  alias Situ.Annotation.{Edit, Layer, Schema}
+  alias Situ.CLI.{Option, Output, Progress, Verb}
+  alias Situ.Dataset
+  alias Situ.Dataset.{OpenSession, Session}
+  alias Situ.{Query, Time}
+
+  @about """
+  The language is on one page: docs/guides/expressions.md. Streams are named as they are, in backticks where the
+  name has points; latency(S) and age(S) are those of a stream's latest message.
+  """
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["store", "query"],
+        summary: "find the intervals in which an expression over streams is true",
+        about: @about,
+        arguments: [
+          path: [kind: :recording, doc: "a recording"],
+          expression: [kind: :text, doc: "what is to hold"]
+        ],
+        options: searching(),
+        examples: [
+          "situ store query recordings/lobby '`Lobby.Speaking` and age(`Lobby.Level`) > 1s'"
+        ],
+        run: &run/2
+      },
+      %Verb{
+        words: ["dataset", "query"],
+        summary: "find the intervals in which an expression is true, in every session",
+        about: @about,
+        arguments: [
+          path: [kind: :recording, doc: "a dataset file, or a folder of recordings"],
+          expression: [kind: :text, doc: "what is to hold"]
+        ],
+        options:
+          searching() ++
+            [
+              Option.new(:tag, :string, "only sessions with this tag", many?: true),
+              Option.new(:name, :string, "only sessions whose name fits this pattern",
+                value: "PATTERN"
+              ),
+              Option.new(
+                :annotate,
+                :string,
+                "keep what is found as proposals: a new partition of this name in every session",
+                value: "PARTITION"
+              )
+            ],
+        examples: [
+          "situ dataset query study.json \"Speech.P1.Speech == 'laughs'\" --least 200ms --annotate Laughs"
+        ],
+        run: &run/2
+      }
+    ]
+  end
+
+  defp searching do
+    [
+      Option.new(:from, :time, "from this originating time on"),
+      Option.new(:to, :time, "up to this originating time"),
+      Option.new(:least, :span, "leave shorter intervals out", default: 0),
+      Option.new(:join, :span, "close gaps no longer than this", default: 0),
+      Option.new(:hold, :span, "a value grows so old at most (default: until the next message)"),
+      Option.new(:limit, :integer, "so many intervals of a session at most", default: 100_000)
+    ]
+  end
+
+  defp run(%{path: path, expression: expression}, opts) do
+    dataset = Situ.CLI.Dataset.open!(path)
+    _ = Situ.Expression.parse!(expression)
+    sessions = Dataset.select(dataset, tags: opts[:tag] || [], name: opts[:name] || "*")
+    total = length(sessions)
+
+    found =
+      Progress.show("query", opts, fn progress ->
+        for {session, n} <- Enum.with_index(sessions, 1) do
+          result = Query.run(OpenSession.open(session), expression, searched(opts))
+          progress.(n, total)
+          {session, result}
+        end
+      end)
+
+    # What one recording has not, is its error; of several sessions the others have it perhaps.
+    case found do
+      [{_, {:error, error}}] -> raise error
+      _ -> told(found, opts)
+    end
+
+    if opts[:annotate], do: annotate(dataset, found, expression, opts)
+    if Enum.any?(found, &match?({_, {:error, _}}, &1)), do: 1, else: 0
+  end
+
+  defp searched(opts) do
+    [timeout: 24 * 3_600_000] ++
+      Enum.filter(Keyword.take(opts, [:from, :to, :least, :join, :hold, :limit]), fn {_, v} ->
+        v != nil
+      end)
+  end
+
+  defp told(found, opts) do
+    if opts[:json] do
+      Output.json(for {session, result} <- found, do: json(session, result))
+    else
+      several? = match?([_, _ | _], found)
+      for {session, result} <- found, do: shown(session, result, several?)
+    end
+  end
+
+  defp json(session, {:ok, found}) do
+    intervals = for {from, to} <- found.intervals, do: %{from: from, to: to}
+    %{session: session.name, intervals: intervals, truncated: found.truncated?}
+  end
+
+  defp json(session, {:error, error}), do: %{session: session.name, error: error.what}
+
+  defp shown(session, {:ok, found}, several?) do
+    prefix = if several?, do: Output.name(session.name) <> "  ", else: ""
+
+    for {from, to} <- found.intervals,
+        do:
+          Output.puts(
+            "#{prefix}#{Time.to_iso8601(from)}  #{Time.to_iso8601(to)}  #{Time.format_duration(to - from)}"
+          )
+
+    if found.truncated?, do: Output.warn("#{prefix}there are more; --limit")
+  end
+
+  defp shown(session, {:error, error}, _several?),
+    do: Output.warn("#{session.name}: #{error.what}")
+
+  # A partition for each session in which something was found, beside its first one.
+  defp annotate(dataset, found, expression, opts) do
+    name = opts[:annotate]
+    schema = Schema.text("Query")
+
+    dataset =
+      for {session, {:ok, %{intervals: [_ | _]} = found}} <- found, reduce: dataset do
+        dataset ->
+          {:ok, empty} = Layer.new(schema)
+          proposals = Query.annotations(found, name, %{"Query" => expression}, by: "situ query")
+          {:ok, layer, _} = Edit.propose(empty, proposals)
+          folder = session.partitions |> hd() |> Map.fetch!(:path) |> Path.dirname()
+          path = ok!(Situ.Annotation.Recording.write(layer, Path.join(folder, name), name))
+          partition = Dataset.Partition.new(name, path)
+          ok!(Dataset.update_session(dataset, session.name, &put(&1, partition)))
+      end
+
+    if dataset.file,
+      do: ok!(Dataset.save(dataset)),
+      else:
+        Output.warn(
+          "the partitions are written; make a dataset of the folder to have them listed"
+        )
+  end
+
+  defp put(session, partition) do
+    case Session.partition(session, partition.name) do
+      {:ok, _} -> Session.replace(session, partition)
+      {:error, _} -> Session.add(session, partition)
+    end
+  end
+
+  defp ok!({:ok, value}), do: value
+  defp ok!({:error, error}), do: raise(error)
+end

@@ -1,0 +1,159 @@
+defmodule Situ.Expression do
+  @moduledoc """
+  A small safe language for values out of messages: derived streams and queries. The whole of it is on one page,
+  `docs/guides/expressions.md`.
+
+      iex> {:ok, e} = Situ.Expression.parse("m.x * 2 + 1 > 10 and m.name != 'idle'")
+      iex> Situ.Expression.eval(e, %{"m" => %{"x" => 5, "name" => "walk"}})
+      true
+      iex> {:ok, e} = Situ.Expression.parse("m.no.such.thing + 1")
+      iex> Situ.Expression.eval(e, %{"m" => %{}})
+      nil
+      iex> {:error, error} = Situ.Expression.parse("m.x >")
+      iex> error.why
+      "at character 6: a value belongs here, and the text ends"
+
+  It has no loops, no assignments and no way out: an expression of `n` nodes (1,000 at most) is evaluated in `n`
+  steps, each bounded by the values it is given, and cannot fail. Whatever has no value is `nil` (`null`).
+  """
+  alias Situ.Error
+  alias Situ.Expression.{Functions, Parser, Value}
+
+  @enforce_keys [:source, :tree, :run]
+  defstruct [:source, :tree, :run]
+
+  @typedoc "`run` is the compiled form, a function of the environment."
+  @type t :: %__MODULE__{source: String.t(), tree: tuple(), run: (env() -> term())}
+  @typedoc "What names mean."
+  @type env :: %{String.t() => term()}
+
+  @doc "Reads an expression. Error: `:bad_expression`, which says where."
+  @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def parse(source) when is_binary(source) do
+    case Parser.parse(source) do
+      {:ok, tree} ->
+        {:ok, %__MODULE__{source: source, tree: tree, run: compile(tree)}}
+
+      {:error, at, why} ->
+        {:error,
+         Error.new(:bad_expression, "#{inspect(source)} is no expression",
+           why: "at character #{at}: #{why}",
+           fix: "see docs/guides/expressions.md"
+         )}
+    end
+  end
+
+  @doc "As `parse/1`, but raises the error."
+  @spec parse!(String.t()) :: t()
+  def parse!(source) do
+    case parse(source) do
+      {:ok, expression} -> expression
+      {:error, error} -> raise error
+    end
+  end
+
+  @doc "The value, where names mean what `env` says (`nil` where it says nothing)."
+  @spec eval(t(), env()) :: term()
+  def eval(%__MODULE__{run: run}, env), do: run.(env)
+
+  @doc """
+  The names that an expression uses, as they are spelt, without those of functions.
+
+      iex> Situ.Expression.names(Situ.Expression.parse!("`Room.Level` > 3 and vad or latency(vad) > 500ms"))
+      ["Room.Level", "vad"]
+  """
+  @spec names(t()) :: [String.t()]
+  def names(%__MODULE__{tree: tree}), do: tree |> collect([]) |> Enum.uniq() |> Enum.sort()
+
+  defp collect({:name, name}, names), do: [name | names]
+  defp collect({:call, _, arguments}, names), do: Enum.reduce(arguments, names, &collect/2)
+  defp collect({:list, items}, names), do: Enum.reduce(items, names, &collect/2)
+  defp collect({:literal, _}, names), do: names
+  defp collect({:member, of, _}, names), do: collect(of, names)
+  defp collect({:unary, _, of}, names), do: collect(of, names)
+  defp collect({_, _, left, right}, names), do: collect(right, collect(left, names))
+
+  @doc """
+  A stream of what an expression gives for each message of another: `m` (or `value`) is the data, `time` and
+  `created` the times (ns), `latency` their difference, `sequence` the number. Times of the messages stay. Option
+  `type:` of the output (`:any`).
+
+      iex> double = fn p -> p |> Situ.from_enumerable([{1, 2}, {2, 5}]) |> Situ.Expression.map("m * 2") end
+      iex> Situ.to_list(double, pipeline: [replay: [interval: {0, :unbounded}, speed: :max]])
+      [4, 10]
+  """
+  @spec map(Situ.Stream.t(), String.t() | t(), keyword()) :: Situ.Stream.t()
+  def map(stream, expression, opts \\ []) do
+    %__MODULE__{run: run} = if is_binary(expression), do: parse!(expression), else: expression
+
+    Situ.map(
+      stream,
+      fn _data, message -> run.(of_message(message)) end,
+      Keyword.put_new(opts, :type, :any)
+    )
+  end
+
+  @doc "The names of a message."
+  @spec of_message(Situ.Message.t()) :: env()
+  def of_message(message) do
+    %{
+      "m" => message.data,
+      "value" => message.data,
+      "time" => message.originating_time,
+      "created" => message.creation_time,
+      "latency" => message.creation_time - message.originating_time,
+      "sequence" => message.sequence_id
+    }
+  end
+
+  # The tree as a function: no look at it again for each message.
+  defp compile({:literal, value}), do: fn _ -> value end
+  defp compile({:name, name}), do: fn env -> Map.get(env, name) end
+
+  defp compile({:list, items}) do
+    items = Enum.map(items, &compile/1)
+    fn env -> Enum.map(items, & &1.(env)) end
+  end
+
+  defp compile({:member, of, name}) do
+    of = compile(of)
+    fn env -> Value.member(of.(env), name) end
+  end
+
+  defp compile({:index, _, of, index}) do
+    {of, index} = {compile(of), compile(index)}
+    fn env -> Value.index(of.(env), index.(env)) end
+  end
+
+  defp compile({:unary, operator, of}) do
+    of = compile(of)
+    fn env -> Value.unary(operator, of.(env)) end
+  end
+
+  # The right side is looked at only where it counts.
+  defp compile({:binary, "and", left, right}) do
+    {left, right} = {compile(left), compile(right)}
+    fn env -> left.(env) == true and right.(env) == true end
+  end
+
+  defp compile({:binary, "or", left, right}) do
+    {left, right} = {compile(left), compile(right)}
+    fn env -> left.(env) == true or right.(env) == true end
+  end
+
+  defp compile({:binary, operator, left, right}) do
+    {left, right} = {compile(left), compile(right)}
+    fn env -> Value.binary(operator, left.(env), right.(env)) end
+  end
+
+  # Of a stream's name in a query, not of its value.
+  defp compile({:call, name, [{:name, stream}]}) when name in ["latency", "age"] do
+    key = "#{name}(#{stream})"
+    fn env -> Map.get(env, key) end
+  end
+
+  defp compile({:call, name, arguments}) do
+    arguments = Enum.map(arguments, &compile/1)
+    fn env -> Functions.call(name, Enum.map(arguments, & &1.(env))) end
+  end
+end

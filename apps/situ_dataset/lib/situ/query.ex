@@ -1,0 +1,204 @@
+defmodule Situ.Query do
+  @options [
+    from: [type: :integer, doc: "The first originating time looked at."],
+    to: [type: :integer, doc: "The last one."],
+    least: [type: :non_neg_integer, default: 0, doc: "Shorter intervals (ns) are left out."],
+    join: [
+      type: :non_neg_integer,
+      default: 0,
+      doc: "Intervals no further apart than this (ns) become one."
+    ],
+    hold: [
+      type: :pos_integer,
+      doc: "For so long (ns) a stream has the value of its last message; default: until the next."
+    ],
+    limit: [type: :pos_integer, default: 100_000, doc: "So many intervals at most."],
+    timeout: [type: :pos_integer, default: 60_000, doc: "Milliseconds."]
+  ]
+
+  @moduledoc """
+  When does it hold? The intervals in which an expression (`Situ.Expression`) over the streams of a session is true.
+
+      {:ok, found} = Situ.Query.run(open_session, "vad and latency(vad) > 500ms", least: Situ.Time.ms(200))
+      found.intervals
+      #=> [{1700000012000000000, 1700000013500000000}, ...]
+
+  Names are streams, bare (`vad`), in backticks (`` `Lobby.Speaking` ``) or with the partition (`` `[Room]:Level`
+  ``). At any time a stream has the value of its latest message, and none before its first; `latency(S)` is that
+  message's latency and `age(S)` the time since it, ns. The value of an annotation stream is a map of the tracks on
+  which there is an annotation at that time, to its values: `Speech.P1.Speaker == 'A'`, `'P1' in Speech`.
+
+  The answer is looked for at every message of the streams named, so it is exact to their times. An interval that
+  holds to the end ends with the last message. Memory does not grow with the recording, and the time is limited.
+
+  ## Options
+
+  #{Situ.Options.docs(@options)}
+  """
+  alias Situ.Annotation
+  alias Situ.Annotation.Recording
+  alias Situ.Dataset.OpenSession
+  alias Situ.{Error, Expression, Options, Store}
+  alias Situ.Query.Merge
+
+  @type found :: %{intervals: [{Situ.Time.t(), Situ.Time.t()}], truncated?: boolean()}
+
+  @doc """
+  The intervals in which `expression` is true. Errors: `:bad_expression`, `:no_stream`, `:ambiguous_stream`,
+  `:timeout`, `:constant` (it names no stream).
+  """
+  @spec run(OpenSession.t(), String.t() | Expression.t(), keyword()) ::
+          {:ok, found()} | {:error, Error.t()}
+  def run(%OpenSession{} = session, expression, opts \\ []) do
+    with {:ok, opts} <- Options.validate(opts, @options),
+         {:ok, expression} <- parsed(expression),
+         {:ok, streams} <- streams(session, Expression.names(expression), opts) do
+      deadline = System.monotonic_time(:millisecond) + opts[:timeout]
+      search(streams, expression, opts, deadline)
+    end
+  rescue
+    error in Error -> {:error, error}
+  catch
+    :late ->
+      {:error,
+       Error.new(:timeout, "the query took longer than #{opts[:timeout] || 60_000} ms",
+         fix: "look at a shorter span (from:, to:), or allow more (timeout:)"
+       )}
+  end
+
+  defp parsed(%Expression{} = expression), do: {:ok, expression}
+  defp parsed(text), do: Expression.parse(text)
+
+  defp streams(_session, [], _opts) do
+    {:error,
+     Error.new(:constant, "the expression names no stream",
+       fix: "name one, such as `Room.Level` (in backticks where the name has points)"
+     )}
+  end
+
+  defp streams(session, names, opts) do
+    Enum.reduce_while(names, {:ok, []}, fn name, {:ok, streams} ->
+      with {:ok, {_, store, stream}} <- OpenSession.find(session, name),
+           {:ok, info} <- Store.stream_info(store, stream),
+           {:ok, events} <- events(store, info, opts) do
+        {:cont, {:ok, [{name, events} | streams]}}
+      else
+        {:error, error} -> {:halt, {:error, error}}
+      end
+    end)
+  end
+
+  # `{time, value, latency}`: messages, or the begins and ends of annotations.
+  defp events(store, info, opts) do
+    if Recording.annotations?(store, info) do
+      with {:ok, annotations} <- Recording.annotations(store, info), do: {:ok, edges(annotations)}
+    else
+      # The message in force at the beginning of the span lies before it.
+      reading = Keyword.take(opts, [:to])
+
+      before =
+        case opts[:from] && Store.latest_at(store, info, opts[:from]) do
+          {:ok, %{} = message} -> [{message.originating_time, message.data, latency(message)}]
+          _ -> []
+        end
+
+      reading = if opts[:from], do: [{:from, opts[:from] + 1} | reading], else: reading
+
+      messages =
+        store
+        |> Store.messages(info, reading)
+        |> Stream.map(&{&1.originating_time, &1.data, latency(&1)})
+
+      {:ok, Stream.concat(before, messages)}
+    end
+  end
+
+  defp latency(message), do: message.creation_time - message.originating_time
+
+  defp edges(annotations) do
+    begins = for a <- annotations, do: {a.from, 1, a}
+    ends = for a <- annotations, do: {a.to, 0, a}
+
+    # At one time the ends come first; a point holds for no time at all.
+    (begins ++ ends)
+    |> Enum.filter(fn {_, _, a} -> a.from < a.to end)
+    |> Enum.sort_by(fn {time, kind, a} -> {time, kind, a.track} end)
+    |> Enum.map_reduce(%{}, fn
+      {time, 1, a}, open -> open |> Map.put(a.track, a.values) |> then(&{{time, &1, 0}, &1})
+      {time, 0, a}, open -> open |> Map.delete(a.track) |> then(&{{time, &1, 0}, &1})
+    end)
+    |> elem(0)
+  end
+
+  # Looks at the expression once all that happens at one time has happened.
+  defp search(streams, expression, opts, deadline) do
+    state = %{env: %{}, since: %{}, open: nil, found: [], count: 0, last: nil, opts: opts, n: 0}
+
+    state =
+      streams
+      |> Merge.events(opts[:hold])
+      |> Enum.reduce_while(state, fn {time, changes}, state ->
+        if rem(state.n, 1_024) == 0 and System.monotonic_time(:millisecond) > deadline,
+          do: throw(:late)
+
+        state = at(%{state | n: state.n + 1}, time, changes, expression)
+        if state.count > opts[:limit], do: {:halt, state}, else: {:cont, state}
+      end)
+
+    closed = if state.open, do: add(state, {state.open, state.last}), else: state
+    intervals = closed.found |> Enum.reverse() |> long(opts[:least]) |> Enum.take(opts[:limit])
+    {:ok, %{intervals: intervals, truncated?: state.count > opts[:limit]}}
+  end
+
+  defp at(state, time, changes, expression) do
+    {env, since} =
+      Enum.reduce(changes, {state.env, state.since}, fn
+        {name, :expired}, {env, since} ->
+          {Map.drop(env, [name, "latency(#{name})"]), Map.delete(since, name)}
+
+        {name, {value, latency}}, {env, since} ->
+          env =
+            env
+            |> Map.put(name, Expression.Value.plain(value))
+            |> Map.put("latency(#{name})", latency)
+
+          {env, Map.put(since, name, time)}
+      end)
+
+    ages = for {name, at} <- since, into: env, do: {"age(#{name})", time - at}
+    state = %{state | env: env, since: since, last: time}
+    true? = Expression.eval(expression, ages) == true and inside?(time, state.opts)
+
+    case {state.open, true?} do
+      {nil, true} -> %{state | open: max(time, state.opts[:from] || time)}
+      {open, false} when open != nil -> add(%{state | open: nil}, {open, time})
+      _ -> state
+    end
+  end
+
+  # The message in force when the span begins counts from the beginning on.
+  defp inside?(time, opts), do: opts[:to] == nil or time <= opts[:to]
+
+  defp add(state, {from, to}) do
+    case state.found do
+      [{before, ended} | rest] when from - ended <= 0 -> %{state | found: [{before, to} | rest]}
+      [{before, ended} | rest] -> joined(state, {before, ended}, rest, {from, to})
+      [] -> %{state | found: [{from, to}], count: 1}
+    end
+  end
+
+  defp joined(state, {before, ended}, rest, {from, to}) do
+    if from - ended <= state.opts[:join],
+      do: %{state | found: [{before, to} | rest]},
+      else: %{state | found: [{from, to}, {before, ended} | rest], count: state.count + 1}
+  end
+
+  defp long(intervals, least), do: Enum.filter(intervals, fn {from, to} -> to - from >= least end)
+
+  @doc "The intervals as annotations of one track: proposals, for `Situ.Annotation.Edit.propose/2`."
+  @spec annotations(found(), String.t(), map(), keyword()) :: [Annotation.t()]
+  def annotations(%{intervals: intervals}, track, values \\ %{}, more \\ []) do
+    for {from, to} <- intervals,
+        do: Annotation.new(from, to, track, values, [{:proposed?, true} | more])
+  end
+end

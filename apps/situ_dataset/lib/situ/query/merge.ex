@@ -1,0 +1,66 @@
+defmodule Situ.Query.Merge do
+  @moduledoc false
+  # Events of several streams, one by one in the order of time: what happens at one time comes together.
+
+  @type event :: {Situ.Time.t(), value :: term(), latency :: integer()}
+  @type change :: {name :: String.t(), {value :: term(), latency :: integer()} | :expired}
+
+  @doc "`{time, changes}`; with `hold` a value that nothing follows for so long expires."
+  @spec events([{String.t(), Enumerable.t()}], pos_integer() | nil) :: Enumerable.t()
+  def events(streams, hold) do
+    Stream.resource(
+      fn ->
+        heads =
+          for {name, events} <- streams, head = next(name, opened(events), hold, nil), do: head
+
+        Enum.sort_by(heads, &time/1)
+      end,
+      &step(&1, hold),
+      fn _ -> :ok end
+    )
+  end
+
+  defp opened(enumerable),
+    do: &Enumerable.reduce(enumerable, &1, fn item, _ -> {:suspend, item} end)
+
+  # A head: the next change of a stream, with how to go on.
+  defp next(name, rest, hold, since) do
+    case rest.({:cont, nil}) do
+      {:suspended, {time, value, latency}, rest} ->
+        if hold != nil and since != nil and time - since > hold,
+          do: {since + hold, name, :expired, {:held, {time, value, latency}, rest}},
+          else: {time, name, {value, latency}, {:read, rest}}
+
+      {_, _} ->
+        if hold != nil and since != nil, do: {since + hold, name, :expired, :done}
+    end
+  end
+
+  defp follow({time, name, _, {:read, rest}}, hold), do: next(name, rest, hold, time)
+
+  defp follow({_, name, _, {:held, {time, value, latency}, rest}}, _hold),
+    do: {time, name, {value, latency}, {:read, rest}}
+
+  defp follow({_, _, _, :done}, _hold), do: nil
+
+  defp time({time, _, _, _}), do: time
+
+  defp step([], _hold), do: {:halt, []}
+
+  defp step([first | _] = heads, hold) do
+    {now, later} = Enum.split_while(heads, &(time(&1) == time(first)))
+    following = for head <- now, next = follow(head, hold), do: next
+    {same, _} = Enum.split_with(following, &(time(&1) == time(first)))
+    changes = for {_, name, change, _} <- now, do: {name, change}
+
+    # Of several of one stream at one time (edges of annotations) the last counts.
+    if same == [],
+      do: {[{time(first), changes}], Enum.sort_by(following ++ later, &time/1)},
+      else: again(changes, following, later, first, hold)
+  end
+
+  defp again(changes, following, later, first, hold) do
+    {[{_, more}], heads} = step(Enum.sort_by(following ++ later, &time/1), hold)
+    {[{time(first), changes ++ more}], heads}
+  end
+end
