@@ -312,6 +312,10 @@ defmodule Situ do
   @doc group: "Picking, moving, editing"
   defdelegate process(stream, state, fun, opts \\ []), to: Situ.Selection
 
+  @doc "See `Situ.StateMachine.state_machine/3`."
+  @doc group: "Picking, moving, editing"
+  defdelegate state_machine(stream, machine, opts \\ []), to: Situ.StateMachine
+
   @doc "See `Situ.Selection.edit/3`."
   @doc group: "Picking, moving, editing"
   defdelegate edit(stream, edits, opts \\ []), to: Situ.Selection

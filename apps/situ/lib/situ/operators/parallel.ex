@@ -18,7 +18,12 @@ defmodule Situ.Parallel do
       doc: "Maps: output only keys of the message, not all that are alive."
     ],
     on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop, doc: "See above."],
-    branches: [type: {:in, [:values, :processes]}, default: :values, doc: "See above."]
+    branches: [type: {:in, [:values, :processes]}, default: :values, doc: "See above."],
+    branch_policy: [
+      type: {:struct, Situ.Delivery},
+      doc:
+        "Of branches in processes: the delivery policy of the connections inside of them, which have none of their own."
+    ]
   ]
 
   @moduledoc """
@@ -87,6 +92,8 @@ defmodule Situ.Parallel do
   alias Situ.Graph.Placement
   alias Situ.{Operator, Stream}
 
+  @no_queues "branch_policy: goes with branches: :processes: inside of a branch that is a value nothing waits"
+
   @doc """
   Branches by `fun`: see the forms above. Which form it is follows from the stream's type, `size:`, and the function: with a key as first
   argument it is sparse unless the type is a list. `of: :lists` or `of: :maps` says it where that is not enough.
@@ -99,9 +106,12 @@ defmodule Situ.Parallel do
     form = form(stream.type, fun, own)
     options = [fun: fun, form: form, type: part(stream.type, own), missing: missing(own)]
     shared = Keyword.take(own, [:split, :with, :on_branch_error])
+    processes? = own[:branches] == :processes
+    if own[:branch_policy] && not processes?, do: raise(ArgumentError, @no_queues)
+    shared = if processes?, do: Keyword.take(own, [:branch_policy]) ++ shared, else: shared
     options = options ++ shared ++ [termination: Until.parse(own[:until])]
     type = if own[:with], do: :any, else: if(is_map_form(form), do: :map, else: :list)
-    box = if own[:branches] == :processes, do: Processes, else: Box
+    box = if processes?, do: Processes, else: Box
     Operator.through(stream, "Parallel", {box, options}, placed, type)
   end
 

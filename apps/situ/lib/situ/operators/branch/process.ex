@@ -129,6 +129,7 @@ defmodule Situ.Branch.Process do
     to = self()
     replay = [interval: interval(timing), speed: if(timing.enforce, do: 1.0, else: :max)]
     settings = [name: path, clock: timing.clock, replay: replay]
+    settings = if timing[:policy], do: [default_policy: timing.policy] ++ settings, else: settings
     spec = fn p -> build(p, fun, {to, id}, path, type) end
 
     case Launcher.start_answering(spec, [pipeline: settings], id) do

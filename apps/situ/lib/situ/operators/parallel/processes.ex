@@ -17,7 +17,8 @@ defmodule Situ.Parallel.Processes do
       termination: [type: :any, default: :never],
       missing: [type: :any, default: :drop],
       on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop],
-      branches: [type: {:in, [:processes]}, default: :processes]
+      branches: [type: {:in, [:processes]}, default: :processes],
+      branch_policy: [type: {:optional, {:struct, Situ.Delivery}}]
     ]
 
   alias Situ.Parallel.{Entries, Fleet, Parts, Pool}
@@ -130,7 +131,7 @@ defmodule Situ.Parallel.Processes do
 
   defp begin(state, key, {path, time}, before) do
     id = make_ref()
-    timing = Map.put(state.timing, :start, time)
+    timing = Map.merge(state.timing, %{start: time, policy: state.opts[:branch_policy]})
     at = {Situ.Branch.Path.to_string({path, key}), state.opts.type, timing}
     fun = of_key(state.opts.fun, key)
     fleet = or_abandon(state, before, fn -> Fleet.begin(state.branches, id, fun, at) end)

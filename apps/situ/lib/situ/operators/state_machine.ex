@@ -1,0 +1,103 @@
+defmodule Situ.StateMachine do
+  @moduledoc """
+  A finite state machine over a stream: which state it is in decides how it takes the next message. Written as `:gen_statem`'s callbacks are,
+  but pure, and by the time of the stream: so it is reproducible, timeouts included.
+
+      defmodule Door do
+        @behaviour Situ.StateMachine
+
+        @impl true
+        def init(_opts), do: {:closed, %{opened: 0}}
+
+        @impl true
+        def handle_event(:closed, {:message, %{data: :push}}, data),
+          do: {:next_state, :open, %{data | opened: data.opened + 1}, [{:emit, :opened}, {:state_timeout, Situ.Time.s(3)}]}
+
+        def handle_event(:open, :state_timeout, data), do: {:next_state, :closed, data, [{:emit, :closed}]}
+        def handle_event(_state, _event, data), do: {:keep_state, data}
+      end
+
+      Situ.state_machine(pushes, Door)
+
+  A machine may also be a function, `fun.(state, event, data)`, with `init: {state, data}`:
+
+      iex> blink = fn
+      ...>   :off, {:message, _}, n -> {:next_state, :on, n + 1, [{:emit, {:on, n + 1}}, {:state_timeout, 5}]}
+      ...>   :on, :state_timeout, n -> {:next_state, :off, n, [{:emit, :off}]}
+      ...>   _state, _event, n -> {:keep_state, n}
+      ...> end
+      iex> inputs = [presses: [{0, :press}, {3, :press}, {20, :press}]]
+      iex> Situ.Test.run(inputs, fn s -> Situ.state_machine(s.presses, blink, init: {:off, 0}) end)
+      {:ok, [{0, {:on, 1}}, {5, :off}, {20, {:on, 2}}]}
+
+  ## Events
+
+    * `{:message, message}`: a `Situ.Message` arrived;
+    * `:state_timeout`: the machine has been in its state for the time that it asked for. It comes when the stream shows that the time has
+      passed: with the first message later than that, before it; its outputs have the timeout's own time;
+    * `{:closed, time}`: the stream ended; a timeout due by then comes before.
+
+  ## Answers
+
+    * `{:keep_state, data}`, `{:keep_state, data, actions}`: the timeout, if there is one, stands;
+    * `{:next_state, state, data}`, `{:next_state, state, data, actions}`: a timeout asked for in the state before is void.
+
+  Actions: `{:emit, value}` (one per event: times strictly increase), `{:state_timeout, ns}` from the event's time on, `{:state_timeout, :infinity}` for none.
+
+  Reproducible: yes.
+  """
+  alias Situ.Graph.Placement
+  alias Situ.{Operator, Stream}
+  alias Situ.StateMachine.Runner
+
+  @type state :: term()
+  @type data :: term()
+  @type event :: {:message, Situ.Message.t()} | :state_timeout | {:closed, Situ.Time.t()}
+  @type action :: {:emit, term()} | {:state_timeout, Situ.Time.duration() | :infinity}
+  @type answer ::
+          {:keep_state, data()}
+          | {:keep_state, data(), [action()]}
+          | {:next_state, state(), data()}
+          | {:next_state, state(), data(), [action()]}
+
+  @callback init(opts :: keyword()) :: {state(), data()}
+  @callback handle_event(state(), event(), data()) :: answer()
+
+  @schema [
+    init: [
+      type: {:tuple, [:any, :any]},
+      doc: "First state and data of a machine that is a function."
+    ],
+    opts: [type: :keyword, default: [], doc: "What a module's `init/1` gets."]
+  ]
+
+  @doc """
+  The values that the machine emits. Options: those of `Situ.Graph.Placement` and
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @spec state_machine(Stream.t(), module() | (state(), event(), data() -> answer()), keyword()) ::
+          Stream.t()
+  def state_machine(%Stream{} = stream, machine, opts \\ []) do
+    {own, placed} = Placement.split!(opts, @schema, :operator)
+    Operator.through(stream, "StateMachine", {Runner, start(machine, own)}, placed)
+  end
+
+  defp start(fun, own) when is_function(fun, 3) do
+    case own[:init] do
+      {_state, _data} = init -> [fun: fun, init: fn -> init end]
+      nil -> raise ArgumentError, "a machine that is a function needs init: {state, data}"
+    end
+  end
+
+  defp start(module, own) when is_atom(module) do
+    unless Code.ensure_loaded?(module) and function_exported?(module, :handle_event, 3),
+      do:
+        raise(
+          ArgumentError,
+          "#{inspect(module)} is no Situ.StateMachine: it has no handle_event/3"
+        )
+
+    [fun: &module.handle_event/3, init: fn -> module.init(own[:opts]) end]
+  end
+end
