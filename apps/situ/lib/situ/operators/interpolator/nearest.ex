@@ -7,58 +7,88 @@ defmodule Situ.Interpolator.Nearest do
 
   @type config :: {Interval.t(), waits? :: boolean()}
 
+  # Ends of the window as guards. An atom sorts after every number: an unbounded right end is later than everything.
+  defguardp from?(at, low, inclusive)
+            when low == :unbounded or at > low or (inclusive and at == low)
+
+  defguardp to?(at, high, inclusive) when at < high or (inclusive and at == high)
+
   @impl true
   def interpolate(_time, [], nil, {_window, true}), do: :insufficient_data
   def interpolate(_time, [], _closed, _config), do: {:does_not_exist, nil}
 
   def interpolate(time, messages, closed, {window, waits?}) do
-    waits? = waits? and closed == nil
-    low = edge(time, window.left)
-    high = edge(time, window.right)
-    scan(messages, time, {low, window.left_inclusive, high, window.right_inclusive, waits?}, nil)
+    %{left_inclusive: low_in, right_inclusive: high_in} = window
+    {low, high} = {edge(time, window.left), edge(time, window.right)}
+
+    # Both ends at one time and not both included: nothing can lie in such a window.
+    if low == high and low != :unbounded and not (low_in and high_in),
+      do: empty(messages, time, {low, high}, waits? and closed == nil),
+      else: before(messages, time, {low, high, waits? and closed == nil}, low_in, high_in)
   end
 
-  # Runs through the queue; `best` is the nearest so far, nil before the first in the window.
-  defp scan([%Message{originating_time: at} = message | rest], time, frame, nil) do
-    {low, low_inclusive, high, high_inclusive, _waits?} = frame
+  # Up to the first message in the window.
+  defp before([%Message{originating_time: at} | rest], time, {low, _, _} = frame, low_in, high_in)
+       when not from?(at, low, low_in),
+       do: before(rest, time, frame, low_in, high_in)
 
-    cond do
-      # Both ends at one time and not both included: nothing can lie in such a window.
-      at == low and low == high and not (low_inclusive and high_inclusive) -> none(time, high)
-      not Interval.after_left?(at, low, low_inclusive) -> scan(rest, time, frame, nil)
-      Interval.before_right?(at, high, high_inclusive) -> scan(rest, time, frame, message)
-      true -> none(time, high)
+  defp before(
+         [%Message{originating_time: at} = first | rest],
+         time,
+         {_, high, _} = frame,
+         _,
+         high_in
+       )
+       when to?(at, high, high_in),
+       do: scan(rest, time, high, high_in, frame, first, abs(at - time))
+
+  defp before([_past | _], time, {_, high, _}, _low_in, _high_in), do: none(time, high)
+  defp before([], time, frame, _low_in, _high_in), do: none_yet(time, frame)
+
+  # From there to the first that is past the window, or farther away than the best so far.
+  defp scan(
+         [%Message{originating_time: at} = message | rest],
+         time,
+         high,
+         high_in,
+         frame,
+         best,
+         distance
+       )
+       when to?(at, high, high_in) do
+    case abs(at - time) do
+      nearer when nearer <= distance ->
+        scan(rest, time, high, high_in, frame, message, nearer)
+
+      _farther ->
+        created(best)
     end
   end
 
-  defp scan([%Message{originating_time: at} = message | rest], time, frame, best) do
-    {_low, _low_inclusive, high, high_inclusive, _waits?} = frame
+  defp scan([_past | _], _time, _high, _high_in, _frame, best, _distance), do: created(best)
 
-    if Interval.before_right?(at, high, high_inclusive) and
-         abs(at - time) <= abs(best.originating_time - time),
-       do: scan(rest, time, frame, message),
-       else: created(best)
+  defp scan([], time, high, _high_in, {_low, _high, true}, best, _distance) do
+    decided_at = decided_at(time, high)
+    if best.originating_time < decided_at, do: {:wait, decided_at}, else: created(best)
   end
+
+  defp scan([], _time, _high, _high_in, _frame, best, _distance), do: created(best)
+
+  defp empty([%Message{originating_time: at} | rest], time, {low, _} = ends, waits?)
+       when at < low,
+       do: empty(rest, time, ends, waits?)
+
+  defp empty([_there | _], time, {_low, high}, _waits?), do: none(time, high)
+  defp empty([], time, {low, high}, waits?), do: none_yet(time, {low, high, waits?})
 
   # Every message lies before the window: unless the stream has ended, one that fits may come. The first that could settle
   # it is one in the window from where no later one can be nearer.
-  defp scan([], time, {low, _low_inclusive, high, _high_inclusive, true}, nil) do
+  defp none_yet(time, {low, high, true}) do
     decided_at = decided_at(time, high)
     {:wait, if(low == :unbounded, do: decided_at, else: max(low, decided_at))}
   end
 
-  defp scan([], time, {_low, _low_inclusive, high, _high_inclusive, false}, nil),
-    do: none(time, high)
-
-  defp scan([], time, {_low, _low_inclusive, high, _high_inclusive, true}, best) do
-    decided_at = decided_at(time, high)
-
-    if best.originating_time < decided_at,
-      do: {:wait, decided_at},
-      else: created(best)
-  end
-
-  defp scan([], _time, _frame, best), do: created(best)
+  defp none_yet(time, {_low, high, false}), do: none(time, high)
 
   defp created(%Message{data: data, originating_time: at}), do: {:created, data, at}
   defp none(time, high), do: {:does_not_exist, decided_at(time, high)}
