@@ -2,9 +2,9 @@ defmodule Situ do
   @moduledoc """
   Programs that see, hear and act in the world, as pipelines of components joined by time-stamped streams.
 
-  This module is what pipelines are written with: functions that add sources, functions from streams to streams, functions that
-  bring streams together. The modules they come from (`Situ.Fusion`, `Situ.Window`, `Situ.Aggregate` ...) hold their tables and
-  options; `Situ.Pipeline` runs what was built.
+  This module is what pipelines are written with: functions that add sources, functions from streams to streams,
+  functions that bring streams together. The modules they come from (`Situ.Fusion`, `Situ.Window`, `Situ.Aggregate`
+  ...) hold their tables and options; `Situ.Pipeline` runs what was built.
 
   ## A first pipeline
 
@@ -21,35 +21,36 @@ defmodule Situ do
       iex> Situ.to_list(build, pipeline: [replay: [interval: {0, :unbounded}]])
       [20.6, 24.0]
 
-  `build` describes a graph; nothing runs until a pipeline is started with it. `to_list/2` runs one to its end, as fast as it can, and
-  collects a stream. Run it again, on a busy machine, in real time or at ten times the speed: the values and their times are the
-  same. That is the point of what follows.
+  `build` describes a graph; nothing runs until a pipeline is started with it. `to_list/2` runs one to its end, as
+  fast as it can, and collects a stream. Run it again, on a busy machine, in real time or at ten times the speed:
+  the values and their times are the same. That is the point of what follows.
 
   ## Messages and time
 
-  A stream carries messages: data with an **originating time**, the moment in the world that the data tells of, in integer
-  nanoseconds since 1970 (`Situ.Time`). A camera's picture has the time at which it was exposed. A face found in it 80 ms
-  later has that same time: operators carry it along. The time at which a message was made is its *creation time*; the difference is its latency.
-  Along one stream originating times strictly increase.
+  A stream carries messages: data with an **originating time**, the moment in the world that the data tells of, in
+  integer nanoseconds since 1970 (`Situ.Time`). A camera's picture has the time at which it was exposed. A face
+  found in it 80 ms later has that same time: operators carry it along. The time at which a message was made is its
+  *creation time*; the difference is its latency. Along one stream originating times strictly increase.
 
-  So streams are brought together by the times of what they tell of, not by when they happened to arrive. `join/4` above waited,
-  for each knock, until no later reading could be nearer. Operators of this kind are **reproducible**. The few that go by arrival or by the clock
-  (`pair/3`, `merge/3`, `latency/2`, `timer/2`, `event_source/3`, `fuse/4` with `Situ.Available`) say *Reproducible: no* in their
-  documentation.
+  So streams are brought together by the times of what they tell of, not by when they happened to arrive. `join/4`
+  above waited, for each knock, until no later reading could be nearer. Operators of this kind are **reproducible**.
+  The few that go by arrival or by the clock (`pair/3`, `merge/3`, `latency/2`, `timer/2`, `event_source/3`,
+  `fuse/4` with `Situ.Available`) say *Reproducible: no* in their documentation.
 
   ## Components
 
-  Functions on data (`map/3`, `filter/3`, `scan/4`, statistics, windows) go a long way. Whatever has state of its own, several inputs or outputs, a
-  device or a file is a component: a module with pure callbacks (`Situ.Component`). There is one way to add each kind:
+  Functions on data (`map/3`, `filter/3`, `scan/4`, statistics, windows) go a long way. Whatever has state of its
+  own, several inputs or outputs, a device or a file is a component: a module with pure callbacks
+  (`Situ.Component`). There is one way to add each kind:
 
       camera = Situ.source(p, Camera, device: "/dev/video0", name: "Front")            # no inputs
       faces = Situ.via(camera, FaceDetector, min_score: 0.6, policy: Situ.Delivery.latest())
       cropped = Situ.via([image: camera, rect: rectangles], ImageCrop)                 # several inputs
 
   One keyword list holds the component's own options and those of its place in the pipeline: name, delivery policy, what
-  happens when it fails (`Situ.Graph.Placement`). A component with several outputs gives a map of streams. Libraries offer functions around
-  this (`Situ.Media.Camera.open/2`, `Situ.Infer.voice/2`), which take the same options. `composite/3` groups components
-  under one name.
+  happens when it fails (`Situ.Graph.Placement`). A component with several outputs gives a map of streams. Libraries
+  offer functions around this (`Situ.Media.Camera.open/2`, `Situ.Infer.voice/2`), which take the same options.
+  `composite/3` groups components under one name.
 
   ## Running
 
@@ -67,10 +68,11 @@ defmodule Situ do
       {:ok, report} = Situ.Pipeline.run(Doorbell, device: "porch.mp4")    # to its end, as fast as possible
       children = [{Doorbell, device: "/dev/video0"}]                      # supervised, in real time
 
-  Each component is a process, supervised by its pipeline; straight runs of light operators share one. Processes ask for messages, so memory
-  stays bounded and a slow consumer slows its files and generators down. A camera cannot wait: a delivery policy says
-  which pictures to leave out (`Situ.Delivery`). A component that raises stops the pipeline, skips the message or is restarted, as its `on_error:`
-  says. A running pipeline can be looked at and changed:
+  Each component is a process, supervised by its pipeline; straight runs of light operators share one. Processes ask
+  for messages, so memory stays bounded and a slow consumer slows its files and generators down. A camera cannot
+  wait: a delivery policy says which pictures to leave out (`Situ.Delivery`). A component that raises stops the
+  pipeline, skips the message or is restarted, as its `on_error:` says. A running pipeline can be looked at and
+  changed:
 
   | | |
   |---|---|
@@ -81,8 +83,9 @@ defmodule Situ do
 
   ## Where to go on
 
-  The guides, in this order: *Your first pipeline*, *Writing a component*, *Fusing streams*, *Operators* (every function in one table),
-  *Choosing a delivery policy*, *When things fail*, *Situ in your application*. `Situ.Test` tests pipelines with a clock that you move by hand.
+  The guides, in this order: *Your first pipeline*, *Writing a component*, *Fusing streams*, *Operators* (every
+  function in one table), *Choosing a delivery policy*, *When things fail*, *Situ in your application*. `Situ.Test`
+  tests pipelines with a clock that you move by hand.
   """
   import Kernel, except: [min: 2, max: 2, abs: 1, tap: 2, inspect: 1, inspect: 2]
   alias Situ.{Node, Operator, Pipeline, Stream}
@@ -405,10 +408,11 @@ defmodule Situ do
   defdelegate to_stream(build, opts \\ []), to: Situ.Collector
 
   @doc """
-  Looks at a stream of a running pipeline: `fun` gets every `Situ.Message`, in a process of its own behind a lossy queue.
+  Looks at a stream of a running pipeline: `fun` gets every `Situ.Message`, in a process of its own behind a lossy
+  queue.
 
-  `target` is a stream, or `{pipeline, stream_name}`. Options: `policy:` and `name:`. `detach_tap/1` ends it. See `Situ.Pipeline.Tap`;
-  `tap/2` builds a tap into the pipeline from the start.
+  `target` is a stream, or `{pipeline, stream_name}`. Options: `policy:` and `name:`. `detach_tap/1` ends it. See
+  `Situ.Pipeline.Tap`; `tap/2` builds a tap into the pipeline from the start.
   """
   @spec attach_tap(
           Stream.t() | {Pipeline.target(), String.t()},

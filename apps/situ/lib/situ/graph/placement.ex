@@ -1,6 +1,7 @@
 defmodule Situ.Graph.Placement do
   @moduledoc """
-  How a component or operator is placed in a pipeline: the options that all of them take besides their own, in the same keyword list.
+  How a component or operator is placed in a pipeline: the options that all of them take besides their own, in the
+  same keyword list.
 
       iex> own = [gain: [type: :number, default: 1]]
       iex> Situ.Graph.Placement.split!([name: "Left", gain: 2], own, :operator)

@@ -32,8 +32,8 @@ defmodule Situ.Aggregate do
   | `{:last, n}` | the last `n` messages | from the `n`-th message on |
   | `{:past, span}` | the messages of the last `span` ns, both ends included | with each message |
 
-  Outputs keep the time of the message that causes them. Numbers may be `:nan`, `:infinity`, `:neg_infinity` and `nil` (no value); the rules are
-  those of `Situ.Statistics`.
+  Outputs keep the time of the message that causes them. Numbers may be `:nan`, `:infinity`, `:neg_infinity` and
+  `nil` (no value); the rules are those of `Situ.Statistics`.
 
       Situ.average(level, over: {:past, Situ.Time.s(1)})
       Situ.count(words, where: &(&1 != ""))
@@ -95,8 +95,8 @@ defmodule Situ.Aggregate do
   def std(stream, opts \\ []), do: statistic(stream, :std, opts)
 
   @doc """
-  The next number minus this one, at **this** one's time: it comes out with the next message, and the last message gives nothing. `where:`
-  filters first.
+  The next number minus this one, at **this** one's time: it comes out with the next message, and the last message
+  gives nothing. `where:` filters first.
   """
   @spec delta(Stream.t(), keyword()) :: Stream.t()
   def delta(stream, opts \\ []) do

@@ -1,9 +1,10 @@
 defmodule Situ.Available do
   @moduledoc """
-  Interpolators that answer at once with what has arrived: quick, but **not reproducible**, since the answer depends on timing.
+  Interpolators that answer at once with what has arrived: quick, but **not reproducible**, since the answer depends
+  on timing.
 
-  Use them where an answer now beats the right answer later (a display, a control loop), with `Situ.fuse/4`; `Situ.join/4`
-  refuses them. Windows and options are those of `Situ.Reproducible`.
+  Use them where an answer now beats the right answer later (a display, a control loop), with `Situ.fuse/4`;
+  `Situ.join/4` refuses them. Windows and options are those of `Situ.Reproducible`.
 
       iex> messages = for {t, v} <- [{10, :a}, {20, :b}], do: %Situ.Message{originating_time: t, data: v}
       iex> Situ.Interpolator.interpolate(Situ.Available.nearest(), 24, messages, nil)

@@ -2,8 +2,8 @@ defmodule Situ.Branch do
   @moduledoc """
   A piece of a pipeline that runs as a value: no process, no queue, one message at a time.
 
-  Components are pure state machines, so a graph of them is one too. `Situ.parallel/3` runs its branches this way, which makes a branch as
-  cheap as the state that its components keep.
+  Components are pure state machines, so a graph of them is one too. `Situ.parallel/3` runs its branches this way,
+  which makes a branch as cheap as the state that its components keep.
 
       iex> branch = Situ.Branch.start(fn stream -> stream |> Situ.map(& &1 + 1) |> Situ.sum() end)
       iex> message = &%Situ.Message{originating_time: &1, data: &2}
@@ -12,8 +12,9 @@ defmodule Situ.Branch do
       iex> outputs
       [{2, 32}]
 
-  A branch may hold anything that does no more than answer its inputs: all operators but sources, `Situ.timer/3` and `Situ.delay/3`, and
-  components without timers and processes of their own. Others are refused with `Situ.Error` `:not_in_branch`.
+  A branch may hold anything that does no more than answer its inputs: all operators but sources, `Situ.timer/3` and
+  `Situ.delay/3`, and components without timers and processes of their own. Others are refused with `Situ.Error`
+  `:not_in_branch`.
   """
 
   alias Situ.{Error, Graph, Message, Stream}
@@ -38,8 +39,8 @@ defmodule Situ.Branch do
   @doc """
   Builds the graph of `fun` (from a stream to a stream, or to anything else when nothing is to come out) and starts it.
 
-  Options: `type:` of the input or a `seed:`, `path:` for errors (a string, or `{string, key}`), `context:` the surrounding
-  component's.
+  Options: `type:` of the input or a `seed:`, `path:` for errors (a string, or `{string, key}`), `context:` the
+  surrounding component's.
   """
   @spec start((Stream.t() -> Stream.t() | term()), keyword()) :: t()
   def start(fun, opts \\ []) when is_function(fun, 1) do

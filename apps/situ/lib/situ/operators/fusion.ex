@@ -52,16 +52,18 @@ defmodule Situ.Fusion do
 
   ## Forms
 
-  `join(a, b)` gives `{a, b}`; `join(a, [b, c])` gives `{a, [b, c]}`; `join([a, b, c])` gives `[a, b, c]`, its first stream being the primary;
-  `join(a, %{left: b, right: c})` gives `{a, %{left: b, right: c}}`, and its inputs may come and go (`add_input/4`).
-  Where a stream's type is a tuple (as a join's is), its elements are put in flat: `a |> join(b) |> join(c)` gives `{a, b, c}`.
-  (A default that is no tuple stands for each element of its side.) `with: fun` makes the output itself, `fun.(primary, secondary)`.
+  `join(a, b)` gives `{a, b}`; `join(a, [b, c])` gives `{a, [b, c]}`; `join([a, b, c])` gives `[a, b, c]`, its first
+  stream being the primary; `join(a, %{left: b, right: c})` gives `{a, %{left: b, right: c}}`, and its inputs may
+  come and go (`add_input/4`). Where a stream's type is a tuple (as a join's is), its elements are put in flat: `a
+  |> join(b) |> join(c)` gives `{a, b, c}`. (A default that is no tuple stands for each element of its side.) `with:
+  fun` makes the output itself, `fun.(primary, secondary)`.
 
   A tolerance (ns) or a window in place of an interpolator means `Situ.Reproducible.nearest/2`.
 
-  Primaries wait until every secondary can answer. A secondary that falls silent without ending makes them wait (see the queue
-  lengths in the diagnostics): `give_up_after:` and `max_queue:` bound that. A lossy policy on an input drops messages before the operator sees them; what is
-  left is fused by the same rule, but which messages are left depends on timing.
+  Primaries wait until every secondary can answer. A secondary that falls silent without ending makes them wait (see
+  the queue lengths in the diagnostics): `give_up_after:` and `max_queue:` bound that. A lossy policy on an input
+  drops messages before the operator sees them; what is left is fused by the same rule, but which messages are left
+  depends on timing.
 
   ## Options
 
@@ -113,15 +115,16 @@ defmodule Situ.Fusion do
       ...
       {:ok, from} = Situ.Fusion.add_input(fused, :right, right)
 
-  `fused` and `stream` are streams of the same running pipeline, or `{pipeline, name}` and a name. Answers the originating time from which the
-  input takes part, or `:start` when nothing has come yet: primaries from that time on need its value, earlier ones are as if it
-  were not there, and so are its own earlier messages. By default that is the earliest time at which this is exact: behind the last
-  primary that has arrived and behind the last message that `stream` has sent. `from:` names a later one; the outputs then do not
-  depend on the moment of adding. A merge takes messages from now on.
+  `fused` and `stream` are streams of the same running pipeline, or `{pipeline, name}` and a name. Answers the
+  originating time from which the input takes part, or `:start` when nothing has come yet: primaries from that time
+  on need its value, earlier ones are as if it were not there, and so are its own earlier messages. By default that
+  is the earliest time at which this is exact: behind the last primary that has arrived and behind the last message
+  that `stream` has sent. `from:` names a later one; the outputs then do not depend on the moment of adding. A merge
+  takes messages from now on.
 
-  Options: `from:` (ns), `interpolator:` (default the operator's), `policy:`. Errors: `:too_late` (with the `earliest` time in `meta`), `:duplicate_input`,
-  `:not_reproducible`, `:fixed_inputs` (an operator of another form), `:circle` (the stream depends on the operator), `:inside_chain`,
-  `:unknown_stream`, `:not_running`.
+  Options: `from:` (ns), `interpolator:` (default the operator's), `policy:`. Errors: `:too_late` (with the
+  `earliest` time in `meta`), `:duplicate_input`, `:not_reproducible`, `:fixed_inputs` (an operator of another
+  form), `:circle` (the stream depends on the operator), `:inside_chain`, `:unknown_stream`, `:not_running`.
   """
   @spec add_input(
           Stream.t() | {Pipeline.target(), String.t()},
@@ -132,20 +135,21 @@ defmodule Situ.Fusion do
   def add_input(fused, key, stream, opts \\ []), do: DynamicInputs.add(fused, key, stream, opts)
 
   @doc """
-  Takes the input `key` of a join or fusion over a map, or of a merge, away while the pipeline runs, whether it was added or there
-  from the start.
+  Takes the input `key` of a join or fusion over a map, or of a merge, away while the pipeline runs, whether it was
+  added or there from the start.
 
-  Answers the originating time from which primaries do not need it (`:start` when none has come yet): by default, and at the earliest, behind the last primary that has
-  arrived; `until:` names a later one. Primaries before that still wait for it; then the connection goes. Errors: `:too_late`, `:unknown_input`,
-  `:fixed_inputs`, `:not_running`.
+  Answers the originating time from which primaries do not need it (`:start` when none has come yet): by default,
+  and at the earliest, behind the last primary that has arrived; `until:` names a later one. Primaries before that
+  still wait for it; then the connection goes. Errors: `:too_late`, `:unknown_input`, `:fixed_inputs`,
+  `:not_running`.
   """
   @spec remove_input(Stream.t() | {Pipeline.target(), String.t()}, key :: term(), keyword()) ::
           {:ok, Situ.Time.t() | :start} | {:error, Situ.Error.t()}
   def remove_input(fused, key, opts \\ []), do: DynamicInputs.remove(fused, key, opts)
 
   @doc """
-  Each primary with the latest secondary that has arrived by then; primaries before the first secondary are dropped, unless
-  `initial:` gives a value. Reproducible: no.
+  Each primary with the latest secondary that has arrived by then; primaries before the first secondary are dropped,
+  unless `initial:` gives a value. Reproducible: no.
 
   #{Situ.Options.docs(@pair)}
   """
@@ -154,8 +158,8 @@ defmodule Situ.Fusion do
     do: Assembly.pair(primary, secondary, split(opts, @pair))
 
   @doc """
-  The messages of all streams, grouped by originating time: a list of those that share it, in the order of the streams. A group goes out when
-  every stream has reached its time or ended.
+  The messages of all streams, grouped by originating time: a list of those that share it, in the order of the
+  streams. A group goes out when every stream has reached its time or ended.
   """
   @spec zip(Stream.t() | [Stream.t()], Stream.t() | keyword(), keyword()) :: Stream.t()
   def zip(first, second \\ [], opts \\ []) do
@@ -167,7 +171,8 @@ defmodule Situ.Fusion do
   @doc """
   All messages of all streams as they arrive, each a whole `Situ.Message`, stamped with the clock. Reproducible: no.
 
-  Streams may be added and taken away while it runs (`add_input/4`, `remove_input/3`); those it begins with have the keys 0, 1, 2 ...
+  Streams may be added and taken away while it runs (`add_input/4`, `remove_input/3`); those it begins with have the
+  keys 0, 1, 2 ...
   """
   @spec merge(Stream.t() | [Stream.t()], Stream.t() | keyword(), keyword()) :: Stream.t()
   def merge(first, second \\ [], opts \\ []) do
@@ -177,8 +182,8 @@ defmodule Situ.Fusion do
   end
 
   @doc """
-  The stream's value at every tick: of another stream (`clock`), or of an interval in ns, counted from the pipeline's start or
-  aligned with `align:` (a time). Ticks end with the stream; one without a value gives nothing.
+  The stream's value at every tick: of another stream (`clock`), or of an interval in ns, counted from the
+  pipeline's start or aligned with `align:` (a time). Ticks end with the stream; one without a value gives nothing.
 
   #{Situ.Options.docs(@tick)}
   """

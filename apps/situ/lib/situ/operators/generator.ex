@@ -45,9 +45,9 @@ defmodule Situ.Generator do
       iex> Situ.to_list(fn p -> Situ.repeat(p, :tick, every: 30, align: 10) end, times: true, pipeline: replay)
       [{10, :tick}, {40, :tick}, {70, :tick}, {100, :tick}]
 
-  Times are exact: the pipeline's start, start + `every:` ..., however long it takes to make them. With `align: time` they are the times congruent to
-  it modulo `every:`, from the first one at or after the start. Items are made as they are asked for, in real time when their time comes, and
-  up to the replay's end.
+  Times are exact: the pipeline's start, start + `every:` ..., however long it takes to make them. With `align:
+  time` they are the times congruent to it modulo `every:`, from the first one at or after the start. Items are made
+  as they are asked for, in real time when their time comes, and up to the replay's end.
 
   | generator | ends | reproducible |
   |---|---|---|
@@ -57,7 +57,8 @@ defmodule Situ.Generator do
   | `timer/2`, `event_source/3` | never | no: times are the clock's |
   | `return/3` | after its one item | yes |
 
-  A source that never ends does not keep a pipeline running once the finite ones have ended; a replay's end ends all of them.
+  A source that never ends does not keep a pipeline running once the finite ones have ended; a replay's end ends all
+  of them.
 
   Besides the options named with each function, all take those of `Situ.Graph.Placement` for generators.
   """
@@ -94,8 +95,8 @@ defmodule Situ.Generator do
   def once(%Situ.Graph.Handle{} = p, value, opts \\ []), do: single(p, "Once", value, true, opts)
 
   @doc """
-  The items of any enumerable: with `every:` (and `align:`) values that far apart, else `{time, value}` pairs or messages,
-  whose times must strictly increase. Read lazily, so endless and costly enumerables are fine.
+  The items of any enumerable: with `every:` (and `align:`) values that far apart, else `{time, value}` pairs or
+  messages, whose times must strictly increase. Read lazily, so endless and costly enumerables are fine.
 
   Items before the replay's start, asked for or proposed, are passed over.
 
@@ -122,8 +123,8 @@ defmodule Situ.Generator do
   end
 
   @doc """
-  A message whenever `every:` ns of the clock have passed, stamped with the clock; its data is the time since the start (ns), or
-  that of `fun:`. Ticks that were missed are not made up for.
+  A message whenever `every:` ns of the clock have passed, stamped with the clock; its data is the time since the
+  start (ns), or that of `fun:`. Ticks that were missed are not made up for.
 
   Reproducible: no. `repeat/3` gives exact times, whatever the clock does.
 
@@ -137,8 +138,9 @@ defmodule Situ.Generator do
   end
 
   @doc """
-  Data that other processes post. When the pipeline starts `subscribe.(post)` is called; whoever calls `post.(data)`, from any process, makes a
-  message, stamped with the clock. Two of one time are 1 ns apart unless `on_same_time:` says otherwise.
+  Data that other processes post. When the pipeline starts `subscribe.(post)` is called; whoever calls
+  `post.(data)`, from any process, makes a message, stamped with the clock. Two of one time are 1 ns apart unless
+  `on_same_time:` says otherwise.
 
   Reproducible: no, the times are those of posting. Record the stream to replay it.
 

@@ -1,8 +1,8 @@
 defmodule Situ.Indexer do
   @moduledoc """
-  Which elements of an n-dimensional array, stored in row-major order, a view of it names: slices, strides, single indices, lists of
-  them, and slices of slices. The array itself is wherever you have it; an indexer answers flat indices, and runs of neighbours to
-  copy at once.
+  Which elements of an n-dimensional array, stored in row-major order, a view of it names: slices, strides, single
+  indices, lists of them, and slices of slices. The array itself is wherever you have it; an indexer answers flat
+  indices, and runs of neighbours to copy at once.
 
       iex> Situ.Indexer.indices([10, 10], [{0, 1}, :all]) |> Enum.count()
       20
@@ -13,8 +13,9 @@ defmodule Situ.Indexer do
       iex> {Situ.Indexer.shape(view), Situ.Indexer.indices(view)}
       {[3, 2], [10, 8, 16, 14, 22, 20]}
 
-  A range is `{first, last}`, both included; it may decrease. Of a dimension a slice is `:all`, an index, a range, a range with a step
-  (`{first, last, step}`), or `{:take, indices}`; indices count from the first value of the view that is sliced.
+  A range is `{first, last}`, both included; it may decrease. Of a dimension a slice is `:all`, an index, a range, a
+  range with a step (`{first, last, step}`), or `{:take, indices}`; indices count from the first value of the view
+  that is sliced.
   """
 
   @enforce_keys [:shape, :values]

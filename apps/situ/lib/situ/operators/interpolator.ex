@@ -30,10 +30,11 @@ defmodule Situ.Interpolator do
     * `{:wait, time}`: the same, and only a message at or after `time` (or the end of the stream) can change it.
 
   Messages strictly before `obsolete` are dropped, since later questions (which have later times) cannot need them;
-  `nil` keeps all. `messages` are the queued ones in time order, `closed` is the time at which the stream ended, or `nil`.
+  `nil` keeps all. `messages` are the queued ones in time order, `closed` is the time at which the stream ended, or
+  `nil`.
 
-  An interpolator is **reproducible** when its answer does not depend on what had already arrived: it waits until no later
-  message can change the answer. Only such are accepted by `Situ.join/4`.
+  An interpolator is **reproducible** when its answer does not depend on what had already arrived: it waits until no
+  later message can change the answer. Only such are accepted by `Situ.join/4`.
   """
 
   alias Situ.{Interval, Message, Type}
@@ -64,8 +65,8 @@ defmodule Situ.Interpolator do
   @doc """
   An interpolator from a module of this behaviour and its configuration.
 
-  Options: `reproducible:` (default false); `gives:` `:messages` when its values are data of the stream's messages (then their type is
-  the stream's), else `:values` (default); `or_default:` the value to give where none exists.
+  Options: `reproducible:` (default false); `gives:` `:messages` when its values are data of the stream's messages
+  (then their type is the stream's), else `:values` (default); `or_default:` the value to give where none exists.
   """
   @spec new(module(), term(), keyword()) :: t()
   def new(module, config, opts \\ []) when is_atom(module) do

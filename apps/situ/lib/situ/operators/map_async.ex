@@ -13,10 +13,11 @@ defmodule Situ.MapAsync do
   ]
 
   @moduledoc """
-  A map whose function runs for several messages at once, each in a process of its own; the results come in the messages' order.
+  A map whose function runs for several messages at once, each in a process of its own; the results come in the
+  messages' order.
 
-  For work that waits (a request to a server, a file) or that fills more than one core. Light work is faster in `Situ.map/3`: a process
-  for each message costs a few microseconds.
+  For work that waits (a request to a server, a file) or that fills more than one core. Light work is faster in
+  `Situ.map/3`: a process for each message costs a few microseconds.
 
       iex> square = fn v -> v * v end
       iex> build = fn p -> p |> Situ.from_enumerable(1..5, every: 10) |> Situ.map_async(square, max: 2) end
@@ -29,9 +30,9 @@ defmodule Situ.MapAsync do
   @doc """
   The data through `fun` (of data, or of data and message), for up to `max:` messages at once, in order.
 
-  When `max:` messages are under way the stream waits. A function that raises, exits or takes longer than `timeout:` is an error at its
-  message's time, which `on_error:` decides about: `:stop` emits what is older, `:skip` all but that message, and `:restart` also gives up
-  what was under way. Reproducible: yes, if `fun` is.
+  When `max:` messages are under way the stream waits. A function that raises, exits or takes longer than `timeout:`
+  is an error at its message's time, which `on_error:` decides about: `:stop` emits what is older, `:skip` all but
+  that message, and `:restart` also gives up what was under way. Reproducible: yes, if `fun` is.
 
   #{Situ.Options.docs(@schema)}
   """
@@ -53,7 +54,8 @@ end
 
 defmodule Situ.MapAsync.Component do
   @moduledoc false
-  # Jobs in the order of their messages. The oldest decides what can be emitted; a failed one is an error when it is the oldest.
+  # Jobs in the order of their messages. The oldest decides what can be emitted; a failed one is an error when it is
+  # the oldest.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],

@@ -39,9 +39,9 @@ defmodule Situ.Parallel do
       iex> Situ.Test.run(inputs, fn s -> Situ.parallel(s.counts, fn _key, branch -> Situ.sum(branch) end) end)
       {:ok, [{0, %{ann: 1, bob: 5}}, {10, %{ann: 4}}]}
 
-  The function builds a branch: a piece of pipeline, from a stream (or a key and a stream) to a stream. Each branch has its own state. Results come out
-  at the message's time, as a list or a map like the input. What a branch gives at other times is dropped; when the function returns no
-  stream, nothing comes out.
+  The function builds a branch: a piece of pipeline, from a stream (or a key and a stream) to a stream. Each branch
+  has its own state. Results come out at the message's time, as a list or a map like the input. What a branch gives
+  at other times is dropped; when the function returns no stream, nothing comes out.
 
   | form | `stream` carries | branches | output |
   |---|---|---|---|
@@ -49,8 +49,8 @@ defmodule Situ.Parallel do
   | variable | lists | one per position, begun with the first list that reaches it | a list as long as the input's |
   | sparse | maps, or what `split:` makes one of | one per key, begun with its first message | a map of the live keys |
 
-  When a branch has nothing at a time the whole output is dropped, or with `or_default: value` the value takes its place; a key that is
-  kept alive without being in the message is such a case.
+  When a branch has nothing at a time the whole output is dropped, or with `or_default: value` the value takes its
+  place; a key that is kept alive without being in the message is such a case.
 
   ## When a key's branch ends
 
@@ -61,25 +61,29 @@ defmodule Situ.Parallel do
   | `:never` | with the stream | |
   | `fun.(key, map, time)` | when it answers `{:close, time}` and not `:keep`, asked with every message | what it says |
 
-  What a branch gives while it ends (`Situ.last/2` ...) still counts. Its state is released; the same key later begins a new branch.
+  What a branch gives while it ends (`Situ.last/2` ...) still counts. Its state is released; the same key later
+  begins a new branch.
 
   ## Values or processes
 
-  By default a branch is a value inside the operator's process (see `Situ.Branch`): a hundred thousand of them are no burden, but they share one
-  core, and hold nothing that has a clock or a process of its own. With `branches: :processes` each is a pipeline of its own, begun at the
-  time of its first part, with any component inside: sources, timers, delays, what is slow or talks to the world. Outputs, their times and their order are the
-  same, wherever the branch itself is reproducible. Tens to thousands of such branches, not a hundred thousand.
+  By default a branch is a value inside the operator's process (see `Situ.Branch`): a hundred thousand of them are
+  no burden, but they share one core, and hold nothing that has a clock or a process of its own. With `branches:
+  :processes` each is a pipeline of its own, begun at the time of its first part, with any component inside:
+  sources, timers, delays, what is slow or talks to the world. Outputs, their times and their order are the same,
+  wherever the branch itself is reproducible. Tens to thousands of such branches, not a hundred thousand.
 
       Situ.parallel(faces, fn _id, face -> Recognizer.who(face) end, branches: :processes)
 
-  A time's output waits until each branch has given something for it, or something later, or has ended; a branch that is a straight run of light
-  operators is known to give nothing as soon as it has dealt with the part. When some 256 outputs wait the input does, too, as long as a branch is at work. The
-  operator is one box in the diagnostics, which tells how many branches live.
+  A time's output waits until each branch has given something for it, or something later, or has ended; a branch
+  that is a straight run of light operators is known to give nothing as soon as it has dealt with the part. When
+  some 256 outputs wait the input does, too, as long as a branch is at work. The operator is one box in the
+  diagnostics, which tells how many branches live.
 
   ## When a branch fails
 
-  It fails the operator as any other, named as `Parallel[key].Step`, and `on_error:` decides; a branch that is killed is such a failure. With
-  `on_branch_error: :restart` that branch alone begins anew with its next part, and what was on its way through it counts as missing.
+  It fails the operator as any other, named as `Parallel[key].Step`, and `on_error:` decides; a branch that is
+  killed is such a failure. With `on_branch_error: :restart` that branch alone begins anew with its next part, and
+  what was on its way through it counts as missing.
 
   ## Options
 
@@ -88,15 +92,16 @@ defmodule Situ.Parallel do
   and those of every operator (`Situ.Graph.Placement`).
   """
 
-  alias Situ.Parallel.{Box, Processes, Until}
+  alias Situ.Parallel.{Values, Processes, Termination}
   alias Situ.Graph.Placement
   alias Situ.{Operator, Stream}
 
   @no_queues "branch_policy: goes with branches: :processes: inside of a branch that is a value nothing waits"
 
   @doc """
-  Branches by `fun`: see the forms above. Which form it is follows from the stream's type, `size:`, and the function: with a key as first
-  argument it is sparse unless the type is a list. `of: :lists` or `of: :maps` says it where that is not enough.
+  Branches by `fun`: see the forms above. Which form it is follows from the stream's type, `size:`, and the
+  function: with a key as first argument it is sparse unless the type is a list. `of: :lists` or `of: :maps` says it
+  where that is not enough.
   """
   @spec parallel(Stream.t(), (Stream.t() -> term()) | (term(), Stream.t() -> term()), keyword()) ::
           Stream.t()
@@ -109,9 +114,9 @@ defmodule Situ.Parallel do
     processes? = own[:branches] == :processes
     if own[:branch_policy] && not processes?, do: raise(ArgumentError, @no_queues)
     shared = if processes?, do: Keyword.take(own, [:branch_policy]) ++ shared, else: shared
-    options = options ++ shared ++ [termination: Until.parse(own[:until])]
+    options = options ++ shared ++ [termination: Termination.parse(own[:until])]
     type = if own[:with], do: :any, else: if(is_map_form(form), do: :map, else: :list)
-    box = if processes?, do: Processes, else: Box
+    box = if processes?, do: Processes, else: Values
     Operator.through(stream, "Parallel", {box, options}, placed, type)
   end
 

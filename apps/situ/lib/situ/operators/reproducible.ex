@@ -2,8 +2,8 @@ defmodule Situ.Reproducible do
   @moduledoc """
   Interpolators that give the same values whatever the timing: they wait until no later message can change the answer.
 
-  A window is a `Situ.Interval` of ns relative to the asked time, or a tolerance: `5` means `[-5, 5]`. Every function takes
-  `or_default: value`, the value to give where there is none.
+  A window is a `Situ.Interval` of ns relative to the asked time, or a tolerance: `5` means `[-5, 5]`. Every
+  function takes `or_default: value`, the value to give where there is none.
 
   | interpolator | value | decided when the stream has |
   |---|---|---|
@@ -57,8 +57,8 @@ defmodule Situ.Reproducible do
   @doc """
   Linear interpolation between the messages before and after; none before the first or after the last.
 
-  Numbers as in `Situ.Number`: `:nan` is contagious, between a number and no value (`nil`) there is none, and what is no number is
-  an error.
+  Numbers as in `Situ.Number`: `:nan` is contagious, between a number and no value (`nil`) there is none, and what
+  is no number is an error.
 
   `max_span:` gives no value between neighbours that are this far apart (ns) or farther.
   """

@@ -2,8 +2,9 @@ defmodule Situ.Sampling do
   @moduledoc """
   The pure heart of sampling at a fixed interval: the value of a stream at every tick, by an interpolator.
 
-  Ticks are exact: the start, start + interval, ... or, with an alignment, the times congruent to it modulo the interval. They are
-  made as the source advances and end with it, so nothing runs ahead of the data. A tick without a value gives no output.
+  Ticks are exact: the start, start + interval, ... or, with an alignment, the times congruent to it modulo the
+  interval. They are made as the source advances and end with it, so nothing runs ahead of the data. A tick without
+  a value gives no output.
 
       iex> sampling = Situ.Sampling.new(Situ.Reproducible.nearest(), 30, 0)
       iex> messages = for t <- [0, 20, 40], do: %Situ.Message{originating_time: t, data: t}
@@ -11,8 +12,8 @@ defmodule Situ.Sampling do
       iex> outputs
       [{:out, 0, 0}, {:out, 30, 40}]
 
-  A long gap in the source has many ticks. At most some hundred are made at a time; as long as `more?/1` is true, `more/1` makes the next
-  ones, so that memory does not depend on the gap.
+  A long gap in the source has many ticks. At most some hundred are made at a time; as long as `more?/1` is true,
+  `more/1` makes the next ones, so that memory does not depend on the gap.
 
       iex> sampling = Situ.Sampling.new(Situ.Reproducible.linear(), 1, 0)
       iex> messages = for t <- [0, 1_000_000_000], do: %Situ.Message{originating_time: t, data: t}

@@ -87,17 +87,20 @@ defmodule Situ.Selection do
   end
 
   @doc """
-  Holds each message until its creation time plus `duration` (ns) on the pipeline's clock. Its times and data stay as they are, and none is
-  lost: when the stream ends, the messages that are still held come out at once. Without an enforced clock (speed `:max`) there is no wait.
+  Holds each message until its creation time plus `duration` (ns) on the pipeline's clock. Its times and data stay
+  as they are, and none is lost: when the stream ends, the messages that are still held come out at once. Without an
+  enforced clock (speed `:max`) there is no wait.
 
-  Reproducible: yes. The clock decides when a message comes out, not whether; operators that go by arrival (`pair/3`, `merge/3`) see it later.
+  Reproducible: yes. The clock decides when a message comes out, not whether; operators that go by arrival
+  (`pair/3`, `merge/3`) see it later.
   """
   @spec delay(Stream.t(), Situ.Time.duration(), keyword()) :: Stream.t()
   def delay(%Stream{} = stream, duration, opts \\ []) when is_integer(duration) and duration >= 0,
     do: Operator.through(stream, "Delay", {Delay, [duration: duration]}, opts, stream.type)
 
   @doc """
-  Any number of messages from each: `fun.(message, state)` answers `{[{time, data}], state}`. Times must strictly increase.
+  Any number of messages from each: `fun.(message, state)` answers `{[{time, data}], state}`. Times must strictly
+  increase.
 
   #{Situ.Options.docs(@process)}
 
@@ -121,8 +124,8 @@ defmodule Situ.Selection do
   end
 
   @doc """
-  The stream with edits: `{time, {:put, data}}` replaces the message at that time or inserts one, `{time, :delete}` takes it out. Edits
-  may come in any order; of two at one time the later in the list counts.
+  The stream with edits: `{time, {:put, data}}` replaces the message at that time or inserts one, `{time, :delete}`
+  takes it out. Edits may come in any order; of two at one time the later in the list counts.
   """
   @spec edit(Stream.t(), [{Situ.Time.t(), {:put, term()} | :delete}], keyword()) :: Stream.t()
   def edit(%Stream{} = stream, edits, opts \\ []) when is_list(edits) do
@@ -131,8 +134,8 @@ defmodule Situ.Selection do
   end
 
   @doc """
-  Brings messages into order by a time of their own (a device's time stamp). Each waits until one has come whose time is more than
-  `lateness` ns later, or the stream ends. Of several at one time the first to come stays.
+  Brings messages into order by a time of their own (a device's time stamp). Each waits until one has come whose
+  time is more than `lateness` ns later, or the stream ends. Of several at one time the first to come stays.
 
   #{Situ.Options.docs(@reorder)}
   """

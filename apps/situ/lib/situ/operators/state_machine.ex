@@ -1,7 +1,7 @@
 defmodule Situ.StateMachine do
   @moduledoc """
-  A finite state machine over a stream: which state it is in decides how it takes the next message. Written as `:gen_statem`'s callbacks are,
-  but pure, and by the time of the stream: so it is reproducible, timeouts included.
+  A finite state machine over a stream: which state it is in decides how it takes the next message. Written as
+  `:gen_statem`'s callbacks are, but pure, and by the time of the stream: so it is reproducible, timeouts included.
 
       defmodule Door do
         @behaviour Situ.StateMachine
@@ -33,16 +33,19 @@ defmodule Situ.StateMachine do
   ## Events
 
     * `{:message, message}`: a `Situ.Message` arrived;
-    * `:state_timeout`: the machine has been in its state for the time that it asked for. It comes when the stream shows that the time has
-      passed: with the first message later than that, before it; its outputs have the timeout's own time;
+    * `:state_timeout`: the machine has been in its state for the time that it asked for. It comes when the stream
+      shows that the time has passed: with the first message later than that, before it; its outputs have the
+      timeout's own time;
     * `{:closed, time}`: the stream ended; a timeout due by then comes before.
 
   ## Answers
 
     * `{:keep_state, data}`, `{:keep_state, data, actions}`: the timeout, if there is one, stands;
-    * `{:next_state, state, data}`, `{:next_state, state, data, actions}`: a timeout asked for in the state before is void.
+    * `{:next_state, state, data}`, `{:next_state, state, data, actions}`: a timeout asked for in the state before
+      is void.
 
-  Actions: `{:emit, value}` (one per event: times strictly increase), `{:state_timeout, ns}` from the event's time on, `{:state_timeout, :infinity}` for none.
+  Actions: `{:emit, value}` (one per event: times strictly increase), `{:state_timeout, ns}` from the event's time
+  on, `{:state_timeout, :infinity}` for none.
 
   Reproducible: yes.
   """

@@ -8,14 +8,14 @@ defmodule Situ.Statistics do
       iex> results
       [5, 3, 3]
 
-  Values are numbers or `:nan`, `:infinity`, `:neg_infinity` (see `Situ.Number`; `:nan` is contagious), or `nil`: no value. `nil` adds 0
-  to a sum and is left out of everything else but the count; when there is nothing but `nil` the result is `nil` (a sum: 0).
-  Integers stay integers in sums, least and greatest; averages and deviations are floats. `:min` and `:max` take any terms
-  of one kind.
+  Values are numbers or `:nan`, `:infinity`, `:neg_infinity` (see `Situ.Number`; `:nan` is contagious), or `nil`: no
+  value. `nil` adds 0 to a sum and is left out of everything else but the count; when there is nothing but `nil` the
+  result is `nil` (a sum: 0). Integers stay integers in sums, least and greatest; averages and deviations are
+  floats. `:min` and `:max` take any terms of one kind.
 
-  The deviation is that of a sample (n - 1). A list of fewer than two numbers deviates by 0.0; step by step the first number gives
-  `:nan` (or `initial:`). The least, greatest or average of an empty list does not exist: `Situ.Error` `:empty_list`, or `nil` with
-  `nullable: true`.
+  The deviation is that of a sample (n - 1). A list of fewer than two numbers deviates by 0.0; step by step the
+  first number gives `:nan` (or `initial:`). The least, greatest or average of an empty list does not exist:
+  `Situ.Error` `:empty_list`, or `nil` with `nullable: true`.
 
   ## Options
 

@@ -22,8 +22,8 @@ defmodule Situ.Window do
   | a `Situ.Interval` of ns | messages whose time lies in the interval around this one's | output, also at the stream's end |
   | a stream of windows | the messages inside an interval that each window message names | output; empty ones too |
 
-  The output is the list of data, at the originating time of the message that the window belongs to (its anchor). It comes out as soon as
-  the window is known to be complete. All are reproducible.
+  The output is the list of data, at the originating time of the message that the window belongs to (its anchor). It
+  comes out as soon as the window is known to be complete. All are reproducible.
 
       Situ.window(level, -9..0, &Enum.max/1)                                  # the greatest of the last ten
       Situ.window(level, Situ.Interval.past(Situ.Time.s(1)), &Enum.max/1)     # the greatest of the last second
@@ -42,9 +42,12 @@ defmodule Situ.Window do
 
   alias Situ.Graph.Placement
   alias Situ.{Interval, Operator, Stream}
-  alias Situ.Window.{Dynamic, Index, Keeper, Relative}
+  alias Situ.Window.{Dynamic, Index, Component, Relative}
 
-  @doc "Windows of `stream` (see the table); `fun` makes the output of each from its list, which is the output when left out."
+  @doc """
+  Windows of `stream` (see the table); `fun` makes the output of each from its list, which is the output when left
+  out.
+  """
   @spec window(Stream.t(), Range.t() | Interval.t(), (list() -> term()) | nil, keyword()) ::
           Stream.t()
   def window(stream, window, fun \\ nil, opts \\ [])
@@ -58,8 +61,9 @@ defmodule Situ.Window do
   end
 
   @doc """
-  A window per message of `windows`. `interval.(message)` gives `{interval, obsolete}`: which span of `stream` (a `Situ.Interval` of
-  time points), and the time before which no later window will need it. The output is at the window message's time.
+  A window per message of `windows`. `interval.(message)` gives `{interval, obsolete}`: which span of `stream` (a
+  `Situ.Interval` of time points), and the time before which no later window will need it. The output is at the
+  window message's time.
 
   #{Situ.Options.docs(@by)}
   """
@@ -74,7 +78,7 @@ defmodule Situ.Window do
     {own, placed} = Placement.split!(opts, @by, :operator)
     creator = own[:with] || fn _window, messages -> Enum.map(messages, & &1.data) end
     core = {Dynamic, :new, [interval, creator]}
-    Operator.through([in: stream, windows: windows], "Window", {Keeper, [core: core]}, placed)
+    Operator.through([in: stream, windows: windows], "Window", {Component, [core: core]}, placed)
   end
 
   # Windows that end at their anchor are decided by it: light operators, chained with their neighbours.
@@ -86,7 +90,7 @@ defmodule Situ.Window do
 
   defp place(stream, %Range{} = range, {fun, with}, {type, placed}) do
     core = {Index, :new, [range, fun, [with: with]]}
-    Operator.through(stream, "Window", {Keeper, [core: core]}, placed, type)
+    Operator.through(stream, "Window", {Component, [core: core]}, placed, type)
   end
 
   defp place(stream, %Interval{} = interval, {fun, with}, {type, placed}) do
@@ -98,7 +102,7 @@ defmodule Situ.Window do
       ordered ->
         check_whole!(ordered)
         core = {Relative, :new, [ordered, fun, [with: with]]}
-        Operator.through(stream, "Window", {Keeper, [core: core]}, placed, type)
+        Operator.through(stream, "Window", {Component, [core: core]}, placed, type)
     end
   end
 

@@ -21,9 +21,10 @@ defmodule Situ.Test do
       iex> report.errors
       []
 
-  The function gets a map of input streams and returns a stream, or a list or map of streams; outputs have its shape. A pipeline under
-  test runs by a manual clock that starts at 0 (`start:`), so a message at 5 ns comes when the clock is at 5 ns. `p` of the pipeline is
-  any stream's `stream.pipeline`; for pipelines without inputs the function may take the pipeline as a second argument.
+  The function gets a map of input streams and returns a stream, or a list or map of streams; outputs have its
+  shape. A pipeline under test runs by a manual clock that starts at 0 (`start:`), so a message at 5 ns comes when
+  the clock is at 5 ns. `p` of the pipeline is any stream's `stream.pipeline`; for pipelines without inputs the
+  function may take the pipeline as a second argument.
 
   `Situ.Test.Property` and `Situ.Test.Gen` are for property tests.
   """
@@ -41,8 +42,8 @@ defmodule Situ.Test do
           | (%{term() => Stream.t()}, Pipeline.t() -> Collector.streams())
 
   @doc """
-  Runs to the end: each input gives its messages and closes. Returns `{:ok, [{time, data}]}` (in the shape of what `build` returned) or
-  `{:error, error}`. Times count from 0; `opts` may hold `pipeline:` settings.
+  Runs to the end: each input gives its messages and closes. Returns `{:ok, [{time, data}]}` (in the shape of what
+  `build` returned) or `{:error, error}`. Times count from 0; `opts` may hold `pipeline:` settings.
   """
   @spec run(keyword([timed()]) | %{term() => [timed()]}, build(), keyword()) ::
           {:ok, term()} | {:error, Situ.Error.t()}

@@ -167,7 +167,7 @@ defmodule Situ.Operators.FusionTest do
 
     test "branches that end leave nothing behind, though keys never repeat" do
       core =
-        Situ.Parallel.Core.new(
+        Situ.Parallel.ValueBranches.new(
           start: fn _ -> Situ.Branch.start(&Situ.window(&1, 0..1)) end,
           form: :sparse,
           termination: {:after_absent, 0},
@@ -178,12 +178,12 @@ defmodule Situ.Operators.FusionTest do
       core =
         Enum.reduce(1..2_000, core, fn n, core ->
           message = %Message{originating_time: n, data: nil}
-          {_outputs, core} = Situ.Parallel.Core.push(core, message, %{n => n})
+          {_outputs, core} = Situ.Parallel.ValueBranches.push(core, message, %{n => n})
           core
         end)
 
       assert map_size(core.branches) == 1
-      assert Situ.Parallel.Entries.size(core.entries) <= 1
+      assert Situ.Parallel.PendingOutputs.size(core.entries) <= 1
       assert core.started == 2_000
     end
   end

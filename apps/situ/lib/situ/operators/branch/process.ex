@@ -1,10 +1,12 @@
 defmodule Situ.Branch.Process do
   @moduledoc false
-  # A branch as a pipeline of its own: its own processes, any component inside. What it says to the process that started it:
+  # A branch as a pipeline of its own: its own processes, any component inside. What it says to the process that
+  # started it:
   #
   #   {:situ_branch, id, {:open, pid}}          where its input is sent
   #   {:situ_branch, id, {:gave, [{time, data}], passed}}
-  #                                             this came out, and if `passed` is a time, all up to it is dealt with (of a run of light
+  #                                             this came out, and if `passed` is a time, all up to it is dealt with
+  # (of a run of light
   #                                             operators; `nil` of others)
   #   {id, result}                              it has ended; everything it gave came before
   #
@@ -54,7 +56,10 @@ defmodule Situ.Branch.Process do
     defp put([], entries), do: entries
     defp put(queue, entries), do: queue ++ entries
 
-    @doc "What came out of the branch: told with the next time that is passed if it came out in this process, else at once."
+    @doc """
+    What came out of the branch: told with the next time that is passed if it came out in this process, else at
+    once.
+    """
     def gave(to, id, time, data) do
       case Process.get({__MODULE__, id}) do
         nil -> send(to, {:situ_branch, id, {:gave, [{time, data}], nil}})
@@ -62,8 +67,8 @@ defmodule Situ.Branch.Process do
       end
     end
 
-    # What was emitted the time before has been through the operators that share this process. As long as that was quick, more goes
-    # next time: whoever asks in between sees that a slow branch gets on, part by part.
+    # What was emitted the time before has been through the operators that share this process. As long as that was
+    # quick, more goes next time: whoever asks in between sees that a slow branch gets on, part by part.
     @impl true
     def handle_demand(n, _context, gate) do
       gate = gate |> tell() |> resize()
@@ -121,8 +126,8 @@ defmodule Situ.Branch.Process do
   @type built :: %{pid: pid(), output?: boolean(), immediate?: boolean()}
 
   @doc """
-  Builds and starts the branch of `fun`. `timing` is the surrounding pipeline's: clock, whether it is waited for, and the replay's end; the
-  branch begins at `start`. Raises what building raised.
+  Builds and starts the branch of `fun`. `timing` is the surrounding pipeline's: clock, whether it is waited for,
+  and the replay's end; the branch begins at `start`. Raises what building raised.
   """
   @spec start!((Stream.t() -> term()), reference(), String.t(), Situ.Type.t(), map()) :: built()
   def start!(fun, id, path, type, timing) do

@@ -1,7 +1,8 @@
 defmodule Situ.Filter.Fir do
   @moduledoc """
-  Finite impulse response filters: windowed sinc (Hamming), symmetric, so the phase is linear and the delay half the order. The
-  gain is 1 in the middle of what passes: at 0 Hz, at half the rate, or in the middle of the band. `firwin` in SciPy.
+  Finite impulse response filters: windowed sinc (Hamming), symmetric, so the phase is linear and the delay half the
+  order. The gain is 1 in the middle of what passes: at 0 Hz, at half the rate, or in the middle of the band.
+  `firwin` in SciPy.
 
   About 3.3 times the rate over the order wide are the slopes: a narrow band needs a high order.
 

@@ -2,8 +2,8 @@ defmodule Situ.Filter.Iir do
   @moduledoc """
   Infinite impulse response filters: Butterworth, as a chain of second-order sections.
 
-  Of an edge filter `order` poles, of a band filter `order` on each side (2 * `order` poles), as SciPy and MATLAB count them;
-  3 dB down at the edges.
+  Of an edge filter `order` poles, of a band filter `order` on each side (2 * `order` poles), as SciPy and MATLAB
+  count them; 3 dB down at the edges.
 
       iex> filter = Situ.Filter.Iir.new(:lowpass, 1_000, [50], 4)
       iex> length(filter.sections)
@@ -11,8 +11,8 @@ defmodule Situ.Filter.Iir do
       iex> length(Situ.Filter.Iir.new(:bandpass, 1_000, [45, 55], 4).sections)
       4
 
-  Source: Oppenheim & Schafer, Discrete-Time Signal Processing: poles of the analogue prototype, moved to the band, taken over by the
-  bilinear transform with the edges warped beforehand.
+  Source: Oppenheim & Schafer, Discrete-Time Signal Processing: poles of the analogue prototype, moved to the band,
+  taken over by the bilinear transform with the edges warped beforehand.
   """
 
   alias Situ.Filter.Butterworth

@@ -1,12 +1,13 @@
 defmodule Situ.Fusion.Balance do
   @moduledoc false
-  # Keeps the inputs of a fusion operator abreast, so that memory does not depend on which of two sources is scheduled more:
-  # an input that has run far ahead of the one that is waited for is held for a moment.
+  # Keeps the inputs of a fusion operator abreast, so that memory does not depend on which of two sources is
+  # scheduled more: an input that has run far ahead of the one that is waited for is held for a moment.
   #
-  # It is never held for good, since the input that is waited for may depend on it (both may come from one source, by way of a
-  # filter): when nothing at all has arrived for a hold's time, the input is let go and the limit doubled. Such a graph costs a
-  # few such moments, and the memory that it needs. While other processes of the VM are at work, one of them may be about
-  # to send what is awaited and only lack a core: then up to 25 holds' times (half a second) pass before that.
+  # It is never held for good, since the input that is waited for may depend on it (both may come from one source,
+  # by way of a filter): when nothing at all has arrived for a hold's time, the input is let go and the limit
+  # doubled. Such a graph costs a few such moments, and the memory that it needs. While other processes of the VM
+  # are at work, one of them may be about to send what is awaited and only lack a core: then up to 25 holds' times
+  # (half a second) pass before that.
   #
   # How much waits is told by sequence ids: the newest one less that of the queue's head.
 
@@ -40,9 +41,9 @@ defmodule Situ.Fusion.Balance do
     }
 
   @doc """
-  The outputs of a component after it has taken something in, with the holds and resumes of its inputs, and its state, which keeps the
-  balance under `balance`: `heads` are the inputs' queues, `{input, sequence id of the first message | nil}`; `awaited` are the inputs
-  that the operator waits for.
+  The outputs of a component after it has taken something in, with the holds and resumes of its inputs, and its
+  state, which keeps the balance under `balance`: `heads` are the inputs' queues, `{input, sequence id of the first
+  message | nil}`; `awaited` are the inputs that the operator waits for.
   """
   @spec after_step([term()], state, [{input(), non_neg_integer() | nil}], [input()]) ::
           {[term()], state}
@@ -74,8 +75,8 @@ defmodule Situ.Fusion.Balance do
   end
 
   @doc """
-  What to hold and resume, as actions: `heads` are the inputs' queues, `{input, sequence id of the first message | nil}`; `awaited` are the
-  inputs that the operator waits for.
+  What to hold and resume, as actions: `heads` are the inputs' queues, `{input, sequence id of the first message |
+  nil}`; `awaited` are the inputs that the operator waits for.
   """
   @spec actions(t(), [{input(), non_neg_integer() | nil}], [input()]) :: {list(), t()}
   def actions(balance, heads, awaited) do

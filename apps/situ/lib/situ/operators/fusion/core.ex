@@ -8,7 +8,8 @@ defmodule Situ.Fusion.Core do
     * One cannot say yet: the primary waits, and later ones behind it, so outputs come in the primaries' order.
     * One has none: the primary is given up.
 
-  Secondary messages that no later primary can need are dropped at once, so memory is bounded by the messages that are undecided.
+  Secondary messages that no later primary can need are dropped at once, so memory is bounded by the messages that
+  are undecided.
 
       iex> core = Situ.Fusion.Core.new(&{&1, &2}, members: [{:s0, 0, Situ.Reproducible.exact(), []}], values: :one)
       iex> message = &%Situ.Message{originating_time: &1, data: &2}
@@ -17,10 +18,11 @@ defmodule Situ.Fusion.Core do
       iex> outputs
       [{:out, 2, {:b, :x}}]
 
-  Secondaries may come and go. Each takes part for a span of originating times: a primary at time t needs a value of every member with
-  `from <= t < until`, and of no other; of a member's messages those before `from` are as if they had never been. So the outputs depend on
-  the spans alone, and not on when a member was added or removed, as long as no primary of the span had arrived before: `add/5`
-  and `remove/3` refuse to change a decision that may have been made.
+  Secondaries may come and go. Each takes part for a span of originating times: a primary at time t needs a value of
+  every member with `from <= t < until`, and of no other; of a member's messages those before `from` are as if they
+  had never been. So the outputs depend on the spans alone, and not on when a member was added or removed, as long
+  as no primary of the span had arrived before: `add/5` and `remove/3` refuse to change a decision that may have
+  been made.
 
       iex> core = Situ.Fusion.Core.new(&{&1, &2}, values: :map)
       iex> message = &%Situ.Message{originating_time: &1, data: &2}
@@ -73,8 +75,9 @@ defmodule Situ.Fusion.Core do
 
     * `members:` `{input, key, interpolator, span}` of each secondary, the span as options of `add/5`
     * `values:` `:one` (the only secondary's value), `:list` or `:map` (by key)
-    * `give_up_after:` ns: a primary that still waits when a primary this much later has arrived is decided by the messages that are there.
-      It bounds memory when a secondary falls silent, and makes the result depend on timing.
+    * `give_up_after:` ns: a primary that still waits when a primary this much later has arrived is decided by the
+      messages that are there. It bounds memory when a secondary falls silent, and makes the result depend on
+      timing.
     * `max_queue:` the same by count: so many primaries wait at most, and so many messages of each secondary
     * `ended: :leave`: a member whose stream has ended is not needed after that time
   """
@@ -90,9 +93,9 @@ defmodule Situ.Fusion.Core do
   end
 
   @doc """
-  A member from now on. `from:` is the first time that needs it: by default, and at the earliest, behind the last primary that has
-  arrived and behind `after:`, the last of its messages that will not come. Answers the time, or `:start` when nothing has been yet.
-  `until:` as `remove/3` would set it.
+  A member from now on. `from:` is the first time that needs it: by default, and at the earliest, behind the last
+  primary that has arrived and behind `after:`, the last of its messages that will not come. Answers the time, or
+  `:start` when nothing has been yet. `until:` as `remove/3` would set it.
   """
   @spec add(t(), input(), term(), Interpolator.t(), keyword()) ::
           {:ok, Situ.Time.t() | :start, t()} | {:error, Error.t()}
@@ -109,8 +112,8 @@ defmodule Situ.Fusion.Core do
   end
 
   @doc """
-  The member with this key is not needed from `until:` on: by default, and at the earliest, behind the last primary that has arrived; `:start` when
-  none has.
+  The member with this key is not needed from `until:` on: by default, and at the earliest, behind the last primary
+  that has arrived; `:start` when none has.
   """
   @spec remove(t(), term(), keyword()) ::
           {:ok, Situ.Time.t() | :start, [Component.action()], t()} | {:error, Error.t()}

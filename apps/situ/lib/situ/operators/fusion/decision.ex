@@ -115,8 +115,8 @@ defmodule Situ.Fusion.Decision do
   defp shaped(:map, values), do: :maps.from_list(values)
   defp shaped(:list, values), do: for({_key, value} <- :lists.reverse(values), do: value)
 
-  # The values of all members in order, the last first. Each queue is trimmed as its own answer allows even when another one
-  # has no value, since a trimmed message is one that later primaries cannot need either.
+  # The values of all members in order, the last first. Each queue is trimmed as its own answer allows even when
+  # another one has no value, since a trimmed message is one that later primaries cannot need either.
   defp ask([], _time, _limit, values, done), do: {:all, values, :lists.reverse(done)}
 
   defp ask([%Member{from: from} = member | rest], time, limit, values, done)

@@ -1,7 +1,7 @@
 defmodule Situ.Fusion.Fuse do
   @moduledoc false
-  # The component behind join, fuse, interpolate and sample by a clock: input :primary, and secondaries :s0, :s1 ..., which may come and
-  # go where their values are a map.
+  # The component behind join, fuse, interpolate and sample by a clock: input :primary, and secondaries :s0, :s1
+  # ..., which may come and go where their values are a map.
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],

@@ -1,7 +1,8 @@
 defmodule Situ.Fusion.Member do
   @moduledoc false
-  # A secondary stream of a fusion: the input it comes by, the key of its values, and the span of originating times for which it takes
-  # part. `from`: the first time that needs it (`nil`: all do); `until`: the first that does not any more.
+  # A secondary stream of a fusion: the input it comes by, the key of its values, and the span of originating times
+  # for which it takes part. `from`: the first time that needs it (`nil`: all do); `until`: the first that does not
+  # any more.
   alias Situ.Fusion.Secondary
 
   @enforce_keys [:input, :key, :interpolator]

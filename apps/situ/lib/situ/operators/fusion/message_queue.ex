@@ -1,7 +1,7 @@
 defmodule Situ.Fusion.MessageQueue do
   @moduledoc false
-  # Messages that wait in order: a list to take from, and batches that came later, newest first. Taking in a batch costs the same
-  # however much waits; the batches are put behind the list when that is used up.
+  # Messages that wait in order: a list to take from, and batches that came later, newest first. Taking in a batch
+  # costs the same however much waits; the batches are put behind the list when that is used up.
   alias Situ.Message
 
   @type t :: {[Message.t()], [[Message.t()]]}
@@ -26,7 +26,10 @@ defmodule Situ.Fusion.MessageQueue do
     {Enum.drop(messages, n), []}
   end
 
-  @doc "The messages up to and including `time`, and the queue without them. What came later is looked at only when it has to be."
+  @doc """
+  The messages up to and including `time`, and the queue without them. What came later is looked at only when it has
+  to be.
+  """
   @spec take(t(), Situ.Time.t()) :: {[Message.t()], t()}
   def take({front, rear}, time) do
     case split(front, time, []) do

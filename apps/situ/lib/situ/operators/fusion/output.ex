@@ -5,8 +5,8 @@ defmodule Situ.Fusion.Output do
   alias Situ.{Interpolator, Type}
 
   @doc """
-  The function that makes the output of a primary and the values of its secondaries, the output's type, and the form in which the function
-  takes the values. `interpolators` are those of the secondaries.
+  The function that makes the output of a primary and the values of its secondaries, the output's type, and the form
+  in which the function takes the values. `interpolators` are those of the secondaries.
   """
   @spec plan(Arguments.streams(), [Interpolator.t()], keyword()) ::
           {(term(), term() -> term()), Type.t(), :one | :list | :map}

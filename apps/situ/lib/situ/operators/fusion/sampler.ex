@@ -19,7 +19,8 @@ defmodule Situ.Fusion.Sampler do
   def handle_message(input, message, context, state),
     do: handle_messages(input, [message], context, state)
 
-  # Ticks count from the pipeline's start; data older than that (recorded, in a pipeline in real time) move the first tick.
+  # Ticks count from the pipeline's start; data older than that (recorded, in a pipeline in real time) move the
+  # first tick.
   @impl true
   def handle_messages(:in, [first | _] = messages, context, {:idle, opts}) do
     start = min(context.start_time, first.originating_time)

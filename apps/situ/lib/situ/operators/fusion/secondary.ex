@@ -1,7 +1,7 @@
 defmodule Situ.Fusion.Secondary do
   @moduledoc false
-  # One secondary stream of a fusion: the messages that wait, the last time it has reached, and the time at which it ended. Messages
-  # that no later primary can need are dropped with each answer.
+  # One secondary stream of a fusion: the messages that wait, the last time it has reached, and the time at which it
+  # ended. Messages that no later primary can need are dropped with each answer.
   alias Situ.{Interpolator, Message}
   alias Situ.Fusion.MessageQueue
 

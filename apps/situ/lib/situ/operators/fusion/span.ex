@@ -35,7 +35,8 @@ defmodule Situ.Fusion.Span do
   end
 
   @doc """
-  Whether no primary will need a span any more: it never began, or those before its end have been dealt with and none can come.
+  Whether no primary will need a span any more: it never began, or those before its end have been dealt with and
+  none can come.
   """
   @spec over?(
           {Situ.Time.t() | nil, Situ.Time.t() | nil},

@@ -2,8 +2,8 @@ defmodule Situ.Fusion.Zip do
   @moduledoc """
   The pure heart of `Situ.zip/2`: groups the messages of several inputs by originating time.
 
-  A group goes out once every input has reached its time (or ended), in time order; inside a group values are in the order of
-  the inputs, and an input without a message at that time adds nothing.
+  A group goes out once every input has reached its time (or ended), in time order; inside a group values are in the
+  order of the inputs, and an input without a message at that time adds nothing.
 
       iex> zip = Situ.Fusion.Zip.new(2)
       iex> message = &%Situ.Message{originating_time: &1, data: &2}
@@ -19,7 +19,8 @@ defmodule Situ.Fusion.Zip do
   alias Situ.{Component, Message}
   alias Situ.Fusion.MessageQueue
 
-  # Per input: its queue and the time it has reached. An input that has sent nothing is at `:nothing`, an ended one at `:closed`.
+  # Per input: its queue and the time it has reached. An input that has sent nothing is at `:nothing`, an ended one
+  # at `:closed`.
   @enforce_keys [:inputs]
   defstruct [:inputs, frontier: :nothing]
 

@@ -1,7 +1,8 @@
 defmodule Situ.Generator.Events do
   @moduledoc false
-  # The push source behind event_source: data that other processes post, stamped with the pipeline's clock by the poster. So a message's
-  # time does not depend on when this process gets to it, and all that was posted before a stop comes out.
+  # The push source behind event_source: data that other processes post, stamped with the pipeline's clock by the
+  # poster. So a message's time does not depend on when this process gets to it, and all that was posted before a
+  # stop comes out.
   use Situ.Component,
     inputs: [],
     outputs: [out: :any],

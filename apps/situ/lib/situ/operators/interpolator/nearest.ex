@@ -81,8 +81,8 @@ defmodule Situ.Interpolator.Nearest do
   defp empty([_there | _], time, {_low, high}, _waits?), do: none(time, high)
   defp empty([], time, {low, high}, waits?), do: none_yet(time, {low, high, waits?})
 
-  # Every message lies before the window: unless the stream has ended, one that fits may come. The first that could settle
-  # it is one in the window from where no later one can be nearer.
+  # Every message lies before the window: unless the stream has ended, one that fits may come. The first that could
+  # settle it is one in the window from where no later one can be nearer.
   defp none_yet(time, {low, high, true}) do
     decided_at = decided_at(time, high)
     {:wait, if(low == :unbounded, do: decided_at, else: max(low, decided_at))}

@@ -1,10 +1,11 @@
 defmodule Situ.Parallel.Processes do
   @moduledoc false
-  # The component behind parallel with `branches: :processes`: each branch is a pipeline of its own (Branch.Process), told what to do by the
-  # pure Pool.
+  # The component behind parallel with `branches: :processes`: each branch is a pipeline of its own
+  # (Branch.Process), told what to do by the pure ProcessBranches.
   #
-  # Messages whose outputs are not decided are bounded: from @limit on, the input is held. It is let go, and the limit doubled, when nothing
-  # comes any more although no branch is at work: they wait for more input then (a window, a filter).
+  # Messages whose outputs are not decided are bounded: from @limit on, the input is held. It is let go, and the
+  # limit doubled, when nothing comes any more although no branch is at work: they wait for more input then (a
+  # window, a filter).
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],
@@ -21,7 +22,7 @@ defmodule Situ.Parallel.Processes do
       branch_policy: [type: {:optional, {:struct, Situ.Delivery}}]
     ]
 
-  alias Situ.Parallel.{Entries, Fleet, Parts, Pool}
+  alias Situ.Parallel.{PendingOutputs, RunningBranches, Parts, ProcessBranches}
   alias Situ.Pipeline.Client
 
   @limit 256
@@ -33,7 +34,7 @@ defmodule Situ.Parallel.Processes do
     opts = Map.new(opts)
 
     pool =
-      Pool.new(
+      ProcessBranches.new(
         form: opts.form,
         termination: opts.termination,
         missing: opts.missing,
@@ -66,10 +67,12 @@ defmodule Situ.Parallel.Processes do
     or_abandon(state, before, fn ->
       parts = Parts.of(state.opts.form, state.opts[:split], message.data)
       at = {context.path, message.originating_time}
-      begun = Enum.reduce(Pool.unknown(state.pool, parts), state, &begin(&2, &1, at, before))
+
+      begun =
+        Enum.reduce(ProcessBranches.unknown(state.pool, parts), state, &begin(&2, &1, at, before))
 
       {more, came, pool} =
-        or_abandon(begun, before, fn -> Pool.push(begun.pool, message, parts) end)
+        or_abandon(begun, before, fn -> ProcessBranches.push(begun.pool, message, parts) end)
 
       {[more | orders], [came | outputs], %{begun | pool: pool}}
     end)
@@ -84,13 +87,14 @@ defmodule Situ.Parallel.Processes do
   def handle_info({:situ_branch_failed, error}, _context, _state), do: raise(error)
 
   def handle_info({:hold_ended, :in}, _context, %{held: true} = state) do
-    if state.moved or Fleet.at_work?(state.branches, Pool.awaited(state.pool)),
-      do: {[{:hold, :in}], %{state | moved: false}},
-      else: {[], %{state | held: false, limit: state.limit * 2}}
+    if state.moved or
+         RunningBranches.at_work?(state.branches, ProcessBranches.awaited(state.pool)),
+       do: {[{:hold, :in}], %{state | moved: false}},
+       else: {[], %{state | held: false, limit: state.limit * 2}}
   end
 
   def handle_info(message, _context, state) do
-    case Fleet.ended(message, state.branches) do
+    case RunningBranches.ended(message, state.branches) do
       {id, result} ->
         {outputs, state} = over(id, result, state)
         balance(outputs, state)
@@ -103,7 +107,7 @@ defmodule Situ.Parallel.Processes do
   # The outputs of what is still in the branches come before this one's end.
   @impl true
   def handle_closed(_input, time, context, state) do
-    {orders, pool} = Pool.close(state.pool, time)
+    {orders, pool} = ProcessBranches.close(state.pool, time)
     state = carry_out(%{state | pool: pool}, orders)
     monitors = for {_, branch} <- state.branches, into: %{}, do: {branch.monitor, true}
     drain(state, {context.pipeline, monitors}, nil, [])
@@ -111,13 +115,13 @@ defmodule Situ.Parallel.Processes do
 
   @impl true
   def terminate(_reason, state) do
-    Fleet.abandon(state.branches, %{})
+    RunningBranches.abandon(state.branches, %{})
   end
 
   @impl true
   def describe(%{pool: pool} = state) do
     failed = if pool.failed > 0, do: ", #{pool.failed} failed and begun anew", else: ""
-    waiting = Entries.size(pool.entries)
+    waiting = PendingOutputs.size(pool.entries)
     waits = if waiting > 0, do: ", #{waiting} messages wait", else: ""
     ending = map_size(state.branches) - map_size(pool.keys)
     ends = if ending > 0, do: ", #{ending} ending", else: ""
@@ -134,8 +138,11 @@ defmodule Situ.Parallel.Processes do
     timing = Map.merge(state.timing, %{start: time, policy: state.opts[:branch_policy]})
     at = {Situ.Branch.Path.to_string({path, key}), state.opts.type, timing}
     fun = of_key(state.opts.fun, key)
-    fleet = or_abandon(state, before, fn -> Fleet.begin(state.branches, id, fun, at) end)
-    pool = Pool.started(state.pool, key, id, fleet[id].output?)
+
+    fleet =
+      or_abandon(state, before, fn -> RunningBranches.begin(state.branches, id, fun, at) end)
+
+    pool = ProcessBranches.started(state.pool, key, id, fleet[id].output?)
     %{state | pool: pool, branches: fleet}
   end
 
@@ -144,7 +151,7 @@ defmodule Situ.Parallel.Processes do
     fun.()
   rescue
     error ->
-      Fleet.abandon(state.branches, before.branches)
+      RunningBranches.abandon(state.branches, before.branches)
       reraise error, __STACKTRACE__
   end
 
@@ -152,7 +159,7 @@ defmodule Situ.Parallel.Processes do
   defp of_key(fun, key), do: &fun.(key, &1)
 
   defp carry_out(state, orders),
-    do: %{state | branches: Fleet.carry_out(orders, state.branches)}
+    do: %{state | branches: RunningBranches.carry_out(orders, state.branches)}
 
   # All that has been said already, in one turn.
   defp listen({outputs, state}) do
@@ -166,11 +173,11 @@ defmodule Situ.Parallel.Processes do
   end
 
   defp said({:open, gate}, id, state) when is_map_key(state.branches, id),
-    do: {[], %{state | branches: Fleet.opened(state.branches, id, gate)}}
+    do: {[], %{state | branches: RunningBranches.opened(state.branches, id, gate)}}
 
   defp said({:gave, gave, passed}, id, %{branches: branches} = state) do
     passed = if match?(%{^id => %{immediate?: true}}, branches), do: passed
-    {outputs, pool} = Pool.gave(state.pool, id, gave, passed)
+    {outputs, pool} = ProcessBranches.gave(state.pool, id, gave, passed)
     {outputs, %{state | pool: pool, moved: true}}
   end
 
@@ -178,8 +185,15 @@ defmodule Situ.Parallel.Processes do
 
   # A branch has ended: as it was told to, or by a failure.
   defp over(id, result, state) do
-    {outputs, pool} = Pool.ended(state.pool, id)
-    state = %{state | branches: Fleet.remove(state.branches, id), pool: pool, moved: true}
+    {outputs, pool} = ProcessBranches.ended(state.pool, id)
+
+    state = %{
+      state
+      | branches: RunningBranches.remove(state.branches, id),
+        pool: pool,
+        moved: true
+    }
+
     {outputs, failed(result, state)}
   end
 
@@ -195,7 +209,7 @@ defmodule Situ.Parallel.Processes do
   end
 
   defp balance(outputs, state) do
-    waiting = Entries.size(state.pool.entries)
+    waiting = PendingOutputs.size(state.pool.entries)
 
     cond do
       not state.held and waiting >= state.limit ->
@@ -209,7 +223,8 @@ defmodule Situ.Parallel.Processes do
     end
   end
 
-  # Until every branch has ended. The pipeline around it sees that something moves, however long they take for what they have.
+  # Until every branch has ended. The pipeline around it sees that something moves, however long they take for what
+  # they have.
   defp drain(%{branches: branches} = state, _around, _marks, outputs)
        when map_size(branches) == 0,
        do: drained(state, outputs)
@@ -226,12 +241,12 @@ defmodule Situ.Parallel.Processes do
         drain(state, around, marks, [more | outputs])
 
       {:DOWN, monitor, :process, _, _} = down when is_map_key(monitors, monitor) ->
-        {id, result} = Fleet.ended(down, state.branches)
+        {id, result} = RunningBranches.ended(down, state.branches)
         {more, state} = over(id, result, state)
         drain(state, around, marks, [more | outputs])
     after
       1_000 ->
-        now = Fleet.marks(state.branches)
+        now = RunningBranches.marks(state.branches)
         if now != marks, do: Client.moving(pipeline)
         drain(state, around, now, outputs)
     end

@@ -1,7 +1,7 @@
 defmodule Situ.Selection.Delay do
   @moduledoc false
-  # Holds messages until their time has come on the clock. When the stream ends, all that it holds comes out: only the moment at
-  # which a message comes depends on the clock, never whether it does.
+  # Holds messages until their time has come on the clock. When the stream ends, all that it holds comes out: only
+  # the moment at which a message comes depends on the clock, never whether it does.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],

@@ -1,7 +1,7 @@
 defmodule Situ.Statistics.Sliding do
   @moduledoc """
-  A statistic of the values in a window that slides: the newest comes in, the oldest goes out, and the result is there at once,
-  however many values lie between.
+  A statistic of the values in a window that slides: the newest comes in, the oldest goes out, and the result is
+  there at once, however many values lie between.
 
       iex> window = Enum.reduce([5, 1, 4], Situ.Statistics.Sliding.new(:max), &Situ.Statistics.Sliding.push(&2, 0, &1))
       iex> Situ.Statistics.Sliding.result(window)
@@ -9,16 +9,18 @@ defmodule Situ.Statistics.Sliding do
       iex> window |> Situ.Statistics.Sliding.pop() |> Situ.Statistics.Sliding.result()
       4
 
-  The window is two stacks of partial results (Tangwongsan, Hirzel, Schneider, Wu: General incremental sliding-window aggregation, VLDB 2015),
-  so nothing is ever subtracted: sums do not drift, and a `:nan` is forgotten when it leaves. A value costs some three combinations of
-  partial results, on average. Deviations are combined by the formula of Chan, Golub and LeVeque (1979).
+  The window is two stacks of partial results (Tangwongsan, Hirzel, Schneider, Wu: General incremental
+  sliding-window aggregation, VLDB 2015), so nothing is ever subtracted: sums do not drift, and a `:nan` is
+  forgotten when it leaves. A value costs some three combinations of partial results, on average. Deviations are
+  combined by the formula of Chan, Golub and LeVeque (1979).
 
   Values, and results, are as in `Situ.Statistics`.
   """
 
   alias Situ.{Number, Statistics}
 
-  # front: `{time, result from here to the end of the front}`, oldest first; back: `{time, value}`, newest first, and its result.
+  # front: `{time, result from here to the end of the front}`, oldest first; back: `{time, value}`, newest first,
+  # and its result.
   @enforce_keys [:kind, :opts]
   defstruct [:kind, :opts, front: [], back: [], back_result: :none, size: 0]
 

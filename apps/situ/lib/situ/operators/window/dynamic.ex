@@ -2,11 +2,13 @@ defmodule Situ.Window.Dynamic do
   @moduledoc """
   The pure heart of dynamic windows: each message of a window stream names an interval of the source stream.
 
-  `fun.(window_message)` gives `{interval, obsolete}`: an absolute `Situ.Interval`, and the time before which no later window
-  will need the source. The output, at the window message's time, is `creator.(window_message, source_messages)`; it goes out
-  when a source message at or after the interval's right end has arrived, or when the source has ended.
+  `fun.(window_message)` gives `{interval, obsolete}`: an absolute `Situ.Interval`, and the time before which no
+  later window will need the source. The output, at the window message's time, is `creator.(window_message,
+  source_messages)`; it goes out when a source message at or after the interval's right end has arrived, or when the
+  source has ended.
 
-  Errors (`Situ.Error`): `:window_negative`, `:window_not_finite`, `:window_before_obsolete`, `:obsolete_time_before_previous`.
+  Errors (`Situ.Error`): `:window_negative`, `:window_not_finite`, `:window_before_obsolete`,
+  `:obsolete_time_before_previous`.
   """
 
   alias Situ.{Error, Interval, Message}

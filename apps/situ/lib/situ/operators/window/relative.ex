@@ -1,9 +1,10 @@
 defmodule Situ.Window.Relative do
   @moduledoc """
-  The pure heart of windows by time: for every message (the anchor) all messages whose time lies in the window around it.
+  The pure heart of windows by time: for every message (the anchor) all messages whose time lies in the window
+  around it.
 
-  A window goes out, at its anchor's time, as soon as a message at or after its right end has arrived, or the stream ends. Partial windows
-  at the beginning and the end of the stream go out too; one without messages is empty.
+  A window goes out, at its anchor's time, as soon as a message at or after its right end has arrived, or the stream
+  ends. Partial windows at the beginning and the end of the stream go out too; one without messages is empty.
 
       iex> window = Situ.Window.Relative.new(Situ.Interval.past(10), nil)
       iex> messages = for n <- 1..3, do: %Situ.Message{originating_time: n * 10, data: n}

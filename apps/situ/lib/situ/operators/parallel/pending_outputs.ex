@@ -1,7 +1,7 @@
-defmodule Situ.Parallel.Entries do
+defmodule Situ.Parallel.PendingOutputs do
   @moduledoc false
-  # The times whose outputs are not decided yet, in order: which branches are live at each, what they gave, and how many of them
-  # may still give something.
+  # The times whose outputs are not decided yet, in order: which branches are live at each, what they gave, and how
+  # many of them may still give something.
 
   @enforce_keys [:missing, :creator]
   defstruct [:missing, :creator, waiting: %{}, order: :queue.new()]

@@ -1,10 +1,11 @@
-defmodule Situ.Parallel.Pool do
+defmodule Situ.Parallel.ProcessBranches do
   @moduledoc false
-  # The pure heart of parallel with branches in processes: which branch each key has, which times wait for it, and what is to be sent
-  # to whom. As in Core a time is decided when each of its branches has given something for it, or cannot any more: it has given something
-  # later, has passed the time without giving anything, or has ended.
+  # The pure heart of parallel with branches in processes: which branch each key has, which times wait for it, and
+  # what is to be sent to whom. As in ValueBranches a time is decided when each of its branches has given something
+  # for it, or cannot any more: it has given something later, has passed the time without giving anything, or has
+  # ended.
   alias Situ.Message
-  alias Situ.Parallel.{Entries, Parts, Until}
+  alias Situ.Parallel.{PendingOutputs, Parts, Termination}
 
   @enforce_keys [:form, :termination, :entries]
   defstruct [
@@ -26,11 +27,15 @@ defmodule Situ.Parallel.Pool do
   @type outputs :: [Situ.Component.action()]
   @type t :: %__MODULE__{}
 
-  @doc "`form`, `termination`, `missing`, `creator` as of `Situ.Parallel.Core.new/1`."
+  @doc "`form`, `termination`, `missing`, `creator` as of `Situ.Parallel.ValueBranches.new/1`."
   @spec new(keyword()) :: t()
   def new(opts) do
     {entries, opts} = Keyword.split(opts, [:missing, :creator])
-    struct!(__MODULE__, [entries: Entries.new(entries[:missing], entries[:creator])] ++ opts)
+
+    struct!(
+      __MODULE__,
+      [entries: PendingOutputs.new(entries[:missing], entries[:creator])] ++ opts
+    )
   end
 
   @doc "Keys among these parts that have no branch."
@@ -63,17 +68,18 @@ defmodule Situ.Parallel.Pool do
       {feeds ++ stops, [], pool}
     else
       live = live(pool, parts)
-      keys = Entries.keys(live)
+      keys = PendingOutputs.keys(live)
       passes = for key <- keys, not part?(parts, key), do: {:pass, id(before, key), time}
       pool = Enum.reduce(keys, pool, &wait(&2, id(before, &1), time))
-      entries = Entries.add(pool.entries, time, live, %{}, length(keys))
+      entries = PendingOutputs.add(pool.entries, time, live, %{}, length(keys))
       {outputs, pool} = flush(%{pool | entries: entries})
       {feeds ++ passes ++ stops, outputs, pool}
     end
   end
 
   @doc """
-  A branch gave these, in order. With `passed`, a time, it has dealt with everything up to that, and nothing for it will come any more.
+  A branch gave these, in order. With `passed`, a time, it has dealt with everything up to that, and nothing for it
+  will come any more.
   """
   @spec gave(t(), id(), [{Situ.Time.t(), term()}], Situ.Time.t() | nil) :: {outputs(), t()}
   def gave(pool, id, gave, passed) do
@@ -90,16 +96,16 @@ defmodule Situ.Parallel.Pool do
 
   # Times that wait for the branch, against those that it gave something for, both in order.
   defp settle([{at, value} | gave], passed, [time | waiting], key, entries) when at == time,
-    do: settle(gave, passed, waiting, key, Entries.found(entries, time, key, value))
+    do: settle(gave, passed, waiting, key, PendingOutputs.found(entries, time, key, value))
 
   defp settle([{at, _} | _] = gave, passed, [time | waiting], key, entries) when time < at,
-    do: settle(gave, passed, waiting, key, Entries.lost(entries, [time]))
+    do: settle(gave, passed, waiting, key, PendingOutputs.lost(entries, [time]))
 
   defp settle([_not_asked_for | gave], passed, waiting, key, entries),
     do: settle(gave, passed, waiting, key, entries)
 
   defp settle([], passed, [time | waiting], key, entries) when passed != nil and time <= passed,
-    do: settle([], passed, waiting, key, Entries.lost(entries, [time]))
+    do: settle([], passed, waiting, key, PendingOutputs.lost(entries, [time]))
 
   defp settle([], _passed, waiting, _key, entries), do: {entries, waiting}
 
@@ -116,7 +122,7 @@ defmodule Situ.Parallel.Pool do
       {{key, waiting}, branches} ->
         keys = if id(pool.keys, key) == id, do: Map.delete(pool.keys, key), else: pool.keys
         {front, rear} = waiting
-        entries = Entries.lost(pool.entries, whole(front, rear))
+        entries = PendingOutputs.lost(pool.entries, whole(front, rear))
         flush(%{pool | branches: branches, keys: keys, entries: entries})
     end
   end
@@ -137,7 +143,7 @@ defmodule Situ.Parallel.Pool do
   @doc "The branches that the first undecided time waits for."
   @spec awaited(t()) :: [id()]
   def awaited(pool) do
-    case Entries.first(pool.entries) do
+    case PendingOutputs.first(pool.entries) do
       {:value, time} ->
         for {id, {_key, {front, rear}}} <- pool.branches,
             match?([^time | _], whole(front, rear)),
@@ -165,11 +171,11 @@ defmodule Situ.Parallel.Pool do
 
   defp terminate(%{termination: rule} = pool, parts, time) do
     rule
-    |> Until.asked(pool.keys, parts)
+    |> Termination.asked(pool.keys, parts)
     |> Enum.reduce({[], pool}, fn key, {stops, pool} ->
       {id, seen, absent} = Map.fetch!(pool.keys, key)
 
-      case Until.decide(rule, key, {seen, absent}, parts, time) do
+      case Termination.decide(rule, key, {seen, absent}, parts, time) do
         :keep -> {stops, pool}
         {:absent, n} -> {stops, %{pool | keys: Map.put(pool.keys, key, {id, time, n})}}
         {:close, at} -> {[{:stop, id, last(at, seen)} | stops], without(pool, key)}
@@ -205,7 +211,7 @@ defmodule Situ.Parallel.Pool do
   end
 
   defp flush(pool) do
-    {outputs, entries} = Entries.flush(pool.entries)
+    {outputs, entries} = PendingOutputs.flush(pool.entries)
     {outputs, %{pool | entries: entries}}
   end
 end

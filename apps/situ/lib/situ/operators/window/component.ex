@@ -1,4 +1,4 @@
-defmodule Situ.Window.Keeper do
+defmodule Situ.Window.Component do
   @moduledoc false
   # The component around the pure windows that look ahead (by index, by time) or at a stream of windows.
   use Situ.Component,

@@ -1,15 +1,20 @@
-defmodule Situ.Parallel.Fleet do
+defmodule Situ.Parallel.RunningBranches do
   @moduledoc false
-  # The running branches of a parallel operator, each a pipeline of its own: begun, fed, stopped, taken out. A branch whose entrance is
-  # not open yet gets what it is sent as soon as it is.
+  # The running branches of a parallel operator, each a pipeline of its own: begun, fed, stopped, taken out. A
+  # branch whose entrance is not open yet gets what it is sent as soon as it is.
   alias Situ.Branch.Process, as: Branch
-  alias Situ.Parallel.Pool
+  alias Situ.Parallel.ProcessBranches
   alias Situ.Pipeline.{Client, Errors}
 
-  @type t :: %{Pool.id() => map()}
+  @type t :: %{ProcessBranches.id() => map()}
 
   @doc "Begins a branch; `timing` as of `Situ.Branch.Process.start!/5`."
-  @spec begin(t(), Pool.id(), (Situ.Stream.t() -> term()), {String.t(), Situ.Type.t(), map()}) ::
+  @spec begin(
+          t(),
+          ProcessBranches.id(),
+          (Situ.Stream.t() -> term()),
+          {String.t(), Situ.Type.t(), map()}
+        ) ::
           t()
   def begin(fleet, id, fun, {path, type, timing}) do
     built = Branch.start!(fun, id, path, type, timing)
@@ -30,7 +35,7 @@ defmodule Situ.Parallel.Fleet do
   end
 
   @doc "Does what the pool says: all that one branch gets goes in one message."
-  @spec carry_out([Pool.order()], t()) :: t()
+  @spec carry_out([ProcessBranches.order()], t()) :: t()
   def carry_out(orders, fleet) do
     {fleet, entries} = Enum.reduce(orders, {fleet, %{}}, &carry_out_one/2)
     Enum.reduce(entries, fleet, fn {id, entries}, fleet -> feed(fleet, id, entries) end)
@@ -70,7 +75,7 @@ defmodule Situ.Parallel.Fleet do
   end
 
   @doc "The entrance of a branch is there."
-  @spec opened(t(), Pool.id(), pid()) :: t()
+  @spec opened(t(), ProcessBranches.id(), pid()) :: t()
   def opened(fleet, id, gate) do
     branch = Map.fetch!(fleet, id)
     if branch.early != [], do: Branch.feed(gate, Enum.reverse(branch.early))
@@ -79,7 +84,7 @@ defmodule Situ.Parallel.Fleet do
   end
 
   @doc "A branch has ended."
-  @spec remove(t(), Pool.id()) :: t()
+  @spec remove(t(), ProcessBranches.id()) :: t()
   def remove(fleet, id) do
     {branch, fleet} = Map.pop!(fleet, id)
     Process.demonitor(branch.monitor, [:flush])
@@ -87,7 +92,7 @@ defmodule Situ.Parallel.Fleet do
   end
 
   @doc "What a message says of the end of a branch of this fleet."
-  @spec ended(term(), t()) :: {Pool.id(), Situ.Pipeline.result()} | nil
+  @spec ended(term(), t()) :: {ProcessBranches.id(), Situ.Pipeline.result()} | nil
   def ended({id, result}, fleet) when is_map_key(fleet, id), do: {id, result}
 
   def ended({:DOWN, _monitor, :process, pid, reason}, fleet) do
@@ -98,7 +103,7 @@ defmodule Situ.Parallel.Fleet do
   def ended(_other, _fleet), do: nil
 
   @doc "Whether one of these is in the middle of something; a run of light operators says so itself when it is through."
-  @spec at_work?(t(), [Pool.id()]) :: boolean()
+  @spec at_work?(t(), [ProcessBranches.id()]) :: boolean()
   def at_work?(fleet, ids) do
     Enum.any?(ids, fn id ->
       branch = Map.fetch!(fleet, id)

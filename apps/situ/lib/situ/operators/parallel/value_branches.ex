@@ -1,14 +1,15 @@
-defmodule Situ.Parallel.Core do
+defmodule Situ.Parallel.ValueBranches do
   @moduledoc false
   # The pure heart of parallel: parts of a message to branches, and what the branches give for one time back together.
   #
-  # A message's time is decided when every live branch has a value at that time, or is known to have none: at once for branches that
-  # are a run of light operators; when something later has come out of it, or it ended, for others. Times that wait are entries,
-  # answered in order. A branch knows which times wait for it, and nothing else knows the branch: when it ends it is gone.
+  # A message's time is decided when every live branch has a value at that time, or is known to have none: at once
+  # for branches that are a run of light operators; when something later has come out of it, or it ended, for
+  # others. Times that wait are entries, answered in order. A branch knows which times wait for it, and nothing else
+  # knows the branch: when it ends it is gone.
 
   alias Situ.Branch
   alias Situ.Branch.Chained
-  alias Situ.Parallel.{Entries, Parts, Until}
+  alias Situ.Parallel.{PendingOutputs, Parts, Termination}
 
   @enforce_keys [:start, :termination, :form, :entries]
   defstruct [
@@ -29,7 +30,7 @@ defmodule Situ.Parallel.Core do
   @doc """
   * `start`: `fun.(key)` starts a branch
   * `form`: `{:fixed, n}`, `:variable` (lists), `:sparse` or `:present` (maps: all live keys, or those with a value)
-  * `termination`: a rule of `Situ.Parallel.Until`, for maps
+  * `termination`: a rule of `Situ.Parallel.Termination`, for maps
   * `missing`: `:drop`, or `{:value, default}`
   * `creator`: makes the output from the list or map of values
   * `on_failure`: `:stop` or `:restart`
@@ -37,7 +38,11 @@ defmodule Situ.Parallel.Core do
   @spec new(keyword()) :: t()
   def new(opts) do
     {entries, opts} = Keyword.split(opts, [:missing, :creator])
-    struct!(__MODULE__, [entries: Entries.new(entries[:missing], entries[:creator])] ++ opts)
+
+    struct!(
+      __MODULE__,
+      [entries: PendingOutputs.new(entries[:missing], entries[:creator])] ++ opts
+    )
   end
 
   @doc "One message of parts: a list or a map."
@@ -155,10 +160,10 @@ defmodule Situ.Parallel.Core do
   defp terminate(%{termination: :never} = core, _parts, _time), do: core
 
   defp terminate(%{termination: rule} = core, parts, time) do
-    Enum.reduce(Until.asked(rule, core.branches, parts), core, fn key, core ->
+    Enum.reduce(Termination.asked(rule, core.branches, parts), core, fn key, core ->
       entry = {branch, seen, absent, waiting} = Map.fetch!(core.branches, key)
 
-      case Until.decide(rule, key, {seen, absent}, parts, time) do
+      case Termination.decide(rule, key, {seen, absent}, parts, time) do
         :keep -> core
         {:absent, n} -> put_in(core.branches[key], {branch, time, n, waiting})
         {:close, closing} -> ended(core, key, entry, closing)
@@ -192,11 +197,11 @@ defmodule Situ.Parallel.Core do
     live = live(core, parts, values)
     open = undecided(core, live, values, later)
 
-    if open == [] and Entries.size(core.entries) == 0 do
-      {Entries.output(core.entries, time, live, values), core}
+    if open == [] and PendingOutputs.size(core.entries) == 0 do
+      {PendingOutputs.output(core.entries, time, live, values), core}
     else
       core = Enum.reduce(open, core, &wait(&2, &1, time))
-      flush(%{core | entries: Entries.add(core.entries, time, live, values, length(open))})
+      flush(%{core | entries: PendingOutputs.add(core.entries, time, live, values, length(open))})
     end
   end
 
@@ -207,11 +212,11 @@ defmodule Situ.Parallel.Core do
 
   # Branches that may still give something at this time.
   defp undecided(core, live, values, later) do
-    all_there? = map_size(values) == Entries.count(live)
+    all_there? = map_size(values) == PendingOutputs.count(live)
 
     if all_there?,
       do: [],
-      else: for(key <- Entries.keys(live), waits?(core, key, values, later), do: key)
+      else: for(key <- PendingOutputs.keys(live), waits?(core, key, values, later), do: key)
   end
 
   defp waits?(_core, key, values, _later) when is_map_key(values, key), do: false
@@ -230,12 +235,12 @@ defmodule Situ.Parallel.Core do
   end
 
   defp found(core, key, time, value),
-    do: %{core | entries: Entries.found(core.entries, time, key, value)}
+    do: %{core | entries: PendingOutputs.found(core.entries, time, key, value)}
 
-  defp lost(core, times), do: %{core | entries: Entries.lost(core.entries, times)}
+  defp lost(core, times), do: %{core | entries: PendingOutputs.lost(core.entries, times)}
 
   defp flush(core) do
-    {outputs, entries} = Entries.flush(core.entries)
+    {outputs, entries} = PendingOutputs.flush(core.entries)
     {outputs, %{core | entries: entries}}
   end
 end

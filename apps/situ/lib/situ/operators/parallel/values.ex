@@ -1,4 +1,4 @@
-defmodule Situ.Parallel.Box do
+defmodule Situ.Parallel.Values do
   @moduledoc false
   # The component behind parallel: all branches live in it.
   use Situ.Component,
@@ -15,7 +15,7 @@ defmodule Situ.Parallel.Box do
       on_branch_error: [type: {:in, [:stop, :restart]}, default: :stop]
     ]
 
-  alias Situ.Parallel.{Core, Parts}
+  alias Situ.Parallel.{ValueBranches, Parts}
 
   @many 1_000
   @roomy {__MODULE__, :roomy}
@@ -30,7 +30,7 @@ defmodule Situ.Parallel.Box do
   def handle_message(_input, message, _context, {core, opts}) do
     parts = Parts.of(opts.form, opts[:split], message.data)
     make_room(core, parts)
-    {outputs, core} = Core.push(core, message, parts)
+    {outputs, core} = ValueBranches.push(core, message, parts)
     {outputs, {core, opts}}
   end
 
@@ -40,7 +40,7 @@ defmodule Situ.Parallel.Box do
       Enum.flat_map_reduce(messages, core, fn message, core ->
         parts = Parts.of(opts.form, opts[:split], message.data)
         make_room(core, parts)
-        Core.push(core, message, parts)
+        ValueBranches.push(core, message, parts)
       end)
 
     {outputs, {core, opts}}
@@ -48,7 +48,7 @@ defmodule Situ.Parallel.Box do
 
   @impl true
   def handle_closed(_input, time, _context, {core, opts}) do
-    {outputs, core} = Core.close(core, time)
+    {outputs, core} = ValueBranches.close(core, time)
     {outputs, {core, opts}}
   end
 
@@ -57,7 +57,7 @@ defmodule Situ.Parallel.Box do
 
   def describe({core, _opts}) do
     failed = if core.failed > 0, do: ", #{core.failed} failed and begun anew", else: ""
-    waiting = Situ.Parallel.Entries.size(core.entries)
+    waiting = Situ.Parallel.PendingOutputs.size(core.entries)
     waits = if waiting > 0, do: ", #{waiting} messages wait", else: ""
     "#{map_size(core.branches)} branches live, #{core.started} started#{failed}#{waits}"
   end
@@ -78,7 +78,7 @@ defmodule Situ.Parallel.Box do
   defp make_room(_core, _parts), do: :ok
 
   defp core(opts, context) do
-    Core.new(
+    ValueBranches.new(
       start: starter(opts, context),
       form: opts.form,
       termination: opts.termination,

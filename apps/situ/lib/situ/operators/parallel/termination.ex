@@ -1,4 +1,4 @@
-defmodule Situ.Parallel.Until do
+defmodule Situ.Parallel.Termination do
   @moduledoc false
   # When the branch of a key ends: the rules of `until:`. Pure.
 
@@ -33,8 +33,8 @@ defmodule Situ.Parallel.Until do
   end
 
   @doc """
-  What becomes of the branch of a key that was last seen at `seen` and since then absent so often: `:keep`, `{:absent, n}` (it is alive
-  without being there), or `{:close, time}`.
+  What becomes of the branch of a key that was last seen at `seen` and since then absent so often: `:keep`,
+  `{:absent, n}` (it is alive without being there), or `{:close, time}`.
   """
   @spec decide(t(), term(), {Situ.Time.t() | nil, non_neg_integer()}, map(), Situ.Time.t()) ::
           :keep | {:absent, pos_integer()} | {:close, Situ.Time.t() | nil}
