@@ -23,7 +23,7 @@ defmodule Situ.Aggregate do
   @moduledoc """
   Statistics of streams of numbers. All are on `Situ` too: `Situ.sum/2` ...
 
-  What they are taken over is `over:`
+  `over:` names the messages that they are taken over:
 
   | `over:` | statistic of | output |
   |---|---|---|

@@ -44,7 +44,7 @@ defmodule Situ.Filter do
   Samples are numbers as in `Situ.Number`. `:nan` and infinities are contagious, as in `Situ.Statistics`: as long as
   one lies within a median or the taps of a finite filter, and for good in an infinite one and in the 1 euro filter,
   whose outputs go into the next. `nil`, no value, comes out as it is and leaves the filter alone; so do ticks
-  between a number and `nil`. What is no number is an error, `:not_a_number`.
+  between a number and `nil`. Anything that is no number is an error, `:not_a_number`.
 
       level |> Situ.lowpass(rate: 100, cutoff: 5)
       gaze |> Situ.map(& &1.x) |> Situ.one_euro(min_cutoff: 1.5, slope: 0.01)

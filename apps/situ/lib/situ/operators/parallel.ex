@@ -40,14 +40,14 @@ defmodule Situ.Parallel do
       {:ok, [{0, %{ann: 1, bob: 5}}, {10, %{ann: 4}}]}
 
   The function builds a branch: a piece of pipeline, from a stream (or a key and a stream) to a stream. Each branch
-  has its own state. Results come out at the message's time, as a list or a map like the input. What a branch gives
-  at other times is dropped; when the function returns no stream, nothing comes out.
+  has its own state. Results come out at the message's time, as a list or a map like the input. Results of a branch
+  at other times are dropped; when the function returns no stream, nothing comes out.
 
   | form | `stream` carries | branches | output |
   |---|---|---|---|
   | fixed, `size: n` | lists of n elements (another length is an error) | n | a list of n |
-  | variable | lists | one per position, begun with the first list that reaches it | a list as long as the input's |
-  | sparse | maps, or what `split:` makes one of | one per key, begun with its first message | a map of the live keys |
+  | variable | lists | one per position, started by the first list that reaches it | a list as long as the input's |
+  | sparse | maps, or what `split:` makes one of | one per key, started by its first message | a map of the live keys |
 
   When a branch has nothing at a time the whole output is dropped, or with `or_default: value` the value takes its
   place; a key that is kept alive without being in the message is such a case.
@@ -61,14 +61,14 @@ defmodule Situ.Parallel do
   | `:never` | with the stream | |
   | `fun.(key, map, time)` | when it answers `{:close, time}` and not `:keep`, asked with every message | what it says |
 
-  What a branch gives while it ends (`Situ.last/2` ...) still counts. Its state is released; the same key later
+  Results that a branch gives while it ends (`Situ.last/2` ...) still count. Its state is released; the same key later
   begins a new branch.
 
   ## Values or processes
 
   By default a branch is a value inside the operator's process (see `Situ.Branch`): a hundred thousand of them are
   no burden, but they share one core, and hold nothing that has a clock or a process of its own. With `branches:
-  :processes` each is a pipeline of its own, begun at the time of its first part, with any component inside:
+  :processes` each is a pipeline of its own, started at the time of its first part, with any component inside:
   sources, timers, delays, what is slow or talks to the world. Outputs, their times and their order are the same,
   wherever the branch itself is reproducible. Tens to thousands of such branches, not a hundred thousand.
 
@@ -82,8 +82,8 @@ defmodule Situ.Parallel do
   ## When a branch fails
 
   It fails the operator as any other, named as `Parallel[key].Step`, and `on_error:` decides; a branch that is
-  killed is such a failure. With `on_branch_error: :restart` that branch alone begins anew with its next part, and
-  what was on its way through it counts as missing.
+  killed is such a failure. With `on_branch_error: :restart` that branch alone is restarted with its next part, and
+  messages on their way through it count as missing.
 
   ## Options
 

@@ -71,7 +71,7 @@ defmodule Situ.StateMachine do
       type: {:tuple, [:any, :any]},
       doc: "First state and data of a machine that is a function."
     ],
-    opts: [type: :keyword, default: [], doc: "What a module's `init/1` gets."]
+    opts: [type: :keyword, default: [], doc: "Passed to a module's `init/1`."]
   ]
 
   @doc """

@@ -110,7 +110,7 @@ defmodule Situ.Test do
     settle(test)
   end
 
-  @doc "What has come out since the last call, once everything fed has been dealt with."
+  @doc "The outputs since the last call, once the pipeline has dealt with everything it was fed."
   @spec outputs(t()) :: term()
   def outputs(%__MODULE__{} = test) do
     settle(test)

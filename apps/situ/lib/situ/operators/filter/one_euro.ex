@@ -39,7 +39,7 @@ defmodule Situ.Filter.OneEuro do
   def options, do: @options
 
   @doc """
-  A sample at a time (ns); the first passes as it is. What has become `:nan` or infinite stays so: each output goes
+  A sample at a time (ns); the first passes as it is. An output that is `:nan` or infinite stays so: each output goes
   into the next.
   """
   @spec step(t(), Situ.Time.t(), Number.t()) :: {Number.t(), t()}

@@ -34,7 +34,7 @@ defmodule Situ.Fusion.Secondary do
   @spec reached(t()) :: Situ.Time.t() | nil
   def reached({_front, _rear, last, _closed}), do: last
 
-  @doc "What waits."
+  @doc "The messages that wait."
   @spec queue(t()) :: MessageQueue.t()
   def queue({front, rear, _last, _closed}), do: {front, rear}
 

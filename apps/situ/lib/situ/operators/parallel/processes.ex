@@ -120,7 +120,7 @@ defmodule Situ.Parallel.Processes do
 
   @impl true
   def describe(%{pool: pool} = state) do
-    failed = if pool.failed > 0, do: ", #{pool.failed} failed and begun anew", else: ""
+    failed = if pool.failed > 0, do: ", #{pool.failed} failed and restarted", else: ""
     waiting = PendingOutputs.size(pool.entries)
     waits = if waiting > 0, do: ", #{waiting} messages wait", else: ""
     ending = map_size(state.branches) - map_size(pool.keys)

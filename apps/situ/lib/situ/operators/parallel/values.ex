@@ -56,7 +56,7 @@ defmodule Situ.Parallel.Values do
   def describe({nil, _opts}), do: "not started"
 
   def describe({core, _opts}) do
-    failed = if core.failed > 0, do: ", #{core.failed} failed and begun anew", else: ""
+    failed = if core.failed > 0, do: ", #{core.failed} failed and restarted", else: ""
     waiting = Situ.Parallel.PendingOutputs.size(core.entries)
     waits = if waiting > 0, do: ", #{waiting} messages wait", else: ""
     "#{map_size(core.branches)} branches live, #{core.started} started#{failed}#{waits}"
