@@ -186,6 +186,10 @@ defmodule Situ do
     Operator.attach(stream, "Scan", {:step, step, acc}, opts)
   end
 
+  @doc "The pipelines of this node: label, process and state of each; see `Situ.Pipeline.list/0`."
+  @spec pipelines() :: [%{name: String.t(), pid: pid(), state: atom()}]
+  defdelegate pipelines(), to: Pipeline, as: :list
+
   @doc "Names a stream; see `Situ.Stream.name/2`."
   @spec name(Stream.t(), String.t()) :: Stream.t()
   defdelegate name(stream, name), to: Stream

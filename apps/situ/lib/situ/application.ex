@@ -10,7 +10,8 @@ defmodule Situ.Application do
       Situ.Pipeline.Reaper,
       Situ.Clock.registry(),
       Situ.Connector.registry(),
-      Situ.Tap.registry()
+      Situ.Tap.registry(),
+      Situ.Pipeline.Directory.registry()
     ]
 
     Supervisor.start_link(children, strategy: :one_for_one, name: Situ.Supervisor)

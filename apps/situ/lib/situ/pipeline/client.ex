@@ -3,13 +3,13 @@ defmodule Situ.Pipeline.Client do
   # Questions to a pipeline's process, asked by its handle, a stream, pid or name; one that has ended is an error, or its result.
   alias Situ.{Error, Pipeline}
   alias Situ.Graph.{Builder, Handle}
-  alias Situ.Pipeline.{Errors, Lifecycle, Results}
+  alias Situ.Pipeline.{Directory, Errors, Lifecycle, Results}
 
   @spec stop(Pipeline.target(), keyword()) :: Pipeline.result() | :ok
   def stop(p, opts) do
     pid = pid(p)
 
-    if Process.get(:situ_pipeline) == pid or pid == self() do
+    if inside?(pid) or pid == self() do
       send(pid, :situ_stop)
       :ok
     else
@@ -31,13 +31,16 @@ defmodule Situ.Pipeline.Client do
 
     request = {:stop_part, path, how}
 
-    if Process.get(:situ_pipeline) == pid do
+    if inside?(pid) do
       send(pid, put_elem(request, 0, :situ_stop_part))
       :ok
     else
       ask(pid, request, Keyword.get(opts, :timeout, :infinity), nil)
     end
   end
+
+  # A component, or a handler, of the pipeline itself.
+  defp inside?(pid), do: pid != nil and Process.get(:situ_pipeline) == pid
 
   @spec await(Pipeline.target(), timeout()) :: Pipeline.result()
   def await(p, timeout) do
@@ -114,5 +117,6 @@ defmodule Situ.Pipeline.Client do
   def pid(%Handle{pid: pid}), do: pid
   def pid(%Situ.Stream{pipeline: p}), do: p.pid
   def pid(pid) when is_pid(pid), do: pid
+  def pid(label) when is_binary(label), do: Directory.whereis(label)
   def pid(name), do: GenServer.whereis(name)
 end

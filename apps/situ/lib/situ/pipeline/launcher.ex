@@ -3,7 +3,7 @@ defmodule Situ.Pipeline.Launcher do
   # The ways into a pipeline: a process that builds the graph, answers its caller and becomes the pipeline's server.
   alias Situ.Error
   alias Situ.Graph.Builder
-  alias Situ.Pipeline.{Errors, Handlers, Server, Settings, State}
+  alias Situ.Pipeline.{Directory, Errors, Handlers, Server, Settings, State}
 
   # The result comes as a message of its own: a short pipeline has ended before one could ask it.
   def run(spec, opts) do
@@ -33,8 +33,11 @@ defmodule Situ.Pipeline.Launcher do
 
   def new(settings) do
     ensure_started()
-    {:ok, handle} = :proc_lib.start(__MODULE__, :init_empty, [self(), settings])
-    handle
+
+    case :proc_lib.start(__MODULE__, :init_empty, [self(), settings]) do
+      {:ok, handle} -> handle
+      {:error, %Error{} = error} -> raise error
+    end
   end
 
   # A script that runs without mix may not have started the application; a pipeline would wait for its tables for ever.
@@ -69,7 +72,7 @@ defmodule Situ.Pipeline.Launcher do
     handle = Builder.open(state.graph)
     diagnose(handle, settings)
 
-    case build(spec, handle, opts) do
+    case with(:ok <- Directory.enter(settings), do: build(spec, handle, opts)) do
       {:ok, result} ->
         graph = Builder.close(handle)
         state = watch(%{state | handle: handle, graph: graph, result: result}, caller)
@@ -89,13 +92,18 @@ defmodule Situ.Pipeline.Launcher do
   @doc false
   def init_empty(caller, settings) do
     Process.flag(:trap_exit, true)
-    {:ok, settings} = Settings.parse(settings, :unlinked, nil)
-    state = State.new(settings)
-    handle = Builder.open(state.graph)
-    diagnose(handle, settings)
-    state = watch(%{state | handle: handle}, caller)
-    :proc_lib.init_ack({:ok, handle})
-    :gen_server.enter_loop(Server, [], state)
+
+    with {:ok, settings} <- Settings.parse(settings, :unlinked, nil),
+         :ok <- Directory.enter(settings) do
+      state = State.new(settings)
+      handle = Builder.open(state.graph)
+      diagnose(handle, settings)
+      state = watch(%{state | handle: handle}, caller)
+      :proc_lib.init_ack({:ok, handle})
+      :gen_server.enter_loop(Server, [], state)
+    else
+      {:error, error} -> :proc_lib.init_ack({:error, error})
+    end
   end
 
   defp diagnose(_handle, %{diagnostics: false}), do: :ok

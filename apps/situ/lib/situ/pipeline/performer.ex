@@ -173,6 +173,8 @@ defmodule Situ.Pipeline.Performer do
   end
 
   defp perform({:handle, :completed}, state) do
+    state = call_handlers(state, :progress, 1.0)
+
     if Handlers.any?(state.graph, :completed) or state.handlers != nil,
       do: call(state, {:completed, Inspection.report(state)}),
       else: __MODULE__.apply(state, {:handled, :completed})
@@ -204,7 +206,7 @@ defmodule Situ.Pipeline.Performer do
   # What came while it started is looked at now.
   defp perform(:running, state) do
     for message <- Enum.reverse(state.early), do: send(self(), message)
-    %{state | early: []}
+    progress(%{state | early: []})
   end
 
   defp perform(:abandoned, state) do
@@ -223,6 +225,20 @@ defmodule Situ.Pipeline.Performer do
     })
 
     %{state | view: %{state.view | outcome: result}}
+  end
+
+  @doc "Tells how far it is, and again later."
+  @spec progress(State.t()) :: State.t()
+  def progress(%{life: %{phase: :completed}} = state), do: state
+
+  def progress(state) do
+    if Handlers.any?(state.graph, :progress) do
+      Process.send_after(self(), :situ_progress, state.settings.progress_every)
+      state = Inspection.advance_progress(state)
+      call_handlers(state, :progress, state.view.progress)
+    else
+      state
+    end
   end
 
   defp call_handlers(state, event, argument) do

@@ -51,12 +51,13 @@ defmodule Situ.Pipeline do
   """
   alias Situ.{Error, Graph, Node, Stream}
   alias Situ.Graph.{Builder, Handle}
-  alias Situ.Pipeline.{Client, Launcher, Report}
+  alias Situ.Pipeline.{Client, Directory, Launcher, Report}
 
   @typedoc "A handle: what `build/2` is given and `new/1` returns."
   @type t :: Handle.t()
   @type spec :: module() | (t() -> term())
-  @type target :: t() | pid() | GenServer.name() | Stream.t()
+  @typedoc "A running pipeline: handle, process, registered name, label (`name:` as text), or one of its streams."
+  @type target :: t() | pid() | GenServer.name() | String.t() | Stream.t()
   @type result :: {:ok, Report.t()} | {:error, Error.t()}
 
   @doc "Builds the graph. What it returns is the report's `result`."
@@ -196,6 +197,24 @@ defmodule Situ.Pipeline do
   @spec info(target()) :: Situ.Diagnostics.Snapshot.t()
   def info(p), do: Client.call!(p, :info)
 
+  @doc """
+  The pipelines of this node: label, process and state of each.
+
+      iex> {:ok, p} = Situ.Pipeline.start(fn p -> Situ.timer(p, every: Situ.Time.ms(1)) end, pipeline: [name: "Doc clock"])
+      iex> for %{name: "Doc clock", pid: pid} <- Situ.Pipeline.list(), do: pid == p
+      [true]
+      iex> {:ok, _} = Situ.Pipeline.stop("Doc clock")
+      iex> for %{name: "Doc clock"} = entry <- Situ.Pipeline.list(), do: entry
+      []
+  """
+  @spec list() :: [%{name: String.t(), pid: pid(), state: atom()}]
+  def list do
+    for {name, pid} <- Directory.all(),
+        state = Client.state(pid),
+        state != :completed,
+        do: %{name: name, pid: pid, state: state}
+  end
+
   @doc "The state: `:building`, `:starting`, `:running`, `:stopping` or `:completed`."
   @spec state(target()) :: atom()
   def state(p), do: Client.state(p)
@@ -303,13 +322,14 @@ defmodule Situ.Pipeline do
     * `:completed`: `fun.(report)` after everything is final, before `run/2` returns
     * `:component_completed`: `fun.({path, final_time})` when a finite source reports its end
     * `:error`: `fun.(error)` for each error
+    * `:progress`: `fun.(progress)`, every `progress_every:` ms and at the end: 0.0 to 1.0, never less than before
     * `:abandoned`: `fun.(error | nil)` when `build` failed, or the owner of an empty pipeline went before it was started: nothing
       else of it will ever be called
   """
   @spec on(t(), event, (term() -> any())) :: :ok
-        when event: :run | :completed | :component_completed | :error | :abandoned
+        when event: :run | :completed | :component_completed | :error | :progress | :abandoned
   def on(%Handle{} = p, event, fun)
-      when event in [:run, :completed, :component_completed, :error, :abandoned] and
+      when event in [:run, :completed, :component_completed, :error, :progress, :abandoned] and
              is_function(fun, 1) do
     Builder.run(p, &{:ok, %{&1 | handlers: &1.handlers ++ [{event, fun}]}})
   end

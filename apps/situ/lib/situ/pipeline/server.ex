@@ -89,6 +89,9 @@ defmodule Situ.Pipeline.Server do
     {:reply, snapshot, state |> Inspection.mark() |> Inspection.describe()}
   end
 
+  # The first error so far, for those inside who tell others why their stream ends.
+  defp answer(:failure, _from, state), do: {:reply, {:ok, List.last(state.life.errors)}, state}
+
   defp answer(:progress, _from, state) do
     state = Inspection.advance_progress(state)
     {:reply, state.view.progress, state}
@@ -180,6 +183,7 @@ defmodule Situ.Pipeline.Server do
   defp event(:situ_stop, state), do: apply_event(state, {:stop, Lifecycle.catch_up_ms()})
   defp event({:situ_stop, time}, state), do: apply_event(state, {:stop_at, time})
   defp event(:situ_observe, state), do: {:noreply, Inspection.observe(state)}
+  defp event(:situ_progress, state), do: {:noreply, Performer.progress(state)}
   defp event(:situ_moving, state), do: apply_event(state, :moving)
 
   defp event({:situ_stop_part, path, opts}, %{life: %{phase: :running}} = state) do

@@ -4,7 +4,11 @@ defmodule Situ.Pipeline.Settings do
   alias Situ.{Delivery, Error, Options, Pipeline}
 
   @schema [
-    name: [type: :string, doc: "Default: the module's last name, or \"Pipeline\"."],
+    name: [
+      type: {:or, [:string, :atom]},
+      doc:
+        "What it is called; by default the module's last name, or \"Pipeline\". An atom is registered: every function takes it."
+    ],
     replay: [
       type: :keyword,
       default: [],
@@ -40,6 +44,11 @@ defmodule Situ.Pipeline.Settings do
       default: 5,
       doc: "... in so many seconds, before that is an error which ends the pipeline."
     ],
+    progress_every: [
+      type: :pos_integer,
+      default: 500,
+      doc: "Milliseconds between calls of the `:progress` handlers."
+    ],
     stop_timeout: [
       type: :pos_integer,
       default: 30_000,
@@ -52,6 +61,7 @@ defmodule Situ.Pipeline.Settings do
 
   defstruct [
     :name,
+    :registered,
     :clock,
     :mode,
     :reply,
@@ -63,6 +73,7 @@ defmodule Situ.Pipeline.Settings do
     message_sizes: false,
     max_restarts: 3,
     max_seconds: 5,
+    progress_every: 500,
     stop_timeout: 30_000
   ]
 
@@ -83,7 +94,8 @@ defmodule Situ.Pipeline.Settings do
          :ok <- check_spec(spec) do
       {:ok,
        %__MODULE__{
-         name: opts[:name] || default_name(spec),
+         name: label(opts[:name]) || default_name(spec),
+         registered: if(is_atom(opts[:name]), do: opts[:name]),
          clock: opts[:clock],
          mode: mode,
          default_policy: opts[:default_policy] || Delivery.unlimited(),
@@ -94,10 +106,15 @@ defmodule Situ.Pipeline.Settings do
          message_sizes: opts[:message_sizes],
          max_restarts: opts[:max_restarts],
          max_seconds: opts[:max_seconds],
+         progress_every: opts[:progress_every],
          stop_timeout: opts[:stop_timeout]
        }}
     end
   end
+
+  defp label(nil), do: nil
+  defp label(name) when is_binary(name), do: name
+  defp label(name), do: name |> Atom.to_string() |> String.replace_prefix("Elixir.", "")
 
   # A clock that is given is there to be waited for.
   defp default_speed(:run, nil), do: :max

@@ -345,4 +345,125 @@ defmodule Situ.Pipeline.MannersTest do
     assert Pipeline.now(p) == Pipeline.now(p)
     assert {:ok, _} = Pipeline.stop(p)
   end
+
+  describe "names" do
+    defp ticking(name) do
+      Pipeline.start(fn p -> Situ.timer(p, every: Time.ms(1), name: "Ticks") end,
+        pipeline: [name: name]
+      )
+    end
+
+    test "an atom is registered, and every function takes it" do
+      assert {:ok, p} = ticking(:manners_lobby)
+      assert Process.whereis(:manners_lobby) == p
+      assert Pipeline.info(:manners_lobby).pipeline == "manners_lobby"
+      assert {:error, %{code: :name_taken}} = ticking(:manners_lobby)
+      assert_raise Situ.Error, fn -> Pipeline.new(name: :manners_lobby) end
+      assert {:ok, _} = Pipeline.stop(:manners_lobby)
+      assert {:ok, _} = ticking(:manners_lobby)
+      assert {:ok, _} = Pipeline.stop(:manners_lobby)
+    end
+
+    test "a label finds its pipeline, if it is the only one" do
+      label = "Lobby #{System.unique_integer()}"
+      assert {:ok, p} = ticking(label)
+      assert [%{pid: ^p, state: state}] = Enum.filter(Situ.pipelines(), &(&1.name == label))
+      assert state in [:starting, :running]
+      assert Pipeline.clock(label) == Pipeline.clock(p)
+      assert {:ok, other} = ticking(label)
+      error = assert_raise Situ.Error, fn -> Pipeline.info(label) end
+      assert error.code == :ambiguous_name
+      assert {:ok, _} = Pipeline.stop(other)
+      assert {:ok, _} = Pipeline.stop(label)
+      assert {:error, %{code: :not_running}} = Pipeline.stop(label)
+    end
+
+    test "a snapshot names the processes" do
+      {:ok, p} = ticking("Pids")
+      [{"Ticks", pid, _, _}] = Supervisor.which_children(p)
+      assert Pipeline.clock(p)
+      assert [%{pid: text}] = Pipeline.info(p).processes
+      assert text == inspect(pid)
+      assert {:ok, _} = Pipeline.stop(p)
+    end
+  end
+
+  test "progress is told again and again, and once at the end" do
+    me = self()
+    clock = Clock.manual(0)
+
+    {:ok, p} =
+      Pipeline.start(
+        fn p ->
+          Pipeline.on(p, :progress, &send(me, {:progress, &1}))
+          Situ.timer(p, every: Time.ms(1))
+        end,
+        pipeline: [
+          clock: clock,
+          replay: [interval: {0, Time.ms(1_000)}, speed: 1.0],
+          progress_every: 1
+        ]
+      )
+
+    assert_receive {:progress, 0.0}
+    Clock.set(clock, Time.ms(500))
+    assert_receive {:progress, 0.5}
+    Clock.set(clock, Time.ms(1_000))
+    assert {:ok, _} = Pipeline.stop(p)
+    seen = progress()
+    assert seen == Enum.sort(seen)
+    assert List.last(seen) == 1.0
+    assert Enum.count(seen, &(&1 == 1.0)) == 1
+  end
+
+  defp progress do
+    receive do
+      {:progress, n} -> [n | progress()]
+    after
+      0 -> []
+    end
+  end
+
+  describe "Situ.Tap tells the end" do
+    defp tapped(fun) do
+      me = self()
+
+      {:ok, p} =
+        Pipeline.start(fn p ->
+          {stream, tap} =
+            p |> Situ.event_source(&send(me, {:post, &1})) |> Situ.map(fun) |> Situ.Tap.new()
+
+          send(me, {:tap, tap})
+          Situ.each(stream, & &1)
+        end)
+
+      assert_receive {:tap, tap}
+      :ok = Situ.Tap.subscribe(tap)
+      assert_receive {:post, post}
+      {p, tap, post}
+    end
+
+    test "and when" do
+      {p, tap, post} = tapped(& &1)
+      post.(1)
+      assert_receive {:situ_tap, ^tap, %{data: 1, originating_time: time}}
+      assert {:ok, report} = Pipeline.stop(p)
+      assert_received {:situ_tap_end, ^tap, {:closed, closed}}
+      assert closed >= time and closed == report.final_time
+      refute_received {:situ_tap_end, _, _}
+    end
+
+    test "and why" do
+      {p, tap, post} = tapped(fn v -> if v == 2, do: raise("two"), else: v end)
+      for v <- 1..2, do: post.(v)
+      assert {:error, %{code: :component_failed}} = Pipeline.await(p)
+      assert_received {:situ_tap_end, ^tap, %Situ.Error{code: :component_failed}}
+    end
+
+    test "also of one whose pipeline is killed" do
+      {p, tap, _post} = tapped(& &1)
+      Process.exit(p, :kill)
+      assert_receive {:situ_tap_end, ^tap, %Situ.Error{code: :crashed}}
+    end
+  end
 end

@@ -210,14 +210,22 @@ end
 
 defmodule Situ.Diagnostics.Process do
   @moduledoc """
-  One process of a pipeline in a `Situ.Diagnostics.Snapshot`: `number`, `nodes` (paths it hosts, in order), `memory` (bytes),
+  One process of a pipeline in a `Situ.Diagnostics.Snapshot`: `number`, `pid` (as text, `""` once it has ended), `nodes` (paths it hosts, in order), `memory` (bytes),
   `mailbox` (messages waiting), `reductions` (total), `status` (`"waiting"`, `"running"` ...), `busy_in` (the function it is
   in, as text: names what a stuck component is doing).
   """
-  defstruct number: 0, nodes: [], memory: 0, mailbox: 0, reductions: 0, status: "", busy_in: ""
+  defstruct number: 0,
+            pid: "",
+            nodes: [],
+            memory: 0,
+            mailbox: 0,
+            reductions: 0,
+            status: "",
+            busy_in: ""
 
   @type t :: %__MODULE__{
           number: pos_integer(),
+          pid: String.t(),
           nodes: [String.t()],
           memory: non_neg_integer(),
           mailbox: non_neg_integer(),

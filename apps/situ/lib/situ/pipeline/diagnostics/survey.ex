@@ -146,6 +146,7 @@ defmodule Situ.Diagnostics.Survey do
 
         %Process{
           number: stage.id,
+          pid: inspect(stage.pid),
           nodes: paths,
           memory: info[:memory],
           mailbox: info[:message_queue_len],

@@ -9,7 +9,8 @@ defmodule Situ.Tap do
         {:situ_tap, ^tap, message} -> IO.inspect(message.data)
       end
 
-  A subscriber gets `{:situ_tap, tap, message}` for each message from then on, and nothing once it has unsubscribed or ended. A listener does
+  A subscriber gets `{:situ_tap, tap, message}` for each message from then on and `{:situ_tap_end, tap, how}` when there will be no more:
+  `how` is `{:closed, time}`, or the `Situ.Error` that ended the pipeline. It gets nothing once it has unsubscribed or ended. A listener does
   not slow the pipeline down: when more than `max_queue:` messages (default 10,000) wait in its mailbox, it misses messages.
   """
 
@@ -34,15 +35,38 @@ defmodule Situ.Tap do
       ]
 
     @impl true
-    def init(opts), do: {:ok, {opts[:tap], opts[:max_queue]}}
+    def init(opts), do: {:ok, {opts[:tap], opts[:max_queue], :open}}
 
     @impl true
-    def handle_message(_input, message, _context, {tap, limit} = state) do
+    def handle_message(_input, message, _context, {tap, limit, _} = state) do
       for {pid, _} <- Registry.lookup(Situ.Tap, tap.ref), room?(pid, limit) do
         send(pid, {:situ_tap, tap, message})
       end
 
       {[{:out, message.originating_time, message.data}], state}
+    end
+
+    # Why it ends is for the pipeline to say: it fails as a whole.
+    @impl true
+    def handle_closed(_input, time, context, {tap, limit, _}) do
+      case Situ.Pipeline.Client.call(context.pipeline, :failure) do
+        {:ok, %Situ.Error{} = error} -> tell(tap, error)
+        _ -> tell(tap, {:closed, time})
+      end
+
+      {[], {tap, limit, :told}}
+    end
+
+    @impl true
+    def terminate(_reason, {_tap, _limit, :told}), do: :ok
+
+    def terminate(reason, {tap, _limit, :open}) do
+      what = "the pipeline of the tap ended: #{inspect(reason, limit: 8)}"
+      tell(tap, Situ.Error.new(:crashed, what))
+    end
+
+    defp tell(tap, how) do
+      for {pid, _} <- Registry.lookup(Situ.Tap, tap.ref), do: send(pid, {:situ_tap_end, tap, how})
     end
 
     defp room?(pid, limit) when node(pid) == node() do
