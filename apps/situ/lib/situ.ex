@@ -120,13 +120,19 @@ defmodule Situ do
     Node.streams(node)
   end
 
-  @doc "Groups components under one name; given a stream, the function gets the stream inside the group."
-  @spec composite(Pipeline.t() | Stream.t(), String.t(), (term() -> result)) :: result
+  @doc """
+  Groups components under one name; given a stream, the function gets the stream inside the group. Options: `policy:` and `on_error:`,
+  see `Situ.Pipeline.composite/4`.
+  """
+  @spec composite(Pipeline.t() | Stream.t(), String.t(), (term() -> result), keyword()) :: result
         when result: term()
-  def composite(%Situ.Graph.Handle{} = p, name, fun), do: Pipeline.composite(p, name, fun)
+  def composite(stream, name, fun, opts \\ [])
 
-  def composite(%Stream{} = stream, name, fun),
-    do: Pipeline.composite(stream.pipeline, name, fn p -> fun.(%{stream | pipeline: p}) end)
+  def composite(%Situ.Graph.Handle{} = p, name, fun, opts),
+    do: Pipeline.composite(p, name, fun, opts)
+
+  def composite(%Stream{} = stream, name, fun, opts),
+    do: Pipeline.composite(stream.pipeline, name, fn p -> fun.(%{stream | pipeline: p}) end, opts)
 
   @doc "The data through `fun` (of data, or of data and message). Options: `Situ.Graph.Placement`."
   @spec map(Stream.t(), (term() -> term()) | (term(), Situ.Message.t() -> term()), keyword()) ::

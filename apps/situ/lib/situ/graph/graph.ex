@@ -34,7 +34,7 @@ defmodule Situ.Graph do
           paths: %{String.t() => pos_integer()},
           numbers: %{String.t() => pos_integer()},
           stream_names: %{String.t() => {pos_integer(), atom()}},
-          scopes: %{String.t() => true},
+          scopes: %{String.t() => %{policy: Delivery.t() | nil, unit: tuple() | nil}},
           proposals: [{Situ.Time.t(), Situ.Time.t() | :unbounded}],
           handlers: [{atom(), fun()}],
           next_vertex: pos_integer(),
@@ -114,7 +114,9 @@ defmodule Situ.Graph do
       id: graph.next_edge,
       from: {from.id, stream.output},
       to: {to.id, input},
-      policy: policy || graph.default_policy || Delivery.unlimited(),
+      policy:
+        policy || surrounding(graph, to.scope).policy || graph.default_policy ||
+          Delivery.unlimited(),
       explicit: policy != nil
     }
 
@@ -134,13 +136,36 @@ defmodule Situ.Graph do
     end
   end
 
-  @doc "Makes `name` below `scope` a scope of its own, unique like a node's path."
-  @spec open_scope(t(), String.t() | nil, String.t()) :: {String.t(), t()}
-  def open_scope(%__MODULE__{} = graph, scope, name) do
+  @scope [
+    policy: [
+      type: {:optional, {:struct, Delivery}},
+      doc:
+        "For connections inside without a policy of their own; by default that of what surrounds it."
+    ],
+    on_error: [
+      type: {:in, [:stop, :restart, :close]},
+      default: :stop,
+      doc:
+        "When a component inside would end the pipeline: it does, all of the composite restarts, or all of it ends (as by `stop_part/3`)."
+    ]
+  ]
+
+  @doc false
+  def scope_schema, do: @scope
+
+  @doc "Makes `name` below `scope` a scope of its own, unique like a node's path; inside its options hold."
+  @spec open_scope(t(), String.t() | nil, String.t(), keyword()) :: {String.t(), t()}
+  def open_scope(%__MODULE__{} = graph, scope, name, opts \\ []) do
+    opts = Options.validate!(opts, @scope)
     path = join(scope, name)
     if taken?(graph, path), do: raise(duplicate("component", path))
-    {path, %{graph | scopes: Map.put(graph.scopes, path, true)}}
+    outer = surrounding(graph, scope)
+    unit = if opts[:on_error] == :stop, do: outer.unit, else: {path, opts[:on_error]}
+    inner = %{policy: opts[:policy] || outer.policy, unit: unit}
+    {path, %{graph | scopes: Map.put(graph.scopes, path, inner)}}
   end
+
+  defp surrounding(graph, scope), do: Map.get(graph.scopes, scope, %{policy: nil, unit: nil})
 
   @doc "Default name of an output's stream: the node's path, with the output's name when it has several."
   @spec stream_name(String.t(), atom(), keyword()) :: String.t()
@@ -205,7 +230,8 @@ defmodule Situ.Graph do
         {{port, Map.put(info, :source_id, id)}, id + 1}
       end)
 
-    vertex = %{vertex | path: path, outputs: outputs}
+    unit = surrounding(graph, vertex.scope).unit
+    vertex = %{vertex | path: path, outputs: outputs, unit: unit}
 
     graph = %{
       graph

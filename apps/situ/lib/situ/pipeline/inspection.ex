@@ -139,6 +139,7 @@ defmodule Situ.Pipeline.Inspection do
     case state.life.stages do
       %{^id => %{status: :dead}} -> if(state.life.phase == :completed, do: :closed, else: :failed)
       %{^id => %{status: :ended}} -> :closed
+      %{^id => %{status: :restarting}} -> :running
       %{^id => %{status: status}} -> status
       _ -> :running
     end

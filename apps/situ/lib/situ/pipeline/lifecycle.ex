@@ -19,21 +19,22 @@ defmodule Situ.Pipeline.Lifecycle do
   # | `{:grow, ref, plan, from}`, `{:lent, tag, how}` | components are added while it runs |
   # | `{:joined, member}`, `{:linked, tag, link}`, `{:unlinked, tag}`, `{:left, id}` | what changes while it runs |
   # | `{:measured, which, seen}`, `{:watched, which, seen}` | what was asked to be looked at |
-  # | `:enough`, `{:part_enough, ref}`, `:drain`, `{:forgive, id}` | a time has passed |
+  # | `:enough`, `{:part_enough, ref}`, `:drain`, `{:forgive, id}`, `{:overdue, id}` | a time has passed |
   #
   # | action | what the server does |
   # |---|---|
   # | `{:handle, event}`, `{:handle, event, argument}` | calls the handlers of `Situ.Pipeline.on/3` |
-  # | `:start_clock`, `:running`, `{:spawn, ids}`, `{:start, ids}`, `{:run, ids}`, `{:rewire, id, links}`, `{:kill, id}` | as they say |
+  # | `:start_clock`, `:running`, `{:spawn, ids}`, `{:start, ids}`, `{:run, ids}`, `{:rewire, id, links}`, `{:shutdown, id}`, `{:kill, id}` | as they say |
   # | `{:tell, id, request}`, `{:lend, tag}` | sends a stage a request; asks a stage to take a subscriber in |
   # | `{:forget, ids}` | what it knows of stages that were removed |
   # | `{:cut, ids, time}`, `{:release, ids}` | later messages do not count in these stages; all do, but they end |
   # | `{:failed, error}`, `{:noted, error}`, `{:restarted, id, error}` | logs it and tells who listens |
   # | `{:reply, from, answer}` | answers a caller |
   # | `{:after, ms, event}`, `{:watch, ms, which}`, `{:measure, which}` | says it, or what it saw, later |
+  # | `{:event, event}` | says it, after what came before |
   # | `:finished` | publishes the result and ends |
   alias Situ.Pipeline.Lifecycle.{Failure, Growth, Links, Member, PartialStop}
-  alias Situ.Pipeline.Lifecycle.{Shutdown, Stall, Startup, State}
+  alias Situ.Pipeline.Lifecycle.{Shutdown, Stall, Startup, State, Unit}
   import Situ.Pipeline.Lifecycle.State
 
   @type event :: term()
@@ -114,6 +115,7 @@ defmodule Situ.Pipeline.Lifecycle do
   defp event(state, {:measured, :drain, seen}, _now), do: Shutdown.measured(state, seen)
   defp event(state, {:watched, which, seen}, _now), do: Stall.watched(state, which, seen)
   defp event(state, :moving, _now), do: ending(state, moves: state.ending.moves + 1)
+  defp event(state, {:overdue, id}, _now), do: Unit.overdue(state, id)
   defp event(state, {:forgive, id}, _now), do: Failure.forgive(state, id)
 
   # The last words of a stage that is gone.
@@ -148,21 +150,40 @@ defmodule Situ.Pipeline.Lifecycle do
   defp known({:unsubscribed, id, tag, time}, state, _now),
     do: Shutdown.input_closed(state, id, tag, time)
 
-  defp known({:failed, id, error, reached}, state, _now),
-    do: Failure.failed(state, id, error, reached)
+  defp known({:failed, id, error, reached}, state, now) do
+    if Unit.of(state, id),
+      do: Unit.failed(state, id, error, true, now),
+      else: Failure.failed(state, id, error, reached)
+  end
 
   defp known({:init_failed, id, error}, state, now),
     do: Failure.init_failed(state, id, error, now)
 
   defp known({:exited, id, error, reached}, state, now) do
+    cond do
+      state.stages[id].status == :restarting ->
+        Unit.exited(state, id, now)
+
+      dies_for_itself?(state.stages[id]) and Unit.of(state, id) ->
+        Unit.failed(state, id, error, false, now)
+
+      true ->
+        exited(state, id, error, reached, now)
+    end
+  end
+
+  defp known(_event, state, _now), do: state
+
+  # With an `on_error:` of its own it is restarted alone.
+  defp dies_for_itself?(member), do: member.on_error == :stop
+
+  defp exited(state, id, error, reached, now) do
     ref = state.phase == :running && PartialStop.of(state, id)
 
     if ref && state.stages[id].status not in [:dead, :ended],
       do: PartialStop.died(state, ref, id, error, now),
       else: Failure.exited(state, id, error, reached, now)
   end
-
-  defp known(_event, state, _now), do: state
 
   defp keep(state, error), do: %{state | errors: [error | state.errors]}
 

@@ -126,6 +126,14 @@ defmodule Situ.Pipeline.Performer do
   defp perform({:forget, ids}, state), do: Extension.forget(state, ids)
   defp perform({:release, ids}, state), do: Stages.release(state, ids)
 
+  defp perform({:event, event}, state), do: __MODULE__.apply(state, event)
+
+  # From its parent: it runs terminate/2 and ends.
+  defp perform({:shutdown, id}, state) do
+    Process.exit(state.stages[id].pid, :shutdown)
+    state
+  end
+
   defp perform({:kill, id}, state) do
     Process.exit(state.stages[id].pid, :kill)
     state

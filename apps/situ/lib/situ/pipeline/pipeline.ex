@@ -280,10 +280,20 @@ defmodule Situ.Pipeline do
   def connect(%Stream{} = stream, %Node{} = node, input, opts \\ []),
     do: Builder.run(stream.pipeline, &Graph.connect(&1, stream, node, input, opts))
 
-  @doc "Groups what `fun` adds under one name, drawn as one box; returns what `fun` returns."
-  @spec composite(t(), String.t(), (t() -> result)) :: result when result: term()
-  def composite(%Handle{} = p, name, fun) when is_binary(name) and is_function(fun, 1) do
-    scope = Builder.run(p, &Graph.open_scope(&1, p.scope, name))
+  @doc """
+  Groups what `fun` adds under one name, drawn as one box; returns what `fun` returns.
+
+  ## Options
+
+  #{Situ.Options.docs(Graph.scope_schema())}
+
+  A composite that restarts does so as a unit: all its components run `terminate/2`, start again with fresh state on the same edges,
+  and count as one for `max_restarts:`. Components with an `on_error:` of their own, `:skip` or `:restart`, keep it.
+  """
+  @spec composite(t(), String.t(), (t() -> result), keyword()) :: result when result: term()
+  def composite(%Handle{} = p, name, fun, opts \\ [])
+      when is_binary(name) and is_function(fun, 1) do
+    scope = Builder.run(p, &Graph.open_scope(&1, p.scope, name, opts))
     p |> Map.put(:scope, scope) |> fun.() |> rescope(p.scope)
   end
 

@@ -80,7 +80,8 @@ defmodule Situ.Pipeline.Stages do
   end
 
   # Only what may be spawned again has to know how far it came.
-  defp marks([%{on_error: :stop} | _]), do: nil
+  defp marks([%{on_error: :stop, unit: unit} | _]) when unit == nil or elem(unit, 1) == :close,
+    do: nil
 
   defp marks(vertices),
     do: vertices |> Enum.map(&length(&1.outputs)) |> Enum.sum() |> Output.marks()
@@ -92,7 +93,8 @@ defmodule Situ.Pipeline.Stages do
       id: id,
       path: head.path,
       source?: Vertex.source?(head),
-      on_error: head.on_error
+      on_error: head.on_error,
+      unit: head.unit
     }
 
     struct!(base, extra)
@@ -173,7 +175,9 @@ defmodule Situ.Pipeline.Stages do
     for {tag, link} <- links, link.from != link.to do
       other = state.stages[if(link.from == id, do: link.to, else: link.from)].pid
       send(other, {:situ, {:peer, tag, pid}})
-      if link.from == id and state.life.phase != :starting, do: send(other, {:situ, {:ask, tag}})
+      # One that starts as well asks by itself.
+      asks? = not state.life.stages[link.to].again? and state.life.phase != :starting
+      if link.from == id and asks?, do: send(other, {:situ, {:ask, tag}})
     end
 
     state

@@ -70,8 +70,9 @@ defmodule Situ.Pipeline.Lifecycle.Failure do
     end
   end
 
-  # How often in how long, as a supervisor counts.
-  defp count(state, id) do
+  @doc "Another restart: whether there have been too many in too short a time, as a supervisor counts."
+  @spec count(State.t(), State.id()) :: {:ok | :error, State.t()}
+  def count(state, id) do
     {most, ms} = state.limits.restarts
     state = change(state, id, &%{&1 | restarts: &1.restarts + 1})
 
@@ -125,14 +126,15 @@ defmodule Situ.Pipeline.Lifecycle.Failure do
 
   defp bound(member, reached), do: %{member | limit: min(member.limit || reached, reached)}
 
-  defp too_often(%Member{path: path} = member, state, reason) do
+  @doc "The error of a component, or composite, that cannot be kept alive."
+  @spec too_often(Member.t(), State.t(), Error.t()) :: Error.t()
+  def too_often(%Member{path: path} = member, state, reason) do
     {most, ms} = state.limits.restarts
 
     Error.new(
       :restarted_too_often,
       "#{path} was restarted #{member.restarts - 1} times in #{ms} ms and failed again: #{reason.what}",
-      why:
-        "with on_error: #{inspect(member.on_error)} a component may be restarted #{most} times in #{ms} ms",
+      why: "a component, or a composite, may be restarted #{most} times in #{ms} ms",
       fix: "mend what makes it fail, or raise max_restarts: among the pipeline's settings",
       meta: Map.merge(reason.meta, %{component: path, last: reason})
     )

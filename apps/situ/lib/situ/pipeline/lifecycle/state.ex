@@ -2,12 +2,13 @@ defmodule Situ.Pipeline.Lifecycle.Member do
   @moduledoc false
   # What the life cycle knows of one stage.
   #
-  #   status   :running, :failed (takes nothing any more), :closed, :dead (its process is), :ended (stopped as a part of a
+  #   status   :running, :failed (takes nothing any more), :restarting, :closed, :dead (its process is), :ended (stopped as a part of a
   #            pipeline that runs on)
   #   open?    whether its outputs have yet to close
   #   ends_at  the latest closing time among inputs that have closed; limit: nothing of it counts behind that time
   #   up?      whether its process has said so since it was spawned last; alive?: whether there is a process
   #   added?   whether it was added to the running pipeline
+  #   unit     the composite that it restarts, or ends, together with
   #   again?   whether that process took the place of another, and its neighbours do not know it yet
   @enforce_keys [:id, :path]
   defstruct [
@@ -15,6 +16,7 @@ defmodule Situ.Pipeline.Lifecycle.Member do
     :path,
     :ends_at,
     :limit,
+    :unit,
     source?: false,
     tap?: false,
     on_error: :stop,
@@ -32,10 +34,11 @@ defmodule Situ.Pipeline.Lifecycle.Member do
           path: String.t(),
           ends_at: Situ.Time.t() | nil,
           limit: Situ.Time.t() | nil,
+          unit: {String.t(), :restart | :close} | nil,
           source?: boolean(),
           tap?: boolean(),
           on_error: :stop | :skip | :restart,
-          status: :running | :failed | :closed | :dead | :ended,
+          status: :running | :failed | :restarting | :closed | :dead | :ended,
           open?: boolean(),
           up?: boolean(),
           alive?: boolean(),
