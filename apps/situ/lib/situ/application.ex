@@ -11,7 +11,7 @@ defmodule Situ.Application do
       Situ.Clock.registry(),
       Situ.Connector.registry(),
       Situ.Tap.registry(),
-      Situ.Pipeline.Directory.registry()
+      Situ.Pipeline.Directory
     ]
 
     Supervisor.start_link(children, strategy: :one_for_one, name: Situ.Supervisor)
