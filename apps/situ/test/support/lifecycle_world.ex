@@ -1,6 +1,7 @@
 defmodule Situ.Fixture.LifecycleWorld do
-  # A world for `Situ.Pipeline.Lifecycle` without processes: stages are what they owe. Everything that is under way is in one bag, and
-  # chance takes out what happens next; so every order is tried that messages between processes might take.
+  # A world for `Situ.Pipeline.Lifecycle` without processes: stages are what they owe. Everything that is under way is
+  # in one bag, and chance takes out what happens next; so every order is tried that messages between processes might
+  # take.
   alias Situ.Pipeline.Lifecycle
   alias Situ.Pipeline.Lifecycle.{Links, Member, State}
 
@@ -17,8 +18,8 @@ defmodule Situ.Fixture.LifecycleWorld do
   ]
 
   @doc """
-  Lives a life. `graph`: `%{sources: [end], others: [on_error], links: [{from, to}]}`; `wishes`: events from outside (stops, deaths,
-  failures) that come in between. Answers the world when nothing more is under way.
+  Lives a life. `graph`: `%{sources: [end], others: [on_error], links: [{from, to}]}`; `wishes`: events from outside
+  (stops, deaths, failures) that come in between. Answers the world when nothing more is under way.
   """
   def live(graph, wishes, seed) do
     members = members(graph)

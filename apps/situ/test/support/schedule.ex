@@ -1,7 +1,7 @@
 defmodule Situ.Fixture.Schedule do
   @moduledoc false
-  # A source whose messages come as a schedule says: batch by batch, with pauses between them. Its times and values are the
-  # same whatever the schedule.
+  # A source whose messages come as a schedule says: batch by batch, with pauses between them. Its times and values
+  # are the same whatever the schedule.
   use Situ.Component,
     outputs: [out: :any],
     options: [batches: [type: :list, required: true], last: [type: :any]]

@@ -1,7 +1,8 @@
 defmodule Situ.Graph.Builder do
   @moduledoc false
   # Holds graphs while they are built: in the dictionary of the process that builds (a pipeline runs `build/2` itself,
-  # so adding a component is a map update), or behind a call for a pipeline that was opened empty and is built from outside.
+  # so adding a component is a map update), or behind a call for a pipeline that was opened empty and is built from
+  # outside.
   alias Situ.{Error, Graph}
   alias Situ.Graph.Handle
 

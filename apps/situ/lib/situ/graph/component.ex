@@ -20,16 +20,20 @@ defmodule Situ.Component do
   Callbacks return `{actions, state}`. An action is
 
     * `{output, originating_time, data}`: emit a message; originating times strictly increase per output;
-    * `{output, %Situ.Message{}}` or `{output, [%Situ.Message{}]}`: emit and keep the envelopes' times and sequence ids (importers, connectors);
+    * `{output, %Situ.Message{}}` or `{output, [%Situ.Message{}]}`: emit and keep the envelopes' times and sequence
+      ids (importers, connectors);
     * `{:complete, time}` or `{:complete, :infinity}`: a source knows its last originating time, or that it has none;
     * `{:close, output}` or `{:close, output, time}`: nothing more will come out of this output;
     * `{:timer, key, time}`: call `handle_info({:timer, key}, ...)` when the pipeline's clock reaches `time`;
-    * `{:continue, term}`: call `handle_info({:continue, term}, ...)` as soon as the outputs have room, before anything else is taken in: for
-      what gives more than a few hundred messages at once;
-    * `{:hold, input}`: take nothing from `input` for 20 ms of real time (then `handle_info({:hold_ended, input}, ...)` is called), or until
-      `{:resume, input}`: its producer runs out of demand and waits. For components that must not let one input run far ahead;
-    * `{:detach, input, opts}`: an input that `handle_attach/5` took is not needed any more; `opts` are the component's options from now on;
-    * `{:demand, :accumulate}`: emit nothing and take nothing until `{:demand, :forward}` (or `GenStage.demand(pid, :forward)`);
+    * `{:continue, term}`: call `handle_info({:continue, term}, ...)` as soon as the outputs have room, before
+      anything else is taken in: for what gives more than a few hundred messages at once;
+    * `{:hold, input}`: take nothing from `input` for 20 ms of real time (then `handle_info({:hold_ended, input},
+      ...)` is called), or until `{:resume, input}`: its producer runs out of demand and waits. For components that
+      must not let one input run far ahead;
+    * `{:detach, input, opts}`: an input that `handle_attach/5` took is not needed any more; `opts` are the
+      component's options from now on;
+    * `{:demand, :accumulate}`: emit nothing and take nothing until `{:demand, :forward}` (or `GenStage.demand(pid,
+      :forward)`);
     * `:stopped`: a source that answered `handle_stop/3` with `:stopping` has now posted its last message.
   """
 
@@ -67,8 +71,8 @@ defmodule Situ.Component do
   @doc """
   Several messages that arrived on `input`, in order: what `handle_message/4` would do with them one by one, at once.
 
-  Optional, for components that are much faster this way. Messages of other inputs may be older or newer than these, so it
-  fits where the order among inputs does not matter. When it raises, the messages are taken one by one instead.
+  Optional, for components that are much faster this way. Messages of other inputs may be older or newer than these,
+  so it fits where the order among inputs does not matter. When it raises, the messages are taken one by one instead.
   """
   @callback handle_messages(input :: atom(), [Situ.Message.t(), ...], Context.t(), state()) ::
               result()
@@ -80,7 +84,8 @@ defmodule Situ.Component do
   @callback handle_info(term(), Context.t(), state()) :: result()
 
   @doc """
-  Another process asks with `GenServer.call/3`, or casts (then `from` is `nil`); answer with `GenServer.reply/2`, now or later.
+  Another process asks with `GenServer.call/3`, or casts (then `from` is `nil`); answer with `GenServer.reply/2`, now
+  or later.
 
   Optional: without it a call is answered with an error and a cast is ignored.
   """
@@ -91,11 +96,12 @@ defmodule Situ.Component do
   @callback handle_stop(final_time :: Situ.Time.t(), Context.t(), state()) :: result()
 
   @doc """
-  An input is added while the pipeline runs, for what `request` says (see `Situ.Fusion.add_input/4`). Messages up to the originating time
-  `last` will not come, all later ones will. What is answered goes to the caller; `opts` are the component's options from now on, which it
-  starts with when it is restarted.
+  An input is added while the pipeline runs, for what `request` says (see `Situ.Fusion.add_input/4`). Messages up to
+  the originating time `last` will not come, all later ones will. What is answered goes to the caller; `opts` are the
+  component's options from now on, which it starts with when it is restarted.
 
-  Optional, for components whose inputs come and go. Messages of an input that the component has detached may still arrive.
+  Optional, for components whose inputs come and go. Messages of an input that the component has detached may still
+  arrive.
   """
   @callback handle_attach(
               input :: atom(),

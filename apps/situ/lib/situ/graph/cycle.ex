@@ -2,9 +2,9 @@ defmodule Situ.Graph.Cycle do
   @moduledoc false
   # The shortest way from a component back to itself. Pure.
   #
-  # That nothing on a cycle makes its messages later cannot be known before it runs: each has a component on it (light operators
-  # take their input when they are made), and what times a component gives is its own affair. So the error comes when the
-  # first message has come round, and this says by which way.
+  # That nothing on a cycle makes its messages later cannot be known before it runs: each has a component on it (light
+  # operators take their input when they are made), and what times a component gives is its own affair. So the error
+  # comes when the first message has come round, and this says by which way.
   alias Situ.{Error, Graph}
 
   @doc "The paths on it, the first again at the end; `nil` when there is no way back."

@@ -11,9 +11,10 @@ defmodule Situ.Delivery do
   | `max_queue/2` | yes | the `n` newest waiting messages are kept; with `throttle: true` sources that can wait do |
   | `max_latency/2` | yes | messages older than `d` when their turn comes are dropped |
 
-  Every policy takes `guarantee: fn data -> boolean end`: what it answers `true` for is never dropped. Guarantees add up
-  (`with_guarantee/2`). A push source (a camera) cannot wait: in front of a lossless input its output buffer grows. A policy
-  that drops keeps its queue at the producer, so a consumer that is slow never holds more than the queue's size.
+  Every policy takes `guarantee: fn data -> boolean end`: what it answers `true` for is never dropped. Guarantees add
+  up (`with_guarantee/2`). A push source (a camera) cannot wait: in front of a lossless input its output buffer grows.
+  A policy that drops keeps its queue at the producer, so a consumer that is slow never holds more than the queue's
+  size.
 
       iex> policy = Situ.Delivery.max_queue(3, guarantee: &is_atom/1)
       iex> {Situ.Delivery.lossy?(policy), policy.max_queue}
@@ -63,8 +64,8 @@ defmodule Situ.Delivery do
   @doc """
   Keeps the `n` newest waiting messages.
 
-  With `throttle: true` a full queue makes whoever can wait wait (files, generators, operators behind them) and drops only what
-  a source that cannot wait (a camera, a timer) makes meanwhile.
+  With `throttle: true` a full queue makes whoever can wait wait (files, generators, operators behind them) and drops
+  only what a source that cannot wait (a camera, a timer) makes meanwhile.
   """
   @spec max_queue(pos_integer(), keyword()) :: t()
   def max_queue(n, opts \\ []) when is_integer(n) and n > 0 do
@@ -84,14 +85,16 @@ defmodule Situ.Delivery do
   @doc """
   Lossless: the producer waits as soon as `n` messages are on their way.
 
-  One message at a time (`throttle(1)`) is the strictest, and dear: every message costs two wake-ups, some 5 us. The default of
-  128 keeps little on its way at nearly the price of `unlimited/1`.
+  One message at a time (`throttle(1)`) is the strictest, and dear: every message costs two wake-ups, some 5 us. The
+  default of 128 keeps little on its way at nearly the price of `unlimited/1`.
   """
   @spec throttle(pos_integer(), keyword()) :: t()
   def throttle(n \\ @small_window, opts \\ []) when is_integer(n) and n > 0,
     do: build(:throttle, [], Keyword.put(opts, :window, n))
 
-  @doc "Lossless: a light operator runs in its producer's process, without a queue; any other consumer as with `throttle/2`."
+  @doc """
+  Lossless: a light operator runs in its producer's process, without a queue; any other consumer as with `throttle/2`.
+  """
   @spec synchronous(keyword()) :: t()
   def synchronous(opts \\ []),
     do: build(:synchronous, [], Keyword.put_new(opts, :window, @small_window))

@@ -1,5 +1,7 @@
 defmodule Situ.Graph.Edge do
-  @moduledoc "One connection: `from` = `{vertex, output}`, `to` = `{vertex, input}`, and the policy of the queue in between."
+  @moduledoc """
+  One connection: `from` = `{vertex, output}`, `to` = `{vertex, input}`, and the policy of the queue in between.
+  """
   @enforce_keys [:id, :from, :to, :policy]
   defstruct [:id, :from, :to, :policy, explicit: false]
 

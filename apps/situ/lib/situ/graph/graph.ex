@@ -44,7 +44,9 @@ defmodule Situ.Graph do
           replay: {Situ.Time.t() | :unbounded, Situ.Time.t() | :unbounded}
         }
 
-  @doc "Runs `fun` with a handle of a new graph held by this process alone; returns the graph and the function's result."
+  @doc """
+  Runs `fun` with a handle of a new graph held by this process alone; returns the graph and the function's result.
+  """
   @spec build((Situ.Graph.Handle.t() -> result)) :: {t(), result} when result: term()
   def build(fun) when is_function(fun, 1), do: Situ.Graph.Builder.collect(fun)
 
@@ -146,7 +148,8 @@ defmodule Situ.Graph do
       type: {:in, [:stop, :restart, :close]},
       default: :stop,
       doc:
-        "When a component inside would end the pipeline: it does, all of the composite restarts, or all of it ends (as by `stop_part/3`)."
+        "When a component inside would end the pipeline: it does, all of the composite restarts, " <>
+          "or all of it ends (as by `stop_part/3`)."
     ]
   ]
 

@@ -2,9 +2,9 @@ defmodule Situ.Operator do
   @moduledoc """
   Light operators: functions over the data of a stream that keep its times.
 
-  A straight run of light operators runs in one process; inside it only the data changes, and one envelope is made at its
-  end. An explicit `policy:` (other than `Situ.Delivery.synchronous/1`), `async: true`, a second consumer or a second input
-  starts a new process.
+  A straight run of light operators runs in one process; inside it only the data changes, and one envelope is made at
+  its end. An explicit `policy:` (other than `Situ.Delivery.synchronous/1`), `async: true`, a second consumer or a
+  second input starts a new process.
 
   A step is
 
@@ -48,8 +48,9 @@ defmodule Situ.Operator do
   end
 
   @doc """
-  Adds a component with one output, `:out`, behind a stream (or `[input: stream, ...]`) and returns its output stream: for operators that
-  are more than a step. `{module, own}` is the component and its own options; the rest as in `attach/5`.
+  Adds a component with one output, `:out`, behind a stream (or `[input: stream, ...]`) and returns its output stream:
+  for operators that are more than a step. `{module, own}` is the component and its own options; the rest as in
+  `attach/5`.
 
   `policy:` may be a list here, one for each input.
   """
@@ -101,6 +102,7 @@ defmodule Situ.Operator do
 
   defp check_step!(step) do
     raise ArgumentError,
-          "not an operator step: #{inspect(step)}; the function takes (data), (data, message) or, for :step, (data, message, state)"
+          "not an operator step: #{inspect(step)}; the function takes (data), (data, message) or, " <>
+            "for :step, (data, message, state)"
   end
 end

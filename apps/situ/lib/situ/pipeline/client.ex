@@ -1,6 +1,7 @@
 defmodule Situ.Pipeline.Client do
   @moduledoc false
-  # Questions to a pipeline's process, asked by its handle, a stream, pid or name; one that has ended is an error, or its result.
+  # Questions to a pipeline's process, asked by its handle, a stream, pid or name; one that has ended is an error, or
+  # its result.
   alias Situ.{Error, Pipeline}
   alias Situ.Graph.{Builder, Handle}
   alias Situ.Pipeline.{Directory, Errors, Lifecycle, Results}

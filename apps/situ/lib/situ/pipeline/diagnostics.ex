@@ -14,8 +14,9 @@ defmodule Situ.Diagnostics do
   alias Situ.Pipeline.Client
 
   @doc """
-  The Diagnostics stream of the pipeline being built: a snapshot every `interval:` ns (default 100 ms). Asked for twice it is the
-  same stream; `diagnostics: true` among the pipeline's settings adds it too, for tools to find under the name "Diagnostics".
+  The Diagnostics stream of the pipeline being built: a snapshot every `interval:` ns (default 100 ms). Asked for
+  twice it is the same stream; `diagnostics: true` among the pipeline's settings adds it too, for tools to find under
+  the name "Diagnostics".
   """
   @spec stream(Situ.Pipeline.t(), keyword()) :: Situ.Stream.t()
   def stream(%Situ.Graph.Handle{} = p, opts \\ []) do
@@ -63,9 +64,9 @@ defmodule Situ.Diagnostics do
   defdelegate rate(n, window), to: Window
 
   @doc """
-  A snapshot, or the connections of it for which `which?` is true, in a few numbers: how many of everything there are, what
-  went over the connections (in all and in the window), and the ids of those whose producer waits. Connections inside a
-  process have no queue and do not count.
+  A snapshot, or the connections of it for which `which?` is true, in a few numbers: how many of everything there are,
+  what went over the connections (in all and in the window), and the ids of those whose producer waits. Connections
+  inside a process have no queue and do not count.
 
       iex> {:ok, report} = Situ.Pipeline.run(fn p ->
       ...>   p |> Situ.from_enumerable(0..9, every: 1) |> Situ.each(& &1, policy: Situ.Delivery.max_queue(100))

@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Directory do
   @moduledoc false
-  # The pipelines of this node: every one is entered under its label; one whose `name:` is an atom is registered under that as well. A
-  # process monitors them (a `Registry` would link itself to each).
+  # The pipelines of this node: every one is entered under its label; one whose `name:` is an atom is registered under
+  # that as well. A process monitors them (a `Registry` would link itself to each).
   use GenServer
   alias Situ.Error
 

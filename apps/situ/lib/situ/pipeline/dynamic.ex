@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Dynamic do
   @moduledoc false
-  # The requests under way that change a running pipeline. Every one has a reference, names the stages that owe it an answer, and is
-  # answered when one of these ends before it has given it.
+  # The requests under way that change a running pipeline. Every one has a reference, names the stages that owe it an
+  # answer, and is answered when one of these ends before it has given it.
   #
   #   taps      by the id of their stage: Dynamic.Tap
   #   inputs    inputs being added or taken away: Dynamic.Input

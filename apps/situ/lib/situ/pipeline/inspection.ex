@@ -10,7 +10,10 @@ defmodule Situ.Pipeline.Inspection do
 
   defstruct [:averages, :described, :outcome, begun: 0, progress: 0.0, descriptions: %{}]
 
-  @typedoc "`begun`, `described`: monotonic times, native and ms; `progress` never decreases; `outcome`: the result, once it is final."
+  @typedoc """
+  `begun`, `described`: monotonic times, native and ms; `progress` never decreases; `outcome`: the result, once it is
+  final.
+  """
   @type t :: %__MODULE__{
           averages: Averages.t() | nil,
           described: integer() | nil,

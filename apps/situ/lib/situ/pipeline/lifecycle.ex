@@ -1,7 +1,8 @@
 defmodule Situ.Pipeline.Lifecycle do
   @moduledoc false
-  # The life of a pipeline as a pure state machine: `apply(state, event, now)` answers the next state and what is to be done.
-  # The server turns messages into events and performs the actions; nothing here sends, reads a clock or knows a process.
+  # The life of a pipeline as a pure state machine: `apply(state, event, now)` answers the next state and what is to
+  # be done. The server turns messages into events and performs the actions; nothing here sends, reads a clock or
+  # knows a process.
   #
   #   building -> starting (handlers, up, sources) -> running -> stopping (settle, stop, close, quit) -> completed
   #
@@ -24,7 +25,8 @@ defmodule Situ.Pipeline.Lifecycle do
   # | action | what the server does |
   # |---|---|
   # | `{:handle, event}`, `{:handle, event, argument}` | calls the handlers of `Situ.Pipeline.on/3` |
-  # | `:start_clock`, `:running`, `{:spawn, ids}`, `{:start, ids}`, `{:run, ids}`, `{:rewire, id, links}`, `{:shutdown, id}`, `{:kill, id}` | as they say |
+  # | `:start_clock`, `:running`, `{:spawn, ids}`, `{:start, ids}`, `{:run, ids}` | as they say |
+  # | `{:rewire, id, links}`, `{:shutdown, id}`, `{:kill, id}` | as they say |
   # | `{:tell, id, request}`, `{:lend, tag}` | sends a stage a request; asks a stage to take a subscriber in |
   # | `{:forget, ids}` | what it knows of stages that were removed |
   # | `{:cut, ids, time}`, `{:release, ids}` | later messages do not count in these stages; all do, but they end |

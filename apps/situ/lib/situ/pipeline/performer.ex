@@ -1,6 +1,7 @@
 defmodule Situ.Pipeline.Performer do
   @moduledoc false
-  # Performs the actions of the life cycle: the one place where a decision becomes a message, a process, a line in the log.
+  # Performs the actions of the life cycle: the one place where a decision becomes a message, a process, a line in the
+  # log.
   alias Situ.{Clock, Error, Telemetry}
   alias Situ.Graph
   alias Situ.Graph.{Cycle, Plan}

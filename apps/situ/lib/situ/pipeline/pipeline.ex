@@ -33,8 +33,9 @@ defmodule Situ.Pipeline do
               ├── component or chain of operators, linked; traps exits, so that `terminate/2` runs
               └── ...
 
-  A component that dies is restarted in its place (`on_error: :restart` or `:skip`) or ends the pipeline with an error. When the
-  pipeline's process dies its components release what they hold and end. The guide "When things fail" has the whole table.
+  A component that dies is restarted in its place (`on_error: :restart` or `:skip`) or ends the pipeline with an
+  error. When the pipeline's process dies its components release what they hold and end. The guide "When things fail"
+  has the whole table.
 
   ## Building from outside
 
@@ -113,11 +114,11 @@ defmodule Situ.Pipeline do
   @doc """
   Stops: sources first, what is on its way up to now is still delivered, then every output closes, upstream first.
 
-  A source that lags behind the clock may go on up to the clock's time, for `catch_up:` ms at most (1,000); with `catch_up: 0` it ends
-  where it is. `timeout:` bounds the wait of the caller, not the stop.
+  A source that lags behind the clock may go on up to the clock's time, for `catch_up:` ms at most (1,000); with
+  `catch_up: 0` it ends where it is. `timeout:` bounds the wait of the caller, not the stop.
 
-  Returns the report when all is done; `{:error, %Situ.Error{code: :not_running}}` when it had already ended. Called from
-  inside one of the pipeline's own components it returns `:ok` at once and the stop goes its way.
+  Returns the report when all is done; `{:error, %Situ.Error{code: :not_running}}` when it had already ended. Called
+  from inside one of the pipeline's own components it returns `:ok` at once and the stop goes its way.
   """
   @spec stop(target(), keyword()) :: result() | :ok
   def stop(p, opts \\ []), do: Client.stop(p, opts)
@@ -126,13 +127,13 @@ defmodule Situ.Pipeline do
   Stops a composite, or one component, given as a path or a `Situ.Node`; the rest of the pipeline runs on.
 
   At the time of the stop its sources stop and its inputs from outside close; what has been posted up to then is still
-  delivered to it. Its outputs close, upstream first, with that time: whoever listens to them outside takes it as the end of those
-  streams (`handle_closed/4`, windows and joins flush). Its processes end, its devices and files are released; in diagnostics
-  its components are `:closed`. It does not start again.
+  delivered to it. Its outputs close, upstream first, with that time: whoever listens to them outside takes it as the
+  end of those streams (`handle_closed/4`, windows and joins flush). Its processes end, its devices and files are
+  released; in diagnostics its components are `:closed`. It does not start again.
 
-  What it was still to say about the end of the pipeline is void: the sources that are left decide how long it runs, and
-  without any left it stops as by hand. Options as in `stop/2`. Answers `:ok` when all of it has closed; called from inside one of
-  the pipeline's own components, at once.
+  What it was still to say about the end of the pipeline is void: the sources that are left decide how long it runs,
+  and without any left it stops as by hand. Options as in `stop/2`. Answers `:ok` when all of it has closed; called
+  from inside one of the pipeline's own components, at once.
 
       iex> {:ok, p} = Situ.Pipeline.start(fn p ->
       ...>   clock = Situ.timer(p, every: Situ.Time.ms(1))
@@ -147,24 +148,27 @@ defmodule Situ.Pipeline do
       iex> :done
       :done
 
-  Errors: `:unknown_component`; `:not_running` when it has ended; `:shared_process` when a synchronous policy has put an operator
-  of it into one process with one outside; `:component_killed` when it was stuck for `stop_timeout:` and had to be killed.
+  Errors: `:unknown_component`; `:not_running` when it has ended; `:shared_process` when a synchronous policy has put
+  an operator of it into one process with one outside; `:component_killed` when it was stuck for `stop_timeout:` and
+  had to be killed.
   """
   @spec stop_part(target(), String.t() | Node.t(), keyword()) :: :ok | {:error, Error.t()}
   def stop_part(p, part, opts \\ []), do: Client.stop_part(p, part, opts)
 
   @doc """
-  Adds components to a running pipeline: `fun` gets its handle and builds as `build/2` does. It may listen to streams that flow already
-  (see `stream/2`), at a message boundary: the last message before is not seen, every one after it is.
+  Adds components to a running pipeline: `fun` gets its handle and builds as `build/2` does. It may listen to streams
+  that flow already (see `stream/2`), at a message boundary: the last message before is not seen, every one after it
+  is.
 
-  Either all of it runs when this returns, or nothing does: what is wrong with it is returned and the pipeline runs on as before. A
-  pipeline waits for the end of finite sources that were added; that they have ended is no reason to end. Take it away again with
-  `remove/3`.
+  Either all of it runs when this returns, or nothing does: what is wrong with it is returned and the pipeline runs on
+  as before. A pipeline waits for the end of finite sources that were added; that they have ended is no reason to end.
+  Take it away again with `remove/3`.
 
       iex> me = self()
       iex> {:ok, p} = Situ.Pipeline.start(fn p -> p |> Situ.timer(every: Situ.Time.ms(1)) |> Situ.name("Ticks") end)
       iex> {:ok, _} = Situ.Pipeline.extend(p, fn p ->
-      ...>   Situ.composite(Situ.Pipeline.stream(p, "Ticks"), "Watch", fn ticks -> Situ.each(ticks, &send(me, {:tick, &1})) end)
+      ...>   ticks = Situ.Pipeline.stream(p, "Ticks")
+      ...>   Situ.composite(ticks, "Watch", fn ticks -> Situ.each(ticks, &send(me, {:tick, &1})) end)
       ...> end)
       iex> receive do {:tick, _} -> :seen end
       :seen
@@ -174,8 +178,8 @@ defmodule Situ.Pipeline do
       iex> :done
       :done
 
-  Errors: those of building; `:inside_chain` when a stream has no output of its own, `:fixed_inputs` when an input of what runs is
-  connected, `:not_running`; whatever `init/1` and `handle_start/2` of what is added fail with.
+  Errors: those of building; `:inside_chain` when a stream has no output of its own, `:fixed_inputs` when an input of
+  what runs is connected, `:not_running`; whatever `init/1` and `handle_start/2` of what is added fail with.
   """
   @spec extend(target(), (t() -> result)) :: {:ok, result} | {:error, Error.t()}
         when result: term()
@@ -200,7 +204,8 @@ defmodule Situ.Pipeline do
   @doc """
   The pipelines of this node: label, process and state of each.
 
-      iex> {:ok, p} = Situ.Pipeline.start(fn p -> Situ.timer(p, every: Situ.Time.ms(1)) end, pipeline: [name: "Doc clock"])
+      iex> build = fn p -> Situ.timer(p, every: Situ.Time.ms(1)) end
+      iex> {:ok, p} = Situ.Pipeline.start(build, pipeline: [name: "Doc clock"])
       iex> for %{name: "Doc clock", pid: pid} <- Situ.Pipeline.list(), do: pid == p
       [true]
       iex> {:ok, _} = Situ.Pipeline.stop("Doc clock")
@@ -258,11 +263,12 @@ defmodule Situ.Pipeline do
   end
 
   @doc """
-  Adds a component without connecting it (`Situ.source/3` and `Situ.via/3` do both). `opts` are its own options and those of
-  `Situ.Graph.Placement`.
+  Adds a component without connecting it (`Situ.source/3` and `Situ.via/3` do both). `opts` are its own options and
+  those of `Situ.Graph.Placement`.
 
-  `on_same_time:` is for sources whose messages may have equal times (a coarse clock, a log of whole seconds): `:error` (default), `:drop` the
-  later one, or `:nudge` it to 1 ns behind the one before. A time that goes back is an error with each.
+  `on_same_time:` is for sources whose messages may have equal times (a coarse clock, a log of whole seconds):
+  `:error` (default), `:drop` the later one, or `:nudge` it to 1 ns behind the one before. A time that goes back is an
+  error with each.
 
       iex> enumerable = [{10, :a}, {10, :b}, {10, :c}, {20, :d}]
       iex> replay = [replay: [interval: {0, 100}, speed: :max]]
@@ -287,8 +293,9 @@ defmodule Situ.Pipeline do
 
   #{Situ.Options.docs(Graph.scope_schema())}
 
-  A composite that restarts does so as a unit: all its components run `terminate/2`, start again with fresh state on the same edges,
-  and count as one for `max_restarts:`. Components with an `on_error:` of their own, `:skip` or `:restart`, keep it.
+  A composite that restarts does so as a unit: all its components run `terminate/2`, start again with fresh state on
+  the same edges, and count as one for `max_restarts:`. Components with an `on_error:` of their own, `:skip` or
+  `:restart`, keep it.
   """
   @spec composite(t(), String.t(), (t() -> result), keyword()) :: result when result: term()
   def composite(%Handle{} = p, name, fun, opts \\ [])
@@ -312,7 +319,8 @@ defmodule Situ.Pipeline do
   @doc """
   Tells during `build` which span of originating times a source is going to replay.
 
-  Proposals are merged (smallest span that holds all) and cut by `replay: [interval: ...]`; the clock starts at the result.
+  Proposals are merged (smallest span that holds all) and cut by `replay: [interval: ...]`; the clock starts at the
+  result.
   """
   @spec propose_replay(t(), {Situ.Time.t(), Situ.Time.t() | :unbounded}) :: :ok
   def propose_replay(%Handle{} = p, {from, to})
@@ -333,8 +341,8 @@ defmodule Situ.Pipeline do
     * `:component_completed`: `fun.({path, final_time})` when a finite source reports its end
     * `:error`: `fun.(error)` for each error
     * `:progress`: `fun.(progress)`, every `progress_every:` ms and at the end: 0.0 to 1.0, never less than before
-    * `:abandoned`: `fun.(error | nil)` when `build` failed, or the owner of an empty pipeline went before it was started: nothing
-      else of it will ever be called
+    * `:abandoned`: `fun.(error | nil)` when `build` failed, or the owner of an empty pipeline went before it was
+      started: nothing else of it will ever be called
   """
   @spec on(t(), event, (term() -> any())) :: :ok
         when event: :run | :completed | :component_completed | :error | :progress | :abandoned
@@ -344,7 +352,10 @@ defmodule Situ.Pipeline do
     Builder.run(p, &{:ok, %{&1 | handlers: &1.handlers ++ [{event, fun}]}})
   end
 
-  @doc "What replay interval the pipeline has been given: `{from | :unbounded, to | :unbounded}`; for importers during `build`."
+  @doc """
+  What replay interval the pipeline has been given: `{from | :unbounded, to | :unbounded}`; for importers during
+  `build`.
+  """
   @spec replay_interval(t()) :: {Situ.Time.t() | :unbounded, Situ.Time.t() | :unbounded}
   def replay_interval(%Handle{} = p), do: Builder.run(p, &{&1.replay, &1})
 end

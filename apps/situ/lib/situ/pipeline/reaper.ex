@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Reaper do
   @moduledoc false
-  # When a pipeline's process is killed, its components end by themselves; one that is stuck in a loop cannot. This process
-  # sees pipelines die and, after a grace time, kills what they have left behind.
+  # When a pipeline's process is killed, its components end by themselves; one that is stuck in a loop cannot. This
+  # process sees pipelines die and, after a grace time, kills what they have left behind.
   use GenServer
 
   @grace_ms 5_000

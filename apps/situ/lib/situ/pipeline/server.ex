@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Server do
   @moduledoc false
-  # The process of one pipeline, parent of its stages. It decides nothing about the life of the pipeline: it turns messages into events
-  # for `Situ.Pipeline.Lifecycle` and performs the actions that come back.
+  # The process of one pipeline, parent of its stages. It decides nothing about the life of the pipeline: it turns
+  # messages into events for `Situ.Pipeline.Lifecycle` and performs the actions that come back.
   #
   #   caller/supervisor
   #     └── Server (traps exits)
@@ -33,8 +33,8 @@ defmodule Situ.Pipeline.Server do
   @impl true
   def handle_info(message, state), do: guard(state, fn -> event(message, state) end)
 
-  # A step that fails half way leaves a state that nothing can be ended by in order: the pipeline ends with an error at once,
-  # and its components release what they hold.
+  # A step that fails half way leaves a state that nothing can be ended by in order: the pipeline ends with an error
+  # at once, and its components release what they hold.
   defp guard(state, step) do
     step.()
   catch

@@ -7,7 +7,8 @@ defmodule Situ.Pipeline.Settings do
     name: [
       type: {:or, [:string, :atom]},
       doc:
-        "What it is called; by default the module's last name, or \"Pipeline\". An atom is registered: every function takes it."
+        "What it is called; by default the module's last name, or \"Pipeline\". " <>
+          "An atom is registered: every function takes it."
     ],
     replay: [
       type: :keyword,

@@ -14,7 +14,9 @@ defmodule Situ.Pipeline.Stages do
     add(state, plan, %{})
   end
 
-  @doc "The same for stages that are added; `lent`: the stages that the sources of edges from outside of the plan are in."
+  @doc """
+  The same for stages that are added; `lent`: the stages that the sources of edges from outside of the plan are in.
+  """
   @spec add(State.t(), Plan.t(), %{pos_integer() => pos_integer()}, keyword()) ::
           {State.t(), %{pos_integer() => Member.t()}}
   def add(state, plan, lent, extra \\ []) do

@@ -1,6 +1,6 @@
 defmodule Situ.Pipeline.RestartTest do
-  # What a component that began anew posts goes on where the one before it had come to: sequence ids and times increase, and
-  # what a source goes through once more is not there twice.
+  # What a component that began anew posts goes on where the one before it had come to: sequence ids and times
+  # increase, and what a source goes through once more is not there twice.
   use ExUnit.Case, async: true
 
   alias Situ.Fixture.Count

@@ -6,7 +6,8 @@ defmodule Situ.Component.Context do
     * `pipeline`: the pipeline's handle
     * `now`: the pipeline clock when this activation began, ns
     * `start_time`: the pipeline's start, ns (replay start, or the clock when it began)
-    * `replay_start`: the start of the replay interval, asked for or proposed, ns, or `:unbounded` (then the pipeline starts now)
+    * `replay_start`: the start of the replay interval, asked for or proposed, ns, or `:unbounded` (then the pipeline
+      starts now)
     * `replay_end`: the end of the replay interval, ns, or `:infinity`
     * `enforced?`: whether messages wait for their time on the clock (not so at speed `:max`)
   """

@@ -1,7 +1,7 @@
 defmodule Situ.Diagnostics.Snapshot do
   @moduledoc """
-  A pipeline at one moment: its graph with every statistic, as plain structs, lists, numbers and strings, without any pid,
-  reference or function, so that it can be stored, sent and drawn.
+  A pipeline at one moment: its graph with every statistic, as plain structs, lists, numbers and strings, without any
+  pid, reference or function, so that it can be stored, sent and drawn.
 
     * `pipeline`: name; `state`: `:building | :starting | :running | :stopping | :completed`
     * `time`: pipeline clock, ns; `start_time`; `progress`: 0.0 to 1.0
@@ -36,7 +36,8 @@ defmodule Situ.Diagnostics.Node do
   @moduledoc """
   One component in a `Situ.Diagnostics.Snapshot`.
 
-    * `id`, `path` (`"Mouth.Crop"`), `scope` (`"Mouth"` or `nil`), `module` (its name as text, `"Operator"` for light ones)
+    * `id`, `path` (`"Mouth.Crop"`), `scope` (`"Mouth"` or `nil`), `module` (its name as text, `"Operator"` for light
+      ones)
     * `kind`: `:source | :component | :operator | :tap`; `state`: `:running | :closed | :failed`
     * `process`: number of the process it runs in, or `nil` before the start
     * `inputs`, `outputs`: lists of `%{name, type, stream}`, all text; `stream` is the stream's name (outputs only)
@@ -80,8 +81,8 @@ defmodule Situ.Diagnostics.Window do
   @moduledoc """
   What went over a connection in the last averaging span (`averaging:` among the pipeline's settings, default 1 s).
 
-    * `span`: how long the window really is, ns of the pipeline's clock: up to half a span more than asked for, less just
-      after the start
+    * `span`: how long the window really is, ns of the pipeline's clock: up to half a span more than asked for, less
+      just after the start
     * `emitted`, `processed`, `dropped`: counts
     * `created`, `posted`, `latency`: mean ages of messages when they were made, handed to the queue and taken, ns
     * `handling`: mean time in the consumer, ns; `queue`: mean length left when a message was taken; `size`: mean bytes
@@ -134,13 +135,13 @@ defmodule Situ.Diagnostics.Edge do
     * `from`, `from_output`, `to`, `to_input`: node ids and port names (text); `policy`: its name
     * `kind`: `:process` (a queue between two processes) or `:inline` (inside one process: no queue; counts are those of
       the chain's entry)
-    * `emitted`: handed to the queue; `processed`: taken by the consumer; `dropped`: by the policy; `queue`: waiting now
-      (emitted - processed - dropped), `queue_mean`: how many were left waiting when a message was taken; `throttled`: the
-      producer waits for this edge
-    * `created_last`, `created_mean`: creation time - originating time; `posted_last`, `posted_mean`: clock when it was
-      handed to the queue - originating time (more than the former where an importer or a connector keeps creation times);
-      `latency_last`, `latency_mean`, `latency_p99`: clock when the consumer took it - originating time; p99 is the upper
-      bound of its histogram bucket (within 25 %)
+    * `emitted`: handed to the queue; `processed`: taken by the consumer; `dropped`: by the policy; `queue`: waiting
+      now (emitted - processed - dropped), `queue_mean`: how many were left waiting when a message was taken;
+      `throttled`: the producer waits for this edge
+    * `created_last`, `created_mean`: creation time - originating time; `posted_last`, `posted_mean`: clock when it
+      was handed to the queue - originating time (more than the former where an importer or a connector keeps creation
+      times); `latency_last`, `latency_mean`, `latency_p99`: clock when the consumer took it - originating time; p99
+      is the upper bound of its histogram bucket (within 25 %)
     * `handling_last`, `handling_mean`: time spent in the consumer per message; `busy`: the sum of it
     * `size_last`, `size_mean`: bytes of the data, with `message_sizes: true` among the pipeline's settings, else 0
     * `window`: the same means and counts over the last averaging span, a `Situ.Diagnostics.Window`
@@ -210,9 +211,9 @@ end
 
 defmodule Situ.Diagnostics.Process do
   @moduledoc """
-  One process of a pipeline in a `Situ.Diagnostics.Snapshot`: `number`, `pid` (as text, `""` once it has ended), `nodes` (paths it hosts, in order), `memory` (bytes),
-  `mailbox` (messages waiting), `reductions` (total), `status` (`"waiting"`, `"running"` ...), `busy_in` (the function it is
-  in, as text: names what a stuck component is doing).
+  One process of a pipeline in a `Situ.Diagnostics.Snapshot`: `number`, `pid` (as text, `""` once it has ended),
+  `nodes` (paths it hosts, in order), `memory` (bytes), `mailbox` (messages waiting), `reductions` (total), `status`
+  (`"waiting"`, `"running"` ...), `busy_in` (the function it is in, as text: names what a stuck component is doing).
   """
   defstruct number: 0,
             pid: "",

@@ -1,7 +1,8 @@
 defmodule Situ.Pipeline.Dynamic.Extension do
   @moduledoc false
-  # Components that are added to a running pipeline, and taken away. The caller builds on a copy of the graph whose numbers are its own;
-  # the server takes over what is new in it, plans it as a graph is planned, and has the life cycle start it.
+  # Components that are added to a running pipeline, and taken away. The caller builds on a copy of the graph whose
+  # numbers are its own; the server takes over what is new in it, plans it as a graph is planned, and has the life
+  # cycle start it.
   alias Situ.{Error, Graph}
   alias Situ.Graph.{Extension, Plan}
   alias Situ.Pipeline.{Lookup, Stages, State}
@@ -51,7 +52,10 @@ defmodule Situ.Pipeline.Dynamic.Extension do
     Stages.tell(state, link.from, {:lend, tag, link.output, pid, counters, link.policy})
   end
 
-  @doc "These stages were removed: nothing in the graph names them any more. They are dropped once their processes have ended."
+  @doc """
+  These stages were removed: nothing in the graph names them any more. They are dropped once their processes have
+  ended.
+  """
   @spec forget(State.t(), [pos_integer()]) :: State.t()
   def forget(state, ids) do
     gone = for id <- ids, vertex <- state.stages[id].vertices, into: MapSet.new(), do: vertex.id

@@ -2,7 +2,8 @@ defmodule Situ.Pipeline.Dynamic.Input do
   @moduledoc false
   # Inputs that are added to a running component, and taken away. Three steps, so that it is exact which messages come:
   #
-  #   the source's stage takes a subscriber in, without demand, and tells the last time that it will not see ({:lend, ...});
+  #   the source's stage takes a subscriber in, without demand, and tells the last time that it will not see ({:lend,
+  #   ...});
   #   the component takes the input, or does not, and asks for the first messages ({:attach, ...});
   #   the caller gets its answer, and the graph has the connection.
   alias Situ.{Delivery, Error}

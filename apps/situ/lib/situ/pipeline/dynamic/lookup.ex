@@ -1,6 +1,7 @@
 defmodule Situ.Pipeline.Lookup do
   @moduledoc false
-  # Where the parts of a running pipeline are: which vertex and output a stream is of, in which stage, how far down its chain.
+  # Where the parts of a running pipeline are: which vertex and output a stream is of, in which stage, how far down
+  # its chain.
   alias Situ.{Error, Graph, Options}
   alias Situ.Pipeline.{Errors, State}
 

@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Dynamic.Replacement do
   @moduledoc false
-  # Another module, or other options, for a running component. One at a time for each stage, in the order in which they were asked
-  # for; what waits is checked when it is its turn, against what the component has become by then.
+  # Another module, or other options, for a running component. One at a time for each stage, in the order in which
+  # they were asked for; what waits is checked when it is its turn, against what the component has become by then.
   alias Situ.{Error, Type}
   alias Situ.Graph.{Edge, Vertex}
   alias Situ.Pipeline.{Errors, Lookup, State}

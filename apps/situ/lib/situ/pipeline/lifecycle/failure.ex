@@ -2,13 +2,16 @@ defmodule Situ.Pipeline.Lifecycle.Failure do
   @moduledoc false
   # Stages that fail, or end before their time: restarted, or the pipeline's end. Pure.
   #
-  # Where a stage fails is where its streams end. What depends on them says nothing about later times: a group that lacks the
-  # failed one's part, or a default in its place, would be made up.
+  # Where a stage fails is where its streams end. What depends on them says nothing about later times: a group that
+  # lacks the failed one's part, or a default in its place, would be made up.
   alias Situ.Error
   alias Situ.Pipeline.Lifecycle.{Links, Member, State}
   import Situ.Pipeline.Lifecycle.State
 
-  @doc "A stage says that it failed: it takes nothing any more. `reached`: up to where its streams are whole, if that is known."
+  @doc """
+  A stage says that it failed: it takes nothing any more. `reached`: up to where its streams are whole, if that is
+  known.
+  """
   @spec failed(State.t(), State.id(), Error.t(), Situ.Time.t() | nil) :: State.t()
   def failed(state, id, error, reached) do
     state = state |> mark([id], :failed) |> error(error) |> limit(id, reached)

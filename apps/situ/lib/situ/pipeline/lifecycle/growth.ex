@@ -1,7 +1,8 @@
 defmodule Situ.Pipeline.Lifecycle.Growth do
   @moduledoc false
-  # Components that are added while the pipeline runs: the steps of a start, for some stages. Nothing of them moves before all of it is
-  # wired: what they take from streams that flow already is lent to them without demand, at a message boundary. Pure.
+  # Components that are added while the pipeline runs: the steps of a start, for some stages. Nothing of them moves
+  # before all of it is wired: what they take from streams that flow already is lent to them without demand, at a
+  # message boundary. Pure.
   #
   #   up     every new stage has its first state
   #   start  `handle_start/2` has run in each
@@ -16,7 +17,10 @@ defmodule Situ.Pipeline.Lifecycle.Growth do
           lent: [term()]
         }
 
-  @doc "Begins; `from` is answered when messages flow, or when it cannot be. `lent`: the links from streams that flow already."
+  @doc """
+  Begins; `from` is answered when messages flow, or when it cannot be. `lent`: the links from streams that flow
+  already.
+  """
   @spec begin(State.t(), reference(), plan(), term()) :: State.t()
   def begin(state, ref, plan, from) do
     ids = Map.keys(plan.members)

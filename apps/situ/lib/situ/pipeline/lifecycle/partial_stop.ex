@@ -1,8 +1,8 @@
 defmodule Situ.Pipeline.Lifecycle.PartialStop do
   @moduledoc false
-  # A composite, or one component, that is stopped while the rest of its pipeline runs on: the same steps as at the end of a
-  # pipeline, for some of its stages. Their inputs from outside close and their sources stop at the time of the stop, their
-  # outputs close in order, and they quit. Pure.
+  # A composite, or one component, that is stopped while the rest of its pipeline runs on: the same steps as at the
+  # end of a pipeline, for some of its stages. Their inputs from outside close and their sources stop at the time of
+  # the stop, their outputs close in order, and they quit. Pure.
   alias Situ.Error
   alias Situ.Pipeline.Lifecycle.{Closing, Failure, Links, Shutdown, State}
   import Situ.Pipeline.Lifecycle.State

@@ -65,14 +65,16 @@ defmodule Situ.Pipeline.Lifecycle.Shutdown do
         do: id
   end
 
-  # What is later than the end does not count: it has run ahead. Where every source upstream has given all it has, nothing has,
-  # and what operators made later than their inputs (`merge`, by the clock) belongs to the result.
+  # What is later than the end does not count: it has run ahead. Where every source upstream has given all it has,
+  # nothing has, and what operators made later than their inputs (`merge`, by the clock) belongs to the result.
   defp whole(state) do
     whole = Upstream.whole(state.stages, Map.values(state.links.topology), state.ending.finite)
     &MapSet.member?(whole, &1)
   end
 
-  @doc "Stopped by hand, sources that lag behind the clock may catch up to it, but not for ever: they end where they are."
+  @doc """
+  Stopped by hand, sources that lag behind the clock may catch up to it, but not for ever: they end where they are.
+  """
   @spec enough(State.t(), Situ.Time.t()) :: State.t()
   def enough(%{ending: %{by_hand: false}} = state, _now), do: state
   def enough(%{step: :settle} = state, now), do: state |> ending(enough?: true) |> stop(now)
@@ -146,7 +148,9 @@ defmodule Situ.Pipeline.Lifecycle.Shutdown do
     end
   end
 
-  @doc "A cycle that is waited for was measured: whether nothing is on its way in it, a mark of its counters, who is busy."
+  @doc """
+  A cycle that is waited for was measured: whether nothing is on its way in it, a mark of its counters, who is busy.
+  """
   @spec measured(State.t(), %{quiet?: boolean(), mark: term(), busy?: boolean()}) :: State.t()
   def measured(%{step: :close, ending: %{drain: {mark, polls}}} = state, seen) do
     polls = if seen.mark == mark and not seen.busy?, do: polls + 1, else: 0

@@ -2,8 +2,8 @@ defmodule Situ.Pipeline.Lifecycle.Stall do
   @moduledoc false
   # What does not end when it is to end: named, and killed. Pure.
   #
-  # The server looks twice, the stop timeout apart. Where no counter has moved in between and nothing has happened, somebody is
-  # stuck: those in the middle of something; only if there are none, those that still owe an answer.
+  # The server looks twice, the stop timeout apart. Where no counter has moved in between and nothing has happened,
+  # somebody is stuck: those in the middle of something; only if there are none, those that still owe an answer.
   alias Situ.Error
   alias Situ.Pipeline.Lifecycle.{Links, State}
   import Situ.Pipeline.Lifecycle.State

@@ -2,7 +2,8 @@ defmodule Situ.Pipeline.Lifecycle.Member do
   @moduledoc false
   # What the life cycle knows of one stage.
   #
-  #   status   :running, :failed (takes nothing any more), :restarting, :closed, :dead (its process is), :ended (stopped as a part of a
+  #   status   :running, :failed (takes nothing any more), :restarting, :closed, :dead (its process is), :ended
+  #            (stopped as a part of a
   #            pipeline that runs on)
   #   open?    whether its outputs have yet to close
   #   ends_at  the latest closing time among inputs that have closed; limit: nothing of it counts behind that time

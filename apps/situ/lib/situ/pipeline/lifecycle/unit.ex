@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Lifecycle.Unit do
   @moduledoc false
-  # A composite with an `on_error:` of its own: what would end the pipeline when one of its stages fails or dies is its own affair. All of
-  # it restarts, or all of it ends and the rest runs on. Pure.
+  # A composite with an `on_error:` of its own: what would end the pipeline when one of its stages fails or dies is
+  # its own affair. All of it restarts, or all of it ends and the rest runs on. Pure.
   alias Situ.Error
   alias Situ.Pipeline.Lifecycle.{Failure, PartialStop, State}
   import Situ.Pipeline.Lifecycle.State
@@ -9,7 +9,10 @@ defmodule Situ.Pipeline.Lifecycle.Unit do
   # A stage that does not end by itself in so many ms is killed.
   @overdue_ms 5_000
 
-  @doc "What happens to the composite of a stage that fails while the pipeline runs; `nil` when that is the pipeline's affair."
+  @doc """
+  What happens to the composite of a stage that fails while the pipeline runs; `nil` when that is the pipeline's
+  affair.
+  """
   @spec of(State.t(), State.id()) :: {String.t(), :restart | :close} | nil
   def of(%{phase: :running} = state, id) do
     member = state.stages[id]

@@ -5,7 +5,9 @@ defmodule Situ.Collector do
       iex> Situ.to_list(fn p -> p |> Situ.from_enumerable(1..5, every: 10) |> Situ.map(&(&1 * &1)) end)
       [1, 4, 9, 16, 25]
 
-      iex> {:ok, %{odd: odd}} = Situ.collect(fn p -> %{odd: p |> Situ.from_enumerable(0..4, every: 10) |> Situ.filter(&(rem(&1, 2) == 1))} end)
+      iex> {:ok, %{odd: odd}} = Situ.collect(fn p ->
+      ...>   %{odd: p |> Situ.from_enumerable(0..4, every: 10) |> Situ.filter(&(rem(&1, 2) == 1))}
+      ...> end)
       iex> Enum.map(odd, & &1.data)
       [1, 3]
 
@@ -90,8 +92,9 @@ defmodule Situ.Collector do
   @type streams :: Stream.t() | [Stream.t()] | %{term() => Stream.t()} | keyword(Stream.t())
 
   @doc """
-  Runs a pipeline to its end (as fast as possible unless `pipeline:` says otherwise) and returns the messages of the streams that
-  `build` returned: a list of `Situ.Message` for a stream, and for a list or map of streams a list or map of these.
+  Runs a pipeline to its end (as fast as possible unless `pipeline:` says otherwise) and returns the messages of the
+  streams that `build` returned: a list of `Situ.Message` for a stream, and for a list or map of streams a list or map
+  of these.
   """
   @spec collect((Pipeline.t() -> streams()), keyword()) ::
           {:ok, term()} | {:error, Situ.Error.t()}
@@ -124,8 +127,8 @@ defmodule Situ.Collector do
   end
 
   @doc """
-  The data of the stream that `build` returns as an Elixir `Stream`: a pipeline of its own runs while it is read, as far ahead as its
-  back-pressure lets it, and is ended when reading ends. With `messages: true` whole messages.
+  The data of the stream that `build` returns as an Elixir `Stream`: a pipeline of its own runs while it is read, as
+  far ahead as its back-pressure lets it, and is ended when reading ends. With `messages: true` whole messages.
   """
   @spec to_stream((Pipeline.t() -> Stream.t()), keyword()) :: Enumerable.t()
   def to_stream(build, opts \\ []) when is_function(build, 1) do

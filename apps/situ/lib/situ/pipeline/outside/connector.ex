@@ -2,10 +2,10 @@ defmodule Situ.Connector do
   @moduledoc """
   Carries a stream from one pipeline into another that runs on its own.
 
-  The two pipelines share nothing but the connector: each has its own clock, life cycle and errors. The target sees an infinite
-  source. Its demand goes through the connector: a target that is slow makes the sender wait (at most `window:` messages are under way,
-  1,000 if not said otherwise), unless the sender's policy drops; several targets all get all. What is sent while no target runs is
-  lost.
+  The two pipelines share nothing but the connector: each has its own clock, life cycle and errors. The target sees an
+  infinite source. Its demand goes through the connector: a target that is slow makes the sender wait (at most
+  `window:` messages are under way, 1,000 if not said otherwise), unless the sender's policy drops; several targets
+  all get all. What is sent while no target runs is lost.
 
       iex> connector = Situ.Connector.new("numbers")
       iex> me = self()
@@ -22,8 +22,8 @@ defmodule Situ.Connector do
       iex> :closed
       :closed
 
-  `as: :data` (default) posts the data anew at the same originating time, `as: :message` posts the whole `Situ.Message` as
-  data, `as: :envelope` keeps times and sequence id.
+  `as: :data` (default) posts the data anew at the same originating time, `as: :message` posts the whole
+  `Situ.Message` as data, `as: :envelope` keeps times and sequence id.
   """
   alias Situ.Stream
 
@@ -202,7 +202,8 @@ end
 
 defmodule Situ.Connector.Out do
   @moduledoc false
-  # The sending side: its output has consumers outside the pipeline. Nothing goes out before those that run have subscribed.
+  # The sending side: its output has consumers outside the pipeline. Nothing goes out before those that run have
+  # subscribed.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],

@@ -8,21 +8,23 @@ defmodule Situ.GenStage do
       {:ok, {pid, opts}} = Situ.GenStage.subscription(pipeline, "Lobby.Speaking")
       GenStage.sync_subscribe(consumer, [to: pid, max_demand: 500] ++ opts)
 
-  It receives `%Situ.Message{}` structs as events. An output waits for all its subscribers: a consumer that stops asking holds
-  the pipeline up, which is what back-pressure means (`Situ.attach_tap/3` never does). When the output ends the subscription is
-  cancelled with `{:shutdown, {:closed, time}}`; when its component failed, with the `Situ.Error`, so that a `:transient` consumer fails
-  as well.
+  It receives `%Situ.Message{}` structs as events. An output waits for all its subscribers: a consumer that stops
+  asking holds the pipeline up, which is what back-pressure means (`Situ.attach_tap/3` never does). When the output
+  ends the subscription is cancelled with `{:shutdown, {:closed, time}}`; when its component failed, with the
+  `Situ.Error`, so that a `:transient` consumer fails as well.
 
-  A pipeline runs as soon as it is started, and what was emitted before somebody subscribed is not seen. `accumulate/2` holds a
-  stream back until `GenStage.demand(pid, :forward)`, which `Flow.from_stages/2` calls by itself.
+  A pipeline runs as soon as it is started, and what was emitted before somebody subscribed is not seen.
+  `accumulate/2` holds a stream back until `GenStage.demand(pid, :forward)`, which `Flow.from_stages/2` calls by
+  itself.
 
   ## A GenStage producer as a source
 
       stream = Situ.GenStage.from(p, producer, type: :integer)
 
-  Events that are `%Situ.Message{}` keep their originating times; other events get the pipeline's clock, at least 1 ns after
-  the one before. When the producer ends in order (`:normal`, `:shutdown`, `{:shutdown, _}`) the stream completes; any other reason is an
-  error of the component, `:producer_failed`, which fails the pipeline unless its `on_error` says otherwise.
+  Events that are `%Situ.Message{}` keep their originating times; other events get the pipeline's clock, at least 1 ns
+  after the one before. When the producer ends in order (`:normal`, `:shutdown`, `{:shutdown, _}`) the stream
+  completes; any other reason is an error of the component, `:producer_failed`, which fails the pipeline unless its
+  `on_error` says otherwise.
 
   Without a producer, `from(p, [])`, the stream waits for others to name one: `Flow.into_stages(flow, [pid])` or
   `GenStage.sync_subscribe(pid, to: producer)`, where `pid` is that of `subscription/2`.
@@ -37,9 +39,11 @@ defmodule Situ.GenStage do
   | producer | consumer | `{:"$gen_consumer", {producer_pid, tag}, [event]}`, never more than asked for |
   | producer | consumer | `{:"$gen_consumer", {producer_pid, tag}, {:cancel, reason}}`, also in answer to a cancel |
 
-  `tag` is a term the consumer chooses (GenStage: its monitor's reference); with the consumer's pid it names the subscription in both
-  directions. Both sides monitor each other. Of GenStage's calls and casts `:"$estimate_buffered_count"`, `{:"$demand", mode}`,
-  `{:"$info", message}` and (a source) `{:"$subscribe", current, to, opts}` are answered; what is malformed is refused, and never fatal. Within a pipeline tags are the edge's number and the subscription is made at the start.
+  `tag` is a term the consumer chooses (GenStage: its monitor's reference); with the consumer's pid it names the
+  subscription in both directions. Both sides monitor each other. Of GenStage's calls and casts
+  `:"$estimate_buffered_count"`, `{:"$demand", mode}`, `{:"$info", message}` and (a source) `{:"$subscribe", current,
+  to, opts}` are answered; what is malformed is refused, and never fatal. Within a pipeline tags are the edge's number
+  and the subscription is made at the start.
 
       iex> {:ok, p} = Situ.Pipeline.start(fn p ->
       ...>   p |> Situ.Connector.receive(Situ.Connector.new("x")) |> Situ.map(& &1, name: "Same")
@@ -54,7 +58,9 @@ defmodule Situ.GenStage do
   """
   alias Situ.Pipeline.Client
 
-  @doc "Where to subscribe for a stream: the process and the options that name the output. The pipeline must be running."
+  @doc """
+  Where to subscribe for a stream: the process and the options that name the output. The pipeline must be running.
+  """
   @spec subscription(Situ.Pipeline.target(), Situ.Stream.t() | String.t()) ::
           {:ok, {pid(), keyword()}} | {:error, Situ.Error.t()}
   def subscription(p, %Situ.Stream{} = stream),
@@ -65,8 +71,9 @@ defmodule Situ.GenStage do
   @doc """
   The events of GenStage producers (a pid or name, or a list of them) as a stream.
 
-  Options: `type:`, `subscribe:` (options for the producers, such as `partition:`, `selector:`, `max_demand:` (1,000), `min_demand:` (half of
-  it) and `cancel:`, with `:temporary` a producer's failure ends its subscription only), and those of `Situ.Graph.Placement`.
+  Options: `type:`, `subscribe:` (options for the producers, such as `partition:`, `selector:`, `max_demand:` (1,000),
+  `min_demand:` (half of it) and `cancel:`, with `:temporary` a producer's failure ends its subscription only), and
+  those of `Situ.Graph.Placement`.
   """
   @spec from(Situ.Pipeline.t(), GenServer.server() | [GenServer.server()], keyword()) ::
           Situ.Stream.t()
@@ -77,8 +84,8 @@ defmodule Situ.GenStage do
   end
 
   @doc """
-  The stream, held back until a consumer lets it go with `GenStage.demand(pid, :forward)`: none of its messages is lost to one that
-  subscribes after the start. Options: those of `Situ.Graph.Placement`.
+  The stream, held back until a consumer lets it go with `GenStage.demand(pid, :forward)`: none of its messages is
+  lost to one that subscribes after the start. Options: those of `Situ.Graph.Placement`.
 
       Situ.from_enumerable(p, 0..999, every: Situ.Time.ms(1)) |> Situ.GenStage.accumulate(name: "Numbers")
   """
@@ -108,7 +115,8 @@ end
 
 defmodule Situ.GenStage.Source do
   @moduledoc false
-  # The consumer's side of the protocol: asks each producer for `max_demand`, and again once the pipeline has taken part of it.
+  # The consumer's side of the protocol: asks each producer for `max_demand`, and again once the pipeline has taken
+  # part of it.
   use Situ.Component,
     outputs: [out: :any],
     options: [

@@ -3,8 +3,8 @@ defmodule Situ.Pipeline.Tap do
   A look at a stream of a running pipeline, attached and detached while it runs; see `Situ.attach_tap/3`.
 
   The function runs in a process of its own behind a lossy queue (default `Situ.Delivery.max_queue(1_000)`), so a slow
-  or stuck tap costs the pipeline nothing but the copy of the messages. A tap that raises skips the message. It goes with
-  its pipeline, and with the process that attached it.
+  or stuck tap costs the pipeline nothing but the copy of the messages. A tap that raises skips the message. It goes
+  with its pipeline, and with the process that attached it.
 
       iex> me = self()
       iex> connector = Situ.Connector.new("taps")

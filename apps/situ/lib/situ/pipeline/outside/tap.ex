@@ -9,9 +9,10 @@ defmodule Situ.Tap do
         {:situ_tap, ^tap, message} -> IO.inspect(message.data)
       end
 
-  A subscriber gets `{:situ_tap, tap, message}` for each message from then on and `{:situ_tap_end, tap, how}` when there will be no more:
-  `how` is `{:closed, time}`, or the `Situ.Error` that ended the pipeline. It gets nothing once it has unsubscribed or ended. A listener does
-  not slow the pipeline down: when more than `max_queue:` messages (default 10,000) wait in its mailbox, it misses messages.
+  A subscriber gets `{:situ_tap, tap, message}` for each message from then on and `{:situ_tap_end, tap, how}` when
+  there will be no more: `how` is `{:closed, time}`, or the `Situ.Error` that ended the pipeline. It gets nothing once
+  it has unsubscribed or ended. A listener does not slow the pipeline down: when more than `max_queue:` messages
+  (default 10,000) wait in its mailbox, it misses messages.
   """
 
   alias Situ.Graph.Placement
