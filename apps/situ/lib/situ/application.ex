@@ -11,7 +11,8 @@ defmodule Situ.Application do
       Situ.Clock.registry(),
       Situ.Connector.registry(),
       Situ.Tap.registry(),
-      Situ.Pipeline.Directory
+      Situ.Pipeline.Directory,
+      Situ.Pipeline.Reload
     ]
 
     Supervisor.start_link(children, strategy: :one_for_one, name: Situ.Supervisor)

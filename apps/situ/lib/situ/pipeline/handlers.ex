@@ -88,6 +88,33 @@ defmodule Situ.Pipeline.Handlers do
     )
   end
 
+  @doc "Builds what `{module, opts}` builds now, in a process of its own; the caller gets `{:situ_rebuilt, graph}`."
+  @spec rebuild({module(), keyword()}, Situ.Graph.Handle.t()) :: pid()
+  def rebuild({module, opts}, handle) do
+    server = self()
+
+    spawn(fn ->
+      Process.put(:situ_pipeline, server)
+
+      try do
+        {_, graph} = Builder.lend(handle, %Situ.Graph{}, fn -> module.build(handle, opts) end)
+        send(server, {:situ_rebuilt, graph})
+      catch
+        kind, reason ->
+          what = Exception.format_banner(kind, reason, __STACKTRACE__)
+          Logger.warning("#{inspect(module)} goes on with its old functions: #{what}")
+      end
+    end)
+  end
+
+  @doc "Handlers of the new version in the place of those of the old one."
+  @spec reload(Situ.Graph.t(), Situ.Graph.t()) :: Situ.Graph.t()
+  def reload(%{handlers: old} = graph, %{handlers: new}) do
+    if Enum.map(old, &elem(&1, 0)) == Enum.map(new, &elem(&1, 0)),
+      do: %{graph | handlers: new},
+      else: graph
+  end
+
   @doc "A pipeline that will not run: what was opened for it can be closed."
   @spec abandoned(Situ.Graph.Handle.t(), Error.t() | nil) :: :ok
   def abandoned(handle, error) do

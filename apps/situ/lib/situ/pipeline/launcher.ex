@@ -3,7 +3,7 @@ defmodule Situ.Pipeline.Launcher do
   # The ways into a pipeline: a process that builds the graph, answers its caller and becomes the pipeline's server.
   alias Situ.Error
   alias Situ.Graph.Builder
-  alias Situ.Pipeline.{Directory, Errors, Handlers, Server, Settings, State}
+  alias Situ.Pipeline.{Directory, Errors, Handlers, Reload, Server, Settings, State}
 
   # The result comes as a message of its own: a short pipeline has ended before one could ask it.
   def run(spec, opts) do
@@ -53,7 +53,8 @@ defmodule Situ.Pipeline.Launcher do
     {mode, reply} = if is_tuple(mode), do: mode, else: {mode, nil}
 
     with {:ok, settings} <- Settings.parse(settings, mode, spec) do
-      settings = %{settings | reply: reply && {self(), reply}}
+      origin = if is_atom(spec), do: {spec, opts}
+      settings = %{settings | reply: reply && {self(), reply}, origin: origin}
       how |> proc_lib([self(), spec, opts, settings]) |> entered()
     end
   end
@@ -78,6 +79,7 @@ defmodule Situ.Pipeline.Launcher do
         state = watch(%{state | handle: handle, graph: graph, result: result}, caller)
         # With its caller gone meanwhile there is nobody to run for.
         unless Process.alive?(caller), do: exit(:normal)
+        with {module, _opts} <- settings.origin, do: Reload.watch(module)
         send(self(), :situ_launch)
         :proc_lib.init_ack({:ok, self()})
         :gen_server.enter_loop(Server, [], state)

@@ -202,6 +202,17 @@ defmodule Situ.Pipeline.Server do
     apply_event(state, {:watched, which, seen})
   end
 
+  # The module that built it has a new version: it is built again, elsewhere, for its functions.
+  defp event(:situ_reloaded, %{settings: %{origin: {_, _} = origin}} = state) do
+    Handlers.rebuild(origin, state.handle)
+    {:noreply, state}
+  end
+
+  defp event({:situ_rebuilt, graph}, %{life: %{phase: :running}} = state) do
+    state = %{state | graph: Handlers.reload(state.graph, graph)}
+    {:noreply, Dynamic.Replacement.reload(state, graph)}
+  end
+
   defp event({:situ_late, ref, timeout}, state),
     do: {:noreply, Dynamic.Replacement.late(state, ref, timeout)}
 

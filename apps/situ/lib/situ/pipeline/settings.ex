@@ -63,6 +63,7 @@ defmodule Situ.Pipeline.Settings do
   defstruct [
     :name,
     :registered,
+    :origin,
     :clock,
     :mode,
     :reply,

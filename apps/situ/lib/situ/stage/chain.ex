@@ -37,8 +37,22 @@ defmodule Situ.Operator.Chain do
     %{chain | steps: steps, fast: not stateful?(steps)}
   end
 
-  @doc "A new step in the place of that of the operator at `index`, without the state of the old one."
-  @spec exchange(t(), non_neg_integer(), Situ.Operator.step()) :: t()
+  @doc """
+  A new step in the place of that of the operator at `index`, without the state of the old one; with `{:keep, step}` with it.
+  """
+  @spec exchange(t(), non_neg_integer(), Situ.Operator.step() | {:keep, Situ.Operator.step()}) ::
+          t()
+  def exchange(chain, index, {:keep, {:step, fun, _state}}) do
+    update(chain, fn steps ->
+      Enum.map(steps, fn
+        {:step, _old, ^index, state} -> {:step, fun, index, state}
+        other -> other
+      end)
+    end)
+  end
+
+  def exchange(chain, index, {:keep, step}), do: exchange(chain, index, step)
+
   def exchange(chain, index, step) do
     [fresh] = new([step], index)
     update(chain, fn steps -> Enum.map(steps, &if(elem(&1, 2) == index, do: fresh, else: &1)) end)

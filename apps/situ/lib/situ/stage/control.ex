@@ -191,7 +191,8 @@ defmodule Situ.Stage.Control do
   end
 
   defp replace(%{chain: chain} = state, index, :operator, step) when chain != nil do
-    vertices = List.update_at(state.vertices, index, &%{&1 | opts: step})
+    plain = with {:keep, step} <- step, do: step
+    vertices = List.update_at(state.vertices, index, &%{&1 | opts: plain})
     {:ok, %{state | vertices: vertices, chain: Chain.exchange(chain, index, step)}, []}
   end
 

@@ -21,6 +21,25 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
     end
   end
 
+  @doc "The operators of `graph`, another version of the same pipeline, take the places of those with the same names."
+  @spec reload(State.t(), Situ.Graph.t()) :: State.t()
+  def reload(state, graph) do
+    fresh =
+      for {_, %{module: :operator} = vertex} <- graph.vertices,
+          into: %{},
+          do: {vertex.path, vertex}
+
+    Enum.reduce(state.graph.vertices, state, fn {id, vertex}, state ->
+      with %{module: :operator, path: path, opts: old} <- vertex,
+           %{^path => %{opts: step}} when step != old <- fresh,
+           {:ok, stage, _index} <- Lookup.stage(state, id) do
+        enter(state, stage.id, %{ref: make_ref(), vertex: id, change: {:keep, step}, from: nil})
+      else
+        _ -> state
+      end
+    end)
+  end
+
   defp enter(%{dynamic: %{replaces: replaces}} = state, id, request) do
     case replaces do
       %{^id => {current, waiting}} -> put(state, id, {current, :queue.in(request, waiting)})
@@ -35,6 +54,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
          {:ok, module, opts} <- target(vertex, request.change),
          :ok <- fits(state.graph, vertex, module) do
       send(stage.pid, {:situ, {:replace, request.ref, index, module, opts}})
+      opts = with {:keep, step} <- opts, do: step
       put(state, id, {Map.merge(request, %{index: index, module: module, opts: opts}), waiting})
     else
       {:error, error} ->
@@ -124,6 +144,11 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
   end
 
   # What it is to become
+
+  # Another version of the same function, with the state that there is.
+  defp target(%Vertex{module: :operator} = vertex, {:keep, step}) do
+    with {:ok, :operator, step} <- target(vertex, step), do: {:ok, :operator, {:keep, step}}
+  end
 
   defp target(%Vertex{module: :operator} = vertex, {kind, fun} = step) when is_function(fun) do
     if kind == elem(vertex.opts, 0),
