@@ -15,12 +15,13 @@ defmodule Situ.Infer do
   | pictures | faces | `Situ.Infer.FaceDetector`, `Situ.Infer.FaceTracker` |
   | pictures and faces | 468 points on each | `Situ.Infer.FaceLandmarks` |
   | pictures | mouths | `Situ.Infer.MouthShape` |
+  | 16 kHz sound | what is said | `transcribe/2`, `Situ.Infer.SpeechRecognizer` |
   | mouths and voice | who speaks | `who_speaks/3`, `Situ.Infer.ActiveSpeaker` |
 
   Models run in ONNX Runtime, which `bin/setup` fetches; without it the components that need it stop the pipeline with
   `:no_onnxruntime`, and the energy detectors go on working.
   """
-  alias Situ.Infer.{ActiveSpeaker, VoiceActivity}
+  alias Situ.Infer.{ActiveSpeaker, SpeechRecognizer, VoiceActivity}
   alias Situ.Stream
 
   # Voices come every 32 ms, so one lies within 16 ms of any picture; the rest is room for clocks that differ a little.
@@ -41,6 +42,17 @@ defmodule Situ.Infer do
   @spec who_speaks(Stream.t(), Stream.t() | nil, keyword()) :: Stream.t()
   def who_speaks(mouths, voice, opts \\ []),
     do: mouths |> beside(voice) |> Situ.via(ActiveSpeaker, opts)
+
+  @doc """
+  What is said in 16 kHz mono sound: a stream of `Situ.Infer.Speech.Utterance`, each at the end of what was said.
+  `voice:` are options of `Situ.Infer.VoiceActivity`, the others those of `Situ.Infer.SpeechRecognizer`.
+  """
+  @spec transcribe(Stream.t(), keyword()) :: Stream.t()
+  def transcribe(sound, opts \\ []) do
+    {voice, opts} = Keyword.pop(opts, :voice, [])
+    inputs = [sound: sound, speaking: voice_activity(sound, voice)]
+    Situ.via(inputs, SpeechRecognizer, opts ++ [name: "SpeechRecognizer"]).out
+  end
 
   defp beside(mouths, nil), do: Situ.map(mouths, &{&1, nil}, type: {:tuple, [mouths.type, :any]})
 

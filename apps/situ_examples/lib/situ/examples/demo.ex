@@ -13,6 +13,7 @@ defmodule Situ.Examples.Demo do
     --seconds N      stop after N seconds (for cameras; default: until Enter is pressed)
     --headless       do not serve the studio afterwards
     --json           print one JSON object and nothing else
+    --transcript     recognise what is said (English), print who said what, and write it beside the recording as WebVTT
     --profile        print where the time went, component by component
     --port N         the studio's port (default 4040; 0 takes a free one)
     --no-open        do not open a browser
@@ -27,7 +28,7 @@ defmodule Situ.Examples.Demo do
   ```
   """
   alias Situ.Error
-  alias Situ.Examples.Demo.{Options, Profile, Recording, Score, Table, Truth}
+  alias Situ.Examples.Demo.{Options, Profile, Recording, Score, Table, Transcript, Truth}
   alias Situ.Examples.MultimodalVoiceActivity
 
   @doc "Runs the demo and ends the VM with its exit status."
@@ -54,7 +55,14 @@ defmodule Situ.Examples.Demo do
           {:ok, Situ.Pipeline.Report.t(), wall_s :: float()} | {:error, Error.t()}
   def record(opts) do
     {:ok, _} = Application.ensure_all_started(:situ_examples)
-    build = [input: opts[:input], path: opts[:out], policy: opts[:policy]]
+
+    build = [
+      input: opts[:input],
+      path: opts[:out],
+      policy: opts[:policy],
+      transcript: opts[:transcript]
+    ]
+
     started = System.monotonic_time()
 
     with {:ok, report} <- run_pipeline(build, opts) do
@@ -115,12 +123,22 @@ defmodule Situ.Examples.Demo do
     case Recording.read(path) do
       {:ok, recording} ->
         score = truth && Score.of(truth, recording.found)
-        IO.puts(table(opts, recording, score, wall_s, path))
+        said = said(recording, truth, path, opts)
+        IO.puts(table(opts, recording, score, wall_s, path, said))
         if opts[:profile], do: IO.puts(:stderr, ["\n", Profile.render(report.snapshot, wall_s)])
         if opts[:headless], do: 0, else: serve(path, opts)
 
       {:error, error} ->
         fail(Exception.message(error), 1)
+    end
+  end
+
+  defp said(recording, truth, path, opts) do
+    if opts[:transcript] do
+      lines = Transcript.of(recording.utterances, recording.found)
+      file = path <> ".vtt"
+      File.write!(file, Transcript.webvtt(lines))
+      %{lines: lines, file: file, score: truth && Transcript.score(lines, truth)}
     end
   end
 
@@ -135,8 +153,15 @@ defmodule Situ.Examples.Demo do
     fail(Exception.message(error), 1)
   end
 
-  defp table(opts, recording, score, wall_s, path) do
-    Table.render(%{opts: opts, recording: recording, score: score, wall_s: wall_s, path: path})
+  defp table(opts, recording, score, wall_s, path, said \\ nil) do
+    Table.render(%{
+      opts: opts,
+      recording: recording,
+      score: score,
+      wall_s: wall_s,
+      path: path,
+      said: said
+    })
   end
 
   defp truth(nil), do: {:ok, nil}

@@ -5,11 +5,12 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
       {:ok, report} = Situ.Pipeline.run(Situ.Examples.MultimodalVoiceActivity, input: "talk1.mp4", path: "recordings")
 
   `input:` is a file, `"simulated:talk1.mp4"`, or a camera (`"/dev/video0"`). The recording, `path/Talk.NNNN`, holds the sound, the
-  pictures as JPEG, what the models saw in them, who was speaking, and the pipeline's own diagnostics.
+  pictures as JPEG, what the models saw in them, who was speaking, and the pipeline's own diagnostics. With `transcript: true` also
+  what was said (`Situ.Infer.Speech.Moonshine`).
   """
   use Situ.Pipeline
 
-  alias Situ.Infer.{Face, MouthShape, VoiceActivity}
+  alias Situ.Infer.{Face, MouthShape, SpeechRecognizer, VoiceActivity}
 
   @impl true
   def build(p, opts) do
@@ -52,8 +53,14 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
     )
 
     record.(speaking, "Speaking")
+    record.(opts[:transcript] && hear && transcript(talk.audio, hear.speaking), "Transcript")
     record.(Situ.Diagnostics.stream(p), "Diagnostics")
     store
+  end
+
+  defp transcript(sound, speaking) do
+    inputs = [sound: sound, speaking: speaking]
+    Situ.via(inputs, SpeechRecognizer, partial: nil, name: "SpeechRecognizer").out
   end
 
   defp jpeg(picture) do

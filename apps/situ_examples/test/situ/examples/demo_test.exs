@@ -58,6 +58,32 @@ defmodule Situ.Examples.DemoTest do
   end
 
   @tag :tmp_dir
+  @tag :moonshine
+  test "--transcript: every utterance at the right face, at most 15 % of the words wrong", %{
+    tmp_dir: dir
+  } do
+    argv = [
+      "--input",
+      Options.clip(),
+      "--truth",
+      @truth,
+      "--transcript",
+      "--headless",
+      "--json",
+      "--out",
+      dir
+    ]
+
+    out = capture_io(fn -> assert Demo.run(argv) == 0 end)
+    {:ok, json} = Situ.JSON.decode(out)
+    assert json["right_face"] == 1.0 and json["wer"] <= 0.15
+    assert [%{"face" => 0, "from" => from, "text" => "He might" <> _} | _] = json["utterances"]
+    assert_in_delta from, 0.76, 0.3
+    assert List.last(json["utterances"])["face"] == nil
+    assert File.read!(json["recording"] <> ".vtt") =~ "<v face 1>Go forward"
+  end
+
+  @tag :tmp_dir
   test "prints one JSON object with --json", %{tmp_dir: dir} do
     short = Path.join(dir, "short.mp4")
     ffmpeg!(["-i", Options.clip(), "-t", "2", short])

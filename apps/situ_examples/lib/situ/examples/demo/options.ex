@@ -10,6 +10,7 @@ defmodule Situ.Examples.Demo.Options do
     open: :boolean,
     json: :boolean,
     profile: :boolean,
+    transcript: :boolean,
     realtime: :boolean,
     seconds: :float,
     port: :integer,

@@ -5,12 +5,13 @@ defmodule Situ.Examples.Demo.Recording do
     * `frames`: pictures with a decision; `media_s`: how long they last
     * `found`: per picture, its time from the first and the faces with their rectangles and whether they speak
     * `spoken`: `{face id, from, to}` in nanoseconds from the first picture, in the order of time
+    * `utterances`: `Situ.Infer.Speech.Utterance`s, with times from the first picture
     * `latency_ms`: `{median, 95th percentile}` from a picture to the decision on it
   """
   alias Situ.Store
 
   @enforce_keys [:frames, :media_s, :found, :spoken, :latency_ms, :missing]
-  defstruct [:frames, :media_s, :found, :spoken, :latency_ms, :missing]
+  defstruct [:frames, :media_s, :found, :spoken, :latency_ms, :missing, utterances: []]
 
   @type t :: %__MODULE__{}
 
@@ -29,6 +30,7 @@ defmodule Situ.Examples.Demo.Recording do
          found: found(speaking, mouths),
          spoken: spoken(speaking),
          latency_ms: latency(speaking),
+         utterances: utterances(messages(store, names, "Talk.Transcript"), speaking),
          missing:
            for(
              {name, what} <- [{"Talk.Sound", :sound}, {"Talk.Pictures", :pictures}],
@@ -41,6 +43,12 @@ defmodule Situ.Examples.Demo.Recording do
 
   defp messages(store, names, name),
     do: if(name in names, do: store |> Store.messages(name) |> Enum.to_list(), else: [])
+
+  # Without pictures times count from the beginning of the sound, as they are.
+  defp utterances(said, speaking) do
+    zero = if speaking == [], do: 0, else: hd(speaking).originating_time
+    for %{data: u} <- said, do: %{u | from: u.from - zero, to: u.to - zero}
+  end
 
   defp found([], _mouths), do: []
 

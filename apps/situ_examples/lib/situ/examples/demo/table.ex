@@ -16,7 +16,24 @@ defmodule Situ.Examples.Demo.Table do
       "latency_p95_ms" => result.opts[:realtime] && round_ms(elem(recording.latency_ms, 1)),
       "recording" => result.path
     })
+    |> Map.merge(said_json(result.said))
     |> Situ.JSON.encode()
+  end
+
+  defp said_json(nil), do: %{}
+
+  defp said_json(%{lines: lines, score: score}) do
+    utterances =
+      for line <- lines do
+        %{
+          "face" => line.face,
+          "from" => Float.round(line.from / 1.0e9, 3),
+          "to" => Float.round(line.to / 1.0e9, 3),
+          "text" => line.text
+        }
+      end
+
+    Map.merge(%{"utterances" => utterances}, strings(score || %{}))
   end
 
   defp strings(map), do: Map.new(map, fn {key, value} -> {Atom.to_string(key), value} end)
@@ -25,6 +42,7 @@ defmodule Situ.Examples.Demo.Table do
     [
       missing(recording.missing),
       spoken(recording.spoken),
+      said(result.said),
       score(result.score),
       "\n#{recording.frames} pictures, #{seconds(recording.media_s)} s",
       if(result.wall_s > 0, do: ", in #{seconds(result.wall_s)} s", else: []),
@@ -42,6 +60,29 @@ defmodule Situ.Examples.Demo.Table do
       end
     end
   end
+
+  defp said(nil), do: []
+  defp said(%{lines: []}), do: "\nNothing was said that could be understood.\n"
+
+  defp said(%{lines: lines, file: file, score: score}) do
+    [
+      "\n  face   from      to  said\n",
+      for line <- lines do
+        face = if line.face == nil, do: "-", else: to_string(line.face)
+        [String.pad_leading(face, 6), time(line.from), time(line.to), "  ", line.text, "\n"]
+      end,
+      said_score(score),
+      "Transcript: ",
+      file,
+      "\n"
+    ]
+  end
+
+  defp said_score(%{wer: wer, right_face: right}) when wer != nil do
+    "Words wrong: #{Float.round(wer * 100, 1)} %; at the right face: #{Float.round(right * 100, 1)} %\n"
+  end
+
+  defp said_score(_), do: []
 
   defp spoken([]), do: "Nobody was seen speaking.\n"
 

@@ -3,7 +3,7 @@ defmodule Situ.Examples.Demo.Truth do
   What really happens in a clip: whose face is where, and who speaks when.
 
   Read from JSON: `fps`, `frames`, `faces` (`id`, `box` as `[left, top, right, bottom]` in pixels) and `speech` (`face`, an id or
-  `null` for a voice without a face; `speech_start`, `speech_end` in seconds). Other keys are not looked at.
+  `null` for a voice without a face; `speech_start`, `speech_end` in seconds, and `text` where the words are known). Other keys are not looked at.
 
       iex> json = ~s({"fps": 25, "frames": 50, "faces": [{"id": 0, "box": [0, 0, 10, 10]}],
       ...>   "speech": [{"face": 0, "speech_start": 0.5, "speech_end": 1.5}, {"face": null, "speech_start": 1.6, "speech_end": 1.9}]})
@@ -16,13 +16,16 @@ defmodule Situ.Examples.Demo.Truth do
   alias Situ.{Error, Rect}
 
   @enforce_keys [:fps, :frames, :faces, :speech]
-  defstruct [:fps, :frames, :faces, :speech]
+  defstruct [:fps, :frames, :faces, :speech, said: []]
 
   @type t :: %__MODULE__{
           fps: number(),
           frames: pos_integer(),
           faces: [{id :: term(), Rect.t()}],
-          speech: [{face :: term() | nil, start_s :: number(), end_s :: number()}]
+          speech: [{face :: term() | nil, start_s :: number(), end_s :: number()}],
+          said: [
+            {face :: term() | nil, start_s :: number(), end_s :: number(), text :: String.t()}
+          ]
         }
 
   # People do not agree on where speech begins to within this.
@@ -51,7 +54,12 @@ defmodule Situ.Examples.Demo.Truth do
          when is_number(fps) and fps > 0 and is_integer(frames) and frames > 0 <- decode(json),
          {:ok, faces} <- all(map["faces"], &face/1),
          {:ok, speech} <- all(map["speech"], &speech/1) do
-      {:ok, %__MODULE__{fps: fps, frames: frames, faces: faces, speech: speech}}
+      said =
+        for %{"text" => text} = s when is_binary(text) <- map["speech"],
+            {:ok, {f, a, b}} <- [speech(s)],
+            do: {f, a, b, text}
+
+      {:ok, %__MODULE__{fps: fps, frames: frames, faces: faces, speech: speech, said: said}}
     else
       {:error, %Error{} = error} -> {:error, error}
       {:ok, _} -> bad("fps and frames must be numbers above 0")

@@ -1,0 +1,47 @@
+defmodule Situ.Infer.Speech.Tokenizer do
+  @moduledoc """
+  The vocabulary of a recogniser: what each token number stands for.
+
+  The file is a row of entries, each a length and so many bytes; a length of 128 or more takes two bytes,
+  `(first - 128) + second * 128`. `▁` (U+2581) stands for a space.
+
+      iex> {:ok, tokenizer} = Situ.Infer.Speech.Tokenizer.parse(<<0, 5, "▁go", 3, "ing">>)
+      iex> Situ.Infer.Speech.Tokenizer.text(tokenizer, [1, 2])
+      "going"
+      iex> Situ.Infer.Speech.Tokenizer.parse(<<9, "short">>)
+      :error
+  """
+
+  @type t :: tuple()
+
+  @doc "The vocabulary in a file's bytes."
+  @spec parse(binary()) :: {:ok, t()} | :error
+  def parse(bytes), do: entries(bytes, [])
+
+  defp entries(<<>>, found), do: {:ok, found |> Enum.reverse() |> List.to_tuple()}
+
+  defp entries(<<size, token::binary-size(size), rest::binary>>, found) when size < 128,
+    do: entries(rest, [token | found])
+
+  defp entries(<<low, high, rest::binary>>, found) when low >= 128 do
+    size = low - 128 + high * 128
+
+    case rest do
+      <<token::binary-size(size), rest::binary>> -> entries(rest, [token | found])
+      _ -> :error
+    end
+  end
+
+  defp entries(_, _found), do: :error
+
+  @doc "The text of a row of tokens; numbers beyond the vocabulary and broken letters are left out."
+  @spec text(t(), [non_neg_integer()]) :: String.t()
+  def text(tokenizer, tokens) do
+    for(t <- tokens, t < tuple_size(tokenizer), into: "", do: elem(tokenizer, t))
+    |> String.codepoints()
+    |> Enum.filter(&String.valid?/1)
+    |> Enum.join()
+    |> String.replace("▁", " ")
+    |> String.trim()
+  end
+end

@@ -1,0 +1,58 @@
+defmodule Situ.Infer.Speech.Utterance do
+  @moduledoc """
+  What somebody said: `text`, from `from` to `to` (ns, times of the sound), with a `confidence` of 0..1. `final?` is false while
+  the person goes on speaking, and the text may still change.
+
+      iex> said = %Situ.Infer.Speech.Utterance{text: "Ten of clubs.", from: 0, to: 900_000_000, confidence: 0.9}
+      iex> Situ.Infer.Speech.Utterance.words(said.text)
+      ["ten", "of", "clubs"]
+  """
+  @enforce_keys [:text, :from, :to, :confidence]
+  defstruct [:text, :from, :to, :confidence, final?: true]
+
+  @type t :: %__MODULE__{
+          text: String.t(),
+          from: Situ.Time.t(),
+          to: Situ.Time.t(),
+          confidence: float(),
+          final?: boolean()
+        }
+
+  @doc "The words of a text without case and punctuation: what recognisers are compared by."
+  @spec words(String.t()) :: [String.t()]
+  def words(text) do
+    text |> String.downcase() |> String.replace(~r/[^\p{L}\p{N}' ]/u, " ") |> String.split()
+  end
+
+  @doc """
+  Word error rate: words put in, left out or exchanged, over the words of the truth.
+
+      iex> Situ.Infer.Speech.Utterance.error_rate("four queen of clubs", "Four, queen of gloves!")
+      0.25
+      iex> Situ.Infer.Speech.Utterance.error_rate("", "hm")
+      1.0
+  """
+  @spec error_rate(String.t(), String.t()) :: float()
+  def error_rate(truth, heard) do
+    {truth, heard} = {words(truth), words(heard)}
+    distance(truth, heard) / max(length(truth), 1)
+  end
+
+  # Levenshtein's, a row at a time.
+  defp distance(truth, heard) do
+    first = Enum.to_list(0..length(heard))
+
+    truth
+    |> Enum.reduce(first, fn word, [corner | above] ->
+      row(word, heard, above, corner, [corner + 1])
+    end)
+    |> List.last()
+  end
+
+  defp row(_word, [], [], _corner, row), do: Enum.reverse(row)
+
+  defp row(word, [other | heard], [up | above], corner, [left | _] = row) do
+    change = if word == other, do: corner, else: corner + 1
+    row(word, heard, above, up, [Enum.min([change, up + 1, left + 1]) | row])
+  end
+end

@@ -1,0 +1,200 @@
+defmodule Situ.Infer.SpeechRecognizer do
+  @schema [
+    recognizer: [
+      type: :module,
+      default: Situ.Infer.Speech.Moonshine,
+      doc: "What recognises: a `Situ.Infer.Speech.Recognizer`."
+    ],
+    recognizer_options: [type: :keyword, default: [], doc: "For its `load/1`."],
+    partial: [
+      type: {:optional, :time_ns},
+      default: 300_000_000,
+      doc:
+        "How often there is a result while somebody speaks, ns; a tenth of what was said when that is longer. `nil`: none."
+    ],
+    margin: [
+      type: :time_ns,
+      default: 150_000_000,
+      doc: "Sound before and after the speech that is listened to, too, ns."
+    ],
+    longest: [
+      type: :time_ns,
+      default: 20_000_000_000,
+      doc: "Whoever speaks on without a pause is cut here, ns."
+    ]
+  ]
+
+  @moduledoc """
+  Speech to text: what is said between two pauses, and what it looks like so far.
+
+  Input `:sound` is sound (`Situ.AudioBuffer`), `:speaking` whether somebody speaks, as `Situ.Infer.VoiceActivity` says:
+  recognisers invent words in noise. Output `:out` is a `Situ.Infer.Speech.Utterance` at the time when the speech ended,
+  `:partial` one while it goes on.
+
+      speaking = Situ.Infer.voice_activity(sound)
+      heard = Situ.via([sound: sound, speaking: speaking], Situ.Infer.SpeechRecognizer, [])
+      heard.out |> Situ.each(&IO.puts(&1.text))
+
+  What comes out depends on the messages only, not on when they arrive. `Situ.Infer.transcribe/2` is this with voice activity.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    inputs: [sound: Situ.AudioBuffer, speaking: :boolean],
+    outputs: [out: Situ.Infer.Speech.Utterance, partial: Situ.Infer.Speech.Utterance],
+    options: @schema
+
+  alias Situ.{AudioBuffer, AudioFormat, Error}
+  alias Situ.Infer.Speech.Utterance
+
+  # What is heard before anybody speaks is forgotten after this.
+  @memory 2_000_000_000
+
+  defstruct [
+    :opts,
+    :model,
+    sound: [],
+    heard_to: nil,
+    deaf?: false,
+    asked: :queue.new(),
+    answered_to: nil,
+    open: nil
+  ]
+
+  @impl true
+  def init(opts), do: {:ok, %__MODULE__{opts: Map.new(opts)}}
+
+  @impl true
+  def handle_start(_context, %{opts: opts} = state),
+    do: {[], %{state | model: Error.unwrap!(opts.recognizer.load(opts.recognizer_options))}}
+
+  @impl true
+  def handle_message(:sound, %{data: buffer, originating_time: time}, _context, state),
+    do: answer(%{state | sound: [{time, buffer} | state.sound], heard_to: time})
+
+  def handle_message(:speaking, %{data: speaking?, originating_time: time}, _context, state),
+    do: answer(%{state | asked: :queue.in({time, speaking?}, state.asked)})
+
+  @impl true
+  def handle_closed(:sound, _time, _context, state), do: answer(%{state | deaf?: true})
+
+  def handle_closed(:speaking, _time, _context, state),
+    do: answer(%{state | asked: :queue.in(:closed, state.asked)})
+
+  @impl true
+  def describe(%{open: nil}), do: "nobody speaks"
+  def describe(_state), do: "somebody speaks"
+
+  # Each value of `speaking` is dealt with once the sound around it has come.
+  defp answer(state) do
+    case :queue.peek(state.asked) do
+      {:value, next} ->
+        if ready?(state, next) do
+          {actions, state} = step(next, %{state | asked: :queue.drop(state.asked)})
+          {more, state} = answer(state)
+          {actions ++ more, state}
+        else
+          {[], forget(state)}
+        end
+
+      :empty ->
+        {[], forget(state)}
+    end
+  end
+
+  defp ready?(%{deaf?: true}, _next), do: true
+  defp ready?(_state, :closed), do: false
+  defp ready?(%{heard_to: nil}, _next), do: false
+  defp ready?(state, {time, _}), do: state.heard_to >= time + state.opts.margin
+
+  defp step(:closed, %{open: nil} = state), do: {[], state}
+  defp step(:closed, state), do: finish(state)
+
+  defp step({time, true}, %{open: nil} = state) do
+    # The first value that says so stands for a stretch of sound before it.
+    from = max(time - 32_000_000, state.answered_to || time - 32_000_000)
+    {[], %{state | open: %{from: from, to: time, said: from}, answered_to: time}}
+  end
+
+  defp step({time, true}, %{open: open, opts: opts} = state) do
+    state = %{state | open: %{open | to: time}, answered_to: time}
+    length = time - open.from
+
+    cond do
+      length >= opts.longest -> finish(state)
+      opts.partial && time - open.said >= max(opts.partial, div(length, 10)) -> partial(state)
+      true -> {[], state}
+    end
+  end
+
+  defp step({time, false}, %{open: nil} = state), do: {[], %{state | answered_to: time}}
+
+  defp step({time, false}, state) do
+    {actions, state} = finish(state)
+    {actions, %{state | answered_to: time}}
+  end
+
+  defp partial(%{open: open} = state) do
+    state = put_in(state.open.said, open.to)
+    {said(:partial, recognize(state, open.to), open, false), state}
+  end
+
+  defp finish(%{open: open, opts: opts} = state),
+    do: {said(:out, recognize(state, open.to + opts.margin), open, true), %{state | open: nil}}
+
+  defp said(_output, %{text: ""}, _open, _final?), do: []
+
+  defp said(output, %{text: text, confidence: confidence}, open, final?) do
+    said = %Utterance{
+      text: text,
+      from: open.from,
+      to: open.to,
+      confidence: confidence,
+      final?: final?
+    }
+
+    [{output, open.to, said}]
+  end
+
+  defp recognize(%{open: open, opts: opts, model: model} = state, to) do
+    case stretch(state.sound, open.from - opts.margin, to) do
+      nil -> %{text: ""}
+      buffer -> Error.unwrap!(opts.recognizer.transcribe(model, buffer))
+    end
+  end
+
+  # The sound between two times; what is missing of it is left out.
+  defp stretch(sound, from, to) do
+    parts =
+      for {time, buffer} <- Enum.reverse(sound), part = part(buffer, time, from, to), do: part
+
+    if parts != [], do: Error.unwrap!(AudioBuffer.concat(parts))
+  end
+
+  defp part(buffer, time, from, to) do
+    start = AudioBuffer.start_time(buffer, time)
+
+    if time > from and start < to do
+      first = max(AudioFormat.ns_to_frames(buffer.format, from - start), 0)
+      last = AudioFormat.ns_to_frames(buffer.format, min(to, time) - start)
+      AudioBuffer.slice(buffer, first, max(last - first, 0))
+    end
+  end
+
+  defp forget(%{heard_to: nil} = state), do: state
+
+  defp forget(state) do
+    oldest =
+      case {state.open, state.answered_to} do
+        {%{from: from}, _} -> from - state.opts.margin
+        {nil, nil} -> nil
+        {nil, time} -> time - @memory
+      end
+
+    if oldest,
+      do: %{state | sound: Enum.take_while(state.sound, fn {time, _} -> time > oldest end)},
+      else: state
+  end
+end

@@ -1,0 +1,109 @@
+defmodule Situ.Infer.SpeechRecognizerTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+
+  alias Situ.{AudioBuffer, AudioFormat}
+  alias Situ.Infer.SpeechRecognizer
+
+  # "Recognises" which frames it was given: sample i has the value i.
+  defmodule Counting do
+    @behaviour Situ.Infer.Speech.Recognizer
+
+    @impl true
+    def load(opts), do: if(opts[:broken], do: {:error, opts[:broken]}, else: {:ok, :counting})
+
+    @impl true
+    def transcribe(:counting, buffer) do
+      samples = AudioBuffer.to_samples(buffer)
+      {:ok, %{text: "#{hd(samples)}-#{List.last(samples)}", confidence: 1.0}}
+    end
+  end
+
+  # 1000 frames a second: a frame is a millisecond.
+  @format AudioFormat.pcm(1000, 1, :s32)
+  @ms 1_000_000
+
+  defp sound(ms, step) do
+    for from <- 0..(ms - 1)//step do
+      samples = Enum.to_list(from..(min(from + step, ms) - 1))
+      {(from + length(samples)) * @ms, AudioBuffer.from_samples(samples, @format)}
+    end
+  end
+
+  defp speaking(ms, spoken) do
+    for t <- 32..ms//32, do: {t * @ms, Enum.any?(spoken, fn {a, b} -> t > a and t <= b end)}
+  end
+
+  defp run(sound, speaking, opts) do
+    opts = Keyword.merge([recognizer: Counting, partial: nil, margin: 0], opts)
+
+    Situ.to_list(
+      fn p ->
+        inputs = [
+          sound: Situ.from_enumerable(p, sound),
+          speaking: Situ.from_enumerable(p, speaking)
+        ]
+
+        heard = Situ.via(inputs, SpeechRecognizer, Keyword.delete(opts, :output))
+        Map.fetch!(heard, Keyword.get(opts, :output, :out))
+      end,
+      times: true
+    )
+  end
+
+  test "what is said between pauses is recognised as a whole, at its end" do
+    out = run(sound(2_000, 20), speaking(2_000, [{96, 320}, {640, 960}]), [])
+    assert [{320_000_000, first}, {960_000_000, second}] = out
+
+    assert {first.from, first.to, first.text, first.final?} ==
+             {96 * @ms, 320 * @ms, "96-319", true}
+
+    assert {second.from, second.to, second.text} == {640 * @ms, 960 * @ms, "640-959"}
+  end
+
+  test "a margin around it is listened to, and what was said to the end of the sound is there" do
+    out = run(sound(1_000, 20), speaking(992, [{96, 320}, {640, 992}]), margin: 50 * @ms)
+    assert Enum.map(out, fn {_, u} -> u.text end) == ["46-369", "590-999"]
+  end
+
+  test "while somebody speaks there are results of what was said so far" do
+    out =
+      run(sound(2_000, 20), speaking(2_000, [{96, 1_600}]), partial: 320 * @ms, output: :partial)
+
+    assert [{416_000_000, %{final?: false, text: "96-415"}}, {736_000_000, %{text: "96-735"}} | _] =
+             out
+  end
+
+  test "whoever speaks without a pause is cut" do
+    out = run(sound(2_000, 20), speaking(2_000, [{0, 2_000}]), longest: 640 * @ms)
+    assert [%{text: "0-639"} | _] = utterances = Enum.map(out, &elem(&1, 1))
+    assert List.last(utterances).to == 1_984 * @ms
+
+    assert utterances
+           |> Enum.chunk_every(2, 1, :discard)
+           |> Enum.all?(fn [a, b] -> b.from >= a.to end)
+  end
+
+  property "the same whatever the buffers and the order of arrival" do
+    forall {step, cuts} <- {integer(5, 300), list(integer(1, 40))} do
+      {_, spoken} =
+        Enum.reduce(cuts, {0, []}, fn n, {at, spoken} ->
+          {at + 64 * n, [{at + 32 * n, at + 64 * n} | spoken]}
+        end)
+
+      ms = 32 * (2 * Enum.sum(cuts) + 4)
+      asked = speaking(ms, spoken)
+      plain = run(sound(ms, 32), asked, [])
+      other = run(sound(ms, step), asked, [])
+      length(plain) == length(cuts) and plain == other
+    end
+  end
+
+  test "a recogniser that cannot be loaded stops the pipeline with its error" do
+    error = Situ.Error.new(:no_model_file, "the model is not there")
+
+    assert_raise Situ.Error, ~r/not there/, fn ->
+      run(sound(100, 20), [], recognizer_options: [broken: error])
+    end
+  end
+end
