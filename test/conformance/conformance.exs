@@ -46,7 +46,7 @@ defmodule Situ.Conformance do
     {~r/^(sequence|range|repeat|return|once|timer)/, "generators"},
     {~r/^(deliver|post|subscribe)$/, "emitter"},
     {~r/^delivery/, "delivery_policies"},
-    {~r/^(completion|dispose|events|run|error|order|clock|progress|finali|add_component|subpipeline$|connector)/,
+    {~r/^(completion|dispose|events|run|error|order|clock|progress|finali|add_component|subpipeline$|composite|connector)/,
      "pipeline_lifecycle"},
     {~r/^store/, "store"},
     {~r/^(dataset|session|json_store)/, "datasets"},

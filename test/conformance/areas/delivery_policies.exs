@@ -170,12 +170,11 @@ defmodule Situ.Conformance.DeliveryPolicies do
   end
 
   defp policy(%{} = params) do
+    throttle = Enum.find_value(params, fn {key, n} -> key =~ "throttl" and is_integer(n) && n end)
+
     base =
       case params do
-        %{"throttle" => n} when is_integer(n) -> Delivery.throttle(n)
-        %{"throttle_queue" => n} when is_integer(n) -> Delivery.throttle(n)
-        %{"throttle_size" => n} when is_integer(n) -> Delivery.throttle(n)
-        %{"throttle_queue_size" => n} when is_integer(n) -> Delivery.throttle(n)
+        _ when throttle != nil -> Delivery.throttle(throttle)
         %{"max_queue" => n, "throttle_when_full" => true} -> Delivery.throttle(n)
         %{"max_queue" => n} when is_integer(n) -> Delivery.max_queue(n)
         %{"max_latency_ms" => d} -> Delivery.max_latency(ms(d))

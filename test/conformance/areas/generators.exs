@@ -97,7 +97,17 @@ defmodule Situ.Conformance.Generators do
           into: %{},
           do: {key, first(text, Enum.take(outputs, String.to_integer(n)))}
 
-    got = %{"stopped" => not running?, "count" => length(outputs), "outputs" => length(outputs)}
+    values = Enum.map(outputs, &elem(&1, 1))
+
+    got = %{
+      "stopped" => not running?,
+      "completed" => not running?,
+      "count" => length(outputs),
+      "outputs" => length(outputs),
+      "values" => values,
+      "received" => values
+    }
+
     all(case, Map.merge(got, first))
   end
 

@@ -5,7 +5,15 @@ defmodule Situ.Conformance.Operators do
   @operations ~w(to_enumerable to_observable subpipeline.passthrough first last select where edit_stream time_of latency delay
                  nullable_select item1 item2 flip event_source process do name bridge_to pipe_to)
 
-  def operation?(op), do: op in @operations or String.starts_with?(op, "aggregate")
+  # Other names of the same.
+  @aliases %{"observable" => "to_observable", "enumerable" => "to_enumerable"}
+
+  def operation?(op) do
+    op in @operations or Map.has_key?(@aliases, op) or String.starts_with?(op, "aggregate")
+  end
+
+  def check(%{"op" => op} = case) when is_map_key(@aliases, op),
+    do: check(%{case | "op" => @aliases[op]})
 
   def check(%{"op" => "to_enumerable", "params" => params, "inputs" => [input]} = case) do
     keep = condition(params)

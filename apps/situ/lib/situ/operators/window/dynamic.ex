@@ -73,7 +73,11 @@ defmodule Situ.Window.Dynamic do
   defp check(%Interval{} = interval, obsolete, previous) do
     cond do
       not Interval.finite?(interval) ->
-        refuse(:window_not_finite, "the window #{interval} has no end", "give it two ends")
+        refuse(
+          :window_not_finite,
+          "the window #{interval} has no #{missing(interval)}",
+          "give it a beginning and an end"
+        )
 
       Interval.negative?(interval) ->
         refuse(:window_negative, "the window #{interval} ends before it begins", "swap its ends")
@@ -100,6 +104,10 @@ defmodule Situ.Window.Dynamic do
   defp check(other, _obsolete, _previous) do
     raise ArgumentError, "a window is a Situ.Interval of time points, got: #{inspect(other)}"
   end
+
+  defp missing(%{left: :unbounded, right: :unbounded}), do: "beginning and no end"
+  defp missing(%{left: :unbounded}), do: "beginning"
+  defp missing(_interval), do: "end"
 
   defp refuse(code, what, fix), do: raise(Error.new(code, what, fix: fix))
 end
