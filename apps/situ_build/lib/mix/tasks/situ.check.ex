@@ -24,13 +24,14 @@ defmodule Mix.Tasks.Situ.Check do
   def run(_args) do
     modules = Architecture.modules(Path.join(Mix.Project.build_path(), "lib"))
 
-    problems = Architecture.violations(modules) ++ Architecture.undeclared(declared())
-    # Refused as soon as there are none left.
-    unfinished = Layers.violations(modules.situ) ++ cycles(modules) ++ rust_cycles("native")
-    long = Sources.violations(File.cwd!())
+    problems =
+      Architecture.violations(modules) ++
+        Architecture.undeclared(declared()) ++
+        Layers.violations(modules.situ) ++ cycles(modules) ++ rust_cycles("native")
 
+    # Refused as soon as there are none left.
+    long = Sources.violations(File.cwd!())
     report(modules)
-    Enum.each(unfinished, fn problem -> Mix.shell().info(problem) end)
     Mix.shell().info("#{length(long)} files or lines are too long")
 
     if problems != [] do
@@ -38,7 +39,7 @@ defmodule Mix.Tasks.Situ.Check do
       Mix.raise("#{length(problems)} violation(s) of the architecture; see docs/ARCHITECTURE.md")
     end
 
-    Mix.shell().info("architecture: every edge is allowed")
+    Mix.shell().info("architecture: every edge is allowed, 0 cycles")
   end
 
   defp cycles(modules) do
