@@ -31,6 +31,7 @@ defmodule Situ.Examples.MixProject do
       {:situ_types, in_umbrella: true},
       {:situ, in_umbrella: true},
       {:situ_store, in_umbrella: true},
+      {:situ_dataset, in_umbrella: true},
       {:situ_media, in_umbrella: true},
       {:situ_infer, in_umbrella: true},
       {:situ_studio, in_umbrella: true},

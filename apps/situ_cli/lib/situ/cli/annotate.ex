@@ -5,7 +5,15 @@ defmodule Situ.CLI.Annotate do
   alias Situ.CLI.{Option, Output, Verb}
   alias Situ.{Error, Store, Time}
 
-  @formats ["eaf", "textgrid", "webvtt", "srt", "label_studio", "csv"]
+  @formats %{
+    "eaf" => :eaf,
+    "textgrid" => :textgrid,
+    "webvtt" => :webvtt,
+    "srt" => :srt,
+    "label_studio" => :label_studio,
+    "csv" => :csv
+  }
+  @format_words @formats |> Map.keys() |> Enum.sort()
 
   @impl true
   def verbs do
@@ -32,7 +40,7 @@ defmodule Situ.CLI.Annotate do
         ],
         options: [
           stream(),
-          Option.new(:format, @formats, "the format, whatever the ending"),
+          Option.new(:format, @format_words, "the format, whatever the ending"),
           Option.new(
             :origin,
             :time,
@@ -62,7 +70,7 @@ defmodule Situ.CLI.Annotate do
         ],
         options: [
           stream(),
-          Option.new(:format, @formats, "the format, whatever the ending"),
+          Option.new(:format, @format_words, "the format, whatever the ending"),
           Option.new(
             :schema,
             :path,
@@ -209,8 +217,7 @@ defmodule Situ.CLI.Annotate do
     told(losses, opts, %{file: file, annotations: length(Layer.annotations(layer))}, file)
   end
 
-  # The words of the table are the formats' names.
-  defp format(opts), do: opts[:format] && String.to_existing_atom(opts[:format])
+  defp format(opts), do: opts[:format] && Map.fetch!(@formats, opts[:format])
 
   defp origin(opts) do
     cond do

@@ -17,6 +17,7 @@ defmodule Situ.Examples.Demo do
     --profile        print where the time went, component by component
     --port N         the studio's port (default 4040; 0 takes a free one)
     --no-open        do not open a browser
+    --dataset        a study instead: clips as a dataset, annotated, exported, compared (--dataset --help)
 
   Exit status: 0 done, 1 it failed, 2 wrong usage.
   """
@@ -38,6 +39,10 @@ defmodule Situ.Examples.Demo do
   @doc "Runs the demo; answers the exit status."
   @spec run([String.t()]) :: 0 | 1 | 2
   def run(argv) do
+    if "--dataset" in argv, do: Situ.Examples.Study.run(argv), else: talk(argv)
+  end
+
+  defp talk(argv) do
     case Options.parse(argv) do
       {:ok, opts} -> demo(opts)
       :help -> IO.puts(@usage) && 0

@@ -1,0 +1,244 @@
+defmodule Situ.Examples.Study do
+  @usage """
+  Usage: bin/demo --dataset [--input FILE --truth FILE.json]... [--out FOLDER] [--json]
+
+  A study end to end: clips as the sessions of a dataset, who speaks found in each from sound and lips, kept as proposed
+  annotations, exported to ELAN and WebVTT, and held against the truth (Cohen's kappa over frames of 10 ms).
+
+    --input FILE     a clip; may be given several times (default: the clip that comes with Situ)
+    --truth FILE     what really happens in the clip given before it
+    --out FOLDER     where the study goes (default: "study")
+    --json           print one JSON object and nothing else
+
+  Exit status: 0 done, 1 it failed, 2 wrong usage.
+  """
+  @moduledoc """
+  `bin/demo --dataset`: a dataset of clips, run, annotated, exported, compared with the truth.
+
+  ```text
+  #{@usage}
+  ```
+  """
+  use Situ.Pipeline
+
+  alias Situ.Annotation
+  alias Situ.Annotation.{Agreement, Exchange, Layer, Recording, Schema, Segmenting}
+  alias Situ.Dataset
+  alias Situ.Dataset.{Derivation, Importer, OpenSession}
+  alias Situ.Error
+  alias Situ.Examples.Demo.Truth
+  alias Situ.Infer.{MouthShape, VoiceActivity}
+
+  @output "Speech"
+  @frame Situ.Time.ms(10)
+
+  @doc "The schema of the annotations: a track for each face, on which it speaks."
+  @spec schema() :: Schema.t()
+  def schema, do: Schema.finite("Speech", ["speaks"])
+
+  @doc "One session: who speaks, as proposed annotations, and where the faces are."
+  @impl true
+  def build(_p, opts) do
+    {importer, exporter} = {opts[:importer], opts[:exporter]}
+
+    sound =
+      importer
+      |> Importer.stream("Audio")
+      |> Situ.Audio.resample(16_000)
+
+    voice = Situ.via(sound, VoiceActivity, name: "VoiceActivity").voice
+    lips = importer |> Importer.stream("Video") |> MouthShape.parts()
+
+    lips.mouths
+    |> Situ.Infer.who_speaks(voice)
+    |> Segmenting.from_keys(fn _face, speaks? -> speaks? && %{"Speech" => "speaks"} end,
+      proposed: true,
+      by: "who_speaks"
+    )
+    |> Situ.Store.write(exporter, @output, metadata: Schema.to_json(schema()))
+
+    Situ.Store.write(lips.mouths, exporter, "Mouths")
+  end
+
+  @doc "Runs it; answers the exit status."
+  @spec run([String.t()]) :: 0 | 1 | 2
+  def run(argv) do
+    switches = [
+      input: :keep,
+      truth: :keep,
+      out: :string,
+      json: :boolean,
+      dataset: :boolean,
+      help: :boolean,
+      headless: :boolean
+    ]
+
+    case OptionParser.parse(argv, strict: switches) do
+      {[{:help, true} | _], _, _} ->
+        IO.puts(@usage) && 0
+
+      {opts, [], []} ->
+        study(opts)
+
+      {_, [word | _], _} ->
+        fail("#{inspect(word)} is one argument too many\n  Fix: see bin/demo --dataset --help", 2)
+
+      {_, _, [{switch, _} | _]} ->
+        fail("unknown or incomplete option #{switch}\n  Fix: see bin/demo --dataset --help", 2)
+    end
+  end
+
+  defp study(opts) do
+    {:ok, _} = Application.ensure_all_started(:situ_examples)
+    {:ok, _} = Application.ensure_all_started(:situ_dataset)
+    clips = clips(for {key, path} <- opts, key in [:input, :truth], do: {key, path})
+
+    with {:ok, dataset} <- dataset(clips, opts[:out] || "study"),
+         {:ok, dataset, report} <-
+           Dataset.derive(dataset, __MODULE__, output: @output, path: Path.dirname(dataset.file)),
+         [] <- Derivation.Report.failures(report),
+         {:ok, results} <- results(clips, dataset) do
+      if opts[:json],
+        do: IO.puts(Situ.JSON.encode(%{file: dataset.file, sessions: results})),
+        else: print(dataset, results)
+
+      0
+    else
+      [{session, error} | _] -> fail("session #{session}: #{Exception.message(error)}", 1)
+      {:error, error} -> fail(Exception.message(error), 1)
+    end
+  rescue
+    error in Error -> fail(Exception.message(error), 1)
+  end
+
+  defp fail(text, status) do
+    IO.puts(:stderr, "bin/demo: " <> text)
+    status
+  end
+
+  # A truth belongs to the clip before it.
+  defp clips([]) do
+    folder = Application.app_dir(:situ_examples, "priv/demo")
+    [{Path.join(folder, "talk1.mp4"), Path.join(folder, "talk1.truth.json")}]
+  end
+
+  defp clips([{:input, clip}, {:truth, truth} | rest]), do: [{clip, truth} | more(rest)]
+  defp clips([{:input, clip} | rest]), do: [{clip, nil} | more(rest)]
+  defp clips([{:truth, _} | rest]), do: more(rest)
+  defp more([]), do: []
+  defp more(rest), do: clips(rest)
+
+  defp dataset(clips, folder) do
+    with {:ok, dataset} <-
+           Dataset.new("Who speaks", file: Path.join(folder, "study.json"), autosave: true) do
+      Enum.reduce_while(clips, {:ok, dataset}, fn {clip, _}, {:ok, dataset} ->
+        name = Path.basename(clip, Path.extname(clip))
+
+        with {:ok, dataset} <- Dataset.add_session(dataset, name),
+             {:ok, dataset} <- Dataset.add_partition(dataset, name, "Clip", clip) do
+          {:cont, {:ok, dataset}}
+        else
+          error -> {:halt, error}
+        end
+      end)
+    end
+  end
+
+  defp results(clips, dataset) do
+    clips
+    |> Enum.zip(dataset.sessions)
+    |> Enum.reduce_while({:ok, []}, fn {{clip, truth}, session}, {:ok, results} ->
+      case result(clip, truth, session, Path.dirname(dataset.file)) do
+        {:ok, result} -> {:cont, {:ok, [result | results]}}
+        {:error, error} -> {:halt, {:error, error}}
+      end
+    end)
+    |> then(&with({:ok, results} <- &1, do: {:ok, Enum.reverse(results)}))
+  end
+
+  defp result(clip, truth, session, folder) do
+    open = OpenSession.open(session)
+
+    with {:ok, {_, store, _}} <- OpenSession.find(open, @output),
+         {:ok, layer} <- Recording.load(store, @output),
+         {:ok, {_, film, _}} <- OpenSession.find(open, "Video"),
+         {start, _} = Situ.Store.interval(film),
+         eaf = Path.join(folder, session.name <> ".eaf"),
+         vtt = Path.join(folder, session.name <> ".vtt"),
+         {:ok, lost} <- Exchange.write(layer, eaf, origin: start, media: clip),
+         {:ok, also} <- Exchange.write(layer, vtt, origin: start),
+         {:ok, kappa} <- kappa(truth, layer, store, start) do
+      {:ok,
+       %{
+         session: session.name,
+         annotations: length(Layer.annotations(layer)),
+         tracks: Layer.tracks(layer),
+         kappa: kappa,
+         files: [eaf, vtt],
+         losses: Enum.uniq(lost ++ also)
+       }}
+    end
+  end
+
+  defp kappa(nil, _layer, _store, _start), do: {:ok, nil}
+
+  defp kappa(path, layer, store, start) do
+    with {:ok, truth} <- Truth.read(path),
+         {:ok, real} <- truth_layer(truth, faces(store, truth), start),
+         stop = start + Situ.Time.s(truth.frames / truth.fps),
+         {:ok, report} <- Agreement.of(real, layer, frame: @frame, from: start, to: stop) do
+      {:ok, report.kappa}
+    end
+  end
+
+  # Which track of ours is which face of the truth: the one whose box it lies in when it is first seen.
+  defp faces(store, truth) do
+    for message <- Situ.Store.messages(store, "Mouths"),
+        {id, mouth} <- message.data,
+        reduce: %{} do
+      seen -> Map.put_new(seen, id, nearest(mouth.rect, truth.faces))
+    end
+  end
+
+  defp nearest(rect, faces) do
+    {face, _} = Enum.min_by(faces, fn {_, box} -> abs(centre(rect) - centre(box)) end)
+    face
+  end
+
+  defp centre(rect), do: rect.x + rect.width / 2
+
+  defp truth_layer(truth, faces, start) do
+    tracks = Map.new(faces, fn {id, face} -> {face, to_string(id)} end)
+
+    annotations =
+      for {face, from, to} <- truth.speech, face != nil do
+        track = Map.get(tracks, face, "face #{face}")
+
+        Annotation.new(start + Situ.Time.s(from / 1), start + Situ.Time.s(to / 1), track, %{
+          "Speech" => "speaks"
+        })
+      end
+
+    Layer.new(schema(), annotations)
+  end
+
+  defp print(dataset, results) do
+    IO.puts("#{dataset.name}: #{dataset.file}")
+
+    for result <- results do
+      kappa =
+        if result.kappa, do: ", kappa against the truth #{Float.round(result.kappa, 3)}", else: ""
+
+      IO.puts(
+        "  #{result.session}: #{result.annotations} proposed annotations on tracks #{Enum.join(result.tracks, ", ")}#{kappa}"
+      )
+
+      for file <- result.files, do: IO.puts("    #{file}")
+      for loss <- result.losses, do: IO.puts("    lost: #{loss}")
+    end
+
+    IO.puts(
+      "Look at it: bin/situ dataset info #{dataset.file}; accept or reject the proposals in the studio."
+    )
+  end
+end
