@@ -19,7 +19,10 @@ defmodule Situ.Dataset.MixProject do
   def application do
     [
       extra_applications: extra_applications(Mix.env()),
-      env: [store_readers: [Situ.Dataset.JsonStore]]
+      env: [
+        store_readers: [Situ.Dataset.JsonStore],
+        dataset_tasks: [Situ.Dataset.Task.Statistics, Situ.Dataset.Task.DropStreams]
+      ]
     ]
   end
 

@@ -19,7 +19,11 @@ defmodule Situ.Infer.MixProject do
   end
 
   def application do
-    [mod: {Situ.Infer.Application, []}, extra_applications: extra_applications(Mix.env())]
+    [
+      mod: {Situ.Infer.Application, []},
+      env: [dataset_tasks: [Situ.Infer.Task.VoiceActivity]],
+      extra_applications: extra_applications(Mix.env())
+    ]
   end
 
   defp elixirc_paths(:test), do: ["lib", "test/support"]

@@ -21,7 +21,10 @@ defmodule Situ.Media.MixProject do
   def application do
     [
       mod: {Situ.Media.Application, []},
-      env: [store_readers: [Situ.Media.Recording, Situ.Media.Wav.Recording]],
+      env: [
+        store_readers: [Situ.Media.Recording, Situ.Media.Wav.Recording],
+        dataset_tasks: [Situ.Media.Task.SoundToWav, Situ.Media.Task.EncodePictures]
+      ],
       extra_applications: extra_applications(Mix.env())
     ]
   end

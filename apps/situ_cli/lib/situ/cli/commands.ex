@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Commands do
   @moduledoc false
   # Every verb, in the order `situ --help` shows them, and how one is found.
-  alias Situ.CLI.{Annotate, Dataset, Devices, Query, Shell, Store, Studio, Verb}
+  alias Situ.CLI.{Annotate, Dataset, Devices, Query, Shell, Store, Studio, Task, Verb}
 
   @modules [
     Store.Looking,
@@ -9,6 +9,7 @@ defmodule Situ.CLI.Commands do
     Store.Care,
     Dataset,
     Query,
+    Task,
     Annotate,
     Studio,
     Devices,
@@ -18,6 +19,7 @@ defmodule Situ.CLI.Commands do
   @groups %{
     "store" => "look at recordings, check, repair, cut, copy, edit them",
     "dataset" => "group recordings into sessions, list them, run pipelines over them",
+    "task" => "list and run batch tasks over the sessions of a dataset",
     "annotate" => "exchange annotations with other programs, compare annotators"
   }
 

@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.Derivation.Job do
   @moduledoc false
   # One session of a run: what to compute, and where the output goes. Runs in a process of its own, on any node.
-  alias Situ.Dataset.{Importer, Partition, Session, StoredPath, Version}
+  alias Situ.Dataset.{Importer, OpenSession, Partition, Session, StoredPath, Version}
   alias Situ.{Error, Pipeline, Store}
 
   @enforce_keys [:session, :compute]
@@ -69,12 +69,21 @@ defmodule Situ.Dataset.Derivation.Job do
   defp computed(fun, p, importer, exporter, _job) when is_function(fun, 3),
     do: fun.(p, importer, exporter)
 
-  defp computed(module, p, importer, exporter, job) when is_atom(module),
-    do:
-      module.build(
-        p,
-        [importer: importer, exporter: exporter, session: job.session] ++ job.options
-      )
+  # What a module is given of the session names nothing of this application, so that it may live below it.
+  defp computed(module, p, importer, exporter, job) when is_atom(module) do
+    given = [
+      pipeline: p,
+      importer: importer,
+      exporter: exporter,
+      session: job.session,
+      open: &Importer.stream(importer, &1),
+      has: &Importer.has?(importer, &1),
+      streams: OpenSession.streams(importer.session),
+      folder: beside(job.session.partitions)
+    ]
+
+    module.build(p, given ++ job.options)
+  end
 
   @doc "Gives the output its name."
   @spec publish(t()) :: {:ok, Path.t()} | {:error, Error.t()}

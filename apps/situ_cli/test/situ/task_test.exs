@@ -1,0 +1,113 @@
+defmodule Situ.CLI.TaskTest do
+  use ExUnit.Case, async: true
+  import ExUnit.CaptureIO
+  alias Situ.{Dataset, Message, Store}
+
+  @moduletag :tmp_dir
+  @clip Path.expand("../../../situ_examples/priv/demo/talk1.mp4", __DIR__)
+
+  defp run(argv), do: with_io(fn -> Situ.CLI.run(["task" | argv]) end)
+
+  setup %{tmp_dir: root} do
+    for i <- 1..2 do
+      {:ok, writer} = Store.Writer.create("room", Path.join(root, "p#{i}"))
+      {:ok, level} = Store.Writer.stream(writer, "Level", type: :integer)
+      {:ok, _} = Store.Writer.stream(writer, "Secret", type: :string)
+
+      messages =
+        for n <- 0..9,
+            do: %Message{
+              data: n * i,
+              originating_time: n * 1_000,
+              creation_time: n * 1_000,
+              sequence_id: n + 1
+            }
+
+      {:ok, _} = Store.Writer.append(level, messages)
+      :ok = Store.Writer.close(writer)
+    end
+
+    file = Path.join(root, "study.json")
+    {:ok, dataset} = Dataset.open(root)
+    {:ok, _} = Dataset.save_as(dataset, file)
+    %{study: file}
+  end
+
+  test "the tasks of all applications are listed with their options" do
+    {0, text} = run(["list"])
+
+    for name <- ~w(statistics drop-streams sound-to-wav encode-pictures voice-activity),
+        do: assert(text =~ name)
+
+    assert text =~ "quality: Of the JPEG. (default 90)"
+  end
+
+  test "statistics: a file for each session", %{study: file, tmp_dir: root} do
+    assert {0, text} = run(["run", file, "statistics"])
+    assert text =~ "p1: done" and text =~ "p2: done"
+    {:ok, json} = Situ.JSON.decode(File.read!(Path.join(root, "p2/p2.statistics.json")))
+
+    assert %{"count" => 10, "mean" => 9.0, "least" => 0, "most" => 18, "deviation" => deviation} =
+             json["[room]:Level"]
+
+    assert_in_delta deviation, 6.0553, 0.001
+  end
+
+  test "streams are dropped; options come from a file that was saved", %{
+    study: file,
+    tmp_dir: root
+  } do
+    config = Path.join(root, "drop.json")
+
+    assert capture_io(:stderr, fn ->
+             assert Situ.CLI.run(["task", "run", file, "drop-streams"]) == 1
+           end) =~ "drop"
+
+    assert {0, _} =
+             run([
+               "run",
+               file,
+               "drop-streams",
+               "--set",
+               ~s(drop=["Sec*"]),
+               "--save-config",
+               config,
+               "--session",
+               "p1"
+             ])
+
+    assert {0, _} = run(["run", file, "drop-streams", "--config", config, "--session", "p2"])
+    {:ok, dataset} = Dataset.open(file)
+
+    for session <- dataset.sessions do
+      {:ok, shared} = Dataset.Session.partition(session, "Shared")
+      {:ok, store} = Dataset.Partition.open(shared)
+      assert Enum.map(Store.streams(store), & &1.name) == ["Level"]
+    end
+
+    said =
+      capture_io(:stderr, fn ->
+        assert Situ.CLI.run(["task", "run", file, "drop-streams", "--config", config]) == 1
+      end)
+
+    assert said =~ "overwrite"
+
+    assert capture_io(:stderr, fn ->
+             assert Situ.CLI.run(["task", "run", file, "statistic"]) == 1
+           end) =~ "statistics"
+  end
+
+  test "a film's sound as WAV, and a failure of one session is told", %{study: file, tmp_dir: root} do
+    clip = Path.join(root, "p3/talk1.mp4")
+    File.mkdir_p!(Path.dirname(clip))
+    File.cp!(@clip, clip)
+    {:ok, dataset} = Dataset.open(file)
+    {:ok, dataset} = Dataset.add_recording(dataset, clip, session: "p3")
+    {:ok, _} = Dataset.save(dataset)
+    assert {1, text} = run(["run", file, "sound-to-wav"])
+    assert text =~ "p3: done" and text =~ ~r/p1: failed: .*"Audio"/
+    {:ok, wav} = Store.open(Path.join(root, "p3/p3.Audio.wav"))
+    assert {first, last} = Store.interval(wav)
+    assert_in_delta (last - first) / 1.0e9, 14.0, 0.2
+  end
+end

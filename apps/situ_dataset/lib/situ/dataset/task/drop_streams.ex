@@ -1,0 +1,46 @@
+defmodule Situ.Dataset.Task.DropStreams do
+  @moduledoc "The task `drop-streams`: a partition with all streams but those that nobody else may see."
+  @behaviour Situ.Dataset.Task
+
+  @impl true
+  def task do
+    %{
+      name: "drop-streams",
+      about:
+        "copy a session's streams into one partition, without those that nobody else may see",
+      output: "Shared",
+      options: [
+        drop: [
+          type: {:list, :string},
+          required: true,
+          doc: "Names of streams; * stands for any text."
+        ]
+      ]
+    }
+  end
+
+  @impl true
+  def build(_p, opts) do
+    patterns = Enum.map(opts[:drop], &pattern/1)
+
+    kept =
+      Enum.reject(opts[:streams], fn {_, info} -> Enum.any?(patterns, &(info.name =~ &1)) end)
+
+    names = for {_, info} <- kept, do: info.name
+
+    for {partition, info} <- kept do
+      # A name that several partitions have keeps its partition's.
+      name =
+        if Enum.count(names, &(&1 == info.name)) > 1,
+          do: "#{partition}.#{info.name}",
+          else: info.name
+
+      "[#{partition}]:#{info.name}" |> opts[:open].() |> Situ.Store.write(opts[:exporter], name)
+    end
+  end
+
+  defp pattern(text) do
+    source = text |> String.split("*") |> Enum.map_join(".*", &Regex.escape/1)
+    Regex.compile!("\\A" <> source <> "\\z", "su")
+  end
+end

@@ -1,0 +1,67 @@
+defmodule Situ.Dataset.Task.Statistics do
+  @moduledoc "The task `statistics`: count, mean, deviation and range of every stream of numbers, as a JSON file beside the session."
+  @behaviour Situ.Dataset.Task
+
+  @impl true
+  def task do
+    %{
+      name: "statistics",
+      about:
+        "count, mean, deviation and range of every stream of numbers, into a JSON file beside the recordings",
+      output: nil,
+      options: [
+        file: [
+          type: :string,
+          default: "statistics.json",
+          doc: "The file's name; the session's name comes before it."
+        ]
+      ]
+    }
+  end
+
+  @impl true
+  def build(_p, opts) do
+    folder = opts[:folder]
+    name = "#{opts[:session].name}.#{opts[:file]}"
+    totals = :ets.new(:statistics, [:public])
+
+    for {partition, info} <- opts[:streams], info.type in [:integer, :float, :number, :boolean] do
+      key = "[#{partition}]:#{info.name}"
+
+      key
+      |> opts[:open].()
+      |> Situ.scan(nil, &add/2)
+      |> Situ.each(&:ets.insert(totals, {key, &1}))
+    end
+
+    Situ.Pipeline.on(opts[:pipeline], :completed, fn _report ->
+      all = for {key, total} <- :ets.tab2list(totals), into: %{}, do: {key, summary(total)}
+      :ok = File.write(Path.join(folder, name), Situ.JSON.pretty(all) <> "\n")
+    end)
+  end
+
+  # Welford's running mean and sum of squared differences.
+  defp add(value, total), do: number(value) |> fold(total)
+
+  defp number(true), do: 1
+  defp number(false), do: 0
+  defp number(n), do: n
+
+  defp fold(x, nil), do: {1, x / 1, 0.0, x, x}
+
+  defp fold(x, {n, mean, squares, least, most}) do
+    delta = x - mean
+    mean = mean + delta / (n + 1)
+    {n + 1, mean, squares + delta * (x - mean), min(least, x), max(most, x)}
+  end
+
+  defp summary({n, mean, squares, least, most}) do
+    %{
+      count: n,
+      mean: mean,
+      deviation: if(n > 1, do: :math.sqrt(squares / (n - 1))),
+      least: least,
+      most: most
+    }
+  end
+end

@@ -1,0 +1,27 @@
+defmodule Situ.Infer.Task.VoiceActivity do
+  @moduledoc "The batch task `voice-activity`: whether somebody speaks, as a new partition of each session."
+
+  @doc "What the task is."
+  @spec task() :: map()
+  def task do
+    %{
+      name: "voice-activity",
+      about: "find speech in a sound stream: a stream of booleans in a new partition",
+      output: "Voice",
+      options: [
+        stream: [type: :string, default: "Audio", doc: "The sound."],
+        name: [type: :string, default: "Speaking", doc: "The new stream."]
+      ]
+    }
+  end
+
+  @doc "Builds the pipeline of one session."
+  @spec build(Situ.Graph.Handle.t(), keyword()) :: term()
+  def build(_p, opts) do
+    opts[:stream]
+    |> opts[:open].()
+    |> Situ.Audio.resample(16_000)
+    |> Situ.Infer.voice_activity()
+    |> Situ.Store.write(opts[:exporter], opts[:name])
+  end
+end
