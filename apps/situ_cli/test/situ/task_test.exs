@@ -97,7 +97,10 @@ defmodule Situ.CLI.TaskTest do
            end) =~ "statistics"
   end
 
-  test "a film's sound as WAV, and a failure of one session is told", %{study: file, tmp_dir: root} do
+  test "a film's sound as WAV, and a failure of one session is told", %{
+    study: file,
+    tmp_dir: root
+  } do
     clip = Path.join(root, "p3/talk1.mp4")
     File.mkdir_p!(Path.dirname(clip))
     File.cp!(@clip, clip)
