@@ -7,6 +7,7 @@ defmodule Situ.CLI.Commands do
     Store.Looking,
     Store.Making,
     Store.Care,
+    Store.Sending,
     Dataset,
     Query,
     Task,

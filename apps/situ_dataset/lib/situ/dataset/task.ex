@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.Task do
   @moduledoc """
-  A batch task: a pipeline over the sessions of a dataset that has a name, a description and an options schema, so that the
-  command line (`situ task`) and the studio can list it, ask for its options and run it.
+  A batch task: a pipeline over the sessions of a dataset that has a name, a description and an options schema, so
+  that the command line (`situ task`) and the studio can list it, ask for its options and run it.
 
       defmodule Loudness do
         @behaviour Situ.Dataset.Task
@@ -18,14 +18,14 @@ defmodule Situ.Dataset.Task do
 
         @impl true
         def build(_p, opts) do
-          opts[:open].(opts[:stream]) |> Situ.map(&loudness/1) |> Situ.Store.write(opts[:exporter], "Loudness")
+          opts[:stream] |> opts[:open].() |> Situ.map(&loudness/1) |> opts[:write].("Loudness")
         end
       end
 
-  `build/2` gets the task's own options and those of every session: `open:` (a function from a stream's name to the stream),
-  `has:` (whether there is one), `streams:` (`[{partition, Situ.Store.StreamInfo}]`), `folder:` (where the session's first
-  recording lies), `exporter:` (`nil` when `output` is), `session:`. It names nothing of this application, so a task may live
-  in any.
+  `build/2` gets the task's own options and those of every session: `open:` (a function from a stream's name to the
+  stream), `has:` (whether there is one), `streams:` (`[{partition, Situ.Store.StreamInfo}]`), `folder:` (where the
+  session's first recording lies), `write:` (a function of a stream and a name, that records it), `exporter:` (`nil`
+  when `output` is), `session:`. It names nothing of this application, so a task may live in any.
 
   An application brings its tasks in `application/0` of its `mix.exs`: `env: [dataset_tasks: [Loudness]]`.
   """
@@ -72,7 +72,8 @@ defmodule Situ.Dataset.Task do
   end
 
   @doc """
-  A saved configuration (a JSON object of the task's options) as options, checked. Errors: `:unknown_option`, `:bad_option`.
+  A saved configuration (a JSON object of the task's options) as options, checked. Errors: `:unknown_option`,
+  `:bad_option`.
 
       iex> schema = [rate: [type: :pos_integer, default: 10], mode: [type: {:in, [:fast, :exact]}]]
       iex> Situ.Dataset.Task.options(schema, %{"mode" => "exact"})

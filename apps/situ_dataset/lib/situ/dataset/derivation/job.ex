@@ -78,6 +78,7 @@ defmodule Situ.Dataset.Derivation.Job do
       session: job.session,
       open: &Importer.stream(importer, &1),
       has: &Importer.has?(importer, &1),
+      write: &Store.write(&1, exporter, &2),
       streams: OpenSession.streams(importer.session),
       folder: beside(job.session.partitions)
     ]

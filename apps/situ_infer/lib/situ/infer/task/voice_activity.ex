@@ -22,6 +22,6 @@ defmodule Situ.Infer.Task.VoiceActivity do
     |> opts[:open].()
     |> Situ.Audio.resample(16_000)
     |> Situ.Infer.voice_activity()
-    |> Situ.Store.write(opts[:exporter], opts[:name])
+    |> opts[:write].(opts[:name])
   end
 end

@@ -25,6 +25,6 @@ defmodule Situ.Media.Task.EncodePictures do
     opts[:stream]
     |> opts[:open].()
     |> Situ.map(jpeg, type: Situ.EncodedImage)
-    |> Situ.Store.write(opts[:exporter], opts[:stream])
+    |> opts[:write].(opts[:stream])
   end
 end
