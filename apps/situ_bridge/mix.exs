@@ -11,6 +11,8 @@ defmodule Situ.Bridge.MixProject do
       lockfile: "../../mix.lock",
       elixir: "~> 1.14",
       elixirc_paths: elixirc_paths(Mix.env()),
+      compilers: [:situ_native] ++ Mix.compilers(),
+      native: [crates: ~w(situ_bridge_nif)],
       start_permanent: Mix.env() == :prod,
       deps: deps()
     ]
@@ -19,7 +21,7 @@ defmodule Situ.Bridge.MixProject do
   def application do
     [
       extra_applications: extra_applications(Mix.env()),
-      env: [store_readers: [Situ.Bridge.Psi]]
+      env: [store_readers: [Situ.Bridge.Psi, Situ.Bridge.Mcap, Situ.Bridge.Ros.Bag]]
     ]
   end
 
@@ -33,7 +35,8 @@ defmodule Situ.Bridge.MixProject do
     [
       {:situ, in_umbrella: true},
       {:situ_store, in_umbrella: true},
-      {:situ_types, in_umbrella: true}
+      {:situ_types, in_umbrella: true},
+      {:situ_build, in_umbrella: true, runtime: false}
     ]
   end
 end

@@ -1,0 +1,259 @@
+defmodule Situ.Bridge.Mcap do
+  alias Situ.Bridge.Mcap.{Codec, Failure, Writer}
+  alias Situ.Bridge.Native
+  alias Situ.Bridge.Recorder.{Export, Exporter}
+  alias Situ.{Error, Message}
+  alias Situ.Store.{StreamInfo, Undecoded}
+
+  @schema [
+    times: [
+      type: {:in, [:log, :publish, :header]},
+      default: :log,
+      doc:
+        "Originating times: when a message was recorded (`:log`; the index has them), sent (`:publish`), or the stamp of its ROS header (`:header`, the log time for messages without one). The last two look at every message of a stream when it is first used."
+    ]
+  ]
+
+  @moduledoc """
+  MCAP files (https://mcap.dev) as recordings: `Situ.Store.open("drive.mcap")`, and so in the studio, `bin/situ store`, replay in a pipeline. Written by
+  `create/3` and `write/4` while a pipeline runs, or from a recording by `export/3`.
+
+      {:ok, store} = Situ.Store.open("drive.mcap")
+      {:ok, message} = Situ.Store.latest_at(store, "/camera/image_raw", time)
+
+      drive = Situ.Bridge.Mcap.create(p, "drive.mcap")
+      Situ.Bridge.Mcap.write(level, drive, "/level")
+
+  A topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR) and JSON; those of other encodings are bytes, and
+  `Situ.Store.info/1` notes that. Standard ROS messages are Situ's types (`Situ.Bridge.Ros.Standard`), others maps. Two messages of a topic with
+  one time are a nanosecond apart.
+
+  Files with an index open at once, whatever their size; others (and files cut short, or whose writer was killed) are passed over, and what can be read
+  is there. Chunks may be LZ4 or Zstandard. Attachments and metadata: `attachments/1`, `attachment/2`, `Situ.Store.info/1`.
+
+  ## Options of opening (`Situ.Store.open(path, reader_opts: [...])`)
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @behaviour Situ.Store.Reader
+
+  @most_bytes 16 * 1024 * 1024
+
+  defstruct [:path, :ref, :name, :channels, :streams, :times, :notes, :info]
+
+  @impl true
+  def extensions, do: [".mcap"]
+
+  @impl true
+  def open(path, opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, ref} <- Failure.wrap(Native.mcap_open(path), path) do
+      {profile, library, channels, schemas, attachments, metadata, {damage, finished?}} =
+        Native.mcap_info(ref)
+
+      schemas =
+        Map.new(schemas, fn {id, name, encoding, data} -> {id, {name, encoding, data}} end)
+
+      state = %__MODULE__{
+        path: path,
+        ref: ref,
+        times: opts[:times],
+        name: Path.basename(path, Path.extname(path))
+      }
+
+      with {:ok, known} <- channels(state, channels, schemas) do
+        info = %{
+          profile: profile,
+          library: library,
+          attachments: attachments,
+          metadata: metadata,
+          damage: damage,
+          finished?: finished?
+        }
+
+        {:ok, named(%{state | info: info}, known)}
+      end
+    end
+  end
+
+  # A stream is a topic: several channels of one topic (a recorder that was restarted) are told apart by a number.
+  defp channels(state, channels, schemas) do
+    Enum.reduce_while(channels, {:ok, []}, fn {id, topic, encoding, schema, metadata, _count},
+                                              {:ok, known} ->
+      {codec, type, note} = Codec.new(encoding, schemas[schema])
+      times = order(state.times, codec)
+
+      case Failure.wrap(Native.mcap_span(state.ref, id, times), state.path) do
+        {:ok, span} ->
+          channel = %{
+            id: id,
+            topic: topic,
+            codec: codec,
+            times: times,
+            type: type,
+            note: note,
+            span: span,
+            metadata: metadata,
+            schema: schemas[schema]
+          }
+
+          {:cont, {:ok, [channel | known]}}
+
+        {:error, error} ->
+          {:halt, {:error, error}}
+      end
+    end)
+  end
+
+  defp order(:header, codec), do: Codec.stamps(codec) || :log
+  defp order(times, _codec), do: times
+
+  defp named(state, known) do
+    {channels, _taken} =
+      known
+      |> Enum.reverse()
+      |> Enum.map_reduce(MapSet.new(), fn channel, taken ->
+        name = free(channel.topic, taken, 2)
+        {Map.put(channel, :name, name), MapSet.put(taken, name)}
+      end)
+
+    notes = for %{note: note} = channel <- channels, note != nil, do: "#{channel.name}: #{note}"
+    streams = Enum.map(channels, &stream(state, &1))
+    %{state | channels: Map.new(channels, &{&1.id, &1}), streams: streams, notes: notes}
+  end
+
+  defp free(topic, taken, n) do
+    name = if n == 2, do: topic, else: "#{topic} #{n - 1}"
+    if MapSet.member?(taken, name), do: free(topic, taken, n + 1), else: name
+  end
+
+  defp stream(state, channel) do
+    {first, last, count} = channel.span || {nil, nil, 0}
+
+    %StreamInfo{
+      id: channel.id,
+      name: channel.name,
+      store_name: state.name,
+      store_path: state.path,
+      type: channel.type,
+      type_name: if(channel.schema, do: elem(channel.schema, 0), else: inspect(channel.type)),
+      opened: first,
+      closed: if(state.info.finished?, do: last || 0),
+      count: count,
+      first: first,
+      last: last,
+      first_creation: first,
+      last_creation: last,
+      supplemental: supplemental(channel.metadata)
+    }
+  end
+
+  defp supplemental([]), do: nil
+  defp supplemental(pairs), do: {"map", :erlang.term_to_binary(Map.new(pairs))}
+
+  @impl true
+  def info(state) do
+    %{
+      name: state.name,
+      created:
+        state.streams |> Enum.map(& &1.first) |> Enum.reject(&is_nil/1) |> Enum.min(fn -> nil end),
+      closed?: state.info.finished?,
+      live?: false,
+      damage: state.info.damage,
+      notes: state.notes,
+      written_by: state.info.library,
+      profile: state.info.profile,
+      metadata: for({name, pairs} <- state.info.metadata, do: {name, Map.new(pairs)})
+    }
+  end
+
+  @impl true
+  def streams(state), do: state.streams
+
+  @impl true
+  def seek(state, info, time) do
+    channel = Map.fetch!(state.channels, info.id)
+    Failure.wrap(Native.mcap_seek(state.ref, channel.id, channel.times, time), state.path)
+  end
+
+  @impl true
+  def read(state, info, ordinal, to, limit, opts) do
+    channel = Map.fetch!(state.channels, info.id)
+    envelopes? = opts[:envelopes] == true
+    what = {channel.id, channel.times, ordinal, to, limit, @most_bytes, envelopes?}
+
+    with {:ok, found} <- Failure.wrap(Native.mcap_read(state.ref, what), state.path) do
+      messages = Enum.map(found, &message(&1, channel, envelopes?))
+      {:ok, messages, ordinal + length(messages)}
+    end
+  end
+
+  defp message({time, log_time, _publish, sequence, bytes}, channel, envelopes?) do
+    %Message{
+      data: if(envelopes?, do: nil, else: data(bytes, channel.codec)),
+      originating_time: time,
+      creation_time: max(log_time, time),
+      sequence_id: sequence,
+      source_id: channel.id
+    }
+  end
+
+  defp data(bytes, codec) do
+    case Codec.decode(codec, bytes) do
+      {:ok, value} -> value
+      {:error, why} -> %Undecoded{codec: "mcap", bytes: bytes, reason: why}
+    end
+  end
+
+  @doc "The attachments of an opened file: name, media type, time (ns) and size of each."
+  @spec attachments(Situ.Store.t()) :: [
+          %{
+            name: String.t(),
+            media_type: String.t(),
+            time: Situ.Time.t(),
+            size: non_neg_integer()
+          }
+        ]
+  def attachments(%Situ.Store.Handle{state: %__MODULE__{info: info}}) do
+    for {name, media_type, time, _offset, size} <- info.attachments,
+        do: %{name: name, media_type: media_type, time: time, size: size}
+  end
+
+  @doc "The bytes of the first attachment of this name. Error: `:no_attachment`."
+  @spec attachment(Situ.Store.t(), String.t()) :: {:ok, binary()} | {:error, Error.t()}
+  def attachment(%Situ.Store.Handle{state: %__MODULE__{} = state}, name) do
+    case Enum.find(state.info.attachments, &(elem(&1, 0) == name)) do
+      nil ->
+        {:error, Error.new(:no_attachment, "#{state.path} has no attachment #{inspect(name)}")}
+
+      {_, _, _, offset, _} ->
+        Failure.wrap(Native.mcap_attachment(state.ref, offset), state.path)
+    end
+  end
+
+  # Writing
+
+  @doc """
+  During `build`: an MCAP file that the pipeline writes.
+
+  #{Situ.Options.docs(Situ.Bridge.Mcap.Options.file())}
+  """
+  @spec create(Situ.Pipeline.t(), Path.t(), keyword()) :: Exporter.t()
+  def create(p, path, opts \\ []), do: Exporter.create(p, Writer, path, opts)
+
+  @doc """
+  Writes a stream to a topic; returns the stream.
+
+  #{Situ.Options.docs(Situ.Bridge.Mcap.Options.topic())}
+  """
+  @spec write(Situ.Stream.t(), Exporter.t(), String.t(), keyword()) :: Situ.Stream.t()
+  defdelegate write(stream, exporter, topic, opts \\ []), to: Exporter
+
+  @doc """
+  Writes a recording to a new MCAP file, its messages in order of time: `{:ok, count}`. Options as `create/3`, and `streams:`, the names of
+  those wanted, and `encoding:` as `write/4`.
+  """
+  @spec export(Situ.Store.t(), Path.t(), keyword()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def export(store, path, opts \\ []), do: Export.export(Writer, store, path, opts)
+end

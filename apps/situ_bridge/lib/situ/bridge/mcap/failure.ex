@@ -1,0 +1,38 @@
+defmodule Situ.Bridge.Mcap.Failure do
+  @moduledoc false
+  # What the native side answers, as errors people can act on.
+  alias Situ.Error
+
+  @spec wrap({:ok, value} | {:error, term()}, Path.t()) :: {:ok, value} | {:error, Error.t()}
+        when value: term()
+  def wrap({:ok, value}, _path), do: {:ok, value}
+  def wrap({:error, reason}, path), do: {:error, error(reason, path)}
+
+  @spec error(term(), Path.t()) :: Error.t()
+  def error({:io, what, 28, _why}, path),
+    do:
+      Error.new(:disk_full, "no room left on the disk of #{path}",
+        why: "could not #{what}",
+        fix: "free some space, or write elsewhere"
+      )
+
+  def error({:io, what, _errno, why}, path),
+    do: Error.new(:io, "could not #{what} #{path}", why: why)
+
+  def error(:not_mcap, path),
+    do:
+      Error.new(:not_mcap, "#{path} is not an MCAP file",
+        why: "it does not begin like one",
+        fix: "check the path"
+      )
+
+  def error({:damaged, at, why}, path),
+    do:
+      Error.new(:damaged, "#{path} is damaged at byte #{at}",
+        why: why,
+        fix: "copy what can be read: `situ store copy #{path} FOLDER`"
+      )
+
+  def error(:closed, path),
+    do: Error.new(:closed, "#{path} is finished: nothing can be written to it")
+end

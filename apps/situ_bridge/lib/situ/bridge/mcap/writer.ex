@@ -1,0 +1,84 @@
+defmodule Situ.Bridge.Mcap.Writer do
+  @moduledoc false
+  @behaviour Situ.Bridge.Recorder
+  # A file and its channels, as a value: every message goes to the native writer, which keeps the chunk.
+  alias Situ.Bridge.Mcap.{Channel, Failure, Options}
+  alias Situ.Bridge.Native
+  alias Situ.Error
+
+  defstruct [:path, :ref, channels: %{}, sequences: %{}, count: 0]
+  @type t :: %__MODULE__{}
+
+  @impl true
+  defdelegate file_options, to: Options, as: :file
+  @impl true
+  defdelegate topic_options, to: Options, as: :topic
+
+  @impl true
+  @spec create(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def create(path, opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, Options.file()),
+         {:ok, ref} <-
+           Failure.wrap(
+             Native.mcap_create(path, opts[:profile], opts[:compression], opts[:chunk]),
+             path
+           ),
+         do: {:ok, %__MODULE__{path: path, ref: ref}}
+  end
+
+  @impl true
+  @doc "Appends a message; `opts` (`Options.topic/0`) count for the first one of its topic."
+  @spec write(t(), String.t(), Situ.Message.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def write(writer, topic, message, opts) do
+    with {:ok, writer, channel} <- channel(writer, topic, message.data, opts),
+         {:ok, bytes} <- Channel.encode(channel, message.data, message.originating_time),
+         {:ok, time} <- time(topic, message.originating_time),
+         sequence = Map.get(writer.sequences, topic, 0),
+         row = {channel.id, rem(sequence, 0x1_0000_0000), time, time, bytes},
+         {:ok, _} <- Failure.wrap(Native.mcap_write(writer.ref, [row]), writer.path) do
+      {:ok,
+       %{
+         writer
+         | sequences: Map.put(writer.sequences, topic, sequence + 1),
+           count: writer.count + 1
+       }}
+    end
+  end
+
+  defp time(_topic, time) when time in 0..0xFFFF_FFFF_FFFF_FFFF, do: {:ok, time}
+
+  defp time(topic, time),
+    do:
+      {:error,
+       Error.new(:not_writable, "a message of #{topic} is from #{Situ.Time.to_iso8601(time)}",
+         why: "MCAP has times from 1970 to 2554"
+       )}
+
+  defp channel(writer, topic, data, opts) do
+    case writer.channels do
+      %{^topic => channel} -> {:ok, writer, channel}
+      _ -> add(writer, topic, data, opts)
+    end
+  end
+
+  defp add(writer, topic, data, opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, Options.topic()),
+         {:ok, channel} <- Channel.new(topic, opts, data),
+         encoding = Atom.to_string(channel.encoding),
+         {:ok, id} <-
+           Failure.wrap(
+             Native.mcap_channel(writer.ref, topic, encoding, channel.schema, channel.metadata),
+             writer.path
+           ) do
+      channel = %{channel | id: id}
+      {:ok, %{writer | channels: Map.put(writer.channels, topic, channel)}, channel}
+    end
+  end
+
+  @impl true
+  @doc "Hands everything so far to the system, as whole chunks."
+  def flush(writer), do: Failure.wrap(Native.mcap_flush(writer.ref), writer.path)
+  @impl true
+  @doc "Writes the index."
+  def finish(writer), do: Failure.wrap(Native.mcap_finish(writer.ref), writer.path)
+end

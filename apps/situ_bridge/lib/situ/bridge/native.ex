@@ -1,0 +1,28 @@
+defmodule Situ.Bridge.Native do
+  @moduledoc false
+  # The functions of native/situ_bridge_nif. Everything else talks to `Situ.Bridge.Mcap`.
+
+  @on_load :load
+
+  def load do
+    path = :filename.join([:code.priv_dir(:situ_bridge), "native", "situ_bridge_nif"])
+    :erlang.load_nif(path, 0)
+  end
+
+  def unpack(_compression, _bytes, _size), do: missing()
+  def mcap_open(_path), do: missing()
+  def mcap_info(_reader), do: missing()
+  def mcap_span(_reader, _channel, _times), do: missing()
+  def mcap_seek(_reader, _channel, _times, _time), do: missing()
+  def mcap_read(_reader, _what), do: missing()
+  def mcap_attachment(_reader, _offset), do: missing()
+  def mcap_create(_path, _profile, _compression, _chunk), do: missing()
+  def mcap_channel(_writer, _topic, _encoding, _schema, _metadata), do: missing()
+  def mcap_write(_writer, _messages), do: missing()
+  def mcap_attach(_writer, _name, _media_type, _time, _data), do: missing()
+  def mcap_metadata(_writer, _name, _metadata), do: missing()
+  def mcap_flush(_writer), do: missing()
+  def mcap_finish(_writer), do: missing()
+
+  defp missing, do: :erlang.nif_error(:nif_not_loaded)
+end

@@ -1,0 +1,16 @@
+defmodule Situ.Bridge.Recorder do
+  @moduledoc false
+  # What a format must answer so that pipelines and recordings can be written in it (`Situ.Bridge.Mcap`, `Situ.Bridge.Ros.Bag`). The state is a
+  # struct with the field `count`.
+  alias Situ.Error
+
+  @type state :: struct()
+
+  @callback file_options() :: Situ.Options.schema()
+  @callback topic_options() :: Situ.Options.schema()
+  @callback create(Path.t(), keyword()) :: {:ok, state()} | {:error, Error.t()}
+  @callback write(state(), topic :: String.t(), Situ.Message.t(), keyword()) ::
+              {:ok, state()} | {:error, Error.t()}
+  @callback flush(state()) :: {:ok, term()} | {:error, Error.t()}
+  @callback finish(state()) :: {:ok, term()} | {:error, Error.t()}
+end

@@ -1,0 +1,85 @@
+defmodule Situ.Bridge.Recorder.Server do
+  @moduledoc false
+  # Owns the file while a pipeline writes it: begins it with the pipeline, hands whole chunks to the system every second, and writes
+  # the index when the last stream has ended or the pipeline is gone.
+  use GenServer, restart: :temporary
+  alias Situ.Error
+
+  @flush 1_000
+
+  @doc "Not linked: it outlives a pipeline that crashes by the moment that it takes to write the index."
+  def start(pipeline, file), do: GenServer.start(__MODULE__, {pipeline, file})
+
+  def expect(server), do: GenServer.call(server, :expect)
+  def open(server), do: call(server, :open)
+  def write(server, topic, messages, opts), do: call(server, {:write, topic, messages, opts})
+  def done(server), do: call(server, :done)
+
+  # A disk may be slow; it is waited for.
+  defp call(server, request) do
+    GenServer.call(server, request, :infinity)
+  catch
+    :exit, _ -> {:error, Error.new(:closed, "the file is closed")}
+  end
+
+  @impl true
+  def init({pipeline, {module, path, opts}}) do
+    Process.monitor(pipeline)
+    {:ok, %{module: module, path: path, opts: opts, writer: nil, streams: 0, dirty: false}}
+  end
+
+  @impl true
+  def handle_call(:expect, _from, state), do: {:reply, :ok, %{state | streams: state.streams + 1}}
+
+  def handle_call(:open, _from, %{writer: nil} = state) do
+    case state.module.create(state.path, state.opts) do
+      {:ok, writer} ->
+        Process.send_after(self(), :flush, @flush)
+        {:reply, {:ok, nil}, %{state | writer: writer}}
+
+      error ->
+        {:reply, error, state}
+    end
+  end
+
+  def handle_call(:open, _from, state), do: {:reply, {:ok, nil}, state}
+
+  def handle_call({:write, topic, messages, opts}, _from, state) do
+    case append(state, topic, messages, opts) do
+      {:ok, writer} -> {:reply, {:ok, nil}, %{state | writer: writer, dirty: true}}
+      error -> {:reply, error, state}
+    end
+  end
+
+  def handle_call(:done, _from, %{streams: 1} = state),
+    do: {:stop, :normal, finish(state), %{state | writer: nil}}
+
+  def handle_call(:done, _from, state),
+    do: {:reply, {:ok, nil}, %{state | streams: state.streams - 1}}
+
+  defp append(%{module: module, writer: writer}, topic, messages, opts) do
+    Enum.reduce_while(messages, {:ok, writer}, fn message, {:ok, writer} ->
+      case module.write(writer, topic, message, opts) do
+        {:ok, writer} -> {:cont, {:ok, writer}}
+        error -> {:halt, error}
+      end
+    end)
+  end
+
+  @impl true
+  def handle_info(:flush, %{writer: nil} = state), do: {:noreply, state}
+
+  def handle_info(:flush, state) do
+    Process.send_after(self(), :flush, @flush)
+    if state.dirty, do: state.module.flush(state.writer)
+    {:noreply, %{state | dirty: false}}
+  end
+
+  def handle_info({:DOWN, _, :process, _, _}, state) do
+    finish(state)
+    {:stop, :normal, %{state | writer: nil}}
+  end
+
+  defp finish(%{writer: nil}), do: {:ok, nil}
+  defp finish(state), do: state.module.finish(state.writer)
+end

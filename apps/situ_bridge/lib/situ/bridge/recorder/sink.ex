@@ -1,0 +1,42 @@
+defmodule Situ.Bridge.Recorder.Sink do
+  @moduledoc false
+  # One stream's way into the file.
+  use Situ.Component,
+    inputs: [in: :any],
+    options: [
+      server: [type: :pid, required: true],
+      topic: [type: :string, required: true],
+      given: [type: :keyword, default: []]
+    ]
+
+  alias Situ.Bridge.Recorder.Server
+
+  @impl true
+  def init(opts), do: {:ok, Map.put(Map.new(opts), :open, true)}
+
+  @impl true
+  def handle_start(_context, state) do
+    Situ.Error.unwrap!(Server.open(state.server))
+    {[], state}
+  end
+
+  @impl true
+  def handle_message(input, message, context, state),
+    do: handle_messages(input, [message], context, state)
+
+  @impl true
+  def handle_messages(:in, messages, _context, state) do
+    Situ.Error.unwrap!(Server.write(state.server, state.topic, messages, state.given))
+    {[], state}
+  end
+
+  @impl true
+  def handle_closed(:in, _time, _context, state) do
+    Situ.Error.unwrap!(Server.done(state.server))
+    {[], %{state | open: false}}
+  end
+
+  @impl true
+  def terminate(_reason, %{open: false}), do: :ok
+  def terminate(_reason, state), do: Server.done(state.server)
+end

@@ -1,0 +1,354 @@
+defmodule Situ.Bridge.Ros.Bag do
+  alias Situ.Bridge.Mcap.Codec
+  alias Situ.Bridge.Recorder.{Export, Exporter}
+  alias Situ.Bridge.Ros.Bag.{Chunk, Contents, Record, Writer}
+  alias Situ.{Error, Message}
+  alias Situ.Store.{StreamInfo, Undecoded}
+
+  @schema [
+    times: [
+      type: {:in, [:log, :header]},
+      default: :log,
+      doc:
+        "Originating times: when a message was recorded, or the stamp of its header (the former where it has none). The stamps are read when the file is opened."
+    ]
+  ]
+
+  @moduledoc """
+  Bags of ROS 1 (version 2.0) as recordings: `Situ.Store.open("drive.bag")`, and so in the studio, `bin/situ store`, replay. Written by
+  `create/3` and `write/4` while a pipeline runs, or from a recording by `export/3`.
+
+      {:ok, store} = Situ.Store.open("drive.bag", reader_opts: [times: :header])
+      drive = Situ.Bridge.Ros.Bag.create(p, "drive.bag")
+      Situ.Bridge.Ros.Bag.write(pictures, drive, "/camera/image_raw")
+
+  A topic is a stream, its messages are decoded by the definition in the bag; standard ones are Situ's types (`Situ.Bridge.Ros.Standard`). Two messages of
+  a topic with one time are a nanosecond apart. Bags without an index (the recorder was killed: `.bag.active`) are passed over. Chunks may be plain or LZ4; those by
+  bzip2 are left out and told of under `:damage`. Written are plain chunks.
+
+  ## Options of opening (`Situ.Store.open(path, reader_opts: [...])`)
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @behaviour Situ.Store.Reader
+
+  @most_bytes 16 * 1024 * 1024
+  @place 24
+
+  defstruct [:path, :size, :name, :contents, :tracks, :streams, :notes]
+
+  @impl true
+  def extensions, do: [".bag", ".active"]
+
+  @impl true
+  def open(path, opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, %{size: size}} <- stat(path),
+         {:ok, contents} <- with_file(path, &Contents.read(&1, size)) do
+      state = %__MODULE__{
+        path: path,
+        size: size,
+        name: Path.basename(path, Path.extname(path)),
+        contents: contents
+      }
+
+      with {:ok, tracks} <- tracks(state, opts[:times]),
+           do: {:ok, listed(%{state | tracks: tracks})}
+    end
+  end
+
+  defp stat(path) do
+    with {:error, reason} <- File.stat(path), do: {:error, error({:io, reason}, path)}
+  end
+
+  # Readers are asked from any process, and a raw file belongs to one.
+  defp with_file(path, fun) do
+    case :file.open(path, [:read, :raw, :binary]) do
+      {:ok, file} ->
+        result = fun.(file)
+        :file.close(file)
+
+        with {:error, reason} when not is_struct(reason, Error) <- result,
+             do: {:error, error(reason, path)}
+
+      {:error, reason} ->
+        {:error, error({:io, reason}, path)}
+    end
+  end
+
+  defp error({:io, reason}, path),
+    do: Error.new(:io, "cannot read #{path}", why: to_string(:file.format_error(reason)))
+
+  defp error(:not_bag, path),
+    do: Error.new(:not_bag, "#{path} is not a bag", why: "it does not begin with #ROSBAG V2.0")
+
+  defp error({:version, version}, path),
+    do:
+      Error.new(:not_bag, "#{path} is a bag of version #{version}",
+        why: "version 2.0 is read",
+        fix: "convert it with `rosbag fix`"
+      )
+
+  # Connections of one topic and type are one stream.
+  defp tracks(state, times) do
+    groups =
+      state.contents.connections
+      |> Enum.sort()
+      |> Enum.group_by(fn {_, c} -> {c.topic, c.type} end)
+
+    groups
+    |> Enum.sort_by(fn {_, [{number, _} | _]} -> number end)
+    |> Enum.reduce_while({:ok, []}, fn {{topic, type}, connections}, {:ok, tracks} ->
+      {_, %{definition: definition}} = hd(connections)
+      {codec, situ, note} = Codec.new("ros1", {type, "ros1msg", definition})
+
+      places =
+        for {number, _} <- connections,
+            rows <- Map.get(state.contents.places, number, []),
+            row <- rows,
+            do: row
+
+      places =
+        if times == :header and Codec.stamps(codec), do: stamped(state, places), else: places
+
+      track = %{
+        id: elem(hd(connections), 0),
+        topic: topic,
+        type: type,
+        situ: situ,
+        codec: codec,
+        note: note,
+        count: length(places),
+        places: pack(places)
+      }
+
+      {:cont, {:ok, [track | tracks]}}
+    end)
+    |> then(fn {:ok, tracks} -> {:ok, Enum.reverse(tracks)} end)
+  end
+
+  # Times strictly increase: messages of one time are a nanosecond apart.
+  defp pack(places) do
+    {rows, _} =
+      places
+      |> Enum.sort()
+      |> Enum.map_reduce(-1, fn {time, chunk, offset}, last ->
+        time = max(time, last + 1)
+        {<<time::64, chunk::64, offset::64>>, time}
+      end)
+
+    IO.iodata_to_binary(rows)
+  end
+
+  defp stamped(state, places) do
+    case messages(state, Enum.sort_by(places, fn {_, chunk, offset} -> {chunk, offset} end)) do
+      {:ok, found} ->
+        for {{time, chunk, offset}, bytes} <- found, do: {stamp(bytes) || time, chunk, offset}
+
+      {:error, _} ->
+        places
+    end
+  end
+
+  defp stamp(<<_seq::32, 0::64, _::binary>>), do: nil
+  defp stamp(<<_seq::32, stamp::binary-8, _::binary>>), do: Record.time(stamp)
+  defp stamp(_), do: nil
+
+  defp listed(state) do
+    {streams, _taken} = Enum.map_reduce(state.tracks, MapSet.new(), &stream(state, &1, &2))
+    notes = for %{note: note} = track <- state.tracks, note != nil, do: "#{track.topic}: #{note}"
+    %{state | streams: streams, notes: notes, tracks: Map.new(state.tracks, &{&1.id, &1})}
+  end
+
+  defp stream(state, track, taken) do
+    name =
+      if MapSet.member?(taken, track.topic),
+        do: "#{track.topic} (#{track.type})",
+        else: track.topic
+
+    {first, last} =
+      if track.count > 0,
+        do: {place(track, 0).time, place(track, track.count - 1).time},
+        else: {nil, nil}
+
+    info = %StreamInfo{
+      id: track.id,
+      name: name,
+      store_name: state.name,
+      store_path: state.path,
+      type: track.situ,
+      type_name: track.type,
+      opened: first,
+      closed: if(state.contents.indexed?, do: last || 0),
+      count: track.count,
+      first: first,
+      last: last,
+      first_creation: first,
+      last_creation: last
+    }
+
+    {info, MapSet.put(taken, name)}
+  end
+
+  defp place(%{places: places}, ordinal) do
+    <<time::64, chunk::64, offset::64>> = binary_part(places, ordinal * @place, @place)
+    %{time: time, chunk: chunk, offset: offset}
+  end
+
+  @impl true
+  def info(state) do
+    %{
+      name: state.name,
+      created:
+        state.streams |> Enum.map(& &1.first) |> Enum.reject(&is_nil/1) |> Enum.min(fn -> nil end),
+      closed?: state.contents.indexed?,
+      live?: false,
+      damage: Enum.reverse(state.contents.damage),
+      notes: state.notes
+    }
+  end
+
+  @impl true
+  def streams(state), do: state.streams
+
+  @impl true
+  def seek(state, info, time) do
+    track = Map.fetch!(state.tracks, info.id)
+    {:ok, search(track, time, 0, track.count)}
+  end
+
+  defp search(_track, _time, low, high) when low >= high, do: low
+
+  defp search(track, time, low, high) do
+    middle = div(low + high, 2)
+
+    if place(track, middle).time < time,
+      do: search(track, time, middle + 1, high),
+      else: search(track, time, low, middle)
+  end
+
+  @impl true
+  def read(state, info, ordinal, to, limit, opts) do
+    track = Map.fetch!(state.tracks, info.id)
+
+    last =
+      if to == :unbounded, do: track.count - 1, else: search(track, to + 1, 0, track.count) - 1
+
+    places =
+      for at <- ordinal..min(last, ordinal + limit - 1)//1,
+          p = place(track, at),
+          do: {p.time, p.chunk, p.offset}
+
+    cond do
+      places == [] -> {:ok, [], ordinal}
+      opts[:envelopes] -> {:ok, envelopes(track, places, ordinal), ordinal + length(places)}
+      true -> decoded(state, track, places, ordinal)
+    end
+  end
+
+  defp envelopes(track, places, ordinal),
+    do:
+      for(
+        {{time, _, _}, at} <- Enum.with_index(places, ordinal),
+        do: message(track, time, at, nil)
+      )
+
+  defp decoded(state, track, places, ordinal) do
+    with {:ok, found} <- messages(state, places) do
+      messages =
+        for {{{time, _, _}, bytes}, at} <- Enum.with_index(found, ordinal),
+            do: message(track, time, at, data(bytes, track.codec))
+
+      {:ok, messages, ordinal + length(messages)}
+    end
+  end
+
+  defp message(track, time, ordinal, data),
+    do: %Message{
+      data: data,
+      originating_time: time,
+      creation_time: time,
+      sequence_id: ordinal + 1,
+      source_id: track.id
+    }
+
+  defp data(bytes, codec) do
+    case Codec.decode(codec, bytes) do
+      {:ok, value} -> value
+      {:error, why} -> %Undecoded{codec: "ros1", bytes: bytes, reason: why}
+    end
+  end
+
+  # The bytes of messages, no more than fit into a batch: a chunk is unpacked once for all of its messages that follow each other.
+  defp messages(state, places) do
+    with_file(state.path, fn file ->
+      places
+      |> Enum.chunk_by(&elem(&1, 1))
+      |> Enum.reduce_while({:ok, [], 0}, fn [{_, at, _} | _] = group, {:ok, found, bytes} ->
+        case Chunk.read(file, at, state.size) do
+          _ when bytes > @most_bytes ->
+            {:halt, {:ok, found, bytes}}
+
+          {:ok, records} ->
+            within(records, group, found, bytes, at)
+
+          {:error, why} ->
+            {:halt,
+             {:error,
+              Error.new(:damaged, "the chunk at byte #{at} of #{state.path} cannot be read",
+                why: why
+              )}}
+        end
+      end)
+    end)
+    |> case do
+      {:ok, found, _} -> {:ok, found |> Enum.reverse() |> Enum.concat()}
+      error -> error
+    end
+  end
+
+  defp within(records, group, found, bytes, at) do
+    rows = for {_, _, offset} = place <- group, do: {place, body(records, offset)}
+
+    if Enum.any?(rows, &(elem(&1, 1) == nil)),
+      do:
+        {:halt,
+         {:error,
+          Error.new(:damaged, "the index of the chunk at byte #{at} points at no message")}},
+      else:
+        {:cont,
+         {:ok, [rows | found], bytes + (rows |> Enum.map(&byte_size(elem(&1, 1))) |> Enum.sum())}}
+  end
+
+  defp body(records, offset) when offset < byte_size(records) do
+    case Record.take(binary_part(records, offset, byte_size(records) - offset)) do
+      {:ok, :message, _fields, data, _rest} -> data
+      _ -> nil
+    end
+  end
+
+  defp body(_records, _offset), do: nil
+
+  # Writing
+
+  @doc """
+  During `build`: a bag that the pipeline writes.
+
+  #{Situ.Options.docs(Writer.file_options())}
+  """
+  @spec create(Situ.Pipeline.t(), Path.t(), keyword()) :: Exporter.t()
+  def create(p, path, opts \\ []), do: Exporter.create(p, Writer, path, opts)
+
+  @doc """
+  Writes a stream to a topic; returns the stream.
+
+  #{Situ.Options.docs(Writer.topic_options())}
+  """
+  @spec write(Situ.Stream.t(), Exporter.t(), String.t(), keyword()) :: Situ.Stream.t()
+  defdelegate write(stream, exporter, topic, opts \\ []), to: Exporter
+
+  @doc "Writes a recording to a new bag, its messages in order of time: `{:ok, count}`. Options as `create/3`, and `streams:`, the names of those wanted."
+  @spec export(Situ.Store.t(), Path.t(), keyword()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def export(store, path, opts \\ []), do: Export.export(Writer, store, path, opts)
+end

@@ -1,0 +1,29 @@
+defmodule Situ.Bridge.Ros.Bag.Chunk do
+  @moduledoc false
+  # A chunk of a bag, unpacked. What is missing of the last one of a file cut short is not asked for.
+  alias Situ.Bridge.Native
+  alias Situ.Bridge.Ros.Bag.Record
+
+  @most 1_073_741_824
+
+  @spec read(:file.fd(), non_neg_integer(), non_neg_integer()) ::
+          {:ok, binary()} | {:error, String.t()}
+  def read(file, at, size) do
+    with {:ok, <<h::little-32>>} <- :file.pread(file, at, 4),
+         {:ok, <<header::binary-size(h), d::little-32>>} <- :file.pread(file, at + 4, h + 4),
+         {:ok, fields} <- Record.fields(header),
+         {:ok, data} <- :file.pread(file, at + 8 + h, min(d, max(size - at - 8 - h, 0))) do
+      unpack(fields["compression"], data, Record.u32(fields, "size") || 0)
+    else
+      _ -> {:error, "it cannot be read"}
+    end
+  end
+
+  defp unpack("none", data, _size), do: {:ok, data}
+  defp unpack("lz4", data, size) when size <= @most, do: Native.unpack("lz4", data, size)
+
+  defp unpack(other, _data, _size),
+    do:
+      {:error,
+       "it is compressed by #{inspect(other)}, which is not read (`rosbag decompress` does)"}
+end

@@ -1,0 +1,199 @@
+defmodule Situ.Bridge.Ros.Bag.Contents do
+  @moduledoc false
+  # What is in a bag: its connections, and where each message lies. With an index that is read; without one (the recorder was killed, the file
+  # is cut short) all chunks are passed over.
+  alias Situ.Bridge.Ros.Bag.{Chunk, Record}
+
+  # connections: number => %{topic, type, md5, definition}; places: number => [{time, chunk position, offset}]
+  defstruct connections: %{}, places: %{}, damage: [], indexed?: true
+
+  @magic "#ROSBAG V2.0\n"
+  @most_header 64 * 1024 * 1024
+
+  @spec read(:file.fd(), non_neg_integer()) :: {:ok, %__MODULE__{}} | {:error, term()}
+  def read(file, size) do
+    case :file.pread(file, 0, byte_size(@magic)) do
+      {:ok, @magic} -> {:ok, indexed(file, size) || scanned(file, size)}
+      {:ok, "#ROSBAG V" <> version} -> {:error, {:version, String.trim(version)}}
+      {:ok, _} -> {:error, :not_bag}
+      :eof -> {:error, :not_bag}
+      {:error, reason} -> {:error, {:io, reason}}
+    end
+  end
+
+  # The record at `at`: kind, fields, where its data lie.
+  defp place(file, at, size) do
+    with {:ok, <<h::little-32>>} when h <= @most_header and at + 8 + h <= size <-
+           :file.pread(file, at, 4),
+         {:ok, <<header::binary-size(h), d::little-32>>} <- :file.pread(file, at + 4, h + 4),
+         {:ok, fields} <- Record.fields(header) do
+      {:ok, Record.op(fields), fields, at + 8 + h, d}
+    else
+      _ -> :error
+    end
+  end
+
+  defp indexed(file, size) do
+    with {:ok, :bag, fields, _, _} <- place(file, byte_size(@magic), size),
+         at when is_integer(at) and at > 0 and at <= size <- Record.u64(fields, "index_pos"),
+         {:ok, contents, chunks} <- index_section(file, at, size, %__MODULE__{}, []),
+         true <- length(chunks) == Record.u32(fields, "chunk_count"),
+         %__MODULE__{} = contents <-
+           Enum.reduce_while(chunks, contents, &chunk_index(file, size, &1, &2)) do
+      contents
+    else
+      _ -> nil
+    end
+  end
+
+  # Connections and chunk infos up to the end of the file.
+  defp index_section(_file, at, size, contents, chunks) when at == size,
+    do: {:ok, contents, chunks}
+
+  defp index_section(file, at, size, contents, chunks) do
+    with {:ok, op, fields, data, n} when data + n <= size <- place(file, at, size) do
+      case op do
+        :connection ->
+          index_section(
+            file,
+            data + n,
+            size,
+            connection(contents, fields, pread(file, data, n)),
+            chunks
+          )
+
+        :chunk_info ->
+          index_section(file, data + n, size, contents, [
+            {Record.u64(fields, "chunk_pos"), Record.u32(fields, "count")} | chunks
+          ])
+
+        _ ->
+          index_section(file, data + n, size, contents, chunks)
+      end
+    else
+      _ -> :error
+    end
+  end
+
+  # A chunk's messages by the index records behind it, one a connection.
+  defp chunk_index(file, size, {at, connections}, contents)
+       when is_integer(at) and is_integer(connections) do
+    with {:ok, :chunk, _, data, n} <- place(file, at, size),
+         {:ok, contents} <- index_records(file, size, data + n, connections, at, contents) do
+      {:cont, contents}
+    else
+      _ -> {:halt, nil}
+    end
+  end
+
+  defp chunk_index(_file, _size, _chunk, _contents), do: {:halt, nil}
+
+  defp index_records(_file, _size, _at, 0, _chunk, contents), do: {:ok, contents}
+
+  defp index_records(file, size, at, left, chunk, contents) do
+    with {:ok, :index, fields, data, n} when data + n <= size <- place(file, at, size),
+         number when is_integer(number) <- Record.u32(fields, "conn") do
+      found =
+        for <<time::binary-8, offset::little-32 <- pread(file, data, n)>>,
+          do: {Record.time(time), chunk, offset}
+
+      index_records(file, size, data + n, left - 1, chunk, put(contents, number, found))
+    else
+      _ -> :error
+    end
+  end
+
+  defp pread(file, at, n) do
+    case :file.pread(file, at, n) do
+      {:ok, bytes} -> bytes
+      _ -> ""
+    end
+  end
+
+  defp put(contents, number, found),
+    do: %{contents | places: Map.update(contents.places, number, [found], &[found | &1])}
+
+  defp connection(contents, fields, data) do
+    with number when is_integer(number) <- Record.u32(fields, "conn"),
+         {:ok, about} <- Record.fields(data) do
+      connection = %{
+        topic: fields["topic"] || about["topic"] || "",
+        type: about["type"] || "",
+        md5: about["md5sum"],
+        definition: about["message_definition"] || "",
+        caller: about["callerid"],
+        latching: about["latching"] == "1"
+      }
+
+      %{contents | connections: Map.put_new(contents.connections, number, connection)}
+    else
+      _ -> contents
+    end
+  end
+
+  # Passing over the records.
+
+  defp scanned(file, size), do: scan(file, byte_size(@magic), size, %__MODULE__{indexed?: false})
+
+  defp scan(_file, at, size, contents) when at >= size, do: contents
+
+  defp scan(file, at, size, contents) do
+    case place(file, at, size) do
+      {:ok, :chunk, _fields, data, n} when data + n <= size ->
+        scan(file, data + n, size, chunk(file, at, size, contents))
+
+      {:ok, :chunk, _fields, _data, _n} ->
+        file |> chunk(at, size, contents) |> torn(at)
+
+      {:ok, :connection, fields, data, n} when data + n <= size ->
+        scan(file, data + n, size, connection(contents, fields, pread(file, data, n)))
+
+      {:ok, _other, _fields, data, n} when data + n <= size ->
+        scan(file, data + n, size, contents)
+
+      _ ->
+        torn(contents, at)
+    end
+  end
+
+  defp torn(contents, at),
+    do: %{
+      contents
+      | damage: ["the file is cut short in the record at byte #{at}" | contents.damage]
+    }
+
+  defp chunk(file, at, size, contents) do
+    case Chunk.read(file, at, size) do
+      {:ok, records} -> within(records, 0, at, contents)
+      {:error, why} -> %{contents | damage: ["the chunk at byte #{at}: #{why}" | contents.damage]}
+    end
+  end
+
+  defp within(records, offset, at, contents) do
+    case Record.take(records) do
+      {:ok, op, fields, data, rest} ->
+        within(
+          rest,
+          offset + byte_size(records) - byte_size(rest),
+          at,
+          found(op, fields, data, {at, offset}, contents)
+        )
+
+      :error ->
+        contents
+    end
+  end
+
+  defp found(:message, fields, _data, {at, offset}, contents) do
+    case {Record.u32(fields, "conn"), Record.time(fields["time"])} do
+      {number, time} when is_integer(number) and is_integer(time) ->
+        put(contents, number, [{time, at, offset}])
+
+      _ ->
+        contents
+    end
+  end
+
+  defp found(:connection, fields, data, _place, contents), do: connection(contents, fields, data)
+  defp found(_op, _fields, _data, _place, contents), do: contents
+end

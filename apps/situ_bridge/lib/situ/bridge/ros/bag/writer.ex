@@ -1,0 +1,236 @@
+defmodule Situ.Bridge.Ros.Bag.Writer do
+  @moduledoc false
+  @behaviour Situ.Bridge.Recorder
+  # Writes a bag: chunks of records with the index behind each, at the end connections and chunk infos, and where those are in the record
+  # that the file begins with.
+  alias Situ.Bridge.Mcap.Channel
+  alias Situ.Bridge.Ros.Bag.Record
+  alias Situ.Bridge.Ros.Definition
+  alias Situ.Error
+
+  @magic "#ROSBAG V2.0\n"
+  # The first record is filled up to this, so that it can be written again at the end.
+  @first 4_096
+
+  @file_options [chunk: [type: :pos_integer, default: 786_432, doc: "Bytes of a chunk."]]
+  @topic [
+    type: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The ROS type; by default the standard one that fits the first message."
+    ],
+    definition: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "Its definition (`.msg`), when it is none of ROS's own."
+    ]
+  ]
+
+  defstruct [
+    :path,
+    :file,
+    :chunk,
+    at: 0,
+    channels: %{},
+    pending: [],
+    size: 0,
+    index: %{},
+    infos: [],
+    count: 0,
+    span: nil
+  ]
+
+  @impl true
+  def file_options, do: @file_options
+  @impl true
+  def topic_options, do: @topic
+
+  @impl true
+  def create(path, opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @file_options),
+         {:ok, file} <- open(path),
+         {:ok, writer} <-
+           append(%__MODULE__{path: path, file: file, chunk: opts[:chunk]}, [
+             @magic,
+             first(0, 0, 0)
+           ]),
+         do: {:ok, writer}
+  end
+
+  defp open(path) do
+    with {:error, reason} <- :file.open(path, [:write, :raw, :binary]),
+         do: {:error, io(path, reason)}
+  end
+
+  defp io(path, :enospc),
+    do:
+      Error.new(:disk_full, "no room left on the disk of #{path}",
+        fix: "free some space, or write elsewhere"
+      )
+
+  defp io(path, reason),
+    do: Error.new(:io, "cannot write #{path}", why: to_string(:file.format_error(reason)))
+
+  defp first(index, connections, chunks) do
+    fields = [
+      {"index_pos", <<index::little-64>>},
+      {"conn_count", <<connections::little-32>>},
+      {"chunk_count", <<chunks::little-32>>}
+    ]
+
+    header = IO.iodata_length(Record.header([{"op", <<3>>} | fields]))
+    Record.write(:bag, fields, :binary.copy(" ", @first - 8 - header))
+  end
+
+  defp append(writer, bytes) do
+    case :file.write(writer.file, bytes) do
+      :ok -> {:ok, %{writer | at: writer.at + IO.iodata_length(bytes)}}
+      {:error, reason} -> {:error, io(writer.path, reason)}
+    end
+  end
+
+  @impl true
+  def write(writer, topic, message, opts) do
+    with {:ok, writer, channel} <- channel(writer, topic, message.data, opts),
+         {:ok, bytes} <- Channel.encode(channel, message.data, message.originating_time),
+         {:ok, time} <- time(topic, message.originating_time) do
+      record =
+        Record.write(
+          :message,
+          [{"conn", <<channel.id::little-32>>}, {"time", Record.stamp(time)}],
+          bytes
+        )
+
+      index =
+        Map.update(writer.index, channel.id, [{time, writer.size}], &[{time, writer.size} | &1])
+
+      writer = %{writer | index: index, span: span(writer.span, time), count: writer.count + 1}
+      pend(writer, record)
+    end
+  end
+
+  defp time(_topic, time) when time in 0..4_294_967_295_999_999_999, do: {:ok, time}
+
+  defp time(topic, time),
+    do:
+      {:error,
+       Error.new(:not_writable, "a message of #{topic} is from #{Situ.Time.to_iso8601(time)}",
+         why: "bags have times from 1970 to 2106"
+       )}
+
+  defp span(nil, time), do: {time, time}
+  defp span({first, last}, time), do: {min(first, time), max(last, time)}
+
+  defp pend(writer, record) do
+    writer = %{
+      writer
+      | pending: [record | writer.pending],
+        size: writer.size + IO.iodata_length(record)
+    }
+
+    if writer.size >= writer.chunk, do: end_chunk(writer), else: {:ok, writer}
+  end
+
+  defp channel(writer, topic, data, opts) do
+    case writer.channels do
+      %{^topic => channel} ->
+        {:ok, writer, channel}
+
+      channels ->
+        with {:ok, opts} <- Situ.Options.validate(opts, @topic),
+             {:ok, channel} <- Channel.new(topic, [encoding: :ros1] ++ opts, data) do
+          channel = %{channel | id: map_size(channels)}
+
+          {:ok, writer} =
+            pend(%{writer | channels: Map.put(channels, topic, channel)}, connection(channel))
+
+          {:ok, writer, channel}
+        end
+    end
+  end
+
+  defp connection(%{schema: {type, _, text}} = channel) do
+    about = [
+      {"topic", channel.topic},
+      {"type", type},
+      {"md5sum", Definition.md5(channel.definition)},
+      {"message_definition", text}
+    ]
+
+    Record.write(
+      :connection,
+      [{"conn", <<channel.id::little-32>>}, {"topic", channel.topic}],
+      Record.header(about)
+    )
+  end
+
+  defp end_chunk(%{pending: []} = writer), do: {:ok, writer}
+
+  defp end_chunk(writer) do
+    position = writer.at
+
+    chunk =
+      Record.write(
+        :chunk,
+        [{"compression", "none"}, {"size", <<writer.size::little-32>>}],
+        Enum.reverse(writer.pending)
+      )
+
+    indexes =
+      for {id, found} <- Enum.sort(writer.index) do
+        rows =
+          for {time, offset} <- Enum.reverse(found),
+              do: [Record.stamp(time), <<offset::little-32>>]
+
+        Record.write(
+          :index,
+          [
+            {"ver", <<1::little-32>>},
+            {"conn", <<id::little-32>>},
+            {"count", <<length(found)::little-32>>}
+          ],
+          rows
+        )
+      end
+
+    with {:ok, writer} <- append(writer, [chunk, indexes]) do
+      counts = for {id, found} <- Enum.sort(writer.index), do: {id, length(found)}
+      info = {position, writer.span || {0, 0}, counts}
+      {:ok, %{writer | pending: [], size: 0, index: %{}, span: nil, infos: [info | writer.infos]}}
+    end
+  end
+
+  # A chunk's size is in its head, so only whole ones can be handed over: what is pending stays so.
+  @impl true
+  def flush(_writer), do: {:ok, nil}
+
+  @impl true
+  def finish(writer) do
+    with {:ok, %{at: index} = writer} <- end_chunk(writer),
+         {:ok, writer} <-
+           append(writer, [connections(writer), Enum.map(Enum.reverse(writer.infos), &info/1)]),
+         head = first(index, map_size(writer.channels), length(writer.infos)),
+         :ok <- written(:file.pwrite(writer.file, byte_size(@magic), head), writer),
+         :ok <- written(:file.datasync(writer.file), writer),
+         :ok <- written(:file.close(writer.file), writer),
+         do: {:ok, nil}
+  end
+
+  defp written(:ok, _writer), do: :ok
+  defp written({:error, reason}, writer), do: {:error, io(writer.path, reason)}
+
+  defp connections(writer),
+    do: writer.channels |> Map.values() |> Enum.sort_by(& &1.id) |> Enum.map(&connection/1)
+
+  defp info({position, {first, last}, counts}) do
+    fields = [
+      {"ver", <<1::little-32>>},
+      {"chunk_pos", <<position::little-64>>},
+      {"start_time", Record.stamp(first)},
+      {"end_time", Record.stamp(last)},
+      {"count", <<length(counts)::little-32>>}
+    ]
+
+    Record.write(:chunk_info, fields, for({id, n} <- counts, do: <<id::little-32, n::little-32>>))
+  end
+end

@@ -1,0 +1,112 @@
+defmodule Situ.Bridge.Ros.Number do
+  @moduledoc false
+  # Numbers of fixed size in either byte order; what Elixir's floats have not are `:nan`, `:infinity` and `:neg_infinity`.
+
+  @sizes %{
+    bool: 1,
+    int8: 1,
+    uint8: 1,
+    int16: 2,
+    uint16: 2,
+    int32: 4,
+    uint32: 4,
+    float32: 4,
+    int64: 8,
+    uint64: 8,
+    float64: 8
+  }
+
+  @type kind :: atom()
+  @type order :: :little | :big
+
+  @doc "Bytes of one number, or nil."
+  @spec size(term()) :: 1 | 2 | 4 | 8 | nil
+  def size(kind), do: Map.get(@sizes, kind)
+
+  @doc "The number in `bytes`, which are as many as `size/1` says."
+  @spec read(kind(), binary(), order()) :: term()
+  def read(kind, bytes, :big), do: read(kind, reversed(bytes), :little)
+  def read(:bool, <<b>>, _), do: b != 0
+  def read(:int8, <<n::signed-8>>, _), do: n
+  def read(:uint8, <<n>>, _), do: n
+  def read(:int16, <<n::little-signed-16>>, _), do: n
+  def read(:uint16, <<n::little-16>>, _), do: n
+  def read(:int32, <<n::little-signed-32>>, _), do: n
+  def read(:uint32, <<n::little-32>>, _), do: n
+  def read(:int64, <<n::little-signed-64>>, _), do: n
+  def read(:uint64, <<n::little-64>>, _), do: n
+  def read(:float32, <<x::little-float-32>>, _), do: x
+  def read(:float64, <<x::little-float-64>>, _), do: x
+  def read(:float32, <<bits::little-32>>, _), do: special(bits, 31, 23)
+  def read(:float64, <<bits::little-64>>, _), do: special(bits, 63, 52)
+
+  defp reversed(bytes),
+    do: bytes |> :binary.bin_to_list() |> Enum.reverse() |> :binary.list_to_bin()
+
+  defp special(bits, sign, mantissa) do
+    cond do
+      Bitwise.band(bits, Bitwise.bsl(1, mantissa) - 1) != 0 -> :nan
+      Bitwise.bsr(bits, sign) == 1 -> :neg_infinity
+      true -> :infinity
+    end
+  end
+
+  @doc "All numbers in `bytes`; a list of bytes is a binary."
+  @spec read_all(kind(), binary(), order()) :: [term()] | binary()
+  def read_all(kind, bytes, _) when kind in [:uint8, :int8], do: :binary.copy(bytes)
+
+  def read_all(:float64, bytes, :little),
+    do: floats(for(<<x::little-float-64 <- bytes>>, do: x), :float64, bytes)
+
+  def read_all(:float32, bytes, :little),
+    do: floats(for(<<x::little-float-32 <- bytes>>, do: x), :float32, bytes)
+
+  def read_all(:int32, bytes, :little), do: for(<<n::little-signed-32 <- bytes>>, do: n)
+  def read_all(:uint16, bytes, :little), do: for(<<n::little-16 <- bytes>>, do: n)
+  def read_all(kind, bytes, order), do: each(kind, bytes, order)
+
+  # A comprehension leaves out what is no number.
+  defp floats(all, kind, bytes) do
+    if length(all) * size(kind) == byte_size(bytes), do: all, else: each(kind, bytes, :little)
+  end
+
+  defp each(kind, bytes, order) do
+    size = size(kind)
+    for <<one::binary-size(size) <- bytes>>, do: read(kind, one, order)
+  end
+
+  @doc "A number as bytes, little-endian. Throws `{:not_writable, value}` for what the kind has not."
+  @spec write(kind(), term()) :: binary()
+  def write(:bool, b) when is_boolean(b), do: <<if(b, do: 1, else: 0)>>
+
+  def write(kind, b) when is_boolean(b) and kind in [:uint8, :int8],
+    do: write(kind, if(b, do: 1, else: 0))
+
+  def write(:bool, n) when n in [0, 1], do: <<n>>
+  def write(:int8, n) when n in -0x80..0xFF, do: <<n::8>>
+  def write(:uint8, n) when n in 0..0xFF, do: <<n>>
+  def write(:int16, n) when n in -0x8000..0x7FFF, do: <<n::little-16>>
+  def write(:uint16, n) when n in 0..0xFFFF, do: <<n::little-16>>
+  def write(:int32, n) when n in -0x8000_0000..0x7FFF_FFFF, do: <<n::little-32>>
+  def write(:uint32, n) when n in 0..0xFFFF_FFFF, do: <<n::little-32>>
+
+  def write(:int64, n) when n in -0x8000_0000_0000_0000..0x7FFF_FFFF_FFFF_FFFF,
+    do: <<n::little-64>>
+
+  def write(:uint64, n) when n in 0..0xFFFF_FFFF_FFFF_FFFF, do: <<n::little-64>>
+
+  def write(:float32, x) when is_number(x) and abs(x) <= 3.4028234663852886e38,
+    do: <<x::little-float-32>>
+
+  def write(:float32, x) when is_number(x),
+    do: write(:float32, if(x > 0, do: :infinity, else: :neg_infinity))
+
+  def write(:float64, x) when is_number(x), do: <<x::little-float-64>>
+  def write(:float32, :nan), do: <<0x7FC00000::little-32>>
+  def write(:float32, :infinity), do: <<0x7F800000::little-32>>
+  def write(:float32, :neg_infinity), do: <<0xFF800000::little-32>>
+  def write(:float64, :nan), do: <<0x7FF8000000000000::little-64>>
+  def write(:float64, :infinity), do: <<0x7FF0000000000000::little-64>>
+  def write(:float64, :neg_infinity), do: <<0xFFF0000000000000::little-64>>
+  def write(_kind, value), do: throw({:not_writable, value})
+end

@@ -1,0 +1,260 @@
+defmodule Situ.Bridge.Ros.Wire do
+  @moduledoc """
+  Messages of any ROS type as bytes and back: ROS 1's serialisation (`:ros1`) and ROS 2's, CDR (`:cdr`).
+
+      iex> alias Situ.Bridge.Ros.{Definition, Wire}
+      iex> {:ok, definition} = Definition.parse("my/Reading", "string name\\nfloat32[] values\\ntime at")
+      iex> {:ok, bytes} = Wire.encode(definition, %{"name" => "a", "values" => [1.5], "at" => 1_000_000_002}, :ros1)
+      iex> Wire.decode(definition, bytes, :ros1)
+      {:ok, %{"name" => "a", "values" => [1.5], "at" => 1_000_000_002}}
+
+  A message is a map with string keys. Times and durations are nanoseconds; lists of bytes are binaries, other lists lists; NaN and infinities
+  are atoms. Members that are missing when a message is written are zero, empty or false.
+
+  What is read is bounded by the bytes there are. CDR is read in both byte orders and written little-endian, with the alignment of
+  version 1 (what ROS 2 uses).
+  """
+  alias Situ.Bridge.Ros.{Definition, Number}
+
+  @type encoding :: :ros1 | :cdr
+
+  # {bytes, offset from where alignment counts, encoding, byte order}
+  defmodule Cursor do
+    @moduledoc false
+    defstruct [:bytes, :encoding, at: 0, order: :little]
+  end
+
+  @doc "The message in `bytes`, or why there is none."
+  @spec decode(Definition.t(), binary(), encoding()) :: {:ok, map()} | {:error, String.t()}
+  def decode(definition, bytes, encoding) do
+    {value, _cursor} = message(definition.name, definition.types, cursor(bytes, encoding))
+    {:ok, value}
+  catch
+    {:not_ros, why} -> {:error, why}
+  end
+
+  defp cursor(bytes, :ros1), do: %Cursor{bytes: bytes, encoding: :ros1}
+  defp cursor(<<0, 1, _::16, rest::binary>>, :cdr), do: %Cursor{bytes: rest, encoding: :cdr}
+
+  defp cursor(<<0, 0, _::16, rest::binary>>, :cdr),
+    do: %Cursor{bytes: rest, encoding: :cdr, order: :big}
+
+  defp cursor(<<_, kind, _::binary>>, :cdr),
+    do: fail("an encapsulation of the kind #{kind}, where CDR version 1 is read")
+
+  defp cursor(_, :cdr), do: fail("it is too short for CDR")
+
+  defp fail(why), do: throw({:not_ros, why})
+
+  # ROS 2 has its times as messages.
+  defp message(name, _types, cursor)
+       when name in ["builtin_interfaces/Time", "builtin_interfaces/Duration"],
+       do: stamp(cursor, :int32)
+
+  defp message(name, types, cursor) do
+    {pairs, cursor} =
+      Enum.map_reduce(Map.fetch!(types, name).fields, cursor, fn {field, type}, cursor ->
+        {value, cursor} = value(type, types, cursor)
+        {{field, value}, cursor}
+      end)
+
+    {Map.new(pairs), cursor}
+  end
+
+  defp value({:message, name}, types, cursor), do: message(name, types, cursor)
+  defp value({:array, type, n}, types, cursor), do: values(n, type, types, cursor)
+
+  defp value({:list, type}, types, cursor) do
+    {n, cursor} = number(:uint32, cursor)
+    values(n, type, types, cursor)
+  end
+
+  defp value(:string, _types, %{encoding: :ros1} = cursor) do
+    {n, cursor} = number(:uint32, cursor)
+    {text, cursor} = take(n, cursor)
+    {:binary.copy(text), cursor}
+  end
+
+  # With a zero behind it that counts.
+  defp value(:string, _types, cursor) do
+    {n, cursor} = number(:uint32, cursor)
+    {text, cursor} = take(n, cursor)
+    {text |> String.trim_trailing(<<0>>) |> :binary.copy(), cursor}
+  end
+
+  defp value(:wstring, _types, cursor) do
+    {n, cursor} = number(:uint32, cursor)
+    {text, cursor} = take(n * 2, cursor)
+    order = {:utf16, cursor.order}
+
+    case :unicode.characters_to_binary(text, order) do
+      text when is_binary(text) -> {text, cursor}
+      _ -> fail("a wide string that is none")
+    end
+  end
+
+  defp value(:time, _types, cursor), do: stamp(cursor, :uint32)
+  defp value(:duration, _types, cursor), do: stamp(cursor, :int32)
+  defp value(kind, _types, cursor), do: number(kind, cursor)
+
+  defp stamp(cursor, seconds) do
+    {s, cursor} = number(seconds, cursor)
+
+    {ns, cursor} =
+      number(
+        if(cursor.encoding == :ros1 and seconds == :int32, do: :int32, else: :uint32),
+        cursor
+      )
+
+    {s * 1_000_000_000 + ns, cursor}
+  end
+
+  defp values(n, type, types, cursor) do
+    case Number.size(type) do
+      nil -> each(n, type, types, cursor)
+      size -> numbers(n, type, size, cursor)
+    end
+  end
+
+  # An empty list has no elements that would have to be aligned.
+  defp numbers(0, type, _size, cursor), do: {Number.read_all(type, "", cursor.order), cursor}
+
+  defp numbers(n, type, size, cursor) do
+    {bytes, cursor} = cursor |> align(size) |> then(&take(n * size, &1))
+    {Number.read_all(type, bytes, cursor.order), cursor}
+  end
+
+  # Elements take a byte at least; messages without fields are nobody's lists.
+  defp each(n, _type, _types, cursor) when n > byte_size(cursor.bytes),
+    do: fail("a list of #{n} in #{byte_size(cursor.bytes)} bytes")
+
+  defp each(n, type, types, cursor),
+    do: Enum.map_reduce(1..n//1, cursor, fn _, cursor -> value(type, types, cursor) end)
+
+  defp number(kind, cursor) do
+    size = Number.size(kind)
+    {bytes, cursor} = cursor |> align(size) |> then(&take(size, &1))
+    {Number.read(kind, bytes, cursor.order), cursor}
+  end
+
+  defp align(%{encoding: :ros1} = cursor, _size), do: cursor
+
+  defp align(cursor, size) do
+    case rem(size - rem(cursor.at, size), size) do
+      0 -> cursor
+      gap -> cursor |> then(&take(gap, &1)) |> elem(1)
+    end
+  end
+
+  defp take(n, cursor) do
+    case cursor.bytes do
+      <<taken::binary-size(n), rest::binary>> ->
+        {taken, %{cursor | bytes: rest, at: cursor.at + n}}
+
+      bytes ->
+        fail("it ends after #{cursor.at + byte_size(bytes)} bytes, within a field")
+    end
+  end
+
+  @doc "The message as bytes. Error: what cannot be written."
+  @spec encode(Definition.t(), map(), encoding()) :: {:ok, binary()} | {:error, String.t()}
+  def encode(definition, message, encoding) do
+    {parts, _at} = put_message(definition.name, definition.types, message, {[], 0}, encoding)
+    head = if encoding == :cdr, do: <<0, 1, 0, 0>>, else: ""
+    {:ok, IO.iodata_to_binary([head | Enum.reverse(parts)])}
+  catch
+    {:not_writable, value} -> {:error, "#{inspect(value, limit: 5)} does not fit its field"}
+  end
+
+  defp put_message(name, _types, time, out, encoding)
+       when name in ["builtin_interfaces/Time", "builtin_interfaces/Duration"],
+       do: put_stamp(time || 0, :int32, out, encoding)
+
+  defp put_message(name, types, message, out, encoding) when is_map(message) or is_nil(message) do
+    Enum.reduce(Map.fetch!(types, name).fields, out, fn {field, type}, out ->
+      put(type, types, message && Map.get(message, field), out, encoding)
+    end)
+  end
+
+  defp put_message(_name, _types, other, _out, _encoding), do: throw({:not_writable, other})
+
+  defp put({:message, name}, types, value, out, encoding),
+    do: put_message(name, types, value, out, encoding)
+
+  defp put({:array, type, n}, types, value, out, encoding) do
+    if value != nil and count(value) != n, do: throw({:not_writable, value})
+    put_values(type, types, value || zeros(type, n), out, encoding)
+  end
+
+  defp put({:list, type}, types, value, out, encoding) do
+    value = value || []
+    put_values(type, types, value, put_number(:uint32, count(value), out, encoding), encoding)
+  end
+
+  defp put(:string, _types, value, out, :ros1) do
+    text = text(value)
+    append(text, put_number(:uint32, byte_size(text), out, :ros1))
+  end
+
+  defp put(:string, _types, value, out, :cdr) do
+    text = text(value) <> <<0>>
+    append(text, put_number(:uint32, byte_size(text), out, :cdr))
+  end
+
+  defp put(:wstring, _types, value, out, encoding) do
+    text = :unicode.characters_to_binary(text(value), :utf8, {:utf16, :little})
+    append(text, put_number(:uint32, div(byte_size(text), 2), out, encoding))
+  end
+
+  defp put(:time, _types, value, out, encoding), do: put_stamp(value || 0, :uint32, out, encoding)
+
+  defp put(:duration, _types, value, out, encoding),
+    do: put_stamp(value || 0, :int32, out, encoding)
+
+  defp put(kind, _types, nil, out, encoding),
+    do: put_number(kind, if(kind == :bool, do: false, else: 0), out, encoding)
+
+  defp put(kind, _types, value, out, encoding), do: put_number(kind, value, out, encoding)
+
+  defp put_stamp(ns, seconds, out, encoding) when is_integer(ns) do
+    out = put_number(seconds, Integer.floor_div(ns, 1_000_000_000), out, encoding)
+    put_number(:uint32, Integer.mod(ns, 1_000_000_000), out, encoding)
+  end
+
+  defp put_stamp(other, _seconds, _out, _encoding), do: throw({:not_writable, other})
+
+  defp put_values(kind, _types, bytes, out, _encoding)
+       when is_binary(bytes) and kind in [:uint8, :int8],
+       do: append(bytes, out)
+
+  defp put_values(_type, _types, value, _out, _encoding) when not is_list(value),
+    do: throw({:not_writable, value})
+
+  defp put_values(type, types, list, out, encoding),
+    do: Enum.reduce(list, out, &put(type, types, &1, &2, encoding))
+
+  defp count(bytes) when is_binary(bytes), do: byte_size(bytes)
+  defp count(list) when is_list(list), do: length(list)
+  defp count(other), do: throw({:not_writable, other})
+
+  defp zeros(kind, n) when kind in [:uint8, :int8], do: :binary.copy(<<0>>, n)
+  defp zeros(_type, n), do: List.duplicate(nil, n)
+
+  defp text(nil), do: ""
+  defp text(text) when is_binary(text), do: text
+  defp text(other), do: throw({:not_writable, other})
+
+  defp put_number(kind, value, {parts, at}, :cdr) do
+    size = Number.size(kind)
+    gap = rem(size - rem(at, size), size)
+
+    append(
+      Number.write(kind, value),
+      {if(gap == 0, do: parts, else: [<<0::size(gap)-unit(8)>> | parts]), at + gap}
+    )
+  end
+
+  defp put_number(kind, value, out, :ros1), do: append(Number.write(kind, value), out)
+
+  defp append(bytes, {parts, at}), do: {[bytes | parts], at + byte_size(bytes)}
+end

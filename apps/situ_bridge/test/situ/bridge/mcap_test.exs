@@ -1,0 +1,151 @@
+defmodule Situ.Bridge.McapTest do
+  use ExUnit.Case, async: true
+  alias Situ.Bridge.Mcap
+  alias Situ.Store
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  # Recorded by `rosbag record`, converted by the mcap tools.
+  @real Path.expand("../../data/ros1_imu_gps_cam.mcap", __DIR__)
+
+  test "a real recording opens like our own" do
+    store = Store.open!(@real)
+    assert %{profile: "ros1", closed?: true, damage: []} = Store.info(store)
+    counts = Map.new(Store.streams(store), &{&1.name, &1.count})
+
+    assert counts == %{
+             "/imu/data_raw" => 250,
+             "/imu/mag" => 250,
+             "/gps/fix" => 25,
+             "/camera/image/compressed" => 10,
+             "/chatter" => 10
+           }
+
+    assert {:ok, [%{data: "tick 0"}, %{data: "tick 25"}]} =
+             Store.read(store, "/chatter", limit: 2)
+
+    assert {:ok, %{data: %Situ.EncodedImage{format: :jpeg}}} =
+             Store.at(store, "/camera/image/compressed", 0)
+
+    {:ok, imu} = Store.at(store, "/imu/data_raw", 3)
+    assert_in_delta imu.data["linear_acceleration"]["z"], 9.8, 1.0
+    assert {:ok, ^imu} = Store.latest_at(store, "/imu/data_raw", imu.originating_time)
+    assert {:ok, ^imu} = Store.first_at(store, "/imu/data_raw", imu.originating_time)
+    by_stamp = Store.open!(@real, reader_opts: [times: :header])
+    {:ok, stamped} = Store.at(by_stamp, "/imu/data_raw", 3)
+    assert stamped.originating_time == stamped.data["header"]["stamp"]
+    assert stamped.creation_time == imu.originating_time
+  end
+
+  test "a pipeline records a file and replays it", %{tmp_dir: dir} do
+    path = Path.join(dir, "own.mcap")
+    values = for i <- 1..500, do: {i * 1_000_000, i / 2}
+
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        file = Mcap.create(p, path, compression: :zstd)
+        p |> Situ.from_enumerable(values) |> Mcap.write(file, "/level")
+
+        p
+        |> Situ.from_enumerable(for({t, v} <- values, do: {t, %{"v" => v, "list" => [1, nil]}}))
+        |> Mcap.write(file, "/maps")
+
+        p
+        |> Situ.from_enumerable(for({t, v} <- values, do: {t, %Situ.Point3{x: v, y: 0.0, z: -v}}))
+        |> Mcap.write(file, "/points", encoding: :cdr)
+      end)
+
+    store = Store.open!(path)
+    assert for(m <- Store.messages(store, "/level"), do: {m.originating_time, m.data}) == values
+    assert {:ok, %{data: %{"v" => 0.5, "list" => [1, nil]}}} = Store.at(store, "/maps", 0)
+    assert {:ok, %{data: %Situ.Point3{x: 250.0}}} = Store.at(store, "/points", -1)
+
+    got =
+      Situ.to_list(fn p -> p |> Store.importer(path) |> Store.stream("/level") end, times: true)
+
+    assert got == values
+  end
+
+  test "what was recorded before a pipeline is killed is there", %{tmp_dir: dir} do
+    path = Path.join(dir, "killed.mcap")
+    me = self()
+
+    {:ok, pipeline} =
+      Task.start(fn ->
+        {:ok, p} =
+          Situ.Pipeline.start_link(fn p ->
+            p
+            |> Situ.from_enumerable(for(i <- 1..100, do: {i, i}), keep_open: true)
+            |> Situ.each(&send(me, {:got, &1}))
+            |> Mcap.write(Mcap.create(p, path), "/n")
+          end)
+
+        send(me, {:pipeline, p})
+        receive(do: (:never -> :ok))
+      end)
+
+    assert_receive {:got, 100}
+    Process.exit(pipeline, :kill)
+
+    wait_for(fn ->
+      match?({:ok, _}, Store.open(path)) and Store.info(Store.open!(path)).closed?
+    end)
+
+    assert Store.count(Store.open!(path), "/n") > 0
+  end
+
+  test "a recording is exported and read back", %{tmp_dir: dir} do
+    path = Path.join(dir, "copy.mcap")
+    store = Store.open!(@real)
+    assert {:ok, 545} = Mcap.export(store, path)
+    copy = Store.open!(path)
+    for info <- Store.streams(store), do: assert(data(copy, info.name) == data(store, info.name))
+    assert {:ok, 10} = Mcap.export(store, path, streams: ["/chatter"], encoding: :json)
+    assert {:ok, %{data: %{"value" => "tick 0"}}} = Store.at(Store.open!(path), "/chatter", 0)
+  end
+
+  defp data(store, name),
+    do: for(m <- Store.messages(store, name), do: {m.originating_time, m.data})
+
+  test "files cut short and other files are told apart", %{tmp_dir: dir} do
+    path = Path.join(dir, "cut.mcap")
+    bytes = File.read!(@real)
+    File.write!(path, binary_part(bytes, 0, div(byte_size(bytes), 2)))
+    store = Store.open!(path)
+    assert %{closed?: false, damage: [_ | _]} = Store.info(store)
+    for info <- Store.streams(store), do: assert({:ok, _} = Store.read(store, info))
+    File.write!(path, "nothing of the kind")
+    assert {:error, %{code: :not_mcap}} = Store.open(path)
+    assert {:error, %{code: :io}} = Mcap.open(Path.join(dir, "none.mcap"), [])
+  end
+
+  test "what cannot be written is an error of the pipeline", %{tmp_dir: dir} do
+    path = Path.join(dir, "bad.mcap")
+
+    build = fn value, opts ->
+      fn p ->
+        p |> Situ.from_enumerable([{1, value}]) |> Mcap.write(Mcap.create(p, path), "/x", opts)
+      end
+    end
+
+    assert {:error, error} = Situ.Pipeline.run(build.(self(), []))
+    assert Exception.message(error) =~ "/x"
+    assert {:error, _} = Situ.Pipeline.run(build.(%{"a" => 1}, encoding: :ros1))
+    assert {:error, _} = Situ.Pipeline.run(build.(%{"a" => 1}, type: "no/Such"))
+
+    assert {:error, _} =
+             Situ.Pipeline.run(fn p ->
+               p
+               |> Situ.from_enumerable([{1, 1}])
+               |> Mcap.write(Mcap.create(p, Path.join(dir, "no/such/folder.mcap")), "/x")
+             end)
+  end
+
+  defp wait_for(condition, tries \\ 1_000) do
+    cond do
+      condition.() -> :ok
+      tries == 0 -> flunk("it did not come true")
+      true -> receive(after: (10 -> wait_for(condition, tries - 1)))
+    end
+  end
+end

@@ -1,0 +1,55 @@
+//! MCAP files (<https://mcap.dev/spec>) read at random and written: the records are the `mcap` crate's; what is on top is an
+//! index of each channel's messages, so that they can be asked for by number and by time, and the recovery of files without an
+//! index or cut short. Files are read by `pread`, never mapped: one that shrinks meanwhile is an error and no signal.
+
+mod chunk;
+mod file;
+mod open;
+mod reader;
+mod track;
+mod writer;
+
+pub use reader::{Channel, Found, Info, Message, Query, Reader, Schema};
+pub use track::Times;
+pub use writer::{ChannelSpec, Compression, Writer};
+
+/// What went wrong, for a person to read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Error {
+    /// The operating system refused: what was tried, its error number and its words.
+    Io(String, i32, String),
+    /// The file does not begin like MCAP.
+    NotMcap,
+    /// The bytes at an offset make no sense.
+    Damaged(u64, String),
+    /// The writer was closed before.
+    Closed,
+}
+
+/// What this crate answers.
+pub type Result<T> = std::result::Result<T, Error>;
+
+impl Error {
+    pub(crate) fn io(what: &str, error: &std::io::Error) -> Self {
+        Error::Io(
+            what.to_string(),
+            error.raw_os_error().unwrap_or(0),
+            error.to_string(),
+        )
+    }
+
+    pub(crate) fn mcap(what: &str, error: mcap::McapError) -> Self {
+        match error {
+            mcap::McapError::Io(error) => Error::io(what, &error),
+            other => Error::Damaged(0, other.to_string()),
+        }
+    }
+}
+
+/// Bytes that were compressed by `"lz4"`, `"zstd"` or not (`""`), at most `size` of them; or why they cannot be unpacked.
+pub fn unpack(compression: &str, bytes: &[u8], size: u64) -> std::result::Result<Vec<u8>, String> {
+    match chunk::partly(compression, bytes, size) {
+        (bytes, None) => Ok(bytes),
+        (_, Some(why)) => Err(why),
+    }
+}

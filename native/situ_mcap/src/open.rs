@@ -1,0 +1,343 @@
+//! Opening: by the summary at the file's end where it is whole, else by passing over all records.
+
+use std::collections::BTreeMap;
+
+use mcap::records::{op, Record};
+
+use crate::chunk::{self, Records};
+use crate::file::{parse, Bytes, Place};
+use crate::track::{Entry, LOOSE};
+use crate::{Channel, Error, Found, Result, Schema};
+
+pub const MAGIC: &[u8] = &[0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
+const FOOTER: u64 = 9 + 20 + 8;
+
+/// A chunk and the message indexes behind it.
+#[derive(Debug, Clone, Default)]
+pub struct ChunkPlace {
+    pub offset: u64,
+    pub indexes: BTreeMap<u16, u64>,
+    pub start: u64,
+    pub end: u64,
+}
+
+/// What there is in a file.
+#[derive(Debug, Default)]
+pub struct Contents {
+    pub profile: String,
+    pub library: String,
+    pub channels: BTreeMap<u16, Channel>,
+    pub schemas: BTreeMap<u16, Schema>,
+    pub chunks: Vec<ChunkPlace>,
+    pub counts: BTreeMap<u16, u64>,
+    pub attachments: Vec<Found>,
+    pub metadata: Vec<(String, BTreeMap<String, String>)>,
+    /// Messages found while passing over the file; with an index they are looked up later.
+    pub entries: Option<BTreeMap<u16, Vec<Entry>>>,
+    pub damage: Vec<String>,
+    pub finished: bool,
+}
+
+pub fn contents(bytes: &Bytes) -> Result<Contents> {
+    if bytes.size < 8 || bytes.read(0, 8)? != MAGIC {
+        return Err(Error::NotMcap);
+    }
+    match by_summary(bytes) {
+        Ok(Some(contents)) => Ok(contents),
+        Ok(None) => scan(bytes),
+        Err(Error::Damaged(at, why)) => {
+            let mut contents = scan(bytes)?;
+            contents
+                .damage
+                .push(format!("the index cannot be read at byte {at}: {why}"));
+            Ok(contents)
+        }
+        Err(other) => Err(other),
+    }
+}
+
+/// `None` when there is no summary, or one that does not tell of every message.
+fn by_summary(bytes: &Bytes) -> Result<Option<Contents>> {
+    if bytes.size < 8 + FOOTER {
+        return Ok(None);
+    }
+    let tail = bytes.read(bytes.size - FOOTER, FOOTER)?;
+    if &tail[29..] != MAGIC || tail[0] != op::FOOTER {
+        return Ok(None);
+    }
+    let Record::Footer(footer) = parse(op::FOOTER, &tail[9..29], bytes.size - FOOTER)? else {
+        return Ok(None);
+    };
+    if footer.summary_start == 0 || footer.summary_start > bytes.size - FOOTER {
+        return Ok(None);
+    }
+    let length = bytes.size - FOOTER - footer.summary_start;
+    let section = bytes.read(footer.summary_start, length)?;
+    let mut contents = Contents {
+        finished: true,
+        ..Contents::default()
+    };
+    if let Some(place) = bytes.place(8)? {
+        take(&mut contents, place.opcode, &bytes.body(place)?, place.body)?;
+    }
+    let mut messages = None;
+    let mut chunks = 0;
+    let mut read = 0;
+    for (opcode, at, body) in Records::new(&section) {
+        let at = footer.summary_start + at;
+        read = at + 9 + body.len() as u64;
+        match parse(opcode, body, at)? {
+            Record::Statistics(statistics) => {
+                messages = Some(statistics.message_count);
+                chunks = statistics.chunk_count as usize;
+                contents.counts = statistics.channel_message_counts;
+            }
+            Record::ChunkIndex(index) => contents.chunks.push(ChunkPlace {
+                offset: index.chunk_start_offset,
+                indexes: index.message_index_offsets,
+                start: index.message_start_time,
+                end: index.message_end_time,
+            }),
+            Record::AttachmentIndex(index) => contents.attachments.push(Found {
+                name: index.name,
+                media_type: index.media_type,
+                log_time: index.log_time,
+                offset: index.offset,
+                size: index.data_size,
+            }),
+            Record::MetadataIndex(index) => metadata(bytes, &mut contents, index.offset)?,
+            _ => take(&mut contents, opcode, body, at)?,
+        }
+    }
+    if read != bytes.size - FOOTER {
+        return Err(Error::Damaged(
+            read,
+            "the summary ends within a record".to_string(),
+        ));
+    }
+    let told: u64 = contents.counts.values().sum();
+    let indexed = contents
+        .chunks
+        .iter()
+        .all(|c| !c.indexes.is_empty() || c.start == 0 && c.end == 0);
+    contents.chunks.sort_by_key(|c| c.offset);
+    let whole = messages == Some(told)
+        && contents
+            .counts
+            .keys()
+            .all(|id| contents.channels.contains_key(id))
+        && (told == 0 || chunks > 0 && chunks == contents.chunks.len() && indexed);
+    Ok(whole.then_some(contents))
+}
+
+fn metadata(bytes: &Bytes, contents: &mut Contents, offset: u64) -> Result<()> {
+    if let Some(place) = bytes.place(offset)? {
+        if place.opcode == op::METADATA {
+            take(contents, op::METADATA, &bytes.body(place)?, place.body)?;
+        }
+    }
+    Ok(())
+}
+
+/// Records that may lie anywhere: what channels and schemas there are.
+fn take(contents: &mut Contents, opcode: u8, body: &[u8], at: u64) -> Result<()> {
+    if !matches!(opcode, op::HEADER | op::SCHEMA | op::CHANNEL | op::METADATA) {
+        return Ok(());
+    }
+    match parse(opcode, body, at)? {
+        Record::Header(header) => {
+            contents.profile = header.profile;
+            contents.library = header.library;
+        }
+        Record::Schema { header, data } => {
+            let schema = Schema {
+                name: header.name,
+                encoding: header.encoding,
+                data: data.into_owned(),
+            };
+            contents.schemas.entry(header.id).or_insert(schema);
+        }
+        Record::Channel(channel) => {
+            let id = channel.id;
+            let channel = Channel {
+                id,
+                topic: channel.topic,
+                encoding: channel.message_encoding,
+                schema: channel.schema_id,
+                metadata: channel.metadata,
+            };
+            contents.channels.entry(id).or_insert(channel);
+        }
+        Record::Metadata(metadata) => contents.metadata.push((metadata.name, metadata.metadata)),
+        _ => {}
+    }
+    Ok(())
+}
+
+/// Passes over all records, up to the first that makes no sense.
+fn scan(bytes: &Bytes) -> Result<Contents> {
+    let mut contents = Contents::default();
+    let mut entries = BTreeMap::new();
+    let mut at = 8;
+    loop {
+        match bytes.place(at) {
+            Ok(Some(place)) => match record(bytes, place, at, &mut contents, &mut entries) {
+                Ok(true) => at = place.end(),
+                Ok(false) => break,
+                Err(Error::Damaged(fault, why)) => {
+                    contents.damage.push(format!("at byte {fault}: {why}"));
+                    // A chunk that cannot be unpacked has an end all the same.
+                    if place.opcode != op::CHUNK || place.end() > bytes.size {
+                        break;
+                    }
+                    at = place.end();
+                }
+                Err(other) => return Err(other),
+            },
+            Ok(None) => {
+                contents
+                    .damage
+                    .push(format!("the file is cut short at byte {}", bytes.size));
+                break;
+            }
+            Err(other) => return Err(other),
+        }
+    }
+    entries.retain(|id, _| contents.channels.contains_key(id));
+    contents.counts = entries
+        .iter()
+        .map(|(id, e): (&u16, &Vec<Entry>)| (*id, e.len() as u64))
+        .collect();
+    contents.entries = Some(entries);
+    Ok(contents)
+}
+
+type Entries = BTreeMap<u16, Vec<Entry>>;
+
+/// Whether more may follow.
+fn record(
+    bytes: &Bytes,
+    place: Place,
+    at: u64,
+    contents: &mut Contents,
+    entries: &mut Entries,
+) -> Result<bool> {
+    match place.opcode {
+        op::FOOTER | op::DATA_END => {
+            contents.finished = true;
+            Ok(false)
+        }
+        op::MESSAGE => {
+            let head = bytes.read(place.body, 22.min(place.length))?;
+            if place.end() > bytes.size || head.len() < 22 {
+                return Err(Error::Damaged(
+                    at,
+                    "the file is cut short within a message".to_string(),
+                ));
+            }
+            let Record::Message { header, .. } = parse(op::MESSAGE, &head, at)? else {
+                return Ok(true);
+            };
+            let entry = Entry {
+                time: header.log_time,
+                chunk: LOOSE,
+                offset: at,
+            };
+            entries.entry(header.channel_id).or_default().push(entry);
+            Ok(true)
+        }
+        op::CHUNK => {
+            chunk(bytes, place, at, contents, entries)?;
+            Ok(place.end() <= bytes.size)
+        }
+        op::ATTACHMENT => {
+            let body = bytes.body(place)?;
+            if let Record::Attachment { header, data, .. } = parse(op::ATTACHMENT, &body, at)? {
+                contents.attachments.push(Found {
+                    name: header.name,
+                    media_type: header.media_type,
+                    log_time: header.log_time,
+                    offset: at,
+                    size: data.len() as u64,
+                });
+            }
+            Ok(true)
+        }
+        op::HEADER | op::SCHEMA | op::CHANNEL | op::METADATA => {
+            take(contents, place.opcode, &bytes.body(place)?, at)?;
+            Ok(true)
+        }
+        0 => Err(Error::Damaged(at, "no record begins with 0".to_string())),
+        _ if place.end() > bytes.size => {
+            Err(Error::Damaged(at, "the file is cut short".to_string()))
+        }
+        _ => Ok(true),
+    }
+}
+
+fn chunk(
+    bytes: &Bytes,
+    place: Place,
+    at: u64,
+    contents: &mut Contents,
+    entries: &mut Entries,
+) -> Result<()> {
+    let (records, torn) = unpacked(bytes, place, at)?;
+    let number = contents.chunks.len() as u32;
+    for (opcode, offset, body) in Records::new(&records) {
+        if opcode == op::MESSAGE {
+            if let Record::Message { header, .. } = parse(opcode, body, at)? {
+                let entry = Entry {
+                    time: header.log_time,
+                    chunk: number,
+                    offset,
+                };
+                entries.entry(header.channel_id).or_default().push(entry);
+            }
+        } else {
+            take(contents, opcode, body, at)?;
+        }
+    }
+    contents.chunks.push(ChunkPlace {
+        offset: at,
+        ..ChunkPlace::default()
+    });
+    if torn {
+        contents.damage.push(format!(
+            "the file is cut short within the chunk at byte {at}"
+        ));
+    }
+    Ok(())
+}
+
+/// A chunk's records: all of them, or what can be unpacked of one that the file ends in.
+pub fn unpacked(bytes: &Bytes, place: Place, at: u64) -> Result<(Vec<u8>, bool)> {
+    if place.end() <= bytes.size {
+        let body = bytes.body(place)?;
+        let Record::Chunk { header, data } = parse(op::CHUNK, &body, at)? else {
+            return Err(Error::Damaged(at, "no chunk is there".to_string()));
+        };
+        return Ok((chunk::unpack(&header, &data, at)?, false));
+    }
+    let mut body = bytes.read(place.body, bytes.size - place.body)?;
+    let there = body.len();
+    // The crate wants as many bytes as the header promises: those that are lost are left out again.
+    let Some(promised) = promise(&body) else {
+        return Err(Error::Damaged(
+            at,
+            "the file is cut short within a chunk's header".to_string(),
+        ));
+    };
+    let data = body.split_off(promised.0.min(there));
+    let (records, _) = chunk::partly(&promised.1, &data, promised.2.min(1 << 30));
+    Ok((records, true))
+}
+
+/// Where a chunk's data begin, how they are compressed and what they unpack to.
+fn promise(body: &[u8]) -> Option<(usize, String, u64)> {
+    let size = u64::from_le_bytes(body.get(16..24)?.try_into().ok()?);
+    let name = u32::from_le_bytes(body.get(28..32)?.try_into().ok()?) as usize;
+    let text = body.get(32..32usize.checked_add(name)?)?;
+    let data = 32 + name + 8;
+    (body.len() >= data).then(|| (data, String::from_utf8_lossy(text).into_owned(), size))
+}

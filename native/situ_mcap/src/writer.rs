@@ -1,0 +1,145 @@
+//! A file being written.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+use mcap::records::{MessageHeader, Metadata};
+
+use crate::{Error, Result};
+
+/// How chunks are compressed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Compression {
+    /// Not at all.
+    None,
+    /// LZ4.
+    Lz4,
+    /// Zstandard.
+    Zstd,
+}
+
+/// A channel to be written.
+pub struct ChannelSpec<'a> {
+    /// Its name.
+    pub topic: &'a str,
+    /// How its messages are written.
+    pub encoding: &'a str,
+    /// The type's name, the language of its definition, the definition; `None` for no schema.
+    pub schema: Option<(&'a str, &'a str, &'a [u8])>,
+    /// What else is to be said of it.
+    pub metadata: BTreeMap<String, String>,
+}
+
+/// An MCAP file that grows. What was flushed can be read, whatever becomes of the writer.
+pub struct Writer {
+    inner: Option<mcap::Writer<BufWriter<File>>>,
+}
+
+impl Writer {
+    /// A new file; an existing one is replaced.
+    pub fn create(
+        path: &Path,
+        profile: &str,
+        compression: Compression,
+        chunk: u64,
+    ) -> Result<Self> {
+        let file = File::create(path).map_err(|e| Error::io("create", &e))?;
+        let compression = match compression {
+            Compression::None => None,
+            Compression::Lz4 => Some(mcap::Compression::Lz4),
+            Compression::Zstd => Some(mcap::Compression::Zstd),
+        };
+        let options = mcap::WriteOptions::new()
+            .profile(profile)
+            .library(format!("situ/{}", env!("CARGO_PKG_VERSION")))
+            .compression(compression)
+            .compression_threads(0)
+            .chunk_size(Some(chunk));
+        let inner = options
+            .create(BufWriter::new(file))
+            .map_err(|e| Error::mcap("begin", e))?;
+        Ok(Writer { inner: Some(inner) })
+    }
+
+    fn inner(&mut self) -> Result<&mut mcap::Writer<BufWriter<File>>> {
+        self.inner.as_mut().ok_or(Error::Closed)
+    }
+
+    /// Adds a channel; answers its number.
+    pub fn channel(&mut self, spec: &ChannelSpec) -> Result<u16> {
+        let inner = self.inner()?;
+        let schema = match spec.schema {
+            Some((name, encoding, data)) => inner
+                .add_schema(name, encoding, data)
+                .map_err(|e| Error::mcap("write", e))?,
+            None => 0,
+        };
+        inner
+            .add_channel(schema, spec.topic, spec.encoding, &spec.metadata)
+            .map_err(|e| Error::mcap("write", e))
+    }
+
+    /// Appends a message.
+    pub fn write(
+        &mut self,
+        channel: u16,
+        sequence: u32,
+        log_time: u64,
+        publish_time: u64,
+        data: &[u8],
+    ) -> Result<()> {
+        let header = MessageHeader {
+            channel_id: channel,
+            sequence,
+            log_time,
+            publish_time,
+        };
+        self.inner()?
+            .write_to_known_channel(&header, data)
+            .map_err(|e| Error::mcap("write", e))
+    }
+
+    /// Appends an attachment.
+    pub fn attach(&mut self, name: &str, media_type: &str, time: u64, data: &[u8]) -> Result<()> {
+        let attachment = mcap::Attachment {
+            log_time: time,
+            create_time: time,
+            name: name.to_string(),
+            media_type: media_type.to_string(),
+            data: Cow::Borrowed(data),
+        };
+        self.inner()?
+            .attach(&attachment)
+            .map_err(|e| Error::mcap("write", e))
+    }
+
+    /// Appends a metadata record.
+    pub fn metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<()> {
+        let metadata = Metadata {
+            name: name.to_string(),
+            metadata,
+        };
+        self.inner()?
+            .write_metadata(&metadata)
+            .map_err(|e| Error::mcap("write", e))
+    }
+
+    /// Ends the chunk and hands it to the system: a reader finds everything so far.
+    pub fn flush(&mut self) -> Result<()> {
+        self.inner()?.flush().map_err(|e| Error::mcap("write", e))
+    }
+
+    /// Writes index and footer. Nothing can be written afterwards.
+    pub fn finish(&mut self) -> Result<()> {
+        let mut inner = self.inner.take().ok_or(Error::Closed)?;
+        inner.finish().map_err(|e| Error::mcap("finish", e))?;
+        let file = inner
+            .into_inner()
+            .into_inner()
+            .map_err(|e| Error::io("finish", e.error()))?;
+        file.sync_data().map_err(|e| Error::io("sync", &e))
+    }
+}

@@ -1,0 +1,175 @@
+//! Files written here are read, cut short, and damaged in every way: what is whole is there, and nothing panics.
+
+use std::fs;
+use std::path::PathBuf;
+
+use situ_mcap::{ChannelSpec, Compression, Query, Reader, Times, Writer};
+
+fn path(name: &str) -> PathBuf {
+    std::env::temp_dir().join(format!("situ-mcap-{}-{name}.mcap", std::process::id()))
+}
+
+fn written(name: &str, compression: Compression, finish: bool) -> PathBuf {
+    let path = path(name);
+    let mut writer =
+        Writer::create(&path, "", compression, 2_000).unwrap_or_else(|e| unreachable!("{e:?}"));
+    let spec = |topic| ChannelSpec {
+        topic,
+        encoding: "json",
+        schema: Some(("S", "jsonschema", b"{}")),
+        metadata: Default::default(),
+    };
+    let channels = [writer.channel(&spec("a")), writer.channel(&spec("b"))];
+    for i in 0..500u64 {
+        if let Ok(channel) = channels[(i % 2) as usize] {
+            let data = format!("{{\"value\":{i}}}");
+            assert_eq!(
+                writer.write(
+                    channel,
+                    i as u32,
+                    1_000 + i * 10,
+                    900 + i * 10,
+                    data.as_bytes()
+                ),
+                Ok(())
+            );
+        }
+    }
+    assert_eq!(writer.attach("note.txt", "text/plain", 5, b"hello"), Ok(()));
+    assert_eq!(writer.flush(), Ok(()));
+    if finish {
+        assert_eq!(writer.finish(), Ok(()));
+    } else {
+        // As after a kill: what comes later never reached the disk.
+        let bytes = fs::read(&path).unwrap_or_default();
+        drop(writer);
+        assert!(fs::write(&path, bytes).is_ok());
+    }
+    path
+}
+
+fn all(reader: &Reader, channel: u16, times: Times) -> Vec<(u64, Vec<u8>)> {
+    let query = Query {
+        channel,
+        times,
+        from: 0,
+        to: i128::MAX,
+        most: usize::MAX,
+        bytes: usize::MAX,
+        envelopes: false,
+    };
+    reader
+        .read(&query)
+        .map(|m| m.into_iter().map(|m| (m.time, m.data)).collect())
+        .unwrap_or_default()
+}
+
+#[test]
+fn what_is_written_is_read_by_every_compression() {
+    for (name, compression) in [
+        ("none", Compression::None),
+        ("lz4", Compression::Lz4),
+        ("zstd", Compression::Zstd),
+    ] {
+        let path = written(name, compression, true);
+        let Ok(reader) = Reader::open(&path) else {
+            unreachable!()
+        };
+        let info = reader.info();
+        assert_eq!(
+            info.channels.iter().map(|(_, n)| *n).collect::<Vec<_>>(),
+            [250, 250]
+        );
+        assert!(info.finished && info.damage.is_empty());
+        for (channel, _) in &info.channels {
+            let messages = all(&reader, channel.id, Times::Log);
+            assert_eq!(messages.len(), 250);
+            assert!(messages.windows(2).all(|w| w[0].0 < w[1].0));
+            assert_eq!(
+                reader.seek(channel.id, Times::Log, i128::from(messages[100].0)),
+                Ok(100)
+            );
+        }
+        assert_eq!(
+            all(&reader, info.channels[0].0.id, Times::Publish)[0].0,
+            900
+        );
+        let offset = info.attachments[0].offset;
+        assert_eq!(reader.attachment(offset), Ok(b"hello".to_vec()));
+        let _ = fs::remove_file(path);
+    }
+}
+
+#[test]
+fn a_file_that_was_never_finished_has_what_was_flushed() {
+    let path = written("unfinished", Compression::Zstd, false);
+    let Ok(reader) = Reader::open(&path) else {
+        unreachable!()
+    };
+    let info = reader.info();
+    assert!(!info.finished);
+    assert_eq!(info.channels.iter().map(|(_, n)| *n).sum::<u64>(), 500);
+    let _ = fs::remove_file(path);
+}
+
+#[test]
+fn a_file_cut_anywhere_has_a_beginning_of_what_it_had() {
+    for (name, compression) in [
+        ("cut-none", Compression::None),
+        ("cut-lz4", Compression::Lz4),
+        ("cut-zstd", Compression::Zstd),
+    ] {
+        let whole = written(name, compression, true);
+        let bytes = fs::read(&whole).unwrap_or_default();
+        let Ok(reader) = Reader::open(&whole) else {
+            unreachable!()
+        };
+        let id = reader.info().channels[0].0.id;
+        let want = all(&reader, id, Times::Log);
+        let mut last = 0;
+        for size in (8..bytes.len()).step_by(37) {
+            assert!(fs::write(&whole, &bytes[..size]).is_ok());
+            let Ok(reader) = Reader::open(&whole) else {
+                unreachable!("at {size}")
+            };
+            let got = all(&reader, id, Times::Log);
+            assert_eq!(got, want[..got.len()], "{name} at {size}");
+            assert!(got.len() >= last);
+            last = got.len();
+        }
+        assert_eq!(last, want.len());
+        let _ = fs::remove_file(whole);
+    }
+}
+
+#[test]
+fn twenty_thousand_damaged_files_are_read_or_refused() {
+    let path = written("damaged", Compression::Lz4, true);
+    let bytes = fs::read(&path).unwrap_or_default();
+    let mut seed = 1u64;
+    let mut next = |n: usize| {
+        seed = seed
+            .wrapping_mul(6364136223846793005)
+            .wrapping_add(1442695040888963407);
+        (seed >> 33) as usize % n
+    };
+    let turns = if cfg!(debug_assertions) {
+        2_000
+    } else {
+        20_000
+    };
+    for _ in 0..turns {
+        let mut damaged = bytes.clone();
+        for _ in 0..=next(3) {
+            let at = next(damaged.len());
+            damaged[at] = [0, 1, 0x7F, 0x80, 0xFF, next(256) as u8][next(6)];
+        }
+        assert!(fs::write(&path, &damaged).is_ok());
+        if let Ok(reader) = Reader::open(&path) {
+            for (channel, _) in reader.info().channels.iter().take(4) {
+                let _ = all(&reader, channel.id, Times::Log);
+            }
+        }
+    }
+    let _ = fs::remove_file(path);
+}

@@ -1,0 +1,96 @@
+# Situ's side of test/bridge: `situ.exs COMMAND ARGUMENTS`.
+{:ok, _} = Application.ensure_all_started(:situ_bridge)
+alias Situ.Bridge.{Mcap, Ros.Bag, ZeroMQ}
+alias Situ.Store
+
+value = fn
+  %{"value" => value} -> value
+  value -> value
+end
+
+read = fn paths ->
+  for path <- paths do
+    store = Store.open!(path)
+    {:ok, messages} = Store.read(store, "/values", limit: 10_000)
+    [] = Store.info(store).damage
+    expected = for i <- 0..499, do: {1_000_000_000 + i * 1_000_000, i / 4}
+    ^expected = for m <- messages, do: {m.originating_time, value.(m.data)}
+    IO.puts("#{path}: #{length(messages)} messages")
+  end
+end
+
+case System.argv() do
+  ["mcap", bag, to] ->
+    store = Store.open!(bag)
+
+    for compression <- [:none, :lz4, :zstd],
+        do:
+          {:ok, 545} =
+            Mcap.export(store, Path.join(to, "out-#{compression}.mcap"),
+              compression: compression,
+              chunk: 10_000
+            )
+
+    {:ok, 545} = Bag.export(store, Path.join(to, "out.bag"), chunk: 20_000)
+
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        p
+        |> Situ.from_enumerable(for(i <- 1..100, do: {i * 100, %{"n" => i, "x" => i / 3}}))
+        |> Situ.Bridge.File.write(Path.join(to, "out.msgpack"), format: :message_pack)
+      end)
+
+  ["read" | paths] ->
+    read.(paths)
+
+  ["read_ros2", path] ->
+    store = Store.open!(path)
+
+    {:ok, [%{data: %Situ.Image{width: 4, height: 2, format: :rgb24, data: data}}]} =
+      Store.read(store, "/image")
+
+    ^data = :binary.copy(<<1, 2, 3>>, 8)
+    {:ok, imu} = Store.read(store, "/imu")
+    20 = length(imu)
+    [3.5 | _] = for %{data: m} <- imu, do: m["linear_acceleration"]["z"]
+    [5_000_000_007 | _] = for %{data: m} <- imu, do: m["header"]["stamp"]
+
+  ["publish", port] ->
+    values = for i <- 1..2_000, do: {i * 1_000, %{"n" => i}}
+
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        p
+        |> Situ.from_enumerable(values)
+        |> ZeroMQ.publish("tcp://127.0.0.1:#{port}",
+          topic: "levels",
+          wait_for: 1,
+          high_water_mark: 100_000
+        )
+      end)
+
+  ["subscribe", port] ->
+    me = self()
+
+    {:ok, p} =
+      Situ.Pipeline.start_link(fn p ->
+        p
+        |> ZeroMQ.subscribe("tcp://127.0.0.1:#{port}", topic: "a")
+        |> Situ.each(&send(me, {:got, &1}))
+      end)
+
+    got =
+      for _ <- 1..2_000,
+          do: receive(do: ({:got, n} -> n), after: (60_000 -> raise("nothing more came")))
+
+    true = got == Enum.to_list(1..2_000)
+    {:ok, _} = Situ.Pipeline.stop(p)
+
+  ["push", port] ->
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        p
+        |> Situ.from_enumerable(for(i <- 1..2_000, do: {i, i}))
+        |> ZeroMQ.push("tcp://127.0.0.1:#{port}", wait_for: 1, linger: 30_000)
+      end)
+end
