@@ -170,7 +170,8 @@ fn mcap_seek<'a>(
     answer(env, handle.0.seek(channel, times(by), clamped(time)))
 }
 
-/// `{:ok, [{time, log_time, publish_time, sequence, data}]}`; `what` is `{channel, times, from, to, most, bytes, envelopes?}`.
+/// `{:ok, [{time, log_time, publish_time, sequence, data}]}`; `what` is `{channel, times, from, to, most, bytes,
+/// envelopes?}`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn mcap_read<'a>(
     env: Env<'a>,

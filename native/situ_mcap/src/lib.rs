@@ -1,6 +1,7 @@
-//! MCAP files (<https://mcap.dev/spec>) read at random and written: the records are the `mcap` crate's; what is on top is an
-//! index of each channel's messages, so that they can be asked for by number and by time, and the recovery of files without an
-//! index or cut short. Files are read by `pread`, never mapped: one that shrinks meanwhile is an error and no signal.
+//! MCAP files (<https://mcap.dev/spec>) read at random and written: the records are the `mcap` crate's; what is on
+//! top is an index of each channel's messages, so that they can be asked for by number and by time, and the recovery
+//! of files without an index or cut short. Files are read by `pread`, never mapped: one that shrinks meanwhile is an
+//! error and no signal.
 
 mod chunk;
 mod file;
@@ -46,7 +47,8 @@ impl Error {
     }
 }
 
-/// Bytes that were compressed by `"lz4"`, `"zstd"` or not (`""`), at most `size` of them; or why they cannot be unpacked.
+/// Bytes that were compressed by `"lz4"`, `"zstd"` or not (`""`), at most `size` of them; or why they cannot be
+/// unpacked.
 pub fn unpack(compression: &str, bytes: &[u8], size: u64) -> std::result::Result<Vec<u8>, String> {
     match chunk::partly(compression, bytes, size) {
         (bytes, None) => Ok(bytes),

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Test.Expected do
   @moduledoc """
-  The `expected.json` beside each genuine \\psi store (its form is told in `test/data/psi/README.md`), held against what Situ reads.
+  The `expected.json` beside each genuine \\psi store (its form is told in `test/data/psi/README.md`), held against
+  what Situ reads.
   """
   import ExUnit.Assertions
 

@@ -2,9 +2,9 @@ defmodule Situ.Bridge.Datagram do
   @moduledoc """
   Payloads of any size as datagrams (UDP) of at most so many bytes, and back.
 
-  A chunk is `<<set::little-signed-64, count::little-16, number::little-16>>`, filled up with zeros to 40 bytes, then a part of the
-  payload, as \\psi has it. Chunks may come in any order, twice, or not at all: a set that is not complete when a later one is, or
-  when #{16} later ones have begun, is abandoned and counted.
+  A chunk is `<<set::little-signed-64, count::little-16, number::little-16>>`, filled up with zeros to 40 bytes, then
+  a part of the payload, as \\psi has it. Chunks may come in any order, twice, or not at all: a set that is not
+  complete when a later one is, or when #{16} later ones have begun, is abandoned and counted.
 
       iex> alias Situ.Bridge.Datagram
       iex> [one, two] = Datagram.chunks("hello", 7, 43)

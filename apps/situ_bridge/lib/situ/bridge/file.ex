@@ -24,8 +24,8 @@ defmodule Situ.Bridge.File do
       Situ.Bridge.File.write(stream, "levels.csv", format: :csv)
       p |> Situ.Bridge.File.read("levels.json", format: :json) |> Situ.each(&IO.inspect/1)
 
-  Files are written and read piece by piece, whatever their length. The end of a file is written when the stream closes, and what came before
-  a kill can be read all the same. Named pipes are files too.
+  Files are written and read piece by piece, whatever their length. The end of a file is written when the stream
+  closes, and what came before a kill can be read all the same. Named pipes are files too.
 
   ## Options of `write/3`
 
@@ -43,8 +43,8 @@ defmodule Situ.Bridge.File do
   end
 
   @doc """
-  A source of the messages in a file, with their times; it proposes a replay from the first one on. A file without messages is an error,
-  `:empty_file`.
+  A source of the messages in a file, with their times; it proposes a replay from the first one on. A file without
+  messages is an error, `:empty_file`.
 
   #{Situ.Options.docs(@read)}
   """

@@ -9,9 +9,9 @@ defmodule Situ.Bridge.Format do
   | `:csv` | a heading and a record, `\\r\\n` behind each; `_OriginatingTime_` and `_Value_`, `_Column0_` ... or the fields | one heading, then records |
   | `:message_pack` | a map of `message` and `originatingTime` (ticks of 100 ns since the year 1) | frames: a 32-bit length (little-endian) and a message; a length of 0 at the end |
 
-  The layouts are those of \\psi's, so that both read each other's files and sockets. Where \\psi has quirks, this has the sensible
-  answer: integers of any size, times that are always UTC, strings that look like dates stay strings, an empty stream is a whole file,
-  and nanoseconds that are no multiple of 100 survive.
+  The layouts are those of \\psi's, so that both read each other's files and sockets. Where \\psi has quirks, this has
+  the sensible answer: integers of any size, times that are always UTC, strings that look like dates stay strings, an
+  empty stream is a whole file, and nanoseconds that are no multiple of 100 survive.
 
       iex> alias Situ.Bridge.Format
       iex> {:ok, bytes} = Format.encode(:json, %{x: 1.5}, 0)
@@ -19,8 +19,9 @@ defmodule Situ.Bridge.Format do
       iex> Format.decode(:json, bytes)
       {:ok, {0, %{"x" => 1.5}}}
 
-  Values are numbers, strings, booleans, `nil`, `:nan`, `:infinity`, `:neg_infinity`, lists, maps, structs (as maps of their fields) and
-  `{[{key, value}]}`, an object in a given order. What is read has string keys, and makes no atoms; with `objects: :pairs` objects come as such ordered ones.
+  Values are numbers, strings, booleans, `nil`, `:nan`, `:infinity`, `:neg_infinity`, lists, maps, structs (as maps of
+  their fields) and `{[{key, value}]}`, an object in a given order. What is read has string keys, and makes no atoms;
+  with `objects: :pairs` objects come as such ordered ones.
   """
   alias Situ.Bridge.Format.{Csv, Json, JsonLines, MessagePack}
   alias Situ.Error

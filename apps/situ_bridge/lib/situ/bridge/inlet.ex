@@ -1,7 +1,8 @@
 defmodule Situ.Bridge.Inlet do
   @moduledoc false
-  # What every source of a network does with what arrives: read it by the format, give it a time, keep the times of the stream
-  # increasing. Nothing that comes from outside stops a pipeline: what cannot be used is left out and counted. Pure.
+  # What every source of a network does with what arrives: read it by the format, give it a time, keep the times of
+  # the stream increasing. Nothing that comes from outside stops a pipeline: what cannot be used is left out and
+  # counted. Pure.
   alias Situ.Bridge.Format
 
   @options [

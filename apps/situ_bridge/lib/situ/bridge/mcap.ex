@@ -10,13 +10,16 @@ defmodule Situ.Bridge.Mcap do
       type: {:in, [:log, :publish, :header]},
       default: :log,
       doc:
-        "Originating times: when a message was recorded (`:log`; the index has them), sent (`:publish`), or the stamp of its ROS header (`:header`, the log time for messages without one). The last two look at every message of a stream when it is first used."
+        "Originating times: when a message was recorded (`:log`; the index has them), sent (`:publish`), or the stamp " <>
+          "of its ROS header (`:header`, the log time for messages without one). The last two look at every message " <>
+          "of a stream when it is first used."
     ]
   ]
 
   @moduledoc """
-  MCAP files (https://mcap.dev) as recordings: `Situ.Store.open("drive.mcap")`, and so in the studio, `bin/situ store`, replay in a pipeline. Written by
-  `create/3` and `write/4` while a pipeline runs, or from a recording by `export/3`.
+  MCAP files (https://mcap.dev) as recordings: `Situ.Store.open("drive.mcap")`, and so in the studio, `bin/situ
+  store`, replay in a pipeline. Written by `create/3` and `write/4` while a pipeline runs, or from a recording by
+  `export/3`.
 
       {:ok, store} = Situ.Store.open("drive.mcap")
       {:ok, message} = Situ.Store.latest_at(store, "/camera/image_raw", time)
@@ -24,12 +27,13 @@ defmodule Situ.Bridge.Mcap do
       drive = Situ.Bridge.Mcap.create(p, "drive.mcap")
       Situ.Bridge.Mcap.write(level, drive, "/level")
 
-  A topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR) and JSON; those of other encodings are bytes, and
-  `Situ.Store.info/1` notes that. Standard ROS messages are Situ's types (`Situ.Bridge.Ros.Standard`), others maps. Two messages of a topic with
-  one time are a nanosecond apart.
+  A topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR) and JSON; those of other
+  encodings are bytes, and `Situ.Store.info/1` notes that. Standard ROS messages are Situ's types
+  (`Situ.Bridge.Ros.Standard`), others maps. Two messages of a topic with one time are a nanosecond apart.
 
-  Files with an index open at once, whatever their size; others (and files cut short, or whose writer was killed) are passed over, and what can be read
-  is there. Chunks may be LZ4 or Zstandard. Attachments and metadata: `attachments/1`, `attachment/2`, `Situ.Store.info/1`.
+  Files with an index open at once, whatever their size; others (and files cut short, or whose writer was killed) are
+  passed over, and what can be read is there. Chunks may be LZ4 or Zstandard. Attachments and metadata:
+  `attachments/1`, `attachment/2`, `Situ.Store.info/1`.
 
   ## Options of opening (`Situ.Store.open(path, reader_opts: [...])`)
 
@@ -250,8 +254,8 @@ defmodule Situ.Bridge.Mcap do
   defdelegate write(stream, exporter, topic, opts \\ []), to: Exporter
 
   @doc """
-  Writes a recording to a new MCAP file, its messages in order of time: `{:ok, count}`. Options as `create/3`, and `streams:`, the names of
-  those wanted, and `encoding:` as `write/4`.
+  Writes a recording to a new MCAP file, its messages in order of time: `{:ok, count}`. Options as `create/3`, and
+  `streams:`, the names of those wanted, and `encoding:` as `write/4`.
   """
   @spec export(Situ.Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}

@@ -1,17 +1,17 @@
 defmodule Situ.Bridge.MessagePack do
   @moduledoc """
-  MessagePack (https://github.com/msgpack/msgpack/blob/master/spec.md), whole: any term of numbers, strings, booleans, `nil`, lists and
-  maps as bytes and back.
+  MessagePack (https://github.com/msgpack/msgpack/blob/master/spec.md), whole: any term of numbers, strings, booleans,
+  `nil`, lists and maps as bytes and back.
 
       iex> alias Situ.Bridge.MessagePack
       iex> bytes = MessagePack.encode(%{"x" => [1, -2.5, nil, true]}) |> IO.iodata_to_binary()
       iex> MessagePack.decode(bytes)
       {:ok, %{"x" => [1, -2.5, nil, true]}, ""}
 
-  A valid UTF-8 string is a `str`, other bytes are a `bin`, atoms (but `nil`, `true`, `false`) strings; `:nan`, `:infinity` and `:neg_infinity` floats.
-  Integers go from -2^63 to 2^64-1. Extensions come as `{:ext, type, bytes}`; the timestamp extension as nanoseconds since 1970,
-  `{:timestamp, ns}`. Objects of maps may be ordered: `{[{key, value}]}`. What is read is bounded by the bytes there are, 512 levels deep,
-  and makes no atoms.
+  A valid UTF-8 string is a `str`, other bytes are a `bin`, atoms (but `nil`, `true`, `false`) strings; `:nan`,
+  `:infinity` and `:neg_infinity` floats. Integers go from -2^63 to 2^64-1. Extensions come as `{:ext, type, bytes}`;
+  the timestamp extension as nanoseconds since 1970, `{:timestamp, ns}`. Objects of maps may be ordered: `{[{key,
+  value}]}`. What is read is bounded by the bytes there are, 512 levels deep, and makes no atoms.
   """
   @deepest 512
 

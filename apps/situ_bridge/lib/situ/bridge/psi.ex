@@ -1,7 +1,8 @@
 defmodule Situ.Bridge.Psi do
   @moduledoc """
-  Recordings of Microsoft's *Platform for Situated Intelligence* (\\psi), opened like our own: `Situ.Store.open/2` takes the folder
-  (`lobby.0003`), the name of a store in a folder with several (`recordings/lobby`), or the name of which the newest version is meant.
+  Recordings of Microsoft's *Platform for Situated Intelligence* (\\psi), opened like our own: `Situ.Store.open/2`
+  takes the folder (`lobby.0003`), the name of a store in a folder with several (`recordings/lobby`), or the name of
+  which the newest version is meant.
 
       {:ok, store} = Situ.Store.open("recordings/lobby.0003")
       Situ.Store.streams(store)
@@ -19,13 +20,15 @@ defmodule Situ.Bridge.Psi do
   | images, depth images, encoded images, sound | the same as Situ's |
   | classes and structs | maps with the names of the fields or properties, private ones too; `"$type"` where the declared type leaves it open |
 
-  Any object may be `nil`. An object met again is the same term again; in a cycle it is `%{"$ref" => n}`, and the object meant has the
-  key `"$id"`. A message that cannot be decoded is a `Situ.Store.Undecoded` with its bytes and the reason.
+  Any object may be `nil`. An object met again is the same term again; in a cycle it is `%{"$ref" => n}`, and the
+  object meant has the key `"$id"`. A message that cannot be decoded is a `Situ.Store.Undecoded` with its bytes and
+  the reason.
 
-  Opening passes over the data once and keeps 28 bytes a message. Everything that is whole is there, whatever state the store is in: not
-  closed, its writer killed, files cut short or missing; `Situ.Store.info/1` tells what is lost under `:damage`, and under `:notes` which
-  streams are of types that Situ only knows by the schemas in the store. A store that is being written is read as it was when
-  opened. Times, sequence numbers and stream ids are the recorded ones.
+  Opening passes over the data once and keeps 28 bytes a message. Everything that is whole is there, whatever state
+  the store is in: not closed, its writer killed, files cut short or missing; `Situ.Store.info/1` tells what is lost
+  under `:damage`, and under `:notes` which streams are of types that Situ only knows by the schemas in the store. A
+  store that is being written is read as it was when opened. Times, sequence numbers and stream ids are the recorded
+  ones.
   """
   @behaviour Situ.Store.Reader
   alias Situ.{Error, Message}

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Recorder do
   @moduledoc false
-  # What a format must answer so that pipelines and recordings can be written in it (`Situ.Bridge.Mcap`, `Situ.Bridge.Ros.Bag`). The state is a
-  # struct with the field `count`.
+  # What a format must answer so that pipelines and recordings can be written in it (`Situ.Bridge.Mcap`,
+  # `Situ.Bridge.Ros.Bag`). The state is a struct with the field `count`.
   alias Situ.Error
 
   @type state :: struct()

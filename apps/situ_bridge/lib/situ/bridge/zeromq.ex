@@ -7,20 +7,23 @@ defmodule Situ.Bridge.ZeroMQ do
       Situ.Bridge.ZeroMQ.push(jobs, "tcp://*:5556")
       jobs = Situ.Bridge.ZeroMQ.pull(p, "tcp://robot:5556")
 
-  In Python: `topic, payload = socket.recv_multipart()`, and `json.loads(payload)` has the keys `originatingTime` and `message`.
+  In Python: `topic, payload = socket.recv_multipart()`, and `json.loads(payload)` has the keys `originatingTime` and
+  `message`.
 
-  A published message has two frames, the topic and the message in a format of `Situ.Bridge.Format`, as \\psi's `NetMQWriter` and
-  `NetMQSource` have it; pushed ones have the second only. The four sockets behave as ZeroMQ's own:
+  A published message has two frames, the topic and the message in a format of `Situ.Bridge.Format`, as \\psi's
+  `NetMQWriter` and `NetMQSource` have it; pushed ones have the second only. The four sockets behave as ZeroMQ's own:
 
-    * either side may bind (`bind: true`, the default for `publish/3` and `push/3`) or connect; connections that break are made again,
-      after 50 ms to 5 s; peers that are not there yet are waited for;
-    * a publisher sends to those who subscribed; messages for nobody, and beyond the high-water mark of a slow subscriber, are dropped
-      and counted; a pusher serves its peers in turn and makes the stream wait when none has room;
+    * either side may bind (`bind: true`, the default for `publish/3` and `push/3`) or connect; connections that break
+      are made again, after 50 ms to 5 s; peers that are not there yet are waited for;
+    * a publisher sends to those who subscribed; messages for nobody, and beyond the high-water mark of a slow
+      subscriber, are dropped and counted; a pusher serves its peers in turn and makes the stream wait when none has
+      room;
     * ZeroMQ's subscriptions are prefixes. `subscribe/3` keeps the messages of exactly its topic unless `prefix: true`.
 
-  A subscription that is never answered is no error, and a sender that goes away does not end the stream: these sources are endless. Messages that
-  cannot be read, or whose times do not increase, are left out and counted (`Situ.Pipeline.info/1`). Any peer may connect to a bound socket: there is
-  no authentication, so bind to 127.0.0.1 or a network of your own.
+  A subscription that is never answered is no error, and a sender that goes away does not end the stream: these
+  sources are endless. Messages that cannot be read, or whose times do not increase, are left out and counted
+  (`Situ.Pipeline.info/1`). Any peer may connect to a bound socket: there is no authentication, so bind to 127.0.0.1
+  or a network of your own.
   """
   alias Situ.Bridge.ZeroMQ.{Sink, Source}
 

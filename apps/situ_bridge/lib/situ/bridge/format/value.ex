@@ -5,8 +5,8 @@ defmodule Situ.Bridge.Format.Value do
   @special %{nan: "NaN", infinity: "Infinity", neg_infinity: "-Infinity"}
 
   @doc """
-  The term with objects as ordered pairs of string keys, and special numbers as text; a struct's fields come in the order of its
-  definition. Throws `{:not_writable, term}`.
+  The term with objects as ordered pairs of string keys, and special numbers as text; a struct's fields come in the
+  order of its definition. Throws `{:not_writable, term}`.
 
       iex> Situ.Bridge.Format.Value.plain(%{b: [1, :nan], a: nil})
       {[{"a", nil}, {"b", [1, "NaN"]}]}

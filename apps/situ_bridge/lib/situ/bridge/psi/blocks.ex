@@ -10,8 +10,8 @@ defmodule Situ.Bridge.Psi.Blocks do
   @type block :: {non_neg_integer(), non_neg_integer(), pos_integer(), binary()}
 
   @doc """
-  Folds `fun` over the blocks; it gets each block with its first `head` bytes (fewer when the block is shorter). Answers what
-  was folded and what is wrong with the files, in sentences.
+  Folds `fun` over the blocks; it gets each block with its first `head` bytes (fewer when the block is shorter).
+  Answers what was folded and what is wrong with the files, in sentences.
   """
   @spec reduce({Path.t(), String.t(), Files.kind()}, pos_integer(), acc, (block(), acc -> acc)) ::
           {acc, [String.t()]}

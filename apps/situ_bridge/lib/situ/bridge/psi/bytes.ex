@@ -9,7 +9,8 @@ defmodule Situ.Bridge.Psi.Bytes do
   @never 3_155_378_975_999_999_999
 
   @doc """
-  A .NET time as nanoseconds since 1970. The top two bits are the kind (UTC, local, unspecified) and not part of the time.
+  A .NET time as nanoseconds since 1970. The top two bits are the kind (UTC, local, unspecified) and not part of the
+  time.
 
       iex> Situ.Bridge.Psi.Bytes.time(0x48D924F4C841A000)
       1622548800000000000

@@ -2,9 +2,9 @@ defmodule Situ.Bridge.Psi.Decoder do
   @moduledoc false
   # A message's bytes as a term, by the plan of its type (`Situ.Bridge.Psi.Types`).
   #
-  # Objects refer to objects of the same message. One that was finished before is repeated: terms share it. One that is met
-  # inside of itself (a cycle), or one that holds such a reference, is `%{"$ref" => n}` and the object meant has the key "$id" => n
-  # (a list or other value is then `%{"$id" => n, "$value" => value}`).
+  # Objects refer to objects of the same message. One that was finished before is repeated: terms share it. One that
+  # is met inside of itself (a cycle), or one that holds such a reference, is `%{"$ref" => n}` and the object meant
+  # has the key "$id" => n (a list or other value is then `%{"$id" => n, "$value" => value}`).
   import Bitwise
   alias Situ.Bridge.Psi.{Bytes, Layout, Media, Types}
 
@@ -30,8 +30,8 @@ defmodule Situ.Bridge.Psi.Decoder do
   ]
 
   @doc """
-  The value, or why there is none. No more than three bytes of padding may follow it, with `rest: :any` anything (metadata are kept
-  in a buffer that may be longer).
+  The value, or why there is none. No more than three bytes of padding may follow it, with `rest: :any` anything
+  (metadata are kept in a buffer that may be longer).
   """
   @spec decode(binary(), Types.handler(), Types.t(), keyword()) ::
           {:ok, term()} | {:error, String.t()}

@@ -100,7 +100,8 @@ defmodule Situ.Bridge.Psi.Scan do
 
   defp message(_block, acc), do: acc
 
-  # What lies in the files for large messages has its place instead of its data: an extent (the smallest number added) and a position.
+  # What lies in the files for large messages has its place instead of its data: an extent (the smallest number added)
+  # and a position.
   defp large(id, times, <<extent::little-signed-32, at::little-signed-32, _::binary>>, acc)
        when extent < 0 and at >= 0 do
     place = {extent + 0x8000_0000, at}
@@ -113,7 +114,8 @@ defmodule Situ.Bridge.Psi.Scan do
 
   defp put(acc, id, found), do: %{acc | found: Map.update(acc.found, id, [found], &[found | &1])}
 
-  # Where the large messages that are whole lie: `{extent, position of the block} => {extent, position of the payload, length}`.
+  # Where the large messages that are whole lie: `{extent, position of the block} => {extent, position of the payload,
+  # length}`.
   defp whole_large(folder, name, sizes, places) do
     context = %{folder: folder, name: name, sizes: sizes}
 
@@ -159,7 +161,8 @@ defmodule Situ.Bridge.Psi.Scan do
     end
   end
 
-  # Messages come in the order in which they were written; within a stream that is the order of time unless something went wrong.
+  # Messages come in the order in which they were written; within a stream that is the order of time unless something
+  # went wrong.
   defp track(found, whole) do
     messages =
       found

@@ -1,9 +1,10 @@
 defmodule Situ.Bridge.Psi.Types do
   @moduledoc false
-  # How each type of a store is written, worked out of its schemas once. A plan is what follows an object's prefix, or the whole
-  # of a value type:
+  # How each type of a store is written, worked out of its schemas once. A plan is what follows an object's prefix, or
+  # the whole of a value type:
   #
-  #   {:raw, layout} | {:raw_array, layout} | {:array, handler} | :string | :strings | :bytes | {:fields, [{name, handler}], shape}
+  # {:raw, layout} | {:raw_array, layout} | {:array, handler} | :string | :strings | :bytes | {:fields, [{name,
+  # handler}], shape}
   #
   # and a handler says how a member refers to it: {:value, plan or name} without, {:object, plan or name} with a prefix.
   alias Situ.Bridge.Psi.{Layout, Schema, TypeName}
@@ -47,8 +48,8 @@ defmodule Situ.Bridge.Psi.Types do
     end
   end
 
-  # Types that no schema tells of: arrays, nullables and buffers explain themselves, anything else can only be an object of a type that
-  # its prefix tells.
+  # Types that no schema tells of: arrays, nullables and buffers explain themselves, anything else can only be an
+  # object of a type that its prefix tells.
   defp unlisted(types, %{arrays: n} = parsed) when n > 0,
     do: {:object, array(types, TypeName.element(parsed))}
 

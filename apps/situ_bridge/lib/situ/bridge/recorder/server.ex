@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Recorder.Server do
   @moduledoc false
-  # Owns the file while a pipeline writes it: begins it with the pipeline, hands whole chunks to the system every second, and writes
-  # the index when the last stream has ended or the pipeline is gone.
+  # Owns the file while a pipeline writes it: begins it with the pipeline, hands whole chunks to the system every
+  # second, and writes the index when the last stream has ended or the pipeline is gone.
   use GenServer, restart: :temporary
   alias Situ.Error
 

@@ -10,21 +10,23 @@ defmodule Situ.Bridge.Ros.Bag do
       type: {:in, [:log, :header]},
       default: :log,
       doc:
-        "Originating times: when a message was recorded, or the stamp of its header (the former where it has none). The stamps are read when the file is opened."
+        "Originating times: when a message was recorded, or the stamp of its header (the former where it has none). " <>
+          "The stamps are read when the file is opened."
     ]
   ]
 
   @moduledoc """
-  Bags of ROS 1 (version 2.0) as recordings: `Situ.Store.open("drive.bag")`, and so in the studio, `bin/situ store`, replay. Written by
-  `create/3` and `write/4` while a pipeline runs, or from a recording by `export/3`.
+  Bags of ROS 1 (version 2.0) as recordings: `Situ.Store.open("drive.bag")`, and so in the studio, `bin/situ store`,
+  replay. Written by `create/3` and `write/4` while a pipeline runs, or from a recording by `export/3`.
 
       {:ok, store} = Situ.Store.open("drive.bag", reader_opts: [times: :header])
       drive = Situ.Bridge.Ros.Bag.create(p, "drive.bag")
       Situ.Bridge.Ros.Bag.write(pictures, drive, "/camera/image_raw")
 
-  A topic is a stream, its messages are decoded by the definition in the bag; standard ones are Situ's types (`Situ.Bridge.Ros.Standard`). Two messages of
-  a topic with one time are a nanosecond apart. Bags without an index (the recorder was killed: `.bag.active`) are passed over. Chunks may be plain or LZ4; those by
-  bzip2 are left out and told of under `:damage`. Written are plain chunks.
+  A topic is a stream, its messages are decoded by the definition in the bag; standard ones are Situ's types
+  (`Situ.Bridge.Ros.Standard`). Two messages of a topic with one time are a nanosecond apart. Bags without an index
+  (the recorder was killed: `.bag.active`) are passed over. Chunks may be plain or LZ4; those by bzip2 are left out
+  and told of under `:damage`. Written are plain chunks.
 
   ## Options of opening (`Situ.Store.open(path, reader_opts: [...])`)
 
@@ -279,7 +281,8 @@ defmodule Situ.Bridge.Ros.Bag do
     end
   end
 
-  # The bytes of messages, no more than fit into a batch: a chunk is unpacked once for all of its messages that follow each other.
+  # The bytes of messages, no more than fit into a batch: a chunk is unpacked once for all of its messages that follow
+  # each other.
   defp messages(state, places) do
     with_file(state.path, fn file ->
       places
@@ -347,7 +350,10 @@ defmodule Situ.Bridge.Ros.Bag do
   @spec write(Situ.Stream.t(), Exporter.t(), String.t(), keyword()) :: Situ.Stream.t()
   defdelegate write(stream, exporter, topic, opts \\ []), to: Exporter
 
-  @doc "Writes a recording to a new bag, its messages in order of time: `{:ok, count}`. Options as `create/3`, and `streams:`, the names of those wanted."
+  @doc """
+  Writes a recording to a new bag, its messages in order of time: `{:ok, count}`. Options as `create/3`, and
+  `streams:`, the names of those wanted.
+  """
   @spec export(Situ.Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}
   def export(store, path, opts \\ []), do: Export.export(Writer, store, path, opts)

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Ros.Definition do
   @moduledoc """
-  Message definitions of ROS 1 and ROS 2 (`.msg`), as they stand in files, bags and MCAP: a type and, behind lines of `=`, the types that it is made of.
+  Message definitions of ROS 1 and ROS 2 (`.msg`), as they stand in files, bags and MCAP: a type and, behind lines of
+  `=`, the types that it is made of.
 
       iex> alias Situ.Bridge.Ros.Definition
       iex> {:ok, definition} = Definition.parse("geometry_msgs/Point", "float64 x\\nfloat64 y\\nfloat64 z")
@@ -9,8 +10,8 @@ defmodule Situ.Bridge.Ros.Definition do
       iex> Definition.md5(definition)
       "4a842b65f413084dc2b10fb484ea7f17"
 
-  A type of a field is a primitive (`:bool`, `:int8` ... `:float64`, `:string`, `:time`, `:duration`), `{:message, name}`,
-  `{:array, type, n}` or `{:list, type}`. Names are without the `msg/` that ROS 2 puts into them.
+  A type of a field is a primitive (`:bool`, `:int8` ... `:float64`, `:string`, `:time`, `:duration`), `{:message,
+  name}`, `{:array, type, n}` or `{:list, type}`. Names are without the `msg/` that ROS 2 puts into them.
   """
   alias Situ.Bridge.Ros.Library
 
@@ -51,8 +52,8 @@ defmodule Situ.Bridge.Ros.Definition do
   @most_types 1_000
 
   @doc """
-  Parses a definition. Types that the text leaves out are looked up among ROS's own (`Situ.Bridge.Ros.Library`). Errors are sentences: a line that makes no
-  sense, a type that is not there, types made of themselves.
+  Parses a definition. Types that the text leaves out are looked up among ROS's own (`Situ.Bridge.Ros.Library`).
+  Errors are sentences: a line that makes no sense, a type that is not there, types made of themselves.
   """
   @spec parse(String.t(), String.t()) :: {:ok, t()} | {:error, String.t()}
   def parse(name, text) do

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Library do
   @moduledoc false
-  # The definitions of the types that most messages are made of (ROS 1's, field by field; names and types are facts of the interface).
-  # `priv/ros` has one file a package: types behind lines of `MSG:`.
+  # The definitions of the types that most messages are made of (ROS 1's, field by field; names and types are facts of
+  # the interface). `priv/ros` has one file a package: types behind lines of `MSG:`.
 
   @external_resource path = Path.expand("../../../../priv/ros/common.msg", __DIR__)
 

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Ros.Number do
   @moduledoc false
-  # Numbers of fixed size in either byte order; what Elixir's floats have not are `:nan`, `:infinity` and `:neg_infinity`.
+  # Numbers of fixed size in either byte order; what Elixir's floats have not are `:nan`, `:infinity` and
+  # `:neg_infinity`.
 
   @sizes %{
     bool: 1,

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Ros.Standard do
   @moduledoc """
-  The messages of ROS that Situ has types for, both ways: pictures, encoded pictures and depth images. All others stay maps.
+  The messages of ROS that Situ has types for, both ways: pictures, encoded pictures and depth images. All others stay
+  maps.
 
   | ROS | Situ |
   |---|---|

@@ -8,11 +8,11 @@ defmodule Situ.Bridge.Ros.Wire do
       iex> Wire.decode(definition, bytes, :ros1)
       {:ok, %{"name" => "a", "values" => [1.5], "at" => 1_000_000_002}}
 
-  A message is a map with string keys. Times and durations are nanoseconds; lists of bytes are binaries, other lists lists; NaN and infinities
-  are atoms. Members that are missing when a message is written are zero, empty or false.
+  A message is a map with string keys. Times and durations are nanoseconds; lists of bytes are binaries, other lists
+  lists; NaN and infinities are atoms. Members that are missing when a message is written are zero, empty or false.
 
-  What is read is bounded by the bytes there are. CDR is read in both byte orders and written little-endian, with the alignment of
-  version 1 (what ROS 2 uses).
+  What is read is bounded by the bytes there are. CDR is read in both byte orders and written little-endian, with the
+  alignment of version 1 (what ROS 2 uses).
   """
   alias Situ.Bridge.Ros.{Definition, Number}
 

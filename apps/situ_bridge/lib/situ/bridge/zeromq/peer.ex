@@ -94,7 +94,8 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
     end
   end
 
-  # As long as too much has not been taken by the component, nothing more is read: the other side fills up and waits or drops.
+  # As long as too much has not been taken by the component, nothing more is read: the other side fills up and waits
+  # or drops.
   defp arm(%{tcp: nil} = state), do: state
 
   defp arm(state) do

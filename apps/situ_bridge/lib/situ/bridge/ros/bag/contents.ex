@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Bag.Contents do
   @moduledoc false
-  # What is in a bag: its connections, and where each message lies. With an index that is read; without one (the recorder was killed, the file
-  # is cut short) all chunks are passed over.
+  # What is in a bag: its connections, and where each message lies. With an index that is read; without one (the
+  # recorder was killed, the file is cut short) all chunks are passed over.
   alias Situ.Bridge.Ros.Bag.{Chunk, Record}
 
   # connections: number => %{topic, type, md5, definition}; places: number => [{time, chunk position, offset}]

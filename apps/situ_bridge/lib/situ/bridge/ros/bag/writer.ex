@@ -1,8 +1,8 @@
 defmodule Situ.Bridge.Ros.Bag.Writer do
   @moduledoc false
   @behaviour Situ.Bridge.Recorder
-  # Writes a bag: chunks of records with the index behind each, at the end connections and chunk infos, and where those are in the record
-  # that the file begins with.
+  # Writes a bag: chunks of records with the index behind each, at the end connections and chunk infos, and where
+  # those are in the record that the file begins with.
   alias Situ.Bridge.Mcap.Channel
   alias Situ.Bridge.Ros.Bag.Record
   alias Situ.Bridge.Ros.Definition

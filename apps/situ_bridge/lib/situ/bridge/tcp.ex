@@ -1,0 +1,37 @@
+defmodule Situ.Bridge.Tcp do
+  @moduledoc """
+  Streams over plain TCP: frames of a 32-bit length (little-endian) and a message in a format of `Situ.Bridge.Format`, as
+  \\psi's `TcpWriter` and `TcpSource` have it, and as any language reads in three lines.
+
+      Situ.Bridge.Tcp.serve(levels, 7000)                         # listens; every client gets what comes from now on
+      levels = Situ.Bridge.Tcp.connect(p, "robot", 7000)
+
+  A server has any number of clients. One that is too slow loses messages, counted, beyond `high_water_mark:`; nobody holds up
+  the stream. A client whose connection breaks, or who finds nobody yet, tries again after 50 ms to 5 s; its source is
+  endless. Messages that cannot be read, or whose times do not increase, are left out and counted
+  (`Situ.Pipeline.info/1`). There is no authentication: a server listens on 127.0.0.1 unless `interface:` says otherwise.
+  """
+  alias Situ.Bridge.Tcp.{Sink, Source}
+
+  @doc """
+  Serves a stream; returns it.
+
+  #{Situ.Options.docs(Keyword.delete(Sink.schema(), :port))}
+  """
+  @spec serve(Situ.Stream.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
+  def serve(stream, port, opts \\ []) do
+    Situ.via(stream, Sink, [port: port] ++ opts)
+    stream
+  end
+
+  @doc """
+  A source of what a server sends.
+
+  #{Situ.Options.docs(Keyword.drop(Source.schema(), [:host, :port]))}
+  """
+  @spec connect(Situ.Pipeline.t(), String.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
+  def connect(p, host, port, opts \\ []) do
+    outputs = [out: opts[:type] || :any]
+    Situ.source(p, Source, [host: host, port: port, outputs: outputs] ++ opts)
+  end
+end

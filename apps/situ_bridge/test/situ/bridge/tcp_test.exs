@@ -1,0 +1,97 @@
+defmodule Situ.Bridge.TcpTest do
+  use ExUnit.Case, async: true
+  alias Situ.Bridge.Tcp
+  alias Situ.Bridge.Tcp.{Frames, Server}
+  doctest Frames
+
+  @moduletag :capture_log
+
+  defp listening, do: receive(do: ({:listening, port} -> port))
+
+  test "what is served comes to every client, with its times" do
+    me = self()
+    values = for i <- 1..500, do: {i * 1_000, %{"n" => i}}
+
+    for format <- [:json, :message_pack] do
+      {:ok, server} =
+        Situ.Pipeline.start_link(fn p ->
+          p
+          |> Situ.from_enumerable(values)
+          |> Tcp.serve(0, wait_for: 2, listening: me, format: format, high_water_mark: 10_000)
+        end)
+
+      port = listening()
+
+      clients =
+        for id <- 1..2 do
+          {:ok, client} =
+            Situ.Pipeline.start_link(fn p ->
+              p
+              |> Tcp.connect("127.0.0.1", port, format: format)
+              |> Situ.each(&send(me, {id, &1["n"]}))
+            end)
+
+          client
+        end
+
+      for id <- 1..2, i <- 1..500, do: assert_receive({^id, ^i})
+      Enum.each([server | clients], &Situ.Pipeline.stop/1)
+    end
+  end
+
+  test "a client finds a server that comes back" do
+    me = self()
+    {:ok, first} = Server.open("127.0.0.1", 0, 10)
+    port = Server.port(first)
+
+    {:ok, client} =
+      Situ.Pipeline.start_link(fn p ->
+        p |> Tcp.connect("127.0.0.1", port, format: :raw) |> Situ.each(&send(me, {:got, &1}))
+      end)
+
+    wait_for(fn -> Server.clients(first) == 1 end)
+    Server.send_frame(first, Frames.write("before"))
+    assert_receive {:got, "before"}
+    Server.close(first, 100)
+    {:ok, second} = Server.open("127.0.0.1", port, 10)
+    wait_for(fn -> Server.clients(second) == 1 end)
+    # A frame that no message may be that long: the client leaves and comes back.
+    Server.send_frame(second, <<0xFFFFFFFF::32>>)
+    wait_for(fn -> Server.clients(second) == 0 end)
+    wait_for(fn -> Server.clients(second) == 1 end)
+    Server.send_frame(second, Frames.write("after"))
+    assert_receive {:got, "after"}
+    Situ.Pipeline.stop(client)
+    Server.close(second, 100)
+  end
+
+  test "a client that does not read loses messages, and holds up nobody" do
+    {:ok, server} = Server.open("127.0.0.1", 0, 5)
+
+    {:ok, tcp} =
+      :gen_tcp.connect('127.0.0.1', Server.port(server), [:binary, active: false, recbuf: 1_024])
+
+    wait_for(fn -> Server.clients(server) == 1 end)
+    frame = Frames.write(:binary.copy("x", 1_000_000))
+    for _ <- 1..100, do: Server.send_frame(server, frame)
+    assert Server.dropped(server) > 0
+    :gen_tcp.close(tcp)
+    wait_for(fn -> Server.clients(server) == 0 end)
+    Server.close(server, 100)
+  end
+
+  test "a port that is taken is an error" do
+    {:ok, server} = Server.open("127.0.0.1", 0, 5)
+    assert {:error, %{code: :address_in_use}} = Server.open("127.0.0.1", Server.port(server), 5)
+    assert {:error, %{code: :bad_address}} = Server.open("no such interface", 0, 5)
+    Server.close(server, 100)
+  end
+
+  defp wait_for(condition, tries \\ 2_000) do
+    cond do
+      condition.() -> :ok
+      tries == 0 -> flunk("it did not come true")
+      true -> receive(after: (5 -> wait_for(condition, tries - 1)))
+    end
+  end
+end
