@@ -18,14 +18,16 @@ defmodule Situ.Tensor do
   # Nx is there when the application brings it.
   @compile {:no_warn_undefined, [Nx]}
 
-  @types [:f32, :f64, :s8, :s16, :s32, :s64, :u8, :u16, :u32, :u64, :bool]
+  # Their places are written into files: new ones go to the end.
+  @types [:f32, :f64, :s8, :s16, :s32, :s64, :u8, :u16, :u32, :u64, :bool, :f16, :bf16]
   @sizes %{f32: 4, f64: 8, s8: 1, s16: 2, s32: 4, s64: 8, u8: 1, u16: 2, u32: 4, u64: 8, bool: 1}
+         |> Map.merge(%{f16: 2, bf16: 2})
 
   @enforce_keys [:type, :shape, :data]
   defstruct [:type, :shape, :data]
 
   @type element_type ::
-          :f32 | :f64 | :s8 | :s16 | :s32 | :s64 | :u8 | :u16 | :u32 | :u64 | :bool
+          :f32 | :f64 | :s8 | :s16 | :s32 | :s64 | :u8 | :u16 | :u32 | :u64 | :bool | :f16 | :bf16
   @type t :: %__MODULE__{type: element_type(), shape: tuple(), data: binary()}
 
   @doc """
@@ -133,8 +135,14 @@ defmodule Situ.Tensor do
     parts
   end
 
-  @doc "An `Nx.Tensor` over the same bytes. Raises `ArgumentError` without the `nx` package."
+  @doc """
+  An `Nx.Tensor` over the same bytes. Raises `ArgumentError` without the `nx` package, and for a tensor without elements, which Nx
+  does not have.
+  """
   @spec to_nx(t()) :: struct()
+  def to_nx(%__MODULE__{data: <<>>} = t),
+    do: raise(ArgumentError, "Nx has no tensors without elements, as #{inspect(t.shape)} is")
+
   def to_nx(%__MODULE__{} = t) do
     nx = nx!()
     nx.from_binary(t.data, nx_type(t.type)) |> nx.reshape(t.shape)
@@ -190,6 +198,15 @@ defmodule Situ.Tensor do
 
   defp pack(true, :bool), do: <<1>>
   defp pack(false, :bool), do: <<0>>
+  defp pack(x, :f16), do: <<x::float-native-16>>
+
+  # The upper half of a 32-bit float, rounded to the nearest, ties to even.
+  defp pack(x, :bf16) do
+    <<bits::32>> = <<x::float-32>>
+    even = Bitwise.band(Bitwise.bsr(bits, 16), 1)
+    <<Bitwise.bsr(bits + 0x7FFF + even, 16)::native-16>>
+  end
+
   defp pack(x, :f32), do: <<x::float-native-32>>
   defp pack(x, :f64), do: <<x::float-native-64>>
   defp pack(x, :s8), do: <<x::signed-8>>
@@ -201,6 +218,12 @@ defmodule Situ.Tensor do
   # NaN and the infinities have no Erlang float: they become atoms, so that nothing is silently lost.
   defp unpack(data, :f32), do: for(<<bits::binary-4 <- data>>, do: float32(bits))
   defp unpack(data, :f64), do: for(<<bits::binary-8 <- data>>, do: float64(bits))
+  defp unpack(data, :f16), do: for(<<bits::binary-2 <- data>>, do: float16(bits))
+
+  defp unpack(data, :bf16) do
+    for <<bits::native-16 <- data>>, do: float32(<<Bitwise.bsl(bits, 16)::native-32>>)
+  end
+
   defp unpack(data, :s8), do: for(<<x::signed-8 <- data>>, do: x)
   defp unpack(data, :u8), do: for(<<x::8 <- data>>, do: x)
   defp unpack(data, :s16), do: for(<<x::signed-native-16 <- data>>, do: x)
@@ -210,6 +233,9 @@ defmodule Situ.Tensor do
   defp unpack(data, :s64), do: for(<<x::signed-native-64 <- data>>, do: x)
   defp unpack(data, :u64), do: for(<<x::native-64 <- data>>, do: x)
   defp unpack(data, :bool), do: for(<<x::8 <- data>>, do: x != 0)
+
+  defp float16(<<x::float-native-16>>), do: x
+  defp float16(<<bits::native-16>>), do: special(bits, 0x7C00, 0xFC00)
 
   defp float32(<<x::float-native-32>>), do: x
   defp float32(<<bits::native-32>>), do: special(bits, 0x7F800000, 0xFF800000)
