@@ -2,8 +2,12 @@
 
 use std::fmt;
 
+use crate::format::{MAX_MESSAGE, VERSION};
+
+/// What a function of this crate answers.
 pub type Result<T> = std::result::Result<T, Error>;
 
+/// Why something could not be done.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Error {
     /// An operating system call failed: (what was tried, raw errno, message).
@@ -22,9 +26,11 @@ pub enum Error {
     TooLarge(u64),
     /// The term holds something that means nothing outside the running system.
     NotStorable(&'static str),
+    /// The writer has no such stream.
     UnknownStream(u32),
     /// The store's folder was deleted under the writer.
     Deleted,
+    /// The writer is closed.
     Closed,
     /// Checksums or structure are wrong at (file, offset, why).
     Damaged(String, u64, String),
@@ -36,13 +42,44 @@ pub enum Error {
 
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{self:?}")
+        match self {
+            Error::Io(what, _, why) => write!(f, "could not {what}: {why}"),
+            Error::Locked => f.write_str("another writer holds the store's lock"),
+            Error::NoStore => f.write_str("there is no index.situ: no store, or one that lost it"),
+            Error::NotAStore => f.write_str("the index does not begin like one of a store"),
+            Error::Newer(version) => write!(
+                f,
+                "the store has format version {version}, and {VERSION} is the latest known here"
+            ),
+            Error::NotIncreasing(stream, last, got) => write!(
+                f,
+                "originating times of stream {stream} must increase: {got} came after {last}"
+            ),
+            Error::TooLarge(size) => write!(
+                f,
+                "a message has {size} bytes, and {MAX_MESSAGE} are the most it can have"
+            ),
+            Error::NotStorable(what) => {
+                write!(f, "a message contains {what}, which cannot be stored")
+            }
+            Error::UnknownStream(stream) => write!(f, "the writer has no stream {stream}"),
+            Error::Deleted => {
+                f.write_str("the store's folder was deleted while it was being written")
+            }
+            Error::Closed => f.write_str("the writer is closed"),
+            Error::Damaged(file, offset, why) => {
+                write!(f, "{file} is damaged at byte {offset}: {why}")
+            }
+            Error::MissingExtent(file) => write!(f, "the file {file} is missing"),
+            Error::Crash => f.write_str("a simulated crash"),
+        }
     }
 }
 
 impl std::error::Error for Error {}
 
 impl Error {
+    /// An operating system call failed.
     pub fn io(what: impl Into<String>, error: impl Into<std::io::Error>) -> Error {
         let error: std::io::Error = error.into();
         Error::Io(
@@ -52,7 +89,24 @@ impl Error {
         )
     }
 
+    /// A wrong place: the file, the byte, and what is wrong there.
     pub fn damaged(file: impl Into<String>, offset: u64, why: impl Into<String>) -> Error {
         Error::Damaged(file.into(), offset, why.into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_are_sentences() {
+        let damaged = Error::damaged("data-000000.situ", 64, "the chunk's checksum is wrong");
+        assert_eq!(
+            damaged.to_string(),
+            "data-000000.situ is damaged at byte 64: the chunk's checksum is wrong"
+        );
+        let io = Error::Io("open lock".into(), 13, "Permission denied".into());
+        assert_eq!(io.to_string(), "could not open lock: Permission denied");
     }
 }

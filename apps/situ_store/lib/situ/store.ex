@@ -8,8 +8,7 @@ defmodule Situ.Store do
     Importer,
     Mending,
     Reading,
-    Summary,
-    Writer
+    Summary
   }
 
   @moduledoc """
@@ -67,7 +66,13 @@ defmodule Situ.Store do
   During `build`: a new store that the pipeline records to. `path` is the folder it goes to (`path/name.NNNN`), or `nil` for a
   store in memory. Raises the `Situ.Error` when it cannot be made.
 
-  #{Options.docs(Writer.options())}
+  A recording without end is made in pieces, of which the latest are kept:
+
+      Situ.Store.create(p, "hall", "recordings", split: Situ.Time.minutes(10), keep: {:span, Situ.Time.hours(2)})
+
+  Every piece is a whole store (`hall.0000`, `hall.0001` ...); `Situ.Store.concat/3` makes one of several.
+
+  #{Options.docs(Exporter.create_options())}
   """
   @spec create(Situ.Pipeline.t(), String.t(), Path.t() | nil, keyword()) :: Exporter.t()
   defdelegate create(p, name, path, opts \\ []), to: Exporter
@@ -243,6 +248,7 @@ defmodule Situ.Store do
   defdelegate delete(path), to: Mending
   defdelegate rename(path, name), to: Mending
   defdelegate copy(from, to, opts \\ []), to: Copying
+  defdelegate compact(path, opts \\ []), to: Copying
   defdelegate crop(from, to, opts), to: Copying
   defdelegate concat(from, to, opts \\ []), to: Copying
   defdelegate edit(from, to, edits, opts \\ []), to: Editing

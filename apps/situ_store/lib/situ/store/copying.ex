@@ -47,6 +47,61 @@ defmodule Situ.Store.Copying do
     end
   end
 
+  @compact_options Keyword.take(@options, [:compression, :skip_damage, :progress, :durability])
+  @compacted ".compacted"
+  @before ".before-compaction"
+
+  @doc """
+  Writes a store anew in its place: many small commits become full chunks, holes and what was taken back are gone. `{:ok, path}`.
+
+  The new store is whole and on the disk before it takes the old one's name, and the old one is deleted last: a program killed
+  meanwhile leaves the recording under its own name, or as `NAME#{@before}`. Damage is an error unless `skip_damage: true`.
+
+  #{Situ.Options.docs(Keyword.put(@compact_options, :skip_damage, type: :boolean, default: false, doc: "Leave damaged chunks out."))}
+  """
+  @spec compact(Path.t(), keyword()) :: {:ok, Path.t()} | {:error, Error.t()}
+  def compact(path, opts \\ []) do
+    opts = Keyword.merge([skip_damage: false, durability: {:interval, 10_000}], opts)
+
+    with {:ok, opts} <- Situ.Options.validate(opts, @compact_options),
+         {:ok, folder} <- own(path),
+         fresh = folder <> @compacted,
+         :ok <- if(File.dir?(fresh), do: Folder.remove(fresh), else: :ok),
+         {:ok, ^fresh} <-
+           copy(folder, {Folder.name(folder), fresh}, [{:versioned, false} | opts]),
+         :ok <- swap(folder, fresh),
+         do: {:ok, folder}
+  end
+
+  defp own(path) do
+    with {:ok, store} <- Reading.open(path) do
+      cond do
+        not Folder.store?(store.path) ->
+          {:error, Error.new(:not_a_store, "#{store.path} is a foreign file, not a store")}
+
+        Reading.live?(store) ->
+          {:error, Failure.error(:locked, store.path)}
+
+        true ->
+          {:ok, store.path}
+      end
+    end
+  end
+
+  defp swap(folder, fresh) do
+    with :ok <- File.rename(folder, folder <> @before),
+         :ok <- File.rename(fresh, folder) do
+      Folder.remove(folder <> @before)
+    else
+      {:error, reason} ->
+        {:error,
+         Error.new(:io, "cannot put the compacted store in the place of #{folder}",
+           why: to_string(:file.format_error(reason)),
+           fix: "both are whole: rename #{fresh} by hand"
+         )}
+    end
+  end
+
   @doc """
   Cuts an interval out: `from:` and `to:` (times), or `start:` and `length:` (ns from the store's first message). Else as `copy/3`.
   """

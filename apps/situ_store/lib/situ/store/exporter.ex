@@ -5,7 +5,7 @@ defmodule Situ.Store.Exporter do
   The store is closed when the pipeline has completed, whether it ended well or by an error.
   """
   alias Situ.{Options, Pipeline, Stream}
-  alias Situ.Store.{Folder, Keys, Reading, SharedWriter, Sink, Volatile, Writer}
+  alias Situ.Store.{Folder, Keys, Pieces, Reading, SharedWriter, Sink, Volatile, Writer}
 
   @write_options Keyword.delete(Writer.stream_options(), :type) ++
                    [
@@ -31,13 +31,41 @@ defmodule Situ.Store.Exporter do
                    ]
 
   # `path` is the store's folder.
+  @create_options [
+    split: [
+      type: :pos_integer,
+      doc:
+        "Record in pieces: begin a new store, the next version of the name, after so many ns of originating time."
+    ],
+    keep: [
+      type:
+        {:or,
+         [
+           {:tuple, [{:in, [:span]}, :pos_integer]},
+           {:tuple, [{:in, [:bytes]}, :pos_integer]}
+         ]},
+      doc:
+        "With `split:`: delete the oldest pieces that this pipeline made, so that at least `{:span, ns}` or at most `{:bytes, n}` stay."
+    ]
+  ]
+
   @enforce_keys [:path, :shared]
-  defstruct [:path, :shared, eager: false]
-  @type t :: %__MODULE__{path: Path.t(), shared: SharedWriter.t(), eager: boolean()}
+  defstruct [:path, :shared, :pieces, eager: false]
+
+  @type t :: %__MODULE__{
+          path: Path.t(),
+          shared: SharedWriter.t() | nil,
+          pieces: {pid(), pos_integer()} | nil,
+          eager: boolean()
+        }
 
   @doc false
   @spec write_options() :: Options.schema()
   def write_options, do: @write_options
+
+  @doc false
+  @spec create_options() :: Options.schema()
+  def create_options, do: @create_options ++ Writer.options()
 
   @doc false
   @spec create(Pipeline.t(), String.t(), Path.t() | nil, keyword()) :: t()
@@ -47,6 +75,26 @@ defmodule Situ.Store.Exporter do
         do: {Volatile.root(), [{:volatile, true} | opts]},
         else: {Path.expand(root), opts}
 
+    opts = Options.validate!(opts, create_options())
+    {pieces, opts} = Keyword.split(opts, [:split, :keep])
+
+    if pieces[:split],
+      do: in_pieces(p, {name, root, opts}, pieces[:split], pieces[:keep]),
+      else: whole(p, name, root, opts)
+  end
+
+  # `path` is the name without a version: its newest piece opens by it.
+  defp in_pieces(p, {name, root, opts}, split, keep) do
+    {:ok, pieces} =
+      Pieces.start_link({name, root, Keyword.put(opts, :versioned, true)}, split, keep)
+
+    :ok = Pipeline.on(p, :completed, fn _report -> Pieces.close(pieces) end)
+    :ok = Pipeline.on(p, :abandoned, fn _error -> Pieces.close(pieces) end)
+    eager = opts[:durability] == :each
+    %__MODULE__{path: Path.join(root, name), shared: nil, pieces: {pieces, split}, eager: eager}
+  end
+
+  defp whole(p, name, root, opts) do
     case Writer.create(name, root, opts) do
       {:ok, writer} ->
         shared = SharedWriter.new(writer)
@@ -64,12 +112,28 @@ defmodule Situ.Store.Exporter do
   def write(nil, _exporter, _name, _opts), do: nil
   def write(%Stream{} = stream, nil, _name, _opts), do: stream
 
-  def write(%Stream{} = stream, %__MODULE__{shared: shared} = exporter, name, opts) do
+  def write(%Stream{} = stream, %__MODULE__{} = exporter, name, opts) do
     opts = Options.validate!(opts, @write_options)
     type = opts[:type] || if(opts[:envelopes], do: :any, else: stream.type)
 
-    of_stream =
-      opts |> Keyword.take(Keyword.keys(Writer.stream_options())) |> Keyword.put(:type, type)
+    if exporter.pieces,
+      do: write_pieces(stream, exporter, name, of_stream(opts, type), opts),
+      else: write_whole(stream, exporter, name, of_stream(opts, type), opts)
+  end
+
+  defp of_stream(opts, type) do
+    opts |> Keyword.take(Keyword.keys(Writer.stream_options())) |> Keyword.put(:type, type)
+  end
+
+  defp write_pieces(stream, exporter, name, of_stream, opts) do
+    {pieces, split} = exporter.pieces
+    given = [pieces: {pieces, split, name, of_stream}, envelopes: opts[:envelopes]]
+    Situ.via(stream, Sink, given ++ [eager: exporter.eager] ++ component(name, opts))
+    stream
+  end
+
+  defp write_whole(stream, exporter, name, of_stream, opts) do
+    shared = exporter.shared
 
     case Writer.stream(shared.writer, name, of_stream) do
       {:ok, writer_stream} ->

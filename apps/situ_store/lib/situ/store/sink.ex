@@ -9,13 +9,18 @@ defmodule Situ.Store.Sink do
     inputs: [in: :any],
     outputs: [],
     options: [
-      shared: [type: :any, required: true, doc: "The `Situ.Store.SharedWriter`."],
-      stream: [type: :any, required: true, doc: "The `Situ.Store.Writer.Stream`."],
+      shared: [type: :any, default: nil, doc: "The `Situ.Store.SharedWriter`."],
+      stream: [type: :any, default: nil, doc: "The `Situ.Store.Writer.Stream`."],
       envelopes: [type: :boolean, default: false, doc: "Write the envelopes only."],
-      eager: [type: :boolean, default: false, doc: "Commit every delivery at once."]
+      eager: [type: :boolean, default: false, doc: "Commit every delivery at once."],
+      pieces: [
+        type: :any,
+        default: nil,
+        doc: "`{pieces, split, name, options}` of a recording in pieces (`Situ.Store.Pieces`)."
+      ]
     ]
 
-  alias Situ.Store.{SharedWriter, Writer}
+  alias Situ.Store.{Pieces, SharedWriter, Writer}
 
   @flush_ms 20
   @most 512
@@ -26,6 +31,9 @@ defmodule Situ.Store.Sink do
     :stream,
     :envelopes,
     :eager,
+    :pieces,
+    :piece,
+    held: %{},
     pending: [],
     count: 0,
     bytes: 0,
@@ -40,7 +48,8 @@ defmodule Situ.Store.Sink do
        shared: opts[:shared],
        stream: opts[:stream],
        envelopes: opts[:envelopes],
-       eager: opts[:eager]
+       eager: opts[:eager],
+       pieces: opts[:pieces]
      }}
   end
 
@@ -49,7 +58,32 @@ defmodule Situ.Store.Sink do
     do: handle_messages(:in, [message], context, state)
 
   @impl true
-  def handle_messages(:in, messages, _context, state) do
+  def handle_messages(:in, messages, _context, %{pieces: {_, split, _, _}} = state) do
+    messages
+    |> Enum.chunk_by(&Pieces.number(&1.originating_time, split))
+    |> Enum.reduce({[], state}, fn [first | _] = part, {[], state} ->
+      number = Pieces.number(first.originating_time, split)
+      take(part, if(number == state.piece, do: state, else: enter(flush(state), number)))
+    end)
+  end
+
+  def handle_messages(:in, messages, _context, state), do: take(messages, state)
+
+  # The piece of these times, or what is left of it when the others are far ahead.
+  defp enter(%{pieces: {pieces, _split, name, opts}} = state, number) do
+    case Pieces.stream(pieces, number, name, opts) do
+      {:ok, real, stream} ->
+        # As it was left, with what is noted of it: one asks again for a piece when messages were late.
+        stream = Map.get(state.held, real, stream)
+        held = state.held |> Map.filter(fn {n, _} -> n >= real end) |> Map.put(real, stream)
+        %{state | piece: number, stream: stream, held: held}
+
+      {:error, error} ->
+        raise error
+    end
+  end
+
+  defp take(messages, state) do
     messages = if state.envelopes, do: Enum.map(messages, &%{&1 | data: nil}), else: messages
     {count, bytes, plain} = weigh(messages, state.count, state.bytes, state.plain)
     pending = [messages | state.pending]
@@ -84,7 +118,9 @@ defmodule Situ.Store.Sink do
   @impl true
   def handle_closed(:in, time, _context, state) do
     state = flush(state)
-    ok!(Writer.close_stream(state.stream, time))
+
+    # Of a recording in pieces the last one closes here; there is none when there were no messages.
+    if state.stream, do: ok!(Writer.close_stream(state.stream, time))
     {[], state}
   end
 
@@ -92,18 +128,36 @@ defmodule Situ.Store.Sink do
   def terminate(_reason, state) do
     # After an error what was delivered before it is still worth keeping; a second error would hide the first.
     _ = if state.pending != [], do: append(state)
-    SharedWriter.leave(state.shared)
+    if state.shared, do: SharedWriter.leave(state.shared), else: :ok
   end
 
   @impl true
+  def describe(%{pieces: {_, _, name, _}}), do: "writes #{name} in pieces"
   def describe(state), do: "writes #{state.stream.name} to #{state.shared.writer.path}"
 
   defp flush(%{pending: []} = state), do: state
 
   defp flush(state) do
-    stream = ok!(append(state))
+    {state, stream} = appended(state, append(state))
     _ = state.timer && Process.cancel_timer(state.timer)
     %{state | stream: stream, pending: [], count: 0, bytes: 0, plain: true, timer: nil}
+  end
+
+  # A piece that was closed since: what is pending goes into the oldest one that is open.
+  defp appended(%{pieces: {_, _, _, _}} = state, {:error, %{code: :closed}}) do
+    state = enter(%{state | held: %{}}, state.piece)
+    remember(state, ok!(append(state)))
+  end
+
+  defp appended(state, result), do: remember(state, ok!(result))
+
+  defp remember(%{pieces: nil} = state, stream), do: {state, stream}
+
+  defp remember(state, stream) do
+    held =
+      Map.new(state.held, fn {n, s} -> {n, if(s.writer == stream.writer, do: stream, else: s)} end)
+
+    {%{state | held: held}, stream}
   end
 
   defp append(%{plain: true} = state),

@@ -5,7 +5,7 @@ defmodule Situ.Store.Writer do
       type: {:or, [{:in, [:none, :each]}, {:tuple, [{:in, [:interval]}, :pos_integer]}]},
       default: :none,
       doc:
-        "`:none` survives a killed process, `{:interval, ms}` and `:each` (every commit) a power cut too."
+        "`:none`, `{:interval, ms}` or `:each` commit: what a power cut may take (see `Situ.Store.Writer`). A killed process loses nothing in any case."
     ],
     first_extent: [
       type: :pos_integer,
@@ -40,6 +40,17 @@ defmodule Situ.Store.Writer do
       [7]
       iex> Situ.Store.delete(writer.path)
       :ok
+
+  ## Durability: what is left after a crash
+
+  | `durability:` | the process is killed (-9) | the power goes | cost |
+  |---|---|---|---|
+  | `:none` | nothing is lost | what the kernel had not written, up to about 30 s (Linux's `dirty_expire`); the store opens, `verify` tells the chunks that did not reach the disk and `repair` leaves them out | none |
+  | `{:interval, ms}` | nothing is lost | what was committed in the last `ms` or since the last commit before, whichever is longer | an `fdatasync` every `ms` |
+  | `:each` | nothing is lost | nothing that `append/2` had answered | two `fdatasync` a commit: 1 to 10 ms on most disks |
+
+  "Nothing" is what was committed: an append is, when it has answered. A pipeline gathers for up to 20 ms before it
+  appends (`Situ.Store.write/4`); with `:each` every delivery is appended at once. Disks that lie about their cache lose more.
 
   When `append/2` has answered, the messages are committed: readers in any process see them, and a kill of this one does
   not lose them. On an error none of them is written and the writer is as it was before.

@@ -314,4 +314,29 @@ defmodule Situ.Store.CopyingTest do
       assert path |> Situ.Store.Test.Play.replay("N") |> Enum.map(& &1.data) == [1, 2, 3, 4]
     end
   end
+
+  test "compacting makes full chunks of many small commits, in place", %{tmp_dir: root} do
+    {:ok, writer} = Writer.create("small", root)
+    {:ok, stream} = Writer.stream(writer, "N", type: :integer, metadata: %{"unit" => "m"})
+
+    stream =
+      Enum.reduce(1..300, stream, fn i, stream ->
+        {:ok, stream} = Writer.append(stream, [message(i, i * 1_000)])
+        stream
+      end)
+
+    assert {:error, %{code: :store_in_use}} = Store.compact(writer.path)
+    {:ok, _} = Writer.close_stream(stream, 300_000)
+    :ok = Writer.close(writer)
+    [before] = Store.streams(Store.open!(writer.path))
+    path = writer.path
+    assert {:ok, ^path} = Store.compact(path)
+    [now] = Store.streams(Store.open!(path))
+    assert now.stored * 10 < before.stored
+    assert {now.count, now.closed, now.first, now.last} == {300, 300_000, 1_000, 300_000}
+    assert data(path, "N") == Enum.to_list(1..300)
+    assert Store.metadata(Store.open!(path), "N") == {:ok, %{"unit" => "m"}}
+    assert File.ls!(root) == ["small.0000"]
+    assert {:error, %{code: :unknown_option}} = Store.compact(path, from: 1)
+  end
 end

@@ -1,0 +1,174 @@
+defmodule Situ.Store.HostileTest do
+  # Stores that lie, with right checksums: an error or less data, little memory, and no scheduler held up.
+  use ExUnit.Case, async: false
+  alias Situ.Store
+  alias Situ.Store.Writer
+  import Situ.Store.Test.Record, only: [message: 2]
+
+  @moduletag :tmp_dir
+  @rounds 150
+
+  defp base(root) do
+    {:ok, writer} = Writer.create("base", root, first_extent: 65_536)
+
+    add = fn name, options, n, data ->
+      {:ok, stream} = Writer.stream(writer, name, options)
+      {:ok, _} = Writer.append(stream, for(i <- 1..n, do: message(data.(i), i * 1_000)))
+    end
+
+    add.("ints", [type: :integer, metadata: %{"unit" => "m"}], 1_500, & &1)
+    add.("flags", [type: :boolean], 1_500, &(rem(&1, 7) < 3))
+    add.("terms", [], 600, &%{"k" => &1, l: [1, 2, {&1}], t: {:ok, 1.5}})
+    add.("packed", [compression: :zstd], 300, &String.duplicate("abc#{&1}", 50))
+    add.("quick", [compression: :lz4], 300, &String.duplicate("abc#{&1}", 50))
+    add.("large", [large: true], 10, &:binary.copy(<<&1>>, 5_000))
+    :ok = Writer.close(writer)
+    writer.path
+  end
+
+  # Overwrites some bytes and makes every checksum right again, so that the reader has to judge what they say.
+  defp lie(path, target) do
+    File.rm_rf!(target)
+    File.cp_r!(path, target)
+    index = Path.join(target, "index.situ")
+    <<_::binary-size(64), n::little-64, _::binary>> = bytes = File.read!(index)
+    at = 4_096 + 64 * (:rand.uniform(n) - 1)
+    entry = binary_part(bytes, at, 64)
+
+    <<_::binary-9, lane, _::16, extent::little-32, offset::little-64, length::little-32,
+      _::binary>> = entry
+
+    if :rand.uniform(3) == 1 do
+      entry = scratch(entry, 4, 64)
+      File.write!(index, put(bytes, at, sign_entry(entry)))
+    else
+      kind = if lane == 1, do: "large", else: "data"
+      file = Path.join(target, "#{kind}-#{String.pad_leading("#{extent}", 6, "0")}.situ")
+      data = File.read!(file)
+
+      chunk =
+        data
+        |> binary_part(offset, length)
+        |> scratch(Enum.random([8, 112]), length)
+        |> sign_chunk()
+
+      File.write!(file, put(data, offset, chunk))
+    end
+  end
+
+  defp scratch(bytes, from, to) do
+    Enum.reduce(1..:rand.uniform(3), bytes, fn _, bytes ->
+      at = from + :rand.uniform(max(min(to, byte_size(bytes)) - from, 1)) - 1
+
+      value =
+        Enum.random([
+          <<0>>,
+          <<255>>,
+          <<0xFF, 0xFF, 0xFF, 0x7F>>,
+          <<128>>,
+          <<:rand.uniform(256) - 1>>
+        ])
+
+      put(bytes, min(at, byte_size(bytes) - byte_size(value)), value)
+    end)
+  end
+
+  defp put(bytes, at, value) do
+    rest = at + byte_size(value)
+    binary_part(bytes, 0, at) <> value <> binary_part(bytes, rest, byte_size(bytes) - rest)
+  end
+
+  defp sign_entry(<<_::32, rest::binary>>), do: <<crc(rest)::little-32, rest::binary>>
+
+  defp sign_chunk(chunk) do
+    <<_::binary-18, packed, _::binary>> = chunk
+    <<table::little-32>> = binary_part(chunk, 84, 4)
+    covered = if packed == 0, do: min(112 + table, byte_size(chunk)), else: 112
+
+    chunk =
+      put(chunk, 92, <<crc(binary_part(chunk, covered, byte_size(chunk) - covered))::little-32>>)
+
+    put(chunk, 4, <<crc(binary_part(chunk, 8, covered - 8))::little-32>>)
+  end
+
+  # CRC-32C by a table.
+  @table List.to_tuple(
+           for byte <- 0..255 do
+             Enum.reduce(1..8, byte, fn _, c ->
+               if Bitwise.band(c, 1) == 1,
+                 do: Bitwise.bxor(Bitwise.bsr(c, 1), 0x82F63B78),
+                 else: Bitwise.bsr(c, 1)
+             end)
+           end
+         )
+
+  defp crc(bytes) do
+    import Bitwise
+
+    for(<<byte <- bytes>>, reduce: 0xFFFFFFFF) do
+      crc -> bxor(elem(@table, band(bxor(crc, byte), 0xFF)), bsr(crc, 8))
+    end
+    |> bxor(0xFFFFFFFF)
+  end
+
+  defp ask(path) do
+    with {:ok, store} <- Store.open(path) do
+      Store.info(store)
+
+      for info <- Store.streams(store) do
+        _ = Enum.count(Store.messages(store, info, skip_damage: true))
+        _ = Store.at(store, info, 0)
+        _ = Store.at(store, info, -1)
+        _ = Store.latest_at(store, info, 500_000)
+        _ = Store.summary(store, info, 0, 1_500_000, 100)
+        _ = Store.Summary.read(store, info, 0, 1_500_000, 100)
+        _ = Store.metadata(store, info)
+        _ = Store.gaps(store, info, 1)
+      end
+
+      _ = Store.verify(path)
+      _ = Store.repair(path, dry_run: true)
+    end
+
+    :asked
+  rescue
+    # What is damaged raises where a stream of messages is read.
+    error in Situ.Error -> error.code
+  end
+
+  test "lying stores take little memory and hold up no scheduler", %{tmp_dir: root} do
+    path = base(root)
+    :rand.seed(:exsss, {1, 2, 3})
+    watch = self()
+    {:ok, monitor} = Agent.start_link(fn -> :erlang.system_monitor(watch, long_schedule: 500) end)
+    atoms = :erlang.system_info(:atom_count)
+    before = resident()
+
+    for _ <- 1..@rounds do
+      target = Path.join(root, "lie.0000")
+      lie(path, target)
+      assert ask(target) in [:asked, :damaged, :missing_extent, :not_a_store, :newer_version]
+    end
+
+    :erlang.system_monitor(:undefined)
+    Agent.stop(monitor)
+    long = for {:monitor, who, :long_schedule, info} <- flush(), do: {who, info}
+    assert long == []
+    assert resident() - before < 256 * 1024
+    assert :erlang.system_info(:atom_count) - atoms < 500
+  end
+
+  defp flush do
+    receive do
+      message -> [message | flush()]
+    after
+      0 -> []
+    end
+  end
+
+  # Of this system, in KiB.
+  defp resident do
+    [_, kib] = Regex.run(~r/VmRSS:\s+(\d+)/, File.read!("/proc/self/status"))
+    String.to_integer(kib)
+  end
+end

@@ -1,0 +1,56 @@
+defmodule Situ.Store.PiecesTest do
+  use ExUnit.Case, async: true
+  alias Situ.{Pipeline, Store}
+
+  @moduletag :tmp_dir
+
+  defp record(root, n, opts) do
+    {:ok, _} =
+      Pipeline.run(
+        fn p ->
+          store = Store.create(p, "hall", root, opts)
+          numbers = Situ.from_enumerable(p, 0..(n - 1), every: 1_000)
+          Store.write(numbers, store, "N")
+          numbers |> Situ.map(&{&1, "text"}) |> Store.write(store, "Pairs")
+        end,
+        pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+      )
+
+    Store.list(root)
+  end
+
+  defp numbers(path), do: path |> Store.open!() |> Store.messages("N") |> Enum.map(& &1.data)
+
+  test "a recording is cut at multiples of the time asked for, and nothing is lost", %{
+    tmp_dir: root
+  } do
+    pieces = record(root, 100, split: 30_000)
+    assert Enum.map(pieces, &Path.basename/1) == ~w(hall.0000 hall.0001 hall.0002 hall.0003)
+    assert Enum.flat_map(pieces, &numbers/1) == Enum.to_list(0..99)
+    assert numbers(hd(pieces)) == Enum.to_list(0..29)
+    assert Enum.all?(pieces, &Store.closed?(Store.open!(&1)))
+    {:ok, whole} = Store.concat(pieces, Path.join(root, "whole"))
+    assert numbers(whole) == Enum.to_list(0..99)
+    assert Store.count(Store.open!(whole), "Pairs") == 100
+  end
+
+  test "of a ring the latest pieces stay", %{tmp_dir: root} do
+    pieces = record(root, 100, split: 10_000, keep: {:span, 20_000})
+    # So much before the newest piece, however short that one is.
+    assert Enum.flat_map(pieces, &numbers/1) == Enum.to_list(70..99)
+    other = Path.join(root, "other")
+    pieces = record(other, 100, split: 10_000, keep: {:bytes, 1})
+    assert Enum.flat_map(pieces, &numbers/1) == Enum.to_list(80..99)
+  end
+
+  test "what is late goes into the oldest piece that is open", %{tmp_dir: root} do
+    {:ok, pieces} = Store.Pieces.start_link({"late", root, []}, 10, nil)
+    assert {:ok, 5, _} = Store.Pieces.stream(pieces, 5, "S", [])
+    assert {:ok, 6, _} = Store.Pieces.stream(pieces, 6, "S", [])
+    assert {:ok, 7, seven} = Store.Pieces.stream(pieces, 7, "S", [])
+    assert {:ok, 6, _} = Store.Pieces.stream(pieces, 3, "T", [])
+    assert {:ok, 7, ^seven} = Store.Pieces.stream(pieces, 7, "S", [])
+    :ok = Store.Pieces.close(pieces)
+    assert [_, _, _] = Store.list(root)
+  end
+end
