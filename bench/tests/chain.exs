@@ -1,30 +1,34 @@
 defmodule Situ.Bench.Chain do
   @moduledoc false
-  # A range one tick apart through k maps that add one, counted at the end; each policy as the pipeline's default.
+  # A range one tick apart through k maps that add one, counted at the end. `unlimited` and `sync` are what a user gets who says
+  # nothing: light operators in one process. `async` is a process and an envelope for each, `throttle` besides with a queue of one in front
+  # of each (the reference's Throttle).
   import Situ.Bench, only: [measure: 3]
   alias Situ.{Delivery, Pipeline, Time}
 
-  @policies [
-    unlimited: Delivery.unlimited(),
-    throttle: Delivery.throttle(),
-    sync: Delivery.synchronous()
-  ]
+  @policies [unlimited: Delivery.unlimited(), sync: Delivery.synchronous()]
   @sizes [{1, 600_000}, {10, 200_000}, {50, 60_000}]
 
   def tests do
     plain =
       for {k, n} <- @sizes, {name, policy} <- @policies do
-        {"chain-#{k}-#{name}", &chain("chain_k#{k}_#{name}", k, round(n * &1), policy, false)}
+        {"chain-#{k}-#{name}", &chain("chain_k#{k}_#{name}", k, round(n * &1), policy, [])}
       end
 
     plain ++
       [
         {"chain-10-async",
-         &chain("chain_k10_async", 10, round(200_000 * &1), Delivery.unlimited(), true)}
-      ]
+         &chain("chain_k10_async", 10, round(200_000 * &1), Delivery.unlimited(), async: true)}
+      ] ++
+      for {k, n} <- [{1, 100_000}, {10, 20_000}] do
+        {"chain-#{k}-throttle",
+         &chain("chain_k#{k}_throttle", k, round(n * &1), Delivery.unlimited(),
+           policy: Delivery.throttle(1)
+         )}
+      end
   end
 
-  defp chain(metric, k, n, policy, async) do
+  defp chain(metric, k, n, policy, opts) do
     sum = :counters.new(2, [])
 
     measure(metric, n, fn ->
@@ -34,7 +38,7 @@ defmodule Situ.Bench.Chain do
             1..k
             |> Enum.reduce(Situ.from_enumerable(p, 0..(n - 1)//1, every: Time.ticks(1)), fn _,
                                                                                             stream ->
-              Situ.map(stream, &(&1 + 1), async: async)
+              Situ.map(stream, &(&1 + 1), opts)
             end)
             |> Situ.each(fn v ->
               :counters.add(sum, 1, 1)

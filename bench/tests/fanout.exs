@@ -1,19 +1,22 @@
 defmodule Situ.Bench.Fanout do
   @moduledoc false
-  # One range to ten sinks.
+  # One range to ten sinks, a process each; `throttle` with a queue of one in front of each.
   import Situ.Bench, only: [measure: 3]
   alias Situ.{Delivery, Pipeline, Time}
 
   @policies [
     unlimited: Delivery.unlimited(),
-    throttle: Delivery.throttle(),
+    throttle: Delivery.throttle(1),
     sync: Delivery.synchronous()
   ]
 
   def tests do
     for {name, policy} <- @policies,
-        do: {"fanout-#{name}", &fanout("fanout10_#{name}", round(200_000 * &1), policy)}
+        do: {"fanout-#{name}", &fanout("fanout10_#{name}", count(name, &1), policy)}
   end
+
+  defp count(:throttle, scale), do: round(20_000 * scale)
+  defp count(_name, scale), do: round(200_000 * scale)
 
   defp fanout(metric, n, policy) do
     counts = :counters.new(10, [])
@@ -23,9 +26,11 @@ defmodule Situ.Bench.Fanout do
         Pipeline.run(
           fn p ->
             stream = Situ.from_enumerable(p, 0..(n - 1)//1, every: Time.ticks(1))
-            for i <- 1..10, do: Situ.each(stream, fn _ -> :counters.add(counts, i, 1) end)
+
+            for i <- 1..10,
+                do: Situ.each(stream, fn _ -> :counters.add(counts, i, 1) end, policy: policy)
           end,
-          pipeline: [default_policy: policy]
+          pipeline: [replay: [speed: :max]]
         )
 
       for i <- 1..10,

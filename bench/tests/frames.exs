@@ -49,7 +49,9 @@ defmodule Situ.Bench.Frames do
 
   defp frames(metric, n, policy, async) do
     frames = List.to_tuple(for i <- 1..8, do: :binary.copy(<<i>>, @bytes))
-    seen = :counters.new(2, [])
+    seen = :counters.new(3, [])
+    sums = for frame <- Tuple.to_list(frames), do: read(frame)
+    expected = for i <- 0..(n - 1), reduce: 0, do: (sum -> sum + Enum.at(sums, rem(i, 8)))
 
     measure(metric, n, "frame/s", fn ->
       {:ok, _} =
@@ -62,6 +64,7 @@ defmodule Situ.Bench.Frames do
             |> Situ.each(fn frame ->
               :counters.add(seen, 1, 1)
               :counters.add(seen, 2, byte_size(frame))
+              :counters.add(seen, 3, read(frame))
             end)
           end,
           pipeline: [default_policy: policy]
@@ -69,6 +72,13 @@ defmodule Situ.Bench.Frames do
 
       if :counters.get(seen, 1) != n or :counters.get(seen, 2) != n * @bytes,
         do: raise("frames are missing")
+
+      if :counters.get(seen, 3) != expected, do: raise("frames hold something else")
     end)
   end
+
+  # One byte of every page: what a reader touches.
+  defp read(frame), do: read(frame, 0, 0)
+  defp read(frame, at, sum) when at >= byte_size(frame), do: sum
+  defp read(frame, at, sum), do: read(frame, at + 4_096, sum + :binary.at(frame, at))
 end

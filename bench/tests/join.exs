@@ -33,6 +33,7 @@ defmodule Situ.Bench.Join do
             primary
             |> Situ.join(secondary, interpolator)
             |> Situ.each(fn {a, b} ->
+              if a != b, do: raise("#{a} was joined with #{b}")
               :counters.add(counter, 1, 1)
               :counters.add(counter, 2, a + b)
             end)

@@ -4,7 +4,7 @@ defmodule Situ.Bench.StoreSeek do
 
   def tests, do: []
 
-  def seek(name, root, n, number) do
+  def seek(name, root, n, number, every \\ 100) do
     store = Store.open!(Path.join(root, "bench"))
     {:ok, info} = Store.stream_info(store, "s")
     :rand.seed(:exsss, {1, 2, 3})
@@ -13,7 +13,7 @@ defmodule Situ.Bench.StoreSeek do
       for _ <- 1..10_000 do
         i = :rand.uniform(n) - 1
         started = :erlang.monotonic_time(:nanosecond)
-        {:ok, message} = Store.latest_at(store, info, i * 100 + 50)
+        {:ok, message} = Store.latest_at(store, info, i * every + 50)
         took = :erlang.monotonic_time(:nanosecond) - started
         if number.(message.data) != i, do: raise("sought #{i}, found #{inspect(message)}")
         took

@@ -71,11 +71,13 @@ defmodule Situ.Bench.Steady do
   end
 
   defp report(latencies, memory, frames) do
+    {fifth, last} = {:counters.get(memory, 1) / 1024, Bench.rss_mib()}
+    if last > fifth * 1.25 + 64, do: raise("memory grew from #{fifth} to #{last} MiB")
     sorted = latencies |> :ets.tab2list() |> Enum.map(&(elem(&1, 1) / 1.0e6)) |> Enum.sort()
 
     [
-      {"steady_720p_rss_fifth", :counters.get(memory, 1) / 1024, "MiB"},
-      {"steady_720p_rss_end", Bench.rss_mib(), "MiB"},
+      {"steady_720p_rss_fifth", fifth, "MiB"},
+      {"steady_720p_rss_end", last, "MiB"},
       {"steady_720p_lost", frames - length(sorted), "pictures"},
       {"steady_720p_latency_p50", at(sorted, 0.5), "ms"},
       {"steady_720p_latency_p99", at(sorted, 0.99), "ms"}

@@ -53,7 +53,8 @@ defmodule Situ.Bench.Store do
   defp settings(policy, interval \\ []),
     do: [pipeline: [default_policy: delivery(policy), replay: [speed: :max] ++ interval]]
 
-  defp write(metric, n, unit, root, type, policy, value) do
+  # The policy stands where messages wait for the disk: in front of the writer.
+  defp write(metric, n, unit, root, type, policy, value, every \\ 100) do
     Situ.Bench.measure(metric, n, unit, fn ->
       {:ok, _} =
         Pipeline.run(
@@ -61,9 +62,9 @@ defmodule Situ.Bench.Store do
             exporter = Store.create(p, "bench", root)
 
             p
-            |> Situ.from_enumerable(0..(n - 1)//1, every: 100)
+            |> Situ.from_enumerable(0..(n - 1)//1, every: every)
             |> Situ.map(value, type: type)
-            |> Store.write(exporter, "s", type: type)
+            |> Store.write(exporter, "s", type: type, policy: delivery(policy))
           end,
           settings(policy, interval: {0, :unbounded})
         )
@@ -174,12 +175,17 @@ defmodule Situ.Bench.Store do
 
   defp hundred(n) do
     in_folder(fn root ->
-      value = fn i -> <<i::64, 0::736>> end
+      # Eight sines of a sensor, 1 us apart.
+      value = fn i ->
+        sines = for k <- 1..8, into: <<>>, do: <<:math.sin(i * k * 1.0e-3)::float>>
+        <<i::64, sines::binary, 0::224>>
+      end
+
       number = fn <<i::64, _::binary>> -> i end
-      written = write("store100b_write", n, "msg/s", root, :binary, :unlimited, value)
+      written = write("store100b_write", n, "msg/s", root, :binary, :unlimited, value, 1_000)
       {read, count, sum} = read("store100b_read", n, root, :unlimited, number)
       if {count, sum} != {n, div(n * (n - 1), 2)}, do: raise("read #{count} of #{n}, sum #{sum}")
-      written ++ read ++ Situ.Bench.StoreSeek.seek("store100b", root, n, number)
+      written ++ read ++ Situ.Bench.StoreSeek.seek("store100b", root, n, number, 1_000)
     end)
   end
 end

@@ -87,12 +87,29 @@ defmodule Situ.Bench.Timeline do
     ]
   end
 
-  # The bins' counts must add up to the points that lie in them.
+  # The bins' counts must add up to the points that lie in them; of a few the least and the greatest are looked at.
   defp check(bins, width, from, span, n) do
     low = Integer.floor_div(from, width) * width
     high = Integer.floor_div(from + span, width) * width + width - 1
     expected = min(div(high, @step), n - 1) - div(low + @step - 1, @step) + 1
     counted = bins |> Enum.map(&elem(&1, 4)) |> Enum.sum()
     if counted != expected, do: raise("#{counted} points in #{from}+#{span}, not #{expected}")
+    for bin <- Enum.take_random(bins, 3), do: extremes(bin, width, n)
+  end
+
+  # Values repeat after 10,007 points, each of 0..10,006 once.
+  @period 10_007
+
+  defp extremes({time, least, greatest, _last, count}, width, n) do
+    first = div(time + @step - 1, @step)
+    last = min(div(time + width - 1, @step), n - 1)
+
+    expected =
+      if last - first + 1 >= @period,
+        do: {0.0, @period - 1.0},
+        else: first..last |> Enum.map(&value/1) |> Enum.min_max()
+
+    if {least, greatest} != expected,
+      do: raise("#{count} points from #{time}: #{least}..#{greatest}, not #{inspect(expected)}")
   end
 end

@@ -23,7 +23,10 @@ defmodule Situ.Bench.Window do
           fn p ->
             Situ.from_enumerable(p, 0..(n - 1)//1, every: 100)
             |> Situ.window(-9..0)
-            |> Situ.each(fn [first | _] ->
+            |> Situ.each(fn [first | _] = window ->
+              if length(window) != 10 or List.last(window) != first + 9,
+                do: raise("a window of #{length(window)} from #{first}")
+
               :counters.add(counter, 1, 1)
               :counters.add(counter, 2, first)
             end)

@@ -14,6 +14,7 @@ defmodule Situ.Bench.Zip do
             Situ.from_enumerable(p, 0..(n - 1)//1, every: 1_000)
             |> Situ.zip(Situ.from_enumerable(p, 0..(n - 1)//1, every: 1_000))
             |> Situ.each(fn [a, b] ->
+              if a != b, do: raise("#{a} was zipped with #{b}")
               :counters.add(counter, 1, 1)
               :counters.add(counter, 2, a + b)
             end)

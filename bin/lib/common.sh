@@ -94,10 +94,14 @@ build_prod() {
 }
 
 # elixir_prod ARGS...: runs elixir on the production build, without mix. Ctrl-C ends it, with the status people expect (130).
-elixir_prod() {
-  local yaws flags
+# elixir_plain: the same without the flags of a release.
+elixir_prod() { elixir_with "$(grep '^[+-]' "$SITU_ROOT/rel/vm.args.eex" | tr '\n' ' ')" "$@"; }
+elixir_plain() { elixir_with "" "$@"; }
+
+elixir_with() {
+  local yaws flags=$1
+  shift
   yaws=$(ls -d /usr/lib/yaws-*/ebin 2>/dev/null | head -n 1 || true)
-  flags=$(grep '^[+-]' "$SITU_ROOT/rel/vm.args.eex" | tr '\n' ' ')
   exec elixir --erl "+Bd $flags" ${yaws:+-pa "$yaws"} -pa "$SITU_ROOT/_build/prod/lib/*/ebin" "$@"
 }
 

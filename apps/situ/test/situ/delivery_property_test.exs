@@ -60,14 +60,22 @@ defmodule Situ.DeliveryPropertyTest do
             {post(outlet, sent, n), sent + n, asked}
 
           {false, n}, {outlet, sent, asked} ->
-            {Output.ask(outlet, {self(), tag}, n), sent, asked + n}
+            {ask(outlet, tag, n), sent, asked + n}
         end)
 
       got = received(tag)
       assert got == Enum.to_list(1..min(sent, asked)//1)
-      outlet |> Output.close(sent + 1) |> Output.ask({self(), tag}, sent + 1)
+      outlet |> Output.close(sent + 1) |> ask(tag, sent + 1)
       assert got ++ received(tag) == Enum.to_list(1..sent//1)
       assert_received {:"$gen_consumer", {_, ^tag}, {:cancel, {:shutdown, {:closed, _}}}}
+    end
+  end
+
+  defp ask(outlet, tag, n) do
+    case Output.ask(outlet, {self(), tag}, n) do
+      {:ok, outlet} -> outlet
+      # It is closed, and nobody is left.
+      :error -> outlet
     end
   end
 

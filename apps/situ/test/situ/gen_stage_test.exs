@@ -373,6 +373,34 @@ defmodule Situ.GenStageTest do
       assert {:error, _} = Pipeline.await(p, 30_000)
     end
 
+    test "learns that another part of the pipeline failed" do
+      {:ok, p} =
+        Pipeline.start(
+          fn p ->
+            stream = Situ.from_enumerable(p, Stream.iterate(0, &(&1 + 1)), every: 10)
+            Situ.each(stream, fn v -> if v == 500, do: raise("bang") end)
+            GenStage.accumulate(stream, name: "Out")
+          end,
+          pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+        )
+
+      {:ok, {pid, opts}} = GenStage.subscription(p, "Out")
+      ref = subscribe(pid, opts)
+      GenServer.cast(pid, {:"$demand", :forward})
+      ask(pid, ref, 5_000)
+      assert {:error, _} = Pipeline.await(p, 30_000)
+      assert {:cancel, %Situ.Error{code: :component_failed}} = last_word(pid, ref)
+    end
+
+    defp last_word(pid, ref) do
+      receive do
+        {:"$gen_consumer", {^pid, ^ref}, {:cancel, _} = word} -> word
+        {:"$gen_consumer", {^pid, ^ref}, _events} -> last_word(pid, ref)
+      after
+        10_000 -> flunk("no end")
+      end
+    end
+
     test "an unknown output is refused with a reason; a cancel is answered, also another's" do
       %{p: p, pid: pid, opts: opts} = count()
       subscribe(pid, [output: :nope], :a)

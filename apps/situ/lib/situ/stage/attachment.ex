@@ -23,9 +23,10 @@ defmodule Situ.Stage.Attachment do
   @doc "What a consumer says in GenStage's protocol: it subscribes, asks, cancels. Whatever else it says ends its subscription."
   @spec asked(State.t(), {pid(), term()}, term()) :: State.t()
   def asked(state, from, {:ask, n}) when (is_integer(n) and n > 0) or n == :infinity do
-    if consumer?(state, from),
-      do: State.wake(%{state | outputs: Outputs.ask(state.outputs, from, n)}),
-      else: unknown(state, from)
+    case Outputs.ask(state.outputs, from, n) do
+      {:ok, outputs} -> State.wake(%{state | outputs: outputs})
+      :error -> unknown(state, from)
+    end
   end
 
   def asked(state, _from, {:ask, 0}), do: state

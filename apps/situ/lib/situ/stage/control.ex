@@ -104,7 +104,7 @@ defmodule Situ.Stage.Control do
 
   # The pipeline has failed elsewhere.
   def handle({:abandon, error}, state),
-    do: {:noreply, state |> Emission.settle() |> ErrorPolicy.abandon(error)}
+    do: {:noreply, state |> Emission.settle() |> ErrorPolicy.abandon(error) |> Loop.turn()}
 
   def handle({:tap, tap}, state) do
     state = Attachment.tap(state, tap)

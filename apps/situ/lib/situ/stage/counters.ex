@@ -13,6 +13,7 @@ defmodule Situ.Stage.Counters do
   @kept_sum 5
   @waiting 6
   @held 7
+  @wanted 8
   @processed 17
   @dropped 18
   @reached 19
@@ -69,6 +70,15 @@ defmodule Situ.Stage.Counters do
   @doc "How many messages are held back at the producer."
   @spec held(t()) :: non_neg_integer()
   def held(ref), do: :atomics.get(ref, @held)
+
+  @doc "The consumer wants all that is held back, at once."
+  @spec want(t()) :: :ok
+  def want(ref), do: :atomics.put(ref, @wanted, 1)
+
+  @doc "Whether the consumer wants that, and nobody has answered yet; whoever learns it has to answer."
+  @spec wanted?(t()) :: boolean()
+  def wanted?(ref),
+    do: :atomics.get(ref, @wanted) == 1 and :atomics.compare_exchange(ref, @wanted, 1, 0) == :ok
 
   @doc "The policy dropped `n`."
   @spec dropped(t(), pos_integer()) :: :ok

@@ -11,6 +11,7 @@ defmodule Situ.Stage.Emission do
     Inputs,
     Output,
     Outputs,
+    Pace,
     Posting,
     Source,
     State,
@@ -159,11 +160,16 @@ defmodule Situ.Stage.Emission do
   @doc "Sends what is pending, publishes counts and asks for more."
   @spec settle(State.t()) :: State.t()
   def settle(state) do
-    state = ChainRunner.tail(state)
+    state = state |> ChainRunner.tail() |> widen()
     %{state | outputs: flush(state), inputs: Inputs.settle(state.inputs)}
   end
 
   # What a source posts before there is a clock waits for the operators behind it.
   defp flush(%{outputs: %{tail: %Output{}} = outputs, phase: :starting}), do: outputs
   defp flush(%{outputs: outputs}), do: Outputs.flush(outputs)
+
+  defp widen(%{pace: %{wide: true}} = state), do: state
+
+  defp widen(%{pace: pace} = state),
+    do: %{state | pace: Pace.widen(pace, Inputs.handled(state.inputs))}
 end

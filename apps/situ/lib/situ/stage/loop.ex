@@ -6,11 +6,11 @@ defmodule Situ.Stage.Loop do
 
   alias Situ.Stage.{
     Activation,
-    Callback,
     ChainRunner,
     Emission,
     Input,
     Inputs,
+    MessageRunner,
     Outputs,
     Pace,
     Production,
@@ -28,7 +28,20 @@ defmodule Situ.Stage.Loop do
   def arrived(state, input, {:fresh, batch}),
     do: state |> put_input(Input.refreshed(input, batch)) |> turn()
 
-  def arrived(state, input, batch), do: state |> put_input(Input.push(input, batch)) |> turn()
+  def arrived(state, input, batch),
+    do: state |> put_input(Input.push(input, batch)) |> turn_if_room()
+
+  @doc "A consumer asked for more."
+  @spec asked(State.t(), Outputs.t()) :: State.t()
+  def asked(state, outputs), do: turn_if_room(State.wake(%{state | outputs: outputs}))
+
+  # Everything was settled when the last turn ended: without room, or with another turn on its way, there is nothing to do.
+  defp turn_if_room(%{pace: %{scheduled: true}} = state), do: state
+
+  defp turn_if_room(%{phase: :running} = state),
+    do: if(Outputs.room(state.outputs) < 1, do: state, else: turn(state))
+
+  defp turn_if_room(state), do: turn(state)
 
   @doc "The input closes behind what waits in it."
   @spec closing(State.t(), Input.t(), Situ.Time.t()) :: State.t()
@@ -112,14 +125,9 @@ defmodule Situ.Stage.Loop do
   def again(%{pace: pace} = state), do: turn(%{state | pace: %{pace | scheduled: false}})
 
   # Sends what is pending, and sets the alarm for what waits for its time.
-  defp finish(state), do: state |> settle() |> Production.released() |> arm()
-
-  defp settle(%{pace: %{wide: false} = pace} = state) do
-    pace = Pace.widen(pace, Inputs.handled(state.inputs))
-    Emission.settle(%{state | pace: pace})
-  end
-
-  defp settle(state), do: Emission.settle(state)
+  # A chain has nothing that waits for its time.
+  defp finish(%{callback: nil} = state), do: Emission.settle(state)
+  defp finish(state), do: state |> Emission.settle() |> Production.released() |> arm()
 
   defp later(state) do
     state = finish(state)
@@ -148,7 +156,7 @@ defmodule Situ.Stage.Loop do
   end
 
   defp blocked(state, now, times, final) do
-    state = settle(state)
+    state = Emission.settle(state)
     if Outputs.room(state.outputs) < 1, do: finish(state), else: next(state, now, times, final)
   end
 
@@ -156,7 +164,7 @@ defmodule Situ.Stage.Loop do
   defp next(%{pace: %{continue: {:some, term}}} = state, now, times, final) do
     state = %{state | pace: %{state.pace | continue: :none}}
     state = Activation.call(state, :handle_info, [{:continue, term}], now)
-    go_on({settled(state), Clock.now(state.clock)}, times, final)
+    go_on({MessageRunner.settled(state), Clock.now(state.clock)}, times, final)
   end
 
   defp next(state, now, times, final) do
@@ -165,10 +173,10 @@ defmodule Situ.Stage.Loop do
         produce(state, now)
 
       %{queue: nil, check: :off} = input when state.callback.batch ->
-        state |> take_batch(input, now, final) |> go_on(times, final)
+        state |> MessageRunner.batch(input, now, final) |> go_on(times, final)
 
       %{queue: nil} = input ->
-        state |> take_one(input, now, final) |> go_on(times, final)
+        state |> MessageRunner.one(input, now, final) |> go_on(times, final)
 
       input ->
         lossy(state, input, now, times, final)
@@ -182,13 +190,13 @@ defmodule Situ.Stage.Loop do
         state |> put_input(input) |> component(now, times, final)
 
       {:ok, input} ->
-        {state, _now} = take_one(state, input, now, final)
+        {state, _now} = MessageRunner.one(state, input, now, final)
         if state.phase == :failed, do: discard(state), else: later(state)
     end
   end
 
   defp produce(state, now) do
-    case Production.produce(settle(state), now) do
+    case Production.produce(Emission.settle(state), now) do
       {:more, state} -> later(state)
       {:enough, %{phase: :failed} = state} -> discard(state)
       {:enough, state} -> finish(state)
@@ -199,120 +207,8 @@ defmodule Situ.Stage.Loop do
 
   defp go_on({state, now}, {from, till}, final) do
     if now - from > @flush_ns,
-      do: component(settle(state), now, {now, till}, final),
+      do: component(Emission.settle(state), now, {now, till}, final),
       else: component(state, now, {from, till}, final)
-  end
-
-  defp take_one(state, input, now, final) do
-    {entry, input} = Input.pop(input, now)
-    entry(entry, state, input, now, final)
-  end
-
-  defp entry(nil, state, input, now, _final), do: {put_input(state, input), now}
-
-  defp entry({:closed, time}, state, input, now, _final),
-    do: {state |> put_input(input) |> settle() |> closed(input, time), now}
-
-  defp entry(%{originating_time: time}, state, input, now, final) when time > final,
-    do: {put_input(state, Input.skip(input, 1)), now}
-
-  defp entry(message, state, input, now, _final) do
-    state = handle(put_input(state, input), input, message, now)
-    after_time = Clock.now(state.clock)
-
-    # Whether it is held, and whether it is there at all, is for the component to say, and it may just have said so.
-    input = Map.get(state.inputs.by_tag, input.tag, input)
-    input = Input.handled(input, 1, message.originating_time, {now, after_time - now})
-    {put_input(state, input), after_time}
-  end
-
-  defp handle(state, %{check: :off} = input, message, now), do: call(state, input, message, now)
-
-  defp handle(state, input, message, now) do
-    case Input.check(input, message, state.callback.path) do
-      {:ok, input} -> state |> put_input(input) |> call(input, message, now)
-      {:error, error} -> wrong(state, error, input, message)
-    end
-  end
-
-  defp call(state, input, message, now) do
-    context = State.context(state, now)
-
-    with {:ok, actions, core} <- Callback.message(state.callback, input.name, message, context),
-         after_call = %{state | callback: %{state.callback | core: core}},
-         {:ok, state} <- Emission.run(after_call, actions, now) do
-      state
-    else
-      {:error, error} -> wrong(state, error, input, message)
-    end
-  end
-
-  defp wrong(state, error, input, message),
-    do: Activation.wrong(state, Callback.at(error, input.name, message))
-
-  # Components with `handle_messages/4` get what waits at once, as far as it is in time and there is room.
-  defp take_batch(state, input, now, final) do
-    room = min(Outputs.room(state.outputs), state.pace.slice)
-
-    case Input.take(input, room) do
-      {[_, _ | _] = messages, rest} -> try_batch(state, input, {messages, rest}, now, final)
-      _ -> take_one(state, input, now, final)
-    end
-  end
-
-  defp try_batch(state, input, {messages, rest}, now, final) do
-    last = List.last(messages).originating_time
-    context = State.context(state, now)
-
-    with true <- last <= final,
-         {:ok, actions, core} <- Callback.messages(state.callback, input.name, messages, context),
-         after_call = %{state | callback: %{state.callback | core: core}},
-         {:ok, state} <- Emission.run(after_call, actions, now) do
-      after_time = Clock.now(state.clock)
-      n = length(messages)
-      rest = %{rest | held: Map.fetch!(state.inputs.by_tag, input.tag).held}
-      rest = Input.handled(rest, n, last, {now, after_time - now})
-      pace = Pace.resize(state.pace, n, after_time - now)
-      {put_input(%{state | pace: pace}, rest), after_time}
-    else
-      _ -> one_by_one(state, input, now, final, length(messages))
-    end
-  end
-
-  # All of the failed batch, before another batch is tried.
-  defp one_by_one(%{phase: :failed} = state, _input, now, _final, _n), do: {state, now}
-  defp one_by_one(state, _input, now, _final, 0), do: {state, now}
-
-  defp one_by_one(state, input, now, final, n) do
-    {state, now} = take_one(state, input, now, final)
-    one_by_one(state, Map.fetch!(state.inputs.by_tag, input.tag), now, final, n - 1)
-  end
-
-  defp closed(state, input, time) do
-    state = %{state | inputs: Inputs.delete(state.inputs, input.tag)}
-
-    state =
-      if state.callback != nil and state.phase != :failed,
-        do: Activation.call(state, :handle_closed, [input.name, time], Clock.now(state.clock)),
-        else: state
-
-    settled(%{
-      state
-      | pace: %{state.pace | closings: state.pace.closings ++ [{input.tag, input.name, time}]}
-    })
-  end
-
-  # An input has closed when the component has given all that it had for it.
-  defp settled(%{phase: phase, pace: %{continue: {:some, _}}} = state) when phase != :failed,
-    do: settle(state)
-
-  defp settled(state) do
-    state = settle(state)
-
-    for {tag, name, time} <- state.pace.closings,
-        do: State.report(state, {:unsubscribed, tag, name, time})
-
-    %{state | pace: %{state.pace | closings: []}}
   end
 
   # A chain: as many messages at once as there is room for; slices grow while they are quick.
@@ -329,7 +225,7 @@ defmodule Situ.Stage.Loop do
     case Input.take(input, min(room, state.pace.slice)) do
       {[], %{front: [{:closed, time} | _]} = input} ->
         {_closed, input} = Input.pop(input, now)
-        state |> settle() |> closed(input, time)
+        state |> Emission.settle() |> MessageRunner.closed(input, time)
 
       {[], input} ->
         state |> put_input(input) |> finish()
@@ -350,7 +246,7 @@ defmodule Situ.Stage.Loop do
       :none -> finish(state)
       {:wait, input} -> state |> put_input(input) |> finish()
       {nil, input} -> state |> put_input(input) |> finish()
-      {{:closed, time}, input} -> state |> settle() |> closed(input, time)
+      {{:closed, time}, input} -> state |> Emission.settle() |> MessageRunner.closed(input, time)
     end
   end
 
@@ -371,8 +267,14 @@ defmodule Situ.Stage.Loop do
       state.phase == :failed -> discard(state)
       after_time > till or rest != [] -> later(state)
       n >= @many and after_time - now < @flush_ns -> chain(state, after_time, till, final)
-      true -> chain(settle(state), after_time, till, final)
+      true -> state |> Emission.settle() |> chain_again(after_time, till, final)
     end
+  end
+
+  defp chain_again(state, now, till, final) do
+    if idle?(Inputs.only(state.inputs), state.outputs),
+      do: state,
+      else: chain(state, now, till, final)
   end
 
   # A stage that has failed takes what comes and throws it away, so that nobody waits for it.
@@ -383,7 +285,7 @@ defmodule Situ.Stage.Loop do
     |> Enum.reduce(state, fn input, state ->
       {time, input} = Input.discard(input)
       state = put_input(state, input)
-      if time, do: closed(state, input, time), else: state
+      if time, do: MessageRunner.closed(state, input, time), else: state
     end)
     |> finish()
   end

@@ -5,7 +5,8 @@ defmodule Situ.Stage do
   #   Stage          an entry of the mailbox
   #   Control        what the pipeline's server asks      Loop        which message is next, and how many
   #   Attachment     connections that come and go         Production  sources: asked for messages, stopped
-  #                  Activation, ChainRunner   a call into the component or its operators, and errors (ErrorPolicy)
+  #                  MessageRunner, ChainRunner   a message through the component, a batch through its operators
+  #                  Activation                a call into the component, and errors (ErrorPolicy)
   #                  Emission                  what came of it: posted (Posting), closed, timed; then sent
   #                  Outputs, Inputs, Timers, Source, Pace: the parts of the State, each owned by one module
   #
@@ -30,7 +31,7 @@ defmodule Situ.Stage do
       :proc_lib.spawn_opt(__MODULE__, :init_it, [args], [
         :link,
         fullsweep_after: 30,
-        min_heap_size: 1_200
+        min_heap_size: 4_181
       ])
 
   @doc false
@@ -80,6 +81,14 @@ defmodule Situ.Stage do
     case state.inputs.by_tag do
       %{^tag => input} -> {:noreply, Loop.arrived(state, input, batch)}
       _ -> {:noreply, Loop.info(state, message)}
+    end
+  end
+
+  def handle_info({:"$gen_producer", {pid, _tag} = from, {:ask, n} = request}, state)
+      when is_pid(pid) and is_integer(n) and n > 0 do
+    case Outputs.ask(state.outputs, from, n) do
+      {:ok, outputs} -> state |> Loop.asked(outputs) |> unless_over()
+      :error -> {:noreply, Attachment.asked(state, from, request)}
     end
   end
 

@@ -24,9 +24,12 @@ defmodule Situ.Pipeline.Lifecycle.Failure do
     do: state |> gone(id, now) |> error(error) |> end_soon()
 
   defp end_soon(%{phase: phase} = state) when phase in [:starting, :running],
-    do: wish(state, :now, true)
+    do: state |> abandon() |> wish(:now, true)
 
-  defp end_soon(state), do: ending(state, by_hand: true)
+  defp end_soon(state), do: state |> abandon() |> ending(by_hand: true)
+
+  # Those who listen from outside learn it at once: one that asks for no more must not keep a failed pipeline from its end.
+  defp abandon(state), do: tell(state, alive(state), {:abandon, List.last(state.errors)})
 
   @doc "The process of a stage ended for `reason`, an error; nobody had asked for it, unless all of it is ending."
   @spec exited(State.t(), State.id(), Error.t(), Situ.Time.t() | nil, Situ.Time.t()) :: State.t()

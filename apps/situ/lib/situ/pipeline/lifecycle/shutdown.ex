@@ -101,7 +101,7 @@ defmodule Situ.Pipeline.Lifecycle.Shutdown do
 
   defp close_one(id, state) do
     time = closing_time(state.stages[id], state)
-    state = act(state, {:tell, id, {:finalize, time}})
+    state = state |> abandon([id]) |> act({:tell, id, {:finalize, time}})
     state = %{state | links: Links.close(state.links, id, time), closed: [id | state.closed]}
     state = if state.step == :close, do: answered(state, id), else: state
     mark(state, [id], :closed)
@@ -179,11 +179,13 @@ defmodule Situ.Pipeline.Lifecycle.Shutdown do
   def quit(state) do
     alive = alive(state)
     state = if state.phase == :stopping, do: state, else: watch(state)
-    # Those who listen from outside are told why there is no more.
-    state =
-      if error = List.last(state.errors), do: tell(state, alive, {:abandon, error}), else: state
-
+    state = abandon(state, alive)
     tell(%{state | phase: :stopping, step: :quit, pending: MapSet.new(alive)}, alive, :quit)
+  end
+
+  # Those who listen from outside are told why there is no more.
+  defp abandon(state, ids) do
+    if error = List.last(state.errors), do: tell(state, ids, {:abandon, error}), else: state
   end
 
   @doc "All is final: the last handlers are called."

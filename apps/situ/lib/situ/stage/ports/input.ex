@@ -10,7 +10,8 @@ defmodule Situ.Stage.Input do
   alias Situ.Stage.{Counters, Window}
 
   @hold_ms 20
-  @stale_ns 1_000_000
+  # Asking takes longer than this, so that it costs a part of the throughput only.
+  @stale_ns 50_000
   @nothing {0, 0, 0, 0}
 
   @enforce_keys [:name, :tag, :producer, :window]
@@ -158,6 +159,7 @@ defmodule Situ.Stage.Input do
     if known == :sure or now - known < @stale_ns or Counters.held(input.counters) == 0 do
       {:ok, %{input | fresh: now}}
     else
+      Counters.want(input.counters)
       send(input.producer, {:situ, {:refresh, {self(), input.tag}}})
       {:wait, %{input | fresh: :asked}}
     end

@@ -154,7 +154,10 @@ defmodule Situ.Stage.Output do
   def room(%__MODULE__{subs: [sub], pending_n: n}), do: less(Subscriber.free(sub), n)
 
   def room(%__MODULE__{subs: subs, pending_n: n}),
-    do: subs |> Enum.reduce(:infinity, &min(Subscriber.free(&1), &2)) |> less(n)
+    do: subs |> least(:infinity) |> less(n)
+
+  defp least([], least), do: least
+  defp least([sub | rest], least), do: least(rest, min(Subscriber.free(sub), least))
 
   @doc "Adds a batch already made (chains), oldest last."
   @spec push_reversed(t(), [Message.t()], non_neg_integer()) :: t()
@@ -184,10 +187,16 @@ defmodule Situ.Stage.Output do
   defp give([sub | rest], messages, n, ages, now),
     do: [Subscriber.give(sub, messages, n, ages, now) | give(rest, messages, n, ages, now)]
 
-  @doc "More demand from one subscriber, named by its pid and tag."
-  @spec ask(t(), {pid(), term()}, pos_integer() | :infinity) :: t()
-  def ask(%__MODULE__{} = output, from, n),
-    do: finish(%{output | subs: update(output.subs, from, &Subscriber.ask(&1, n))})
+  @doc "More demand from one subscriber, named by its pid and tag; `:error` when there is no such subscriber."
+  @spec ask(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
+  def ask(%__MODULE__{subs: [%{pid: pid, tag: tag} = sub]} = output, {pid, tag}, n),
+    do: {:ok, finish(%{output | subs: [Subscriber.ask(sub, n)]})}
+
+  def ask(%__MODULE__{subs: subs} = output, from, n) do
+    if among?(subs, from),
+      do: {:ok, finish(%{output | subs: update(subs, from, &Subscriber.ask(&1, n))})},
+      else: :error
+  end
 
   @doc "A subscriber with a lossy policy wants the newest messages at once, whatever it has asked for."
   @spec refresh(t(), {pid(), term()}) :: t()
@@ -196,8 +205,11 @@ defmodule Situ.Stage.Output do
 
   @doc "Whether one of its subscribers has this pid and tag."
   @spec subscriber?(t(), {pid(), term()}) :: boolean()
-  def subscriber?(%__MODULE__{subs: subs}, {pid, tag}),
-    do: Enum.any?(subs, &(&1.tag == tag and &1.pid == pid))
+  def subscriber?(%__MODULE__{subs: subs}, from), do: among?(subs, from)
+
+  defp among?([], _from), do: false
+  defp among?([%{tag: tag, pid: pid} | _], {pid, tag}), do: true
+  defp among?([_sub | rest], from), do: among?(rest, from)
 
   defp update([], _from, _fun), do: []
   defp update([%{tag: tag, pid: pid} = sub | rest], {pid, tag}, fun), do: [fun.(sub) | rest]

@@ -137,15 +137,24 @@ defmodule Situ.Stage.Outputs do
   @spec release(t(), Situ.Time.t()) :: t()
   def release(%__MODULE__{} = outputs, now), do: each(outputs, &Posting.release(&1, now))
 
-  @doc "More demand from one subscriber."
-  @spec ask(t(), {pid(), term()}, pos_integer() | :infinity) :: t()
-  def ask(%__MODULE__{tail: nil, own: [{name, output}]} = outputs, from, n),
-    do: %{outputs | own: [{name, Output.ask(output, from, n)}]}
+  @doc "More demand from one subscriber; `:error` when there is no such subscriber."
+  @spec ask(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
+  def ask(%__MODULE__{tail: nil, own: [{name, output}]} = outputs, from, n) do
+    with {:ok, output} <- Output.ask(output, from, n),
+         do: {:ok, %{outputs | own: [{name, output}]}}
+  end
 
   def ask(%__MODULE__{} = outputs, from, n) do
-    each(outputs, fn output ->
-      if Output.subscriber?(output, from), do: Output.ask(output, from, n), else: output
-    end)
+    if Enum.any?(all(outputs), &Output.subscriber?(&1, from)),
+      do: {:ok, each(outputs, &asked(&1, from, n))},
+      else: :error
+  end
+
+  defp asked(output, from, n) do
+    case Output.ask(output, from, n) do
+      {:ok, output} -> output
+      :error -> output
+    end
   end
 
   @doc "Whether every subscriber has all it has coming, and knows the end."

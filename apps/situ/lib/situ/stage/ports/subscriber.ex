@@ -78,20 +78,25 @@ defmodule Situ.Stage.Subscriber do
     {queue, old} = Queue.expire(sub.queue, now)
     {queue, dropped} = Queue.push_all(queue, messages)
     drop(sub, length(old) + dropped)
-    drain(%{sub | queue: queue, size: queue.size})
+    sub = %{sub | queue: queue, size: queue.size}
+    # In the middle of a turn: the consumer need not wait until this stage looks into its mailbox.
+    if sub.counters && Counters.wanted?(sub.counters), do: hand_over(sub), else: drain(sub)
   end
 
   @doc "More demand."
   @spec ask(t(), pos_integer() | :infinity) :: t()
   def ask(%__MODULE__{} = sub, n), do: drain(%{sub | demand: more(sub.demand, n)})
 
-  @doc "Hands over all that waits under a lossy policy; always answers, with an empty batch if need be."
+  @doc "Hands over all that waits under a lossy policy, unless that has been done: an empty batch if need be."
   @spec refresh(t()) :: t()
-  def refresh(%__MODULE__{queue: queue} = sub) do
-    waiting = if queue, do: Queue.to_list(queue), else: []
+  def refresh(%__MODULE__{queue: queue, counters: counters} = sub) do
+    if queue != nil and Counters.wanted?(counters), do: hand_over(sub), else: sub
+  end
+
+  defp hand_over(%{queue: queue} = sub) do
     held(sub, 0)
-    send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, {:fresh, waiting}})
-    %{sub | queue: queue && Queue.new(queue.policy), size: if(queue, do: 0, else: sub.size)}
+    send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, {:fresh, Queue.to_list(queue)}})
+    %{sub | queue: Queue.new(queue.policy), size: 0}
   end
 
   @doc "The output closes: what is later than that goes, under a lossy policy."

@@ -1,0 +1,126 @@
+defmodule Situ.Stage.MessageRunner do
+  @moduledoc false
+  # One message, or a batch, through a component: its callback, what it answered, and the counts.
+  alias Situ.Clock
+  alias Situ.Stage.{Activation, Callback, Emission, Input, Inputs, Outputs, Pace, State}
+
+  @doc "Takes the next entry of an input at clock time `now`, and answers the time after it."
+  @spec one(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}
+  def one(state, input, now, final) do
+    {entry, input} = Input.pop(input, now)
+    entry(entry, state, input, now, final)
+  end
+
+  defp entry(nil, state, input, now, _final), do: {put_input(state, input), now}
+
+  defp entry({:closed, time}, state, input, now, _final),
+    do: {state |> put_input(input) |> Emission.settle() |> closed(input, time), now}
+
+  defp entry(%{originating_time: time}, state, input, now, final) when time > final,
+    do: {put_input(state, Input.skip(input, 1)), now}
+
+  defp entry(message, state, input, now, _final) do
+    state = handle(put_input(state, input), input, message, now)
+    after_time = Clock.now(state.clock)
+
+    # Whether it is held, and whether it is there at all, is for the component to say, and it may just have said so.
+    input = Map.get(state.inputs.by_tag, input.tag, input)
+    input = Input.handled(input, 1, message.originating_time, {now, after_time - now})
+    {put_input(state, input), after_time}
+  end
+
+  defp handle(state, %{check: :off} = input, message, now), do: call(state, input, message, now)
+
+  defp handle(state, input, message, now) do
+    case Input.check(input, message, state.callback.path) do
+      {:ok, input} -> state |> put_input(input) |> call(input, message, now)
+      {:error, error} -> wrong(state, error, input, message)
+    end
+  end
+
+  defp call(state, input, message, now) do
+    context = State.context(state, now)
+
+    with {:ok, actions, core} <- Callback.message(state.callback, input.name, message, context),
+         after_call = %{state | callback: %{state.callback | core: core}},
+         {:ok, state} <- Emission.run(after_call, actions, now) do
+      state
+    else
+      {:error, error} -> wrong(state, error, input, message)
+    end
+  end
+
+  defp wrong(state, error, input, message),
+    do: Activation.wrong(state, Callback.at(error, input.name, message))
+
+  @doc "Components with `handle_messages/4` get what waits at once, as far as it is in time and there is room."
+  @spec batch(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}
+  def batch(state, input, now, final) do
+    room = min(Outputs.room(state.outputs), state.pace.slice)
+
+    case Input.take(input, room) do
+      {[_, _ | _] = messages, rest} -> try_batch(state, input, {messages, rest}, now, final)
+      _ -> one(state, input, now, final)
+    end
+  end
+
+  defp try_batch(state, input, {messages, rest}, now, final) do
+    last = List.last(messages).originating_time
+    context = State.context(state, now)
+
+    with true <- last <= final,
+         {:ok, actions, core} <- Callback.messages(state.callback, input.name, messages, context),
+         after_call = %{state | callback: %{state.callback | core: core}},
+         {:ok, state} <- Emission.run(after_call, actions, now) do
+      after_time = Clock.now(state.clock)
+      n = length(messages)
+      rest = %{rest | held: Map.fetch!(state.inputs.by_tag, input.tag).held}
+      rest = Input.handled(rest, n, last, {now, after_time - now})
+      pace = Pace.resize(state.pace, n, after_time - now)
+      {put_input(%{state | pace: pace}, rest), after_time}
+    else
+      _ -> one_by_one(state, input, now, final, length(messages))
+    end
+  end
+
+  # All of the failed batch, before another batch is tried.
+  defp one_by_one(%{phase: :failed} = state, _input, now, _final, _n), do: {state, now}
+  defp one_by_one(state, _input, now, _final, 0), do: {state, now}
+
+  defp one_by_one(state, input, now, final, n) do
+    {state, now} = one(state, input, now, final)
+    one_by_one(state, Map.fetch!(state.inputs.by_tag, input.tag), now, final, n - 1)
+  end
+
+  @doc "An input has closed, behind its last message."
+  @spec closed(State.t(), Input.t(), Situ.Time.t()) :: State.t()
+  def closed(state, input, time) do
+    state = %{state | inputs: Inputs.delete(state.inputs, input.tag)}
+
+    state =
+      if state.callback != nil and state.phase != :failed,
+        do: Activation.call(state, :handle_closed, [input.name, time], Clock.now(state.clock)),
+        else: state
+
+    settled(%{
+      state
+      | pace: %{state.pace | closings: state.pace.closings ++ [{input.tag, input.name, time}]}
+    })
+  end
+
+  @doc "Sends what is pending. An input has closed when the component has given all that it had for it."
+  @spec settled(State.t()) :: State.t()
+  def settled(%{phase: phase, pace: %{continue: {:some, _}}} = state) when phase != :failed,
+    do: Emission.settle(state)
+
+  def settled(state) do
+    state = Emission.settle(state)
+
+    for {tag, name, time} <- state.pace.closings,
+        do: State.report(state, {:unsubscribed, tag, name, time})
+
+    %{state | pace: %{state.pace | closings: []}}
+  end
+
+  defp put_input(state, input), do: %{state | inputs: Inputs.put(state.inputs, input)}
+end
