@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use mcap::records::{op, MessageHeader, Record};
+use mcap::records::{op, MessageHeader, MessageIndexEntry, Record};
 
 use crate::chunk::Records;
 use crate::file::{parse, Bytes};
@@ -108,8 +108,8 @@ pub struct Query {
     pub envelopes: bool,
 }
 
-/// Unpacked chunks that are kept: neighbours in time mostly lie in a few.
-const KEPT: usize = 4;
+/// Bytes of unpacked chunks that are kept: streams that are read side by side share them.
+const KEPT: usize = 64 << 20;
 
 /// An open file. Any thread may read.
 pub struct Reader {
@@ -166,9 +166,56 @@ impl Reader {
 
     /// The first and the last time of a channel, and how many messages it has.
     pub fn span(&self, channel: u16, times: Times) -> Result<Option<(u64, u64, u64)>> {
+        if self.contents.entries.is_none() && !times.in_messages() {
+            return self.indexed_span(channel);
+        }
         let track = self.track(channel, times)?;
         let ends = track.entries.first().zip(track.entries.last());
         Ok(ends.map(|(first, last)| (first.time, last.time, track.entries.len() as u64)))
+    }
+
+    /// By the message indexes of those chunks alone that can hold the first or the last message.
+    fn indexed_span(&self, channel: u16) -> Result<Option<(u64, u64, u64)>> {
+        let mut places: Vec<(u64, u64, u64)> = Vec::new();
+        for chunk in &self.contents.chunks {
+            if let Some(&at) = chunk.indexes.get(&channel) {
+                places.push((chunk.start, chunk.end, at));
+            }
+        }
+        places.sort_unstable();
+        let mut first: Option<u64> = None;
+        for (start, _, at) in &places {
+            if first.is_some_and(|first| *start > first) {
+                break;
+            }
+            let found = self.index(channel, *at)?.iter().map(|e| e.log_time).min();
+            first = [first, found].into_iter().flatten().min();
+        }
+        places.sort_unstable_by_key(|(_, end, _)| std::cmp::Reverse(*end));
+        let mut last: Option<u64> = None;
+        for (_, end, at) in &places {
+            if last.is_some_and(|last| *end < last) {
+                break;
+            }
+            let found = self.index(channel, *at)?.iter().map(|e| e.log_time).max();
+            last = [last, found].into_iter().flatten().max();
+        }
+        let count = self.contents.counts.get(&channel).copied().unwrap_or(0);
+        Ok(first.zip(last).map(|(first, last)| (first, last, count)))
+    }
+
+    fn index(&self, channel: u16, at: u64) -> Result<Vec<MessageIndexEntry>> {
+        let place = self.bytes.place(at)?;
+        let place =
+            place.ok_or_else(|| Error::Damaged(at, "no message index is there".to_string()))?;
+        let body = self.bytes.body(place)?;
+        match parse(place.opcode, &body, at)? {
+            Record::MessageIndex(index) if index.channel_id == channel => Ok(index.records),
+            _ => {
+                let why = "no message index of the channel is there".to_string();
+                Err(Error::Damaged(at, why))
+            }
+        }
     }
 
     /// The number of the first message at or after `time`.
@@ -252,8 +299,9 @@ impl Reader {
         let (records, _) = unpacked(&self.bytes, place, chunk.offset)?;
         let records = Arc::new(records);
         let mut kept = locked(&self.kept);
-        if kept.len() >= KEPT {
-            kept.remove(0);
+        let mut size = records.len() + kept.iter().map(|(_, b)| b.len()).sum::<usize>();
+        while size > KEPT && !kept.is_empty() {
+            size -= kept.remove(0).1.len();
         }
         kept.push((number, records.clone()));
         Ok(records)
@@ -285,26 +333,12 @@ impl Reader {
             let Some(&at) = chunk.indexes.get(&channel) else {
                 continue;
             };
-            let place = self.bytes.place(at)?;
-            let place =
-                place.ok_or_else(|| Error::Damaged(at, "no message index is there".to_string()))?;
-            let body = self.bytes.body(place)?;
-            match parse(place.opcode, &body, at)? {
-                Record::MessageIndex(index) if index.channel_id == channel => {
-                    let chunk = number as u32;
-                    entries.extend(index.records.iter().map(|r| Entry {
-                        time: r.log_time,
-                        chunk,
-                        offset: r.offset,
-                    }));
-                }
-                _ => {
-                    return Err(Error::Damaged(
-                        at,
-                        "no message index of the channel is there".to_string(),
-                    ))
-                }
-            }
+            let chunk = number as u32;
+            entries.extend(self.index(channel, at)?.iter().map(|r| Entry {
+                time: r.log_time,
+                chunk,
+                offset: r.offset,
+            }));
         }
         Ok(entries)
     }
