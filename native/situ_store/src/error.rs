@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::format::{MAX_MESSAGE, VERSION};
+use crate::limits::{MAX_MESSAGE, VERSION};
 
 /// What a function of this crate answers.
 pub type Result<T> = std::result::Result<T, Error>;

@@ -1,9 +1,8 @@
 //! The fixed structures of the format, as bytes. See `priv/schema/store.md`.
 
 use crate::error::{Error, Result};
+pub use crate::limits::{MAX_MESSAGE, VERSION};
 
-/// The version of new stores; lower ones are read too.
-pub const VERSION: u32 = 2;
 pub const INDEX_MAGIC: &[u8; 8] = b"SITUIDX1";
 pub const EXTENT_MAGIC: &[u8; 8] = b"SITUDAT1";
 /// What a chunk begins with: `CHK2`, in stores of version 1 `CHNK`.
@@ -25,8 +24,6 @@ pub const STATE_AT: usize = 80;
 pub const MAX_CHUNK_MESSAGES: u32 = 1024;
 pub const MAX_CHUNK_PAYLOAD: usize = 64 * 1024;
 pub const LARGE_MESSAGE: usize = 32 * 1024;
-/// No message is larger, so a file that says otherwise is damaged, and nobody is made to allocate more.
-pub const MAX_MESSAGE: usize = 1 << 30;
 /// A chunk of the data lane does not unpack to more: its payload, one message that was too many, and its table.
 pub const MAX_SMALL_BODY: usize =
     MAX_CHUNK_PAYLOAD + LARGE_MESSAGE + 40 * MAX_CHUNK_MESSAGES as usize;

@@ -7,6 +7,7 @@ pub mod extent;
 pub mod format;
 pub mod guard;
 pub mod index;
+pub mod limits;
 pub mod pyramid;
 pub mod reader;
 pub mod repair;
