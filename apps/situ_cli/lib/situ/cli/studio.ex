@@ -51,7 +51,8 @@ defmodule Situ.CLI.Studio do
   end
 
   defp serve(path, opts) do
-    {:ok, _} = Application.ensure_all_started(:situ_studio)
+    # Recordings of other systems are shown too.
+    for app <- [:situ_bridge, :situ_studio], do: {:ok, _} = Application.ensure_all_started(app)
     path = path || if(File.dir?("recordings"), do: "recordings", else: ".")
 
     with :ok <- check_path(path),
