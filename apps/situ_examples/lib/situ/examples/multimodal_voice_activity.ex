@@ -22,7 +22,7 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
     speaking = lips && Situ.Infer.who_speaks(lips.mouths, voice)
 
     store = Situ.Store.create(p, "Talk", opts[:path])
-    record = fn stream, name -> stream && Situ.Store.write(stream, store, "Talk." <> name) end
+    record = &Situ.Store.write(&1, store, "Talk." <> &2)
 
     record.(talk.audio, "Sound")
 

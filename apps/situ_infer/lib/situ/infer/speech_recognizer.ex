@@ -32,7 +32,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   `:partial` one while it goes on.
 
       speaking = Situ.Infer.voice_activity(sound)
-      heard = Situ.via([sound: sound, speaking: speaking], Situ.Infer.SpeechRecognizer, [])
+      heard = Situ.via([sound: sound, speaking: speaking], Situ.Infer.SpeechRecognizer)
       heard.out |> Situ.each(&IO.puts(&1.text))
 
   What comes out depends on the messages only, not on when they arrive. `Situ.Infer.transcribe/2` is this with voice activity.
