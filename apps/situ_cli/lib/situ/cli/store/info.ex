@@ -99,12 +99,15 @@ defmodule Situ.CLI.Store.Info do
     do: ["in #{Output.number(length(info.damage), "place")}: `situ store verify '#{store.path}'`"]
 
   defp damage(_store, info) do
-    shown =
-      for place <- Enum.take(info.damage, 5), do: "at byte #{place[:offset]}: #{place[:why]}"
+    shown = for place <- Enum.take(info.damage, 5), do: told(place)
 
     more = length(info.damage) - length(shown)
     shown ++ if(more > 0, do: ["at #{Output.number(more, "more place")}"], else: [])
   end
+
+  # Readers of other systems' files tell in sentences.
+  defp told(sentence) when is_binary(sentence), do: sentence
+  defp told(place), do: "at byte #{place[:offset]}: #{place[:why]}"
 
   defp table(_store, []), do: :ok
 
