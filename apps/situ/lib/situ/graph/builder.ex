@@ -37,11 +37,15 @@ defmodule Situ.Graph.Builder do
   @doc "Runs `fun` while this process holds `graph`: what it returns, and the graph with what it has added."
   @spec lend(Handle.t(), Graph.t(), (() -> result)) :: {result, Graph.t()} when result: term()
   def lend(%Handle{ref: ref}, graph, fun) do
-    Process.put({__MODULE__, ref}, graph)
-    result = fun.()
-    {result, Process.get({__MODULE__, ref})}
-  after
-    Process.delete({__MODULE__, ref})
+    # A handler may extend the pipeline while it holds a graph itself.
+    outer = Process.put({__MODULE__, ref}, graph)
+
+    try do
+      result = fun.()
+      {result, Process.get({__MODULE__, ref})}
+    after
+      if outer, do: Process.put({__MODULE__, ref}, outer), else: Process.delete({__MODULE__, ref})
+    end
   end
 
   @doc "Applies `change`, which returns `{result, graph}` or raises, to the handle's graph."

@@ -71,7 +71,7 @@ defmodule Situ.Pipeline.Performer do
     state = %{state | graph: %{state.graph | handlers: state.graph.handlers ++ more}}
 
     state =
-      if Graph.Extension.grown?(graph, state.graph),
+      if Graph.Extension.grown?(graph, %Graph{}),
         do: __MODULE__.apply(state, {:handler_failed, late_building(event)}),
         else: state
 
@@ -254,6 +254,9 @@ defmodule Situ.Pipeline.Performer do
     if Handlers.any?(state.graph, event), do: call(state, {event, argument}), else: state
   end
 
-  defp call(state, job),
-    do: %{state | handlers: Handlers.call(state.handlers, job, state.graph, state.handle)}
+  # Those of `:run` may build on the graph; it is not copied for others.
+  defp call(state, {event, _argument} = job) do
+    graph = if event == :run, do: state.graph, else: %Graph{handlers: state.graph.handlers}
+    %{state | handlers: Handlers.call(state.handlers, job, graph, state.handle)}
+  end
 end

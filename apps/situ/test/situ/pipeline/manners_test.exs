@@ -79,35 +79,32 @@ defmodule Situ.Pipeline.MannersTest do
     end
   end
 
-  # Lets each message go until all have their answers.
-  defp go_on(tasks) do
-    answers = tasks |> Task.yield_many(0) |> Enum.map(&elem(&1, 1))
-    if Enum.all?(answers), do: Enum.map(answers, &elem(&1, 1)), else: go_once(tasks, answers)
-  end
-
-  defp go_once(tasks, answers) do
-    receive do
-      {:at, pid, _k} -> send(pid, :go)
-    after
-      10_000 -> flunk("no message and no answer")
-    end
-
-    known = Enum.zip(tasks, answers)
-    left = for {task, nil} <- known, do: task
-    done = for {_, {:ok, answer}} <- known, do: answer
-    done ++ go_on(left)
-  end
-
   describe "replace/4" do
     test "several at once come one after another" do
-      {p, pid} = slow()
-      me = self()
-      tasks = for k <- 1..5, do: Task.async(fn -> Pipeline.replace(p, "Slow", k: k, to: me) end)
-      assert Enum.all?(tasks, &(Task.yield(&1, 0) == nil))
-      send(pid, :go)
-      assert go_on(tasks) == List.duplicate(:ok, 5)
+      # Lets every message pass.
+      driver = spawn_link(fn -> pass() end)
+
+      {:ok, p} =
+        Pipeline.start(fn p ->
+          p
+          |> Situ.source(Count, count: :infinity, interval: Time.ms(1))
+          |> Situ.via(Slow, to: driver, name: "Slow")
+        end)
+
+      tasks =
+        for k <- 1..5, do: Task.async(fn -> Pipeline.replace(p, "Slow", k: k, to: driver) end)
+
+      assert Task.await_many(tasks, 30_000) == List.duplicate(:ok, 5)
       assert Pipeline.state(p) == :running
       Process.exit(p, :kill)
+    end
+
+    defp pass do
+      receive do
+        {:at, pid, _} ->
+          send(pid, :go)
+          pass()
+      end
     end
 
     test "two operators of one chain at once" do
@@ -318,6 +315,34 @@ defmodule Situ.Pipeline.MannersTest do
       send(:sys.get_state(p).handlers, :go)
       assert_receive :gone
       assert {:ok, _} = Task.await(stop)
+    end
+
+    test "may extend the pipeline, but not add to it" do
+      me = self()
+
+      {:ok, p} =
+        Pipeline.start(fn p ->
+          Pipeline.on(p, :error, fn _ ->
+            {:ok, _} =
+              Pipeline.extend(
+                p,
+                &(&1 |> Pipeline.stream("Count") |> Situ.each(fn v -> send(me, {:more, v}) end))
+              )
+          end)
+
+          Pipeline.on(p, :component_completed, fn _ -> Situ.return(p, 1) end)
+          Situ.return(p, :x)
+
+          p
+          |> Situ.source(Count, count: :infinity, interval: Time.ms(1), name: "Count")
+          |> Situ.each(fn v -> if v == 1, do: raise("odd") end, on_error: :skip, async: true)
+
+          Situ.source(p, Situ.Fixture.Silent)
+        end)
+
+      assert_receive {:more, _}
+      assert {:error, %{code: :pipeline_running} = error} = Pipeline.stop(p)
+      assert error.what =~ "component_completed"
     end
 
     test "of :run may still build" do
