@@ -1,8 +1,8 @@
 defmodule Situ.Bench.Chain do
   @moduledoc false
-  # A range one tick apart through k maps that add one, counted at the end. `unlimited` and `sync` are what a user gets who says
-  # nothing: light operators in one process. `async` is a process and an envelope for each, `throttle` besides with a queue of one in front
-  # of each (the reference's Throttle).
+  # A range one tick apart through k maps that add one, counted at the end. `unlimited` and `sync` are what a user
+  # gets who says nothing: light operators in one process. `async` is a process and an envelope for each, `throttle`
+  # besides with a queue of one in front of each (the reference's Throttle).
   import Situ.Bench, only: [measure: 3]
   alias Situ.{Delivery, Pipeline, Time}
 

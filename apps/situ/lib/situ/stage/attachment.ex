@@ -1,7 +1,7 @@
 defmodule Situ.Stage.Attachment do
   @moduledoc false
-  # Connections that come and go while a stage runs: subscribers of its outputs, taps on streams inside a chain, inputs of a
-  # component that takes more.
+  # Connections that come and go while a stage runs: subscribers of its outputs, taps on streams inside a chain,
+  # inputs of a component that takes more.
   alias Situ.{Clock, Error}
   alias Situ.Operator.Chain
 
@@ -20,7 +20,7 @@ defmodule Situ.Stage.Attachment do
 
   @most_waiting 1_000
 
-  @doc "What a consumer says in GenStage's protocol: it subscribes, asks, cancels. Whatever else it says ends its subscription."
+  @doc "A consumer subscribes, asks or cancels, in GenStage's protocol; anything else ends its subscription."
   @spec asked(State.t(), {pid(), term()}, term()) :: State.t()
   def asked(state, from, {:ask, n}) when (is_integer(n) and n > 0) or n == :infinity do
     case Outputs.ask(state.outputs, from, n) do
@@ -179,8 +179,8 @@ defmodule Situ.Stage.Attachment do
   defp probe?(_step, _tag), do: false
 
   @doc """
-  A subscriber without demand, so that nothing is lost before it asks; answers the last time that it will not see, or when the
-  output ended.
+  A subscriber without demand, so that nothing is lost before it asks; answers the last time that it will not see, or
+  when the output ended.
   """
   @spec lend(State.t(), term(), atom(), pid(), term(), Situ.Delivery.t() | nil) ::
           {{:open, Situ.Time.t() | nil} | {:closed, Situ.Time.t()}, State.t()}

@@ -1,6 +1,7 @@
 defmodule Situ.Stage.Callback do
   @moduledoc false
-  # A component and the calls into it: whatever comes back or goes wrong becomes a value. Nothing here knows of processes.
+  # A component and the calls into it: whatever comes back or goes wrong becomes a value. Nothing here knows of
+  # processes.
   alias Situ.{Component, Error, Message}
 
   @enforce_keys [:module, :path, :opts, :on_error]
@@ -55,8 +56,8 @@ defmodule Situ.Stage.Callback do
   end
 
   @doc """
-  Another module or other options in its place: with `migrate/3` the state is carried over, otherwise the new one starts. Its
-  first actions are answered as well.
+  Another module or other options in its place: with `migrate/3` the state is carried over, otherwise the new one
+  starts. Its first actions are answered as well.
   """
   @spec replace(t(), module(), keyword(), Component.Context.t()) ::
           {:ok, t(), [Component.action()]} | {:error, Error.t()}

@@ -13,8 +13,8 @@ defmodule Situ.Operator.Chain do
   defstruct [:steps, :fast, :counters, sizes: false]
 
   @typedoc """
-  The steps of a stage, and whether none keeps state. Behind a component: the counters of the edge into it, and whether sizes
-  are counted.
+  The steps of a stage, and whether none keeps state. Behind a component: the counters of the edge into it, and
+  whether sizes are counted.
   """
   @type t :: %__MODULE__{
           steps: steps(),
@@ -38,7 +38,8 @@ defmodule Situ.Operator.Chain do
   end
 
   @doc """
-  A new step in the place of that of the operator at `index`, without the state of the old one; with `{:keep, step}` with it.
+  A new step in the place of that of the operator at `index`, without the state of the old one; with `{:keep, step}`
+  with it.
   """
   @spec exchange(t(), non_neg_integer(), Situ.Operator.step() | {:keep, Situ.Operator.step()}) ::
           t()

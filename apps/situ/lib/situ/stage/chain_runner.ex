@@ -6,14 +6,14 @@ defmodule Situ.Stage.ChainRunner do
   alias Situ.Stage.{Callback, Counters, ErrorPolicy, Input, Inputs, Output, Outputs, State}
   require Chain
 
-  # So long a batch may take, looked at after every so many messages: an operator that becomes slow must not keep requests
-  # waiting for hundreds of messages.
+  # So long a batch may take, looked at after every so many messages: an operator that becomes slow must not keep
+  # requests waiting for hundreds of messages.
   @longest :erlang.convert_time_unit(5, :millisecond, :native)
   @every 16
 
   @doc """
-  Runs the batch at clock time `now`; answers the state, the last originating time, how many messages were handled, and those that are
-  left because it took too long.
+  Runs the batch at clock time `now`; answers the state, the last originating time, how many messages were handled,
+  and those that are left because it took too long.
   """
   @spec batch(State.t(), [Message.t()], Situ.Time.t(), integer()) ::
           {State.t(), integer(), non_neg_integer(), [Message.t()]}
@@ -42,8 +42,8 @@ defmodule Situ.Stage.ChainRunner do
   end
 
   @doc """
-  Runs what a component has posted through the light operators behind it in its process. Before the start there is no clock:
-  what a source posts from `handle_start/2` waits for its first turn.
+  Runs what a component has posted through the light operators behind it in its process. Before the start there is no
+  clock: what a source posts from `handle_start/2` waits for its first turn.
   """
   @spec tail(State.t()) :: State.t()
   def tail(%{outputs: %{tail: nil}} = state), do: state

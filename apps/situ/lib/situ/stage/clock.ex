@@ -2,8 +2,9 @@ defmodule Situ.Clock do
   @moduledoc """
   Clocks pipelines run by: real, virtual (from a start, at a speed, pausable), manual (moved by hand, for tests).
 
-  A clock is shared memory: reading takes about 50 ns from any process, and pausing, changing the speed or moving it is seen
-  by all its readers at once. Pipelines that run by a clock are told of every change, so that what waits for a time wakes up.
+  A clock is shared memory: reading takes about 50 ns from any process, and pausing, changing the speed or moving it
+  is seen by all its readers at once. Pipelines that run by a clock are told of every change, so that what waits for
+  a time wakes up.
 
       iex> clock = Situ.Clock.manual(100)
       iex> :ok = Situ.Clock.advance(clock, 20)
@@ -116,7 +117,7 @@ defmodule Situ.Clock do
     end)
   end
 
-  @doc "Moves a virtual or manual clock forward to `time`, at once (a seek); one already past it stays. It may be paused."
+  @doc "Moves a virtual or manual clock, also a paused one, forward to `time` at once; one already past it stays."
   @spec jump(t(), Situ.Time.t()) :: :ok | {:error, Situ.Error.t()}
   def jump(%__MODULE__{kind: :manual} = clock, time), do: set(clock, max(time, now(clock)))
 

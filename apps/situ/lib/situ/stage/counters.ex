@@ -49,7 +49,7 @@ defmodule Situ.Stage.Counters do
   @spec new() :: t()
   def new, do: :atomics.new(@first + @buckets, signed: true)
 
-  @doc "`n` messages were handed to the queue; the last was `created` and `posted` so many ns after its originating time."
+  @doc "`n` messages were handed over; the last was `created` and `posted` so many ns after its originating time."
   @spec emitted(t(), pos_integer(), integer(), integer()) :: :ok
   def emitted(ref, n, created, posted) do
     :atomics.put(ref, @created_last, created)

@@ -1,7 +1,7 @@
 defmodule Situ.Stage.Emission do
   @moduledoc false
-  # What a component returned, applied to the state of its stage: all of it, or on the first bad action none. Then `settle/1`
-  # sends it.
+  # What a component returned, applied to the state of its stage: all of it, or on the first bad action none. Then
+  # `settle/1` sends it.
   alias Situ.{Error, Message}
 
   alias Situ.Stage.{

@@ -37,7 +37,8 @@ defmodule Situ.Stage.ErrorPolicy do
     if state.source.stopping in [nil, :done], do: state, else: stopped(state)
   end
 
-  # Up to where its streams are whole: in front of the message it failed at, or, where there was none, up to what it has posted.
+  # Up to where its streams are whole: in front of the message it failed at, or, where there was none, up to what it
+  # has posted.
   defp reached(_state, %{meta: %{originating_time: time}}) when is_integer(time), do: time - 1
 
   defp reached(state, _error) do

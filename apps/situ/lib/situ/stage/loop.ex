@@ -1,7 +1,8 @@
 defmodule Situ.Stage.Loop do
   @moduledoc false
-  # A turn of a stage: takes messages as long as there are any, there is room for what comes of them, and its slice of time
-  # lasts; then the next entry of the mailbox has its turn. While another turn is on its way (Pace), what arrives only waits.
+  # A turn of a stage: takes messages as long as there are any, there is room for what comes of them, and its slice
+  # of time lasts; then the next entry of the mailbox has its turn. While another turn is on its way (Pace), what
+  # arrives only waits.
   alias Situ.Clock
 
   alias Situ.Stage.{
@@ -35,7 +36,8 @@ defmodule Situ.Stage.Loop do
   @spec asked(State.t(), Outputs.t()) :: State.t()
   def asked(state, outputs), do: turn_if_room(State.wake(%{state | outputs: outputs}))
 
-  # Everything was settled when the last turn ended: without room, or with another turn on its way, there is nothing to do.
+  # Everything was settled when the last turn ended: without room, or with another turn on its way, there is nothing
+  # to do.
   defp turn_if_room(%{pace: %{scheduled: true}} = state), do: state
 
   defp turn_if_room(%{phase: :running} = state),

@@ -17,8 +17,9 @@ defmodule Situ.Stage.Pace do
             closings: []
 
   @typedoc """
-  `early`: what came before the stage knew its neighbours, newest first. `quitting`: it ends once its outputs are drained. `continue`: the
-  component goes on with this, `{:some, term}`, before it takes anything else in; `closings`: inputs that have closed meanwhile.
+  `early`: what came before the stage knew its neighbours, newest first. `quitting`: it ends once its outputs are
+  drained. `continue`: the component goes on with this, `{:some, term}`, before it takes anything else in;
+  `closings`: inputs that have closed meanwhile.
   """
   @type t :: %__MODULE__{
           slice: pos_integer(),
@@ -59,8 +60,8 @@ defmodule Situ.Stage.Pace do
   def slow(%__MODULE__{} = pace, n), do: %{pace | slice: max(div(n, 5), 1)}
 
   @doc """
-  A stage that handles many messages at once is given a heap that holds them, once: they would otherwise be copied by one
-  collection after another.
+  A stage that handles many messages at once is given a heap that holds them, once: they would otherwise be copied by
+  one collection after another.
   """
   @spec widen(t(), non_neg_integer() | :infinity) :: t()
   def widen(%__MODULE__{wide: false} = pace, n) when n >= @many do

@@ -7,9 +7,9 @@ defmodule Situ.Stage.Source do
   defstruct [:kind, :completing, :stopping, :final, completed: false, idle: false, strikes: 0]
 
   @typedoc """
-  `kind`: asked for messages, makes them by itself, or no source at all. `completing`: the last time, to be told once nothing is
-  held back. `stopping`: how far a stop has come. `final`: nothing later than this goes out. `idle`: has nothing until something
-  happens. `strikes`: errors in a row.
+  `kind`: asked for messages, makes them by itself, or no source at all. `completing`: the last time, to be told once
+  nothing is held back. `stopping`: how far a stop has come. `final`: nothing later than this goes out. `idle`: has
+  nothing until something happens. `strikes`: errors in a row.
   """
   @type t :: %__MODULE__{
           kind: :pull | :push | nil,
@@ -71,8 +71,8 @@ defmodule Situ.Stage.Source do
   def stopped(%__MODULE__{} = source, false), do: {:tell, %{source | stopping: :done}}
 
   @doc """
-  What came of asking it for messages. One that has nothing is asked again when something happens; one that failed at once, but
-  not for ever: there is no message that would be used up by the next try.
+  What came of asking it for messages. One that has nothing is asked again when something happens; one that failed at
+  once, but not for ever: there is no message that would be used up by the next try.
   """
   @spec judge(t(), emitted? :: boolean(), harmed? :: boolean(), repeated? :: boolean()) ::
           {:ok | :no_way_on, t()}

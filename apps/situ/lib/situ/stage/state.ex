@@ -1,6 +1,7 @@
 defmodule Situ.Stage.State do
   @moduledoc false
-  # The state of a stage: a part for each concern, owned by the module of its type. Here are only the making and the wiring.
+  # The state of a stage: a part for each concern, owned by the module of its type. Here are only the making and the
+  # wiring.
   alias Situ.{Clock, Component.Context, Error, Graph.Vertex}
   alias Situ.Operator.Chain
 
@@ -39,8 +40,9 @@ defmodule Situ.Stage.State do
   ]
 
   @typedoc """
-  `callback` is the component, `chain` its light operators or those behind it (one of the two may be `nil`). `control` is the
-  shared cell that holds the time up to which messages count. `phase`: `:failed` takes nothing any more.
+  `callback` is the component, `chain` its light operators or those behind it (one of the two may be `nil`).
+  `control` is the shared cell that holds the time up to which messages count. `phase`: `:failed` takes nothing any
+  more.
   """
   @type t :: %__MODULE__{
           id: pos_integer(),

@@ -2,9 +2,9 @@ defmodule Situ.Stage.Input do
   @moduledoc false
   # One connected input of a running component: what waits, under its policy, and the demand it owes its producer.
   #
-  # Under a lossy policy there are two queues: what was asked for waits here, the rest at the producer (see Subscriber). After
-  # something slow the producer is asked for all it has before the next message is taken, so that the policy applies to all
-  # that has been emitted.
+  # Under a lossy policy there are two queues: what was asked for waits here, the rest at the producer (see
+  # Subscriber). After something slow the producer is asked for all it has before the next message is taken, so that
+  # the policy applies to all that has been emitted.
   alias Situ.{Delivery, Error, Message, Type}
   alias Situ.Delivery.Queue
   alias Situ.Stage.{Counters, Window}
@@ -33,10 +33,10 @@ defmodule Situ.Stage.Input do
   ]
 
   @typedoc """
-  `front` and `rear` (reversed batches) hold what waits under a lossless policy, `queue` under a lossy one. `held`: timer and
-  token while the component wants nothing from it. `fresh` (lossy): when what waits was known to be the newest, or `:asked`, or
-  `:sure` for the next take. `handled`: how many messages were handled since the last settling, the latency and originating
-  time of the last, ns spent.
+  `front` and `rear` (reversed batches) hold what waits under a lossless policy, `queue` under a lossy one. `held`:
+  timer and token while the component wants nothing from it. `fresh` (lossy): when what waits was known to be the
+  newest, or `:asked`, or `:sure` for the next take. `handled`: how many messages were handled since the last
+  settling, the latency and originating time of the last, ns spent.
   """
   @type t :: %__MODULE__{
           name: atom(),

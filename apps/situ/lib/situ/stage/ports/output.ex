@@ -37,10 +37,11 @@ defmodule Situ.Stage.Output do
         }
 
   @typedoc """
-  `last_time`, `last_creation` and `seq` are of the last message made; `posted` is the clock at that moment. `pending` goes
-  out with the next flush, newest first; `future` (front and reversed rear) waits for the clock. `closing` is the time at
-  which it closes, `closed` whether all subscribers know. `resume`: messages up to this time have been posted before a restart;
-  `repeated` counts them. `wanted` belongs to nudged times (see Posting). `mark` is the shared memory of `marks/1`.
+  `last_time`, `last_creation` and `seq` are of the last message made; `posted` is the clock at that moment.
+  `pending` goes out with the next flush, newest first; `future` (front and reversed rear) waits for the clock.
+  `closing` is the time at which it closes, `closed` whether all subscribers know. `resume`: messages up to this time
+  have been posted before a restart; `repeated` counts them. `wanted` belongs to nudged times (see Posting). `mark`
+  is the shared memory of `marks/1`.
   """
   @type t :: %__MODULE__{
           port: port_of(),
@@ -69,7 +70,8 @@ defmodule Situ.Stage.Output do
   end
 
   @doc """
-  Shared memory for how far each of so many outputs has come: a process that takes the place of a dead one goes on from there.
+  Shared memory for how far each of so many outputs has come: a process that takes the place of a dead one goes on
+  from there.
   """
   @spec marks(non_neg_integer()) :: marks()
   def marks(outputs), do: :atomics.new(max(outputs, 1) * 3, signed: true)

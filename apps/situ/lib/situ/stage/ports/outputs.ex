@@ -1,7 +1,7 @@
 defmodule Situ.Stage.Outputs do
   @moduledoc false
-  # The outputs of a stage: its component's or chain's own, and with light operators behind a component in one process the
-  # output of the last of them, `tail`. Then the component's own output has no subscribers.
+  # The outputs of a stage: its component's or chain's own, and with light operators behind a component in one
+  # process the output of the last of them, `tail`. Then the component's own output has no subscribers.
   alias Situ.Graph.Vertex
   alias Situ.Stage.{Output, Posting, Subscriber}
 

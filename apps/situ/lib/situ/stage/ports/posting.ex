@@ -1,7 +1,7 @@
 defmodule Situ.Stage.Posting do
   @moduledoc false
-  # The posting rules of an output: originating times and sequence ids strictly increase, creation times do not go back; what
-  # is ahead of an enforced clock waits.
+  # The posting rules of an output: originating times and sequence ids strictly increase, creation times do not go
+  # back; what is ahead of an enforced clock waits.
   alias Situ.{Error, Message}
   alias Situ.Stage.Output
 
@@ -35,8 +35,8 @@ defmodule Situ.Stage.Posting do
   defp emit_again({:drop, output}, _data, _now, _enforce), do: {:ok, repeat(output)}
   defp emit_again({:error, error}, _data, _now, _enforce), do: {:error, error}
 
-  # Another message at a time that has been, as the component's `on_same_time` says. One that is nudged goes 1 ns behind the
-  # last; `wanted` is what time that one was to have, so that a time that really goes back is still an error.
+  # Another message at a time that has been, as the component's `on_same_time` says. One that is nudged goes 1 ns
+  # behind the last; `wanted` is what time that one was to have, so that a time that really goes back is still an error.
   defp again(%{port: %{same_time: :drop}, last_time: time} = output, time), do: {:drop, output}
 
   defp again(%{port: %{same_time: :nudge}, last_time: last} = output, time) do
@@ -156,7 +156,8 @@ defmodule Situ.Stage.Posting do
   end
 
   @doc """
-  Posts messages with their own envelopes, in one go where nothing stands in the way. `:error` when one of them is no message.
+  Posts messages with their own envelopes, in one go where nothing stands in the way. `:error` when one of them is no
+  message.
   """
   @spec forward_all(Output.t(), [Message.t()], Situ.Time.t(), boolean()) ::
           {:ok, Output.t()} | {:error, Error.t()} | :error
@@ -292,7 +293,8 @@ defmodule Situ.Stage.Posting do
       "#{port.path}.#{port.name} emitted at #{time} ns after #{output.last_time} ns",
       why: "originating times of one output strictly increase",
       fix:
-        "give each message its own, later time (equal ones: on_same_time: :drop or :nudge); in a cycle, delay the message",
+        "give each message its own, later time (equal ones: on_same_time: :drop or :nudge); in a cycle, " <>
+          "delay the message",
       meta: %{component: port.path, output: port.name, time: time, last_time: output.last_time}
     )
   end
@@ -309,7 +311,8 @@ defmodule Situ.Stage.Posting do
   defp out_of_order(%{port: port} = output, :creation, time) do
     Error.new(
       :creation_time_went_back,
-      "#{port.path}.#{port.name} emitted a message created at #{time} ns after one created at #{output.last_creation} ns",
+      "#{port.path}.#{port.name} emitted a message created at #{time} ns " <>
+        "after one created at #{output.last_creation} ns",
       why: "creation times of one output never decrease",
       meta: %{component: port.path, output: port.name, time: time, last_time: output.last_time}
     )

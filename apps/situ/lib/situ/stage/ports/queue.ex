@@ -13,13 +13,13 @@ defmodule Situ.Delivery.Queue do
       iex> dropped.data
       1
 
-  A full queue drops its oldest entry for a newcomer; with a guarantee the oldest that is not protected, and the newcomer
-  itself when all waiting ones are protected and it is not; the closing mark never costs a message its place.
+  A full queue drops its oldest entry for a newcomer; with a guarantee the oldest that is not protected, and the
+  newcomer itself when all waiting ones are protected and it is not; the closing mark never costs a message its place.
   """
   alias Situ.{Delivery, Message}
 
-  # Two queues of numbered entries: `free` may be dropped, `kept` are protected. The lower number is the older entry. Without a
-  # guarantee everything is free.
+  # Two queues of numbered entries: `free` may be dropped, `kept` are protected. The lower number is the older entry.
+  # Without a guarantee everything is free.
   @enforce_keys [:policy]
   defstruct [:policy, free: {[], []}, kept: {[], []}, size: 0, next: 0]
 

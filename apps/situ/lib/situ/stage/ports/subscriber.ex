@@ -1,7 +1,8 @@
 defmodule Situ.Stage.Subscriber do
   @moduledoc false
-  # One consumer of an output: its demand, and what waits for it. With a lossy policy the policy's queue waits here, at the
-  # producer: a consumer that is slow is handed no more than it asked for. `monitor` is of one from outside the pipeline.
+  # One consumer of an output: its demand, and what waits for it. With a lossy policy the policy's queue waits here,
+  # at the producer: a consumer that is slow is handed no more than it asked for. `monitor` is of one from outside
+  # the pipeline.
   alias Situ.Delivery
   alias Situ.Delivery.Queue
   alias Situ.Stage.Counters
@@ -20,7 +21,7 @@ defmodule Situ.Stage.Subscriber do
     waiting: false
   ]
 
-  @typedoc "`buffer` and `rear` (reversed) are batches that wait for demand; `queue` takes their place under a lossy policy."
+  @typedoc "`buffer` and `rear` (reversed): batches that wait for demand; `queue`: the same under a lossy policy."
   @type t :: %__MODULE__{
           tag: term(),
           pid: pid(),
@@ -57,8 +58,8 @@ defmodule Situ.Stage.Subscriber do
     do: send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, {:cancel, reason}})
 
   @doc """
-  Hands over `n` messages at clock time `now`, as far as they were asked for; the rest waits. `ages`: of the last when made
-  and posted, ns.
+  Hands over `n` messages at clock time `now`, as far as they were asked for; the rest waits. `ages`: of the last
+  when made and posted, ns.
   """
   @spec give(t(), [Situ.Message.t()], pos_integer(), {integer(), integer()}, Situ.Time.t()) :: t()
   def give(%{size: 0, demand: demand} = sub, messages, n, ages, _now)
@@ -164,7 +165,7 @@ defmodule Situ.Stage.Subscriber do
   defp count(%{counters: counters}, n, {created, posted}),
     do: Counters.emitted(counters, n, created, posted)
 
-  @doc "How many more it can take; negative while messages wait. A policy that drops always takes more, unless it throttles."
+  @doc "How many more it can take; negative while messages wait. A policy that drops, and does not throttle, takes all."
   @spec free(t()) :: integer() | :infinity
   def free(%{demand: :infinity}), do: :infinity
   def free(%{queue: %{policy: %{throttle: false}}}), do: :infinity

@@ -2,9 +2,9 @@ defmodule Situ.Stage.Window do
   @moduledoc false
   # How much an input may ask of its producer: the demand window. Pure.
   #
-  # The default window is also a budget of bytes: a thousand numbers may be on their way, but not a thousand pictures. It begins
-  # small, weighs what arrives, and then asks for as many messages as the budget holds. A lossy policy asks for no more than its
-  # queue holds: the rest waits, and is dropped, at the producer.
+  # The default window is also a budget of bytes: a thousand numbers may be on their way, but not a thousand
+  # pictures. It begins small, weighs what arrives, and then asks for as many messages as the budget holds. A lossy
+  # policy asks for no more than its queue holds: the rest waits, and is dropped, at the producer.
   alias Situ.{Delivery, Message}
 
   @default Delivery.unlimited().window
@@ -15,7 +15,7 @@ defmodule Situ.Stage.Window do
   @enforce_keys [:size]
   defstruct [:size, weigh: false, unweighed: 0, owed: 0]
 
-  @typedoc "`owed` are messages taken that have not been asked for again; `unweighed` may still come before one is weighed."
+  @typedoc "`owed`: messages taken and not yet asked for again; `unweighed`: how many more before one is weighed."
   @type t :: %__MODULE__{
           size: pos_integer() | :infinity,
           weigh: boolean(),
