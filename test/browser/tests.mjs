@@ -8,6 +8,7 @@ import "./cursor_tests.mjs";
 import "./live_tests.mjs";
 import "./pipeline_tests.mjs";
 import "./layout_tests.mjs";
+import "./annotation_tests.mjs";
 import "./serving_tests.mjs";
 import "./speed_tests.mjs";
 

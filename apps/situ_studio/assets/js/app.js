@@ -6,6 +6,7 @@ import { SituFlow, connectParams } from "situ_live";
 import { Studio } from "./studio.js";
 import { Navigator } from "./time/navigator.js";
 import { openPanel, timeline } from "./panels/index.js";
+import { AnnotationPanel } from "./annotation/panel.js";
 import { Palette } from "./page/palette.js";
 import { hooks as dragHooks, dragStream } from "./page/drag.js";
 import { hooks as extraHooks } from "./hooks.js";
@@ -26,6 +27,7 @@ function page() {
     stepUrl: `${d.base}/data/step?${q}`,
     layout: d.layout,
     edit: d.edit,
+    annotate: d.annotate,
     // Where a server that was away, or started anew, is told what the page shows.
     moved: (href) => window.liveSocket?.main?.setHref(href),
   });
@@ -47,7 +49,8 @@ const hooks = {
       this.updated();
     },
     updated() {
-      page().setLayout(this.el.dataset.layout, this.el.dataset.edit);
+      const { layout, edit, annotate } = this.el.dataset;
+      page().setLayout(layout, edit, annotate);
     },
     destroyed() {
       studio?.destroy();
@@ -113,6 +116,23 @@ const hooks = {
         row.style.height = `${Math.max(32, row.offsetHeight + by)}px`;
         done();
       });
+    },
+  },
+
+  Annotations: {
+    mounted() {
+      const app = page();
+      this.view = new AnnotationPanel(this.el, app);
+      app.annotation = this.view;
+      app.add(this.view, { timeline: true });
+      this.handleEvent("annotations", (told) => this.view.tell(told));
+      this.pushEvent("annotation_ready", {});
+      this.el.focus({ preventScroll: true });
+      this.el.scrollIntoView({ block: "nearest" });
+    },
+    destroyed() {
+      page().annotation = null;
+      page().remove(this.view);
     },
   },
 

@@ -165,12 +165,15 @@ export class Studio {
     this.keydown = (e) => {
       if (e.target.closest?.("input, textarea, select, dialog") && !(e.ctrlKey && e.key === "k")) return;
       if (e.target.closest?.("button, a") && (e.key === " " || e.key === "Enter")) return;
+      if (this.annotation?.press(e)) return e.preventDefault();
       const name = actionFor(e);
       if (!name) return;
       e.preventDefault();
       this.act(name);
     };
     document.addEventListener("keydown", this.keydown);
+    this.keyup = (e) => this.annotation?.release(e);
+    document.addEventListener("keyup", this.keyup);
     this.root.addEventListener("click", (e) => {
       // who asks for properties gets to see them
       if (e.target.closest("[phx-click='select_panel'], #tree .name")) document.documentElement.dataset.right = "open";
@@ -183,9 +186,10 @@ export class Studio {
     this.ticking = setInterval(() => this.tempo(), 1000);
   }
 
-  setLayout(layout, edit) {
-    if (layout === this.options.layout && edit === this.options.edit) return;
-    Object.assign(this.options, { layout, edit });
+  setLayout(layout, edit, annotate) {
+    const { options } = this;
+    if (layout === options.layout && edit === options.edit && annotate === options.annotate) return;
+    Object.assign(options, { layout, edit, annotate });
     // at once: a server that comes back is told the layout by the address
     this.address.save(true);
   }
@@ -215,6 +219,7 @@ export class Studio {
 
   destroy() {
     document.removeEventListener("keydown", this.keydown);
+    document.removeEventListener("keyup", this.keyup);
     clearInterval(this.ticking);
     this.client.stop();
     this.menu.destroy();

@@ -14,6 +14,7 @@ export const commands = {
   left: (app) => toggleSide(app, "left"),
   right: (app) => toggleSide(app, "right"),
 
+  annotate: (app) => (app.annotation ? app.annotation.el.focus() : app.options.push?.("annotation_dialog", {})),
   undo: (app) => app.options.push?.("undo", {}),
   redo: (app) => app.options.push?.("redo", {}),
   beside: (app) => app.options.push?.("beside", {}),

@@ -34,6 +34,7 @@ export const KEYS = [
   ["r", "Repeat playback", "repeat"],
   [",", "Half speed", "slower"],
   [".", "Double speed", "faster"],
+  ["a", "Annotate the recording", "annotate"],
   ["l", "Live on or off", "live"],
   ["n", "Cursor to the next change, of the snapped stream or the selected panel", "nextChange"],
   ["N", "Cursor to the change before", "previousChange"],

@@ -31,6 +31,9 @@ function streamItems(app, { stream, shape }) {
     { text: "Properties", run: () => push("select", { path: stream }) },
     { text: "Zoom to it", run: () => push("zoom_stream") },
     { text: app.client.snap === stream ? "Release the cursor" : "Snap the cursor to it", run: () => push("snap") },
+    ...(app.annotation && ["boolean", "states", "spans"].includes(shape)
+      ? [{ text: "Propose annotations from it", run: () => push("annotation_propose") }]
+      : []),
     "-",
     { text: "Copy its name", run: () => copy(stream, "Name copied") },
   ];

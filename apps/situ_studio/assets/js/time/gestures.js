@@ -45,9 +45,9 @@ export function timelineGestures(el, app, view) {
   };
   const down = (e) => {
     const at = inside(e);
-    if (!at.ok || e.button !== 0) return;
+    // what can be clicked keeps its clicks
+    if (!at.ok || e.button !== 0 || e.target.closest("button, select, input")) return;
     el.setPointerCapture(e.pointerId);
-    if (e.target.closest(".legend-item, button")) return;
     state.drag = { x: e.clientX, view: app.time.get().view, t: at.t, select: e.shiftKey, free: e.altKey, inner: at.inner, moved: false };
   };
   const up = (e) => {

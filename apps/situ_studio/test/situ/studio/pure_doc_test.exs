@@ -12,6 +12,7 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Visualizers
   doctest Situ.Studio.Visualizer
   doctest Situ.Studio.Visualizers.Line
+  doctest Situ.Studio.Annotating
   doctest Situ.Studio.Color
   doctest Situ.Studio.Layout
   doctest Situ.Studio.Layout.Auto

@@ -59,6 +59,7 @@ defmodule Situ.Studio.Web.Chrome do
   attr(:read_only, :boolean, required: true)
   attr(:pipeline, :string, default: nil)
   attr(:export, :boolean, default: false)
+  attr(:annotate, :boolean, default: false)
 
   @doc false
   def topbar(assigns) do
@@ -102,6 +103,7 @@ defmodule Situ.Studio.Web.Chrome do
           title="Save the layout" aria-label="Save the layout"><.icon name={:save} /></button>
       <.tool :if={@export} act="export" icon={:export} title="Save the selection as a recording (Ctrl+E)" />
       <a :if={@pipeline} class="tool" href={@pipeline} title="The pipeline's graph"><.icon name={:pipeline} /></a>
+      <.tool :if={@annotate} act="annotate" icon={:mark} title="Annotate (a)" />
       <.tool act="undo" icon={:undo} title="Undo (Ctrl+Z)" />
       <.tool act="redo" icon={:redo} title="Redo (Ctrl+Shift+Z)" />
       <.tool act="beside" icon={:beside} title="Pictures beside the timelines, or above (b)" />

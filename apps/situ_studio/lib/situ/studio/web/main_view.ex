@@ -16,7 +16,16 @@ defmodule Situ.Studio.Web.MainView do
     Visualizers
   }
 
-  alias Situ.Studio.Web.{Address, Chrome, Edit, ExportDialog, LayoutMenu, Panels, Side}
+  alias Situ.Studio.Web.{
+    Address,
+    Annotation,
+    Chrome,
+    Edit,
+    ExportDialog,
+    LayoutMenu,
+    Panels,
+    Side
+  }
 
   @max_rows 400
   @refresh_ms 2_000
@@ -44,6 +53,7 @@ defmodule Situ.Studio.Web.MainView do
         selected: nil,
         snap: nil,
         maximised: nil,
+        annotation: nil,
         undo: [],
         redo: [],
         info: :rate,
@@ -57,7 +67,7 @@ defmodule Situ.Studio.Web.MainView do
         damage = Source.damage(source)
         socket = socket |> assign(item: item, source: source, damage: damage) |> load_streams()
         socket = assign(socket, snap: known(params["snap"], socket.assigns.shapes))
-        {:ok, LayoutMenu.choose(socket, params)}
+        {:ok, socket |> LayoutMenu.choose(params) |> Annotation.restore(params)}
 
       {:error, error} ->
         {:ok, assign(socket, error: error)}
@@ -185,6 +195,10 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("export_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
     do: ExportDialog.handle_event(event, params, socket)
 
+  def handle_event("annotation_" <> _ = event, params, socket)
+      when is_map_key(socket.assigns, :item),
+      do: Annotation.handle_event(event, params, socket)
+
   def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
 
   def handle_event(event, params, socket) when is_map_key(socket.assigns, :layout) do
@@ -212,6 +226,8 @@ defmodule Situ.Studio.Web.MainView do
     Catalog.look_again(socket.assigns.studio)
     {:noreply, result |> ExportDialog.done(socket) |> load_streams()}
   end
+
+  def handle_info({:situ_annotation, _, _}, socket), do: {:noreply, Annotation.tell(socket)}
 
   # What grows has other numbers a moment later.
   def handle_info(:refresh, socket) do
@@ -254,18 +270,21 @@ defmodule Situ.Studio.Web.MainView do
 
     ~H"""
     <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-base="" data-layout={@saved.name}
-        data-edit={@edit}>
+        data-edit={@edit}
+        data-annotate={@annotation && @annotation.stream}>
       <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""}
-          read_only={@read_only} export={ExportDialog.offered?(assigns)} pipeline={pipeline(@item, @infos)} />
+          read_only={@read_only} export={ExportDialog.offered?(assigns)}
+          annotate={Annotation.offered?(assigns)} pipeline={pipeline(@item, @infos)} />
       <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query}
           count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names} kinds={kinds(@extra)} />
       <main class="centre">
         <Chrome.damage :if={@damage != []} damage={@damage} path={@item.path} />
         <button class="pill" type="button" data-act="live" title="Follow what is being recorded (l)">Back to live</button>
-        <Panels.stack layout={@layout} selected={@selected} maximised={@maximised} known={@known} streams={length(@infos)} />
+        <Panels.stack layout={@layout} selected={@selected} maximised={@maximised} annotation={@annotation && @annotation.stream} known={@known} streams={length(@infos)} />
       </main>
       <Side.right stream={@stream} panel={@panel} known={@known} snap={@snap} />
       <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} snap={@snap} />
+      <Annotation.dialog :if={match?({:annotation, _}, @dialog)} streams={elem(@dialog, 1)} />
       <LayoutMenu.dialog :if={@dialog == :layout} saved={@saved} />
       <ExportDialog.dialog :if={match?({:export, _, _, _}, @dialog)} dialog={@dialog} item={@item}
           layout={@layout} shapes={@shapes} />

@@ -3,6 +3,7 @@ defmodule Situ.Studio.Web.Panels do
   # The centre: rows of panels. What is inside a panel belongs to the page's script.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
+  alias Situ.Studio.Web.Annotation
   alias Situ.Studio.{Color, Layout, Visualizers}
 
   attr(:layout, :any, required: true)
@@ -12,6 +13,7 @@ defmodule Situ.Studio.Web.Panels do
   attr(:known, :map, required: true)
   attr(:streams, :integer, required: true)
   attr(:maximised, :any, required: true)
+  attr(:annotation, :any, default: nil)
 
   @doc false
   def stack(assigns) do
@@ -34,6 +36,7 @@ defmodule Situ.Studio.Web.Panels do
         <div id="navigator" class="navigator" phx-hook="Navigator" phx-update="ignore" role="group"
             aria-label="Time navigator"></div>
         <.line :for={line <- @main} :key={row_id(line)} line={line} selected={@selected} max={@max} known={@known} />
+        <Annotation.panel :if={@annotation} stream={@annotation} />
         <div :if={@layout.rows == [] and @streams > 0}
             class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
         <div :if={@layout.rows == [] and @streams == 0} class="empty"><b>No streams yet</b><span>{if @known.damaged,

@@ -1,0 +1,44 @@
+// An annotation on its row: a bar, or a dot for a point in time; proposals are see-through, with a dashed edge.
+
+import { GUTTER, theme, ink, stateColor } from "../page/theme.js";
+
+export const ROW = 26;
+
+function colorOf(a, attribute) {
+  const value = a.values[attribute?.name];
+  const own = attribute?.values.find((v) => v.value === value)?.fill ?? attribute?.fill;
+  return own ?? stateColor(String(value ?? ""), value === true ? "true" : "state");
+}
+
+// x(t) tells where a time is; `panel`: which attribute is shown and which annotation is chosen.
+export function drawOne(ctx, a, x, y, { told, attribute: nth, selected }) {
+  const attribute = told.attributes[nth];
+  const c = theme(), color = colorOf(a, attribute);
+  const left = x(a.from), right = x(a.to), width = Math.max(right - left, 2);
+  ctx.fillStyle = ctx.strokeStyle = color;
+  if (a.to === a.from) {
+    ctx.beginPath();
+    ctx.arc(left, y + ROW / 2, 4, 0, 2 * Math.PI);
+    ctx.fill();
+  } else {
+    ctx.globalAlpha = a.proposed ? 0.18 : a.pending ? 0.5 : 0.85;
+    ctx.fillRect(left, y + 3, width, ROW - 6);
+    ctx.globalAlpha = 1;
+    if (a.proposed) {
+      ctx.setLineDash([4, 3]);
+      ctx.strokeRect(left + 0.5, y + 3.5, width - 1, ROW - 7);
+      ctx.setLineDash([]);
+    }
+    const text = String(a.values[attribute?.name] ?? "");
+    if (width > 24) {
+      ctx.fillStyle = a.proposed ? c.text : ink(color);
+      ctx.fillText(text, Math.max(left, GUTTER.left) + 6, y + ROW / 2, width - 10);
+    }
+  }
+  if (a.id !== undefined && a.id === selected) {
+    ctx.strokeStyle = c.text;
+    ctx.lineWidth = 1.5;
+    ctx.strokeRect(left, y + 2, width, ROW - 4);
+    ctx.lineWidth = 1;
+  }
+}

@@ -1,0 +1,110 @@
+// The strip over the annotations: which attribute is shown, the value of the chosen one, tracks, proposals, undo, save.
+
+export class Tools {
+  constructor(el, panel) {
+    this.panel = panel;
+    this.el = el.appendChild(document.createElement("div"));
+    this.el.className = "annotation-tools";
+    this.title = this.part("b");
+    this.attribute = this.part("select", "Attribute");
+    this.attribute.addEventListener("change", () => {
+      panel.attribute = this.attribute.selectedIndex;
+      panel.app.schedule(panel);
+      this.update();
+    });
+    this.values = this.part("span");
+    this.track = this.button("Track…", "Another track, or a new one", () => this.chooseTrack());
+    this.accept = this.button("Accept", "Accept the chosen proposal, or all", () => this.settle("accept"));
+    this.reject = this.button("Reject", "Reject the chosen proposal, or all", () => this.settle("reject"));
+    this.undo = this.button("Undo", "Take back the last edit (Ctrl+Z)", () => panel.push("undo"));
+    this.redo = this.button("Redo", "Make it again (Ctrl+Shift+Z)", () => panel.push("redo"));
+    this.save = this.button("Save", "Write a new version of the annotations", () => panel.push("save"));
+    this.button("×", "Close the annotations; nothing is lost", () => panel.app.options.push?.("annotation_close", {}));
+  }
+
+  part(tag, label) {
+    const e = this.el.appendChild(document.createElement(tag));
+    if (label) e.setAttribute("aria-label", label);
+    return e;
+  }
+
+  button(text, title, run) {
+    const b = this.part("button");
+    Object.assign(b, { type: "button", textContent: text, title });
+    b.addEventListener("click", run);
+    return b;
+  }
+
+  update() {
+    const { told, attribute } = this.panel;
+    const item = this.panel.item();
+    this.title.textContent = `${told.stream ?? ""}  ${told.items.length}`;
+    this.attribute.hidden = told.attributes.length < 2;
+    const names = told.attributes.map((a) => a.name).join("\n");
+    if (names !== this.names) {
+      this.names = names;
+      this.attribute.textContent = "";
+      for (const a of told.attributes) this.attribute.appendChild(document.createElement("option")).textContent = a.name;
+    }
+    this.attribute.selectedIndex = attribute;
+    this.fill(told.attributes[attribute], item);
+    const proposed = told.items.some((a) => a.proposed);
+    this.accept.hidden = this.reject.hidden = !proposed;
+    this.undo.disabled = !told.undo;
+    this.redo.disabled = !told.redo;
+    this.save.textContent = told.unsaved ? "Save •" : "Saved";
+    this.save.disabled = !told.unsaved;
+  }
+
+  // The values: a click sets the chosen annotation's, or makes one of the selection.
+  fill(attribute, item) {
+    const key = JSON.stringify([attribute, item?.id, item?.values]);
+    if (key === this.filled) return;
+    this.filled = key;
+    this.values.textContent = "";
+    if (!attribute) return;
+    if (attribute.kind === "finite") return attribute.values.forEach((v) => this.value(attribute, v, item));
+    const input = this.values.appendChild(document.createElement("input"));
+    input.type = attribute.kind === "bool" ? "checkbox" : "text";
+    input.setAttribute("aria-label", attribute.name);
+    input.disabled = !item;
+    if (attribute.kind === "bool") input.checked = item?.values[attribute.name] === true;
+    else input.value = item?.values[attribute.name] ?? "";
+    input.addEventListener("change", () => {
+      const value = attribute.kind === "bool" ? input.checked : attribute.kind === "number" ? Number(input.value) : input.value;
+      this.panel.push("value", { id: item.id, attribute: attribute.name, value });
+    });
+  }
+
+  value(attribute, { value, fill, key }, item) {
+    const b = this.values.appendChild(document.createElement("button"));
+    b.type = "button";
+    b.textContent = key ? `${value}  ${key}` : value;
+    b.setAttribute("aria-pressed", String(item?.values[attribute.name] === value));
+    if (fill) b.style.boxShadow = `inset 0 -3px ${fill}`;
+    b.addEventListener("click", () => {
+      const { sel } = this.panel.app.time.get();
+      if (item) this.panel.push("value", { id: item.id, attribute: attribute.name, value });
+      else if (sel[0] != null && sel[1] != null) this.panel.add(sel[0], sel[1], { [attribute.name]: value });
+    });
+  }
+
+  chooseTrack() {
+    const name = prompt(`Track (there are ${this.panel.tracks().join(", ")})`, this.panel.track)?.trim();
+    if (!name) return;
+    this.panel.track = name.slice(0, 60);
+    this.panel.tell({ ...this.panel.raw });
+  }
+
+  settle(how) {
+    const item = this.panel.item();
+    if (item?.proposed) this.panel.push(how === "accept" ? "accept" : "remove", { id: item.id });
+    else {
+      const [question, usual] = how === "accept"
+        ? ["Accept proposals of at least this confidence", "0"]
+        : ["Reject proposals below this confidence", "1"];
+      const least = Number(prompt(question, usual) ?? NaN);
+      if (Number.isFinite(least)) this.panel.push(`${how}_all`, { least });
+    }
+  }
+}

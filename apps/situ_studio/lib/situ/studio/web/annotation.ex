@@ -1,0 +1,166 @@
+defmodule Situ.Studio.Web.Annotation do
+  @moduledoc false
+  # Annotating in the main view: a dialog that opens or makes a stream of annotations, the panel where they are edited, and
+  # the page's edits on their way to `Situ.Studio.Annotating`.
+  use Situ.Live.Component
+  import Situ.Live.Socket, only: [assign: 2, push_event: 3]
+
+  alias Situ.Annotation.Editor
+  alias Situ.Live.Socket
+  alias Situ.Studio.{Annotating, Draw, Source, Visualizers}
+
+  @doc "Whether there is something on disk to annotate, and it is allowed."
+  @spec offered?(map()) :: boolean()
+  def offered?(%{read_only: read_only, item: item}), do: item.kind == :store and not read_only
+
+  @doc "The stream that an address asks for, opened if it is there."
+  @spec restore(Socket.t(), map()) :: Socket.t()
+  def restore(socket, %{"annotate" => stream}) when is_binary(stream) and stream != "" do
+    if offered?(socket.assigns) and stream in Annotating.streams(socket.assigns.item.path),
+      do: open(socket, stream, nil),
+      else: socket
+  end
+
+  def restore(socket, _), do: socket
+
+  @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
+  def handle_event(event, params, socket) do
+    if offered?(socket.assigns),
+      do: {:noreply, event(event, params, socket)},
+      else:
+        {:noreply,
+         toast(
+           socket,
+           "Only a recording on disk can be annotated, in a studio that is not read only"
+         )}
+  end
+
+  defp event("annotation_dialog", _, socket),
+    do: assign(socket, dialog: {:annotation, Annotating.streams(socket.assigns.item.path)})
+
+  defp event("annotation_open", %{"stream" => stream}, socket) when is_binary(stream),
+    do: socket |> assign(dialog: nil) |> open(stream, nil)
+
+  defp event("annotation_new", %{"name" => name, "values" => values}, socket)
+       when is_binary(name) and is_binary(values) do
+    with name when name != "" <- name |> String.trim() |> String.slice(0, 60),
+         {:ok, schema} <- Annotating.schema(name, String.slice(values, 0, 4_000)) do
+      socket |> assign(dialog: nil) |> open(name, schema)
+    else
+      "" -> toast(socket, "The annotations need a name")
+      {:error, error} -> toast(socket, Exception.message(error))
+    end
+  end
+
+  defp event("annotation_close", _, socket), do: assign(socket, annotation: nil)
+  defp event("annotation_ready", _, socket), do: tell(socket)
+
+  defp event("annotation_propose", %{"stream" => stream}, %{assigns: %{annotation: %{}}} = socket)
+       when is_binary(stream) do
+    %{source: source, annotation: annotation, shapes: shapes} = socket.assigns
+
+    with {:ok, extent} <- Source.call(source, :extent, []),
+         {:ok, segments} <- segments(source, stream, shapes[stream], extent),
+         :ok <- Annotating.propose(annotation.editor, segments, stream) do
+      socket
+    else
+      {:error, error} -> toast(socket, Exception.message(error))
+    end
+  end
+
+  defp event("annotation_edit", params, %{assigns: %{annotation: %{editor: editor}}} = socket) do
+    case Annotating.edit(editor, params) do
+      :ok -> if(params["do"] == "save", do: toast(socket, "Annotations saved"), else: socket)
+      {:error, error} -> socket |> toast(Exception.message(error)) |> tell()
+    end
+  end
+
+  defp event(_, _, socket), do: socket
+
+  # What a stream says over its whole length, exactly.
+  defp segments(source, stream, shape, %{from: from, to: to}) do
+    spec = %{stream: stream, viz: nil, path: []}
+
+    case shape do
+      shape when shape in [:boolean, :states] ->
+        with {:ok, numbered, _} <- Draw.Messages.numbered(source, spec, from, to),
+             do: {:ok, numbered |> Draw.Segments.of([], to) |> closed(to)}
+
+      :spans ->
+        with {:ok, messages, _} <- Draw.Messages.within(source, stream, from, to) do
+          {:ok, Enum.flat_map(messages, &Visualizers.Spans.of(&1.data, &1.originating_time))}
+        end
+
+      _ ->
+        {:error,
+         Situ.Error.new(:no_segments, "#{stream} has no segments to propose",
+           fix: "choose a stream of booleans, of maps of them, or of intervals"
+         )}
+    end
+  end
+
+  defp closed(rows, end_) do
+    for {a, b, label, class, lane} <- rows, do: {a, b || end_, label, class, lane}
+  end
+
+  defp open(socket, stream, schema) do
+    case Annotating.open(socket.assigns.studio, socket.assigns.item.path, stream, schema) do
+      {:ok, editor} ->
+        :ok = Editor.subscribe(editor)
+        socket |> assign(annotation: %{stream: stream, editor: editor}) |> tell()
+
+      {:error, error} ->
+        toast(socket, Exception.message(error))
+    end
+  end
+
+  @doc "The page is told what the annotations are now."
+  @spec tell(Socket.t()) :: Socket.t()
+  def tell(%{assigns: %{annotation: %{editor: editor, stream: stream}}} = socket) do
+    push_event(socket, "annotations", Annotating.told(editor, stream))
+  catch
+    :exit, _ -> assign(socket, annotation: nil)
+  end
+
+  def tell(socket), do: socket
+
+  defp toast(socket, text), do: push_event(socket, "toast", %{text: text})
+
+  attr(:stream, :string, required: true)
+
+  @doc false
+  def panel(assigns) do
+    ~H"""
+    <section class="row-box timeline annotation" id="annotation" data-menu="annotation">
+      <div id="annotation-body" class="panel-body" phx-hook="Annotations" phx-update="ignore" tabindex="0"
+          role="application" aria-label={"Annotations " <> @stream}></div>
+    </section>
+    """
+  end
+
+  attr(:streams, :list, required: true)
+
+  @doc false
+  def dialog(assigns) do
+    ~H"""
+    <dialog id="annotation-dialog" phx-hook="Modal" phx-update="ignore" aria-label="Annotate">
+      <h3>Annotate</h3>
+      <div :if={@streams != []} class="choices">
+        <button :for={s <- @streams} class="btn" type="button" phx-click="annotation_open"
+            phx-value-stream={s}>{s}</button>
+      </div>
+      <form id="annotation-new" phx-submit="annotation_new">
+        <label>New annotations <input name="name" placeholder="Speech" autocomplete="off" maxlength="60"
+            required autofocus></label>
+        <label>Values, one a line: name, key, colour
+          <textarea name="values" rows="5" placeholder={"speaks 1 #4ea1f3\\nlaughs 2"}></textarea></label>
+        <div class="choices">
+          <button class="btn primary" type="submit">Annotate</button>
+          <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
+        </div>
+        <p class="hint">They are kept beside the recording, which stays as it is. Every edit is on the disk at once.</p>
+      </form>
+    </dialog>
+    """
+  end
+end
