@@ -32,7 +32,12 @@ export function drawOne(ctx, a, x, y, { told, attribute: nth, selected }) {
     const text = String(a.values[attribute?.name] ?? "");
     if (width > 24) {
       ctx.fillStyle = a.proposed ? c.text : ink(color);
-      ctx.fillText(text, Math.max(left, GUTTER.left) + 6, y + ROW / 2, width - 10);
+      ctx.save();
+      ctx.beginPath();
+      ctx.rect(left, y, width - 3, ROW);
+      ctx.clip();
+      ctx.fillText(text, Math.max(left, GUTTER.left) + 6, y + ROW / 2);
+      ctx.restore();
     }
   }
   if (a.id !== undefined && a.id === selected) {
