@@ -32,7 +32,7 @@ export class Header {
     const origin = this.origin();
     if (origin === null) return;
     const show = (t) => (t == null ? "–" : shown(t, origin, 1e6));
-    this.set("t-from", `Cursor, ${day(s.cursor, origin)}`);
+    this.set("t-from", day(s.cursor, origin));
     this.set("t-cursor", show(s.cursor));
     this.set("t-start", show(s.sel[0]));
     this.set("t-end", show(s.sel[1]));
