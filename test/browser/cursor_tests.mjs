@@ -143,3 +143,20 @@ test("5 cursor: a link keeps the stream that it snaps to; its time is copied as 
   await page.keyboard.press("Enter");
   equal((await state(page)).cursor, 12_345_678_901, "back at that time");
 });
+
+test("5 selection: an interval that is clicked is selected; the menu tells its statistics", async ({ page, shot }) => {
+  await open(page, main, "minute.0000");
+  const lanes = await panelOf(page, "Vad.Speaking");
+  const at = await pointAt(page, lanes, 7 * S);
+  await page.mouse.click(at.x, await page.$eval(`#${lanes}`, (e) => e.getBoundingClientRect().top + 4 + 13));
+  equal((await state(page)).sel, [5 * S, 10 * S], "Speaking is selected from its beginning to its end");
+  const level = await panelOf(page, "Mic.Level");
+  await page.click(`#${level}`, { button: "right" });
+  await page.click("#menu button:has-text('Statistics')");
+  await until(page, () => document.getElementById("statistics"), "the table is there");
+  const table = await page.$$eval("#statistics tr", (rows) => Object.fromEntries(rows.map((r) => [...r.children].map((c) => c.textContent))));
+  equal(table.messages, "501", "messages of five seconds, both ends");
+  equal(table.rate, "100 /s", "rate");
+  near(Number(table.greatest), 1, 1e-4, "the greatest");
+  await shot("statistics");
+});

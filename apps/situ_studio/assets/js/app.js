@@ -11,6 +11,7 @@ import { Palette } from "./page/palette.js";
 import { hooks as dragHooks, dragStream } from "./page/drag.js";
 import { hooks as extraHooks } from "./hooks.js";
 import { seriesColor } from "./page/theme.js";
+import { showStatistics } from "./page/statistics.js";
 import { toast } from "./page/toast.js";
 
 let studio = null;
@@ -43,6 +44,10 @@ const hooks = {
       app.options.push = (event, payload) => this.pushEvent(event, payload);
       this.handleEvent("snap", ({ stream }) => app.snapTo(stream));
       this.handleEvent("toast", ({ text }) => toast(text));
+      this.handleEvent("statistics", ({ rows }) => {
+        const { sel } = app.time.get();
+        showStatistics(rows, (sel[1] ?? 0) - (sel[0] ?? 0));
+      });
       this.handleEvent("zoom_to", ({ from, to }) => {
         app.time.dispatch({ type: "view", from: app.client.rel(BigInt(from)), to: app.client.rel(BigInt(to)) });
       });

@@ -55,7 +55,14 @@ function panelItems(app, panel, legend, event) {
       "-",
     );
   }
-  if (panel.matches(".timeline")) items.push(...timeItems(app, timeAt(app, body, event)), "-");
+  const { sel } = app.time.get();
+  if (panel.matches(".timeline")) {
+    items.push(...timeItems(app, timeAt(app, body, event)), {
+      text: "Statistics of the selection",
+      disabled: sel[0] == null || sel[1] == null,
+      run: () => push("statistics", { from: app.client.abs(sel[0]), to: app.client.abs(sel[1]) }),
+    }, "-");
+  }
   items.push(
     { text: "Properties", run: () => push("select_panel") },
     { text: panel.matches(".maxed") ? "Restore" : "Maximise", hint: "m", run: () => push("maximise") },

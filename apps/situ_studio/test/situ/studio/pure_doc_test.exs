@@ -14,6 +14,7 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Visualizers.Line
   doctest Situ.Studio.Annotating
   doctest Situ.Studio.Color
+  doctest Situ.Studio.Statistics
   doctest Situ.Studio.Layout
   doctest Situ.Studio.Layout.Auto
   doctest Situ.Studio.History

@@ -8,12 +8,15 @@ defmodule Situ.Studio.Web.MainView do
     Catalog,
     Color,
     Coverage,
+    Draw,
     Layout,
     Link,
     Source,
+    Statistics,
     StreamInfo,
     Tree,
-    Visualizers
+    Visualizers,
+    WholeNumber
   }
 
   alias Situ.Studio.Web.{
@@ -189,6 +192,18 @@ defmodule Situ.Studio.Web.MainView do
     end
   end
 
+  # Of the messages within a selection, for each stream of a panel.
+  def handle_event("statistics", %{"panel" => id, "from" => from, "to" => to}, socket) do
+    with {:ok, from} <- WholeNumber.parse(from),
+         {:ok, to} when to >= from <- WholeNumber.parse(to),
+         %{vis: vis} <- Layout.panel(socket.assigns.layout, id) do
+      rows = for v <- Enum.take(vis, 8), do: statistics(socket.assigns.source, v, from, to)
+      {:noreply, push_event(socket, "statistics", %{rows: rows})}
+    else
+      _ -> {:noreply, socket}
+    end
+  end
+
   def handle_event("layout_" <> _ = event, params, socket),
     do: LayoutMenu.handle_event(event, params, socket)
 
@@ -210,6 +225,16 @@ defmodule Situ.Studio.Web.MainView do
   end
 
   def handle_event(_, _, socket), do: {:noreply, socket}
+
+  defp statistics(source, vis, from, to) do
+    with {:ok, path} <- Situ.Studio.Path.parse(vis.path),
+         {:ok, messages, all?} <- Draw.Messages.within(source, vis.stream, from, to) do
+      values = for {name, value} <- Statistics.of(messages, path), do: [name, value]
+      %{name: vis.stream <> vis.path, all: all?, values: values}
+    else
+      {:error, error} -> %{name: vis.stream, error: error.what, values: []}
+    end
+  end
 
   # What the layout was before a change; picking a layout is one, too.
   defp remember(%{assigns: assigns} = socket, event, changes)

@@ -1,0 +1,32 @@
+// The statistics of a selection, as a table in a dialog.
+
+import { number } from "./number_text.js";
+import { duration } from "../time/text.js";
+
+const TITLES = {
+  n: "messages", rate_hz: "rate", period_ns: "usual pause", jitter_ns: "jitter (sd of pauses)", longest_pause_ns: "longest pause",
+  mean: "mean", sd: "standard deviation", min: "least", p5: "5 %", median: "median", p95: "95 %", max: "greatest",
+};
+
+const text = (name, v) => (name.endsWith("_ns") ? duration(v) : name === "rate_hz" ? `${number(v, 4)} /s` : number(v, 6));
+
+// rows: [{name, all, values: [[name, value], ...], error?}]
+export function showStatistics(rows, length) {
+  const dialog = document.body.appendChild(document.createElement("dialog"));
+  dialog.id = "statistics";
+  dialog.appendChild(document.createElement("h3")).textContent = `Selection, ${duration(length)}`;
+  const table = dialog.appendChild(document.createElement("table"));
+  const line = (head, cells, tag) => {
+    const tr = table.appendChild(document.createElement("tr"));
+    tr.appendChild(document.createElement("th")).textContent = head;
+    for (const c of cells) tr.appendChild(document.createElement(tag)).textContent = c;
+  };
+  line("", rows.map((r) => r.name + (r.all === false ? " (a sample)" : "")), "th");
+  for (const [name, title] of Object.entries(TITLES)) {
+    const cells = rows.map((r) => r.values.find(([n]) => n === name)?.[1]);
+    if (cells.some((v) => v !== undefined)) line(title, cells.map((v) => (v === undefined ? "" : text(name, v))), "td");
+  }
+  dialog.addEventListener("close", () => dialog.remove());
+  dialog.addEventListener("click", (e) => e.target === dialog && dialog.close());
+  dialog.showModal();
+}

@@ -1,0 +1,71 @@
+defmodule Situ.Studio.Statistics do
+  @moduledoc """
+  Numbers about the messages of a stream within an interval: how many, how often, how evenly, and of numbers their
+  distribution.
+
+      iex> messages = for {t, v} <- [{0, 1}, {10, 2}, {20, 3}, {40, 10}], do: %Situ.Message{data: v, originating_time: t}
+      iex> stats = Map.new(Situ.Studio.Statistics.of(messages, []))
+      iex> {stats["n"], stats["mean"], stats["min"], stats["median"], stats["max"]}
+      {4, 4.0, 1, 2, 10}
+      iex> {stats["rate_hz"], stats["period_ns"], stats["longest_pause_ns"]}
+      {7.5e7, 10, 20}
+
+  The standard deviation is that of a sample (n - 1); percentiles are messages' own values (nearest rank).
+  """
+  alias Situ.Studio.{Draw.Bins, Path}
+
+  @doc "Names and values, in the order in which they are shown; `path` picks a part of the messages."
+  @spec of([Situ.Message.t()], Path.t()) :: [{String.t(), number()}]
+  def of(messages, path) do
+    times = Enum.map(messages, & &1.originating_time)
+
+    values =
+      for m <- messages,
+          {:ok, value} <- [Path.fetch(m.data, path)],
+          {:ok, number} <- [Bins.number(value)],
+          do: number
+
+    [{"n", length(messages)}] ++ pace(times) ++ spread(values)
+  end
+
+  defp pace([first, _ | _] = times) do
+    pauses = times |> Enum.chunk_every(2, 1, :discard) |> Enum.map(fn [a, b] -> b - a end)
+    sorted = Enum.sort(pauses)
+    span = List.last(times) - first
+
+    [
+      {"rate_hz", length(pauses) * 1.0e9 / max(span, 1)},
+      {"period_ns", rank(sorted, 0.5)},
+      {"jitter_ns", deviation(pauses)},
+      {"longest_pause_ns", List.last(sorted)}
+    ]
+  end
+
+  defp pace(_), do: []
+
+  defp spread([]), do: []
+
+  defp spread(values) do
+    sorted = Enum.sort(values)
+
+    [
+      {"mean", Enum.sum(values) / length(values)},
+      {"sd", deviation(values)},
+      {"min", hd(sorted)},
+      {"p5", rank(sorted, 0.05)},
+      {"median", rank(sorted, 0.5)},
+      {"p95", rank(sorted, 0.95)},
+      {"max", List.last(sorted)}
+    ]
+  end
+
+  defp rank(sorted, part), do: Enum.at(sorted, max(ceil(part * length(sorted)) - 1, 0))
+
+  defp deviation([_]), do: 0.0
+
+  defp deviation(values) do
+    mean = Enum.sum(values) / length(values)
+    squares = for x <- values, reduce: 0.0, do: (sum -> sum + (x - mean) * (x - mean))
+    :math.sqrt(squares / (length(values) - 1))
+  end
+end
