@@ -62,8 +62,8 @@ test("5 selection: both ends by mouse and keys, zoom to it, shift, clear", async
   await page.mouse.click(at.x, at.y, { button: "right" });
   await page.keyboard.up("Shift");
   let s = await state(page);
-  near(s.sel[0], 10 * S, 0.1 * S, "start");
-  near(s.sel[1], 25 * S, 0.1 * S, "end");
+  near(s.sel[0], 10 * S, 0.2 * S, "start");
+  near(s.sel[1], 25 * S, 0.2 * S, "end");
   ok(!(await page.$eval(`#${id} .sel-shade`, (e) => e.hidden)), "the selection is shaded");
   near(parseFloat(await page.textContent("#t-length")), 15, 0.25, "length in the header");
   await page.keyboard.press("Control+s");
