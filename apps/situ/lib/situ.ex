@@ -121,8 +121,8 @@ defmodule Situ do
   end
 
   @doc """
-  Groups components under one name; given a stream, the function gets the stream inside the group. Options: `policy:` and `on_error:`,
-  see `Situ.Pipeline.composite/4`.
+  Groups components under one name; given a stream, the function gets the stream inside the group. Options: `policy:`
+  and `on_error:`, see `Situ.Pipeline.composite/4`.
   """
   @spec composite(Pipeline.t() | Stream.t(), String.t(), (term() -> result), keyword()) :: result
         when result: term()

@@ -58,7 +58,7 @@ defmodule Situ.Examples.RecordedDevicesTest do
     time = Enum.at(context.pictures, 9)
 
     {4, <<64::little-32, 32::little-32, _pixels::little-64, _::binary>>} =
-      fetch(studio, "at", source: item, stream: "Lobby.Camera", draw: "image", at: time)
+      fetch(studio, "at", source: item, stream: "Lobby.Camera", viz: "image", at: time)
 
     # Half a second of sound from the start: the samples of the file.
     {9, samples} =

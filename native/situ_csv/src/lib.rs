@@ -79,7 +79,8 @@ impl Seek for Bounded {
     }
 }
 
-/// Up to `most` rows (or `bytes` bytes) from a place on, and the place behind them. Empty lines are no rows; no rows is the end.
+/// Up to `most` rows (or `bytes` bytes) from a place on, and the place behind them. Empty lines are no rows; no rows
+/// is the end.
 pub fn rows(
     path: &Path,
     separator: u8,

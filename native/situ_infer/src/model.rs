@@ -47,8 +47,8 @@ pub struct Busy;
 
 /// A network ready to run, by several callers at once.
 ///
-/// A session of ONNX Runtime may run once at a time, so a second caller gets a session of its own, made when it is first
-/// needed, up to `Options::sessions` of them; then callers wait.
+/// A session of ONNX Runtime may run once at a time, so a second caller gets a session of its own, made when it is
+/// first needed, up to `Options::sessions` of them; then callers wait.
 pub struct Model {
     pool: Mutex<Pool>,
     returned: Condvar,

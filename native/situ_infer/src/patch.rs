@@ -40,8 +40,9 @@ pub struct Picture<'a> {
     pub layout: PixelLayout,
 }
 
-/// What to cut: `matrix` maps a patch pixel `(x, y)` to a picture position, `(m0 x + m1 y + m2, m3 x + m4 y + m5)`, both counted
-/// from the centre of the first pixel. A value `v` becomes `v * scale + offset`; outside of the picture is black.
+/// What to cut: `matrix` maps a patch pixel `(x, y)` to a picture position, `(m0 x + m1 y + m2, m3 x + m4 y + m5)`,
+/// both counted from the centre of the first pixel. A value `v` becomes `v * scale + offset`; outside of the picture
+/// is black.
 #[derive(Debug, Clone, Copy)]
 pub struct Patch {
     pub matrix: [f64; 6],
@@ -105,8 +106,8 @@ impl Picture<'_> {
         out
     }
 
-    /// As `sample`, where all four neighbours lie inside. With the layout known to the compiler nothing is left to be checked
-    /// but the two ends.
+    /// As `sample`, where all four neighbours lie inside. With the layout known to the compiler nothing is left to be
+    /// checked but the two ends.
     #[inline(always)]
     fn sample_inside<const BYTES: usize, const RED: usize, const BLUE: usize>(
         &self,
@@ -162,8 +163,9 @@ pub fn patch_bytes(patch: &Patch) -> Option<usize> {
         .then_some(pixels * 3 * std::mem::size_of::<f32>())
 }
 
-/// Writes the patch as RGB floats in native order, rows first (`[height, width, 3]`), to `out`, which holds `patch_bytes`.
-/// Answers false, with nothing written, when the picture's numbers do not agree with its bytes or those of the patch with `out`.
+/// Writes the patch as RGB floats in native order, rows first (`[height, width, 3]`), to `out`, which holds
+/// `patch_bytes`. Answers false, with nothing written, when the picture's numbers do not agree with its bytes or
+/// those of the patch with `out`.
 #[must_use]
 pub fn cut(picture: &Picture<'_>, patch: &Patch, out: &mut [u8]) -> bool {
     if patch_bytes(patch) != Some(out.len())

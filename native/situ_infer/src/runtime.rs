@@ -7,7 +7,8 @@ use std::sync::{Mutex, PoisonError};
 // Kept for the life of the process: ONNX Runtime allows one environment, and sessions outlive their callers.
 static ENVIRONMENT: Mutex<Option<Environment>> = Mutex::new(None);
 
-/// Opens the library at `path`. Does nothing when one is open already; a failure is not kept, so a later call may succeed.
+/// Opens the library at `path`. Does nothing when one is open already; a failure is not kept, so a later call may
+/// succeed.
 pub fn load(path: &Path) -> Result<(), Failure> {
     let mut slot = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);
     if slot.is_some() {

@@ -165,7 +165,8 @@ fn run_inline<'a>(
 
 type Size = (usize, usize, usize, String);
 
-/// `(width, height, stride, format)`, six matrix numbers, patch size, scale and offset, as `situ_infer::Patch` has them.
+/// `(width, height, stride, format)`, six matrix numbers, patch size, scale and offset, as `situ_infer::Patch` has
+/// them.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn cut_patch<'a>(
     env: Env<'a>,

@@ -1,8 +1,8 @@
 //! Lines, rectangles and circles, anti-aliased, clipped at the picture's edges.
 //!
 //! A pixel's place is its middle. A line covers its width to both sides of the way from middle to middle, end pixels
-//! included, so straight ones of odd width have sharp edges. How much of a pixel is covered follows from how far its middle
-//! is from the figure's edge.
+//! included, so straight ones of odd width have sharp edges. How much of a pixel is covered follows from how far its
+//! middle is from the figure's edge.
 
 use crate::error::{fail, Code, Result};
 use crate::ink::{blend, fill, Area};

@@ -4,7 +4,8 @@ use crate::error::{fail, Code, Error, Result};
 use crate::picture::{Format, Shape, View};
 use turbojpeg::{Compressor, Decompressor, Image, OutputBuf, OwnedBuf, PixelFormat, Subsamp};
 
-/// Cameras and programs write ten or so. A progressive file may have thousands, a few bytes and a pass over the whole picture each.
+/// Cameras and programs write ten or so. A progressive file may have thousands, a few bytes and a pass over the whole
+/// picture each.
 const MAX_SCANS: usize = 100;
 
 /// Above this, memory is taken as it is needed.

@@ -8,9 +8,9 @@ const KEPT: i32 = 32 << 20;
 
 /// To be named in `rustler::init!`.
 ///
-/// Kernels of OpenCV, libsoxr and libjpeg-turbo allocate and free several megabytes a call. glibc gives such memory back
-/// to the system at once, and the next call takes it again, page by page: half of Canny's time. Each dirty scheduler's
-/// heap may keep 32 MiB instead. The VM's own memory is not concerned: it has its own allocators.
+/// Kernels of OpenCV, libsoxr and libjpeg-turbo allocate and free several megabytes a call. glibc gives such memory
+/// back to the system at once, and the next call takes it again, page by page: half of Canny's time. Each dirty
+/// scheduler's heap may keep 32 MiB instead. The VM's own memory is not concerned: it has its own allocators.
 pub fn load(_env: Env, _info: Term) -> bool {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     // SAFETY: mallopt takes two integers, locks its own state, and answers 0 for values it does not like.

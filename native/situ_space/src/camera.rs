@@ -1,6 +1,7 @@
 //! The direction that each pixel of a camera shows, as a table.
 //!
-//! The model is the rational Brown-Conrady one of `Situ.Space.Camera`, which is the reference that tests hold this against.
+//! The model is the rational Brown-Conrady one of `Situ.Space.Camera`, which is the reference that tests hold this
+//! against.
 
 use crate::error::{fail, Code, Result};
 
@@ -85,8 +86,8 @@ impl Camera {
         )
     }
 
-    /// For every pixel, row by row, where its ray meets the plane at distance 1 (to the right, down); NaN for pixels that
-    /// the lens cannot show.
+    /// For every pixel, row by row, where its ray meets the plane at distance 1 (to the right, down); NaN for pixels
+    /// that the lens cannot show.
     pub fn table(&self, undistort: bool) -> Result<Vec<[f32; 2]>> {
         let pixels = self.width.saturating_mul(self.height);
         if pixels == 0 || pixels > MAX_PIXELS {

@@ -28,7 +28,8 @@ pub fn downsample(cloud: &[u8], size: f64) -> Result<(Vec<u8>, Vec<u32>)> {
     Ok((bytes(means), sums.iter().map(|(_, count)| *count).collect()))
 }
 
-/// For every point the number of its cluster: points closer than `radius` metres belong together. Clusters of fewer than
+/// For every point the number of its cluster: points closer than `radius` metres belong together. Clusters of fewer
+/// than
 /// `least` points are none (`u32::MAX`); the others are numbered from the largest, ties by their first point.
 pub fn clusters(cloud: &[u8], radius: f64, least: usize) -> Result<Vec<u32>> {
     let radius = length(radius, "the radius")?;

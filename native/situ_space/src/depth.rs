@@ -23,8 +23,8 @@ pub struct Sampling {
 }
 
 impl<'a> Depth<'a> {
-    /// A checked view of the bytes. `scale` is metres for a value of 1; `along_ray` says that values measure the ray, not
-    /// the distance of the plane.
+    /// A checked view of the bytes. `scale` is metres for a value of 1; `along_ray` says that values measure the ray,
+    /// not the distance of the plane.
     pub fn new(
         (width, height, stride): (usize, usize, usize),
         data: &'a [u8],

@@ -5,8 +5,8 @@ use crate::grid::{bytes, length, points, Grid};
 use crate::plane::spread;
 use nalgebra::Vector3;
 
-/// For every point the unit normal of the plane through its neighbours within `radius` metres, turned towards `viewpoint`;
-/// zero where fewer than three neighbours are there. And how curved the surface is, 0 (flat) to 1/3.
+/// For every point the unit normal of the plane through its neighbours within `radius` metres, turned towards
+/// `viewpoint`; zero where fewer than three neighbours are there. And how curved the surface is, 0 (flat) to 1/3.
 pub fn normals(cloud: &[u8], radius: f64, viewpoint: [f64; 3]) -> Result<(Vec<u8>, Vec<u8>)> {
     let radius = length(radius, "the radius")?;
     let points = points(cloud)?;

@@ -15,8 +15,9 @@ pub struct Plane {
     pub inliers: Vec<u32>,
 }
 
-/// The plane within whose `tolerance` (metres) most points lie, out of `rounds` random triples, fitted by least squares to
-/// them. The same `seed` gives the same plane. Source: M. Fischler, R. Bolles, Random Sample Consensus, 1981.
+/// The plane within whose `tolerance` (metres) most points lie, out of `rounds` random triples, fitted by least
+/// squares to them. The same `seed` gives the same plane. Source: M. Fischler, R. Bolles, Random Sample Consensus,
+/// 1981.
 pub fn ransac(cloud: &[u8], tolerance: f64, rounds: u32, seed: u64) -> Result<Plane> {
     let tolerance = f64::from(length(tolerance, "the tolerance")?);
     let points = points(cloud)?;
@@ -75,8 +76,8 @@ pub fn fit(points: &[&Point]) -> Option<(Vector3<f64>, f64)> {
     Some((normal, normal.dot(&mean)))
 }
 
-/// The mean of points, the direction in which they spread least, and the share of the spread that lies in it; `None` for
-/// fewer than three points.
+/// The mean of points, the direction in which they spread least, and the share of the spread that lies in it; `None`
+/// for fewer than three points.
 pub fn spread<'a>(
     points: impl Iterator<Item = &'a Point> + Clone,
 ) -> Option<(Vector3<f64>, Vector3<f64>, f64)> {

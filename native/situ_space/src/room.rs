@@ -148,7 +148,8 @@ fn hit_capsule(
     }
 }
 
-/// The room as a camera sees it, whose pixels' rays stand in `table` (two floats a pixel): depth to the plane in units of
+/// The room as a camera sees it, whose pixels' rays stand in `table` (two floats a pixel): depth to the plane in
+/// units of
 /// `scale` metres (0 beyond the range of 16 bits), and the colours (red, green, blue), shaded by a lamp at the camera.
 pub fn render(
     shapes: &[Shape],

@@ -2,8 +2,9 @@
 //!
 //!     cargo run --release --example torture -- KILLS [SEED]
 //!
-//! Every message whose commit was acknowledged (a line on the writer's standard output, after the commit) must be there, byte for
-//! byte and in order; nothing else may be damaged; the store is repaired and copied into a new one. Prints `N passed, N failed`.
+//! Every message whose commit was acknowledged (a line on the writer's standard output, after the commit) must be
+//! there, byte for byte and in order; nothing else may be damaged; the store is repaired and copied into a new one.
+//! Prints `N passed, N failed`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::io::{BufRead, BufReader, Write};

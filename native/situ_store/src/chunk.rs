@@ -205,7 +205,8 @@ impl Body<'_> {
     }
 }
 
-/// Checks the stored body of the chunk that `bytes` begin with (unless `trust_body`) and unpacks it, to at most `most` bytes.
+/// Checks the stored body of the chunk that `bytes` begin with (unless `trust_body`) and unpacks it, to at most
+/// `most` bytes.
 pub fn open<'a>(
     header: &ChunkHeader,
     bytes: &'a [u8],

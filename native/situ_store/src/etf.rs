@@ -2,8 +2,8 @@
 
 /// Terms are not nested deeper.
 pub const MAX_DEPTH: u32 = 512;
-/// Lists, tuples, maps and numbers of a term do not take more bytes in memory; a byte of a file can become sixteen. Binaries do not
-/// count: they are as long there as here.
+/// Lists, tuples, maps and numbers of a term do not take more bytes in memory; a byte of a file can become sixteen.
+/// Binaries do not count: they are as long there as here.
 pub const MAX_STRUCTURE: usize = 64 << 20;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,8 +61,8 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// How many bytes the structure of a term takes in memory, if `bytes` are one whole external term of plain data: bounded, shallow,
-/// nothing alive in it.
+/// How many bytes the structure of a term takes in memory, if `bytes` are one whole external term of plain data:
+/// bounded, shallow, nothing alive in it.
 pub fn check(bytes: &[u8]) -> Result<usize, Refusal> {
     let mut walk = Walk { bytes, at: 0 };
     if walk.u8()? != 131 {

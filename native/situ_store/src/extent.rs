@@ -61,7 +61,8 @@ pub fn allocate(file: &File, from: u64, length: u64) -> std::result::Result<(), 
     }
 }
 
-/// As `allocate`, of what is left on a disk that is nearly full: `length` bytes, or a quarter, and so on down to `least`.
+/// As `allocate`, of what is left on a disk that is nearly full: `length` bytes, or a quarter, and so on down to
+/// `least`.
 pub fn allocate_some(
     file: &File,
     from: u64,
@@ -262,7 +263,8 @@ impl Lane {
         Ok(())
     }
 
-    /// Cuts the unused rest off the last extent. Readers never look behind what is committed, so a map of the old length is safe.
+    /// Cuts the unused rest off the last extent. Readers never look behind what is committed, so a map of the old
+    /// length is safe.
     pub fn trim(&mut self) -> Result<()> {
         self.fault.step()?;
         if let Some(file) = self.file.as_ref() {

@@ -347,7 +347,8 @@ impl ChunkHeader {
         Self::decode_head(bytes, bytes.len() as u64)
     }
 
-    /// As `decode`, from the chunk's first bytes: the header and what its checksum covers; `space` is how far the extent goes on.
+    /// As `decode`, from the chunk's first bytes: the header and what its checksum covers; `space` is how far the
+    /// extent goes on.
     pub fn decode_head(bytes: &[u8], space: u64) -> std::result::Result<Self, &'static str> {
         let size = match bytes.get(..4).map(|magic| u32_at(magic, 0)) {
             Some(CHUNK_MAGIC) => CHUNK_HEADER,

@@ -1,8 +1,8 @@
 //! Memory maps that outlive their file's end.
 //!
-//! A page of a map whose file was cut by somebody raises SIGBUS, which ends the process. Here a handler puts a page of zeros in
-//! its place and notes it: whoever reads sees a wrong checksum, asks `torn`, and answers an error. The handler only looks at
-//! maps that are registered here; any other SIGBUS goes where it went before.
+//! A page of a map whose file was cut by somebody raises SIGBUS, which ends the process. Here a handler puts a page
+//! of zeros in its place and notes it: whoever reads sees a wrong checksum, asks `torn`, and answers an error. The
+//! handler only looks at maps that are registered here; any other SIGBUS goes where it went before.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicUsize, Ordering};
@@ -76,8 +76,9 @@ fn take(start: usize, end: usize) -> &'static Slot {
 
 #[allow(unsafe_code)]
 fn install() {
-    // SAFETY: the structures are zeroed, which is a valid value of them, and filled as sigaction(2) says. The handler does only
-    // what a signal handler may: atomics and mmap(2). It runs on the alternate stack, as the BEAM demands of handlers.
+    // SAFETY: the structures are zeroed, which is a valid value of them, and filled as sigaction(2) says. The handler
+    // does only what a signal handler may: atomics and mmap(2). It runs on the alternate stack, as the BEAM demands
+    // of handlers.
     unsafe {
         let mut new: libc::sigaction = std::mem::zeroed();
         let mut old: libc::sigaction = std::mem::zeroed();
@@ -98,8 +99,8 @@ extern "C" fn on_sigbus(
     info: *mut libc::siginfo_t,
     context: *mut libc::c_void,
 ) {
-    // SAFETY: the kernel gives a valid `info`; the page replaced lies within a map registered by its owner, which unregisters
-    // it before it unmaps; errno is put back as it was.
+    // SAFETY: the kernel gives a valid `info`; the page replaced lies within a map registered by its owner, which
+    // unregisters it before it unmaps; errno is put back as it was.
     unsafe {
         let at = (*info).si_addr() as usize;
         let ours = slots().find(|slot| {

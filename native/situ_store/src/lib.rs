@@ -1,4 +1,5 @@
-//! Pure Rust side of situ_store: the format of `priv/schema/store.md`, its writer, reader, pyramids and repair. No BEAM types.
+//! Pure Rust side of situ_store: the format of `priv/schema/store.md`, its writer, reader, pyramids and repair. No
+//! BEAM types.
 
 pub mod chunk;
 pub mod error;

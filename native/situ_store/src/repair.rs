@@ -1,8 +1,9 @@
 //! Mending a store whose index or data are damaged, and closing one whose writer died.
 //!
-//! Whatever a reader was given before is there afterwards: entries of the index that name a sound chunk are kept as they are.
-//! Places in between that are damaged are filled with the chunks that carry their numbers, as far as these are known to have been
-//! committed; a place that stays empty is a hole, so that every other entry keeps its number. Data are never rewritten.
+//! Whatever a reader was given before is there afterwards: entries of the index that name a sound chunk are kept as
+//! they are. Places in between that are damaged are filled with the chunks that carry their numbers, as far as these
+//! are known to have been committed; a place that stays empty is a hole, so that every other entry keeps its number.
+//! Data are never rewritten.
 
 mod apply;
 mod claims;
@@ -49,8 +50,8 @@ struct Plan {
     closed: bool,
 }
 
-/// Makes the store in `dir` whole and marks it closed; with `dry` it only tells. The old index stays as `index.situ.before-repair`
-/// (`.before-repair-2` ...) when a new one is written.
+/// Makes the store in `dir` whole and marks it closed; with `dry` it only tells. The old index stays as
+/// `index.situ.before-repair` (`.before-repair-2` ...) when a new one is written.
 pub fn repair(dir: &Path, dry: bool, mut progress: impl FnMut(u64, u64)) -> Result<Report> {
     // A folder that is none of a store gets no lock file.
     let files = Files::open(dir)?;
@@ -214,8 +215,8 @@ fn by_number(good: Vec<Option<Entry>>, scan: scan::Scan) -> (Vec<Entry>, u64) {
     (entries, lost)
 }
 
-/// Stores of version 1, whose chunks tell no number: chunks from the scan go where their stream has nothing at their times. Of
-/// two for the same times the one behind in the file was written when the other had failed.
+/// Stores of version 1, whose chunks tell no number: chunks from the scan go where their stream has nothing at their
+/// times. Of two for the same times the one behind in the file was written when the other had failed.
 fn by_time(claims: &Claims, good: Vec<Option<Entry>>, found: Vec<Entry>) -> (Vec<Entry>, u64) {
     let mut streams: BTreeMap<(u32, u8), BTreeMap<i64, Entry>> = BTreeMap::new();
     let expected = claims.published.max(good.len() as u64);

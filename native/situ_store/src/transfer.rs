@@ -15,8 +15,8 @@ pub struct Part<'a> {
     pub bytes: u64,
 }
 
-/// Commits a part to stream `target`: how many messages, and the ordinal behind them. `codec` tells the number a codec has in
-/// the new store. Damage ends the part; as its first message it is the error.
+/// Commits a part to stream `target`: how many messages, and the ordinal behind them. `codec` tells the number a
+/// codec has in the new store. Damage ends the part; as its first message it is the error.
 pub fn transfer(
     part: &Part<'_>,
     writer: &mut Writer,

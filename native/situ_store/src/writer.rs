@@ -335,7 +335,8 @@ impl Writer {
         Ok(())
     }
 
-    /// Writes the rest of the pyramids, cuts the files, marks the store closed. Committed messages are safe whatever it answers.
+    /// Writes the rest of the pyramids, cuts the files, marks the store closed. Committed messages are safe whatever
+    /// it answers.
     pub fn close(&mut self) -> Result<()> {
         if self.closed {
             return Ok(());

@@ -1,6 +1,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-//! Readers fed with files that lie and whose checksums are right, as somebody would make them on purpose: no panic, no endless
-//! loop, no message that contradicts the index, and no more memory than the store has. `SITU_FUZZ` sets the number of stores.
+//! Readers fed with files that lie and whose checksums are right, as somebody would make them on purpose: no panic,
+//! no endless loop, no message that contradicts the index, and no more memory than the store has. `SITU_FUZZ` sets
+//! the number of stores.
 mod common;
 
 use common::*;

@@ -243,7 +243,8 @@ fn nothing_readable_is_lost_and_nothing_unacknowledged_comes() {
     assert!(recovered > 0);
 }
 
-/// One damaged entry of another stream, and nothing is lost: the index's sound entries are kept, whatever lies in the extents.
+/// One damaged entry of another stream, and nothing is lost: the index's sound entries are kept, whatever lies in the
+/// extents.
 #[test]
 fn a_damaged_entry_costs_no_other_stream_anything() {
     let folder = Folder::new();

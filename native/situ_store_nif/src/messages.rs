@@ -100,10 +100,13 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Messages from `ordinal` on, until one lies behind `to`, or at least `most` messages or `bytes` payload bytes are there:
-/// `{:ok, [{codec, [{sequence, originating, creation, data}]}], next_ordinal}`, a message whose data are no plain term being
-/// `{sequence, originating, creation, :unknown, {modules, bytes, term}}` or `{..., :undecodable, why}`. Whole chunks, so a little more than `most`
-/// may come; `bytes` 0: exactly `most`. A damaged chunk ends the answer; as the first one it is the error.
+/// Messages from `ordinal` on, until one lies behind `to`, or at least `most` messages or `bytes` payload bytes are
+/// there:
+/// `{:ok, [{codec, [{sequence, originating, creation, data}]}], next_ordinal}`, a message whose data are no plain
+/// term being
+/// `{sequence, originating, creation, :unknown, {modules, bytes, term}}` or `{..., :undecodable, why}`. Whole chunks,
+/// so a little more than `most` may come; `bytes` 0: exactly `most`. A damaged chunk ends the answer; as the first
+/// one it is the error.
 #[rustler::nif(schedule = "DirtyIo")]
 fn reader_read<'a>(
     env: Env<'a>,
@@ -123,8 +126,8 @@ fn reader_read<'a>(
     read(env, &handle, stream, ordinal, &wanted)
 }
 
-/// As `reader_read`, on a normal scheduler, which saves two changes of threads: what takes little time and waits for no disk,
-/// as much of it as fits into a time slice. `:slow` when that is nothing.
+/// As `reader_read`, on a normal scheduler, which saves two changes of threads: what takes little time and waits for
+/// no disk, as much of it as fits into a time slice. `:slow` when that is nothing.
 #[rustler::nif]
 fn reader_read_quick<'a>(
     env: Env<'a>,

@@ -120,7 +120,8 @@ fn shelf(handle: &Handle) -> MutexGuard<'_, Shelf> {
         .unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-/// What `reader_shelve` put there under a name: `{:ok, external_term}`, `nil`, or `:stale` when the catalog has grown since.
+/// What `reader_shelve` put there under a name: `{:ok, external_term}`, `nil`, or `:stale` when the catalog has grown
+/// since.
 #[rustler::nif]
 fn reader_shelved<'a>(env: Env<'a>, handle: Handle, name: Binary<'a>) -> Term<'a> {
     let shelf = shelf(&handle);

@@ -19,8 +19,8 @@ pub fn copied<'a>(env: Env<'a>, bytes: &[u8]) -> Term<'a> {
 pub enum Decoded<'a> {
     /// The term. Atoms that do not exist here are strings in it.
     Plain(Term<'a>),
-    /// A term with structs that do not exist here, which are maps with strings for keys: `[module]` and the term. Whoever can
-    /// load the modules decodes the bytes once more.
+    /// A term with structs that do not exist here, which are maps with strings for keys: `[module]` and the term.
+    /// Whoever can load the modules decodes the bytes once more.
     Unknown(Vec<Term<'a>>, Term<'a>),
     /// Why there is no term.
     Refused(&'static str),

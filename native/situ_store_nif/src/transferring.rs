@@ -6,8 +6,8 @@ use situ_store::transfer::{transfer, Part};
 use crate::reading::Handle as Reader;
 use crate::writing::{answer, with, Handle as Writer};
 
-/// Takes messages of `stream` from `ordinal` on, no later than `to`, into stream `target` of the writer and commits them, until
-/// at least `bytes` were read: `{:ok, {count, next_ordinal}}`. `codecs`: `[{number there, number here}]`.
+/// Takes messages of `stream` from `ordinal` on, no later than `to`, into stream `target` of the writer and commits
+/// them, until at least `bytes` were read: `{:ok, {count, next_ordinal}}`. `codecs`: `[{number there, number here}]`.
 #[rustler::nif(schedule = "DirtyIo")]
 #[allow(clippy::too_many_arguments)]
 fn store_transfer<'a>(

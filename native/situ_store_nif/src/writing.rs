@@ -145,7 +145,8 @@ fn writer_append<'a>(
 }
 
 /// Appends runs of messages, `{codec, messages, points}`, all or none. Messages of a codec are
-/// `{sequence, originating, creation, iodata}`, and points those of their signal; of codec 0 they are `%Situ.Message{}`s.
+/// `{sequence, originating, creation, iodata}`, and points those of their signal; of codec 0 they are
+/// `%Situ.Message{}`s.
 #[rustler::nif(schedule = "DirtyIo")]
 fn writer_append_runs<'a>(
     env: Env<'a>,

@@ -37,8 +37,8 @@ defmodule Situ.Infer do
   def voice_activity(sound, opts \\ []), do: hear(sound, opts).speaking
 
   @doc """
-  `%{face id => speaking?}` for every picture, from the streams of mouths and of voices. Without sound (`nil`) nobody speaks.
-  Options: `Situ.Infer.ActiveSpeaker`.
+  `%{face id => speaking?}` for every picture, from the streams of mouths and of voices. Without sound (`nil`) nobody
+  speaks. Options: `Situ.Infer.ActiveSpeaker`.
   """
   @spec who_speaks(Stream.t(), Stream.t() | nil, keyword()) :: Stream.t()
   def who_speaks(mouths, voice, opts \\ []),

@@ -1,6 +1,7 @@
 defmodule Situ.Infer.Test.OnnxFile do
   @moduledoc false
-  # Writes a tiny ONNX file: y = x + x over f32 with a free first dimension. Protobuf by hand: (field << 3 | kind), length, bytes.
+  # Writes a tiny ONNX file: y = x + x over f32 with a free first dimension. Protobuf by hand: (field << 3 | kind),
+  # length, bytes.
 
   @spec doubling(pos_integer()) :: binary()
   def doubling(width) do

@@ -2,8 +2,8 @@ defmodule Situ.Sound do
   @moduledoc """
   What can be done with a piece of sound in hand: resample, mix, convert channels and sample types, measure its level.
 
-  Every function takes a `Situ.AudioBuffer` first and returns `{:ok, result}` or `{:error, %Situ.Error{}}`; the twin with `!` returns the
-  result or raises. The same on streams is `Situ.Audio`, with the same names and options.
+  Every function takes a `Situ.AudioBuffer` first and returns `{:ok, result}` or `{:error, %Situ.Error{}}`; the twin
+  with `!` returns the result or raises. The same on streams is `Situ.Audio`, with the same names and options.
 
       iex> stereo = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(48_000, 2), 480)
       iex> stereo |> Situ.Sound.reformat!(channels: 1, sample: :f32) |> Situ.Sound.resample!(16_000)

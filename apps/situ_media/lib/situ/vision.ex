@@ -108,9 +108,9 @@ defmodule Situ.Vision do
   end
 
   @doc """
-  The part inside `rect`: one rectangle for all, or a stream of pictures with their rectangles, `{image, rect | nil}`, when
-  `rect` is `:paired` (join pictures and rectangles first). `nil` for no rectangle, or one that leaves nothing with
-  `clip: true`; so the type is `{:optional, Situ.Image}`, or that of depth images for a stream of them.
+  The part inside `rect`: one rectangle for all, or a stream of pictures with their rectangles, `{image, rect | nil}`,
+  when `rect` is `:paired` (join pictures and rectangles first). `nil` for no rectangle, or one that leaves nothing
+  with `clip: true`; so the type is `{:optional, Situ.Image}`, or that of depth images for a stream of them.
 
       iex> {image, rect} = {Situ.Image.filled(4, 4, :gray8), Situ.Rect.new!(1, 1, 2, 2)}
       iex> Situ.to_list(fn p -> p |> Situ.repeat({image, rect}, every: 10, count: 1) |> Situ.Vision.crop(:paired) end)

@@ -37,8 +37,9 @@ defmodule Situ.Store do
   A foreign file (WAV, CSV, MP4 and other media, and everything a `Situ.Store.Reader` is known for) opens in the same way.
   Without a pipeline: `Situ.Store.Writer`. For timelines: `Situ.Store.Summary`. The bytes: `priv/schema/store.md`.
 
-  Reading trusts nothing: checksums are verified, no atoms or functions come out of a file, memory is bounded. Data of a struct
-  that this system does not have is a map with the key `"__struct__"`; bytes of an unknown codec are a `Situ.Store.Undecoded`.
+  Reading trusts nothing: checksums are verified, no atoms or functions come out of a file, memory is bounded. Data of
+  a struct that this system does not have is a map with the key `"__struct__"`; bytes of an unknown codec are a
+  `Situ.Store.Undecoded`.
   """
   alias Situ.{Error, Message, Options}
   alias Situ.Store.{Handle, StreamInfo}
@@ -63,8 +64,8 @@ defmodule Situ.Store do
   # In pipelines
 
   @doc """
-  During `build`: a new store that the pipeline records to. `path` is the folder it goes to (`path/name.NNNN`), or `nil` for a
-  store in memory. Raises the `Situ.Error` when it cannot be made.
+  During `build`: a new store that the pipeline records to. `path` is the folder it goes to (`path/name.NNNN`), or
+  `nil` for a store in memory. Raises the `Situ.Error` when it cannot be made.
 
   A recording without end is made in pieces, of which the latest are kept:
 
@@ -78,8 +79,8 @@ defmodule Situ.Store do
   defdelegate create(p, name, path, opts \\ []), to: Exporter
 
   @doc """
-  Records a stream under `name`; returns the stream. No stream (`nil`) is not recorded and stays `nil`, and without a store
-  (`nil`) nothing is recorded: an application's optional streams and optional recording need no `if`.
+  Records a stream under `name`; returns the stream. No stream (`nil`) is not recorded and stays `nil`, and without a
+  store (`nil`) nothing is recorded: an application's optional streams and optional recording need no `if`.
 
   #{Options.docs(Exporter.write_options())}
   """
@@ -96,7 +97,8 @@ defmodule Situ.Store do
   def importer(p, path, opts \\ []), do: Importer.open(p, path, opts)
 
   @doc """
-  A recorded stream as a stream of the pipeline. Its span is proposed as the pipeline's replay interval (not while it is being written).
+  A recorded stream as a stream of the pipeline. Its span is proposed as the pipeline's replay interval (not while it
+  is being written).
 
   #{Options.docs(Importer.stream_options())}
   """
@@ -130,8 +132,8 @@ defmodule Situ.Store do
   defdelegate has_stream?(store, name), to: Reading
 
   @doc """
-  The stream's supplemental metadata; an error when it has none. Atoms and structs that this system does not have are strings
-  and maps, as in messages.
+  The stream's supplemental metadata; an error when it has none. Atoms and structs that this system does not have are
+  strings and maps, as in messages.
   """
   @spec metadata(t(), name()) :: {:ok, term()} | {:error, Error.t()}
   defdelegate metadata(store, name), to: Reading
@@ -200,7 +202,8 @@ defmodule Situ.Store do
   defdelegate first_at(store, name, time), to: Reading
 
   @doc """
-  The signal of a numeric or audio stream over `from..to`, folded for `pixels` columns: `{:ok, width, bins}`; see `Situ.Store.Summary`.
+  The signal of a numeric or audio stream over `from..to`, folded for `pixels` columns: `{:ok, width, bins}`; see
+  `Situ.Store.Summary`.
   """
   @spec summary(t(), name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, width :: pos_integer(), [Summary.bin()]} | {:error, Error.t()}
@@ -211,8 +214,9 @@ defmodule Situ.Store do
   defdelegate gaps(store, name, least), to: Reading
 
   @doc """
-  Asks to be told once of the next commit: `{:situ_store, tag, {:published, n}}`, or `{:ended, n}` when the writer closed or
-  died. `known` is the `n` of the last news (0 at first). Works across operating system processes, without polling.
+  Asks to be told once of the next commit: `{:situ_store, tag, {:published, n}}`, or `{:ended, n}` when the writer
+  closed or died. `known` is the `n` of the last news (0 at first). Works across operating system processes, without
+  polling.
   """
   @spec notify(t(), known :: non_neg_integer(), tag :: non_neg_integer()) :: :ok
   defdelegate notify(store, known \\ 0, tag \\ 0), to: Reading

@@ -124,9 +124,9 @@ defmodule Situ.DepthImage do
   end
 
   @doc """
-  The distance in metres at a pixel, made up from its neighbours where it is not known (`invalid:`, default 0): the nearest
-  known values to the left, right, above and below, each weighted by one over how far away it is. `{:ok, nil}` when there
-  is none in any direction.
+  The distance in metres at a pixel, made up from its neighbours where it is not known (`invalid:`, default 0): the
+  nearest known values to the left, right, above and below, each weighted by one over how far away it is. `{:ok, nil}`
+  when there is none in any direction.
 
       iex> depth = Situ.DepthImage.new!(width: 4, height: 1, data: <<100, 0, 0, 0, 0, 0, 160, 0>>, scale: 0.01)
       iex> {:ok, metres} = Situ.DepthImage.interpolated_distance(depth, 1, 0)

@@ -136,8 +136,8 @@ defmodule Situ.Tensor do
   end
 
   @doc """
-  An `Nx.Tensor` over the same bytes. Raises `ArgumentError` without the `nx` package, and for a tensor without elements, which Nx
-  does not have.
+  An `Nx.Tensor` over the same bytes. Raises `ArgumentError` without the `nx` package, and for a tensor without
+  elements, which Nx does not have.
   """
   @spec to_nx(t()) :: struct()
   def to_nx(%__MODULE__{data: <<>>} = t),

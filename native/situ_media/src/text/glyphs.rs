@@ -9,8 +9,8 @@ use skrifa::font::Font;
 use skrifa::{DrawMemory, GlyphId, ScalerFont};
 use zeno::{Command, Mask, Point};
 
-/// Glyphs that reach further from their origin, in pixels, are not drawn: no honest font has one at a size we allow, and
-/// beyond twice this the rasteriser's fixed-point numbers overflow.
+/// Glyphs that reach further from their origin, in pixels, are not drawn: no honest font has one at a size we allow,
+/// and beyond twice this the rasteriser's fixed-point numbers overflow.
 const MAX_GLYPH: f32 = 8000.0;
 
 /// The background's rim around the text, pixels.
@@ -153,7 +153,8 @@ struct Pen {
 }
 
 impl Pen {
-    /// Fonts count upwards, pictures downwards. On the rasteriser's grid, so that whole pixels can be added without rounding.
+    /// Fonts count upwards, pictures downwards. On the rasteriser's grid, so that whole pixels can be added without
+    /// rounding.
     fn point(&mut self, x: f32, y: f32) -> Point {
         let grid = |v: f32| (v * 256.0).round() / 256.0;
         let (x, y) = (grid(self.origin.0 + x), grid(self.origin.1 - y));

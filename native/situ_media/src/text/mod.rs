@@ -1,7 +1,7 @@
 //! Text in pictures: any script, from font files, anti-aliased, clipped at the picture's edges.
 //!
-//! A [`Typeface`] is a row of fonts: a character is taken from the first that has it, and drawn as the first one's box for
-//! missing characters when none has. [`layout`] places glyphs, [`glyphs`] draws them.
+//! A [`Typeface`] is a row of fonts: a character is taken from the first that has it, and drawn as the first one's
+//! box for missing characters when none has. [`layout`] places glyphs, [`glyphs`] draws them.
 
 mod file;
 mod glyphs;

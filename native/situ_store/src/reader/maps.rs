@@ -47,7 +47,8 @@ pub(super) struct Extents {
     id: [u8; 16],
     maps: RwLock<HashMap<(u8, u32), Arc<Map>>>,
     window: Mutex<Window>,
-    /// The file of large messages that was read last; one, so that long recordings do not take all the descriptors there are.
+    /// The file of large messages that was read last; one, so that long recordings do not take all the descriptors
+    /// there are.
     file: Mutex<Option<(u32, Arc<File>)>>,
 }
 
@@ -65,8 +66,9 @@ impl Extents {
         }
     }
 
-    /// Header and table of an uncompressed large chunk, read beside its map: there they would fault in sixteen pages to be let go of
-    /// again. `None` when there is none in so many bytes, or (when it shall not `wait`) when they are not in memory.
+    /// Header and table of an uncompressed large chunk, read beside its map: there they would fault in sixteen pages
+    /// to be let go of again. `None` when there is none in so many bytes, or (when it shall not `wait`) when they are
+    /// not in memory.
     pub fn head(&self, entry: &Entry, map: &Map, wait: bool) -> Option<(ChunkHeader, Vec<u8>)> {
         let file = self.large(entry.extent)?;
         let space = (map.len() as u64).checked_sub(entry.offset)?;
@@ -151,7 +153,8 @@ struct Range {
     end: usize,
 }
 
-/// Streams that are read in turn look at the same places again and again: so many of the last ranges are searched for one.
+/// Streams that are read in turn look at the same places again and again: so many of the last ranges are searched for
+/// one.
 const LATELY: usize = 8;
 
 /// What was looked at lately, oldest first; neighbours are one range.

@@ -27,7 +27,8 @@ impl Reader {
             .collect()
     }
 
-    /// Bins of width 2^k over `from..=to`: stored ones where there are, the rest folded from finer levels and the messages.
+    /// Bins of width 2^k over `from..=to`: stored ones where there are, the rest folded from finer levels and the
+    /// messages.
     pub fn summary(&self, stream: u32, from: i64, to: i64, k: u8) -> Result<Vec<Bin>> {
         let k = k.min(62);
         let from = pyramid::floor(from, k);

@@ -1,4 +1,5 @@
-//! What a timeline shows of any stream: counts, states and the keys of maps, from stored bins, and at last from the messages.
+//! What a timeline shows of any stream: counts, states and the keys of maps, from stored bins, and at last from the
+//! messages.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -70,7 +71,8 @@ impl Reader {
         lock(&self.known).entry(stream).or_default().clone()
     }
 
-    /// Counts and tracks of a stream from `from` to `to` in bins of 2^k ns. Up to `most` changes of a state are told one by one.
+    /// Counts and tracks of a stream from `from` to `to` in bins of 2^k ns. Up to `most` changes of a state are told
+    /// one by one.
     pub fn tracks(
         &self,
         stream: u32,

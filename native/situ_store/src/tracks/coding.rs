@@ -94,8 +94,8 @@ pub struct Wanted {
     pub from: i64,
 }
 
-/// The wanted bins of a chunk's body, their keys and states numbered by `names`, until `each` says `false`. `None` where the body
-/// contradicts itself.
+/// The wanted bins of a chunk's body, their keys and states numbered by `names`, until `each` says `false`. `None`
+/// where the body contradicts itself.
 pub fn decode(
     body: &[u8],
     wanted: Wanted,

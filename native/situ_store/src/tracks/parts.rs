@@ -22,8 +22,8 @@ const BOOLEANS: [&[u8]; 3] = [
     &[131, 119, 3, b'n', b'i', b'l'],
 ];
 
-/// Calls `each` with the key's external term (empty: the message itself) and the part. Numbers that are messages themselves have
-/// a pyramid of their own, and no part here.
+/// Calls `each` with the key's external term (empty: the message itself) and the part. Numbers that are messages
+/// themselves have a pyramid of their own, and no part here.
 pub fn parts(
     encoding: Encoding,
     value: &Value,

@@ -6,10 +6,11 @@ defmodule Situ.Bridge.Tcp do
       Situ.Bridge.Tcp.serve(levels, 7000)                         # listens; every client gets what comes from now on
       levels = Situ.Bridge.Tcp.connect(p, "robot", 7000)
 
-  A server has any number of clients. One that is too slow loses messages, counted, beyond `high_water_mark:`; nobody holds up
-  the stream. A client whose connection breaks, or who finds nobody yet, tries again after 50 ms to 5 s; its source is
-  endless. Messages that cannot be read, or whose times do not increase, are left out and counted
-  (`Situ.Pipeline.info/1`). There is no authentication: a server listens on 127.0.0.1 unless `interface:` says otherwise.
+  A server has any number of clients. One that is too slow loses messages, counted, beyond `high_water_mark:`; nobody
+  holds up the stream. A client whose connection breaks, or who finds nobody yet, tries again after 50 ms to 5 s; its
+  source is endless. Messages that cannot be read, or whose times do not increase, are left out and counted
+  (`Situ.Pipeline.info/1`). There is no authentication: a server listens on 127.0.0.1 unless `interface:` says
+  otherwise.
   """
   alias Situ.Bridge.Tcp.{Sink, Source}
 

@@ -3,8 +3,8 @@ defmodule Situ.CLI.Desktop do
   # The person's desktop, where there is one.
 
   @doc """
-  Opens `url` in the desktop's browser. Where there is no desktop nothing happens: the address has been printed, and is all
-  there is.
+  Opens `url` in the desktop's browser. Where there is no desktop nothing happens: the address has been printed, and
+  is all there is.
   """
   @spec open(String.t()) :: :ok
   def open(url) do

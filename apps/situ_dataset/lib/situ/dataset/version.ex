@@ -1,6 +1,7 @@
 defmodule Situ.Dataset.Version do
   @moduledoc false
-  # A store in the making has a folder that nothing takes for a store; whole, it becomes the next version ROOT/NAME.NNNN.
+  # A store in the making has a folder that nothing takes for a store; whole, it becomes the next version
+  # ROOT/NAME.NNNN.
   alias Situ.{Error, Store}
 
   @suffix ".unfinished"

@@ -2,8 +2,9 @@ defmodule Situ.Examples.FaceRegions do
   @moduledoc """
   A pipeline that grows with the world: every face gets a branch of its own for as long as it is there.
 
-  Pictures and tracked faces become a map of face id to the picture's region; `Situ.parallel/3` opens a branch for each id, here one that
-  measures how bright the face is, smoothed over its own last half second. Faces come and go; their branches' state goes with them.
+  Pictures and tracked faces become a map of face id to the picture's region; `Situ.parallel/3` opens a branch for
+  each id, here one that measures how bright the face is, smoothed over its own last half second. Faces come and go;
+  their branches' state goes with them.
 
       faces = Situ.Infer.MouthShape.parts(camera).faces
       brightness = Situ.Examples.FaceRegions.brightness(camera, faces)     # %{0 => 131.2, 1 => 98.7}

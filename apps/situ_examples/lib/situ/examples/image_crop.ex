@@ -2,13 +2,13 @@ defmodule Situ.Examples.ImageCrop do
   @moduledoc """
   A component of one's own: cuts pictures to the last rectangle that came.
 
-  Inputs `:image` (`Situ.Image`) and `:rect` (`Situ.Rect`), output `:out` (`Situ.Image`) at the picture's time. Nothing comes out
-  before the first rectangle, nor for one that lies outside of the picture.
+  Inputs `:image` (`Situ.Image`) and `:rect` (`Situ.Rect`), output `:out` (`Situ.Image`) at the picture's time.
+  Nothing comes out before the first rectangle, nor for one that lies outside of the picture.
 
       Situ.via([image: pictures, rect: rectangles], Situ.Examples.ImageCrop)
 
-  It takes whatever rectangle arrived before, so the result depends on timing. Where it must not, join the streams instead:
-  `pictures |> Situ.join(rectangles, Situ.Reproducible.last())`.
+  It takes whatever rectangle arrived before, so the result depends on timing. Where it must not, join the streams
+  instead: `pictures |> Situ.join(rectangles, Situ.Reproducible.last())`.
   """
   use Situ.Component,
     inputs: [image: Situ.Image, rect: Situ.Rect],

@@ -3,13 +3,13 @@ defmodule Situ.Examples.ImuFusion do
   Sensors of different rates brought together: one x-IMU3 gives acceleration 50 times, the magnetic field 20 times and the
   temperature once a second, none of them at the same moments.
 
-  The acceleration leads. The magnetic field is interpolated to its times, the temperature is the last one measured. Both are
-  reproducible: the fused stream is the same however the messages arrive.
+  The acceleration leads. The magnetic field is interpolated to its times, the temperature is the last one measured.
+  Both are reproducible: the fused stream is the same however the messages arrive.
 
       {:ok, report} = Situ.Pipeline.run(Situ.Examples.ImuFusion, each: &IO.inspect/1)
 
-  Each fused message is a map: `acceleration` (g), `field` (arbitrary units), `temperature` (degrees Celsius), and `heading`, the
-  tilt-compensated direction of the magnetic field in degrees.
+  Each fused message is a map: `acceleration` (g), `field` (arbitrary units), `temperature` (degrees Celsius), and
+  `heading`, the tilt-compensated direction of the magnetic field in degrees.
   """
   use Situ.Pipeline
 

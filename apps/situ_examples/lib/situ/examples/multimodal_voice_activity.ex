@@ -4,9 +4,9 @@ defmodule Situ.Examples.MultimodalVoiceActivity do
 
       {:ok, report} = Situ.Pipeline.run(Situ.Examples.MultimodalVoiceActivity, input: "talk1.mp4", path: "recordings")
 
-  `input:` is a file, `"simulated:talk1.mp4"`, or a camera (`"/dev/video0"`). The recording, `path/Talk.NNNN`, holds the sound, the
-  pictures as JPEG, what the models saw in them, who was speaking, and the pipeline's own diagnostics. With `transcript: true` also
-  what was said (`Situ.Infer.Speech.Moonshine`).
+  `input:` is a file, `"simulated:talk1.mp4"`, or a camera (`"/dev/video0"`). The recording, `path/Talk.NNNN`, holds
+  the sound, the pictures as JPEG, what the models saw in them, who was speaking, and the pipeline's own diagnostics.
+  With `transcript: true` also what was said (`Situ.Infer.Speech.Moonshine`).
   """
   use Situ.Pipeline
 

@@ -49,8 +49,9 @@ defmodule Situ.Infer.ActiveSpeaker do
   @moduledoc """
   Decides who is speaking, from sound and lips.
 
-  Input `:in` is `{mouths, voice}`: a map of face id to `Situ.Infer.Mouth` for every picture, and the `Situ.Infer.Voice` nearest to it,
-  or `nil` where there is none. Output `:out` is a map of the same ids to booleans at the picture's time, `:lookahead` later.
+  Input `:in` is `{mouths, voice}`: a map of face id to `Situ.Infer.Mouth` for every picture, and the
+  `Situ.Infer.Voice` nearest to it, or `nil` where there is none. Output `:out` is a map of the same ids to booleans
+  at the picture's time, `:lookahead` later.
 
       mouths
       |> Situ.join(voice, Situ.Reproducible.nearest(Situ.Time.ms(40), or_default: nil))
@@ -59,12 +60,13 @@ defmodule Situ.Infer.ActiveSpeaker do
   At most one face speaks at a time:
 
     1. Nobody speaks while there is no voice (with hysteresis, and short pauses bridged).
-    2. The face whose lips move **with** the loudness of the voice becomes the speaker: correlation over a window in which the mouth
-       also must really move. A mouth that is merely open, or moves by itself, does not agree with the sound; a voice from outside of
-       the picture agrees with nobody.
-    3. Where none agrees clearly, the one face that was at rest and begins to move as the voice begins becomes the speaker.
-    4. Once found, a speaker stays the speaker while the mouth moves and the voice goes on, unless another face agrees much better:
-       within fluent speech lips and loudness agree less than at its beginning.
+    2. The face whose lips move **with** the loudness of the voice becomes the speaker: correlation over a window in
+       which the mouth also must really move. A mouth that is merely open, or moves by itself, does not agree with the
+       sound; a voice from outside of the picture agrees with nobody.
+    3. Where none agrees clearly, the one face that was at rest and begins to move as the voice begins becomes the
+       speaker.
+    4. Once found, a speaker stays the speaker while the mouth moves and the voice goes on, unless another face agrees
+       much better: within fluent speech lips and loudness agree less than at its beginning.
 
   The decision depends only on the messages, never on their arrival: the same recording gives the same answers.
 
@@ -221,8 +223,8 @@ defmodule Situ.Infer.ActiveSpeaker do
     end
   end
 
-  # Nobody agrees clearly: who spoke a moment ago, or who alone began to move with the voice. A mouth that merely stays open
-  # after its last word does not move.
+  # Nobody agrees clearly: who spoke a moment ago, or who alone began to move with the voice. A mouth that merely
+  # stays open after its last word does not move.
   defp unclear(state, time, seen, until) do
     movers =
       for {id, _} <- hd(seen).mouths,

@@ -18,8 +18,8 @@ defmodule Situ.Infer.Engine do
               {:ok, loaded()} | {:error, Situ.Error.t()}
 
   @doc """
-  Runs it once. `where` is `:inline` (on the calling scheduler) or `:dirty` (on one for long work). Answers the outputs and
-  the time spent, in nanoseconds.
+  Runs it once. `where` is `:inline` (on the calling scheduler) or `:dirty` (on one for long work). Answers the
+  outputs and the time spent, in nanoseconds.
   """
   @callback run(handle(), inputs :: %{String.t() => Situ.Tensor.t()}, where :: :inline | :dirty) ::
               {:ok, %{String.t() => Situ.Tensor.t()}, nanoseconds :: non_neg_integer()}

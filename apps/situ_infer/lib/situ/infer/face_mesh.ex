@@ -7,8 +7,8 @@ defmodule Situ.Infer.FaceMesh do
     * `score`: how sure the network is that this is a face, 0..1
     * `points`: 468 times x, y, z as 32-bit floats in pixels of `patch`; read them with `point/2` or `points/1`
 
-  Points that matter most: 13 and 14 the inner lips in the middle (upper, lower), 78 and 308 the inner corners of the mouth,
-  33 and 263 the outer corners of the eyes, 1 the nose's tip, 152 the chin.
+  Points that matter most: 13 and 14 the inner lips in the middle (upper, lower), 78 and 308 the inner corners of the
+  mouth, 33 and 263 the outer corners of the eyes, 1 the nose's tip, 152 the chin.
 
       iex> points = for i <- 0..467, into: <<>>, do: <<i * 1.0::float-native-32, 2.0::float-native-32, 0.0::float-native-32>>
       iex> patch = Situ.Infer.Patch.around({96.0, 96.0}, 192.0, 0.0, 192)

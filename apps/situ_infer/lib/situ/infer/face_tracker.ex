@@ -13,12 +13,12 @@ defmodule Situ.Infer.FaceTracker do
   ]
 
   @moduledoc """
-  Gives faces ids that stay: `0`, `1`, `2` ... in the order of their appearance, from left to right among those that appear
-  together.
+  Gives faces ids that stay: `0`, `1`, `2` ... in the order of their appearance, from left to right among those that
+  appear together.
 
-  Input and output are lists of `Situ.Infer.Face`; each face that comes out has its track's id in `rect.id`. A face is the one of
-  the picture before that overlaps it most; one that no longer overlaps is the same within half its width. A face that is gone
-  for `:max_missing` never comes back: a new id is given.
+  Input and output are lists of `Situ.Infer.Face`; each face that comes out has its track's id in `rect.id`. A face is
+  the one of the picture before that overlaps it most; one that no longer overlaps is the same within half its width.
+  A face that is gone for `:max_missing` never comes back: a new id is given.
 
   Pure, for use without a pipeline:
 

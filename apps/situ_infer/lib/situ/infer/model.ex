@@ -47,12 +47,12 @@ defmodule Situ.Infer.Model do
       {:ok, model} = Situ.Infer.Model.load("silero_vad.onnx", inputs: %{"input" => {:f32, {nil, nil}}})
       {:ok, %{"output" => p}} = Situ.Infer.Model.run(model, %{"input" => x, "state" => s, "sr" => rate})
 
-  A model is loaded once and may be used by any process, by several at once; `shared/2` gives components that name the same file
-  and options the same copy, which is given back when the last of them ends.
+  A model is loaded once and may be used by any process, by several at once; `shared/2` gives components that name the
+  same file and options the same copy, which is given back when the last of them ends.
 
   What a model must take and give is checked **at load**: `:inputs` and `:outputs` name the ports with type and shape
-  (`nil` for any size, and a size the file leaves free matches anything), so a wrong file stops a pipeline before its first
-  message, with both shapes in the error.
+  (`nil` for any size, and a size the file leaves free matches anything), so a wrong file stops a pipeline before its
+  first message, with both shapes in the error.
 
   ## Options
 
@@ -107,8 +107,8 @@ defmodule Situ.Infer.Model do
   @doc """
   As `load/2`, but every caller with the same file and options gets the same model.
 
-  It is kept while a process that asked for it lives, and for a minute after. Beyond 512 MB of model files (`config :situ_infer,
-  shared_bytes: n`) the one asked for longest ago is no longer shared: who has it keeps it.
+  It is kept while a process that asked for it lives, and for a minute after. Beyond 512 MB of model files (`config
+  :situ_infer, shared_bytes: n`) the one asked for longest ago is no longer shared: who has it keeps it.
   """
   @spec shared(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def shared(path, opts \\ []) do
@@ -134,7 +134,8 @@ defmodule Situ.Infer.Model do
   end
 
   @doc """
-  Runs several inputs at once by stacking them along the first dimension, where the file leaves that free; else one by one.
+  Runs several inputs at once by stacking them along the first dimension, where the file leaves that free; else one by
+  one.
 
   The answers are in the order of the inputs, each with the rows that belong to it.
   """
@@ -147,7 +148,8 @@ defmodule Situ.Infer.Model do
   end
 
   @doc """
-  How often the model ran and how long that took: `%{runs: n, mean_ns: ns, last_ns: ns, max_ns: ns, where: :inline | :dirty}`.
+  How often the model ran and how long that took: `%{runs: n, mean_ns: ns, last_ns: ns, max_ns: ns, where: :inline |
+  :dirty}`.
   """
   @spec stats(t()) :: map()
   def stats(%__MODULE__{counters: c, where: where}) do

@@ -2,7 +2,8 @@ defmodule Situ.Infer.ModelStore do
   @moduledoc """
   Models that are too large to ship: fetched once by `bin/lib/fetch-model NAME`, shared by everything on the machine.
 
-  They lie in `SITU_MODELS`, else in `situ/models` of the person's cache folder (`XDG_CACHE_HOME`, `~/.cache`), a folder each.
+  They lie in `SITU_MODELS`, else in `situ/models` of the person's cache folder (`XDG_CACHE_HOME`, `~/.cache`), a
+  folder each.
 
   | name | what | size | licence |
   |---|---|---|---|

@@ -2,8 +2,8 @@ defmodule Situ.Infer.Mouth do
   @moduledoc """
   How far a mouth is open.
 
-    * `opening`: distance of the inner lips over the distance of the outer eye corners: about 0.0 to 0.2 closed, depending on the
-      face, up to 0.4 wide open
+    * `opening`: distance of the inner lips over the distance of the outer eye corners: about 0.0 to 0.2 closed,
+      depending on the face, up to 0.4 wide open
     * `baseline`: the opening of **this** mouth when it is closed, learnt while watching
     * `open?`: clearly more open than that
 
@@ -17,7 +17,8 @@ defmodule Situ.Infer.Mouth do
   """
   alias Situ.Infer.FaceMesh
 
-  # The baseline goes half way down in 80 ms (two pictures, so that one bad one does not set it), and up by a third in 8 s.
+  # The baseline goes half way down in 80 ms (two pictures, so that one bad one does not set it), and up by a third in
+  # 8 s.
   @fall_ns 80_000_000
   @rise_ns 20_000_000_000
   @open 0.03

@@ -2,8 +2,8 @@ defmodule Situ.Infer.MouthMeasure do
   @moduledoc """
   Measures the mouth of every face.
 
-  Input `:in` is a list of `Situ.Infer.FaceMesh` with ids, output `:out` a map of id to `Situ.Infer.Mouth`, at the same time. What
-  is known of a face that was not seen for ten seconds is forgotten.
+  Input `:in` is a list of `Situ.Infer.FaceMesh` with ids, output `:out` a map of id to `Situ.Infer.Mouth`, at the
+  same time. What is known of a face that was not seen for ten seconds is forgotten.
   """
   use Situ.Component,
     inputs: [in: {:list, Situ.Infer.FaceMesh}],

@@ -19,8 +19,8 @@ defmodule Situ.Infer.MouthShape do
 
       mouths = camera |> Situ.Infer.MouthShape.detect()
 
-  `detect/2` gives the stream of mouths, `parts/2` the streams between the parts too. Each part is a process, so detector and
-  landmarks work on different pictures at the same time.
+  `detect/2` gives the stream of mouths, `parts/2` the streams between the parts too. Each part is a process, so
+  detector and landmarks work on different pictures at the same time.
 
   ## Options
 

@@ -25,8 +25,8 @@ defmodule Situ.Infer.Patch do
   @type point :: {float(), float()}
 
   @doc """
-  The patch whose middle is `center` and whose sides are `side` picture pixels, turned by `angle` radians (clockwise on the
-  screen), seen as `size` by `size` pixels.
+  The patch whose middle is `center` and whose sides are `side` picture pixels, turned by `angle` radians (clockwise
+  on the screen), seen as `size` by `size` pixels.
   """
   @spec around(point(), float(), float(), pos_integer()) :: t()
   def around({cx, cy}, side, angle, size) do
@@ -39,8 +39,8 @@ defmodule Situ.Infer.Patch do
   end
 
   @doc """
-  The square from `{x, y}` with this side, not turned, so that pixel *areas* correspond (what resizing a crop does); `around/4`
-  instead keeps pixel centres on whole positions, as `warpAffine` does.
+  The square from `{x, y}` with this side, not turned, so that pixel *areas* correspond (what resizing a crop does);
+  `around/4` instead keeps pixel centres on whole positions, as `warpAffine` does.
 
       iex> Situ.Infer.Patch.square({0.0, 0.0}, 256.0, 128).matrix
       {2.0, 0.0, 0.5, 0.0, 2.0, 0.5}

@@ -1,8 +1,8 @@
 defmodule Situ.Infer.Shelf do
   @moduledoc false
-  # Models loaded once and lent to every process that names the same file and options. Each is loaded in a process of its
-  # own, so that none waits for another; a process that asked is watched, and a model nobody is left to use goes after a
-  # while. The shelf holds no session, so a lost shelf costs a reload and nothing else.
+  # Models loaded once and lent to every process that names the same file and options. Each is loaded in a process of
+  # its own, so that none waits for another; a process that asked is watched, and a model nobody is left to use goes
+  # after a while. The shelf holds no session, so a lost shelf costs a reload and nothing else.
   use GenServer
 
   @keep_ms 60_000

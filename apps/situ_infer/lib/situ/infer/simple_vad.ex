@@ -9,12 +9,13 @@ defmodule Situ.Infer.SimpleVad do
   ]
 
   @moduledoc """
-  Voice activity from log energy alone, by unanimity: speech begins where every value of the next 300 ms lies above the threshold,
-  and ends where every one lies below it; else it stays as it was.
+  Voice activity from log energy alone, by unanimity: speech begins where every value of the next 300 ms lies above
+  the threshold, and ends where every one lies below it; else it stays as it was.
 
-  Input `:in` is a number, the log energy of a frame of sound (`ln` of the mean square of 16-bit samples, as the acoustic features
-  give it), output `:out` a boolean at the same time. A value is known once the stream has reached the window's end, so the answer
-  comes 300 ms late; the values of the last 300 ms of a stream are decided by what there is.
+  Input `:in` is a number, the log energy of a frame of sound (`ln` of the mean square of 16-bit samples, as the
+  acoustic features give it), output `:out` a boolean at the same time. A value is known once the stream has reached
+  the window's end, so the answer comes 300 ms late; the values of the last 300 ms of a stream are decided by what
+  there is.
 
   Good enough for a quiet room and a close microphone; `Situ.Infer.VoiceActivity` is better everywhere else.
 

@@ -35,7 +35,8 @@ defmodule Situ.Infer.SpeechRecognizer do
       heard = Situ.via([sound: sound, speaking: speaking], Situ.Infer.SpeechRecognizer)
       heard.out |> Situ.each(&IO.puts(&1.text))
 
-  What comes out depends on the messages only, not on when they arrive. `Situ.Infer.transcribe/2` is this with voice activity.
+  What comes out depends on the messages only, not on when they arrive. `Situ.Infer.transcribe/2` is this with voice
+  activity.
 
   ## Options
 

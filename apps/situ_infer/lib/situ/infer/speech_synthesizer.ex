@@ -21,9 +21,9 @@ defmodule Situ.Infer.SpeechSynthesizer do
   @moduledoc """
   Text to speech: strings in, sound out.
 
-  Input `:in` is text, output `:out` the sound of each as one `Situ.AudioBuffer` (16-bit mono). It begins when the text came, or when the
-  sound before it ends, and its time is that of its end. Texts without words give nothing; a text that is said again comes from
-  memory.
+  Input `:in` is text, output `:out` the sound of each as one `Situ.AudioBuffer` (16-bit mono). It begins when the
+  text came, or when the sound before it ends, and its time is that of its end. Texts without words give nothing; a
+  text that is said again comes from memory.
 
       answers |> Situ.via(Situ.Infer.SpeechSynthesizer, synthesizer_options: [voice: "en-gb"])
 

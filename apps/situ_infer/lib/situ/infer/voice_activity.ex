@@ -26,8 +26,8 @@ defmodule Situ.Infer.VoiceActivity do
   @moduledoc """
   Hears whether somebody speaks.
 
-  Input `:in` is 16 kHz mono sound (`Situ.AudioBuffer`, 16-bit or float; any buffer length). Every 32 ms of sound make a message on
-  each of the first two outputs, at the time of their end:
+  Input `:in` is 16 kHz mono sound (`Situ.AudioBuffer`, 16-bit or float; any buffer length). Every 32 ms of sound make
+  a message on each of the first two outputs, at the time of their end:
 
     * `:voice`: a `Situ.Infer.Voice`, probability and level, at once;
     * `:speaking`: a boolean with hysteresis, see `Situ.Infer.VoiceGate`: up to `:min_silence` later;
@@ -35,8 +35,8 @@ defmodule Situ.Infer.VoiceActivity do
 
         %{speaking: speaking, segments: segments} = microphone |> Situ.via(Situ.Infer.VoiceActivity, min_silence: Situ.Time.ms(400))
 
-  `Situ.Infer.voice/2` and `Situ.Infer.voice_activity/2` are the same with one output. A gap of more than 0.1 s in the sound starts
-  anew. Silero takes about 0.15 ms a message, on the component's own scheduler.
+  `Situ.Infer.voice/2` and `Situ.Infer.voice_activity/2` are the same with one output. A gap of more than 0.1 s in the
+  sound starts anew. Silero takes about 0.15 ms a message, on the component's own scheduler.
 
   ## Options
 

@@ -23,9 +23,9 @@ defmodule Situ.Infer.VoiceGate do
   @moduledoc """
   Turns the probability of speech into yes or no, with hysteresis, and into segments. A pure state machine.
 
-  Two thresholds keep it from flickering; short bursts are no speech and short pauses no silence. Whether a pause is short is
-  known only after it, so with `decide: :exact` the values of a pause are held back until it ends or grows too long: what
-  comes out then has no tail, and is the same live and from a file.
+  Two thresholds keep it from flickering; short bursts are no speech and short pauses no silence. Whether a pause is
+  short is known only after it, so with `decide: :exact` the values of a pause are held back until it ends or grows
+  too long: what comes out then has no tail, and is the same live and from a file.
 
       iex> gate = Situ.Infer.VoiceGate.new(min_speech: 0, min_silence: 20)
       iex> {out, gate} = Situ.Infer.VoiceGate.push(gate, 10, 10, 0.9)
@@ -66,8 +66,8 @@ defmodule Situ.Infer.VoiceGate do
   def new(opts \\ []), do: %__MODULE__{opts: Map.new(Situ.Options.validate!(opts, @schema))}
 
   @doc """
-  The span of `length` ns that ended at `time` is speech with this probability: what is decided by it, in the order of time, and
-  a segment when one is over.
+  The span of `length` ns that ended at `time` is speech with this probability: what is decided by it, in the order of
+  time, and a segment when one is over.
   """
   @spec push(t(), Situ.Time.t(), Situ.Time.duration(), float()) :: {[event()], t()}
   def push(%__MODULE__{open: nil} = gate, time, length, p) do

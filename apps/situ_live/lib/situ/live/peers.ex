@@ -1,7 +1,7 @@
 defmodule Situ.Live.Peers do
   @moduledoc false
-  # Who holds the connections of a port. The web server bounds how many there are, not who holds them: one peer that opens
-  # all of them would keep everybody else out, before it has sent a byte. So they are counted from outside.
+  # Who holds the connections of a port. The web server bounds how many there are, not who holds them: one peer that
+  # opens all of them would keep everybody else out, before it has sent a byte. So they are counted from outside.
 
   # Half of what the web server takes.
   @most 1_000

@@ -1,7 +1,7 @@
 defmodule Situ.Audio.Gap do
   @moduledoc false
-  # Silence where times leave a gap, but only as much as a gap can be: a clock that is set while a device runs makes times
-  # jump by decades, and the silence would take all memory.
+  # Silence where times leave a gap, but only as much as a gap can be: a clock that is set while a device runs makes
+  # times jump by decades, and the silence would take all memory.
 
   alias Situ.{AudioBuffer, AudioFormat, Error}
 

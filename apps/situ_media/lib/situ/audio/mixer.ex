@@ -8,8 +8,8 @@ defmodule Situ.Audio.Mixer do
   Two sounds as one (`Situ.Audio.mix/3`), laid over each other by their times, sample by sample.
 
   Both need the same format. A gap in one is silence in the mix; after one has closed the other goes on alone. Where an
-  input overlaps itself (times that go back), what came first stays. Buffers come out as far as both are known. A gap in both whose silence would take
-  more than 256 MiB (hours of speech) is the error `:gap_too_long`: a clock was set.
+  input overlaps itself (times that go back), what came first stays. Buffers come out as far as both are known. A gap
+  in both whose silence would take more than 256 MiB (hours of speech) is the error `:gap_too_long`: a clock was set.
 
   ## Options
 

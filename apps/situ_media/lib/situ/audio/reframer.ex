@@ -24,8 +24,8 @@ defmodule Situ.Audio.Reframer do
 
   The time of each is the input's time less what follows it in that input, so exact to the sample. Where that would not be
   later than the buffer before (inputs whose times do not agree with their lengths), it is 1 ns later. When the format
-  changes, what is left of the old one goes as `tail:` says; the time of that last buffer is when its sound ends, without the silence that
-  fills it up.
+  changes, what is left of the old one goes as `tail:` says; the time of that last buffer is when its sound ends,
+  without the silence that fills it up.
 
   ## Options
 

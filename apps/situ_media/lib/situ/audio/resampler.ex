@@ -93,8 +93,8 @@ defmodule Situ.Audio.Resampler do
     end
   end
 
-  # 10 s of 48 kHz take 1.6 ms: 3 ns a sample of the higher rate. At the end the filter is pushed through: it is as long as
-  # the rate falls.
+  # 10 s of 48 kHz take 1.6 ms: 3 ns a sample of the higher rate. At the end the filter is pushed through: it is as
+  # long as the rate falls.
   defp cost(%{from: from, to: to}, buffer, last?) do
     pushed = if last?, do: 20 * from.channels * max(from.rate / to.rate, 1), else: 5
     Channels.cost(buffer) * max(to.rate / from.rate, 1) + pushed

@@ -12,10 +12,10 @@ defmodule Situ.Imaging.Drawing do
   | `{:fill_circle, {x, y}, radius, opts}` | a disc, as large as the outline of width 1 | `color:` |
   | `{:text, {x, y}, string, opts}` | top left corner of the first line's capitals | `color:`, `size:`, `font:`, `background:` |
 
-  `{x, y}` is the middle of a pixel. `color:` is a `Situ.Image.Color` (default `:red`), `width:` that of lines in pixels (1 or
-  more, default 1). Lines, circles and text are anti-aliased: straight lines of odd width have sharp edges, of even width
-  the two outer rows have half of the colour. Rectangles lie on whole pixels. Places may lie outside of the picture, up to
-  1,000,000 pixels; what does is cut off.
+  `{x, y}` is the middle of a pixel. `color:` is a `Situ.Image.Color` (default `:red`), `width:` that of lines in
+  pixels (1 or more, default 1). Lines, circles and text are anti-aliased: straight lines of odd width have sharp
+  edges, of even width the two outer rows have half of the colour. Rectangles lie on whole pixels. Places may lie
+  outside of the picture, up to 1,000,000 pixels; what does is cut off.
 
   Text is any Unicode text (marks, ligatures, right to left), in lines separated by `\\n`, anti-aliased:
 

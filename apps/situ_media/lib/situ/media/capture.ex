@@ -3,11 +3,12 @@ defmodule Situ.Media.Capture do
   What camera, microphone and network stream have in common: a running capture, its clock, its reconnects. Pure but for
   starting and stopping the reader; the components around it are thin.
 
-  A device cannot wait. Frames that nobody takes are kept up to a limit (`:buffer`), then the oldest is dropped and counted:
-  memory stays bounded whatever happens downstream. When a device is lost (unplugged, stream ended) it is tried again
-  every second, if the component was told so.
+  A device cannot wait. Frames that nobody takes are kept up to a limit (`:buffer`), then the oldest is dropped and
+  counted: memory stays bounded whatever happens downstream. When a device is lost (unplugged, stream ended) it is
+  tried again every second, if the component was told so.
 
-  `use Situ.Media.Capture`, after `use Situ.Component`, gives a component whose state is a capture everything but its `init/1`.
+  `use Situ.Media.Capture`, after `use Situ.Component`, gives a component whose state is a capture everything but its
+  `init/1`.
   """
   alias Situ.{AudioBuffer, AudioFormat, Component.Context, Sound}
   alias Situ.Media.{Decoder, Device}

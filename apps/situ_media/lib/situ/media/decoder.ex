@@ -236,7 +236,8 @@ defmodule Situ.Media.Decoder do
     span = if opts[:end], do: ["-t", seconds(opts[:end] - opts[:start] + @spare)], else: []
     loop = if opts[:loop], do: ~w(-stream_loop -1), else: []
 
-    # The first moment of the file is media time 0; in our own files time 0 is marked, and a codec's lead-in lies before.
+    # The first moment of the file is media time 0; in our own files time 0 is marked, and a codec's lead-in lies
+    # before.
     zero = if info.exact?, do: [], else: ["-start_at_zero"]
 
     ["-copyts" | zero] ++

@@ -66,8 +66,8 @@ defmodule Situ.Media.FFmpeg do
     end
   end
 
-  # Which of FFmpeg's demuxers may read a file of this ending. None of them follows names of other files inside, as playlists
-  # (HLS, DASH, concat) do, whatever they are called.
+  # Which of FFmpeg's demuxers may read a file of this ending. None of them follows names of other files inside, as
+  # playlists (HLS, DASH, concat) do, whatever they are called.
   @demuxers [
     {~w(.mp4 .m4v .mov .m4a .3gp .3g2 .mj2), ~w(mov)},
     {~w(.mkv .webm .mka .mk3d), ~w(matroska)},
@@ -95,8 +95,8 @@ defmodule Situ.Media.FFmpeg do
   @all_demuxers @demuxers |> Enum.flat_map(&elem(&1, 1)) |> Enum.uniq()
 
   @doc """
-  Options that keep a local file local: only the formats of its ending are tried (any that holds sound or pictures itself, for an
-  ending nobody knows), and nothing in it reaches another file or the network.
+  Options that keep a local file local: only the formats of its ending are tried (any that holds sound or pictures
+  itself, for an ending nobody knows), and nothing in it reaches another file or the network.
 
       iex> Situ.Media.FFmpeg.local_file("-odd:name.mp4")
       ["-protocol_whitelist", "file,crypto,data", "-format_whitelist", "mov", "-i", "file:-odd:name.mp4"]

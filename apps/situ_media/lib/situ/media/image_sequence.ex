@@ -33,9 +33,9 @@ defmodule Situ.Media.ImageSequence do
 
       p |> Situ.Media.ImageSequence.open("shots/", rate: 10) |> Situ.each(&IO.inspect/1)
 
-  Files of a folder or a pattern come in the order of the numbers in their names (`shot-2` before `shot-10`). A folder that
-  `Situ.Media.ImageSequenceWriter` wrote holds the originating times too, and is read back with them; other pictures get
-  steps of `1 / rate` from `start_time:` on (`Situ.Media.FileTime`).
+  Files of a folder or a pattern come in the order of the numbers in their names (`shot-2` before `shot-10`). A folder
+  that `Situ.Media.ImageSequenceWriter` wrote holds the originating times too, and is read back with them; other
+  pictures get steps of `1 / rate` from `start_time:` on (`Situ.Media.FileTime`).
 
   ## Options
 

@@ -27,9 +27,9 @@ defmodule Situ.Media.Speaker do
 
       clip.audio |> Situ.Media.Speaker.play()
 
-  Sound is played as it comes, one piece after the other; the first piece decides the format, a later one of another format
-  reopens the device. The speaker takes sound at the speed it plays: in a pipeline that runs ahead it is the brake. The device's own
-  volume is the sound system's (`pactl set-sink-volume`, `alsamixer`).
+  Sound is played as it comes, one piece after the other; the first piece decides the format, a later one of another
+  format reopens the device. The speaker takes sound at the speed it plays: in a pipeline that runs ahead it is the
+  brake. The device's own volume is the sound system's (`pactl set-sink-volume`, `alsamixer`).
 
   ## Options
 

@@ -14,8 +14,9 @@ defmodule Situ.Media.Wav do
       iex> File.rm!(path)
       :ok
 
-  In pipelines: `Situ.Media.WavFile` (source) and `Situ.Media.WavWriter` (sink). As a recording: `Situ.Store.open("talk.wav")`. Compressed WAV (A-law, ADPCM, ...) is
-  read by `Situ.Media.VideoFile`, which knows every codec FFmpeg does.
+  In pipelines: `Situ.Media.WavFile` (source) and `Situ.Media.WavWriter` (sink). As a recording:
+  `Situ.Store.open("talk.wav")`. Compressed WAV (A-law, ADPCM, ...) is read by `Situ.Media.VideoFile`, which knows
+  every codec FFmpeg does.
   """
   alias Situ.{AudioBuffer, Error}
   alias Situ.Media.Wav.{Reader, Writer}

@@ -1,8 +1,8 @@
 defmodule Situ.Space.History do
   @moduledoc false
   # Poses by time, the last `keep` ns of them. The older ones stand in a sorted tuple, which is searched by halves; the
-  # latest few in a list, the latest first, which is merged into the tuple when it has grown. Poses mostly come in order, and
-  # are mostly asked for soon.
+  # latest few in a list, the latest first, which is merged into the tuple when it has grown. Poses mostly come in
+  # order, and are mostly asked for soon.
   alias Situ.Pose
 
   @recent 32

@@ -1,9 +1,10 @@
 defmodule Situ.Store.Copying do
   @moduledoc """
-  Stores out of stores: copy, crop, concatenate. Called through `Situ.Store`. Envelopes, types, metadata, codecs and payloads are
-  kept as they are, also those that this system has no module for; the originals are only read.
+  Stores out of stores: copy, crop, concatenate. Called through `Situ.Store`. Envelopes, types, metadata, codecs and
+  payloads are kept as they are, also those that this system has no module for; the originals are only read.
 
-  What is made gets its name when it is whole: a program that ends half way leaves a folder `NAME.*.unfinished`, swept by the next one.
+  What is made gets its name when it is whole: a program that ends half way leaves a folder `NAME.*.unfinished`, swept
+  by the next one.
   """
   alias Situ.Error
   alias Situ.Store.{Draft, Failure, Folder, Reading, StreamInfo, Transfer}
@@ -52,10 +53,12 @@ defmodule Situ.Store.Copying do
   @before ".before-compaction"
 
   @doc """
-  Writes a store anew in its place: many small commits become full chunks, holes and what was taken back are gone. `{:ok, path}`.
+  Writes a store anew in its place: many small commits become full chunks, holes and what was taken back are gone.
+  `{:ok, path}`.
 
-  The new store is whole and on the disk before it takes the old one's name, and the old one is deleted last: a program killed
-  meanwhile leaves the recording under its own name, or as `NAME#{@before}`. Damage is an error unless `skip_damage: true`.
+  The new store is whole and on the disk before it takes the old one's name, and the old one is deleted last: a
+  program killed meanwhile leaves the recording under its own name, or as `NAME#{@before}`. Damage is an error unless
+  `skip_damage: true`.
 
   #{Situ.Options.docs(Keyword.put(@compact_options, :skip_damage, type: :boolean, default: false, doc: "Leave damaged chunks out."))}
   """
@@ -103,7 +106,8 @@ defmodule Situ.Store.Copying do
   end
 
   @doc """
-  Cuts an interval out: `from:` and `to:` (times), or `start:` and `length:` (ns from the store's first message). Else as `copy/3`.
+  Cuts an interval out: `from:` and `to:` (times), or `start:` and `length:` (ns from the store's first message). Else
+  as `copy/3`.
   """
   @spec crop(Path.t(), Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}

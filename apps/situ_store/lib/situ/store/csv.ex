@@ -4,17 +4,20 @@ defmodule Situ.Store.Csv do
 
   Options (`Situ.Store.open(path, reader_opts: [...])`):
 
-    * `time:` the name or number (0 is the first) of the time column; default: the first column called like a time, else the first
-    * `unit:` `:auto` (default), `:s`, `:ms`, `:us`, `:ns` or `:iso8601`; `:auto` takes ISO 8601 as such, and numbers by the unit in
-      the column's name (`t_ms`, `Timestamp (us)`), else as seconds
+    * `time:` the name or number (0 is the first) of the time column; default: the first column called like a time,
+      else the first
+    * `unit:` `:auto` (default), `:s`, `:ms`, `:us`, `:ns` or `:iso8601`; `:auto` takes ISO 8601 as such, and numbers
+      by the unit in the column's name (`t_ms`, `Timestamp (us)`), else as seconds
     * `start:` ns added to every time, default 0
     * `separator:` default: `,`, `;` or tab, whichever the first line has most of
 
-  Fields are numbers where they look like numbers, else strings; a column is `:integer`, `:float` or `:string` as all its fields are. Empty fields are no
-  message. Quotes are those of RFC 4180: a field in quotes may hold separators, quotes (doubled) and line breaks. Rows that do not go forward in time
-  or cannot be read are left out and counted in `Situ.Store.info/1` as damage.
+  Fields are numbers where they look like numbers, else strings; a column is `:integer`, `:float` or `:string` as all
+  its fields are. Empty fields are no message. Quotes are those of RFC 4180: a field in quotes may hold separators,
+  quotes (doubled) and line breaks. Rows that do not go forward in time or cannot be read are left out and counted in
+  `Situ.Store.info/1` as damage.
 
-  The file may be of any length: opening passes over it once, and of every 1,000 rows only the place is kept; reading takes them from there.
+  The file may be of any length: opening passes over it once, and of every 1,000 rows only the place is kept; reading
+  takes them from there.
   """
   @behaviour Situ.Store.Reader
   alias Situ.{Error, Message}

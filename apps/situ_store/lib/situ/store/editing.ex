@@ -21,8 +21,8 @@ defmodule Situ.Store.Editing do
 
   @doc """
   A new store with edits applied by exact originating time: `edits` is a map of stream names to
-  `[{:upsert, time, data} | {:delete, time}]`. An upsert replaces the message of that time or inserts one; its data must fit
-  the stream's type. Everything else is kept as it is.
+  `[{:upsert, time, data} | {:delete, time}]`. An upsert replaces the message of that time or inserts one; its data
+  must fit the stream's type. Everything else is kept as it is.
 
   #{Situ.Options.docs(@options)}
   """

@@ -2,8 +2,9 @@ defmodule Situ.Store.Evolution do
   @moduledoc """
   Reading structs that have changed since they were recorded.
 
-  A recorded field must still exist today, and a field that is new today must have a default (not be among `@enforce_keys`);
-  then old data gets the defaults. Anything else is the error `:schema_mismatch` when the stream is opened, not a surprise later.
+  A recorded field must still exist today, and a field that is new today must have a default (not be among
+  `@enforce_keys`); then old data gets the defaults. Anything else is the error `:schema_mismatch` when the stream is
+  opened, not a surprise later.
   """
   alias Situ.Error
   alias Situ.Store.StreamInfo

@@ -148,7 +148,8 @@ defmodule Situ.Store.Exporter do
     end
   end
 
-  # A lossy default of the pipeline does not thin out its recording: nothing is lost on the way to disk unless the caller says so.
+  # A lossy default of the pipeline does not thin out its recording: nothing is lost on the way to disk unless the
+  # caller says so.
   defp component(name, opts) do
     [policy: Situ.Delivery.unlimited(), name: "Write " <> String.replace(name, ".", " ")]
     |> Keyword.merge(Keyword.take(opts, [:policy, :name, :on_error]))

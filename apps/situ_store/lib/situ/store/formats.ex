@@ -6,8 +6,8 @@ defmodule Situ.Store.Formats do
 
       config :situ_store, readers: [MyFormat]
 
-  then those that a loaded application brings (`env: [store_readers: [MyFormat]]` in `application/0` of its `mix.exs`). This
-  application brings CSV; `situ_media` brings WAV and everything FFmpeg reads.
+  then those that a loaded application brings (`env: [store_readers: [MyFormat]]` in `application/0` of its
+  `mix.exs`). This application brings CSV; `situ_media` brings WAV and everything FFmpeg reads.
 
       iex> Situ.Store.Formats.for_file("walk/imu.CSV")
       Situ.Store.Csv

@@ -2,20 +2,23 @@ defmodule Situ.Store.Importer do
   @moduledoc """
   A store being replayed by a pipeline: what `Situ.Store.importer/3` returns and `Situ.Store.stream/3` takes.
 
-  All importers of a pipeline run on its clock: an interval and a speed are the pipeline's (`pipeline: [replay: [interval: {from, to}, speed: 4.0]]`),
-  `Situ.Pipeline.pause/1`, `resume/1` and `set_speed/2` act on all of them; `seek/2` and `step/1` move one importer (and the clock).
+  All importers of a pipeline run on its clock: an interval and a speed are the pipeline's (`pipeline: [replay:
+  [interval: {from, to}, speed: 4.0]]`), `Situ.Pipeline.pause/1`, `resume/1` and `set_speed/2` act on all of them;
+  `seek/2` and `step/1` move one importer (and the clock).
 
   ## Seeking, and what happens to time
 
-  Originating times of a stream only increase, and a pipeline's clock never goes back. So a replay is a row of *epochs*: in each, a
-  message's time in the pipeline is its recorded time plus the epoch's shift, 0 at first. A seek beyond everything that was
-  handed to the pipeline stays in the epoch, and the clock jumps there. Any other (back, or within the few messages per stream that the
-  pipeline was handed ahead of its clock) begins a new one: the messages from the sought time on come again, with times that begin 1 ms after the
-  latest one handed out; creation times move along, so latencies stay those of the recording. A loop does the same at the
-  recording's end, and with one every seek begins an epoch. `position/1` tells the recorded time that is played.
+  Originating times of a stream only increase, and a pipeline's clock never goes back. So a replay is a row of
+  *epochs*: in each, a message's time in the pipeline is its recorded time plus the epoch's shift, 0 at first. A seek
+  beyond everything that was handed to the pipeline stays in the epoch, and the clock jumps there. Any other (back, or
+  within the few messages per stream that the pipeline was handed ahead of its clock) begins a new one: the messages
+  from the sought time on come again, with times that begin 1 ms after the latest one handed out; creation times move
+  along, so latencies stay those of the recording. A loop does the same at the recording's end, and with one every
+  seek begins an epoch. `position/1` tells the recorded time that is played.
 
-  To what comes out it looks as if the recording contained the part again: fusion and windows go on over the seam, as they would over a gap.
-  A stream that has ended stays ended; with `keep_open: true` streams wait at their ends to be sought.
+  To what comes out it looks as if the recording contained the part again: fusion and windows go on over the seam, as
+  they would over a gap. A stream that has ended stays ended; with `keep_open: true` streams wait at their ends to be
+  sought.
   """
   alias Situ.{Clock, Error, Pipeline}
   alias Situ.Store.{Evolution, Handle, Playhead, Reading, Source, StreamInfo}
@@ -158,8 +161,8 @@ defmodule Situ.Store.Importer do
   end
 
   @doc """
-  Goes on at the recorded `time`, forward or back; the pipeline's clock jumps along, paused or not. A few messages per stream that were
-  already handed to the pipeline still come before. See above for what the times become.
+  Goes on at the recorded `time`, forward or back; the pipeline's clock jumps along, paused or not. A few messages per
+  stream that were already handed to the pipeline still come before. See above for what the times become.
 
   Errors: `:fixed_clock` when the pipeline runs on the wall clock.
   """
@@ -187,8 +190,8 @@ defmodule Situ.Store.Importer do
   end
 
   @doc """
-  Lets the clock, paused or not, jump to the next message of any stream of the store: `{:ok, time}` with its recorded time, or
-  `{:ok, nil}` at the end.
+  Lets the clock, paused or not, jump to the next message of any stream of the store: `{:ok, time}` with its recorded
+  time, or `{:ok, nil}` at the end.
   """
   @spec step(t()) :: {:ok, Situ.Time.t() | nil} | {:error, Error.t()}
   def step(%__MODULE__{} = importer) do

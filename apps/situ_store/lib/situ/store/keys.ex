@@ -2,9 +2,10 @@ defmodule Situ.Store.Keys do
   @moduledoc """
   The component behind `Situ.Store.write/4` with `keys: true`: which keys the maps of a stream have had.
 
-  They stand in the stream's metadata under `"keys"`, sorted, beside what was given as `metadata:` (a map): whoever opens the
-  recording knows what to offer (a line for each tracked person) without reading it. They are noted whenever their number has doubled, and when the stream
-  closes; a recording whose writer was killed has those of the last note. Messages that are no maps are passed over.
+  They stand in the stream's metadata under `"keys"`, sorted, beside what was given as `metadata:` (a map): whoever
+  opens the recording knows what to offer (a line for each tracked person) without reading it. They are noted whenever
+  their number has doubled, and when the stream closes; a recording whose writer was killed has those of the last
+  note. Messages that are no maps are passed over.
   """
   use Situ.Component,
     inputs: [in: :any],

@@ -309,8 +309,8 @@ defmodule Situ.Store.Local do
   defp behind([], from, _level), do: from
   defp behind(bins, _from, level), do: elem(List.last(bins), 0) + Bitwise.bsl(1, level)
 
-  # Finer than the stored pyramid, or behind it while it is written: the codec's own points. A message may speak of the second
-  # before its time (sound is stamped with its end).
+  # Finer than the stored pyramid, or behind it while it is written: the codec's own points. A message may speak of
+  # the second before its time (sound is stamped with its end).
   defp codec_summary(_state, %{last: last}, from, _to, _level) when last == nil or from > last,
     do: {:ok, []}
 

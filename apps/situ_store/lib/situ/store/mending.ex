@@ -43,10 +43,11 @@ defmodule Situ.Store.Mending do
   @doc """
   Makes a store whole that was not closed or is damaged: `{:ok, %{kept, dropped, recovered, rebuilt?, damage}}`.
 
-  A sound store that was merely not closed is cut to size and marked closed. Every chunk that could be read before is kept. Where the
-  index is damaged or lost, its places are filled from the data with the chunks that are known to have been committed (`recovered`);
-  chunks that are damaged themselves are left out (`dropped`). The data files are not rewritten, but for the header of an
-  extent when that is damaged; the old index stays as `index.situ.before-repair`, with a number where there is one already.
+  A sound store that was merely not closed is cut to size and marked closed. Every chunk that could be read before is
+  kept. Where the index is damaged or lost, its places are filled from the data with the chunks that are known to have
+  been committed (`recovered`); chunks that are damaged themselves are left out (`dropped`). The data files are not
+  rewritten, but for the header of an extent when that is damaged; the old index stays as `index.situ.before-repair`,
+  with a number where there is one already.
 
   #{Situ.Options.docs(@repair_options)}
   """

@@ -2,11 +2,11 @@ defmodule Situ.Store.Playhead do
   @moduledoc false
   # Where the streams of one importer play, shared by their processes: memory, no process.
   #
-  # An epoch is a stretch of replay in which pipeline time = recorded time + shift. A seek beyond everything handed out so
-  # far stays in the epoch; any other begins a new one behind it, so that originating times go on increasing.
+  # An epoch is a stretch of replay in which pipeline time = recorded time + shift. A seek beyond everything handed
+  # out so far stays in the epoch; any other begins a new one behind it, so that originating times go on increasing.
 
-  # Cells: 1 version (odd while a seek is under way), 2 the recorded time sought, 3 the shift, 4 the latest pipeline time
-  # handed out by any stream.
+  # Cells: 1 version (odd while a seek is under way), 2 the recorded time sought, 3 the shift, 4 the latest pipeline
+  # time handed out by any stream.
   @nowhere -0x7FFFFFFFFFFFFFFF
   @gap 1_000_000
 

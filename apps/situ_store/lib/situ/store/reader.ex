@@ -15,7 +15,8 @@ defmodule Situ.Store.Reader do
   @doc "File name endings, lower case, with the dot."
   @callback extensions() :: [String.t()]
   @doc """
-  Where recordings are folders: the one that `path` means, a folder or the name of one, or `nil`. `open/2` gets the answer.
+  Where recordings are folders: the one that `path` means, a folder or the name of one, or `nil`. `open/2` gets the
+  answer.
   """
   @callback resolve(Path.t()) :: Path.t() | nil
   @doc "The recordings of this kind that lie in this very folder, as `resolve/1` has them."
@@ -33,8 +34,8 @@ defmodule Situ.Store.Reader do
               {:ok, non_neg_integer()} | error()
   @doc """
   About `limit` messages from `ordinal` on that lie at or before `to`, and the ordinal to go on with. An empty list is
-  the end for now. `exact: true` asks for no more than `limit`; with `envelopes: true` nobody looks at the data, and a reader that
-  has to decode may leave it `nil`.
+  the end for now. `exact: true` asks for no more than `limit`; with `envelopes: true` nobody looks at the data, and a
+  reader that has to decode may leave it `nil`.
   """
   @callback read(
               state(),

@@ -2,8 +2,9 @@ defmodule Situ.Store.Source do
   @moduledoc """
   The component behind `Situ.Store.stream/3`: one stored stream as a source.
 
-  Messages come on demand with their recorded envelopes, from the replay's start to its end; with an enforced clock the pipeline delivers each when its
-  originating time has come. A store that is being written is followed until its writer is done. `Situ.Store.Importer.seek/2` moves it.
+  Messages come on demand with their recorded envelopes, from the replay's start to its end; with an enforced clock
+  the pipeline delivers each when its originating time has come. A store that is being written is followed until its
+  writer is done. `Situ.Store.Importer.seek/2` moves it.
   """
   use Situ.Component,
     inputs: [],
@@ -65,7 +66,8 @@ defmodule Situ.Store.Source do
     to = if state.importer.period, do: replay_end, else: earlier(replay_end, state.info.closed)
     {:ok, ordinal} = if from, do: seek(state, from), else: {:ok, 0}
 
-    # The end of a store that is being written comes with its writer's; a loop has none but the replay's; a player's is no end.
+    # The end of a store that is being written comes with its writer's; a loop has none but the replay's; a player's
+    # is no end.
     %{period: period, keep_open: keep_open?} = state.importer
     endless? = keep_open? or (period != nil and replay_end == :unbounded)
     actions = if endless?, do: [{:complete, :infinity}], else: []
@@ -172,8 +174,9 @@ defmodule Situ.Store.Source do
     end
   end
 
-  # Sequence ids and creation times are the recorded ones as long as they do not go back. Where recordings were put together,
-  # edited or start over in a loop, ids go on from where they were; where the recording clock was set back, creation times stand still.
+  # Sequence ids and creation times are the recorded ones as long as they do not go back. Where recordings were put
+  # together, edited or start over in a loop, ids go on from where they were; where the recording clock was set back,
+  # creation times stand still.
   defp envelopes(messages, last, creation) do
     case forward(messages, last, creation) do
       {:ok, last} -> {messages, last}

@@ -3,7 +3,8 @@ defmodule Situ.Store.StreamInfo do
   What is known of a stored stream. Times are nanoseconds, sizes bytes; exact at any moment, also while the store is
   being written or after its writer was killed.
 
-    * `type` is a `Situ.Type`; `:any` when the recorded type names a module this system does not have (`type_name` says it)
+    * `type` is a `Situ.Type`; `:any` when the recorded type names a module this system does not have (`type_name`
+      says it)
     * `first`, `last`: originating times; `first_creation`, `last_creation`: creation times; `nil` without messages
     * `size`: payload bytes; `stored`: bytes on the disk, with tables and index, after compression
     * `latency_sum`: creation minus originating time, summed

@@ -1,7 +1,8 @@
 defmodule Situ.Store.Structs do
   @moduledoc false
-  # Structs of modules that are in this system but that nobody has loaded yet. Their atoms come with their modules; those of
-  # values are looked for in the other modules of the same applications. So a struct is one from the first read on.
+  # Structs of modules that are in this system but that nobody has loaded yet. Their atoms come with their modules;
+  # those of values are looked for in the other modules of the same applications. So a struct is one from the first
+  # read on.
   alias Situ.Store.TypeName
 
   @doc "Loads the modules of these names that are in this system; whether there is any."

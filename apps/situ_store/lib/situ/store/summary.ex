@@ -5,26 +5,29 @@ defmodule Situ.Store.Summary do
     * `read/6`: everything that can be drawn of a stream of any type
     * `numbers/5`: the signal of numbers and of sound
 
-  Time is cut into bins of a power of two nanoseconds, at most `(to - from) / pixels` wide, that start at the multiples of their
-  width: panning reuses them. Bins are whole, so the first and the last may reach over the edges of the span; empty ones are left out.
+  Time is cut into bins of a power of two nanoseconds, at most `(to - from) / pixels` wide, that start at the
+  multiples of their width: panning reuses them. Bins are whole, so the first and the last may reach over the edges of
+  the span; empty ones are left out.
 
   ## What `read/6` gives
 
   `%Situ.Store.Summary{width: ns, counts: [...], tracks: [...]}`:
 
     * `counts`: `{start, n}`, how many messages lie in each bin, exactly, for streams of any type
-    * `tracks`: `{key, track}`, where `key` is `nil` for the message itself and else the map's (or struct's) key. A track is one of
+    * `tracks`: `{key, track}`, where `key` is `nil` for the message itself and else the map's (or struct's) key. A
+      track is one of
       * `{:numbers, [{start, min, max, last, n}]}`
-      * `{:changes, [{time, state}]}`: the exact times at which the state changed, where there are few (option `changes:`). The
-        first one is the state in force at `from`, with the time of its message, which may lie before
-      * `{:states, [{start, last, [{state, n}]}]}`: where there are many, how many messages of each bin had which state, exactly
-        (the most frequent first), and the bin's last state
+      * `{:changes, [{time, state}]}`: the exact times at which the state changed, where there are few (option
+        `changes:`). The first one is the state in force at `from`, with the time of its message, which may lie before
+      * `{:states, [{start, last, [{state, n}]}]}`: where there are many, how many messages of each bin had which
+        state, exactly (the most frequent first), and the bin's last state
 
-  States are booleans, atoms, `nil` and texts of up to 64 bytes. Maps and structs of up to 64 keys have a track for each key whose
-  value is a number or a state, so a stream of intervals (`%{start: t0, stop: t1, label: "door"}`) has the numbers `:start` and
-  `:stop` (the least `:start` and the greatest `:stop` of a bin tell what reaches into a window) and the states `:label`. A key
-  that holds numbers at one time and states at another has two tracks (but for numbers among the truths of a stream, which have none). Beyond 256 different states of a key the further ones
-  are counted as `:"$other"`. Everything else has counts only.
+  States are booleans, atoms, `nil` and texts of up to 64 bytes. Maps and structs of up to 64 keys have a track for
+  each key whose value is a number or a state, so a stream of intervals (`%{start: t0, stop: t1, label: "door"}`) has
+  the numbers `:start` and `:stop` (the least `:start` and the greatest `:stop` of a bin tell what reaches into a
+  window) and the states `:label`. A key that holds numbers at one time and states at another has two tracks (but for
+  numbers among the truths of a stream, which have none). Beyond 256 different states of a key the further ones are
+  counted as `:"$other"`. Everything else has counts only.
 
       iex> root = Path.join(System.tmp_dir!(), "situ-doc-summary")
       iex> {:ok, writer} = Situ.Store.Writer.create("door", root)
@@ -105,7 +108,8 @@ defmodule Situ.Store.Summary do
 
   @doc """
   The signal of a numeric or audio stream over `from..to`, folded for `pixels` columns: `{:ok, width, bins}` with bins
-  `{start, min, max, last, count}`. Booleans are 0 and 1, integers come as floats. For sound the bins are those of its samples.
+  `{start, min, max, last, count}`. Booleans are 0 and 1, integers come as floats. For sound the bins are those of its
+  samples.
   """
   @spec numbers(Handle.t(), Reading.name(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
           {:ok, width :: pos_integer(), [bin()]} | {:error, Error.t()}

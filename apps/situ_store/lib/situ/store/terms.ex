@@ -1,7 +1,7 @@
 defmodule Situ.Store.Terms do
   @moduledoc false
-  # Terms out of files, by one checked decoder: no functions, processes, ports or references, no new atoms, bounded memory.
-  # Atoms and structs this system does not have are strings and maps.
+  # Terms out of files, by one checked decoder: no functions, processes, ports or references, no new atoms, bounded
+  # memory. Atoms and structs this system does not have are strings and maps.
   alias Situ.Store.{Native, Structs}
 
   @spec decode(binary()) :: {:ok, term()} | {:error, String.t()}

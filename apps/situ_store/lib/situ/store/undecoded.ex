@@ -1,6 +1,7 @@
 defmodule Situ.Store.Undecoded do
   @moduledoc """
-  A message whose bytes could not be made data of: an unknown codec, bytes its codec refuses, or a term that is not plain data.
+  A message whose bytes could not be made data of: an unknown codec, bytes its codec refuses, or a term that is not
+  plain data.
 
   `bytes` are what was stored (`nil` for a term that was refused), `codec` the codec's name, `reason` a sentence.
   """

@@ -2,7 +2,8 @@ defmodule Situ.Store.Volatile do
   @moduledoc """
   Stores in memory: the same files, in the memory file system.
 
-  They can be read by any process of the machine while this system runs, are swept when it has gone, and never touch a disk.
+  They can be read by any process of the machine while this system runs, are swept when it has gone, and never touch a
+  disk.
   """
 
   @doc "The folder of this system's stores in memory."

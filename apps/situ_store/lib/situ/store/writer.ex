@@ -50,7 +50,8 @@ defmodule Situ.Store.Writer do
   | `:each` | nothing is lost | nothing that `append/2` had answered | two `fdatasync` a commit: 1 to 10 ms on most disks |
 
   "Nothing" is what was committed: an append is, when it has answered. A pipeline gathers for up to 20 ms before it
-  appends (`Situ.Store.write/4`); with `:each` every delivery is appended at once. Disks that lie about their cache lose more.
+  appends (`Situ.Store.write/4`); with `:each` every delivery is appended at once. Disks that lie about their cache
+  lose more.
 
   When `append/2` has answered, the messages are committed: readers in any process see them, and a kill of this one does
   not lose them. On an error none of them is written and the writer is as it was before.

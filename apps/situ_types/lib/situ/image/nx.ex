@@ -1,7 +1,7 @@
 defmodule Situ.Image.Nx do
   @moduledoc """
-  Pictures and sound as Nx tensors and back. Nx is found by name when it is called: Situ does not depend on it, and without
-  it the answer is the error `:nx_missing`.
+  Pictures and sound as Nx tensors and back. Nx is found by name when it is called: Situ does not depend on it, and
+  without it the answer is the error `:nx_missing`.
 
       {:ok, tensor} = Situ.Image.Nx.to_nx(image)          # u8[height][width][channels], no copy for tight pictures
       {:ok, image} = Situ.Image.Nx.to_image(tensor, :rgb24)

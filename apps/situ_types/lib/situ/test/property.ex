@@ -17,8 +17,8 @@ defmodule Situ.Test.Property do
   other value passes). A failure shows the input after shrinking and the error that it caused. Several inputs are a tuple:
   `forall {a, b} <- {integer(), boolean()}`.
 
-  Options of `property`: `numtests:` (default 100), `max_size:` (default 42, PropEr's own), `context: pattern` to match the
-  ExUnit context. Generators are those of `Situ.Test.Gen`, which `use` imports.
+  Options of `property`: `numtests:` (default 100), `max_size:` (default 42, PropEr's own), `context: pattern` to
+  match the ExUnit context. Generators are those of `Situ.Test.Gen`, which `use` imports.
 
   Only test code may call this: `:proper` is not started or shipped with an application.
   """

@@ -28,7 +28,8 @@ defmodule Situ.Pipeline.Lifecycle.Failure do
 
   defp end_soon(state), do: state |> abandon() |> ending(by_hand: true)
 
-  # Those who listen from outside learn it at once: one that asks for no more must not keep a failed pipeline from its end.
+  # Those who listen from outside learn it at once: one that asks for no more must not keep a failed pipeline from its
+  # end.
   defp abandon(state), do: tell(state, alive(state), {:abandon, List.last(state.errors)})
 
   @doc "The process of a stage ended for `reason`, an error; nobody had asked for it, unless all of it is ending."

@@ -2,8 +2,9 @@ defmodule Situ.Pipeline.Reload do
   @moduledoc false
   # Sees when the module of a running pipeline is loaded again, and tells the pipeline: `:situ_reloaded`.
   #
-  # The VM keeps two versions of a module and kills whoever still holds functions of the older one when a third is loaded. So a pipeline
-  # exchanges the functions of its operators for those of the new version as soon as there is one.
+  # The VM keeps two versions of a module and kills whoever still holds functions of the older one when a third is
+  # loaded. So a pipeline exchanges the functions of its operators for those of the new version as soon as there is
+  # one.
   use GenServer
 
   @every_ms 50

@@ -11,8 +11,8 @@ defmodule Situ.Bridge.Tcp.Source do
             ]
           ] ++ Inlet.options()
   @moduledoc false
-  # A connection to a server as a source that never ends. It lives in the component's own process: nothing is read while the
-  # component is busy, so that the other side waits or drops.
+  # A connection to a server as a source that never ends. It lives in the component's own process: nothing is read
+  # while the component is busy, so that the other side waits or drops.
   use Situ.Component, outputs: [out: :any], options: @schema
   alias Situ.Bridge.Tcp.Frames
   require Logger

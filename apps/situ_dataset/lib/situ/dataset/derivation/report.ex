@@ -1,6 +1,7 @@
 defmodule Situ.Dataset.Derivation.Report do
   @moduledoc """
-  How a run over the sessions went: `output`, `duration` (ns), `cancelled?`, and a result for each session, in their order.
+  How a run over the sessions went: `output`, `duration` (ns), `cancelled?`, and a result for each session, in their
+  order.
 
   A result's `status` is `:done`, `:kept` (an earlier, killed run had done it), `:failed` (`error` says why) or
   `:cancelled`; `result` is what `build` returned, `took` the time in ns. Sessions that were not begun have none.

@@ -2,8 +2,8 @@ defmodule Situ.Examples.Demo.Profile do
   @moduledoc """
   Where a run's time went: a table of the pipeline's components, the busiest first.
 
-  `busy` is the time a component spent handling messages, waiting for other processes (a decoder, a model in use) included;
-  components run side by side, so that shares of the run's time may add up to more than one core has.
+  `busy` is the time a component spent handling messages, waiting for other processes (a decoder, a model in use)
+  included; components run side by side, so that shares of the run's time may add up to more than one core has.
   """
   alias Situ.Diagnostics.Snapshot
 

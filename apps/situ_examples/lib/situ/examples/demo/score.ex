@@ -2,9 +2,10 @@ defmodule Situ.Examples.Demo.Score do
   @moduledoc """
   Compares who was found to speak with who does, picture by picture.
 
-  A picture is right when exactly the faces speak that should; pictures within 0.2 s of an edge of a segment are not scored. A tracked
-  face counts as the true one whose box it overlaps most, and as a stranger when it overlaps none. A picture for which there is no
-  decision has nobody speaking. `false_speech_s` and `missed_speech_s` add up over faces.
+  A picture is right when exactly the faces speak that should; pictures within 0.2 s of an edge of a segment are not
+  scored. A tracked face counts as the true one whose box it overlaps most, and as a stranger when it overlaps none. A
+  picture for which there is no decision has nobody speaking. `false_speech_s` and `missed_speech_s` add up over
+  faces.
 
       iex> json = ~s({"fps": 10, "frames": 10, "faces": [{"id": 0, "box": [0, 0, 9, 9]}],
       ...>   "speech": [{"face": 0, "speech_start": 0.0, "speech_end": 1.0}]})

@@ -1,6 +1,7 @@
 defmodule Situ.Examples.Demo.Transcript do
   @moduledoc """
-  Who said what: each utterance with the face that spoke most while it was said, `nil` for a voice from outside of the picture.
+  Who said what: each utterance with the face that spoke most while it was said, `nil` for a voice from outside of the
+  picture.
 
       iex> alias Situ.Examples.Demo.Transcript
       iex> said = [%Situ.Infer.Speech.Utterance{text: "Go on.", from: 0, to: 1_000_000_000, confidence: 0.9}]
@@ -75,8 +76,8 @@ defmodule Situ.Examples.Demo.Transcript do
   end
 
   @doc """
-  How good the transcript is: the word error rate of all that was said, in order, and the share of the truth's utterances that went to
-  the right face. `nil` where the truth has no words.
+  How good the transcript is: the word error rate of all that was said, in order, and the share of the truth's
+  utterances that went to the right face. `nil` where the truth has no words.
   """
   @spec score([line()], Truth.t()) :: %{wer: float() | nil, right_face: float() | nil}
   def score(_lines, %Truth{said: []}), do: %{wer: nil, right_face: nil}

@@ -2,8 +2,9 @@ defmodule Situ.Examples.Demo.Truth do
   @moduledoc """
   What really happens in a clip: whose face is where, and who speaks when.
 
-  Read from JSON: `fps`, `frames`, `faces` (`id`, `box` as `[left, top, right, bottom]` in pixels) and `speech` (`face`, an id or
-  `null` for a voice without a face; `speech_start`, `speech_end` in seconds, and `text` where the words are known). Other keys are not looked at.
+  Read from JSON: `fps`, `frames`, `faces` (`id`, `box` as `[left, top, right, bottom]` in pixels) and `speech`
+  (`face`, an id or `null` for a voice without a face; `speech_start`, `speech_end` in seconds, and `text` where the
+  words are known). Other keys are not looked at.
 
       iex> json = ~s({"fps": 25, "frames": 50, "faces": [{"id": 0, "box": [0, 0, 10, 10]}],
       ...>   "speech": [{"face": 0, "speech_start": 0.5, "speech_end": 1.5}, {"face": null, "speech_start": 1.6, "speech_end": 1.9}]})

@@ -1,7 +1,7 @@
 defmodule Situ.Infer.ActiveSpeaker.Agreement do
   @moduledoc false
-  # How well lips follow loudness: Pearson's correlation of opening and loudness over some moments, times how clearly the mouth
-  # moved at all. Pure arithmetic in a fixed order, so that results are equal to the last bit on every run.
+  # How well lips follow loudness: Pearson's correlation of opening and loudness over some moments, times how clearly
+  # the mouth moved at all. Pure arithmetic in a fixed order, so that results are equal to the last bit on every run.
   alias Situ.Infer.ActiveSpeaker.Moment
 
   @min_pairs 4

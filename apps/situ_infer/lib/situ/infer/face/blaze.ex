@@ -2,8 +2,9 @@ defmodule Situ.Infer.Face.Blaze do
   @moduledoc false
   # BlazeFace short range: what goes into the network and what its 896 anchors mean. Pure: no model, no picture.
   #
-  # Anchors are the cells of a 16x16 grid, twice, then of an 8x8 grid, six times; each is just a centre. The network answers, per
-  # anchor, 16 offsets in pixels of its 128-pixel input (centre, size, six key points) and a score before the sigmoid.
+  # Anchors are the cells of a 16x16 grid, twice, then of an 8x8 grid, six times; each is just a centre. The network
+  # answers, per anchor, 16 offsets in pixels of its 128-pixel input (centre, size, six key points) and a score before
+  # the sigmoid.
   alias Situ.Infer.{Face, Patch}
   alias Situ.Tensor
 

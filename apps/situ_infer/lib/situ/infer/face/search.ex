@@ -1,10 +1,10 @@
 defmodule Situ.Infer.Face.Search do
   @moduledoc false
-  # Where to look for faces in the next picture. BlazeFace sees its whole input as 128 pixels: it misses faces under about a
-  # sixth of it, and boxes of small ones are rough. So a picture is looked at whole; then closely wherever there is a face that is
-  # not large; then, a few tiles a picture in turn, everywhere else. The first picture is looked at in full. While the
-  # faces rest, they are looked for only now and then, and the pictures between are used for tiles. Pure: looking is the
-  # caller's function.
+  # Where to look for faces in the next picture. BlazeFace sees its whole input as 128 pixels: it misses faces under
+  # about a sixth of it, and boxes of small ones are rough. So a picture is looked at whole; then closely wherever
+  # there is a face that is not large; then, a few tiles a picture in turn, everywhere else. The first picture is
+  # looked at in full. While the faces rest, they are looked for only now and then, and the pictures between are used
+  # for tiles. Pure: looking is the caller's function.
   alias Situ.Infer.Face
   alias Situ.Infer.Face.{Blaze, Overlap}
   alias Situ.Infer.Patch
@@ -139,8 +139,8 @@ defmodule Situ.Infer.Face.Search do
     |> look_all(&close_up(&1, view(&1, []), min_score, look))
   end
 
-  # The best view of a face near where it was; another face in the same view is left to its own. A face much smaller than
-  # thought is looked at once more, from as near as it should be.
+  # The best view of a face near where it was; another face in the same view is left to its own. A face much smaller
+  # than thought is looked at once more, from as near as it should be.
   defp close_up(face, {_, side} = view, min_score, look) do
     with {:ok, [found]} <- look_near(face, view, min_score, look),
          {_, wanted} = nearer = view(found, []),
@@ -158,7 +158,8 @@ defmodule Situ.Infer.Face.Search do
     end
   end
 
-  # A view stays where it is while the face in it rests: moved with every wobble of the face, it would make it wobble more.
+  # A view stays where it is while the face in it rests: moved with every wobble of the face, it would make it wobble
+  # more.
   defp view(face, views) do
     side = max(face.rect.width, face.rect.height) * @close_up
     middle = Situ.Rect.center(face.rect)

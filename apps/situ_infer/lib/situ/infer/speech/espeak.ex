@@ -11,7 +11,8 @@ defmodule Situ.Infer.Speech.Espeak do
   ]
 
   @moduledoc """
-  Text to speech by the program espeak-ng: more than a hundred languages, 50 times faster than speech, and it sounds like a robot.
+  Text to speech by the program espeak-ng: more than a hundred languages, 50 times faster than speech, and it sounds
+  like a robot.
 
       {:ok, voice} = Situ.Infer.Speech.Espeak.load(rate: 180)
       {:ok, sound} = Situ.Infer.Speech.Espeak.speak(voice, "Go forward ten metres.")

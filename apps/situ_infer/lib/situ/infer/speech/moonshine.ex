@@ -5,8 +5,9 @@ defmodule Situ.Infer.Speech.Moonshine do
       {:ok, moonshine} = Situ.Infer.Speech.Moonshine.load()
       {:ok, %{text: "ten of clubs", confidence: 0.97}} = Situ.Infer.Speech.Moonshine.transcribe(moonshine, buffer)
 
-  It takes sound as it is, without features, and writes one token after another, each the likeliest. It invents words where
-  nobody speaks: give it what voice activity has found to be speech. `bin/lib/fetch-model moonshine-tiny-en` fetches it.
+  It takes sound as it is, without features, and writes one token after another, each the likeliest. It invents words
+  where nobody speaks: give it what voice activity has found to be speech. `bin/lib/fetch-model moonshine-tiny-en`
+  fetches it.
   """
   @behaviour Situ.Infer.Speech.Recognizer
 

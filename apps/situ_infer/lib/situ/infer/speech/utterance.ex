@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Speech.Utterance do
   @moduledoc """
-  What somebody said: `text`, from `from` to `to` (ns, times of the sound), with a `confidence` of 0..1. `final?` is false while
-  the person goes on speaking, and the text may still change.
+  What somebody said: `text`, from `from` to `to` (ns, times of the sound), with a `confidence` of 0..1. `final?` is
+  false while the person goes on speaking, and the text may still change.
 
       iex> said = %Situ.Infer.Speech.Utterance{text: "Ten of clubs.", from: 0, to: 900_000_000, confidence: 0.9}
       iex> Situ.Infer.Speech.Utterance.words(said.text)

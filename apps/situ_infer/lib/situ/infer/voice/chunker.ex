@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Voice.Chunker do
   @moduledoc false
-  # Cuts 16 kHz mono sound into chunks of a fixed number of samples, as 32-bit floats with the time of each chunk's end. A gap in
-  # the sound drops the rest before it: a chunk never spans one.
+  # Cuts 16 kHz mono sound into chunks of a fixed number of samples, as 32-bit floats with the time of each chunk's
+  # end. A gap in the sound drops the rest before it: a chunk never spans one.
   alias Situ.{AudioBuffer, AudioFormat, Error}
 
   @rate 16_000

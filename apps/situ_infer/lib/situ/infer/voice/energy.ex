@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Voice.Energy do
   @moduledoc false
-  # How far the level stands above the noise, as a probability. The noise floor falls at once and rises slowly, so that speech,
-  # which always has gaps, does not lift it, while a steady noise becomes the floor within a few seconds.
+  # How far the level stands above the noise, as a probability. The noise floor falls at once and rises slowly, so
+  # that speech, which always has gaps, does not lift it, while a steady noise becomes the floor within a few seconds.
   @chunk 512
   @chunk_s 0.032
   @quietest_db -70.0

@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Voice.Silero do
   @moduledoc false
-  # Silero's network over chunks of 512 samples. It remembers through a state tensor, and sees the last 64 samples of the chunk
-  # before: the caller keeps both.
+  # Silero's network over chunks of 512 samples. It remembers through a state tensor, and sees the last 64 samples of
+  # the chunk before: the caller keeps both.
   alias Situ.Infer.Model
   alias Situ.Tensor
 

@@ -62,8 +62,8 @@ defmodule Situ.Media.Nut.Muxer do
         v(byte_size(data))
       ])
 
-    # A reader wants a syncpoint every 64 KiB; one before each frame is 30 bytes. Two in a row would make FFmpeg look for
-    # its place again, which it can do in a socket only by luck.
+    # A reader wants a syncpoint every 64 KiB; one before each frame is 30 bytes. Two in a row would make FFmpeg look
+    # for its place again, which it can do in a socket only by luck.
     [packet(:syncpoint, [v(time), v(0)]), head, <<Nut.crc(head)::32>>, data]
   end
 

@@ -1,7 +1,8 @@
 defmodule Situ.Media.Recording.Host do
   @moduledoc false
-  # One process for the pictures and one for the sound of every media file somebody reads at the moment. They are started
-  # when first asked and end after a while without a question, so that opening a file leaves nothing to be closed.
+  # One process for the pictures and one for the sound of every media file somebody reads at the moment. They are
+  # started when first asked and end after a while without a question, so that opening a file leaves nothing to be
+  # closed.
 
   alias Situ.Error
 

@@ -2,8 +2,8 @@ defmodule Situ.Media.Recording.Index do
   @moduledoc """
   Where every picture and the sound of a media file lie, found by reading its packets without decoding them.
 
-  `pictures` and `keys` are packed numbers: the times of all pictures (media time, ns, increasing) and the ordinals of those
-  a decoder can begin with. Two hours at 24 pictures a second take 1.4 MB, shared by all who hold them.
+  `pictures` and `keys` are packed numbers: the times of all pictures (media time, ns, increasing) and the ordinals of
+  those a decoder can begin with. Two hours at 24 pictures a second take 1.4 MB, shared by all who hold them.
 
       iex> index = %Situ.Media.Recording.Index{
       ...>   pictures: <<0::64, 40::64, 80::64, 120::64>>, keys: <<0::32, 2::32>>}

@@ -17,7 +17,8 @@ defmodule Situ.Media.Recording.Sound do
   defstruct [:recording, :waveform, stretches: []]
 
   @doc """
-  One stretch of sound, counted from 0: `{:ok, data, error}`; short where there is no more, and then `error` says why, or is `nil`.
+  One stretch of sound, counted from 0: `{:ok, data, error}`; short where there is no more, and then `error` says why,
+  or is `nil`.
   """
   @spec read(OpenFile.t(), non_neg_integer()) ::
           {:ok, binary(), Situ.Error.t() | nil} | {:error, Situ.Error.t()}
@@ -82,8 +83,8 @@ defmodule Situ.Media.Recording.Sound do
     Decoder.open(recording.path, recording.info, opts)
   end
 
-  # Puts what comes where its time says: a gap is silence, what lies outside of the stretch is left out. Less than @jitter is
-  # the rounding of the container (1 ms in Matroska), and the sound goes on.
+  # Puts what comes where its time says: a gap is silence, what lies outside of the stretch is left out. Less than
+  # @jitter is the rounding of the container (1 ms in Matroska), and the sound goes on.
   defp gather({:audio, time, buffer, decoder}, last, format, {at, parts}) do
     n = AudioBuffer.frames(buffer)
     start = AudioFormat.ns_to_frames(format, time) - n

@@ -1,7 +1,8 @@
 defmodule Situ.Media.Recording.Waveform do
   @moduledoc """
   The outline of a sound, small enough to keep: minimum, maximum, last value and count of every 2^24 ns (17 ms) that has
-  any, packed (6 MB an hour), and folded to the width a drawing needs. A gap takes no room, however long a file says it is.
+  any, packed (6 MB an hour), and folded to the width a drawing needs. A gap takes no room, however long a file says
+  it is.
 
       iex> alias Situ.Media.Recording.Waveform
       iex> points = for i <- 0..99, do: {i * 1_000_000, -i / 1, i / 1, i / 1, 8}

@@ -8,8 +8,8 @@ defmodule Situ.Store.Csv.Scan do
   @bytes 4 * 1024 * 1024
   @most_damage 10_000
 
-  # columns: index => %{name, kind, count, first, last}; parts (latest first): %{place, last, counts}: where a part begins, the
-  # last time kept before it, and how many messages of each column lie before it.
+  # columns: index => %{name, kind, count, first, last}; parts (latest first): %{place, last, counts}: where a part
+  # begins, the last time kept before it, and how many messages of each column lie before it.
   defstruct [:path, :separator, :width, :time, :unit, :start, columns: %{}, parts: [], damage: []]
 
   @type place :: {byte :: non_neg_integer(), line :: pos_integer()}
