@@ -88,10 +88,12 @@ defmodule Situ.Infer.Speech.Espeak do
        Error.new(:bad_text, "this cannot be spoken", why: why, fix: "give it in sentences")}
 
   defp run(voice, text) do
-    arguments =
-      ["-k", "1", "#{@seconds}", voice.program, "--stdout" | voice.arguments] ++ ["--", text]
+    command =
+      ["timeout", "-k", "1", "#{@seconds}", voice.program, "--stdout"] ++
+        voice.arguments ++ ["--", text]
 
-    case System.cmd("timeout", arguments, stderr_to_stdout: false) do
+    # What it complains of would go to the terminal.
+    case System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | command]) do
       {wav, 0} -> sound(wav)
       {_, status} -> {:error, failed(voice, status)}
     end
