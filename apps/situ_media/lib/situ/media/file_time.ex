@@ -29,7 +29,10 @@ defmodule Situ.Media.FileTime do
   end
 
   @doc "What to add to a media time, for a file recorded at `recorded_at` that is read from media time `start` on."
-  @spec offset(start_time(), Situ.Time.t() | nil, Situ.Time.t(), %{start_time: Situ.Time.t()}) ::
+  @spec offset(start_time(), Situ.Time.t() | nil, Situ.Time.t(), %{
+          :start_time => Situ.Time.t(),
+          optional(atom()) => term()
+        }) ::
           Situ.Time.t()
   def offset(:pipeline, _recorded_at, start, %{start_time: now}), do: now - start
   def offset(:file, recorded_at, _start, _context), do: recorded_at || 0

@@ -47,7 +47,7 @@ defmodule Situ.Fusion.Balance do
   """
   @spec after_step([term()], state, [{input(), non_neg_integer() | nil}], [input()]) ::
           {[term()], state}
-        when state: %{balance: t()}
+        when state: %{:balance => t(), optional(atom()) => term()}
   def after_step(outputs, state, heads, awaited) do
     case actions(state.balance, heads, awaited) do
       {[], balance} -> {outputs, %{state | balance: balance}}
@@ -56,7 +56,8 @@ defmodule Situ.Fusion.Balance do
   end
 
   @doc "As the component's callback of that name: the end of a hold; everything else is ignored."
-  @spec handle_info(term(), state) :: {[term()], state} when state: %{balance: t()}
+  @spec handle_info(term(), state) :: {[term()], state}
+        when state: %{:balance => t(), optional(atom()) => term()}
   def handle_info({:hold_ended, input}, state) do
     {actions, balance} = ended(state.balance, input, busy?())
     {actions, %{state | balance: balance}}
