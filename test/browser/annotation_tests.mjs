@@ -6,7 +6,10 @@ import { open, state, dispatch, pointAt, settled } from "./studio_page.mjs";
 const site = JSON.parse(process.argv[2]);
 const S = 1e9;
 
-const items = (page) => page.evaluate(() => window.situStudio.annotation.told.items.map((a) => [a.from, a.to, a.track, Object.values(a.values)[0]]));
+const items = (page) =>
+  page.evaluate(() =>
+    window.situStudio.annotation.told.items.map((a) => [a.from, a.to, a.track, Object.values(a.values)[0]]),
+  );
 
 // From the keyboard: the dialog, a name, two values with keys.
 async function begin(page, name) {
@@ -48,7 +51,11 @@ test("10 annotation: twenty segments by keys alone, undone and saved", async ({ 
   equal(await page.$$eval("[data-panel]", (p) => p.length > 3), true, "the layout is as it was");
   await page.click(".annotation-tools button:text('Save')");
   await until(page, () => document.getElementById("toast").textContent === "Annotations saved", "saved");
-  equal(await page.$eval(".annotation-tools button:has-text('Saved')", (b) => b.disabled), true, "there is nothing to save");
+  equal(
+    await page.$eval(".annotation-tools button:has-text('Saved')", (b) => b.disabled),
+    true,
+    "there is nothing to save",
+  );
 });
 
 test("10 annotation: a key held while playing lasts as long as it is held", async ({ page }) => {
@@ -67,10 +74,16 @@ test("10 annotation: a key held while playing lasts as long as it is held", asyn
   near(b - a, S, 0.5 * S, "as long");
 });
 
-test("10 annotation: edges are dragged, neighbours that touch go along; proposals are taken", async ({ page, shot }) => {
+test("10 annotation: edges are dragged, neighbours that touch go along; proposals are taken", async ({
+  page,
+  shot,
+}) => {
   await open(page, site.main, "minute.0000");
   await begin(page, "Edges");
-  for (const [from, to, key] of [[10, 20, "1"], [20, 30, "2"]]) {
+  for (const [from, to, key] of [
+    [10, 20, "1"],
+    [20, 30, "2"],
+  ]) {
     await dispatch(page, { type: "nudge", by: from * S - (await state(page)).cursor });
     await page.keyboard.press(key);
     await dispatch(page, { type: "nudge", by: to * S - (await state(page)).cursor });
@@ -83,7 +96,8 @@ test("10 annotation: edges are dragged, neighbours that touch go along; proposal
   await page.mouse.move(start.x, row);
   await page.mouse.down();
   const end = await page.evaluate(() => {
-    const s = window.situStudio, box = document.getElementById("annotation-body").getBoundingClientRect();
+    const s = window.situStudio,
+      box = document.getElementById("annotation-body").getBoundingClientRect();
     const [a, b] = s.time.get().view;
     return box.left + s.gutter.left + ((24.3e9 - a) / (b - a)) * (box.width - s.gutter.left - 14);
   });
@@ -97,7 +111,11 @@ test("10 annotation: edges are dragged, neighbours that touch go along; proposal
   equal(first[1], second[0], "and the neighbour's with it");
   await page.click("#tree .node[data-stream='Vad.Speaking']", { button: "right" });
   await page.click("#menu button:has-text('Propose annotations')");
-  await until(page, () => window.situStudio.annotation.told.items.filter((a) => a.proposed).length === 6, "six proposals");
+  await until(
+    page,
+    () => window.situStudio.annotation.told.items.filter((a) => a.proposed).length === 6,
+    "six proposals",
+  );
   await shot("proposals");
   page.once("dialog", (d) => d.accept("0"));
   await page.click(".annotation-tools button:has-text('Accept')");
@@ -114,5 +132,9 @@ test("10 annotation: a server that is started again has every edit", async ({ pa
   await until(page, () => new URLSearchParams(location.search).get("annotate") === "Lasting", "the address names it");
   writeFileSync(site.restart, "2");
   await until(page, () => document.body?.dataset.connection === "closed", "the server is away");
-  await until(page, () => window.situStudio?.annotation?.told.items.length === 1 && document.body?.dataset.connection === "open", "it is back");
+  await until(
+    page,
+    () => window.situStudio?.annotation?.told.items.length === 1 && document.body?.dataset.connection === "open",
+    "it is back",
+  );
 });

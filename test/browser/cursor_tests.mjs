@@ -7,9 +7,15 @@ const S = 1e9;
 
 test("5 cursor: follows the mouse and drives every panel; held when told", async ({ page }) => {
   await open(page, main, "minute.0000");
-  const lanes = await panelOf(page, "Vad.Speaking"), image = await panelOf(page, "Camera.Image");
+  const lanes = await panelOf(page, "Vad.Speaking"),
+    image = await panelOf(page, "Camera.Image");
   await pointAt(page, lanes, 42.5 * S);
-  await until(page, (i) => document.querySelector(`#${i} canvas`).dataset.at === "42000000000", "the picture follows the mouse", image);
+  await until(
+    page,
+    (i) => document.querySelector(`#${i} canvas`).dataset.at === "42000000000",
+    "the picture follows the mouse",
+    image,
+  );
   near((await state(page)).cursor, 42.5 * S, 0.1 * S, "cursor");
   await page.keyboard.press("Alt+f");
   await pointAt(page, lanes, 10 * S);
@@ -28,7 +34,11 @@ test("5 cursor: snaps to the messages of a stream, and steps along them", async 
   await until(page, () => window.situStudio.time.get().cursor === 21e9, "the next picture");
   await page.keyboard.press("ArrowLeft");
   await page.keyboard.press("ArrowLeft");
-  await until(page, () => window.situStudio.time.get().cursor === 19e9 || window.situStudio.time.get().cursor === 20e9, "the pictures before");
+  await until(
+    page,
+    () => window.situStudio.time.get().cursor === 19e9 || window.situStudio.time.get().cursor === 20e9,
+    "the pictures before",
+  );
 });
 
 test("5 view: wheel zooms about the mouse, drag pans, keys do both", async ({ page }) => {
@@ -36,7 +46,11 @@ test("5 view: wheel zooms about the mouse, drag pans, keys do both", async ({ pa
   const id = await panelOf(page, "Vad.Speaking");
   await pointAt(page, id, 30 * S);
   for (let i = 0; i < 5; i++) await page.mouse.wheel(0, -120);
-  await until(page, () => window.situStudio.time.get().view[1] - window.situStudio.time.get().view[0] < 25e9, "the view is narrower");
+  await until(
+    page,
+    () => window.situStudio.time.get().view[1] - window.situStudio.time.get().view[0] < 25e9,
+    "the view is narrower",
+  );
   const zoomed = (await state(page)).view;
   near((30 * S - zoomed[0]) / (zoomed[1] - zoomed[0]), 0.5, 0.02, "place of the time under the mouse");
   const at = await pointAt(page, id, 30 * S);
@@ -44,7 +58,10 @@ test("5 view: wheel zooms about the mouse, drag pans, keys do both", async ({ pa
   await page.mouse.move(at.x - 100, at.y, { steps: 4 });
   await page.mouse.up();
   const panned = (await state(page)).view;
-  ok(panned[0] > zoomed[0] && Math.abs(panned[1] - panned[0] - (zoomed[1] - zoomed[0])) < 1e3, "dragged to the left shows later times");
+  ok(
+    panned[0] > zoomed[0] && Math.abs(panned[1] - panned[0] - (zoomed[1] - zoomed[0])) < 1e3,
+    "dragged to the left shows later times",
+  );
   await page.keyboard.press("Control+a");
   const data = (await state(page)).data;
   equal((await state(page)).view, data, "everything is in view");
@@ -81,7 +98,9 @@ test("5 playback: runs with sound in step, repeats a selection, at another speed
   await page.keyboard.press("Space");
   await until(page, () => window.situStudio.playback.run?.heard > 16000, "sound is scheduled");
   const step = await page.evaluate(async () => {
-    const p = window.situStudio.playback, t0 = p.context.currentTime, c0 = window.situStudio.time.get().cursor;
+    const p = window.situStudio.playback,
+      t0 = p.context.currentTime,
+      c0 = window.situStudio.time.get().cursor;
     await new Promise((r) => setTimeout(r, 1200));
     return { sound: p.context.currentTime - t0, cursor: (window.situStudio.time.get().cursor - c0) / 1e9 };
   });
@@ -93,7 +112,9 @@ test("5 playback: runs with sound in step, repeats a selection, at another speed
   await page.keyboard.press(".");
   await page.keyboard.press("Control+Space");
   const seen = await page.evaluate(async () => {
-    let wraps = 0, last = 0, outside = 0;
+    let wraps = 0,
+      last = 0,
+      outside = 0;
     const end = performance.now() + 1500;
     while (performance.now() < end) {
       const c = window.situStudio.time.get().cursor;
@@ -122,14 +143,21 @@ test("5 go to time: accepts a time, refuses what is none or outside", async ({ p
   equal((await state(page)).cursor, 42.5 * S, "cursor");
 });
 
-test("5 cursor: a link keeps the stream that it snaps to; its time is copied as 'go to' takes it", async ({ page, context }) => {
+test("5 cursor: a link keeps the stream that it snaps to; its time is copied as 'go to' takes it", async ({
+  page,
+  context,
+}) => {
   await context.grantPermissions(["clipboard-read", "clipboard-write"]);
   await open(page, main, "minute.0000");
   await page.click("#tree .node[data-stream='Camera.Image'] .name");
   await page.click("text=Snap cursor to it");
   await until(page, () => new URLSearchParams(location.search).get("snap") === "Camera.Image", "the address says so");
   await page.goto(page.url());
-  await until(page, () => document.body?.dataset.ready === "1" && window.situStudio.client.snap === "Camera.Image", "and a reload keeps it");
+  await until(
+    page,
+    () => document.body?.dataset.ready === "1" && window.situStudio.client.snap === "Camera.Image",
+    "and a reload keeps it",
+  );
   await page.click(".snapped");
   await until(page, () => window.situStudio.client.snap === null && !document.querySelector(".snapped"), "released");
   await dispatch(page, { type: "nudge", by: 12_345_678_901 - (await state(page)).cursor });
@@ -144,7 +172,10 @@ test("5 cursor: a link keeps the stream that it snaps to; its time is copied as 
   equal((await state(page)).cursor, 12_345_678_901, "back at that time");
 });
 
-test("5 selection: an interval that is clicked is selected; the menu tells its statistics", async ({ page, shot }) => {
+test("5 selection: an interval that is clicked is selected; the menu tells its statistics", async ({
+  page,
+  shot,
+}) => {
   await open(page, main, "minute.0000");
   const lanes = await panelOf(page, "Vad.Speaking");
   const at = await pointAt(page, lanes, 7 * S);
@@ -154,7 +185,9 @@ test("5 selection: an interval that is clicked is selected; the menu tells its s
   await page.click(`#${level}`, { button: "right" });
   await page.click("#menu button:has-text('Statistics')");
   await until(page, () => document.getElementById("statistics"), "the table is there");
-  const table = await page.$$eval("#statistics tr", (rows) => Object.fromEntries(rows.map((r) => [...r.children].map((c) => c.textContent))));
+  const table = await page.$$eval("#statistics tr", (rows) =>
+    Object.fromEntries(rows.map((r) => [...r.children].map((c) => c.textContent))),
+  );
   equal(table.messages, "501", "messages of five seconds, both ends");
   equal(table.rate, "100 /s", "rate");
   near(Number(table.greatest), 1, 1e-4, "the greatest");

@@ -7,7 +7,8 @@ const tests = [];
 export const test = (name, run) => tests.push({ name, run });
 
 export function equal(actual, expected, what) {
-  const a = JSON.stringify(actual), e = JSON.stringify(expected);
+  const a = JSON.stringify(actual),
+    e = JSON.stringify(expected);
   if (a !== e) throw new Error(`${what}: expected ${e}, got ${a}`);
 }
 
@@ -16,7 +17,8 @@ export function ok(value, what) {
 }
 
 export function near(actual, expected, by, what) {
-  if (!(Math.abs(actual - expected) <= by)) throw new Error(`${what}: expected ${expected} within ${by}, got ${actual}`);
+  if (!(Math.abs(actual - expected) <= by))
+    throw new Error(`${what}: expected ${expected} within ${by}, got ${actual}`);
 }
 
 // Waits until `probe` in the page is true.
@@ -31,10 +33,19 @@ export async function until(page, probe, what, arg) {
 export async function runAll({ filter = "", times = 1, shots }) {
   const browser = await chromium.launch({
     executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
-    args: ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-      "--disable-component-update", "--disable-sync", "--autoplay-policy=no-user-gesture-required"],
+    args: [
+      "--no-sandbox",
+      "--disable-gpu",
+      "--disable-quic",
+      "--no-first-run",
+      "--disable-background-networking",
+      "--disable-component-update",
+      "--disable-sync",
+      "--autoplay-policy=no-user-gesture-required",
+    ],
   });
-  let passed = 0, failed = 0;
+  let passed = 0,
+    failed = 0;
   const wanted = tests.filter(({ name }) => name.includes(filter));
   for (const { name, run } of wanted.flatMap((t) => Array(times).fill(t))) {
     const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: "dark" });
@@ -57,7 +68,8 @@ export async function runAll({ filter = "", times = 1, shots }) {
       failed++;
       const seen = [`at ${page.url()}`, ...errors.map((e) => `raised: ${e}`), ...said.slice(-8)];
       console.log(["FAILED: " + name, ...error.message.split("\n").slice(0, 6), ...seen].join("\n    "));
-      if (shots) await page.screenshot({ path: join(shots, `failed-${name.replace(/\W+/g, "-")}.png`) }).catch(() => {});
+      if (shots)
+        await page.screenshot({ path: join(shots, `failed-${name.replace(/\W+/g, "-")}.png`) }).catch(() => {});
     }
     await context.close();
   }

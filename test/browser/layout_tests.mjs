@@ -12,7 +12,11 @@ test("8 layouts: saved, switched and deleted; a link gives the same picture", as
   await page.click("button[title='Save the layout']");
   await page.fill("#layout-save input[name=name]", "Tuned & <b>bold</b>");
   await page.keyboard.press("Enter");
-  await until(page, () => document.getElementById("studio").dataset.layout === "Tuned & <b>bold</b>", "the layout is saved");
+  await until(
+    page,
+    () => document.getElementById("studio").dataset.layout === "Tuned & <b>bold</b>",
+    "the layout is saved",
+  );
   const rows = await page.$$eval(".row-box", (r) => r.length);
   await page.selectOption("#layout-pick select", "Automatic");
   await until(page, () => document.getElementById("studio").dataset.layout === "Automatic", "another layout");
@@ -39,7 +43,12 @@ test("8 layouts: saved, switched and deleted; a link gives the same picture", as
   await page.goto(page.url());
   await until(page, () => document.body?.dataset.ready === "1", "reloaded");
   const after = await still(page);
-  if (process.env.SHOTS) for (const [n, b] of [["before", before], ["after", after]]) writeFileSync(`${process.env.SHOTS}/${n}.png`, b);
+  if (process.env.SHOTS)
+    for (const [n, b] of [
+      ["before", before],
+      ["after", after],
+    ])
+      writeFileSync(`${process.env.SHOTS}/${n}.png`, b);
   ok(before.equals(after), "the reloaded page is the same picture");
 });
 
@@ -55,7 +64,10 @@ test("8 layouts: the page survives its server process", async ({ page }) => {
 });
 
 const rows = (page) => page.$$eval("[data-row]", (r) => r.map((e) => e.dataset.row));
-const cells = (page) => page.$$eval(".row-box.cells", (r) => r.map((e) => [...e.querySelectorAll("[data-panel]")].map((c) => c.dataset.panel)));
+const cells = (page) =>
+  page.$$eval(".row-box.cells", (r) =>
+    r.map((e) => [...e.querySelectorAll("[data-panel]")].map((c) => c.dataset.panel)),
+  );
 
 // The pictures above the timelines, side by side.
 async function stacked(page) {
@@ -71,12 +83,21 @@ test("8 layouts: panels are moved by dragging", async ({ page, shot }) => {
   const [pictures, sound, lanes] = await rows(page);
   // a timeline to the top
   await page.dragAndDrop(`#grip-${lanes}`, `#row-${pictures}`, { targetPosition: { x: 300, y: 20 } });
-  await until(page, (id) => document.querySelector("[data-row]").dataset.row === id, "the lanes are the first row", lanes);
+  await until(
+    page,
+    (id) => document.querySelector("[data-row]").dataset.row === id,
+    "the lanes are the first row",
+    lanes,
+  );
   equal((await rows(page)).slice(0, 3), [lanes, pictures, sound], "rows");
   // one picture to the other side of the other, then below the sound
   equal(await cells(page), [["p1", "p2"]], "pictures side by side");
   await page.dragAndDrop("#grip-p1", "#cell-p2", { targetPosition: { x: 350, y: 110 } });
-  await until(page, () => document.querySelector(".row-box.cells .cell").dataset.panel === "p2", "the pictures change places");
+  await until(
+    page,
+    () => document.querySelector(".row-box.cells .cell").dataset.panel === "p2",
+    "the pictures change places",
+  );
   await page.dragAndDrop("#grip-p1", `#row-${sound}`, { targetPosition: { x: 300, y: 80 } });
   await until(page, () => document.querySelectorAll(".row-box.cells").length === 2, "a picture has a row of its own");
   equal(await cells(page), [["p2"], ["p1"]], "pictures in rows of their own");
@@ -105,7 +126,11 @@ test("8 layouts: panels are moved by keys, and keep the focus", async ({ page })
   await until(page, (id) => document.querySelector("[data-row]").dataset.row === id, "and another", before[2]);
   await page.focus("#grip-p1");
   await page.keyboard.press("ArrowRight");
-  await until(page, () => document.querySelector(".row-box.cells .cell").dataset.panel === "p2", "the pictures change places");
+  await until(
+    page,
+    () => document.querySelector(".row-box.cells .cell").dataset.panel === "p2",
+    "the pictures change places",
+  );
   equal((await state(page)).cursor, 0, "the keys did not move the cursor");
 });
 
@@ -124,7 +149,12 @@ test("9 export: the selection is saved as a recording that opens", async ({ page
   await page.fill("#export-save input[name=name]", name);
   await page.keyboard.press("Enter");
   await until(page, () => document.getElementById("toast").textContent.startsWith("Saved as"), "it says where");
-  await until(page, (n) => [...document.querySelectorAll(".store")].some((e) => e.title === `${n}.0000`), "it is listed", name);
+  await until(
+    page,
+    (n) => [...document.querySelectorAll(".store")].some((e) => e.title === `${n}.0000`),
+    "it is listed",
+    name,
+  );
   await page.click(`.store[title="${name}.0000"]`);
   await until(page, () => document.body?.dataset.ready === "1" && location.pathname.includes("part"), "it opens");
   const { data } = await state(page);

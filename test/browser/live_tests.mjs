@@ -18,14 +18,20 @@ test("6 live: follows what grows, leaves and comes back", async ({ page, shot })
   near(second.cursor - first.cursor, 1.5 * S, 0.5 * S, "the cursor goes with the time");
   const image = await panelOf(page, "Live.Image");
   await until(page, (i) => document.querySelector(`#${i} canvas`).dataset.at, "a picture", image);
-  const behind = await page.evaluate((i) => window.situStudio.time.get().cursor - Number(document.querySelector(`#${i} canvas`).dataset.at), image);
+  const behind = await page.evaluate(
+    (i) => window.situStudio.time.get().cursor - Number(document.querySelector(`#${i} canvas`).dataset.at),
+    image,
+  );
   near(behind, 0, 0.6 * S, "the newest picture is shown");
   await shot("live");
   await page.keyboard.press("l");
   const left = await state(page);
   equal(left.mode, "manual", "left");
   await page.waitForTimeout(1300);
-  ok((await state(page)).cursor === left.cursor && (await state(page)).data[1] > left.data[1], "the cursor stays, the data grows");
+  ok(
+    (await state(page)).cursor === left.cursor && (await state(page)).data[1] > left.data[1],
+    "the cursor stays, the data grows",
+  );
   await page.keyboard.press("l");
   equal((await state(page)).mode, "live", "back");
 });
@@ -33,20 +39,32 @@ test("6 live: follows what grows, leaves and comes back", async ({ page, shot })
 test("6 live: a running pipeline is looked into; a page that hangs does not slow it", async ({ page, shot }) => {
   await open(page, main, "Lobby");
   equal((await state(page)).mode, "live", "live");
-  await until(page, () => {
-    const image = document.querySelector(".image-cell"), line = [...window.situStudio.views].find((v) => v.plot);
-    return image?.querySelector("canvas").dataset.at && line?.layers.every((l) => l.channel.series.length > 10);
-  }, "picture and lines move");
-  const newest = () => page.evaluate(() => {
-    const l = [...window.situStudio.views].filter((v) => v.plot).flatMap((v) => v.layers).find((k) => k.vis.stream === "Clock.Count");
-    const s = l.channel.series;
-    // The newest bins may hold nothing yet.
-    let i = s.length - 1;
-    while (i > 0 && !Number.isFinite(s.last[i])) i--;
-    return [s.last[i], s.t[i] / 1e9, performance.now() / 1e3];
-  });
+  await until(
+    page,
+    () => {
+      const image = document.querySelector(".image-cell"),
+        line = [...window.situStudio.views].find((v) => v.plot);
+      return image?.querySelector("canvas").dataset.at && line?.layers.every((l) => l.channel.series.length > 10);
+    },
+    "picture and lines move",
+  );
+  const newest = () =>
+    page.evaluate(() => {
+      const l = [...window.situStudio.views]
+        .filter((v) => v.plot)
+        .flatMap((v) => v.layers)
+        .find((k) => k.vis.stream === "Clock.Count");
+      const s = l.channel.series;
+      // The newest bins may hold nothing yet.
+      let i = s.length - 1;
+      while (i > 0 && !Number.isFinite(s.last[i])) i--;
+      return [s.last[i], s.t[i] / 1e9, performance.now() / 1e3];
+    });
   const a = await newest();
-  await page.evaluate(() => { const end = performance.now() + 2500; while (performance.now() < end); });
+  await page.evaluate(() => {
+    const end = performance.now() + 2500;
+    while (performance.now() < end);
+  });
   await page.waitForTimeout(400);
   const b = await newest();
   // 30 on an idle machine; a busy one ticks slower, but never as slowly as a page that hangs for most of the time.
@@ -75,11 +93,25 @@ test("a server that is started anew: said while it is away, and the page is as i
   await until(page, () => new URLSearchParams(location.search).get("sel"), "the address holds the selection");
   const panels = await page.$$eval("[data-panel]", (p) => p.length);
   writeFileSync(site.restart, "4");
-  await until(page, () => document.getElementById("banner").textContent.includes("does not answer"), "the page says that the server is away");
+  await until(
+    page,
+    () => document.getElementById("banner").textContent.includes("does not answer"),
+    "the page says that the server is away",
+  );
   equal(await page.textContent("#connection"), "reconnecting", "the status line");
   await shot("server-away");
-  await until(page, () => document.body?.dataset.connection === "open" && document.getElementById("toast")?.textContent === "Connected again", "connected again, in words");
-  await until(page, () => document.body?.dataset.ready === "1" && document.querySelector("[data-phx-main].phx-connected"), "all of it is back");
+  await until(
+    page,
+    () =>
+      document.body?.dataset.connection === "open" &&
+      document.getElementById("toast")?.textContent === "Connected again",
+    "connected again, in words",
+  );
+  await until(
+    page,
+    () => document.body?.dataset.ready === "1" && document.querySelector("[data-phx-main].phx-connected"),
+    "all of it is back",
+  );
   equal(await page.textContent("#banner"), "", "no banner any more");
   const s = await state(page);
   equal([s.sel, s.cursor], [[12 * S, 18 * S], 15 * S], "selection and cursor are kept");

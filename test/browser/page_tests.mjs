@@ -19,7 +19,11 @@ test("2 the page: tree, search, keyboard and themes", async ({ page, shot }) => 
   await page.focus("#tree .node");
   for (let i = 0; i < 4; i++) await page.keyboard.press("ArrowDown");
   await page.keyboard.press("ArrowLeft");
-  await until(page, () => [...document.querySelectorAll("#tree .node")].some((n) => n.getAttribute("aria-expanded") === "false"), "a group is folded by keys");
+  await until(
+    page,
+    () => [...document.querySelectorAll("#tree .node")].some((n) => n.getAttribute("aria-expanded") === "false"),
+    "a group is folded by keys",
+  );
   const before = await page.evaluate(() => getComputedStyle(document.body).backgroundColor);
   await page.evaluate(() => document.activeElement.blur());
   await page.keyboard.press("t");
@@ -41,22 +45,41 @@ test("2 the page: nothing moves after it is shown, and all of it fits 1280 x 720
   await dispatch(page, { type: "zoomSel" });
   await settled(page);
   ok((await page.evaluate(() => window.shift)) < 0.01, `layout shift is ${await page.evaluate(() => window.shift)}`);
-  equal(await page.evaluate(() => [document.documentElement.scrollWidth, document.documentElement.scrollHeight]), [1280, 720], "size of the page");
+  equal(
+    await page.evaluate(() => [document.documentElement.scrollWidth, document.documentElement.scrollHeight]),
+    [1280, 720],
+    "size of the page",
+  );
   const over = await page.$$eval(".topbar > *", (els) =>
-    els.filter((e) => e.getBoundingClientRect().right > 1280).map((e) => `${e.className} ${e.getBoundingClientRect().right}`));
+    els
+      .filter((e) => e.getBoundingClientRect().right > 1280)
+      .map((e) => `${e.className} ${e.getBoundingClientRect().right}`),
+  );
   equal(over, [], "the toolbar fits");
 });
 
-test("2 the page: a window of 900 px has all of the toolbar, and the properties when asked for", async ({ page, shot }) => {
+test("2 the page: a window of 900 px has all of the toolbar, and the properties when asked for", async ({
+  page,
+  shot,
+}) => {
   await page.setViewportSize({ width: 900, height: 600 });
   await open(page, main, "minute.0000");
   equal(await page.evaluate(() => document.documentElement.scrollWidth), 900, "nothing is wider than the window");
   const over = await page.$$eval(".topbar button, .topbar select, .topbar a", (els) =>
-    els.filter((e) => e.offsetParent && (e.getBoundingClientRect().right > 900 || e.getBoundingClientRect().width < 20)).map((e) => e.title));
+    els
+      .filter(
+        (e) => e.offsetParent && (e.getBoundingClientRect().right > 900 || e.getBoundingClientRect().width < 20),
+      )
+      .map((e) => e.title),
+  );
   equal(over, [], "what does not fit the toolbar");
   equal(await page.isVisible(".right"), false, "the properties are away");
   await page.click("#tree .node[data-stream='Imu.Acc.X'] .name");
-  await until(page, () => document.querySelector(".right h2")?.textContent === "Imu.Acc.X", "the properties are told");
+  await until(
+    page,
+    () => document.querySelector(".right h2")?.textContent === "Imu.Acc.X",
+    "the properties are told",
+  );
   ok(await page.isVisible(".right h2"), "and shown");
   await shot("narrow");
   await page.click("button[aria-label='Hide the properties']");
@@ -72,7 +95,11 @@ test("2 the page: two hundred streams are searched and walked by keys", async ({
   await open(page, main, "many.0000");
   await page.keyboard.press("/");
   await page.keyboard.type("joint7 robot");
-  await until(page, () => document.querySelector(".found")?.textContent.trim() === "10 of 200 streams", "it tells how many are found");
+  await until(
+    page,
+    () => document.querySelector(".found")?.textContent.trim() === "10 of 200 streams",
+    "it tells how many are found",
+  );
   await page.keyboard.press("ArrowDown");
   await until(page, () => document.activeElement?.id === "node-Robot1", "down into the tree");
   await page.keyboard.press("ArrowDown");
@@ -83,5 +110,9 @@ test("2 the page: two hundred streams are searched and walked by keys", async ({
   await shot("many");
   await page.focus("#search");
   await page.keyboard.press("Escape");
-  await until(page, () => !document.querySelector(".found") && document.querySelectorAll("#tree .node").length === 400, "all again, as many rows as are listed");
+  await until(
+    page,
+    () => !document.querySelector(".found") && document.querySelectorAll("#tree .node").length === 400,
+    "all again, as many rows as are listed",
+  );
 });

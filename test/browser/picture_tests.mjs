@@ -11,7 +11,12 @@ test("4 pictures: the one at the cursor, with rectangles over it", async ({ page
   const id = await panelOf(page, "Camera.Image");
   for (const s of [10, 33, 50]) {
     await dispatch(page, { type: "cursor", t: s * S + 3e8 });
-    await until(page, ([i, at]) => document.querySelector(`#${i} canvas`).dataset.at === String(at), `the picture of second ${s} is there`, [id, s * S]);
+    await until(
+      page,
+      ([i, at]) => document.querySelector(`#${i} canvas`).dataset.at === String(at),
+      `the picture of second ${s} is there`,
+      [id, s * S],
+    );
     await settled(page);
     const [r, g, b] = await pixel(page, `#${id} canvas`, 0.75, 0.5);
     equal([r, g, b], color(s), `colour of second ${s}`);
@@ -22,13 +27,19 @@ test("4 pictures: the one at the cursor, with rectangles over it", async ({ page
 
 test("4 a film: picture and waveform of an MP4, scrubbed back and forth", async ({ page, shot }) => {
   await open(page, main, "film.mp4");
-  const id = await panelOf(page, "Video"), wave = await panelOf(page, "Audio");
+  const id = await panelOf(page, "Video"),
+    wave = await panelOf(page, "Audio");
   const times = [];
   for (const s of [7, 2, 1, 8, 4]) {
     const asked = Date.now();
     await dispatch(page, { type: "cursor", t: s * S + 5e8 });
     // the picture is shown from its time on: 25 a second, 12 of them in half a second
-    await until(page, ([i, at]) => document.querySelector(`#${i} canvas`).dataset.at === String(at), `the picture of second ${s} is there`, [id, s * S + 48e7]);
+    await until(
+      page,
+      ([i, at]) => document.querySelector(`#${i} canvas`).dataset.at === String(at),
+      `the picture of second ${s} is there`,
+      [id, s * S + 48e7],
+    );
     times.push(Date.now() - asked);
     await settled(page);
     const seen = await pixel(page, `#${id} canvas`, 0.75, 0.5);
@@ -49,10 +60,16 @@ test("4 depth, bars and values", async ({ page }) => {
   await dispatch(page, { type: "cursor", t: 30 * S });
   await settled(page);
   const depth = await panelOf(page, "Kinect.Depth");
-  const left = await pixel(page, `#${depth} canvas`, 0.3, 0.5), right = await pixel(page, `#${depth} canvas`, 0.7, 0.5);
+  const left = await pixel(page, `#${depth} canvas`, 0.3, 0.5),
+    right = await pixel(page, `#${depth} canvas`, 0.7, 0.5);
   ok(left[0] > left[2] && right[2] > right[0], `near is warm, far is cold: ${left} ${right}`);
   await page.hover(`#${depth} canvas`);
-  await until(page, (i) => /= \d+/.test(document.querySelector(`#${i} .cell-info`).textContent), "the depth under the mouse is told", depth);
+  await until(
+    page,
+    (i) => /= \d+/.test(document.querySelector(`#${i} .cell-info`).textContent),
+    "the depth under the mouse is told",
+    depth,
+  );
   await page.click("#tree .node[data-stream='Speech.Scores'] .name");
   await page.click("button[phx-value-viz='bars']");
   await until(page, () => document.querySelector(".chart-cell"), "bars are shown");
@@ -61,17 +78,32 @@ test("4 depth, bars and values", async ({ page }) => {
   ok((await count(page, `#${bars} canvas`, await colorOf(page, "Speech.Scores"))) > 2000, "bars are drawn");
   await page.click("#tree .node[data-stream='Camera.Faces'] .name");
   await page.click("button[phx-value-viz='value']");
-  await until(page, () => [...document.querySelectorAll(".value-tree .v")].some((e) => e.textContent === '"Ada"'), "the value tree shows the label");
+  await until(
+    page,
+    () => [...document.querySelectorAll(".value-tree .v")].some((e) => e.textContent === '"Ada"'),
+    "the value tree shows the label",
+  );
 });
 
 test("4 values: plot this path", async ({ page, shot }) => {
   await open(page, main, "minute.0000");
   await page.dblclick("#tree .node >> nth=0");
-  await until(page, () => [...document.querySelectorAll(".value-tree .k")].some((e) => e.textContent === "pose"), "the value is shown as a tree");
+  await until(
+    page,
+    () => [...document.querySelectorAll(".value-tree .k")].some((e) => e.textContent === "pose"),
+    "the value is shown as a tree",
+  );
   const row = page.locator(".value-tree .row", { has: page.locator(".k", { hasText: /^x$/ }) });
   await row.hover();
   await row.locator(".plot-path").click();
-  await until(page, () => [...window.situStudio.views].some((v) => v.layers?.some((l) => l.vis.path === ".pose.x" && l.channel.series.length === 60)), "the path is plotted");
+  await until(
+    page,
+    () =>
+      [...window.situStudio.views].some((v) =>
+        v.layers?.some((l) => l.vis.path === ".pose.x" && l.channel.series.length === 60),
+      ),
+    "the path is plotted",
+  );
   const low = await page.$eval("[data-panel].selected", (e) => e.getBoundingClientRect().bottom);
   ok(low <= 700, `the new panel is in sight: it ends at ${low}`);
   await settled(page);
@@ -81,7 +113,11 @@ test("4 values: plot this path", async ({ page, shot }) => {
 test("4 values: the tree is walked and plotted by keys alone", async ({ page }) => {
   await open(page, main, "minute.0000");
   await page.dblclick("#tree .node >> nth=0");
-  await until(page, () => [...document.querySelectorAll(".value-tree .k")].some((e) => e.textContent === "pose"), "the value is shown as a tree");
+  await until(
+    page,
+    () => [...document.querySelectorAll(".value-tree .k")].some((e) => e.textContent === "pose"),
+    "the value is shown as a tree",
+  );
   await page.focus(".value-tree");
   await page.keyboard.press("ArrowDown");
   const rows = () => page.$$eval(".value-tree .row", (r) => r.length);
@@ -90,9 +126,18 @@ test("4 values: the tree is walked and plotted by keys alone", async ({ page }) 
   await until(page, () => document.querySelectorAll(".value-tree .row").length === 1, "the root is folded");
   await page.keyboard.press("ArrowRight");
   equal(await rows(), all, "rows when it is unfolded again");
-  for (let i = 0; i < all && (await page.evaluate(() => document.activeElement.querySelector(".k")?.textContent)) !== "x"; i++) await page.keyboard.press("ArrowDown");
+  for (
+    let i = 0;
+    i < all && (await page.evaluate(() => document.activeElement.querySelector(".k")?.textContent)) !== "x";
+    i++
+  )
+    await page.keyboard.press("ArrowDown");
   await page.keyboard.press("Enter");
-  await until(page, () => [...window.situStudio.views].some((v) => v.layers?.some((l) => l.vis.path === ".pose.x")), "the path is plotted");
+  await until(
+    page,
+    () => [...window.situStudio.views].some((v) => v.layers?.some((l) => l.vis.path === ".pose.x")),
+    "the path is plotted",
+  );
 });
 
 test("4 depth: the range of its colours is fixed, and no reading is drawn in a colour", async ({ page, shot }) => {
@@ -107,24 +152,44 @@ test("4 depth: the range of its colours is fixed, and no reading is drawn in a c
   await until(page, () => document.querySelector("#f-p2-0-min"), "the ends of the range can be set");
   await page.fill("#f-p2-0-min", "100");
   await page.fill("#f-p2-0-max", "900");
-  await until(page, (i) => [...window.situStudio.views].find((v) => v.el.id === i).layers[0].picture.range.join() === "100,900", "the picture that is shown is coloured anew", id);
+  await until(
+    page,
+    (i) => [...window.situStudio.views].find((v) => v.el.id === i).layers[0].picture.range.join() === "100,900",
+    "the picture that is shown is coloured anew",
+    id,
+  );
   await settled(page);
   const fixed = await pixel(page, `#${id} canvas`, 0.5, 0.4);
   ok(fixed[2] > fixed[0] && own[2] < fixed[2], `900 is the far end now: ${own} -> ${fixed}`);
   await shot("depth-range");
   // at (0, 0) of second 0 stands 500
   await page.fill("#f-p2-0-invalid", "500");
-  await until(page, (i) => JSON.parse(document.getElementById(i).dataset.config).vis[0].props.invalid === 500, "what is no reading is set", id);
+  await until(
+    page,
+    (i) => JSON.parse(document.getElementById(i).dataset.config).vis[0].props.invalid === 500,
+    "what is no reading is set",
+    id,
+  );
   await page.$eval("#f-p2-0-invalid_color", (e) => {
     e.value = "#ff00ff";
     e.dispatchEvent(new Event("input", { bubbles: true }));
   });
-  await until(page, (i) => JSON.parse(document.getElementById(i).dataset.config).vis[0].props.invalid_color === "#ff00ff", "the colour is set", id);
+  await until(
+    page,
+    (i) => JSON.parse(document.getElementById(i).dataset.config).vis[0].props.invalid_color === "#ff00ff",
+    "the colour is set",
+    id,
+  );
   await settled(page);
   const magenta = () => count(page, `#${id} canvas`, [255, 0, 255], 12);
   ok((await magenta()) > 10, "no reading is magenta");
   await page.click("button[title='Back to see-through']");
-  await until(page, (i) => !JSON.parse(document.getElementById(i).dataset.config).vis[0].props.invalid_color, "the colour is taken back", id);
+  await until(
+    page,
+    (i) => !JSON.parse(document.getElementById(i).dataset.config).vis[0].props.invalid_color,
+    "the colour is taken back",
+    id,
+  );
   await settled(page);
   equal(await magenta(), 0, "and see-through again");
 });
@@ -136,11 +201,18 @@ test("4 pictures: what lies under the mouse is told, mirrored pictures included"
   await settled(page);
   // where a place of the picture of 64 x 48 is on the screen
   const point = async (x, y) => {
-    const box = await page.$eval(`#${id}`, (e) => { const b = e.getBoundingClientRect(); return [b.left, b.top, b.width, b.height]; });
+    const box = await page.$eval(`#${id}`, (e) => {
+      const b = e.getBoundingClientRect();
+      return [b.left, b.top, b.width, b.height];
+    });
     const k = Math.min(box[2] / 64, box[3] / 48);
     await page.mouse.move(box[0] + (box[2] - 64 * k) / 2 + x * k, box[1] + (box[3] - 48 * k) / 2 + y * k);
   };
-  const told = () => page.evaluate(() => { const t = document.getElementById("tip"); return t && !t.hidden ? t.textContent : ""; });
+  const told = () =>
+    page.evaluate(() => {
+      const t = document.getElementById("tip");
+      return t && !t.hidden ? t.textContent : "";
+    });
   await point(15, 15);
   await until(page, () => document.getElementById("tip")?.textContent.includes("Ada"), "the face is told");
   equal((await told()).split("\n"), ["Ada", "score 0.93", "id 0", "20 × 20 at (10, 10)"], "label, score, id, place");
@@ -149,7 +221,12 @@ test("4 pictures: what lies under the mouse is told, mirrored pictures included"
   equal(await told(), "", "nothing where nothing is");
   await page.click(`button.title[title='Camera.Image, Camera.Faces']`);
   await page.check("#f-p1-0-flip");
-  await until(page, (i) => JSON.parse(document.getElementById(i).dataset.config).vis[0].props.flip === true, "mirrored", id);
+  await until(
+    page,
+    (i) => JSON.parse(document.getElementById(i).dataset.config).vis[0].props.flip === true,
+    "mirrored",
+    id,
+  );
   await settled(page);
   await point(64 - 15, 15);
   await until(page, () => !document.getElementById("tip").hidden, "the face is on the other side");

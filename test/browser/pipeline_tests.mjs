@@ -5,18 +5,28 @@ const { main } = JSON.parse(process.argv[2]);
 
 async function graph(page, path) {
   await page.goto(`${main}/p/${path}`);
-  await until(page, () => document.querySelector("#graph svg")?.dataset.drawn >= 1 && document.querySelector(".graph .node"), "the graph is drawn");
+  await until(
+    page,
+    () => document.querySelector("#graph svg")?.dataset.drawn >= 1 && document.querySelector(".graph .node"),
+    "the graph is drawn",
+  );
 }
 
 const nodes = (page) => page.$$eval(".graph .node", (n) => n.map((e) => e.dataset.path).sort());
 const fill = (page, path) => page.$eval(`.graph .node[data-path="${path}"] rect`, (e) => getComputedStyle(e).fill);
 const number = (page, key) => page.$eval(`.graph .edge[data-key="${key}"] .number`, (e) => e.textContent);
 
-test("7 pipeline: the graph with its composites, policies and states; it folds and unfolds", async ({ page, shot }) => {
+test("7 pipeline: the graph with its composites, policies and states; it folds and unfolds", async ({
+  page,
+  shot,
+}) => {
   await graph(page, "Factory");
   equal(await nodes(page), ["Belt.Double", "Belt.Source", "Fast", "Join", "Screen", "Slow.Heavy"], "components");
   equal(await page.$$eval(".graph .box", (b) => b.map((e) => e.dataset.path).sort()), ["Belt", "Slow"], "composites");
-  ok(await page.$eval(".graph .edge.lossy .policy", (e) => e.textContent === "latest"), "a lossy connection names its policy");
+  ok(
+    await page.$eval(".graph .edge.lossy .policy", (e) => e.textContent === "latest"),
+    "a lossy connection names its policy",
+  );
   const inside = await page.evaluate(() => {
     const box = document.querySelector('.graph .box[data-path="Belt"] rect').getBoundingClientRect();
     return ["Belt.Double", "Belt.Source"].every((p) => {
@@ -37,27 +47,52 @@ test("7 pipeline: the graph with its composites, policies and states; it folds a
   await until(page, () => document.querySelectorAll(".graph .node").length === 6, "unfolded again");
   await page.click("text=Fold all");
   await until(page, () => document.querySelectorAll(".graph .node.composite").length === 2, "all folded");
-  ok(await page.$$eval(".graph .edge", (e) => e.every((x) => x.querySelector(".line").getAttribute("d").length > 5)), "connections end at the boxes");
+  ok(
+    await page.$$eval(".graph .edge", (e) => e.every((x) => x.querySelector(".line").getAttribute("d").length > 5)),
+    "connections end at the boxes",
+  );
 });
 
 test("7 pipeline: any statistic colours it, and the numbers move", async ({ page, shot }) => {
   await graph(page, "Factory");
   await page.selectOption("#heat select", "busy");
-  await until(page, () => [...document.querySelectorAll(".graph .number")].some((e) => parseFloat(e.textContent) > 30), "the slow part is busy");
+  await until(
+    page,
+    () => [...document.querySelectorAll(".graph .number")].some((e) => parseFloat(e.textContent) > 30),
+    "the slow part is busy",
+  );
   const [hot, cold] = [await fill(page, "Slow.Heavy"), await fill(page, "Belt.Double")];
   ok(hot !== cold, `hot and cold differ: ${hot} ${cold}`);
   await page.selectOption("#heat select", "processed");
   const key = await page.$eval(".graph .edge", (e) => e.dataset.key);
-  await until(page, (k) => parseFloat(document.querySelector(`.graph .edge[data-key="${k}"] .number`).textContent) > 0, "messages are counted", key);
+  await until(
+    page,
+    (k) => parseFloat(document.querySelector(`.graph .edge[data-key="${k}"] .number`).textContent) > 0,
+    "messages are counted",
+    key,
+  );
   const drawn = await page.$eval("#graph svg", (e) => e.dataset.drawn);
   const before = await number(page, key);
-  await until(page, ([k, b]) => document.querySelector(`.graph .edge[data-key="${k}"] .number`).textContent !== b, "the count grows", [key, before]);
+  await until(
+    page,
+    ([k, b]) => document.querySelector(`.graph .edge[data-key="${k}"] .number`).textContent !== b,
+    "the count grows",
+    [key, before],
+  );
   equal(await page.$eval("#graph svg", (e) => e.dataset.drawn), drawn, "without laying it out anew");
   await page.selectOption("#heat select", "memory");
-  await until(page, () => [...document.querySelectorAll(".graph .node .sub")].every((e) => /B$/.test(e.textContent)), "memory stands in the components");
+  await until(
+    page,
+    () => [...document.querySelectorAll(".graph .node .sub")].every((e) => /B$/.test(e.textContent)),
+    "memory stands in the components",
+  );
   await shot("pipeline-memory");
   await page.selectOption("#heat select", "none");
-  await until(page, () => [...document.querySelectorAll(".graph .node")].every((e) => e.style.getPropertyValue("--heat") === "0"), "no colour");
+  await until(
+    page,
+    () => [...document.querySelectorAll(".graph .node")].every((e) => e.style.getPropertyValue("--heat") === "0"),
+    "no colour",
+  );
 });
 
 test("7 pipeline: a component tells state, process and past", async ({ page, shot }) => {
@@ -65,22 +100,38 @@ test("7 pipeline: a component tells state, process and past", async ({ page, sho
   await page.click('.graph .node[data-path="Slow.Heavy"]');
   await until(page, () => document.querySelector(".right h2")?.textContent === "Slow.Heavy", "details");
   const text = await page.textContent(".right");
-  for (const word of ["Mailbox", "Memory", "Reductions per second", "Errors", "Process"]) ok(text.includes(word), `tells ${word}`);
-  await until(page, () => document.querySelectorAll(".spark output").length === 3 && /max/.test(document.querySelector("#plot-memory output").textContent), "its past is plotted");
-  const ink = () => page.$eval("#plot-memory canvas", (c) => {
-    const d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
-    let n = 0;
-    for (let i = 3; i < d.length; i += 4) if (d[i] > 0) n++;
-    return n;
-  });
+  for (const word of ["Mailbox", "Memory", "Reductions per second", "Errors", "Process"])
+    ok(text.includes(word), `tells ${word}`);
+  await until(
+    page,
+    () =>
+      document.querySelectorAll(".spark output").length === 3 &&
+      /max/.test(document.querySelector("#plot-memory output").textContent),
+    "its past is plotted",
+  );
+  const ink = () =>
+    page.$eval("#plot-memory canvas", (c) => {
+      const d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+      let n = 0;
+      for (let i = 3; i < d.length; i += 4) if (d[i] > 0) n++;
+      return n;
+    });
   ok((await ink()) > 200, "there is a line");
   await page.click(".numbers .plot-it[phx-value-stat=errors]");
   await until(page, () => document.querySelector("#plot-errors canvas"), "another statistic is plotted");
   ok(page.url().includes("plots="), "the address says so");
-  await until(page, () => document.querySelector("#plot-errors output").textContent.startsWith("0"), "with its values");
+  await until(
+    page,
+    () => document.querySelector("#plot-errors output").textContent.startsWith("0"),
+    "with its values",
+  );
   await shot("pipeline-component");
   await page.click('.graph .node[data-path="Slow.Heavy"]');
-  await until(page, () => document.querySelector(".right .side-title").textContent === "Pipeline", "a second click lets go");
+  await until(
+    page,
+    () => document.querySelector(".right .side-title").textContent === "Pipeline",
+    "a second click lets go",
+  );
 });
 
 test("7 pipeline: a connection tells its numbers and last messages", async ({ page, shot }) => {
@@ -101,16 +152,30 @@ test("7 pipeline: recorded diagnostics are shown moment by moment", async ({ pag
   await graph(page, "factory-log?sel=e1&heat=processed");
   await until(page, () => document.querySelector("#moments input")?.max === "59", "the moments are read");
   ok((await page.textContent(".status")).includes("recorded"), "it says so");
-  await until(page, () => document.querySelectorAll(".spark").length === 3 && /max/.test(document.querySelector("#plot-processed_rate output").textContent), "the whole past is plotted");
+  await until(
+    page,
+    () =>
+      document.querySelectorAll(".spark").length === 3 &&
+      /max/.test(document.querySelector("#plot-processed_rate output").textContent),
+    "the whole past is plotted",
+  );
   equal(await number(page, "e1"), "6000", "the last moment");
   await page.$eval("#moments input", (e) => {
     e.value = "9";
     e.dispatchEvent(new Event("input", { bubbles: true }));
   });
-  await until(page, () => document.querySelector('.graph .edge[data-key="e1"] .number').textContent === "1000", "an earlier one");
+  await until(
+    page,
+    () => document.querySelector('.graph .edge[data-key="e1"] .number').textContent === "1000",
+    "an earlier one",
+  );
   ok(/at=\d+/.test(page.url()), "the address says when");
   await page.reload();
-  await until(page, () => document.querySelector('.graph .edge[data-key="e1"] .number')?.textContent === "1000", "a reload shows the same");
+  await until(
+    page,
+    () => document.querySelector('.graph .edge[data-key="e1"] .number')?.textContent === "1000",
+    "a reload shows the same",
+  );
   await shot("pipeline-recorded");
 });
 
@@ -118,7 +183,7 @@ test("7 pipeline: what is not there is said; the streams lead to the graph and b
   await page.goto(`${main}/p/memory`);
   ok((await page.textContent(".message")).includes("diagnostics: true"), "a recording without diagnostics");
   await page.goto(`${main}/s/Factory`);
-  await page.click("a[title=\"The pipeline's graph\"]");
+  await page.click('a[title="The pipeline\'s graph"]');
   await until(page, () => document.querySelector(".graph .node"), "the graph");
   await page.click("a[title='Its streams']");
   await until(page, () => document.getElementById("studio"), "the streams");

@@ -7,11 +7,22 @@ const { main, guarded } = site;
 const guardedBase = guarded.replace(/\/\?.*/, "");
 const S = 1e9;
 
-test("9 serving: a token is asked for and kept in a cookie; read only hides what writes", async ({ page, browser }) => {
+test("9 serving: a token is asked for and kept in a cookie; read only hides what writes", async ({
+  page,
+  browser,
+}) => {
   const bare = await page.request.get(`${guardedBase}/`);
   equal(bare.status(), 401, "without a token");
-  equal((await page.request.get(`${guardedBase}/?token=wrong-wrong-wrong-12345`)).status(), 401, "with a wrong token");
-  equal((await page.request.get(`${guardedBase}/data/window?source=minute.0000&stream=Mic.Level`)).status(), 401, "data without a token");
+  equal(
+    (await page.request.get(`${guardedBase}/?token=wrong-wrong-wrong-12345`)).status(),
+    401,
+    "with a wrong token",
+  );
+  equal(
+    (await page.request.get(`${guardedBase}/data/window?source=minute.0000&stream=Mic.Level`)).status(),
+    401,
+    "data without a token",
+  );
   await page.goto(guarded);
   ok(!page.url().includes("token"), "the token leaves the address");
   await open(page, guardedBase, "memory");
@@ -38,14 +49,31 @@ test("security: names, texts and values are shown, never run", async ({ page }) 
   await settled(page);
   await page.waitForTimeout(300);
   equal(await page.evaluate(() => window.hacked ?? 0), 0, "nothing ran");
-  ok(await page.evaluate(() => [...document.querySelectorAll("#tree .name")].some((e) => e.textContent === "<script>hacked=1</script>")), "the name is shown as it is");
-  ok(await page.evaluate(() => [...document.querySelectorAll(".value-tree .v")].some((e) => e.textContent.includes("<img src=x"))), "the value is shown as it is");
-  equal(await page.evaluate(() => document.querySelectorAll(".value-tree img, .value-tree b:not([class])").length), 0, "elements made from values");
+  ok(
+    await page.evaluate(() =>
+      [...document.querySelectorAll("#tree .name")].some((e) => e.textContent === "<script>hacked=1</script>"),
+    ),
+    "the name is shown as it is",
+  );
+  ok(
+    await page.evaluate(() =>
+      [...document.querySelectorAll(".value-tree .v")].some((e) => e.textContent.includes("<img src=x")),
+    ),
+    "the value is shown as it is",
+  );
+  equal(
+    await page.evaluate(() => document.querySelectorAll(".value-tree img, .value-tree b:not([class])").length),
+    0,
+    "elements made from values",
+  );
 });
 
 test("security: paths, origins and malformed requests are refused", async ({ page }) => {
   for (const path of ["/assets/../../../mix.exs", "/assets/%2e%2e/%2e%2e/mix.exs", "/assets/..%2f..%2fmix.exs"]) {
-    ok([400, 404].includes((await page.request.get(main + path, { maxRedirects: 0 })).status()), `${path} is refused`);
+    ok(
+      [400, 404].includes((await page.request.get(main + path, { maxRedirects: 0 })).status()),
+      `${path} is refused`,
+    );
   }
   const missing = await page.goto(`${main}/s/..%2f..%2fetc`);
   ok([200, 400, 404].includes(missing.status()) && !(await page.content()).includes("root:"), "no path leads out");
@@ -55,18 +83,30 @@ test("security: paths, origins and malformed requests are refused", async ({ pag
     const r = await page.request.get(`${main}/data/window?source=minute.0000&stream=Mic.Level&${q}`);
     ok(r.status() < 500, `${q} is answered with ${r.status()}`);
   }
-  const closed = await page.evaluate(async (url) => {
-    const tries = ["", "{", "[]", '{"req":-1}', '{"req":1e99}', "x".repeat(300000)];
-    const out = [];
-    for (const t of tries) {
-      const ws = new WebSocket(url);
-      await new Promise((r) => (ws.onopen = r));
-      ws.send(t);
-      out.push(await new Promise((r) => { ws.onclose = () => r("closed"); ws.onmessage = () => r("answered"); setTimeout(() => r("silent"), 30000); }));
-    }
-    return out;
-  }, main.replace("http", "ws") + "/data/socket?source=minute.0000");
-  ok(closed.every((c) => c === "closed"), `malformed requests close the socket: ${closed}`);
+  const closed = await page.evaluate(
+    async (url) => {
+      const tries = ["", "{", "[]", '{"req":-1}', '{"req":1e99}', "x".repeat(300000)];
+      const out = [];
+      for (const t of tries) {
+        const ws = new WebSocket(url);
+        await new Promise((r) => (ws.onopen = r));
+        ws.send(t);
+        out.push(
+          await new Promise((r) => {
+            ws.onclose = () => r("closed");
+            ws.onmessage = () => r("answered");
+            setTimeout(() => r("silent"), 30000);
+          }),
+        );
+      }
+      return out;
+    },
+    main.replace("http", "ws") + "/data/socket?source=minute.0000",
+  );
+  ok(
+    closed.every((c) => c === "closed"),
+    `malformed requests close the socket: ${closed}`,
+  );
   await open(page, main, "minute.0000");
 });
 
@@ -74,8 +114,15 @@ test("security: a socket from a foreign page is refused", async ({ page }) => {
   const { connect } = await import("node:net");
   const { port } = new URL(main);
   const status = await new Promise((resolve) => {
-    const s = connect(Number(port), "localhost", () => s.write(`GET /data/socket?source=minute.0000 HTTP/1.1\r\nHost: localhost:${port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\nOrigin: http://evil.example\r\n\r\n`));
-    s.once("data", (d) => { resolve(d.toString().split(" ")[1]); s.destroy(); });
+    const s = connect(Number(port), "localhost", () =>
+      s.write(
+        `GET /data/socket?source=minute.0000 HTTP/1.1\r\nHost: localhost:${port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\nOrigin: http://evil.example\r\n\r\n`,
+      ),
+    );
+    s.once("data", (d) => {
+      resolve(d.toString().split(" ")[1]);
+      s.destroy();
+    });
   });
   equal(status, "403", "status");
   await open(page, main, "minute.0000");
@@ -86,11 +133,17 @@ test("security: a browser that stops reading slows nobody", async ({ page }) => 
   const { port } = new URL(main);
   const s = connect(Number(port), "localhost");
   s.pause();
-  s.write(`GET /data/socket?source=big.0000 HTTP/1.1\r\nHost: localhost:${port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n`);
+  s.write(
+    `GET /data/socket?source=big.0000 HTTP/1.1\r\nHost: localhost:${port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n`,
+  );
   await page.waitForTimeout(300);
   const t0 = BigInt(site.t0);
   for (let i = 0; i < 400; i++) {
-    const request = { req: i, open: [[1, { stream: "Signal", viz: "line" }]], series: [[1, String(t0), String(t0 + 1000000000000n), 2 ** 26]] };
+    const request = {
+      req: i,
+      open: [[1, { stream: "Signal", viz: "line" }]],
+      series: [[1, String(t0), String(t0 + 1000000000000n), 2 ** 26]],
+    };
     const text = Buffer.from(JSON.stringify(request));
     const head = Buffer.from([0x81, 0x80 | 126, text.length >> 8, text.length & 255, 0, 0, 0, 0]);
     s.write(Buffer.concat([head, text]));
@@ -106,7 +159,12 @@ test("memory: a source in memory is shown like a recording", async ({ page }) =>
   await open(page, main, "memory");
   const id = await panelOf(page, "Camera.Image");
   await dispatch(page, { type: "cursor", t: 33.2 * S });
-  await until(page, (i) => document.querySelector(`#${i} canvas`).dataset.at === "33000000000", "the picture is there", id);
+  await until(
+    page,
+    (i) => document.querySelector(`#${i} canvas`).dataset.at === "33000000000",
+    "the picture is there",
+    id,
+  );
   await open(page, main, "empty");
   ok((await page.textContent(".stack")).includes("No streams yet"), "an empty source says so");
   const { view } = await state(page);

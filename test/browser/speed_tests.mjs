@@ -14,7 +14,8 @@ test("speed: a long signal pans and zooms at the rate of the screen", async ({ p
   equal(found, 25, "the spike survives the summary");
   await shot("long-signal");
   const run = await page.evaluate(async () => {
-    const app = window.situStudio, panel = [...app.views].find((v) => v.layers?.length);
+    const app = window.situStudio,
+      panel = [...app.views].find((v) => v.layers?.length);
     const frames = [];
     let last = performance.now();
     const [a, b] = app.time.get().data;
@@ -27,9 +28,17 @@ test("speed: a long signal pans and zooms at the rate of the screen", async ({ p
       last = now;
     }
     frames.sort((x, y) => x - y);
-    return { p50: frames[90], p95: frames[171], bytes: app.client.stats.bytes, requests: app.client.stats.requests, rows: panel.layers[0].channel.series.length };
+    return {
+      p50: frames[90],
+      p95: frames[171],
+      bytes: app.client.stats.bytes,
+      requests: app.client.stats.requests,
+      rows: panel.layers[0].channel.series.length,
+    };
   });
-  console.log(`${site.points} points: frame p50 ${run.p50.toFixed(1)} ms, p95 ${run.p95.toFixed(1)} ms, ${run.requests} requests, ${(run.bytes / 1e6).toFixed(1)} MB`);
+  console.log(
+    `${site.points} points: frame p50 ${run.p50.toFixed(1)} ms, p95 ${run.p95.toFixed(1)} ms, ${run.requests} requests, ${(run.bytes / 1e6).toFixed(1)} MB`,
+  );
   // Times are printed, not judged: machines are shared. What was fetched is bounded by pixels, not by points.
   ok(run.requests < 60 && run.bytes < 4e6, `${run.requests} requests, ${run.bytes} bytes`);
   ok(run.rows < 10000, `rows held are bounded by pixels: ${run.rows}`);
@@ -39,10 +48,17 @@ test("speed: the first picture and the cursor", async ({ page }) => {
   await open(page, main, "minute.0000");
   const started = Date.now();
   await page.goto(`${main}/s/minute.0000`);
-  await until(page, () => [...document.querySelectorAll(".image-cell canvas")].every((e) => e.dataset.at) && document.querySelector(".image-cell canvas"), "the first picture");
+  await until(
+    page,
+    () =>
+      [...document.querySelectorAll(".image-cell canvas")].every((e) => e.dataset.at) &&
+      document.querySelector(".image-cell canvas"),
+    "the first picture",
+  );
   const first = Date.now() - started;
   const times = await page.evaluate(async () => {
-    const app = window.situStudio, el = document.querySelector(".image-cell canvas");
+    const app = window.situStudio,
+      el = document.querySelector(".image-cell canvas");
     const out = [];
     for (let i = 0; i < 60; i++) {
       const t = ((i * 7) % 59) * 1e9 + 5e8;
@@ -55,6 +71,8 @@ test("speed: the first picture and the cursor", async ({ page }) => {
     return out.sort((a, b) => a - b);
   });
   const p95 = times[Math.floor(times.length * 0.95)];
-  console.log(`first picture ${first} ms, cursor to picture p50 ${times[30].toFixed(1)} ms, p95 ${p95.toFixed(1)} ms`);
+  console.log(
+    `first picture ${first} ms, cursor to picture p50 ${times[30].toFixed(1)} ms, p95 ${p95.toFixed(1)} ms`,
+  );
   ok(times[59] < 10000, "the picture of every cursor position arrives");
 });

@@ -3,18 +3,35 @@ import { until } from "./harness.mjs";
 
 export async function open(page, base, source, query = "") {
   await page.goto(`${base}/s/${source}${query}`);
-  await until(page, () => document.body?.dataset.ready === "1" && document.body?.dataset.connection === "open", "the page has data");
+  await until(
+    page,
+    () => document.body?.dataset.ready === "1" && document.body?.dataset.connection === "open",
+    "the page has data",
+  );
   if ((await state(page)).mode !== "live") await settled(page);
 }
 
 // Nothing is asked for, nothing waits to be drawn.
 export async function settled(page) {
-  await until(page, () => {
-    const s = window.situStudio;
-    return s && !s.client.inflight && s.frames.dirty.size === 0 && document.querySelectorAll("[phx-hook='Panel']").length >= 0;
-  }, "the page is still");
+  await until(
+    page,
+    () => {
+      const s = window.situStudio;
+      return (
+        s &&
+        !s.client.inflight &&
+        s.frames.dirty.size === 0 &&
+        document.querySelectorAll("[phx-hook='Panel']").length >= 0
+      );
+    },
+    "the page is still",
+  );
   await page.waitForTimeout(80);
-  await until(page, () => !window.situStudio.client.inflight && window.situStudio.frames.dirty.size === 0, "the page is still");
+  await until(
+    page,
+    () => !window.situStudio.client.inflight && window.situStudio.frames.dirty.size === 0,
+    "the page is still",
+  );
 }
 
 export const state = (page) => page.evaluate(() => window.situStudio.time.get());
@@ -23,49 +40,73 @@ export const dispatch = (page, action) => page.evaluate((a) => void window.situS
 
 // The colour at a fraction of a panel's canvas.
 export function pixel(page, selector, fx, fy) {
-  return page.evaluate(([sel, x, y]) => {
-    const c = document.querySelector(sel);
-    const d = c.getContext("2d").getImageData(Math.floor(c.width * x), Math.floor(c.height * y), 1, 1).data;
-    return Array.from(d);
-  }, [selector, fx, fy]);
+  return page.evaluate(
+    ([sel, x, y]) => {
+      const c = document.querySelector(sel);
+      const d = c.getContext("2d").getImageData(Math.floor(c.width * x), Math.floor(c.height * y), 1, 1).data;
+      return Array.from(d);
+    },
+    [selector, fx, fy],
+  );
 }
 
 // How many pixels of a canvas are of (about) this colour.
 export function count(page, selector, rgb, tolerance = 40) {
-  return page.evaluate(([sel, [r, g, b], t]) => {
-    const c = document.querySelector(sel);
-    const d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
-    let n = 0;
-    for (let i = 0; i < d.length; i += 4) {
-      if (d[i + 3] > 120 && Math.abs(d[i] - r) < t && Math.abs(d[i + 1] - g) < t && Math.abs(d[i + 2] - b) < t) n++;
-    }
-    return n;
-  }, [selector, rgb, tolerance]);
+  return page.evaluate(
+    ([sel, [r, g, b], t]) => {
+      const c = document.querySelector(sel);
+      const d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+      let n = 0;
+      for (let i = 0; i < d.length; i += 4) {
+        if (d[i + 3] > 120 && Math.abs(d[i] - r) < t && Math.abs(d[i + 1] - g) < t && Math.abs(d[i + 2] - b) < t) n++;
+      }
+      return n;
+    },
+    [selector, rgb, tolerance],
+  );
 }
 
-export const panelOf = (page, stream) => page.evaluate((s) => {
-  for (const el of document.querySelectorAll("[phx-hook='Panel']")) {
-    const config = JSON.parse(el.dataset.config);
-    if (config.vis.some((v) => v.stream === s)) return el.id;
-  }
-  return null;
-}, stream);
+export const panelOf = (page, stream) =>
+  page.evaluate((s) => {
+    for (const el of document.querySelectorAll("[phx-hook='Panel']")) {
+      const config = JSON.parse(el.dataset.config);
+      if (config.vis.some((v) => v.stream === s)) return el.id;
+    }
+    return null;
+  }, stream);
 
 // Puts the mouse where `t` (ns after the start) is on a timeline.
 export async function pointAt(page, id, t) {
-  const { x, y } = await page.evaluate(([i, time]) => {
-    const box = document.getElementById(i).getBoundingClientRect();
-    const [a, b] = window.situStudio.time.get().view;
-    return { x: box.left + window.situStudio.gutter.left + ((time - a) / (b - a)) * (box.width - window.situStudio.gutter.left - 14), y: box.top + box.height / 2 };
-  }, [id, t]);
+  const { x, y } = await page.evaluate(
+    ([i, time]) => {
+      const box = document.getElementById(i).getBoundingClientRect();
+      const [a, b] = window.situStudio.time.get().view;
+      return {
+        x:
+          box.left +
+          window.situStudio.gutter.left +
+          ((time - a) / (b - a)) * (box.width - window.situStudio.gutter.left - 14),
+        y: box.top + box.height / 2,
+      };
+    },
+    [id, t],
+  );
   await page.mouse.move(x, y);
   return { x, y };
 }
 
 // The colour a stream has on the page, as [r, g, b]; of a map, that of its nth key.
-export const colorOf = (page, stream, nth = 0) => page.evaluate(([name, k]) => {
-  const panels = [...document.querySelectorAll("[phx-hook='Panel']")].map((e) => JSON.parse(e.dataset.config));
-  const vis = panels.flatMap((p) => p.vis).find((v) => v.stream === name);
-  const own = vis.props.color ?? getComputedStyle(document.documentElement).getPropertyValue(`--s${(vis.color + k) % 8}`).trim();
-  return [1, 3, 5].map((i) => parseInt(own.slice(i, i + 2), 16));
-}, [stream, nth]);
+export const colorOf = (page, stream, nth = 0) =>
+  page.evaluate(
+    ([name, k]) => {
+      const panels = [...document.querySelectorAll("[phx-hook='Panel']")].map((e) => JSON.parse(e.dataset.config));
+      const vis = panels.flatMap((p) => p.vis).find((v) => v.stream === name);
+      const own =
+        vis.props.color ??
+        getComputedStyle(document.documentElement)
+          .getPropertyValue(`--s${(vis.color + k) % 8}`)
+          .trim();
+      return [1, 3, 5].map((i) => parseInt(own.slice(i, i + 2), 16));
+    },
+    [stream, nth],
+  );

@@ -12,5 +12,9 @@ import "./annotation_tests.mjs";
 import "./serving_tests.mjs";
 import "./speed_tests.mjs";
 
-const good = await runAll({ filter: process.argv[3] ?? "", times: Number(process.env.TIMES ?? 1), shots: process.env.SHOTS });
+const good = await runAll({
+  filter: process.argv[3] ?? "",
+  times: Number(process.env.TIMES ?? 1),
+  shots: process.env.SHOTS,
+});
 process.exit(good ? 0 : 1);

@@ -12,25 +12,33 @@ test("3 timelines: a line is where its values are, and its value at the cursor i
   await settled(page);
   const shown = Number(await page.$eval(`#${id} .legend-item[data-stream="Imu.Acc.X"] b`, (e) => e.textContent));
   near(shown, 9.8 * Math.sin(20 / 3), 0.15, "value at 20 s");
-  const drawn = await page.evaluate(([i, [R, G, B]]) => {
-    const view = [...window.situStudio.views].find((v) => v.el.id === i);
-    const c = view.plot.ctx.canvas, { bbox } = view.plot;
-    const out = [];
-    for (const s of [5, 15, 25, 45]) {
-      const x = Math.round(bbox.left + (s / 60) * bbox.width);
-      const d = view.plot.ctx.getImageData(x, 0, 1, c.height).data;
-      const v = 9.8 * Math.sin(s / 3);
-      const y = bbox.top + bbox.height - ((v - view.y[0]) / (view.y[1] - view.y[0])) * bbox.height;
-      let best = 1e9;
-      for (let k = 0; k < c.height; k++) {
-        const [r, g, b, a] = d.slice(4 * k, 4 * k + 4);
-        if (a > 60 && Math.abs(r - R) < 60 && Math.abs(g - G) < 60 && Math.abs(b - B) < 60) best = Math.min(best, Math.abs(k - y));
+  const drawn = await page.evaluate(
+    ([i, [R, G, B]]) => {
+      const view = [...window.situStudio.views].find((v) => v.el.id === i);
+      const c = view.plot.ctx.canvas,
+        { bbox } = view.plot;
+      const out = [];
+      for (const s of [5, 15, 25, 45]) {
+        const x = Math.round(bbox.left + (s / 60) * bbox.width);
+        const d = view.plot.ctx.getImageData(x, 0, 1, c.height).data;
+        const v = 9.8 * Math.sin(s / 3);
+        const y = bbox.top + bbox.height - ((v - view.y[0]) / (view.y[1] - view.y[0])) * bbox.height;
+        let best = 1e9;
+        for (let k = 0; k < c.height; k++) {
+          const [r, g, b, a] = d.slice(4 * k, 4 * k + 4);
+          if (a > 60 && Math.abs(r - R) < 60 && Math.abs(g - G) < 60 && Math.abs(b - B) < 60)
+            best = Math.min(best, Math.abs(k - y));
+        }
+        out.push(best);
       }
-      out.push(best);
-    }
-    return out;
-  }, [id, await colorOf(page, "Imu.Acc.X")]);
-  ok(drawn.every((d) => d < 4), `the line is up to ${Math.max(...drawn)} pixels from its values`);
+      return out;
+    },
+    [id, await colorOf(page, "Imu.Acc.X")],
+  );
+  ok(
+    drawn.every((d) => d < 4),
+    `the line is up to ${Math.max(...drawn)} pixels from its values`,
+  );
 });
 
 test("3 timelines: waveform, lanes, labels, latency and marks are drawn", async ({ page, shot }) => {
@@ -46,25 +54,49 @@ test("3 timelines: waveform, lanes, labels, latency and marks are drawn", async 
   ok((await count(page, `#${wave} canvas`, await colorOf(page, "Mic.Audio"))) > 3000, "the waveform has a body");
   const lanes = await panelOf(page, "Vad.Speaking");
   const y = 13 / (await page.$eval(`#${lanes}`, (e) => e.clientHeight));
-  const x = (s) => page.evaluate(([i, t]) => {
-    const wide = document.getElementById(i).clientWidth, { left } = window.situStudio.gutter;
-    return (left + (t / 60) * (wide - left - 14)) / wide;
-  }, [lanes, s]);
+  const x = (s) =>
+    page.evaluate(
+      ([i, t]) => {
+        const wide = document.getElementById(i).clientWidth,
+          { left } = window.situStudio.gutter;
+        return (left + (t / 60) * (wide - left - 14)) / wide;
+      },
+      [lanes, s],
+    );
   const on = await pixel(page, `#${lanes} canvas`, await x(7.5), y);
   ok(on[1] > 120 && on[3] > 100, `true is green: ${on}`);
   const off = await pixel(page, `#${lanes} canvas`, await x(2.5), y - 0.05);
   ok(off[1] < 100 || off[3] < 100, `false is not: ${off}`);
   await page.click("#tree .node[data-stream='Imu.Acc.Y'] .name");
   await page.click("button[phx-value-viz='latency']");
-  await until(page, () => [...window.situStudio.views].some((v) => v.layers?.some((l) => l.vis.draw === "latency" && l.channel.series.length)), "the latency panel has data");
+  await until(
+    page,
+    () =>
+      [...window.situStudio.views].some((v) =>
+        v.layers?.some((l) => l.vis.draw === "latency" && l.channel.series.length),
+      ),
+    "the latency panel has data",
+  );
   await settled(page);
-  const lat = await page.evaluate(() => [...window.situStudio.views].find((v) => v.layers?.[0]?.vis.draw === "latency").el.id);
+  const lat = await page.evaluate(
+    () => [...window.situStudio.views].find((v) => v.layers?.[0]?.vis.draw === "latency").el.id,
+  );
   await page.$eval(`#${lat}`, (e) => e.scrollIntoView());
   await settled(page);
-  ok((await count(page, `#${lat} canvas`, [0xf0, 0x98, 0x3e])) > 20, "latencies above the limit are in the warning colour");
+  ok(
+    (await count(page, `#${lat} canvas`, [0xf0, 0x98, 0x3e])) > 20,
+    "latencies above the limit are in the warning colour",
+  );
   await page.click("#tree .node[data-stream='Speech.Text'] .name");
   await page.click("button[phx-value-viz='messages']");
-  await until(page, () => [...window.situStudio.views].some((v) => v.layers?.some((l) => l.vis.viz === "messages" && l.channel.marks?.t.length === 60)), "60 marks are held");
+  await until(
+    page,
+    () =>
+      [...window.situStudio.views].some((v) =>
+        v.layers?.some((l) => l.vis.viz === "messages" && l.channel.marks?.t.length === 60),
+      ),
+    "60 marks are held",
+  );
   await settled(page);
   await shot("timelines");
 });
@@ -76,11 +108,15 @@ test("3 timelines: maps are lanes and lines with a name each, intervals lie over
   await settled(page);
   const lanes = await page.evaluate((i) => {
     const v = [...window.situStudio.views].find((w) => w.el.id === i);
-    const c = v.canvas.getContext("2d"), left = window.situStudio.gutter.left, k = (v.el.clientWidth - left - 14) / 60, r = devicePixelRatio;
+    const c = v.canvas.getContext("2d"),
+      left = window.situStudio.gutter.left,
+      k = (v.el.clientWidth - left - 14) / 60,
+      r = devicePixelRatio;
     // how much of a lane is painted at a second: at its middle, and at the height of a body
     const at = (name, s) => {
       const row = v.rows.findIndex((q) => v.names.children[v.rows.indexOf(q)].textContent === name);
-      const y = 4 + row * v.row, x = (left + s * k) * r;
+      const y = 4 + row * v.row,
+        x = (left + s * k) * r;
       const solid = (py) => c.getImageData(x, py * r, 1, 1).data[3] > 40;
       return solid(y + 3) ? "body" : solid(y + v.row / 2 - 4) ? "line" : "nothing";
     };
@@ -88,37 +124,67 @@ test("3 timelines: maps are lanes and lines with a name each, intervals lie over
       names: [...v.names.children].map((e) => e.textContent),
       ada: [at("Who Ada", 6), at("Who Ada", 16), at("Who Ada", 26)],
       bob: [at("Who Bob", 16), at("Who Bob", 31), at("Who Bob", 46)],
-      spans: v.rows.find((q) => q.l.vis.draw === "spans").l.channel.segments.get("").slice(0, 2),
+      spans: v.rows
+        .find((q) => q.l.vis.draw === "spans")
+        .l.channel.segments.get("")
+        .slice(0, 2),
       room: v.row,
     };
   }, id);
-  for (const name of ["Who Ada", "Who Bob", "Parts"]) ok(lanes.names.includes(name), `${name} is among ${lanes.names}`);
+  for (const name of ["Who Ada", "Who Bob", "Parts"])
+    ok(lanes.names.includes(name), `${name} is among ${lanes.names}`);
   equal(lanes.ada, ["body", "line", "body"], "Ada speaks, is silent, speaks");
   equal(lanes.bob, ["nothing", "line", "nothing"], "Bob comes and goes");
-  equal(lanes.spans.map(([a, b]) => [a, b]), [[0, 0.6 * S], [S, 1.6 * S]], "stretches begin and end where they say");
+  equal(
+    lanes.spans.map(([a, b]) => [a, b]),
+    [
+      [0, 0.6 * S],
+      [S, 1.6 * S],
+    ],
+    "stretches begin and end where they say",
+  );
   ok(lanes.room >= 26, `the panel has room for all lanes: ${lanes.room}`);
   const plot = await panelOf(page, "Speech.Scores");
   await page.$eval(`#${plot}`, (e) => e.scrollIntoView());
   await dispatch(page, { type: "cursor", t: 30 * S });
   await settled(page);
-  const legend = await page.$$eval(`#${plot} .legend-item`, (e) => e.map((i) => [i.dataset.key, Number(i.querySelector("b").textContent)]));
-  equal(legend, [["go", 0.5], ["stop", 0.5]], "a line for each key with its value at the cursor");
-  ok((await count(page, `#${plot} canvas`, await colorOf(page, "Speech.Scores"))) > 300 && (await count(page, `#${plot} canvas`, await colorOf(page, "Speech.Scores", 1))) > 300, "both lines are drawn");
+  const legend = await page.$$eval(`#${plot} .legend-item`, (e) =>
+    e.map((i) => [i.dataset.key, Number(i.querySelector("b").textContent)]),
+  );
+  equal(
+    legend,
+    [
+      ["go", 0.5],
+      ["stop", 0.5],
+    ],
+    "a line for each key with its value at the cursor",
+  );
+  ok(
+    (await count(page, `#${plot} canvas`, await colorOf(page, "Speech.Scores"))) > 300 &&
+      (await count(page, `#${plot} canvas`, await colorOf(page, "Speech.Scores", 1))) > 300,
+    "both lines are drawn",
+  );
 });
 
 test("3 timelines: zoomed out, the envelope keeps what is between the pixels", async ({ page }) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Mic.Level");
-  const read = () => page.evaluate((i) => {
-    const v = [...window.situStudio.views].find((w) => w.el.id === i);
-    const l = v.layers.find((k) => k.vis.stream === "Mic.Level").channel.series;
-    return { n: l.length, raw: l.raw, extent: l.extent(0, 60e9) };
-  }, id);
+  const read = () =>
+    page.evaluate((i) => {
+      const v = [...window.situStudio.views].find((w) => w.el.id === i);
+      const l = v.layers.find((k) => k.vis.stream === "Mic.Level").channel.series;
+      return { n: l.length, raw: l.raw, extent: l.extent(0, 60e9) };
+    }, id);
   const wide = await read();
   ok(!wide.raw && wide.n < 4000, `summaries, bounded by pixels: ${JSON.stringify(wide)}`);
   near(wide.extent[1], 1, 1e-3, "the highest value is kept");
   await dispatch(page, { type: "view", from: 10 * S, to: 11 * S });
-  await until(page, (i) => [...window.situStudio.views].find((w) => w.el.id === i).layers[0].channel.series.raw, "single messages are drawn when zoomed in", id);
+  await until(
+    page,
+    (i) => [...window.situStudio.views].find((w) => w.el.id === i).layers[0].channel.series.raw,
+    "single messages are drawn when zoomed in",
+    id,
+  );
 });
 
 test("3 timelines: a threshold covers what is below a value", async ({ page }) => {
@@ -131,7 +197,12 @@ test("3 timelines: a threshold covers what is below a value", async ({ page }) =
   await page.click(`[data-panel="${id.replace("body-", "")}"] button[title='Properties']`);
   await page.selectOption("#threshold-side", "below");
   await page.fill("#threshold-value", "0");
-  await until(page, (i) => JSON.parse(document.getElementById(i).dataset.config).threshold?.value === 0, "the threshold is set", id);
+  await until(
+    page,
+    (i) => JSON.parse(document.getElementById(i).dataset.config).threshold?.value === 0,
+    "the threshold is set",
+    id,
+  );
   await settled(page);
   const after = await count(page, `#${id} canvas`, own);
   ok(after < 0.7 * before && after > 0.3 * before, `about half of the line is covered: ${before} -> ${after}`);
@@ -149,15 +220,32 @@ test("3 timelines: a label that is cut is told in full under the mouse", async (
     return v.el.getBoundingClientRect().top + 4 + (n + 0.5) * v.row;
   }, id);
   await page.mouse.move(at.x, row);
-  await until(page, () => document.getElementById("tip")?.textContent === "moving\n0:04.000 to 0:08.000, 4.00 s", "the state is told");
+  await until(
+    page,
+    () => document.getElementById("tip")?.textContent === "moving\n0:04.000 to 0:08.000, 4.00 s",
+    "the state is told",
+  );
   await page.mouse.move(5, 5);
   await until(page, () => document.getElementById("tip").hidden, "gone with the mouse");
 });
 
 test("3 timelines: where a stream begins late or ends early there is a bracket", async ({ page, shot }) => {
   await open(page, main, "uneven.0000");
-  const told = await page.evaluate(() => [...window.situStudio.views].flatMap((v) => v.layers ?? []).map((l) => [l.vis.stream, window.situStudio.client.ends(l.vis.ends)]).sort());
-  equal(told, [["Late", { first: 20 * S, last: null }], ["Short", { first: null, last: 30 * S }], ["Whole", null]], "ends");
+  const told = await page.evaluate(() =>
+    [...window.situStudio.views]
+      .flatMap((v) => v.layers ?? [])
+      .map((l) => [l.vis.stream, window.situStudio.client.ends(l.vis.ends)])
+      .sort(),
+  );
+  equal(
+    told,
+    [
+      ["Late", { first: 20 * S, last: null }],
+      ["Short", { first: null, last: 30 * S }],
+      ["Whole", null],
+    ],
+    "ends",
+  );
   await settled(page);
   // the foot of the bracket, in the colour of the line, at the top of the plot where the line is not
   const feet = await page.evaluate(() => {
@@ -180,13 +268,20 @@ test("3 timelines: where a stream begins late or ends early there is a bracket",
 
 test("3 timelines: colour and joins of a line are set in its properties", async ({ page }) => {
   await open(page, main, "many.0000");
-  const id = await page.$eval("[phx-hook='Panel']", (e) => e.id), panel = id.replace("body-", "");
+  const id = await page.$eval("[phx-hook='Panel']", (e) => e.id),
+    panel = id.replace("body-", "");
   const own = await colorOf(page, await page.$eval(`#${id}`, (e) => JSON.parse(e.dataset.config).vis[0].stream));
-  const blue = () => count(page, `#${id} canvas`, own, 30), magenta = () => count(page, `#${id} canvas`, [255, 0, 255], 60);
+  const blue = () => count(page, `#${id} canvas`, own, 30),
+    magenta = () => count(page, `#${id} canvas`, [255, 0, 255], 60);
   const joined = await blue();
   await page.click(`[data-panel="${panel}"] button[title='Properties']`);
   await page.selectOption(`#f-${panel}-0-interpolation`, "none");
-  await until(page, (i) => JSON.parse(document.getElementById(i).dataset.config).vis[0].props.interpolation === "none", "points only", id);
+  await until(
+    page,
+    (i) => JSON.parse(document.getElementById(i).dataset.config).vis[0].props.interpolation === "none",
+    "points only",
+    id,
+  );
   await settled(page);
   const points = await blue();
   ok(points > 50 && points < joined / 2, `the joins are gone: ${joined} -> ${points}`);
@@ -194,7 +289,12 @@ test("3 timelines: colour and joins of a line are set in its properties", async 
     e.value = "#ff00ff";
     e.dispatchEvent(new Event("input", { bubbles: true }));
   });
-  await until(page, (i) => JSON.parse(document.getElementById(i).dataset.config).vis[0].props.color === "#ff00ff", "the colour is set", id);
+  await until(
+    page,
+    (i) => JSON.parse(document.getElementById(i).dataset.config).vis[0].props.color === "#ff00ff",
+    "the colour is set",
+    id,
+  );
   await settled(page);
   ok((await blue()) < 20 && (await magenta()) > 50, "and drawn");
 });

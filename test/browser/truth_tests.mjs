@@ -5,7 +5,8 @@ import { open, settled, state, dispatch, panelOf, pointAt } from "./studio_page.
 
 const site = JSON.parse(process.argv[2]);
 const { main } = site;
-const MS = 1e6, S = 1e9;
+const MS = 1e6,
+  S = 1e9;
 
 // Numbers that look random and are the same each time.
 function random(seed) {
@@ -14,7 +15,8 @@ function random(seed) {
 
 // The last row at or before a time in ms, and its successor.
 function around(rows, t) {
-  let lo = 0, hi = rows.length;
+  let lo = 0,
+    hi = rows.length;
   while (lo < hi) {
     const mid = (lo + hi) >> 1;
     if (rows[mid][0] <= t) lo = mid + 1;
@@ -31,9 +33,12 @@ test("7 truth: lines and lanes say what the messages say, at any zoom", async ({
   await open(page, main, "zoo.0000");
   await shot("zoo");
   const next = random(20260731);
-  let compared = 0, old = 0, many = 0;
+  let compared = 0,
+    old = 0,
+    many = 0;
   for (let round = 0; round < 30; round++) {
-    const width = 60 * S * 0.0005 ** next(), from = next() * (60 * S - width);
+    const width = 60 * S * 0.0005 ** next(),
+      from = next() * (60 * S - width);
     await dispatch(page, { type: "view", from, to: from + width });
     await settled(page);
     const px = (await state(page)).view;
@@ -42,10 +47,19 @@ test("7 truth: lines and lanes say what the messages say, at any zoom", async ({
       const t = (px[0] + (0.02 + 0.96 * next()) * (px[1] - px[0])) / MS;
       if (t < 0 || t > 60_000) continue;
       await dispatch(page, { type: "cursor", t: t * MS });
-      for (const stream of ["Zoo.Regular", "Zoo.Irregular"]) compared += await line(page, stream, zoo[stream], t, 2 * ms + 0.01);
-      for (const stream of ["Zoo.Runs", "Zoo.Flicker", "Zoo.State"]) compared += await lane(page, stream, "", zoo[stream], t, 3 * ms + 0.01);
+      for (const stream of ["Zoo.Regular", "Zoo.Irregular"])
+        compared += await line(page, stream, zoo[stream], t, 2 * ms + 0.01);
+      for (const stream of ["Zoo.Runs", "Zoo.Flicker", "Zoo.State"])
+        compared += await lane(page, stream, "", zoo[stream], t, 3 * ms + 0.01);
       for (const key of ["a", "b"]) {
-        compared += await lane(page, "Zoo.Map", key, zoo["Zoo.Map"].map(([i, m]) => [i, m[key]]), t, 3 * ms + 0.01);
+        compared += await lane(
+          page,
+          "Zoo.Map",
+          key,
+          zoo["Zoo.Map"].map(([i, m]) => [i, m[key]]),
+          t,
+          3 * ms + 0.01,
+        );
       }
     }
   }
@@ -63,27 +77,34 @@ test("7 truth: lines and lanes say what the messages say, at any zoom", async ({
     if (!row) return equal(text, "", `${stream} before its first message`) ?? 1;
     const value = Number(text.split(",")[0]);
     const near = within(rows, Math.min(row[0], t - slack), t + slack).map(([, v]) => v);
-    ok(near.some((v) => Math.abs(v - value) < 2e-3), `${stream} at ${t} ms says ${text}, the messages say ${near.slice(0, 5)}`);
+    ok(
+      near.some((v) => Math.abs(v - value) < 2e-3),
+      `${stream} at ${t} ms says ${text}, the messages say ${near.slice(0, 5)}`,
+    );
     const age = t - row[0];
     if (age > 1000 + slack) {
       ok(text.endsWith(" ago"), `${stream} at ${t} ms is ${age} ms old and says ${text}`);
       old++;
     }
-    if (age < 90 && stream === "Zoo.Regular" && slack < 5) ok(!text.includes("ago"), `${stream} at ${t} is not old: ${text}`);
+    if (age < 90 && stream === "Zoo.Regular" && slack < 5)
+      ok(!text.includes("ago"), `${stream} at ${t} is not old: ${text}`);
     return 1;
   }
 
   // A lane's segment, as the tip tells it: one state only where no message within it says another.
   async function lane(page, stream, key, rows, t, slack) {
-    const found = await page.evaluate(([s, lane, time]) => {
-      for (const v of window.situStudio.views) {
-        const row = v.rows?.find((r) => r.l.vis.stream === s && r.lane === lane);
-        if (!row) continue;
-        const segments = row.l.channel.segments.get(lane) ?? [];
-        return segments.find(([a, b]) => a <= time && time < b) ?? null;
-      }
-      return "no lane";
-    }, [stream, key, t * MS]);
+    const found = await page.evaluate(
+      ([s, lane, time]) => {
+        for (const v of window.situStudio.views) {
+          const row = v.rows?.find((r) => r.l.vis.stream === s && r.lane === lane);
+          if (!row) continue;
+          const segments = row.l.channel.segments.get(lane) ?? [];
+          return segments.find(([a, b]) => a <= time && time < b) ?? null;
+        }
+        return "no lane";
+      },
+      [stream, key, t * MS],
+    );
     ok(found !== "no lane", `${stream} ${key} has a lane`);
     const [row, later] = around(rows, t);
     // where nothing is drawn, no message came for a while
@@ -97,12 +118,19 @@ test("7 truth: lines and lanes say what the messages say, at any zoom", async ({
     if (cls === "many") {
       many++;
       const all = within(rows, a / MS - 2 * slack, b / MS + 2 * slack);
-      ok(new Set(all.map(([, v]) => v)).size > 1, `${stream} ${key} says ${label} where the messages say one thing only`);
+      ok(
+        new Set(all.map(([, v]) => v)).size > 1,
+        `${stream} ${key} says ${label} where the messages say one thing only`,
+      );
       return 1;
     }
     const other = inside.find(([, v]) => String(v) !== label);
-    ok(!other, `${stream} ${key} says ${label} from ${a / MS} to ${b / MS}, the message at ${other?.[0]} says ${other?.[1]}`);
-    if (row && t - row[0] > slack && later && later[0] - t > slack) equal(label, String(row[1]), `${stream} ${key} at ${t} ms`);
+    ok(
+      !other,
+      `${stream} ${key} says ${label} from ${a / MS} to ${b / MS}, the message at ${other?.[0]} says ${other?.[1]}`,
+    );
+    if (row && t - row[0] > slack && later && later[0] - t > slack)
+      equal(label, String(row[1]), `${stream} ${key} at ${t} ms`);
     return 1;
   }
 });
@@ -113,7 +141,11 @@ test("7 truth: a recording that is replaced under its name is shown as it is now
   rmSync(`${site.folder}/changing.0000`, { recursive: true });
   cpSync(`${site.folder}/uneven.0000`, `${site.folder}/changing.tmp`, { recursive: true });
   renameSync(`${site.folder}/changing.tmp`, `${site.folder}/changing.0000`);
-  await until(page, () => document.querySelector("#tree .node[data-stream='Whole']") && document.body.dataset.ready === "1", "the streams of the second");
+  await until(
+    page,
+    () => document.querySelector("#tree .node[data-stream='Whole']") && document.body.dataset.ready === "1",
+    "the streams of the second",
+  );
   equal(await page.$$eval("#tree .node[data-stream]", (n) => n.length), 3, "and only those");
 });
 
@@ -155,16 +187,31 @@ test("7 truth: live, dragging leaves the newest time, and a click goes back to i
 test("7 truth: a pipeline that has ended is said to have, and its past stays", async ({ page, shot }) => {
   await open(page, main, "Brief");
   const id = await panelOf(page, "Brief.Level");
-  await until(page, (i) => [...window.situStudio.views].find((v) => v.el.id === i)?.layers[0].channel.series.length > 20, "a line", id);
+  await until(
+    page,
+    (i) => [...window.situStudio.views].find((v) => v.el.id === i)?.layers[0].channel.series.length > 20,
+    "a line",
+    id,
+  );
   writeFileSync(site.stop, "1");
-  await until(page, () => document.getElementById("connection").textContent.startsWith("ended "), "said in the status line");
+  await until(
+    page,
+    () => document.getElementById("connection").textContent.startsWith("ended "),
+    "said in the status line",
+  );
   equal((await state(page)).mode, "manual", "no longer live");
   await shot("ended");
   await page.goto(`${main}/s/Brief`);
-  await until(page, () => [...(window.situStudio?.views ?? [])].some((v) => v.plot && v.layers[0].channel.series.length > 20), "its past after a reload");
+  await until(
+    page,
+    () => [...(window.situStudio?.views ?? [])].some((v) => v.plot && v.layers[0].channel.series.length > 20),
+    "its past after a reload",
+  );
 });
 
-test("7 truth: the address holds whether the cursor follows the mouse; a click while playing seeks", async ({ page }) => {
+test("7 truth: the address holds whether the cursor follows the mouse; a click while playing seeks", async ({
+  page,
+}) => {
   await open(page, main, "minute.0000");
   const id = await panelOf(page, "Vad.Speaking");
   await pointAt(page, id, 20 * S);

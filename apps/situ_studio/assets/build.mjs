@@ -7,7 +7,10 @@ const out = new URL("../priv/static/", import.meta.url).pathname;
 mkdirSync(out, { recursive: true });
 
 const options = {
-  entryPoints: [{ in: "js/app.js", out: "studio" }, { in: "css/studio.css", out: "studio" }],
+  entryPoints: [
+    { in: "js/app.js", out: "studio" },
+    { in: "css/studio.css", out: "studio" },
+  ],
   bundle: true,
   alias: { situ_live: new URL("../../situ_live/assets/js/situ_live.js", import.meta.url).pathname },
   format: "iife",
@@ -24,5 +27,6 @@ if (process.argv.includes("--watch")) {
   await context.watch();
 } else {
   await esbuild.build(options);
-  for (const f of ["studio.js", "studio.css", "theme.js"]) writeFileSync(out + f + ".gz", gzipSync(readFileSync(out + f), { level: 9 }));
+  for (const f of ["studio.js", "studio.css", "theme.js"])
+    writeFileSync(out + f + ".gz", gzipSync(readFileSync(out + f), { level: 9 }));
 }

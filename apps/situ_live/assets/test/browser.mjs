@@ -4,7 +4,15 @@ import { chromium } from "playwright-core";
 const base = process.argv[2];
 const browser = await chromium.launch({
   executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
-  args: ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"],
+  args: [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+  ],
 });
 const page = await browser.newPage();
 page.setDefaultTimeout(10_000);
@@ -44,8 +52,14 @@ try {
   await page.evaluate(() => document.querySelectorAll("#list li").forEach((li) => (li.mark = li.id)));
   await page.click("#rev");
   await wait(() => document.querySelector("#list li").id === "r5");
-  check("keyed list keeps its nodes", await page.evaluate(() => [...document.querySelectorAll("#list li")].every((li) => li.mark === li.id)));
-  check("island follows", (await page.$$eval("#t tbody tr", (rows) => rows.map((r) => r.id).join())) === "t-5,t-4,t-3");
+  check(
+    "keyed list keeps its nodes",
+    await page.evaluate(() => [...document.querySelectorAll("#list li")].every((li) => li.mark === li.id)),
+  );
+  check(
+    "island follows",
+    (await page.$$eval("#t tbody tr", (rows) => rows.map((r) => r.id).join())) === "t-5,t-4,t-3",
+  );
   await page.click("#add");
   await page.waitForSelector("#r6");
   await page.click("#r3 button[phx-click=bump]");
@@ -67,12 +81,17 @@ try {
   await page.click("#q");
   await page.keyboard.type("hello world", { delay: 10 });
   await is("#note", "len 11");
-  check("a form keeps focus, caret and text", await page.evaluate(() => document.activeElement.id === "q" && document.activeElement.selectionStart === 11));
+  check(
+    "a form keeps focus, caret and text",
+    await page.evaluate(() => document.activeElement.id === "q" && document.activeElement.selectionStart === 11),
+  );
   await page.keyboard.press("Enter");
   await is("#note", "saved hello world");
   check("submit", true);
 
-  const reply = await page.evaluate(() => new Promise((done) => hook.pushEvent("ask", { a: [1, "é<"] }, (r) => done(JSON.stringify(r)))));
+  const reply = await page.evaluate(
+    () => new Promise((done) => hook.pushEvent("ask", { a: [1, "é<"] }, (r) => done(JSON.stringify(r)))),
+  );
   check("a hook's event is answered", reply === '{"echo":{"a":[1,"é<"]}}', reply);
   await page.evaluate(() => new Promise((done) => hook.pushEvent("draw", { n: 7 }, done)));
   check("push_event with an answer", (await page.evaluate(() => seen.points.at(-1))) === 7);
@@ -81,7 +100,10 @@ try {
   await page.waitForSelector("#lines-3");
   await page.click("#unline");
   await wait(() => !document.querySelector("#lines-1"));
-  check("stream: insert and delete", (await page.$$eval("#lines li", (l) => l.map((x) => x.id).join())) === "lines-3,lines-2");
+  check(
+    "stream: insert and delete",
+    (await page.$$eval("#lines li", (l) => l.map((x) => x.id).join())) === "lines-3,lines-2",
+  );
   await page.click("#relines");
   await page.waitForSelector("#lines-9");
   check("stream: reset", (await page.$$eval("#lines li", (l) => l.length)) === 1);
@@ -99,7 +121,17 @@ try {
 
   await page.evaluate(() => new Promise((done) => hook.pushEvent("ticks", { n: 100 }, done)));
   await wait(() => seen.ticked === 1);
-  check("100 ticks in fewer diffs, none lost", await page.evaluate(() => seen.ticks === 100 && document.querySelector("#tick").textContent === "100" && seen.acks > 2 && seen.acks < 60), await page.evaluate(() => seen.acks));
+  check(
+    "100 ticks in fewer diffs, none lost",
+    await page.evaluate(
+      () =>
+        seen.ticks === 100 &&
+        document.querySelector("#tick").textContent === "100" &&
+        seen.acks > 2 &&
+        seen.acks < 60,
+    ),
+    await page.evaluate(() => seen.acks),
+  );
 
   const count = await text("#count");
   await page.fill("#q", "typed before crash");

@@ -5,7 +5,12 @@ import path from "node:path";
 
 const here = path.dirname(fileURLToPath(import.meta.url));
 const out = process.argv[2];
-await esbuild.build({ entryPoints: [path.join(here, "app.js")], bundle: true, outfile: path.join(out, "app.js"), logLevel: "error" });
+await esbuild.build({
+  entryPoints: [path.join(here, "app.js")],
+  bundle: true,
+  outfile: path.join(out, "app.js"),
+  logLevel: "error",
+});
 await esbuild.build({
   entryPoints: [path.join(here, "rendered.mjs")],
   bundle: true,

@@ -4,7 +4,11 @@ import Rendered from "../node_modules/phoenix_live_view/assets/js/phoenix_live_v
 
 // What the client writes into the tag of an island that the server's HTML does not have.
 const own = / data-phx-(component|view|id|skip)(="[^"]*")?/g;
-const fresh = (r) => new Rendered("phx-1", JSON.parse(JSON.stringify(r.get(), (k, v) => (k === "newRender" || k === "magicId" ? undefined : v))));
+const fresh = (r) =>
+  new Rendered(
+    "phx-1",
+    JSON.parse(JSON.stringify(r.get(), (k, v) => (k === "newRender" || k === "magicId" ? undefined : v))),
+  );
 
 let rendered;
 let states = 0;

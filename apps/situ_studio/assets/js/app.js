@@ -104,7 +104,8 @@ const hooks = {
       this.el.addEventListener("pointerdown", (e) => {
         e.preventDefault();
         this.el.setPointerCapture(e.pointerId);
-        const start = e.clientY, height = row.offsetHeight;
+        const start = e.clientY,
+          height = row.offsetHeight;
         const move = (m) => (row.style.height = `${Math.max(32, height + m.clientY - start)}px`);
         const up = () => {
           this.el.removeEventListener("pointermove", move);
@@ -160,7 +161,8 @@ const hooks = {
       this.el.addEventListener("pointerdown", (e) => {
         e.preventDefault();
         this.el.setPointerCapture(e.pointerId);
-        const start = e.clientX, from = width();
+        const start = e.clientX,
+          from = width();
         const move = (m) => set(bound(from + (edge === "right" ? 1 : -1) * (m.clientX - start)));
         this.el.addEventListener("pointermove", move);
         this.el.addEventListener("pointerup", () => this.el.removeEventListener("pointermove", move), { once: true });
@@ -183,14 +185,18 @@ const hooks = {
       (this.el.querySelector("[autofocus]") ?? this.el.querySelector("input, button"))?.focus();
       this.el.querySelector("input:not([type=radio])")?.select?.();
       // what cannot be undone is asked twice
-      this.el.addEventListener("click", (e) => {
-        const sure = e.target.closest("[data-sure]");
-        if (!sure || sure.dataset.asked) return;
-        e.preventDefault();
-        e.stopPropagation();
-        sure.dataset.asked = "1";
-        sure.textContent = sure.dataset.sure;
-      }, true);
+      this.el.addEventListener(
+        "click",
+        (e) => {
+          const sure = e.target.closest("[data-sure]");
+          if (!sure || sure.dataset.asked) return;
+          e.preventDefault();
+          e.stopPropagation();
+          sure.dataset.asked = "1";
+          sure.textContent = sure.dataset.sure;
+        },
+        true,
+      );
       this.el.addEventListener("cancel", (e) => {
         e.preventDefault();
         this.pushEvent("dialog_close", {});

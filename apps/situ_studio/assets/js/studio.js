@@ -176,7 +176,8 @@ export class Studio {
     document.addEventListener("keyup", this.keyup);
     this.root.addEventListener("click", (e) => {
       // who asks for properties gets to see them
-      if (e.target.closest("[phx-click='select_panel'], #tree .name")) document.documentElement.dataset.right = "open";
+      if (e.target.closest("[phx-click='select_panel'], #tree .name"))
+        document.documentElement.dataset.right = "open";
       const button = e.target.closest("[data-act]");
       if (!button) return;
       this.act(button.dataset.act);

@@ -18,7 +18,9 @@ async function imports() {
     logLevel: "silent",
   });
   const own = Object.entries(metafile.inputs).filter(([path]) => path.startsWith("js/"));
-  return new Map(own.map(([path, { imports }]) => [path, imports.map((i) => i.path).filter((p) => p.startsWith("js/"))]));
+  return new Map(
+    own.map(([path, { imports }]) => [path, imports.map((i) => i.path).filter((p) => p.startsWith("js/"))]),
+  );
 }
 
 // The first circle found, as the way round, or null.
@@ -42,8 +44,26 @@ export function circle(graph) {
 }
 
 test("a circle among modules is found", () => {
-  assert.deepEqual(circle(new Map([["a", ["b"]], ["b", ["c"]], ["c", ["b"]]])), ["b", "c", "b"]);
-  assert.equal(circle(new Map([["a", ["b", "c"]], ["b", ["c"]], ["c", []]])), null);
+  assert.deepEqual(
+    circle(
+      new Map([
+        ["a", ["b"]],
+        ["b", ["c"]],
+        ["c", ["b"]],
+      ]),
+    ),
+    ["b", "c", "b"],
+  );
+  assert.equal(
+    circle(
+      new Map([
+        ["a", ["b", "c"]],
+        ["b", ["c"]],
+        ["c", []],
+      ]),
+    ),
+    null,
+  );
 });
 
 test("the page's modules form none", async () => {

@@ -13,8 +13,11 @@ function colorOf(a, attribute) {
 // x(t) tells where a time is; `panel`: which attribute is shown and which annotation is chosen.
 export function drawOne(ctx, a, x, y, { told, attribute: nth, selected }) {
   const attribute = told.attributes[nth];
-  const c = theme(), color = colorOf(a, attribute);
-  const left = x(a.from), right = x(a.to), width = Math.max(right - left, 2);
+  const c = theme(),
+    color = colorOf(a, attribute);
+  const left = x(a.from),
+    right = x(a.to),
+    width = Math.max(right - left, 2);
   ctx.fillStyle = ctx.strokeStyle = color;
   if (a.to === a.from) {
     ctx.beginPath();

@@ -14,7 +14,8 @@ export class KeyState {
 
   learn(attributes) {
     this.keys = new Map();
-    for (const a of attributes) for (const v of a.values) if (v.key) this.keys.set(v.key, { attribute: a.name, value: v.value });
+    for (const a of attributes)
+      for (const v of a.values) if (v.key) this.keys.set(v.key, { attribute: a.name, value: v.value });
   }
 
   has(key) {
@@ -43,7 +44,11 @@ export class KeyState {
 
   // What is begun and not ended, up to now.
   pending(t) {
-    return [...this.open.values()].map(({ from, values }) => ({ from: Math.min(from, t), to: Math.max(from, t), values }));
+    return [...this.open.values()].map(({ from, values }) => ({
+      from: Math.min(from, t),
+      to: Math.max(from, t),
+      values,
+    }));
   }
 
   cancel() {

@@ -8,7 +8,8 @@ import { ROW, drawOne } from "./draw.js";
 import { KeyState } from "./keys.js";
 import { Tools } from "./tools.js";
 
-const HEAD = 26, NEAR = 5;
+const HEAD = 26,
+  NEAR = 5;
 const FIRST = "1";
 
 export class AnnotationPanel {
@@ -70,7 +71,7 @@ export class AnnotationPanel {
       this.app.schedule(this);
       return true;
     }
-    if (e.key === "Escape" && this.keys.cancel()) return this.app.schedule(this), true;
+    if (e.key === "Escape" && this.keys.cancel()) return (this.app.schedule(this), true);
     return false;
   }
 
@@ -172,7 +173,8 @@ export class AnnotationPanel {
   }
 
   snapped(t, near, id) {
-    let best = t, least = near;
+    let best = t,
+      least = near;
     const own = this.told.items.filter((a) => a.id !== id).flatMap((a) => [a.from, a.to]);
     const others = [...this.app.views].filter((v) => v !== this).flatMap((v) => v.changes?.() ?? []);
     for (const c of [...own, ...others]) if (Math.abs(c - t) < least) [best, least] = [c, Math.abs(c - t)];
@@ -188,8 +190,15 @@ export class AnnotationPanel {
 
   words(a) {
     const values = Object.entries(a.values).map(([name, v]) => `${name}: ${v}`);
-    const about = [a.proposed ? "proposed" : "", a.by ? `by ${a.by}` : "", a.confidence != null ? `confidence ${a.confidence}` : ""];
-    const when = a.to === a.from ? `at ${relative(a.from)}` : `${relative(a.from)} to ${relative(a.to)}, ${duration(a.to - a.from)}`;
+    const about = [
+      a.proposed ? "proposed" : "",
+      a.by ? `by ${a.by}` : "",
+      a.confidence != null ? `confidence ${a.confidence}` : "",
+    ];
+    const when =
+      a.to === a.from
+        ? `at ${relative(a.from)}`
+        : `${relative(a.from)} to ${relative(a.to)}, ${duration(a.to - a.from)}`;
     return [`${a.track}   ${when}`, ...values, about.filter(Boolean).join(", "), a.note ?? ""].filter(Boolean);
   }
 
@@ -205,7 +214,8 @@ export class AnnotationPanel {
   // --- drawing
 
   resize() {
-    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const w = this.el.clientWidth,
+      h = this.el.clientHeight;
     if (!w || !h) return;
     this.canvas.width = Math.round(w * devicePixelRatio);
     this.canvas.height = Math.round(h * devicePixelRatio);
@@ -218,8 +228,10 @@ export class AnnotationPanel {
       this.early = null;
       this.tell(early);
     }
-    const ctx = this.canvas.getContext("2d"), c = theme();
-    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const ctx = this.canvas.getContext("2d"),
+      c = theme();
+    const w = this.el.clientWidth,
+      h = this.el.clientHeight;
     const { view, cursor } = this.app.time.get();
     const inner = w - GUTTER.left - GUTTER.right;
     const x = (t) => GUTTER.left + ((t - view[0]) * inner) / (view[1] - view[0]);
@@ -237,7 +249,8 @@ export class AnnotationPanel {
     this.tracks().forEach((track, i) => {
       for (const a of this.told.items) if (a.track === track) drawOne(ctx, this.dragged(a), x, HEAD + i * ROW, this);
       if (track !== this.track) return;
-      for (const p of this.keys.pending(cursor)) drawOne(ctx, { ...p, track, pending: true }, x, HEAD + i * ROW, this);
+      for (const p of this.keys.pending(cursor))
+        drawOne(ctx, { ...p, track, pending: true }, x, HEAD + i * ROW, this);
     });
     ctx.restore();
     this.drawn = (this.drawn ?? 0) + 1;

@@ -19,7 +19,9 @@ export class Tools {
     this.undo = this.button("Undo", "Take back the last edit (Ctrl+Z)", () => panel.push("undo"));
     this.redo = this.button("Redo", "Make it again (Ctrl+Shift+Z)", () => panel.push("redo"));
     this.save = this.button("Save", "Write a new version of the annotations", () => panel.push("save"));
-    this.button("×", "Close the annotations; nothing is lost", () => panel.app.options.push?.("annotation_close", {}));
+    this.button("×", "Close the annotations; nothing is lost", () =>
+      panel.app.options.push?.("annotation_close", {}),
+    );
   }
 
   part(tag, label) {
@@ -44,7 +46,8 @@ export class Tools {
     if (names !== this.names) {
       this.names = names;
       this.attribute.textContent = "";
-      for (const a of told.attributes) this.attribute.appendChild(document.createElement("option")).textContent = a.name;
+      for (const a of told.attributes)
+        this.attribute.appendChild(document.createElement("option")).textContent = a.name;
     }
     this.attribute.selectedIndex = attribute;
     this.fill(told.attributes[attribute], item);
@@ -71,7 +74,8 @@ export class Tools {
     if (attribute.kind === "bool") input.checked = item?.values[attribute.name] === true;
     else input.value = item?.values[attribute.name] ?? "";
     input.addEventListener("change", () => {
-      const value = attribute.kind === "bool" ? input.checked : attribute.kind === "number" ? Number(input.value) : input.value;
+      const value =
+        attribute.kind === "bool" ? input.checked : attribute.kind === "number" ? Number(input.value) : input.value;
       this.panel.push("value", { id: item.id, attribute: attribute.name, value });
     });
   }
@@ -100,9 +104,10 @@ export class Tools {
     const item = this.panel.item();
     if (item?.proposed) this.panel.push(how === "accept" ? "accept" : "remove", { id: item.id });
     else {
-      const [question, usual] = how === "accept"
-        ? ["Accept proposals of at least this confidence", "0"]
-        : ["Reject proposals below this confidence", "1"];
+      const [question, usual] =
+        how === "accept"
+          ? ["Accept proposals of at least this confidence", "0"]
+          : ["Reject proposals below this confidence", "1"];
       const least = Number(prompt(question, usual) ?? NaN);
       if (Number.isFinite(least)) this.panel.push(`${how}_all`, { least });
     }

@@ -51,7 +51,13 @@ export class IntervalChannel extends Channel {
     if (w && !this.error) {
       this.keep(f, client.rel(f.time), w);
       const head = client.time.get().data[1];
-      this.held = { from: w.append ? this.held.from : w.from, to: w.to, bin: w.bin, head, newest: this.newest(f, client) };
+      this.held = {
+        from: w.append ? this.held.from : w.from,
+        to: w.to,
+        bin: w.bin,
+        head,
+        newest: this.newest(f, client),
+      };
     } else if (this.error) {
       this.held = { from: -Infinity, to: Infinity, bin: w?.bin, head: Infinity };
     }
@@ -74,9 +80,11 @@ export class IntervalChannel extends Channel {
     if (f.kind === KIND.series) {
       this.series.put(f, base, from);
       if (w.append) this.series.trim(forget);
-    } else if (f.kind === KIND.lines) this.lines = keepLines(w.append ? this.lines : new Map(), f.lines, base, from, forget);
+    } else if (f.kind === KIND.lines)
+      this.lines = keepLines(w.append ? this.lines : new Map(), f.lines, base, from, forget);
     else if (f.kind === KIND.marks) this.marks = keepMarks(w.append ? this.marks : null, f, base, w.from);
-    else if (f.kind === KIND.segments) this.segments = keepSegments(w.append ? this.segments : null, f.value, base, w.from);
+    else if (f.kind === KIND.segments)
+      this.segments = keepSegments(w.append ? this.segments : null, f.value, base, w.from);
   }
 }
 

@@ -3,7 +3,8 @@
 import { byName, lowerBound } from "./series.js";
 import { duration, relative } from "../time/text.js";
 
-const MOST_MARKS = 20000, MOST_SEGMENTS = 5000;
+const MOST_MARKS = 20000,
+  MOST_SEGMENTS = 5000;
 
 export function keepMarks(old, f, base, from) {
   const t = Array.from(f.t, (x) => x + base);
@@ -35,7 +36,11 @@ function join(held, next, from) {
   const first = next.length ? next[0][0] : from;
   if ((next[0] ?? held[0])[3] === "span") {
     const starts = new Set(next.map(([a]) => a));
-    return held.filter(([a]) => !starts.has(a)).slice(-MOST_SEGMENTS).concat(next).sort((p, q) => p[0] - q[0]);
+    return held
+      .filter(([a]) => !starts.has(a))
+      .slice(-MOST_SEGMENTS)
+      .concat(next)
+      .sort((p, q) => p[0] - q[0]);
   }
   const kept = held.filter(([a]) => a < first).slice(-MOST_SEGMENTS);
   const last = kept[kept.length - 1];

@@ -9,7 +9,8 @@ const STEADY = 2.5;
 // rows: {t, n, length}, columns of the times (first of its messages) and the messages of each row. Answers {period, row}: the
 // usual time between messages and between rows in ns; a period of Infinity where they come as they like.
 export function rhythm({ t, n, length }) {
-  const pauses = [], periods = [];
+  const pauses = [],
+    periods = [];
   const step = Math.max(1, Math.floor((length - 1) / LOOKED_AT));
   for (let i = 0; i + 1 < length; i += step) {
     pauses.push(t[i + 1] - t[i]);

@@ -74,7 +74,8 @@ export class Series {
   extent(from, to) {
     let a = Math.max(this.at(from), 0);
     const b = Math.min(lowerBound(this.t, to, this.length), this.length - 1);
-    let lo = Infinity, hi = -Infinity;
+    let lo = Infinity,
+      hi = -Infinity;
     for (; a <= b; a++) {
       if (this.min[a] < lo) lo = this.min[a];
       if (this.max[a] > hi) hi = this.max[a];
@@ -102,7 +103,8 @@ export function keepLines(old, lines, base, from, forget) {
 export const byName = new Intl.Collator("en", { numeric: true }).compare;
 
 export function lowerBound(a, x, n = a.length) {
-  let lo = 0, hi = n;
+  let lo = 0,
+    hi = n;
   while (lo < hi) {
     const mid = (lo + hi) >> 1;
     if (a[mid] < x) lo = mid + 1;
@@ -112,7 +114,8 @@ export function lowerBound(a, x, n = a.length) {
 }
 
 export function upperBound(a, x, n = a.length) {
-  let lo = 0, hi = n;
+  let lo = 0,
+    hi = n;
   while (lo < hi) {
     const mid = (lo + hi) >> 1;
     if (a[mid] <= x) lo = mid + 1;

@@ -2,12 +2,21 @@
 // multiple of 8, so that typed arrays view the buffer without copying.
 
 export const KIND = {
-  series: 1, segments: 2, marks: 3, image: 4, json: 5, none: 6, same: 7, error: 8, pcm: 9,
+  series: 1,
+  segments: 2,
+  marks: 3,
+  image: 4,
+  json: 5,
+  none: 6,
+  same: 7,
+  error: 8,
+  pcm: 9,
   lines: 10,
 };
 export const PIXELS = { jpeg: 1, png: 2, rgba: 3, gray8: 4, gray16: 5, rgb: 6, bgr: 7, bgra: 8 };
 
-const HEAD = 40, FRAME = 32;
+const HEAD = 40,
+  FRAME = 32;
 const text = new TextDecoder();
 
 export function decode(buffer) {
@@ -56,7 +65,8 @@ function lines(buffer, at, count, { raw, sampled }) {
   const v = new DataView(buffer);
   const out = [];
   for (let i = 0; i < count; i++) {
-    const size = v.getUint32(at, true), n = v.getUint32(at + 4, true);
+    const size = v.getUint32(at, true),
+      n = v.getUint32(at + 4, true);
     const name = text.decode(new Uint8Array(buffer, at + 8, size));
     at += 8 + ((size + 7) & ~7);
     out.push({ name, raw, sampled, ...columns(buffer, at, n) });

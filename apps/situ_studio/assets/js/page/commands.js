@@ -22,7 +22,8 @@ export const commands = {
   previousChange: (app) => stepChange(app, -1),
 
   maximise(app) {
-    const panel = app.root.querySelector(".maxed[data-panel]") ?? app.root.querySelector("[data-panel].selected") ?? hovered(app);
+    const panel =
+      app.root.querySelector(".maxed[data-panel]") ?? app.root.querySelector("[data-panel].selected") ?? hovered(app);
     if (panel) app.options.push?.("maximise", { id: panel.dataset.panel });
     else toast("Point at a panel, or select one, to let it fill the window");
   },
@@ -56,7 +57,8 @@ export const commands = {
   },
 
   copyNs(app) {
-    if (app.client.origin !== null) return copy(app.client.abs(app.time.get().cursor), "Nanoseconds of the cursor copied");
+    if (app.client.origin !== null)
+      return copy(app.client.abs(app.time.get().cursor), "Nanoseconds of the cursor copied");
   },
 
   copyLink(app) {
@@ -74,7 +76,8 @@ function stepChange(app, way) {
   const views = own.length ? own : [...app.views].filter((v) => v.changes);
   const { cursor } = app.time.get();
   const times = views.flatMap((v) => v.changes()).filter((t) => (way > 0 ? t > cursor + 0.5 : t < cursor - 0.5));
-  if (!times.length) return toast(way > 0 ? "No later change in what is loaded" : "No earlier change in what is loaded");
+  if (!times.length)
+    return toast(way > 0 ? "No later change in what is loaded" : "No earlier change in what is loaded");
   const t = way > 0 ? Math.min(...times) : Math.max(...times);
   app.time.dispatch({ type: "nudge", by: t - cursor });
 }

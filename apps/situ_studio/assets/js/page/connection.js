@@ -1,6 +1,11 @@
 // Whether the server answers, told in the status line and, where the page cannot go on, in words that are seen.
 
-const STATUS = { open: "connected", closed: "reconnecting", gone: "the recording is gone", broken: "unreadable answer" };
+const STATUS = {
+  open: "connected",
+  closed: "reconnecting",
+  gone: "the recording is gone",
+  broken: "unreadable answer",
+};
 const BANNER = {
   closed: "The studio's server does not answer. The page goes on by itself as soon as it does.",
   gone: "This recording was deleted or moved. What was read of it before stays on the page.",
@@ -8,7 +13,8 @@ const BANNER = {
 };
 // How long the server may be away before the page says so, in ms.
 const LOST = 1500;
-const MARK = "situ:lost", REMEMBERED = 5000;
+const MARK = "situ:lost",
+  REMEMBERED = 5000;
 
 export class Connection {
   // header: what writes into the page; toast(text): what says something in passing

@@ -42,10 +42,12 @@ export const hooks = {
         e.preventDefault();
         e.stopPropagation();
         // an element that changes its place loses the focus
-        this.pushEvent("shift_panel", { id, way }, () => requestAnimationFrame(() => {
-          this.el.focus();
-          this.el.scrollIntoView({ block: "nearest" });
-        }));
+        this.pushEvent("shift_panel", { id, way }, () =>
+          requestAnimationFrame(() => {
+            this.el.focus();
+            this.el.scrollIntoView({ block: "nearest" });
+          }),
+        );
       });
     },
   },
@@ -55,7 +57,8 @@ export const hooks = {
       this.el.addEventListener("dragover", (e) => {
         const kind = kindOf(e);
         if (kind) this.mark(placeAt(e, kind));
-        else if (e.dataTransfer.types.includes(STREAM)) this.mark({ side: "into", el: e.target.closest("[data-panel]") });
+        else if (e.dataTransfer.types.includes(STREAM))
+          this.mark({ side: "into", el: e.target.closest("[data-panel]") });
         else return;
         e.preventDefault();
       });

@@ -3,7 +3,9 @@
 
 import { FONT, GUTTER } from "./theme.js";
 
-const LEAST = 56, MOST = 200, SPACE = 14;
+const LEAST = 56,
+  MOST = 200,
+  SPACE = 14;
 const ruler = document.createElement("canvas").getContext("2d");
 
 export function textWidth(text) {

@@ -78,28 +78,55 @@ export function actionFor(e) {
 export function timeAction(name, s) {
   const w = s.view[1] - s.view[0];
   switch (name) {
-    case "togglePlay": return { type: s.mode === "play" ? "stop" : "playView" };
-    case "togglePlaySel": return { type: s.mode === "play" ? "stop" : "playSel" };
-    case "zoomAll": case "zoomSel": case "clearSel": case "follow": case "repeat":
-    case "toSelStart": case "toSelEnd": return { type: name };
-    case "zoomIn": return { type: "zoomAt", t: s.cursor, factor: 1 / 1.5 };
-    case "zoomOut": return { type: "zoomAt", t: s.cursor, factor: 1.5 };
-    case "back": return { type: "nudge", by: -FRAME };
-    case "on": return { type: "nudge", by: FRAME };
-    case "jumpBack": return { type: "nudge", by: -JUMP };
-    case "jumpOn": return { type: "nudge", by: JUMP };
-    case "panBack": return { type: "pan", by: -w / 2 };
-    case "panOn": return { type: "pan", by: w / 2 };
-    case "home": return { type: "nudge", by: s.data[0] - s.cursor };
-    case "end": return { type: "nudge", by: s.data[1] - s.cursor };
-    case "selStart": return { type: "selStart", t: s.cursor };
-    case "selEnd": return { type: "selEnd", t: s.cursor };
-    case "selBack": return { type: "shiftSel", dir: -1 };
-    case "selOn": return { type: "shiftSel", dir: 1 };
-    case "normalSpeed": return { type: "speed", value: 1 };
-    case "slower": return { type: "speed", value: s.speed / 2 };
-    case "faster": return { type: "speed", value: s.speed * 2 };
-    case "live": return { type: "live", on: s.mode !== "live" };
-    default: return null;
+    case "togglePlay":
+      return { type: s.mode === "play" ? "stop" : "playView" };
+    case "togglePlaySel":
+      return { type: s.mode === "play" ? "stop" : "playSel" };
+    case "zoomAll":
+    case "zoomSel":
+    case "clearSel":
+    case "follow":
+    case "repeat":
+    case "toSelStart":
+    case "toSelEnd":
+      return { type: name };
+    case "zoomIn":
+      return { type: "zoomAt", t: s.cursor, factor: 1 / 1.5 };
+    case "zoomOut":
+      return { type: "zoomAt", t: s.cursor, factor: 1.5 };
+    case "back":
+      return { type: "nudge", by: -FRAME };
+    case "on":
+      return { type: "nudge", by: FRAME };
+    case "jumpBack":
+      return { type: "nudge", by: -JUMP };
+    case "jumpOn":
+      return { type: "nudge", by: JUMP };
+    case "panBack":
+      return { type: "pan", by: -w / 2 };
+    case "panOn":
+      return { type: "pan", by: w / 2 };
+    case "home":
+      return { type: "nudge", by: s.data[0] - s.cursor };
+    case "end":
+      return { type: "nudge", by: s.data[1] - s.cursor };
+    case "selStart":
+      return { type: "selStart", t: s.cursor };
+    case "selEnd":
+      return { type: "selEnd", t: s.cursor };
+    case "selBack":
+      return { type: "shiftSel", dir: -1 };
+    case "selOn":
+      return { type: "shiftSel", dir: 1 };
+    case "normalSpeed":
+      return { type: "speed", value: 1 };
+    case "slower":
+      return { type: "speed", value: s.speed / 2 };
+    case "faster":
+      return { type: "speed", value: s.speed * 2 };
+    case "live":
+      return { type: "live", on: s.mode !== "live" };
+    default:
+      return null;
   }
 }

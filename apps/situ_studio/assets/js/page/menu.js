@@ -12,7 +12,8 @@ export class Menu {
     this.el.hidden = true;
     root.addEventListener("contextmenu", (e) => this.asked(e));
     root.addEventListener("pointerdown", (e) => this.pressed(e));
-    for (const name of ["pointerup", "pointercancel", "pointermove"]) root.addEventListener(name, (e) => this.lifted(e));
+    for (const name of ["pointerup", "pointercancel", "pointermove"])
+      root.addEventListener(name, (e) => this.lifted(e));
     this.el.addEventListener("keydown", (e) => this.key(e));
     this.outside = (e) => this.el.contains(e.target) || this.close();
     document.addEventListener("pointerdown", this.outside, true);

@@ -57,11 +57,15 @@ function panelItems(app, panel, legend, event) {
   }
   const { sel } = app.time.get();
   if (panel.matches(".timeline")) {
-    items.push(...timeItems(app, timeAt(app, body, event)), {
-      text: "Statistics of the selection",
-      disabled: sel[0] == null || sel[1] == null,
-      run: () => push("statistics", { from: app.client.abs(sel[0]), to: app.client.abs(sel[1]) }),
-    }, "-");
+    items.push(
+      ...timeItems(app, timeAt(app, body, event)),
+      {
+        text: "Statistics of the selection",
+        disabled: sel[0] == null || sel[1] == null,
+        run: () => push("statistics", { from: app.client.abs(sel[0]), to: app.client.abs(sel[1]) }),
+      },
+      "-",
+    );
   }
   items.push(
     { text: "Properties", run: () => push("select_panel") },
@@ -89,7 +93,12 @@ function timeItems(app, t) {
     { text: "Selection starts here", hint: "[", run: go({ type: "selStart", t }) },
     { text: "Selection ends here", hint: "]", run: go({ type: "selEnd", t }) },
     { text: "Zoom to the selection", hint: "Ctrl+S", run: go({ type: "zoomSel" }), disabled: !both },
-    { text: "Clear the selection", hint: "Alt+C", run: go({ type: "clearSel" }), disabled: sel[0] == null && sel[1] == null },
+    {
+      text: "Clear the selection",
+      hint: "Alt+C",
+      run: go({ type: "clearSel" }),
+      disabled: sel[0] == null && sel[1] == null,
+    },
     { text: "View everything", hint: "Ctrl+A", run: go({ type: "zoomAll" }) },
     { text: "Save the selection as a recording", hint: "Ctrl+E", run: () => app.act("export"), disabled: !both },
   ];

@@ -8,7 +8,12 @@ export function number(x, digits = 6) {
   return String(Number(x.toPrecision(digits)));
 }
 
-const SI = [[1e12, "T"], [1e9, "G"], [1e6, "M"], [1e3, "k"]];
+const SI = [
+  [1e12, "T"],
+  [1e9, "G"],
+  [1e6, "M"],
+  [1e3, "k"],
+];
 
 // A number beside an axis: short, large ones with the prefixes of SI.
 export function axisNumber(x) {
@@ -41,7 +46,8 @@ function ticksOf(lo, hi, n) {
 
 // min..max padded by 10 % on both sides; nothing gives 0..1, a single value one unit around it.
 export function paddedRange(extents) {
-  let lo = Infinity, hi = -Infinity;
+  let lo = Infinity,
+    hi = -Infinity;
   for (const e of extents) {
     if (!e) continue;
     if (Number.isFinite(e[0]) && e[0] < lo) lo = e[0];

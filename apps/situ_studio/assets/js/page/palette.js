@@ -33,11 +33,17 @@ export class Palette {
       // without the list only commands are offered
     }
     return [
-      ...KEYS.map(([key, text, action]) => ({ text, hint: key.replace("Arrow", ""), run: () => this.app.act(action) })),
+      ...KEYS.map(([key, text, action]) => ({
+        text,
+        hint: key.replace("Arrow", ""),
+        run: () => this.app.act(action),
+      })),
       { text: "Copy a link to this view", hint: "", run: () => this.app.act("copyLink") },
       { text: "Copy the time of the cursor in ns", hint: "", run: () => this.app.act("copyNs") },
       ...streams.map((stream) => ({
-        text: stream, hint: "add stream", run: () => this.app.options.push?.("add_stream", { stream, panel: "" }),
+        text: stream,
+        hint: "add stream",
+        run: () => this.app.options.push?.("add_stream", { stream, panel: "" }),
       })),
     ];
   }
@@ -91,7 +97,8 @@ function score(text, words) {
       total += at;
       continue;
     }
-    let p = -1, first = -1;
+    let p = -1,
+      first = -1;
     for (const c of w) {
       p = text.indexOf(c, p + 1);
       if (p < 0) return null;

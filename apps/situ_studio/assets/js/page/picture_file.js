@@ -4,7 +4,8 @@ import { FONT, theme } from "./theme.js";
 import { toast } from "./toast.js";
 
 export function savePicture(_app, body) {
-  const scale = devicePixelRatio, box = body.getBoundingClientRect();
+  const scale = devicePixelRatio,
+    box = body.getBoundingClientRect();
   const out = document.createElement("canvas");
   [out.width, out.height] = [Math.round(box.width * scale), Math.round(box.height * scale)];
   const ctx = out.getContext("2d");

@@ -4,11 +4,22 @@ import { number } from "./number_text.js";
 import { duration } from "../time/text.js";
 
 const TITLES = {
-  n: "messages", rate_hz: "rate", period_ns: "usual pause", jitter_ns: "jitter (sd of pauses)", longest_pause_ns: "longest pause",
-  mean: "mean", sd: "standard deviation", min: "least", p5: "5 %", median: "median", p95: "95 %", max: "greatest",
+  n: "messages",
+  rate_hz: "rate",
+  period_ns: "usual pause",
+  jitter_ns: "jitter (sd of pauses)",
+  longest_pause_ns: "longest pause",
+  mean: "mean",
+  sd: "standard deviation",
+  min: "least",
+  p5: "5 %",
+  median: "median",
+  p95: "95 %",
+  max: "greatest",
 };
 
-const text = (name, v) => (name.endsWith("_ns") ? duration(v) : name === "rate_hz" ? `${number(v, 4)} /s` : number(v, 6));
+const text = (name, v) =>
+  name.endsWith("_ns") ? duration(v) : name === "rate_hz" ? `${number(v, 4)} /s` : number(v, 6);
 
 // rows: [{name, all, values: [[name, value], ...], error?}]
 export function showStatistics(rows, length) {
@@ -21,10 +32,19 @@ export function showStatistics(rows, length) {
     tr.appendChild(document.createElement("th")).textContent = head;
     for (const c of cells) tr.appendChild(document.createElement(tag)).textContent = c;
   };
-  line("", rows.map((r) => r.name + (r.all === false ? " (a sample)" : "")), "th");
+  line(
+    "",
+    rows.map((r) => r.name + (r.all === false ? " (a sample)" : "")),
+    "th",
+  );
   for (const [name, title] of Object.entries(TITLES)) {
     const cells = rows.map((r) => r.values.find(([n]) => n === name)?.[1]);
-    if (cells.some((v) => v !== undefined)) line(title, cells.map((v) => (v === undefined ? "" : text(name, v))), "td");
+    if (cells.some((v) => v !== undefined))
+      line(
+        title,
+        cells.map((v) => (v === undefined ? "" : text(name, v))),
+        "td",
+      );
   }
   dialog.addEventListener("close", () => dialog.remove());
   dialog.addEventListener("click", (e) => e.target === dialog && dialog.close());

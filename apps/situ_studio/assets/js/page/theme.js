@@ -1,6 +1,20 @@
 // Colours for canvases come from the style sheet, so that dark and light need one place only.
 
-const NAMES = ["bg", "panel", "grid", "axis", "text", "dim", "accent", "cursor", "sel-start", "sel-end", "warn", "on", "off"];
+const NAMES = [
+  "bg",
+  "panel",
+  "grid",
+  "axis",
+  "text",
+  "dim",
+  "accent",
+  "cursor",
+  "sel-start",
+  "sel-end",
+  "warn",
+  "on",
+  "off",
+];
 // Room on both sides of every timeline; the left follows what stands in it (`gutter.js`).
 export const GUTTER = { left: 76, right: 14 };
 export const FONT = '11px Inter, "Segoe UI", system-ui, sans-serif';

@@ -1,7 +1,8 @@
 // A few lines of text beside the mouse: what lies under it. One for the page.
 
 const GAP = 14;
-let el = null, owner = null;
+let el = null,
+  owner = null;
 
 // Shows `lines` for `who` beside a place of the window; no lines take it away, if it is still theirs.
 export function tip(who, lines, x = 0, y = 0) {

@@ -52,7 +52,8 @@ export class ImagePanel {
   }
 
   resize() {
-    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const w = this.el.clientWidth,
+      h = this.el.clientHeight;
     if (!w || !h) return;
     this.canvas.width = Math.round(w * devicePixelRatio);
     this.canvas.height = Math.round(h * devicePixelRatio);
@@ -67,8 +68,10 @@ export class ImagePanel {
   fit() {
     const base = this.base()?.picture;
     const shapes = this.layers.find((l) => l.shapes?.size)?.shapes.size;
-    const width = base?.width ?? shapes?.[0] ?? 640, height = base?.height ?? shapes?.[1] ?? 480;
-    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const width = base?.width ?? shapes?.[0] ?? 640,
+      height = base?.height ?? shapes?.[1] ?? 480;
+    const w = this.el.clientWidth,
+      h = this.el.clientHeight;
     const { zoom } = this.mouse;
     const k = Math.min(w / width, h / height) * zoom.k;
     return { k, x: (w - width * k) / 2 + zoom.x, y: (h - height * k) / 2 + zoom.y, width, height };
@@ -81,8 +84,10 @@ export class ImagePanel {
 
   render() {
     const ctx = this.canvas.getContext("2d");
-    const f = this.fit(), map = this.map();
-    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const f = this.fit(),
+      map = this.map();
+    const w = this.el.clientWidth,
+      h = this.el.clientHeight;
     ctx.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     ctx.clearRect(0, 0, w, h);
     ctx.imageSmoothingEnabled = f.k < 3;

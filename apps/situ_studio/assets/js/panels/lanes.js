@@ -8,7 +8,8 @@ import { segmentAt } from "../data/lanes.js";
 import { visualizers } from "../visualizers/index.js";
 import { tip } from "../page/tip.js";
 
-const ROW = 26, HIGH = 34;
+const ROW = 26,
+  HIGH = 34;
 const EDGE = 4;
 const ROOM = 11;
 const MOST_LANES = 32;
@@ -57,7 +58,8 @@ export class LanesPanel {
 
   // The times at which something begins or ends.
   changes() {
-    return this.layers.flatMap((l) => [...(l.channel.segments?.values() ?? [])])
+    return this.layers
+      .flatMap((l) => [...(l.channel.segments?.values() ?? [])])
       .flatMap((rows) => rows.flatMap(([a, b]) => (Number.isFinite(b) ? [a, b] : [a])));
   }
 
@@ -87,8 +89,7 @@ export class LanesPanel {
 
   // One row a stream, or one for each key of a stream of maps.
   layOut() {
-    const rows = this.layers.flatMap((l) =>
-      known(l).map((lane, i) => ({ l, lane, index: keyIndex(lane, i) })));
+    const rows = this.layers.flatMap((l) => known(l).map((lane, i) => ({ l, lane, index: keyIndex(lane, i) })));
     const named = JSON.stringify(rows.map((r) => [r.l.index, r.lane]));
     if (this.rows && named === this.named) return;
     this.rows = rows;
@@ -103,7 +104,10 @@ export class LanesPanel {
       name.appendChild(document.createElement("bdi")).textContent = laneName(short, lane);
     }
     this.fit();
-    this.app.gutter.need(this, rows.map(({ l, lane }) => laneName(l.vis.short ?? l.vis.name, lane)));
+    this.app.gutter.need(
+      this,
+      rows.map(({ l, lane }) => laneName(l.vis.short ?? l.vis.name, lane)),
+    );
     for (const l of this.layers) {
       const count = rows.filter((r) => r.l === l).length;
       if (count > (l.told ?? 1)) this.app.tellLanes(l.vis.stream + (l.vis.path ?? ""), (l.told = count));
@@ -127,7 +131,8 @@ export class LanesPanel {
   }
 
   resize() {
-    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const w = this.el.clientWidth,
+      h = this.el.clientHeight;
     if (!w || !h) return;
     this.canvas.width = Math.round(w * devicePixelRatio);
     this.canvas.height = Math.round(h * devicePixelRatio);
@@ -138,10 +143,14 @@ export class LanesPanel {
 
   render() {
     this.layOut();
-    this.el.classList.toggle("loading", this.layers.some((l) => !l.channel.held && !l.channel.error));
+    this.el.classList.toggle(
+      "loading",
+      this.layers.some((l) => !l.channel.held && !l.channel.error),
+    );
     const ctx = this.canvas.getContext("2d");
     const t = theme();
-    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const w = this.el.clientWidth,
+      h = this.el.clientHeight;
     const { view, data } = this.app.time.get();
     const inner = w - GUTTER.left - GUTTER.right;
     const k = inner / (view[1] - view[0]);

@@ -6,16 +6,21 @@ export class PanZoom {
     this.zoom = { k: 1, x: 0, y: 0 };
     this.pointer = null;
     const on = (name, f, options) => el.addEventListener(name, f, options);
-    on("wheel", (e) => {
-      e.preventDefault();
-      const f = fit();
-      const ix = (e.offsetX - f.x) / f.k, iy = (e.offsetY - f.y) / f.k;
-      this.zoom.k = Math.min(Math.max(this.zoom.k * (e.deltaY > 0 ? 1 / 1.1 : 1.1), 0.2), 60);
-      const g = fit();
-      this.zoom.x += e.offsetX - (g.x + ix * g.k);
-      this.zoom.y += e.offsetY - (g.y + iy * g.k);
-      changed();
-    }, { passive: false });
+    on(
+      "wheel",
+      (e) => {
+        e.preventDefault();
+        const f = fit();
+        const ix = (e.offsetX - f.x) / f.k,
+          iy = (e.offsetY - f.y) / f.k;
+        this.zoom.k = Math.min(Math.max(this.zoom.k * (e.deltaY > 0 ? 1 / 1.1 : 1.1), 0.2), 60);
+        const g = fit();
+        this.zoom.x += e.offsetX - (g.x + ix * g.k);
+        this.zoom.y += e.offsetY - (g.y + iy * g.k);
+        changed();
+      },
+      { passive: false },
+    );
     let drag = null;
     on("pointerdown", (e) => {
       el.setPointerCapture(e.pointerId);

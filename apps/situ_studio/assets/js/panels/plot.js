@@ -3,18 +3,14 @@
 
 import uPlot from "uplot";
 import { GUTTER, FONT, theme, seriesColor, keyIndex } from "../page/theme.js";
-import { duration, ticks } from "../time/text.js";
+import { ticks } from "../time/text.js";
 import { axisNumber, valueTicks, paddedRange } from "../page/number_text.js";
+import { Legend } from "./legend.js";
 import { brackets } from "../visualizers/paint.js";
 import { visualizers } from "../visualizers/index.js";
 
 // Room above the signals for their names and values.
 const LEGEND = 22;
-// A second click within so many ms is a double click.
-const DOUBLE = 220;
-
-const group = (name) => name.slice(0, name.lastIndexOf(".") + 1);
-
 export class PlotPanel {
   // app: {time, client, schedule}; config: {vis: [{id, draw, stream, name, props}], axis: {mode, min, max}}
   constructor(el, app, config) {
@@ -22,11 +18,7 @@ export class PlotPanel {
     el.classList.add("plot");
     this.body = el.appendChild(document.createElement("div"));
     this.body.className = "plot-body";
-    this.legend = el.appendChild(document.createElement("div"));
-    this.legend.className = "legend";
-    this.legend.addEventListener("click", (e) => this.clicked(e));
-    this.rest = el.appendChild(document.createElement("div"));
-    this.rest.className = "legend-more";
+    this.legend = new Legend(this);
     this.layers = [];
     this.y = [0, 1];
     this.size = [0, 0];
@@ -46,8 +38,8 @@ export class PlotPanel {
       return Object.assign(layer, { vis, index });
     });
     for (const l of old.values()) this.app.client.close(l.channel);
-    this.named = null;
-    this.buildLegend();
+    this.legend.forget();
+    this.legend.build();
     this.app.schedule(this);
   }
 
@@ -66,76 +58,19 @@ export class PlotPanel {
     return this.layers.flatMap((l) => l.drawer.entries(l));
   }
 
-  // The legend has an entry for each, and for a stream of which nothing came.
-  buildLegend() {
-    const entries = this.lines();
-    for (const layer of this.layers) {
-      if (!entries.some((e) => e.layer === layer)) entries.push({ layer, name: "", series: null });
-    }
-    const named = JSON.stringify(entries.map((e) => [e.layer.vis.name, e.name, this.color(e, 0), e.layer.vis.props?.visible]));
-    const same = named === this.named;
-    this.named = named;
-    const rows = this.entries;
-    this.entries = entries.map((e, i) => ({ ...e, value: same ? rows[i].value : null, text: same ? rows[i].text : null }));
-    if (same) return;
-    this.legend.textContent = "";
-    let nth = 0, before = null;
-    for (const e of this.entries) {
-      const row = this.legend.appendChild(document.createElement("button"));
-      row.className = "legend-item";
-      row.dataset.stream = e.layer.vis.stream;
-      row.dataset.key = e.name;
-      const swatch = row.appendChild(document.createElement("i"));
-      swatch.style.background = this.color(e, nth++);
-      // of neighbours in one group the first is named in full
-      const { name, short } = e.layer.vis;
-      const stream = before && group(before.vis.name) === group(name) ? short ?? name : name;
-      const full = e.name === "" ? e.layer.vis.name : `${e.layer.vis.name}  ${e.name}`;
-      row.title = `${full}\nClick: hide or show. Double click: only this one.`;
-      row.type = "button";
-      row.classList.toggle("hidden", e.layer.vis.props?.visible === false);
-      row.setAttribute("aria-pressed", String(e.layer.vis.props?.visible !== false));
-      // a stream is named once, then its keys
-      row.appendChild(document.createElement("span")).textContent =
-        e.name === "" ? stream : before === e.layer ? e.name : `${stream} ${e.name}`;
-      before = e.layer;
-      e.value = row.appendChild(document.createElement("b"));
-    }
-    this.more();
-  }
-
-  // A name is a switch: a click hides or shows, a double click leaves it alone.
-  clicked(e) {
-    const stream = e.target.closest(".legend-item")?.dataset.stream;
-    const index = this.config.vis.findIndex((v) => v.stream === stream);
-    const panel = this.el.closest("[data-panel]")?.dataset.panel;
-    if (index < 0 || !panel) return;
-    clearTimeout(this.clickTimer);
-    const push = (more) => this.app.options.push?.("show_vis", { panel, index, ...more });
-    if (e.detail > 1) push({ only: "true" });
-    else this.clickTimer = setTimeout(push, DOUBLE, {});
-  }
-
-  // Entries for which there is no room are counted.
-  more() {
-    const rows = [...this.legend.children];
-    const hidden = rows.filter((r) => r.offsetTop > rows[0].offsetTop + 4);
-    this.rest.textContent = hidden.length ? `+${hidden.length}` : "";
-    this.rest.title = hidden.map((r) => r.title).join("\n");
-  }
-
   color({ layer, name }, nth) {
     const own = layer.vis.color ?? layer.index;
     return seriesColor(layer.vis.props?.color, name === "" ? own : keyIndex(name, own + nth));
   }
 
   resize() {
-    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const w = this.el.clientWidth,
+      h = this.el.clientHeight;
     if (!w || !h || (w === this.size[0] && h === this.size[1])) return;
     this.size = [w, h];
     if (!this.plot) this.build(w, h);
     else this.plot.setSize({ width: w, height: h });
-    this.more();
+    this.legend.more();
     this.app.client.pump();
     this.app.schedule(this);
   }
@@ -157,18 +92,33 @@ export class PlotPanel {
       series: [{}, { paths: () => null, points: { show: false } }],
       axes: [
         {
-          size: 0, ticks: { show: false }, grid: grid(), values: () => [],
+          size: 0,
+          ticks: { show: false },
+          grid: grid(),
+          values: () => [],
           splits: (u, _i, lo, hi) => ticks([lo, hi], u.width - GUTTER.left - GUTTER.right).at,
         },
         {
-          size: () => GUTTER.left, gap: 6, font: FONT, stroke: () => theme().axis, ticks: { show: false }, grid: grid(),
+          size: () => GUTTER.left,
+          gap: 6,
+          font: FONT,
+          stroke: () => theme().axis,
+          ticks: { show: false },
+          grid: grid(),
           splits: (u, _i, lo, hi) => valueTicks(lo, hi, Math.max(2, Math.floor((u.height - LEGEND) / 24))),
           values: (_u, at) => this.labels(at),
         },
       ],
       hooks: { draw: [(u) => this.draw(u)] },
     };
-    this.plot = new uPlot(options, [[0, 1], [null, null]], this.body);
+    this.plot = new uPlot(
+      options,
+      [
+        [0, 1],
+        [null, null],
+      ],
+      this.body,
+    );
   }
 
   range(view) {
@@ -190,17 +140,18 @@ export class PlotPanel {
   // Called once per picture, at most, when something this panel shows has changed.
   render() {
     if (!this.plot) return;
-    this.loading = this.layers.some((l) => !l.channel.held && !l.channel.error) && !this.lines().some((e) => e.series.length);
+    this.loading =
+      this.layers.some((l) => !l.channel.held && !l.channel.error) && !this.lines().some((e) => e.series.length);
     this.el.classList.toggle("loading", this.loading);
     const view = this.app.time.get().view;
-    this.buildLegend();
+    this.legend.build();
     this.y = this.range(view);
     this.plot.batch(() => {
       this.plot.setScale("x", { min: view[0], max: view[1] });
       this.plot.setScale("y", { min: this.y[0], max: this.y[1] });
     });
     this.plot.redraw(false, true);
-    this.values();
+    this.legend.values();
   }
 
   draw(u) {
@@ -245,32 +196,12 @@ export class PlotPanel {
     ctx.fillRect(bbox.left, at, bbox.width, devicePixelRatio);
   }
 
-  // Values at the cursor, in the legend; one that is older than the stream's pace explains says how old it is.
-  values() {
-    const cursor = this.app.time.get().cursor;
-    for (const e of this.entries) {
-      const { channel, drawer } = e.layer;
-      const i = e.series ? e.series.at(cursor) : -1;
-      let text = channel.error ?? "", old = false;
-      if (!channel.error && i >= 0) {
-        text = drawer.text(e, i);
-        const age = e.series.age(i, cursor);
-        old = age > 0 && text !== "";
-        if (old) text += `, ${duration(age)} ago`;
-        if (e.series.sampled) text += " (a sample)";
-      }
-      if (e.text !== text) e.value.textContent = e.text = text;
-      e.value.classList.toggle("bad", !!channel.error);
-      e.value.classList.toggle("old", old);
-    }
-  }
-
   cursorMoved() {
-    this.values();
+    this.legend.values();
   }
 
   themeChanged() {
-    this.named = null;
+    this.legend.forget();
     this.render();
   }
 

@@ -9,8 +9,14 @@ export class PipelineGraph {
     this.svg = this.make("svg", el);
     const defs = this.make("defs", this.svg);
     const marker = this.make("marker", defs, {
-      id: "arrow", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: 7, markerHeight: 7,
-      orient: "auto-start-reverse", markerUnits: "userSpaceOnUse",
+      id: "arrow",
+      viewBox: "0 0 8 8",
+      refX: 7,
+      refY: 4,
+      markerWidth: 7,
+      markerHeight: 7,
+      orient: "auto-start-reverse",
+      markerUnits: "userSpaceOnUse",
     });
     this.make("path", marker, { d: "M0 0.5 L7.5 4 L0 7.5z", class: "arrow" });
     this.world = this.make("g", this.svg);
@@ -23,7 +29,8 @@ export class PipelineGraph {
 
   make(name, parent, attributes = {}, text) {
     const el = document.createElementNS(NS, name);
-    for (const [key, value] of Object.entries(attributes)) if (value !== undefined && value !== null) el.setAttribute(key, value);
+    for (const [key, value] of Object.entries(attributes))
+      if (value !== undefined && value !== null) el.setAttribute(key, value);
     if (text !== undefined) el.textContent = text;
     parent.appendChild(el);
     return el;
@@ -55,7 +62,9 @@ export class PipelineGraph {
 
   node(node, place) {
     const g = this.make("g", this.world, {
-      class: `node ${node.kind}${node.joins ? " joins" : ""}`, "data-key": node.key, "data-path": node.path,
+      class: `node ${node.kind}${node.joins ? " joins" : ""}`,
+      "data-key": node.key,
+      "data-path": node.path,
       transform: `translate(${place.x} ${place.y})`,
     });
     this.make("title", g, {}, node.path);
@@ -64,7 +73,12 @@ export class PipelineGraph {
     const mark = { source: "●", composite: "▸", tap: "◌" }[node.kind] ?? (node.joins ? "+" : "");
     if (mark) this.make("text", g, { class: "mark", x: 14, y: place.height / 2 + 4 }, mark);
     const x = mark ? place.width / 2 + 8 : place.width / 2;
-    const label = this.make("text", g, { class: "label", x, y: place.height / 2 + 4 }, shorten(node.label, place.width - (mark ? 34 : 18)));
+    const label = this.make(
+      "text",
+      g,
+      { class: "label", x, y: place.height / 2 + 4 },
+      shorten(node.label, place.width - (mark ? 34 : 18)),
+    );
     const sub = this.make("text", g, { class: "sub", x, y: place.height - 6 });
     const badge = this.make("text", g, { class: "badge", x: place.width - 4, y: -3 });
     this.items.set(node.key, { g, rect, label, sub, badge, height: place.height });
@@ -115,7 +129,8 @@ export class PipelineGraph {
     });
     this.svg.addEventListener("pointermove", (e) => {
       if (!drag) return;
-      const dx = e.clientX - drag.x, dy = e.clientY - drag.y;
+      const dx = e.clientX - drag.x,
+        dy = e.clientY - drag.y;
       if (!drag.far && Math.hypot(dx, dy) < 4) return;
       if (!drag.far) this.svg.setPointerCapture(e.pointerId);
       drag.far = true;
@@ -134,13 +149,18 @@ export class PipelineGraph {
       const at = e.target.closest(".node.composite, .box");
       if (at) this.onFold(at.dataset.path);
     });
-    this.el.addEventListener("wheel", (e) => {
-      e.preventDefault();
-      const box = this.el.getBoundingClientRect();
-      this.zoom(Math.exp(-e.deltaY * 0.0015), e.clientX - box.left, e.clientY - box.top);
-    }, { passive: false });
+    this.el.addEventListener(
+      "wheel",
+      (e) => {
+        e.preventDefault();
+        const box = this.el.getBoundingClientRect();
+        this.zoom(Math.exp(-e.deltaY * 0.0015), e.clientX - box.left, e.clientY - box.top);
+      },
+      { passive: false },
+    );
     this.el.addEventListener("keydown", (e) => {
-      const w = this.el.clientWidth / 2, h = this.el.clientHeight / 2;
+      const w = this.el.clientWidth / 2,
+        h = this.el.clientHeight / 2;
       const pan = { ArrowLeft: [40, 0], ArrowRight: [-40, 0], ArrowUp: [0, 40], ArrowDown: [0, -40] }[e.key];
       if (pan) this.show({ ...this.view, x: this.view.x + pan[0], y: this.view.y + pan[1] });
       else if (e.key === "+" || e.key === "=") this.zoom(1.25, w, h);
@@ -176,7 +196,12 @@ export class PipelineGraph {
   }
 }
 
-const round = ({ x, y, width, height }) => ({ x: Math.round(x), y: Math.round(y), width: Math.round(width), height: Math.round(height) });
+const round = ({ x, y, width, height }) => ({
+  x: Math.round(x),
+  y: Math.round(y),
+  width: Math.round(width),
+  height: Math.round(height),
+});
 
 function shorten(text, width) {
   const most = Math.max(4, Math.floor(width / 6.4));

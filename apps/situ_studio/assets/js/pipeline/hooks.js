@@ -41,7 +41,8 @@ export const hooks = {
       this.handleEvent("pipeline:point", ({ key, at, values }) => {
         if (key !== past.key) return;
         past.rows.push([at, ...past.stats.map((stat) => values[stat])]);
-        for (const plot of plots) if (past.stats.includes(plot.el.dataset.stat)) plot.add([at, values[plot.el.dataset.stat]]);
+        for (const plot of plots)
+          if (past.stats.includes(plot.el.dataset.stat)) plot.add([at, values[plot.el.dataset.stat]]);
       });
       this.onClick = (e) => e.target.closest("[data-graph=fit]") && this.graph.fit();
       document.addEventListener("click", this.onClick);

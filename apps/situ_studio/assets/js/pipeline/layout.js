@@ -3,7 +3,8 @@ import dagre from "@dagrejs/dagre";
 
 const NODE = { height: 40, least: 92, most: 230, letter: 6.6 };
 
-export const nodeWidth = (label) => Math.round(Math.min(NODE.most, Math.max(NODE.least, label.length * NODE.letter + 34)));
+export const nodeWidth = (label) =>
+  Math.round(Math.min(NODE.most, Math.max(NODE.least, label.length * NODE.letter + 34)));
 
 export function layout({ nodes, boxes, edges }) {
   const g = new dagre.graphlib.Graph({ compound: true, multigraph: true });
@@ -16,7 +17,8 @@ export function layout({ nodes, boxes, edges }) {
   for (const n of nodes) if (g.hasNode(n.parent)) g.setParent(n.key, n.parent);
   for (const b of shown) if (g.hasNode(b.parent)) g.setParent(b.key, b.parent);
   for (const e of edges) {
-    if (g.hasNode(e.from) && g.hasNode(e.to)) g.setEdge(e.from, e.to, { width: 62, height: 30, labelpos: "c" }, e.key);
+    if (g.hasNode(e.from) && g.hasNode(e.to))
+      g.setEdge(e.from, e.to, { width: 62, height: 30, labelpos: "c" }, e.key);
   }
   dagre.layout(g);
   const place = (key) => {

@@ -33,7 +33,8 @@ export class HistoryPlot {
 
   draw() {
     const ratio = devicePixelRatio || 1;
-    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const w = this.el.clientWidth,
+      h = this.el.clientHeight;
     if (!w || !h) return;
     this.canvas.width = w * ratio;
     this.canvas.height = h * ratio;
@@ -44,7 +45,8 @@ export class HistoryPlot {
     if (known.length === 0) return void (this.note.textContent = "–");
     const [t0, t1] = [known[0][0], known.at(-1)[0]];
     const values = known.map(([, v]) => v);
-    let low = Math.min(0, ...values), high = Math.max(...values);
+    let low = Math.min(0, ...values),
+      high = Math.max(...values);
     if (high === low) high = low + 1;
     const x = (t) => 2 + ((t - t0) / Math.max(1, t1 - t0)) * (w - 4);
     const y = (v) => h - 3 - ((v - low) / (high - low)) * (h - 8);
@@ -66,7 +68,9 @@ export class HistoryPlot {
     c.globalAlpha = 1;
     let shown = known.at(-1);
     if (this.at !== null && this.at !== undefined) {
-      shown = known.reduce((best, row) => (Math.abs(x(row[0]) - this.at) < Math.abs(x(best[0]) - this.at) ? row : best));
+      shown = known.reduce((best, row) =>
+        Math.abs(x(row[0]) - this.at) < Math.abs(x(best[0]) - this.at) ? row : best,
+      );
       c.fillStyle = colors.cursor;
       c.fillRect(x(shown[0]) - 0.5, 0, 1, h);
     }
@@ -80,7 +84,11 @@ export class HistoryPlot {
   }
 }
 
-const SI = [[1e9, 1e9, "G"], [1e6, 1e6, "M"], [1e4, 1e3, "k"]];
+const SI = [
+  [1e9, 1e9, "G"],
+  [1e6, 1e6, "M"],
+  [1e4, 1e3, "k"],
+];
 
 export function text(value, unit) {
   if (unit === "ms" && value >= 1000) return `${(value / 1000).toPrecision(3)} s`;
@@ -92,4 +100,5 @@ export function text(value, unit) {
   return `${digits(scaled)} ${letter}${unit === "bytes" ? "B" : unit === "rate" ? "/s" : ""}`.trim();
 }
 
-const digits = (v) => (Number.isInteger(v) ? String(v) : v >= 100 ? v.toFixed(0) : v >= 10 ? v.toFixed(1) : v.toFixed(2));
+const digits = (v) =>
+  Number.isInteger(v) ? String(v) : v >= 100 ? v.toFixed(0) : v >= 10 ? v.toFixed(1) : v.toFixed(2);

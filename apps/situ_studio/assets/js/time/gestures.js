@@ -20,7 +20,8 @@ export function timelineGestures(el, app, view) {
     if (drag.free) return t;
     const s = app.time.get();
     const near = ((s.view[1] - s.view[0]) / drag.inner) * NEAR;
-    let best = t, least = near;
+    let best = t,
+      least = near;
     for (const v of app.views) {
       for (const c of v.changes?.() ?? []) if (Math.abs(c - t) < least) [best, least] = [c, Math.abs(c - t)];
     }
@@ -48,7 +49,15 @@ export function timelineGestures(el, app, view) {
     // what can be clicked keeps its clicks
     if (!at.ok || e.button !== 0 || e.target.closest("button, select, input")) return;
     el.setPointerCapture(e.pointerId);
-    state.drag = { x: e.clientX, view: app.time.get().view, t: at.t, select: e.shiftKey, free: e.altKey, inner: at.inner, moved: false };
+    state.drag = {
+      x: e.clientX,
+      view: app.time.get().view,
+      t: at.t,
+      select: e.shiftKey,
+      free: e.altKey,
+      inner: at.inner,
+      moved: false,
+    };
   };
   const up = (e) => {
     const d = state.drag;
@@ -79,7 +88,13 @@ export function timelineGestures(el, app, view) {
     const factor = 1 + Math.min(Math.max(e.deltaY / 200, -0.2), 0.2);
     app.time.dispatch({ type: "zoomAt", t: at.t, factor });
   };
-  const on = [["pointermove", move], ["pointerdown", down], ["pointerup", up], ["pointercancel", up], ["contextmenu", menu]];
+  const on = [
+    ["pointermove", move],
+    ["pointerdown", down],
+    ["pointerup", up],
+    ["pointercancel", up],
+    ["contextmenu", menu],
+  ];
   for (const [name, f] of on) el.addEventListener(name, f);
   el.addEventListener("wheel", wheel, { passive: false });
 }

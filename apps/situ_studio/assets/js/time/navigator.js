@@ -21,7 +21,8 @@ export class Navigator {
   }
 
   resize() {
-    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const w = this.el.clientWidth,
+      h = this.el.clientHeight;
     if (!w || !h) return;
     this.canvas.width = Math.round(w * devicePixelRatio);
     this.canvas.height = Math.round(h * devicePixelRatio);
@@ -38,7 +39,11 @@ export class Navigator {
   scale() {
     const [a, b] = this.span();
     const inner = this.el.clientWidth - GUTTER.left - GUTTER.right;
-    return { x: (t) => GUTTER.left + ((t - a) / (b - a)) * inner, t: (x) => a + ((x - GUTTER.left) / inner) * (b - a), inner };
+    return {
+      x: (t) => GUTTER.left + ((t - a) / (b - a)) * inner,
+      t: (x) => a + ((x - GUTTER.left) / inner) * (b - a),
+      inner,
+    };
   }
 
   down(e) {
@@ -47,7 +52,8 @@ export class Navigator {
     if (y > BAR + 6) return; // the ruler belongs to the panels' gestures, see app.js
     const s = this.app.time.get();
     const { x, t } = this.scale();
-    const left = x(s.view[0]), right = x(s.view[1]);
+    const left = x(s.view[0]),
+      right = x(s.view[1]);
     const at = e.offsetX;
     let part = "body";
     if (Math.abs(at - left) < GRIP) part = "left";
@@ -94,7 +100,8 @@ export class Navigator {
     const ctx = this.canvas.getContext("2d");
     const c = theme();
     const s = this.app.time.get();
-    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const w = this.el.clientWidth,
+      h = this.el.clientHeight;
     ctx.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     ctx.clearRect(0, 0, w, h);
     const { x, inner } = this.scale();
@@ -109,7 +116,8 @@ export class Navigator {
       ctx.fillRect(x(s.sel[0]), top, Math.max(x(s.sel[1]) - x(s.sel[0]), 1), BAR);
       ctx.globalAlpha = 1;
     }
-    const l = Math.max(x(s.view[0]), GUTTER.left), r = Math.min(x(s.view[1]), GUTTER.left + inner);
+    const l = Math.max(x(s.view[0]), GUTTER.left),
+      r = Math.min(x(s.view[1]), GUTTER.left + inner);
     ctx.fillStyle = c.accent;
     ctx.globalAlpha = 0.2;
     ctx.fillRect(l, top, Math.max(r - l, 2), BAR);

@@ -7,13 +7,16 @@ export class Overlay {
     this.el = el;
     this.box = el.appendChild(document.createElement("div"));
     this.box.className = "overlay";
-    [this.shade, this.start, this.end, this.cursor] = ["sel-shade", "sel-line start", "sel-line end", "cursor-line"].map(
-      (c) => {
-        const d = this.box.appendChild(document.createElement("div"));
-        d.className = c;
-        return d;
-      },
-    );
+    [this.shade, this.start, this.end, this.cursor] = [
+      "sel-shade",
+      "sel-line start",
+      "sel-line end",
+      "cursor-line",
+    ].map((c) => {
+      const d = this.box.appendChild(document.createElement("div"));
+      d.className = c;
+      return d;
+    });
   }
 
   update(s) {
@@ -27,7 +30,8 @@ export class Overlay {
     const both = s.sel[0] != null && s.sel[1] != null;
     this.shade.hidden = !both;
     if (both) {
-      const a = Math.max(x(s.sel[0]), 0), b = Math.min(x(s.sel[1]), inner);
+      const a = Math.max(x(s.sel[0]), 0),
+        b = Math.min(x(s.sel[1]), inner);
       this.shade.hidden = b <= a;
       this.shade.style.transform = `translateX(${a}px)`;
       this.shade.style.width = `${Math.max(b - a, 0)}px`;

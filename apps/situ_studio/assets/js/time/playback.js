@@ -10,7 +10,8 @@ export class Playback {
     Object.assign(this, { time, sounds, fetchPcm, onError });
     this.run = null;
     time.subscribe((s, old) => {
-      const was = old.mode === "play", is = s.mode === "play";
+      const was = old.mode === "play",
+        is = s.mode === "play";
       if (is && !was) this.begin();
       else if (!is && was) this.end();
       else if (is && (s.speed !== old.speed || s.cursor < old.cursor || s.play !== old.play)) {
@@ -49,7 +50,8 @@ export class Playback {
   }
 
   async startSound(run, sounds, s) {
-    const from = s.cursor, to = s.play[1];
+    const from = s.cursor,
+      to = s.play[1];
     try {
       this.context ??= new AudioContext();
       run.waiting = true;

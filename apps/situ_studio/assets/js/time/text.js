@@ -1,12 +1,54 @@
 // Time for people: clock times, durations, ruler steps, and what "go to time" accepts.
 
-const US = 1e3, MS = 1e6, S = 1e9, MIN = 60 * S, H = 60 * MIN, D = 24 * H, W = 7 * D;
+const US = 1e3,
+  MS = 1e6,
+  S = 1e9,
+  MIN = 60 * S,
+  H = 60 * MIN,
+  D = 24 * H,
+  W = 7 * D;
 
 const STEPS = [
-  US, 2 * US, 5 * US, 10 * US, 20 * US, 50 * US, 100 * US, 200 * US, 500 * US,
-  MS, 2 * MS, 5 * MS, 10 * MS, 20 * MS, 50 * MS, 100 * MS, 200 * MS, 500 * MS,
-  S, 2 * S, 5 * S, 10 * S, 15 * S, 30 * S, MIN, 2 * MIN, 5 * MIN, 10 * MIN, 15 * MIN, 30 * MIN,
-  H, 2 * H, 6 * H, 12 * H, D, 2 * D, W, 4 * W, 13 * W, 52 * W,
+  US,
+  2 * US,
+  5 * US,
+  10 * US,
+  20 * US,
+  50 * US,
+  100 * US,
+  200 * US,
+  500 * US,
+  MS,
+  2 * MS,
+  5 * MS,
+  10 * MS,
+  20 * MS,
+  50 * MS,
+  100 * MS,
+  200 * MS,
+  500 * MS,
+  S,
+  2 * S,
+  5 * S,
+  10 * S,
+  15 * S,
+  30 * S,
+  MIN,
+  2 * MIN,
+  5 * MIN,
+  10 * MIN,
+  15 * MIN,
+  30 * MIN,
+  H,
+  2 * H,
+  6 * H,
+  12 * H,
+  D,
+  2 * D,
+  W,
+  4 * W,
+  13 * W,
+  52 * W,
 ];
 
 // The smallest step whose segment is at least `minPx` wide.
@@ -32,14 +74,17 @@ export function relative(t, unit = MS) {
   let n = Math.round((Math.abs(t) / S) * scale);
   const frac = n % scale;
   n = Math.floor(n / scale);
-  const h = Math.floor(n / 3600), m = Math.floor(n / 60) % 60, s = n % 60;
+  const h = Math.floor(n / 3600),
+    m = Math.floor(n / 60) % 60,
+    s = n % 60;
   const tail = decimals ? "." + pad(frac, decimals) : "";
   const text = h ? `${h}:${pad(m)}:${pad(s)}${tail}` : `${m}:${pad(s)}${tail}`;
   return neg && (n || frac) ? "-" + text : text;
 }
 
 export function duration(t) {
-  const a = Math.abs(t), sign = t < 0 ? "-" : "";
+  const a = Math.abs(t),
+    sign = t < 0 ? "-" : "";
   if (a < US) return `${sign}${a.toFixed(0)} ns`;
   if (a < MS) return `${sign}${digits(a / US)} µs`;
   if (a < S) return `${sign}${digits(a / MS)} ms`;
@@ -61,8 +106,12 @@ function digits(x) {
 // Absolute UTC time of `t` ns after the BigInt `origin`, with so many decimals of its seconds.
 export function absolute(t, origin, decimals = 4) {
   const ns = origin + BigInt(Math.round(t));
-  let s = ns / 1000000000n, f = ns % 1000000000n;
-  if (f < 0n) { f += 1000000000n; s -= 1n; }
+  let s = ns / 1000000000n,
+    f = ns % 1000000000n;
+  if (f < 0n) {
+    f += 1000000000n;
+    s -= 1n;
+  }
   const d = new Date(Number(s) * 1000);
   if (Number.isNaN(d.getTime())) return String(ns);
   const text = d.toISOString().slice(0, 19).replace("T", " ");
@@ -89,7 +138,7 @@ export function parseTime(text, origin) {
   }
   m = /^(-?\d+(?:\.\d+)?)\s*(ns|us|µs|ms|s|min|h)?$/.exec(x);
   if (m && !m[2] && /^\d{15,}$/.test(x)) return Number(BigInt(x) - origin);
-  if (m) return Number(m[1]) * { ns: 1, us: US, "µs": US, ms: MS, s: S, min: MIN, h: H }[m[2] ?? "s"];
+  if (m) return Number(m[1]) * { ns: 1, us: US, µs: US, ms: MS, s: S, min: MIN, h: H }[m[2] ?? "s"];
   m = /^(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d(?::\d\d)?)(?:\.(\d{1,9}))?(Z|[+-]\d\d:?\d\d)?$/.exec(x);
   if (!m) return null;
   const ms = Date.parse(`${m[1]}T${m[2].length === 5 ? m[2] + ":00" : m[2]}${m[4] ?? "Z"}`);

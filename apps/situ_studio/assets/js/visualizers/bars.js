@@ -24,7 +24,9 @@ export class BarsPanel {
     this.app.client.close(this.channel);
     this.bars = [];
     this.channel = vis
-      ? this.app.client.open({ stream: vis.stream, viz: vis.viz, path: vis.path }, (f) => this.accept(f), { instant: true })
+      ? this.app.client.open({ stream: vis.stream, viz: vis.viz, path: vis.path }, (f) => this.accept(f), {
+          instant: true,
+        })
       : null;
   }
 
@@ -35,7 +37,8 @@ export class BarsPanel {
   }
 
   resize() {
-    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const w = this.el.clientWidth,
+      h = this.el.clientHeight;
     if (!w || !h) return;
     this.canvas.width = Math.round(w * devicePixelRatio);
     this.canvas.height = Math.round(h * devicePixelRatio);
@@ -45,7 +48,8 @@ export class BarsPanel {
   render() {
     const ctx = this.canvas.getContext("2d");
     const c = theme();
-    const w = this.el.clientWidth, h = this.el.clientHeight;
+    const w = this.el.clientWidth,
+      h = this.el.clientHeight;
     ctx.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     ctx.clearRect(0, 0, w, h);
     ctx.font = FONT;
@@ -57,7 +61,8 @@ export class BarsPanel {
     }
     const box = { l: 52, t: 12, r: w - 12, b: h - 26 };
     const values = bars.map((b) => b[1]);
-    const lo = Math.min(0, ...values), hi = Math.max(0, ...values) || 1;
+    const lo = Math.min(0, ...values),
+      hi = Math.max(0, ...values) || 1;
     const y = (v) => box.b - ((v - lo) / (hi - lo || 1)) * (box.b - box.t);
     ctx.textAlign = "right";
     for (const t of valueTicks(lo, hi, Math.max(2, Math.floor(h / 50)))) {

@@ -12,7 +12,8 @@ export function drawScale(ctx, w, h, { range, unit }) {
   const text = ctx.measureText(near).width + ctx.measureText(far).width + 12;
   const wide = Math.max(room, text + 12);
   if (w < wide + 120 || h < 90) return;
-  const left = w - wide - BAR.margin, top = h - 36;
+  const left = w - wide - BAR.margin,
+    top = h - 36;
   ctx.fillStyle = theme().bg;
   ctx.globalAlpha = 0.72;
   ctx.fillRect(left, top, wide, 30);

@@ -1,8 +1,14 @@
 // Depth as pseudo-colour, near is warm: which values the colours span, and what stands for "no reading". Pure.
 
 const STOPS = [
-  [122, 18, 24], [214, 62, 38], [246, 142, 50], [247, 214, 78],
-  [150, 214, 110], [52, 178, 166], [40, 112, 190], [44, 44, 120],
+  [122, 18, 24],
+  [214, 62, 38],
+  [246, 142, 50],
+  [247, 214, 78],
+  [150, 214, 110],
+  [52, 178, 166],
+  [40, 112, 190],
+  [44, 44, 120],
 ];
 
 export const COLORS = Array.from({ length: 256 }, (_, i) => {
@@ -28,7 +34,7 @@ const RANGES = {
 // value that is no reading (null: every value is one), `none` the packed colour it is drawn in.
 export function look({ range = "auto", min, max, invalid = 0, invalid_color: color } = {}) {
   return {
-    range: range === "fixed" ? span(min ?? 0, max ?? 65535) : RANGES[range] ?? null,
+    range: range === "fixed" ? span(min ?? 0, max ?? 65535) : (RANGES[range] ?? null),
     invalid: invalid < 0 ? null : invalid,
     none: color ? pack([1, 3, 5].map((i) => parseInt(color.slice(i, i + 2), 16))) : 0,
   };
@@ -36,13 +42,15 @@ export function look({ range = "auto", min, max, invalid = 0, invalid_color: col
 
 // Two ends in either order; a range is never empty.
 function span(a, b) {
-  const lo = Math.min(a, b), hi = Math.max(a, b);
+  const lo = Math.min(a, b),
+    hi = Math.max(a, b);
   return hi > lo ? [lo, hi] : [lo, lo + 1];
 }
 
 // Lowest and highest reading of a picture.
 export function depthRange(depth, invalid = 0) {
-  let lo = 65535, hi = 0;
+  let lo = 65535,
+    hi = 0;
   for (let i = 0; i < depth.length; i++) {
     const d = depth[i];
     if (d === invalid) continue;

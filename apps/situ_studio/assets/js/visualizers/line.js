@@ -14,7 +14,11 @@ export const line = {
   draw(ctx, { series }, { view, x, y, color, ratio, props }) {
     const { interpolation, width, markers } = props;
     paint.line(ctx, series, view, x, y, {
-      color, ratio, width, step: interpolation === "step", joined: interpolation !== "none",
+      color,
+      ratio,
+      width,
+      step: interpolation === "step",
+      joined: interpolation !== "none",
       points: markers === true || interpolation === "none",
     });
   },

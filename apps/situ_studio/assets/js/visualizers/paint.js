@@ -3,7 +3,14 @@
 const SPACING = 9;
 
 // Line: straight or stepped joins while messages are fewer than pixels; zoomed out, a band from min to max.
-export function line(ctx, s, view, x, y, { color, width = 1.25, step = false, joined = true, points = false, ratio = 1 }) {
+export function line(
+  ctx,
+  s,
+  view,
+  x,
+  y,
+  { color, width = 1.25, step = false, joined = true, points = false, ratio = 1 },
+) {
   const n = s.length;
   if (!n) return;
   const a = Math.max(s.at(view[0]), 0);
@@ -15,7 +22,8 @@ export function line(ctx, s, view, x, y, { color, width = 1.25, step = false, jo
   ctx.lineJoin = "round";
   if (!s.raw) band(ctx, s, a, b, x, y);
   ctx.beginPath();
-  let pen = false, py = 0;
+  let pen = false,
+    py = 0;
   // what stands between two holes is a dot
   const alone = (i) => {
     if (i > a && !s.holeBefore(i)) return;
@@ -28,7 +36,8 @@ export function line(ctx, s, view, x, y, { color, width = 1.25, step = false, jo
       pen = false;
       continue;
     }
-    const px = x(s.t[i]), p = y(v);
+    const px = x(s.t[i]),
+      p = y(v);
     if (pen && s.holeBefore(i)) {
       pen = false;
       alone(i - 1);
@@ -75,7 +84,8 @@ function dots(ctx, s, a, b, x, y, r) {
   for (let i = a; i <= b; i++) {
     const v = s.last[i];
     if (!Number.isFinite(v)) continue;
-    const px = x(s.t[i]), py = y(v);
+    const px = x(s.t[i]),
+      py = y(v);
     ctx.moveTo(px + r, py);
     ctx.arc(px, py, r, 0, 2 * Math.PI);
   }
@@ -133,7 +143,10 @@ export function brackets(ctx, ends, x, top, bottom, { color, ratio = 1 }) {
   ctx.strokeStyle = color;
   ctx.lineWidth = 1.5 * ratio;
   ctx.setLineDash([3 * ratio, 2 * ratio]);
-  for (const [t, way] of [[ends.first, 1], [ends.last, -1]]) {
+  for (const [t, way] of [
+    [ends.first, 1],
+    [ends.last, -1],
+  ]) {
     if (t == null) continue;
     const px = x(t);
     ctx.beginPath();

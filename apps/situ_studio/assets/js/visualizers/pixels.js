@@ -17,7 +17,8 @@ export async function bitmap(f, look) {
 }
 
 export function fill(f, rgba, look) {
-  const n = f.width * f.height, d = f.data;
+  const n = f.width * f.height,
+    d = f.data;
   switch (f.pixels) {
     case PIXELS.rgba:
       rgba.set(d.subarray(0, 4 * n));

@@ -49,7 +49,15 @@ function one(ctx, [a, b, label, cls], left, width, y, h, color) {
   ctx.globalAlpha = 1;
   if (soft) ctx.fillRect(left, y, 2, h);
   if (cls === "true" || width <= 18 || h < 10) return;
-  write(ctx, label === "" && cls === "span" ? duration(b - a) : label, left, y, width, h, soft ? theme().text : ink(color));
+  write(
+    ctx,
+    label === "" && cls === "span" ? duration(b - a) : label,
+    left,
+    y,
+    width,
+    h,
+    soft ? theme().text : ink(color),
+  );
 }
 
 // More changes than can be told apart, or messages nobody read: hatched, in no state's colour, with their number.

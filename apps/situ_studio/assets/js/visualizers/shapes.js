@@ -50,7 +50,9 @@ export function drawShapes(ctx, { shapes: s, vis, index }, map) {
     ctx.strokeStyle = color;
     ctx.strokeRect(left, map.y(y), w * map.k, h * map.k);
     const track = Number.isInteger(id) ? String(id) : null;
-    const text = [label, track, score == null ? null : number(score, 2)].filter((p) => p != null && p !== "").join("  ");
+    const text = [label, track, score == null ? null : number(score, 2)]
+      .filter((p) => p != null && p !== "")
+      .join("  ");
     if (text && props.labels !== false) tag(ctx, text, left - 1, map.y(y), color);
   });
   const color = seriesColor(props.color, own);
@@ -92,7 +94,8 @@ export function shapesAt(shapes, x, y, k) {
 }
 
 function pointAt(points, x, y, within) {
-  let best = null, nearest = within;
+  let best = null,
+    nearest = within;
   for (const p of points) {
     const d = Math.hypot(p[0] - x, p[1] - y);
     if (d <= nearest) [best, nearest] = [p, d];

@@ -18,7 +18,9 @@ export class TextPanel {
     this.key = key;
     this.app.client.close(this.channel);
     this.channel = vis
-      ? this.app.client.open({ stream: vis.stream, viz: vis.viz, path: vis.path }, (f) => this.accept(f), { instant: true })
+      ? this.app.client.open({ stream: vis.stream, viz: vis.viz, path: vis.path }, (f) => this.accept(f), {
+          instant: true,
+        })
       : null;
   }
 

@@ -2,7 +2,13 @@ import test from "node:test";
 import assert from "node:assert/strict";
 import { KeyState } from "../../js/annotation/keys.js";
 
-const attributes = [{ name: "Speech", kind: "finite", values: [{ value: "speaks", key: "1" }, { value: "laughs", key: "2" }, { value: "none" }] }];
+const attributes = [
+  {
+    name: "Speech",
+    kind: "finite",
+    values: [{ value: "speaks", key: "1" }, { value: "laughs", key: "2" }, { value: "none" }],
+  },
+];
 
 test("a key that is held while the time goes on makes one annotation", () => {
   const k = new KeyState(attributes);

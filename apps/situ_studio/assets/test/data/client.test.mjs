@@ -121,6 +121,7 @@ test("what comes late, behind other streams, is shown all the same", async () =>
   }
   await wait(120);
   client.stop();
-  for (let i = 1; i < series.length; i++) assert.equal(series.t[i] - series.t[i - 1], 1e7, `row ${i} follows the one before`);
+  for (let i = 1; i < series.length; i++)
+    assert.equal(series.t[i] - series.t[i - 1], 1e7, `row ${i} follows the one before`);
   assert.equal(series.t[series.length - 1], Math.floor((server.head - server.lag) / 1e7) * 1e7);
 });

@@ -7,36 +7,103 @@ import { decode } from "../../js/data/wire.js";
 const lane = (map, name = "") => map.get(name)?.map(([a, b, label]) => [a, b, label]);
 
 test("segments are kept by lane, times after the origin", () => {
-  const held = keepSegments(null, [[0, 5, "true", "true", "b"], [5, null, "false", "false", "b"], [2, 4, "x", "text", "10"], [1, 2, "x", "text", "9"]], 100, 0);
+  const held = keepSegments(
+    null,
+    [
+      [0, 5, "true", "true", "b"],
+      [5, null, "false", "false", "b"],
+      [2, 4, "x", "text", "10"],
+      [1, 2, "x", "text", "9"],
+    ],
+    100,
+    0,
+  );
   assert.deepEqual(laneNames(held), ["9", "10", "b"]);
-  assert.deepEqual(lane(held, "b"), [[100, 105, "true"], [105, Infinity, "false"]]);
+  assert.deepEqual(lane(held, "b"), [
+    [100, 105, "true"],
+    [105, Infinity, "false"],
+  ]);
   assert.deepEqual(laneNames(null), [""]);
 });
 
 test("a state that goes on over the seam of two windows is one segment", () => {
-  const held = keepSegments(null, [[0, 5, "off", "state"], [5, null, "on", "state"]], 0, 0);
+  const held = keepSegments(
+    null,
+    [
+      [0, 5, "off", "state"],
+      [5, null, "on", "state"],
+    ],
+    0,
+    0,
+  );
   const next = keepSegments(held, [[8, null, "on", "state"]], 0, 8);
-  assert.deepEqual(lane(next), [[0, 5, "off"], [5, Infinity, "on"]]);
-  const changed = keepSegments(next, [[9, 12, "on", "state"], [12, null, "off", "state"]], 0, 9);
-  assert.deepEqual(lane(changed), [[0, 5, "off"], [5, 12, "on"], [12, Infinity, "off"]]);
+  assert.deepEqual(lane(next), [
+    [0, 5, "off"],
+    [5, Infinity, "on"],
+  ]);
+  const changed = keepSegments(
+    next,
+    [
+      [9, 12, "on", "state"],
+      [12, null, "off", "state"],
+    ],
+    0,
+    9,
+  );
+  assert.deepEqual(lane(changed), [
+    [0, 5, "off"],
+    [5, 12, "on"],
+    [12, Infinity, "off"],
+  ]);
 });
 
 test("texts stay apart, and what was open ends where the next begins", () => {
   const held = keepSegments(null, [[0, null, "hm", "text"]], 0, 0);
-  assert.deepEqual(lane(keepSegments(held, [[7, null, "hm", "text"]], 0, 7)), [[0, 7, "hm"], [7, Infinity, "hm"]]);
+  assert.deepEqual(lane(keepSegments(held, [[7, null, "hm", "text"]], 0, 7)), [
+    [0, 7, "hm"],
+    [7, Infinity, "hm"],
+  ]);
 });
 
 test("a lane that is not in the new window ends with the old one", () => {
-  const held = keepSegments(null, [[0, null, "true", "true", "a"], [0, null, "true", "true", "b"]], 0, 0);
+  const held = keepSegments(
+    null,
+    [
+      [0, null, "true", "true", "a"],
+      [0, null, "true", "true", "b"],
+    ],
+    0,
+    0,
+  );
   const next = keepSegments(held, [[9, null, "true", "true", "b"]], 0, 9);
   assert.deepEqual(lane(next, "a"), [[0, 9, "true"]]);
   assert.deepEqual(lane(next, "b"), [[0, Infinity, "true"]]);
 });
 
 test("intervals told of twice are one", () => {
-  const held = keepSegments(null, [[0, 5, "", "span"], [6, 8, "", "span"]], 0, 0);
-  const next = keepSegments(held, [[6, 8, "", "span"], [9, 10, "", "span"]], 0, 7);
-  assert.deepEqual(lane(next), [[0, 5, ""], [6, 8, ""], [9, 10, ""]]);
+  const held = keepSegments(
+    null,
+    [
+      [0, 5, "", "span"],
+      [6, 8, "", "span"],
+    ],
+    0,
+    0,
+  );
+  const next = keepSegments(
+    held,
+    [
+      [6, 8, "", "span"],
+      [9, 10, "", "span"],
+    ],
+    0,
+    7,
+  );
+  assert.deepEqual(lane(next), [
+    [0, 5, ""],
+    [6, 8, ""],
+    [9, 10, ""],
+  ]);
 });
 
 const columns = (t, v) => {
@@ -45,8 +112,26 @@ const columns = (t, v) => {
 };
 
 test("lines grow by name; one that came to its end is forgotten when it is out of sight", () => {
-  const held = keepLines(new Map(), [{ name: "a", ...columns([0, 1], [1, 2]) }, { name: "b", ...columns([0], [5]) }], 0, -Infinity, -Infinity);
-  const next = keepLines(held, [{ name: "a", ...columns([1, 2], [2, 3]) }, { name: "c", ...columns([2], [9]) }], 0, 1, -5);
+  const held = keepLines(
+    new Map(),
+    [
+      { name: "a", ...columns([0, 1], [1, 2]) },
+      { name: "b", ...columns([0], [5]) },
+    ],
+    0,
+    -Infinity,
+    -Infinity,
+  );
+  const next = keepLines(
+    held,
+    [
+      { name: "a", ...columns([1, 2], [2, 3]) },
+      { name: "c", ...columns([2], [9]) },
+    ],
+    0,
+    1,
+    -5,
+  );
   assert.deepEqual([...next.keys()], ["a", "b", "c"]);
   assert.deepEqual([...next.get("a").last.subarray(0, 3)], [1, 2, 3]);
   assert.deepEqual([...keepLines(next, [{ name: "a", ...columns([9], [4]) }], 0, 9, 5).keys()], ["a"]);
@@ -77,7 +162,11 @@ test("lines are read from their bytes", () => {
 });
 
 test("what lies under the mouse is told in full, narrow segments within a few pixels", () => {
-  const rows = [[0, 4e9, "idle", "state"], [4e9, 4e9 + 10, "blip", "state"], [10e9, Infinity, "", "true"]];
+  const rows = [
+    [0, 4e9, "idle", "state"],
+    [4e9, 4e9 + 10, "blip", "state"],
+    [10e9, Infinity, "", "true"],
+  ];
   assert.deepEqual(segmentText(segmentAt(rows, 2e9, 1e6)), ["idle", "0:00.000 to 0:04.000, 4.00 s"]);
   assert.equal(segmentAt(rows, 4e9 + 5e5, 1e6)[2], "blip");
   assert.equal(segmentAt(rows, 7e9, 1e6), null);
@@ -86,7 +175,10 @@ test("what lies under the mouse is told in full, narrow segments within a few pi
 });
 
 test("of intervals that overlap the last that began is told", () => {
-  const rows = [[0, 10e9, "long", "span"], [2e9, 3e9, "short", "span"]];
+  const rows = [
+    [0, 10e9, "long", "span"],
+    [2e9, 3e9, "short", "span"],
+  ];
   assert.equal(segmentAt(rows, 2.5e9, 0)[2], "short");
   assert.equal(segmentAt(rows, 5e9, 0)[2], "long");
 });

@@ -2,33 +2,52 @@ import test from "node:test";
 import assert from "node:assert/strict";
 import { Series } from "../../js/data/series.js";
 
-const MS = 1e6, S = 1e9;
+const MS = 1e6,
+  S = 1e9;
 
 function series(times, n = 1, raw = true) {
   const s = new Series();
   const column = Float64Array.from(times, () => 0);
   const count = Float64Array.from(times, () => n);
-  s.put({ t: Float64Array.from(times), min: column, max: column, last: column, n: count, count: times.length, raw }, 0);
+  s.put(
+    { t: Float64Array.from(times), min: column, max: column, last: column, n: count, count: times.length, raw },
+    0,
+  );
   return s;
 }
 
 const every = (step, from, to) => Array.from({ length: Math.round((to - from) / step) }, (_, i) => from + i * step);
-const holes = (s) => Array.from({ length: s.length }, (_, i) => i).filter((i) => i > 0 && s.holeBefore(i)).map((i) => s.t[i]);
+const holes = (s) =>
+  Array.from({ length: s.length }, (_, i) => i)
+    .filter((i) => i > 0 && s.holeBefore(i))
+    .map((i) => s.t[i]);
 
 test("a hole in what comes regularly is one, at every scale", () => {
   const times = [...every(10 * MS, 0, 5 * S), ...every(10 * MS, 12 * S, 20 * S)];
   assert.deepEqual(holes(series(times)), [12 * S]);
   // the same in bins of 1 s with 100 messages each
-  assert.deepEqual(holes(series([0, 1, 2, 3, 4, 12, 13, 14, 15, 16, 17, 18, 19].map((x) => x * S), 100, false)), [12 * S]);
+  assert.deepEqual(
+    holes(
+      series(
+        [0, 1, 2, 3, 4, 12, 13, 14, 15, 16, 17, 18, 19].map((x) => x * S),
+        100,
+        false,
+      ),
+    ),
+    [12 * S],
+  );
 });
 
 test("two messages missed are no hole, nor is jitter", () => {
-  const times = every(10 * MS, 0, 5 * S).filter((_, i) => i !== 100 && i !== 101).map((t, i) => t + (i % 3) * MS);
+  const times = every(10 * MS, 0, 5 * S)
+    .filter((_, i) => i !== 100 && i !== 101)
+    .map((t, i) => t + (i % 3) * MS);
   assert.deepEqual(holes(series(times)), []);
 });
 
 test("what comes as it likes has no holes", () => {
-  let t = 0, seed = 7;
+  let t = 0,
+    seed = 7;
   const times = Array.from({ length: 300 }, () => {
     seed = (seed * 48271) % 2147483647;
     return (t += -Math.log(seed / 2147483647) * S);

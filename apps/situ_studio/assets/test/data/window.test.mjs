@@ -34,8 +34,13 @@ test("while the data grows only the new part is asked for", () => {
 
 test("series replace their tail and find the value at a time", () => {
   const frame = (t, v) => ({
-    count: t.length, raw: true, t: Float64Array.from(t),
-    min: Float64Array.from(v), max: Float64Array.from(v), last: Float64Array.from(v), n: Float64Array.from(v),
+    count: t.length,
+    raw: true,
+    t: Float64Array.from(t),
+    min: Float64Array.from(v),
+    max: Float64Array.from(v),
+    last: Float64Array.from(v),
+    n: Float64Array.from(v),
   });
   const s = new Series();
   s.put(frame([0, 10, 20, 30], [1, 2, 3, 4]), 100);
@@ -47,7 +52,8 @@ test("series replace their tail and find the value at a time", () => {
 });
 
 test("a stream that lags behind the newest data is asked for from its own newest message", () => {
-  const view = [70e9, 100e9], bin = binWidth(30e9, 600);
+  const view = [70e9, 100e9],
+    bin = binWidth(30e9, 600);
   const held = { from: 70e9, to: 120e9, bin, head: 95e9, newest: 82e9 };
   const next = want(held, view, 600, [0, 96e9], true);
   assert.ok(next.append);

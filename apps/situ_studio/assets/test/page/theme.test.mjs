@@ -15,7 +15,10 @@ test("contrast is that of the W3C", () => {
   assert.equal(contrast("#777777", "#ffffff").toFixed(2), "4.48");
 });
 
-for (const [name, selector] of [["dark", ":root {"], ["light", ':root[data-theme="light"] {']]) {
+for (const [name, selector] of [
+  ["dark", ":root {"],
+  ["light", ':root[data-theme="light"] {'],
+]) {
   const c = colors(selector);
 
   test(`${name}: what is written can be read`, () => {

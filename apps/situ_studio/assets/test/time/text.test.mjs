@@ -39,7 +39,12 @@ test("ruler ticks are multiples of one readable unit", () => {
 });
 
 test("a copied time goes back to the very nanosecond", () => {
-  for (const [t, origin] of [[27_719_200_001, 1767225600000000000n], [5, 0n], [-1, 0n], [1_500_000_000, -10_000_000_000n]]) {
+  for (const [t, origin] of [
+    [27_719_200_001, 1767225600000000000n],
+    [5, 0n],
+    [-1, 0n],
+    [1_500_000_000, -10_000_000_000n],
+  ]) {
     assert.equal(parseTime(iso(t, origin), origin), t);
   }
   assert.equal(iso(1, 0n), "1970-01-01T00:00:00.000000001Z");

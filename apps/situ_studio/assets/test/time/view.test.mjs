@@ -69,17 +69,22 @@ test("go to time centres the view within the data and holds the cursor", () => {
 
 test("random actions keep the invariants", () => {
   let seed = 7;
-  const rnd = () => ((seed = (seed * 1103515245 + 12345) % 2147483648) / 2147483648);
+  const rnd = () => (seed = (seed * 1103515245 + 12345) % 2147483648) / 2147483648;
   const acts = [
     () => ({ type: "zoomAt", t: rnd() * 100e9, factor: 0.2 + 2 * rnd() }),
     () => ({ type: "pan", by: (rnd() - 0.5) * 300e9 }),
     () => ({ type: "selStart", t: rnd() * 100e9 }),
     () => ({ type: "selEnd", t: rnd() * 100e9 }),
-    () => ({ type: "zoomSel" }), () => ({ type: "zoomAll" }),
+    () => ({ type: "zoomSel" }),
+    () => ({ type: "zoomAll" }),
     () => ({ type: "shiftSel", dir: rnd() < 0.5 ? 1 : -1 }),
-    () => ({ type: "playView" }), () => ({ type: "tick", elapsed: rnd() * 20e9 }), () => ({ type: "stop" }),
-    () => ({ type: "live", on: rnd() < 0.5 }), () => ({ type: "nudge", by: (rnd() - 0.5) * 1e9 }),
-    () => ({ type: "goto", t: rnd() * 200e9 }), () => ({ type: "nonsense" }),
+    () => ({ type: "playView" }),
+    () => ({ type: "tick", elapsed: rnd() * 20e9 }),
+    () => ({ type: "stop" }),
+    () => ({ type: "live", on: rnd() < 0.5 }),
+    () => ({ type: "nudge", by: (rnd() - 0.5) * 1e9 }),
+    () => ({ type: "goto", t: rnd() * 200e9 }),
+    () => ({ type: "nonsense" }),
   ];
   const store = createStore(s0);
   for (let i = 0; i < 20000; i++) {

@@ -30,9 +30,10 @@ test("ends in the wrong order are put right, and a range is never empty", () => 
 });
 
 test("sensors' modes have the ranges they can measure; an unknown one is as none", () => {
-  assert.deepEqual(["all", "nfov_binned", "nfov", "wfov_binned", "wfov", "of my own"].map((r) => look({ range: r }).range), [
-    [0, 65535], [500, 5460], [500, 3860], [250, 2880], [250, 2210], null,
-  ]);
+  assert.deepEqual(
+    ["all", "nfov_binned", "nfov", "wfov_binned", "wfov", "of my own"].map((r) => look({ range: r }).range),
+    [[0, 65535], [500, 5460], [500, 3860], [250, 2880], [250, 2210], null],
+  );
 });
 
 test("the value that is no reading is chosen, and drawn in a colour", () => {
@@ -56,5 +57,8 @@ test("16 bits that are no depth are grey from the darkest to the brightest", () 
 });
 
 test("a distance is told in mm or m where the unit is known", () => {
-  assert.deepEqual([distance(850, 1000), distance(1234, 1000), distance(65535, 10000), distance(42, 0)], ["850 mm", "1.23 m", "655.4 m", "42"]);
+  assert.deepEqual(
+    [distance(850, 1000), distance(1234, 1000), distance(65535, 10000), distance(42, 0)],
+    ["850 mm", "1.23 m", "655.4 m", "42"],
+  );
 });

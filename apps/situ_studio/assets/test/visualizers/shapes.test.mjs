@@ -3,8 +3,15 @@ import assert from "node:assert/strict";
 import { mapping, shapesAt } from "../../js/visualizers/shapes.js";
 
 const shapes = {
-  rects: [[0, 0, 100, 100, "person", 0.71234, 3], [20, 20, 10, 10, "face", null, null], [50, 50, 5, 5, null, null, 0]],
-  points: [[80, 80, "nose"], [83, 80, null]],
+  rects: [
+    [0, 0, 100, 100, "person", 0.71234, 3],
+    [20, 20, 10, 10, "face", null, null],
+    [50, 50, 5, 5, null, null, 0],
+  ],
+  points: [
+    [80, 80, "nose"],
+    [83, 80, null],
+  ],
 };
 
 test("the smallest rectangle around a place is told with label, score and id", () => {
@@ -29,5 +36,9 @@ test("a place goes to the canvas and back, mirrored or not", () => {
     const map = mapping({ x: 10, y: 20, k: 2, width: 64 }, mirrored);
     assert.deepEqual(map.back(map.x(5), map.y(7)), [5, 7]);
   }
-  assert.equal(mapping({ x: 10, y: 0, k: 2, width: 64 }, true).x(0), 138, "the left edge of a mirrored picture is right");
+  assert.equal(
+    mapping({ x: 10, y: 0, k: 2, width: 64 }, true).x(0),
+    138,
+    "the left edge of a mirrored picture is right",
+  );
 });

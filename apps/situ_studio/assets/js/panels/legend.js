@@ -1,0 +1,115 @@
+// The names of a plot above its signals, each with the value at the cursor: an entry for each signal, or for each key of
+// a stream of maps.
+
+import { duration } from "../time/text.js";
+
+// A second click within so many ms is a double click.
+const DOUBLE = 220;
+
+const group = (name) => name.slice(0, name.lastIndexOf(".") + 1);
+
+export class Legend {
+  constructor(panel) {
+    this.panel = panel;
+    this.entries = [];
+    this.el = panel.el.appendChild(document.createElement("div"));
+    this.el.className = "legend";
+    this.el.addEventListener("click", (e) => this.clicked(e));
+    this.rest = panel.el.appendChild(document.createElement("div"));
+    this.rest.className = "legend-more";
+  }
+
+  // The next build draws every entry again.
+  forget() {
+    this.named = null;
+  }
+
+  // The legend has an entry for each, and for a stream of which nothing came.
+  build() {
+    const { panel } = this;
+    const entries = panel.lines();
+    for (const layer of panel.layers) {
+      if (!entries.some((e) => e.layer === layer)) entries.push({ layer, name: "", series: null });
+    }
+    const named = JSON.stringify(
+      entries.map((e) => [e.layer.vis.name, e.name, panel.color(e, 0), e.layer.vis.props?.visible]),
+    );
+    const same = named === this.named;
+    this.named = named;
+    const rows = this.entries;
+    this.entries = entries.map((e, i) => ({
+      ...e,
+      value: same ? rows[i].value : null,
+      text: same ? rows[i].text : null,
+    }));
+    if (same) return;
+    this.el.textContent = "";
+    let nth = 0,
+      before = null;
+    for (const e of this.entries) {
+      const row = this.el.appendChild(document.createElement("button"));
+      row.className = "legend-item";
+      row.dataset.stream = e.layer.vis.stream;
+      row.dataset.key = e.name;
+      const swatch = row.appendChild(document.createElement("i"));
+      swatch.style.background = panel.color(e, nth++);
+      // of neighbours in one group the first is named in full
+      const { name, short } = e.layer.vis;
+      const stream = before && group(before.vis.name) === group(name) ? (short ?? name) : name;
+      const full = e.name === "" ? e.layer.vis.name : `${e.layer.vis.name}  ${e.name}`;
+      row.title = `${full}\nClick: hide or show. Double click: only this one.`;
+      row.type = "button";
+      row.classList.toggle("hidden", e.layer.vis.props?.visible === false);
+      row.setAttribute("aria-pressed", String(e.layer.vis.props?.visible !== false));
+      // a stream is named once, then its keys
+      row.appendChild(document.createElement("span")).textContent =
+        e.name === "" ? stream : before === e.layer ? e.name : `${stream} ${e.name}`;
+      before = e.layer;
+      e.value = row.appendChild(document.createElement("b"));
+    }
+    this.more();
+  }
+
+  // A name is a switch: a click hides or shows, a double click leaves it alone.
+  clicked(e) {
+    const { panel } = this;
+    const stream = e.target.closest(".legend-item")?.dataset.stream;
+    const index = panel.config.vis.findIndex((v) => v.stream === stream);
+    const place = panel.el.closest("[data-panel]")?.dataset.panel;
+    if (index < 0 || !place) return;
+    clearTimeout(this.clickTimer);
+    const push = (more) => panel.app.options.push?.("show_vis", { panel: place, index, ...more });
+    if (e.detail > 1) push({ only: "true" });
+    else this.clickTimer = setTimeout(push, DOUBLE, {});
+  }
+
+  // Entries for which there is no room are counted.
+  more() {
+    const rows = [...this.el.children];
+    const hidden = rows.filter((r) => r.offsetTop > rows[0].offsetTop + 4);
+    this.rest.textContent = hidden.length ? `+${hidden.length}` : "";
+    this.rest.title = hidden.map((r) => r.title).join("\n");
+  }
+
+  // Values at the cursor, in the legend; one that is older than the stream's pace explains says how old it is.
+  values() {
+    const { panel } = this;
+    const cursor = panel.app.time.get().cursor;
+    for (const e of this.entries) {
+      const { channel, drawer } = e.layer;
+      const i = e.series ? e.series.at(cursor) : -1;
+      let text = channel.error ?? "",
+        old = false;
+      if (!channel.error && i >= 0) {
+        text = drawer.text(e, i);
+        const age = e.series.age(i, cursor);
+        old = age > 0 && text !== "";
+        if (old) text += `, ${duration(age)} ago`;
+        if (e.series.sampled) text += " (a sample)";
+      }
+      if (e.text !== text) e.value.textContent = e.text = text;
+      e.value.classList.toggle("bad", !!channel.error);
+      e.value.classList.toggle("old", old);
+    }
+  }
+}
