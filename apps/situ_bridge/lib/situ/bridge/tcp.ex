@@ -12,27 +12,23 @@ defmodule Situ.Bridge.Tcp do
   (`Situ.Pipeline.info/1`). There is no authentication: a server listens on 127.0.0.1 unless `interface:` says
   otherwise.
   """
-  alias Situ.Bridge.Tcp.{Sink, Source}
+  alias Situ.Bridge.Net.{Sink, Source}
+  alias Situ.Bridge.Tcp.Frames
 
   @doc """
   Serves a stream; returns it.
 
-  #{Situ.Options.docs(Keyword.delete(Sink.schema(), :port))}
+  #{Sink.docs()}
   """
   @spec serve(Situ.Stream.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
-  def serve(stream, port, opts \\ []) do
-    Situ.via(stream, Sink, [port: port] ++ opts)
-    stream
-  end
+  def serve(stream, port, opts \\ []), do: Sink.serve(stream, {Frames, nil}, port, opts)
 
   @doc """
   A source of what a server sends.
 
-  #{Situ.Options.docs(Keyword.drop(Source.schema(), [:host, :port]))}
+  #{Source.docs()}
   """
   @spec connect(Situ.Pipeline.t(), String.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
-  def connect(p, host, port, opts \\ []) do
-    outputs = [out: opts[:type] || :any]
-    Situ.source(p, Source, [host: host, port: port, outputs: outputs] ++ opts)
-  end
+  def connect(p, host, port, opts \\ []),
+    do: Source.connect(p, {Frames, nil}, host, port, opts)
 end

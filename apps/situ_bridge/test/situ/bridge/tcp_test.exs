@@ -1,11 +1,13 @@
 defmodule Situ.Bridge.TcpTest do
   use ExUnit.Case, async: true
+  alias Situ.Bridge.Net.Server
   alias Situ.Bridge.Tcp
-  alias Situ.Bridge.Tcp.{Frames, Server}
+  alias Situ.Bridge.Tcp.Frames
   doctest Frames
 
   @moduletag :capture_log
 
+  defp open(port, most), do: Server.open("127.0.0.1", port, most, {Frames, nil})
   defp listening, do: receive(do: ({:listening, port} -> port))
 
   test "what is served comes to every client, with its times" do
@@ -41,49 +43,51 @@ defmodule Situ.Bridge.TcpTest do
 
   test "a client finds a server that comes back" do
     me = self()
-    {:ok, first} = Server.open("127.0.0.1", 0, 10)
+    {:ok, first} = open(0, 10)
     port = Server.port(first)
 
     {:ok, client} =
       Situ.Pipeline.start_link(fn p ->
-        p |> Tcp.connect("127.0.0.1", port, format: :raw) |> Situ.each(&send(me, {:got, &1}))
+        p
+        |> Tcp.connect("127.0.0.1", port, format: :raw, most: 10)
+        |> Situ.each(&send(me, {:got, &1}))
       end)
 
-    wait_for(fn -> Server.clients(first) == 1 end)
-    Server.send_frame(first, Frames.write("before"))
+    wait_for(fn -> Server.ready(first) == 1 end)
+    Server.put(first, "before")
     assert_receive {:got, "before"}
     Server.close(first, 100)
-    {:ok, second} = Server.open("127.0.0.1", port, 10)
-    wait_for(fn -> Server.clients(second) == 1 end)
+    {:ok, second} = open(port, 10)
+    wait_for(fn -> Server.ready(second) == 1 end)
     # A frame that no message may be that long: the client leaves and comes back.
-    Server.send_frame(second, <<0xFFFFFFFF::32>>)
-    wait_for(fn -> Server.clients(second) == 0 end)
-    wait_for(fn -> Server.clients(second) == 1 end)
-    Server.send_frame(second, Frames.write("after"))
+    Server.put(second, "longer than ten bytes")
+    wait_for(fn -> Server.ready(second) == 0 end)
+    wait_for(fn -> Server.ready(second) == 1 end)
+    Server.put(second, "after")
     assert_receive {:got, "after"}
     Situ.Pipeline.stop(client)
     Server.close(second, 100)
   end
 
   test "a client that does not read loses messages, and holds up nobody" do
-    {:ok, server} = Server.open("127.0.0.1", 0, 5)
+    {:ok, server} = open(0, 5)
 
     {:ok, tcp} =
       :gen_tcp.connect('127.0.0.1', Server.port(server), [:binary, active: false, recbuf: 1_024])
 
-    wait_for(fn -> Server.clients(server) == 1 end)
-    frame = Frames.write(:binary.copy("x", 1_000_000))
-    for _ <- 1..100, do: Server.send_frame(server, frame)
+    wait_for(fn -> Server.ready(server) == 1 end)
+    payload = :binary.copy("x", 1_000_000)
+    for _ <- 1..100, do: Server.put(server, payload)
     assert Server.dropped(server) > 0
     :gen_tcp.close(tcp)
-    wait_for(fn -> Server.clients(server) == 0 end)
+    wait_for(fn -> Server.ready(server) == 0 end)
     Server.close(server, 100)
   end
 
   test "a port that is taken is an error" do
-    {:ok, server} = Server.open("127.0.0.1", 0, 5)
-    assert {:error, %{code: :address_in_use}} = Server.open("127.0.0.1", Server.port(server), 5)
-    assert {:error, %{code: :bad_address}} = Server.open("no such interface", 0, 5)
+    {:ok, server} = open(0, 5)
+    assert {:error, %{code: :address_in_use}} = open(Server.port(server), 5)
+    assert {:error, %{code: :bad_address}} = Server.open("no such interface", 0, 5, {Frames, nil})
     Server.close(server, 100)
   end
 

@@ -61,7 +61,7 @@ defmodule Situ.Bridge.ZeroMQTest do
       end)
 
     wait_for(fn -> Socket.ready(socket) == 2 end)
-    for topic <- ["a", "ab", "b", "a"], do: Socket.send_message(socket, topic, [topic, topic])
+    for topic <- ["a", "ab", "b", "a"], do: Socket.put(socket, [topic, topic])
     for topic <- ["a", "ab", "a"], do: assert_receive({:all, ^topic})
     for _ <- 1..2, do: assert_receive({:got, "a"})
     refute_received {:got, "ab"}
@@ -82,12 +82,12 @@ defmodule Situ.Bridge.ZeroMQTest do
       Situ.Pipeline.start_link(fn p -> collect(p, me, at, topic: "", format: :raw) end)
 
     wait_for(fn -> Socket.ready(first) == 1 end)
-    Socket.send_message(first, "", ["", "before"])
+    Socket.put(first, ["", "before"])
     assert_receive {:got, "before"}
     Socket.close(first, 100)
     {:ok, second} = Socket.open(:pub, at, bind: true, high_water_mark: 10, most: 1_000)
     wait_for(fn -> Socket.ready(second) == 1 end)
-    Socket.send_message(second, "", ["", "after"])
+    Socket.put(second, ["", "after"])
     assert_receive {:got, "after"}
     Situ.Pipeline.stop(receiver)
     Socket.close(second, 100)

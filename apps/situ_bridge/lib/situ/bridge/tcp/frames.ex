@@ -1,27 +1,44 @@
 defmodule Situ.Bridge.Tcp.Frames do
   @moduledoc false
   # Frames of a 32-bit little-endian length and as many bytes. Pure.
-
-  @doc "A payload as a frame."
-  @spec write(iodata()) :: iodata()
-  def write(payload), do: [<<IO.iodata_length(payload)::little-32>>, payload]
+  @behaviour Situ.Bridge.Net.Protocol
+  alias Situ.Bridge.Net.Protocol
 
   @doc """
   The whole payloads in `bytes`, and what is left of a last one.
 
-      iex> Situ.Bridge.Tcp.Frames.read(<<2, 0, 0, 0, "ab", 9>>, 100)
+      iex> Situ.Bridge.Tcp.Frames.split(<<2, 0, 0, 0, "ab", 9>>, 100)
       {:ok, ["ab"], <<9>>}
-      iex> Situ.Bridge.Tcp.Frames.read(<<200, 0, 0, 0>>, 100)
+      iex> Situ.Bridge.Tcp.Frames.split(<<200, 0, 0, 0>>, 100)
       {:error, "a frame of 200 bytes; the most are 100"}
   """
-  @spec read(binary(), pos_integer()) :: {:ok, [binary()], binary()} | {:error, String.t()}
-  def read(bytes, most), do: read(bytes, most, [])
+  @spec split(binary(), pos_integer()) :: {:ok, [binary()], binary()} | {:error, String.t()}
+  def split(bytes, most), do: split(bytes, most, [])
 
-  defp read(<<n::little-32, _::binary>>, most, _found) when n > most,
+  defp split(<<n::little-32, _::binary>>, most, _found) when n > most,
     do: {:error, "a frame of #{n} bytes; the most are #{most}"}
 
-  defp read(<<n::little-32, payload::binary-size(n), rest::binary>>, most, found),
-    do: read(rest, most, [:binary.copy(payload) | found])
+  defp split(<<n::little-32, payload::binary-size(n), rest::binary>>, most, found),
+    do: split(rest, most, [:binary.copy(payload) | found])
 
-  defp read(rest, _most, found), do: {:ok, Enum.reverse(found), rest}
+  defp split(rest, _most, found), do: {:ok, Enum.reverse(found), rest}
+
+  @doc "A payload as a frame."
+  @impl Protocol
+  def frame(payload, _arg \\ nil), do: [<<IO.iodata_length(payload)::little-32>>, payload]
+
+  @impl Protocol
+  def admit(bytes, _arg), do: {:ok, "", bytes}
+
+  # A client has nothing to say; what it says all the same is let go.
+  @impl Protocol
+  def heard(_bytes, _arg), do: {:ok, "", ""}
+
+  @impl Protocol
+  def hello(_host, _port, _arg), do: {"", ""}
+
+  @impl Protocol
+  def read(bytes, rest, most) do
+    with {:ok, payloads, rest} <- split(rest <> bytes, most), do: {:ok, payloads, "", rest}
+  end
 end

@@ -2,18 +2,13 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   @moduledoc false
   # One connection of a ZeroMQ socket: shakes hands, writes what the socket hands over, reads what comes.
   use GenServer, restart: :temporary
+  alias Situ.Bridge.Net.Outbox
   alias Situ.Bridge.ZeroMQ.Wire
 
-  # Time for a peer to say who it is, and for it to take what is sent.
+  # Time for a peer to say who it is.
   @handshake 5_000
-  @send_timeout 30_000
 
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
-
-  @doc "Hands over an accepted connection, whose owner is the caller."
-  def adopt(peer, tcp) do
-    with :ok <- :gen_tcp.controlling_process(tcp, peer), do: send(peer, {:adopt, tcp})
-  end
 
   @impl true
   def init(opts) do
@@ -53,39 +48,14 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   def handle_info(:too_slow, state),
     do: {:stop, {:shutdown, {:refused, "it did not shake hands in time"}}, state}
 
-  # Whatever else is there to be sent goes with it: one call into the kernel for many messages.
   def handle_info({:send, bytes}, state) do
-    {n, all} = gather(1, [bytes])
-
-    case :gen_tcp.send(state.tcp, Enum.reverse(all)) do
-      :ok ->
-        :atomics.sub(state.queued, 1, n)
-        {:noreply, state}
-
-      {:error, reason} ->
-        {:stop, {:shutdown, reason}, state}
+    case Outbox.flush(state.queued, state.tcp, bytes) do
+      :ok -> {:noreply, state}
+      {:error, reason} -> {:stop, {:shutdown, reason}, state}
     end
   end
 
-  defp gather(n, all) when n >= 500, do: {n, all}
-
-  defp gather(n, all) do
-    receive do
-      {:send, bytes} -> gather(n + 1, [bytes | all])
-    after
-      0 -> {n, all}
-    end
-  end
-
-  defp tcp_options,
-    do: [
-      mode: :binary,
-      active: false,
-      nodelay: true,
-      send_timeout: @send_timeout,
-      send_timeout_close: true,
-      buffer: 65_536
-    ]
+  defp tcp_options, do: [mode: :binary, active: false, buffer: 65_536] ++ Outbox.options()
 
   defp begin(tcp, state) do
     case :gen_tcp.send(tcp, Wire.greeting()) do

@@ -2,8 +2,11 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   @moduledoc false
   # A ZeroMQ socket: its peers, who wants what, and how much waits for each. The owner gets `{:zeromq, [[frame]]}`.
   use GenServer
+  alias Situ.Bridge.Net.{Linger, Listener, Outbox}
+  alias Situ.Bridge.Outlet
   alias Situ.Bridge.ZeroMQ.{Peer, Wire}
   alias Situ.Error
+  @behaviour Outlet
   require Logger
 
   @first_wait 50
@@ -29,7 +32,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   @spec open(Wire.type(), String.t(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def open(type, address, opts) do
     with {:ok, parsed} <- parse(address),
-         {:ok, listener} <- listen(parsed, address, opts[:bind]) do
+         {:ok, listener} <- listen(parsed, opts[:bind]) do
       args = %{type: type, address: parsed, listener: listener, owner: self(), opts: opts}
       {:ok, socket} = GenServer.start_link(__MODULE__, args)
       if listener, do: :ok = :gen_tcp.controlling_process(listener, socket)
@@ -65,14 +68,15 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   @doc "The port that a bound socket listens on."
   def port(socket), do: GenServer.call(socket, :port)
 
-  @doc "Sends to whom it concerns: `:ok`, or `:full` when a pusher has nobody with room."
-  def send_message(socket, topic, frames),
-    do: GenServer.call(socket, {:message, topic, frames}, :infinity)
+  @doc "Sends frames to whom they concern; a publisher's first one is the topic."
+  @impl Outlet
+  def put(socket, frames), do: GenServer.call(socket, {:put, frames}, :infinity)
 
   @doc "How many subscribers (of a publisher) or peers there are."
+  @impl Outlet
   def ready(socket), do: GenServer.call(socket, :ready)
 
-  @doc "How many messages were dropped for peers that are too slow."
+  @impl Outlet
   def dropped(socket), do: GenServer.call(socket, :dropped)
 
   @doc "The owner has taken so many messages."
@@ -82,42 +86,11 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def untaken(socket), do: GenServer.call(socket, :untaken)
 
   @doc "Waits until everything has been handed to the network, at most `timeout` ms, and closes."
-  def close(socket, timeout) do
-    GenServer.call(
-      socket,
-      {:drain, System.monotonic_time(:millisecond) + timeout},
-      timeout + 5_000
-    )
+  @impl Outlet
+  defdelegate close(socket, timeout), to: Linger
 
-    GenServer.stop(socket)
-  catch
-    :exit, _ -> :ok
-  end
-
-  defp listen(_address, _text, false), do: {:ok, nil}
-
-  defp listen({host, port}, text, true) do
-    with {:ok, ip} <- interface(host),
-         {:ok, listener} <-
-           :gen_tcp.listen(port, [:binary, ip: ip, active: false, reuseaddr: true, backlog: 128]) do
-      {:ok, listener}
-    else
-      {:error, :eaddrinuse} ->
-        {:error,
-         Error.new(:address_in_use, "#{text} is in use",
-           fix: "choose another port, or stop who listens there"
-         )}
-
-      {:error, reason} ->
-        {:error,
-         Error.new(:bad_address, "cannot listen on #{text}",
-           why: to_string(:inet.format_error(reason))
-         )}
-    end
-  end
-
-  defp interface('*'), do: {:ok, {0, 0, 0, 0}}
-  defp interface(host), do: :inet.getaddr(host, :inet)
+  defp listen(_parsed, false), do: {:ok, nil}
+  defp listen({host, port}, true), do: Listener.listen(to_string(host), port)
 
   @impl true
   def init(args) do
@@ -127,7 +100,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   end
 
   @impl true
-  def handle_call(:port, _from, state), do: {:reply, elem(:inet.port(state.listener), 1), state}
+  def handle_call(:port, _from, state), do: {:reply, Listener.port(state.listener), state}
 
   def handle_call(:adopt, _from, state) do
     {pid, state} = peer(state, nil)
@@ -145,7 +118,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def handle_call(:ready, _from, state),
     do: {:reply, Enum.count(state.peers, fn {_, p} -> p.open? end), state}
 
-  def handle_call({:message, topic, frames}, _from, %{type: :pub} = state) do
+  def handle_call({:put, [topic | _] = frames}, _from, %{type: :pub} = state) do
     bytes = Wire.message(frames)
 
     wanting =
@@ -159,7 +132,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   end
 
   # In turn, to whoever has room.
-  def handle_call({:message, _topic, frames}, _from, %{type: :push} = state) do
+  def handle_call({:put, frames}, _from, %{type: :push} = state) do
     open = Enum.filter(state.peers, fn {_, peer} -> peer.open? end)
     {before, from} = Enum.split(open, rem(state.turn, max(length(open), 1)))
     bytes = Wire.message(frames)
@@ -168,40 +141,24 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   end
 
   def handle_call({:drain, until}, from, state) do
-    waiting? = Enum.any?(state.peers, fn {_, peer} -> :atomics.get(peer.queued, 1) > 0 end)
-
-    if waiting? and System.monotonic_time(:millisecond) < until do
-      Process.send_after(self(), {:drain, from, until}, 5)
-      {:noreply, state}
-    else
-      {:reply, :ok, state}
-    end
+    Linger.drain(from, until, waiting?(state))
+    {:noreply, state}
   end
 
-  defp put({pid, peer}, bytes, state) do
-    if :atomics.get(peer.queued, 1) < state.opts[:high_water_mark] do
-      :atomics.add(peer.queued, 1, 1)
-      send(pid, {:send, bytes})
-      :ok
-    else
-      :full
-    end
-  end
+  defp waiting?(state), do: Enum.any?(state.peers, fn {_, p} -> Outbox.waiting?(p.queued) end)
+
+  defp put({pid, peer}, bytes, state),
+    do: Outbox.put(peer.queued, pid, bytes, state.opts[:high_water_mark])
 
   @impl true
-  def handle_info(:begin, %{bind?: true} = state) do
-    socket = self()
-    listener = state.listener
-    {:noreply, %{state | acceptor: spawn_link(fn -> accept(listener, socket) end)}}
-  end
+  def handle_info(:begin, %{bind?: true} = state),
+    do: {:noreply, %{state | acceptor: Listener.begin(state.listener, self())}}
 
   def handle_info(:begin, state), do: {:noreply, connect(state)}
 
   def handle_info({:drain, from, until}, state) do
-    with {:reply, reply, state} <- handle_call({:drain, until}, from, state) do
-      GenServer.reply(from, reply)
-      {:noreply, state}
-    end
+    Linger.drain(from, until, waiting?(state))
+    {:noreply, state}
   end
 
   def handle_info({:peer, pid, :open}, state),
@@ -254,7 +211,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   defp connect(state), do: state |> peer(state.address) |> elem(1)
 
   defp peer(state, address) do
-    queued = :atomics.new(1, [])
+    queued = Outbox.new()
 
     {:ok, pid} =
       Peer.start_link(
@@ -270,22 +227,5 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
       )
 
     {pid, %{state | peers: Map.put(state.peers, pid, %{open?: false, wants: [], queued: queued})}}
-  end
-
-  # Runs in a process of its own: a connection is handed to a peer that the socket makes for it.
-  defp accept(listener, socket) do
-    case :gen_tcp.accept(listener) do
-      {:ok, tcp} ->
-        peer = GenServer.call(socket, :adopt)
-        Peer.adopt(peer, tcp)
-        accept(listener, socket)
-
-      {:error, :emfile} ->
-        Process.sleep(100)
-        accept(listener, socket)
-
-      {:error, _closed} ->
-        :ok
-    end
   end
 end

@@ -1,9 +1,10 @@
-defmodule Situ.Bridge.Tcp.Source do
+defmodule Situ.Bridge.Net.Source do
   alias Situ.Bridge.Inlet
 
   @schema [
             host: [type: :string, required: true, doc: "Where the server is."],
             port: [type: {:range, 1, 65_535}, required: true, doc: "Its port."],
+            protocol: [type: :any, required: true, doc: "`{module, arg}`."],
             most: [
               type: :pos_integer,
               default: 64 * 1024 * 1024,
@@ -14,7 +15,6 @@ defmodule Situ.Bridge.Tcp.Source do
   # A connection to a server as a source that never ends. It lives in the component's own process: nothing is read
   # while the component is busy, so that the other side waits or drops.
   use Situ.Component, outputs: [out: :any], options: @schema
-  alias Situ.Bridge.Tcp.Frames
   require Logger
 
   @first_wait 50
@@ -22,9 +22,18 @@ defmodule Situ.Bridge.Tcp.Source do
 
   def schema, do: @schema
 
+  @doc "A source of what a server sends by a protocol."
+  def connect(p, protocol, host, port, opts) do
+    given = [protocol: protocol, host: host, port: port, outputs: [out: opts[:type] || :any]]
+    Situ.source(p, __MODULE__, given ++ opts)
+  end
+
+  @doc "The options that users give, as documentation."
+  def docs, do: @schema |> Keyword.drop([:host, :port, :protocol]) |> Situ.Options.docs()
+
   @impl true
   def init(opts) do
-    state = %{opts: opts, tcp: nil, buffer: "", wait: @first_wait, told: nil, open: true}
+    state = %{opts: opts, tcp: nil, wire: nil, wait: @first_wait, told: nil, open: true}
     {:ok, Map.put(state, :inlet, Inlet.new(opts))}
   end
 
@@ -35,21 +44,27 @@ defmodule Situ.Bridge.Tcp.Source do
   end
 
   @impl true
-  def handle_info(:connect, _context, %{open: true, tcp: nil} = state) do
-    host = String.to_charlist(state.opts[:host])
+  def handle_info(:connect, _context, %{open: true, tcp: nil, opts: opts} = state) do
+    host = String.to_charlist(opts[:host])
+    {module, arg} = opts[:protocol]
+    {hello, wire} = module.hello(opts[:host], opts[:port], arg)
+    options = [:binary, active: :once, nodelay: true]
 
-    case :gen_tcp.connect(host, state.opts[:port], [:binary, active: :once, nodelay: true], 2_000) do
-      {:ok, tcp} -> {[], %{state | tcp: tcp, wait: @first_wait, told: nil}}
+    with {:ok, tcp} <- :gen_tcp.connect(host, opts[:port], options, 2_000),
+         :ok <- said(tcp, hello) do
+      {[], %{state | tcp: tcp, wire: wire}}
+    else
       {:error, reason} -> {[], again(state, reason)}
     end
   end
 
-  def handle_info({:tcp, tcp, bytes}, context, %{tcp: tcp} = state) do
-    case Frames.read(state.buffer <> bytes, state.opts[:most]) do
-      {:ok, payloads, rest} ->
+  def handle_info({:tcp, tcp, bytes}, context, %{tcp: tcp, opts: opts} = state) do
+    case elem(opts[:protocol], 0).read(bytes, state.wire, opts[:most]) do
+      {:ok, payloads, answer, wire} ->
         {actions, inlet} = Inlet.take(state.inlet, payloads, context.now)
+        if answer != "", do: :gen_tcp.send(tcp, answer)
         :inet.setopts(tcp, active: :once)
-        {actions, %{state | buffer: rest, inlet: inlet}}
+        {actions, well(%{state | wire: wire, inlet: inlet}, payloads)}
 
       {:error, why} ->
         :gen_tcp.close(tcp)
@@ -65,16 +80,26 @@ defmodule Situ.Bridge.Tcp.Source do
 
   def handle_info(_other, _context, state), do: {[], state}
 
+  defp said(_tcp, ""), do: :ok
+
+  defp said(tcp, hello) do
+    with {:error, _} = error <- :gen_tcp.send(tcp, hello) do
+      :gen_tcp.close(tcp)
+      error
+    end
+  end
+
+  # A server that sends what can be read is a good one: should it go, it is looked for soon.
+  defp well(state, []), do: state
+  defp well(state, _payloads), do: %{state | wait: @first_wait, told: nil}
+
   # The same trouble is told once, not at every attempt. A message that was cut off is lost.
   defp again(state, reason) do
-    where = "#{state.opts[:host]}:#{state.opts[:port]}"
-
     if state.told != reason and reason != :closed,
-      do: Logger.warning("TCP #{where}: #{inspect(reason)}")
+      do: Logger.warning("#{state.opts[:host]}:#{state.opts[:port]}: #{inspect(reason)}")
 
     Process.send_after(self(), :connect, state.wait)
-    wait = min(state.wait * 2, @longest_wait)
-    %{state | tcp: nil, buffer: "", told: reason, wait: wait}
+    %{state | tcp: nil, told: reason, wait: min(state.wait * 2, @longest_wait)}
   end
 
   @impl true

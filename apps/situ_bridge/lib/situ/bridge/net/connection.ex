@@ -1,0 +1,79 @@
+defmodule Situ.Bridge.Net.Connection do
+  @moduledoc false
+  # One client of a server: admitted by the protocol, it is written what it is handed, and ends when the other side does.
+  use GenServer, restart: :temporary
+  alias Situ.Bridge.Net.Outbox
+
+  @admission 5_000
+  # A client that says more than this before it is admitted, or in one go afterwards, is none.
+  @most_said 65_536
+
+  def start_link(server, outbox, protocol),
+    do: GenServer.start_link(__MODULE__, {server, outbox, protocol})
+
+  @impl true
+  def init({server, outbox, protocol}) do
+    Process.send_after(self(), :too_slow, @admission)
+    {:ok, %{tcp: nil, server: server, outbox: outbox, protocol: protocol, said: "", open?: false}}
+  end
+
+  @impl true
+  def handle_info({:adopt, tcp}, state) do
+    :inet.setopts(tcp, Outbox.options())
+    admit(%{state | tcp: tcp})
+  end
+
+  def handle_info({:send, frame}, state) do
+    case Outbox.flush(state.outbox, state.tcp, frame) do
+      :ok -> {:noreply, state}
+      {:error, reason} -> {:stop, {:shutdown, reason}, state}
+    end
+  end
+
+  def handle_info({:tcp, _tcp, bytes}, state)
+      when byte_size(bytes) + byte_size(state.said) > @most_said,
+      do: {:stop, {:shutdown, :noise}, state}
+
+  def handle_info({:tcp, _tcp, bytes}, %{open?: false} = state),
+    do: admit(%{state | said: state.said <> bytes})
+
+  def handle_info({:tcp, _tcp, bytes}, %{protocol: {module, arg}} = state) do
+    case module.heard(state.said <> bytes, arg) do
+      {:ok, answer, rest} -> answer(answer, %{state | said: rest})
+      :close -> {:stop, {:shutdown, :closed}, state}
+    end
+  end
+
+  def handle_info({:tcp_closed, _}, state), do: {:stop, {:shutdown, :closed}, state}
+  def handle_info({:tcp_error, _, reason}, state), do: {:stop, {:shutdown, reason}, state}
+  def handle_info(:too_slow, %{open?: true} = state), do: {:noreply, state}
+  def handle_info(:too_slow, state), do: {:stop, {:shutdown, :too_slow}, state}
+
+  defp admit(%{protocol: {module, arg}} = state) do
+    case module.admit(state.said, arg) do
+      {:ok, answer, rest} ->
+        with {:noreply, state} <- answer(answer, %{state | said: rest, open?: true}) do
+          send(state.server, {:open, self()})
+          {:noreply, state}
+        end
+
+      :more ->
+        answer("", state)
+
+      {:refuse, answer} ->
+        :gen_tcp.send(state.tcp, answer)
+        {:stop, {:shutdown, :refused}, state}
+    end
+  end
+
+  defp answer(answer, state) do
+    case answer == "" || :gen_tcp.send(state.tcp, answer) do
+      {:error, reason} ->
+        {:stop, {:shutdown, reason}, state}
+
+      _ ->
+        :inet.setopts(state.tcp, active: :once)
+        {:noreply, state}
+    end
+  end
+end

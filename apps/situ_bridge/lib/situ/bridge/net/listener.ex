@@ -1,0 +1,61 @@
+defmodule Situ.Bridge.Net.Listener do
+  @moduledoc false
+  # A listening port. `begin/2` starts the process that accepts: it asks `server` for the process of each connection
+  # (`:adopt`, answered by a pid or `:full`) and hands the connection over as `{:adopt, tcp}`.
+  alias Situ.Error
+
+  @type t :: :gen_tcp.socket()
+
+  @doc "Listens; `\"*\"` is every interface. Errors: `:address_in_use`, `:bad_address`."
+  @spec listen(String.t(), :inet.port_number()) :: {:ok, t()} | {:error, Error.t()}
+  def listen(interface, port) do
+    options = [:binary, active: false, reuseaddr: true, backlog: 128]
+
+    with {:ok, ip} <- address(interface),
+         {:ok, listener} <- :gen_tcp.listen(port, [ip: ip] ++ options) do
+      {:ok, listener}
+    else
+      {:error, :eaddrinuse} ->
+        {:error,
+         Error.new(:address_in_use, "port #{port} of #{interface} is in use",
+           fix: "choose another port, or stop who listens there"
+         )}
+
+      {:error, reason} ->
+        why = to_string(:inet.format_error(reason))
+        {:error, Error.new(:bad_address, "cannot listen on #{interface}:#{port}", why: why)}
+    end
+  end
+
+  defp address("*"), do: {:ok, {0, 0, 0, 0}}
+  defp address(interface), do: :inet.getaddr(String.to_charlist(interface), :inet)
+
+  @doc "The port it got."
+  @spec port(t()) :: :inet.port_number()
+  def port(listener), do: elem(:inet.port(listener), 1)
+
+  @doc "The accepting process, linked to the caller."
+  @spec begin(t(), server :: pid()) :: pid()
+  def begin(listener, server), do: spawn_link(fn -> accept(listener, server) end)
+
+  defp accept(listener, server) do
+    case :gen_tcp.accept(listener) do
+      {:ok, tcp} ->
+        hand_over(tcp, GenServer.call(server, :adopt))
+        accept(listener, server)
+
+      {:error, :emfile} ->
+        Process.sleep(100)
+        accept(listener, server)
+
+      {:error, _closed} ->
+        :ok
+    end
+  end
+
+  defp hand_over(tcp, :full), do: :gen_tcp.close(tcp)
+
+  defp hand_over(tcp, connection) do
+    with :ok <- :gen_tcp.controlling_process(tcp, connection), do: send(connection, {:adopt, tcp})
+  end
+end

@@ -1,0 +1,48 @@
+defmodule Situ.Bridge.Net.Outbox do
+  @moduledoc false
+  # Messages on their way to one connection's process: counted, so that a slow one holds up nobody and fills no memory.
+  # `put/3` is the sender's side, `flush/3` the connection's, which gets `{:send, bytes}`.
+
+  @type t :: :atomics.atomics_ref()
+
+  @send_timeout 30_000
+  @most_at_once 500
+
+  @spec new() :: t()
+  def new, do: :atomics.new(1, [])
+
+  @doc "How a connection's socket is to be set up."
+  def options, do: [nodelay: true, send_timeout: @send_timeout, send_timeout_close: true]
+
+  @spec put(t(), pid(), iodata(), most :: pos_integer()) :: :ok | :full
+  def put(outbox, connection, bytes, most) do
+    if :atomics.get(outbox, 1) < most do
+      :atomics.add(outbox, 1, 1)
+      send(connection, {:send, bytes})
+      :ok
+    else
+      :full
+    end
+  end
+
+  @spec waiting?(t()) :: boolean()
+  def waiting?(outbox), do: :atomics.get(outbox, 1) > 0
+
+  @doc "Sends `bytes` and whatever else waits: one call into the kernel for many messages."
+  @spec flush(t(), :gen_tcp.socket(), iodata()) :: :ok | {:error, term()}
+  def flush(outbox, tcp, bytes) do
+    {n, all} = gather(1, [bytes])
+
+    with :ok <- :gen_tcp.send(tcp, Enum.reverse(all)), do: :atomics.sub(outbox, 1, n)
+  end
+
+  defp gather(n, all) when n >= @most_at_once, do: {n, all}
+
+  defp gather(n, all) do
+    receive do
+      {:send, bytes} -> gather(n + 1, [bytes | all])
+    after
+      0 -> {n, all}
+    end
+  end
+end

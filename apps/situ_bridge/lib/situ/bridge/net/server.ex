@@ -1,0 +1,117 @@
+defmodule Situ.Bridge.Net.Server do
+  @moduledoc false
+  # Listens, and hands every message to all clients that have room for it.
+  use GenServer
+  alias Situ.Bridge.Net.{Connection, Linger, Listener, Outbox}
+  alias Situ.Bridge.Outlet
+  alias Situ.Error
+  @behaviour Outlet
+
+  @most_clients 1_000
+
+  defstruct [:listener, :acceptor, :most, :protocol, :latch, :last, clients: %{}, dropped: 0]
+
+  @doc """
+  Opens a port to serve a protocol on; a client may have `most` messages waiting. With `latch: true` a client begins
+  with the last message that was sent. Errors: `:address_in_use`, `:bad_address`.
+  """
+  @spec open(String.t(), :inet.port_number(), pos_integer(), {module(), term()}, keyword()) ::
+          {:ok, pid()} | {:error, Error.t()}
+  def open(interface, port, most, protocol, opts \\ []) do
+    with {:ok, listener} <- Listener.listen(interface, port) do
+      state = %__MODULE__{
+        listener: listener,
+        most: most,
+        protocol: protocol,
+        latch: opts[:latch] || false
+      }
+
+      {:ok, server} = GenServer.start_link(__MODULE__, state)
+      :ok = :gen_tcp.controlling_process(listener, server)
+      send(server, :begin)
+      {:ok, server}
+    end
+  end
+
+  def port(server), do: GenServer.call(server, :port)
+
+  @impl Outlet
+  def ready(server), do: GenServer.call(server, :ready)
+
+  @impl Outlet
+  def dropped(server), do: GenServer.call(server, :dropped)
+
+  @impl Outlet
+  def put(server, payload), do: GenServer.call(server, {:put, payload}, :infinity)
+
+  @impl Outlet
+  defdelegate close(server, timeout), to: Linger
+
+  @impl true
+  def init(state) do
+    Process.flag(:trap_exit, true)
+    {:ok, state}
+  end
+
+  @impl true
+  def handle_call(:port, _from, state), do: {:reply, Listener.port(state.listener), state}
+  def handle_call(:ready, _from, state), do: {:reply, length(open(state)), state}
+  def handle_call(:dropped, _from, state), do: {:reply, state.dropped, state}
+
+  def handle_call(:adopt, _from, state) when map_size(state.clients) >= @most_clients,
+    do: {:reply, :full, state}
+
+  def handle_call(:adopt, _from, state) do
+    outbox = Outbox.new()
+    {:ok, client} = Connection.start_link(self(), outbox, state.protocol)
+    {:reply, client, put_in(state.clients[client], %{outbox: outbox, open?: false})}
+  end
+
+  def handle_call({:put, payload}, _from, %{protocol: {module, arg}} = state) do
+    frame = module.frame(payload, arg)
+
+    dropped =
+      Enum.count(open(state), fn {pid, c} ->
+        Outbox.put(c.outbox, pid, frame, state.most) == :full
+      end)
+
+    last = if state.latch, do: frame
+    {:reply, :ok, %{state | dropped: state.dropped + dropped, last: last}}
+  end
+
+  def handle_call({:drain, until}, from, state) do
+    Linger.drain(from, until, waiting?(state))
+    {:noreply, state}
+  end
+
+  defp open(state), do: Enum.filter(state.clients, fn {_, client} -> client.open? end)
+  defp waiting?(state), do: Enum.any?(state.clients, fn {_, c} -> Outbox.waiting?(c.outbox) end)
+
+  @impl true
+  def handle_info(:begin, state),
+    do: {:noreply, %{state | acceptor: Listener.begin(state.listener, self())}}
+
+  def handle_info({:drain, from, until}, state) do
+    Linger.drain(from, until, waiting?(state))
+    {:noreply, state}
+  end
+
+  def handle_info({:open, pid}, state) when is_map_key(state.clients, pid) do
+    if state.last, do: Outbox.put(state.clients[pid].outbox, pid, state.last, state.most)
+    {:noreply, put_in(state.clients[pid].open?, true)}
+  end
+
+  def handle_info({:open, _gone}, state), do: {:noreply, state}
+
+  def handle_info({:EXIT, pid, _reason}, state) when is_map_key(state.clients, pid),
+    do: {:noreply, %{state | clients: Map.delete(state.clients, pid)}}
+
+  def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
+
+  # A server that ends well takes its connections along; their links would not.
+  @impl true
+  def terminate(_reason, state) do
+    for {client, _} <- state.clients, do: Process.exit(client, :shutdown)
+    :gen_tcp.close(state.listener)
+  end
+end

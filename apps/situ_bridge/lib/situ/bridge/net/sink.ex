@@ -1,0 +1,56 @@
+defmodule Situ.Bridge.Net.Sink do
+  alias Situ.Bridge.Outlet
+
+  @schema [
+            port: [type: {:range, 0, 65_535}, required: true, doc: "The port to listen on."],
+            protocol: [type: :any, required: true, doc: "`{module, arg}`."],
+            interface: [
+              type: :string,
+              default: "127.0.0.1",
+              doc: "Where to listen; \"*\": everywhere."
+            ]
+          ] ++ Outlet.options()
+  @moduledoc false
+  # A stream to whoever connects.
+  use Situ.Component, inputs: [in: :any], options: @schema
+  alias Situ.Bridge.Net.Server
+
+  def schema, do: @schema
+
+  @doc "Serves a stream by a protocol; returns the stream."
+  def serve(stream, protocol, port, opts) do
+    Situ.via(stream, __MODULE__, [protocol: protocol, port: port] ++ opts)
+    stream
+  end
+
+  @doc "The options that users give, as documentation."
+  def docs, do: @schema |> Keyword.drop([:port, :protocol]) |> Situ.Options.docs()
+
+  @impl true
+  def init(opts), do: {:ok, Outlet.new(opts)}
+
+  @impl true
+  def handle_start(_context, %{opts: opts} = outlet) do
+    case Server.open(opts[:interface], opts[:port], opts[:high_water_mark], opts[:protocol]) do
+      {:ok, server} -> {[], Outlet.open(outlet, Server, server, Server.port(server))}
+      {:error, error} -> raise error
+    end
+  end
+
+  @impl true
+  def handle_message(:in, message, _context, outlet),
+    do: Outlet.take(outlet, Outlet.payload(message, outlet.opts))
+
+  @impl true
+  def handle_info({:hold_ended, :in}, _context, outlet), do: Outlet.pour(outlet)
+  def handle_info(_other, _context, outlet), do: {[], outlet}
+
+  @impl true
+  def handle_closed(:in, _time, _context, outlet), do: {[], Outlet.close(outlet)}
+
+  @impl true
+  def terminate(_reason, outlet), do: Outlet.abandon(outlet)
+
+  @impl true
+  def describe(outlet), do: Outlet.describe(outlet)
+end
