@@ -5,13 +5,13 @@ defmodule Situ.Bench.Counters do
   # counting gets.
   import Situ.Bench, only: [cpu_us: 0]
   alias Situ.{Delivery, Pipeline, Time}
-  alias Situ.Stage.Counters
+  alias Situ.Ports.Counters
 
   @rounds 5
 
   # Creation and reading stay; what the hot path calls does nothing.
   @nothing """
-  defmodule Situ.Stage.Counters do
+  defmodule Situ.Ports.Counters do
     def new, do: :atomics.new(1, signed: true)
     def emitted(_ref, _n, _created, _posted), do: :ok
     def processed(_ref, _n, _latency, _busy), do: :ok

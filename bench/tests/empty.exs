@@ -7,7 +7,7 @@ defmodule Situ.Bench.Empty do
 
   defp empty(n) do
     nothing = time(n, fn _p -> :ok end)
-    one = time(n, fn p -> Situ.source(p, Situ.Pipeline.Empty) end)
+    one = time(n, fn p -> Situ.source(p, Situ.Component.Empty) end)
     [{"pipeline_create_run_dispose", nothing, "ms"}, {"pipeline_one_component", one, "ms"}]
   end
 

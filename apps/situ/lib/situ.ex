@@ -444,7 +444,7 @@ defmodule Situ do
   def inspect(p, opts \\ []) do
     case Situ.Options.validate!(opts, refresh: [type: :pos_integer], times: [type: :pos_integer]) do
       [] -> IO.puts(Situ.Diagnostics.format(Pipeline.info(p)))
-      opts -> Situ.Diagnostics.watch(p, opts[:refresh] || 1_000, opts[:times] || :infinity)
+      opts -> Pipeline.Client.watch(p, opts[:refresh] || 1_000, opts[:times] || :infinity)
     end
   end
 

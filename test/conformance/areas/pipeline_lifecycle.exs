@@ -87,7 +87,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
   end
 
   def check(%{"op" => "run", "params" => %{"empty_sequences" => n}} = case) do
-    result = Pipeline.run(fn p -> for _ <- 1..n, do: Situ.source(p, Situ.Pipeline.Empty) end)
+    result = Pipeline.run(fn p -> for _ <- 1..n, do: Situ.source(p, Situ.Component.Empty) end)
 
     all(case, %{"completed" => match?({:ok, _}, result), "errors" => errors(result)})
   end

@@ -7,12 +7,12 @@ defmodule Situ.Application do
   def start(_type, _args) do
     children = [
       Situ.Application.Tables,
-      Situ.Pipeline.Reaper,
+      Situ.Application.Reaper,
       Situ.Clock.registry(),
       Situ.Connector.registry(),
       Situ.Tap.registry(),
-      Situ.Pipeline.Directory,
-      Situ.Pipeline.Reload
+      Situ.Application.Directory,
+      Situ.Application.Reload
     ]
 
     Supervisor.start_link(children, strategy: :one_for_one, name: Situ.Supervisor)

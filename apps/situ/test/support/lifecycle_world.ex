@@ -1,9 +1,9 @@
 defmodule Situ.Fixture.LifecycleWorld do
-  # A world for `Situ.Pipeline.Lifecycle` without processes: stages are what they owe. Everything that is under way is
+  # A world for `Situ.Lifecycle` without processes: stages are what they owe. Everything that is under way is
   # in one bag, and chance takes out what happens next; so every order is tried that messages between processes might
   # take.
-  alias Situ.Pipeline.Lifecycle
-  alias Situ.Pipeline.Lifecycle.{Links, Member, State}
+  alias Situ.Lifecycle
+  alias Situ.Lifecycle.{Links, Member, State}
 
   defstruct [
     :life,

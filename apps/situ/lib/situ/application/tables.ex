@@ -9,7 +9,7 @@ defmodule Situ.Application.Tables do
   @impl true
   def init(_) do
     Situ.Telemetry.setup()
-    Situ.Pipeline.Results.setup()
+    Situ.Application.Results.setup()
     {:ok, nil}
   end
 end

@@ -5,7 +5,7 @@ defmodule Situ.Graph do
   Everything here is pure. `Situ.Graph.Builder` holds the graph being built; `Situ.Graph.build/1` builds one without any
   pipeline process, for components that run graphs of their own:
 
-      iex> {graph, node} = Situ.Graph.build(fn p -> Situ.Pipeline.add(p, Situ.Pipeline.Empty, name: "A") end)
+      iex> {graph, node} = Situ.Graph.build(fn p -> Situ.Pipeline.add(p, Situ.Component.Empty, name: "A") end)
       iex> {node.path, Map.keys(graph.vertices)}
       {"A", [1]}
   """

@@ -8,7 +8,7 @@ defmodule Situ.Node do
     * `module`: the component's module, or `:operator`
     * `inputs`, `outputs`: keyword lists of name and type
 
-      iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.Pipeline.add(p, Situ.Pipeline.Empty) end)
+      iex> {:ok, report} = Situ.Pipeline.run(fn p -> Situ.Pipeline.add(p, Situ.Component.Empty) end)
       iex> report.result.path
       "Empty"
   """

@@ -2,9 +2,10 @@ defmodule Situ.Pipeline.Client do
   @moduledoc false
   # Questions to a pipeline's process, asked by its handle, a stream, pid or name; one that has ended is an error, or
   # its result.
-  alias Situ.{Error, Pipeline}
+  alias Situ.{Error, Lifecycle, Pipeline}
+  alias Situ.Application.{Directory, Results}
   alias Situ.Graph.{Builder, Handle}
-  alias Situ.Pipeline.{Directory, Errors, Lifecycle, Results}
+  alias Situ.Lifecycle.Errors
 
   @spec stop(Pipeline.target(), keyword()) :: Pipeline.result() | :ok
   def stop(p, opts) do
@@ -108,6 +109,22 @@ defmodule Situ.Pipeline.Client do
   end
 
   defp gone(_pid, nil), do: {:error, Errors.not_running()}
+
+  @doc "The live table of `Situ.inspect/2`: printed again every `ms` until the pipeline has ended."
+  @spec watch(Pipeline.target(), pos_integer(), pos_integer() | :infinity) :: :ok
+  def watch(_p, _ms, 0), do: :ok
+
+  def watch(p, ms, times) do
+    if state(p) == :completed do
+      IO.puts("the pipeline has ended")
+    else
+      table = Situ.Diagnostics.format(call!(p, :info))
+      IO.puts([IO.ANSI.clear(), IO.ANSI.home(), table])
+      # A person reads it: this is the one place where waiting is the purpose.
+      Process.sleep(ms)
+      watch(p, ms, if(times == :infinity, do: :infinity, else: times - 1))
+    end
+  end
 
   @doc "Something moves that its counters do not show: it is not stuck."
   @spec moving(Pipeline.target()) :: term()

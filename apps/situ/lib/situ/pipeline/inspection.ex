@@ -3,7 +3,8 @@ defmodule Situ.Pipeline.Inspection do
   # What there is to see of a pipeline: report, snapshot, progress. Reads counters; asks no component.
   alias Situ.Diagnostics.{Averages, Snapshot, Survey}
   alias Situ.Pipeline.{Report, State}
-  alias Situ.Stage.{Counters, Tally}
+  alias Situ.Ports.Counters
+  alias Situ.Stage.Tally
 
   # However short the averaging span: looking costs something.
   @least_ms 50
@@ -102,6 +103,7 @@ defmodule Situ.Pipeline.Inspection do
       start_time: start_time(state) || 0,
       progress: state.view.progress,
       graph: state.graph,
+      taps: for({id, %{tap?: true}} <- state.life.stages, do: id),
       stages:
         Enum.map(state.stages, fn {id, stage} -> Map.put(stage, :state, shown(id, state)) end),
       counters: state.wires.counters,

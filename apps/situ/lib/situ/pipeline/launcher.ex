@@ -2,8 +2,10 @@ defmodule Situ.Pipeline.Launcher do
   @moduledoc false
   # The ways into a pipeline: a process that builds the graph, answers its caller and becomes the pipeline's server.
   alias Situ.Error
+  alias Situ.Application.{Directory, Reload}
   alias Situ.Graph.Builder
-  alias Situ.Pipeline.{Directory, Errors, Handlers, Reload, Server, Settings, State}
+  alias Situ.Lifecycle.Errors
+  alias Situ.Pipeline.{Handlers, Server, Settings, State}
 
   # The result comes as a message of its own: a short pipeline has ended before one could ask it.
   def run(spec, opts) do

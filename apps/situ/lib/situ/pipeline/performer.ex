@@ -2,10 +2,11 @@ defmodule Situ.Pipeline.Performer do
   @moduledoc false
   # Performs the actions of the life cycle: the one place where a decision becomes a message, a process, a line in the
   # log.
-  alias Situ.{Clock, Error, Telemetry}
-  alias Situ.Graph
+  alias Situ.{Clock, Error, Graph, Lifecycle, Telemetry}
+  alias Situ.Clock.Timing
   alias Situ.Graph.{Cycle, Plan}
-  alias Situ.Pipeline.{Dynamic, Errors, Handlers, Inspection, Lifecycle, Stages, State, Timing}
+  alias Situ.Lifecycle.Errors
+  alias Situ.Pipeline.{Dynamic, Handlers, Inspection, Stages, State}
   alias Situ.Pipeline.Dynamic.Extension
   alias Situ.Stage.Tally
   require Logger

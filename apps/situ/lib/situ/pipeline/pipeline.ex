@@ -42,7 +42,7 @@ defmodule Situ.Pipeline do
   `new/1` opens an empty pipeline in state `:building`; add to it from any process, then `launch/1`:
 
       iex> p = Situ.Pipeline.new()
-      iex> node = Situ.Pipeline.add(p, Situ.Pipeline.Empty)
+      iex> node = Situ.Pipeline.add(p, Situ.Component.Empty)
       iex> node.path
       "Empty"
       iex> {:ok, _report} = Situ.Pipeline.stop(p)
@@ -51,8 +51,9 @@ defmodule Situ.Pipeline do
       :not_running
   """
   alias Situ.{Error, Graph, Node, Stream}
+  alias Situ.Application.Directory
   alias Situ.Graph.{Builder, Handle}
-  alias Situ.Pipeline.{Client, Directory, Launcher, Report}
+  alias Situ.Pipeline.{Client, Launcher, Report}
 
   @typedoc "A handle: what `build/2` is given and `new/1` returns."
   @type t :: Handle.t()

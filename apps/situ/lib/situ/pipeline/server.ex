@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Server do
   @moduledoc false
   # The process of one pipeline, parent of its stages. It decides nothing about the life of the pipeline: it turns
-  # messages into events for `Situ.Pipeline.Lifecycle` and performs the actions that come back.
+  # messages into events for `Situ.Lifecycle` and performs the actions that come back.
   #
   #   caller/supervisor
   #     └── Server (traps exits)
@@ -12,10 +12,11 @@ defmodule Situ.Pipeline.Server do
 
   require Logger
 
-  alias Situ.Clock
+  alias Situ.{Clock, Lifecycle}
+  alias Situ.Application.{Directory, Results}
   alias Situ.Graph.Builder
-  alias Situ.Pipeline.{Dynamic, Errors, Handlers, Inspection, Lifecycle, Lookup}
-  alias Situ.Pipeline.{Performer, Results, Stages}
+  alias Situ.Lifecycle.Errors
+  alias Situ.Pipeline.{Dynamic, Handlers, Inspection, Performer, Stages, State}
 
   # Requests to a pipeline that is just starting wait until it runs.
   @patient [:extend, :subscription, :replace, :tap, :stop_part, :clock, :attach, :detach]
@@ -151,7 +152,7 @@ defmodule Situ.Pipeline.Server do
     do: {:reply, Dynamic.Tap.subscription(state, which), state}
 
   defp running({:stop_part, path, opts}, from, state) do
-    case Lookup.part(state, path) do
+    case State.part(state, path) do
       {:ok, ids} -> apply_event(state, {:stop_part, make_ref(), ids, Map.put(opts, :from, from)})
       {:error, error} -> {:reply, {:error, error}, state}
     end
@@ -187,7 +188,7 @@ defmodule Situ.Pipeline.Server do
   defp event(:situ_moving, state), do: apply_event(state, :moving)
 
   defp event({:situ_stop_part, path, opts}, %{life: %{phase: :running}} = state) do
-    case Lookup.part(state, path) do
+    case State.part(state, path) do
       {:ok, ids} -> apply_event(state, {:stop_part, make_ref(), ids, Map.put(opts, :from, nil)})
       _ -> {:noreply, state}
     end
@@ -292,6 +293,7 @@ defmodule Situ.Pipeline.Server do
   defp done(state), do: over(state.view.outcome, state)
 
   defp over(result, state) do
+    Directory.leave(state.settings)
     publish(state.settings, result)
     Enum.each(state.waiters, &GenServer.reply(&1, result))
     for {_, %{from: from}} when from != nil <- state.life.parts, do: GenServer.reply(from, :ok)
@@ -333,6 +335,7 @@ defmodule Situ.Pipeline.Server do
     do: state |> Performer.apply({:stop, Lifecycle.catch_up_ms()}) |> shut()
 
   defp shut(%{view: %{outcome: result}} = state) when result != nil do
+    Directory.leave(state.settings)
     Results.put(self(), result)
     Enum.each(state.waiters, &GenServer.reply(&1, result))
   end

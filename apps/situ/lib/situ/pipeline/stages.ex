@@ -1,11 +1,13 @@
 defmodule Situ.Pipeline.Stages do
   @moduledoc false
   # The processes of a pipeline: spawned, wired, measured. Carries out what the life cycle decides; decides nothing.
+  alias Situ.{Lifecycle, Stage}
+  alias Situ.Application.Reaper
   alias Situ.Graph.{Edge, Plan, Vertex}
-  alias Situ.Pipeline.Lifecycle.{Links, Member}
-  alias Situ.Pipeline.{Lifecycle, Reaper, State}
-  alias Situ.Stage
-  alias Situ.Stage.{Counters, Output, Tally}
+  alias Situ.Lifecycle.{Links, Member}
+  alias Situ.Pipeline.State
+  alias Situ.Ports.{Counters, Output}
+  alias Situ.Stage.Tally
 
   @doc "What a plan needs besides processes: links, counters, entries of stages; and the members for the life cycle."
   @spec lay_out(State.t(), Plan.t()) :: {State.t(), %{pos_integer() => Member.t()}}

@@ -7,7 +7,10 @@ defmodule Situ.Pipeline.State do
   #   dynamic   requests under way that change the running pipeline
   #   view      what is remembered for those who look: Situ.Pipeline.Inspection
   #   waiters   who waits for the end; early: messages that wait until it runs
-  alias Situ.Pipeline.{Dynamic, Inspection, Lifecycle, Settings, Timing}
+  alias Situ.{Error, Graph, Lifecycle, Options}
+  alias Situ.Clock.Timing
+  alias Situ.Lifecycle.Errors
+  alias Situ.Pipeline.{Dynamic, Inspection, Settings}
 
   @enforce_keys [:settings, :life, :view]
   defstruct [
@@ -19,7 +22,7 @@ defmodule Situ.Pipeline.State do
     :life,
     :view,
     :handlers,
-    graph: %Situ.Graph{},
+    graph: %Graph{},
     stages: %{},
     pids: %{},
     wires: %{links: %{}, counters: %{}},
@@ -28,6 +31,8 @@ defmodule Situ.Pipeline.State do
     early: []
   ]
 
+  @typedoc "An output: its vertex and its name."
+  @type port_id :: {pos_integer(), atom()}
   @type stage :: %{
           id: pos_integer(),
           pid: pid(),
@@ -35,7 +40,7 @@ defmodule Situ.Pipeline.State do
           tally: Situ.Stage.Tally.t(),
           control: :atomics.atomics_ref(),
           marks: :atomics.atomics_ref() | nil,
-          tail: Situ.Stage.Counters.t() | nil
+          tail: Situ.Ports.Counters.t() | nil
         }
 
   @type t :: %__MODULE__{
@@ -50,7 +55,7 @@ defmodule Situ.Pipeline.State do
           graph: Situ.Graph.t(),
           stages: %{pos_integer() => stage()},
           pids: %{pid() => pos_integer()},
-          wires: %{links: %{term() => map()}, counters: %{term() => Situ.Stage.Counters.t()}},
+          wires: %{links: %{term() => map()}, counters: %{term() => Situ.Ports.Counters.t()}},
           dynamic: Dynamic.t(),
           waiters: [GenServer.from()],
           early: [term()]
@@ -70,7 +75,7 @@ defmodule Situ.Pipeline.State do
       settings: settings,
       life: life,
       view: %Inspection{begun: System.monotonic_time()},
-      graph: %Situ.Graph{default_policy: settings.default_policy, replay: settings.interval}
+      graph: %Graph{default_policy: settings.default_policy, replay: settings.interval}
     }
   end
 
@@ -78,4 +83,132 @@ defmodule Situ.Pipeline.State do
   @spec now(t()) :: Situ.Time.t()
   def now(%{timing: nil}), do: :os.system_time()
   def now(state), do: Situ.Clock.now(state.timing.clock)
+
+  # Where the parts of a running pipeline are: which vertex and output a stream is of, in which stage, how far down its
+  # chain.
+
+  @doc "Vertex and output of a stream, given as that or by its name."
+  @spec port(t(), port_id() | String.t()) :: {:ok, port_id()} | {:error, Error.t()}
+  def port(state, {id, output}) do
+    if Map.has_key?(state.graph.vertices, id),
+      do: {:ok, {id, output}},
+      else: {:error, Errors.not_running()}
+  end
+
+  def port(state, name) do
+    named = Graph.stream_names(state.graph)
+
+    case named do
+      %{^name => port} -> {:ok, port}
+      _ -> {:error, Graph.unknown_stream(name, Map.keys(named))}
+    end
+  end
+
+  @doc "A component, given as a node or by its path."
+  @spec vertex(t(), Situ.Node.t() | String.t()) ::
+          {:ok, Situ.Graph.Vertex.t()} | {:error, Error.t()}
+  def vertex(state, %Situ.Node{id: id, path: path}) do
+    case state.graph.vertices do
+      %{^id => vertex} -> {:ok, vertex}
+      _ -> {:error, Errors.unknown_component(path, nil)}
+    end
+  end
+
+  def vertex(%{graph: %{paths: paths} = graph}, path) do
+    case paths do
+      %{^path => id} ->
+        Map.fetch(graph.vertices, id)
+
+      _ ->
+        near = is_binary(path) && Options.nearest(path, Map.keys(paths))
+        {:error, Errors.unknown_component(path, near || nil)}
+    end
+  end
+
+  @doc "The running stage that a vertex is in, and its index there."
+  @spec stage(t(), pos_integer()) ::
+          {:ok, stage(), non_neg_integer()} | {:error, Error.t()}
+  def stage(state, id) do
+    found =
+      Enum.find_value(state.stages, fn {_, stage} ->
+        index = Enum.find_index(stage.vertices, &(&1.id == id))
+        index && {stage, index}
+      end)
+
+    with {stage, index} <- found, :running <- state.life.stages[stage.id].status do
+      {:ok, stage, index}
+    else
+      _ -> {:error, Errors.not_running()}
+    end
+  end
+
+  @doc "The stage whose output the vertex' is, if it is not inside of a chain."
+  @spec outlet(t(), pos_integer()) :: {:ok, stage()} | {:error, Error.t()}
+  def outlet(state, id) do
+    with {:ok, stage, index} <- stage(state, id) do
+      if index == length(stage.vertices) - 1,
+        do: {:ok, stage},
+        else: {:error, inside(state.graph.vertices[id].path)}
+    end
+  end
+
+  @doc "The running stages below `path`, a composite's or a component's, that are not being stopped already."
+  @spec part(t(), String.t()) :: {:ok, [pos_integer()]} | {:error, Error.t()}
+  def part(state, path) do
+    inside = Enum.filter(state.stages, fn {_, s} -> Enum.any?(s.vertices, &within?(&1, path)) end)
+    alone = for {_, part} <- state.life.parts, id <- part.ids, do: id
+
+    running =
+      for {id, stage} <- inside,
+          state.life.stages[id].status in [:running, :closed],
+          state.life.stages[id].alive?,
+          id not in alone,
+          do: stage
+
+    cond do
+      inside == [] -> {:error, unknown_part(state, path)}
+      running == [] -> {:error, ended(path)}
+      true -> whole(running, path)
+    end
+  end
+
+  defp within?(vertex, path),
+    do: vertex.path == path or String.starts_with?(vertex.path, path <> ".")
+
+  defp whole(stages, path) do
+    case Enum.find(stages, fn s -> not Enum.all?(s.vertices, &within?(&1, path)) end) do
+      nil -> {:ok, Enum.map(stages, & &1.id)}
+      stage -> {:error, shared(stage, path)}
+    end
+  end
+
+  defp unknown_part(state, path) do
+    near = Options.nearest(path, Map.keys(state.graph.scopes) ++ Map.keys(state.graph.paths))
+
+    Error.new(:unknown_component, "no composite or component #{inspect(path)}",
+      fix: near && "did you mean #{inspect(near)}?"
+    )
+  end
+
+  defp ended(path), do: Error.new(:not_running, "#{path} has ended, or is being stopped")
+
+  defp inside(path) do
+    Error.new(
+      :inside_chain,
+      "#{path} runs inside a chain of operators and has no output of its own",
+      fix: "give it a process of its own with async: true, or look at it with Situ.attach_tap/3"
+    )
+  end
+
+  defp shared(stage, path) do
+    {inside, outside} = Enum.split_with(stage.vertices, &within?(&1, path))
+
+    Error.new(
+      :shared_process,
+      "#{hd(inside).path} runs in one process with #{hd(outside).path}, which is not of #{path}",
+      why: "a process ends as a whole",
+      fix: "give the later of the two async: true, or no synchronous policy",
+      meta: %{component: path}
+    )
+  end
 end

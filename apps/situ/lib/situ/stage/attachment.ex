@@ -3,20 +3,10 @@ defmodule Situ.Stage.Attachment do
   # Connections that come and go while a stage runs: subscribers of its outputs, taps on streams inside a chain,
   # inputs of a component that takes more.
   alias Situ.{Clock, Error}
+  alias Situ.Component.Callback
   alias Situ.Operator.Chain
-
-  alias Situ.Stage.{
-    Activation,
-    Callback,
-    Counters,
-    Emission,
-    Input,
-    Inputs,
-    Output,
-    Outputs,
-    State,
-    Subscriber
-  }
+  alias Situ.Ports.{Counters, Input, Inputs, Output, Outputs, Subscriber}
+  alias Situ.Stage.{Activation, Emission, State}
 
   @most_waiting 1_000
 

@@ -2,8 +2,10 @@ defmodule Situ.Stage.ChainRunner do
   @moduledoc false
   # A batch of messages through a chain of light operators: one envelope at the end for each that comes through.
   alias Situ.{Clock, Message}
+  alias Situ.Component.Callback
   alias Situ.Operator.Chain
-  alias Situ.Stage.{Callback, Counters, ErrorPolicy, Input, Inputs, Output, Outputs, State}
+  alias Situ.Ports.{Counters, Input, Inputs, Output, Outputs}
+  alias Situ.Stage.{ErrorPolicy, State}
   require Chain
 
   # So long a batch may take, looked at after every so many messages: an operator that becomes slow must not keep

@@ -2,22 +2,10 @@ defmodule Situ.Stage.Control do
   @moduledoc false
   # What the pipeline's server asks of a stage: each request is one step of its life cycle, or a change while it runs.
   alias Situ.{Clock, Options}
+  alias Situ.Component.Callback
   alias Situ.Operator.Chain
-
-  alias Situ.Stage.{
-    Activation,
-    Attachment,
-    Callback,
-    Emission,
-    ErrorPolicy,
-    Input,
-    Loop,
-    Output,
-    Outputs,
-    Posting,
-    Production,
-    State
-  }
+  alias Situ.Ports.{Input, Output, Outputs, Posting}
+  alias Situ.Stage.{Activation, Attachment, Emission, ErrorPolicy, Loop, Production, State}
 
   # What may be answered before what has come sooner: it neither begins nor ends anything.
   defguardp overtakes(request)

@@ -3,20 +3,9 @@ defmodule Situ.Stage.Emission do
   # What a component returned, applied to the state of its stage: all of it, or on the first bad action none. Then
   # `settle/1` sends it.
   alias Situ.{Error, Message}
-
-  alias Situ.Stage.{
-    Callback,
-    ChainRunner,
-    ErrorPolicy,
-    Inputs,
-    Output,
-    Outputs,
-    Pace,
-    Posting,
-    Source,
-    State,
-    Timers
-  }
+  alias Situ.Component.Callback
+  alias Situ.Ports.{Inputs, Output, Outputs, Posting}
+  alias Situ.Stage.{ChainRunner, ErrorPolicy, Pace, Source, State, Timers}
 
   @spec run(State.t(), [Situ.Component.action()], Situ.Time.t()) ::
           {:ok, State.t()} | {:error, Error.t()}

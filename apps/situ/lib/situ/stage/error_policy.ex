@@ -2,7 +2,8 @@ defmodule Situ.Stage.ErrorPolicy do
   @moduledoc false
   # What an error does to a stage, as its component's `on_error` says: a message lost, a restart, or the end.
   alias Situ.Error
-  alias Situ.Stage.{Outputs, Source, State, Tally, Timers}
+  alias Situ.Ports.Outputs
+  alias Situ.Stage.{Source, State, Tally, Timers}
 
   @doc "What is to be done. While the pipeline starts every error is its end."
   @spec decide(State.t()) :: :skip | :restart | :fail

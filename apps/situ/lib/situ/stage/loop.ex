@@ -4,15 +4,13 @@ defmodule Situ.Stage.Loop do
   # of time lasts; then the next entry of the mailbox has its turn. While another turn is on its way (Pace), what
   # arrives only waits.
   alias Situ.Clock
+  alias Situ.Ports.{Input, Inputs, Outputs}
 
   alias Situ.Stage.{
     Activation,
     ChainRunner,
     Emission,
-    Input,
-    Inputs,
     MessageRunner,
-    Outputs,
     Pace,
     Production,
     State,

@@ -2,7 +2,9 @@ defmodule Situ.Stage.MessageRunner do
   @moduledoc false
   # One message, or a batch, through a component: its callback, what it answered, and the counts.
   alias Situ.Clock
-  alias Situ.Stage.{Activation, Callback, Emission, Input, Inputs, Outputs, Pace, State}
+  alias Situ.Component.Callback
+  alias Situ.Ports.{Input, Inputs, Outputs}
+  alias Situ.Stage.{Activation, Emission, Pace, State}
 
   @doc "Takes the next entry of an input at clock time `now`, and answers the time after it."
   @spec one(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}

@@ -2,19 +2,8 @@ defmodule Situ.Stage.Production do
   @moduledoc false
   # What a source does besides answering: it produces while there is demand, and stops when it is asked to.
   alias Situ.{Clock, Error}
-
-  alias Situ.Stage.{
-    Activation,
-    Emission,
-    ErrorPolicy,
-    Output,
-    Outputs,
-    Pace,
-    Source,
-    State,
-    Tally,
-    Timers
-  }
+  alias Situ.Ports.{Output, Outputs}
+  alias Situ.Stage.{Activation, Emission, ErrorPolicy, Pace, Source, State, Tally, Timers}
 
   @most 1_000
   # No further than the clock, when that is enforced: what is made ahead of it has to be held.

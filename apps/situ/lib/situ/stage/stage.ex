@@ -15,7 +15,9 @@ defmodule Situ.Stage do
   use GenServer
 
   alias Situ.Clock
-  alias Situ.Stage.{Attachment, Callback, Control, Inputs, Loop, Outputs, State}
+  alias Situ.Component.Callback
+  alias Situ.Ports.{Inputs, Outputs}
+  alias Situ.Stage.{Attachment, Control, Loop, State}
 
   # A plain message that took this long (ns) is overtaken by requests: many more may be waiting.
   @slow :erlang.convert_time_unit(1, :millisecond, :native)

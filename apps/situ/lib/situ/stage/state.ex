@@ -2,21 +2,12 @@ defmodule Situ.Stage.State do
   @moduledoc false
   # The state of a stage: a part for each concern, owned by the module of its type. Here are only the making and the
   # wiring.
-  alias Situ.{Clock, Component.Context, Error, Graph.Vertex}
+  alias Situ.{Clock, Error}
+  alias Situ.Component.{Callback, Context}
+  alias Situ.Graph.Vertex
   alias Situ.Operator.Chain
-
-  alias Situ.Stage.{
-    Callback,
-    Input,
-    Inputs,
-    Output,
-    Outputs,
-    Pace,
-    Source,
-    Subscriber,
-    Tally,
-    Timers
-  }
+  alias Situ.Ports.{Input, Inputs, Output, Outputs, Subscriber}
+  alias Situ.Stage.{Pace, Source, Tally, Timers}
 
   @never 9_000_000_000_000_000_000
 

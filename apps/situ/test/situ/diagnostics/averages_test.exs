@@ -1,7 +1,7 @@
 defmodule Situ.Diagnostics.AveragesTest do
   use ExUnit.Case, async: true
   alias Situ.Diagnostics.{Averages, Window}
-  alias Situ.Stage.Counters
+  alias Situ.Ports.Counters
 
   doctest Window
 

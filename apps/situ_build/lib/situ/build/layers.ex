@@ -7,24 +7,30 @@ defmodule Situ.Build.Layers do
 
   | layer | holds |
   |---|---|
+  | `clock` | clocks, and by which one a pipeline runs, from when to when |
   | `graph` | the graph of components as data: vertices, edges, plans, policies, the behaviours of components |
-  | `stage` | the process of one component or chain: its inputs, outputs, timers, errors |
-  | `pipeline` | the life of all stages of one pipeline, and the ways in from outside |
+  | `ports` | inputs and outputs of a running component: queues, demand, posting rules, counters |
+  | `stage` | the process of one component or chain: its turns, timers, errors |
+  | `lifecycle` | the life of a pipeline as a pure state machine |
+  | `diagnostics` | what a pipeline looks like from outside: snapshots, means, tables |
+  | `application` | what all pipelines of a node share: who runs, last results, the reaper, new versions of modules |
+  | `pipeline` | the process of one pipeline: performs what the life cycle decides |
+  | `connectors` | ways into and out of a running pipeline: collectors, taps, connectors, GenStage |
   | `operators` | stream functions: fusion, windows, statistics, generators, parallel branches |
   | `situ.ex` | the facade |
   """
   alias Situ.Build.Beam
 
   @app "apps/situ/lib/situ"
-  @order ~w(graph stage pipeline operators)
+  @order ~w(clock graph ports stage lifecycle diagnostics application pipeline connectors operators)
 
   @doc """
   The number of the layer that a source file belongs to, from 0; `:any` where the file stands outside the layers.
 
-      iex> Situ.Build.Layers.layer("/x/apps/situ/lib/situ/stage/stage.ex")
+      iex> Situ.Build.Layers.layer("/x/apps/situ/lib/situ/graph/graph.ex")
       1
       iex> Situ.Build.Layers.layer("/x/apps/situ/lib/situ.ex")
-      4
+      10
       iex> Situ.Build.Layers.layer("/x/apps/situ/lib/situ/testing/test.ex")
       :any
   """

@@ -1,8 +1,8 @@
 defmodule Situ.Branch.Chained do
   @moduledoc false
   # A branch that is a straight run of light operators: only data moves.
+  alias Situ.Component.Callback
   alias Situ.Operator.Chain
-  alias Situ.Stage.Callback
   require Chain
 
   @enforce_keys [:chain, :fast, :paths, :result]

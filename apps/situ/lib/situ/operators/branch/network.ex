@@ -2,8 +2,8 @@ defmodule Situ.Branch.Network do
   @moduledoc false
   # A branch of any shape: what a component answers is handed on to the next before the next message comes in.
   alias Situ.{Error, Message}
+  alias Situ.Component.Callback
   alias Situ.Operator.Chain
-  alias Situ.Stage.Callback
   require Chain
 
   @enforce_keys [:nodes, :inlet, :result, :context]

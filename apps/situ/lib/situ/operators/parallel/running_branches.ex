@@ -4,7 +4,8 @@ defmodule Situ.Parallel.RunningBranches do
   # branch whose entrance is not open yet gets what it is sent as soon as it is.
   alias Situ.Branch.Process, as: Branch
   alias Situ.Parallel.ProcessBranches
-  alias Situ.Pipeline.{Client, Errors}
+  alias Situ.Lifecycle.Errors
+  alias Situ.Pipeline.Client
 
   @type t :: %{ProcessBranches.id() => map()}
 

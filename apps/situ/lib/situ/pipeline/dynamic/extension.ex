@@ -5,7 +5,7 @@ defmodule Situ.Pipeline.Dynamic.Extension do
   # cycle start it.
   alias Situ.{Error, Graph}
   alias Situ.Graph.{Extension, Plan}
-  alias Situ.Pipeline.{Lookup, Stages, State}
+  alias Situ.Pipeline.{Stages, State}
 
   # So many numbers are set apart for one extension: ids are for telling apart, not for counting.
   @numbers 1_000_000
@@ -34,7 +34,7 @@ defmodule Situ.Pipeline.Dynamic.Extension do
 
     Enum.reduce_while(plan.edges, {:ok, []}, fn %{from: {from, _}} = edge, {:ok, lent} ->
       with false <- MapSet.member?(new, from),
-           {:ok, stage} <- Lookup.outlet(state, from) do
+           {:ok, stage} <- State.outlet(state, from) do
         {:cont, {:ok, [{edge.id, stage.id} | lent]}}
       else
         true -> {:cont, {:ok, lent}}

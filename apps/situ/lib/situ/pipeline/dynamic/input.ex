@@ -8,18 +8,19 @@ defmodule Situ.Pipeline.Dynamic.Input do
   #   the caller gets its answer, and the graph has the connection.
   alias Situ.{Delivery, Error}
   alias Situ.Graph.Edge
-  alias Situ.Pipeline.{Errors, Lookup, Stages, State}
-  alias Situ.Stage.Counters
+  alias Situ.Lifecycle.Errors
+  alias Situ.Pipeline.{Stages, State}
+  alias Situ.Ports.Counters
 
-  @type events :: [Situ.Pipeline.Lifecycle.event()]
+  @type events :: [Situ.Lifecycle.event()]
 
   @doc "An input of the component behind the stream `taker`, connected to the stream `stream`."
   @spec attach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
   def attach(state, asked, from) do
-    with {:ok, {id, _}} <- Lookup.port(state, asked.taker),
+    with {:ok, {id, _}} <- State.port(state, asked.taker),
          {:ok, taker} <- taker(state, id),
-         {:ok, {origin, output}} <- Lookup.port(state, asked.stream),
-         {:ok, source} <- Lookup.outlet(state, origin),
+         {:ok, {origin, output}} <- State.port(state, asked.stream),
+         {:ok, source} <- State.outlet(state, origin),
          :ok <- upstream(state.graph, id, origin) do
       {lend(state, {id, taker}, {origin, output, source}, asked, from), []}
     else
@@ -30,7 +31,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
   @doc "An added input is to go."
   @spec detach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
   def detach(state, asked, from) do
-    with {:ok, {id, _}} <- Lookup.port(state, asked.taker), {:ok, stage} <- taker(state, id) do
+    with {:ok, {id, _}} <- State.port(state, asked.taker), {:ok, stage} <- taker(state, id) do
       ref = make_ref()
       Stages.tell(state, stage.id, {:detach, ref, asked.request})
       {ask(state, ref, %{from: from, stages: [stage.id], link: nil}), []}
@@ -130,7 +131,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
   end
 
   defp taker(state, id) do
-    with {:ok, stage, index} <- Lookup.stage(state, id) do
+    with {:ok, stage, index} <- State.stage(state, id) do
       vertex = state.graph.vertices[id]
 
       if index == 0 and vertex.module != :operator and

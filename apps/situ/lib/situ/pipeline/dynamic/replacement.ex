@@ -4,13 +4,14 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
   # they were asked for; what waits is checked when it is its turn, against what the component has become by then.
   alias Situ.{Error, Type}
   alias Situ.Graph.{Edge, Vertex}
-  alias Situ.Pipeline.{Errors, Lookup, State}
+  alias Situ.Lifecycle.Errors
+  alias Situ.Pipeline.State
 
   @doc "Asks the stage, or waits for its turn; the caller is answered when it has been done, or cannot be."
   @spec ask(State.t(), map(), GenServer.from()) :: State.t()
   def ask(state, %{node: node, change: change, timeout: timeout}, from) do
-    with {:ok, vertex} <- Lookup.vertex(state, node),
-         {:ok, stage, _index} <- Lookup.stage(state, vertex.id) do
+    with {:ok, vertex} <- State.vertex(state, node),
+         {:ok, stage, _index} <- State.stage(state, vertex.id) do
       ref = make_ref()
       if timeout != :infinity, do: Process.send_after(self(), {:situ_late, ref, timeout}, timeout)
       enter(state, stage.id, %{ref: ref, vertex: vertex.id, change: change, from: from})
@@ -32,7 +33,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
     Enum.reduce(state.graph.vertices, state, fn {id, vertex}, state ->
       with %{module: :operator, path: path, opts: old} <- vertex,
            %{^path => %{opts: step}} when step != old <- fresh,
-           {:ok, stage, _index} <- Lookup.stage(state, id) do
+           {:ok, stage, _index} <- State.stage(state, id) do
         enter(state, stage.id, %{ref: make_ref(), vertex: id, change: {:keep, step}, from: nil})
       else
         _ -> state
@@ -50,7 +51,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
   defp begin(state, id, request, waiting) do
     vertex = state.graph.vertices[request.vertex]
 
-    with {:ok, stage, index} <- Lookup.stage(state, vertex.id),
+    with {:ok, stage, index} <- State.stage(state, vertex.id),
          {:ok, module, opts} <- target(vertex, request.change),
          :ok <- fits(state.graph, vertex, module) do
       send(stage.pid, {:situ, {:replace, request.ref, index, module, opts}})

@@ -1,19 +1,20 @@
 defmodule Situ.Pipeline.Dynamic.Tap do
   @moduledoc false
-  # Taps of a running pipeline: a stage of its own for each, subscribed to an output or, inside a chain, to a probe.
+  # Taps of a running pipeline: a component in a stage of its own for each, subscribed to an output or, inside a chain, to a probe.
   alias Situ.{Delivery, Error}
   alias Situ.Graph.{Edge, Vertex}
-  alias Situ.Pipeline.{Errors, Lookup, Stages, State}
-  alias Situ.Stage.Counters
+  alias Situ.Lifecycle.Errors
+  alias Situ.Pipeline.{Stages, State}
+  alias Situ.Ports.Counters
 
-  @type events :: [Situ.Pipeline.Lifecycle.event()]
+  @type events :: [Situ.Lifecycle.event()]
 
   @doc "Attaches; the caller gets its answer when the first message can come, or at once when it cannot be."
   @spec attach(State.t(), map(), GenServer.from()) :: {State.t(), events()}
-  def attach(state, %{stream: which, fun: fun, opts: opts}, from) do
-    with {:ok, {id, output}} <- Lookup.port(state, which),
-         {:ok, stage, index} <- Lookup.stage(state, id) do
-      add(state, {id, output, stage, index}, fun, opts, from)
+  def attach(state, %{stream: which, component: component, opts: opts}, from) do
+    with {:ok, {id, output}} <- State.port(state, which),
+         {:ok, stage, index} <- State.stage(state, id) do
+      add(state, {id, output, stage, index}, component, opts, from)
     else
       {:error, error} ->
         GenServer.reply(from, {:error, error})
@@ -26,7 +27,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   def opened(state, tag) do
     case Enum.find(state.dynamic.taps, fn {_, tap} -> tap.tag == tag and tap.from != nil end) do
       {id, tap} ->
-        GenServer.reply(tap.from, {:ok, %Situ.Pipeline.Tap{pipeline: self(), id: id}})
+        GenServer.reply(tap.from, {:ok, {self(), id}})
         put(state, id, %{tap | from: nil})
 
       nil ->
@@ -79,21 +80,21 @@ defmodule Situ.Pipeline.Dynamic.Tap do
   @doc "The outlet another process may subscribe to: `{pid, [output: name]}`."
   @spec subscription(State.t(), term()) :: {:ok, {pid(), keyword()}} | {:error, Error.t()}
   def subscription(state, which) do
-    with {:ok, {id, output}} <- Lookup.port(state, which),
-         {:ok, stage} <- Lookup.outlet(state, id),
+    with {:ok, {id, output}} <- State.port(state, which),
+         {:ok, stage} <- State.outlet(state, id),
          do: {:ok, {stage.pid, [output: output]}}
   end
 
-  defp add(state, {from, output, source, index}, fun, opts, {owner, _} = caller) do
+  defp add(state, {from, output, source, index}, {module, component}, opts, {owner, _} = caller) do
     id = state.graph.next_vertex
     tag = state.graph.next_edge
     name = unique(state.graph, opts[:name] || "Tap")
 
     vertex = %Vertex{
       id: id,
-      module: Situ.Pipeline.Tap.Sink,
+      module: module,
       path: name,
-      opts: [fun: fun],
+      opts: component,
       inputs: [in: %{type: :any, optional: false}],
       on_error: :skip
     }

@@ -1,0 +1,95 @@
+defmodule Situ.Application.Directory do
+  @moduledoc false
+  # The pipelines of this node: every one is entered under its label; one whose `name:` is an atom is registered under
+  # that as well. A process monitors them (a `Registry` would link itself to each).
+  use GenServer
+  alias Situ.Error
+
+  @table __MODULE__
+
+  @spec start_link(term()) :: GenServer.on_start()
+  def start_link(_), do: GenServer.start_link(__MODULE__, [], name: __MODULE__)
+
+  @doc "The calling process is a pipeline from now on; it does not fail for want of a directory."
+  @spec enter(%{:name => String.t(), :registered => atom(), optional(atom()) => term()}) ::
+          :ok | {:error, Error.t()}
+  def enter(settings) do
+    with :ok <- register(settings.registered),
+         do: GenServer.call(__MODULE__, {:enter, settings.name})
+  catch
+    :exit, _ -> :ok
+  end
+
+  defp register(nil), do: :ok
+
+  defp register(name) do
+    Process.register(self(), name)
+    :ok
+  rescue
+    ArgumentError -> {:error, taken(name)}
+  end
+
+  @doc "The calling process is over: whoever learns that may take its name."
+  @spec leave(%{:registered => atom(), optional(atom()) => term()}) :: :ok
+  def leave(%{registered: nil}), do: :ok
+
+  def leave(%{registered: name}) do
+    Process.unregister(name)
+    :ok
+  rescue
+    ArgumentError -> :ok
+  end
+
+  @doc "Label and process of each, in the order of labels."
+  @spec all() :: [{String.t(), pid()}]
+  def all, do: for({pid, label} <- entries(:_), do: {label, pid}) |> Enum.sort()
+
+  @doc "The pipeline with this label. Raises `Situ.Error` (`:ambiguous_name`) when there are several."
+  @spec whereis(String.t()) :: pid() | nil
+  def whereis(label) do
+    case entries(label) do
+      [] -> nil
+      [{pid, _}] -> pid
+      several -> raise ambiguous(label, length(several))
+    end
+  end
+
+  # One that has just ended may be in it still.
+  defp entries(label) do
+    for {pid, _} = entry <- :ets.match_object(@table, {:_, label}), Process.alive?(pid), do: entry
+  end
+
+  @impl true
+  def init(_) do
+    :ets.new(@table, [:named_table, :protected, :set, read_concurrency: true])
+    {:ok, nil}
+  end
+
+  @impl true
+  def handle_call({:enter, label}, {pid, _}, state) do
+    Process.monitor(pid)
+    :ets.insert(@table, {pid, label})
+    {:reply, :ok, state}
+  end
+
+  @impl true
+  def handle_info({:DOWN, _ref, :process, pid, _reason}, state) do
+    :ets.delete(@table, pid)
+    {:noreply, state}
+  end
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp taken(name) do
+    Error.new(:name_taken, "the name #{inspect(name)} cannot be taken",
+      why: "another process has it, or it is reserved",
+      fix: "give the pipeline another name:"
+    )
+  end
+
+  defp ambiguous(label, n) do
+    Error.new(:ambiguous_name, "#{n} pipelines are called #{inspect(label)}",
+      fix: "use the pid (Situ.pipelines/0 lists them), or give them names of their own"
+    )
+  end
+end

@@ -1,0 +1,57 @@
+defmodule Situ.Application.Reaper do
+  @moduledoc false
+  # When a pipeline's process is killed, its components end by themselves; one that is stuck in a loop cannot. This
+  # process sees pipelines die and, after a grace time, kills what they have left behind.
+  use GenServer
+
+  @grace_ms 5_000
+
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(opts) do
+    case Keyword.get(opts, :name, __MODULE__) do
+      nil -> GenServer.start_link(__MODULE__, opts)
+      name -> GenServer.start_link(__MODULE__, opts, name: name)
+    end
+  end
+
+  @doc "From now on the pipeline's death is seen; a pipeline does not fail for want of a reaper."
+  @spec watch(pid(), GenServer.server()) :: :ok
+  def watch(pipeline, reaper \\ __MODULE__) do
+    GenServer.call(reaper, {:watch, pipeline})
+  catch
+    :exit, _ -> :ok
+  end
+
+  @impl true
+  def init(opts), do: {:ok, Keyword.get(opts, :grace_ms, @grace_ms)}
+
+  @impl true
+  def handle_call({:watch, pipeline}, _from, grace) do
+    Process.monitor(pipeline)
+    {:reply, :ok, grace}
+  end
+
+  @impl true
+  def handle_info({:DOWN, _ref, :process, pipeline, reason}, grace)
+      when reason in [:killed, {:shutdown, :crashed}] or elem(reason, 0) == :pipeline_failed do
+    Process.send_after(self(), {:reap, pipeline}, grace)
+    {:noreply, grace}
+  end
+
+  def handle_info({:reap, pipeline}, grace) do
+    for pid <- Process.list(), left_behind?(pid, pipeline), do: Process.exit(pid, :kill)
+    {:noreply, grace}
+  end
+
+  def handle_info(_other, grace), do: {:noreply, grace}
+
+  defp left_behind?(pid, pipeline) do
+    case Process.info(pid, :dictionary) do
+      {:dictionary, dictionary} ->
+        List.keyfind(dictionary, :situ_pipeline, 0) == {:situ_pipeline, pipeline}
+
+      nil ->
+        false
+    end
+  end
+end

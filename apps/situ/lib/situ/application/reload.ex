@@ -1,0 +1,59 @@
+defmodule Situ.Application.Reload do
+  @moduledoc false
+  # Sees when the module of a running pipeline is loaded again, and tells the pipeline: `:situ_reloaded`.
+  #
+  # The VM keeps two versions of a module and kills whoever still holds functions of the older one when a third is
+  # loaded. So a pipeline exchanges the functions of its operators for those of the new version as soon as there is
+  # one.
+  use GenServer
+
+  @every_ms 50
+
+  @spec start_link(term()) :: GenServer.on_start()
+  def start_link(_), do: GenServer.start_link(__MODULE__, [], name: __MODULE__)
+
+  @doc "The calling process wants to know of new versions of `module`."
+  @spec watch(module()) :: :ok
+  def watch(module), do: GenServer.cast(__MODULE__, {:watch, module, self()})
+
+  @impl true
+  def init(_), do: {:ok, %{}}
+
+  @impl true
+  def handle_cast({:watch, module, pid}, watched) do
+    Process.monitor(pid)
+    if watched == %{}, do: later()
+    {:noreply, Map.put(watched, pid, {module, version(module)})}
+  end
+
+  @impl true
+  def handle_info(:look, watched) do
+    if watched != %{}, do: later()
+    {:noreply, Map.new(watched, &look/1)}
+  end
+
+  def handle_info({:DOWN, _ref, :process, pid, _reason}, watched),
+    do: {:noreply, Map.delete(watched, pid)}
+
+  def handle_info(_other, watched), do: {:noreply, watched}
+
+  defp look({pid, {module, seen}}) do
+    case version(module) do
+      version when version in [seen, nil] ->
+        {pid, {module, seen}}
+
+      version ->
+        send(pid, :situ_reloaded)
+        {pid, {module, version}}
+    end
+  end
+
+  # Asked of the loaded code; a module that is being loaded has none for a moment.
+  defp version(module) do
+    if :erlang.module_loaded(module), do: module.module_info(:md5)
+  rescue
+    UndefinedFunctionError -> nil
+  end
+
+  defp later, do: Process.send_after(self(), :look, @every_ms)
+end

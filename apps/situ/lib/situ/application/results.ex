@@ -1,0 +1,38 @@
+defmodule Situ.Application.Results do
+  @moduledoc false
+  # Results of pipelines that have ended, so that `await/2` a moment too late still answers. The last 256 are kept.
+  @table __MODULE__
+  @kept 256
+
+  @spec setup() :: :ok
+  def setup do
+    if :ets.whereis(@table) == :undefined do
+      :ets.new(@table, [:named_table, :public, :ordered_set])
+    end
+
+    :ok
+  end
+
+  @spec put(pid(), term()) :: :ok
+  def put(pid, result) do
+    :ets.insert(@table, {{:at, System.unique_integer([:monotonic])}, pid})
+    :ets.insert(@table, {{:pid, pid}, result})
+    if :ets.info(@table, :size) > 2 * @kept, do: prune(:ets.first(@table))
+    :ok
+  end
+
+  @spec fetch(pid() | nil) :: {:ok, term()} | :error
+  def fetch(pid) do
+    case :ets.lookup(@table, {:pid, pid}) do
+      [{_, result}] -> {:ok, result}
+      [] -> :error
+    end
+  end
+
+  defp prune({:at, _} = key) do
+    for {_, pid} <- :ets.lookup(@table, key), do: :ets.delete(@table, {:pid, pid})
+    :ets.delete(@table, key)
+  end
+
+  defp prune(_), do: :ok
+end

@@ -1,0 +1,70 @@
+defmodule Situ.Clock.Timing do
+  @moduledoc false
+  # By which clock a pipeline runs, from when to when. Pure but for reading the clock.
+  alias Situ.Clock
+
+  @enforce_keys [:clock, :start_time]
+  defstruct [:clock, :start_time, enforce: false, replay_start: :unbounded, replay_end: :infinity]
+
+  @typedoc "What a pipeline was started with."
+  @type settings :: %{
+          :clock => Clock.t() | nil,
+          :interval => {bound(), bound()},
+          :speed => number() | :max,
+          optional(atom()) => term()
+        }
+  @type bound :: Situ.Time.t() | :unbounded
+  @type t :: %__MODULE__{
+          clock: Clock.t(),
+          start_time: Situ.Time.t(),
+          enforce: boolean(),
+          replay_start: bound(),
+          replay_end: Situ.Time.t() | :infinity
+        }
+
+  @doc "Clock, start time and replay end; a known start makes the clock virtual."
+  @spec new(settings(), [{Situ.Time.t(), bound()}]) :: t()
+  def new(settings, proposals) do
+    {from, to} = interval(proposals, settings.interval)
+    clock = clock(settings, from)
+
+    %__MODULE__{
+      clock: clock,
+      enforce: settings.speed != :max,
+      start_time: if(from == :unbounded, do: Clock.now(clock), else: from),
+      replay_start: from,
+      replay_end: if(to == :unbounded, do: :infinity, else: to)
+    }
+  end
+
+  @doc "The replay interval: what was proposed, cut by what was asked for."
+  @spec interval([{Situ.Time.t(), bound()}], {bound(), bound()}) :: {bound(), bound()}
+  def interval(proposals, asked), do: proposals |> coverage() |> intersect(asked)
+
+  defp coverage([]), do: {:unbounded, :unbounded}
+
+  defp coverage(proposals) do
+    from = proposals |> Enum.map(&elem(&1, 0)) |> Enum.min()
+    ends = Enum.map(proposals, &elem(&1, 1))
+    {from, if(:unbounded in ends, do: :unbounded, else: Enum.max(ends))}
+  end
+
+  defp intersect({from, to}, {asked_from, asked_to}) do
+    from = latest(from, asked_from)
+    to = earliest(to, asked_to)
+    {from, if(is_integer(from) and is_integer(to), do: max(from, to), else: to)}
+  end
+
+  defp latest(:unbounded, b), do: b
+  defp latest(a, :unbounded), do: a
+  defp latest(a, b), do: max(a, b)
+  defp earliest(:unbounded, b), do: b
+  defp earliest(a, :unbounded), do: a
+  defp earliest(a, b), do: min(a, b)
+
+  defp clock(%{clock: %Clock{} = clock}, _from), do: clock
+  defp clock(%{speed: speed}, :unbounded) when speed in [:max, 1.0, 1], do: Clock.real()
+  defp clock(%{speed: speed}, :unbounded), do: Clock.virtual(:os.system_time(), speed)
+  defp clock(%{speed: :max}, from), do: Clock.virtual(from, 1.0)
+  defp clock(%{speed: speed}, from), do: Clock.virtual(from, speed)
+end

@@ -1,0 +1,84 @@
+defmodule Situ.Diagnostics.Averages do
+  @moduledoc false
+  # Means over a span of time, out of totals that only grow: marks of them are kept, and what lies between the newest
+  # one that is old enough and now is the window. Pure.
+  alias Situ.Diagnostics.Window
+  alias Situ.Ports.Counters
+
+  @enforce_keys [:span]
+  defstruct [:span, marks: []]
+
+  @type edges :: %{pos_integer() => Counters.totals()}
+  @type t :: %__MODULE__{span: pos_integer(), marks: [{Situ.Time.t(), edges()}]}
+
+  @zero %{
+    emitted: 0,
+    processed: 0,
+    dropped: 0,
+    created: 0,
+    posted: 0,
+    latency: 0,
+    busy: 0,
+    queue: 0,
+    size: 0,
+    sized: 0
+  }
+
+  @doc "From `time` on, when nothing had happened yet."
+  @spec new(pos_integer(), Situ.Time.t()) :: t()
+  def new(span, time), do: %__MODULE__{span: span, marks: [{time, %{}}]}
+
+  @doc "Remembers the totals at `time`, unless it has just done so: there are at most some twenty marks."
+  @spec mark(t(), Situ.Time.t(), edges()) :: t()
+  def mark(%__MODULE__{marks: [{last, _} | _], span: span} = averages, time, _edges)
+      when time <= last or time - last < div(span, 16),
+      do: averages
+
+  def mark(%__MODULE__{marks: marks} = averages, time, edges) do
+    {later, earlier} = Enum.split_while(marks, fn {at, _} -> at > time - averages.span end)
+    %{averages | marks: [{time, edges} | later ++ Enum.take(earlier, 1)]}
+  end
+
+  @doc "The window that ends at `time` with these totals: one for each edge."
+  @spec windows(t(), Situ.Time.t(), edges()) :: %{pos_integer() => Window.t()}
+  def windows(%__MODULE__{marks: marks, span: span}, time, edges) do
+    {from, before} = Enum.find(marks, List.last(marks), fn {at, _} -> at <= time - span end)
+
+    Map.new(edges, fn {id, now} -> {id, between(Map.get(before, id, @zero), now, time - from)} end)
+  end
+
+  @doc "Means of everything up to now, with the keys of `Situ.Diagnostics.Edge`."
+  @spec overall(Counters.totals()) :: map()
+  def overall(totals) do
+    all = between(@zero, totals, 0)
+
+    %{
+      created_mean: all.created || 0,
+      posted_mean: all.posted || 0,
+      latency_mean: all.latency || 0,
+      handling_mean: all.handling || 0,
+      queue_mean: all.queue || 0.0,
+      size_mean: all.size || 0
+    }
+  end
+
+  defp between(before, now, span) do
+    d = Map.new(now, fn {key, value} -> {key, value - before[key]} end)
+
+    %Window{
+      span: span,
+      emitted: d.emitted,
+      processed: d.processed,
+      dropped: d.dropped,
+      created: mean(d.created * 1000, d.emitted),
+      posted: mean(d.posted * 1000, d.emitted),
+      latency: mean(d.latency * 1000, d.processed),
+      handling: mean(d.busy, d.processed),
+      queue: if(d.processed > 0, do: d.queue / d.processed),
+      size: mean(d.size, d.sized)
+    }
+  end
+
+  defp mean(_sum, 0), do: nil
+  defp mean(sum, n), do: div(sum, n)
+end

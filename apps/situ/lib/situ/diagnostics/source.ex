@@ -1,0 +1,37 @@
+defmodule Situ.Diagnostics.Source do
+  @moduledoc false
+  # The Diagnostics stream: a snapshot every interval at the pipeline's clock, and a last one at the stop.
+  use Situ.Component,
+    outputs: [out: Situ.Diagnostics.Snapshot],
+    options: [interval: [type: :pos_integer, default: 100_000_000, doc: "Between snapshots, ns."]]
+
+  @impl true
+  def init(opts), do: {:ok, {opts[:interval], nil}}
+
+  @impl true
+  def handle_start(context, {interval, _} = state),
+    do: {[{:complete, :infinity}, {:timer, :tick, context.start_time + interval}], state}
+
+  # The stop's snapshot may be stamped with a time that the clock has not reached: no tick comes after it.
+  @impl true
+  def handle_info({:timer, :tick}, %{now: now}, {_, last} = state)
+      when last != nil and now <= last,
+      do: {[], state}
+
+  def handle_info({:timer, :tick}, context, {interval, _}) do
+    now = context.now
+    {[post(context, now), {:timer, :tick, now + interval}], {interval, now}}
+  end
+
+  def handle_info(_other, _context, state), do: {[], state}
+
+  # The last one is stamped with the end, whenever it is taken.
+  @impl true
+  def handle_stop(final, context, {interval, last}) when last == nil or final > last,
+    do: {[post(context, final)], {interval, final}}
+
+  def handle_stop(_final, _context, state), do: {[], state}
+
+  defp post(context, time),
+    do: {:out, time, GenServer.call(context.pipeline.pid, :info, :infinity)}
+end

@@ -1,0 +1,166 @@
+defmodule Situ.Diagnostics.Survey do
+  @moduledoc false
+  # Makes a snapshot of what the server knows: graph, stages, counters, tallies. Asks no component.
+  alias Situ.{Delivery, Graph, Type}
+  alias Situ.Diagnostics.{Averages, Edge, Node, Process, Snapshot, Window}
+  alias Situ.Graph.Vertex
+  alias Situ.Ports.Counters
+  alias Situ.Stage.Tally
+
+  @doc "`view` is what the server knows: graph, stages, taps (their vertices), counters with their totals and windows."
+  @spec snapshot(map()) :: Snapshot.t()
+  def snapshot(view) do
+    place = places(view.stages)
+    names = Map.new(view.graph.stream_names, fn {name, port} -> {port, name} end)
+    entries = Map.new(view.graph.edges, fn {id, edge} -> {elem(edge.to, 0), id} end)
+    view = Map.merge(view, %{names: names, entries: entries})
+
+    %Snapshot{
+      pipeline: view.name,
+      state: view.state,
+      time: view.time,
+      start_time: view.start_time,
+      progress: view.progress,
+      scopes: view.graph.scopes |> Map.keys() |> Enum.sort_by(&{String.length(&1), &1}),
+      nodes:
+        view.graph.vertices
+        |> Map.values()
+        |> Enum.sort_by(& &1.id)
+        |> Enum.map(&node(&1, view, place)),
+      edges:
+        view.graph.edges
+        |> Map.values()
+        |> Enum.sort_by(& &1.id)
+        |> Enum.map(&edge(&1, view, place)),
+      processes: view.stages |> Enum.sort_by(& &1.id) |> Enum.map(&process/1)
+    }
+  end
+
+  defp places(stages) do
+    for stage <- stages, {vertex, index} <- Enum.with_index(stage.vertices), into: %{} do
+      {vertex.id, {stage, index}}
+    end
+  end
+
+  defp node(%Vertex{} = vertex, view, place) do
+    {stage, index} = Map.get(place, vertex.id, {nil, 0})
+    tally = if stage, do: Tally.read(stage.tally, index), else: %{}
+
+    struct!(
+      %Node{
+        id: vertex.id,
+        path: vertex.path,
+        scope: vertex.scope,
+        module: if(vertex.module == :operator, do: "Operator", else: inspect(vertex.module)),
+        kind: kind(vertex, view),
+        state: node_state(stage),
+        process: stage && stage.id,
+        description: stage && Map.get(view.descriptions, stage.id),
+        inputs: Enum.map(vertex.inputs, &port(&1, nil)),
+        outputs: Enum.map(vertex.outputs, &port(&1, stream_name(view, vertex, elem(&1, 0))))
+      },
+      tally
+    )
+  end
+
+  defp node_state(nil), do: :running
+  defp node_state(stage), do: stage.state
+
+  defp kind(%Vertex{module: :operator}, _view), do: :operator
+
+  defp kind(%Vertex{id: id} = vertex, view) do
+    cond do
+      id in view.taps -> :tap
+      Vertex.source?(vertex) -> :source
+      true -> :component
+    end
+  end
+
+  defp port({name, port}, stream),
+    do: %{name: Atom.to_string(name), type: Type.to_string(port.type), stream: stream}
+
+  defp stream_name(view, vertex, output) do
+    with nil <- view.names[{vertex.id, output}],
+         do: Graph.stream_name(vertex.path, output, vertex.outputs)
+  end
+
+  defp edge(%{id: id} = edge, view, place) do
+    {from, output} = edge.from
+    {to, input} = edge.to
+
+    base = %Edge{
+      id: id,
+      from: from,
+      from_output: Atom.to_string(output),
+      to: to,
+      to_input: Atom.to_string(input),
+      policy: Delivery.name(edge.policy)
+    }
+
+    case view.counters do
+      %{^id => _} -> struct!(base, numbers(id, view))
+      _ -> inline(base, view, place, from)
+    end
+  end
+
+  defp numbers(id, view) do
+    totals = Map.fetch!(view.totals, id)
+
+    view.counters
+    |> Map.fetch!(id)
+    |> Counters.read(totals)
+    |> Map.merge(Averages.overall(totals))
+    |> Map.put(:window, Map.get(view.windows, id, %Window{}))
+  end
+
+  # Inside a chain there is no queue: what entered the chain is what there is to tell.
+  defp inline(base, view, place, from) do
+    with {stage, _} <- Map.get(place, from, nil),
+         entry when entry != nil <- view.entries[hd(stage.vertices).id],
+         true <- Map.has_key?(view.counters, entry) do
+      %{window: window} = numbers = numbers(entry, view)
+      window = %{window | emitted: window.processed, dropped: 0, queue: nil, size: nil}
+
+      struct!(
+        base,
+        Map.merge(numbers, %{
+          kind: :inline,
+          emitted: numbers.processed,
+          queue: 0,
+          queue_mean: 0.0,
+          dropped: 0,
+          throttled: false,
+          size_last: 0,
+          size_mean: 0,
+          window: window
+        })
+      )
+    else
+      _ -> %{base | kind: :inline}
+    end
+  end
+
+  defp process(stage) do
+    paths = Enum.map(stage.vertices, & &1.path)
+    keys = [:memory, :message_queue_len, :reductions, :status, :current_function]
+
+    case stage.pid && Elixir.Process.info(stage.pid, keys) do
+      nil ->
+        %Process{number: stage.id, nodes: paths, status: "ended"}
+
+      info ->
+        {module, function, arity} = info[:current_function] || {:none, :none, 0}
+
+        %Process{
+          number: stage.id,
+          pid: inspect(stage.pid),
+          nodes: paths,
+          memory: info[:memory],
+          mailbox: info[:message_queue_len],
+          reductions: info[:reductions],
+          status: Atom.to_string(info[:status]),
+          busy_in: Exception.format_mfa(module, function, arity)
+        }
+    end
+  end
+end

@@ -1,0 +1,229 @@
+defmodule Situ.Component.Callback do
+  @moduledoc false
+  # A component and the calls into it: whatever comes back or goes wrong becomes a value. Nothing here knows of
+  # processes.
+  alias Situ.{Component, Error, Message}
+
+  @enforce_keys [:module, :path, :opts, :on_error]
+  defstruct [:module, :path, :opts, :on_error, :core, batch: false]
+
+  @typedoc "`core` is the component's state; `batch`: it takes several messages at once."
+  @type t :: %__MODULE__{
+          module: module(),
+          path: String.t(),
+          opts: keyword(),
+          on_error: :stop | :skip | :restart,
+          core: Component.state(),
+          batch: boolean()
+        }
+  @type outcome :: {:ok, [Component.action()], Component.state()} | {:error, Error.t()}
+
+  @doc "The component of a vertex, before its `init/1`."
+  @spec new(Situ.Graph.Vertex.t()) :: t()
+  def new(vertex) do
+    %__MODULE__{
+      module: vertex.module,
+      path: vertex.path,
+      opts: vertex.opts,
+      on_error: vertex.on_error,
+      batch: function_exported?(vertex.module, :handle_messages, 4)
+    }
+  end
+
+  @doc "With its first state."
+  @spec start(t()) :: {:ok, t()} | {:error, Error.t()}
+  def start(%__MODULE__{} = callback) do
+    with {:ok, core} <- init(callback.module, callback.opts, callback.path),
+         do: {:ok, %{callback | core: core}}
+  end
+
+  @doc "Releases what it holds."
+  @spec stop(t(), term()) :: :ok | {:error, Error.t()}
+  def stop(%__MODULE__{} = callback, reason),
+    do: terminate(callback.module, reason, callback.core, callback.path)
+
+  @doc "Calls any callback that answers `{actions, state}`; the state comes last among its arguments."
+  @spec call(t(), atom(), [term()]) :: outcome()
+  def call(%__MODULE__{} = callback, name, args),
+    do: run(callback.module, name, args ++ [callback.core], callback.path)
+
+  @doc "One line about its state, if it has any to say."
+  @spec describe(t()) :: String.t() | nil
+  def describe(%__MODULE__{module: module, core: core}) do
+    if function_exported?(module, :describe, 1), do: module.describe(core)
+  rescue
+    error -> "describe failed: " <> Exception.message(error)
+  end
+
+  @doc """
+  Another module or other options in its place: with `migrate/3` the state is carried over, otherwise the new one
+  starts. Its first actions are answered as well.
+  """
+  @spec replace(t(), module(), keyword(), Component.Context.t()) ::
+          {:ok, t(), [Component.action()]} | {:error, Error.t()}
+  def replace(%__MODULE__{} = old, module, opts, context) do
+    batch = function_exported?(module, :handle_messages, 4)
+    new = %{old | module: module, opts: opts, batch: batch}
+
+    if function_exported?(module, :migrate, 3),
+      do: carry(old, new),
+      else: exchange(old, new, context)
+  end
+
+  defp carry(old, new) do
+    case new.module.migrate(old.core, old.opts, new.opts) do
+      {:ok, core} -> {:ok, %{new | core: core}, []}
+      {:error, %Error{} = error} -> {:error, located(error, old.path)}
+      other -> {:error, rubbish(old.path, "migrate", "{:ok, state} or {:error, error}", other)}
+    end
+  catch
+    kind, reason -> {:error, failure(old.path, "migrate", kind, reason, __STACKTRACE__)}
+  end
+
+  defp exchange(old, new, context) do
+    with {:ok, new} <- start(new),
+         {:ok, actions, core} <- call(new, :handle_start, [context]) do
+      stop(old, :replaced)
+      {:ok, %{new | core: core}, actions}
+    end
+  end
+
+  @doc "`init/1`, which answers `{:ok, state}` or `{:error, error}`."
+  @spec init(module(), keyword(), String.t()) :: {:ok, term()} | {:error, Error.t()}
+  def init(module, opts, path) do
+    case module.init(opts) do
+      {:ok, state} -> {:ok, state}
+      {:error, %Error{} = error} -> {:error, located(error, path)}
+      other -> {:error, rubbish(path, "init", "{:ok, state} or {:error, error}", other)}
+    end
+  catch
+    kind, reason -> {:error, failure(path, "init", kind, reason, __STACKTRACE__)}
+  end
+
+  @doc "Any callback that answers `{actions, state}`."
+  @spec run(module(), atom(), [term()], String.t()) :: outcome()
+  def run(module, callback, args, path) do
+    module |> apply(callback, args) |> checked(callback, path)
+  catch
+    kind, reason -> {:error, failure(path, callback, kind, reason, __STACKTRACE__)}
+  end
+
+  @doc "`handle_message/4`, the callback that is called most."
+  @spec message(t(), atom(), Message.t(), Component.Context.t()) :: outcome()
+  def message(%__MODULE__{module: module, path: path, core: core}, input, message, context) do
+    case module.handle_message(input, message, context, core) do
+      {actions, core} when is_list(actions) -> {:ok, actions, core}
+      other -> {:error, bad_result(path, input, message, other)}
+    end
+  catch
+    kind, reason ->
+      error = failure(path, input, kind, reason, __STACKTRACE__)
+      {:error, at(error, input, message)}
+  end
+
+  @doc "`handle_messages/4`; `:failed` for whatever goes wrong, since the messages are then taken one by one."
+  @spec messages(t(), atom(), [Message.t()], Component.Context.t()) ::
+          {:ok, [Component.action()], Component.state()} | :failed
+  def messages(%__MODULE__{module: module, core: core}, input, messages, context) do
+    case module.handle_messages(input, messages, context, core) do
+      {actions, core} when is_list(actions) -> {:ok, actions, core}
+      _ -> :failed
+    end
+  catch
+    _kind, _reason -> :failed
+  end
+
+  @doc "A callback that answers `{:ok, reply, opts, actions, state}` or `{:error, error}`."
+  @spec ask(t(), atom(), [term()]) ::
+          {:ok, term(), keyword(), [Component.action()], Component.state()} | {:error, Error.t()}
+  def ask(%__MODULE__{module: module, path: path, core: core}, callback, args) do
+    case apply(module, callback, args ++ [core]) do
+      {:ok, _reply, opts, actions, _state} = answer when is_list(opts) and is_list(actions) ->
+        answer
+
+      {:error, %Error{} = error} ->
+        {:error, located(error, path)}
+
+      other ->
+        wanted = "{:ok, reply, opts, actions, state} or {:error, error}"
+        {:error, rubbish(path, callback, wanted, other)}
+    end
+  catch
+    kind, reason -> {:error, failure(path, callback, kind, reason, __STACKTRACE__)}
+  end
+
+  @doc "Release: a raising `terminate/2` is an error like any other, but stops nothing."
+  @spec terminate(module(), term(), term(), String.t()) :: :ok | {:error, Error.t()}
+  def terminate(module, reason, state, path) do
+    module.terminate(reason, state)
+    :ok
+  catch
+    kind, reason -> {:error, failure(path, "terminate", kind, reason, __STACKTRACE__)}
+  end
+
+  @doc "An exception as an error that names the component and where it was."
+  @spec failure(String.t(), term(), atom(), term(), list()) :: Error.t()
+  def failure(path, _where, :error, %Error{} = error, stack),
+    do: located(%{error | meta: Map.put_new(error.meta, :stacktrace, stack)}, path)
+
+  def failure(path, where, kind, reason, stack) do
+    exception = if kind == :error, do: Exception.normalize(:error, reason, stack)
+    banner = Exception.format_banner(kind, reason, stack)
+
+    Error.new(:component_failed, "#{path} failed (#{where}): #{banner}",
+      why: where_from(stack),
+      meta: %{
+        component: path,
+        kind: kind,
+        exception: exception,
+        reason: reason,
+        stacktrace: stack
+      }
+    )
+  end
+
+  @doc "Adds the input and the message's time."
+  @spec at(Error.t(), atom(), Message.t()) :: Error.t()
+  def at(%Error{} = error, input, message) do
+    meta = Map.merge(error.meta, %{input: input, originating_time: message.originating_time})
+    %{error | meta: meta}
+  end
+
+  @doc "Adds the component's path to an error that lacks one."
+  @spec located(Error.t(), String.t()) :: Error.t()
+  def located(%Error{} = error, path),
+    do: %{error | meta: Map.put_new(error.meta, :component, path)}
+
+  @doc "The error of an action that is none."
+  @spec bad_action(String.t(), term()) :: Error.t()
+  def bad_action(path, action) do
+    Error.new(:bad_action, "#{path} returned #{inspect(action, limit: 8)}, which is no action",
+      fix: "see Situ.Component: {output, originating_time, data}, {:timer, key, time}, ...",
+      meta: %{component: path}
+    )
+  end
+
+  defp checked({actions, state}, _callback, _path) when is_list(actions),
+    do: {:ok, actions, state}
+
+  defp checked(other, callback, path),
+    do: {:error, rubbish(path, callback, "{actions, state}", other)}
+
+  defp bad_result(path, input, message, other) do
+    path |> rubbish("handle_message", "{actions, state}", other) |> at(input, message)
+  end
+
+  defp rubbish(path, callback, wanted, other) do
+    Error.new(:bad_return, "#{path}: #{callback} returned #{inspect(other, limit: 8)}",
+      why: "it must return #{wanted}",
+      meta: %{component: path}
+    )
+  end
+
+  defp where_from(stack) do
+    case Enum.find(stack, fn entry -> elem(entry, 3)[:file] != nil end) do
+      nil -> nil
+      entry -> "at " <> Exception.format_stacktrace_entry(entry)
+    end
+  end
+end

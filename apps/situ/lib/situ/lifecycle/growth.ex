@@ -1,0 +1,154 @@
+defmodule Situ.Lifecycle.Growth do
+  @moduledoc false
+  # Components that are added while the pipeline runs: the steps of a start, for some stages. Nothing of them moves
+  # before all of it is wired: what they take from streams that flow already is lent to them without demand, at a
+  # message boundary. Pure.
+  #
+  #   up     every new stage has its first state
+  #   start  `handle_start/2` has run in each
+  #   lend   the streams they listen to have taken them in
+  alias Situ.Lifecycle.{Errors, Failure, Links, Member, State}
+  import Situ.Lifecycle.State
+
+  @type plan :: %{
+          members: %{State.id() => Member.t()},
+          links: %{term() => Links.link()},
+          lent: [term()]
+        }
+
+  @doc """
+  Begins; `from` is answered when messages flow, or when it cannot be. `lent`: the links from streams that flow
+  already.
+  """
+  @spec begin(State.t(), reference(), plan(), term()) :: State.t()
+  def begin(state, ref, plan, from) do
+    ids = Map.keys(plan.members)
+    sources = for {id, %{source?: true}} <- plan.members, do: id
+
+    links =
+      Enum.reduce(plan.links, state.links, fn {tag, link}, all -> Links.add(all, tag, link) end)
+
+    growth = %{ids: ids, step: :up, pending: MapSet.new(ids), lent: plan.lent, from: from}
+
+    %{
+      state
+      | stages: Map.merge(state.stages, plan.members),
+        links: links,
+        awaited: Enum.into(sources, state.awaited),
+        growths: Map.put(state.growths, ref, growth)
+    }
+    |> act({:spawn, ids})
+    |> go_on(ref)
+  end
+
+  @spec refuse(State.t(), term()) :: State.t()
+  def refuse(state, from), do: act(state, {:reply, from, {:error, Errors.not_running()}})
+
+  @doc "The growth that a stage belongs to."
+  @spec of(State.t(), State.id()) :: reference() | nil
+  def of(state, id), do: Enum.find_value(state.growths, fn {ref, g} -> id in g.ids && ref end)
+
+  @doc "Something happened in a stage that is being added."
+  @spec event(State.t(), reference(), tuple(), Situ.Time.t()) :: State.t()
+  def event(state, ref, {step, id}, _now) when step in [:up, :started],
+    do: state |> change(id, &%{&1 | up?: true}) |> answer(ref, id) |> go_on(ref)
+
+  # Its process is there still, and ends with the others.
+  def event(state, ref, {:failed, _id, error, _reached}, _now), do: failed(state, ref, error)
+
+  def event(state, ref, {:init_failed, id, error}, now),
+    do: state |> Failure.gone(id, now) |> failed(ref, error)
+
+  def event(state, ref, {:exited, id, error, _reached}, now),
+    do: state |> Failure.gone(id, now) |> failed(ref, error)
+
+  @doc "A stream that flows already has taken a new listener in: from now on, or it has ended."
+  @spec lent(State.t(), term(), {:open, term()} | {:closed, Situ.Time.t()}) :: State.t()
+  def lent(state, tag, how) do
+    case Enum.find(state.growths, fn {_, g} -> tag in g.lent end) do
+      {ref, _growth} ->
+        to = state.links.topology[tag].to
+
+        state =
+          case how do
+            {:closed, time} -> tell(state, [to], {:peer_gone, tag, time})
+            {:open, _last} -> state
+          end
+
+        state |> answer(ref, tag) |> go_on(ref)
+
+      nil ->
+        state
+    end
+  end
+
+  defp answer(state, ref, what) do
+    update = &%{&1 | pending: MapSet.delete(&1.pending, what)}
+    %{state | growths: Map.update!(state.growths, ref, update)}
+  end
+
+  defp go_on(state, ref) do
+    growth = state.growths[ref]
+    if MapSet.size(growth.pending) == 0, do: step_done(state, ref, growth), else: state
+  end
+
+  defp step_done(state, ref, %{step: :up} = growth),
+    do: state |> step(ref, growth, :start, growth.ids) |> act({:start, growth.ids}) |> go_on(ref)
+
+  defp step_done(state, ref, %{step: :start} = growth) do
+    state = step(state, ref, growth, :lend, growth.lent)
+    growth.lent |> Enum.reduce(state, &act(&2, {:lend, &1})) |> go_on(ref)
+  end
+
+  defp step_done(state, ref, %{step: :lend} = growth) do
+    %{state | growths: Map.delete(state.growths, ref)}
+    |> act({:run, growth.ids})
+    |> act({:reply, growth.from, :ok})
+  end
+
+  defp step(state, ref, growth, step, pending) do
+    growth = %{growth | step: step, pending: MapSet.new(pending)}
+    %{state | growths: Map.put(state.growths, ref, growth)}
+  end
+
+  # The rest of it goes, too; the pipeline runs on.
+  defp failed(state, ref, error) do
+    {growth, growths} = Map.pop(state.growths, ref)
+
+    %{state | growths: growths}
+    |> act({:reply, growth.from, {:error, error}})
+    |> drop(growth)
+  end
+
+  @doc "The pipeline ends: what was still being added goes first."
+  @spec abandon(State.t()) :: State.t()
+  def abandon(%{growths: growths} = state) when growths == %{}, do: state
+
+  def abandon(state) do
+    Enum.reduce(state.growths, %{state | growths: %{}}, fn {_ref, growth}, state ->
+      state |> act({:reply, growth.from, {:error, Errors.not_running()}}) |> drop(growth)
+    end)
+  end
+
+  defp drop(state, growth) do
+    tags =
+      for id <- growth.ids,
+          {tag, _} <- Links.into(state.links, id) ++ Links.out_of(state.links, id),
+          do: tag
+
+    untold =
+      for tag <- tags, tag in growth.lent, link = state.links.topology[tag], do: {link.from, tag}
+
+    state =
+      Enum.reduce(untold, state, fn {from, tag}, state -> tell(state, [from], {:untap, tag}) end)
+
+    alive = Enum.filter(growth.ids, &state.stages[&1].alive?)
+    links = Enum.reduce(tags, state.links, &Links.forget(&2, &1))
+    awaited = MapSet.difference(state.awaited, MapSet.new(growth.ids))
+
+    %{state | links: links, awaited: awaited}
+    |> tell(alive, :quit)
+    |> mark(growth.ids, :ended)
+    |> act({:forget, growth.ids})
+  end
+end

@@ -1,0 +1,271 @@
+defmodule Situ.Lifecycle do
+  @moduledoc false
+  # The life of a pipeline as a pure state machine: `apply(state, event, now)` answers the next state and what is to
+  # be done. The server turns messages into events and performs the actions; nothing here sends, reads a clock or
+  # knows a process.
+  #
+  #   building -> starting (handlers, up, sources) -> running -> stopping (settle, stop, close, quit) -> completed
+  #
+  # | event | who says so |
+  # |---|---|
+  # | `:start` | the graph is built |
+  # | `{:handled, :run, :ok or {:error, error}}`, `{:handled, :completed}` | the handlers have returned |
+  # | `{:planned, members, links}`, `{:plan_failed, error}` | the graph is cut into stages, or cannot be |
+  # | `{:up, id}`, `{:started, id}`, `{:settled, id}`, `{:source_stopped, id}` | a stage has taken the step |
+  # | `{:completed, id, time or :infinity}` | a source knows its end |
+  # | `{:unsubscribed, id, tag, time}` | a stage took the closing mark of an input |
+  # | `{:failed, id, error, reached}`, `{:init_failed, id, error}` | a stage fails |
+  # | `{:exited, id, error, reached}` | a stage's process ended |
+  # | `{:stop, catch_up}`, `{:stop_at, time}`, `{:stop_part, ref, ids, opts}` | somebody wants an end |
+  # | `{:grow, ref, plan, from}`, `{:lent, tag, how}` | components are added while it runs |
+  # | `{:joined, member}`, `{:linked, tag, link}`, `{:unlinked, tag}`, `{:left, id}` | what changes while it runs |
+  # | `{:measured, which, seen}`, `{:watched, which, seen}` | what was asked to be looked at |
+  # | `:enough`, `{:part_enough, ref}`, `:drain`, `{:forgive, id}`, `{:overdue, id}` | a time has passed |
+  #
+  # | action | what the server does |
+  # |---|---|
+  # | `{:handle, event}`, `{:handle, event, argument}` | calls the handlers of `Situ.Pipeline.on/3` |
+  # | `:start_clock`, `:running`, `{:spawn, ids}`, `{:start, ids}`, `{:run, ids}` | as they say |
+  # | `{:rewire, id, links}`, `{:shutdown, id}`, `{:kill, id}` | as they say |
+  # | `{:tell, id, request}`, `{:lend, tag}` | sends a stage a request; asks a stage to take a subscriber in |
+  # | `{:forget, ids}` | what it knows of stages that were removed |
+  # | `{:cut, ids, time}`, `{:release, ids}` | later messages do not count in these stages; all do, but they end |
+  # | `{:failed, error}`, `{:noted, error}`, `{:restarted, id, error}` | logs it and tells who listens |
+  # | `{:reply, from, answer}` | answers a caller |
+  # | `{:after, ms, event}`, `{:watch, ms, which}`, `{:measure, which}` | says it, or what it saw, later |
+  # | `{:event, event}` | says it, after what came before |
+  # | `:finished` | publishes the result and ends |
+  alias Situ.Lifecycle.{
+    Failure,
+    Growth,
+    Links,
+    Member,
+    PartialStop,
+    Shutdown,
+    Stall,
+    Startup,
+    State,
+    Unit
+  }
+
+  import Situ.Lifecycle.State
+
+  @type event :: term()
+  @type action :: term()
+
+  @doc "The next state, and the actions in the order in which they are to be performed."
+  @spec apply(State.t(), event(), Situ.Time.t()) :: {State.t(), [action()]}
+  def apply(state, event, now) do
+    state = state |> event(event, now) |> go_on(now)
+    {%{state | actions: []}, Enum.reverse(state.actions)}
+  end
+
+  @doc "The wish of a caller to stop by hand, told how long sources may catch up."
+  @spec catch_up_ms() :: pos_integer()
+  def catch_up_ms, do: %Situ.Lifecycle.Ending{}.catch_up
+
+  defp event(%{phase: phase} = state, {:grow, _ref, _plan, from}, _now) when phase != :running,
+    do: Growth.refuse(state, from)
+
+  # Nothing happens to what is over, but that its last handlers return.
+  defp event(%{phase: :completed} = state, {:handled, :completed}, _now),
+    do: act(state, :finished)
+
+  defp event(%{phase: :completed} = state, {:handler_failed, error}, _now), do: keep(state, error)
+  defp event(%{phase: :completed} = state, _event, _now), do: state
+
+  defp event(%{phase: :building} = state, :start, _now), do: Startup.begin(state)
+
+  defp event(%{phase: :building} = state, {stop, _}, _now) when stop in [:stop, :stop_at],
+    do: state |> act(:abandoned) |> Shutdown.complete()
+
+  defp event(%{phase: :building} = state, _event, _now), do: state
+
+  defp event(%{step: :handlers} = state, {:handled, :run, :ok}, _now), do: act(state, :plan)
+
+  defp event(%{step: :handlers} = state, {:handled, :run, {:error, error}}, _now),
+    do: state |> error(error) |> Shutdown.complete()
+
+  defp event(%{step: :handlers} = state, {:planned, members, links}, _now),
+    do: Startup.planned(state, members, links)
+
+  defp event(state, {:plan_failed, error}, _now), do: state |> error(error) |> Shutdown.complete()
+  defp event(state, {:handler_failed, error}, _now), do: keep(state, error)
+
+  defp event(state, {:stop, catch_up}, _now),
+    do: state |> ending(catch_up: catch_up) |> stop({:now, true})
+
+  defp event(state, {:stop_at, time}, _now), do: stop(state, {time, false})
+
+  defp event(%{phase: :running} = state, {:stop_part, ref, ids, opts}, now),
+    do: PartialStop.begin(state, ref, ids, opts, now)
+
+  defp event(state, {:grow, ref, plan, from}, _now),
+    do: Growth.begin(state, ref, plan, from)
+
+  defp event(state, {:lent, tag, how}, _now), do: Growth.lent(state, tag, how)
+
+  defp event(state, {:joined, %Member{id: id} = member}, _now),
+    do: %{state | stages: Map.put(state.stages, id, member)}
+
+  defp event(state, {:linked, tag, link}, _now),
+    do: %{state | links: Links.add(state.links, tag, link)}
+
+  defp event(state, {:unlinked, tag}, _now) do
+    state = %{state | links: Links.forget(state.links, tag)}
+    if state.step == :close, do: Shutdown.close_free(state), else: state
+  end
+
+  defp event(state, {:left, id}, _now) do
+    links = Links.forget_all(state.links, id)
+    state = answered(%{state | stages: Map.delete(state.stages, id), links: links}, id)
+    %{state | awaited: MapSet.delete(state.awaited, id)}
+  end
+
+  defp event(state, :enough, now), do: Shutdown.enough(state, now)
+  defp event(state, {:part_enough, ref}, _now), do: PartialStop.enough(state, ref)
+  defp event(state, :drain, _now), do: act(state, {:measure, :drain})
+  defp event(state, {:measured, :drain, seen}, _now), do: Shutdown.measured(state, seen)
+  defp event(state, {:watched, which, seen}, _now), do: Stall.watched(state, which, seen)
+  defp event(state, :moving, _now), do: ending(state, moves: state.ending.moves + 1)
+  defp event(state, {:overdue, id}, _now), do: Unit.overdue(state, id)
+  defp event(state, {:forgive, id}, _now), do: Failure.forgive(state, id)
+
+  # The last words of a stage that is gone.
+  defp event(%{stages: stages} = state, event, now)
+       when is_tuple(event) and is_map_key(stages, elem(event, 1)),
+       do: stage(event, state, now)
+
+  defp event(state, _event, _now), do: state
+
+  # What is being added takes the steps of a start by itself; if it fails, the rest goes on without it.
+  defp stage(event, %{growths: growths} = state, now)
+       when growths != %{} and elem(event, 0) in [:up, :started, :init_failed, :failed, :exited] do
+    case Growth.of(state, elem(event, 1)) do
+      nil -> known(event, state, now)
+      ref -> Growth.event(state, ref, event, now)
+    end
+  end
+
+  defp stage(event, state, now), do: known(event, state, now)
+
+  defp known({:up, id}, state, _now), do: Startup.up(state, id)
+  defp known({:started, id}, state, _now), do: Startup.started(state, id)
+  defp known({:completed, id, time}, state, _now), do: completed(state, id, time)
+
+  defp known({:settled, id}, %{step: :settle} = state, _now), do: answered(state, id)
+
+  defp known({:source_stopped, id}, state, _now) do
+    state = PartialStop.stopped(state, id)
+    if state.step == :stop, do: answered(state, id), else: state
+  end
+
+  defp known({:unsubscribed, id, tag, time}, state, _now),
+    do: Shutdown.input_closed(state, id, tag, time)
+
+  defp known({:failed, id, error, reached}, state, now) do
+    if Unit.of(state, id),
+      do: Unit.failed(state, id, error, true, now),
+      else: Failure.failed(state, id, error, reached)
+  end
+
+  defp known({:init_failed, id, error}, state, now),
+    do: Failure.init_failed(state, id, error, now)
+
+  defp known({:exited, id, error, reached}, state, now) do
+    cond do
+      state.stages[id].status == :restarting ->
+        Unit.exited(state, id, now)
+
+      dies_for_itself?(state.stages[id]) and Unit.of(state, id) ->
+        Unit.failed(state, id, error, false, now)
+
+      true ->
+        exited(state, id, error, reached, now)
+    end
+  end
+
+  defp known(_event, state, _now), do: state
+
+  # With an `on_error:` of its own it is restarted alone.
+  defp dies_for_itself?(member), do: member.on_error == :stop
+
+  defp exited(state, id, error, reached, now) do
+    ref = state.phase == :running && PartialStop.of(state, id)
+
+    if ref && state.stages[id].status not in [:dead, :ended],
+      do: PartialStop.died(state, ref, id, error, now),
+      else: Failure.exited(state, id, error, reached, now)
+  end
+
+  defp keep(state, error), do: %{state | errors: [error | state.errors]}
+
+  # What hangs in its start would keep the stop waiting.
+  defp stop(%{phase: :starting, ending: %{wish: nil}} = state, {time, by_hand}) do
+    state |> wish(time, by_hand) |> act({:watch, state.limits.stop_timeout, :all})
+  end
+
+  defp stop(%{phase: :running} = state, {time, by_hand}), do: wish(state, time, by_hand)
+  defp stop(state, _wish), do: state
+
+  # A source has told its end; those that have not decide how long the pipeline runs.
+  defp completed(state, id, time) do
+    if MapSet.member?(state.awaited, id),
+      do: told(%{state | awaited: MapSet.delete(state.awaited, id)}, id, time),
+      else: state
+  end
+
+  defp told(state, _id, :infinity), do: state
+
+  defp told(state, id, time) do
+    state = act(state, {:handle, :component_completed, {state.stages[id].path, time}})
+    ending = state.ending
+    # The end of a source that was added is no reason to end what ran before.
+    latest = if state.stages[id].added?, do: ending.latest, else: max(ending.latest || time, time)
+    ending(state, latest: latest, finite: MapSet.put(ending.finite, id))
+  end
+
+  # On to the next step, and the next, as long as nothing is waited for.
+  defp go_on(state, now) do
+    case next(state, now) do
+      %{step: step} = next when step != state.step -> go_on(next, now)
+      next -> next
+    end
+  end
+
+  defp next(%{step: :up, errors: [_ | _]} = state, _now), do: Shutdown.quit(state)
+
+  defp next(%{step: step, pending: pending} = state, now)
+       when step in [:up, :sources, :settle, :stop, :quit] do
+    if MapSet.size(pending) == 0, do: step_done(state, now), else: state
+  end
+
+  defp next(%{step: :running} = state, now) do
+    case PartialStop.go_on(state) do
+      %{ending: %{wish: {_, _} = wish}} = state ->
+        state |> Growth.abandon() |> Shutdown.begin(wish, now)
+
+      state ->
+        check_complete(state, now)
+    end
+  end
+
+  defp next(%{step: :close} = state, _now), do: Shutdown.go_on(state)
+  defp next(state, _now), do: state
+
+  defp step_done(%{step: step} = state, _now) when step in [:up, :sources],
+    do: Startup.go_on(state)
+
+  defp step_done(%{step: :settle} = state, now), do: Shutdown.stop(state, now)
+  defp step_done(%{step: :stop} = state, _now), do: Shutdown.close_free(state)
+  defp step_done(%{step: :quit} = state, _now), do: Shutdown.complete(state)
+
+  # With only infinite sources it runs until somebody stops it.
+  defp check_complete(%{ending: %{latest: time}} = state, now) when is_integer(time) do
+    if MapSet.size(state.awaited) == 0,
+      do: state |> Growth.abandon() |> Shutdown.begin({time, false}, now),
+      else: state
+  end
+
+  defp check_complete(state, _now), do: state
+end

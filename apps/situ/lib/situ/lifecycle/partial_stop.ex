@@ -1,0 +1,121 @@
+defmodule Situ.Lifecycle.PartialStop do
+  @moduledoc false
+  # A composite, or one component, that is stopped while the rest of its pipeline runs on: the same steps as at the
+  # end of a pipeline, for some of its stages. Their inputs from outside close and their sources stop at the time of
+  # the stop, their outputs close in order, and they quit. Pure.
+  alias Situ.Error
+  alias Situ.Lifecycle.{Closing, Failure, Links, Shutdown, State}
+  import Situ.Lifecycle.State
+
+  @typedoc "`ids`: its stages, `pending`: its sources that have yet to stop, `error`: what went wrong meanwhile."
+  @type t :: %{
+          ids: MapSet.t(State.id()),
+          pending: MapSet.t(State.id()),
+          final: Situ.Time.t(),
+          from: GenServer.from() | nil,
+          forget?: boolean(),
+          error: Error.t() | nil
+        }
+
+  @doc "Begins; `from` is answered when all of it has closed."
+  @spec begin(State.t(), reference(), [State.id()], map(), Situ.Time.t()) :: State.t()
+  def begin(state, ref, ids, %{catch_up: catch_up, from: from} = opts, final) do
+    ids = MapSet.new(ids)
+    sources = for id <- ids, state.stages[id].source?, do: id
+    state = act(state, {:cut, MapSet.to_list(ids), final})
+
+    state =
+      for id <- ids,
+          {tag, link} <- Links.into(state.links, id),
+          not MapSet.member?(ids, link.from),
+          reduce: state,
+          do: (state -> tell(state, [link.from], {:cut, tag, final}))
+
+    state = Enum.reduce(ids, state, fn id, state -> change(state, id, &bound(&1, final)) end)
+    state = tell(state, sources, {:stop, final})
+
+    part = %{
+      ids: ids,
+      pending: MapSet.new(sources),
+      final: final,
+      from: from,
+      forget?: Map.get(opts, :forget?, false),
+      error: nil
+    }
+
+    %{
+      state
+      | parts: Map.put(state.parts, ref, part),
+        awaited: MapSet.difference(state.awaited, ids)
+    }
+    |> act({:after, catch_up, {:part_enough, ref}})
+    |> act({:watch, state.limits.stop_timeout, ref})
+  end
+
+  defp bound(member, time), do: %{member | limit: min(member.limit || time, time)}
+
+  @doc "The part that a stage is stopped with."
+  @spec of(State.t(), State.id()) :: reference() | nil
+  def of(%{parts: parts}, _id) when parts == %{}, do: nil
+  def of(state, id), do: Enum.find_value(state.parts, fn {ref, part} -> id in part.ids && ref end)
+
+  @doc "A source has posted its last message."
+  @spec stopped(State.t(), State.id()) :: State.t()
+  def stopped(%{parts: parts} = state, _id) when parts == %{}, do: state
+
+  def stopped(%{parts: parts} = state, id) do
+    parts = Map.new(parts, fn {ref, p} -> {ref, %{p | pending: MapSet.delete(p.pending, id)}} end)
+    %{state | parts: parts}
+  end
+
+  @doc "A stage died while it was stopped with others: they go on without it."
+  @spec died(State.t(), reference(), State.id(), Error.t(), Situ.Time.t()) :: State.t()
+  def died(state, ref, id, error, now) do
+    state = state |> Failure.gone(id, now) |> stopped(id) |> act({:noted, error})
+    part = state.parts[ref]
+    %{state | parts: %{state.parts | ref => %{part | error: part.error || error}}}
+  end
+
+  @doc "Sources that lag behind the clock end where they are."
+  @spec enough(State.t(), reference()) :: State.t()
+  def enough(state, ref) do
+    case state.parts do
+      %{^ref => part} -> tell(state, MapSet.to_list(part.pending), :stop_now)
+      _ -> state
+    end
+  end
+
+  @doc "Every part goes on where nothing is waited for any more."
+  @spec go_on(State.t()) :: State.t()
+  def go_on(%{parts: parts} = state) when parts == %{}, do: state
+  def go_on(state), do: Enum.reduce(Map.keys(state.parts), state, &step/2)
+
+  defp step(ref, state) do
+    part = state.parts[ref]
+
+    if MapSet.size(part.pending) > 0 do
+      state
+    else
+      order = for id <- Enum.sort(part.ids), state.stages[id].open?, do: id
+      active = for id <- part.ids, {_, link} <- Links.into(state.links, id), do: link
+
+      case Closing.next(order, active) do
+        {how, ids} when how in [:close, :break] -> step(ref, Shutdown.close(state, ids))
+        :wait -> state
+        :done -> quit(state, ref, part)
+      end
+    end
+  end
+
+  defp quit(state, ref, part) do
+    ids = MapSet.to_list(part.ids)
+    alive = Enum.filter(ids, &state.stages[&1].alive?)
+    answer = if part.error, do: {:error, part.error}, else: :ok
+    state = state |> tell(alive, :quit) |> act({:reply, part.from, answer})
+    state = mark(%{state | parts: Map.delete(state.parts, ref)}, ids, :ended)
+    state = if part.forget?, do: act(state, {:forget, ids}), else: state
+    had? = Enum.any?(ids, &state.stages[&1].source?)
+    left? = Enum.any?(state.stages, fn {_, m} -> m.source? and m.status == :running end)
+    if had? and not left?, do: wish(state, :now, true), else: state
+  end
+end

@@ -1,0 +1,59 @@
+defmodule Situ.Lifecycle.Stall do
+  @moduledoc false
+  # What does not end when it is to end: named, and killed. Pure.
+  #
+  # The server looks twice, the stop timeout apart. Where no counter has moved in between and nothing has happened,
+  # somebody is stuck: those in the middle of something; only if there are none, those that still owe an answer.
+  alias Situ.Error
+  alias Situ.Lifecycle.{Links, State}
+  import Situ.Lifecycle.State
+
+  @typedoc "Whether anything has moved, and which stages wait for a message and have none."
+  @type seen :: %{moved?: boolean(), idle: MapSet.t(State.id())}
+
+  @spec watched(State.t(), :all | reference(), seen()) :: State.t()
+  def watched(%{phase: phase, ending: %{wish: wish}} = state, :all, seen)
+      when phase == :stopping or (phase == :starting and wish != nil) do
+    state = if seen.moved?, do: state, else: kill_all(state, late(state, seen.idle))
+    act(state, {:watch, state.limits.stop_timeout, :all})
+  end
+
+  def watched(%{phase: :running} = state, ref, seen) when is_map_key(state.parts, ref) do
+    busy = for id <- state.parts[ref].ids, id not in seen.idle, state.stages[id].alive?, do: id
+    state = if seen.moved?, do: state, else: kill(state, busy)
+    act(state, {:watch, state.limits.stop_timeout, ref})
+  end
+
+  def watched(state, _which, _seen), do: state
+
+  defp kill(state, ids), do: Enum.reduce(ids, state, &act(&2, {:kill, &1}))
+
+  defp kill_all(state, []), do: state
+
+  defp kill_all(state, ids) do
+    members = Enum.map(ids, &state.stages[&1])
+    state = kill(state, ids)
+    if Enum.all?(members, & &1.tap?), do: state, else: error(state, stuck(members, state))
+  end
+
+  defp late(state, idle) do
+    alive = alive(state)
+    with [] <- Enum.reject(alive, &(&1 in idle)), do: Enum.filter(alive, &owes?(&1, state))
+  end
+
+  defp owes?(id, %{step: :close} = state), do: not Links.free?(state.links, id)
+  defp owes?(id, state), do: MapSet.member?(state.pending, id)
+
+  defp stuck(members, state) do
+    names = Enum.map_join(members, ", ", & &1.path)
+
+    Error.new(
+      :stuck,
+      "#{names} did not end within #{state.limits.stop_timeout} ms and was killed",
+      why: "it neither took a message nor answered the stop",
+      fix:
+        "look for a loop or a call that never returns; raise stop_timeout: when it is just slow",
+      meta: %{component: names}
+    )
+  end
+end

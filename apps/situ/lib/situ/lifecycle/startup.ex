@@ -1,0 +1,90 @@
+defmodule Situ.Lifecycle.Startup do
+  @moduledoc false
+  # How a pipeline starts. Pure.
+  #
+  #   handlers  those of `:run` are called: they may still build
+  #   up        every stage has a process, and that process its component's first state
+  #   sources   stages know their neighbours and `handle_start/2` has run in each
+  #   running   messages flow
+  alias Situ.Lifecycle.{Links, Shutdown, State}
+  import Situ.Lifecycle.State
+
+  @doc "The graph is built, as far as `build/2` goes."
+  @spec begin(State.t()) :: State.t()
+  def begin(state), do: act(%{state | phase: :starting, step: :handlers}, {:handle, :run})
+
+  @doc "The handlers have returned, and the graph is planned: its stages are spawned."
+  @spec planned(State.t(), %{State.id() => map()}, %{term() => Links.link()}) :: State.t()
+  def planned(state, members, links) do
+    ids = members |> Map.keys() |> Enum.sort()
+    awaited = for {id, %{source?: true}} <- members, into: MapSet.new(), do: id
+
+    state = %{
+      state
+      | step: :up,
+        stages: members,
+        links: Links.new(links),
+        pending: MapSet.new(ids),
+        awaited: awaited
+    }
+
+    # Nothing to run: nothing would ever end it.
+    if ids == [] and state.mode == :run,
+      do: Shutdown.complete(act(state, :start_clock)),
+      else: act(state, {:spawn, ids})
+  end
+
+  @doc "A stage has its first state. One that was restarted is wired at once."
+  @spec up(State.t(), State.id()) :: State.t()
+  def up(state, id) do
+    state = change(state, id, &%{&1 | up?: true})
+    if state.step == :up, do: answered(state, id), else: act(state, {:start, [id]})
+  end
+
+  @doc "`handle_start/2` has run in the stage. The neighbours of one that was restarted get to know it."
+  @spec started(State.t(), State.id()) :: State.t()
+  def started(%{step: :sources} = state, id) do
+    state = answered(state, id)
+    if state.stages[id].again?, do: known(state, id), else: state
+  end
+
+  def started(state, id) do
+    state = state |> known(id) |> act({:run, [id]})
+
+    if state.ending.final != nil and state.phase == :stopping,
+      do: tell(state, [id], {:stop, state.ending.final}),
+      else: state
+  end
+
+  defp known(state, id) do
+    state = act(state, {:rewire, id, neighbours(state, id)})
+    state = Enum.reduce(Links.into(state.links, id), state, &closed(&1, &2, id))
+    change(state, id, &%{&1 | again?: false})
+  end
+
+  # The mark was for the process that is gone.
+  defp closed({tag, _link}, state, id) do
+    case state.links.closing do
+      %{^tag => time} -> tell(state, [id], {:peer_gone, tag, time})
+      _ -> state
+    end
+  end
+
+  defp neighbours(state, id),
+    do: Links.into(state.links, id) ++ Links.out_of(state.links, id)
+
+  @doc "Nothing is waited for any more in `step`."
+  @spec go_on(State.t()) :: State.t()
+  def go_on(%{step: :up} = state) do
+    ids = MapSet.new(alive(state))
+
+    %{state | step: :sources, pending: ids}
+    |> act(:start_clock)
+    |> act({:start, MapSet.to_list(ids)})
+  end
+
+  def go_on(%{step: :sources} = state) do
+    ids = alive(state)
+    act(%{state | phase: :running, step: :running}, {:run, ids}) |> act(:running)
+  end
+end

@@ -1,0 +1,209 @@
+defmodule Situ.Ports.Counters do
+  @moduledoc false
+  # The numbers of one edge, in shared memory: written once per batch by its two ends, read by anyone at any time.
+  # Latency goes into a histogram of four buckets per power of two, so p99 is right within 25 %.
+
+  alias Situ.Message
+
+  # The producer writes the first eight words, the consumer the rest: each has cache lines of its own.
+  @emitted 1
+  @created_last 2
+  @created_sum 3
+  @posted_last 4
+  @kept_sum 5
+  @waiting 6
+  @held 7
+  @wanted 8
+  @processed 17
+  @dropped 18
+  @reached 19
+  @latency_last 20
+  @latency_sum 21
+  @handling_last 22
+  @busy 23
+  @queue_sum 24
+  @size_last 25
+  @size_sum 26
+  @size_count 27
+  @first 28
+  @buckets 176
+
+  # Sums are of microseconds, and of at most an hour each: data replayed from 1970 must not overflow 64 bits.
+  @most_us 3_600_000_000
+
+  @type t :: :atomics.atomics_ref()
+  @typedoc "Everything that only grows (or is a sum): two of them apart tell what was in between."
+  @type totals :: %{
+          emitted: non_neg_integer(),
+          processed: non_neg_integer(),
+          dropped: non_neg_integer(),
+          created: integer(),
+          posted: integer(),
+          latency: integer(),
+          busy: non_neg_integer(),
+          queue: non_neg_integer(),
+          size: non_neg_integer(),
+          sized: non_neg_integer()
+        }
+
+  @spec new() :: t()
+  def new, do: :atomics.new(@first + @buckets, signed: true)
+
+  @doc "`n` messages were handed over; the last was `created` and `posted` so many ns after its originating time."
+  @spec emitted(t(), pos_integer(), integer(), integer()) :: :ok
+  def emitted(ref, n, created, posted) do
+    :atomics.put(ref, @created_last, created)
+    :atomics.add(ref, @created_sum, microseconds(created) * n)
+    :atomics.put(ref, @posted_last, posted)
+    if posted != created, do: :atomics.add(ref, @kept_sum, microseconds(posted - created) * n)
+    :atomics.add(ref, @emitted, n)
+  end
+
+  @doc "The producer waits for this edge (1) or not (0)."
+  @spec waiting(t(), 0 | 1) :: :ok
+  def waiting(ref, flag), do: :atomics.put(ref, @waiting, flag)
+
+  @doc "`n` messages are held back at the producer, under a lossy policy."
+  @spec held(t(), non_neg_integer()) :: :ok
+  def held(ref, n), do: :atomics.put(ref, @held, n)
+
+  @doc "How many messages are held back at the producer."
+  @spec held(t()) :: non_neg_integer()
+  def held(ref), do: :atomics.get(ref, @held)
+
+  @doc "The consumer wants all that is held back, at once."
+  @spec want(t()) :: :ok
+  def want(ref), do: :atomics.put(ref, @wanted, 1)
+
+  @doc "Whether the consumer wants that, and nobody has answered yet; whoever learns it has to answer."
+  @spec wanted?(t()) :: boolean()
+  def wanted?(ref),
+    do: :atomics.get(ref, @wanted) == 1 and :atomics.compare_exchange(ref, @wanted, 1, 0) == :ok
+
+  @doc "The policy dropped `n`."
+  @spec dropped(t(), pos_integer()) :: :ok
+  def dropped(ref, n), do: :atomics.add(ref, @dropped, n)
+
+  @doc "Messages arrived: how large they are."
+  @spec sized(t(), [Message.t()]) :: :ok
+  def sized(ref, messages) do
+    {n, sum, last} = Enum.reduce(messages, {0, 0, 0}, &weigh/2)
+    :atomics.put(ref, @size_last, last)
+    :atomics.add(ref, @size_sum, sum)
+    :atomics.add(ref, @size_count, n)
+  end
+
+  defp weigh(message, {n, sum, _last}) do
+    size = Message.size(message)
+    {n + 1, sum + size, size}
+  end
+
+  @doc "`n` messages were taken, the last of them `latency` old; handling all took `busy` ns."
+  @spec processed(t(), pos_integer(), integer(), integer()) :: :ok
+  def processed(ref, n, latency, busy) do
+    :atomics.put(ref, @latency_last, latency)
+    :atomics.add(ref, @latency_sum, microseconds(latency) * n)
+    :atomics.add(ref, @first + bucket(latency), n)
+    :atomics.put(ref, @handling_last, div(busy, n))
+    :atomics.add(ref, @busy, busy)
+    done = :atomics.add_get(ref, @processed, n)
+    waits = :atomics.get(ref, @emitted) - :atomics.get(ref, @dropped) - done
+    if waits > 0, do: :atomics.add(ref, @queue_sum, waits * n), else: :ok
+  end
+
+  @doc "The originating time the consumer has reached."
+  @spec reached(t(), integer()) :: :ok
+  def reached(ref, time), do: :atomics.put(ref, @reached, time)
+
+  @doc "What `reached/2` said last; 0 before."
+  @spec last_time(t()) :: integer()
+  def last_time(ref), do: :atomics.get(ref, @reached)
+
+  @doc "Emitted, processed, dropped: equal sums mean nothing is on its way."
+  @spec flow(t()) :: {non_neg_integer(), non_neg_integer(), non_neg_integer()}
+  def flow(ref) do
+    {:atomics.get(ref, @emitted), :atomics.get(ref, @processed), :atomics.get(ref, @dropped)}
+  end
+
+  @doc "What grows; latencies in microseconds, as sums over messages."
+  @spec totals(t()) :: totals()
+  def totals(ref) do
+    {emitted, processed, dropped} = flow(ref)
+    created = :atomics.get(ref, @created_sum)
+
+    %{
+      emitted: emitted,
+      processed: processed,
+      dropped: dropped,
+      created: created,
+      posted: created + :atomics.get(ref, @kept_sum),
+      latency: :atomics.get(ref, @latency_sum),
+      busy: :atomics.get(ref, @busy),
+      queue: :atomics.get(ref, @queue_sum),
+      size: :atomics.get(ref, @size_sum),
+      sized: :atomics.get(ref, @size_count)
+    }
+  end
+
+  @doc "What is now, and what was last, as a map with keys of `Situ.Diagnostics.Edge`."
+  @spec read(t(), totals()) :: map()
+  def read(ref, totals) do
+    %{emitted: emitted, processed: processed, dropped: dropped} = totals
+
+    %{
+      emitted: emitted,
+      processed: processed,
+      dropped: dropped,
+      queue: max(emitted - processed - dropped, 0),
+      throttled: :atomics.get(ref, @waiting) == 1,
+      created_last: :atomics.get(ref, @created_last),
+      posted_last: :atomics.get(ref, @posted_last),
+      latency_last: :atomics.get(ref, @latency_last),
+      latency_p99: quantile(ref, processed, 0.99),
+      handling_last: :atomics.get(ref, @handling_last),
+      busy: totals.busy,
+      size_last: :atomics.get(ref, @size_last)
+    }
+  end
+
+  defp microseconds(ns), do: ns |> div(1000) |> min(@most_us) |> max(-@most_us)
+
+  @doc "Upper bound, in ns, of the bucket in which the quantile lies."
+  @spec quantile(t(), non_neg_integer(), float()) :: non_neg_integer()
+  def quantile(_ref, 0, _q), do: 0
+  def quantile(ref, count, q), do: seek(ref, 0, ceil(count * q))
+
+  defp seek(_ref, bucket, _left) when bucket >= @buckets, do: bound(@buckets - 1)
+
+  defp seek(ref, bucket, left) do
+    left = left - :atomics.get(ref, @first + bucket)
+    if left <= 0, do: bound(bucket), else: seek(ref, bucket + 1, left)
+  end
+
+  # Buckets 0..3 hold less than 1.024, 1.28, 1.536, 1.792 us ..., four to each power of two.
+  defp bucket(latency) when latency < 1024, do: 0
+
+  defp bucket(latency) do
+    exponent = log2(latency, 10)
+
+    min(
+      (exponent - 10) * 4 + Bitwise.band(Bitwise.bsr(latency, exponent - 2), 3) + 1,
+      @buckets - 1
+    )
+  end
+
+  defp bound(0), do: 1024
+
+  defp bound(bucket) do
+    exponent = div(bucket - 1, 4) + 10
+    Bitwise.bsl(1, exponent) + (rem(bucket - 1, 4) + 1) * Bitwise.bsl(1, exponent - 2)
+  end
+
+  defp log2(value, exponent) do
+    cond do
+      value >= Bitwise.bsl(1, exponent + 8) -> log2(value, exponent + 8)
+      value >= Bitwise.bsl(1, exponent + 1) -> log2(value, exponent + 1)
+      true -> exponent
+    end
+  end
+end

@@ -1,0 +1,305 @@
+defmodule Situ.Ports.Input do
+  @moduledoc false
+  # One connected input of a running component: what waits, under its policy, and the demand it owes its producer.
+  #
+  # Under a lossy policy there are two queues: what was asked for waits here, the rest at the producer (see
+  # Subscriber). After something slow the producer is asked for all it has before the next message is taken, so that
+  # the policy applies to all that has been emitted.
+  alias Situ.{Delivery, Error, Message, Type}
+  alias Situ.Delivery.Queue
+  alias Situ.Ports.{Counters, Window}
+
+  @hold_ms 20
+  # Asking takes longer than this, so that it costs a part of the throughput only.
+  @stale_ns 50_000
+  @nothing {0, 0, 0, 0}
+
+  @enforce_keys [:name, :tag, :producer, :window]
+  defstruct [
+    :name,
+    :tag,
+    :producer,
+    :window,
+    :type,
+    :counters,
+    :queue,
+    :held,
+    check: :off,
+    sizes: false,
+    front: [],
+    rear: [],
+    fresh: 0,
+    handled: @nothing
+  ]
+
+  @typedoc """
+  `front` and `rear` (reversed batches) hold what waits under a lossless policy, `queue` under a lossy one. `held`:
+  timer and token while the component wants nothing from it. `fresh` (lossy): when what waits was known to be the
+  newest, or `:asked`, or `:sure` for the next take. `handled`: how many messages were handled since the last
+  settling, the latency and originating time of the last, ns spent.
+  """
+  @type t :: %__MODULE__{
+          name: atom(),
+          tag: term(),
+          producer: pid(),
+          window: Window.t(),
+          type: Type.t(),
+          counters: Counters.t() | nil,
+          queue: Queue.t() | nil,
+          held: {reference(), reference()} | nil,
+          check: :off | :first | :all,
+          sizes: boolean(),
+          front: [Queue.entry()],
+          rear: [[Message.t()]],
+          fresh: integer() | :asked | :sure,
+          handled: {non_neg_integer(), integer(), Situ.Time.t(), integer()}
+        }
+
+  @spec new(atom(), term(), pid(), Delivery.t(), map()) :: t()
+  def new(name, tag, producer, policy, extra) do
+    %__MODULE__{
+      name: name,
+      tag: tag,
+      producer: producer,
+      type: extra.type,
+      check: if(extra.type == :any, do: :off, else: extra.check),
+      counters: extra.counters,
+      sizes: extra.sizes,
+      queue: if(Delivery.lossy?(policy), do: Queue.new(policy)),
+      window: Window.new(policy)
+    }
+  end
+
+  @doc "Asks for the first messages."
+  @spec open(t()) :: term()
+  def open(%__MODULE__{} = input), do: ask(input, input.window.size)
+
+  defp ask(input, n), do: send(input.producer, {:"$gen_producer", {self(), input.tag}, {:ask, n}})
+
+  @doc "The producer is another process now."
+  @spec replace(t(), pid()) :: t()
+  def replace(%__MODULE__{} = input, pid),
+    do: %{input | producer: pid, window: Window.renew(input.window), fresh: 0}
+
+  @doc "A batch arrived."
+  @spec push(t(), [Message.t()]) :: t()
+  def push(%__MODULE__{} = input, []), do: input
+
+  def push(%__MODULE__{} = input, [first | _] = messages) do
+    if input.sizes, do: Counters.sized(input.counters, messages)
+    enter(%{input | window: Window.weigh(input.window, first)}, messages)
+  end
+
+  defp enter(%__MODULE__{queue: nil, front: [], rear: []} = input, messages),
+    do: %{input | front: messages}
+
+  defp enter(%__MODULE__{queue: nil} = input, messages),
+    do: %{input | rear: [messages | input.rear]}
+
+  defp enter(%__MODULE__{queue: queue} = input, messages) do
+    {queue, dropped} = Queue.push_all(queue, messages)
+    drop(input, dropped)
+    owed = if queue.policy.throttle, do: dropped, else: length(messages)
+    %{input | queue: queue, window: Window.owe(input.window, owed)}
+  end
+
+  @doc "All that the producer held back arrived: now what waits is the newest."
+  @spec refreshed(t(), [Message.t()]) :: t()
+  def refreshed(%__MODULE__{queue: nil} = input, messages), do: push(input, messages)
+
+  def refreshed(%__MODULE__{} = input, messages) do
+    window = input.window
+    %{push(input, messages) | window: window, fresh: :sure}
+  end
+
+  @doc "The closing mark arrived."
+  @spec push_closed(t(), Situ.Time.t()) :: t()
+  def push_closed(%__MODULE__{queue: nil} = input, time) do
+    {late, rest} = input |> waiting() |> Enum.split_while(&(&1.originating_time > time))
+    drop(input, length(late))
+    %{input | front: rest ++ [{:closed, time}], rear: []}
+  end
+
+  def push_closed(%__MODULE__{} = input, time) do
+    {queue, dropped} = Queue.push(input.queue, {:closed, time})
+    drop(input, length(dropped))
+    %{input | queue: queue, fresh: :sure}
+  end
+
+  @doc "Whether it drops."
+  @spec lossy?(t()) :: boolean()
+  def lossy?(%__MODULE__{queue: queue}), do: queue != nil
+
+  @doc "The originating time of the head, or `:none`."
+  @spec head_time(t()) :: Situ.Time.t() | :none
+  def head_time(%__MODULE__{held: {_timer, _token}}), do: :none
+  def head_time(%__MODULE__{queue: nil, front: [head | _]}), do: time_of(head)
+  def head_time(%__MODULE__{queue: nil, rear: []}), do: :none
+
+  def head_time(%__MODULE__{queue: nil} = input),
+    do: input.rear |> List.last() |> hd() |> time_of()
+
+  def head_time(%__MODULE__{fresh: :asked}), do: :none
+
+  def head_time(%__MODULE__{queue: queue}) do
+    case Queue.peek(queue) do
+      nil -> :none
+      entry -> time_of(entry)
+    end
+  end
+
+  @doc "Before a message of a lossy input is taken: `:wait` when the producer is asked for newer ones first."
+  @spec freshen(t()) :: {:ok | :wait, t()}
+  def freshen(%__MODULE__{queue: nil} = input), do: {:ok, input}
+  def freshen(%__MODULE__{queue: %{policy: %{throttle: true}}} = input), do: {:ok, input}
+
+  def freshen(%__MODULE__{fresh: known} = input) do
+    now = :erlang.monotonic_time()
+
+    if known == :sure or now - known < @stale_ns or Counters.held(input.counters) == 0 do
+      {:ok, %{input | fresh: now}}
+    else
+      Counters.want(input.counters)
+      send(input.producer, {:situ, {:refresh, {self(), input.tag}}})
+      {:wait, %{input | fresh: :asked}}
+    end
+  end
+
+  @doc "Takes the next entry at clock time `now`."
+  @spec pop(t(), Situ.Time.t()) :: {Queue.entry() | nil, t()}
+  def pop(%__MODULE__{queue: nil, front: [head | front]} = input, _now),
+    do: {head, %{input | front: front}}
+
+  def pop(%__MODULE__{queue: nil, rear: []} = input, _now), do: {nil, input}
+  def pop(%__MODULE__{queue: nil} = input, now), do: pop(turn(input), now)
+
+  def pop(%__MODULE__{} = input, now) do
+    {entry, queue, dropped} = Queue.pop(input.queue, now)
+    n = length(dropped)
+    drop(input, n)
+    owed = if queue.policy.throttle, do: n + if(entry, do: 1, else: 0), else: 0
+    {entry, %{input | queue: queue, window: Window.owe(input.window, owed)}}
+  end
+
+  @doc "Takes up to `n` messages of a lossless input (never the closing mark)."
+  @spec take(t(), pos_integer()) :: {[Message.t()], t()}
+  def take(%__MODULE__{front: [], rear: []} = input, _n), do: {[], input}
+  def take(%__MODULE__{front: []} = input, n), do: take(turn(input), n)
+
+  def take(%__MODULE__{front: front} = input, n) do
+    {taken, rest} = split(front, n, [])
+    {taken, %{input | front: rest}}
+  end
+
+  @doc "Messages that were taken, but not handled, wait again in front of the others."
+  @spec put_back(t(), [Message.t()]) :: t()
+  def put_back(%__MODULE__{} = input, []), do: input
+
+  def put_back(%__MODULE__{queue: nil} = input, messages),
+    do: %{input | front: messages ++ input.front}
+
+  @doc "Throws away all that waits; answers the time of the closing mark if there was one."
+  @spec discard(t()) :: {Situ.Time.t() | nil, t()}
+  def discard(%__MODULE__{} = input) do
+    {messages, rest} = input |> waiting() |> Enum.split_while(&is_struct/1)
+    n = length(messages)
+    input = %{input | front: [], rear: [], queue: input.queue && Queue.new(input.queue.policy)}
+    closed = with([{:closed, time} | _] <- rest, do: time, else: (_ -> nil))
+    {closed, skip(input, n)}
+  end
+
+  @doc "Counts `n` messages as handled, the last of them from `time`; `settle/1` publishes."
+  @spec handled(t(), pos_integer(), Situ.Time.t(), {now :: Situ.Time.t(), busy :: integer()}) ::
+          t()
+  def handled(%__MODULE__{handled: {taken, _, _, spent}} = input, n, time, {now, busy}),
+    do: %{input | handled: {taken + n, now - time, time, spent + busy}}
+
+  @doc "Whether there is nothing to publish and nothing to ask for."
+  @spec settled?(t()) :: boolean()
+  def settled?(%__MODULE__{handled: @nothing, window: %{owed: 0}}), do: true
+  def settled?(%__MODULE__{}), do: false
+
+  @doc "Whether nothing waits in it."
+  @spec empty?(t()) :: boolean()
+  def empty?(%__MODULE__{queue: nil, front: front, rear: rear}), do: front == [] and rear == []
+  def empty?(%__MODULE__{queue: %{size: size}}), do: size == 0
+
+  @doc "Publishes counts, and asks the producer for more when it is time."
+  @spec settle(t()) :: t()
+  def settle(%__MODULE__{handled: {taken, latency, reached, busy}, window: window} = input) do
+    if taken > 0 do
+      Counters.processed(input.counters, taken, latency, busy)
+      Counters.reached(input.counters, reached)
+    end
+
+    {n, window} = Window.ask(if(input.queue == nil, do: Window.owe(window, taken), else: window))
+
+    if n > 0, do: ask(input, n)
+    %{input | handled: @nothing, window: window}
+  end
+
+  @doc "Taken, but of no use: `n` messages are dropped, and the producer gets its demand back."
+  @spec skip(t(), non_neg_integer()) :: t()
+  def skip(%__MODULE__{} = input, n) do
+    drop(input, n)
+    if input.queue, do: input, else: %{input | window: Window.owe(input.window, n)}
+  end
+
+  defp drop(_input, 0), do: :ok
+  defp drop(input, n), do: Counters.dropped(input.counters, n)
+
+  @doc "Nothing is taken from it for 20 ms, or until it is resumed; held again, the time starts over."
+  @spec hold(t(), boolean()) :: t()
+  def hold(%__MODULE__{} = input, held?) do
+    with {timer, _token} <- input.held, do: Process.cancel_timer(timer)
+    %{input | held: if(held?, do: hold_timer(input.tag))}
+  end
+
+  defp hold_timer(tag) do
+    token = make_ref()
+    {Process.send_after(self(), {:situ_hold, tag, token}, @hold_ms), token}
+  end
+
+  @doc "Whether the data is of the input's type, as far as `check` asks; the first good one ends `:first`."
+  @spec check(t(), Message.t(), String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def check(%__MODULE__{check: :off} = input, _message, _path), do: {:ok, input}
+
+  def check(%__MODULE__{type: type} = input, message, path) do
+    cond do
+      not Type.valid?(type, message.data) -> {:error, wrong_type(input, message, path)}
+      input.check == :first -> {:ok, %{input | check: :off}}
+      true -> {:ok, input}
+    end
+  end
+
+  defp waiting(%{queue: nil, front: front, rear: []}), do: front
+
+  defp waiting(%{queue: nil, front: front, rear: rear}),
+    do: front ++ (rear |> :lists.reverse() |> :lists.append())
+
+  defp waiting(%{queue: queue}), do: Queue.to_list(queue)
+
+  defp turn(%{rear: rear} = input),
+    do: %{input | front: rear |> :lists.reverse() |> :lists.append(), rear: []}
+
+  defp split([%Message{} = message | rest], n, taken) when n > 0,
+    do: split(rest, n - 1, [message | taken])
+
+  defp split(rest, _n, taken), do: {:lists.reverse(taken), rest}
+
+  defp time_of({:closed, time}), do: time
+  defp time_of(%Message{originating_time: time}), do: time
+
+  defp wrong_type(input, message, path) do
+    data = inspect(message.data, limit: 8, printable_limit: 80)
+
+    Error.new(
+      :wrong_data,
+      "#{path}.#{input.name} takes #{Type.to_string(input.type)}, got: #{data}",
+      why:
+        "the stream was declared to carry it (the first message is checked; check: :all checks each)",
+      fix: "correct the declared type of the stream, or convert the data before",
+      meta: %{component: path, input: input.name, originating_time: message.originating_time}
+    )
+  end
+end

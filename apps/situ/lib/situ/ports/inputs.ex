@@ -1,0 +1,87 @@
+defmodule Situ.Ports.Inputs do
+  @moduledoc false
+  # The inputs of a stage by their tags: which is next, and what is asked of their producers.
+  alias Situ.Ports.Input
+
+  defstruct by_tag: %{}, tags: []
+
+  @typedoc "`tags` are the keys of `by_tag`: going through a list is cheaper, and most stages have one input."
+  @type t :: %__MODULE__{by_tag: %{term() => Input.t()}, tags: [term()]}
+
+  @spec new([Input.t()]) :: t()
+  def new(inputs), do: Enum.reduce(inputs, %__MODULE__{}, &put(&2, &1))
+
+  @doc "Adds or changes an input."
+  @spec put(t(), Input.t()) :: t()
+  def put(%__MODULE__{by_tag: by_tag} = inputs, %Input{tag: tag} = input) do
+    case by_tag do
+      %{^tag => _} -> %{inputs | by_tag: %{by_tag | tag => input}}
+      _ -> %__MODULE__{by_tag: Map.put(by_tag, tag, input), tags: [tag | inputs.tags]}
+    end
+  end
+
+  @spec delete(t(), term()) :: t()
+  def delete(%__MODULE__{} = inputs, tag) do
+    by_tag = Map.delete(inputs.by_tag, tag)
+    %__MODULE__{by_tag: by_tag, tags: Map.keys(by_tag)}
+  end
+
+  @doc "The only input of a chain."
+  @spec only(t()) :: Input.t() | nil
+  def only(%__MODULE__{tags: [tag], by_tag: by_tag}), do: :erlang.map_get(tag, by_tag)
+  def only(%__MODULE__{tags: []}), do: nil
+
+  @spec find(t(), atom()) :: Input.t() | nil
+  def find(%__MODULE__{by_tag: by_tag}, name),
+    do: Enum.find_value(by_tag, fn {_, input} -> if input.name == name, do: input end)
+
+  @doc "The input whose head is the oldest."
+  @spec earliest(t()) :: Input.t() | nil
+  def earliest(%__MODULE__{tags: tags, by_tag: by_tag}), do: earliest(tags, by_tag, nil, nil)
+
+  defp earliest([], _by_tag, _time, best), do: best
+
+  defp earliest([tag | rest], by_tag, best_time, best) do
+    input = :erlang.map_get(tag, by_tag)
+
+    case Input.head_time(input) do
+      :none -> earliest(rest, by_tag, best_time, best)
+      time when best == nil or time < best_time -> earliest(rest, by_tag, time, input)
+      _later -> earliest(rest, by_tag, best_time, best)
+    end
+  end
+
+  @doc "The most messages handled since the last settling, among the inputs."
+  @spec handled(t()) :: non_neg_integer()
+  def handled(%__MODULE__{tags: tags, by_tag: by_tag}), do: handled(tags, by_tag, 0)
+
+  defp handled([], _by_tag, most), do: most
+
+  defp handled([tag | rest], by_tag, most) do
+    %{handled: {n, _, _, _}} = :erlang.map_get(tag, by_tag)
+    handled(rest, by_tag, max(n, most))
+  end
+
+  @doc "Publishes counts and asks for more."
+  @spec settle(t()) :: t()
+  def settle(%__MODULE__{tags: tags} = inputs), do: settle(tags, inputs)
+
+  defp settle([], inputs), do: inputs
+
+  defp settle([tag | rest], %{by_tag: by_tag} = inputs) do
+    input = :erlang.map_get(tag, by_tag)
+
+    if Input.settled?(input),
+      do: settle(rest, inputs),
+      else: settle(rest, %{inputs | by_tag: %{by_tag | tag => Input.settle(input)}})
+  end
+
+  @doc "The component holds an input, or resumes it."
+  @spec hold(t(), atom(), boolean()) :: t()
+  def hold(%__MODULE__{} = inputs, name, held?) do
+    case find(inputs, name) do
+      nil -> inputs
+      input -> put(inputs, Input.hold(input, held?))
+    end
+  end
+end

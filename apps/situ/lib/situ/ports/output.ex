@@ -1,0 +1,267 @@
+defmodule Situ.Ports.Output do
+  @moduledoc false
+  # One output of a running component: what is posted (see Posting), what waits for its time, and its subscribers. Only
+  # `flush/1`, `ask/3`, `refresh/2` and `close/2` send.
+  alias Situ.Message
+  alias Situ.Ports.Subscriber
+
+  @nothing {[], []}
+
+  @enforce_keys [:port]
+  defstruct [
+    :port,
+    :last_time,
+    :last_creation,
+    :closing,
+    :wanted,
+    :mark,
+    :resume,
+    seq: 0,
+    posted: 0,
+    pending: [],
+    pending_n: 0,
+    future: @nothing,
+    closed: false,
+    repeated: 0,
+    subs: []
+  ]
+
+  @typedoc "An item that waits for its time: data with its time, or a message with its own envelope."
+  @type held :: {Situ.Time.t(), term()} | Message.t()
+  @typedoc "What never changes: name, the component's path, the id of the stream, what happens to equal times."
+  @type port_of :: %{
+          name: atom(),
+          path: String.t(),
+          source_id: non_neg_integer(),
+          same_time: :error | :drop | :nudge
+        }
+
+  @typedoc """
+  `last_time`, `last_creation` and `seq` are of the last message made; `posted` is the clock at that moment.
+  `pending` goes out with the next flush, newest first; `future` (front and reversed rear) waits for the clock.
+  `closing` is the time at which it closes, `closed` whether all subscribers know. `resume`: messages up to this time
+  have been posted before a restart; `repeated` counts them. `wanted` belongs to nudged times (see Posting). `mark`
+  is the shared memory of `marks/1`.
+  """
+  @type t :: %__MODULE__{
+          port: port_of(),
+          last_time: Situ.Time.t() | nil,
+          last_creation: Situ.Time.t() | nil,
+          closing: Situ.Time.t() | nil,
+          wanted: {Situ.Time.t(), Situ.Time.t()} | nil,
+          mark: {marks(), non_neg_integer()} | nil,
+          resume: Situ.Time.t() | nil,
+          seq: non_neg_integer(),
+          posted: Situ.Time.t(),
+          pending: [Message.t()],
+          pending_n: non_neg_integer(),
+          future: {[held()], [held()]},
+          closed: boolean(),
+          repeated: non_neg_integer(),
+          subs: [Subscriber.t()]
+        }
+  @type marks :: :atomics.atomics_ref()
+
+  @doc "An output without subscribers."
+  @spec new(atom(), String.t(), non_neg_integer(), :error | :drop | :nudge) :: t()
+  def new(name, path, source_id, same_time \\ :error) do
+    port = %{name: name, path: path, source_id: source_id, same_time: same_time}
+    %__MODULE__{port: port}
+  end
+
+  @doc """
+  Shared memory for how far each of so many outputs has come: a process that takes the place of a dead one goes on
+  from there.
+  """
+  @spec marks(non_neg_integer()) :: marks()
+  def marks(outputs), do: :atomics.new(max(outputs, 1) * 3, signed: true)
+
+  @doc "Notes in `marks` at `index` how far it comes, from now on; begins where the one before it was."
+  @spec attach(t(), marks() | nil, non_neg_integer()) :: t()
+  def attach(output, nil, _index), do: output
+
+  def attach(%__MODULE__{} = output, marks, index) do
+    output = %{output | mark: {marks, index}}
+
+    case :atomics.get(marks, index * 3 + 3) do
+      0 ->
+        output
+
+      seq ->
+        time = :atomics.get(marks, index * 3 + 1)
+        creation = :atomics.get(marks, index * 3 + 2)
+        resume(%{output | last_time: time, last_creation: creation, seq: seq})
+    end
+  end
+
+  @doc "Notes that `message` is the last one sent."
+  @spec note(t(), Message.t()) :: :ok
+  def note(%__MODULE__{mark: nil}, _message), do: :ok
+
+  def note(%__MODULE__{mark: {marks, index}}, message) do
+    :atomics.put(marks, index * 3 + 1, message.originating_time)
+    :atomics.put(marks, index * 3 + 2, message.creation_time)
+    :atomics.put(marks, index * 3 + 3, message.sequence_id)
+  end
+
+  @doc "The component starts again: messages up to the last time have been posted before."
+  @spec resume(t()) :: t()
+  def resume(%__MODULE__{} = output), do: %{output | resume: output.last_time}
+
+  @doc "Whether messages wait for their time."
+  @spec holding?(t()) :: boolean()
+  def holding?(%__MODULE__{future: future}), do: future != @nothing
+
+  @doc "The time of the next held message, or `nil`."
+  @spec next_time(t()) :: Situ.Time.t() | nil
+  def next_time(%__MODULE__{future: {[], _}}), do: nil
+  def next_time(%__MODULE__{future: {[first | _], _}}), do: time_of(first)
+
+  @doc "Holds an item back until its time."
+  @spec hold(t(), held()) :: t()
+  def hold(%__MODULE__{future: {[], []}} = output, item), do: %{output | future: {[item], []}}
+
+  def hold(%__MODULE__{future: {front, rear}} = output, item),
+    do: %{output | future: {front, [item | rear]}}
+
+  @doc "Takes the first held item that is due at `now`."
+  @spec due(t(), Situ.Time.t()) :: {held(), t()} | nil
+  def due(%__MODULE__{future: {[], _}}, _now), do: nil
+
+  def due(%__MODULE__{future: {[first | front], rear}} = output, now) do
+    if time_of(first) <= now, do: {first, %{output | future: balance(front, rear)}}
+  end
+
+  defp balance([], rear), do: {:lists.reverse(rear), []}
+  defp balance(front, rear), do: {front, rear}
+
+  @doc "Throws away held messages later than `final`."
+  @spec cut(t(), Situ.Time.t()) :: t()
+  def cut(%__MODULE__{future: @nothing} = output, _final), do: output
+
+  def cut(%__MODULE__{future: {front, rear}} = output, final),
+    do: %{
+      output
+      | future: {Enum.filter(front ++ Enum.reverse(rear), &(time_of(&1) <= final)), []}
+    }
+
+  @doc "Throws away all held messages."
+  @spec forget(t()) :: t()
+  def forget(%__MODULE__{} = output), do: %{output | future: @nothing}
+
+  @doc "How many messages may be posted now: the least demand of its subscribers, less what waits in buffers."
+  @spec room(t()) :: integer() | :infinity
+  def room(%__MODULE__{subs: []}), do: :infinity
+  def room(%__MODULE__{closed: true}), do: :infinity
+  def room(%__MODULE__{subs: [sub], pending_n: n}), do: less(Subscriber.free(sub), n)
+
+  def room(%__MODULE__{subs: subs, pending_n: n}),
+    do: subs |> least(:infinity) |> less(n)
+
+  defp least([], least), do: least
+  defp least([sub | rest], least), do: least(rest, min(Subscriber.free(sub), least))
+
+  @doc "Adds a batch already made (chains), oldest last."
+  @spec push_reversed(t(), [Message.t()], non_neg_integer()) :: t()
+  def push_reversed(%__MODULE__{pending: []} = output, reversed, n),
+    do: %{output | pending: reversed, pending_n: n}
+
+  def push_reversed(%__MODULE__{} = output, reversed, n),
+    do: %{output | pending: reversed ++ output.pending, pending_n: output.pending_n + n}
+
+  @doc "Hands pending messages to the subscribers, as far as their demand goes; sends closing marks that waited for it."
+  @spec flush(t()) :: t()
+  def flush(%__MODULE__{pending: [], closing: nil} = output), do: output
+  def flush(%__MODULE__{pending: []} = output), do: finish(output)
+  def flush(%__MODULE__{subs: []} = output), do: finish(%{output | pending: [], pending_n: 0})
+
+  def flush(%__MODULE__{pending: [last | _], pending_n: n, posted: posted} = output) do
+    messages = if n == 1, do: output.pending, else: :lists.reverse(output.pending)
+    note(output, last)
+    time = last.originating_time
+    ages = {last.creation_time - time, posted - time}
+    subs = give(output.subs, messages, n, ages, posted)
+    finish(%{output | pending: [], pending_n: 0, subs: subs})
+  end
+
+  defp give([], _messages, _n, _ages, _now), do: []
+
+  defp give([sub | rest], messages, n, ages, now),
+    do: [Subscriber.give(sub, messages, n, ages, now) | give(rest, messages, n, ages, now)]
+
+  @doc "More demand from one subscriber, named by its pid and tag; `:error` when there is no such subscriber."
+  @spec ask(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
+  def ask(%__MODULE__{subs: [%{pid: pid, tag: tag} = sub]} = output, {pid, tag}, n),
+    do: {:ok, finish(%{output | subs: [Subscriber.ask(sub, n)]})}
+
+  def ask(%__MODULE__{subs: subs} = output, from, n) do
+    if among?(subs, from),
+      do: {:ok, finish(%{output | subs: update(subs, from, &Subscriber.ask(&1, n))})},
+      else: :error
+  end
+
+  @doc "A subscriber with a lossy policy wants the newest messages at once, whatever it has asked for."
+  @spec refresh(t(), {pid(), term()}) :: t()
+  def refresh(%__MODULE__{} = output, from),
+    do: finish(%{output | subs: update(output.subs, from, &Subscriber.refresh/1)})
+
+  @doc "Whether one of its subscribers has this pid and tag."
+  @spec subscriber?(t(), {pid(), term()}) :: boolean()
+  def subscriber?(%__MODULE__{subs: subs}, from), do: among?(subs, from)
+
+  defp among?([], _from), do: false
+  defp among?([%{tag: tag, pid: pid} | _], {pid, tag}), do: true
+  defp among?([_sub | rest], from), do: among?(rest, from)
+
+  defp update([], _from, _fun), do: []
+  defp update([%{tag: tag, pid: pid} = sub | rest], {pid, tag}, fun), do: [fun.(sub) | rest]
+  defp update([sub | rest], from, fun), do: [sub | update(rest, from, fun)]
+
+  @doc "Nothing more will come; the closing mark goes out after everything before it."
+  @spec close(t(), Situ.Time.t()) :: t()
+  def close(%__MODULE__{closing: nil} = output, time) do
+    output = cut(%{output | closing: time}, time)
+    flush(%{output | subs: Enum.map(output.subs, &Subscriber.cut(&1, time))})
+  end
+
+  def close(%__MODULE__{} = output, _time), do: output
+
+  @doc "Adds a subscriber to a running output; a closed one answers with the closing mark."
+  @spec subscribe(t(), Subscriber.t()) :: t()
+  def subscribe(%__MODULE__{closed: true} = output, sub) do
+    Subscriber.send_close(sub, output.closing)
+    output
+  end
+
+  def subscribe(%__MODULE__{} = output, sub), do: %{output | subs: output.subs ++ [sub]}
+
+  @doc "Takes a subscriber away, with what waited for it."
+  @spec cancel(t(), (Subscriber.t() -> boolean())) :: t()
+  def cancel(%__MODULE__{} = output, which?) do
+    finish(%{output | subs: Enum.reject(output.subs, which?)})
+  end
+
+  @doc "How many messages wait for demand."
+  @spec buffered(t()) :: non_neg_integer()
+  def buffered(%__MODULE__{} = output),
+    do: Enum.reduce(output.subs, output.pending_n, &max(&1.size, &2))
+
+  defp finish(%{closing: nil} = output), do: output
+  defp finish(%{closed: true} = output), do: output
+  defp finish(%{future: future} = output) when future != @nothing, do: output
+  defp finish(%{pending: [_ | _]} = output), do: flush(output)
+
+  defp finish(%{subs: subs} = output) do
+    {done, waiting} = Enum.split_with(subs, &(&1.size == 0))
+    Enum.each(done, &Subscriber.send_close(&1, output.closing))
+    %{output | subs: waiting, closed: waiting == []}
+  end
+
+  defp less(:infinity, _n), do: :infinity
+  defp less(room, n), do: room - n
+
+  @doc "The originating time of a held item."
+  @spec time_of(held()) :: Situ.Time.t()
+  def time_of({time, _data}), do: time
+  def time_of(%Message{originating_time: time}), do: time
+end

@@ -1,0 +1,210 @@
+defmodule Situ.Ports.Outputs do
+  @moduledoc false
+  # The outputs of a stage: its component's or chain's own, and with light operators behind a component in one
+  # process the output of the last of them, `tail`. Then the component's own output has no subscribers.
+  alias Situ.Graph.Vertex
+  alias Situ.Ports.{Output, Posting, Subscriber}
+
+  defstruct own: [], tail: nil, demand: :forward
+
+  @typedoc "`demand`: with `:accumulate` nothing goes out, whatever is asked for, until it is `:forward`."
+  @type t :: %__MODULE__{
+          own: [{atom(), Output.t()}],
+          tail: Output.t() | nil,
+          demand: :forward | :accumulate
+        }
+
+  @doc "The outputs of the vertices of one stage, as far as `marks` say they have come."
+  @spec new([Vertex.t()], Output.marks() | nil) :: t()
+  def new([%{module: :operator} | _] = vertices, marks), do: new(List.last(vertices), nil, marks)
+  def new([component], marks), do: new(component, nil, marks)
+  def new([component | operators], marks), do: new(component, List.last(operators), marks)
+
+  defp new(component, last, marks) do
+    own = component |> outputs() |> Enum.sort_by(&elem(&1, 0)) |> Enum.with_index()
+    own = for {{name, output}, index} <- own, do: {name, Output.attach(output, marks, index)}
+
+    tail =
+      with %Vertex{} <- last do
+        [{_name, output}] = outputs(last)
+        Output.attach(output, marks, length(own))
+      end
+
+    %__MODULE__{own: own, tail: tail}
+  end
+
+  defp outputs(vertex) do
+    for {name, port} <- vertex.outputs,
+        do: {name, Output.new(name, vertex.path, port.source_id, vertex.on_same_time)}
+  end
+
+  @doc "The output that the component emits on."
+  @spec fetch(t(), atom()) :: {:ok, Output.t()} | :error
+  def fetch(%__MODULE__{own: own}, name) do
+    case List.keyfind(own, name, 0) do
+      {_, output} -> {:ok, output}
+      nil -> :error
+    end
+  end
+
+  @spec names(t()) :: [atom()]
+  def names(%__MODULE__{own: own}), do: Enum.map(own, &elem(&1, 0))
+
+  @doc "Changes what the component emits on."
+  @spec put(t(), Output.t()) :: t()
+  def put(%__MODULE__{own: [{name, _}]} = outputs, %{port: %{name: name}} = output),
+    do: %{outputs | own: [{name, output}]}
+
+  def put(%__MODULE__{own: own} = outputs, %{port: %{name: name}} = output),
+    do: %{outputs | own: List.keyreplace(own, name, 0, {name, output})}
+
+  @doc "What a chain emits on."
+  @spec last(t()) :: Output.t()
+  def last(%__MODULE__{tail: nil, own: [{_, output}]}), do: output
+  def last(%__MODULE__{tail: tail}), do: tail
+
+  @spec put_last(t(), Output.t()) :: t()
+  def put_last(%__MODULE__{tail: nil} = outputs, output), do: put(outputs, output)
+  def put_last(%__MODULE__{} = outputs, output), do: %{outputs | tail: output}
+
+  @doc "What others can subscribe to."
+  @spec open(t()) :: [{atom(), Output.t()}]
+  def open(%__MODULE__{tail: nil, own: own}), do: own
+  def open(%__MODULE__{tail: tail}), do: [{tail.port.name, tail}]
+
+  @spec all(t()) :: [Output.t()]
+  def all(%__MODULE__{own: own, tail: nil}), do: Enum.map(own, &elem(&1, 1))
+  def all(%__MODULE__{own: own, tail: tail}), do: Enum.map(own, &elem(&1, 1)) ++ [tail]
+
+  @spec each(t(), (Output.t() -> Output.t())) :: t()
+  def each(%__MODULE__{own: [{name, output}], tail: nil} = outputs, fun),
+    do: %{outputs | own: [{name, fun.(output)}]}
+
+  def each(%__MODULE__{own: own, tail: tail} = outputs, fun) do
+    own = for {name, output} <- own, do: {name, fun.(output)}
+    %{outputs | own: own, tail: tail && fun.(tail)}
+  end
+
+  @doc "Changes an output that others can subscribe to."
+  @spec update_open(t(), atom(), (Output.t() -> Output.t())) :: t()
+  def update_open(%__MODULE__{tail: nil} = outputs, name, fun) do
+    {:ok, output} = fetch(outputs, name)
+    put(outputs, fun.(output))
+  end
+
+  def update_open(%__MODULE__{tail: tail} = outputs, _name, fun),
+    do: %{outputs | tail: fun.(tail)}
+
+  @doc "How many messages may go out now."
+  @spec room(t()) :: integer() | :infinity
+  def room(%__MODULE__{demand: :accumulate}), do: 0
+  def room(%__MODULE__{tail: nil, own: [{_, output}]}), do: Output.room(output)
+  def room(%__MODULE__{tail: nil, own: own}), do: room(own, :infinity)
+  def room(%__MODULE__{tail: tail}), do: Output.room(tail)
+
+  defp room([], room), do: room
+  defp room([{_, output} | rest], room), do: room(rest, min(room, Output.room(output)))
+
+  @spec flush(t()) :: t()
+  def flush(%__MODULE__{tail: nil, own: []} = outputs), do: outputs
+  def flush(%__MODULE__{demand: :accumulate} = outputs), do: outputs
+
+  def flush(%__MODULE__{tail: nil, own: [{name, output}]} = outputs) do
+    case Output.flush(output) do
+      ^output -> outputs
+      output -> %{outputs | own: [{name, output}]}
+    end
+  end
+
+  def flush(%__MODULE__{} = outputs), do: each(outputs, &Output.flush/1)
+
+  @doc "Whether messages wait for their time."
+  @spec holding?(t()) :: boolean()
+  def holding?(%__MODULE__{} = outputs), do: outputs |> all() |> Enum.any?(&Output.holding?/1)
+
+  @doc "When the first of them is due."
+  @spec next_time(t()) :: Situ.Time.t() | nil
+  def next_time(%__MODULE__{} = outputs) do
+    Enum.reduce(all(outputs), nil, fn output, first ->
+      case Output.next_time(output) do
+        nil -> first
+        time when first == nil or time < first -> time
+        _ -> first
+      end
+    end)
+  end
+
+  @spec release(t(), Situ.Time.t()) :: t()
+  def release(%__MODULE__{} = outputs, now), do: each(outputs, &Posting.release(&1, now))
+
+  @doc "More demand from one subscriber; `:error` when there is no such subscriber."
+  @spec ask(t(), {pid(), term()}, pos_integer() | :infinity) :: {:ok, t()} | :error
+  def ask(%__MODULE__{tail: nil, own: [{name, output}]} = outputs, from, n) do
+    with {:ok, output} <- Output.ask(output, from, n),
+         do: {:ok, %{outputs | own: [{name, output}]}}
+  end
+
+  def ask(%__MODULE__{} = outputs, from, n) do
+    if Enum.any?(all(outputs), &Output.subscriber?(&1, from)),
+      do: {:ok, each(outputs, &asked(&1, from, n))},
+      else: :error
+  end
+
+  defp asked(output, from, n) do
+    case Output.ask(output, from, n) do
+      {:ok, output} -> output
+      :error -> output
+    end
+  end
+
+  @doc "Whether every subscriber has all it has coming, and knows the end."
+  @spec drained?(t()) :: boolean()
+  def drained?(%__MODULE__{} = outputs), do: Enum.all?(all(outputs), &(&1.subs == []))
+
+  @spec subscribers(t()) :: [Subscriber.t()]
+  def subscribers(%__MODULE__{} = outputs), do: Enum.flat_map(all(outputs), & &1.subs)
+
+  @doc "How many messages wait for demand: the most among the subscribers of an output."
+  @spec buffered(t()) :: non_neg_integer()
+  def buffered(%__MODULE__{} = outputs),
+    do: Enum.reduce(all(outputs), 0, &(Output.buffered(&1) + &2))
+
+  @doc "Takes subscribers away, with what waited for them."
+  @spec unsubscribe(t(), (Subscriber.t() -> boolean())) :: t()
+  def unsubscribe(%__MODULE__{} = outputs, which?) do
+    for %{monitor: ref} = sub when ref != nil <- subscribers(outputs),
+        which?.(sub),
+        do: Process.demonitor(ref, [:flush])
+
+    each(outputs, &Output.cancel(&1, which?))
+  end
+
+  @doc "Consumers from outside the pipeline end with `reason`; those inside are closed in their order."
+  @spec abandon(t(), term()) :: t()
+  def abandon(%__MODULE__{} = outputs, reason) do
+    outputs = flush(outputs)
+
+    for %{monitor: ref} = sub when ref != nil <- subscribers(outputs),
+        do: Subscriber.send_cancel(sub, reason)
+
+    unsubscribe(outputs, &(&1.monitor != nil))
+  end
+
+  @doc "One subscriber gets all that waits for it, asked for or not, and the closing mark."
+  @spec cut(t(), term(), Situ.Time.t()) :: t()
+  def cut(%__MODULE__{} = outputs, tag, time) do
+    for %{tag: ^tag} = sub <- subscribers(outputs),
+        do: sub |> Subscriber.ask(:infinity) |> Subscriber.send_close(time)
+
+    unsubscribe(outputs, &(&1.tag == tag))
+  end
+
+  @doc "Where each output has come: it changes when something was emitted."
+  @spec progress(t()) :: term()
+  def progress(%__MODULE__{} = outputs), do: for(o <- all(outputs), do: {o.seq, o.last_time})
+
+  @doc "How many messages had been posted before, or were dropped for their time."
+  @spec repeated(t()) :: non_neg_integer()
+  def repeated(%__MODULE__{} = outputs),
+    do: Enum.reduce(all(outputs), 0, fn o, n -> n + o.repeated end)
+end

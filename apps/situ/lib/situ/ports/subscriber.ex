@@ -1,0 +1,180 @@
+defmodule Situ.Ports.Subscriber do
+  @moduledoc false
+  # One consumer of an output: its demand, and what waits for it. With a lossy policy the policy's queue waits here,
+  # at the producer: a consumer that is slow is handed no more than it asked for. `monitor` is of one from outside
+  # the pipeline.
+  alias Situ.Delivery
+  alias Situ.Delivery.Queue
+  alias Situ.Ports.Counters
+
+  @enforce_keys [:tag, :pid]
+  defstruct [
+    :tag,
+    :pid,
+    :counters,
+    :monitor,
+    :queue,
+    demand: 0,
+    buffer: [],
+    rear: [],
+    size: 0,
+    waiting: false
+  ]
+
+  @typedoc "`buffer` and `rear` (reversed): batches that wait for demand; `queue`: the same under a lossy policy."
+  @type t :: %__MODULE__{
+          tag: term(),
+          pid: pid(),
+          counters: Counters.t() | nil,
+          monitor: reference() | nil,
+          queue: Queue.t() | nil,
+          demand: integer() | :infinity,
+          buffer: [[Situ.Message.t()]],
+          rear: [[Situ.Message.t()]],
+          size: non_neg_integer(),
+          waiting: boolean()
+        }
+
+  @doc "A subscriber without demand."
+  @spec new(term(), pid(), Counters.t() | nil, Delivery.t() | nil) :: t()
+  def new(tag, pid, counters, policy \\ nil) do
+    if counters, do: Counters.held(counters, 0)
+    lossy? = policy != nil and Delivery.lossy?(policy)
+    queue = if lossy?, do: Queue.new(policy)
+    %__MODULE__{tag: tag, pid: pid, counters: counters, queue: queue}
+  end
+
+  @doc "The consumer is another process now, which has asked for nothing."
+  @spec replace(t(), pid()) :: t()
+  def replace(%__MODULE__{} = sub, pid), do: %{sub | pid: pid, demand: 0}
+
+  @doc "The closing mark, behind the last message."
+  @spec send_close(t(), Situ.Time.t()) :: term()
+  def send_close(sub, time), do: send_cancel(sub, {:shutdown, {:closed, time}})
+
+  @doc "The end of the subscription."
+  @spec send_cancel(t(), term()) :: term()
+  def send_cancel(sub, reason),
+    do: send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, {:cancel, reason}})
+
+  @doc """
+  Hands over `n` messages at clock time `now`, as far as they were asked for; the rest waits. `ages`: of the last
+  when made and posted, ns.
+  """
+  @spec give(t(), [Situ.Message.t()], pos_integer(), {integer(), integer()}, Situ.Time.t()) :: t()
+  def give(%{size: 0, demand: demand} = sub, messages, n, ages, _now)
+      when demand == :infinity or demand >= n do
+    count(sub, n, ages)
+    deliver(sub, messages)
+    %{sub | demand: minus(demand, n)}
+  end
+
+  def give(%{queue: nil} = sub, messages, n, ages, _now) do
+    count(sub, n, ages)
+    drain(%{sub | rear: [messages | sub.rear], size: sub.size + n})
+  end
+
+  def give(sub, messages, n, ages, now) do
+    count(sub, n, ages)
+    {queue, old} = Queue.expire(sub.queue, now)
+    {queue, dropped} = Queue.push_all(queue, messages)
+    drop(sub, length(old) + dropped)
+    sub = %{sub | queue: queue, size: queue.size}
+    # In the middle of a turn: the consumer need not wait until this stage looks into its mailbox.
+    if sub.counters && Counters.wanted?(sub.counters), do: hand_over(sub), else: drain(sub)
+  end
+
+  @doc "More demand."
+  @spec ask(t(), pos_integer() | :infinity) :: t()
+  def ask(%__MODULE__{} = sub, n), do: drain(%{sub | demand: more(sub.demand, n)})
+
+  @doc "Hands over all that waits under a lossy policy, unless that has been done: an empty batch if need be."
+  @spec refresh(t()) :: t()
+  def refresh(%__MODULE__{queue: queue, counters: counters} = sub) do
+    if queue != nil and Counters.wanted?(counters), do: hand_over(sub), else: sub
+  end
+
+  defp hand_over(%{queue: queue} = sub) do
+    held(sub, 0)
+    send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, {:fresh, Queue.to_list(queue)}})
+    %{sub | queue: Queue.new(queue.policy), size: 0}
+  end
+
+  @doc "The output closes: what is later than that goes, under a lossy policy."
+  @spec cut(t(), Situ.Time.t()) :: t()
+  def cut(%__MODULE__{queue: nil} = sub, _time), do: sub
+
+  def cut(%__MODULE__{} = sub, time) do
+    {queue, late} = Queue.cut(sub.queue, time)
+    drop(sub, length(late))
+    %{sub | queue: queue, size: queue.size}
+  end
+
+  defp drain(%{size: 0} = sub), do: note_waiting(sub, false)
+  defp drain(%{demand: 0} = sub), do: note_waiting(sub, true)
+
+  defp drain(%{queue: nil, buffer: [], rear: rear} = sub),
+    do: drain(%{sub | buffer: Enum.reverse(rear), rear: []})
+
+  defp drain(%{queue: nil, buffer: [batch | rest], demand: demand} = sub) do
+    {now, later} = split(batch, demand)
+    n = length(now)
+    deliver(sub, now)
+    buffer = if later == [], do: rest, else: [later | rest]
+    drain(%{sub | buffer: buffer, size: sub.size - n, demand: minus(demand, n)})
+  end
+
+  defp drain(%{queue: queue, demand: demand} = sub) do
+    {now, n, queue} = Queue.take(queue, demand)
+    held(sub, queue.size)
+    deliver(sub, now)
+    drain_rest(%{sub | queue: queue, size: queue.size, demand: minus(demand, n)})
+  end
+
+  # What is protected may be more than was asked for.
+  defp drain_rest(sub), do: note_waiting(sub, sub.size > 0)
+
+  defp deliver(sub, messages), do: send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, messages})
+
+  defp split(batch, :infinity), do: {batch, []}
+  defp split(batch, n), do: Enum.split(batch, n)
+
+  # Nobody waits for a lossy edge: its flag is how much is held back.
+  defp note_waiting(%{queue: queue} = sub, _flag) when queue != nil do
+    held(sub, sub.size)
+    sub
+  end
+
+  defp note_waiting(%{waiting: same} = sub, same), do: sub
+  defp note_waiting(%{counters: nil} = sub, _flag), do: sub
+
+  defp note_waiting(sub, flag) do
+    Counters.waiting(sub.counters, if(flag, do: 1, else: 0))
+    %{sub | waiting: flag}
+  end
+
+  defp held(%{counters: nil}, _n), do: :ok
+  defp held(%{counters: counters}, n), do: Counters.held(counters, n)
+
+  defp drop(_sub, 0), do: :ok
+  defp drop(%{counters: nil}, _n), do: :ok
+  defp drop(%{counters: counters}, n), do: Counters.dropped(counters, n)
+
+  defp count(%{counters: nil}, _n, _ages), do: :ok
+
+  defp count(%{counters: counters}, n, {created, posted}),
+    do: Counters.emitted(counters, n, created, posted)
+
+  @doc "How many more it can take; negative while messages wait. A policy that drops, and does not throttle, takes all."
+  @spec free(t()) :: integer() | :infinity
+  def free(%{demand: :infinity}), do: :infinity
+  def free(%{queue: %{policy: %{throttle: false}}}), do: :infinity
+  def free(%{size: 0, demand: demand}), do: demand
+  def free(%{size: size}), do: -size
+
+  defp minus(:infinity, _n), do: :infinity
+  defp minus(demand, n), do: demand - n
+  defp more(:infinity, _n), do: :infinity
+  defp more(_demand, :infinity), do: :infinity
+  defp more(demand, n), do: demand + n
+end

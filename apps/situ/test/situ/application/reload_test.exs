@@ -1,0 +1,65 @@
+defmodule Situ.Application.ReloadTest do
+  # A developer compiles the module of a running pipeline again, and again.
+  use ExUnit.Case, async: false
+
+  alias Situ.Pipeline
+
+  @moduletag :capture_log
+
+  defp compile(version) do
+    Code.compile_string("""
+    defmodule Situ.Fixture.Lobby do
+      use Situ.Pipeline
+
+      @impl true
+      def build(p, opts) do
+        Situ.Pipeline.on(p, :error, fn _ -> #{version} end)
+
+        p
+        |> Situ.timer(every: Situ.Time.ms(1))
+        |> Situ.scan(0, fn _, n -> n + min(#{version}, 1) end)
+        |> Situ.map(fn n -> {#{version}, n} end, name: "Map")
+        |> Situ.each(fn seen -> send(opts[:to], {:seen, seen}) end, async: true)
+      end
+    end
+    """)
+  end
+
+  setup do
+    Code.compiler_options(ignore_module_conflict: true)
+    on_exit(fn -> Code.compiler_options(ignore_module_conflict: false) end)
+  end
+
+  test "it runs on, with the new functions and the state that it had" do
+    compile(1)
+    {:ok, p} = Pipeline.start(Situ.Fixture.Lobby, to: self())
+    assert_receive {:seen, {1, _}}
+
+    last =
+      for version <- 2..6, reduce: 0 do
+        last ->
+          compile(version)
+          n = seen(version)
+          assert n > last
+          # Every process has let the old functions go, or would not outlive the next version.
+          assert settled()
+          assert Pipeline.state(p) == :running
+          n
+      end
+
+    assert last > 6
+    assert {:ok, %{errors: []}} = Pipeline.stop(p)
+  end
+
+  defp seen(version) do
+    receive do
+      {:seen, {^version, n}} -> n
+      {:seen, _} -> seen(version)
+    after
+      5_000 -> flunk("version #{version} was not taken up")
+    end
+  end
+
+  # The compiler purges by force; here it is asked whether anybody would die of it.
+  defp settled, do: :code.soft_purge(Situ.Fixture.Lobby) or settled()
+end

@@ -1,0 +1,136 @@
+defmodule Situ.LifecycleTest do
+  # The life cycle without processes: random graphs, random events in random order.
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+
+  alias Situ.Fixture.LifecycleWorld, as: World
+
+  # Up to four sources, some without an end, some others, and links among them: forwards, and a few back.
+  defp graph do
+    {list(one_of([integer(1, 100), :infinity, nil])), list(one_of([:stop, :skip, :restart])),
+     list({integer(1, 9), integer(1, 9)})}
+  end
+
+  defp made({sources, others, pairs}) do
+    sources = Enum.take(sources, 4)
+    others = Enum.take(others, 6)
+    {s, n} = {length(sources), length(sources) + length(others)}
+
+    links = for {a, b} <- pairs, others != [], n > 0, do: {rem(a, n) + 1, s + rem(b, n - s) + 1}
+
+    # Who has no input is a source.
+    fed = MapSet.new(links, &elem(&1, 1))
+    rest = for id <- (s + 1)..n//1, s > 0, not MapSet.member?(fed, id), do: {rem(id, s) + 1, id}
+
+    %{
+      sources: sources,
+      others: if(s > 0, do: others, else: []),
+      links: if(s > 0, do: links ++ rest, else: [])
+    }
+  end
+
+  defp wish do
+    one_of([
+      {:stop, integer(0, 5)},
+      {:stop_at, integer(0, 200)},
+      {:kill, integer(1, 10)},
+      {:fail, integer(1, 10)},
+      {:part, list(integer(1, 10))},
+      {:grow, one_of([:stop, :restart])},
+      :moving
+    ])
+  end
+
+  # Without a stop a life with endless sources has no end.
+  defp live({spec, wishes, seed}), do: World.live(made(spec), [{:stop, 3} | wishes], seed)
+
+  defp lives, do: {graph(), list(wish()), integer(1, 1_000_000)}
+
+  property "it is never stuck, and ends once", numtests: 400 do
+    forall spec <- lives() do
+      world = live(spec)
+      assert world.life.phase == :completed
+      assert world.bag == []
+      assert Enum.count(world.log, &(&1 == {:action, :finished})) == 1
+      assert Enum.count(world.log, &(&1 == {:action, {:handle, :completed}})) == 1
+    end
+  end
+
+  property "every output closes once, but those of stages that are gone before", numtests: 400 do
+    forall spec <- lives() do
+      world = live(spec)
+      closed = for {:action, {:tell, id, {:finalize, _}}} <- world.log, do: id
+      assert closed == Enum.uniq(closed)
+      gone = for {:event, {:exited, id, _, _}} <- world.log, do: id
+      gone = world.forgotten ++ gone
+
+      if Enum.any?(world.log, &match?({:action, :running}, &1)) do
+        assert [] = Map.keys(world.life.stages) -- (closed ++ gone)
+      end
+    end
+  end
+
+  property "nothing closes before what it listens to, but to cut a cycle", numtests: 400 do
+    forall {spec, seed} <- {graph(), integer(1, 1_000_000)} do
+      graph = made(spec)
+      world = World.live(graph, [{:stop, 3}], seed)
+      order = for {:action, {:tell, id, {:finalize, _}}} <- Enum.reverse(world.log), do: id
+      place = order |> Enum.with_index() |> Map.new()
+
+      for {from, to} <- graph.links, straight?(graph, from) do
+        assert place[from] < place[to]
+      end
+    end
+  end
+
+  property "a stage closes no later than the pipeline, and no earlier than its inputs" do
+    forall {spec, seed} <- {graph(), integer(1, 1_000_000)} do
+      graph = made(spec)
+      world = World.live(graph, [{:stop_at, 150}], seed)
+      times = for {:action, {:tell, id, {:finalize, t}}} <- world.log, into: %{}, do: {id, t}
+
+      for {from, to} <- graph.links, straight?(graph, from) do
+        assert times[from] <= times[to]
+        assert times[to] <= world.life.ending.final
+      end
+    end
+  end
+
+  property "whoever adds something is answered once" do
+    forall spec <- lives() do
+      world = live(spec)
+      asked = for {:event, {:grow, _, _, from}} <- world.log, do: from
+      answered = for {:action, {:reply, {:grower, _} = from, _}} <- world.log, do: from
+      assert Enum.sort(answered) == Enum.sort(asked)
+      assert world.life.growths == %{}
+    end
+  end
+
+  property "whoever stops a part is answered once", numtests: 200 do
+    forall {spec, parts, seed} <- {graph(), list(list(integer(1, 10))), integer(1, 1_000_000)} do
+      world = World.live(made(spec), Enum.map(parts, &{:part, &1}) ++ [{:stop, 3}], seed)
+      asked = for {:event, {:stop_part, _, _, %{from: from}}} <- world.log, do: from
+      answered = for {:action, {:reply, from, _}} <- world.log, do: from
+      assert answered -- asked == []
+      # Those under way when all of it ends are answered by the server.
+      left = for {_, %{from: from}} <- world.life.parts, do: from
+      assert Enum.sort(answered ++ left) == Enum.sort(asked)
+    end
+  end
+
+  # Neither on a cycle nor behind one: what is may be where it is cut.
+  defp straight?(graph, id) do
+    next = Enum.group_by(graph.links, &elem(&1, 0), &elem(&1, 1))
+    upstream = for {from, _} <- graph.links, leads?(next, [from], id, []), do: from
+    Enum.all?([id | upstream], &(not leads?(next, Map.get(next, &1, []), &1, [])))
+  end
+
+  defp leads?(_next, [], _to, _seen), do: false
+  defp leads?(_next, [to | _], to, _seen), do: true
+
+  defp leads?(next, [id | rest], to, seen) do
+    if id in seen,
+      do: leads?(next, rest, to, seen),
+      else: leads?(next, Map.get(next, id, []) ++ rest, to, [id | seen])
+  end
+end

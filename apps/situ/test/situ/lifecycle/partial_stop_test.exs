@@ -1,0 +1,236 @@
+defmodule Situ.Lifecycle.PartialStopTest do
+  # A composite, or a component, that is stopped while the rest of its pipeline runs on.
+  use ExUnit.Case, async: true
+
+  alias Situ.Fixture.Count
+  alias Situ.{Clock, Pipeline, Time}
+
+  @moduletag :capture_log
+
+  defmodule Tell do
+    # Passes on what comes, and tells the test of everything that happens to it.
+    use Situ.Component,
+      inputs: [in: :any],
+      outputs: [out: :any],
+      options: [as: [type: :atom], to: [type: :pid]]
+
+    @impl true
+    def init(opts), do: {:ok, {opts[:as], opts[:to]}}
+
+    @impl true
+    def handle_message(:in, message, _context, {as, to} = state) do
+      send(to, {as, message.data})
+      {[{:out, message.originating_time, message.data}], state}
+    end
+
+    @impl true
+    def handle_closed(:in, time, _context, {as, to} = state) do
+      send(to, {as, :closed, time})
+      {[], state}
+    end
+
+    @impl true
+    def terminate(reason, {as, to}), do: send(to, {as, :terminated, reason})
+  end
+
+  # Numbers every 10 ms; "Side" doubles them, and is listened to from outside.
+  defp start(settings \\ []) do
+    me = self()
+
+    Pipeline.start(
+      fn p ->
+        numbers = Situ.source(p, Count, count: :infinity, interval: Time.ms(10))
+        Situ.via(numbers, Tell, as: :main, to: me, name: "Main")
+
+        numbers
+        |> Situ.composite("Side", fn numbers ->
+          p = numbers.pipeline
+
+          p
+          |> Situ.source(Count, count: :infinity, interval: Time.ms(10))
+          |> Situ.via(Tell, as: :own, to: me, name: "Own")
+
+          numbers
+          |> Situ.map(&(&1 * 2), name: "Double")
+          |> Situ.via(Tell, as: :side, to: me, name: "Inner")
+          |> Situ.map(&(&1 + 1), name: "Last")
+        end)
+        |> Situ.via(Tell, as: :outside, to: me, name: "Outside")
+        |> Situ.via(Tell, as: :next, to: me, name: "Next")
+      end,
+      pipeline: settings
+    )
+  end
+
+  defp receive_all(as, values), do: for(v <- values, do: assert_receive({^as, ^v}))
+
+  test "it gets what is on its way, closes with the time of the stop, and ends; the rest runs on" do
+    clock = Clock.manual(0)
+    {:ok, p} = start(clock: clock)
+    assert Pipeline.clock(p) == clock
+    Clock.set(clock, Time.ms(105))
+    for as <- [:own, :main], do: receive_all(as, 0..10)
+    receive_all(:side, for(n <- 0..10, do: n * 2))
+    assert :ok = Pipeline.stop_part(p, "Side")
+    receive_all(:outside, for(n <- 0..10, do: n * 2 + 1))
+    closed = Time.ms(105)
+    for as <- [:own, :side, :outside], do: assert_receive({^as, :closed, ^closed})
+    for as <- [:own, :side], do: assert_receive({^as, :terminated, :normal})
+
+    Clock.set(clock, Time.ms(200))
+    receive_all(:main, 11..20)
+    refute_received {:own, _}
+    refute_received {:side, _}
+    refute_received {:outside, :terminated, _}
+    # Components outside live on; one without any input left has nothing more to say.
+    assert_receive {:next, :closed, ^closed}
+
+    states = Map.new(Pipeline.info(p).nodes, &{&1.path, &1.state})
+
+    for path <- ~w(Side.Count Side.Own Side.Double Side.Inner Side.Last),
+        do: assert(states[path] == :closed)
+
+    for path <- ~w(Next Outside), do: assert(states[path] == :closed)
+    for path <- ~w(Count Main), do: assert(states[path] == :running)
+
+    assert {:ok, report} = Pipeline.stop(p)
+    assert_receive {:outside, :terminated, :normal}
+    assert report.errors == []
+    {first, _} = Enum.split(report.closed, 5)
+    assert Enum.all?(first, &String.starts_with?(&1, "Side."))
+  end
+
+  test "a component by its node or path; what reads from it sees the end of the stream" do
+    {:ok, p} = start()
+    assert_receive {:outside, _}
+    assert :ok = Pipeline.stop_part(p, "Side.Inner")
+    assert_receive {:side, :terminated, :normal}
+    assert_receive {:own, _}
+    assert :ok = Pipeline.stop_part(p, "Side")
+    assert_receive {:own, :terminated, :normal}
+    assert {:ok, _} = Pipeline.stop(p)
+  end
+
+  test "what cannot be stopped" do
+    {:ok, p} = start()
+    assert {:error, %{code: :unknown_component, fix: fix}} = Pipeline.stop_part(p, "Sied")
+    assert fix =~ "Side"
+    assert :ok = Pipeline.stop_part(p, "Side")
+    assert {:error, %{code: :not_running}} = Pipeline.stop_part(p, "Side")
+    {:ok, _} = Pipeline.stop(p)
+    assert {:error, %{code: :not_running}} = Pipeline.stop_part(p, "Side")
+
+    {:ok, p} =
+      Pipeline.start(
+        fn p ->
+          p
+          |> Situ.composite("Box", fn p ->
+            p |> Situ.source(Count, count: :infinity, interval: Time.ms(1)) |> Situ.map(& &1)
+          end)
+          |> Situ.map(& &1, name: "Behind", policy: Situ.Delivery.synchronous())
+        end,
+        []
+      )
+
+    assert {:error, %{code: :shared_process, what: what}} = Pipeline.stop_part(p, "Box")
+    assert what =~ "Box.Map" and what =~ "Behind"
+    {:ok, _} = Pipeline.stop(p)
+  end
+
+  test "without its last sources a pipeline ends; with an unfinished finite one gone it goes on" do
+    build = fn others ->
+      fn p ->
+        Situ.composite(p, "Part", fn p ->
+          p |> Situ.source(Count, count: 1_000_000, interval: Time.ms(10)) |> Situ.each(& &1)
+        end)
+
+        for n <- 1..others//1 do
+          p
+          |> Situ.source(Count, count: :infinity, interval: Time.ms(10), name: "Other#{n}")
+          |> Situ.each(& &1)
+        end
+      end
+    end
+
+    {:ok, alone} = Pipeline.start(build.(0), [])
+    assert :ok = Pipeline.stop_part(alone, "Part")
+    assert {:ok, %{errors: []}} = Pipeline.await(alone, 30_000)
+
+    {:ok, p} = Pipeline.start(build.(1), [])
+    assert :ok = Pipeline.stop_part(p, "Part")
+    assert Pipeline.state(p) == :running
+    assert {:ok, _} = Pipeline.stop(p)
+  end
+
+  # "Part" stands still in its first message until it is told to go on.
+  defp standing(settings) do
+    me = self()
+
+    {:ok, p} =
+      Pipeline.start(
+        fn p ->
+          numbers = Situ.source(p, Count, count: :infinity, interval: Time.ms(1))
+          Situ.via(numbers, Tell, as: :main, to: me)
+
+          Situ.composite(numbers, "Part", fn numbers ->
+            Situ.each(
+              numbers,
+              fn v ->
+                if Process.put(:stood, v) == nil,
+                  do: send(me, {:stands, self()}) && receive(do: (:go_on -> :ok))
+              end,
+              policy: Situ.Delivery.latest()
+            )
+          end)
+        end,
+        pipeline: settings
+      )
+
+    assert_receive {:stands, pid}
+    {p, pid}
+  end
+
+  test "what is stuck in it is killed and named; the rest runs on" do
+    {p, _pid} = standing(stop_timeout: 50)
+
+    assert {:error, %{code: :component_killed, meta: %{component: "Part.Each"}}} =
+             Pipeline.stop_part(p, "Part")
+
+    assert Pipeline.state(p) == :running
+    assert_receive {:main, _}
+    assert {:ok, _} = Pipeline.stop(p)
+  end
+
+  test "the pipeline is stopped meanwhile: both are answered" do
+    {p, pid} = standing([])
+    part = Task.async(fn -> Pipeline.stop_part(p, "Part") end)
+    asked(p)
+    all = Task.async(fn -> Pipeline.stop(p) end)
+    stopping(p)
+    send(pid, :go_on)
+    assert :ok = Task.await(part, 30_000)
+    assert {:ok, %{errors: []}} = Task.await(all, 30_000)
+  end
+
+  defp asked(p), do: if(:sys.get_state(p).life.parts == %{}, do: asked(p), else: :ok)
+  defp stopping(p), do: if(Pipeline.state(p) == :running, do: stopping(p), else: :ok)
+
+  test "from inside one of the pipeline's own components" do
+    me = self()
+
+    {:ok, p} =
+      Pipeline.start(
+        fn p ->
+          numbers = Situ.source(p, Count, count: :infinity, interval: Time.ms(1))
+          side = Situ.composite(numbers, "Side", &Situ.via(&1, Tell, as: :side, to: me))
+          Situ.each(side, fn v -> if v == 3, do: send(me, Pipeline.stop_part(p, "Side")) end)
+        end,
+        []
+      )
+
+    assert_receive :ok
+    assert_receive {:side, :terminated, :normal}
+    assert Pipeline.state(p) == :running
+    assert {:ok, _} = Pipeline.stop(p)
+  end
+end

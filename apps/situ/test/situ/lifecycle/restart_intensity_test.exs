@@ -1,0 +1,105 @@
+defmodule Situ.Lifecycle.RestartIntensityTest do
+  # How often a component may be restarted, and what is logged of it.
+  use ExUnit.Case, async: true
+  import ExUnit.CaptureLog
+
+  alias Situ.Fixture.Count
+  alias Situ.{Pipeline, Time}
+
+  @moduletag :capture_log
+
+  defmodule Dying do
+    # Dies in handle_start/2, but for the first time.
+    use Situ.Component, outputs: [out: :any], options: [tries: [type: :any], to: [type: :pid]]
+    @impl true
+    def init(opts), do: {:ok, opts}
+
+    @impl true
+    def handle_start(_context, opts) do
+      :counters.add(opts[:tries], 1, 1)
+
+      if :counters.get(opts[:tries], 1) > 1,
+        do: Process.exit(self(), :kill),
+        else: send(opts[:to], {:up, self()})
+
+      {[{:complete, :infinity}], opts}
+    end
+  end
+
+  describe "restarts" do
+    test "a component that dies again and again ends the pipeline" do
+      me = self()
+      tries = :counters.new(1, [])
+
+      {:ok, p} =
+        Pipeline.start(fn p -> Situ.source(p, Dying, tries: tries, to: me, on_error: :restart) end)
+
+      assert_receive {:up, pid}
+      Process.exit(pid, :kill)
+      assert {:error, %{code: :restarted_too_often} = error} = Pipeline.await(p, 30_000)
+      assert error.meta.component == "Dying"
+      assert :counters.get(tries, 1) == 1 + 3
+    end
+
+    test "as often as the settings say" do
+      me = self()
+      tries = :counters.new(1, [])
+      settings = [max_restarts: 7, max_seconds: 60]
+
+      {:ok, p} =
+        Pipeline.start(
+          fn p -> Situ.source(p, Dying, tries: tries, to: me, on_error: :skip) end,
+          pipeline: settings
+        )
+
+      assert_receive {:up, pid}
+      Process.exit(pid, :kill)
+      assert {:error, %{code: :restarted_too_often}} = Pipeline.await(p, 30_000)
+      assert :counters.get(tries, 1) == 1 + 7
+    end
+
+    test "a kill while the pipeline starts is survived" do
+      me = self()
+
+      {:ok, p} =
+        Pipeline.start(fn p ->
+          p
+          |> Situ.source(Count, count: :infinity, interval: Time.ms(1), on_error: :restart)
+          |> Situ.each(&send(me, {:got, &1}))
+
+          Situ.source(p, Situ.Fixture.Held, to: me)
+        end)
+
+      # Count has started, Held has not.
+      assert_receive {:held, held}
+      assert Pipeline.state(p) == :starting
+      Process.exit(pid(p, "Count"), :kill)
+      send(held, :go)
+      assert_receive {:got, 0}, 5_000
+      assert Pipeline.state(p) == :running
+      assert {:ok, _} = Pipeline.stop(p)
+    end
+
+    test "every error that is skipped is in the log, once" do
+      log =
+        capture_log(fn ->
+          assert {:ok, %{skipped: %{"Map" => 5}}} =
+                   Pipeline.run(fn p ->
+                     p
+                     |> Situ.from_enumerable(Enum.map(1..10, &{&1, &1}))
+                     |> Situ.map(fn v -> if rem(v, 2) == 0, do: raise("odd #{v}."), else: v end,
+                       on_error: :restart
+                     )
+                   end)
+        end)
+
+      for n <- [2, 4, 6, 8, 10], do: assert(length(String.split(log, "odd #{n}.")) == 2)
+    end
+  end
+
+  defp pid(p, path) do
+    Enum.find_value(:sys.get_state(p).stages, fn {_, stage} ->
+      Enum.any?(stage.vertices, &(&1.path == path)) && stage.pid
+    end)
+  end
+end

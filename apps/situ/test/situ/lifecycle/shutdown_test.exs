@@ -1,0 +1,222 @@
+defmodule Situ.Lifecycle.ShutdownTest do
+  # How streams end: nothing is lost that was there, nothing is made up that was not.
+  use ExUnit.Case, async: true
+
+  alias Situ.{Clock, Pipeline, Reproducible, Time}
+
+  @moduletag :capture_log
+
+  defmodule Later do
+    # The cycle's way back: each message 1,000 ns later.
+    use Situ.Component, inputs: [in: :any], outputs: [out: :any]
+    @impl true
+    def handle_message(:in, m, _context, state),
+      do: {[{:out, m.originating_time + 1_000, m.data}], state}
+  end
+
+  defmodule Sum do
+    # y(t) = x(t) + y(t - 1,000).
+    use Situ.Component, inputs: [in: :any, back: {:any, optional: true}], outputs: [out: :any]
+    @impl true
+    def init(_opts), do: {:ok, %{waiting: :queue.new(), back: %{}, first: true}}
+
+    @impl true
+    def handle_message(:in, m, _context, %{first: true} = s),
+      do: {[{:out, m.originating_time, m.data}], %{s | first: false}}
+
+    def handle_message(:in, m, _context, s), do: go(%{s | waiting: :queue.in(m, s.waiting)}, [])
+
+    def handle_message(:back, m, _context, s),
+      do: go(%{s | back: Map.put(s.back, m.originating_time, m.data)}, [])
+
+    defp go(s, actions) do
+      case :queue.peek(s.waiting) do
+        {:value, %{originating_time: t} = m} when is_map_key(s.back, t) ->
+          {y, back} = Map.pop(s.back, t)
+          s = %{s | waiting: :queue.drop(s.waiting), back: back}
+          go(s, [{:out, t, m.data + y} | actions])
+
+        _ ->
+          {Enum.reverse(actions), s}
+      end
+    end
+  end
+
+  defmodule Button do
+    # A push source that stamps when it handles.
+    use Situ.Component, outputs: [out: :integer], options: [owner: [type: :pid, required: true]]
+    @impl true
+    def init(opts), do: {:ok, {opts[:owner], 0}}
+
+    @impl true
+    def handle_start(_context, {owner, 0}) do
+      send(owner, {:button, self()})
+      {[{:complete, :infinity}], {owner, 0}}
+    end
+
+    @impl true
+    def handle_info(:pressed, context, {owner, n}),
+      do: {[{:out, context.now, n + 1}], {owner, n + 1}}
+  end
+
+  @replay [replay: [interval: {0, 100}, speed: :max]]
+
+  defp times(build, opts \\ []),
+    do: Situ.to_list(build, [times: true] ++ Keyword.put_new(opts, :pipeline, @replay))
+
+  defp received(tag) do
+    receive do
+      {^tag, what} -> [what | received(tag)]
+    after
+      0 -> []
+    end
+  end
+
+  test "a cycle drains as long as its counters move" do
+    n = 20_000
+
+    sums =
+      Situ.to_list(fn p ->
+        # The first turn waits longer than any fixed time a cycle might be given.
+        x = Situ.from_enumerable(p, Enum.map(1..n, &{&1 * 1_000, 1}))
+        node = Pipeline.add(p, Sum, name: "Sum")
+        Pipeline.connect(x, node, :in)
+        y = Situ.Node.output(node, :out)
+        slow = Situ.each(y, fn v -> if v == 2, do: Process.sleep(1_500) end, async: true)
+        Pipeline.connect(Situ.via(slow, Later), node, :back)
+        y
+      end)
+
+    assert length(sums) == n
+    assert List.last(sums) == n
+  end
+
+  test "a stage closes when all its inputs have: an operator in between changes nothing" do
+    source = fn p -> Situ.from_enumerable(p, [{0, 1}, {10, 2}]) end
+    # Keeps the pipeline running to 40.
+    longer = fn p -> p |> Situ.from_enumerable([{0, :x}, {40, :x}]) |> Situ.each(& &1) end
+
+    for operator <- [
+          &Situ.sample(&1, 5),
+          &Situ.last(&1, 1),
+          &Situ.interpolate(
+            &1,
+            Situ.from_enumerable(&1.pipeline, [{5, :t}, {15, :t}, {25, :t}]),
+            Reproducible.nearest(100)
+          )
+        ] do
+      straight = times(fn p -> longer.(p) && operator.(source.(p)) end)
+
+      for between <- [
+            &Situ.map(&1, fn v -> v end),
+            &Situ.map(&1, fn v -> v end, async: true),
+            &Situ.via(&1, Situ.Fixture.Pass)
+          ] do
+        assert times(fn p -> longer.(p) && p |> source.() |> between.() |> operator.() end) ==
+                 straight
+      end
+    end
+  end
+
+  test "what a finite stream was held for is let go at its end, not at the pipeline's" do
+    me = self()
+
+    {:ok, p} =
+      Pipeline.start(
+        fn p ->
+          finite =
+            p |> Situ.from_enumerable([{0, :a}]) |> Situ.map(& &1) |> Situ.map(& &1, async: true)
+
+          Situ.each(finite, fn _ -> :ok end, async: true, name: "Sink")
+          p |> Situ.from_enumerable([{0, :x}, {40, :x}]) |> Situ.each(& &1)
+          Situ.via(finite, Situ.Fixture.Closing, to: me)
+        end,
+        pipeline: [clock: Clock.manual(0)]
+      )
+
+    assert_receive {:closed, :in, 0}
+    assert Pipeline.state(p) == :running
+    assert {:ok, _} = Pipeline.stop(p)
+  end
+
+  test "nothing is made up behind the time at which a branch failed" do
+    for async <- [true, false], _ <- 1..3 do
+      me = self()
+
+      assert {:error, %{code: :component_failed}} =
+               Pipeline.run(fn p ->
+                 s = Situ.from_enumerable(p, Enum.map(0..4_999, &{&1 * 10, &1}))
+
+                 a =
+                   s
+                   |> Situ.map(fn i -> if i == 100, do: raise("boom"), else: i end, async: true)
+                   |> Situ.map(& &1, async: async)
+
+                 b = Situ.map(s, & &1, async: true)
+                 b |> Situ.zip(a) |> Situ.each(&send(me, {:zip, &1}))
+
+                 b
+                 |> Situ.join(a, Reproducible.exact(or_default: :missing))
+                 |> Situ.each(&send(me, {:join, &1}))
+               end)
+
+      assert Enum.filter(received(:zip), &(length(&1) != 2)) == []
+      joined = received(:join)
+      assert Enum.filter(joined, &(elem(&1, 1) == :missing)) == []
+      assert Enum.all?(joined, &(elem(&1, 0) < 100))
+    end
+  end
+
+  test "what a source had emitted before it failed is whole" do
+    me = self()
+
+    assert {:error, %{code: :component_failed}} =
+             Pipeline.run(fn p ->
+               numbers = fn i -> if i == 50, do: raise("boom"), else: {i * 10, i} end
+               a = Situ.from_enumerable(p, Stream.map(0..99, numbers))
+               b = Situ.from_enumerable(p, Enum.map(0..99, &{&1 * 10, &1}))
+               a |> Situ.zip(b) |> Situ.each(&send(me, {:zip, &1}))
+             end)
+
+    zipped = received(:zip)
+    assert Enum.filter(zipped, &(length(&1) != 2)) == []
+  end
+
+  test "posted events are delivered on stop, at the time at which they were posted" do
+    for n <- [10, 5_000] do
+      me = self()
+
+      {:ok, p} =
+        Pipeline.start(fn p ->
+          p
+          |> Situ.event_source(fn post -> send(me, {:post, post}) end)
+          |> Situ.each(fn v, m -> send(me, {:got, {v, m.originating_time}}) end)
+        end)
+
+      assert_receive {:post, post}
+      for v <- 1..n, do: post.(v)
+      posted = Time.now()
+      assert {:ok, _} = Pipeline.stop(p)
+      got = received(:got)
+      assert Enum.map(got, &elem(&1, 0)) == Enum.to_list(1..n)
+      # Nudged apart where two have one time.
+      assert Enum.all?(got, fn {_, t} -> t <= posted + n end)
+    end
+  end
+
+  test "messages that a push source stamps itself are delivered on stop" do
+    me = self()
+
+    {:ok, p} =
+      Pipeline.start(fn p ->
+        p
+        |> Situ.source(Button, owner: me, on_same_time: :nudge)
+        |> Situ.each(&send(me, {:got, &1}))
+      end)
+
+    assert_receive {:button, button}
+    for _ <- 1..2_000, do: send(button, :pressed)
+    assert {:ok, _} = Pipeline.stop(p)
+    assert received(:got) == Enum.to_list(1..2_000)
+  end
+end

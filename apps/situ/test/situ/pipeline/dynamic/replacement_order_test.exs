@@ -1,0 +1,152 @@
+defmodule Situ.Pipeline.Dynamic.ReplacementOrderTest do
+  # Replacements that are asked for at once, or of components that die meanwhile.
+  use ExUnit.Case, async: true
+
+  alias Situ.Fixture.Count
+  alias Situ.{Pipeline, Time}
+
+  @moduletag :capture_log
+
+  defmodule Slow do
+    # Waits for a word with every message.
+    use Situ.Component,
+      inputs: [in: :any],
+      outputs: [out: :any],
+      options: [to: [type: :pid, required: true], k: [type: :integer, default: 0]]
+
+    @impl true
+    def init(opts), do: {:ok, {opts[:to], opts[:k]}}
+
+    @impl true
+    def handle_message(:in, m, _context, {to, k} = state) do
+      send(to, {:at, self(), k})
+
+      receive do
+        :go -> {[{:out, m.originating_time, {k, m.data}}], state}
+      end
+    end
+
+    @impl true
+    def migrate({to, _k}, _old, new), do: {:ok, {to, new[:k]}}
+  end
+
+  defp slow(opts \\ []) do
+    me = self()
+
+    {:ok, p} =
+      Pipeline.start(fn p ->
+        p
+        |> Situ.source(Count, count: :infinity, interval: Time.ms(1))
+        |> Situ.via(Slow, [to: me, name: "Slow"] ++ opts)
+        |> Situ.map(& &1, name: "Map", async: true)
+        |> Situ.each(&send(me, {:out, &1}))
+      end)
+
+    assert_receive {:at, pid, 0}
+    {p, pid}
+  end
+
+  # Lets it go on until it says that it has become `k`.
+  defp until(k) do
+    receive do
+      {:at, _pid, ^k} ->
+        :ok
+
+      {:at, pid, _} ->
+        send(pid, :go)
+        until(k)
+    after
+      5_000 -> flunk("never became #{k}")
+    end
+  end
+
+  describe "replace/4" do
+    test "several at once come one after another" do
+      # Lets every message pass.
+      driver = spawn_link(fn -> pass() end)
+
+      {:ok, p} =
+        Pipeline.start(fn p ->
+          p
+          |> Situ.source(Count, count: :infinity, interval: Time.ms(1))
+          |> Situ.via(Slow, to: driver, name: "Slow")
+        end)
+
+      tasks =
+        for k <- 1..5, do: Task.async(fn -> Pipeline.replace(p, "Slow", k: k, to: driver) end)
+
+      assert Task.await_many(tasks, 30_000) == List.duplicate(:ok, 5)
+      assert Pipeline.state(p) == :running
+      Process.exit(p, :kill)
+    end
+
+    defp pass do
+      receive do
+        {:at, pid, _} ->
+          send(pid, :go)
+          pass()
+      end
+    end
+
+    test "two operators of one chain at once" do
+      me = self()
+
+      {:ok, p} =
+        Pipeline.start(fn p ->
+          p
+          |> Situ.source(Count, count: :infinity, interval: Time.ms(1))
+          |> Situ.map(& &1, name: "A")
+          |> Situ.map(& &1, name: "B")
+          |> Situ.each(&send(me, &1))
+        end)
+
+      tasks =
+        for name <- ~w(A B A B),
+            do: Task.async(fn -> Pipeline.replace(p, name, {:map, fn _ -> :new end}) end)
+
+      assert Task.await_many(tasks) == [:ok, :ok, :ok, :ok]
+      assert_receive :new
+      assert {:ok, _} = Pipeline.stop(p)
+    end
+
+    test "is answered when the component dies before it has done it" do
+      {p, pid} = slow(on_error: :restart)
+      tasks = for k <- 1..3, do: Task.async(fn -> Pipeline.replace(p, "Slow", k: k, to: pid) end)
+      tap = Task.async(fn -> Situ.attach_tap({p, "Slow"}, fn _ -> :ok end) end)
+      # All have been asked.
+      waiting(p, 3)
+      Process.exit(pid, :kill)
+
+      for task <- [tap | tasks],
+          do: assert({:error, %{code: :component_restarted}} = Task.await(task))
+
+      assert_receive {:at, again, 0} when again != pid
+      assert Pipeline.state(p) == :running
+      Process.exit(p, :kill)
+    end
+
+    test "gives up waiting after its timeout" do
+      {p, pid} = slow()
+
+      assert {:error, %{code: :timeout}} =
+               Pipeline.replace(p, "Slow", [k: 7, to: self()], timeout: 20)
+
+      send(pid, :go)
+      # It goes on all the same.
+      until(7)
+      Process.exit(p, :kill)
+    end
+
+    defp waiting(p, n) do
+      %{dynamic: %{replaces: replaces, taps: taps}} = :sys.get_state(p)
+
+      case Map.values(replaces) do
+        [{_, queue}] when map_size(taps) == 1 ->
+          if :queue.len(queue) == n - 1, do: :ok, else: waiting(p, n)
+
+        _ ->
+          waiting(p, n)
+      end
+    end
+  end
+end

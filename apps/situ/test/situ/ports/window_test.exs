@@ -1,0 +1,76 @@
+defmodule Situ.Ports.WindowTest do
+  use ExUnit.Case, async: true
+
+  @moduletag :capture_log
+
+  # Makes messages of `bytes` bytes for ever and counts them.
+  defmodule Source do
+    use Situ.Component,
+      outputs: [out: :any],
+      options: [bytes: [type: :pos_integer], test: [type: :pid]]
+
+    @impl true
+    def init(opts), do: {:ok, {opts[:bytes], opts[:test], 0}}
+
+    @impl true
+    def handle_demand(_n, _context, {bytes, test, n}) do
+      send(test, {:made, self(), n + 1})
+      {[{:out, n, {:wrapped, :binary.copy(<<0>>, bytes)}}], {bytes, test, n + 1}}
+    end
+  end
+
+  # A consumer takes a few messages and then no more: what was made beyond them is what was on its way.
+  defp made_for_a_stuck_consumer(bytes, take) do
+    test = self()
+
+    {:ok, pipeline} =
+      Situ.Pipeline.start(
+        fn p ->
+          p
+          |> Situ.source(Source, bytes: bytes, test: test)
+          |> Situ.each(
+            fn _, message ->
+              if message.originating_time == take do
+                send(test, {:stuck, self()})
+                receive do: (:go_on -> :ok)
+              end
+            end,
+            policy: Situ.Delivery.unlimited()
+          )
+        end,
+        pipeline: [replay: [speed: :max]]
+      )
+
+    assert_receive {:stuck, consumer}
+    assert_receive {:made, source, 1}
+    at_rest(source, nil)
+    made = last_made(0)
+    Process.exit(consumer, :kill)
+    Situ.Pipeline.stop(pipeline)
+    made - take
+  end
+
+  # The source waits for demand that does not come: no message in its mailbox, and no work done since the last look.
+  defp at_rest(pid, before) do
+    case Process.info(pid, [:status, :message_queue_len, :reductions]) do
+      [status: :waiting, message_queue_len: 0, reductions: ^before] -> :ok
+      [_, _, {:reductions, now}] -> at_rest(pid, now)
+    end
+  end
+
+  defp last_made(last) do
+    receive do
+      {:made, _, n} -> last_made(n)
+    after
+      0 -> last
+    end
+  end
+
+  test "the default window holds a thousand small messages, but not a thousand pictures" do
+    assert made_for_a_stuck_consumer(10, 5_000) in 500..1_001
+    # 32 MB of messages of 4 MB.
+    assert made_for_a_stuck_consumer(4_000_000, 20) in 4..9
+    # The least window.
+    assert made_for_a_stuck_consumer(40_000_000, 8) in 2..5
+  end
+end
