@@ -13,7 +13,6 @@ async function graph(page, path) {
 }
 
 const nodes = (page) => page.$$eval(".graph .node", (n) => n.map((e) => e.dataset.path).sort());
-const fill = (page, path) => page.$eval(`.graph .node[data-path="${path}"] rect`, (e) => getComputedStyle(e).fill);
 const number = (page, key) => page.$eval(`.graph .edge[data-key="${key}"] .number`, (e) => e.textContent);
 
 test("7 pipeline: the graph with its composites, policies and states; it folds and unfolds", async ({
@@ -61,8 +60,8 @@ test("7 pipeline: any statistic colours it, and the numbers move", async ({ page
     () => [...document.querySelectorAll(".graph .number")].some((e) => parseFloat(e.textContent) > 30),
     "the slow part is busy",
   );
-  const [hot, cold] = [await fill(page, "Slow.Heavy"), await fill(page, "Belt.Double")];
-  ok(hot !== cold, `hot and cold differ: ${hot} ${cold}`);
+  const fill = (path) => getComputedStyle(document.querySelector(`.graph .node[data-path="${path}"] rect`)).fill;
+  await until(page, `(${fill})("Slow.Heavy") !== (${fill})("Belt.Double")`, "hot and cold differ");
   await page.selectOption("#heat select", "processed");
   const key = await page.$eval(".graph .edge", (e) => e.dataset.key);
   await until(

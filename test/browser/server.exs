@@ -128,26 +128,23 @@ layouts = Path.join(work, "layouts")
     token: "the-very-secret-token"
   )
 
-# One that ends and is started anew at the same address when the tests put a file there.
+# One that is away for as long as the tests keep a file there, and is started anew at the same address.
 {:ok, mortal} = Situ.Studio.start_link(id: "mortal", port: 0, path: folder, layouts: layouts)
 mortal_port = Situ.Studio.port(mortal)
-signal = Path.join(work, "restart")
+signal = Path.join(work, "away")
+
+wait = fn there? ->
+  Stream.repeatedly(fn -> Process.sleep(20) end)
+  |> Enum.find(fn _ -> File.exists?(signal) == there? end)
+end
 
 restart = fn restart, mortal ->
-  Process.sleep(20)
-
-  case File.read(signal) do
-    {:ok, seconds} when seconds != "" ->
-      File.rm(signal)
-      Supervisor.stop(mortal)
-      Process.sleep(String.to_integer(seconds) * 1_000)
-      opts = [id: "mortal", port: mortal_port, path: folder, layouts: layouts]
-      {:ok, mortal} = Situ.Studio.start_link(opts)
-      restart.(restart, mortal)
-
-    _ ->
-      restart.(restart, mortal)
-  end
+  wait.(true)
+  Supervisor.stop(mortal)
+  wait.(false)
+  opts = [id: "mortal", port: mortal_port, path: folder, layouts: layouts]
+  {:ok, mortal} = Situ.Studio.start_link(opts)
+  restart.(restart, mortal)
 end
 
 base = &(&1 |> Situ.Studio.url() |> String.trim_trailing("/"))
@@ -158,7 +155,7 @@ IO.puts(
       "main" => base.(main),
       "guarded" => Situ.Studio.url(guarded),
       "mortal" => base.(mortal),
-      "restart" => signal,
+      "away" => signal,
       "folder" => folder,
       "zoo" => Path.join(work, "zoo.json"),
       "stop" => Path.join(work, "stop"),
