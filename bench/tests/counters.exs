@@ -1,8 +1,8 @@
 defmodule Situ.Bench.Counters do
   @moduledoc false
-  # What the counters of connections cost: each chain as it is and, in the same breath, with counters that do nothing; by CPU
-  # time, since a busy machine shows in the clock first. `one` hands over one message at a time, which is as dear as
-  # counting gets.
+  # What the counters of connections cost: each chain as it is and, in the same breath, with counters that do nothing;
+  # by CPU time, since a busy machine shows in the clock first. `one` hands over one message at a time, which is as
+  # dear as counting gets.
   import Situ.Bench, only: [cpu_us: 0]
   alias Situ.{Delivery, Pipeline, Time}
   alias Situ.Ports.Counters

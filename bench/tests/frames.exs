@@ -1,7 +1,7 @@
 defmodule Situ.Bench.Frames do
   @moduledoc false
-  # 1,500 frames of 640 x 480 x 3 bytes through five maps. The frames are made before the clock starts (eight of them, in turn):
-  # what is measured is carrying them, not making them.
+  # 1,500 frames of 640 x 480 x 3 bytes through five maps. The frames are made before the clock starts (eight of them,
+  # in turn): what is measured is carrying them, not making them.
   import Situ.Bench, only: [measure: 4]
   alias Situ.{Delivery, Pipeline}
 

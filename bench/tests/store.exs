@@ -1,6 +1,6 @@
 defmodule Situ.Bench.Store do
-  # Messages written to a store by a pipeline, the store closed, and read back by another; a plain write(2) of the same bytes beside
-  # the large ones.
+  # Messages written to a store by a pipeline, the store closed, and read back by another; a plain write(2) of the
+  # same bytes beside the large ones.
   alias Situ.{Delivery, Pipeline, Store}
 
   defmodule Frame do

@@ -5,8 +5,8 @@ defmodule Situ.Bench.Video do
     * `video-decode`: a 720p H.264 file read as pictures and sound, as fast as it goes.
     * `video-720p`: the same file, decoded, resized, made grey and compressed; CPU of one core it would need at 30
       pictures a second, the VM's and ffmpeg's apart.
-    * `video-steady`: a simulated 720p camera at 30 pictures a second through resize, grey and JPEG in real time, two minutes
-      at scale 1 (scale 5: ten); the VM's memory after a fifth of the time and at the end, pictures lost.
+    * `video-steady`: a simulated 720p camera at 30 pictures a second through resize, grey and JPEG in real time, two
+      minutes at scale 1 (scale 5: ten); the VM's memory after a fifth of the time and at the end, pictures lost.
   """
   alias Situ.Bench
   alias Situ.Media.{Camera, VideoFile}

@@ -128,8 +128,8 @@ defmodule Fixture do
     :ok = Writer.close(writer)
   end
 
-  # Streams whose like nobody chose: regular ones with holes, irregular ones, states that flicker and states that stay, maps of
-  # them. What was written is told beside the recording, for whoever wants to compare.
+  # Streams whose like nobody chose: regular ones with holes, irregular ones, states that flicker and states that
+  # stay, maps of them. What was written is told beside the recording, for whoever wants to compare.
   def record_zoo(name, folder, told) do
     :rand.seed(:exsss, {1, 7, 1})
     ms = 1_000_000

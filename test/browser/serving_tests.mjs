@@ -134,7 +134,15 @@ test("security: a browser that stops reading slows nobody", async ({ page }) => 
   const s = connect(Number(port), "localhost");
   s.pause();
   s.write(
-    `GET /data/socket?source=big.0000 HTTP/1.1\r\nHost: localhost:${port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n`,
+    [
+      "GET /data/socket?source=big.0000 HTTP/1.1",
+      `Host: localhost:${port}`,
+      "Upgrade: websocket",
+      "Connection: Upgrade",
+      "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+      "Sec-WebSocket-Version: 13",
+      "\r\n",
+    ].join("\r\n"),
   );
   await page.waitForTimeout(300);
   const t0 = BigInt(site.t0);

@@ -37,7 +37,8 @@ test("speed: a long signal pans and zooms at the rate of the screen", async ({ p
     };
   });
   console.log(
-    `${site.points} points: frame p50 ${run.p50.toFixed(1)} ms, p95 ${run.p95.toFixed(1)} ms, ${run.requests} requests, ${(run.bytes / 1e6).toFixed(1)} MB`,
+    `${site.points} points: frame p50 ${run.p50.toFixed(1)} ms, p95 ${run.p95.toFixed(1)} ms, ` +
+      `${run.requests} requests, ${(run.bytes / 1e6).toFixed(1)} MB`,
   );
   // Times are printed, not judged: machines are shared. What was fetched is bounded by pixels, not by points.
   // A slow machine draws fewer frames a second and so asks more often a frame, but never more than once.

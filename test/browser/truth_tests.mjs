@@ -66,8 +66,8 @@ test("7 truth: lines and lanes say what the messages say, at any zoom", async ({
   ok(compared > 250, `${compared} values were compared`);
   ok(old >= 1 && many > 10, `${old} were old, ${many} were many`);
 
-  // The legend: the value of the last message at the cursor; where more messages are in a pixel, one of those. Older than the
-  // stream's pace explains, it says so.
+  // The legend: the value of the last message at the cursor; where more messages are in a pixel, one of those. Older
+  // than the stream's pace explains, it says so.
   async function line(page, stream, rows, t, slack) {
     const text = await page.evaluate((s) => {
       for (const v of window.situStudio.views) v.cursorMoved?.();

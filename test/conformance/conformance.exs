@@ -46,8 +46,9 @@ defmodule Situ.Conformance do
     {~r/^(sequence|range|repeat|return|once|timer)/, "generators"},
     {~r/^(deliver|post|subscribe)$/, "emitter"},
     {~r/^delivery/, "delivery_policies"},
-    {~r/^(completion|dispose|events|run|error|order|clock|progress|finali|add_component|subpipeline$|composite|connector)/,
+    {~r/^(completion|dispose|events|run|error|order|clock|progress|finali)/,
      "pipeline_lifecycle"},
+    {~r/^(add_component|subpipeline$|composite|connector)/, "pipeline_lifecycle"},
     {~r/^store/, "store"},
     {~r/^(dataset|session|json_store)/, "datasets"},
     {~r/^(format|file_|zeromq|datagram)/, "interop"}
@@ -220,8 +221,9 @@ defmodule Situ.Conformance do
 
   defp check({:not_applicable, _} = verdict, _case), do: verdict
 
-  # A quirk of the reference. Most of these cases list the right answer, which is required as any other; where the answer listed is
-  # the reference's own ("a better system does otherwise") it is shown when Situ does otherwise, but is no failure.
+  # A quirk of the reference. Most of these cases list the right answer, which is required as any other; where the
+  # answer listed is the reference's own ("a better system does otherwise") it is shown when Situ does otherwise, but
+  # is no failure.
   defp check(module, %{"known_quirk" => true} = case) do
     if right_answer?(case), do: checked(module, case), else: quirk(module, case)
   end
@@ -352,8 +354,8 @@ defmodule Situ.Conformance.Case do
 
   def all(%{"expect" => expect}, got, _tolerance), do: {:fail, expect, got}
 
-  # A property told in words: the words themselves when one of the readings fits them and holds. `readings`: `{regex, holds?}`, or a
-  # function of what the regex captured; the regex has to fit from beginning to end.
+  # A property told in words: the words themselves when one of the readings fits them and holds. `readings`: `{regex,
+  # holds?}`, or a function of what the regex captured; the regex has to fit from beginning to end.
   def told(text, readings) when is_binary(text) do
     Enum.find_value(readings, {:unread, text}, fn {regex, holds?} ->
       case Regex.run(regex, text) do

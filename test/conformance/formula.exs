@@ -1,7 +1,7 @@
 defmodule Situ.Conformance.Formula do
-  # The files' small formulas ("10*p + s", "v mod 3 == 0 and v > 4", "v is even") as functions of named values. They are parsed and
-  # evaluated here, never as code: a conformance folder may come from anywhere. Integers divide to integers, as in the
-  # language of the reference.
+  # The files' small formulas ("10*p + s", "v mod 3 == 0 and v > 4", "v is even") as functions of named values. They
+  # are parsed and evaluated here, never as code: a conformance folder may come from anywhere. Integers divide to
+  # integers, as in the language of the reference.
 
   @accumulators ~w(x a acc accumulator previous prev last state sum total aggregate)
 

@@ -1,11 +1,12 @@
 defmodule Situ.Conformance.Mutation do
-  # Whether the checks look at what they are to check: every part of what a case expects is changed, one at a time, and the case must
-  # fail then. A case that still passes asserts less than it says.
+  # Whether the checks look at what they are to check: every part of what a case expects is changed, one at a time,
+  # and the case must fail then. A case that still passes asserts less than it says.
 
   # Cases that take longer than this are tried with a few changes only.
   @slow_us 100_000
 
-  # `[{id, how}]`: changes of passing cases of a file that nothing noticed, of at most `most` changes per case, spread over it.
+  # `[{id, how}]`: changes of passing cases of a file that nothing noticed, of at most `most` changes per case, spread
+  # over it.
   def survivors(file, most) do
     for {case, verdict, us} <- Situ.Conformance.timed_verdicts(file),
         verdict == :pass,

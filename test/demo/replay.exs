@@ -1,6 +1,6 @@
-# The demo's recording replayed through the real graph: its sound through voice activity, its pictures through face and mouth, both through the
-# fusion that says who speaks. At 1x, at 4x and as fast as it goes the derived streams are the same bytes; and what sound and mouths give is what was
-# recorded when they were live.
+# The demo's recording replayed through the real graph: its sound through voice activity, its pictures through face
+# and mouth, both through the fusion that says who speaks. At 1x, at 4x and as fast as it goes the derived streams are
+# the same bytes; and what sound and mouths give is what was recorded when they were live.
 #
 #     replay.exs STORE_FOLDER
 alias Situ.{Pipeline, Store, Time}

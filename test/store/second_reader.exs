@@ -1,5 +1,5 @@
-# Stores written by Situ and read by test/store/read_store.py, which knows priv/schema/store.md and nothing else: the same
-# messages, statistics and pyramids must come out. `write FOLDER` writes, `compare FOLDER` compares.
+# Stores written by Situ and read by test/store/read_store.py, which knows priv/schema/store.md and nothing else: the
+# same messages, statistics and pyramids must come out. `write FOLDER` writes, `compare FOLDER` compares.
 defmodule SecondReader do
   alias Situ.{AudioBuffer, AudioFormat, Image, Message, Store}
   alias Situ.Store.Writer

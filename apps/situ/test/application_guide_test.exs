@@ -1,5 +1,6 @@
 defmodule Situ.ApplicationGuideTest do
-  # The guide "Situ in your application", done: its files in an empty folder, compiled, tested and run by Mix as a reader would.
+  # The guide "Situ in your application", done: its files in an empty folder, compiled, tested and run by Mix as a
+  # reader would.
   use ExUnit.Case, async: true
 
   @root Path.expand("../../..", __DIR__)

@@ -1,6 +1,6 @@
 defmodule Situ.GuidesTest do
-  # The Elixir blocks of the guides run, one after the other; a block that ends in `# => value` gives that value. The pictures are
-  # what their script draws.
+  # The Elixir blocks of the guides run, one after the other; a block that ends in `# => value` gives that value. The
+  # pictures are what their script draws.
   use ExUnit.Case, async: true
 
   @guides Path.expand("../../../docs/guides", __DIR__)

@@ -1,5 +1,6 @@
 defmodule Situ.Bridge.GuideTest do
-  # The Elixir blocks of the guide run, one after the other, in the checkout; a block that ends in `# => value` gives that value.
+  # The Elixir blocks of the guide run, one after the other, in the checkout; a block that ends in `# => value` gives
+  # that value.
   use ExUnit.Case
 
   @checkout Path.expand("../../..", __DIR__)
@@ -15,8 +16,8 @@ defmodule Situ.Bridge.GuideTest do
       Enum.reduce(blocks, [], fn [block], binding ->
         {value, binding} = Code.eval_string(@aliases <> block, binding)
 
-        with [_, expected] <- Regex.run(~r/^# => (.*)\n/m, block) do
-          {expected, _} = Code.eval_string(expected)
+        with [_, expected] <- Regex.run(~r/^# => (.*)\z/ms, block) do
+          {expected, _} = Code.eval_string(String.replace(expected, "\n#", "\n"))
           assert value == expected, "#{block}\ngave #{inspect(value)}"
         end
 

@@ -168,7 +168,8 @@ defmodule Situ.Guide.Pictures do
         y = 92 + i * 18
 
         [
-          ~s(<line x1="#{x(max(at - 20, 0))}" y1="#{y}" x2="#{x(at)}" y2="#{y}" stroke="#1a7f37" stroke-width="8" opacity="0.25"/>),
+          ~s(<line x1="#{x(max(at - 20, 0))}" y1="#{y}" x2="#{x(at)}" y2="#{y}" ) <>
+            ~s(stroke="#1a7f37" stroke-width="8" opacity="0.25"/>),
           for(v <- list, do: dot(x(v), y, 3, "#1a7f37")),
           text(x(at) + 8, y + 4, inspect(list, charlists: :as_lists), "#1a7f37", "start")
         ]

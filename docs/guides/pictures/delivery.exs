@@ -118,10 +118,12 @@ defmodule Pictures.Delivery do
         "#{x + round(s.at / (@seconds * 1_000) * @width)},#{y + @height - scaled(s[key], most)}"
       end)
 
+    highest = samples |> Enum.map(& &1[key]) |> Enum.max()
+
     """
     <rect x="#{x}" y="#{y}" width="#{@width}" height="#{@height}" fill="none" stroke="#ccc"/>
     <polyline points="#{points}" fill="none" stroke="#{colour}" stroke-width="1.5"/>
-    <text x="#{x + @width - 4}" y="#{y + 12}" text-anchor="end" fill="#888">max #{round(samples |> Enum.map(& &1[key]) |> Enum.max())}</text>
+    <text x="#{x + @width - 4}" y="#{y + 12}" text-anchor="end" fill="#888">max #{round(highest)}</text>
     """
   end
 

@@ -270,7 +270,10 @@ fn main() {
     if failed == 0 {
         let _ = std::fs::remove_dir_all(&root);
     }
-    eprintln!("{kills} kills: {early} before the first commit, {messages} acknowledged messages checked in each of 3 streams");
+    eprintln!(
+        "{kills} kills: {early} before the first commit, \
+         {messages} acknowledged messages checked in each of 3 streams"
+    );
     println!("{} passed, {failed} failed", kills - failed);
     std::process::exit(if failed == 0 { 0 } else { 1 });
 }

@@ -1,5 +1,6 @@
 defmodule Situ.Conformance.Interop do
-  # Wire formats: what is written is the very text expected, and reads back; files, sockets and datagrams give what was put in.
+  # Wire formats: what is written is the very text expected, and reads back; files, sockets and datagrams give what
+  # was put in.
   import Situ.Conformance.Case
   alias Situ.Bridge.{Datagram, Format, ZeroMQ}
 

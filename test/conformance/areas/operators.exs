@@ -2,8 +2,8 @@ defmodule Situ.Conformance.Operators do
   import Situ.Conformance.Case
   alias Situ.Conformance.{Formula, Run}
 
-  @operations ~w(to_enumerable to_observable subpipeline.passthrough first last select where edit_stream time_of latency delay
-                 nullable_select item1 item2 flip event_source process do name bridge_to pipe_to)
+  @operations ~w(to_enumerable to_observable subpipeline.passthrough first last select where edit_stream
+                 time_of latency delay nullable_select item1 item2 flip event_source process do name bridge_to pipe_to)
 
   # Other names of the same.
   @aliases %{"observable" => "to_observable", "enumerable" => "to_enumerable"}

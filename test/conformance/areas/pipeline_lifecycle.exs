@@ -12,7 +12,8 @@ defmodule Situ.Conformance.PipelineLifecycle do
   import Situ.Conformance.PipelineLifecycle.Telling
   alias Situ.Conformance.PipelineLifecycle.{Finalization, Parts, Probe, Source, Ticker, Watch}
 
-  @operations ~w(completion dispose events run error order clock progress finalization finalization_order subpipeline composite connector add_component)
+  @operations ~w(completion dispose events run error order clock progress finalization finalization_order
+                 subpipeline composite connector add_component)
 
   def operation?(op), do: op in @operations
 

@@ -1,4 +1,5 @@
-// Replays diffs through the stock client's own Rendered class. In: lines {first, diff, html}. Out: {states, wrong: [...]}.
+// Replays diffs through the stock client's own Rendered class. In: lines {first, diff, html}. Out: {states, wrong:
+// [...]}.
 import fs from "node:fs";
 import Rendered from "../node_modules/phoenix_live_view/assets/js/phoenix_live_view/rendered.js";
 

@@ -84,8 +84,10 @@ defmodule Situ.Audio do
   In buffers of an exact size: `frames:` or `duration:`, and `hop:` for overlapping ones (`Situ.Audio.Reframer`).
 
       iex> format = Situ.AudioFormat.pcm(1000)
-      iex> feed = [{3_000_000, Situ.AudioBuffer.from_samples([1, 2, 3], format)}, {5_000_000, Situ.AudioBuffer.from_samples([4, 5], format)}]
-      iex> pairs = Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Situ.Audio.reframe(frames: 2) end, times: true)
+      iex> sound = &Situ.AudioBuffer.from_samples(&1, format)
+      iex> feed = [{3_000_000, sound.([1, 2, 3])}, {5_000_000, sound.([4, 5])}]
+      iex> reframed = fn p -> p |> Situ.from_enumerable(feed) |> Situ.Audio.reframe(frames: 2) end
+      iex> pairs = Situ.to_list(reframed, times: true)
       iex> for {time, buffer} <- pairs, do: {time, Situ.AudioBuffer.to_samples(buffer)}
       [{2_000_000, [1, 2]}, {4_000_000, [3, 4]}]
   """

@@ -8,7 +8,8 @@ defmodule Situ.Imaging do
 
       iex> image = Situ.Image.filled(64, 48, :bgr24, :red)
       iex> {:ok, small} = Situ.Imaging.resize(image, 32, 24)
-      iex> {:ok, jpeg} = small |> Situ.Imaging.draw_text!({2, 2}, "hello", size: 8) |> Situ.Imaging.encode_jpeg(quality: 80)
+      iex> written = Situ.Imaging.draw_text!(small, {2, 2}, "hello", size: 8)
+      iex> {:ok, jpeg} = Situ.Imaging.encode_jpeg(written, quality: 80)
       iex> {jpeg.format, jpeg.width, jpeg.height}
       {:jpeg, 32, 24}
 

@@ -18,7 +18,9 @@ defmodule Situ.Vision do
   format) raises the operator's `Situ.Error` inside the component, so `on_error: :skip` passes over it.
 
       iex> image = Situ.Image.filled(4, 2, :bgr24, [0, 0, 255])
-      iex> Situ.to_list(fn p -> p |> Situ.repeat(image, every: 10, count: 2) |> Situ.Vision.convert(:gray8) |> Situ.Vision.resize(2, 1) end)
+      iex> Situ.to_list(fn p ->
+      ...>   p |> Situ.repeat(image, every: 10, count: 2) |> Situ.Vision.convert(:gray8) |> Situ.Vision.resize(2, 1)
+      ...> end)
       [Situ.Image.filled(2, 1, :gray8, 76), Situ.Image.filled(2, 1, :gray8, 76)]
   """
   alias Situ.Graph.Placement
@@ -190,7 +192,8 @@ defmodule Situ.Vision do
   How alike the pictures of two streams with the same times are: a stream of maps, `Situ.Imaging.compare/3`.
 
       iex> {a, b} = {Situ.Image.filled(2, 1, :gray8, 3), Situ.Image.filled(2, 1, :gray8, 5)}
-      iex> Situ.to_list(fn p -> Situ.Vision.compare(Situ.repeat(p, a, every: 10, count: 1), Situ.repeat(p, b, every: 10, count: 1), tolerance: 1) end)
+      iex> once = [every: 10, count: 1]
+      iex> Situ.to_list(fn p -> Situ.Vision.compare(Situ.repeat(p, a, once), Situ.repeat(p, b, once), tolerance: 1) end)
       [%{equal?: false, max: 2, mean: 2.0, outliers: 1.0}]
   """
   @spec compare(Stream.t(), Stream.t(), keyword()) :: Stream.t()

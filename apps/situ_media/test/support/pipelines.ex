@@ -2,7 +2,8 @@ defmodule Situ.Media.TestPipelines do
   @moduledoc "Runs a pipeline and gives back what came out of its streams."
 
   @doc """
-  Runs `build`, which returns a map of streams; returns the result of the run and, per key, `[{originating_time, data}]`.
+  Runs `build`, which returns a map of streams; returns the result of the run and, per key, `[{originating_time,
+  data}]`.
   """
   def collect(build, opts \\ []) do
     {:ok, agent} = Agent.start_link(fn -> %{} end)

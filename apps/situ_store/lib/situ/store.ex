@@ -12,7 +12,8 @@ defmodule Situ.Store do
   }
 
   @moduledoc """
-  Recordings: many streams in one store on disk, written while a pipeline runs, read by time, by index, live, or replayed.
+  Recordings: many streams in one store on disk, written while a pipeline runs, read by time, by index, live, or
+  replayed.
 
       {:ok, store} = Situ.Store.open("recordings/lobby")        # the newest lobby.NNNN
       Situ.Store.streams(store)                                 # names, types, counts, times, sizes, latency
@@ -26,7 +27,8 @@ defmodule Situ.Store do
       iex> {:ok, _report} =
       ...>   Situ.Pipeline.run(fn p ->
       ...>     store = Situ.Store.create(p, "squares", root)
-      ...>     p |> Situ.from_enumerable(1..3, every: Situ.Time.ms(10)) |> Situ.map(&(&1 * &1)) |> Situ.Store.write(store, "Square")
+      ...>     numbers = Situ.from_enumerable(p, 1..3, every: Situ.Time.ms(10))
+      ...>     numbers |> Situ.map(&(&1 * &1)) |> Situ.Store.write(store, "Square")
       ...>   end, pipeline: [replay: [interval: {0, :unbounded}, speed: :max]])
       iex> {:ok, store} = Situ.Store.open(Path.join(root, "squares"))
       iex> Enum.map(Situ.Store.messages(store, "Square"), & &1.data)
@@ -34,8 +36,9 @@ defmodule Situ.Store do
       iex> Situ.Store.delete(store.path)
       :ok
 
-  A foreign file (WAV, CSV, MP4 and other media, and everything a `Situ.Store.Reader` is known for) opens in the same way.
-  Without a pipeline: `Situ.Store.Writer`. For timelines: `Situ.Store.Summary`. The bytes: `priv/schema/store.md`.
+  A foreign file (WAV, CSV, MP4 and other media, and everything a `Situ.Store.Reader` is known for) opens in the same
+  way. Without a pipeline: `Situ.Store.Writer`. For timelines: `Situ.Store.Summary`. The bytes:
+  `priv/schema/store.md`.
 
   Reading trusts nothing: checksums are verified, no atoms or functions come out of a file, memory is bounded. Data of
   a struct that this system does not have is a map with the key `"__struct__"`; bytes of an unknown codec are a

@@ -142,7 +142,8 @@ const hooks = {
     },
   },
 
-  // Between two columns: drag it, or move it with the arrow keys. The width is a variable of the style, kept in the browser.
+  // Between two columns: drag it, or move it with the arrow keys. The width is a variable of the style, kept in the
+  // browser.
   Split: {
     mounted() {
       const { var: name, edge } = this.el.dataset;

@@ -31,7 +31,8 @@ defmodule Situ.Studio do
       type: {:or, [:keyword, {:in, [:own]}]},
       default: [],
       doc:
-        "`certfile:` and `keyfile:` of a certificate, or `:own` for one that is made for this machine's names and kept " <>
+        "`certfile:` and `keyfile:` of a certificate, or `:own` for one that is made for this " <>
+          "machine's names and kept " <>
           "in the user's configuration folder (`Situ.Live.Certificate`)."
     ],
     hosts: [type: :any, default: nil, doc: "Host names the server answers for; see `Situ.Live`."],

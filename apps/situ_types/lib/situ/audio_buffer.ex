@@ -190,8 +190,8 @@ defmodule Situ.AudioBuffer do
   def decode(_), do: bad("not a stored audio buffer")
 
   @doc """
-  The waveform as points of a millisecond each (minimum, maximum, last value; full scale 1.0; all channels together), each
-  with the time of its beginning.
+  The waveform as points of a millisecond each (minimum, maximum, last value; full scale 1.0; all channels together),
+  each with the time of its beginning.
 
       iex> buffer = Situ.AudioBuffer.from_samples([0, 16384, -16384], Situ.AudioFormat.pcm(2000))
       iex> Situ.AudioBuffer.points(buffer, 1_500_000)

@@ -14,12 +14,16 @@ defmodule Situ.Box3 do
   @type t :: %__MODULE__{min: Vector3.t(), max: Vector3.t(), pose: Pose.t() | nil}
   @type facet :: :x_min | :x_max | :y_min | :y_max | :z_min | :z_max
 
-  @doc "The box with these bounds; every coordinate of `min` must be at most that of `max`. Without a pose it is upright."
+  @doc """
+  The box with these bounds; every coordinate of `min` must be at most that of `max`. Without a pose it is upright.
+  """
   @spec new(Vector3.t(), Vector3.t(), Pose.t() | nil) :: {:ok, t()} | {:error, Error.t()}
   def new({ax, ay, az} = min, {bx, by, bz} = max, pose \\ nil) do
     if ax <= bx and ay <= by and az <= bz,
       do: {:ok, %__MODULE__{min: min, max: max, pose: pose}},
-      else: {:error, Error.new(:bad_box, "a box from #{inspect(min)} to #{inspect(max)} is turned inside out")}
+      else:
+        {:error,
+         Error.new(:bad_box, "a box from #{inspect(min)} to #{inspect(max)} is turned inside out")}
   end
 
   @doc "As `new/3`, but returns the box or raises the error."
@@ -39,7 +43,10 @@ defmodule Situ.Box3 do
     }
   end
 
-  defp unzip(points), do: {Enum.map(points, &elem(&1, 0)), Enum.map(points, &elem(&1, 1)), Enum.map(points, &elem(&1, 2))}
+  defp unzip(points),
+    do:
+      {Enum.map(points, &elem(&1, 0)), Enum.map(points, &elem(&1, 1)),
+       Enum.map(points, &elem(&1, 2))}
 
   @doc "Extents along the box's own axes (metres)."
   @spec size(t()) :: Vector3.t()
@@ -69,7 +76,20 @@ defmodule Situ.Box3 do
   @doc "The twelve edges, as pairs of places in `corners/1`."
   @spec edges() :: [{0..7, 0..7}]
   def edges do
-    [{0, 1}, {2, 3}, {4, 5}, {6, 7}, {0, 2}, {1, 3}, {4, 6}, {5, 7}, {0, 4}, {1, 5}, {2, 6}, {3, 7}]
+    [
+      {0, 1},
+      {2, 3},
+      {4, 5},
+      {6, 7},
+      {0, 2},
+      {1, 3},
+      {4, 6},
+      {5, 7},
+      {0, 4},
+      {1, 5},
+      {2, 6},
+      {3, 7}
+    ]
   end
 
   @doc "Whether a point lies in the box or at most `epsilon` (metres) outside of it."
@@ -102,7 +122,14 @@ defmodule Situ.Box3 do
 
     slabs =
       for {axis, name} <- [{0, :x}, {1, :y}, {2, :z}],
-          do: slab(elem(local.origin, axis), elem(local.direction, axis), elem(box.min, axis), elem(box.max, axis), name)
+          do:
+            slab(
+              elem(local.origin, axis),
+              elem(local.direction, axis),
+              elem(box.min, axis),
+              elem(box.max, axis),
+              name
+            )
 
     if :miss not in slabs do
       {enter, entry} = slabs |> Enum.map(&elem(&1, 0)) |> Enum.max_by(&elem(&1, 0))
@@ -119,11 +146,16 @@ defmodule Situ.Box3 do
   # Distances along the ray between which it is within one pair of facets. Beside them it always is, or never.
   @far 1.0e300
   defp slab(origin, direction, low, high, name) when abs(direction) < 1.0e-15 do
-    if origin >= low and origin <= high, do: {{-@far, facet(name, :min)}, {@far, facet(name, :max)}}, else: :miss
+    if origin >= low and origin <= high,
+      do: {{-@far, facet(name, :min)}, {@far, facet(name, :max)}},
+      else: :miss
   end
 
   defp slab(origin, direction, low, high, name) do
-    {first, last} = {{(low - origin) / direction, facet(name, :min)}, {(high - origin) / direction, facet(name, :max)}}
+    {first, last} =
+      {{(low - origin) / direction, facet(name, :min)},
+       {(high - origin) / direction, facet(name, :max)}}
+
     if direction > 0, do: {first, last}, else: {last, first}
   end
 
@@ -143,7 +175,12 @@ defmodule Situ.Box3 do
   @spec scale(t(), number()) :: t()
   def scale(%__MODULE__{} = box, factor) when is_number(factor) and factor >= 0 do
     middle = Vector3.lerp(box.min, box.max, 0.5)
-    %{box | min: Vector3.lerp(middle, box.min, factor), max: Vector3.lerp(middle, box.max, factor)}
+
+    %{
+      box
+      | min: Vector3.lerp(middle, box.min, factor),
+        max: Vector3.lerp(middle, box.max, factor)
+    }
   end
 
   defp inner(%{pose: nil}, point), do: point

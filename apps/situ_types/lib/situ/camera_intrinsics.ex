@@ -42,7 +42,11 @@ defmodule Situ.CameraIntrinsics do
     width: [type: :pos_integer, required: true, doc: "Pixels in a row."],
     height: [type: :pos_integer, required: true, doc: "Rows."],
     focal: [type: @pair, required: true, doc: "Focal lengths in pixels, along x and y."],
-    principal: [type: {:optional, @pair}, default: nil, doc: "Principal point in pixels; the middle by default."],
+    principal: [
+      type: {:optional, @pair},
+      default: nil,
+      doc: "Principal point in pixels; the middle by default."
+    ],
     radial: [
       type: {:list, :number},
       default: [],
@@ -52,7 +56,8 @@ defmodule Situ.CameraIntrinsics do
     distorts?: [
       type: :boolean,
       default: true,
-      doc: "Whether the closed form distorts (undistorted to distorted), as with OpenCV; some devices give the inverse."
+      doc:
+        "Whether the closed form distorts (undistorted to distorted), as with OpenCV; some devices give the inverse."
     ]
   ]
 
@@ -69,7 +74,12 @@ defmodule Situ.CameraIntrinsics do
       {px, py} = opts.principal || {opts.width / 2, opts.height / 2}
       {fx, fy} = opts.focal
       {p0, p1} = opts.tangential
-      radial = (opts.radial ++ List.duplicate(0.0, 6)) |> Enum.take(6) |> Enum.map(&(&1 * 1.0)) |> List.to_tuple()
+
+      radial =
+        (opts.radial ++ List.duplicate(0.0, 6))
+        |> Enum.take(6)
+        |> Enum.map(&(&1 * 1.0))
+        |> List.to_tuple()
 
       {:ok,
        struct!(__MODULE__, %{
@@ -94,7 +104,8 @@ defmodule Situ.CameraIntrinsics do
   end
 
   defp check(%{radial: radial}) when length(radial) > 6,
-    do: {:error, Error.new(:bad_camera, "#{length(radial)} radial coefficients; the model has six")}
+    do:
+      {:error, Error.new(:bad_camera, "#{length(radial)} radial coefficients; the model has six")}
 
   defp check(_opts), do: :ok
 
@@ -104,12 +115,19 @@ defmodule Situ.CameraIntrinsics do
   @impl Situ.Codec
   def encode(%__MODULE__{} = c) do
     numbers = Enum.flat_map([c.focal, c.principal, c.radial, c.tangential], &Tuple.to_list/1)
-    head = <<1, if(c.distorts?, do: 1, else: 0), 0::16, c.width::little-32, c.height::little-32, 0::32>>
+
+    head =
+      <<1, if(c.distorts?, do: 1, else: 0), 0::16, c.width::little-32, c.height::little-32,
+        0::32>>
+
     for number <- numbers, into: head, do: <<number::little-float-64>>
   end
 
   @impl Situ.Codec
-  def decode(<<1, distorts, 0::16, width::little-32, height::little-32, 0::32, numbers::binary-size(96)>>)
+  def decode(
+        <<1, distorts, 0::16, width::little-32, height::little-32, 0::32,
+          numbers::binary-size(96)>>
+      )
       when distorts in [0, 1] do
     case for <<number::little-float-64 <- numbers>>, do: number do
       [fx, fy, px, py, k1, k2, k3, k4, k5, k6, p0, p1] ->

@@ -17,7 +17,8 @@ defmodule Situ.CameraView do
     do: %__MODULE__{viewed: viewed, intrinsics: intrinsics, pose: pose}
 
   @doc "The same view of something else that the camera saw: its picture scaled, encoded, or turned to a cloud."
-  @spec map(t(viewed), (viewed -> {:ok, other} | {:error, error})) :: {:ok, t(other)} | {:error, error}
+  @spec map(t(viewed), (viewed -> {:ok, other} | {:error, error})) ::
+          {:ok, t(other)} | {:error, error}
         when viewed: term(), other: term(), error: term()
   def map(%__MODULE__{} = view, fun) when is_function(fun, 1) do
     with {:ok, viewed} <- fun.(view.viewed), do: {:ok, %{view | viewed: viewed}}

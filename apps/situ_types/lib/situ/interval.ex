@@ -219,7 +219,9 @@ defmodule Situ.Interval do
   @spec proper_subset?(t(), t()) :: boolean()
   def proper_subset?(a, b), do: subset?(a, b) and not subset?(b, a)
 
-  @doc "Moves both ends by `by`; unbounded ends stay. Also makes a relative interval absolute: `translate(window, time)`."
+  @doc """
+  Moves both ends by `by`; unbounded ends stay. Also makes a relative interval absolute: `translate(window, time)`.
+  """
   @spec translate(t(), point()) :: t()
   def translate(%__MODULE__{left: left, right: right} = interval, by) do
     %{interval | left: Scale.move(left, by), right: Scale.move(right, by)}

@@ -2,8 +2,8 @@ defmodule Situ.JSON do
   @moduledoc """
   JSON: jiffy, or Erlang's own `:json` where it has one (OTP 27 and up).
 
-  `nil` is `null`, objects are maps with string keys, and nothing read makes an atom. Text that is not UTF-8 is mended on
-  the way out (U+FFFD stands for what nobody can read) and refused on the way in.
+  `nil` is `null`, objects are maps with string keys, and nothing read makes an atom. Text that is not UTF-8 is mended
+  on the way out (U+FFFD stands for what nobody can read) and refused on the way in.
 
       iex> Situ.JSON.encode(%{name: "Mic.Level", rate: 100.0, type: nil})
       ...> |> Situ.JSON.decode()
@@ -79,7 +79,10 @@ defmodule Situ.JSON do
     defp write(value, [:pretty]), do: :json.format(value, &one/3, %{indent: 2})
 
     defp one(nil, _encoder), do: "null"
-    defp one({pairs}, encoder) when is_list(pairs), do: :json.encode_key_value_list(pairs, encoder)
+
+    defp one({pairs}, encoder) when is_list(pairs),
+      do: :json.encode_key_value_list(pairs, encoder)
+
     defp one(value, encoder), do: :json.encode_value(value, encoder)
 
     defp one(nil, _encoder, _state), do: "null"
@@ -92,7 +95,10 @@ defmodule Situ.JSON do
     defp mend(text) when is_binary(text), do: if(String.valid?(text), do: text, else: valid(text))
     defp mend(list) when is_list(list), do: Enum.map(list, &mend/1)
     defp mend(map) when is_map(map), do: Map.new(map, fn {k, v} -> {mend(k), mend(v)} end)
-    defp mend({pairs}) when is_list(pairs), do: {Enum.map(pairs, fn {k, v} -> {mend(k), mend(v)} end)}
+
+    defp mend({pairs}) when is_list(pairs),
+      do: {Enum.map(pairs, fn {k, v} -> {mend(k), mend(v)} end)}
+
     defp mend(other), do: other
 
     defp valid(<<c::utf8, rest::binary>>), do: <<c::utf8, valid(rest)::binary>>

@@ -26,10 +26,18 @@ defmodule Situ.Mesh do
     highest = highest(indices, -1)
 
     cond do
-      rem(byte_size(vertices), 12) != 0 -> {:error, Error.new(:bad_mesh, "a vertex has 12 bytes")}
-      rem(byte_size(indices), 12) != 0 -> {:error, Error.new(:bad_mesh, "a triangle has 12 bytes of indices")}
-      highest >= count -> {:error, Error.new(:bad_mesh, "a triangle names vertex #{highest}, and there are #{count}")}
-      true -> {:ok, %__MODULE__{vertices: vertices, indices: indices, pose: pose}}
+      rem(byte_size(vertices), 12) != 0 ->
+        {:error, Error.new(:bad_mesh, "a vertex has 12 bytes")}
+
+      rem(byte_size(indices), 12) != 0 ->
+        {:error, Error.new(:bad_mesh, "a triangle has 12 bytes of indices")}
+
+      highest >= count ->
+        {:error,
+         Error.new(:bad_mesh, "a triangle names vertex #{highest}, and there are #{count}")}
+
+      true ->
+        {:ok, %__MODULE__{vertices: vertices, indices: indices, pose: pose}}
     end
   end
 
@@ -40,7 +48,9 @@ defmodule Situ.Mesh do
   @spec from_lists([Vector3.t()], [{non_neg_integer(), non_neg_integer(), non_neg_integer()}]) ::
           {:ok, t()} | {:error, Error.t()}
   def from_lists(vertices, triangles) do
-    indices = for {a, b, c} <- triangles, into: <<>>, do: <<a::little-32, b::little-32, c::little-32>>
+    indices =
+      for {a, b, c} <- triangles, into: <<>>, do: <<a::little-32, b::little-32, c::little-32>>
+
     new(Situ.PointCloud.from_points(vertices).points, indices)
   end
 
@@ -56,11 +66,13 @@ defmodule Situ.Mesh do
   @spec triangles(t()) :: [{Vector3.t(), Vector3.t(), Vector3.t()}]
   def triangles(%__MODULE__{} = mesh) do
     for <<a::little-32, b::little-32, c::little-32 <- mesh.indices>>,
-        do: {vertex(mesh, a), vertex(mesh, b), vertex(mesh, c)}
+      do: {vertex(mesh, a), vertex(mesh, b), vertex(mesh, c)}
   end
 
   defp vertex(%{vertices: vertices, pose: pose}, index) do
-    <<x::little-float-32, y::little-float-32, z::little-float-32>> = binary_part(vertices, index * 12, 12)
+    <<x::little-float-32, y::little-float-32, z::little-float-32>> =
+      binary_part(vertices, index * 12, 12)
+
     if pose, do: Pose.transform(pose, {x, y, z}), else: {x, y, z}
   end
 
@@ -77,7 +89,8 @@ defmodule Situ.Mesh do
     pose = if mesh.pose, do: Pose.encode(mesh.pose), else: <<>>
 
     [
-      <<1, if(mesh.pose, do: 1, else: 0), 0::16, vertex_count(mesh)::little-32, triangle_count(mesh)::little-32>>,
+      <<1, if(mesh.pose, do: 1, else: 0), 0::16, vertex_count(mesh)::little-32,
+        triangle_count(mesh)::little-32>>,
       pose,
       mesh.vertices,
       mesh.indices
@@ -89,18 +102,28 @@ defmodule Situ.Mesh do
     with {:ok, pose} <- Pose.decode(pose), do: decode(rest, v, t, pose)
   end
 
-  def decode(<<1, 0, 0::16, v::little-32, t::little-32, rest::binary>>), do: decode(rest, v, t, nil)
+  def decode(<<1, 0, 0::16, v::little-32, t::little-32, rest::binary>>),
+    do: decode(rest, v, t, nil)
+
   def decode(_bytes), do: {:error, Error.new(:bad_mesh, "not a stored mesh")}
 
   defp decode(rest, vertices, triangles, pose) do
     case rest do
-      <<v::binary-size(vertices)-unit(96), i::binary-size(triangles)-unit(96)>> -> new(v, i, pose)
-      _ -> {:error, Error.new(:bad_mesh, "a stored mesh has #{byte_size(rest)} bytes, its head tells otherwise")}
+      <<v::binary-size(vertices)-unit(96), i::binary-size(triangles)-unit(96)>> ->
+        new(v, i, pose)
+
+      _ ->
+        {:error,
+         Error.new(
+           :bad_mesh,
+           "a stored mesh has #{byte_size(rest)} bytes, its head tells otherwise"
+         )}
     end
   end
 
   defimpl Inspect do
     def inspect(mesh, _opts),
-      do: "#Situ.Mesh<#{Situ.Mesh.vertex_count(mesh)} vertices, #{Situ.Mesh.triangle_count(mesh)} triangles>"
+      do:
+        "#Situ.Mesh<#{Situ.Mesh.vertex_count(mesh)} vertices, #{Situ.Mesh.triangle_count(mesh)} triangles>"
   end
 end

@@ -29,8 +29,8 @@ defmodule Situ.Message do
   def latency(%__MODULE__{} = message), do: message.creation_time - message.originating_time
 
   @doc """
-  The size of the data in bytes: of a binary, or of what a picture or sound holds, its bytes; of anything else that of its
-  external term format. It walks through the term: costly for large ones that are not binaries.
+  The size of the data in bytes: of a binary, or of what a picture or sound holds, its bytes; of anything else that of
+  its external term format. It walks through the term: costly for large ones that are not binaries.
 
       iex> Situ.Message.size(%Situ.Message{data: <<1, 2, 3>>, originating_time: 0})
       3

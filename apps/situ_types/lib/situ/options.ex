@@ -16,8 +16,7 @@ defmodule Situ.Options do
 
   @type type :: atom() | tuple()
   @type schema :: [
-          {atom(),
-           [type: type(), default: term(), required: boolean(), doc: String.t() | false]}
+          {atom(), [type: type(), default: term(), required: boolean(), doc: String.t() | false]}
         ]
 
   @doc """

@@ -21,7 +21,11 @@ defmodule Situ.Plane do
         {:ok, %__MODULE__{normal: normal, offset: Vector3.dot(normal, a)}}
 
       :error ->
-        {:error, Error.new(:degenerate_plane, "three points on one line span no plane: #{inspect([a, b, c])}")}
+        {:error,
+         Error.new(
+           :degenerate_plane,
+           "three points on one line span no plane: #{inspect([a, b, c])}"
+         )}
     end
   end
 

@@ -21,11 +21,17 @@ defmodule Situ.PointCloud do
   def new(points, colors \\ nil) when is_binary(points) do
     cond do
       rem(byte_size(points), 12) != 0 ->
-        {:error, Error.new(:bad_cloud, "#{byte_size(points)} bytes are no whole number of points of 12 bytes")}
+        {:error,
+         Error.new(
+           :bad_cloud,
+           "#{byte_size(points)} bytes are no whole number of points of 12 bytes"
+         )}
 
       colors != nil and byte_size(colors) * 4 != byte_size(points) ->
         {:error,
-         Error.new(:bad_cloud, "#{div(byte_size(points), 12)} points have #{byte_size(colors)} bytes of colour",
+         Error.new(
+           :bad_cloud,
+           "#{div(byte_size(points), 12)} points have #{byte_size(colors)} bytes of colour",
            fix: "give three bytes for each point"
          )}
 
@@ -38,7 +44,12 @@ defmodule Situ.PointCloud do
   @spec from_points([Vector3.t()]) :: t()
   def from_points(points) do
     %__MODULE__{
-      points: for({x, y, z} <- points, into: <<>>, do: <<x::little-float-32, y::little-float-32, z::little-float-32>>)
+      points:
+        for(
+          {x, y, z} <- points,
+          into: <<>>,
+          do: <<x::little-float-32, y::little-float-32, z::little-float-32>>
+        )
     }
   end
 
@@ -68,7 +79,9 @@ defmodule Situ.PointCloud do
   @doc "The cloud, given in a pose's own frame, in the frame of the pose; colours stay."
   @spec transform(t(), Pose.t()) :: t()
   def transform(%__MODULE__{} = cloud, %Pose{} = pose) do
-    %{points: points} = cloud |> to_points() |> Enum.map(&Pose.transform(pose, &1)) |> from_points()
+    %{points: points} =
+      cloud |> to_points() |> Enum.map(&Pose.transform(pose, &1)) |> from_points()
+
     %{cloud | points: points}
   end
 
@@ -77,15 +90,25 @@ defmodule Situ.PointCloud do
 
   @impl Situ.Codec
   def encode(%__MODULE__{points: points, colors: colors}) do
-    [<<1, if(colors, do: 1, else: 0), 0::16, div(byte_size(points), 12)::little-32>>, points | List.wrap(colors)]
+    [
+      <<1, if(colors, do: 1, else: 0), 0::16, div(byte_size(points), 12)::little-32>>,
+      points | List.wrap(colors)
+    ]
   end
 
   @impl Situ.Codec
   def decode(<<1, colors, 0::16, count::little-32, rest::binary>>) when colors in [0, 1] do
     case rest do
-      <<points::binary-size(count)-unit(96)>> when colors == 0 -> new(points)
-      <<points::binary-size(count)-unit(96), rgb::binary-size(count)-unit(24)>> when colors == 1 -> new(points, rgb)
-      _ -> {:error, Error.new(:bad_cloud, "a stored cloud of #{count} points has #{byte_size(rest)} bytes")}
+      <<points::binary-size(count)-unit(96)>> when colors == 0 ->
+        new(points)
+
+      <<points::binary-size(count)-unit(96), rgb::binary-size(count)-unit(24)>>
+      when colors == 1 ->
+        new(points, rgb)
+
+      _ ->
+        {:error,
+         Error.new(:bad_cloud, "a stored cloud of #{count} points has #{byte_size(rest)} bytes")}
     end
   end
 
@@ -93,6 +116,7 @@ defmodule Situ.PointCloud do
 
   defimpl Inspect do
     def inspect(cloud, _opts),
-      do: "#Situ.PointCloud<#{Situ.PointCloud.count(cloud)} points#{if cloud.colors, do: ", coloured"}>"
+      do:
+        "#Situ.PointCloud<#{Situ.PointCloud.count(cloud)} points#{if cloud.colors, do: ", coloured"}>"
   end
 end

@@ -25,8 +25,11 @@ defmodule Situ.Pose do
   @spec new(Vector3.t(), Quaternion.t()) :: t()
   def new({_, _, _} = position, rotation \\ {1.0, 0.0, 0.0, 0.0}) do
     case Quaternion.normalize(rotation) do
-      {:ok, rotation} -> %__MODULE__{position: position, rotation: rotation}
-      :error -> raise ArgumentError, "#{inspect(rotation)} is no rotation: a quaternion has unit length"
+      {:ok, rotation} ->
+        %__MODULE__{position: position, rotation: rotation}
+
+      :error ->
+        raise ArgumentError, "#{inspect(rotation)} is no rotation: a quaternion has unit length"
     end
   end
 
@@ -55,7 +58,9 @@ defmodule Situ.Pose do
     else
       :error ->
         {:error,
-         Error.new(:degenerate_pose, "no pose looks along #{inspect(forward)} with up #{inspect(up)}",
+         Error.new(
+           :degenerate_pose,
+           "no pose looks along #{inspect(forward)} with up #{inspect(up)}",
            why: "the two are parallel, or one of them has no length",
            fix: "give an up direction that differs from the forward direction"
          )}
@@ -65,13 +70,20 @@ defmodule Situ.Pose do
   @doc "The pose of `b`'s frame in the frame that `a` is given in; `b` is given in `a`'s frame."
   @spec compose(t(), t()) :: t()
   def compose(%__MODULE__{} = a, %__MODULE__{} = b),
-    do: %__MODULE__{position: transform(a, b.position), rotation: Quaternion.multiply(a.rotation, b.rotation)}
+    do: %__MODULE__{
+      position: transform(a, b.position),
+      rotation: Quaternion.multiply(a.rotation, b.rotation)
+    }
 
   @doc "The pose of the outer frame in this pose's own frame."
   @spec invert(t()) :: t()
   def invert(%__MODULE__{} = pose) do
     rotation = Quaternion.inverse(pose.rotation)
-    %__MODULE__{position: Quaternion.rotate(rotation, Vector3.scale(pose.position, -1)), rotation: rotation}
+
+    %__MODULE__{
+      position: Quaternion.rotate(rotation, Vector3.scale(pose.position, -1)),
+      rotation: rotation
+    }
   end
 
   @doc "A point of the pose's own frame, in the frame that the pose is given in."
@@ -82,7 +94,8 @@ defmodule Situ.Pose do
   @doc "The directions of the pose's x, y and z axes."
   @spec axes(t()) :: {Vector3.t(), Vector3.t(), Vector3.t()}
   def axes(%__MODULE__{rotation: q}) do
-    {Quaternion.rotate(q, {1.0, 0.0, 0.0}), Quaternion.rotate(q, {0.0, 1.0, 0.0}), Quaternion.rotate(q, {0.0, 0.0, 1.0})}
+    {Quaternion.rotate(q, {1.0, 0.0, 0.0}), Quaternion.rotate(q, {0.0, 1.0, 0.0}),
+     Quaternion.rotate(q, {0.0, 0.0, 1.0})}
   end
 
   @doc """
@@ -126,8 +139,9 @@ defmodule Situ.Pose do
     end
   end
 
-  def from_matrix([_, _, _, _, _, _, _, _, _, _, _, _, l, m, n, o] = matrix) when l == 0 and m == 0 and n == 0 and o == 1,
-    do: matrix |> Enum.take(12) |> Kernel.++([0, 0, 0, 1]) |> from_matrix()
+  def from_matrix([_, _, _, _, _, _, _, _, _, _, _, _, l, m, n, o] = matrix)
+      when l == 0 and m == 0 and n == 0 and o == 1,
+      do: matrix |> Enum.take(12) |> Kernel.++([0, 0, 0, 1]) |> from_matrix()
 
   def from_matrix(other), do: {:error, not_rigid(other)}
 
@@ -148,15 +162,16 @@ defmodule Situ.Pose do
 
   @impl Situ.Codec
   def decode(
-        <<1, _::56, x::little-float-64, y::little-float-64, z::little-float-64, w::little-float-64,
-          i::little-float-64, j::little-float-64, k::little-float-64>>
+        <<1, _::56, x::little-float-64, y::little-float-64, z::little-float-64,
+          w::little-float-64, i::little-float-64, j::little-float-64, k::little-float-64>>
       ) do
     case Quaternion.normalize({w, i, j, k}) do
       {:ok, _} -> {:ok, %__MODULE__{position: {x, y, z}, rotation: {w, i, j, k}}}
       :error -> {:error, Error.new(:degenerate_pose, "the stored rotation has no length")}
     end
   rescue
-    ArithmeticError -> {:error, Error.new(:degenerate_pose, "the stored rotation is too large to be one")}
+    ArithmeticError ->
+      {:error, Error.new(:degenerate_pose, "the stored rotation is too large to be one")}
   end
 
   def decode(_bytes), do: {:error, Error.new(:bad_pose, "not a stored pose")}

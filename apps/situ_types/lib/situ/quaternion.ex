@@ -124,10 +124,17 @@ defmodule Situ.Quaternion do
     if rotation?(matrix, tolerance) do
       normalize(
         cond do
-          a + e + i > 0 -> with_root(a + e + i, fn s -> {s / 4, (h - f) / s, (c - g) / s, (d - b) / s} end)
-          a >= e and a >= i -> with_root(a - e - i, fn s -> {(h - f) / s, s / 4, (b + d) / s, (c + g) / s} end)
-          e >= i -> with_root(e - a - i, fn s -> {(c - g) / s, (b + d) / s, s / 4, (f + h) / s} end)
-          true -> with_root(i - a - e, fn s -> {(d - b) / s, (c + g) / s, (f + h) / s, s / 4} end)
+          a + e + i > 0 ->
+            with_root(a + e + i, fn s -> {s / 4, (h - f) / s, (c - g) / s, (d - b) / s} end)
+
+          a >= e and a >= i ->
+            with_root(a - e - i, fn s -> {(h - f) / s, s / 4, (b + d) / s, (c + g) / s} end)
+
+          e >= i ->
+            with_root(e - a - i, fn s -> {(c - g) / s, (b + d) / s, s / 4, (f + h) / s} end)
+
+          true ->
+            with_root(i - a - e, fn s -> {(d - b) / s, (c + g) / s, (f + h) / s, s / 4} end)
         end
       )
     else
@@ -139,7 +146,12 @@ defmodule Situ.Quaternion do
 
   defp rotation?({r0, r1, r2}, tolerance) do
     products = [
-      {r0, r0, 1}, {r1, r1, 1}, {r2, r2, 1}, {r0, r1, 0}, {r0, r2, 0}, {r1, r2, 0},
+      {r0, r0, 1},
+      {r1, r1, 1},
+      {r2, r2, 1},
+      {r0, r1, 0},
+      {r0, r2, 0},
+      {r1, r2, 0},
       {Vector3.cross(r0, r1), r2, 1}
     ]
 

@@ -17,24 +17,34 @@ defmodule Situ.Ray3 do
   @spec new(Vector3.t(), Vector3.t()) :: {:ok, t()} | {:error, Error.t()}
   def new(origin, direction) do
     case Vector3.normalize(direction) do
-      {:ok, unit} -> {:ok, %__MODULE__{origin: origin, direction: unit}}
-      :error -> {:error, Error.new(:degenerate_ray, "a ray along #{inspect(direction)} points nowhere")}
+      {:ok, unit} ->
+        {:ok, %__MODULE__{origin: origin, direction: unit}}
+
+      :error ->
+        {:error, Error.new(:degenerate_ray, "a ray along #{inspect(direction)} points nowhere")}
     end
   end
 
   @doc "The ray along the x axis of a pose: where a camera or a head looks."
   @spec from_pose(Pose.t()) :: t()
   def from_pose(%Pose{} = pose),
-    do: %__MODULE__{origin: pose.position, direction: Quaternion.rotate(pose.rotation, {1.0, 0.0, 0.0})}
+    do: %__MODULE__{
+      origin: pose.position,
+      direction: Quaternion.rotate(pose.rotation, {1.0, 0.0, 0.0})
+    }
 
   @doc "The point at a distance (metres) along the ray."
   @spec point_at(t(), number()) :: Vector3.t()
-  def point_at(%__MODULE__{} = ray, distance), do: Vector3.add(ray.origin, Vector3.scale(ray.direction, distance))
+  def point_at(%__MODULE__{} = ray, distance),
+    do: Vector3.add(ray.origin, Vector3.scale(ray.direction, distance))
 
   @doc "The ray, given in a pose's own frame, in the frame of the pose."
   @spec transform(t(), Pose.t()) :: t()
   def transform(%__MODULE__{} = ray, %Pose{} = pose) do
-    %__MODULE__{origin: Pose.transform(pose, ray.origin), direction: Quaternion.rotate(pose.rotation, ray.direction)}
+    %__MODULE__{
+      origin: Pose.transform(pose, ray.origin),
+      direction: Quaternion.rotate(pose.rotation, ray.direction)
+    }
   end
 
   @doc "The distance (metres) of a point from the ray; behind its origin, from the origin."
@@ -51,8 +61,11 @@ defmodule Situ.Ray3 do
   @spec interpolate(t() | nil, t() | nil, number()) :: t() | nil
   def interpolate(%__MODULE__{} = a, %__MODULE__{} = b, ratio) do
     case a.direction |> Vector3.lerp(b.direction, ratio) |> Vector3.normalize() do
-      {:ok, direction} -> %__MODULE__{origin: Vector3.lerp(a.origin, b.origin, ratio), direction: direction}
-      :error -> nil
+      {:ok, direction} ->
+        %__MODULE__{origin: Vector3.lerp(a.origin, b.origin, ratio), direction: direction}
+
+      :error ->
+        nil
     end
   end
 

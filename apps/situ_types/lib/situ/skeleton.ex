@@ -2,7 +2,8 @@ defmodule Situ.Skeleton do
   @moduledoc """
   A body or a hand as named joints with poses and confidences, and the bones between them.
 
-      iex> body = Situ.Skeleton.new!(%{head: Situ.Pose.new({0.0, 0.0, 1.7}), neck: Situ.Pose.new({0.0, 0.0, 1.5})}, [{:head, :neck}])
+      iex> joints = %{head: Situ.Pose.new({0.0, 0.0, 1.7}), neck: Situ.Pose.new({0.0, 0.0, 1.5})}
+      iex> body = Situ.Skeleton.new!(joints, [{:head, :neck}])
       iex> Situ.Skeleton.position(body, :head)
       {0.0, 0.0, 1.7}
       iex> {:error, error} = Situ.Skeleton.new(%{}, [{:head, :neck}])
@@ -24,7 +25,11 @@ defmodule Situ.Skeleton do
 
   @schema [
     id: [type: :any, default: nil, doc: "Which body, through time."],
-    confidence: [type: :map, default: %{}, doc: "How sure, 0..1, by joint; 1 where it says nothing."]
+    confidence: [
+      type: :map,
+      default: %{},
+      doc: "How sure, 0..1, by joint; 1 where it says nothing."
+    ]
   ]
 
   @doc """
@@ -32,14 +37,20 @@ defmodule Situ.Skeleton do
 
   #{Situ.Options.docs(@schema)}
   """
-  @spec new(%{joint() => Pose.t()}, [{joint(), joint()}], keyword()) :: {:ok, t()} | {:error, Error.t()}
+  @spec new(%{joint() => Pose.t()}, [{joint(), joint()}], keyword()) ::
+          {:ok, t()} | {:error, Error.t()}
   def new(joints, bones, opts \\ []) when is_map(joints) and is_list(bones) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         nil <- Enum.find(bones, fn {a, b} -> not (is_map_key(joints, a) and is_map_key(joints, b)) end) do
+         nil <-
+           Enum.find(bones, fn {a, b} -> not (is_map_key(joints, a) and is_map_key(joints, b)) end) do
       {:ok, struct!(__MODULE__, [joints: joints, bones: bones] ++ opts)}
     else
-      {:error, _} = error -> error
-      bone -> {:error, Error.new(:bad_skeleton, "the bone #{inspect(bone)} names a joint that is not there")}
+      {:error, _} = error ->
+        error
+
+      bone ->
+        {:error,
+         Error.new(:bad_skeleton, "the bone #{inspect(bone)} names a joint that is not there")}
     end
   end
 
@@ -56,13 +67,26 @@ defmodule Situ.Skeleton do
   @doc "The skeleton, given in a pose's own frame, in the frame of the pose."
   @spec transform(t(), Pose.t()) :: t()
   def transform(%__MODULE__{} = skeleton, %Pose{} = pose),
-    do: %{skeleton | joints: Map.new(skeleton.joints, fn {name, joint} -> {name, Pose.compose(pose, joint)} end)}
+    do: %{
+      skeleton
+      | joints:
+          Map.new(skeleton.joints, fn {name, joint} -> {name, Pose.compose(pose, joint)} end)
+    }
 
   @doc "The skeleton between `a` (ratio 0) and `b` (ratio 1): joints that both have, each as `Situ.Pose.interpolate/3`."
   @spec interpolate(t() | nil, t() | nil, number()) :: t() | nil
   def interpolate(%__MODULE__{} = a, %__MODULE__{} = b, ratio) do
-    joints = for {name, pose} <- a.joints, other = b.joints[name], into: %{}, do: {name, Pose.interpolate(pose, other, ratio)}
-    bones = Enum.filter(a.bones, fn {from, to} -> is_map_key(joints, from) and is_map_key(joints, to) end)
+    joints =
+      for {name, pose} <- a.joints,
+          other = b.joints[name],
+          into: %{},
+          do: {name, Pose.interpolate(pose, other, ratio)}
+
+    bones =
+      Enum.filter(a.bones, fn {from, to} ->
+        is_map_key(joints, from) and is_map_key(joints, to)
+      end)
+
     %{a | joints: joints, bones: bones}
   end
 

@@ -2,8 +2,8 @@ defmodule Situ.Tensor do
   @moduledoc """
   A tensor: a binary of numbers with its element type and shape beside it.
 
-  Elements are row major (the last dimension runs fastest) in native byte order, which is what ONNX Runtime and Nx use, so
-  nothing is copied on the way there. `shape` is a tuple of dimensions; `{}` is a scalar.
+  Elements are row major (the last dimension runs fastest) in native byte order, which is what ONNX Runtime and Nx
+  use, so nothing is copied on the way there. `shape` is a tuple of dimensions; `{}` is a scalar.
 
       iex> t = Situ.Tensor.from_list([1.0, 2.0, 3.0, 4.0], :f32, {2, 2})
       iex> Situ.Tensor.to_list(t)

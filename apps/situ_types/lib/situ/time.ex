@@ -2,8 +2,8 @@ defmodule Situ.Time do
   @moduledoc """
   Time points and durations as integer nanoseconds.
 
-  A time point is nanoseconds since the Unix epoch, UTC (what `System.os_time(:nanosecond)` gives); a duration is a plain
-  integer of nanoseconds. Both are integers, so that ROS, MCAP and 100 ns times survive unchanged.
+  A time point is nanoseconds since the Unix epoch, UTC (what `System.os_time(:nanosecond)` gives); a duration is a
+  plain integer of nanoseconds. Both are integers, so that ROS, MCAP and 100 ns times survive unchanged.
 
       iex> Situ.Time.ms(250)
       250_000_000

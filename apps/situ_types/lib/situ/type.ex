@@ -2,9 +2,9 @@ defmodule Situ.Type do
   @moduledoc """
   Types of ports: what may be connected to what, and whether a value is what it claims to be.
 
-  A type is `:any`, `:integer`, `:float`, `:number`, `:boolean`, `:string`, `:binary`, `:atom`, `:map`, `:pid`, a struct's
-  module, `{:list, t}`, `{:tuple, [t]}`, `{:map, key, value}`, `{:optional, t}` (the type or `nil`),
-  `{:in, values}`, `{:or, [t]}` or `{:message, t}` (a `Situ.Message` with such data).
+  A type is `:any`, `:integer`, `:float`, `:number`, `:boolean`, `:string`, `:binary`, `:atom`, `:map`, `:pid`, a
+  struct's module, `{:list, t}`, `{:tuple, [t]}`, `{:map, key, value}`, `{:optional, t}` (the type or `nil`), `{:in,
+  values}`, `{:or, [t]}` or `{:message, t}` (a `Situ.Message` with such data).
 
       iex> Situ.Type.accepts?(:number, :integer)
       true

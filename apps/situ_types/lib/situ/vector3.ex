@@ -2,7 +2,8 @@ defmodule Situ.Vector3 do
   @moduledoc """
   Arithmetic on directions and displacements in space, as tuples `{x, y, z}` of floats.
 
-  Tuples are what `Situ.Pose`, `Situ.Ray3` and the other shapes of space hold; `Situ.Point3` is a named point in a stream.
+  Tuples are what `Situ.Pose`, `Situ.Ray3` and the other shapes of space hold; `Situ.Point3` is a named point in a
+  stream.
 
       iex> Situ.Vector3.cross({1.0, 0.0, 0.0}, {0.0, 1.0, 0.0})
       {0.0, 0.0, 1.0}
@@ -11,7 +12,8 @@ defmodule Situ.Vector3 do
 
   @doc "The vector of three numbers, as floats."
   @spec new(number(), number(), number()) :: t()
-  def new(x, y, z) when is_number(x) and is_number(y) and is_number(z), do: {x * 1.0, y * 1.0, z * 1.0}
+  def new(x, y, z) when is_number(x) and is_number(y) and is_number(z),
+    do: {x * 1.0, y * 1.0, z * 1.0}
 
   @doc "Sum."
   @spec add(t(), t()) :: t()

@@ -33,19 +33,37 @@ defmodule Situ.Velocity3 do
   @doc "The rate of turning between two poses that are `duration` ns apart, at the later one."
   @spec angular(Pose.t(), Pose.t(), Situ.Time.duration()) :: {:ok, t()} | {:error, Error.t()}
   def angular(%Pose{} = from, %Pose{} = to, duration) do
-    {axis, angle} = to.rotation |> Quaternion.multiply(Quaternion.inverse(from.rotation)) |> Quaternion.to_axis_angle()
+    {axis, angle} =
+      to.rotation
+      |> Quaternion.multiply(Quaternion.inverse(from.rotation))
+      |> Quaternion.to_axis_angle()
+
     new(:angular, to.position, axis, angle, duration)
   end
 
   defp new(kind, origin, direction, moved, duration) when is_integer(duration) and duration > 0 do
-    {:ok, %__MODULE__{kind: kind, origin: origin, direction: direction, magnitude: moved * 1.0e9 / duration}}
+    {:ok,
+     %__MODULE__{
+       kind: kind,
+       origin: origin,
+       direction: direction,
+       magnitude: moved * 1.0e9 / duration
+     }}
   end
 
   defp new(_kind, _origin, _direction, _moved, duration),
-    do: {:error, Error.new(:bad_duration, "no velocity over #{inspect(duration)} ns", why: "time must have passed")}
+    do:
+      {:error,
+       Error.new(:bad_duration, "no velocity over #{inspect(duration)} ns",
+         why: "time must have passed"
+       )}
 
   @doc "Where something that moves on like this is after `duration` ns. Linear only."
   @spec destination(t(), Situ.Time.duration()) :: Vector3.t()
   def destination(%__MODULE__{kind: :linear} = velocity, duration),
-    do: Vector3.add(velocity.origin, Vector3.scale(velocity.direction, velocity.magnitude * duration / 1.0e9))
+    do:
+      Vector3.add(
+        velocity.origin,
+        Vector3.scale(velocity.direction, velocity.magnitude * duration / 1.0e9)
+      )
 end

@@ -21,15 +21,18 @@ defmodule Situ.VoxelGrid do
 
   @doc "The indices of the cube that holds a point."
   @spec index(t(), Vector3.t()) :: index()
-  def index(%__MODULE__{size: size}, {x, y, z}), do: {floor(x / size), floor(y / size), floor(z / size)}
+  def index(%__MODULE__{size: size}, {x, y, z}),
+    do: {floor(x / size), floor(y / size), floor(z / size)}
 
   @doc "The middle of a cube."
   @spec center(t(), index()) :: Vector3.t()
-  def center(%__MODULE__{size: size}, {i, j, k}), do: {(i + 0.5) * size, (j + 0.5) * size, (k + 0.5) * size}
+  def center(%__MODULE__{size: size}, {i, j, k}),
+    do: {(i + 0.5) * size, (j + 0.5) * size, (k + 0.5) * size}
 
   @doc "Puts a value into the cube of a point."
   @spec put(t(), Vector3.t(), term()) :: t()
-  def put(%__MODULE__{} = grid, point, value), do: %{grid | voxels: Map.put(grid.voxels, index(grid, point), value)}
+  def put(%__MODULE__{} = grid, point, value),
+    do: %{grid | voxels: Map.put(grid.voxels, index(grid, point), value)}
 
   @doc "`initial` in the cube of a point, or what `fun` makes of the value that is there."
   @spec update(t(), Vector3.t(), term(), (term() -> term())) :: t()
@@ -43,7 +46,12 @@ defmodule Situ.VoxelGrid do
   @doc "The grid without the cubes for which `fun.(center, value)` is true."
   @spec reject(t(), (Vector3.t(), term() -> boolean())) :: t()
   def reject(%__MODULE__{} = grid, fun) do
-    kept = for {index, value} <- grid.voxels, not fun.(center(grid, index), value), into: %{}, do: {index, value}
+    kept =
+      for {index, value} <- grid.voxels,
+          not fun.(center(grid, index), value),
+          into: %{},
+          do: {index, value}
+
     %{grid | voxels: kept}
   end
 

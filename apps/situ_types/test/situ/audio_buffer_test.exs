@@ -36,7 +36,11 @@ defmodule Situ.AudioBufferTest do
   end
 
   test "what is not a number is left out of the waveform" do
-    buffer = %AudioBuffer{format: AudioFormat.pcm(1000, 1, :f32), data: <<-1::32, 0.5::little-float-32>>}
+    buffer = %AudioBuffer{
+      format: AudioFormat.pcm(1000, 1, :f32),
+      data: <<-1::32, 0.5::little-float-32>>
+    }
+
     assert AudioBuffer.points(buffer, 2_000_000) == [{1_000_000, 0.5, 0.5, 0.5, 1}]
   end
 end

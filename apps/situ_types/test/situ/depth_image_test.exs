@@ -21,7 +21,10 @@ defmodule Situ.DepthImageTest do
 
   test "impossible depth is refused" do
     assert {:error, %{code: :bad_image}} = DepthImage.new(width: 2, height: 2, data: <<0::16>>)
-    assert {:error, %{code: :bad_image}} = DepthImage.new(width: 1, height: 1, data: <<0::16>>, scale: 0)
+
+    assert {:error, %{code: :bad_image}} =
+             DepthImage.new(width: 1, height: 1, data: <<0::16>>, scale: 0)
+
     gray8 = Situ.Image.filled(1, 1, :gray8)
     assert {:error, %{code: :bad_format}} = DepthImage.from_gray16(gray8)
   end

@@ -27,7 +27,10 @@ defmodule Situ.PoseTest do
 
   property "composition is one transformation after the other" do
     forall {a, b, point} <- {pose(), pose(), vector()} do
-      assert near?(Pose.transform(Pose.compose(a, b), point), Pose.transform(a, Pose.transform(b, point)))
+      assert near?(
+               Pose.transform(Pose.compose(a, b), point),
+               Pose.transform(a, Pose.transform(b, point))
+             )
     end
   end
 
@@ -38,7 +41,12 @@ defmodule Situ.PoseTest do
 
       {yaw, pitch, roll} = Quaternion.to_euler(pose.rotation)
       turned = Quaternion.from_euler(yaw, pitch, roll)
-      assert near?(Quaternion.rotate(turned, point), Quaternion.rotate(pose.rotation, point), 1.0e-4)
+
+      assert near?(
+               Quaternion.rotate(turned, point),
+               Quaternion.rotate(pose.rotation, point),
+               1.0e-4
+             )
     end
   end
 
@@ -78,7 +86,11 @@ defmodule Situ.PoseTest do
 
   test "a stored rotation of no length or beyond all numbers is refused" do
     for {w, code} <- [{0.0, :degenerate_pose}, {1.0e300, :degenerate_pose}] do
-      bytes = for value <- [0.0, 0.0, 0.0, w, 0.0, 0.0, 0.0], into: <<1, 0::56>>, do: <<value::little-float-64>>
+      bytes =
+        for value <- [0.0, 0.0, 0.0, w, 0.0, 0.0, 0.0],
+            into: <<1, 0::56>>,
+            do: <<value::little-float-64>>
+
       assert {:error, %Situ.Error{code: ^code}} = Pose.decode(bytes)
     end
   end

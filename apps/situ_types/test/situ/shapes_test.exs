@@ -3,7 +3,19 @@ defmodule Situ.ShapesTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
-  alias Situ.{Box3, CameraIntrinsics, CameraView, Mesh, Plane, PointCloud, Pose, Quaternion, Ray3, Rectangle3}
+  alias Situ.{
+    Box3,
+    CameraIntrinsics,
+    CameraView,
+    Mesh,
+    Plane,
+    PointCloud,
+    Pose,
+    Quaternion,
+    Ray3,
+    Rectangle3
+  }
+
   alias Situ.{Skeleton, Vector3, Velocity3, VoxelGrid}
 
   doctest Box3
@@ -36,7 +48,11 @@ defmodule Situ.ShapesTest do
 
   defp box do
     map({vector(), vector(), pose()}, fn {{ax, ay, az}, {bx, by, bz}, pose} ->
-      Box3.new!({min(ax, bx), min(ay, by), min(az, bz)}, {max(ax, bx), max(ay, by), max(az, bz)}, pose)
+      Box3.new!(
+        {min(ax, bx), min(ay, by), min(az, bz)},
+        {max(ax, bx), max(ay, by), max(az, bz)},
+        pose
+      )
     end)
   end
 
@@ -49,7 +65,8 @@ defmodule Situ.ShapesTest do
           assert facet in [:x_min, :x_max, :y_min, :y_max, :z_min, :z_max]
 
         nil ->
-          for step <- 0..40, do: refute(Box3.contains?(box, Ray3.point_at(ray, step / 4), -1.0e-6))
+          for step <- 0..40,
+              do: refute(Box3.contains?(box, Ray3.point_at(ray, step / 4), -1.0e-6))
       end
     end
   end
@@ -58,7 +75,10 @@ defmodule Situ.ShapesTest do
     forall {box, point} <- {box(), vector()} do
       closest = Box3.closest_point(box, point)
       assert Box3.contains?(box, closest, 1.0e-6)
-      nearest_corner = box |> Box3.corners() |> Enum.map(&Vector3.distance(&1, point)) |> Enum.min()
+
+      nearest_corner =
+        box |> Box3.corners() |> Enum.map(&Vector3.distance(&1, point)) |> Enum.min()
+
       assert Vector3.distance(closest, point) <= nearest_corner + 1.0e-6
     end
   end
@@ -67,7 +87,8 @@ defmodule Situ.ShapesTest do
     forall {box, pose, point} <- {box(), pose(), vector()} do
       # Points on the skin may fall either way.
       if Box3.contains?(box, point, 1.0e-6) == Box3.contains?(box, point, -1.0e-6) do
-        assert Box3.contains?(Box3.transform(box, pose), Pose.transform(pose, point)) == Box3.contains?(box, point)
+        assert Box3.contains?(Box3.transform(box, pose), Pose.transform(pose, point)) ==
+                 Box3.contains?(box, point)
       end
     end
   end
@@ -101,27 +122,49 @@ defmodule Situ.ShapesTest do
       %{points: data} = PointCloud.from_points(points)
       colors = if colored?, do: :binary.copy(<<1, 2, 3>>, length(points))
       {:ok, cloud} = PointCloud.new(data, colors)
-      assert {:ok, ^cloud} = cloud |> PointCloud.encode() |> IO.iodata_to_binary() |> PointCloud.decode()
+
+      assert {:ok, ^cloud} =
+               cloud |> PointCloud.encode() |> IO.iodata_to_binary() |> PointCloud.decode()
 
       triangles = if length(points) > 2, do: [{0, 1, 2}, {2, 1, 0}], else: []
       {:ok, mesh} = Mesh.from_lists(points, triangles)
       mesh = if colored?, do: Mesh.transform(mesh, Pose.new({1.0, 2.0, 3.0})), else: mesh
       assert {:ok, ^mesh} = mesh |> Mesh.encode() |> IO.iodata_to_binary() |> Mesh.decode()
 
-      for module <- [PointCloud, Mesh, CameraIntrinsics], prefix <- ["", <<1>>, <<1, 1, 0, 0>>],
+      for module <- [PointCloud, Mesh, CameraIntrinsics],
+          prefix <- ["", <<1>>, <<1, 1, 0, 0>>],
           do: assert({:error, %Situ.Error{}} = module.decode(prefix <> bytes))
     end
   end
 
   test "intrinsics are read back" do
-    camera = CameraIntrinsics.new!(width: 640, height: 480, focal: {500, 510}, radial: [0.1, -0.2], tangential: {0.01, 0})
+    camera =
+      CameraIntrinsics.new!(
+        width: 640,
+        height: 480,
+        focal: {500, 510},
+        radial: [0.1, -0.2],
+        tangential: {0.01, 0}
+      )
+
     assert {:ok, ^camera} = camera |> CameraIntrinsics.encode() |> CameraIntrinsics.decode()
-    assert {:error, %{code: :bad_camera}} = CameraIntrinsics.new(width: 1, height: 1, focal: {1, 1}, radial: List.duplicate(0, 7))
+
+    assert {:error, %{code: :bad_camera}} =
+             CameraIntrinsics.new(
+               width: 1,
+               height: 1,
+               focal: {1, 1},
+               radial: List.duplicate(0, 7)
+             )
   end
 
   test "clouds that do not add up are refused with what is wrong" do
-    assert {:error, %{what: "13 bytes are no whole number of points of 12 bytes"}} = PointCloud.new(<<0::104>>)
-    assert {:error, %{what: "1 points have 2 bytes of colour"}} = PointCloud.new(<<0::96>>, <<0, 0>>)
+    assert {:error, %{what: "13 bytes are no whole number of points of 12 bytes"}} =
+             PointCloud.new(<<0::104>>)
+
+    assert {:error, %{what: "1 points have 2 bytes of colour"}} =
+             PointCloud.new(<<0::96>>, <<0, 0>>)
+
     assert PointCloud.bounds(PointCloud.from_points([])) == nil
     assert PointCloud.centroid(PointCloud.from_points([])) == nil
   end
@@ -129,7 +172,10 @@ defmodule Situ.ShapesTest do
   test "a view keeps its camera when what it views changes" do
     camera = CameraIntrinsics.new!(width: 2, height: 1, focal: {1, 1})
     view = CameraView.new(:picture, camera, Pose.identity())
-    assert {:ok, %CameraView{viewed: "picture", intrinsics: ^camera}} = CameraView.map(view, &{:ok, to_string(&1)})
+
+    assert {:ok, %CameraView{viewed: "picture", intrinsics: ^camera}} =
+             CameraView.map(view, &{:ok, to_string(&1)})
+
     assert {:error, :no} = CameraView.map(view, fn _ -> {:error, :no} end)
   end
 
@@ -147,7 +193,11 @@ defmodule Situ.ShapesTest do
       right = Skeleton.new!(%{hand: Pose.new(b)}, [])
       between = Skeleton.interpolate(left, right, percent / 100)
       assert Map.keys(between.joints) == [:hand] and between.bones == []
-      assert Vector3.distance(Skeleton.position(between, :hand), Vector3.lerp(a, b, percent / 100)) < 1.0e-9
+
+      assert Vector3.distance(
+               Skeleton.position(between, :hand),
+               Vector3.lerp(a, b, percent / 100)
+             ) < 1.0e-9
     end
   end
 end

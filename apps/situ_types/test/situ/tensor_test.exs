@@ -28,10 +28,16 @@ defmodule Situ.TensorTest do
       assert Tensor.decode(IO.iodata_to_binary(Tensor.encode(tensor))) == {:ok, tensor}
     end
 
-    assert Tensor.to_list(Tensor.new(<<0x7C00::16-native, 0xFC00::16-native, 0x7E00::16-native>>, :f16, {3})) ==
+    assert Tensor.to_list(
+             Tensor.new(<<0x7C00::16-native, 0xFC00::16-native, 0x7E00::16-native>>, :f16, {3})
+           ) ==
              [:infinity, :neg_infinity, :nan]
 
-    assert Tensor.to_list(Tensor.new(<<0x7F80::16-native, 0xFFC0::16-native>>, :bf16, {2})) == [:infinity, :nan]
+    assert Tensor.to_list(Tensor.new(<<0x7F80::16-native, 0xFFC0::16-native>>, :bf16, {2})) == [
+             :infinity,
+             :nan
+           ]
+
     # 1 + 2^-8 lies between two: the even one.
     assert Tensor.to_list(Tensor.from_list([1.00390625], :bf16, {1})) == [1.0]
   end

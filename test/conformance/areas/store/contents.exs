@@ -101,8 +101,8 @@ defmodule Situ.Conformance.Store.Contents do
     {:not_applicable, "Elixir's values are immutable: none can refer to itself"}
   end
 
-  # Written with their types, read without. The case lists more values than messages: they are what is written, and of those that it
-  # has as messages the values have to be the same.
+  # Written with their types, read without. The case lists more values than messages: they are what is written, and of
+  # those that it has as messages the values have to be the same.
   def run("dynamic_read", _params, %{"expect" => %{"values" => values}} = case, root) do
     given = for {_, messages} <- streams(case), m <- messages, do: m.data
 
@@ -212,7 +212,8 @@ defmodule Situ.Conformance.Store.Contents do
   defp figure(info, "closed_ms"), do: info.closed && div(info.closed, ms())
   defp figure(_info, other), do: raise(ArgumentError, "an unknown figure: #{other}")
 
-  # A struct with these fields, as a program of that day would define it. New fields have defaults, unless they are required.
+  # A struct with these fields, as a program of that day would define it. New fields have defaults, unless they are
+  # required.
   defp struct_module(members, required) do
     name = Module.concat(Situ.Conformance.Store, "Struct#{:erlang.phash2({members, required})}")
     fields = for m <- members, do: {String.to_atom(m), default(m)}

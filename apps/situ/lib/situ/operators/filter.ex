@@ -9,7 +9,8 @@ defmodule Situ.Filter do
     order: [
       type: :pos_integer,
       doc:
-        "Default 4 infinite; 64 finite, and for narrow bands so many that they are separated: 4 times the rate over the width."
+        "Default 4 infinite; 64 finite, and for narrow bands so many that they are separated: " <>
+          "4 times the rate over the width."
     ],
     interpolator: [
       type: {:struct, Situ.Interpolator},

@@ -3,14 +3,17 @@ defmodule Situ.Fusion do
     give_up_after: [
       type: :pos_integer,
       doc:
-        "ns: a primary that still waits when a primary this much later has arrived is decided by the messages that are there. " <>
+        "ns: a primary that still waits when a primary this much later has arrived is decided " <>
+          "by the messages that are there. " <>
           "The result then depends on timing."
     ],
     max_queue: [
       type: :pos_integer,
       doc:
-        "So many primaries, and so many messages of each secondary, wait at most. Sources that can wait are made to; where that does " <>
-          "not help the oldest primary is decided by the messages that are there, and the oldest secondary message is dropped. " <>
+        "So many primaries, and so many messages of each secondary, wait at most. Sources " <>
+          "that can wait are made to; where that does " <>
+          "not help the oldest primary is decided by the messages that are there, and the " <>
+          "oldest secondary message is dropped. " <>
           "The result then depends on timing."
     ]
   ]

@@ -9,7 +9,8 @@ defmodule Situ.Indexer do
       iex> Situ.Indexer.ranges([10, 10, 10], [{0, 1}, :all, :all])
       [{0, 199}]
 
-      iex> view = Situ.Indexer.new([4, 6]) |> Situ.Indexer.slice([{1, 3}, {0, 5, 2}]) |> Situ.Indexer.slice([:all, {2, 1}])
+      iex> rows = Situ.Indexer.new([4, 6]) |> Situ.Indexer.slice([{1, 3}, {0, 5, 2}])
+      iex> view = Situ.Indexer.slice(rows, [:all, {2, 1}])
       iex> {Situ.Indexer.shape(view), Situ.Indexer.indices(view)}
       {[3, 2], [10, 8, 16, 14, 22, 20]}
 

@@ -11,7 +11,9 @@ defmodule Situ.StateMachine do
 
         @impl true
         def handle_event(:closed, {:message, %{data: :push}}, data),
-          do: {:next_state, :open, %{data | opened: data.opened + 1}, [{:emit, :opened}, {:state_timeout, Situ.Time.s(3)}]}
+          do:
+              {:next_state, :open, %{data | opened: data.opened + 1},
+               [{:emit, :opened}, {:state_timeout, Situ.Time.s(3)}]}
 
         def handle_event(:open, :state_timeout, data), do: {:next_state, :closed, data, [{:emit, :closed}]}
         def handle_event(_state, _event, data), do: {:keep_state, data}

@@ -5,7 +5,8 @@ defmodule Situ.Diagnostics.AveragesTest do
 
   doctest Window
 
-  # An edge to which each second `n` messages are handed, `age` ns old, and from which they are taken `handling` ns each.
+  # An edge to which each second `n` messages are handed, `age` ns old, and from which they are taken `handling` ns
+  # each.
   defp second(ref, n, age, handling) do
     Counters.emitted(ref, n, age, age + 1_000)
     Counters.processed(ref, n, age + 2_000, n * handling)

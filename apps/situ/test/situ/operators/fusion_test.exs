@@ -71,7 +71,7 @@ defmodule Situ.Operators.FusionTest do
       assert run(inputs, build) == [{10, {:a, [:b, :c]}}]
     end
 
-    test "refuses interpolators that are not reproducible, negative tolerances and windows that end before they begin" do
+    test "refuses irreproducible interpolators, negative tolerances and windows that end before they begin" do
       Situ.Pipeline.run(fn p ->
         [a, b] = [Situ.return(p, 1), Situ.return(p, 2)]
         error = assert_raise Situ.Error, fn -> Situ.join(a, b, Available.last()) end

@@ -1,6 +1,6 @@
 defmodule Situ.Operators.LiveReplayTest do
-  # A live source is not reproducible; what is made of it is. Its stream, once recorded and replayed at any speed, gives the values and
-  # times that the live run gave.
+  # A live source is not reproducible; what is made of it is. Its stream, once recorded and replayed at any speed,
+  # gives the values and times that the live run gave.
   use ExUnit.Case, async: true
 
   alias Situ.{Pipeline, Reproducible, Time}

@@ -1,6 +1,6 @@
 defmodule Situ.Operators.PureMapTest do
-  # `source |> map(identity) |> operator` is `source |> operator`: for every operator, wherever the map runs, and while other streams
-  # of the pipeline go on for longer.
+  # `source |> map(identity) |> operator` is `source |> operator`: for every operator, wherever the map runs, and
+  # while other streams of the pipeline go on for longer.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 

@@ -1,6 +1,7 @@
 defmodule Situ.ReproducibleTest do
-  # The promise of the reproducible operators: random graphs of them, over random inputs, give the same values at the same
-  # times for every schedule: batch sizes, delays, chained or in processes of their own, as fast as possible or by the clock.
+  # The promise of the reproducible operators: random graphs of them, over random inputs, give the same values at the
+  # same times for every schedule: batch sizes, delays, chained or in processes of their own, as fast as possible or
+  # by the clock.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 

@@ -4,8 +4,8 @@ defmodule Situ.Stage.ControlTest do
 
   alias Situ.{Delivery, Pipeline}
 
-  # Each message, and each plain message `:work`, takes until the test lets it go: how many pass before an answer comes is then
-  # known exactly, however busy the machine is.
+  # Each message, and each plain message `:work`, takes until the test lets it go: how many pass before an answer
+  # comes is then known exactly, however busy the machine is.
   defmodule Slow do
     use Situ.Component,
       inputs: [in: :any],

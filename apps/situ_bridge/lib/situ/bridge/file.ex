@@ -64,7 +64,10 @@ defmodule Situ.Bridge.File do
     end
   end
 
-  @doc "The messages of a file as a lazy enumerable of `{time, value}`; raises `Situ.Error` (`:io`, `:bad_file`) while it is taken from."
+  @doc """
+  The messages of a file as a lazy enumerable of `{time, value}`; raises `Situ.Error` (`:io`, `:bad_file`) while it is
+  taken from.
+  """
   @spec messages(Path.t(), Format.name(), keyword()) :: Enumerable.t()
   def messages(path, format, opts \\ []) do
     module = Format.module!(format)

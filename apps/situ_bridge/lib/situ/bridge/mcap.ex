@@ -10,7 +10,8 @@ defmodule Situ.Bridge.Mcap do
       type: {:in, [:log, :publish, :header]},
       default: :log,
       doc:
-        "Originating times: when a message was recorded (`:log`; the index has them), sent (`:publish`), or the stamp " <>
+        "Originating times: when a message was recorded (`:log`; the index has them), sent " <>
+          "(`:publish`), or the stamp " <>
           "of its ROS header (`:header`, the log time for messages without one). The last two look at every message " <>
           "of a stream when it is first used."
     ]

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Tcp do
   @moduledoc """
-  Streams over plain TCP: frames of a 32-bit length (little-endian) and a message in a format of `Situ.Bridge.Format`, as
-  \\psi's `TcpWriter` and `TcpSource` have it, and as any language reads in three lines.
+  Streams over plain TCP: frames of a 32-bit length (little-endian) and a message in a format of `Situ.Bridge.Format`,
+  as \\psi's `TcpWriter` and `TcpSource` have it, and as any language reads in three lines.
 
       Situ.Bridge.Tcp.serve(levels, 7000)                         # listens; every client gets what comes from now on
       levels = Situ.Bridge.Tcp.connect(p, "robot", 7000)

@@ -25,7 +25,8 @@ defmodule Situ.Build.Release do
   @doc ~S"""
   The text of a release's script, without the cookie.
 
-      iex> Situ.Build.Release.without_cookie("RELEASE_COOKIE=x\nexport RELEASE_COOKIE\nexec elixir --hidden --cookie \"$RELEASE_COOKIE\" \\\n  --boot b\n")
+      iex> exec = "exec elixir --hidden --cookie \"$RELEASE_COOKIE\" \\\n  --boot b\n"
+      iex> Situ.Build.Release.without_cookie("RELEASE_COOKIE=x\nexport RELEASE_COOKIE\n" <> exec)
       "exec elixir --hidden  --boot b\n"
   """
   @spec without_cookie(String.t()) :: String.t()

@@ -11,7 +11,9 @@ defmodule Situ.Build.Sources do
   @kinds ~w(.ex .exs .heex .rs .js .mjs .css .md)
   @code ~w(.ex .rs .js .mjs)
 
-  @doc "One sentence for every file of the checkout at `root` that git tracks and that is too long or has a line too long."
+  @doc """
+  One sentence for every file of the checkout at `root` that git tracks and that is too long or has a line too long.
+  """
   @spec violations(Path.t()) :: [String.t()]
   def violations(root) do
     for file <- tracked(root),

@@ -23,8 +23,9 @@ defmodule Situ.CLI.Task do
         aliases: ["exec"],
         summary: "run a task over the sessions of a dataset",
         about: """
-        A session that fails does not stop the others (status 1 at the end). A run that was stopped or killed is taken up
-        where it was by the same command. Recordings are never changed: what a task makes is a new partition, or a file.
+        A session that fails does not stop the others (status 1 at the end). A run that was stopped or killed is
+        taken up where it was by the same command. Recordings are never changed: a task makes a new partition, or a
+        file.
         """,
         arguments: [
           path: [kind: :recording, doc: "a dataset file, a folder of recordings, or a recording"],

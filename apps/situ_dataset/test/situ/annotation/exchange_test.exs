@@ -223,7 +223,8 @@ defmodule Situ.Annotation.ExchangeTest do
 
   test "a subtitle without a speaker, overlapping ones, a value that is none of the schema's" do
     text =
-      "WEBVTT - title\n\nNOTE x\n\n00:01.000 --> 00:02.000 align:start\n<b>Hi</b> &amp; bye\n\n00:01.500 --> 00:03.000\nthere\n"
+      "WEBVTT - title\n\nNOTE x\n\n00:01.000 --> 00:02.000 align:start\n<b>Hi</b> &amp; bye\n\n" <>
+        "00:01.500 --> 00:03.000\nthere\n"
 
     {:ok, layer, losses} = Exchange.decode(text, :webvtt)
 

@@ -1,7 +1,7 @@
 defmodule Situ.Examples.ImuFusion do
   @moduledoc """
-  Sensors of different rates brought together: one x-IMU3 gives acceleration 50 times, the magnetic field 20 times and the
-  temperature once a second, none of them at the same moments.
+  Sensors of different rates brought together: one x-IMU3 gives acceleration 50 times, the magnetic field 20 times and
+  the temperature once a second, none of them at the same moments.
 
   The acceleration leads. The magnetic field is interpolated to its times, the temperature is the last one measured.
   Both are reproducible: the fused stream is the same however the messages arrive.
@@ -33,7 +33,9 @@ defmodule Situ.Examples.ImuFusion do
     Situ.each(fused, opts[:each] || fn _ -> :ok end)
   end
 
-  @doc "Direction of the magnetic field against the device's x axis, degrees, with the tilt taken out by the acceleration."
+  @doc """
+  Direction of the magnetic field against the device's x axis, degrees, with the tilt taken out by the acceleration.
+  """
   @spec heading([float()], [float()]) :: float()
   def heading([ax, ay, az], [mx, my, mz]) do
     roll = :math.atan2(ay, az)

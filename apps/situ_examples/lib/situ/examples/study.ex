@@ -230,7 +230,8 @@ defmodule Situ.Examples.Study do
         if result.kappa, do: ", kappa against the truth #{Float.round(result.kappa, 3)}", else: ""
 
       IO.puts(
-        "  #{result.session}: #{result.annotations} proposed annotations on tracks #{Enum.join(result.tracks, ", ")}#{kappa}"
+        "  #{result.session}: #{result.annotations} proposed annotations " <>
+          "on tracks #{Enum.join(result.tracks, ", ")}#{kappa}"
       )
 
       for file <- result.files, do: IO.puts("    #{file}")

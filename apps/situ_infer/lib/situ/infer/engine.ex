@@ -13,7 +13,10 @@ defmodule Situ.Infer.Engine do
           {name :: String.t(), Situ.Tensor.element_type() | :unsupported, shape :: tuple()}
   @type loaded :: %{handle: handle(), inputs: [port_spec()], outputs: [port_spec()]}
 
-  @doc "Loads a model from its file's bytes. `opts` holds `:threads`, `:sessions` and `:provider` (`:cpu` or `{:cuda, device}`)."
+  @doc """
+  Loads a model from its file's bytes. `opts` holds `:threads`, `:sessions` and `:provider` (`:cpu` or `{:cuda,
+  device}`).
+  """
   @callback load(bytes :: binary(), opts :: keyword()) ::
               {:ok, loaded()} | {:error, Situ.Error.t()}
 

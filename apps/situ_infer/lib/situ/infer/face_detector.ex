@@ -16,7 +16,8 @@ defmodule Situ.Infer.FaceDetector do
       type: {:optional, :non_neg_integer},
       default: nil,
       doc:
-        "Tiles searched in each picture for small faces, in turn; `nil`: so many that 50 pictures cover everything. 0 for none."
+        "Tiles searched in each picture for small faces, in turn; `nil`: so many that 50 " <>
+          "pictures cover everything. 0 for none."
     ],
     every: [
       type: :time_ns,
@@ -28,15 +29,15 @@ defmodule Situ.Infer.FaceDetector do
   @moduledoc """
   Finds faces in pictures (BlazeFace short range).
 
-  Input `:in` is a `Situ.Image` of an 8-bit format, output `:out` a list of `Situ.Infer.Face` at the picture's time. Faces
-  of a quarter of the picture or more are seen in the whole picture; smaller ones, down to 40 pixels, are found in tiles
-  within two seconds of their appearance, and then looked at closely. While no face moves, they are looked for every
-  `:every` nanoseconds, and stay where they are between. No face is an empty list.
+  Input `:in` is a `Situ.Image` of an 8-bit format, output `:out` a list of `Situ.Infer.Face` at the picture's time.
+  Faces of a quarter of the picture or more are seen in the whole picture; smaller ones, down to 40 pixels, are found
+  in tiles within two seconds of their appearance, and then looked at closely. While no face moves, they are looked
+  for every `:every` nanoseconds, and stay where they are between. No face is an empty list.
 
       frames |> Situ.via(Situ.Infer.FaceDetector, min_score: 0.6)
 
-  One look costs about 1.2 ms on one core. A picture takes one look, one for each face that is not large, and one for each
-  tile; where faces rest, a third of that; the first picture is searched in full.
+  One look costs about 1.2 ms on one core. A picture takes one look, one for each face that is not large, and one for
+  each tile; where faces rest, a third of that; the first picture is searched in full.
 
   ## Options
 

@@ -10,9 +10,11 @@ defmodule Situ.Infer.FaceMesh do
   Points that matter most: 13 and 14 the inner lips in the middle (upper, lower), 78 and 308 the inner corners of the
   mouth, 33 and 263 the outer corners of the eyes, 1 the nose's tip, 152 the chin.
 
-      iex> points = for i <- 0..467, into: <<>>, do: <<i * 1.0::float-native-32, 2.0::float-native-32, 0.0::float-native-32>>
+      iex> point = &for(v <- &1, into: <<>>, do: <<v::float-native-32>>)
+      iex> points = for i <- 0..467, into: <<>>, do: point.([i * 1.0, 2.0, 0.0])
       iex> patch = Situ.Infer.Patch.around({96.0, 96.0}, 192.0, 0.0, 192)
-      iex> mesh = %Situ.Infer.FaceMesh{id: 0, rect: Situ.Rect.new!(0, 0, 1, 1), score: 1.0, points: points, patch: patch}
+      iex> rect = Situ.Rect.new!(0, 0, 1, 1)
+      iex> mesh = %Situ.Infer.FaceMesh{id: 0, rect: rect, score: 1.0, points: points, patch: patch}
       iex> Situ.Infer.FaceMesh.point(mesh, 13)
       {13.0, 2.0}
       iex> Situ.Infer.FaceMesh.distance(mesh, 13, 14)

@@ -7,8 +7,8 @@ defmodule Situ.Infer.Mouth do
     * `baseline`: the opening of **this** mouth when it is closed, learnt while watching
     * `open?`: clearly more open than that
 
-  Only the change within one face means anything: a smile with teeth measures as open as another face speaking. So a fixed
-  threshold fails, and each face gets a baseline that falls at once and rises slowly.
+  Only the change within one face means anything: a smile with teeth measures as open as another face speaking. So a
+  fixed threshold fails, and each face gets a baseline that falls at once and rises slowly.
 
       iex> mouth = Situ.Infer.Mouth.watch(nil, 0, 0.12)
       iex> mouth = Situ.Infer.Mouth.watch(mouth, 40_000_000, 0.2)

@@ -15,7 +15,9 @@ defmodule Situ.Infer.Shelf do
     GenServer.start_link(__MODULE__, opts, name: name)
   end
 
-  @doc "The model under `key`; else what `load` answers, which runs in another process. `size` is what it counts, in bytes."
+  @doc """
+  The model under `key`; else what `load` answers, which runs in another process. `size` is what it counts, in bytes.
+  """
   @spec fetch(GenServer.server(), term(), non_neg_integer(), (() -> result)) :: result
         when result: {:ok, term()} | {:error, Exception.t()}
   def fetch(shelf \\ __MODULE__, key, size, load),

@@ -10,7 +10,8 @@ defmodule Situ.Infer.SpeechRecognizer do
       type: {:optional, :time_ns},
       default: 300_000_000,
       doc:
-        "How often there is a result while somebody speaks, ns; a tenth of what was said when that is longer. `nil`: none."
+        "How often there is a result while somebody speaks, ns; a tenth of what was said when " <>
+          "that is longer. `nil`: none."
     ],
     margin: [
       type: :time_ns,

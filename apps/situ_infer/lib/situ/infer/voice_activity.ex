@@ -33,7 +33,8 @@ defmodule Situ.Infer.VoiceActivity do
     * `:speaking`: a boolean with hysteresis, see `Situ.Infer.VoiceGate`: up to `:min_silence` later;
     * `:segments`: a `Situ.Infer.VoiceSegment` whenever one is over, at its end.
 
-        %{speaking: speaking, segments: segments} = microphone |> Situ.via(Situ.Infer.VoiceActivity, min_silence: Situ.Time.ms(400))
+        %{speaking: speaking, segments: segments} =
+          Situ.via(microphone, Situ.Infer.VoiceActivity, min_silence: Situ.Time.ms(400))
 
   `Situ.Infer.voice/2` and `Situ.Infer.voice_activity/2` are the same with one output. A gap of more than 0.1 s in the
   sound starts anew. Silero takes about 0.15 ms a message, on the component's own scheduler.

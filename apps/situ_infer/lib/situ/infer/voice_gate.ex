@@ -16,7 +16,8 @@ defmodule Situ.Infer.VoiceGate do
       type: {:in, [:exact, :at_once]},
       default: :exact,
       doc:
-        "`:exact` holds a value back while it is not sure (never longer than the two times above); `:at_once` says what it believes."
+        "`:exact` holds a value back while it is not sure (never longer than the two times " <>
+          "above); `:at_once` says what it believes."
     ]
   ]
 

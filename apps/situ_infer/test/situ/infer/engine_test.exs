@@ -9,7 +9,8 @@ defmodule Situ.Infer.EngineTest do
   true = error.code == :no_onnxruntime and error.fix =~ "bin/setup"
   System.put_env("SITU_ONNXRUNTIME", "/etc/hostname")
   {:error, %{code: :no_onnxruntime}} = Model.load(Model.path("face_landmark.onnx"))
-  {:ok, state} = Situ.Infer.VoiceActivity.init(Situ.Options.validate!([detector: :energy], Situ.Infer.VoiceActivity.options()))
+  options = Situ.Options.validate!([detector: :energy], Situ.Infer.VoiceActivity.options())
+  {:ok, state} = Situ.Infer.VoiceActivity.init(options)
   {[], _} = Situ.Infer.VoiceActivity.handle_start(nil, state)
   System.delete_env("SITU_ONNXRUNTIME")
   {:ok, _} = Model.load(Model.path("face_landmark.onnx"))

@@ -40,13 +40,13 @@ defmodule Situ.Audio.Analyzer do
   | `:log_mel` | logarithms of the power of `mel_bands` bands, samples scaled to -1..1 |
   | `:mfcc` | the first `mfcc` cepstral coefficients (orthonormal DCT-II of `:log_mel`) |
 
-  Frames are `round(rate * frame)` samples, windowed by a periodic Hann window and padded to the next power of two for the
-  Fourier transform. The time of a frame is that of its last sample's end, exact to the sample. Of several channels the
-  first counts. Integer samples count as they are (8 bit: 0..255), floats as 16-bit numbers would.
+  Frames are `round(rate * frame)` samples, windowed by a periodic Hann window and padded to the next power of two for
+  the Fourier transform. The time of a frame is that of its last sample's end, exact to the sample. Of several
+  channels the first counts. Integer samples count as they are (8 bit: 0..255), floats as 16-bit numbers would.
 
-  All is as in \\\\psi, with its slips mended: silence and bins without power make no NaN of the entropy (silence has 0),
-  the dither is seeded by the frame's number (so results do not depend on how the sound was cut), and
-  the spectrum is the textbook transform (\\\\psi's is its conjugate, packed in fours).
+  All is as in \\\\psi, with its slips mended: silence and bins without power make no NaN of the entropy (silence has
+  0), the dither is seeded by the frame's number (so results do not depend on how the sound was cut), and the spectrum
+  is the textbook transform (\\\\psi's is its conjugate, packed in fours).
 
   ## Options
 
@@ -128,8 +128,8 @@ defmodule Situ.Audio.Analyzer do
   end
 
   @doc """
-  The features of every whole frame in a buffer, as maps with the outputs' names; `first` numbers the first frame (seed of
-  the dither).
+  The features of every whole frame in a buffer, as maps with the outputs' names; `first` numbers the first frame
+  (seed of the dither).
 
       iex> buffer = Situ.AudioBuffer.silence(Situ.AudioFormat.pcm(16_000), 400)
       iex> {:ok, analyzer} = Situ.Audio.Analyzer.new(buffer.format, dither: 0)

@@ -1,8 +1,8 @@
 defmodule Situ.Audio.Level do
   @moduledoc """
   How loud a piece of sound is. `peak` and `rms` are fractions of full scale (the loudest channel's peak, the mean power
-  of all), `peak_db` and `rms_db` the same in decibels below full scale, at least -120.0; `channels` has `{peak, rms}` of
-  each.
+  of all), `peak_db` and `rms_db` the same in decibels below full scale, at least -120.0; `channels` has `{peak, rms}`
+  of each.
 
       iex> Situ.Audio.Level.new([{1.0, 0.5}]).peak_db
       0.0

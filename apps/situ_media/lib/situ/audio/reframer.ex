@@ -15,17 +15,18 @@ defmodule Situ.Audio.Reframer do
       type: {:in, [:drop, :keep, :pad]},
       default: :drop,
       doc:
-        "What to do at the end with fewer frames than asked for: lose them, emit them, or emit them filled up with silence."
+        "What to do at the end with fewer frames than asked for: lose them, emit them, or " <>
+          "emit them filled up with silence."
     ]
   ]
 
   @moduledoc """
   Cuts sound into buffers of an exact size, whatever the size it comes in (`Situ.Audio.reframe/2`).
 
-  The time of each is the input's time less what follows it in that input, so exact to the sample. Where that would not be
-  later than the buffer before (inputs whose times do not agree with their lengths), it is 1 ns later. When the format
-  changes, what is left of the old one goes as `tail:` says; the time of that last buffer is when its sound ends,
-  without the silence that fills it up.
+  The time of each is the input's time less what follows it in that input, so exact to the sample. Where that would
+  not be later than the buffer before (inputs whose times do not agree with their lengths), it is 1 ns later. When the
+  format changes, what is left of the old one goes as `tail:` says; the time of that last buffer is when its sound
+  ends, without the silence that fills it up.
 
   ## Options
 

@@ -17,10 +17,10 @@ defmodule Situ.Audio.Streamline do
   Makes sound with gaps, overlaps or shaky times contiguous (`Situ.Audio.streamline/2`).
 
     * `:concatenate`: nothing is changed but the times, which run on from the first buffer's as if there were no gaps;
-    * `:pleat`: each buffer is padded with silence or cut at its end to fill exactly the time since the one before; times
-      stay;
-    * `:unpleat`: times run on; when they have drifted from the input's by more than `max_offset`, silence goes in before
-      the buffer (it came late) or its beginning is cut off (it came early).
+    * `:pleat`: each buffer is padded with silence or cut at its end to fill exactly the time since the one before;
+      times stay;
+    * `:unpleat`: times run on; when they have drifted from the input's by more than `max_offset`, silence goes in
+      before the buffer (it came late) or its beginning is cut off (it came early).
 
   A gap whose silence would take more than 256 MiB (hours of speech) is the error `:gap_too_long`: a clock was set. A
   change of the format on the way is an error, too.

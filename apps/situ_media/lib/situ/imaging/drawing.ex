@@ -1,7 +1,7 @@
 defmodule Situ.Imaging.Drawing do
   @moduledoc """
-  Lines, rectangles, circles and text on a copy of a picture. Call them through `Situ.Imaging`; `draw/2` takes many shapes
-  and copies the picture once.
+  Lines, rectangles, circles and text on a copy of a picture. Call them through `Situ.Imaging`; `draw/2` takes many
+  shapes and copies the picture once.
 
   | shape | drawn | options |
   |---|---|---|
@@ -20,10 +20,10 @@ defmodule Situ.Imaging.Drawing do
   Text is any Unicode text (marks, ligatures, right to left), in lines separated by `\\n`, anti-aliased:
 
     * `size:` height of a capital in pixels, 1 to 2000 (default 16)
-    * `font:` the path of a TrueType or OpenType file, or several: a character is taken from the first that has it. What
-      they lack comes from DejaVu Sans, which is part of Situ and the default: Latin, Greek, Cyrillic, Hebrew, Arabic and
-      more, but no Chinese, Japanese or Korean. What no font has is drawn as a box. A file that is no font is the error
-      `:bad_font`.
+    * `font:` the path of a TrueType or OpenType file, or several: a character is taken from the first that has it.
+      DejaVu Sans, which is part of Situ and the default, has those that they lack: Latin, Greek, Cyrillic, Hebrew,
+      Arabic and more, but no Chinese, Japanese or Korean. What no font has is drawn as a box. A file that is no font
+      is the error `:bad_font`.
     * `background:` colour of a box behind the text, 2 pixels larger on each side (default none)
 
   Colour fonts (emoji) have no outlines to draw: only those in one colour work.
@@ -110,7 +110,8 @@ defmodule Situ.Imaging.Drawing do
   @doc """
   Text with the top left corner of its capitals at a point.
 
-      iex> {:ok, image} = Situ.Imaging.draw_text(Situ.Image.filled(90, 30, :gray8), {4, 6}, "Ωmega, ça", size: 14, color: :white)
+      iex> paper = Situ.Image.filled(90, 30, :gray8)
+      iex> {:ok, image} = Situ.Imaging.draw_text(paper, {4, 6}, "Ωmega, ça", size: 14, color: :white)
       iex> {:ok, %{gray: ink}} = Situ.Imaging.statistics(image)
       iex> ink.max
       254

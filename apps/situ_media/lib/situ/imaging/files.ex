@@ -70,9 +70,9 @@ defmodule Situ.Imaging.Files do
   @doc """
   A picture from JPEG or PNG bytes (`Situ.EncodedImage` or a binary).
 
-  JPEG answers `:bgr24` or `:gray8` as the file has it, or `format:` (any 8-bit format); PNG answers `:gray8`, `:gray16`,
-  `:rgb24`, `:rgba32` or `:rgba64` as the file has it, converted when `format:` is given. A truncated or broken file is an
-  error: `:bad_jpeg`, `:bad_png`.
+  JPEG answers `:bgr24` or `:gray8` as the file has it, or `format:` (any 8-bit format); PNG answers `:gray8`,
+  `:gray16`, `:rgb24`, `:rgba32` or `:rgba64` as the file has it, converted when `format:` is given. A truncated or
+  broken file is an error: `:bad_jpeg`, `:bad_png`.
 
       iex> {:error, error} = Situ.Imaging.parse(<<0xFF, 0xD8, 0xFF, 0xE0, 0>>)
       iex> error.code

@@ -13,8 +13,8 @@ defmodule Situ.Imaging.Pixels do
   @thresholds [:binary, :binary_inverted, :truncate, :to_zero, :to_zero_inverted]
 
   @doc """
-  In another format. Grey is `(4897 R + 9617 G + 1868 B) >> 14`, so white becomes 254; 8 bits widen by `v * 257`, 16 bits
-  narrow by `v >> 8`; a missing alpha is opaque.
+  In another format. Grey is `(4897 R + 9617 G + 1868 B) >> 14`, so white becomes 254; 8 bits widen by `v * 257`, 16
+  bits narrow by `v >> 8`; a missing alpha is opaque.
 
       iex> red = Situ.Image.filled(1, 1, :rgb24, [255, 0, 0])
       iex> for format <- [:gray8, :bgr24, :bgra32, :rgba64], do: Situ.Imaging.convert!(red, format).data
@@ -104,8 +104,8 @@ defmodule Situ.Imaging.Pixels do
   end
 
   @doc """
-  Grey picture and a small kernel of integers (a list of rows, odd sizes have a middle): the sum over the taps inside the
-  picture, divided by **how many taps those are** (not by their sum), truncated, clipped. \\\\psi's rule.
+  Grey picture and a small kernel of integers (a list of rows, odd sizes have a middle): the sum over the taps inside
+  the picture, divided by **how many taps those are** (not by their sum), truncated, clipped. \\\\psi's rule.
 
       iex> image = Situ.Image.new!(width: 3, height: 1, format: :gray8, data: <<10, 20, 40>>)
       iex> Situ.Imaging.convolve!(image, [[1, 1, 1]]).data

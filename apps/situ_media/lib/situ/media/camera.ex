@@ -57,9 +57,9 @@ defmodule Situ.Media.Camera do
       camera = Situ.Media.Camera.open(p, device: "/dev/video0", size: {1280, 720}, rate: 30)
       camera = Situ.Media.Camera.open(p, device: "simulated:talk1.mp4")
 
-  The kinds of devices: `Situ.Media.Device`; `situ devices` lists the ones that are there. A camera cannot wait: pictures
-  that nobody takes in time are dropped, the oldest first, and counted (`Situ.Pipeline.info/1` shows how many). A camera
-  that is not there when the pipeline starts is an error; one that is lost later is tried again.
+  The kinds of devices: `Situ.Media.Device`; `situ devices` lists the ones that are there. A camera cannot wait:
+  pictures that nobody takes in time are dropped, the oldest first, and counted (`Situ.Pipeline.info/1` shows how
+  many). A camera that is not there when the pipeline starts is an error; one that is lost later is tried again.
 
   ## Options
 

@@ -67,9 +67,9 @@ defmodule Situ.Media.Capture do
   end
 
   @doc """
-  A capture of `device` that is not running yet. `outputs` maps `:video` and `:audio` to outputs of the component. `opts`
-  need `:format`, `:size`, `:rate`, `:audio_format`, `:audio_buffer`, `:buffer`, `:reconnect`, `:stall_timeout`, and may
-  have `:gain`.
+  A capture of `device` that is not running yet. `outputs` maps `:video` and `:audio` to outputs of the component.
+  `opts` need `:format`, `:size`, `:rate`, `:audio_format`, `:audio_buffer`, `:buffer`, `:reconnect`,
+  `:stall_timeout`, and may have `:gain`.
   """
   @spec new(Device.device(), %{atom() => atom()}, keyword()) ::
           {:ok, t()} | {:error, Situ.Error.t()}

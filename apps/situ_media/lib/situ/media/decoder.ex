@@ -175,7 +175,8 @@ defmodule Situ.Media.Decoder do
 
     # Times as the file has them, in its own time base: nothing is rounded to a frame rate.
     scale ++
-      ~w(-c:v rawvideo -fps_mode passthrough -enc_time_base:v #{FFmpeg.input_time_base()} -pix_fmt #{Pixels.ffmpeg(format)})
+      ~w(-c:v rawvideo -fps_mode passthrough -enc_time_base:v #{FFmpeg.input_time_base()}) ++
+      ~w(-pix_fmt #{Pixels.ffmpeg(format)})
   end
 
   @doc false

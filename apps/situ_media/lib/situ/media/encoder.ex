@@ -1,7 +1,8 @@
 defmodule Situ.Media.Encoder do
   @moduledoc """
   Writes a video file with sound, without a pipeline. The file's name decides its kind: `.mp4`, `.m4v`, `.mov`, `.mkv`,
-  `.webm`, and for sound alone `.m4a`, `.mka`, `.flac`, `.ogg`, `.opus`, `.mp3`. (AVI is not written: it keeps no times.)
+  `.webm`, and for sound alone `.m4a`, `.mka`, `.flac`, `.ogg`, `.opus`, `.mp3`. (AVI is not written: it keeps no
+  times.)
 
       {:ok, encoder} = Situ.Media.Encoder.open("out.mp4", video: image, audio: format, start_time: t0)
       :ok = Situ.Media.Encoder.video(encoder, t0, image)

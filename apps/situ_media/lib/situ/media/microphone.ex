@@ -44,9 +44,9 @@ defmodule Situ.Media.Microphone do
       mic = Situ.Media.Microphone.open(p)
       mic = Situ.Media.Microphone.open(p, device: "simulated:talk1.mp4")
 
-  The kinds of devices: `Situ.Media.Device`; `situ devices` lists the ones that are there. Sound that a slow pipeline does
-  not take is kept for 10 s, then dropped from its oldest end, and counted. `gain:` changes the sound that arrives;
-  the level of the device itself is the sound system's (`pactl set-source-volume`, `alsamixer`).
+  The kinds of devices: `Situ.Media.Device`; `situ devices` lists the ones that are there. Sound that a slow pipeline
+  does not take is kept for 10 s, then dropped from its oldest end, and counted. `gain:` changes the sound that
+  arrives; the level of the device itself is the sound system's (`pactl set-source-volume`, `alsamixer`).
 
   ## Options
 

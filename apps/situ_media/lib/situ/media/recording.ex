@@ -11,14 +11,14 @@ defmodule Situ.Media.Recording do
   picture's is when it is shown, a piece of sound (20 ms) has that of its end, and the file begins at its own time
   (see `Situ.Media.FileTime`) or at the option `start:` (ns; `Situ.Store.open(path, reader_opts: [start: time])`).
 
-  Opening lists the file's packets and decodes nothing but the first piece of sound (about half a second; longer for hours
-  of film). Pictures are decoded when asked for, in a process for each file that ends by itself: on from the last one, or
-  from the key picture before, and up to 64 MB of them are kept for going back. Files with a key picture every few
-  seconds, as cameras and encoders make them, can be scrubbed well.
+  Opening lists the file's packets and decodes nothing but the first piece of sound (about half a second; longer for
+  hours of film). Pictures are decoded when asked for, in a process for each file that ends by itself: on from the
+  last one, or from the key picture before, and up to 64 MB of them are kept for going back. Files with a key picture
+  every few seconds, as cameras and encoders make them, can be scrubbed well.
 
-  Pictures are `:bgr24`, sound has 16 bits. A damaged file gives what can be read, then the error `:damaged_media`; a last
-  piece of sound that is short of what the file promised is filled up with silence. `size` of a stream is that of its
-  decoded data, `stored` what its packets take.
+  Pictures are `:bgr24`, sound has 16 bits. A damaged file gives what can be read, then the error `:damaged_media`; a
+  last piece of sound that is short of what the file promised is filled up with silence. `size` of a stream is that of
+  its decoded data, `stored` what its packets take.
   """
   @behaviour Situ.Store.Reader
   import Bitwise

@@ -27,9 +27,9 @@ defmodule Situ.Media.VideoFile do
         clip.audio |> Situ.each(&IO.inspect/1)
       end
 
-  Every kind of file FFmpeg reads: MP4, AVI, MKV, WebM, MPEG-TS, MP3, FLAC ... What a file does not have is `nil` in what
-  `open/3` returns. The time of a picture is when it is shown, the time of a piece of sound is when it ends; how media
-  time becomes originating time is in `Situ.Media.FileTime`.
+  Every kind of file FFmpeg reads: MP4, AVI, MKV, WebM, MPEG-TS, MP3, FLAC ... What a file does not have is `nil` in
+  what `open/3` returns. The time of a picture is when it is shown, the time of a piece of sound is when it ends; how
+  media time becomes originating time is in `Situ.Media.FileTime`.
 
   It reads on demand, so a pipeline that is slow makes it wait. A damaged or truncated file gives everything that can be
   read; then the run ends with the error `:damaged_media` (`on_damage: :warn`: it ends well, with a warning in the log).

@@ -32,7 +32,9 @@ defmodule Situ.Media.VideoWriter do
   # A bound for pictures that wait for the first sound.
   @most_held 64
 
-  @doc "Connects the sink to one or two streams. `opts` may hold `name:`, `on_error:` and `policy:` besides the options."
+  @doc """
+  Connects the sink to one or two streams. `opts` may hold `name:`, `on_error:` and `policy:` besides the options.
+  """
   @spec write([video: Situ.Stream.t(), audio: Situ.Stream.t()], Path.t(), keyword()) :: :ok
   def write([{_, _} | _] = streams, path, opts \\ []) do
     inputs = Keyword.take(inputs(), Keyword.keys(streams))

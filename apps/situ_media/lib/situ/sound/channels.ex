@@ -8,8 +8,8 @@ defmodule Situ.Sound.Channels do
   alias Situ.Media.Kernel
 
   @doc """
-  In another sample type and number of channels, same rate. One channel becomes several by copying, several become one by
-  their mean; any other change needs `remix/3`.
+  In another sample type and number of channels, same rate. One channel becomes several by copying, several become one
+  by their mean; any other change needs `remix/3`.
 
       iex> stereo = Situ.AudioBuffer.from_samples([100, 300], Situ.AudioFormat.pcm(16_000, 2))
       iex> {:ok, mono} = Situ.Sound.reformat(stereo, channels: 1, sample: :s32)

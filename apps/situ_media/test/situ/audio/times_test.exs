@@ -1,5 +1,6 @@
 defmodule Situ.Audio.TimesTest do
-  # Every operator keeps the time of every sample: the index of a sample is its value, so the time it must have is known.
+  # Every operator keeps the time of every sample: the index of a sample is its value, so the time it must have is
+  # known.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 

@@ -40,8 +40,8 @@ defmodule Situ.Space.Camera do
 
   @doc """
   The point that `distort/2` moves to this one, by Newton's method from the point itself, at most 100 steps, until the
-  squared error is below 1e-16. `:error` where it does not converge, or only on the far side of the lens, where the model
-  mirrors: beyond the field in which it can be inverted.
+  squared error is below 1e-16. `:error` where it does not converge, or only on the far side of the lens, where the
+  model mirrors: beyond the field in which it can be inverted.
   """
   @spec undistort(CameraIntrinsics.t(), normalized()) :: {:ok, normalized()} | :error
   def undistort(%CameraIntrinsics{} = camera, target) do

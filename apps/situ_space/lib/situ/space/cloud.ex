@@ -13,8 +13,8 @@ defmodule Situ.Space.Cloud do
   @type result :: {:ok, PointCloud.t()} | {:error, Error.t()}
 
   @doc """
-  One point for every cube with edges of `size` metres: the mean of the points in it, in the order in which the cubes are
-  first met. Colours are left out.
+  One point for every cube with edges of `size` metres: the mean of the points in it, in the order in which the cubes
+  are first met. Colours are left out.
   """
   @spec downsample(PointCloud.t(), number()) :: result()
   def downsample(%PointCloud{} = cloud, size) when is_number(size) do

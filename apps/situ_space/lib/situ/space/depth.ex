@@ -82,9 +82,9 @@ defmodule Situ.Space.Depth do
   ]
 
   @doc """
-  Where a ray of the outer frame first meets what the camera of a view saw: the first step at which the point lies behind
-  the measured depth. `nil` where it meets nothing within the range or leaves the picture. Depths that were not measured
-  are made up from their neighbours (`Situ.DepthImage.interpolated_distance/4`).
+  Where a ray of the outer frame first meets what the camera of a view saw: the first step at which the point lies
+  behind the measured depth. `nil` where it meets nothing within the range or leaves the picture. Depths that were not
+  measured are made up from their neighbours (`Situ.DepthImage.interpolated_distance/4`).
 
   #{Situ.Options.docs(@march)}
   """

@@ -48,7 +48,13 @@ defmodule Situ.Store.Copying do
     end
   end
 
-  @compact_options Keyword.take(@options, [:compression, :skip_damage, :progress, :durability])
+  @compact_options @options
+                   |> Keyword.take([:compression, :progress, :durability])
+                   |> Keyword.put(:skip_damage,
+                     type: :boolean,
+                     default: false,
+                     doc: "Leave damaged chunks out."
+                   )
   @compacted ".compacted"
   @before ".before-compaction"
 
@@ -60,11 +66,11 @@ defmodule Situ.Store.Copying do
   program killed meanwhile leaves the recording under its own name, or as `NAME#{@before}`. Damage is an error unless
   `skip_damage: true`.
 
-  #{Situ.Options.docs(Keyword.put(@compact_options, :skip_damage, type: :boolean, default: false, doc: "Leave damaged chunks out."))}
+  #{Situ.Options.docs(@compact_options)}
   """
   @spec compact(Path.t(), keyword()) :: {:ok, Path.t()} | {:error, Error.t()}
   def compact(path, opts \\ []) do
-    opts = Keyword.merge([skip_damage: false, durability: {:interval, 10_000}], opts)
+    opts = Keyword.put_new(opts, :durability, {:interval, 10_000})
 
     with {:ok, opts} <- Situ.Options.validate(opts, @compact_options),
          {:ok, folder} <- own(path),
@@ -131,8 +137,8 @@ defmodule Situ.Store.Copying do
   end
 
   @doc """
-  One store out of several: streams of the same name are appended in order of time; they must be of the same type and not
-  overlap. Options as `copy/3`.
+  One store out of several: streams of the same name are appended in order of time; they must be of the same type and
+  not overlap. Options as `copy/3`.
   """
   @spec concat([Path.t()], Path.t() | {String.t(), Path.t()}, keyword()) ::
           {:ok, Path.t()} | {:error, Error.t()}

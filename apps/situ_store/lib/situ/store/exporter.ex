@@ -45,7 +45,8 @@ defmodule Situ.Store.Exporter do
            {:tuple, [{:in, [:bytes]}, :pos_integer]}
          ]},
       doc:
-        "With `split:`: delete the oldest pieces that this pipeline made, so that at least `{:span, ns}` or at most `{:bytes, n}` stay."
+        "With `split:`: delete the oldest pieces that this pipeline made, so that at least " <>
+          "`{:span, ns}` or at most `{:bytes, n}` stay."
     ]
   ]
 

@@ -23,7 +23,10 @@ defmodule Situ.Store.Reader do
   @callback within(folder :: Path.t()) :: [Path.t()]
   @doc "Opens the file. Options are the reader's own."
   @callback open(Path.t(), opts :: keyword()) :: {:ok, state()} | error()
-  @doc "`name`, `created` (ns or nil), `closed?`, `live?`, `damage` (a list of sentences, or of maps with `offset` and `why`)."
+  @doc """
+  `name`, `created` (ns or nil), `closed?`, `live?`, `damage` (a list of sentences, or of maps with `offset` and
+  `why`).
+  """
   @callback info(state()) :: map()
   @doc "The streams there are now."
   @callback streams(state()) :: [StreamInfo.t()]

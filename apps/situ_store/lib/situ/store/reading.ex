@@ -40,7 +40,8 @@ defmodule Situ.Store.Reading do
     type: [
       type: :any,
       doc:
-        "The type wanted: a `Situ.Type` that fits the recorded one, or a struct whose fields may have changed since (`Situ.Store.Evolution`)."
+        "The type wanted: a `Situ.Type` that fits the recorded one, or a struct whose fields " <>
+          "may have changed since (`Situ.Store.Evolution`)."
     ],
     skip_damage: [
       type: :boolean,

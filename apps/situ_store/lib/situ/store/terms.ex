@@ -13,7 +13,9 @@ defmodule Situ.Store.Terms do
     end
   end
 
-  @doc "A term with structs nobody here had heard of: decoded again where their modules could be loaded, else as it was."
+  @doc """
+  A term with structs nobody here had heard of: decoded again where their modules could be loaded, else as it was.
+  """
   @spec known([String.t()], binary(), term()) :: term()
   def known(modules, bytes, term) do
     if Structs.load(modules), do: once_more(bytes, term), else: term

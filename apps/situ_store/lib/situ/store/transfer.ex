@@ -14,7 +14,9 @@ defmodule Situ.Store.Transfer do
 
   @part_bytes 4 * 1024 * 1024
 
-  @doc "The new stream. `info` describes it, the messages of `sources` will come into it; `told.(n)` is called as they do."
+  @doc """
+  The new stream. `info` describes it, the messages of `sources` will come into it; `told.(n)` is called as they do.
+  """
   @spec open(Writer.t(), StreamInfo.t(), [source()], keyword(), (pos_integer() -> any())) ::
           {:ok, t()} | {:error, Error.t()}
   def open(writer, info, sources, opts, told) do

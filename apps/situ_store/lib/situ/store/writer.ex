@@ -5,7 +5,8 @@ defmodule Situ.Store.Writer do
       type: {:or, [{:in, [:none, :each]}, {:tuple, [{:in, [:interval]}, :pos_integer]}]},
       default: :none,
       doc:
-        "`:none`, `{:interval, ms}` or `:each` commit: what a power cut may take (see `Situ.Store.Writer`). A killed process loses nothing in any case."
+        "`:none`, `{:interval, ms}` or `:each` commit: what a power cut may take (see " <>
+          "`Situ.Store.Writer`). A killed process loses nothing in any case."
     ],
     first_extent: [
       type: :pos_integer,
@@ -174,7 +175,8 @@ defmodule Situ.Store.Writer do
   defp kind_of(_), do: ":any"
 
   @doc """
-  Appends messages, all or none, and commits them. Originating times increase; `creation_time` and `sequence_id` are kept.
+  Appends messages, all or none, and commits them. Originating times increase; `creation_time` and `sequence_id` are
+  kept.
   """
   @spec append(Stream.t(), [Message.t()]) :: {:ok, Stream.t()} | {:error, Error.t()}
   def append(stream, []), do: {:ok, stream}

@@ -72,7 +72,8 @@ defmodule Situ.Store.SourceTest do
     {p, importer}
   end
 
-  # The joined messages from the one of recorded time `from` ms on, up to and with that of `to` ms, and their times in the pipeline.
+  # The joined messages from the one of recorded time `from` ms on, up to and with that of `to` ms, and their times in
+  # the pipeline.
   defp joined(from, to) do
     for i <- from..to do
       assert_receive {:got, {^i, ^i}, m}

@@ -153,7 +153,8 @@ export class AnnotationPanel {
     if (edge) this.dragEdge(e, item, edge);
   }
 
-  // An edge follows the mouse; what touches it goes along, but with the Alt key. It snaps to changes of the other panels.
+  // An edge follows the mouse; what touches it goes along, but with the Alt key. It snaps to changes of the other
+  // panels.
   dragEdge(e, item, edge) {
     e.stopImmediatePropagation();
     this.el.setPointerCapture(e.pointerId);

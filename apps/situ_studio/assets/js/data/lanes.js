@@ -59,7 +59,8 @@ export function laneNames(segments) {
   return names.length ? names : [""];
 }
 
-// The segment at a time, the last that began where several overlap; `slack` is how far beside a narrow one counts. Or null.
+// The segment at a time, the last that began where several overlap; `slack` is how far beside a narrow one counts. Or
+// null.
 export function segmentAt(segments, t, slack) {
   for (let i = segments.length - 1; i >= 0; i--) {
     const [a, b] = segments[i];

@@ -6,8 +6,8 @@ const MISSED = 8;
 // Messages come regularly when nine of ten pauses are not longer than so many usual ones.
 const STEADY = 2.5;
 
-// rows: {t, n, length}, columns of the times (first of its messages) and the messages of each row. Answers {period, row}: the
-// usual time between messages and between rows in ns; a period of Infinity where they come as they like.
+// rows: {t, n, length}, columns of the times (first of its messages) and the messages of each row. Answers {period,
+// row}: the usual time between messages and between rows in ns; a period of Infinity where they come as they like.
 export function rhythm({ t, n, length }) {
   const pauses = [],
     periods = [];

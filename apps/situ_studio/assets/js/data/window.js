@@ -7,8 +7,9 @@ export function binWidth(viewNs, px) {
   return 2 ** Math.max(0, Math.floor(Math.log2(Math.max(viewNs, 1) / Math.max(px, 1))));
 }
 
-// held: null or {from, to, bin, head, newest}: `head` was the end of all data then, `newest` the time of the newest message
-// of this very stream, which may lag behind: what grows is asked for from there. Answers null (enough is held) or {from, to, bin, append}.
+// held: null or {from, to, bin, head, newest}: `head` was the end of all data then, `newest` the time of the newest
+// message of this very stream, which may lag behind: what grows is asked for from there. Answers null (enough is
+// held) or {from, to, bin, append}.
 export function want(held, view, px, data, live) {
   const [v0, v1] = view;
   const w = v1 - v0;

@@ -1,5 +1,5 @@
-// The names of a plot above its signals, each with the value at the cursor: an entry for each signal, or for each key of
-// a stream of maps.
+// The names of a plot above its signals, each with the value at the cursor: an entry for each signal, or for each key
+// of a stream of maps.
 
 import { duration } from "../time/text.js";
 

@@ -1,5 +1,5 @@
-// A timeline panel with a value axis: several streams over one another, each drawn by its visualizer in the draw hook of
-// uPlot, which keeps scales, axes and grid.
+// A timeline panel with a value axis: several streams over one another, each drawn by its visualizer in the draw hook
+// of uPlot, which keeps scales, axes and grid.
 
 import uPlot from "uplot";
 import { GUTTER, FONT, theme, seriesColor, keyIndex } from "../page/theme.js";

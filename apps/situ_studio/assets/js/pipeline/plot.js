@@ -75,7 +75,8 @@ export class HistoryPlot {
       c.fillRect(x(shown[0]) - 0.5, 0, 1, h);
     }
     const ago = Math.round((t1 - shown[0]) / 1000);
-    this.note.textContent = `${text(shown[1], this.unit)}${ago > 0 ? ` · ${ago} s ago` : ""} · max ${text(high, this.unit)}`;
+    const age = ago > 0 ? ` · ${ago} s ago` : "";
+    this.note.textContent = `${text(shown[1], this.unit)}${age} · max ${text(high, this.unit)}`;
   }
 
   destroy() {

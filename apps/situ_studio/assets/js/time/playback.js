@@ -5,7 +5,8 @@ const AHEAD = 2;
 const MAX_AUDIBLE = 4;
 
 export class Playback {
-  // time: store; sounds(): [{stream, channel}] to be heard; fetchPcm({stream, channel}, from, to) -> {rate, samples, at}
+  // time: store; sounds(): [{stream, channel}] to be heard; fetchPcm({stream, channel}, from, to) -> {rate, samples,
+  // at}
   constructor({ time, sounds, fetchPcm, onError = () => {} }) {
     Object.assign(this, { time, sounds, fetchPcm, onError });
     this.run = null;

@@ -87,7 +87,8 @@ function tag(ctx, text, x, y, color) {
   ctx.textBaseline = "alphabetic";
 }
 
-// What of these shapes lies at a place of the picture, in words: the nearest point, and the smallest rectangle around it.
+// What of these shapes lies at a place of the picture, in words: the nearest point, and the smallest rectangle around
+// it.
 // `k` is pixels of the screen for one of the picture. Empty where there is nothing.
 export function shapesAt(shapes, x, y, k) {
   return [...pointAt(shapes.points ?? [], x, y, NEAR / k), ...rectAt(shapes.rects ?? [], x, y)];

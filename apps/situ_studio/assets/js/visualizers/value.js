@@ -53,7 +53,8 @@ export class ValuePanel {
     }
     const origin = this.app.client.origin ?? 0n;
     const rel = Number(BigInt(v.time) - origin);
-    this.head.textContent = `#${v.sequence}   ${absolute(rel, origin).slice(11)}   latency ${duration(v.latency)}   ${v.type}`;
+    const at = absolute(rel, origin).slice(11);
+    this.head.textContent = `#${v.sequence}   ${at}   latency ${duration(v.latency)}   ${v.type}`;
     const lines = [];
     this.collect(v.tree, "value", "", 0, lines);
     this.lines(lines);

@@ -3,8 +3,9 @@ defmodule Situ.Studio.Catalog do
   What one studio can show: the recordings below its folder, the sources it was given and the pipelines it watches.
   Hands out open sources, so that many pages share one; a recording opened once stays open until it is gone.
 
-  The folder is looked through by a task, at most every two seconds and only when somebody asks, so that a folder of many
-  thousand files makes nobody wait but the first. A recording is opened by its name without looking through the rest.
+  The folder is looked through by a task, at most every two seconds and only when somebody asks, so that a folder of
+  many thousand files makes nobody wait but the first. A recording is opened by its name without looking through the
+  rest.
   """
   use GenServer
 

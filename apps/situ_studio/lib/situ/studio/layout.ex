@@ -215,7 +215,8 @@ defmodule Situ.Studio.Layout do
   end
 
   @doc """
-  The least height of a line in pixels. `lanes` tells how many lanes a stream has, by its name, where there is more than one.
+  The least height of a line in pixels. `lanes` tells how many lanes a stream has, by its name, where there is more
+  than one.
 
       iex> {:ok, layout, _} = Situ.Studio.Layout.add(Situ.Studio.Layout.new(""), "A", "states", :lanes, "")
       iex> [line] = Situ.Studio.Layout.lines(layout)

@@ -3,7 +3,8 @@ defmodule Situ.Studio.Statistics do
   Numbers about the messages of a stream within an interval: how many, how often, how evenly, and of numbers their
   distribution.
 
-      iex> messages = for {t, v} <- [{0, 1}, {10, 2}, {20, 3}, {40, 10}], do: %Situ.Message{data: v, originating_time: t}
+      iex> pairs = [{0, 1}, {10, 2}, {20, 3}, {40, 10}]
+      iex> messages = for {t, v} <- pairs, do: %Situ.Message{data: v, originating_time: t}
       iex> stats = Map.new(Situ.Studio.Statistics.of(messages, []))
       iex> {stats["n"], stats["mean"], stats["min"], stats["median"], stats["max"]}
       {4, 4.0, 1, 2, 10}

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Stores do
   @moduledoc false
-  # Which recordings lie at or below a path, by name; the name is what stands in an address. Links are not followed: they may
-  # lead round in a circle, or out of the folder.
+  # Which recordings lie at or below a path, by name; the name is what stands in an address. Links are not followed:
+  # they may lead round in a circle, or out of the folder.
 
   alias Situ.Studio.NaturalOrder
 

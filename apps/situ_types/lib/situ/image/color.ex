@@ -3,7 +3,8 @@ defmodule Situ.Image.Color do
   Colours for drawing and filling.
 
   A colour is a list of channel values in the picture's memory order, one number for all channels, a name, or
-  `{r, g, b}` / `{r, g, b, a}` with 0..255, which fits every format (grey takes the picture's grey of it, 16 bit widens).
+  `{r, g, b}` / `{r, g, b, a}` with 0..255, which fits every format (grey takes the picture's grey of it, 16 bit
+  widens).
 
       iex> Situ.Image.Color.values(:bgr24, :red)
       [0, 0, 255]

@@ -7,7 +7,8 @@ defmodule Situ.Image.Nx do
       {:ok, image} = Situ.Image.Nx.to_image(tensor, :rgb24)
       {:ok, samples} = Situ.Image.Nx.to_nx(buffer)        # s16[frames][channels]
 
-  Tensors are in the machine's byte order, which on every machine that Situ supports is the little-endian of its structs.
+  Tensors are in the machine's byte order, which on every machine that Situ supports is the little-endian of its
+  structs.
   """
   @compile {:no_warn_undefined, [Nx]}
   alias Situ.{AudioBuffer, AudioFormat, DepthImage, Error, Image}
@@ -16,8 +17,8 @@ defmodule Situ.Image.Nx do
   @types %{u8: {:u, 8}, s16: {:s, 16}, s32: {:s, 32}, f32: {:f, 32}, f64: {:f, 64}}
 
   @doc """
-  A tensor of height x width x channels (pictures), height x width (depth) or frames x channels (sound). `:s24` sound has
-  no tensor type: reformat it first.
+  A tensor of height x width x channels (pictures), height x width (depth) or frames x channels (sound). `:s24` sound
+  has no tensor type: reformat it first.
   """
   @spec to_nx(Image.t() | DepthImage.t() | AudioBuffer.t()) ::
           {:ok, struct()} | {:error, Error.t()}

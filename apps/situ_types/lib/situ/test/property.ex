@@ -14,8 +14,8 @@ defmodule Situ.Test.Property do
       end
 
   The body may use `assert` and friends; a body that raises is a counterexample, and so is one that returns `false` (any
-  other value passes). A failure shows the input after shrinking and the error that it caused. Several inputs are a tuple:
-  `forall {a, b} <- {integer(), boolean()}`.
+  other value passes). A failure shows the input after shrinking and the error that it caused. Several inputs are a
+  tuple: `forall {a, b} <- {integer(), boolean()}`.
 
   Options of `property`: `numtests:` (default 100), `max_size:` (default 42, PropEr's own), `context: pattern` to
   match the ExUnit context. Generators are those of `Situ.Test.Gen`, which `use` imports.

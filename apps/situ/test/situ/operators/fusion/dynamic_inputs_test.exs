@@ -283,7 +283,8 @@ defmodule Situ.Fusion.InputsTest do
   end
 
   describe "whatever the schedule" do
-    # The fusion that is built with the input and ignores it before `from` (and, the other way round, an input until then).
+    # The fusion that is built with the input and ignores it before `from` (and, the other way round, an input until
+    # then).
     property "an input added at a time is one that was there and was ignored before it",
       numtests: 60 do
       forall {p, a, b, from, window, order, place} <-

@@ -79,7 +79,10 @@ defmodule Situ.Bridge.Psi.Layout do
 
   defp align(at, to), do: div(at + to - 1, to) * to
 
-  @doc "The value in `bytes`, which are as many as `size/1` says. A struct of the one field `value__` is an enum: an integer."
+  @doc """
+  The value in `bytes`, which are as many as `size/1` says. A struct of the one field `value__` is an enum: an
+  integer.
+  """
   @spec read(t(), binary()) :: term()
   def read({:struct, _, _, [{"value__", 0, layout}]}, bytes), do: read(layout, bytes)
   def read({:struct, _, _, [{"m_value", 0, layout}]}, bytes), do: read(layout, bytes)

@@ -13,7 +13,8 @@ defmodule Situ.Bridge.Psi.TypeName do
   The parts of a name.
 
       iex> alias Situ.Bridge.Psi.TypeName
-      iex> list = TypeName.parse("System.Collections.Generic.List`1[[System.Int32, mscorlib, Version=4.0.0.0]], mscorlib, Version=4.0.0.0")
+      iex> of = "[System.Int32, mscorlib, Version=4.0.0.0]"
+      iex> list = TypeName.parse("System.Collections.Generic.List`1[" <> of <> "], mscorlib, Version=4.0.0.0")
       iex> {list.name, Enum.map(list.args, & &1.name)}
       {"System.Collections.Generic.List`1", ["System.Int32"]}
       iex> TypeName.parse("System.Byte[], mscorlib")

@@ -6,7 +6,9 @@ defmodule Situ.Bridge.Psi.TypeNameTest do
 
   test "assemblies of any depth are left out" do
     name =
-      "System.Collections.Generic.Dictionary`2[[System.String, mscorlib, Version=4.0.0.0],[System.Collections.Generic.List`1[[A.B+C[], X, Version=1.0.0.0]], mscorlib, Version=4.0.0.0]][], mscorlib, Version=4.0.0.0"
+      "System.Collections.Generic.Dictionary`2[[System.String, mscorlib, " <>
+        "Version=4.0.0.0],[System.Collections.Generic.List`1[[A.B+C[], X, Version=1.0.0.0]], " <>
+        "mscorlib, Version=4.0.0.0]][], mscorlib, Version=4.0.0.0"
 
     assert TypeName.short(name) ==
              "System.Collections.Generic.Dictionary`2[[System.String],[System.Collections.Generic.List`1[[A.B+C[]]]]][]"

@@ -16,7 +16,8 @@ defmodule Situ.Annotation.Exchange.Srt do
         text =
           text |> String.replace(~r/\r\n?/, "\n") |> String.replace(~r/\n(?=\n|\z)/, "\n\u00A0")
 
-        "#{n}\n#{Cues.time(from, ",")} --> #{Cues.time(to, ",")}\n[#{String.replace(track, ~r/[\]\s]+/u, " ")}] #{text}\n\n"
+        name = String.replace(track, ~r/[\]\s]+/u, " ")
+        "#{n}\n#{Cues.time(from, ",")} --> #{Cues.time(to, ",")}\n[#{name}] #{text}\n\n"
       end
 
     {text, losses}

@@ -1,5 +1,8 @@
 defmodule Situ.Dataset.Task.Statistics do
-  @moduledoc "The task `statistics`: count, mean, deviation and range of every stream of numbers, as a JSON file beside the session."
+  @moduledoc """
+  The task `statistics`: count, mean, deviation and range of every stream of numbers, as a JSON file beside the
+  session.
+  """
   @behaviour Situ.Dataset.Task
 
   @impl true

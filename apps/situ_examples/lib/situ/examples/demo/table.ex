@@ -99,7 +99,8 @@ defmodule Situ.Examples.Demo.Table do
 
   defp score(score) do
     [
-      "\nRight in #{Float.round(score.frame_accuracy * 100, 2)} % of #{score.scored_frames} scored pictures of #{score.frames}; ",
+      "\nRight in #{Float.round(score.frame_accuracy * 100, 2)} % ",
+      "of #{score.scored_frames} scored pictures of #{score.frames}; ",
       "speech given wrongly #{score.false_speech_s} s, missed #{score.missed_speech_s} s"
     ]
   end

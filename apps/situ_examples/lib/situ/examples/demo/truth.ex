@@ -7,7 +7,8 @@ defmodule Situ.Examples.Demo.Truth do
   words are known). Other keys are not looked at.
 
       iex> json = ~s({"fps": 25, "frames": 50, "faces": [{"id": 0, "box": [0, 0, 10, 10]}],
-      ...>   "speech": [{"face": 0, "speech_start": 0.5, "speech_end": 1.5}, {"face": null, "speech_start": 1.6, "speech_end": 1.9}]})
+      ...>   "speech": [{"face": 0, "speech_start": 0.5, "speech_end": 1.5},
+      ...>              {"face": null, "speech_start": 1.6, "speech_end": 1.9}]})
       iex> {:ok, truth} = Situ.Examples.Demo.Truth.parse(json)
       iex> Situ.Examples.Demo.Truth.speakers(truth, 1.0)
       [0]

@@ -196,7 +196,8 @@ defmodule Situ.Infer.Face.Search do
   end
 
   @doc """
-  Half-overlapping squares over the picture, as large as its shorter side and half that; in large pictures a quarter, too.
+  Half-overlapping squares over the picture, as large as its shorter side and half that; in large pictures a quarter,
+  too.
   """
   @spec tiles({pos_integer(), pos_integer()}) :: [Patch.t()]
   def tiles({w, h}) do

@@ -31,7 +31,9 @@ defmodule Situ.Infer.Speech.Moonshine do
   @type t :: %__MODULE__{encoder: Model.t(), decoder: Model.t(), tokenizer: Tokenizer.t()}
   @type result :: %{text: String.t(), confidence: float()}
 
-  @doc "Loads it; `folder:` where the three files are, else `Situ.Infer.ModelStore`. Errors: those of `Situ.Infer.Model`."
+  @doc """
+  Loads it; `folder:` where the three files are, else `Situ.Infer.ModelStore`. Errors: those of `Situ.Infer.Model`.
+  """
   @impl true
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(opts \\ []) do

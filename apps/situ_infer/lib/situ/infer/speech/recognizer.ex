@@ -2,7 +2,8 @@ defmodule Situ.Infer.Speech.Recognizer do
   @moduledoc """
   What turns a piece of sound into text: the seam between `Situ.Infer.SpeechRecognizer` and a model.
 
-  `Situ.Infer.Speech.Moonshine` is built in. Another is a module with these callbacks, named by the option `recognizer:`.
+  `Situ.Infer.Speech.Moonshine` is built in. Another is a module with these callbacks, named by the option
+  `recognizer:`.
   """
 
   @type result :: %{required(:text) => String.t(), required(:confidence) => float()}

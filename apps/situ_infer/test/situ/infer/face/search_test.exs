@@ -7,8 +7,8 @@ defmodule Situ.Infer.Face.SearchTest do
 
   @size {1024, 512}
 
-  # Looks into a world of faces: one is seen where it fills a sixth of the view or more and its middle is inside. Each look
-  # is told to the test.
+  # Looks into a world of faces: one is seen where it fills a sixth of the view or more and its middle is inside. Each
+  # look is told to the test.
   defp look(faces, test \\ self()) do
     fn patch, min_score ->
       {left, top} = Patch.to_picture(patch, {0.0, 0.0})

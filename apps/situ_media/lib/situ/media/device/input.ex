@@ -1,7 +1,7 @@
 defmodule Situ.Media.Device.Input do
   @moduledoc """
-  Any other input device of FFmpeg: `lavfi:testsrc=size=640x480:rate=30` (a test picture), `x11grab::0.0` (the screen), or
-  with `args:` anything at all (`input:NAME` and `args: ["-f", FORMAT]`).
+  Any other input device of FFmpeg: `lavfi:testsrc=size=640x480:rate=30` (a test picture), `x11grab::0.0` (the
+  screen), or with `args:` anything at all (`input:NAME` and `args: ["-f", FORMAT]`).
 
   The first frame gets the pipeline's time when it arrives; what comes later keeps its distance to it.
   """

@@ -1,7 +1,7 @@
 defmodule Situ.Media.Device.Simulated do
   @moduledoc """
-  A camera and a microphone that replay a file in real time, over and over: `simulated:talk1.mp4`. Everything can be tried
-  without hardware.
+  A camera and a microphone that replay a file in real time, over and over: `simulated:talk1.mp4`. Everything can be
+  tried without hardware.
 
   Media time 0 is the pipeline's start, so a simulated camera and a simulated microphone of the same file are in step.
   `?once` at the end of the address plays it once: `simulated:talk1.mp4?once`.

@@ -38,7 +38,9 @@ defmodule Situ.Media.Device.V4L2 do
     end
   end
 
-  @typedoc "`min`, `max`, `step` and `default` are nil where the device does not say; a menu's `value` is the number of its row."
+  @typedoc """
+  `min`, `max`, `step` and `default` are nil where the device does not say; a menu's `value` is the number of its row.
+  """
   @type control :: %{
           name: String.t(),
           type: String.t(),

@@ -8,8 +8,10 @@ defmodule Situ.Media.Recording.Index do
       iex> index = %Situ.Media.Recording.Index{
       ...>   pictures: <<0::64, 40::64, 80::64, 120::64>>, keys: <<0::32, 2::32>>}
       iex> alias Situ.Media.Recording.Index
-      iex> {Index.count(index), Index.time(index, 2), Index.seek(index, 41), Index.nearest(index, 55), Index.key(index, 3)}
-      {4, 80, 2, 1, 2}
+      iex> {Index.count(index), Index.time(index, 2), Index.seek(index, 41)}
+      {4, 80, 2}
+      iex> {Index.nearest(index, 55), Index.key(index, 3)}
+      {1, 2}
   """
   alias Situ.Error
   alias Situ.Media.{FFmpeg, FileInfo, Nut}

@@ -18,7 +18,9 @@ defmodule Situ.Media.Recording.Pictures do
 
   defstruct [:recording, decoders: [], kept: %{}, order: :queue.new(), bytes: 0]
 
-  @doc "Up to `limit` pictures from `ordinal` on: `{:ok, [{ordinal, image}]}`, fewer when they are large, none at the end."
+  @doc """
+  Up to `limit` pictures from `ordinal` on: `{:ok, [{ordinal, image}]}`, fewer when they are large, none at the end.
+  """
   @spec read(OpenFile.t(), non_neg_integer(), pos_integer()) ::
           {:ok, [{non_neg_integer(), Situ.Image.t()}]} | {:error, Situ.Error.t()}
   def read(recording, ordinal, limit), do: Host.ask(__MODULE__, recording, {ordinal, limit})

@@ -13,7 +13,8 @@ defmodule Situ.Media.Wav.Format do
   @doc """
   The body of a `fmt ` chunk for a format.
 
-      iex> {:ok, format} = Situ.Media.Wav.Format.parse(Situ.Media.Wav.Format.encode(Situ.AudioFormat.pcm(44_100, 2, :f32)))
+      iex> chunk = Situ.Media.Wav.Format.encode(Situ.AudioFormat.pcm(44_100, 2, :f32))
+      iex> {:ok, format} = Situ.Media.Wav.Format.parse(chunk)
       iex> format
       #Situ.AudioFormat<44100 Hz, 2 ch, :f32>
   """

@@ -2,9 +2,9 @@ defmodule Situ.Media.Wav.Recording do
   @moduledoc """
   WAV files as recordings: `Situ.Store.open("talk.wav")` has one stream, `Audio`, of 20 ms pieces.
 
-  The originating time of a piece is that of its end. The file begins at the time that is written in it (ICRD), else at 0;
-  the option `start:` (ns) says otherwise: `Situ.Store.open("talk.wav", reader_opts: [start: time])`. A file cut short is
-  read as far as it goes, and `Situ.Store.info/1` lists what is missing under `damage`. The kinds of WAV:
+  The originating time of a piece is that of its end. The file begins at the time that is written in it (ICRD), else
+  at 0; the option `start:` (ns) says otherwise: `Situ.Store.open("talk.wav", reader_opts: [start: time])`. A file cut
+  short is read as far as it goes, and `Situ.Store.info/1` lists what is missing under `damage`. The kinds of WAV:
   `Situ.Media.Wav`.
   """
   @behaviour Situ.Store.Reader

@@ -32,7 +32,10 @@ defmodule Situ.Store.Csv.Field do
     end
   end
 
-  @doc "The kind of a column whose fields so far are of the one and the next of the other: integers among floats are floats, anything among strings a string."
+  @doc """
+  The kind of a column whose fields so far are of the one and the next of the other: integers among floats are floats,
+  anything among strings a string.
+  """
   @spec unify(kind() | nil, kind()) :: kind()
   def unify(nil, kind), do: kind
   def unify(kind, kind), do: kind

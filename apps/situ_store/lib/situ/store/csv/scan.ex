@@ -158,7 +158,10 @@ defmodule Situ.Store.Csv.Scan do
     %{column | kind: kind, count: column.count + 1, first: column.first || time, last: time}
   end
 
-  @doc "The rows that go forward in time, as `{time, fields as a tuple}`; what is wrong with the others, latest first; the last time."
+  @doc """
+  The rows that go forward in time, as `{time, fields as a tuple}`; what is wrong with the others, latest first; the
+  last time.
+  """
   @spec keep([row()], Situ.Time.t() | nil, t()) ::
           {[{Situ.Time.t(), tuple()}], [tuple()], Situ.Time.t() | nil}
   def keep(rows, last, scan) do

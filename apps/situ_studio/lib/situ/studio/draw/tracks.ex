@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Draw.Tracks do
   @moduledoc """
-  Lanes from a source's summary (`Situ.Store.Summary`): exact times of changes where there are few; where there are many,
-  what is known of each bin. A bin with more than one state has no state of its own: it is of the class `"many"` and says
-  which messages it holds.
+  Lanes from a source's summary (`Situ.Store.Summary`): exact times of changes where there are few; where there are
+  many, what is known of each bin. A bin with more than one state has no state of its own: it is of the class `"many"`
+  and says which messages it holds.
 
       iex> bins = [{0, true, [{true, 4}]}, {8, false, [{true, 1}, {false, 3}]}, {16, false, [{false, 4}]}]
       iex> summary = %{width: 8, counts: [{0, 4}, {8, 4}, {16, 4}], tracks: [{nil, {:states, bins}}]}

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.Annotation do
   @moduledoc false
-  # Annotating in the main view: a dialog that opens or makes a stream of annotations, the panel where they are edited, and
-  # the page's edits on their way to `Situ.Studio.Annotating`.
+  # Annotating in the main view: a dialog that opens or makes a stream of annotations, the panel where they are
+  # edited, and the page's edits on their way to `Situ.Studio.Annotating`.
   use Situ.Live.Component
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 

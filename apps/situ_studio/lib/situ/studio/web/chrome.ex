@@ -73,7 +73,8 @@ defmodule Situ.Studio.Web.Chrome do
         <.tool act="togglePlaySel" icon={:selection} title="Play the selection (Ctrl+Space)" />
         <.tool act="repeat" icon={:repeat} title="Repeat (r)" />
         <.tool act="slower" icon={:slower} title="Half speed (,)" />
-        <button id="speed" class="tool" type="button" data-act="normalSpeed" title="Playback speed; click for normal">1×</button>
+        <button id="speed" class="tool" type="button" data-act="normalSpeed"
+          title="Playback speed; click for normal">1×</button>
         <.tool act="faster" icon={:faster} title="Double speed (.)" />
         <span class="sep"></span>
         <.tool act="zoomAll" icon={:fit} title="View everything (Ctrl+A)" />

@@ -304,8 +304,10 @@ defmodule Situ.Studio.Web.MainView do
           count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names} kinds={kinds(@extra)} />
       <main class="centre">
         <Chrome.damage :if={@damage != []} damage={@damage} path={@item.path} />
-        <button class="pill" type="button" data-act="live" title="Follow what is being recorded (l)">Back to live</button>
-        <Panels.stack layout={@layout} selected={@selected} maximised={@maximised} annotation={@annotation && @annotation.stream} known={@known} streams={length(@infos)} />
+        <button class="pill" type="button" data-act="live"
+          title="Follow what is being recorded (l)">Back to live</button>
+        <Panels.stack layout={@layout} selected={@selected} maximised={@maximised} known={@known}
+          annotation={@annotation && @annotation.stream} streams={length(@infos)} />
       </main>
       <Side.right stream={@stream} panel={@panel} known={@known} snap={@snap} />
       <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} snap={@snap} />

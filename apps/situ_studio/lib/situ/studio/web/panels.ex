@@ -81,7 +81,8 @@ defmodule Situ.Studio.Web.Panels do
               aria-label={"Remove " <> names(panel)}><.icon name={:close} /></button>
         </div>
         <div class="cell-body"><div id={"body-" <> panel.id} class="panel-body" phx-hook="Panel" phx-update="ignore"
-            role="group" aria-label={names(panel)} data-kind={panel.panel} data-config={config(panel, @known)}></div></div>
+            role="group" aria-label={names(panel)} data-kind={panel.panel}
+            data-config={config(panel, @known)}></div></div>
       </div>
       <.edge row={row_id(@line)} line={@line} known={@known} />
     </section>
