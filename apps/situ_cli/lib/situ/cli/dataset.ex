@@ -2,9 +2,9 @@ defmodule Situ.CLI.Dataset do
   @moduledoc "The verbs of `situ dataset`: sessions of recordings in one file."
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.Dataset.Listing
   alias Situ.Dataset
-  alias Situ.Dataset.{Checksum, Partition, Session, Summary}
-  alias Situ.Time
+  alias Situ.Dataset.{Checksum, Partition, Session}
 
   @file_argument [kind: :file, doc: "a dataset file"]
   @any [
@@ -151,141 +151,10 @@ defmodule Situ.CLI.Dataset do
 
   # Looking
 
-  defp info(%{path: path, session: nil}, opts) do
-    dataset = open!(path)
-    sessions = Dataset.select(dataset, tags: opts[:tag], name: opts[:name] || "*")
-    shown = %{dataset | sessions: sessions}
-    summaries = Dataset.summaries(shown)
-    if opts[:json], do: Output.json(json(shown, summaries)), else: text(shown, summaries)
-    if Enum.any?(summaries, fn {_, s} -> s.unknown > 0 end), do: 1, else: 0
-  end
+  defp info(%{path: path, session: nil}, opts), do: path |> open!() |> Listing.dataset(opts)
 
-  defp info(%{path: path, session: name}, opts) do
-    session = path |> open!() |> Dataset.session(name) |> ok!()
-
-    if opts[:json],
-      do: Output.json(session_json(session, Session.summary(session))),
-      else: session_text(session)
-
-    0
-  end
-
-  defp text(dataset, summaries) do
-    Output.puts("#{dataset.name}  (#{dataset.file || "not saved"})")
-    total = Summary.sum(Enum.map(summaries, &elem(&1, 1)))
-    length = Time.format_duration(Enum.sum(for {_, s} <- summaries, do: Summary.duration(s)))
-
-    Output.puts(
-      "  #{Output.number(length(summaries), "session")}, #{Output.number(total.messages, "message")} in " <>
-        "#{Output.number(total.streams, "stream")}, #{Output.bytes(total.size)}, #{length} in all"
-    )
-
-    head = ["session", "tags", "from", "length", "partitions", "streams", "messages", "size", ""]
-    rows = for {session, {_, s}} <- Enum.zip(dataset.sessions, summaries), do: row(session, s)
-    if rows != [], do: Output.table([head | rows], 3)
-
-    for {session, partition, error} <- unreadable(dataset, summaries),
-        do: Output.warn("#{session}/#{partition}: #{error.what}")
-  end
-
-  defp row(session, s) do
-    from =
-      if s.messages > 0,
-        do: s.originating.left |> Time.to_iso8601() |> String.slice(0, 19),
-        else: "-"
-
-    state = if s.unknown > 0, do: "#{s.unknown} unreadable", else: ""
-
-    [session.name, Enum.join(session.tags, " "), from, Time.format_duration(Summary.duration(s))] ++
-      [
-        "#{length(session.partitions)}",
-        "#{s.streams}",
-        "#{s.messages}",
-        Output.bytes(s.size),
-        state
-      ]
-  end
-
-  defp unreadable(dataset, summaries) do
-    for {session, {_, %{unknown: n}}} <- Enum.zip(dataset.sessions, summaries),
-        n > 0,
-        partition <- session.partitions,
-        {:error, error} <- [Partition.open(partition)],
-        do: {session.name, partition.name, error}
-  end
-
-  defp json(dataset, summaries) do
-    %{
-      name: dataset.name,
-      file: dataset.file,
-      tags: dataset.tags,
-      metadata: dataset.metadata,
-      sessions:
-        for(
-          {session, {_, s}} <- Enum.zip(dataset.sessions, summaries),
-          do: session_json(session, s)
-        )
-    }
-  end
-
-  defp session_json(session, summary) do
-    partitions =
-      for p <- session.partitions do
-        state =
-          case Partition.summary(p) do
-            {:ok, s} -> numbers(s)
-            {:error, error} -> %{error: error.what}
-          end
-
-        Map.merge(
-          %{name: p.name, path: p.path, checksum: p.checksum, metadata: p.metadata},
-          state
-        )
-      end
-
-    Map.merge(numbers(summary), %{
-      name: session.name,
-      tags: session.tags,
-      metadata: session.metadata,
-      partitions: partitions
-    })
-  end
-
-  defp numbers(s) do
-    {from, to} =
-      if s.messages > 0, do: {s.originating.left, s.originating.right}, else: {nil, nil}
-
-    %{from: from, to: to, streams: s.streams, messages: s.messages, size: s.size}
-  end
-
-  defp session_text(session) do
-    Output.puts("#{session.name}  #{Enum.map_join(session.tags, " ", &("#" <> &1))}")
-
-    for {key, value} <- Enum.sort(session.metadata),
-        do: Output.puts("  #{key}: #{Situ.JSON.encode(value)}")
-
-    rows =
-      for p <- session.partitions do
-        case Partition.summary(p) do
-          {:ok, s} -> [p.name, p.path, "#{s.streams}", "#{s.messages}", Output.bytes(s.size), ""]
-          {:error, error} -> [p.name, p.path, "-", "-", "-", error.what]
-        end
-      end
-
-    Output.table([["partition", "path", "streams", "messages", "size", ""] | rows], 2)
-    open = Situ.Dataset.OpenSession.open(session)
-
-    streams =
-      for {partition, info} <- Situ.Dataset.OpenSession.streams(open) do
-        [
-          Situ.Dataset.OpenSession.address(open, partition, info.name),
-          info.type_name,
-          "#{info.count}"
-        ]
-      end
-
-    if streams != [], do: Output.table([["stream", "type", "messages"] | streams], 2)
-  end
+  defp info(%{path: path, session: name}, opts),
+    do: path |> open!() |> Dataset.session(name) |> ok!() |> Listing.session(opts)
 
   # Changing
 
