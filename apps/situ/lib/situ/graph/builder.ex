@@ -15,7 +15,7 @@ defmodule Situ.Graph.Builder do
   end
 
   @doc "Ends the building: the graph, no longer held."
-  @spec close(Handle.t()) :: Graph.t()
+  @spec close(Handle.t()) :: Graph.t() | nil
   def close(%Handle{ref: ref}), do: Process.delete({__MODULE__, ref})
 
   @doc "The graph so far."

@@ -134,11 +134,11 @@ defmodule Situ.Lifecycle.State do
           pending: MapSet.t(id()),
           awaited: MapSet.t(id()),
           ending: Ending.t(),
-          parts: %{reference() => map()},
+          parts: %{(reference() | {:unit, String.t()}) => map()},
           growths: %{reference() => map()},
           limits: %{restarts: {non_neg_integer(), pos_integer()}, stop_timeout: pos_integer()},
           errors: [Situ.Error.t()],
-          closed: [String.t()],
+          closed: [id()],
           actions: [Situ.Lifecycle.action()]
         }
 

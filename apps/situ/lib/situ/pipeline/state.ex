@@ -35,7 +35,7 @@ defmodule Situ.Pipeline.State do
   @type port_id :: {pos_integer(), atom()}
   @type stage :: %{
           id: pos_integer(),
-          pid: pid(),
+          pid: pid() | nil,
           vertices: [Situ.Graph.Vertex.t(), ...],
           tally: Situ.Stage.Tally.t(),
           control: :atomics.atomics_ref(),

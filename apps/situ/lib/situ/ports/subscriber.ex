@@ -81,7 +81,9 @@ defmodule Situ.Ports.Subscriber do
     drop(sub, length(old) + dropped)
     sub = %{sub | queue: queue, size: queue.size}
     # In the middle of a turn: the consumer need not wait until this stage looks into its mailbox.
-    if sub.counters && Counters.wanted?(sub.counters), do: hand_over(sub), else: drain(sub)
+    if sub.counters != nil and Counters.wanted?(sub.counters),
+      do: hand_over(sub),
+      else: drain(sub)
   end
 
   @doc "More demand."

@@ -132,7 +132,6 @@ defmodule Situ.Store.Csv do
       else: search(parts, before?, low, middle)
   end
 
-  defp base(_state, _info, at) when at < 0, do: 0
   defp base(%{parts: {}}, _info, _at), do: 0
   defp base(state, info, at), do: Map.get(elem(state.parts, at).counts, info.id - 1, 0)
 

@@ -141,9 +141,8 @@ defmodule Situ.Store.Failure do
       if(more > 0, do: " and #{more} more (`situ store info` lists them)", else: "")
   end
 
-  @spec wrap({:ok, value} | {:error, term()}, Path.t(), String.t() | nil) ::
-          {:ok, value} | {:error, Error.t()}
-        when value: term()
+  @spec wrap(ok | {:error, term()}, Path.t(), String.t() | nil) :: ok | {:error, Error.t()}
+        when ok: tuple()
   def wrap(result, path, stream \\ nil)
   def wrap({:error, reason}, path, stream), do: {:error, error(reason, path, stream)}
   def wrap(ok, _path, _stream), do: ok
