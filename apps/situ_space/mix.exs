@@ -28,6 +28,7 @@ defmodule Situ.Space.MixProject do
     [
       {:situ_types, in_umbrella: true},
       {:situ, in_umbrella: true},
+      {:situ_store, in_umbrella: true},
       {:situ_media, in_umbrella: true},
       {:situ_build, in_umbrella: true, runtime: false}
     ]

@@ -28,6 +28,30 @@ pub fn downsample(cloud: &[u8], size: f64) -> Result<(Vec<u8>, Vec<u32>)> {
     Ok((bytes(means), sums.iter().map(|(_, count)| *count).collect()))
 }
 
+/// At most `most` of a row of records of `size` bytes, evenly by number: the first of each run of neighbours.
+pub fn thin(records: &[u8], size: usize, most: usize) -> Result<Vec<u8>> {
+    if size == 0 || most == 0 || !records.len().is_multiple_of(size) {
+        return fail(
+            Code::BadOption,
+            format!(
+                "{} bytes are no records of {size} bytes, of which {most} stay",
+                records.len()
+            ),
+        );
+    }
+    let count = records.len() / size;
+    if count <= most {
+        return Ok(records.to_vec());
+    }
+    let mut kept = Vec::with_capacity(most * size);
+    for i in 0..most {
+        // 64 bits hold the product of two lengths of memory that a machine has
+        let at = (i as u64 * count as u64 / most as u64) as usize * size;
+        kept.extend_from_slice(records.get(at..at + size).unwrap_or_default());
+    }
+    Ok(kept)
+}
+
 /// For every point the number of its cluster: points closer than `radius` metres belong together. Clusters of fewer
 /// than
 /// `least` points are none (`u32::MAX`); the others are numbered from the largest, ties by their first point.
@@ -97,6 +121,18 @@ pub fn transform(cloud: &[u8], rotation: [[f64; 3]; 3], move_by: [f64; 3]) -> Re
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn thinned_evenly() {
+        let records: Vec<u8> = (0..10).collect();
+        assert_eq!(thin(&records, 1, 4), Ok(vec![0, 2, 5, 7]));
+        assert_eq!(thin(&records, 2, 2), Ok(vec![0, 1, 4, 5]));
+        assert_eq!(thin(&records, 2, 9), Ok(records.clone()));
+        assert_eq!(thin(&[], 12, 9), Ok(vec![]));
+        assert!(thin(&records, 3, 9).is_err());
+        assert!(thin(&records, 0, 9).is_err());
+        assert!(thin(&records, 1, 0).is_err());
+    }
 
     #[test]
     fn a_voxel_holds_the_mean_of_its_points() -> Result<()> {

@@ -46,20 +46,60 @@ fn minus(a: &Point, b: &Point) -> Point {
 }
 
 impl Shape {
-    /// The distance along a ray (in lengths of its direction), and the normal there.
-    fn hit(&self, origin: &Point, ray: &Point) -> Option<(f32, Point)> {
+    /// The distance along a ray (in lengths of its direction).
+    fn distance(&self, origin: &Point, ray: &Point, inverse: &Point) -> Option<f32> {
         match self {
+            Shape::Box { min, max, .. } => box_distance(min, max, origin, inverse),
+            Shape::Capsule {
+                from, to, radius, ..
+            } => hit_capsule(from, to, *radius, origin, ray).map(|(t, _)| t),
+        }
+    }
+
+    /// The normal where a ray meets the shape.
+    fn normal(&self, origin: &Point, ray: &Point) -> Point {
+        let hit = match self {
             Shape::Box { min, max, .. } => hit_box(min, max, origin, ray),
             Shape::Capsule {
                 from, to, radius, ..
             } => hit_capsule(from, to, *radius, origin, ray),
-        }
+        };
+        hit.map_or([0.0; 3], |(_, normal)| normal)
+    }
+
+    /// A ball that holds the shape.
+    fn ball(&self) -> (Point, f32) {
+        let (a, b, more) = match self {
+            Shape::Box { min, max, .. } => (min, max, 0.0),
+            Shape::Capsule {
+                from, to, radius, ..
+            } => (from, to, *radius),
+        };
+        let half: Point = std::array::from_fn(|i| (b[i] - a[i]) / 2.0);
+        let center = std::array::from_fn(|i| (a[i] + b[i]) / 2.0);
+        (center, dot(&half, &half).sqrt() + more)
     }
 
     fn color(&self) -> [u8; 3] {
         match self {
             Shape::Box { color, .. } | Shape::Capsule { color, .. } => *color,
         }
+    }
+}
+
+/// How far to a box; `inverse` is one over each coordinate of the ray's direction.
+fn box_distance(min: &Point, max: &Point, origin: &Point, inverse: &Point) -> Option<f32> {
+    let (mut enter, mut leave) = (f32::NEG_INFINITY, f32::INFINITY);
+    for axis in 0..3 {
+        let a = (min[axis] - origin[axis]) * inverse[axis];
+        let b = (max[axis] - origin[axis]) * inverse[axis];
+        enter = enter.max(a.min(b));
+        leave = leave.min(a.max(b));
+    }
+    if enter > leave || leave <= 0.0 {
+        None
+    } else {
+        Some(if enter > 0.0 { enter } else { leave })
     }
 }
 
@@ -169,34 +209,88 @@ pub fn render(
     let pixels = table.len() / 8;
     let mut depth = Vec::with_capacity(pixels * 2);
     let mut rgb = Vec::with_capacity(pixels * 3);
-    for bytes in table.chunks_exact(8) {
-        let nx = f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
-        let ny = f32::from_le_bytes([bytes[4], bytes[5], bytes[6], bytes[7]]);
-        let (value, color) = pixel(shapes, view, nx, ny, scale);
-        depth.extend_from_slice(&value.to_le_bytes());
-        rgb.extend_from_slice(&color);
+    let rays: Vec<(f32, f32)> = table
+        .chunks_exact(8)
+        .map(|b| {
+            let nx = f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
+            (nx, f32::from_le_bytes([b[4], b[5], b[6], b[7]]))
+        })
+        .collect();
+    let mut seen = Vec::with_capacity(shapes.len());
+    for strip in rays.chunks(STRIP) {
+        seen.clear();
+        match Cone::around(strip) {
+            Some(cone) => seen.extend(shapes.iter().filter(|s| cone.meets(s, view))),
+            None => seen.extend(shapes.iter()),
+        }
+        for (nx, ny) in strip {
+            let (value, color) = pixel(&seen, view, *nx, *ny, scale);
+            depth.extend_from_slice(&value.to_le_bytes());
+            rgb.extend_from_slice(&color);
+        }
     }
     Ok((depth, rgb))
 }
 
-fn pixel(shapes: &[Shape], view: &Viewpoint, nx: f32, ny: f32, scale: f64) -> (u16, [u8; 3]) {
+/// Neighbouring pixels that share the search for what they may show.
+const STRIP: usize = 32;
+
+/// All directions within an angle of one, in the camera's frame.
+struct Cone {
+    axis: Point,
+    cos: f32,
+    sin: f32,
+}
+
+impl Cone {
+    /// The narrowest cone around the middle ray of a strip that holds all its rays; none where a ray is not known.
+    fn around(strip: &[(f32, f32)]) -> Option<Cone> {
+        let units: Vec<Point> = strip.iter().map(|(nx, ny)| unit(nx, ny)).collect();
+        let axis = *units.get(units.len() / 2)?;
+        let cos = units.iter().map(|u| dot(u, &axis)).fold(1.0, f32::min) - 1e-6;
+        if !cos.is_finite() || units.iter().any(|u| !u[0].is_finite()) {
+            return None;
+        }
+        let sin = (1.0 - cos * cos).max(0.0).sqrt();
+        Some(Cone { axis, cos, sin })
+    }
+
+    /// Whether a ray of the cone may meet the shape: judged by the ball around the shape, so never wrongly denied.
+    fn meets(&self, shape: &Shape, view: &Viewpoint) -> bool {
+        let (center, radius) = shape.ball();
+        let from = minus(&center, &view.position);
+        let axis: Point = std::array::from_fn(|i| dot(&view.rotation[i], &self.axis));
+        let along = dot(&from, &axis);
+        let beside = (dot(&from, &from) - along * along).max(0.0).sqrt();
+        beside * self.cos - along * self.sin <= radius * 1.001 + 1e-4
+    }
+}
+
+fn unit(nx: &f32, ny: &f32) -> Point {
+    let length = (1.0 + nx * nx + ny * ny).sqrt();
+    [1.0 / length, -nx / length, -ny / length]
+}
+
+fn pixel(shapes: &[&Shape], view: &Viewpoint, nx: f32, ny: f32, scale: f64) -> (u16, [u8; 3]) {
     if !(nx.is_finite() && ny.is_finite()) {
         return (0, [0; 3]);
     }
     // A length of 1 along the ray is a depth of 1 m.
     let local = [1.0, -nx, -ny];
     let ray: Point = std::array::from_fn(|i| dot(&view.rotation[i], &local));
-    let mut nearest: Option<(f32, Point, [u8; 3])> = None;
+    let inverse = ray.map(|c| 1.0 / c);
+    let mut nearest: Option<(f32, &Shape)> = None;
     for shape in shapes {
-        if let Some((t, normal)) = shape.hit(&view.position, &ray) {
-            if nearest.is_none_or(|(least, _, _)| t < least) {
-                nearest = Some((t, normal, shape.color()));
+        if let Some(t) = shape.distance(&view.position, &ray, &inverse) {
+            if nearest.is_none_or(|(least, _)| t < least) {
+                nearest = Some((t, shape));
             }
         }
     }
     match nearest {
         None => (0, [0; 3]),
-        Some((t, normal, color)) => {
+        Some((t, shape)) => {
+            let (normal, color) = (shape.normal(&view.position, &ray), shape.color());
             let light = (dot(&normal, &ray).abs() / dot(&ray, &ray).sqrt()).clamp(0.0, 1.0);
             let value = (f64::from(t) / scale).round();
             let value = if value <= f64::from(u16::MAX) {
@@ -227,7 +321,8 @@ mod tests {
     };
 
     fn depth_at(shapes: &[Shape], nx: f32, ny: f32) -> u16 {
-        pixel(shapes, &LEVEL, nx, ny, 0.001).0
+        let all: Vec<&Shape> = shapes.iter().collect();
+        pixel(&all, &LEVEL, nx, ny, 0.001).0
     }
 
     #[test]
@@ -260,8 +355,44 @@ mod tests {
     #[test]
     fn nothing_is_black_and_unknown() {
         assert_eq!(pixel(&[], &LEVEL, 0.0, 0.0, 0.001), (0, [0; 3]));
-        assert_eq!(pixel(&[ROOM], &LEVEL, f32::NAN, 0.0, 0.001), (0, [0; 3]));
+        assert_eq!(pixel(&[&ROOM], &LEVEL, f32::NAN, 0.0, 0.001), (0, [0; 3]));
         assert!(render(&[ROOM], &LEVEL, &[0; 7], 0.001).is_err());
         assert!(render(&[ROOM], &LEVEL, &[0; 8], 0.0).is_err());
+    }
+
+    #[test]
+    fn leaving_out_what_a_strip_cannot_show_changes_no_pixel() {
+        let mut shapes = vec![ROOM];
+        for i in 0..40 {
+            let at = |k: i32| ((i * k) % 17) as f32 / 17.0;
+            let from = [0.5 + 3.0 * at(3), -1.9 + 3.8 * at(5), 2.8 * at(7)];
+            shapes.push(Shape::Capsule {
+                from,
+                to: [from[0] + at(11) - 0.5, from[1] + at(13) - 0.5, from[2]],
+                radius: 0.02 + 0.2 * at(2),
+                color: [i as u8, 2, 3],
+            });
+        }
+        let mut table = Vec::new();
+        for y in 0..60 {
+            for x in 0..83 {
+                let nx = if x == 7 && y == 9 {
+                    f32::NAN
+                } else {
+                    (x as f32 - 41.0) / 30.0
+                };
+                table.extend_from_slice(&nx.to_le_bytes());
+                table.extend_from_slice(&((y as f32 - 30.0) / 30.0).to_le_bytes());
+            }
+        }
+        let (depth, rgb) = render(&shapes, &LEVEL, &table, 0.001).unwrap_or_default();
+        let all: Vec<&Shape> = shapes.iter().collect();
+        for (i, b) in table.chunks_exact(8).enumerate() {
+            let nx = f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
+            let ny = f32::from_le_bytes([b[4], b[5], b[6], b[7]]);
+            let (value, color) = pixel(&all, &LEVEL, nx, ny, 0.001);
+            assert_eq!(value.to_le_bytes(), [depth[2 * i], depth[2 * i + 1]]);
+            assert_eq!(color, [rgb[3 * i], rgb[3 * i + 1], rgb[3 * i + 2]]);
+        }
     }
 }

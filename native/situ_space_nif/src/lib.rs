@@ -167,6 +167,12 @@ fn downsample<'a>(env: Env<'a>, points: Binary<'a>, size: f64) -> Term<'a> {
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
+fn thin<'a>(env: Env<'a>, records: Binary<'a>, size: u32, most: u32) -> Term<'a> {
+    let result = cloud::thin(records.as_slice(), size as usize, most as usize);
+    reply(env, result.and_then(|r| Ok(binary(env, &r)?.encode(env))))
+}
+
+#[rustler::nif(schedule = "DirtyCpu")]
 fn clusters<'a>(env: Env<'a>, points: Binary<'a>, radius: f64, least: u32) -> Term<'a> {
     let result = cloud::clusters(points.as_slice(), radius, least as usize);
     reply(env, result.and_then(|n| Ok(numbers(env, &n)?.encode(env))))

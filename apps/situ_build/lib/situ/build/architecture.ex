@@ -15,7 +15,7 @@ defmodule Situ.Build.Architecture do
     situ_store: [:situ, :situ_types],
     situ_dataset: [:situ, :situ_store, :situ_types],
     situ_media: [:situ, :situ_store, :situ_types],
-    situ_space: [:situ, :situ_media, :situ_types],
+    situ_space: [:situ, :situ_media, :situ_store, :situ_types],
     situ_infer: [:situ, :situ_media, :situ_types],
     situ_remote: [:situ, :situ_store, :situ_types],
     situ_bridge: [:situ, :situ_store, :situ_types],

@@ -22,6 +22,25 @@ defmodule Situ.Space.Cloud do
          do: PointCloud.new(points)
   end
 
+  @doc """
+  At most `most` points of the cloud, evenly by their number, in their order, with their colours: for drawing, where each
+  point stands for its neighbours.
+
+      iex> cloud = Situ.PointCloud.from_points(for x <- 1..6, do: {x * 1.0, 0.0, 0.0})
+      iex> {:ok, fewer} = Situ.Space.Cloud.thin(cloud, 2)
+      iex> Situ.PointCloud.to_points(fewer)
+      [{1.0, 0.0, 0.0}, {4.0, 0.0, 0.0}]
+  """
+  @spec thin(PointCloud.t(), pos_integer()) :: result()
+  def thin(%PointCloud{} = cloud, most) when is_integer(most) and most > 0 do
+    with {:ok, points} <- Kernel.call(:thin, [cloud.points, 12, most]),
+         {:ok, colors} <- thin_colors(cloud.colors, most),
+         do: PointCloud.new(points, colors)
+  end
+
+  defp thin_colors(nil, _most), do: {:ok, nil}
+  defp thin_colors(colors, most), do: Kernel.call(:thin, [colors, 3, most])
+
   @doc "The cloud, given in a pose's own frame, in the frame of the pose; colours stay."
   @spec transform(PointCloud.t(), Pose.t()) :: result()
   def transform(%PointCloud{} = cloud, %Pose{} = pose) do

@@ -1,0 +1,69 @@
+defmodule Situ.Space.DepthCamera do
+  @moduledoc """
+  A camera that measures depth: one way to open it, whatever stands behind.
+
+      room = Situ.Space.DepthCamera.open(p, {Situ.Space.SyntheticRoom, seconds: 10})
+      seen = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Recorded, path: "recordings/room.0000"})
+      cloud = Situ.Space.DepthCamera.clouds(seen)
+
+  Both streams are of `Situ.CameraView`s: the picture with the intrinsics and the pose it was taken with, so that
+  whatever is computed from one needs nothing else. A driver is a module with this behaviour; drivers:
+
+    * `Situ.Space.SyntheticRoom`: a room that is computed, with the truth beside it
+    * `Situ.Space.DepthCamera.Recorded`: a recording of any of them
+  """
+  alias Situ.{CameraView, DepthImage, Error, PointCloud}
+  alias Situ.Space.{Cloud, Depth}
+
+  @enforce_keys [:depth, :color]
+  defstruct [:depth, :color, others: %{}]
+
+  @typedoc "`others` are streams that only some cameras have: bodies, sound, an inertial sensor."
+  @type t :: %__MODULE__{
+          depth: Situ.Stream.t(),
+          color: Situ.Stream.t() | nil,
+          others: %{optional(atom()) => Situ.Stream.t()}
+        }
+
+  @doc "Adds the camera to a pipeline; raises `Situ.Error` when it cannot be opened."
+  @callback open(Situ.Pipeline.t(), keyword()) :: t()
+
+  @doc "Opens a driver, given by its module or its module with options."
+  @spec open(Situ.Pipeline.t(), module() | {module(), keyword()}) :: t()
+  def open(p, {driver, opts}) when is_atom(driver) and is_list(opts), do: driver.open(p, opts)
+  def open(p, driver) when is_atom(driver), do: driver.open(p, [])
+
+  @clouds [
+    sparsity: [type: :pos_integer, default: 1, doc: "Takes every n-th pixel of every n-th row."],
+    robust: [
+      type: :boolean,
+      default: false,
+      doc: "Takes only pixels whose eight neighbours were measured too."
+    ]
+  ]
+
+  @doc """
+  A stream of the points that the camera sees, in the frame that its poses are given in.
+
+  #{Situ.Options.docs(@clouds)}
+  """
+  @spec clouds(t(), keyword()) :: Situ.Stream.t()
+  def clouds(%__MODULE__{depth: depth}, opts \\ []) do
+    {opts, placed} = Keyword.split(opts, Keyword.keys(@clouds))
+    opts = Situ.Options.validate!(opts, @clouds)
+
+    Situ.map(
+      depth,
+      &(&1 |> cloud(opts) |> Error.unwrap!()),
+      [name: "Clouds", type: PointCloud] ++ placed
+    )
+  end
+
+  @doc "The points of one view, in the frame that its pose is given in. Options as of `clouds/2`."
+  @spec cloud(CameraView.t(DepthImage.t()), keyword()) ::
+          {:ok, PointCloud.t()} | {:error, Error.t()}
+  def cloud(%CameraView{viewed: %DepthImage{} = depth} = view, opts \\ []) do
+    with {:ok, points} <- Depth.to_cloud(depth, view.intrinsics, opts),
+         do: Cloud.transform(points, view.pose)
+  end
+end

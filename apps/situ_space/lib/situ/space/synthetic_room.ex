@@ -1,0 +1,168 @@
+defmodule Situ.Space.SyntheticRoom do
+  alias Situ.{AudioBuffer, AudioFormat, CameraIntrinsics, CameraView, DepthImage, Image, Skeleton}
+  alias Situ.Space.{DepthCamera, Kernel, RayTable}
+  alias Situ.Space.SyntheticRoom.{Scene, Voice}
+
+  @schema [
+    width: [type: :pos_integer, default: 640, doc: "Pixels in a row."],
+    height: [type: :pos_integer, default: 480, doc: "Rows."],
+    rate: [type: :pos_integer, default: 30, doc: "Pictures a second."],
+    seconds: [type: {:optional, :number}, default: nil, doc: "How long; `nil` has no end."],
+    sway: [
+      type: :number,
+      default: 0.03,
+      doc: "How far the camera moves about its place, metres and radians; 0 stands still."
+    ],
+    speech: [
+      type: {:optional, {:list, :any}},
+      default: nil,
+      doc: "Who speaks when: `{0 or 1, from, to}` in seconds; by default in turn."
+    ],
+    imu_rate: [type: :pos_integer, default: 100, doc: "Readings of the inertial sensor a second."],
+    sound_rate: [type: :pos_integer, default: 16_000, doc: "Samples of sound a second."]
+  ]
+
+  @moduledoc """
+  A room that is not there, seen by a depth camera: two people, furniture, a ball that floats. Everything is known
+  exactly, and the same every time: for trying things without hardware, and for holding results against the truth.
+
+      camera = Situ.Space.DepthCamera.open(p, {Situ.Space.SyntheticRoom, seconds: 10})
+      Situ.each(camera.depth, fn view -> IO.inspect(view.viewed) end)
+
+  The streams beside `depth` and `color` (both `Situ.CameraView`s) are in `others`:
+
+    * `bodies`: a list of `Situ.Skeleton`, ids 0 and 1
+    * `pointing`: the `Situ.Ray3` along which person 1 points at the ball
+    * `ball`: where the ball is, a `Situ.Point3`
+    * `imu`: `Situ.ImuReading`s of a sensor in the camera
+    * `sound`: `Situ.AudioBuffer`s, mono, 16 bits
+    * `speaking`: a map of person and whether that person speaks
+
+  Depth is exact to the millimetre that its 16 bits count, 0 where it is farther than they reach.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    outputs: [
+      depth: CameraView,
+      color: CameraView,
+      bodies: {:list, Skeleton},
+      pointing: Situ.Ray3,
+      ball: Situ.Point3,
+      imu: Situ.ImuReading,
+      sound: AudioBuffer,
+      speaking: {:map, :any, :boolean}
+    ],
+    options: @schema
+
+  @behaviour DepthCamera
+
+  @second 1_000_000_000
+  @scale 0.001
+
+  @impl DepthCamera
+  def open(p, opts) do
+    {depth, others} = p |> Situ.source(__MODULE__, opts) |> Map.pop!(:depth)
+    {color, others} = Map.pop!(others, :color)
+    %DepthCamera{depth: depth, color: color, others: others}
+  end
+
+  @doc "The intrinsics of a camera with so many pixels: 62 degrees wide, without distortion."
+  @spec intrinsics(pos_integer(), pos_integer()) :: CameraIntrinsics.t()
+  def intrinsics(width, height) do
+    focal = width * 525 / 640
+    CameraIntrinsics.new!(width: width, height: height, focal: {focal, focal})
+  end
+
+  @impl Situ.Component
+  def init(opts) do
+    intrinsics = intrinsics(opts[:width], opts[:height])
+
+    with {:ok, table} <- RayTable.new(intrinsics) do
+      {:ok,
+       %{opts: Map.new(opts), intrinsics: intrinsics, table: table, frame: 0, start: 0, till: nil}}
+    end
+  end
+
+  @impl Situ.Component
+  def handle_start(context, state) do
+    own = state.opts.seconds && context.start_time + round(state.opts.seconds * @second)
+    till = [own, context.replay_end] |> Enum.filter(&is_integer/1) |> Enum.min(fn -> nil end)
+    state = %{state | start: context.start_time, till: till}
+    {if(till, do: [], else: [{:complete, :infinity}]), state}
+  end
+
+  @impl Situ.Component
+  def handle_demand(_n, _context, %{frame: :done} = state), do: {[], state}
+
+  def handle_demand(_n, _context, %{frame: frame, opts: opts, start: start, till: till} = state) do
+    time = start + div(frame * @second, opts.rate)
+
+    if till && time >= till do
+      last = start + div((frame - 1) * @second, opts.rate)
+      {[{:complete, max(last, start)}], %{state | frame: :done}}
+    else
+      {actions(frame, time, state), %{state | frame: frame + 1}}
+    end
+  end
+
+  # What happened since the last picture, up to and including this one.
+  defp actions(frame, time, %{opts: opts} = state) do
+    scene = Scene.at(frame / opts.rate, opts.speech, opts.sway)
+    {depth, color} = views!(scene, state)
+    {x, y, z} = scene.ball
+
+    [
+      {:depth, time, depth},
+      {:color, time, color},
+      {:bodies, time, scene.bodies},
+      {:pointing, time, Scene.pointing(scene)},
+      {:ball, time, Situ.Point3.new(x, y, z)},
+      {:speaking, time, Map.new(scene.people, &{&1.id, &1.speaking})}
+    ] ++ readings(frame, state) ++ sound(frame, state)
+  end
+
+  @doc "The depth and the colour picture of a scene, each a `Situ.CameraView`."
+  @spec views(Scene.t(), CameraIntrinsics.t(), RayTable.t()) ::
+          {:ok, {CameraView.t(DepthImage.t()), CameraView.t(Image.t())}}
+          | {:error, Situ.Error.t()}
+  def views(%Scene{camera: pose} = scene, intrinsics, table) do
+    rotation = Situ.Quaternion.to_matrix(pose.rotation)
+    arguments = [Scene.shapes(scene), pose.position, rotation, table.rays, @scale]
+    size = [width: table.width, height: table.height]
+
+    with {:ok, {values, pixels}} <- Kernel.call(:render, arguments),
+         {:ok, depth} <- DepthImage.new([data: values, scale: @scale] ++ size),
+         {:ok, color} <- Image.new([data: pixels, format: :rgb24] ++ size) do
+      {:ok, {CameraView.new(depth, intrinsics, pose), CameraView.new(color, intrinsics, pose)}}
+    end
+  end
+
+  defp views!(scene, state),
+    do: scene |> views(state.intrinsics, state.table) |> Situ.Error.unwrap!()
+
+  defp readings(frame, %{opts: opts, start: start}) do
+    for n <- span(frame, opts.imu_rate, opts.rate),
+        do:
+          {:imu, start + div(n * @second, opts.imu_rate), Scene.imu(n / opts.imu_rate, opts.sway)}
+  end
+
+  # The sound that ends with this picture; before the first there was none.
+  defp sound(0, _state), do: []
+
+  defp sound(frame, %{opts: opts, start: start}) do
+    numbers = span(frame, opts.sound_rate, opts.rate)
+    speaks? = &Scene.speaking?(&1, &2, opts.speech)
+    samples = Voice.samples(numbers, opts.sound_rate, speaks?)
+    time = start + div((numbers.last + 1) * @second, opts.sound_rate)
+    [{:sound, time, AudioBuffer.from_samples(samples, AudioFormat.pcm(opts.sound_rate))}]
+  end
+
+  # The numbers of what comes `rate` times a second after the last picture and until this one.
+  defp span(0, _rate, _pictures), do: 0..0
+
+  defp span(frame, rate, pictures),
+    do: (div((frame - 1) * rate, pictures) + 1)..div(frame * rate, pictures)//1
+end

@@ -1,0 +1,145 @@
+defmodule Situ.Space.SyntheticRoom.Person do
+  @moduledoc """
+  A person of the synthetic room at one time: joints, and the limbs around them.
+
+      iex> alias Situ.Space.SyntheticRoom.Person
+      iex> body = Person.skeleton(Person.standing(7, {2.0, 0.0, 0.0}, 0.0))
+      iex> {body.id, map_size(body.joints), Situ.Skeleton.position(body, :head)}
+      {7, 15, {2.0, 0.0, 1.62}}
+  """
+  alias Situ.{Pose, Quaternion, Skeleton, Vector3}
+
+  @enforce_keys [:id, :place, :heading]
+  defstruct [:id, :place, :heading, stride: 0.0, reach: nil, speaking: false]
+
+  @typedoc """
+  `place` is where the person stands on the floor (metres), `heading` where the person faces (radians from x to y),
+  `stride` the phase of the walk (radians; 0 stands), `reach` the point that the right arm points at.
+  """
+  @type t :: %__MODULE__{
+          id: term(),
+          place: Vector3.t(),
+          heading: float(),
+          stride: float() | nil,
+          reach: Vector3.t() | nil,
+          speaking: boolean()
+        }
+
+  @bones [
+    {:head, :neck},
+    {:neck, :pelvis},
+    {:neck, :left_shoulder},
+    {:left_shoulder, :left_elbow},
+    {:left_elbow, :left_hand},
+    {:neck, :right_shoulder},
+    {:right_shoulder, :right_elbow},
+    {:right_elbow, :right_hand},
+    {:pelvis, :left_hip},
+    {:left_hip, :left_knee},
+    {:left_knee, :left_foot},
+    {:pelvis, :right_hip},
+    {:right_hip, :right_knee},
+    {:right_knee, :right_foot}
+  ]
+  @arm 0.29
+  @thigh 0.42
+  @shin 0.42
+
+  @doc "Somebody who stands there."
+  @spec standing(term(), Vector3.t(), float()) :: t()
+  def standing(id, place, heading), do: %__MODULE__{id: id, place: place, heading: heading}
+
+  @doc "The joints, in the room's frame; each turned as the body is."
+  @spec skeleton(t()) :: Skeleton.t()
+  def skeleton(%__MODULE__{} = person) do
+    turn = Quaternion.from_axis_angle({0.0, 0.0, 1.0}, person.heading)
+
+    joints =
+      person
+      |> joints(Pose.new(person.place, turn))
+      |> Map.new(fn {name, position} -> {name, %Pose{position: position, rotation: turn}} end)
+
+    Skeleton.new!(joints, @bones, id: person.id)
+  end
+
+  defp joints(person, body) do
+    swing = 0.55 * :math.sin(person.stride)
+    at = &Pose.transform(body, &1)
+
+    trunk = %{
+      head: at.({0.0, 0.0, 1.62}),
+      neck: at.({0.0, 0.0, 1.42}),
+      pelvis: at.({0.0, 0.0, 0.92}),
+      left_shoulder: at.({0.0, 0.19, 1.38}),
+      right_shoulder: at.({0.0, -0.19, 1.38}),
+      left_hip: at.({0.0, 0.1, 0.88}),
+      right_hip: at.({0.0, -0.1, 0.88})
+    }
+
+    trunk
+    |> Map.merge(leg(at, :left, 0.1, swing))
+    |> Map.merge(leg(at, :right, -0.1, -swing))
+    |> Map.merge(arm(at, :left, 0.22, -swing))
+    |> Map.merge(right_arm(person, trunk.right_shoulder, at, swing))
+  end
+
+  defp leg(at, side, y, swing) do
+    bend = if swing < 0, do: -swing, else: 0.0
+    {kx, kz} = {@thigh * :math.sin(swing), 0.88 - @thigh * :math.cos(swing)}
+    foot = {kx + @shin * :math.sin(swing - bend), y, kz - @shin * :math.cos(swing - bend)}
+    %{joint(side, :knee) => at.({kx, y, kz}), joint(side, :foot) => at.(foot)}
+  end
+
+  defp arm(at, side, y, swing) do
+    {ex, ez} = {@arm * :math.sin(swing), 1.38 - @arm * :math.cos(swing)}
+    bend = swing + 0.3
+    hand = {ex + @arm * :math.sin(bend), y, ez - @arm * :math.cos(bend)}
+    %{joint(side, :elbow) => at.({ex, y, ez}), joint(side, :hand) => at.(hand)}
+  end
+
+  defp right_arm(%{reach: nil}, _shoulder, at, swing), do: arm(at, :right, -0.22, swing)
+
+  defp right_arm(%{reach: target}, shoulder, _at, _swing) do
+    {:ok, way} = target |> Vector3.subtract(shoulder) |> Vector3.normalize()
+    along = &Vector3.add(shoulder, Vector3.scale(way, &1))
+    %{right_elbow: along.(@arm), right_hand: along.(2 * @arm)}
+  end
+
+  defp joint(:left, :knee), do: :left_knee
+  defp joint(:right, :knee), do: :right_knee
+  defp joint(:left, :foot), do: :left_foot
+  defp joint(:right, :foot), do: :right_foot
+  defp joint(:left, :elbow), do: :left_elbow
+  defp joint(:right, :elbow), do: :right_elbow
+  defp joint(:left, :hand), do: :left_hand
+  defp joint(:right, :hand), do: :right_hand
+
+  @skin {224, 172, 132}
+  @lit {255, 236, 170}
+  @clothes [{46, 96, 168}, {168, 62, 58}, {70, 130, 80}, {150, 110, 40}]
+  @trousers {52, 56, 66}
+
+  @doc "The limbs, as the room's renderer takes them. Who speaks has a brighter head."
+  @spec shapes(t(), Skeleton.t()) :: [tuple()]
+  def shapes(%__MODULE__{} = person, %Skeleton{} = body) do
+    shirt = Enum.at(@clothes, :erlang.phash2(person.id, length(@clothes)))
+    head = if person.speaking, do: @lit, else: @skin
+    p = &Skeleton.position(body, &1)
+    limb = fn a, b, radius, color -> {:capsule, p.(a), p.(b), radius, color} end
+
+    [
+      {:capsule, p.(:head), p.(:head), 0.13, head},
+      limb.(:neck, :pelvis, 0.15, shirt),
+      limb.(:left_shoulder, :right_shoulder, 0.09, shirt),
+      limb.(:left_shoulder, :left_elbow, 0.055, shirt),
+      limb.(:right_shoulder, :right_elbow, 0.055, shirt),
+      limb.(:left_elbow, :left_hand, 0.045, @skin),
+      limb.(:right_elbow, :right_hand, 0.045, @skin),
+      limb.(:left_hip, :right_hip, 0.12, @trousers),
+      limb.(:left_hip, :left_knee, 0.08, @trousers),
+      limb.(:right_hip, :right_knee, 0.08, @trousers),
+      limb.(:left_knee, :left_foot, 0.06, @trousers),
+      limb.(:right_knee, :right_foot, 0.06, @trousers)
+    ]
+  end
+end

@@ -1,0 +1,31 @@
+defmodule Situ.Space.SyntheticRoom.Voice do
+  @moduledoc """
+  The sound in the synthetic room: whoever speaks hums syllables, four a second, at a pitch of their own. A function of
+  the sample's number, so that it is the same however it is cut.
+
+      iex> alias Situ.Space.SyntheticRoom.Voice
+      iex> Voice.samples(0..3, 16_000, fn _id, _t -> false end)
+      [0, 0, 0, 0]
+  """
+  @pitches %{0 => 118.0, 1 => 205.0}
+  @harmonics [{1, 1.0}, {2, 0.7}, {3, 0.5}, {4, 0.6}, {6, 0.35}, {9, 0.2}]
+  @loudness 5_200
+
+  @doc "The 16-bit samples with these numbers, at `rate` a second; `speaks?` is asked with an id and seconds."
+  @spec samples(Range.t(), pos_integer(), (term(), float() -> boolean())) :: [integer()]
+  def samples(numbers, rate, speaks?) do
+    for n <- numbers do
+      t = n / rate
+      round(@loudness * Enum.sum(for {id, pitch} <- @pitches, speaks?.(id, t), do: hum(t, pitch)))
+    end
+  end
+
+  defp hum(t, pitch) do
+    syllable = :math.pow(:math.sin(:math.pi() * 4 * t), 2)
+    glide = pitch * t + 3.0 * :math.sin(2 * :math.pi() * 0.6 * t)
+
+    for({k, a} <- @harmonics, do: a * :math.sin(2 * :math.pi() * k * glide))
+    |> Enum.sum()
+    |> Kernel.*(syllable)
+  end
+end
