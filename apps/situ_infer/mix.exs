@@ -30,7 +30,7 @@ defmodule Situ.Infer.MixProject do
   defp elixirc_paths(_env), do: ["lib"]
 
   defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger]
+  defp extra_applications(_env), do: [:logger, :ssl, :public_key]
 
   defp deps do
     [

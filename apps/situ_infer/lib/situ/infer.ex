@@ -17,6 +17,7 @@ defmodule Situ.Infer do
   | pictures | mouths | `Situ.Infer.MouthShape` |
   | 16 kHz sound | what is said | `transcribe/2`, `Situ.Infer.SpeechRecognizer` |
   | text | it spoken | `Situ.Infer.SpeechSynthesizer` |
+  | a question | a language model's answer | `Situ.Chat` |
   | mouths and voice | who speaks | `who_speaks/3`, `Situ.Infer.ActiveSpeaker` |
 
   Models run in ONNX Runtime, which `bin/setup` fetches; without it the components that need it stop the pipeline with

@@ -1,0 +1,306 @@
+defmodule Situ.Chat do
+  @own [
+    system: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "How the model is to behave: the first turn of every conversation."
+    ],
+    remember: [
+      type: :non_neg_integer,
+      default: 8,
+      doc:
+        "How many questions and answers before this one the model is shown. Only where `concurrency` is 1."
+    ],
+    tools: [
+      type: {:list, {:struct, Situ.Chat.Tool}},
+      default: [],
+      doc: "What the model may call, `Situ.Chat.Tool`."
+    ],
+    rounds: [
+      type: :pos_integer,
+      default: 5,
+      doc: "How often it may call tools and be asked again, for one question."
+    ],
+    concurrency: [
+      type: :pos_integer,
+      default: 1,
+      doc: "How many questions are asked at once; the answers come in the order of the questions."
+    ],
+    budget: [
+      type: {:optional, :pos_integer},
+      default: nil,
+      doc:
+        "How many tokens may be used, read and written, in all; then questions fail with `:budget_spent`."
+    ],
+    failures: [
+      type: {:in, [:raise, :emit]},
+      default: :raise,
+      doc:
+        "A question that fails: an error of the component, as `on_error` says, or a message on `:failed`."
+    ]
+  ]
+  @schema @own ++ Situ.Chat.Service.schema()
+
+  @moduledoc """
+  Asks a language model: any service that speaks OpenAI's protocol, on this machine or elsewhere.
+
+      answers = Situ.via([in: questions], Situ.Chat, model: "llama3.2", system: "Answer in one sentence.")
+      answers.text |> Situ.each(&IO.write/1)
+
+  Input `:in` is what a person says (a string), a `Situ.Chat.Turn` (with pictures), or a whole conversation (a list of
+  turns). A message on `:cancel` ends what is under way: the service is hung up on, what was said so far is the answer.
+
+  | output | gives | at |
+  |---|---|---|
+  | `:text` | the pieces of the answer as they come | the question's time, a nanosecond later for each |
+  | `:calls` | tools that the model calls, `Situ.Chat.ToolCall` | likewise |
+  | `:out` | the whole, `Situ.Chat.Answer` | the question's time |
+  | `:failed` | a `Situ.Error`, with `failures: :emit` | the question's time |
+
+  An answer belongs to its question, so it bears that time and joins with all that is known of it; how long it took is
+  the message's latency. A full component takes no more questions: its producer waits.
+
+  In a program without pipelines, `ask/2`.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    inputs: [in: :any, cancel: {:any, optional: true}],
+    outputs: [
+      text: :string,
+      calls: Situ.Chat.ToolCall,
+      out: Situ.Chat.Answer,
+      failed: Situ.Error
+    ],
+    options: @schema
+
+  alias Situ.Chat.{Answer, Dialogue, Memory, Service, Turn}
+  alias Situ.Error
+
+  defstruct [
+    :opts,
+    :service,
+    :memory,
+    jobs: [],
+    spent: 0,
+    closing?: false,
+    raising?: false,
+    times: %{}
+  ]
+
+  @doc """
+  One question, and the answer to it, in the calling process. Options as above, those of streams aside.
+
+      {:ok, answer} = Situ.Chat.ask("Who painted the Night Watch?", model: "llama3.2")
+  """
+  @spec ask(String.t() | Turn.t() | [Turn.t()], keyword()) ::
+          {:ok, Answer.t()} | {:error, Error.t()}
+  def ask(question, opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, service} <- service(opts),
+         {:ok, turns} <- Memory.turns(question) do
+      {pid, ref} =
+        Dialogue.start(
+          self(),
+          service,
+          system(opts[:system]) ++ turns,
+          opts[:tools],
+          opts[:rounds]
+        )
+
+      monitor = Process.monitor(pid)
+      answer(ref, monitor)
+    end
+  end
+
+  defp answer(ref, monitor) do
+    receive do
+      {:situ_chat, ^ref, {:done, result}} ->
+        Process.demonitor(monitor, [:flush])
+        result
+
+      {:situ_chat, ^ref, _event} ->
+        answer(ref, monitor)
+
+      {:DOWN, ^monitor, _, _, reason} ->
+        {:error, Error.new(:chat_failed, "the question was broken off: #{inspect(reason)}")}
+    end
+  end
+
+  defp service(opts), do: Service.new(Keyword.take(opts, Keyword.keys(Service.schema())))
+  defp system(nil), do: []
+  defp system(text), do: [Turn.system(text)]
+
+  @impl true
+  def init(opts) do
+    with {:ok, service} <- service(opts) do
+      places = if opts[:concurrency] == 1, do: opts[:remember], else: 0
+      {:ok, %__MODULE__{opts: Map.new(opts), service: service, memory: Memory.new(places)}}
+    end
+  end
+
+  @impl true
+  def describe(state), do: "#{length(state.jobs)} questions under way, #{state.spent} tokens used"
+
+  @impl true
+  def handle_message(:in, %{data: question, originating_time: time}, _context, state) do
+    turns = Error.unwrap!(Memory.turns(question))
+    state |> add(turns, time) |> hold([])
+  end
+
+  def handle_message(:cancel, _message, _context, state) do
+    jobs =
+      for job <- state.jobs do
+        if job.pid, do: Process.exit(job.pid, :kill)
+        if job.done, do: job, else: %{job | pid: nil, done: {:ok, cancelled(job)}}
+      end
+
+    emit(%{state | jobs: jobs}, [])
+  end
+
+  defp cancelled(job),
+    do: %Answer{
+      text: IO.iodata_to_binary(job.said),
+      finish: :cancelled,
+      tokens: %{read: 0, written: job.count}
+    }
+
+  defp add(state, turns, time) do
+    job = %{
+      ref: make_ref(),
+      pid: nil,
+      time: time,
+      turns: turns,
+      said: [],
+      count: 0,
+      events: [],
+      done: nil
+    }
+
+    start(%{state | jobs: state.jobs ++ [job]}, job)
+  end
+
+  defp start(%{opts: %{budget: budget}, spent: spent} = state, job)
+       when is_integer(budget) and spent >= budget do
+    error =
+      Error.new(:budget_spent, "#{spent} of #{budget} tokens are used: nothing more is asked",
+        fix: "raise budget:"
+      )
+
+    send(self(), {:situ_chat, job.ref, {:done, {:error, error}}})
+    state
+  end
+
+  defp start(state, job) do
+    turns = system(state.opts.system) ++ Memory.with(state.memory, job.turns)
+    {pid, ref} = Dialogue.start(self(), state.service, turns, state.opts.tools, state.opts.rounds)
+    put(state, %{job | pid: pid}, ref)
+  end
+
+  defp put(state, %{ref: old} = job, ref) do
+    jobs = Enum.map(state.jobs, &if(&1.ref == old, do: %{job | ref: ref}, else: &1))
+    %{state | jobs: jobs}
+  end
+
+  @impl true
+  def handle_info({:situ_chat, ref, event}, _context, state),
+    do: state |> note(ref, event) |> emit([])
+
+  # The error is a message of its own: what is done about it takes back nothing else.
+  def handle_info({:situ_chat_failed, error}, _context, _state), do: raise(error)
+  def handle_info(:situ_chat_raised, _context, state), do: emit(%{state | raising?: false}, [])
+  def handle_info({:hold_ended, :in}, _context, state), do: hold(state, [])
+
+  # The input has closed: what is under way is waited for, an event at a time.
+  def handle_info({:continue, :wait}, _context, %{jobs: []} = state), do: {[], state}
+
+  def handle_info({:continue, :wait}, _context, %{raising?: true} = state),
+    do: {[{:continue, :wait}], state}
+
+  def handle_info({:continue, :wait}, _context, state) do
+    receive do
+      {:situ_chat, ref, event} -> state |> note(ref, event) |> emit([])
+    after
+      # The pipeline may want something, too.
+      20 -> {[{:continue, :wait}], state}
+    end
+  end
+
+  def handle_info(_other, _context, state), do: {[], state}
+
+  @impl true
+  def handle_closed(:in, _time, _context, state), do: emit(%{state | closing?: true}, [])
+  def handle_closed(:cancel, _time, _context, state), do: {[], state}
+
+  @impl true
+  def terminate(_reason, state) do
+    for %{pid: pid} when is_pid(pid) <- state.jobs, do: Process.exit(pid, :kill)
+    :ok
+  end
+
+  defp note(state, ref, event) do
+    jobs =
+      for job <- state.jobs,
+          do: if(job.ref == ref and job.done == nil, do: noted(job, event), else: job)
+
+    %{state | jobs: jobs}
+  end
+
+  defp noted(job, {:done, result}), do: %{job | done: result, pid: nil}
+
+  defp noted(job, {:text, text} = e),
+    do: %{job | said: [job.said, text], count: job.count + 1, events: [e | job.events]}
+
+  defp noted(job, {:call, _} = event), do: %{job | events: [event | job.events]}
+
+  # The oldest question may speak; the others are kept until it has ended.
+  defp emit(%{raising?: true} = state, actions), do: hold(state, actions)
+  defp emit(%{jobs: []} = state, actions), do: hold(state, actions)
+
+  defp emit(%{jobs: [job | rest]} = state, actions) do
+    {actions, state} = speak(Enum.reverse(job.events), job.time, actions, state)
+
+    case job.done do
+      nil -> hold(%{state | jobs: [%{job | events: []} | rest]}, actions)
+      {:ok, answer} -> answered(%{state | jobs: rest}, job, answer, actions)
+      {:error, error} -> failed(%{state | jobs: rest}, job, error, actions)
+    end
+  end
+
+  defp speak(events, time, actions, state) do
+    Enum.reduce(events, {actions, state}, fn {kind, data}, {actions, state} ->
+      output = if kind == :call, do: :calls, else: :text
+      at = max(time, Map.get(state.times, output, time - 1) + 1)
+      {[{output, at, data} | actions], %{state | times: Map.put(state.times, output, at)}}
+    end)
+  end
+
+  defp answered(state, job, answer, actions) do
+    spent = state.spent + answer.tokens.read + answer.tokens.written
+    memory = Memory.add(state.memory, job.turns, answer)
+    emit(%{state | spent: spent, memory: memory}, [{:out, job.time, answer} | actions])
+  end
+
+  defp failed(%{opts: %{failures: :emit}} = state, job, error, actions),
+    do: emit(state, [{:failed, job.time, error} | actions])
+
+  defp failed(state, job, error, actions) do
+    meta = Map.put(error.meta, :originating_time, job.time)
+    send(self(), {:situ_chat_failed, %{error | meta: meta}})
+    send(self(), :situ_chat_raised)
+    hold(%{state | raising?: true}, actions)
+  end
+
+  # Full: nothing is taken, so that the stream waits.
+  defp hold(%{closing?: true, jobs: jobs, raising?: raising?} = state, actions) do
+    waiting = if jobs != [] or raising?, do: [{:continue, :wait}], else: []
+    {Enum.reverse(actions) ++ waiting, state}
+  end
+
+  defp hold(%{jobs: jobs, opts: %{concurrency: most}} = state, actions) do
+    action = if length(jobs) >= most, do: {:hold, :in}, else: {:resume, :in}
+    {Enum.reverse([action | actions]), state}
+  end
+end

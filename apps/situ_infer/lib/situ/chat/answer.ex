@@ -1,0 +1,159 @@
+defmodule Situ.Chat.Answer do
+  @moduledoc """
+  What a language model answered: `text`, the tools it wants called (`calls`), why it ended (`finish`), and how many
+  tokens it read and wrote (`tokens`; `exact?` is false where the service did not say and they were counted).
+
+  `finish` is `:stop`, `:length` (cut at the most it may say), `:calls` (it waits for the tools), `:filtered` or
+  `:cancelled`.
+
+  A stream of pieces is folded into it:
+
+      iex> alias Situ.Chat.Answer
+      iex> {:ok, ["Hel"], piece} = Answer.fold(Answer.piece(), ~s({"choices":[{"delta":{"content":"Hel"}}]}))
+      iex> {:ok, ["lo"], piece} = Answer.fold(piece, ~s({"choices":[{"delta":{"content":"lo"},"finish_reason":"stop"}]}))
+      iex> answer = Answer.whole(piece)
+      iex> {answer.text, answer.finish}
+      {"Hello", :stop}
+  """
+  alias Situ.Chat.ToolCall
+  alias Situ.Error
+
+  @most_calls 64
+  @most_bytes 4_194_304
+
+  @enforce_keys [:text]
+  defstruct [:text, calls: [], finish: :stop, tokens: %{read: 0, written: 0}, exact?: false]
+
+  @type finish :: :stop | :length | :calls | :filtered | :cancelled
+  @type tokens :: %{read: non_neg_integer(), written: non_neg_integer()}
+  @type t :: %__MODULE__{
+          text: String.t(),
+          calls: [ToolCall.t()],
+          finish: finish(),
+          tokens: tokens(),
+          exact?: boolean()
+        }
+
+  @typedoc "An answer that is on its way."
+  @type piece :: %{
+          text: iodata(),
+          bytes: non_neg_integer(),
+          count: non_neg_integer(),
+          calls: %{non_neg_integer() => {String.t(), String.t(), iodata()}},
+          finish: finish() | nil,
+          usage: tokens() | nil
+        }
+
+  @doc "Nothing has come yet."
+  @spec piece() :: piece()
+  def piece, do: %{text: [], bytes: 0, count: 0, calls: %{}, finish: nil, usage: nil}
+
+  @doc "One event of the stream, or the whole of an answer that was not streamed: the text it adds."
+  @spec fold(piece(), binary()) :: {:ok, [String.t()], piece()} | {:error, Error.t()}
+  def fold(piece, json) do
+    case Situ.JSON.decode(json) do
+      {:ok, %{"error" => error}} ->
+        {:error, Error.new(:service_failed, "the service failed: #{complaint(error)}")}
+
+      {:ok, %{} = event} ->
+        event |> choice() |> add(usage(piece, event["usage"])) |> bounded()
+
+      _ ->
+        {:error,
+         Error.new(:bad_response, "the service sent an event that is no JSON",
+           fix: "check that the URL is that of an OpenAI-compatible service"
+         )}
+    end
+  end
+
+  @doc "What a service says of an error, short enough for a message."
+  @spec complaint(term()) :: String.t()
+  def complaint(%{"message" => message}) when is_binary(message),
+    do: String.slice(message, 0, 300)
+
+  def complaint(text) when is_binary(text), do: String.slice(text, 0, 300)
+  def complaint(_), do: "no reason given"
+
+  @doc "The answer, once its stream has ended."
+  @spec whole(piece()) :: t()
+  def whole(piece) do
+    calls = for {_, {id, name, raw}} <- Enum.sort(piece.calls), do: call(id, name, raw)
+    counted = %{read: 0, written: piece.count}
+
+    %__MODULE__{
+      text: IO.iodata_to_binary(piece.text),
+      calls: calls,
+      finish: if(calls != [], do: :calls, else: piece.finish || :stop),
+      tokens: piece.usage || counted,
+      exact?: piece.usage != nil
+    }
+  end
+
+  defp call(id, name, raw), do: ToolCall.new(id, name, IO.iodata_to_binary(raw))
+
+  defp choice(%{"choices" => [%{} = choice | _]}), do: choice
+  defp choice(_), do: %{}
+
+  defp add(choice, piece) do
+    said = part(choice)
+    text = if is_binary(said["content"]), do: said["content"], else: ""
+    calls = if is_list(said["tool_calls"]), do: said["tool_calls"], else: []
+
+    piece = %{
+      piece
+      | text: [piece.text, text],
+        bytes: piece.bytes + byte_size(text),
+        count: piece.count + if(text == "", do: 0, else: 1),
+        finish: finish(choice["finish_reason"]) || piece.finish
+    }
+
+    {if(text == "", do: [], else: [text]),
+     calls |> Enum.with_index() |> Enum.reduce(piece, &called/2)}
+  end
+
+  defp part(%{"delta" => %{} = said}), do: said
+  defp part(%{"message" => %{} = said}), do: said
+  defp part(_), do: %{}
+
+  # The parts of a call bear its number; id and name come with the first.
+  defp called({%{} = part, place}, piece) do
+    index = if is_integer(part["index"]), do: part["index"], else: place
+    function = if is_map(part["function"]), do: part["function"], else: %{}
+    {id, name, raw} = Map.get(piece.calls, index, {"", "", []})
+    more = text(function["arguments"])
+    now = {id <> text(part["id"]), name <> text(function["name"]), [raw, more]}
+    %{piece | calls: Map.put(piece.calls, index, now), bytes: piece.bytes + byte_size(more) + 16}
+  end
+
+  defp called(_, piece), do: piece
+
+  defp text(text) when is_binary(text), do: text
+  defp text(_), do: ""
+
+  defp bounded({_, %{bytes: bytes}}) when bytes > @most_bytes, do: too_long()
+  defp bounded({_, %{calls: calls}}) when map_size(calls) > @most_calls, do: too_long()
+  defp bounded({texts, piece}), do: {:ok, texts, piece}
+
+  defp too_long do
+    {:error,
+     Error.new(:too_long, "the answer of the service does not end",
+       why: "it has more than #{@most_bytes} bytes, or #{@most_calls} calls of tools",
+       fix: "limit it by max_tokens:"
+     )}
+  end
+
+  defp finish("stop"), do: :stop
+  defp finish("length"), do: :length
+  defp finish("tool_calls"), do: :calls
+  defp finish("content_filter"), do: :filtered
+  defp finish(text) when is_binary(text), do: :stop
+  defp finish(_), do: nil
+
+  defp usage(piece, %{"prompt_tokens" => read} = usage) when is_integer(read) and read >= 0 do
+    written = usage["completion_tokens"]
+    written = if is_integer(written) and written >= 0, do: written, else: piece.count
+    %{piece | usage: %{read: read, written: written}}
+  end
+
+  defp usage(piece, _), do: piece
+end

@@ -1,0 +1,93 @@
+defmodule Situ.Chat.Dialogue do
+  @moduledoc false
+  # One question to its end: asked, the tools called that have a function, asked again with their results, until the
+  # model has answered. Runs in a process of its own, which whoever asked may kill.
+  alias Situ.Chat.{Answer, Service, Tool, Turn}
+  alias Situ.Error
+
+  @type event :: {:text, String.t()} | {:call, Situ.Chat.ToolCall.t()}
+
+  @doc "The answer, with all that was said and all tokens that were used on the way to it."
+  @spec run(Service.t(), [Turn.t()], [Tool.t()], pos_integer(), (event() -> any())) ::
+          {:ok, Answer.t()} | {:error, Error.t()}
+  def run(service, turns, tools, rounds, tell),
+    do: run(service, turns, tools, rounds, tell, %{text: "", read: 0, written: 0})
+
+  defp run(_service, _turns, _tools, 0, _tell, _so_far) do
+    {:error,
+     Error.new(:too_many_calls, "the model calls one tool after another and does not answer",
+       fix: "raise rounds:, or say in system: when the tools are to be used"
+     )}
+  end
+
+  defp run(service, turns, tools, rounds, tell, so_far) do
+    with {:ok, answer} <- Service.ask(service, turns, tools, &tell.({:text, &1})) do
+      so_far = %{
+        text: so_far.text <> answer.text,
+        read: so_far.read + answer.tokens.read,
+        written: so_far.written + answer.tokens.written
+      }
+
+      Enum.each(answer.calls, &tell.({:call, &1}))
+
+      if answer.calls != [] and Enum.all?(answer.calls, &runs?(tools, &1)) do
+        results = for call <- answer.calls, do: Turn.tool(call.id, Tool.answer(tools, call))
+        turns = turns ++ [Turn.assistant(answer.text, answer.calls) | results]
+        run(service, turns, tools, rounds - 1, tell, so_far)
+      else
+        tokens = Map.take(so_far, [:read, :written])
+        {:ok, %{answer | text: so_far.text, tokens: tokens}}
+      end
+    end
+  end
+
+  # A tool that is not there is answered, too: the model should know.
+  defp runs?(tools, call) do
+    case Enum.find(tools, &(&1.name == call.name)) do
+      %{run: nil} -> false
+      _ -> true
+    end
+  end
+
+  @doc """
+  Runs it in a process of its own, which ends with `owner`. `owner` gets `{:situ_chat, ref, event}`, in the end
+  `{:situ_chat, ref, {:done, result}}`.
+  """
+  @spec start(pid(), Service.t(), [Turn.t()], [Tool.t()], pos_integer()) :: {pid(), reference()}
+  def start(owner, service, turns, tools, rounds) do
+    ref = make_ref()
+
+    pid =
+      spawn(fn ->
+        watch(owner, self())
+        tell = &send(owner, {:situ_chat, ref, &1})
+        tell.({:done, guarded(fn -> run(service, turns, tools, rounds, tell) end)})
+      end)
+
+    {pid, ref}
+  end
+
+  defp watch(owner, worker) do
+    spawn(fn ->
+      [a, b] = for pid <- [owner, worker], do: Process.monitor(pid)
+
+      receive do
+        {:DOWN, ^a, _, _, _} -> Process.exit(worker, :kill)
+        {:DOWN, ^b, _, _, _} -> :ok
+      end
+    end)
+  end
+
+  # A crash report shows the arguments of functions, the key among them.
+  defp guarded(fun) do
+    fun.()
+  catch
+    kind, reason ->
+      name = if kind == :error, do: Exception.normalize(:error, reason).__struct__, else: kind
+
+      {:error,
+       Error.new(:chat_failed, "asking the language model failed: #{inspect(name)}",
+         why: "a defect of Situ, or of a function it was given"
+       )}
+  end
+end

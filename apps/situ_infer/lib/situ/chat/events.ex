@@ -1,0 +1,49 @@
+defmodule Situ.Chat.Events do
+  @moduledoc """
+  Server-sent events (WHATWG HTML, 9.2) out of bytes that are cut anywhere: the `data` of each.
+
+      iex> {:ok, [], events} = Situ.Chat.Events.push(Situ.Chat.Events.new(), "data: one\\n")
+      iex> {:ok, data, _} = Situ.Chat.Events.push(events, "\\n: a comment\\n\\ndata: two\\r\\n\\r\\n")
+      iex> data
+      ["one", "two"]
+
+  Lines end with LF or CRLF, as all servers of the protocol write them. An event of more than 1 MiB is an error.
+  """
+  @most 1_048_576
+
+  defstruct line: "", data: [], size: 0
+
+  @type t :: %__MODULE__{line: binary(), data: [binary()], size: non_neg_integer()}
+
+  @doc "Nothing has come."
+  @spec new() :: t()
+  def new, do: %__MODULE__{}
+
+  @doc "The data of the events that `bytes` complete, in order."
+  @spec push(t(), binary()) :: {:ok, [binary()], t()} | {:error, :too_long}
+  def push(%__MODULE__{} = events, bytes) do
+    [last | whole] = (events.line <> bytes) |> :binary.split("\n", [:global]) |> Enum.reverse()
+    {found, events} = whole |> Enum.reverse() |> Enum.reduce({[], events}, &line/2)
+    events = %{events | line: last}
+
+    if byte_size(last) + events.size > @most,
+      do: {:error, :too_long},
+      else: {:ok, Enum.reverse(found), events}
+  end
+
+  defp line(text, {found, events}) do
+    case String.trim_trailing(text, "\r") do
+      "" when events.data == [] -> {found, events}
+      "" -> {[joined(events) | found], %{events | data: [], size: 0}}
+      "data: " <> data -> {found, add(events, data)}
+      "data:" <> data -> {found, add(events, data)}
+      "data" -> {found, add(events, "")}
+      _comment_or_other_field -> {found, events}
+    end
+  end
+
+  defp joined(events), do: events.data |> Enum.reverse() |> Enum.join("\n")
+
+  defp add(events, data),
+    do: %{events | data: [data | events.data], size: events.size + byte_size(data) + 1}
+end

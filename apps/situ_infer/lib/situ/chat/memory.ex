@@ -1,0 +1,56 @@
+defmodule Situ.Chat.Memory do
+  @moduledoc false
+  # What was said before: the last questions with their answers. Pure.
+  alias Situ.Chat.{Answer, Turn}
+  alias Situ.Error
+
+  defstruct [:places, turns: []]
+  @type t :: %__MODULE__{places: non_neg_integer(), turns: [[Turn.t()]]}
+
+  @spec new(non_neg_integer()) :: t()
+  def new(places), do: %__MODULE__{places: places}
+
+  @doc "What a component is given, as turns."
+  @spec turns(term()) :: {:ok, [Turn.t()]} | {:error, Error.t()}
+  def turns(text) when is_binary(text) do
+    if String.valid?(text), do: {:ok, [Turn.user(text)]}, else: bad(text)
+  end
+
+  def turns(%Turn{} = turn), do: turns([turn])
+
+  def turns([%Turn{} | _] = turns) do
+    if Enum.all?(turns, &(is_struct(&1, Turn) and String.valid?(&1.text))),
+      do: {:ok, turns},
+      else: bad(turns)
+  end
+
+  def turns(other), do: bad(other)
+
+  defp bad(value) do
+    {:error,
+     Error.new(:bad_question, "not a question: #{inspect(value, limit: 5, printable_limit: 40)}",
+       fix: "give a text in UTF-8, a Situ.Chat.Turn or a list of them"
+     )}
+  end
+
+  @doc "The turns with what was said before them. A conversation given whole stands for itself."
+  @spec with(t(), [Turn.t()]) :: [Turn.t()]
+  def with(%__MODULE__{} = memory, [_] = turns),
+    do: memory.turns |> Enum.reverse([turns]) |> Enum.concat()
+
+  def with(_memory, turns), do: turns
+
+  @doc "Remembers a question and its answer."
+  @spec add(t(), [Turn.t()], Answer.t()) :: t()
+  def add(%__MODULE__{} = memory, [%Turn{images: images} = turn], %Answer{calls: []} = answer) do
+    # Pictures are shown once.
+    turn = if images == [], do: turn, else: %{turn | images: []}
+
+    %{
+      memory
+      | turns: Enum.take([[turn, Turn.assistant(answer.text)] | memory.turns], memory.places)
+    }
+  end
+
+  def add(memory, _turns, _answer), do: memory
+end

@@ -1,0 +1,150 @@
+defmodule Situ.Chat.Reply do
+  @moduledoc false
+  # One response of a service, event by event (`Situ.Infer.Http`), and what is to be done about it in the end: an
+  # answer, an error, or another try. Pure.
+  alias Situ.Chat.{Answer, Events}
+  alias Situ.Error
+
+  # So much of a response that is no success is read.
+  @complaint_bytes 65_536
+  @longest_wait_s 30
+  # Too early, too many, out of order for now: the service may answer the next time.
+  @again [408, 409, 425, 429, 500, 502, 503, 504, 529]
+
+  defstruct status: nil,
+            headers: %{},
+            kind: nil,
+            events: nil,
+            body: [],
+            bytes: 0,
+            piece: nil,
+            spoken?: false,
+            done?: false,
+            error: nil
+
+  @type t :: %__MODULE__{}
+
+  @spec new() :: t()
+  def new, do: %__MODULE__{events: Events.new(), piece: Answer.piece()}
+
+  @doc "What an event adds to the text; `:halt` when nothing more is needed."
+  @spec take(t(), Situ.Infer.Http.event()) :: {:cont | :halt, [String.t()], t()}
+  def take(reply, {:status, status, headers}) do
+    headers = Map.new(headers)
+    type = Map.get(headers, "content-type", "")
+
+    kind =
+      cond do
+        status not in 200..299 -> :complaint
+        String.contains?(type, "event-stream") -> :stream
+        true -> :whole
+      end
+
+    {:cont, [], %{reply | status: status, headers: headers, kind: kind}}
+  end
+
+  def take(%{kind: :stream} = reply, {:data, bytes}) do
+    case Events.push(reply.events, bytes) do
+      {:ok, found, events} -> fold(found, [], %{reply | events: events})
+      {:error, :too_long} -> {:halt, [], %{reply | error: too_long()}}
+    end
+  end
+
+  def take(%{kind: kind} = reply, {:data, bytes}) do
+    reply = %{reply | body: [reply.body, bytes], bytes: reply.bytes + byte_size(bytes)}
+
+    cond do
+      kind == :complaint and reply.bytes > @complaint_bytes -> {:halt, [], reply}
+      reply.bytes > 64 * @complaint_bytes -> {:halt, [], %{reply | error: too_long()}}
+      true -> {:cont, [], reply}
+    end
+  end
+
+  defp too_long,
+    do: Error.new(:too_long, "the answer of the service is too long", fix: "set max_tokens:")
+
+  defp fold([], texts, reply), do: {:cont, Enum.reverse(texts), reply}
+
+  defp fold(["[DONE]" | _], texts, reply),
+    do: {:halt, Enum.reverse(texts), %{reply | done?: true}}
+
+  defp fold([json | rest], texts, reply) do
+    case Answer.fold(reply.piece, json) do
+      {:ok, more, piece} ->
+        reply = %{reply | piece: piece, spoken?: reply.spoken? or more != []}
+        fold(rest, Enum.reverse(more, texts), reply)
+
+      {:error, error} ->
+        {:halt, Enum.reverse(texts), %{reply | error: error}}
+    end
+  end
+
+  @doc """
+  What came of it. `failure` is why the connection ended early, if it did. `{:again, ms | nil, error}`: worth another
+  try, after so many milliseconds if the service said so. What was said cannot be taken back: then it is an error.
+  """
+  @spec close(t(), Error.t() | nil) ::
+          {:ok, Answer.t()} | {:again, non_neg_integer() | nil, Error.t()} | {:error, Error.t()}
+  def close(%{spoken?: true} = reply, %Error{} = failure), do: {:error, partly(failure, reply)}
+
+  def close(_reply, %Error{code: code} = failure)
+      when code in [:no_connection, :timeout, :cut_off],
+      do: {:again, nil, failure}
+
+  def close(_reply, %Error{} = failure), do: {:error, failure}
+  def close(%{error: %Error{} = error} = reply, nil), do: {:error, partly(error, reply)}
+
+  def close(%{kind: :whole} = reply, nil) do
+    case Answer.fold(reply.piece, IO.iodata_to_binary(reply.body)) do
+      {:ok, _, piece} -> {:ok, Answer.whole(piece)}
+      error -> error
+    end
+  end
+
+  # Some services end the stream without saying so, but none before the reason of its end.
+  def close(%{kind: :stream, piece: piece} = reply, nil) do
+    if reply.done? or piece.finish != nil,
+      do: {:ok, Answer.whole(piece)},
+      else: close(reply, Error.new(:cut_off, "the service ended its answer in the middle"))
+  end
+
+  def close(%{kind: :complaint, status: status} = reply, nil) do
+    error = refused(status, reply.body |> IO.iodata_to_binary() |> complaint())
+    if status in @again, do: {:again, wait(reply.headers), error}, else: {:error, error}
+  end
+
+  defp partly(error, reply),
+    do: %{error | meta: Map.put(error.meta, :text, IO.iodata_to_binary(reply.piece.text))}
+
+  defp complaint(body) do
+    case Situ.JSON.decode(body) do
+      {:ok, %{"error" => error}} -> Answer.complaint(error)
+      _ -> Answer.complaint(nil)
+    end
+  end
+
+  defp refused(status, _complaint) when status in [401, 403] do
+    # What a service says of a key may hold the key.
+    Error.new(:refused, "the service refused the key (HTTP #{status})",
+      fix: "set the variable that key: names to a key which may use this model"
+    )
+  end
+
+  defp refused(status, complaint) when status in @again,
+    do: Error.new(:service_failed, "the service could not answer (HTTP #{status}): #{complaint}")
+
+  defp refused(status, complaint) do
+    Error.new(:refused, "the service refused the request (HTTP #{status}): #{complaint}",
+      fix: "check the URL and the name of the model"
+    )
+  end
+
+  defp wait(%{"retry-after" => text}) do
+    case Integer.parse(text) do
+      {s, ""} when s >= 0 -> min(s, @longest_wait_s) * 1_000
+      _ -> nil
+    end
+  end
+
+  defp wait(_headers), do: nil
+end

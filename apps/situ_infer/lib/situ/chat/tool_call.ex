@@ -1,0 +1,27 @@
+defmodule Situ.Chat.ToolCall do
+  @moduledoc """
+  A language model wants a tool called: the `id` of the call, the tool's `name`, and its `arguments`, a map with string
+  keys. What the model wrote may be no JSON: then `arguments` is `%{}` and `raw` holds it.
+
+      iex> Situ.Chat.ToolCall.new("1", "timer", ~s({"minutes": 5})).arguments
+      %{"minutes" => 5}
+      iex> Situ.Chat.ToolCall.new("1", "timer", "five").raw
+      "five"
+  """
+  @enforce_keys [:id, :name, :arguments, :raw]
+  defstruct [:id, :name, :arguments, :raw]
+
+  @type t :: %__MODULE__{id: String.t(), name: String.t(), arguments: map(), raw: String.t()}
+
+  @doc "A call with arguments as the model wrote them."
+  @spec new(String.t(), String.t(), String.t()) :: t()
+  def new(id, name, raw) do
+    arguments =
+      case Situ.JSON.decode(raw) do
+        {:ok, %{} = arguments} -> arguments
+        _ -> %{}
+      end
+
+    %__MODULE__{id: id, name: name, arguments: arguments, raw: raw}
+  end
+end

@@ -1,0 +1,64 @@
+defmodule Situ.Chat.Turn do
+  @moduledoc """
+  What one side says in a conversation with a language model: `role` (`:system`, `:user`, `:assistant`, `:tool`) and
+  `text`; pictures a user shows, tools an assistant calls, the call that a tool answers.
+
+      iex> Situ.Chat.Turn.to_json(Situ.Chat.Turn.user("Who are you?"))
+      %{role: "user", content: "Who are you?"}
+  """
+  alias Situ.Chat.ToolCall
+  alias Situ.EncodedImage
+
+  @enforce_keys [:role, :text]
+  defstruct [:role, :text, images: [], calls: [], call: nil]
+
+  @type t :: %__MODULE__{
+          role: :system | :user | :assistant | :tool,
+          text: String.t(),
+          images: [EncodedImage.t()],
+          calls: [ToolCall.t()],
+          call: String.t() | nil
+        }
+
+  @doc "How the model is to behave."
+  @spec system(String.t()) :: t()
+  def system(text), do: %__MODULE__{role: :system, text: text}
+
+  @doc "A person says something, and may show pictures (`Situ.EncodedImage`, JPEG or PNG)."
+  @spec user(String.t(), [EncodedImage.t()]) :: t()
+  def user(text, images \\ []), do: %__MODULE__{role: :user, text: text, images: images}
+
+  @doc "The model says something, and may call tools."
+  @spec assistant(String.t(), [ToolCall.t()]) :: t()
+  def assistant(text, calls \\ []), do: %__MODULE__{role: :assistant, text: text, calls: calls}
+
+  @doc "The result of the tool call with this id."
+  @spec tool(String.t(), String.t()) :: t()
+  def tool(call, text), do: %__MODULE__{role: :tool, text: text, call: call}
+
+  @doc "The turn as the protocol writes it."
+  @spec to_json(t()) :: map()
+  def to_json(%__MODULE__{role: :tool} = turn),
+    do: %{role: "tool", tool_call_id: turn.call, content: turn.text}
+
+  def to_json(%__MODULE__{role: :assistant, calls: [_ | _]} = turn) do
+    calls =
+      for call <- turn.calls do
+        function = %{name: call.name, arguments: Situ.JSON.encode(call.arguments)}
+        %{id: call.id, type: "function", function: function}
+      end
+
+    %{role: "assistant", content: turn.text, tool_calls: calls}
+  end
+
+  def to_json(%__MODULE__{role: :user, images: [_ | _]} = turn) do
+    pictures = for image <- turn.images, do: %{type: "image_url", image_url: %{url: url(image)}}
+    %{role: "user", content: [%{type: "text", text: turn.text} | pictures]}
+  end
+
+  def to_json(%__MODULE__{role: role, text: text}),
+    do: %{role: Atom.to_string(role), content: text}
+
+  defp url(%EncodedImage{format: format, data: data}),
+    do: "data:image/#{format};base64," <> Base.encode64(data)
+end

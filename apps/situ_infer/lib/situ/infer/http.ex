@@ -1,0 +1,313 @@
+defmodule Situ.Infer.Http do
+  @moduledoc """
+  One request over HTTP/1.1, whose answer is handed on as it arrives: the way to services that stream.
+
+      Situ.Infer.Http.request(:get, "http://127.0.0.1:8080/v1/models", [], "", [], fn
+        {:status, status, _headers}, _body -> {:cont, {status, []}}
+        {:data, bytes}, {status, body} -> {:cont, {status, [body, bytes]}}
+      end, nil)
+
+  It runs in the calling process and ends with it; whoever kills that process breaks the connection off. Certificates
+  are verified against those of the system (`cacertfile:` names others), with the name in the URL. Headers may hold
+  secrets: no error, log or process state ever contains them.
+
+  A failure says up to where the answer came, too: `{:error, error, acc}`.
+
+  Why not OTP's `httpc`: it keeps the whole of an answer that is no success, however long, and a crash of its process
+  writes the headers it was given into the log ([ADR 0062](docs/adr/0062-a-client-that-streams.md)).
+
+  ## Errors
+
+  `:bad_url`, `:bad_header`, `:no_connection`, `:not_trusted` (certificate), `:timeout`, `:cut_off`, `:bad_response`.
+  """
+  alias Situ.Error
+  alias Situ.Infer.Http.Decoder
+
+  @schema [
+    connect_timeout: [
+      type: :pos_integer,
+      default: 5_000,
+      doc: "How long the connection may take, ms."
+    ],
+    idle_timeout: [
+      type: :pos_integer,
+      default: 30_000,
+      doc: "How long nothing may come, ms."
+    ],
+    timeout: [type: :pos_integer, default: 120_000, doc: "How long all of it may take, ms."],
+    cacertfile: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "Authorities to trust, a PEM file; `nil`: those of the system."
+    ]
+  ]
+
+  @type header :: {String.t(), String.t()}
+  @type event :: {:status, 100..999, [header()]} | {:data, binary()}
+  @type url :: %{
+          scheme: :http | :https,
+          host: String.t(),
+          port: :inet.port_number(),
+          path: String.t()
+        }
+
+  @doc "The options' schema, for those that pass them on."
+  @spec schema() :: Situ.Options.schema()
+  def schema, do: @schema
+
+  @doc """
+  The parts of a URL. A user or password in it is refused, since URLs end up in logs.
+
+      iex> Situ.Infer.Http.parse("https://models.example/v1")
+      {:ok, %{scheme: :https, host: "models.example", port: 443, path: "/v1"}}
+      iex> {:error, error} = Situ.Infer.Http.parse("https://me:secret@models.example/v1")
+      iex> {error.code, error.what =~ "secret"}
+      {:bad_url, false}
+  """
+  @spec parse(String.t()) :: {:ok, url()} | {:error, Error.t()}
+  def parse(text) do
+    case URI.new(text) do
+      {:ok, %URI{userinfo: nil, scheme: scheme, host: host, port: port} = uri}
+      when scheme in ["http", "https"] and is_binary(host) and host != "" ->
+        query = if uri.query, do: "?" <> uri.query, else: ""
+
+        {:ok,
+         %{
+           scheme: if(scheme == "http", do: :http, else: :https),
+           host: host,
+           port: port,
+           path: (uri.path || "/") <> query
+         }}
+
+      {:ok, %URI{userinfo: user}} when user != nil ->
+        bad_url("a URL must not hold a user or password", "name the variable that holds the key")
+
+      _ ->
+        bad_url(
+          "#{inspect(text, printable_limit: 80)} is no URL of a service",
+          "write it as https://HOST/PATH"
+        )
+    end
+  end
+
+  defp bad_url(what, fix), do: {:error, Error.new(:bad_url, what, fix: fix)}
+
+  @doc "Whether the URL names this machine, so that nobody else can listen."
+  @spec local?(url()) :: boolean()
+  def local?(%{host: host}),
+    do: host in ["localhost", "::1"] or match?({:ok, {127, _, _, _}}, address(host))
+
+  defp address(host), do: :inet.parse_ipv4strict_address(String.to_charlist(host))
+
+  @doc """
+  Sends the request; `fun` gets `{:status, status, headers}`, then `{:data, bytes}` as they come, and the accumulator,
+  and says `{:cont, acc}` or `{:halt, acc}`. The last accumulator is the answer. Redirections are not followed.
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @spec request(
+          :get | :post,
+          String.t(),
+          [header()],
+          iodata(),
+          keyword(),
+          (event(), acc -> {:cont, acc} | {:halt, acc}),
+          acc
+        ) :: {:ok, acc} | {:error, Error.t(), acc}
+        when acc: term()
+  def request(method, url, headers, body, opts, fun, acc) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, url} <- parse(url),
+         :ok <- check(headers),
+         until = now() + opts[:timeout],
+         {:ok, socket} <- connect(url, opts, until) do
+      try do
+        with :ok <- send_all(socket, head(method, url, headers, body), url) do
+          peer = %{socket: socket, url: url, idle: opts[:idle_timeout], until: until}
+          receive_all(peer, Decoder.new(), fun, acc)
+        end
+      after
+        close(socket)
+      end
+    end
+    |> case do
+      {:error, error} -> {:error, error, acc}
+      result -> result
+    end
+  end
+
+  # A line break in a value would be a header, or a request, of its own.
+  defp check(headers) do
+    if Enum.all?(headers, fn {name, value} -> not (name <> value =~ ~r/[\r\n\0]/) end),
+      do: :ok,
+      else:
+        {:error,
+         Error.new(:bad_header, "a header of the request has a line break in it",
+           fix: "look at the variable that holds the key"
+         )}
+  end
+
+  defp head(method, url, headers, body) do
+    size = IO.iodata_length(body)
+    verb = if method == :get, do: "GET", else: "POST"
+    host = if String.contains?(url.host, ":"), do: "[#{url.host}]", else: url.host
+
+    [
+      [verb, " ", url.path, " HTTP/1.1\r\nhost: ", host, ":#{url.port}\r\n"],
+      ["connection: close\r\nuser-agent: situ\r\ncontent-length: #{size}\r\n"],
+      for({name, value} <- headers, do: [name, ": ", value, "\r\n"]),
+      "\r\n",
+      body
+    ]
+  end
+
+  defp connect(url, opts, until) do
+    wait = min(opts[:connect_timeout], left(until))
+    plain = [:binary, active: false, packet: :raw, send_timeout: opts[:idle_timeout]]
+    host = String.to_charlist(url.host)
+
+    case url.scheme do
+      :http -> :gen_tcp.connect(host, url.port, plain ++ family(url), wait)
+      :https -> secure(host, url, plain ++ family(url), opts, wait)
+    end
+    |> case do
+      {:ok, socket} -> {:ok, {transport(url), socket}}
+      {:error, %Error{}} = error -> error
+      {:error, reason} -> {:error, unreachable(url, reason)}
+    end
+  end
+
+  defp transport(%{scheme: :http}), do: :gen_tcp
+  defp transport(%{scheme: :https}), do: :ssl
+
+  defp family(%{host: host}), do: if(String.contains?(host, ":"), do: [:inet6], else: [])
+
+  defp secure(host, url, plain, opts, wait) do
+    with {:ok, trusted} <- trusted(opts[:cacertfile]) do
+      options =
+        [
+          verify: :verify_peer,
+          depth: 4,
+          versions: [:"tlsv1.3", :"tlsv1.2"],
+          customize_hostname_check: [match_fun: &names?/2],
+          log_level: :none
+        ] ++ trusted
+
+      case :ssl.connect(host, url.port, plain ++ options, wait) do
+        {:error, {:tls_alert, {alert, _}}} -> {:error, not_trusted(url, alert)}
+        result -> result
+      end
+    end
+  end
+
+  # OTP's rule compares no addresses with a host that was given as text.
+  defp names?({:dns_id, host}, {:iPAddress, bytes}) do
+    case :inet.parse_strict_address(host) do
+      {:ok, address} -> address_bytes(address) == IO.iodata_to_binary(bytes)
+      _ -> false
+    end
+  end
+
+  defp names?(wanted, presented),
+    do: :public_key.pkix_verify_hostname_match_fun(:https).(wanted, presented)
+
+  defp address_bytes({_, _, _, _} = ip), do: ip |> Tuple.to_list() |> :binary.list_to_bin()
+  defp address_bytes(ip), do: for(part <- Tuple.to_list(ip), into: "", do: <<part::16>>)
+
+  defp trusted(nil) do
+    {:ok, [cacerts: :public_key.cacerts_get()]}
+  rescue
+    _ ->
+      {:error,
+       Error.new(:not_trusted, "this system has no certificates of authorities",
+         fix: "install them: apt-get install ca-certificates"
+       )}
+  end
+
+  defp trusted(file) do
+    if File.regular?(file),
+      do: {:ok, [cacertfile: String.to_charlist(file)]},
+      else: {:error, Error.new(:not_trusted, "cacertfile: there is no file #{file}")}
+  end
+
+  defp not_trusted(url, alert) do
+    Error.new(:not_trusted, "#{name(url)} could not prove who it is: #{alert}",
+      why: "its certificate must be signed by a known authority for that very name",
+      fix: "check the URL; name the authority of a server of your own by cacertfile:"
+    )
+  end
+
+  defp unreachable(url, :timeout), do: late(url, "did not take the connection in time")
+
+  defp unreachable(url, reason) do
+    Error.new(:no_connection, "cannot reach #{name(url)}: #{reason(reason)}",
+      fix: "check that the service runs, and its URL"
+    )
+  end
+
+  defp reason(reason) when is_atom(reason), do: :inet.format_error(reason)
+  defp reason(reason), do: inspect(reason, limit: 5, printable_limit: 80)
+
+  defp send_all({transport, socket}, bytes, url) do
+    case transport.send(socket, bytes) do
+      :ok -> :ok
+      # It may have answered already, and closed: the answer says why.
+      {:error, :closed} -> :ok
+      {:error, :timeout} -> {:error, late(url, "did not take the request in time")}
+      {:error, reason} -> {:error, unreachable(url, reason)}
+    end
+  end
+
+  defp receive_all(%{socket: {transport, socket}, url: url} = peer, decoder, fun, acc) do
+    case transport.recv(socket, 0, min(peer.idle, left(peer.until))) do
+      {:ok, bytes} ->
+        with {:ok, events, decoder} <- decoded(Decoder.push(decoder, bytes), url, acc) do
+          case hand(events, fun, acc) do
+            {:cont, acc} -> receive_all(peer, decoder, fun, acc)
+            {:halt, acc} -> {:ok, acc}
+          end
+        end
+
+      {:error, :timeout} ->
+        {:error, late(url, "sent nothing more in time"), acc}
+
+      {:error, _closed} ->
+        with :ok <- decoded(Decoder.close(decoder), url, acc), do: {:ok, acc}
+    end
+  end
+
+  defp hand([], _fun, acc), do: {:cont, acc}
+  defp hand([:done | _], _fun, acc), do: {:halt, acc}
+
+  defp hand([event | events], fun, acc) do
+    case fun.(event, acc) do
+      {:cont, acc} -> hand(events, fun, acc)
+      {:halt, acc} -> {:halt, acc}
+    end
+  end
+
+  defp decoded({:error, :cut_off}, url, acc) do
+    {:error,
+     Error.new(:cut_off, "#{name(url)} broke the connection off before its answer was whole",
+       fix: "try again; look at the log of the service"
+     ), acc}
+  end
+
+  defp decoded({:error, why}, url, acc) do
+    {:error,
+     Error.new(:bad_response, "#{name(url)} does not answer in HTTP",
+       why: why,
+       fix: "check the URL: another program may listen there"
+     ), acc}
+  end
+
+  defp decoded(fine, _url, _acc), do: fine
+
+  defp late(url, what),
+    do: Error.new(:timeout, "#{name(url)} #{what}", fix: "raise the time-outs")
+
+  defp name(url), do: "#{url.scheme}://#{url.host}:#{url.port}"
+  defp close({transport, socket}), do: transport.close(socket)
+  defp now, do: System.monotonic_time(:millisecond)
+  defp left(until), do: max(until - now(), 0)
+end

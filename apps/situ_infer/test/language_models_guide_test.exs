@@ -1,0 +1,40 @@
+defmodule Situ.Infer.LanguageModelsGuideTest do
+  # The Elixir blocks of the guide run, one after the other; a block that ends in `# => value` gives that value.
+  use ExUnit.Case, async: true
+  alias Situ.Infer.Test.ChatServer, as: Server
+
+  @guide Path.expand("../../../docs/guides/language-models.md", __DIR__)
+
+  test "every block of language-models.md runs and gives what it says" do
+    blocks = Regex.scan(~r/```elixir\n(.*?)```/s, File.read!(@guide), capture: :all_but_first)
+    assert length(blocks) == 4
+    url = Server.start(&answer/2).url
+
+    Enum.reduce(blocks, {[url: url], __ENV__}, fn [block], {binding, env} ->
+      {value, binding, env} =
+        block |> Code.string_to_quoted!() |> Code.eval_quoted_with_env(binding, env)
+
+      [_, expected] = Regex.run(~r/^# => (.*)\z/ms, block)
+      {expected, _} = Code.eval_string(expected)
+      assert value == expected, "#{block}\ngave #{inspect(value)}"
+      {binding, env}
+    end)
+  end
+
+  # A very small language model.
+  defp answer(%{body: %{"messages" => turns} = body}, _n) do
+    case List.last(turns) do
+      %{"role" => "tool", "content" => text} ->
+        Server.stream(["The tool said: ", text])
+
+      %{"content" => _} when is_map_key(body, "tools") ->
+        function = %{name: "set_timer", arguments: ~s({"minutes": 5})}
+        delta = %{tool_calls: [%{index: 0, id: "1", function: function}]}
+        call = Server.event(%{choices: [%{delta: delta, finish_reason: "tool_calls"}]})
+        [Server.head(), Server.chunk(call), Server.chunk("data: [DONE]\n\n"), Server.chunk("")]
+
+      %{"content" => text} ->
+        Server.stream(["You ", "said: ", text])
+    end
+  end
+end

@@ -1,0 +1,78 @@
+defmodule Situ.Chat.AnswerTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  doctest Situ.Chat.Answer
+  doctest Situ.Chat.Turn
+  doctest Situ.Chat.ToolCall
+
+  alias Situ.Chat.Answer
+
+  defp fold(events) do
+    Enum.reduce(events, Answer.piece(), fn event, piece ->
+      {:ok, _, piece} = Answer.fold(piece, Situ.JSON.encode(event))
+      piece
+    end)
+  end
+
+  defp call(index, part),
+    do: %{choices: [%{delta: %{tool_calls: [Map.put(part, :index, index)]}}]}
+
+  test "calls of tools come in parts, several at once" do
+    answer =
+      [
+        call(0, %{id: "a", function: %{name: "timer", arguments: ""}}),
+        call(1, %{id: "b", function: %{name: "time", arguments: "{}"}}),
+        call(0, %{function: %{arguments: ~s({"minutes")}}),
+        call(0, %{function: %{arguments: ": 5}"}}),
+        %{choices: [%{delta: %{}, finish_reason: "tool_calls"}]},
+        %{choices: [], usage: %{prompt_tokens: 7, completion_tokens: 9}}
+      ]
+      |> fold()
+      |> Answer.whole()
+
+    assert [%{id: "a", name: "timer", arguments: %{"minutes" => 5}}, %{id: "b", name: "time"}] =
+             answer.calls
+
+    assert {answer.finish, answer.tokens, answer.exact?} == {:calls, %{read: 7, written: 9}, true}
+  end
+
+  test "an answer that was not streamed is one, too" do
+    piece = fold([%{choices: [%{message: %{content: "Yes."}, finish_reason: "length"}]}])
+    assert %{text: "Yes.", finish: :length, exact?: false} = Answer.whole(piece)
+  end
+
+  test "errors in the stream, text that is no JSON, answers without end" do
+    assert {:error, %{code: :service_failed}} =
+             Answer.fold(Answer.piece(), ~s({"error": {"message": "full"}}))
+
+    assert {:error, %{code: :bad_response}} = Answer.fold(Answer.piece(), "<html>")
+    many = fold(for i <- 1..64, do: call(i, %{id: "#{i}"}))
+
+    assert {:error, %{code: :too_long}} =
+             Answer.fold(many, Situ.JSON.encode(call(65, %{id: "x"})))
+  end
+
+  property "whatever a service sends where something else belongs, nothing breaks" do
+    value =
+      one_of(
+        Enum.map(
+          [nil, 1, -5, "x", [], [1], %{}, %{"a" => 3}, [%{"index" => "a"}], true],
+          &constant/1
+        )
+      )
+
+    forall {a, b, c, d, e} <- {value, value, value, value, value} do
+      event = %{
+        "choices" =>
+          choices(a, %{"delta" => %{"content" => b, "tool_calls" => c}, "finish_reason" => d}),
+        "usage" => e
+      }
+
+      match?({:ok, _, _}, Answer.fold(Answer.piece(), Situ.JSON.encode(event)))
+    end
+  end
+
+  defp choices(true, choice), do: [choice]
+  defp choices(1, choice), do: [choice]
+  defp choices(other, _), do: other
+end

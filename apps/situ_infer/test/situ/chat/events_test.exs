@@ -1,0 +1,45 @@
+defmodule Situ.Chat.EventsTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  doctest Situ.Chat.Events
+
+  alias Situ.Chat.Events
+
+  defp all(parts) do
+    Enum.reduce(parts, {[], Events.new()}, fn part, {found, events} ->
+      {:ok, more, events} = Events.push(events, part)
+      {found ++ more, events}
+    end)
+    |> elem(0)
+  end
+
+  property "the same whatever the pieces it comes in" do
+    letters = one_of([97, 233, 10, 32, 58])
+
+    forall {texts, crlf?, size} <- {list(list(letters)), boolean(), integer(1, 7)} do
+      texts = texts |> Enum.map(&List.to_string/1) |> Enum.reject(&(&1 == ""))
+      line = if crlf?, do: "\r\n", else: "\n"
+
+      bytes =
+        for text <- texts, into: "" do
+          for(part <- String.split(text, "\n"), into: "", do: "data: " <> part <> line) <> line
+        end
+
+      parts =
+        for i <- 0..byte_size(bytes)//size,
+            do: binary_part(bytes, i, min(size, byte_size(bytes) - i))
+
+      all([bytes]) == texts and all(parts) == texts
+    end
+  end
+
+  test "fields that are not known, comments and events without data are nothing" do
+    assert all([": hello\n\nevent: x\nid: 1\n\nretry: 9\ndata\ndata:1\n\n"]) == ["\n1"]
+  end
+
+  test "an event without an end is refused" do
+    long = String.duplicate("x", 600_000)
+    assert {:ok, [], events} = Events.push(Events.new(), "data: " <> long)
+    assert {:error, :too_long} = Events.push(events, long)
+  end
+end
