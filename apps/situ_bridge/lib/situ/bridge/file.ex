@@ -2,7 +2,7 @@ defmodule Situ.Bridge.File do
   alias Situ.Bridge.Format
   alias Situ.Error
 
-  @formats [:json, :json_lines, :csv, :message_pack]
+  @formats [:json, :json_lines, :csv, :message_pack, :situ]
   @write [
     path: [type: :string, required: true, doc: "The file; an existing one is replaced."],
     format: [type: {:in, @formats}, required: true, doc: "One of `Situ.Bridge.Format`'s."]

@@ -8,10 +8,11 @@ defmodule Situ.Bridge.Format do
   | `:json_lines` | the same | one a line |
   | `:csv` | a heading and a record, `\\r\\n` behind each; `_OriginatingTime_` and `_Value_`, `_Column0_` ... or the fields | one heading, then records |
   | `:message_pack` | a map of `message` and `originatingTime` (ticks of 100 ns since the year 1) | frames: a 32-bit length (little-endian) and a message; a length of 0 at the end |
+  | `:situ` | any value as stores have it, pictures, sound and arrays as they are: the time, a codec's name, bytes | frames as above |
 
-  The layouts are those of \\psi's, so that both read each other's files and sockets. Where \\psi has quirks, this has
-  the sensible answer: integers of any size, times that are always UTC, strings that look like dates stay strings, an
-  empty stream is a whole file, and nanoseconds that are no multiple of 100 survive.
+  The layouts but `:situ` are those of \\psi, so that both read each other's files and sockets. Where \\psi has quirks,
+  this has the sensible answer: integers of any size, times that are always UTC, strings that look like dates stay
+  strings, an empty stream is a whole file, and nanoseconds that are no multiple of 100 survive.
 
       iex> alias Situ.Bridge.Format
       iex> {:ok, bytes} = Format.encode(:json, %{x: 1.5}, 0)
@@ -25,8 +26,9 @@ defmodule Situ.Bridge.Format do
   """
   alias Situ.Bridge.Format.{Csv, Json, JsonLines, MessagePack}
   alias Situ.Error
+  alias __MODULE__
 
-  @type name :: :json | :json_lines | :csv | :message_pack
+  @type name :: :json | :json_lines | :csv | :message_pack | :situ
   @type timed :: {Situ.Time.t(), value :: term()}
   @typedoc "What is left of the bytes read so far, and what a format remembers of a file."
   @type rest :: {binary(), state :: term()}
@@ -45,7 +47,13 @@ defmodule Situ.Bridge.Format do
   @callback split(bytes :: binary(), state :: term(), last? :: boolean(), opts :: keyword()) ::
               {:ok, [timed()], rest()} | {:error, String.t()}
 
-  @modules %{json: Json, json_lines: JsonLines, csv: Csv, message_pack: MessagePack}
+  @modules %{
+    json: Json,
+    json_lines: JsonLines,
+    csv: Csv,
+    message_pack: MessagePack,
+    situ: Format.Situ
+  }
 
   @doc "The names of all formats."
   @spec names() :: [name()]

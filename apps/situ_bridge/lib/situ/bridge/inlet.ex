@@ -7,7 +7,7 @@ defmodule Situ.Bridge.Inlet do
 
   @options [
     format: [
-      type: {:in, [:json, :csv, :message_pack, :raw]},
+      type: {:in, [:json, :csv, :message_pack, :situ, :raw]},
       default: :json,
       doc: "How messages are written (`Situ.Bridge.Format`); `:raw`: the bytes as they are."
     ],

@@ -16,7 +16,7 @@ defmodule Situ.Bridge.Outlet do
 
   @options [
     format: [
-      type: {:in, [:json, :csv, :message_pack, :raw]},
+      type: {:in, [:json, :csv, :message_pack, :situ, :raw]},
       default: :json,
       doc: "A format of `Situ.Bridge.Format`; `:raw`: data that are bytes, as they are."
     ],

@@ -22,7 +22,7 @@ defmodule Situ.Bridge.FormatTest do
 
   defp pair({a, b}), do: :proper_types.tuple([a, b])
 
-  for format <- [:json, :json_lines, :message_pack] do
+  for format <- [:json, :json_lines, :message_pack, :situ] do
     property "#{format} gives back the value and the time" do
       forall {value, time} <-
                pair({value(), integer(-10_000_000_000_000_000_000, 10_000_000_000_000_000_000)}) do
@@ -152,5 +152,19 @@ defmodule Situ.Bridge.FormatTest do
       3 -> before <> <<:rand.uniform(256) - 1>> <> rest
       4 -> before <> <<c, Enum.random('{}[]",:\\\r\n'), c>> <> rest
     end
+  end
+
+  test "the format :situ keeps pictures and terms, and refuses what is hostile" do
+    image = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<1, 2>>)
+    {:ok, bytes} = Format.encode(:situ, image, 5)
+    assert {:ok, {5, ^image}} = Format.decode(:situ, bytes)
+    {:ok, bytes} = Format.encode(:situ, %{x: {1, nil, 3 ** 80}}, -5)
+    assert {:ok, {-5, %{x: {1, nil, big}}}} = Format.decode(:situ, bytes)
+    assert big == 3 ** 80
+    assert {:error, %{code: :not_writable}} = Format.encode(:situ, self(), 0)
+    call = :erlang.term_to_binary(&File.rm/1)
+    assert {:error, %{code: :bad_message}} = Format.decode(:situ, <<0::64, 0, call::binary>>)
+    assert {:error, _} = Format.decode(:situ, <<0::64, 3, "abc", 1>>)
+    assert {:error, _} = Format.decode(:situ, <<0::64, 30, "abc">>)
   end
 end

@@ -40,7 +40,7 @@ defmodule Situ.Store.Codecs do
   defp rescan do
     apps =
       for {app, _, _} <- Application.loaded_applications(),
-          app == :situ or :situ in (Application.spec(app, :applications) || []),
+          app in [:situ, :situ_types] or :situ in (Application.spec(app, :applications) || []),
           do: app
 
     loaded = length(apps)

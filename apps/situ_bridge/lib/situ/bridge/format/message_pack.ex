@@ -2,10 +2,8 @@ defmodule Situ.Bridge.Format.MessagePack do
   @moduledoc false
   # Messages as MessagePack; a file has frames, and a length of 0 at its end.
   @behaviour Situ.Bridge.Format
-  alias Situ.Bridge.Format.{Stamp, Value}
+  alias Situ.Bridge.Format.{Frames, Stamp, Value}
   alias Situ.Bridge.MessagePack
-
-  @most 64 * 1024 * 1024
 
   # Nanoseconds that no tick tells stand beside it.
   @impl true
@@ -44,35 +42,11 @@ defmodule Situ.Bridge.Format.MessagePack do
   end
 
   @impl true
-  def record(value, time, _n) do
-    bytes = value |> encode(time) |> IO.iodata_to_binary()
-    [<<byte_size(bytes)::little-32>>, bytes]
-  end
-
+  def record(value, time, _n), do: value |> encode(time) |> Frames.frame()
   @impl true
-  def finish(_n), do: <<0::32>>
+  def finish(_n), do: Frames.finish()
   @impl true
-  def start, do: :open
-
+  def start, do: Frames.start()
   @impl true
-  def split(_bytes, :ended, _last?, _opts), do: {:ok, [], {"", :ended}}
-  def split(bytes, :open, _last?, opts), do: frames(bytes, opts, [])
-
-  defp frames(<<0::32, _::binary>>, _opts, found), do: {:ok, Enum.reverse(found), {"", :ended}}
-
-  defp frames(<<n::little-32, _::binary>>, _opts, []) when n > @most,
-    do: {:error, "a frame of #{n} bytes"}
-
-  defp frames(<<n::little-32, _::binary>> = bytes, _opts, found) when n > @most,
-    do: {:ok, Enum.reverse(found), {bytes, :open}}
-
-  defp frames(<<n::little-32, frame::binary-size(n), rest::binary>> = bytes, opts, found) do
-    case decode(frame, opts) do
-      {:ok, timed} -> frames(rest, opts, [timed | found])
-      {:error, why} when found == [] -> {:error, why}
-      {:error, _} -> {:ok, Enum.reverse(found), {bytes, :open}}
-    end
-  end
-
-  defp frames(rest, _opts, found), do: {:ok, Enum.reverse(found), {rest, :open}}
+  def split(bytes, state, _last?, opts), do: Frames.split(bytes, state, &decode(&1, opts))
 end

@@ -1,0 +1,59 @@
+"""Recordings and live streams of Situ in Python.
+
+Times are integer nanoseconds since 1970, UTC, as everywhere in Situ.
+
+    import situ
+
+    with situ.create("lobby", "recordings") as store:
+        store.write("Level", situ.now(), 0.5)
+
+    for message in situ.open("recordings/lobby").read("Level"):
+        print(message.time, message.data)
+
+    with situ.publish("tcp://*:5556", topic="answers") as answers:
+        for message in situ.subscribe("tcp://127.0.0.1:5555", topic="levels"):
+            answers.send(message.time, message.data * 2)
+"""
+
+from .bytes import Damaged, Missing
+from .dataset import Dataset, Partition, Session
+from .network import publish, pull, push, subscribe
+from .reading import Message, Store, Stream, open
+from .terms import Atom, Struct
+from .times import from_datetime, from_text, now, to_datetime, to_text
+from .values import AudioBuffer, DepthImage, EncodedImage, Image, PointCloud, Pose, Tensor, Undecoded
+from .writing import Writer, create
+
+__version__ = "0.1.0"
+__all__ = [
+    "Atom",
+    "AudioBuffer",
+    "Damaged",
+    "Dataset",
+    "DepthImage",
+    "EncodedImage",
+    "Image",
+    "Message",
+    "Missing",
+    "Partition",
+    "PointCloud",
+    "Pose",
+    "Session",
+    "Store",
+    "Stream",
+    "Struct",
+    "Tensor",
+    "Undecoded",
+    "Writer",
+    "create",
+    "from_datetime",
+    "from_text",
+    "now",
+    "open",
+    "publish",
+    "pull",
+    "push",
+    "subscribe",
+    "to_datetime",
+    "to_text",
+]

@@ -1,0 +1,152 @@
+"""What is written is read again; what is hostile is refused. Standard library and, where there, numpy."""
+import math
+import os
+import random
+import struct
+import tempfile
+import unittest
+
+import situ
+from situ import formats, terms, values
+from situ.bytes import Damaged, Missing
+
+try:
+    import numpy as np
+except ImportError:
+    np = None
+
+CODED = [
+    situ.Image(2, 2, "gray8", 2, b"abcd"),
+    situ.DepthImage(1, 1, 2, 0.001, "plane", b"ab"),
+    situ.EncodedImage("jpeg", 1, 2, b"\xff\xd8"),
+    situ.AudioBuffer(16_000, 2, "s16", b"abcd"),
+    situ.Tensor("<f4", (2, 1), b"01234567"),
+    situ.PointCloud(b"0123456789ab", b"rgb"),
+    situ.Pose((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0)),
+]
+PLAIN = [0, -1, 255, 1 << 40, -(1 << 200), 1.5, True, None, "ä", b"\xff\x00", [1, [2]], (1, "x"), {"a": [None], "b": {}}, []]
+
+
+class Terms(unittest.TestCase):
+    def test_every_kind_comes_back(self):
+        for term in [*PLAIN, situ.Atom("hello"), situ.Struct("My.Point", {"x": 1.0})]:
+            self.assertEqual(terms.decode(terms.encode(term)), term)
+        self.assertTrue(math.isnan(terms.decode(terms.encode(math.nan))))
+        self.assertEqual(terms.decode(terms.encode(situ.Struct("My.Point", {"x": 1.0}))).module, "My.Point")
+
+    def test_functions_and_processes_are_refused(self):
+        for tag in (80, 82, 88, 89, 103, 112, 113):
+            with self.assertRaises(Damaged):
+                terms.decode(bytes([131, tag]) + bytes(40))
+        with self.assertRaises(TypeError):
+            terms.encode(object())
+
+
+class Hostile(unittest.TestCase):
+    def test_mutated_bytes_are_read_or_refused(self):
+        dice = random.Random(1)
+        samples = [(formats.decode, ("situ",), formats.encode("situ", 5, value)) for value in [*PLAIN, *CODED]]
+        samples += [(formats.decode, ("json",), formats.encode("json", 5, {"a": [1, 2.5, "x"]}))]
+        for n in range(20_000):
+            decode, arguments, sample = samples[n % len(samples)]
+            raw = bytearray(sample)
+            for _ in range(dice.randint(1, 3)):
+                raw[dice.randrange(len(raw))] = dice.randrange(256)
+            raw = bytes(raw[: dice.randint(0, len(raw))]) if dice.random() < 0.3 else bytes(raw)
+            try:
+                decode(*arguments, raw, 0)
+            except Damaged:
+                pass
+
+    def test_a_store_with_a_flipped_byte_is_read_or_refused(self):
+        with tempfile.TemporaryDirectory() as root:
+            with situ.create("a", root) as store:
+                for n, value in enumerate(PLAIN + CODED):
+                    store.write("s", n, value)
+            dice = random.Random(2)
+            for name in ("index.situ", "data-000000.situ"):
+                path = os.path.join(root, "a.0000", name)
+                whole = open(path, "rb").read()
+                for _ in range(500):
+                    raw = bytearray(whole)
+                    raw[dice.randrange(len(raw))] ^= 1 << dice.randrange(8)
+                    open(path, "wb").write(raw)
+                    try:
+                        for message in situ.open(os.path.join(root, "a")).read("s"):
+                            self.assertIsNotNone(message)
+                    except (Damaged, Missing, KeyError):
+                        pass
+                open(path, "wb").write(whole)
+
+
+class Stores(unittest.TestCase):
+    def test_what_is_written_is_read(self):
+        with tempfile.TemporaryDirectory() as root:
+            with situ.create("lobby", root) as store:
+                for n in range(3_000):
+                    store.write("ints", n * 7, n - 5)
+                    store.write("mixed", n, PLAIN[n % len(PLAIN)])
+                    store.write("coded", n, CODED[n % len(CODED)])
+                store.write("large", 1, bytes(100_000))
+                with self.assertRaises(ValueError):
+                    store.write("ints", 0, 1)
+                with self.assertRaises(TypeError):
+                    store.write("bad", 0, object())
+            store = situ.open(os.path.join(root, "lobby"))
+            self.assertTrue(store.closed)
+            self.assertEqual([m.data for m in store.read("ints")], list(range(-5, 2_995)))
+            self.assertEqual([m.time for m in store.read("ints", 70, 105)], [70, 77, 84, 91, 98, 105])
+            self.assertEqual([m.data for m in store.read("mixed")], [PLAIN[n % len(PLAIN)] for n in range(3_000)])
+            self.assertEqual([m.data for m in store.read("coded")], [CODED[n % len(CODED)] for n in range(3_000)])
+            self.assertEqual(next(store.read("large")).data, bytes(100_000))
+            with self.assertRaises(KeyError):
+                next(store.read("nothing"))
+
+    def test_a_store_is_read_while_it_is_written(self):
+        with tempfile.TemporaryDirectory() as root:
+            writer = situ.create("live", root)
+            writer.write("n", 1, 1)
+            writer.commit()
+            messages = situ.open(os.path.join(root, "live")).read("n", follow=True)
+            self.assertEqual(next(messages).data, 1)
+            writer.write("n", 2, 2)
+            writer.close()
+            self.assertEqual([m.data for m in messages], [2])
+
+    def test_datasets_keep_what_they_do_not_know(self):
+        with tempfile.TemporaryDirectory() as root:
+            situ.create("a", root).close()
+            dataset = situ.Dataset.create(os.path.join(root, "study.json"))
+            dataset.document["ours"] = {"kept": True}
+            dataset.add_session("one").add(os.path.join(root, "a"))
+            dataset.save()
+            again = situ.Dataset.open(dataset.path)
+            self.assertEqual(again.document["ours"], {"kept": True})
+            self.assertEqual(again.sessions["one"].partitions["a"].open().name, "a")
+
+
+@unittest.skipUnless(np is not None, "numpy is not there")
+class Arrays(unittest.TestCase):
+    def test_pictures(self):
+        array = np.arange(2 * 3 * 3, dtype="u1").reshape(2, 3, 3)
+        picture = situ.Image.from_array(array)
+        self.assertTrue((picture.array == array).all() and (picture.rgb == array).all())
+        blue = situ.Image.from_array(array, "bgr24")
+        self.assertTrue((blue.rgb == array[:, :, ::-1]).all())
+        padded = situ.Image(1, 2, "gray8", 4, b"a...b...")
+        self.assertEqual(padded.array.tolist(), [[97], [98]])
+
+    def test_sound_of_24_bits(self):
+        sound = situ.AudioBuffer(8_000, 1, "s24", struct.pack("<i", -2)[:3] + struct.pack("<i", 8_388_607)[:3])
+        self.assertEqual(sound.array.ravel().tolist(), [-2, 8_388_607])
+
+    def test_arrays_are_tensors(self):
+        for array in (np.eye(3), np.zeros((2, 0, 3), "f4"), np.array([True, False]), np.arange(4, dtype=">i2"), np.ones(2, "f2")):
+            again = values.Tensor.decode(values.coded(array).encode()).array
+            self.assertTrue((again == array).all() and again.shape == array.shape)
+        bf16 = values.Tensor("bf16", (1,), struct.pack("<f", 1.5)[2:])
+        self.assertEqual(bf16.array.tolist(), [1.5])
+
+
+if __name__ == "__main__":
+    unittest.main()

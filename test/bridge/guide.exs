@@ -1,0 +1,41 @@
+# Runs the blocks of docs/guides/python.md in their order: Elixir's here, Python's in one process beside. A block that ends in
+# `# => value` gives that value. `guide.exs GUIDE PYTHON`.
+{:ok, _} = Application.ensure_all_started(:situ_bridge)
+{:ok, _} = Application.ensure_all_started(:situ_dataset)
+[guide, python] = System.argv()
+
+port =
+  Port.open({:spawn_executable, python}, [
+    :binary,
+    :exit_status,
+    packet: 4,
+    args: [Path.join(__DIR__, "python_blocks.py")]
+  ])
+
+run = fn
+  "python", code, binding ->
+    Port.command(port, code)
+
+    receive do
+      {^port, {:data, "ok"}} -> binding
+      {^port, {:data, trouble}} -> raise "#{code}\n#{trouble}"
+      {^port, {:exit_status, status}} -> raise "Python ended with status #{status}"
+    after
+      120_000 -> raise "Python does not come back from\n#{code}"
+    end
+
+  "elixir", code, binding ->
+    {value, binding} =
+      Code.eval_string("alias Situ.{Bridge, Image, Pipeline, Store}\n" <> code, binding)
+
+    with [_, expected] <- Regex.run(~r/^# => (.*)\n/m, code) do
+      {^value, _} = Code.eval_string(expected)
+    end
+
+    binding
+end
+
+blocks = Regex.scan(~r/```(elixir|python)\n(.*?)```/s, File.read!(guide), capture: :all_but_first)
+true = length(blocks) > 5
+Enum.reduce(blocks, [], fn [language, code], binding -> run.(language, code, binding) end)
+IO.puts("#{length(blocks)} blocks")
