@@ -1,4 +1,4 @@
-defmodule Situ.CLI.SendingTest do
+defmodule Situ.CLI.Store.SendingTest do
   use ExUnit.Case, async: true
   import ExUnit.CaptureIO
   alias Situ.{Bridge, Message, Pipeline, Store}
