@@ -252,7 +252,7 @@ defmodule Situ.CLI.Annotate do
     {layer, losses} =
       if file == "-" do
         format = format(opts) || throw({:usage, "standard input in which format? Give --format"})
-        read(Exchange.decode(IO.binread(:stdio, :all), format, options))
+        read(Exchange.decode(IO.binread(:stdio, :eof), format, options))
       else
         read(Exchange.read(file, options ++ if(f = format(opts), do: [format: f], else: [])))
       end

@@ -417,7 +417,7 @@ defmodule Situ.CLI.StoreTest do
   defp values(path, stream),
     do: path |> Store.open!() |> Store.messages(stream) |> Enum.map(& &1.data)
 
-  @psi Path.expand("../../../situ_bridge/test/data/psi/truncated", __DIR__)
+  @psi Path.expand("../../../../situ_bridge/test/data/psi/truncated", __DIR__)
 
   test "what is lost of another system's recording is told in its reader's sentences" do
     {0, text} = run(["info", @psi])

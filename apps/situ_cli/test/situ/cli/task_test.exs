@@ -4,7 +4,7 @@ defmodule Situ.CLI.TaskTest do
   alias Situ.{Dataset, Message, Store}
 
   @moduletag :tmp_dir
-  @clip Path.expand("../../../situ_examples/priv/demo/talk1.mp4", __DIR__)
+  @clip Path.expand("../../../../situ_examples/priv/demo/talk1.mp4", __DIR__)
 
   defp run(argv), do: with_io(fn -> Situ.CLI.run(["task" | argv]) end)
 

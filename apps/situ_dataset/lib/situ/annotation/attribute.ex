@@ -20,7 +20,7 @@ defmodule Situ.Annotation.Attribute do
   @type t :: %__MODULE__{
           name: String.t(),
           kind: :finite | :text | :number | :bool,
-          default: String.t() | number() | boolean(),
+          default: String.t() | number() | boolean() | nil,
           fill: String.t() | nil,
           text: String.t() | nil,
           description: String.t(),

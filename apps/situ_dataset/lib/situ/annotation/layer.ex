@@ -274,6 +274,7 @@ defmodule Situ.Annotation.Layer do
   end
 
   # The last that begins before `time`: gb_trees of the floor iterate forward only, so this walks down the tree.
+  @dialyzer {:no_opaque, before: 2, neighbours: 2}
   defp before({_size, node}, time), do: descend(node, time, [])
 
   defp descend(nil, _time, best), do: best

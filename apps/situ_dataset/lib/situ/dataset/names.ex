@@ -5,6 +5,8 @@ defmodule Situ.Dataset.Names do
 
   @longest 200
 
+  @typep named :: %{:name => String.t(), optional(atom()) => term()}
+
   @spec check(term(), String.t()) :: :ok | {:error, Error.t()}
   def check(name, kind) do
     if is_binary(name) and String.valid?(name) and name =~ ~r/\A[^\x00-\x1f\]\[]+\z/u and
@@ -18,7 +20,7 @@ defmodule Situ.Dataset.Names do
     end
   end
 
-  @spec free(String.t(), [%{name: String.t()}], String.t()) :: :ok | {:error, Error.t()}
+  @spec free(String.t(), [named()], String.t()) :: :ok | {:error, Error.t()}
   def free(name, taken, place) do
     if Enum.any?(taken, &(&1.name == name)) do
       {:error,
@@ -31,9 +33,8 @@ defmodule Situ.Dataset.Names do
     end
   end
 
-  @spec fetch([named], String.t(), atom(), String.t(), String.t()) ::
-          {:ok, named} | {:error, Error.t()}
-        when named: %{name: String.t()}
+  @spec fetch([named()], String.t(), atom(), String.t(), String.t()) ::
+          {:ok, named()} | {:error, Error.t()}
   def fetch(all, name, code, kind, place) do
     case Enum.find(all, &(&1.name == name)) do
       nil -> {:error, missing(name, Enum.map(all, & &1.name), code, kind, place)}

@@ -42,10 +42,15 @@ defmodule Situ.Examples.Demo do
     if "--dataset" in argv, do: Situ.Examples.Study.run(argv), else: talk(argv)
   end
 
+  defp usage do
+    IO.puts(@usage)
+    0
+  end
+
   defp talk(argv) do
     case Options.parse(argv) do
       {:ok, opts} -> demo(opts)
-      :help -> IO.puts(@usage) && 0
+      :help -> usage()
       {:error, text} -> fail("#{text}\n  Fix: see bin/demo --help", 2)
     end
   end

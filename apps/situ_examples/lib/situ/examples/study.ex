@@ -75,7 +75,8 @@ defmodule Situ.Examples.Study do
 
     case OptionParser.parse(argv, strict: switches) do
       {[{:help, true} | _], _, _} ->
-        IO.puts(@usage) && 0
+        IO.puts(@usage)
+        0
 
       {opts, [], []} ->
         study(opts)

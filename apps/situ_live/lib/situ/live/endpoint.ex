@@ -198,8 +198,11 @@ defmodule Situ.Live.Endpoint do
 
   def max_body(_, _), do: 0
 
-  @doc "Answers a request that was let in; `{:upgrade, ...}` for WebSockets."
-  @spec run(t(), route()) :: Response.t() | {:upgrade, module(), term(), keyword(), Request.t()}
+  @doc """
+  Answers a request that was let in with a `Situ.Live.Response`, or `{:upgrade, module, arg, opts, request}` for
+  WebSockets; a handler of somebody else's may answer anything.
+  """
+  @spec run(t(), route()) :: term()
   def run(config, {:live_socket, request}) do
     upgrade(Situ.Live.Channel, config, [max_frame: config.max_frame], request)
   end

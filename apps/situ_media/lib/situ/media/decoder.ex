@@ -141,7 +141,7 @@ defmodule Situ.Media.Decoder do
 
   @doc false
   # A frame of the reader as a picture or sound; shared with live sources.
-  @spec convert(Nut.Demuxer.frame(), Nut.stream(), Image.Format.t(), AudioFormat.t() | nil) ::
+  @spec convert(Nut.Demuxer.frame(), Nut.stream(), Image.Format.t() | nil, AudioFormat.t() | nil) ::
           {:video, Situ.Time.t(), Image.t()} | {:audio, Situ.Time.t(), AudioBuffer.t()}
   def convert(frame, %{class: :video} = stream, format, _audio_format) do
     image = %Image{

@@ -47,7 +47,7 @@ defmodule Situ.Studio.Visualizer do
         }
 
   @typedoc "The stream to draw, and the part of its messages."
-  @type spec :: %{stream: String.t(), viz: t(), path: Situ.Studio.Path.t()}
+  @type spec :: %{stream: String.t(), viz: t() | nil, path: Situ.Studio.Path.t()}
 
   @doc "What it is. `module` is filled in by the table, `drawer` is its `id` unless it names another."
   @callback about() :: t()

@@ -2,7 +2,7 @@ defmodule Situ.CLI.Store.Tape do
   @moduledoc false
   # An enumerable read one by one, so that several can be held side by side.
 
-  @opaque t :: function() | nil
+  @type t :: function() | nil
 
   @doc "The first item and the rest, or `nil` at the end."
   @spec next(Enumerable.t() | t()) :: {term(), t()} | nil

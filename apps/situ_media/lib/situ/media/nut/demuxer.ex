@@ -37,7 +37,7 @@ defmodule Situ.Media.Nut.Demuxer do
   @opaque t :: %__MODULE__{}
 
   @max_header 1_048_576
-  @flags Headers.flags()
+  @bits Map.new(Headers.flags())
 
   @doc "Reads the headers. `{:error, :eof}` when the stream ends before the first header."
   @spec open(read(), max_frame: pos_integer()) :: {:ok, t()} | {:error, term()}
@@ -222,9 +222,7 @@ defmodule Situ.Media.Nut.Demuxer do
   defp prepend(<<>>, data), do: data
   defp prepend(prefix, data), do: prefix <> data
 
-  for {name, bit} <- @flags do
-    defp has?(flags, unquote(name)), do: (flags &&& unquote(bit)) != 0
-  end
+  defp has?(flags, name), do: (flags &&& Map.fetch!(@bits, name)) != 0
 
   defp read(_demuxer, 0), do: {:ok, <<>>}
 
