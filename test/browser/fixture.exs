@@ -338,3 +338,48 @@ defmodule Fixture do
     }
   end
 end
+
+defmodule Fixture.Loudness do
+  @moduledoc false
+  # A batch task with an option of each kind; as slow as its file of that name says, and failing where it is told to.
+  @behaviour Situ.Dataset.Task
+
+  @impl true
+  def task do
+    %{
+      name: "loudness",
+      about: "how loud a stream of numbers is",
+      output: "Loudness",
+      options: [
+        stream: [type: :string, default: "Mic.Level", doc: "The numbers."],
+        gain: [type: {:range, 0, 10}, default: 2, doc: "What they are multiplied by."],
+        scale: [type: {:in, [:linear, :decibel]}, default: :linear, doc: "How it is told."],
+        hold: [
+          type: :boolean,
+          default: false,
+          doc: "Wait as long as a file called hold is there."
+        ]
+      ]
+    }
+  end
+
+  @impl true
+  def build(_p, opts) do
+    gate = Path.join(opts[:folder], "hold")
+
+    opts[:stream]
+    |> opts[:open].()
+    |> Situ.map(fn x ->
+      wait(opts[:hold] and File.exists?(gate), gate)
+      x * opts[:gain]
+    end)
+    |> opts[:write].("Loudness")
+  end
+
+  defp wait(false, _gate), do: :ok
+
+  defp wait(true, gate) do
+    Process.sleep(20)
+    wait(File.exists?(gate), gate)
+  end
+end

@@ -20,6 +20,30 @@ Fixture.record_uneven("broken", folder)
 Fixture.record("doomed", folder)
 Task.start_link(fn -> Fixture.record_live("growing", folder) end)
 
+# A study of three sessions: one recording, two side by side, and one whose recording is gone.
+study = Path.join(folder, "study.json")
+{:ok, dataset} = Situ.Dataset.new("Lobby study", file: study, autosave: true)
+
+for {session, tags, partitions} <- [
+      {"p01", ["pilot"], [{"Room", "minute.0000"}]},
+      {"p02", ["english"], [{"Room", "minute.0000"}, {"Wearable", "uneven.0000"}]},
+      {"p03", [], [{"Room", "lost.0000"}]}
+    ],
+    reduce: dataset do
+  dataset ->
+    {:ok, dataset} = Situ.Dataset.add_session(dataset, session, tags: tags)
+
+    for {name, store} <- partitions, reduce: dataset do
+      dataset ->
+        path = Path.join(folder, store)
+        {:ok, dataset} = Situ.Dataset.add_partition(dataset, session, name, path)
+        dataset
+    end
+end
+
+tasks = Application.get_env(:situ_dataset, :dataset_tasks)
+Application.put_env(:situ_dataset, :dataset_tasks, [Fixture.Loudness | tasks])
+
 sources = %{
   "memory" => {Source.History, Fixture.minute()},
   "empty" => {Source.History, History.new(live: false)}

@@ -9,6 +9,7 @@ import "./live_tests.mjs";
 import "./pipeline_tests.mjs";
 import "./layout_tests.mjs";
 import "./annotation_tests.mjs";
+import "./dataset_tests.mjs";
 import "./serving_tests.mjs";
 import "./speed_tests.mjs";
 

@@ -203,6 +203,13 @@ const hooks = {
         this.pushEvent("dialog_close", {});
       });
     },
+    // the server does not know that it is open, and takes the mark of it away
+    updated() {
+      if (this.el.open) return;
+      const back = document.activeElement;
+      this.el.showModal();
+      if (this.el.contains(back)) back.focus();
+    },
   },
 
   // The colour that a stream has by itself, in the field where another can be given.

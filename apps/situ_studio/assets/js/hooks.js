@@ -1,2 +1,5 @@
 // Hooks of pages that live in files of their own; each module names its hooks.
-export { hooks } from "./pipeline/hooks.js";
+import { hooks as lists } from "./page/lists.js";
+import { hooks as pipeline } from "./pipeline/hooks.js";
+
+export const hooks = { ...lists, ...pipeline };

@@ -72,7 +72,7 @@ defmodule Situ.Studio do
   """
   use Supervisor
 
-  alias Situ.Studio.{Catalog, PipelineView, Web}
+  alias Situ.Studio.{Batch, Catalog, PipelineView, Web}
 
   @doc "A child of a supervision tree."
   @spec child_spec(keyword()) :: Supervisor.child_spec()
@@ -132,6 +132,7 @@ defmodule Situ.Studio do
       {DynamicSupervisor, name: Catalog.watches(opts[:id]), strategy: :one_for_one},
       {Catalog,
        Keyword.take(opts, [:id, :path, :pipelines, :sources, :read_only, :layouts, :visualizers])},
+      {Batch, Keyword.take(opts, [:id])},
       {PipelineView.Past, Keyword.take(opts, [:id, :pipelines])},
       {Situ.Live, live(opts)}
     ]

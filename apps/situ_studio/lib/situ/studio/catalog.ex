@@ -9,22 +9,29 @@ defmodule Situ.Studio.Catalog do
   """
   use GenServer
 
-  alias Situ.Error
+  alias Situ.Dataset.Session
+  alias Situ.{Dataset, Error}
+  alias Situ.Studio.Datasets.Place
   alias Situ.Studio.{Layouts, Source, Stores}
 
   # How old the list of recordings may be.
   @fresh_ms 2_000
 
   defmodule Item do
-    @moduledoc "One thing to look at; `id` is what stands in the address."
+    @moduledoc """
+    One thing to look at; `id` is what stands in the address. A session of a dataset has `parts`, its recordings; what
+    belongs to a dataset names it by `dataset`, its id.
+    """
     @enforce_keys [:id, :title, :kind]
-    defstruct [:id, :title, :kind, :path, live: false]
+    defstruct [:id, :title, :kind, :path, :dataset, parts: [], live: false]
 
     @type t :: %__MODULE__{
             id: String.t(),
             title: String.t(),
-            kind: :store | :pipeline | :source,
+            kind: :store | :pipeline | :source | :dataset | :session,
             path: Path.t() | nil,
+            dataset: String.t() | nil,
+            parts: [{String.t(), Path.t()}],
             live: boolean()
           }
   end
@@ -58,6 +65,13 @@ defmodule Situ.Studio.Catalog do
     do: GenServer.call(via(id), {:open, item_id}, 60_000)
 
   def open(_id, item_id), do: {:error, not_found(item_id)}
+
+  @doc "One of them, without opening it."
+  @spec find(id(), term()) :: {:ok, Item.t()} | {:error, Error.t()}
+  def find(id, item_id) when is_binary(item_id),
+    do: GenServer.call(via(id), {:find, item_id}, 60_000)
+
+  def find(_id, item_id), do: {:error, not_found(item_id)}
 
   @impl true
   def init(opts) do
@@ -99,8 +113,10 @@ defmodule Situ.Studio.Catalog do
     {:reply, :ok, if(state.waiting == [], do: state, else: look(state))}
   end
 
+  def handle_call({:find, id}, _from, state), do: {:reply, found(state, id), state}
+
   def handle_call({:open, id}, _from, state) do
-    with {:ok, item} <- find(state, id),
+    with {:ok, item} <- found(state, id),
          {:ok, source, state} <- source(state, item) do
       {:reply, {:ok, item, source}, state}
     else
@@ -119,7 +135,15 @@ defmodule Situ.Studio.Catalog do
   # The list as it was is better than none.
   def handle_info({:DOWN, task, :process, _, _}, %{looking: %Task{ref: task}} = state) do
     waiting = state.waiting
-    state = %{state | stores: state.stores || [], looking: nil, looked_at: now(), waiting: []}
+
+    state = %{
+      state
+      | stores: state.stores || {[], []},
+        looking: nil,
+        looked_at: now(),
+        waiting: []
+    }
+
     {:noreply, answer(state, waiting)}
   end
 
@@ -136,8 +160,7 @@ defmodule Situ.Studio.Catalog do
     if at == nil or now() - at >= @fresh_ms,
       do: %{
         state
-        | looking:
-            Task.Supervisor.async_nolink(Situ.Studio.Tasks, fn -> Stores.discover(path) end)
+        | looking: Task.Supervisor.async_nolink(Situ.Studio.Tasks, fn -> Stores.all(path) end)
       },
       else: state
   end
@@ -147,8 +170,8 @@ defmodule Situ.Studio.Catalog do
   defp now, do: System.monotonic_time(:millisecond)
 
   # An address names an item, never a path: only recordings below the folder can be opened.
-  defp find(state, id) do
-    case Enum.find(given(state), &(&1.id == id)) || store(state, id) do
+  defp found(state, id) do
+    case Enum.find(given(state), &(&1.id == id)) || store(state, id) || of_dataset(state, id) do
       nil ->
         {:error, not_found(id)}
 
@@ -172,9 +195,48 @@ defmodule Situ.Studio.Catalog do
   end
 
   defp store_item(id, path), do: %Item{id: id, title: id, kind: :store, path: path}
+  defp dataset_item(id, path), do: %Item{id: id, title: id, kind: :dataset, path: path}
 
-  defp items(state),
-    do: given(state) ++ for({id, path} <- state.stores || [], do: store_item(id, path))
+  # A dataset, a session of it, or a recording of that: the dataset says where it lies.
+  defp of_dataset(state, id) do
+    case Stores.dataset(state.path, id) do
+      {:ok, path} -> dataset_item(id, path)
+      :error -> Enum.find_value(Place.splits(id), &part(state, id, &1))
+    end
+  end
+
+  defp part(state, id, {dataset, [session | partition]}) do
+    with {:ok, file} <- Stores.dataset(state.path, dataset),
+         {:ok, loaded} <- Dataset.load(file),
+         {:ok, session} <- Dataset.session(loaded, session),
+         do: part_item(id, dataset, session, partition),
+         else: (_ -> nil)
+  end
+
+  defp part_item(id, dataset, session, [name]) do
+    with {:ok, partition} <- Session.partition(session, name) do
+      title = "#{session.name}: #{name}"
+      %Item{id: id, title: title, kind: :store, path: partition.path, dataset: dataset}
+    else
+      _ -> nil
+    end
+  end
+
+  # What lies in one recording can be annotated and exported as such.
+  defp part_item(id, dataset, %{partitions: [one]} = session, []),
+    do: %Item{id: id, title: session.name, kind: :store, path: one.path, dataset: dataset}
+
+  defp part_item(id, dataset, session, []) do
+    parts = for p <- session.partitions, do: {p.name, p.path}
+    %Item{id: id, title: session.name, kind: :session, parts: parts, dataset: dataset}
+  end
+
+  defp items(state) do
+    {recordings, datasets} = state.stores || {[], []}
+
+    for({id, path} <- datasets, do: dataset_item(id, path)) ++
+      given(state) ++ for {id, path} <- recordings, do: store_item(id, path)
+  end
 
   # Everything but the recordings of the folder.
   defp given(state) do
@@ -186,7 +248,7 @@ defmodule Situ.Studio.Catalog do
 
     # one that was looked at and has ended: what was seen of it is still there
     ended =
-      for {id, {Situ.Studio.Source.Pipeline, _}} <- state.open,
+      for {{id, _, _}, {Situ.Studio.Source.Pipeline, _}} <- state.open,
           not Enum.any?(running, &(&1.id == id)),
           do: %Item{id: id, title: id, kind: :pipeline, live: false}
 
@@ -195,8 +257,11 @@ defmodule Situ.Studio.Catalog do
 
   defp source(state, %Item{kind: :source, id: id}), do: {:ok, Map.fetch!(state.given, id), state}
 
-  defp source(state, %Item{id: id} = item) do
-    with {:ok, source} <- Map.fetch(state.open, id),
+  defp source(_state, %Item{kind: :dataset, id: id}),
+    do: {:error, Error.new(:is_dataset, "#{id} is a dataset", fix: "open one of its sessions")}
+
+  defp source(state, %Item{} = item) do
+    with {:ok, source} <- Map.fetch(state.open, key(item)),
          {:ok, _} <- Source.call(source, :extent, []) do
       {:ok, source, state}
     else
@@ -204,16 +269,25 @@ defmodule Situ.Studio.Catalog do
     end
   end
 
+  # A dataset may say another place of it by now.
+  defp key(%Item{id: id, path: path, parts: parts}), do: {id, path, parts}
+
+  defp open_item(state, %Item{kind: :session} = item) do
+    with {:ok, source} <- Source.Session.open(item.parts) do
+      {:ok, source, put_in(state.open[key(item)], source)}
+    end
+  end
+
   defp open_item(state, %Item{kind: :store} = item) do
     with {:ok, source} <- Situ.Studio.Source.Store.open(item.path) do
-      {:ok, source, put_in(state.open[item.id], source)}
+      {:ok, source, put_in(state.open[key(item)], source)}
     end
   end
 
   defp open_item(state, %Item{kind: :pipeline} = item) do
     with {:ok, source} <-
            Situ.Studio.Source.Pipeline.open(state.pipelines, item.id, watches(state.id)) do
-      {:ok, source, put_in(state.open[item.id], source)}
+      {:ok, source, put_in(state.open[key(item)], source)}
     end
   end
 end

@@ -1,8 +1,9 @@
 defmodule Situ.Studio.Stores do
   @moduledoc false
-  # Which recordings lie at or below a path, by name; the name is what stands in an address. Links are not followed:
-  # they may lead round in a circle, or out of the folder.
+  # Which recordings and datasets lie at or below a path, by name; the name is what stands in an address. Links are not
+  # followed: they may lead round in a circle, or out of the folder.
 
+  alias Situ.Dataset.Document
   alias Situ.Studio.NaturalOrder
 
   @most 5_000
@@ -13,28 +14,46 @@ defmodule Situ.Studio.Stores do
 
   @doc "The recordings at or below a path: at most 5,000, at most eight folders deep."
   @spec discover(Path.t() | nil) :: [{name(), Path.t()}]
-  def discover(nil), do: []
+  def discover(path), do: path |> all() |> elem(0)
 
-  def discover(path) do
+  @doc "The recordings at or below a path, and the datasets."
+  @spec all(Path.t() | nil) :: {[{name(), Path.t()}], [{name(), Path.t()}]}
+  def all(nil), do: {[], []}
+
+  def all(path) do
     root = Path.expand(path)
 
     cond do
-      recording?(root) -> [{Path.basename(root), root}]
-      File.dir?(root) -> below(root)
-      true -> []
+      Document.dataset?(root) ->
+        {[], [{Path.basename(root), root}]}
+
+      recording?(root) ->
+        {[{Path.basename(root), root}], []}
+
+      File.dir?(root) ->
+        root |> below() |> Enum.split_with(fn {_, p} -> not Document.dataset?(p) end)
+
+      true ->
+        {[], []}
     end
   end
 
   @doc "The one recording of that name, looked up without looking at the others."
   @spec find(Path.t() | nil, name()) :: {:ok, Path.t()} | :error
-  def find(nil, _name), do: :error
+  def find(path, name), do: at(path, name, &(recording?(&1) and not Document.dataset?(&1)))
 
-  def find(path, name) do
+  @doc "The dataset of that name."
+  @spec dataset(Path.t() | nil, name()) :: {:ok, Path.t()} | :error
+  def dataset(path, name), do: at(path, name, &Document.dataset?/1)
+
+  defp at(nil, _name, _kind?), do: :error
+
+  defp at(path, name, kind?) do
     root = Path.expand(path)
 
     cond do
-      recording?(root) -> if name == Path.basename(root), do: {:ok, root}, else: :error
-      inside?(root, name) and recording?(Path.join(root, name)) -> {:ok, Path.join(root, name)}
+      kind?.(root) -> if name == Path.basename(root), do: {:ok, root}, else: :error
+      inside?(root, name) and kind?.(Path.join(root, name)) -> {:ok, Path.join(root, name)}
       true -> :error
     end
   end
@@ -73,7 +92,7 @@ defmodule Situ.Studio.Stores do
       for name <- Enum.take(names, budget), path = Path.join(folder, name), do: {kind(path), path}
 
     stores = folder |> Situ.Store.list() |> Enum.reject(&(kind(&1) == :symlink))
-    files = for {:regular, path} <- entries, Situ.Store.Formats.for_file(path), do: path
+    files = for {:regular, path} <- entries, known_ending?(path), do: path
     folders = for {:directory, path} <- entries, path not in stores, depth > 0, do: path
 
     Enum.reduce(
@@ -82,6 +101,9 @@ defmodule Situ.Studio.Stores do
       &walk(&1, depth - 1, &2)
     )
   end
+
+  defp known_ending?(path),
+    do: Situ.Store.Formats.for_file(path) != nil or Document.dataset?(path)
 
   defp kind(path) do
     case File.lstat(path) do

@@ -28,4 +28,12 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Visualizers.Lines
   doctest Situ.Studio.Draw.Key
   doctest Situ.Studio.NaturalOrder
+  doctest Situ.Studio.Source.Session
+  doctest Situ.Studio.Datasets.Place
+  doctest Situ.Studio.Datasets.Facts
+  doctest Situ.Studio.Batch.Run
+  doctest Situ.Studio.Batch.Form
+  doctest Situ.Studio.Batch.Configurations
+  doctest Situ.Studio.Web.Dataset.Rows
+  doctest Situ.Studio.Web.Dataset.Edits
 end

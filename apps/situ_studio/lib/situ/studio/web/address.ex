@@ -5,6 +5,19 @@ defmodule Situ.Studio.Web.Address do
   @spec of(String.t()) :: String.t()
   def of(id), do: "/s/" <> encode(id)
 
+  @doc "The path of the page of a dataset."
+  @spec dataset(String.t()) :: String.t()
+  def dataset(id), do: "/d/" <> encode(id)
+
+  @doc "The path of the page of whatever it is."
+  @spec item(%{id: String.t(), kind: atom()}) :: String.t()
+  def item(%{id: id, kind: :dataset}), do: dataset(id)
+  def item(%{id: id}), do: of(id)
+
+  @doc "The path of its small picture."
+  @spec thumbnail(String.t()) :: String.t()
+  def thumbnail(id), do: "/data/thumbnail?" <> URI.encode_query(%{"source" => id})
+
   @doc "The path of the page that shows its pipeline's graph."
   @spec pipeline(String.t()) :: String.t()
   def pipeline(id), do: "/p/" <> encode(id)

@@ -79,6 +79,19 @@ defmodule Situ.Studio.Web.DataHttp do
     end
   end
 
+  # A recording that is over looks the same for a while.
+  defp answer(:thumbnail, _query, source, extent) do
+    case Situ.Studio.Thumbnail.of(source) do
+      {:ok, type, data} ->
+        age = if extent.live, do: 5, else: 300
+        headers = [{"content-type", type}, {"cache-control", "private, max-age=#{age}"}]
+        %Response{headers: headers, body: data}
+
+      :none ->
+        Response.error(404, "there is nothing to picture")
+    end
+  end
+
   defp reply(frames, extent, time) do
     %{request: 0, from: extent.from, to: extent.to, time: time}
     |> Map.merge(Map.take(extent, [:live, :version]))

@@ -1,16 +1,30 @@
 defmodule Situ.Studio.Web.HomeView do
   @moduledoc false
-  # The list of what can be looked at.
+  # The list of what can be looked at: datasets, running pipelines, recordings.
   use Situ.Live.View
   import Situ.Studio.Web.Icons
   alias Situ.Studio.Catalog
+  alias Situ.Studio.Datasets.Facts
+  alias Situ.Studio.Web.{Address, Side}
 
   @refresh_ms 2_000
+  # So many rows are on the page, and so many recordings are looked into.
+  @most 400
 
   @impl true
   def mount(_params, session, socket) do
     if connected?(socket), do: Process.send_after(self(), :refresh, @refresh_ms)
-    {:ok, socket |> assign(studio: session["studio"], page_title: "Situ Studio") |> load()}
+
+    socket =
+      assign(socket,
+        studio: session["studio"],
+        page_title: "Situ Studio",
+        query: "",
+        facts: %{},
+        stamps: %{}
+      )
+
+    {:ok, load(socket)}
   end
 
   @impl true
@@ -19,28 +33,120 @@ defmodule Situ.Studio.Web.HomeView do
     {:noreply, load(socket)}
   end
 
+  def handle_info({:facts, path, facts}, socket),
+    do: {:noreply, assign(socket, facts: Map.put(socket.assigns.facts, path, facts))}
+
   def handle_info(_, socket), do: {:noreply, socket}
 
   # A page of another version may send what this one does not know.
   @impl true
+  def handle_event("search", %{"query" => query}, socket) when is_binary(query),
+    do: {:noreply, assign(socket, query: String.slice(query, 0, 200))}
+
   def handle_event(_event, _params, socket), do: {:noreply, socket}
 
-  defp load(socket), do: assign(socket, items: Catalog.list(socket.assigns.studio))
+  defp load(socket) do
+    items = Catalog.list(socket.assigns.studio)
+    socket = assign(socket, items: items)
+    if connected?(socket), do: look(socket), else: socket
+  end
+
+  # Recordings are looked into by another process, one after the other: the list is there at once.
+  defp look(socket) do
+    paths = for %{kind: :store, path: path} <- Enum.take(socket.assigns.items, @most), do: path
+    stamps = Map.new(paths, &{&1, Facts.stamp(&1)})
+    changed = Enum.reject(paths, &(socket.assigns.stamps[&1] == stamps[&1]))
+    page = self()
+
+    if changed != [] do
+      Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
+        Enum.each(changed, &send(page, {:facts, &1, Facts.of(&1)}))
+      end)
+    end
+
+    assign(socket, stamps: stamps)
+  end
 
   @impl true
   def render(assigns) do
+    words = assigns.query |> String.downcase() |> String.split()
+    found = Enum.filter(assigns.items, &found?(&1, assigns.facts, words))
+    assigns = assign(assigns, found: Enum.take(found, @most), more: max(length(found) - @most, 0))
+
     ~H"""
-    <main class="home">
+    <main class="home" id="home" phx-hook="Lists">
       <h1><.logo /><span>Situ Studio</span></h1>
-      <p class="hint">{count(length(@items))}</p>
+      <p class="hint" role="status">{count(length(@items), length(@found), @query)}</p>
+      <form :if={length(@items) > 5 or @query != ""} class="search" phx-change="search" phx-submit="search"
+          id="search-form">
+        <input id="search" name="query" value={@query} placeholder="Search names and streams  /" autocomplete="off"
+            phx-debounce="80" aria-label="Search names and streams">
+      </form>
       <div class="list">
-        <a :for={item <- @items} :key={item.id} class="item"
-            href={Situ.Studio.Web.Address.of(item.id)}><b>{item.title}</b><span
-            class="dim">{kind(item.kind)}</span><span class="dim">{at(item)}</span></a>
+        <a :for={item <- @found} :key={item.id} class="item" href={Address.item(item)}>
+          <.picture item={item} facts={@facts[item.path]} />
+          <span><b>{item.title}</b><span class="dim"><span :for={said <- said(item, @facts[item.path])}>{said}</span></span></span>
+          <span><.badges item={item} facts={@facts[item.path]} /></span></a>
       </div>
-      <p :if={@items == []} class="hint">Nothing has been recorded here yet; what is recorded shows up by itself.</p>
+      <p :if={@more > 0} class="hint">{@more} more: search to find them</p>
+      <p :if={@items == []} class="hint">Nothing has been recorded here yet; what is recorded shows up by itself.
+        <code>bin/demo</code> makes a first recording.</p>
+      <div id="toast" role="status" phx-update="ignore"></div>
     </main>
     """
+  end
+
+  defp found?(_item, _facts, []), do: true
+
+  defp found?(item, facts, words) do
+    streams = for %{streams: streams} <- [facts[item.path]], s <- streams, do: s.name
+    text = [item.title | streams] |> Enum.join("\n") |> String.downcase()
+    Enum.all?(words, &String.contains?(text, &1))
+  end
+
+  attr(:item, :any, required: true)
+  attr(:facts, :any, required: true)
+
+  defp picture(assigns) do
+    ~H"""
+    <img :if={pictured?(@facts)} class="thumb" alt="" loading="lazy" width="96" height="54"
+        src={Address.thumbnail(@item.id)}>
+    <span :if={not pictured?(@facts)} class="thumb"><.icon
+        name={if @item.kind == :pipeline, do: :pipeline, else: :store} /></span>
+    """
+  end
+
+  defp pictured?(nil), do: false
+
+  defp pictured?(facts),
+    do: Enum.any?(facts.streams, &(&1.shape in [:image, :audio, :signal] and &1.count > 0))
+
+  attr(:item, :any, required: true)
+  attr(:facts, :any, required: true)
+
+  defp badges(assigns) do
+    ~H"""
+    <span :if={@item.live or (@facts != nil and @facts.live)} class="badge live">live</span>
+    <span :if={@facts != nil and (@facts.damaged or @facts.error != nil)} class="badge damaged"
+        title={@facts.error && @facts.error.what}>{if @facts.error, do: "cannot be opened", else: "damaged"}</span>
+    """
+  end
+
+  defp said(item, facts), do: [kind(item.kind) | of(facts)] ++ List.wrap(at(item))
+
+  defp of(nil), do: []
+
+  defp of(facts) do
+    streams = length(facts.streams)
+
+    Enum.reject(
+      [
+        Facts.duration(facts),
+        if(streams == 1, do: "1 stream", else: "#{streams} streams"),
+        Side.bytes(facts.size)
+      ],
+      &(&1 == "")
+    )
   end
 
   # When it was last written to, in the time of this machine.
@@ -50,16 +156,18 @@ defmodule Situ.Studio.Web.HomeView do
         mtime |> NaiveDateTime.from_erl!() |> NaiveDateTime.to_string() |> String.slice(0, 16)
 
       _ ->
-        ""
+        nil
     end
   end
 
-  defp at(_), do: ""
+  defp at(_), do: nil
 
   defp kind(:store), do: "recording"
   defp kind(:pipeline), do: "running pipeline"
   defp kind(:source), do: "in memory"
+  defp kind(:dataset), do: "dataset"
 
-  defp count(1), do: "1 thing to look at"
-  defp count(n), do: "#{n} things to look at"
+  defp count(1, _, ""), do: "1 thing to look at"
+  defp count(n, _, ""), do: "#{n} things to look at"
+  defp count(n, found, _), do: "#{found} of #{n}"
 end

@@ -19,6 +19,8 @@ defmodule Situ.Studio.Web.MainView do
     WholeNumber
   }
 
+  alias Situ.Studio.Datasets.Place
+
   alias Situ.Studio.Web.{
     Address,
     Annotation,
@@ -69,7 +71,10 @@ defmodule Situ.Studio.Web.MainView do
         if connected?(socket), do: Process.send_after(self(), :refresh, @refresh_ms)
         damage = Source.damage(source)
         socket = socket |> assign(item: item, source: source, damage: damage) |> load_streams()
-        socket = assign(socket, snap: known(params["snap"], socket.assigns.shapes))
+        shapes = socket.assigns.shapes
+        stream = known(params["stream"], shapes)
+        socket = assign(socket, snap: known(params["snap"], shapes))
+        socket = assign(socket, selected: stream && {:stream, stream})
         {:ok, socket |> LayoutMenu.choose(params) |> Annotation.restore(params)}
 
       {:error, error} ->
@@ -95,7 +100,7 @@ defmodule Situ.Studio.Web.MainView do
       lanes: lanes(streams, socket.assigns.seen_lanes),
       coverage: coverage(streams, socket.assigns.source),
       names: Situ.JSON.encode(Enum.map(names, &valid/1)),
-      sources: Enum.map(Catalog.list(socket.assigns.studio), &entry/1)
+      sources: sources(socket.assigns)
     )
   end
 
@@ -114,8 +119,24 @@ defmodule Situ.Studio.Web.MainView do
 
   defp valid(name), do: if(String.valid?(name), do: name, else: inspect(name))
 
+  # Beside what belongs to a dataset stand its sessions, else all there is.
+  defp sources(%{studio: studio, item: %{dataset: id}} = assigns) when is_binary(id) do
+    with {:ok, %{path: file}} <- Catalog.find(studio, id),
+         {:ok, dataset} <- Situ.Dataset.load(file) do
+      back = %{id: id, title: dataset.name, kind: :dataset, href: Address.dataset(id)}
+
+      [back | for(s <- dataset.sessions, do: session(Place.id(id, [s.name]), s.name))]
+    else
+      _ -> assigns[:sources] || []
+    end
+  end
+
+  defp sources(%{studio: studio}), do: Enum.map(Catalog.list(studio), &entry/1)
+
+  defp session(id, name), do: %{id: id, title: name, kind: :session, href: Address.of(id)}
+
   defp entry(item),
-    do: %{id: item.id, title: item.title, kind: item.kind, href: Address.of(item.id)}
+    do: %{id: item.id, title: item.title, kind: item.kind, href: Address.item(item)}
 
   @impl true
   def handle_event("streams_changed", _, socket) do

@@ -2,7 +2,7 @@ defmodule Situ.Studio.Web.Routes do
   @moduledoc false
   # The addresses of a studio.
   alias Situ.Studio.PipelineView
-  alias Situ.Studio.Web.{DataHandler, DataHttp, HomeView, MainView}
+  alias Situ.Studio.Web.{DataHandler, DataHttp, DatasetView, HomeView, MainView}
 
   @spec all(String.t()) :: [tuple()]
   def all(studio) do
@@ -11,13 +11,15 @@ defmodule Situ.Studio.Web.Routes do
     [
       {:live, "/", HomeView, session: session},
       {:live, "/s/*id", MainView, session: session},
+      {:live, "/d/*id", DatasetView, session: session},
       {:live, "/p/*id", PipelineView, session: session},
       {:static, "/assets", {:situ_studio, "priv/static"}},
       {:socket, "/data/socket", DataHandler, studio, max_frame: 262_144},
       {:get, "/data/window", {DataHttp, {studio, :window}}},
       {:get, "/data/at", {DataHttp, {studio, :at}}},
       {:get, "/data/pcm", {DataHttp, {studio, :pcm}}},
-      {:get, "/data/step", {DataHttp, {studio, :step}}}
+      {:get, "/data/step", {DataHttp, {studio, :step}}},
+      {:get, "/data/thumbnail", {DataHttp, {studio, :thumbnail}}}
     ]
   end
 end

@@ -1,0 +1,52 @@
+// The pages that list things (recordings, a dataset): menus of their rows, the theme, the search by its key.
+
+import { Menu } from "./menu.js";
+import { setTheme } from "./theme.js";
+import { copy, toast } from "./toast.js";
+
+const otherTheme = () => setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
+
+// What a row's menu holds comes with it (`Situ.Studio.Web.Dataset.Menu`).
+function items(hook, row) {
+  return JSON.parse(row.dataset.items).map((item) =>
+    item === "-" ? item : { text: item.text, run: () => run(hook, item) },
+  );
+}
+
+function run(hook, { href, tab, copy: text, sure, event, value }) {
+  if (href && tab) window.open(href);
+  else if (href) location.assign(href);
+  else if (text !== undefined) copy(text, "Copied");
+  else if (!sure || window.confirm(sure)) hook.pushEvent(event, value);
+}
+
+export const hooks = {
+  Lists: {
+    mounted() {
+      this.menu = new Menu(document.body, (target) => {
+        const row = target.closest("[data-items]");
+        return row && items(this, row);
+      });
+      this.el.addEventListener("click", (e) => {
+        if (e.target.closest("[data-act='theme']")) otherTheme();
+        const dots = e.target.closest(".dots");
+        if (!dots) return;
+        const box = dots.getBoundingClientRect();
+        this.menu.open(items(this, dots.closest("[data-items]")), box.left, box.bottom);
+      });
+      this.key = (e) => {
+        if (e.target.closest?.("input, textarea, select, dialog") || e.ctrlKey || e.metaKey || e.altKey) return;
+        if (e.key === "/") document.getElementById("search")?.focus();
+        else if (e.key === "t") otherTheme();
+        else return;
+        e.preventDefault();
+      };
+      document.addEventListener("keydown", this.key);
+      this.handleEvent("toast", ({ text }) => toast(text));
+    },
+    destroyed() {
+      document.removeEventListener("keydown", this.key);
+      this.menu.destroy();
+    },
+  },
+};

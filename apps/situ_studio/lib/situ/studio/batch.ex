@@ -1,0 +1,166 @@
+defmodule Situ.Studio.Batch do
+  @moduledoc """
+  The batch runs of a studio. They go on when the page that began them is closed, and every page of the dataset sees
+  them. A run that dies with the server is taken up by the next of the same output (`Situ.Dataset.Derivation`).
+  """
+  use GenServer
+
+  alias Situ.Dataset.{Derivation, Server, Task}
+  alias Situ.Error
+  alias Situ.Studio.Batch.Run
+  alias Situ.Studio.Datasets
+
+  # How often pages are told, and how many runs that are over are remembered.
+  @tell_ms 250
+  @kept 20
+
+  @doc "Starts it for the studio called `:id`."
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(opts), do: GenServer.start_link(__MODULE__, opts[:id], name: via(opts[:id]))
+
+  defp via(id), do: {:via, Registry, {Situ.Studio.Registry, {id, :batch}}}
+
+  @doc "The runs over the dataset in `file`, newest first; from now on the caller gets `{:batch, file, runs}`."
+  @spec subscribe(String.t(), Path.t()) :: [Run.t()]
+  def subscribe(studio, file), do: GenServer.call(via(studio), {:subscribe, file, self()})
+
+  @doc """
+  Begins the task of that name over `sessions` of the dataset; `config` are its options as a page or a file has them.
+  `opts`: `:output` (else the task's own), `:overwrite`, `:parallel`. Errors: `:no_task`, those of its options, `:busy`
+  when one with the same output runs already.
+  """
+  @spec start(String.t(), {pid(), Path.t()}, String.t(), [String.t()], map(), keyword()) ::
+          {:ok, pos_integer()} | {:error, Error.t()}
+  def start(studio, {server, file}, task, sessions, config, opts \\ []) do
+    with {:ok, module} <- Task.fetch(task),
+         %{options: schema, output: output} = module.task(),
+         {:ok, options} <- Task.options(schema, config),
+         {:ok, dataset} <- Datasets.refresh(server, file),
+         {:ok, chosen} <- chosen(dataset, sessions) do
+      opts = Keyword.put_new(opts, :output, output)
+      job = {module, chosen, [options: options] ++ opts}
+      GenServer.call(via(studio), {:start, {server, file}, task, job})
+    end
+  end
+
+  defp chosen(dataset, names) do
+    case Enum.filter(dataset.sessions, &(&1.name in names)) do
+      [] -> {:error, Error.new(:no_session, "no session is chosen", fix: "choose at least one")}
+      sessions -> {:ok, sessions}
+    end
+  end
+
+  @doc "Ends a run; the sessions that are done keep their output."
+  @spec cancel(String.t(), pos_integer()) :: :ok
+  def cancel(studio, id), do: GenServer.call(via(studio), {:cancel, id})
+
+  @impl true
+  def init(_id), do: {:ok, %{runs: [], tasks: %{}, next: 1, subscribers: %{}, told: 0, due: nil}}
+
+  @impl true
+  def handle_call({:subscribe, file, pid}, _from, state) do
+    monitor = Process.monitor(pid)
+    subscribers = Map.put(state.subscribers, monitor, {pid, file})
+    {:reply, of(state, file), %{state | subscribers: subscribers}}
+  end
+
+  def handle_call({:start, {_, file} = dataset, task, {_, sessions, opts} = job}, _from, state) do
+    if busy?(state, file, opts[:output]) do
+      {:reply, {:error, busy(opts[:output] || task)}, state}
+    else
+      cancel = :counters.new(1, [])
+      id = state.next
+
+      run = %Run{
+        id: id,
+        file: file,
+        task: task,
+        output: opts[:output],
+        sessions: Enum.map(sessions, & &1.name),
+        cancel: cancel,
+        began: now()
+      }
+
+      %{ref: ref} = work(self(), id, dataset, job, cancel)
+      state = %{state | next: id + 1, tasks: Map.put(state.tasks, ref, id)}
+      {:reply, {:ok, id}, tell(%{state | runs: Enum.take([run | state.runs], @kept)})}
+    end
+  end
+
+  def handle_call({:cancel, id}, _from, state) do
+    for %Run{id: ^id, cancel: cancel} <- state.runs, do: :counters.put(cancel, 1, 1)
+    {:reply, :ok, state}
+  end
+
+  defp busy?(state, file, output),
+    do: Enum.any?(state.runs, &match?(%{file: ^file, output: ^output, status: :running}, &1))
+
+  defp busy(name),
+    do: Error.new(:busy, "#{name} is being made already", fix: "wait for it, or cancel it")
+
+  defp work(owner, id, {server, file}, {module, sessions, opts}, cancel) do
+    commit = fn server, session, partition ->
+      with {:ok, _} <- Datasets.put_partition(server, file, session.name, partition),
+           do: {:ok, server}
+    end
+
+    opts =
+      [
+        progress: &send(owner, {:progress, id, &1}),
+        cancel: fn -> :counters.get(cancel, 1) > 0 end
+      ] ++ opts
+
+    Elixir.Task.Supervisor.async_nolink(Situ.Studio.Tasks, fn ->
+      Derivation.run(sessions, module, Server.get(server).file, {server, commit}, opts)
+    end)
+  end
+
+  @impl true
+  def handle_info({:progress, id, progress}, state),
+    do: {:noreply, state |> change(id, &Run.progress(&1, progress)) |> later()}
+
+  def handle_info({ref, result}, %{tasks: tasks} = state) when is_map_key(tasks, ref) do
+    Process.demonitor(ref, [:flush])
+    {:noreply, over(state, ref, result)}
+  end
+
+  def handle_info({:DOWN, ref, _, _, reason}, %{tasks: tasks} = state)
+      when is_map_key(tasks, ref) do
+    error = Error.new(:run_crashed, "the run has ended: #{inspect(reason, limit: 10)}")
+    {:noreply, over(state, ref, {:error, error})}
+  end
+
+  def handle_info({:DOWN, monitor, _, _, _}, state),
+    do: {:noreply, %{state | subscribers: Map.delete(state.subscribers, monitor)}}
+
+  def handle_info(:tell, state), do: {:noreply, tell(state)}
+  def handle_info(_stray, state), do: {:noreply, state}
+
+  defp over(state, ref, result) do
+    {id, tasks} = Map.pop!(state.tasks, ref)
+    tell(change(%{state | tasks: tasks}, id, &Run.finish(&1, result, now())))
+  end
+
+  defp change(state, id, fun),
+    do: %{state | runs: Enum.map(state.runs, &if(&1.id == id, do: fun.(&1), else: &1))}
+
+  # Pages are told at once, but not more often than they can show.
+  defp later(%{due: nil} = state) do
+    case now() - state.told do
+      ago when ago >= @tell_ms -> tell(state)
+      ago -> %{state | due: Process.send_after(self(), :tell, @tell_ms - ago)}
+    end
+  end
+
+  defp later(state), do: state
+
+  defp tell(state) do
+    if state.due, do: Process.cancel_timer(state.due)
+    for {_, {pid, file}} <- state.subscribers, do: send(pid, {:batch, file, of(state, file)})
+    %{state | told: now(), due: nil}
+  end
+
+  defp of(state, file), do: Enum.filter(state.runs, &(&1.file == file))
+
+  defp now, do: System.monotonic_time(:millisecond)
+end

@@ -1,0 +1,53 @@
+defmodule Situ.Studio.Batch.Configurations do
+  @moduledoc """
+  Saved options of batch tasks, by name: a JSON file each, in a folder for each task.
+
+      iex> folder = Path.join(System.tmp_dir!(), "situ-doc-configurations")
+      iex> Situ.Studio.Batch.Configurations.save(folder, "loudness", "Room 1", %{"stream" => "Mic"})
+      :ok
+      iex> Situ.Studio.Batch.Configurations.all(folder, "loudness")
+      [{"Room 1", %{"stream" => "Mic"}}]
+      iex> Situ.Studio.Batch.Configurations.delete(folder, "loudness", "Room 1")
+      iex> Situ.Studio.Batch.Configurations.all(folder, "loudness")
+      []
+  """
+  alias Situ.Error
+
+  @doc "All of a task, by name; what cannot be read is left out."
+  @spec all(Path.t(), String.t()) :: [{String.t(), map()}]
+  def all(folder, task) do
+    for path <- folder |> place(task) |> Path.join("*.json") |> Path.wildcard() |> Enum.sort(),
+        {:ok, text} <- [File.read(path)],
+        {:ok, %{} = config} <- [Situ.JSON.decode(text)],
+        do: {path |> Path.basename(".json") |> URI.decode(), config}
+  end
+
+  @doc "Saves one, in the place of one of its name."
+  @spec save(Path.t(), String.t(), String.t(), map()) :: :ok | {:error, Error.t()}
+  def save(folder, task, name, config) do
+    with path = file(folder, task, name),
+         :ok <- File.mkdir_p(Path.dirname(path)),
+         :ok <- File.write(path, Situ.JSON.pretty(config) <> "\n") do
+      :ok
+    else
+      {:error, reason} ->
+        {:error,
+         Error.new(:not_saved, "the options cannot be saved",
+           why: to_string(:file.format_error(reason))
+         )}
+    end
+  end
+
+  @doc "Deletes one."
+  @spec delete(Path.t(), String.t(), String.t()) :: :ok
+  def delete(folder, task, name) do
+    _ = File.rm(file(folder, task, name))
+    :ok
+  end
+
+  defp place(folder, task), do: Path.join([folder, "tasks", safe(task)])
+  defp file(folder, task, name), do: Path.join(place(folder, task), safe(name) <> ".json")
+
+  defp safe(name),
+    do: name |> String.slice(0, 60) |> URI.encode(&(URI.char_unreserved?(&1) and &1 != ?.))
+end

@@ -1,0 +1,123 @@
+defmodule Situ.Studio.Batch.Form do
+  @moduledoc """
+  A form for a task's options, out of their schema, and the options out of what a page sends.
+
+      iex> schema = [stream: [type: :string, default: "Audio", doc: "The sound."], exact: [type: :boolean, default: false]]
+      iex> for f <- Situ.Studio.Batch.Form.fields(schema, %{}), do: {f.name, f.kind, f.value}
+      [{"stream", :text, "Audio"}, {"exact", :check, false}]
+      iex> Situ.Studio.Batch.Form.config(schema, %{"stream" => "Mic", "exact" => "true"})
+      {:ok, %{"exact" => true, "stream" => "Mic"}}
+      iex> {:error, error} = Situ.Studio.Batch.Form.config([rate: [type: :pos_integer]], %{"rate" => "fast"})
+      iex> error.what
+      "rate must be a whole number, not \\"fast\\""
+  """
+  alias Situ.{Error, Options}
+
+  @type field :: %{
+          name: String.t(),
+          kind: :text | :number | :check | :choice,
+          value: term(),
+          choices: [String.t()],
+          doc: String.t() | nil,
+          required: boolean()
+        }
+
+  @doc "The fields, with the values of a configuration or their defaults; hidden options have none."
+  @spec fields(Options.schema(), map()) :: [field()]
+  def fields(schema, config) do
+    for {key, spec} <- schema, spec[:doc] != false do
+      name = Atom.to_string(key)
+      type = bare(spec[:type] || :any)
+      value = Map.get(config, name, spec[:default])
+
+      %{
+        name: name,
+        kind: kind(type),
+        value: shown(value),
+        choices: choices(type),
+        doc: spec[:doc],
+        required: spec[:required] == true
+      }
+    end
+  end
+
+  defp bare({:optional, type}), do: bare(type)
+  defp bare(type), do: type
+
+  defp kind(:boolean), do: :check
+  defp kind({:in, _}), do: :choice
+  defp kind({:range, _, _}), do: :number
+
+  defp kind(type) when type in [:integer, :pos_integer, :non_neg_integer, :number, :float],
+    do: :number
+
+  defp kind(_), do: :text
+
+  defp choices({:in, values}), do: Enum.map(values, &to_string/1)
+  defp choices(_), do: []
+
+  defp shown(value) when is_list(value), do: Enum.map_join(value, ", ", &to_string/1)
+  defp shown(value) when is_map(value) or is_tuple(value), do: inspect(value)
+
+  defp shown(value) when is_atom(value) and not is_boolean(value) and value != nil,
+    do: to_string(value)
+
+  defp shown(value), do: value
+
+  @doc "What a page sends, as a configuration that `Situ.Dataset.Task.options/2` reads. Empty fields are left out."
+  @spec config(Options.schema(), map()) :: {:ok, map()} | {:error, Error.t()}
+  def config(schema, params) do
+    Enum.reduce_while(schema, {:ok, %{}}, fn {key, spec}, {:ok, config} ->
+      name = Atom.to_string(key)
+
+      case read(bare(spec[:type] || :any), params[name]) do
+        :absent -> {:cont, {:ok, config}}
+        {:ok, value} -> {:cont, {:ok, Map.put(config, name, value)}}
+        {:error, wanted} -> {:halt, {:error, bad(name, wanted, params[name])}}
+      end
+    end)
+  end
+
+  # A box that is not ticked sends nothing.
+  defp read(:boolean, value), do: {:ok, value in ["true", "on"]}
+  defp read(_type, value) when value in [nil, ""], do: :absent
+  defp read(_type, value) when not is_binary(value), do: {:error, "a text"}
+
+  defp read(type, text) when type in [:integer, :pos_integer, :non_neg_integer] do
+    case Integer.parse(String.trim(text)) do
+      {n, ""} -> {:ok, n}
+      _ -> {:error, "a whole number"}
+    end
+  end
+
+  defp read(type, text) when type in [:number, :float] or elem(type, 0) == :range do
+    case {Integer.parse(String.trim(text)), Float.parse(String.trim(text))} do
+      {{n, ""}, _} -> {:ok, n}
+      {_, {x, ""}} -> {:ok, x}
+      _ -> {:error, "a number"}
+    end
+  end
+
+  defp read({:list, type}, text) do
+    parts = text |> String.split(",") |> Enum.map(&String.trim/1) |> Enum.reject(&(&1 == ""))
+
+    Enum.reduce_while(parts, {:ok, []}, fn part, {:ok, read} ->
+      case read(bare(type), part) do
+        {:ok, value} -> {:cont, {:ok, read ++ [value]}}
+        error -> {:halt, error}
+      end
+    end)
+  end
+
+  defp read(type, text) when type in [:map, :any, :list] or elem(type, 0) == :or do
+    case Situ.JSON.decode(text) do
+      {:ok, value} -> {:ok, value}
+      {:error, _} -> {:ok, text}
+    end
+  end
+
+  defp read(_type, text), do: {:ok, text}
+
+  defp bad(name, wanted, got),
+    do: Error.new(:bad_option, "#{name} must be #{wanted}, not #{inspect(got)}")
+end

@@ -1,0 +1,54 @@
+defmodule Situ.Studio.Batch.Run do
+  @moduledoc """
+  One run of a batch task over sessions of a dataset: how far it is and how it went.
+
+      iex> run = %Situ.Studio.Batch.Run{id: 1, file: "study.json", task: "statistics", began: 0}
+      iex> run = Situ.Studio.Batch.Run.progress(run, %{done: 0.25})
+      iex> {Situ.Studio.Batch.Run.elapsed(run, 10_000), Situ.Studio.Batch.Run.remaining(run, 10_000)}
+      {10000, 30000}
+      iex> Situ.Studio.Batch.Run.remaining(%{run | progress: %{done: 0.001}}, 10_000)
+      nil
+  """
+  alias Situ.Dataset.Derivation.Report
+
+  @enforce_keys [:id, :file, :task, :began]
+  defstruct [:id, :file, :task, :began, :ended, :output, :cancel, :error, :report] ++
+              [status: :running, sessions: [], progress: %{done: 0.0, running: []}]
+
+  @type t :: %__MODULE__{}
+
+  # Before so much is done, a guess at the rest is worth nothing.
+  @guess 0.02
+
+  @doc "With newer progress, as `Situ.Dataset.derive/3` tells it."
+  @spec progress(t(), map()) :: t()
+  def progress(%__MODULE__{} = run, progress), do: %{run | progress: progress}
+
+  @doc "Over: with a report, or the error that it ended with."
+  @spec finish(t(), {:ok, term(), Report.t()} | {:error, Situ.Error.t()}, integer()) :: t()
+  def finish(%__MODULE__{} = run, {:ok, _, %Report{} = report}, now) do
+    status =
+      cond do
+        report.cancelled? -> :cancelled
+        Report.failures(report) != [] -> :failed
+        true -> :done
+      end
+
+    %{run | status: status, report: report, ended: now}
+  end
+
+  def finish(%__MODULE__{} = run, {:error, error}, now),
+    do: %{run | status: :failed, error: error, ended: now}
+
+  @doc "How long it has run, ms; `now` as `began`."
+  @spec elapsed(t(), integer()) :: non_neg_integer()
+  def elapsed(%__MODULE__{} = run, now), do: max((run.ended || now) - run.began, 0)
+
+  @doc "About how long it still takes, ms; `nil` where nobody can tell yet, and when it is over."
+  @spec remaining(t(), integer()) :: non_neg_integer() | nil
+  def remaining(%__MODULE__{status: :running, progress: %{done: done}} = run, now)
+      when done >= @guess,
+      do: round(elapsed(run, now) * (1 - done) / done)
+
+  def remaining(_, _), do: nil
+end

@@ -1,0 +1,74 @@
+defmodule Situ.Studio.Datasets.Facts do
+  @moduledoc """
+  What lists say of a recording without showing it: times, streams, size, or why it cannot be opened.
+  """
+  alias Situ.{Error, Store}
+  alias Situ.Studio.{Source, StreamInfo}
+
+  defstruct streams: [], from: nil, to: nil, size: 0, live: false, damaged: false, error: nil
+
+  @type t :: %__MODULE__{
+          streams: [StreamInfo.t()],
+          from: Situ.Time.t() | nil,
+          to: Situ.Time.t() | nil,
+          size: non_neg_integer(),
+          live: boolean(),
+          damaged: boolean(),
+          error: Error.t() | nil
+        }
+
+  @doc "Of the recording at a path: opens it."
+  @spec of(Path.t()) :: t()
+  def of(path) do
+    with {:ok, source} <- Source.Store.open(path),
+         {:ok, streams} <- Source.call(source, :streams, []),
+         {:ok, extent} <- Source.call(source, :extent, []) do
+      timed? = Enum.any?(streams, & &1.first)
+
+      %__MODULE__{
+        streams: streams,
+        from: if(timed?, do: extent.from),
+        to: if(timed?, do: extent.to),
+        size: streams |> Enum.map(& &1.bytes) |> Enum.sum(),
+        live: extent.live,
+        damaged: Source.damage(source) != []
+      }
+    else
+      {:error, error} -> %__MODULE__{error: error}
+    end
+  end
+
+  @doc "Of several together."
+  @spec sum([t()]) :: t()
+  def sum(facts) do
+    %__MODULE__{
+      streams: Enum.flat_map(facts, & &1.streams),
+      from: facts |> Enum.map(& &1.from) |> Enum.reject(&is_nil/1) |> Enum.min(fn -> nil end),
+      to: facts |> Enum.map(& &1.to) |> Enum.reject(&is_nil/1) |> Enum.max(fn -> nil end),
+      size: facts |> Enum.map(& &1.size) |> Enum.sum(),
+      live: Enum.any?(facts, & &1.live),
+      damaged: Enum.any?(facts, &(&1.damaged or &1.error != nil))
+    }
+  end
+
+  @doc """
+  How long, as people say it; empty where there are no messages.
+
+      iex> Situ.Studio.Datasets.Facts.duration(%Situ.Studio.Datasets.Facts{from: 0, to: 90_000_000_000})
+      "1 min 30 s"
+  """
+  @spec duration(t()) :: String.t()
+  def duration(%__MODULE__{from: nil}), do: ""
+  def duration(%__MODULE__{from: from, to: to}), do: Situ.Time.format_duration(to - from)
+
+  @doc "The files a recording is made of, as a stamp that changes when it is replaced or grows."
+  @spec stamp(Path.t()) :: term()
+  def stamp(path) do
+    index = Path.join(path, "index.situ")
+
+    case File.stat(if(Store.exists?(path) and File.exists?(index), do: index, else: path)) do
+      {:ok, stat} -> {stat.size, stat.mtime, stat.inode}
+      {:error, reason} -> reason
+    end
+  end
+end

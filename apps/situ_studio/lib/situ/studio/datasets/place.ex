@@ -1,0 +1,37 @@
+defmodule Situ.Studio.Datasets.Place do
+  @moduledoc """
+  Where a session or a recording of a dataset stands in an address: the dataset's own id, then the session, then the
+  partition, each written so that it holds no slash.
+
+      iex> id = Situ.Studio.Datasets.Place.id("study.json", ["day 1/am", "Room"])
+      iex> id
+      "study.json/day 1%2Fam/Room"
+      iex> Situ.Studio.Datasets.Place.splits(id)
+      [{"study.json", ["day 1/am", "Room"]}, {"study.json/day 1%2Fam", ["Room"]}]
+  """
+
+  @doc "The id of a part of the dataset `dataset`."
+  @spec id(String.t(), [String.t()]) :: String.t()
+  def id(dataset, parts),
+    do: Enum.join([dataset | Enum.map(parts, &escape/1)], "/")
+
+  defp escape(name), do: URI.encode(name, &(&1 not in [?/, ?%]))
+
+  @doc "The ways to read an id as a dataset with one or two names behind it, the deepest first."
+  @spec splits(String.t()) :: [{String.t(), [String.t()]}]
+  def splits(id) do
+    segments = String.split(id, "/")
+
+    for n <- [2, 1], length(segments) > n do
+      {dataset, parts} = Enum.split(segments, -n)
+      {Enum.join(dataset, "/"), Enum.map(parts, &unescape/1)}
+    end
+  end
+
+  # What is no escape is meant as it stands.
+  defp unescape(text) do
+    URI.decode(text)
+  rescue
+    ArgumentError -> text
+  end
+end

@@ -1,0 +1,94 @@
+defmodule Situ.Studio.Thumbnail do
+  @moduledoc """
+  A small picture of a recording, for lists: a picture out of its middle, or the line of its first signal.
+  """
+  alias Situ.{Image, Imaging}
+  alias Situ.Studio.{Draw, Source}
+
+  @width 160
+  @height 90
+  @bins 80
+
+  @doc "The bytes with their media type; `:none` where the recording has nothing to picture."
+  @spec of(Source.t()) :: {:ok, String.t(), iodata()} | :none
+  def of(source) do
+    with {:ok, streams} <- Source.call(source, :streams, []),
+         {:ok, extent} <- Source.call(source, :extent, []) do
+      middle = div(extent.from + extent.to, 2)
+
+      picture(source, named(streams, [:image]), middle) ||
+        line(source, named(streams, [:audio, :signal]), extent) || :none
+    else
+      {:error, _} -> :none
+    end
+  end
+
+  defp named(streams, shapes), do: for(s <- streams, s.shape in shapes, s.count > 0, do: s)
+
+  defp picture(source, streams, middle) do
+    Enum.find_value(streams, fn stream ->
+      with {:ok, message} <- Source.nearest(source, stream.name, middle),
+           {:ok, small} <- small(message.data),
+           {:ok, data} <- Draw.Jpeg.encode(small, 80) do
+        {:ok, "image/jpeg", data}
+      else
+        _ -> encoded(source, stream, middle)
+      end
+    end)
+  end
+
+  defp small(%Image{width: w, height: h} = image) do
+    k = min(min(@width / w, @height / h), 1.0)
+    Imaging.Geometry.resize(image, max(round(w * k), 1), max(round(h * k), 1))
+  end
+
+  defp small(_), do: :error
+
+  # A picture that is stored as a file goes as it is: browsers make it small themselves.
+  defp encoded(source, stream, middle) do
+    with {:ok, message} <- Source.nearest(source, stream.name, middle),
+         {:ok, {format, _, _, data, _}} when format in [:jpeg, :png] <-
+           Draw.Picture.of(message.data) do
+      {:ok, "image/#{format}", data}
+    else
+      _ -> nil
+    end
+  end
+
+  defp line(source, streams, extent) do
+    Enum.find_value(streams, fn stream ->
+      from = max(stream.first || extent.from, extent.from)
+      to = min(stream.last || extent.to, extent.to)
+
+      with {:ok, [_, _ | _] = points, _} <-
+             Source.call(source, :series, [stream.name, from, to, max(div(to - from, @bins), 1)]),
+           ends when ends != nil <- ends(points) do
+        {:ok, "image/svg+xml", svg(points, ends, from, to)}
+      else
+        _ -> nil
+      end
+    end)
+  end
+
+  defp ends(points) do
+    lows = for {_, low, _, _, _} when is_number(low) <- points, do: low
+    highs = for {_, _, high, _, _} when is_number(high) <- points, do: high
+    if lows == [] or highs == [], do: nil, else: {Enum.min(lows), Enum.max(highs)}
+  end
+
+  # The envelope: up along the highest values, back along the lowest.
+  defp svg(points, {low, high}, from, to) do
+    x = fn t -> @width * (t - from) / max(to - from, 1) end
+    y = fn v -> 4 + (@height - 8) * (1 - (v - low) / max(high - low, 1.0e-12)) end
+    points = Enum.filter(points, fn {_, a, b, _, _} -> is_number(a) and is_number(b) end)
+    up = for {t, _, high, _, _} <- points, do: corner(x.(t), y.(high))
+    down = for {t, low, _, _, _} <- Enum.reverse(points), do: corner(x.(t), y.(low))
+
+    [
+      ~s(<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 #{@width} #{@height}">),
+      ~s(<path d="M#{Enum.join(up ++ down, "L")}Z" fill="#4ea1f3" fill-opacity=".5" stroke="#4ea1f3"/></svg>)
+    ]
+  end
+
+  defp corner(x, y), do: "#{Float.round(x / 1, 1)} #{Float.round(y / 1, 1)}"
+end

@@ -1,0 +1,175 @@
+defmodule Situ.Studio.Web.Dataset.BatchDialog do
+  @moduledoc false
+  # Running a batch task: its options as a form, the sessions it runs over, options that were saved before.
+  use Situ.Live.Component
+
+  alias Situ.Live.Socket
+  alias Situ.Studio.Batch
+  alias Situ.Studio.Batch.{Configurations, Form}
+  alias Situ.Studio.Web.Dataset.Rows
+
+  @doc "Opens it for the task of that name, over one session or all that the search has found."
+  @spec open(Socket.t(), term(), [String.t()]) :: Socket.t()
+  def open(socket, name, path) do
+    case Enum.find(socket.assigns.tasks, &(&1.name == name)) do
+      nil -> socket
+      task -> assign(socket, dialog: {:task, state(task, path, socket.assigns)})
+    end
+  end
+
+  defp state(task, path, assigns) do
+    found =
+      for %{kind: :session, label: name} <-
+            Rows.of(assigns.dataset, assigns.facts, assigns.open, assigns.query),
+          do: name
+
+    %{
+      task: task,
+      sessions: found,
+      chosen: if(path == [], do: found, else: Enum.take(path, 1)),
+      config: %{},
+      output: task.output,
+      saved: Configurations.all(assigns.folder, task.name),
+      picked: "",
+      again: 0,
+      error: nil
+    }
+  end
+
+  @spec handle_event(String.t(), map(), Socket.t()) :: Socket.t()
+  def handle_event("run_cancel", %{"run" => run}, socket) do
+    with {id, ""} <- Integer.parse(to_string(run)), do: Batch.cancel(socket.assigns.studio, id)
+    socket
+  end
+
+  def handle_event("run_pick", %{"saved" => name}, %{assigns: %{dialog: {:task, state}}} = socket) do
+    config = Enum.find_value(state.saved, %{}, fn {n, config} -> if n == name, do: config end)
+    put(socket, %{state | config: config, picked: name, again: state.again + 1, error: nil})
+  end
+
+  def handle_event(
+        "run_forget",
+        _,
+        %{assigns: %{dialog: {:task, state}, folder: folder}} = socket
+      ) do
+    Configurations.delete(folder, state.task.name, state.picked)
+    put(socket, %{state | saved: Configurations.all(folder, state.task.name), picked: ""})
+  end
+
+  def handle_event("run_start", params, %{assigns: %{dialog: {:task, state}} = assigns} = socket) do
+    chosen =
+      for {name, i} <- Enum.with_index(state.sessions), on?(params, "session", "#{i}"), do: name
+
+    state = %{state | chosen: chosen}
+
+    with {:ok, config} <- Form.config(state.task.options, params["option"] || %{}),
+         state = %{state | config: config},
+         :ok <- keep(params["keep"], state, assigns.folder),
+         {:ok, _} <- start(assigns, state, chosen, config, params) do
+      assign(socket, dialog: nil)
+    else
+      {:error, error} -> put(socket, %{state | error: Exception.message(error)})
+    end
+  end
+
+  def handle_event(_, _, socket), do: socket
+
+  defp start(assigns, state, chosen, config, params) do
+    opts = [overwrite: params["overwrite"] == "true"]
+    output = params["output"] |> to_string() |> String.trim()
+    opts = if state.output && output != "", do: [output: output] ++ opts, else: opts
+    opts = parallel(params["parallel"], opts)
+    dataset = {assigns.server, assigns.file}
+    Batch.start(assigns.studio, dataset, state.task.name, chosen, config, opts)
+  end
+
+  defp parallel(text, opts) do
+    case Integer.parse(to_string(text)) do
+      {n, _} when n in 1..64 -> [parallel: n] ++ opts
+      _ -> opts
+    end
+  end
+
+  defp on?(params, group, key), do: get_in(params, [group, key]) in ["true", "on"]
+
+  defp keep(name, state, folder) when is_binary(name) do
+    if String.trim(name) == "",
+      do: :ok,
+      else: Configurations.save(folder, state.task.name, String.trim(name), state.config)
+  end
+
+  defp keep(_, _, _), do: :ok
+
+  defp put(socket, state), do: assign(socket, dialog: {:task, state})
+
+  attr(:dialog, :any, required: true)
+
+  @doc false
+  def dialog(assigns) do
+    {:task, state} = assigns.dialog
+
+    assigns =
+      assign(assigns,
+        s: state,
+        fields: Form.fields(state.task.options, state.config),
+        all: length(state.sessions)
+      )
+
+    ~H"""
+    <dialog id="task" class="task" phx-hook="Modal" aria-label={"Run " <> @s.task.name}>
+      <h3>Run {@s.task.name}</h3>
+      <p class="hint">{@s.task.about}</p>
+      <form :if={@s.saved != []} id="task-saved" phx-change="run_pick">
+        <label>Saved options
+          <select name="saved"><option value="">the task's own</option><option :for={{name, _} <- @s.saved}
+              value={name} selected={name == @s.picked}>{name}</option></select></label>
+        <button :if={@s.picked != ""} class="btn" type="button" phx-click="run_forget">Delete {@s.picked}</button>
+      </form>
+      <form id={"task-form-#{@s.again}"} phx-submit="run_start">
+        <div :for={f <- @fields} class="option">
+          <label for={"option-" <> f.name}>{f.name}{if f.required, do: " *"}</label>
+          <.input field={f} />
+          <p :if={f.doc} class="hint">{f.doc}</p>
+        </div>
+        <div :if={@s.output} class="option"><label for="task-output">Output partition</label>
+          <input id="task-output" name="output" value={@s.output} maxlength="200">
+          <label class="check"><input type="checkbox" name="overwrite" value="true"> in the place of one of that name</label>
+        </div>
+        <div class="option"><label for="task-parallel">Sessions at once</label>
+          <input id="task-parallel" name="parallel" type="number" min="1" max="64" value="1"></div>
+        <fieldset>
+          <legend>Sessions</legend>
+          <div class="pick">
+            <label :for={{name, i} <- Enum.with_index(@s.sessions)}><input type="checkbox" name={"session[#{i}]"}
+                value="true" checked={name in @s.chosen}> {name}</label>
+          </div>
+        </fieldset>
+        <div class="option"><label for="task-keep">Save these options as</label>
+          <input id="task-keep" name="keep" maxlength="60" placeholder="not saved" autocomplete="off"></div>
+        <div class="error" role="alert">{@s.error}</div>
+        <div class="choices">
+          <button class="btn primary" type="submit">Run</button>
+          <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
+        </div>
+      </form>
+    </dialog>
+    """
+  end
+
+  attr(:field, :map, required: true)
+
+  defp input(assigns) do
+    assigns =
+      assign(assigns, id: "option-" <> assigns.field.name, name: "option[#{assigns.field.name}]")
+
+    ~H"""
+    <input :if={@field.kind == :check} id={@id} type="checkbox" name={@name} value="true"
+        checked={@field.value == true}>
+    <select :if={@field.kind == :choice} id={@id} name={@name}><option :for={c <- @field.choices} value={c}
+        selected={c == @field.value}>{c}</option></select>
+    <input :if={@field.kind in [:text, :number]} id={@id} name={@name} value={@field.value}
+        required={@field.required} inputmode={if @field.kind == :number, do: "decimal", else: "text"}
+        autocomplete="off">
+    """
+  end
+end

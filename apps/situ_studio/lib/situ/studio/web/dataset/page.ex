@@ -1,0 +1,274 @@
+defmodule Situ.Studio.Web.Dataset.Page do
+  @moduledoc false
+  # The parts of a dataset's page: the bar, the tree, the properties, the runs.
+  use Situ.Live.Component
+  import Situ.Studio.Web.Icons
+
+  alias Situ.Dataset.{Derivation.Report, Session}
+  alias Situ.Studio.Batch.Run
+  alias Situ.Studio.Datasets.{Facts, Place}
+  alias Situ.Studio.Web.Dataset.{Menu, Rows}
+  alias Situ.Studio.Web.{Address, Side}
+
+  attr(:title, :string, required: true)
+  attr(:file, :string, required: true)
+  attr(:read_only, :boolean, required: true)
+
+  @doc false
+  def top(assigns) do
+    ~H"""
+    <header class="topbar">
+      <a class="brand" href="/" title="All recordings"><.logo /><span>Situ</span></a>
+      <h1 class="where" title={@file}>{@title}</h1>
+      <span class="grow"></span>
+      <span :if={@read_only} class="hint">read only</span>
+      <.tool act="theme" icon={:theme} title="Dark or light (t)" />
+    </header>
+    """
+  end
+
+  attr(:dataset, :any, required: true)
+  attr(:facts, :map, required: true)
+  attr(:open, :any, required: true)
+  attr(:query, :string, required: true)
+  attr(:info, :atom, required: true)
+  attr(:selected, :list, required: true)
+  attr(:id, :string, required: true)
+  attr(:tasks, :list, required: true)
+  attr(:read_only, :boolean, required: true)
+
+  @doc false
+  def tree(assigns) do
+    rows = Rows.of(assigns.dataset, assigns.facts, assigns.open, assigns.query)
+    found = Enum.count(rows, &(&1.kind == :session))
+    assigns = assign(assigns, rows: rows, found: found)
+
+    ~H"""
+    <main class="dataset-tree" aria-label="Sessions">
+      <form class="search" phx-change="search" phx-submit="search" id="search-form">
+        <input id="search" name="query" value={@query} autocomplete="off" phx-debounce="80"
+            placeholder="Search sessions, tags, metadata, recordings and streams  /"
+            aria-label="Search sessions, tags, metadata, recordings and streams">
+        <button class="mini" type="button" phx-click="info_next" title={"Beside the names: #{@info}"}
+            aria-label="Show something else beside the names"><.icon name={:info} /></button>
+        <button class="mini" type="button" phx-click="fold_all" title="Fold all" aria-label="Fold all">⊟</button>
+        <button class="mini" type="button" phx-click="unfold_all" title="Unfold all"
+            aria-label="Unfold all">⊞</button>
+      </form>
+      <p :if={@query != ""} class="hint found" role="status">{@found} of {length(@dataset.sessions)} sessions</p>
+      <div id="tree" class="tree" role="tree" phx-hook="Tree" aria-label="Sessions">
+        <div :for={row <- @rows} :key={key(row)} id={key(row)} role="treeitem" tabindex="0"
+            class={["node", to_string(row.kind), row.path == @selected && "selected"]}
+            aria-expanded={row.open? != nil && to_string(row.open?)} aria-level={length(row.path) + 1}
+            aria-selected={to_string(row.path == @selected)}
+            data-items={Menu.of(row, %{id: @id, tasks: @tasks, read_only: @read_only})}
+            style={"padding-left: #{length(row.path) * 18}px"}>
+          <button :if={row.open? != nil} class="fold" type="button" tabindex="-1" phx-click="toggle"
+              phx-value-path={json(row)} aria-label={"fold " <> row.label}>{if row.open?, do: "▾", else: "▸"}</button>
+          <span :if={row.open? == nil} class="fold"></span>
+          <img :if={row.kind == :session and row.facts.streams != []} class="thumb" alt="" loading="lazy" width="64"
+              height="36" src={Address.thumbnail(Place.id(@id, row.path))}>
+          <button class="name" type="button" tabindex="-1" phx-click="select" phx-value-path={json(row)}
+              title={row.label}>{row.label}</button>
+          <span :for={tag <- row.tags} class="tag">{tag}</span>
+          <span :if={row.trouble} class="trouble" title={row.trouble}>{row.trouble}</span>
+          <span class="info">{Rows.info(row, @info)}</span>
+          <a :if={row.kind in [:session, :partition]} class="add" tabindex="-1"
+              href={Address.of(Place.id(@id, row.path))} title="Open (Enter)" aria-label={"open " <> row.label}>↗</a>
+          <button class="dots" type="button" tabindex="-1" aria-haspopup="menu"
+              aria-label={"menu of " <> row.label}>⋯</button>
+        </div>
+        <p :if={@dataset.sessions == []} class="hint empty">No sessions yet: the menu of the dataset adds them.</p>
+      </div>
+    </main>
+    """
+  end
+
+  defp key(row), do: "row-" <> Integer.to_string(:erlang.phash2(row.path, 4_294_967_296))
+  defp json(row), do: Situ.JSON.encode(row.path)
+
+  attr(:dataset, :any, required: true)
+  attr(:facts, :map, required: true)
+  attr(:selected, :list, required: true)
+  attr(:id, :string, required: true)
+  attr(:read_only, :boolean, required: true)
+  attr(:runs, :list, required: true)
+  attr(:now, :integer, required: true)
+
+  @doc false
+  def right(assigns) do
+    assigns = assign(assigns, :shown, shown(assigns))
+
+    ~H"""
+    <aside class="dataset-side" aria-label="Properties and runs">
+      <.runs :if={@runs != []} runs={@runs} now={@now} read_only={@read_only} />
+      <.properties :if={@shown} id={"props-#{:erlang.phash2(@selected)}"} read_only={@read_only}
+          {Map.take(@shown, [:title, :rows, :name, :tags, :metadata, :stream])} />
+      <p :if={@shown == nil} class="hint">This is no longer in the dataset.</p>
+    </aside>
+    """
+  end
+
+  defp shown(%{dataset: dataset, selected: []} = assigns) do
+    facts = for s <- dataset.sessions, p <- s.partitions, f = assigns.facts[p.path], do: f
+
+    rows =
+      [{"Sessions", length(dataset.sessions)} | rows(Facts.sum(facts))] ++
+        [{"File", dataset.file}]
+
+    of(dataset.name, rows, %{name: dataset.name, tags: dataset.tags, metadata: dataset.metadata})
+  end
+
+  defp shown(%{dataset: dataset, selected: [name | rest]} = assigns) do
+    with %Session{} = session <- Enum.find(dataset.sessions, &(&1.name == name)),
+         do: shown(session, rest, assigns.facts)
+  end
+
+  defp shown(session, [], all) do
+    facts = for p <- session.partitions, f = all[p.path], do: f
+    rows = [{"Recordings", length(session.partitions)} | rows(Facts.sum(facts))]
+    of(session.name, rows, %{tags: session.tags, metadata: session.metadata})
+  end
+
+  defp shown(session, [name | stream], all) do
+    with %{} = partition <- Enum.find(session.partitions, &(&1.name == name)) do
+      facts = all[partition.path] || %Facts{}
+      shown = Enum.find(facts.streams, &([&1.name] == stream))
+
+      if shown,
+        do: of(shown.name, stream_rows(shown), %{stream: true}),
+        else: of(name, rows(facts) ++ place(partition, facts), %{metadata: partition.metadata})
+    end
+  end
+
+  defp of(title, rows, more) do
+    rows = Enum.reject(rows, fn {_, value} -> value in [nil, ""] end)
+
+    Map.merge(
+      %{title: title, rows: rows, name: nil, tags: nil, metadata: %{}, stream: false},
+      more
+    )
+  end
+
+  defp rows(facts) do
+    [
+      {"Duration", Facts.duration(facts)},
+      {"From", time(facts.from)},
+      {"To", time(facts.to)},
+      {"Streams", length(facts.streams)},
+      {"Messages", facts.streams |> Enum.map(& &1.count) |> Enum.sum()},
+      {"Size", Side.bytes(facts.size)}
+    ]
+  end
+
+  defp place(partition, facts) do
+    [
+      {"Recording", partition.path},
+      {"Reader", partition.reader},
+      {"Checksum", partition.checksum},
+      {"Trouble", facts.error && Exception.message(facts.error)},
+      {"Live", facts.live && "it is being recorded"}
+    ]
+    |> Enum.filter(&elem(&1, 1))
+  end
+
+  defp stream_rows(stream) do
+    [
+      {"Type", stream.type},
+      {"Messages", stream.count},
+      {"Size", Side.bytes(stream.bytes)},
+      {"Rate", stream.rate && "#{Side.number(stream.rate)}/s"},
+      {"First", time(stream.first)},
+      {"Last", time(stream.last)},
+      {"Latency, mean", stream.latency && Situ.Time.format_duration(round(stream.latency))}
+      | stream.details
+    ]
+  end
+
+  defp time(nil), do: nil
+
+  defp time(ns),
+    do: ns |> Situ.Time.to_iso8601() |> String.replace("T", " ") |> String.slice(0, 23)
+
+  attr(:id, :string, required: true)
+  attr(:read_only, :boolean, required: true)
+  attr(:title, :string, required: true)
+  attr(:rows, :list, required: true)
+  attr(:name, :any, required: true)
+  attr(:tags, :any, required: true)
+  attr(:metadata, :map, required: true)
+  attr(:stream, :boolean, required: true)
+
+  defp properties(assigns) do
+    ~H"""
+    <section class="props">
+      <h2>{@title}</h2>
+      <dl>
+        <div :for={{name, value} <- @rows} style="display: contents"><dt>{name}</dt><dd>{value}</dd></div>
+      </dl>
+      <form :if={not @stream} id={@id} class="metadata" phx-submit="save_properties">
+        <label :if={@name}>Name <input name="name" value={@name} maxlength="200" disabled={@read_only}></label>
+        <label :if={@tags}>Tags, with commas between <input name="tags" value={Enum.join(@tags, ", ")}
+            disabled={@read_only} placeholder="pilot, english"></label>
+        <label>Metadata, NAME: VALUE a line
+          <textarea name="metadata" rows="6" disabled={@read_only}
+              placeholder="participant: P07">{Rows.lines(@metadata)}</textarea></label>
+        <button :if={not @read_only} class="btn primary" type="submit">Save</button>
+      </form>
+    </section>
+    """
+  end
+
+  attr(:runs, :list, required: true)
+  attr(:now, :integer, required: true)
+  attr(:read_only, :boolean, required: true)
+
+  defp runs(assigns) do
+    ~H"""
+    <section class="runs" aria-label="Batch runs">
+      <h2>Batch runs</h2>
+      <div :for={run <- @runs} :key={run.id} id={"run-#{run.id}"} class={["run", to_string(run.status)]}>
+        <div class="head"><b>{run.task}</b><span :if={run.output}> to {run.output}</span>
+          <span class="grow"></span>
+          <button :if={run.status == :running and not @read_only} class="btn" type="button" phx-click="run_cancel"
+              phx-value-run={run.id}>Cancel</button></div>
+        <progress :if={run.status == :running} max="1" value={run.progress.done}
+            aria-label={"progress of " <> run.task}></progress>
+        <p class="hint" role="status">{said(run, @now)}</p>
+        <ul :if={failures(run) != []} class="failures">
+          <li :for={{session, error} <- failures(run)}><b>{session}</b>: {error}</li>
+        </ul>
+      </div>
+    </section>
+    """
+  end
+
+  defp said(%Run{status: :running} = run, now) do
+    finished = Map.get(run.progress, :finished, 0)
+    left = Run.remaining(run, now)
+
+    "#{round(100 * run.progress.done)} %, #{finished} of #{length(run.sessions)} sessions, #{ms(Run.elapsed(run, now))} so far" <>
+      if(left, do: ", about #{ms(left)} left", else: "")
+  end
+
+  defp said(%Run{error: %{} = error}, _), do: Exception.message(error)
+
+  defp said(%Run{report: report} = run, now) do
+    done = Enum.count(report.results, &(&1.status in [:done, :kept]))
+    failed = length(Report.failures(report))
+
+    "#{word(run.status)} after #{ms(Run.elapsed(run, now))}: #{done} of #{length(run.sessions)} sessions" <>
+      if(failed > 0, do: ", #{failed} failed", else: "")
+  end
+
+  defp word(:done), do: "Done"
+  defp word(:cancelled), do: "Cancelled"
+  defp word(:failed), do: "Ended with failures"
+
+  defp ms(ms), do: Situ.Time.format_duration(Situ.Time.ms(ms))
+
+  defp failures(%Run{report: nil}), do: []
+
+  defp failures(%Run{report: report}),
+    do: for({session, error} <- Report.failures(report), do: {session, Exception.message(error)})
+end

@@ -1,0 +1,169 @@
+defmodule Situ.Studio.Web.Dataset.Rows do
+  @moduledoc """
+  The rows of a dataset's tree: the dataset, its sessions, their recordings, the streams of those; and which of them a
+  search finds.
+  """
+  alias Situ.Dataset
+  alias Situ.Studio.Datasets.Facts
+  alias Situ.Studio.Web.Side
+
+  @typedoc "`path` tells a row: session, partition, stream, as many as it has."
+  @type row :: %{
+          path: [String.t()],
+          kind: :dataset | :session | :partition | :stream,
+          label: String.t(),
+          open?: boolean() | nil,
+          facts: Facts.t() | nil,
+          stream: Situ.Studio.StreamInfo.t() | nil,
+          tags: [String.t()],
+          trouble: String.t() | nil
+        }
+
+  @doc "The rows that are in sight; `facts` are those of each recording's path that are known by now."
+  @spec of(Dataset.t(), %{Path.t() => Facts.t()}, MapSet.t([String.t()]), String.t()) :: [row()]
+  def of(%Dataset{} = dataset, facts, open, query) do
+    words = query |> String.downcase() |> String.split()
+    sessions = Enum.filter(dataset.sessions, &found?(&1, facts, words))
+    all = for s <- dataset.sessions, p <- s.partitions, f = facts[p.path], do: f
+    searching? = words != []
+
+    [
+      row([], :dataset, dataset.name, facts: Facts.sum(all), tags: dataset.tags)
+      | Enum.flat_map(sessions, &session(&1, facts, open, searching?))
+    ]
+  end
+
+  defp row(path, kind, label, more) do
+    Map.merge(
+      %{
+        path: path,
+        kind: kind,
+        label: label,
+        open?: nil,
+        facts: nil,
+        stream: nil,
+        tags: [],
+        trouble: nil
+      },
+      Map.new(more)
+    )
+  end
+
+  defp session(session, facts, open, searching?) do
+    known = for p <- session.partitions, f = facts[p.path], do: f
+    open? = MapSet.member?(open, [session.name])
+    troubles = Enum.count(known, &(&1.error != nil))
+
+    own =
+      row([session.name], :session, session.name,
+        open?: open?,
+        facts: Facts.sum(known),
+        tags: session.tags,
+        trouble:
+          if(troubles > 0, do: "#{troubles} of #{length(session.partitions)} cannot be opened")
+      )
+
+    if open?,
+      do: [
+        own | Enum.flat_map(session.partitions, &partition(session, &1, facts, open, searching?))
+      ],
+      else: [own]
+  end
+
+  defp partition(session, partition, facts, open, _searching?) do
+    path = [session.name, partition.name]
+    known = facts[partition.path]
+    open? = MapSet.member?(open, path)
+    error = known && known.error
+
+    own =
+      row(path, :partition, partition.name,
+        open?: open?,
+        facts: known,
+        trouble:
+          cond do
+            error -> error.what
+            known && known.damaged -> "damaged"
+            true -> nil
+          end
+      )
+
+    streams = if open? and known, do: known.streams, else: []
+    [own | for(s <- streams, do: row(path ++ [s.name], :stream, s.name, stream: s))]
+  end
+
+  # Every word stands somewhere: in the session's name, its tags or metadata, its recordings, or their streams.
+  defp found?(_session, _facts, []), do: true
+
+  defp found?(session, facts, words) do
+    streams = for p <- session.partitions, f = facts[p.path], s <- f.streams, do: s.name
+    names = Enum.map(session.partitions, & &1.name)
+    values = Enum.map(session.metadata, fn {k, v} -> "#{k} #{text(v)}" end)
+
+    text =
+      ([session.name | session.tags] ++ names ++ values ++ streams)
+      |> Enum.join("\n")
+      |> String.downcase()
+
+    Enum.all?(words, &String.contains?(text, &1))
+  end
+
+  @doc """
+  Metadata as a person edits it, a line for each; what is no text is JSON.
+
+      iex> Situ.Studio.Web.Dataset.Rows.lines(%{"age" => 31, "room" => "A 3"})
+      "age: 31\\nroom: A 3"
+      iex> Situ.Studio.Web.Dataset.Rows.metadata("age: 31\\nroom: A 3\\n\\nparts: [1, 2]")
+      {:ok, %{"age" => 31, "parts" => [1, 2], "room" => "A 3"}}
+      iex> {:error, error} = Situ.Studio.Web.Dataset.Rows.metadata("nothing")
+      iex> error.what
+      "line 1 is not NAME: VALUE"
+  """
+  @spec lines(map()) :: String.t()
+  def lines(metadata),
+    do: metadata |> Enum.sort() |> Enum.map_join("\n", fn {k, v} -> "#{k}: #{text(v)}" end)
+
+  defp text(value) when is_binary(value) do
+    # a text that reads as another value is written as what it is
+    if read(value) == value, do: value, else: Situ.JSON.encode(value)
+  end
+
+  defp text(value), do: Situ.JSON.encode(value)
+
+  @doc "The metadata out of such lines."
+  @spec metadata(String.t()) :: {:ok, map()} | {:error, Situ.Error.t()}
+  def metadata(text) do
+    text
+    |> String.split(["\r\n", "\n"])
+    |> Enum.with_index(1)
+    |> Enum.reject(fn {line, _} -> String.trim(line) == "" end)
+    |> Enum.reduce_while({:ok, %{}}, fn {line, number}, {:ok, all} ->
+      case String.split(line, ":", parts: 2) do
+        [name, value] -> {:cont, {:ok, Map.put(all, String.trim(name), read(String.trim(value)))}}
+        _ -> {:halt, {:error, Situ.Error.new(:bad_metadata, "line #{number} is not NAME: VALUE")}}
+      end
+    end)
+  end
+
+  defp read(text) do
+    case Situ.JSON.decode(text) do
+      {:ok, value} -> value
+      {:error, _} -> text
+    end
+  end
+
+  @doc "Beside a row's name: how long, how much."
+  @spec info(row(), atom()) :: String.t()
+  def info(%{stream: %{} = stream}, :size), do: Side.bytes(stream.bytes)
+  def info(%{stream: %{} = stream}, :streams), do: stream.type || ""
+  def info(%{stream: %{} = stream}, _), do: "#{stream.count}"
+  def info(%{facts: nil}, _), do: "…"
+  def info(%{facts: facts}, :size), do: Side.bytes(facts.size)
+  def info(%{facts: facts}, :streams), do: "#{length(facts.streams)} streams"
+
+  def info(%{facts: %{from: from}}, :began) when from != nil,
+    do: from |> Situ.Time.to_iso8601() |> String.slice(0, 16) |> String.replace("T", " ")
+
+  def info(_, :began), do: ""
+  def info(%{facts: facts}, _duration), do: Facts.duration(facts)
+end

@@ -1,0 +1,163 @@
+defmodule Situ.Studio.Web.DatasetView do
+  @moduledoc false
+  # The page of a dataset: its tree, what is selected, and the batch runs over it.
+  use Situ.Live.View
+
+  alias Situ.Dataset.Server
+  alias Situ.Studio.{Batch, Catalog, Datasets}
+  alias Situ.Studio.Datasets.Facts
+  alias Situ.Studio.Web.Dataset.{BatchDialog, Dialogs, Edits, Page}
+  alias Situ.Studio.Web.Chrome
+
+  @refresh_ms 2_000
+  @infos [:duration, :began, :size, :streams]
+
+  @impl true
+  def mount(params, session, socket) do
+    studio = session["studio"]
+    id = params["id"] |> List.wrap() |> Enum.join("/")
+    settings = Catalog.settings(studio)
+
+    socket =
+      assign(socket,
+        studio: studio,
+        id: id,
+        page_title: "#{id} - Situ Studio",
+        read_only: settings.read_only,
+        folder: settings.layouts,
+        tasks: for(module <- Situ.Dataset.Task.all(), do: module.task()),
+        facts: %{},
+        stamps: %{},
+        open: MapSet.new(),
+        query: "",
+        info: :duration,
+        selected: [],
+        dialog: nil,
+        runs: [],
+        now: now(),
+        error: nil
+      )
+
+    with {:ok, %{kind: :dataset, path: file}} <- Catalog.find(studio, id),
+         {:ok, server} <- Datasets.open(studio, file) do
+      runs = Batch.subscribe(studio, file)
+      if connected?(socket), do: Process.send_after(self(), :refresh, @refresh_ms)
+      socket = assign(socket, file: file, server: server, dataset: Server.get(server), runs: runs)
+      {:ok, if(connected?(socket), do: look(socket), else: socket)}
+    else
+      {:error, error} -> {:ok, assign(socket, error: error)}
+      {:ok, _} -> {:ok, assign(socket, error: Situ.Error.new(:not_found, "#{id} is no dataset"))}
+    end
+  end
+
+  # Recordings are looked at by a process of their own: one that hangs makes nobody wait.
+  defp look(socket) do
+    paths = for s <- socket.assigns.dataset.sessions, p <- s.partitions, uniq: true, do: p.path
+    stamps = Map.new(paths, &{&1, Facts.stamp(&1)})
+    changed = Enum.reject(paths, &(socket.assigns.stamps[&1] == stamps[&1]))
+    page = self()
+
+    if changed != [] do
+      Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
+        Situ.Studio.Tasks
+        |> Task.Supervisor.async_stream_nolink(changed, &{&1, Facts.of(&1)},
+          ordered: false,
+          timeout: 30_000,
+          on_timeout: :kill_task
+        )
+        |> Stream.chunk_every(20)
+        |> Enum.each(&send(page, {:facts, for({:ok, known} <- &1, do: known)}))
+      end)
+    end
+
+    assign(socket, stamps: stamps)
+  end
+
+  @impl true
+  def handle_event("search", %{"query" => query}, socket) when is_binary(query),
+    do: {:noreply, assign(socket, query: String.slice(query, 0, 200))}
+
+  def handle_event("info_next", _, socket) do
+    i = Enum.find_index(@infos, &(&1 == socket.assigns.info))
+    {:noreply, assign(socket, info: Enum.at(@infos, rem(i + 1, length(@infos))))}
+  end
+
+  def handle_event("fold_all", _, socket), do: {:noreply, assign(socket, open: MapSet.new())}
+
+  def handle_event("unfold_all", _, socket) do
+    open = for s <- socket.assigns.dataset.sessions, into: MapSet.new(), do: [s.name]
+    {:noreply, assign(socket, open: open)}
+  end
+
+  def handle_event("toggle", params, socket) do
+    open = socket.assigns.open
+    path = Edits.path(params)
+
+    {:noreply,
+     assign(socket,
+       open: if(path in open, do: MapSet.delete(open, path), else: MapSet.put(open, path))
+     )}
+  end
+
+  def handle_event("select", params, socket),
+    do: {:noreply, assign(socket, selected: Edits.path(params))}
+
+  def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
+
+  # All below changes something.
+  def handle_event(_, _, %{assigns: %{read_only: true}} = socket),
+    do: {:noreply, toast(socket, "This studio is read only")}
+
+  def handle_event("run_" <> _ = event, params, socket),
+    do: {:noreply, BatchDialog.handle_event(event, params, socket)}
+
+  def handle_event("task", params, socket),
+    do: {:noreply, BatchDialog.open(socket, params["task"], Edits.path(params))}
+
+  def handle_event(event, params, %{assigns: %{server: _}} = socket) do
+    case Edits.apply(event, params, socket.assigns) do
+      {:ok, changes} -> {:noreply, socket |> assign(changes) |> look()}
+      {:error, error} -> {:noreply, toast(socket, Exception.message(error))}
+      :ignore -> {:noreply, socket}
+    end
+  end
+
+  def handle_event(_, _, socket), do: {:noreply, socket}
+
+  @impl true
+  def handle_info({:facts, known}, socket),
+    do: {:noreply, assign(socket, facts: Map.merge(socket.assigns.facts, Map.new(known)))}
+
+  def handle_info({:situ_dataset, server, _}, socket),
+    do: {:noreply, socket |> assign(dataset: Server.get(server)) |> look()}
+
+  def handle_info({:batch, _file, runs}, socket),
+    do: {:noreply, assign(socket, runs: runs, now: now())}
+
+  def handle_info(:refresh, %{assigns: %{server: server, file: file}} = socket) do
+    Process.send_after(self(), :refresh, @refresh_ms)
+    # edited by hand or by the command line meanwhile: told as any other change
+    _ = Datasets.refresh(server, file)
+    {:noreply, look(socket)}
+  end
+
+  def handle_info(_, socket), do: {:noreply, socket}
+
+  defp toast(socket, text), do: push_event(socket, "toast", %{text: text})
+  defp now, do: System.monotonic_time(:millisecond)
+
+  @impl true
+  def render(%{error: %{}} = assigns), do: Chrome.failure(assigns)
+
+  def render(assigns) do
+    ~H"""
+    <div id="dataset" class="dataset" phx-hook="Lists">
+      <Page.top title={@dataset.name} file={@file} read_only={@read_only} />
+      <Page.tree {Map.take(assigns, [:dataset, :facts, :open, :query, :info, :selected, :id, :tasks, :read_only])} />
+      <Page.right {Map.take(assigns, [:dataset, :facts, :selected, :id, :read_only, :runs, :now])} />
+      <Dialogs.dialog :if={@dialog != nil} dialog={@dialog} />
+      <div id="toast" role="status" phx-update="ignore"></div>
+    </div>
+    """
+  end
+end

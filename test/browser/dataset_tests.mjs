@@ -1,0 +1,204 @@
+// Datasets in the page: the tree and its menus, metadata and search, sessions on one time axis, batch runs.
+import { existsSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { test, equal, ok, until } from "./harness.mjs";
+import { open, state } from "./studio_page.mjs";
+
+const { main, folder } = JSON.parse(process.argv[2]);
+const file = `${folder}/study.json`;
+const saved = () => JSON.parse(readFileSync(file, "utf8"));
+const session = (name) => saved().sessions.find((s) => s.name === name);
+const labels = (page) => page.$$eval("#tree .node .name", (n) => n.map((e) => e.textContent));
+const row = (name) => `#tree .node:has(.name:text-is("${name}"))`;
+
+async function dataset(page) {
+  await page.goto(`${main}/d/study.json`);
+  await until(page, () => document.querySelector("[data-phx-main].phx-connected"), "the page is connected");
+  await until(
+    page,
+    () => ![...document.querySelectorAll("#tree .session .info")].some((e) => e.textContent === "…"),
+    "the recordings are known",
+  );
+}
+
+async function menu(page, name, item) {
+  await page.click(row(name), { button: "right" });
+  await page.click(`#menu button:has-text("${item}")`);
+}
+
+async function answer(page, text) {
+  await until(page, () => document.activeElement?.matches("#ask input"), "the dialog has the focus");
+  await page.keyboard.type(text);
+  await page.keyboard.press("Enter");
+}
+
+// Waits for what is on the disk.
+async function onDisk(probe, what) {
+  for (const end = Date.now() + 30_000; Date.now() < end; await new Promise((r) => setTimeout(r, 50)))
+    if (probe()) return;
+  throw new Error(`waited in vain until ${what}`);
+}
+
+test("6 datasets: the tree of sessions, recordings and streams; search by all they say", async ({ page, shot }) => {
+  await page.goto(main);
+  await page.click(".home .item:has-text('study.json')");
+  await until(page, () => location.pathname === "/d/study.json", "the list leads to it");
+  await dataset(page);
+  equal(await labels(page), ["Lobby study", "p01", "p02", "p03"], "sessions");
+  await until(
+    page,
+    () => document.querySelector("#tree .session .info")?.textContent === "1 min 0 s",
+    "a session tells how long it is",
+  );
+  ok((await page.textContent(row("p03"))).includes("cannot be opened"), "what is missing is said");
+  await until(
+    page,
+    () => [...document.querySelectorAll("#tree img.thumb")].every((i) => i.complete && i.naturalWidth > 10),
+    "sessions have pictures",
+  );
+  await page.click(`${row("p02")} .fold`);
+  await until(page, () => document.querySelectorAll("#tree .partition").length === 2, "its recordings");
+  await page.click(`${row("Wearable")} .fold`);
+  await until(page, () => document.querySelectorAll("#tree .stream").length === 3, "their streams");
+  await page.click(`${row("Late")} .name`);
+  await until(
+    page,
+    () => document.querySelector(".dataset-side h2:last-of-type")?.textContent === "Late",
+    "a stream's properties",
+  );
+  ok((await page.textContent(".dataset-side dl")).includes("401"), "with its messages");
+  await shot("dataset");
+  for (const [words, found] of [
+    ["wearable late", ["p02"]],
+    ["pilot", ["p01"]],
+    ["nowhere", []],
+  ]) {
+    await page.fill("#search", words);
+    await until(
+      page,
+      (names) => [...document.querySelectorAll("#tree .session .name")].map((e) => e.textContent).join() === names,
+      `${words} finds ${found}`,
+      found.join(),
+    );
+  }
+});
+
+test("6 datasets: sessions are made, renamed, filled and removed; metadata and tags are kept", async ({ page }) => {
+  await dataset(page);
+  await menu(page, "Lobby study", "New session…");
+  await answer(page, "p04");
+  await until(page, () => document.querySelectorAll("#tree .session").length === 4, "a fourth session");
+  await menu(page, "p04", "Add recordings…");
+  await page.check("#recordings-form label:has-text('big.0000') input");
+  await page.click("#recordings-form button[type=submit]");
+  await onDisk(() => session("p04")?.partitions.length === 1, "its recording is in the file");
+  await menu(page, "p04", "Rename…");
+  await answer(page, "p04 late");
+  await onDisk(() => session("p04 late"), "the new name is in the file");
+  await page.click(`${row("p04 late")} .name`);
+  await until(
+    page,
+    () => document.querySelector(".dataset-side .props h2")?.textContent === "p04 late",
+    "its properties",
+  );
+  await page.fill(".metadata input[name=tags]", "late, german");
+  await page.fill(".metadata textarea", "participant: P04\nage: 31");
+  await page.click(".metadata button[type=submit]");
+  await onDisk(() => session("p04 late").metadata?.age === 31, "metadata is in the file");
+  equal(session("p04 late").tags, ["late", "german"], "and the tags");
+  await page.fill("#search", "german p04");
+  await until(page, () => document.querySelectorAll("#tree .session").length === 1, "found by tag and metadata");
+  await page.fill(".metadata textarea", "no value here");
+  await page.click(".metadata button[type=submit]");
+  await until(
+    page,
+    () => document.getElementById("toast").textContent.includes("line 1"),
+    "what is no metadata is refused in words",
+  );
+  await page.fill("#search", "");
+  // by hand, meanwhile
+  const now = saved();
+  now.sessions[0].tags.push("by hand");
+  writeFileSync(file, JSON.stringify(now, null, 2));
+  await until(
+    page,
+    () => [...document.querySelectorAll("#tree .tag")].some((e) => e.textContent === "by hand"),
+    "what was edited by hand is shown",
+  );
+  page.once("dialog", (d) => d.accept());
+  await menu(page, "p04 late", "Remove from the dataset");
+  await onDisk(() => !session("p04 late"), "it is out of the file");
+  ok(existsSync(`${folder}/big.0000`), "its recording is still there");
+  equal(session("p01").tags, ["pilot", "by hand"], "what was edited by hand is kept");
+});
+
+test("6 datasets: a session of two recordings on one time axis", async ({ page, shot }) => {
+  await open(page, main, "study.json/p02");
+  const { data } = await state(page);
+  equal(data[1] - data[0], 60e9, "as long as its recordings together");
+  ok(await page.$("#tree .node[data-stream='Wearable.Late']"), "streams of the one");
+  ok(await page.$("#tree .node[data-stream='Room.Camera.Image']"), "and of the other");
+  await until(
+    page,
+    () => document.querySelector(".image-cell canvas")?.dataset.at,
+    "the picture of the first recording",
+  );
+  equal(await page.$$eval(".store", (s) => s.map((e) => e.title)), ["Lobby study", "p01", "p02", "p03"], "sessions");
+  await shot("session");
+  await page.goto(`${main}/s/study.json/p03`);
+  await until(page, () => document.querySelector(".message h1"), "what cannot be opened is said");
+});
+
+test("6 batch: a task's form, progress, what is made, and what fails", async ({ page, shot }) => {
+  await dataset(page);
+  await menu(page, "Lobby study", "Run loudness…");
+  await page.fill("#option-gain", "fast");
+  await page.click("#task button[type=submit]");
+  await until(
+    page,
+    () => document.querySelector("#task .error")?.textContent.includes("gain must be a number"),
+    "a wrong option is refused in words",
+  );
+  await page.fill("#option-gain", "3");
+  await page.selectOption("#option-scale", "decibel");
+  await page.fill("#task-keep", "three times");
+  await shot("batch-form");
+  await page.click("#task button[type=submit]");
+  await until(page, () => document.querySelector(".run.failed"), "the run is over");
+  const text = await page.textContent(".run");
+  ok(text.includes("2 of 3 sessions") && text.includes("1 failed"), text);
+  ok((await page.textContent(".failures")).includes("p03"), "the session that failed is named");
+  for (const name of ["p01", "p02"])
+    ok(
+      session(name).partitions.some((p) => p.name === "Loudness"),
+      `${name} has its output`,
+    );
+  await until(
+    page,
+    () =>
+      [...document.querySelectorAll("#tree .node")].length > 0 &&
+      !document.querySelector("#tree .info:empty.pending"),
+    "the tree is there",
+  );
+  await shot("batch");
+  await menu(page, "p01", "Run loudness…");
+  await page.selectOption("#task-saved select", "three times");
+  await until(page, () => document.getElementById("option-gain")?.value === "3", "options that were saved");
+});
+
+test("6 batch: a run tells how far it is, goes on without the page, and is cancelled", async ({ page, shot }) => {
+  writeFileSync(`${folder}/hold`, "");
+  await dataset(page);
+  await menu(page, "p02", "Run loudness…");
+  await page.check("#option-hold");
+  await page.fill("#task-output", "Held");
+  await page.click("#task button[type=submit]");
+  await until(page, () => document.querySelector(".run.running progress"), "it runs");
+  await page.reload();
+  await until(page, () => document.querySelector(".run.running"), "it goes on without the page");
+  ok(/\d+ %, 0 of 1 sessions/.test(await page.textContent(".run.running")), "and tells how far it is");
+  await shot("batch-running");
+  await page.click(".run.running button:has-text('Cancel')");
+  rmSync(`${folder}/hold`);
+  await until(page, () => document.querySelector(".run.cancelled"), "it is cancelled");
+  ok(!session("p02").partitions.some((p) => p.name === "Held"), "nothing half done is left");
+});
