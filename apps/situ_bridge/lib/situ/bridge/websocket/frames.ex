@@ -1,0 +1,133 @@
+defmodule Situ.Bridge.WebSocket.Frames do
+  @moduledoc false
+  # WebSocket frames (RFC 6455, section 5) as bytes and back. Pure.
+  import Bitwise
+
+  @opcodes %{1 => :text, 2 => :binary, 8 => :close, 9 => :ping, 10 => :pong}
+  @numbers Map.new(@opcodes, fn {number, name} -> {name, number} end)
+
+  @type event :: {:text | :binary | :close | :ping | :pong, binary()}
+  # The kind and the parts of a message that has begun, or nil.
+  @type begun :: {:text | :binary, [binary()]} | nil
+
+  @doc """
+  One frame; a client masks it with four random bytes.
+
+      iex> Situ.Bridge.WebSocket.Frames.frame(:text, "hi") |> IO.iodata_to_binary()
+      <<0x81, 2, "hi">>
+  """
+  @spec frame(atom(), iodata(), mask :: binary() | nil) :: iodata()
+  def frame(kind, payload, mask \\ nil) do
+    head = <<1::1, 0::3, @numbers[kind]::4>>
+    [head, length(IO.iodata_length(payload), mask) | body(payload, mask)]
+  end
+
+  defp length(n, mask) when n < 126, do: <<bit(mask)::1, n::7>>
+  defp length(n, mask) when n < 65_536, do: <<bit(mask)::1, 126::7, n::16>>
+  defp length(n, mask), do: <<bit(mask)::1, 127::7, n::64>>
+
+  defp bit(nil), do: 0
+  defp bit(_mask), do: 1
+
+  defp body(payload, nil), do: [payload]
+  defp body(payload, mask), do: [mask, payload |> IO.iodata_to_binary() |> masked(mask)]
+
+  defp masked(payload, mask) do
+    n = byte_size(payload)
+    :crypto.exor(payload, binary_part(:binary.copy(mask, div(n, 4) + 1), 0, n))
+  end
+
+  @doc """
+  The whole messages in `bytes`, what is left, and the message that has begun; `masked?`: whether frames must be (a
+  client's) or must not be. Errors are sentences.
+  """
+  @spec split(binary(), begun(), masked? :: boolean(), most :: pos_integer()) ::
+          {:ok, [event()], binary(), begun()} | {:error, String.t()}
+  def split(bytes, begun, masked?, most), do: all(bytes, begun, {masked?, most}, [])
+
+  defp all(bytes, begun, {masked?, most} = how, found) do
+    case one(bytes, most) do
+      :more ->
+        {:ok, Enum.reverse(found), bytes, begun}
+
+      {:ok, _fin, _opcode, mask, _payload, _rest} when is_nil(mask) == masked? ->
+        {:error, "a frame that is #{if masked?, do: "not ", else: ""}masked"}
+
+      {:ok, fin, opcode, mask, payload, rest} ->
+        payload = if mask, do: masked(payload, mask), else: :binary.copy(payload)
+
+        with {:ok, event, begun} <- take(opcode, fin, payload, begun, most),
+             do: all(rest, begun, how, List.wrap(event) ++ found)
+
+      error ->
+        error
+    end
+  end
+
+  defp one(<<_fin::1, reserved::3, _::bitstring>>, _most) when reserved != 0,
+    do: {:error, "a frame with reserved bits"}
+
+  defp one(<<fin::1, 0::3, opcode::4, m::1, 127::7, n::64, rest::binary>>, most),
+    do: sized(fin, opcode, m, n, rest, most)
+
+  defp one(<<fin::1, 0::3, opcode::4, m::1, 126::7, n::16, rest::binary>>, most),
+    do: sized(fin, opcode, m, n, rest, most)
+
+  defp one(<<fin::1, 0::3, opcode::4, m::1, n::7, rest::binary>>, most) when n < 126,
+    do: sized(fin, opcode, m, n, rest, most)
+
+  defp one(_short, _most), do: :more
+
+  defp sized(_fin, _opcode, _m, n, _rest, most) when n > most,
+    do: {:error, "a frame of #{n} bytes; the most are #{most}"}
+
+  defp sized(fin, opcode, m, n, bytes, _most) do
+    case bytes do
+      <<mask::binary-4, payload::binary-size(n), rest::binary>> when m == 1 ->
+        {:ok, fin, opcode, mask, payload, rest}
+
+      <<payload::binary-size(n), rest::binary>> when m == 0 ->
+        {:ok, fin, opcode, nil, payload, rest}
+
+      _ ->
+        :more
+    end
+  end
+
+  # Control frames are whole, and may come between the parts of a message.
+  defp take(opcode, fin, payload, begun, _most) when (opcode &&& 8) != 0 do
+    case @opcodes[opcode] do
+      kind when kind != nil and fin == 1 and byte_size(payload) < 126 ->
+        {:ok, {kind, payload}, begun}
+
+      _ ->
+        {:error, "a control frame that is none"}
+    end
+  end
+
+  defp take(0, _fin, _payload, nil, _most), do: {:error, "it goes on with what has not begun"}
+
+  defp take(0, fin, payload, {kind, parts}, most) do
+    parts = [payload | parts]
+
+    cond do
+      parts |> Enum.map(&byte_size/1) |> Enum.sum() > most ->
+        {:error, "a message of more than #{most} bytes"}
+
+      fin == 1 ->
+        {:ok, {kind, parts |> Enum.reverse() |> IO.iodata_to_binary()}, nil}
+
+      true ->
+        {:ok, nil, {kind, parts}}
+    end
+  end
+
+  defp take(opcode, fin, payload, nil, _most) when opcode in [1, 2] do
+    if fin == 1,
+      do: {:ok, {@opcodes[opcode], payload}, nil},
+      else: {:ok, nil, {@opcodes[opcode], [payload]}}
+  end
+
+  defp take(opcode, _fin, _payload, _begun, _most),
+    do: {:error, "a frame of the kind #{opcode} here"}
+end
