@@ -1,8 +1,8 @@
 defmodule Situ.Bench.Chain do
   @moduledoc false
   # A range one tick apart through k maps that add one, counted at the end. `unlimited` and `sync` are what a user
-  # gets who says nothing: light operators in one process. `async` is a process and an envelope for each, `throttle`
-  # besides with a queue of one in front of each (the reference's Throttle).
+  # gets who says nothing: light operators in one process. `throttle` asks for a queue of one in front of each (the
+  # reference's Throttle), which one process gives by itself. `async` is a process and an envelope for each.
   import Situ.Bench, only: [measure: 3]
   alias Situ.{Delivery, Pipeline, Time}
 
@@ -18,7 +18,12 @@ defmodule Situ.Bench.Chain do
     plain ++
       [
         {"chain-10-async",
-         &chain("chain_k10_async", 10, round(200_000 * &1), Delivery.unlimited(), async: true)}
+         &chain("chain_k10_async", 10, round(200_000 * &1), Delivery.unlimited(), async: true)},
+        {"chain-10-throttle-async",
+         &chain("chain_k10_throttle_async", 10, round(20_000 * &1), Delivery.unlimited(),
+           async: true,
+           policy: Delivery.throttle(1)
+         )}
       ] ++
       for {k, n} <- [{1, 100_000}, {10, 20_000}] do
         {"chain-#{k}-throttle",

@@ -3,8 +3,8 @@ defmodule Situ.Operator do
   Light operators: functions over the data of a stream that keep its times.
 
   A straight run of light operators runs in one process; inside it only the data changes, and one envelope is made at
-  its end. An explicit `policy:` (other than `Situ.Delivery.synchronous/1`), `async: true`, a second consumer or a
-  second input starts a new process.
+  its end. An explicit `policy:` (other than `Situ.Delivery.synchronous/1` and `throttle(1)`), `async: true`, a second
+  consumer or a second input starts a new process.
 
   A step is
 

@@ -3,10 +3,10 @@ defmodule Situ.Graph.Plan do
   # Which vertices share a process, and which edges become queues between processes. Pure.
   #
   # A light operator joins the process of the light operator in front of it when nobody else listens to that one, no
-  # explicit policy (but synchronous) stands between them, neither asks for `async`, both treat errors alike and
+  # explicit policy (but synchronous or `throttle(1)`) stands between them, neither asks for `async`, both treat errors alike and
   # belong to the same composite (which can be stopped alone). It joins the process of a component with one output
-  # when the policy between them is synchronous, or the pipeline's default throttle: nothing is on its way at all
-  # then.
+  # when the policy between them is synchronous, `throttle(1)`, or the pipeline's default throttle: nothing is on its
+  # way at all then.
   alias Situ.{Delivery, Error, Graph}
   alias Situ.Graph.Vertex
 
@@ -80,15 +80,21 @@ defmodule Situ.Graph.Plan do
 
   defp joins?(%{module: :operator} = from, to, edge) do
     not from.async and from.on_error == to.on_error and
-      ((not edge.explicit and from.scope == to.scope) or edge.policy.kind == :synchronous)
+      (edge.policy.kind == :synchronous or
+         (from.scope == to.scope and (not edge.explicit or one?(edge.policy))))
   end
 
   defp joins?(%{outputs: [_]}, _to, %{policy: %{kind: :synchronous}}), do: true
+  defp joins?(%{outputs: [_]}, _to, %{policy: %{kind: :throttle}, explicit: false}), do: true
 
-  defp joins?(%{outputs: [_]}, _to, %{policy: %{kind: :throttle}, explicit: false}),
-    do: true
+  defp joins?(%{outputs: [_], scope: scope}, %{scope: scope}, %{policy: policy}),
+    do: one?(policy)
 
   defp joins?(_from, _to, _edge), do: false
+
+  # One message at a time: in one process that is so by itself, and costs no two wake-ups for each.
+  defp one?(%Delivery{kind: :throttle, window: 1}), do: true
+  defp one?(_policy), do: false
 
   defp check_inputs(graph, edges) do
     connected = MapSet.new(edges, & &1.to)

@@ -158,6 +158,8 @@ defmodule Situ.Ports.Output do
   def room(%__MODULE__{subs: subs, pending_n: n}),
     do: subs |> least(:infinity) |> less(n)
 
+  # Below one there is no room, however little the others have.
+  defp least(_subs, least) when least < 1, do: least
   defp least([], least), do: least
   defp least([sub | rest], least), do: least(rest, min(Subscriber.free(sub), least))
 
@@ -195,9 +197,22 @@ defmodule Situ.Ports.Output do
     do: {:ok, finish(%{output | subs: [Subscriber.ask(sub, n)]})}
 
   def ask(%__MODULE__{subs: subs} = output, from, n) do
-    if among?(subs, from),
-      do: {:ok, finish(%{output | subs: update(subs, from, &Subscriber.ask(&1, n))})},
-      else: :error
+    case ask_one(subs, from, n) do
+      :error -> :error
+      subs -> {:ok, finish(%{output | subs: subs})}
+    end
+  end
+
+  defp ask_one([], _from, _n), do: :error
+
+  defp ask_one([%{tag: tag, pid: pid} = sub | rest], {pid, tag}, n),
+    do: [Subscriber.ask(sub, n) | rest]
+
+  defp ask_one([sub | rest], from, n) do
+    case ask_one(rest, from, n) do
+      :error -> :error
+      rest -> [sub | rest]
+    end
   end
 
   @doc "A subscriber with a lossy policy wants the newest messages at once, whatever it has asked for."

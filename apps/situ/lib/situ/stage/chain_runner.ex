@@ -19,6 +19,10 @@ defmodule Situ.Stage.ChainRunner do
   """
   @spec batch(State.t(), [Message.t()], Situ.Time.t(), integer()) ::
           {State.t(), integer(), non_neg_integer(), [Message.t()]}
+  # So few are not worth a look at the time.
+  def batch(state, [_] = messages, now, final), do: batch(state, messages, now, final, :never)
+  def batch(state, [_, _] = messages, now, final), do: batch(state, messages, now, final, :never)
+
   def batch(state, messages, now, final),
     do: batch(state, messages, now, final, :erlang.monotonic_time() + @longest)
 

@@ -148,6 +148,9 @@ defmodule Situ.Stage.Emission do
 
   @doc "Sends what is pending, publishes counts and asks for more."
   @spec settle(State.t()) :: State.t()
+  def settle(%{callback: nil} = state),
+    do: %{state | outputs: Outputs.flush(state.outputs), inputs: Inputs.settle(state.inputs)}
+
   def settle(state) do
     state = state |> ChainRunner.tail() |> widen()
     %{state | outputs: flush(state), inputs: Inputs.settle(state.inputs)}

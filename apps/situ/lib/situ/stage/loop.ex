@@ -27,11 +27,34 @@ defmodule Situ.Stage.Loop do
   def arrived(state, input, {:fresh, batch}),
     do: state |> put_input(Input.refreshed(input, batch)) |> turn()
 
+  # A chain that has waited for it.
+  def arrived(
+        %{callback: nil, phase: :running, pace: %{scheduled: false}} = state,
+        %{queue: nil, front: [], rear: []} = input,
+        [_ | _] = batch
+      ) do
+    input = Input.push(input, batch)
+    room = Outputs.room(state.outputs)
+
+    if room < 1 do
+      put_input(state, input)
+    else
+      now = Clock.now(state.clock)
+      take(state, input, room, {now, now + @slice_ns, State.final(state)})
+    end
+  end
+
   def arrived(state, input, batch),
     do: state |> put_input(Input.push(input, batch)) |> turn_if_room()
 
   @doc "A consumer asked for more."
   @spec asked(State.t(), Outputs.t()) :: State.t()
+  # Nothing waits in the chain: there is nothing to do.
+  def asked(%{callback: nil, phase: :running, inputs: inputs} = state, outputs) do
+    state = %{state | outputs: outputs}
+    if idle?(Inputs.only(inputs), outputs), do: state, else: turn_if_room(state)
+  end
+
   def asked(state, outputs), do: turn_if_room(State.wake(%{state | outputs: outputs}))
 
   # Everything was settled when the last turn ended: without room, or with another turn on its way, there is nothing

@@ -62,4 +62,29 @@ defmodule Situ.GraphTest do
     windows = Map.new(plan.edges, &{&1.id, &1.policy.window})
     assert windows == %{1 => :infinity, 2 => :infinity, 3 => 1_000}
   end
+
+  # The paths of what shares a process.
+  defp processes(opts) do
+    {graph, _} =
+      Graph.build(fn p ->
+        p
+        |> Situ.from_enumerable([{1, 1}], name: "Source")
+        |> Situ.map(& &1, [name: "One"] ++ opts)
+        |> Situ.map(& &1, [name: "Two"] ++ opts)
+      end)
+
+    {:ok, plan} = Plan.compile(graph)
+    for stage <- plan.stages, do: Enum.map(stage.vertices, & &1.path)
+  end
+
+  test "operators that take one message at a time share a process, unless they ask for their own" do
+    alias Situ.Delivery
+    assert processes(policy: Delivery.throttle(1)) == [["Source", "One", "Two"]]
+    assert processes(policy: Delivery.throttle(2)) == [["Source"], ["One"], ["Two"]]
+
+    assert processes(policy: Delivery.throttle(1), async: true) ==
+             [["Source"], ["One"], ["Two"]]
+
+    assert processes(policy: Delivery.unlimited()) == [["Source"], ["One"], ["Two"]]
+  end
 end
