@@ -8,7 +8,10 @@ defmodule Situ.Infer do
 
   | you have | you want | use |
   |---|---|---|
-  | an ONNX file | to run it | `Situ.Infer.Model` |
+  | an ONNX file | to run it | `Situ.Infer.OnnxModel` on streams, `Situ.Infer.Model` |
+  | pictures, a network | what is in them | `Situ.Infer.Classifier` |
+  | pictures, a network | objects, their shapes | `Situ.Infer.ObjectDetector`, `Situ.Infer.Segmentation` |
+  | rectangles | the same things through time | `Situ.Infer.Tracker` |
   | 16 kHz sound | probability of speech | `voice/2` |
   | 16 kHz sound | speech or not, segments | `voice_activity/2`, `Situ.Infer.VoiceActivity` |
   | log energy | speech or not, without a model | `Situ.Infer.SimpleVad` |

@@ -9,8 +9,9 @@ defmodule Situ.Chat.Answer do
   A stream of pieces is folded into it:
 
       iex> alias Situ.Chat.Answer
-      iex> {:ok, ["Hel"], piece} = Answer.fold(Answer.piece(), ~s({"choices":[{"delta":{"content":"Hel"}}]}))
-      iex> {:ok, ["lo"], piece} = Answer.fold(piece, ~s({"choices":[{"delta":{"content":"lo"},"finish_reason":"stop"}]}))
+      iex> event = fn text -> ~s({"choices":[{"delta":{"content":"\#{text}"},"finish_reason":"stop"}]}) end
+      iex> {:ok, ["Hel"], piece} = Answer.fold(Answer.piece(), event.("Hel"))
+      iex> {:ok, ["lo"], piece} = Answer.fold(piece, event.("lo"))
       iex> answer = Answer.whole(piece)
       iex> {answer.text, answer.finish}
       {"Hello", :stop}

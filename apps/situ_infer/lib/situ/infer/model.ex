@@ -89,9 +89,14 @@ defmodule Situ.Infer.Model do
   @doc "Loads, checks and warms up the model in the file at `path`."
   @spec load(Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(path, opts \\ []) do
+    with {:ok, bytes} <- read(path), do: from_bytes(bytes, path, opts)
+  end
+
+  @doc "As `load/2`, from the bytes of an ONNX file; `path` is what errors and statistics call it."
+  @spec from_bytes(binary(), Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def from_bytes(bytes, path, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          opts = Keyword.update!(opts, :sessions, &(&1 || System.schedulers_online())),
-         {:ok, bytes} <- read(path),
          started = System.monotonic_time(:nanosecond),
          {:ok, loaded} <- with_path(opts[:engine].load(bytes, opts), path),
          model = build(path, opts, loaded),

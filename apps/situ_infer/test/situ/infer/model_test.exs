@@ -2,7 +2,7 @@ defmodule Situ.Infer.ModelTest do
   use ExUnit.Case, async: true
 
   alias Situ.Infer.Model
-  alias Situ.Infer.Test.OnnxFile
+  alias Situ.Infer.Onnx
   alias Situ.Tensor
 
   @golden Path.expand("../../fixtures/golden", __DIR__)
@@ -13,12 +13,22 @@ defmodule Situ.Infer.ModelTest do
   defp pixels(name, scale, offset, shape),
     do: Tensor.from_list(for(<<v <- golden(name)>>, do: v * scale + offset), :f32, shape)
 
+  defp doubling(width) do
+    port = fn name -> {name, :f32, {nil, width}} end
+
+    Onnx.encode(
+      inputs: [port.("x")],
+      outputs: [port.("y")],
+      nodes: [{"Add", ["x", "x"], ["y"], []}]
+    )
+  end
+
   defp furthest(a, b), do: Enum.zip_with(a, b, &abs(&1 - &2)) |> Enum.max()
 
   @tag :tmp_dir
   test "runs batches in one go where the file leaves the first dimension free", %{tmp_dir: dir} do
     path = Path.join(dir, "double.onnx")
-    File.write!(path, OnnxFile.doubling(3))
+    File.write!(path, doubling(3))
     assert {:ok, model} = Model.load(path, inputs: %{"x" => {:f32, {nil, 3}}})
     assert model.inputs == %{"x" => {:f32, {-1, 3}}}
     assert model.where == :inline
@@ -99,7 +109,7 @@ defmodule Situ.Infer.ModelTest do
     @tag :tmp_dir
     test "tensors that do not fit", %{tmp_dir: dir} do
       path = Path.join(dir, "double.onnx")
-      File.write!(path, OnnxFile.doubling(3))
+      File.write!(path, doubling(3))
       {:ok, model} = Model.load(path)
       assert {:error, %{code: :bad_tensor}} = Model.run(model, %{})
 

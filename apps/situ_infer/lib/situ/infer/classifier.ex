@@ -1,0 +1,129 @@
+defmodule Situ.Infer.Classifier do
+  @own [
+    path: [type: :string, required: true, doc: "The ONNX file."],
+    labels: [
+      type: {:or, [:string, {:list, :string}]},
+      default: [],
+      doc: "The names of the classes in their order, or a text file with one on each line."
+    ],
+    top: [type: :pos_integer, default: 5, doc: "How many classes come out, the likeliest first."],
+    softmax: [
+      type: :boolean,
+      default: false,
+      doc: "The network gives raw scores, which softmax turns into probabilities."
+    ],
+    output: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The output with the scores; `nil`: the only one."
+    ],
+    side: [
+      type: {:optional, :pos_integer},
+      default: nil,
+      doc: "The picture's side, where the file leaves it free."
+    ],
+    model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.shared/2`."]
+  ]
+
+  @imagenet [mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225]]
+
+  @schema @own ++
+            for(
+              {key, spec} <- Situ.Infer.Vision.PictureInput.schema(),
+              do: {key, Keyword.put(spec, :default, Keyword.get(@imagenet, key, spec[:default]))}
+            )
+
+  @moduledoc """
+  What is in a picture: any ONNX network that gives a score for each class, such as those trained on ImageNet.
+
+      pictures |> Situ.via(Situ.Infer.Classifier, path: "resnet50-v2.onnx", labels: "synset.txt", softmax: true)
+
+  Input `:in` is a `Situ.Image` of an 8-bit format or `nil`, output `:out` the likeliest classes, `{label, score}`, best
+  first (`nil` for `nil`). The preprocessing is ImageNet's unless said otherwise: the middle square, bilinear, `(v / 255 -
+  mean) / std`. A class without a name is called by its number.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    inputs: [in: {:optional, Situ.Image}],
+    outputs: [out: {:optional, {:list, {:tuple, [:string, :float]}}}],
+    options: @schema
+
+  alias Situ.{Error, Image, Tensor}
+  alias Situ.Infer.{Labels, Model}
+  alias Situ.Infer.Vision.PictureInput
+
+  defstruct [:opts, :model, :input, :output, :labels]
+
+  @type class :: {label :: String.t(), score :: float()}
+
+  @doc "The likeliest classes of pictures, without a pipeline: a function of pictures. Options as above."
+  @spec load(keyword()) ::
+          {:ok, (Image.t() -> {:ok, [class()]} | {:error, Error.t()})} | {:error, Error.t()}
+  def load(opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, state} <- open(opts),
+         do: {:ok, &classify(state, &1)}
+  end
+
+  @impl true
+  def init(opts), do: {:ok, %__MODULE__{opts: opts}}
+
+  @impl true
+  def handle_start(_context, state), do: {[], state.opts |> open() |> Error.unwrap!()}
+
+  @impl true
+  def handle_message(:in, %{data: nil, originating_time: time}, _context, state),
+    do: {[{:out, time, nil}], state}
+
+  def handle_message(:in, %{data: image, originating_time: time}, _context, state),
+    do: {[{:out, time, Error.unwrap!(classify(state, image))}], state}
+
+  @impl true
+  def describe(%{model: nil}), do: "not started"
+  def describe(%{model: model}), do: Model.describe(model)
+
+  defp open(opts) do
+    with {:ok, model} <- Model.shared(opts[:path], opts[:model_options]),
+         {:ok, labels} <- Labels.load(opts[:labels]),
+         {:ok, output} <- Labels.output(model, opts[:output]),
+         picture = Keyword.take(opts, Keyword.keys(PictureInput.schema())),
+         {:ok, input} <- PictureInput.new(model, picture, opts[:side]) do
+      {:ok, %__MODULE__{opts: opts, model: model, input: input, output: output, labels: labels}}
+    end
+  end
+
+  defp classify(state, image) do
+    with {:ok, tensor, _patch} <- PictureInput.tensor(state.input, image),
+         {:ok, outputs} <- Model.run(state.model, %{state.input.name => tensor}),
+         do: {:ok, top(outputs[state.output], state.labels, state.opts)}
+  end
+
+  @doc """
+  The best of a network's scores. `opts` are `top:` and `softmax:`.
+
+      iex> scores = Situ.Tensor.from_list([1.0, 3.0, 2.0], :f32, {1, 3})
+      iex> Situ.Infer.Classifier.top(scores, {"cat", "dog"}, top: 2)
+      [{"dog", 3.0}, {"2", 2.0}]
+  """
+  @spec top(Tensor.t(), tuple(), keyword()) :: [class()]
+  def top(%Tensor{} = scores, labels, opts) do
+    values = Tensor.to_list(scores)
+    values = if opts[:softmax], do: softmax(values), else: values
+
+    values
+    |> Enum.with_index()
+    |> Enum.sort_by(fn {score, index} -> {-score, index} end)
+    |> Enum.take(opts[:top])
+    |> Enum.map(fn {score, index} -> {Labels.name(labels, index), score} end)
+  end
+
+  defp softmax(values) do
+    most = Enum.max(values)
+    powers = Enum.map(values, &:math.exp(&1 - most))
+    sum = Enum.sum(powers)
+    Enum.map(powers, &(&1 / sum))
+  end
+end

@@ -1,0 +1,87 @@
+defmodule Situ.Infer.Detection.Masks do
+  @moduledoc """
+  The shapes of what was found: each box's numbers weigh the network's prototypes `{1, k, height, width}`, the sigmoid
+  of the sum above a half is the shape (Bolya et al., "YOLACT", 2019). The sums run in ONNX Runtime.
+  """
+  alias Situ.{Error, Image, Tensor}
+  alias Situ.Infer.{Model, Onnx}
+
+  @enforce_keys [:model, :kinds, :size]
+  defstruct [:model, :kinds, :size]
+
+  @type t :: %__MODULE__{
+          model: Model.t(),
+          kinds: pos_integer(),
+          size: {pos_integer(), pos_integer()}
+        }
+
+  @doc "For an output of prototypes with this shape."
+  @spec new(tuple()) :: {:ok, t()} | {:error, Error.t()}
+  def new({_, kinds, h, w}) when kinds > 0 and h > 0 and w > 0 do
+    bytes =
+      Onnx.encode(
+        inputs: [{"weights", :f32, {nil, kinds}}, {"prototypes", :f32, {1, kinds, h, w}}],
+        outputs: [{"masks", :u8, {nil, h * w}}],
+        constants: %{
+          "flat" => Tensor.from_list([kinds, h * w], :s64, {2}),
+          "zero" => Tensor.from_list([0.0], :f32, {1}),
+          "white" => Tensor.from_list([255.0], :f32, {1})
+        },
+        nodes: [
+          {"Reshape", ["prototypes", "flat"], ["kinds"], []},
+          {"MatMul", ["weights", "kinds"], ["sums"], []},
+          # The sigmoid is above a half where the sum is above zero.
+          {"Greater", ["sums", "zero"], ["inside"], []},
+          {"Cast", ["inside"], ["ones"], [to: 1]},
+          {"Mul", ["ones", "white"], ["bright"], []},
+          {"Cast", ["bright"], ["masks"], [to: 2]}
+        ]
+      )
+
+    with {:ok, model} <- Model.from_bytes(bytes, "masks", warm_up: 0, sessions: 1),
+         do: {:ok, %__MODULE__{model: model, kinds: kinds, size: {w, h}}}
+  end
+
+  def new(shape) do
+    {:error,
+     Error.new(
+       :model_shape,
+       "prototypes of masks have the shape {1, n, height, width}, not #{inspect(shape)}",
+       fix: "name the output that holds them by masks:"
+     )}
+  end
+
+  @doc """
+  A `:gray8` picture for each box, 255 where it is: the part of the prototypes under the box, which the picture covers
+  whole. `side` is that of the network's input.
+  """
+  @spec cut(t(), [map()], Tensor.t(), pos_integer()) :: {:ok, [Image.t()]} | {:error, Error.t()}
+  def cut(_masks, [], _prototypes, _side), do: {:ok, []}
+
+  def cut(%__MODULE__{size: {w, h}} = masks, boxes, prototypes, side) do
+    weights =
+      Tensor.from_list(Enum.flat_map(boxes, & &1.mask), :f32, {length(boxes), masks.kinds})
+
+    with {:ok, %{"masks" => all}} <-
+           Model.run(masks.model, %{"weights" => weights, "prototypes" => prototypes}) do
+      {:ok,
+       for {box, i} <- Enum.with_index(boxes) do
+         part(binary_part(all.data, i * w * h, w * h), {w, h}, box, side)
+       end}
+    end
+  end
+
+  defp part(plane, {w, h}, box, side) do
+    {x0, x1} = within(box.x, box.width, w / side, w)
+    {y0, y1} = within(box.y, box.height, h / side, h)
+    rows = for y <- y0..(y1 - 1), into: "", do: binary_part(plane, y * w + x0, x1 - x0)
+    Image.new!(width: x1 - x0, height: y1 - y0, format: :gray8, data: rows)
+  end
+
+  # One pixel at least, all of them in the picture.
+  defp within(from, length, scale, most) do
+    low = from |> Kernel.*(scale) |> floor() |> max(0) |> min(most - 1)
+    high = (from + length) |> Kernel.*(scale) |> ceil() |> max(low + 1) |> min(most)
+    {low, high}
+  end
+end

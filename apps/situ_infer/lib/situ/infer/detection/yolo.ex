@@ -1,0 +1,149 @@
+defmodule Situ.Infer.Detection.Yolo do
+  @moduledoc """
+  What YOLO networks say, as boxes in pixels of the network's input. Pure.
+
+  | version | output | a box | score |
+  |---|---|---|---|
+  | `:v2_tiny` | `{1, 125, 13, 13}` | an anchor moved and stretched in a cell of 32 pixels (VOC's 20 classes) | object x softmax of classes |
+  | `:v5` (v7) | `{1, n, 5 + classes}` | middle and size | object x class |
+  | `:v8` (v9, v11) | `{1, 4 + classes (+ masks), n}` | middle and size | class |
+  | `:v10` | `{1, n, 6}` | two corners, score, class; nothing overlaps | as given |
+
+  Formulas: Redmon and Farhadi, "YOLO9000" (2017), for v2; the exporters' documentation for the others.
+
+      iex> row = [50.0, 40.0, 20.0, 10.0, 0.9, 0.1, 0.8]
+      iex> boxes = Situ.Infer.Detection.Yolo.parse(Situ.Tensor.from_list(row, :f32, {1, 1, 7}), :v5, 0.5)
+      iex> for b <- boxes, do: {b.x, b.y, b.width, b.height, b.class, Float.round(b.score, 2)}
+      [{40.0, 35.0, 20.0, 10.0, 1, 0.72}]
+  """
+  alias Situ.Tensor
+
+  @anchors [{1.08, 1.19}, {3.42, 4.41}, {6.63, 11.38}, {9.42, 5.11}, {16.62, 10.52}]
+  @cell 32
+
+  @type version :: :v2_tiny | :v5 | :v8 | :v10
+  @type box :: %{
+          x: float(),
+          y: float(),
+          width: float(),
+          height: float(),
+          class: non_neg_integer(),
+          score: float(),
+          mask: [float()]
+        }
+
+  @doc "The versions that are known."
+  @spec versions() :: [version()]
+  def versions, do: [:v2_tiny, :v5, :v8, :v10]
+
+  @doc "Whether an output of this shape can be that version's; `masks` numbers for masks are among a v8's."
+  @spec fits?(version(), tuple(), non_neg_integer()) :: boolean()
+  def fits?(version, shape, masks \\ 0)
+  def fits?(:v2_tiny, {_, 125, h, w}, _), do: h in [-1, 13] and w in [-1, 13]
+  def fits?(:v5, {_, _, row}, _), do: row == -1 or row > 5
+  def fits?(:v8, {_, column, _}, masks), do: column == -1 or column > 4 + masks
+  def fits?(:v10, {_, _, row}, _), do: row in [-1, 6]
+  def fits?(_version, _shape, _masks), do: false
+
+  @doc """
+  The boxes with a score of `min_score` or more, in no order; `masks` as for `fits?/3`. Boxes that are no numbers, or
+  have no size, are left out.
+  """
+  @spec parse(Tensor.t(), version(), float(), non_neg_integer()) :: [box()]
+  def parse(tensor, version, min_score, masks \\ 0)
+
+  def parse(%Tensor{type: :f32, shape: {1, _, row}, data: data}, :v5, min_score, _masks) do
+    rest = (row - 5) * 4
+
+    for <<cx::float-native-32, cy::float-native-32, w::float-native-32, h::float-native-32,
+          object::float-native-32, classes::binary-size(rest) <- data>>,
+        object >= min_score,
+        {class, p} = best(classes, 0, {0, 0.0}),
+        object * p >= min_score,
+        w > 0 and h > 0,
+        do: box(cx - w / 2, cy - h / 2, w, h, class, object * p)
+  end
+
+  def parse(%Tensor{type: :f32, shape: {1, _, 6}, data: data}, :v10, min_score, _masks) do
+    for <<x1::float-native-32, y1::float-native-32, x2::float-native-32, y2::float-native-32,
+          score::float-native-32, class::float-native-32 <- data>>,
+        score >= min_score,
+        x2 > x1 and y2 > y1 and class >= 0,
+        do: box(x1, y1, x2 - x1, y2 - y1, round(class), score)
+  end
+
+  # A column for each box, so a row for each class: few numbers of it count.
+  def parse(%Tensor{type: :f32, shape: {1, rows, n}, data: data}, :v8, min_score, masks) do
+    classes = rows - 4 - masks
+
+    0..(classes - 1)//1
+    |> Enum.reduce(%{}, fn class, found ->
+      data |> binary_part((4 + class) * n * 4, n * 4) |> likely(0, class, min_score, found)
+    end)
+    |> Enum.flat_map(fn {i, {score, class}} ->
+      column(data, i, n, classes, masks, class, score)
+    end)
+  end
+
+  def parse(%Tensor{type: :f32, shape: {1, 125, 13, 13}, data: data}, :v2_tiny, min_score, _masks) do
+    for {{aw, ah}, anchor} <- Enum.with_index(@anchors),
+        y <- 0..12,
+        x <- 0..12,
+        at = &number(data, ((anchor * 25 + &1) * 13 + y) * 13 + x),
+        [tx, ty, tw, th, to] = Enum.map(0..4, at),
+        Enum.all?([tx, ty, tw, th, to], &is_float/1),
+        object = sigmoid(to),
+        object >= min_score,
+        {class, p} = softmax_best(Enum.map(5..24, at)),
+        object * p >= min_score do
+      {w, h} = {stretch(tw) * aw * @cell, stretch(th) * ah * @cell}
+      {cx, cy} = {(x + sigmoid(tx)) * @cell, (y + sigmoid(ty)) * @cell}
+      box(cx - w / 2, cy - h / 2, w, h, class, object * p)
+    end
+  end
+
+  defp box(x, y, w, h, class, score, mask \\ []),
+    do: %{x: x, y: y, width: w, height: h, class: class, score: score, mask: mask}
+
+  # A pattern that matches numbers skips what is none.
+  defp best(<<p::float-native-32, rest::binary>>, i, {_, most}) when p > most,
+    do: best(rest, i + 1, {i, p})
+
+  defp best(<<_::32, rest::binary>>, i, found), do: best(rest, i + 1, found)
+  defp best(<<>>, _i, found), do: found
+
+  defp likely(<<p::float-native-32, rest::binary>>, i, class, min, found) when p >= min do
+    found = Map.update(found, i, {p, class}, &if(p > elem(&1, 0), do: {p, class}, else: &1))
+    likely(rest, i + 1, class, min, found)
+  end
+
+  defp likely(<<_::32, rest::binary>>, i, class, min, found),
+    do: likely(rest, i + 1, class, min, found)
+
+  defp likely(<<>>, _i, _class, _min, found), do: found
+
+  defp column(data, i, n, classes, masks, class, score) do
+    [cx, cy, w, h] = for row <- 0..3, do: number(data, row * n + i)
+    mask = for row <- 0..(masks - 1)//1, do: number(data, (4 + classes + row) * n + i)
+
+    if Enum.all?([cx, cy, w, h | mask], &is_float/1) and w > 0 and h > 0,
+      do: [box(cx - w / 2, cy - h / 2, w, h, class, score, mask)],
+      else: []
+  end
+
+  defp number(data, i) do
+    case binary_part(data, i * 4, 4) do
+      <<x::float-native-32>> -> x
+      _ -> nil
+    end
+  end
+
+  defp softmax_best(values) do
+    values = Enum.map(values, &(&1 || -1.0e30))
+    {most, class} = values |> Enum.with_index() |> Enum.max_by(&elem(&1, 0))
+    {class, 1 / Enum.sum(Enum.map(values, &:math.exp(max(&1 - most, -80.0))))}
+  end
+
+  defp sigmoid(x), do: 1 / (1 + :math.exp(min(max(-x, -80.0), 80.0)))
+  defp stretch(x), do: :math.exp(min(max(x, -20.0), 20.0))
+end

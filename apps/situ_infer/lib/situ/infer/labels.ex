@@ -1,0 +1,51 @@
+defmodule Situ.Infer.Labels do
+  @moduledoc false
+  # The names of a network's classes, and the output that holds their scores.
+  alias Situ.Error
+  alias Situ.Infer.Model
+
+  @doc "The names, from a list or a text file with one on each line."
+  @spec load(Path.t() | [String.t()]) :: {:ok, tuple()} | {:error, Error.t()}
+  def load(names) when is_list(names), do: {:ok, List.to_tuple(names)}
+
+  def load(path) do
+    with {:ok, text} <- File.read(path), true <- String.valid?(text) do
+      {:ok, text |> String.trim_trailing() |> String.split(~r/\r?\n/) |> List.to_tuple()}
+    else
+      false ->
+        {:error, Error.new(:bad_labels, "the names of classes are no text: #{path}")}
+
+      {:error, why} ->
+        {:error,
+         Error.new(:no_labels, "cannot read the names of classes: #{:file.format_error(why)}",
+           fix: "check the path #{path}"
+         )}
+    end
+  end
+
+  @doc "The name of the class with this number."
+  @spec name(tuple(), non_neg_integer()) :: String.t()
+  def name(labels, index) when index < tuple_size(labels), do: elem(labels, index)
+  def name(_labels, index), do: Integer.to_string(index)
+
+  @doc "The output that is asked for, or the only one."
+  @spec output(Model.t(), String.t() | nil) :: {:ok, String.t()} | {:error, Error.t()}
+  def output(%Model{} = model, wanted) do
+    names = Map.keys(model.outputs)
+
+    case {wanted, names} do
+      {nil, [name]} ->
+        {:ok, name}
+
+      {name, _} when is_binary(name) and is_map_key(model.outputs, name) ->
+        {:ok, name}
+
+      _ ->
+        {:error,
+         Error.new(:unknown_output, "which output of model #{model.name}?",
+           why: "it has #{Enum.map_join(names, ", ", &inspect/1)}",
+           fix: "name one of them by output:"
+         )}
+    end
+  end
+end

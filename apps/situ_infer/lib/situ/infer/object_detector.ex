@@ -1,0 +1,186 @@
+defmodule Situ.Infer.ObjectDetector do
+  @own [
+    path: [type: :string, required: true, doc: "The ONNX file."],
+    version: [
+      type: {:in, Situ.Infer.Detection.Yolo.versions()},
+      default: :v8,
+      doc: "How the network says what it found, see `Situ.Infer.Detection.Yolo`."
+    ],
+    labels: [
+      type: {:or, [:string, {:list, :string}]},
+      default: [],
+      doc: "The names of the classes in their order, or a text file with one on each line."
+    ],
+    min_score: [type: {:range, 0.0, 1.0}, default: 0.3, doc: "How sure it must be."],
+    max_overlap: [
+      type: {:range, 0.0, 1.0},
+      default: 0.5,
+      doc:
+        "Of two boxes of one class that overlap more (intersection over union), the likelier stays."
+    ],
+    most: [type: :pos_integer, default: 100, doc: "How many boxes at most."],
+    output: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The output with the boxes; `nil`: the only one."
+    ],
+    masks: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The output with the prototypes of masks, of networks that also find shapes (v8-seg)."
+    ],
+    side: [
+      type: {:optional, :pos_integer},
+      default: nil,
+      doc: "The picture's side, where the file leaves it free."
+    ],
+    model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.shared/2`."]
+  ]
+
+  @schema @own ++
+            for(
+              {key, spec} <- Situ.Infer.Vision.PictureInput.schema(),
+              do: {key, if(key == :fit, do: Keyword.put(spec, :default, :pad), else: spec)}
+            )
+
+  @moduledoc """
+  Objects in pictures, by a YOLO network in an ONNX file.
+
+      found = Situ.via(pictures, Situ.Infer.ObjectDetector, path: "yolov8n.onnx", labels: "coco.txt")
+      found.out |> Situ.via(Situ.Infer.Tracker)
+
+  Input `:in` is a `Situ.Image` of an 8-bit format, output `:out` a list of `Situ.Rect` in the picture's pixels with label
+  and score, the likeliest first. Output `:masks`, with `masks:`, is a list of `:gray8` pictures, one for each box: 255
+  where the object is; a mask covers its box. A v2 network wants `scale: 1`.
+
+  Weights are yours to bring: look at their licence (many YOLO weights are AGPL-3.0).
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    inputs: [in: Situ.Image],
+    outputs: [out: {:list, Situ.Rect}, masks: {:list, Situ.Image}],
+    options: @schema
+
+  alias Situ.{Error, Image, Rect}
+  alias Situ.Infer.Detection.{Masks, Suppression, Yolo}
+  alias Situ.Infer.{Labels, Model, Patch}
+  alias Situ.Infer.Vision.PictureInput
+
+  defstruct [:opts, :model, :input, :output, :labels, :masks]
+
+  @doc "A function that finds the objects of a picture and their masks, for programs without pipelines."
+  @spec load(keyword()) ::
+          {:ok, (Image.t() -> {:ok, {[Rect.t()], [Image.t()]}} | {:error, Error.t()})}
+          | {:error, Error.t()}
+  def load(opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, state} <- open(Map.new(opts)),
+         do: {:ok, &detect(state, &1)}
+  end
+
+  @impl true
+  def init(opts), do: {:ok, %__MODULE__{opts: Map.new(opts)}}
+
+  @impl true
+  def handle_start(_context, state), do: {[], state.opts |> open() |> Error.unwrap!()}
+
+  @impl true
+  def handle_message(:in, %{data: image, originating_time: time}, _context, state) do
+    {rects, masks} = Error.unwrap!(detect(state, image))
+    {[{:out, time, rects} | if(state.masks, do: [{:masks, time, masks}], else: [])], state}
+  end
+
+  @impl true
+  def describe(%{model: nil}), do: "not started"
+  def describe(%{model: model}), do: Model.describe(model)
+
+  defp open(opts) do
+    picture = opts |> Map.take(Keyword.keys(PictureInput.schema())) |> Keyword.new()
+
+    with {:ok, model} <- Model.shared(opts.path, opts.model_options),
+         {:ok, labels} <- Labels.load(opts.labels),
+         {:ok, output} <- Labels.output(model, opts.output),
+         {:ok, masks} <- masks(model, opts.masks),
+         :ok <- fits(model, output, opts.version, kinds(masks)),
+         {:ok, input} <- PictureInput.new(model, picture, opts.side) do
+      {:ok,
+       %__MODULE__{
+         opts: opts,
+         model: model,
+         input: input,
+         output: output,
+         labels: labels,
+         masks: masks
+       }}
+    end
+  end
+
+  defp masks(_model, nil), do: {:ok, nil}
+
+  defp masks(model, name) do
+    with {:ok, name} <- Labels.output(model, name),
+         {_, shape} = model.outputs[name],
+         do: Masks.new(shape)
+  end
+
+  defp kinds(nil), do: 0
+  defp kinds(masks), do: masks.kinds
+
+  defp fits(model, output, version, kinds) do
+    {type, shape} = model.outputs[output]
+
+    if type == :f32 and Yolo.fits?(version, shape, kinds) do
+      :ok
+    else
+      {:error,
+       Error.new(
+         :model_shape,
+         "output #{inspect(output)} of #{model.name} is #{type} #{inspect(shape)}",
+         why: "that is not what YOLO #{version} says",
+         fix: "name another version:, or output:"
+       )}
+    end
+  end
+
+  defp detect(state, image) do
+    %{opts: opts, input: input} = state
+
+    with {:ok, tensor, patch} <- PictureInput.tensor(input, image),
+         {:ok, outputs} <- Model.run(state.model, %{input.name => tensor}) do
+      boxes =
+        outputs[state.output]
+        |> Yolo.parse(opts.version, opts.min_score / 1, kinds(state.masks))
+        |> Suppression.suppress(opts.max_overlap, most: opts.most)
+
+      rects = Enum.map(boxes, &rect(&1, patch, image, state.labels))
+      with {:ok, masks} <- shapes(state, boxes, outputs), do: {:ok, {rects, masks}}
+    end
+  end
+
+  defp shapes(%{masks: nil}, _boxes, _outputs), do: {:ok, []}
+
+  defp shapes(state, boxes, outputs),
+    do: Masks.cut(state.masks, boxes, outputs[state.opts.masks], state.input.side)
+
+  # From the network's pixels to the picture's; what lies outside of the picture is no object's.
+  defp rect(box, patch, image, labels) do
+    {x0, y0} = Patch.to_picture(patch, {box.x - 0.5, box.y - 0.5})
+    {x1, y1} = Patch.to_picture(patch, {box.x + box.width - 0.5, box.y + box.height - 0.5})
+    {x0, x1} = {clamp(x0 + 0.5, image.width), clamp(x1 + 0.5, image.width)}
+    {y0, y1} = {clamp(y0 + 0.5, image.height), clamp(y1 + 0.5, image.height)}
+
+    %Rect{
+      x: x0,
+      y: y0,
+      width: x1 - x0,
+      height: y1 - y0,
+      label: Labels.name(labels, box.class),
+      score: box.score
+    }
+  end
+
+  defp clamp(v, most), do: v |> max(0.0) |> min(most / 1)
+end

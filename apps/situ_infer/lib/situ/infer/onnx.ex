@@ -1,0 +1,108 @@
+defmodule Situ.Infer.Onnx do
+  @moduledoc """
+  Writes small ONNX files: a graph of operators over named tensors, for the work before and after a network that is
+  best done by the same library, and for tests.
+
+      iex> bytes = Situ.Infer.Onnx.encode(
+      ...>   inputs: [{"x", :f32, {nil, 2}}],
+      ...>   outputs: [{"y", :f32, {nil, 2}}],
+      ...>   constants: %{"two" => Situ.Tensor.from_list([2.0], :f32, {1})},
+      ...>   nodes: [{"Mul", ["x", "two"], ["y"], []}]
+      ...> )
+      iex> {:ok, model} = Situ.Infer.Model.from_bytes(bytes, "doubling")
+      iex> {:ok, %{"y" => y}} = Situ.Infer.Model.run(model, %{"x" => Situ.Tensor.from_list([1.0, 3.0], :f32, {1, 2})})
+      iex> Situ.Tensor.to_list(y)
+      [2.0, 6.0]
+
+  A node is `{operator, inputs, outputs, attributes}`; an attribute is an integer, a float, a list of integers or a
+  text. `nil` in a shape is a free size. Operators are those of opset 13: <https://onnx.ai/onnx/operators/>. Nothing is
+  checked here: the engine does that when it loads the bytes.
+  """
+  alias Situ.Tensor
+
+  @ir_version 8
+  @opset 13
+  @types %{
+    f32: 1,
+    u8: 2,
+    s8: 3,
+    u16: 4,
+    s16: 5,
+    s32: 6,
+    s64: 7,
+    bool: 9,
+    f16: 10,
+    f64: 11,
+    u32: 12,
+    u64: 13
+  }
+
+  @type port_spec :: {String.t(), Tensor.element_type(), tuple()}
+  @type attribute :: integer() | float() | [integer()] | String.t()
+  @type operation :: {String.t(), [String.t()], [String.t()], keyword(attribute())}
+
+  @doc "The bytes of a file with `inputs:`, `outputs:`, `nodes:` and `constants:` (tensors by name)."
+  @spec encode(keyword()) :: binary()
+  def encode(parts) do
+    graph = [
+      for(node <- Keyword.fetch!(parts, :nodes), do: bytes(1, operation(node))),
+      text(2, "situ"),
+      for(
+        {name, tensor} <- Keyword.get(parts, :constants, %{}),
+        do: bytes(5, constant(name, tensor))
+      ),
+      for(port <- Keyword.fetch!(parts, :inputs), do: bytes(11, port(port))),
+      for(port <- Keyword.fetch!(parts, :outputs), do: bytes(12, port(port)))
+    ]
+
+    IO.iodata_to_binary([
+      int(1, @ir_version),
+      bytes(7, graph),
+      bytes(8, [text(1, ""), int(2, @opset)])
+    ])
+  end
+
+  defp operation({operator, inputs, outputs, attributes}) do
+    [
+      Enum.map(inputs, &text(1, &1)),
+      Enum.map(outputs, &text(2, &1)),
+      text(4, operator),
+      for(
+        {name, value} <- attributes,
+        do: bytes(5, [text(1, to_string(name)) | attribute(value)])
+      )
+    ]
+  end
+
+  # The field of the value, and that of its kind.
+  defp attribute(value) when is_float(value),
+    do: [[key(2, 5), <<value::float-little-32>>], int(20, 1)]
+
+  defp attribute(value) when is_integer(value), do: [int(3, value), int(20, 2)]
+  defp attribute(value) when is_binary(value), do: [text(4, value), int(20, 3)]
+  defp attribute(values) when is_list(values), do: [Enum.map(values, &int(8, &1)), int(20, 7)]
+
+  defp constant(name, %Tensor{} = tensor) do
+    dims = tensor.shape |> Tuple.to_list() |> Enum.map(&int(1, &1))
+    [dims, int(2, Map.fetch!(@types, tensor.type)), text(8, name), bytes(9, tensor.data)]
+  end
+
+  defp port({name, type, shape}) do
+    dims =
+      for {size, i} <- shape |> Tuple.to_list() |> Enum.with_index() do
+        bytes(1, if(size, do: int(1, size), else: text(2, "#{name}_#{i}")))
+      end
+
+    [text(1, name), bytes(2, bytes(1, [int(1, Map.fetch!(@types, type)), bytes(2, dims)]))]
+  end
+
+  # Protocol buffers: a field's number and kind, then its value.
+  defp text(field, value), do: bytes(field, value)
+  defp bytes(field, value), do: [key(field, 2), varint(IO.iodata_length(value)), value]
+  defp int(field, value), do: [key(field, 0), varint(value)]
+  defp key(field, kind), do: varint(field * 8 + kind)
+
+  defp varint(n) when n < 0, do: varint(n + 0x1_0000_0000_0000_0000)
+  defp varint(n) when n < 128, do: <<n>>
+  defp varint(n), do: <<1::1, n::7, varint(div(n, 128))::binary>>
+end

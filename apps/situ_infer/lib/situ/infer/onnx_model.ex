@@ -1,0 +1,180 @@
+defmodule Situ.Infer.OnnxModel do
+  @schema [
+    shapes: [
+      type: :map,
+      default: %{},
+      doc:
+        "Types and shapes of what the streams carry, `%{\"name\" => {type, shape}}`, `nil` for any size."
+    ],
+    output: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The one output that is wanted: tensors come out; `nil`: maps of all of them by name."
+    ],
+    device: [
+      type: {:or, [{:in, [:cpu, :cuda]}, {:tuple, [{:in, [:cuda]}, :non_neg_integer]}]},
+      default: :cpu,
+      doc:
+        "Where it runs; `:cuda` (or `{:cuda, 1}`) wants an ONNX Runtime with CUDA and says so when there is none."
+    ],
+    batch: [
+      type: :pos_integer,
+      default: 8,
+      doc:
+        "How many messages that have piled up are run at once, where the file leaves the first size free."
+    ],
+    model_options: [
+      type: :keyword,
+      default: [],
+      doc: "More for `Situ.Infer.Model.shared/2`: threads, sessions, warm-up ..."
+    ]
+  ]
+
+  @moduledoc """
+  Any model in an ONNX file, on streams of tensors: named inputs, named outputs.
+
+      depth = Situ.Infer.OnnxModel.run(pictures, "depth.onnx", output: "depth")
+      out = Situ.Infer.OnnxModel.run(%{"image" => pictures, "text" => words}, "clip.onnx")
+
+  The file is read while the pipeline is **built**: inputs that it does not have, streams that it lacks, types and
+  shapes that differ from `shapes:` are errors then, with both sides in the message. Several inputs are joined by equal
+  originating times. What comes out bears the time of what went in. Messages that have piled up are run as one batch.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+
+  ## Errors
+
+  Those of `Situ.Infer.Model`, `:unknown_input`, `:missing_input`, `:unknown_output`.
+  """
+  use Situ.Component,
+    inputs: [in: :any],
+    outputs: [out: :any],
+    options: [path: [type: :string, required: true, doc: "The ONNX file."]] ++ @schema
+
+  alias Situ.{Error, Stream, Tensor}
+  alias Situ.Infer.Model
+
+  defstruct [:opts, :model, :only]
+
+  @doc "The model's output for the tensors of one stream, or of several by the names of its inputs. Options as above."
+  @spec run(Stream.t() | %{String.t() => Stream.t()}, Path.t(), keyword()) :: Stream.t()
+  def run(streams, path, opts \\ []) do
+    {own, placed} = Keyword.split(opts, Keyword.keys(@schema))
+    own = Situ.Options.validate!([path: path] ++ own, options())
+    model = Error.unwrap!(load(own))
+    type = if own[:output], do: Tensor, else: :any
+    streams |> joined(model) |> Situ.via(__MODULE__, own ++ placed) |> Map.put(:type, type)
+  end
+
+  defp joined(%Stream{} = stream, model) do
+    _ = only_input!(model)
+    stream
+  end
+
+  defp joined(streams, model) when is_map(streams) do
+    case {Map.keys(streams) -- Map.keys(model.inputs),
+          Map.keys(model.inputs) -- Map.keys(streams)} do
+      {[], []} -> joined(Enum.to_list(streams))
+      {[name | _], _} -> raise unknown(:unknown_input, "input", name, model.inputs, model)
+      {[], missing} -> raise missing(missing, model)
+    end
+  end
+
+  defp joined([{name, first} | others]) do
+    first = Situ.map(first, &%{name => &1})
+
+    Enum.reduce(others, first, fn {name, stream}, all ->
+      all
+      |> Situ.join(stream, Situ.Reproducible.exact())
+      |> Situ.map(fn {tensors, tensor} -> Map.put(tensors, name, tensor) end)
+    end)
+  end
+
+  defp only_input!(model) do
+    case Map.keys(model.inputs) do
+      [name] -> name
+      names -> raise missing(names, model)
+    end
+  end
+
+  defp missing(names, model) do
+    Error.new(
+      :missing_input,
+      "model #{model.name} wants a stream for #{Enum.map_join(names, ", ", &inspect/1)}",
+      fix: "give a map of streams by the names of its inputs"
+    )
+  end
+
+  defp unknown(code, what, name, ports, model) do
+    names = Map.keys(ports)
+    near = Situ.Options.nearest(name, names)
+
+    Error.new(code, "model #{model.name} has no #{what} #{inspect(name)}",
+      why: "its #{what}s are #{Enum.map_join(names, ", ", &inspect/1)}",
+      fix: if(near, do: "did you mean #{inspect(near)}?")
+    )
+  end
+
+  defp load(opts) do
+    provider = if opts[:device] == :cuda, do: {:cuda, 0}, else: opts[:device]
+    settings = Keyword.merge(opts[:model_options], provider: provider, inputs: opts[:shapes])
+
+    with {:ok, model} <- Model.shared(opts[:path], settings) do
+      if opts[:output] == nil or is_map_key(model.outputs, opts[:output]),
+        do: {:ok, model},
+        else: {:error, unknown(:unknown_output, "output", opts[:output], model.outputs, model)}
+    end
+  end
+
+  @impl true
+  def init(opts), do: {:ok, %__MODULE__{opts: Map.new(opts)}}
+
+  @impl true
+  def handle_start(_context, state) do
+    model = state.opts |> Keyword.new() |> load() |> Error.unwrap!()
+    only = if map_size(model.inputs) == 1, do: only_input!(model)
+    {[], %{state | model: model, only: only}}
+  end
+
+  @impl true
+  def handle_message(:in, message, context, state),
+    do: handle_messages(:in, [message], context, state)
+
+  @impl true
+  def handle_messages(:in, messages, _context, state) do
+    actions =
+      messages
+      |> Enum.chunk_every(state.opts.batch)
+      |> Enum.flat_map(fn messages ->
+        inputs = Enum.map(messages, &named(&1.data, state))
+        outputs = Error.unwrap!(Model.run_batch(state.model, inputs))
+
+        Enum.zip_with(
+          messages,
+          outputs,
+          &{:out, &1.originating_time, wanted(&2, state.opts.output)}
+        )
+      end)
+
+    {actions, state}
+  end
+
+  defp named(%Tensor{} = tensor, %{only: name}) when is_binary(name), do: %{name => tensor}
+  defp named(%{} = tensors, _state) when not is_struct(tensors), do: tensors
+
+  defp named(other, state) do
+    raise Error.new(
+            :bad_tensor,
+            "model #{state.model.name} takes tensors, got: #{inspect(other, limit: 5)}"
+          )
+  end
+
+  defp wanted(outputs, nil), do: outputs
+  defp wanted(outputs, name), do: Map.fetch!(outputs, name)
+
+  @impl true
+  def describe(%{model: nil}), do: "not started"
+  def describe(%{model: model}), do: Model.describe(model)
+end

@@ -1,0 +1,48 @@
+defmodule Situ.Infer.Track.Kalman do
+  @moduledoc """
+  A number that moves at a velocity which changes slowly, and is measured with an error: a Kalman filter with the
+  state (value, velocity). Pure; times in seconds.
+
+      iex> k = Situ.Infer.Track.Kalman.new(0.0, 1.0, 10.0)
+      iex> k = Enum.reduce(1..50, k, fn i, k -> k |> Situ.Infer.Track.Kalman.predict(0.1, 1.0) |> Situ.Infer.Track.Kalman.correct(i * 0.5, 1.0) end)
+      iex> {abs(k.value - 25.0) < 0.1, abs(k.velocity - 5.0) < 0.1}
+      {true, true}
+
+  The noise of the acceleration is white (Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and
+  Navigation", 2001, 6.3.2).
+  """
+  @enforce_keys [:value, :velocity, :p]
+  defstruct [:value, :velocity, :p]
+
+  @typedoc "`p` is the covariance, `{value, both, velocity}`."
+  @type t :: %__MODULE__{value: float(), velocity: float(), p: {float(), float(), float()}}
+
+  @doc "Measured once: with an error, and a velocity about 0, of these standard deviations."
+  @spec new(float(), float(), float()) :: t()
+  def new(value, error, speed),
+    do: %__MODULE__{value: value, velocity: 0.0, p: {error * error, 0.0, speed * speed}}
+
+  @doc "`dt` seconds later; `noise` is the standard deviation of the acceleration."
+  @spec predict(t(), float(), float()) :: t()
+  def predict(%__MODULE__{p: {a, b, c}} = k, dt, noise) do
+    q = noise * noise
+    a = a + 2 * dt * b + dt * dt * c + q * dt * dt * dt / 3
+    b = b + dt * c + q * dt * dt / 2
+    %{k | value: k.value + dt * k.velocity, p: {a, b, c + q * dt}}
+  end
+
+  @doc "Measured, with an error of this standard deviation."
+  @spec correct(t(), float(), float()) :: t()
+  def correct(%__MODULE__{p: {a, b, c}} = k, measured, error) do
+    s = a + error * error
+    {g, h} = {a / s, b / s}
+    off = measured - k.value
+
+    %{
+      k
+      | value: k.value + g * off,
+        velocity: k.velocity + h * off,
+        p: {(1 - g) * a, (1 - g) * b, c - h * b}
+    }
+  end
+end

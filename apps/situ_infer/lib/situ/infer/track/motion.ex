@@ -1,0 +1,55 @@
+defmodule Situ.Infer.Track.Motion do
+  @moduledoc false
+  # Where a box will be: middle and size as four Kalman filters. Errors are counted in the box's own size, so that near
+  # and far things are followed alike.
+  alias Situ.Infer.Track.Kalman
+  alias Situ.Rect
+
+  # A detector is off by so much of the box; a thing may move by ten of its sizes in a second, and changes its velocity
+  # by a few of them.
+  @error 0.05
+  @speed 10.0
+  @noise 3.0
+  # Sizes change slowly.
+  @size_speed 1.0
+  @size_noise 0.2
+
+  @type t :: {Kalman.t(), Kalman.t(), Kalman.t(), Kalman.t()}
+
+  @spec new(Rect.t()) :: t()
+  def new(rect) do
+    {cx, cy, w, h} = numbers(rect)
+    size = size(rect)
+    moving = &Kalman.new(&1, @error * size, &2 * size)
+    {moving.(cx, @speed), moving.(cy, @speed), moving.(w, @size_speed), moving.(h, @size_speed)}
+  end
+
+  @doc "`seconds` later."
+  @spec predict(t(), float()) :: t()
+  def predict({cx, cy, w, h}, seconds) do
+    size = max(w.value, h.value) |> max(1.0)
+
+    {Kalman.predict(cx, seconds, @noise * size), Kalman.predict(cy, seconds, @noise * size),
+     Kalman.predict(w, seconds, @size_noise * size),
+     Kalman.predict(h, seconds, @size_noise * size)}
+  end
+
+  @spec correct(t(), Rect.t()) :: t()
+  def correct({cx, cy, w, h}, rect) do
+    {x, y, width, height} = numbers(rect)
+    e = @error * size(rect)
+
+    {Kalman.correct(cx, x, e), Kalman.correct(cy, y, e), Kalman.correct(w, width, e),
+     Kalman.correct(h, height, e)}
+  end
+
+  @doc "The box as it should be now, in the place of `rect`."
+  @spec rect(t(), Rect.t()) :: Rect.t()
+  def rect({cx, cy, w, h}, rect) do
+    {width, height} = {max(w.value, 0.0), max(h.value, 0.0)}
+    %{rect | x: cx.value - width / 2, y: cy.value - height / 2, width: width, height: height}
+  end
+
+  defp numbers(r), do: {r.x + r.width / 2, r.y + r.height / 2, r.width / 1, r.height / 1}
+  defp size(r), do: r.width |> max(r.height) |> max(1.0)
+end

@@ -1,0 +1,150 @@
+defmodule Situ.Infer.Tracker do
+  @schema [
+    motion: [
+      type: {:in, [:kalman, :none]},
+      default: :kalman,
+      doc:
+        "Where a thing is looked for: where a Kalman filter expects it, or where it was (`:none`)."
+    ],
+    min_overlap: [
+      type: {:range, 0.0, 1.0},
+      default: 0.2,
+      doc: "Intersection over union that makes two boxes the same thing."
+    ],
+    max_missing: [
+      type: :time_ns,
+      default: 500_000_000,
+      doc: "How long a thing may be gone and still be the same one, ns."
+    ],
+    min_hits: [
+      type: :pos_integer,
+      default: 1,
+      doc: "How often a thing must have been found before it counts."
+    ],
+    labels: [
+      type: {:in, [:same, :any]},
+      default: :same,
+      doc:
+        "Whether a thing keeps its label (`:same`), or may be called otherwise in the next picture."
+    ]
+  ]
+
+  @moduledoc """
+  Gives what a detector finds ids that stay (SORT; Bewley et al., 2016): a box is the thing whose expected place it
+  overlaps most, best pair first.
+
+  Input and output are lists of `Situ.Rect`; each that comes out has its thing's number in `id` (0, 1 ... in the order of
+  appearance, from left to right among those of one picture), and they are in the order of the ids. Boxes are as the
+  detector gave them. A thing that is gone for `max_missing:` never comes back: a new id is given. With a Kalman filter a
+  thing that passes behind another is found again on the other side.
+
+      found.out |> Situ.via(Situ.Infer.Tracker, min_hits: 3)
+
+  Pure, for use without a pipeline:
+
+      iex> tracker = Situ.Infer.Tracker.new()
+      iex> {_, tracker} = Situ.Infer.Tracker.step(tracker, 0, [Situ.Rect.new!(50, 0, 20, 20), Situ.Rect.new!(0, 0, 20, 20)])
+      iex> {rects, _} = Situ.Infer.Tracker.step(tracker, 40_000_000, [Situ.Rect.new!(4, 0, 20, 20), Situ.Rect.new!(46, 0, 20, 20)])
+      iex> Enum.map(rects, &{&1.x, &1.id})
+      [{4, 0}, {46, 1}]
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    inputs: [in: {:list, Situ.Rect}],
+    outputs: [out: {:list, Situ.Rect}],
+    options: @schema
+
+  alias Situ.Infer.Track.Motion
+  alias Situ.Rect
+
+  defstruct [:opts, next_id: 0, tracks: []]
+
+  @typep track :: %{
+           id: non_neg_integer(),
+           rect: Rect.t(),
+           motion: Motion.t() | nil,
+           at: Situ.Time.t(),
+           seen: Situ.Time.t(),
+           hits: pos_integer()
+         }
+  @type t :: %__MODULE__{opts: map(), next_id: non_neg_integer(), tracks: [track()]}
+
+  @doc "A tracker that has seen nothing. Options as above."
+  @spec new(keyword()) :: t()
+  def new(opts \\ []), do: %__MODULE__{opts: Map.new(Situ.Options.validate!(opts, @schema))}
+
+  @impl true
+  def init(opts), do: {:ok, %__MODULE__{opts: Map.new(opts)}}
+
+  @impl true
+  def handle_message(:in, %{data: rects, originating_time: time}, _context, tracker) do
+    {rects, tracker} = step(tracker, time, rects)
+    {[{:out, time, rects}], tracker}
+  end
+
+  @impl true
+  def describe(tracker), do: "#{length(tracker.tracks)} tracks, #{tracker.next_id} things so far"
+
+  @doc "What was found at `time` (later than before) with its ids, in their order."
+  @spec step(t(), Situ.Time.t(), [Rect.t()]) :: {[Rect.t()], t()}
+  def step(%__MODULE__{opts: opts} = tracker, time, rects) do
+    tracks =
+      for track <- tracker.tracks, time - track.seen <= opts.max_missing, do: expect(track, time)
+
+    {matched, new} = match(tracks, Enum.with_index(rects), time, opts)
+
+    {born, next_id} =
+      new
+      |> Enum.sort_by(&{&1.x, &1.y})
+      |> Enum.map_reduce(tracker.next_id, fn rect, id -> {born(rect, id, time, opts), id + 1} end)
+
+    tracks = Enum.sort_by(matched ++ born, & &1.id)
+    shown = for t <- tracks, t.seen == time, t.hits >= opts.min_hits, do: t.rect
+    {shown, %{tracker | tracks: tracks, next_id: next_id}}
+  end
+
+  defp born(rect, id, time, opts) do
+    motion = if opts.motion == :kalman, do: Motion.new(rect)
+    %{id: id, rect: %{rect | id: id}, motion: motion, at: time, seen: time, hits: 1}
+  end
+
+  defp expect(%{motion: nil} = track, time), do: %{track | at: time}
+
+  defp expect(track, time),
+    do: %{track | motion: Motion.predict(track.motion, (time - track.at) / 1.0e9), at: time}
+
+  defp place(%{motion: nil, rect: rect}), do: rect
+  defp place(track), do: Motion.rect(track.motion, track.rect)
+
+  # Greedy, best pair first: it differs from an optimal assignment only where both are doubtful.
+  defp match(tracks, rects, time, opts) do
+    pairs =
+      for track <- tracks,
+          place = place(track),
+          {rect, i} <- rects,
+          opts.labels == :any or rect.label == track.rect.label,
+          overlap = Rect.iou(place, rect),
+          overlap >= opts.min_overlap and overlap > 0,
+          do: {{-overlap, track.id, rect.x, rect.y, i}, track, rect}
+
+    {found, used} =
+      pairs
+      |> Enum.sort_by(&elem(&1, 0))
+      |> Enum.reduce({%{}, MapSet.new()}, fn {{_, id, _, _, i}, track, rect}, {found, used} ->
+        if is_map_key(found, id) or i in used,
+          do: {found, used},
+          else: {Map.put(found, id, seen(track, rect, time)), MapSet.put(used, i)}
+      end)
+
+    new = for {rect, i} <- rects, i not in used, do: rect
+    {Enum.map(tracks, &Map.get(found, &1.id, &1)), new}
+  end
+
+  defp seen(track, rect, time) do
+    motion = track.motion && Motion.correct(track.motion, rect)
+    %{track | rect: %{rect | id: track.id}, motion: motion, seen: time, hits: track.hits + 1}
+  end
+end

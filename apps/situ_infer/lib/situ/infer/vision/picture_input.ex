@@ -1,0 +1,137 @@
+defmodule Situ.Infer.Vision.PictureInput do
+  @schema [
+    mean: [
+      type: {:list, :number},
+      default: [0.0, 0.0, 0.0],
+      doc: "What is taken from red, green and blue (0..1) ..."
+    ],
+    std: [type: {:list, :number}, default: [1.0, 1.0, 1.0], doc: "... and what divides the rest."],
+    scale: [
+      type: :number,
+      default: 1 / 255,
+      doc: "What a channel's value is multiplied by before that; 1 leaves 0..255."
+    ],
+    order: [type: {:in, [:rgb, :bgr]}, default: :rgb, doc: "The order of the channels."],
+    fit: [
+      type: {:in, [:crop, :pad]},
+      default: :crop,
+      doc: "A picture that is no square: its middle, or all of it with black at the sides."
+    ]
+  ]
+
+  @moduledoc """
+  The picture that a network takes: a square cut out of a picture, scaled, normalised, in the network's layout.
+
+  Size and layout (`{n, 3, side, side}` or `{n, side, side, 3}`) are those of the model's only input with four
+  dimensions. `ImageNet` networks want `mean: [0.485, 0.456, 0.406], std: [0.229, 0.224, 0.225]`.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  alias Situ.{Error, Image, Tensor}
+  alias Situ.Infer.{Model, Onnx, Patch}
+
+  @enforce_keys [:name, :side, :glue, :fit]
+  defstruct [:name, :side, :glue, :fit]
+
+  @type t :: %__MODULE__{
+          name: String.t(),
+          side: pos_integer(),
+          glue: Model.t(),
+          fit: :crop | :pad
+        }
+
+  @doc "The options' schema, for those that pass them on."
+  @spec schema() :: Situ.Options.schema()
+  def schema, do: @schema
+
+  @doc "What the model takes. `side:` decides where the file leaves the size free. Errors: `:model_shape`, `:bad_option`."
+  @spec new(Model.t(), keyword(), pos_integer() | nil) :: {:ok, t()} | {:error, Error.t()}
+  def new(%Model{} = model, opts \\ [], side \\ nil) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         :ok <- three(opts),
+         {:ok, name, layout, side} <- input(model, side),
+         {:ok, glue} <- glue(layout, side, opts),
+         do: {:ok, %__MODULE__{name: name, side: side, glue: glue, fit: opts[:fit]}}
+  end
+
+  defp three(opts) do
+    if length(opts[:mean]) == 3 and length(opts[:std]) == 3 and Enum.all?(opts[:std], &(&1 != 0)),
+      do: :ok,
+      else:
+        {:error,
+         Error.new(:bad_option, "mean: and std: are three numbers each, those of std: not 0")}
+  end
+
+  defp input(model, side) do
+    ports = for {name, {:f32, {_, _, _, _} = shape}} <- model.inputs, do: {name, shape}
+
+    case ports do
+      [{name, {_, 3, h, w}}] -> square(name, :planes, h, w, side, model)
+      [{name, {_, h, w, 3}}] -> square(name, :pixels, h, w, side, model)
+      _ -> {:error, not_a_picture(model)}
+    end
+  end
+
+  defp square(name, layout, -1, -1, side, _model) when side != nil, do: {:ok, name, layout, side}
+
+  defp square(name, layout, h, h, side, _model) when h > 0 and side in [nil, h],
+    do: {:ok, name, layout, h}
+
+  defp square(_name, _layout, _h, _w, _side, model), do: {:error, not_a_picture(model)}
+
+  defp not_a_picture(model) do
+    shapes =
+      Enum.map_join(model.inputs, ", ", fn {name, {type, s}} ->
+        "#{name}: #{type} #{inspect(s)}"
+      end)
+
+    Error.new(:model_shape, "model #{model.name} does not take one square picture",
+      why: "its inputs are #{shapes}; wanted is f32 {n, 3, side, side} or {n, side, side, 3}",
+      fix: "where the file leaves the size free, give side:; else use Situ.Infer.OnnxModel"
+    )
+  end
+
+  # Normalising and laying out a million numbers is work for the library that runs the network.
+  defp glue(layout, side, opts) do
+    {mean, std} =
+      if opts[:order] == :bgr,
+        do: {Enum.reverse(opts[:mean]), Enum.reverse(opts[:std])},
+        else: {opts[:mean], opts[:std]}
+
+    order = if opts[:order] == :bgr, do: [2, 1, 0], else: [0, 1, 2]
+    perm = if layout == :planes, do: [0, 3, 1, 2], else: [0, 1, 2, 3]
+    shape = if layout == :planes, do: {1, 3, side, side}, else: {1, side, side, 3}
+
+    bytes =
+      Onnx.encode(
+        inputs: [{"picture", :f32, {1, side, side, 3}}],
+        outputs: [{"input", :f32, shape}],
+        constants: %{
+          "order" => Tensor.from_list(order, :s64, {3}),
+          "scale" => Tensor.from_list(Enum.map(std, &(opts[:scale] / &1)), :f32, {3}),
+          "offset" => Tensor.from_list(Enum.zip_with(mean, std, &(-&1 / &2)), :f32, {3})
+        },
+        nodes: [
+          {"Gather", ["picture", "order"], ["ordered"], [axis: 3]},
+          {"Mul", ["ordered", "scale"], ["scaled"], []},
+          {"Add", ["scaled", "offset"], ["moved"], []},
+          {"Transpose", ["moved"], ["input"], [perm: perm]}
+        ]
+      )
+
+    Model.from_bytes(bytes, "picture input", warm_up: 1, sessions: 1)
+  end
+
+  @doc "The network's input for a picture of an 8-bit format, and the patch that maps what it finds back."
+  @spec tensor(t(), Image.t()) :: {:ok, Tensor.t(), Patch.t()} | {:error, Error.t()}
+  def tensor(%__MODULE__{} = input, %Image{width: w, height: h} = image) do
+    side = if input.fit == :pad, do: max(w, h), else: min(w, h)
+    patch = Patch.square({(w - side) / 2, (h - side) / 2}, side / 1, input.side)
+
+    with {:ok, pixels} <- Patch.cut(patch, image, 1.0, 0.0),
+         {:ok, %{"input" => tensor}} <- Model.run(input.glue, %{"picture" => pixels}),
+         do: {:ok, tensor, patch}
+  end
+end

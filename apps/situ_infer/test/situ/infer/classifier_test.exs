@@ -1,0 +1,86 @@
+defmodule Situ.Infer.ClassifierTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Infer.Classifier
+
+  alias Situ.Image
+  alias Situ.Infer.{Classifier, Test.Networks}
+
+  @moduletag :tmp_dir
+
+  setup context do
+    # The doctest has no folder.
+    if dir = context[:tmp_dir], do: [path: Networks.write(Networks.colours(8), dir)], else: []
+  end
+
+  defp picture(format, pixel, w \\ 20, h \\ 20),
+    do: Image.new!(width: w, height: h, format: format, data: :binary.copy(pixel, w * h))
+
+  test "ImageNet's preprocessing, and the best first", %{path: path} do
+    {:ok, classify} = Classifier.load(path: path, labels: ["red", "green"], top: 3)
+    assert {:ok, found} = classify.(picture(:rgb24, <<255, 128, 0>>))
+
+    expected = [
+      {"red", (1 - 0.485) / 0.229},
+      {"green", (128 / 255 - 0.456) / 0.224},
+      {"2", -0.406 / 0.225}
+    ]
+
+    for {{label, score}, {name, value}} <- Enum.zip(found, expected),
+        do: assert({label, Float.round(score, 4)} == {name, Float.round(value, 4)})
+
+    # The same picture in another order of bytes.
+    assert {:ok, ^found} = classify.(picture(:bgr24, <<0, 128, 255>>))
+  end
+
+  test "softmax, raw values, blue first, and the middle square", %{path: path} do
+    raw = [path: path, mean: [0, 0, 0], std: [1, 1, 1], scale: 1]
+    {:ok, classify} = Classifier.load(raw ++ [order: :bgr, top: 1])
+    assert {:ok, [{"0", 30.0}]} = classify.(picture(:rgb24, <<10, 20, 30>>))
+
+    {:ok, classify} =
+      Classifier.load((raw ++ [scale: 0.0, softmax: true]) |> Keyword.delete_first(:scale))
+
+    assert {:ok, [{_, p}, _, _]} = classify.(picture(:rgb24, <<1, 2, 3>>))
+    assert_in_delta p, 1 / 3, 1.0e-6
+
+    sides =
+      for _ <- 1..10,
+          into: "",
+          do:
+            :binary.copy(<<9, 9, 9>>, 5) <>
+              :binary.copy(<<50, 0, 0>>, 10) <> :binary.copy(<<9, 9, 9>>, 5)
+
+    {:ok, classify} = Classifier.load(raw ++ [top: 1])
+
+    assert {:ok, [{"0", 50.0}]} =
+             classify.(Image.new!(width: 20, height: 10, format: :rgb24, data: sides))
+  end
+
+  test "in a pipeline, with names from a file; no picture is no answer", %{
+    path: path,
+    tmp_dir: dir
+  } do
+    names = Path.join(dir, "names.txt")
+    File.write!(names, "red\r\ngreen\nblue\n")
+    pictures = [picture(:rgb24, <<0, 0, 200>>), nil, picture(:rgb24, <<0, 200, 0>>)]
+
+    out =
+      Situ.to_list(fn p ->
+        p
+        |> Situ.from_enumerable(pictures, every: 10)
+        |> Situ.map(& &1, type: {:optional, Image})
+        |> Situ.via(Classifier, path: path, labels: names, top: 1)
+      end)
+
+    assert [[{"blue", _}], nil, [{"green", _}]] = out
+  end
+
+  test "models and options that cannot be are refused", %{path: path, tmp_dir: dir} do
+    adding = Networks.write(Networks.adding(2), dir, "adding.onnx")
+    assert {:error, %{code: :unknown_output}} = Classifier.load(path: adding)
+    assert {:error, %{code: :model_shape}} = Classifier.load(path: adding, output: "z")
+    assert {:error, %{code: :no_labels}} = Classifier.load(path: path, labels: "/nowhere")
+    assert {:error, %{code: :bad_option}} = Classifier.load(path: path, std: [1, 0, 1])
+    assert {:error, %{code: :model_shape}} = Classifier.load(path: path, side: 9)
+  end
+end

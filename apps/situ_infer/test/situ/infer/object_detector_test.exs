@@ -1,0 +1,158 @@
+defmodule Situ.Infer.ObjectDetectorTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  doctest Situ.Infer.Detection.Yolo
+  doctest Situ.Infer.Detection.Suppression
+
+  alias Situ.{Image, Tensor}
+  alias Situ.Infer.Detection.{Suppression, Yolo}
+  alias Situ.Infer.{ObjectDetector, Test.Networks}
+
+  defp f32(values, shape), do: Tensor.from_list(Enum.map(values, &(&1 / 1)), :f32, shape)
+
+  # Three boxes: two of one thing, one of another class, one unlikely. {cx, cy, w, h, scores}
+  @found [
+    {30, 40, 20, 20, [0.9, 0.1]},
+    {31, 40, 20, 20, [0.8, 0.0]},
+    {70, 50, 10, 40, [0.2, 0.6]},
+    {10, 50, 10, 10, [0.1, 0.2]}
+  ]
+
+  defp output(:v5),
+    do: f32(for({cx, cy, w, h, s} <- @found, v <- [cx, cy, w, h, 1.0 | s], do: v), {1, 4, 7})
+
+  defp output(:v8) do
+    rows = for {cx, cy, w, h, s} <- @found, do: [cx, cy, w, h | s]
+    f32(rows |> Enum.zip_with(& &1) |> Enum.concat(), {1, 6, 4})
+  end
+
+  defp output(:v10) do
+    rows =
+      for {cx, cy, w, h, s} <- @found, {score, class} = s |> Enum.with_index() |> Enum.max() do
+        [cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2, score, class]
+      end
+
+    f32(List.flatten(rows), {1, 4, 6})
+  end
+
+  defp picture(w, h), do: Image.filled(w, h, :rgb24, 10)
+
+  describe "the same is found, however the network says it:" do
+    for version <- [:v5, :v8, :v10] do
+      @tag :tmp_dir
+      test "#{version}", %{tmp_dir: dir} do
+        path = Networks.write(Networks.finding(100, %{"found" => output(unquote(version))}), dir)
+
+        {:ok, detect} =
+          ObjectDetector.load(path: path, version: unquote(version), labels: ["cat"])
+
+        # 200 x 100 in a square of 100: half the size, black above and below.
+        assert {:ok, {[cat, other], []}} = detect.(picture(200, 100))
+
+        near = fn r, values ->
+          for {k, v} <- values, do: assert_in_delta(Map.fetch!(r, k), v, 1.0e-4)
+        end
+
+        near.(cat, x: 40, y: 10, width: 40, height: 40, score: 0.9)
+        near.(other, x: 130, y: 10, width: 20, height: 80, score: 0.6)
+        assert {cat.label, other.label} == {"cat", "1"}
+        # The middle square: scaled by two, and what lies outside is cut off.
+        {:ok, detect} = ObjectDetector.load(path: path, version: unquote(version), fit: :crop)
+        assert {:ok, {[%{x: x, width: 40.0}, _], []}} = detect.(picture(400, 200))
+        assert_in_delta x, 100 + 40, 1.0e-4
+      end
+    end
+  end
+
+  test "tiny YOLO v2: one cell of one anchor, all else nothing" do
+    # Object and class are sure in the cell (3, 5) of the second anchor; the box is in the cell's middle, twice the anchor.
+    at = fn k -> ((25 + k) * 13 + 5) * 13 + 3 end
+
+    set = %{
+      at.(0) => 0.0,
+      at.(1) => 0.0,
+      at.(2) => :math.log(2),
+      at.(3) => :math.log(2),
+      at.(4) => 10.0,
+      at.(5 + 11) => 20.0
+    }
+
+    values =
+      for i <- 0..(125 * 169 - 1),
+          do: Map.get(set, i, if(rem(div(i, 169), 25) == 4, do: -20.0, else: 0.0))
+
+    assert [box] = Yolo.parse(f32(values, {1, 125, 13, 13}), :v2_tiny, 0.3)
+    assert box.class == 11
+    assert_in_delta box.score, 0.99995, 1.0e-4
+    assert_in_delta box.width, 2 * 3.42 * 32, 1.0e-3
+    assert_in_delta box.x + box.width / 2, 3.5 * 32, 1.0e-3
+    assert_in_delta box.y + box.height / 2, 5.5 * 32, 1.0e-3
+  end
+
+  @tag :tmp_dir
+  test "masks: the part of the prototypes under the box", %{tmp_dir: dir} do
+    # One box with weights for two prototypes; the first is bright at the left half, the second nowhere.
+    boxes = f32([50, 50, 40, 20, 0.9, 1.0, 0.0], {1, 7, 1})
+    left = for _ <- 1..10, x <- 0..9, do: if(x < 5, do: 3.0, else: -3.0)
+    prototypes = f32(left ++ List.duplicate(0.0, 100), {1, 2, 10, 10})
+    path = Networks.write(Networks.finding(100, %{"found" => boxes, "shapes" => prototypes}), dir)
+
+    assert [{[rect], [mask]}] =
+             Situ.to_list(fn p ->
+               p
+               |> Situ.from_enumerable([picture(100, 100)], every: 1)
+               |> Situ.map(& &1, type: Image)
+               |> Situ.via(ObjectDetector, path: path, output: "found", masks: "shapes")
+               |> then(&Situ.join(&1.out, &1.masks))
+             end)
+
+    assert {round(rect.x), round(rect.y)} == {30, 40}
+    assert {mask.width, mask.height, mask.data} == {4, 2, <<255, 255, 0, 0, 255, 255, 0, 0>>}
+  end
+
+  @tag :tmp_dir
+  test "another version than the file's is refused", %{tmp_dir: dir} do
+    path = Networks.write(Networks.finding(100, %{"found" => output(:v10)}), dir)
+
+    assert {:error, %{code: :model_shape, what: what}} =
+             ObjectDetector.load(path: path, version: :v2_tiny)
+
+    assert what =~ "{1, 4, 6}"
+    assert {:error, %{code: :unknown_output}} = ObjectDetector.load(path: path, output: "boxes")
+  end
+
+  property "whatever numbers a network gives, boxes are numbers within bounds" do
+    bytes = map(list(integer(0, 255), 4 * 8 * 6), &:binary.list_to_bin/1)
+
+    forall {data, version} <- {bytes, one_of([:v5, :v8, :v10])} do
+      shape = if version == :v8, do: {1, 6, 8}, else: {1, 8, 6}
+      boxes = Yolo.parse(Tensor.new(data, :f32, shape), version, 0.3)
+      Enum.all?(boxes, &(&1.score >= 0.3 and &1.width > 0 and is_float(&1.x)))
+    end
+  end
+
+  property "of what is kept nothing overlaps, and what is left out overlaps something better that is kept" do
+    box =
+      map(
+        {integer(0, 50), integer(0, 50), integer(1, 30), integer(1, 30), integer(0, 1),
+         integer(1, 1000)},
+        fn {x, y, w, h, c, s} ->
+          %{x: x / 1, y: y / 1, width: w / 1, height: h / 1, class: c, score: s / 1000}
+        end
+      )
+
+    forall boxes <- list(box) do
+      kept = Suppression.suppress(boxes, 0.4)
+      clash = fn a, b -> a.class == b.class and Suppression.overlap(a, b) > 0.4 end
+
+      pairs =
+        for {a, i} <- Enum.with_index(kept), {b, j} <- Enum.with_index(kept), i < j, do: {a, b}
+
+      Enum.sort(Suppression.suppress(Enum.reverse(boxes), 0.4)) == Enum.sort(kept) and
+        not Enum.any?(pairs, fn {a, b} -> clash.(a, b) end) and
+        Enum.all?(boxes -- kept, fn b ->
+          Enum.any?(kept, &(clash.(&1, b) and &1.score >= b.score))
+        end)
+    end
+  end
+end

@@ -1,0 +1,4 @@
+defmodule Situ.Infer.OnnxTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Infer.Onnx
+end
