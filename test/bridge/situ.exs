@@ -19,6 +19,13 @@ read = fn paths ->
   end
 end
 
+until_there = fn again, path ->
+  unless File.exists?(path) do
+    Process.sleep(50)
+    again.(again, path)
+  end
+end
+
 case System.argv() do
   ["mcap", bag, to] ->
     store = Store.open!(bag)
@@ -85,6 +92,25 @@ case System.argv() do
 
     true = got == Enum.to_list(1..2_000)
     {:ok, _} = Situ.Pipeline.stop(p)
+
+  # Serves a recording until the file `done` is there.
+  ["foxglove", dir] ->
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        store = Store.create(p, "drive", dir)
+        values = for i <- 0..99, do: {1_000_000_000 + i * 10_000_000, %{"n" => i}}
+        p |> Situ.from_enumerable(values) |> Store.write(store, "Values")
+        image = Situ.Image.new!(width: 1, height: 1, format: :rgb24, data: <<1, 2, 3>>)
+
+        p
+        |> Situ.from_enumerable([{1_000_000_000, image}], type: Situ.Image)
+        |> Store.write(store, "Camera")
+      end)
+
+    {:ok, server} = Situ.Bridge.Foxglove.serve(Path.join(dir, "drive"), port: 0)
+    File.write!(Path.join(dir, "port.tmp"), to_string(Situ.Bridge.Foxglove.port(server)))
+    File.rename!(Path.join(dir, "port.tmp"), Path.join(dir, "port"))
+    until_there.(until_there, Path.join(dir, "done"))
 
   ["push", port] ->
     {:ok, _} =

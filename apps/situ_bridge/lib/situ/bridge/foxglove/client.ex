@@ -1,0 +1,111 @@
+defmodule Situ.Bridge.Foxglove.Client do
+  @moduledoc false
+  # One connection: the WebSocket around a session. What its other side does not take blocks this process and nobody
+  # else; for half a minute, then it is cut off.
+  use GenServer, restart: :temporary
+  alias Situ.Bridge.Foxglove.{Session, Source}
+  alias Situ.Bridge.Net.Outbox
+  alias Situ.Bridge.WebSocket.{Frames, Handshake}
+
+  @every 20
+  @admission 5_000
+  @most 1_000_000
+
+  def start_link(args), do: GenServer.start_link(__MODULE__, args)
+
+  @impl true
+  def init(args) do
+    Process.send_after(self(), :too_slow, @admission)
+    {:ok, Map.merge(args, %{tcp: nil, said: "", begun: nil, session: nil})}
+  end
+
+  @impl true
+  def handle_info({:adopt, tcp}, state) do
+    :inet.setopts(tcp, [active: :once] ++ Outbox.options())
+    {:noreply, %{state | tcp: tcp}}
+  end
+
+  def handle_info({:tcp, _, bytes}, %{session: nil} = state) do
+    said = state.said <> bytes
+
+    case Handshake.admit(said, origins: state.origins, protocols: Session.protocols()) do
+      {:ok, answer, protocol, _path, rest} ->
+        open(answer, protocol, %{state | said: rest})
+
+      :more ->
+        listen(%{state | said: said})
+
+      {:refuse, answer} ->
+        say(answer, state, fn state -> {:stop, {:shutdown, :refused}, state} end)
+    end
+  end
+
+  def handle_info({:tcp, _, bytes}, state) do
+    case Frames.split(state.said <> bytes, state.begun, true, @most) do
+      {:ok, events, rest, begun} -> hear(events, %{state | said: rest, begun: begun})
+      {:error, why} -> {:stop, {:shutdown, why}, state}
+    end
+  end
+
+  def handle_info({:tcp_closed, _}, state), do: {:stop, {:shutdown, :closed}, state}
+  def handle_info({:tcp_error, _, reason}, state), do: {:stop, {:shutdown, reason}, state}
+  def handle_info(:too_slow, %{session: nil} = state), do: {:stop, {:shutdown, :too_slow}, state}
+  def handle_info(:too_slow, state), do: {:noreply, state}
+
+  def handle_info(:tick, state) do
+    {frames, session} = Session.tick(state.session, System.monotonic_time(:nanosecond))
+
+    say(written(frames), %{state | session: session}, fn state ->
+      Process.send_after(self(), :tick, @every)
+      {:noreply, state}
+    end)
+  end
+
+  defp open(answer, protocol, state) do
+    {frames, session} = Session.open(Source.new(state.store), state.name, protocol)
+    send(self(), :tick)
+    say([answer | written(frames)], %{state | session: session}, &listen/1)
+  end
+
+  defp hear(events, state) do
+    now = System.monotonic_time(:nanosecond)
+
+    Enum.reduce_while(events, {[], state}, fn
+      {kind, _} = frame, {out, state} when kind in [:text, :binary] ->
+        {frames, session} = Session.hear(state.session, frame, now)
+        {:cont, {[out | written(frames)], %{state | session: session}}}
+
+      {:ping, data}, {out, state} ->
+        {:cont, {[out, Frames.frame(:pong, data)], state}}
+
+      {:pong, _}, acc ->
+        {:cont, acc}
+
+      {:close, code}, {out, state} ->
+        {:halt,
+         {:close, [out, Frames.frame(:close, binary_part(code, 0, min(byte_size(code), 2)))],
+          state}}
+    end)
+    |> case do
+      {:close, out, state} ->
+        say(out, state, fn state -> {:stop, {:shutdown, :closed}, state} end)
+
+      {out, state} ->
+        say(out, state, &listen/1)
+    end
+  end
+
+  defp written(frames), do: for({kind, payload} <- frames, do: Frames.frame(kind, payload))
+
+  defp say(bytes, state, next) do
+    case bytes == [] || :gen_tcp.send(state.tcp, bytes) do
+      {:error, reason} -> {:stop, {:shutdown, reason}, state}
+      _ -> next.(state)
+    end
+  end
+
+  defp listen(state) do
+    :inet.setopts(state.tcp, active: :once)
+    {:noreply, state}
+  end
+end

@@ -1,0 +1,326 @@
+defmodule Situ.Bridge.Foxglove.Session do
+  @moduledoc false
+  # One client: what it subscribed to and how far it has been served. No process: `open/3`, `hear/3` and `tick/2` answer
+  # the frames to send and the next state; `now` is a clock in nanoseconds that only goes on.
+  alias Situ.Bridge.Foxglove.{Playback, Source, Wire}
+
+  @protocols ["foxglove.sdk.v1", "foxglove.websocket.v1"]
+  # About so many bytes go out in one tick; the playback waits for the rest.
+  @most_at_once 4_000_000
+  @look_every 1_000_000_000
+  @parameters ~w(situ.paused situ.speed situ.position)
+
+  defstruct [
+    :source,
+    :playback,
+    :sdk?,
+    :looked,
+    wanted: %{},
+    told: MapSet.new(),
+    watched: MapSet.new(),
+    warned: MapSet.new()
+  ]
+
+  @type t :: %__MODULE__{}
+
+  @doc "The subprotocols, the best first."
+  def protocols, do: @protocols
+
+  @doc "What a client is sent first, and the state; `name` is the server's."
+  @spec open(Source.t(), String.t(), protocol :: String.t()) :: {[Wire.frame()], t()}
+  def open(source, name, protocol) do
+    {from, to} = Source.extent(source)
+    playback = Playback.new(from, to)
+    # Who joins what is being recorded sees what comes.
+    playback = if source.live?, do: Playback.seek(playback, to), else: playback
+    session = %__MODULE__{source: source, playback: playback, sdk?: protocol == "foxglove.sdk.v1"}
+    {advertise, session} = advertise(session)
+    warnings = for {_, why} <- source.skipped, do: Wire.status(1, why)
+    {[info(session, name) | advertise ++ warnings], session}
+  end
+
+  defp info(session, name) do
+    capabilities = ["time", "parameters", "parametersSubscribe"]
+
+    members = %{
+      name: name,
+      supportedEncodings: [],
+      metadata: %{},
+      sessionId: "#{System.os_time()}"
+    }
+
+    if session.sdk? and not session.source.live?,
+      do:
+        Wire.op(
+          "serverInfo",
+          Map.merge(members, %{
+            capabilities: capabilities ++ ["playbackControl"],
+            dataStartTime: stamp(session.playback.from),
+            dataEndTime: stamp(session.playback.to)
+          })
+        ),
+      else: Wire.op("serverInfo", Map.put(members, :capabilities, capabilities))
+  end
+
+  defp stamp(time),
+    do: %{sec: div(max(time, 0), 1_000_000_000), nsec: rem(max(time, 0), 1_000_000_000)}
+
+  defp advertise(session) do
+    new =
+      for {id, {_, channel}} <- session.source.channels, id not in session.told, do: {id, channel}
+
+    told = Enum.into(new, session.told, &elem(&1, 0))
+    channels = for {id, channel} <- Enum.sort(new), do: Source.advertised(id, channel)
+
+    {if(new == [], do: [], else: [Wire.op("advertise", channels: channels)]),
+     %{session | told: told}}
+  end
+
+  @doc "What a client says."
+  @spec hear(t(), {:text | :binary, binary()}, now :: integer()) :: {[Wire.frame()], t()}
+  def hear(session, frame, _now) do
+    case Wire.read(frame) do
+      {:op, op, message} -> op(session, op, message)
+      {:playback, command, speed, seek, id} -> control(session, command, speed, seek, id)
+      {:error, why} -> {[Wire.status(2, why)], session}
+    end
+  end
+
+  defp op(session, "subscribe", %{"subscriptions" => list}) when is_list(list),
+    do: each(list, session, &subscribe/2)
+
+  defp op(session, "unsubscribe", %{"subscriptionIds" => ids}) when is_list(ids),
+    do: {[], %{session | wanted: Map.drop(session.wanted, ids)}}
+
+  defp op(session, "getParameters", %{"parameterNames" => names} = message) when is_list(names),
+    do: {[values(session, names, message)], session}
+
+  defp op(session, "setParameters", %{"parameters" => list} = message) when is_list(list) do
+    {frames, session} = each(list, session, &set/2)
+    names = for %{"name" => name} <- list, name in @parameters, do: name
+    answer = if message["id"], do: [values(session, names, message)], else: []
+    {frames ++ answer ++ changed(session, names), session}
+  end
+
+  defp op(session, "subscribeParameterUpdates", %{"parameterNames" => names}) when is_list(names),
+    do: {[], %{session | watched: Enum.into(known(names), session.watched)}}
+
+  defp op(session, "unsubscribeParameterUpdates", %{"parameterNames" => names})
+       when is_list(names),
+       do:
+         {[], %{session | watched: MapSet.difference(session.watched, MapSet.new(known(names)))}}
+
+  defp op(session, op, _message),
+    do:
+      {[
+         Wire.status(
+           2,
+           "#{inspect(op, limit: 50, printable_limit: 50)} is not supported here, or lacks a member"
+         )
+       ], session}
+
+  defp each(list, session, fun) do
+    {frames, session} = Enum.map_reduce(list, session, fun)
+    {Enum.concat(frames), session}
+  end
+
+  # A subscriber begins with the message that holds.
+  defp subscribe(%{"id" => id, "channelId" => channel}, session)
+       when is_integer(id) and id in 0..0xFFFFFFFF do
+    cond do
+      not is_map_key(session.source.channels, channel) ->
+        {[Wire.status(2, "there is no channel #{inspect(channel, limit: 5)}")], session}
+
+      is_map_key(session.wanted, id) ->
+        {[Wire.status(2, "the subscription #{id} is there already")], session}
+
+      true ->
+        at = session.playback.at
+        {frames, session} = held(put_in(session.wanted[id], {channel, at}), id)
+        {frames, session}
+    end
+  end
+
+  defp subscribe(_other, session),
+    do: {[Wire.status(2, "a subscription without id and channelId")], session}
+
+  defp held(session, id) do
+    {channel, at} = session.wanted[id]
+    session.source |> Source.latest(channel, at) |> frames(session, id)
+  end
+
+  defp frames(messages, session, id) do
+    Enum.flat_map_reduce(messages, session, fn
+      {time, {:ok, bytes}}, session -> {[Wire.data(id, time, bytes)], session}
+      {_time, {:error, why}}, session -> warn(session, id, why)
+    end)
+  end
+
+  # The same trouble is told once for each subscription.
+  defp warn(session, id, why) do
+    if id in session.warned,
+      do: {[], session},
+      else: {[Wire.status(1, why)], %{session | warned: MapSet.put(session.warned, id)}}
+  end
+
+  # Parameters: for clients that know no control of the playback.
+
+  defp known(names), do: Enum.filter(names, &(&1 in @parameters))
+  defp named([]), do: @parameters
+  defp named(names), do: known(names)
+
+  defp values(session, names, message) do
+    id = if is_binary(message["id"]), do: %{id: message["id"]}, else: %{}
+
+    Wire.op(
+      "parameterValues",
+      Map.put(id, :parameters, for(name <- named(names), do: value(session, name)))
+    )
+  end
+
+  defp value(%{playback: p}, "situ.paused"), do: %{name: "situ.paused", value: p.paused}
+
+  defp value(%{playback: p}, "situ.speed"),
+    do: %{name: "situ.speed", value: p.speed, type: "float64"}
+
+  defp value(%{playback: p}, "situ.position"),
+    do: %{name: "situ.position", value: max(p.at - p.from, 0) / 1.0e9, type: "float64"}
+
+  defp set(%{"name" => "situ.paused", "value" => true}, session), do: command(session, :pause, 0)
+
+  defp set(%{"name" => "situ.paused", "value" => false}, session), do: command(session, :play, 0)
+
+  defp set(%{"name" => "situ.speed", "value" => speed}, session)
+       when is_number(speed) and speed > 0,
+       do: {[], update_in(session.playback, &Playback.at_speed(&1, speed))}
+
+  defp set(%{"name" => "situ.position", "value" => s}, session)
+       when is_number(s) and s >= 0 and s < 1.0e9,
+       do: seek(session, session.playback.from + round(s * 1.0e9))
+
+  defp set(other, session),
+    do:
+      {[
+         Wire.status(
+           2,
+           "no such parameter, or a value that it cannot have: #{inspect(other, limit: 5)}"
+         )
+       ], session}
+
+  defp changed(session, names) do
+    case Enum.filter(names, &(&1 in session.watched)) do
+      [] -> []
+      names -> [values(session, names, %{})]
+    end
+  end
+
+  defp control(%{sdk?: true} = session, command, speed, seek, id) do
+    {sought, session} = if seek, do: seek(session, seek), else: {[], session}
+    {frames, session} = command(session, command, speed)
+    {[state(session.playback, seek != nil, id) | sought ++ frames], session}
+  end
+
+  defp control(session, _command, _speed, _seek, _id),
+    do: {[Wire.status(2, "this protocol has no control of the playback")], session}
+
+  # What has ended begins again.
+  defp command(session, :play, speed) do
+    ended? = Playback.status(session.playback) == :ended and not session.source.live?
+    {frames, session} = if ended?, do: seek(session, session.playback.from), else: {[], session}
+    {frames, update_in(session.playback, &Playback.play(&1, speed))}
+  end
+
+  defp command(session, :pause, speed),
+    do: {[], update_in(session.playback, &(&1 |> Playback.at_speed(speed) |> Playback.pause()))}
+
+  defp state(playback, seek?, id),
+    do: Wire.playback_is(Playback.status(playback), playback.at, playback.speed, seek?, id)
+
+  # Every subscriber gets what holds there, and goes on from it.
+  defp seek(session, time) do
+    playback = Playback.seek(session.playback, time)
+    wanted = Map.new(session.wanted, fn {id, {channel, _}} -> {id, {channel, playback.at}} end)
+    each(Map.keys(wanted), %{session | playback: playback, wanted: wanted}, &held(&2, &1))
+  end
+
+  @doc "What is due: messages up to where the playback is, or (of what is being recorded) all that is new."
+  @spec tick(t(), now :: integer()) :: {[Wire.frame()], t()}
+  def tick(session, now) do
+    {news, session} = look(session, now)
+    before = Playback.status(session.playback)
+    playback = moved(session, now)
+    {messages, session} = due(%{session | playback: playback})
+
+    {frames, session} =
+      each(messages, session, fn {_, id, message}, session -> frames([message], session, id) end)
+
+    time = if before == :playing, do: [Wire.time_is(session.playback.at)], else: []
+    {news ++ frames ++ time ++ ended(session, before), session}
+  end
+
+  defp moved(%{source: %{live?: true}} = session, _now) do
+    {_, to} = Source.extent(session.source)
+
+    %{
+      session.playback
+      | to: to,
+        at: if(session.playback.paused, do: session.playback.at, else: to)
+    }
+  end
+
+  defp moved(session, now), do: Playback.advance(session.playback, now)
+
+  defp look(session, now) do
+    if session.looked == nil or (session.source.live? and now - session.looked >= @look_every),
+      do: advertise(%{session | source: Source.look(session.source), looked: now}),
+      else: {[], session}
+  end
+
+  defp ended(%{sdk?: true} = session, :playing) do
+    if Playback.status(session.playback) == :ended and not session.source.live?,
+      do: [state(session.playback, false, "")],
+      else: []
+  end
+
+  defp ended(_session, _before), do: []
+
+  # In order of time; where there is too much at once, the playback goes only as far as is sent.
+  defp due(%{playback: %{at: at}} = session) do
+    {lists, ends} =
+      session.wanted
+      |> Enum.map(fn {id, {channel, from}} ->
+        {messages, all?} = Source.between(session.source, channel, from, at)
+
+        {Enum.map(messages, &{elem(&1, 0), id, &1}),
+         if(all?, do: at, else: messages |> List.last() |> elem(0))}
+      end)
+      |> Enum.unzip()
+
+    reached = Enum.min([at | ends])
+    {messages, reached} = lists |> Enum.concat() |> Enum.sort_by(&elem(&1, 0)) |> within(reached)
+
+    wanted =
+      Map.new(session.wanted, fn {id, {channel, from}} -> {id, {channel, max(from, reached)}} end)
+
+    {messages, %{session | wanted: wanted, playback: Playback.only_to(session.playback, reached)}}
+  end
+
+  defp within(messages, reached) do
+    messages
+    |> Enum.take_while(&(elem(&1, 0) <= reached))
+    |> Enum.reduce_while({[], 0, nil}, fn {time, _, {_, result}} = message,
+                                          {taken, bytes, last} ->
+      # All of one time belong together.
+      if bytes > @most_at_once and time != last,
+        do: {:halt, {taken, :full, last}},
+        else: {:cont, {[message | taken], bytes + size(result), time}}
+    end)
+    |> case do
+      {taken, :full, last} -> {Enum.reverse(taken), last}
+      {taken, _bytes, _last} -> {Enum.reverse(taken), reached}
+    end
+  end
+
+  defp size({:ok, bytes}), do: byte_size(bytes)
+  defp size({:error, _}), do: 0
+end

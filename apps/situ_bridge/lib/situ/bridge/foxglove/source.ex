@@ -1,0 +1,96 @@
+defmodule Situ.Bridge.Foxglove.Source do
+  @moduledoc false
+  # A recording as Foxglove's channels: which there are, how their messages are written, and those between two times.
+  alias Situ.Bridge.Mcap.Channel
+  alias Situ.Store
+
+  @schema_encodings %{json: "jsonschema", ros1: "ros1msg", cdr: "ros2msg"}
+  @encodings %{json: "json", ros1: "ros1", cdr: "cdr"}
+  # At most so many messages of a stream at a time.
+  @batch 500
+
+  defstruct [:store, :live?, channels: %{}, skipped: %{}]
+  @type t :: %__MODULE__{}
+
+  @spec new(Store.t()) :: t()
+  def new(store), do: look(%__MODULE__{store: store, live?: Store.live?(store)})
+
+  @doc "Takes in streams that have messages now."
+  @spec look(t()) :: t()
+  def look(source) do
+    new =
+      for info <- Store.streams(source.store),
+          info.count > 0,
+          not is_map_key(source.channels, info.id) and not is_map_key(source.skipped, info.id),
+          do: {info, channel(source.store, info)}
+
+    Enum.reduce(new, %{source | live?: Store.live?(source.store)}, fn
+      {info, {:ok, channel}}, source ->
+        put_in(source.channels[info.id], {info.name, channel})
+
+      {info, {:error, error}}, source ->
+        put_in(source.skipped[info.id], "#{info.name}: #{Exception.message(error)}")
+    end)
+  end
+
+  defp channel(store, info) do
+    with {:ok, message} when message != nil <- Store.at(store, info.name, 0),
+         do: Channel.new(topic(info.name), [encoding: :auto], message.data)
+  end
+
+  defp topic("/" <> _ = name), do: name
+  defp topic(name), do: "/" <> String.replace(name, ~r/[. ]/, "/")
+
+  @doc "A channel as it is advertised."
+  @spec advertised(non_neg_integer(), Channel.t()) :: map()
+  def advertised(id, channel) do
+    {name, _language, schema} = channel.schema
+
+    %{
+      id: id,
+      topic: channel.topic,
+      encoding: @encodings[channel.encoding],
+      schemaName: if(name == "", do: "situ.Message", else: name),
+      schemaEncoding: @schema_encodings[channel.encoding],
+      schema: schema
+    }
+  end
+
+  @doc "First and last time."
+  @spec extent(t()) :: {Situ.Time.t(), Situ.Time.t()}
+  def extent(source), do: Store.interval(source.store) || {0, 0}
+
+  @doc "A channel's messages after one time, up to another: `{time, bytes or why there are none}`, and whether these are all."
+  @spec between(t(), non_neg_integer(), Situ.Time.t(), Situ.Time.t()) ::
+          {[{Situ.Time.t(), {:ok, binary()} | {:error, String.t()}}], all? :: boolean()}
+  def between(_source, _id, from, to) when from >= to, do: {[], true}
+
+  def between(source, id, from, to) do
+    {name, channel} = Map.fetch!(source.channels, id)
+
+    case Store.read(source.store, name, from: from + 1, to: to, limit: @batch) do
+      {:ok, messages} -> {Enum.map(messages, &written(&1, channel)), length(messages) < @batch}
+      {:error, error} -> {[{to, {:error, Exception.message(error)}}], true}
+    end
+  end
+
+  @doc "The channel's message that holds at a time, if there is one."
+  @spec latest(t(), non_neg_integer(), Situ.Time.t()) :: [
+          {Situ.Time.t(), {:ok, binary()} | {:error, String.t()}}
+        ]
+  def latest(source, id, time) do
+    {name, channel} = Map.fetch!(source.channels, id)
+
+    case Store.latest_at(source.store, name, time) do
+      {:ok, message} when message != nil -> [written(message, channel)]
+      _ -> []
+    end
+  end
+
+  defp written(message, channel) do
+    case Channel.encode(channel, message.data, message.originating_time) do
+      {:ok, bytes} -> {message.originating_time, {:ok, bytes}}
+      {:error, error} -> {message.originating_time, {:error, Exception.message(error)}}
+    end
+  end
+end
