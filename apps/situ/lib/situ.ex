@@ -448,6 +448,13 @@ defmodule Situ do
     end
   end
 
+  @doc """
+  Where in a running pipeline the message of an originating time is now, and where it waited; print it with
+  `Situ.Diagnostics.Trace.format/1`.
+  """
+  @spec trace(Pipeline.target(), Situ.Time.t()) :: Situ.Diagnostics.Trace.t()
+  defdelegate trace(p, time), to: Pipeline
+
   defp only_input(%Node{inputs: [{input, _}]}), do: input
 
   defp only_input(node) do

@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Inspection do
   @moduledoc false
   # What there is to see of a pipeline: report, snapshot, progress. Reads counters; asks no component.
-  alias Situ.Diagnostics.{Averages, Snapshot, Survey}
+  alias Situ.Diagnostics.{Averages, Snapshot, Survey, Trace}
   alias Situ.Pipeline.{Report, State}
   alias Situ.Ports.Counters
   alias Situ.Stage.Tally
@@ -110,6 +110,16 @@ defmodule Situ.Pipeline.Inspection do
       totals: totals,
       windows: if(averages, do: Averages.windows(averages, time, totals), else: %{}),
       descriptions: state.view.descriptions
+    })
+  end
+
+  @doc "Where the message of an originating time is."
+  @spec trace(State.t(), Situ.Time.t()) :: Trace.t()
+  def trace(state, time) do
+    Trace.new(time, now(state), %{
+      links: state.wires.links,
+      counters: state.wires.counters,
+      stages: state.stages
     })
   end
 

@@ -203,6 +203,13 @@ defmodule Situ.Pipeline do
   def info(p), do: Client.call!(p, :info)
 
   @doc """
+  Where the message of the originating time `time` is now, and where it waited: a `Situ.Diagnostics.Trace`. Asks no
+  component.
+  """
+  @spec trace(target(), Situ.Time.t()) :: Situ.Diagnostics.Trace.t()
+  def trace(p, time) when is_integer(time), do: Client.call!(p, {:trace, time})
+
+  @doc """
   The pipelines of this node: label, process and state of each.
 
       iex> build = fn p -> Situ.timer(p, every: Situ.Time.ms(1)) end

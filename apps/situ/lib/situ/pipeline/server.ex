@@ -90,6 +90,8 @@ defmodule Situ.Pipeline.Server do
     {:reply, snapshot, state |> Inspection.mark() |> Inspection.describe()}
   end
 
+  defp answer({:trace, time}, _from, state), do: {:reply, Inspection.trace(state, time), state}
+
   # The first error so far, for those inside who tell others why their stream ends.
   defp answer(:failure, _from, state), do: {:reply, {:ok, List.last(state.life.errors)}, state}
 

@@ -4,6 +4,7 @@ defmodule Situ.Ports.Counters do
   # Latency goes into a histogram of four buckets per power of two, so p99 is right within 25 %.
 
   alias Situ.Message
+  alias Situ.Ports.Trail
 
   # The producer writes the first eight words, the consumer the rest: each has cache lines of its own.
   @emitted 1
@@ -27,6 +28,8 @@ defmodule Situ.Ports.Counters do
   @size_count 27
   @first 28
   @buckets 176
+  @sent @first + @buckets
+  @taken @sent + Trail.words()
 
   # Sums are of microseconds, and of at most an hour each: data replayed from 1970 must not overflow 64 bits.
   @most_us 3_600_000_000
@@ -47,7 +50,7 @@ defmodule Situ.Ports.Counters do
         }
 
   @spec new() :: t()
-  def new, do: :atomics.new(@first + @buckets, signed: true)
+  def new, do: :atomics.new(@taken + Trail.words(), signed: true)
 
   @doc "`n` messages were handed over; the last was `created` and `posted` so many ns after its originating time."
   @spec emitted(t(), pos_integer(), integer(), integer()) :: :ok
@@ -111,9 +114,21 @@ defmodule Situ.Ports.Counters do
     if waits > 0, do: :atomics.add(ref, @queue_sum, waits * n), else: :ok
   end
 
-  @doc "The originating time the consumer has reached."
-  @spec reached(t(), integer()) :: :ok
-  def reached(ref, time), do: :atomics.put(ref, @reached, time)
+  @doc "At clock time `at` everything up to the originating time `time` had been handed over."
+  @spec sent(t(), Situ.Time.t(), Situ.Time.t()) :: :ok
+  def sent(ref, time, at), do: Trail.note(ref, @sent, time, at)
+
+  @doc "The consumer has reached the originating time `time`; it took that message at clock time `at`."
+  @spec reached(t(), Situ.Time.t(), Situ.Time.t()) :: :ok
+  def reached(ref, time, at) do
+    :atomics.put(ref, @reached, time)
+    Trail.note(ref, @taken, time, at)
+  end
+
+  @doc "When the originating time `time` was handed over, and when it was taken."
+  @spec passage(t(), Situ.Time.t()) :: {passed, passed}
+        when passed: Situ.Time.t() | :forgotten | nil
+  def passage(ref, time), do: {Trail.passed(ref, @sent, time), Trail.passed(ref, @taken, time)}
 
   @doc "What `reached/2` said last; 0 before."
   @spec last_time(t()) :: integer()

@@ -229,7 +229,7 @@ defmodule Situ.Ports.Input do
   def settle(%__MODULE__{handled: {taken, latency, reached, busy}, window: window} = input) do
     if taken > 0 do
       Counters.processed(input.counters, taken, latency, busy)
-      Counters.reached(input.counters, reached)
+      Counters.reached(input.counters, reached, reached + latency)
     end
 
     {n, window} = Window.ask(if(input.queue == nil, do: Window.owe(window, taken), else: window))

@@ -181,7 +181,7 @@ defmodule Situ.Ports.Output do
     messages = if n == 1, do: output.pending, else: :lists.reverse(output.pending)
     note(output, last)
     time = last.originating_time
-    ages = {last.creation_time - time, posted - time}
+    ages = {time, last.creation_time - time, posted - time}
     subs = give(output.subs, messages, n, ages, posted)
     finish(%{output | pending: [], pending_n: 0, subs: subs})
   end

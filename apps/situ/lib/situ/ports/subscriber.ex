@@ -35,6 +35,8 @@ defmodule Situ.Ports.Subscriber do
           waiting: boolean()
         }
 
+  @type ages :: {Situ.Time.t(), created :: integer(), posted :: integer()}
+
   @doc "A subscriber without demand."
   @spec new(term(), pid(), Counters.t() | nil, Delivery.t() | nil) :: t()
   def new(tag, pid, counters, policy \\ nil) do
@@ -58,24 +60,24 @@ defmodule Situ.Ports.Subscriber do
     do: send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, {:cancel, reason}})
 
   @doc """
-  Hands over `n` messages at clock time `now`, as far as they were asked for; the rest waits. `ages`: of the last
-  when made and posted, ns.
+  Hands over `n` messages at clock time `now`, as far as they were asked for; the rest waits. `ages`: the time of the
+  last, and how old it was when made and when posted, ns.
   """
-  @spec give(t(), [Situ.Message.t()], pos_integer(), {integer(), integer()}, Situ.Time.t()) :: t()
-  def give(%{size: 0, demand: demand} = sub, messages, n, ages, _now)
+  @spec give(t(), [Situ.Message.t()], pos_integer(), ages(), Situ.Time.t()) :: t()
+  def give(%{size: 0, demand: demand} = sub, messages, n, ages, now)
       when demand == :infinity or demand >= n do
-    count(sub, n, ages)
+    count(sub, n, ages, now)
     deliver(sub, messages)
     %{sub | demand: minus(demand, n)}
   end
 
-  def give(%{queue: nil} = sub, messages, n, ages, _now) do
-    count(sub, n, ages)
+  def give(%{queue: nil} = sub, messages, n, ages, now) do
+    count(sub, n, ages, now)
     drain(%{sub | rear: [messages | sub.rear], size: sub.size + n})
   end
 
   def give(sub, messages, n, ages, now) do
-    count(sub, n, ages)
+    count(sub, n, ages, now)
     {queue, old} = Queue.expire(sub.queue, now)
     {queue, dropped} = Queue.push_all(queue, messages)
     drop(sub, length(old) + dropped)
@@ -162,10 +164,12 @@ defmodule Situ.Ports.Subscriber do
   defp drop(%{counters: nil}, _n), do: :ok
   defp drop(%{counters: counters}, n), do: Counters.dropped(counters, n)
 
-  defp count(%{counters: nil}, _n, _ages), do: :ok
+  defp count(%{counters: nil}, _n, _ages, _now), do: :ok
 
-  defp count(%{counters: counters}, n, {created, posted}),
-    do: Counters.emitted(counters, n, created, posted)
+  defp count(%{counters: counters}, n, {time, created, posted}, now) do
+    Counters.emitted(counters, n, created, posted)
+    Counters.sent(counters, time, now)
+  end
 
   @doc "How many more it can take; negative while messages wait. A policy that drops, and does not throttle, takes all."
   @spec free(t()) :: integer() | :infinity

@@ -119,6 +119,7 @@ defmodule Situ.Stage.Attachment do
     look = fn data, message ->
       age = message.creation_time - message.originating_time
       Counters.emitted(counters, 1, age, age)
+      Counters.sent(counters, message.originating_time, message.creation_time)
       {emitted, processed, dropped} = Counters.flow(counters)
 
       if emitted - processed - dropped > @most_waiting,

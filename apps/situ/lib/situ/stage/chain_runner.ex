@@ -72,7 +72,12 @@ defmodule Situ.Stage.ChainRunner do
     %{originating_time: time, creation_time: created} = List.last(messages)
     Counters.emitted(counters, length(messages), created - time, posted - time)
     if sizes, do: Counters.sized(counters, messages)
-    if n > 0, do: Counters.processed(counters, n, latency, 0)
+
+    if n > 0 do
+      Counters.processed(counters, n, latency, 0)
+      Counters.sent(counters, time, posted)
+      Counters.reached(counters, time, time + latency)
+    end
   end
 
   defp go(%{chain: %{fast: true, steps: steps}} = state, messages, out) do

@@ -1,0 +1,132 @@
+defmodule Situ.Diagnostics.Trace do
+  @moduledoc """
+  One originating time on its way through a running pipeline: where its message is now, and where it waited. See
+  `Situ.trace/2`.
+
+    * `time`: the originating time asked for; `now`: the pipeline's clock
+    * `hops`: one for each connection between processes, in the order of construction:
+      `%{from, to, state, sent, taken, waited, queue}`
+    * `inside`: paths of the components that have taken it and have not sent anything of that time or later: it is in
+      there, or ended there (a sink, a filter)
+
+  `state` of a hop is `:coming` (nothing of that time or later was sent), `:waiting` (sent, but `to` is not done with
+  it: it waits in the queue, or is being handled) or `:passed` (taken, or dropped by the policy). `sent` and `taken` are
+  times of the pipeline's clock, right within a millisecond, `:forgotten` when too long ago (128 ms with messages and
+  more in them), `waited` what lies between them: up to now while it waits. `queue` is how many messages wait there.
+
+      iex> {:ok, p} = Situ.Pipeline.start(fn p ->
+      ...>   p |> Situ.timer(every: Situ.Time.ms(1)) |> Situ.each(& &1, name: "Sink", async: true)
+      ...> end)
+      iex> trace = Situ.trace(p, Situ.Pipeline.now(p) + Situ.Time.s(3600))
+      iex> for hop <- trace.hops, do: {hop.from, hop.to, hop.state}
+      [{"Timer", "Sink", :coming}]
+      iex> {:ok, _} = Situ.Pipeline.stop(p)
+      iex> :done
+      :done
+  """
+  alias Situ.Graph.Vertex
+  alias Situ.Ports.Counters
+
+  defstruct [:time, :now, hops: [], inside: []]
+
+  @type passed :: Situ.Time.t() | :forgotten | nil
+  @type hop :: %{
+          from: String.t(),
+          to: String.t(),
+          state: :coming | :waiting | :passed,
+          sent: passed(),
+          taken: passed(),
+          waited: Situ.Time.duration() | nil,
+          queue: non_neg_integer()
+        }
+  @type t :: %__MODULE__{
+          time: Situ.Time.t(),
+          now: Situ.Time.t(),
+          hops: [hop()],
+          inside: [String.t()]
+        }
+
+  @doc false
+  # `links` join stages by their ids, `stages` hold their vertices.
+  @spec new(Situ.Time.t(), Situ.Time.t(), map()) :: t()
+  def new(time, now, %{links: links, counters: counters, stages: stages}) do
+    hops =
+      for {tag, link} <- Enum.sort_by(links, &elem(&1, 0)) do
+        ref = Map.fetch!(counters, tag)
+        {link, hop(link, stages, Counters.passage(ref, time), {now, queue(ref)})}
+      end
+
+    %__MODULE__{
+      time: time,
+      now: now,
+      hops: Enum.map(hops, &elem(&1, 1)),
+      inside: for({id, stage} <- Enum.sort(stages), inside?(id, stage, hops), do: last(stage))
+    }
+  end
+
+  defp hop(link, stages, {sent, taken}, {now, queue}) do
+    %{
+      from: last(stages[link.from]),
+      to: hd(stages[link.to].vertices).path,
+      state: state(sent, taken),
+      sent: sent,
+      taken: taken,
+      waited: waited(sent, taken, now),
+      queue: queue
+    }
+  end
+
+  defp state(nil, _taken), do: :coming
+  defp state(_sent, nil), do: :waiting
+  defp state(_sent, _taken), do: :passed
+
+  defp waited(sent, nil, now) when is_integer(sent), do: max(now - sent, 0)
+
+  defp waited(sent, taken, _now) when is_integer(sent) and is_integer(taken),
+    do: max(taken - sent, 0)
+
+  defp waited(_sent, _taken, _now), do: nil
+
+  defp queue(ref) do
+    {emitted, processed, dropped} = Counters.flow(ref)
+    max(emitted - processed - dropped, 0)
+  end
+
+  # Every input has taken it, no output has sent it.
+  defp inside?(id, %{vertices: [head | _]}, hops) do
+    into = for {%{to: ^id}, hop} <- hops, do: hop
+    out_of = for {%{from: ^id}, hop} <- hops, do: hop
+
+    not Vertex.source?(head) and into != [] and Enum.any?(into, &(&1.state == :passed)) and
+      Enum.all?(out_of, &(&1.state == :coming))
+  end
+
+  # What is in a process is named by what it gives.
+  defp last(stage), do: List.last(stage.vertices).path
+
+  @doc "The trace as text for people: where the message is, and a line for each connection."
+  @spec format(t()) :: String.t()
+  def format(%__MODULE__{} = trace) do
+    waiting = for hop <- trace.hops, hop.state == :waiting, do: "waits for #{hop.to}"
+    inside = for path <- trace.inside, do: "in (or ended in) #{path}"
+    places = if waiting ++ inside == [], do: ["nowhere yet"], else: waiting ++ inside
+    lines = Enum.map(trace.hops, &line(&1, trace))
+    Enum.join(["#{trace.time}: " <> Enum.join(places, ", ") | lines], "\n")
+  end
+
+  defp line(hop, trace) do
+    waited =
+      cond do
+        hop.waited != nil -> " waited " <> Situ.Time.format_duration(hop.waited)
+        hop.state == :passed -> " long ago"
+        true -> ""
+      end
+
+    sent =
+      if is_integer(hop.sent),
+        do: " sent #{Situ.Time.format_duration(hop.sent - trace.time)} after its time",
+        else: ""
+
+    "  #{hop.from} -> #{hop.to}: #{hop.state}#{sent}#{waited}, #{hop.queue} in the queue"
+  end
+end
