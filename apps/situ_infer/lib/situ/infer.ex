@@ -20,6 +20,7 @@ defmodule Situ.Infer do
   | pictures | mouths | `Situ.Infer.MouthShape` |
   | 16 kHz sound | what is said | `transcribe/2`, `Situ.Infer.SpeechRecognizer` |
   | text | it spoken | `Situ.Infer.SpeechSynthesizer` |
+  | text | what somebody wants | `Situ.Intent.Detector` |
   | a question | a language model's answer | `Situ.Chat` |
   | mouths and voice | who speaks | `who_speaks/3`, `Situ.Infer.ActiveSpeaker` |
 

@@ -1,0 +1,46 @@
+defmodule Situ.Intent do
+  @moduledoc """
+  What somebody wants, out of what was said: the `query`, the `intents` it may have (best first, with a score of 0..1)
+  and the `entities` in it (`minutes` 5, `name` "tea").
+
+      iex> {:ok, grammar} = Situ.Intent.Grammar.load(grammar: \"""
+      ...> #JSGF V1.0; grammar kitchen;
+      ...> public <timer> = (set | start) [a | the] timer {intent=timer} [for <NUMBER> {minutes} minutes];
+      ...> \""")
+      iex> {:ok, intent} = Situ.Intent.Grammar.detect(grammar, "Please, set a timer for twenty five minutes!")
+      iex> {Situ.Intent.name(intent), Situ.Intent.entity(intent, "minutes")}
+      {"timer", "25"}
+
+  Two ways lead there, both a `Situ.Intent.Recognizer`: a grammar (`Situ.Intent.Grammar`) and a language model
+  (`Situ.Intent.Model`). On streams: `Situ.Intent.Detector`.
+  """
+
+  @enforce_keys [:query]
+  defstruct [:query, intents: [], entities: []]
+
+  @type intent :: %{value: String.t(), score: float()}
+  @type entity :: %{type: String.t(), value: String.t(), score: float()}
+  @type t :: %__MODULE__{query: String.t(), intents: [intent()], entities: [entity()]}
+
+  @doc "The likeliest intent, or `nil`."
+  @spec name(t()) :: String.t() | nil
+  def name(%__MODULE__{intents: []}), do: nil
+  def name(%__MODULE__{intents: [best | _]}), do: best.value
+
+  @doc "The first entity of this type, or `nil`."
+  @spec entity(t(), String.t()) :: String.t() | nil
+  def entity(%__MODULE__{entities: entities}, type),
+    do: Enum.find_value(entities, &(&1.type == type && &1.value))
+
+  @doc """
+  One line for people.
+
+      iex> Situ.Intent.format(%Situ.Intent{query: "what time is it", intents: [%{value: "time", score: 1.0}]})
+      "time: \\"what time is it\\""
+  """
+  @spec format(t()) :: String.t()
+  def format(%__MODULE__{} = intent) do
+    entities = for e <- intent.entities, do: ", #{e.type} #{e.value}"
+    "#{name(intent) || "?"}#{entities}: #{inspect(intent.query)}"
+  end
+end

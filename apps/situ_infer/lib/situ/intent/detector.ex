@@ -1,0 +1,61 @@
+defmodule Situ.Intent.Detector do
+  @schema [
+    recognizer: [
+      type: :module,
+      default: Situ.Intent.Grammar,
+      doc: "What finds intents: a `Situ.Intent.Recognizer`."
+    ],
+    recognizer_options: [
+      type: :keyword,
+      required: true,
+      doc: "For its `load/1`: `[grammar: ...]`."
+    ]
+  ]
+
+  @moduledoc """
+  Intents out of a stream of texts, or of what a recogniser heard.
+
+      heard = Situ.Infer.transcribe(sound)
+      wanted = Situ.via([in: heard], Situ.Intent.Detector, recognizer_options: [grammar: "room.gram"])
+
+  Input `:in` is a string or a `Situ.Infer.Speech.Utterance`, output `:out` a `Situ.Intent` for each, at its time; without
+  intents where nothing is known. A message on the input `:options` (a keyword list, such as `[grammar: other]`) changes
+  the recogniser's options while it runs: from its originating time on. Options that cannot be used are an error, and the
+  old ones stay.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    inputs: [in: :any, options: {:any, optional: true}],
+    outputs: [out: Situ.Intent],
+    options: @schema
+
+  alias Situ.Error
+  alias Situ.Infer.Speech.Utterance
+
+  @impl true
+  def init(opts) do
+    with {:ok, recognizer} <- opts[:recognizer].load(opts[:recognizer_options]),
+         do: {:ok, %{opts: Map.new(opts), recognizer: recognizer}}
+  end
+
+  @impl true
+  def handle_message(:in, %{data: said, originating_time: time}, _context, state) do
+    intent = Error.unwrap!(state.opts.recognizer.detect(state.recognizer, text(said)))
+    {[{:out, time, intent}], state}
+  end
+
+  def handle_message(:options, %{data: changes}, _context, %{opts: opts} = state) do
+    own = Keyword.merge(opts.recognizer_options, changes)
+    recognizer = Error.unwrap!(opts.recognizer.load(own))
+    {[], %{state | recognizer: recognizer, opts: %{opts | recognizer_options: own}}}
+  end
+
+  defp text(%Utterance{text: text}), do: text
+  defp text(text) when is_binary(text), do: text
+
+  defp text(other),
+    do: raise(Error.new(:bad_text, "not what somebody said: #{inspect(other, limit: 5)}"))
+end

@@ -1,0 +1,134 @@
+defmodule Situ.Intent.Grammar do
+  @schema [
+    grammar: [
+      type: :string,
+      required: true,
+      doc: "The grammar itself, or the path of a file with it."
+    ],
+    where: [
+      type: {:in, [:anywhere, :whole]},
+      default: :anywhere,
+      doc: "Whether a sentence may hold more than the grammar says, or must be it."
+    ],
+    min_score: [
+      type: {:range, 0.0, 1.0},
+      default: 0.0,
+      doc: "The share of a sentence's words that must be the grammar's."
+    ]
+  ]
+
+  @moduledoc """
+  Intents by rules: a grammar in JSGF (`Situ.Intent.Jsgf`) with tags.
+
+      #JSGF V1.0; grammar room;
+      public <time>  = what time is it {intent=time} | tell me the time {intent=time};
+      public <light> = turn {intent=light} (on {state=on} | off {state=off}) the light [in the <room> {room}];
+      <room> = kitchen | bed room;
+
+  `{intent=NAME}` is the intent; `{KEY=VALUE}` an entity; `{KEY}` an entity whose value is what was said there, or the
+  number that `<NUMBER>` heard. A rule without `{intent=...}` has its own name as intent. The score is the share of the
+  sentence's words that the rule says; of several rules, the one that says most comes first.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+
+  ## Errors
+
+  `:bad_grammar` with the line, `:no_grammar` (no such file).
+  """
+  @behaviour Situ.Intent.Recognizer
+
+  alias Situ.{Error, Intent}
+  alias Situ.Infer.Speech.Utterance
+  alias Situ.Intent.{Jsgf, Matcher}
+
+  # Nobody says more in one sentence.
+  @most_words 200
+
+  @enforce_keys [:jsgf, :where, :min_score]
+  defstruct [:jsgf, :where, :min_score]
+  @type t :: %__MODULE__{jsgf: Jsgf.t(), where: :anywhere | :whole, min_score: float()}
+
+  @impl true
+  @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def load(opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, text} <- text(opts[:grammar]),
+         {:ok, jsgf} <- Jsgf.parse(text),
+         do: {:ok, %__MODULE__{jsgf: jsgf, where: opts[:where], min_score: opts[:min_score]}}
+  end
+
+  defp text("#JSGF" <> _ = text), do: {:ok, text}
+
+  defp text(text) do
+    if String.contains?(text, "\n") or String.contains?(text, ";") do
+      {:ok, text}
+    else
+      with {:error, why} <- File.read(text) do
+        {:error,
+         Error.new(:no_grammar, "cannot read a grammar: #{:file.format_error(why)}",
+           fix: "check the path #{text}"
+         )}
+      end
+    end
+  end
+
+  @impl true
+  @spec detect(t(), String.t()) :: {:ok, Intent.t()} | {:error, Error.t()}
+  def detect(%__MODULE__{} = grammar, text) do
+    words = text |> Utterance.words() |> Enum.take(@most_words) |> List.to_tuple()
+
+    found =
+      for {rule, place} <- Enum.with_index(grammar.jsgf.public),
+          {from, to, tags} <- List.wrap(longest(grammar, rule, words)),
+          score = (to - from) / tuple_size(words),
+          score >= grammar.min_score,
+          do: {-score, place, rule, tags}
+
+    found = Enum.sort(found)
+    {:ok, %Intent{query: text, intents: intents(found), entities: entities(found)}}
+  end
+
+  defp longest(_grammar, _rule, {}), do: nil
+
+  defp longest(%{where: :whole} = grammar, rule, words) do
+    size = tuple_size(words)
+
+    with [{^size, tags} | _] <- Matcher.ends(grammar.jsgf, rule, words, 0),
+         do: {0, size, tags},
+         else: (_ -> nil)
+  end
+
+  defp longest(grammar, rule, words) do
+    for from <- 0..(tuple_size(words) - 1),
+        {to, tags} <- Enum.take(Matcher.ends(grammar.jsgf, rule, words, from), 1),
+        to > from do
+      {from, to, tags}
+    end
+    |> Enum.max_by(fn {from, to, _} -> {to - from, -from} end, fn -> nil end)
+  end
+
+  defp intents(found) do
+    for {score, _, rule, tags} <- found do
+      name = Enum.find_value(tags, rule, &intent/1)
+      %{value: name, score: -score}
+    end
+    |> Enum.uniq_by(& &1.value)
+  end
+
+  defp intent({"intent=" <> name, _}), do: String.trim(name)
+  defp intent(_), do: nil
+
+  # Those of the best rule.
+  defp entities([]), do: []
+
+  defp entities([{score, _, _, tags} | _]) do
+    for {text, said} = tag <- tags, intent(tag) == nil do
+      case String.split(text, "=", parts: 2) do
+        [key, value] -> %{type: String.trim(key), value: String.trim(value), score: -score}
+        [key] -> %{type: key, value: said, score: -score}
+      end
+    end
+  end
+end

@@ -1,0 +1,260 @@
+defmodule Situ.Intent.Jsgf do
+  @moduledoc """
+  Reads grammars in the Java Speech Grammar Format (JSGF 1.0, <https://www.w3.org/TR/jsgf/>): rules, alternatives,
+  `[optional]`, `(groups)`, `*`, `+`, `"quoted words"`, weights, tags, comments, `<NULL>` and `<VOID>`.
+
+      iex> {:ok, grammar} = Situ.Intent.Jsgf.parse("#JSGF V1.0; grammar g; public <yes> = yes | of course;")
+      iex> grammar.rules["yes"]
+      {:alt, [{:word, "yes"}, {:seq, [{:word, "of"}, {:word, "course"}]}]}
+
+  Two rules are ours: `<NUMBER>` is a number from 0 to 999 in words or digits, `<WORDS>` one or more words of any kind.
+  `import` is refused: a grammar is one text.
+  """
+  alias Situ.Error
+
+  @most_bytes 1_000_000
+  @deepest 200
+  @built_in ~w(NULL VOID NUMBER WORDS)
+
+  @enforce_keys [:name, :public, :rules]
+  defstruct [:name, :public, :rules]
+
+  @type expansion ::
+          {:word, String.t()}
+          | {:rule, String.t()}
+          | {:seq | :alt, [expansion()]}
+          | {:optional | :many | :some, expansion()}
+          | {:tag, expansion(), String.t()}
+  @type t :: %__MODULE__{
+          name: String.t(),
+          public: [String.t()],
+          rules: %{String.t() => expansion()}
+        }
+
+  @doc "The grammar in a text; an error names the line."
+  @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def parse(text) do
+    with :ok <- plain(text),
+         {:ok, tokens} <- tokens(text, 1, []),
+         {:ok, name, tokens} <- head(tokens),
+         {:ok, grammar} <- rules(tokens, %__MODULE__{name: name, public: [], rules: %{}}),
+         :ok <- whole(grammar) do
+      {:ok, %{grammar | public: Enum.reverse(grammar.public)}}
+    else
+      {:error, %Error{}} = error -> error
+      {:error, line, what} -> {:error, bad("line #{line}: #{what}")}
+    end
+  end
+
+  defp bad(why) do
+    Error.new(:bad_grammar, "this is no grammar that can be used",
+      why: why,
+      fix: "see https://www.w3.org/TR/jsgf/"
+    )
+  end
+
+  defp plain(text) do
+    cond do
+      not String.valid?(text) -> {:error, bad("it is no text in UTF-8")}
+      byte_size(text) > @most_bytes -> {:error, bad("it has more than #{@most_bytes} bytes")}
+      true -> :ok
+    end
+  end
+
+  # Tokens: {kind, line} or {kind, line, text}.
+  defp tokens("", line, found), do: {:ok, Enum.reverse([{:end, line} | found])}
+  defp tokens("\n" <> rest, line, found), do: tokens(rest, line + 1, found)
+
+  defp tokens(<<c, rest::binary>>, line, found) when c in ' \t\r', do: tokens(rest, line, found)
+  defp tokens("\uFEFF" <> rest, line, found), do: tokens(rest, line, found)
+
+  defp tokens("//" <> rest, line, found) do
+    case String.split(rest, "\n", parts: 2) do
+      [_, rest] -> tokens("\n" <> rest, line, found)
+      [_] -> tokens("", line, found)
+    end
+  end
+
+  defp tokens("/*" <> rest, line, found) do
+    case String.split(rest, "*/", parts: 2) do
+      [comment, rest] -> tokens(rest, line + newlines(comment), found)
+      [_] -> {:error, line, "a comment has no end"}
+    end
+  end
+
+  defp tokens("{" <> rest, line, found) do
+    case Regex.run(~r/\A((?:[^\\}]|\\.)*)\}/s, rest) do
+      [all, tag] ->
+        text = tag |> String.replace(~r/\\(.)/s, "\\1") |> String.trim()
+        tokens(cut(rest, all), line + newlines(all), [{:tag, line, text} | found])
+
+      nil ->
+        {:error, line, "a tag has no end"}
+    end
+  end
+
+  defp tokens("\"" <> rest, line, found) do
+    case Regex.run(~r/\A((?:[^\\"]|\\.)*)"/s, rest) do
+      [all, words] ->
+        words = words |> String.replace(~r/\\(.)/s, "\\1") |> String.split()
+        quoted = Enum.map(words, &{:word, line, &1})
+        tokens(cut(rest, all), line + newlines(all), Enum.reverse(quoted, found))
+
+      nil ->
+        {:error, line, "a quotation has no end"}
+    end
+  end
+
+  defp tokens("<" <> rest, line, found) do
+    case Regex.run(~r/\A([^<>\s;=|()\[\]{}]+)>/u, rest) do
+      [all, name] -> tokens(cut(rest, all), line, [{:rule, line, name} | found])
+      nil -> {:error, line, "the name of a rule has no end"}
+    end
+  end
+
+  defp tokens("/" <> rest, line, found) do
+    case Regex.run(~r/\A\s*[0-9.]+\s*\//, rest) do
+      [all] -> tokens(cut(rest, all), line, found)
+      nil -> {:error, line, "a weight is written /0.5/"}
+    end
+  end
+
+  defp tokens(<<c, rest::binary>>, line, found) when c in ';=|()[]*+',
+    do: tokens(rest, line, [{sign(c), line} | found])
+
+  defp tokens(text, line, found) do
+    [word] = Regex.run(~r/\A(?:[^\s;=|()\[\]{}<>*+\/"]|\/(?![\/*]))+|\A./u, text)
+    tokens(cut(text, word), line, [{:word, line, word} | found])
+  end
+
+  for c <- ';=|()[]*+', do: defp(sign(unquote(c)), do: unquote(List.to_atom([c])))
+
+  defp cut(text, part), do: binary_part(text, byte_size(part), byte_size(text) - byte_size(part))
+  defp newlines(text), do: text |> :binary.matches("\n") |> length()
+
+  defp head([{:word, _, "#JSGF"}, {:word, _, "V1.0"} | rest]) do
+    case Enum.drop_while(rest, &match?({:word, _, _}, &1)) do
+      [{:";", _}, {:word, _, "grammar"}, {:word, _, name}, {:";", _} | rest] -> {:ok, name, rest}
+      [{_, line} | _] -> {:error, line, "`grammar NAME;` must follow"}
+      [{_, line, _} | _] -> {:error, line, "`grammar NAME;` must follow"}
+    end
+  end
+
+  defp head(_), do: {:error, 1, "it does not begin with `#JSGF V1.0;`"}
+
+  defp rules([{:end, _}], grammar), do: {:ok, grammar}
+
+  defp rules([{:word, _, "public"}, {:rule, line, name} | rest], grammar),
+    do: rule(name, line, rest, %{grammar | public: [name | grammar.public]})
+
+  defp rules([{:rule, line, name} | rest], grammar), do: rule(name, line, rest, grammar)
+
+  defp rules([{:word, line, "import"} | _], _grammar),
+    do: {:error, line, "import is not known: write all rules into one text"}
+
+  defp rules([token | _], _grammar), do: {:error, elem(token, 1), "`<name> = ...;` was expected"}
+
+  defp rule(name, line, [{:=, _} | rest], grammar) do
+    cond do
+      name in @built_in -> {:error, line, "<#{name}> is a rule that is built in"}
+      is_map_key(grammar.rules, name) -> {:error, line, "<#{name}> is there twice"}
+      true -> body(name, rest, grammar)
+    end
+  end
+
+  defp rule(name, line, _rest, _grammar), do: {:error, line, "`=` must follow <#{name}>"}
+
+  defp body(name, tokens, grammar) do
+    with {:ok, expansion, rest} <- alternatives(tokens, 0) do
+      case rest do
+        [{:";", _} | rest] -> rules(rest, put_in(grammar.rules[name], expansion))
+        [token | _] -> {:error, elem(token, 1), "<#{name}> does not end with `;`"}
+      end
+    end
+  end
+
+  defp alternatives([token | _], depth) when depth > @deepest,
+    do: {:error, elem(token, 1), "groups lie more than #{@deepest} deep"}
+
+  defp alternatives(tokens, depth) do
+    with {:ok, first, rest} <- sequence(tokens, [], depth) do
+      case rest do
+        [{:|, _} | rest] ->
+          with {:ok, other, rest} <- alternatives(rest, depth),
+               do: {:ok, either(first, other), rest}
+
+        rest ->
+          {:ok, first, rest}
+      end
+    end
+  end
+
+  defp either(first, {:alt, others}), do: {:alt, [first | others]}
+  defp either(first, other), do: {:alt, [first, other]}
+
+  defp sequence([{:word, _, word} | rest], found, depth) do
+    words = for word <- Situ.Infer.Speech.Utterance.words(word), do: {:word, word}
+    sequence(rest, Enum.reverse(words, found), depth)
+  end
+
+  defp sequence([{:rule, _, name} | rest], found, depth),
+    do: sequence(rest, [{:rule, name} | found], depth)
+
+  defp sequence([{:"(", line} | rest], found, depth),
+    do: group(rest, :")", line, found, depth, & &1)
+
+  defp sequence([{:"[", line} | rest], found, depth),
+    do: group(rest, :"]", line, found, depth, &{:optional, &1})
+
+  defp sequence([{sign, line} | rest], found, depth) when sign in [:*, :+] do
+    case found do
+      [last | found] ->
+        sequence(rest, [{if(sign == :*, do: :many, else: :some), last} | found], depth)
+
+      [] ->
+        {:error, line, "there is nothing in front of `#{sign}`"}
+    end
+  end
+
+  defp sequence([{:tag, line, text} | rest], found, depth) do
+    case found do
+      [last | found] -> sequence(rest, [{:tag, last, text} | found], depth)
+      [] -> {:error, line, "there is nothing in front of {#{text}}"}
+    end
+  end
+
+  defp sequence([token | _], [], _depth), do: {:error, elem(token, 1), "an alternative is empty"}
+  defp sequence(rest, [one], _depth), do: {:ok, one, rest}
+  defp sequence(rest, found, _depth), do: {:ok, {:seq, Enum.reverse(found)}, rest}
+
+  defp group(tokens, close, line, found, depth, wrap) do
+    with {:ok, inner, rest} <- alternatives(tokens, depth + 1) do
+      case rest do
+        [{^close, _} | rest] -> sequence(rest, [wrap.(inner) | found], depth)
+        _ -> {:error, line, "a group is not closed"}
+      end
+    end
+  end
+
+  defp whole(%{public: []}), do: {:error, bad("no rule is public")}
+
+  defp whole(grammar) do
+    known = Map.keys(grammar.rules) ++ @built_in
+    used = grammar.rules |> Map.values() |> Enum.flat_map(&used/1)
+
+    unknown(Enum.find(used, &(&1 not in known)), known)
+  end
+
+  defp unknown(nil, _known), do: :ok
+
+  defp unknown(name, known) do
+    near = Situ.Options.nearest(name, known)
+    {:error, bad("there is no rule <#{name}>#{if near, do: "; did you mean <#{near}>?"}")}
+  end
+
+  defp used({:rule, name}), do: [name]
+  defp used({kind, parts}) when kind in [:seq, :alt], do: Enum.flat_map(parts, &used/1)
+  defp used({:word, _}), do: []
+  defp used({:tag, part, _}), do: used(part)
+  defp used({_, part}), do: used(part)
+end

@@ -1,0 +1,108 @@
+defmodule Situ.Intent.Matcher do
+  @moduledoc false
+  # The words of a sentence against a grammar. From each place, the places where an expansion can end, with the tags on
+  # the way there; of several ways to one place the first counts, and each rule is tried once at each place, so the
+  # work is bounded by the size of the grammar times the square of the words.
+  alias Situ.Intent.{Jsgf, Number}
+
+  @type tag :: {text :: String.t(), value :: String.t()}
+
+  @doc "The ends of a rule that begins at `from`, the farthest first: `{end, tags}`."
+  @spec ends(Jsgf.t(), String.t(), tuple(), non_neg_integer()) :: [{non_neg_integer(), [tag()]}]
+  def ends(%Jsgf{rules: rules}, rule, words, from) do
+    {found, _} = ends({:rule, rule}, from, %{rules: rules, words: words, known: %{}})
+
+    found
+    |> Enum.map(fn {at, tags} -> {at, Enum.reverse(tags)} end)
+    |> Enum.sort_by(&(-elem(&1, 0)))
+  end
+
+  # Tags come last first.
+  defp ends({:word, word}, at, state) do
+    if at < tuple_size(state.words) and elem(state.words, at) == word,
+      do: {[{at + 1, []}], state},
+      else: {[], state}
+  end
+
+  defp ends({:rule, "NULL"}, at, state), do: {[{at, []}], state}
+  defp ends({:rule, "VOID"}, _at, state), do: {[], state}
+
+  defp ends({:rule, "WORDS"}, at, state),
+    do: {for(to <- tuple_size(state.words)..(at + 1)//-1, do: {to, []}), state}
+
+  defp ends({:rule, "NUMBER"}, at, state) do
+    words = state.words |> Tuple.to_list() |> Enum.drop(at)
+    {for({n, _value} <- Number.prefixes(words), do: {at + n, []}), state}
+  end
+
+  defp ends({:rule, name}, at, state) do
+    case state.known do
+      # Asked for again while it is being found: it would go in circles.
+      %{{^name, ^at} => found} ->
+        {found, state}
+
+      _ ->
+        state = put_in(state.known[{name, at}], [])
+        {found, state} = ends(Map.fetch!(state.rules, name), at, state)
+        {found, put_in(state.known[{name, at}], found)}
+    end
+  end
+
+  defp ends({:alt, parts}, at, state) do
+    {found, state} = Enum.map_reduce(parts, state, &ends(&1, at, &2))
+    {found |> Enum.concat() |> first_ways(), state}
+  end
+
+  defp ends({:seq, parts}, at, state) do
+    Enum.reduce(parts, {[{at, []}], state}, fn part, {found, state} ->
+      after_each(part, found, state)
+    end)
+  end
+
+  defp ends({:optional, part}, at, state) do
+    {found, state} = ends(part, at, state)
+    {first_ways(found ++ [{at, []}]), state}
+  end
+
+  defp ends({:some, part}, at, state) do
+    {found, state} = ends(part, at, state)
+    repeat(part, found, found, state)
+  end
+
+  defp ends({:many, part}, at, state), do: repeat(part, [{at, []}], [{at, []}], state)
+
+  defp ends({:tag, part, text}, at, state) do
+    {found, state} = ends(part, at, state)
+    {for({to, tags} <- found, do: {to, [{text, value(part, state.words, at, to)} | tags]}), state}
+  end
+
+  defp after_each(part, found, state) do
+    {more, state} =
+      Enum.map_reduce(found, state, fn {at, tags}, state ->
+        {ends, state} = ends(part, at, state)
+        {for({to, new} <- ends, do: {to, new ++ tags}), state}
+      end)
+
+    {more |> Enum.concat() |> first_ways(), state}
+  end
+
+  # Once more from each new end, until there is none.
+  defp repeat(_part, all, [], state), do: {all, state}
+
+  defp repeat(part, all, new, state) do
+    {more, state} = after_each(part, new, state)
+    more = Enum.reject(more, fn {to, _} -> List.keymember?(all, to, 0) end)
+    repeat(part, all ++ more, more, state)
+  end
+
+  defp first_ways(found), do: Enum.uniq_by(found, &elem(&1, 0))
+
+  defp value({:rule, "NUMBER"}, words, at, to) do
+    part = words |> Tuple.to_list() |> Enum.slice(at, to - at)
+    {_, n} = List.keyfind(Number.prefixes(part), to - at, 0)
+    Integer.to_string(n)
+  end
+
+  defp value(_part, words, at, to),
+    do: words |> Tuple.to_list() |> Enum.slice(at, to - at) |> Enum.join(" ")
+end
