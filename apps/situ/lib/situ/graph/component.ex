@@ -125,6 +125,19 @@ defmodule Situ.Component do
   @callback migrate(state(), old_opts :: keyword(), new_opts :: keyword()) ::
               {:ok, state()} | {:error, Situ.Error.t()}
 
+  @doc """
+  The state as plain data, for a checkpoint (`Situ.Pipeline.checkpoint/3`). Without it the state itself is taken, which
+  must hold no processes, ports or references then. Called between messages; it must not change anything.
+  """
+  @callback snapshot(state()) :: {:ok, data :: term()} | {:error, Situ.Error.t()}
+
+  @doc """
+  Takes up what `snapshot/1` gave: `fresh` is the state after `init/1` and `handle_start/2`, in a new process, perhaps
+  on another machine.
+  """
+  @callback restore(data :: term(), fresh :: state()) ::
+              {:ok, state()} | {:error, Situ.Error.t()}
+
   @doc "One line about the state, for people (diagnostics, studio)."
   @callback describe(state()) :: String.t()
 
@@ -137,7 +150,7 @@ defmodule Situ.Component do
 
   @optional_callbacks handle_demand: 3, handle_messages: 4, handle_attach: 5, handle_detach: 3
   @optional_callbacks handle_request: 4
-  @optional_callbacks migrate: 3, describe: 1
+  @optional_callbacks migrate: 3, describe: 1, snapshot: 1, restore: 2
 
   @doc false
   defmacro __using__(opts) do

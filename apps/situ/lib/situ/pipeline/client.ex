@@ -79,6 +79,20 @@ defmodule Situ.Pipeline.Client do
     error in Error -> {:error, error}
   end
 
+  @doc "Runs `fun` with the memories of all stages, while the sources stand still."
+  @spec checkpoint(Pipeline.target(), (map() -> result), pos_integer()) ::
+          {:ok, result} | {:error, Error.t()}
+        when result: term()
+  def checkpoint(p, fun, timeout) do
+    with {:ok, ref, memories} <- call(p, {:checkpoint, timeout}) do
+      try do
+        {:ok, fun.(memories)}
+      after
+        send(pid(p), {:situ_thaw, ref})
+      end
+    end
+  end
+
   @doc "The server's answer, or `{:error, error}` when it has ended."
   @spec call(Pipeline.target(), term()) :: term()
   def call(p, request), do: ask(pid(p), request, :infinity, nil)

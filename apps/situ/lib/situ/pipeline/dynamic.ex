@@ -5,13 +5,15 @@ defmodule Situ.Pipeline.Dynamic do
   #
   #   taps      by the id of their stage: Dynamic.Tap
   #   inputs    inputs being added or taken away: Dynamic.Input
+  #   checkpoint  the one under way: Checkpointing
   #   replaces  per stage, the replacement under way and those that wait for it: Dynamic.Replacement
-  defstruct taps: %{}, inputs: %{}, replaces: %{}
+  defstruct taps: %{}, inputs: %{}, replaces: %{}, checkpoint: nil
 
   @type t :: %__MODULE__{
           taps: %{pos_integer() => map()},
           inputs: %{term() => map()},
-          replaces: %{pos_integer() => {map(), :queue.queue(map())}}
+          replaces: %{pos_integer() => {map(), :queue.queue(map())}},
+          checkpoint: map() | nil
         }
 
   @doc "The pipeline has ended: whoever still waits is told so."
@@ -24,9 +26,13 @@ defmodule Situ.Pipeline.Dynamic do
           {current, queue} <- Map.values(dynamic.replaces),
           %{from: from} <- [current | :queue.to_list(queue)],
           do: from
-        )
+        ) ++ checkpoint(dynamic.checkpoint)
 
     for from <- waiting, from != nil, do: GenServer.reply(from, answer)
     :ok
   end
+
+  # Who holds it has its answer.
+  defp checkpoint(%{step: step, from: from}) when step != :held, do: [from]
+  defp checkpoint(_none), do: []
 end

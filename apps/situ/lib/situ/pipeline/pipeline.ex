@@ -271,6 +271,35 @@ defmodule Situ.Pipeline do
   end
 
   @doc """
+  A checkpoint: `fun` gets the memories of all components as plain data, by their paths, while sources stand still and
+  no message is on its way. A pipeline of the same graph that starts with `pipeline: [resume: memories]` goes on from
+  there, in another process or on another machine; what had been posted before is not posted again.
+
+  States that are data need nothing for it; a component with handles in its state defines `c:Situ.Component.snapshot/1`
+  and `c:Situ.Component.restore/2`.
+
+      iex> count = fn p ->
+      ...>   sums = p |> Situ.from_enumerable(1..4, every: 10) |> Situ.scan(0, &(&1 + &2))
+      ...>   Situ.GenStage.accumulate(sums, name: "Sum")
+      ...> end
+      iex> {:ok, p} = Situ.Pipeline.start(count, pipeline: [replay: [speed: :max]])
+      iex> {:ok, paths} = Situ.Pipeline.checkpoint(p, &Enum.sort(Map.keys(&1)))
+      iex> paths
+      ["Enumerable", "Scan", "Sum"]
+      iex> {:ok, _} = Situ.Pipeline.stop(p)
+      iex> :done
+      :done
+
+  Options: `timeout:`, ms to wait for that moment (5,000). Errors: `:no_snapshot` names a component whose state is no
+  data; `:not_settled` when messages were on their way all the time; `:busy`, `:not_running`.
+  """
+  @spec checkpoint(target(), (%{String.t() => map()} -> result), keyword()) ::
+          {:ok, result} | {:error, Error.t()}
+        when result: term()
+  def checkpoint(p, fun, opts \\ []) when is_function(fun, 1),
+    do: Client.checkpoint(p, fun, Keyword.get(opts, :timeout, 5_000))
+
+  @doc """
   Adds a component without connecting it (`Situ.source/3` and `Situ.via/3` do both). `opts` are its own options and
   those of `Situ.Graph.Placement`.
 

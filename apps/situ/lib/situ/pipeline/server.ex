@@ -16,10 +16,11 @@ defmodule Situ.Pipeline.Server do
   alias Situ.Application.{Directory, Results}
   alias Situ.Graph.Builder
   alias Situ.Lifecycle.Errors
-  alias Situ.Pipeline.{Dynamic, Handlers, Inspection, Performer, Stages, State}
+  alias Situ.Pipeline.{Checkpointing, Dynamic, Handlers, Inspection, Performer, Stages, State}
 
   # Requests to a pipeline that is just starting wait until it runs.
-  @patient [:extend, :subscription, :replace, :tap, :stop_part, :clock, :attach, :detach]
+  @patient [:extend, :subscription, :replace, :tap, :stop_part, :clock, :attach, :detach] ++
+             [:checkpoint]
 
   @impl true
   def init(_), do: :ignore
@@ -150,6 +151,9 @@ defmodule Situ.Pipeline.Server do
   defp running({:replace, asked}, from, state),
     do: {:noreply, Dynamic.Replacement.ask(state, asked, from)}
 
+  defp running({:checkpoint, timeout}, from, state),
+    do: {:noreply, Checkpointing.ask(state, timeout, from)}
+
   defp running({:subscription, which}, _from, state),
     do: {:reply, Dynamic.Tap.subscription(state, which), state}
 
@@ -216,6 +220,9 @@ defmodule Situ.Pipeline.Server do
     {:noreply, Dynamic.Replacement.reload(state, graph)}
   end
 
+  defp event({:situ_checkpoint, ref}, state), do: {:noreply, Checkpointing.look(state, ref)}
+  defp event({:situ_thaw, ref}, state), do: {:noreply, Checkpointing.thaw(state, ref)}
+
   defp event({:situ_late, ref, timeout}, state),
     do: {:noreply, Dynamic.Replacement.late(state, ref, timeout)}
 
@@ -230,7 +237,7 @@ defmodule Situ.Pipeline.Server do
     do: apply_event(state, {:stop, Lifecycle.catch_up_ms()})
 
   defp event({:DOWN, ref, :process, _, _}, state),
-    do: dynamic(Dynamic.Tap.owner_down(state, ref))
+    do: dynamic(Dynamic.Tap.owner_down(Checkpointing.thaw(state, ref), ref))
 
   defp event(_other, state), do: {:noreply, state}
 
@@ -274,6 +281,9 @@ defmodule Situ.Pipeline.Server do
 
   defp stage({:detached, input, opts}, id, state),
     do: dynamic(Dynamic.Input.detached(state, id, input, opts))
+
+  defp stage({:remembered, ref, answer}, id, state),
+    do: {:noreply, Checkpointing.remembered(state, id, ref, answer)}
 
   defp stage({:replaced, ref, answer}, id, state),
     do: {:noreply, Dynamic.Replacement.answered(state, id, ref, answer)}

@@ -25,6 +25,12 @@ defmodule Situ.Pipeline.Settings do
       default: false,
       doc: "Adds the Diagnostics stream (`interval:` ns between snapshots, default 100 ms)."
     ],
+    resume: [
+      type: :map,
+      default: %{},
+      doc:
+        "What `checkpoint/3` gave: components go on from there. Those it does not name start fresh."
+    ],
     averaging: [
       type: :pos_integer,
       default: 1_000_000_000,
@@ -68,6 +74,7 @@ defmodule Situ.Pipeline.Settings do
     :mode,
     :reply,
     default_policy: nil,
+    resume: %{},
     interval: {:unbounded, :unbounded},
     speed: 1.0,
     diagnostics: false,
@@ -103,6 +110,7 @@ defmodule Situ.Pipeline.Settings do
          default_policy: opts[:default_policy] || Delivery.unlimited(),
          interval: replay[:interval],
          speed: replay[:speed] || default_speed(mode, opts[:clock]),
+         resume: opts[:resume],
          diagnostics: opts[:diagnostics],
          averaging: opts[:averaging],
          message_sizes: opts[:message_sizes],

@@ -114,6 +114,7 @@ defmodule Situ.Pipeline.Stages do
     pid =
       Stage.spawn_link(%{
         marks: stage.marks,
+        memory: memory(state, stage),
         id: id,
         server: self(),
         handle: state.handle,
@@ -126,6 +127,12 @@ defmodule Situ.Pipeline.Stages do
     stages = Map.put(state.stages, id, %{stage | pid: pid})
     %{state | stages: stages, pids: Map.put(state.pids, pid, id)}
   end
+
+  # One that is spawned again starts with a fresh state, as its `on_error` says.
+  defp memory(%{life: %{phase: :starting}} = state, %{vertices: [head | _]}),
+    do: state.settings.resume[head.path]
+
+  defp memory(_state, _stage), do: nil
 
   @doc "The stages get to know clock and neighbours, and start."
   @spec start(State.t(), [pos_integer()]) :: State.t()

@@ -5,7 +5,18 @@ defmodule Situ.Stage.Control do
   alias Situ.Component.Callback
   alias Situ.Operator.Chain
   alias Situ.Ports.{Input, Output, Outputs, Posting}
-  alias Situ.Stage.{Activation, Attachment, Emission, ErrorPolicy, Loop, Production, State}
+
+  alias Situ.Stage.{
+    Activation,
+    Attachment,
+    Emission,
+    ErrorPolicy,
+    Freeze,
+    Loop,
+    Memory,
+    Production,
+    State
+  }
 
   # What may be answered before what has come sooner: it neither begins nor ends anything.
   defguardp overtakes(request)
@@ -36,9 +47,9 @@ defmodule Situ.Stage.Control do
 
   @spec handle(term(), State.t()) :: {:noreply, State.t()} | {:stop, :normal, State.t()}
   def handle({:start, wiring}, state) do
-    state = State.wire(state, wiring)
+    state = state |> State.wire(wiring) |> Memory.prepare()
     state.pace.early |> Enum.reverse() |> Enum.each(&send(self(), &1))
-    state = start(%{state | pace: %{state.pace | early: []}})
+    state = restored(start(%{state | pace: %{state.pace | early: []}}))
     State.report(state, :started)
     {:noreply, state}
   end
@@ -56,6 +67,19 @@ defmodule Situ.Stage.Control do
 
   def handle({:refresh, from}, state),
     do: {:noreply, outputs(state, &Output.refresh(&1, from), from)}
+
+  # A checkpoint: this stage stands still until it is let go, or only tells what it remembers.
+  def handle({:freeze, ref}, state) do
+    State.report(state, {:remembered, ref, Memory.take(state)})
+    {:noreply, state |> Freeze.until(ref) |> Loop.turn()}
+  end
+
+  def handle({:thaw, _ref}, state), do: {:noreply, state}
+
+  def handle({:remember, ref}, state) do
+    State.report(state, {:remembered, ref, Memory.take(state)})
+    {:noreply, state}
+  end
 
   # What had been posted to this source before has been dealt with: it came first.
   def handle(:settle, state) do
@@ -165,6 +189,15 @@ defmodule Situ.Stage.Control do
       {:error, error} -> Activation.wrong(state, error)
     end
     |> Loop.turn()
+  end
+
+  defp restored(state) do
+    with {:ok, state, ended} <- Memory.put(state),
+         {:ok, state} <- Emission.run(state, ended, Clock.now(state.clock)) do
+      state
+    else
+      {:error, error} -> ErrorPolicy.fail(state, error)
+    end
   end
 
   # At `time`; where later messages count, not before the last one.

@@ -4,7 +4,7 @@ defmodule Situ.Stage.MessageRunner do
   alias Situ.Clock
   alias Situ.Component.Callback
   alias Situ.Ports.{Input, Inputs, Outputs}
-  alias Situ.Stage.{Activation, Emission, Pace, State}
+  alias Situ.Stage.{Activation, Emission, Memory, Pace, State}
 
   @doc "Takes the next entry of an input at clock time `now`, and answers the time after it."
   @spec one(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}
@@ -98,9 +98,10 @@ defmodule Situ.Stage.MessageRunner do
   @spec closed(State.t(), Input.t(), Situ.Time.t()) :: State.t()
   def closed(state, input, time) do
     state = %{state | inputs: Inputs.delete(state.inputs, input.tag)}
+    {known?, state} = Memory.closed(state, input.name)
 
     state =
-      if state.callback != nil and state.phase != :failed,
+      if state.callback != nil and state.phase != :failed and not known?,
         do: Activation.call(state, :handle_closed, [input.name, time], Clock.now(state.clock)),
         else: state
 

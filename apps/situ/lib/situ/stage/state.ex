@@ -24,6 +24,9 @@ defmodule Situ.Stage.State do
     :chain,
     :clock,
     :control,
+    :memory,
+    closed: [],
+    known_closed: [],
     inputs: %Inputs{},
     timers: %Timers{},
     pace: %Pace{},
@@ -33,7 +36,8 @@ defmodule Situ.Stage.State do
   @typedoc """
   `callback` is the component, `chain` its light operators or those behind it (one of the two may be `nil`).
   `control` is the shared cell that holds the time up to which messages count. `phase`: `:failed` takes nothing any
-  more.
+  more. `memory` is what it starts with (see Memory), `closed` the inputs that have closed, `known_closed` those of
+  which the component knew before it was started again.
   """
   @type t :: %__MODULE__{
           id: pos_integer(),
@@ -47,6 +51,9 @@ defmodule Situ.Stage.State do
           chain: Chain.t() | nil,
           clock: Clock.t() | nil,
           control: :atomics.atomics_ref() | nil,
+          memory: map() | nil,
+          closed: [atom()],
+          known_closed: [atom()],
           inputs: Inputs.t(),
           timers: Timers.t(),
           pace: Pace.t(),
@@ -65,6 +72,7 @@ defmodule Situ.Stage.State do
       vertices: vertices,
       context: %Context{path: head.path, pipeline: args.handle},
       tally: args.tally,
+      memory: args[:memory],
       source: Source.new(head),
       outputs: Outputs.new(vertices, args[:marks]),
       callback: if(head.module != :operator, do: Callback.new(head)),

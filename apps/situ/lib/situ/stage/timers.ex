@@ -21,6 +21,11 @@ defmodule Situ.Stage.Timers do
   @spec clear(t()) :: t()
   def clear(%__MODULE__{} = timers), do: %{timers | tree: :gb_sets.empty()}
 
+  @doc "The timers with their times, in order."
+  @spec to_list(t()) :: [{Situ.Time.t(), term()}]
+  def to_list(%__MODULE__{tree: tree}),
+    do: for({time, _, key} <- :gb_sets.to_list(tree), do: {time, key})
+
   @doc "Takes those that are due at `now`, in order."
   @spec due(t(), Situ.Time.t()) :: {[term()], t()}
   def due(%__MODULE__{tree: tree} = timers, now) do

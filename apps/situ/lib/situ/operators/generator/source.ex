@@ -25,7 +25,8 @@ defmodule Situ.Generator.Source do
     :last,
     :started,
     phase: :open,
-    final: nil
+    final: nil,
+    taken: 0
   ]
 
   @impl true
@@ -68,6 +69,27 @@ defmodule Situ.Generator.Source do
       else: {[:stopping], %{state | final: final}}
   end
 
+  # The feed itself is functions, mostly: it is made again, and as many items are passed over.
+  @impl true
+  def snapshot(state),
+    do: {:ok, Map.take(state, [:taken, :last, :started, :from, :phase, :final, :keep_open])}
+
+  @impl true
+  def restore(data, fresh) do
+    Feed.close(fresh.feed)
+    feed = pass_over(fresh.make.(data.started), data.taken)
+    {:ok, fresh |> struct!(data) |> struct!(feed: feed, ahead: nil)}
+  end
+
+  defp pass_over(feed, 0), do: feed
+
+  defp pass_over(feed, n) do
+    case Feed.next(feed) do
+      {_time, _value, feed} -> pass_over(feed, n - 1)
+      :done -> feed
+    end
+  end
+
   @impl true
   def terminate(_reason, %{feed: nil}), do: :ok
   def terminate(_reason, state), do: Feed.close(state.feed)
@@ -98,8 +120,8 @@ defmodule Situ.Generator.Source do
   defp ahead(%{ahead: nil, feed: feed}), do: Feed.next(feed)
   defp ahead(%{ahead: item}), do: item
 
-  defp skip(state, feed), do: %{state | feed: feed, ahead: nil}
-  defp took(state, time, feed), do: %{state | feed: feed, ahead: nil, last: time}
+  defp skip(state, feed), do: %{state | feed: feed, ahead: nil, taken: state.taken + 1}
+  defp took(state, time, feed), do: %{skip(state, feed) | last: time}
 
   # The next item lies past the end: a stop may move the end, but only to an earlier time.
   defp late(item, state, actions), do: finish(%{state | ahead: item}, actions)

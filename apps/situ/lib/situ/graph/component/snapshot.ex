@@ -1,0 +1,113 @@
+defmodule Situ.Component.Snapshot do
+  @moduledoc false
+  # The state of a component as plain data that another process, on another machine, can take up; see
+  # `c:Situ.Component.snapshot/1`.
+  #
+  # Without that callback the state itself is the snapshot. Functions in it (options of operators, mostly) are left
+  # out: they are code, not data. The process that takes the snapshot up has started from the same options, so that it
+  # has the same functions in the same places, and fills them in again.
+  alias Situ.Error
+
+  @hole :"$situ_fun"
+
+  @type t :: {:own, term()} | {:plain, term()}
+
+  @doc "The snapshot of `core`, the state of a component at `path`."
+  @spec take(module(), term(), String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def take(module, core, path) do
+    if function_exported?(module, :snapshot, 1) do
+      with {:ok, own} <- own(module.snapshot(core), path), do: {:ok, {:own, own}}
+    else
+      with {:ok, plain} <- plain(core, path), do: {:ok, {:plain, plain}}
+    end
+  rescue
+    error -> {:error, failed(path, "snapshot", Exception.message(error))}
+  end
+
+  defp own({:ok, own}, _path), do: {:ok, own}
+  defp own({:error, %Error{} = error}, _path), do: {:error, error}
+  defp own(other, path), do: {:error, failed(path, "snapshot", "it answered #{brief(other)}")}
+
+  @doc "Any state that is data alone; functions become holes."
+  @spec plain(term(), String.t()) :: {:ok, term()} | {:error, Error.t()}
+  def plain(term, path) do
+    {:ok, strip(term)}
+  catch
+    {:situ_not_data, what} ->
+      {:error,
+       Error.new(:no_snapshot, "#{path} cannot be carried over: its state holds #{what}",
+         why: "processes, ports and references mean nothing in another process or machine",
+         fix: "define snapshot/1 and restore/2 in the component",
+         meta: %{component: path}
+       )}
+  end
+
+  @doc "The state `fresh`, which has just started, with what the snapshot says."
+  @spec put(module(), t(), term(), String.t()) :: {:ok, term()} | {:error, Error.t()}
+  def put(_module, {:plain, plain}, fresh, path), do: fill(plain, fresh, path)
+
+  def put(module, {:own, own}, fresh, path) do
+    case module.restore(own, fresh) do
+      {:ok, core} -> {:ok, core}
+      {:error, %Error{} = error} -> {:error, error}
+      other -> {:error, failed(path, "restore", "it answered #{brief(other)}")}
+    end
+  rescue
+    error -> {:error, failed(path, "restore", Exception.message(error))}
+  end
+
+  @doc "Puts the functions of `fresh` into the holes of `plain`."
+  @spec fill(term(), term(), String.t()) :: {:ok, term()} | {:error, Error.t()}
+  def fill(plain, fresh, path) do
+    {:ok, patch(plain, fresh)}
+  catch
+    :situ_no_function ->
+      {:error,
+       Error.new(:no_restore, "#{path} cannot be restored: its state keeps functions",
+         why: "functions are not carried over, and where one stood a fresh state has none",
+         fix: "define snapshot/1 and restore/2 in the component",
+         meta: %{component: path}
+       )}
+  end
+
+  defp strip(fun) when is_function(fun) do
+    if :erlang.fun_info(fun, :type) == {:type, :external}, do: fun, else: @hole
+  end
+
+  defp strip([head | tail]), do: [strip(head) | strip(tail)]
+  defp strip(tuple) when is_tuple(tuple), do: tuple |> Tuple.to_list() |> strip() |> to_tuple()
+  defp strip(map) when is_map(map), do: :maps.from_list(strip(:maps.to_list(map)))
+  defp strip(pid) when is_pid(pid), do: throw({:situ_not_data, "a process"})
+  defp strip(port) when is_port(port), do: throw({:situ_not_data, "a port"})
+  defp strip(ref) when is_reference(ref), do: throw({:situ_not_data, "a reference"})
+  defp strip(data), do: data
+
+  defp to_tuple(list), do: List.to_tuple(list)
+
+  defp patch(@hole, fun) when is_function(fun), do: fun
+  defp patch(@hole, _other), do: throw(:situ_no_function)
+  defp patch([head | tail], [h | t]), do: [patch(head, h) | patch(tail, t)]
+  defp patch([head | tail], _other), do: [patch(head, nil) | patch(tail, nil)]
+
+  defp patch(tuple, fresh) when is_tuple(tuple) and is_tuple(fresh),
+    do: tuple |> Tuple.to_list() |> patch(Tuple.to_list(fresh)) |> to_tuple()
+
+  defp patch(tuple, _fresh) when is_tuple(tuple),
+    do: tuple |> Tuple.to_list() |> patch(nil) |> to_tuple()
+
+  defp patch(map, fresh) when is_map(map) do
+    fresh = if is_map(fresh), do: fresh, else: %{}
+    :maps.map(fn key, value -> patch(value, Map.get(fresh, key)) end, map)
+  end
+
+  defp patch(data, _fresh), do: data
+
+  defp failed(path, callback, why) do
+    Error.new(:bad_snapshot, "#{path}: #{callback} failed: #{why}",
+      fix: "snapshot/1 answers {:ok, data}, restore/2 {:ok, state}, or {:error, error}",
+      meta: %{component: path}
+    )
+  end
+
+  defp brief(term), do: inspect(term, limit: 8, printable_limit: 80)
+end

@@ -1,0 +1,154 @@
+defmodule Situ.Pipeline.Checkpointing do
+  @moduledoc false
+  # A checkpoint of a running pipeline: the memories of its stages (see `Situ.Stage.Memory`) at one moment at which no
+  # message is on its way.
+  #
+  #   freezing  sources stand still, each says what it remembers
+  #   settling  what they have posted is worked off; looked at every millisecond
+  #   asking    every other stage says what it remembers; if anything has moved meanwhile: settling again
+  #   held      the caller has all memories; the sources go on when it says so, or is gone
+  alias Situ.Error
+  alias Situ.Pipeline.{Stages, State}
+
+  @enforce_keys [:ref, :from, :monitor, :deadline, :sources]
+  defstruct [
+    :ref,
+    :from,
+    :monitor,
+    :deadline,
+    :sources,
+    :mark,
+    step: :freezing,
+    pending: MapSet.new(),
+    memories: %{}
+  ]
+
+  @type t :: %__MODULE__{}
+
+  @doc "Begins; the caller gets `{:ok, ref, memories}` or `{:error, error}`."
+  @spec ask(State.t(), pos_integer(), GenServer.from()) :: State.t()
+  def ask(%{dynamic: %{checkpoint: %__MODULE__{}}} = state, _timeout, from) do
+    GenServer.reply(from, {:error, Error.new(:busy, "a checkpoint of the pipeline is under way")})
+    state
+  end
+
+  def ask(state, timeout, {pid, _} = from) do
+    ids = stages(state)
+
+    case Enum.find(ids, &(not state.life.stages[&1].alive?)) do
+      nil ->
+        sources = Enum.filter(ids, &source?(state, &1))
+
+        checkpoint = %__MODULE__{
+          ref: make_ref(),
+          from: from,
+          monitor: Process.monitor(pid),
+          deadline: System.monotonic_time(:millisecond) + timeout,
+          sources: sources
+        }
+
+        # A stage that does not answer is no reason to wait for ever.
+        Process.send_after(self(), {:situ_checkpoint, checkpoint.ref}, timeout)
+        gather(put(state, checkpoint), :freezing, :freeze, sources)
+
+      id ->
+        path = hd(state.stages[id].vertices).path
+        error = Error.new(:not_running, "#{path} has ended: there is no checkpoint without it")
+        GenServer.reply(from, {:error, error})
+        state
+    end
+  end
+
+  defp stages(state), do: Map.keys(state.stages) -- Map.keys(state.dynamic.taps)
+  defp source?(state, id), do: hd(state.stages[id].vertices).inputs == []
+
+  defp gather(state, step, request, ids) do
+    checkpoint = %{state.dynamic.checkpoint | step: step, pending: MapSet.new(ids)}
+    state = Enum.reduce(ids, state, &Stages.tell(&2, &1, {request, checkpoint.ref}))
+    state |> put(checkpoint) |> next()
+  end
+
+  @doc "A stage has said what it remembers, or why it cannot."
+  @spec remembered(State.t(), pos_integer(), reference(), {:ok, map()} | {:error, Error.t()}) ::
+          State.t()
+  def remembered(%{dynamic: %{checkpoint: %{ref: ref} = checkpoint}} = state, id, ref, answer) do
+    case answer do
+      {:ok, memory} ->
+        path = hd(state.stages[id].vertices).path
+        memories = Map.put(checkpoint.memories, path, memory)
+        pending = MapSet.delete(checkpoint.pending, id)
+        state |> put(%{checkpoint | memories: memories, pending: pending}) |> next()
+
+      {:error, error} ->
+        fail(state, error)
+    end
+  end
+
+  # Of one that was given up: a source may stand still.
+  def remembered(state, id, ref, _answer), do: Stages.tell(state, id, {:thaw, ref})
+
+  @doc "Time to look again, or to give up."
+  @spec look(State.t(), reference()) :: State.t()
+  def look(%{dynamic: %{checkpoint: %{ref: ref, step: step}}} = state, ref) when step != :held,
+    do: if(late?(state), do: fail(state, restless(state)), else: next(state))
+
+  def look(state, _ref), do: state
+
+  @doc "The caller is done with it, or gone."
+  @spec thaw(State.t(), reference()) :: State.t()
+  def thaw(%{dynamic: %{checkpoint: %{ref: ref}}} = state, ref), do: over(state)
+  def thaw(%{dynamic: %{checkpoint: %{monitor: ref}}} = state, ref), do: over(state)
+  def thaw(state, _ref), do: state
+
+  defp next(%{dynamic: %{checkpoint: %{pending: pending} = checkpoint}} = state) do
+    if MapSet.size(pending) > 0, do: state, else: go_on(checkpoint.step, state)
+  end
+
+  defp go_on(:freezing, state), do: go_on(:settling, step(state, :settling))
+
+  defp go_on(:settling, state) do
+    if Stages.quiet?(state) do
+      checkpoint = %{state.dynamic.checkpoint | mark: Stages.fingerprint(state, :all)}
+      state |> put(checkpoint) |> gather(:asking, :remember, stages(state) -- checkpoint.sources)
+    else
+      Process.send_after(self(), {:situ_checkpoint, state.dynamic.checkpoint.ref}, 1)
+      state
+    end
+  end
+
+  defp go_on(:asking, state) do
+    checkpoint = state.dynamic.checkpoint
+
+    if Stages.quiet?(state) and Stages.fingerprint(state, :all) == checkpoint.mark do
+      GenServer.reply(checkpoint.from, {:ok, checkpoint.ref, checkpoint.memories})
+      step(state, :held)
+    else
+      go_on(:settling, step(state, :settling))
+    end
+  end
+
+  defp step(state, step), do: put(state, %{state.dynamic.checkpoint | step: step})
+  defp put(state, checkpoint), do: %{state | dynamic: %{state.dynamic | checkpoint: checkpoint}}
+
+  defp fail(state, error) do
+    GenServer.reply(state.dynamic.checkpoint.from, {:error, error})
+    over(state)
+  end
+
+  defp over(%{dynamic: %{checkpoint: checkpoint}} = state) do
+    Process.demonitor(checkpoint.monitor, [:flush])
+    alive = Enum.filter(checkpoint.sources, &is_map_key(state.stages, &1))
+    state = Enum.reduce(alive, state, &Stages.tell(&2, &1, {:thaw, checkpoint.ref}))
+    put(state, nil)
+  end
+
+  defp late?(state),
+    do: System.monotonic_time(:millisecond) >= state.dynamic.checkpoint.deadline
+
+  defp restless(_state) do
+    Error.new(:not_settled, "no checkpoint: messages were on their way all the time",
+      why: "a checkpoint is taken when all that the sources have posted is worked off",
+      fix: "give it more time (timeout:), or the pipeline less to do"
+    )
+  end
+end
