@@ -1,0 +1,304 @@
+defmodule Situ.Cluster do
+  @moduledoc """
+  One pipeline over several nodes, which goes on when a node is lost.
+
+      # on every node (or in its supervision tree: {Situ.Cluster, log: ..., labels: [...]})
+      {:ok, _} = Situ.Cluster.start_link(log: "/var/lib/situ/log", labels: ["camera"])
+
+      # on one of them
+      {:ok, deployment} =
+        Situ.Cluster.deploy(Lobby,
+          place: [{"Lips", on: "camera"}, {"Recording", on: :"situ@store.local"}],
+          checkpoint: Situ.Time.s(1)
+        )
+
+  Nodes are connected by Erlang distribution (`Node.connect/1`) and share one log (`Situ.Remote.Log`): a folder for
+  nodes of one machine, NATS for several.
+
+  ## Parts
+
+  The rules of `place:` cut the graph into parts: a rule names a component or a composite, and takes all below it; what
+  no rule names is the part `"rest"`. A part runs on one node, as a pipeline of its own; streams between parts are
+  GenStage edges with the same back-pressure, from its publisher to the parts that read it, and go through the log.
+
+  Every node has the module and builds the same graph. `build/2` is called on each of them, with the same options.
+
+  ## A node is lost
+
+  Each part has a lease in the log, which its node writes again every quarter of `lease:`. When that stops (or, sooner,
+  when Erlang says that the node is down) another node takes it: it fences the part's streams, so that the old node
+  cannot write any more even if it is still alive, starts the part from its last checkpoint and reads its inputs from
+  there. Values and originating times are as without the loss:
+
+    * by default what a part puts out is seen by nobody before a checkpoint holds it (the outbox): right for every part,
+      and its outputs come with its checkpoints, every `checkpoint:`;
+    * a part declared `deterministic: true` is seen at once: started again it makes the same, and what is there
+      already is passed over. Its inputs alone, their values and originating times, must decide what it puts out: use
+      reproducible operators, no clock, no randomness.
+
+  A component whose state is not plain data has `c:Situ.Component.snapshot/1` and `c:Situ.Component.restore/2`. A
+  deterministic part without them is started again from the first message of its inputs; any other part that others
+  read is refused, with an error that names the component.
+
+  Sources on a lost device are lost with it: what nobody saw is not made up.
+
+  ## What it does not do
+
+  Lossy policies hold within a part; an edge between parts carries everything. `Situ.Pipeline.on/3` handlers run with the
+  part `"rest"` and with parts that record. The log of a finished deployment stays until it is deleted.
+
+  ## Options of `deploy/2`
+
+  #{Situ.Options.docs(Situ.Cluster.Deployment.schema())}
+
+  ## Rules of `place:`
+
+  #{Situ.Options.docs(Situ.Cluster.Deployment.place_schema())}
+  """
+  alias Situ.Cluster.{Agent, Assembly, Chunk, Deployment, Plan, Runner}
+  alias Situ.{Error, Options}
+  alias Situ.Remote.Log
+
+  @schema [
+    log: [type: {:or, [:string, {:struct, Log}]}, required: true, doc: "The log, or its address."],
+    log_options: [type: :keyword, default: [], doc: "Options of `Situ.Remote.Log.connect/2`."],
+    labels: [
+      type: {:list, :string},
+      default: [],
+      doc: "What rules of `place:` may call this node."
+    ]
+  ]
+
+  @typedoc "What `deploy/2` answers; it means the same on every node."
+  @type t :: Deployment.t()
+
+  @doc "For a supervisor: `{Situ.Cluster, log: address, labels: [...]}`."
+  @spec child_spec(keyword()) :: Supervisor.child_spec()
+  def child_spec(opts), do: %{id: __MODULE__, start: {__MODULE__, :start_link, [opts]}}
+
+  @doc """
+  Makes this node a member of the cluster.
+
+  #{Options.docs(@schema)}
+  """
+  @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
+  def start_link(opts) do
+    with {:ok, opts} <- Options.validate(opts, @schema),
+         {:ok, log} <- log(opts[:log], opts[:log_options]),
+         do: Agent.start_link(log: log, labels: opts[:labels])
+  end
+
+  defp log(%Log{} = log, _opts), do: {:ok, log}
+  defp log(address, opts), do: Log.connect(address, opts)
+
+  @doc "Runs a pipeline over the cluster; options above."
+  @spec deploy(module(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def deploy(module, opts \\ []) do
+    with {:ok, deployment} <- Deployment.new(module, opts),
+         :ok <- member(),
+         :ok <- Agent.deploy(deployment),
+         do: {:ok, deployment}
+  end
+
+  defp member do
+    if Process.whereis(Agent) do
+      :ok
+    else
+      {:error,
+       Error.new(:no_cluster, "this node is no member of a cluster",
+         fix: "start it with Situ.Cluster.start_link(log: ...)"
+       )}
+    end
+  end
+
+  @doc """
+  Waits until all parts have ended; `{:error, error}` when one has failed, or after `timeout` ms (`:timeout`).
+  """
+  @spec await(t(), timeout()) :: :ok | {:error, Error.t()}
+  def await(%Deployment{} = deployment, timeout \\ :infinity) do
+    with {:ok, plan} <- Assembly.plan(deployment) do
+      till = if timeout == :infinity, do: :infinity, else: now() + timeout
+      await(Agent.log(), deployment, Map.keys(plan.parts), till)
+    end
+  end
+
+  defp await(_log, _deployment, [], _till), do: :ok
+
+  defp await(log, deployment, [part | rest] = parts, till) do
+    case Log.last(log, {:key, Runner.key(deployment, part, "state")}) do
+      {:ok, %{head: %{"State" => "done"}}} ->
+        await(log, deployment, rest, till)
+
+      {:ok, %{head: %{"State" => "failed"}, data: message}} ->
+        {:error, Error.new(:part_failed, "part #{part} of #{deployment.name} failed: #{message}")}
+
+      _ when till != :infinity ->
+        if now() > till,
+          do: {:error, late(deployment, part)},
+          else: wait(log, deployment, parts, till)
+
+      _ ->
+        wait(log, deployment, parts, till)
+    end
+  end
+
+  defp wait(log, deployment, parts, till) do
+    receive do
+    after
+      50 -> await(log, deployment, parts, till)
+    end
+  end
+
+  defp late(deployment, part),
+    do: Error.new(:timeout, "part #{part} of #{deployment.name} has not ended yet")
+
+  defp now, do: System.monotonic_time(:millisecond)
+
+  @doc "The messages of a stream that are in the log: one that crosses from part to part, or is in `publish:`."
+  @spec read(t(), String.t()) :: {:ok, [Situ.Message.t()]} | {:error, Error.t()}
+  def read(%Deployment{} = deployment, stream),
+    do: read(Agent.log(), {:stream, "#{deployment.name}.#{stream}"}, 1, [])
+
+  defp read(log, subject, from, read) do
+    case Log.read(log, subject, from, 64) do
+      {:ok, []} ->
+        {:ok, read |> Enum.reverse() |> Enum.concat()}
+
+      {:ok, entries} ->
+        with {:ok, lists} <- decoded(entries, []),
+             do: read(log, subject, List.last(entries).seq + 1, [lists | read])
+
+      error ->
+        error
+    end
+  end
+
+  defp decoded([], lists), do: {:ok, lists |> Enum.reverse() |> Enum.concat()}
+
+  defp decoded([entry | rest], lists) do
+    with {:ok, messages} <- Chunk.messages(entry), do: decoded(rest, [messages | lists])
+  end
+
+  @doc """
+  Stops a deployment: its sources first; what they have posted is worked off. Returns at once; see `await/2`.
+  """
+  @spec stop(t()) :: :ok
+  def stop(%Deployment{} = deployment) do
+    for {_node, runners} <- everywhere(deployment),
+        {_, runner} <- runners,
+        do: Runner.stop(runner)
+
+    :ok
+  end
+
+  @doc "Takes a deployment away on all nodes, at once; its log stays."
+  @spec forget(t()) :: :ok
+  def forget(%Deployment{name: name}), do: Agent.forget(name)
+
+  @doc """
+  The members, with their labels, and of every part: which node runs it, its phase (`:running`, `:done`, `:failed`,
+  `:standby` when nobody has it at the moment), epoch of its lease, checkpoints, streams with their counts.
+  """
+  @spec status(t()) :: %{members: map(), parts: %{String.t() => map()}}
+  def status(%Deployment{} = deployment) do
+    infos =
+      for {node, runners} <- everywhere(deployment), {part, runner} <- runners do
+        {part, node, runner_info(runner)}
+      end
+
+    parts =
+      for {part, entries} <- Enum.group_by(infos, &elem(&1, 0)), into: %{} do
+        owner =
+          Enum.find(entries, fn {_, _, info} -> info[:phase] in [:running, :done, :failed] end)
+
+        {part, shown(owner)}
+      end
+
+    %{members: Agent.info().members, parts: parts}
+  end
+
+  defp runner_info(runner) do
+    Runner.info(runner)
+  catch
+    :exit, _ -> %{}
+  end
+
+  defp shown(nil), do: %{phase: :standby, node: nil}
+  defp shown({_, node, info}), do: Map.put(info, :node, node)
+
+  @doc """
+  Moves a part to a node, without losing a message: a checkpoint, then the other node takes it over. `{:error, error}`
+  when that node is no member.
+  """
+  @spec move(t(), String.t(), node()) :: :ok | {:error, Error.t()}
+  def move(%Deployment{} = deployment, part, to) do
+    runners = everywhere(deployment)
+
+    case runners do
+      %{^to => %{^part => _}} ->
+        # The others stay away until it has it.
+        for {node, %{^part => runner}} <- runners, node != to, do: Runner.release(runner, true)
+        settle(deployment, part, to, now() + 60_000)
+
+      _ ->
+        {:error,
+         Error.new(:no_such_part, "#{to} has no part #{inspect(part)} of #{deployment.name}",
+           fix: "see Situ.Cluster.status/1 for members and parts"
+         )}
+    end
+  end
+
+  defp settle(deployment, part, to, till) do
+    case status(deployment).parts do
+      %{^part => %{node: ^to}} ->
+        for {node, %{^part => runner}} <- everywhere(deployment),
+            node != to,
+            do: Runner.release(runner, false)
+
+        :ok
+
+      _ ->
+        if now() > till do
+          {:error, Error.new(:timeout, "#{to} did not take part #{part} over")}
+        else
+          receive do
+          after
+            20 -> settle(deployment, part, to, till)
+          end
+        end
+    end
+  end
+
+  @doc "Moves every part away from a node; it takes none any more, unless nobody else is left."
+  @spec drain(t(), node()) :: :ok
+  def drain(%Deployment{} = deployment, node) do
+    for {^node, runners} <- everywhere(deployment),
+        {_, runner} <- runners,
+        do: Runner.release(runner, true)
+
+    :ok
+  end
+
+  defp everywhere(deployment) do
+    for {node, _} <- Agent.info().members, into: %{} do
+      {node, remote_runners(node, deployment.name)}
+    end
+  end
+
+  defp remote_runners(node, name) do
+    Agent.runners({Agent, node}, name)
+  catch
+    :exit, _ -> %{}
+  end
+
+  @doc "How a pipeline would be cut into parts: their components' names, the streams between them."
+  @spec plan(module(), keyword()) ::
+          {:ok, %{parts: [String.t()], streams: [map()]}} | {:error, Error.t()}
+  def plan(module, opts \\ []) do
+    with {:ok, deployment} <- Deployment.new(module, opts),
+         {:ok, %Plan{} = plan} <- Assembly.plan(deployment) do
+      streams = for {name, s} <- plan.streams, do: %{name: name, from: s.part, to: s.readers}
+      {:ok, %{parts: Enum.sort(Map.keys(plan.parts)), streams: Enum.sort_by(streams, & &1.name)}}
+    end
+  end
+end

@@ -1,0 +1,222 @@
+defmodule Situ.Cluster.Agent do
+  @moduledoc false
+  # This node as a member of the cluster: who else is there, which deployments there are, where each part runs. Says
+  # hello to every node that it sees; a part's runner (`Situ.Cluster.Runner`) is started for every part of every
+  # deployment, on every node, and the lease says which of them runs it.
+  use GenServer
+
+  alias Situ.Cluster.{Assembly, Member, Placement, Runner}
+
+  defstruct [
+    :log,
+    :supervisor,
+    labels: [],
+    members: %{},
+    deployments: %{},
+    runners: %{},
+    routes: %{},
+    followers: %{}
+  ]
+
+  @doc "Starts it under its own name: there is one on a node."
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(opts), do: GenServer.start_link(__MODULE__, opts, name: __MODULE__)
+
+  @spec deploy(GenServer.server(), Situ.Cluster.Deployment.t()) :: :ok | {:error, Situ.Error.t()}
+  def deploy(agent \\ __MODULE__, deployment),
+    do: GenServer.call(agent, {:deploy, deployment}, 60_000)
+
+  @doc "Takes a deployment away, on all nodes."
+  @spec forget(GenServer.server(), String.t()) :: :ok
+  def forget(agent \\ __MODULE__, name), do: GenServer.call(agent, {:forget, name}, 60_000)
+
+  @doc "Members, deployments, and what runs here."
+  @spec info(GenServer.server()) :: map()
+  def info(agent \\ __MODULE__), do: GenServer.call(agent, :info, 30_000)
+
+  @doc "The runners of this node for a deployment, by part."
+  @spec runners(GenServer.server(), String.t()) :: %{String.t() => pid()}
+  def runners(agent \\ __MODULE__, name), do: GenServer.call(agent, {:runners, name}, 30_000)
+
+  @doc "The log."
+  @spec log(GenServer.server()) :: Situ.Remote.Log.t()
+  def log(agent \\ __MODULE__), do: GenServer.call(agent, :log)
+
+  @impl true
+  def init(opts) do
+    :ok = :net_kernel.monitor_nodes(true)
+    {:ok, supervisor} = DynamicSupervisor.start_link(strategy: :one_for_one, max_restarts: 100)
+    state = %__MODULE__{log: opts[:log], labels: opts[:labels], supervisor: supervisor}
+    for node <- Node.list(), do: hello(state, node, true)
+    {:ok, %{state | members: %{node() => opts[:labels]}}}
+  end
+
+  defp hello(state, node, answer?) do
+    own = for {part, {epoch, pid}} <- state.routes, node(pid) == node(), do: {part, epoch, pid}
+    message = {:hello, node(), state.labels, Map.values(state.deployments), own, answer?}
+    GenServer.cast({__MODULE__, node}, message)
+  end
+
+  @impl true
+  def handle_call({:deploy, deployment}, _from, state) do
+    with :ok <- free(state, deployment), {:ok, state} <- install(state, deployment) do
+      others(state, {:install, deployment})
+      {:reply, :ok, state}
+    else
+      {:error, error} -> {:reply, {:error, error}, state}
+    end
+  end
+
+  def handle_call({:forget, name}, _from, state) do
+    others(state, {:forget, name})
+    {:reply, :ok, remove(state, name)}
+  end
+
+  def handle_call({:rank, rule, part}, _from, state),
+    do: {:reply, Placement.rank(state.members, rule, part, node()), state}
+
+  def handle_call({:runners, name}, _from, state) do
+    {:reply, for({{^name, part}, pid} <- state.runners, into: %{}, do: {part, pid}), state}
+  end
+
+  def handle_call(:log, _from, state), do: {:reply, state.log, state}
+
+  def handle_call(:info, _from, state) do
+    routes =
+      Map.new(state.routes, fn {part, {epoch, pid}} ->
+        {part, %{epoch: epoch, node: node(pid)}}
+      end)
+
+    {:reply,
+     %{
+       node: node(),
+       members: state.members,
+       deployments: Map.keys(state.deployments),
+       routes: routes
+     }, state}
+  end
+
+  defp free(state, deployment) do
+    case state.deployments do
+      %{^deployment => _} ->
+        :ok
+
+      deployments when is_map_key(deployments, deployment.name) ->
+        {:error, taken(deployment.name)}
+
+      _ ->
+        :ok
+    end
+  end
+
+  defp taken(name) do
+    Situ.Error.new(:duplicate_name, "there is already a deployment #{inspect(name)}",
+      fix: "give this one another name:, or stop that one"
+    )
+  end
+
+  @impl true
+  def handle_cast({:hello, node, labels, deployments, routes, answer?}, state) do
+    if answer?, do: hello(state, node, false)
+    state = %{state | members: Map.put(state.members, node, labels)}
+    state = Enum.reduce(deployments, state, &installed(&2, &1))
+    {:noreply, Enum.reduce(routes, state, fn {p, e, pid}, state -> routed(state, p, e, pid) end)}
+  end
+
+  def handle_cast({:install, deployment}, state), do: {:noreply, installed(state, deployment)}
+  def handle_cast({:forget, name}, state), do: {:noreply, remove(state, name)}
+
+  def handle_cast({:route, part, epoch, pid, how}, state) do
+    if how == :tell, do: others(state, {:route, part, epoch, pid, :told})
+    {:noreply, routed(state, part, epoch, pid)}
+  end
+
+  # Reading a stream of a part: the process hears where it is published, now and whenever that changes.
+  @impl true
+  def handle_info({:situ_cluster, :follow, part, pid}, state) do
+    Process.monitor(pid)
+    with %{^part => {_, publisher}} <- state.routes, do: Member.tell(pid, part, publisher)
+    {:noreply, %{state | followers: Map.update(state.followers, part, [pid], &[pid | &1])}}
+  end
+
+  def handle_info({:DOWN, _, :process, pid, _}, state) do
+    followers = Map.new(state.followers, fn {part, pids} -> {part, List.delete(pids, pid)} end)
+    {:noreply, %{state | followers: followers}}
+  end
+
+  def handle_info({:nodeup, node}, state) do
+    hello(state, node, true)
+    {:noreply, state}
+  end
+
+  def handle_info({:nodedown, node}, state) do
+    for {_, runner} <- state.runners, do: Runner.down(runner, node)
+    {:noreply, %{state | members: Map.delete(state.members, node)}}
+  end
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp others(state, message) do
+    for {node, _} <- state.members,
+        node != node(),
+        do: GenServer.cast({__MODULE__, node}, message)
+
+    :ok
+  end
+
+  defp routed(state, part, epoch, pid) do
+    case state.routes do
+      %{^part => {newer, _}} when newer > epoch ->
+        state
+
+      _ ->
+        for follower <- Map.get(state.followers, part, []), do: Member.tell(follower, part, pid)
+        %{state | routes: Map.put(state.routes, part, {epoch, pid})}
+    end
+  end
+
+  # One that this node cannot build (it lacks the module) it does not run.
+  defp installed(state, deployment) do
+    case install(state, deployment) do
+      {:ok, state} ->
+        state
+
+      {:error, error} ->
+        require Logger
+        Logger.warning("#{deployment.name} cannot run on #{node()}: #{Exception.message(error)}")
+        state
+    end
+  end
+
+  defp install(state, %{name: name}) when is_map_key(state.deployments, name), do: {:ok, state}
+
+  defp install(state, deployment) do
+    with {:ok, plan} <- Assembly.plan(deployment) do
+      runners =
+        for {part, _} <- plan.parts, into: state.runners do
+          args = %{
+            log: state.log,
+            deployment: deployment,
+            part: part,
+            plan: plan,
+            agent: self()
+          }
+
+          {:ok, pid} = DynamicSupervisor.start_child(state.supervisor, {Runner, args})
+          {{deployment.name, part}, pid}
+        end
+
+      deployments = Map.put(state.deployments, deployment.name, deployment)
+      {:ok, %{state | runners: runners, deployments: deployments}}
+    end
+  end
+
+  defp remove(state, name) do
+    {gone, kept} = Enum.split_with(state.runners, fn {{of, _}, _} -> of == name end)
+    for {_, pid} <- gone, do: DynamicSupervisor.terminate_child(state.supervisor, pid)
+    runners = Map.new(kept)
+    routes = Map.reject(state.routes, fn {{of, _}, _} -> of == name end)
+    deployments = Map.delete(state.deployments, name)
+    %{state | runners: runners, routes: routes, deployments: deployments}
+  end
+end

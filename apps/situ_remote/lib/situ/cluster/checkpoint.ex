@@ -1,0 +1,113 @@
+defmodule Situ.Cluster.Checkpoint do
+  @moduledoc false
+  # The checkpoints of a part: two keys of the log, written in turn, so that the one before is whole whatever happens to
+  # the next. `current` is the newest that the log bears out: for every stream, what it builds on is there.
+  alias Situ.Cluster.Seal
+  alias Situ.Error
+  alias Situ.Remote.Log
+  alias Situ.Remote.Log.Entry
+
+  @slots 2
+
+  @enforce_keys [:key]
+  defstruct [:key, :current, number: 0, seqs: %{}]
+
+  @typedoc """
+  `base`: sequence ids that must be in the log for it to hold; `pending`: what it has put out behind them, by stream.
+  """
+  @type current :: %{
+          memories: map() | :done,
+          base: %{String.t() => non_neg_integer()},
+          pending: %{String.t() => {[Situ.Message.t()], map()}}
+        }
+  @type t :: %__MODULE__{
+          key: String.t(),
+          current: current() | nil,
+          number: non_neg_integer(),
+          seqs: %{non_neg_integer() => non_neg_integer()}
+        }
+
+  @doc "Takes the checkpoints over for `epoch`: an older owner's are refused from here on."
+  @spec take(Log.t(), String.t(), pos_integer(), map()) :: {:ok, t()} | {:error, Error.t()}
+  def take(log, key, epoch, marks) do
+    Enum.reduce_while(0..(@slots - 1), {:ok, %__MODULE__{key: key}}, fn slot, {:ok, checkpoint} ->
+      case take_slot(log, key, slot, epoch) do
+        {:ok, seq, entry} -> {:cont, {:ok, better(checkpoint, slot, seq, entry, marks)}}
+        error -> {:halt, error}
+      end
+    end)
+  end
+
+  defp take_slot(log, key, slot, epoch) do
+    subject = {:key, "#{key}.#{slot}"}
+
+    with {:ok, last} <- Log.last(log, subject) do
+      if Entry.integer(last, "Epoch", 0) > epoch do
+        {:error, refused(key)}
+      else
+        entry = last || %Entry{op: ""}
+        head = Map.put(entry.head, "Epoch", Integer.to_string(epoch))
+        taken = %Entry{op: "#{key}.#{slot}.take.#{epoch}", head: head, data: entry.data}
+
+        case Log.append(log, subject, if(last, do: last.seq, else: 0), taken) do
+          {:ok, seq} -> {:ok, seq, entry}
+          {:refused, _} -> take_slot(log, key, slot, epoch)
+          error -> error
+        end
+      end
+    end
+  end
+
+  defp better(checkpoint, slot, seq, entry, marks) do
+    checkpoint = %{checkpoint | seqs: Map.put(checkpoint.seqs, slot, seq)}
+    number = Entry.integer(entry, "Number", 0)
+
+    with true <- number > checkpoint.number,
+         {:ok, current} <- Seal.open(IO.iodata_to_binary(entry.data)),
+         true <- borne_out?(current, marks) do
+      %{checkpoint | current: current, number: number}
+    else
+      _ -> checkpoint
+    end
+  end
+
+  defp borne_out?(%{base: base}, marks),
+    do: Enum.all?(base, fn {name, last} -> last <= Map.get(marks, name, 0) end)
+
+  @doc "What the part goes on from."
+  @spec memories(t()) :: map() | nil | :done
+  def memories(%__MODULE__{current: nil}), do: nil
+  def memories(%__MODULE__{current: %{memories: memories}}), do: memories
+
+  @doc "Writes the next one."
+  @spec store(t(), Log.t(), pos_integer(), current()) :: {:ok, t()} | {:error, Error.t()}
+  def store(%__MODULE__{} = checkpoint, log, epoch, current) do
+    number = checkpoint.number + 1
+    slot = rem(number, @slots)
+
+    entry = %Entry{
+      op: "#{checkpoint.key}.#{epoch}.#{number}",
+      head: %{"Epoch" => Integer.to_string(epoch), "Number" => Integer.to_string(number)},
+      data: Seal.close(current)
+    }
+
+    case Log.append(log, {:key, "#{checkpoint.key}.#{slot}"}, checkpoint.seqs[slot], entry) do
+      {:ok, seq} ->
+        seqs = Map.put(checkpoint.seqs, slot, seq)
+        # What is pending is in the log soon; the memories are not needed any more.
+        {:ok, %{checkpoint | number: number, seqs: seqs, current: %{current | pending: %{}}}}
+
+      {:refused, _} ->
+        {:error, refused(checkpoint.key)}
+
+      error ->
+        error
+    end
+  end
+
+  defp refused(key) do
+    Error.new(:refused, "the log refuses a checkpoint (#{key})",
+      why: "another node has taken the part over"
+    )
+  end
+end

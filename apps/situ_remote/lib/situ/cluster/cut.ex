@@ -1,0 +1,96 @@
+defmodule Situ.Cluster.Cut do
+  @moduledoc false
+  # The graph of one part: its own components, an inlet for every stream that comes from another part, an outlet for
+  # every stream that leaves it. Pure.
+  alias Situ.Cluster.{Inlet, Outlet, Plan}
+  alias Situ.{Delivery, Graph}
+  alias Situ.Graph.{Edge, Extension, Vertex}
+
+  @doc "`links`: the options of inlets (given the stream) and of outlets (given the stream)."
+  @spec part(Graph.t(), Plan.t(), String.t(), %{inlet: fun(), outlet: fun()}) :: Graph.t()
+  def part(%Graph{} = graph, plan, name, links) do
+    %{ids: ids} = Map.fetch!(plan.parts, name)
+    others = graph.vertices |> Map.keys() |> MapSet.new() |> MapSet.difference(ids)
+    kept = Extension.without(graph, others)
+    kept = Enum.reduce(inlets(graph, plan, ids), kept, &inlet(&1, &2, graph, links.inlet))
+    kept = Enum.reduce(Plan.outlets(plan, name), kept, &outlet(&1, &2, links.outlet))
+
+    # Without a source of its own it runs by the clock on the wall: its inputs say what time it is.
+    if sources?(graph, ids), do: kept, else: %{kept | proposals: []}
+  end
+
+  @doc "Whether the part has a source of its own."
+  @spec sources?(Graph.t(), MapSet.t(pos_integer())) :: boolean()
+  def sources?(graph, ids), do: Enum.any?(ids, &(graph.vertices[&1].inputs == []))
+
+  # Streams of other parts with the edges into this one.
+  defp inlets(graph, plan, ids) do
+    for {_, stream} <- plan.streams,
+        not MapSet.member?(ids, elem(stream.from, 0)),
+        edges = into(graph, stream.from, ids),
+        edges != [],
+        do: {stream, edges}
+  end
+
+  defp into(graph, from, ids) do
+    for {_, %{from: ^from, to: {to, _}} = edge} <- graph.edges, MapSet.member?(ids, to), do: edge
+  end
+
+  defp inlet({stream, edges}, graph, whole, options) do
+    {id, output} = stream.from
+    port = whole.vertices[id].outputs[output]
+
+    {vertex, graph} =
+      add(graph, %Vertex{
+        id: graph.next_vertex,
+        module: Inlet,
+        path: "Inlet " <> stream.name,
+        opts: options.(stream),
+        outputs: [out: port]
+      })
+
+    edges
+    |> Enum.sort_by(& &1.id)
+    |> Enum.reduce(graph, fn edge, graph -> put(graph, %{edge | from: {vertex.id, :out}}) end)
+  end
+
+  defp outlet(stream, graph, options) do
+    {vertex, graph} =
+      add(graph, %Vertex{
+        id: graph.next_vertex,
+        module: Outlet,
+        path: "Outlet " <> stream.name,
+        opts: options.(stream),
+        inputs: [in: %{type: :any, optional: false}],
+        check: :off
+      })
+
+    edge = %Edge{
+      id: graph.next_edge,
+      from: stream.from,
+      to: {vertex.id, :in},
+      policy: Delivery.unlimited(),
+      explicit: true
+    }
+
+    put(%{graph | next_edge: edge.id + 1}, edge)
+  end
+
+  defp add(graph, vertex) do
+    {vertex,
+     %{
+       graph
+       | vertices: Map.put(graph.vertices, vertex.id, vertex),
+         paths: Map.put(graph.paths, vertex.path, vertex.id),
+         next_vertex: vertex.id + 1
+     }}
+  end
+
+  defp put(graph, edge) do
+    %{
+      graph
+      | edges: Map.put(graph.edges, edge.id, edge),
+        connected: Map.put(graph.connected, edge.to, edge.id)
+    }
+  end
+end

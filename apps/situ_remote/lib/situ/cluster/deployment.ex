@@ -1,0 +1,121 @@
+defmodule Situ.Cluster.Deployment do
+  @moduledoc false
+  # What was asked for with `Situ.Cluster.deploy/2`, parsed once; every node has it. Data alone: it travels.
+  alias Situ.{Error, Options}
+
+  @place [
+    on: [
+      type: {:or, [:atom, :string, {:list, {:or, [:atom, :string]}}]},
+      doc: "A node, a label (text), or several in order of preference; without it any node."
+    ],
+    only: [type: :boolean, default: false, doc: "Nowhere else, even when those are lost."],
+    deterministic: [
+      type: :boolean,
+      default: false,
+      doc: "The same inputs give the same outputs, always: see above."
+    ]
+  ]
+
+  @schema [
+    name: [type: :string, doc: "What it is called; by default the module's last name."],
+    opts: [type: :keyword, default: [], doc: "Options of the pipeline's `build/2`."],
+    place: [
+      type: :list,
+      default: [],
+      doc:
+        "`{\"Path\", rules}` for a component or composite and all below it; `{:rest, rules}` for all else."
+    ],
+    checkpoint: [
+      type: :pos_integer,
+      default: 1_000_000_000,
+      doc:
+        "Ns between checkpoints of a part; outputs of a part that is not deterministic go out with them."
+    ],
+    lease: [
+      type: :pos_integer,
+      default: 1_000_000_000,
+      doc: "Ns without a sign of life after which another node takes a part over."
+    ],
+    publish: [
+      type: {:list, :string},
+      default: [],
+      doc: "Streams kept in the log although no other part reads them (see `read/2`)."
+    ],
+    pipeline: [
+      type: :keyword,
+      default: [],
+      doc: "Settings of the parts' pipelines (`Situ.Pipeline`): `replay:` and so on."
+    ]
+  ]
+
+  @enforce_keys [:name, :module, :opts, :rules, :checkpoint, :lease, :publish, :pipeline]
+  defstruct @enforce_keys
+
+  @type rule :: %{on: [node() | String.t()], only: boolean(), deterministic: boolean()}
+  @type t :: %__MODULE__{
+          name: String.t(),
+          module: module(),
+          opts: keyword(),
+          rules: [{String.t() | :rest, rule()}],
+          checkpoint: pos_integer(),
+          lease: pos_integer(),
+          publish: [String.t()],
+          pipeline: keyword()
+        }
+
+  @doc false
+  def schema, do: @schema
+  @doc false
+  def place_schema, do: @place
+
+  @spec new(module(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def new(module, opts) when is_atom(module) do
+    with {:ok, opts} <- Options.validate(opts, @schema),
+         :ok <- a_pipeline(module),
+         {:ok, rules} <- rules(opts[:place], []) do
+      {:ok,
+       %__MODULE__{
+         name: opts[:name] || module |> Module.split() |> List.last(),
+         module: module,
+         opts: opts[:opts],
+         rules: rules,
+         checkpoint: opts[:checkpoint],
+         lease: opts[:lease],
+         publish: opts[:publish],
+         pipeline: opts[:pipeline]
+       }}
+    end
+  end
+
+  defp a_pipeline(module) do
+    if Code.ensure_loaded?(module) and function_exported?(module, :build, 2),
+      do: :ok,
+      else:
+        {:error,
+         Error.new(:not_a_pipeline, "#{inspect(module)} is not a pipeline",
+           why: "every node builds it by itself, so it is a module, not a function",
+           fix: "use Situ.Pipeline in it, and have it on every node"
+         )}
+  end
+
+  defp rules([], rules), do: {:ok, Enum.reverse(rules)}
+
+  defp rules([{path, rule} | rest], rules) when is_binary(path) or path == :rest do
+    with {:ok, rule} <- Options.validate(rule, @place) do
+      rule = %{
+        on: List.wrap(rule[:on]),
+        only: rule[:only],
+        deterministic: rule[:deterministic]
+      }
+
+      rules(rest, [{path, rule} | rules])
+    end
+  end
+
+  defp rules([other | _], _rules) do
+    {:error,
+     Error.new(:bad_place, "no rule of place: #{inspect(other, limit: 5)}",
+       fix: ~s(write {"Path", on: node} or {:rest, on: "label"})
+     )}
+  end
+end

@@ -1,0 +1,94 @@
+defmodule Situ.Cluster.Inlet do
+  @moduledoc false
+  # A stream of another part, wherever that runs: the consumer's side of a GenStage edge to its publisher. It knows
+  # how far it has come; when the publisher is lost it waits for the next one and goes on from there.
+  use Situ.Component,
+    outputs: [out: :any],
+    options: [
+      agent: [type: :any, required: true],
+      part: [type: :any, required: true],
+      stream: [type: :string, required: true]
+    ]
+
+  alias Situ.Cluster.Member
+
+  @window 1_000
+
+  @impl true
+  def init(opts) do
+    {:ok, %{agent: opts[:agent], part: opts[:part], stream: opts[:stream], last: 0, sub: nil}}
+  end
+
+  @impl true
+  def handle_start(_context, state) do
+    Member.follow(state.agent, state.part)
+    {[], state}
+  end
+
+  @impl true
+  def snapshot(state), do: {:ok, state.last}
+  @impl true
+  def restore(last, fresh), do: {:ok, %{fresh | last: last}}
+
+  # There is room: what was taken is asked for again, as soon as it is half of the window.
+  @impl true
+  def handle_demand(_n, _context, %{sub: %{taken: taken} = sub} = state)
+      when taken >= div(@window, 2) do
+    send(sub.pid, {:"$gen_producer", {self(), sub.ref}, {:ask, taken}})
+    {[], %{state | sub: %{sub | taken: 0}}}
+  end
+
+  def handle_demand(_n, _context, state), do: {[], state}
+
+  @impl true
+  def handle_info({:situ_cluster, :publisher, _part, pid}, _context, %{sub: %{pid: pid}} = state),
+    do: {[], state}
+
+  def handle_info({:situ_cluster, :publisher, part, pid}, _context, %{part: part} = state),
+    do: {[], state |> leave() |> subscribe(pid)}
+
+  def handle_info({:"$gen_consumer", {_, ref}, {:cancel, reason}}, _context, state)
+      when state.sub.ref == ref do
+    case reason do
+      {:shutdown, {:closed, time}} -> {[{:close, :out, time}], leave(state)}
+      _ -> {[], leave(state)}
+    end
+  end
+
+  def handle_info({:"$gen_consumer", {_, ref}, messages}, _context, state)
+      when state.sub.ref == ref and is_list(messages) do
+    sub = %{state.sub | taken: state.sub.taken + length(messages)}
+
+    case Enum.drop_while(messages, &(&1.sequence_id <= state.last)) do
+      [] ->
+        {[], %{state | sub: sub}}
+
+      fresh ->
+        {[{:out, fresh}], %{state | sub: sub, last: List.last(fresh).sequence_id}}
+    end
+  end
+
+  def handle_info({:DOWN, ref, :process, _, _}, _context, state) when state.sub.ref == ref,
+    do: {[], %{state | sub: nil}}
+
+  def handle_info(_other, _context, state), do: {[], state}
+
+  @impl true
+  def terminate(_reason, state), do: leave(state)
+
+  defp subscribe(state, pid) do
+    ref = Process.monitor(pid)
+    opts = [stream: state.stream, from: state.last, part: state.part]
+    send(pid, {:"$gen_producer", {self(), ref}, {:subscribe, nil, opts}})
+    send(pid, {:"$gen_producer", {self(), ref}, {:ask, @window}})
+    %{state | sub: %{pid: pid, ref: ref, taken: 0}}
+  end
+
+  defp leave(%{sub: nil} = state), do: state
+
+  defp leave(%{sub: sub} = state) do
+    Process.demonitor(sub.ref, [:flush])
+    send(sub.pid, {:"$gen_producer", {self(), sub.ref}, {:cancel, :normal}})
+    %{state | sub: nil}
+  end
+end

@@ -1,0 +1,121 @@
+defmodule Situ.Cluster.Lease do
+  @moduledoc false
+  # Who runs a part: a key of the log that its owner writes again and again. `observe/3` is pure.
+  #
+  # No clocks are compared: the lease is free when its number has not changed for the lease's time on the observer's own
+  # clock. A look that took long, or that comes late, says nothing about the owner: the observer starts counting again.
+  alias Situ.Remote.Log
+  alias Situ.Remote.Log.Entry
+
+  defstruct [:seq, :since, :looked, :owner, gone: false]
+
+  @typedoc "`seq` has been the lease's number since `since` (ms); `gone`: the owner's node is said to be down."
+  @type t :: %__MODULE__{
+          seq: non_neg_integer() | nil,
+          since: integer() | nil,
+          looked: integer() | nil,
+          owner: String.t() | nil,
+          gone: boolean()
+        }
+
+  @doc """
+  What one look says: `seq` and `owner` of the lease, the times (ms) before and after. `wait` is for how much longer
+  than the lease this observer waits, so that others, which are preferred, come first.
+  """
+  @spec observe(t(), {non_neg_integer(), String.t() | nil, integer(), integer()}, map()) ::
+          {:take | :wait, t()}
+  def observe(%__MODULE__{} = lease, {seq, owner, before, now}, %{
+        lease: ms,
+        poll: poll,
+        wait: wait
+      }) do
+    late? =
+      lease.looked != nil and (now - before > div(ms, 4) or before - lease.looked > ms + 4 * poll)
+
+    same? = lease.seq == seq and not late?
+    since = if same?, do: lease.since, else: now
+    gone? = lease.gone and lease.seq == seq
+    lease = %{lease | seq: seq, owner: owner, since: since, looked: now, gone: gone?}
+
+    free? =
+      cond do
+        seq == 0 or owner == "" -> now - since >= wait
+        gone? -> now - since >= div(wait, 10)
+        true -> now - since >= ms + wait
+      end
+
+    {if(free?, do: :take, else: :wait), lease}
+  end
+
+  @doc "A node is said to be down: a hint; the fence makes it safe."
+  @spec down(t(), node()) :: t()
+  def down(%__MODULE__{owner: owner} = lease, node),
+    do: if(owner == Atom.to_string(node), do: %{lease | gone: true}, else: lease)
+
+  @doc "One look at the log."
+  @spec look(Log.t(), String.t()) ::
+          {:ok, {non_neg_integer(), String.t() | nil, integer(), integer()}}
+          | {:error, Situ.Error.t()}
+  def look(log, key) do
+    before = now()
+
+    with {:ok, entry} <- Log.last(log, {:key, key}) do
+      owner = if entry, do: Map.get(entry.head, "Node", "")
+      {:ok, {if(entry, do: entry.seq, else: 0), owner, before, now()}}
+    end
+  end
+
+  @doc "Takes it; its number is the epoch."
+  @spec take(Log.t(), String.t(), non_neg_integer()) ::
+          {:ok, pos_integer()} | {:refused, Entry.t() | nil} | {:error, Situ.Error.t()}
+  def take(log, key, seq), do: write(log, key, seq, Atom.to_string(node()), "take")
+
+  @doc "Gives it back."
+  @spec release(Log.t(), String.t(), pos_integer()) :: term()
+  def release(log, key, seq), do: write(log, key, seq, "", "release")
+
+  defp write(log, key, seq, owner, verb) do
+    unique = Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
+    entry = %Entry{op: "#{verb}.#{node()}.#{unique}", head: %{"Node" => owner}}
+    Log.append(log, {:key, key}, seq, entry)
+  end
+
+  @doc """
+  Keeps it, in a process of its own: writes it every quarter of its time. When it is lost, or the log has been away for
+  three quarters of the lease, `publisher` is killed at once, and this process ends with `:lease_lost`; told
+  `{:release, from}` it gives the lease back and says `:released`.
+  """
+  @spec keep(Log.t(), String.t(), pos_integer(), pos_integer(), pid()) :: no_return()
+  def keep(log, key, seq, ms, publisher) do
+    keep(%{log: log, key: key, ms: ms, publisher: publisher}, seq, now())
+  end
+
+  defp keep(lease, seq, written) do
+    receive do
+      {:release, from} ->
+        release(lease.log, lease.key, seq)
+        send(from, :released)
+    after
+      div(lease.ms, 4) ->
+        case write(lease.log, lease.key, seq, Atom.to_string(node()), "beat") do
+          {:ok, seq} ->
+            keep(lease, seq, now())
+
+          {:refused, _} ->
+            lost(lease)
+
+          {:error, _} ->
+            if now() - written > div(lease.ms * 3, 4),
+              do: lost(lease),
+              else: keep(lease, seq, written)
+        end
+    end
+  end
+
+  defp lost(lease) do
+    Process.exit(lease.publisher, :kill)
+    exit(:lease_lost)
+  end
+
+  defp now, do: System.monotonic_time(:millisecond)
+end

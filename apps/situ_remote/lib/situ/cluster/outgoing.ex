@@ -1,0 +1,115 @@
+defmodule Situ.Cluster.Outgoing do
+  @moduledoc false
+  # One stream that leaves a part, as its publisher knows it. Pure.
+  #
+  #   mark      behind the last message that was handed over      stored   behind the last one in the log
+  #   pending   messages that are not in the log yet, newest first
+  #   tail      the last batches that may be seen by readers, newest first
+  alias Situ.Cluster.Chunk
+
+  @tail 8_192
+
+  @enforce_keys [:name, :subject]
+  defstruct [
+    :name,
+    :subject,
+    seq: 0,
+    mark: nil,
+    stored: nil,
+    pending: [],
+    count: 0,
+    tail: [],
+    tail_count: 0
+  ]
+
+  @type t :: %__MODULE__{}
+
+  @spec new(String.t(), String.t()) :: t()
+  def new(name, deployment) do
+    %__MODULE__{
+      name: name,
+      subject: {:stream, deployment <> "." <> name},
+      mark: Chunk.start(),
+      stored: Chunk.start()
+    }
+  end
+
+  @doc """
+  Takes messages over: those that it has had before are passed over (a part that was started again repeats them),
+  the others get the next sequence ids; creation times do not go back, whatever the clock of this machine says.
+  """
+  @spec add(t(), [Situ.Message.t()]) :: {[Situ.Message.t()], t()}
+  def add(%__MODULE__{mark: mark} = out, messages) do
+    {fresh, mark} =
+      Enum.reduce(messages, {[], mark}, fn message, {fresh, mark} ->
+        if mark.closing != nil or (mark.time != nil and message.originating_time <= mark.time) do
+          {fresh, mark}
+        else
+          made = max(message.creation_time, mark.made || message.creation_time)
+          message = %{message | sequence_id: mark.last + 1, creation_time: made}
+          mark = %{mark | last: mark.last + 1, time: message.originating_time, made: made}
+          {[message | fresh], mark}
+        end
+      end)
+
+    count = out.count + length(fresh)
+    {Enum.reverse(fresh), %{out | mark: mark, pending: fresh ++ out.pending, count: count}}
+  end
+
+  @doc "The stream ends."
+  @spec close(t(), Situ.Time.t()) :: t()
+  def close(%__MODULE__{mark: %{closing: nil} = mark} = out, time),
+    do: %{out | mark: %{mark | closing: time}}
+
+  def close(out, _time), do: out
+
+  @doc "Whether there is something to be stored."
+  @spec pending?(t()) :: boolean()
+  def pending?(%__MODULE__{} = out), do: out.pending != [] or out.mark != out.stored
+
+  @doc "Takes what is to be stored, oldest first."
+  @spec take(t()) :: {{[Situ.Message.t()], Chunk.mark()}, t()}
+  def take(%__MODULE__{} = out),
+    do: {{Enum.reverse(out.pending), out.mark}, %{out | pending: [], count: 0}}
+
+  @doc "Readers may see these."
+  @spec show(t(), [Situ.Message.t()]) :: t()
+  def show(out, []), do: out
+
+  def show(%__MODULE__{} = out, [first | _] = messages) do
+    n = length(messages)
+    batch = {first.sequence_id, first.sequence_id + n - 1, messages}
+    trim(%{out | tail: [batch | out.tail], tail_count: out.tail_count + n})
+  end
+
+  # Looked at once in a while only: what is left is at least the last @tail messages, and all that is not stored yet.
+  defp trim(%{tail_count: count} = out) when count > 2 * @tail do
+    {kept, n} = keep(out.tail, out.stored.last, [], 0)
+    %{out | tail: kept, tail_count: n}
+  end
+
+  defp trim(out), do: out
+
+  defp keep([{_, last, _} | _], stored, kept, n) when n >= @tail and last <= stored,
+    do: {Enum.reverse(kept), n}
+
+  defp keep([{first, last, _} = batch | rest], stored, kept, n),
+    do: keep(rest, stored, [batch | kept], n + last - first + 1)
+
+  defp keep([], _stored, kept, n), do: {Enum.reverse(kept), n}
+
+  @doc "The last sequence id that readers may see."
+  @spec visible(t()) :: non_neg_integer()
+  def visible(%__MODULE__{tail: [{_, last, _} | _]} = out), do: max(last, out.stored.last)
+  def visible(%__MODULE__{stored: stored}), do: stored.last
+
+  @doc "Messages from sequence id `from` on, if the tail goes back that far."
+  @spec recall(t(), pos_integer()) :: {:ok, [Situ.Message.t()]} | :gone
+  def recall(%__MODULE__{tail: tail}, from), do: recall_in(tail, from)
+
+  defp recall_in([{first, last, messages} | _], from) when first <= from and from <= last,
+    do: {:ok, Enum.drop(messages, from - first)}
+
+  defp recall_in([_ | rest], from), do: recall_in(rest, from)
+  defp recall_in([], _from), do: :gone
+end

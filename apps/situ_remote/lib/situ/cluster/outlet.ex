@@ -1,0 +1,37 @@
+defmodule Situ.Cluster.Outlet do
+  @moduledoc false
+  # The end of a stream that leaves its part: hands everything to the part's publisher, and waits while that has more
+  # than it may hold.
+  use Situ.Component,
+    inputs: [in: :any],
+    options: [
+      publisher: [type: :pid, required: true],
+      stream: [type: :string, required: true]
+    ]
+
+  alias Situ.Cluster.Publisher
+
+  @impl true
+  def init(opts), do: {:ok, %{publisher: opts[:publisher], stream: opts[:stream]}}
+
+  @impl true
+  def handle_message(:in, message, context, state),
+    do: handle_messages(:in, [message], context, state)
+
+  @impl true
+  def handle_messages(:in, messages, _context, state) do
+    :ok = Publisher.publish(state.publisher, state.stream, messages)
+    {[], state}
+  end
+
+  @impl true
+  def handle_closed(:in, time, _context, state) do
+    :ok = Publisher.close(state.publisher, state.stream, time)
+    {[], state}
+  end
+
+  @impl true
+  def snapshot(_state), do: {:ok, nil}
+  @impl true
+  def restore(nil, fresh), do: {:ok, fresh}
+end

@@ -1,0 +1,69 @@
+defmodule Situ.Remote.Log.Entry do
+  @moduledoc """
+  One entry of a log: `op` names the write (unique), `head` is short text that says what `data` holds, `seq` its place
+  on the subject (`nil` before it is written).
+
+      iex> entry = %Situ.Remote.Log.Entry{op: "a.1", head: %{"Last" => "17"}, data: "..."}
+      iex> Situ.Remote.Log.Entry.integer(entry, "Last", 0)
+      17
+      iex> bytes = entry |> Situ.Remote.Log.Entry.encode() |> IO.iodata_to_binary()
+      iex> Situ.Remote.Log.Entry.decode(bytes, 5)
+      {:ok, %Situ.Remote.Log.Entry{op: "a.1", head: %{"Last" => "17"}, data: "...", seq: 5}}
+      iex> Situ.Remote.Log.Entry.decode(binary_part(bytes, 0, 20), 5)
+      {:error, "its checksum does not fit: it was cut short or changed"}
+  """
+  @magic "SITULOG1"
+
+  @enforce_keys [:op]
+  defstruct [:seq, :op, head: %{}, data: ""]
+
+  @type t :: %__MODULE__{
+          seq: pos_integer() | nil,
+          op: String.t(),
+          head: %{String.t() => String.t()},
+          data: iodata()
+        }
+
+  @doc "A number of the head."
+  @spec integer(t() | nil, String.t(), default) :: integer() | default when default: term()
+  def integer(nil, _key, default), do: default
+
+  def integer(%__MODULE__{head: head}, key, default) do
+    with %{^key => text} <- head, {number, ""} <- Integer.parse(text) do
+      number
+    else
+      _ -> default
+    end
+  end
+
+  @doc "As bytes: magic, CRC-32 of what follows, length of the head (32 bits), head, data."
+  @spec encode(t()) :: iodata()
+  def encode(%__MODULE__{op: op, head: head, data: data}) do
+    head =
+      for({key, value} <- head, do: [key, ": ", value, "\n"]) |> then(&["Op: ", op, "\n" | &1])
+
+    rest = [<<:erlang.iolist_size(head)::32>>, head, data]
+    [@magic, <<:erlang.crc32(rest)::32>>, rest]
+  end
+
+  @doc "The entry in `bytes`, the `seq`th of its subject."
+  @spec decode(binary(), pos_integer()) :: {:ok, t()} | {:error, String.t()}
+  def decode(<<@magic, crc::32, rest::binary>>, seq) do
+    with true <- :erlang.crc32(rest) == crc,
+         <<length::32, head::binary-size(length), data::binary>> <- rest do
+      {op, head} = head |> lines() |> Map.pop("Op", "")
+      {:ok, %__MODULE__{seq: seq, op: op, head: head, data: data}}
+    else
+      _ -> {:error, "its checksum does not fit: it was cut short or changed"}
+    end
+  end
+
+  def decode(_bytes, _seq), do: {:error, "it is no entry of a log"}
+
+  defp lines(head) do
+    for line <- String.split(head, "\n", trim: true),
+        [key, value] <- [String.split(line, ": ", parts: 2)],
+        into: %{},
+        do: {key, value}
+  end
+end

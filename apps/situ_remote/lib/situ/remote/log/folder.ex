@@ -1,0 +1,264 @@
+defmodule Situ.Remote.Log.Folder do
+  @moduledoc """
+  The log of one machine: a folder, no server. Any number of OS processes write to it; each may be killed at any time.
+
+  An entry is a file whose name is its number. It is written beside and then linked under that name, which fails when
+  the name is taken: the file system itself compares and sets. What has been linked survives a kill of the process; with
+  `sync: true` also a power cut.
+
+      root/streams/<subject>/<thousand>/<number>
+      root/keys/<subject>/<number>                 the last two
+      root/tmp/                                    what is being written
+
+  A network file system does not do this reliably: for several machines use NATS.
+
+  ## Options
+
+    * `:sync` (a boolean, default `false`) - wait until each entry is on the disk.
+  """
+  @behaviour Situ.Remote.Log
+
+  alias Situ.{Error, Options}
+  alias Situ.Remote.Log.Entry
+
+  @schema [sync: [type: :boolean, default: false]]
+  @bucket 1_000
+  # Nothing forbids more; one entry is read and written in one piece.
+  @limit 64 * 1024 * 1024
+
+  @enforce_keys [:root, :sync]
+  defstruct [:root, :sync]
+
+  @type t :: %__MODULE__{root: Path.t(), sync: boolean()}
+
+  @impl true
+  def connect(root, opts) do
+    root = Path.expand(root)
+
+    with {:ok, opts} <- Options.validate(opts, @schema),
+         :ok <- made(File.mkdir_p(Path.join(root, "tmp")), root),
+         :ok <- made(File.chmod(root, 0o700), root),
+         do: {:ok, %__MODULE__{root: root, sync: opts[:sync]}}
+  end
+
+  defp made(:ok, _root), do: :ok
+
+  defp made({:error, reason}, root) do
+    {:error,
+     Error.new(:no_log, "no log in #{inspect(root)}: #{:file.format_error(reason)}",
+       fix: "choose a folder that can be written to"
+     )}
+  end
+
+  @impl true
+  def append(%__MODULE__{} = log, subject, expected, %Entry{} = entry) do
+    target = path(log, subject, expected + 1)
+    tmp = Path.join([log.root, "tmp", name(entry.op) <> "-" <> unique()])
+
+    with :ok <- write(log, tmp, Entry.encode(entry)),
+         answer <- link(tmp, target),
+         _ <- File.rm(tmp) do
+      case answer do
+        :ok -> linked(log, subject, expected, target)
+        {:error, :eexist} -> taken(log, subject, expected + 1, entry)
+        {:error, reason} -> {:error, failed(target, reason)}
+      end
+    end
+  end
+
+  # The name may have been free because what had it was deleted long ago: then the one before is gone as well.
+  defp linked(log, subject, expected, target) do
+    if expected == 0 or File.exists?(path(log, subject, expected)) do
+      if expected == 0 and numbers(log, subject) != [1],
+        do: take_back(log, subject, target),
+        else: kept(log, subject, expected + 1)
+    else
+      take_back(log, subject, target)
+    end
+  end
+
+  defp take_back(log, subject, target) do
+    File.rm(target)
+    with {:ok, last} <- last(log, subject), do: {:refused, last}
+  end
+
+  defp kept(log, {:key, _} = subject, seq) do
+    if seq > 2, do: File.rm(path(log, subject, seq - 2))
+    {:ok, seq}
+  end
+
+  defp kept(_log, _subject, seq), do: {:ok, seq}
+
+  defp taken(log, subject, seq, entry) do
+    case fetch(log, subject, seq) do
+      {:ok, %Entry{op: op}} when op == entry.op -> {:ok, seq}
+      {:error, error} -> {:error, error}
+      _ -> with {:ok, last} <- last(log, subject), do: {:refused, last}
+    end
+  end
+
+  @impl true
+  def last(%__MODULE__{} = log, subject) do
+    case numbers(log, subject) do
+      [] ->
+        {:ok, nil}
+
+      seqs ->
+        # It may be deleted between the two looks: then there is a later one.
+        with {:ok, nil} <- fetch(log, subject, Enum.max(seqs)), do: last(log, subject)
+    end
+  end
+
+  @impl true
+  def read(%__MODULE__{} = log, subject, from, most) do
+    case fetch(log, subject, from) do
+      {:ok, %Entry{} = entry} ->
+        if most == 1, do: {:ok, [entry]}, else: more(log, subject, from + 1, most - 1, [entry])
+
+      {:ok, nil} ->
+        skip(log, subject, from, most)
+
+      error ->
+        error
+    end
+  end
+
+  defp more(_log, _subject, _seq, 0, entries), do: {:ok, Enum.reverse(entries)}
+
+  defp more(log, subject, seq, most, entries) do
+    case fetch(log, subject, seq) do
+      {:ok, %Entry{} = entry} -> more(log, subject, seq + 1, most - 1, [entry | entries])
+      {:ok, nil} -> {:ok, Enum.reverse(entries)}
+      error -> error
+    end
+  end
+
+  # The first entries may have been trimmed.
+  defp skip(log, subject, from, most) do
+    case first(log, subject) do
+      first when is_integer(first) and first > from -> read(log, subject, first, most)
+      _ -> {:ok, []}
+    end
+  end
+
+  @impl true
+  def trim(%__MODULE__{} = log, subject, seq) do
+    first = first(log, subject)
+    last = Enum.max(numbers(log, subject), fn -> 0 end)
+    # In order: whoever finds an entry gone knows that those before it are.
+    if first, do: for(n <- first..(min(seq, last) - 1)//1, do: File.rm(path(log, subject, n)))
+    :ok
+  end
+
+  @impl true
+  def limit(_log), do: @limit
+
+  @impl true
+  def close(_log), do: :ok
+
+  # Files
+
+  defp fetch(log, subject, seq) do
+    path = path(log, subject, seq)
+
+    case :file.open(path, [:read, :raw, :binary]) do
+      {:ok, io} ->
+        bytes = all(io, [])
+        :file.close(io)
+
+        case Entry.decode(bytes, seq) do
+          {:ok, entry} -> {:ok, entry}
+          {:error, why} -> {:error, Error.new(:damaged, "#{path} cannot be read: #{why}")}
+        end
+
+      {:error, reason} when reason in [:enoent, :enotdir] ->
+        {:ok, nil}
+
+      {:error, reason} ->
+        {:error, failed(path, reason)}
+    end
+  end
+
+  defp all(io, read) do
+    case :file.read(io, 262_144) do
+      {:ok, bytes} when byte_size(bytes) == 262_144 -> all(io, [read | bytes])
+      {:ok, bytes} -> IO.iodata_to_binary([read | bytes])
+      _ -> IO.iodata_to_binary(read)
+    end
+  end
+
+  defp write(log, path, bytes) do
+    with {:ok, io} <- :file.open(path, [:write, :raw, :binary, :exclusive]),
+         :ok <- :file.write(io, bytes),
+         :ok <- if(log.sync, do: :file.datasync(io), else: :ok),
+         :ok <- :file.close(io) do
+      :ok
+    else
+      {:error, reason} ->
+        File.rm(path)
+        {:error, failed(path, reason)}
+    end
+  end
+
+  defp link(tmp, target) do
+    with {:error, :enoent} <- :file.make_link(tmp, target),
+         :ok <- File.mkdir_p(Path.dirname(target)),
+         do: :file.make_link(tmp, target)
+  end
+
+  defp failed(path, reason) do
+    Error.new(:log_failed, "#{path}: #{:file.format_error(reason)}",
+      why: "the log of this machine is a folder that all its processes write to",
+      fix: "make room on the disk, or give them the rights"
+    )
+  end
+
+  defp numbers(log, {:key, _} = subject), do: integers(folder(log, subject))
+
+  # Those of the last thousand: the last one is among them.
+  defp numbers(log, subject) do
+    folder = folder(log, subject)
+
+    folder
+    |> integers()
+    |> Enum.sort(:desc)
+    |> Enum.find_value([], fn bucket ->
+      with [] <- integers(Path.join(folder, Integer.to_string(bucket))), do: nil
+    end)
+  end
+
+  defp first(log, {:key, _} = subject), do: Enum.min(numbers(log, subject), fn -> nil end)
+
+  defp first(log, subject) do
+    folder = folder(log, subject)
+
+    folder
+    |> integers()
+    |> Enum.sort()
+    |> Enum.find_value(fn bucket ->
+      folder |> Path.join(Integer.to_string(bucket)) |> integers() |> Enum.min(fn -> nil end)
+    end)
+  end
+
+  defp integers(folder) do
+    case File.ls(folder) do
+      {:ok, names} -> for name <- names, {number, ""} <- [Integer.parse(name)], do: number
+      {:error, _} -> []
+    end
+  end
+
+  defp path(log, {:key, _} = subject, seq),
+    do: Path.join(folder(log, subject), Integer.to_string(seq))
+
+  defp path(log, subject, seq) do
+    bucket = Integer.to_string(div(seq, @bucket))
+    Path.join([folder(log, subject), bucket, Integer.to_string(seq)])
+  end
+
+  defp folder(log, {:stream, subject}), do: Path.join([log.root, "streams", name(subject)])
+  defp folder(log, {:key, subject}), do: Path.join([log.root, "keys", name(subject)])
+
+  # No subject is a path.
+  defp name(subject), do: "s-" <> URI.encode(subject, &(URI.char_unreserved?(&1) and &1 != ?~))
+  defp unique, do: Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
+end

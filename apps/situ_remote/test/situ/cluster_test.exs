@@ -1,0 +1,52 @@
+defmodule Situ.ClusterTest do
+  use ExUnit.Case, async: false
+
+  alias Situ.{Cluster, Pipeline}
+  alias Situ.Test.ClusterSums
+
+  @moduletag :tmp_dir
+  @moduletag capture_log: true
+
+  @pipeline [replay: [interval: {0, Situ.Time.s(3_600)}, speed: :max]]
+  @place [{"Sum", deterministic: true}, {"Smooth", []}]
+
+  defp alone(opts) do
+    me = self()
+
+    build = fn p ->
+      p |> ClusterSums.build(opts) |> Situ.each(&send(me, {:m, &1, &2.originating_time}))
+    end
+
+    {:ok, _} = Pipeline.run(build, pipeline: @pipeline)
+    heard([])
+  end
+
+  defp heard(list) do
+    receive do
+      {:m, data, time} -> heard([{data, time} | list])
+    after
+      0 -> Enum.reverse(list)
+    end
+  end
+
+  defp read(deployment, stream) do
+    {:ok, messages} = Cluster.read(deployment, stream)
+    for m <- messages, do: {m.data, m.originating_time}
+  end
+
+  test "parts on one node give what the pipeline gives alone", %{tmp_dir: dir} do
+    start_supervised!({Cluster, log: dir})
+
+    {:ok, deployment} =
+      Cluster.deploy(ClusterSums,
+        opts: [count: 500],
+        place: @place,
+        publish: ["Result"],
+        checkpoint: Situ.Time.ms(100),
+        pipeline: @pipeline
+      )
+
+    assert :ok = Cluster.await(deployment, 60_000)
+    assert read(deployment, "Result") == alone(count: 500)
+  end
+end
