@@ -1,6 +1,6 @@
 defmodule Situ.Bench.Counters do
   @moduledoc false
-  # What the counters of connections cost: each chain as it is and, in the same breath, with counters that do nothing;
+  # The cost of the counters of connections: each chain as it is and, in the same breath, with counters that do nothing;
   # by CPU time, since a busy machine shows in the clock first. `one` hands over one message at a time, which is as
   # dear as counting gets.
   import Situ.Bench, only: [cpu_us: 0]

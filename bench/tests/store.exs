@@ -4,7 +4,7 @@ defmodule Situ.Bench.Store do
   alias Situ.{Delivery, Pipeline, Store}
 
   defmodule Frame do
-    # What an image is to a store: a small header and raw bytes.
+    # An image, as a store sees it: a small header and raw bytes.
     @behaviour Situ.Codec
     defstruct [:data]
     @impl true

@@ -1,4 +1,5 @@
-# Runs the blocks of docs/guides/python.md in their order: Elixir's here, Python's in one process beside. A block that ends in
+# Runs the blocks of docs/guides/python.md in their order: Elixir's here, Python's in one process beside. A block that
+# ends in
 # `# => value` gives that value. `guide.exs GUIDE PYTHON`.
 {:ok, _} = Application.ensure_all_started(:situ_bridge)
 {:ok, _} = Application.ensure_all_started(:situ_dataset)

@@ -75,7 +75,8 @@ test("6 live: a running pipeline is looked into; a page that hangs does not slow
   const other = await (await browser.newContext()).newPage();
   await open(other, main, "Lobby");
   const start = await drawn(other, (await drawn(page, 1, "the page draws")) + 1, "both pages draw");
-  // A dialog halts the page's code for exactly as long as it stands; the other page sees two seconds of messages meanwhile.
+  // A dialog halts the page's code for exactly as long as it stands; the other page sees two seconds of messages
+  // meanwhile.
   const dialog = page.waitForEvent("dialog");
   const hung = page.evaluate(() => alert("halted"));
   const standing = await dialog;

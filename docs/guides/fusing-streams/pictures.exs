@@ -108,7 +108,7 @@ defmodule Situ.Guide.Pictures do
     ])
   end
 
-  # What is known when: the same join fed message by message.
+  # The known messages at each moment: the same join fed message by message.
   defp waiting do
     feed = [tracker: 17, camera: 20, tracker: 22, camera: 40, tracker: 31, tracker: 44]
     right = outcomes(feed, Reproducible.nearest(5 * @ms))

@@ -72,7 +72,7 @@ defmodule Situ.Fixture.LifecycleWorld do
   defp timer?({:watch, _}), do: true
   defp timer?(_), do: false
 
-  # What a stage owes is void when its process is gone.
+  # A stage's debts are void when its process is gone.
   defp happen({:stage, id, event}, world) do
     if MapSet.member?(world.alive, id), do: apply_event(world, event), else: world
   end

@@ -62,7 +62,7 @@ defmodule Situ.Bridge.Test.Expected do
   end
 
   defp same?(%{"$type" => type} = want, got) when is_map(got) do
-    # What the type keeps from being written is in the objects that were written, not in the store.
+    # Fields that the type keeps from being written are in the objects that were written, not in the store.
     fields = want |> Map.delete("$type") |> Map.delete("NotAMember")
     told = Map.get(got, "$type", type)
 
@@ -83,7 +83,7 @@ defmodule Situ.Bridge.Test.Expected do
 
   defp same?(want, got), do: want === got
 
-  # What has a number in `want`, wherever it is met first, with what was read in its place.
+  # Values with a number in `want`, wherever it is met first, with what was read in its place.
   defp named(%{"$id" => n} = want, got, ids),
     do: named(Map.delete(want, "$id"), plain(got), Map.put(ids, n, got))
 

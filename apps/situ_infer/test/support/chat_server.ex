@@ -1,8 +1,9 @@
 defmodule Situ.Infer.Test.ChatServer do
   @moduledoc false
-  # A real server on a real port, which answers as a function of the test says: `script.(request, n)` gives what is done,
-  # step by step, for the n-th request: bytes to send, `{:wait, message}` until the test says so, `:reset`, `:close`.
-  # Whoever started it gets `{:request, n, request}`, and `{:gone, n}` when a client hangs up while it waits.
+  # A real server on a real port, which answers as a function of the test says: `script.(request, n)` gives what is
+  # done, step by step, for the n-th request: bytes to send, `{:wait, message}` until the test says so, `:reset`,
+  # `:close`. Whoever started it gets `{:request, n, request}`, and `{:gone, n}` when a client hangs up while it
+  # waits.
 
   def start(script, opts \\ []) do
     transport = if opts[:tls], do: :ssl, else: :gen_tcp

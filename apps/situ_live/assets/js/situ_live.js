@@ -8,5 +8,5 @@ export const SituFlow = {
   },
 };
 
-// What the LiveSocket gives as `params`: that this page acknowledges.
+// The `params` of the LiveSocket: that this page acknowledges.
 export const connectParams = { situ_flow: "1" };

@@ -47,9 +47,9 @@ defmodule Situ.Live do
   writes the
   `<html>` element, with a `<script defer src=...>`: scripts inside the page are refused by its content security policy.
 
-  ## What is refused
+  ## Limits and refusals
 
-  The server listens on `127.0.0.1` unless told otherwise; elsewhere a token is required, made anew at each start
+  The server listens on `127.0.0.1` unless told otherwise; elsewhere a token is required, made new at each start
   unless given:
   `url/2` returns the address with it, opening that sets a cookie. Every request is checked for its host name (against
   DNS rebinding), token, and, where it matters, origin. Heads (to about 128 KiB), bodies, frames, numbers of
@@ -62,7 +62,7 @@ defmodule Situ.Live do
     * `:port` - default 4040; 0 takes a free one (see `port/1`)
     * `:ip` - the address to listen on, default `{127, 0, 0, 1}`
     * `:token` - `:auto` (default: none on a loopback address, random elsewhere), text, or `:none` (loopback only)
-    * `:secret` - signs the pages; random at each start by default, after which open pages load themselves anew
+    * `:secret` - signs the pages; random at each start by default, after which open pages load themselves again
     * `:layout` - the component that writes the page around a view
     * `:hosts` - names the server answers for: `:any`, or a list; default the loopback names there, `:any` elsewhere
     * `:origins` - foreign origins that may connect, such as `"https://lab.example.org"`

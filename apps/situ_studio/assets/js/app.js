@@ -29,7 +29,7 @@ function page() {
     layout: d.layout,
     edit: d.edit,
     annotate: d.annotate,
-    // Where a server that was away, or started anew, is told what the page shows.
+    // Where a server that was away, or started again, is told what the page shows.
     moved: (href) => window.liveSocket?.main?.setHref(href),
   });
   studio.palette = new Palette(studio);

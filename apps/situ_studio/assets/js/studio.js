@@ -112,7 +112,7 @@ export class Studio {
     const at = absolute(Number(reply.to - this.client.origin), this.client.origin).slice(11, 19);
     this.connection.ended(`ended ${at}`);
     this.time.dispatch({ type: "live", on: false });
-    toast(`It has ended at ${at}. What was seen of it stays here.`);
+    toast(`It has ended at ${at}. Everything seen of it stays here.`);
   }
 
   // A snapped cursor moves to where the server found the message.
@@ -134,7 +134,7 @@ export class Studio {
     this.header.update(this.time.get());
   }
 
-  // What the toolbar's buttons, the keys and the palette do.
+  // The actions of the toolbar's buttons, the keys and the palette.
   act(name) {
     const s = this.time.get();
     if (name === "live" && s.mode !== "live" && !this.growing) {

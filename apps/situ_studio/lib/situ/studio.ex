@@ -25,7 +25,8 @@ defmodule Situ.Studio do
     token: [
       type: {:or, [:string, {:in, [:auto, :none]}]},
       default: :auto,
-      doc: "What a browser must bring: made anew where one is needed, or this text."
+      doc:
+        "The text that a browser must bring; a random one where one is needed and none is given."
     ],
     tls: [
       type: {:or, [:keyword, {:in, [:own]}]},

@@ -213,7 +213,7 @@ defmodule Situ.AudioBuffer do
 
     frames = div(byte_size(piece), AudioFormat.bytes_per_frame(format))
 
-    # What is not a number has no place in a drawing.
+    # Samples that are not numbers have no place in a drawing.
     case to_samples(%{buffer | data: piece}) do
       [] ->
         later

@@ -1,4 +1,4 @@
-//! What of a message belongs to which track.
+//! The part of a message that belongs to each track.
 
 use crate::chunk::{term_number, Value};
 use crate::etf;

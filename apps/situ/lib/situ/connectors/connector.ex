@@ -5,7 +5,7 @@ defmodule Situ.Connector do
   The two pipelines share nothing but the connector: each has its own clock, life cycle and errors. The target sees an
   infinite source. Its demand goes through the connector: a target that is slow makes the sender wait (at most
   `window:` messages are under way, 1,000 if not said otherwise), unless the sender's policy drops; several targets
-  all get all. What is sent while no target runs is lost.
+  all get all. Messages sent while no target runs are lost.
 
       iex> connector = Situ.Connector.new("numbers")
       iex> me = self()
@@ -22,7 +22,7 @@ defmodule Situ.Connector do
       iex> :closed
       :closed
 
-  `as: :data` (default) posts the data anew at the same originating time, `as: :message` posts the whole
+  `as: :data` (default) posts the data as a new message at the same originating time, `as: :message` posts the whole
   `Situ.Message` as data, `as: :envelope` keeps times and sequence id.
   """
   alias Situ.Stream

@@ -97,7 +97,7 @@ defmodule Situ.Component do
 
   @doc """
   An input is added while the pipeline runs, for what `request` says (see `Situ.Fusion.add_input/4`). Messages up to
-  the originating time `last` will not come, all later ones will. What is answered goes to the caller; `opts` are the
+  the originating time `last` will not come, all later ones will. The answer goes to the caller; `opts` are the
   component's options from now on, which it starts with when it is restarted.
 
   Optional, for components whose inputs come and go. Messages of an input that the component has detached may still

@@ -1,6 +1,6 @@
 defmodule Situ.Graph.Extension do
   @moduledoc false
-  # What is added to a graph that runs already, and taken away again. Pure.
+  # Parts added to a graph that runs already, and taken away again. Pure.
   alias Situ.{Error, Graph}
 
   @doc "Leaves the next `n` numbers to somebody else."

@@ -1,6 +1,6 @@
 defmodule Situ.Lifecycle.Errors do
   @moduledoc false
-  # What a pipeline as a whole answers when it cannot do what was asked.
+  # The errors of a pipeline as a whole.
   alias Situ.Error
 
   @spec not_running() :: Error.t()

@@ -138,7 +138,7 @@ defmodule Situ.Lifecycle do
 
   defp event(state, _event, _now), do: state
 
-  # What is being added takes the steps of a start by itself; if it fails, the rest goes on without it.
+  # A part being added takes the steps of a start by itself; if it fails, the rest goes on without it.
   defp stage(event, %{growths: growths} = state, now)
        when growths != %{} and elem(event, 0) in [:up, :started, :init_failed, :failed, :exited] do
     case Growth.of(state, elem(event, 1)) do

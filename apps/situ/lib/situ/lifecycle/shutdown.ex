@@ -65,7 +65,7 @@ defmodule Situ.Lifecycle.Shutdown do
         do: id
   end
 
-  # What is later than the end does not count: it has run ahead. Where every source upstream has given all it has,
+  # Messages later than the end do not count: they have run ahead. Where every source upstream has given all it has,
   # nothing has, and what operators made later than their inputs (`merge`, by the clock) belongs to the result.
   defp whole(state) do
     whole = Links.whole(state.stages, Map.values(state.links.topology), state.ending.finite)

@@ -1,6 +1,6 @@
 defmodule Situ.Lifecycle.Stall do
   @moduledoc false
-  # What does not end when it is to end: named, and killed. Pure.
+  # Stages that do not end when they are to: named, and killed. Pure.
   #
   # The server looks twice, the stop timeout apart. Where no counter has moved in between and nothing has happened,
   # somebody is stuck: those in the middle of something; only if there are none, those that still owe an answer.

@@ -1,6 +1,6 @@
 defmodule Situ.Lifecycle.Member do
   @moduledoc false
-  # What the life cycle knows of one stage.
+  # The life cycle's view of one stage.
   #
   #   status   :running, :failed (takes nothing any more), :restarting, :closed, :dead (its process is), :ended
   #            (stopped as a part of a

@@ -2,7 +2,7 @@ defmodule Situ.Pipeline.Handlers do
   @moduledoc false
   # The process in which the handlers of `Situ.Pipeline.on/3` run, one after another in the order of what happened. A
   # slow one holds nobody up but the start (`:run`) and the end (`:completed`), and may ask the pipeline anything.
-  # What it sends the server:
+  # Its messages to the server:
   #
   #   {:situ_handled, event, :ok or {:error, error}, graph}   they have returned; the graph with what they have added
   alias Situ.Error

@@ -62,7 +62,7 @@ defmodule Situ.Pipeline do
   @type target :: t() | pid() | GenServer.name() | String.t() | Stream.t()
   @type result :: {:ok, Report.t()} | {:error, Error.t()}
 
-  @doc "Builds the graph. What it returns is the report's `result`."
+  @doc "Builds the graph. The return value is the report's `result`."
   @callback build(t(), opts :: keyword()) :: term()
 
   @doc false

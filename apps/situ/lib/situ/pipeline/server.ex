@@ -101,7 +101,7 @@ defmodule Situ.Pipeline.Server do
     {:reply, state.view.progress, state}
   end
 
-  # What a supervisor answers.
+  # The answers of a supervisor.
   defp answer(:which_children, _from, state), do: {:reply, Stages.children(state), state}
 
   defp answer(:count_children, _from, state) do

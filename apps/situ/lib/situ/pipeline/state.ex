@@ -1,6 +1,6 @@
 defmodule Situ.Pipeline.State do
   @moduledoc false
-  # What the server of a pipeline holds.
+  # The state of a pipeline's server.
   #
   #   life      the life cycle, a pure state machine; stages: what runs, by id; pids: whose process is which
   #   links     connections between stages, with their policies; counters: their numbers, in shared memory

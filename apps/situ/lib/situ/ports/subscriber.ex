@@ -135,7 +135,7 @@ defmodule Situ.Ports.Subscriber do
     drain_rest(%{sub | queue: queue, size: queue.size, demand: minus(demand, n)})
   end
 
-  # What is protected may be more than was asked for.
+  # Protected messages may be more than were asked for.
   defp drain_rest(sub), do: note_waiting(sub, sub.size > 0)
 
   defp deliver(sub, messages), do: send(sub.pid, {:"$gen_consumer", {self(), sub.tag}, messages})

@@ -44,7 +44,7 @@ defmodule Situ.Ports.Window do
 
       bytes ->
         size = div(@budget, max(bytes, 1)) |> max(@least) |> min(@default)
-        # What the window grows by is owed at once; what it shrinks by is taken off what will be.
+        # Growth of the window is owed at once; shrinkage is taken off later demand.
         owed = window.owed + size - window.size
         %{window | size: size, owed: owed, unweighed: div(size, 2)}
     end

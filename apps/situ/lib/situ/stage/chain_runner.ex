@@ -208,7 +208,7 @@ defmodule Situ.Stage.ChainRunner do
     end
   end
 
-  # What is thrown away still counts as taken, so that the producer gets its demand back.
+  # A discarded message still counts as taken, so that the producer gets its demand back.
   defp drop(state, 0), do: state
 
   defp drop(%{callback: nil} = state, n) do

@@ -1,6 +1,7 @@
 defmodule Situ.Stage.Control do
   @moduledoc false
-  # What the pipeline's server asks of a stage: each request is one step of its life cycle, or a change while it runs.
+  # The requests of the pipeline's server to a stage: each request is one step of its life cycle, or a change while it
+  # runs.
   alias Situ.{Clock, Options}
   alias Situ.Component.Callback
   alias Situ.Operator.Chain

@@ -1,6 +1,6 @@
 defmodule Situ.Stage.Emission do
   @moduledoc false
-  # What a component returned, applied to the state of its stage: all of it, or on the first bad action none. Then
+  # A component's actions, applied to the state of its stage: all of it, or on the first bad action none. Then
   # `settle/1` sends it.
   alias Situ.{Error, Message}
   alias Situ.Component.Callback
@@ -156,7 +156,7 @@ defmodule Situ.Stage.Emission do
     %{state | outputs: flush(state), inputs: Inputs.settle(state.inputs)}
   end
 
-  # What a source posts before there is a clock waits for the operators behind it.
+  # Posts of a source before there is a clock wait for the operators behind it.
   defp flush(%{outputs: %{tail: %Output{}} = outputs, phase: :starting}), do: outputs
   defp flush(%{outputs: outputs}), do: Outputs.flush(outputs)
 

@@ -1,6 +1,6 @@
 defmodule Situ.Stage.ErrorPolicy do
   @moduledoc false
-  # What an error does to a stage, as its component's `on_error` says: a message lost, a restart, or the end.
+  # The effect of an error on a stage, as its component's `on_error` says: a message lost, a restart, or the end.
   alias Situ.Error
   alias Situ.Ports.Outputs
   alias Situ.Stage.{Source, State, Tally, Timers}

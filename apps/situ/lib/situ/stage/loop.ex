@@ -206,7 +206,7 @@ defmodule Situ.Stage.Loop do
     end
   end
 
-  # What is in the mailbox belongs to the queue before the next message is taken.
+  # Messages in the mailbox join the queue before the next message is taken.
   defp lossy(state, input, now, times, final) do
     case Input.freshen(input) do
       {:wait, input} ->

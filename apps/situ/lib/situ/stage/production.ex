@@ -1,6 +1,6 @@
 defmodule Situ.Stage.Production do
   @moduledoc false
-  # What a source does besides answering: it produces while there is demand, and stops when it is asked to.
+  # The work of a source besides answering: it produces while there is demand, and stops when it is asked to.
   alias Situ.{Clock, Error}
   alias Situ.Ports.{Output, Outputs}
   alias Situ.Stage.{Activation, Emission, ErrorPolicy, Pace, Source, State, Tally, Timers}

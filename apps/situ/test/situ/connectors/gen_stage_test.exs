@@ -122,7 +122,7 @@ defmodule Situ.GenStageTest do
         assert length(drain()) == 3
       end
 
-      # What a partition dispatcher does to one that names no partition.
+      # The answer of a partition dispatcher to one that names no partition.
       refused = ArgumentError.exception("the :partition option is required")
       assert {:error, error} = run(producer(limit: 0, finish: {:cancel, refused}))
       assert error.what =~ "the :partition option is required"

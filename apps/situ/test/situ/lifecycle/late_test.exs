@@ -1,6 +1,6 @@
 defmodule Situ.Lifecycle.LateTest do
-  # A pipeline ends at its last source's last time. What has run ahead of it does not count; what was made later than
-  # that from messages that do count is no less part of the result.
+  # A pipeline ends at its last source's last time. Output that has run ahead of it does not count; what was made
+  # later than that from messages that do count is no less part of the result.
   use ExUnit.Case, async: true
 
   defmodule Echo do

@@ -1,5 +1,5 @@
 defmodule Situ.Lifecycle.RestartTest do
-  # What a component that began anew posts goes on where the one before it had come to: sequence ids and times
+  # A component that began again posts on from where the one before it had come to: sequence ids and times
   # increase, and what a source goes through once more is not there twice.
   use ExUnit.Case, async: true
 

@@ -1,5 +1,5 @@
 defmodule Situ.Operators.SourcesTest do
-  # What the conformance files do not ask of sources.
+  # Cases that the conformance files lack for sources.
   use ExUnit.Case, async: true
 
   alias Situ.Time

@@ -1,5 +1,5 @@
 defmodule Situ.Operators.ParallelTest do
-  # What the conformance files do not ask of branches.
+  # Cases that the conformance files lack for branches.
   use ExUnit.Case, async: true
 
   @moduletag :capture_log

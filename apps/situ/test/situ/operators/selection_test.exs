@@ -1,5 +1,5 @@
 defmodule Situ.SelectionTest do
-  # What the conformance files do not ask of operators that choose and hold messages.
+  # Cases that the conformance files lack for operators that choose and hold messages.
   use ExUnit.Case, async: true
 
   alias Situ.Message

@@ -1,5 +1,5 @@
 defmodule Situ.Operators.StatisticsTest do
-  # What the conformance files do not ask of statistics and filters: odd numbers, bad input.
+  # Cases that the conformance files lack for statistics and filters: odd numbers, bad input.
   use ExUnit.Case, async: true
 
   alias Situ.{Reproducible, Time}

@@ -1,5 +1,5 @@
 defmodule Situ.Operators.WindowsTest do
-  # What the conformance files do not ask of windows.
+  # Cases that the conformance files lack for windows.
   use ExUnit.Case, async: true
 
   alias Situ.Interval

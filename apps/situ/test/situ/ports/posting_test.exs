@@ -71,7 +71,7 @@ defmodule Situ.Ports.PostingTest do
     test "each policy, as #{as}, #{if at_once, do: "at once", else: "one by one"}" do
       opts = [times: [5, 5, 5, 6, 20], as: unquote(as), at_once: unquote(at_once)]
       assert {{:error, %{code: :time_not_increasing}}, first} = run(opts, [])
-      # What one callback returns counts as a whole.
+      # One callback's actions count as a whole.
       assert first == if(unquote(at_once), do: [], else: [{5, 1}])
 
       assert {{:ok, _}, [{5, 1}, {6, 4}, {20, 5}]} = run(opts, on_same_time: :drop)

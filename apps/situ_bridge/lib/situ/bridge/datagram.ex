@@ -49,7 +49,7 @@ defmodule Situ.Bridge.Datagram do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "One datagram: the payload that it completes, or `nil`. What is no chunk changes nothing."
+  @doc "One datagram: the payload that it completes, or `nil`. A datagram that is no chunk changes nothing."
   @spec push(t(), binary()) :: {binary() | nil, t()}
   def push(
         state,

@@ -21,8 +21,8 @@ defmodule Situ.Bridge.Format do
       {:ok, {0, %{"x" => 1.5}}}
 
   Values are numbers, strings, booleans, `nil`, `:nan`, `:infinity`, `:neg_infinity`, lists, maps, structs (as maps of
-  their fields) and `{[{key, value}]}`, an object in a given order. What is read has string keys, and makes no atoms;
-  with `objects: :pairs` objects come as such ordered ones.
+  their fields) and `{[{key, value}]}`, an object in a given order. Maps that are read have string keys, and reading
+  makes no atoms; with `objects: :pairs` objects come as such ordered ones.
   """
   alias Situ.Bridge.Format.{Csv, Json, JsonLines, MessagePack}
   alias Situ.Error

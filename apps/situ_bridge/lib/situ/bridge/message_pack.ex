@@ -11,7 +11,7 @@ defmodule Situ.Bridge.MessagePack do
   A valid UTF-8 string is a `str`, other bytes are a `bin`, atoms (but `nil`, `true`, `false`) strings; `:nan`,
   `:infinity` and `:neg_infinity` floats. Integers go from -2^63 to 2^64-1. Extensions come as `{:ext, type, bytes}`;
   the timestamp extension as nanoseconds since 1970, `{:timestamp, ns}`. Objects of maps may be ordered: `{[{key,
-  value}]}`. What is read is bounded by the bytes there are, 512 levels deep, and makes no atoms.
+  value}]}`. Reading is bounded by the bytes there are, 512 levels deep, and makes no atoms.
   """
   @deepest 512
 

@@ -39,7 +39,7 @@ defmodule Situ.Bridge.Psi do
 
   defstruct [:folder, :name, :catalog, :types, :tracks, :streams, :damage]
 
-  # What is read at once: a batch is no more than this, or one message.
+  # The most that is read at once: a batch is no more than this, or one message.
   @most_bytes 16 * 1024 * 1024
 
   @impl true

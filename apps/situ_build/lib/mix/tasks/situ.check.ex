@@ -27,12 +27,10 @@ defmodule Mix.Tasks.Situ.Check do
     problems =
       Architecture.violations(modules) ++
         Architecture.undeclared(declared()) ++
-        Layers.violations(modules.situ) ++ cycles(modules) ++ rust_cycles("native")
+        Layers.violations(modules.situ) ++
+        cycles(modules) ++ rust_cycles("native") ++ sources()
 
-    # Refused as soon as there are none left.
-    long = Sources.violations(File.cwd!())
     report(modules)
-    Mix.shell().info("#{length(long)} files or lines are too long")
 
     if problems != [] do
       Enum.each(problems, fn problem -> Mix.shell().error(problem) end)
@@ -40,6 +38,11 @@ defmodule Mix.Tasks.Situ.Check do
     end
 
     Mix.shell().info("architecture: every edge is allowed, 0 cycles")
+  end
+
+  # The native crates' files are still being cut.
+  defp sources do
+    File.cwd!() |> Sources.violations() |> Enum.reject(&String.contains?(&1, ".rs has"))
   end
 
   defp cycles(modules) do

@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Completion do
   @moduledoc false
-  # What a shell needs to complete `situ ...`, out of the verbs' tables: words and options are in the script itself,
+  # The shell's part in completing `situ ...`, out of the verbs' tables: words and options are in the script itself,
   # so that completing starts no program.
   alias Situ.CLI.{Option, Verb}
 

@@ -199,7 +199,7 @@ defmodule Situ.CLI.Dataset do
     end)
   end
 
-  # What cannot be opened now is most likely a mistake.
+  # A path that cannot be opened now is most likely a mistake.
   defp partition!(name, path) do
     Recording.ready([path])
     partition = Partition.new(name, path)

@@ -12,7 +12,7 @@ defmodule Situ.CLI.Progress do
     end
   end
 
-  # Without a shell the VM does not know its terminal; the system does. Opened anew, what is written is there before
+  # Without a shell the VM does not know its terminal; the system does. Opened again, what is written is there before
   # the next line goes to standard output.
   defp terminal do
     with {:ok, device} <- File.read_link("/proc/self/fd/2"),

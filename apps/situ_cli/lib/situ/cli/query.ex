@@ -85,7 +85,7 @@ defmodule Situ.CLI.Query do
         end
       end)
 
-    # What one recording has not, is its error; of several sessions the others have it perhaps.
+    # A stream that a recording lacks is that recording's error; of several sessions the others have it perhaps.
     case found do
       [{_, {:error, error}}] -> raise error
       _ -> told(found, opts)

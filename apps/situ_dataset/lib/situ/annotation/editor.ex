@@ -121,7 +121,7 @@ defmodule Situ.Annotation.Editor do
 
   @doc """
   Makes an edit, `layer -> {:ok, layer, transaction} | {:error, error}` (the functions of `Situ.Annotation.Layer`
-  and `Situ.Annotation.Edit`): `{:ok, layer}`. What was undone before can no longer be redone.
+  and `Situ.Annotation.Edit`): `{:ok, layer}`. Earlier undone edits can no longer be redone.
   """
   @spec edit(server(), (Layer.t() -> Layer.edited())) :: {:ok, Layer.t()} | {:error, Error.t()}
   def edit(server, fun) when is_function(fun, 1), do: GenServer.call(server, {:edit, fun}, 60_000)

@@ -82,7 +82,7 @@ defmodule Situ.Annotation.Exchange do
   @type format :: :eaf | :textgrid | :webvtt | :srt | :label_studio | :csv
   @type losses :: [String.t()]
 
-  @doc "A layer as a file's text; times are relative to `origin:`. What was lost is in the losses."
+  @doc "A layer as a file's text; times are relative to `origin:`. The losses name everything left out."
   @callback encode(Layer.t(), opts :: keyword()) :: {iodata(), losses()}
   @doc "The annotations of a file, its schema if it says one, or the reason in words."
   @callback decode(binary(), opts :: keyword()) ::

@@ -122,7 +122,7 @@ defmodule Situ.Annotation.Recording do
   defp ended([]), do: 0
   defp ended(messages), do: List.last(messages).originating_time
 
-  # What is not whole is no version.
+  # An unfinished file is no version.
   defp give_up(writer, error) do
     _ = Store.Writer.close(writer)
     _ = Store.delete(writer.path)

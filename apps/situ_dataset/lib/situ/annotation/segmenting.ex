@@ -10,7 +10,7 @@ defmodule Situ.Annotation.Segmenting do
 
   An annotation begins with the first message in which its condition holds (for keys: in which the key is there and
   the function gives values), lasts while the following messages say the same, and ends at the first message in
-  which they do not; it is emitted at that message, whose originating time is its end. What is still open when the
+  which they do not; it is emitted at that message, whose originating time is its end. An annotation still open when the
   stream closes ends at the last message and is emitted then. Changed values end an annotation and begin the next,
   which touches it.
   """

@@ -138,7 +138,7 @@ defmodule Situ.Dataset.Derivation do
      }}
   end
 
-  # What was whole when the run was killed, and may not be in the dataset yet.
+  # Outputs that were whole when the run was killed, and may not be in the dataset yet.
   defp recover(sessions, done, acc, commit, opts) do
     sessions
     |> Enum.filter(&(is_map_key(done, &1.name) and File.dir?(done[&1.name])))

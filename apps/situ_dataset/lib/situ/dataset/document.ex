@@ -7,7 +7,7 @@ defmodule Situ.Dataset.Document do
          {"name": "p01", "tags": ["pilot"], "metadata": {"participant": "P01"},
           "partitions": [{"name": "Room", "store": "room", "path": "p01/room.0000"}]}]}
 
-  Paths are relative to the file, with forward slashes. What the file says beyond this is kept when it is saved.
+  Paths are relative to the file, with forward slashes. Anything else in the file is kept when it is saved.
   \\psi's own `.pds` files are read (never written): the same tree under other names.
   """
   alias Situ.Dataset.{Names, Partition, Session, StoredPath}

@@ -88,7 +88,7 @@ defmodule Situ.Annotation.EditorTest do
     Process.exit(editor, :kill)
     assert_receive {:EXIT, ^editor, :killed}
 
-    # What was cut off in the middle of a write.
+    # A line cut off in the middle of a write.
     File.write!(journal, "[[9, nul", [:append])
     editor = start(path)
     assert %{recovered: 3, unsaved?: true} = Editor.status(editor)

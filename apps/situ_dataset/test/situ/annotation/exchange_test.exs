@@ -11,7 +11,7 @@ defmodule Situ.Annotation.ExchangeTest do
   @ms 1_000_000
   @formats [:eaf, :textgrid, :webvtt, :srt, :label_studio, :csv]
 
-  # What a format can hold: values, tracks and milliseconds.
+  # The contents a format can hold: values, tracks and milliseconds.
   defp plain(layer) do
     for a <- Layer.annotations(layer), do: {a.from, a.to, a.track, a.values}
   end

@@ -1,6 +1,6 @@
 defmodule Situ.Chat.Memory do
   @moduledoc false
-  # What was said before: the last questions with their answers. Pure.
+  # The conversation so far: the last questions with their answers. Pure.
   alias Situ.Chat.{Answer, Turn}
   alias Situ.Error
 

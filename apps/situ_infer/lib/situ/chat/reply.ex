@@ -81,7 +81,7 @@ defmodule Situ.Chat.Reply do
 
   @doc """
   What came of it. `failure` is why the connection ended early, if it did. `{:again, ms | nil, error}`: worth another
-  try, after so many milliseconds if the service said so. What was said cannot be taken back: then it is an error.
+  try, after so many milliseconds if the service said so. Words already said cannot be taken back: then it is an error.
   """
   @spec close(t(), Error.t() | nil) ::
           {:ok, Answer.t()} | {:again, non_neg_integer() | nil, Error.t()} | {:error, Error.t()}
@@ -124,7 +124,7 @@ defmodule Situ.Chat.Reply do
   end
 
   defp refused(status, _complaint) when status in [401, 403] do
-    # What a service says of a key may hold the key.
+    # A service's words about a key may hold the key.
     Error.new(:refused, "the service refused the key (HTTP #{status})",
       fix: "set the variable that key: names to a key which may use this model"
     )

@@ -1,7 +1,7 @@
 defmodule Situ.Chat.ToolCall do
   @moduledoc """
   A language model wants a tool called: the `id` of the call, the tool's `name`, and its `arguments`, a map with string
-  keys. What the model wrote may be no JSON: then `arguments` is `%{}` and `raw` holds it.
+  keys. The model's text may be no JSON: then `arguments` is `%{}` and `raw` holds it.
 
       iex> Situ.Chat.ToolCall.new("1", "timer", ~s({"minutes": 5})).arguments
       %{"minutes" => 5}

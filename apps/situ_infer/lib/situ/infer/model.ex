@@ -263,7 +263,7 @@ defmodule Situ.Infer.Model do
     with {:ok, times} <- times, do: {:ok, %{model | where: where(opts[:schedule], times)}}
   end
 
-  # What the caller says about a port is more exact than a free dimension in the file.
+  # The caller's shape of a port is more exact than a free dimension in the file.
   defp zeros(type, shape, opts, name) do
     shape =
       case opts[:inputs] do

@@ -3,7 +3,7 @@ defmodule Situ.Infer.MouthMeasure do
   Measures the mouth of every face.
 
   Input `:in` is a list of `Situ.Infer.FaceMesh` with ids, output `:out` a map of id to `Situ.Infer.Mouth`, at the
-  same time. What is known of a face that was not seen for ten seconds is forgotten.
+  same time. A face that was not seen for ten seconds is forgotten.
   """
   use Situ.Component,
     inputs: [in: {:list, Situ.Infer.FaceMesh}],

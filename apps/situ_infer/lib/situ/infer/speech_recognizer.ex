@@ -51,7 +51,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   alias Situ.{AudioBuffer, AudioFormat, Error}
   alias Situ.Infer.Speech.Utterance
 
-  # What is heard before anybody speaks is forgotten after this.
+  # Sound before anybody speaks is forgotten after this.
   @memory 2_000_000_000
 
   defstruct [

@@ -37,7 +37,7 @@ defmodule Situ.Infer.VoiceActivity do
           Situ.via(microphone, Situ.Infer.VoiceActivity, min_silence: Situ.Time.ms(400))
 
   `Situ.Infer.voice/2` and `Situ.Infer.voice_activity/2` are the same with one output. A gap of more than 0.1 s in the
-  sound starts anew. Silero takes about 0.15 ms a message, on the component's own scheduler.
+  sound starts again. Silero takes about 0.15 ms a message, on the component's own scheduler.
 
   ## Options
 

@@ -69,7 +69,7 @@ defmodule Situ.Live.Channel do
       reason when is_binary(reason) ->
         {:push, reply(join_ref, ref, topic, "error", %{"reason" => reason}), state}
 
-      # The page must be loaded anew: its token is old or not ours, or its address is no view.
+      # The page must be loaded again: its token is old or not ours, or its address is no view.
       _ ->
         {:push, reply(join_ref, ref, topic, "error", %{"reason" => "stale"}), state}
     end
@@ -116,7 +116,7 @@ defmodule Situ.Live.Channel do
   def handle_info({:situ_live, topic, ref, text}, state) do
     pending = if ref == nil, do: state.pending, else: max(state.pending - 1, 0)
     state = %{state | pending: pending}
-    # What a view sent that was left meanwhile is for nobody.
+    # Messages of a view that the page has left are for nobody.
     if is_map_key(state.topics, topic), do: {:push, {:text, text}, state}, else: {:ok, state}
   end
 

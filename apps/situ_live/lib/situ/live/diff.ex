@@ -217,7 +217,7 @@ defmodule Situ.Live.Diff do
     end
   end
 
-  # Keys as JSON has them; the common ones are not made anew each time.
+  # Keys as JSON has them; the common ones are not made new each time.
   for i <- 0..63, do: defp(index(unquote(i)), do: unquote(Integer.to_string(i)))
   defp index(i), do: Integer.to_string(i)
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Live.Endpoint do
   @moduledoc false
-  # What one server knows (kept in a persistent term: read at each request), and the gate every request passes:
-  # host, token, origin, route. Pure: takes a request, says what to do.
+  # The configuration of one server (kept in a persistent term: read at each request), and the gate every request
+  # passes: host, token, origin, route. Pure: takes a request, says what to do.
   alias Situ.Live.{Dead, Guesses, Request, Response, Route, Static, Token}
 
   @cookie_age_s 30 * 86_400

@@ -50,7 +50,7 @@ defmodule Situ.Live.Listener do
     {:noreply, state}
   end
 
-  # Yaws starts anew without its ports: so do we.
+  # Yaws starts again without its ports: so do we.
   def handle_info({:DOWN, _, _, _, _}, state),
     do: {:stop, :web_server_down, %{state | sconf: nil}}
 

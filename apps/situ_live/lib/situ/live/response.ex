@@ -63,7 +63,7 @@ defmodule Situ.Live.Response do
   A file, or the part of it that the request's `range` asks for; `304` when the browser has it.
 
   Options: `:type` (else by the name's ending), `:cache` (the `cache-control` header, default `"no-cache"`: asked for
-  anew
+  again
   each time, answered by `304`).
   """
   @spec file(Request.t(), Path.t(), keyword()) :: t()

@@ -21,7 +21,7 @@ defmodule Situ.Live.SocketHandler do
   closes the
   connection (1009), a raise in a callback too (1011, logged). A connection from which nothing came for 90 s is
   closed, so a client
-  sends something at least every 60 s. What the other side does not read blocks this process, not the sender of its
+  sends something at least every 60 s. A peer that does not read blocks this process, not the sender of its
   messages: send only what it asked for, as the studio does with signals and pictures.
   """
 

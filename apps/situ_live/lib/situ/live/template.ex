@@ -10,7 +10,7 @@ defmodule Situ.Live.Template do
     * `<%= expression %>` as `{expression}`; `<%!-- --%>` is left out; blocks (`<% if ... do %>`) are refused
 
   A tag that is not closed, or closed by another name, is a compile error with file, line and column. Only assigns that
-  changed are evaluated anew: read them as `@name`.
+  changed are evaluated again: read them as `@name`.
   """
   alias Situ.Live.Template.{Compiler, Parser}
 

@@ -180,7 +180,7 @@ defmodule Situ.Live.Test do
   def event(page, name, value \\ %{}, type \\ "hook"),
     do: push(page, "event", %{"type" => type, "event" => name, "value" => json(value)})
 
-  # What is not JSON would not come from a browser.
+  # A browser sends JSON only.
   defp json(value) do
     {:ok, value} = value |> Situ.JSON.encode() |> Situ.JSON.decode()
     value

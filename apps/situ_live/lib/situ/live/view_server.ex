@@ -190,7 +190,7 @@ defmodule Situ.Live.ViewServer do
   defp wake(%{timer: nil} = state, ms),
     do: %{state | timer: Process.send_after(self(), :situ_live_render, ms)}
 
-  # An earlier one is waiting: after it the time left is asked for anew.
+  # An earlier one is waiting: after it the time left is asked for again.
   defp wake(state, _ms), do: state
 
   defp send_diff(state) do

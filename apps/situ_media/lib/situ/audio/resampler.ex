@@ -17,8 +17,8 @@ defmodule Situ.Audio.Resampler do
 
   As a component: sound in, sound out (`Situ.Audio.resample/3`). The filter is linear phase and its delay is accounted
   for: frame `k` of the result lies `k / rate` after the first frame that came in, and an output buffer's time is the
-  input's time less what is still inside the filter. What is inside when the input closes comes out then. Sample type
-  and channels stay; when the input's format changes on the way, the filter is flushed and starts anew.
+  input's time less what is still inside the filter. The rest inside comes out when the input closes. Sample type
+  and channels stay; when the input's format changes on the way, the filter is flushed and starts again.
 
   ## Options
 

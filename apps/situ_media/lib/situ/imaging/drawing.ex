@@ -22,8 +22,8 @@ defmodule Situ.Imaging.Drawing do
     * `size:` height of a capital in pixels, 1 to 2000 (default 16)
     * `font:` the path of a TrueType or OpenType file, or several: a character is taken from the first that has it.
       DejaVu Sans, which is part of Situ and the default, has those that they lack: Latin, Greek, Cyrillic, Hebrew,
-      Arabic and more, but no Chinese, Japanese or Korean. What no font has is drawn as a box. A file that is no font
-      is the error `:bad_font`.
+      Arabic and more, but no Chinese, Japanese or Korean. A character that no font has is drawn as a box. A file
+      that is no font is the error `:bad_font`.
     * `background:` colour of a box behind the text, 2 pixels larger on each side (default none)
 
   Colour fonts (emoji) have no outlines to draw: only those in one colour work.

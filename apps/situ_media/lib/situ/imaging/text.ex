@@ -57,7 +57,7 @@ defmodule Situ.Imaging.Text do
     end
   end
 
-  # What the fonts asked for lack comes from the default one.
+  # Characters that the fonts asked for lack come from the default one.
   defp fonts(nil), do: [default_font()]
   defp fonts(path) when is_binary(path), do: [path, default_font()]
 

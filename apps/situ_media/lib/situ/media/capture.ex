@@ -248,7 +248,7 @@ defmodule Situ.Media.Capture do
     {[{:complete, Enum.max(times, fn -> 0 end)}], %{capture | ended: false}}
   end
 
-  # What a sender had in store comes in a burst. The smallest delay seen in the first moments is the one to go by; the
+  # A sender's backlog comes in a burst. The smallest delay seen in the first moments is the one to go by; the
   # frames of those moments are left out.
   defp settle(%{offset: nil} = capture, time, %{now: now}) do
     case capture.settled do

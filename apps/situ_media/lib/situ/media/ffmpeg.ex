@@ -3,7 +3,7 @@ defmodule Situ.Media.FFmpeg do
   The `ffmpeg` and `ffprobe` programs: where they are, and how they are started.
 
   Decoders meet hostile bytes, so they run in a process of the operating system of their own: a crash there is an error
-  here, and never takes the VM down. What they decode comes back over a local socket that is read on demand
+  here, and never takes the VM down. The decoded data comes back over a local socket that is read on demand
   (`Situ.Media.FFmpeg.Reader`), so a slow pipeline slows the decoder down and nothing piles up.
 
       iex> {:ok, path} = Situ.Media.FFmpeg.executable("ffmpeg")

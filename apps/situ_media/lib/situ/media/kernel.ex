@@ -46,7 +46,7 @@ defmodule Situ.Media.Kernel do
     {:error, Error.new(code, "#{elem(job, 0)}: #{what}")}
   end
 
-  # What the native side could not even read: a number too large for its type, a list where a number belongs.
+  # Arguments that the native side could not even read: a number too large for its type, a list where a number belongs.
   defp refused!(%ArgumentError{}, job, _trace), do: {:error, refused(job)}
 
   defp refused!(%ErlangError{original: "Could not decode field" <> _}, job, _trace),

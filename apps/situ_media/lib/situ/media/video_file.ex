@@ -27,7 +27,7 @@ defmodule Situ.Media.VideoFile do
         clip.audio |> Situ.each(&IO.inspect/1)
       end
 
-  Every kind of file FFmpeg reads: MP4, AVI, MKV, WebM, MPEG-TS, MP3, FLAC ... What a file does not have is `nil` in
+  Every kind of file FFmpeg reads: MP4, AVI, MKV, WebM, MPEG-TS, MP3, FLAC ... A missing kind of stream is `nil` in
   what `open/3` returns. The time of a picture is when it is shown, the time of a piece of sound is when it ends; how
   media time becomes originating time is in `Situ.Media.FileTime`.
 
@@ -115,7 +115,7 @@ defmodule Situ.Media.VideoFile do
     end
   end
 
-  # What was read has been delivered by now; an error before would have cut it short.
+  # Everything read has been delivered by now; an error before would have cut it short.
   @impl true
   def handle_stop(_final_time, _context, %{damage: nil} = state), do: {[], close(state)}
   def handle_stop(_final_time, _context, %{damage: error}), do: raise(error)

@@ -69,7 +69,7 @@ defmodule Situ.Media.WavFile do
   def handle_demand(_n, _context, %{reader: nil} = state), do: {[], state}
   def handle_demand(n, _context, state), do: read(min(n, @batch), [], state)
 
-  # What was read has been delivered by now; an error before would have cut it short.
+  # Everything read has been delivered by now; an error before would have cut it short.
   @impl true
   def handle_stop(_final_time, _context, %{damage: nil} = state), do: {[], close(state)}
   def handle_stop(_final_time, _context, %{damage: error}), do: raise(error)

@@ -153,7 +153,7 @@ defmodule Situ.Imaging.BadInputTest do
       tight = %{image | stride: stride - pad, data: Image.pixels(image)}
       ops = operations(n, image)
 
-      # What the gaps between rows hold makes no difference.
+      # The bytes between rows make no difference.
       Enum.all?(ops, fn op -> packed(op.(image)) == packed(op.(tight)) end) and
         Enum.all?(ops, fn op -> op.(image) |> List.wrap() |> Enum.all?(&valid?/1) end)
     end

@@ -62,7 +62,7 @@ defmodule Situ.Imaging.TextTest do
       )
 
     assert Image.fetch_pixel(drawn, 18, 30) == {:ok, [255, 0, 0]}
-    # What is not the background is lighter, never the black around it mixed with white.
+    # Every pixel but the background is lighter, never the black around it mixed with white.
     assert {:ok, %{green: green, blue: blue}} = Imaging.statistics(drawn, rect: {20, 28, 60, 40})
 
     assert {blue.min, green.max} == {255, 255}

@@ -23,8 +23,8 @@ defmodule Situ.Space.Cloud do
   end
 
   @doc """
-  At most `most` points of the cloud, evenly by their number, in their order, with their colours: for drawing, where each
-  point stands for its neighbours.
+  At most `most` points of the cloud, evenly by their number, in their order, with their colours: for drawing, where
+  each point stands for its neighbours.
 
       iex> cloud = Situ.PointCloud.from_points(for x <- 1..6, do: {x * 1.0, 0.0, 0.0})
       iex> {:ok, fewer} = Situ.Space.Cloud.thin(cloud, 2)

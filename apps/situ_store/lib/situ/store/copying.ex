@@ -59,7 +59,7 @@ defmodule Situ.Store.Copying do
   @before ".before-compaction"
 
   @doc """
-  Writes a store anew in its place: many small commits become full chunks, holes and what was taken back are gone.
+  Rewrites a store in its place: many small commits become full chunks, holes and what was taken back are gone.
   `{:ok, path}`.
 
   The new store is whole and on the disk before it takes the old one's name, and the old one is deleted last: a

@@ -1,8 +1,8 @@
 defmodule Situ.Store.Draft do
   @moduledoc false
   # A store made out of others. While it is written its folder is NAME.PID-N.unfinished, which nothing takes for a
-  # store; only the whole gets a name. What a killed program left is swept by the next one that makes a store of this
-  # name.
+  # store; only the whole gets a name. The next program that makes a store of this name sweeps away the leftovers of a
+  # killed one.
   alias Situ.Error
   alias Situ.Store.{Folder, Reading, Writer}
 

@@ -106,11 +106,11 @@ defmodule Situ.Store.Editing do
          do: Transfer.close(transfer, closed(info.closed, edits))
   end
 
-  # What was inserted behind the stream's end belongs to it.
+  # Messages inserted behind the stream's end belong to it.
   defp closed(nil, _edits), do: nil
   defp closed(time, edits), do: Enum.max([time | for({:upsert, at, _} <- edits, do: at)])
 
-  # What lies between two edits is taken over as it is.
+  # Messages between two edits are taken over as they are.
   defp merge(transfer, source, edits) do
     Enum.reduce_while(edits, {:ok, transfer, 0}, fn edit, {:ok, transfer, ordinal} ->
       with {:ok, transfer, next} <- Transfer.take(transfer, source, ordinal, elem(edit, 1) - 1),

@@ -28,7 +28,7 @@ defmodule Situ.Store.Evolution do
     end
   end
 
-  # What was recorded as anything is looked at message by message when it is read as something.
+  # A stream recorded as anything is checked message by message when it is read as something.
   defp loose?(type) when type in [:any, :list, :tuple, :map], do: true
 
   defp loose?(type) when is_tuple(type),

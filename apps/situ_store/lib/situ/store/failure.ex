@@ -1,6 +1,6 @@
 defmodule Situ.Store.Failure do
   @moduledoc false
-  # What the native side answers, as errors people can act on.
+  # The native side's failures as errors people can act on.
   alias Situ.Error
 
   @spec error(term(), Path.t(), String.t() | nil) :: Error.t()
@@ -83,7 +83,7 @@ defmodule Situ.Store.Failure do
 
   def error(:deleted, path, _stream) do
     Error.new(:store_deleted, "the folder #{path} was deleted while it was being written",
-      fix: "record anew"
+      fix: "record again"
     )
   end
 

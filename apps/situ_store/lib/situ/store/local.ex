@@ -35,7 +35,7 @@ defmodule Situ.Store.Local do
   defp lost({:error, :no_store}), do: {:error, :index_lost}
   defp lost(result), do: result
 
-  # What was published since, for whoever asks for numbers next.
+  # The entries published since, for whoever asks for numbers next.
   defp refresh(state) do
     with :slow <- Native.reader_refresh(state.ref), do: Native.reader_refresh_all(state.ref)
   end
@@ -195,7 +195,7 @@ defmodule Situ.Store.Local do
     end
   end
 
-  # What is in memory is read here and now; what waits for the disk, or takes long to check, on a dirty scheduler.
+  # Chunks in memory are read here and now; those that wait for the disk, or take long to check, on a dirty scheduler.
   defp native_read(ref, id, ordinal, to, limit, bytes) do
     with :slow <- Native.reader_read_quick(ref, id, ordinal, to, limit, bytes),
          do: Native.reader_read(ref, id, ordinal, to, limit, bytes)

@@ -4,7 +4,7 @@ defmodule Situ.Store.Pieces do
   # hands the pieces to the components that write; it ends with the pipeline. Every piece is a whole store, so what a
   # kill or a power cut finds is what it would find of any.
   #
-  # Streams do not run abreast: the piece before the newest stays open for those that are behind. What is later still
+  # Streams do not run abreast: the piece before the newest stays open for those that are behind. A message later still
   # goes into the oldest open one. Pieces that `keep:` has no room for are deleted, the oldest first, and only those
   # made here.
   use GenServer

@@ -3,7 +3,7 @@ defmodule Situ.Store.Sink do
   The component behind `Situ.Store.write/4`: writes one stream of a pipeline into a store.
 
   Messages are gathered for up to 20 ms (or 512 messages, or 64 KiB of payload) and committed as one; with durability
-  `:each` every delivery is committed and on the disk before the next is taken. What was committed survives a kill of
+  `:each` every delivery is committed and on the disk before the next is taken. Committed messages survive a kill of
   the process.
   """
   use Situ.Component,

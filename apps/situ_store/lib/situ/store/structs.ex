@@ -9,7 +9,8 @@ defmodule Situ.Store.Structs do
   @spec load([String.t()]) :: boolean()
   def load(names), do: names |> Enum.map(&find/1) |> Enum.any?()
 
-  # What lies nowhere is remembered by the process that reads: every message of a foreign stream asks for the same few.
+  # Modules found nowhere are remembered by the process that reads: every message of a foreign stream asks for the
+  # same few.
   defp find(name) do
     absent = Process.get({__MODULE__, :absent}, %{})
 

@@ -146,7 +146,7 @@ defmodule Situ.Store.Transfer do
          do: {:ok, transfer, ordinal}
   end
 
-  # What cannot be read is left out, unless the caller wants to hear of it; what cannot be written is an error.
+  # Unreadable messages are left out, unless the caller wants to hear of it; what cannot be written is an error.
   defp failed(reason, transfer, {store, info} = source, ordinal, to)
        when elem(reason, 0) in [:damaged, :missing_extent] do
     next = Native.reader_skip(store.state.ref, info.id, ordinal)

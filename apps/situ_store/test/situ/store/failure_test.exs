@@ -94,7 +94,7 @@ defmodule Situ.Store.FailureTest do
     {:ok, stream} = Writer.stream(writer, "s")
     {:ok, stream} = Writer.append(stream, messages([1]))
     reader = Store.open!(writer.path)
-    # What has been looked at once stays mapped.
+    # Pages looked at once stay mapped.
     {:ok, _} = Store.at(reader, "s", 0)
     File.rm_rf!(writer.path)
 

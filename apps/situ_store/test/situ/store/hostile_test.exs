@@ -132,7 +132,7 @@ defmodule Situ.Store.HostileTest do
 
     :asked
   rescue
-    # What is damaged raises where a stream of messages is read.
+    # Damage raises where a stream of messages is read.
     error in Situ.Error -> error.code
   end
 

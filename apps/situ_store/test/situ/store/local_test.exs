@@ -103,7 +103,7 @@ defmodule Situ.Store.LocalTest do
     {:ok, _} = Writer.append(stream, messages([1]))
     for tag <- 1..2_000, do: assert_receive({:situ_store, ^tag, {:published, _}}, 2_000)
     :ok = Writer.close(writer)
-    # What is known to be old news is answered at once.
+    # Old news is answered at once.
     :ok = Store.notify(store, known, 1)
     assert_receive {:situ_store, 1, {:published, n}} when n > known
   end

@@ -42,7 +42,7 @@ export class KeyState {
     return { from: Math.min(from, t), to: Math.max(from, t), values };
   }
 
-  // What is begun and not ended, up to now.
+  // Segments begun and not ended, up to now.
   pending(t) {
     return [...this.open.values()].map(({ from, values }) => ({
       from: Math.min(from, t),

@@ -1,4 +1,4 @@
-// What one panel is shown of one stream: windows over time, or the message at the cursor. The client asks and delivers.
+// One panel's part of one stream: windows over time, or the message at the cursor. The client asks and delivers.
 
 import { KIND } from "./wire.js";
 import { want } from "./window.js";

@@ -5,7 +5,7 @@ import { decode } from "./wire.js";
 import { InstantChannel, IntervalChannel } from "./channels.js";
 
 const RETRY = [100, 250, 500, 1000, 2000, 5000];
-// What is deleted, replaced or goes on growing is noticed after so long, in ms.
+// A file deleted, replaced or growing is noticed after so long, in ms.
 const IDLE_POLL = 1000;
 const LIVE_PERIOD = 33;
 
@@ -151,7 +151,7 @@ export class DataClient {
     this.pump(first);
   }
 
-  // What one channel cannot take must not keep the others waiting.
+  // A channel that cannot take its data must not keep the others waiting.
   deliver(f) {
     try {
       this.channels.get(f.channel)?.receive(f, this);

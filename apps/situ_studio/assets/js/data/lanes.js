@@ -1,4 +1,4 @@
-// What the lanes of one stream hold: marks of messages, and segments of states, texts and intervals. Pure.
+// The lanes of one stream: marks of messages, and segments of states, texts and intervals. Pure.
 
 import { byName, lowerBound } from "./series.js";
 import { duration, relative } from "../time/text.js";
@@ -31,7 +31,7 @@ export function keepSegments(old, rows, base, from) {
   return next;
 }
 
-// What was held before the new window, then what is in it: a state that goes on is one segment.
+// Rows held before the new window, then those in it: a state that goes on is one segment.
 function join(held, next, from) {
   const first = next.length ? next[0][0] : from;
   if ((next[0] ?? held[0])[3] === "span") {

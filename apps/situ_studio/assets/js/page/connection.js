@@ -8,7 +8,7 @@ const STATUS = {
 };
 const BANNER = {
   closed: "The studio's server does not answer. The page goes on by itself as soon as it does.",
-  gone: "This recording was deleted or moved. What was read of it before stays on the page.",
+  gone: "This recording was deleted or moved. Everything read of it before stays on the page.",
   broken: "The server's answer cannot be read: reload the page.",
 };
 // How long the server may be away before the page says so, in ms.
@@ -22,7 +22,7 @@ export class Connection {
     Object.assign(this, { header, toast, name: null });
   }
 
-  // What was live is no more; the connection still stands.
+  // The live stream is no more; the connection still stands.
   ended(text) {
     this.over = text;
     document.body.dataset.ended = "1";
@@ -39,8 +39,8 @@ export class Connection {
     else this.say();
   }
 
-  // A moment without the server is not worth a word. One that was started anew answers for data first, and then has the
-  // page loaded anew: that it was lost is remembered for a while, so that the new page says it, too.
+  // A moment without the server is not worth a word. One that was started again answers for data first, and then has
+  // the page loaded again: that it was lost is remembered for a while, so that the new page says it, too.
   say() {
     clearTimeout(this.forgetting);
     if (this.name === "closed") sessionStorage.setItem(MARK, "1");

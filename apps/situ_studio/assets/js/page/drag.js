@@ -1,7 +1,7 @@
 // Streams dragged from the tree to panels, and panels to other places. A panel is moved by keys, too.
 
 const STREAM = "application/x-situ-stream";
-// What is dragged can be read at the drop only; what kind of thing it is, all the way.
+// The thing dragged can be read at the drop only; its kind, all the way.
 const PANEL = { line: "application/x-situ-line", cell: "application/x-situ-cell" };
 const WAYS = { ArrowUp: "up", ArrowDown: "down", ArrowLeft: "left", ArrowRight: "right" };
 // How near to the upper or lower edge of a cell a cell goes out of its row: a part of the height.

@@ -1,4 +1,4 @@
-// What is drawn, and when: views that changed are drawn once per picture of the browser.
+// Drawing, and its moments: views that changed are drawn once per picture of the browser.
 
 import { Overlay } from "../time/overlay.js";
 

@@ -1,4 +1,4 @@
-// Menus under the right mouse button, the menu key and a long touch. What is in them comes from `menus.js`.
+// Menus under the right mouse button, the menu key and a long touch. Their entries come from `menus.js`.
 
 const LONG = 550;
 

@@ -1,4 +1,4 @@
-// What the menus hold: of a stream, a panel, a line's name, a time, a recording.
+// The entries of the menus: of a stream, a panel, a line's name, a time, a recording.
 
 import { GUTTER } from "./theme.js";
 import { copy } from "./toast.js";

@@ -77,7 +77,7 @@ export class ImagePanel {
     return { k, x: (w - width * k) / 2 + zoom.x, y: (h - height * k) / 2 + zoom.y, width, height };
   }
 
-  // What lies over a mirrored picture is mirrored with it.
+  // Shapes over a mirrored picture are mirrored with it.
   map() {
     return mapping(this.fit(), this.base()?.vis.props?.flip === true);
   }
@@ -105,7 +105,7 @@ export class ImagePanel {
     else delete this.canvas.dataset.at;
   }
 
-  // What lies under the mouse, beside it; size, age and value of the picture in the corner.
+  // The value under the mouse, beside it; size, age and value of the picture in the corner.
   point() {
     const at = this.mouse.pointer && this.map().back(...this.mouse.pointer);
     this.note(at);

@@ -48,7 +48,7 @@ export class LanesPanel {
     return !row || t < view[0] || t > view[1] ? null : { row, t, px };
   }
 
-  // What lies under the mouse, in words: labels are cut where there is no room for them.
+  // The things under the mouse, in words: labels are cut where there is no room for them.
   under(e) {
     const at = this.place(e);
     if (!at) return [];

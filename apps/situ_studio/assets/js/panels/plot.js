@@ -53,7 +53,7 @@ export class PlotPanel {
     return { key, channel, vis, drawer: visualizers.get(vis.draw) ?? visualizers.get("line") };
   }
 
-  // What is drawn: one entry for each layer, or for each key of a stream of maps.
+  // The drawn lines: one entry for each layer, or for each key of a stream of maps.
   lines() {
     return this.layers.flatMap((l) => l.drawer.entries(l));
   }
@@ -182,7 +182,7 @@ export class PlotPanel {
     this.drawn = (this.drawn ?? 0) + 1;
   }
 
-  // What lies beyond the threshold is covered, so that the rest stands out.
+  // Values beyond the threshold are covered, so that the rest stands out.
   cover(ctx, bbox, y) {
     const { side, value } = this.config.threshold ?? {};
     if (!side) return;

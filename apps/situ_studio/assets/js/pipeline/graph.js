@@ -1,4 +1,4 @@
-// Draws the graph as SVG and keeps it: laid out anew only when its shape changes; numbers and colours come in between.
+// Draws the graph as SVG and keeps it: laid out again only when its shape changes; numbers and colours come in between.
 import { layout, path } from "./layout.js";
 
 const NS = "http://www.w3.org/2000/svg";

@@ -20,7 +20,7 @@ export function encode(s, origin, { layout, edit, snap, annotate } = {}) {
   return q.toString();
 }
 
-// What cannot be read is left out: a damaged link opens the store all the same.
+// Unreadable parts are left out: a damaged link opens the store all the same.
 export function decode(search, origin) {
   const q = new URLSearchParams(search);
   const time = (x) => (/^-?\d{1,20}$/.test(x ?? "") ? Number(BigInt(x) - origin) : null);

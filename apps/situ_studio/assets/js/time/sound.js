@@ -1,4 +1,4 @@
-// What is heard while playing: the sound that the panels show, fetched a second at a time.
+// Sound while playing: the sound that the panels show, fetched a second at a time.
 
 import { decode, KIND } from "../data/wire.js";
 

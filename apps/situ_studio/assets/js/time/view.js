@@ -4,7 +4,7 @@
 export const LIVE_WINDOW = 30e9;
 export const LIVE_CURSOR_AT = 0.8;
 const MIN_VIEW = 1e3;
-// What is shown of a recording that is one moment long.
+// The window on a recording that is one moment long.
 const POINT = 1e9;
 const SEL_PADDING = 0.1;
 

@@ -87,7 +87,7 @@ function tag(ctx, text, x, y, color) {
   ctx.textBaseline = "alphabetic";
 }
 
-// What of these shapes lies at a place of the picture, in words: the nearest point, and the smallest rectangle around
+// The shapes at a place of the picture, in words: the nearest point, and the smallest rectangle around
 // it.
 // `k` is pixels of the screen for one of the picture. Empty where there is nothing.
 export function shapesAt(shapes, x, y, k) {

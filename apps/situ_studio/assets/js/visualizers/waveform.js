@@ -13,7 +13,7 @@ export const waveform = {
     paint.wave(ctx, series, view, x, y, { color, ratio });
   },
 
-  // What is heard while playing.
+  // The waveform that is heard while playing.
   sound: ({ stream, channel, props }) =>
     props?.mute || props?.visible === false ? null : { stream, channel: channel ?? 0 },
 };

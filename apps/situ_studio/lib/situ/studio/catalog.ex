@@ -59,7 +59,7 @@ defmodule Situ.Studio.Catalog do
   @spec look_again(id()) :: :ok
   def look_again(id), do: GenServer.call(via(id), :look_again, 30_000)
 
-  @doc "Opens one of them. What is no text names nothing."
+  @doc "Opens one of them. A value that is no text names nothing."
   @spec open(id(), term()) :: {:ok, Item.t(), Source.t()} | {:error, Error.t()}
   def open(id, item_id) when is_binary(item_id),
     do: GenServer.call(via(id), {:open, item_id}, 60_000)

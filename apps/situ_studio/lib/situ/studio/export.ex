@@ -22,7 +22,7 @@ defmodule Situ.Studio.Export do
           streams: :all | [String.t()]
         }
 
-  # What is a name on every file system, and no way out of the folder.
+  # A name on every file system, and no way out of the folder.
   @name ~r/\A[\p{L}\p{N}][\p{L}\p{N} ._-]{0,59}\z/u
 
   @doc "Checks what a person typed. Times in ns, both ends included."

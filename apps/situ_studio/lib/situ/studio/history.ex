@@ -43,7 +43,7 @@ defmodule Situ.Studio.History do
     :ok
   end
 
-  @doc "Appends a message; `bytes` is what it weighs. What is too old or too much is forgotten."
+  @doc "Appends a message; `bytes` is what it weighs. Entries too old or too many are forgotten."
   @spec put(t(), String.t(), Situ.Message.t(), non_neg_integer()) :: :ok
   def put(%__MODULE__{} = history, name, %Situ.Message{} = message, bytes) do
     open(history, name, :any)

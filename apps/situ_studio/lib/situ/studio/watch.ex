@@ -133,7 +133,7 @@ defmodule Situ.Studio.Watch do
     Process.send_after(self(), :sweep, @sweep_ms)
     old = System.monotonic_time(:millisecond) - @idle_ms
 
-    # a tap went with its pipeline: what a supervisor started in its place is tapped anew when it is asked for
+    # a tap went with its pipeline: what a supervisor started in its place is tapped again when it is asked for
     idle =
       for {stream, tap} <- state.taps,
           [{_, used}] <- [:ets.lookup(state.uses, stream)],

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.DataSessionTest do
-  # What a page asks and is answered, message by message.
+  # A page's questions and their answers, message by message.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 

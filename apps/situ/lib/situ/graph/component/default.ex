@@ -1,6 +1,6 @@
 defmodule Situ.Component.Default do
   @moduledoc false
-  # What a component does for the callbacks it leaves out.
+  # The defaults for callbacks that a component leaves out.
 
   def init(opts), do: {:ok, opts}
   def handle_start(_context, state), do: {[], state}

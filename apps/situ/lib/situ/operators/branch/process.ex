@@ -1,6 +1,6 @@
 defmodule Situ.Branch.Process do
   @moduledoc false
-  # A branch as a pipeline of its own: its own processes, any component inside. What it says to the process that
+  # A branch as a pipeline of its own: its own processes, any component inside. Its messages to the process that
   # started it:
   #
   #   {:situ_branch, id, {:open, pid}}          where its input is sent
@@ -67,7 +67,7 @@ defmodule Situ.Branch.Process do
       end
     end
 
-    # What was emitted the time before has been through the operators that share this process. As long as that was
+    # Output of the time before has been through the operators that share this process. As long as that was
     # quick, more goes next time: whoever asks in between sees that a slow branch gets on, part by part.
     @impl true
     def handle_demand(n, _context, gate) do

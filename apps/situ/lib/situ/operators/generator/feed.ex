@@ -1,6 +1,6 @@
 defmodule Situ.Generator.Feed do
   @moduledoc false
-  # What a generator gives, one item at a time: `next/1` answers `{time, value, feed}` or `:done`. Pure, but for the
+  # A generator's items, one at a time: `next/1` answers `{time, value, feed}` or `:done`. Pure, but for the
   # enumerables of users. Times of a paced feed are start, start + interval, ...
 
   alias Situ.Sampling

@@ -62,7 +62,7 @@ defmodule Situ.Generator.Source do
   @impl true
   def handle_stop(_final, _context, %{phase: phase} = state) when phase != :open, do: {[], state}
 
-  # What has been asked for but not made yet is made on demand, up to and including the final time.
+  # Values asked for but not made yet are made on demand, up to and including the final time.
   def handle_stop(final, _context, state) do
     if state.last != nil and state.last >= final,
       do: {[], %{state | phase: :done, final: final}},

@@ -183,7 +183,7 @@ defmodule Situ.Parallel.ProcessBranches do
     end)
   end
 
-  # What it was sent counts, whenever it is said to end.
+  # Messages sent to it count, whenever it is said to end.
   defp last(at, nil), do: at
   defp last(at, seen), do: max(at, seen)
 

@@ -140,7 +140,7 @@ defmodule Situ.Parallel.ValueBranches do
     {:outputs, outputs, branch}
   end
 
-  # What a branch gave: at the time under way, at times that wait for it, or at times that nobody asks for.
+  # A branch's answers: at the time under way, at times that wait for it, or at times that nobody asks for.
   defp sort([], _key, _now, values, waiting, core), do: {values, waiting, core}
 
   defp sort([{time, value} | rest], key, now, values, waiting, core) do

@@ -135,7 +135,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
       | dynamic: %{state.dynamic | replaces: Map.put(state.dynamic.replaces, id, entry)}
     }
 
-  # What a restart begins with from now on.
+  # The component and options with which a restart begins from now on.
   defp replaced(state, id, %{index: index, module: module, opts: opts}) do
     stage = Map.fetch!(state.stages, id)
     vertices = List.update_at(stage.vertices, index, &%{&1 | module: module, opts: opts})
@@ -144,7 +144,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
     %{state | graph: graph, stages: Map.put(state.stages, id, %{stage | vertices: vertices})}
   end
 
-  # What it is to become
+  # The new component
 
   # Another version of the same function, with the state that there is.
   defp target(%Vertex{module: :operator} = vertex, {:keep, step}) do

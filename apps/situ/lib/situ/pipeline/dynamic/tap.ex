@@ -1,6 +1,7 @@
 defmodule Situ.Pipeline.Dynamic.Tap do
   @moduledoc false
-  # Taps of a running pipeline: a component in a stage of its own for each, subscribed to an output or, inside a chain, to a probe.
+  # Taps of a running pipeline: a component in a stage of its own for each, subscribed to an output or, inside a
+  # chain, to a probe.
   alias Situ.{Delivery, Error}
   alias Situ.Graph.{Edge, Vertex}
   alias Situ.Lifecycle.Errors

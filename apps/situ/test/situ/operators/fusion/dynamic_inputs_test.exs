@@ -17,7 +17,7 @@ defmodule Situ.Fusion.InputsTest do
     end)
   end
 
-  # What the pipeline's build returned, as handles for later.
+  # The values the pipeline's build returned, as handles for later.
   defp start(inputs, build) do
     me = self()
 

@@ -95,7 +95,7 @@ defmodule Situ.Bridge.Format.Csv do
     end
   end
 
-  # What comes before a fault is handed out first.
+  # Messages before a fault are handed out first.
   defp stop(why, _bytes, _names, []), do: {:error, why}
   defp stop(_why, bytes, names, found), do: {:ok, Enum.reverse(found), {bytes, names}}
 

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Mcap.Codec do
   @moduledoc false
-  # A channel's bytes as terms, by its message encoding and its schema. What is not known stays bytes, with a note.
+  # A channel's bytes as terms, by its message encoding and its schema. Unknown types stay bytes, with a note.
   alias Situ.Bridge.Ros.{Definition, Standard, Wire}
 
   @type schema :: {name :: String.t(), encoding :: String.t(), data :: binary()} | nil

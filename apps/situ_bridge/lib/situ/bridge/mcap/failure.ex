@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Mcap.Failure do
   @moduledoc false
-  # What the native side answers, as errors people can act on.
+  # The native side's failures as errors people can act on.
   alias Situ.Error
 
   @spec wrap({:ok, value} | {:error, term()}, Path.t()) :: {:ok, value} | {:error, Error.t()}

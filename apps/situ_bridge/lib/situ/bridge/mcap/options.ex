@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Mcap.Options do
   @moduledoc false
-  # What the writers of MCAP files can be told.
+  # The options of the writers of MCAP files.
 
   def file do
     [

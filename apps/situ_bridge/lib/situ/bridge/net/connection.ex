@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Net.Connection do
   @moduledoc false
-  # One client of a server: admitted by the protocol, it is written what it is handed, and ends when the other side does.
+  # One client of a server: admitted by the protocol, it is written what it is handed, and ends when the other side
+  # does.
   use GenServer, restart: :temporary
   alias Situ.Bridge.Net.Outbox
 

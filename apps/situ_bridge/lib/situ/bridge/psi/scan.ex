@@ -100,7 +100,7 @@ defmodule Situ.Bridge.Psi.Scan do
 
   defp message(_block, acc), do: acc
 
-  # What lies in the files for large messages has its place instead of its data: an extent (the smallest number added)
+  # A message in the files for large messages has its place instead of its data: an extent (the smallest number added)
   # and a position.
   defp large(id, times, <<extent::little-signed-32, at::little-signed-32, _::binary>>, acc)
        when extent < 0 and at >= 0 do

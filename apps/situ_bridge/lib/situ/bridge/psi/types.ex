@@ -168,7 +168,7 @@ defmodule Situ.Bridge.Psi.Types do
     {:fields, members, shape(parsed.name, Enum.map(members, &elem(&1, 0)))}
   end
 
-  # What the members of well-known types make together.
+  # The values that members of well-known types make together.
   defp shape("System.Collections.Generic.List`1", ["_items", "_size" | _]), do: :list
 
   defp shape("System.Collections.Generic.Dictionary`2", ["Comparer", "KeyValuePairs"]),

@@ -11,7 +11,7 @@ defmodule Situ.Bridge.Ros.Wire do
   A message is a map with string keys. Times and durations are nanoseconds; lists of bytes are binaries, other lists
   lists; NaN and infinities are atoms. Members that are missing when a message is written are zero, empty or false.
 
-  What is read is bounded by the bytes there are. CDR is read in both byte orders and written little-endian, with the
+  Reading is bounded by the bytes there are. CDR is read in both byte orders and written little-endian, with the
   alignment of version 1 (what ROS 2 uses).
   """
   alias Situ.Bridge.Ros.{Definition, Number}

@@ -69,7 +69,7 @@ defmodule Situ.Dataset.Derivation.Job do
   defp computed(fun, p, importer, exporter, _job) when is_function(fun, 3),
     do: fun.(p, importer, exporter)
 
-  # What a module is given of the session names nothing of this application, so that it may live below it.
+  # The part of the session that a module gets names nothing of this application, so that it may live below it.
   defp computed(module, p, importer, exporter, job) when is_atom(module) do
     given = [
       pipeline: p,

@@ -1,7 +1,7 @@
 defmodule Situ.Dataset.Derivation.Log do
   @moduledoc false
-  # What a run has begun and done, a line of JSON each, on the disk before it goes on. The next run of the same output
-  # keeps what is done and clears away what was only begun.
+  # The beginnings and ends of a run's sessions, a line of JSON each, on the disk before it goes on. The next run of
+  # the same output keeps what is done and clears away what was only begun.
   alias Situ.Dataset.Version
   alias Situ.Error
 

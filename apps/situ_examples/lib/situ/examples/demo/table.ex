@@ -1,6 +1,6 @@
 defmodule Situ.Examples.Demo.Table do
   @moduledoc false
-  # What the demo prints: a table for people, or one JSON object.
+  # The demo's output: a table for people, or one JSON object.
 
   @spec render(map()) :: iodata()
   def render(%{opts: opts} = result), do: if(opts[:json], do: json(result), else: text(result))

@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Http.Decoder do
   @moduledoc false
-  # The bytes of an HTTP/1.1 response, cut anywhere, as events. RFC 9112. What a head or a chunk's line may hold is
+  # The bytes of an HTTP/1.1 response, cut anywhere, as events. RFC 9112. The length of a head or a chunk's line is
   # bounded; nothing makes an atom.
 
   @head_bytes 65_536

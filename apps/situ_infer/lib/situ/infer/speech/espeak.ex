@@ -92,7 +92,7 @@ defmodule Situ.Infer.Speech.Espeak do
       ["timeout", "-k", "1", "#{@seconds}", voice.program, "--stdout"] ++
         voice.arguments ++ ["--", text]
 
-    # What it complains of would go to the terminal.
+    # Its complaints would go to the terminal.
     case System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | command]) do
       {wav, 0} -> sound(wav)
       {_, status} -> {:error, failed(voice, status)}

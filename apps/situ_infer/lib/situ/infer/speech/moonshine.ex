@@ -137,7 +137,7 @@ defmodule Situ.Infer.Speech.Moonshine do
     end
   end
 
-  # What it knows of the sound never changes after the first step.
+  # Its encoding of the sound never changes after the first step.
   defp remember(past, outputs, again?) do
     for {"present" <> rest, tensor} <- outputs,
         not again? or not String.contains?(rest, "encoder"),

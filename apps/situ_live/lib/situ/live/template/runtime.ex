@@ -3,7 +3,7 @@ defmodule Situ.Live.Template.Runtime do
   # What compiled templates call.
   alias Situ.Live.{Comprehension, Stream}
 
-  @doc "Whether a value that reads these assigns must be made anew."
+  @doc "Whether a value that reads these assigns must be made new."
   def changed?(%{__changed__: %{} = changed}, names),
     do: Enum.any?(names, &is_map_key(changed, &1))
 

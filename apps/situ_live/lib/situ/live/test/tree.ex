@@ -1,6 +1,6 @@
 defmodule Situ.Live.Test.Tree do
   @moduledoc false
-  # What the browser's client does with diffs: merge them into a tree, turn the tree into HTML. Written from the grammar
+  # The work of the browser's client on diffs: merge them into a tree, turn the tree into HTML. Written from the grammar
   # of the messages, not from `Situ.Live.Diff`, so that the two check each other.
 
   @type t :: map()

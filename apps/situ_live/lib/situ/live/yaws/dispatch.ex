@@ -17,7 +17,7 @@ defmodule Situ.Live.Yaws.Dispatch do
 
   @piece 65_536
 
-  # What the process may hold while a head is read (`Situ.Live.Yaws`) does not bind the handler.
+  # The limit while a head is read (`Situ.Live.Yaws`) does not bind the handler.
   def dispatch(arg(opaque: ref) = arg) do
     limit = Process.flag(:max_heap_size, 0)
 
@@ -31,7 +31,7 @@ defmodule Situ.Live.Yaws.Dispatch do
     end
   end
 
-  # What the handler left behind must not count against the next head.
+  # Garbage of the handler must not count against the next head.
   defp limit_again(%{size: size} = limit) do
     {:total_heap_size, held} = Process.info(self(), :total_heap_size)
     if size > 0 and held > div(size, 8), do: :erlang.garbage_collect()

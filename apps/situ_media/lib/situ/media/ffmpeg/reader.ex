@@ -146,7 +146,7 @@ defmodule Situ.Media.FFmpeg.Reader do
   def handle_info({port, {:data, {_eol, line}}}, %{port: port} = state),
     do: {:noreply, %{state | log: Log.add(state.log, line)}}
 
-  # What it has written still waits in the socket: the end of that is the end.
+  # Its output still waits in the socket: the end of that is the end.
   def handle_info({port, {:exit_status, status}}, %{port: port} = state),
     do: {:noreply, %{state | status: status}}
 

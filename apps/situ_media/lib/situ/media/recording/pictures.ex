@@ -1,7 +1,7 @@
 defmodule Situ.Media.Recording.Pictures do
   @moduledoc false
-  # Decodes the pictures of one media file for whoever asks: on from where a decoder stands when that is near, else anew
-  # from the key picture before. What was decoded lately is kept, so that going back a little costs nothing.
+  # Decodes the pictures of one media file for whoever asks: on from where a decoder stands when that is near, else
+  # again from the key picture before. Recently decoded pictures are kept, so that going back a little costs nothing.
   use GenServer
 
   alias Situ.Media.Decoder

@@ -122,7 +122,7 @@ defmodule Situ.Store.Summary.Fold do
     end
   end
 
-  # What of a message belongs to which track.
+  # The part of a message that belongs to each track.
   defp parts(%module{} = data) do
     if Situ.Codec.implemented_by?(module), do: [], else: data |> Map.from_struct() |> fields()
   end

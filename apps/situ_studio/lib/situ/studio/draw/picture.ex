@@ -53,7 +53,7 @@ defmodule Situ.Studio.Draw.Picture do
     end
   end
 
-  # What a file claims may be anything: what no sensor has is told as not known.
+  # A file may claim anything: values that no sensor has are shown as not known.
   defp unit(scale) when is_number(scale) and scale > 0 and scale <= 1_000,
     do: round(scale * 1.0e6)
 

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Layout.Text do
   @moduledoc false
-  # Layouts as JSON text, for files and addresses. What is read may come from anybody.
+  # Layouts as JSON text, for files and addresses. The text may come from anybody.
   alias Situ.Error
   alias Situ.Studio.Layout
   alias Situ.Studio.Layout.{Panel, Vis}
@@ -126,7 +126,7 @@ defmodule Situ.Studio.Layout.Text do
   defp bad(why) do
     {:error,
      Error.new(:bad_layout, "this file is not a layout: #{why}",
-       fix: "open another, or save this view anew"
+       fix: "open another, or save this view under a new name"
      )}
   end
 end

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.PipelineView.Choice do
   @moduledoc false
-  # What of a pipeline's graph is shown, as its page's address holds it: `heat`, `fold`, `sel`, `plots`, `at`. Pure.
+  # The shown part of a pipeline's graph, as its page's address holds it: `heat`, `fold`, `sel`, `plots`, `at`. Pure.
   # An address may come from anybody: what is unknown in it is left out.
   alias Situ.Studio.PipelineView.Stats
   alias Situ.Studio.Web.Address

@@ -83,7 +83,7 @@ defmodule Situ.Studio.PipelineView.Details do
     end
   end
 
-  # What the colours point at, as a list.
+  # The things the colours point at, as a list.
   defp worst(%{heat: heat, snapshot: snapshot, sample: sample}) do
     paths = Map.new(snapshot.nodes, &{&1.id, &1.path})
 

@@ -58,7 +58,7 @@ defmodule Situ.Studio.PipelineView.Feed do
     with {:ok, extent} <- Source.call(source, :extent, []), do: at(feed, extent.to)
   end
 
-  # What the studio itself hung on to look at streams is no part of the pipeline.
+  # The studio's own taps are no part of the pipeline.
   @spec without_taps(Snapshot.t()) :: Snapshot.t()
   def without_taps(snapshot) do
     taps = for %{kind: :tap, path: "Studio: " <> _, id: id} <- snapshot.nodes, do: id

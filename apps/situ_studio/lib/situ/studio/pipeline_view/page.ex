@@ -1,6 +1,6 @@
 defmodule Situ.Studio.PipelineView.Page do
   @moduledoc false
-  # What the page of a pipeline's graph looks like: toolbar, graph, moments of a recording, details, status line.
+  # The page of a pipeline's graph: toolbar, graph, moments of a recording, details, status line.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
 

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.PipelineView.Past do
   @moduledoc false
-  # What the studio's pipelines did before anybody looked: their statistics once a second for the last five minutes,
+  # The past of the studio's pipelines before anybody looked: their statistics once a second for the last five minutes,
   # every ten
   # seconds for the last hour. One process a studio writes them; pages read the table.
   use GenServer

@@ -162,7 +162,7 @@ defmodule Situ.Studio.PipelineView.Stats do
     }
   end
 
-  # A process that started anew counts from nothing.
+  # A process that started again counts from nothing.
   defp reductions(%{reductions: now}, %{reductions: before}, seconds) when now >= before,
     do: rate(now - before, seconds)
 

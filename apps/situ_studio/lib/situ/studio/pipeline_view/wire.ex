@@ -1,6 +1,6 @@
 defmodule Situ.Studio.PipelineView.Wire do
   @moduledoc false
-  # What the page's hooks are sent: the graph when its shape changes, numbers and colours at each tick, points of the
+  # The messages to the page's hooks: the graph when its shape changes, numbers and colours at each tick, points of the
   # plots.
   alias Situ.Studio.PipelineView.{Fold, Stats}
 

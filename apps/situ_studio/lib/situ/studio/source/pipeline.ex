@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Source.Pipeline do
   @moduledoc """
-  A running pipeline as a source: its named streams, tapped when something is drawn of them. What was seen stays to be
+  A running pipeline as a source: its named streams, tapped when something is drawn of them. Everything seen stays to be
   looked at for five minutes, also after the pipeline has ended.
   """
   @behaviour Situ.Studio.Source
@@ -9,7 +9,7 @@ defmodule Situ.Studio.Source.Pipeline do
   alias Situ.Studio.{Source, StreamInfo, Watch}
   alias Situ.Studio.Source.History
 
-  @typedoc "A pipeline, or a function that finds it anew (of one that a supervisor restarts); with a title or without."
+  @typedoc "A pipeline, or a function that finds it again (of one that a supervisor restarts); with a title or without."
   @type spec :: Pipeline.target() | (() -> Pipeline.target()) | {String.t(), spec()}
 
   @doc "The pipelines among `specs` that run now, by their titles."

@@ -109,7 +109,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
 
   defp walk(_, _, acc, _), do: acc
 
-  # What a file claims to be a mesh may be anything: what its own module cannot read is not drawn.
+  # A file may claim anything to be a mesh: one that its own module cannot read is not drawn.
   defp packed(module, struct, left) do
     if function_exported?(module, :points, 1) do
       for {x, y} when is_number(x) and is_number(y) <- Enum.take(module.points(struct), left),

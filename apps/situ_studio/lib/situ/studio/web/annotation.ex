@@ -77,7 +77,7 @@ defmodule Situ.Studio.Web.Annotation do
 
   defp event(_, _, socket), do: socket
 
-  # What a stream says over its whole length, exactly.
+  # A stream's segments over its whole length, exactly.
   defp segments(source, stream, shape, %{from: from, to: to}) do
     spec = %{stream: stream, viz: nil, path: []}
 

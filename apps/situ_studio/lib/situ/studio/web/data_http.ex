@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.DataHttp do
   @moduledoc false
-  # What is fetched rather than streamed: windows for scripts and tests, sound, steps from message to message.
+  # Data fetched rather than streamed: windows for scripts and tests, sound, steps from message to message.
   alias Situ.Live.{Request, Response}
   alias Situ.Studio.{Catalog, Draw, Frame, Path, Sound, Source, Visualizers, WholeNumber}
 

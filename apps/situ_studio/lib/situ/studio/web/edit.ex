@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Web.Edit do
   @moduledoc false
-  # What the page's buttons and forms do to the layout. Pure: from an event and the assigns to the assigns that change.
+  # The changes that the page's buttons and forms make to the layout. Pure: from an event and the assigns to the
+  # assigns that change.
   alias Situ.{Error, Studio}
   alias Studio.{Layout, Visualizer, Visualizers}
 

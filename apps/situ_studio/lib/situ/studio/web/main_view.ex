@@ -111,7 +111,7 @@ defmodule Situ.Studio.Web.MainView do
     end
   end
 
-  # What the streams were known to have, and what the page has met since.
+  # The known shapes of the streams, and those the page has met since.
   defp lanes(streams, seen) do
     known = for %{keys: [_ | _] = keys} = s <- streams, into: %{}, do: {s.name, length(keys)}
     Map.merge(known, seen, fn _, a, b -> max(a, b) end)
@@ -257,7 +257,7 @@ defmodule Situ.Studio.Web.MainView do
     end
   end
 
-  # What the layout was before a change; picking a layout is one, too.
+  # The layout before a change; picking a layout is one, too.
   defp remember(%{assigns: assigns} = socket, event, changes)
        when event not in ["undo", "redo"] do
     if Keyword.get(changes, :layout, assigns.layout) == assigns.layout,
@@ -341,7 +341,7 @@ defmodule Situ.Studio.Web.MainView do
     """
   end
 
-  # What each shape can be shown as, for the page's menus.
+  # The visualizers of each shape, for the page's menus.
   defp kinds(extra) do
     StreamInfo.shapes()
     |> Map.new(&{&1, for(v <- Visualizers.for_shape(&1, extra), do: [v.id, v.title])})

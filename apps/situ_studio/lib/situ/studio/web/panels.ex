@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Panels do
   @moduledoc false
-  # The centre: rows of panels. What is inside a panel belongs to the page's script.
+  # The centre: rows of panels. The inside of a panel belongs to the page's script.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
   alias Situ.Studio.Web.Annotation
@@ -41,7 +41,7 @@ defmodule Situ.Studio.Web.Panels do
             class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
         <div :if={@layout.rows == [] and @streams == 0} class="empty"><b>No streams yet</b><span>{if @known.damaged,
           do: "What is left of this recording cannot be read.",
-          else: "Nothing was recorded here. What comes shows up by itself."}</span></div>
+          else: "Nothing was recorded here. New recordings show up by themselves."}</span></div>
       </div>
     </div>
     """

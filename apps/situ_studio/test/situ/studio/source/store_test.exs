@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Source.StoreTest do
-  # What is drawn of recordings on disk: nothing that is not in them, at any zoom, and in any system.
+  # Drawings of recordings on disk: nothing that is not in them, at any zoom, and in any system.
   use ExUnit.Case, async: true
   use Situ.Test.Property
 

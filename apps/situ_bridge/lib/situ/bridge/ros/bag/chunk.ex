@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Ros.Bag.Chunk do
   @moduledoc false
-  # A chunk of a bag, unpacked. What is missing of the last one of a file cut short is not asked for.
+  # A chunk of a bag, unpacked. The missing part of the last one, in a file cut short, is not asked for.
   alias Situ.Bridge.Native
   alias Situ.Bridge.Ros.Bag.Record
 

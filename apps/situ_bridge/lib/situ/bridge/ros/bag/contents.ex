@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Ros.Bag.Contents do
   @moduledoc false
-  # What is in a bag: its connections, and where each message lies. With an index that is read; without one (the
+  # The contents of a bag: its connections, and where each message lies. With an index that is read; without one (the
   # recorder was killed, the file is cut short) all chunks are passed over.
   alias Situ.Bridge.Ros.Bag.{Chunk, Record}
 
