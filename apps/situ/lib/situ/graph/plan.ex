@@ -3,10 +3,10 @@ defmodule Situ.Graph.Plan do
   # Which vertices share a process, and which edges become queues between processes. Pure.
   #
   # A light operator joins the process of the light operator in front of it when nobody else listens to that one, no
-  # explicit policy (but synchronous or `throttle(1)`) stands between them, neither asks for `async`, both treat errors alike and
-  # belong to the same composite (which can be stopped alone). It joins the process of a component with one output
-  # when the policy between them is synchronous, `throttle(1)`, or the pipeline's default throttle: nothing is on its
-  # way at all then.
+  # explicit policy (but synchronous or `throttle(1)`) stands between them, neither asks for `async`, both treat
+  # errors alike and belong to the same composite (which can be stopped alone). It joins the process of a component
+  # with one output when the policy between them is synchronous, `throttle(1)`, or the pipeline's default throttle:
+  # nothing is on its way at all then.
   alias Situ.{Delivery, Error, Graph}
   alias Situ.Graph.Vertex
 

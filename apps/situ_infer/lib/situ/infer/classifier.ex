@@ -39,8 +39,8 @@ defmodule Situ.Infer.Classifier do
       pictures |> Situ.via(Situ.Infer.Classifier, path: "resnet50-v2.onnx", labels: "synset.txt", softmax: true)
 
   Input `:in` is a `Situ.Image` of an 8-bit format or `nil`, output `:out` the likeliest classes, `{label, score}`, best
-  first (`nil` for `nil`). The preprocessing is ImageNet's unless said otherwise: the middle square, bilinear, `(v / 255 -
-  mean) / std`. A class without a name is called by its number.
+  first (`nil` for `nil`). The preprocessing is ImageNet's unless said otherwise: the middle square, bilinear, `(v /
+  255 - mean) / std`. A class without a name is called by its number.
 
   ## Options
 

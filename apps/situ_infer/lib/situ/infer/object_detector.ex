@@ -49,9 +49,9 @@ defmodule Situ.Infer.ObjectDetector do
       found = Situ.via(pictures, Situ.Infer.ObjectDetector, path: "yolov8n.onnx", labels: "coco.txt")
       found.out |> Situ.via(Situ.Infer.Tracker)
 
-  Input `:in` is a `Situ.Image` of an 8-bit format, output `:out` a list of `Situ.Rect` in the picture's pixels with label
-  and score, the likeliest first. Output `:masks`, with `masks:`, is a list of `:gray8` pictures, one for each box: 255
-  where the object is; a mask covers its box. A v2 network wants `scale: 1`.
+  Input `:in` is a `Situ.Image` of an 8-bit format, output `:out` a list of `Situ.Rect` in the picture's pixels with
+  label and score, the likeliest first. Output `:masks`, with `masks:`, is a list of `:gray8` pictures, one for each
+  box: 255 where the object is; a mask covers its box. A v2 network wants `scale: 1`.
 
   Weights are yours to bring: look at their licence (many YOLO weights are AGPL-3.0).
 

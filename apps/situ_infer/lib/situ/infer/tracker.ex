@@ -33,10 +33,10 @@ defmodule Situ.Infer.Tracker do
   Gives what a detector finds ids that stay (SORT; Bewley et al., 2016): a box is the thing whose expected place it
   overlaps most, best pair first.
 
-  Input and output are lists of `Situ.Rect`; each that comes out has its thing's number in `id` (0, 1 ... in the order of
-  appearance, from left to right among those of one picture), and they are in the order of the ids. Boxes are as the
-  detector gave them. A thing that is gone for `max_missing:` never comes back: a new id is given. With a Kalman filter a
-  thing that passes behind another is found again on the other side.
+  Input and output are lists of `Situ.Rect`; each that comes out has its thing's number in `id` (0, 1 ... in the order
+  of appearance, from left to right among those of one picture), and they are in the order of the ids. Boxes are as
+  the detector gave them. A thing that is gone for `max_missing:` never comes back: a new id is given. With a Kalman
+  filter a thing that passes behind another is found again on the other side.
 
       found.out |> Situ.via(Situ.Infer.Tracker, min_hits: 3)
 

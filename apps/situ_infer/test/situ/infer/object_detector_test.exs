@@ -65,7 +65,8 @@ defmodule Situ.Infer.ObjectDetectorTest do
   end
 
   test "tiny YOLO v2: one cell of one anchor, all else nothing" do
-    # Object and class are sure in the cell (3, 5) of the second anchor; the box is in the cell's middle, twice the anchor.
+    # Object and class are sure in the cell (3, 5) of the second anchor; the box is in the cell's middle, twice the
+    # anchor.
     at = fn k -> ((25 + k) * 13 + 5) * 13 + 3 end
 
     set = %{

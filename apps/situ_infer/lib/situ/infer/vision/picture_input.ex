@@ -46,7 +46,9 @@ defmodule Situ.Infer.Vision.PictureInput do
   @spec schema() :: Situ.Options.schema()
   def schema, do: @schema
 
-  @doc "What the model takes. `side:` decides where the file leaves the size free. Errors: `:model_shape`, `:bad_option`."
+  @doc """
+  What the model takes. `side:` decides where the file leaves the size free. Errors: `:model_shape`, `:bad_option`.
+  """
   @spec new(Model.t(), keyword(), pos_integer() | nil) :: {:ok, t()} | {:error, Error.t()}
   def new(%Model{} = model, opts \\ [], side \\ nil) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.Dataset.Edits do
   @moduledoc """
-  What the page of a dataset does to it: each event becomes an edit of the dataset's process, or the dialog that asks for
-  what the edit needs.
+  What the page of a dataset does to it: each event becomes an edit of the dataset's process, or the dialog that asks
+  for what the edit needs.
   """
   alias Situ.{Dataset, Error}
   alias Situ.Dataset.{Partition, Session}

@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.Dataset.Menu do
   @moduledoc """
-  The menus of a dataset's tree, as the page shows them under the right mouse button and behind the dots of a row: a list
-  of `%{text:, event: | href: | copy:}`, where `sure` asks a second time and `-` is a line.
+  The menus of a dataset's tree, as the page shows them under the right mouse button and behind the dots of a row: a
+  list of `%{text:, event: | href: | copy:}`, where `sure` asks a second time and `-` is a line.
   """
   alias Situ.Studio.Datasets.Place
   alias Situ.Studio.Web.Address
