@@ -42,9 +42,10 @@ defmodule Situ.Infer.Tracker do
 
   Pure, for use without a pipeline:
 
-      iex> tracker = Situ.Infer.Tracker.new()
-      iex> {_, tracker} = Situ.Infer.Tracker.step(tracker, 0, [Situ.Rect.new!(50, 0, 20, 20), Situ.Rect.new!(0, 0, 20, 20)])
-      iex> {rects, _} = Situ.Infer.Tracker.step(tracker, 40_000_000, [Situ.Rect.new!(4, 0, 20, 20), Situ.Rect.new!(46, 0, 20, 20)])
+      iex> alias Situ.{Infer.Tracker, Rect}
+      iex> boxes = fn xs -> for x <- xs, do: Rect.new!(x, 0, 20, 20) end
+      iex> {_, tracker} = Tracker.step(Tracker.new(), 0, boxes.([50, 0]))
+      iex> {rects, _} = Tracker.step(tracker, 40_000_000, boxes.([4, 46]))
       iex> Enum.map(rects, &{&1.x, &1.id})
       [{4, 0}, {46, 1}]
 

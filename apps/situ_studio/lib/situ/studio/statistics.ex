@@ -13,7 +13,31 @@ defmodule Situ.Studio.Statistics do
 
   The standard deviation is that of a sample (n - 1); percentiles are messages' own values (nearest rank).
   """
-  alias Situ.Studio.{Draw.Bins, Path}
+  alias Situ.Studio.Draw.{Bins, Messages}
+  alias Situ.Studio.{Path, Source}
+
+  @doc """
+  The statistics of what `vis` draws (`%{stream: name, path: text}`) from `from` to `to`, ready for the page: the
+  `name`, the `values` as `[name, number]`, `all` whether every message is in them; of a stream that cannot be read,
+  the `error`.
+  """
+  @spec within(
+          Source.t(),
+          %{:stream => String.t(), :path => String.t(), optional(atom()) => term()},
+          from,
+          to
+        ) ::
+          map()
+        when from: Situ.Time.t(), to: Situ.Time.t()
+  def within(source, vis, from, to) do
+    with {:ok, path} <- Path.parse(vis.path),
+         {:ok, messages, all?} <- Messages.within(source, vis.stream, from, to) do
+      values = for {name, value} <- of(messages, path), do: [name, value]
+      %{name: vis.stream <> vis.path, all: all?, values: values}
+    else
+      {:error, error} -> %{name: vis.stream, error: error.what, values: []}
+    end
+  end
 
   @doc "Names and values, in the order in which they are shown; `path` picks a part of the messages."
   @spec of([Situ.Message.t()], Path.t()) :: [{String.t(), number()}]

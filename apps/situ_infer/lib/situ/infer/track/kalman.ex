@@ -3,8 +3,9 @@ defmodule Situ.Infer.Track.Kalman do
   A number that moves at a velocity which changes slowly, and is measured with an error: a Kalman filter with the
   state (value, velocity). Pure; times in seconds.
 
-      iex> k = Situ.Infer.Track.Kalman.new(0.0, 1.0, 10.0)
-      iex> k = Enum.reduce(1..50, k, fn i, k -> k |> Situ.Infer.Track.Kalman.predict(0.1, 1.0) |> Situ.Infer.Track.Kalman.correct(i * 0.5, 1.0) end)
+      iex> alias Situ.Infer.Track.Kalman
+      iex> k = Kalman.new(0.0, 1.0, 10.0)
+      iex> k = Enum.reduce(1..50, k, fn i, k -> k |> Kalman.predict(0.1, 1.0) |> Kalman.correct(i * 0.5, 1.0) end)
       iex> {abs(k.value - 25.0) < 0.1, abs(k.velocity - 5.0) < 0.1}
       {true, true}
 

@@ -2,7 +2,8 @@ defmodule Situ.Studio.Batch.Form do
   @moduledoc """
   A form for a task's options, out of their schema, and the options out of what a page sends.
 
-      iex> schema = [stream: [type: :string, default: "Audio", doc: "The sound."], exact: [type: :boolean, default: false]]
+      iex> stream = [type: :string, default: "Audio", doc: "The sound."]
+      iex> schema = [stream: stream, exact: [type: :boolean, default: false]]
       iex> for f <- Situ.Studio.Batch.Form.fields(schema, %{}), do: {f.name, f.kind, f.value}
       [{"stream", :text, "Audio"}, {"exact", :check, false}]
       iex> Situ.Studio.Batch.Form.config(schema, %{"stream" => "Mic", "exact" => "true"})

@@ -85,7 +85,8 @@ defmodule Situ.Studio.Web.HomeView do
       <div class="list">
         <a :for={item <- @found} :key={item.id} class="item" href={Address.item(item)}>
           <.picture item={item} facts={@facts[item.path]} />
-          <span><b>{item.title}</b><span class="dim"><span :for={said <- said(item, @facts[item.path])}>{said}</span></span></span>
+          <span><b>{item.title}</b><span class="dim"><span
+            :for={said <- said(item, @facts[item.path])}>{said}</span></span></span>
           <span><.badges item={item} facts={@facts[item.path]} /></span></a>
       </div>
       <p :if={@more > 0} class="hint">{@more} more: search to find them</p>

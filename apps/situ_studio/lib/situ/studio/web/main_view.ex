@@ -218,7 +218,7 @@ defmodule Situ.Studio.Web.MainView do
     with {:ok, from} <- WholeNumber.parse(from),
          {:ok, to} when to >= from <- WholeNumber.parse(to),
          %{vis: vis} <- Layout.panel(socket.assigns.layout, id) do
-      rows = for v <- Enum.take(vis, 8), do: statistics(socket.assigns.source, v, from, to)
+      rows = for v <- Enum.take(vis, 8), do: Statistics.within(socket.assigns.source, v, from, to)
       {:noreply, push_event(socket, "statistics", %{rows: rows})}
     else
       _ -> {:noreply, socket}
@@ -246,16 +246,6 @@ defmodule Situ.Studio.Web.MainView do
   end
 
   def handle_event(_, _, socket), do: {:noreply, socket}
-
-  defp statistics(source, vis, from, to) do
-    with {:ok, path} <- Situ.Studio.Path.parse(vis.path),
-         {:ok, messages, all?} <- Draw.Messages.within(source, vis.stream, from, to) do
-      values = for {name, value} <- Statistics.of(messages, path), do: [name, value]
-      %{name: vis.stream <> vis.path, all: all?, values: values}
-    else
-      {:error, error} -> %{name: vis.stream, error: error.what, values: []}
-    end
-  end
 
   # The layout before a change; picking a layout is one, too.
   defp remember(%{assigns: assigns} = socket, event, changes)

@@ -133,7 +133,8 @@ defmodule Situ.Studio.Web.Dataset.BatchDialog do
         </div>
         <div :if={@s.output} class="option"><label for="task-output">Output partition</label>
           <input id="task-output" name="output" value={@s.output} maxlength="200">
-          <label class="check"><input type="checkbox" name="overwrite" value="true"> in the place of one of that name</label>
+          <label class="check"><input type="checkbox" name="overwrite" value="true">
+            in the place of one of that name</label>
         </div>
         <div class="option"><label for="task-parallel">Sessions at once</label>
           <input id="task-parallel" name="parallel" type="number" min="1" max="64" value="1"></div>

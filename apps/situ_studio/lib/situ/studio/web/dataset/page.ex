@@ -247,7 +247,8 @@ defmodule Situ.Studio.Web.Dataset.Page do
     finished = Map.get(run.progress, :finished, 0)
     left = Run.remaining(run, now)
 
-    "#{round(100 * run.progress.done)} %, #{finished} of #{length(run.sessions)} sessions, #{ms(Run.elapsed(run, now))} so far" <>
+    "#{round(100 * run.progress.done)} %, #{finished} of #{length(run.sessions)} sessions, " <>
+      "#{ms(Run.elapsed(run, now))} so far" <>
       if(left, do: ", about #{ms(left)} left", else: "")
   end
 
