@@ -16,8 +16,8 @@ defmodule Situ.Bridge.Foxglove do
       # In Foxglove: open a connection to ws://localhost:8765
 
   Every stream with messages is a channel: pictures, clouds, poses and other standard things as ROS's messages
-  (`Situ.Bridge.Ros.Standard`), all else as JSON. Each client has a playback of its own, which begins at once: it pauses,
-  seeks and changes its speed by the app's own controls (protocol `foxglove.sdk.v1`) or by the parameters
+  (`Situ.Bridge.Ros.Standard`), all else as JSON. Each client has a playback of its own, which begins at once: it
+  pauses, seeks and changes its speed by the app's own controls (protocol `foxglove.sdk.v1`) or by the parameters
   `situ.paused`, `situ.speed` and `situ.position` (seconds; `foxglove.websocket.v1`). A subscriber begins with the
   message that holds there, and so does every seek. Of a recording that is being written clients get what is new.
 
@@ -36,7 +36,10 @@ defmodule Situ.Bridge.Foxglove do
 
   @most_clients 100
 
-  @doc "Serves a recording to any number of clients until `stop/1`. Errors: as `Situ.Store.open/2`, `:address_in_use`, `:bad_address`."
+  @doc """
+  Serves a recording to any number of clients until `stop/1`. Errors: as `Situ.Store.open/2`, `:address_in_use`,
+  `:bad_address`.
+  """
   @spec serve(Path.t() | Situ.Store.t(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def serve(store, opts \\ [])
 

@@ -60,7 +60,10 @@ defmodule Situ.Bridge.Foxglove.Source do
   @spec extent(t()) :: {Situ.Time.t(), Situ.Time.t()}
   def extent(source), do: Store.interval(source.store) || {0, 0}
 
-  @doc "A channel's messages after one time, up to another: `{time, bytes or why there are none}`, and whether these are all."
+  @doc """
+  A channel's messages after one time, up to another: `{time, bytes or why there are none}`, and whether these are
+  all.
+  """
   @spec between(t(), non_neg_integer(), Situ.Time.t(), Situ.Time.t()) ::
           {[{Situ.Time.t(), {:ok, binary()} | {:error, String.t()}}], all? :: boolean()}
   def between(_source, _id, from, to) when from >= to, do: {[], true}

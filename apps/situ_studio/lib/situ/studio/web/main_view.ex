@@ -8,7 +8,6 @@ defmodule Situ.Studio.Web.MainView do
     Catalog,
     Color,
     Coverage,
-    Draw,
     Layout,
     Link,
     Source,
