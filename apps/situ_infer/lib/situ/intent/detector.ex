@@ -18,10 +18,10 @@ defmodule Situ.Intent.Detector do
       heard = Situ.Infer.transcribe(sound)
       wanted = Situ.via([in: heard], Situ.Intent.Detector, recognizer_options: [grammar: "room.gram"])
 
-  Input `:in` is a string or a `Situ.Infer.Speech.Utterance`, output `:out` a `Situ.Intent` for each, at its time; without
-  intents where nothing is known. A message on the input `:options` (a keyword list, such as `[grammar: other]`) changes
-  the recogniser's options while it runs: from its originating time on. Options that cannot be used are an error, and the
-  old ones stay.
+  Input `:in` is a string or a `Situ.Infer.Speech.Utterance`, output `:out` a `Situ.Intent` for each, at its time;
+  without intents where nothing is known. A message on the input `:options` (a keyword list, such as `[grammar:
+  other]`) changes the recogniser's options while it runs: from its originating time on. Options that cannot be used
+  are an error, and the old ones stay.
 
   ## Options
 
