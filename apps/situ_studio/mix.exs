@@ -32,6 +32,7 @@ defmodule Situ.Studio.MixProject do
       {:situ, in_umbrella: true},
       {:situ_store, in_umbrella: true},
       {:situ_media, in_umbrella: true},
+      {:situ_space, in_umbrella: true},
       {:situ_dataset, in_umbrella: true},
       {:situ_live, in_umbrella: true}
     ]

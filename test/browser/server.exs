@@ -1,5 +1,6 @@
 # Starts the studios that the browser tests visit and says where; ends with its standard input or by a signal.
 Code.require_file("fixture.exs", __DIR__)
+Code.require_file("space_fixture.exs", __DIR__)
 alias Situ.Studio.{History, Source}
 
 [work | _] = System.argv()
@@ -11,6 +12,7 @@ Fixture.record("minute", folder)
 Fixture.record_big("big", folder, points)
 Fixture.record_uneven("uneven", folder)
 Fixture.record_many("many", folder)
+SpaceFixture.record("space", folder)
 Fixture.film(folder)
 Fixture.record_zoo("zoo", folder, Path.join(work, "zoo.json"))
 # to be replaced, and to be damaged, while they are looked at
@@ -46,7 +48,10 @@ Application.put_env(:situ_dataset, :dataset_tasks, [Fixture.Loudness | tasks])
 
 sources = %{
   "memory" => {Source.History, Fixture.minute()},
-  "empty" => {Source.History, History.new(live: false)}
+  "empty" => {Source.History, History.new(live: false)},
+  "space-frames" => {Source.History, SpaceFixture.frames()},
+  "space-broken" => {Source.History, SpaceFixture.broken()},
+  "space-big" => {Source.History, SpaceFixture.big(3_000_000)}
 }
 
 # A pipeline that runs while it is looked at: 30 numbers a second, a picture and a level made of each.

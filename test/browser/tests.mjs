@@ -10,6 +10,7 @@ import "./pipeline_tests.mjs";
 import "./layout_tests.mjs";
 import "./annotation_tests.mjs";
 import "./dataset_tests.mjs";
+import "./space_tests.mjs";
 import "./serving_tests.mjs";
 import "./speed_tests.mjs";
 

@@ -20,13 +20,18 @@ const options = {
   logLevel: "warning",
   outdir: out,
 };
+// What draws in space is a module of its own, which a page loads when it shows its first 3D panel.
+const space = {
+  ...options,
+  entryPoints: [{ in: "js/space/index.js", out: "space" }],
+  format: "esm",
+};
 for (const f of ["favicon.svg", "theme.js"]) copyFileSync(new URL("css/" + f, import.meta.url).pathname, out + f);
 
 if (process.argv.includes("--watch")) {
-  const context = await esbuild.context(options);
-  await context.watch();
+  for (const o of [options, space]) await (await esbuild.context(o)).watch();
 } else {
-  await esbuild.build(options);
-  for (const f of ["studio.js", "studio.css", "theme.js"])
+  await Promise.all([esbuild.build(options), esbuild.build(space)]);
+  for (const f of ["studio.js", "studio.css", "theme.js", "space.js"])
     writeFileSync(out + f + ".gz", gzipSync(readFileSync(out + f), { level: 9 }));
 }

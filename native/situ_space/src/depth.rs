@@ -106,9 +106,27 @@ impl<'a> Depth<'a> {
     }
 
     /// The points of the camera's frame, row by row; pixels without a reading are left out. `table` is a camera's
-    /// (`Camera::table`), as bytes.
-    pub fn cloud(&self, table: &[u8], sampling: Sampling) -> Result<Vec<u8>> {
+    /// (`Camera::table`), as bytes. `colors` are three bytes a pixel of a picture that shows the same, or none at all;
+    /// those of the points come back beside them.
+    pub fn cloud(
+        &self,
+        table: &[u8],
+        sampling: Sampling,
+        colors: &[u8],
+    ) -> Result<(Vec<u8>, Vec<u8>)> {
         self.check(table)?;
+        if !colors.is_empty() && colors.len() != self.width * self.height * 3 {
+            return fail(
+                Code::BadOption,
+                format!(
+                    "{} bytes of colours are not three for each of {}x{} pixels",
+                    colors.len(),
+                    self.width,
+                    self.height
+                ),
+            );
+        }
+        let mut tones = Vec::new();
         let step = sampling.sparsity.max(1);
         let mut out =
             Vec::with_capacity(self.width.div_ceil(step) * self.height.div_ceil(step) * 12);
@@ -121,10 +139,12 @@ impl<'a> Depth<'a> {
                     out.extend_from_slice(&px.to_le_bytes());
                     out.extend_from_slice(&py.to_le_bytes());
                     out.extend_from_slice(&pz.to_le_bytes());
+                    let at = (y * self.width + x) * 3;
+                    tones.extend_from_slice(colors.get(at..at + 3).unwrap_or_default());
                 }
             }
         }
-        Ok(out)
+        Ok((out, tones))
     }
 
     /// Triangles between neighbouring pixels, whose depths differ by at most `edge` metres: vertices and indices.
@@ -211,8 +231,11 @@ mod tests {
     fn points_lie_on_their_rays_and_unknown_pixels_are_left_out() -> Result<()> {
         let data = depth(&[1000, 0, 2000, 500]);
         let d = Depth::new((2, 2, 4), &data, 0.001, false)?;
-        let points = floats(&d.cloud(&table(2, 2), ALL)?);
+        let points = floats(&d.cloud(&table(2, 2), ALL, &[])?.0);
         assert_eq!(points, [1.0, -0.0, -0.0, 2.0, -0.0, -2.0, 0.5, -0.5, -0.5]);
+        let colors: Vec<u8> = (0..12).collect();
+        let (_, tones) = d.cloud(&table(2, 2), ALL, &colors)?;
+        assert_eq!(tones, [0, 1, 2, 6, 7, 8, 9, 10, 11]);
         Ok(())
     }
 
@@ -222,7 +245,7 @@ mod tests {
         let d = Depth::new((2, 1, 4), &data, 0.001, true)?;
         let mut rays = table(2, 1);
         rays[12..16].copy_from_slice(&1.0f32.to_le_bytes());
-        let points = floats(&d.cloud(&rays, ALL)?);
+        let points = floats(&d.cloud(&rays, ALL, &[])?.0);
         assert!((points[3] - 1.732 / 3.0f32.sqrt()).abs() < 1e-6);
         Ok(())
     }
@@ -237,9 +260,10 @@ mod tests {
             robust: true,
             ..ALL
         };
-        assert_eq!(d.cloud(&table(4, 4), robust)?.len() / 12, 3);
+        assert_eq!(d.cloud(&table(4, 4), robust, &[])?.0.len() / 12, 3);
         assert_eq!(
-            d.cloud(&table(4, 4), Sampling { sparsity: 2, ..ALL })?
+            d.cloud(&table(4, 4), Sampling { sparsity: 2, ..ALL }, &[])?
+                .0
                 .len()
                 / 12,
             3
@@ -265,7 +289,8 @@ mod tests {
         assert!(Depth::new((usize::MAX, usize::MAX, usize::MAX), &[0; 8], 1.0, false).is_err());
         let data = [0; 8];
         let d = Depth::new((2, 2, 4), &data, 1.0, false)?;
-        assert!(d.cloud(&[0; 31], ALL).is_err());
+        assert!(d.cloud(&[0; 31], ALL, &[]).is_err());
+        assert!(d.cloud(&table(2, 2), ALL, &[0; 11]).is_err());
         Ok(())
     }
 }

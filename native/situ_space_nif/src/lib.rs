@@ -129,6 +129,7 @@ fn depth_cloud<'a>(
     table: Binary<'a>,
     sparsity: u32,
     robust: bool,
+    colors: Binary<'a>,
 ) -> Term<'a> {
     let sampling = Sampling {
         sparsity: sparsity as usize,
@@ -136,8 +137,11 @@ fn depth_cloud<'a>(
     };
     let points = depth
         .view()
-        .and_then(|d| d.cloud(table.as_slice(), sampling));
-    reply(env, points.and_then(|p| Ok(binary(env, &p)?.encode(env))))
+        .and_then(|d| d.cloud(table.as_slice(), sampling, colors.as_slice()));
+    reply(
+        env,
+        points.and_then(|(p, c)| Ok((binary(env, &p)?, binary(env, &c)?).encode(env))),
+    )
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]

@@ -32,6 +32,11 @@ defmodule Situ.Space.Depth do
       type: :boolean,
       default: false,
       doc: "Takes only pixels whose eight neighbours were measured too."
+    ],
+    colors: [
+      type: {:optional, {:struct, Situ.Image}},
+      default: nil,
+      doc: "A picture of the same size that shows the same, for the points' colours."
     ]
   ]
 
@@ -45,9 +50,25 @@ defmodule Situ.Space.Depth do
   def to_cloud(%DepthImage{} = depth, camera, opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @cloud),
          {:ok, table} <- RayTable.of(camera),
-         {:ok, points} <-
-           Kernel.call(:depth_cloud, [term(depth), table.rays, opts[:sparsity], opts[:robust]]),
-         do: PointCloud.new(points)
+         {:ok, colors} <- tones(opts[:colors], depth),
+         arguments = [term(depth), table.rays, opts[:sparsity], opts[:robust], colors],
+         {:ok, {points, tones}} <- Kernel.call(:depth_cloud, arguments),
+         do: PointCloud.new(points, if(opts[:colors], do: tones))
+  end
+
+  defp tones(nil, _depth), do: {:ok, <<>>}
+
+  defp tones(%Situ.Image{width: w, height: h} = picture, %DepthImage{width: w, height: h}) do
+    with {:ok, rgb} <- Situ.Imaging.convert(picture, :rgb24), do: {:ok, Situ.Image.pixels(rgb)}
+  end
+
+  defp tones(picture, depth) do
+    {:error,
+     Error.new(
+       :bad_option,
+       "colours of #{picture.width}x#{picture.height} pixels do not fit a depth image of #{depth.width}x#{depth.height}",
+       fix: "resize one of them"
+     )}
   end
 
   @mesh [

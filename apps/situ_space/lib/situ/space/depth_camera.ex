@@ -59,7 +59,7 @@ defmodule Situ.Space.DepthCamera do
     )
   end
 
-  @doc "The points of one view, in the frame that its pose is given in. Options as of `clouds/2`."
+  @doc "The points of one view, in the frame that its pose is given in. Options as of `Situ.Space.Depth.to_cloud/3`."
   @spec cloud(CameraView.t(DepthImage.t()), keyword()) ::
           {:ok, PointCloud.t()} | {:error, Error.t()}
   def cloud(%CameraView{viewed: %DepthImage{} = depth} = view, opts \\ []) do

@@ -57,6 +57,34 @@ defmodule Situ.Space.Frames do
     end
   end
 
+  @doc """
+  Takes in what a stream of frames said at an originating time: a `Situ.Transform`, or a list of them.
+
+      iex> alias Situ.Space.Frames
+      iex> told = [Situ.Transform.new("arm", "robot", Situ.Pose.new({0.0, 0.0, 1.0}), static: true)]
+      iex> {:ok, frames} = Frames.take(Frames.new(), told, 0)
+      iex> Frames.list(frames)
+      [{"arm", "robot", :static}]
+  """
+  @spec take(t(), Situ.Transform.t() | [Situ.Transform.t()], Situ.Time.t()) ::
+          {:ok, t()} | {:error, Error.t()}
+  def take(frames, %Situ.Transform{} = told, time), do: take(frames, [told], time)
+
+  def take(frames, told, time) when is_list(told) do
+    Enum.reduce_while(told, {:ok, frames}, fn transform, {:ok, frames} ->
+      case take_one(frames, transform, time) do
+        {:ok, frames} -> {:cont, {:ok, frames}}
+        error -> {:halt, error}
+      end
+    end)
+  end
+
+  defp take_one(frames, %Situ.Transform{static: true} = t, _time),
+    do: put_static(frames, t.frame, t.parent, t.pose)
+
+  defp take_one(frames, %Situ.Transform{} = t, time),
+    do: put(frames, t.frame, t.parent, time, t.pose)
+
   defp history({_parent, {:moving, history}}), do: history
   defp history(nil), do: History.new()
 

@@ -11,7 +11,7 @@ defmodule Situ.Space.Native do
   end
 
   def ray_table(_camera, _undistort), do: :erlang.nif_error(:not_loaded)
-  def depth_cloud(_depth, _table, _sparsity, _robust), do: :erlang.nif_error(:not_loaded)
+  def depth_cloud(_depth, _table, _sparsity, _robust, _colors), do: :erlang.nif_error(:not_loaded)
   def depth_mesh(_depth, _table, _edge, _sparsity), do: :erlang.nif_error(:not_loaded)
   def downsample(_points, _size), do: :erlang.nif_error(:not_loaded)
   def thin(_records, _size, _most), do: :erlang.nif_error(:not_loaded)

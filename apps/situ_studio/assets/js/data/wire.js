@@ -1,6 +1,8 @@
 // The binary answers of the data socket (docs: `Situ.Studio.Frame`). Little endian; every payload starts at a
 // multiple of 8, so that typed arrays view the buffer without copying.
 
+import { sceneOf } from "./scene.js";
+
 export const KIND = {
   series: 1,
   segments: 2,
@@ -12,6 +14,7 @@ export const KIND = {
   error: 8,
   pcm: 9,
   lines: 10,
+  scene: 11,
 };
 export const PIXELS = { jpeg: 1, png: 2, rgba: 3, gray8: 4, gray16: 5, rgb: 6, bgr: 7, bgra: 8 };
 
@@ -107,6 +110,8 @@ function payload(f, buffer, at) {
     case KIND.json:
       f.value = JSON.parse(text.decode(new Uint8Array(buffer, at, f.bytes)));
       return f;
+    case KIND.scene:
+      return Object.assign(f, sceneOf(buffer, at, f.bytes));
     case KIND.error:
       f.message = text.decode(new Uint8Array(buffer, at, f.bytes));
       return f;

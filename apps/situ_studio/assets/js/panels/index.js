@@ -3,9 +3,10 @@
 import { PlotPanel } from "./plot.js";
 import { LanesPanel } from "./lanes.js";
 import { ImagePanel } from "./image.js";
+import { SpacePanel } from "./space.js";
 import { WHOLE } from "../visualizers/index.js";
 
-const KINDS = { plot: PlotPanel, lanes: LanesPanel, image: ImagePanel, ...WHOLE };
+const KINDS = { plot: PlotPanel, lanes: LanesPanel, image: ImagePanel, space: SpacePanel, ...WHOLE };
 
 export const timeline = (kind) => kind === "plot" || kind === "lanes";
 

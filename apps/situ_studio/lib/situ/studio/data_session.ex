@@ -115,7 +115,8 @@ defmodule Situ.Studio.DataSession do
        when is_binary(stream) and is_binary(id) do
     with {:ok, path} <- Studio.Path.parse(spec["path"] || ""),
          {:ok, viz} <- Visualizers.named(id, extra) do
-      %{stream: stream, viz: viz, path: path}
+      props = if is_map(spec["props"]), do: spec["props"], else: %{}
+      %{stream: stream, viz: viz, path: path, props: props}
     else
       :error -> {:error, "there is no visualizer called #{inspect(id)}"}
       {:error, error} -> {:error, error.what}

@@ -29,7 +29,7 @@ defmodule Situ.Studio.Draw do
   @spec instant(Source.t(), Frame.channel(), Visualizer.spec(), Situ.Time.t(), term()) ::
           {Frame.t(), last :: term()}
   def instant(source, channel, %{stream: stream, viz: viz} = spec, time, last) do
-    if draws?(viz, :instant, 3) do
+    if draws?(viz, :instant, 3) or draws?(viz, :instant, 4) do
       case Source.call(source, :latest_at, [stream, time]) do
         {:ok, %{data: %Hole{}}} ->
           {if(last == :hole, do: Frame.same(channel), else: Frame.none(channel)), :hole}
@@ -39,7 +39,7 @@ defmodule Situ.Studio.Draw do
 
           if mark == last,
             do: {Frame.same(channel), last},
-            else: {encode(channel, spec, message), mark}
+            else: {encode(source, channel, spec, message), mark}
 
         :none ->
           {if(last == :none, do: Frame.same(channel), else: Frame.none(channel)), :none}
@@ -55,9 +55,9 @@ defmodule Situ.Studio.Draw do
   defp draws?(%{module: module}, function, arity),
     do: Code.ensure_loaded?(module) and function_exported?(module, function, arity)
 
-  defp encode(channel, %{viz: viz, path: path}, message) do
+  defp encode(source, channel, %{path: path} = spec, message) do
     with {:ok, data} <- Path.fetch(message.data, path),
-         {:error, what} <- viz.module.instant(channel, data, message) do
+         {:error, what} <- frame(source, channel, spec, data, message) do
       Frame.error(channel, what)
     else
       :error -> Frame.error(channel, "this message has nothing at this path")
@@ -67,5 +67,11 @@ defmodule Situ.Studio.Draw do
     # Messages come from files and foreign programs: one that is not what its type says is shown as such, and the
     # page goes on.
     error -> Frame.error(channel, "this message cannot be drawn: #{Exception.message(error)}")
+  end
+
+  defp frame(source, channel, %{viz: %{module: module}} = spec, data, message) do
+    if draws?(spec.viz, :instant, 4),
+      do: module.instant(channel, data, message, %{source: source, spec: spec}),
+      else: module.instant(channel, data, message)
   end
 end

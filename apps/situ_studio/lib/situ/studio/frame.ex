@@ -41,6 +41,7 @@ defmodule Situ.Studio.Frame do
   | 8 error | what is wrong, in words |
   | 9 pcm | 32-bit float samples of one channel |
   | 10 lines | rows of them; of each: bytes of its name, points (32 bits each), the name padded to 8, and columns as of a series; a gap is NaN |
+  | 11 scene | things in space, see `Situ.Studio.Scene.pack/2` |
 
       iex> frame = Situ.Studio.Frame.none(7)
       iex> bytes = IO.iodata_to_binary(Situ.Studio.Frame.reply([frame], %{request: 1, from: 0, to: 9, time: 5}))
@@ -52,7 +53,7 @@ defmodule Situ.Studio.Frame do
 
   @version 1
   @kinds [series: 1, segments: 2, marks: 3, image: 4, json: 5, none: 6, same: 7, error: 8] ++
-           [pcm: 9, lines: 10]
+           [pcm: 9, lines: 10, scene: 11]
   @nan <<0, 0, 0, 0, 0, 0, 0xF8, 0x7F>>
   @pixels [jpeg: 1, png: 2, rgba: 3, gray8: 4, gray16: 5, rgb: 6, bgr: 7, bgra: 8]
 
@@ -149,6 +150,15 @@ defmodule Situ.Studio.Frame do
     head = <<width::little-32, height::little-32, code::little-32, unit::little-32>>
     frame(:image, channel, [head, data], 1, time)
   end
+
+  @doc "Things in space, and what was wrong with others of the message."
+  @spec scene(channel(), Situ.Time.t(), [Situ.Studio.Scene.item()], [String.t()]) :: t()
+  def scene(channel, time, items, problems),
+    do: frame(:scene, channel, Situ.Studio.Scene.pack(items, problems), length(items), time)
+
+  @doc "The number of a pixel format, as the page knows it."
+  @spec pixels(atom()) :: 1..8
+  def pixels(format), do: Keyword.fetch!(@pixels, format)
 
   @doc "Anything JSON can hold."
   @spec json(channel(), Situ.Time.t(), term()) :: t()

@@ -34,7 +34,7 @@ defmodule Situ.Studio.Layout do
 
     @type t :: %__MODULE__{
             id: String.t(),
-            panel: :plot | :lanes | :image | :value | :bars | :text,
+            panel: :plot | :lanes | :image | :space | :value | :bars | :text,
             row: String.t() | nil,
             height: pos_integer() | nil,
             vis: [Vis.t()],
@@ -60,12 +60,12 @@ defmodule Situ.Studio.Layout do
         }
 
   @timeline [:plot, :lanes]
-  @panels [:plot, :lanes, :image, :value, :bars, :text]
+  @panels [:plot, :lanes, :image, :space, :value, :bars, :text]
   @max_panels 64
   @max_vis 32
   # The least height, and the part of what is left over that a row takes.
-  @heights %{plot: 84, lanes: 34, image: 200, value: 160, bars: 160, text: 90}
-  @weights %{plot: 4, lanes: 1, image: 9, value: 6, bars: 6, text: 3}
+  @heights %{plot: 84, lanes: 34, image: 200, space: 260, value: 160, bars: 160, text: 90}
+  @weights %{plot: 4, lanes: 1, image: 9, space: 9, value: 6, bars: 6, text: 3}
   @lane 26
   # More share the height of these.
   @max_lanes 12
@@ -105,7 +105,7 @@ defmodule Situ.Studio.Layout do
   end
 
   # A value or a chart shows one stream; lines, lanes and pictures show several.
-  defp joins?(panel, panel), do: panel in [:plot, :lanes, :image]
+  defp joins?(panel, panel), do: panel in [:plot, :lanes, :image, :space]
   defp joins?(_, _), do: false
 
   defp add_panel(layout, panel, vis, row) do

@@ -4,7 +4,8 @@ defmodule Situ.Studio.StreamInfo do
 
   `shape` is the noun a visualizer is chosen by: `:signal`, `:boolean`, `:state` (atoms), `:text`, `:audio`, `:image`,
   `:depth`, `:shapes` (rectangles and points over pictures), `:bars` (lists of numbers), `:signals` (maps of numbers),
-  `:states` (maps of booleans, atoms or texts), `:spans` (intervals of time) or `:value` (anything).
+  `:states` (maps of booleans, atoms or texts), `:spans` (intervals of time), `:space` (poses, clouds, skeletons ...),
+  `:frames` (`Situ.Transform`s) or `:value` (anything).
 
       iex> Situ.Studio.StreamInfo.shape({:list, Situ.Rect})
       :shapes
@@ -16,7 +17,10 @@ defmodule Situ.Studio.StreamInfo do
       :signals
   """
   alias Situ.Studio.Draw.{Key, Segments}
+  alias Situ.Studio.Scene.Terms
   alias Situ.Studio.Visualizers.{Bars, Shapes, Spans}
+
+  @in_space Terms.shapes()
 
   @enforce_keys [:name, :shape]
   defstruct [
@@ -46,6 +50,8 @@ defmodule Situ.Studio.StreamInfo do
           | :signals
           | :states
           | :spans
+          | :space
+          | :frames
           | :value
   @typedoc "`keys` are lanes known of a stream of maps, so that a panel has room for them from the start."
   @type t :: %__MODULE__{
@@ -66,7 +72,7 @@ defmodule Situ.Studio.StreamInfo do
   @spec shapes() :: [shape()]
   def shapes do
     [:signal, :boolean, :state, :text, :audio, :image, :depth, :shapes, :bars, :signals] ++
-      [:states, :spans, :value]
+      [:states, :spans, :space, :frames, :value]
   end
 
   @doc """
@@ -97,7 +103,7 @@ defmodule Situ.Studio.StreamInfo do
   def shape({:list, type}) do
     case shape(type) do
       :signal -> :bars
-      shape when shape in [:shapes, :spans] -> shape
+      shape when shape in [:shapes, :spans, :space, :frames] -> shape
       _ -> :value
     end
   end
@@ -106,13 +112,20 @@ defmodule Situ.Studio.StreamInfo do
     case shape(type) do
       :signal -> :signals
       shape when shape in [:boolean, :state, :text] -> :states
-      :spans -> :spans
+      shape when shape in [:spans, :space] -> shape
       _ -> :value
     end
   end
 
-  def shape(type) when is_atom(type) and type not in [nil, :any],
-    do: if(Spans.struct?(type), do: :spans, else: :value)
+  def shape(Situ.Transform), do: :frames
+
+  def shape(type) when is_atom(type) and type not in [nil, :any] do
+    cond do
+      type in @in_space -> :space
+      Spans.struct?(type) -> :spans
+      true -> :value
+    end
+  end
 
   def shape(_), do: :value
 
@@ -185,6 +198,8 @@ defmodule Situ.Studio.StreamInfo do
   def shape_of(%Situ.Image{}), do: :image
   def shape_of(%Situ.EncodedImage{}), do: :image
   def shape_of(%Situ.DepthImage{}), do: :depth
+  def shape_of(%Situ.Transform{}), do: :frames
+  def shape_of([%Situ.Transform{} | _]), do: :frames
 
   def shape_of(map) when is_map(map) and not is_struct(map) and map_size(map) > 0 do
     case map |> Map.values() |> Enum.reject(&is_nil/1) |> Enum.map(&shape_of/1) |> Enum.uniq() do
@@ -201,6 +216,7 @@ defmodule Situ.Studio.StreamInfo do
     cond do
       Bars.of(data) != [] -> :bars
       Shapes.any?(data) -> :shapes
+      Terms.any?(data) -> :space
       Spans.of(data, 0) != [] -> :spans
       true -> :value
     end

@@ -46,8 +46,16 @@ defmodule Situ.Studio.Visualizer do
           options: keyword()
         }
 
-  @typedoc "The stream to draw, and the part of its messages."
-  @type spec :: %{stream: String.t(), viz: t() | nil, path: Situ.Studio.Path.t()}
+  @typedoc "The stream to draw, the part of its messages, and the properties that the page gave."
+  @type spec :: %{
+          required(:stream) => String.t(),
+          required(:viz) => t() | nil,
+          required(:path) => Situ.Studio.Path.t(),
+          optional(:props) => map()
+        }
+
+  @typedoc "Where a message came from, and for which channel it is drawn."
+  @type context :: %{source: Source.t(), spec: spec()}
 
   @doc "What it is. `module` is filled in by the table, `drawer` is its `id` unless it names another."
   @callback about() :: t()
@@ -66,7 +74,11 @@ defmodule Situ.Studio.Visualizer do
   @callback instant(Frame.channel(), data :: term(), Situ.Message.t()) ::
               Frame.t() | {:error, String.t()}
 
-  @optional_callbacks window: 6, instant: 3
+  @doc "As `c:instant/3`, for what needs more than the message: the source, and the properties of the channel."
+  @callback instant(Frame.channel(), data :: term(), Situ.Message.t(), context()) ::
+              Frame.t() | {:error, String.t()}
+
+  @optional_callbacks window: 6, instant: 3, instant: 4
 
   @doc "The description of a module, complete."
   @spec of(module()) :: t()
@@ -93,6 +105,27 @@ defmodule Situ.Studio.Visualizer do
       end
     end)
   end
+
+  @doc """
+  The value of every property: as a page gave it (from JSON: anything), or the default where that is none.
+
+      iex> {:ok, trail} = Situ.Studio.Visualizers.named("trail", [])
+      iex> settings = Situ.Studio.Visualizer.settings(trail, %{"seconds" => 2, "opacity" => "much"})
+      iex> {settings.seconds, settings.opacity}
+      {2, 100}
+  """
+  @spec settings(t(), map()) :: %{atom() => term()}
+  def settings(%__MODULE__{options: options}, props) do
+    Map.new(options, fn {key, option} ->
+      value = Map.get(props, Atom.to_string(key))
+      {key, if(fits?(option[:type], value), do: value, else: option[:default])}
+    end)
+  end
+
+  defp fits?(:boolean, value), do: is_boolean(value)
+  defp fits?({:range, low, high}, x), do: is_number(x) and x >= low and x <= high
+  defp fits?({:in, values}, value), do: List.keymember?(choices(values), value, 0)
+  defp fits?(_text, value), do: is_binary(value)
 
   @doc "The values of a choice, with what people read."
   @spec choices([String.t() | {String.t(), String.t()}]) :: [{String.t(), String.t()}]

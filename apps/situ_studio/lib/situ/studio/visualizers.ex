@@ -11,6 +11,7 @@ defmodule Situ.Studio.Visualizers do
   alias Situ.Studio.Visualizers.{
     Bars,
     Depth,
+    Frames,
     Image,
     Labels,
     Latency,
@@ -18,15 +19,17 @@ defmodule Situ.Studio.Visualizers do
     Lines,
     Messages,
     Shapes,
+    Space,
     Spans,
     States,
     Text,
+    Trail,
     Value,
     Waveform
   }
 
   @modules [Waveform, Lines, States, Spans, Labels, Line, Image, Depth, Shapes, Bars] ++
-             [Text, Value, Messages, Latency]
+             [Space, Trail, Frames, Text, Value, Messages, Latency]
 
   @doc "All of them; those of `extra` modules first."
   @spec all([module()]) :: [Visualizer.t()]

@@ -14,6 +14,7 @@ defmodule Situ.Studio.Layout.Auto do
 
   @name "Automatic"
   @pictures 3
+  @spaces 12
   @plots 8
   @lines 4
   @lanes 10
@@ -33,6 +34,7 @@ defmodule Situ.Studio.Layout.Auto do
     pictures = Enum.take(of.(:image) ++ of.(:depth), @pictures)
 
     Layout.new(@name)
+    |> space(of.(:space), of.(:frames))
     |> pictures(pictures, of.(:shapes))
     |> cells(Enum.take(of.(:bars), 1), "bars", :bars)
     |> each(Enum.take(of.(:audio), @sounds), "waveform", :plot)
@@ -52,6 +54,23 @@ defmodule Situ.Studio.Layout.Auto do
   defp fit(layout) do
     {cells, timelines} = Enum.split_with(layout.rows, & &1.row)
     %{layout | beside: cells != [] and length(timelines) >= @many}
+  end
+
+  # Everything in space in one panel, and the frames it is given in.
+  defp space(layout, [], _), do: layout
+
+  defp space(layout, streams, frames) do
+    drawn =
+      for(s <- Enum.take(streams, @spaces), do: {s, "space"}) ++
+        for(s <- frames, do: {s, "frames"})
+
+    {layout, _} =
+      Enum.reduce(Enum.take(drawn, 2 * @spaces), {layout, ""}, fn {s, viz}, {layout, id} ->
+        {:ok, layout, id} = Layout.add(layout, s.name, viz, :space, id, row: "r1")
+        {layout, id}
+      end)
+
+    layout
   end
 
   # Shapes go over the picture whose name shares most of its beginning.

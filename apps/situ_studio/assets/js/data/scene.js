@@ -1,0 +1,109 @@
+// What one message is in space (docs: `Situ.Studio.Scene`): items whose numbers are views of the answer, not copies.
+// Numbers that are none are taken out here, and counted, so that what draws meets only points that are somewhere.
+
+const text = new TextDecoder();
+
+export function sceneOf(buffer, at, bytes) {
+  const size = new DataView(buffer, at, bytes).getUint32(0, true);
+  const value = JSON.parse(text.decode(new Uint8Array(buffer, at + 8, size)));
+  const base = at + 8 + ((size + 7) & ~7);
+  const problems = [...(value.problems ?? [])];
+  const items = [];
+  for (const item of value.items) {
+    const arrays = {};
+    for (const [name, [from, length]] of Object.entries(item.at)) {
+      if (base + from + length > at + bytes) throw new Error("a scene is cut short");
+      arrays[name] = view(name, buffer, base + from, length);
+    }
+    const problem = (CHECKS[item.kind] ?? none)(item, arrays);
+    if (problem) problems.push(problem);
+    items.push({ ...item, ...arrays });
+  }
+  return { items, problems };
+}
+
+const BYTES = new Set(["color", "confidence", "bytes"]);
+const NUMBERS = new Set(["index", "edge"]);
+
+function view(name, buffer, from, length) {
+  if (BYTES.has(name)) return new Uint8Array(buffer, from, length);
+  if (NUMBERS.has(name)) return new Uint32Array(buffer, from, length >> 2);
+  return new Float32Array(buffer, from, length >> 2);
+}
+
+const none = () => null;
+const CHECKS = {
+  points: (item, a) => whole(item, a, 3, "points"),
+  voxels: (item, a) => whole(item, a, 3, "voxels"),
+  texts: (item, a) => whole(item, a, 3, "texts"),
+  lines: (item, a) => whole(item, a, 6, "lines"),
+  boxes: (item, a) => whole(item, a, 16, "boxes", "matrix"),
+  quads: (item, a) => whole(item, a, 12, "surfaces", "corner"),
+  frusta: (item, a) => whole(item, a, 15, "cameras", "corner"),
+  graphs: (item, a) => nodes(item, a),
+  meshes: (item, a) => triangles(item, a),
+};
+
+// Takes out the rows whose coordinates are not all numbers, together with what belongs to them.
+function whole(item, arrays, width, what, name = "position") {
+  const rows = arrays[name];
+  const good = [];
+  for (let i = 0, n = item.count; i < n; i++) {
+    let fine = true;
+    for (let k = i * width, end = k + width; k < end; k++) if (!Number.isFinite(rows[k])) fine = false;
+    if (!fine) {
+      if (!good.bad) for (let j = 0; j < i; j++) good.push(j);
+      good.bad = true;
+    } else if (good.bad) good.push(i);
+  }
+  if (!good.bad) return item.count === 0 && item.kind === "points" ? "an empty cloud" : null;
+  const bad = item.count - good.length;
+  for (const [key, array] of Object.entries(arrays)) {
+    if (key === "bytes") continue;
+    const each = array.length / item.count;
+    const kept = new array.constructor(good.length * each);
+    good.forEach((from, to) => kept.set(array.subarray(from * each, (from + 1) * each), to * each));
+    arrays[key] = kept;
+  }
+  if (item.names) item.names = good.map((i) => item.names[i]);
+  const all = item.count;
+  item.count = good.length;
+  return `${bad} of ${all} ${what} are nowhere: their coordinates are no numbers`;
+}
+
+// Nodes keep their numbers, since edges name them: those that are nowhere are not drawn, nor are their edges.
+function nodes(item, arrays) {
+  const p = arrays.position;
+  const bad = new Set();
+  for (let i = 0; i < item.count; i++)
+    if (!(Number.isFinite(p[3 * i]) && Number.isFinite(p[3 * i + 1]) && Number.isFinite(p[3 * i + 2]))) bad.add(i);
+  const edge = arrays.edge ?? new Uint32Array(0);
+  const kept = [];
+  for (let i = 0; i + 1 < edge.length; i += 2) {
+    const [a, b] = [edge[i], edge[i + 1]];
+    if (a < item.count && b < item.count && !bad.has(a) && !bad.has(b)) kept.push(a, b);
+  }
+  const lost = edge.length / 2 - kept.length / 2;
+  arrays.edge = Uint32Array.from(kept);
+  item.bad = bad;
+  if (bad.size) return `${bad.size} of ${item.count} nodes are nowhere: their coordinates are no numbers`;
+  return lost ? `${lost} edges name nodes that are not there` : null;
+}
+
+function triangles(item, arrays) {
+  const vertices = arrays.position.length / 3;
+  const { index } = arrays;
+  for (let i = 0; i < arrays.position.length; i++)
+    if (!Number.isFinite(arrays.position[i])) return drop(item, arrays, `vertex ${Math.floor(i / 3)} is nowhere`);
+  for (let i = 0; i < index.length; i++)
+    if (index[i] >= vertices)
+      return drop(item, arrays, `triangle ${Math.floor(i / 3)} names vertex ${index[i]} of ${vertices}`);
+  return null;
+}
+
+function drop(item, arrays, why) {
+  item.count = 0;
+  arrays.position = new Float32Array(0);
+  arrays.index = new Uint32Array(0);
+  return `a mesh cannot be drawn: ${why}`;
+}

@@ -1,0 +1,172 @@
+// What is made of solid bodies: lines and arrows, graphs with their nodes, boxes, voxels. Many of a kind are one draw.
+
+import {
+  BoxGeometry,
+  BufferAttribute,
+  BufferGeometry,
+  Color,
+  ConeGeometry,
+  CylinderGeometry,
+  EdgesGeometry,
+  Group,
+  InstancedMesh,
+  LineBasicMaterial,
+  LineSegments,
+  Matrix4,
+  MeshLambertMaterial,
+  Quaternion,
+  SphereGeometry,
+  SRGBColorSpace,
+  Vector3,
+} from "three";
+import { modeOf, rampColor, spanOf } from "../colors.js";
+
+// More lines than these are thin ones.
+const PIPES = 5000;
+const UP = new Vector3(0, 1, 0);
+
+function lambert(color, props, faint = 1) {
+  const opacity = ((props.opacity ?? 100) / 100) * faint;
+  return new MeshLambertMaterial({ color, opacity, transparent: opacity < 1, depthWrite: opacity >= 1 });
+}
+
+// `place(i, matrix)` sets where the i-th is; `color(i)` may give it a colour of its own.
+function instances(geometry, material, count, place, color) {
+  const mesh = new InstancedMesh(geometry, material, count);
+  const matrix = new Matrix4();
+  for (let i = 0; i < count; i++) {
+    place(i, matrix);
+    mesh.setMatrixAt(i, matrix);
+    if (color) mesh.setColorAt(i, color(i));
+  }
+  mesh.frustumCulled = false;
+  return mesh;
+}
+
+// Along a pipe from a to b; an arrow leaves room for its head.
+function along(a, b, radius, matrix, from = 0, to = 1) {
+  const way = new Vector3().subVectors(b, a);
+  const length = way.length();
+  const turn = new Quaternion().setFromUnitVectors(UP, length > 0 ? way.clone().divideScalar(length) : UP);
+  const middle = new Vector3().lerpVectors(a, b, (from + to) / 2);
+  matrix.compose(middle, turn, new Vector3(radius, Math.max(length * (to - from), 1e-9), radius));
+}
+
+const at = (array, i) => new Vector3(array[3 * i], array[3 * i + 1], array[3 * i + 2]);
+
+export function lines(item, props) {
+  const { position, color, count } = item;
+  const named = (i) => item.names?.[i] ?? item.name ?? "line";
+  if (count > PIPES && !item.arrow) {
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(position, 3));
+    return {
+      object: new LineSegments(geometry, new LineBasicMaterial({ color: props.color })),
+      name: (i) => named(i >> 1),
+    };
+  }
+  const radius = (props.thickness ?? 15) / 2000;
+  const own = color && ((i) => new Color().setRGB(...[0, 1, 2].map((k) => color[3 * i + k] / 255), SRGBColorSpace));
+  const tint = own ? "#ffffff" : props.color;
+  const ends = (i) => [at(position, 2 * i), at(position, 2 * i + 1)];
+  const head = (a, b) => (item.arrow ? Math.max(0, 1 - (radius * 8) / Math.max(a.distanceTo(b), 1e-9)) : 1);
+  const group = new Group();
+  group.add(
+    instances(
+      new CylinderGeometry(1, 1, 1, 8),
+      lambert(tint, props),
+      count,
+      (i, m) => {
+        const [a, b] = ends(i);
+        along(a, b, radius, m, 0, head(a, b));
+      },
+      own,
+    ),
+  );
+  if (item.arrow)
+    group.add(
+      instances(
+        new ConeGeometry(2.4, 1, 10),
+        lambert(tint, props),
+        count,
+        (i, m) => {
+          const [a, b] = ends(i);
+          along(a, b, radius, m, head(a, b), 1);
+        },
+        own,
+      ),
+    );
+  return { object: group, name: named };
+}
+
+export function graphs(item, props) {
+  const { position, edge, count, confidence } = item;
+  const group = new Group();
+  const radius = (props.thickness ?? 15) / 1000;
+  const base = new Color(props.color),
+    dim = new Color("#808080");
+  // Who is not sure of a joint says so in grey.
+  const sure = confidence && ((i) => base.clone().lerp(dim, 1 - confidence[i] / 255));
+  const nodes = instances(
+    new SphereGeometry(1, 14, 10),
+    lambert(sure ? "#ffffff" : props.color, props),
+    count,
+    (i, m) => {
+      if (item.bad?.has(i)) m.makeScale(0, 0, 0);
+      else m.makeScale(radius, radius, radius).setPosition(at(position, i));
+    },
+    sure,
+  );
+  group.add(nodes);
+  const edges = edge.length / 2;
+  if (edges) {
+    const place = (i, m) => along(at(position, edge[2 * i]), at(position, edge[2 * i + 1]), radius * 0.6, m);
+    group.add(instances(new CylinderGeometry(1, 1, 1, 8), lambert(props.color, props), edges, place));
+  }
+  const named = (i, object) => (object === nodes ? (item.names?.[i] ?? "node") : `between ${ends(item, i)}`);
+  return { object: group, name: named };
+}
+
+const ends = (item, i) => [item.edge[2 * i], item.edge[2 * i + 1]].map((n) => item.names?.[n] ?? n).join(" and ");
+
+export function boxes(item, props) {
+  const { matrix, count } = item;
+  const place = (i, m) => m.fromArray(matrix, 16 * i);
+  const group = new Group();
+  const cube = new BoxGeometry(1, 1, 1);
+  group.add(instances(cube, lambert(props.color, props, 0.22), count, place));
+  const corners = new EdgesGeometry(cube).attributes.position;
+  const ends = new Float32Array(count * corners.count * 3);
+  const m = new Matrix4(),
+    v = new Vector3();
+  for (let i = 0; i < count; i++) {
+    place(i, m);
+    for (let k = 0; k < corners.count; k++)
+      v.fromBufferAttribute(corners, k)
+        .applyMatrix4(m)
+        .toArray(ends, 3 * (i * corners.count + k));
+  }
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new BufferAttribute(ends, 3));
+  group.add(new LineSegments(geometry, new LineBasicMaterial({ color: props.color })));
+  const named = (i, object) => item.names?.[object.isInstancedMesh ? i : Math.floor(i / corners.count)] ?? "box";
+  return { object: group, name: named };
+}
+
+export function voxels(item, props) {
+  const { position, count, size } = item;
+  const mode = modeOf(item, props);
+  const span = mode === "one" ? null : spanOf(item, mode, props);
+  const valued = (i) => (mode === "value" ? item.value[i] : position[3 * i + { x: 0, y: 1, z: 2 }[mode]]);
+  const color = span && ((i) => rampColor(valued(i), span));
+  const place = (i, m) => m.makeScale(size, size, size).setPosition(at(position, i));
+  const object = instances(
+    new BoxGeometry(0.96, 0.96, 0.96),
+    lambert(color ? "#ffffff" : props.color, props),
+    count,
+    place,
+    color,
+  );
+  const named = (i) => `${item.name ?? "voxel"}${item.value ? ` = ${item.value[i]}` : ""}`;
+  return { object, scale: span ? { span, mode } : null, name: named };
+}

@@ -1,0 +1,56 @@
+// What lies under the mouse: which thing of which layer, and where.
+
+import { Plane, Raycaster, Vector2, Vector3 } from "three";
+
+const GROUND = new Plane(new Vector3(0, 0, 1), 0);
+// More points than these are not searched while the mouse moves.
+const MOST = 3_000_000;
+
+export class Pointer {
+  constructor(canvas, camera) {
+    Object.assign(this, { canvas, camera, caster: new Raycaster() });
+  }
+
+  aim(x, y) {
+    const { clientWidth: w, clientHeight: h } = this.canvas;
+    this.caster.setFromCamera(new Vector2((x / w) * 2 - 1, 1 - (y / h) * 2), this.camera);
+  }
+
+  // The nearest thing at a place of the canvas: {layer, part, index, object, point}, or null.
+  at(layers, x, y) {
+    this.aim(x, y);
+    let best = null;
+    for (const layer of layers) {
+      if (!layer.group.visible) continue;
+      for (const part of layer.parts) {
+        if (part.item.kind === "points" && part.item.count > MOST) continue;
+        this.reach(part.item);
+        for (const hit of this.caster.intersectObject(part.object, true)) {
+          const { point, object } = hit;
+          const index = hit.instanceId ?? hit.index ?? 0;
+          if (object.material?.visible === false) continue;
+          // of points and lines, those nearer to the mouse come before those nearer to the viewer
+          const rank = hit.distance + (hit.distanceToRay ?? 0) * 50;
+          if (!best || rank < best.rank) best = { layer, part, index, object, point: point.clone(), rank };
+          if (part.item.kind !== "points") break;
+        }
+      }
+    }
+    return best;
+  }
+
+  // A few pixels of the screen, at the distance of what is looked at.
+  reach(item) {
+    const metres = (2 * Math.tan((this.camera.fov * Math.PI) / 360)) / this.canvas.clientHeight;
+    const far = this.camera.position.length() || 1;
+    const pixels = item.kind === "points" ? 4 : 3;
+    this.caster.params.Points.threshold = Math.max(metres * pixels * far, 0.002);
+    this.caster.params.Line.threshold = Math.max(metres * pixels * far, 0.002);
+  }
+
+  // Where the ground is at a place of the canvas, or null.
+  ground(x, y) {
+    this.aim(x, y);
+    return this.caster.ray.intersectPlane(GROUND, new Vector3());
+  }
+}

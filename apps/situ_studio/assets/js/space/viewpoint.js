@@ -1,0 +1,135 @@
+// Where the viewer is: turning around things, flying among them, from above, along with something.
+
+import { Box3, PerspectiveCamera, Vector3 } from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+
+const MOVES = {
+  w: [1, 0, 0],
+  s: [-1, 0, 0],
+  a: [0, 1, 0],
+  d: [0, -1, 0],
+  e: [0, 0, 1],
+  q: [0, 0, -1],
+};
+const UP = new Vector3(0, 0, 1);
+
+export class Viewpoint {
+  constructor(canvas, changed) {
+    this.changed = changed;
+    this.camera = new PerspectiveCamera(45, 1, 0.02, 2000);
+    this.camera.up.copy(UP);
+    this.camera.position.set(-4, -4, 4);
+    this.orbit = new OrbitControls(this.camera, canvas);
+    this.orbit.zoomToCursor = true;
+    this.orbit.target.set(2, 0, 1);
+    this.orbit.addEventListener("change", () => {
+      this.moved = true;
+      changed();
+    });
+    this.orbit.update();
+    this.moved = false;
+    this.pressed = new Set();
+    canvas.addEventListener("keydown", (e) => this.key(e, true));
+    canvas.addEventListener("keyup", (e) => this.key(e, false));
+    canvas.addEventListener("blur", () => this.pressed.clear());
+  }
+
+  key(e, down) {
+    const k = e.key.toLowerCase();
+    if (!this.flying || !(k in MOVES) || e.ctrlKey || e.metaKey || e.altKey) return;
+    e.stopPropagation();
+    e.preventDefault();
+    if (down) this.pressed.add(k);
+    else this.pressed.delete(k);
+    this.last ??= performance.now();
+    this.changed();
+  }
+
+  // Flying turns about the place where one is, not about what one looks at.
+  fly(on) {
+    this.flying = on;
+    const way = this.way();
+    const reach = on ? 0.05 : (this.reach ?? 3);
+    if (on) this.reach = this.camera.position.distanceTo(this.orbit.target);
+    this.orbit.target.copy(this.camera.position).addScaledVector(way, reach);
+    this.orbit.enableZoom = !on;
+    this.orbit.rotateSpeed = on ? -0.4 : 1;
+    this.orbit.update();
+  }
+
+  way() {
+    return this.orbit.target.clone().sub(this.camera.position).normalize();
+  }
+
+  // One step of flight; true while more are to come.
+  step(now = performance.now()) {
+    if (!this.pressed.size) {
+      this.last = null;
+      return false;
+    }
+    const seconds = Math.min((now - (this.last ?? now)) / 1000, 0.1);
+    this.last = now;
+    const ahead = this.way();
+    const left = new Vector3().crossVectors(UP, ahead).normalize();
+    const by = new Vector3();
+    for (const k of this.pressed) {
+      const [x, y, z] = MOVES[k];
+      by.addScaledVector(ahead, x).addScaledVector(left, y).addScaledVector(UP, z);
+    }
+    this.shift(by.multiplyScalar(2.5 * seconds));
+    return true;
+  }
+
+  shift(by) {
+    this.camera.position.add(by);
+    this.orbit.target.add(by);
+    this.orbit.update();
+  }
+
+  fit(places) {
+    const box = new Box3();
+    for (const v of places) box.expandByPoint(v);
+    if (box.isEmpty()) return false;
+    const middle = box.getCenter(new Vector3());
+    const radius = Math.max(box.getSize(new Vector3()).length() / 2, 0.2);
+    const distance = radius / Math.sin((this.camera.fov * Math.PI) / 360) / Math.min(1, this.camera.aspect);
+    this.camera.position.copy(middle).addScaledVector(new Vector3(-0.72, -0.45, 0.53).normalize(), distance);
+    this.reframe(middle, distance);
+    this.moved = false;
+    return true;
+  }
+
+  top() {
+    const { target } = this.orbit;
+    const distance = Math.max(this.camera.position.distanceTo(target), 0.5);
+    // not quite from above, where left and right would be undefined: x is up
+    this.camera.position.set(target.x - distance * 1e-4, target.y, target.z + distance);
+    this.orbit.update();
+    this.moved = true;
+  }
+
+  look(position, target) {
+    this.camera.position.set(...position);
+    this.reframe(new Vector3(...target), this.camera.position.distanceTo(new Vector3(...target)));
+    this.moved = true;
+  }
+
+  reframe(target, distance) {
+    this.orbit.target.copy(target);
+    this.camera.near = Math.max(distance / 500, 0.005);
+    this.camera.far = Math.max(distance * 40, 200);
+    this.camera.updateProjectionMatrix();
+    this.orbit.update();
+  }
+
+  size(width, height) {
+    const aspect = width / height;
+    if (aspect === this.camera.aspect) return;
+    this.camera.aspect = aspect;
+    this.camera.updateProjectionMatrix();
+  }
+
+  close() {
+    this.orbit.dispose();
+  }
+}

@@ -1,0 +1,90 @@
+defmodule Situ.Studio.Scene do
+  @moduledoc """
+  What one message is in space, as the page draws it: a list of items of nine kinds, whose numbers are binaries.
+
+  | kind | one item is | numbers of each |
+  |---|---|---|
+  | `points` | a cloud | `position` 3 floats, perhaps `color` 3 bytes, `value` 1 float |
+  | `lines` | lines, or arrows where `arrow` is true | `position` 6 floats, perhaps `color` 3 bytes |
+  | `boxes` | boxes | `matrix` 16 floats, column by column, of a cube with edges of 1 |
+  | `meshes` | one mesh | `position` 3 floats, `index` 3 numbers of 32 bits |
+  | `texts` | texts that face the viewer | `position` 3 floats |
+  | `quads` | flat surfaces, perhaps with a picture | `corner` 12 floats: top left, top right, bottom right, bottom left |
+  | `frusta` | what cameras see | `corner` 15 floats: the apex, and the corners at 1 m |
+  | `graphs` | nodes, and edges between them | `position` 3 floats, `edge` 2 numbers of 32 bits, perhaps `confidence` 1 byte |
+  | `voxels` | cubes of one size | `position` 3 floats, perhaps `value` 1 float |
+
+  Metres, x forward, y left, z up. `names` says what the pointer finds, one for each.
+
+      iex> item = Situ.Studio.Scene.item(:points, 1, [position: Situ.Studio.Scene.floats([1.0, 2.0, 3.0])])
+      iex> <<size::little-32, 0::32, json::binary-size(size), _::binary>> =
+      ...>   IO.iodata_to_binary(Situ.Studio.Scene.pack([item]))
+      iex> {:ok, %{"items" => [%{"kind" => "points", "count" => 1}]}} = Situ.JSON.decode(json)
+  """
+
+  @enforce_keys [:kind, :count]
+  defstruct [:kind, :count, meta: %{}, numbers: []]
+
+  @kinds [:points, :lines, :boxes, :meshes, :texts, :quads, :frusta, :graphs, :voxels]
+  @nan <<0, 0, 0xC0, 0x7F>>
+  @largest 3.4e38
+
+  @type kind ::
+          :points | :lines | :boxes | :meshes | :texts | :quads | :frusta | :graphs | :voxels
+  @typedoc "`meta` is written as JSON, `numbers` as they are."
+  @type item :: %__MODULE__{
+          kind: kind(),
+          count: non_neg_integer(),
+          meta: map(),
+          numbers: [{atom(), iodata()}]
+        }
+
+  @doc "The kinds of items."
+  @spec kinds() :: [kind()]
+  def kinds, do: @kinds
+
+  @doc "So many of a kind."
+  @spec item(kind(), non_neg_integer(), [{atom(), iodata()}], map()) :: item()
+  def item(kind, count, numbers, meta \\ %{}) when kind in @kinds,
+    do: %__MODULE__{kind: kind, count: count, numbers: numbers, meta: meta}
+
+  @doc """
+  Numbers as 32-bit floats. What is none becomes NaN, which the page leaves out and tells of.
+
+      iex> Situ.Studio.Scene.floats([1, :nan]) |> IO.iodata_to_binary()
+      <<0, 0, 128, 63, 0, 0, 192, 127>>
+  """
+  @spec floats([term()]) :: iodata()
+  def floats(values), do: for(value <- values, into: <<>>, do: float(value))
+
+  defp float(x) when is_number(x) and x <= @largest and x >= -@largest, do: <<x::little-float-32>>
+  defp float(_other), do: @nan
+
+  @doc "Whole numbers of 32 bits."
+  @spec integers([0..4_294_967_295]) :: binary()
+  def integers(values), do: for(value <- values, into: <<>>, do: <<value::little-32>>)
+
+  @doc "The bytes that the page reads: the size of a JSON text (32 bits, and 32 more of 0), the text, the numbers."
+  @spec pack([item()], [String.t()]) :: iodata()
+  def pack(items, problems \\ []) do
+    {rows, {_, blobs}} = Enum.map_reduce(items, {0, []}, &place/2)
+    json = Situ.JSON.encode(%{"items" => rows, "problems" => problems})
+    size = byte_size(json)
+    [<<size::little-32, 0::32>>, json, padding(size), Enum.reverse(blobs)]
+  end
+
+  # Where the item's numbers stand behind the text, each at a multiple of 8.
+  defp place(item, {at, blobs}) do
+    {parts, {at, blobs}} =
+      Enum.map_reduce(item.numbers, {at, blobs}, fn {name, bytes}, {at, blobs} ->
+        size = IO.iodata_length(bytes)
+        padded = [bytes, padding(size)]
+        {{Atom.to_string(name), [at, size]}, {at + IO.iodata_length(padded), [padded | blobs]}}
+      end)
+
+    own = %{"kind" => Atom.to_string(item.kind), "count" => item.count, "at" => Map.new(parts)}
+    {Map.merge(item.meta, own), {at, blobs}}
+  end
+
+  defp padding(size), do: <<0::size(rem(8 - rem(size, 8), 8) * 8)>>
+end

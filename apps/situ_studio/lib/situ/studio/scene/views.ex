@@ -1,0 +1,74 @@
+defmodule Situ.Studio.Scene.Views do
+  @moduledoc false
+  # What cameras saw, where they were, as items.
+  alias Situ.{CameraIntrinsics, CameraView, DepthImage, PointCloud, Pose}
+  alias Situ.Space.{Camera, Cloud, Depth}
+  alias Situ.Studio.Scene
+  alias Situ.Studio.Scene.Surfaces
+
+  @doc "The pyramid of what a camera sees, 1 m deep."
+  @spec frustum(CameraIntrinsics.t(), Pose.t(), String.t() | nil) :: Scene.item()
+  def frustum(camera, pose, label) do
+    points = Enum.flat_map([pose.position | corners(camera, pose)], &Tuple.to_list/1)
+    Scene.item(:frusta, 1, [corner: Scene.floats(points)], %{"names" => [label || "camera"]})
+  end
+
+  # Where the corners of the picture lie, 1 m before the camera.
+  defp corners(%CameraIntrinsics{width: w, height: h} = camera, pose) do
+    for {x, y} <- [{0, 0}, {w, 0}, {w, h}, {0, h}],
+        do: Pose.transform(pose, corner(camera, {x, y}))
+  end
+
+  defp corner(camera, pixel) do
+    with {:error, _} <- Camera.unproject(camera, pixel, 1.0),
+         do: Camera.unproject(camera, pixel, 1.0, undistort: false) |> elem(1),
+         else: ({:ok, point} -> point)
+  end
+
+  @doc "Intrinsics for a picture of which none are known: a focal length of 500 pixels."
+  @spec assumed(struct()) :: CameraIntrinsics.t()
+  def assumed(%{width: w, height: h}),
+    do: CameraIntrinsics.new!(width: w, height: h, focal: {500, 500})
+
+  @doc "A view's picture: on its plane, or, of depth, as points or as a surface."
+  @spec seen(CameraView.t(), map()) :: Surfaces.result()
+  def seen(%CameraView{viewed: %DepthImage{} = depth} = view, %{depth_as: as} = settings)
+      when as != "picture" do
+    with {:ok, sparsity} <- sparsity(depth, settings.budget) do
+      if as == "surface",
+        do: surface(view, sparsity),
+        else: points(view, sparsity, settings.budget)
+    end
+  end
+
+  def seen(%CameraView{viewed: viewed, intrinsics: camera, pose: pose}, _settings),
+    do: Surfaces.picture(viewed, corners(camera, pose), %{"apex" => Tuple.to_list(pose.position)})
+
+  defp sparsity(%DepthImage{width: w, height: h}, budget) when is_integer(w) and is_integer(h),
+    do: {:ok, max(1, ceil(:math.sqrt(w * h / budget)))}
+
+  defp sparsity(_depth, _budget), do: {:error, "a depth image without a size"}
+
+  defp surface(view, sparsity) do
+    case Depth.to_mesh(view.viewed, view.intrinsics, sparsity: sparsity) do
+      {:ok, mesh} -> Surfaces.mesh(%{mesh | pose: view.pose}, "surface")
+      {:error, error} -> {:error, error.what}
+    end
+  end
+
+  defp points(view, sparsity, budget) do
+    case Depth.to_cloud(view.viewed, view.intrinsics, sparsity: sparsity) do
+      {:ok, cloud} -> cloud(cloud, view.pose, budget)
+      {:error, error} -> {:error, error.what}
+    end
+  end
+
+  @doc "A cloud in a camera's frame."
+  @spec cloud(PointCloud.t(), Pose.t(), pos_integer()) :: Surfaces.result()
+  def cloud(cloud, pose, budget) do
+    case Cloud.transform(cloud, pose) do
+      {:ok, cloud} -> Surfaces.cloud(cloud, nil, budget)
+      {:error, error} -> {:error, error.what}
+    end
+  end
+end

@@ -1,0 +1,101 @@
+defmodule Situ.Studio.Visualizers.Frames do
+  @moduledoc """
+  A tree of frames of reference: where each lies in its root, for the other layers of the panel that are given in one of
+  them. The panel is drawn in the frame `fixed`, or in the first root.
+  """
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Space.Frames
+  alias Situ.Studio.{Draw.Messages, Frame, Source, Visualizer}
+  alias Situ.Studio.Visualizers.Option
+
+  @second 1_000_000_000
+  @window 10 * @second
+  @first 5_000
+
+  @impl true
+  def about do
+    options =
+      Option.visible() ++
+        [
+          fixed: [type: :text, title: "Fixed frame", auto: "the root"],
+          axis: [type: {:range, 0.01, 10}, title: "Axes, m", default: 0.3],
+          thickness: [type: {:range, 1, 500}, title: "Thickness, mm", default: 15],
+          labels: [type: :boolean, title: "Labels", default: true]
+        ]
+
+    %Visualizer{
+      id: "frames",
+      title: "Frames of reference",
+      panel: :space,
+      shapes: [:frames],
+      options: options
+    }
+  end
+
+  @impl true
+  def instant(channel, _data, message, %{source: source, spec: spec}) do
+    time = message.originating_time
+
+    with {:ok, frames} <- read(source, spec.stream, time),
+         do: Frame.json(channel, time, tree(frames, time)),
+         else: ({:error, error} -> {:error, error.what})
+  end
+
+  # Those that hold at all times are mostly told once, at the beginning.
+  defp read(source, stream, time) do
+    with {:ok, first, _} <- Source.call(source, :messages, [stream, 0, time, @first]),
+         {:ok, near, _} <- Messages.within(source, stream, time - @window, time + @second) do
+      known = Enum.filter(first, &(&1.originating_time < time - @window))
+
+      Enum.reduce_while(known ++ near, {:ok, Frames.new(keep: 4 * @window)}, fn m,
+                                                                                {:ok, frames} ->
+        case Frames.take(frames, told(m.data), m.originating_time) do
+          {:ok, frames} -> {:cont, {:ok, frames}}
+          error -> {:halt, error}
+        end
+      end)
+    end
+  end
+
+  defp told(%Situ.Transform{} = one), do: [one]
+  defp told(list) when is_list(list), do: Enum.filter(list, &is_struct(&1, Situ.Transform))
+  defp told(_), do: []
+
+  @doc """
+  Every frame with its parent, its root and, column by column, the matrix that takes it there; without a matrix where it
+  is not known at that time.
+
+      iex> alias Situ.Space.Frames
+      iex> {:ok, frames} = Frames.put_static(Frames.new(), "lamp", "room", Situ.Pose.new({0.0, 0.0, 2.0}))
+      iex> %{"frames" => %{"lamp" => lamp, "room" => _}} = Situ.Studio.Visualizers.Frames.tree(frames, 0)
+      iex> {lamp["root"], Enum.slice(lamp["matrix"], 12, 3)}
+      {"room", [0.0, 0.0, 2.0]}
+  """
+  @spec tree(Frames.t(), Situ.Time.t()) :: map()
+  def tree(frames, time) do
+    parents = Map.new(Frames.list(frames), fn {frame, parent, _} -> {frame, parent} end)
+    names = Enum.uniq(Map.keys(parents) ++ Map.values(parents))
+
+    rows =
+      for name <- names, into: %{} do
+        root = root(name, parents)
+        row = %{"root" => root, "parent" => parents[name]}
+
+        case Frames.lookup(frames, name, root, time) do
+          {:ok, pose} -> {name, Map.put(row, "matrix", columns(pose))}
+          {:error, error} -> {name, Map.put(row, "problem", error.what)}
+        end
+      end
+
+    %{"frames" => rows}
+  end
+
+  # Trees have no circles: Frames refuses them.
+  defp root(name, parents), do: if(parents[name], do: root(parents[name], parents), else: name)
+
+  defp columns(pose) do
+    [a, b, c, x, d, e, f, y, g, h, i, z | _] = Situ.Pose.to_matrix(pose)
+    [a, d, g, 0.0, b, e, h, 0.0, c, f, i, 0.0, x, y, z, 1.0]
+  end
+end

@@ -1,0 +1,79 @@
+defmodule Situ.Studio.Visualizers.Space do
+  @moduledoc """
+  Whatever is in space, in three dimensions: clouds, meshes, boxes, poses, rays, skeletons, cameras with what they saw
+  (`Situ.Studio.Scene.Terms`).
+  """
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Studio.{Frame, Scene, Visualizer}
+  alias Situ.Studio.Visualizers.Option
+
+  @colors [
+    {"auto", "its own, or by height"},
+    {"one", "one colour"},
+    {"x", "x"},
+    {"y", "y"},
+    {"z", "height"},
+    {"distance", "distance from the origin"},
+    {"value", "its value"}
+  ]
+  @budgets [
+    {"100000", "100,000"},
+    {"1000000", "1 million"},
+    {"3000000", "3 million"},
+    {"10000000", "10 million"}
+  ]
+  @depths [{"points", "points"}, {"surface", "a surface"}, {"picture", "a picture"}]
+
+  @impl true
+  def about do
+    fixed = {:range, "fixed"}
+
+    options =
+      Option.visible() ++
+        Option.color() ++
+        [
+          frame: [type: :text, title: "In the frame", auto: "the fixed frame"],
+          color_by: [type: {:in, @colors}, title: "Colours", default: "auto"],
+          range: [type: {:in, ["auto", "fixed"]}, title: "Range", default: "auto"],
+          low: [type: {:range, -1.0e6, 1.0e6}, title: "from", default: 0, only: fixed],
+          high: [type: {:range, -1.0e6, 1.0e6}, title: "to", default: 3, only: fixed],
+          scale: [type: :boolean, title: "Colour scale", default: true],
+          point_size: [type: {:range, 0.5, 40}, title: "Point size, px", default: 2],
+          thickness: [type: {:range, 1, 500}, title: "Thickness, mm", default: 15],
+          opacity: [type: {:range, 0, 100}, title: "Opacity, %", default: 100],
+          plane: [type: {:range, 0.05, 100}, title: "Picture plane at, m", default: 1],
+          labels: [type: :boolean, title: "Labels", default: true],
+          depth_as: [type: {:in, @depths}, title: "Depth as", default: "points"],
+          budget: [type: {:in, @budgets}, title: "Points at most", default: "1000000"],
+          axis: [type: {:range, 0.01, 10}, title: "Axes, m", default: 0.2],
+          ray: [type: {:range, 0.01, 100}, title: "Rays, m", default: 1],
+          threshold: [type: {:range, -1.0e9, 1.0e9}, title: "Voxels above", default: 0]
+        ]
+
+    %Visualizer{id: "space", title: "In space", panel: :space, shapes: [:space], options: options}
+  end
+
+  @impl true
+  def instant(channel, data, message, %{spec: spec}) do
+    case Scene.Terms.of(data, settings(spec)) do
+      {[], []} -> {:error, "nothing of this message is in space"}
+      {[], [what | _]} -> {:error, what}
+      {items, problems} -> Frame.scene(channel, message.originating_time, items, problems)
+    end
+  end
+
+  @doc "What the walk over a message needs to know, of the properties."
+  @spec settings(Visualizer.spec()) :: Scene.Terms.settings()
+  def settings(%{viz: viz} = spec) do
+    s = Visualizer.settings(viz, Map.get(spec, :props, %{}))
+
+    %{
+      budget: String.to_integer(s.budget),
+      depth_as: s.depth_as,
+      axis: s.axis,
+      ray: s.ray,
+      threshold: s.threshold
+    }
+  end
+end

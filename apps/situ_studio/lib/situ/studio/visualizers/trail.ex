@@ -1,0 +1,110 @@
+defmodule Situ.Studio.Visualizers.Trail do
+  @moduledoc """
+  Where something in space has been until the cursor: of every message of the last seconds its points, a line through
+  the first of each.
+  """
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Studio.{Draw.Messages, Frame, Path, Scene, Source, Visualizer}
+  alias Situ.Studio.Visualizers.Option
+
+  @second 1_000_000_000
+  @most 2_000
+
+  @impl true
+  def about do
+    options =
+      Option.visible() ++
+        Option.color() ++
+        [
+          frame: [type: :text, title: "In the frame", auto: "the fixed frame"],
+          seconds: [type: {:range, 0.1, 3_600}, title: "Seconds", default: 5],
+          thickness: [type: {:range, 1, 500}, title: "Thickness, mm", default: 8],
+          point_size: [type: {:range, 0.5, 40}, title: "Point size, px", default: 4],
+          opacity: [type: {:range, 0, 100}, title: "Opacity, %", default: 100]
+        ]
+
+    %Visualizer{
+      id: "trail",
+      title: "Trail in space",
+      panel: :space,
+      shapes: [:space],
+      options: options
+    }
+  end
+
+  @impl true
+  def instant(channel, _data, message, %{source: source, spec: spec}) do
+    to = message.originating_time
+    from = to - round(Visualizer.settings(spec.viz, Map.get(spec, :props, %{})).seconds * @second)
+
+    with {:ok, messages} <- messages(source, spec.stream, from, to) do
+      ways = messages |> Enum.map(&places(&1, spec.path)) |> Enum.reject(&(&1 == []))
+
+      if ways == [],
+        do: {:error, "nothing of these messages has a place"},
+        else: Frame.scene(channel, to, items(ways), [])
+    else
+      {:error, error} -> {:error, error.what}
+    end
+  end
+
+  defp messages(source, stream, from, to) do
+    case Messages.within(source, stream, from, to) do
+      {:ok, messages, _} when length(messages) <= @most ->
+        {:ok, messages}
+
+      {:ok, _, _} ->
+        with {:ok, rows} <- Source.sample(source, stream, from, to, @most),
+             do: {:ok, Enum.map(rows, &elem(&1, 1))}
+
+      error ->
+        error
+    end
+  end
+
+  @doc """
+  The places of a message, the first of them first.
+
+      iex> message = %Situ.Message{data: Situ.Pose.new({1.0, 2.0, 3.0}), originating_time: 0}
+      iex> Situ.Studio.Visualizers.Trail.places(message, [])
+      [{1.0, 2.0, 3.0}]
+  """
+  @spec places(Situ.Message.t(), Path.t()) :: [Situ.Vector3.t()]
+  def places(%{data: data}, path) do
+    case Path.fetch(data, path) do
+      {:ok, data} -> data |> of() |> Enum.take(200)
+      :error -> []
+    end
+  end
+
+  defp of(%Situ.Pose{position: p}), do: [p]
+  defp of(%Situ.Point3{x: x, y: y, z: z}), do: [{x, y, z}]
+  defp of(%Situ.Ray3{origin: p}), do: [p]
+  defp of(%Situ.Velocity3{origin: p}), do: [p]
+  defp of(%Situ.Box3{} = box), do: [Situ.Box3.center(box)]
+  defp of(%Situ.CameraView{pose: pose}), do: of(pose)
+
+  defp of(%Situ.Skeleton{joints: joints}),
+    do: joints |> Enum.sort() |> Enum.flat_map(&of(elem(&1, 1)))
+
+  defp of(list) when is_list(list),
+    do: if(List.improper?(list), do: [], else: Enum.flat_map(list, &of/1))
+
+  defp of(tuple) when is_tuple(tuple), do: tuple |> Tuple.to_list() |> Enum.flat_map(&of/1)
+  defp of(%_{}), do: []
+  defp of(map) when is_map(map), do: map |> Map.values() |> Enum.flat_map(&of/1)
+  defp of(_), do: []
+
+  defp items(ways) do
+    all = Enum.concat(ways)
+    firsts = Enum.map(ways, &hd/1)
+    segments = Enum.zip(firsts, tl(firsts))
+    ends = Enum.flat_map(segments, fn {a, b} -> Tuple.to_list(a) ++ Tuple.to_list(b) end)
+    points = [position: Scene.floats(Enum.flat_map(all, &Tuple.to_list/1))]
+    way = Scene.item(:lines, length(segments), [position: Scene.floats(ends)], %{"name" => "way"})
+
+    [Scene.item(:points, length(all), points, %{"of" => length(all), "name" => "was here"})] ++
+      if(segments == [], do: [], else: [way])
+  end
+end

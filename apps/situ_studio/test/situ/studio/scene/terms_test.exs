@@ -1,0 +1,160 @@
+defmodule Situ.Studio.Scene.TermsTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+
+  alias Situ.{
+    Box3,
+    CameraIntrinsics,
+    CameraView,
+    DepthImage,
+    Image,
+    Mesh,
+    Plane,
+    Point3,
+    PointCloud
+  }
+
+  alias Situ.{Pose, Ray3, Rectangle3, Skeleton, Velocity3, VoxelGrid}
+  alias Situ.Studio.{Scene, StreamInfo}
+  alias Situ.Studio.Scene.Terms
+  doctest Scene
+  doctest Terms
+
+  @camera CameraIntrinsics.new!(width: 8, height: 6, focal: {8, 8})
+  @pose Pose.new({1.0, 2.0, 3.0})
+  @ray %Ray3{origin: {0.0, 0.0, 0.0}, direction: {1.0, 0.0, 0.0}}
+
+  defp image, do: Image.new!(width: 8, height: 6, format: :rgb24, data: <<0::1152>>)
+
+  defp depth do
+    values = for i <- 1..48, into: <<>>, do: <<1000 + i::little-16>>
+    DepthImage.new!(width: 8, height: 6, data: values)
+  end
+
+  defp kinds(term, settings \\ %{}) do
+    {items, []} = Terms.of(term, settings)
+    for item <- items, do: {item.kind, item.count}
+  end
+
+  defp mesh do
+    {:ok, mesh} =
+      Mesh.from_lists([{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}], [{0, 1, 2}])
+
+    mesh
+  end
+
+  test "everything that \\psi draws in space is drawn" do
+    body = Skeleton.new!(%{head: @pose, neck: @pose}, [{:head, :neck}])
+    cloud = PointCloud.from_points([{1.0, 2.0, 3.0}])
+    {:ok, plane} = Plane.through({0.0, 0.0, 1.0}, {1.0, 0.0, 1.0}, {0.0, 1.0, 1.0})
+    {:ok, velocity} = Velocity3.linear(Pose.identity(), @pose, 1_000_000_000)
+    rectangle = Rectangle3.new!(@pose, 1.0, 1.0)
+
+    grid =
+      VoxelGrid.new(0.1) |> VoxelGrid.put({0.0, 0.0, 0.0}, 1) |> VoxelGrid.put({1.0, 0.0, 0.0}, 0)
+
+    assert kinds(@pose) == [lines: 3]
+    assert kinds([@pose, @pose]) == [lines: 6]
+    assert kinds(Point3.new(1, 2, 3)) == [graphs: 1]
+    assert kinds({"lamp", Point3.new(1, 2, 3)}) == [graphs: 1, texts: 1]
+    assert kinds(%{"a" => Point3.new(1, 2, 3), "b" => nil}) == [graphs: 1, texts: 1]
+    assert kinds(cloud) == [points: 1]
+    assert kinds(%{nodes: %{1 => {0, 0, 0}, 2 => {1, 0, 0}}, edges: [{1, 2}]}) == [graphs: 2]
+    assert kinds(@ray) == [lines: 1]
+    assert kinds(velocity) == [lines: 1]
+    assert kinds(Box3.new!({0.0, 0.0, 0.0}, {1.0, 1.0, 1.0})) == [boxes: 1]
+    assert kinds(rectangle) == [quads: 1]
+    assert kinds(plane) == [quads: 1]
+    assert kinds(mesh()) == [meshes: 1]
+    assert kinds(grid) == [voxels: 1]
+    assert kinds(grid, %{threshold: -1}) == [voxels: 2]
+    assert kinds({image(), rectangle}) == [quads: 1]
+    assert kinds({depth(), rectangle}) == [quads: 1]
+    assert kinds({@camera, @pose}) == [frusta: 1]
+    assert kinds(CameraView.new(image(), @camera, @pose)) == [frusta: 1, quads: 1]
+    assert kinds({image(), @pose}) == [frusta: 1, quads: 1]
+    assert kinds(CameraView.new(depth(), @camera, @pose)) == [frusta: 1, points: 48]
+    assert kinds({depth(), @camera, @pose}, %{depth_as: "surface"}) == [frusta: 1, meshes: 70]
+    assert kinds({depth(), @pose}, %{depth_as: "picture"}) == [frusta: 1, quads: 1]
+    assert kinds(CameraView.new(cloud, @camera, @pose)) == [frusta: 1, points: 1]
+    assert kinds(body) == [graphs: 2]
+    assert kinds([body, nil, @ray]) == [graphs: 2, lines: 1]
+  end
+
+  test "a budget of points is kept, and what there was is told" do
+    cloud = PointCloud.from_points(for x <- 1..1000, do: {x * 1.0, 0.0, 0.0})
+    {[item], []} = Terms.of(cloud, %{budget: 100})
+    assert {item.count, item.meta["of"]} == {100, 1000}
+
+    assert kinds(CameraView.new(depth(), @camera, @pose), %{budget: 12}) == [
+             frusta: 1,
+             points: 12
+           ]
+  end
+
+  test "what cannot be is a sentence, and does not keep the rest from being drawn" do
+    bad = %{mesh() | vertices: <<1>>}
+    assert {[%{kind: :lines}], ["a mesh whose" <> _]} = Terms.of([bad, @ray])
+
+    assert {[%{kind: :frusta}], [what]} =
+             Terms.of(CameraView.new(%{depth() | data: <<>>}, @camera, @pose))
+
+    assert what =~ "bytes"
+    assert {[], ["a point cloud that is none" <> _]} = Terms.of(%PointCloud{points: <<1>>})
+    assert {[], ["a point cloud" <> _]} = Terms.of(%PointCloud{points: nil})
+    assert {[], ["a voxel grid" <> _]} = Terms.of(%VoxelGrid{size: 0})
+
+    assert {[%{kind: :graphs}], ["1 edges" <> _]} =
+             Terms.of(%Skeleton{joints: %{a: @pose}, bones: [:oops]})
+  end
+
+  property "any term is drawn or not, and its bytes are laid out as they say" do
+    forall term <- anything() do
+      {items, problems} = Terms.of(term)
+      bytes = IO.iodata_to_binary(Scene.pack(items, problems))
+      <<size::little-32, 0::32, json::binary-size(size), _::binary>> = bytes
+      {:ok, %{"items" => rows}} = Situ.JSON.decode(json)
+      rest = byte_size(bytes) - 8 - size - rem(8 - rem(size, 8), 8)
+
+      assert rem(byte_size(bytes), 8) == 0
+
+      for %{"at" => at} <- rows,
+          {_, [from, length]} <- at,
+          do: assert(rem(from, 8) == 0 and from + length <= rest)
+    end
+  end
+
+  # Terms as they may come from files: the right structs with anything in them.
+  defp anything do
+    leaf =
+      one_of([
+        integer(-5, 5),
+        nil,
+        :nan,
+        "name",
+        1.5,
+        {1.0, 2.0, 3.0},
+        Point3.new(1, 2, 3),
+        @pose,
+        @ray
+      ])
+
+    one_of([
+      leaf,
+      list(leaf, 3),
+      {leaf, leaf},
+      map(leaf, &%{x: &1}),
+      map(leaf, &%PointCloud{points: &1}),
+      map(leaf, &%Mesh{vertices: &1, indices: <<>>})
+    ])
+  end
+
+  test "streams of such things are in space" do
+    assert StreamInfo.shape(Pose) == :space
+    assert StreamInfo.shape({:list, Skeleton}) == :space
+    assert StreamInfo.shape({:map, :string, Pose}) == :space
+    assert StreamInfo.shape(Situ.Transform) == :frames
+    assert StreamInfo.shape_of({@camera, @pose}) == :space
+    assert StreamInfo.shape_of_text("list of Situ.Skeleton") == :space
+  end
+end
