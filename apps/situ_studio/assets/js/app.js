@@ -7,6 +7,8 @@ import { Studio } from "./studio.js";
 import { Navigator } from "./time/navigator.js";
 import { openPanel, timeline } from "./panels/index.js";
 import { AnnotationPanel } from "./annotation/panel.js";
+import { chooseLayer, showAgreement } from "./annotation/agreement.js";
+import { rememberAnnotator } from "./annotation/annotator.js";
 import { Palette } from "./page/palette.js";
 import { hooks as dragHooks, dragStream } from "./page/drag.js";
 import { hooks as extraHooks } from "./hooks.js";
@@ -41,7 +43,9 @@ const hooks = {
   Studio: {
     mounted() {
       const app = page();
-      app.options.push = (event, payload) => this.pushEvent(event, payload);
+      // what is done while the server is away is not kept, and says so
+      app.options.push = (event, payload) =>
+        this.pushEvent(event, payload)?.catch?.(() => toast("The server does not answer: nothing was changed"));
       this.handleEvent("snap", ({ stream }) => app.snapTo(stream));
       this.handleEvent("toast", ({ text }) => toast(text));
       this.handleEvent("statistics", ({ rows }) => {
@@ -132,6 +136,10 @@ const hooks = {
       app.annotation = this.view;
       app.add(this.view, { timeline: true });
       this.handleEvent("annotations", (told) => this.view.tell(told));
+      this.handleEvent("agreement", showAgreement);
+      this.handleEvent("annotation_streams", ({ streams }) =>
+        chooseLayer(streams, (other) => this.pushEvent("annotation_compare", { with: other })),
+      );
       this.pushEvent("annotation_ready", {});
       this.el.focus({ preventScroll: true });
       this.el.scrollIntoView({ block: "nearest" });
@@ -183,8 +191,9 @@ const hooks = {
   Modal: {
     mounted() {
       this.el.showModal();
+      rememberAnnotator(this.el);
       (this.el.querySelector("[autofocus]") ?? this.el.querySelector("input, button"))?.focus();
-      this.el.querySelector("input:not([type=radio])")?.select?.();
+      document.activeElement.select?.();
       // what cannot be undone is asked twice
       this.el.addEventListener(
         "click",

@@ -134,6 +134,16 @@ defmodule Situ.Annotation.Editor do
   @spec redo(server()) :: {:ok, Layer.t()} | {:error, Error.t()}
   def redo(server), do: GenServer.call(server, :redo, 60_000)
 
+  @doc """
+  Gives the stream another schema and saves it: `{:ok, folder}`. Every annotation goes through `fun` first, which
+  renames what is called otherwise now. What was done before can no longer be undone. Error: that of the first
+  annotation that the schema does not allow; then nothing has changed.
+  """
+  @spec put_schema(server(), Schema.t(), (Situ.Annotation.t() -> Situ.Annotation.t())) ::
+          {:ok, Path.t()} | {:error, Error.t()}
+  def put_schema(server, %Schema{} = schema, fun \\ & &1),
+    do: GenServer.call(server, {:put_schema, schema, fun}, 600_000)
+
   @doc "Writes a new version of the store: `{:ok, folder}`. The edits before it can still be undone."
   @spec save(server()) :: {:ok, Path.t()} | {:error, Error.t()}
   def save(server), do: GenServer.call(server, :save, 600_000)
@@ -180,6 +190,20 @@ defmodule Situ.Annotation.Editor do
   def handle_call(:undo, _from, state), do: step(state, :undo, :redo)
   def handle_call(:redo, _from, state), do: step(state, :redo, :undo)
 
+  def handle_call({:put_schema, schema, fun}, from, state) do
+    case allowed(state.layer, schema, fun) do
+      {:ok, layer} ->
+        # only what is on the disk is answered for
+        case handle_call(:save, from, %{state | layer: layer, undo: [], redo: []}) do
+          {:reply, {:ok, _}, _} = saved -> saved
+          {:reply, error, _} -> {:reply, error, state}
+        end
+
+      error ->
+        {:reply, error, state}
+    end
+  end
+
   def handle_call(:save, _from, state) do
     case Recording.write_all(Map.put(state.others, state.stream, state.layer), state.path) do
       {:ok, folder} ->
@@ -190,6 +214,14 @@ defmodule Situ.Annotation.Editor do
       {:error, error} ->
         {:reply, {:error, error}, state}
     end
+  end
+
+  defp allowed(layer, schema, fun) do
+    Layer.new(schema, layer |> Layer.annotations() |> Enum.map(fun))
+  rescue
+    exception ->
+      {:error,
+       Error.new(:edit_failed, "the schema cannot be changed", why: Exception.message(exception))}
   end
 
   # The border to a function from outside: what others have edited outlives it.

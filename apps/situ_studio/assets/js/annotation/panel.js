@@ -5,7 +5,10 @@ import { tip } from "../page/tip.js";
 import { toast } from "../page/toast.js";
 import { duration, relative, ticks } from "../time/text.js";
 import { ROW, drawOne } from "./draw.js";
+import { annotator } from "./annotator.js";
 import { KeyState } from "./keys.js";
+import { typed } from "./commands.js";
+import { Spatial } from "./spatial.js";
 import { Tools } from "./tools.js";
 
 const HEAD = 26,
@@ -21,13 +24,14 @@ export class AnnotationPanel {
     this.keys = new KeyState();
     this.track = FIRST;
     this.attribute = 0;
+    this.spatial = new Spatial(this);
     this.tools = new Tools(el, this);
     this.observer = new ResizeObserver(() => this.resize());
     this.observer.observe(el);
     el.addEventListener("pointerdown", (e) => this.down(e));
     el.addEventListener("pointermove", (e) => this.hover(e));
     el.addEventListener("pointerleave", () => tip(this, []));
-    el.addEventListener("keydown", (e) => this.typed(e));
+    el.addEventListener("keydown", (e) => typed(this, e));
     this.resize();
   }
 
@@ -49,7 +53,17 @@ export class AnnotationPanel {
     this.el.parentElement.style.flex = `0 0 ${HEAD + this.tracks().length * ROW + 10}px`;
     this.app.gutter.need(this, this.tracks());
     this.tools.update();
+    this.shown();
+  }
+
+  // Pictures show boxes and points, too.
+  shown() {
     this.app.schedule(this);
+    for (const v of this.app.views) if (v.base) this.app.schedule(v);
+  }
+
+  get annotator() {
+    return annotator();
   }
 
   tracks() {
@@ -86,37 +100,11 @@ export class AnnotationPanel {
   add(from, to, values = {}) {
     const { abs } = this.app.client;
     const at = (t) => abs.call(this.app.client, t);
-    this.push("add", { from: at(from), to: at(to), track: this.track, values });
+    this.push("add", { from: at(from), to: at(to), track: this.track, values, by: this.annotator });
   }
 
-  // Keys of the panel itself, when it has the focus.
-  typed(e) {
-    const { sel, cursor } = this.app.time.get();
-    const chosen = this.item();
-    const undo = (e.ctrlKey || e.metaKey) && e.key.toLowerCase() === "z";
-    if (undo) this.push(e.shiftKey ? "redo" : "undo");
-    else if (e.ctrlKey || e.metaKey || e.altKey) return;
-    else if (e.key === "Enter" && sel[0] != null && sel[1] != null) this.add(sel[0], sel[1]);
-    else if (e.key === "i") this.add(cursor, cursor);
-    else if ((e.key === "Delete" || e.key === "Backspace") && chosen) this.push("remove", { id: chosen.id });
-    else if (e.key === "x" && chosen) this.push("split", { id: chosen.id, at: this.app.client.abs(cursor) });
-    else if (e.key === "Tab" && this.told.attributes.length > 1) this.nextAttribute(e.shiftKey ? -1 : 1);
-    else if (e.key === "ArrowDown" || e.key === "ArrowUp") this.nextTrack(e.key === "ArrowDown" ? 1 : -1);
-    else return;
-    e.preventDefault();
-    e.stopPropagation();
-    this.app.schedule(this);
-  }
-
-  nextAttribute(by) {
-    const n = this.told.attributes.length;
-    this.attribute = (this.attribute + by + n) % n;
-    this.tools.update();
-  }
-
-  nextTrack(by) {
-    const all = this.tracks();
-    this.track = all[Math.min(Math.max(all.indexOf(this.track) + by, 0), all.length - 1)];
+  moveEdge({ id }, edge, t, alone = false) {
+    this.push("edge", { id, edge, to: this.app.client.abs(t), alone });
   }
 
   // --- the mouse
@@ -167,7 +155,7 @@ export class AnnotationPanel {
       this.el.removeEventListener("pointermove", move);
       const { drag } = this;
       this.drag = null;
-      if (drag) this.push("edge", { id: item.id, edge, to: this.app.client.abs(drag.t), alone: m.altKey });
+      if (drag) this.moveEdge(item, edge, drag.t, m.altKey);
     };
     this.el.addEventListener("pointermove", move);
     this.el.addEventListener("pointerup", up, { once: true });
@@ -283,6 +271,8 @@ export class AnnotationPanel {
 
   destroy() {
     this.observer.disconnect();
+    this.told = { ...this.told, attributes: [] };
+    this.shown();
     this.app.gutter.need(this, null);
     tip(this, []);
   }

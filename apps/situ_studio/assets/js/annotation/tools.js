@@ -1,5 +1,7 @@
 // The strip over the annotations: which attribute is shown, the value of the chosen one, tracks, proposals, undo, save.
 
+import { annotator, setAnnotator } from "./annotator.js";
+
 export class Tools {
   constructor(el, panel) {
     this.panel = panel;
@@ -13,7 +15,18 @@ export class Tools {
       this.update();
     });
     this.values = this.part("span");
-    this.track = this.button("Track…", "Another track, or a new one", () => this.chooseTrack());
+    this.note = this.field("Note", "text", (note, item) => panel.push("note", { id: item.id, note }));
+    this.confidence = this.field("Confidence, 0 to 1", "number", (text, item) =>
+      panel.push("confidence", { id: item.id, confidence: text === "" ? null : Number(text) }),
+    );
+    Object.assign(this.confidence, { min: 0, max: 1, step: 0.05, placeholder: "sure" });
+    this.note.placeholder = "note";
+    this.track = this.button("Track…", "Another track, a new one, or another name for this", () =>
+      this.chooseTrack(),
+    );
+    this.button("Schema…", "Attributes, values, their keys and colours", () => this.ask("annotation_schema"));
+    this.button("Agreement…", "How far this and another layer agree", () => this.ask("annotation_streams"));
+    this.who = this.button("", "Whose name what is made bears", () => this.name());
     this.accept = this.button("Accept", "Accept the chosen proposal, or all", () => this.settle("accept"));
     this.reject = this.button("Reject", "Reject the chosen proposal, or all", () => this.settle("reject"));
     this.undo = this.button("Undo", "Take back the last edit (Ctrl+Z)", () => panel.push("undo"));
@@ -37,6 +50,27 @@ export class Tools {
     return b;
   }
 
+  field(label, type, changed) {
+    const input = this.part("input", label);
+    Object.assign(input, { type, title: label });
+    input.addEventListener("change", () => {
+      const item = this.panel.item();
+      if (item) changed(input.value, item);
+    });
+    return input;
+  }
+
+  ask(event) {
+    this.panel.app.options.push?.(event, {});
+  }
+
+  name() {
+    const name = prompt("Your name, for what you annotate here", annotator() ?? "");
+    if (name === null) return;
+    setAnnotator(name.trim().slice(0, 60));
+    this.update();
+  }
+
   update() {
     const { told, attribute } = this.panel;
     const item = this.panel.item();
@@ -51,6 +85,10 @@ export class Tools {
     }
     this.attribute.selectedIndex = attribute;
     this.fill(told.attributes[attribute], item);
+    this.note.hidden = this.confidence.hidden = !item;
+    if (item && document.activeElement !== this.note) this.note.value = item.note ?? "";
+    if (item && document.activeElement !== this.confidence) this.confidence.value = item.confidence ?? "";
+    this.who.textContent = annotator() ? `as ${annotator()}` : "as nobody";
     const proposed = told.items.some((a) => a.proposed);
     this.accept.hidden = this.reject.hidden = !proposed;
     this.undo.disabled = !told.undo;
@@ -94,10 +132,21 @@ export class Tools {
   }
 
   chooseTrack() {
-    const name = prompt(`Track (there are ${this.panel.tracks().join(", ")})`, this.panel.track)?.trim();
+    const { panel } = this;
+    const old = panel.track;
+    const text = prompt(
+      `Track (there are ${panel.tracks().join(", ")}); ${old} > NAME renames it, -${old} deletes it`,
+      old,
+    );
+    const name = text?.trim();
     if (!name) return;
-    this.panel.track = name.slice(0, 60);
-    this.panel.tell({ ...this.panel.raw });
+    const renamed = name.split(" > ");
+    if (name === `-${old}`) panel.push("delete_track", { track: old });
+    else if (renamed.length === 2 && renamed[0] === old) {
+      panel.push("rename_track", { track: old, name: renamed[1] });
+      panel.track = renamed[1].slice(0, 60);
+    } else panel.track = name.slice(0, 60);
+    panel.tell({ ...panel.raw });
   }
 
   settle(how) {

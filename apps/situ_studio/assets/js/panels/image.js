@@ -13,6 +13,10 @@ export class ImagePanel {
     this.info = el.appendChild(document.createElement("div"));
     this.info.className = "cell-info";
     this.layers = [];
+    // who annotates boxes and points draws them here; else the picture is moved
+    this.canvas.addEventListener("pointerdown", (e) => {
+      if (this.app.annotation?.spatial.down(e, this)) e.stopImmediatePropagation();
+    });
     this.mouse = new PanZoom(this.canvas, {
       fit: () => this.fit(),
       changed: () => this.app.schedule(this),
@@ -97,6 +101,7 @@ export class ImagePanel {
     for (const l of shown) if (l.picture) l.drawer.draw(ctx, l, scene);
     for (const l of shown) if (!l.picture) l.drawer.draw(ctx, l, scene);
     for (const l of shown) l.drawer.finish?.(ctx, l, scene);
+    this.app.annotation?.spatial.draw(ctx, this);
     this.point();
     this.drawn = (this.drawn ?? 0) + 1;
     const base = this.base();

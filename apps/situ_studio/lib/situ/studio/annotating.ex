@@ -3,7 +3,7 @@ defmodule Situ.Studio.Annotating do
   Annotations of one recording while people edit them in the page: where they are kept, what the page is told, and what
   each of its requests does to them.
 
-  They lie in a store of their own beside the recording (`lobby.0000` has `lobby.0000-annotation.NNNN`), which is never
+  Each stream lies in a store of its own beside the recording (`Situ.Studio.Annotating.Shelf`), which is never
   changed in place. Every edit is on the disk before it is answered (`Situ.Annotation.Editor`): a page or a server that
   dies loses none.
 
@@ -15,7 +15,8 @@ defmodule Situ.Studio.Annotating do
       :bad_schema
   """
   alias Situ.{Annotation, Error}
-  alias Situ.Annotation.{Edit, Editor, Layer, Recording, Schema}
+  alias Situ.Annotation.{Edit, Editor, Layer, Schema}
+  alias Situ.Studio.Annotating.{SchemaForm, Shelf}
   alias Situ.Studio.{Catalog, WholeNumber}
 
   @most 20_000
@@ -53,18 +54,16 @@ defmodule Situ.Studio.Annotating do
   defp mark(<<_::utf8>> = key), do: {"key", key}
   defp mark(_), do: nil
 
-  @doc "The streams of annotations that there are of the recording at `path`."
-  @spec streams(Path.t()) :: [String.t()]
-  def streams(path) do
-    with true <- Situ.Store.exists?(store(path)),
-         {:ok, store} <- Situ.Store.open(store(path)) do
-      for info <- Situ.Store.streams(store), Recording.annotations?(store, info), do: info.name
-    else
-      _ -> []
-    end
+  @doc """
+  The schema of boxes or points on pictures: their places are numbers, in pixels, and each annotation is a key frame.
+  """
+  @spec spatial(String.t(), :box | :point) :: Schema.t()
+  def spatial(name, kind) do
+    names = if kind == :box, do: ~w(x y width height), else: ~w(x y)
+    numbers = for n <- names, do: %{"name" => n, "kind" => "number"}
+    {:ok, schema} = Schema.parse(%{"name" => name, "attributes" => numbers})
+    schema
   end
-
-  defp store(path), do: path <> "-annotation"
 
   @doc """
   The editor of a stream of annotations, started for the first page that asks; `schema` makes one that is not there yet.
@@ -73,7 +72,7 @@ defmodule Situ.Studio.Annotating do
           {:ok, pid()} | {:error, Error.t()}
   def open(studio, path, stream, schema) do
     name = {:via, Registry, {Situ.Studio.Registry, {studio, :annotation, path, stream}}}
-    opts = [path: store(path), stream: stream, schema: schema, name: name]
+    opts = [path: Shelf.store(path, stream), stream: stream, schema: schema, name: name]
     child = %{id: Editor, start: {Editor, :start_link, [opts]}, restart: :temporary}
 
     case DynamicSupervisor.start_child(Catalog.watches(studio), child) do
@@ -155,9 +154,40 @@ defmodule Situ.Studio.Annotating do
          {:ok, to} <- time(to),
          {:ok, track} <- name(track) do
       values = values(params["values"])
-      Layer.add(layer, Annotation.new(min(from, to), max(from, to), track, values))
+      by = by(params["by"])
+      Layer.add(layer, Annotation.new(min(from, to), max(from, to), track, values, by: by))
     end
   end
+
+  # What is at one moment: the place of a box or a point there, in the place of an earlier one.
+  defp change("key_frame", layer, %{"at" => at, "track" => track} = params) do
+    with {:ok, at} <- time(at), {:ok, track} <- name(track) do
+      values = values(params["values"])
+
+      case Enum.find(Layer.on_track(layer, track), &(&1.from == at and &1.to == at)) do
+        nil -> Layer.add(layer, Annotation.new(at, at, track, values, by: by(params["by"])))
+        old -> Layer.change(layer, old.id, values: Map.merge(old.values, values))
+      end
+    end
+  end
+
+  defp change("interval", layer, %{"id" => id, "from" => from, "to" => to}) do
+    with {:ok, id} <- id(id),
+         {:ok, from} <- time(from),
+         {:ok, to} <- time(to),
+         do: Edit.set_interval(layer, id, {min(from, to), max(from, to)})
+  end
+
+  defp change("confidence", layer, %{"id" => id, "confidence" => confidence})
+       when confidence == nil or (is_number(confidence) and confidence >= 0 and confidence <= 1),
+       do:
+         with(
+           {:ok, id} <- id(id),
+           do: Layer.change(layer, id, confidence: confidence && confidence / 1)
+         )
+
+  defp change("delete_track", layer, %{"track" => track}),
+    do: Edit.delete_track(layer, to_string(track))
 
   defp change("edge", layer, %{"id" => id, "edge" => edge, "to" => to} = params)
        when edge in ["from", "to"] do
@@ -194,6 +224,29 @@ defmodule Situ.Studio.Annotating do
 
   defp change(_, _, _), do: bad()
 
+  @doc """
+  Gives a stream of annotations another schema: what the page has edited. Annotations follow what was renamed; a value
+  that some of them have cannot be taken away.
+  """
+  @spec put_schema(pid(), [SchemaForm.attribute()]) :: :ok | {:error, Error.t()}
+  def put_schema(editor, draft) do
+    with {:ok, schema, renamed} <- SchemaForm.schema(Editor.layer(editor).schema.name, draft),
+         names = Enum.map(schema.attributes, & &1.name),
+         do: done(Editor.put_schema(editor, schema, &renamed(&1, renamed, names)))
+  end
+
+  defp renamed(annotation, renamed, names) do
+    values =
+      Enum.reduce(renamed, annotation.values, fn {was, now, names}, values ->
+        case Map.pop(values, was) do
+          {nil, values} -> values
+          {value, values} -> Map.put(values, now, Map.get(names, value, value))
+        end
+      end)
+
+    %{annotation | values: Map.take(values, names)}
+  end
+
   @doc "Proposals out of a stream's segments (`Situ.Studio.Draw.Segments`): what is true, a track for each lane."
   @spec propose(pid(), [tuple()], String.t()) :: :ok | {:error, Error.t()}
   def propose(editor, segments, stream) do
@@ -212,6 +265,13 @@ defmodule Situ.Studio.Annotating do
         Edit.propose(layer, proposals)
       end)
     )
+  end
+
+  defp by(name) do
+    case name(name) do
+      {:ok, name} -> name
+      _ -> nil
+    end
   end
 
   defp values(%{} = values), do: Map.filter(values, fn {key, _} -> is_binary(key) end)

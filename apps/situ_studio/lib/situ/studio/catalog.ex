@@ -40,7 +40,16 @@ defmodule Situ.Studio.Catalog do
 
   @doc "Starts the catalog of the studio called `:id`; the other options are those of `Situ.Studio`."
   @spec start_link(keyword()) :: GenServer.on_start()
-  def start_link(opts), do: GenServer.start_link(__MODULE__, opts, name: via(opts[:id]))
+  def start_link(opts) do
+    settings = %{
+      read_only: opts[:read_only] || false,
+      visualizers: opts[:visualizers] || [],
+      layouts: opts[:layouts] || Layouts.default_dir()
+    }
+
+    name = {:via, Registry, {Situ.Studio.Registry, opts[:id], settings}}
+    GenServer.start_link(__MODULE__, opts, name: name)
+  end
 
   defp via(id), do: {:via, Registry, {Situ.Studio.Registry, id}}
 
@@ -49,7 +58,11 @@ defmodule Situ.Studio.Catalog do
 
   @doc "Settings that pages ask for: `:read_only`, `:visualizers`, `:layouts`."
   @spec settings(id()) :: map()
-  def settings(id), do: GenServer.call(via(id), :settings)
+  def settings(id) do
+    # beside its name: nobody waits for a catalog that opens a recording
+    [{_, settings}] = Registry.lookup(Situ.Studio.Registry, id)
+    settings
+  end
 
   @doc "Everything there is to look at now."
   @spec list(id()) :: [Item.t()]
@@ -75,15 +88,8 @@ defmodule Situ.Studio.Catalog do
 
   @impl true
   def init(opts) do
-    settings = %{
-      read_only: opts[:read_only] || false,
-      visualizers: opts[:visualizers] || [],
-      layouts: opts[:layouts] || Layouts.default_dir()
-    }
-
     state = %{
       id: opts[:id],
-      settings: settings,
       path: opts[:path],
       given: opts[:sources] || %{},
       pipelines: opts[:pipelines] || [],
@@ -98,8 +104,6 @@ defmodule Situ.Studio.Catalog do
   end
 
   @impl true
-  def handle_call(:settings, _from, state), do: {:reply, state.settings, state}
-
   def handle_call(:list, from, state) do
     case look(state) do
       %{stores: nil} = state -> {:noreply, %{state | waiting: [from | state.waiting]}}

@@ -47,6 +47,85 @@ defmodule Situ.Studio.AnnotatingTest do
         do: assert({:error, %{code: :bad_request}} = Annotating.edit(editor, bad))
   end
 
+  test "key frames, confidence, intervals and tracks", context do
+    %{studio: studio, path: path} = context
+    {:ok, editor} = Annotating.open(studio, path, "Cars", Annotating.spatial("Cars", :point))
+
+    at = fn t, x ->
+      values = %{"x" => x, "y" => 2}
+
+      Annotating.edit(editor, %{
+        "do" => "key_frame",
+        "at" => t,
+        "track" => "1",
+        "values" => values
+      })
+    end
+
+    :ok = at.("10", 1)
+    :ok = at.("20", 3)
+    # at the same moment: the same key frame
+    :ok = at.("10", 5)
+    found = Annotating.told(editor, "Cars").items
+    assert [%{from: "10", to: "10", values: %{"x" => 5, "y" => 2}}, %{from: "20"}] = found
+    assert {:error, _} = at.("30", "left")
+    :ok = Annotating.edit(editor, %{"do" => "confidence", "id" => 1, "confidence" => 0.5})
+    assert [%{confidence: 0.5} | _] = Annotating.told(editor, "Cars").items
+    bad = %{"do" => "confidence", "id" => 1, "confidence" => 2}
+    assert {:error, %{code: :bad_request}} = Annotating.edit(editor, bad)
+    interval = %{"do" => "interval", "id" => 1, "from" => "12", "to" => "15"}
+    :ok = Annotating.edit(editor, interval)
+    assert [%{from: "12", to: "15"} | _] = Annotating.told(editor, "Cars").items
+    :ok = Annotating.edit(editor, %{"do" => "delete_track", "track" => "1"})
+    assert Annotating.told(editor, "Cars").items == []
+  end
+
+  test "two streams of a recording are saved independently", context do
+    %{studio: studio, path: path, schema: schema} = context
+    {:ok, one} = Annotating.open(studio, path, "Speech", schema)
+    {:ok, two} = Annotating.open(studio, path, "Speech.Ada", schema)
+    :ok = add(one, 0, 10, "speaks")
+    :ok = add(two, 20, 30, "laughs")
+    {:ok, _} = Editor.save(one)
+    :ok = add(two, 40, 50, "laughs")
+    ref = Process.monitor(two)
+    Process.exit(two, :kill)
+    assert_receive {:DOWN, ^ref, _, _, _}
+    assert Annotating.Shelf.streams(path) == ["Speech", "Speech.Ada"]
+    {:ok, two} = reopened(studio, path, "Speech.Ada")
+    assert length(items(two)) == 2
+    {:ok, _} = Editor.save(two)
+    assert items(one) == [{"0", "10", "speaks"}]
+  end
+
+  # The name is free a moment after the process has ended.
+  defp reopened(studio, path, stream) do
+    case Annotating.open(studio, path, stream, nil) do
+      {:ok, pid} -> if Process.alive?(pid), do: {:ok, pid}, else: reopened(studio, path, stream)
+      error -> error
+    end
+  end
+
+  test "another schema renames what annotations say, and refuses to lose any", context do
+    %{studio: studio, path: path, schema: schema} = context
+    {:ok, editor} = Annotating.open(studio, path, "Speech", schema)
+    :ok = add(editor, 0, 10, "speaks")
+    draft = Annotating.SchemaForm.draft(Editor.layer(editor).schema)
+    fields = %{"0" => %{"name" => "Voice", "values" => %{"0" => %{"value" => "talks"}}}}
+    renamed = Annotating.SchemaForm.read(draft, fields)
+    :ok = Annotating.put_schema(editor, renamed)
+    assert [%{values: %{"Voice" => "talks"}}] = Annotating.told(editor, "Speech").items
+    less = renamed |> Annotating.SchemaForm.remove(0, 0)
+    assert {:error, error} = Annotating.put_schema(editor, less)
+    assert Exception.message(error) =~ "talks"
+    assert [%{values: %{"Voice" => "talks"}}] = Annotating.told(editor, "Speech").items
+    assert {:error, %{code: :bad_schema}} = Annotating.put_schema(editor, [])
+    # it is on the disk
+    :ok = Editor.stop(editor)
+    {:ok, editor} = reopened(studio, path, "Speech")
+    assert [%{values: %{"Voice" => "talks"}}] = Annotating.told(editor, "Speech").items
+  end
+
   test "what a killed server had not saved is there again", %{
     studio: studio,
     path: path,
@@ -57,7 +136,7 @@ defmodule Situ.Studio.AnnotatingTest do
     ref = Process.monitor(editor)
     Process.exit(editor, :kill)
     assert_receive {:DOWN, ^ref, _, _, _}
-    assert Annotating.streams(path) == ["Speech"]
+    assert Annotating.Shelf.streams(path) == ["Speech"]
     {:ok, again} = Annotating.open(studio, path, "Speech", nil)
     assert length(items(again)) == 20
     assert %{unsaved: true, recovered: 20} = Annotating.told(again, "Speech")

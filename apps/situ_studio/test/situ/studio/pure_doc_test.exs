@@ -28,6 +28,9 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Visualizers.Lines
   doctest Situ.Studio.Draw.Key
   doctest Situ.Studio.NaturalOrder
+  doctest Situ.Studio.Annotating.Shelf
+  doctest Situ.Studio.Annotating.SchemaForm
+  doctest Situ.Studio.Annotating.Comparison
   doctest Situ.Studio.Source.Session
   doctest Situ.Studio.Datasets.Place
   doctest Situ.Studio.Datasets.Facts

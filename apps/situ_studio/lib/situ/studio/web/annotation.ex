@@ -7,7 +7,9 @@ defmodule Situ.Studio.Web.Annotation do
 
   alias Situ.Annotation.Editor
   alias Situ.Live.Socket
+  alias Situ.Studio.Annotating.{Comparison, SchemaForm, Shelf}
   alias Situ.Studio.{Annotating, Draw, Source, Visualizers}
+  alias Situ.Studio.Web.SchemaDialog
 
   @doc "Whether there is something on disk to annotate, and it is allowed."
   @spec offered?(map()) :: boolean()
@@ -16,7 +18,7 @@ defmodule Situ.Studio.Web.Annotation do
   @doc "The stream that an address asks for, opened if it is there."
   @spec restore(Socket.t(), map()) :: Socket.t()
   def restore(socket, %{"annotate" => stream}) when is_binary(stream) and stream != "" do
-    if offered?(socket.assigns) and stream in Annotating.streams(socket.assigns.item.path),
+    if offered?(socket.assigns) and stream in Shelf.streams(socket.assigns.item.path),
       do: open(socket, stream, nil),
       else: socket
   end
@@ -36,18 +38,90 @@ defmodule Situ.Studio.Web.Annotation do
   end
 
   defp event("annotation_dialog", _, socket),
-    do: assign(socket, dialog: {:annotation, Annotating.streams(socket.assigns.item.path)})
+    do: assign(socket, dialog: {:annotation, Shelf.streams(socket.assigns.item.path)})
 
   defp event("annotation_open", %{"stream" => stream}, socket) when is_binary(stream),
     do: socket |> assign(dialog: nil) |> open(stream, nil)
 
-  defp event("annotation_new", %{"name" => name, "values" => values}, socket)
+  defp event("annotation_new", %{"name" => name, "values" => values} = params, socket)
        when is_binary(name) and is_binary(values) do
     with name when name != "" <- name |> String.trim() |> String.slice(0, 60),
-         {:ok, schema} <- Annotating.schema(name, String.slice(values, 0, 4_000)) do
-      socket |> assign(dialog: nil) |> open(name, schema)
+         {:ok, schema} <- schema(params["kind"], name, String.slice(values, 0, 4_000)) do
+      socket |> assign(dialog: nil) |> open(layer(name, params["by"]), schema)
     else
       "" -> toast(socket, "The annotations need a name")
+      {:error, error} -> toast(socket, Exception.message(error))
+    end
+  end
+
+  # The same schema for another person: a layer of one's own, that agreement is told of.
+  defp event("annotation_own", %{"stream" => stream, "by" => by}, socket)
+       when is_binary(stream) and is_binary(by) do
+    own = layer(stream, by)
+
+    with true <- own != stream or {:error, Situ.Error.new(:no_name, "Whose layer is it?")},
+         {:ok, editor} <-
+           Annotating.open(socket.assigns.studio, socket.assigns.item.path, stream, nil) do
+      socket |> assign(dialog: nil) |> open(own, Editor.layer(editor).schema)
+    else
+      {:error, error} -> toast(socket, Exception.message(error))
+    end
+  end
+
+  defp event("annotation_schema", _, %{assigns: %{annotation: %{editor: editor}}} = socket),
+    do: assign(socket, dialog: {:schema, SchemaForm.draft(Editor.layer(editor).schema), nil})
+
+  defp event("annotation_draft", params, %{assigns: %{dialog: {:schema, draft, _}}} = socket),
+    do: assign(socket, dialog: {:schema, SchemaForm.read(draft, params["attribute"]), nil})
+
+  defp event("annotation_row", params, %{assigns: %{dialog: {:schema, draft, _}}} = socket) do
+    at = number(params["at"])
+
+    draft =
+      case params["do"] do
+        "attribute" -> SchemaForm.add(draft, :attribute)
+        "add" when at != nil -> SchemaForm.add(draft, at)
+        "remove" when at != nil -> SchemaForm.remove(draft, at, number(params["nth"]))
+        _ -> draft
+      end
+
+    assign(socket, dialog: {:schema, draft, nil})
+  end
+
+  defp event(
+         "annotation_schema_save",
+         params,
+         %{assigns: %{dialog: {:schema, draft, _}}} = socket
+       ) do
+    draft = SchemaForm.read(draft, params["attribute"])
+
+    with %{editor: editor} <- socket.assigns.annotation,
+         :ok <- Annotating.put_schema(editor, draft) do
+      socket |> assign(dialog: nil) |> tell()
+    else
+      {:error, error} -> assign(socket, dialog: {:schema, draft, Exception.message(error)})
+      nil -> assign(socket, dialog: nil)
+    end
+  end
+
+  defp event("annotation_streams", _, %{assigns: %{annotation: %{stream: mine}}} = socket) do
+    others = Shelf.streams(socket.assigns.item.path) -- [mine]
+    push_event(socket, "annotation_streams", %{streams: others})
+  end
+
+  defp event(
+         "annotation_compare",
+         %{"with" => other},
+         %{assigns: %{annotation: %{} = mine}} = socket
+       )
+       when is_binary(other) do
+    %{studio: studio, item: %{path: path}} = socket.assigns
+
+    with {:ok, editor} <- Annotating.open(studio, path, other, nil),
+         {:ok, rows} <- Comparison.rows(Editor.layer(mine.editor), Editor.layer(editor)) do
+      rows = Enum.map(rows, &Tuple.to_list/1)
+      push_event(socket, "agreement", %{first: mine.stream, second: other, rows: rows})
+    else
       {:error, error} -> toast(socket, Exception.message(error))
     end
   end
@@ -76,6 +150,27 @@ defmodule Situ.Studio.Web.Annotation do
   end
 
   defp event(_, _, socket), do: socket
+
+  defp schema("box", name, _), do: {:ok, Annotating.spatial(name, :box)}
+  defp schema("point", name, _), do: {:ok, Annotating.spatial(name, :point)}
+  defp schema(_, name, values), do: Annotating.schema(name, values)
+
+  # A layer of somebody's own is named after them.
+  defp layer(stream, by) when is_binary(by) do
+    case by |> String.trim() |> String.slice(0, 40) do
+      "" -> stream
+      by -> "#{stream}.#{by}"
+    end
+  end
+
+  defp layer(stream, _), do: stream
+
+  defp number(text) do
+    case Integer.parse(to_string(text)) do
+      {n, ""} when n >= 0 -> n
+      _ -> nil
+    end
+  end
 
   # A stream's segments over its whole length, exactly.
   defp segments(source, stream, shape, %{from: from, to: to}) do
@@ -138,6 +233,14 @@ defmodule Situ.Studio.Web.Annotation do
     """
   end
 
+  attr(:dialog, :any, required: true)
+
+  @doc false
+  def schema_dialog(assigns) do
+    {:schema, draft, error} = assigns.dialog
+    SchemaDialog.dialog(%{draft: draft, error: error})
+  end
+
   attr(:streams, :list, required: true)
 
   @doc false
@@ -153,12 +256,25 @@ defmodule Situ.Studio.Web.Annotation do
         <label>New annotations <input name="name" placeholder="Speech" autocomplete="off" maxlength="60"
             required autofocus></label>
         <label>Values, one a line: name, key, colour
-          <textarea name="values" rows="5" placeholder={"speaks 1 #4ea1f3\\nlaughs 2"}></textarea></label>
+          <textarea name="values" rows="4" placeholder={"speaks 1 #4ea1f3\nlaughs 2"}></textarea></label>
+        <div class="inline">
+          <select name="kind" aria-label="What is annotated"><option value="values">Segments in time</option><option
+              value="box">Boxes on pictures</option><option value="point">Points on pictures</option></select>
+          <input name="by" placeholder="annotator, if several" maxlength="40" autocomplete="off"
+              aria-label="Annotator">
+        </div>
         <div class="choices">
           <button class="btn primary" type="submit">Annotate</button>
           <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
         </div>
         <p class="hint">They are kept beside the recording, which stays as it is. Every edit is on the disk at once.</p>
+      </form>
+      <form :if={@streams != []} id="annotation-own" class="inline" phx-submit="annotation_own">
+        <select name="stream" aria-label="Annotations whose schema is used"><option
+            :for={s <- @streams} value={s}>{s}</option></select>
+        <input name="by" placeholder="your name" maxlength="40" autocomplete="off" required
+            aria-label="Your name, for a layer of your own">
+        <button class="btn" type="submit">A layer of my own</button>
       </form>
     </dialog>
     """

@@ -322,6 +322,7 @@ defmodule Situ.Studio.Web.MainView do
       <Side.right stream={@stream} panel={@panel} known={@known} snap={@snap} />
       <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} snap={@snap} />
       <Annotation.dialog :if={match?({:annotation, _}, @dialog)} streams={elem(@dialog, 1)} />
+      <Annotation.schema_dialog :if={match?({:schema, _, _}, @dialog)} dialog={@dialog} />
       <LayoutMenu.dialog :if={@dialog == :layout} saved={@saved} />
       <ExportDialog.dialog :if={match?({:export, _, _, _}, @dialog)} dialog={@dialog} item={@item}
           layout={@layout} shapes={@shapes} />

@@ -1,0 +1,131 @@
+defmodule Situ.Studio.Annotating.SchemaForm do
+  @moduledoc """
+  The schema of a stream of annotations as people edit it in the page: attributes, and the values of each with key and
+  colour. A value knows what it was called before, so that annotations follow when it is renamed.
+
+      iex> alias Situ.Studio.Annotating.SchemaForm
+      iex> {:ok, schema} = Situ.Annotation.Schema.parse(%{"name" => "S", "attributes" => [
+      ...>   %{"name" => "Speech", "kind" => "finite", "values" => [%{"value" => "speaks", "key" => "1"}]}]})
+      iex> draft = SchemaForm.draft(schema)
+      iex> draft = SchemaForm.read(draft, %{"0" => %{"name" => "Voice", "kind" => "finite",
+      ...>   "values" => %{"0" => %{"value" => "talks", "key" => "t", "fill" => "#ff0000"}}}})
+      iex> {:ok, schema, renamed} = SchemaForm.schema("S", draft)
+      iex> {hd(schema.attributes).values, renamed}
+      {[%{fill: "#ff0000", key: "t", text: nil, value: "talks"}], [{"Speech", "Voice", %{"speaks" => "talks"}}]}
+  """
+  alias Situ.Annotation.Schema
+  alias Situ.Error
+
+  @kinds ~w(finite text number bool)
+  @most 64
+
+  @type value :: %{value: String.t(), key: String.t(), fill: String.t(), was: String.t() | nil}
+  @type attribute :: %{
+          name: String.t(),
+          kind: String.t(),
+          was: String.t() | nil,
+          values: [value()]
+        }
+  @typedoc "An attribute's name before and after, with the values that are called otherwise now."
+  @type renamed :: [{String.t(), String.t(), %{String.t() => String.t()}}]
+
+  @doc "A schema, to be edited."
+  @spec draft(Schema.t()) :: [attribute()]
+  def draft(%Schema{attributes: attributes}) do
+    for a <- attributes do
+      values =
+        for v <- a.values,
+            do: %{value: v.value, key: v.key || "", fill: v.fill || "", was: v.value}
+
+      %{name: a.name, kind: Atom.to_string(a.kind), was: a.name, values: values}
+    end
+  end
+
+  @doc "What the fields of the page say, taken into the draft."
+  @spec read([attribute()], map()) :: [attribute()]
+  def read(draft, params) do
+    for {attribute, i} <- Enum.with_index(draft) do
+      given = fields(params, i)
+      values = fields(given, "values")
+
+      %{
+        attribute
+        | name: text(given["name"], attribute.name),
+          kind: if(given["kind"] in @kinds, do: given["kind"], else: attribute.kind),
+          values:
+            for({v, k} <- Enum.with_index(attribute.values), do: value(v, fields(values, k)))
+      }
+    end
+  end
+
+  defp value(value, given) do
+    %{
+      value
+      | value: text(given["value"], value.value),
+        key: given["key"] |> text(value.key) |> String.slice(0, 1),
+        fill: text(given["fill"], value.fill)
+    }
+  end
+
+  defp fields(params, key) do
+    case params do
+      %{} -> if is_map(params[to_string(key)]), do: params[to_string(key)], else: %{}
+      _ -> %{}
+    end
+  end
+
+  defp text(given, old), do: if(is_binary(given), do: String.slice(given, 0, 100), else: old)
+
+  @doc "One more attribute, or one more value of the attribute at `index`."
+  @spec add([attribute()], :attribute | non_neg_integer()) :: [attribute()]
+  def add(draft, :attribute) when length(draft) < @most,
+    do: draft ++ [%{name: "", kind: "finite", was: nil, values: [none()]}]
+
+  def add(draft, index) when is_integer(index) do
+    more = &if(length(&1.values) < @most, do: %{&1 | values: &1.values ++ [none()]}, else: &1)
+    if index < length(draft), do: List.update_at(draft, index, more), else: draft
+  end
+
+  def add(draft, _), do: draft
+
+  defp none, do: %{value: "", key: "", fill: "", was: nil}
+
+  @doc "Without an attribute, or without one of its values."
+  @spec remove([attribute()], non_neg_integer(), non_neg_integer() | nil) :: [attribute()]
+  def remove(draft, index, nil), do: List.delete_at(draft, index)
+
+  def remove(draft, index, nth) do
+    if index < length(draft),
+      do: List.update_at(draft, index, &%{&1 | values: List.delete_at(&1.values, nth)}),
+      else: draft
+  end
+
+  @doc "The schema that it says, and what is called otherwise in it. Fields without a name are left out."
+  @spec schema(String.t(), [attribute()]) :: {:ok, Schema.t(), renamed()} | {:error, Error.t()}
+  def schema(name, draft) do
+    draft = Enum.reject(draft, &(String.trim(&1.name) == ""))
+    json = %{"name" => name, "attributes" => Enum.map(draft, &json/1)}
+
+    with {:ok, schema} <- Schema.parse(json) do
+      renamed =
+        for %{was: was} = a when was != nil <- draft,
+            values = for(v <- a.values, v.was, v.was != v.value, into: %{}, do: {v.was, v.value}),
+            was != a.name or values != %{},
+            do: {was, a.name, values}
+
+      {:ok, schema, renamed}
+    end
+  end
+
+  defp json(%{kind: "finite"} = a) do
+    values = for v <- a.values, String.trim(v.value) != "", do: filled(v)
+    %{"name" => String.trim(a.name), "kind" => "finite", "values" => values}
+  end
+
+  defp json(a), do: %{"name" => String.trim(a.name), "kind" => a.kind}
+
+  defp filled(v) do
+    %{"value" => String.trim(v.value), "key" => v.key, "fill" => v.fill}
+    |> Map.reject(fn {_, text} -> text == "" end)
+  end
+end
