@@ -66,7 +66,8 @@ defmodule Situ.Space.Depth do
     {:error,
      Error.new(
        :bad_option,
-       "colours of #{picture.width}x#{picture.height} pixels do not fit a depth image of #{depth.width}x#{depth.height}",
+       "colours of #{picture.width}x#{picture.height} pixels do not fit a depth image of " <>
+         "#{depth.width}x#{depth.height}",
        fix: "resize one of them"
      )}
   end

@@ -15,7 +15,7 @@ export function chooseLayer(streams, chosen) {
   const dialog = opened("agreement-with", "Compare with");
   if (!streams.length) {
     dialog.appendChild(document.createElement("p")).textContent =
-      "There are no other annotations of this recording. Another person makes a layer of their own in the dialog of (a).";
+      "There are no other annotations of this recording. Another person makes a layer in the dialog of (a).";
   }
   const choices = dialog.appendChild(document.createElement("div"));
   choices.className = "choices";

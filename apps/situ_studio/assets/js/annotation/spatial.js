@@ -1,5 +1,5 @@
-// Annotating on pictures: boxes and points are drawn, dragged and resized there. Each change is a key frame at the time of
-// the picture that is shown; between two key frames of a track the place is interpolated.
+// Annotating on pictures: boxes and points are drawn, dragged and resized there. Each change is a key frame at the
+// time of the picture that is shown; between two key frames of a track the place is interpolated.
 
 import { FONT, seriesColor, theme } from "../page/theme.js";
 import { PLACES, boxOf, dragged, grip, keyFrames, placeAt, spatialKind } from "./key_frames.js";

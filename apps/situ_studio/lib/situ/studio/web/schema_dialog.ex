@@ -20,7 +20,7 @@ defmodule Situ.Studio.Web.SchemaDialog do
             <select name={"attribute[#{i}][kind]"} aria-label={"Kind of " <> a.name}>
               <option :for={{kind, title} <- kinds()} value={kind} selected={kind == a.kind}>{title}</option></select>
             <button class="btn" type="button" phx-click="annotation_row" phx-value-do="remove" phx-value-at={i}
-                aria-label={"Remove " <> a.name} title="Remove the attribute, and what annotations say of it">×</button>
+                aria-label={"Remove " <> a.name} title="Remove it, and what annotations say of it">×</button>
           </div>
           <div :for={{v, k} <- Enum.with_index(a.values)} :if={a.kind == "finite"} :key={k} class="schema-row value">
             <input name={"attribute[#{i}][values][#{k}][value]"} value={v.value} aria-label="Value" placeholder="Value"
@@ -36,7 +36,8 @@ defmodule Situ.Studio.Web.SchemaDialog do
               phx-value-at={i}>Another value</button>
         </fieldset>
         <div class="choices">
-          <button class="btn" type="button" phx-click="annotation_row" phx-value-do="attribute">Another attribute</button>
+          <button class="btn" type="button" phx-click="annotation_row"
+              phx-value-do="attribute">Another attribute</button>
         </div>
         <div class="error" role="alert">{@error}</div>
         <div class="choices">
