@@ -29,7 +29,7 @@ defmodule Situ.Bridge.MixProject do
   defp elixirc_paths(_env), do: ["lib"]
 
   defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger, :crypto]
+  defp extra_applications(_env), do: [:logger, :crypto, :inets]
 
   defp deps do
     [

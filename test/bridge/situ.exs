@@ -1,6 +1,6 @@
 # Situ's side of test/bridge: `situ.exs COMMAND ARGUMENTS`.
 {:ok, _} = Application.ensure_all_started(:situ_bridge)
-alias Situ.Bridge.{Mcap, Ros.Bag, ZeroMQ}
+alias Situ.Bridge.{Mcap, Ros, Ros.Bag, ZeroMQ}
 alias Situ.Store
 
 value = fn
@@ -92,6 +92,74 @@ case System.argv() do
 
     true = got == Enum.to_list(1..2_000)
     {:ok, _} = Situ.Pipeline.stop(p)
+
+  # Hears rospy's node, tells by a file, and hears it again after the master and the node were killed.
+  ["ros1_subscribe", port, file] ->
+    me = self()
+    master = "http://127.0.0.1:#{port}"
+
+    {:ok, p} =
+      Situ.Pipeline.start_link(fn p ->
+        p
+        |> Ros.subscribe("/imu", master: master)
+        |> Situ.map(fn imu, m -> {m.originating_time, imu["linear_acceleration"]["z"]} end)
+        |> Situ.each(&send(me, {:got, &1}))
+      end)
+
+    hear = fn ->
+      receive do
+        {:got, {time, z}} ->
+          n = round(z * 2)
+          ^time = n * 1_000_000_000 + 7
+          n
+      after
+        60_000 -> raise("nothing more came")
+      end
+    end
+
+    first = for _ <- 1..100, do: hear.()
+    true = first == Enum.to_list(hd(first)..List.last(first))
+    File.write!(file, "")
+    # The second node counts from 1,000,000 on.
+    later = fn later -> if hear.() >= 1_000_000, do: :ok, else: later.(later) end
+    :ok = later.(later)
+    for _ <- 1..50, do: hear.()
+    {:ok, _} = Situ.Pipeline.stop(p)
+
+  ["ros1_peer", port] ->
+    opts = [master: "http://127.0.0.1:#{port}"]
+    set_bool = "bool data\n---\nbool success\nstring message"
+    :ok = Ros.set_param("/from_situ", [1, "two", %{"x" => 1.5}], opts)
+    answer = &{:ok, %{"success" => not &1["data"], "message" => "from situ"}}
+    {:ok, server} = Ros.serve("/flip_ours", "std_srvs/SetBool", set_bool, answer, opts)
+
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        pictures =
+          for i <- 1..50 do
+            data = :binary.copy(<<i, 2, 3>>, 8)
+            image = Situ.Image.new!(width: 4, height: 2, format: :rgb24, data: data)
+            {i * 1_000_000_000 + 5, image}
+          end
+
+        p
+        |> Situ.from_enumerable(pictures, type: Situ.Image)
+        |> Ros.publish("/pictures", [wait_for: 1, linger: 10_000] ++ opts)
+      end)
+
+    {:ok, %{"success" => true, "message" => "from rospy"}} =
+      Ros.call("/flip_theirs", set_bool, %{"data" => false}, opts)
+
+    {:error, %{code: :ros_refused}} = Ros.call("/nothing", set_bool, %{}, opts)
+
+    {:error, %{code: :ros_refused}} =
+      Ros.call("/flip_theirs", "int8 x\n---\nint8 y", %{"x" => 1}, opts)
+
+    {:ok, %{"list" => [1, 2.5, "three", true]}} = Ros.get_param("/from_rospy", opts)
+    :ok = Ros.set_param("/done", true, opts)
+    {:ok, topics} = Ros.topics(opts)
+    false = List.keymember?(topics, "/pictures", 0)
+    Ros.stop(server)
 
   # Serves a recording until the file `done` is there.
   ["foxglove", dir] ->

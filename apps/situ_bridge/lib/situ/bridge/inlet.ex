@@ -36,31 +36,35 @@ defmodule Situ.Bridge.Inlet do
 
   @doc "The messages as `{:out, time, value}`, and why the last one left out was."
   @spec take(t(), [binary()], now :: Situ.Time.t()) :: {[tuple()], t()}
-  def take(inlet, payloads, now) do
-    {found, inlet} = Enum.reduce(payloads, {[], inlet}, &one(&1, &2, now))
+  def take(inlet, payloads, now), do: take_read(inlet, Enum.map(payloads, &read(inlet, &1, now)))
+
+  @doc "As `take/3`, of what was read already: `{:ok, {time, sender's?, value}}`, or why there is none."
+  @spec take_read(t(), [{:ok, {Situ.Time.t(), boolean(), term()}} | {:error, term()}]) ::
+          {[tuple()], t()}
+  def take_read(inlet, read) do
+    {found, inlet} = Enum.reduce(read, {[], inlet}, &one/2)
     {Enum.reverse(found), inlet}
   end
 
-  defp one(payload, {found, inlet}, now) do
-    case read(inlet, payload, now) do
-      {:ok, {time, value}} -> timed(time, value, found, inlet)
-      {:error, error} -> {found, %{inlet | unreadable: inlet.unreadable + 1, trouble: error}}
+  defp one({:ok, {time, own?, value}}, {found, inlet}), do: timed(time, own?, value, found, inlet)
+
+  defp one({:error, error}, {found, inlet}),
+    do: {found, %{inlet | unreadable: inlet.unreadable + 1, trouble: error}}
+
+  defp read(%{format: :raw}, payload, now), do: {:ok, {now, false, payload}}
+
+  defp read(inlet, payload, now) do
+    with {:ok, {time, value}} <- Format.decode(inlet.format, payload, inlet.opts) do
+      if inlet.times == :arrival, do: {:ok, {now, false, value}}, else: {:ok, {time, true, value}}
     end
   end
 
-  defp read(%{format: :raw}, payload, now), do: {:ok, {now, payload}}
-
-  defp read(inlet, payload, now) do
-    with {:ok, {time, value}} <- Format.decode(inlet.format, payload, inlet.opts),
-         do: {:ok, {if(inlet.times == :arrival, do: now, else: time), value}}
-  end
-
   # Two may arrive within one reading of the clock; a sender's own times are its own fault.
-  defp timed(time, value, found, inlet) do
+  defp timed(time, own?, value, found, inlet) do
     cond do
       inlet.last == nil or time > inlet.last -> post(time, value, found, inlet)
-      inlet.format == :raw or inlet.times == :arrival -> post(inlet.last + 1, value, found, inlet)
-      true -> {found, %{inlet | late: inlet.late + 1}}
+      own? -> {found, %{inlet | late: inlet.late + 1}}
+      true -> post(inlet.last + 1, value, found, inlet)
     end
   end
 

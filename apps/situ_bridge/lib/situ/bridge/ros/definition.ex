@@ -66,6 +66,27 @@ defmodule Situ.Bridge.Ros.Definition do
     end
   end
 
+  @doc """
+  The two types of a service (`.srv`: a request, a line `---`, a response), and its MD5 sum.
+
+      iex> {:ok, service} = Situ.Bridge.Ros.Definition.service("std_srvs/SetBool", "bool data\\n---\\nbool success\\nstring message")
+      iex> service.md5
+      "09fb03525b03e7ea1fd3992bafd87e16"
+  """
+  @spec service(String.t(), String.t()) ::
+          {:ok, %{request: t(), response: t(), md5: String.t()}} | {:error, String.t()}
+  def service(name, text) do
+    with [request, response] <- Regex.split(~r/^---\s*$/m, text, parts: 2),
+         {:ok, request} <- parse(name <> "Request", request),
+         {:ok, response} <- parse(name <> "Response", response) do
+      texts = for d <- [request, response], do: md5_text(d.name, d.types)
+      {:ok, %{request: request, response: response, md5: sum(texts)}}
+    else
+      [_] -> {:error, "it has no line --- between request and response"}
+      error -> error
+    end
+  end
+
   @doc "A type's name without `msg/` and `srv/`."
   @spec plain(String.t()) :: String.t()
   def plain(name) do
@@ -230,11 +251,13 @@ defmodule Situ.Bridge.Ros.Definition do
   @spec md5(t()) :: String.t()
   def md5(%__MODULE__{name: name, types: types}), do: md5(name, types)
 
-  defp md5(name, types) do
+  defp md5(name, types), do: name |> md5_text(types) |> sum()
+  defp sum(text), do: :md5 |> :crypto.hash(text) |> Base.encode16(case: :lower)
+
+  defp md5_text(name, types) do
     %{fields: fields, spelled: spelled, constants: constants} = Map.fetch!(types, name)
     fixed = for {type, name, value} <- constants, do: "#{type} #{name}=#{value}"
-    lines = fixed ++ Enum.zip_with(fields, spelled, &md5_line(&1, &2, types))
-    :md5 |> :crypto.hash(Enum.join(lines, "\n")) |> Base.encode16(case: :lower)
+    Enum.join(fixed ++ Enum.zip_with(fields, spelled, &md5_line(&1, &2, types)), "\n")
   end
 
   # A type made of others is told by their sums, without the brackets of a list.

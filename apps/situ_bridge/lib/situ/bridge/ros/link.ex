@@ -1,0 +1,76 @@
+defmodule Situ.Bridge.Ros.Link do
+  @moduledoc false
+  # The connection of a subscriber to one publisher. The owner gets `{:ros, theirs, payloads}`, `theirs` being the fields
+  # of the publisher's header. While too much is untaken nothing more is read.
+  use GenServer, restart: :temporary
+  alias Situ.Bridge.Ros.{TcpRos, XmlRpc}
+
+  @timeout 5_000
+
+  def start_link(args), do: GenServer.start_link(__MODULE__, args)
+
+  @impl true
+  def init(args), do: {:ok, Map.merge(args, %{tcp: nil, wire: nil}), {:continue, :connect}}
+
+  @impl true
+  def handle_continue(:connect, state) do
+    with {:ok, [1, _, ["TCPROS", host, port]]} when is_binary(host) and port in 1..65_535 <-
+           XmlRpc.call(state.uri, "requestTopic", [state.caller, state.topic, [["TCPROS"]]]),
+         {:ok, tcp} <-
+           :gen_tcp.connect(
+             String.to_charlist(host),
+             port,
+             [:binary, active: false, nodelay: true],
+             @timeout
+           ),
+         {hello, wire} = TcpRos.hello(host, port, fields(state)),
+         :ok <- :gen_tcp.send(tcp, hello) do
+      {:noreply, arm(%{state | tcp: tcp, wire: wire})}
+    else
+      {:error, %Situ.Error{} = error} -> {:stop, {:shutdown, Exception.message(error)}, state}
+      {:error, reason} -> {:stop, {:shutdown, reason}, state}
+      {:ok, answer} -> {:stop, {:shutdown, {:refused, answer}}, state}
+    end
+  end
+
+  defp fields(state),
+    do: %{
+      "callerid" => state.caller,
+      "topic" => state.topic,
+      "type" => state.type,
+      "md5sum" => state.md5sum,
+      "tcp_nodelay" => "1"
+    }
+
+  @impl true
+  def handle_info({:tcp, tcp, bytes}, %{tcp: tcp} = state) do
+    case TcpRos.read(bytes, state.wire, state.most) do
+      {:ok, payloads, _, wire} ->
+        {:noreply, %{state | wire: wire} |> hand_over(payloads) |> arm()}
+
+      {:error, why} ->
+        {:stop, {:shutdown, why}, state}
+    end
+  end
+
+  def handle_info({:tcp_closed, _}, state), do: {:stop, {:shutdown, :closed}, state}
+  def handle_info({:tcp_error, _, reason}, state), do: {:stop, {:shutdown, reason}, state}
+  def handle_info(:arm, state), do: {:noreply, arm(state)}
+
+  defp hand_over(state, []), do: state
+
+  defp hand_over(state, payloads) do
+    :atomics.add(state.untaken, 1, length(payloads))
+    send(state.owner, {:ros, state.wire.theirs, payloads})
+    send(state.node, {:well, state.uri})
+    state
+  end
+
+  defp arm(state) do
+    if :atomics.get(state.untaken, 1) < state.high_water_mark,
+      do: :inet.setopts(state.tcp, active: :once),
+      else: Process.send_after(self(), :arm, 5)
+
+    state
+  end
+end

@@ -1,0 +1,200 @@
+defmodule Situ.Bridge.Ros.Node do
+  @moduledoc false
+  # One end of a topic as a node of ROS: it tells the master of itself, again when the master is another one, and answers
+  # who asks for it. Of a subscriber it holds a link to every publisher; what comes goes to the owner.
+  #
+  #     owner ── Node ─┬─ Registrar          registers, and sees when the master was restarted
+  #                    ├─ Slave ...          one call of the master or of a peer each
+  #                    └─ Link ...           one publisher each; one that breaks is made again
+  use GenServer
+  require Logger
+  alias Situ.Bridge.Net.Listener
+  alias Situ.Bridge.Ros.{Address, Link, Registrar, Slave, XmlRpc}
+  alias Situ.Error
+
+  @first_wait 100
+  @longest_wait 5_000
+
+  defstruct [
+    :address,
+    :listener,
+    :acceptor,
+    :owner,
+    :role,
+    :registrar,
+    :uri,
+    slaves: MapSet.new(),
+    links: %{},
+    waits: %{},
+    publishers: []
+  ]
+
+  @type role ::
+          {:publisher, topic :: String.t(), type :: String.t(), :inet.port_number()}
+          | {:subscriber, topic :: String.t(), type :: String.t(), link :: map()}
+
+  @doc "Starts a node for the calling process. Errors: `:bad_address`, `:address_in_use`."
+  @spec start_link(Address.t(), role()) :: {:ok, pid()} | {:error, Error.t()}
+  def start_link(address, role) do
+    with {:ok, listener} <- Listener.listen(Address.interface(address), 0) do
+      {:ok, node} = GenServer.start_link(__MODULE__, {address, role, listener, self()})
+      :ok = :gen_tcp.controlling_process(listener, node)
+      send(node, :begin)
+      {:ok, node}
+    end
+  end
+
+  @doc "How many publishers a subscriber is connected to."
+  @spec linked(pid()) :: non_neg_integer()
+  def linked(node), do: GenServer.call(node, :linked)
+
+  @doc "What a call from outside is answered."
+  @spec answer(pid(), String.t(), [XmlRpc.value()]) :: [XmlRpc.value()]
+  def answer(node, method, arguments), do: GenServer.call(node, {:slave, method, arguments})
+
+  @doc "Tells the master that it goes, and ends."
+  @spec stop(pid()) :: :ok
+  def stop(node) do
+    GenServer.stop(node, :normal, 10_000)
+  catch
+    :exit, _ -> :ok
+  end
+
+  @impl true
+  def init({address, role, listener, owner}) do
+    Process.flag(:trap_exit, true)
+    uri = "http://#{address.host}:#{Listener.port(listener)}/"
+    {:ok, %__MODULE__{address: address, role: role, listener: listener, owner: owner, uri: uri}}
+  end
+
+  @impl true
+  def handle_call(:linked, _from, state), do: {:reply, map_size(state.links), state}
+
+  def handle_call(:adopt, _from, state) do
+    {:ok, slave} = Slave.start_link(self())
+    {:reply, slave, %{state | slaves: MapSet.put(state.slaves, slave)}}
+  end
+
+  def handle_call({:slave, method, arguments}, _from, state) do
+    {answer, state} = slave(method, arguments, state)
+    {:reply, answer, state}
+  end
+
+  defp slave(
+         "requestTopic",
+         [_caller, topic, _protocols],
+         %{role: {:publisher, topic, _type, port}} = state
+       ),
+       do: {[1, "ready", ["TCPROS", state.address.host, port]], state}
+
+  defp slave("requestTopic", _arguments, state),
+    do: {[0, "this node does not publish it", 0], state}
+
+  defp slave(
+         "publisherUpdate",
+         [_caller, topic, publishers],
+         %{role: {:subscriber, topic, _, _}} = state
+       )
+       when is_list(publishers),
+       do: {[1, "", 0], linking(state, publishers)}
+
+  defp slave("getPid", _, state), do: {[1, "", System.pid() |> String.to_integer()], state}
+  defp slave("getMasterUri", _, state), do: {[1, "", state.address.master], state}
+  defp slave("getBusStats", _, state), do: {[1, "", [[], [], []]], state}
+  defp slave("getBusInfo", _, state), do: {[1, "", []], state}
+  defp slave("getPublications", _, state), do: {[1, "", topics(state.role, :publisher)], state}
+  defp slave("getSubscriptions", _, state), do: {[1, "", topics(state.role, :subscriber)], state}
+  # Another node took the name: the master says so to the first.
+  defp slave("shutdown", [_caller, why], state) do
+    Logger.warning(
+      "ROS: the master wants #{state.address.node} to go: #{inspect(why, limit: 50)}"
+    )
+
+    {[1, "", 0], state}
+  end
+
+  defp slave(_method, _arguments, state), do: {[1, "", 0], state}
+
+  defp topics({role, topic, type, _}, role), do: [[topic, type]]
+  defp topics(_role, _other), do: []
+
+  @impl true
+  def handle_info(:begin, state) do
+    registrar = Registrar.start_link(self(), state.address, state.role, state.uri)
+    {:noreply, %{state | acceptor: Listener.begin(state.listener, self()), registrar: registrar}}
+  end
+
+  def handle_info({:publishers, uris}, state), do: {:noreply, linking(state, uris)}
+
+  def handle_info({:link, uri}, state) do
+    if uri in state.publishers and not is_map_key(state.links, uri),
+      do: {:noreply, link(state, uri)},
+      else: {:noreply, state}
+  end
+
+  def handle_info({:well, uri}, state),
+    do: {:noreply, %{state | waits: Map.delete(state.waits, uri)}}
+
+  def handle_info({:EXIT, pid, reason}, state) do
+    cond do
+      MapSet.member?(state.slaves, pid) ->
+        {:noreply, %{state | slaves: MapSet.delete(state.slaves, pid)}}
+
+      uri = Enum.find_value(state.links, fn {uri, link} -> link == pid && uri end) ->
+        {:noreply, unlinked(state, uri, reason)}
+
+      true ->
+        {:stop, reason, state}
+    end
+  end
+
+  # Those that are gone are let go; new ones are linked.
+  defp linking(%{role: {:subscriber, _, _, _}} = state, uris) do
+    uris = Enum.filter(uris, &is_binary/1)
+    {stay, go} = Map.split(state.links, uris)
+    for {_, link} <- go, do: Process.exit(link, :shutdown)
+    # Their ends say nothing new.
+    for {_, link} <- go, do: Process.unlink(link)
+    state = %{state | links: stay, publishers: uris, waits: Map.take(state.waits, uris)}
+    Enum.reduce(uris -- Map.keys(stay), state, &link(&2, &1))
+  end
+
+  defp linking(state, _uris), do: state
+
+  defp link(%{role: {:subscriber, topic, type, how}} = state, uri) do
+    {:ok, link} =
+      Link.start_link(
+        Map.merge(how, %{
+          node: self(),
+          owner: state.owner,
+          uri: uri,
+          topic: topic,
+          type: type,
+          caller: state.address.node
+        })
+      )
+
+    %{state | links: Map.put(state.links, uri, link)}
+  end
+
+  # The same trouble is told once, not at every attempt.
+  defp unlinked(state, uri, reason) do
+    {wait, told} = Map.get(state.waits, uri, {@first_wait, nil})
+
+    if told != reason and reason != {:shutdown, :closed},
+      do: Logger.warning("ROS: #{uri}: #{inspect(reason, limit: 10)}")
+
+    Process.send_after(self(), {:link, uri}, wait)
+    waits = Map.put(state.waits, uri, {min(wait * 2, @longest_wait), reason})
+    %{state | links: Map.delete(state.links, uri), waits: waits}
+  end
+
+  @impl true
+  def terminate(_reason, state) do
+    if state.registrar, do: Process.exit(state.registrar, :kill)
+    Registrar.unregister(state.address, state.role, state.uri)
+    for {_, link} <- state.links, do: Process.exit(link, :shutdown)
+    for slave <- state.slaves, do: Process.exit(slave, :shutdown)
+    :gen_tcp.close(state.listener)
+  end
+end

@@ -1,0 +1,64 @@
+defmodule Situ.Bridge.Ros.Optics do
+  @moduledoc false
+  # `sensor_msgs/CameraInfo` as `Situ.CameraIntrinsics` and back: the pinhole and its lens; the rest of the message
+  # (rectification, binning, region of interest) has no place there. Pure.
+  alias Situ.{CameraIntrinsics, Error}
+
+  @doc "The optics of a calibrated camera; else `:error`."
+  @spec from(map()) :: {:ok, CameraIntrinsics.t()} | {:error, Error.t()} | :error
+  def from(%{"width" => width, "height" => height} = m) do
+    with [fx, _, cx, _, fy, cy, _, _, _] <- m["K"] || m["k"],
+         true <- Enum.all?([fx, fy, cx, cy], &is_number/1) and width > 0 and height > 0,
+         {:ok, radial, tangential} <- lens(m["D"] || m["d"], m["distortion_model"]) do
+      CameraIntrinsics.new(
+        width: width,
+        height: height,
+        focal: {fx, fy},
+        principal: {cx, cy},
+        radial: radial,
+        tangential: tangential
+      )
+    else
+      _ -> :error
+    end
+  end
+
+  def from(_), do: :error
+
+  defp lens(d, model) when is_list(d) and model in ["plumb_bob", "rational_polynomial", ""] do
+    case {Enum.all?(d, &is_number/1), d} do
+      {true, []} -> {:ok, [], {0.0, 0.0}}
+      {true, [k1, k2, p1, p2 | more]} when length(more) <= 4 -> {:ok, [k1, k2 | more], {p1, p2}}
+      _ -> :error
+    end
+  end
+
+  defp lens(_d, _model), do: :error
+
+  @doc "Optics as the message's members. Raises `Situ.Error` (`:not_writable`) for a lens that is told the other way round."
+  @spec to(CameraIntrinsics.t()) :: map()
+  def to(%CameraIntrinsics{distorts?: false, radial: radial, tangential: tangential} = c)
+      when radial != {0.0, 0.0, 0.0, 0.0, 0.0, 0.0} or tangential != {0.0, 0.0} do
+    raise Error.new(
+            :not_writable,
+            "a CameraInfo cannot tell of the lens of #{c.width}x#{c.height}",
+            why: "its coefficients go from distorted to undistorted, ROS's the other way"
+          )
+  end
+
+  def to(%CameraIntrinsics{focal: {fx, fy}, principal: {cx, cy}} = c) do
+    {k1, k2, k3, k4, k5, k6} = c.radial
+    {p1, p2} = c.tangential
+    rational? = {k4, k5, k6} != {0.0, 0.0, 0.0}
+
+    %{
+      "width" => c.width,
+      "height" => c.height,
+      "distortion_model" => if(rational?, do: "rational_polynomial", else: "plumb_bob"),
+      "D" => [k1, k2, p1, p2, k3] ++ if(rational?, do: [k4, k5, k6], else: []),
+      "K" => [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+      "R" => [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+      "P" => [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    }
+  end
+end

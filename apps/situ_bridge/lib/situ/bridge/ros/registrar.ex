@@ -1,0 +1,74 @@
+defmodule Situ.Bridge.Ros.Registrar do
+  @moduledoc false
+  # Tells the master of a node, and looks every second whether it is still the same master: one that was restarted knows
+  # nobody. Its calls may take seconds, so it is a process of its own.
+  require Logger
+  alias Situ.Bridge.Ros.XmlRpc
+
+  @every 1_000
+  @goodbye 1_000
+
+  @doc "The process, linked to the caller; a subscriber gets `{:publishers, uris}`."
+  @spec start_link(pid(), Situ.Bridge.Ros.Address.t(), Situ.Bridge.Ros.Node.role(), String.t()) ::
+          pid()
+  def start_link(node, address, role, uri),
+    do:
+      spawn_link(fn ->
+        register(%{node: node, address: address, role: role, uri: uri, told: nil})
+      end)
+
+  defp register(state) do
+    with {:ok, pid} <- master_pid(state),
+         {:ok, publishers} <-
+           call(state.address, registering(state.role), arguments(state) ++ [state.uri]) do
+      if elem(state.role, 0) == :subscriber, do: send(state.node, {:publishers, publishers})
+      if state.told, do: Logger.info("ROS: #{state.address.master} is there")
+      watch(%{state | told: nil}, pid)
+    else
+      {:error, error} ->
+        if state.told != error.code, do: Logger.warning("ROS: #{Exception.message(error)}")
+        Process.sleep(@every)
+        register(%{state | told: error.code})
+    end
+  end
+
+  defp watch(state, pid) do
+    Process.sleep(@every)
+
+    case master_pid(state) do
+      {:ok, ^pid} -> watch(state, pid)
+      _ -> register(state)
+    end
+  end
+
+  defp master_pid(state), do: call(state.address, "getPid", [state.address.node])
+
+  defp registering({:publisher, _, _, _}), do: "registerPublisher"
+  defp registering({:subscriber, _, _, _}), do: "registerSubscriber"
+
+  defp arguments(%{address: address, role: {_, topic, type, _}}), do: [address.node, topic, type]
+
+  @doc "A goodbye that waits for nobody long."
+  def unregister(address, {role, topic, _, _}, uri) do
+    method = if role == :publisher, do: "unregisterPublisher", else: "unregisterSubscriber"
+    XmlRpc.call(address.master, method, [address.node, topic, uri], @goodbye)
+  end
+
+  @doc "A method of the master: its answers are `[code, text, value]`."
+  @spec call(Situ.Bridge.Ros.Address.t(), String.t(), list()) ::
+          {:ok, term()} | {:error, Situ.Error.t()}
+  def call(address, method, arguments) do
+    with {:ok, [code, text, value]} <- XmlRpc.call(address.master, method, arguments) do
+      if code == 1, do: {:ok, value}, else: {:error, refused(address, method, text)}
+    else
+      {:ok, other} -> {:error, refused(address, method, inspect(other, limit: 10))}
+      error -> error
+    end
+  end
+
+  defp refused(address, method, why),
+    do:
+      Situ.Error.new(:ros_refused, "the master at #{address.master} does not do #{method}",
+        why: to_string(why)
+      )
+end

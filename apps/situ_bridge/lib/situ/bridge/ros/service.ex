@@ -1,0 +1,225 @@
+defmodule Situ.Bridge.Ros.Service do
+  @moduledoc false
+  # Services: a caller, and a server with a process for each caller.
+  use GenServer
+  alias Situ.Bridge.Net.Listener
+  alias Situ.Bridge.Ros.{Address, Definition, Registrar, TcpRos, Wire}
+  alias Situ.Error
+
+  @timeout 5_000
+  @most 64 * 1024 * 1024
+
+  def call(service, text, request, opts \\ []) do
+    {timeout, opts} = Keyword.pop(opts, :timeout, @timeout)
+    address = Address.new(opts)
+    name = Address.whole(service)
+
+    with {:ok, definition} <- definition(name, text),
+         {:ok, bytes} <- encode(name, definition.request, request),
+         {:ok, uri} <- Registrar.call(address, "lookupService", [address.node, name]),
+         %URI{host: host, port: port} when is_binary(host) and is_integer(port) <- URI.parse(uri),
+         {:ok, tcp} <- connect(host, port, timeout) do
+      result = exchange(tcp, bytes, header(name, definition, address), timeout)
+      :gen_tcp.close(tcp)
+      answered(result, name, definition)
+    else
+      %URI{} -> {:error, refused(name, "its address makes no sense")}
+      error -> error
+    end
+  end
+
+  defp header(name, definition, address),
+    do: %{"callerid" => address.node, "service" => name, "md5sum" => definition.md5}
+
+  defp connect(host, port, timeout) do
+    with {:error, reason} <-
+           :gen_tcp.connect(
+             String.to_charlist(host),
+             port,
+             [:binary, active: false, nodelay: true],
+             timeout
+           ),
+         do:
+           {:error,
+            Error.new(:ros_unreachable, "nobody answers at #{host}:#{port}", why: inspect(reason))}
+  end
+
+  defp exchange(tcp, bytes, header, timeout) do
+    with :ok <- :gen_tcp.send(tcp, TcpRos.header(header)),
+         {:ok, %{} = theirs} <- read_header(tcp, "", timeout),
+         nil <- theirs["error"] || TcpRos.differs(theirs, header),
+         :ok <- :gen_tcp.send(tcp, TcpRos.frame(bytes, nil)),
+         {:ok, <<ok>>} <- :gen_tcp.recv(tcp, 1, timeout),
+         {:ok, answer} <- read_frame(tcp, timeout) do
+      if ok == 1, do: {:ok, answer}, else: {:error, answer}
+    end
+  end
+
+  defp read_header(tcp, bytes, timeout) do
+    case TcpRos.read_header(bytes) do
+      {:ok, fields, ""} ->
+        {:ok, fields}
+
+      :more ->
+        # Not a byte more than the header: what follows it is a message.
+        missing = if byte_size(bytes) < 4, do: 4, else: :binary.decode_unsigned(bytes, :little)
+
+        with {:ok, more} <- :gen_tcp.recv(tcp, missing, timeout),
+             do: read_header(tcp, bytes <> more, timeout)
+
+      {:error, why} ->
+        why
+    end
+  end
+
+  defp read_frame(tcp, timeout) do
+    case :gen_tcp.recv(tcp, 4, timeout) do
+      {:ok, <<0::32>>} -> {:ok, ""}
+      {:ok, <<n::little-32>>} when n <= @most -> :gen_tcp.recv(tcp, n, timeout)
+      {:ok, <<n::little-32>>} -> "a message of #{n} bytes"
+      error -> error
+    end
+  end
+
+  defp answered({:ok, bytes}, name, definition) do
+    with {:error, why} <- Wire.decode(definition.response, bytes, :ros1),
+         do: {:error, refused(name, why)}
+  end
+
+  defp answered({:error, why}, name, _) when is_binary(why),
+    do: {:error, refused(name, printable(why))}
+
+  defp answered(why, name, _) when is_binary(why), do: {:error, refused(name, why)}
+
+  defp answered({:error, reason}, name, _),
+    do:
+      {:error,
+       Error.new(:ros_unreachable, "the service #{name} does not answer", why: inspect(reason))}
+
+  defp printable(text), do: if(String.valid?(text), do: text, else: inspect(text, limit: 50))
+  defp refused(name, why), do: Error.new(:ros_refused, "the service #{name} refuses", why: why)
+
+  defp definition(name, text) do
+    with {:error, why} <- Definition.service(name, text),
+         do:
+           {:error,
+            Error.new(:bad_definition, "the definition of #{name} cannot be used", why: why)}
+  end
+
+  defp encode(name, definition, message) do
+    with {:error, why} <- Wire.encode(definition, message, :ros1),
+         do:
+           {:error, Error.new(:not_writable, "a message of #{name} cannot be written", why: why)}
+  end
+
+  # Serving
+
+  def serve(service, type, text, fun, opts \\ []) do
+    address = Address.new(opts)
+    name = Address.whole(service)
+
+    with {:ok, definition} <- definition(type, text),
+         {:ok, listener} <- Listener.listen(Address.interface(address), 0),
+         uri = "rosrpc://#{address.host}:#{Listener.port(listener)}",
+         {:ok, _} <- Registrar.call(address, "registerService", [address.node, name, uri, uri]) do
+      header =
+        Map.merge(header(name, definition, address), %{
+          "type" => type,
+          "request_type" => type <> "Request",
+          "response_type" => type <> "Response"
+        })
+
+      state = %{
+        listener: listener,
+        address: address,
+        name: name,
+        uri: uri,
+        header: header,
+        definition: definition,
+        fun: fun,
+        callers: MapSet.new(),
+        acceptor: nil
+      }
+
+      {:ok, server} = GenServer.start_link(__MODULE__, state)
+      :ok = :gen_tcp.controlling_process(listener, server)
+      send(server, :begin)
+      {:ok, server}
+    end
+  end
+
+  def stop(server), do: GenServer.stop(server)
+
+  @impl true
+  def init(state) do
+    Process.flag(:trap_exit, true)
+    {:ok, state}
+  end
+
+  @impl true
+  def handle_call(:adopt, _from, state) do
+    caller = spawn_link(fn -> adopted(state) end)
+    {:reply, caller, %{state | callers: MapSet.put(state.callers, caller)}}
+  end
+
+  @impl true
+  def handle_info(:begin, state),
+    do: {:noreply, %{state | acceptor: Listener.begin(state.listener, self())}}
+
+  def handle_info({:EXIT, pid, reason}, %{acceptor: pid} = state), do: {:stop, reason, state}
+
+  def handle_info({:EXIT, pid, reason}, state) do
+    if pid in state.callers,
+      do: {:noreply, %{state | callers: MapSet.delete(state.callers, pid)}},
+      else: {:stop, reason, state}
+  end
+
+  @impl true
+  def terminate(_reason, state) do
+    Registrar.call(state.address, "unregisterService", [state.address.node, state.name, state.uri])
+
+    for caller <- state.callers, do: Process.exit(caller, :kill)
+    :gen_tcp.close(state.listener)
+  end
+
+  # A caller's process: its header, then one request after the other.
+  defp adopted(state) do
+    receive do
+      {:adopt, tcp} -> greeted(tcp, read_header(tcp, "", @timeout), state)
+    after
+      @timeout -> :ok
+    end
+  end
+
+  defp greeted(tcp, {:ok, theirs}, state) do
+    case TcpRos.differs(theirs, state.header) do
+      nil ->
+        :gen_tcp.send(tcp, TcpRos.header(state.header))
+        # A caller may only have wanted to know whether the service is there.
+        unless theirs["probe"] == "1", do: requests(tcp, state)
+
+      why ->
+        :gen_tcp.send(tcp, TcpRos.header(%{"error" => why}))
+    end
+  end
+
+  defp greeted(_tcp, _other, _state), do: :ok
+
+  defp requests(tcp, state) do
+    with {:ok, bytes} <- read_frame(tcp, :infinity),
+         :ok <- :gen_tcp.send(tcp, response(bytes, state)),
+         do: requests(tcp, state)
+  end
+
+  defp response(bytes, state) do
+    with {:ok, request} <- Wire.decode(state.definition.request, bytes, :ros1),
+         {:ok, response} <- state.fun.(request),
+         {:ok, answer} <- Wire.encode(state.definition.response, response, :ros1) do
+      [1, TcpRos.frame(answer, nil)]
+    else
+      {:error, why} -> [0, TcpRos.frame(to_string(why), nil)]
+    end
+  rescue
+    error -> [0, TcpRos.frame(Exception.message(error), nil)]
+  end
+end

@@ -1,0 +1,114 @@
+defmodule Situ.Bridge.Ros.Sink do
+  alias Situ.Bridge.Outlet
+  alias Situ.Bridge.Ros.Address
+
+  @schema [
+            topic: [type: :string, required: true, doc: "The topic."],
+            ros_type: [
+              type: {:optional, :string},
+              default: nil,
+              doc:
+                "Its type, such as \"sensor_msgs/Imu\"; by default the standard one that fits the first message."
+            ],
+            definition: [
+              type: {:optional, :string},
+              default: nil,
+              doc: "The type's definition (`.msg`), when it is none of ROS's own."
+            ],
+            latch: [
+              type: :boolean,
+              default: false,
+              doc: "Who subscribes later begins with the last message."
+            ]
+          ] ++ Keyword.drop(Outlet.options(), [:format, :listening]) ++ Address.options()
+  @moduledoc false
+  # A stream as a topic. It is published once its type is known: by the options, or by the first message.
+  use Situ.Component, inputs: [in: :any], options: @schema
+  alias Situ.Bridge.Mcap.Channel
+  alias Situ.Bridge.Net.Server
+  alias Situ.Bridge.Ros.{Definition, Node, TcpRos}
+
+  def schema, do: @schema
+
+  @impl true
+  def init(opts), do: {:ok, %{opts: opts, node: nil, channel: nil, outlet: Outlet.new(opts)}}
+
+  @impl true
+  def handle_start(_context, state) do
+    if state.opts[:ros_type], do: {[], open(state, nil)}, else: {[], state}
+  end
+
+  defp open(%{opts: opts} = state, first) do
+    address = Address.new(opts)
+    topic = Address.whole(opts[:topic])
+    given = [type: opts[:ros_type], definition: opts[:definition], encoding: :ros1]
+
+    with {:ok, channel} <- Channel.new(topic, given, first),
+         arg = fields(channel, address, topic, opts),
+         {:ok, server} <-
+           Server.open(Address.interface(address), 0, opts[:high_water_mark], {TcpRos, arg},
+             latch: opts[:latch]
+           ),
+         role = {:publisher, topic, arg["type"], Server.port(server)},
+         {:ok, node} <- Node.start_link(address, role) do
+      %{
+        state
+        | channel: channel,
+          node: node,
+          outlet: Outlet.open(state.outlet, Server, server, nil)
+      }
+    else
+      {:error, error} -> raise error
+    end
+  end
+
+  defp fields(channel, address, topic, opts) do
+    {type, _, text} = channel.schema
+
+    %{
+      "callerid" => address.node,
+      "topic" => topic,
+      "type" => type,
+      "md5sum" => Definition.md5(channel.definition),
+      "message_definition" => text,
+      "latching" => if(opts[:latch], do: "1", else: "0")
+    }
+  end
+
+  @impl true
+  def handle_message(:in, message, context, %{channel: nil} = state),
+    do: handle_message(:in, message, context, open(state, message.data))
+
+  def handle_message(:in, message, _context, state) do
+    bytes =
+      Situ.Error.unwrap!(Channel.encode(state.channel, message.data, message.originating_time))
+
+    state.outlet |> Outlet.take(bytes) |> with_outlet(state)
+  end
+
+  @impl true
+  def handle_info({:hold_ended, :in}, _context, state),
+    do: state.outlet |> Outlet.pour() |> with_outlet(state)
+
+  def handle_info(_other, _context, state), do: {[], state}
+
+  defp with_outlet({actions, outlet}, state), do: {actions, %{state | outlet: outlet}}
+
+  @impl true
+  def handle_closed(:in, _time, _context, %{node: nil} = state), do: {[], state}
+
+  def handle_closed(:in, _time, _context, state) do
+    outlet = Outlet.close(state.outlet)
+    Node.stop(state.node)
+    {[], %{state | outlet: outlet, node: nil}}
+  end
+
+  @impl true
+  def terminate(_reason, state) do
+    if state.node, do: Node.stop(state.node)
+    Outlet.abandon(state.outlet)
+  end
+
+  @impl true
+  def describe(state), do: Outlet.describe(state.outlet)
+end

@@ -1,0 +1,85 @@
+defmodule Situ.Bridge.Ros.Slave do
+  @moduledoc false
+  # One HTTP call to a node: read, answered, closed.
+  use GenServer, restart: :temporary
+  alias Situ.Bridge.Ros.{Node, XmlRpc}
+  alias Situ.Bridge.WebSocket.Handshake
+
+  @patience 10_000
+  @most 1_000_000
+
+  def start_link(node), do: GenServer.start_link(__MODULE__, node)
+
+  @impl true
+  def init(node), do: {:ok, %{node: node, said: ""}, @patience}
+
+  @impl true
+  def handle_info({:adopt, tcp}, state) do
+    :inet.setopts(tcp, active: :once)
+    {:noreply, state, @patience}
+  end
+
+  def handle_info({:tcp, tcp, bytes}, state) do
+    said = state.said <> bytes
+
+    case body(said) do
+      {:ok, body} ->
+        :gen_tcp.send(tcp, answer(body, state.node))
+        {:stop, :normal, state}
+
+      :more when byte_size(said) <= @most ->
+        :inet.setopts(tcp, active: :once)
+        {:noreply, %{state | said: said}, @patience}
+
+      _ ->
+        {:stop, :normal, state}
+    end
+  end
+
+  # Closed, broken or too slow.
+  def handle_info(_other, state), do: {:stop, :normal, state}
+
+  @doc """
+  The body of a whole HTTP request.
+
+      iex> Situ.Bridge.Ros.Slave.body("POST / HTTP/1.1\\r\\nContent-length: 2\\r\\n\\r\\nab")
+      {:ok, "ab"}
+  """
+  @spec body(binary()) :: {:ok, binary()} | :more | :error
+  def body(said) do
+    with [head, rest] <- :binary.split(said, "\r\n\r\n"),
+         [_ | lines] <- String.split(head, "\r\n"),
+         {n, ""} when n >= 0 <- Integer.parse(Handshake.headers(lines)["content-length"] || "") do
+      case rest do
+        <<body::binary-size(n), _::binary>> -> {:ok, body}
+        _ -> :more
+      end
+    else
+      [_] -> :more
+      _ -> :error
+    end
+  end
+
+  defp answer(body, node) do
+    case XmlRpc.read_request(body) do
+      {:ok, method, arguments} ->
+        node |> Node.answer(method, arguments) |> XmlRpc.response() |> http("200 OK")
+
+      {:error, why} ->
+        http(why, "400 Bad Request")
+    end
+  end
+
+  defp http(body, status) do
+    length = Integer.to_string(IO.iodata_length(body))
+
+    [
+      "HTTP/1.0 ",
+      status,
+      "\r\nContent-Type: text/xml\r\nContent-Length: ",
+      length,
+      "\r\n\r\n",
+      body
+    ]
+  end
+end

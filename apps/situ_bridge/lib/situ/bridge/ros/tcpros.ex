@@ -1,0 +1,101 @@
+defmodule Situ.Bridge.Ros.TcpRos do
+  @moduledoc false
+  # TCPROS (https://wiki.ros.org/ROS/TCPROS): a header of fields on both sides, then messages of a 32-bit length. A
+  # publisher is a server of this protocol, its `arg` the fields that it answers. Pure.
+  @behaviour Situ.Bridge.Net.Protocol
+  alias Situ.Bridge.Net.Protocol
+
+  @most_header 1_000_000
+
+  @doc """
+      iex> alias Situ.Bridge.Ros.TcpRos
+      iex> bytes = IO.iodata_to_binary(TcpRos.header(%{"topic" => "/a"}))
+      iex> TcpRos.read_header(bytes <> "rest")
+      {:ok, %{"topic" => "/a"}, "rest"}
+  """
+  @spec header(%{String.t() => String.t()}) :: iodata()
+  def header(fields) do
+    lines =
+      for {name, value} <- fields,
+          line = [name, "=", value],
+          do: [<<IO.iodata_length(line)::little-32>>, line]
+
+    [<<IO.iodata_length(lines)::little-32>>, lines]
+  end
+
+  @spec read_header(binary()) ::
+          {:ok, %{String.t() => String.t()}, binary()} | :more | {:error, String.t()}
+  def read_header(<<n::little-32, _::binary>>) when n > @most_header,
+    do: {:error, "a header of #{n} bytes"}
+
+  def read_header(<<n::little-32, fields::binary-size(n), rest::binary>>) do
+    with {:ok, fields} <- fields(fields, %{}), do: {:ok, fields, rest}
+  end
+
+  def read_header(_short), do: :more
+
+  defp fields("", found), do: {:ok, found}
+
+  defp fields(<<n::little-32, line::binary-size(n), rest::binary>>, found) do
+    case :binary.split(line, "=") do
+      [name, value] -> fields(rest, Map.put(found, :binary.copy(name), :binary.copy(value)))
+      [_] -> {:error, "a field without ="}
+    end
+  end
+
+  defp fields(_, _found), do: {:error, "a header whose fields do not fit into it"}
+
+  @doc "Whether the other side means the same topic (or service) and type; `nil`, or why not."
+  @spec differs(%{String.t() => String.t()}, %{String.t() => String.t()}) :: String.t() | nil
+  def differs(theirs, ours) do
+    Enum.find_value(["topic", "service", "md5sum"], fn field ->
+      {their, our} = {theirs[field], ours[field]}
+
+      if their != our and their != nil and our != nil and "*" not in [their, our],
+        do: "#{field} is #{inspect(our)} here and #{inspect(their)} there"
+    end)
+  end
+
+  @impl Protocol
+  def admit(bytes, ours) do
+    with {:ok, theirs, rest} <- read_header(bytes) do
+      case differs(theirs, ours) do
+        nil -> {:ok, header(Map.delete(ours, "port")), rest}
+        why -> {:error, why}
+      end
+    end
+    |> case do
+      {:error, why} -> {:refuse, header(%{"error" => why})}
+      other -> other
+    end
+  end
+
+  @impl Protocol
+  def frame(payload, _ours), do: [<<IO.iodata_length(payload)::little-32>>, payload]
+
+  @impl Protocol
+  def heard(_bytes, _ours), do: {:ok, "", ""}
+
+  @impl Protocol
+  def hello(_host, _port, fields), do: {header(fields), %{fields: fields, theirs: nil, rest: ""}}
+
+  @impl Protocol
+  def read(bytes, %{theirs: nil} = state, most) do
+    case read_header(state.rest <> bytes) do
+      {:ok, %{"error" => why}, _rest} -> {:error, "it refuses: #{inspect(why)}"}
+      {:ok, theirs, rest} -> agreed(differs(theirs, state.fields), theirs, rest, state, most)
+      :more -> {:ok, [], "", %{state | rest: state.rest <> bytes}}
+      error -> error
+    end
+  end
+
+  def read(bytes, state, most) do
+    with {:ok, payloads, rest} <- Situ.Bridge.Tcp.Frames.split(state.rest <> bytes, most),
+         do: {:ok, payloads, "", %{state | rest: rest}}
+  end
+
+  defp agreed(nil, theirs, rest, state, most),
+    do: read(rest, %{state | theirs: theirs, rest: ""}, most)
+
+  defp agreed(why, _theirs, _rest, _state, _most), do: {:error, why}
+end

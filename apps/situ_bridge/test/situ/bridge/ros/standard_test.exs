@@ -1,0 +1,100 @@
+defmodule Situ.Bridge.Ros.StandardTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  alias Situ.Bridge.Mcap.Channel
+  alias Situ.Bridge.Ros.{Cloud, Definition, Standard, Wire}
+  alias Situ.{AudioBuffer, AudioFormat, CameraIntrinsics, DepthImage, Image, PointCloud, Pose}
+  doctest Definition
+
+  # Through the bytes of ROS, there and back.
+  defp there_and_back(value) do
+    {:ok, channel} = Channel.new("/x", [encoding: :ros1], value)
+    {:ok, bytes} = Channel.encode(channel, value, 5)
+    {:ok, message} = Wire.decode(channel.definition, bytes, :ros1)
+    {message, Standard.from(channel.definition.name, message)}
+  end
+
+  test "Situ's types come back as they were, and carry their time as a stamp" do
+    for value <- [
+          Image.new!(width: 2, height: 1, format: :bgr24, data: <<1, 2, 3, 4, 5, 6>>),
+          DepthImage.new!(width: 1, height: 2, data: <<1, 0, 2, 0>>),
+          PointCloud.from_points([{1.0, 2.0, 3.0}, {-1.0, 0.5, 0.0}]),
+          %{PointCloud.from_points([{1.0, 2.0, 3.0}]) | colors: <<10, 20, 30>>},
+          %Pose{position: {1.0, 2.0, 3.0}, rotation: {0.5, 0.5, 0.5, -0.5}},
+          CameraIntrinsics.new!(
+            width: 640,
+            height: 480,
+            focal: {500, 501},
+            radial: [0.1, -0.2, 0.3],
+            tangential: {0.01, 0.02}
+          ),
+          CameraIntrinsics.new!(
+            width: 64,
+            height: 48,
+            focal: {50, 50},
+            radial: [0.1, 0, 0, 0, 0, 0.5]
+          )
+        ] do
+      {message, back} = there_and_back(value)
+      assert back == value
+      assert message["header"]["stamp"] == 5
+    end
+  end
+
+  test "sound goes out as its bytes" do
+    {message, back} = there_and_back(AudioBuffer.from_samples([1, -1], AudioFormat.pcm(16_000)))
+    assert message == back and message["data"] == <<1, 0, -1::little-16>>
+  end
+
+  test "clouds have points with more to them, and rows with more than points" do
+    field = fn name, at -> %{"name" => name, "offset" => at, "datatype" => 7, "count" => 1} end
+
+    point = fn x ->
+      <<0::32, x::little-float-32, 0.0::little-float-32, 0.0::little-float-32, 9, 8, 7, 0>>
+    end
+
+    fields = [
+      field.("intensity", 0),
+      field.("x", 4),
+      field.("y", 8),
+      field.("z", 12),
+      field.("rgb", 16)
+    ]
+
+    message = %{
+      "is_bigendian" => false,
+      "point_step" => 20,
+      "row_step" => 24,
+      "width" => 1,
+      "height" => 2,
+      "fields" => fields,
+      "data" => point.(1.0) <> <<0::32>> <> point.(2.0) <> <<0::32>>
+    }
+
+    assert {:ok, cloud} = Cloud.from(message)
+    assert PointCloud.to_points(cloud) == [{1.0, 0.0, 0.0}, {2.0, 0.0, 0.0}]
+    assert cloud.colors == <<7, 8, 9, 7, 8, 9>>
+    assert Cloud.from(%{message | "data" => "short"}) == :error
+    assert Cloud.from(%{message | "fields" => tl(tl(fields))}) == :error
+  end
+
+  test "messages that make no sense stay maps" do
+    pose = %{
+      "position" => %{"x" => 0.0, "y" => 0.0, "z" => 0.0},
+      "orientation" => %{"x" => 0.0, "y" => 0.0, "z" => 0.0, "w" => 0.0}
+    }
+
+    assert Standard.from("geometry_msgs/Pose", pose) == pose
+
+    info = %{
+      "width" => 1,
+      "height" => 1,
+      "K" => List.duplicate(0.0, 9),
+      "D" => [],
+      "distortion_model" => ""
+    }
+
+    assert Standard.from("sensor_msgs/CameraInfo", info) == info
+    assert Standard.from("sensor_msgs/PointCloud2", %{}) == %{}
+  end
+end

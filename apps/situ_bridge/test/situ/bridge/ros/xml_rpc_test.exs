@@ -1,0 +1,91 @@
+defmodule Situ.Bridge.Ros.XmlRpcTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  alias Situ.Bridge.Ros.{Slave, TcpRos, XmlRpc}
+  doctest XmlRpc
+  doctest TcpRos
+  doctest Slave
+
+  @values [
+    1,
+    -5,
+    1.5,
+    true,
+    false,
+    "",
+    "a <b> & c",
+    "ä",
+    [],
+    [1, ["x"]],
+    %{},
+    %{"a" => [1], "b" => %{}},
+    {:bytes, <<0, 255>>},
+    nil
+  ]
+
+  test "every value comes back" do
+    document = IO.iodata_to_binary(XmlRpc.response(@values))
+    assert XmlRpc.read_response(document) == {:ok, @values}
+  end
+
+  test "Python's own documents are read" do
+    document = """
+    <?xml version='1.0'?>
+    <methodResponse>
+    <params>
+    <param>
+    <value><array><data>
+    <value><int>1</int></value>
+    <value><string>current topics</string></value>
+    <value><array><data>
+    <value>bare</value>
+    </data></array></value>
+    </data></array></value>
+    </param>
+    </params>
+    </methodResponse>
+    """
+
+    assert XmlRpc.read_response(document) == {:ok, [1, "current topics", ["bare"]]}
+
+    fault =
+      "<methodResponse><fault><value><struct><member><name>faultCode</name><value><int>1</int></value></member></struct></value></fault></methodResponse>"
+
+    assert {:error, "it refuses" <> _} = XmlRpc.read_response(fault)
+  end
+
+  test "entities are not followed, and nesting has an end" do
+    bomb =
+      ~s(<!DOCTYPE x [<!ENTITY a "aaaa">]><methodCall><methodName>&a;</methodName></methodCall>)
+
+    assert {:error, _} = XmlRpc.read_request(bomb)
+    deep = String.duplicate("<array><data><value>", 1_000)
+    assert {:error, _} = XmlRpc.read_response("<methodResponse><params><param><value>" <> deep)
+  end
+
+  property "documents and headers with bytes changed are read or refused, and make no atoms" do
+    document = IO.iodata_to_binary(XmlRpc.request("m", @values))
+    header = IO.iodata_to_binary(TcpRos.header(%{"topic" => "/a", "md5sum" => "*"}))
+    _ = mutated(document, 0, 0) |> XmlRpc.read_request()
+    atoms = :erlang.system_info(:atom_count)
+
+    forall {at, byte} <- {integer(0, 10_000), integer(0, 255)} do
+      for read <- [&XmlRpc.read_request/1, &XmlRpc.read_response/1] do
+        case document |> mutated(at, byte) |> read.() do
+          {:ok, _} -> true
+          {:ok, _, _} -> true
+          {:error, why} -> assert is_binary(why)
+        end
+      end
+
+      assert header |> mutated(at, byte) |> TcpRos.read_header() != nil
+      assert :erlang.system_info(:atom_count) - atoms < 500
+    end
+  end
+
+  defp mutated(bytes, at, byte) do
+    at = rem(at, byte_size(bytes))
+    <<before::binary-size(at), _, rest::binary>> = bytes
+    before <> <<byte>> <> rest
+  end
+end
