@@ -40,8 +40,8 @@ defmodule Situ.Bridge.Ros do
 
   @doc """
   Calls a service: a message of its request type, `{:ok, message}` of its response type. `definition` is the text of its
-  `.srv`. Option `timeout:` (5,000 ms), and those below. Errors: `:ros_unreachable`, `:ros_refused` (there is no such service, its
-  type is another, or it says no), `:bad_definition`, `:not_writable`.
+  `.srv`. Option `timeout:` (5,000 ms), and those below. Errors: `:ros_unreachable`, `:ros_refused` (there is no such
+  service, its type is another, or it says no), `:bad_definition`, `:not_writable`.
 
   #{Situ.Options.docs(Address.options())}
   """

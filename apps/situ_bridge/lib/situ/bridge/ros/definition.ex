@@ -69,7 +69,8 @@ defmodule Situ.Bridge.Ros.Definition do
   @doc """
   The two types of a service (`.srv`: a request, a line `---`, a response), and its MD5 sum.
 
-      iex> {:ok, service} = Situ.Bridge.Ros.Definition.service("std_srvs/SetBool", "bool data\\n---\\nbool success\\nstring message")
+      iex> text = "bool data\\n---\\nbool success\\nstring message"
+      iex> {:ok, service} = Situ.Bridge.Ros.Definition.service("std_srvs/SetBool", text)
       iex> service.md5
       "09fb03525b03e7ea1fd3992bafd87e16"
   """

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Link do
   @moduledoc false
-  # The connection of a subscriber to one publisher. The owner gets `{:ros, theirs, payloads}`, `theirs` being the fields
-  # of the publisher's header. While too much is untaken nothing more is read.
+  # The connection of a subscriber to one publisher. The owner gets `{:ros, theirs, payloads}`, `theirs` being the
+  # fields of the publisher's header. While too much is untaken nothing more is read.
   use GenServer, restart: :temporary
   alias Situ.Bridge.Ros.{TcpRos, XmlRpc}
 

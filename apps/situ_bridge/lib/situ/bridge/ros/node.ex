@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Node do
   @moduledoc false
-  # One end of a topic as a node of ROS: it tells the master of itself, again when the master is another one, and answers
-  # who asks for it. Of a subscriber it holds a link to every publisher; what comes goes to the owner.
+  # One end of a topic as a node of ROS: it tells the master of itself, again when the master is another one, and
+  # answers who asks for it. Of a subscriber it holds a link to every publisher; what comes goes to the owner.
   #
   #     owner ── Node ─┬─ Registrar          registers, and sees when the master was restarted
   #                    ├─ Slave ...          one call of the master or of a peer each
@@ -48,10 +48,6 @@ defmodule Situ.Bridge.Ros.Node do
   @spec linked(pid()) :: non_neg_integer()
   def linked(node), do: GenServer.call(node, :linked)
 
-  @doc "What a call from outside is answered."
-  @spec answer(pid(), String.t(), [XmlRpc.value()]) :: [XmlRpc.value()]
-  def answer(node, method, arguments), do: GenServer.call(node, {:slave, method, arguments})
-
   @doc "Tells the master that it goes, and ends."
   @spec stop(pid()) :: :ok
   def stop(node) do
@@ -71,7 +67,8 @@ defmodule Situ.Bridge.Ros.Node do
   def handle_call(:linked, _from, state), do: {:reply, map_size(state.links), state}
 
   def handle_call(:adopt, _from, state) do
-    {:ok, slave} = Slave.start_link(self())
+    node = self()
+    {:ok, slave} = Slave.start_link(&GenServer.call(node, {:slave, &1, &2}))
     {:reply, slave, %{state | slaves: MapSet.put(state.slaves, slave)}}
   end
 

@@ -35,7 +35,7 @@ defmodule Situ.Bridge.Ros.Optics do
 
   defp lens(_d, _model), do: :error
 
-  @doc "Optics as the message's members. Raises `Situ.Error` (`:not_writable`) for a lens that is told the other way round."
+  @doc "Optics as members of the message. Raises `Situ.Error` (`:not_writable`) for a lens told the other way round."
   @spec to(CameraIntrinsics.t()) :: map()
   def to(%CameraIntrinsics{distorts?: false, radial: radial, tangential: tangential} = c)
       when radial != {0.0, 0.0, 0.0, 0.0, 0.0, 0.0} or tangential != {0.0, 0.0} do

@@ -2,16 +2,17 @@ defmodule Situ.Bridge.Ros.Slave do
   @moduledoc false
   # One HTTP call to a node: read, answered, closed.
   use GenServer, restart: :temporary
-  alias Situ.Bridge.Ros.{Node, XmlRpc}
+  alias Situ.Bridge.Ros.XmlRpc
   alias Situ.Bridge.WebSocket.Handshake
 
   @patience 10_000
   @most 1_000_000
 
-  def start_link(node), do: GenServer.start_link(__MODULE__, node)
+  @doc "Answers by `fun`, which gets a method and its arguments."
+  def start_link(fun), do: GenServer.start_link(__MODULE__, fun)
 
   @impl true
-  def init(node), do: {:ok, %{node: node, said: ""}, @patience}
+  def init(fun), do: {:ok, %{fun: fun, said: ""}, @patience}
 
   @impl true
   def handle_info({:adopt, tcp}, state) do
@@ -24,7 +25,7 @@ defmodule Situ.Bridge.Ros.Slave do
 
     case body(said) do
       {:ok, body} ->
-        :gen_tcp.send(tcp, answer(body, state.node))
+        :gen_tcp.send(tcp, answer(body, state.fun))
         {:stop, :normal, state}
 
       :more when byte_size(said) <= @most ->
@@ -60,10 +61,10 @@ defmodule Situ.Bridge.Ros.Slave do
     end
   end
 
-  defp answer(body, node) do
+  defp answer(body, fun) do
     case XmlRpc.read_request(body) do
       {:ok, method, arguments} ->
-        node |> Node.answer(method, arguments) |> XmlRpc.response() |> http("200 OK")
+        fun.(method, arguments) |> XmlRpc.response() |> http("200 OK")
 
       {:error, why} ->
         http(why, "400 Bad Request")

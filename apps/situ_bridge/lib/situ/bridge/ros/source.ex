@@ -7,7 +7,8 @@ defmodule Situ.Bridge.Ros.Source do
               type: {:optional, :string},
               default: nil,
               doc:
-                "Its type, such as \"sensor_msgs/Imu\": publishers of another are refused. By default any, by their own definition."
+                "Its type, such as \"sensor_msgs/Imu\": publishers of another are refused. By default any, by " <>
+                  "their own definition."
             ],
             definition: [
               type: {:optional, :string},

@@ -48,8 +48,8 @@ defmodule Situ.Bridge.Ros.XmlRpcTest do
 
     assert XmlRpc.read_response(document) == {:ok, [1, "current topics", ["bare"]]}
 
-    fault =
-      "<methodResponse><fault><value><struct><member><name>faultCode</name><value><int>1</int></value></member></struct></value></fault></methodResponse>"
+    struct = "<struct><member><name>faultCode</name><value><int>1</int></value></member></struct>"
+    fault = "<methodResponse><fault><value>#{struct}</value></fault></methodResponse>"
 
     assert {:error, "it refuses" <> _} = XmlRpc.read_response(fault)
   end
