@@ -1,6 +1,6 @@
 # Situ's side of test/bridge: `situ.exs COMMAND ARGUMENTS`.
 {:ok, _} = Application.ensure_all_started(:situ_bridge)
-alias Situ.Bridge.{Mcap, Ros, Ros.Bag, ZeroMQ}
+alias Situ.Bridge.{Mcap, Parquet, Ros, Ros.Bag, ZeroMQ}
 alias Situ.Store
 
 value = fn
@@ -49,6 +49,33 @@ case System.argv() do
 
   ["read" | paths] ->
     read.(paths)
+
+  ["write_parquet", dir] ->
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        store = Store.create(p, "rows", dir)
+
+        rows =
+          for n <- 1..1_000 do
+            text = if rem(n, 3) != 0, do: "text #{rem(n, 10)}"
+            {n * 1_000, %{n: n, t: text, b: rem(n, 2) == 0, p: %{x: n / 4}}}
+          end
+
+        p |> Situ.from_enumerable(rows) |> Store.write(store, "Rows")
+      end)
+
+    store = Store.open!(Path.join(dir, "rows"))
+    {:ok, %{"Rows" => 1_000}} = Parquet.export(store, dir, rows: 300)
+    {:ok, _} = Parquet.export(store, Path.join(dir, "gz"), compression: :gzip)
+
+  ["read_parquet", own | theirs] ->
+    rows = Enum.to_list(Parquet.messages(own))
+    1_000 = length(rows)
+
+    for path <- theirs do
+      true = Enum.to_list(Parquet.messages(path)) == rows
+      IO.puts(path)
+    end
 
   ["read_ros2", path] ->
     store = Store.open!(path)

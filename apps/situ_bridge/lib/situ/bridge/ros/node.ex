@@ -9,7 +9,7 @@ defmodule Situ.Bridge.Ros.Node do
   use GenServer
   require Logger
   alias Situ.Bridge.Net.Listener
-  alias Situ.Bridge.Ros.{Address, Link, Registrar, Slave, XmlRpc}
+  alias Situ.Bridge.Ros.{Address, Link, Registrar, Slave}
   alias Situ.Error
 
   @first_wait 100

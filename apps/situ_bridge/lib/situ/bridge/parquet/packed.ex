@@ -1,0 +1,106 @@
+defmodule Situ.Bridge.Parquet.Packed do
+  @moduledoc false
+  # What a page was packed with, undone: at most the bytes that its header promises. Throws `{:not_parquet, why}`.
+  alias Situ.Bridge.Native
+  alias Situ.Bridge.Parquet.Thrift
+
+  @names %{3 => "LZO", 4 => "Brotli", 5 => "LZ4 (the old kind)"}
+
+  @spec undo(codec :: integer(), binary(), size :: non_neg_integer()) :: binary()
+  def undo(0, bytes, _size), do: bytes
+  def undo(1, bytes, size), do: exactly(snappy(bytes, size), size)
+  def undo(2, bytes, size), do: exactly(gunzip(bytes, size), size)
+
+  def undo(6, bytes, size) do
+    case Native.unpack("zstd", bytes, size) do
+      {:ok, bytes} -> exactly(bytes, size)
+      {:error, why} -> fail("a page packed by zstd: #{inspect(why)}")
+    end
+  end
+
+  def undo(codec, _bytes, _size),
+    do:
+      fail("pages are packed by #{@names[codec] || codec}; none, Snappy, gzip and zstd are read")
+
+  defp exactly(bytes, size) when byte_size(bytes) == size, do: bytes
+  defp exactly(_bytes, _size), do: fail("a page unpacks to another size")
+
+  defp gunzip(bytes, size) do
+    z = :zlib.open()
+
+    try do
+      :zlib.inflateInit(z, 31)
+      inflate(z, :zlib.safeInflate(z, bytes), size, [])
+    rescue
+      ErlangError -> fail("a page packed by gzip that is not")
+    after
+      :zlib.close(z)
+    end
+  end
+
+  defp inflate(_z, {:finished, out}, _size, all),
+    do: IO.iodata_to_binary(Enum.reverse([out | all]))
+
+  defp inflate(z, {:continue, out}, size, all) do
+    left = size - IO.iodata_length(out)
+    if left < 0, do: fail("a page unpacks to more than it says")
+    inflate(z, :zlib.safeInflate(z, []), left, [out | all])
+  end
+
+  # Snappy (https://github.com/google/snappy/blob/main/format_description.txt): literals, and copies of what was there.
+  defp snappy(bytes, size) do
+    {n, rest} = Thrift.unsigned(bytes)
+    if n != size, do: fail("a page packed by Snappy has another size")
+    elements(rest, <<>>, size)
+  end
+
+  defp elements("", out, _size), do: out
+
+  defp elements(<<n::6, 0::2, rest::binary>>, out, size) when n < 60,
+    do: literal(rest, n + 1, out, size)
+
+  defp elements(<<n::6, 0::2, rest::binary>>, out, size) do
+    bytes = n - 59
+
+    case rest do
+      <<length::little-size(bytes)-unit(8), rest::binary>> -> literal(rest, length + 1, out, size)
+      _ -> fail("a page packed by Snappy is cut short")
+    end
+  end
+
+  defp elements(<<high::3, n::3, 1::2, low, rest::binary>>, out, size),
+    do: copy(rest, high * 256 + low, n + 4, out, size)
+
+  defp elements(<<n::6, 2::2, back::little-16, rest::binary>>, out, size),
+    do: copy(rest, back, n + 1, out, size)
+
+  defp elements(<<n::6, 3::2, back::little-32, rest::binary>>, out, size),
+    do: copy(rest, back, n + 1, out, size)
+
+  defp elements(_short, _out, _size), do: fail("a page packed by Snappy is cut short")
+
+  defp literal(rest, n, out, size) when byte_size(out) + n <= size do
+    case rest do
+      <<part::binary-size(n), rest::binary>> ->
+        elements(rest, <<out::binary, part::binary>>, size)
+
+      _ ->
+        fail("a page packed by Snappy is cut short")
+    end
+  end
+
+  defp literal(_rest, _n, _out, _size), do: fail("a page unpacks to more than it says")
+
+  defp copy(rest, back, n, out, size)
+       when back in 1..byte_size(out)//1 and byte_size(out) + n <= size do
+    part = binary_part(out, byte_size(out) - back, min(back, n))
+    # A copy may reach into itself: then it repeats.
+    part = if back < n, do: binary_part(:binary.copy(part, div(n, back) + 1), 0, n), else: part
+    elements(rest, <<out::binary, part::binary>>, size)
+  end
+
+  defp copy(_rest, _back, _n, _out, _size),
+    do: fail("a page packed by Snappy copies what is not there")
+
+  defp fail(why), do: throw({:not_parquet, why})
+end

@@ -1,0 +1,88 @@
+defmodule Situ.Bridge.Parquet.Rows do
+  @moduledoc false
+  # Messages' data as rows of flat columns: one for the value, or one for each member of maps and structs, nested ones
+  # by `a.b`; lists and whatever else is no number, boolean, text or bytes as JSON. Pure.
+  alias Situ.Bridge.Format.Value
+  alias Situ.Bridge.Parquet.Column
+
+  @special [:nan, :infinity, :neg_infinity]
+  @most_columns 1_000
+
+  @type kinds :: %{String.t() => Column.kind() | nil}
+
+  @doc "The kinds of columns, with one more message."
+  @spec add(kinds(), term()) :: kinds()
+  def add(kinds, data) do
+    data
+    |> flat()
+    |> Enum.reduce(kinds, fn {name, value}, kinds ->
+      case kinds do
+        %{^name => known} -> put(kinds, name, known, wider(known, kind(value)))
+        _ when map_size(kinds) >= @most_columns -> throw({:not_writable, :too_many_columns})
+        _ -> Map.put(kinds, name, kind(value))
+      end
+    end)
+  end
+
+  defp put(kinds, _name, same, same), do: kinds
+  defp put(kinds, name, _known, wider), do: Map.put(kinds, name, wider)
+
+  @doc "The columns behind those of the times, in order of their names; what never had a value is text."
+  @spec columns(kinds()) :: [Column.t()]
+  def columns(kinds) do
+    for {name, kind} <- Enum.sort(kinds), do: %Column{name: name, kind: kind || :text}
+  end
+
+  @doc "The values of a message for these columns."
+  @spec row(term(), [Column.t()]) :: [term()]
+  def row(data, [%Column{name: "value"} = column]) when not is_map(data),
+    do: [cell(data, column.kind)]
+
+  def row(data, columns) do
+    values = data |> flat() |> Map.new()
+    for %{name: name, kind: kind} <- columns, do: cell(values[name], kind)
+  end
+
+  defp cell(nil, _kind), do: nil
+  defp cell(n, kind) when kind == :integer and is_integer(n), do: n
+  defp cell(x, :float) when is_number(x) or x in @special, do: x
+  defp cell(b, :boolean) when is_boolean(b), do: b
+  defp cell(bytes, kind) when kind in [:text, :bytes] and is_binary(bytes), do: bytes
+  defp cell(value, _kind), do: value |> Value.plain() |> Situ.JSON.encode()
+
+  defp kind(nil), do: nil
+  defp kind(b) when is_boolean(b), do: :boolean
+  defp kind(n) when is_integer(n) and n in -0x8000000000000000..0x7FFFFFFFFFFFFFFF, do: :integer
+  defp kind(x) when is_float(x) or x in @special, do: :float
+  defp kind(bytes) when is_binary(bytes), do: if(String.valid?(bytes), do: :text, else: :bytes)
+  defp kind(_other), do: :text
+
+  defp wider(same, same), do: same
+  defp wider(nil, kind), do: kind
+  defp wider(kind, nil), do: kind
+  defp wider(:integer, :float), do: :float
+  defp wider(:float, :integer), do: :float
+  defp wider(:text, :bytes), do: :bytes
+  defp wider(:bytes, :text), do: :bytes
+  defp wider(_, _), do: :text
+
+  defp flat(%_{} = struct), do: struct |> Map.from_struct() |> members("")
+  defp flat(map) when is_map(map), do: members(map, "")
+  defp flat(value), do: [{"value", value}]
+
+  defp members(map, prefix) do
+    Enum.flat_map(map, fn {key, value} ->
+      name = prefix <> name(key)
+
+      case value do
+        %_{} = struct -> struct |> Map.from_struct() |> members(name <> ".")
+        map when is_map(map) and map_size(map) > 0 -> members(map, name <> ".")
+        value -> [{name, value}]
+      end
+    end)
+  end
+
+  defp name(key) when is_binary(key), do: if(String.valid?(key), do: key, else: inspect(key))
+  defp name(key) when is_atom(key), do: Atom.to_string(key)
+  defp name(key), do: inspect(key)
+end

@@ -1,0 +1,182 @@
+defmodule Situ.Bridge.ParquetTest do
+  # Counts atoms.
+  use ExUnit.Case, async: false
+  use Situ.Test.Property
+  alias Situ.Bridge.Parquet
+  alias Situ.Bridge.Parquet.{Column, Packed, Rows, Runs, Thrift, Values, Writer}
+  alias Situ.Store
+  doctest Runs
+
+  @moduletag :tmp_dir
+
+  defp recorded(dir, streams) do
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        store = Store.create(p, "t", dir)
+
+        for {name, values} <- streams,
+            do: p |> Situ.from_enumerable(values) |> Store.write(store, name)
+      end)
+
+    Store.open!(Path.join(dir, "t"))
+  end
+
+  test "streams become tables, and tables streams", %{tmp_dir: dir} do
+    rows =
+      for i <- 1..1_000,
+          do:
+            {i * 1_000,
+             %{n: i, t: if(rem(i, 3) == 0, do: nil, else: "t#{i}"), p: %{x: i / 4}, l: [i]}}
+
+    levels = for i <- 1..500, do: {i, if(rem(i, 7) == 0, do: :nan, else: i / 2)}
+    mixed = for {v, i} <- Enum.with_index([1, "two", nil, [3], 2 ** 70]), do: {i, v}
+    image = Situ.Image.new!(width: 1, height: 1, format: :gray8, data: <<1>>)
+
+    store =
+      recorded(dir, [
+        {"Rows", rows},
+        {"Levels/a", levels},
+        {"Mixed", mixed},
+        {"Pictures", [{1, image}]}
+      ])
+
+    for compression <- [:none, :gzip] do
+      folder = Path.join(dir, "#{compression}")
+      counts = %{"Rows" => 1_000, "Levels/a" => 500, "Mixed" => 5}
+      assert Parquet.export(store, folder, compression: compression, rows: 300) == {:ok, counts}
+
+      expected =
+        for {t, r} <- rows, do: {t, %{"n" => r.n, "t" => r.t, "p.x" => r.p.x, "l" => "[#{r.n}]"}}
+
+      assert Enum.to_list(Parquet.messages(Path.join(folder, "Rows.parquet"))) == expected
+      assert Enum.to_list(Parquet.messages(Path.join(folder, "Levels_a.parquet"))) == levels
+      texts = [{0, "1"}, {1, "two"}, {2, nil}, {3, "[3]"}, {4, "#{2 ** 70}"}]
+      assert Enum.to_list(Parquet.messages(Path.join(folder, "Mixed.parquet"))) == texts
+
+      only =
+        Parquet.messages(Path.join(folder, "Rows.parquet"), columns: ["n"], time: "creation_time")
+
+      assert [{_, %{"n" => 1}}] = Enum.take(only, 1)
+    end
+
+    me = self()
+
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        p
+        |> Parquet.read(Path.join(dir, "none/Levels_a.parquet"))
+        |> Situ.each(&send(me, {:got, &1}))
+      end)
+
+    assert_received {:got, 0.5}
+    assert_received {:got, :nan}
+  end
+
+  test "what is no table is an error that says why", %{tmp_dir: dir} do
+    path = Path.join(dir, "x.parquet")
+    File.write!(path, "PAR1 this is none PAR1")
+    assert_raise Situ.Error, ~r/cannot be read/, fn -> Enum.to_list(Parquet.messages(path)) end
+    assert {:error, %{code: :not_parquet}} = Parquet.File.open(path)
+    assert {:error, %{code: :io}} = Parquet.File.open(Path.join(dir, "nothing"))
+    {:ok, writer} = Writer.create(path, [%Column{name: "x", kind: :integer}], :none)
+    {:ok, writer} = Writer.write(writer, [[1]], 1)
+    {:ok, 1} = Writer.finish(writer)
+    error = assert_raise Situ.Error, fn -> Parquet.messages(path) end
+    assert error.code == :no_column
+    assert {:error, %{code: :io}} = Writer.create(Path.join(dir, "no/such/x"), [], :none)
+  end
+
+  property "columns of every kind come back from their page" do
+    forall {kind, n} <- {one_of([:integer, :float, :boolean, :text]), integer(1, 40)} do
+      values = for i <- 1..n, do: if(rem(i * n, 3) == 0, do: nil, else: cell(kind, i))
+      assert read(kind, values) == values
+    end
+  end
+
+  defp cell(:integer, i), do: (i - 20) * 1_000_000_000_000
+  defp cell(:float, i), do: Enum.at([i / 3, :nan, :infinity, :neg_infinity], rem(i, 4))
+  defp cell(:boolean, i), do: rem(i, 2) == 0
+  defp cell(:text, i), do: String.duplicate("ä", rem(i, 5))
+
+  defp leaf(kind) do
+    type = %{integer: 2, float: 5, boolean: 0, text: 6}[kind]
+    %{name: "x", type: type, length: 0, optional?: true, as: nil, at: 0, time?: false}
+  end
+
+  defp chunk(kind, values) do
+    body = %Column{name: "x", kind: kind} |> Column.page(values) |> IO.iodata_to_binary()
+    size = byte_size(body)
+
+    page =
+      {:struct, [{1, {:i32, length(values)}}, {2, {:i32, 0}}, {3, {:i32, 3}}, {4, {:i32, 3}}]}
+
+    head = {:struct, [{1, {:i32, 0}}, {2, {:i32, size}}, {3, {:i32, size}}, {5, page}]}
+    IO.iodata_to_binary([Thrift.write(head), body])
+  end
+
+  defp read(kind, values), do: Values.read(leaf(kind), chunk(kind, values), 0, length(values))
+
+  test "what cannot be one column is text" do
+    kinds =
+      Enum.reduce([%{a: 1, b: nil}, %{a: 2.5, b: true}, %{a: nil, b: 1}], %{}, &Rows.add(&2, &1))
+
+    assert [%{name: "a", kind: :float}, %{name: "b", kind: :text}] = columns = Rows.columns(kinds)
+    assert Rows.row(%{a: 1, b: true}, columns) == [1, "true"]
+  end
+
+  test "copies of Snappy repeat, and reach no further than what is there" do
+    assert Packed.undo(1, <<5, 0, "a", 0b00000001, 1>>, 5) == "aaaaa"
+    assert {:not_parquet, _} = catch_throw(Packed.undo(1, <<5, 0, "a", 0b00000001, 2>>, 5))
+    assert {:not_parquet, _} = catch_throw(Packed.undo(1, <<5, 0, "a">>, 5))
+
+    assert {:not_parquet, _} =
+             catch_throw(Packed.undo(2, :zlib.gzip(:binary.copy("a", 1_000_000)), 5))
+
+    assert {:not_parquet, _} = catch_throw(Packed.undo(4, "", 0))
+  end
+
+  test "20,000 mutations of a file are rows or errors, and make no atoms", %{tmp_dir: dir} do
+    rows = for i <- 1..50, do: {i, %{n: i, t: "text #{rem(i, 5)}", f: i / 3, b: rem(i, 2) == 0}}
+    {:ok, _} = dir |> recorded([{"Rows", rows}]) |> Parquet.export(dir, rows: 20)
+    whole = File.read!(Path.join(dir, "Rows.parquet"))
+    path = Path.join(dir, "mutated.parquet")
+    :rand.seed(:exsss, {1, 2, 3})
+    atoms = :erlang.system_info(:atom_count)
+
+    for n <- 1..20_000 do
+      bytes = mutated(whole, n)
+      # The disk need not see most of them: pages are read without it.
+      if rem(n, 10) == 0, do: from_disk(path, bytes), else: from_memory(bytes)
+    end
+
+    assert :erlang.system_info(:atom_count) - atoms < 1_000
+  end
+
+  defp mutated(whole, n) do
+    # Most of what matters stands in the footer, and in the heads of pages.
+    at =
+      if rem(n, 2) == 0,
+        do: :rand.uniform(byte_size(whole)) - 1,
+        else: byte_size(whole) - :rand.uniform(400)
+
+    <<before::binary-size(at), _, rest::binary>> = whole
+    before <> <<:rand.uniform(256) - 1>> <> rest
+  end
+
+  defp from_disk(path, bytes) do
+    File.write!(path, bytes)
+    assert path |> Parquet.messages() |> Enum.to_list() |> is_list()
+  rescue
+    Situ.Error -> :ok
+  end
+
+  defp from_memory(bytes) do
+    for type <- [0, 1, 2, 5, 6], offset = 4 + :rand.uniform(50) do
+      chunk = binary_part(bytes, offset, byte_size(bytes) - offset)
+      leaf = %{leaf(:integer) | type: type, optional?: rem(offset, 2) == 0}
+      assert leaf |> Values.read(chunk, 0, 20) |> is_list()
+    end
+  catch
+    {:not_parquet, why} -> assert is_binary(why)
+  end
+end
