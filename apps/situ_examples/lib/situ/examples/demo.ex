@@ -18,6 +18,7 @@ defmodule Situ.Examples.Demo do
     --port N         the studio's port (default 4040; 0 takes a free one)
     --no-open        do not open a browser
     --dataset        a study instead: clips as a dataset, annotated, exported, compared (--dataset --help)
+    --scene          a room in three dimensions instead, with all that is found in it (--scene --help)
 
   Exit status: 0 done, 1 it failed, 2 wrong usage.
   """
@@ -39,7 +40,11 @@ defmodule Situ.Examples.Demo do
   @doc "Runs the demo; answers the exit status."
   @spec run([String.t()]) :: 0 | 1 | 2
   def run(argv) do
-    if "--dataset" in argv, do: Situ.Examples.Study.run(argv), else: talk(argv)
+    cond do
+      "--dataset" in argv -> Situ.Examples.Study.run(argv)
+      "--scene" in argv -> Situ.Examples.Demo.Scene.run(argv)
+      true -> talk(argv)
+    end
   end
 
   defp usage do

@@ -66,8 +66,7 @@ defmodule Situ.Space.Depth do
     {:error,
      Error.new(
        :bad_option,
-       "colours of #{picture.width}x#{picture.height} pixels do not fit a depth image of " <>
-         "#{depth.width}x#{depth.height}",
+       "a picture of #{picture.width}x#{picture.height} does not colour depth of #{depth.width}x#{depth.height}",
        fix: "resize one of them"
      )}
   end

@@ -7,6 +7,12 @@ import { frusta, meshes, quads } from "./build/surfaces.js";
 
 const BUILD = { points, lines, boxes, meshes, quads, frusta, graphs, voxels };
 
+// Seen through whatever stands before it.
+function over(object) {
+  object.renderOrder = 10;
+  if (object.material) Object.assign(object.material, { depthTest: false, transparent: true });
+}
+
 export class Layer {
   // uploaded(): a picture that took its time has come
   constructor(uploaded) {
@@ -32,7 +38,7 @@ export class Layer {
     const part = BUILD[item.kind](item, props, pixels, this.uploaded);
     part.item = item;
     this.group.add(part.object);
-    part.object.traverse((o) => (o.userData.part = part));
+    if (props.over) part.object.traverse(over);
     this.parts.push(part);
   }
 

@@ -44,6 +44,7 @@ defmodule Situ.Studio.Visualizers.Space do
           opacity: [type: {:range, 0, 100}, title: "Opacity, %", default: 100],
           plane: [type: {:range, 0.05, 100}, title: "Picture plane at, m", default: 1],
           labels: [type: :boolean, title: "Labels", default: true],
+          over: [type: :boolean, title: "Over the rest", default: false],
           depth_as: [type: {:in, @depths}, title: "Depth as", default: "points"],
           budget: [type: {:in, @budgets}, title: "Points at most", default: "1000000"],
           axis: [type: {:range, 0.01, 10}, title: "Axes, m", default: 0.2],

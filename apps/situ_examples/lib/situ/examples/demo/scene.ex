@@ -1,0 +1,139 @@
+defmodule Situ.Examples.Demo.Scene do
+  @usage """
+  Usage: bin/demo --scene [--seconds N] [--out FOLDER] [--headless] [--json] [--fast]
+
+  A room with two people, seen by a (simulated) depth camera and heard by a microphone: records points, bodies, where
+  somebody points, who was detected, the voice and how late all of it was; then serves the studio on the recording, in
+  one layout.
+
+    --seconds N      how much of the room (default: 12)
+    --out FOLDER     where the recording goes (default: "recordings")
+    --fast           as fast as possible, instead of at the speed of the room: then the latencies mean nothing
+    --headless       do not serve the studio afterwards
+    --json           print one JSON object and nothing else
+    --port N         the studio's port (default 4040; 0 takes a free one)
+    --no-open        do not open a browser
+
+  Exit status: 0 done, 1 it failed, 2 wrong usage.
+  """
+  @moduledoc """
+  `bin/demo --scene`: `Situ.Examples.Scene` recorded, and its layout opened in the studio.
+
+  ```text
+  #{@usage}
+  ```
+  """
+  alias Situ.{Error, Store}
+  alias Situ.Examples.Scene
+
+  @switches [
+    scene: :boolean,
+    seconds: :float,
+    out: :string,
+    fast: :boolean,
+    headless: :boolean,
+    json: :boolean,
+    port: :integer,
+    open: :boolean,
+    help: :boolean
+  ]
+  @layout "Scene"
+
+  @doc "Runs it; answers the exit status."
+  @spec run([String.t()]) :: 0 | 1 | 2
+  def run(argv) do
+    argv = if List.first(argv) == "--", do: tl(argv), else: argv
+
+    case OptionParser.parse(argv, strict: @switches, aliases: [h: :help]) do
+      {_, _, [{switch, _} | _]} ->
+        fail("unknown or incomplete option #{switch}\n  Fix: see --scene --help", 2)
+
+      {_, [extra | _], _} ->
+        fail("unexpected argument #{extra}", 2)
+
+      {opts, [], []} ->
+        if opts[:help], do: IO.puts(@usage) && 0, else: record(opts)
+    end
+  rescue
+    error in Error -> fail(Exception.message(error), 1)
+  end
+
+  @doc "Records the room; options `seconds:`, `out:`, `fast:`. The report's `result.path` is the recording's."
+  @spec pipeline(keyword()) :: {:ok, Situ.Pipeline.Report.t()} | {:error, Error.t()}
+  def pipeline(opts) do
+    {:ok, _} = Application.ensure_all_started(:situ_examples)
+    speed = if opts[:fast], do: :max, else: 1.0
+    now = System.os_time(:nanosecond)
+    seconds = opts[:seconds] || 12.0
+
+    settings = [
+      name: "Scene",
+      replay: [speed: speed, interval: {now, now + round(seconds * 1.0e9)}]
+    ]
+
+    Situ.Pipeline.run(Scene,
+      pipeline: settings,
+      path: opts[:out] || "recordings",
+      seconds: seconds
+    )
+  end
+
+  defp record(opts) do
+    case pipeline(opts) do
+      {:ok, %{result: %{path: path}}} ->
+        IO.puts(told(path, opts))
+        if opts[:headless], do: 0, else: serve(path, opts)
+
+      {:error, error} ->
+        fail(Exception.message(error), 1)
+    end
+  end
+
+  defp told(path, opts) do
+    store = Store.open!(path)
+    streams = for s <- Store.streams(store), do: {s.name, s.count}
+    if opts[:json], do: json(path, streams), else: table(path, streams)
+  end
+
+  defp json(path, streams),
+    do: Situ.JSON.encode(%{"recording" => path, "streams" => Map.new(streams)})
+
+  defp table(path, streams) do
+    width = streams |> Enum.map(fn {name, _} -> String.length(name) end) |> Enum.max()
+
+    rows =
+      for {name, count} <- Enum.sort(streams),
+          do: "  #{String.pad_trailing(name, width)}  #{count}\n"
+
+    ["Recorded #{path}\n", rows]
+  end
+
+  @doc "Writes the layout into a folder for the studio; answers the folder."
+  @spec layouts(Path.t()) :: Path.t()
+  def layouts(path) do
+    folder = path <> ".layouts"
+    File.mkdir_p!(folder)
+    shipped = Path.join([to_string(:code.priv_dir(:situ_examples)), "scene", "scene.json"])
+    File.cp!(shipped, Path.join(folder, "scene.json"))
+    folder
+  end
+
+  defp serve(path, opts) do
+    case Situ.Studio.start_link(path: path, port: opts[:port] || 4040, layouts: layouts(path)) do
+      {:ok, studio} ->
+        url = Situ.Studio.url(studio, Situ.Studio.only_item(studio))
+        url = url <> if(url =~ "?", do: "&", else: "?") <> "layout=#{@layout}"
+        IO.puts(:stderr, "The room is at #{url} (Ctrl-C to stop)")
+        if opts[:open] != false, do: Situ.CLI.Desktop.open(url)
+        Process.sleep(:infinity)
+
+      {:error, error} ->
+        fail(Exception.message(error), 1)
+    end
+  end
+
+  defp fail(text, status) do
+    IO.puts(:stderr, "bin/demo: " <> text)
+    status
+  end
+end

@@ -1,0 +1,111 @@
+defmodule Situ.Examples.Scene do
+  @moduledoc """
+  A room with two people, seen by a depth camera and heard by a microphone, and all that is found in it, recorded:
+
+      {:ok, report} = Situ.Pipeline.run(Situ.Examples.Scene, path: "recordings", seconds: 12)
+
+  The room is `Situ.Space.SyntheticRoom`, so it runs anywhere; any other `Situ.Space.DepthCamera` with bodies may stand
+  in its place (`camera: {module, options}`). The sound is that of the demo's clip, and the people of the room speak
+  when it does. The recording, `path/Scene.NNNN`, holds
+
+    * `Room.Cloud`: coloured points in the room's frame, `Room.Bodies`, `Room.Pointing`, `Room.Ball`, `Room.Camera`
+    * `Room.Person` and `Room.Detections`: the picture cropped to the person who walks, and what was detected in it
+    * `Room.Sound`, `Room.Energy`, `Room.Voice`, `Room.Speech`: the waveform, its log energy, how likely it is a voice,
+      and the intervals with speech
+    * `Room.Heights` and `Room.Latencies`: histograms of the points' heights and of the clouds' latencies
+  """
+  use Situ.Pipeline
+
+  alias Situ.{CameraView, EncodedImage, PointCloud}
+  alias Situ.Examples.Scene.{Crop, Histogram}
+  alias Situ.Infer.VoiceActivity
+  alias Situ.Space.{DepthCamera, SyntheticRoom}
+
+  # Who of the room speaks when the clip does, seconds.
+  @speech [{0, 0.76, 3.6}, {1, 5.0, 6.92}, {0, 7.96, 9.52}, {1, 10.48, 11.44}]
+  @size [width: 320, height: 240, rate: 15]
+
+  @impl true
+  def build(p, opts) do
+    camera = DepthCamera.open(p, opts[:camera] || {SyntheticRoom, room(opts)})
+    store = Situ.Store.create(p, "Scene", opts[:path])
+    record = &Situ.Store.write(&1, store, "Room." <> &2)
+
+    clouds = clouds(camera)
+    record.(clouds, "Cloud")
+    record.(Situ.map(camera.depth, &{&1.intrinsics, &1.pose}, name: "Camera"), "Camera")
+
+    for {name, stream} <- [{"Bodies", :bodies}, {"Pointing", :pointing}, {"Ball", :ball}],
+        do: record.(camera.others[stream], name)
+
+    persons = persons(camera)
+    record.(Situ.map(persons, &elem(&1, 0), name: "Person", type: EncodedImage), "Person")
+
+    record.(
+      Situ.map(persons, &elem(&1, 1), name: "Detections", type: {:list, :any}),
+      "Detections"
+    )
+
+    hear(p, opts, record)
+
+    record.(
+      Situ.map(clouds, &Histogram.heights/1, name: "Heights", type: {:list, :any}),
+      "Heights"
+    )
+
+    record.(latencies(clouds), "Latencies")
+    record.(Situ.Diagnostics.stream(p), "Diagnostics")
+    store
+  end
+
+  defp room(opts), do: [seconds: opts[:seconds] || 12, speech: @speech] ++ @size
+
+  # The points in the colours of the picture taken at the same moment.
+  defp clouds(camera) do
+    camera.depth
+    |> Situ.join(camera.color, Situ.Reproducible.exact())
+    |> Situ.map(
+      fn {depth, color} ->
+        depth |> DepthCamera.cloud(colors: color.viewed) |> Situ.Error.unwrap!()
+      end,
+      name: "Cloud",
+      type: PointCloud
+    )
+  end
+
+  # The picture around the person who walks, and who was detected in it.
+  defp persons(camera) do
+    camera.color
+    |> Situ.join(camera.others.bodies, Situ.Reproducible.exact())
+    |> Situ.map(
+      fn {%CameraView{} = view, bodies} ->
+        found = Enum.map(bodies, &Crop.detection(view, &1))
+        {picture, offset} = Crop.around(view.viewed, hd(found))
+        {jpeg(picture), Enum.map(found, &Crop.shift(&1, offset))}
+      end,
+      name: "Persons"
+    )
+  end
+
+  defp jpeg(picture), do: picture |> Situ.Imaging.encode_jpeg(quality: 85) |> Situ.Error.unwrap!()
+
+  defp hear(p, opts, record) do
+    clip = opts[:sound] || Situ.Examples.Demo.Options.clip()
+    format = Situ.AudioFormat.pcm(16_000)
+    sound = Situ.Media.open(p, clip, audio_format: format, start_time: :pipeline).audio
+    heard = Situ.via(sound, VoiceActivity, name: "VoiceActivity")
+    record.(sound, "Sound")
+    record.(Situ.Audio.features(sound, name: "Features").log_energy, "Energy")
+    record.(Situ.map(heard.voice, & &1.probability, name: "Probability", type: :float), "Voice")
+    record.(Situ.map(heard.segments, &interval/1, name: "Speech", type: Situ.Interval), "Speech")
+  end
+
+  defp interval(segment), do: Situ.Interval.closed(segment.start, segment.stop)
+
+  defp latencies(clouds) do
+    clouds
+    |> Situ.map(fn _cloud, message -> Situ.Message.latency(message) end, name: "Latency")
+    |> Situ.scan(Histogram.new(), &Histogram.add(&2, &1), name: "Latencies")
+    |> Situ.map(&Histogram.rows/1, name: "LatencyRows", type: {:list, :any})
+  end
+end

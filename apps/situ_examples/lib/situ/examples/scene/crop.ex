@@ -1,0 +1,58 @@
+defmodule Situ.Examples.Scene.Crop do
+  @moduledoc """
+  People in a camera's picture: the rectangle around a body's joints, and the picture around a rectangle.
+
+      iex> alias Situ.Examples.Scene.Crop
+      iex> {rect, [point]} = Crop.shift({Situ.Rect.new!(x: 10, y: 10, width: 5, height: 5), [Situ.Point2.new(12, 12)]}, {4, 2})
+      iex> {rect.x, rect.y, point.x, point.y}
+      {6, 8, 8, 10}
+  """
+  alias Situ.{CameraView, Image, Imaging, Pose, Rect, Skeleton}
+  alias Situ.Space.Camera
+
+  @type detection :: {Rect.t(), [Situ.Point2.t()]}
+
+  # What a body has around its joints, as a part of the rectangle.
+  @margin 0.12
+
+  @doc "The rectangle around the joints that the camera sees, and the joints in it; the score is how many those are."
+  @spec detection(CameraView.t(), Skeleton.t()) :: detection()
+  def detection(%CameraView{} = view, %Skeleton{} = body) do
+    seen =
+      for {_, %Pose{position: at}} <- Enum.sort(body.joints),
+          {:ok, {x, y}} <- [Camera.project_in_view(view, at)],
+          do: {x, y}
+
+    {rect(seen, length(seen) / map_size(body.joints), body.id),
+     Enum.map(seen, fn {x, y} -> Situ.Point2.new(x, y) end)}
+  end
+
+  defp rect([], _score, id),
+    do: Rect.new!(x: 0, y: 0, width: 1, height: 1, label: "out of sight", score: 0.0, id: id)
+
+  defp rect(seen, score, id) do
+    {xs, ys} = Enum.unzip(seen)
+    {x0, x1, y0, y1} = {Enum.min(xs), Enum.max(xs), Enum.min(ys), Enum.max(ys)}
+    {dx, dy} = {max(x1 - x0, 10) * @margin, max(y1 - y0, 10) * @margin}
+    box = [x: x0 - dx, y: y0 - dy, width: x1 - x0 + 2 * dx, height: y1 - y0 + 2 * dy]
+    Rect.new!(box ++ [label: "person", score: score, id: id])
+  end
+
+  @doc "The part of a picture around a detection, and where it begins."
+  @spec around(Image.t(), detection()) :: {Image.t(), {non_neg_integer(), non_neg_integer()}}
+  def around(%Image{width: w, height: h} = picture, {rect, _joints}) do
+    {left, top} = {clamp(rect.x - rect.width, w - 8), clamp(rect.y - 8, h - 8)}
+    width = min(w - left, max(8, round(rect.width * 3)))
+    height = min(h - top, max(8, round(rect.height + 16)))
+    {Imaging.crop!(picture, {left, top, width, height}), {left, top}}
+  end
+
+  defp clamp(x, most), do: x |> round() |> max(0) |> min(most)
+
+  @doc "The detection in the part of the picture that begins there."
+  @spec shift(detection(), {number(), number()}) :: detection()
+  def shift({rect, joints}, {dx, dy}) do
+    {%{rect | x: rect.x - dx, y: rect.y - dy},
+     Enum.map(joints, &%{&1 | x: &1.x - dx, y: &1.y - dy})}
+  end
+end

@@ -1,0 +1,48 @@
+defmodule Situ.Examples.Scene.Histogram do
+  @moduledoc """
+  Counts by bin, as `{label, count}` for a chart of bars.
+
+      iex> alias Situ.Examples.Scene.Histogram
+      iex> Histogram.new() |> Histogram.add(Situ.Time.ms(3)) |> Histogram.rows() |> Enum.take(3)
+      [{"0", 0}, {"2", 1}, {"4", 0}]
+  """
+  alias Situ.PointCloud
+
+  @bins [0, 2, 4, 6, 8, 10, 15, 20, 30, 50, 100, 200, 500]
+  @step 0.2
+  @top 2.8
+
+  @type t :: %{optional(non_neg_integer()) => pos_integer()}
+
+  @doc "No latencies yet."
+  @spec new() :: t()
+  def new, do: %{}
+
+  @doc "One latency (ns) more."
+  @spec add(t(), Situ.Time.duration()) :: t()
+  def add(counts, latency) do
+    bin = @bins |> Enum.take_while(&(&1 * 1_000_000 <= latency)) |> List.last(0)
+    Map.update(counts, bin, 1, &(&1 + 1))
+  end
+
+  @doc "Every bin (from so many ms on) with its count."
+  @spec rows(t()) :: [{String.t(), non_neg_integer()}]
+  def rows(counts), do: for(bin <- @bins, do: {"#{bin}", Map.get(counts, bin, 0)})
+
+  @doc "How many points of a cloud lie how high (metres), of every fifth point."
+  @spec heights(PointCloud.t()) :: [{String.t(), non_neg_integer()}]
+  def heights(%PointCloud{points: points}) do
+    counts = count(points, %{})
+
+    for i <- 0..(round(@top / @step) - 1),
+        do: {"#{Float.round(i * @step, 1)}", Map.get(counts, i, 0)}
+  end
+
+  defp count(<<_::64, z::little-float-32, _::binary-size(48), rest::binary>>, counts),
+    do: count(rest, Map.update(counts, bin(z), 1, &(&1 + 1)))
+
+  defp count(_few, counts), do: counts
+
+  # The floor and the ceiling are a millimetre beside 0 and the top.
+  defp bin(z), do: z |> max(0.0) |> min(@top - 0.001) |> Kernel./(@step) |> floor()
+end

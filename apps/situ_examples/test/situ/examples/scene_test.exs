@@ -1,0 +1,58 @@
+defmodule Situ.Examples.SceneTest do
+  use ExUnit.Case, async: true
+  alias Situ.Examples.Demo
+  alias Situ.Examples.Scene.{Crop, Histogram}
+  alias Situ.{PointCloud, Store}
+  alias Situ.Studio.Layout
+  doctest Crop
+  doctest Histogram
+
+  @tag :tmp_dir
+  test "the room, recorded, holds every stream of its layout, and what is found in it is true", %{
+    tmp_dir: folder
+  } do
+    assert {:ok, %{result: %{path: path}}} =
+             Demo.Scene.pipeline(seconds: 4.0, out: folder, fast: true)
+
+    {:ok, store} = Store.open(path)
+    names = for s <- Store.streams(store), do: s.name
+
+    {:ok, layout} =
+      path
+      |> Demo.Scene.layouts()
+      |> Path.join("scene.json")
+      |> File.read!()
+      |> Layout.Text.read()
+
+    drawn = for panel <- layout.rows, vis <- panel.vis, do: vis.stream
+    assert Enum.uniq(drawn) -- names == []
+
+    clouds = store |> Store.messages("Room.Cloud") |> Enum.to_list()
+    assert length(clouds) == 60
+    assert Enum.all?(clouds, &(PointCloud.count(&1.data) == 320 * 240 and &1.data.colors != nil))
+
+    # The clip speaks from 0.76 s to 3.6 s: one interval, within what a detector may be off.
+    start = hd(clouds).originating_time
+    assert [%{data: speech} | _] = store |> Store.messages("Room.Speech") |> Enum.to_list()
+    assert_in_delta (speech.left - start) / 1.0e9, 0.76, 0.4
+
+    # Both people are seen, and the one who walks is in the picture that was cut.
+    for %{data: found} <- store |> Store.messages("Room.Detections") |> Enum.take(5) do
+      assert [{%{id: 0, score: score} = rect, joints}, {%{id: 1}, _}] = found
+      assert score > 0.8 and length(joints) > 11
+      assert rect.x >= 0 and rect.y > -20
+    end
+
+    %{data: heights} = store |> Store.messages("Room.Heights") |> Enum.at(0)
+    assert heights |> Enum.map(&elem(&1, 1)) |> Enum.sum() == div(320 * 240, 5)
+  end
+
+  test "what is not understood is said" do
+    assert ExUnit.CaptureIO.capture_io(:stderr, fn ->
+             assert Demo.run(["--scene", "--quickly"]) == 2
+           end) =~ "--quickly"
+
+    assert ExUnit.CaptureIO.capture_io(fn -> assert Demo.run(["--scene", "--help"]) == 0 end) =~
+             "Usage: bin/demo --scene"
+  end
+end

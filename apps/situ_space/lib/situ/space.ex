@@ -1,0 +1,168 @@
+defmodule Situ.Space do
+  @moduledoc """
+  What is in space, on streams: between messages, from one to the next, in other frames.
+
+      head |> Situ.join(gaze, Situ.Space.between()) |> Situ.each(&IO.inspect/1)
+      speed = Situ.Space.velocity(head)
+      turned = Situ.Space.orientation(imu, gain: 0.5)
+
+  | here | in \\\\psi |
+  |---|---|
+  | `between/1` | `Interpolators.Reproducible.CoordinateSystem`, `...Ray3D` |
+  | `velocity/2` | `GetLinearVelocity3D`, `ComputeVelocity` |
+  | `moved/3` | `Transform`, `TransformBy` |
+  | `orientation/2` | (none) |
+  """
+  alias Situ.{
+    Interpolator,
+    Point3,
+    PointCloud,
+    Pose,
+    Quaternion,
+    Ray3,
+    Skeleton,
+    Vector3,
+    Velocity3
+  }
+
+  alias Situ.Space.{Cloud, Orientation}
+
+  @doc """
+  An interpolator: the pose, ray, skeleton, point or rotation between two messages (`interpolate/3`), the same whatever
+  the timing. There is none before the first message and after the last one. Options: those of
+  `Situ.Reproducible.adjacent/2`.
+  """
+  @spec between(keyword()) :: Interpolator.t()
+  def between(opts \\ []), do: Situ.Reproducible.adjacent(&interpolate/3, opts)
+
+  @doc """
+  Between `a` (ratio 0) and `b` (ratio 1): positions on the straight line, rotations on the shortest arc; element by
+  element of lists of one length and by key of maps. `nil` where either is `nil`, or the two are not of a kind.
+
+      iex> a = Situ.Pose.identity()
+      iex> b = Situ.Pose.new({2.0, 0.0, 0.0})
+      iex> Situ.Space.interpolate([a], [b], 0.5) |> hd() |> Map.fetch!(:position)
+      {1.0, 0.0, 0.0}
+      iex> Situ.Space.interpolate(a, nil, 0.5)
+      nil
+      iex> Situ.Space.interpolate(Situ.Point3.new(0, 0, 0), Situ.Point3.new(4, 0, 0), 0.25)
+      %Situ.Point3{x: 1.0, y: 0.0, z: 0.0}
+  """
+  @spec interpolate(term(), term(), number()) :: term()
+  def interpolate(%Pose{} = a, %Pose{} = b, ratio), do: Pose.interpolate(a, b, ratio)
+  def interpolate(%Ray3{} = a, %Ray3{} = b, ratio), do: Ray3.interpolate(a, b, ratio)
+  def interpolate(%Skeleton{} = a, %Skeleton{} = b, ratio), do: Skeleton.interpolate(a, b, ratio)
+
+  def interpolate(%Point3{} = a, %Point3{} = b, ratio) do
+    {x, y, z} = Vector3.lerp({a.x, a.y, a.z}, {b.x, b.y, b.z}, ratio)
+    Point3.new(x, y, z)
+  end
+
+  def interpolate({_, _, _} = a, {_, _, _} = b, ratio), do: Vector3.lerp(a, b, ratio)
+  def interpolate({_, _, _, _} = a, {_, _, _, _} = b, ratio), do: Quaternion.slerp(a, b, ratio)
+
+  def interpolate(a, b, ratio) when is_list(a) and is_list(b) and length(a) == length(b),
+    do: Enum.zip_with(a, b, &interpolate(&1, &2, ratio))
+
+  def interpolate(a, b, ratio)
+      when is_map(a) and is_map(b) and not is_struct(a) and not is_struct(b),
+      do:
+        for(
+          {key, value} <- a,
+          is_map_key(b, key),
+          into: %{},
+          do: {key, interpolate(value, b[key], ratio)}
+        )
+
+  def interpolate(_a, _b, _ratio), do: nil
+
+  @velocity [
+    kind: [
+      type: {:in, [:linear, :angular]},
+      default: :linear,
+      doc: "How fast it moves, or how fast it turns."
+    ]
+  ]
+
+  @doc """
+  How fast a stream of poses moves (or turns), from each message to the next, at the later one's time: a
+  `Situ.Velocity3`.
+
+  #{Situ.Options.docs(@velocity)}
+  """
+  @spec velocity(Situ.Stream.t(), keyword()) :: Situ.Stream.t()
+  def velocity(stream, opts \\ []) do
+    {own, placed} = Keyword.split(opts, [:kind])
+    [kind: kind] = Situ.Options.validate!(own, @velocity)
+
+    stream
+    |> Situ.scan(
+      {nil, nil},
+      fn pose, message, {last, _} ->
+        {{message.originating_time, pose}, speed(kind, last, message.originating_time, pose)}
+      end,
+      name: "Velocities"
+    )
+    |> Situ.filter(fn {_, velocity} -> velocity != nil end)
+    |> Situ.map(&elem(&1, 1), [name: "Velocity", type: Velocity3] ++ placed)
+  end
+
+  defp speed(_kind, nil, _time, _pose), do: nil
+
+  defp speed(kind, {before, from}, time, to) do
+    {:ok, velocity} = apply(Velocity3, kind, [from, to, time - before])
+    velocity
+  end
+
+  @doc """
+  A stream of readings (`Situ.ImuReading`) as a stream of rotations: quaternions that take the sensor's axes to north, west
+  and up. See `Situ.Space.Orientation`.
+
+  #{Situ.Options.docs(Orientation.schema())}
+  """
+  @spec orientation(Situ.Stream.t(), keyword()) :: Situ.Stream.t()
+  def orientation(stream, opts \\ []) do
+    {own, placed} = Keyword.split(opts, Keyword.keys(Orientation.schema()))
+
+    stream
+    |> Situ.scan(
+      Orientation.new(own),
+      fn reading, message, o -> Orientation.update(o, reading, message.originating_time) end,
+      name: "Readings"
+    )
+    |> Situ.map(& &1.rotation, [name: "Orientation"] ++ placed)
+  end
+
+  @doc """
+  What is given in the frame of a pose, in the frame that the pose is given in: poses, rays, points, skeletons and
+  clouds, and lists of them, joined with a stream of poses by `between/1` or another interpolator.
+  """
+  @spec moved(Situ.Stream.t(), Situ.Stream.t(), Interpolator.t() | nil) :: Situ.Stream.t()
+  def moved(stream, poses, interpolator \\ nil) do
+    stream
+    |> Situ.join(poses, interpolator || between(), flatten: false)
+    |> Situ.map(fn {data, pose} -> move(data, pose) end, name: "Moved")
+  end
+
+  @doc """
+  One of them.
+
+      iex> pose = Situ.Pose.new({0.0, 0.0, 1.0})
+      iex> Situ.Space.move(Situ.Point3.new(1, 2, 3), pose)
+      %Situ.Point3{x: 1.0, y: 2.0, z: 4.0}
+  """
+  @spec move(term(), Pose.t()) :: term()
+  def move(%Pose{} = inner, pose), do: Pose.compose(pose, inner)
+  def move(%Ray3{} = ray, pose), do: Ray3.transform(ray, pose)
+  def move(%Skeleton{} = body, pose), do: Skeleton.transform(body, pose)
+
+  def move(%PointCloud{} = cloud, pose),
+    do: cloud |> Cloud.transform(pose) |> Situ.Error.unwrap!()
+
+  def move(%Point3{x: x, y: y, z: z}, pose) do
+    {x, y, z} = Pose.transform(pose, {x * 1.0, y * 1.0, z * 1.0})
+    Point3.new(x, y, z)
+  end
+
+  def move(list, pose) when is_list(list), do: Enum.map(list, &move(&1, pose))
+end

@@ -1,0 +1,157 @@
+defmodule Situ.Space.Orientation do
+  @schema [
+    gain: [
+      type: :number,
+      default: 0.5,
+      doc:
+        "How fast the accelerometer and the magnetometer pull, 1/s: 0 trusts the gyroscope alone."
+    ],
+    drift: [
+      type: :number,
+      default: 0.0,
+      doc: "How fast an offset of the gyroscope is learnt, 1/s2; 0 does not learn it."
+    ],
+    magnetometer: [
+      type: :boolean,
+      default: true,
+      doc: "Whether the field of a reading that has one tells where north is."
+    ],
+    still: [
+      type: {:optional, :number},
+      default: nil,
+      doc:
+        "An acceleration off gravity by more than this part of it is a motion, and tells nothing; `nil` lets motions " <>
+          "even out."
+    ],
+    start: [
+      type: {:optional, :any},
+      default: nil,
+      doc:
+        "A quaternion to begin with; by default the first reading tells (without a field, heading 0)."
+    ]
+  ]
+
+  @moduledoc """
+  How an inertial sensor is turned, from its readings: the rotation that takes its axes to those of the world, x north
+  (magnetic; without a magnetometer wherever it began), y west, z up.
+
+  A complementary filter on the rotation group: R. Mahony, T. Hamel, J.-M. Pflimlin, Nonlinear Complementary Filters on
+  the Special Orthogonal Group, IEEE TAC 53(5), 2008. The gyroscope is integrated; the direction of gravity, and that
+  of the field across it, pull back what drifts.
+
+      iex> alias Situ.Space.Orientation
+      iex> level = Situ.ImuReading.new({0.0, 0.0, 9.81}, {0.0, 0.0, 0.1})
+      iex> o = Enum.reduce(0..100, Orientation.new(), &Orientation.update(&2, level, &1 * 10_000_000))
+      iex> {yaw, _, _} = Situ.Quaternion.to_euler(o.rotation)
+      iex> Float.round(yaw, 6)
+      0.1
+
+  On streams: `Situ.Space.orientation/2`.
+  """
+  alias Situ.{ImuReading, Quaternion, Vector3}
+
+  defstruct [:opts, :time, rotation: nil, drift: {0.0, 0.0, 0.0}]
+
+  @typedoc "`rotation` is `nil` before the first reading; `drift` is what the gyroscope is thought to read at rest."
+  @type t :: %__MODULE__{
+          opts: map(),
+          time: Situ.Time.t() | nil,
+          rotation: Quaternion.t() | nil,
+          drift: Vector3.t()
+        }
+
+  @gravity 9.80665
+  # After a longer gap nothing is known of what happened in between.
+  @gap 1_000_000_000
+
+  @doc false
+  def schema, do: @schema
+
+  @doc """
+  A filter.
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @spec new(keyword()) :: t()
+  def new(opts \\ []), do: %__MODULE__{opts: Map.new(Situ.Options.validate!(opts, @schema))}
+
+  @doc "The filter after a reading at an originating time. After a gap of more than a second it begins again."
+  @spec update(t(), ImuReading.t(), Situ.Time.t()) :: t()
+  def update(%__MODULE__{time: last} = o, %ImuReading{} = reading, time)
+      when last == nil or time - last > @gap,
+      do: %{o | time: time, rotation: first(reading, o.opts), drift: {0.0, 0.0, 0.0}}
+
+  def update(%__MODULE__{} = o, %ImuReading{} = reading, time) do
+    seconds = (time - o.time) / 1.0e9
+    pull = pull(reading, o)
+    drift = Vector3.add(o.drift, Vector3.scale(pull, -o.opts.drift * seconds))
+
+    turn =
+      reading.angular_velocity
+      |> Vector3.subtract(drift)
+      |> Vector3.add(Vector3.scale(pull, o.opts.gain))
+
+    {:ok, rotation} =
+      o.rotation |> Quaternion.multiply(step(turn, seconds)) |> Quaternion.normalize()
+
+    %{o | time: time, rotation: rotation, drift: drift}
+  end
+
+  defp step(turn, seconds) do
+    case Vector3.normalize(turn) do
+      {:ok, axis} -> Quaternion.from_axis_angle(axis, Vector3.norm(turn) * seconds)
+      :error -> Quaternion.identity()
+    end
+  end
+
+  # By which rotation (axis times sine) what is measured differs from what the rotation says, in the sensor's axes.
+  defp pull(reading, %{rotation: rotation, opts: opts}) do
+    back = Quaternion.inverse(rotation)
+    up = Quaternion.rotate(back, {0.0, 0.0, 1.0})
+
+    with {:ok, measured} <- upwards(reading, opts) do
+      tilt = Vector3.cross(measured, up)
+
+      case west(reading, measured, opts) do
+        {:ok, west} ->
+          Vector3.add(tilt, Vector3.cross(west, Quaternion.rotate(back, {0.0, 1.0, 0.0})))
+
+        :error ->
+          tilt
+      end
+    else
+      :error -> {0.0, 0.0, 0.0}
+    end
+  end
+
+  defp upwards(%{acceleration: a}, %{still: still}) do
+    if still == nil or abs(Vector3.norm(a) - @gravity) <= still * @gravity,
+      do: Vector3.normalize(a),
+      else: :error
+  end
+
+  # Up times the field, which points north and down: west.
+  defp west(%{magnetic_field: {_, _, _} = field}, up, %{magnetometer: true}),
+    do: up |> Vector3.cross(field) |> Vector3.normalize()
+
+  defp west(_reading, _up, _opts), do: :error
+
+  defp first(_reading, %{start: {_, _, _, _} = q}), do: q
+
+  defp first(reading, opts) do
+    with {:ok, up} <- Vector3.normalize(reading.acceleration),
+         {:ok, west} <- sideways(reading, up, opts),
+         north = Vector3.cross(west, up),
+         {:ok, q} <- Quaternion.from_matrix({north, west, up}) do
+      q
+    else
+      :error -> Quaternion.identity()
+    end
+  end
+
+  defp sideways(reading, up, opts) do
+    with :error <- west(reading, up, opts),
+         :error <- up |> Vector3.cross({1.0, 0.0, 0.0}) |> Vector3.normalize(),
+         do: {:ok, {0.0, 1.0, 0.0}}
+  end
+end
