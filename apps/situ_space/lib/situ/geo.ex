@@ -1,6 +1,7 @@
 defmodule Situ.Geo do
   @moduledoc """
-  Places on the Earth: from latitude and longitude (degrees) and height above the ellipsoid (metres) to metres, and back.
+  Places on the Earth: from latitude and longitude (degrees) and height above the ellipsoid (metres) to metres, and
+  back.
 
   The ellipsoid is that of WGS84 (NIMA TR8350.2, 2000). Local coordinates are x east, y north, z up at an origin, so a
   track of a GPS receiver becomes points that can be drawn, measured and joined with what other sensors saw.
@@ -65,8 +66,8 @@ defmodule Situ.Geo do
   end
 
   @doc """
-  The place of a point given from the Earth's centre, by Bowring's formula, repeated until it stands still. Source: B. R.
-  Bowring, Transformation from spatial to geographical coordinates, 1976.
+  The place of a point given from the Earth's centre, by Bowring's formula, repeated until it stands still. Source: B.
+  R. Bowring, Transformation from spatial to geographical coordinates, 1976.
   """
   @spec from_ecef(Vector3.t()) :: place()
   def from_ecef({x, y, z}) do

@@ -115,8 +115,8 @@ defmodule Situ.Space do
   end
 
   @doc """
-  A stream of readings (`Situ.ImuReading`) as a stream of rotations: quaternions that take the sensor's axes to north, west
-  and up. See `Situ.Space.Orientation`.
+  A stream of readings (`Situ.ImuReading`) as a stream of rotations: quaternions that take the sensor's axes to north,
+  west and up. See `Situ.Space.Orientation`.
 
   #{Situ.Options.docs(Orientation.schema())}
   """

@@ -3,7 +3,8 @@ defmodule Situ.Examples.Scene.Crop do
   People in a camera's picture: the rectangle around a body's joints, and the picture around a rectangle.
 
       iex> alias Situ.Examples.Scene.Crop
-      iex> {rect, [point]} = Crop.shift({Situ.Rect.new!(x: 10, y: 10, width: 5, height: 5), [Situ.Point2.new(12, 12)]}, {4, 2})
+      iex> rect = Situ.Rect.new!(x: 10, y: 10, width: 5, height: 5)
+      iex> {rect, [point]} = Crop.shift({rect, [Situ.Point2.new(12, 12)]}, {4, 2})
       iex> {rect.x, rect.y, point.x, point.y}
       {6, 8, 8, 10}
   """
