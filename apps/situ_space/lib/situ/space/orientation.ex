@@ -20,7 +20,7 @@ defmodule Situ.Space.Orientation do
       type: {:optional, :number},
       default: nil,
       doc:
-        "An acceleration off gravity by more than this part of it is a motion and tells nothing; `nil` lets them even out."
+        "An acceleration off gravity by more than this part of it tells nothing; `nil` lets motions even out."
     ],
     start: [
       type: {:optional, :any},
