@@ -1,2 +1,13 @@
+# 44 MB that only speech needs: bin/lib/fetch-model fetches them.
+missing =
+  for {:error, error} <- [Situ.Infer.ModelStore.fetch("moonshine-tiny-en", "tokenizer.bin")],
+      do: error
+
+Enum.each(missing, &IO.puts("Not tested: situ talk. " <> Exception.message(&1)))
+
 # What must come may take its time on a busy machine; what does not come fails all the same.
-ExUnit.start(assert_receive_timeout: 30_000, timeout: 120_000)
+ExUnit.start(
+  exclude: if(missing == [], do: [], else: [:moonshine]),
+  assert_receive_timeout: 30_000,
+  timeout: 120_000
+)

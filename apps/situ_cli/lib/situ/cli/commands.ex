@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Commands do
   @moduledoc false
   # Every verb, in the order `situ --help` shows them, and how one is found.
-  alias Situ.CLI.{Annotate, Dataset, Devices, Query, Shell, Store, Studio, Task, Verb}
+  alias Situ.CLI.{Annotate, Dataset, Devices, Query, Shell, Store, Studio, Talk, Task, Verb}
 
   @modules [
     Store.Looking,
@@ -13,6 +13,7 @@ defmodule Situ.CLI.Commands do
     Task,
     Annotate,
     Studio,
+    Talk,
     Devices,
     Shell
   ]

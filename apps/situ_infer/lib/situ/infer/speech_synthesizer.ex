@@ -11,6 +11,12 @@ defmodule Situ.Infer.SpeechSynthesizer do
       default: 16_000,
       doc: "Frames a second of the sound, Hz."
     ],
+    stamp: [
+      type: {:in, [:end, :text]},
+      default: :end,
+      doc:
+        "The sound's time: that of its end, as all sound's; or that of its text, for what plays it in a time of its own."
+    ],
     cache: [
       type: :non_neg_integer,
       default: 64,
@@ -48,12 +54,16 @@ defmodule Situ.Infer.SpeechSynthesizer do
   def handle_message(:in, %{data: text, originating_time: time}, _context, state) do
     {sound, state} = sound(state, text)
 
-    if sound.data == "" do
-      {[], state}
-    else
-      ends = max(time, state.ends || time) + AudioBuffer.duration(sound)
-      {[{:out, ends, sound}], %{state | ends: ends}}
+    cond do
+      sound.data == "" -> {[], state}
+      state.opts.stamp == :text -> {[{:out, time, sound}], state}
+      true -> following(sound, time, state)
     end
+  end
+
+  defp following(sound, time, state) do
+    ends = max(time, state.ends || time) + AudioBuffer.duration(sound)
+    {[{:out, ends, sound}], %{state | ends: ends}}
   end
 
   defp sound(%{known: known} = state, text) when is_map_key(known, text), do: {known[text], state}

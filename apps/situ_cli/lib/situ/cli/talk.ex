@@ -1,0 +1,230 @@
+defmodule Situ.CLI.Talk do
+  @moduledoc "`situ talk`: an assistant one talks to."
+  @behaviour Situ.CLI.Verb
+
+  alias Situ.CLI.{Option, Output, Verb}
+  alias Situ.CLI.Talk.Session
+  alias Situ.{Error, Pipeline, Studio}
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["talk"],
+        summary: "talk to an assistant: it listens, does things, answers aloud",
+        about: """
+        Listens to a microphone (or to a sound file, in real time), recognises what is said to it by name, finds out
+        what is wanted, does it, and answers aloud; it can be interrupted. It tells time and date and sets timers; with
+        --chat, a language model answers what else is asked. All of it runs on this machine, but the language model if
+        that is elsewhere. Everything is recorded, and shown in the studio as it happens. English; the recogniser's
+        model (44 MB) is fetched the first time.
+        """,
+        arguments: [],
+        options: [
+          Option.new(:input, :string, "a microphone of `situ devices`, or a sound file",
+            value: "DEVICE|FILE",
+            default: "pulse:default"
+          ),
+          Option.new(
+            :output,
+            :string,
+            "a speaker of `situ devices`, or none (default: pulse:default; for files: none)",
+            value: "DEVICE"
+          ),
+          Option.new(:wake, :string, "its name; \"\" to have it answer to everything",
+            default: "computer"
+          ),
+          Option.new(:voice, :string, "a voice of `espeak-ng --voices`", default: "en-us"),
+          Option.new(
+            :grammar,
+            :path,
+            "more that it understands, a JSGF grammar: its intents are recorded"
+          ),
+          Option.new(
+            :chat,
+            :string,
+            "ask the language model at this address what the rules do not know",
+            value: "URL"
+          ),
+          Option.new(:model, :string, "which language model", default: "llama3.2"),
+          Option.new(:key, :string, "the environment variable that holds the key for it",
+            value: "VARIABLE"
+          ),
+          Option.new(:out, :path, "the folder of the recording", default: "recordings"),
+          Option.new(
+            :seconds,
+            :float,
+            "stop after so long (default: when Enter is pressed, or the file ends)"
+          ),
+          Option.new(:studio, :flag, "do not serve the studio", negated?: true),
+          Option.new(:port, :integer, "the studio's port; 0 takes a free one", default: 4040)
+        ],
+        examples: ["situ talk", "situ talk --chat http://127.0.0.1:11434/v1 --model llama3.2"],
+        run: fn _arguments, opts -> talk(opts) end
+      }
+    ]
+  end
+
+  defp talk(opts) do
+    for app <- [:situ_infer, :situ_studio], do: {:ok, _} = Application.ensure_all_started(app)
+
+    settings = [
+      input: opts[:input],
+      output: output(opts),
+      path: opts[:out],
+      assistant: assistant(opts),
+      watcher: self()
+    ]
+
+    with :ok <- input(opts[:input]),
+         {:ok, pipeline} <-
+           Pipeline.start(Session, [
+             {:pipeline, [name: "Assistant", replay: [speed: 1.0]]} | settings
+           ]) do
+      studio = if opts[:studio], do: studio(opts)
+      stopper = stopper(pipeline, opts)
+      monitor = Process.monitor(pipeline)
+      counts = listen(monitor, opts, %{heard: 0, delays: [], last: nil, speaking: false})
+      Process.exit(stopper, :kill)
+      result = Pipeline.await(pipeline)
+      if studio, do: Process.exit(studio, :shutdown)
+      done(result, counts, opts)
+    else
+      {:error, error} -> raise error
+    end
+  end
+
+  defp output(opts) do
+    case opts[:output] do
+      "none" -> nil
+      nil -> if File.regular?(opts[:input]), do: nil, else: "pulse:default"
+      device -> device
+    end
+  end
+
+  # A device is named DRIVER:ADDRESS.
+  defp input(input) do
+    if File.regular?(input) or match?({:ok, _}, Situ.Media.Device.parse(input)),
+      do: :ok,
+      else:
+        {:error,
+         Error.new(:no_input, "there is neither a file nor a microphone #{inspect(input)}",
+           fix: "`situ devices microphones` lists what there is"
+         )}
+  end
+
+  defp assistant(opts) do
+    wake = if opts[:wake] == "", do: nil, else: opts[:wake]
+    chat = opts[:chat] && [url: opts[:chat], model: opts[:model], key: opts[:key]]
+
+    [
+      wake: wake,
+      local_time: fn _ -> :calendar.local_time() end,
+      grammar: opts[:grammar],
+      chat: chat,
+      synthesizer: [synthesizer_options: [voice: opts[:voice]]]
+    ]
+  end
+
+  defp studio(opts) do
+    Process.flag(:trap_exit, true)
+
+    case Studio.start_link(path: opts[:out], port: opts[:port]) do
+      {:ok, studio} ->
+        unless opts[:json], do: Output.puts("The studio shows it at #{Studio.url(studio)}")
+        studio
+
+      {:error, error} ->
+        Output.warn("situ talk: #{Exception.message(error)}")
+        nil
+    end
+  end
+
+  defp stopper(pipeline, opts) do
+    spawn(fn ->
+      if opts[:seconds], do: Process.sleep(round(opts[:seconds] * 1000)), else: enter(opts)
+      Pipeline.stop(pipeline)
+    end)
+  end
+
+  # Without a terminal there is nobody to press it: then the file's end, or a signal, ends it.
+  defp enter(opts) do
+    unless opts[:json] or File.regular?(opts[:input]),
+      do: Output.puts("Listening. Press Enter to stop.")
+
+    if File.regular?(opts[:input]) or IO.gets("") == :eof, do: Process.sleep(:infinity)
+  end
+
+  defp listen(monitor, opts, counts) do
+    receive do
+      {:talk, what, data, time, clock} ->
+        unless what == :stop and not counts.speaking, do: show(what, data, time, opts)
+        listen(monitor, opts, count(what, data, time, clock, counts))
+
+      {:DOWN, ^monitor, _, _, _} ->
+        counts
+    end
+  end
+
+  defp count(:heard, utterance, _time, _clock, counts),
+    do: %{counts | heard: counts.heard + 1, last: utterance.to}
+
+  defp count(:speaking, true, _time, clock, %{last: last} = counts) when last != nil,
+    do: %{counts | delays: [clock - last | counts.delays], last: nil, speaking: true}
+
+  defp count(:speaking, speaking?, _time, _clock, counts), do: %{counts | speaking: speaking?}
+  defp count(_what, _data, _time, _clock, counts), do: counts
+
+  defp show(what, data, time, opts) do
+    line = line(what, data)
+
+    cond do
+      line == nil -> :ok
+      opts[:json] -> Output.json(%{what: what, text: elem(line, 1), time: time})
+      true -> Output.puts(String.pad_trailing(elem(line, 0), 12) <> Output.name(elem(line, 1)))
+    end
+  end
+
+  defp line(:heard, utterance), do: {"you", utterance.text}
+  defp line(:said, text), do: {"assistant", text}
+  defp line(:chat, text), do: {"assistant", text}
+  defp line(:stop, text), do: {"(interrupts)", text}
+
+  defp line(:intent, intent),
+    do: if(Situ.Intent.name(intent), do: {"(wants)", Situ.Intent.format(intent)})
+
+  defp line(_what, _data), do: nil
+
+  defp done({:ok, %{result: %{path: path}}}, counts, opts) do
+    delays = Enum.sort(counts.delays)
+    worst = List.last(delays)
+    ms = &(&1 && div(&1, 1_000_000))
+
+    if opts[:json] do
+      Output.json(%{
+        recording: path,
+        heard: counts.heard,
+        answers: length(delays),
+        median_ms: ms.(median(delays)),
+        worst_ms: ms.(worst)
+      })
+    else
+      Output.puts(
+        "Recorded in #{path}: #{Output.number(counts.heard, "utterance")}, #{Output.number(length(delays), "answer")}"
+      )
+
+      if worst,
+        do:
+          Output.puts(
+            "From the end of speech to the first sound: #{ms.(median(delays))} ms, #{ms.(worst)} ms at most"
+          )
+    end
+
+    0
+  end
+
+  defp done({:error, error}, _counts, _opts), do: raise(error)
+
+  defp median([]), do: nil
+  defp median(delays), do: Enum.at(delays, div(length(delays), 2))
+end

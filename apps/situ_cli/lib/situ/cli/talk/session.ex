@@ -1,0 +1,67 @@
+defmodule Situ.CLI.Talk.Session do
+  @moduledoc """
+  The pipeline of `situ talk`: an assistant (`Situ.Assistant`) on a microphone or a file, with everything recorded.
+
+  The recording, `path/Assistant.NNNN`, holds the sound that was heard and that was spoken, whether somebody spoke, what
+  was recognised (while it was said and after), what was wanted, what was answered, and the pipeline's diagnostics.
+  """
+  use Situ.Pipeline
+  alias Situ.Media.{Microphone, Speaker, VideoFile}
+
+  @format Situ.AudioFormat.pcm(16_000)
+
+  @impl true
+  def build(p, opts) do
+    sound = listen(p, opts[:input])
+    assistant = Situ.Assistant.attach(sound, opts[:assistant])
+    if opts[:output], do: Speaker.play(assistant.sound, device: opts[:output], name: "Speaker")
+
+    store = Situ.Store.create(p, "Assistant", opts[:path])
+
+    record = fn stream, name ->
+      stream && Situ.Store.write(stream, store, "Assistant." <> name)
+    end
+
+    record.(sound, "Heard.Sound")
+    record.(assistant.voice, "Heard.Voice")
+    record.(assistant.heard, "Heard.Utterance")
+    record.(assistant.partial, "Heard.Partial")
+    record.(text(assistant.heard), "Heard.Text")
+    record.(assistant.intent, "Intent")
+    record.(assistant.said, "Said.Text")
+    record.(assistant.chat, "Said.Chat")
+    record.(assistant.sound, "Said.Sound")
+    record.(assistant.speaking, "Said.Speaking")
+    record.(assistant.stop, "Interrupted")
+    record.(Situ.Diagnostics.stream(p), "Diagnostics")
+
+    watch(Map.put(assistant, :listening, Situ.first(assistant.voice)), opts[:watcher])
+    store
+  end
+
+  defp listen(p, input) do
+    if File.regular?(input),
+      do: sound!(VideoFile.open(p, input, video: false, audio_format: @format).audio, input),
+      else: Microphone.open(p, device: input, audio_format: @format, name: "Microphone")
+  end
+
+  defp sound!(nil, input) do
+    raise Situ.Error.new(:no_sound, "there is no sound in #{input}",
+            fix: "name a file with sound, or a microphone"
+          )
+  end
+
+  defp sound!(stream, _input), do: stream
+
+  defp text(heard), do: Situ.map(heard, & &1.text, type: :string, name: "Text")
+
+  # Whoever looks on gets `{:talk, what, data, time, clock}`.
+  defp watch(_assistant, nil), do: :ok
+
+  defp watch(assistant, watcher) do
+    for key <- [:listening, :heard, :intent, :said, :chat, :speaking, :stop],
+        stream = assistant[key] do
+      Situ.each(stream, &send(watcher, {:talk, key, &1, &2.originating_time, &2.creation_time}))
+    end
+  end
+end

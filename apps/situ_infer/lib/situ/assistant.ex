@@ -1,0 +1,137 @@
+defmodule Situ.Assistant do
+  @own [
+    wake: [
+      type: {:optional, :string},
+      default: "computer",
+      doc: "What it is called by; `nil`: it answers to everything."
+    ],
+    attention: [
+      type: :time_ns,
+      default: 8_000_000_000,
+      doc: "How long after its name, or after an answer, it needs no name, ns."
+    ],
+    grammar: [
+      type: {:optional, :string},
+      default: nil,
+      doc:
+        "More that it understands: a grammar (`Situ.Intent.Grammar`), or a file with one. Its intents come out on `:intent`."
+    ],
+    chat: [
+      type: {:optional, :keyword},
+      default: nil,
+      doc: "Who is asked what the rules do not know: options of `Situ.Chat`."
+    ],
+    local_time: [
+      type: {:fun, 1},
+      default: &Situ.Assistant.Dialogue.local_time/1,
+      doc: "The date and time at a moment (ns), where the assistant stands."
+    ],
+    pause: [
+      type: :time_ns,
+      default: 350_000_000,
+      doc: "The silence that ends a sentence, ns."
+    ],
+    recognizer: [type: :keyword, default: [], doc: "Options of `Situ.Infer.SpeechRecognizer`."],
+    synthesizer: [type: :keyword, default: [], doc: "Options of `Situ.Infer.SpeechSynthesizer`."]
+  ]
+
+  @moduledoc """
+  An assistant one talks to: it hears its name, recognises what is said, finds out what is wanted, does it, and answers
+  aloud; whoever interrupts it is listened to.
+
+      microphone = Situ.Media.Microphone.open(p)
+      assistant = Situ.Assistant.attach(microphone, wake: "computer")
+      Situ.Media.Speaker.play(assistant.sound)
+
+  It knows the time, the date and timers (`Situ.Assistant.Skills`); what else is said goes to a language model when
+  `chat:` names one. What comes back is a map of streams:
+
+  | key | of | what |
+  |---|---|---|
+  | `:voice` | boolean | whether somebody speaks |
+  | `:heard`, `:partial` | `Situ.Infer.Speech.Utterance` | what was said, and what it is so far |
+  | `:intent` | `Situ.Intent` | what was wanted |
+  | `:said` | string | what it says, when it decides to |
+  | `:sound` | `Situ.AudioBuffer` | that spoken, piece by piece as it is to be played |
+  | `:speaking` | boolean | whether it speaks |
+  | `:stop` | string | somebody interrupts it: the words |
+
+  Its own voice may reach the microphone: words that it has just said are no command and no interruption
+  (`Situ.Assistant.Echo`).
+
+  ## Options
+
+  #{Situ.Options.docs(@own)}
+  """
+  alias Situ.Assistant.{Dialogue, Interruption, Player}
+  alias Situ.Infer.{SpeechRecognizer, SpeechSynthesizer, VoiceActivity}
+  alias Situ.Stream
+
+  @type streams :: %{atom() => Stream.t()}
+
+  @doc "The assistant on a stream of 16 kHz mono sound."
+  @spec attach(Stream.t(), keyword()) :: streams()
+  def attach(%Stream{} = sound, opts \\ []) do
+    opts = Situ.Options.validate!(opts, @own)
+
+    voice =
+      Situ.via(sound, VoiceActivity, min_silence: opts[:pause], name: "VoiceActivity").speaking
+
+    heard =
+      Situ.via(
+        [sound: sound, speaking: voice],
+        SpeechRecognizer,
+        opts[:recognizer] ++ [name: "SpeechRecognizer"]
+      )
+
+    settings =
+      Keyword.take(opts, [:wake, :attention, :grammar, :local_time]) ++ [ask: opts[:chat] != nil]
+
+    dialogue = Situ.via([heard: heard.out], Dialogue, settings ++ [name: "Dialogue"])
+
+    stop =
+      Situ.via([partial: heard.partial, heard: heard.out, said: dialogue.said], Interruption,
+        name: "Interruption"
+      )
+
+    chat = opts[:chat] && answers(dialogue.ask, stop, opts[:chat])
+
+    spoken = Situ.via(dialogue.said, SpeechSynthesizer, spoken(opts) ++ [name: "Synthesizer"])
+
+    player = Situ.via([in: spoken, stop: stop] ++ chatted(chat, opts), Player, name: "Player")
+
+    %{
+      voice: voice,
+      heard: heard.out,
+      partial: heard.partial,
+      intent: dialogue.intent,
+      said: dialogue.said,
+      chat: chat,
+      sound: player.out,
+      speaking: player.speaking,
+      stop: stop
+    }
+  end
+
+  @system "You are a voice assistant. Answer in one or two short sentences of plain words, without lists or markup."
+
+  defp answers(questions, stop, opts) do
+    opts = Keyword.merge([system: @system, failures: :emit], opts)
+    chat = Situ.via([in: questions, cancel: stop], Situ.Chat, opts ++ [name: "Chat"])
+    # What it could not find out it says, too: nobody looks at a log while talking.
+    sorry = Situ.map(chat.failed, fn _ -> "I cannot reach the language model." end, type: :string)
+
+    [Situ.map(chat.out, & &1.text, type: :string), sorry]
+    |> Situ.merge(name: "Answers")
+    |> Situ.map(& &1.data, type: :string)
+  end
+
+  defp chatted(nil, _opts), do: []
+
+  defp chatted(answers, opts),
+    do: [
+      answers: Situ.via(answers, SpeechSynthesizer, spoken(opts) ++ [name: "AnswerSynthesizer"])
+    ]
+
+  defp spoken(opts), do: Keyword.put(opts[:synthesizer], :stamp, :text)
+end

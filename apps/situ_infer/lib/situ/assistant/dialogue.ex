@@ -1,0 +1,194 @@
+defmodule Situ.Assistant.Dialogue do
+  @schema [
+    wake: [
+      type: {:optional, :string},
+      default: "computer",
+      doc: "Its name; `nil`: it answers to everything."
+    ],
+    attention: [
+      type: :time_ns,
+      default: 8_000_000_000,
+      doc: "How long after its name, or after an answer, it needs no name, ns."
+    ],
+    grammar: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "More rules, for intents of the program around it."
+    ],
+    ask: [type: :boolean, default: false, doc: "What the rules do not know goes to `:ask`."],
+    local_time: [
+      type: {:fun, 1},
+      default: &Situ.Assistant.Dialogue.local_time/1,
+      doc: "The date and time at a moment (ns), where the assistant stands."
+    ]
+  ]
+
+  @moduledoc """
+  The conversation: whether it is meant, what is wanted, what is done and said.
+
+  Input `:heard` is what was said (`Situ.Infer.Speech.Utterance`). Outputs: `:intent` what was wanted, `:said` what to say,
+  `:ask` a question for somebody who knows more. Timers run by the pipeline's clock.
+
+  A name is recognised by its sound as written: one letter of it may be wrong in six. Echoes of what it said itself are
+  nobody's words.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    inputs: [heard: Situ.Infer.Speech.Utterance],
+    outputs: [intent: Situ.Intent, said: :string, ask: :string],
+    options: @schema
+
+  alias Situ.Assistant.{Echo, Skills}
+  alias Situ.Infer.Speech.Utterance
+  alias Situ.Intent
+  alias Situ.Intent.Grammar
+
+  # How alike two words must be (Jaro).
+  @alike 0.88
+
+  defstruct [
+    :opts,
+    :grammars,
+    :wake,
+    attentive_to: nil,
+    echo: Echo.new(),
+    timers: %{},
+    next: 0,
+    last: nil
+  ]
+
+  @doc "The date and time at a moment, in this machine's time zone."
+  @spec local_time(Situ.Time.t()) :: :calendar.datetime()
+  def local_time(ns), do: :calendar.system_time_to_local_time(ns, :nanosecond)
+
+  @impl true
+  def init(opts) do
+    with {:ok, own} <- Grammar.load(grammar: Skills.grammar(), min_score: 0.5),
+         {:ok, more} <- more(opts[:grammar]) do
+      wake = opts[:wake] && Utterance.words(opts[:wake])
+      {:ok, %__MODULE__{opts: Map.new(opts), grammars: more ++ [own], wake: wake}}
+    end
+  end
+
+  defp more(nil), do: {:ok, []}
+
+  defp more(grammar) do
+    with {:ok, grammar} <- Grammar.load(grammar: grammar, min_score: 0.5), do: {:ok, [grammar]}
+  end
+
+  @impl true
+  def handle_message(:heard, %{data: utterance, originating_time: time}, _context, state) do
+    if Echo.own?(state.echo, utterance.from, utterance.text),
+      do: {[], state},
+      else: utterance.text |> meant(state.wake) |> heard(utterance, time, state)
+  end
+
+  # It was called by its name and told nothing yet.
+  defp heard({:called, ""}, _utterance, time, state), do: say("Yes?", time, attend(state, time))
+  defp heard({:called, text}, _utterance, time, state), do: told(text, time, state)
+
+  defp heard(:not_called, utterance, time, state) do
+    if state.wake in [nil, []] or
+         (state.attentive_to != nil and utterance.from <= state.attentive_to),
+       do: told(utterance.text, time, state),
+       else: {[], state}
+  end
+
+  defp told(text, time, state) do
+    intent = detect(text, state.grammars)
+
+    {actions, state} =
+      done(Skills.answer(intent, state.opts.local_time.(time)), text, time, intent, state)
+
+    {[{:intent, time, intent} | actions], state}
+  end
+
+  defp detect(text, grammars) do
+    Enum.reduce_while(grammars, nil, fn grammar, _ ->
+      {:ok, intent} = Grammar.detect(grammar, text)
+      if Intent.name(intent), do: {:halt, intent}, else: {:cont, intent}
+    end)
+  end
+
+  defp done({:say, text}, _text, time, _intent, state), do: say(text, time, attend(state, time))
+
+  defp done({:timer, length, name, text}, _text, time, _intent, state) do
+    {actions, say} = say(text, time, attend(state, time))
+    timers = Map.put(say.timers, say.next, name)
+
+    {actions ++ [{:timer, {:rings, say.next}, time + length}],
+     %{say | timers: timers, next: say.next + 1}}
+  end
+
+  defp done(:cancel, _text, time, _intent, %{timers: timers} = state) do
+    text =
+      if timers == %{},
+        do: "There is no timer.",
+        else: "I forget the #{if map_size(timers) > 1, do: "timers", else: "timer"}."
+
+    say(text, time, attend(%{state | timers: %{}}, time))
+  end
+
+  defp done(:quiet, _text, _time, _intent, state), do: {[], %{state | attentive_to: nil}}
+
+  # An answer of a model may be long, and is not its own echo: whoever goes on calls it by its name.
+  defp done(:unknown, text, time, %{intents: []}, %{opts: %{ask: true}} = state),
+    do: {[{:ask, time, text}], %{state | attentive_to: nil}}
+
+  defp done(:unknown, _text, time, %{intents: []}, state),
+    do: say("I did not understand that.", time, attend(state, time))
+
+  # The program around it has this intent.
+  defp done(:unknown, _text, time, _intent, state), do: {[], attend(state, time)}
+
+  defp attend(state, time), do: %{state | attentive_to: time + state.opts.attention}
+
+  @impl true
+  def handle_info({:timer, {:rings, id}}, context, state) do
+    case Map.pop(state.timers, id) do
+      {nil, _} ->
+        {[], state}
+
+      {name, timers} ->
+        say("Your timer of #{name} is over.", context.now, %{state | timers: timers})
+    end
+  end
+
+  def handle_info(_other, _context, state), do: {[], state}
+
+  @impl true
+  def describe(state), do: "#{map_size(state.timers)} timers"
+
+  defp say(text, time, state) do
+    at = if state.last, do: max(time, state.last + 1), else: time
+    {[{:said, at, text}], %{state | last: at, echo: Echo.said(state.echo, at, text)}}
+  end
+
+  @doc """
+  Whether somebody says its name first, and what follows; a greeting in front of it does not count.
+
+      iex> Situ.Assistant.Dialogue.meant("Hey, Computer! What time is it?", ["computer"])
+      {:called, "what time is it"}
+      iex> Situ.Assistant.Dialogue.meant("My computer is broken.", ["computer"])
+      :not_called
+  """
+  @spec meant(String.t(), [String.t()] | nil) :: {:called, String.t()} | :not_called
+  def meant(_text, wake) when wake in [nil, []], do: :not_called
+
+  def meant(text, wake) do
+    words =
+      text |> Utterance.words() |> Enum.drop_while(&(&1 in ["hey", "hi", "hello", "ok", "okay"]))
+
+    {name, rest} = Enum.split(words, length(wake))
+
+    if length(name) == length(wake) and
+         name
+         |> Enum.zip(wake)
+         |> Enum.all?(fn {a, b} -> String.jaro_distance(a, b) >= @alike end),
+       do: {:called, Enum.join(rest, " ")},
+       else: :not_called
+  end
+end

@@ -1,0 +1,39 @@
+defmodule Situ.Assistant.Interruption do
+  @moduledoc """
+  Says when somebody talks while the assistant does: at the first words that are not its own (`Situ.Assistant.Echo`) and
+  have lasted half a second, since of less a recogniser makes words that nobody said.
+
+  Inputs `:partial` and `:heard` are what was recognised (`Situ.Infer.Speech.Utterance`), `:said` what the assistant says.
+  Output `:out` is the words, once for each utterance, at the time up to which they were heard.
+  """
+  use Situ.Component,
+    inputs: [
+      partial: Situ.Infer.Speech.Utterance,
+      heard: Situ.Infer.Speech.Utterance,
+      said: :string
+    ],
+    outputs: [out: :string]
+
+  alias Situ.Assistant.Echo
+
+  @enough 500_000_000
+
+  @impl true
+  def init(_opts), do: {:ok, %{echo: Echo.new(), from: nil, last: nil}}
+
+  @impl true
+  def handle_message(:said, %{data: text, originating_time: time}, _context, state),
+    do: {[], %{state | echo: Echo.said(state.echo, time, text)}}
+
+  def handle_message(_heard, %{data: utterance, originating_time: time}, _context, state) do
+    again? = state.from != nil and utterance.from <= state.from
+    early? = not utterance.final? and utterance.to - utterance.from < @enough
+
+    if again? or early? or Echo.own?(state.echo, utterance.from, utterance.text) do
+      {[], state}
+    else
+      at = if state.last, do: max(time, state.last + 1), else: time
+      {[{:out, at, utterance.text}], %{state | from: utterance.from, last: at}}
+    end
+  end
+end

@@ -1,0 +1,107 @@
+defmodule Situ.Assistant.Skills do
+  @moduledoc """
+  What the assistant can do by itself: tell the time and the date, set and cancel timers, be quiet. Pure: an intent and
+  what time it is give what to say and what to do.
+
+      iex> {:ok, grammar} = Situ.Intent.Grammar.load(grammar: Situ.Assistant.Skills.grammar())
+      iex> {:ok, intent} = Situ.Intent.Grammar.detect(grammar, "set a timer for five minutes")
+      iex> Situ.Assistant.Skills.answer(intent, {{2026, 11, 22}, {11, 5, 0}})
+      {:timer, 300_000_000_000, "five minutes", "I set a timer for five minutes."}
+  """
+  alias Situ.Intent
+  alias Situ.Intent.Number
+
+  @grammar """
+  #JSGF V1.0;
+  grammar assistant;
+  public <time> = (what time is it | what is the time | what's the time | tell me the time) [now] {intent=time};
+  public <date> = (what day is it | what day is today | what is the date | what's the date | what date is it) [today]
+                  {intent=date};
+  public <timer> = ((set | start | make) (a | the | another) timer | [setter | start a] timer) {intent=timer} (for | of | to | in) <length>
+                 | (wake | remind | call) me {intent=timer} in <length>
+                 | (set | start | make) (a | the) {intent=timer} <length> timer;
+  <length> = <NUMBER> {count} (second | seconds | minute | minutes | hour | hours) {unit};
+  public <cancel> = (cancel | delete | forget | stop) (the | my | all) (timer | timers) {intent=cancel};
+  public <stop> = (stop | be quiet | quiet | never mind | that is enough) {intent=stop};
+  public <thanks> = (thank you | thanks) {intent=thanks};
+  """
+
+  @units %{"second" => 1, "minute" => 60, "hour" => 3_600}
+  @days ~w(Monday Tuesday Wednesday Thursday Friday Saturday Sunday)
+  @months ~w(January February March April May June July August September October November December)
+  @ordinals ~w(first second third fourth fifth sixth seventh eighth ninth tenth eleventh twelfth thirteenth fourteenth
+               fifteenth sixteenth seventeenth eighteenth nineteenth twentieth)
+
+  @type deed ::
+          {:say, String.t()}
+          | {:timer, Situ.Time.duration(), length :: String.t(), String.t()}
+          | :cancel
+          | :quiet
+          | :unknown
+
+  @doc "What it understands, as a grammar."
+  @spec grammar() :: String.t()
+  def grammar, do: @grammar
+
+  @doc "What to do about an intent when the local time is `now`."
+  @spec answer(Intent.t(), :calendar.datetime()) :: deed()
+  def answer(%Intent{} = intent, now) do
+    case Intent.name(intent) do
+      "time" -> {:say, time(now)}
+      "date" -> {:say, date(now)}
+      "timer" -> timer(intent)
+      "cancel" -> :cancel
+      "stop" -> :quiet
+      "thanks" -> {:say, "You are welcome."}
+      _ -> :unknown
+    end
+  end
+
+  defp timer(intent) do
+    with count when is_binary(count) <- Intent.entity(intent, "count"),
+         unit when is_binary(unit) <- Intent.entity(intent, "unit"),
+         n when n > 0 <- String.to_integer(count) do
+      unit = String.trim_trailing(unit, "s")
+      length = "#{Number.words(n)} #{unit}#{if n > 1, do: "s"}"
+
+      {:timer, n * Map.fetch!(@units, unit) * 1_000_000_000, length,
+       "I set a timer for #{length}."}
+    else
+      _ -> {:say, "For how long?"}
+    end
+  end
+
+  @doc """
+  The time in words.
+
+      iex> Situ.Assistant.Skills.time({{2026, 11, 22}, {9, 5, 0}})
+      "It is nine oh five."
+      iex> Situ.Assistant.Skills.time({{2026, 11, 22}, {0, 0, 59}})
+      "It is midnight."
+  """
+  @spec time(:calendar.datetime()) :: String.t()
+  def time({_, {0, 0, _}}), do: "It is midnight."
+  def time({_, {12, 0, _}}), do: "It is noon."
+  def time({_, {hour, 0, _}}), do: "It is #{Number.words(hour)} o'clock."
+
+  def time({_, {hour, minute, _}}) when minute < 10,
+    do: "It is #{Number.words(hour)} oh #{Number.words(minute)}."
+
+  def time({_, {hour, minute, _}}), do: "It is #{Number.words(hour)} #{Number.words(minute)}."
+
+  @doc """
+  The date in words.
+
+      iex> Situ.Assistant.Skills.date({{2026, 11, 22}, {9, 5, 0}})
+      "It is Sunday, November the twenty second."
+  """
+  @spec date(:calendar.datetime()) :: String.t()
+  def date({{_, month, day} = date, _}) do
+    name = Enum.at(@days, :calendar.day_of_the_week(date) - 1)
+    "It is #{name}, #{Enum.at(@months, month - 1)} the #{ordinal(day)}."
+  end
+
+  defp ordinal(day) when day <= 20, do: Enum.at(@ordinals, day - 1)
+  defp ordinal(30), do: "thirtieth"
+  defp ordinal(day), do: "#{Number.words(10 * div(day, 10))} #{ordinal(rem(day, 10))}"
+end
