@@ -14,7 +14,7 @@ defmodule Situ.Assistant do
       type: {:optional, :string},
       default: nil,
       doc:
-        "More that it understands: a grammar (`Situ.Intent.Grammar`), or a file with one. Its intents come out on `:intent`."
+        "More that it understands: a grammar (`Situ.Intent.Grammar`) or its file; intents come out on `:intent`."
     ],
     chat: [
       type: {:optional, :keyword},

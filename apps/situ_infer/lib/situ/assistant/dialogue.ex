@@ -26,8 +26,8 @@ defmodule Situ.Assistant.Dialogue do
   @moduledoc """
   The conversation: whether it is meant, what is wanted, what is done and said.
 
-  Input `:heard` is what was said (`Situ.Infer.Speech.Utterance`). Outputs: `:intent` what was wanted, `:said` what to say,
-  `:ask` a question for somebody who knows more. Timers run by the pipeline's clock.
+  Input `:heard` is what was said (`Situ.Infer.Speech.Utterance`). Outputs: `:intent` what was wanted, `:said` what to
+  say, `:ask` a question for somebody who knows more. Timers run by the pipeline's clock.
 
   A name is recognised by its sound as written: one letter of it may be wrong in six. Echoes of what it said itself are
   nobody's words.

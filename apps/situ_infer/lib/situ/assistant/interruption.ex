@@ -1,9 +1,10 @@
 defmodule Situ.Assistant.Interruption do
   @moduledoc """
-  Says when somebody talks while the assistant does: at the first words that are not its own (`Situ.Assistant.Echo`) and
-  have lasted half a second, since of less a recogniser makes words that nobody said.
+  Says when somebody talks while the assistant does: at the first words that are not its own (`Situ.Assistant.Echo`)
+  and have lasted half a second, since of less a recogniser makes words that nobody said.
 
-  Inputs `:partial` and `:heard` are what was recognised (`Situ.Infer.Speech.Utterance`), `:said` what the assistant says.
+  Inputs `:partial` and `:heard` are what was recognised (`Situ.Infer.Speech.Utterance`), `:said` what the assistant
+  says.
   Output `:out` is the words, once for each utterance, at the time up to which they were heard.
   """
   use Situ.Component,

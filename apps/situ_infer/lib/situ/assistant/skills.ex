@@ -17,7 +17,8 @@ defmodule Situ.Assistant.Skills do
   public <time> = (what time is it | what is the time | what's the time | tell me the time) [now] {intent=time};
   public <date> = (what day is it | what day is today | what is the date | what's the date | what date is it) [today]
                   {intent=date};
-  public <timer> = ((set | start | make) (a | the | another) timer | [setter | start a] timer) {intent=timer} (for | of | to | in) <length>
+  public <timer> = ((set | start | make) (a | the | another) timer | [setter | start a] timer)
+                   {intent=timer} (for | of | to | in) <length>
                  | (wake | remind | call) me {intent=timer} in <length>
                  | (set | start | make) (a | the) {intent=timer} <length> timer;
   <length> = <NUMBER> {count} (second | seconds | minute | minutes | hour | hours) {unit};

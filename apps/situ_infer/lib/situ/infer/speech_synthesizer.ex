@@ -15,7 +15,7 @@ defmodule Situ.Infer.SpeechSynthesizer do
       type: {:in, [:end, :text]},
       default: :end,
       doc:
-        "The sound's time: that of its end, as all sound's; or that of its text, for what plays it in a time of its own."
+        "The sound's time: that of its end, as all sound's; or that of its text, for what plays it by its own clock."
     ],
     cache: [
       type: :non_neg_integer,
