@@ -30,7 +30,8 @@ defmodule Situ.Conformance do
     "interop" => Situ.Conformance.Interop,
     "serialization" => "Situ writes no other system's object graphs",
     "memory_sharing" => "terms are immutable and collected: there is nothing to share by hand",
-    "time" => "the VM keeps system time; Situ calibrates no counter"
+    "time" =>
+      "the counter is held against the system's time by rules of its own (Situ.Clock.Wall)"
   }
 
   # Which area an operation belongs to, first match.

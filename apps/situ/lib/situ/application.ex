@@ -6,6 +6,7 @@ defmodule Situ.Application do
   @impl true
   def start(_type, _args) do
     children = [
+      Situ.Clock.Wall,
       Situ.Application.Tables,
       Situ.Application.Reaper,
       Situ.Clock.registry(),

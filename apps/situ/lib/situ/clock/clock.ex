@@ -24,17 +24,22 @@ defmodule Situ.Clock do
   @type kind :: :real | :virtual | :manual
   @type t :: %__MODULE__{kind: kind(), cells: :atomics.atomics_ref() | nil}
 
+  alias Situ.Clock.Wall
+
   @registry __MODULE__.Listeners
 
-  @doc "Wall time."
+  @doc """
+  Wall time. It never goes back: when the system's time is set back, it stands still until that has caught up; when
+  that is set forward, it follows within a second.
+  """
   @spec real() :: t()
-  def real, do: %__MODULE__{kind: :real}
+  def real, do: %__MODULE__{kind: :real, cells: Wall.cells()}
 
   @doc "Starts now at `origin` (ns) and runs `speed` times as fast as the wall clock; can be paused."
   @spec virtual(Situ.Time.t(), number()) :: t()
   def virtual(origin, speed \\ 1.0) when is_integer(origin) and is_number(speed) and speed > 0 do
     cells = :atomics.new(5, signed: true)
-    write(cells, origin, :os.system_time(), micro(speed), micro(speed))
+    write(cells, origin, Wall.now(), micro(speed), micro(speed))
     %__MODULE__{kind: :virtual, cells: cells}
   end
 
@@ -48,7 +53,7 @@ defmodule Situ.Clock do
 
   @doc "The time now, ns."
   @spec now(t()) :: Situ.Time.t()
-  def now(%__MODULE__{kind: :real}), do: :os.system_time()
+  def now(%__MODULE__{kind: :real, cells: cells}), do: Wall.now(cells)
   def now(%__MODULE__{kind: :manual, cells: cells}), do: :atomics.get(cells, 2)
 
   def now(%__MODULE__{kind: :virtual, cells: cells}) do
@@ -58,7 +63,7 @@ defmodule Situ.Clock do
 
   @doc "Wall milliseconds (rounded up) until the clock reaches `time`; `:never` while it stands still."
   @spec wait_ms(t(), Situ.Time.t()) :: non_neg_integer() | :never
-  def wait_ms(%__MODULE__{kind: :real}, time), do: ceil_ms(time - :os.system_time())
+  def wait_ms(%__MODULE__{kind: :real, cells: cells}, time), do: ceil_ms(time - Wall.now(cells))
 
   def wait_ms(%__MODULE__{kind: :manual} = clock, time),
     do: if(now(clock) >= time, do: 0, else: :never)
@@ -93,7 +98,7 @@ defmodule Situ.Clock do
   @spec pause(t()) :: :ok | {:error, Situ.Error.t()}
   def pause(clock) do
     change(clock, fn origin, wall, speed, resume ->
-      now = :os.system_time()
+      now = Wall.now()
       {elapsed(origin, wall, speed, now), now, 0, resume}
     end)
   end
@@ -102,7 +107,7 @@ defmodule Situ.Clock do
   @spec resume(t()) :: :ok | {:error, Situ.Error.t()}
   def resume(clock) do
     change(clock, fn origin, wall, speed, resume ->
-      now = :os.system_time()
+      now = Wall.now()
       {elapsed(origin, wall, speed, now), now, resume, resume}
     end)
   end
@@ -111,7 +116,7 @@ defmodule Situ.Clock do
   @spec set_speed(t(), number()) :: :ok | {:error, Situ.Error.t()}
   def set_speed(clock, speed) when is_number(speed) and speed > 0 do
     change(clock, fn origin, wall, old, _resume ->
-      now = :os.system_time()
+      now = Wall.now()
       next = if old == 0, do: 0, else: micro(speed)
       {elapsed(origin, wall, old, now), now, next, micro(speed)}
     end)
@@ -123,7 +128,7 @@ defmodule Situ.Clock do
 
   def jump(clock, time) do
     change(clock, fn origin, wall, speed, resume ->
-      now = :os.system_time()
+      now = Wall.now()
       {max(time, elapsed(origin, wall, speed, now)), now, speed, resume}
     end)
   end
@@ -220,7 +225,7 @@ defmodule Situ.Clock do
     :atomics.put(cells, 5, resume)
   end
 
-  defp elapsed(origin, wall, speed), do: elapsed(origin, wall, speed, :os.system_time())
+  defp elapsed(origin, wall, speed), do: elapsed(origin, wall, speed, Wall.now())
 
   defp elapsed(origin, wall, 1_000_000, now), do: origin + max(now - wall, 0)
   defp elapsed(origin, wall, speed, now), do: origin + div(max(now - wall, 0) * speed, 1_000_000)

@@ -64,7 +64,7 @@ defmodule Situ.Clock.Timing do
 
   defp clock(%{clock: %Clock{} = clock}, _from), do: clock
   defp clock(%{speed: speed}, :unbounded) when speed in [:max, 1.0, 1], do: Clock.real()
-  defp clock(%{speed: speed}, :unbounded), do: Clock.virtual(:os.system_time(), speed)
+  defp clock(%{speed: speed}, :unbounded), do: Clock.virtual(Clock.now(Clock.real()), speed)
   defp clock(%{speed: :max}, from), do: Clock.virtual(from, 1.0)
   defp clock(%{speed: speed}, from), do: Clock.virtual(from, speed)
 end
