@@ -81,7 +81,8 @@ defmodule Situ.Fixture.LifecycleWorld do
   defp happen({:timer, event}, world), do: apply_event(world, event)
 
   defp happen({:watch, which}, world),
-    do: apply_event(world, {:watched, which, %{moved?: false, idle: world.alive}})
+    do:
+      apply_event(world, {:watched, which, %{moved?: false, idle: world.alive, patient?: false}})
 
   defp happen({:wish, {:kill, id}}, world), do: kill(world, id)
 

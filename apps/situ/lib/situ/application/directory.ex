@@ -31,13 +31,11 @@ defmodule Situ.Application.Directory do
 
   @doc "The calling process is over: whoever learns that may take its name."
   @spec leave(%{:registered => atom(), optional(atom()) => term()}) :: :ok
-  def leave(%{registered: nil}), do: :ok
-
   def leave(%{registered: name}) do
-    Process.unregister(name)
-    :ok
-  rescue
-    ArgumentError -> :ok
+    if name != nil and Process.whereis(name) == self(), do: Process.unregister(name)
+    GenServer.call(__MODULE__, :leave)
+  catch
+    :exit, _ -> :ok
   end
 
   @doc "Label and process of each, in the order of labels."
@@ -69,6 +67,11 @@ defmodule Situ.Application.Directory do
   def handle_call({:enter, label}, {pid, _}, state) do
     Process.monitor(pid)
     :ets.insert(@table, {pid, label})
+    {:reply, :ok, state}
+  end
+
+  def handle_call(:leave, {pid, _}, state) do
+    :ets.delete(@table, pid)
     {:reply, :ok, state}
   end
 

@@ -30,6 +30,9 @@ defmodule Situ.Component do
     * `{:hold, input}`: take nothing from `input` for 20 ms of real time (then `handle_info({:hold_ended, input},
       ...)` is called), or until `{:resume, input}`: its producer runs out of demand and waits. For components that
       must not let one input run far ahead;
+    * `{:linger, true}`: its inputs have closed, but it has something to give later, by a timer: its outputs stay open
+      until `{:linger, false}`. When the pipeline is stopped meanwhile, `handle_info({:linger, :end}, ...)` asks it for
+      what is left
     * `{:detach, input, opts}`: an input that `handle_attach/5` took is not needed any more; `opts` are the
       component's options from now on;
     * `{:demand, :accumulate}`: emit nothing and take nothing until `{:demand, :forward}` (or `GenStage.demand(pid,
@@ -52,6 +55,7 @@ defmodule Situ.Component do
           | {:resume, input :: atom()}
           | {:detach, input :: atom(), opts :: keyword()}
           | {:demand, :accumulate | :forward}
+          | {:linger, boolean()}
           | :stopping
           | :stopped
   @type result :: {[action()], state()}

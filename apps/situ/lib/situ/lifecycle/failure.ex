@@ -72,9 +72,33 @@ defmodule Situ.Lifecycle.Failure do
         state
         |> limit(member.id, reached)
         |> gone(member.id, now)
-        |> error(too_often(member, state, reason))
+        |> error(too_often(state.stages[member.id], state, reason))
         |> end_soon()
     end
+  end
+
+  @doc "A component raised, and began again in its process: too often is a failure like any other."
+  @spec restarted(State.t(), State.id(), Error.t()) :: State.t()
+  def restarted(state, id, error) do
+    state = act(state, {:noted, error})
+
+    if restartable?(state) and state.stages[id].status == :running do
+      case count(state, id) do
+        {:ok, state} ->
+          state
+
+        {:error, state} ->
+          tell(state, [id], {:fail, too_often(raised(state, id, error), state, error)})
+      end
+    else
+      state
+    end
+  end
+
+  # The one in the stage that it was.
+  defp raised(state, id, error) do
+    member = state.stages[id]
+    %{member | path: error.meta[:component] || member.path}
   end
 
   @doc "Another restart: whether there have been too many in too short a time, as a supervisor counts."

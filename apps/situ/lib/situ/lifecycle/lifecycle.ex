@@ -15,6 +15,7 @@ defmodule Situ.Lifecycle do
   # | `{:completed, id, time or :infinity}` | a source knows its end |
   # | `{:unsubscribed, id, tag, time}` | a stage took the closing mark of an input |
   # | `{:failed, id, error, reached}`, `{:init_failed, id, error}` | a stage fails |
+  # | `{:restarted, id, error}` | a stage took an exception for a restart |
   # | `{:exited, id, error, reached}` | a stage's process ended |
   # | `{:stop, catch_up}`, `{:stop_at, time}`, `{:stop_part, ref, ids, opts}` | somebody wants an end |
   # | `{:grow, ref, plan, from}`, `{:lent, tag, how}` | components are added while it runs |
@@ -169,6 +170,8 @@ defmodule Situ.Lifecycle do
       else: Failure.failed(state, id, error, reached)
   end
 
+  defp known({:restarted, id, error}, state, _now), do: Failure.restarted(state, id, error)
+
   defp known({:init_failed, id, error}, state, now),
     do: Failure.init_failed(state, id, error, now)
 
@@ -206,6 +209,7 @@ defmodule Situ.Lifecycle do
   end
 
   defp stop(%{phase: :running} = state, {time, by_hand}), do: wish(state, time, by_hand)
+  defp stop(%{phase: :stopping} = state, {_time, true}), do: Shutdown.hurry(state)
   defp stop(state, _wish), do: state
 
   # A source has told its end; those that have not decide how long the pipeline runs.

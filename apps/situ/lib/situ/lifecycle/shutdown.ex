@@ -55,6 +55,18 @@ defmodule Situ.Lifecycle.Shutdown do
     if state.ending.enough?, do: tell(state, sources, :stop_now), else: state
   end
 
+  @doc "A pipeline that ends by itself is stopped by hand: what waits for its time, or for somebody, waits no more."
+  @spec hurry(State.t()) :: State.t()
+  def hurry(%{ending: %{by_hand: true}} = state), do: state
+
+  # That counts as a move: what has waited so far has its time from now on.
+  def hurry(state) do
+    state
+    |> ending(by_hand: true, moves: state.ending.moves + 1)
+    |> catch_up()
+    |> act({:release, alive(state)})
+  end
+
   defp catch_up(state), do: act(state, {:after, state.ending.catch_up, :enough})
 
   defp running_sources(state) do

@@ -8,13 +8,16 @@ defmodule Situ.Lifecycle.Stall do
   alias Situ.Lifecycle.{Links, State}
   import Situ.Lifecycle.State
 
-  @typedoc "Whether anything has moved, and which stages wait for a message and have none."
-  @type seen :: %{moved?: boolean(), idle: MapSet.t(State.id())}
+  @typedoc """
+  Whether anything has moved, which stages wait for a message and have none, and whether one waits for somebody
+  outside of the pipeline, or for its clock.
+  """
+  @type seen :: %{moved?: boolean(), idle: MapSet.t(State.id()), patient?: boolean()}
 
   @spec watched(State.t(), :all | reference(), seen()) :: State.t()
   def watched(%{phase: phase, ending: %{wish: wish}} = state, :all, seen)
       when phase == :stopping or (phase == :starting and wish != nil) do
-    state = if seen.moved?, do: state, else: kill_all(state, late(state, seen.idle))
+    state = if seen.moved?, do: state, else: kill_all(state, late(state, seen))
     act(state, {:watch, state.limits.stop_timeout, :all})
   end
 
@@ -36,10 +39,17 @@ defmodule Situ.Lifecycle.Stall do
     if Enum.all?(members, & &1.tap?), do: state, else: error(state, stuck(members, state))
   end
 
-  defp late(state, idle) do
+  defp late(state, seen) do
     alive = alive(state)
-    with [] <- Enum.reject(alive, &(&1 in idle)), do: Enum.filter(alive, &owes?(&1, state))
+
+    case Enum.reject(alive, &(&1 in seen.idle)) do
+      [] -> if waits?(state, seen), do: [], else: Enum.filter(alive, &owes?(&1, state))
+      busy -> busy
+    end
   end
+
+  # An end by hand waits for nobody.
+  defp waits?(state, seen), do: seen.patient? and not state.ending.by_hand
 
   defp owes?(id, %{step: :close} = state), do: not Links.free?(state.links, id)
   defp owes?(id, state), do: MapSet.member?(state.pending, id)

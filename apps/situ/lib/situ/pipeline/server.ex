@@ -205,7 +205,8 @@ defmodule Situ.Pipeline.Server do
 
   defp event({:situ_watch, which, mark}, state) do
     moved? = Stages.fingerprint(state, which) != mark
-    seen = %{moved?: moved?, idle: if(moved?, do: MapSet.new(), else: Stages.idle(state))}
+    idle = if(moved?, do: MapSet.new(), else: Stages.idle(state))
+    seen = %{moved?: moved?, idle: idle, patient?: Stages.patient?(state)}
     apply_event(state, {:watched, which, seen})
   end
 
@@ -262,8 +263,8 @@ defmodule Situ.Pipeline.Server do
   defp stage({:init_failed, error}, id, state),
     do: state |> Performer.interrupted(id) |> apply_event({:init_failed, id, error})
 
-  defp stage({lost, error}, _id, state) when lost in [:skipped, :restarted],
-    do: {:noreply, Performer.noted(state, error)}
+  defp stage({:skipped, error}, _id, state), do: {:noreply, Performer.noted(state, error)}
+  defp stage({:restarted, error}, id, state), do: apply_event(state, {:restarted, id, error})
 
   defp stage({:description, text}, id, state),
     do: {:noreply, Inspection.described(state, id, text)}

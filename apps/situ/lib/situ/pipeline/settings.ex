@@ -44,7 +44,8 @@ defmodule Situ.Pipeline.Settings do
     max_restarts: [
       type: :non_neg_integer,
       default: 3,
-      doc: "How often a component with `on_error: :restart` or `:skip` may be restarted ..."
+      doc:
+        "How often a component may be restarted (its process died, or it raised under `on_error: :restart`) ..."
     ],
     max_seconds: [
       type: :pos_integer,

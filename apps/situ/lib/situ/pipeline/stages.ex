@@ -69,7 +69,7 @@ defmodule Situ.Pipeline.Stages do
   @doc "A stage that has no process yet."
   @spec entry(pos_integer(), [Vertex.t(), ...], Counters.t() | nil) :: State.stage()
   def entry(id, vertices, tail \\ nil) do
-    control = :atomics.new(1, signed: true)
+    control = :atomics.new(2, signed: true)
     :atomics.put(control, 1, Stage.never())
 
     %{
@@ -260,6 +260,11 @@ defmodule Situ.Pipeline.Stages do
   @doc "The stages that wait for a message and have none."
   @spec idle(State.t()) :: MapSet.t(pos_integer())
   def idle(state), do: for({id, stage} <- state.stages, idle?(stage), into: MapSet.new(), do: id)
+
+  @doc "Whether a stage waits for somebody outside, or for the clock: that may take as long as it takes."
+  @spec patient?(State.t()) :: boolean()
+  def patient?(state),
+    do: Enum.any?(state.stages, fn {_, stage} -> Stage.patient?(stage.control) end)
 
   defp idle?(%{pid: nil}), do: true
 

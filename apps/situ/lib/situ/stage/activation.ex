@@ -61,7 +61,7 @@ defmodule Situ.Stage.Activation do
 
     with {:ok, callback} <- Callback.start(state.callback),
          state = %{state | callback: callback, timers: Timers.clear(state.timers)},
-         state = %{state | pace: %{state.pace | continue: :none}},
+         state = %{state | pace: %{state.pace | continue: :none, lingers: false}},
          {:ok, actions, core} <- Callback.call(callback, :handle_start, [state.context]),
          state = %{state | callback: %{callback | core: core}},
          {:ok, state} <- Emission.run(state, actions, Clock.now(state.clock)) do

@@ -218,6 +218,13 @@ defmodule Situ.Stage.Control do
     {:ok, %{state | vertices: vertices, chain: Chain.exchange(chain, index, step)}, []}
   end
 
+  defp replace(state, 0, _module, {:keep, opts}) do
+    with {:ok, callback} <- Callback.renew(state.callback, opts) do
+      state = State.put_head(state, %{State.head(state) | opts: opts})
+      {:ok, %{state | callback: callback}, []}
+    end
+  end
+
   defp replace(state, 0, module, opts) do
     with {:ok, opts} <- Options.validate(opts, module.options()),
          {:ok, callback, actions} <-

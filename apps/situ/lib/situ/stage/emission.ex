@@ -87,8 +87,13 @@ defmodule Situ.Stage.Emission do
   defp one(state, {:continue, term}, _now),
     do: {:ok, %{state | pace: %{state.pace | continue: {:some, term}}}}
 
+  defp one(state, {:linger, lingers?}, _now) when is_boolean(lingers?) do
+    state = State.patience(state, lingers?)
+    {:ok, %{state | pace: %{state.pace | lingers: lingers?}}}
+  end
+
   defp one(state, {:demand, mode}, _now) when mode in [:accumulate, :forward],
-    do: {:ok, %{state | outputs: %{state.outputs | demand: mode}}}
+    do: {:ok, State.demand(state, mode)}
 
   defp one(state, :stopping, _now), do: {:ok, %{state | source: Source.stopping(state.source)}}
 

@@ -19,11 +19,13 @@ defmodule Situ.Stage.ErrorPolicy do
     state
   end
 
-  @doc "The operator or component at `index` starts again with a fresh state; the message is lost."
+  @doc """
+  The operator or component at `index` starts again with a fresh state; the message is lost. The server counts how often.
+  """
   @spec restarted(State.t(), Error.t(), non_neg_integer()) :: State.t()
   def restarted(state, error, index \\ 0) do
     Tally.restarted(state.tally, index)
-    State.report(state, {:skipped, error})
+    State.report(state, {:restarted, error})
     state
   end
 

@@ -93,7 +93,7 @@ defmodule Situ.Stage.Loop do
   @doc "Whether what comes is taken and goes out."
   @spec demand(State.t(), :accumulate | :forward) :: State.t()
   def demand(state, mode),
-    do: turn(State.wake(%{state | outputs: %{state.outputs | demand: mode}}))
+    do: state |> State.demand(mode) |> State.wake() |> turn()
 
   @doc "Something is due: timers, or messages ahead of time."
   @spec ring(State.t()) :: State.t()
@@ -135,11 +135,8 @@ defmodule Situ.Stage.Loop do
   defp idle?(input, outputs), do: Input.empty?(input) or Outputs.room(outputs) < 1
 
   # A pipeline that ends does not wait for somebody to let it go on.
-  defp unlock(%{outputs: %{demand: :accumulate} = outputs} = state, final) do
-    if final == State.never(),
-      do: state,
-      else: %{state | outputs: %{outputs | demand: :forward}}
-  end
+  defp unlock(%{outputs: %{demand: :accumulate}} = state, final),
+    do: if(final == State.never(), do: state, else: State.demand(state, :forward))
 
   defp unlock(state, _final), do: state
 
@@ -150,7 +147,20 @@ defmodule Situ.Stage.Loop do
   # Sends what is pending, and sets the alarm for what waits for its time.
   # A chain has nothing that waits for its time.
   defp finish(%{callback: nil} = state), do: Emission.settle(state)
-  defp finish(state), do: state |> Emission.settle() |> Production.released() |> arm()
+
+  defp finish(%{pace: %{lingers: true}, phase: :running} = state),
+    do: state |> hurry(State.final(state)) |> released()
+
+  defp finish(state), do: released(state)
+
+  # Nor does it wait until a component has given what it keeps for later.
+  defp hurry(state, final) do
+    if final == State.never(),
+      do: state,
+      else: Activation.call(state, :handle_info, [{:linger, :end}], Clock.now(state.clock))
+  end
+
+  defp released(state), do: state |> MessageRunner.settled() |> Production.released() |> arm()
 
   defp later(state) do
     state = finish(state)

@@ -113,8 +113,11 @@ defmodule Situ.Stage.MessageRunner do
 
   @doc "Sends what is pending. An input has closed when the component has given all that it had for it."
   @spec settled(State.t()) :: State.t()
-  def settled(%{phase: phase, pace: %{continue: {:some, _}}} = state) when phase != :failed,
-    do: Emission.settle(state)
+  def settled(%{pace: %{closings: []}} = state), do: Emission.settle(state)
+
+  def settled(%{phase: phase, pace: %{continue: continue, lingers: lingers?}} = state)
+      when phase != :failed and (lingers? or continue != :none),
+      do: Emission.settle(state)
 
   def settled(state) do
     state = Emission.settle(state)

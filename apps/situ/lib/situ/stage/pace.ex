@@ -14,12 +14,13 @@ defmodule Situ.Stage.Pace do
             early: [],
             quitting: false,
             continue: :none,
+            lingers: false,
             closings: []
 
   @typedoc """
   `early`: what came before the stage knew its neighbours, newest first. `quitting`: it ends once its outputs are
   drained. `continue`: the component goes on with this, `{:some, term}`, before it takes anything else in;
-  `closings`: inputs that have closed meanwhile.
+  `closings`: inputs that have closed meanwhile; `lingers`: it has something left for later, although they have.
   """
   @type t :: %__MODULE__{
           slice: pos_integer(),
@@ -28,6 +29,7 @@ defmodule Situ.Stage.Pace do
           early: [term()],
           quitting: boolean(),
           continue: :none | {:some, term()},
+          lingers: boolean(),
           closings: [term()]
         }
 

@@ -47,6 +47,9 @@ defmodule Situ.Stage.Production do
     emitted? = Outputs.progress(state.outputs) != progress
     harmed? = errors(state) != errors
     repeated? = Outputs.repeated(state.outputs) != repeated
+    # How often one may restart is counted elsewhere.
+    restarts? = harmed? and state.callback.on_error == :restart
+    {harmed?, repeated?} = {harmed? and not restarts?, repeated? or restarts?}
 
     case Source.judge(state.source, emitted?, harmed?, repeated?) do
       {:ok, source} -> %{state | source: source}

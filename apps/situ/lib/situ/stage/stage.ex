@@ -26,6 +26,10 @@ defmodule Situ.Stage do
   @spec never() :: integer()
   defdelegate never, to: State
 
+  @doc "Whether the stage with this control cell waits for somebody outside of the pipeline, or for the clock."
+  @spec patient?(:atomics.atomics_ref()) :: boolean()
+  defdelegate patient?(control), to: State
+
   @doc "Starts the process; it reports `:up` or `{:init_failed, error}` to the server by itself."
   @spec spawn_link(map()) :: pid()
   def spawn_link(args),

@@ -35,9 +35,9 @@ defmodule Situ.Stage.State do
 
   @typedoc """
   `callback` is the component, `chain` its light operators or those behind it (one of the two may be `nil`).
-  `control` is the shared cell that holds the time up to which messages count. `phase`: `:failed` takes nothing any
-  more. `memory` is what it starts with (see Memory), `closed` the inputs that have closed, `known_closed` those of
-  which the component knew before it was started again.
+  `control` are shared cells: the time up to which messages count, and whether the stage is patient. `phase`:
+  `:failed` takes nothing any more. `memory` is what it starts with (see Memory), `closed` the inputs that have closed,
+  `known_closed` those of which the component knew before it was started again.
   """
   @type t :: %__MODULE__{
           id: pos_integer(),
@@ -185,6 +185,23 @@ defmodule Situ.Stage.State do
   @spec final(t()) :: integer()
   def final(%{control: nil}), do: @never
   def final(%{control: control}), do: :atomics.get(control, 1)
+
+  @doc "Whether what comes is taken and goes out."
+  @spec demand(t(), :accumulate | :forward) :: t()
+  def demand(state, mode),
+    do: patience(%{state | outputs: %{state.outputs | demand: mode}}, mode == :accumulate)
+
+  @doc "It waits for somebody outside of the pipeline, or for the clock: nobody shall take that for being stuck."
+  @spec patience(t(), boolean()) :: t()
+  def patience(%{control: nil} = state, _waits?), do: state
+
+  def patience(state, waits?) do
+    :atomics.put(state.control, 2, if(waits?, do: 1, else: 0))
+    state
+  end
+
+  @spec patient?(:atomics.atomics_ref()) :: boolean()
+  def patient?(control), do: :atomics.get(control, 2) == 1
 
   @doc "Something happened that a source without messages may have waited for."
   @spec wake(t()) :: t()

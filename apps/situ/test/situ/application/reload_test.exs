@@ -18,6 +18,10 @@ defmodule Situ.Application.ReloadTest do
         p
         |> Situ.timer(every: Situ.Time.ms(1))
         |> Situ.scan(0, fn _, n -> n + min(#{version}, 1) end)
+        |> Situ.process({#{version}, fn n -> n end}, fn m, {_, same} = state ->
+          {[{m.originating_time, same.(m.data)}], state}
+        end)
+        |> Situ.map_async(fn n -> min(#{version}, 1) * n end)
         |> Situ.map(fn n -> {#{version}, n} end, name: "Map")
         |> Situ.each(fn seen -> send(opts[:to], {:seen, seen}) end, async: true)
       end

@@ -275,12 +275,17 @@ defmodule Situ.GenStageTest do
         spawn_link(fn ->
           subscribe(pid, opts, 2)
           ask(pid, 2, 5)
+          # By its answer both have been taken in.
+          GenServer.call(pid, :"$estimate_buffered_count")
+          send(me, :asked)
           send(me, {:other, events(pid, 2, 5)})
         end)
 
       monitor = Process.monitor(other)
+      # What is emitted before it listens is not for it.
+      assert_receive :asked, 30_000
       Clock.advance(clock, 1_000_000_000)
-      assert_receive {:DOWN, ^monitor, _, _, _} when is_reference(monitor), 1_000
+      assert_receive {:DOWN, ^monitor, _, _, _} when is_reference(monitor), 30_000
       assert_received {:other, five} when length(five) == 5
       assert GenServer.call(pid, :"$estimate_buffered_count") >= 0
       refute_received {:"$gen_consumer", {_, 2}, _}
@@ -334,6 +339,26 @@ defmodule Situ.GenStageTest do
       GenServer.cast(pid, {:"$demand", :forward})
       assert Enum.map(events(pid, ref, :closed), & &1.data) == Enum.to_list(0..1_999)
       assert {:ok, _} = Pipeline.await(p, 30_000)
+    end
+
+    test "an output that accumulates waits for its consumer, however long that takes" do
+      {:ok, p} =
+        Pipeline.start(
+          fn p ->
+            p |> Situ.from_enumerable(0..99, every: 10) |> GenStage.accumulate(name: "Out")
+          end,
+          pipeline: [replay: [interval: {0, :unbounded}, speed: :max], stop_timeout: 10]
+        )
+
+      {:ok, {pid, opts}} = GenStage.subscription(p, "Out")
+      monitor = Process.monitor(pid)
+      # Many times as long as what does not end is given.
+      refute_receive {:DOWN, ^monitor, _, _, _}, 300
+      ref = subscribe(pid, opts)
+      ask(pid, ref, 5_000)
+      GenServer.cast(pid, {:"$demand", :forward})
+      assert Enum.map(events(pid, ref, :closed), & &1.data) == Enum.to_list(0..99)
+      assert {:ok, %{errors: []}} = Pipeline.await(p, 30_000)
     end
 
     test "an output that accumulates does not keep a pipeline from ending" do

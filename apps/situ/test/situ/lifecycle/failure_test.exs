@@ -92,7 +92,11 @@ defmodule Situ.Lifecycle.FailureTest do
   end
 
   test "a pull source that always raises is given up, under every on_error" do
-    for {on_error, code} <- [stop: :component_failed, skip: :no_way_on, restart: :no_way_on] do
+    for {on_error, code} <- [
+          stop: :component_failed,
+          skip: :no_way_on,
+          restart: :restarted_too_often
+        ] do
       result =
         Pipeline.run(fn p ->
           p |> Situ.source(Broken, on_error: on_error) |> Situ.map(& &1)

@@ -41,6 +41,47 @@ defmodule Situ.Lifecycle.RestartIntensityTest do
       assert :counters.get(tries, 1) == 1 + 3
     end
 
+    test "exceptions count like deaths, of components and of operators" do
+      raising = fn p -> Situ.timer(p, every: Time.ms(1)) end
+      boom = fn _ -> raise "boom" end
+
+      for op <- [
+            &Situ.map(&1, boom, name: "Bad", on_error: :restart),
+            &Situ.process(&1, nil, fn m, _ -> boom.(m) end, name: "Bad", on_error: :restart)
+          ] do
+        result =
+          Pipeline.run(fn p -> p |> raising.() |> op.() end, pipeline: [replay: [speed: 1.0]])
+
+        assert {:error, %{code: :restarted_too_often} = error} = result
+        assert error.meta.component == "Bad"
+        assert error.meta.last.code == :component_failed
+      end
+    end
+
+    test "exceptions now and then do not" do
+      me = self()
+
+      {:ok, p} =
+        Pipeline.start(
+          fn p ->
+            p
+            |> Situ.event_source(&send(me, {:post, &1}))
+            |> Situ.each(&if(&1 == :bad, do: raise("bad"), else: send(me, {:got, &1})),
+              on_error: :restart,
+              async: true
+            )
+          end,
+          pipeline: [max_restarts: 2]
+        )
+
+      assert_receive {:post, post}, 30_000
+      for word <- [:bad, :bad, :good], do: post.(word)
+      assert_receive {:got, :good}, 30_000
+      assert Pipeline.state(p) == :running
+      assert {:ok, report} = Pipeline.stop(p)
+      assert report.skipped == %{"Each" => 2}
+    end
+
     test "as often as the settings say" do
       me = self()
       tries = :counters.new(1, [])
@@ -84,13 +125,16 @@ defmodule Situ.Lifecycle.RestartIntensityTest do
       log =
         capture_log(fn ->
           assert {:ok, %{skipped: %{"Map" => 5}}} =
-                   Pipeline.run(fn p ->
-                     p
-                     |> Situ.from_enumerable(Enum.map(1..10, &{&1, &1}))
-                     |> Situ.map(fn v -> if rem(v, 2) == 0, do: raise("odd #{v}."), else: v end,
-                       on_error: :restart
-                     )
-                   end)
+                   Pipeline.run(
+                     fn p ->
+                       p
+                       |> Situ.from_enumerable(Enum.map(1..10, &{&1, &1}))
+                       |> Situ.map(fn v -> if rem(v, 2) == 0, do: raise("odd #{v}."), else: v end,
+                         on_error: :restart
+                       )
+                     end,
+                     pipeline: [max_restarts: 5]
+                   )
         end)
 
       for n <- [2, 4, 6, 8, 10], do: assert(length(String.split(log, "odd #{n}.")) == 2)

@@ -3,6 +3,7 @@ defmodule Situ.Component.Callback do
   # A component and the calls into it: whatever comes back or goes wrong becomes a value. Nothing here knows of
   # processes.
   alias Situ.{Component, Error, Message}
+  alias Situ.Component.Functions
 
   @enforce_keys [:module, :path, :opts, :on_error]
   defstruct [:module, :path, :opts, :on_error, :core, batch: false]
@@ -68,6 +69,20 @@ defmodule Situ.Component.Callback do
     if function_exported?(module, :migrate, 3),
       do: carry(old, new),
       else: exchange(old, new, context)
+  end
+
+  @doc """
+  Other functions in the place of those of its options, and the state that it has: what holds them in it holds the new
+  ones from now on. A component with `migrate/3` sees to that by itself.
+  """
+  @spec renew(t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def renew(%__MODULE__{} = old, opts) do
+    if function_exported?(old.module, :migrate, 3) do
+      with {:ok, new, []} <- carry(old, %{old | opts: opts}), do: {:ok, new}
+    else
+      {:ok,
+       %{old | opts: opts, core: Functions.exchange(old.core, Functions.pairs(old.opts, opts))}}
+    end
   end
 
   defp carry(old, new) do

@@ -1,7 +1,8 @@
 defmodule Situ.Selection.Delay do
   @moduledoc false
-  # Holds messages until their time has come on the clock. When the stream ends, all that it holds comes out: only
-  # the moment at which a message comes depends on the clock, never whether it does.
+  # Holds messages until their time has come on the clock, also when the stream has ended meanwhile. When the pipeline
+  # is stopped, all that it holds comes out: only the moment at which a message comes depends on the clock, never
+  # whether it does.
   use Situ.Component,
     inputs: [in: :any],
     outputs: [out: :any],
@@ -30,12 +31,16 @@ defmodule Situ.Selection.Delay do
     {outputs, {duration, held}}
   end
 
+  def handle_info({:linger, :end}, _context, {duration, held}),
+    do: {all(held) ++ [{:linger, false}], {duration, :queue.new()}}
+
   def handle_info(_other, _context, state), do: {[], state}
 
   @impl true
-  def handle_closed(_input, _time, _context, {duration, held}) do
-    {for({_due, message} <- :queue.to_list(held), do: output(message)), {duration, :queue.new()}}
-  end
+  def handle_closed(_input, _time, _context, {_duration, held} = state),
+    do: {if(:queue.is_empty(held), do: [], else: [{:linger, true}]), state}
+
+  defp all(held), do: for({_due, message} <- :queue.to_list(held), do: output(message))
 
   defp release(held, now, outputs) do
     case :queue.peek(held) do
@@ -46,7 +51,7 @@ defmodule Situ.Selection.Delay do
         {Enum.reverse([{:timer, :due, due} | outputs]), held}
 
       :empty ->
-        {Enum.reverse(outputs), held}
+        {Enum.reverse([{:linger, false} | outputs]), held}
     end
   end
 

@@ -3,6 +3,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
   # Another module, or other options, for a running component. One at a time for each stage, in the order in which
   # they were asked for; what waits is checked when it is its turn, against what the component has become by then.
   alias Situ.{Error, Type}
+  alias Situ.Component.Functions
   alias Situ.Graph.{Edge, Vertex}
   alias Situ.Lifecycle.Errors
   alias Situ.Pipeline.State
@@ -22,24 +23,28 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
     end
   end
 
-  @doc "The operators of `graph`, another version of the same pipeline, take the places of those with the same names."
+  @doc """
+  The operators of `graph`, another version of the same pipeline, take the places of those with the same names, and the
+  functions in the options of its components those in the same places.
+  """
   @spec reload(State.t(), Situ.Graph.t()) :: State.t()
   def reload(state, graph) do
     fresh =
-      for {_, %{module: :operator} = vertex} <- graph.vertices,
-          into: %{},
-          do: {vertex.path, vertex}
+      for {_, vertex} <- graph.vertices, into: %{}, do: {{vertex.path, vertex.module}, vertex}
 
     Enum.reduce(state.graph.vertices, state, fn {id, vertex}, state ->
-      with %{module: :operator, path: path, opts: old} <- vertex,
-           %{^path => %{opts: step}} when step != old <- fresh,
+      with %{opts: new} <- fresh[{vertex.path, vertex.module}],
+           renewed when renewed != vertex.opts <- renewed(vertex, new),
            {:ok, stage, _index} <- State.stage(state, id) do
-        enter(state, stage.id, %{ref: make_ref(), vertex: id, change: {:keep, step}, from: nil})
+        enter(state, stage.id, %{ref: make_ref(), vertex: id, change: {:keep, renewed}, from: nil})
       else
         _ -> state
       end
     end)
   end
+
+  defp renewed(%{module: :operator}, new), do: new
+  defp renewed(%{opts: old}, new), do: Functions.exchange(old, Functions.pairs(old, new))
 
   defp enter(%{dynamic: %{replaces: replaces}} = state, id, request) do
     case replaces do
@@ -165,6 +170,8 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
       )
 
   defp target(%Vertex{module: :operator} = vertex, _), do: {:error, other_kind(vertex)}
+
+  defp target(vertex, {:keep, opts}), do: {:ok, vertex.module, {:keep, opts}}
 
   defp target(_vertex, {module, opts}) when is_atom(module) and is_list(opts) do
     if Code.ensure_loaded?(module) and function_exported?(module, :handle_message, 4),

@@ -35,6 +35,54 @@ defmodule Situ.Selection.DelayTest do
     end
   end
 
+  # A finite stream by a manual clock, behind a delay of 50; the first of its two messages has been made.
+  defp ending(clock, stop_timeout) do
+    me = self()
+
+    {:ok, p} =
+      Pipeline.start(
+        fn p ->
+          p
+          |> Situ.from_enumerable([{0, :a}, {20, :b}])
+          |> Situ.each(&send(me, {:made, &1}), async: true)
+          |> Situ.delay(50)
+          |> Situ.each(&send(me, {:got, &2.originating_time, &1}))
+        end,
+        pipeline: [clock: clock, replay: [interval: {0, :unbounded}], stop_timeout: stop_timeout]
+      )
+
+    assert_receive {:made, :a}, 30_000
+    p
+  end
+
+  test "holds what it has when the stream ends as long as everything else" do
+    clock = Situ.Clock.manual(0)
+    p = ending(clock, 10)
+    # The last message of the source: it ends.
+    Situ.Clock.set(clock, 20)
+    assert_receive {:made, :b}, 30_000
+    refute_receive {:got, _, _}, 200
+    Situ.Clock.set(clock, 69)
+    assert_receive {:got, 0, :a}, 30_000
+    refute_receive {:got, _, _}, 100
+    Situ.Clock.set(clock, 70)
+    assert_receive {:got, 20, :b}, 30_000
+    assert {:ok, %{errors: []}} = Pipeline.await(p, 30_000)
+  end
+
+  test "gives what it has when the pipeline is stopped, also when that was about to end" do
+    for made <- [[], [:b]] do
+      clock = Situ.Clock.manual(0)
+      p = ending(clock, 30_000)
+      if made != [], do: Situ.Clock.set(clock, 20)
+      for data <- made, do: assert_receive({:made, ^data}, 30_000)
+      refute_receive {:got, _, _}, 100
+      assert {:ok, %{errors: []}} = Pipeline.stop(p)
+      assert [{0, :a} | _] = got = collect([])
+      assert length(got) == 1 + length(made)
+    end
+  end
+
   test "holds each until its creation time and the duration have passed" do
     test = Situ.Test.start([:in], fn s -> Situ.delay(s.in, 50) end)
     Situ.Test.feed(test, :in, [{0, :a}])

@@ -1,0 +1,62 @@
+defmodule Situ.Component.Functions do
+  @moduledoc false
+  # The functions inside of a component's options, by where they stand in them: those of one version of a module are
+  # exchanged for those of the next, also where the component's state holds them. Pure.
+
+  @typedoc "What stands in the place of which function."
+  @type exchange :: %{fun() => fun()}
+
+  @doc """
+  What stands in `new` where `old` has a function that takes as many arguments.
+
+      iex> {f, g} = {&String.upcase/1, &String.downcase/1}
+      iex> Situ.Component.Functions.pairs([fun: f, n: 1], [fun: g, n: 2]) == %{f => g}
+      true
+      iex> Situ.Component.Functions.pairs([fun: f], [fun: &Enum.map/2])
+      %{}
+  """
+  @spec pairs(term(), term()) :: exchange()
+  def pairs(old, new), do: pairs(old, new, %{})
+
+  defp pairs(same, same, found), do: found
+
+  defp pairs(old, new, found) when is_function(old) and is_function(new) do
+    if arity(old) == arity(new), do: Map.put(found, old, new), else: found
+  end
+
+  defp pairs([old | olds], [new | news], found), do: pairs(olds, news, pairs(old, new, found))
+
+  defp pairs(old, new, found)
+       when is_tuple(old) and is_tuple(new) and tuple_size(old) == tuple_size(new),
+       do: pairs(Tuple.to_list(old), Tuple.to_list(new), found)
+
+  defp pairs(old, new, found) when is_map(old) and is_map(new) do
+    for {key, value} <- Map.to_list(old), is_map_key(new, key), reduce: found do
+      found -> pairs(value, Map.fetch!(new, key), found)
+    end
+  end
+
+  defp pairs(_old, _new, found), do: found
+
+  defp arity(fun), do: :erlang.fun_info(fun, :arity)
+
+  @doc """
+  The term with other functions in it, and everything else as it is.
+
+      iex> {f, g} = {&String.upcase/1, &String.downcase/1}
+      iex> Situ.Component.Functions.exchange(%{fun: f, seen: [{1, f}]}, %{f => g}) == %{fun: g, seen: [{1, g}]}
+      true
+  """
+  @spec exchange(term(), exchange()) :: term()
+  def exchange(term, exchange) when exchange == %{}, do: term
+  def exchange(fun, exchange) when is_function(fun), do: Map.get(exchange, fun, fun)
+  def exchange([head | tail], all), do: [exchange(head, all) | exchange(tail, all)]
+
+  def exchange(tuple, all) when is_tuple(tuple),
+    do: tuple |> Tuple.to_list() |> exchange(all) |> List.to_tuple()
+
+  def exchange(map, all) when is_map(map),
+    do: :maps.map(fn _key, value -> exchange(value, all) end, map)
+
+  def exchange(term, _all), do: term
+end
