@@ -20,7 +20,8 @@ defmodule Situ.Stage.ErrorPolicy do
   end
 
   @doc """
-  The operator or component at `index` starts again with a fresh state; the message is lost. The server counts how often.
+  The operator or component at `index` starts again with a fresh state; the message is lost. The server counts how
+  often.
   """
   @spec restarted(State.t(), Error.t(), non_neg_integer()) :: State.t()
   def restarted(state, error, index \\ 0) do
