@@ -6,6 +6,7 @@ defmodule Situ.ConformanceTest do
   Code.require_file("../../../test/conformance/conformance.exs", __DIR__)
 
   @moduletag :capture_log
+  @moduletag timeout: 600_000
 
   @areas ~w(intervals interpolators fuse zip_merge windows sampling operators statistics generators parallel)
 

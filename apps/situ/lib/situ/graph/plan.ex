@@ -78,8 +78,10 @@ defmodule Situ.Graph.Plan do
       joins?(from, to, edge)
   end
 
+  defp joins?(%{async: true}, _to, _edge), do: false
+
   defp joins?(%{module: :operator} = from, to, edge) do
-    not from.async and from.on_error == to.on_error and
+    from.on_error == to.on_error and
       (edge.policy.kind == :synchronous or
          (from.scope == to.scope and (not edge.explicit or one?(edge.policy))))
   end

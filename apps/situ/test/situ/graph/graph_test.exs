@@ -77,6 +77,20 @@ defmodule Situ.GraphTest do
     for stage <- plan.stages, do: Enum.map(stage.vertices, & &1.path)
   end
 
+  test "no operator joins the process of a component that asks for its own" do
+    for opts <- [[], [policy: Situ.Delivery.throttle(1)]] do
+      {graph, _} =
+        Graph.build(fn p ->
+          p
+          |> Situ.source(Situ.Fixture.Count, name: "Source", async: true)
+          |> Situ.map(& &1, [name: "One"] ++ opts)
+        end)
+
+      {:ok, plan} = Plan.compile(graph)
+      assert [["Source"], ["One"]] == for(s <- plan.stages, do: Enum.map(s.vertices, & &1.path))
+    end
+  end
+
   test "operators that take one message at a time share a process, unless they ask for their own" do
     alias Situ.Delivery
     assert processes(policy: Delivery.throttle(1)) == [["Source", "One", "Two"]]

@@ -70,7 +70,7 @@ defmodule Situ.Media.Camera do
 
   @doc "Adds the camera to a pipeline; returns its stream."
   @spec open(Situ.Pipeline.t(), keyword()) :: Situ.Stream.t()
-  def open(p, opts \\ []), do: Situ.source(p, __MODULE__, opts)
+  def open(p, opts \\ []), do: Situ.source(p, __MODULE__, Keyword.put_new(opts, :async, true))
 
   @doc "The cameras there are."
   @spec list() :: [Device.t()]

@@ -4,7 +4,8 @@ defmodule Situ.Media.Capture do
   starting and stopping the reader; the components around it are thin.
 
   A device cannot wait. Frames that nobody takes are kept up to a limit (`:buffer`), then the oldest is dropped and
-  counted: memory stays bounded whatever happens downstream. When a device is lost (unplugged, stream ended) it is
+  counted: memory stays bounded whatever happens downstream. A capture has a process to itself (`async: true`), so that
+  a slow operator does not keep it from dropping. When a device is lost (unplugged, stream ended) it is
   tried again every second, if the component was told so.
 
   `use Situ.Media.Capture`, after `use Situ.Component`, gives a component whose state is a capture everything but its

@@ -70,7 +70,14 @@ defmodule Situ.Media.LiveStream do
   def open(p, opts) do
     {opts, placed} = Placement.split!(opts, @schema, :component)
     ports = for {kind, type} <- outputs(), opts[kind], do: {kind, type}
-    node = Situ.Pipeline.add(p, __MODULE__, [outputs: ports] ++ opts ++ placed)
+
+    node =
+      Situ.Pipeline.add(
+        p,
+        __MODULE__,
+        [outputs: ports] ++ opts ++ Keyword.put_new(placed, :async, true)
+      )
+
     Map.new(ports, fn {kind, _} -> {kind, Situ.Node.output(node, kind)} end)
   end
 

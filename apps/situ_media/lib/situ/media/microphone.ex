@@ -57,7 +57,7 @@ defmodule Situ.Media.Microphone do
 
   @doc "Adds the microphone to a pipeline; returns its stream."
   @spec open(Situ.Pipeline.t(), keyword()) :: Situ.Stream.t()
-  def open(p, opts \\ []), do: Situ.source(p, __MODULE__, opts)
+  def open(p, opts \\ []), do: Situ.source(p, __MODULE__, Keyword.put_new(opts, :async, true))
 
   @doc "The microphones there are."
   @spec list() :: [Device.t()]

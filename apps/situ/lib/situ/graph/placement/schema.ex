@@ -15,7 +15,12 @@ defmodule Situ.Graph.Placement.Schema do
     default_name: [type: :string, doc: false],
     type: [type: :any, doc: "Type of the output, see `Situ.Type`."],
     policy: [type: @policy, doc: "Delivery policy of its inputs; by default the pipeline's."],
-    async: [type: :boolean, default: false, doc: "Gives an operator a process of its own."],
+    async: [
+      type: :boolean,
+      default: false,
+      doc:
+        "Gives an operator a process of its own; of a component, that no operator behind it joins its process."
+    ],
     on_error: [
       type: {:in, [:stop, :skip, :restart]},
       default: :stop,
