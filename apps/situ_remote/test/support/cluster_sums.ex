@@ -15,18 +15,14 @@ defmodule Situ.Test.ClusterSums do
         name: "Right"
       )
 
-    p
-    |> Situ.Pipeline.composite("Sum", fn _ ->
+    numbers
+    |> Situ.composite("Sum", fn numbers ->
       numbers
       |> Situ.join(others, Situ.Reproducible.nearest(800_000))
       |> Situ.map(fn {a, b} -> a * 1_000 + b end)
       |> Situ.scan(0, &rem(&1 + &2, 1_000_003))
     end)
-    |> then(
-      &Situ.Pipeline.composite(p, "Smooth", fn _ ->
-        Situ.window(&1, -3..0, fn w -> Enum.sum(w) end)
-      end)
-    )
+    |> Situ.composite("Smooth", &Situ.window(&1, -3..0, fn w -> Enum.sum(w) end))
     |> Situ.map(& &1, name: "Result")
   end
 end

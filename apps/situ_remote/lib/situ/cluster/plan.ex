@@ -29,7 +29,11 @@ defmodule Situ.Cluster.Plan do
 
     with :ok <- known(names, graph), {:ok, published} <- published(deployment.publish, graph) do
       of = Map.new(graph.vertices, fn {id, vertex} -> {id, owner(vertex.path, names)} end)
-      {:ok, %__MODULE__{parts: parts(of, deployment), streams: streams(graph, of, published)}}
+
+      with :ok <- inhabited(names, of),
+           do:
+             {:ok,
+              %__MODULE__{parts: parts(of, deployment), streams: streams(graph, of, published)}}
     end
   end
 
@@ -54,6 +58,23 @@ defmodule Situ.Cluster.Plan do
         {:error,
          Error.new(:unknown_component, "the pipeline has no component #{inspect(name)} to place",
            fix: hint <> "It has: " <> Enum.join(Enum.sort(paths), ", ")
+         )}
+    end
+  end
+
+  defp inhabited(names, of) do
+    parts = Map.values(of)
+
+    case Enum.find(names, &(&1 not in parts)) do
+      nil ->
+        :ok
+
+      name ->
+        {:error,
+         Error.new(:empty_part, "nothing is in #{inspect(name)} that could be placed",
+           why: "a component belongs to a composite when the stream it is made from does",
+           fix:
+             "build it on the streams that the composite's function is given (Situ.composite/3)"
          )}
     end
   end

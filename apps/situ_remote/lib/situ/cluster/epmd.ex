@@ -1,0 +1,64 @@
+defmodule Situ.Cluster.Epmd do
+  @moduledoc """
+  Erlang distribution without `epmd`, the daemon that knows every node's port: a node's name says it,
+  `situ-9301@lab1.local` listens on port 9301.
+
+      elixir --name situ-9301@127.0.0.1 --erl "-start_epmd false -epmd_module Elixir.Situ.Cluster.Epmd -pa EBIN" ...
+
+  A name without a port (`iex@host`) gets any free port: such a node can connect to others, but is not found by them.
+
+      iex> Situ.Cluster.Epmd.port("situ-9301")
+      {:ok, 9301}
+      iex> Situ.Cluster.Epmd.port("situ")
+      :error
+  """
+
+  # The version of the distribution protocol, as epmd tells it.
+  @version 6
+
+  @doc "The port that a node's name (without its host) says."
+  @spec port(String.t()) :: {:ok, :inet.port_number()} | :error
+  def port(name) do
+    with [_ | _] = parts <- String.split(name, "-"),
+         {port, ""} when port in 1..65_535 <- Integer.parse(List.last(parts)) do
+      {:ok, port}
+    else
+      _ -> :error
+    end
+  end
+
+  # What net_kernel and the distribution's carriers call, see erl_epmd.
+
+  @doc false
+  def start_link, do: :ignore
+
+  @doc false
+  def register_node(name, port), do: register_node(name, port, :inet)
+  @doc false
+  def register_node(_name, _port, _family), do: {:ok, :rand.uniform(3)}
+
+  @doc false
+  def listen_port_please(name, _host) do
+    case port(to_string(name)) do
+      {:ok, port} -> {:ok, port}
+      :error -> {:ok, 0}
+    end
+  end
+
+  @doc false
+  def address_please(_name, host, family), do: :inet.getaddr(host, family)
+
+  @doc false
+  def port_please(name, host), do: port_please(name, host, :infinity)
+
+  @doc false
+  def port_please(name, _host, _timeout) do
+    case port(to_string(name)) do
+      {:ok, port} -> {:port, port, @version}
+      :error -> :noport
+    end
+  end
+
+  @doc false
+  def names(_host), do: {:error, :address}
+end

@@ -1,0 +1,232 @@
+# See run.
+defmodule Driver do
+  @replay [replay: [interval: {0, 3_600_000_000_000}, speed: 1.0]]
+  @fast [replay: [interval: {0, 3_600_000_000_000}, speed: :max]]
+
+  def main([work, seconds]) do
+    {:ok, _} = Application.ensure_all_started(:situ)
+    Process.flag(:trap_exit, true)
+    nodes = start(work, %{}, ~w(a b c))
+
+    try do
+      results = scenarios(work, nodes, String.to_integer(seconds))
+      bad = Enum.reject(results, &elem(&1, 1))
+      for {name, ok} <- results, do: IO.puts("#{if ok, do: "ok    ", else: "FAILED"} #{name}")
+      IO.puts("#{length(results) - length(bad)} passed, #{length(bad)} failed")
+      if bad != [], do: System.halt(1)
+    after
+      for pid <- Process.get(:pids, []),
+          do: System.cmd("kill", ["-KILL", pid], stderr_to_stdout: true)
+    end
+  end
+
+  defp start(work, nodes, names) do
+    Enum.reduce(names, nodes, fn name, nodes ->
+      peers = for {_, n} <- nodes, do: n.node
+      node = Nodes.start(work, name, name, peers)
+      Process.put(:pids, [node.pid | Process.get(:pids, [])])
+      Map.put(nodes, name, node)
+    end)
+  end
+
+  # One deployment with something that goes wrong in the middle.
+  defp one(nodes, name, count, trouble, opts \\ []) do
+    opts =
+      Keyword.merge(
+        [
+          name: name,
+          opts: [count: count],
+          place: [
+            {"Left", on: ["a", "b", "c"], deterministic: true},
+            {"Sum", on: ["b", "c", "a"], deterministic: true},
+            {"Dice", on: ["c", "b", "a"]}
+          ],
+          publish: ["Smooth.Window", "Result"],
+          checkpoint: 150_000_000,
+          lease: 600_000_000,
+          pipeline: @replay
+        ],
+        opts
+      )
+
+    {:ok, deployment} = Nodes.call(nodes, :deploy, [Sums, opts])
+    nodes = trouble.(deployment, nodes)
+    answer = Nodes.call(nodes, :await, [deployment, 90_000])
+    {answer, deployment, nodes}
+  end
+
+  defp same?({:ok, deployment, nodes}, count) do
+    {:ok, smooth} = Nodes.call(nodes, :read, [deployment, "Smooth.Window"])
+    {:ok, result} = Nodes.call(nodes, :read, [deployment, "Result"])
+    expected = expected(count)
+    smooth? = for(m <- smooth, do: {m.data, m.originating_time}) == expected
+    # What the dice said cannot be repeated, but each value must follow from the one before.
+    sums = for m <- result, do: m.data
+
+    chain? =
+      sums
+      |> Enum.reduce_while(0, fn {_, d, s}, sum ->
+        if s == sum + d, do: {:cont, s}, else: {:halt, nil}
+      end)
+
+    data? = for(m <- result, do: {elem(m.data, 0), m.originating_time}) == expected
+    numbered? = for(m <- result, do: m.sequence_id) == Enum.to_list(1..length(result)//1)
+
+    unless smooth? and chain? && data? and numbered? do
+      IO.puts(
+        "  smooth #{smooth?} (#{length(smooth)} of #{length(expected)}), chain #{chain? != nil}, data #{data?} (#{length(result)}), numbered #{numbered?}"
+      )
+    end
+
+    smooth? and chain? != nil and data? and numbered?
+  end
+
+  defp same?({{:error, error}, _deployment, _nodes}, _count) do
+    IO.puts("  " <> Exception.message(error))
+    false
+  end
+
+  defp expected(count) do
+    with nil <- Process.get({:expected, count}) do
+      me = self()
+
+      build = fn p ->
+        p |> Sums.build(count: count) |> Situ.each(&send(me, {:m, {&1, &2.originating_time}}))
+      end
+
+      {:ok, _} = Situ.Pipeline.run(build, pipeline: @fast)
+      list = heard([])
+      Process.put({:expected, count}, list)
+      list
+    end
+  end
+
+  defp heard(list) do
+    receive do
+      {:m, m} -> heard([m | list])
+    after
+      0 -> Enum.reverse(list)
+    end
+  end
+
+  defp wait(ms), do: receive(do: (:never -> :ok), after: (ms -> :ok))
+
+  # Who runs a part; asked until somebody does.
+  defp owner(nodes, deployment, part) do
+    case Nodes.call(nodes, :status, [deployment]).parts do
+      %{^part => %{node: node}} when node != nil ->
+        Enum.find_value(nodes, fn {name, n} -> if n.node == node, do: name end)
+
+      _ ->
+        wait(20)
+        owner(nodes, deployment, part)
+    end
+  end
+
+  # Until a stream has so many messages.
+  defp until(nodes, deployment, stream, n) do
+    {:ok, messages} = Nodes.call(nodes, :read, [deployment, stream])
+
+    if length(messages) < n,
+      do:
+        (
+          wait(20)
+          until(nodes, deployment, stream, n)
+        ),
+      else: :ok
+  end
+
+  defp scenarios(work, nodes, seconds) do
+    plain = one(nodes, "plain", 1_000, fn _, nodes -> nodes end)
+    r1 = {"three nodes give what one gives", same?(plain, 1_000)}
+    nodes = elem(plain, 2)
+
+    lost =
+      one(nodes, "lost", 2_000, fn d, nodes ->
+        until(nodes, d, "Smooth.Window", 300)
+        Nodes.kill(nodes, owner(nodes, d, "Sum"))
+      end)
+
+    r2 = {"the node of a deterministic part is killed", same?(lost, 2_000)}
+    nodes = refill(work, elem(lost, 2))
+
+    dice =
+      one(nodes, "dice", 2_000, fn d, nodes ->
+        until(nodes, d, "Result", 300)
+        Nodes.kill(nodes, owner(nodes, d, "Dice"))
+      end)
+
+    r3 = {"the node of a part that throws dice is killed", same?(dice, 2_000)}
+    nodes = refill(work, elem(dice, 2))
+    {r4, nodes} = zombie(nodes)
+    {r5, nodes} = moved(nodes)
+    {rs, _nodes} = random(work, nodes, System.monotonic_time(:second) + seconds, 1, [])
+    [r1, r2, r3, r4, r5] ++ rs
+  end
+
+  defp refill(work, nodes), do: start(work, nodes, ~w(a b c) -- Map.keys(nodes))
+
+  # A node that stands still for longer than its lease, and then goes on as if nothing had happened.
+  defp zombie(nodes) do
+    frozen = fn d, nodes ->
+      until(nodes, d, "Result", 200)
+      name = owner(nodes, d, "Dice")
+      stopped = nodes[name]
+      Nodes.signal(stopped, "STOP")
+      others = Map.delete(nodes, name)
+      {:ok, seen} = Nodes.call(others, :read, [d, "Result"])
+      until(others, d, "Result", length(seen) + 50)
+      Nodes.signal(stopped, "CONT")
+      Process.put(:frozen, {name, stopped})
+      others
+    end
+
+    result = {_, _, others} = one(nodes, "zombie", 2_500, frozen)
+    ok? = same?(result, 2_500)
+    {name, stopped} = Process.get(:frozen)
+
+    {{"a node that was cut off is refused when it comes back", ok?},
+     Map.put(others, name, stopped)}
+  end
+
+  defp moved(nodes) do
+    result =
+      one(nodes, "moved", 2_000, fn d, nodes ->
+        until(nodes, d, "Smooth.Window", 200)
+        from = owner(nodes, d, "Sum")
+        to = hd(Map.keys(nodes) -- [from])
+        :ok = Nodes.call(nodes, :move, [d, "Sum", nodes[to].node])
+        Process.put(:moved, owner(nodes, d, "Sum") == to)
+        :ok = Nodes.call(nodes, :drain, [d, nodes["c"].node])
+        nodes
+      end)
+
+    {{"parts are moved while they run", same?(result, 2_000) and Process.get(:moved)}, nodes}
+  end
+
+  # Kills and stops at random, as many as there is time for.
+  defp random(work, nodes, till, i, results) do
+    if System.monotonic_time(:second) >= till do
+      {Enum.reverse(results), nodes}
+    else
+      victim = Enum.random(Map.keys(nodes))
+      count = 600 + :rand.uniform(600)
+      ms = :rand.uniform(count)
+
+      result =
+        one(nodes, "random#{i}", count, fn _d, nodes ->
+          wait(ms)
+          Nodes.kill(nodes, victim)
+        end)
+
+      ok? = same?(result, count)
+      nodes = refill(work, elem(result, 2))
+
+      random(work, nodes, till, i + 1, [
+        {"random #{i}: #{victim} killed after #{ms} ms", ok?} | results
+      ])
+    end
+  end
+end
+
+Driver.main(System.argv())
