@@ -6,7 +6,8 @@ defmodule Driver do
   def main([work, seconds]) do
     {:ok, _} = Application.ensure_all_started(:situ)
     Process.flag(:trap_exit, true)
-    nodes = start(work, %{}, ~w(a b c))
+    Process.put(:log, Path.join(work, "log"))
+    nodes = start(%{}, ~w(a b c))
 
     try do
       results = scenarios(work, nodes, String.to_integer(seconds))
@@ -20,10 +21,10 @@ defmodule Driver do
     end
   end
 
-  defp start(work, nodes, names) do
+  defp start(nodes, names) do
     Enum.reduce(names, nodes, fn name, nodes ->
       peers = for {_, n} <- nodes, do: n.node
-      node = Nodes.start(work, name, name, peers)
+      node = Nodes.start(Process.get(:log), name, name, peers)
       Process.put(:pids, [node.pid | Process.get(:pids, [])])
       Map.put(nodes, name, node)
     end)
@@ -73,16 +74,25 @@ defmodule Driver do
     numbered? = for(m <- result, do: m.sequence_id) == Enum.to_list(1..length(result)//1)
 
     unless smooth? and chain? && data? and numbered? do
-      IO.puts(
-        "  smooth #{smooth?} (#{length(smooth)} of #{length(expected)}), chain #{chain? != nil}, data #{data?} (#{length(result)}), numbered #{numbered?}"
+      IO.inspect(
+        smooth: {smooth?, length(smooth), length(expected)},
+        chain: chain? != nil,
+        result: {data?, length(result)},
+        numbered: numbered?
       )
     end
 
     smooth? and chain? != nil and data? and numbered?
   end
 
-  defp same?({{:error, error}, _deployment, _nodes}, _count) do
+  defp same?({{:error, error}, deployment, nodes}, _count) do
     IO.puts("  " <> Exception.message(error))
+
+    for {part, info} <- Nodes.call(nodes, :status, [deployment]).parts do
+      seen = Map.take(info, [:node, :phase, :epoch, :checkpoints, :publisher, :error])
+      IO.inspect({part, seen}, limit: 50)
+    end
+
     false
   end
 
@@ -148,7 +158,7 @@ defmodule Driver do
       end)
 
     r2 = {"the node of a deterministic part is killed", same?(lost, 2_000)}
-    nodes = refill(work, elem(lost, 2))
+    nodes = refill(elem(lost, 2))
 
     dice =
       one(nodes, "dice", 2_000, fn d, nodes ->
@@ -157,14 +167,15 @@ defmodule Driver do
       end)
 
     r3 = {"the node of a part that throws dice is killed", same?(dice, 2_000)}
-    nodes = refill(work, elem(dice, 2))
+    nodes = refill(elem(dice, 2))
     {r4, nodes} = zombie(nodes)
     {r5, nodes} = moved(nodes)
-    {rs, _nodes} = random(work, nodes, System.monotonic_time(:second) + seconds, 1, [])
-    [r1, r2, r3, r4, r5] ++ rs
+    {rs, nodes} = random(nodes, System.monotonic_time(:second) + seconds, 1, [])
+    for {name, _} <- nodes, do: Nodes.kill(nodes, name)
+    [r1, r2, r3, r4, r5] ++ rs ++ nats(work)
   end
 
-  defp refill(work, nodes), do: start(work, nodes, ~w(a b c) -- Map.keys(nodes))
+  defp refill(nodes), do: start(nodes, ~w(a b c) -- Map.keys(nodes))
 
   # A node that stands still for longer than its lease, and then goes on as if nothing had happened.
   defp zombie(nodes) do
@@ -204,8 +215,40 @@ defmodule Driver do
     {{"parts are moved while they run", same?(result, 2_000) and Process.get(:moved)}, nodes}
   end
 
+  # The same over NATS: a node is killed, then the server itself, which comes back on what it has kept.
+  defp nats(work) do
+    if server = Nodes.nats(work) do
+      Process.put(:pids, [server.pid | Process.get(:pids, [])])
+      Process.put(:log, server.address)
+      nodes = start(%{}, ~w(a b c))
+
+      {answer, deployment, nodes} =
+        one(nodes, "nats", 2_500, fn d, nodes ->
+          until(nodes, d, "Result", 200)
+          nodes = Nodes.kill(nodes, owner(nodes, d, "Dice"))
+          until(nodes, d, "Result", 600)
+          Nodes.signal(server, "KILL")
+          wait(500)
+          server = Nodes.nats(work, server.port)
+          Process.put(:pids, [server.pid | Process.get(:pids, [])])
+          nodes
+        end)
+
+      [
+        {"over NATS: a node is killed, then the server",
+         same?({answer, deployment, nodes}, 2_500)}
+      ]
+    else
+      IO.puts(
+        "NOT RUN: the log over NATS, since there is no nats-server (bin/setup --for test fetches one)"
+      )
+
+      []
+    end
+  end
+
   # Kills and stops at random, as many as there is time for.
-  defp random(work, nodes, till, i, results) do
+  defp random(nodes, till, i, results) do
     if System.monotonic_time(:second) >= till do
       {Enum.reverse(results), nodes}
     else
@@ -220,9 +263,9 @@ defmodule Driver do
         end)
 
       ok? = same?(result, count)
-      nodes = refill(work, elem(result, 2))
+      nodes = refill(elem(result, 2))
 
-      random(work, nodes, till, i + 1, [
+      random(nodes, till, i + 1, [
         {"random #{i}: #{victim} killed after #{ms} ms", ok?} | results
       ])
     end

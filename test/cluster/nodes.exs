@@ -1,6 +1,6 @@
 # Nodes as OS processes: started, killed, stopped, asked.
 defmodule Nodes do
-  def start(work, name, labels, peers) do
+  def start(log, name, labels, peers) do
     node = :"#{name}-#{free_port()}@127.0.0.1"
     ebin = System.get_env("SITU_EBIN") |> String.split()
 
@@ -11,7 +11,7 @@ defmodule Nodes do
 
     args =
       ["--name", "#{node}", "--cookie", "#{Node.get_cookie()}", "--erl", erl] ++
-        ["-r", "sums.exs", "node.exs", Path.join(work, "log"), labels] ++
+        ["-r", "sums.exs", "node.exs", log, labels] ++
         Enum.map(peers, &to_string/1)
 
     port =
@@ -38,6 +38,31 @@ defmodule Nodes do
     after
       120_000 -> raise "#{node} did not start: #{said}"
     end
+  end
+
+  @doc "A nats-server on this machine, or `nil` where there is none."
+  def nats(work, port \\ free_port()) do
+    if path = nats_path() do
+      args = ["-a", "127.0.0.1", "-p", "#{port}", "-js", "-sd", Path.join(work, "nats")]
+
+      process =
+        Port.open({:spawn_executable, path}, [
+          :binary,
+          :exit_status,
+          :stderr_to_stdout,
+          args: args
+        ])
+
+      {:os_pid, pid} = Port.info(process, :os_pid)
+      %{address: "nats://127.0.0.1:#{port}", port: port, pid: "#{pid}", process: process}
+    end
+  end
+
+  defp nats_path do
+    fetched = Path.expand("../../apps/situ_remote/priv/nats/nats-server", __DIR__)
+
+    System.get_env("SITU_NATS_SERVER") || (File.exists?(fetched) && fetched) ||
+      System.find_executable("nats-server")
   end
 
   def signal(%{pid: pid}, signal),

@@ -45,7 +45,8 @@ defmodule Situ.Cluster do
   ## What it does not do
 
   Lossy policies hold within a part; an edge between parts carries everything. `Situ.Pipeline.on/3` handlers run with
-  the part `"rest"` and with parts that record. The log of a finished deployment stays until it is deleted.
+  the part `"rest"` and with parts that record. The log of a finished deployment stays until it is deleted. A part is
+  not placed by measured load, and code is not upgraded while it runs.
 
   ## Options of `deploy/2`
 

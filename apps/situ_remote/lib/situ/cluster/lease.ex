@@ -81,12 +81,13 @@ defmodule Situ.Cluster.Lease do
   end
 
   @doc """
-  Keeps it, in a process of its own: writes it every quarter of its time. When it is lost, or the log has been away for
-  three quarters of the lease, `publisher` is killed at once, and this process ends with `:lease_lost`; told
-  `{:release, from}` it gives the lease back and says `:released`.
+  Keeps it, in a process of its own: writes it every quarter of its time. When it is lost, or three quarters of it have
+  passed without an answer of the log, `publisher` is killed at once, and this process ends with `:lease_lost`: a node
+  that is cut off stops before its lease ends. Told `{:release, from}` it gives the lease back and says `:released`.
   """
   @spec keep(Log.t(), String.t(), pos_integer(), pos_integer(), pid()) :: no_return()
   def keep(log, key, seq, ms, publisher) do
+    Process.flag(:trap_exit, true)
     keep(%{log: log, key: key, ms: ms, publisher: publisher}, seq, now())
   end
 
@@ -95,22 +96,34 @@ defmodule Situ.Cluster.Lease do
       {:release, from} ->
         release(lease.log, lease.key, seq)
         send(from, :released)
+
+      {:EXIT, _pid, reason} when reason != :normal ->
+        exit(reason)
     after
-      div(lease.ms, 4) ->
-        case write(lease.log, lease.key, seq, Atom.to_string(node()), "beat") do
-          {:ok, seq} ->
-            keep(lease, seq, now())
-
-          {:refused, _} ->
-            lost(lease)
-
-          {:error, _} ->
-            if now() - written > div(lease.ms * 3, 4),
-              do: lost(lease),
-              else: keep(lease, seq, written)
-        end
+      div(lease.ms, 4) -> lease |> renew(seq, written) |> kept(lease, seq, written)
     end
   end
+
+  # The log may take its time to say that it is away.
+  defp renew(lease, seq, written) do
+    started = now()
+    task = Task.async(fn -> write(lease.log, lease.key, seq, Atom.to_string(node()), "beat") end)
+
+    case Task.yield(task, max(till(lease, written) - started, 0)) ||
+           Task.shutdown(task, :brutal_kill) do
+      {:ok, answer} -> {answer, started}
+      _ -> {:late, started}
+    end
+  end
+
+  defp till(lease, written), do: written + div(lease.ms * 3, 4)
+
+  defp kept({{:ok, seq}, started}, lease, _seq, _written), do: keep(lease, seq, started)
+  defp kept({{:refused, _}, _started}, lease, _seq, _written), do: lost(lease)
+  defp kept({:late, _started}, lease, _seq, _written), do: lost(lease)
+
+  defp kept({{:error, _}, _started}, lease, seq, written),
+    do: if(now() > till(lease, written), do: lost(lease), else: keep(lease, seq, written))
 
   defp lost(lease) do
     Process.exit(lease.publisher, :kill)

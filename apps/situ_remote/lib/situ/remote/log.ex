@@ -73,6 +73,9 @@ defmodule Situ.Remote.Log do
 
   defp adapter(address) do
     case String.split(address, "://", parts: 2) do
+      ["nats", _] ->
+        {:ok, __MODULE__.Nats}
+
       [_folder] ->
         {:ok, __MODULE__.Folder}
 

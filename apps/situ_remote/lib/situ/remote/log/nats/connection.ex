@@ -1,0 +1,353 @@
+defmodule Situ.Remote.Log.Nats.Connection do
+  @moduledoc false
+  # One connection to one of several NATS servers: requests with their answers. When it is lost, requests under way are
+  # answered `{:error, :down}` and it connects again, to the next server, until one is there.
+  use GenServer
+
+  alias Situ.{Error, JSON}
+  alias Situ.Remote.Log.Nats.Wire
+
+  # Behind the payload: headers of requests and answers.
+  @headers 65_536
+  @first_ms 3_000
+  @again_ms 100
+
+  defstruct [
+    :servers,
+    :opts,
+    :socket,
+    :transport,
+    :inbox,
+    :info,
+    buffer: "",
+    number: 0,
+    pending: %{}
+  ]
+
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
+
+  @doc "As `start_link/1`, for callers that come and go: it ends when they close it."
+  @spec start(keyword()) :: GenServer.on_start()
+  def start(opts), do: GenServer.start(__MODULE__, opts)
+
+  @doc "Sends a message and waits `timeout` ms for its answer."
+  @spec request(pid(), String.t(), [{String.t(), String.t()}], iodata(), pos_integer()) ::
+          {:ok, Wire.message()} | {:error, :down | :timeout}
+  def request(connection, subject, headers, data, timeout) do
+    GenServer.call(connection, {:request, subject, headers, data, timeout}, timeout + 5_000)
+  catch
+    :exit, _ -> {:error, :down}
+  end
+
+  @doc "What the server said of itself; `nil` while there is none."
+  @spec info(pid()) :: map() | nil
+  def info(connection) do
+    GenServer.call(connection, :info, 10_000)
+  catch
+    :exit, _ -> nil
+  end
+
+  @impl true
+  def init(opts) do
+    state = %__MODULE__{servers: opts[:servers], opts: opts}
+
+    case first(state, length(state.servers), nil) do
+      {:ok, state} -> {:ok, state}
+      {:error, error} -> {:stop, {:shutdown, error}}
+    end
+  end
+
+  defp first(_state, 0, error), do: {:error, error}
+
+  defp first(state, left, _error) do
+    case connect(state) do
+      {:ok, state} -> {:ok, state}
+      {:error, error} -> first(next_server(state), left - 1, error)
+    end
+  end
+
+  defp next_server(%{servers: [server | rest]} = state), do: %{state | servers: rest ++ [server]}
+
+  @impl true
+  def handle_call(:info, _from, state), do: {:reply, state.info, state}
+
+  def handle_call({:request, _, _, _, _}, _from, %{socket: nil} = state),
+    do: {:reply, {:error, :down}, state}
+
+  def handle_call({:request, subject, headers, data, timeout}, from, state) do
+    number = state.number + 1
+    reply = "#{state.inbox}.#{number}"
+
+    case state.transport.send(state.socket, Wire.publish(subject, reply, headers, data)) do
+      :ok ->
+        timer = Process.send_after(self(), {:late, number}, timeout)
+        pending = Map.put(state.pending, number, {from, timer})
+        {:noreply, %{state | number: number, pending: pending}}
+
+      {:error, _} ->
+        {:reply, {:error, :down}, lost(state)}
+    end
+  end
+
+  @impl true
+  def handle_info({kind, socket, data}, %{socket: socket} = state) when kind in [:tcp, :ssl],
+    do: {:noreply, received(%{state | buffer: state.buffer <> data})}
+
+  def handle_info({kind, socket}, %{socket: socket} = state)
+      when kind in [:tcp_closed, :ssl_closed],
+      do: {:noreply, lost(state)}
+
+  def handle_info({kind, socket, _reason}, %{socket: socket} = state)
+      when kind in [:tcp_error, :ssl_error],
+      do: {:noreply, lost(state)}
+
+  def handle_info({:late, number}, state) do
+    {entry, pending} = Map.pop(state.pending, number)
+    with {from, _timer} <- entry, do: GenServer.reply(from, {:error, :timeout})
+    {:noreply, %{state | pending: pending}}
+  end
+
+  def handle_info(:connect, %{socket: nil} = state) do
+    case connect(state) do
+      {:ok, state} ->
+        {:noreply, state}
+
+      {:error, _error} ->
+        Process.send_after(self(), :connect, @again_ms)
+        {:noreply, next_server(state)}
+    end
+  end
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp received(state) do
+    case Wire.parse(state.buffer, most(state.info)) do
+      :more -> active(state)
+      {:ok, frame, rest} -> frame |> handle(%{state | buffer: rest}) |> received_on()
+      {:error, _why} -> lost(state)
+    end
+  end
+
+  defp received_on(%{socket: nil} = state), do: state
+  defp received_on(state), do: received(state)
+
+  defp active(state) do
+    case setopts(state) do
+      :ok -> state
+      {:error, _} -> lost(state)
+    end
+  end
+
+  defp setopts(%{transport: :gen_tcp, socket: socket}), do: :inet.setopts(socket, active: :once)
+  defp setopts(%{transport: :ssl, socket: socket}), do: :ssl.setopts(socket, active: :once)
+
+  defp handle(:ping, state) do
+    case state.transport.send(state.socket, "PONG\r\n") do
+      :ok -> state
+      {:error, _} -> lost(state)
+    end
+  end
+
+  defp handle({:message, message}, state) do
+    number = message.subject |> String.split(".") |> List.last() |> Integer.parse()
+
+    with {number, ""} <- number, {{from, timer}, pending} <- Map.pop(state.pending, number) do
+      Process.cancel_timer(timer)
+      GenServer.reply(from, {:ok, message})
+      %{state | pending: pending}
+    else
+      _ -> state
+    end
+  end
+
+  # Another server of the cluster, or other limits.
+  defp handle({:info, json}, state) do
+    case JSON.decode(json) do
+      {:ok, info} when is_map(info) -> %{state | info: info}
+      _ -> state
+    end
+  end
+
+  # The server closes the connection after most of them.
+  defp handle({:failure, _text}, state), do: state
+  defp handle(_frame, state), do: state
+
+  defp lost(%{socket: nil} = state), do: state
+
+  defp lost(state) do
+    state.transport.close(state.socket)
+
+    for {_, {from, timer}} <- state.pending do
+      Process.cancel_timer(timer)
+      GenServer.reply(from, {:error, :down})
+    end
+
+    send(self(), :connect)
+    next_server(%{state | socket: nil, info: nil, buffer: "", pending: %{}})
+  end
+
+  # Connecting
+
+  defp connect(%{servers: [{host, port} | _]} = state) do
+    options = [
+      :binary,
+      active: false,
+      nodelay: true,
+      keepalive: true,
+      send_timeout: 5_000,
+      send_timeout_close: true
+    ]
+
+    with {:ok, socket} <-
+           reached(:gen_tcp.connect(to_charlist(host), port, options, @first_ms), state),
+         {:ok, info, rest} <- greeting(socket, "", state),
+         :ok <- usable(info, state),
+         {:ok, transport, socket} <- secure(socket, info, state),
+         inbox = "_INBOX." <> Base.encode16(:crypto.strong_rand_bytes(10)),
+         :ok <- hello(transport, socket, inbox, state),
+         state = %{state | transport: transport, socket: socket, inbox: inbox, info: info},
+         {:ok, rest} <- welcomed(state, rest) do
+      {:ok, received(%{state | buffer: rest})}
+    end
+  end
+
+  defp reached({:ok, socket}, _state), do: {:ok, socket}
+
+  defp reached({:error, reason}, state) do
+    {:error,
+     Error.new(:log_away, "no NATS server at #{server(state)}: #{:inet.format_error(reason)}",
+       fix: "start nats-server with JetStream (nats-server -js), or correct the address"
+     )}
+  end
+
+  defp greeting(socket, read, state) do
+    with {:ok, bytes} <- :gen_tcp.recv(socket, 0, @first_ms),
+         {:ok, {:info, json}, rest} <- Wire.parse(read <> bytes, @headers),
+         {:ok, info} when is_map(info) <- JSON.decode(json) do
+      {:ok, info, rest}
+    else
+      :more when byte_size(read) < @headers ->
+        greeting(socket, read, state)
+
+      _ ->
+        :gen_tcp.close(socket)
+        {:error, Error.new(:log_away, "#{server(state)} does not speak as a NATS server does")}
+    end
+  end
+
+  defp usable(info, state) do
+    version = to_string(info["version"])
+
+    cond do
+      old?(version) ->
+        {:error,
+         Error.new(:old_server, "the NATS server at #{server(state)} is #{version}",
+           fix: "use 2.9 or newer"
+         )}
+
+      info["jetstream"] != true ->
+        {:error,
+         Error.new(:no_jetstream, "the NATS server at #{server(state)} keeps nothing",
+           why: "JetStream is off",
+           fix: "start it with -js and a folder: nats-server -js -sd FOLDER"
+         )}
+
+      true ->
+        :ok
+    end
+  end
+
+  defp old?(version) do
+    case Version.parse(version) do
+      {:ok, version} -> Version.compare(version, "2.9.0") == :lt
+      :error -> true
+    end
+  end
+
+  defp secure(socket, info, state) do
+    tls = state.opts[:tls]
+
+    cond do
+      tls != nil ->
+        [{host, _} | _] = state.servers
+
+        tls =
+          Keyword.merge([verify: :verify_peer, server_name_indication: to_charlist(host)], tls)
+
+        upgraded(:ssl.connect(socket, tls, @first_ms), state)
+
+      info["tls_required"] == true ->
+        {:error,
+         Error.new(:tls_required, "the NATS server at #{server(state)} wants TLS",
+           fix: "give tls: [cacertfile: ...]"
+         )}
+
+      true ->
+        {:ok, :gen_tcp, socket}
+    end
+  end
+
+  defp upgraded({:ok, socket}, _state), do: {:ok, :ssl, socket}
+
+  defp upgraded({:error, reason}, state) do
+    {:error,
+     Error.new(:tls_failed, "no TLS with #{server(state)}: #{inspect(reason, limit: 8)}",
+       fix: "check cacertfile:, certfile: and keyfile:"
+     )}
+  end
+
+  defp hello(transport, socket, inbox, state) do
+    login = Map.new(state.opts[:login] || %{})
+
+    options =
+      Map.merge(login, %{
+        "verbose" => false,
+        "pedantic" => false,
+        "headers" => true,
+        "no_responders" => true,
+        "lang" => "elixir",
+        "name" => "situ",
+        "version" => "1"
+      })
+
+    lines = ["CONNECT ", JSON.encode(options), "\r\nSUB ", inbox, ".* 1\r\nPING\r\n"]
+    with {:error, reason} <- transport.send(socket, lines), do: reached({:error, reason}, state)
+  end
+
+  defp welcomed(state, read) do
+    case Wire.parse(read, @headers) do
+      {:ok, :pong, rest} ->
+        {:ok, rest}
+
+      {:ok, {:failure, text}, _rest} ->
+        state.transport.close(state.socket)
+
+        {:error,
+         Error.new(:refused_login, "#{server(state)} refuses the connection: #{text}",
+           fix: "check user and password, or the token"
+         )}
+
+      {:ok, _frame, rest} ->
+        welcomed(state, rest)
+
+      :more ->
+        case state.transport.recv(state.socket, 0, @first_ms) do
+          {:ok, bytes} -> welcomed(state, read <> bytes)
+          {:error, reason} -> reached({:error, reason}, state)
+        end
+
+      {:error, _} ->
+        {:error, Error.new(:log_away, "#{server(state)} does not speak as a NATS server does")}
+    end
+  end
+
+  defp most(info), do: Map.get(info || %{}, "max_payload", 1_048_576) * 2 + @headers
+
+  defp server(%{servers: [{host, port} | _]}), do: "#{host}:#{port}"
+
+  # Passwords have no place in a log.
+  @impl true
+  def format_status(_reason, [_dictionary, state]),
+    do: [data: [{~c"State", %{servers: state.servers, connected: state.socket != nil}}]]
+end

@@ -1,0 +1,135 @@
+defmodule Situ.Remote.Log.Nats.Wire do
+  @moduledoc """
+  NATS' client protocol as bytes. Pure; bounded: a line has 4 KiB at most, a message what the server said.
+
+      iex> alias Situ.Remote.Log.Nats.Wire
+      iex> "a.b" |> Wire.publish("_INBOX.1", [{"K", "v"}], "data") |> IO.iodata_to_binary()
+      "HPUB a.b _INBOX.1 18 22\\r\\nNATS/1.0\\r\\nK: v\\r\\n\\r\\ndata\\r\\n"
+      iex> Wire.parse("MSG a.b 1 4\\r\\ndata\\r\\nPI", 1_024)
+      {:ok, {:message, %{subject: "a.b", reply: nil, status: nil, headers: %{}, data: "data"}}, "PI"}
+      iex> Wire.parse("PI", 1_024)
+      :more
+      iex> Wire.parse("MSG a.b 1 4000\\r\\n", 1_024)
+      {:error, "a message of 4000 bytes, and 1024 were agreed on"}
+  """
+  @line 4_096
+
+  @type message :: %{
+          subject: String.t(),
+          reply: String.t() | nil,
+          status: String.t() | nil,
+          headers: %{String.t() => String.t()},
+          data: binary()
+        }
+  @type frame ::
+          :ping
+          | :pong
+          | :ok
+          | {:info, String.t()}
+          | {:failure, String.t()}
+          | {:message, message()}
+
+  @doc "A message with headers (a list of names and values), to be answered at `reply`."
+  @spec publish(String.t(), String.t(), [{String.t(), String.t()}], iodata()) :: iodata()
+  def publish(subject, reply, headers, data) do
+    head = ["NATS/1.0\r\n", for({key, value} <- headers, do: [key, ": ", value, "\r\n"]), "\r\n"]
+    size = :erlang.iolist_size(head)
+    all = size + :erlang.iolist_size(data)
+    ["HPUB ", subject, " ", reply, " #{size} #{all}\r\n", head, data, "\r\n"]
+  end
+
+  @doc "The next frame of `bytes`; a message larger than `most` bytes is an error."
+  @spec parse(binary(), pos_integer()) :: {:ok, frame(), binary()} | :more | {:error, String.t()}
+  def parse(bytes, most) do
+    case :binary.match(bytes, "\r\n", scope: {0, min(byte_size(bytes), @line)}) do
+      {at, 2} ->
+        <<line::binary-size(at), "\r\n", rest::binary>> = bytes
+        frame(line, rest, most)
+
+      :nomatch when byte_size(bytes) >= @line ->
+        {:error, "a line of more than #{@line} bytes"}
+
+      :nomatch ->
+        :more
+    end
+  end
+
+  defp frame("PING", rest, _most), do: {:ok, :ping, rest}
+  defp frame("PONG", rest, _most), do: {:ok, :pong, rest}
+  defp frame("+OK", rest, _most), do: {:ok, :ok, rest}
+  defp frame("INFO " <> json, rest, _most), do: {:ok, {:info, json}, rest}
+  defp frame("-ERR" <> text, rest, _most), do: {:ok, {:failure, trim(text)}, rest}
+
+  defp frame("MSG " <> line, rest, most) do
+    case String.split(line, " ", trim: true) do
+      [subject, _sid, size] -> message(subject, nil, "0", size, rest, most)
+      [subject, _sid, reply, size] -> message(subject, reply, "0", size, rest, most)
+      _ -> {:error, "MSG #{inspect(line)}"}
+    end
+  end
+
+  defp frame("HMSG " <> line, rest, most) do
+    case String.split(line, " ", trim: true) do
+      [subject, _sid, head, size] -> message(subject, nil, head, size, rest, most)
+      [subject, _sid, reply, head, size] -> message(subject, reply, head, size, rest, most)
+      _ -> {:error, "HMSG #{inspect(line)}"}
+    end
+  end
+
+  defp frame(line, _rest, _most), do: {:error, "no frame: #{inspect(line, printable_limit: 40)}"}
+
+  defp trim(text), do: text |> String.trim() |> String.trim("'")
+
+  defp message(subject, reply, head, size, rest, most) do
+    with {head, ""} when head >= 0 <- Integer.parse(head),
+         {size, ""} when size >= head <- Integer.parse(size) do
+      cond do
+        size > most ->
+          {:error, "a message of #{size} bytes, and #{most} were agreed on"}
+
+        byte_size(rest) < size + 2 ->
+          :more
+
+        true ->
+          take(subject, reply, head, size - head, rest)
+      end
+    else
+      _ -> {:error, "sizes #{inspect({head, size})}"}
+    end
+  end
+
+  defp take(subject, reply, head, size, bytes) do
+    case bytes do
+      <<lines::binary-size(head), data::binary-size(size), "\r\n", rest::binary>> ->
+        {status, headers} = headers(lines)
+
+        message = %{
+          subject: subject,
+          reply: reply,
+          status: status,
+          headers: headers,
+          data: :binary.copy(data)
+        }
+
+        {:ok, {:message, message}, rest}
+
+      _ ->
+        {:error, "a message that does not end with its line"}
+    end
+  end
+
+  # "NATS/1.0", or with a status: "NATS/1.0 404 Message Not Found".
+  defp headers(""), do: {nil, %{}}
+
+  defp headers(head) do
+    [first | lines] = String.split(head, "\r\n")
+
+    headers =
+      for line <- lines, [key, value] <- [String.split(line, ":", parts: 2)], into: %{} do
+        {key, String.trim(value)}
+      end
+
+    status = first |> String.split(" ", trim: true) |> Enum.at(1)
+    {status, headers}
+  end
+end

@@ -1,0 +1,173 @@
+defmodule Situ.Remote.Log.NatsTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+
+  alias Situ.Remote.Log
+  alias Situ.Remote.Log.Entry
+  alias Situ.Remote.Log.Nats.Wire
+  alias Situ.Test.NatsServer
+
+  doctest Situ.Remote.Log.Nats.Wire
+
+  @moduletag :tmp_dir
+  # Said once, by the tests of the log.
+  @server if(NatsServer.path(), do: [], else: [skip: "there is no nats-server"])
+
+  defp server(dir, opts \\ []) do
+    server = NatsServer.start(dir, opts)
+    on_exit(fn -> NatsServer.kill(server) end)
+    server
+  end
+
+  defp entry(i, data), do: %Entry{op: "op.#{i}", data: data, head: %{"Last" => "#{i}"}}
+
+  # As a publisher does: until it is written, or refused.
+  defp patiently(log, subject, last, entry, left \\ 600) do
+    case Log.append(log, subject, last, entry) do
+      {:error, %{code: :log_away}} when left > 0 ->
+        Process.sleep(50)
+        patiently(log, subject, last, entry, left - 1)
+
+      answer ->
+        answer
+    end
+  end
+
+  defp everything(log, subject, from, left \\ 600) do
+    case Log.read(log, subject, from, 1_000) do
+      {:ok, entries} ->
+        for e <- entries, do: Entry.integer(e, "Last", 0)
+
+      {:error, %{code: :log_away}} when left > 0 ->
+        Process.sleep(50)
+        everything(log, subject, from, left - 1)
+    end
+  end
+
+  describe "a server" do
+    @describetag @server
+
+    test "that is killed and comes back has lost nothing and got nothing twice", %{tmp_dir: dir} do
+      server = server(dir)
+      {:ok, log} = Log.connect(server.url, timeout: 500)
+      subject = {:stream, "s"}
+      me = self()
+
+      writer =
+        Task.async(fn ->
+          Enum.reduce(1..300, 0, fn i, last ->
+            {:ok, seq} = patiently(log, subject, last, entry(i, :binary.copy("x", 2_000)))
+            if i == 100, do: send(me, :half)
+            seq
+          end)
+        end)
+
+      assert_receive :half
+      NatsServer.kill(server)
+      server = NatsServer.run(server)
+      on_exit(fn -> NatsServer.kill(server) end)
+      Task.await(writer, 100_000)
+      assert everything(log, subject, 1) == Enum.to_list(1..300)
+    end
+
+    test "is told by name: too large, full, no JetStream, wrong password", %{tmp_dir: dir} do
+      server = server(Path.join(dir, "a"), settings: "max_payload: 100000")
+      {:ok, log} = Log.connect(server.url, max_bytes: 300_000, when_full: :refuse)
+      big = :binary.copy("x", 99_000)
+      assert {:error, %{code: :too_large}} = Log.append(log, {:stream, "s"}, 0, entry(1, big))
+      fits = :binary.copy("x", Log.limit(log))
+      {:ok, 1} = Log.append(log, {:stream, "s"}, 0, entry(1, fits))
+      {:ok, 2} = Log.append(log, {:stream, "s"}, 1, entry(2, fits))
+      {:ok, 3} = Log.append(log, {:stream, "s"}, 2, entry(3, fits))
+      assert {:error, %{code: :log_full}} = Log.append(log, {:stream, "s"}, 3, entry(4, fits))
+      assert {:ok, %Entry{op: "op.3"}} = Log.last(log, {:stream, "s"})
+
+      plain = server(Path.join(dir, "b"), jetstream: false)
+      assert {:error, %{code: :no_jetstream}} = Log.connect(plain.url)
+
+      secret = server(Path.join(dir, "c"), settings: ~s(authorization { token: "s3cret" }))
+      assert {:error, %{code: :refused_login}} = Log.connect(secret.url)
+      "nats://" <> host = secret.url
+      assert {:ok, _log} = Log.connect("nats://s3cret@" <> host)
+    end
+
+    test "three servers: the leader is killed, nothing is lost", %{tmp_dir: dir} do
+      ports = for _ <- 1..3, do: {NatsServer.free_port(), NatsServer.free_port()}
+      routes = Enum.map_join(ports, ", ", fn {_, route} -> ~s("nats://127.0.0.1:#{route}") end)
+
+      servers =
+        for {{port, route}, i} <- Enum.with_index(ports, 1) do
+          settings = ~s(cluster { name: "c", listen: "127.0.0.1:#{route}", routes: [#{routes}] })
+          server(Path.join(dir, "n#{i}"), name: "n#{i}", port: port, settings: settings)
+        end
+
+      address = "nats://" <> Enum.map_join(ports, ",", fn {port, _} -> "127.0.0.1:#{port}" end)
+      log = connected(address, 600)
+      subject = {:stream, "s"}
+      me = self()
+
+      writer =
+        Task.async(fn ->
+          Enum.reduce(1..200, 0, fn i, last ->
+            {:ok, seq} = patiently(log, subject, last, entry(i, "data"))
+            if i == 70, do: send(me, :half)
+            seq
+          end)
+        end)
+
+      assert_receive :half
+
+      {:ok, %{data: json}} =
+        Situ.Remote.Log.Nats.Connection.request(
+          log.conn.connection,
+          "$JS.API.STREAM.INFO.SITU",
+          [],
+          "",
+          5_000
+        )
+
+      {:ok, %{"cluster" => %{"leader" => "n" <> n}}} = Situ.JSON.decode(json)
+      servers |> Enum.at(String.to_integer(n) - 1) |> NatsServer.kill()
+      Task.await(writer, 100_000)
+      assert everything(log, subject, 1) == Enum.to_list(1..200)
+    end
+  end
+
+  # A cluster needs a while until it has a leader.
+  defp connected(address, left) do
+    case Log.connect(address, replicas: 3, timeout: 2_000) do
+      {:ok, log} ->
+        log
+
+      {:error, _} when left > 0 ->
+        Process.sleep(100)
+        connected(address, left - 1)
+    end
+  end
+
+  property "whatever bytes come, the parser answers" do
+    forall bytes <- binary() do
+      case Wire.parse("MSG a 1 " <> bytes, 1_000) do
+        :more -> true
+        {:ok, _, rest} -> is_binary(rest)
+        {:error, text} -> is_binary(text)
+      end
+    end
+  end
+
+  property "a message is what was published, however the bytes are cut" do
+    forall {data, at} <- {binary(), non_neg_integer()} do
+      "HPUB a.b _R " <> rest =
+        IO.iodata_to_binary(Wire.publish("a.b", "_R", [{"K", "v w"}], data))
+
+      bytes = "HMSG a.b 1 _R " <> rest
+      at = rem(at, byte_size(bytes))
+
+      Wire.parse(binary_part(bytes, 0, at), 100_000) == :more and
+        match?(
+          {:ok, {:message, %{data: ^data, headers: %{"K" => "v w"}, reply: "_R"}}, "next"},
+          Wire.parse(bytes <> "next", 100_000)
+        )
+    end
+  end
+end

@@ -1,0 +1,193 @@
+defmodule Situ.Remote.LogTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+
+  alias Situ.Remote.Log
+  alias Situ.Remote.Log.Entry
+  alias Situ.Test.NatsServer
+
+  doctest Situ.Remote.Log
+  doctest Situ.Remote.Log.Entry
+
+  @moduletag :tmp_dir
+
+  @adapters if(NatsServer.path(), do: [:folder, :nats], else: [:folder])
+
+  if NatsServer.path() == nil do
+    IO.puts(
+      "no nats-server: its half of the log's tests is not run (bin/setup --for test fetches one)"
+    )
+  end
+
+  defp open(:folder, dir) do
+    {:ok, log} = Log.connect(Path.join(dir, "log"))
+
+    {log,
+     fn ->
+       {:ok, log} = Log.connect(Path.join(dir, "log"))
+       log
+     end}
+  end
+
+  defp open(:nats, dir) do
+    server = NatsServer.start(Path.join(dir, "nats"))
+    on_exit(fn -> NatsServer.kill(server) end)
+    {:ok, log} = Log.connect(server.url)
+
+    {log,
+     fn ->
+       {:ok, log} = Log.connect(server.url)
+       log
+     end}
+  end
+
+  defp entry(op, data \\ "", head \\ %{}), do: %Entry{op: op, data: data, head: head}
+
+  for adapter <- @adapters do
+    describe "#{adapter}" do
+      @adapter adapter
+
+      test "keeps what was appended, in order, for others too", %{tmp_dir: dir} do
+        {log, again} = open(@adapter, dir)
+        subject = {:stream, "a stream/with. odd * names > é"}
+        assert {:ok, nil} = Log.last(log, subject)
+        assert {:ok, []} = Log.read(log, subject, 1, 10)
+
+        seqs =
+          Enum.scan(1..25, 0, fn i, last ->
+            data = :binary.copy(<<i>>, i * 1_000)
+
+            {:ok, seq} =
+              Log.append(log, subject, last, entry("op.#{i}", data, %{"Last" => "#{i}"}))
+
+            assert seq > last
+            seq
+          end)
+
+        other = again.()
+        {:ok, entries} = Log.read(other, subject, 1, 100)
+        assert for(e <- entries, do: e.seq) == seqs
+        assert for(e <- entries, do: Entry.integer(e, "Last", 0)) == Enum.to_list(1..25)
+        assert List.last(entries).data == :binary.copy(<<25>>, 25_000)
+        assert {:ok, %Entry{op: "op.25"}} = Log.last(other, subject)
+
+        assert {:ok, [%Entry{op: "op.7"}, %Entry{op: "op.8"}]} =
+                 Log.read(other, subject, Enum.at(seqs, 6), 2)
+
+        # Another stream in between is none of its business.
+        {:ok, _} = Log.append(other, {:stream, "b"}, 0, entry("b.1"))
+        assert {:ok, _} = Log.append(log, subject, List.last(seqs), entry("op.26"))
+      end
+
+      test "refuses who does not know the last entry; the same write again is the same entry", %{
+        tmp_dir: dir
+      } do
+        {log, again} = open(@adapter, dir)
+
+        for subject <- [{:stream, "s"}, {:key, "k"}] do
+          {:ok, first} = Log.append(log, subject, 0, entry("a.1"))
+          assert {:ok, ^first} = Log.append(again.(), subject, 0, entry("a.1"))
+          assert {:refused, %Entry{op: "a.1"}} = Log.append(log, subject, 0, entry("b.1"))
+          {:ok, second} = Log.append(log, subject, first, entry("a.2"))
+
+          assert {:refused, %Entry{op: "a.2", seq: ^second}} =
+                   Log.append(log, subject, first, entry("b.2"))
+
+          {:ok, third} = Log.append(log, subject, second, entry("a.3"))
+          {:ok, fourth} = Log.append(log, subject, third, entry("a.4"))
+          # However old what it knows is.
+          for old <- [0, first, second, third],
+              do:
+                assert(
+                  {:refused, %Entry{seq: ^fourth}} =
+                    Log.append(log, subject, old, entry("c.#{old}"))
+                )
+        end
+      end
+
+      test "of those that append at once behind the same entry one succeeds", %{tmp_dir: dir} do
+        {log, again} = open(@adapter, dir)
+        subject = {:key, "lease"}
+
+        Enum.reduce(1..10, 0, fn round, last ->
+          answers =
+            1..8
+            |> Enum.map(fn i -> {i, again.()} end)
+            |> Task.async_stream(
+              fn {i, log} -> Log.append(log, subject, last, entry("#{round}.#{i}")) end,
+              timeout: 60_000
+            )
+            |> Enum.map(fn {:ok, answer} -> answer end)
+
+          assert [seq] = for({:ok, seq} <- answers, do: seq)
+          assert {:ok, %Entry{seq: ^seq}} = Log.last(log, subject)
+          seq
+        end)
+      end
+
+      test "trims, and goes on", %{tmp_dir: dir} do
+        {log, _} = open(@adapter, dir)
+        subject = {:stream, "s"}
+
+        seqs =
+          Enum.scan(1..10, 0, fn i, last ->
+            elem(Log.append(log, subject, last, entry("#{i}")), 1)
+          end)
+
+        :ok = Log.trim(log, subject, Enum.at(seqs, 6))
+        {:ok, entries} = Log.read(log, subject, 1, 100)
+        assert for(e <- entries, do: e.op) == ~w(7 8 9 10)
+        :ok = Log.trim(log, subject, 1_000_000)
+        assert {:ok, %Entry{op: "10"}} = Log.last(log, subject)
+        assert {:refused, _} = Log.append(log, subject, 0, entry("x"))
+        assert {:ok, _} = Log.append(log, subject, List.last(seqs), entry("11"))
+      end
+
+      test "finds the first entry that is enough", %{tmp_dir: dir} do
+        {log, _} = open(@adapter, dir)
+        subject = {:stream, "s"}
+        assert {:ok, nil} = Log.find(log, subject, fn _ -> true end)
+
+        Enum.reduce(1..20, 0, fn i, last ->
+          {:ok, _} = Log.append(log, {:stream, "other#{i}"}, 0, entry("o#{i}"))
+          {:ok, seq} = Log.append(log, subject, last, entry("#{i}", "", %{"Time" => "#{i * 10}"}))
+          seq
+        end)
+
+        for time <- [0, 10, 11, 95, 200] do
+          {:ok, seq} = Log.find(log, subject, &(Entry.integer(&1, "Time", 0) >= time))
+          {:ok, [found]} = Log.read(log, subject, seq, 1)
+          assert Entry.integer(found, "Time", 0) == max(10, div(time + 9, 10) * 10)
+        end
+
+        assert {:ok, nil} = Log.find(log, subject, &(Entry.integer(&1, "Time", 0) >= 201))
+      end
+    end
+  end
+
+  property "an entry is what was encoded; a changed one is refused" do
+    forall {op, data, at} <- {binary(4), binary(), non_neg_integer()} do
+      entry = %Entry{op: Base.encode16(op), data: data, head: %{"A" => "1"}}
+      bytes = entry |> Entry.encode() |> IO.iodata_to_binary()
+      at = rem(at, byte_size(bytes))
+      <<before::binary-size(at), byte, rest::binary>> = bytes
+      changed = <<before::binary, Bitwise.bxor(byte, 1), rest::binary>>
+
+      Entry.decode(bytes, 3) == {:ok, %{entry | seq: 3}} and
+        match?({:error, _}, Entry.decode(changed, 3)) and
+        match?({:error, _}, Entry.decode(binary_part(bytes, 0, at), 3))
+    end
+  end
+
+  test "an address that no log has is an error that says so" do
+    assert {:error, %{code: :bad_address}} = Log.connect("kafka://x")
+    assert {:error, %{code: :bad_address}} = Log.connect("nats://secret:x@host:port")
+    {:error, error} = Log.connect("nats://user:secret@:1")
+    refute error.what =~ "secret"
+
+    assert {:error, %{code: :log_away}} =
+             Log.connect("nats://127.0.0.1:#{NatsServer.free_port()}")
+
+    assert {:error, %{code: :no_log}} = Log.connect("/proc/nothing/here")
+  end
+end
