@@ -1,0 +1,120 @@
+defmodule Situ.Space.LeastSquares do
+  @moduledoc """
+  The numbers for which the sum of the squares of a function's results is least, by Levenberg-Marquardt with central
+  differences. For a few dozen numbers and some thousand results.
+
+      iex> {:ok, {[a, b], square}} =
+      ...>   Situ.Space.LeastSquares.minimize([1.0, 1.0], fn [a, b] -> for x <- 0..9, do: a * :math.exp(b * x / 10) - 2.0 * :math.exp(0.3 * x / 10) end, 50)
+      iex> {Float.round(a, 6), Float.round(b, 6), square < 1.0e-12}
+      {2.0, 0.3, true}
+  """
+  alias Situ.Error
+
+  @enough 1.0e-14
+  @most 1.0e12
+
+  @type result :: {:ok, {[float()], square :: float()}} | {:error, Error.t()}
+
+  @doc "Begins at `start` and takes `rounds` steps at most. Results that are no numbers count as no answer."
+  @spec minimize([float()], ([float()] -> [float()]), pos_integer()) :: result()
+  def minimize(start, fun, rounds) do
+    results = fun.(start)
+    {:ok, step(start, results, square(results), fun, 1.0e-3, rounds)}
+  rescue
+    ArithmeticError ->
+      {:error,
+       Error.new(:not_found, "the search went where nothing can be computed",
+         fix: "give a better start"
+       )}
+  end
+
+  defp step(values, _results, least, _fun, _damping, 0), do: {values, least}
+  defp step(values, _results, least, _fun, damping, _) when damping > @most, do: {values, least}
+
+  defp step(values, results, least, fun, damping, rounds) do
+    columns = columns(values, fun)
+    normal = for a <- columns, do: for(b <- columns, do: dot(a, b))
+    slope = for a <- columns, do: -dot(a, results)
+
+    case attempt(values, least, normal, slope, fun, damping) do
+      :none ->
+        {values, least}
+
+      {next, results, square, damping} ->
+        if least - square <= @enough * (least + @enough),
+          do: {next, square},
+          else: step(next, results, square, fun, damping, rounds - 1)
+    end
+  end
+
+  # More damping, until a step makes it better.
+  defp attempt(_values, _least, _normal, _slope, _fun, damping) when damping > @most, do: :none
+
+  defp attempt(values, least, normal, slope, fun, damping) do
+    damped =
+      for {row, i} <- Enum.with_index(normal),
+          do: List.update_at(row, i, &(&1 + damping * max(&1, 1.0e-12)))
+
+    with {:ok, move} <- solve(damped, slope),
+         next = Enum.zip_with(values, move, &(&1 + &2)),
+         results = fun.(next),
+         square when square < least <- square(results) do
+      {next, results, square, max(damping / 10, 1.0e-12)}
+    else
+      _ -> attempt(values, least, normal, slope, fun, damping * 10)
+    end
+  end
+
+  # How the results change with each of the values.
+  defp columns(values, fun) do
+    for i <- 0..(length(values) - 1) do
+      h = 1.0e-6 * max(abs(Enum.at(values, i)), 1.0e-2)
+      more = fun.(List.update_at(values, i, &(&1 + h)))
+      less = fun.(List.update_at(values, i, &(&1 - h)))
+      Enum.zip_with(more, less, fn a, b -> (a - b) / (2 * h) end)
+    end
+  end
+
+  defp dot(a, b), do: sum(a, b, 0.0)
+  defp sum([a | as], [b | bs], total), do: sum(as, bs, total + a * b)
+  defp sum([], [], total), do: total
+
+  defp square(results), do: dot(results, results)
+
+  @doc """
+  The solution of a system of linear equations, by elimination with the largest pivot; `:error` where there is none.
+
+      iex> Situ.Space.LeastSquares.solve([[0.0, 2.0], [1.0, 1.0]], [4.0, 5.0])
+      {:ok, [3.0, 2.0]}
+      iex> Situ.Space.LeastSquares.solve([[1.0, 1.0], [1.0, 1.0]], [1.0, 2.0])
+      :error
+  """
+  @spec solve([[float()]], [float()]) :: {:ok, [float()]} | :error
+  def solve(rows, right) do
+    rows |> Enum.zip_with(right, &(&1 ++ [&2])) |> eliminate([])
+  end
+
+  defp eliminate([], done), do: {:ok, substitute(done, [])}
+
+  defp eliminate(rows, done) do
+    [pivot | rest] = Enum.sort_by(rows, &(-abs(hd(&1))))
+
+    if abs(hd(pivot)) < 1.0e-300 do
+      :error
+    else
+      reduced = for [first | row] <- rest, do: minus(row, tl(pivot), first / hd(pivot))
+      eliminate(reduced, [pivot | done])
+    end
+  end
+
+  defp minus([a | as], [b | bs], by), do: [a - b * by | minus(as, bs, by)]
+  defp minus([], [], _by), do: []
+
+  # From the last equation, which has one unknown, upwards.
+  defp substitute([], known), do: known
+
+  defp substitute([[pivot | row] | above], known) do
+    {factors, [right]} = Enum.split(row, length(known))
+    substitute(above, [(right - dot(factors, known)) / pivot | known])
+  end
+end

@@ -1,0 +1,70 @@
+defmodule Situ.Bench.Space do
+  @moduledoc """
+  Kernels of space, and what a 3D panel is sent, called from Elixir one after the other: operations a second by the wall
+  clock, and `_cpu` in microseconds an operation.
+  """
+  alias Situ.{Bench, PointCloud, Pose}
+  alias Situ.Space.{Cloud, Depth, Frames, RayTable, SyntheticRoom}
+  alias Situ.Studio.Scene
+
+  def tests, do: [{"space", &space/1}]
+
+  defp space(scale) do
+    Enum.flat_map(jobs(), fn {name, n, job} ->
+      n = max(round(n * scale), 3)
+
+      Bench.measure(name, n, "op/s", fn ->
+        unless Enum.all?(1..n, fn _ -> job.() end), do: raise("#{name}: wrong result")
+      end)
+    end)
+  end
+
+  defp jobs do
+    intrinsics = SyntheticRoom.intrinsics(640, 480)
+    {:ok, table} = RayTable.new(intrinsics)
+    scene = SyntheticRoom.Scene.at(1.0)
+    {:ok, {depth, color}} = SyntheticRoom.views(scene, intrinsics, table)
+    {:ok, cloud} = Depth.to_cloud(depth.viewed, table)
+    frames = tree()
+    million = %PointCloud{points: :binary.copy(<<0::96>>, 1_000_000)}
+    ten = %PointCloud{points: :binary.copy(<<0::96>>, 10_000_000)}
+    whole = PointCloud.count(cloud)
+
+    [
+      {"synthetic-room-640x480", 20,
+       fn -> match?({:ok, _}, SyntheticRoom.views(scene, intrinsics, table)) end},
+      {"cloud-from-depth", 60, fn -> whole == count(Depth.to_cloud(depth.viewed, table)) end},
+      {"cloud-from-depth-colored", 60,
+       fn -> whole == count(Depth.to_cloud(depth.viewed, table, colors: color.viewed)) end},
+      {"voxel-downsample", 20, fn -> count(Cloud.downsample(cloud, 0.05)) in 1_000..whole end},
+      {"transform-lookup", 100_000,
+       fn -> match?({:ok, _}, Frames.lookup(frames, "hand", "room", 505_000_000)) end},
+      {"3d-upload-1M", 10, fn -> size(million) > 12_000_000 end},
+      {"3d-upload-10M-budget-1M", 10, fn -> size(ten) in 12_000_000..13_000_000 end}
+    ]
+  end
+
+  defp count({:ok, cloud}), do: PointCloud.count(cloud)
+
+  defp size(cloud) do
+    {items, []} = Scene.Terms.of(cloud)
+    items |> Scene.pack() |> IO.iodata_length()
+  end
+
+  # A hand on an arm that moves, on a body that moves.
+  defp tree do
+    {:ok, frames} = Frames.put_static(Frames.new(), "hand", "arm", Pose.new({0.3, 0.0, 0.0}))
+
+    Enum.reduce(0..100, frames, fn i, frames ->
+      turn = Situ.Quaternion.from_euler(i / 50, 0, 0)
+
+      {:ok, frames} =
+        Frames.put(frames, "arm", "body", i * 10_000_000, Pose.new({0.0, 0.0, 1.0}, turn))
+
+      {:ok, frames} =
+        Frames.put(frames, "body", "room", i * 10_000_000, Pose.new({i / 10, 0.0, 0.0}))
+
+      frames
+    end)
+  end
+end
