@@ -3,8 +3,9 @@ defmodule Situ.Space.LeastSquares do
   The numbers for which the sum of the squares of a function's results is least, by Levenberg-Marquardt with central
   differences. For a few dozen numbers and some thousand results.
 
-      iex> {:ok, {[a, b], square}} =
-      ...>   Situ.Space.LeastSquares.minimize([1.0, 1.0], fn [a, b] -> for x <- 0..9, do: a * :math.exp(b * x / 10) - 2.0 * :math.exp(0.3 * x / 10) end, 50)
+      iex> curve = fn a, b -> for x <- 0..9, do: a * :math.exp(b * x / 10) end
+      iex> off = fn [a, b] -> Enum.zip_with(curve.(a, b), curve.(2.0, 0.3), &(&1 - &2)) end
+      iex> {:ok, {[a, b], square}} = Situ.Space.LeastSquares.minimize([1.0, 1.0], off, 50)
       iex> {Float.round(a, 6), Float.round(b, 6), square < 1.0e-12}
       {2.0, 0.3, true}
   """
