@@ -18,7 +18,7 @@ defmodule Situ.Store.Source do
     ]
 
   alias Situ.{Clock, Pipeline}
-  alias Situ.Store.{Evolution, Playhead, Reading}
+  alias Situ.Store.{Envelopes, Evolution, Playhead, Reading}
 
   defstruct [
     :importer,
@@ -164,37 +164,13 @@ defmodule Situ.Store.Source do
         finish(n, context, state)
 
       {:ok, messages, next} ->
-        {sequence, creation} = state.envelope
-        {messages, envelope} = messages |> state.upgrade.() |> envelopes(sequence, creation)
+        {messages, envelope} = messages |> state.upgrade.() |> Envelopes.forward(state.envelope)
         state = %{state | envelope: envelope}
         emit(n, %{state | buffer: messages, left: length(messages), ordinal: next})
 
       {:error, error} ->
         raise error
     end
-  end
-
-  # Sequence ids and creation times are the recorded ones as long as they do not go back. Where recordings were put
-  # together, edited or start over in a loop, ids go on from where they were; where the recording clock was set back,
-  # creation times stand still.
-  defp envelopes(messages, last, creation) do
-    case forward(messages, last, creation) do
-      {:ok, last} -> {messages, last}
-      :error -> Enum.map_reduce(messages, {last, creation}, &straighten/2)
-    end
-  end
-
-  defp forward([%{sequence_id: id, creation_time: time} | rest], last, creation)
-       when id > last and time >= creation,
-       do: forward(rest, id, time)
-
-  defp forward([], last, creation), do: {:ok, {last, creation}}
-  defp forward(_, _, _), do: :error
-
-  defp straighten(message, {last, creation}) do
-    id = if message.sequence_id > last, do: message.sequence_id, else: last + 1
-    time = max(message.creation_time, creation)
-    {%{message | sequence_id: id, creation_time: time}, {id, time}}
   end
 
   defp finish(_n, _context, %{live: true} = state), do: follow(state)

@@ -1,0 +1,251 @@
+defmodule Situ.Remote do
+  @moduledoc """
+  Streams between machines, point to point: one side serves recordings, the other opens them over TCP, TLS or a Unix
+  socket.
+
+      {:ok, server} = Situ.Remote.serve("recordings/lobby", port: 11_411)           # being recorded, or finished
+
+      link = Situ.Remote.open(p, "situ://lab1/lobby", from: :resume)                # elsewhere, in build/2
+      imu = Situ.Remote.stream(link, "imu")
+      faces = Situ.Remote.stream(link, "faces", policy: Situ.Delivery.latest(), priority: 1)
+
+  What is served is what is recorded: messages that were recorded while nobody was connected are sent afterwards, in
+  order, and none twice. A link that is lost never closes a stream; it is tried again (50 ms to 5 s later) until the
+  pipeline ends. A stream that was closed by its recorder closes here too. Guide: *Links between machines*.
+
+      iex> root = Path.join(System.tmp_dir!(), "situ-doc-remote")
+      iex> {:ok, _} = Situ.Pipeline.run(fn p ->
+      ...>   store = Situ.Store.create(p, "lobby", root)
+      ...>   p |> Situ.from_enumerable(1..3, every: 10) |> Situ.Store.write(store, "count")
+      ...> end, pipeline: [replay: [interval: {0, :unbounded}, speed: :max]])
+      iex> {:ok, server} = Situ.Remote.serve(Path.join(root, "lobby"), port: 0)
+      iex> address = "situ://127.0.0.1:\#{Situ.Remote.Server.port(server)}/lobby"
+      iex> Situ.to_list(fn p -> p |> Situ.Remote.open(address, from: :start) |> Situ.Remote.stream("count") end)
+      [1, 2, 3]
+      iex> Situ.Remote.Server.close(server)
+      iex> File.rm_rf!(root)
+  """
+  alias Situ.{Delivery, Error, Options, Pipeline}
+  alias Situ.Remote.{Address, Connection, Position, Serving, Source}
+  alias Situ.Remote.Origin.Versions
+  alias Situ.Store.{Folder, TypeName}
+
+  @from {:or, [{:in, [:now, :start, :resume]}, :time_ns, {:tuple, [{:in, [:after]}, :string]}]}
+
+  @link_options [
+    from: [
+      type: @from,
+      default: :now,
+      doc:
+        "`:now`; `:start` (of the newest version); an originating time; `:resume`: behind what was taken last" <>
+          " time, as `position:` has it; `{:after, recording}`: for each stream behind the last message of that" <>
+          " name in a recording here, which is exact however this side ended."
+    ],
+    token: [type: :string, default: "", doc: "The secret that both sides share."],
+    tls: [
+      type: :keyword,
+      default: [],
+      doc: "Options of `:ssl` for `situs://` (`cacertfile:` ...)."
+    ],
+    position: [
+      type: {:optional, :string},
+      doc:
+        "With `:resume`: the file that keeps the positions; by default one for the address in the user's" <>
+          " state folder."
+    ],
+    save_every: [type: :pos_integer, default: 1_000, doc: "How often positions are kept, ms."],
+    wait: [
+      type: :non_neg_integer,
+      default: 5_000,
+      doc: "How long to wait for the server now, ms."
+    ],
+    now: [type: {:fun, 0}, doc: false]
+  ]
+
+  @stream_options [
+    type: [type: :any, doc: "The type of the data; needed when the server cannot be asked now."],
+    from: [type: @from, doc: "As the link's."],
+    policy: [
+      type: {:struct, Delivery},
+      doc:
+        "Lossless (default), or what the sender leaves out when the link is too thin: `latest`, `max_queue`," <>
+          " `max_latency`."
+    ],
+    priority: [type: {:range, -100, 100}, default: 0, doc: "Higher ones are sent first."],
+    times: [
+      type: {:in, [:sender, :local]},
+      default: :sender,
+      doc:
+        "Times as the sender has them, or brought to this machine's clock by the offset that the link" <>
+          " estimates."
+    ],
+    window: [
+      type: :pos_integer,
+      doc: "The most bytes that wait here; default 4 MiB, 256 KiB for a policy that loses."
+    ],
+    name: [type: :string, doc: "The component's name."]
+  ]
+
+  @enforce_keys [:pid, :pipeline, :address, :opts]
+  defstruct [:pid, :pipeline, :address, :opts]
+
+  @typedoc "A link that a pipeline has opened."
+  @type t :: %__MODULE__{}
+
+  @doc """
+  Serves recordings: a path (every version of its name, one after the other), an open store, what `Situ.Store.create/4`
+  gave (during `build`; ends with the pipeline), or a map of names to these.
+
+  Listens on 127.0.0.1 unless `interface:` says otherwise, and then asks for a token or a certificate.
+
+  #{Options.docs(Serving.options())}
+  """
+  @spec serve(Serving.served() | %{String.t() => Serving.served()}, keyword()) ::
+          {:ok, pid()} | {:error, Error.t()}
+  defdelegate serve(what, opts \\ []), to: Serving
+
+  @doc """
+  During `build`: a link to a server; `stream/3` takes streams of it.
+
+  Raises the `Situ.Error` when the server refuses (`:wrong_token`, `:wrong_version`, `:no_recording`) or is no server
+  of links (`:no_link`). One that cannot be reached is tried until the pipeline ends.
+
+  #{Options.docs(@link_options)}
+  """
+  @spec open(Pipeline.t(), String.t(), keyword()) :: t()
+  def open(%Situ.Graph.Handle{} = p, address, opts \\ []) do
+    opts = Options.validate!(opts, @link_options)
+    address = address |> Address.parse() |> Error.unwrap!()
+    position = if opts[:from] == :resume, do: opts[:position] || Position.default_path(address)
+    if position, do: position |> Position.load() |> Error.unwrap!()
+
+    {:ok, pid} =
+      Connection.start(
+        address,
+        %{
+          token: opts[:token],
+          tls: opts[:tls],
+          now: opts[:now] || (&Situ.Time.now/0),
+          position: position,
+          save_every: opts[:save_every]
+        },
+        p.pid
+      )
+
+    :ok = Pipeline.on(p, :completed, fn _report -> Connection.close(pid) end)
+    :ok = Pipeline.on(p, :abandoned, fn _error -> Connection.close(pid) end)
+
+    link = %__MODULE__{
+      pid: pid,
+      pipeline: p,
+      address: address,
+      opts: Keyword.put(opts, :position, position)
+    }
+
+    case Connection.catalogue(pid, opts[:wait]) do
+      {:error, %{code: code} = error} when code not in [:unreachable, :link_lost] -> raise error
+      _ -> link
+    end
+  end
+
+  @doc "The streams that the server has told of so far: names and types."
+  @spec streams(t()) :: %{String.t() => Situ.Type.t()}
+  def streams(%__MODULE__{pid: pid}) do
+    case Connection.catalogue(pid, 0) do
+      {:ok, catalogue} -> Map.new(catalogue, fn {name, text} -> {name, type(text)} end)
+      {:error, _} -> %{}
+    end
+  end
+
+  defp type(text) do
+    case TypeName.read(text) do
+      {:ok, type} -> type
+      :error -> :any
+    end
+  end
+
+  @doc """
+  During `build`: a stream of the link. One that the server does not have yet begins when it has it; then `type:` is
+  needed.
+
+  #{Options.docs(@stream_options)}
+  """
+  @spec stream(t(), String.t(), keyword()) :: Situ.Stream.t()
+  def stream(%__MODULE__{} = link, name, opts \\ []) when is_binary(name) do
+    opts = Options.validate!(opts, @stream_options)
+    type = opts[:type] || known(link, name)
+    policy = opts[:policy] || Delivery.unlimited()
+
+    wanted = %{
+      name: name,
+      from: from(opts[:from] || link.opts[:from], link, name),
+      policy: asked(policy),
+      priority: opts[:priority],
+      window: opts[:window] || if(Delivery.lossy?(policy), do: 256 * 1024, else: 4 * 1024 * 1024),
+      times: opts[:times]
+    }
+
+    checked = if opts[:type], do: type, else: :any
+    named = [name: opts[:name] || String.replace(name, ".", " ")]
+    own = [link: link.pid, wanted: wanted, type: checked, outputs: [out: type]]
+    Situ.source(link.pipeline, Source, own ++ named)
+  end
+
+  defp known(link, name) do
+    streams = streams(link)
+
+    case streams do
+      %{^name => type} ->
+        type
+
+      _ ->
+        fix =
+          case Options.nearest(name, Map.keys(streams)) do
+            nil ->
+              "give its type: to wait for it"
+
+            near ->
+              "did you mean #{inspect(near)}? Give type: to wait for a stream of another name"
+          end
+
+        raise Error.new(
+                :no_stream,
+                "no stream #{inspect(name)} at #{Address.to_string(link.address)}",
+                why: if(streams == %{}, do: "the server has not answered yet", else: nil),
+                fix: fix
+              )
+    end
+  end
+
+  defp from(time, _link, _name) when is_integer(time), do: {:at, time}
+  defp from(word, _link, _name) when word in [:now, :start], do: word
+
+  defp from(:resume, link, name) do
+    case link.opts[:position] && Position.load(link.opts[:position]) do
+      {:ok, %{^name => time}} -> {:after, time}
+      {:error, error} -> raise error
+      _ -> :start
+    end
+  end
+
+  defp from({:after, recording}, _link, name) do
+    path = Path.expand(recording)
+
+    case Versions.with_messages(Path.dirname(path), Folder.name(path), name) do
+      nil -> :start
+      {_version, _store, info} -> {:after, info.last}
+    end
+  end
+
+  defp asked(%{max_queue: 1}), do: "latest"
+  defp asked(%{max_queue: n}) when is_integer(n), do: %{"max_queue" => n}
+  defp asked(%{max_latency: d}) when is_integer(d), do: %{"max_latency" => d}
+  defp asked(_lossless), do: nil
+
+  @doc """
+  How the link is: `connected?`, `connections` so far, `bytes` received, the other clock's `offset`, `drift` and
+  `uncertainty` (ns), `round_trip`, and for each stream `received`, `lost`, `position` ...
+  """
+  @spec info(t()) :: map()
+  def info(%__MODULE__{pid: pid}), do: Connection.info(pid)
+end

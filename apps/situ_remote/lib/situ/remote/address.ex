@@ -1,0 +1,131 @@
+defmodule Situ.Remote.Address do
+  @moduledoc """
+  Where a link leads: `situ://host:port/name`, `situs://...` (TLS), or `situ+unix:///path/of/socket?name`.
+
+  A host without a port is looked up among the configured names first:
+
+      config :situ_remote, names: %{"lab1" => "situs://10.0.0.3:11500"}
+
+  then as a DNS service (`_situ._tcp.lab1`, SRV) where the system's resolver knows one, and else as a host.
+
+      iex> {:ok, address} = Situ.Remote.Address.parse("situ://lab1:4000/lobby")
+      iex> {address.transport, address.host, address.port, address.name}
+      {:tcp, "lab1", 4000, "lobby"}
+      iex> {:ok, address} = Situ.Remote.Address.parse("situ+unix:///run/situ/lab?lobby")
+      iex> {address.transport, address.path, address.name}
+      {:unix, "/run/situ/lab", "lobby"}
+      iex> {:error, error} = Situ.Remote.Address.parse("http://lab1/")
+      iex> error.code
+      :bad_address
+      iex> Situ.Remote.Address.to_string(address)
+      "situ+unix:///run/situ/lab?lobby"
+  """
+  alias Situ.Error
+
+  @default_port 11_411
+
+  @enforce_keys [:transport]
+  defstruct [:transport, :host, :port, :path, name: ""]
+
+  @type t :: %__MODULE__{
+          transport: :tcp | :tls | :unix,
+          host: String.t() | nil,
+          port: :inet.port_number() | nil,
+          path: Path.t() | nil,
+          name: String.t()
+        }
+
+  @doc "The port that links have where none is named."
+  @spec default_port() :: :inet.port_number()
+  def default_port, do: @default_port
+
+  @doc "Whether a text is meant as the address of a link."
+  @spec address?(term()) :: boolean()
+  def address?(text) when is_binary(text),
+    do: Enum.any?(~w(situ:// situs:// situ+unix://), &String.starts_with?(text, &1))
+
+  def address?(_other), do: false
+
+  @doc "Errors: `:bad_address`."
+  @spec parse(String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def parse(text) when is_binary(text) do
+    uri = URI.parse(text)
+
+    case {uri.scheme, uri.host, uri.path} do
+      {"situ+unix", _, "/" <> _ = path} ->
+        {:ok, %__MODULE__{transport: :unix, path: path, name: decoded(uri.query || "")}}
+
+      {scheme, host, path} when scheme in ["situ", "situs"] and host not in [nil, ""] ->
+        transport = if scheme == "situ", do: :tcp, else: :tls
+        name = path |> Kernel.||("") |> String.trim_leading("/") |> decoded()
+        {:ok, %__MODULE__{transport: transport, host: host, port: uri.port, name: name}}
+
+      _ ->
+        {:error, bad(text)}
+    end
+  rescue
+    _ in [ArgumentError, URI.Error] -> {:error, bad(text)}
+  end
+
+  defp decoded(text), do: URI.decode(text)
+
+  defp bad(text) do
+    Error.new(:bad_address, "not the address of a link: #{inspect(text)}",
+      fix: "write situ://HOST:PORT/NAME, situs://... for TLS, or situ+unix:///PATH?NAME"
+    )
+  end
+
+  @doc "The address as text; without a name, the server's."
+  @spec to_string(t()) :: String.t()
+  def to_string(%__MODULE__{transport: :unix} = address) do
+    query = if address.name == "", do: "", else: "?" <> URI.encode(address.name)
+    "situ+unix://#{address.path}#{query}"
+  end
+
+  def to_string(%__MODULE__{} = address) do
+    scheme = if address.transport == :tls, do: "situs", else: "situ"
+    host = if String.contains?(address.host, ":"), do: "[#{address.host}]", else: address.host
+    port = if address.port, do: ":#{address.port}", else: ""
+    name = if address.name == "", do: "", else: "/" <> URI.encode(address.name)
+    "#{scheme}://#{host}#{port}#{name}"
+  end
+
+  @doc "Where to connect to now: names are looked up, a port is filled in."
+  @spec resolve(t(), map()) :: {:ok, t()} | {:error, Error.t()}
+  def resolve(address, names \\ Application.get_env(:situ_remote, :names, %{}))
+  def resolve(%__MODULE__{transport: :unix} = address, _names), do: {:ok, address}
+  def resolve(%__MODULE__{port: port} = address, _names) when port != nil, do: {:ok, address}
+
+  def resolve(%__MODULE__{host: host} = address, names) do
+    case names[host] do
+      nil -> {:ok, service(address)}
+      text -> configured(address, text)
+    end
+  end
+
+  defp configured(address, text) do
+    with {:ok, found} <- parse(text) do
+      name = if address.name == "", do: found.name, else: address.name
+      port = found.port || if(found.transport == :unix, do: nil, else: @default_port)
+      {:ok, %{found | name: name, port: port}}
+    end
+  end
+
+  # Of the services of one name the one of the lowest priority number, and of those the one of the most weight.
+  defp service(%{host: host} = address) do
+    with false <- ip?(host),
+         [_ | _] = found <-
+           :inet_res.lookup(~c"_situ._tcp." ++ String.to_charlist(host), :in, :srv) do
+      {_, _, port, target} =
+        Enum.min_by(found, fn {priority, weight, _, _} -> {priority, -weight} end)
+
+      %{address | host: Kernel.to_string(target), port: port}
+    else
+      _ -> %{address | port: @default_port}
+    end
+  end
+
+  # Names of this machine alone, and numbers, are in nobody's DNS.
+  defp ip?("localhost"), do: true
+  defp ip?(host), do: match?({:ok, _}, host |> String.to_charlist() |> :inet.parse_address())
+end

@@ -1,0 +1,378 @@
+defmodule Situ.Remote.Connection do
+  @moduledoc false
+  # A link as one process of a pipeline: keeps a connection, learns the catalogue, hands what arrives to the components
+  # of the streams, and asks again from where each of them was when the connection comes back.
+  use GenServer
+  alias Situ.Remote.{Address, Position}
+  alias Situ.Remote.Link.{ClockEstimate, Dialing, Frame, Handshake, Socket}
+  alias Situ.Remote.Connection.{Catalogue, Channel}
+  require Logger
+
+  @first_wait 50
+  @longest_wait 5_000
+  @ping_ms 1_000
+  @first_pings 8
+  @first_ping_ms 25
+  @silence_ms 15_000
+
+  defstruct [
+    :address,
+    :opts,
+    :socket,
+    :dialer,
+    :error,
+    :told,
+    :heard,
+    :session,
+    wait: @first_wait,
+    catalogue: Catalogue.new(),
+    channels: %{},
+    next: 1,
+    clock: ClockEstimate.new(),
+    pings: 0,
+    connected: 0,
+    saved: %{},
+    received: 0
+  ]
+
+  # opts: token, tls, now, position (path or nil), save_every, log
+  @spec start(Address.t(), map(), pid()) :: {:ok, pid()}
+  def start(address, opts, owner), do: GenServer.start(__MODULE__, {address, opts, owner})
+
+  @doc "Waits for the catalogue: `{:ok, %{name => type}}`, or why there is none yet."
+  @spec catalogue(pid(), non_neg_integer()) ::
+          {:ok, %{String.t() => String.t()}} | {:error, Situ.Error.t()}
+  def catalogue(pid, wait_ms) do
+    GenServer.call(pid, {:catalogue, wait_ms}, wait_ms + 30_000)
+  end
+
+  @doc "The calling process gets `{:situ_link, channel, event}` from now on."
+  @spec subscribe(pid(), map()) :: {:ok, Frame.channel()} | {:error, Situ.Error.t()}
+  def subscribe(pid, wanted), do: GenServer.call(pid, {:subscribe, wanted}, 30_000)
+
+  @doc "What was handed over is used up: `bytes` of it, to the originating time `last`."
+  @spec taken(pid(), Frame.channel(), non_neg_integer(), Situ.Time.t()) :: :ok
+  def taken(pid, id, bytes, last), do: GenServer.cast(pid, {:taken, id, bytes, last})
+
+  @spec unsubscribe(pid(), Frame.channel()) :: :ok
+  def unsubscribe(pid, id), do: GenServer.cast(pid, {:unsubscribe, id})
+
+  @spec info(pid()) :: map()
+  def info(pid), do: GenServer.call(pid, :info, 30_000)
+
+  @spec close(pid()) :: :ok
+  def close(pid) do
+    GenServer.stop(pid, :normal, 30_000)
+  catch
+    :exit, _ -> :ok
+  end
+
+  @impl true
+  def init({address, opts, owner}) do
+    Process.flag(:trap_exit, true)
+    Process.monitor(owner)
+    Process.send_after(self(), :save, opts.save_every)
+    {:ok, %__MODULE__{address: address, opts: opts}, {:continue, :dial}}
+  end
+
+  @impl true
+  def handle_continue(:dial, state), do: {:noreply, dial(state)}
+
+  defp dial(state), do: %{state | dialer: Dialing.start(state.address, state.opts)}
+
+  @impl true
+  def handle_call({:catalogue, wait_ms}, from, state) do
+    if fatal?(state.error),
+      do: {:reply, {:error, state.error}, state},
+      else: {:noreply, %{state | catalogue: Catalogue.await(state.catalogue, from, wait_ms)}}
+  end
+
+  def handle_call({:subscribe, wanted}, {pid, _}, state) do
+    id = state.next
+    Process.monitor(pid)
+    channel = Channel.new(id, pid, wanted)
+    state = %{state | next: id + 1, channels: Map.put(state.channels, id, channel)}
+    {:reply, {:ok, id}, ask(state, channel)}
+  end
+
+  def handle_call(:info, _from, state), do: {:reply, information(state), state}
+
+  @impl true
+  def handle_cast({:taken, id, bytes, last}, state) do
+    case state.channels do
+      %{^id => channel} -> {:noreply, credit(state, Channel.taken(channel, bytes, last))}
+      _ -> {:noreply, state}
+    end
+  end
+
+  def handle_cast({:unsubscribe, id}, state), do: {:noreply, forget(state, id)}
+
+  defp credit(state, channel) do
+    case Channel.credit(channel) do
+      {0, channel} -> put(state, channel)
+      {bytes, channel} -> state |> put(channel) |> transmit({:credit, channel.id, bytes})
+    end
+  end
+
+  defp forget(state, id) do
+    state = transmit(state, {:unsubscribe, id})
+    %{state | channels: Map.delete(state.channels, id)}
+  end
+
+  @impl true
+  def handle_info({:dialed, dialer, {:ok, socket, _welcome}}, %{dialer: dialer} = state) do
+    state = %{state | socket: socket, dialer: nil, error: nil, told: nil, wait: @first_wait}
+    now = System.monotonic_time(:millisecond)
+    state = %{state | session: make_ref(), heard: now, pings: 0, connected: state.connected + 1}
+
+    case Socket.open_up(socket, Dialing.most_bytes()) do
+      :ok ->
+        send(self(), {:ping, state.session})
+        # What was begun when the last connection broke begins again.
+        {:noreply, state.channels |> Map.values() |> Enum.reduce(state, &ask(&2, &1))}
+
+      {:error, reason} ->
+        {:noreply, lost(state, Socket.reason_text(reason))}
+    end
+  end
+
+  def handle_info({:dialed, dialer, {:error, error}}, %{dialer: dialer} = state) do
+    {:noreply, failed(%{state | dialer: nil}, error)}
+  end
+
+  def handle_info(:dial, %{socket: nil, dialer: nil} = state), do: {:noreply, dial(state)}
+
+  def handle_info({kind, socket, body}, %{socket: {_, socket}} = state)
+      when kind in [:tcp, :ssl] do
+    state = %{
+      state
+      | heard: System.monotonic_time(:millisecond),
+        received: state.received + byte_size(body)
+    }
+
+    with {:ok, frame} <- Frame.decode(body),
+         {:ok, state} <- frame(frame, byte_size(body), state) do
+      _ = Socket.once(state.socket)
+      {:noreply, state}
+    else
+      {:error, why} -> {:noreply, lost(state, why)}
+    end
+  end
+
+  def handle_info({kind, socket}, %{socket: {_, socket}} = state)
+      when kind in [:tcp_closed, :ssl_closed],
+      do: {:noreply, lost(state, "the other side closed the connection")}
+
+  def handle_info({kind, socket, reason}, %{socket: {_, socket}} = state)
+      when kind in [:tcp_error, :ssl_error],
+      do: {:noreply, lost(state, Socket.reason_text(reason))}
+
+  def handle_info({:ping, session}, %{session: session, socket: socket} = state)
+      when socket != nil do
+    if System.monotonic_time(:millisecond) - state.heard > @silence_ms do
+      {:noreply, lost(state, "nothing was heard for #{div(@silence_ms, 1_000)} s")}
+    else
+      every = if state.pings < @first_pings, do: @first_ping_ms, else: @ping_ms
+      Process.send_after(self(), {:ping, session}, every)
+      {:noreply, transmit(%{state | pings: state.pings + 1}, {:ping, state.opts.now.()})}
+    end
+  end
+
+  def handle_info({:waited, from}, state) do
+    error = state.error || silent(state)
+    {:noreply, %{state | catalogue: Catalogue.waited(state.catalogue, from, error)}}
+  end
+
+  def handle_info(:save, state) do
+    Process.send_after(self(), :save, state.opts.save_every)
+    {:noreply, save(state)}
+  end
+
+  def handle_info({:DOWN, _, :process, pid, _}, state) do
+    case Enum.find(state.channels, fn {_, channel} -> channel.pid == pid end) do
+      # A component that restarts comes again; the pipeline itself does not.
+      {id, _} -> {:noreply, forget(state, id)}
+      nil -> {:stop, :normal, state}
+    end
+  end
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  @impl true
+  def terminate(_reason, state) do
+    save(state)
+    if state.socket, do: Socket.close(state.socket)
+  end
+
+  # Frames of the server's.
+
+  defp frame({:batch, id, _first, last, count, payload}, size, state),
+    do: deliver(state, id, size, last, count, payload)
+
+  defp frame({:part, id, last?, bytes}, _size, state) do
+    case state.channels do
+      %{^id => channel} ->
+        case Channel.part(channel, last?, bytes) do
+          {:more, channel} ->
+            {:ok, put(state, channel)}
+
+          {:whole, body, channel} ->
+            whole(Frame.decode(body), byte_size(body), put(state, channel))
+
+          {:error, why} ->
+            {:error, why}
+        end
+
+      _ ->
+        {:ok, state}
+    end
+  end
+
+  defp frame({:streams, %{"streams" => streams}}, _size, state) when is_list(streams),
+    do: {:ok, %{state | catalogue: Catalogue.merge(state.catalogue, streams)}}
+
+  defp frame({:subscribed, id, %{"after" => time}}, _size, state) when is_integer(time) do
+    case state.channels do
+      %{^id => channel} -> {:ok, put(state, Channel.subscribed(channel, time))}
+      _ -> {:ok, state}
+    end
+  end
+
+  defp frame({:closed, id, time}, _size, state), do: {:ok, event(state, id, {:closed, time})}
+  defp frame({:lost, id, n}, _size, state), do: {:ok, event(state, id, {:lost, n})}
+
+  defp frame({:pong, t0, t1, t2}, _size, state) do
+    {:ok, %{state | clock: ClockEstimate.add(state.clock, {t0, t1, t2, state.opts.now.()})}}
+  end
+
+  defp frame({:refused, map}, _size, _state),
+    do: {:error, map |> Handshake.from_map() |> Exception.message()}
+
+  defp frame(frame, _size, _state), do: {:error, "a frame #{elem(frame, 0)} out of turn"}
+
+  defp whole({:ok, {:batch, _, _, _, _, _} = batch}, size, state), do: frame(batch, size, state)
+  defp whole(_other, _size, _state), do: {:error, "pieces that make no batch"}
+
+  defp deliver(state, id, size, last, count, payload) do
+    case state.channels do
+      %{^id => channel} ->
+        case Channel.delivered(channel, size, last, count) do
+          {:ok, channel} ->
+            send(channel.pid, {:situ_link, id, {:batch, size, payload, clock(state, channel)}})
+            {:ok, put(state, channel)}
+
+          {:again, channel} ->
+            {:ok, credit(state, channel)}
+
+          {:error, why} ->
+            {:error, why}
+        end
+
+      _ ->
+        {:ok, state}
+    end
+  end
+
+  defp clock(_state, %{times: :sender}), do: nil
+  defp clock(state, _channel), do: state.clock
+
+  defp event(state, id, event) do
+    case state.channels do
+      %{^id => channel} ->
+        send(channel.pid, {:situ_link, id, event})
+        put(state, Channel.event(channel, event))
+
+      _ ->
+        state
+    end
+  end
+
+  defp put(state, channel), do: %{state | channels: Map.put(state.channels, channel.id, channel)}
+
+  # Connections that come and go.
+
+  defp ask(%{socket: nil} = state, _channel), do: state
+  defp ask(state, %{ended: true}), do: state
+
+  defp ask(state, channel) do
+    {map, channel} = Channel.ask(channel)
+    state |> put(channel) |> transmit({:subscribe, channel.id, map})
+  end
+
+  # A failure to send is met again as a connection that has closed.
+  defp transmit(%{socket: nil} = state, _frame), do: state
+
+  defp transmit(state, frame) do
+    _ = Socket.send(state.socket, Frame.encode(frame))
+    state
+  end
+
+  defp lost(state, why) do
+    Socket.close(state.socket)
+    where = Address.to_string(state.address)
+
+    failed(
+      %{state | socket: nil},
+      Situ.Error.new(:link_lost, "the link to #{where} was lost", why: why)
+    )
+  end
+
+  # The same trouble is told once, not at every attempt.
+  defp failed(state, error) do
+    if state.told != error.code and state.connected > 0,
+      do: Logger.warning(Exception.message(error))
+
+    jitter = :rand.uniform(div(state.wait, 4) + 1)
+    Process.send_after(self(), :dial, state.wait + jitter)
+    state = %{state | wait: min(state.wait * 2, @longest_wait), told: error.code, error: error}
+
+    if fatal?(error),
+      do: %{state | catalogue: Catalogue.fail(state.catalogue, error)},
+      else: state
+  end
+
+  # No waiting helps against these.
+  defp fatal?(nil), do: false
+
+  defp fatal?(error),
+    do: error.code in [:wrong_token, :wrong_version, :no_link, :bad_address, :no_recording]
+
+  defp silent(state),
+    do: Situ.Error.new(:unreachable, "#{Address.to_string(state.address)} has not answered yet")
+
+  defp save(%{opts: %{position: nil}} = state), do: state
+
+  defp save(state) do
+    positions =
+      for {_, channel} <- state.channels,
+          channel.taken != nil,
+          into: state.saved,
+          do: {channel.name, channel.taken}
+
+    if positions == state.saved do
+      state
+    else
+      with {:error, error} <- Position.save(state.opts.position, positions),
+           do: Logger.error(Exception.message(error))
+
+      %{state | saved: positions}
+    end
+  end
+
+  defp information(state) do
+    now = state.opts.now.()
+
+    %{
+      connected?: state.socket != nil,
+      connections: state.connected,
+      error: state.error,
+      bytes: state.received,
+      offset: ClockEstimate.offset(state.clock, now),
+      drift: state.clock.drift,
+      uncertainty: ClockEstimate.uncertainty(state.clock, now),
+      round_trip: state.clock.rtt,
+      streams:
+        for({_, channel} <- state.channels, into: %{}, do: {channel.name, Channel.info(channel)})
+    }
+  end
+end

@@ -1,0 +1,62 @@
+defmodule Situ.Remote.Connection.Catalogue do
+  @moduledoc false
+  # The streams that a server has told of, and who waits to hear of them.
+  alias Situ.Error
+
+  defstruct known: nil, waiting: []
+
+  @type t :: %__MODULE__{}
+
+  @spec new() :: t()
+  def new, do: %__MODULE__{}
+
+  @doc "Answers `from` at once, or when the first list comes, or with an error after `ms` (`waited/3`)."
+  @spec await(t(), GenServer.from(), non_neg_integer()) :: t()
+  def await(%__MODULE__{known: nil} = catalogue, from, ms) do
+    timer = Process.send_after(self(), {:waited, from}, ms)
+    %{catalogue | waiting: [{from, timer} | catalogue.waiting]}
+  end
+
+  def await(%__MODULE__{known: known} = catalogue, from, _ms) do
+    GenServer.reply(from, {:ok, known})
+    catalogue
+  end
+
+  @doc "What a server says of its streams; entries that make no sense are left out."
+  @spec merge(t(), [term()]) :: t()
+  def merge(%__MODULE__{} = catalogue, streams) do
+    found =
+      for %{"name" => name, "type" => type} when is_binary(name) and is_binary(type) <- streams,
+          into: %{},
+          do: {name, type}
+
+    known = Map.merge(catalogue.known || %{}, found)
+    answer(%{catalogue | known: known}, {:ok, known})
+  end
+
+  @doc "No waiting helps."
+  @spec fail(t(), Error.t()) :: t()
+  def fail(%__MODULE__{} = catalogue, error), do: answer(catalogue, {:error, error})
+
+  defp answer(catalogue, reply) do
+    for {from, timer} <- catalogue.waiting do
+      _ = Process.cancel_timer(timer)
+      GenServer.reply(from, reply)
+    end
+
+    %{catalogue | waiting: []}
+  end
+
+  @doc "Somebody has waited long enough."
+  @spec waited(t(), GenServer.from(), Error.t()) :: t()
+  def waited(%__MODULE__{} = catalogue, from, error) do
+    case List.keytake(catalogue.waiting, from, 0) do
+      {_, waiting} ->
+        GenServer.reply(from, {:error, error})
+        %{catalogue | waiting: waiting}
+
+      nil ->
+        catalogue
+    end
+  end
+end

@@ -1,0 +1,139 @@
+defmodule Situ.Remote.Connection.Channel do
+  @moduledoc """
+  One stream of a link on the receiver's side: where it is, what has arrived, what may still arrive. Pure.
+
+      iex> alias Situ.Remote.Connection.Channel
+      iex> wanted = %{name: "imu", from: :start, policy: nil, priority: 0, window: 1_000, times: :sender}
+      iex> channel = Channel.new(1, self(), wanted)
+      iex> {:ok, channel} = Channel.delivered(channel, 600, 20, 3)
+      iex> {:again, channel} = Channel.delivered(channel, 100, 20, 1)
+      iex> {map, _} = Channel.ask(channel)
+      iex> map["from"]
+      %{"after" => 20}
+  """
+  alias Situ.Remote.Link.Frame
+
+  # A server may go beyond the window by the frame that fills it.
+  @slack 128 * 1024 * 1024
+  @most_message 1024 * 1024 * 1024
+
+  @enforce_keys [:id, :pid, :name, :from, :window]
+  defstruct [
+    :id,
+    :pid,
+    :name,
+    :from,
+    :policy,
+    :window,
+    :last,
+    :taken,
+    times: :sender,
+    priority: 0,
+    under_way: 0,
+    unpaid: 0,
+    parts: [],
+    parts_size: 0,
+    received: 0,
+    lost: 0,
+    again: 0,
+    ended: false
+  ]
+
+  @typedoc """
+  Bytes `under_way` have been delivered and not been used up, `unpaid` ones used up and not been told to the server.
+  `last` is the originating time of the last message delivered, `taken` that of the last used up.
+  """
+  @type t :: %__MODULE__{}
+
+  @spec new(Frame.channel(), pid(), map()) :: t()
+  def new(id, pid, wanted),
+    do: struct!(%__MODULE__{id: id, pid: pid, name: "", from: :now, window: 1}, wanted)
+
+  @doc "What to ask a server for: from where it began, or from behind what has come already."
+  @spec ask(t()) :: {map(), t()}
+  def ask(%__MODULE__{} = channel) do
+    from = if channel.last, do: {:after, channel.last}, else: channel.from
+    window = max(channel.window - channel.under_way, 1)
+
+    map = %{
+      "name" => channel.name,
+      "from" => from(from),
+      "policy" => channel.policy,
+      "priority" => channel.priority,
+      "window" => window
+    }
+
+    # What is used up from now on is told to this server, what had not been told to the last one is part of the window.
+    {map, %{channel | unpaid: 0, parts: [], parts_size: 0}}
+  end
+
+  defp from({kind, time}), do: %{to_string(kind) => time}
+  defp from(word), do: to_string(word)
+
+  @doc "The server has found the stream: messages behind `time` will come, over this connection or the next."
+  @spec subscribed(t(), Situ.Time.t()) :: t()
+  def subscribed(%__MODULE__{last: nil} = channel, time), do: %{channel | last: time}
+  def subscribed(%__MODULE__{} = channel, _time), do: channel
+
+  @doc "A batch up to the time `last`: to be handed on, or there `:again`."
+  @spec delivered(t(), non_neg_integer(), Situ.Time.t(), non_neg_integer()) ::
+          {:ok | :again, t()} | {:error, String.t()}
+  def delivered(%__MODULE__{} = channel, size, last, count) do
+    cond do
+      channel.last != nil and last <= channel.last ->
+        {:again, %{channel | unpaid: channel.unpaid + size, again: channel.again + count}}
+
+      channel.under_way > channel.window + @slack ->
+        {:error, "more of #{inspect(channel.name)} than was asked for"}
+
+      true ->
+        under_way = channel.under_way + size
+        {:ok, %{channel | under_way: under_way, last: last, received: channel.received + count}}
+    end
+  end
+
+  @doc "A piece of a batch."
+  @spec part(t(), boolean(), binary()) ::
+          {:more, t()} | {:whole, binary(), t()} | {:error, String.t()}
+  def part(%__MODULE__{} = channel, last?, bytes) do
+    size = channel.parts_size + byte_size(bytes)
+    parts = [channel.parts | bytes]
+
+    cond do
+      size > @most_message -> {:error, "a message of more than 1 GiB"}
+      last? -> {:whole, IO.iodata_to_binary(parts), %{channel | parts: [], parts_size: 0}}
+      true -> {:more, %{channel | parts: parts, parts_size: size}}
+    end
+  end
+
+  @doc "So many bytes were used up, to the time `last`."
+  @spec taken(t(), non_neg_integer(), Situ.Time.t() | nil) :: t()
+  def taken(%__MODULE__{} = channel, bytes, last) do
+    unpaid = channel.unpaid + bytes
+
+    %{
+      channel
+      | under_way: channel.under_way - bytes,
+        unpaid: unpaid,
+        taken: last || channel.taken
+    }
+  end
+
+  @doc "What to tell the server: nothing before it is worth a frame."
+  @spec credit(t()) :: {non_neg_integer(), t()}
+  def credit(%__MODULE__{unpaid: unpaid, window: window} = channel) when unpaid * 4 >= window,
+    do: {min(unpaid, 0xFFFFFFFF), %{channel | unpaid: max(unpaid - 0xFFFFFFFF, 0)}}
+
+  def credit(%__MODULE__{} = channel), do: {0, channel}
+
+  @spec event(t(), {:closed, Situ.Time.t()} | {:lost, pos_integer()}) :: t()
+  def event(%__MODULE__{} = channel, {:closed, _time}), do: %{channel | ended: true}
+  def event(%__MODULE__{} = channel, {:lost, n}), do: %{channel | lost: channel.lost + n}
+
+  @spec info(t()) :: map()
+  def info(%__MODULE__{} = channel) do
+    channel
+    |> Map.take([:received, :lost, :again, :ended, :under_way])
+    |> Map.put(:position, channel.taken)
+  end
+end

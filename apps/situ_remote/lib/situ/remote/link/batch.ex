@@ -1,0 +1,180 @@
+defmodule Situ.Remote.Link.Batch do
+  @moduledoc """
+  Messages as payloads of `batch` frames, and back. Pure.
+
+  A payload begins with a byte `n` and `n` bytes that name how the data are written:
+
+    * `""`: one external term, a list of `{sequence id, originating time, creation time, data}`;
+    * `":bytes"`, or the name of a `Situ.Codec`: for each message its sequence id (64 bits), originating and creation
+      time (64, signed), the length of what follows (32), and those bytes.
+
+  Reading trusts nothing: terms go through the decoder of stores (no new atoms, no functions, bounded memory), and
+  binaries are parts of the payload, not copies. Data that cannot be read are a `Situ.Store.Undecoded` in their
+  message, so that a stream goes on.
+
+      iex> alias Situ.Remote.Link.Batch
+      iex> message = %Situ.Message{data: {:ok, 1.5}, originating_time: 10, creation_time: 11, sequence_id: 3}
+      iex> [{10, 10, 1, payload}] = Batch.encode([message])
+      iex> payload |> IO.iodata_to_binary() |> Batch.decode()
+      {:ok, [message]}
+      iex> Batch.decode(<<9, "cut">>)
+      {:error, "a payload cut short"}
+  """
+  alias Situ.Message
+  alias Situ.Store.{Codecs, Terms, Undecoded}
+
+  @bytes ":bytes"
+  # Smaller binaries are as well off among the terms.
+  @least_bytes 512
+  @most_bytes 256 * 1024
+
+  @typedoc "First and last originating time, count and payload: what a `batch` frame says after its channel."
+  @type part :: {Situ.Time.t(), Situ.Time.t(), pos_integer(), iodata()}
+
+  @doc """
+  Payloads of about 256 KiB at most, or of one message. Nothing is checked: messages that hold more than plain data
+  come out as `Situ.Store.Undecoded`; see `plain/1`.
+  """
+  @spec encode([Message.t()]) :: [part()]
+  def encode([]), do: []
+
+  def encode(messages) do
+    messages
+    |> Enum.chunk_by(&kind(&1.data))
+    |> Enum.flat_map(fn [first | _] = run -> run(kind(first.data), run) end)
+  end
+
+  defp kind(data) when is_binary(data), do: if(byte_size(data) >= @least_bytes, do: @bytes)
+  defp kind(%_{} = data), do: Codecs.of(data)
+  defp kind(_data), do: nil
+
+  defp run(nil, messages) do
+    tuples = for m <- messages, do: {m.sequence_id, m.originating_time, m.creation_time, m.data}
+
+    [part(messages, length(messages), [<<0>>, :erlang.term_to_iovec(tuples)])]
+  end
+
+  defp run(@bytes, messages), do: raw(@bytes, messages, & &1)
+  defp run(module, messages), do: raw(module.codec_name(), messages, &module.encode/1)
+
+  defp raw(name, messages, encode) do
+    head = <<byte_size(name), name::binary>>
+
+    messages
+    |> Enum.map(&{&1, record(&1, encode.(&1.data))})
+    |> Enum.chunk_while(
+      {0, []},
+      fn {_, {size, _}} = one, {sum, taken} ->
+        if taken != [] and sum + size > @most_bytes,
+          do: {:cont, Enum.reverse(taken), {size, [one]}},
+          else: {:cont, {sum + size, [one | taken]}}
+      end,
+      fn {_, taken} -> {:cont, Enum.reverse(taken), nil} end
+    )
+    |> Enum.map(fn group ->
+      {messages, records} = Enum.unzip(group)
+      part(messages, length(messages), [head | Enum.map(records, &elem(&1, 1))])
+    end)
+  end
+
+  defp record(m, bytes) do
+    size = IO.iodata_length(bytes)
+
+    {size + 28,
+     [
+       <<m.sequence_id::64, m.originating_time::signed-64, m.creation_time::signed-64, size::32>>
+       | bytes
+     ]}
+  end
+
+  defp part([first | _] = messages, count, payload),
+    do: {first.originating_time, List.last(messages).originating_time, count, payload}
+
+  @doc "The messages whose data may travel, and how many may not (they hold functions, processes or the like)."
+  @spec plain([Message.t()]) :: {[Message.t()], non_neg_integer()}
+  def plain(messages) do
+    case Terms.encode(for %{data: data} <- messages, do: data) do
+      {:ok, _} ->
+        {messages, 0}
+
+      {:error, _} ->
+        {good, bad} = Enum.split_with(messages, &match?({:ok, _}, Terms.encode(&1.data)))
+        {good, length(bad)}
+    end
+  end
+
+  @doc "The messages of a payload; a sentence says why they cannot be read at all."
+  @spec decode(binary()) :: {:ok, [Message.t()]} | {:error, String.t()}
+  def decode(<<0, bytes::binary>>) do
+    with {:ok, list} when is_list(list) <- Terms.decode(bytes),
+         do: terms(list, []),
+         else: (_ -> {:error, "no list of messages"})
+  end
+
+  def decode(<<n, name::binary-size(n), records::binary>>) do
+    case decoder(name) do
+      nil -> {:error, "a codec whose name is no text"}
+      decode -> records(records, decode, [])
+    end
+  end
+
+  def decode(_bytes), do: {:error, "a payload cut short"}
+
+  defp terms([{sequence, time, creation, data} | rest], done)
+       when is_integer(sequence) and sequence >= 0 and is_integer(time) and is_integer(creation) do
+    message = %Message{
+      data: data,
+      originating_time: time,
+      creation_time: creation,
+      sequence_id: sequence
+    }
+
+    terms(rest, [message | done])
+  end
+
+  defp terms([], done), do: {:ok, Enum.reverse(done)}
+  defp terms(_other, _done), do: {:error, "no list of messages"}
+
+  defp decoder(@bytes), do: & &1
+
+  defp decoder(name) do
+    if String.valid?(name) do
+      module = Codecs.find(name, nil)
+      &decoded(module, name, &1)
+    end
+  end
+
+  defp decoded(nil, name, bytes) do
+    why = "no module here has the codec #{inspect(name)}"
+    %Undecoded{codec: name, bytes: bytes, reason: why}
+  end
+
+  defp decoded(module, name, bytes) do
+    case module.decode(bytes) do
+      {:ok, data} ->
+        data
+
+      {:error, reason} ->
+        %Undecoded{codec: name, bytes: bytes, reason: "#{inspect(module)}: #{inspect(reason)}"}
+    end
+  end
+
+  defp records(
+         <<sequence::64, time::signed-64, creation::signed-64, size::32, bytes::binary-size(size),
+           rest::binary>>,
+         decode,
+         done
+       ) do
+    message = %Message{
+      data: decode.(bytes),
+      originating_time: time,
+      creation_time: creation,
+      sequence_id: sequence
+    }
+
+    records(rest, decode, [message | done])
+  end
+
+  defp records(<<>>, _decode, done), do: {:ok, Enum.reverse(done)}
+  defp records(_rest, _decode, _done), do: {:error, "a payload cut short"}
+end

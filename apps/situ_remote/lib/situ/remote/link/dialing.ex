@@ -1,0 +1,94 @@
+defmodule Situ.Remote.Link.Dialing do
+  @moduledoc false
+  # From an address to a connection that is logged in, in a process of its own, since names, TLS and a server that says
+  # nothing may each take seconds.
+  alias Situ.{Error, Remote}
+  alias Situ.Remote.Link.{Frame, Handshake, Socket}
+
+  @timeout_ms 5_000
+  # The longest frame that a server may send: a piece of a batch, or a catalogue.
+  @most_bytes 64 * 1024 * 1024
+
+  @doc "The longest frame that is taken from a server, bytes."
+  @spec most_bytes() :: pos_integer()
+  def most_bytes, do: @most_bytes
+
+  @doc "Tries once; the caller gets `{:dialed, dialer, {:ok, socket, welcome} | {:error, error}}`."
+  @spec start(Remote.Address.t(), map()) :: pid()
+  def start(address, opts) do
+    caller = self()
+
+    spawn_link(fn ->
+      case dial(address, opts) do
+        {:ok, socket, welcome} ->
+          case Socket.give(socket, caller) do
+            :ok -> send(caller, {:dialed, self(), {:ok, socket, welcome}})
+            {:error, _} -> send(caller, {:dialed, self(), {:error, gone()}})
+          end
+
+        {:error, error} ->
+          send(caller, {:dialed, self(), {:error, error}})
+      end
+    end)
+  end
+
+  defp dial(address, opts) do
+    with {:ok, found} <- Remote.Address.resolve(address),
+         {:ok, socket} <- Socket.connect(found, opts.tls, @timeout_ms) do
+      with {:error, error} <- login(socket, found, opts) do
+        Socket.close(socket)
+        {:error, error}
+      end
+    end
+  end
+
+  defp login(socket, address, opts) do
+    nonce = Handshake.nonce()
+
+    with :ok <- Socket.send(socket, Frame.encode(Handshake.hello(nonce))),
+         {:ok, {:hello, version, oldest, server_nonce}} <- next(socket),
+         {:ok, _version} <- Handshake.check_version(version, oldest),
+         proof = Handshake.proof(opts.token, :client, server_nonce, nonce),
+         :ok <- Socket.send(socket, Frame.encode({:login, proof, %{"name" => address.name}})),
+         {:ok, {:welcome, shown, map}} <- next(socket),
+         {:proved, true} <-
+           {:proved, Handshake.proves?(opts.token, :server, server_nonce, nonce, shown)} do
+      {:ok, socket, map}
+    else
+      {:proved, false} ->
+        {:error,
+         Error.new(:wrong_token, "the server of the link does not know the token",
+           why: "it could not prove that it does",
+           fix: "check that this is the right server, and give both sides the same token:"
+         )}
+
+      {:ok, {:refused, map}} ->
+        {:error, Handshake.from_map(map)}
+
+      {:ok, frame} ->
+        {:error, not_situ("a frame #{elem(frame, 0)} where a greeting was due")}
+
+      {:error, %Error{} = error} ->
+        {:error, error}
+
+      {:error, reason} when is_binary(reason) ->
+        {:error, not_situ(reason)}
+
+      {:error, reason} ->
+        {:error, not_situ(Socket.reason_text(reason))}
+    end
+  end
+
+  defp next(socket) do
+    with {:ok, body} <- Socket.receive(socket, @timeout_ms), do: Frame.decode(body)
+  end
+
+  defp not_situ(why) do
+    Error.new(:no_link, "what listens there does not speak the link protocol",
+      why: why,
+      fix: "check host and port, and TLS (situs://) on both sides or on none"
+    )
+  end
+
+  defp gone, do: Error.new(:unreachable, "the connection ended at once")
+end

@@ -1,0 +1,185 @@
+defmodule Situ.Remote.Link.Socket do
+  @moduledoc false
+  # Connections that carry frames, over TCP, TLS and Unix sockets alike.
+  alias Situ.Error
+  alias Situ.Remote.Address
+
+  @typedoc "A connection or a listener, by the module of OTP that has it."
+  @type t :: {:gen_tcp | :ssl, term()}
+
+  # A frame that claims to be longer ends the connection before a byte of it is taken in.
+  @most_before_login 64 * 1024
+  @send_timeout 30_000
+
+  @framed [
+    :binary,
+    packet: 4,
+    active: false,
+    packet_size: @most_before_login,
+    send_timeout: @send_timeout,
+    send_timeout_close: true
+  ]
+  @internet [nodelay: true, keepalive: true]
+
+  @doc "Errors: `:address_in_use`, `:bad_address`, `:bad_tls`."
+  @spec listen(:unix | :tcp | :tls, keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def listen(:unix, opts) do
+    path = opts[:path]
+    clear(path)
+
+    with {:ok, listener} <- :gen_tcp.listen(0, [ifaddr: {:local, path}, backlog: 128] ++ @framed),
+         :ok <- File.chmod(path, 0o600) do
+      {:ok, {:gen_tcp, listener}}
+    else
+      {:error, reason} -> {:error, cannot_listen(path, reason)}
+    end
+  end
+
+  def listen(kind, opts) do
+    where = "#{opts[:interface]}:#{opts[:port]}"
+
+    with {:ok, ip} <- address(opts[:interface]),
+         options = [family(ip), ip: ip, reuseaddr: true, backlog: 128] ++ @internet ++ @framed,
+         {:ok, listener} <- listen_at(kind, opts, options) do
+      {:ok, listener}
+    else
+      {:error, reason} -> {:error, cannot_listen(where, reason)}
+    end
+  end
+
+  defp listen_at(:tcp, opts, options), do: wrap(:gen_tcp, :gen_tcp.listen(opts[:port], options))
+
+  defp listen_at(:tls, opts, options),
+    do: wrap(:ssl, :ssl.listen(opts[:port], options ++ opts[:tls]))
+
+  defp wrap(module, {:ok, socket}), do: {:ok, {module, socket}}
+  defp wrap(_module, error), do: error
+
+  # A socket whose server was killed is still in the folder.
+  defp clear(path) do
+    case :gen_tcp.connect({:local, path}, 0, [], 1_000) do
+      {:ok, socket} ->
+        :gen_tcp.close(socket)
+
+      {:error, :econnrefused} ->
+        _ = File.rm(path)
+        :ok
+
+      {:error, _} ->
+        :ok
+    end
+  end
+
+  defp cannot_listen(where, :eaddrinuse),
+    do: Error.new(:address_in_use, "#{where} is in use", fix: "choose another port or path")
+
+  defp cannot_listen(where, reason) do
+    code =
+      if match?({:options, _}, reason) or reason == :options, do: :bad_tls, else: :bad_address
+
+    Error.new(code, "cannot listen on #{where}", why: reason_text(reason))
+  end
+
+  @doc "The next connection, before its TLS handshake (`established/2`)."
+  @spec accept(t()) :: {:ok, t()} | {:error, term()}
+  def accept({:gen_tcp, listener}), do: wrap(:gen_tcp, :gen_tcp.accept(listener))
+  def accept({:ssl, listener}), do: wrap(:ssl, :ssl.transport_accept(listener))
+
+  @doc "Done in the connection's own process: nobody waits for a peer that is slow with it."
+  @spec established(t(), timeout()) :: {:ok, t()} | {:error, term()}
+  def established({:gen_tcp, _} = socket, _timeout), do: {:ok, socket}
+  def established({:ssl, socket}, timeout), do: wrap(:ssl, :ssl.handshake(socket, timeout))
+
+  @doc "Errors: `:unreachable`."
+  @spec connect(Address.t(), keyword(), timeout()) :: {:ok, t()} | {:error, Error.t()}
+  def connect(%Address{} = address, tls, timeout) do
+    case connect_to(address, tls, timeout) do
+      {:ok, socket} ->
+        {:ok, socket}
+
+      {:error, reason} ->
+        {:error,
+         Error.new(:unreachable, "cannot connect to #{Address.to_string(%{address | name: ""})}",
+           why: reason_text(reason),
+           fix: "check that the server runs, its host and port, and TLS on both sides or on none"
+         )}
+    end
+  end
+
+  defp connect_to(%{transport: :unix, path: path}, _tls, timeout),
+    do: wrap(:gen_tcp, :gen_tcp.connect({:local, path}, 0, @framed, timeout))
+
+  defp connect_to(%{host: host, port: port} = address, tls, timeout) do
+    with {:ok, ip} <- address(host) do
+      options = [family(ip)] ++ @internet ++ @framed
+      connect_at(address.transport, {ip, port}, host, options, tls, timeout)
+    end
+  end
+
+  defp connect_at(:tcp, {ip, port}, _host, options, _tls, timeout),
+    do: wrap(:gen_tcp, :gen_tcp.connect(ip, port, options, timeout))
+
+  # The certificate must name the host that was asked for, not what it resolved to.
+  defp connect_at(:tls, {ip, port}, host, options, tls, timeout) do
+    name = [server_name_indication: String.to_charlist(host)]
+    wrap(:ssl, :ssl.connect(ip, port, options ++ Keyword.merge(name, tls), timeout))
+  end
+
+  defp address(host) do
+    chars = String.to_charlist(host)
+    with {:error, _} <- :inet.getaddr(chars, :inet), do: :inet.getaddr(chars, :inet6)
+  end
+
+  defp family(ip) when tuple_size(ip) == 8, do: :inet6
+  defp family(_ip), do: :inet
+
+  @spec send(t(), iodata()) :: :ok | {:error, term()}
+  def send({module, socket}, frame), do: module.send(socket, frame)
+
+  @spec receive(t(), timeout()) :: {:ok, binary()} | {:error, term()}
+  def receive({module, socket}, timeout), do: module.recv(socket, 0, timeout)
+
+  @doc "The next frame as a message: `{:tcp | :ssl, socket, body}`. `most` bytes are the longest taken from now on."
+  @spec open_up(t(), pos_integer()) :: :ok | {:error, term()}
+  def open_up(socket, most), do: setopts(socket, active: :once, packet_size: most)
+
+  @spec once(t()) :: :ok | {:error, term()}
+  def once(socket), do: setopts(socket, active: :once)
+
+  defp setopts({:gen_tcp, socket}, opts), do: :inet.setopts(socket, opts)
+  defp setopts({:ssl, socket}, opts), do: :ssl.setopts(socket, opts)
+
+  @spec give(t(), pid()) :: :ok | {:error, term()}
+  def give({module, socket}, pid), do: module.controlling_process(socket, pid)
+
+  @spec close(t()) :: :ok
+  def close({module, socket}) do
+    _ = module.close(socket)
+    :ok
+  end
+
+  @spec port(t()) :: :inet.port_number() | nil
+  def port({:gen_tcp, socket}), do: number(:inet.sockname(socket))
+  def port({:ssl, socket}), do: number(:ssl.sockname(socket))
+
+  defp number({:ok, {ip, port}}) when is_tuple(ip), do: port
+  defp number(_local), do: nil
+
+  @doc "The other side's address: an IP, or `:local`."
+  @spec peer(t()) :: {:ok, :inet.ip_address() | :local} | {:error, term()}
+  def peer({:gen_tcp, socket}), do: ip(:inet.peername(socket))
+  def peer({:ssl, socket}), do: ip(:ssl.peername(socket))
+
+  defp ip({:ok, {:local, _}}), do: {:ok, :local}
+  defp ip({:ok, {ip, _port}}), do: {:ok, ip}
+  defp ip(error), do: error
+
+  @doc "Why a connection failed, for people."
+  @spec reason_text(term()) :: String.t()
+  def reason_text({:tls_alert, {_kind, text}}), do: String.trim(to_string(text))
+  def reason_text({:options, what}), do: "TLS option #{inspect(what)}"
+  def reason_text(:closed), do: "the other side closed the connection"
+  def reason_text(:timeout), do: "no answer in time"
+  def reason_text(reason) when is_atom(reason), do: to_string(:inet.format_error(reason))
+  def reason_text(reason), do: inspect(reason)
+end

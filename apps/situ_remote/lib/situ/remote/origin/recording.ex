@@ -1,0 +1,212 @@
+defmodule Situ.Remote.Origin.Recording do
+  @moduledoc false
+  # A recording, finished or being written, as an origin. `{:series, root, name}` goes on from each version
+  # (`name.0000`, `name.0001` ...) to the next, so neither a new start of whoever records nor a recording in pieces
+  # leaves anything out; `{:store, store}` is one opened recording and ends with it.
+  @behaviour Situ.Remote.Origin
+  alias Situ.Error
+  alias Situ.Remote.Link.Batch
+  alias Situ.Remote.Origin.Versions
+  alias Situ.Store.{Handle, Local, Reading, StreamInfo, TypeName}
+
+  @messages 512
+  @tag 1
+  # Before everything, and far enough from where integers of 64 bits end.
+  @before_all -0x4000000000000000
+
+  defstruct [:series, :store, version: 0, known: 0, awaiting: false, catalog: -1]
+
+  @doc "The originating time before all others."
+  @spec before_all() :: Situ.Time.t()
+  def before_all, do: @before_all
+
+  @impl true
+  def open({:store, %Handle{} = store}), do: {:ok, %__MODULE__{store: store}}
+
+  def open({:series, root, name}) do
+    state = %__MODULE__{series: {root, name}}
+
+    case Versions.newest(root, name) do
+      {version, path} ->
+        with {:ok, store} <- Reading.open(path), do: {:ok, at(state, version, store)}
+
+      nil ->
+        {:ok, state}
+    end
+  end
+
+  defp at(state, version, store),
+    do: %{state | version: version, store: store, known: 0, awaiting: false, catalog: -1}
+
+  @impl true
+  def streams(%{store: nil} = state), do: {:same, state}
+
+  def streams(state) do
+    case records(state.store) do
+      n when n == state.catalog and n != nil ->
+        {:same, state}
+
+      n ->
+        entries = for info <- Reading.streams(state.store), do: entry(info)
+        {entries, %{state | catalog: n}}
+    end
+  end
+
+  defp entry(%{module: nil} = info), do: %{name: info.name, type: TypeName.write(info.type)}
+  defp entry(info), do: %{name: info.name, type: info.type_name}
+
+  # A new stream, or the end of one, is a record of stream 0.
+  defp records(%{module: Local} = store), do: Reading.count(store, %StreamInfo{id: 0, name: ""})
+  defp records(_foreign), do: 0
+
+  @impl true
+  def cursor(%{store: nil}, _name, _from), do: :unknown
+
+  def cursor(state, name, from) when from in [:now, :start] do
+    case Reading.stream_info(state.store, name) do
+      {:ok, info} when from == :start -> {:ok, place(state, info, 0), @before_all}
+      {:ok, info} -> {:ok, place(state, info, info.count), last(state, name)}
+      {:error, _} -> :unknown
+    end
+  end
+
+  def cursor(state, name, {:after, time}), do: cursor(state, name, {:at, time + 1})
+
+  def cursor(%{series: nil} = state, name, {:at, time}) do
+    with {:ok, info} <- Reading.stream_info(state.store, name),
+         {:ok, ordinal} <- Reading.seek(state.store, info, time) do
+      {:ok, place(state, info, ordinal), time - 1}
+    else
+      {:error, _} -> :unknown
+    end
+  end
+
+  def cursor(%{series: {root, name}} = state, stream, {:at, time}) do
+    case Versions.holding(root, name, stream, time) do
+      {version, store, info} ->
+        {:ok, ordinal} = Reading.seek(store, info, time)
+        {:ok, place(%{state | version: version, store: store}, info, ordinal), time - 1}
+
+      nil ->
+        :unknown
+    end
+  end
+
+  defp place(state, info, ordinal),
+    do: %{version: state.version, store: state.store, info: info, ordinal: ordinal, last: nil}
+
+  # Of the newest version that has any.
+  defp last(%{series: nil} = state, name), do: last_of(Reading.stream_info(state.store, name))
+
+  defp last(%{series: {root, name}}, stream) do
+    case Versions.with_messages(root, name, stream) do
+      nil -> @before_all
+      {_version, _store, info} -> info.last
+    end
+  end
+
+  defp last_of({:ok, %{last: last}}) when last != nil, do: last
+  defp last_of(_), do: @before_all
+
+  @impl true
+  def read(state, cursor) do
+    case Reading.batch(cursor.store, cursor.info, cursor.ordinal, :unbounded, @messages,
+           skip_damage: true
+         ) do
+      {:ok, [], ordinal} ->
+        behind(state, %{cursor | ordinal: ordinal})
+
+      {:ok, messages, ordinal} ->
+        last = List.last(messages).originating_time
+        {:parts, Batch.encode(messages), 0, %{cursor | ordinal: ordinal, last: last}}
+
+      {:error, %Error{} = error} ->
+        raise error
+    end
+  end
+
+  # At the end of what there is: the next version goes on, or it is the end of the stream, or more will come.
+  defp behind(%{series: nil} = state, cursor), do: ended(state, cursor, current(cursor))
+
+  defp behind(%{series: {root, name}} = state, cursor) do
+    case state.version > cursor.version && Versions.next(root, name, cursor) do
+      {version, store, info} ->
+        {:ok, ordinal} =
+          if cursor.last, do: Reading.seek(store, info, cursor.last + 1), else: {:ok, 0}
+
+        read(state, %{cursor | version: version, store: store, info: info, ordinal: ordinal})
+
+      _ ->
+        ended(state, cursor, current(cursor))
+    end
+  end
+
+  defp current(%{store: store, info: info}) do
+    case Reading.stream_info(store, info.name) do
+      {:ok, info} -> info
+      {:error, _} -> info
+    end
+  end
+
+  # What a writer that was killed left open may be gone on with in a next version.
+  defp ended(state, cursor, info) do
+    newest? = cursor.version == state.version
+    whole? = cursor.ordinal >= info.count
+
+    cond do
+      not newest? or not whole? -> {:idle, cursor}
+      info.closed != nil -> {:ended, max(info.closed, cursor.last || info.last || info.closed)}
+      state.series == nil and not Reading.live?(cursor.store) -> {:ended, info.last || 0}
+      true -> {:idle, cursor}
+    end
+  end
+
+  @impl true
+  def skip(_state, cursor, %{max_queue: n}, _now) when is_integer(n) do
+    forward(cursor, Reading.count(cursor.store, cursor.info) - n)
+  end
+
+  def skip(_state, cursor, %{max_latency: d}, now) when is_integer(d) do
+    {:ok, ordinal} = Reading.seek(cursor.store, cursor.info, now - d)
+    forward(cursor, ordinal)
+  end
+
+  def skip(_state, cursor, _lossless, _now), do: {0, cursor}
+
+  defp forward(%{ordinal: ordinal} = cursor, to) when to > ordinal,
+    do: {to - ordinal, %{cursor | ordinal: to}}
+
+  defp forward(cursor, _to), do: {0, cursor}
+
+  @impl true
+  def await(%{awaiting: true} = state), do: state
+  def await(%{store: nil} = state), do: state
+
+  def await(state) do
+    if Reading.live?(state.store), do: Reading.notify(state.store, state.known, @tag)
+    %{state | awaiting: Reading.live?(state.store)}
+  end
+
+  @impl true
+  def news(state, {:situ_store, @tag, {_published_or_ended, n}}),
+    do: {:ok, %{state | known: n, awaiting: false}}
+
+  def news(_state, _other), do: :other
+
+  # Whoever records may have begun once more: that is told by the folder alone.
+  @impl true
+  def look(%{series: nil} = state), do: {not state.awaiting and Reading.live?(state.store), state}
+
+  def look(%{series: {root, name}} = state) do
+    case Versions.newest(root, name) do
+      {version, path} when state.store == nil or version > state.version ->
+        case Reading.open(path) do
+          {:ok, store} -> {true, at(state, version, store)}
+          {:error, _unfinished} -> {false, state}
+        end
+
+      _ ->
+        {state.store != nil and not state.awaiting and Reading.live?(state.store), state}
+    end
+  end
+end

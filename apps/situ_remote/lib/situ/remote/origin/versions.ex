@@ -1,0 +1,70 @@
+defmodule Situ.Remote.Origin.Versions do
+  @moduledoc false
+  # The versions of a recording in one folder, `name.0000` and on, as one row.
+  alias Situ.Store.{Folder, Handle, Reading, StreamInfo}
+
+  @type found :: {non_neg_integer(), Handle.t(), StreamInfo.t()}
+
+  @spec newest(Path.t(), String.t()) :: {non_neg_integer(), Path.t()} | nil
+  def newest(root, name) do
+    with path when path != nil <- Folder.newest(name, root), do: {Folder.version(path), path}
+  end
+
+  @doc "The newest version whose `stream` begins at or before `time`, or else the oldest that has the stream."
+  @spec holding(Path.t(), String.t(), String.t(), Situ.Time.t()) :: found() | nil
+  def holding(root, name, stream, time) do
+    root
+    |> having(name, stream, :desc)
+    |> Enum.reduce_while(nil, fn {_, _, info} = found, _oldest ->
+      if info.first != nil and info.first <= time, do: {:halt, found}, else: {:cont, found}
+    end)
+  end
+
+  @doc "The newest version in which `stream` has messages."
+  @spec with_messages(Path.t(), String.t(), String.t()) :: found() | nil
+  def with_messages(root, name, stream),
+    do: root |> having(name, stream, :desc) |> Enum.find(fn {_, _, info} -> info.count > 0 end)
+
+  @doc """
+  Where the stream of a cursor that has read all of its version goes on. A version that is still written, as the pieces
+  of a recording are, is left only once the stream has begun in a later one.
+  """
+  @spec next(Path.t(), String.t(), map()) :: found() | nil
+  def next(root, name, %{version: version, store: store, info: %{name: stream}}) do
+    later = root |> having(name, stream, :asc) |> Stream.filter(fn {v, _, _} -> v > version end)
+
+    case Enum.find(later, fn {_, _, info} -> info.count > 0 end) do
+      nil -> if Reading.live?(store), do: nil, else: later |> Enum.to_list() |> List.last()
+      found -> found
+    end
+  end
+
+  defp having(root, name, stream, order) do
+    root
+    |> paths(name)
+    |> Enum.sort(order)
+    |> Stream.flat_map(fn {version, path} ->
+      with {:ok, store} <- Reading.open(path),
+           {:ok, info} <- Reading.stream_info(store, stream) do
+        [{version, store, info}]
+      else
+        # Gone, or not made yet.
+        {:error, _} -> []
+      end
+    end)
+  end
+
+  defp paths(root, name) do
+    case File.ls(root) do
+      {:ok, entries} ->
+        for entry <- entries,
+            path = Path.join(root, entry),
+            version = Folder.version(path),
+            Folder.name(path) == name,
+            do: {version, path}
+
+      {:error, _} ->
+        []
+    end
+  end
+end

@@ -1,0 +1,78 @@
+defmodule Situ.Remote.Position do
+  @moduledoc """
+  How far streams of a link were read, in a file that survives a kill or a power cut at any moment.
+
+  A position is an originating time, by the sender's clock: everything up to it was taken. The file is JSON; it is
+  written beside, brought to the disk and then renamed, so there is always a whole one.
+
+      iex> path = Path.join(System.tmp_dir!(), "situ-doc-position.json")
+      iex> Situ.Remote.Position.save(path, %{"imu" => 1_700_000_000_000_000_001})
+      :ok
+      iex> Situ.Remote.Position.load(path)
+      {:ok, %{"imu" => 1_700_000_000_000_000_001}}
+      iex> File.rm!(path)
+      iex> Situ.Remote.Position.load(path)
+      {:ok, %{}}
+  """
+  alias Situ.{Error, JSON}
+  alias Situ.Remote.Address
+
+  @type t :: %{String.t() => Situ.Time.t()}
+
+  @doc "Where the positions of a link are kept unless somebody says otherwise."
+  @spec default_path(Address.t()) :: Path.t()
+  def default_path(%Address{} = address) do
+    state = System.get_env("XDG_STATE_HOME") || Path.join(System.user_home!(), ".local/state")
+    file = address |> Address.to_string() |> String.replace(~r/[^A-Za-z0-9.-]+/, "_")
+    Path.join([state, "situ", "links", file <> ".json"])
+  end
+
+  @doc "Nothing where there is no file. Errors: `:bad_position`, `:io`."
+  @spec load(Path.t()) :: {:ok, t()} | {:error, Error.t()}
+  def load(path) do
+    with {:ok, text} <- File.read(path),
+         {:ok, %{} = map} <- JSON.decode(text),
+         true <- Enum.all?(map, fn {_, time} -> is_integer(time) end) do
+      {:ok, map}
+    else
+      {:error, :enoent} ->
+        {:ok, %{}}
+
+      {:error, reason} when is_atom(reason) ->
+        {:error,
+         Error.new(:io, "cannot read #{path}", why: to_string(:file.format_error(reason)))}
+
+      _ ->
+        {:error,
+         Error.new(:bad_position, "#{path} does not hold the positions of a link",
+           fix: "delete it to begin at the beginning, or name another file with position:"
+         )}
+    end
+  end
+
+  @doc "Errors: `:io`."
+  @spec save(Path.t(), t()) :: :ok | {:error, Error.t()}
+  def save(path, positions) do
+    beside = path <> ".unfinished"
+
+    with :ok <- File.mkdir_p(Path.dirname(path)),
+         {:ok, file} <- File.open(beside, [:write, :raw, :binary]),
+         :ok <- written(file, JSON.encode(positions)),
+         :ok <- File.rename(beside, path) do
+      :ok
+    else
+      {:error, reason} ->
+        {:error,
+         Error.new(:io, "cannot keep the positions of a link in #{path}",
+           why: to_string(:file.format_error(reason)),
+           fix: "make the folder writable, or name another file with position:"
+         )}
+    end
+  end
+
+  defp written(file, text) do
+    with :ok <- :file.write(file, text), do: :file.sync(file)
+  after
+    File.close(file)
+  end
+end

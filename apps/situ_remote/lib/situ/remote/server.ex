@@ -1,0 +1,181 @@
+defmodule Situ.Remote.Server do
+  @moduledoc """
+  Listens, and gives every client a process of its own (`Situ.Remote.serve/2`).
+
+  It bounds how many clients there are, in all and from one address, and how often one address may try with a wrong
+  token. A client that sends rubbish, sends nothing, or does not read loses its connection; nobody else notices.
+  """
+  use GenServer
+  alias Situ.Error
+  alias Situ.Remote.Link.Socket
+  alias Situ.Remote.Server.Session
+
+  @most_clients 1_000
+  @most_per_address 250
+  # Wrong tokens of one address within a minute.
+  @most_wrong 20
+  @minute_ms 60_000
+
+  defstruct [:config, listeners: [], sessions: %{}, wrong: %{}, refused: 0]
+
+  @doc "Opens the listeners. `config` is what sessions need: `served`, `token`, `quota`, `now`, `answer`."
+  @spec start_link([{:tcp | :tls | :unix, keyword()}], map()) ::
+          {:ok, pid()} | {:error, Error.t()}
+  def start_link(listens, config) do
+    with {:ok, listeners} <- listen_all(listens, []) do
+      {:ok, server} = GenServer.start_link(__MODULE__, config)
+      for {_, listener} <- listeners, do: :ok = Socket.give(listener, server)
+      GenServer.call(server, {:listen, listeners})
+      {:ok, server}
+    end
+  end
+
+  defp listen_all([], done), do: {:ok, Enum.reverse(done)}
+
+  defp listen_all([{kind, opts} | rest], done) do
+    case Socket.listen(kind, opts) do
+      {:ok, listener} ->
+        listen_all(rest, [{kind, listener} | done])
+
+      {:error, error} ->
+        for {_, listener} <- done, do: Socket.close(listener)
+        {:error, error}
+    end
+  end
+
+  @doc "The port it listens on (`nil` without TCP and TLS)."
+  @spec port(GenServer.server()) :: :inet.port_number() | nil
+  def port(server), do: GenServer.call(server, :port)
+
+  @doc "What is going on: clients with what was sent to each, how many were refused."
+  @spec info(GenServer.server()) :: map()
+  def info(server) do
+    {sessions, refused} = GenServer.call(server, :sessions)
+    clients = for session <- sessions, info <- asked(session, :info), do: info
+    %{clients: clients, refused: refused}
+  end
+
+  defp asked(session, question) do
+    [GenServer.call(session, question, 30_000)]
+  catch
+    :exit, _ -> []
+  end
+
+  @doc "Waits until clients have everything that is there, at most `timeout` ms, and closes."
+  @spec close(GenServer.server(), non_neg_integer()) :: :ok
+  def close(server, timeout \\ 0) do
+    drain(server, System.monotonic_time(:millisecond) + timeout)
+    GenServer.stop(server, :normal, 30_000)
+  catch
+    :exit, _ -> :ok
+  end
+
+  defp drain(server, until) do
+    {sessions, _} = GenServer.call(server, :sessions)
+    waiting? = Enum.any?(sessions, &(asked(&1, :drained?) == [false]))
+
+    if waiting? and System.monotonic_time(:millisecond) < until do
+      Process.sleep(5)
+      drain(server, until)
+    end
+  end
+
+  @impl true
+  def init(config) do
+    Process.flag(:trap_exit, true)
+    {:ok, %__MODULE__{config: Map.put(config, :server, self())}}
+  end
+
+  @impl true
+  def handle_call({:listen, listeners}, _from, state) do
+    server = self()
+    for {_, listener} <- listeners, do: spawn_link(fn -> accept(listener, server) end)
+    {:reply, :ok, %{state | listeners: listeners}}
+  end
+
+  def handle_call(:port, _from, state) do
+    {:reply, Enum.find_value(state.listeners, fn {_, listener} -> Socket.port(listener) end),
+     state}
+  end
+
+  def handle_call(:sessions, _from, state),
+    do: {:reply, {Map.keys(state.sessions), state.refused}, state}
+
+  def handle_call({:session, peer}, _from, state) do
+    if full?(state, peer) do
+      {:reply, :full, %{state | refused: state.refused + 1}}
+    else
+      {:ok, session} = Session.start_link(state.config)
+      {:reply, {:ok, session}, %{state | sessions: Map.put(state.sessions, session, peer)}}
+    end
+  end
+
+  defp full?(state, peer) do
+    map_size(state.sessions) >= @most_clients or
+      Enum.count(state.sessions, fn {_, other} -> other == peer end) >= @most_per_address or
+      length(recent(state, peer)) >= @most_wrong
+  end
+
+  defp recent(state, peer) do
+    now = System.monotonic_time(:millisecond)
+    state.wrong |> Map.get(peer, []) |> Enum.filter(&(now - &1 < @minute_ms))
+  end
+
+  @impl true
+  def handle_info({:refused, session, code}, state) do
+    state = %{state | refused: state.refused + 1}
+    peer = state.sessions[session]
+
+    if code == :wrong_token and peer != nil do
+      times = [System.monotonic_time(:millisecond) | recent(state, peer)]
+      {:noreply, %{state | wrong: Map.put(trimmed(state.wrong), peer, times)}}
+    else
+      {:noreply, state}
+    end
+  end
+
+  def handle_info({:EXIT, pid, _reason}, state) when is_map_key(state.sessions, pid),
+    do: {:noreply, %{state | sessions: Map.delete(state.sessions, pid)}}
+
+  # An acceptor ends with its listener; whoever started the server takes it along.
+  def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
+
+  # Somebody with many addresses does not fill the memory.
+  defp trimmed(wrong) when map_size(wrong) < 10_000, do: wrong
+  defp trimmed(_wrong), do: %{}
+
+  @impl true
+  def terminate(_reason, state) do
+    for {session, _} <- state.sessions, do: Process.exit(session, :shutdown)
+
+    for {kind, listener} <- state.listeners do
+      Socket.close(listener)
+      if kind == :unix and state.config[:path], do: File.rm(state.config[:path])
+    end
+  end
+
+  # Runs in a process of its own.
+  defp accept(listener, server) do
+    case Socket.accept(listener) do
+      {:ok, socket} ->
+        _ = admit(socket, server)
+        accept(listener, server)
+
+      {:error, reason} when reason in [:emfile, :enfile, :econnaborted, :timeout] ->
+        Process.sleep(100)
+        accept(listener, server)
+
+      {:error, _closed} ->
+        :ok
+    end
+  end
+
+  defp admit(socket, server) do
+    with {:ok, peer} <- Socket.peer(socket),
+         {:ok, session} <- GenServer.call(server, {:session, peer}, :infinity) do
+      Session.adopt(session, socket)
+    else
+      _full_or_gone -> Socket.close(socket)
+    end
+  end
+end

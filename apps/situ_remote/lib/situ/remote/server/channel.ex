@@ -1,0 +1,76 @@
+defmodule Situ.Remote.Server.Channel do
+  @moduledoc """
+  One stream on its way to one client, on the server's side: what was asked, where it is, what may be sent. Pure.
+  """
+  alias Situ.Delivery
+  alias Situ.Remote.Link.Frame
+  alias Situ.Remote.Origin.Recording
+
+  @enforce_keys [:id, :name]
+  defstruct [
+    :id,
+    :name,
+    :from,
+    :cursor,
+    :policy,
+    priority: 0,
+    credit: 0,
+    out: [],
+    sent: 0,
+    dropped: 0,
+    state: :waiting
+  ]
+
+  @typedoc """
+  `state`: `:waiting` for a stream of this name, `:open`, or `:ended`. `out`: frames that wait to be sent, with the
+  number of messages in them.
+  """
+  @type t :: %__MODULE__{}
+
+  @most_window 256 * 1024 * 1024
+
+  @doc "As a client asks for it; a sentence says what is wrong."
+  @spec new(Frame.channel(), map()) :: {:ok, t()} | {:error, String.t()}
+  def new(id, %{"name" => name} = asked) when is_binary(name) do
+    with {:ok, from} <- from(asked["from"]),
+         {:ok, policy} <- policy(asked["policy"]),
+         {:ok, priority} <- number(asked["priority"] || 0, -100, 100, "priority"),
+         {:ok, window} <- number(asked["window"], 1, @most_window, "window") do
+      channel = %__MODULE__{id: id, name: name, from: from, policy: policy}
+      {:ok, %{channel | priority: priority, credit: window}}
+    end
+  end
+
+  def new(_id, _asked), do: {:error, "a subscription without the name of a stream"}
+
+  defp from("now"), do: {:ok, :now}
+  defp from("start"), do: {:ok, :start}
+  defp from(%{"after" => time}), do: at(time, &{:after, &1})
+  defp from(%{"at" => time}), do: at(time, &{:at, &1})
+  defp from(_other), do: {:error, "a subscription that does not say where to begin"}
+
+  defp at(time, from) do
+    least = Recording.before_all()
+
+    with {:ok, time} <- number(time, least, -least, "time"), do: {:ok, from.(time)}
+  end
+
+  defp policy(nil), do: {:ok, Delivery.unlimited()}
+  defp policy("latest"), do: {:ok, Delivery.latest()}
+
+  defp policy(%{"max_queue" => n}),
+    do: with({:ok, n} <- number(n, 1, 1_000_000, "max_queue"), do: {:ok, Delivery.max_queue(n)})
+
+  defp policy(%{"max_latency" => d}),
+    do: with({:ok, d} <- number(d, 0, 1.0e18, "max_latency"), do: {:ok, Delivery.max_latency(d)})
+
+  defp policy(_other), do: {:error, "a delivery policy that is not known"}
+
+  defp number(n, least, most, _what) when is_integer(n) and n >= least and n <= most, do: {:ok, n}
+  defp number(_n, _least, _most, what), do: {:error, "a #{what} out of range"}
+
+  @doc "Whether it has something to do: room at the client, and a stream."
+  @spec ready?(t()) :: boolean()
+  def ready?(%__MODULE__{state: :open, credit: credit}), do: credit > 0
+  def ready?(%__MODULE__{}), do: false
+end

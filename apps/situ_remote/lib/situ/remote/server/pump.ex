@@ -1,0 +1,184 @@
+defmodule Situ.Remote.Server.Pump do
+  @moduledoc false
+  # What a session sends: the channel whose turn it is, one frame at a time, so that something more important never
+  # waits for more than a frame. Works on the session's state.
+  alias Situ.Delivery
+  alias Situ.Remote.Link.{Frame, Quota, Schedule, Socket}
+  alias Situ.Remote.Server.Channel
+
+  # What is done before the session looks at its mailbox again.
+  @turn_bytes 4 * 1024 * 1024
+  @turn_reads 64
+  # A longer batch goes in pieces.
+  @most_piece 4 * 1024 * 1024
+
+  @type state :: map()
+
+  @doc "Finds a new channel's stream, if there is one of its name."
+  @spec open(state(), Frame.channel()) :: state()
+  def open(state, id) do
+    channel = state.channels[id]
+
+    case state.module.cursor(state.origin, channel.name, channel.from) do
+      {:ok, cursor, before} ->
+        _ = send_frame(state, {:subscribed, id, %{"after" => before}})
+        put(state, %{channel | cursor: cursor, state: :open})
+
+      :unknown ->
+        state
+    end
+  end
+
+  @doc "Finds the streams that channels have been waiting for."
+  @spec open_waiting(state()) :: state()
+  def open_waiting(state) do
+    for({id, %{state: :waiting}} <- state.channels, do: id) |> Enum.reduce(state, &open(&2, &1))
+  end
+
+  @doc "A channel that changed."
+  @spec put(state(), Channel.t()) :: state()
+  def put(state, channel) do
+    state = %{state | channels: Map.put(state.channels, channel.id, channel)}
+
+    if Channel.ready?(channel),
+      do: %{state | schedule: Schedule.put(state.schedule, channel.id, channel.priority)},
+      else: state
+  end
+
+  @doc "There may be more of every stream."
+  @spec wake(state()) :: state()
+  def wake(state) do
+    schedule =
+      for {id, channel} <- state.channels, Channel.ready?(channel), reduce: state.schedule do
+        schedule -> Schedule.put(schedule, id, channel.priority)
+      end
+
+    %{state | schedule: schedule}
+  end
+
+  @doc "Whether everything there is has been sent."
+  @spec drained?(state()) :: boolean()
+  def drained?(state) do
+    state.stage != :open or
+      Enum.all?(state.channels, fn {_, channel} ->
+        channel.state != :open or (channel.out == [] and idle?(state, channel))
+      end)
+  end
+
+  defp idle?(state, channel),
+    do: not match?({:parts, _, _, _}, state.module.read(state.origin, channel.cursor))
+
+  @doc "Sends what there is, for a while: there is more, the quota asks to wait, or nothing is left to send now."
+  @spec run(state()) ::
+          {:more, state()}
+          | {:wait, pos_integer(), state()}
+          | {:idle, state()}
+          | {:error, term(), state()}
+  def run(state), do: run(state, @turn_bytes, @turn_reads)
+
+  defp run(state, bytes, reads) when bytes <= 0 or reads <= 0, do: {:more, state}
+
+  defp run(state, bytes, reads) do
+    case Schedule.take(state.schedule) do
+      :empty ->
+        {:idle, state}
+
+      {id, schedule} ->
+        turn(%{state | schedule: schedule}, state.channels[id], bytes, reads)
+    end
+  end
+
+  # It may have gone, or have no room any more.
+  defp turn(state, nil, bytes, reads), do: run(state, bytes, reads)
+
+  defp turn(state, channel, bytes, reads) do
+    if Channel.ready?(channel),
+      do: state |> step(channel) |> stepped(bytes, reads),
+      else: run(state, bytes, reads)
+  end
+
+  defp stepped({:sent, 0, 0, state}, bytes, reads), do: run(state, bytes, reads - 1)
+
+  defp stepped({:sent, size, messages, state}, bytes, reads) do
+    state = %{state | sent: state.sent + size, messages: state.messages + messages}
+
+    case Quota.take(state.config.quota, size, messages, System.monotonic_time(:nanosecond)) do
+      0 -> run(state, bytes - size, reads - 1)
+      ns -> {:wait, ns, state}
+    end
+  end
+
+  defp stepped({:error, reason, state}, _bytes, _reads), do: {:error, reason, state}
+
+  defp step(state, %{out: [{frame, size, messages} | out]} = channel) do
+    case Socket.send(state.socket, frame) do
+      :ok ->
+        sent = channel.sent + messages
+        channel = %{channel | out: out, credit: channel.credit - size, sent: sent}
+        {:sent, size, messages, put(state, channel)}
+
+      {:error, reason} ->
+        {:error, reason, state}
+    end
+  end
+
+  defp step(state, %{out: []} = channel) do
+    {state, channel} = lighten(state, channel)
+
+    case state.module.read(state.origin, channel.cursor) do
+      {:parts, parts, lost, cursor} ->
+        most = Quota.piece(state.config.quota, @most_piece)
+        out = Enum.flat_map(parts, &frames(&1, channel.id, most))
+        state = told_lost(state, channel, lost)
+        step(state, %{channel | out: out, cursor: cursor, dropped: channel.dropped + lost})
+
+      {:idle, cursor} ->
+        # Not scheduled: news will wake it.
+        channels = Map.put(state.channels, channel.id, %{channel | cursor: cursor})
+        {:sent, 0, 0, %{state | channels: channels}}
+
+      {:ended, time} ->
+        _ = send_frame(state, {:closed, channel.id, time})
+        {:sent, 0, 0, put(state, %{channel | state: :ended})}
+    end
+  end
+
+  # What a lossy policy leaves out is decided when it is the stream's turn: that is how thin the link is.
+  defp lighten(state, %{policy: policy} = channel) do
+    if Delivery.lossy?(policy) do
+      {skipped, cursor} =
+        state.module.skip(state.origin, channel.cursor, policy, state.config.now.())
+
+      state = told_lost(state, channel, skipped)
+      {state, %{channel | cursor: cursor, dropped: channel.dropped + skipped}}
+    else
+      {state, channel}
+    end
+  end
+
+  defp told_lost(state, _channel, 0), do: state
+
+  defp told_lost(state, channel, n) do
+    _ = send_frame(state, {:lost, channel.id, n})
+    state
+  end
+
+  defp frames({first, last, count, payload}, id, most) do
+    frame = Frame.encode({:batch, id, first, last, count, payload})
+    size = IO.iodata_length(frame)
+
+    if size <= most,
+      do: [{frame, size, count}],
+      else: pieces(IO.iodata_to_binary(frame), id, count, most)
+  end
+
+  defp pieces(bytes, id, count, most) when byte_size(bytes) <= most,
+    do: [{Frame.encode({:part, id, true, bytes}), byte_size(bytes), count}]
+
+  defp pieces(bytes, id, count, most) do
+    <<piece::binary-size(most), rest::binary>> = bytes
+    [{Frame.encode({:part, id, false, piece}), most, 0} | pieces(rest, id, count, most)]
+  end
+
+  defp send_frame(state, frame), do: Socket.send(state.socket, Frame.encode(frame))
+end

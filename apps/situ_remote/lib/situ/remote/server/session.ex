@@ -1,0 +1,286 @@
+defmodule Situ.Remote.Server.Session do
+  @moduledoc false
+  # One client: proves who it is, learns the catalogue, asks for streams, and is sent them as it has room. Nothing that
+  # it sends can harm anybody but itself; whatever is not understood ends the connection with a sentence.
+  use GenServer, restart: :temporary
+  alias Situ.Error
+  alias Situ.Remote.Link.{Frame, Handshake, Schedule, Socket}
+  alias Situ.Remote.Server.{Channel, Pump}
+  require Logger
+
+  @login_ms 10_000
+  @look_ms 500
+  # Of a client that is logged in: subscriptions and requests are short.
+  @most_bytes 1024 * 1024
+  @most_channels 100_000
+
+  defstruct [
+    :server,
+    :config,
+    :socket,
+    :nonce,
+    :peer,
+    :origin,
+    :module,
+    :client_nonce,
+    stage: :greeting,
+    channels: %{},
+    told: %{},
+    schedule: Schedule.new(),
+    paused: false,
+    pumping: false,
+    sent: 0,
+    messages: 0
+  ]
+
+  @type t :: %__MODULE__{}
+
+  def start_link(config), do: GenServer.start_link(__MODULE__, config)
+
+  @doc "Hands over an accepted connection, whose owner is the caller."
+  @spec adopt(pid(), Socket.t()) :: :ok | {:error, term()}
+  def adopt(session, socket) do
+    with :ok <- Socket.give(socket, session) do
+      send(session, {:adopt, socket})
+      :ok
+    end
+  end
+
+  @impl true
+  def init(config), do: {:ok, %__MODULE__{config: config, server: config.server}}
+
+  @impl true
+  def handle_info({:adopt, socket}, state) do
+    with {:ok, socket} <- Socket.established(socket, @login_ms),
+         nonce = Handshake.nonce(),
+         :ok <- Socket.send(socket, Frame.encode(Handshake.hello(nonce))),
+         :ok <- Socket.once(socket) do
+      Process.send_after(self(), :login_late, @login_ms)
+      {:noreply, %{state | socket: socket, nonce: nonce}}
+    else
+      {:error, reason} -> {:stop, {:shutdown, reason}, state}
+    end
+  end
+
+  def handle_info({kind, _socket, body}, state) when kind in [:tcp, :ssl] do
+    case Frame.decode(body) do
+      {:ok, frame} -> frame |> frame(state) |> taken(state)
+      {:error, why} -> refuse(bad_frame(why), state)
+    end
+  end
+
+  def handle_info({kind, _socket}, state) when kind in [:tcp_closed, :ssl_closed],
+    do: {:stop, {:shutdown, :closed}, state}
+
+  def handle_info({kind, _socket, reason}, state) when kind in [:tcp_error, :ssl_error] do
+    if reason == :emsgsize, do: warn(state, "a frame longer than may be"), else: :ok
+    {:stop, {:shutdown, reason}, state}
+  end
+
+  def handle_info(:login_late, %{stage: :open} = state), do: {:noreply, state}
+  def handle_info(:login_late, state), do: refuse(bad_frame("no login within 10 s"), state)
+  def handle_info(:go, state), do: pump(%{state | paused: false})
+  def handle_info(:pump, state), do: pump(%{state | pumping: false})
+
+  def handle_info(:look, state) do
+    Process.send_after(self(), :look, @look_ms)
+
+    case state.module.look(state.origin) do
+      {true, origin} -> news(%{state | origin: origin})
+      {false, origin} -> {:noreply, %{state | origin: origin}}
+    end
+  end
+
+  def handle_info(message, %{stage: :open} = state) do
+    case state.module.news(state.origin, message) do
+      {:ok, origin} -> news(%{state | origin: origin})
+      :other -> {:noreply, state}
+    end
+  end
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  @impl true
+  def handle_call(:drained?, _from, state), do: {:reply, Pump.drained?(state), state}
+  def handle_call(:info, _from, state), do: {:reply, info(state), state}
+
+  defp info(state) do
+    %{
+      peer: state.peer,
+      channels: map_size(state.channels),
+      bytes: state.sent,
+      messages: state.messages,
+      dropped: state.channels |> Map.values() |> Enum.map(& &1.dropped) |> Enum.sum()
+    }
+  end
+
+  # A frame of the client's.
+
+  defp frame({:hello, version, oldest, nonce}, %{stage: :greeting} = state) do
+    with {:ok, _version} <- Handshake.check_version(version, oldest),
+         do: {:ok, %{state | stage: :login, client_nonce: nonce}}
+  end
+
+  defp frame({:login, proof, map}, %{stage: :login} = state) do
+    if Handshake.proves?(state.config.token, :client, state.nonce, state.client_nonce, proof),
+      do: login(map, state),
+      else: {:error, wrong_token()}
+  end
+
+  defp frame({:ping, t0}, %{stage: :open} = state) do
+    t1 = state.config.now.()
+    answer(state, {:pong, t0, t1, state.config.now.()})
+  end
+
+  defp frame({:credit, id, bytes}, %{stage: :open} = state) do
+    case state.channels do
+      %{^id => channel} -> {:pump, put(state, %{channel | credit: channel.credit + bytes})}
+      # Of a stream that has ended meanwhile.
+      _ -> {:ok, state}
+    end
+  end
+
+  defp frame({:subscribe, id, map}, %{stage: :open} = state)
+       when map_size(state.channels) < @most_channels do
+    with {:new, true} <- {:new, not is_map_key(state.channels, id)},
+         {:ok, channel} <- Channel.new(id, map) do
+      state = Pump.open(%{state | channels: Map.put(state.channels, id, channel)}, id)
+      {:pump, state}
+    else
+      {:new, false} -> {:error, bad_frame("channel #{id} is in use")}
+      {:error, why} -> {:error, bad_frame(why)}
+    end
+  end
+
+  defp frame({:unsubscribe, id}, %{stage: :open} = state),
+    do: {:ok, %{state | channels: Map.delete(state.channels, id)}}
+
+  defp frame(frame, state),
+    do: {:error, bad_frame("a frame #{elem(frame, 0)} out of turn (#{state.stage})")}
+
+  defp login(map, state) do
+    name = map["name"] || ""
+
+    with {:ok, {module, spec}} <- served(state.config.served, name),
+         {:ok, origin} <- module.open(spec) do
+      proof = Handshake.proof(state.config.token, :server, state.nonce, state.client_nonce)
+      welcome = {:welcome, proof, %{"names" => Map.keys(state.config.served)}}
+      send(self(), :look)
+      state = %{state | stage: :open, module: module, origin: origin, peer: peer(state)}
+
+      with {:ok, state} <- answer(state, welcome),
+           :ok <- Socket.open_up(state.socket, @most_bytes),
+           do: {:pump, announce(state)}
+    end
+  end
+
+  defp served(served, "") when map_size(served) == 1, do: {:ok, served |> Map.values() |> hd()}
+
+  defp served(served, name) do
+    with :error <- Map.fetch(served, name) do
+      {:error,
+       Error.new(:no_recording, "nothing is served under the name #{inspect(name)}",
+         fix: "served: #{served |> Map.keys() |> Enum.join(", ")}"
+       )}
+    end
+  end
+
+  defp peer(state) do
+    case Socket.peer(state.socket) do
+      {:ok, peer} -> peer
+      {:error, _} -> nil
+    end
+  end
+
+  # What follows from it.
+
+  defp taken({:ok, state}, _before), do: listen(state)
+  defp taken({:pump, state}, _before), do: state |> listen() |> then_pump()
+  defp taken({:error, %Error{} = error}, state), do: refuse(error, state)
+  defp taken({:error, reason}, state), do: {:stop, {:shutdown, reason}, state}
+
+  defp listen(state) do
+    case Socket.once(state.socket) do
+      :ok -> {:noreply, state}
+      {:error, reason} -> {:stop, {:shutdown, reason}, state}
+    end
+  end
+
+  defp then_pump({:noreply, state}), do: pump(state)
+  defp then_pump(stop), do: stop
+
+  defp news(state) do
+    state |> announce() |> Pump.wake() |> pump()
+  end
+
+  defp announce(state) do
+    case state.module.streams(state.origin) do
+      {:same, origin} ->
+        %{state | origin: origin}
+
+      {entries, origin} ->
+        fresh = for entry <- entries, state.told[entry.name] != entry.type, do: entry
+        told = Map.merge(state.told, Map.new(fresh, &{&1.name, &1.type}))
+        tell(state, fresh)
+        Pump.open_waiting(%{state | origin: origin, told: told})
+    end
+  end
+
+  # Also when there are none: the client waits for the first list.
+  defp tell(state, fresh) do
+    streams = for entry <- fresh, do: %{"name" => entry.name, "type" => entry.type}
+    _ = Socket.send(state.socket, Frame.encode({:streams, %{"streams" => streams}}))
+  end
+
+  defp pump(%{paused: true} = state), do: {:noreply, state}
+  defp pump(%{stage: stage} = state) when stage != :open, do: {:noreply, state}
+
+  defp pump(state) do
+    case Pump.run(state) do
+      {:more, state} -> {:noreply, later(state)}
+      {:wait, ns, state} -> {:noreply, pause(state, ns)}
+      {:idle, state} -> {:noreply, %{state | origin: state.module.await(state.origin)}}
+      {:error, reason, state} -> {:stop, {:shutdown, reason}, state}
+    end
+  end
+
+  defp later(%{pumping: true} = state), do: state
+
+  defp later(state) do
+    send(self(), :pump)
+    %{state | pumping: true}
+  end
+
+  defp pause(state, ns) do
+    Process.send_after(self(), :go, max(div(ns, 1_000_000), 1))
+    %{state | paused: true}
+  end
+
+  defp put(state, channel), do: Pump.put(state, channel)
+
+  defp answer(state, frame) do
+    with :ok <- Socket.send(state.socket, Frame.encode(frame)), do: {:ok, state}
+  end
+
+  # The client reads why before the connection ends, and may try only so often.
+  defp refuse(error, state) do
+    warn(state, Exception.message(error))
+    send(state.server, {:refused, self(), error.code})
+    _ = Socket.send(state.socket, Frame.encode({:refused, Handshake.to_map(error)}))
+    Socket.close(state.socket)
+    {:stop, {:shutdown, error.code}, state}
+  end
+
+  defp warn(state, text), do: Logger.warning("link from #{inspect(peer(state))}: #{text}")
+
+  defp wrong_token do
+    Error.new(:wrong_token, "the token of the link is wrong",
+      why: "the other side could not prove that it knows it",
+      fix: "give both sides the same token:"
+    )
+  end
+
+  defp bad_frame(why) do
+    Error.new(:bad_frame, "the other side does not speak the link protocol", why: why)
+  end
+end

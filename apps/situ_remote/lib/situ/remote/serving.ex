@@ -1,0 +1,160 @@
+defmodule Situ.Remote.Serving do
+  @moduledoc false
+  # What `Situ.Remote.serve/2` is asked for, as the configuration of a server. Nothing is open to others by default.
+  alias Situ.{Error, Options, Pipeline}
+  alias Situ.Remote.{Address, Server}
+  alias Situ.Remote.Link.Quota
+  alias Situ.Remote.Origin.Recording
+  alias Situ.Store.{Exporter, Folder, Formats, Handle, Reading}
+
+  @limit {:tuple, [{:in, [:bytes_per_second, :messages_per_second]}, :pos_integer]}
+
+  @options [
+    port: [
+      type: {:or, [{:range, 0, 65_535}, {:in, [:none]}]},
+      default: Address.default_port(),
+      doc: "The TCP port; 0: any free one; `:none`: only `unix:`."
+    ],
+    interface: [
+      type: :string,
+      default: "127.0.0.1",
+      doc: "Where to listen; \"0.0.0.0\": everywhere."
+    ],
+    tls: [
+      type: {:optional, :keyword},
+      default: nil,
+      doc:
+        "Options of `:ssl` (`certfile:`, `keyfile:`; `cacertfile:`, `verify: :verify_peer` and" <>
+          " `fail_if_no_peer_cert: true` to ask clients for theirs)."
+    ],
+    unix: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The path of a Unix socket, for this user alone."
+    ],
+    token: [
+      type: {:or, [{:optional, :string}, {:in, [:none]}]},
+      default: nil,
+      doc:
+        "The secret that clients must know. Needed beyond this machine; `:none` does without all the same."
+    ],
+    quota: [
+      type: {:or, [{:optional, @limit}, {:list, @limit}]},
+      default: nil,
+      doc:
+        "What is sent at most, to all clients together: `{:bytes_per_second, n}`," <>
+          " `{:messages_per_second, n}`, or both."
+    ],
+    wait: [type: :boolean, default: false, doc: "Serve a recording that has not begun yet, too."],
+    linger: [
+      type: :non_neg_integer,
+      default: 5_000,
+      doc: "For a pipeline's own recording: how long clients have for the rest when it ends, ms."
+    ],
+    now: [type: {:fun, 0}, doc: false]
+  ]
+
+  @type served :: Path.t() | Handle.t() | Exporter.t()
+
+  @spec options() :: Options.schema()
+  def options, do: @options
+
+  @spec serve(served() | %{String.t() => served()}, keyword()) ::
+          {:ok, pid()} | {:error, Error.t()}
+  def serve(what, opts \\ []) do
+    with {:ok, opts} <- Options.validate(opts, @options),
+         :ok <- closed?(opts),
+         {:ok, served} <- all(what, opts[:wait]),
+         config = %{
+           served: served,
+           token: if(is_binary(opts[:token]), do: opts[:token], else: ""),
+           quota: Quota.new(opts[:quota]),
+           now: opts[:now] || (&Situ.Time.now/0),
+           path: opts[:unix]
+         },
+         {:ok, server} <- Server.start_link(listens(opts), config) do
+      {:ok, server}
+    end
+  end
+
+  defp listens(opts) do
+    unix = if opts[:unix], do: [{:unix, path: opts[:unix]}], else: []
+    internet = Keyword.take(opts, [:port, :interface, :tls])
+    kind = if opts[:tls], do: :tls, else: :tcp
+    if opts[:port] == :none, do: unix, else: [{kind, internet} | unix]
+  end
+
+  defp closed?(opts) do
+    known? = is_binary(opts[:token]) or get_in(opts, [:tls, :verify]) == :verify_peer
+
+    cond do
+      opts[:port] == :none and opts[:unix] == nil ->
+        {:error, Error.new(:bad_option, "port: :none needs unix:", fix: "give unix: a path")}
+
+      opts[:port] == :none or loopback?(opts[:interface]) or known? or opts[:token] == :none ->
+        :ok
+
+      true ->
+        {:error,
+         Error.new(:open_to_all, "#{opts[:interface]} can be reached from other machines",
+           why: "everybody there could read what is served",
+           fix: "give token: (16 random characters or more), or ask for certificates with tls:"
+         )}
+    end
+  end
+
+  defp loopback?(interface) do
+    case interface |> String.to_charlist() |> :inet.getaddr(:inet) do
+      {:ok, {127, _, _, _}} -> true
+      _ -> interface in ["::1", "localhost"]
+    end
+  end
+
+  defp all(%{} = map, wait?) when not is_struct(map) do
+    Enum.reduce_while(map, {:ok, %{}}, fn {name, what}, {:ok, served} ->
+      case one(what, wait?) do
+        {:ok, _name, origin} -> {:cont, {:ok, Map.put(served, name, origin)}}
+        error -> {:halt, error}
+      end
+    end)
+  end
+
+  defp all(what, wait?) do
+    with {:ok, name, origin} <- one(what, wait?), do: {:ok, %{name => origin}}
+  end
+
+  defp one(%Handle{} = store, _wait?),
+    do: {:ok, store.path |> Folder.name(), {Recording, {:store, store}}}
+
+  defp one(%Exporter{path: path}, _wait?), do: {:ok, Folder.name(path), series(path)}
+
+  defp one(path, wait?) when is_binary(path) do
+    path = Path.expand(path)
+
+    cond do
+      Folder.store?(path) or File.regular?(path) or Formats.for_folder(path) != nil ->
+        opened(path)
+
+      Folder.resolve(path) != nil or wait? ->
+        {:ok, Path.basename(path), series(path)}
+
+      true ->
+        opened(path)
+    end
+  end
+
+  defp opened(path) do
+    with {:ok, store} <- Reading.open(path),
+         do: {:ok, Folder.name(path), {Recording, {:store, store}}}
+  end
+
+  defp series(path), do: {Recording, {:series, Path.dirname(path), Folder.name(path)}}
+
+  @doc false
+  # A pipeline's own recording is served until its clients have all of it.
+  @spec end_with(pid(), Pipeline.t(), non_neg_integer()) :: :ok
+  def end_with(server, p, linger) do
+    :ok = Pipeline.on(p, :completed, fn _report -> Server.close(server, linger) end)
+    :ok = Pipeline.on(p, :abandoned, fn _error -> Server.close(server) end)
+  end
+end

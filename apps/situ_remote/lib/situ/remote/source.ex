@@ -1,0 +1,177 @@
+defmodule Situ.Remote.Source do
+  @moduledoc false
+  # A stream of a link as a source: what the connection hands over waits here, as bytes, until the pipeline asks for
+  # it; only then is it read, and the sender told that there is room again.
+  use Situ.Component,
+    inputs: [],
+    outputs: [out: :any],
+    options: [
+      link: [type: :pid, required: true, doc: "The `Situ.Remote.Connection`."],
+      wanted: [type: :map, required: true, doc: "What to ask for."],
+      type: [type: :any, default: :any, doc: "What the data must be; others are left out."]
+    ]
+
+  alias Situ.{Error, Type}
+  alias Situ.Remote.Connection
+  alias Situ.Remote.Link.{Batch, ClockEstimate}
+  alias Situ.Store.Envelopes
+
+  # Nothing is looked at once more that is read in one go.
+  @before_all -0x4000000000000000
+
+  defstruct [
+    :link,
+    :wanted,
+    :type,
+    :id,
+    :closed,
+    :trouble,
+    queue: :queue.new(),
+    # By the sender's clock, and by the one that the messages go out with.
+    last: @before_all,
+    posted: @before_all,
+    envelope: nil,
+    unreadable: 0,
+    late: 0,
+    taken: 0,
+    lost: 0,
+    done: false
+  ]
+
+  @impl true
+  def init(opts) do
+    {:ok,
+     %__MODULE__{
+       link: opts[:link],
+       wanted: opts[:wanted],
+       type: opts[:type],
+       envelope: Envelopes.none()
+     }}
+  end
+
+  @impl true
+  def handle_start(_context, state) do
+    case Connection.subscribe(state.link, state.wanted) do
+      {:ok, id} -> {[], %{state | id: id}}
+      {:error, error} -> raise error
+    end
+  catch
+    :exit, _ ->
+      raise Error.new(:link_closed, "the link to #{state.wanted.name} is closed",
+              fix: "open the link in the pipeline that uses it"
+            )
+  end
+
+  @impl true
+  def handle_info({:situ_link, id, event}, _context, %{id: id} = state),
+    do: {[], arrived(state, event)}
+
+  def handle_info(_other, _context, state), do: {[], state}
+
+  defp arrived(state, {:batch, _, _, _} = batch),
+    do: %{state | queue: :queue.in(batch, state.queue)}
+
+  defp arrived(state, {:closed, time}), do: %{state | closed: time}
+  defp arrived(state, {:lost, n}), do: %{state | lost: state.lost + n}
+
+  @impl true
+  def handle_demand(_n, _context, %{done: true} = state), do: {[], state}
+
+  def handle_demand(n, context, state) do
+    case :queue.out(state.queue) do
+      {{:value, batch}, queue} ->
+        state |> Map.put(:queue, queue) |> read(batch) |> emitted(n, context)
+
+      {:empty, _} when state.closed != nil ->
+        close(state)
+
+      {:empty, _} ->
+        {[], state}
+    end
+  end
+
+  # A batch of which nothing is left is no answer.
+  defp emitted({[], state}, n, context), do: handle_demand(n, context, state)
+  defp emitted({messages, state}, _n, _context), do: {[{:out, messages}], state}
+
+  defp close(state) do
+    time = max(state.closed, state.posted)
+    {[{:close, :out, time}], %{state | done: true}}
+  end
+
+  defp read(state, {:batch, size, payload, clock}) do
+    case Batch.decode(payload) do
+      {:ok, messages} ->
+        {fresh, late} = Enum.split_with(messages, &(&1.originating_time > state.last))
+        state = %{state | late: state.late + length(late)}
+        last = if fresh == [], do: state.last, else: List.last(fresh).originating_time
+        Connection.taken(state.link, state.id, size, last)
+        fresh |> increasing(state) |> typed() |> by_clock(clock) |> enveloped()
+
+      {:error, why} ->
+        Connection.taken(state.link, state.id, size, nil)
+        {[], %{state | unreadable: state.unreadable + 1, trouble: why}}
+    end
+  end
+
+  # Times within a batch increase, unless somebody means harm.
+  defp increasing(messages, state) do
+    {kept, {last, out_of_order}} =
+      Enum.flat_map_reduce(messages, {state.last, 0}, fn message, {last, n} ->
+        if message.originating_time > last,
+          do: {[message], {message.originating_time, n}},
+          else: {[], {last, n + 1}}
+      end)
+
+    {kept, %{state | last: last, late: state.late + out_of_order}}
+  end
+
+  defp typed({messages, %{type: :any} = state}), do: {messages, state}
+
+  defp typed({messages, state}) do
+    {good, bad} = Enum.split_with(messages, &Type.valid?(state.type, &1.data))
+
+    trouble =
+      if bad == [], do: state.trouble, else: "data that are no #{Type.to_string(state.type)}"
+
+    {good, %{state | unreadable: state.unreadable + length(bad), trouble: trouble}}
+  end
+
+  # The estimate of the clock may go back a little; the times of a stream do not.
+  defp by_clock({messages, state}, nil), do: {messages, posted(state, messages)}
+
+  defp by_clock({messages, state}, clock) do
+    {messages, last} =
+      Enum.map_reduce(messages, state.posted, fn message, last ->
+        time = max(ClockEstimate.to_ours(clock, message.originating_time), last + 1)
+        creation = max(ClockEstimate.to_ours(clock, message.creation_time), time)
+        {%{message | originating_time: time, creation_time: creation}, time}
+      end)
+
+    {messages, %{state | posted: last}}
+  end
+
+  defp posted(state, []), do: state
+  defp posted(state, messages), do: %{state | posted: List.last(messages).originating_time}
+
+  defp enveloped({messages, state}) do
+    {messages, envelope} = Envelopes.forward(messages, state.envelope)
+    {messages, %{state | envelope: envelope, taken: state.taken + length(messages)}}
+  end
+
+  @impl true
+  def handle_stop(_final, _context, state),
+    do: {[], %{state | done: true, queue: :queue.new()}}
+
+  @impl true
+  def terminate(_reason, %{id: nil}), do: :ok
+  def terminate(_reason, state), do: Connection.unsubscribe(state.link, state.id)
+
+  @impl true
+  def describe(state) do
+    trouble = if state.trouble, do: " (#{state.trouble})", else: ""
+
+    "#{state.taken} messages, #{state.lost} left out by the sender, " <>
+      "#{state.unreadable} unreadable#{trouble}, #{state.late} not later than the one before"
+  end
+end

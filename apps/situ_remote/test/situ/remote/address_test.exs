@@ -1,0 +1,4 @@
+defmodule Situ.Remote.AddressTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Remote.Address
+end

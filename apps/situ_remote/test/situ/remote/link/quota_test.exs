@@ -1,0 +1,4 @@
+defmodule Situ.Remote.Link.QuotaTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Remote.Link.Quota
+end

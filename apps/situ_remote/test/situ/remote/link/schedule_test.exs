@@ -1,0 +1,4 @@
+defmodule Situ.Remote.Link.ScheduleTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Remote.Link.Schedule
+end
