@@ -26,7 +26,7 @@ defmodule Situ.Remote do
       iex> File.rm_rf!(root)
   """
   alias Situ.{Delivery, Error, Options, Pipeline}
-  alias Situ.Remote.{Address, Connection, Position, Serving, Source}
+  alias Situ.Remote.{Address, Confirmation, Connection, Position, Serving, Source}
   alias Situ.Remote.Origin.Versions
   alias Situ.Store.{Folder, TypeName}
 
@@ -241,6 +241,30 @@ defmodule Situ.Remote do
   defp asked(%{max_queue: n}) when is_integer(n), do: %{"max_queue" => n}
   defp asked(%{max_latency: d}) when is_integer(d), do: %{"max_latency" => d}
   defp asked(_lossless), do: nil
+
+  @doc """
+  Says how far a stream of the link is done with: `stream` is what the pipeline makes of the stream `name`, with its
+  originating times. From now on the position that `from: :resume` begins behind is the last of these, so a kill at any
+  moment loses nothing; what was under way comes once more. Without it the position is what the pipeline was handed.
+
+  Needs the sender's times (`times: :sender`). Returns the stream.
+
+      link = Situ.Remote.open(p, "situ://lab1/lobby", from: :resume)
+      link |> Situ.Remote.stream("imu") |> Situ.each(&keep/1) |> Situ.Remote.confirm(link, "imu")
+  """
+  @spec confirm(Situ.Stream.t(), t(), String.t()) :: Situ.Stream.t()
+  def confirm(%Situ.Stream{} = stream, %__MODULE__{} = link, name) do
+    :ok = Connection.confirming(link.pid, name)
+    own = [link: link.pid, stream: name, policy: Delivery.unlimited()]
+
+    Situ.via(
+      stream,
+      Confirmation,
+      [default_name: "Confirm " <> String.replace(name, ".", " ")] ++ own
+    )
+
+    stream
+  end
 
   @doc """
   How the link is: `connected?`, `connections` so far, `bytes` received, the other clock's `offset`, `drift` and

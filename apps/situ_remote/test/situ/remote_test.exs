@@ -89,4 +89,23 @@ defmodule Situ.RemoteTest do
     refute_received {:got, _}
     Server.close(server)
   end
+
+  test "a recorder that begins once more is followed to the end", %{root: root} do
+    _killed = record(root, "lobby", 1..10, open: true)
+    {writer, stream} = record(root, "lobby", 11..20, open: true)
+    server = serve(Path.join(root, "lobby"))
+    me = self()
+
+    {:ok, pipeline} =
+      Situ.Pipeline.start_link(fn p ->
+        p
+        |> Remote.open(address(server), from: 6)
+        |> Remote.stream("n")
+        |> Situ.each(&send(me, {:got, &1}))
+      end)
+
+    for i <- 6..20, do: assert_receive({:got, ^i})
+    finish({writer, stream}, 20)
+    assert {:ok, _} = Situ.Pipeline.await(pipeline, 30_000)
+  end
 end

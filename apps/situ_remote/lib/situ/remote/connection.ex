@@ -32,6 +32,7 @@ defmodule Situ.Remote.Connection do
     pings: 0,
     connected: 0,
     saved: %{},
+    confirmed: %{},
     received: 0
   ]
 
@@ -53,6 +54,13 @@ defmodule Situ.Remote.Connection do
   @doc "What was handed over is used up: `bytes` of it, to the originating time `last`."
   @spec taken(pid(), Frame.channel(), non_neg_integer(), Situ.Time.t()) :: :ok
   def taken(pid, id, bytes, last), do: GenServer.cast(pid, {:taken, id, bytes, last})
+
+  @doc "The position of a stream is what is confirmed of it, no longer what was handed over."
+  @spec confirming(pid(), String.t()) :: :ok
+  def confirming(pid, name), do: GenServer.call(pid, {:confirming, name}, 30_000)
+
+  @spec confirm(pid(), String.t(), Situ.Time.t()) :: :ok
+  def confirm(pid, name, time), do: GenServer.cast(pid, {:confirm, name, time})
 
   @spec unsubscribe(pid(), Frame.channel()) :: :ok
   def unsubscribe(pid, id), do: GenServer.cast(pid, {:unsubscribe, id})
@@ -95,6 +103,9 @@ defmodule Situ.Remote.Connection do
     {:reply, {:ok, id}, ask(state, channel)}
   end
 
+  def handle_call({:confirming, name}, _from, state),
+    do: {:reply, :ok, %{state | confirmed: Map.put_new(state.confirmed, name, nil)}}
+
   def handle_call(:info, _from, state), do: {:reply, information(state), state}
 
   @impl true
@@ -104,6 +115,9 @@ defmodule Situ.Remote.Connection do
       _ -> {:noreply, state}
     end
   end
+
+  def handle_cast({:confirm, name, time}, state),
+    do: {:noreply, %{state | confirmed: Map.put(state.confirmed, name, time)}}
 
   def handle_cast({:unsubscribe, id}, state), do: {:noreply, forget(state, id)}
 
@@ -343,11 +357,9 @@ defmodule Situ.Remote.Connection do
   defp save(%{opts: %{position: nil}} = state), do: state
 
   defp save(state) do
-    positions =
-      for {_, channel} <- state.channels,
-          channel.taken != nil,
-          into: state.saved,
-          do: {channel.name, channel.taken}
+    taken = for {_, channel} <- state.channels, into: %{}, do: {channel.name, channel.taken}
+    known = for {name, time} <- Map.merge(taken, state.confirmed), time != nil, do: {name, time}
+    positions = Map.merge(state.saved, Map.new(known))
 
     if positions == state.saved do
       state

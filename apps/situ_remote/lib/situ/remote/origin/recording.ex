@@ -10,11 +10,10 @@ defmodule Situ.Remote.Origin.Recording do
   alias Situ.Store.{Handle, Local, Reading, StreamInfo, TypeName}
 
   @messages 512
-  @tag 1
   # Before everything, and far enough from where integers of 64 bits end.
   @before_all -0x4000000000000000
 
-  defstruct [:series, :store, version: 0, known: 0, awaiting: false, catalog: -1]
+  defstruct [:series, :store, version: 0, known: 0, awaiting: :no, catalog: -1]
 
   @doc "The originating time before all others."
   @spec before_all() :: Situ.Time.t()
@@ -36,7 +35,7 @@ defmodule Situ.Remote.Origin.Recording do
   end
 
   defp at(state, version, store),
-    do: %{state | version: version, store: store, known: 0, awaiting: false, catalog: -1}
+    do: %{state | version: version, store: store, known: 0, awaiting: :no, catalog: -1}
 
   @impl true
   def streams(%{store: nil} = state), do: {:same, state}
@@ -178,24 +177,28 @@ defmodule Situ.Remote.Origin.Recording do
 
   defp forward(cursor, _to), do: {0, cursor}
 
+  # The tag says of which version news is: that of an older one, come late, means nothing. What `ended` tells of is all
+  # there: nothing is waited for behind it.
   @impl true
-  def await(%{awaiting: true} = state), do: state
-  def await(%{store: nil} = state), do: state
-
-  def await(state) do
-    if Reading.live?(state.store), do: Reading.notify(state.store, state.known, @tag)
-    %{state | awaiting: Reading.live?(state.store)}
+  def await(%{awaiting: :no, store: store} = state) when store != nil do
+    Reading.notify(store, state.known, state.version)
+    %{state | awaiting: :news}
   end
 
+  def await(state), do: state
+
   @impl true
-  def news(state, {:situ_store, @tag, {_published_or_ended, n}}),
-    do: {:ok, %{state | known: n, awaiting: false}}
+  def news(%{version: version} = state, {:situ_store, version, {:published, n}}),
+    do: {:ok, %{state | known: n, awaiting: :no}}
+
+  def news(%{version: version} = state, {:situ_store, version, {:ended, n}}),
+    do: {:ok, %{state | known: n, awaiting: :over}}
 
   def news(_state, _other), do: :other
 
   # Whoever records may have begun once more: that is told by the folder alone.
   @impl true
-  def look(%{series: nil} = state), do: {not state.awaiting and Reading.live?(state.store), state}
+  def look(%{series: nil} = state), do: {state.awaiting == :no, state}
 
   def look(%{series: {root, name}} = state) do
     case Versions.newest(root, name) do
@@ -206,7 +209,7 @@ defmodule Situ.Remote.Origin.Recording do
         end
 
       _ ->
-        {state.store != nil and not state.awaiting and Reading.live?(state.store), state}
+        {state.store != nil and state.awaiting == :no, state}
     end
   end
 end

@@ -1,0 +1,26 @@
+defmodule Situ.Remote.Confirmation do
+  @moduledoc false
+  # Where `Situ.Remote.confirm/3` ends: what has come so far is done, and need not come again after a kill.
+  use Situ.Component,
+    inputs: [in: :any],
+    outputs: [],
+    options: [
+      link: [type: :pid, required: true, doc: "The `Situ.Remote.Connection`."],
+      stream: [type: :string, required: true, doc: "The stream of the link."]
+    ]
+
+  alias Situ.Remote.Connection
+
+  @impl true
+  def init(opts), do: {:ok, {opts[:link], opts[:stream]}}
+
+  @impl true
+  def handle_message(:in, message, context, state),
+    do: handle_messages(:in, [message], context, state)
+
+  @impl true
+  def handle_messages(:in, messages, _context, {link, name} = state) do
+    Connection.confirm(link, name, List.last(messages).originating_time)
+    {[], state}
+  end
+end

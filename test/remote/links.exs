@@ -1,0 +1,127 @@
+# The processes of test/remote/run: a recorder, a server and receivers, each killed whenever the script likes.
+defmodule Situ.RemoteTest.Links do
+  alias Situ.{Message, Remote, Store}
+  alias Situ.Store.Writer
+
+  # Appends messages 1, 2 ... to a new version of `lobby`, from where the last version ended, until there are `total`.
+  def record(root, total) do
+    last = root |> counted() |> List.last() || 0
+    {:ok, writer} = Writer.create("lobby", root)
+    {:ok, stream} = Writer.stream(writer, "n", type: :integer)
+    say("recording from #{last + 1}")
+    append(stream, last + 1, String.to_integer(total), root)
+  end
+
+  defp append(stream, next, total, _root) when next > total do
+    {:ok, _} = Writer.close_stream(stream, total * 1_000)
+    :ok = Writer.close(stream.writer)
+    say("recorded")
+  end
+
+  defp append(stream, next, total, root) do
+    last = min(next + 19, total)
+    {:ok, stream} = Writer.append(stream, Enum.map(next..last, &message/1))
+    Process.sleep(8)
+    # Its end is recorded only when everything else has been tried.
+    if last == total, do: wait_for(Path.join(root, "finish"))
+    append(stream, last + 1, total, root)
+  end
+
+  defp message(n) do
+    %Message{data: n, originating_time: n * 1_000, creation_time: n * 1_000 + 5, sequence_id: n}
+  end
+
+  defp wait_for(file) do
+    if not File.exists?(file) do
+      Process.sleep(20)
+      wait_for(file)
+    end
+  end
+
+  def serve(root, port) do
+    opts = [port: String.to_integer(port), wait: true, token: "s3cret"]
+    {:ok, server} = Remote.serve(Path.join(root, "lobby"), opts)
+    say("serving #{Remote.Server.port(server)}")
+    Process.sleep(:infinity)
+  end
+
+  # Copies the stream into a recording of its own, from behind what that has already.
+  def copy(port, root) do
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        store = Store.create(p, "copy", root)
+        p |> open(port, {:after, Path.join(root, "copy")}) |> read() |> Store.write(store, "n")
+      end)
+
+    say("ended")
+  end
+
+  # Writes down what comes, and confirms it: after a kill some of it comes once more, and nothing is missing.
+  def follow(port, root, name) do
+    out = File.open!(Path.join(root, name), [:append])
+
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        link = open(p, port, :resume, Path.join(root, name <> ".json"))
+        link |> read() |> Situ.each(&IO.binwrite(out, "#{&1}\n")) |> Remote.confirm(link, "n")
+      end)
+
+    say("ended")
+  end
+
+  defp open(p, port, from, position \\ nil) do
+    opts = [from: from, token: "s3cret", position: position, save_every: 50]
+    Remote.open(p, "situ://127.0.0.1:#{port}/lobby", opts)
+  end
+
+  defp read(link), do: Remote.stream(link, "n", type: :integer)
+
+  def check(root, total) do
+    total = String.to_integer(total)
+    expected = Enum.to_list(1..total)
+    copied = numbers(root, "copy")
+    if copied != expected, do: fail("the copy", copied, expected)
+    say("copy equal: #{length(copied)}")
+  end
+
+  def check_followed(root, name, total) do
+    got =
+      Path.join(root, name)
+      |> File.read!()
+      |> String.split("\n", trim: true)
+      |> Enum.map(&String.to_integer/1)
+
+    expected = Enum.to_list(1..String.to_integer(total))
+
+    if Enum.uniq(Enum.sort(got)) != expected,
+      do: fail("what was followed", Enum.sort(got), expected)
+
+    say("followed all, #{length(got) - length(expected)} of them twice")
+  end
+
+  defp counted(root), do: numbers(root, "lobby")
+
+  defp numbers(root, name) do
+    for path <- Enum.sort(Store.list(root)),
+        Path.basename(path) =~ name <> ".",
+        {:ok, store} = Store.open(path),
+        Store.has_stream?(store, "n"),
+        message <- Store.messages(store, "n"),
+        do: message.data
+  end
+
+  defp fail(what, got, expected) do
+    say(
+      "#{what}: #{length(got)} of #{length(expected)}; missing #{inspect(expected -- got, limit: 10)}, " <>
+        "twice #{inspect(got -- Enum.uniq(got), limit: 10)}"
+    )
+
+    System.halt(1)
+  end
+
+  defp say(text), do: IO.puts(text)
+end
+
+{:ok, _} = Application.ensure_all_started(:situ_remote)
+[role | arguments] = System.argv()
+apply(Situ.RemoteTest.Links, String.to_atom(role), arguments)
