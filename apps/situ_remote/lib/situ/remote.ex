@@ -93,8 +93,9 @@ defmodule Situ.Remote do
   @type t :: %__MODULE__{}
 
   @doc """
-  Serves recordings: a path (every version of its name, one after the other), an open store, what `Situ.Store.create/4`
-  gave (during `build`; ends with the pipeline), or a map of names to these.
+  Serves recordings: a path (every version of its name, one after the other), an open store, or a map of names to these.
+  During `build` also what `Situ.Store.create/4` gave (`pipeline: p` ends the server with the pipeline), and live
+  streams, a stream or `[{"name", stream}, ...]`, of which the last minute is kept in memory.
 
   Listens on 127.0.0.1 unless `interface:` says otherwise, and then asks for a token or a certificate.
 

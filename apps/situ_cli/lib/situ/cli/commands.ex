@@ -1,7 +1,19 @@
 defmodule Situ.CLI.Commands do
   @moduledoc false
   # Every verb, in the order `situ --help` shows them, and how one is found.
-  alias Situ.CLI.{Annotate, Dataset, Devices, Query, Shell, Store, Studio, Talk, Task, Verb}
+  alias Situ.CLI.{
+    Annotate,
+    Dataset,
+    Devices,
+    Query,
+    Serve,
+    Shell,
+    Store,
+    Studio,
+    Talk,
+    Task,
+    Verb
+  }
 
   @modules [
     Store.Looking,
@@ -14,6 +26,7 @@ defmodule Situ.CLI.Commands do
     Annotate,
     Studio,
     Talk,
+    Serve,
     Devices,
     Shell
   ]

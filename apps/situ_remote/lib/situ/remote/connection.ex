@@ -228,10 +228,10 @@ defmodule Situ.Remote.Connection do
       %{^id => channel} ->
         case Channel.part(channel, last?, bytes) do
           {:more, channel} ->
-            {:ok, put(state, channel)}
+            {:ok, credit(state, channel)}
 
           {:whole, body, channel} ->
-            whole(Frame.decode(body), byte_size(body), put(state, channel))
+            whole(Frame.decode(body), byte_size(bytes), put(state, channel))
 
           {:error, why} ->
             {:error, why}

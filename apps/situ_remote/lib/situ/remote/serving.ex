@@ -46,15 +46,27 @@ defmodule Situ.Remote.Serving do
           " `{:messages_per_second, n}`, or both."
     ],
     wait: [type: :boolean, default: false, doc: "Serve a recording that has not begun yet, too."],
+    keep: [
+      type: :pos_integer,
+      default: 60_000_000_000,
+      doc:
+        "For live streams: how much of them is kept in memory for clients that are behind, ns of originating time."
+    ],
+    pipeline: [
+      type: {:optional, {:struct, Situ.Graph.Handle}},
+      default: nil,
+      doc: "The pipeline that this ends with; that of live streams is known."
+    ],
     linger: [
       type: :non_neg_integer,
       default: 5_000,
-      doc: "For a pipeline's own recording: how long clients have for the rest when it ends, ms."
+      doc: "With a pipeline: how long clients have for the rest when it ends, ms."
     ],
     now: [type: {:fun, 0}, doc: false]
   ]
 
-  @type served :: Path.t() | Handle.t() | Exporter.t()
+  @type served ::
+          Path.t() | Handle.t() | Exporter.t() | Situ.Stream.t() | [{String.t(), Situ.Stream.t()}]
 
   @spec options() :: Options.schema()
   def options, do: @options
@@ -64,17 +76,36 @@ defmodule Situ.Remote.Serving do
   def serve(what, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
          :ok <- closed?(opts),
-         {:ok, served} <- all(what, opts[:wait]),
-         config = %{
-           served: served,
-           token: if(is_binary(opts[:token]), do: opts[:token], else: ""),
-           quota: Quota.new(opts[:quota]),
-           now: opts[:now] || (&Situ.Time.now/0),
-           path: opts[:unix]
-         },
-         {:ok, server} <- Server.start_link(listens(opts), config) do
+         {:ok, served} <- all(what, opts),
+         {:ok, server} <- Server.start_link(listens(opts), config(served, opts)) do
+      if p = opts[:pipeline] || pipeline(what), do: end_with(server, p, opts[:linger])
       {:ok, server}
     end
+  end
+
+  defp config(served, opts) do
+    %{
+      served: served,
+      token: if(is_binary(opts[:token]), do: opts[:token], else: ""),
+      quota: Quota.new(opts[:quota]),
+      now: opts[:now] || (&Situ.Time.now/0),
+      path: opts[:unix]
+    }
+  end
+
+  # The pipeline whose streams these are.
+  defp pipeline(%Situ.Stream{pipeline: p}), do: p
+  defp pipeline([{_name, %Situ.Stream{pipeline: p}} | _]), do: p
+
+  defp pipeline(%{} = map) when not is_struct(map),
+    do: Enum.find_value(map, fn {_, what} -> pipeline(what) end)
+
+  defp pipeline(_recording), do: nil
+
+  # What a pipeline serves is there until its clients have all of it.
+  defp end_with(server, p, linger) do
+    :ok = Pipeline.on(p, :completed, fn _report -> Server.close(server, linger) end)
+    :ok = Pipeline.on(p, :abandoned, fn _error -> Server.close(server) end)
   end
 
   defp listens(opts) do
@@ -110,32 +141,43 @@ defmodule Situ.Remote.Serving do
     end
   end
 
-  defp all(%{} = map, wait?) when not is_struct(map) do
+  defp all(%{} = map, opts) when not is_struct(map) do
     Enum.reduce_while(map, {:ok, %{}}, fn {name, what}, {:ok, served} ->
-      case one(what, wait?) do
+      case one(what, opts) do
         {:ok, _name, origin} -> {:cont, {:ok, Map.put(served, name, origin)}}
         error -> {:halt, error}
       end
     end)
   end
 
-  defp all(what, wait?) do
-    with {:ok, name, origin} <- one(what, wait?), do: {:ok, %{name => origin}}
+  defp all(what, opts) do
+    with {:ok, name, origin} <- one(what, opts), do: {:ok, %{name => origin}}
   end
 
-  defp one(%Handle{} = store, _wait?),
+  defp one(%Handle{} = store, _opts),
     do: {:ok, store.path |> Folder.name(), {Recording, {:store, store}}}
 
-  defp one(%Exporter{path: path}, _wait?), do: {:ok, Folder.name(path), series(path)}
+  defp one(%Exporter{path: path}, _opts), do: {:ok, Folder.name(path), series(path)}
+  defp one(%Situ.Stream{name: name} = stream, opts), do: one([{name, stream}], opts)
 
-  defp one(path, wait?) when is_binary(path) do
+  # Live streams go through a recording in memory of their last stretch: clients that are slow, or away for a moment,
+  # read from there, and nobody holds up the pipeline.
+  defp one([{_, %Situ.Stream{pipeline: p}} | _] = streams, opts) do
+    name = "live-#{System.unique_integer([:positive])}"
+    split = max(div(opts[:keep], 4), 1)
+    store = Exporter.create(p, name, nil, split: split, keep: {:span, opts[:keep]})
+    for {name, stream} <- streams, do: Exporter.write(stream, store, name, [])
+    {:ok, "live", series(store.path)}
+  end
+
+  defp one(path, opts) when is_binary(path) do
     path = Path.expand(path)
 
     cond do
       Folder.store?(path) or File.regular?(path) or Formats.for_folder(path) != nil ->
         opened(path)
 
-      Folder.resolve(path) != nil or wait? ->
+      Folder.resolve(path) != nil or opts[:wait] ->
         {:ok, Path.basename(path), series(path)}
 
       true ->
@@ -149,12 +191,4 @@ defmodule Situ.Remote.Serving do
   end
 
   defp series(path), do: {Recording, {:series, Path.dirname(path), Folder.name(path)}}
-
-  @doc false
-  # A pipeline's own recording is served until its clients have all of it.
-  @spec end_with(pid(), Pipeline.t(), non_neg_integer()) :: :ok
-  def end_with(server, p, linger) do
-    :ok = Pipeline.on(p, :completed, fn _report -> Server.close(server, linger) end)
-    :ok = Pipeline.on(p, :abandoned, fn _error -> Server.close(server) end)
-  end
 end

@@ -92,7 +92,9 @@ defmodule Situ.Remote.Connection.Channel do
     end
   end
 
-  @doc "A piece of a batch."
+  @doc """
+  A piece of a batch. What waits for the rest is paid at once: a message may be larger than the window.
+  """
   @spec part(t(), boolean(), binary()) ::
           {:more, t()} | {:whole, binary(), t()} | {:error, String.t()}
   def part(%__MODULE__{} = channel, last?, bytes) do
@@ -102,9 +104,11 @@ defmodule Situ.Remote.Connection.Channel do
     cond do
       size > @most_message -> {:error, "a message of more than 1 GiB"}
       last? -> {:whole, IO.iodata_to_binary(parts), %{channel | parts: [], parts_size: 0}}
-      true -> {:more, %{channel | parts: parts, parts_size: size}}
+      true -> {:more, unpaid(%{channel | parts: parts, parts_size: size}, byte_size(bytes))}
     end
   end
+
+  defp unpaid(channel, bytes), do: %{channel | unpaid: channel.unpaid + bytes}
 
   @doc "So many bytes were used up, to the time `last`."
   @spec taken(t(), non_neg_integer(), Situ.Time.t() | nil) :: t()

@@ -1,0 +1,126 @@
+defmodule Situ.CLI.Serve do
+  @moduledoc "`situ serve`: a recording for other machines."
+  @behaviour Situ.CLI.Verb
+
+  alias Situ.CLI.{Option, Output, Verb}
+  alias Situ.{Error, Remote}
+  alias Situ.Remote.{Address, Server}
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["serve"],
+        summary: "serve a recording to other machines, also while it is recorded",
+        about: """
+        Serves until it is stopped (Ctrl-C). A name without a version means all of its versions, those that will be
+        recorded included; one that has none yet is waited for. Elsewhere a pipeline opens it by the address that is
+        printed: Situ.Remote.open(p, ADDRESS, from: :resume). See the guide "Links between machines".
+        """,
+        arguments: [path: [kind: :recording, doc: "a recording, or the name of its versions"]],
+        options: [
+          Option.new(:port, :integer, "listen on this port; 0 takes a free one",
+            default: Address.default_port()
+          ),
+          Option.new(
+            :listen,
+            :string,
+            "listen on this address; elsewhere clients must know a token",
+            value: "ADDRESS",
+            default: "127.0.0.1"
+          ),
+          Option.new(:token_file, :path, "the file that holds the token (its first line)"),
+          Option.new(:unix, :path, "listen on a Unix socket of this path, too"),
+          Option.new(:certificate, :path, "speak TLS by this certificate (PEM)"),
+          Option.new(:key, :path, "the certificate's key (PEM)"),
+          Option.new(
+            :bytes_per_second,
+            :integer,
+            "send no more than this to all clients together"
+          )
+        ],
+        examples: [
+          "situ serve recordings/robot",
+          "situ serve recordings/robot --listen 0.0.0.0 --token-file secret"
+        ],
+        run: fn %{path: path}, opts -> serve(path, opts) end
+      }
+    ]
+  end
+
+  defp serve(path, opts) do
+    # Recordings of other systems are served too.
+    for app <- [:situ_bridge, :situ_remote], do: {:ok, _} = Application.ensure_all_started(app)
+    Process.flag(:trap_exit, true)
+
+    with {:ok, tls} <- tls(opts),
+         {:ok, token} <- token(opts[:token_file]),
+         {:ok, server} <- Remote.serve(path, settings(opts, tls, token)) do
+      Output.puts("Situ serves #{path} at #{address(path, server, opts, tls)}")
+      wait(server)
+    else
+      {:error, error} -> raise error
+    end
+  end
+
+  defp settings(opts, tls, token) do
+    limit = opts[:bytes_per_second]
+    quota = if limit, do: {:bytes_per_second, limit}
+
+    [port: opts[:port], interface: opts[:listen], wait: true] ++
+      [tls: tls, token: token, unix: opts[:unix], quota: quota]
+  end
+
+  defp tls(opts) do
+    case {opts[:certificate], opts[:key]} do
+      {nil, nil} ->
+        {:ok, nil}
+
+      {certificate, key} when is_binary(certificate) and is_binary(key) ->
+        {:ok, [certfile: certificate, keyfile: key]}
+
+      _ ->
+        {:error, Error.new(:usage, "--certificate and --key go together", fix: "name both files")}
+    end
+  end
+
+  # On a command line everybody on the machine could read it.
+  defp token(nil), do: {:ok, nil}
+
+  defp token(file) do
+    with {:ok, text} <- File.read(file),
+         [token | _] when token != "" <- String.split(text, ["\r\n", "\n"]) do
+      {:ok, token}
+    else
+      {:error, reason} ->
+        {:error,
+         Error.new(:not_found, "cannot read #{file}", why: to_string(:file.format_error(reason)))}
+
+      _ ->
+        {:error,
+         Error.new(:usage, "#{file} begins with an empty line",
+           fix: "write the token into its first line"
+         )}
+    end
+  end
+
+  defp address(path, server, opts, tls) do
+    transport = if tls, do: :tls, else: :tcp
+    name = path |> Path.basename() |> String.replace(~r/\.\d{4,}$/, "")
+
+    Address.to_string(%Address{
+      transport: transport,
+      host: opts[:listen],
+      port: Server.port(server),
+      name: name
+    })
+  end
+
+  defp wait(server) do
+    receive do
+      {:EXIT, ^server, reason} ->
+        Output.warn("situ serve: the server ended: #{inspect(reason)}")
+        1
+    end
+  end
+end

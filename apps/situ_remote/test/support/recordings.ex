@@ -1,0 +1,67 @@
+defmodule Situ.Remote.Test.Recordings do
+  @moduledoc "Recordings, servers and links for tests."
+  import ExUnit.Callbacks, only: [on_exit: 1]
+  alias Situ.{Message, Remote}
+  alias Situ.Remote.Server
+  alias Situ.Store.Writer
+
+  @doc "A folder of the test's own."
+  def folder do
+    root = Path.join(System.tmp_dir!(), "situ-remote-#{System.unique_integer([:positive])}")
+    File.mkdir_p!(root)
+    on_exit(fn -> File.rm_rf!(root) end)
+    root
+  end
+
+  @doc "Messages whose data are their times; `data:` makes others of these."
+  def messages(times, data \\ & &1) do
+    for t <- times,
+        do: %Message{data: data.(t), originating_time: t, creation_time: t, sequence_id: t}
+  end
+
+  @doc "A new version of recording `name` with these streams, still open: `{writer, %{name => stream}}`."
+  def begin(root, name, streams) do
+    {:ok, writer} = Writer.create(name, root)
+
+    streams =
+      Map.new(streams, fn {stream, messages} ->
+        {:ok, written} = Writer.stream(writer, stream)
+        {:ok, written} = Writer.append(written, messages)
+        {stream, written}
+      end)
+
+    {writer, streams}
+  end
+
+  @doc "Closes what `begin/3` began."
+  def finish({writer, streams}, time \\ 1_000_000) do
+    for {_, stream} <- streams, do: {:ok, _} = Writer.close_stream(stream, time)
+    :ok = Writer.close(writer)
+  end
+
+  @doc "A server on a free port that ends with the test."
+  def serve(what, opts \\ []) do
+    {:ok, server} = Remote.serve(what, Keyword.merge([port: 0], opts))
+    on_exit(fn -> Server.close(server) end)
+    server
+  end
+
+  @doc "The address of a server."
+  def address(server, name \\ "lobby"), do: "situ://127.0.0.1:#{Server.port(server)}/#{name}"
+
+  @doc "All data of a stream of a link."
+  def received(address, name, link_opts \\ [from: :start], stream_opts \\ []) do
+    Situ.to_list(fn p ->
+      p |> Remote.open(address, link_opts) |> Remote.stream(name, stream_opts)
+    end)
+  end
+
+  @doc "Waits until `condition` holds."
+  def eventually(condition, left \\ 3_000) do
+    cond do
+      condition.() -> :ok
+      left == 0 -> raise "it did not come true"
+      true -> Process.sleep(10) && eventually(condition, left - 1)
+    end
+  end
+end
