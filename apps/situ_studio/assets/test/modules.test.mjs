@@ -9,7 +9,8 @@ const MOST_LINES = 300;
 
 async function imports() {
   const { metafile } = await build({
-    entryPoints: ["js/app.js"],
+    entryPoints: ["js/app.js", "js/space/index.js"],
+    outdir: "out",
     absWorkingDir: folder,
     alias: { situ_live: fileURLToPath(new URL("../../../situ_live/assets/js/situ_live.js", import.meta.url)) },
     bundle: true,
