@@ -269,7 +269,7 @@ defmodule Situ.Remote do
 
   @doc """
   How the link is: `connected?`, `connections` so far, `bytes` received, the other clock's `offset`, `drift` and
-  `uncertainty` (ns), `round_trip`, and for each stream `received`, `lost`, `position` ...
+  `uncertainty` (ns), `round_trip`, and for each stream whether it was `found?`, `received`, `lost`, `position` ...
   """
   @spec info(t()) :: map()
   def info(%__MODULE__{pid: pid}), do: Connection.info(pid)

@@ -293,13 +293,18 @@ defmodule Situ.Remote.Connection do
   defp event(state, id, event) do
     case state.channels do
       %{^id => channel} ->
-        send(channel.pid, {:situ_link, id, event})
+        send(channel.pid, {:situ_link, id, by_clock(event, clock(state, channel))})
         put(state, Channel.event(channel, event))
 
       _ ->
         state
     end
   end
+
+  defp by_clock({:closed, time}, clock) when clock != nil,
+    do: {:closed, ClockEstimate.to_ours(clock, time)}
+
+  defp by_clock(event, _clock), do: event
 
   defp put(state, channel), do: %{state | channels: Map.put(state.channels, channel.id, channel)}
 

@@ -64,19 +64,21 @@ defmodule Situ.Remote.Server do
   @doc "Waits until clients have everything that is there, at most `timeout` ms, and closes."
   @spec close(GenServer.server(), non_neg_integer()) :: :ok
   def close(server, timeout \\ 0) do
-    drain(server, System.monotonic_time(:millisecond) + timeout)
+    until = System.monotonic_time(:millisecond) + timeout
+    await(until, fn -> Enum.all?(sessions(server), &(asked(&1, :drained?) != [false])) end)
+    if timeout > 0, do: Enum.each(sessions(server), &asked(&1, :finish))
+    await(until, fn -> sessions(server) == [] end)
     GenServer.stop(server, :normal, 30_000)
   catch
     :exit, _ -> :ok
   end
 
-  defp drain(server, until) do
-    {sessions, _} = GenServer.call(server, :sessions)
-    waiting? = Enum.any?(sessions, &(asked(&1, :drained?) == [false]))
+  defp sessions(server), do: server |> GenServer.call(:sessions) |> elem(0)
 
-    if waiting? and System.monotonic_time(:millisecond) < until do
+  defp await(until, condition) do
+    if System.monotonic_time(:millisecond) < until and not condition.() do
       Process.sleep(5)
-      drain(server, until)
+      await(until, condition)
     end
   end
 

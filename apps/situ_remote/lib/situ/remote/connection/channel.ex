@@ -138,6 +138,6 @@ defmodule Situ.Remote.Connection.Channel do
   def info(%__MODULE__{} = channel) do
     channel
     |> Map.take([:received, :lost, :again, :ended, :under_way])
-    |> Map.put(:position, channel.taken)
+    |> Map.merge(%{position: channel.taken, found?: channel.last != nil})
   end
 end

@@ -152,6 +152,13 @@ defmodule Situ.Remote.Link.Socket do
   @spec give(t(), pid()) :: :ok | {:error, term()}
   def give({module, socket}, pid), do: module.controlling_process(socket, pid)
 
+  @doc "Sends what is still to be sent, and the end."
+  @spec finish(t()) :: :ok
+  def finish({module, socket}) do
+    _ = module.shutdown(socket, :write)
+    :ok
+  end
+
   @spec close(t()) :: :ok
   def close({module, socket}) do
     _ = module.close(socket)

@@ -65,8 +65,9 @@ defmodule Situ.Remote.Server.Pump do
       end)
   end
 
+  # Neither messages nor an end that the client has not heard of.
   defp idle?(state, channel),
-    do: not match?({:parts, _, _, _}, state.module.read(state.origin, channel.cursor))
+    do: match?({:idle, _}, state.module.read(state.origin, channel.cursor))
 
   @doc "Sends what there is, for a while: there is more, the quota asks to wait, or nothing is left to send now."
   @spec run(state()) ::

@@ -102,6 +102,13 @@ defmodule Situ.Remote.Server.Session do
 
   @impl true
   def handle_call(:drained?, _from, state), do: {:reply, Pump.drained?(state), state}
+
+  # All has been said: the client closes when it has read it. To close here could take back what is still on its way.
+  def handle_call(:finish, _from, state) do
+    if state.socket, do: Socket.finish(state.socket)
+    {:reply, :ok, %{state | paused: true}}
+  end
+
   def handle_call(:info, _from, state), do: {:reply, info(state), state}
 
   defp info(state) do

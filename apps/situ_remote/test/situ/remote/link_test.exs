@@ -1,0 +1,180 @@
+defmodule Situ.Remote.LinkTest do
+  # What a link does for a pipeline: positions, clocks, live streams.
+  use ExUnit.Case, async: true
+  import ExUnit.CaptureLog
+  import Situ.Remote.Test.Recordings
+  alias Situ.{Delivery, Pipeline, Remote, Time}
+  alias Situ.Remote.{Position, Server}
+  alias Situ.Store.Writer
+
+  setup do
+    root = folder()
+    {:ok, root: root, path: Path.join(root, "lobby")}
+  end
+
+  # A pipeline that sends what comes to the test, and its link.
+  defp follow(address, link_opts, stream_opts \\ [], more \\ fn stream, _link -> stream end) do
+    me = self()
+
+    {:ok, pipeline} =
+      Pipeline.start_link(fn p ->
+        link = Remote.open(p, address, link_opts)
+        send(me, {:link, link})
+
+        link
+        |> Remote.stream("n", stream_opts)
+        |> Situ.map(fn data -> data end)
+        |> Situ.each(&send(me, {:got, &1}))
+        |> more.(link)
+      end)
+
+    assert_receive {:link, link}
+    {pipeline, link}
+  end
+
+  defp got(range), do: for(i <- range, do: assert_receive({:got, ^i}))
+
+  test "a position is what was taken, kept in a file, and gone on from", %{root: root, path: path} do
+    {writer, %{"n" => stream}} = begin(root, "lobby", %{"n" => messages(1..10)})
+    server = serve(path)
+    position = Path.join(root, "position.json")
+    opts = [from: :resume, position: position, save_every: 10]
+    {pipeline, _} = follow(address(server), opts)
+    got(1..10)
+    eventually(fn -> Position.load(position) == {:ok, %{"n" => 10}} end)
+    {:ok, _} = Pipeline.stop(pipeline)
+
+    {:ok, stream} = Writer.append(stream, messages(11..15))
+    {pipeline, _} = follow(address(server), opts)
+    got(11..15)
+    refute_received {:got, _}
+    finish({writer, %{"n" => stream}})
+    assert {:ok, _} = Pipeline.await(pipeline)
+    eventually(fn -> Position.load(position) == {:ok, %{"n" => 15}} end)
+  end
+
+  test "what is confirmed is the position", %{root: root, path: path} do
+    open = begin(root, "lobby", %{"n" => messages(1..10)})
+    server = serve(path)
+    position = Path.join(root, "position.json")
+    opts = [from: :resume, position: position, save_every: 10]
+    few = fn stream, link -> stream |> Situ.filter(&(&1 <= 7)) |> Remote.confirm(link, "n") end
+    {pipeline, _} = follow(address(server), opts, [], few)
+    got(1..10)
+    eventually(fn -> Position.load(position) == {:ok, %{"n" => 7}} end)
+    {:ok, _} = Pipeline.stop(pipeline)
+    {pipeline, _} = follow(address(server), opts)
+    got(8..10)
+    finish(open)
+    assert {:ok, _} = Pipeline.await(pipeline)
+  end
+
+  test "a file that holds no positions is an error, not a start from the beginning", %{
+    root: root,
+    path: path
+  } do
+    finish(begin(root, "lobby", %{"n" => messages(1..3)}))
+    server = serve(path)
+    position = Path.join(root, "position.json")
+    File.write!(position, ~s({"n": "yesterday"}))
+
+    assert {:error, %{code: :bad_position}} =
+             Pipeline.run(fn p ->
+               Remote.open(p, address(server), from: :resume, position: position)
+             end)
+  end
+
+  test "the clock of a sender that is ahead is found, and its times are brought to ours", %{
+    root: root,
+    path: path
+  } do
+    ahead = Time.s(90)
+    now = Time.now()
+    times = for i <- 1..20, do: now + ahead - Time.s(1) + Time.ms(i)
+    open = begin(root, "lobby", %{"n" => messages(times)})
+    server = serve(path, now: fn -> Time.now() + ahead end)
+    # The estimate needs a round trip before the first message is brought over.
+    {pipeline, link} = follow(address(server), [from: :now], times: :local)
+    eventually(fn -> match?(%{"n" => %{found?: true}}, Remote.info(link).streams) end)
+    eventually(fn -> Remote.info(link).uncertainty != nil end)
+    info = Remote.info(link)
+    assert abs(info.offset - ahead) <= info.uncertainty + Time.ms(1)
+
+    {writer, %{"n" => stream}} = open
+    sent = Time.now()
+    {:ok, stream} = Writer.append(stream, messages([sent + ahead]))
+    assert_receive {:got, _}
+
+    finish({writer, %{"n" => stream}}, sent + ahead)
+    assert {:ok, report} = Pipeline.await(pipeline)
+    # The stream ends at its last message, by our clock.
+    assert abs(report.final_time - sent) < Time.s(60)
+  end
+
+  test "live streams: many clients, one that is late, and the end", _context do
+    me = self()
+
+    {:ok, pipeline} =
+      Pipeline.start_link(fn p ->
+        stream = Situ.event_source(p, fn post -> send(me, {:post, post}) end)
+        {:ok, server} = Remote.serve([{"n", stream}], port: 0)
+        send(me, {:server, server})
+      end)
+
+    assert_receive {:server, server}
+    assert_receive {:post, post}
+    post.(1)
+    address = "situ://127.0.0.1:#{Server.port(server)}"
+    {first, _} = follow(address, [from: :start], type: :any)
+    got([1])
+    for i <- 2..5, do: post.(i)
+    got(2..5)
+    {late, _} = follow(address, [from: :start], type: :any)
+    got(1..5)
+    {:ok, _} = Pipeline.stop(pipeline)
+    assert {:ok, _} = Pipeline.await(first)
+    assert {:ok, _} = Pipeline.await(late)
+  end
+
+  test "a quota bounds what goes out", %{root: root, path: path} do
+    finish(begin(root, "lobby", %{"n" => messages(1..2_000)}))
+    server = serve(path, quota: [{:messages_per_second, 4_000}, {:bytes_per_second, 10_000_000}])
+    started = System.monotonic_time(:millisecond)
+    assert length(received(address(server), "n")) == 2_000
+    # Half a second's worth, of which a tenth is for free; more time than that says nothing.
+    assert System.monotonic_time(:millisecond) - started >= 250
+  end
+
+  test "data of another type than was asked for are left out and counted", %{
+    root: root,
+    path: path
+  } do
+    finish(
+      begin(root, "lobby", %{
+        "n" => messages(1..6, fn t -> if rem(t, 2) == 0, do: t, else: "odd" end)
+      })
+    )
+
+    server = serve(path)
+    assert received(address(server), "n", [from: :start], type: :integer) == [2, 4, 6]
+  end
+
+  test "a server that is not there yet is waited for", %{root: root, path: path} do
+    finish(begin(root, "lobby", %{"n" => messages(1..3)}))
+    first = serve(path)
+    port = Server.port(first)
+    Server.close(first)
+
+    capture_log(fn ->
+      address = "situ://127.0.0.1:#{port}/lobby"
+
+      {pipeline, link} =
+        follow(address, [from: :start, wait: 50], type: :integer, policy: Delivery.unlimited())
+
+      assert %{connected?: false, error: %{code: :unreachable}} = Remote.info(link)
+      serve(path, port: port)
+      got(1..3)
+      assert {:ok, _} = Pipeline.await(pipeline)
+    end)
+  end
+end
