@@ -52,7 +52,7 @@ defmodule Situ.Remote.Connection do
   def subscribe(pid, wanted), do: GenServer.call(pid, {:subscribe, wanted}, 30_000)
 
   @doc "What was handed over is used up: `bytes` of it, to the originating time `last`."
-  @spec taken(pid(), Frame.channel(), non_neg_integer(), Situ.Time.t()) :: :ok
+  @spec taken(pid(), Frame.channel(), non_neg_integer(), Situ.Time.t() | nil) :: :ok
   def taken(pid, id, bytes, last), do: GenServer.cast(pid, {:taken, id, bytes, last})
 
   @doc "The position of a stream is what is confirmed of it, no longer what was handed over."

@@ -99,7 +99,7 @@ defmodule Situ.Remote.Connection.Channel do
           {:more, t()} | {:whole, binary(), t()} | {:error, String.t()}
   def part(%__MODULE__{} = channel, last?, bytes) do
     size = channel.parts_size + byte_size(bytes)
-    parts = [channel.parts | bytes]
+    parts = [channel.parts, bytes]
 
     cond do
       size > @most_message -> {:error, "a message of more than 1 GiB"}
