@@ -39,6 +39,9 @@ export async function runAll({ filter = "", times = 1, shots }) {
       "--use-angle=swiftshader",
       "--enable-unsafe-swiftshader",
       "--disable-quic",
+      // a camera and a microphone that are Chromium's own inventions, without asking
+      "--use-fake-device-for-media-stream",
+      "--use-fake-ui-for-media-stream",
       "--no-first-run",
       "--disable-background-networking",
       "--disable-component-update",

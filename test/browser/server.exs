@@ -1,6 +1,7 @@
 # Starts the studios that the browser tests visit and says where; ends with its standard input or by a signal.
 Code.require_file("fixture.exs", __DIR__)
 Code.require_file("space_fixture.exs", __DIR__)
+Code.require_file("sensor_fixture.exs", __DIR__)
 alias Situ.Studio.{History, Source}
 
 [work | _] = System.argv()
@@ -157,6 +158,10 @@ layouts = Path.join(work, "layouts")
     token: "the-very-secret-token"
   )
 
+# Two whose sensor is a page; the second takes no pictures.
+sensed = Path.join(work, "sensor.json")
+SensorFixture.start(sensed)
+
 # One that is away for as long as the tests keep a file there, and is started anew at the same address.
 {:ok, mortal} = Situ.Studio.start_link(id: "mortal", port: 0, path: folder, layouts: layouts)
 mortal_port = Situ.Studio.port(mortal)
@@ -185,6 +190,7 @@ IO.puts(
       "guarded" => Situ.Studio.url(guarded),
       "mortal" => base.(mortal),
       "away" => signal,
+      "sensor" => sensed,
       "folder" => folder,
       "zoo" => Path.join(work, "zoo.json"),
       "stop" => Path.join(work, "stop"),

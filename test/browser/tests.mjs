@@ -11,6 +11,7 @@ import "./layout_tests.mjs";
 import "./annotation_tests.mjs";
 import "./dataset_tests.mjs";
 import "./space_tests.mjs";
+import "./sensor_tests.mjs";
 import "./serving_tests.mjs";
 import "./speed_tests.mjs";
 

@@ -26,12 +26,21 @@ const space = {
   entryPoints: [{ in: "js/space/index.js", out: "space" }],
   format: "esm",
 };
+// The page that is a sensor, and its part in the audio thread.
+const sensor = {
+  ...options,
+  entryPoints: [
+    { in: "js/sensor/index.js", out: "sensor" },
+    { in: "js/sensor/worklet.js", out: "sensor-worklet" },
+  ],
+  format: "esm",
+};
 for (const f of ["favicon.svg", "theme.js"]) copyFileSync(new URL("css/" + f, import.meta.url).pathname, out + f);
 
 if (process.argv.includes("--watch")) {
-  for (const o of [options, space]) await (await esbuild.context(o)).watch();
+  for (const o of [options, space, sensor]) await (await esbuild.context(o)).watch();
 } else {
-  await Promise.all([esbuild.build(options), esbuild.build(space)]);
-  for (const f of ["studio.js", "studio.css", "theme.js", "space.js"])
+  await Promise.all([esbuild.build(options), esbuild.build(space), esbuild.build(sensor)]);
+  for (const f of ["studio.js", "studio.css", "theme.js", "space.js", "sensor.js", "sensor-worklet.js"])
     writeFileSync(out + f + ".gz", gzipSync(readFileSync(out + f), { level: 9 }));
 }

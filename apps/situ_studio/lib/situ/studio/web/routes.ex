@@ -2,7 +2,16 @@ defmodule Situ.Studio.Web.Routes do
   @moduledoc false
   # The addresses of a studio.
   alias Situ.Studio.PipelineView
-  alias Situ.Studio.Web.{DataHandler, DataHttp, DatasetView, HomeView, MainView}
+
+  alias Situ.Studio.Web.{
+    DataHandler,
+    DataHttp,
+    DatasetView,
+    HomeView,
+    MainView,
+    SensorHandler,
+    SensorPage
+  }
 
   @spec all(String.t()) :: [tuple()]
   def all(studio) do
@@ -15,6 +24,8 @@ defmodule Situ.Studio.Web.Routes do
       {:live, "/p/*id", PipelineView, session: session},
       {:static, "/assets", {:situ_studio, "priv/static"}},
       {:socket, "/data/socket", DataHandler, studio, max_frame: 262_144},
+      {:get, "/sensor", {SensorPage, studio}},
+      {:socket, "/sensor/socket", SensorHandler, studio, max_frame: 2_097_152},
       {:get, "/data/window", {DataHttp, {studio, :window}}},
       {:get, "/data/at", {DataHttp, {studio, :at}}},
       {:get, "/data/pcm", {DataHttp, {studio, :pcm}}},

@@ -1,0 +1,44 @@
+// Sound of the microphone as 16-bit samples, in pieces of 20 ms, each at the time of its end.
+import { now } from "./clock.js";
+
+const HEAD = 16;
+
+export class Sound {
+  static async start(stream, socket, state) {
+    const context = new AudioContext();
+    await context.audioWorklet.addModule("/assets/sensor-worklet.js");
+    const source = context.createMediaStreamSource(new MediaStream(stream.getAudioTracks()));
+    const node = new AudioWorkletNode(context, "situ-pieces", { numberOfOutputs: 0 });
+    source.connect(node);
+    return new Sound(context, node, socket, state);
+  }
+
+  constructor(context, node, socket, state) {
+    Object.assign(this, { context, socket, state, began: null, frames: 0 });
+    node.port.onmessage = ({ data }) => this.piece(data);
+  }
+
+  piece(samples) {
+    const rate = this.context.sampleRate;
+    this.frames += samples.length;
+    const length = (this.frames / rate) * 1000;
+    // Messages come now and then; frames come evenly. The one corrects the other slowly, and at once after a hole.
+    const off = this.began === null ? Infinity : now() - (this.began + length);
+    if (Math.abs(off) > 500) this.began = now() - length;
+    else this.began += off * 0.01;
+    if (this.state.offset === null || this.socket.readyState !== 1) return;
+    const bytes = new ArrayBuffer(HEAD + samples.length * 2);
+    const view = new DataView(bytes);
+    view.setUint8(0, 2);
+    view.setUint32(4, rate, true);
+    view.setFloat64(8, this.began + length, true);
+    for (let i = 0; i < samples.length; i++)
+      view.setInt16(HEAD + 2 * i, Math.max(-1, Math.min(1, samples[i])) * 32767, true);
+    this.socket.send(bytes);
+    this.state.heard += samples.length;
+  }
+
+  stop() {
+    this.context.close();
+  }
+}

@@ -1,0 +1,39 @@
+defmodule Situ.Studio.Sensor.Speaker do
+  @moduledoc """
+  Plays sound in the page of a sensor (`Situ.Studio.Sensor`).
+
+      Situ.Studio.Sensor.Speaker.play(assistant.sound, page: "phone")
+
+  Sound is played as it comes; without a page it is nobody's. A page that does not take it loses it.
+  """
+  use Situ.Component,
+    inputs: [in: Situ.AudioBuffer],
+    options: [page: [type: :string, default: "page", doc: "The sensor's name."]]
+
+  alias Situ.Sound
+
+  # More than that a page that reads has not left lying.
+  @most 100
+
+  @doc "Connects the speaker to `stream`; returns `stream`."
+  @spec play(Situ.Stream.t(), keyword()) :: Situ.Stream.t()
+  def play(stream, opts \\ []) do
+    Situ.via(stream, __MODULE__, opts)
+    stream
+  end
+
+  @impl true
+  def init(opts), do: {:ok, opts[:page]}
+
+  @impl true
+  def handle_message(:in, %{data: buffer}, _context, name) do
+    with [{pid, _}] <- Registry.lookup(Situ.Studio.Registry, {:sensor_page, name}),
+         {:message_queue_len, waiting} when waiting < @most <-
+           Process.info(pid, :message_queue_len) do
+      mono = Sound.reformat!(buffer, channels: 1, sample: :s16)
+      send(pid, {:play, mono.format.rate, mono.data})
+    end
+
+    {[], name}
+  end
+end

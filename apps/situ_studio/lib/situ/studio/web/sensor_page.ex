@@ -1,0 +1,38 @@
+defmodule Situ.Studio.Web.SensorPage do
+  @moduledoc false
+  # The page that is a camera and a microphone: it needs no view on the server, only its script.
+  alias Situ.Live.{Request, Response}
+
+  @csp "default-src 'self'; connect-src 'self' ws: wss:; media-src 'self' blob:; frame-ancestors 'none'"
+
+  @html """
+  <!doctype html>
+  <html lang="en">
+    <head>
+      <meta charset="utf-8">
+      <meta name="viewport" content="width=device-width, initial-scale=1">
+      <title>Sensor - Situ Studio</title>
+      <link rel="icon" href="/assets/favicon.svg">
+      <link rel="stylesheet" href="/assets/studio.css">
+      <script src="/assets/theme.js"></script>
+      <script type="module" src="/assets/sensor.js"></script>
+    </head>
+    <body>
+      <main class="message">
+        <h1>This page is a sensor</h1>
+        <p>Its camera and microphone go to the pipeline that waits for them, as long as it is open.</p>
+        <p><label>Camera <select id="camera"></select></label>
+           <label>Microphone <select id="microphone"></select></label></p>
+        <p><button class="btn" id="start" type="button">Start</button>
+           <button class="btn" id="stop" type="button" hidden>Stop</button></p>
+        <p id="status" role="status">Not started.</p>
+        <video id="preview" muted playsinline width="480"></video>
+      </main>
+    </body>
+  </html>
+  """
+
+  @spec call(Request.t(), term()) :: Response.t()
+  def call(%Request{}, _studio),
+    do: @html |> Response.html() |> Response.put_header("content-security-policy", @csp)
+end
