@@ -1,4 +1,4 @@
-// The page that is a camera and a microphone, with the browser's own false devices: a green picture with a clock, beeps.
+// The page that is a camera and a microphone, with the browser's own false devices: a green picture, and beeps.
 import { readFileSync } from "node:fs";
 import { test, ok, near, until } from "./harness.mjs";
 
