@@ -51,7 +51,8 @@ export async function runAll({ filter = "", times = 1, shots }) {
   });
   let passed = 0,
     failed = 0;
-  const wanted = tests.filter(({ name }) => name.includes(filter));
+  const words = filter.split("|");
+  const wanted = tests.filter(({ name }) => words.some((w) => name.includes(w)));
   for (const { name, run } of wanted.flatMap((t) => Array(times).fill(t))) {
     const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: "dark" });
     const page = await context.newPage();

@@ -12,6 +12,8 @@ import "./annotation_tests.mjs";
 import "./dataset_tests.mjs";
 import "./space_tests.mjs";
 import "./sensor_tests.mjs";
+import "./work_tests.mjs";
+import "./access_tests.mjs";
 import "./serving_tests.mjs";
 import "./speed_tests.mjs";
 

@@ -28,6 +28,8 @@ function page() {
     dataUrl: `${ws}//${location.host}${d.base}/data/socket?${q}`,
     pcmUrl: `${d.base}/data/pcm?${q}`,
     stepUrl: `${d.base}/data/step?${q}`,
+    source: d.source,
+    base: d.base,
     layout: d.layout,
     edit: d.edit,
     annotate: d.annotate,
@@ -51,6 +53,12 @@ const hooks = {
       this.handleEvent("statistics", ({ rows }) => {
         const { sel } = app.time.get();
         showStatistics(rows, (sel[1] ?? 0) - (sel[0] ?? 0));
+      });
+      this.handleEvent("select_times", (times) => {
+        const [from, to] = [times.from, times.to].map((t) => app.client.rel(BigInt(t)));
+        app.time.dispatch({ type: "select", from, to });
+        app.time.dispatch({ type: "nudge", by: from - app.time.get().cursor });
+        if (to > from) app.time.dispatch({ type: "zoomSel" });
       });
       this.handleEvent("zoom_to", ({ from, to }) => {
         app.time.dispatch({ type: "view", from: app.client.rel(BigInt(from)), to: app.client.rel(BigInt(to)) });

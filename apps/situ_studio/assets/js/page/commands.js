@@ -1,5 +1,6 @@
 // What toolbar, keys and palette do beyond the time (`keys.js` names them): each a function of the page.
 
+import { annotator } from "../annotation/annotator.js";
 import { openGoto, openHelp } from "./dialogs.js";
 import { setTheme } from "./theme.js";
 import { iso } from "../time/text.js";
@@ -15,6 +16,24 @@ export const commands = {
   right: (app) => toggleSide(app, "right"),
 
   annotate: (app) => (app.annotation ? app.annotation.el.focus() : app.options.push?.("annotation_dialog", {})),
+  find: (app) => app.options.push?.("query_open", {}),
+
+  // A comment stays with the recording, as an annotation of the stream Markers.
+  marker(app) {
+    if (app.client.origin === null) return;
+    const { sel, cursor } = app.time.get();
+    const both = sel[0] != null && sel[1] != null;
+    const text = prompt(both ? "Comment on the selection" : "Comment on this time")?.trim();
+    if (!text) return;
+    const [from, to] = both ? sel : [cursor, cursor];
+    app.options.push?.("annotation_marker", {
+      from: app.client.abs(from),
+      to: app.client.abs(to),
+      text,
+      by: annotator(),
+    });
+  },
+
   undo: (app) => app.options.push?.("undo", {}),
   redo: (app) => app.options.push?.("redo", {}),
   beside: (app) => app.options.push?.("beside", {}),

@@ -35,6 +35,8 @@ export const KEYS = [
   [",", "Half speed", "slower"],
   [".", "Double speed", "faster"],
   ["a", "Annotate the recording", "annotate"],
+  ["k", "Comment on the selection, or on the cursor", "marker"],
+  ["f", "Find the times where an expression is true", "find"],
   ["l", "Live on or off", "live"],
   ["n", "Cursor to the next change, of the snapped stream or the selected panel", "nextChange"],
   ["N", "Cursor to the change before", "previousChange"],

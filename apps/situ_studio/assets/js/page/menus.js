@@ -64,6 +64,7 @@ function panelItems(app, panel, legend, event) {
         disabled: sel[0] == null || sel[1] == null,
         run: () => push("statistics", { from: app.client.abs(sel[0]), to: app.client.abs(sel[1]) }),
       },
+      ...downloads(app, body, vis),
       "-",
     );
   }
@@ -101,6 +102,27 @@ function timeItems(app, t) {
     },
     { text: "View everything", hint: "Ctrl+A", run: go({ type: "zoomAll" }) },
     { text: "Save the selection as a recording", hint: "Ctrl+E", run: () => app.act("export"), disabled: !both },
+  ];
+}
+
+// Of the selection, or of the view where there is none.
+function downloads(app, body, vis) {
+  const { sel, view, data } = app.time.get();
+  const both = sel[0] != null && sel[1] != null;
+  const [from, to] = both ? sel : [Math.max(view[0], data[0]), Math.min(view[1], data[1])];
+  const part = both ? "selection" : "view";
+  const get = (what, more) => () => {
+    const q = new URLSearchParams({ source: app.options.source, from: app.client.abs(from), to: app.client.abs(to) });
+    for (const [k, v] of Object.entries(more)) q.set(k, v);
+    const a = document.createElement("a");
+    Object.assign(a, { href: `${app.options.base}/data/${what}?${q}`, download: `${part}.${what}` });
+    a.click();
+  };
+  const streams = JSON.stringify([...new Set(vis.map((v) => v.stream))]);
+  const sound = vis.find((v) => v.draw === "waveform");
+  return [
+    { text: `Download the ${part} as CSV`, run: get("csv", { streams }) },
+    ...(sound ? [{ text: `Download the ${part} as WAV`, run: get("wav", { stream: sound.stream }) }] : []),
   ];
 }
 

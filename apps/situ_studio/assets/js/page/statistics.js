@@ -46,7 +46,36 @@ export function showStatistics(rows, length) {
         "td",
       );
   }
+  for (const r of rows) if (r.histogram) dialog.appendChild(histogram(r));
   dialog.addEventListener("close", () => dialog.remove());
   dialog.addEventListener("click", (e) => e.target === dialog && dialog.close());
   dialog.showModal();
+}
+
+const SVG = "http://www.w3.org/2000/svg";
+
+// A bar for each step from the least to the greatest, as high as there are messages.
+function histogram({ name, histogram: { from, to, counts } }) {
+  const figure = document.createElement("figure");
+  const most = Math.max(...counts);
+  const svg = figure.appendChild(document.createElementNS(SVG, "svg"));
+  svg.setAttribute("viewBox", `0 0 ${counts.length * 8} 60`);
+  svg.setAttribute("role", "img");
+  svg.setAttribute("aria-label", `Histogram of ${name} from ${number(from, 4)} to ${number(to, 4)}`);
+  counts.forEach((n, i) => {
+    const bar = svg.appendChild(document.createElementNS(SVG, "rect"));
+    const h = (n / most) * 58;
+    for (const [k, v] of [
+      ["x", i * 8],
+      ["y", 60 - h],
+      ["width", 7],
+      ["height", h],
+    ])
+      bar.setAttribute(k, v);
+    bar.appendChild(document.createElementNS(SVG, "title")).textContent = String(n);
+  });
+  const caption = figure.appendChild(document.createElement("figcaption"));
+  for (const text of [number(from, 4), name, number(to, 4)])
+    caption.appendChild(document.createElement("span")).textContent = text;
+  return figure;
 }

@@ -33,7 +33,13 @@ defmodule Situ.Studio.Statistics do
     with {:ok, path} <- Path.parse(vis.path),
          {:ok, messages, all?} <- Messages.within(source, vis.stream, from, to) do
       values = for {name, value} <- of(messages, path), do: [name, value]
-      %{name: vis.stream <> vis.path, all: all?, values: values}
+
+      %{
+        name: vis.stream <> vis.path,
+        all: all?,
+        values: values,
+        histogram: messages |> numbers(path) |> histogram()
+      }
     else
       {:error, error} -> %{name: vis.stream, error: error.what, values: []}
     end
@@ -44,13 +50,38 @@ defmodule Situ.Studio.Statistics do
   def of(messages, path) do
     times = Enum.map(messages, & &1.originating_time)
 
-    values =
-      for m <- messages,
-          {:ok, value} <- [Path.fetch(m.data, path)],
-          {:ok, number} <- [Bins.number(value)],
-          do: number
+    [{"n", length(messages)}] ++ pace(times) ++ spread(numbers(messages, path))
+  end
 
-    [{"n", length(messages)}] ++ pace(times) ++ spread(values)
+  defp numbers(messages, path) do
+    for m <- messages,
+        {:ok, value} <- [Path.fetch(m.data, path)],
+        {:ok, number} <- [Bins.number(value)],
+        do: number
+  end
+
+  @doc """
+  How often numbers fall into each of so many equal steps from the least to the greatest; `nil` where they are all
+  one.
+
+      iex> Situ.Studio.Statistics.histogram([0, 1, 1, 4], 4)
+      %{from: 0, to: 4, counts: [1, 2, 0, 1]}
+      iex> Situ.Studio.Statistics.histogram([1, 1])
+      nil
+  """
+  @spec histogram([number()], pos_integer()) ::
+          %{from: number(), to: number(), counts: [non_neg_integer()]} | nil
+  def histogram(values, steps \\ 40)
+  def histogram([], _steps), do: nil
+
+  def histogram(values, steps) do
+    {least, greatest} = Enum.min_max(values)
+
+    if greatest > least do
+      width = (greatest - least) / steps
+      counts = Enum.frequencies_by(values, &min(trunc((&1 - least) / width), steps - 1))
+      %{from: least, to: greatest, counts: for(i <- 0..(steps - 1), do: Map.get(counts, i, 0))}
+    end
   end
 
   defp pace([first, _ | _] = times) do

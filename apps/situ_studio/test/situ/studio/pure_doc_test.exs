@@ -31,6 +31,8 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Annotating.Shelf
   doctest Situ.Studio.Annotating.SchemaForm
   doctest Situ.Studio.Annotating.Comparison
+  doctest Situ.Studio.Finding
+  doctest Situ.Studio.Table
   doctest Situ.Studio.Source.Session
   doctest Situ.Studio.Datasets.Place
   doctest Situ.Studio.Datasets.Facts

@@ -15,7 +15,7 @@ defmodule Situ.Studio.PipelineView.Page do
     <div class="studio pipeline" id="pipeline" data-selected={@selected}>
       <header class="topbar">
         <a class="brand" href="/" title="All recordings"><.logo /><span>Situ</span></a>
-        <a class="where" href={Address.of(@id)} title="Its streams">{@id}</a>
+        <h1 class="where"><a href={Address.of(@id)} title="Its streams">{@id}</a></h1>
         <span class="sep"></span>
         <span class={["state", @snapshot.state]}>{@snapshot.state}</span>
         <span class="dim">{round(@snapshot.progress * 100)} %</span>

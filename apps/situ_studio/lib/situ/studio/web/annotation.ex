@@ -104,6 +104,22 @@ defmodule Situ.Studio.Web.Annotation do
     end
   end
 
+  # A comment on a time or a range: a stream of texts like any other. Where two overlap the later is a row below.
+  defp event("annotation_marker", %{"from" => from, "to" => to, "text" => text} = params, socket)
+       when is_binary(text) do
+    %{studio: studio, item: %{path: path}} = socket.assigns
+    {:ok, schema} = Annotating.schema("Markers", "")
+    values = %{"Markers" => String.slice(text, 0, 500)}
+    add = Map.merge(%{"do" => "add", "from" => from, "to" => to, "values" => values}, by(params))
+
+    with {:ok, editor} <- Annotating.open(studio, path, "Markers", schema),
+         :ok <- row(editor, add, 1) do
+      open(socket, "Markers", nil)
+    else
+      {:error, error} -> toast(socket, Exception.message(error))
+    end
+  end
+
   defp event("annotation_streams", _, %{assigns: %{annotation: %{stream: mine}}} = socket) do
     others = Shelf.streams(socket.assigns.item.path) -- [mine]
     push_event(socket, "annotation_streams", %{streams: others})
@@ -151,6 +167,15 @@ defmodule Situ.Studio.Web.Annotation do
 
   defp event(_, _, socket), do: socket
 
+  defp by(params), do: Map.take(params, ["by"])
+
+  defp row(editor, add, n) do
+    case Annotating.edit(editor, Map.put(add, "track", "#{n}")) do
+      {:error, %{code: :overlap}} when n < 20 -> row(editor, add, n + 1)
+      result -> result
+    end
+  end
+
   defp schema("box", name, _), do: {:ok, Annotating.spatial(name, :box)}
   defp schema("point", name, _), do: {:ok, Annotating.spatial(name, :point)}
   defp schema(_, name, values), do: Annotating.schema(name, values)
@@ -197,6 +222,10 @@ defmodule Situ.Studio.Web.Annotation do
   defp closed(rows, end_) do
     for {a, b, label, class, lane} <- rows, do: {a, b || end_, label, class, lane}
   end
+
+  @doc "Opens a stream of annotations that there is."
+  @spec show(Socket.t(), String.t()) :: Socket.t()
+  def show(socket, stream), do: open(socket, stream, nil)
 
   defp open(socket, stream, schema) do
     case Annotating.open(socket.assigns.studio, socket.assigns.item.path, stream, schema) do

@@ -26,12 +26,14 @@ defmodule Situ.Studio.Web.Chrome do
   @spec failure(map()) :: Situ.Live.Rendered.t()
   def failure(assigns) do
     ~H"""
-    <div class="message" role="alert">
-      <h1>{@error.what}</h1>
-      <p :if={@error.why}>{@error.why}</p>
-      <p :if={@error.fix}>{@error.fix}</p>
+    <main class="message">
+      <div role="alert">
+        <h1>{@error.what}</h1>
+        <p :if={@error.why}>{@error.why}</p>
+        <p :if={@error.fix}>{@error.fix}</p>
+      </div>
       <p><a class="btn" href="/">All recordings</a></p>
-    </div>
+    </main>
     """
   end
 
@@ -66,7 +68,7 @@ defmodule Situ.Studio.Web.Chrome do
     ~H"""
     <header class="topbar">
       <a class="brand" href="/" title="All recordings"><.logo /><span>Situ</span></a>
-      <span class="where" title={@title}>{@title}</span>
+      <h1 class="where" title={@title}>{@title}</h1>
       <span class="sep"></span>
       <div id="toolbar" phx-update="ignore" style="display: contents">
         <.play />
@@ -159,7 +161,7 @@ defmodule Situ.Studio.Web.Chrome do
           <div class="error" role="alert"></div>
         </form>
       </dialog>
-      <dialog id="help" aria-label="Keys"><h3>Keys</h3><dl></dl>
+      <dialog id="help" aria-label="Keys"><h3>Keys</h3><dl tabindex="0"></dl>
         <p
             class="hint">
           Mouse on a timeline: move = cursor, drag = pan, wheel = zoom, Shift+drag = select,

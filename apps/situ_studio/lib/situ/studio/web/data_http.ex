@@ -4,6 +4,9 @@ defmodule Situ.Studio.Web.DataHttp do
   alias Situ.Live.{Request, Response}
   alias Situ.Studio.{Catalog, Draw, Frame, Path, Sound, Source, Visualizers, WholeNumber}
 
+  # An hour of sound in one file.
+  @longest_wav 3_600_000_000_000
+
   @spec call(Request.t(), {String.t(), atom()}) :: Response.t()
   def call(%Request{query: query}, {studio, what}) do
     with {:ok, _item, source} <- Catalog.open(studio, query["source"]),
@@ -79,6 +82,30 @@ defmodule Situ.Studio.Web.DataHttp do
     end
   end
 
+  defp answer(:csv, query, source, _extent) do
+    with {:ok, from} <- WholeNumber.parse(query["from"]),
+         {:ok, to} when to >= from <- WholeNumber.parse(query["to"]),
+         {:ok, [_ | _] = streams} <- Situ.JSON.decode(text(query["streams"])),
+         true <- Enum.all?(streams, &is_binary/1) do
+      body = {:chunks, Situ.Studio.Table.csv(source, streams, from, to)}
+      file("text/csv; charset=utf-8", "csv", body)
+    else
+      _ -> bad()
+    end
+  end
+
+  defp answer(:wav, query, source, _extent) do
+    with {:ok, from} <- WholeNumber.parse(query["from"]),
+         {:ok, to} when to > from and to - from <= @longest_wav <- WholeNumber.parse(query["to"]) do
+      case Situ.Studio.Table.wav(source, text(query["stream"]), from, to) do
+        {:ok, data} -> file("audio/wav", "wav", data)
+        {:error, error} -> Response.error(422, error.what)
+      end
+    else
+      _ -> bad()
+    end
+  end
+
   # A recording that is over looks the same for a while.
   defp answer(:thumbnail, _query, source, extent) do
     case Situ.Studio.Thumbnail.of(source) do
@@ -90,6 +117,16 @@ defmodule Situ.Studio.Web.DataHttp do
       :none ->
         Response.error(404, "there is nothing to picture")
     end
+  end
+
+  defp file(type, ending, body) do
+    headers = [
+      {"content-type", type},
+      {"content-disposition", "attachment; filename=\"selection.#{ending}\""},
+      {"cache-control", "no-store"}
+    ]
+
+    %Response{headers: headers, body: body}
   end
 
   defp reply(frames, extent, time) do

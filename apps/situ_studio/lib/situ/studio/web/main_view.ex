@@ -28,6 +28,7 @@ defmodule Situ.Studio.Web.MainView do
     ExportDialog,
     LayoutMenu,
     Panels,
+    QueryPanel,
     Side
   }
 
@@ -58,6 +59,7 @@ defmodule Situ.Studio.Web.MainView do
         snap: nil,
         maximised: nil,
         annotation: nil,
+        query_panel: nil,
         undo: [],
         redo: [],
         info: :rate,
@@ -234,6 +236,9 @@ defmodule Situ.Studio.Web.MainView do
       when is_map_key(socket.assigns, :item),
       do: Annotation.handle_event(event, params, socket)
 
+  def handle_event("query_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
+    do: {:noreply, QueryPanel.handle_event(event, params, socket)}
+
   def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
 
   def handle_event(event, params, socket) when is_map_key(socket.assigns, :layout) do
@@ -261,6 +266,9 @@ defmodule Situ.Studio.Web.MainView do
     Catalog.look_again(socket.assigns.studio)
     {:noreply, result |> ExportDialog.done(socket) |> load_streams()}
   end
+
+  def handle_info({:found, run, result}, socket),
+    do: {:noreply, QueryPanel.found(socket, run, result)}
 
   def handle_info({:situ_annotation, _, _}, socket), do: {:noreply, Annotation.tell(socket)}
 
@@ -320,6 +328,8 @@ defmodule Situ.Studio.Web.MainView do
           annotation={@annotation && @annotation.stream} streams={length(@infos)} />
       </main>
       <Side.right stream={@stream} panel={@panel} known={@known} snap={@snap} />
+      <QueryPanel.panel :if={@query_panel} panel={@query_panel} from={begun(assigns)}
+          annotate={Annotation.offered?(assigns)} />
       <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} snap={@snap} />
       <Annotation.dialog :if={match?({:annotation, _}, @dialog)} streams={elem(@dialog, 1)} />
       <Annotation.schema_dialog :if={match?({:schema, _, _}, @dialog)} dialog={@dialog} />
@@ -352,6 +362,14 @@ defmodule Situ.Studio.Web.MainView do
   end
 
   defp cut(rows), do: {Enum.take(rows, @max_rows), max(length(rows) - @max_rows, 0)}
+
+  # The beginning of the data, from which the page counts.
+  defp begun(assigns) do
+    case Source.call(assigns.source, :extent, []) do
+      {:ok, extent} -> extent.from
+      {:error, _} -> 0
+    end
+  end
 
   defp selected_stream(%{selected: {:stream, name}, infos: streams}),
     do: Enum.find(streams, &(&1.name == name))

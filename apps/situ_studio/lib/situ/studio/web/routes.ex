@@ -30,6 +30,8 @@ defmodule Situ.Studio.Web.Routes do
       {:get, "/data/at", {DataHttp, {studio, :at}}},
       {:get, "/data/pcm", {DataHttp, {studio, :pcm}}},
       {:get, "/data/step", {DataHttp, {studio, :step}}},
+      {:get, "/data/csv", {DataHttp, {studio, :csv}}},
+      {:get, "/data/wav", {DataHttp, {studio, :wav}}},
       {:get, "/data/thumbnail", {DataHttp, {studio, :thumbnail}}}
     ]
   end

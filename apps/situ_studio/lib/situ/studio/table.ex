@@ -1,0 +1,102 @@
+defmodule Situ.Studio.Table do
+  @moduledoc """
+  Messages of streams as rows of CSV (RFC 4180), and sound as a WAV file: what people take out of a selection.
+
+      iex> message = %Situ.Message{data: "say \\"hi\\"", originating_time: 1_500_000_000, creation_time: 1_500_000_000}
+      iex> Situ.Studio.Table.row("Speech", message)
+      ~s(1500000000,1970-01-01T00:00:01.500000000Z,Speech,"say ""hi\"""\\r\\n)
+  """
+  alias Situ.Studio.{Sound, Source}
+
+  # Read in pages, so that memory does not grow with what is asked for.
+  @page 2_000
+  @stretch 10_000_000_000
+
+  @doc "The rows of streams between two times, a header first, as chunks of text."
+  @spec csv(Source.t(), [String.t()], Situ.Time.t(), Situ.Time.t()) :: Enumerable.t()
+  def csv(source, streams, from, to) do
+    rows = Stream.flat_map(streams, &pages(source, &1, from, to))
+    Stream.concat(["time_ns,time,stream,value\r\n"], rows)
+  end
+
+  defp pages(source, stream, from, to) do
+    Stream.unfold(from, fn
+      nil ->
+        nil
+
+      at ->
+        case Source.call(source, :messages, [stream, at, to, @page]) do
+          {:ok, messages, more} -> {rows(stream, messages), next(messages, more)}
+          {:error, _} -> nil
+        end
+    end)
+  end
+
+  defp next([_ | _] = messages, :more), do: List.last(messages).originating_time + 1
+  defp next(_, _), do: nil
+
+  defp rows(stream, messages), do: messages |> Enum.map(&row(stream, &1)) |> IO.iodata_to_binary()
+
+  @doc "One row: time in ns and as a date, stream, value. What is no number or text is JSON, or its size."
+  @spec row(String.t(), Situ.Message.t()) :: String.t()
+  def row(stream, %Situ.Message{originating_time: time, data: data}) do
+    fields = [Integer.to_string(time), Situ.Time.to_iso8601(time), stream, value(data)]
+    Enum.map_join(fields, ",", &field/1) <> "\r\n"
+  end
+
+  defp value(data) when is_number(data), do: to_string(data)
+  defp value(data) when is_boolean(data), do: to_string(data)
+  defp value(nil), do: ""
+  defp value(data) when is_atom(data), do: Atom.to_string(data)
+  defp value(data) when is_binary(data), do: if(String.valid?(data), do: data, else: size(data))
+
+  defp value(data) do
+    Situ.JSON.encode(data)
+  rescue
+    # pictures, sound and the like have no place in a table
+    _ -> inspect(data, limit: 20, printable_limit: 200)
+  end
+
+  defp size(data), do: "#{byte_size(data)} bytes"
+
+  # A text that a table program would run as a formula is quoted by an apostrophe; numbers stay numbers.
+  defp field(<<c, _::binary>> = text) when c in '=+-@' do
+    if match?({_, ""}, Float.parse(text)), do: text, else: quoted("'" <> text)
+  end
+
+  defp field(text),
+    do: if(String.contains?(text, [",", "\"", "\r", "\n"]), do: quoted(text), else: text)
+
+  defp quoted(text), do: "\"" <> String.replace(text, "\"", "\"\"") <> "\""
+
+  @doc "A stream of sound between two times as a WAV file of 32-bit floats, its first channel."
+  @spec wav(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t()) ::
+          {:ok, iodata()} | {:error, Situ.Error.t()}
+  def wav(source, stream, from, to) do
+    stretches(from, to)
+    |> Enum.reduce_while({:ok, nil, []}, fn {a, b}, {:ok, rate, parts} ->
+      case Sound.samples(source, stream, a, b, 0) do
+        {:ok, {_, found, samples}} -> {:cont, {:ok, rate(rate, found, samples), [parts, samples]}}
+        error -> {:halt, error}
+      end
+    end)
+    |> case do
+      {:ok, rate, parts} when rate != nil -> {:ok, [header(rate, IO.iodata_length(parts)), parts]}
+      {:ok, nil, _} -> {:error, Situ.Error.new(:silent, "there is no sound between these times")}
+      error -> error
+    end
+  end
+
+  defp rate(rate, _found, ""), do: rate
+  defp rate(rate, found, _), do: rate || found
+
+  defp stretches(from, to),
+    do: for(a <- from..(to - 1)//@stretch, do: {a, min(a + @stretch, to)})
+
+  # Microsoft, RIFF WAVE: format 3 is IEEE float.
+  defp header(rate, bytes) do
+    <<"RIFF", 50 + bytes::little-32, "WAVE", "fmt ", 18::little-32, 3::little-16, 1::little-16,
+      rate::little-32, 4 * rate::little-32, 4::little-16, 32::little-16, 0::little-16, "fact",
+      4::little-32, div(bytes, 4)::little-32, "data", bytes::little-32>>
+  end
+end

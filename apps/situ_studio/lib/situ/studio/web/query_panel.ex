@@ -1,0 +1,144 @@
+defmodule Situ.Studio.Web.QueryPanel do
+  @moduledoc false
+  # "Find the times where": the field, what was found, and what is done with it.
+  use Situ.Live.Component
+  import Situ.Live.Socket, only: [assign: 2, push_event: 3]
+  import Situ.Studio.Web.Icons
+
+  alias Situ.Live.Socket
+  alias Situ.Studio.{Annotating, Finding, WholeNumber}
+
+  # So many are listed; all become annotations.
+  @listed 200
+
+  @doc "Whether there is something on disk to look through."
+  @spec offered?(map()) :: boolean()
+  def offered?(%{item: item}), do: Finding.parts(item) != []
+  def offered?(_), do: false
+
+  @spec handle_event(String.t(), map(), Socket.t()) :: Socket.t()
+  def handle_event("query_open", _, socket) do
+    if offered?(socket.assigns),
+      do: assign(socket, query_panel: socket.assigns.query_panel || new()),
+      else: toast(socket, "Only recordings on disk can be looked through")
+  end
+
+  def handle_event("query_close", _, socket), do: assign(socket, query_panel: nil)
+
+  def handle_event(
+        "query_run",
+        %{"text" => text},
+        %{assigns: %{query_panel: %{} = panel}} = socket
+      )
+      when is_binary(text) do
+    text = String.slice(text, 0, 1_000)
+    parts = Finding.parts(socket.assigns.item)
+    page = self()
+    run = make_ref()
+
+    # the page goes on meanwhile, and an answer to an earlier question is dropped
+    Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
+      send(page, {:found, run, Finding.run(parts, text)})
+    end)
+
+    assign(socket, query_panel: %{panel | text: text, run: run, found: nil, error: nil})
+  end
+
+  def handle_event("query_go", %{"from" => from, "to" => to}, socket) do
+    with {:ok, _} <- WholeNumber.parse(from), {:ok, _} <- WholeNumber.parse(to) do
+      push_event(socket, "select_times", %{from: from, to: to})
+    else
+      :error -> socket
+    end
+  end
+
+  def handle_event(
+        "query_annotate",
+        _,
+        %{assigns: %{query_panel: %{found: %{}} = panel}} = socket
+      ) do
+    %{studio: studio, item: item, read_only: read_only} = socket.assigns
+    {:ok, schema} = Annotating.schema("Query", "")
+
+    with true <- (item.kind == :store and not read_only) or {:error, refused()},
+         {:ok, editor} <- Annotating.open(studio, item.path, "Query", schema),
+         rows = for({from, to} <- panel.found.intervals, do: {from, to, "", "span", panel.text}),
+         :ok <- Annotating.propose(editor, rows, "query") do
+      Situ.Studio.Web.Annotation.show(socket, "Query")
+    else
+      {:error, error} -> toast(socket, Exception.message(error))
+    end
+  end
+
+  def handle_event(_, _, socket), do: socket
+
+  defp refused do
+    Situ.Error.new(
+      :not_annotated,
+      "only a recording on disk can be annotated, where the studio may write"
+    )
+  end
+
+  @doc "What was found, when it is the answer to the last question."
+  @spec found(Socket.t(), reference(), term()) :: Socket.t()
+  def found(%{assigns: %{query_panel: %{run: run} = panel}} = socket, run, {:ok, found}),
+    do: assign(socket, query_panel: %{panel | found: found, run: nil})
+
+  def found(%{assigns: %{query_panel: %{run: run} = panel}} = socket, run, {:error, error}),
+    do: assign(socket, query_panel: %{panel | error: Exception.message(error), run: nil})
+
+  def found(socket, _run, _result), do: socket
+
+  defp new, do: %{text: "", run: nil, found: nil, error: nil}
+  defp toast(socket, text), do: push_event(socket, "toast", %{text: text})
+
+  attr(:panel, :map, required: true)
+  attr(:from, :integer, required: true)
+  attr(:annotate, :boolean, required: true)
+
+  @doc false
+  def panel(assigns) do
+    ~H"""
+    <section class="query" aria-label="Find times">
+      <div class="side-title">Find the times where<button class="mini" type="button" phx-click="query_close"
+          aria-label="Close"><.icon name={:close} /></button></div>
+      <form id="query" phx-submit="query_run">
+        <textarea id="query-text" phx-hook="Enter" name="text" rows="2" aria-label="Expression" spellcheck="false"
+            placeholder="`Mic.Level` > 0.5 and `Vad.Speaking`">{@panel.text}</textarea>
+        <div class="choices">
+          <button class="btn primary" type="submit">Find</button>
+          <button :if={@annotate and @panel.found != nil and @panel.found.intervals != []} class="btn" type="button"
+              phx-click="query_annotate">As annotations</button>
+        </div>
+      </form>
+      <p :if={@panel.run} class="hint" role="status">Looking ...</p>
+      <p :if={@panel.error} class="error" role="alert">{@panel.error}</p>
+      <p :if={@panel.found} class="hint" role="status">{said(@panel.found)}</p>
+      <div :if={@panel.found} class="found-times">
+        <button :for={{from, to} <- Enum.take(@panel.found.intervals, listed())} type="button" phx-click="query_go"
+            phx-value-from={from} phx-value-to={to}><b>{at(from - @from)}</b>
+          <span>{Situ.Time.format_duration(to - from)}</span></button>
+      </div>
+    </section>
+    """
+  end
+
+  defp listed, do: @listed
+
+  defp said(%{intervals: []}), do: "Never"
+
+  defp said(%{intervals: intervals} = found) do
+    total = intervals |> Enum.map(fn {from, to} -> to - from end) |> Enum.sum()
+    more = if found.truncated?, do: " and more", else: ""
+    times = if length(intervals) == 1, do: "1 time", else: "#{length(intervals)} times"
+    "#{times}#{more}, #{Situ.Time.format_duration(total)} together"
+  end
+
+  # Since the start of the data, as the ruler has it.
+  defp at(ns) do
+    seconds = div(ns, 1_000_000_000)
+    ms = div(rem(ns, 1_000_000_000), 1_000_000)
+    pad = &String.pad_leading(Integer.to_string(&1), &2, "0")
+    "#{div(seconds, 60)}:#{pad.(rem(seconds, 60), 2)}.#{pad.(ms, 3)}"
+  end
+end

@@ -1,0 +1,59 @@
+defmodule Situ.Studio.TableTest do
+  # What people take out of a selection: CSV and WAV.
+  use ExUnit.Case, async: true
+
+  alias Situ.{AudioBuffer, AudioFormat, Message}
+  alias Situ.Studio.{History, Source, Table}
+
+  defp source(streams) do
+    history = History.new(live: false, seconds: 3_600)
+
+    for {name, rows} <- streams, {time, data} <- rows do
+      History.put(history, name, %Message{data: data, originating_time: time}, 8)
+    end
+
+    {Source.History, history}
+  end
+
+  defp csv(source, streams, from, to),
+    do: source |> Table.csv(streams, from, to) |> Enum.join() |> String.split("\r\n", trim: true)
+
+  test "all messages of long streams, in order, both ends included" do
+    rows = for i <- 0..4_999, do: {i * 10, i}
+    source = source(%{"A" => rows, "B" => [{15, "x,\"y\"\nz"}]})
+    [header | lines] = csv(source, ["A"], 10, 49_980)
+    assert header == "time_ns,time,stream,value"
+    assert length(lines) == 4_998
+    assert hd(lines) == "10,1970-01-01T00:00:00.000000010Z,A,1"
+    assert List.last(lines) == "49980,1970-01-01T00:00:00.000049980Z,A,4998"
+    text = source |> Table.csv(["B"], 0, 100) |> Enum.join()
+    assert text =~ ~s(,B,"x,""y""\nz"\r\n)
+    assert csv(source, ["none"], 0, 100) == [header]
+  end
+
+  test "a text that a table program would run is none, numbers stay numbers" do
+    row = &Table.row("S", %Message{data: &1, originating_time: 0})
+    assert row.("=1+1") =~ ~s("'=1+1")
+    assert row.(-1.5) =~ ",-1.5\r\n"
+    assert row.(true) =~ ",true\r\n"
+    assert row.(nil) =~ "S,\r\n"
+    assert row.(%{a: [1]}) =~ ~s("{""a"":[1]}")
+    assert row.(<<255, 0>>) =~ "2 bytes"
+    assert row.(self()) =~ "PID"
+  end
+
+  test "sound has the samples of the interval, gaps are silence" do
+    format = AudioFormat.new(rate: 1_000, channels: 1)
+    data = :binary.copy(<<16_384::little-16>>, 500)
+    s = 1_000_000_000
+    buffers = for t <- [s, 2 * s], do: {t, %AudioBuffer{format: format, data: data}}
+    {:ok, wav} = Table.wav(source(%{"Mic" => buffers}), "Mic", 0, 2 * s)
+    wav = IO.iodata_to_binary(wav)
+    assert <<"RIFF", size::little-32, "WAVE", _::binary>> = wav
+    assert size + 8 == byte_size(wav)
+    samples = for <<x::little-float-32 <- binary_part(wav, 58, byte_size(wav) - 58)>>, do: x
+    assert length(samples) == 2_000
+    assert Enum.map([100, 600, 1_200, 1_700], &Enum.at(samples, &1)) == [0.0, 0.5, 0.0, 0.5]
+    assert {:error, %{code: :silent}} = Table.wav(source(%{"Mic" => []}), "Mic", 0, s)
+  end
+end

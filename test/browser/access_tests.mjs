@@ -1,0 +1,87 @@
+// Every screen for people who cannot see it, or use no mouse: axe-core finds nothing to object to.
+import { readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { test, equal, until } from "./harness.mjs";
+import { open, dispatch } from "./studio_page.mjs";
+
+const { main } = JSON.parse(process.argv[2]);
+const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+
+// What axe objects to: rule and elements. Colours are judged in both themes.
+async function objections(page) {
+  await page.evaluate(axe);
+  return page.evaluate(async () => {
+    const { violations } = await window.axe.run(document, {
+      runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"],
+    });
+    return violations.map(
+      (v) =>
+        `${v.id}: ${v.nodes
+          .slice(0, 3)
+          .map((n) => n.target.join(" "))
+          .join(" | ")}`,
+    );
+  });
+}
+
+const screens = {
+  home: (page) => page.goto(main),
+  recording: (page) => open(page, main, "minute.0000"),
+  "properties of a stream": async (page) => {
+    await open(page, main, "minute.0000");
+    await page.click("#tree .node[data-stream='Mic.Level'] .name");
+    await until(page, () => document.querySelector(".right h2"), "properties");
+  },
+  "properties of a panel": async (page) => {
+    await open(page, main, "minute.0000");
+    await page.click("[data-panel] button.title >> nth=0");
+    await until(page, () => document.querySelector(".right h2"), "properties");
+  },
+  session: (page) => open(page, main, "study.json/p02"),
+  live: (page) => open(page, main, "Lobby"),
+  dataset: async (page) => {
+    await page.goto(`${main}/d/study.json`);
+    await until(page, () => document.querySelectorAll("#tree .session img").length === 2, "its recordings are known");
+  },
+  "batch dialog": async (page) => {
+    await screens.dataset(page);
+    await page.click("#tree .node.dataset", { button: "right" });
+    await page.click('#menu button:has-text("Run loudness…")');
+    await until(page, () => document.querySelector("#task"), "the dialog");
+  },
+  "annotation dialog": async (page) => {
+    await open(page, main, "minute.0000");
+    await page.keyboard.press("a");
+    await until(page, () => document.querySelector("#annotation-dialog"), "the dialog");
+  },
+  annotations: async (page) => {
+    await open(page, main, "minute.0000");
+    await dispatch(page, { type: "select", from: 1e9, to: 2e9 });
+    page.once("dialog", (d) => d.accept("here"));
+    await page.keyboard.press("k");
+    await until(page, () => window.situStudio.annotation?.told.items.length, "a comment");
+  },
+  find: async (page) => {
+    await open(page, main, "minute.0000");
+    await page.keyboard.press("f");
+    await until(page, () => document.querySelector(".query"), "the panel");
+  },
+  graph: async (page) => {
+    await page.goto(`${main}/p/Factory`);
+    await until(page, () => document.querySelector(".graph .node"), "the graph");
+  },
+  keys: async (page) => {
+    await open(page, main, "minute.0000");
+    await page.keyboard.press("?");
+  },
+  missing: (page) => page.goto(`${main}/s/nothing`),
+};
+
+for (const [name, show] of Object.entries(screens))
+  test(`axe: ${name}`, async ({ page }) => {
+    await show(page);
+    for (const theme of ["dark", "light"]) {
+      await page.evaluate((t) => (document.documentElement.dataset.theme = t), theme);
+      equal(await objections(page), [], `objections, ${theme}`);
+    }
+  });

@@ -1,0 +1,100 @@
+// Work with time: what a selection holds, times that are found, comments, files taken out.
+import { readFileSync } from "node:fs";
+import { test, equal, ok, near, until } from "./harness.mjs";
+import { open, state, dispatch, panelOf } from "./studio_page.mjs";
+
+const { main } = JSON.parse(process.argv[2]);
+const S = 1e9;
+
+async function menu(page, id, item) {
+  await page.click(`#${id}`, { button: "right" });
+  await page.click(`#menu button:has-text("${item}")`);
+}
+
+test("3 work: statistics have a histogram, whose bars are the messages", async ({ page, shot }) => {
+  await open(page, main, "minute.0000");
+  await dispatch(page, { type: "select", from: 5 * S, to: 10 * S });
+  await menu(page, await panelOf(page, "Mic.Level"), "Statistics");
+  await until(page, () => document.querySelector("#statistics figure svg"), "a histogram");
+  const bars = await page.$$eval("#statistics figure:first-of-type rect title", (t) =>
+    t.map((e) => Number(e.textContent)),
+  );
+  equal(
+    bars.reduce((a, b) => a + b, 0),
+    501,
+    "messages of five seconds, both ends",
+  );
+  ok(Math.max(...bars) === bars.at(-1), "a sine is most often at its top");
+  await shot("histogram");
+});
+
+test("3 work: times are found by an expression, gone to, and made annotations", async ({ page, shot }) => {
+  await open(page, main, "minute.0000");
+  await page.keyboard.press("f");
+  await until(page, () => document.activeElement?.id === "query-text", "the field has the focus");
+  await page.keyboard.type("`Vad.Speaking` and");
+  await page.keyboard.press("Enter");
+  await until(page, () => document.querySelector(".query .error"), "what is no expression is refused in words");
+  await page.fill("#query-text", "`Vad.Speaking`");
+  await page.keyboard.press("Enter");
+  await until(page, () => document.querySelectorAll(".found-times button").length === 6, "six times");
+  ok((await page.textContent(".query [role=status]")).startsWith("6 times, "), "told together");
+  await page.click(".found-times button >> nth=1");
+  await until(page, () => window.situStudio.time.get().sel[0] === 15e9, "the second is selected");
+  const s = await state(page);
+  equal(s.cursor, 15 * S, "the cursor is at its beginning");
+  near(s.view[1] - s.view[0], 1.1 * (s.sel[1] - s.sel[0]), 1e6, "and it fills the view");
+  await shot("query");
+  await page.click(".query button:text('As annotations')");
+  await until(
+    page,
+    () => window.situStudio.annotation?.told.items.filter((a) => a.proposed).length === 6,
+    "six proposals",
+  );
+  await page.click(".query [aria-label='Close']");
+  await until(page, () => !document.querySelector(".query"), "closed");
+});
+
+test("3 work: a comment stays with the recording", async ({ page, context }) => {
+  await open(page, main, "uneven.0000");
+  await dispatch(page, { type: "select", from: 12 * S, to: 18 * S });
+  page.once("dialog", (d) => d.accept("somebody <b>comes</b> in"));
+  await page.keyboard.press("k");
+  await until(
+    page,
+    () => window.situStudio.annotation?.told.items[0]?.values.Markers === "somebody <b>comes</b> in",
+    "the comment is shown",
+  );
+  // at the same time a second one has a row of its own
+  await dispatch(page, { type: "nudge", by: 15 * S - (await state(page)).cursor });
+  await dispatch(page, { type: "clearSel" });
+  page.once("dialog", (d) => d.accept("louder"));
+  await page.keyboard.press("k");
+  await until(page, () => window.situStudio.annotation?.told.tracks.length === 2, "a second row");
+  const other = await context.newPage();
+  await open(other, main, "uneven.0000", "?annotate=Markers");
+  await until(other, () => window.situStudio.annotation?.told.items.length === 2, "another page has both");
+});
+
+test("3 work: the selection is taken out as CSV and as WAV", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  await dispatch(page, { type: "select", from: 5 * S, to: 6 * S });
+  const take = async (stream, item) => {
+    const id = await panelOf(page, stream);
+    const [file] = await Promise.all([page.waitForEvent("download"), menu(page, id, item)]);
+    return readFileSync(await file.path());
+  };
+  const rows = (await take("Mic.Level", "as CSV")).toString().trim().split("\r\n");
+  equal(rows[0], "time_ns,time,stream,value", "its header");
+  const level = rows.filter((r) => r.includes(",Mic.Level,"));
+  equal(level.length, 101, "a hundred a second, both ends");
+  equal(
+    level[0].split(",").slice(0, 3),
+    ["1767225605000000000", "2026-01-01T00:00:05.000000000Z", "Mic.Level"],
+    "row",
+  );
+  const wav = await take("Mic.Audio", "as WAV");
+  equal([wav.toString("latin1", 0, 4), wav.toString("latin1", 8, 12)], ["RIFF", "WAVE"], "a WAV");
+  const rate = wav.readUInt32LE(24);
+  equal(wav.length, 58 + 4 * rate, "a second of it");
+});
