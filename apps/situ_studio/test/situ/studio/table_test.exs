@@ -43,7 +43,7 @@ defmodule Situ.Studio.TableTest do
   end
 
   test "sound has the samples of the interval, gaps are silence" do
-    format = AudioFormat.new(rate: 1_000, channels: 1)
+    format = AudioFormat.pcm(1_000, 1)
     data = :binary.copy(<<16_384::little-16>>, 500)
     s = 1_000_000_000
     buffers = for t <- [s, 2 * s], do: {t, %AudioBuffer{format: format, data: data}}

@@ -18,8 +18,6 @@ defmodule Situ.Studio.Web.MainView do
     WholeNumber
   }
 
-  alias Situ.Studio.Datasets.Place
-
   alias Situ.Studio.Web.{
     Address,
     Annotation,
@@ -29,7 +27,8 @@ defmodule Situ.Studio.Web.MainView do
     LayoutMenu,
     Panels,
     QueryPanel,
-    Side
+    Side,
+    SourceList
   }
 
   @max_rows 400
@@ -101,7 +100,7 @@ defmodule Situ.Studio.Web.MainView do
       lanes: lanes(streams, socket.assigns.seen_lanes),
       coverage: coverage(streams, socket.assigns.source),
       names: Situ.JSON.encode(Enum.map(names, &valid/1)),
-      sources: sources(socket.assigns)
+      sources: SourceList.of(socket.assigns)
     )
   end
 
@@ -119,25 +118,6 @@ defmodule Situ.Studio.Web.MainView do
   end
 
   defp valid(name), do: if(String.valid?(name), do: name, else: inspect(name))
-
-  # Beside what belongs to a dataset stand its sessions, else all there is.
-  defp sources(%{studio: studio, item: %{dataset: id}} = assigns) when is_binary(id) do
-    with {:ok, %{path: file}} <- Catalog.find(studio, id),
-         {:ok, dataset} <- Situ.Dataset.load(file) do
-      back = %{id: id, title: dataset.name, kind: :dataset, href: Address.dataset(id)}
-
-      [back | for(s <- dataset.sessions, do: session(Place.id(id, [s.name]), s.name))]
-    else
-      _ -> assigns[:sources] || []
-    end
-  end
-
-  defp sources(%{studio: studio}), do: Enum.map(Catalog.list(studio), &entry/1)
-
-  defp session(id, name), do: %{id: id, title: name, kind: :session, href: Address.of(id)}
-
-  defp entry(item),
-    do: %{id: item.id, title: item.title, kind: item.kind, href: Address.item(item)}
 
   @impl true
   def handle_event("streams_changed", _, socket) do

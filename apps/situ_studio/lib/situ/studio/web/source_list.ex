@@ -1,0 +1,27 @@
+defmodule Situ.Studio.Web.SourceList do
+  @moduledoc false
+  # What else there is to look at, beside a recording.
+  alias Situ.Studio.Catalog
+  alias Situ.Studio.Datasets.Place
+  alias Situ.Studio.Web.Address
+
+  @spec of(map()) :: [%{id: String.t(), title: String.t(), kind: atom(), href: String.t()}]
+  # Beside what belongs to a dataset stand its sessions, else all there is.
+  def of(%{studio: studio, item: %{dataset: id}} = assigns) when is_binary(id) do
+    with {:ok, %{path: file}} <- Catalog.find(studio, id),
+         {:ok, dataset} <- Situ.Dataset.load(file) do
+      back = %{id: id, title: dataset.name, kind: :dataset, href: Address.dataset(id)}
+
+      [back | for(s <- dataset.sessions, do: session(Place.id(id, [s.name]), s.name))]
+    else
+      _ -> assigns[:sources] || []
+    end
+  end
+
+  def of(%{studio: studio}), do: Enum.map(Catalog.list(studio), &entry/1)
+
+  defp session(id, name), do: %{id: id, title: name, kind: :session, href: Address.of(id)}
+
+  defp entry(item),
+    do: %{id: item.id, title: item.title, kind: item.kind, href: Address.item(item)}
+end
