@@ -1,0 +1,145 @@
+defmodule Situ.Bench.Bridge do
+  @moduledoc false
+  # What a message costs on its way out of a pipeline, through a transport of this machine and into another pipeline: both
+  # ends together, in one VM, maps of two numbers. `bridge-zeromq-python` is pyzmq's own publisher and subscriber, a process
+  # each, with JSON, for the same messages (`SITU_BENCH_PYTHON`, with pyzmq installed; else nothing is measured).
+  # `bridge-mcap`: a recording of 100 topics to MCAP and back.
+  alias Situ.{Bridge, Pipeline, Store}
+
+  def tests do
+    [
+      {"bridge-zeromq", &through("bridge_zeromq", Bridge.ZeroMQ, &1)},
+      {"bridge-zeromq-python", &python/1},
+      {"bridge-tcp", &through("bridge_tcp", Bridge.Tcp, &1)},
+      {"bridge-websocket", &through("bridge_websocket", Bridge.WebSocket, &1)},
+      {"bridge-mcap", &mcap/1},
+      {"bridge-parquet", &parquet/1}
+    ]
+  end
+
+  defp through(metric, module, scale) do
+    n = max(1, round(50_000 * scale))
+    me = self()
+    values = Stream.map(1..n, &{&1 * 1_000, %{"n" => &1, "x" => &1 / 3}})
+    common = [wait_for: 1, listening: me, high_water_mark: 2 * n, linger: 60_000]
+
+    Situ.Bench.measure(metric, n, fn ->
+      {:ok, sender} =
+        Pipeline.start_link(fn p -> p |> Situ.from_enumerable(values) |> out(module, common) end)
+
+      port =
+        receive(do: ({:listening, port} -> port), after: (60_000 -> raise("it does not listen")))
+
+      {:ok, receiver} =
+        Pipeline.start_link(fn p ->
+          p |> into(module, port) |> Situ.each(&if(&1["n"] == n, do: send(me, :last)))
+        end)
+
+      receive(do: (:last -> :ok), after: (600_000 -> raise("the last message did not come")))
+      Pipeline.stop(sender)
+      Pipeline.stop(receiver)
+      []
+    end)
+  end
+
+  defp out(stream, Bridge.ZeroMQ, opts),
+    do: Bridge.ZeroMQ.publish(stream, "tcp://127.0.0.1:0", [topic: "b"] ++ opts)
+
+  defp out(stream, module, opts), do: module.serve(stream, 0, opts)
+
+  defp into(p, Bridge.ZeroMQ, port),
+    do:
+      Bridge.ZeroMQ.subscribe(p, "tcp://127.0.0.1:#{port}", topic: "b", high_water_mark: 100_000)
+
+  defp into(p, module, port), do: module.connect(p, "127.0.0.1", port)
+
+  defp python(scale) do
+    python = System.find_executable(System.get_env("SITU_BENCH_PYTHON") || "python3")
+    script = Path.expand("../python/zeromq.py", __DIR__)
+    n = max(1, round(50_000 * scale))
+
+    case python && System.cmd(python, [script, "#{n}"], stderr_to_stdout: true) do
+      {out, 0} ->
+        [rate, cpu] = out |> String.split() |> Enum.map(&String.to_float/1)
+        [{"bridge_zeromq_python", rate, "msg/s"}, {"bridge_zeromq_python_cpu", cpu, "us/msg"}]
+
+      _ ->
+        IO.puts(
+          :stderr,
+          "bridge-zeromq-python: #{python || "python3"} has no pyzmq; nothing is measured"
+        )
+
+        []
+    end
+  end
+
+  defp mcap(scale) do
+    in_folder(fn root ->
+      n = max(1, round(1_000 * scale))
+      topics = 100
+
+      {:ok, _} =
+        Pipeline.run(fn p ->
+          store = Store.create(p, "bench", root)
+
+          for topic <- 1..topics do
+            values = Stream.map(1..n, &{&1 * 1_000, %{"n" => &1, "topic" => topic}})
+            p |> Situ.from_enumerable(values) |> Store.write(store, "topic #{topic}")
+          end
+        end)
+
+      store = Store.open!(Path.join(root, "bench"))
+      path = Path.join(root, "bench.mcap")
+      all = n * topics
+
+      written =
+        Situ.Bench.measure("bridge_mcap_write", all, fn ->
+          {:ok, ^all} = Bridge.Mcap.export(store, path)
+        end)
+
+      read =
+        Situ.Bench.measure("bridge_mcap_read", all, fn ->
+          file = Store.open!(path)
+
+          counts =
+            for info <- Store.streams(file), do: Enum.count(Store.messages(file, info.name))
+
+          ^all = Enum.sum(counts)
+          []
+        end)
+
+      written ++ read
+    end)
+  end
+
+  defp parquet(scale) do
+    in_folder(fn root ->
+      n = max(1, round(200_000 * scale))
+      Situ.Bench.StoreSeek.record(root, n)
+      store = Store.open!(Path.join(root, "bench"))
+
+      written =
+        Situ.Bench.measure("bridge_parquet_write", n, "rows/s", fn ->
+          {:ok, %{"s" => ^n}} = Bridge.Parquet.export(store, root)
+          []
+        end)
+
+      read =
+        Situ.Bench.measure("bridge_parquet_read", n, "rows/s", fn ->
+          ^n = Enum.count(Bridge.Parquet.messages(Path.join(root, "s.parquet")))
+          []
+        end)
+
+      written ++ read
+    end)
+  end
+
+  defp in_folder(fun) do
+    root = Path.join(System.tmp_dir!(), "situ-bench-bridge-#{System.pid()}")
+    File.rm_rf!(root)
+    File.mkdir_p!(root)
+    fun.(root)
+  after
+    File.rm_rf!(Path.join(System.tmp_dir!(), "situ-bench-bridge-#{System.pid()}"))
+  end
+end
