@@ -21,7 +21,14 @@ defmodule Situ.Bridge.MixProject do
   def application do
     [
       extra_applications: extra_applications(Mix.env()),
-      env: [store_readers: [Situ.Bridge.Psi, Situ.Bridge.Mcap, Situ.Bridge.Ros.Bag]]
+      env: [
+        store_readers: [
+          Situ.Bridge.Psi,
+          Situ.Bridge.Mcap,
+          Situ.Bridge.Ros.Bag,
+          Situ.Bridge.Ros.Db3
+        ]
+      ]
     ]
   end
 

@@ -77,17 +77,19 @@ case System.argv() do
       IO.puts(path)
     end
 
-  ["read_ros2", path] ->
-    store = Store.open!(path)
+  ["read_ros2" | paths] ->
+    for path <- paths do
+      store = Store.open!(path)
 
-    {:ok, [%{data: %Situ.Image{width: 4, height: 2, format: :rgb24, data: data}}]} =
-      Store.read(store, "/image")
+      {:ok, [%{data: %Situ.Image{width: 4, height: 2, format: :rgb24, data: data}}]} =
+        Store.read(store, "/image")
 
-    ^data = :binary.copy(<<1, 2, 3>>, 8)
-    {:ok, imu} = Store.read(store, "/imu")
-    20 = length(imu)
-    [3.5 | _] = for %{data: m} <- imu, do: m["linear_acceleration"]["z"]
-    [5_000_000_007 | _] = for %{data: m} <- imu, do: m["header"]["stamp"]
+      ^data = :binary.copy(<<1, 2, 3>>, 8)
+      {:ok, imu} = Store.read(store, "/imu")
+      20 = length(imu)
+      [3.5 | _] = for %{data: m} <- imu, do: m["linear_acceleration"]["z"]
+      [5_000_000_007 | _] = for %{data: m} <- imu, do: m["header"]["stamp"]
+    end
 
   ["publish", port] ->
     values = for i <- 1..2_000, do: {i * 1_000, %{"n" => i}}

@@ -1,4 +1,4 @@
-"""Writes a recording of ROS 2 (MCAP, CDR) with rosbags."""
+"""Writes recordings of ROS 2 (CDR; in MCAP and in SQLite) with rosbags."""
 import sys
 from pathlib import Path
 
@@ -15,9 +15,10 @@ image = Image(header=header, height=2, width=4, encoding="rgb8", is_bigendian=0,
 zeros = numpy.zeros(9)
 imu = Imu(header=header, orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0), orientation_covariance=zeros, angular_velocity=Vector3(x=1.0, y=2.0, z=3.0),
           angular_velocity_covariance=zeros, linear_acceleration=Vector3(x=0.5, y=1.5, z=3.5), linear_acceleration_covariance=zeros)
-with Writer(Path(sys.argv[1]) / "ros2", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-    pictures = writer.add_connection("/image", "sensor_msgs/msg/Image", typestore=store)
-    moves = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
-    writer.write(pictures, 1_000, store.serialize_cdr(image, "sensor_msgs/msg/Image"))
-    for i in range(20):
-        writer.write(moves, 1_000 + i, store.serialize_cdr(imu, "sensor_msgs/msg/Imu"))
+for name, plugin in (("ros2", StoragePlugin.MCAP), ("ros2-sqlite", StoragePlugin.SQLITE3)):
+    with Writer(Path(sys.argv[1]) / name, version=9, storage_plugin=plugin) as writer:
+        pictures = writer.add_connection("/image", "sensor_msgs/msg/Image", typestore=store)
+        moves = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=store)
+        writer.write(pictures, 1_000, store.serialize_cdr(image, "sensor_msgs/msg/Image"))
+        for i in range(20):
+            writer.write(moves, 1_000 + i, store.serialize_cdr(imu, "sensor_msgs/msg/Imu"))

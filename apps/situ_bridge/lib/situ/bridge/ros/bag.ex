@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Ros.Bag do
   alias Situ.Bridge.Mcap.Codec
   alias Situ.Bridge.Recorder.{Export, Exporter}
   alias Situ.Bridge.Ros.Bag.{Chunk, Contents, Record, Writer}
+  alias Situ.Bridge.Ros.Places
   alias Situ.{Error, Message}
   alias Situ.Store.{StreamInfo, Undecoded}
 
@@ -35,7 +36,6 @@ defmodule Situ.Bridge.Ros.Bag do
   @behaviour Situ.Store.Reader
 
   @most_bytes 16 * 1024 * 1024
-  @place 24
 
   defstruct [:path, :size, :name, :contents, :tracks, :streams, :notes]
 
@@ -121,25 +121,12 @@ defmodule Situ.Bridge.Ros.Bag do
         codec: codec,
         note: note,
         count: length(places),
-        places: pack(places)
+        places: Places.pack(places)
       }
 
       {:cont, {:ok, [track | tracks]}}
     end)
     |> then(fn {:ok, tracks} -> {:ok, Enum.reverse(tracks)} end)
-  end
-
-  # Times strictly increase: messages of one time are a nanosecond apart.
-  defp pack(places) do
-    {rows, _} =
-      places
-      |> Enum.sort()
-      |> Enum.map_reduce(-1, fn {time, chunk, offset}, last ->
-        time = max(time, last + 1)
-        {<<time::64, chunk::64, offset::64>>, time}
-      end)
-
-    IO.iodata_to_binary(rows)
   end
 
   defp stamped(state, places) do
@@ -170,7 +157,8 @@ defmodule Situ.Bridge.Ros.Bag do
 
     {first, last} =
       if track.count > 0,
-        do: {place(track, 0).time, place(track, track.count - 1).time},
+        do:
+          {elem(Places.at(track.places, 0), 0), elem(Places.at(track.places, track.count - 1), 0)},
         else: {nil, nil}
 
     info = %StreamInfo{
@@ -192,11 +180,6 @@ defmodule Situ.Bridge.Ros.Bag do
     {info, MapSet.put(taken, name)}
   end
 
-  defp place(%{places: places}, ordinal) do
-    <<time::64, chunk::64, offset::64>> = binary_part(places, ordinal * @place, @place)
-    %{time: time, chunk: chunk, offset: offset}
-  end
-
   @impl true
   def info(state) do
     %{
@@ -216,30 +199,14 @@ defmodule Situ.Bridge.Ros.Bag do
   @impl true
   def seek(state, info, time) do
     track = Map.fetch!(state.tracks, info.id)
-    {:ok, search(track, time, 0, track.count)}
-  end
-
-  defp search(_track, _time, low, high) when low >= high, do: low
-
-  defp search(track, time, low, high) do
-    middle = div(low + high, 2)
-
-    if place(track, middle).time < time,
-      do: search(track, time, middle + 1, high),
-      else: search(track, time, low, middle)
+    {:ok, Places.seek(track.places, time)}
   end
 
   @impl true
   def read(state, info, ordinal, to, limit, opts) do
     track = Map.fetch!(state.tracks, info.id)
 
-    last =
-      if to == :unbounded, do: track.count - 1, else: search(track, to + 1, 0, track.count) - 1
-
-    places =
-      for at <- ordinal..min(last, ordinal + limit - 1)//1,
-          p = place(track, at),
-          do: {p.time, p.chunk, p.offset}
+    places = Places.slice(track.places, ordinal, to, limit)
 
     cond do
       places == [] -> {:ok, [], ordinal}

@@ -1,0 +1,59 @@
+defmodule Situ.Bridge.Ros.Places do
+  @moduledoc false
+  # Where the messages of a topic are, in order of time: a time and two numbers each, packed. Pure.
+
+  @size 24
+
+  @type t :: binary()
+  @type row :: {Situ.Time.t(), non_neg_integer(), non_neg_integer()}
+
+  @doc """
+  Rows in order of time. Times strictly increase: messages of one time are a nanosecond apart.
+
+      iex> places = Situ.Bridge.Ros.Places.pack([{5, 2, 0}, {5, 1, 0}])
+      iex> Situ.Bridge.Ros.Places.at(places, 1)
+      {6, 2, 0}
+  """
+  @spec pack([row()]) :: t()
+  def pack(rows) do
+    {packed, _} =
+      rows
+      |> Enum.sort()
+      |> Enum.map_reduce(nil, fn {time, a, b}, last ->
+        time = if last, do: max(time, last + 1), else: time
+        {<<time::signed-64, a::64, b::64>>, time}
+      end)
+
+    IO.iodata_to_binary(packed)
+  end
+
+  @spec count(t()) :: non_neg_integer()
+  def count(places), do: div(byte_size(places), @size)
+
+  @spec at(t(), non_neg_integer()) :: row()
+  def at(places, n) do
+    <<time::signed-64, a::64, b::64>> = binary_part(places, n * @size, @size)
+    {time, a, b}
+  end
+
+  @doc "The number of the first row at or after a time; the count when there is none."
+  @spec seek(t(), Situ.Time.t()) :: non_neg_integer()
+  def seek(places, time), do: seek(places, time, 0, count(places))
+
+  defp seek(_places, _time, low, high) when low >= high, do: low
+
+  defp seek(places, time, low, high) do
+    middle = div(low + high, 2)
+
+    if elem(at(places, middle), 0) < time,
+      do: seek(places, time, middle + 1, high),
+      else: seek(places, time, low, middle)
+  end
+
+  @doc "At most `limit` rows from a number on, up to a time (`:unbounded`)."
+  @spec slice(t(), non_neg_integer(), Situ.Time.t() | :unbounded, pos_integer()) :: [row()]
+  def slice(places, from, to, limit) do
+    last = if to == :unbounded, do: count(places) - 1, else: seek(places, to + 1) - 1
+    for n <- from..min(last, from + limit - 1)//1, do: at(places, n)
+  end
+end

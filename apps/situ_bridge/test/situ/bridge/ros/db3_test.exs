@@ -1,0 +1,74 @@
+defmodule Situ.Bridge.Ros.Db3Test do
+  use ExUnit.Case, async: true
+  alias Situ.Bridge.Ros.{Definition, Library, Places, Wire}
+  alias Situ.Store
+  alias Situ.Store.Undecoded
+  doctest Places
+
+  @moduletag :tmp_dir
+
+  @tables """
+  create table topics(id integer primary key, name text, type text, serialization_format text, offered_qos_profiles text);
+  create table messages(id integer primary key, topic_id integer, timestamp integer, data blob);
+  """
+
+  defp bag(dir, sql) do
+    path = Path.join(dir, "drive.db3")
+    {_, 0} = System.cmd("sqlite3", [path, @tables <> sql])
+    path
+  end
+
+  defp insert(id, topic, time, bytes),
+    do: "insert into messages values(#{id}, #{topic}, #{time}, x'#{Base.encode16(bytes)}');"
+
+  defp float(x) do
+    {:ok, text} = Library.fetch("std_msgs/Float64")
+    {:ok, definition} = Definition.parse("std_msgs/Float64", text)
+    {:ok, bytes} = Wire.encode(definition, %{"data" => x}, :cdr)
+    bytes
+  end
+
+  test "topics are streams, by the types that ROS 2 has", %{tmp_dir: dir} do
+    rows = for i <- 1..50, do: insert(100 - i, 1, 1_000 + div(i, 2), float(i / 4))
+
+    path =
+      bag(dir, """
+      insert into topics values(1, '/values', 'std_msgs/msg/Float64', 'cdr', '');
+      insert into topics values(2, '/odd', 'my/msg/Thing', 'cdr', '');
+      insert into topics values(3, '/empty', 'std_msgs/msg/Bool', 'cdr', '');
+      #{rows}
+      #{insert(1_000, 1, 5_000, "x")}
+      #{insert(1_001, 2, 5_000, "abc")}
+      """)
+
+    store = Store.open!(path)
+    counts = for s <- Store.streams(store), do: {s.name, s.type_name, s.count}
+
+    assert counts == [
+             {"/values", "std_msgs/Float64", 51},
+             {"/odd", "my/Thing", 1},
+             {"/empty", "std_msgs/Bool", 0}
+           ]
+
+    {:ok, messages} = Store.read(store, "/values")
+    {values, [broken]} = Enum.split(messages, 50)
+    assert values |> Enum.map(& &1.data) |> Enum.sort() == for(i <- 1..50, do: i / 4)
+    times = Enum.map(messages, & &1.originating_time)
+    assert times == Enum.sort(Enum.uniq(times))
+    assert %Undecoded{} = broken.data
+    assert {:ok, [%{data: "abc"}]} = Store.read(store, "/odd")
+    assert [note] = Store.info(store).notes
+    assert note =~ "/odd"
+    assert {:ok, %{originating_time: 5_000}} = Store.latest_at(store, "/values", 9_000)
+    assert {:ok, [%{data: %Undecoded{}}]} = Store.read(store, "/values", from: 2_000)
+  end
+
+  test "what is no bag is an error that says why", %{tmp_dir: dir} do
+    path = Path.join(dir, "x.db3")
+    File.write!(path, "no database at all, but long enough to be looked at")
+    assert {:error, %{code: :not_bag}} = Store.open(path)
+    File.write!(path, "")
+    assert {:error, %{code: :not_bag}} = Store.open(path)
+    assert {:error, _} = Store.open(Path.join(dir, "nothing.db3"))
+  end
+end
