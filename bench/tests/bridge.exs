@@ -1,9 +1,9 @@
 defmodule Situ.Bench.Bridge do
   @moduledoc false
-  # What a message costs on its way out of a pipeline, through a transport of this machine and into another pipeline: both
-  # ends together, in one VM, maps of two numbers. `bridge-zeromq-python` is pyzmq's own publisher and subscriber, a process
-  # each, with JSON, for the same messages (`SITU_BENCH_PYTHON`, with pyzmq installed; else nothing is measured).
-  # `bridge-mcap`: a recording of 100 topics to MCAP and back.
+  # What a message costs on its way out of a pipeline, through a transport of this machine and into another pipeline:
+  # both ends together, in one VM, maps of two numbers. `bridge-zeromq-python` is pyzmq's own publisher and subscriber, a
+  # process each, with JSON, for the same messages (`SITU_BENCH_PYTHON`, with pyzmq installed; else nothing is
+  # measured). `bridge-mcap`: a recording of 100 topics to MCAP and back; `bridge-parquet`: integers to a table and back.
   alias Situ.{Bridge, Pipeline, Store}
 
   def tests do
@@ -115,7 +115,16 @@ defmodule Situ.Bench.Bridge do
   defp parquet(scale) do
     in_folder(fn root ->
       n = max(1, round(200_000 * scale))
-      Situ.Bench.StoreSeek.record(root, n)
+
+      {:ok, _} =
+        Pipeline.run(fn p ->
+          store = Store.create(p, "bench", root)
+
+          p
+          |> Situ.from_enumerable(Stream.map(1..n, &{&1, &1}), type: :integer)
+          |> Store.write(store, "s")
+        end)
+
       store = Store.open!(Path.join(root, "bench"))
 
       written =

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Db3 do
   @moduledoc """
-  Bags of ROS 2 in SQLite (`.db3`) as recordings: `Situ.Store.open("drive/drive_0.db3")`, and so in the studio, `bin/situ
-  store`, replay.
+  Bags of ROS 2 in SQLite (`.db3`) as recordings: `Situ.Store.open("drive/drive_0.db3")`, and so in the studio,
+  `bin/situ store`, replay.
 
   A topic is a stream, its times those of the recorder. Messages (CDR) are decoded by the definitions in the file, which
   ROS 2 writes since Iron, or else by ROS's own ones; standard ones are Situ's types (`Situ.Bridge.Ros.Standard`). Each

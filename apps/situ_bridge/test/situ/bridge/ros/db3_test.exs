@@ -8,7 +8,7 @@ defmodule Situ.Bridge.Ros.Db3Test do
   @moduletag :tmp_dir
 
   @tables """
-  create table topics(id integer primary key, name text, type text, serialization_format text, offered_qos_profiles text);
+  create table topics(id integer primary key, name text, type text, serialization_format text);
   create table messages(id integer primary key, topic_id integer, timestamp integer, data blob);
   """
 
@@ -33,9 +33,9 @@ defmodule Situ.Bridge.Ros.Db3Test do
 
     path =
       bag(dir, """
-      insert into topics values(1, '/values', 'std_msgs/msg/Float64', 'cdr', '');
-      insert into topics values(2, '/odd', 'my/msg/Thing', 'cdr', '');
-      insert into topics values(3, '/empty', 'std_msgs/msg/Bool', 'cdr', '');
+      insert into topics values(1, '/values', 'std_msgs/msg/Float64', 'cdr');
+      insert into topics values(2, '/odd', 'my/msg/Thing', 'cdr');
+      insert into topics values(3, '/empty', 'std_msgs/msg/Bool', 'cdr');
       #{rows}
       #{insert(1_000, 1, 5_000, "x")}
       #{insert(1_001, 2, 5_000, "abc")}
