@@ -1,6 +1,8 @@
 //! ONNX models through ONNX Runtime, for `situ_infer`: no BEAM types.
 //!
 //! `runtime` opens the shared library, `tensor` moves bytes in and out, `model` is one loaded network.
+#![deny(missing_docs)]
+
 mod model;
 mod patch;
 mod runtime;
@@ -14,7 +16,9 @@ pub use tensor::{ElementType, Tensor, TensorView};
 /// Why something failed. The kind is for programs, the text for people.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Failure {
+    /// What failed, for programs.
     pub kind: Kind,
+    /// A sentence that names the library, port or provider, for people.
     pub text: String,
 }
 

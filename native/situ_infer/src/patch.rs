@@ -3,9 +3,13 @@
 /// How one pixel lies in memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PixelLayout {
+    /// Bytes of a pixel: 1, 3 or 4.
     pub bytes: usize,
+    /// The place of red in it, from 0; equal to the other two for grey.
     pub red: usize,
+    /// The place of green.
     pub green: usize,
+    /// The place of blue.
     pub blue: usize,
 }
 
@@ -33,10 +37,16 @@ impl PixelLayout {
 /// A picture, borrowed.
 #[derive(Debug, Clone, Copy)]
 pub struct Picture<'a> {
+    /// The rows, the topmost first.
     pub data: &'a [u8],
+    /// Pixels of a row, at least 1.
     pub width: usize,
+    /// Rows, at least 1.
     pub height: usize,
+    /// Bytes from the start of a row to that of the next, at least `width * layout.bytes`. The last row
+    /// need not be padded.
     pub stride: usize,
+    /// How a pixel lies in it.
     pub layout: PixelLayout,
 }
 
@@ -45,10 +55,15 @@ pub struct Picture<'a> {
 /// is black.
 #[derive(Debug, Clone, Copy)]
 pub struct Patch {
+    /// `[m0, m1, m2, m3, m4, m5]`, in pixels of the picture; all of them finite.
     pub matrix: [f64; 6],
+    /// Pixels of a patch's row.
     pub width: usize,
+    /// Rows of the patch; `width * height` is 1 to 16,777,216.
     pub height: usize,
+    /// What a channel value (0 to 255) is multiplied with.
     pub scale: f32,
+    /// What is added afterwards.
     pub offset: f32,
 }
 

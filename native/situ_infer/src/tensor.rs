@@ -7,16 +7,27 @@ use ort::value::{DynValue, Tensor as OrtTensor, TensorElementType, TensorRef};
 /// The element types that cross the border, with the names Elixir knows them by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ElementType {
+    /// IEEE 754 binary32.
     F32,
+    /// IEEE 754 binary64.
     F64,
+    /// Two's complement, 1 byte.
     S8,
+    /// Two's complement, 2 bytes.
     S16,
+    /// Two's complement, 4 bytes.
     S32,
+    /// Two's complement, 8 bytes.
     S64,
+    /// Unsigned, 1 byte.
     U8,
+    /// Unsigned, 2 bytes.
     U16,
+    /// Unsigned, 4 bytes.
     U32,
+    /// Unsigned, 8 bytes.
     U64,
+    /// 1 byte: 0 is false; on the way in any other value is true, on the way out only 1 is.
     Bool,
 }
 
@@ -35,11 +46,13 @@ const NAMES: [(ElementType, &str, TensorElementType, usize); 11] = [
 ];
 
 impl ElementType {
+    /// The type of this name (`f32`, `s64`, `bool` ...); `None` for any other text.
     #[must_use]
     pub fn parse(name: &str) -> Option<Self> {
         NAMES.iter().find(|row| row.1 == name).map(|row| row.0)
     }
 
+    /// The name that `parse` takes.
     #[must_use]
     pub fn name(self) -> &'static str {
         NAMES
@@ -48,6 +61,7 @@ impl ElementType {
             .map_or("f32", |row| row.1)
     }
 
+    /// Bytes of one element, 1 to 8.
     #[must_use]
     pub fn size(self) -> usize {
         NAMES
@@ -64,18 +78,27 @@ impl ElementType {
 /// One input, borrowed from the caller.
 #[derive(Debug, Clone)]
 pub struct TensorView<'a> {
+    /// The input's name, as `Model::inputs` has it.
     pub name: String,
+    /// The type of every element; it must be the port's.
     pub ty: ElementType,
+    /// Sizes, the outermost dimension first, none of them negative; empty for a single number.
     pub shape: Vec<i64>,
+    /// The elements, row major, native byte order: exactly the product of `shape` times `ty.size()` bytes, else the run
+    /// answers `Kind::Input`. Alignment is not needed; memory that has it is not copied.
     pub data: &'a [u8],
 }
 
 /// One output.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tensor {
+    /// The output's name, as `Model::outputs` has it.
     pub name: String,
+    /// The type of every element.
     pub ty: ElementType,
+    /// Sizes, the outermost dimension first; free dimensions of the port have got their size.
     pub shape: Vec<i64>,
+    /// The elements, row major, native byte order.
     pub data: Vec<u8>,
 }
 

@@ -3,14 +3,19 @@
 use crate::error::{fail, Code, Result};
 use crate::picture::View;
 
+/// How far two pictures are apart, over all channel values.
 #[derive(Clone, Copy, Debug)]
 pub struct Difference {
+    /// The largest difference, in stored units (0..255 or 0..65,535).
     pub max: u32,
+    /// Their mean.
     pub mean: f64,
     /// Fraction of channel values that differ by more than the tolerance.
     pub outliers: f64,
 }
 
+/// How far two pictures of the same shape differ, channel value by channel value, alpha and unused channels included.
+/// Shapes that differ are refused ([`Code::BadFormat`]).
 pub fn compare(a: &View, b: &View, tolerance: u32) -> Result<Difference> {
     if a.shape != b.shape {
         return fail(

@@ -7,13 +7,19 @@ use crate::picture::View;
 /// At most this many taps: keeps one call bounded.
 const MAX_TAPS: usize = 961;
 
+/// Weights of a pixel's neighbourhood; the pixel itself lies at (`width / 2`, `height / 2`), divisions rounding down.
 #[derive(Clone, Debug)]
 pub struct Kernel {
+    /// Taps of a row.
     pub width: usize,
+    /// Rows of taps.
     pub height: usize,
+    /// The weights, row by row: `width * height`, 1 to 961 of them.
     pub taps: Vec<i32>,
 }
 
+/// Refuses pictures that are not grey ([`Code::BadFormat`]) and kernels whose taps do not fit their size
+/// ([`Code::BadOption`]).
 pub fn check(src: &View, kernel: &Kernel) -> Result<()> {
     if src.shape.format.channels() != 1 {
         return fail(
@@ -34,6 +40,7 @@ pub fn check(src: &View, kernel: &Kernel) -> Result<()> {
     Ok(())
 }
 
+/// Into `out`, which has the bytes of `src` without gaps; `check` has passed both.
 pub fn convolve(src: &View, kernel: &Kernel, out: &mut [u8]) {
     let depth = src.shape.format.bytes_per_channel();
     let (w, h) = (src.shape.width as i64, src.shape.height as i64);

@@ -2,12 +2,16 @@
 
 use crate::picture::View;
 
+/// Which depths get which colours.
 #[derive(Clone, Copy, Debug)]
 pub struct PseudoColor {
     /// Depth units (before scaling to metres).
     pub near: f64,
+    /// As `near`, and above it.
     pub far: f64,
+    /// The value that stands for no measurement (0 from most cameras).
     pub invalid: u16,
+    /// Whether what has no colour is transparent instead of black.
     pub transparent: bool,
 }
 

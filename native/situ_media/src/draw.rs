@@ -8,11 +8,16 @@ use crate::error::{fail, Code, Result};
 use crate::ink::{blend, fill, Area};
 use crate::picture::Shape;
 
+/// A figure in pixels; (0, 0) is the middle of the top left pixel. Numbers beyond [`REACH`] are refused.
 #[derive(Clone, Copy, Debug)]
 pub enum Figure {
+    /// A straight line, its ends cut straight half a pixel beyond the end points.
     Line {
+        /// One end, (x, y).
         from: (f64, f64),
+        /// The other end.
         to: (f64, f64),
+        /// Across, at least 1 (less counts as 1).
         width: f64,
     },
     /// Left, top, width, height; the outline of a width, or filled.

@@ -4,15 +4,18 @@ use crate::error::{fail, Code, Result};
 use crate::picture::{Shape, View};
 use crate::resize::{resize, Filter};
 
+/// About which line a picture is mirrored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axis {
     /// Top becomes bottom.
     Horizontal,
     /// Left becomes right.
     Vertical,
+    /// Both: a half turn.
     Both,
 }
 
+/// Mirrors `src` into `out`, which has exactly its bytes without gaps.
 pub fn flip(src: &View, axis: Axis, out: &mut [u8]) {
     let row_bytes = src.shape.row_bytes();
     let height = src.shape.height;

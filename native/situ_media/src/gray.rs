@@ -1,10 +1,14 @@
 //! Colour to grey, the hot path of most vision: (4897 R + 9617 G + 1868 B) >> 14, exactly, as \psi has it.
 //! White becomes 254, not 255, since the weights sum to 16382.
 
+/// The weight of red, in 16,384ths.
 pub const RED: u32 = 4897;
+/// The weight of green, in 16,384ths.
 pub const GREEN: u32 = 9617;
+/// The weight of blue, in 16,384ths.
 pub const BLUE: u32 = 1868;
 
+/// Grey of one pixel, in the depth of its channels: 0..254 of 0..255, 0..65,527 of 0..65,535.
 #[inline(always)]
 pub fn gray(r: u32, g: u32, b: u32) -> u32 {
     (RED * r + GREEN * g + BLUE * b) >> 14

@@ -11,10 +11,14 @@ const MAX_SCANS: usize = 100;
 /// Above this, memory is taken as it is needed.
 const LARGE: usize = 64 << 20;
 
+/// How many pixels share one value of colour; brightness is kept for each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Subsampling {
+    /// None do (4:4:4): best for text and edges.
     Full,
+    /// Two side by side (4:2:2).
     Half,
+    /// Two by two (4:2:0): what cameras write, the smallest.
     Quarter,
 }
 
@@ -123,6 +127,9 @@ pub fn header(bytes: &[u8], wanted: Option<Format>) -> Result<Shape> {
     Ok(shape)
 }
 
+/// Decodes into `out`, which has the bytes of the shape that `header` answered for the same bytes. More than 100 scans
+/// are refused before any is decoded ([`Code::BadJpeg`]): each costs a pass over the picture. What was written to `out`
+/// before an error means nothing.
 pub fn decode(bytes: &[u8], shape: Shape, out: &mut [u8]) -> Result<()> {
     let scans = bytes.windows(2).filter(|w| w == &[0xFF, 0xDA]).count();
     if scans > MAX_SCANS {

@@ -3,6 +3,8 @@
 //! A picture comes in as a checked [`picture::View`], an operation is an [`op::Op`]: it tells the shape of its result
 //! first, the caller provides the memory, then it runs. So nothing is copied on the way to and from the BEAM.
 
+#![deny(missing_docs)]
+
 mod area;
 pub mod audio;
 pub mod color;

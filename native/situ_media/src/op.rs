@@ -9,20 +9,35 @@ use crate::pixelwise::Threshold;
 use crate::resize::Filter;
 use crate::{color, convolve, depth, geometry, pixelwise, resize};
 
+/// A picture in, a picture out. `shape` says what comes out (or why not), `run` does it.
 #[derive(Clone, Debug)]
 pub enum Op<'a> {
+    /// Into another pixel format, see [`color::convert`].
     Convert(Format),
+    /// Left, top, width and height of the part that is kept, in pixels; it lies inside the picture.
     Crop(i64, i64, i64, i64),
+    /// Width and height of the result, in pixels.
     Resize(usize, usize, Filter),
+    /// As `Resize`, proportions kept; the rest takes the pixel given, `format.bytes()` bytes in memory order.
     Letterbox(usize, usize, Filter, Vec<u8>),
+    /// Mirrored.
     Flip(Axis),
+    /// Turned clockwise by so many quarters of a turn.
     QuarterTurns(u32),
+    /// Every channel but the fourth from 255 (65,535) downwards.
     Invert,
+    /// Threshold, the greatest value and the rule, see [`pixelwise::threshold`].
     Threshold(u32, u32, Threshold),
+    /// The channel at this place in memory, from 0, as grey of the same depth.
     ExtractChannel(usize),
+    /// What each channel differs by from a picture of the same shape.
     AbsoluteDifference(View<'a>),
+    /// Of grey pictures with a small kernel, see [`convolve`].
     Convolve(Kernel),
+    /// `:gray16` depth as colours, `:bgra32`.
     PseudoColorize(PseudoColor),
+    /// A picture of the same format over this one, where the mask (`:gray8`, its size) is not 0; left and top may be
+    /// negative or beyond the picture: what falls outside is cut off.
     Paste(View<'a>, Option<View<'a>>, i64, i64),
 }
 

@@ -5,19 +5,29 @@ use crate::error::{fail, Code, Result};
 /// No picture is larger than this; the Elixir side documents the same number.
 pub const MAX_BYTES: usize = 1 << 30;
 
+/// Channels, their order in memory and their depth. Channels of 16 bits are little-endian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
+    /// One channel of 8 bits.
     Gray8,
+    /// One channel of 16 bits; depth pictures too.
     Gray16,
+    /// Blue, green, red, 8 bits each.
     Bgr24,
+    /// Red, green, blue, 8 bits each.
     Rgb24,
+    /// Blue, green, red and a byte without meaning, written as 255.
     Bgrx32,
+    /// Blue, green, red, alpha (0 transparent, 255 opaque; colours are not multiplied with it).
     Bgra32,
+    /// Red, green, blue, alpha, as in `Bgra32`.
     Rgba32,
+    /// Red, green, blue, alpha, 16 bits each.
     Rgba64,
 }
 
 impl Format {
+    /// Channels of a pixel, unused ones included: 1, 3 or 4.
     pub fn channels(self) -> usize {
         match self {
             Format::Gray8 | Format::Gray16 => 1,
@@ -26,6 +36,7 @@ impl Format {
         }
     }
 
+    /// 1 or 2.
     pub fn bytes_per_channel(self) -> usize {
         match self {
             Format::Gray16 | Format::Rgba64 => 2,
@@ -33,6 +44,7 @@ impl Format {
         }
     }
 
+    /// Bytes of a pixel: 1, 2, 3, 4 or 8.
     pub fn bytes(self) -> usize {
         self.channels() * self.bytes_per_channel()
     }
@@ -42,10 +54,12 @@ impl Format {
         (self.channels() == 4).then_some(3)
     }
 
+    /// Whether the fourth channel says how opaque a pixel is.
     pub fn has_alpha(self) -> bool {
         matches!(self, Format::Bgra32 | Format::Rgba32 | Format::Rgba64)
     }
 
+    /// The name that Elixir has for it, with its colon, for sentences.
     pub fn name(self) -> &'static str {
         match self {
             Format::Gray8 => ":gray8",
@@ -63,8 +77,11 @@ impl Format {
 /// Width, height and format; rows without gaps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
+    /// Pixels of a row, at least 1.
     pub width: usize,
+    /// Rows, at least 1.
     pub height: usize,
+    /// The format of every pixel.
     pub format: Format,
 }
 
@@ -96,10 +113,12 @@ impl Shape {
         }
     }
 
+    /// Bytes of a row without a gap behind it.
     pub fn row_bytes(&self) -> usize {
         self.width * self.format.bytes()
     }
 
+    /// Bytes of all rows without gaps; at most [`MAX_BYTES`].
     pub fn bytes(&self) -> usize {
         self.row_bytes() * self.height
     }
@@ -108,12 +127,18 @@ impl Shape {
 /// A picture somebody else owns, checked: every row lies inside `data`.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a> {
+    /// Size and format.
     pub shape: Shape,
+    /// Bytes from the start of a row to that of the next, at least `shape.row_bytes()`.
     pub stride: usize,
+    /// The rows, the topmost first; what lies behind the last pixel is not looked at.
     pub data: &'a [u8],
 }
 
 impl<'a> View<'a> {
+    /// Refuses ([`Code::BadImage`]) a stride below a row's bytes, and data that end before the last pixel
+    /// does. The last
+    /// row need not be padded.
     pub fn new(shape: Shape, stride: usize, data: &'a [u8]) -> Result<View<'a>> {
         let row = shape.row_bytes();
         let needed = stride
@@ -138,14 +163,17 @@ impl<'a> View<'a> {
         }
     }
 
+    /// The pixels of row `y`, counted from the top; `y` is below the height.
     pub fn row(&self, y: usize) -> &'a [u8] {
         &self.data[y * self.stride..y * self.stride + self.shape.row_bytes()]
     }
 
+    /// All rows from the top, without the gaps between them.
     pub fn rows(&self) -> impl Iterator<Item = &'a [u8]> + '_ {
         (0..self.shape.height).map(|y| self.row(y))
     }
 
+    /// Whether no gaps lie between the rows.
     pub fn is_tight(&self) -> bool {
         self.stride == self.shape.row_bytes()
     }

@@ -3,12 +3,18 @@
 use crate::error::{fail, Code, Result};
 use crate::picture::{Format, View};
 
+/// What becomes of a value `v` at a threshold `t`, with `max` as the greatest value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Threshold {
+    /// `max` above `t`, else 0.
     Binary,
+    /// 0 above `t`, else `max`.
     BinaryInverted,
+    /// `t` above `t`, else `v`.
     Truncate,
+    /// `v` above `t`, else 0.
     ToZero,
+    /// 0 above `t`, else `v`.
     ToZeroInverted,
 }
 

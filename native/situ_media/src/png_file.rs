@@ -56,7 +56,9 @@ fn swap_bytes(pixels: &mut [u8]) {
 
 /// A decoded PNG in its own format: grey, grey 16, rgb24, rgba32 or rgba64.
 pub struct Decoded {
+    /// Size and format.
     pub shape: Shape,
+    /// Rows without gaps, channels of 16 bits little-endian.
     pub pixels: Vec<u8>,
 }
 

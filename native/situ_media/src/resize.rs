@@ -6,6 +6,7 @@ use crate::picture::{Format, Shape, View};
 use fast_image_resize::images::{Image, ImageRef};
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 
+/// Which pixels of the source make one of the result, and by which weights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Filter {
     /// The pixel at the same place.

@@ -2,11 +2,16 @@
 
 use crate::picture::View;
 
+/// One channel's values, as stored (0..255 or 0..65,535).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Channel {
+    /// The least value.
     pub min: u32,
+    /// The greatest.
     pub max: u32,
+    /// Their mean.
     pub mean: f64,
+    /// Their standard deviation, of the population.
     pub deviation: f64,
 }
 

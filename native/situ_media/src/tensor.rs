@@ -3,12 +3,14 @@
 use crate::error::{fail, Code, Result};
 use crate::picture::{Format, Shape, View};
 
+/// How channel values become a tensor's numbers.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
     /// Channels first (NCHW) or last (NHWC).
     pub channels_first: bool,
     /// `value * scale + offset`.
     pub scale: f32,
+    /// Added after scaling.
     pub offset: f32,
 }
 

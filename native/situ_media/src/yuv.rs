@@ -3,6 +3,7 @@
 use crate::error::{fail, Code, Result};
 use crate::picture::{Format, Shape};
 
+/// How luma (Y) and colour differences (U, V) of a frame lie in memory, 8 bits each, rows without gaps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
     /// Luma plane, then interleaved U and V of every 2 x 2 pixels.

@@ -51,6 +51,17 @@ impl Bin {
 }
 
 impl Fold for Bin {
+    type Value = f64;
+
+    fn of(time: i64, value: &f64) -> Self {
+        Bin::sample(time, *value)
+    }
+
+    #[inline]
+    fn note(&mut self, value: &f64) {
+        self.absorb(&Bin::sample(self.start, *value));
+    }
+
     fn start(&self) -> i64 {
         self.start
     }
@@ -71,6 +82,12 @@ impl Fold for Bin {
 
 /// What bins are made of.
 pub trait Fold: Clone {
+    /// What a message adds to a bin.
+    type Value: ?Sized;
+    /// A bin of one message.
+    fn of(time: i64, value: &Self::Value) -> Self;
+    /// Takes in a message.
+    fn note(&mut self, value: &Self::Value);
     /// Its time, or that of the bin's beginning.
     fn start(&self) -> i64;
     /// The same at another time.
@@ -116,15 +133,16 @@ impl<B> Default for Builder<B> {
 }
 
 impl<B: Fold> Builder<B> {
-    /// Takes in a point that may well lie in the bin under way: `into` adds it there; if not, it is `made`.
-    pub fn observe(&mut self, time: i64, into: impl FnOnce(&mut B), made: impl FnOnce() -> B) {
+    /// Takes in a message, which mostly lies in the bin under way.
+    #[inline]
+    pub fn observe(&mut self, time: i64, value: &B::Value) {
         if let Some(level) = self.levels.first_mut() {
             let start = floor(time, level.k);
             if let Some(bin) = level.current.as_mut().filter(|bin| bin.start() >= start) {
-                return into(bin);
+                return bin.note(value);
             }
         }
-        self.add(made());
+        self.add(B::of(time, value));
     }
 
     pub fn add(&mut self, point: B) {
@@ -236,6 +254,16 @@ impl<B: Fold> Folder<B> {
         match self.bins.last_mut() {
             Some(bin) if bin.start() >= start => bin.absorb(&point),
             _ => self.bins.push(point.at(start)),
+        }
+    }
+
+    /// Takes in a message, as `add` does a bin of it.
+    #[inline]
+    pub fn observe(&mut self, time: i64, value: &B::Value) {
+        let start = floor(time, self.k);
+        match self.bins.last_mut() {
+            Some(bin) if bin.start() >= start => bin.note(value),
+            _ => self.bins.push(B::of(start, value)),
         }
     }
 }

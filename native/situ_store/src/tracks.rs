@@ -6,8 +6,10 @@ mod parts;
 
 pub use coding::{check, decode, encode, Wanted};
 pub use names::{Names, OTHER};
-pub use parts::{parts, Part};
+use parts::{parts, Part};
 
+use crate::chunk::Value;
+use crate::format::Encoding;
 use crate::pyramid::Fold;
 
 /// The key of the message itself.
@@ -148,6 +150,26 @@ pub enum Noted {
     State(u32),
 }
 
+/// Adds what of a message belongs to which track, by the numbers that `names` gives.
+pub fn note(
+    encoding: Encoding,
+    value: &Value,
+    body: &[u8],
+    names: &mut Names,
+    into: &mut Vec<(u32, Noted)>,
+) {
+    parts(encoding, value, body, |key, part| {
+        let key = match key {
+            [] => Some(ITSELF),
+            key => names.key(key),
+        };
+        into.extend(key.map(|key| match part {
+            Part::Number(value) => (key, Noted::Number(value)),
+            Part::State(term) => (key, Noted::State(names.state(key, term))),
+        }));
+    });
+}
+
 /// A bin: how many messages lie in it, and what its tracks hold, by key.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tally {
@@ -165,9 +187,18 @@ impl Tally {
             tracks: Vec::new(),
         }
     }
+}
 
-    /// Takes in a message.
-    pub fn note(&mut self, values: &[(u32, Noted)]) {
+impl Fold for Tally {
+    type Value = [(u32, Noted)];
+
+    fn of(time: i64, values: &[(u32, Noted)]) -> Self {
+        let mut bin = Tally::empty(time);
+        bin.note(values);
+        bin
+    }
+
+    fn note(&mut self, values: &[(u32, Noted)]) {
         self.count += 1;
         for (key, value) in values {
             let known = self
@@ -179,9 +210,7 @@ impl Tally {
             }
         }
     }
-}
 
-impl Fold for Tally {
     fn start(&self) -> i64 {
         self.start
     }

@@ -8,6 +8,7 @@ use std::time::Duration;
 use rustler::types::tuple::make_tuple;
 use rustler::{Binary, Encoder, Env, LocalPid, OwnedEnv, ResourceArc, Term};
 use situ_store::format::CATALOG;
+use situ_store::reader::lock;
 use situ_store::watch::{self, News};
 use situ_store::{pyramid, Error, Reader};
 
@@ -114,10 +115,7 @@ fn reader_refresh_all<'a>(env: Env<'a>, handle: Handle) -> Term<'a> {
 }
 
 fn shelf(handle: &Handle) -> MutexGuard<'_, Shelf> {
-    handle
-        .1
-        .lock()
-        .unwrap_or_else(|poisoned| poisoned.into_inner())
+    lock(&handle.1)
 }
 
 /// What `reader_shelve` put there under a name: `{:ok, external_term}`, `nil`, or `:stale` when the catalog has grown
@@ -265,12 +263,6 @@ fn reader_await(env: Env<'_>, handle: Handle, known: u64, pid: LocalPid, tag: u6
     }
     waiting.served = true;
     true
-}
-
-fn lock(waiting: &Mutex<Waiting>) -> MutexGuard<'_, Waiting> {
-    waiting
-        .lock()
-        .unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
 /// Waits on the writer's futex, in whatever process that lives, until nobody is left to be told.

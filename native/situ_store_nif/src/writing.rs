@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use rustler::types::list::ListIterator;
 use rustler::{Atom, Encoder, Env, Error as NifError, NifResult, ResourceArc, Term};
+use situ_store::reader::lock;
 use situ_store::writer::Durability;
 use situ_store::{Compression, Error, Options, Writer};
 
@@ -32,10 +33,7 @@ pub fn with<T>(
     handle: &Handle,
     act: impl FnOnce(&mut Writer) -> situ_store::Result<T>,
 ) -> situ_store::Result<T> {
-    let mut writer = handle
-        .0
-        .lock()
-        .unwrap_or_else(|poisoned| poisoned.into_inner());
+    let mut writer = lock(&handle.0);
     let result = act(&mut writer);
     if result.is_err() {
         writer.rollback();
@@ -83,10 +81,7 @@ fn writer_stream<'a>(
     compression: Atom,
     large: bool,
 ) -> NifResult<Term<'a>> {
-    let mut names = handle
-        .1
-        .lock()
-        .unwrap_or_else(|poisoned| poisoned.into_inner());
+    let mut names = lock(&handle.1);
     if !names.insert(name) {
         return Ok((atoms::error(), atoms::stream_exists()).encode(env));
     }
@@ -117,10 +112,7 @@ fn finish<'a>(
     handle: &Handle,
     act: impl FnOnce(&mut Writer) -> Result<u64, Failed>,
 ) -> NifResult<Term<'a>> {
-    let mut writer = handle
-        .0
-        .lock()
-        .unwrap_or_else(|poisoned| poisoned.into_inner());
+    let mut writer = lock(&handle.0);
     match act(&mut writer) {
         Ok(committed) => Ok((atoms::ok(), committed).encode(env)),
         Err(failed) => {

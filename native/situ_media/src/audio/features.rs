@@ -7,43 +7,66 @@ use realfft::num_complex::Complex;
 use realfft::{RealFftPlanner, RealToComplex};
 use std::sync::Arc;
 
+/// What is analysed, and how. Frequencies are in Hz, below half the rate.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
+    /// Samples a second, of one channel.
     pub rate: u32,
+    /// Channels, interleaved; the first one is analysed.
     pub channels: usize,
+    /// The type of the samples.
     pub sample: Sample,
     /// Samples of a frame, and from one frame to the next.
     pub frame: usize,
+    /// 1 to `frame`.
     pub shift: usize,
     /// 0 for none.
     pub dither_scale: f64,
+    /// Where the band begins that energy and entropy are taken of.
     pub start_hz: f64,
+    /// Where it ends.
     pub end_hz: f64,
+    /// Where the low band ends; it begins at `start_hz`.
     pub low_end_hz: f64,
+    /// Where the high band begins; it ends at `end_hz`.
     pub high_start_hz: f64,
+    /// How wide the band is, from `start_hz` on, that entropy is taken of.
     pub entropy_bandwidth_hz: f64,
     /// 0 for none.
     pub mel_bands: usize,
+    /// Coefficients of the cepstrum, at most `mel_bands`.
     pub cepstra: usize,
+    /// Where the lowest mel band begins.
     pub mel_low_hz: f64,
+    /// Where the highest ends.
     pub mel_high_hz: f64,
 }
 
 /// What one frame yields.
 pub struct Frame {
+    /// Natural logarithm of the mean square of the windowed samples, counted as 16-bit integers; -92.1 for silence.
     pub log_energy: f64,
+    /// Changes of sign a sample, 0..1.
     pub zero_crossing_rate: f64,
+    /// Power in the band from `start_hz` to `end_hz`.
     pub energy: f64,
+    /// Power in the low band.
     pub low_energy: f64,
+    /// Power in the high band.
     pub high_energy: f64,
+    /// Spectral entropy, 0 (one frequency, or silence) to 1 (noise).
     pub entropy: f64,
     /// Bins 0 .. fft size / 2 - 1; the textbook DFT of the windowed, zero-padded frame, not scaled.
     pub spectrum: Vec<Complex<f64>>,
+    /// |X|² of the same bins.
     pub power: Vec<f64>,
+    /// Natural logarithm of each mel band's power, the lowest first; empty without bands.
     pub log_mel: Vec<f64>,
+    /// The first `cepstra` coefficients of the DCT-II of `log_mel`.
     pub cepstrum: Vec<f64>,
 }
 
+/// Window, transform and filter bank for one configuration, made once; not tied to one stream.
 pub struct Analyzer {
     config: Config,
     fft: Arc<dyn RealToComplex<f64>>,
@@ -54,6 +77,9 @@ pub struct Analyzer {
 }
 
 impl Analyzer {
+    /// Refuses ([`Code::BadOption`]) frames of more than 2^20 samples, a shift beyond the frame, and more
+    /// cepstra than mel
+    /// bands or more than 1,024 of those.
     pub fn new(config: Config) -> Result<Analyzer> {
         let sizes_fit =
             (1..=1 << 20).contains(&config.frame) && (1..=config.frame).contains(&config.shift);

@@ -1,5 +1,6 @@
 //! Mel filter bank and cepstrum: HTK's mel scale (2595 log10(1 + f/700)), triangles of height 1, DCT-II orthonormal.
 
+/// Triangles over the bins of a spectrum, of equal width on the mel scale.
 pub struct MelBank {
     /// (first bin, weights) of each triangle.
     filters: Vec<(usize, Vec<f64>)>,
@@ -14,6 +15,7 @@ fn hz(mel: f64) -> f64 {
 }
 
 impl MelBank {
+    /// `bands` triangles from `low` to `high` Hz over the bins of a DFT of `fft_size` points of sound at `rate` Hz.
     pub fn new(rate: f64, fft_size: usize, bands: usize, low: f64, high: f64) -> MelBank {
         let (from, to) = (mel(low), mel(high));
         let edge = |i: usize| hz(from + (to - from) * i as f64 / (bands + 1) as f64);

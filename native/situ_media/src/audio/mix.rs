@@ -3,13 +3,17 @@
 use super::sample::Sample;
 use crate::error::{fail, Code, Result};
 
+/// How sound lies in memory: frames of one sample a channel, interleaved.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
+    /// The type of every sample.
     pub sample: Sample,
+    /// Channels, 1 to 1,024.
     pub channels: usize,
 }
 
 impl Layout {
+    /// Bytes of a frame: one sample of every channel.
     pub fn frame(&self) -> usize {
         self.sample.bytes() * self.channels
     }

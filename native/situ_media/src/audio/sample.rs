@@ -1,16 +1,24 @@
 //! Sample types and their numbers. Little-endian bytes; full scale is -1.0..1.0.
 
+/// How one sample is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sample {
+    /// Unsigned 8 bits, silence at 128.
     U8,
+    /// Two's complement, 16 bits.
     S16,
+    /// Two's complement, 24 bits in 3 bytes.
     S24,
+    /// Two's complement, 32 bits.
     S32,
+    /// IEEE 754 binary32; may lie beyond full scale.
     F32,
+    /// IEEE 754 binary64; may lie beyond full scale.
     F64,
 }
 
 impl Sample {
+    /// Bytes of one sample.
     pub fn bytes(self) -> usize {
         match self {
             Sample::U8 => 1,
@@ -45,6 +53,7 @@ impl Sample {
         }
     }
 
+    /// The number, full scale being -1.0..1.0; `b` holds exactly one sample.
     #[inline(always)]
     pub fn load(self, b: &[u8]) -> f64 {
         let raw = self.raw(b);

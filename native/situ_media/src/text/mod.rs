@@ -19,20 +19,26 @@ const MAX_BYTES: usize = 64 * 1024;
 /// Heights of a capital, pixels.
 const SIZES: std::ops::RangeInclusive<f64> = 1.0..=2000.0;
 
+/// Fonts that text is drawn with: each character by the first of them that has it.
 pub struct Typeface {
     fonts: Vec<Font>,
 }
 
-/// Where and how text is drawn: `at` is the top left corner of the first line's capitals, channel values as in memory.
+/// Where and how text is drawn. Colours are channel values in memory order, 0 to the format's greatest.
 pub struct Style {
+    /// The top left corner of the first line's capitals, (x, y) in pixels.
     pub at: (f64, f64),
-    /// Height of a capital, pixels.
+    /// Height of a capital, 1 to 2,000 pixels.
     pub size: f64,
+    /// The text's colour.
     pub color: [f64; 4],
+    /// The colour of the box behind it, if there shall be one.
     pub background: Option<[f64; 4]>,
 }
 
 impl Typeface {
+    /// Opens TrueType or OpenType files, or takes them from memory where they did not change since. Refuses
+    /// ([`Code::BadFont`]) none at all, and any that cannot be read or is no font.
     pub fn open<'p>(paths: impl IntoIterator<Item = &'p Path>) -> Result<Typeface> {
         let fonts: Vec<_> = paths.into_iter().map(file::open).collect::<Result<_>>()?;
         if fonts.is_empty() {

@@ -1,10 +1,11 @@
 //! Pyramids on their way into the store: bins as they become complete.
 
+use super::stream::Stream;
 use super::Writer;
 use crate::error::{Error, Result};
 use crate::format::*;
-use crate::pyramid;
-use crate::tracks;
+use crate::pyramid::{self, Bin, Builder, Fold};
+use crate::tracks::{self, Tally};
 
 /// Bins of one level that make a chunk.
 struct Bins {
@@ -30,59 +31,56 @@ impl Writer {
     }
 
     pub(super) fn write_pyramids(&mut self, number: usize, least: usize) -> Result<()> {
-        self.write_signal(number, least)?;
-        self.write_tallies(number, least)
+        let ready = self.streams[number].pyramid.take_ready(least);
+        let encode = |_: &Stream, _: u8, bins: &[Bin]| {
+            let mut body = Vec::with_capacity(bins.len() * BIN);
+            bins.iter().for_each(|bin| bin.encode(&mut body));
+            body
+        };
+        self.write_levels(number, (0, Encoding::Bins), ready, encode, |stream| {
+            &mut stream.pyramid
+        })?;
+        let ready = self.streams[number].tallies.take_ready(least);
+        let encode =
+            |stream: &Stream, k: u8, bins: &[Tally]| tracks::encode(bins, k, &stream.names);
+        self.write_levels(
+            number,
+            (TRACKS, Encoding::Tracks),
+            ready,
+            encode,
+            |stream| &mut stream.tallies,
+        )
     }
 
-    fn write_signal(&mut self, number: usize, least: usize) -> Result<()> {
+    /// Writes complete bins of levels; those of a level that could not be written wait for the next time.
+    fn write_levels<B: Fold>(
+        &mut self,
+        number: usize,
+        (above, encoding): (u8, Encoding),
+        ready: Vec<(u8, Vec<B>)>,
+        encode: impl Fn(&Stream, u8, &[B]) -> Vec<u8>,
+        builder: impl Fn(&mut Stream) -> &mut Builder<B>,
+    ) -> Result<()> {
         let mut written = Ok(());
-        for (k, bins) in self.streams[number].pyramid.take_ready(least) {
+        for (k, bins) in ready {
             for bins in bins.chunks(MAX_CHUNK_MESSAGES as usize) {
                 let (Some(first), Some(last)) = (bins.first(), bins.last()) else {
                     continue;
                 };
-                let mut body = Vec::with_capacity(bins.len() * BIN);
-                bins.iter().for_each(|bin| bin.encode(&mut body));
                 if written.is_ok() {
                     written = self.write_bins(Bins {
                         stream: number,
-                        level: k,
-                        encoding: Encoding::Bins,
+                        level: above + k,
+                        encoding,
                         count: bins.len() as u32,
-                        first: first.start,
-                        last: last.start,
-                        body,
+                        first: first.start(),
+                        last: last.start(),
+                        body: encode(&self.streams[number], k, bins),
                     });
                 }
             }
             if written.is_err() {
-                self.streams[number].pyramid.put_back(k, bins);
-            }
-        }
-        written
-    }
-
-    fn write_tallies(&mut self, number: usize, least: usize) -> Result<()> {
-        let mut written = Ok(());
-        for (k, bins) in self.streams[number].tallies.take_ready(least) {
-            for bins in bins.chunks(MAX_CHUNK_MESSAGES as usize) {
-                let (Some(first), Some(last)) = (bins.first(), bins.last()) else {
-                    continue;
-                };
-                if written.is_ok() {
-                    written = self.write_bins(Bins {
-                        stream: number,
-                        level: TRACKS + k,
-                        encoding: Encoding::Tracks,
-                        count: bins.len() as u32,
-                        first: first.start,
-                        last: last.start,
-                        body: tracks::encode(bins, k, &self.streams[number].names),
-                    });
-                }
-            }
-            if written.is_err() {
-                self.streams[number].tallies.put_back(k, bins);
+                builder(&mut self.streams[number]).put_back(k, bins);
             }
         }
         written

@@ -4,7 +4,7 @@ use crate::chunk::{Input, Value};
 use crate::format::Compression;
 use crate::format::{Encoding, LARGE_MESSAGE};
 use crate::pyramid::{self, Bin};
-use crate::tracks::{self, Names, Noted, Part, Tally};
+use crate::tracks::{self, Names, Noted, Tally};
 
 /// What must be put back when a commit fails.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,29 +59,16 @@ impl Stream {
     /// Notes a message for the tracks. Small ones only are looked into.
     pub fn mark(&mut self, time: i64, encoding: Encoding, input: &Input<'_>) {
         let before = self.noted.len();
-        let (names, noted) = (&mut self.names, &mut self.noted);
-        let each = |key: &[u8], part: Part<'_>| {
-            let number = match key {
-                [] => Some(tracks::ITSELF),
-                key => names.key(key),
-            };
-            let Some(number) = number else { return };
-            noted.push(match part {
-                Part::Number(value) => (number, Noted::Number(value)),
-                Part::State(term) => (number, Noted::State(names.state(number, term))),
-            });
-        };
-        match input {
-            Input::Bool(value) => tracks::parts(encoding, &Value::Bool(*value), &[], each),
+        let (value, body): (Value, &[u8]) = match input {
+            Input::Bool(value) => (Value::Bool(*value), &[]),
             Input::Bytes(bytes) if bytes.len() < LARGE_MESSAGE => {
-                let value = Value::Bytes {
-                    start: 0,
-                    length: bytes.len(),
-                };
-                tracks::parts(encoding, &value, bytes, each);
+                let (start, length) = (0, bytes.len());
+                (Value::Bytes { start, length }, bytes)
             }
-            _ => {}
-        }
+            // Numbers have a pyramid of their own; what is large is counted only.
+            _ => (Value::Int(0), &[]),
+        };
+        tracks::note(encoding, &value, body, &mut self.names, &mut self.noted);
         self.marks.push((time, (self.noted.len() - before) as u32));
     }
 
@@ -94,15 +81,7 @@ impl Stream {
         for (time, n) in self.marks.drain(..) {
             let (values, behind) = rest.split_at((n as usize).min(rest.len()));
             rest = behind;
-            self.tallies.observe(
-                time,
-                |bin| bin.note(values),
-                || {
-                    let mut bin = Tally::empty(time);
-                    bin.note(values);
-                    bin
-                },
-            );
+            self.tallies.observe(time, values);
         }
         self.noted.clear();
     }

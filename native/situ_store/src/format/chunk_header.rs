@@ -1,0 +1,155 @@
+//! What a chunk begins with: whose it is, what it holds, and the checksums.
+
+use super::{
+    f64_at, i64_at, set, u32_at, u64_at, Compression, Encoding, CHUNK_HEADER, CHUNK_HEADER_1,
+    CHUNK_MAGIC, CHUNK_MAGIC_1, MAX_CHUNK_PAYLOAD, MAX_MESSAGE, TRACKS,
+};
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ChunkHeader {
+    pub length: u32,
+    pub stream: u32,
+    pub level: u8,
+    pub encoding: Encoding,
+    pub compression: Compression,
+    pub count: u32,
+    pub ordinal: u64,
+    pub first: i64,
+    pub last: i64,
+    pub first_sequence: u64,
+    pub first_creation: i64,
+    pub size_sum: u64,
+    pub latency_sum: f64,
+    pub raw_length: u32,
+    pub table_length: u32,
+    pub codec: u16,
+    pub body_crc: u32,
+    /// The number of the chunk's entry in the index, where the chunk tells (version 2).
+    pub number: Option<u64>,
+    /// How many entries were committed when it was written: whatever they name was acknowledged.
+    pub committed: u64,
+}
+
+impl ChunkHeader {
+    /// How many bytes the header takes.
+    pub fn size(&self) -> usize {
+        if self.number.is_some() {
+            CHUNK_HEADER
+        } else {
+            CHUNK_HEADER_1
+        }
+    }
+
+    /// The header's bytes; `table` is what the header's checksum covers besides them.
+    pub fn encode(&self, table: &[u8]) -> [u8; CHUNK_HEADER] {
+        let mut bytes = [0; CHUNK_HEADER];
+        set(&mut bytes, 0, &CHUNK_MAGIC.to_le_bytes());
+        set(&mut bytes, 8, &self.length.to_le_bytes());
+        set(&mut bytes, 12, &self.stream.to_le_bytes());
+        bytes[16] = self.level;
+        bytes[17] = self.encoding as u8;
+        bytes[18] = self.compression as u8;
+        set(&mut bytes, 20, &self.count.to_le_bytes());
+        set(&mut bytes, 24, &self.ordinal.to_le_bytes());
+        set(&mut bytes, 32, &self.first.to_le_bytes());
+        set(&mut bytes, 40, &self.last.to_le_bytes());
+        set(&mut bytes, 48, &self.first_sequence.to_le_bytes());
+        set(&mut bytes, 56, &self.first_creation.to_le_bytes());
+        set(&mut bytes, 64, &self.size_sum.to_le_bytes());
+        set(&mut bytes, 72, &self.latency_sum.to_bits().to_le_bytes());
+        set(&mut bytes, 80, &self.raw_length.to_le_bytes());
+        set(&mut bytes, 84, &self.table_length.to_le_bytes());
+        set(&mut bytes, 88, &self.codec.to_le_bytes());
+        set(&mut bytes, 92, &self.body_crc.to_le_bytes());
+        set(
+            &mut bytes,
+            96,
+            &self.number.unwrap_or(u64::MAX).to_le_bytes(),
+        );
+        set(&mut bytes, 104, &self.committed.to_le_bytes());
+        let crc = crc32c::crc32c_append(crc32c::crc32c(&bytes[8..]), table);
+        set(&mut bytes, 4, &crc.to_le_bytes());
+        bytes
+    }
+
+    /// Parses and checks the header of the chunk that `bytes` begin with (the bytes may go on behind the chunk).
+    pub fn decode(bytes: &[u8]) -> std::result::Result<Self, &'static str> {
+        Self::decode_head(bytes, bytes.len() as u64)
+    }
+
+    /// As `decode`, from the chunk's first bytes: the header and what its checksum covers; `space` is how far the
+    /// extent goes on.
+    pub fn decode_head(bytes: &[u8], space: u64) -> std::result::Result<Self, &'static str> {
+        let size = match bytes.get(..4).map(|magic| u32_at(magic, 0)) {
+            Some(CHUNK_MAGIC) => CHUNK_HEADER,
+            Some(CHUNK_MAGIC_1) => CHUNK_HEADER_1,
+            _ => return Err("no chunk begins here"),
+        };
+        if bytes.len() < size {
+            return Err("no chunk begins here");
+        }
+        let second = size == CHUNK_HEADER;
+        let header = ChunkHeader {
+            length: u32_at(bytes, 8),
+            stream: u32_at(bytes, 12),
+            level: bytes[16],
+            encoding: Encoding::from_u8(bytes[17]).ok_or("unknown encoding")?,
+            compression: Compression::from_u8(bytes[18]).ok_or("unknown compression")?,
+            count: u32_at(bytes, 20),
+            ordinal: u64_at(bytes, 24),
+            first: i64_at(bytes, 32),
+            last: i64_at(bytes, 40),
+            first_sequence: u64_at(bytes, 48),
+            first_creation: i64_at(bytes, 56),
+            size_sum: u64_at(bytes, 64),
+            latency_sum: f64_at(bytes, 72),
+            raw_length: u32_at(bytes, 80),
+            table_length: u32_at(bytes, 84),
+            codec: u32_at(bytes, 88) as u16,
+            body_crc: u32_at(bytes, 92),
+            number: second.then(|| u64_at(bytes, 96)),
+            committed: if second { u64_at(bytes, 104) } else { 0 },
+        };
+        let length = header.length as usize;
+        if length < size || length as u64 > space {
+            return Err("the chunk does not end in its extent");
+        }
+        let stored = length - size;
+        let covered = if header.compression == Compression::None {
+            header.table_length as usize
+        } else {
+            0
+        };
+        if covered > stored
+            || header.table_length > header.raw_length
+            || (header.compression == Compression::None && stored != header.raw_length as usize)
+            || header.raw_length as usize > MAX_MESSAGE + MAX_CHUNK_PAYLOAD
+        {
+            return Err("the chunk's lengths contradict each other");
+        }
+        let kind = match header.level {
+            0 => !header.encoding.is_pyramid(),
+            level if level > TRACKS => header.encoding == Encoding::Tracks,
+            _ => header.encoding == Encoding::Bins,
+        };
+        if !kind {
+            return Err("messages are at level 0, bins above it");
+        }
+        let covered = bytes
+            .get(8..size + covered)
+            .ok_or("the chunk's table is not at hand")?;
+        if crc32c::crc32c(covered) != u32_at(bytes, 4) {
+            return Err("the chunk header's checksum is wrong");
+        }
+        Ok(header)
+    }
+
+    /// How many bytes of the stored body the header's checksum covers.
+    pub fn covered(&self) -> usize {
+        if self.compression == Compression::None {
+            self.table_length as usize
+        } else {
+            0
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! The entry of the index that names a chunk.
+
+use super::{i64_at, set, u32_at, u64_at, CHUNK_HEADER_1, ENTRY, HOLE, TRACKS};
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Entry {
+    pub stream: u32,
+    pub level: u8,
+    pub lane: u8,
+    pub extent: u32,
+    pub offset: u64,
+    pub length: u32,
+    pub count: u32,
+    pub ordinal: u64,
+    pub first: i64,
+    pub last: i64,
+    pub first_creation: i64,
+}
+
+impl Entry {
+    pub fn encode(&self) -> [u8; ENTRY] {
+        let mut bytes = [0; ENTRY];
+        set(&mut bytes, 4, &self.stream.to_le_bytes());
+        bytes[8] = self.level;
+        bytes[9] = self.lane;
+        set(&mut bytes, 12, &self.extent.to_le_bytes());
+        set(&mut bytes, 16, &self.offset.to_le_bytes());
+        set(&mut bytes, 24, &self.length.to_le_bytes());
+        set(&mut bytes, 28, &self.count.to_le_bytes());
+        set(&mut bytes, 32, &self.ordinal.to_le_bytes());
+        set(&mut bytes, 40, &self.first.to_le_bytes());
+        set(&mut bytes, 48, &self.last.to_le_bytes());
+        set(&mut bytes, 56, &self.first_creation.to_le_bytes());
+        let crc = crc32c::crc32c(&bytes[4..]);
+        set(&mut bytes, 0, &crc.to_le_bytes());
+        bytes
+    }
+
+    pub fn decode(bytes: &[u8]) -> Option<Self> {
+        if bytes.len() < ENTRY || crc32c::crc32c(&bytes[4..ENTRY]) != u32_at(bytes, 0) {
+            return None;
+        }
+        let entry = Entry {
+            stream: u32_at(bytes, 4),
+            level: bytes[8],
+            lane: bytes[9],
+            extent: u32_at(bytes, 12),
+            offset: u64_at(bytes, 16),
+            length: u32_at(bytes, 24),
+            count: u32_at(bytes, 28),
+            ordinal: u64_at(bytes, 32),
+            first: i64_at(bytes, 40),
+            last: i64_at(bytes, 48),
+            first_creation: i64_at(bytes, 56),
+        };
+        let level = entry.level < 63 || (TRACKS + 1..TRACKS + 63).contains(&entry.level);
+        let sane = entry.count > 0
+            && entry.first <= entry.last
+            && entry.lane <= 1
+            && level
+            && entry.length as usize >= CHUNK_HEADER_1;
+        (sane || entry.is_hole()).then_some(entry)
+    }
+
+    /// An entry that keeps the place of a chunk that is gone.
+    pub fn hole() -> Self {
+        Entry {
+            stream: 0,
+            level: HOLE,
+            lane: 0,
+            extent: 0,
+            offset: 0,
+            length: 0,
+            count: 0,
+            ordinal: 0,
+            first: 0,
+            last: 0,
+            first_creation: 0,
+        }
+    }
+
+    pub fn is_hole(&self) -> bool {
+        self.level == HOLE
+    }
+}
