@@ -4,8 +4,7 @@ defmodule Situ.Diagnostics.Survey do
   alias Situ.{Delivery, Graph, Type}
   alias Situ.Diagnostics.{Averages, Edge, Node, Process, Snapshot, Window}
   alias Situ.Graph.Vertex
-  alias Situ.Ports.Counters
-  alias Situ.Stage.Tally
+  alias Situ.Ports.{Counters, Tally}
 
   @doc "`view` is what the server knows: graph, stages, taps (their vertices), counters with their totals and windows."
   @spec snapshot(map()) :: Snapshot.t()

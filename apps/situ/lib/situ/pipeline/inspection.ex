@@ -3,8 +3,7 @@ defmodule Situ.Pipeline.Inspection do
   # What there is to see of a pipeline: report, snapshot, progress. Reads counters; asks no component.
   alias Situ.Diagnostics.{Averages, Snapshot, Survey, Trace}
   alias Situ.Pipeline.{Report, State}
-  alias Situ.Ports.Counters
-  alias Situ.Stage.Tally
+  alias Situ.Ports.{Counters, Tally}
 
   # However short the averaging span: looking costs something.
   @least_ms 50

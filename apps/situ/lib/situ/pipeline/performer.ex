@@ -8,7 +8,7 @@ defmodule Situ.Pipeline.Performer do
   alias Situ.Lifecycle.Errors
   alias Situ.Pipeline.{Dynamic, Handlers, Inspection, Stages, State}
   alias Situ.Pipeline.Dynamic.Extension
-  alias Situ.Stage.Tally
+  alias Situ.Ports.Tally
   require Logger
 
   @doc "One event, and all that follows from it at once."

@@ -6,8 +6,7 @@ defmodule Situ.Pipeline.Stages do
   alias Situ.Graph.{Edge, Plan, Vertex}
   alias Situ.Lifecycle.{Links, Member}
   alias Situ.Pipeline.State
-  alias Situ.Ports.{Counters, Output}
-  alias Situ.Stage.Tally
+  alias Situ.Ports.{Counters, Output, Tally}
 
   @doc "What a plan needs besides processes: links, counters, entries of stages; and the members for the life cycle."
   @spec lay_out(State.t(), Plan.t()) :: {State.t(), %{pos_integer() => Member.t()}}

@@ -37,7 +37,7 @@ defmodule Situ.Pipeline.State do
           id: pos_integer(),
           pid: pid() | nil,
           vertices: [Situ.Graph.Vertex.t(), ...],
-          tally: Situ.Stage.Tally.t(),
+          tally: Situ.Ports.Tally.t(),
           control: :atomics.atomics_ref(),
           marks: :atomics.atomics_ref() | nil,
           tail: Situ.Ports.Counters.t() | nil

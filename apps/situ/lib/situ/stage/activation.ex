@@ -2,9 +2,10 @@ defmodule Situ.Stage.Activation do
   @moduledoc false
   # A call into the component, and what came of it: its actions, or an error.
   alias Situ.{Clock, Error}
+  alias Situ.Clock.Timers
   alias Situ.Component.Callback
   alias Situ.Ports.{Output, Outputs}
-  alias Situ.Stage.{Emission, ErrorPolicy, State, Timers}
+  alias Situ.Stage.{Emission, ErrorPolicy, State}
 
   @doc "Calls a callback at clock time `now`; the context comes in as its last argument but the state."
   @spec call(State.t(), atom(), [term()], Situ.Time.t()) :: State.t()

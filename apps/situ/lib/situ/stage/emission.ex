@@ -3,9 +3,10 @@ defmodule Situ.Stage.Emission do
   # A component's actions, applied to the state of its stage: all of it, or on the first bad action none. Then
   # `settle/1` sends it.
   alias Situ.{Error, Message}
+  alias Situ.Clock.Timers
   alias Situ.Component.Callback
   alias Situ.Ports.{Inputs, Output, Outputs, Posting}
-  alias Situ.Stage.{ChainRunner, ErrorPolicy, Pace, Source, State, Timers}
+  alias Situ.Stage.{ChainRunner, ErrorPolicy, Pace, Source, State}
 
   @spec run(State.t(), [Situ.Component.action()], Situ.Time.t()) ::
           {:ok, State.t()} | {:error, Error.t()}

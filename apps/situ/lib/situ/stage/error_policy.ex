@@ -2,8 +2,9 @@ defmodule Situ.Stage.ErrorPolicy do
   @moduledoc false
   # The effect of an error on a stage, as its component's `on_error` says: a message lost, a restart, or the end.
   alias Situ.Error
-  alias Situ.Ports.Outputs
-  alias Situ.Stage.{Source, State, Tally, Timers}
+  alias Situ.Clock.Timers
+  alias Situ.Ports.{Outputs, Tally}
+  alias Situ.Stage.{Source, State}
 
   @doc "What is to be done. While the pipeline starts every error is its end."
   @spec decide(State.t()) :: :skip | :restart | :fail

@@ -4,18 +4,9 @@ defmodule Situ.Stage.Loop do
   # of time lasts; then the next entry of the mailbox has its turn. While another turn is on its way (Pace), what
   # arrives only waits.
   alias Situ.Clock
+  alias Situ.Clock.Timers
   alias Situ.Ports.{Input, Inputs, Outputs}
-
-  alias Situ.Stage.{
-    Activation,
-    ChainRunner,
-    Emission,
-    MessageRunner,
-    Pace,
-    Production,
-    State,
-    Timers
-  }
+  alias Situ.Stage.{Activation, ChainRunner, Emission, MessageRunner, Pace, Production, State}
 
   @slice_ns 5_000_000
   @flush_ns 200_000

@@ -3,10 +3,11 @@ defmodule Situ.Stage.Memory do
   # A stage's memory as plain data: the component's snapshot, the states of its operators, how far its outputs have
   # come, its timers, the inputs that have closed. Taken while no message waits for it (see
   # `Situ.Pipeline.Checkpointing`); a stage that starts with a memory goes on from there.
-  alias Situ.Component.Snapshot
   alias Situ.Error
+  alias Situ.Clock.Timers
+  alias Situ.Component.Snapshot
   alias Situ.Ports.{Output, Outputs}
-  alias Situ.Stage.{State, Timers}
+  alias Situ.Stage.State
 
   @type t :: %{
           core: Snapshot.t() | nil,

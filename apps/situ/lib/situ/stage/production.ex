@@ -2,8 +2,9 @@ defmodule Situ.Stage.Production do
   @moduledoc false
   # The work of a source besides answering: it produces while there is demand, and stops when it is asked to.
   alias Situ.{Clock, Error}
-  alias Situ.Ports.{Output, Outputs}
-  alias Situ.Stage.{Activation, Emission, ErrorPolicy, Pace, Source, State, Tally, Timers}
+  alias Situ.Clock.Timers
+  alias Situ.Ports.{Output, Outputs, Tally}
+  alias Situ.Stage.{Activation, Emission, ErrorPolicy, Pace, Source, State}
 
   @most 1_000
   # No further than the clock, when that is enforced: what is made ahead of it has to be held.

@@ -3,11 +3,12 @@ defmodule Situ.Stage.State do
   # The state of a stage: a part for each concern, owned by the module of its type. Here are only the making and the
   # wiring.
   alias Situ.{Clock, Error}
+  alias Situ.Clock.Timers
   alias Situ.Component.{Callback, Context}
   alias Situ.Graph.Vertex
   alias Situ.Operator.Chain
-  alias Situ.Ports.{Input, Inputs, Output, Outputs, Subscriber}
-  alias Situ.Stage.{Pace, Source, Tally, Timers}
+  alias Situ.Ports.{Input, Inputs, Output, Outputs, Subscriber, Tally}
+  alias Situ.Stage.{Pace, Source}
 
   @never 9_000_000_000_000_000_000
 

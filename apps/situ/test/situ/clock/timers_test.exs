@@ -1,9 +1,9 @@
-defmodule Situ.Stage.TimersTest do
+defmodule Situ.Clock.TimersTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
   alias Situ.Clock
-  alias Situ.Stage.Timers
+  alias Situ.Clock.Timers
 
   property "timers come in the order of their times, those of one time in the order they were set" do
     forall times <- list(integer(0, 20)) do

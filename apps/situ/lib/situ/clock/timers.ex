@@ -1,4 +1,4 @@
-defmodule Situ.Stage.Timers do
+defmodule Situ.Clock.Timers do
   @moduledoc false
   # The timers of a component, ordered by time, and one alarm of the VM for all that waits for the clock.
   alias Situ.Clock

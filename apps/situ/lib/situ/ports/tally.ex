@@ -1,4 +1,4 @@
-defmodule Situ.Stage.Tally do
+defmodule Situ.Ports.Tally do
   @moduledoc false
   # Errors, restarts and lost messages of each component of a stage, in shared memory.
 
