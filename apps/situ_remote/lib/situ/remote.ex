@@ -26,7 +26,7 @@ defmodule Situ.Remote do
       iex> File.rm_rf!(root)
   """
   alias Situ.{Delivery, Error, Options, Pipeline}
-  alias Situ.Remote.{Address, Confirmation, Connection, Position, Serving, Source}
+  alias Situ.Remote.{Address, Confirmation, Connection, Position, Rendezvous, Serving, Source}
   alias Situ.Remote.Origin.Versions
   alias Situ.Store.{Folder, TypeName}
 
@@ -273,4 +273,32 @@ defmodule Situ.Remote do
   """
   @spec info(t()) :: map()
   def info(%__MODULE__{pid: pid}), do: Connection.info(pid)
+
+  @doc """
+  Where links lead that are known now: the configured names (`config :situ_remote, names: %{...}`), and what the other
+  processes at a rendezvous offer (`members` are of `Situ.Remote.Rendezvous.join/2`).
+
+      iex> Application.put_env(:situ_remote, :names, %{"lab1" => "situ://10.0.0.3"})
+      iex> Situ.Remote.peers()
+      [%{name: "lab1", address: "situ://10.0.0.3", streams: []}]
+      iex> Application.delete_env(:situ_remote, :names)
+      :ok
+  """
+  @spec peers([pid()]) :: [
+          %{name: String.t(), address: String.t(), streams: [{String.t(), String.t()}]}
+        ]
+  def peers(members \\ []) do
+    configured =
+      for {name, address} <- Application.get_env(:situ_remote, :names, %{}),
+          do: %{name: name, address: address, streams: []}
+
+    offered =
+      for member <- members,
+          %{name: name, endpoints: endpoints} <- Rendezvous.peers(member),
+          {:address, address, streams} <- endpoints,
+          Address.address?(address),
+          do: %{name: name, address: address, streams: streams}
+
+    configured ++ offered
+  end
 end

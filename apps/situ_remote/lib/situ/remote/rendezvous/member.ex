@@ -1,0 +1,152 @@
+defmodule Situ.Remote.Rendezvous.Member do
+  @moduledoc false
+  # A process's place at a rendezvous: announces it, knows the others, and comes back when the server has been away.
+  use GenServer
+  alias Situ.Remote.Rendezvous.Wire
+
+  @first_wait 50
+  @longest_wait 5_000
+  @most_bytes 16 * 1024 * 1024
+
+  defstruct [
+    :host,
+    :port,
+    :own,
+    :listener,
+    :socket,
+    :error,
+    wait: @first_wait,
+    stage: nil,
+    buffer: "",
+    peers: %{}
+  ]
+
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
+
+  @impl true
+  def init(opts) do
+    send(self(), :connect)
+    own = %{name: opts[:name], version: opts[:version], endpoints: opts[:endpoints]}
+    {:ok, %__MODULE__{host: opts[:host], port: opts[:port], own: own, listener: opts[:listener]}}
+  end
+
+  @impl true
+  def handle_call(:peers, _from, state), do: {:reply, others(state), state}
+  def handle_call(:error, _from, state), do: {:reply, state.error, state}
+
+  def handle_call({:announce, endpoints}, _from, state) do
+    state = %{state | own: %{state.own | endpoints: endpoints}}
+    announce(state)
+    {:reply, :ok, state}
+  end
+
+  defp others(state),
+    do: for({name, process} <- Enum.sort(state.peers), name != state.own.name, do: process)
+
+  @impl true
+  def handle_info(:connect, %{socket: nil} = state) do
+    options = [:binary, active: :once, nodelay: true, keepalive: true, send_timeout: 5_000]
+
+    case :gen_tcp.connect(String.to_charlist(state.host), state.port, options, 5_000) do
+      {:ok, socket} ->
+        _ = :gen_tcp.send(socket, <<Wire.version()::little-signed-16>>)
+        {:noreply, %{state | socket: socket, stage: :greeting, buffer: ""}}
+
+      {:error, reason} ->
+        {:noreply, again(state, to_string(:inet.format_error(reason)))}
+    end
+  end
+
+  def handle_info({:tcp, socket, bytes}, %{socket: socket} = state) do
+    _ = :inet.setopts(socket, active: :once)
+    {:noreply, read(%{state | buffer: state.buffer <> bytes})}
+  end
+
+  def handle_info({kind, socket}, %{socket: socket} = state) when kind == :tcp_closed,
+    do: {:noreply, again(state, "the server closed the connection")}
+
+  def handle_info({:tcp_error, socket, reason}, %{socket: socket} = state),
+    do: {:noreply, again(state, inspect(reason))}
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp read(%{buffer: buffer} = state) when byte_size(buffer) > @most_bytes,
+    do: again(state, "too much at once")
+
+  defp read(%{stage: :greeting, buffer: <<version::little-signed-16, rest::binary>>} = state) do
+    if version == Wire.version(),
+      do: read(%{state | stage: :listed, buffer: rest}),
+      else: again(state, "the server speaks version #{version}, here it is #{Wire.version()}")
+  end
+
+  # The address that the server sees, and the processes that are there: of the last connection's nothing counts.
+  defp read(%{stage: :listed, buffer: buffer} = state) do
+    with {:ok, _address, rest} <- Wire.read_text(buffer),
+         {:ok, _count, rest} <- Wire.read_int(rest) do
+      state = %{state | stage: :open, buffer: rest, wait: @first_wait, error: nil, peers: %{}}
+      announce(state)
+      read(state)
+    else
+      :more -> state
+      {:error, why} -> again(state, why)
+    end
+  end
+
+  defp read(%{stage: :open, buffer: buffer} = state) do
+    case Wire.decode(buffer) do
+      {:ok, update, rest} -> read(updated(%{state | buffer: rest}, update))
+      :more -> state
+      {:error, why} -> again(state, why)
+    end
+  end
+
+  defp read(state), do: state
+
+  defp updated(state, {:add, process}) do
+    tell(state, {:added, process})
+    %{state | peers: Map.put(state.peers, process.name, process)}
+  end
+
+  defp updated(state, {:remove, name}) do
+    tell(state, {:removed, name})
+    %{state | peers: Map.delete(state.peers, name)}
+  end
+
+  defp updated(state, :disconnect), do: state
+
+  # What is ours is no news.
+  defp tell(%{listener: nil}, _event), do: :ok
+  defp tell(%{own: %{name: name}}, {:added, %{name: name}}), do: :ok
+  defp tell(%{own: %{name: name}}, {:removed, name}), do: :ok
+  defp tell(state, event), do: send(state.listener, {:situ_rendezvous, self(), event})
+
+  defp announce(%{stage: :open, socket: socket} = state),
+    do: :gen_tcp.send(socket, Wire.encode({:add, state.own}))
+
+  defp announce(_state), do: :ok
+
+  defp again(state, why) do
+    if state.socket, do: :gen_tcp.close(state.socket)
+    for {name, _} <- state.peers, do: tell(state, {:removed, name})
+    Process.send_after(self(), :connect, state.wait)
+
+    %{
+      state
+      | socket: nil,
+        stage: nil,
+        buffer: "",
+        peers: %{},
+        error: why,
+        wait: min(state.wait * 2, @longest_wait)
+    }
+  end
+
+  @impl true
+  def terminate(_reason, %{socket: nil}), do: :ok
+
+  def terminate(_reason, state) do
+    _ = :gen_tcp.send(state.socket, Wire.encode(:disconnect))
+    :gen_tcp.close(state.socket)
+  end
+end

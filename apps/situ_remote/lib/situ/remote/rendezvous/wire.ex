@@ -1,0 +1,160 @@
+defmodule Situ.Remote.Rendezvous.Wire do
+  @moduledoc """
+  \\psi's rendezvous protocol, version 2, as terms and as bytes. Pure.
+
+  Processes announce what they offer. A process is `%{name: name, version: text, endpoints: [endpoint]}`, an endpoint
+
+    * `{:tcp, host, port, streams}`, one stream in \\psi's TCP framing,
+    * `{:address, address, streams}`, ZeroMQ's in \\psi; a link's (`situ://...`) among Situ's processes,
+    * `{:exporter, host, port, transport, streams}` or
+    * `{:clock, host, port, []}`,
+
+  and a stream `{name, type}`, both text. Strings are their length (seven bits a byte, the least first) and UTF-8,
+  integers are little-endian.
+
+      iex> alias Situ.Remote.Rendezvous.Wire
+      iex> process = %{name: "robot", version: "1", endpoints: [{:address, "situ://r1/robot", [{"imu", ":float"}]}]}
+      iex> bytes = IO.iodata_to_binary(Wire.encode({:add, process}))
+      iex> Wire.decode(bytes <> "rest")
+      {:ok, {:add, process}, "rest"}
+      iex> Wire.decode(binary_part(bytes, 0, 9))
+      :more
+      iex> Wire.decode(<<7>>)
+      {:error, "no update begins with the byte 7"}
+  """
+  @version 2
+  @most_text 4_096
+  @most_endpoints 1_000
+  @most_streams 10_000
+
+  @type stream :: {name :: String.t(), type :: String.t()}
+  @type endpoint ::
+          {:tcp, String.t(), integer(), [stream()]}
+          | {:address, String.t(), [stream()]}
+          | {:exporter, String.t(), integer(), integer(), [stream()]}
+          | {:clock, String.t(), integer(), [stream()]}
+  @type process :: %{name: String.t(), version: String.t(), endpoints: [endpoint()]}
+  @type update :: :disconnect | {:add, process()} | {:remove, String.t()}
+
+  @spec version() :: 2
+  def version, do: @version
+
+  @spec encode(update()) :: iodata()
+  def encode(:disconnect), do: <<0>>
+  def encode({:remove, name}), do: [2, text(name)]
+
+  def encode({:add, %{name: name, version: version, endpoints: endpoints}}) do
+    [1, text(name), text(version), int(length(endpoints)) | Enum.map(endpoints, &endpoint/1)]
+  end
+
+  defp endpoint({:tcp, host, port, streams}), do: [0, text(host), int(port) | streams(streams)]
+  defp endpoint({:address, address, streams}), do: [1, text(address) | streams(streams)]
+
+  defp endpoint({:exporter, host, port, transport, streams}),
+    do: [2, text(host), int(port), int(transport) | streams(streams)]
+
+  defp endpoint({:clock, host, port, streams}), do: [3, text(host), int(port) | streams(streams)]
+
+  defp streams(streams),
+    do: [int(length(streams)) | for({name, type} <- streams, do: [text(name), text(type)])]
+
+  defp int(n), do: <<n::little-signed-32>>
+
+  @doc "A string as the protocol has it."
+  @spec text(String.t()) :: iodata()
+  def text(text), do: [varint(byte_size(text)), text]
+
+  defp varint(n) when n < 128, do: <<n>>
+  defp varint(n), do: <<1::1, rem(n, 128)::7, varint(div(n, 128))::binary>>
+
+  @doc "The first update in `bytes` and what follows it; `:more` when it is not all there."
+  @spec decode(binary()) :: {:ok, update(), binary()} | :more | {:error, String.t()}
+  def decode(<<>>), do: :more
+  def decode(<<0, rest::binary>>), do: {:ok, :disconnect, rest}
+
+  def decode(<<1, rest::binary>>) do
+    with {:ok, name, rest} <- read_text(rest),
+         {:ok, version, rest} <- read_text(rest),
+         {:ok, endpoints, rest} <- read_list(rest, @most_endpoints, &read_endpoint/1),
+         do: {:ok, {:add, %{name: name, version: version, endpoints: endpoints}}, rest}
+  end
+
+  def decode(<<2, rest::binary>>) do
+    with {:ok, name, rest} <- read_text(rest), do: {:ok, {:remove, name}, rest}
+  end
+
+  def decode(<<kind, _::binary>>), do: {:error, "no update begins with the byte #{kind}"}
+
+  defp read_endpoint(<<kind, rest::binary>>) when kind in [0, 3] do
+    with {:ok, host, rest} <- read_text(rest),
+         {:ok, port, rest} <- read_int(rest),
+         {:ok, streams, rest} <- read_streams(rest),
+         do: {:ok, {if(kind == 0, do: :tcp, else: :clock), host, port, streams}, rest}
+  end
+
+  defp read_endpoint(<<1, rest::binary>>) do
+    with {:ok, address, rest} <- read_text(rest),
+         {:ok, streams, rest} <- read_streams(rest),
+         do: {:ok, {:address, address, streams}, rest}
+  end
+
+  defp read_endpoint(<<2, rest::binary>>) do
+    with {:ok, host, rest} <- read_text(rest),
+         {:ok, port, rest} <- read_int(rest),
+         {:ok, transport, rest} <- read_int(rest),
+         {:ok, streams, rest} <- read_streams(rest),
+         do: {:ok, {:exporter, host, port, transport, streams}, rest}
+  end
+
+  defp read_endpoint(<<kind, _::binary>>), do: {:error, "no endpoint is of the kind #{kind}"}
+  defp read_endpoint(<<>>), do: :more
+
+  defp read_streams(bytes), do: read_list(bytes, @most_streams, &read_stream/1)
+
+  defp read_stream(bytes) do
+    with {:ok, name, rest} <- read_text(bytes),
+         {:ok, type, rest} <- read_text(rest),
+         do: {:ok, {name, type}, rest}
+  end
+
+  defp read_list(bytes, most, one) do
+    with {:ok, n, rest} <- read_int(bytes) do
+      if n in 0..most, do: read_n(rest, n, one, []), else: {:error, "a list of #{n}"}
+    end
+  end
+
+  defp read_n(rest, 0, _one, done), do: {:ok, Enum.reverse(done), rest}
+
+  defp read_n(bytes, n, one, done) do
+    with {:ok, item, rest} <- one.(bytes), do: read_n(rest, n - 1, one, [item | done])
+  end
+
+  @doc "A 32-bit number."
+  @spec read_int(binary()) :: {:ok, integer(), binary()} | :more
+  def read_int(<<n::little-signed-32, rest::binary>>), do: {:ok, n, rest}
+  def read_int(_short), do: :more
+
+  @doc "A string; not longer than 4,096 bytes, and UTF-8."
+  @spec read_text(binary()) :: {:ok, String.t(), binary()} | :more | {:error, String.t()}
+  def read_text(<<0::1, n::7, rest::binary>>), do: take_text(n, rest)
+
+  def read_text(<<1::1, low::7, 0::1, high::7, rest::binary>>),
+    do: take_text(high * 128 + low, rest)
+
+  def read_text(<<1::1, _::7, 1::1, _::7, _::binary>>),
+    do: {:error, "a text of more than 16 KiB"}
+
+  def read_text(_short), do: :more
+
+  defp take_text(n, _rest) when n > @most_text, do: {:error, "a text of #{n} bytes"}
+
+  defp take_text(n, bytes) do
+    case bytes do
+      <<text::binary-size(n), rest::binary>> ->
+        if String.valid?(text), do: {:ok, text, rest}, else: {:error, "a text that is not UTF-8"}
+
+      _ ->
+        :more
+    end
+  end
+end

@@ -1,0 +1,66 @@
+defmodule Situ.Remote.Rendezvous.WireTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  alias Situ.Remote.Rendezvous.Wire
+  doctest Wire
+
+  defp streams, do: list({text(), text()})
+  defp port, do: integer(0, 65_535)
+
+  defp endpoint do
+    one_of([
+      {:tcp, text(), port(), streams()},
+      {:address, text(), streams()},
+      {:exporter, text(), port(), integer(0, 2), streams()},
+      {:clock, text(), port(), []}
+    ])
+  end
+
+  defp update do
+    process =
+      map({text(), text(), list(endpoint())}, fn {name, version, endpoints} ->
+        %{name: name, version: version, endpoints: endpoints}
+      end)
+
+    one_of([:disconnect, {:remove, text()}, {:add, process}])
+  end
+
+  property "updates come back whole, however the bytes are cut" do
+    forall {updates, cut} <- {list(update()), integer(0, 1_000)} do
+      bytes = updates |> Enum.map(&Wire.encode/1) |> IO.iodata_to_binary()
+      assert read(bytes, []) == {updates, ""}
+      before = binary_part(bytes, 0, min(cut, byte_size(bytes)))
+      {first, _rest} = read(before, [])
+      assert first == Enum.take(updates, length(first))
+    end
+  end
+
+  defp read(bytes, done) do
+    case Wire.decode(bytes) do
+      {:ok, update, rest} -> read(rest, [update | done])
+      :more -> {Enum.reverse(done), bytes}
+    end
+  end
+
+  property "noise is an update, more to come, or an error in words", numtests: 500 do
+    forall {kind, noise} <- {integer(0, 5), binary()} do
+      case Wire.decode(<<kind, noise::binary>>) do
+        {:ok, _update, rest} -> assert is_binary(rest)
+        :more -> :ok
+        {:error, why} -> assert is_binary(why)
+      end
+    end
+  end
+
+  test "as the reference writes it" do
+    process = %{name: "p", version: "v", endpoints: [{:exporter, "h", 11_411, 1, [{"s", "t"}]}]}
+
+    expected =
+      <<1, 1, "p", 1, "v", 1::little-32, 2, 1, "h", 11_411::little-32, 1::little-32, 1::little-32,
+        1, "s", 1, "t">>
+
+    assert IO.iodata_to_binary(Wire.encode({:add, process})) == expected
+    long = String.duplicate("x", 300)
+    assert IO.iodata_to_binary(Wire.text(long)) == <<0xAC, 0x02, long::binary>>
+  end
+end
