@@ -1,0 +1,85 @@
+defmodule Situ.Remote.Origin.RecordingTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  import Situ.Remote.Test.Recordings
+  alias Situ.Delivery
+  alias Situ.Remote.Link.Batch
+  alias Situ.Remote.Origin.Recording
+  alias Situ.Store.Writer
+
+  setup do
+    {:ok, root: folder()}
+  end
+
+  defp times(state, cursor, done \\ []) do
+    case Recording.read(state, cursor) do
+      {:parts, parts, 0, cursor} ->
+        found =
+          for {_, _, _, payload} <- parts,
+              {:ok, messages} = Batch.decode(IO.iodata_to_binary(payload)),
+              message <- messages,
+              do: message.originating_time
+
+        times(state, cursor, done ++ found)
+
+      other ->
+        {done, other}
+    end
+  end
+
+  test "versions are read as one row, from any time, whichever of them has the stream", %{
+    root: root
+  } do
+    finish(begin(root, "r", %{"n" => messages(1..5)}), 5)
+    finish(begin(root, "r", %{"other" => messages(6..7)}), 7)
+    {:ok, killed} = Writer.create("r", root)
+    {:ok, stream} = Writer.stream(killed, "n")
+    {:ok, _} = Writer.append(stream, messages(8..9))
+    finish(begin(root, "r", %{"n" => messages(9..12)}), 20)
+
+    {:ok, state} = Recording.open({:series, root, "r"})
+
+    for from <- 0..13 do
+      {:ok, cursor, before} = Recording.cursor(state, "n", {:at, from})
+      assert before == from - 1
+      expected = Enum.filter([1, 2, 3, 4, 5, 8, 9, 10, 11, 12], &(&1 >= from))
+      assert {^expected, {:ended, 20}} = times(state, cursor)
+    end
+
+    assert {:ok, _, 12} = Recording.cursor(state, "n", :now)
+    assert Recording.cursor(state, "gone", :start) == :unknown
+    {:ok, alone, _} = Recording.cursor(state, "other", {:at, 0})
+    assert {[6, 7], {:idle, _}} = times(state, alone)
+  end
+
+  test "what a lossy policy keeps", %{root: root} do
+    finish(begin(root, "r", %{"n" => messages(1..100)}), 100)
+    {:ok, state} = Recording.open({:series, root, "r"})
+    {:ok, cursor, _} = Recording.cursor(state, "n", :start)
+    {skipped, latest} = Recording.skip(state, cursor, Delivery.latest(), 0)
+    assert {99, {[100], _}} = {skipped, times(state, latest)}
+    {90, few} = Recording.skip(state, cursor, Delivery.max_queue(10), 0)
+    assert {found, _} = times(state, few)
+    assert found == Enum.to_list(91..100)
+    {69, young} = Recording.skip(state, cursor, Delivery.max_latency(50), 120)
+    assert {[70 | _], _} = times(state, young)
+    assert {0, ^cursor} = Recording.skip(state, cursor, Delivery.unlimited(), 0)
+  end
+
+  test "news of a commit, and of the end", %{root: root} do
+    {writer, %{"n" => stream}} = begin(root, "r", %{"n" => messages(1..3)})
+    {:ok, state} = Recording.open({:series, root, "r"})
+    {[%{name: "n"}], state} = Recording.streams(state)
+    assert {:same, state} = Recording.streams(state)
+    {:ok, cursor, 3} = Recording.cursor(state, "n", :now)
+    assert {:idle, cursor} = Recording.read(state, cursor)
+    state = Recording.await(state)
+    assert_receive {:situ_store, 0, _} = news
+    {:ok, state} = Recording.news(state, news)
+    assert Recording.news(state, {:situ_store, 7, {:published, 99}}) == :other
+    finish({writer, %{"n" => stream}}, 9)
+    _state = Recording.await(state)
+    assert_receive {:situ_store, 0, _}
+    assert {:ended, 9} = Recording.read(state, cursor)
+  end
+end
