@@ -21,6 +21,9 @@ defmodule Situ.Cluster do
   no rule names is the part `"rest"`. A part runs on one node, as a pipeline of its own; streams between parts are
   GenStage edges with the same back-pressure, from its publisher to the parts that read it, and go through the log.
 
+  Sources of a part that waits for what it puts out itself, through others, are a part of their own beside it
+  (`"rest sources"`), placed by the same rule.
+
   Every node has the module and builds the same graph. `build/2` is called on each of them, with the same options.
 
   ## A node is lost
@@ -87,6 +90,15 @@ defmodule Situ.Cluster do
     with {:ok, opts} <- Options.validate(opts, @schema),
          {:ok, log} <- log(opts[:log], opts[:log_options]),
          do: Agent.start_link(log: log, labels: opts[:labels])
+  end
+
+  @doc "As `start_link/1`, for shells and scripts: it does not end with its caller."
+  @spec join(keyword()) :: GenServer.on_start() | {:error, Error.t()}
+  def join(opts) do
+    with {:ok, agent} <- start_link(opts) do
+      Process.unlink(agent)
+      {:ok, agent}
+    end
   end
 
   defp log(%Log{} = log, _opts), do: {:ok, log}

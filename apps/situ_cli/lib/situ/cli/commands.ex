@@ -3,6 +3,7 @@ defmodule Situ.CLI.Commands do
   # Every verb, in the order `situ --help` shows them, and how one is found.
   alias Situ.CLI.{
     Annotate,
+    Cluster,
     Dataset,
     Devices,
     Query,
@@ -25,6 +26,7 @@ defmodule Situ.CLI.Commands do
     Task,
     Annotate,
     Studio,
+    Cluster,
     Talk,
     Serve,
     Devices,
@@ -35,6 +37,7 @@ defmodule Situ.CLI.Commands do
     "store" => "look at recordings, check, repair, cut, copy, edit them",
     "dataset" => "group recordings into sessions, list them, run pipelines over them",
     "task" => "list and run batch tasks over the sessions of a dataset",
+    "cluster" => "nodes that run pipelines together: make, join, look, deploy, move",
     "annotate" => "exchange annotations with other programs, compare annotators"
   }
 

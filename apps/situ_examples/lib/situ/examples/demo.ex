@@ -17,6 +17,7 @@ defmodule Situ.Examples.Demo do
     --profile        print where the time went, component by component
     --port N         the studio's port (default 4040; 0 takes a free one)
     --no-open        do not open a browser
+    --cluster        on three nodes, one of which is killed in the middle (--cluster --help)
     --dataset        a study instead: clips as a dataset, annotated, exported, compared (--dataset --help)
     --scene          a room in three dimensions instead, with all that is found in it (--scene --help)
 
@@ -30,7 +31,7 @@ defmodule Situ.Examples.Demo do
   ```
   """
   alias Situ.Error
-  alias Situ.Examples.Demo.{Options, Profile, Recording, Score, Table, Transcript, Truth}
+  alias Situ.Examples.Demo.{Cluster, Options, Profile, Recording, Score, Table, Transcript, Truth}
   alias Situ.Examples.MultimodalVoiceActivity
 
   @doc "Runs the demo and ends the VM with its exit status."
@@ -43,6 +44,7 @@ defmodule Situ.Examples.Demo do
     cond do
       "--dataset" in argv -> Situ.Examples.Study.run(argv)
       "--scene" in argv -> Situ.Examples.Demo.Scene.run(argv)
+      "--cluster" in argv -> Cluster.run(argv, &record/1)
       true -> talk(argv)
     end
   end

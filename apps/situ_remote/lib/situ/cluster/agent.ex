@@ -91,7 +91,7 @@ defmodule Situ.Cluster.Agent do
      %{
        node: node(),
        members: state.members,
-       deployments: Map.keys(state.deployments),
+       deployments: Map.values(state.deployments),
        routes: routes
      }, state}
   end

@@ -12,7 +12,10 @@ defmodule Situ.Cluster.Inlet do
 
   alias Situ.Cluster.Member
 
-  @window 1_000
+  # As many messages as weigh so much are under way at once, between these numbers.
+  @bytes 4 * 1024 * 1024
+  @least 4
+  @most 1_000
 
   @impl true
   def init(opts) do
@@ -32,10 +35,10 @@ defmodule Situ.Cluster.Inlet do
 
   # There is room: what was taken is asked for again, as soon as it is half of the window.
   @impl true
-  def handle_demand(_n, _context, %{sub: %{taken: taken} = sub} = state)
-      when taken >= div(@window, 2) do
-    send(sub.pid, {:"$gen_producer", {self(), sub.ref}, {:ask, taken}})
-    {[], %{state | sub: %{sub | taken: 0}}}
+  def handle_demand(_n, _context, %{sub: %{asked: asked, window: window} = sub} = state)
+      when asked <= div(window, 2) do
+    send(sub.pid, {:"$gen_producer", {self(), sub.ref}, {:ask, window - asked}})
+    {[], %{state | sub: %{sub | asked: window}}}
   end
 
   def handle_demand(_n, _context, state), do: {[], state}
@@ -56,8 +59,8 @@ defmodule Situ.Cluster.Inlet do
   end
 
   def handle_info({:"$gen_consumer", {_, ref}, messages}, _context, state)
-      when state.sub.ref == ref and is_list(messages) do
-    sub = %{state.sub | taken: state.sub.taken + length(messages)}
+      when state.sub.ref == ref and is_list(messages) and messages != [] do
+    sub = %{state.sub | asked: state.sub.asked - length(messages), window: window(messages)}
 
     case Enum.drop_while(messages, &(&1.sequence_id <= state.last)) do
       [] ->
@@ -80,9 +83,12 @@ defmodule Situ.Cluster.Inlet do
     ref = Process.monitor(pid)
     opts = [stream: state.stream, from: state.last, part: state.part]
     send(pid, {:"$gen_producer", {self(), ref}, {:subscribe, nil, opts}})
-    send(pid, {:"$gen_producer", {self(), ref}, {:ask, @window}})
-    %{state | sub: %{pid: pid, ref: ref, taken: 0}}
+    send(pid, {:"$gen_producer", {self(), ref}, {:ask, @least}})
+    %{state | sub: %{pid: pid, ref: ref, asked: @least, window: @least}}
   end
+
+  defp window([%{data: data} | _]),
+    do: div(@bytes, max(:erlang.external_size(data), 1)) |> max(@least) |> min(@most)
 
   defp leave(%{sub: nil} = state), do: state
 

@@ -5,9 +5,14 @@ defmodule Situ.Cluster.Outgoing do
   #   mark      behind the last message that was handed over      stored   behind the last one in the log
   #   pending   messages that are not in the log yet, newest first
   #   tail      the last batches that may be seen by readers, newest first
+  #
+  # What is kept is bounded by number and by weight: a picture weighs more than a number.
   alias Situ.Cluster.Chunk
 
   @tail 8_192
+  @tail_bytes 8 * 1024 * 1024
+  @full 20_000
+  @full_bytes 4 * 1024 * 1024
 
   @enforce_keys [:name, :subject]
   defstruct [
@@ -18,8 +23,10 @@ defmodule Situ.Cluster.Outgoing do
     stored: nil,
     pending: [],
     count: 0,
+    bytes: 0,
     tail: [],
-    tail_count: 0
+    tail_count: 0,
+    tail_bytes: 0
   ]
 
   @type t :: %__MODULE__{}
@@ -53,8 +60,18 @@ defmodule Situ.Cluster.Outgoing do
       end)
 
     count = out.count + length(fresh)
-    {Enum.reverse(fresh), %{out | mark: mark, pending: fresh ++ out.pending, count: count}}
+    bytes = out.bytes + weight(fresh)
+    pending = fresh ++ out.pending
+    {Enum.reverse(fresh), %{out | mark: mark, pending: pending, count: count, bytes: bytes}}
   end
+
+  # One is weighed for all of a batch.
+  defp weight([]), do: 0
+  defp weight([%{data: data} | _] = batch), do: :erlang.external_size(data) * length(batch)
+
+  @doc "Whether more is pending than should be."
+  @spec full?(t()) :: boolean()
+  def full?(%__MODULE__{count: count, bytes: bytes}), do: count >= @full or bytes >= @full_bytes
 
   @doc "The stream ends."
   @spec close(t(), Situ.Time.t()) :: t()
@@ -70,7 +87,7 @@ defmodule Situ.Cluster.Outgoing do
   @doc "Takes what is to be stored, oldest first."
   @spec take(t()) :: {{[Situ.Message.t()], Chunk.mark()}, t()}
   def take(%__MODULE__{} = out),
-    do: {{Enum.reverse(out.pending), out.mark}, %{out | pending: [], count: 0}}
+    do: {{Enum.reverse(out.pending), out.mark}, %{out | pending: [], count: 0, bytes: 0}}
 
   @doc "Readers may see these."
   @spec show(t(), [Situ.Message.t()]) :: t()
@@ -78,36 +95,40 @@ defmodule Situ.Cluster.Outgoing do
 
   def show(%__MODULE__{} = out, [first | _] = messages) do
     n = length(messages)
-    batch = {first.sequence_id, first.sequence_id + n - 1, messages}
-    trim(%{out | tail: [batch | out.tail], tail_count: out.tail_count + n})
+    bytes = weight(messages)
+    batch = {first.sequence_id, first.sequence_id + n - 1, messages, bytes}
+    {count, bytes} = {out.tail_count + n, out.tail_bytes + bytes}
+    trim(%{out | tail: [batch | out.tail], tail_count: count, tail_bytes: bytes})
   end
 
-  # Looked at once in a while only: what is left is at least the last @tail messages, and all that is not stored yet.
-  defp trim(%{tail_count: count} = out) when count > 2 * @tail do
-    {kept, n} = keep(out.tail, out.stored.last, [], 0)
-    %{out | tail: kept, tail_count: n}
+  # Looked at once in a while only: what is left is the last part of it, and all that is not stored yet.
+  defp trim(%{tail_count: count, tail_bytes: bytes} = out)
+       when count > 2 * @tail or bytes > 2 * @tail_bytes do
+    {kept, count, bytes} = keep(out.tail, out.stored.last, [], {0, 0})
+    %{out | tail: kept, tail_count: count, tail_bytes: bytes}
   end
 
   defp trim(out), do: out
 
-  defp keep([{_, last, _} | _], stored, kept, n) when n >= @tail and last <= stored,
-    do: {Enum.reverse(kept), n}
+  defp keep([{_, last, _, _} | _], stored, kept, {count, bytes})
+       when (count >= @tail or bytes >= @tail_bytes) and last <= stored,
+       do: {Enum.reverse(kept), count, bytes}
 
-  defp keep([{first, last, _} = batch | rest], stored, kept, n),
-    do: keep(rest, stored, [batch | kept], n + last - first + 1)
+  defp keep([{first, last, _, weight} = batch | rest], stored, kept, {count, bytes}),
+    do: keep(rest, stored, [batch | kept], {count + last - first + 1, bytes + weight})
 
-  defp keep([], _stored, kept, n), do: {Enum.reverse(kept), n}
+  defp keep([], _stored, kept, {count, bytes}), do: {Enum.reverse(kept), count, bytes}
 
   @doc "The last sequence id that readers may see."
   @spec visible(t()) :: non_neg_integer()
-  def visible(%__MODULE__{tail: [{_, last, _} | _]} = out), do: max(last, out.stored.last)
+  def visible(%__MODULE__{tail: [{_, last, _, _} | _]} = out), do: max(last, out.stored.last)
   def visible(%__MODULE__{stored: stored}), do: stored.last
 
   @doc "Messages from sequence id `from` on, if the tail goes back that far."
   @spec recall(t(), pos_integer()) :: {:ok, [Situ.Message.t()]} | :gone
   def recall(%__MODULE__{tail: tail}, from), do: recall_in(tail, from)
 
-  defp recall_in([{first, last, messages} | _], from) when first <= from and from <= last,
+  defp recall_in([{first, last, messages, _} | _], from) when first <= from and from <= last,
     do: {:ok, Enum.drop(messages, from - first)}
 
   defp recall_in([_ | rest], from), do: recall_in(rest, from)

@@ -22,6 +22,7 @@ defmodule Situ.Cluster.Plan do
   @type t :: %__MODULE__{parts: %{String.t() => part()}, streams: %{String.t() => stream()}}
 
   @rest "rest"
+  @sources " sources"
 
   @spec new(Graph.t(), Deployment.t()) :: {:ok, t()} | {:error, Error.t()}
   def new(%Graph{} = graph, %Deployment{} = deployment) do
@@ -30,11 +31,38 @@ defmodule Situ.Cluster.Plan do
     with :ok <- known(names, graph), {:ok, published} <- published(deployment.publish, graph) do
       of = Map.new(graph.vertices, fn {id, vertex} -> {id, owner(vertex.path, names)} end)
 
-      with :ok <- inhabited(names, of),
-           do:
-             {:ok,
-              %__MODULE__{parts: parts(of, deployment), streams: streams(graph, of, published)}}
+      with :ok <- inhabited(names, of) do
+        of = apart(graph, of)
+        streams = streams(graph, of, published)
+        {:ok, %__MODULE__{parts: parts(of, deployment), streams: streams}}
+      end
     end
+  end
+
+  # Sources of a part that waits, through others, for what it puts out itself are a part of their own: a pipeline ends
+  # when all its sources have ended, and so does not end before what comes back to it.
+  defp apart(graph, of) do
+    next = edges_between(graph, of)
+
+    Map.new(of, fn {id, part} ->
+      alone? = graph.vertices[id].inputs == [] and reaches?(next, part, part, MapSet.new())
+      {id, if(alone?, do: part <> @sources, else: part)}
+    end)
+  end
+
+  defp edges_between(graph, of) do
+    pairs =
+      for {_, %{from: {from, _}, to: {to, _}}} <- graph.edges,
+          of[from] != of[to],
+          do: {of[from], of[to]}
+
+    pairs |> Enum.uniq() |> Enum.group_by(&elem(&1, 0), &elem(&1, 1))
+  end
+
+  defp reaches?(next, from, goal, seen) do
+    Enum.any?(Map.get(next, from, []), fn part ->
+      part == goal or (part not in seen and reaches?(next, part, goal, MapSet.put(seen, from)))
+    end)
   end
 
   # The longest path that it is, or is below of.
@@ -95,7 +123,8 @@ defmodule Situ.Cluster.Plan do
     of
     |> Enum.group_by(&elem(&1, 1), &elem(&1, 0))
     |> Map.new(fn {name, ids} ->
-      {name, %{name: name, ids: MapSet.new(ids), rule: Map.get(rules, name, default)}}
+      rule = Map.get(rules, String.replace_suffix(name, @sources, ""), default)
+      {name, %{name: name, ids: MapSet.new(ids), rule: rule}}
     end)
   end
 

@@ -16,7 +16,8 @@ defmodule Situ.Cluster.Publisher do
   alias Situ.Remote.Log.Entry
 
   @flush_ms 5
-  @full 20_000
+  # Of one entry of the log, unless it takes less.
+  @entry_bytes 4 * 1024 * 1024
   @retry_ms 50
 
   defstruct [
@@ -168,7 +169,7 @@ defmodule Situ.Cluster.Publisher do
 
   # A deterministic part: everything is written a moment later, and nobody waits unless there is too much of it.
   defp replayed(state, from) do
-    if Enum.any?(state.streams, fn {_, out} -> out.count >= @full end) do
+    if Enum.any?(state.streams, fn {_, out} -> Outgoing.full?(out) end) do
       GenServer.reply(from, :ok)
       {:noreply, flush(state)}
     else
@@ -183,7 +184,7 @@ defmodule Situ.Cluster.Publisher do
 
   # A checkpoint is due sooner than by the clock.
   defp full(%{told_full: false} = state) do
-    if Enum.any?(state.streams, fn {_, out} -> out.count >= @full end) do
+    if Enum.any?(state.streams, fn {_, out} -> Outgoing.full?(out) end) do
       send(state.runner, :situ_full)
       %{state | told_full: true}
     else
@@ -254,12 +255,16 @@ defmodule Situ.Cluster.Publisher do
     {op, state} = op(state, name)
     entry = Chunk.data(messages, mark, state.epoch, op)
 
+    size = :erlang.iolist_size(entry.data)
+    limit = Log.limit(state.log)
+    single? = not match?([_, _ | _], messages)
+
     cond do
-      :erlang.iolist_size(entry.data) <= Log.limit(state.log) ->
+      size <= limit and (single? or size <= @entry_bytes) ->
         seq = patiently(fn -> Log.append(state.log, out.subject, out.seq, entry) end, out.subject)
         put(state, %{out | seq: seq, stored: mark})
 
-      match?([_, _ | _], messages) ->
+      not single? ->
         {first, second} = Enum.split(messages, div(length(messages), 2))
         last = List.last(first)
 
@@ -274,7 +279,7 @@ defmodule Situ.Cluster.Publisher do
         state |> append(name, first, half) |> append(name, second, mark)
 
       true ->
-        exit({:shutdown, too_large(name, entry, Log.limit(state.log))})
+        exit({:shutdown, too_large(name, size, limit)})
     end
   end
 
@@ -354,9 +359,7 @@ defmodule Situ.Cluster.Publisher do
     )
   end
 
-  defp too_large(name, entry, limit) do
-    size = :erlang.iolist_size(entry.data)
-
+  defp too_large(name, size, limit) do
     Error.new(:too_large, "a message of #{name} is #{size} bytes; the log takes #{limit} at most",
       fix: "raise the server's max_payload, or send smaller messages (encoded pictures)"
     )

@@ -28,7 +28,7 @@ defmodule Situ.Cluster.Runner do
     :error,
     phase: :standby,
     lease: %Lease{},
-    checkpoints: %{taken: 0, refused: nil},
+    checkpoints: %{taken: 0, refused: nil, possible?: true},
     away: false
   ]
 
@@ -186,18 +186,20 @@ defmodule Situ.Cluster.Runner do
     end
   end
 
+  # A part whose components cannot be carried over is started again from its inputs: it is not asked again.
+  defp checkpoint(%{checkpoints: %{possible?: false}} = state), do: state
+
   defp checkpoint(state) do
-    # A part that leaves nothing and remembers nothing is started again from its inputs.
     case Pipeline.checkpoint(state.pipeline, &cut(state, &1)) do
       {:ok, memories} ->
         :ok = Publisher.commit(state.publisher, memories)
         taken = state.checkpoints.taken + 1
-        %{state | checkpoints: %{taken: taken, refused: nil}}
+        %{state | checkpoints: %{state.checkpoints | taken: taken, refused: nil}}
 
       {:error, %Error{code: :no_snapshot} = error} ->
         if mode(state) == :outbox and Plan.outlets(state.plan, state.part) != [],
           do: failed(state, undeclared(state, error)),
-          else: refused(state, error)
+          else: refused(put_in(state.checkpoints.possible?, false), error)
 
       {:error, error} ->
         refused(state, error)

@@ -1,0 +1,251 @@
+defmodule Situ.Examples.Demo.Cluster do
+  @usage """
+  Usage: bin/demo --cluster [--input FILE] [--out FOLDER] [--kill lips|sound|recording|none]
+
+  The demo on three nodes of this machine, each an OS process of its own: the recording (with the clip), sound and
+  lips apart. In the middle one node is killed with -9. The last line says whether the recording equals that of the
+  same job on one machine, which is made first.
+
+    --input FILE   a media file (default: the clip that comes with Situ)
+    --out FOLDER   where both recordings go (default: "recordings/cluster")
+    --kill PART    whose node is killed (default: lips)
+
+  Exit status: 0 equal, 1 not equal or failed, 2 wrong usage.
+  """
+  @moduledoc """
+  The demo of clusters, `bin/demo --cluster`: `Situ.Examples.MultimodalVoiceActivity` over three nodes, one of which is
+  lost.
+
+  ```text
+  #{@usage}
+  ```
+  """
+  alias Situ.Examples.Demo.Options
+  alias Situ.Examples.MultimodalVoiceActivity
+  alias Situ.{Cluster, Store}
+
+  @parts %{"lips" => "MouthShape", "sound" => "VoiceActivity", "recording" => "rest"}
+  @minutes 10
+
+  @doc "Runs it; `record` does the job on one machine (`Situ.Examples.Demo.record/1`). Answers the exit status."
+  @spec run(
+          [String.t()],
+          (keyword() -> {:ok, Situ.Pipeline.Report.t(), float()} | {:error, Situ.Error.t()})
+        ) ::
+          0 | 1 | 2
+  def run(argv, record) do
+    switches = [cluster: :boolean, input: :string, out: :string, kill: :string, help: :boolean]
+    argv = argv -- ["--"]
+
+    case OptionParser.parse(argv, strict: switches, aliases: [h: :help]) do
+      {_, _, [{switch, _} | _]} -> wrong("unknown or incomplete option #{switch}")
+      {_, [extra | _], _} -> wrong("unexpected argument #{extra}")
+      {opts, [], []} -> if opts[:help], do: help(), else: start(opts, record)
+    end
+  end
+
+  defp help do
+    IO.puts(@usage)
+    0
+  end
+
+  defp wrong(text) do
+    IO.puts(:stderr, "#{text}\n  Fix: see bin/demo --cluster --help")
+    2
+  end
+
+  defp start(opts, record) do
+    kill = opts[:kill] || "lips"
+    input = Path.expand(opts[:input] || Options.clip())
+    out = Path.expand(opts[:out] || "recordings/cluster")
+
+    cond do
+      kill != "none" and not is_map_key(@parts, kill) -> wrong("--kill #{kill}: no such part")
+      not File.regular?(input) -> wrong("there is no file #{input}")
+      true -> demo(input, out, kill, record)
+    end
+  end
+
+  defp demo(input, out, kill, record) do
+    log =
+      Path.join(
+        System.tmp_dir!(),
+        "situ-demo-#{System.unique_integer([:positive])}-#{System.pid()}"
+      )
+
+    Process.put(:nodes, [])
+
+    try do
+      say("on one machine ...")
+
+      with {:ok, report, _s} <- record.(input: input, out: Path.join(out, "one")) do
+        compare(report.result.path, apart(input, Path.join(out, "three"), log, kill))
+      end
+      |> told()
+    after
+      for {_, node} <- Process.get(:nodes), do: kill(node)
+      File.rm_rf(log)
+    end
+  end
+
+  defp told({:error, error}) do
+    IO.puts(:stderr, Exception.message(error))
+    1
+  end
+
+  defp told(status), do: status
+
+  # On three nodes
+
+  defp apart(input, out, log, kill) do
+    say("starting three nodes ...")
+    cookie = Base.encode16(:crypto.strong_rand_bytes(16))
+    nodes = for name <- Map.keys(@parts), into: %{}, do: {name, node(name, cookie)}
+    first = nodes["recording"]
+
+    for {name, node} <- nodes do
+      unless node == first, do: true = call(node, Node, :connect, [first.name])
+      {:ok, _} = call(node, Application, :ensure_all_started, [:situ_examples])
+      {:ok, _} = call(node, Cluster, :join, [[log: log, labels: [name]]])
+    end
+
+    # Pictures, sound and what the models make of them are the same each time: nothing waits for a checkpoint.
+    place = for {label, part} <- @parts, do: {rule(part), on: label, deterministic: true}
+
+    {:ok, deployment} =
+      call(first, Cluster, :deploy, [
+        MultimodalVoiceActivity,
+        [
+          name: "Talk",
+          opts: [input: input, path: out],
+          place: place,
+          lease: Situ.Time.s(5),
+          pipeline: [replay: [speed: :max]]
+        ]
+      ])
+
+    say(
+      "on three nodes: " <> Enum.map_join(nodes, ", ", fn {name, n} -> "#{name} (#{n.pid})" end)
+    )
+
+    nodes = if kill == "none", do: nodes, else: lose(nodes, deployment, kill)
+    {_, any} = Enum.at(nodes, 0)
+
+    with :ok <- call(any, Cluster, :await, [deployment, @minutes * 60_000]),
+         do: {:ok, Store.newest("Talk", out)}
+  end
+
+  defp rule("rest"), do: :rest
+  defp rule(path), do: path
+
+  # In the middle: when the mouths of a second's pictures are known.
+  defp lose(nodes, deployment, name) do
+    {_, watcher} = Enum.find(nodes, fn {other, _} -> other != name end)
+    wait_for_messages(watcher, deployment, 40)
+    say("kill -9 #{nodes[name].pid}: the node of #{name}")
+    kill(nodes[name])
+    Map.delete(nodes, name)
+  end
+
+  defp wait_for_messages(node, deployment, n) do
+    %{parts: parts} = call(node, Cluster, :status, [deployment])
+    streams = get_in(parts, ["MouthShape", :publisher, :streams]) || %{}
+
+    unless Enum.any?(streams, fn {_, stream} -> stream.messages >= n end) or ended?(parts) do
+      receive do
+      after
+        50 -> wait_for_messages(node, deployment, n)
+      end
+    end
+  end
+
+  defp ended?(parts), do: Enum.any?(parts, fn {_, part} -> part.phase in [:done, :failed] end)
+
+  # A node: an OS process with the code of this one, connected to the others alone.
+  defp node(name, cookie) do
+    port = free_port()
+    paths = Enum.flat_map(:code.get_path(), &[~c"-pa", &1])
+
+    args =
+      paths ++
+        [~c"-setcookie", to_charlist(cookie), ~c"-start_epmd", ~c"false"] ++
+        [~c"-epmd_module", ~c"Elixir.Situ.Cluster.Epmd", ~c"+sbwt", ~c"none"] ++
+        [~c"-kernel", ~c"inet_dist_use_interface", ~c"{127,0,0,1}"] ++
+        [
+          ~c"-kernel",
+          ~c"prevent_overlapping_partitions",
+          ~c"false",
+          ~c"-kernel",
+          ~c"logger_level",
+          ~c"error"
+        ]
+
+    {:ok, peer, node} =
+      :peer.start(%{
+        name: to_charlist("#{name}-#{port}"),
+        host: ~c"127.0.0.1",
+        longnames: true,
+        connection: :standard_io,
+        args: args,
+        wait_boot: 120_000
+      })
+
+    {:ok, _} = :peer.call(peer, :application, :ensure_all_started, [:elixir], 60_000)
+    pid = :peer.call(peer, :os, :getpid, [], 60_000) |> to_string()
+    started = %{peer: peer, name: node, pid: pid}
+    Process.put(:nodes, [{name, started} | Process.get(:nodes)])
+    started
+  end
+
+  defp call(node, module, function, args),
+    do: :peer.call(node.peer, module, function, args, (@minutes + 1) * 60_000)
+
+  defp kill(%{pid: pid}), do: System.cmd("kill", ["-KILL", pid], stderr_to_stdout: true)
+
+  defp free_port do
+    {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
+    {:ok, port} = :inet.port(socket)
+    :gen_tcp.close(socket)
+    port
+  end
+
+  # Is it the same?
+
+  defp compare(_one, {:error, error}), do: {:error, error}
+
+  defp compare(one, {:ok, three}) do
+    stores = for path <- [one, three], do: Store.open!(path)
+    [names, others] = for store <- stores, do: names(store)
+    different = for name <- Enum.uniq(names ++ others), not same?(stores, name), do: name
+
+    if different == [] do
+      IO.puts(
+        "equal: #{length(names)} streams, #{total(hd(stores), names)} messages: #{one} and #{three}"
+      )
+
+      0
+    else
+      IO.puts("NOT equal: #{Enum.join(different, ", ")} differ: #{one} and #{three}")
+      1
+    end
+  end
+
+  # What the pipeline says of itself is the run's own, and so are creation times.
+  defp names(store),
+    do: for(s <- Store.streams(store), s.name != "Talk.Diagnostics", do: s.name) |> Enum.sort()
+
+  defp same?(stores, name) do
+    [one, three] = for store <- stores, do: Store.has_stream?(store, name) && content(store, name)
+    one == three
+  end
+
+  defp content(store, name) do
+    store
+    |> Store.messages(name)
+    |> Enum.map(&{&1.originating_time, &1.sequence_id, &1.data})
+    |> :erlang.term_to_binary()
+  end
+
+  defp total(store, names), do: names |> Enum.map(&Store.count(store, &1)) |> Enum.sum()
+  defp say(text), do: IO.puts(:stderr, text)
+end
