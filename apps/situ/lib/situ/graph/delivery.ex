@@ -85,9 +85,9 @@ defmodule Situ.Delivery do
   @doc """
   Lossless: the producer waits as soon as `n` messages are on their way.
 
-  With `throttle(1)` a light operator runs in its producer's process, where one message at a time is all there is.
-  Between processes (other consumers, `async: true`) it is dear: every message costs two wake-ups, some 5 us. The
-  default of 128 keeps little on its way at nearly the price of `unlimited/1`.
+  With `throttle(1)` a light operator runs in the process of a producer that can wait, where one message at a time is
+  all there is. Between processes (other consumers, `async: true`) it is dear: every message costs two wake-ups, some
+  5 us. The default of 128 keeps little on its way at nearly the price of `unlimited/1`.
   """
   @spec throttle(pos_integer(), keyword()) :: t()
   def throttle(n \\ @small_window, opts \\ []) when is_integer(n) and n > 0,

@@ -5,8 +5,8 @@ defmodule Situ.Graph.Plan do
   # A light operator joins the process of the light operator in front of it when nobody else listens to that one, no
   # explicit policy (but synchronous or `throttle(1)`) stands between them, neither asks for `async`, both treat
   # errors alike and belong to the same composite (which can be stopped alone). It joins the process of a component
-  # with one output when the policy between them is synchronous, `throttle(1)`, or the pipeline's default throttle:
-  # nothing is on its way at all then.
+  # with one output when the policy between them is synchronous, `throttle(1)` (unless it is a source that cannot
+  # wait), or the pipeline's default throttle: nothing is on its way at all then.
   alias Situ.{Delivery, Error, Graph}
   alias Situ.Graph.Vertex
 
@@ -89,8 +89,9 @@ defmodule Situ.Graph.Plan do
   defp joins?(%{outputs: [_]}, _to, %{policy: %{kind: :synchronous}}), do: true
   defp joins?(%{outputs: [_]}, _to, %{policy: %{kind: :throttle}, explicit: false}), do: true
 
-  defp joins?(%{outputs: [_], scope: scope}, %{scope: scope}, %{policy: policy}),
-    do: one?(policy)
+  # A device that cannot wait goes on while the operator behind it works.
+  defp joins?(%{outputs: [_], scope: scope} = from, %{scope: scope}, %{policy: policy}),
+    do: one?(policy) and not Vertex.push?(from)
 
   defp joins?(_from, _to, _edge), do: false
 

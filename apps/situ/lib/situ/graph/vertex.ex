@@ -42,4 +42,11 @@ defmodule Situ.Graph.Vertex do
   def source?(%__MODULE__{module: :operator}), do: false
   def source?(%__MODULE__{inputs: []}), do: true
   def source?(%__MODULE__{module: module}), do: function_exported?(module, :handle_demand, 3)
+
+  @doc "Whether it is a source that cannot wait: nobody asks it for messages."
+  @spec push?(t()) :: boolean()
+  def push?(%__MODULE__{inputs: [], module: module}),
+    do: module != :operator and not function_exported?(module, :handle_demand, 3)
+
+  def push?(%__MODULE__{}), do: false
 end

@@ -77,6 +77,23 @@ defmodule Situ.GraphTest do
     for stage <- plan.stages, do: Enum.map(stage.vertices, & &1.path)
   end
 
+  test "a source that cannot wait keeps its process to itself, unless it is to be synchronous" do
+    alias Situ.Delivery
+
+    for {policy, stages} <- [
+          {Delivery.throttle(1), [["Ticks"], ["One"]]},
+          {Delivery.synchronous(), [["Ticks", "One"]]}
+        ] do
+      {graph, _} =
+        Graph.build(fn p ->
+          p |> Situ.timer(every: 1, name: "Ticks") |> Situ.map(& &1, name: "One", policy: policy)
+        end)
+
+      {:ok, plan} = Plan.compile(graph)
+      assert stages == for(s <- plan.stages, do: Enum.map(s.vertices, & &1.path))
+    end
+  end
+
   test "no operator joins the process of a component that asks for its own" do
     for opts <- [[], [policy: Situ.Delivery.throttle(1)]] do
       {graph, _} =
