@@ -135,23 +135,24 @@ defmodule Situ.Cluster do
     end
   end
 
-  defp await(_log, _deployment, [], _till), do: :ok
+  # One that has failed is told at once, whatever the others do.
+  defp await(log, deployment, parts, till) do
+    states =
+      for part <- parts, do: {part, Log.last(log, {:key, Runner.key(deployment, part, "state")})}
 
-  defp await(log, deployment, [part | rest] = parts, till) do
-    case Log.last(log, {:key, Runner.key(deployment, part, "state")}) do
-      {:ok, %{head: %{"State" => "done"}}} ->
-        await(log, deployment, rest, till)
+    open =
+      for {part, state} <- states,
+          not match?({:ok, %{head: %{"State" => "done"}}}, state),
+          do: part
 
-      {:ok, %{head: %{"State" => "failed"}, data: message}} ->
-        {:error, Error.new(:part_failed, "part #{part} of #{deployment.name} failed: #{message}")}
+    failed =
+      for {part, {:ok, %{head: %{"State" => "failed"}, data: text}}} <- states, do: {part, text}
 
-      _ when till != :infinity ->
-        if now() > till,
-          do: {:error, late(deployment, part)},
-          else: wait(log, deployment, parts, till)
-
-      _ ->
-        wait(log, deployment, parts, till)
+    cond do
+      failed != [] -> {:error, failure(deployment, hd(failed))}
+      open == [] -> :ok
+      till != :infinity and now() > till -> {:error, late(deployment, hd(open))}
+      true -> wait(log, deployment, open, till)
     end
   end
 
@@ -161,6 +162,9 @@ defmodule Situ.Cluster do
       50 -> await(log, deployment, parts, till)
     end
   end
+
+  defp failure(deployment, {part, text}),
+    do: Error.new(:part_failed, "part #{part} of #{deployment.name} failed: #{text}")
 
   defp late(deployment, part),
     do: Error.new(:timeout, "part #{part} of #{deployment.name} has not ended yet")

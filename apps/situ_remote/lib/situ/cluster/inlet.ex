@@ -19,7 +19,7 @@ defmodule Situ.Cluster.Inlet do
 
   @impl true
   def init(opts) do
-    {:ok, %{agent: opts[:agent], part: opts[:part], stream: opts[:stream], last: 0, sub: nil}}
+    {:ok, Map.merge(Map.new(opts), %{last: 0, made: 0, sub: nil})}
   end
 
   @impl true
@@ -29,9 +29,9 @@ defmodule Situ.Cluster.Inlet do
   end
 
   @impl true
-  def snapshot(state), do: {:ok, state.last}
+  def snapshot(state), do: {:ok, Map.take(state, [:last, :made])}
   @impl true
-  def restore(last, fresh), do: {:ok, %{fresh | last: last}}
+  def restore(mark, fresh), do: {:ok, Map.merge(fresh, mark)}
 
   # There is room: what was taken is asked for again, as soon as it is half of the window.
   @impl true
@@ -67,7 +67,8 @@ defmodule Situ.Cluster.Inlet do
         {[], %{state | sub: sub}}
 
       fresh ->
-        {[{:out, fresh}], %{state | sub: sub, last: List.last(fresh).sequence_id}}
+        {fresh, made} = Enum.map_reduce(fresh, state.made, &made/2)
+        {[{:out, fresh}], %{state | sub: sub, last: List.last(fresh).sequence_id, made: made}}
     end
   end
 
@@ -75,6 +76,11 @@ defmodule Situ.Cluster.Inlet do
     do: {[], %{state | sub: nil}}
 
   def handle_info(_other, _context, state), do: {[], state}
+
+  # What a deterministic part makes again is the same but for its creation times, and some of it may have been seen
+  # before: creation times do not go back.
+  defp made(%{creation_time: time} = message, made) when time >= made, do: {message, time}
+  defp made(message, made), do: {%{message | creation_time: made}, made}
 
   @impl true
   def terminate(_reason, state), do: leave(state)

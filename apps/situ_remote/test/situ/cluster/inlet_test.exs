@@ -1,0 +1,46 @@
+defmodule Situ.Cluster.InletTest do
+  use ExUnit.Case, async: true
+
+  alias Situ.Cluster.Inlet
+  alias Situ.Message
+
+  defp inlet do
+    {:ok, state} = Inlet.init(agent: self(), part: {"d", "p"}, stream: "s")
+    {[], state} = Inlet.handle_info({:situ_cluster, :publisher, {"d", "p"}, self()}, nil, state)
+    state
+  end
+
+  defp message(id, made),
+    do: %Message{
+      data: id,
+      originating_time: id,
+      creation_time: made,
+      sequence_id: id,
+      source_id: 0
+    }
+
+  defp given(state, messages),
+    do: Inlet.handle_info({:"$gen_consumer", {self(), state.sub.ref}, messages}, nil, state)
+
+  test "asks for a few, and for more once it knows how much they weigh" do
+    state = inlet()
+    assert_receive {:"$gen_producer", _, {:subscribe, nil, opts}}
+    assert {opts[:stream], opts[:from]} == {"s", 0}
+    assert_receive {:"$gen_producer", _, {:ask, 4}}
+    {_, state} = given(state, [message(1, 1), message(2, 2)])
+    {[], _} = Inlet.handle_demand(1, nil, state)
+    assert_receive {:"$gen_producer", _, {:ask, 998}}
+  end
+
+  test "what it has had is passed over; creation times do not go back when a part makes it again" do
+    {[{:out, first}], state} = given(inlet(), [message(1, 10), message(2, 500)])
+    assert for(m <- first, do: m.creation_time) == [10, 500]
+    {[{:out, again}], state} = given(state, [message(2, 300), message(3, 400), message(4, 600)])
+    assert for(m <- again, do: {m.data, m.creation_time}) == [{3, 500}, {4, 600}]
+    # The same when it starts again itself.
+    {:ok, memory} = Inlet.snapshot(state)
+    {:ok, fresh} = Inlet.restore(memory, inlet())
+    {[{:out, more}], _} = given(fresh, [message(4, 1), message(5, 2)])
+    assert for(m <- more, do: {m.data, m.creation_time}) == [{5, 600}]
+  end
+end
