@@ -18,7 +18,10 @@ defmodule Situ.Space.MixProject do
   end
 
   def application do
-    [extra_applications: extra_applications(Mix.env())]
+    [
+      extra_applications: extra_applications(Mix.env()),
+      env: [store_readers: [Situ.Space.Scan]]
+    ]
   end
 
   defp extra_applications(:test), do: [:proper | extra_applications(:prod)]

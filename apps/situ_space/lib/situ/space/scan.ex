@@ -1,0 +1,121 @@
+defmodule Situ.Space.Scan do
+  @moduledoc """
+  Files of points and surfaces as recordings of one message: `Situ.Store.open("hill.las")`, `bin/situ studio chair.ply`.
+
+  | ending | what is read | stream |
+  |---|---|---|
+  | `.las` | LAS 1.0 to 1.4, not compressed, with colours | `Points`: a `Situ.PointCloud` |
+  | `.ply` | PLY as text or little-endian bytes, with colours or faces | `Points`, or `Mesh`: a `Situ.Mesh` |
+
+  Places of a LAS file are measured from the lower corner of its bounds, since 32 bits do not hold a country to the
+  millimetre; `Situ.Store.info/1` tells that corner as `origin`. Such files have no time: the message's is 0. Files are read
+  as a whole, up to 2 GB.
+  """
+  @behaviour Situ.Store.Reader
+
+  alias Situ.{Error, Mesh, Message, PointCloud}
+  alias Situ.Space.Scan.{Las, Ply}
+  alias Situ.Store.StreamInfo
+
+  @enforce_keys [:path, :data, :origin]
+  defstruct [:path, :data, :origin]
+
+  @type t :: %__MODULE__{
+          path: Path.t(),
+          data: PointCloud.t() | Mesh.t(),
+          origin: Situ.Vector3.t()
+        }
+
+  @most 2_000_000_000
+
+  @doc "The points or the surface of a file."
+  @spec read(Path.t()) :: {:ok, PointCloud.t() | Mesh.t()} | {:error, Error.t()}
+  def read(path), do: with({:ok, scan} <- open(path, []), do: {:ok, scan.data})
+
+  @impl true
+  def extensions, do: [".las", ".ply"]
+
+  @impl true
+  def open(path, _opts) do
+    with {:ok, %{size: size}} when size <= @most <- File.stat(path),
+         {:ok, bytes} <- File.read(path),
+         {:ok, data, origin} <- parse(String.downcase(Path.extname(path)), bytes) do
+      {:ok, %__MODULE__{path: path, data: data, origin: origin}}
+    else
+      {:ok, %{size: size}} ->
+        {:error,
+         Error.new(:too_large, "#{path} has #{size} bytes",
+           why: "such files are read as a whole",
+           fix: "cut it"
+         )}
+
+      {:error, %Error{} = error} ->
+        {:error, %{error | what: "#{path}: #{error.what}"}}
+
+      {:error, reason} ->
+        {:error,
+         Error.new(:no_file, "#{path} cannot be read", why: to_string(:file.format_error(reason)))}
+    end
+  end
+
+  defp parse(".las", bytes), do: Las.read(bytes)
+
+  defp parse(_ply, bytes),
+    do: with({:ok, data} <- Ply.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})
+
+  @impl true
+  def info(scan),
+    do: %{
+      name: name(scan),
+      created: nil,
+      closed?: true,
+      live?: false,
+      damage: [],
+      origin: scan.origin
+    }
+
+  defp name(scan), do: Path.basename(scan.path, Path.extname(scan.path))
+
+  @impl true
+  def streams(%{data: %module{}} = scan) do
+    size = IO.iodata_length(module.encode(scan.data))
+
+    [
+      %StreamInfo{
+        id: 1,
+        name: if(module == Mesh, do: "Mesh", else: "Points"),
+        store_name: name(scan),
+        store_path: scan.path,
+        type: module,
+        type_name: inspect(module),
+        count: 1,
+        size: size,
+        stored: size,
+        opened: 0,
+        closed: 0,
+        first: 0,
+        last: 0,
+        first_creation: 0,
+        last_creation: 0
+      }
+    ]
+  end
+
+  @impl true
+  def seek(_scan, _info, time), do: {:ok, if(time <= 0, do: 0, else: 1)}
+
+  @impl true
+  def read(scan, info, 0, to, limit, _opts) when to >= 0 and limit > 0 do
+    message = %Message{
+      data: scan.data,
+      originating_time: 0,
+      creation_time: 0,
+      sequence_id: 0,
+      source_id: info.id
+    }
+
+    {:ok, [message], 1}
+  end
+
+  def read(_scan, _info, ordinal, _to, _limit, _opts), do: {:ok, [], ordinal}
+end

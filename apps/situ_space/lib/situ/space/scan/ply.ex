@@ -1,0 +1,247 @@
+defmodule Situ.Space.Scan.Ply do
+  @moduledoc false
+  # PLY, as text or little-endian bytes: vertices with x, y, z and perhaps red, green, blue; faces as lists of vertices.
+  # Source: G. Turk, The PLY Polygon File Format, 1994.
+  alias Situ.{Error, Mesh, PointCloud}
+
+  @types %{
+    "char" => {:int, 1},
+    "int8" => {:int, 1},
+    "uchar" => {:uint, 1},
+    "uint8" => {:uint, 1},
+    "short" => {:int, 2},
+    "int16" => {:int, 2},
+    "ushort" => {:uint, 2},
+    "uint16" => {:uint, 2},
+    "int" => {:int, 4},
+    "int32" => {:int, 4},
+    "uint" => {:uint, 4},
+    "uint32" => {:uint, 4},
+    "float" => {:float, 4},
+    "float32" => {:float, 4},
+    "double" => {:float, 8},
+    "float64" => {:float, 8}
+  }
+  @most 100_000_000
+
+  @doc "A mesh where there are faces, else a cloud."
+  @spec read(binary()) :: {:ok, Mesh.t() | PointCloud.t()} | {:error, Error.t()}
+  def read(<<"ply", _::binary>> = file) do
+    with [head, body] <- String.split(file, ~r/end_header\r?\n/, parts: 2),
+         {:ok, format, elements} <- header(String.split(head, ~r/\r?\n/, trim: true)),
+         {:ok, rows} <- body(format, elements, body) do
+      shape(rows, elements)
+    else
+      [_] -> bad("its header has no end")
+      {:error, %Error{}} = error -> error
+      {:error, why} -> bad(why)
+    end
+  end
+
+  def read(_file), do: bad("it does not begin with \"ply\"")
+
+  defp header(["ply" | lines]), do: Enum.reduce_while(lines, {:ok, nil, []}, &line/2) |> ordered()
+
+  defp ordered({:ok, nil, _}), do: {:error, "its header names no format"}
+
+  defp ordered({:ok, format, elements}),
+    do: {:ok, format, for({n, c, p} <- Enum.reverse(elements), do: {n, c, Enum.reverse(p)})}
+
+  defp ordered(error), do: error
+
+  defp line(line, {:ok, format, elements}) do
+    case {String.split(line), elements} do
+      {["format", "ascii", _], _} ->
+        {:cont, {:ok, :ascii, elements}}
+
+      {["format", "binary_little_endian", _], _} ->
+        {:cont, {:ok, :binary, elements}}
+
+      {["format", other | _], _} ->
+        {:halt, {:error, "its format is #{other}"}}
+
+      {["element", name, count], _} ->
+        element(name, Integer.parse(count), format, elements)
+
+      {["property", "list", size, type, name], [{n, c, p} | rest]} ->
+        property({:list, @types[size], @types[type]}, name, format, {n, c, p}, rest)
+
+      {["property", type, name], [{n, c, p} | rest]} ->
+        property(@types[type], name, format, {n, c, p}, rest)
+
+      {[word | _], _} when word in ["comment", "obj_info"] ->
+        {:cont, {:ok, format, elements}}
+
+      _ ->
+        {:halt, {:error, "its header has the line #{inspect(String.slice(line, 0, 60))}"}}
+    end
+  end
+
+  defp element(name, {count, ""}, format, elements) when count in 0..@most,
+    do: {:cont, {:ok, format, [{name, count, []} | elements]}}
+
+  defp element(name, _count, _format, _elements),
+    do: {:halt, {:error, "it has no sensible number of #{name}"}}
+
+  defp property(type, name, format, {n, c, p}, rest) do
+    if type == nil or match?({:list, a, b} when a == nil or b == nil, type),
+      do: {:halt, {:error, "the type of its property #{name} is not known"}},
+      else: {:cont, {:ok, format, [{n, c, [{name, type} | p]} | rest]}}
+  end
+
+  # Rows of each element, as lists of values in the order of its properties.
+  defp body(:ascii, elements, text) do
+    lines = text |> String.split(~r/\r?\n/, trim: true) |> Enum.map(&String.split/1)
+
+    elements
+    |> Enum.reduce_while({:ok, %{}, lines}, fn {name, count, properties}, {:ok, rows, lines} ->
+      {own, rest} = Enum.split(lines, count)
+
+      if length(own) == count,
+        do: {:cont, {:ok, Map.put(rows, name, Enum.map(own, &words(&1, properties))), rest}},
+        else: {:halt, {:error, "it is cut short"}}
+    end)
+    |> rows()
+  catch
+    :no_number -> {:error, "one of its lines holds no numbers"}
+  end
+
+  defp body(:binary, elements, bytes) do
+    elements
+    |> Enum.reduce({:ok, %{}, bytes}, fn {name, count, properties}, {:ok, rows, bytes} ->
+      # every row has a byte at least: what is announced is bounded by what is there
+      if count > byte_size(bytes), do: throw(:short)
+      {own, rest} = repeat(count, bytes, &values(properties, &1, []))
+      {:ok, Map.put(rows, name, own), rest}
+    end)
+    |> rows()
+  catch
+    :short -> {:error, "it is cut short"}
+  end
+
+  defp repeat(count, bytes, fun),
+    do: Enum.map_reduce(List.duplicate(nil, count), bytes, fn _, bytes -> fun.(bytes) end)
+
+  defp rows({:ok, rows, _rest}), do: {:ok, rows}
+  defp rows(error), do: error
+
+  defp words([], []), do: []
+
+  defp words([n | words], [{_, {:list, _, _}} | properties]) do
+    {own, rest} = Enum.split(words, number(n))
+    [Enum.map(own, &number/1) | words(rest, properties)]
+  end
+
+  defp words([word | words], [_ | properties]), do: [number(word) | words(words, properties)]
+  defp words(_words, []), do: []
+  defp words([], _properties), do: throw(:no_number)
+
+  defp number(word) do
+    case Integer.parse(word) do
+      {n, ""} -> n
+      _ -> with {x, ""} <- Float.parse(word), do: x, else: (_ -> throw(:no_number))
+    end
+  end
+
+  defp values([], bytes, row), do: {Enum.reverse(row), bytes}
+
+  defp values([{_, {:list, size, type}} | rest], bytes, row) do
+    {count, bytes} = value(size, bytes)
+    if not is_integer(count) or count < 0 or count > byte_size(bytes), do: throw(:short)
+
+    {list, bytes} = repeat(count, bytes, &value(type, &1))
+
+    values(rest, bytes, [list | row])
+  end
+
+  defp values([{_, type} | rest], bytes, row) do
+    {value, bytes} = value(type, bytes)
+    values(rest, bytes, [value | row])
+  end
+
+  defp value({:float, size}, bytes) do
+    case bytes do
+      <<x::little-float-size(size)-unit(8), rest::binary>> -> {x, rest}
+      <<_::binary-size(size), rest::binary>> -> {:nan, rest}
+      _ -> throw(:short)
+    end
+  end
+
+  defp value({:int, size}, bytes) do
+    case bytes do
+      <<x::little-signed-size(size)-unit(8), rest::binary>> -> {x, rest}
+      _ -> throw(:short)
+    end
+  end
+
+  defp value({:uint, size}, bytes) do
+    case bytes do
+      <<x::little-size(size)-unit(8), rest::binary>> -> {x, rest}
+      _ -> throw(:short)
+    end
+  end
+
+  defp shape(rows, elements) do
+    {_, _, properties} = List.keyfind(elements, "vertex", 0) || {nil, 0, []}
+    names = Enum.map(properties, &elem(&1, 0))
+    places = for name <- ["x", "y", "z"], do: Enum.find_index(names, &(&1 == name))
+    tones = for name <- ["red", "green", "blue"], do: Enum.find_index(names, &(&1 == name))
+    vertices = rows["vertex"] || []
+
+    cond do
+      nil in places ->
+        bad("its vertices have no x, y and z")
+
+      faces = faces(rows, elements) ->
+        mesh(points(vertices, places), faces, length(vertices))
+
+      true ->
+        PointCloud.new(
+          points(vertices, places),
+          if(nil not in tones, do: colors(vertices, tones))
+        )
+    end
+  end
+
+  defp points(vertices, places) do
+    for row <- vertices, place <- places, into: <<>>, do: float(Enum.at(row, place))
+  end
+
+  defp float(x) when is_number(x) and abs(x) < 3.4e38, do: <<x::little-float-32>>
+  defp float(_), do: <<0, 0, 0xC0, 0x7F>>
+
+  defp colors(vertices, tones) do
+    for row <- vertices, tone <- tones, into: <<>>, do: <<tone(Enum.at(row, tone))>>
+  end
+
+  defp tone(x) when is_integer(x), do: x |> max(0) |> min(255)
+  defp tone(x) when is_float(x), do: tone(round(x * 255))
+  defp tone(_), do: 0
+
+  defp faces(rows, elements) do
+    with {_, _, properties} <- List.keyfind(elements, "face", 0),
+         at when at != nil <-
+           Enum.find_index(properties, &(elem(&1, 0) in ["vertex_indices", "vertex_index"])),
+         [_ | _] = faces <- rows["face"],
+         do: Enum.map(faces, &Enum.at(&1, at)),
+         else: (_ -> nil)
+  end
+
+  # Polygons as fans of triangles.
+  defp mesh(vertices, faces, count) do
+    triangles =
+      for [a | others] when length(others) >= 2 <- faces,
+          {b, c} <- Enum.zip(others, tl(others)),
+          do: [a, b, c]
+
+    if Enum.all?(triangles, fn t ->
+         Enum.all?(t, &(is_integer(&1) and &1 in 0..(count - 1)//1))
+       end),
+       do:
+         Mesh.new(vertices, for(i <- List.flatten(triangles), into: <<>>, do: <<i::little-32>>)),
+       else: bad("a face names a vertex that is not there")
+  end
+
+  defp bad(why),
+    do: {:error, Error.new(:bad_file, "this is no PLY file that can be read", why: why)}
+end
