@@ -8,8 +8,8 @@ defmodule Situ.Space.Scan do
   | `.ply` | PLY as text or little-endian bytes, with colours or faces | `Points`, or `Mesh`: a `Situ.Mesh` |
 
   Places of a LAS file are measured from the lower corner of its bounds, since 32 bits do not hold a country to the
-  millimetre; `Situ.Store.info/1` tells that corner as `origin`. Such files have no time: the message's is 0. Files are read
-  as a whole, up to 2 GB.
+  millimetre; `Situ.Store.info/1` tells that corner as `origin`. Such files have no time: the message's is 0.
+  Files are read as a whole, up to 2 GB.
   """
   @behaviour Situ.Store.Reader
 

@@ -28,7 +28,8 @@ defmodule Situ.Space.ScanTest do
 
   test "PLY as text: a cloud with colours" do
     text =
-      "ply\nformat ascii 1.0\ncomment made by hand\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n" <>
+      "ply\nformat ascii 1.0\ncomment made by hand\nelement vertex 2\n" <>
+        "property float x\nproperty float y\nproperty float z\n" <>
         "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n1 2 3 255 0 7\n-1.5 0 1e2 0 300 1\n"
 
     assert {:ok, cloud} = Ply.read(text)
@@ -39,7 +40,8 @@ defmodule Situ.Space.ScanTest do
 
   defp binary_ply do
     head =
-      "ply\nformat binary_little_endian 1.0\nelement vertex 4\nproperty double x\nproperty double y\nproperty double z\n" <>
+      "ply\nformat binary_little_endian 1.0\nelement vertex 4\n" <>
+        "property double x\nproperty double y\nproperty double z\n" <>
         "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
 
     vertices =
