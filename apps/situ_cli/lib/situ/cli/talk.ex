@@ -21,7 +21,10 @@ defmodule Situ.CLI.Talk do
         """,
         arguments: [],
         options: [
-          Option.new(:input, :string, "a microphone of `situ devices`, or a sound file",
+          Option.new(
+            :input,
+            :string,
+            "a microphone of `situ devices`, a sound file, or \"page\": the studio's page /sensor?name=talk",
             value: "DEVICE|FILE",
             default: "pulse:default"
           ),
@@ -77,6 +80,7 @@ defmodule Situ.CLI.Talk do
     ]
 
     with :ok <- input(opts[:input]),
+         :ok <- served(opts),
          {:ok, pipeline} <-
            Pipeline.start(Session, [
              {:pipeline, [name: "Assistant", replay: [speed: 1.0]]} | settings
@@ -97,12 +101,23 @@ defmodule Situ.CLI.Talk do
   defp output(opts) do
     case opts[:output] do
       "none" -> nil
-      nil -> if File.regular?(opts[:input]), do: nil, else: "pulse:default"
+      nil -> output_beside(opts[:input])
       device -> device
     end
   end
 
+  defp served(opts) do
+    if "page" in [opts[:input], opts[:output]] and not opts[:studio],
+      do: {:error, Error.new(:usage, "the page is the studio's", fix: "leave out --no-studio")},
+      else: :ok
+  end
+
+  defp output_beside("page"), do: "page"
+  defp output_beside(input), do: if(File.regular?(input), do: nil, else: "pulse:default")
+
   # A device is named DRIVER:ADDRESS.
+  defp input("page"), do: :ok
+
   defp input(input) do
     if File.regular?(input) or match?({:ok, _}, Situ.Media.Device.parse(input)),
       do: :ok,
@@ -132,6 +147,7 @@ defmodule Situ.CLI.Talk do
     case Studio.start_link(path: opts[:out], port: opts[:port]) do
       {:ok, studio} ->
         unless opts[:json], do: Output.puts("The studio shows it at #{Studio.url(studio)}")
+        if opts[:input] == "page", do: Output.puts("Talk to the page #{page(studio)}")
         studio
 
       {:error, error} ->
@@ -145,6 +161,13 @@ defmodule Situ.CLI.Talk do
       if opts[:seconds], do: Process.sleep(round(opts[:seconds] * 1000)), else: enter(opts)
       Pipeline.stop(pipeline)
     end)
+  end
+
+  # The address may hold the token that the browser must bring.
+  defp page(studio) do
+    url = URI.parse(Studio.url(studio))
+    query = URI.encode_query(Map.put(URI.decode_query(url.query || ""), "name", "talk"))
+    URI.to_string(%{url | path: "/sensor", query: query})
   end
 
   # Without a terminal there is nobody to press it: then the file's end, or a signal, ends it.

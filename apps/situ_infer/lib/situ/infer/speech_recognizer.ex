@@ -36,6 +36,9 @@ defmodule Situ.Infer.SpeechRecognizer do
       heard = Situ.via([sound: sound, speaking: speaking], Situ.Infer.SpeechRecognizer)
       heard.out |> Situ.each(&IO.puts(&1.text))
 
+  A message on the optional input `:options` (a keyword list, such as `[grammar: other]`) changes `recognizer_options`
+  while it runs.
+
   What comes out depends on the messages only, not on when they arrive. `Situ.Infer.transcribe/2` is this with voice
   activity.
 
@@ -44,7 +47,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   #{Situ.Options.docs(@schema)}
   """
   use Situ.Component,
-    inputs: [sound: Situ.AudioBuffer, speaking: :boolean],
+    inputs: [sound: Situ.AudioBuffer, speaking: :boolean, options: {:any, optional: true}],
     outputs: [out: Situ.Infer.Speech.Utterance, partial: Situ.Infer.Speech.Utterance],
     options: @schema
 
@@ -79,7 +82,15 @@ defmodule Situ.Infer.SpeechRecognizer do
   def handle_message(:speaking, %{data: speaking?, originating_time: time}, _context, state),
     do: answer(%{state | asked: :queue.in({time, speaking?}, state.asked)})
 
+  def handle_message(:options, %{data: changes}, _context, %{opts: opts} = state) do
+    own = Keyword.merge(opts.recognizer_options, changes)
+    model = Error.unwrap!(opts.recognizer.load(own))
+    {[], %{state | model: model, opts: %{opts | recognizer_options: own}}}
+  end
+
   @impl true
+  def handle_closed(:options, _time, _context, state), do: {[], state}
+
   def handle_closed(:sound, _time, _context, state), do: answer(%{state | deaf?: true})
 
   def handle_closed(:speaking, _time, _context, state),

@@ -1,12 +1,13 @@
 defmodule Situ.CLI.Talk.Session do
   @moduledoc """
-  The pipeline of `situ talk`: an assistant (`Situ.Assistant`) on a microphone or a file, with everything recorded.
+  The pipeline of `situ talk`: an assistant (`Situ.Assistant`) on a microphone, a page or a file, with everything recorded.
 
   The recording, `path/Assistant.NNNN`, holds the sound that was heard and that was spoken, whether somebody spoke, what
   was recognised (while it was said and after), what was wanted, what was answered, and the pipeline's diagnostics.
   """
   use Situ.Pipeline
   alias Situ.Media.{Microphone, Speaker, VideoFile}
+  alias Situ.Studio.Sensor
 
   @format Situ.AudioFormat.pcm(16_000)
 
@@ -14,7 +15,7 @@ defmodule Situ.CLI.Talk.Session do
   def build(p, opts) do
     sound = listen(p, opts[:input])
     assistant = Situ.Assistant.attach(sound, opts[:assistant])
-    if opts[:output], do: Speaker.play(assistant.sound, device: opts[:output], name: "Speaker")
+    speak(assistant.sound, opts[:output])
 
     store = Situ.Store.create(p, "Assistant", opts[:path])
 
@@ -39,11 +40,19 @@ defmodule Situ.CLI.Talk.Session do
     store
   end
 
+  defp listen(p, "page") do
+    p |> Sensor.open(page: "talk") |> Map.fetch!(:audio) |> Situ.Audio.resample(16_000)
+  end
+
   defp listen(p, input) do
     if File.regular?(input),
       do: sound!(VideoFile.open(p, input, video: false, audio_format: @format).audio, input),
       else: Microphone.open(p, device: input, audio_format: @format, name: "Microphone")
   end
+
+  defp speak(_sound, nil), do: :ok
+  defp speak(sound, "page"), do: Sensor.Speaker.play(sound, page: "talk")
+  defp speak(sound, device), do: Speaker.play(sound, device: device, name: "Speaker")
 
   defp sound!(nil, input) do
     raise Situ.Error.new(:no_sound, "there is no sound in #{input}",
