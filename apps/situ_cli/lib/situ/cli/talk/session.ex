@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Talk.Session do
   @moduledoc """
-  The pipeline of `situ talk`: an assistant (`Situ.Assistant`) on a microphone, a page or a file, with everything recorded.
+  The pipeline of `situ talk`: an assistant (`Situ.Assistant`) that hears a microphone, a page or a file; all recorded.
 
   The recording, `path/Assistant.NNNN`, holds the sound that was heard and that was spoken, whether somebody spoke, what
   was recognised (while it was said and after), what was wanted, what was answered, and the pipeline's diagnostics.
