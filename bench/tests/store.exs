@@ -27,7 +27,11 @@ defmodule Situ.Bench.Store do
       end ++
       for {policy, _} <- @policies do
         {"storeframe-#{policy}", &large("frame", policy, 640 * 480 * 3, max(1, round(600 * &1)))}
-      end ++ [{"store100b", &hundred(max(1, round(1_000_000 * &1)))}]
+      end ++
+      [
+        {"store100b", &hundred(max(1, round(1_000_000 * &1)))},
+        {"mcap-beside", &beside(max(1, round(1_000_000 * &1)))}
+      ]
   end
 
   defp delivery(:unlimited), do: Delivery.unlimited()
@@ -173,13 +177,90 @@ defmodule Situ.Bench.Store do
   defp per_byte([{metric, rate, unit} | rest], size),
     do: [{metric, rate * size / 1.0e6, unit} | rest]
 
+  # Messages of 100 bytes, and of 1 MB, through a writer and a reader of ours without a pipeline, and through the `mcap`
+  # crate in a program of its own (`native/situ_mcap/examples/peer.rs`), in turns within one run.
+  defp beside(n) do
+    in_folder(fn root ->
+      for {name, size, n} <- [{"100b", 100, n}, {"1mb", 1_000_000, max(1, div(n, 5_000))}],
+          metric <- ours(name, root, size, n) ++ peer(name, root, size, n),
+          do: metric
+    end)
+  end
+
+  defp ours(name, root, size, n) do
+    rest = :crypto.strong_rand_bytes(size - 8)
+
+    messages =
+      for i <- 0..(min(n, 100_000) - 1),
+          do: %Situ.Message{
+            data: <<i::64, rest::binary>>,
+            originating_time: i * 1_000,
+            creation_time: i * 1_000 + 5,
+            sequence_id: i + 1
+          }
+
+    batches = Enum.chunk_every(messages, if(size > 32_768, do: 1, else: 512))
+    n = length(messages)
+    {:ok, writer} = Store.Writer.create(name, root)
+    {:ok, stream} = Store.Writer.stream(writer, "s", type: :binary)
+
+    written =
+      Situ.Bench.measure("situ_write_#{name}", n, fn ->
+        Enum.reduce(batches, stream, fn batch, stream ->
+          {:ok, stream} = Store.Writer.append(stream, batch)
+          stream
+        end)
+
+        :ok = Store.Writer.close(writer)
+        []
+      end)
+
+    store = Store.open!(writer.path)
+    sum = :counters.new(1, [])
+
+    read =
+      Situ.Bench.measure("situ_read_#{name}", n, fn ->
+        for %{data: <<i::64, _::binary>>} <- Store.messages(store, "s"),
+            do: :counters.add(sum, 1, i)
+
+        []
+      end)
+
+    if :counters.get(sum, 1) != div(n * (n - 1), 2),
+      do: raise("not all of #{n} messages were read")
+
+    written ++ read
+  end
+
+  defp peer(name, root, size, n) do
+    file = Path.join(root, "#{name}.mcap")
+    {text, 0} = System.cmd(peer_program(), [file, "#{n}", "#{size}"])
+
+    for line <- String.split(text, "\n", trim: true),
+        [what, cpu, rate] = String.split(line),
+        metric <- [
+          {"mcap_#{what}_#{name}", elem(Float.parse(rate), 0), "msg/s"},
+          {"mcap_#{what}_#{name}_cpu", elem(Float.parse(cpu), 0) / 1_000, "us/msg"}
+        ],
+        do: metric
+  end
+
+  defp peer_program do
+    native = Path.expand("../../native", __DIR__)
+    args = ~w(build --release --locked --quiet -p situ_mcap --example peer)
+    {_, 0} = System.cmd("cargo", args, cd: native, into: IO.stream(:stderr, :line))
+    Path.join(native, "target/release/examples/peer")
+  end
+
   defp hundred(n) do
     in_folder(fn root ->
-      # Eight sines of a sensor, 1 us apart.
-      value = fn i ->
-        sines = for k <- 1..8, into: <<>>, do: <<:math.sin(i * k * 1.0e-3)::float>>
-        <<i::64, sines::binary, 0::224>>
-      end
+      # A number and eight sines of a sensor, made once: eight sines cost 1 us, more than writing them.
+      sines =
+        for i <- 0..999, into: <<>> do
+          for k <- 1..8, into: <<>>, do: <<:math.sin(i * k * 1.0e-3)::float>>
+        end
+
+      value = fn i -> <<i::64, binary_part(sines, rem(i, 1_000) * 64, 64)::binary, 0::224>> end
 
       number = fn <<i::64, _::binary>> -> i end
       written = write("store100b_write", n, "msg/s", root, :binary, :unlimited, value, 1_000)

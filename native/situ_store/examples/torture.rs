@@ -70,6 +70,7 @@ fn write(dir: &Path, seed: u64, fault: i64) -> situ_store::Result<()> {
         max_extent: 512 * 1024,
         durability,
         fault,
+        ..Options::default()
     };
     let mut writer = Writer::create(dir, options)?;
     for compression in [Compression::None, Compression::Lz4, Compression::None] {

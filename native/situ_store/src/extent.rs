@@ -1,7 +1,8 @@
 //! Extents being written: allocated files of one lane, filled front to back.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, Permissions};
 use std::io::IoSlice;
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::Arc;
@@ -42,6 +43,23 @@ impl Fault {
         }
         Err(Error::Crash)
     }
+}
+
+/// The mode of a store's files when nobody says another: its owner's, and readable by its group.
+pub const FILE_MODE: u32 = 0o640;
+
+/// Opens a file of a store; one that is made has at no moment a wider mode than it shall have. A `mode` holds whatever
+/// the process's mask says.
+pub fn open_with(
+    options: &mut OpenOptions,
+    path: &Path,
+    mode: Option<u32>,
+) -> std::io::Result<File> {
+    let file = options.mode(mode.unwrap_or(FILE_MODE)).open(path)?;
+    if let Some(mode) = mode {
+        file.set_permissions(Permissions::from_mode(mode))?;
+    }
+    Ok(file)
 }
 
 /// Reserves bytes of a file on the disk, so that writing them later cannot run out of space.
@@ -111,10 +129,13 @@ pub struct Lane {
     lane: u8,
     first_size: u64,
     max_size: u64,
+    mode: Option<u32>,
     file: Option<File>,
     next: u32,
     position: u64,
     size: u64,
+    /// Bytes of the extents before this one.
+    before: u64,
     dirty: bool,
     /// The folder has entries that are not on the disk.
     created: bool,
@@ -130,6 +151,7 @@ impl Lane {
         lane: u8,
         first_size: u64,
         max_size: u64,
+        mode: Option<u32>,
         fault: Arc<Fault>,
     ) -> Self {
         Lane {
@@ -138,15 +160,22 @@ impl Lane {
             lane,
             first_size,
             max_size,
+            mode,
             file: None,
             next: 0,
             position: 0,
             size: 0,
+            before: 0,
             dirty: false,
             created: true,
             filled: Vec::new(),
             fault,
         }
+    }
+
+    /// Bytes of all extents, of the present one as far as it is written.
+    pub fn bytes(&self) -> u64 {
+        self.before + self.position
     }
 
     /// Room for `length` bytes: (extent, offset). Opens a new extent when the present one has not enough.
@@ -171,12 +200,9 @@ impl Lane {
             .max((length + 4096).next_multiple_of(4096));
         self.fault.step()?;
         // A leftover of a failed attempt under this number was never committed: it is written over.
-        let file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(true)
-            .open(&path)
+        let mut options = OpenOptions::new();
+        options.read(true).write(true).create(true).truncate(true);
+        let file = open_with(&mut options, &path, self.mode)
             .map_err(|e| Error::io(format!("create {file_name}"), e))?;
         self.fault.step()?;
         let least = (length + 4096).next_multiple_of(4096);
@@ -193,6 +219,7 @@ impl Lane {
                 self.filled.push(full);
             }
         }
+        self.before += self.size;
         self.next += 1;
         self.position = EXTENT_HEADER as u64;
         self.size = size;

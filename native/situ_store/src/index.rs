@@ -10,7 +10,7 @@ use rustix::fs::{fdatasync, ftruncate};
 use rustix::thread::futex;
 
 use crate::error::{Error, Result};
-use crate::extent::{allocate, allocate_some, Fault};
+use crate::extent::{allocate, allocate_some, open_with, Fault};
 use crate::format::*;
 use crate::guard::MapMut;
 
@@ -63,13 +63,16 @@ pub struct IndexWriter {
 }
 
 impl IndexWriter {
-    pub fn create(path: &Path, header: IndexHeader, fault: Arc<Fault>) -> Result<Self> {
-        let file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create_new(true)
-            .open(path)
-            .map_err(|e| Error::io("create index.situ", e))?;
+    pub fn create(
+        path: &Path,
+        header: IndexHeader,
+        mode: Option<u32>,
+        fault: Arc<Fault>,
+    ) -> Result<Self> {
+        let mut options = OpenOptions::new();
+        options.read(true).write(true).create_new(true);
+        let file =
+            open_with(&mut options, path, mode).map_err(|e| Error::io("create index.situ", e))?;
         fault.step()?;
         let size = INDEX_HEADER as u64;
         allocate(&file, 0, size).map_err(|e| Error::io("allocate index.situ", e))?;

@@ -3,6 +3,7 @@
 mod changes;
 mod chunk;
 mod directory;
+mod gaps;
 mod levels;
 mod maps;
 mod statistics;

@@ -58,7 +58,7 @@ pub fn repair(dir: &Path, dry: bool, mut progress: impl FnMut(u64, u64)) -> Resu
     if files.is_empty() && !dir.join(index::FILE).exists() {
         return Err(Error::NoStore);
     }
-    let _lock = writer::lock(dir)?;
+    let _lock = writer::lock(dir, None)?;
     let plan = plan(dir, files, &mut progress)?;
     if !dry {
         apply::apply(dir, &plan)?;

@@ -15,7 +15,7 @@ use rustix::io::Errno;
 
 use crate::chunk::{term_number, Builder, Envelope, Input};
 use crate::error::{Error, Result};
-use crate::extent::{Fault, Lane};
+use crate::extent::{open_with, Fault, Lane};
 use crate::format::*;
 use crate::index::{self, IndexWriter};
 use crate::pyramid::{Bin, FLUSH};
@@ -37,6 +37,9 @@ pub struct Options {
     pub first_extent: u64,
     pub max_extent: u64,
     pub durability: Durability,
+    /// Who may read and write the files, whatever the process's file mode mask says; without one `FILE_MODE` within
+    /// that mask.
+    pub mode: Option<u32>,
     pub fault: Arc<Fault>,
 }
 
@@ -46,6 +49,7 @@ impl Default for Options {
             first_extent: 4 << 20,
             max_extent: 256 << 20,
             durability: Durability::None,
+            mode: None,
             fault: Arc::default(),
         }
     }
@@ -70,15 +74,12 @@ pub struct Writer {
     fault: Arc<Fault>,
 }
 
-/// Takes the exclusive lock of the store in `dir`.
-pub fn lock(dir: &Path) -> Result<File> {
-    let file = OpenOptions::new()
-        .read(true)
-        .write(true)
-        .create(true)
-        .truncate(false)
-        .open(dir.join("lock"))
-        .map_err(|e| Error::io("create lock", e))?;
+/// Takes the exclusive lock of the store in `dir`. A lock file that is not there yet is made with this mode.
+pub fn lock(dir: &Path, mode: Option<u32>) -> Result<File> {
+    let mut options = OpenOptions::new();
+    options.read(true).write(true).create(true).truncate(false);
+    let path = dir.join("lock");
+    let file = open_with(&mut options, &path, mode).map_err(|e| Error::io("create lock", e))?;
     // A reader that asks whether the store is live holds the lock for a moment.
     for attempt in 0..5 {
         match flock(&file, FlockOperation::NonBlockingLockExclusive) {
@@ -109,7 +110,7 @@ fn random_id() -> Result<[u8; 16]> {
 impl Writer {
     /// A new store in `dir`, which exists and holds none.
     pub fn create(dir: &Path, options: Options) -> Result<Writer> {
-        let lock = lock(dir)?;
+        let lock = lock(dir, options.mode)?;
         let id = random_id()?;
         let header = IndexHeader {
             id,
@@ -124,6 +125,7 @@ impl Writer {
                 lane,
                 size,
                 options.max_extent,
+                options.mode,
                 options.fault.clone(),
             )
         };
@@ -140,7 +142,12 @@ impl Writer {
                         .min(options.max_extent),
                 ),
             ],
-            index: IndexWriter::create(&dir.join(index::FILE), header, fault.clone())?,
+            index: IndexWriter::create(
+                &dir.join(index::FILE),
+                header,
+                options.mode,
+                fault.clone(),
+            )?,
             streams: vec![Stream::new(Compression::None, false)],
             touched: Vec::new(),
             ready: Vec::new(),
@@ -162,6 +169,12 @@ impl Writer {
     pub fn add_stream(&mut self, compression: Compression, large: bool) -> u32 {
         self.streams.push(Stream::new(compression, large));
         (self.streams.len() - 1) as u32
+    }
+
+    /// How many bytes the store takes: what was written, not what is allocated for what follows.
+    pub fn bytes(&self) -> u64 {
+        let index = INDEX_HEADER as u64 + self.index.committed * ENTRY as u64;
+        self.lanes.iter().map(Lane::bytes).sum::<u64>() + index
     }
 
     pub fn committed(&self) -> u64 {

@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 //! Readers fed with mutated files: no panic, and no message that was not written.
-//! `SITU_FUZZ` sets the number of mutated stores (default 500).
+//! `SITU_MUTATIONS` sets the number of mutated stores (default 500).
 mod common;
 
 use common::*;
@@ -116,7 +116,7 @@ const MESSAGES: u64 = 120;
 
 #[test]
 fn mutated_stores() {
-    let rounds: u64 = std::env::var("SITU_FUZZ")
+    let rounds: u64 = std::env::var("SITU_MUTATIONS")
         .ok()
         .and_then(|n| n.parse().ok())
         .unwrap_or(500);

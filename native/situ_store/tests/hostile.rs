@@ -1,6 +1,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 //! Readers fed with files that lie and whose checksums are right, as somebody would make them on purpose: no panic,
-//! no endless loop, no message that contradicts the index, and no more memory than the store has. `SITU_FUZZ` sets
+//! no endless loop, no message that contradicts the index, and no more memory than the store has. `SITU_MUTATIONS` sets
 //! the number of stores.
 mod common;
 
@@ -179,7 +179,7 @@ fn bins_among_the_messages_are_refused() {
 
 #[test]
 fn stores_that_lie() {
-    let rounds: u64 = std::env::var("SITU_FUZZ")
+    let rounds: u64 = std::env::var("SITU_MUTATIONS")
         .ok()
         .and_then(|n| n.parse().ok())
         .unwrap_or(200);

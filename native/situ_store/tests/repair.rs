@@ -178,7 +178,7 @@ fn damage(dir: &Path, random: &mut Random) {
 }
 
 fn rounds() -> u64 {
-    let asked = std::env::var("SITU_FUZZ").ok();
+    let asked = std::env::var("SITU_MUTATIONS").ok();
     asked.and_then(|n| n.parse().ok()).unwrap_or(120)
 }
 

@@ -41,7 +41,7 @@ pub fn with<T>(
     result
 }
 
-/// durability: `:none`, `:each` or milliseconds.
+/// durability: `:none`, `:each` or milliseconds; mode: of the files, or `nil`.
 #[rustler::nif(schedule = "DirtyIo")]
 fn writer_create<'a>(
     env: Env<'a>,
@@ -49,6 +49,7 @@ fn writer_create<'a>(
     first_extent: u64,
     max_extent: u64,
     durability: Term<'a>,
+    mode: Option<u32>,
 ) -> NifResult<Term<'a>> {
     let durability = if durability.is_atom() {
         if atoms::each() == durability {
@@ -63,6 +64,7 @@ fn writer_create<'a>(
         first_extent,
         max_extent,
         durability,
+        mode,
         ..Options::default()
     };
     let created = Writer::create(Path::new(&path), options);
@@ -147,6 +149,12 @@ fn writer_append_runs<'a>(
     runs: ListIterator<'a>,
 ) -> NifResult<Term<'a>> {
     finish(env, &handle, |writer| append_runs(writer, stream, runs))
+}
+
+/// How many bytes the store takes.
+#[rustler::nif(schedule = "DirtyIo")]
+fn writer_bytes(handle: Handle) -> u64 {
+    lock(&handle.0).bytes()
 }
 
 #[rustler::nif(schedule = "DirtyIo")]

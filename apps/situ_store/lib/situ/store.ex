@@ -74,7 +74,8 @@ defmodule Situ.Store do
 
       Situ.Store.create(p, "hall", "recordings", split: Situ.Time.minutes(10), keep: {:span, Situ.Time.hours(2)})
 
-  Every piece is a whole store (`hall.0000`, `hall.0001` ...); `Situ.Store.concat/3` makes one of several.
+  `split: {:bytes, n}` cuts by size. Every piece is a whole store (`hall.0000`, `hall.0001` ...);
+  `Situ.Store.concat/3` makes one of several.
 
   #{Options.docs(Exporter.create_options())}
   """

@@ -81,57 +81,6 @@ defmodule Situ.StoreTest do
     assert {:error, %{code: :closed}} = Writer.append(stream, [message([], 3_000)])
   end
 
-  test "reading by time, index, range", %{tmp_dir: root} do
-    store = Store.open!(store(root, [{"S", messages(Enum.to_list(0..4_999)), []}]))
-    assert {:ok, %{data: 17}} = Store.at(store, "S", 17)
-    assert {:ok, %{data: 4_999}} = Store.at(store, "S", -1)
-    assert {:ok, nil} = Store.at(store, "S", 5_000)
-    assert {:ok, nil} = Store.at(store, "S", -5_001)
-    assert {:ok, %{data: 17}} = Store.latest_at(store, "S", 17_999)
-    assert {:ok, %{data: 17}} = Store.latest_at(store, "S", 17_000)
-    assert {:ok, nil} = Store.latest_at(store, "S", -1)
-    assert {:ok, %{data: 18}} = Store.first_at(store, "S", 17_001)
-    assert {:ok, nil} = Store.first_at(store, "S", 5_000_000)
-    {:ok, range} = Store.read(store, "S", from: 1_500, to: 4_000)
-    assert Enum.map(range, & &1.data) == [2, 3, 4]
-    {:ok, range} = Store.read(store, "S", index: 4_990, limit: 3)
-    assert Enum.map(range, & &1.data) == [4_990, 4_991, 4_992]
-    assert {:error, %{code: :no_stream, fix: fix}} = Store.read(store, "s")
-    assert fix =~ "S"
-  end
-
-  test "reading from the end, and options that are none", %{tmp_dir: root} do
-    store = Store.open!(store(root, [{"N", messages(Enum.to_list(0..9)), []}]))
-    data = fn opts -> store |> Store.messages("N", opts) |> Enum.map(& &1.data) end
-    assert data.(index: -2) == [8, 9]
-    assert data.(index: -20) == Enum.to_list(0..9)
-    assert {:error, %{code: :unknown_option, fix: fix}} = Store.read(store, "N", form: 3)
-    assert fix =~ ":from"
-    assert_raise Situ.Error, fn -> Store.messages(store, "N", limit: 3) end
-  end
-
-  test "what was recorded as anything is checked when it is read as something", %{tmp_dir: root} do
-    streams = [{"Mixed", messages([1, 2, :odd]), []}, {"Typed", messages([1]), [type: :integer]}]
-    store = Store.open!(store(root, streams))
-    assert Enum.count(Store.messages(store, "Mixed", type: {:or, [:integer, :atom]})) == 3
-
-    error =
-      assert_raise Situ.Error, fn ->
-        Store.messages(store, "Mixed", type: :integer) |> Enum.to_list()
-      end
-
-    assert error.code == :schema_mismatch and error.why =~ ":odd" and error.fix =~ ":any"
-    error = assert_raise Situ.Error, fn -> Store.messages(store, "Typed", type: :string) end
-    assert error.code == :schema_mismatch and error.fix =~ ":integer"
-
-    error =
-      assert_raise Situ.Error, fn ->
-        store |> Store.messages("Mixed", type: Person) |> Enum.to_list()
-      end
-
-    assert error.why =~ "it is 1"
-  end
-
   test "metadata with atoms this system does not have is readable", %{tmp_dir: root} do
     term = %{known: 1}
     path = store(root, [{"S", messages([1]), [metadata: term]}])
@@ -251,24 +200,6 @@ defmodule Situ.StoreTest do
     assert data == big
   end
 
-  test "news of commits reach a waiting process without polling", %{tmp_dir: root} do
-    {:ok, writer} = Writer.create("tail", root)
-    {:ok, stream} = Writer.stream(writer, "S", type: :integer)
-    store = Store.open!(writer.path)
-    %{entries: known} = Store.info(store)
-    :ok = Store.notify(store, known, 7)
-    refute_received {:situ_store, _, _}
-    {:ok, _} = Writer.append(stream, [message(1, 1)])
-    assert_receive {:situ_store, 7, {:published, n}} when n > known
-    assert Store.count(store, hd(Store.streams(store))) == 1
-    :ok = Writer.close(writer)
-    # Closing publishes the rest of the pyramid.
-    :ok = Store.notify(store, n, 8)
-    assert_receive {:situ_store, 8, {:published, n}}
-    :ok = Store.notify(store, n, 8)
-    assert_receive {:situ_store, 8, {:ended, _}}
-  end
-
   test "a summary of a number stream and of a codec's signal", %{tmp_dir: root} do
     numbers = messages(Enum.map(0..9_999, &rem(&1 * 37, 101)))
     sounds = for i <- 0..499, do: message(%Sound{samples: Enum.to_list(i..(i + 15))}, i * 16_000)
@@ -350,72 +281,5 @@ defmodule Situ.StoreTest do
 
     <<131, 116, 0, 0, 0, 2, atom.("__struct__")::binary, atom.(module)::binary,
       atom.(field)::binary, 97, value>>
-  end
-
-  test "a struct whose module is there but was not loaded yet is the struct", %{tmp_dir: root} do
-    n = System.unique_integer([:positive])
-    name = "Elixir.LoadedLater#{n}"
-    source = Path.join(root, "later.ex")
-    File.write!(source, "defmodule LoadedLater#{n} do defstruct [:later_#{n}] end")
-    # Compiled by another system: here nobody has heard of its field.
-    {_, 0} = System.cmd("elixirc", ["-o", root, source])
-    term = struct_term(name, "later_#{n}", 5)
-
-    assert %{"__struct__" => ^name} = Situ.Store.Test.Raw.decode(Path.join(root, "a"), term)
-    assert_raise ArgumentError, fn -> String.to_existing_atom("later_#{n}") end
-
-    # An application's list of modules names it, as a release's does.
-    module = String.to_atom(name)
-    true = Code.append_path(root)
-    assert decoded = Situ.Store.Test.Raw.decode(Path.join(root, "b"), term)
-    assert %{__struct__: ^module} = decoded
-    assert Map.values(Map.from_struct(decoded)) == [5]
-    # So do structs within other terms.
-    <<131, inner::binary>> = struct_term(name, "later_#{n}", 6)
-
-    assert [%{__struct__: ^module}] =
-             Situ.Store.Test.Raw.decode(
-               Path.join(root, "c"),
-               <<131, 108, 0, 0, 0, 1, inner::binary, 106>>
-             )
-
-    Code.delete_path(root)
-  end
-
-  test "structs within structs of modules that are there are structs from the first read on", %{
-    tmp_dir: root
-  } do
-    n = System.unique_integer([:positive])
-    source = Path.join(root, "nested.ex")
-
-    File.write!(source, """
-    defmodule Outer#{n} do defstruct [:inner_#{n}] end
-    defmodule Inner#{n} do defstruct [:deep_#{n}] end
-    """)
-
-    {_, 0} = System.cmd("elixirc", ["-o", root, source])
-    inner = struct_term("Elixir.Inner#{n}", "deep_#{n}", 7)
-    <<131, body::binary>> = struct_term("Elixir.Outer#{n}", "inner_#{n}", 0)
-    # The small integer 0 at the end gives way to the struct.
-    outer =
-      <<131, binary_part(body, 0, byte_size(body) - 2)::binary,
-        binary_part(inner, 1, byte_size(inner) - 1)::binary>>
-
-    true = Code.append_path(root)
-    assert %module{} = decoded = Situ.Store.Test.Raw.decode(Path.join(root, "n"), outer)
-    assert inspect(module) == "Outer#{n}"
-    assert [%nested{} = deep] = Map.values(Map.from_struct(decoded))
-    assert inspect(nested) == "Inner#{n}" and Map.values(Map.from_struct(deep)) == [7]
-    Code.delete_path(root)
-  end
-
-  test "an unknown codec gives the bytes", %{tmp_dir: root} do
-    path = store(root, [{"P", messages([%Picture{width: 9, data: "abc"}]), []}])
-    store = Store.open!(path)
-    {:ok, info} = Store.stream_info(store, "P")
-    gone = %{info | codecs: %{1 => {"nobody.knows", "Elixir.Nobody.Knows"}}}
-
-    assert {:ok, %{data: %Undecoded{codec: "nobody.knows", bytes: <<9::little-32, "abc">>}}} =
-             Store.at(store, gone, 0)
   end
 end

@@ -87,9 +87,12 @@ pub(super) trait Pyramid {
     fn made(&self, reader: &Reader, stream: u32) -> Arc<Mutex<Made<Self::Bin>>>;
 }
 
-/// Whether an entry's message is so large that nothing of it is drawn: to look at it would cost its bytes.
+/// Header and table of a large chunk take at most so many bytes before its payload.
+const LARGE_HEAD: usize = 192;
+
+/// Whether an entry's message is for certain so large that nothing of it is drawn: to look at it would cost its bytes.
 pub(super) fn undrawn(entry: &Entry) -> bool {
-    entry.lane == LANE_LARGE && entry.length as usize >= LARGE_MESSAGE
+    entry.lane == LANE_LARGE && entry.length as usize >= LARGE_MESSAGE + LARGE_HEAD
 }
 
 impl Reader {

@@ -62,19 +62,6 @@ impl Reader {
         Ok(Some(statistics))
     }
 
-    /// Stretches of at least `least` ns between chunks of a stream: `(from, to)`.
-    pub fn gaps(&self, stream: u32, least: i64) -> Vec<(i64, i64)> {
-        let index = self.lock_index();
-        let Some(entries) = index.entries(stream, 0) else {
-            return Vec::new();
-        };
-        let pairs = entries.from(0).zip(entries.from(1));
-        pairs
-            .map(|(one, next)| (one.last, next.first))
-            .filter(|(end, start)| start.saturating_sub(*end) >= least)
-            .collect()
-    }
-
     /// Checks the entries `from..from + n` and their chunks wholly; the damage found, and how many entries there are.
     pub fn verify(&self, from: u64, n: u64) -> Result<(Vec<Damage>, u64)> {
         let total = self.refresh()?;

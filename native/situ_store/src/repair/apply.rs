@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use rustix::fs::{fdatasync, fsync, ftruncate};
@@ -79,7 +80,13 @@ fn entitle(dir: &Path, id: &[u8; 16], lane: u8, number: u32) -> Result<()> {
         .map_err(failed)?;
     let mut old = [0; EXTENT_HEADER];
     std::os::unix::fs::FileExt::read_exact_at(&file, &mut old, 0).map_err(failed)?;
-    std::fs::write(unused(&dir.join(format!("{name}.before-repair"))), old).map_err(failed)?;
+    let kept = unused(&dir.join(format!("{name}.before-repair")));
+    let mut options = OpenOptions::new();
+    options.write(true).create_new(true);
+    let mode = file.metadata().map_err(failed)?.mode() & 0o777;
+    let kept = extent::open_with(&mut options, &kept, Some(mode)).map_err(failed)?;
+    write_all(&kept, &old, 0).map_err(|e| failed(e.into()))?;
+    kept.sync_all().map_err(failed)?;
     write_all(&file, &extent_header(id, lane, number), 0).map_err(|e| failed(e.into()))?;
     fdatasync(&file).map_err(|e| failed(e.into()))
 }
@@ -88,12 +95,11 @@ fn entitle(dir: &Path, id: &[u8; 16], lane: u8, number: u32) -> Result<()> {
 fn rewrite(dir: &Path, plan: &Plan) -> Result<()> {
     let failed = |e: std::io::Error| Error::io("write the new index", e);
     let fresh = dir.join("index.situ.new");
-    let file = OpenOptions::new()
-        .write(true)
-        .create(true)
-        .truncate(true)
-        .open(&fresh)
-        .map_err(failed)?;
+    let old = dir.join(index::FILE);
+    let mode = std::fs::metadata(&old).ok().map(|m| m.mode() & 0o777);
+    let mut options = OpenOptions::new();
+    options.write(true).create(true).truncate(true);
+    let file = extent::open_with(&mut options, &fresh, mode).map_err(failed)?;
     let n = (plan.entries.len() as u64).to_le_bytes();
     let mut bytes = plan.header.encode().to_vec();
     bytes[COMMITTED_AT..COMMITTED_AT + 8].copy_from_slice(&n);
@@ -105,9 +111,13 @@ fn rewrite(dir: &Path, plan: &Plan) -> Result<()> {
     bytes.resize(bytes.len().next_multiple_of(4096), 0);
     write_all(&file, &bytes, 0).map_err(|e| failed(e.into()))?;
     fdatasync(&file).map_err(|e| failed(e.into()))?;
-    let old = dir.join(index::FILE);
     if old.exists() {
-        std::fs::copy(&old, unused(&dir.join("index.situ.before-repair"))).map_err(failed)?;
+        let kept = unused(&dir.join("index.situ.before-repair"));
+        std::fs::copy(&old, &kept).map_err(failed)?;
+        // On the disk before it is the only one.
+        File::open(&kept)
+            .and_then(|kept| kept.sync_all())
+            .map_err(failed)?;
     }
     std::fs::rename(&fresh, &old).map_err(failed)?;
     let folder = File::open(dir).map_err(failed)?;

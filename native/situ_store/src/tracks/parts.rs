@@ -2,7 +2,7 @@
 
 use crate::chunk::{term_number, Value};
 use crate::etf;
-use crate::format::Encoding;
+use crate::format::{Encoding, LARGE_MESSAGE};
 
 /// Longer texts are no states.
 const LONGEST: usize = 64;
@@ -35,7 +35,10 @@ pub fn parts(
         Value::Bool(value) => BOOLEANS.get(value as usize).copied(),
         _ => None,
     };
-    let Some(bytes) = bytes else { return };
+    // What is large is counted only.
+    let Some(bytes) = bytes.filter(|bytes| bytes.len() < LARGE_MESSAGE) else {
+        return;
+    };
     match encoding {
         Encoding::Bool => each(&[], Part::State(bytes)),
         Encoding::Bytes if bytes.len() <= LONGEST => {

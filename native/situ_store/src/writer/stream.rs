@@ -2,7 +2,7 @@
 
 use crate::chunk::{Input, Value};
 use crate::format::Compression;
-use crate::format::{Encoding, LARGE_MESSAGE};
+use crate::format::Encoding;
 use crate::pyramid::{self, Bin};
 use crate::tracks::{self, Names, Noted, Tally};
 
@@ -61,11 +61,11 @@ impl Stream {
         let before = self.noted.len();
         let (value, body): (Value, &[u8]) = match input {
             Input::Bool(value) => (Value::Bool(*value), &[]),
-            Input::Bytes(bytes) if bytes.len() < LARGE_MESSAGE => {
+            Input::Bytes(bytes) => {
                 let (start, length) = (0, bytes.len());
                 (Value::Bytes { start, length }, bytes)
             }
-            // Numbers have a pyramid of their own; what is large is counted only.
+            // Numbers have a pyramid of their own.
             _ => (Value::Int(0), &[]),
         };
         tracks::note(encoding, &value, body, &mut self.names, &mut self.noted);

@@ -78,6 +78,7 @@ defmodule Situ.Store.Copying do
          :ok <- if(File.dir?(fresh), do: Folder.remove(fresh), else: :ok),
          {:ok, ^fresh} <-
            copy(folder, {Folder.name(folder), fresh}, [{:versioned, false} | opts]),
+         :ok <- Folder.keep_mode(fresh, folder),
          :ok <- swap(folder, fresh),
          do: {:ok, folder}
   end
@@ -278,11 +279,15 @@ defmodule Situ.Store.Copying do
   @smallest 64 * 1024
 
   @doc false
-  # A small store needs no large first extent, which a small disk may have no room for.
+  # A small store needs no large first extent, which a small disk may have no room for; and a copy is for nobody who
+  # could not read all of what it is of.
   @spec sized(keyword(), [StreamInfo.t()]) :: keyword()
   def sized(opts, infos) do
     stored = infos |> Enum.map(& &1.stored) |> Enum.sum()
-    Keyword.put_new(opts, :first_extent, stored |> max(@smallest) |> min(@largest))
+    mode = infos |> Enum.map(& &1.store_path) |> Enum.uniq() |> Folder.mode_of()
+
+    opts = Keyword.put_new(opts, :first_extent, stored |> max(@smallest) |> min(@largest))
+    if mode, do: Keyword.put_new(opts, :mode, mode), else: opts
   end
 
   defp write(writer, info, sources, opts, told) do

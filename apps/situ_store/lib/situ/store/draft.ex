@@ -13,7 +13,7 @@ defmodule Situ.Store.Draft do
     root = Path.expand(root)
     versioned? = Keyword.get(opts, :versioned, true)
     base = if versioned?, do: Path.join(root, name), else: root
-    options = [versioned: false] ++ Keyword.take(opts, [:durability, :first_extent])
+    options = [versioned: false] ++ Keyword.take(opts, [:durability, :first_extent, :mode])
     sweep(base)
 
     with :ok <- free(name, root, versioned?),

@@ -6,6 +6,7 @@ defmodule Situ.Store.Exporter do
   """
   alias Situ.{Options, Pipeline, Stream}
   alias Situ.Store.{Folder, Keys, Pieces, Reading, SharedWriter, Sink, Volatile, Writer}
+  alias Situ.Store.Pieces.Cut
 
   @write_options Keyword.delete(Writer.stream_options(), :type) ++
                    [
@@ -33,9 +34,11 @@ defmodule Situ.Store.Exporter do
   # `path` is the store's folder.
   @create_options [
     split: [
-      type: :pos_integer,
+      type: {:or, [:pos_integer, {:tuple, [{:in, [:bytes]}, :pos_integer]}]},
       doc:
-        "Record in pieces: begin a new store, the next version of the name, after so many ns of originating time."
+        "Record in pieces: begin a new store, the next version of the name, after so many ns of " <>
+          "originating time, or (`{:bytes, n}`) when one has got so many bytes on the disk; a piece is then " <>
+          "larger by what was under way."
     ],
     keep: [
       type:
@@ -56,7 +59,7 @@ defmodule Situ.Store.Exporter do
   @type t :: %__MODULE__{
           path: Path.t(),
           shared: SharedWriter.t() | nil,
-          pieces: {pid(), pos_integer()} | nil,
+          pieces: {pid(), Cut.t()} | nil,
           eager: boolean()
         }
 
@@ -86,13 +89,15 @@ defmodule Situ.Store.Exporter do
 
   # `path` is the name without a version: its newest piece opens by it.
   defp in_pieces(p, {name, root, opts}, split, keep) do
+    cut = Cut.new(split)
+
     {:ok, pieces} =
-      Pieces.start_link({name, root, Keyword.put(opts, :versioned, true)}, split, keep)
+      Pieces.start_link({name, root, Keyword.put(opts, :versioned, true)}, cut, keep)
 
     :ok = Pipeline.on(p, :completed, fn _report -> Pieces.close(pieces) end)
     :ok = Pipeline.on(p, :abandoned, fn _error -> Pieces.close(pieces) end)
     eager = opts[:durability] == :each
-    %__MODULE__{path: Path.join(root, name), shared: nil, pieces: {pieces, split}, eager: eager}
+    %__MODULE__{path: Path.join(root, name), shared: nil, pieces: {pieces, cut}, eager: eager}
   end
 
   defp whole(p, name, root, opts) do
@@ -127,8 +132,8 @@ defmodule Situ.Store.Exporter do
   end
 
   defp write_pieces(stream, exporter, name, of_stream, opts) do
-    {pieces, split} = exporter.pieces
-    given = [pieces: {pieces, split, name, of_stream}, envelopes: opts[:envelopes]]
+    {pieces, cut} = exporter.pieces
+    given = [pieces: {pieces, cut, name, of_stream}, envelopes: opts[:envelopes]]
     Situ.via(stream, Sink, given ++ [eager: exporter.eager] ++ component(name, opts))
     stream
   end

@@ -21,12 +21,72 @@ defmodule Situ.Store.Folder do
   @spec unfinished?(Path.t()) :: boolean()
   def unfinished?(path), do: String.ends_with?(path, @unfinished)
 
-  @doc "A new folder for store `name` below `root`."
-  @spec create(String.t(), Path.t(), boolean()) :: {:ok, Path.t()} | {:error, Error.t()}
-  def create(name, root, versioned?) do
-    with :ok <- check_name(name) do
-      if versioned?, do: create_version(name, root, next(name, root)), else: create_plain(root)
+  @doc "A new folder for store `name` below `root`; with a `mode` (of its files) only those it names may enter."
+  @spec create(String.t(), Path.t(), boolean(), non_neg_integer() | nil) ::
+          {:ok, Path.t()} | {:error, Error.t()}
+  def create(name, root, versioned?, mode \\ nil) do
+    # A folder that was there before is somebody's.
+    ours? = versioned? or not File.exists?(root)
+
+    with :ok <- check_name(name),
+         :ok <- check_mode(mode),
+         {:ok, path} <- made(name, root, versioned?),
+         :ok <- if(ours?, do: restrict(path, mode), else: :ok),
+         do: {:ok, path}
+  end
+
+  defp made(name, root, true), do: create_version(name, root, next(name, root))
+  defp made(_name, root, false), do: create_plain(root)
+
+  # The files' owner, and a group that reads.
+  @mode 0o640
+
+  @doc "The mode of a copy of these recordings when nobody says another: no wider than any of them; `nil` is the usual."
+  @spec mode_of([Path.t()]) :: non_neg_integer() | nil
+  def mode_of(paths) do
+    modes = for path <- paths, {:ok, stat} <- [File.stat(file(path))], do: stat.mode
+    mode = Enum.reduce(modes, @mode, &Bitwise.band/2)
+    if mode == @mode, do: nil, else: Bitwise.bor(mode, 0o600)
+  end
+
+  @doc "Gives a store's files, and its folder, the modes that those of another have."
+  @spec keep_mode(Path.t(), Path.t()) :: :ok | {:error, Error.t()}
+  def keep_mode(path, like) do
+    mode = File.stat!(file(like)).mode
+    for name <- File.ls!(path), do: File.chmod!(Path.join(path, name), Bitwise.band(mode, 0o777))
+    File.chmod!(path, Bitwise.band(File.stat!(like).mode, 0o777))
+  rescue
+    error in File.Error ->
+      {:error, Error.new(:io, "cannot set the mode of #{path}", why: Exception.message(error))}
+  end
+
+  defp file(path), do: if(File.dir?(path), do: Path.join(path, @index), else: path)
+
+  # The files have their mode from the first moment on; the folder is empty until it has its own.
+  defp restrict(path, mode) do
+    wanted = entering(mode || @mode)
+
+    with {:ok, %{mode: now}} <- File.stat(path),
+         # Without a mode of its own the process's mask holds, too.
+         :ok <- File.chmod(path, if(mode, do: wanted, else: Bitwise.band(now, wanted))) do
+      :ok
+    else
+      {:error, reason} -> mkdir(path, fn -> {:error, reason} end)
     end
+  end
+
+  # Who reads a folder's files has to enter it.
+  defp entering(mode), do: Bitwise.bor(mode, Bitwise.bsr(Bitwise.band(mode, 0o444), 2))
+
+  defp check_mode(nil), do: :ok
+  defp check_mode(mode) when mode <= 0o777 and Bitwise.band(mode, 0o600) == 0o600, do: :ok
+
+  defp check_mode(mode) do
+    {:error,
+     Error.new(:bad_mode, "no recording can have the mode 0o#{Integer.to_string(mode, 8)}",
+       why: "its owner has to read and write it, and a mode has nine bits",
+       fix: "use 0o600, 0o640, 0o644, 0o660 ..."
+     )}
   end
 
   defp create_plain(root) do

@@ -9,11 +9,12 @@ defmodule Situ.Store.Native do
     :erlang.load_nif(path, 0)
   end
 
-  def writer_create(_path, _first_extent, _max_extent, _durability), do: missing()
+  def writer_create(_path, _first_extent, _max_extent, _durability, _mode), do: missing()
   def writer_stream(_writer, _name, _compression, _large), do: missing()
   def writer_position(_writer, _stream), do: missing()
   def writer_append(_writer, _stream, _batches), do: missing()
   def writer_append_runs(_writer, _stream, _runs), do: missing()
+  def writer_bytes(_writer), do: missing()
   def writer_sync(_writer), do: missing()
   def writer_close(_writer), do: missing()
   def reader_open(_path, _verify_large, _max_unpacked), do: missing()

@@ -1,29 +1,37 @@
 defmodule Situ.Store.Pieces do
   @moduledoc false
-  # A long recording in pieces: a store (the next version of its name) for each stretch of originating time. One process
-  # hands the pieces to the components that write; it ends with the pipeline. Every piece is a whole store, so what a
-  # kill or a power cut finds is what it would find of any.
+  # A long recording in pieces: a store (the next version of its name) for each stretch of originating time, cut by
+  # time or by size (`Situ.Store.Pieces.Cut`). One process hands the pieces to the components that write; it ends with
+  # the pipeline. Every piece is a whole store, so what a kill or a power cut finds is what it would find of any.
   #
   # Streams do not run abreast: the piece before the newest stays open for those that are behind. A message later still
   # goes into the oldest open one. Pieces that `keep:` has no room for are deleted, the oldest first, and only those
   # made here.
   use GenServer
   alias Situ.Store.{Folder, Writer}
+  alias Situ.Store.Pieces.Cut
 
   @type keep :: nil | {:span, Situ.Time.duration()} | {:bytes, pos_integer()}
 
-  # `open`: the pieces being written, by number; `made`: the folders of the closed ones, by number.
-  defstruct [:name, :root, :opts, :split, :keep, :owner, open: %{}, made: %{}, streams: %{}]
+  # `open`: the pieces being written, by number; `made`: the folders of the closed ones, by number; `begun`: the times
+  # at which pieces cut by size begin, by number.
+  defstruct [
+    :name,
+    :root,
+    :opts,
+    :cut,
+    :keep,
+    :owner,
+    open: %{},
+    made: %{},
+    begun: %{},
+    streams: %{}
+  ]
 
   @doc "Linked to the caller, and gone when it is."
-  @spec start_link({String.t(), Path.t(), keyword()}, pos_integer(), keep()) ::
-          GenServer.on_start()
-  def start_link({name, root, opts}, split, keep),
-    do: GenServer.start_link(__MODULE__, {name, root, opts, split, keep, self()})
-
-  @doc "The number of the piece that a time belongs to."
-  @spec number(Situ.Time.t(), pos_integer()) :: integer()
-  def number(time, split), do: Integer.floor_div(time, split)
+  @spec start_link({String.t(), Path.t(), keyword()}, Cut.t(), keep()) :: GenServer.on_start()
+  def start_link({name, root, opts}, cut, keep),
+    do: GenServer.start_link(__MODULE__, {name, root, opts, cut, keep, self()})
 
   @doc "The stream `name` in the piece of this number, or in the oldest one that is open, and which that is."
   @spec stream(GenServer.server(), integer(), String.t(), keyword()) ::
@@ -31,16 +39,21 @@ defmodule Situ.Store.Pieces do
   def stream(pieces, number, name, opts),
     do: GenServer.call(pieces, {:stream, number, name, opts}, :timer.minutes(1))
 
+  @doc "Messages up to `time` were appended to a piece: where that is cut by size, the next may have to begin."
+  @spec appended(GenServer.server(), Cut.t(), integer(), Situ.Time.t()) :: :ok
+  def appended(_pieces, %{newest: nil}, _number, _time), do: :ok
+  def appended(pieces, _cut, number, time), do: GenServer.cast(pieces, {:appended, number, time})
+
   @doc "Closes what is open."
   @spec close(GenServer.server()) :: :ok
   def close(pieces), do: GenServer.stop(pieces, :normal, :timer.minutes(1))
 
   @impl true
-  def init({name, root, opts, split, keep, owner}) do
+  def init({name, root, opts, cut, keep, owner}) do
     Process.flag(:trap_exit, true)
     Process.monitor(owner)
 
-    {:ok, %__MODULE__{name: name, root: root, opts: opts, split: split, keep: keep, owner: owner}}
+    {:ok, %__MODULE__{name: name, root: root, opts: opts, cut: cut, keep: keep, owner: owner}}
   end
 
   @impl true
@@ -53,6 +66,17 @@ defmodule Situ.Store.Pieces do
     else
       {:error, _} = error -> {:reply, error, state}
     end
+  end
+
+  @impl true
+  def handle_cast({:appended, number, time}, %{cut: %{every: {:bytes, most}}} = state) do
+    # Only the newest one grows into another; of those before it somebody is late.
+    full? =
+      number == Cut.number(state.cut, time) and not is_map_key(state.begun, number + 1) and
+        is_map_key(state.open, number) and Writer.bytes(state.open[number]) >= most
+
+    if full?, do: Cut.cut(state.cut, time + 1)
+    {:noreply, if(full?, do: put_in(state.begun[number + 1], time + 1), else: state)}
   end
 
   @impl true
@@ -108,7 +132,10 @@ defmodule Situ.Store.Pieces do
 
   defp surplus({:span, span}, state) do
     newest = state.open |> Map.keys() |> Enum.max()
-    for {number, _} <- state.made, (newest - number - 1) * state.split >= span, do: number
+
+    for {number, _} <- state.made,
+        begin(state, newest) - begin(state, number + 1) >= span,
+        do: number
   end
 
   # The open ones count, too: what is on the disk is to stay within the limit.
@@ -125,6 +152,10 @@ defmodule Situ.Store.Pieces do
 
     surplus
   end
+
+  defp begin(%{cut: %{every: every}}, number) when is_integer(every), do: number * every
+  # The first one begins with its first message, before all others.
+  defp begin(state, number), do: Map.get(state.begun, number, 0)
 
   defp size(path) do
     for file <- Path.wildcard(Path.join(path, "*.situ")), reduce: 0 do

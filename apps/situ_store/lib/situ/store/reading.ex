@@ -2,7 +2,7 @@ defmodule Situ.Store.Reading do
   @moduledoc false
   # Reading an open recording, whoever's format it is. Public as `Situ.Store`, where the documentation is.
   alias Situ.{Error, Message, Options}
-  alias Situ.Store.{Evolution, Failure, Folder, Formats, Handle, Local, StreamInfo, Terms}
+  alias Situ.Store.{Evolution, Failure, Folder, Formats, Handle, Local, StreamInfo}
 
   @open_options [
     verify: [
@@ -151,17 +151,7 @@ defmodule Situ.Store.Reading do
 
   @spec metadata(Handle.t(), name()) :: {:ok, term()} | {:error, Error.t()}
   def metadata(store, name) do
-    with {:ok, info} <- stream_info(store, name), do: supplemental(info)
-  end
-
-  defp supplemental(%{supplemental: nil, name: name}),
-    do: {:error, Error.new(:no_metadata, "stream #{inspect(name)} has no metadata")}
-
-  defp supplemental(%{supplemental: {_type, bytes}, name: name}) do
-    with {:error, reason} <- Terms.decode(bytes) do
-      {:error,
-       Error.new(:damaged, "the metadata of #{inspect(name)} cannot be decoded", why: reason)}
-    end
+    with {:ok, info} <- stream_info(store, name), do: StreamInfo.metadata(info)
   end
 
   @spec metadata(Handle.t(), name(), Situ.Type.t()) :: {:ok, term()} | {:error, Error.t()}

@@ -17,11 +17,12 @@ defmodule Situ.Store.Sink do
       pieces: [
         type: :any,
         default: nil,
-        doc: "`{pieces, split, name, options}` of a recording in pieces (`Situ.Store.Pieces`)."
+        doc: "`{pieces, cut, name, options}` of a recording in pieces (`Situ.Store.Pieces`)."
       ]
     ]
 
   alias Situ.Store.{Pieces, SharedWriter, Writer}
+  alias Situ.Store.Pieces.Cut
 
   @flush_ms 20
   @most 512
@@ -59,11 +60,12 @@ defmodule Situ.Store.Sink do
     do: handle_messages(:in, [message], context, state)
 
   @impl true
-  def handle_messages(:in, messages, _context, %{pieces: {_, split, _, _}} = state) do
+  def handle_messages(:in, messages, _context, %{pieces: {_, cut, _, _}} = state) do
     messages
-    |> Enum.chunk_by(&Pieces.number(&1.originating_time, split))
-    |> Enum.reduce({[], state}, fn [first | _] = part, {[], state} ->
-      number = Pieces.number(first.originating_time, split)
+    |> Enum.map(&{Cut.number(cut, &1.originating_time), &1})
+    |> Enum.chunk_by(&elem(&1, 0))
+    |> Enum.reduce({[], state}, fn [{number, _} | _] = part, {[], state} ->
+      part = Enum.map(part, &elem(&1, 1))
       take(part, if(number == state.piece, do: state, else: enter(flush(state), number)))
     end)
   end
@@ -71,7 +73,7 @@ defmodule Situ.Store.Sink do
   def handle_messages(:in, messages, _context, state), do: take(messages, state)
 
   # The piece of these times, or what is left of it when the others are far ahead.
-  defp enter(%{pieces: {pieces, _split, name, opts}} = state, number) do
+  defp enter(%{pieces: {pieces, _cut, name, opts}} = state, number) do
     case Pieces.stream(pieces, number, name, opts) do
       {:ok, real, stream} ->
         # As it was left, with what is noted of it: one asks again for a piece when messages were late.
@@ -154,12 +156,17 @@ defmodule Situ.Store.Sink do
 
   defp remember(%{pieces: nil} = state, stream), do: {state, stream}
 
-  defp remember(state, stream) do
+  defp remember(%{pieces: {pieces, cut, _, _}} = state, stream) do
+    Pieces.appended(pieces, cut, state.piece, latest(state.pending))
+
     held =
       Map.new(state.held, fn {n, s} -> {n, if(s.writer == stream.writer, do: stream, else: s)} end)
 
     {%{state | held: held}, stream}
   end
+
+  # Batches stand newest first.
+  defp latest([batch | _]), do: List.last(batch).originating_time
 
   defp append(%{plain: true} = state),
     do: Writer.append_plain(state.stream, Enum.reverse(state.pending))

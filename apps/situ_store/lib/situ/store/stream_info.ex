@@ -11,6 +11,9 @@ defmodule Situ.Store.StreamInfo do
     * `closed`: the originating time at which the stream closed, or `nil`
     * `fields`: field names of the struct its messages are, when they are structs stored as terms
   """
+  alias Situ.Error
+  alias Situ.Store.Terms
+
   @enforce_keys [:id, :name]
   defstruct [
     :id,
@@ -60,6 +63,21 @@ defmodule Situ.Store.StreamInfo do
   @spec duration(t()) :: Situ.Time.duration()
   def duration(%{first: nil}), do: 0
   def duration(info), do: info.last - info.first
+
+  @doc """
+  The supplemental metadata: plain data, whatever stands in the file; `:no_metadata` where there is none, `:damaged`
+  where it cannot be decoded.
+  """
+  @spec metadata(t()) :: {:ok, term()} | {:error, Error.t()}
+  def metadata(%{supplemental: nil, name: name}),
+    do: {:error, Error.new(:no_metadata, "stream #{inspect(name)} has no metadata")}
+
+  def metadata(%{supplemental: {_type, bytes}, name: name}) do
+    with {:error, reason} <- Terms.decode(bytes) do
+      {:error,
+       Error.new(:damaged, "the metadata of #{inspect(name)} cannot be decoded", why: reason)}
+    end
+  end
 
   @doc "Whether the stream was closed properly."
   @spec closed?(t()) :: boolean()

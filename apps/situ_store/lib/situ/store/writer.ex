@@ -14,6 +14,13 @@ defmodule Situ.Store.Writer do
       doc: "Bytes of the first extent."
     ],
     max_extent: [type: :pos_integer, default: 256 * 1024 * 1024, doc: "Bytes of the largest."],
+    mode: [
+      type: :non_neg_integer,
+      doc:
+        "Who may read and write the recording, as for `File.chmod/2` (`0o600`, `0o644`, ...): its files get " <>
+          "this mode, its folder the same and the right to enter for whoever may read. Default: `0o640` within " <>
+          "the process's file mode mask (`umask`)."
+    ],
     volatile: [
       type: :boolean,
       default: false,
@@ -88,13 +95,14 @@ defmodule Situ.Store.Writer do
   @spec create(String.t(), Path.t(), keyword()) :: {:ok, t()} | {:error, Error.t()}
   def create(name, root, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
-         {:ok, path} <- Folder.create(name, root, opts[:versioned]),
+         {:ok, path} <- Folder.create(name, root, opts[:versioned], opts[:mode]),
          {:ok, ref} <-
            path
            |> Native.writer_create(
              opts[:first_extent],
              opts[:max_extent],
-             durability(opts[:durability])
+             durability(opts[:durability]),
+             opts[:mode]
            )
            |> Failure.wrap(path) do
       writer = %__MODULE__{ref: ref, path: path, name: name}
@@ -294,6 +302,10 @@ defmodule Situ.Store.Writer do
   @spec close_stream(Stream.t(), Situ.Time.t()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def close_stream(%Stream{} = stream, time),
     do: catalog(stream.writer, %{kind: "closed", id: stream.id, time: time})
+
+  @doc "How many bytes the store takes: what was written, not what is allocated for what follows."
+  @spec bytes(t()) :: non_neg_integer()
+  def bytes(%__MODULE__{} = writer), do: Native.writer_bytes(writer.ref)
 
   @doc "Waits until everything committed is on the disk."
   @spec sync(t()) :: :ok | {:error, Error.t()}

@@ -71,62 +71,6 @@ defmodule Situ.Store.ExporterTest do
     assert Store.newest("walk", root) == kept
   end
 
-  test "the keys of a stream's maps are kept in its metadata", %{tmp_dir: root} do
-    maps = for i <- 1..100, do: {i * 1_000, if(i == 50, do: :none, else: %{rem(i, 7) => i})}
-
-    {:ok, report} =
-      Pipeline.run(fn p ->
-        store = Store.create(p, "keys", root)
-
-        p
-        |> Situ.from_enumerable(maps)
-        |> Store.write(store, "Faces", keys: true, metadata: %{"unit" => "px"})
-
-        p |> Situ.from_enumerable([{1_000, 1}]) |> Store.write(store, "Numbers", keys: true)
-        store.path
-      end)
-
-    store = Store.open!(report.result)
-    assert Store.closed?(store)
-
-    assert Store.metadata(store, "Faces") ==
-             {:ok, %{"unit" => "px", "keys" => Enum.to_list(0..6)}}
-
-    assert {:error, %{code: :no_metadata}} = Store.metadata(store, "Numbers")
-    assert Store.count(store, "Faces") == 100
-  end
-
-  test "a failing pipeline leaves a whole, closed store", %{tmp_dir: root} do
-    {:error, _} =
-      Pipeline.run(fn p ->
-        exporter = Store.create(p, "failing", root)
-
-        p
-        |> Situ.from_enumerable(for(i <- 1..100, do: {i * 1_000, i}))
-        |> Store.write(exporter, "in")
-        |> Situ.map(fn n -> if n == 60, do: raise("no"), else: n end)
-        |> Store.write(exporter, "out")
-      end)
-
-    store = Store.open!(Path.join(root, "failing"))
-    assert %{closed?: true, damage: []} = Store.info(store)
-    out = store |> Store.messages("out") |> Enum.map(& &1.data)
-    assert out == Enum.take(1..100, length(out))
-  end
-
-  test "a message that cannot be stored stops the pipeline and names the stream", %{tmp_dir: root} do
-    {:error, error} =
-      Pipeline.run(fn p ->
-        exporter = Store.create(p, "bad", root)
-
-        p
-        |> Situ.from_enumerable([{1, 1}, {2, self()}])
-        |> Store.write(exporter, "pids")
-      end)
-
-    assert Exception.message(error) =~ "process id"
-  end
-
   test "errors in build say what is wrong", %{tmp_dir: root} do
     path = record(root, "rec", 0..3)
 

@@ -1,30 +1,43 @@
 defmodule Situ.Store.HostileTest do
-  # Stores that lie, with right checksums: an error or less data, little memory, and no scheduler held up.
+  # Damaged stores, and stores that lie with right checksums: an error or less data, little memory, and no scheduler
+  # held up. `SITU_MUTATIONS` and `SITU_LIES` say how many of each (150); `SITU_LONG_SCHEDULE` how many ms a scheduler
+  # may be held (500: on a busy machine the system itself holds them; 5 on a quiet one).
   use ExUnit.Case, async: false
   alias Situ.Store
   alias Situ.Store.Writer
   import Situ.Store.Test.Record, only: [message: 2]
 
   @moduletag :tmp_dir
-  @rounds 150
+  @moduletag timeout: :infinity
+
+  defp setting(name, default), do: String.to_integer(System.get_env(name) || "#{default}")
 
   defp base(root) do
     {:ok, writer} = Writer.create("base", root, first_extent: 65_536)
 
-    add = fn name, options, n, data ->
+    add = fn name, options, n ->
       {:ok, stream} = Writer.stream(writer, name, options)
-      {:ok, _} = Writer.append(stream, for(i <- 1..n, do: message(data.(i), i * 1_000)))
+      {:ok, _} = Writer.append(stream, for(i <- 1..n, do: message(data(name, i), i * 1_000)))
     end
 
-    add.("ints", [type: :integer, metadata: %{"unit" => "m"}], 1_500, & &1)
-    add.("flags", [type: :boolean], 1_500, &(rem(&1, 7) < 3))
-    add.("terms", [], 600, &%{"k" => &1, l: [1, 2, {&1}], t: {:ok, 1.5}})
-    add.("packed", [compression: :zstd], 300, &String.duplicate("abc#{&1}", 50))
-    add.("quick", [compression: :lz4], 300, &String.duplicate("abc#{&1}", 50))
-    add.("large", [large: true], 10, &:binary.copy(<<&1>>, 5_000))
+    add.("ints", [type: :integer, metadata: %{"unit" => "m"}], 1_500)
+    add.("flags", [type: :boolean], 1_500)
+    add.("terms", [], 600)
+    add.("packed", [compression: :zstd], 300)
+    add.("quick", [compression: :lz4], 300)
+    add.("large", [large: true], 10)
     :ok = Writer.close(writer)
     writer.path
   end
+
+  @names ~w(ints flags terms packed quick large)
+
+  # What message `i` of a stream is.
+  defp data("ints", i), do: i
+  defp data("flags", i), do: rem(i, 7) < 3
+  defp data("terms", i), do: %{"k" => i, l: [1, 2, {i}], t: {:ok, 1.5}}
+  defp data("large", i), do: :binary.copy(<<i>>, 5_000)
+  defp data(_texts, i), do: String.duplicate("abc#{i}", 50)
 
   # Overwrites some bytes and makes every checksum right again, so that the reader has to judge what they say.
   defp lie(path, target) do
@@ -54,6 +67,51 @@ defmodule Situ.Store.HostileTest do
 
       File.write!(file, put(data, offset, chunk))
     end
+  end
+
+  # What disks, programs and people do to files: bits, stretches, the end; parts of files in each other's places.
+  defp mutate(files, target) do
+    mutated = Enum.reduce(1..:rand.uniform(4), files, fn _, files -> wound(files) end)
+    for {name, bytes} <- mutated, do: File.write!(Path.join(target, name), bytes)
+  end
+
+  defp wound(files) do
+    {name, bytes} = Enum.random(files)
+    size = byte_size(bytes)
+    at = :rand.uniform(max(size, 1)) - 1
+
+    wounded =
+      case :rand.uniform(6) do
+        _ when size == 0 ->
+          <<0::800>>
+
+        n when n <= 2 ->
+          <<byte>> = binary_part(bytes, at, 1)
+          put(bytes, at, <<Bitwise.bxor(byte, Bitwise.bsl(1, :rand.uniform(8) - 1))>>)
+
+        3 ->
+          put(
+            bytes,
+            at,
+            for(_ <- 1..min(200, size - at), into: <<>>, do: <<:rand.uniform(256) - 1>>)
+          )
+
+        4 ->
+          binary_part(bytes, 0, at)
+
+        5 ->
+          {_, other} = Enum.random(files)
+          stretch = binary_part(other, 0, min(byte_size(other), :rand.uniform(4_096)))
+          put(bytes, at, binary_part(stretch, 0, min(byte_size(stretch), size - at)))
+
+        6 ->
+          # The number of entries and the state of the index, which no checksum covers.
+          if size > 96,
+            do: put(bytes, 63 + :rand.uniform(32), <<:rand.uniform(256) - 1>>),
+            else: bytes
+      end
+
+    Map.put(Map.new(files), name, wounded)
   end
 
   defp scratch(bytes, from, to) do
@@ -111,12 +169,16 @@ defmodule Situ.Store.HostileTest do
     |> bxor(0xFFFFFFFF)
   end
 
-  defp ask(path) do
+  # `check`: whether every message has to be one that was written.
+  defp ask(path, check) do
     with {:ok, store} <- Store.open(path) do
       Store.info(store)
 
       for info <- Store.streams(store) do
-        _ = Enum.count(Store.messages(store, info, skip_damage: true))
+        for m <- Store.messages(store, info, skip_damage: true),
+            check and info.name in @names,
+            do: assert(m.data == data(info.name, div(m.originating_time, 1_000)))
+
         _ = Store.at(store, info, 0)
         _ = Store.at(store, info, -1)
         _ = Store.latest_at(store, info, 500_000)
@@ -136,19 +198,21 @@ defmodule Situ.Store.HostileTest do
     error in Situ.Error -> error.code
   end
 
-  test "lying stores take little memory and hold up no scheduler", %{tmp_dir: root} do
-    path = base(root)
-    :rand.seed(:exsss, {1, 2, 3})
+  # Asks `rounds` stores that `make` leaves in a folder, and looks at what that did to this system.
+  defp unharmed(rounds, target, check, make) do
     watch = self()
-    {:ok, monitor} = Agent.start_link(fn -> :erlang.system_monitor(watch, long_schedule: 500) end)
+    limit = setting("SITU_LONG_SCHEDULE", 500)
+    monitor = fn -> :erlang.system_monitor(watch, long_schedule: limit) end
+    {:ok, monitor} = Agent.start_link(monitor)
     atoms = :erlang.system_info(:atom_count)
     before = resident()
 
-    for _ <- 1..@rounds do
-      target = Path.join(root, "lie.0000")
-      lie(path, target)
-      assert ask(target) in [:asked, :damaged, :missing_extent, :not_a_store, :newer_version]
-    end
+    answers =
+      for _ <- 1..rounds, reduce: %{} do
+        answers ->
+          make.()
+          Map.update(answers, ask(target, check), 1, &(&1 + 1))
+      end
 
     :erlang.system_monitor(:undefined)
     Agent.stop(monitor)
@@ -156,6 +220,38 @@ defmodule Situ.Store.HostileTest do
     assert long == []
     assert resident() - before < 256 * 1024
     assert :erlang.system_info(:atom_count) - atoms < 500
+    answers
+  end
+
+  @codes ~w(asked damaged missing_extent not_a_store newer_version io no_store index_lost)a
+
+  test "lying stores take little memory and hold up no scheduler", %{tmp_dir: root} do
+    path = base(root)
+    target = Path.join(root, "lie.0000")
+    :rand.seed(:exsss, {1, 2, 3})
+    answers = unharmed(setting("SITU_LIES", 150), target, false, fn -> lie(path, target) end)
+    assert Map.keys(answers) -- @codes == []
+  end
+
+  test "damaged stores give nothing but what was written, and hold up no scheduler", %{
+    tmp_dir: root
+  } do
+    path = base(root)
+
+    files =
+      for name <- File.ls!(path), name != "lock", do: {name, File.read!(Path.join(path, name))}
+
+    target = Path.join(root, "hurt.0000")
+    File.mkdir_p!(target)
+    :rand.seed(:exsss, {4, 5, 6})
+
+    answers =
+      unharmed(setting("SITU_MUTATIONS", 150), target, true, fn ->
+        mutate(Map.new(files), target)
+      end)
+
+    assert Map.keys(answers) -- @codes == []
+    assert answers.asked > 0
   end
 
   defp flush do

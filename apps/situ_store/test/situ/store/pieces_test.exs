@@ -43,8 +43,35 @@ defmodule Situ.Store.PiecesTest do
     assert Enum.flat_map(pieces, &numbers/1) == Enum.to_list(80..99)
   end
 
+  test "a recording is cut where a piece has got so many bytes, and nothing is lost", %{
+    tmp_dir: root
+  } do
+    pieces = record(root, 20_000, split: {:bytes, 100_000})
+    assert length(pieces) > 3
+
+    # Two streams: each of its own is whole and in order, and they are cut at about the same places.
+    assert Enum.flat_map(pieces, &numbers/1) == Enum.to_list(0..19_999)
+    {:ok, whole} = Store.concat(pieces, Path.join(root, "whole"))
+    assert numbers(whole) == Enum.to_list(0..19_999)
+    pairs = whole |> Store.open!() |> Store.messages("Pairs") |> Enum.map(& &1.data)
+    assert pairs == for(i <- 0..19_999, do: {i, "text"})
+
+    for path <- Enum.drop(pieces, -1),
+        do:
+          assert(
+            path |> Store.open!() |> Store.streams() |> Enum.map(& &1.stored) |> Enum.sum() >=
+              50_000
+          )
+
+    other = Path.join(root, "ring")
+    pieces = record(other, 20_000, split: {:bytes, 100_000}, keep: {:span, 1_000_000})
+    kept = Enum.flat_map(pieces, &numbers/1)
+    assert List.last(kept) == 19_999 and kept == Enum.to_list(hd(kept)..19_999)
+    assert hd(kept) > 0 and length(kept) >= 1_000
+  end
+
   test "what is late goes into the oldest piece that is open", %{tmp_dir: root} do
-    {:ok, pieces} = Store.Pieces.start_link({"late", root, []}, 10, nil)
+    {:ok, pieces} = Store.Pieces.start_link({"late", root, []}, Store.Pieces.Cut.new(10), nil)
     assert {:ok, 5, _} = Store.Pieces.stream(pieces, 5, "S", [])
     assert {:ok, 6, _} = Store.Pieces.stream(pieces, 6, "S", [])
     assert {:ok, 7, seven} = Store.Pieces.stream(pieces, 7, "S", [])

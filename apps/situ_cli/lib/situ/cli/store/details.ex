@@ -80,19 +80,20 @@ defmodule Situ.CLI.Store.Details do
       type: info.type_name,
       large: info.large?,
       codecs: for({_, {name, _}} <- info.codecs, do: name),
-      metadata: metadata(info.supplemental),
+      metadata: metadata(info),
       rate: StreamInfo.rate(info),
       average_size: StreamInfo.average_size(info),
       average_latency: StreamInfo.average_latency(info)
     })
   end
 
-  defp metadata(nil), do: nil
+  defp metadata(%{supplemental: nil}), do: nil
 
-  defp metadata({type, bytes}) do
-    bytes |> :erlang.binary_to_term([:safe]) |> Data.json() |> Map.put(:type, type)
-  rescue
-    ArgumentError -> %{type: type}
+  defp metadata(%{supplemental: {type, _}} = info) do
+    case StreamInfo.metadata(info) do
+      {:ok, term} -> term |> Data.json() |> Map.put(:type, type)
+      {:error, error} -> %{type: type, damage: error.why}
+    end
   end
 
   @doc "Messages a second."
