@@ -7,6 +7,7 @@ defmodule Driver do
     {:ok, _} = Application.ensure_all_started(:situ)
     Process.flag(:trap_exit, true)
     Process.put(:log, Path.join(work, "log"))
+    Process.put(:work, work)
     nodes = start(%{}, ~w(a b c))
 
     try do
@@ -25,9 +26,15 @@ defmodule Driver do
     Enum.reduce(names, nodes, fn name, nodes ->
       peers = for {_, n} <- nodes, do: n.node
       node = Nodes.start(Process.get(:log), name, name, peers)
-      Process.put(:pids, [node.pid | Process.get(:pids, [])])
+      remember(node.pid)
       Map.put(nodes, name, node)
     end)
+  end
+
+  # Whatever happens to this driver, `run` ends what is named in this file.
+  defp remember(pid) do
+    Process.put(:pids, [pid | Process.get(:pids, [])])
+    File.write!(Path.join(Process.get(:work), "pids"), pid <> "\n", [:append])
   end
 
   # One deployment with something that goes wrong in the middle.
@@ -218,7 +225,7 @@ defmodule Driver do
   # The same over NATS: a node is killed, then the server itself, which comes back on what it has kept.
   defp nats(work) do
     if server = Nodes.nats(work) do
-      Process.put(:pids, [server.pid | Process.get(:pids, [])])
+      remember(server.pid)
       Process.put(:log, server.address)
       nodes = start(%{}, ~w(a b c))
 
@@ -230,7 +237,7 @@ defmodule Driver do
           Nodes.signal(server, "KILL")
           wait(500)
           server = Nodes.nats(work, server.port)
-          Process.put(:pids, [server.pid | Process.get(:pids, [])])
+          remember(server.pid)
           nodes
         end)
 

@@ -123,7 +123,8 @@ defmodule Situ.CLI.Cluster do
 
     receive do
       {:DOWN, ^monitor, _, _, reason} ->
-        raise Error.new(:ended, "the node ended: #{inspect(reason)}")
+        Output.warn("situ cluster: the node ended: #{inspect(reason, limit: 8)}")
+        1
     end
   end
 

@@ -181,8 +181,8 @@ defmodule Situ.Remote.Log.Folder do
 
   defp all(io, read) do
     case :file.read(io, 262_144) do
-      {:ok, bytes} when byte_size(bytes) == 262_144 -> all(io, [read | bytes])
-      {:ok, bytes} -> IO.iodata_to_binary([read | bytes])
+      {:ok, bytes} when byte_size(bytes) == 262_144 -> all(io, [read, bytes])
+      {:ok, bytes} -> IO.iodata_to_binary([read, bytes])
       _ -> IO.iodata_to_binary(read)
     end
   end
