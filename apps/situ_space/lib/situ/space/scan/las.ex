@@ -54,7 +54,7 @@ defmodule Situ.Space.Scan.Las do
         )
     end
   rescue
-    ArgumentError -> bad("its points lie farther apart than can be told")
+    _ in [ArgumentError, ArithmeticError] -> bad("its points lie farther apart than can be told")
   end
 
   def read(_file), do: bad("its header is none")

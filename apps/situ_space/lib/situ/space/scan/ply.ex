@@ -42,6 +42,8 @@ defmodule Situ.Space.Scan.Ply do
 
   defp header(["ply" | lines]), do: Enum.reduce_while(lines, {:ok, nil, []}, &line/2) |> ordered()
 
+  defp header(_lines), do: {:error, "its first line is not \"ply\""}
+
   defp ordered({:ok, nil, _}), do: {:error, "its header names no format"}
 
   defp ordered({:ok, format, elements}),
