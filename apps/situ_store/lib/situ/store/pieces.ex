@@ -13,8 +13,8 @@ defmodule Situ.Store.Pieces do
 
   @type keep :: nil | {:span, Situ.Time.duration()} | {:bytes, pos_integer()}
 
-  # `open`: the pieces being written, by number; `made`: the folders of the closed ones, by number; `begun`: the times
-  # at which pieces cut by size begin, by number.
+  # By number: `open`, the pieces being written; `made`, the folders of the closed ones; of pieces cut by size `begun`,
+  # the times at which they begin, and `ended`, those behind their latest messages.
   defstruct [
     :name,
     :root,
@@ -25,6 +25,7 @@ defmodule Situ.Store.Pieces do
     open: %{},
     made: %{},
     begun: %{},
+    ended: %{},
     streams: %{}
   ]
 
@@ -70,13 +71,21 @@ defmodule Situ.Store.Pieces do
 
   @impl true
   def handle_cast({:appended, number, time}, %{cut: %{every: {:bytes, most}}} = state) do
+    state = %{state | ended: Map.update(state.ended, number, time + 1, &max(&1, time + 1))}
+
     # Only the newest one grows into another; of those before it somebody is late.
     full? =
-      number == Cut.number(state.cut, time) and not is_map_key(state.begun, number + 1) and
-        is_map_key(state.open, number) and Writer.bytes(state.open[number]) >= most
+      not is_map_key(state.begun, number + 1) and is_map_key(state.open, number) and
+        Writer.bytes(state.open[number]) >= most
 
-    if full?, do: Cut.cut(state.cut, time + 1)
-    {:noreply, if(full?, do: put_in(state.begun[number + 1], time + 1), else: state)}
+    if full?, do: {:noreply, cut(state, number)}, else: {:noreply, state}
+  end
+
+  # Behind all streams, so that what is in a piece is earlier than the next.
+  defp cut(state, number) do
+    time = state.ended[number]
+    :ok = Cut.cut(state.cut, time)
+    put_in(state.begun[number + 1], time)
   end
 
   @impl true
@@ -134,7 +143,7 @@ defmodule Situ.Store.Pieces do
     newest = state.open |> Map.keys() |> Enum.max()
 
     for {number, _} <- state.made,
-        begin(state, newest) - begin(state, number + 1) >= span,
+        begin(state, newest) - ending(state, number) >= span,
         do: number
   end
 
@@ -156,6 +165,9 @@ defmodule Situ.Store.Pieces do
   defp begin(%{cut: %{every: every}}, number) when is_integer(every), do: number * every
   # The first one begins with its first message, before all others.
   defp begin(state, number), do: Map.get(state.begun, number, 0)
+
+  defp ending(%{cut: %{every: every}}, number) when is_integer(every), do: (number + 1) * every
+  defp ending(state, number), do: Map.get(state.ended, number, 0)
 
   defp size(path) do
     for file <- Path.wildcard(Path.join(path, "*.situ")), reduce: 0 do

@@ -19,7 +19,14 @@ defmodule Situ.Store.PiecesTest do
     Store.list(root)
   end
 
-  defp numbers(path), do: path |> Store.open!() |> Store.messages("N") |> Enum.map(& &1.data)
+  # Of a stream that was ahead there may be none in the last piece.
+  defp numbers(path) do
+    store = Store.open!(path)
+
+    if Store.has_stream?(store, "N"),
+      do: store |> Store.messages("N") |> Enum.map(& &1.data),
+      else: []
+  end
 
   test "a recording is cut at multiples of the time asked for, and nothing is lost", %{
     tmp_dir: root
