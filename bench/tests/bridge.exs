@@ -1,10 +1,10 @@
 defmodule Situ.Bench.Bridge do
   @moduledoc false
-  # What a message costs on its way out of a pipeline, through a transport of this machine and into another pipeline:
-  # both ends together, in one VM, maps of two numbers. `bridge-zeromq-python` is pyzmq's own publisher and subscriber,
-  # a process each, with JSON, for the same messages (`SITU_BENCH_PYTHON`, with pyzmq installed; else nothing is
-  # measured). `bridge-mcap`: a recording of 100 topics to MCAP and back; `bridge-parquet`: integers to a table and
-  # back.
+  # The cost of a message on its way out of a pipeline, through a transport of this machine and into another pipeline:
+  # both ends together, in one VM, maps of two numbers. `bridge-zeromq-python` is pyzmq's own publisher and
+  # subscriber, a process each, with JSON, for the same messages (`SITU_BENCH_PYTHON`, with pyzmq installed; else
+  # nothing is measured). `bridge-mcap`: a recording of 100 topics to MCAP and back; `bridge-parquet`: integers to a
+  # table and back.
   alias Situ.{Bridge, Pipeline, Store}
 
   def tests do

@@ -31,7 +31,7 @@ defmodule Driver do
     end)
   end
 
-  # Whatever happens to this driver, `run` ends what is named in this file.
+  # If this driver dies, `run` ends the processes named in this file.
   defp remember(pid) do
     Process.put(:pids, [pid | Process.get(:pids, [])])
     File.write!(Path.join(Process.get(:work), "pids"), pid <> "\n", [:append])
@@ -68,7 +68,7 @@ defmodule Driver do
     {:ok, result} = Nodes.call(nodes, :read, [deployment, "Result"])
     expected = expected(count)
     smooth? = for(m <- smooth, do: {m.data, m.originating_time}) == expected
-    # What the dice said cannot be repeated, but each value must follow from the one before.
+    # The random numbers differ from run to run, but each value must follow from the one before.
     sums = for m <- result, do: m.data
 
     chain? =

@@ -255,7 +255,7 @@ defmodule Situ.Conformance do
     kind, reason -> {:fail, expectation(case), Exception.format_banner(kind, reason)}
   end
 
-  # What is refused while a case is set up may be what the case expects.
+  # An error during the set-up of a case may be the error that the case expects.
   defp unreadable_or_expected(%{"expect_error" => name} = case, error, stack) do
     if Situ.Conformance.Case.error_fits?(name, error),
       do: :pass,
@@ -284,7 +284,7 @@ defmodule Situ.Conformance do
 end
 
 defmodule Situ.Conformance.Case do
-  # What the areas share: times, values with their tolerance, verdicts.
+  # Shared by the areas: times, values with their tolerance, verdicts.
 
   @tick 100
   @ms 1_000_000
@@ -422,7 +422,7 @@ defmodule Situ.Conformance.Case do
     "originating_time_not_strictly_increasing" => [:time_not_increasing]
   }
 
-  # What a run throws holds all errors of the pipeline: its name is theirs.
+  # An aggregate error holds all errors of the pipeline: one of them must have the expected name.
   def error_fits?("aggregate_pipeline_error(" <> name, error),
     do: error |> errors() |> Enum.any?(&error_fits?(String.replace_suffix(name, ")", ""), &1))
 
@@ -482,7 +482,7 @@ defmodule Situ.Conformance.Run do
         unless input["keep_open"], do: Situ.Test.close(test, i)
       end
 
-      # What an operator stamps with the clock comes out as the clock goes on.
+      # Outputs stamped with the clock come out when the clock advances.
       Situ.Test.advance(test, ms(1))
     end)
   end

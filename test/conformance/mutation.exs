@@ -30,7 +30,8 @@ defmodule Situ.Conformance.Mutation do
 
   defp path(path), do: path |> Enum.reverse() |> Enum.map_join(&"[#{inspect(&1)}]")
 
-  # Each leaf on its own, and each list with an entry more. What a step of a script does is input.
+  # Each leaf on its own, and each list with one more entry. The action, value and times of a script's step are input
+  # and stay.
   defp changes(%{"do" => _} = step, path) do
     for {key, value} <- Map.drop(step, ~w(do v t_ms now_ms)),
         {at, changed} <- changes(value, [key | path]),

@@ -13,7 +13,7 @@ defmodule SecondReader do
     for {name, messages, options} <- streams(), do: fill(writer, name, messages, options)
     :ok = Writer.close(writer)
     mended(root)
-    # What a killed writer leaves: committed, not closed.
+    # A killed writer leaves a store that is committed, not closed.
     {:ok, writer} = Writer.create("killed", root, options)
     {:ok, stream} = Writer.stream(writer, "Ints", type: :integer)
     {:ok, _} = Writer.append(stream, numbers(1..3_000))

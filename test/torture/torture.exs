@@ -3,7 +3,7 @@
 defmodule Situ.Torture do
   alias Situ.Store
 
-  # What the writer runs: a pipeline whose source prints what it knows to be committed.
+  # The writer's script: a pipeline whose source prints the messages that it knows to be committed.
   @writer """
   root = System.get_env("TORTURE_ROOT")
   {:ok, writer} = Situ.Store.Writer.create("rec", root, first_extent: 65_536, max_extent: 262_144)

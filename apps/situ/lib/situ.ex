@@ -39,9 +39,9 @@ defmodule Situ do
 
   ## Components
 
-  Functions on data (`map/3`, `filter/3`, `scan/4`, statistics, windows) go a long way. Whatever has state of its
-  own, several inputs or outputs, a device or a file is a component: a module with pure callbacks
-  (`Situ.Component`). There is one way to add each kind:
+  Functions on data (`map/3`, `filter/3`, `scan/4`, statistics, windows) go a long way. An operation with state of its
+  own, several inputs or outputs, a device or a file is a component: a module with pure callbacks (`Situ.Component`).
+  There is one way to add each kind:
 
       camera = Situ.source(p, Camera, device: "/dev/video0", name: "Front")            # no inputs
       faces = Situ.via(camera, FaceDetector, min_score: 0.6, policy: Situ.Delivery.latest())

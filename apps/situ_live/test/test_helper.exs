@@ -6,7 +6,8 @@ without_chromium = if NodeTools.chromium(), do: [], else: [:browser]
 excluded = Enum.uniq(without_node ++ without_chromium)
 
 if excluded != [],
-  do: IO.puts("left out for want of node, node_modules or chromium: #{inspect(excluded)}")
+  do:
+    IO.puts("not tested, because node, node_modules or chromium is missing: #{inspect(excluded)}")
 
-# What must come may take its time on a busy machine; what does not come fails all the same.
+# A busy machine may deliver an expected message late; a missing one fails the test all the same.
 ExUnit.start(exclude: excluded, assert_receive_timeout: 30_000, timeout: 120_000)

@@ -72,7 +72,7 @@ defmodule Pictures.Delivery do
     if at < @seconds * 1_000, do: sample(p, begun, samples), else: Enum.reverse(samples)
   end
 
-  # What waits anywhere, and the numbers of the edge into the consumer.
+  # The edge into the consumer, with the messages of all queues added up.
   defp edge(p) do
     edges = Pipeline.info(p).edges
     %{List.last(edges) | queue: edges |> Enum.map(& &1.queue) |> Enum.sum()}

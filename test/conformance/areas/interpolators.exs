@@ -34,7 +34,7 @@ defmodule Situ.Conformance.Interpolators do
     apply(family, Map.fetch!(@names, name), args)
   end
 
-  # What the parameters of an operator say: an interpolator, a tolerance, or nothing.
+  # The interpolator that an operator's parameters name: an interpolator, a tolerance, or none.
   def of_params(%{"interpolator" => %{} = spec}, _default), do: build(spec["kind"], spec)
   def of_params(%{"interpolator" => kind}, _default) when is_binary(kind), do: build(kind, %{})
   def of_params(%{"tolerance_ms" => n}, _default), do: Reproducible.nearest(ms(n))

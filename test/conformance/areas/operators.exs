@@ -49,7 +49,7 @@ defmodule Situ.Conformance.Operators do
     verdict(expect, %{"has_subscribers" => Enum.reverse(answers)})
   end
 
-  # What an observer is given: every value, and then that it was all.
+  # An observer gets every value, and then the end.
   def check(%{"op" => "to_observable", "inputs" => [_ | _], "expect" => %{}} = case) do
     {:ok, outputs} = Run.inputs(case, fn [stream] -> Situ.each(stream, & &1) end)
     values = Enum.map(outputs, &elem(&1, 1))
@@ -91,7 +91,7 @@ defmodule Situ.Conformance.Operators do
     end
   end
 
-  # What other processes post, converted or not.
+  # Values posted by other processes, converted or not.
   def check(%{"op" => "event_source", "params" => params} = case) do
     me = self()
     convert = if f = params["function"] || params["converter"], do: Formula.of_one(f), else: & &1

@@ -188,7 +188,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
     all(case, %{"each_after_first" => each, "count" => length(got)})
   end
 
-  # What a component inside a composite and one outside of it know of time.
+  # The clock as seen by a component inside a composite and by one outside of it.
   def check(%{"op" => "clock"} = case) do
     {tell, tag} = teller()
 
@@ -246,7 +246,7 @@ defmodule Situ.Conformance.PipelineLifecycle do
   def check(%{"op" => "composite"} = case), do: Parts.check(%{case | "op" => "subpipeline"})
   def check(%{"op" => op} = case) when op in ["subpipeline", "connector"], do: Parts.check(case)
 
-  # What a run comes to, and what a handler of errors is given. A run throws nothing: its error is its result.
+  # The result of a run, and the argument of an error handler. A run throws nothing: its error is its result.
   defp failed(%{"expect_error" => name} = case, {:error, error}, _handled) do
     cond do
       not error_fits?(name, error) -> {:fail, {:error, name}, error}

@@ -3,7 +3,7 @@
 import fs from "node:fs";
 import Rendered from "../node_modules/phoenix_live_view/assets/js/phoenix_live_view/rendered.js";
 
-// What the client writes into the tag of an island that the server's HTML does not have.
+// Attributes that the client adds to the tag of an island; the server's HTML lacks them.
 const own = / data-phx-(component|view|id|skip)(="[^"]*")?/g;
 const fresh = (r) =>
   new Rendered(

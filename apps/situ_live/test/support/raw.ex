@@ -43,7 +43,7 @@ defmodule Situ.Live.Raw do
     before <> mark
   end
 
-  # What must come may take its time on a busy machine.
+  # How long to wait for an expected answer, ms: a busy machine may be slow.
   @patience 30_000
 
   @doc "`:closed` when the server says nothing and ends the connection, `:timeout` when it does neither."

@@ -44,7 +44,7 @@ defmodule Situ.Store.Test.Play do
     end
   end
 
-  @doc "What comes up to and with `data`, the latest first."
+  @doc "The messages received up to and including `data`, the latest first."
   def played(data, got) do
     assert_receive {:got, now, m}
     got = [{now, m.originating_time} | got]

@@ -25,7 +25,7 @@ defmodule Situ.AudioBuffer do
     format: [
       type: {:struct, AudioFormat},
       default: Macro.escape(%AudioFormat{}),
-      doc: "What the bytes mean."
+      doc: "The format of the bytes."
     ],
     data: [type: :string, required: true, doc: "Whole frames, interleaved, little-endian."]
   ]

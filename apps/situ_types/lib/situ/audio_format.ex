@@ -1,6 +1,6 @@
 defmodule Situ.AudioFormat do
   @moduledoc """
-  What the bytes of a piece of sound mean: samples a second, channels, and the type of one sample.
+  The format of audio bytes: samples per second, channels, and the type of one sample.
 
   Channels are interleaved, little-endian. A *frame* is one sample of every channel.
 

@@ -1,6 +1,6 @@
 defmodule Situ.CameraView do
   @moduledoc """
-  What a camera saw, and how: a picture (`Situ.Image`, `Situ.EncodedImage`, `Situ.DepthImage`) or a point cloud, the
+  One view of a camera: a picture (`Situ.Image`, `Situ.EncodedImage`, `Situ.DepthImage`) or a point cloud, the
   camera's intrinsics, and its pose.
   """
   alias Situ.{CameraIntrinsics, Pose}

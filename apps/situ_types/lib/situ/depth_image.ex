@@ -33,7 +33,11 @@ defmodule Situ.DepthImage do
     height: [type: :pos_integer, required: true, doc: "Rows."],
     stride: [type: {:optional, :pos_integer}, default: nil, doc: "Bytes from row to row."],
     data: [type: :string, required: true, doc: "16-bit little-endian values."],
-    semantics: [type: {:in, [:plane, :point]}, default: :plane, doc: "What was measured."],
+    semantics: [
+      type: {:in, [:plane, :point]},
+      default: :plane,
+      doc: "`:plane`: distance to the plane through the camera (z); `:point`: length of the ray."
+    ],
     scale: [type: :number, default: 0.001, doc: "Metres for a value of 1."]
   ]
 

@@ -33,7 +33,7 @@ defmodule Situ.Error do
   end
 
   @doc """
-  The value of `{:ok, value}`; raises the error of `{:error, error}`. What functions with `!` are made of.
+  The value of `{:ok, value}`; raises the error of `{:error, error}`. Functions that end in `!` are built on it.
 
       iex> Situ.Error.unwrap!({:ok, 1})
       1

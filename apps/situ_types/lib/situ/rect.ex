@@ -29,9 +29,9 @@ defmodule Situ.Rect do
     y: [type: :number, required: true, doc: "Top edge."],
     width: [type: :number, required: true, doc: "Not negative."],
     height: [type: :number, required: true, doc: "Not negative."],
-    label: [type: {:optional, :string}, default: nil, doc: "What it is."],
-    score: [type: {:optional, :number}, default: nil, doc: "How sure, 0..1."],
-    id: [type: :any, default: nil, doc: "Which one, through time."]
+    label: [type: {:optional, :string}, default: nil, doc: "The name of the object inside."],
+    score: [type: {:optional, :number}, default: nil, doc: "Confidence, 0..1."],
+    id: [type: :any, default: nil, doc: "The identity of the object over time."]
   ]
 
   @doc """

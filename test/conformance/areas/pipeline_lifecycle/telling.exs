@@ -1,5 +1,5 @@
 defmodule Situ.Conformance.PipelineLifecycle.Telling do
-  # What components tell the case that runs them.
+  # Messages from components to the case that runs them.
 
   def teller do
     me = self()

@@ -1,5 +1,5 @@
 defmodule Situ.Conformance.Store.Contents do
-  # What a store knows of its streams: times, types, metadata, and how today's types read yesterday's data.
+  # A store's facts about its streams: times, types, metadata, and how today's types read yesterday's data.
   import Situ.Conformance.Case,
     only: [all: 2, error_fits?: 2, meant: 3, plain: 1, told: 2, verdict: 2]
 

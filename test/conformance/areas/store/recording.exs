@@ -160,7 +160,7 @@ defmodule Situ.Conformance.Store.Recording do
       else: {:fail, times(messages), times(got)}
   end
 
-  # What a writer refuses: the same stream twice, times that do not increase.
+  # A writer refuses the same stream twice, and times that do not increase.
   def run("refused", _params, case, root) do
     path = record(root, streams(case))
     {:fail, {:error, case["expect_error"]}, path}

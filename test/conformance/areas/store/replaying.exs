@@ -67,7 +67,7 @@ defmodule Situ.Conformance.Store.Replaying do
     verdict(case["expect"]["sums"], sums)
   end
 
-  # What comes out is what was recorded, envelopes and all: sequence ids and creation times too.
+  # A replay gives the recorded messages with their envelopes: sequence ids and creation times too.
   def run("replay", params, case, root) do
     streams = streams(case)
     path = record(root, streams)

@@ -1,5 +1,5 @@
 defmodule Situ.Conformance.Store.Tape do
-  # What the cases of stores share: a case's streams, recorded and played.
+  # Shared by the cases of stores: a case's streams, recorded and played.
   import Situ.Conformance.Case, only: [meant: 3, verdict: 2]
   alias Situ.{Message, Pipeline, Store}
 
@@ -99,7 +99,7 @@ defmodule Situ.Conformance.Store.Tape do
   # `{from, to}`, `nil` where the case tells none.
   def bounds(params), do: {time(params, "from"), time(params, "to")}
 
-  # What the case tells of each stream, of counts and of metadata.
+  # Compares the store with the case's expected streams, counts and metadata.
   # `same?`: whether its messages are known to be those of the store that it was made of.
   def by_stream(case, store, same? \\ nil) do
     got =

@@ -6,7 +6,7 @@ defmodule Situ.Clock.Timing do
   @enforce_keys [:clock, :start_time]
   defstruct [:clock, :start_time, enforce: false, replay_start: :unbounded, replay_end: :infinity]
 
-  @typedoc "What a pipeline was started with."
+  @typedoc "The time settings that a pipeline was started with."
   @type settings :: %{
           :clock => Clock.t() | nil,
           :interval => {bound(), bound()},

@@ -9,15 +9,15 @@ defmodule Situ.Clock.Wall do
 
   @every_ms 1_000
   @drift 100_000
-  # What other schedulers may have read by the old offset until they see the new one.
+  # How far a reading by the old offset may be ahead, ns: other schedulers see the new offset a little later.
   @margin 1_000_000
   @tries 8
 
-  @typedoc "Two words: the offset of the counter, and what time does not fall behind."
+  @typedoc "Two words: the offset of the counter, and the lowest time that a reading may return."
   @type cells :: :atomics.atomics_ref()
   @type line :: {offset :: integer(), floor :: integer()}
 
-  @doc "The cells of this node; `nil` where nobody keeps them: then the system's time is read."
+  @doc "The cells of this node; `nil` if no process keeps them: then the system's time is read."
   @spec cells() :: cells() | nil
   def cells, do: :persistent_term.get(__MODULE__, nil)
 

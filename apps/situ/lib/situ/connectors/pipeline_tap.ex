@@ -31,7 +31,7 @@ defmodule Situ.Pipeline.Tap do
   @schema [
     policy: [
       type: {:struct, Situ.Delivery},
-      doc: "What its queue does under load; default `Situ.Delivery.max_queue(1_000)`."
+      doc: "The delivery policy of its queue; default `Situ.Delivery.max_queue(1_000)`."
     ],
     name: [type: :string, doc: "Its name in diagnostics; default \"Tap\"."]
   ]

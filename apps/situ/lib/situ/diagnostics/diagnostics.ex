@@ -1,6 +1,6 @@
 defmodule Situ.Diagnostics do
   @moduledoc """
-  What a running pipeline looks like from outside: `Situ.Diagnostics.Snapshot`, and a table of it for people.
+  A running pipeline seen from outside: `Situ.Diagnostics.Snapshot`, and a table of it for people.
 
   Numbers come from shared counters and from the VM's process table; no component is asked, so a stuck one is seen.
 

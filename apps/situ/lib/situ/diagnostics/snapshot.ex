@@ -79,7 +79,7 @@ end
 
 defmodule Situ.Diagnostics.Window do
   @moduledoc """
-  What went over a connection in the last averaging span (`averaging:` among the pipeline's settings, default 1 s).
+  The traffic of a connection in the last averaging span (`averaging:` among the pipeline's settings, default 1 s).
 
     * `span`: how long the window really is, ns of the pipeline's clock: up to half a span more than asked for, less
       just after the start

@@ -101,7 +101,7 @@ defmodule Situ.Diagnostics.Trace do
       Enum.all?(out_of, &(&1.state == :coming))
   end
 
-  # What is in a process is named by what it gives.
+  # A process goes by the name of its last component, whose output leaves it.
   defp last(stage), do: List.last(stage.vertices).path
 
   @doc "The trace as text for people: where the message is, and a line for each connection."

@@ -6,7 +6,7 @@ defmodule Situ.Component do
         use Situ.Component,
           inputs: [in: :number],
           outputs: [out: :number],
-          options: [factor: [type: :number, default: 2, doc: "What to multiply by."]]
+          options: [factor: [type: :number, default: 2, doc: "The factor."]]
 
         @impl true
         def init(opts), do: {:ok, opts[:factor]}

@@ -61,7 +61,8 @@ defmodule Situ.Graph.Extension do
     end
   end
 
-  # What runs already has its inputs, and still is where it was.
+  # Running components take no new connections to their inputs, and the new ones may only listen to components that
+  # still exist.
   defp whole(edges, ids, graph) do
     Enum.find_value(edges, :ok, fn %{from: {from, _}, to: {to, input}} ->
       cond do
@@ -70,7 +71,7 @@ defmodule Situ.Graph.Extension do
 
         not MapSet.member?(ids, from) and not is_map_key(graph.vertices, from) ->
           {:error,
-           Error.new(:not_running, "a component that is listened to was removed meanwhile")}
+           Error.new(:not_running, "the component that this stream comes from has been removed")}
 
         true ->
           nil
@@ -83,7 +84,8 @@ defmodule Situ.Graph.Extension do
 
     Error.new(:fixed_inputs, "#{path}.#{input} cannot be connected: it runs already",
       why: "the inputs of a component are fixed when it starts",
-      fix: "connect inputs of what is added; a join over a map of streams takes Situ.add_input/4",
+      fix:
+        "connect only inputs of new components; for a join over a map of streams use Situ.add_input/4",
       meta: %{component: path}
     )
   end

@@ -1,9 +1,9 @@
 defmodule Situ.Graph.Handle do
   @moduledoc """
-  What names a pipeline to those who build on it: the process that owns the graph, a reference that tells one graph from
-  another, and the scope (the path of the composite being built, or `nil`) below which components are added.
+  The handle of a pipeline under construction: the process that owns the graph, a reference unique to the graph, and
+  the scope (the path of the composite being built, or `nil`) below which components are added.
 
-  `Situ.Pipeline.new/1` makes one, `build/2` is given one, and every stream and node carries one.
+  `Situ.Pipeline.new/1` makes one, `build/2` gets one, and every stream and node carries one.
   """
   @enforce_keys [:pid, :ref]
   defstruct [:pid, :ref, :scope]

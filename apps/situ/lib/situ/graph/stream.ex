@@ -1,6 +1,6 @@
 defmodule Situ.Stream do
   @moduledoc """
-  What one output emits: a handle to connect to. It holds no messages.
+  The handle of one output, to connect inputs to. It holds no messages.
 
     * `pipeline`: the pipeline handle (every operator finds its pipeline here)
     * `node`, `output`: the node's id and the output's name

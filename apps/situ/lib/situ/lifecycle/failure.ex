@@ -1,9 +1,8 @@
 defmodule Situ.Lifecycle.Failure do
   @moduledoc false
   # Stages that fail, or end before their time: restarted, or the pipeline's end. Pure.
-  #
-  # Where a stage fails is where its streams end. What depends on them says nothing about later times: a group that
-  # lacks the failed one's part, or a default in its place, would be made up.
+  # The streams of a stage end where it fails. Stages downstream emit nothing about later times: a group without the
+  # failed stage's part, or with a default in its place, would be made up.
   alias Situ.Error
   alias Situ.Lifecycle.{Links, Member, State}
   import Situ.Lifecycle.State

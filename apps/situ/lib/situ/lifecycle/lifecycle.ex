@@ -203,7 +203,7 @@ defmodule Situ.Lifecycle do
 
   defp keep(state, error), do: %{state | errors: [error | state.errors]}
 
-  # What hangs in its start would keep the stop waiting.
+  # A component that hangs in its start would block the stop, so the watchdog runs from now on.
   defp stop(%{phase: :starting, ending: %{wish: nil}} = state, {time, by_hand}) do
     state |> wish(time, by_hand) |> act({:watch, state.limits.stop_timeout, :all})
   end
@@ -212,7 +212,7 @@ defmodule Situ.Lifecycle do
   defp stop(%{phase: :stopping} = state, {_time, true}), do: Shutdown.hurry(state)
   defp stop(state, _wish), do: state
 
-  # A source has told its end; those that have not decide how long the pipeline runs.
+  # A source has announced its end; the others decide how long the pipeline runs.
   defp completed(state, id, time) do
     if MapSet.member?(state.awaited, id),
       do: told(%{state | awaited: MapSet.delete(state.awaited, id)}, id, time),

@@ -142,7 +142,7 @@ defmodule Situ.Lifecycle.State do
           actions: [Situ.Lifecycle.action()]
         }
 
-  @doc "What is to be done; in the order in which it is said."
+  @doc "Adds an action; the server carries actions out in the order in which they were added."
   @spec act(t(), term()) :: t()
   def act(state, action), do: %{state | actions: [action | state.actions]}
 
@@ -157,7 +157,7 @@ defmodule Situ.Lifecycle.State do
   def mark(state, ids, status),
     do: Enum.reduce(ids, state, &change(&2, &1, fn m -> become(m, status) end))
 
-  # `:dead` becomes of all, `:ended` of all that are not dead.
+  # Any member can become `:dead`, and any that is not dead `:ended`.
   defp become(member, :dead), do: %{member | status: :dead, open?: false}
   defp become(%{status: :dead} = member, _status), do: member
   defp become(member, :ended), do: %{member | status: :ended, open?: false}
@@ -166,7 +166,7 @@ defmodule Situ.Lifecycle.State do
   defp become(%{status: :running} = member, status), do: %{member | status: status}
   defp become(member, _status), do: member
 
-  @doc "The stage owes nothing any more."
+  @doc "The stage owes no answer any more."
   @spec answered(t(), id()) :: t()
   def answered(state, id), do: %{state | pending: MapSet.delete(state.pending, id)}
 
@@ -187,7 +187,7 @@ defmodule Situ.Lifecycle.State do
   @spec alive(t()) :: [id()]
   def alive(state), do: for({id, %{alive?: true}} <- state.stages, do: id)
 
-  @doc "What stays the same as long as nothing happens."
+  @doc "A fingerprint that stays the same while nothing happens."
   @spec mark_of(t()) :: term()
   def mark_of(state) do
     parts = for {_, part} <- state.parts, do: MapSet.size(part.pending)

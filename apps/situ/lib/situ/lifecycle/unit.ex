@@ -1,17 +1,17 @@
 defmodule Situ.Lifecycle.Unit do
   @moduledoc false
-  # A composite with an `on_error:` of its own: what would end the pipeline when one of its stages fails or dies is
-  # its own affair. All of it restarts, or all of it ends and the rest runs on. Pure.
+  # A composite with an `on_error:` of its own: the failure or death of one of its stages does not end the pipeline.
+  # Either the whole composite restarts, or it ends and the rest runs on. Pure.
   alias Situ.Error
   alias Situ.Lifecycle.{Failure, PartialStop, State}
   import Situ.Lifecycle.State
 
-  # A stage that does not end by itself in so many ms is killed.
+  # A stage that has not ended by itself after so many ms is killed.
   @overdue_ms 5_000
 
   @doc """
-  What happens to the composite of a stage that fails while the pipeline runs; `nil` when that is the pipeline's
-  affair.
+  The composite of a stage that fails while the pipeline runs, and whether it restarts or closes; `nil` if the failure
+  concerns the whole pipeline.
   """
   @spec of(State.t(), State.id()) :: {String.t(), :restart | :close} | nil
   def of(%{phase: :running} = state, id) do

@@ -1,8 +1,8 @@
 defmodule Situ.Pipeline.Handlers do
   @moduledoc false
-  # The process in which the handlers of `Situ.Pipeline.on/3` run, one after another in the order of what happened. A
-  # slow one holds nobody up but the start (`:run`) and the end (`:completed`), and may ask the pipeline anything.
-  # Its messages to the server:
+  # The process in which the handlers of `Situ.Pipeline.on/3` run, one after another in the order of the events. A
+  # slow one delays only the start (`:run`) and the end (`:completed`), and may call the pipeline. Its messages to the
+  # server:
   #
   #   {:situ_handled, event, :ok or {:error, error}, graph}   they have returned; the graph with what they have added
   alias Situ.Error
@@ -31,7 +31,7 @@ defmodule Situ.Pipeline.Handlers do
 
   @doc false
   def loop(server) do
-    # What asks the pipeline to stop from in here is not made to wait for it.
+    # A handler that calls stop/2 must not wait for the stop: the pipeline waits for the handler.
     Process.put(:situ_pipeline, server)
     Process.monitor(server)
     work(server)

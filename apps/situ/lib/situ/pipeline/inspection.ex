@@ -1,6 +1,6 @@
 defmodule Situ.Pipeline.Inspection do
   @moduledoc false
-  # What there is to see of a pipeline: report, snapshot, progress. Reads counters; asks no component.
+  # A pipeline seen from outside: report, snapshot, progress. Reads counters; asks no component.
   alias Situ.Diagnostics.{Averages, Snapshot, Survey, Trace}
   alias Situ.Pipeline.{Report, State}
   alias Situ.Ports.{Counters, Tally}

@@ -213,7 +213,7 @@ defmodule Situ.Pipeline.Performer do
     Inspection.begin(%{state | timing: timing})
   end
 
-  # What came while it started is looked at now.
+  # Messages that arrived during the start are handled now.
   defp perform(:running, state) do
     for message <- Enum.reverse(state.early), do: send(self(), message)
     progress(%{state | early: []})

@@ -119,7 +119,7 @@ defmodule Situ.Pipeline do
   `catch_up: 0` it ends where it is. `timeout:` bounds the wait of the caller, not the stop.
 
   Returns the report when all is done; `{:error, %Situ.Error{code: :not_running}}` when it had already ended. Called
-  from inside one of the pipeline's own components it returns `:ok` at once and the stop goes its way.
+  from inside one of the pipeline's own components it returns `:ok` at once, and the pipeline stops later.
   """
   @spec stop(target(), keyword()) :: result() | :ok
   def stop(p, opts \\ []), do: Client.stop(p, opts)
@@ -127,14 +127,14 @@ defmodule Situ.Pipeline do
   @doc """
   Stops a composite, or one component, given as a path or a `Situ.Node`; the rest of the pipeline runs on.
 
-  At the time of the stop its sources stop and its inputs from outside close; what has been posted up to then is still
-  delivered to it. Its outputs close, upstream first, with that time: whoever listens to them outside takes it as the
-  end of those streams (`handle_closed/4`, windows and joins flush). Its processes end, its devices and files are
-  released; in diagnostics its components are `:closed`. It does not start again.
+  At the time of the stop its sources stop and its inputs from outside close; it still gets the messages posted up to
+  then. Its outputs close, upstream first, with that time: for listeners outside, those streams have ended
+  (`handle_closed/4`, windows and joins flush). Its processes end and release their devices and files; diagnostics
+  list its components as `:closed`. It does not start again.
 
-  What it was still to say about the end of the pipeline is void: the sources that are left decide how long it runs,
-  and without any left it stops as by hand. Options as in `stop/2`. Answers `:ok` when all of it has closed; called
-  from inside one of the pipeline's own components, at once.
+  The stopped part has no more say in when the pipeline ends: the remaining sources decide that, and if none remains
+  the pipeline stops as after `stop/2`. Options as in `stop/2`. Returns `:ok` when all of the part has closed; called
+  from inside one of the pipeline's own components, it returns at once.
 
       iex> {:ok, p} = Situ.Pipeline.start(fn p ->
       ...>   clock = Situ.timer(p, every: Situ.Time.ms(1))
@@ -341,7 +341,7 @@ defmodule Situ.Pipeline do
     p |> Map.put(:scope, scope) |> fun.() |> rescope(p.scope)
   end
 
-  # What leaves a composite goes on outside of it: its handles name the outer scope again.
+  # Streams and nodes that a composite returns are used outside of it: their handles get the outer scope again.
   defp rescope(%Stream{} = s, scope), do: %{s | pipeline: %{s.pipeline | scope: scope}}
   defp rescope(%Node{} = n, scope), do: %{n | pipeline: %{n.pipeline | scope: scope}}
   defp rescope(%_{} = struct, _scope), do: struct
@@ -390,8 +390,7 @@ defmodule Situ.Pipeline do
   end
 
   @doc """
-  What replay interval the pipeline has been given: `{from | :unbounded, to | :unbounded}`; for importers during
-  `build`.
+  The replay interval of the pipeline: `{from | :unbounded, to | :unbounded}`; for importers during `build`.
   """
   @spec replay_interval(t()) :: {Situ.Time.t() | :unbounded, Situ.Time.t() | :unbounded}
   def replay_interval(%Handle{} = p), do: Builder.run(p, &{&1.replay, &1})

@@ -1,6 +1,6 @@
 defmodule Situ.Pipeline.Report do
   @moduledoc """
-  What `Situ.Pipeline.run/2` and `Situ.Pipeline.stop/2` return.
+  The result of `Situ.Pipeline.run/2` and `Situ.Pipeline.stop/2`.
 
     * `result`: what `build` returned
     * `start_time`, `final_time`: pipeline clock, ns

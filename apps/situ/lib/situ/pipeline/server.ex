@@ -182,7 +182,7 @@ defmodule Situ.Pipeline.Server do
   defp later(message, state), do: %{state | early: [message | state.early]}
   defp dynamic({state, events}), do: done(Performer.apply_all(state, events))
 
-  # What happens
+  # Events
 
   defp event(:situ_launch, state), do: apply_event(state, :start)
   defp event({:situ_stage, id, event}, state), do: stage(event, id, state)

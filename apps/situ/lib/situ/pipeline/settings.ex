@@ -7,8 +7,8 @@ defmodule Situ.Pipeline.Settings do
     name: [
       type: {:or, [:string, :atom]},
       doc:
-        "What it is called; by default the module's last name, or \"Pipeline\". " <>
-          "An atom is registered: every function takes it."
+        "The pipeline's name; by default the module's last name, or \"Pipeline\". " <>
+          "An atom is also registered, and every function takes it as the pipeline."
     ],
     replay: [
       type: :keyword,
@@ -29,7 +29,7 @@ defmodule Situ.Pipeline.Settings do
       type: :map,
       default: %{},
       doc:
-        "What `checkpoint/3` gave: components go on from there. Those it does not name start fresh."
+        "A checkpoint of `checkpoint/3`: its components continue from there, all others start anew."
     ],
     averaging: [
       type: :pos_integer,
@@ -39,18 +39,20 @@ defmodule Situ.Pipeline.Settings do
     message_sizes: [
       type: :boolean,
       default: false,
-      doc: "Weighs every message for diagnostics: cheap for binaries, costly for large terms."
+      doc:
+        "Measures the size of every message for diagnostics: cheap for binaries, costly for large terms."
     ],
     max_restarts: [
       type: :non_neg_integer,
       default: 3,
       doc:
-        "How often a component may be restarted (its process died, or it raised under `on_error: :restart`) ..."
+        "How often a component may restart within `max_seconds` (its process died, or it raised under " <>
+          "`on_error: :restart`); one more is an error that ends the pipeline."
     ],
     max_seconds: [
       type: :pos_integer,
       default: 5,
-      doc: "... in so many seconds, before that is an error which ends the pipeline."
+      doc: "The span of time, in seconds, over which `max_restarts` counts."
     ],
     progress_every: [
       type: :pos_integer,
@@ -60,7 +62,7 @@ defmodule Situ.Pipeline.Settings do
     stop_timeout: [
       type: :pos_integer,
       default: 30_000,
-      doc: "Milliseconds without any progress after which a stop kills what is stuck."
+      doc: "Milliseconds without any progress after which a stop kills the stuck components."
     ]
   ]
 

@@ -8,7 +8,7 @@ defmodule Situ.Pipeline.Stages do
   alias Situ.Pipeline.State
   alias Situ.Ports.{Counters, Output, Tally}
 
-  @doc "What a plan needs besides processes: links, counters, entries of stages; and the members for the life cycle."
+  @doc "Makes the links, counters and stage entries of a plan, and the members for the life cycle."
   @spec lay_out(State.t(), Plan.t()) :: {State.t(), %{pos_integer() => Member.t()}}
   def lay_out(state, plan) do
     Reaper.watch(self())
@@ -89,7 +89,7 @@ defmodule Situ.Pipeline.Stages do
   defp marks(vertices),
     do: vertices |> Enum.map(&length(&1.outputs)) |> Enum.sum() |> Output.marks()
 
-  @doc "What the life cycle has to know of a stage."
+  @doc "The life cycle's record of a stage."
   @spec member(State.stage(), keyword()) :: Member.t()
   def member(%{id: id, vertices: [head | _]}, extra \\ []) do
     base = %Member{
@@ -199,7 +199,7 @@ defmodule Situ.Pipeline.Stages do
     state
   end
 
-  @doc "What is later than `time` does not count in these stages; what was bound already stays so."
+  @doc "These stages ignore messages later than `time`; a stage with an earlier limit keeps it."
   @spec cut(State.t(), [pos_integer()], Situ.Time.t()) :: State.t()
   def cut(state, ids, time) do
     for id <- ids,
@@ -210,12 +210,12 @@ defmodule Situ.Pipeline.Stages do
     state
   end
 
-  @doc "All messages count in these stages, but nothing waits any more for somebody to let it go on."
+  @doc "Lets these stages finish all their messages, without a wait for demand or for the clock."
   @spec release(State.t(), [pos_integer()]) :: State.t()
   def release(state, ids),
     do: Enum.reduce(ids, cut(state, ids, Stage.never() - 1), &tell(&2, &1, :clock))
 
-  @doc "Up to where those that get something of `id` have come: what it has sent behind that is not known."
+  @doc "The earliest time that the consumers of stage `id` have reached; later messages of it may be lost."
   @spec reached(State.t(), pos_integer()) :: Situ.Time.t() | nil
   def reached(state, id) do
     times =
@@ -237,7 +237,7 @@ defmodule Situ.Pipeline.Stages do
     end)
   end
 
-  @doc "Something else as soon as anything has moved: for a part, as soon as anything has in it."
+  @doc "A value that differs as soon as any message has moved, in the whole pipeline or in one part."
   @spec fingerprint(State.t(), :all | reference()) :: term()
   def fingerprint(state, :all) do
     flows = for {_, ref} <- state.wires.counters, do: Counters.flow(ref)
@@ -260,7 +260,7 @@ defmodule Situ.Pipeline.Stages do
   @spec idle(State.t()) :: MapSet.t(pos_integer())
   def idle(state), do: for({id, stage} <- state.stages, idle?(stage), into: MapSet.new(), do: id)
 
-  @doc "Whether a stage waits for somebody outside, or for the clock: that may take as long as it takes."
+  @doc "Whether a stage waits for the outside world or for the clock: such a wait has no limit."
   @spec patient?(State.t()) :: boolean()
   def patient?(state),
     do: Enum.any?(state.stages, fn {_, stage} -> Stage.patient?(stage.control) end)
@@ -275,7 +275,7 @@ defmodule Situ.Pipeline.Stages do
     end
   end
 
-  @doc "As `Supervisor.which_children/1` tells them."
+  @doc "The stages in the form of `Supervisor.which_children/1`."
   @spec children(State.t()) :: [{String.t(), pid() | :undefined, :worker, [module()]}]
   def children(state) do
     for {id, %{vertices: [head | _], pid: pid}} <- Enum.sort(state.stages) do
@@ -285,7 +285,7 @@ defmodule Situ.Pipeline.Stages do
     end
   end
 
-  @doc "What was measured of cycles that are waited for."
+  @doc "Whether the pipeline is quiet or busy, and its fingerprint; for the wait until a cycle has settled."
   @spec look(State.t()) :: map()
   def look(state) do
     if quiet?(state) do

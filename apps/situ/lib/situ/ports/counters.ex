@@ -130,7 +130,7 @@ defmodule Situ.Ports.Counters do
         when passed: Situ.Time.t() | :forgotten | nil
   def passage(ref, time), do: {Trail.passed(ref, @sent, time), Trail.passed(ref, @taken, time)}
 
-  @doc "What `reached/2` said last; 0 before."
+  @doc "The originating time of the last `reached/3`; 0 before the first."
   @spec last_time(t()) :: integer()
   def last_time(ref), do: :atomics.get(ref, @reached)
 
@@ -140,7 +140,7 @@ defmodule Situ.Ports.Counters do
     {:atomics.get(ref, @emitted), :atomics.get(ref, @processed), :atomics.get(ref, @dropped)}
   end
 
-  @doc "What grows; latencies in microseconds, as sums over messages."
+  @doc "The counters that only grow; latencies in microseconds, as sums over messages."
   @spec totals(t()) :: totals()
   def totals(ref) do
     {emitted, processed, dropped} = flow(ref)
@@ -160,7 +160,7 @@ defmodule Situ.Ports.Counters do
     }
   end
 
-  @doc "What is now, and what was last, as a map with keys of `Situ.Diagnostics.Edge`."
+  @doc "The current and the last values, as a map with keys of `Situ.Diagnostics.Edge`."
   @spec read(t(), totals()) :: map()
   def read(ref, totals) do
     %{emitted: emitted, processed: processed, dropped: dropped} = totals

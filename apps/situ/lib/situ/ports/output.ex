@@ -28,7 +28,7 @@ defmodule Situ.Ports.Output do
 
   @typedoc "An item that waits for its time: data with its time, or a message with its own envelope."
   @type held :: {Situ.Time.t(), term()} | Message.t()
-  @typedoc "What never changes: name, the component's path, the id of the stream, what happens to equal times."
+  @typedoc "The constant part: name, the component's path, the id of the stream, the rule for equal times."
   @type port_of :: %{
           name: atom(),
           path: String.t(),

@@ -50,7 +50,7 @@ defmodule Situ.Ports.Outputs do
   @spec names(t()) :: [atom()]
   def names(%__MODULE__{own: own}), do: Enum.map(own, &elem(&1, 0))
 
-  @doc "Changes what the component emits on."
+  @doc "Replaces an output of the component."
   @spec put(t(), Output.t()) :: t()
   def put(%__MODULE__{own: [{name, _}]} = outputs, %{port: %{name: name}} = output),
     do: %{outputs | own: [{name, output}]}
@@ -58,7 +58,7 @@ defmodule Situ.Ports.Outputs do
   def put(%__MODULE__{own: own} = outputs, %{port: %{name: name}} = output),
     do: %{outputs | own: List.keyreplace(own, name, 0, {name, output})}
 
-  @doc "What a chain emits on."
+  @doc "The output that a chain emits on."
   @spec last(t()) :: Output.t()
   def last(%__MODULE__{tail: nil, own: [{_, output}]}), do: output
   def last(%__MODULE__{tail: tail}), do: tail
@@ -67,7 +67,7 @@ defmodule Situ.Ports.Outputs do
   def put_last(%__MODULE__{tail: nil} = outputs, output), do: put(outputs, output)
   def put_last(%__MODULE__{} = outputs, output), do: %{outputs | tail: output}
 
-  @doc "What others can subscribe to."
+  @doc "The outputs that others can subscribe to."
   @spec open(t()) :: [{atom(), Output.t()}]
   def open(%__MODULE__{tail: nil, own: own}), do: own
   def open(%__MODULE__{tail: tail}), do: [{tail.port.name, tail}]

@@ -19,7 +19,7 @@ defmodule Situ.Stage.Control do
     State
   }
 
-  # What may be answered before what has come sooner: it neither begins nor ends anything.
+  # Requests that may be answered before earlier messages: they neither start nor end anything.
   defguardp overtakes(request)
             when request in [:describe, :clock] or
                    (is_tuple(request) and
@@ -82,13 +82,13 @@ defmodule Situ.Stage.Control do
     {:noreply, state}
   end
 
-  # What had been posted to this source before has been dealt with: it came first.
+  # This source has handled all messages that were sent to it before.
   def handle(:settle, state) do
     State.report(state, :settled)
     {:noreply, state}
   end
 
-  # Something this stage depends on failed: what it would say about later times is made up.
+  # A stage upstream failed at `time`: results for later times would rest on missing messages.
   def handle({:limit, time}, state) do
     final = min(state.source.final || time, time)
     {:noreply, %{state | source: %{state.source | final: final}}}

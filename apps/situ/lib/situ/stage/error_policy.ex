@@ -6,7 +6,7 @@ defmodule Situ.Stage.ErrorPolicy do
   alias Situ.Ports.{Outputs, Tally}
   alias Situ.Stage.{Source, State}
 
-  @doc "What is to be done. While the pipeline starts every error is its end."
+  @doc "The decision about an error. While the pipeline starts, every error ends it."
   @spec decide(State.t()) :: :skip | :restart | :fail
   def decide(%{phase: :starting}), do: :fail
   def decide(%{callback: %{on_error: :stop}}), do: :fail

@@ -45,7 +45,7 @@ defmodule Situ.Stage.Memory do
     end
   end
 
-  # What ends by itself does so once: the source that starts again says it again.
+  # A source announces its end once; a restored one has to announce it again.
   defp ended(%{source: %{kind: nil}}), do: []
 
   defp ended(%{source: source, outputs: outputs}) do

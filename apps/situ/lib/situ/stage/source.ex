@@ -71,8 +71,8 @@ defmodule Situ.Stage.Source do
   def stopped(%__MODULE__{} = source, false), do: {:tell, %{source | stopping: :done}}
 
   @doc """
-  What came of asking it for messages. One that has nothing is asked again when something happens; one that failed at
-  once, but not for ever: there is no message that would be used up by the next try.
+  Judges a source's answer to demand. A source that emitted nothing is asked again at the next event; a source that
+  failed is asked again at once, up to `strikes/0` times in a row, since no message is consumed by a failure.
   """
   @spec judge(t(), emitted? :: boolean(), harmed? :: boolean(), repeated? :: boolean()) ::
           {:ok | :no_way_on, t()}

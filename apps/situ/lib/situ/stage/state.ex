@@ -178,7 +178,7 @@ defmodule Situ.Stage.State do
   @spec put_head(t(), Vertex.t()) :: t()
   def put_head(%{vertices: [_ | rest]} = state, head), do: %{state | vertices: [head | rest]}
 
-  @doc "What a callback sees now."
+  @doc "The context for a callback, with the current time."
   @spec context(t(), Situ.Time.t()) :: Context.t()
   def context(%{context: context}, now), do: %{context | now: now}
 

@@ -275,14 +275,14 @@ defmodule Situ.GenStageTest do
         spawn_link(fn ->
           subscribe(pid, opts, 2)
           ask(pid, 2, 5)
-          # By its answer both have been taken in.
+          # When this call returns, the producer has handled both requests.
           GenServer.call(pid, :"$estimate_buffered_count")
           send(me, :asked)
           send(me, {:other, events(pid, 2, 5)})
         end)
 
       monitor = Process.monitor(other)
-      # What is emitted before it listens is not for it.
+      # A consumer gets no message emitted before it subscribed.
       assert_receive :asked, 30_000
       Clock.advance(clock, 1_000_000_000)
       assert_receive {:DOWN, ^monitor, _, _, _} when is_reference(monitor), 30_000

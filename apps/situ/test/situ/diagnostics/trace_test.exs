@@ -59,7 +59,7 @@ defmodule Situ.Diagnostics.TraceTest do
     assert trace.inside == []
     assert Trace.format(trace) =~ "waits for Slow"
 
-    # What comes later waits behind it.
+    # Later messages wait behind it.
     Clock.set(clock, Time.ms(5))
     :ok = Connector.deliver(connector, [%Message{data: 2, originating_time: Time.ms(4)}])
     second = trace(p, Time.ms(4), [:passed, :waiting, :coming])

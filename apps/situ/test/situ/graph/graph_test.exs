@@ -4,7 +4,7 @@ defmodule Situ.GraphTest do
   alias Situ.Graph
   alias Situ.Graph.Plan
 
-  # What building and planning cost, by the VM's own count: a clock would measure who else is at work.
+  # The cost of building and planning in the VM's reductions: a clock would also measure other work on the machine.
   defp cost(fun) do
     me = self()
 

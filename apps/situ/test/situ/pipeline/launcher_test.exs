@@ -1,5 +1,5 @@
 defmodule Situ.Pipeline.LauncherTest do
-  # Whatever goes wrong while a pipeline starts is an error, and never a hang.
+  # A failure while a pipeline starts is always returned as an error; the start never hangs.
   use ExUnit.Case, async: true
 
   alias Situ.Fixture.Count

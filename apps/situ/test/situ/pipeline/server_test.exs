@@ -1,5 +1,5 @@
 defmodule Situ.Pipeline.ServerTest do
-  # What any process of OTP may expect of a pipeline: answers, and handlers that hold nobody up.
+  # A pipeline behaves as an OTP process: it answers calls, and its handlers block nobody.
   use ExUnit.Case, async: true
 
   alias Situ.Fixture.Count

@@ -19,8 +19,8 @@ defmodule Situ.Live.Page do
   def find(_, _), do: :error
 
   @doc """
-  What a session's token holds for: the view, or all views whose routes give the same fixed session. A route that makes
-  its session from the request, or refuses to, is only for those whose own page it made.
+  The scope of a session's token: the view, or all views whose routes give the same fixed session. When a route makes
+  its session from the request, or may refuse one, only a page of that route may join it.
   """
   @spec name(Route.t()) :: String.t()
   def name(%Route{opts: opts, target: view}) do
@@ -59,7 +59,7 @@ defmodule Situ.Live.Page do
           "#{inspect(socket.view)}.render/1 must return ~H, got: #{inspect(other, limit: 5)}"
   end
 
-  @doc "What a form or a click brings, as the map that handle_event/3 gets."
+  @doc "The value of a form or a click as the map that handle_event/3 gets."
   @spec event_params(String.t(), term(), term()) :: {:ok, map()} | :error
   def event_params("form", value, meta) when is_binary(value) do
     case Query.parse(value) do

@@ -1,6 +1,6 @@
 defmodule Situ.Live.Rendered do
   @moduledoc """
-  What `~H` makes: the template's fixed texts and, between them, its values.
+  The result of `~H`: the template's fixed texts and, between them, its values.
 
   `n` values stand between `n + 1` texts. A value is escaped text (a binary), another `Rendered`, a
   `Situ.Live.Comprehension`, a `Situ.Live.Island`, or `:unchanged` (since the last render). `fingerprint` is the same
@@ -22,7 +22,7 @@ end
 
 defmodule Situ.Live.Comprehension do
   @moduledoc """
-  What `:for` makes: one template for all entries, and `{key, values}` for each. An entry whose key stays keeps its
+  The result of `:for`: one template for all entries, and `{key, values}` for each. An entry whose key stays keeps its
   DOM node when it moves. `stream` is set for `Situ.Live.Stream`s.
   """
   @enforce_keys [:static, :entries, :fingerprint]

@@ -1,6 +1,6 @@
 defmodule Situ.Live.Response do
   @moduledoc """
-  What a handler answers: status, headers, body.
+  The answer of a handler: status, headers, body.
 
   A body is iodata, or `{:file, path, offset, length}` (sent by the operating system), or `{:chunks, enumerable}`.
   The server adds `content-length` or chunking, and the security headers.

@@ -107,7 +107,7 @@ defmodule Situ.Live.Socket do
   @spec connected?(t()) :: boolean()
   def connected?(%__MODULE__{connected?: connected?}), do: connected?
 
-  @doc "What the page's script gave as `params` of its `LiveSocket`; `%{}` in the dead render."
+  @doc "The `params` that the page's script gave its `LiveSocket`; `%{}` in the dead render."
   @spec get_connect_params(t()) :: map()
   def get_connect_params(%__MODULE__{parameters: parameters}), do: parameters
 

@@ -3,8 +3,8 @@ defmodule Situ.Store.Copying do
   Stores out of stores: copy, crop, concatenate. Called through `Situ.Store`. Envelopes, types, metadata, codecs and
   payloads are kept as they are, also those that this system has no module for; the originals are only read.
 
-  What is made gets its name when it is whole: a program that ends half way leaves a folder `NAME.*.unfinished`, swept
-  by the next one.
+  A new store gets its name when it is complete: a program that ends half way leaves a folder `NAME.*.unfinished`,
+  which the next one deletes.
   """
   alias Situ.Error
   alias Situ.Store.{Draft, Failure, Folder, Reading, StreamInfo, Transfer}
@@ -262,7 +262,7 @@ defmodule Situ.Store.Copying do
   def target(path), do: {Folder.name(path), path |> Path.expand() |> Path.dirname()}
 
   @doc false
-  # What tells the caller's `progress` of `n` more messages.
+  # A function that reports `n` more messages to the caller's `progress`.
   @spec teller([StreamInfo.t()], keyword()) :: (pos_integer() -> any())
   def teller(infos, opts) do
     total = infos |> Enum.map(& &1.count) |> Enum.sum()

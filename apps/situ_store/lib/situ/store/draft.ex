@@ -29,7 +29,7 @@ defmodule Situ.Store.Draft do
   defp unique(base),
     do: "#{base}.#{System.pid()}-#{System.unique_integer([:positive])}#{Folder.unfinished()}"
 
-  # What would be refused at the end is refused before the work.
+  # Refuses a name that is taken before the work starts, not after it.
   defp free(_name, _root, true), do: :ok
 
   defp free(name, root, false) do

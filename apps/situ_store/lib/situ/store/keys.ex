@@ -13,7 +13,7 @@ defmodule Situ.Store.Keys do
     options: [
       shared: [type: :any, required: true, doc: "The `Situ.Store.SharedWriter`."],
       stream: [type: :any, required: true, doc: "The `Situ.Store.Writer.Stream`."],
-      metadata: [type: :map, default: %{}, doc: "What else the metadata holds."]
+      metadata: [type: :map, default: %{}, doc: "Further metadata of the stream."]
     ]
 
   alias Situ.Store.{SharedWriter, Writer}

@@ -1,6 +1,6 @@
 defmodule Situ.Store.Playhead do
   @moduledoc false
-  # Where the streams of one importer play, shared by their processes: memory, no process.
+  # The playing position of one importer's streams, shared by their processes: memory, no process.
   #
   # An epoch is a stretch of replay in which pipeline time = recorded time + shift. A seek beyond everything handed
   # out so far stays in the epoch; any other begins a new one behind it, so that originating times go on increasing.
@@ -25,7 +25,7 @@ defmodule Situ.Store.Playhead do
   @spec version(t()) :: non_neg_integer()
   def version(cells), do: :atomics.get(cells, 1)
 
-  @doc "What was sought last. Waits for a seek that is under way."
+  @doc "The version, time and shift of the latest seek. Waits for a seek that is under way."
   @spec view(t()) :: view()
   def view(cells) do
     version = version(cells)

@@ -1,6 +1,6 @@
 defmodule Situ.Store.Reader do
   @moduledoc """
-  What a file format must answer so that it opens, lists, seeks and replays like a store.
+  The behaviour of a file format that opens, lists, seeks and replays like a store.
 
   Which file is read by which reader: `Situ.Store.Formats`.
 

@@ -1,6 +1,6 @@
 defmodule Situ.Store.StreamInfo do
   @moduledoc """
-  What is known of a stored stream. Times are nanoseconds, sizes bytes; exact at any moment, also while the store is
+  Facts about a stored stream. Times are nanoseconds, sizes bytes; exact at any moment, also while the store is
   being written or after its writer was killed.
 
     * `type` is a `Situ.Type`; `:any` when the recorded type names a module this system does not have (`type_name`

@@ -9,7 +9,7 @@ defmodule Situ.Store.Summary do
   multiples of their width: panning reuses them. Bins are whole, so the first and the last may reach over the edges of
   the span; empty ones are left out.
 
-  ## What `read/6` gives
+  ## The result of `read/6`
 
   `%Situ.Store.Summary{width: ns, counts: [...], tracks: [...]}`:
 

@@ -115,7 +115,7 @@ defmodule Situ.Store.Writer do
     end
   end
 
-  # What could not even begin is no recording.
+  # A recording that failed to start leaves no folder behind.
   defp give_up(writer, error) do
     _ = close(writer)
     _ = Folder.remove(writer.path)
@@ -220,7 +220,7 @@ defmodule Situ.Store.Writer do
          do: {:ok, stream}
   end
 
-  # What readers need to know before the first such message.
+  # Codecs and fields, which readers need before the first message that uses them.
   defp noted(stream, runs) do
     Enum.reduce_while(runs, {:ok, stream}, fn [first | _] = run, {:ok, stream} ->
       result =

@@ -1,5 +1,5 @@
 defmodule Situ.Store.FailureTest do
-  # What disks, clocks, people and other programs do to a recording.
+  # Recordings under faults: full disks, odd clocks, deleted files, other programs.
   use ExUnit.Case, async: true
   import Situ.Store.Test.Record
   alias Situ.{Pipeline, Store}

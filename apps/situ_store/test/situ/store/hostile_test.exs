@@ -32,7 +32,7 @@ defmodule Situ.Store.HostileTest do
 
   @names ~w(ints flags terms packed quick large)
 
-  # What message `i` of a stream is.
+  # The data of message `i` of a stream.
   defp data("ints", i), do: i
   defp data("flags", i), do: rem(i, 7) < 3
   defp data("terms", i), do: %{"k" => i, l: [1, 2, {i}], t: {:ok, 1.5}}
@@ -69,7 +69,7 @@ defmodule Situ.Store.HostileTest do
     end
   end
 
-  # What disks, programs and people do to files: bits, stretches, the end; parts of files in each other's places.
+  # Damages files as disks, programs and people do: flips bits, overwrites ranges, cuts the end, swaps parts of files.
   defp mutate(files, target) do
     mutated = Enum.reduce(1..:rand.uniform(4), files, fn _, files -> wound(files) end)
     for {name, bytes} <- mutated, do: File.write!(Path.join(target, name), bytes)

@@ -8,7 +8,7 @@ defmodule Situ.Store.PlayheadTest do
     assert Playhead.claim(head, 1_000, Playhead.version(head))
     assert Playhead.seek(head, 0, 5_000, false) == 5_000
     assert {2, 5_000, 0} = Playhead.view(head)
-    # What was read before the seek must not be handed out.
+    # Messages read before the seek must not be handed out.
     refute Playhead.claim(head, 2_000, 0)
     assert Playhead.claim(head, 6_000, 2)
     # Back: pipeline time goes on.

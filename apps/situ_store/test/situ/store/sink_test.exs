@@ -1,5 +1,5 @@
 defmodule Situ.Store.SinkTest do
-  # What arrives is written, and what comes before an error is kept.
+  # A sink writes the messages that arrive, and keeps those that came before an error.
   use ExUnit.Case, async: true
   alias Situ.{Pipeline, Store}
 

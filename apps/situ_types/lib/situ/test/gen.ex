@@ -96,7 +96,7 @@ defmodule Situ.Test.Gen do
   def resize(generator, size), do: :proper_types.resize(size, generator)
 
   @doc """
-  What a stream may carry: `[{originating_time, value}]` with strictly increasing times, steps of 1 to `max_step` ns.
+  The messages of a stream: `[{originating_time, value}]` with strictly increasing times, steps of 1 to `max_step` ns.
   """
   @spec timed(t(), pos_integer()) :: t()
   def timed(generator, max_step \\ 10) do

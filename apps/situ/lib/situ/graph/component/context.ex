@@ -1,6 +1,6 @@
 defmodule Situ.Component.Context do
   @moduledoc """
-  What a component may know of where it runs: its path, the clock, the replay interval.
+  A component's view of the pipeline it runs in: its path, the clock, the replay interval.
 
     * `path`: the component's full name (`"Lobby.Mouth.Crop"`)
     * `pipeline`: the pipeline's handle

@@ -1,13 +1,13 @@
 defmodule Situ.Component.Functions do
   @moduledoc false
-  # The functions inside of a component's options, by where they stand in them: those of one version of a module are
-  # exchanged for those of the next, also where the component's state holds them. Pure.
+  # The functions inside a component's options, matched by position: a code change replaces those of the old version
+  # of a module by those of the new one, also inside the component's state. Pure.
 
-  @typedoc "What stands in the place of which function."
+  @typedoc "Each old function with its replacement."
   @type exchange :: %{fun() => fun()}
 
   @doc """
-  What stands in `new` where `old` has a function that takes as many arguments.
+  Pairs each function in `old` with the function at the same position in `new`, if both have the same arity.
 
       iex> {f, g} = {&String.upcase/1, &String.downcase/1}
       iex> Situ.Component.Functions.pairs([fun: f, n: 1], [fun: g, n: 2]) == %{f => g}
@@ -41,7 +41,7 @@ defmodule Situ.Component.Functions do
   defp arity(fun), do: :erlang.fun_info(fun, :arity)
 
   @doc """
-  The term with other functions in it, and everything else as it is.
+  The term with its functions replaced; everything else stays.
 
       iex> {f, g} = {&String.upcase/1, &String.downcase/1}
       iex> Situ.Component.Functions.exchange(%{fun: f, seen: [{1, f}]}, %{f => g}) == %{fun: g, seen: [{1, g}]}

@@ -132,7 +132,7 @@ defmodule Situ.Operator.Chain do
     end
   end
 
-  @doc "What stands for no output."
+  @doc "The value that a step returns to emit nothing."
   defmacro skip, do: @skip
 
   defp apply_step({kind, fun, i}, data, message) do

@@ -2,13 +2,10 @@ defmodule Situ.Branch.Process do
   @moduledoc false
   # A branch as a pipeline of its own: its own processes, any component inside. Its messages to the process that
   # started it:
-  #
-  #   {:situ_branch, id, {:open, pid}}          where its input is sent
-  #   {:situ_branch, id, {:gave, [{time, data}], passed}}
-  #                                             this came out, and if `passed` is a time, all up to it is dealt with
-  # (of a run of light
-  #                                             operators; `nil` of others)
-  #   {id, result}                              it has ended; everything it gave came before
+  #   {:situ_branch, id, {:open, pid}}                      the process that takes its input
+  #   {:situ_branch, id, {:gave, [{time, data}], passed}}   its output; if `passed` is a time, the branch has handled
+  #                                                         all input up to it (only a run of light operators tells)
+  #   {id, result}                                          it has ended; no output follows
   #
   # It ends with the process that started it.
   alias Situ.Graph.{Builder, Plan}
@@ -17,7 +14,7 @@ defmodule Situ.Branch.Process do
 
   defmodule Gate do
     @moduledoc false
-    # Where the branch begins: hands on what it is sent, as fast as the branch asks for it.
+    # The branch's source: it emits the entries it is sent, as fast as the branch asks for them.
     use Situ.Component,
       inputs: [],
       outputs: [out: :any],
@@ -57,7 +54,7 @@ defmodule Situ.Branch.Process do
     defp put(queue, entries), do: queue ++ entries
 
     @doc """
-    What came out of the branch: told with the next time that is passed if it came out in this process, else at
+    Reports an output of the branch: together with the next `passed` time if it was emitted in this process, else at
     once.
     """
     def gave(to, id, time, data) do
@@ -67,8 +64,8 @@ defmodule Situ.Branch.Process do
       end
     end
 
-    # Output of the time before has been through the operators that share this process. As long as that was
-    # quick, more goes next time: whoever asks in between sees that a slow branch gets on, part by part.
+    # The operators in this process have handled the previous slice. If that was quick, the next slice is larger; a
+    # slow branch gets small ones, so that its counters show progress.
     @impl true
     def handle_demand(n, _context, gate) do
       gate = gate |> tell() |> resize()
@@ -93,7 +90,7 @@ defmodule Situ.Branch.Process do
         else: {[:stopping], %{gate | stopping: true}}
     end
 
-    # What came out before a failure counts.
+    # Outputs emitted before a failure count.
     @impl true
     def terminate(_reason, gate), do: tell(gate)
 

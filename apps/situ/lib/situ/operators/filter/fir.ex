@@ -57,7 +57,7 @@ defmodule Situ.Filter.Fir do
   def taps(shape, rate, edges, order) do
     half = div(order + 1, 2)
     edges = Enum.map(edges, &(&1 / rate))
-    # What passes, and where in it the gain is to be 1, in cycles per sample.
+    # The pass bands, and the frequency in them at which the gain is 1; both in cycles per sample.
     {bands, at} = bands(shape, edges)
     raw = for n <- -half..half, do: ideal(bands, n) * hamming(n, half)
     gain = Enum.sum(Enum.zip_with(raw, -half..half, &(&1 * :math.cos(2 * :math.pi() * at * &2))))

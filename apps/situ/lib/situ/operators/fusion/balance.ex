@@ -76,8 +76,8 @@ defmodule Situ.Fusion.Balance do
   end
 
   @doc """
-  What to hold and resume, as actions: `heads` are the inputs' queues, `{input, sequence id of the first message |
-  nil}`; `awaited` are the inputs that the operator waits for.
+  The inputs to hold and to resume, as actions: `heads` are the inputs' queues, `{input, sequence id of the first
+  message | nil}`; `awaited` are the inputs that the operator waits for.
   """
   @spec actions(t(), [{input(), non_neg_integer() | nil}], [input()]) :: {list(), t()}
   def actions(balance, heads, awaited) do

@@ -27,8 +27,8 @@ defmodule Situ.Fusion.MessageQueue do
   end
 
   @doc """
-  The messages up to and including `time`, and the queue without them. What came later is looked at only when it has
-  to be.
+  The messages up to and including `time`, and the queue without them. Later batches are searched only if the first
+  list has no message after `time`.
   """
   @spec take(t(), Situ.Time.t()) :: {[Message.t()], t()}
   def take({front, rear}, time) do

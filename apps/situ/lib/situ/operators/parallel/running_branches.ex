@@ -1,7 +1,7 @@
 defmodule Situ.Parallel.RunningBranches do
   @moduledoc false
-  # The running branches of a parallel operator, each a pipeline of its own: begun, fed, stopped, taken out. A
-  # branch whose entrance is not open yet gets what it is sent as soon as it is.
+  # The running branches of a parallel operator, each a pipeline of its own: started, fed, stopped, removed. Entries
+  # for a branch that has not opened its input yet wait until it has.
   alias Situ.Branch.Process, as: Branch
   alias Situ.Parallel.ProcessBranches
   alias Situ.Lifecycle.Errors
@@ -9,7 +9,7 @@ defmodule Situ.Parallel.RunningBranches do
 
   @type t :: %{ProcessBranches.id() => map()}
 
-  @doc "Begins a branch; `timing` as of `Situ.Branch.Process.start!/5`."
+  @doc "Starts a branch; `timing` as of `Situ.Branch.Process.start!/5`."
   @spec begin(
           t(),
           ProcessBranches.id(),
@@ -35,7 +35,7 @@ defmodule Situ.Parallel.RunningBranches do
     :ok
   end
 
-  @doc "Does what the pool says: all that one branch gets goes in one message."
+  @doc "Carries out the pool's orders; all entries for one branch go in one message."
   @spec carry_out([ProcessBranches.order()], t()) :: t()
   def carry_out(orders, fleet) do
     {fleet, entries} = Enum.reduce(orders, {fleet, %{}}, &carry_out_one/2)
@@ -75,7 +75,7 @@ defmodule Situ.Parallel.RunningBranches do
     end
   end
 
-  @doc "The entrance of a branch is there."
+  @doc "Notes that a branch has opened its input, and sends it the entries that waited."
   @spec opened(t(), ProcessBranches.id(), pid()) :: t()
   def opened(fleet, id, gate) do
     branch = Map.fetch!(fleet, id)
@@ -84,7 +84,7 @@ defmodule Situ.Parallel.RunningBranches do
     %{fleet | id => %{branch | gate: gate, early: []}}
   end
 
-  @doc "A branch has ended."
+  @doc "Removes a branch that has ended."
   @spec remove(t(), ProcessBranches.id()) :: t()
   def remove(fleet, id) do
     {branch, fleet} = Map.pop!(fleet, id)
@@ -92,7 +92,7 @@ defmodule Situ.Parallel.RunningBranches do
     fleet
   end
 
-  @doc "What a message says of the end of a branch of this fleet."
+  @doc "The branch and its result, if this message reports the end of a branch; else `nil`."
   @spec ended(term(), t()) :: {ProcessBranches.id(), Situ.Pipeline.result()} | nil
   def ended({id, result}, fleet) when is_map_key(fleet, id), do: {id, result}
 
@@ -103,7 +103,7 @@ defmodule Situ.Parallel.RunningBranches do
 
   def ended(_other, _fleet), do: nil
 
-  @doc "Whether one of these is in the middle of something; a run of light operators says so itself when it is through."
+  @doc "Whether one of these branches is still working; a run of light operators reports by itself when it is done."
   @spec at_work?(t(), [ProcessBranches.id()]) :: boolean()
   def at_work?(fleet, ids) do
     Enum.any?(ids, fn id ->
@@ -112,7 +112,7 @@ defmodule Situ.Parallel.RunningBranches do
     end)
   end
 
-  @doc "What changes as long as the branches get on."
+  @doc "The counters of the running branches; they change while any branch makes progress."
   @spec marks(t()) :: term()
   def marks(fleet), do: for({id, branch} <- fleet, do: {id, Client.call(branch.pid, :mark)})
 

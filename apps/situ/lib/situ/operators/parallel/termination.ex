@@ -33,8 +33,8 @@ defmodule Situ.Parallel.Termination do
   end
 
   @doc """
-  What becomes of the branch of a key that was last seen at `seen` and since then absent so often: `:keep`,
-  `{:absent, n}` (it is alive without being there), or `{:close, time}`.
+  Decides about the branch of a key that was last seen at `seen` and has been absent from `absent` messages since:
+  `:keep`, `{:absent, n}` (the branch stays, with the key absent for the n-th time), or `{:close, time}`.
   """
   @spec decide(t(), term(), {Situ.Time.t() | nil, non_neg_integer()}, map(), Situ.Time.t()) ::
           :keep | {:absent, pos_integer()} | {:close, Situ.Time.t() | nil}

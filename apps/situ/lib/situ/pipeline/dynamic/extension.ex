@@ -1,13 +1,13 @@
 defmodule Situ.Pipeline.Dynamic.Extension do
   @moduledoc false
-  # Components that are added to a running pipeline, and taken away. The caller builds on a copy of the graph whose
-  # numbers are its own; the server takes over what is new in it, plans it as a graph is planned, and has the life
-  # cycle start it.
+  # Components that are added to a running pipeline, and removed from it. The caller builds on a copy of the graph
+  # with a range of ids of its own; the server merges the new components, plans them like any graph, and the life
+  # cycle starts them.
   alias Situ.{Error, Graph}
   alias Situ.Graph.{Extension, Plan}
   alias Situ.Pipeline.{Stages, State}
 
-  # So many numbers are set apart for one extension: ids are for telling apart, not for counting.
+  # One extension reserves so many ids: they need to be unique, not dense.
   @numbers 1_000_000
 
   @doc "A copy of the graph to build on."
@@ -15,7 +15,7 @@ defmodule Situ.Pipeline.Dynamic.Extension do
   def offer(%{graph: graph} = state),
     do: {graph, %{state | graph: Extension.advance(graph, @numbers)}}
 
-  @doc "What was built, as a plan for the life cycle. `{:error, error}` when it does not fit what runs."
+  @doc "The new components as a plan for the life cycle; `{:error, error}` if they do not fit the running graph."
   @spec take(State.t(), Graph.t()) :: {:ok, State.t(), map()} | {:error, Error.t()}
   def take(state, built) do
     with {:ok, graph, fresh} <- Extension.merge(state.graph, built),
@@ -28,7 +28,7 @@ defmodule Situ.Pipeline.Dynamic.Extension do
     end
   end
 
-  # Edges from streams that flow already, each with the stage that has the output.
+  # Edges from streams of the running graph, each with the stage that has the output.
   defp lent(state, plan) do
     new = for stage <- plan.stages, vertex <- stage.vertices, into: MapSet.new(), do: vertex.id
 

@@ -230,7 +230,7 @@ defmodule Situ.Examples.Demo.Cluster do
     end
   end
 
-  # What the pipeline says of itself is the run's own, and so are creation times.
+  # Diagnostics and creation times differ from run to run.
   defp names(store),
     do: for(s <- Store.streams(store), s.name != "Talk.Diagnostics", do: s.name) |> Enum.sort()
 

@@ -1,6 +1,6 @@
 defmodule Situ.Examples.Demo.Recording do
   @moduledoc """
-  What a recording of the demo says: who was seen where, who spoke when, and how late that was known.
+  The content of a recording of the demo: who was seen where, who spoke when, and how late each decision came.
 
     * `frames`: pictures with a decision; `media_s`: how long they last
     * `found`: per picture, its time from the first and the faces with their rectangles and whether they speak

@@ -1,6 +1,6 @@
 defmodule Situ.Examples.Demo.Truth do
   @moduledoc """
-  What really happens in a clip: whose face is where, and who speaks when.
+  The ground truth of a clip: whose face is where, and who speaks when.
 
   Read from JSON: `fps`, `frames`, `faces` (`id`, `box` as `[left, top, right, bottom]` in pixels) and `speech`
   (`face`, an id or `null` for a voice without a face; `speech_start`, `speech_end` in seconds, and `text` where the

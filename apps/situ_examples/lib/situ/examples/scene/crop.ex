@@ -13,7 +13,7 @@ defmodule Situ.Examples.Scene.Crop do
 
   @type detection :: {Rect.t(), [Situ.Point2.t()]}
 
-  # What a body has around its joints, as a part of the rectangle.
+  # The margin for the body around its joints, as a fraction of the rectangle.
   @margin 0.12
 
   @doc "The rectangle around the joints that the camera sees, and the joints in it; the score is how many those are."

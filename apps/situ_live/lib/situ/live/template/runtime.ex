@@ -1,6 +1,6 @@
 defmodule Situ.Live.Template.Runtime do
   @moduledoc false
-  # What compiled templates call.
+  # The functions that compiled templates call.
   alias Situ.Live.{Comprehension, Stream}
 
   @doc "Whether a value that reads these assigns must be made new."

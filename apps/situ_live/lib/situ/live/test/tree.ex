@@ -102,7 +102,7 @@ defmodule Situ.Live.Test.Tree do
     [text, out(value, islands, list) | weave(texts, node, i + 1, islands, list)]
   end
 
-  @doc "What the streams of the tree insert and delete, with the rows' HTML; asked for once after each merge."
+  @doc "The tree's inserts and deletes of streams, with the rows' HTML; read once after each merge."
   @spec streams(t()) :: [{[term()], [String.t()]}]
   def streams(tree) do
     for %{"stream" => stream} = node <- nodes(tree) do

@@ -22,7 +22,7 @@ defmodule Situ.Store.Csv.Field do
     end
   end
 
-  @doc "What a text looks like."
+  @doc "The kind of value that a text looks like."
   @spec kind(String.t()) :: kind()
   def kind(text) do
     case value(text) do
