@@ -159,7 +159,13 @@ case System.argv() do
     opts = [master: "http://127.0.0.1:#{port}"]
     set_bool = "bool data\n---\nbool success\nstring message"
     :ok = Ros.set_param("/from_situ", [1, "two", %{"x" => 1.5}], opts)
-    answer = &{:ok, %{"success" => not &1["data"], "message" => "from situ"}}
+    me = self()
+
+    answer = fn request ->
+      send(me, :called)
+      {:ok, %{"success" => not request["data"], "message" => "from situ"}}
+    end
+
     {:ok, server} = Ros.serve("/flip_ours", "std_srvs/SetBool", set_bool, answer, opts)
 
     {:ok, _} =
@@ -188,6 +194,14 @@ case System.argv() do
     :ok = Ros.set_param("/done", true, opts)
     {:ok, topics} = Ros.topics(opts)
     false = List.keymember?(topics, "/pictures", 0)
+
+    # The other side may still be on its way.
+    receive do
+      :called -> :ok
+    after
+      60_000 -> raise("nobody called /flip_ours")
+    end
+
     Ros.stop(server)
 
   # Serves a recording until the file `done` is there.

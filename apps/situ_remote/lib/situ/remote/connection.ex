@@ -31,8 +31,10 @@ defmodule Situ.Remote.Connection do
     clock: ClockEstimate.new(),
     pings: 0,
     connected: 0,
+    # Positions by stream: in the file, by the pipeline's word, of streams that nobody subscribes any more.
     saved: %{},
     confirmed: %{},
+    left: %{},
     received: 0
   ]
 
@@ -130,7 +132,15 @@ defmodule Situ.Remote.Connection do
 
   defp forget(state, id) do
     state = transmit(state, {:unsubscribe, id})
-    %{state | channels: Map.delete(state.channels, id)}
+
+    case Map.pop(state.channels, id) do
+      {nil, _} ->
+        state
+
+      {channel, channels} ->
+        left = Map.put(state.left, channel.name, channel.taken)
+        %{state | channels: channels, left: left}
+    end
   end
 
   @impl true
@@ -362,9 +372,15 @@ defmodule Situ.Remote.Connection do
   defp save(%{opts: %{position: nil}} = state), do: state
 
   defp save(state) do
-    taken = for {_, channel} <- state.channels, into: %{}, do: {channel.name, channel.taken}
-    known = for {name, time} <- Map.merge(taken, state.confirmed), time != nil, do: {name, time}
-    positions = Map.merge(state.saved, Map.new(known))
+    taken =
+      for {_, %{taken: time} = channel} <- state.channels,
+          time,
+          into: %{},
+          do: {channel.name, time}
+
+    known = state.left |> Map.merge(taken) |> Map.merge(state.confirmed)
+    known = for {name, time} <- known, time != nil, into: %{}, do: {name, time}
+    positions = Map.merge(state.saved, known)
 
     if positions == state.saved do
       state

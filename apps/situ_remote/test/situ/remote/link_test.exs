@@ -53,6 +53,19 @@ defmodule Situ.Remote.LinkTest do
     eventually(fn -> Position.load(position) == {:ok, %{"n" => 15}} end)
   end
 
+  test "the end of a pipeline is a position, whenever the next one were due", %{
+    root: root,
+    path: path
+  } do
+    finish(begin(root, "lobby", %{"n" => messages(1..10)}))
+    position = Path.join(root, "position.json")
+    opts = [from: :resume, position: position, save_every: 3_600_000]
+    {pipeline, _} = follow(address(serve(path)), opts)
+    got(1..10)
+    assert {:ok, _} = Pipeline.await(pipeline)
+    eventually(fn -> Position.load(position) == {:ok, %{"n" => 10}} end)
+  end
+
   test "what is confirmed is the position", %{root: root, path: path} do
     open = begin(root, "lobby", %{"n" => messages(1..10)})
     server = serve(path)

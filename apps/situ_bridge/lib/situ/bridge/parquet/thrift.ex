@@ -39,8 +39,9 @@ defmodule Situ.Bridge.Parquet.Thrift do
   defp zigzag(n), do: bxor(n <<< 1, n >>> 63) &&& 0xFFFFFFFFFFFFFFFF
 
   @doc "A number of seven bits a byte, the lowest first."
+  @spec varint(non_neg_integer()) :: iodata()
   def varint(n) when n < 128, do: <<n>>
-  def varint(n), do: [<<1::1, n::7>> | varint(n >>> 7)]
+  def varint(n), do: [<<1::1, n::7>>, varint(n >>> 7)]
 
   @doc "The struct at the beginning of `bytes`, and what follows it. Throws `{:not_parquet, why}`."
   @spec read(binary()) :: {map(), binary()}

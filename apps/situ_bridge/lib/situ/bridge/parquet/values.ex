@@ -13,11 +13,13 @@ defmodule Situ.Bridge.Parquet.Values do
   @most_page 1_073_741_824
 
   @type leaf :: %{
+          at: non_neg_integer(),
           name: String.t(),
           type: 0..7,
           length: non_neg_integer(),
           optional?: boolean(),
-          as: atom() | {atom(), term()}
+          as: atom() | {atom(), term()},
+          time?: boolean()
         }
 
   @doc "All values of a chunk with so many rows; `nil` where one is missing."

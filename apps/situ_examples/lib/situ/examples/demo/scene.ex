@@ -52,10 +52,15 @@ defmodule Situ.Examples.Demo.Scene do
         fail("unexpected argument #{extra}", 2)
 
       {opts, [], []} ->
-        if opts[:help], do: IO.puts(@usage) && 0, else: record(opts)
+        if opts[:help], do: usage(), else: record(opts)
     end
   rescue
     error in Error -> fail(Exception.message(error), 1)
+  end
+
+  defp usage do
+    IO.puts(@usage)
+    0
   end
 
   @doc "Records the room; options `seconds:`, `out:`, `fast:`. The report's `result.path` is the recording's."

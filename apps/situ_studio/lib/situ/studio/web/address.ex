@@ -10,7 +10,7 @@ defmodule Situ.Studio.Web.Address do
   def dataset(id), do: "/d/" <> encode(id)
 
   @doc "The path of the page of whatever it is."
-  @spec item(%{id: String.t(), kind: atom()}) :: String.t()
+  @spec item(%{:id => String.t(), :kind => atom(), optional(atom()) => term()}) :: String.t()
   def item(%{id: id, kind: :dataset}), do: dataset(id)
   def item(%{id: id}), do: of(id)
 
