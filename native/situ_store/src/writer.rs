@@ -2,24 +2,24 @@
 
 mod chunks;
 mod closing;
+mod lock;
 mod pyramids;
 mod stream;
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use rustix::fs::{flock, FlockOperation};
-use rustix::io::Errno;
 
 use crate::chunk::{term_number, Builder, Envelope, Input};
 use crate::error::{Error, Result};
-use crate::extent::{open_with, Fault, Lane};
+use crate::extent::{Fault, Lane};
 use crate::format::*;
 use crate::index::{self, IndexWriter};
 use crate::pyramid::{Bin, FLUSH};
 
+pub use lock::lock;
 use stream::Stream;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -72,24 +72,6 @@ pub struct Writer {
     checked: Instant,
     closed: bool,
     fault: Arc<Fault>,
-}
-
-/// Takes the exclusive lock of the store in `dir`. A lock file that is not there yet is made with this mode.
-pub fn lock(dir: &Path, mode: Option<u32>) -> Result<File> {
-    let mut options = OpenOptions::new();
-    options.read(true).write(true).create(true).truncate(false);
-    let path = dir.join("lock");
-    let file = open_with(&mut options, &path, mode).map_err(|e| Error::io("create lock", e))?;
-    // A reader that asks whether the store is live holds the lock for a moment.
-    for attempt in 0..5 {
-        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
-            Ok(()) => return Ok(file),
-            Err(Errno::WOULDBLOCK) if attempt < 4 => std::thread::sleep(Duration::from_millis(3)),
-            Err(Errno::WOULDBLOCK) => break,
-            Err(error) => return Err(Error::io("lock the store", error)),
-        }
-    }
-    Err(Error::Locked)
 }
 
 pub fn now() -> i64 {

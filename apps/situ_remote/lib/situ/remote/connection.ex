@@ -3,9 +3,9 @@ defmodule Situ.Remote.Connection do
   # A link as one process of a pipeline: keeps a connection, learns the catalogue, hands what arrives to the components
   # of the streams, and asks again from where each of them was when the connection comes back.
   use GenServer
-  alias Situ.Remote.{Address, Position}
+  alias Situ.Remote.Address
   alias Situ.Remote.Link.{ClockEstimate, Dialing, Frame, Handshake, Socket}
-  alias Situ.Remote.Connection.{Catalogue, Channel}
+  alias Situ.Remote.Connection.{Catalogue, Channel, Positions}
   require Logger
 
   @first_wait 50
@@ -31,10 +31,7 @@ defmodule Situ.Remote.Connection do
     clock: ClockEstimate.new(),
     pings: 0,
     connected: 0,
-    # Positions by stream: in the file, by the pipeline's word, of streams that nobody subscribes any more.
-    saved: %{},
-    confirmed: %{},
-    left: %{},
+    positions: %Positions{},
     received: 0
   ]
 
@@ -106,7 +103,7 @@ defmodule Situ.Remote.Connection do
   end
 
   def handle_call({:confirming, name}, _from, state),
-    do: {:reply, :ok, %{state | confirmed: Map.put_new(state.confirmed, name, nil)}}
+    do: {:reply, :ok, %{state | positions: Positions.confirming(state.positions, name)}}
 
   def handle_call(:info, _from, state), do: {:reply, information(state), state}
 
@@ -119,7 +116,7 @@ defmodule Situ.Remote.Connection do
   end
 
   def handle_cast({:confirm, name, time}, state),
-    do: {:noreply, %{state | confirmed: Map.put(state.confirmed, name, time)}}
+    do: {:noreply, %{state | positions: Positions.confirm(state.positions, name, time)}}
 
   def handle_cast({:unsubscribe, id}, state), do: {:noreply, forget(state, id)}
 
@@ -138,8 +135,8 @@ defmodule Situ.Remote.Connection do
         state
 
       {channel, channels} ->
-        left = Map.put(state.left, channel.name, channel.taken)
-        %{state | channels: channels, left: left}
+        positions = Positions.leave(state.positions, channel.name, channel.taken)
+        %{state | channels: channels, positions: positions}
     end
   end
 
@@ -372,24 +369,10 @@ defmodule Situ.Remote.Connection do
   defp save(%{opts: %{position: nil}} = state), do: state
 
   defp save(state) do
-    taken =
-      for {_, %{taken: time} = channel} <- state.channels,
-          time,
-          into: %{},
-          do: {channel.name, time}
-
-    known = state.left |> Map.merge(taken) |> Map.merge(state.confirmed)
-    known = for {name, time} <- known, time != nil, into: %{}, do: {name, time}
-    positions = Map.merge(state.saved, known)
-
-    if positions == state.saved do
-      state
-    else
-      with {:error, error} <- Position.save(state.opts.position, positions),
-           do: Logger.error(Exception.message(error))
-
-      %{state | saved: positions}
-    end
+    taken = for {_, channel} <- state.channels, do: {channel.name, channel.taken}
+    {result, positions} = Positions.save(state.positions, state.opts.position, taken)
+    with {:error, error} <- result, do: Logger.error(Exception.message(error))
+    %{state | positions: positions}
   end
 
   defp information(state) do
