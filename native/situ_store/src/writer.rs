@@ -11,7 +11,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-
 use crate::chunk::{term_number, Builder, Envelope, Input};
 use crate::error::{Error, Result};
 use crate::extent::{Fault, Lane};
