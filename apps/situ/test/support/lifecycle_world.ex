@@ -14,12 +14,15 @@ defmodule Situ.Fixture.LifecycleWorld do
     seed: nil,
     steps: 0,
     next: 100,
-    forgotten: []
+    forgotten: [],
+    refusing: [],
+    clock?: false
   ]
 
   @doc """
   Lives a life. `graph`: `%{sources: [end], others: [on_error], links: [{from, to}]}`; `wishes`: events from outside
-  (stops, deaths, failures) that come in between. Answers the world when nothing more is under way.
+  (stops, deaths, failures) that come in between; with `{:refuse, id}` a stage does not come to its first state.
+  Answers the world when nothing more is under way.
   """
   def live(graph, wishes, seed) do
     members = members(graph)
@@ -29,7 +32,10 @@ defmodule Situ.Fixture.LifecycleWorld do
           into: %{},
           do: {tag, %{from: from, to: to, output: :out, id: tag}}
 
+    {refusing, wishes} = Enum.split_with(wishes, &match?({:refuse, _}, &1))
+
     world = %__MODULE__{
+      refusing: for({:refuse, id} <- refusing, do: id),
       life: %State{mode: :unlinked},
       graph: {members, links, graph},
       seed: :rand.seed_s(:exsss, seed),
@@ -71,6 +77,13 @@ defmodule Situ.Fixture.LifecycleWorld do
   defp timer?({:timer, _}), do: true
   defp timer?({:watch, _}), do: true
   defp timer?(_), do: false
+
+  # Its process is gone with that.
+  defp happen({:stage, id, {:init_failed, id, _} = event}, world) do
+    if MapSet.member?(world.alive, id),
+      do: apply_event(%{world | alive: MapSet.delete(world.alive, id)}, event),
+      else: world
+  end
 
   # A stage's debts are void when its process is gone.
   defp happen({:stage, id, event}, world) do
@@ -141,6 +154,10 @@ defmodule Situ.Fixture.LifecycleWorld do
     end
   end
 
+  defp first_word(world, id) do
+    if id in world.refusing, do: {:init_failed, id, error(id)}, else: {:up, id}
+  end
+
   defp error(id), do: Situ.Error.new(:component_failed, "S#{id} failed")
 
   defp apply_event(world, event) do
@@ -157,8 +174,13 @@ defmodule Situ.Fixture.LifecycleWorld do
 
   defp perform({:spawn, ids}, world) do
     world = %{world | alive: MapSet.union(world.alive, MapSet.new(ids))}
-    Enum.reduce(ids, world, &put(&2, {:stage, &1, {:up, &1}}))
+    Enum.reduce(ids, world, &put(&2, {:stage, &1, first_word(world, &1)}))
   end
+
+  defp perform(:start_clock, world), do: %{world | clock?: true}
+
+  defp perform({:start, _ids}, %{clock?: false}),
+    do: raise("stages are wired before there is a clock")
 
   defp perform({:start, ids}, world),
     do: Enum.reduce(ids, world, &put(&2, {:stage, &1, {:started, &1}}))

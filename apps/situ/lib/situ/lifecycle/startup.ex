@@ -34,12 +34,16 @@ defmodule Situ.Lifecycle.Startup do
       else: act(state, {:spawn, ids})
   end
 
-  @doc "A stage has its first state. One that was restarted is wired at once."
+  @doc """
+  A stage has its first state. One that was restarted is wired at once. When another one has failed before the clock
+  began, this one is about to be quit.
+  """
   @spec up(State.t(), State.id()) :: State.t()
-  def up(state, id) do
-    state = change(state, id, &%{&1 | up?: true})
-    if state.step == :up, do: answered(state, id), else: act(state, {:start, [id]})
-  end
+  def up(state, id), do: state |> change(id, &%{&1 | up?: true}) |> wire(id)
+
+  defp wire(%{step: :up} = state, id), do: answered(state, id)
+  defp wire(%{step: step} = state, _id) when step in [:quit, :over], do: state
+  defp wire(state, id), do: act(state, {:start, [id]})
 
   @doc "`handle_start/2` has run in the stage. The neighbours of one that was restarted get to know it."
   @spec started(State.t(), State.id()) :: State.t()

@@ -35,6 +35,7 @@ defmodule Situ.LifecycleTest do
       {:stop_at, integer(0, 200)},
       {:kill, integer(1, 10)},
       {:fail, integer(1, 10)},
+      {:refuse, integer(1, 10)},
       {:part, list(integer(1, 10))},
       {:grow, one_of([:stop, :restart])},
       :moving
