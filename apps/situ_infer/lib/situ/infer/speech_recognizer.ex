@@ -159,31 +159,43 @@ defmodule Situ.Infer.SpeechRecognizer do
 
   defp said(_output, %{text: ""}, _open, _final?), do: []
 
-  defp said(output, %{text: text, confidence: confidence}, open, final?) do
+  defp said(output, %{text: text, confidence: confidence} = result, open, final?) do
+    words = for word <- result[:words] || [], do: placed(word, result.begins)
+
     said = %Utterance{
       text: text,
       from: open.from,
       to: open.to,
       confidence: confidence,
-      final?: final?
+      final?: final?,
+      words: words,
+      alternatives: result[:alternatives] || []
     }
 
     [{output, open.to, said}]
   end
 
+  defp placed(word, begins), do: %{word | from: begins + word.from, to: begins + word.to}
+
   defp recognize(%{open: open, opts: opts, model: model} = state, to) do
     case stretch(state.sound, open.from - opts.margin, to) do
-      nil -> %{text: ""}
-      buffer -> Error.unwrap!(opts.recognizer.transcribe(model, buffer))
+      nil ->
+        %{text: ""}
+
+      {begins, buffer} ->
+        result = Error.unwrap!(opts.recognizer.transcribe(model, buffer))
+        Map.put(result, :begins, begins)
     end
   end
 
-  # The sound between two times; what is missing of it is left out.
+  # The sound between two times, and where it begins; what is missing of it is left out.
   defp stretch(sound, from, to) do
     parts =
       for {time, buffer} <- Enum.reverse(sound), part = part(buffer, time, from, to), do: part
 
-    if parts != [], do: Error.unwrap!(AudioBuffer.concat(parts))
+    with [{begins, _} | _] <- parts,
+         do: {begins, Error.unwrap!(AudioBuffer.concat(Enum.map(parts, &elem(&1, 1))))},
+         else: (_ -> nil)
   end
 
   defp part(buffer, time, from, to) do
@@ -192,7 +204,7 @@ defmodule Situ.Infer.SpeechRecognizer do
     if time > from and start < to do
       first = max(AudioFormat.ns_to_frames(buffer.format, from - start), 0)
       last = AudioFormat.ns_to_frames(buffer.format, min(to, time) - start)
-      AudioBuffer.slice(buffer, first, max(last - first, 0))
+      {max(from, start), AudioBuffer.slice(buffer, first, max(last - first, 0))}
     end
   end
 

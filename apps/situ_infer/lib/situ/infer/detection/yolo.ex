@@ -60,7 +60,8 @@ defmodule Situ.Infer.Detection.Yolo do
         object >= min_score,
         {class, p} = best(classes, 0, {0, 0.0}),
         object * p >= min_score,
-        w > 0 and h > 0,
+        w > 0,
+        h > 0,
         do: box(cx - w / 2, cy - h / 2, w, h, class, object * p)
   end
 
@@ -68,7 +69,9 @@ defmodule Situ.Infer.Detection.Yolo do
     for <<x1::float-native-32, y1::float-native-32, x2::float-native-32, y2::float-native-32,
           score::float-native-32, class::float-native-32 <- data>>,
         score >= min_score,
-        x2 > x1 and y2 > y1 and class >= 0,
+        x2 > x1,
+        y2 > y1,
+        class >= 0,
         do: box(x1, y1, x2 - x1, y2 - y1, round(class), score)
   end
 

@@ -7,7 +7,8 @@ defmodule Situ.Infer.Speech.Moonshine do
 
   It takes sound as it is, without features, and writes one token after another, each the likeliest. It invents words
   where nobody speaks: give it what voice activity has found to be speech. `bin/lib/fetch-model moonshine-tiny-en`
-  fetches it.
+  fetches it. It knows no times of words. `alternatives: n` has it write again, each time with the second likeliest
+  token at one of the `n` places where it was least sure: as many times the work.
   """
   @behaviour Situ.Infer.Speech.Recognizer
 
@@ -25,28 +26,51 @@ defmodule Situ.Infer.Speech.Moonshine do
   @longest_s 64
   @shortest 1_600
 
-  @enforce_keys [:encoder, :decoder, :tokenizer]
-  defstruct [:encoder, :decoder, :tokenizer]
+  @most_alternatives 10
 
-  @type t :: %__MODULE__{encoder: Model.t(), decoder: Model.t(), tokenizer: Tokenizer.t()}
-  @type result :: %{text: String.t(), confidence: float()}
+  @enforce_keys [:encoder, :decoder, :tokenizer]
+  defstruct [:encoder, :decoder, :tokenizer, alternatives: 0]
+
+  @type t :: %__MODULE__{
+          encoder: Model.t(),
+          decoder: Model.t(),
+          tokenizer: Tokenizer.t(),
+          alternatives: non_neg_integer()
+        }
+  @type result :: %{
+          text: String.t(),
+          confidence: float(),
+          alternatives: [Situ.Infer.Speech.Recognizer.alternative()]
+        }
 
   @doc """
-  Loads it; `folder:` where the three files are, else `Situ.Infer.ModelStore`. Errors: those of `Situ.Infer.Model`.
+  Loads it; `folder:` where the three files are, else `Situ.Infer.ModelStore`; `alternatives:` how many are wanted at
+  most, 0 to #{@most_alternatives}. Errors: those of `Situ.Infer.Model`.
   """
   @impl true
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(opts \\ []) do
-    opts = Keyword.validate!(opts, folder: nil)
+    schema = [
+      folder: [type: {:optional, :string}, default: nil],
+      alternatives: [type: {:range, 0, @most_alternatives}, default: 0]
+    ]
+
     settings = [warm_up: 0, schedule: :dirty, sessions: 1]
 
-    with {:ok, encoder} <- file(opts[:folder], "encoder_model.ort"),
+    with {:ok, opts} <- Situ.Options.validate(opts, schema),
+         {:ok, encoder} <- file(opts[:folder], "encoder_model.ort"),
          {:ok, decoder} <- file(opts[:folder], "decoder_model_merged.ort"),
          {:ok, vocabulary} <- file(opts[:folder], "tokenizer.bin"),
          {:ok, tokenizer} <- tokenizer(vocabulary),
          {:ok, encoder} <- Model.shared(encoder, settings),
          {:ok, decoder} <- Model.shared(decoder, settings) do
-      {:ok, %__MODULE__{encoder: encoder, decoder: decoder, tokenizer: tokenizer}}
+      {:ok,
+       %__MODULE__{
+         encoder: encoder,
+         decoder: decoder,
+         tokenizer: tokenizer,
+         alternatives: round(opts[:alternatives])
+       }}
     end
   end
 
@@ -76,7 +100,7 @@ defmodule Situ.Infer.Speech.Moonshine do
     with {:ok, mono} <- Sound.reformat(buffer, channels: 1, sample: :f32),
          {:ok, %{data: data} = sound} <- Sound.resample(mono, @rate) do
       case AudioBuffer.frames(sound) do
-        n when n < @shortest -> {:ok, %{text: "", confidence: 0.0}}
+        n when n < @shortest -> {:ok, %{text: "", confidence: 0.0, alternatives: []}}
         n when n > @longest_s * @rate -> {:error, too_long(n)}
         n -> decode(moonshine, Tensor.new(data, :f32, {1, n}), n)
       end
@@ -105,8 +129,37 @@ defmodule Situ.Infer.Speech.Moonshine do
             do: {name, nothing(shape)}
 
       state = %{fixed: fixed, past: Map.new(past), left: ceil(n / @rate * @tokens_a_second) + 2}
-      write(moonshine, state, @begin, false, [], 0.0)
+
+      with {:ok, steps} <- write(moonshine, state, @begin, false, [], []),
+           {:ok, others} <- others(moonshine, state, steps) do
+        best = result(moonshine, steps)
+
+        others =
+          for(steps <- others, do: result(moonshine, steps))
+          |> Enum.uniq_by(& &1.text)
+          |> Enum.reject(&(&1.text in ["", best.text]))
+
+        {:ok, Map.put(best, :alternatives, Enum.sort_by(others, &(-&1.confidence)))}
+      end
     end
+  end
+
+  # It writes again from each place where it was least sure, with the token that came second there.
+  defp others(%{alternatives: 0}, _state, _steps), do: {:ok, []}
+
+  defp others(moonshine, state, steps) do
+    tokens = Enum.map(steps, fn {token, _, _} -> token end)
+
+    steps
+    |> Enum.with_index()
+    |> Enum.sort_by(fn {{_, _, {_, p}}, _} -> -p end)
+    |> Enum.take(moonshine.alternatives)
+    |> Enum.reduce_while({:ok, []}, fn {{_, _, {second, _}}, place}, {:ok, others} ->
+      case write(moonshine, state, @begin, false, Enum.take(tokens, place) ++ [second], []) do
+        {:ok, steps} -> {:cont, {:ok, [steps | others]}}
+        error -> {:halt, error}
+      end
+    end)
   end
 
   defp ones(n), do: Tensor.new(:binary.copy(<<1::64-native>>, n), :s64, {1, n})
@@ -117,7 +170,8 @@ defmodule Situ.Infer.Speech.Moonshine do
     Tensor.zeros(:f32, {1, heads, 1, width})
   end
 
-  defp write(moonshine, state, token, again?, written, log) do
+  # Steps are tokens with their probability, and the second likeliest token with its own. `forced` are the first ones.
+  defp write(moonshine, state, token, again?, forced, steps) do
     inputs =
       state.fixed
       |> Map.merge(state.past)
@@ -125,15 +179,24 @@ defmodule Situ.Infer.Speech.Moonshine do
       |> Map.put("use_cache_branch", Tensor.from_list([again?], :bool, {1}))
 
     with {:ok, %{"logits" => logits} = outputs} <- Model.run(moonshine.decoder, inputs) do
-      {next, p} = likeliest(logits)
-      log = log + :math.log(max(p, 1.0e-9))
+      {{next, _, _} = step, forced} = step(logits, forced)
+      steps = [step | steps]
 
       if next == @finish or state.left <= 1 do
-        {:ok, result(moonshine, Enum.reverse(written), log)}
+        {:ok, Enum.reverse(steps)}
       else
         state = %{state | past: remember(state.past, outputs, again?), left: state.left - 1}
-        write(moonshine, state, next, true, [next | written], log)
+        write(moonshine, state, next, true, forced, steps)
       end
+    end
+  end
+
+  defp step(logits, forced) do
+    {best, second, of} = likeliest(logits)
+
+    case forced do
+      [] -> {{best, of.(best), {second, of.(second)}}, []}
+      [token | forced] -> {{token, of.(token), {second, of.(second)}}, forced}
     end
   end
 
@@ -145,18 +208,33 @@ defmodule Situ.Infer.Speech.Moonshine do
         do: {"past_key_values" <> rest, tensor}
   end
 
-  # The largest logit and its probability: the vocabulary is walked once for the largest, once for the sum.
+  # The two largest logits and the probability of any: the vocabulary is walked once for them, once for the sum.
   defp likeliest(%Tensor{data: data, shape: shape}) do
     row = 4 * elem(shape, tuple_size(shape) - 1)
     data = binary_part(data, byte_size(data) - row, row)
-    {best, index, _} = largest(data, {-1.0e30, 0, 0})
-    {index, 1 / total(data, best, 0.0)}
+    {most, best, _, second, _} = largest(data, {-1.0e30, 0, -1.0e30, 0, 0})
+    total = total(data, most, 0.0)
+    {best, second, fn token -> :math.exp(max(logit(data, token) - most, -80.0)) / total end}
   end
 
-  defp largest(<<v::float-native-32, rest::binary>>, {best, _index, i}) when v > best,
-    do: largest(rest, {v, i, i + 1})
+  defp logit(data, token) do
+    case binary_part(data, 4 * token, 4) do
+      <<v::float-native-32>> -> v
+      _ -> -1.0e30
+    end
+  end
 
-  defp largest(<<_::32, rest::binary>>, {best, index, i}), do: largest(rest, {best, index, i + 1})
+  defp largest(<<v::float-native-32, rest::binary>>, {most, best, _next, _second, i})
+       when v > most,
+       do: largest(rest, {v, i, most, best, i + 1})
+
+  defp largest(<<v::float-native-32, rest::binary>>, {most, best, next, _second, i})
+       when v > next,
+       do: largest(rest, {most, best, v, i, i + 1})
+
+  defp largest(<<_::32, rest::binary>>, {most, best, next, second, i}),
+    do: largest(rest, {most, best, next, second, i + 1})
+
   defp largest(<<>>, found), do: found
 
   defp total(<<v::float-native-32, rest::binary>>, best, sum) when best - v < 20.0,
@@ -165,8 +243,10 @@ defmodule Situ.Infer.Speech.Moonshine do
   defp total(<<_::32, rest::binary>>, best, sum), do: total(rest, best, sum)
   defp total(<<>>, _best, sum), do: max(sum, 1.0)
 
-  defp result(moonshine, tokens, log) do
+  defp result(moonshine, steps) do
+    tokens = for {token, _, _} <- steps, token != @finish, do: token
+    log = for {_, p, _} <- steps, reduce: 0.0, do: (log -> log + :math.log(max(p, 1.0e-9)))
     text = Tokenizer.text(moonshine.tokenizer, tokens)
-    %{text: text, confidence: :math.exp(log / (length(tokens) + 1))}
+    %{text: text, confidence: :math.exp(log / length(steps))}
   end
 end

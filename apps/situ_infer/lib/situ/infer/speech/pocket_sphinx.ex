@@ -16,6 +16,11 @@ defmodule Situ.Infer.Speech.PocketSphinx do
       default: 1.0e-20,
       doc:
         "How sure it must be of the keyword: smaller hears it more often, also where nobody said it."
+    ],
+    alternatives: [
+      type: {:range, 0, 20},
+      default: 3,
+      doc: "How many other sentences it may have been are told, at most."
     ]
   ]
 
@@ -26,8 +31,12 @@ defmodule Situ.Infer.Speech.PocketSphinx do
       {:ok, sphinx} = Situ.Infer.Speech.PocketSphinx.load(grammar: "robot.gram")
       {:ok, %{text: "go forward ten meters"}} = Situ.Infer.Speech.PocketSphinx.transcribe(sphinx, buffer)
 
-  It comes with Debian: `apt-get install pocketsphinx pocketsphinx-en-us` (English, BSD). Each piece of sound is a run
-  of the program, about 0.2 s of one core. It tells no confidence: that is 0.5 for words and 0.0 for none.
+  It comes with Debian: `apt-get install pocketsphinx pocketsphinx-en-us` (English, BSD). Each piece of sound is two
+  runs of the program, about 0.3 s of one core. Results have words with their times and alternatives.
+
+  A grammar makes a sentence of whatever it hears. So the sound is also heard as bare phones: `confidence` says how much
+  of that likelihood the sentence keeps. Recordings of sentences of a grammar have 0.7 and more, of other speech 0.2
+  and less. Without a grammar it is the share of the best result among all alternatives.
 
   ## Options
 
@@ -39,18 +48,28 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   """
   @behaviour Situ.Infer.Speech.Recognizer
   alias Situ.{Error, Sound}
-  alias Situ.Intent.Jsgf
+  alias Situ.Infer.Speech.PocketSphinx.Output
+  alias Situ.Intent.{Jsgf, Matcher}
 
-  @program "pocketsphinx_continuous"
+  @program "pocketsphinx_batch"
+  @listener "pocketsphinx_continuous"
+  # Phones by themselves, one after another: what any speech may be.
+  @phones ["-allphone_ci", "yes", "-beam", "1e-10", "-pbeam", "1e-10", "-lw", "2.0"]
+  # Wide enough that other sentences are still among those it keeps.
+  @wide ["-wbeam", "1e-120", "-beam", "1e-120", "-pbeam", "1e-120"]
+  @phone_model "en-us/en-us-phone.lm.bin"
   # Nothing it is asked takes so long.
   @seconds 120
 
-  @enforce_keys [:program, :grammar, :keyword, :threshold]
-  defstruct [:program, :grammar, :keyword, :threshold]
+  @enforce_keys [:program, :listener, :phones, :grammar, :keyword, :threshold, :alternatives]
+  defstruct @enforce_keys
 
   @type t :: %__MODULE__{
           program: Path.t(),
-          grammar: String.t() | nil,
+          listener: Path.t(),
+          phones: Path.t(),
+          alternatives: non_neg_integer(),
+          grammar: {String.t(), Jsgf.t()} | nil,
           keyword: String.t() | nil,
           threshold: float()
         }
@@ -59,35 +78,53 @@ defmodule Situ.Infer.Speech.PocketSphinx do
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
-         {:ok, program} <- program(),
+         {:ok, program} <- program(@program),
+         {:ok, listener} <- program(@listener),
+         {:ok, phones} <- phones(),
          {:ok, grammar} <- grammar(opts[:grammar]) do
       {:ok,
        %__MODULE__{
          program: program,
+         listener: listener,
+         phones: phones,
          grammar: grammar,
          keyword: opts[:keyword],
-         threshold: opts[:threshold] / 1
+         threshold: opts[:threshold] / 1,
+         alternatives: round(opts[:alternatives])
        }}
     end
   end
 
-  defp program do
-    case System.find_executable(@program) do
-      nil ->
-        {:error,
-         Error.new(:no_pocketsphinx, "the program #{@program} is not installed",
-           fix: "install it: apt-get install pocketsphinx pocketsphinx-en-us"
-         )}
-
-      path ->
-        {:ok, path}
+  defp program(name) do
+    case System.find_executable(name) do
+      nil -> {:error, missing("the program #{name} is not installed")}
+      path -> {:ok, path}
     end
+  end
+
+  defp phones do
+    folders = [System.get_env("POCKETSPHINX_PATH"), "/usr/share/pocketsphinx/model"]
+
+    folders
+    |> Enum.filter(& &1)
+    |> Enum.map(&Path.join([&1, @phone_model]))
+    |> Enum.find(&File.regular?/1)
+    |> case do
+      nil -> {:error, missing("PocketSphinx has no English model")}
+      path -> {:ok, path}
+    end
+  end
+
+  defp missing(what) do
+    Error.new(:no_pocketsphinx, what,
+      fix: "install it: apt-get install pocketsphinx pocketsphinx-en-us"
+    )
   end
 
   defp grammar(nil), do: {:ok, nil}
 
   defp grammar(given) do
-    with {:ok, text} <- text(given), {:ok, _} <- Jsgf.parse(text), do: {:ok, text}
+    with {:ok, text} <- text(given), {:ok, jsgf} <- Jsgf.parse(text), do: {:ok, {text, jsgf}}
   end
 
   defp text("#JSGF" <> _ = text), do: {:ok, text}
@@ -115,40 +152,94 @@ defmodule Situ.Infer.Speech.PocketSphinx do
 
       try do
         File.write!(Path.join(folder, "sound.raw"), sound.data)
-        run(sphinx, folder)
+        File.write!(Path.join(folder, "list"), "sound\n")
+        hear(sphinx, folder)
       after
         File.rm_rf!(folder)
       end
     end
   end
 
-  defp run(sphinx, folder) do
-    command =
-      ["timeout", "-k", "1", "#{@seconds}", sphinx.program, "-logfn", "/dev/null"] ++
-        ["-infile", Path.join(folder, "sound.raw")] ++ search(sphinx, folder)
+  defp hear(%{keyword: keyword} = sphinx, folder) when is_binary(keyword) do
+    arguments = ["-infile", Path.join(folder, "sound.raw"), "-time", "yes"]
+    phrase = ["-keyphrase", keyword, "-kws_threshold", Float.to_string(sphinx.threshold)]
+
+    with {:ok, heard} <- run(sphinx.listener, arguments ++ phrase),
+         do: {:ok, Output.keyword(heard)}
+  end
+
+  defp hear(sphinx, folder) do
+    several = ["-nbest", "#{40 * sphinx.alternatives}", "-nbestdir", folder]
+
+    with {:ok, _} <- decode(sphinx, folder, "said", search(sphinx, folder) ++ several) do
+      said = Output.segments(read(folder, "said"))
+      others = folder |> read("sound.hyp") |> Output.alternatives() |> whole(sphinx.grammar)
+      result(said, others, sphinx, folder)
+    end
+  end
+
+  defp result(%{words: []}, _others, _sphinx, _folder),
+    do: {:ok, %{text: "", confidence: 0.0, words: [], alternatives: []}}
+
+  defp result(said, others, %{grammar: nil} = sphinx, _folder),
+    do: {:ok, Output.result(said, others, Output.share(said, others), sphinx.alternatives)}
+
+  defp result(said, others, sphinx, folder) do
+    with {:ok, _} <- decode(sphinx, folder, "phones", ["-allphone", sphinx.phones | @phones]) do
+      phones = Output.segments(read(folder, "phones"))
+      {:ok, Output.result(said, others, Output.confidence(said, phones), sphinx.alternatives)}
+    end
+  end
+
+  defp decode(sphinx, folder, name, search) do
+    sound = ["-adcin", "yes", "-cepdir", folder, "-cepext", ".raw", "-ctl", "#{folder}/list"]
+    results = ["-hyp", "#{folder}/#{name}.text", "-hypseg", Path.join(folder, name)]
+    run(sphinx.program, sound ++ results ++ search)
+  end
+
+  defp read(folder, name) do
+    case File.read(Path.join(folder, name)) do
+      {:ok, text} -> text
+      {:error, _} -> ""
+    end
+  end
+
+  defp run(program, arguments) do
+    command = ["timeout", "-k", "1", "#{@seconds}", program, "-logfn", "/dev/null" | arguments]
 
     case System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | command]) do
       {heard, 0} ->
-        text = heard |> String.split() |> Enum.join(" ")
-        {:ok, %{text: text, confidence: if(text == "", do: 0.0, else: 0.5)}}
+        {:ok, heard}
 
       {_, status} ->
         {:error,
-         Error.new(:recognition_failed, "#{@program} ended with status #{status}",
+         Error.new(:recognition_failed, "#{Path.basename(program)} ended with status #{status}",
            why: "a word of the grammar or keyword may be missing in its dictionary",
            fix: "run it by hand with -jsgf and without -logfn"
          )}
     end
   end
 
-  defp search(%{keyword: keyword} = sphinx, _folder) when is_binary(keyword),
-    do: ["-keyphrase", keyword, "-kws_threshold", Float.to_string(sphinx.threshold)]
-
   defp search(%{grammar: nil}, _folder), do: []
 
-  defp search(%{grammar: grammar}, folder) do
+  defp search(%{grammar: {grammar, _}} = sphinx, folder) do
     path = Path.join(folder, "grammar.gram")
     File.write!(path, grammar)
-    ["-jsgf", path]
+    ["-jsgf", path | if(sphinx.alternatives > 0, do: @wide, else: [])]
   end
+
+  # Its list also holds sentences that are not over.
+  defp whole(others, nil), do: others
+
+  defp whole(others, {_, jsgf}) do
+    for {text, _} = other <- others,
+        words = text |> String.split() |> List.to_tuple(),
+        Enum.any?(
+          jsgf.public,
+          &match?([{n, _} | _] when n == tuple_size(words), ends(jsgf, &1, words))
+        ),
+        do: other
+  end
+
+  defp ends(jsgf, rule, words), do: Matcher.ends(jsgf, rule, words, 0)
 end

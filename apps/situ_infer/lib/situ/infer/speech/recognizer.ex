@@ -2,11 +2,32 @@ defmodule Situ.Infer.Speech.Recognizer do
   @moduledoc """
   What turns a piece of sound into text: the seam between `Situ.Infer.SpeechRecognizer` and a model.
 
-  `Situ.Infer.Speech.Moonshine` is built in. Another is a module with these callbacks, named by the option
-  `recognizer:`.
+  | built in | is for | runs |
+  |---|---|---|
+  | `Situ.Infer.Speech.Moonshine` | free English speech | here, ONNX Runtime |
+  | `Situ.Infer.Speech.PocketSphinx` | sentences of a grammar, keywords | here, a program |
+  | `Situ.Infer.Speech.OpenAI`, `Situ.Infer.Speech.Azure` | many languages | a service |
+
+  Another is a module with these callbacks, named by the option `recognizer:`.
   """
 
-  @type result :: %{required(:text) => String.t(), required(:confidence) => float()}
+  @typedoc """
+  `confidence` is 0..1. `words` are those with times, ns from the beginning of the sound, where the recogniser knows
+  them; `alternatives` what else it may have been, likeliest first.
+  """
+  @type result :: %{
+          required(:text) => String.t(),
+          required(:confidence) => float(),
+          optional(:words) => [word()],
+          optional(:alternatives) => [alternative()]
+        }
+  @type word :: %{
+          required(:text) => String.t(),
+          required(:from) => non_neg_integer(),
+          required(:to) => non_neg_integer(),
+          optional(:confidence) => float()
+        }
+  @type alternative :: %{text: String.t(), confidence: float()}
 
   @doc "Loads it; errors stop the pipeline before its first message."
   @callback load(keyword()) :: {:ok, model :: term()} | {:error, Situ.Error.t()}

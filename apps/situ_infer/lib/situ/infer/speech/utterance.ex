@@ -3,19 +3,24 @@ defmodule Situ.Infer.Speech.Utterance do
   What somebody said: `text`, from `from` to `to` (ns, times of the sound), with a `confidence` of 0..1. `final?` is
   false while the person goes on speaking, and the text may still change.
 
+  Where the recogniser knows them, `words` are the words with their times (ns) and `alternatives` what else it may have
+  been, likeliest first; else both are empty.
+
       iex> said = %Situ.Infer.Speech.Utterance{text: "Ten of clubs.", from: 0, to: 900_000_000, confidence: 0.9}
       iex> Situ.Infer.Speech.Utterance.words(said.text)
       ["ten", "of", "clubs"]
   """
   @enforce_keys [:text, :from, :to, :confidence]
-  defstruct [:text, :from, :to, :confidence, final?: true]
+  defstruct [:text, :from, :to, :confidence, final?: true, words: [], alternatives: []]
 
   @type t :: %__MODULE__{
           text: String.t(),
           from: Situ.Time.t(),
           to: Situ.Time.t(),
           confidence: float(),
-          final?: boolean()
+          final?: boolean(),
+          words: [Situ.Infer.Speech.Recognizer.word()],
+          alternatives: [Situ.Infer.Speech.Recognizer.alternative()]
         }
 
   @doc "The words of a text without case and punctuation: what recognisers are compared by."

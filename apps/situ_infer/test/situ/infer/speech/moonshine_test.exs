@@ -51,6 +51,22 @@ defmodule Situ.Infer.Speech.MoonshineTest do
       end
     end
 
+    test "tells what else it may have been" do
+      {:ok, moonshine} = Moonshine.load(alternatives: 3)
+      {:ok, plain} = Moonshine.load()
+      sound = wav("cards_002.wav")
+      {:ok, %{text: text, confidence: best} = heard} = Moonshine.transcribe(moonshine, sound)
+
+      assert {:ok, %{text: ^text, confidence: ^best, alternatives: []}} =
+               Moonshine.transcribe(plain, sound)
+
+      assert [%{text: other, confidence: next} | _] = heard.alternatives
+      assert other != text and next <= best
+      assert heard.alternatives == Enum.sort_by(heard.alternatives, &(-&1.confidence))
+      # "clubs" is heard as "gloves" or "cloves": the word is among them.
+      assert Enum.any?([heard | heard.alternatives], &(&1.text =~ ~r/queen of/i))
+    end
+
     test "takes other rates and channels; too short is nothing, too long an error" do
       {:ok, moonshine} = Moonshine.load()
       sound = wav("goforward.wav") |> Sound.resample!(48_000) |> Sound.reformat!(channels: 2)

@@ -1,12 +1,14 @@
 defmodule Situ.Infer.Speech.PocketSphinxTest do
   # A person's voice (PocketSphinx's own test data, BSD): cards.
   use ExUnit.Case, async: true
+  doctest Situ.Infer.Speech.PocketSphinx.Output
 
-  alias Situ.Infer.Speech.{PocketSphinx, Utterance}
+  alias Situ.Infer.Speech.PocketSphinx
   alias Situ.Infer.SpeechRecognizer
   alias Situ.Media.Wav
 
   @clip Path.expand("../../../../../situ_media/test/fixtures/cards_001.wav", __DIR__)
+  @fixtures Path.expand("../../../fixtures", __DIR__)
   @cards """
   #JSGF V1.0;
   grammar cards;
@@ -23,8 +25,14 @@ defmodule Situ.Infer.Speech.PocketSphinxTest do
   test "it hears what the grammar allows, and another grammar while it runs" do
     {:ok, sound} = Wav.read(@clip)
     {:ok, sphinx} = PocketSphinx.load(grammar: @cards)
-    assert {:ok, %{text: text, confidence: 0.5}} = PocketSphinx.transcribe(sphinx, sound)
-    assert Enum.all?(Utterance.words(text), &String.contains?(@cards, &1)) and text =~ " of "
+    assert {:ok, %{text: "ten of clubs"} = heard} = PocketSphinx.transcribe(sphinx, sound)
+    assert heard.confidence > 0.7
+    assert Enum.map(heard.words, & &1.text) == ["ten", "of", "clubs"]
+
+    assert Enum.all?(
+             heard.words,
+             &(&1.from < &1.to and &1.to <= Situ.AudioBuffer.duration(sound))
+           )
 
     opts = [recognizer: PocketSphinx, recognizer_options: [grammar: @cards], partial: nil]
 
@@ -48,11 +56,65 @@ defmodule Situ.Infer.Speech.PocketSphinxTest do
     heard.(30 * s)
     Situ.Test.close(test, :sound)
     Situ.Test.close(test, :speaking)
-    said = for {_, utterance} <- Situ.Test.outputs(test), do: utterance.text
-    assert [first | rest] = said
-    assert first =~ " of "
-    assert Enum.all?(rest, &(&1 =~ "good"))
+    said = for {_, utterance} <- Situ.Test.outputs(test), do: utterance
+    assert [%{text: "ten of clubs", words: words} = first | rest] = said
+    # Times of words are those of the stream.
+    assert hd(words).from >= first.from - 150_000_000 and List.last(words).to <= 10 * s
+    # The other grammar knows other sentences: it hears one of them, and does not believe it.
+    assert Enum.all?(rest, &(&1.text =~ "good" and &1.confidence < 0.3))
     Situ.Test.stop(test)
+  end
+
+  test "what else of the grammar it may have been" do
+    grammar =
+      "#JSGF V1.0; grammar g; public <g> = (ten | five | nine) of (clubs | spades | hearts);"
+
+    {:ok, sound} = Wav.read(@clip)
+    {:ok, sphinx} = PocketSphinx.load(grammar: grammar, alternatives: 2)
+    assert {:ok, %{text: "ten of clubs"} = heard} = PocketSphinx.transcribe(sphinx, sound)
+    assert [%{text: other, confidence: next} | _] = heard.alternatives
+    assert other =~ " of " and other != "ten of clubs"
+    assert next <= heard.confidence and length(heard.alternatives) <= 2
+  end
+
+  test "of speech that no sentence of the grammar fits it is not sure" do
+    {:ok, sphinx} = PocketSphinx.load(grammar: @cards)
+
+    for name <- ~w(goforward sense_and_sensibility_01_austen_64kb-0930) do
+      {:ok, sound} = Wav.read(Path.join(@fixtures, name <> ".wav"))
+      assert {:ok, %{confidence: p}} = PocketSphinx.transcribe(sphinx, sound)
+      assert p < 0.3, "#{name}: #{p}"
+    end
+  end
+
+  test "a keyword is found where it is said, and nowhere else" do
+    {:ok, sound} = Wav.read(Path.join(@fixtures, "goforward.wav"))
+    {:ok, sphinx} = PocketSphinx.load(keyword: "forward", threshold: 1.0e-20)
+
+    assert {:ok, %{text: "forward", confidence: p, words: [word]}} =
+             PocketSphinx.transcribe(sphinx, sound)
+
+    assert p > 0.5
+    assert_in_delta word.from, 640_000_000, 100_000_000
+    {:ok, cards} = Wav.read(@clip)
+    assert {:ok, %{text: "", confidence: 0.0}} = PocketSphinx.transcribe(sphinx, cards)
+  end
+
+  test "free speech: most words, and what else they may have been" do
+    {:ok, sound} = Wav.read(Path.join(@fixtures, "goforward.wav"))
+    {:ok, sphinx} = PocketSphinx.load(alternatives: 5)
+
+    assert {:ok, %{text: "go forward ten meters"} = heard} =
+             PocketSphinx.transcribe(sphinx, sound)
+
+    assert heard.confidence > 0.0 and heard.confidence <= 1.0
+    assert length(heard.alternatives) in 1..5
+  end
+
+  test "a word that its dictionary lacks is an error" do
+    {:ok, sphinx} = PocketSphinx.load(grammar: "#JSGF V1.0; grammar g; public <g> = zzyzxq;")
+    {:ok, sound} = Wav.read(@clip)
+    assert {:error, %{code: :recognition_failed}} = PocketSphinx.transcribe(sphinx, sound)
   end
 
   test "silence is nothing, and a grammar that is none is an error" do

@@ -1,0 +1,163 @@
+defmodule Situ.Infer.Speech.PocketSphinx.Output do
+  @moduledoc """
+  Reads what PocketSphinx's programs write: words with their times, alternatives, keywords. Pure.
+
+      iex> line = "sound S 0 T -10 A -8 L -2 0 -3 0 <sil> 20 -5 0 ten(2) 60 -2 0 <sil> 90"
+      iex> Situ.Infer.Speech.PocketSphinx.Output.segments(line).words
+      [%{text: "ten", from: 200_000_000, to: 600_000_000}]
+  """
+
+  # Times come in frames of 10 ms.
+  @frame 10_000_000
+  # Scores are logarithms to the base 1.0001, in units of 1024; the program's own scale for confidence is 20.
+  @scale 1024 * :math.log(1.0001) / 20
+  # Sentences of a grammar lie above this a frame, other speech below (recordings of models.md: -6 and -13).
+  @middle -9.5
+  @width 1.5
+
+  @type word :: %{
+          required(:text) => String.t(),
+          required(:from) => non_neg_integer(),
+          required(:to) => non_neg_integer(),
+          optional(:confidence) => float()
+        }
+  @type said :: %{words: [word()], text: String.t(), score: integer(), frames: non_neg_integer()}
+  @type result :: %{
+          text: String.t(),
+          confidence: float(),
+          words: [word()],
+          alternatives: [%{text: String.t(), confidence: float()}]
+        }
+
+  @doc "A line of `-hypseg`: words with times (ns), the acoustic score of the whole and how many frames it has."
+  @spec segments(String.t()) :: said()
+  def segments(line) do
+    case String.split(line) do
+      [_, "S", _, "T", _, "A", score, "L", _ | rest] ->
+        {words, frames} = words(rest, [])
+        text = Enum.map_join(words, " ", & &1.text)
+        %{words: words, text: text, score: integer(score), frames: frames}
+
+      _ ->
+        %{words: [], text: "", score: 0, frames: 0}
+    end
+  end
+
+  # Each is where it begins, two scores, the word; the next one's beginning is its end.
+  defp words([from, _, _, word | [to | _] = rest], words) do
+    case spoken(word) do
+      nil -> words(rest, words)
+      text -> words(rest, [%{text: text, from: time(from), to: time(to)} | words])
+    end
+  end
+
+  defp words([frames | _], words), do: {Enum.reverse(words), integer(frames)}
+  defp words([], words), do: {Enum.reverse(words), 0}
+
+  # Silence, noise and the joints of a grammar are no words; `ten(2)` is another way to say `ten`.
+  defp spoken(<<first, _::binary>>) when first in '<([+', do: nil
+  defp spoken(word), do: word |> String.split("(") |> hd()
+
+  defp time(frames), do: integer(frames) * @frame
+
+  defp integer(text) do
+    case Integer.parse(text) do
+      {n, _} -> n
+      :error -> 0
+    end
+  end
+
+  @doc """
+  The lines of an n-best list: texts with their best scores, best first.
+
+      iex> Situ.Infer.Speech.PocketSphinx.Output.alternatives("two four -7\\nfour -3\\nfour -9\\n")
+      [{"four", -3}, {"two four", -7}]
+  """
+  @spec alternatives(String.t()) :: [{String.t(), integer()}]
+  def alternatives(text) do
+    text
+    |> String.split("\n", trim: true)
+    |> Enum.flat_map(fn line ->
+      case line |> String.split() |> List.pop_at(-1) do
+        {score, [_ | _] = words} -> [{Enum.join(words, " "), integer(score)}]
+        _ -> []
+      end
+    end)
+    |> Enum.sort_by(fn {_, score} -> -score end)
+    |> Enum.uniq_by(&elem(&1, 0))
+  end
+
+  @doc "How much of the likelihood of bare phones the words keep, 0..1."
+  @spec confidence(said(), said()) :: float()
+  def confidence(%{frames: frames} = said, phones) when frames > 0 do
+    kept = (said.score - phones.score) / frames
+    1 / (1 + :math.exp(-max(min((kept - @middle) / @width, 50.0), -50.0)))
+  end
+
+  def confidence(_said, _phones), do: 0.0
+
+  @doc "The share of what was said among it and its alternatives, 0..1."
+  @spec share(said(), [{String.t(), integer()}]) :: float()
+  def share(said, others) do
+    best = for {_, score} <- others, reduce: nil, do: (most -> max(score, most || score))
+
+    weights = for {text, score} <- others, do: {text, weight(score, best)}
+    all = weights |> Enum.map(&elem(&1, 1)) |> Enum.sum()
+    own = Enum.find_value(weights, 0.0, fn {text, w} -> text == said.text && w end)
+    # What is not in its own list was heard by another way than the list.
+    if own > 0, do: own / all, else: 1 / (1 + all)
+  end
+
+  defp weight(score, best), do: :math.exp(max((score - best) * @scale, -500.0))
+
+  @doc "The result of a recogniser: `most` alternatives, each as likely beside the best as its score says."
+  @spec result(said(), [{String.t(), integer()}], float(), non_neg_integer()) :: result()
+  def result(said, others, confidence, most) do
+    top = Enum.find_value(others, fn {text, score} -> text == said.text && score end)
+    top = top || others |> Enum.map(&elem(&1, 1)) |> Enum.max(fn -> 0 end)
+
+    alternatives =
+      for {text, score} <- others,
+          text != said.text,
+          do: %{text: text, confidence: confidence * min(weight(score, top), 1.0)}
+
+    %{
+      text: said.text,
+      confidence: confidence,
+      words: said.words,
+      alternatives: Enum.take(alternatives, most)
+    }
+  end
+
+  @doc """
+  What the listener for a keyword writes: the phrase, then where it was said, once for each time.
+
+      iex> heard = Situ.Infer.Speech.PocketSphinx.Output.keyword("forward \\nforward 0.630 1.210 0.93\\n")
+      iex> {heard.text, heard.confidence, heard.words}
+      {"forward", 0.93, [%{text: "forward", from: 630_000_000, to: 1_210_000_000, confidence: 0.93}]}
+  """
+  @spec keyword(String.t()) :: result()
+  def keyword(output) do
+    words =
+      for line <- String.split(output, "\n"),
+          [_, phrase, from, to, p] <-
+            [Regex.run(~r/^(.+?) ([\d.]+) ([\d.]+) ([\d.]+)$/, String.trim(line))],
+          do: %{text: phrase, from: second(from), to: second(to), confidence: min(number(p), 1.0)}
+
+    %{
+      text: Enum.map_join(words, " ", & &1.text),
+      confidence: words |> Enum.map(& &1.confidence) |> Enum.max(fn -> 0.0 end),
+      words: words,
+      alternatives: []
+    }
+  end
+
+  defp second(text), do: round(number(text) * 1.0e9)
+
+  defp number(text) do
+    case Float.parse(text) do
+      {n, _} -> n
+      :error -> 0.0
+    end
+  end
+end
