@@ -67,7 +67,7 @@ defmodule Situ.Assistant do
   alias Situ.Infer.{SpeechRecognizer, SpeechSynthesizer, VoiceActivity}
   alias Situ.Stream
 
-  @type streams :: %{atom() => Stream.t()}
+  @type streams :: %{atom() => Stream.t() | nil}
 
   @doc "The assistant on a stream of 16 kHz mono sound."
   @spec attach(Stream.t(), keyword()) :: streams()
@@ -81,7 +81,8 @@ defmodule Situ.Assistant do
       Situ.via(
         [sound: sound, speaking: voice],
         SpeechRecognizer,
-        opts[:recognizer] ++ [name: "SpeechRecognizer"]
+        Keyword.put_new(opts[:recognizer], :early, div(opts[:pause], 2)) ++
+          [name: "SpeechRecognizer"]
       )
 
     settings =

@@ -18,6 +18,13 @@ defmodule Situ.Infer.SpeechRecognizer do
       default: 150_000_000,
       doc: "Sound before and after the speech that is listened to, too, ns."
     ],
+    early: [
+      type: {:optional, :time_ns},
+      default: nil,
+      doc:
+        "Recognises already after so short a pause, ns, and has the result at hand when the pause turns out to be " <>
+          "the end. For sound in real time: the answer is the same, and comes sooner for more work."
+    ],
     longest: [
       type: :time_ns,
       default: 20_000_000_000,
@@ -113,9 +120,20 @@ defmodule Situ.Infer.SpeechRecognizer do
         end
 
       :empty ->
-        {[], forget(state)}
+        {[], state |> early() |> forget()}
     end
   end
+
+  # Sound has come of which nobody knows yet whether it is a pause or the end.
+  defp early(%{opts: %{early: early}, open: %{to: to} = open} = state) when early != nil do
+    pause? = state.heard_to != nil and state.heard_to - to >= max(early, state.opts.margin)
+    if pause? and not match?({^to, _}, open.early), do: foresee(state), else: state
+  end
+
+  defp early(state), do: state
+
+  defp foresee(%{open: %{to: to}} = state),
+    do: put_in(state.open.early, {to, recognize(state, to + state.opts.margin)})
 
   defp ready?(%{deaf?: true}, _next), do: true
   defp ready?(_state, :closed), do: false
@@ -128,7 +146,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   defp step({time, true}, %{open: nil} = state) do
     # The first value that says so stands for a stretch of sound before it.
     from = max(time - 32_000_000, state.answered_to || time - 32_000_000)
-    {[], %{state | open: %{from: from, to: time, said: from}, answered_to: time}}
+    {[], %{state | open: %{from: from, to: time, said: from, early: nil}, answered_to: time}}
   end
 
   defp step({time, true}, %{open: open, opts: opts} = state) do
@@ -153,6 +171,9 @@ defmodule Situ.Infer.SpeechRecognizer do
     state = put_in(state.open.said, open.to)
     {said(:partial, recognize(state, open.to), open, false), state}
   end
+
+  defp finish(%{open: %{to: to, early: {to, result}} = open} = state),
+    do: {said(:out, result, open, true), %{state | open: nil}}
 
   defp finish(%{open: open, opts: opts} = state),
     do: {said(:out, recognize(state, open.to + opts.margin), open, true), %{state | open: nil}}

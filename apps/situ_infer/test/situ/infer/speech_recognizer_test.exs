@@ -99,6 +99,66 @@ defmodule Situ.Infer.SpeechRecognizerTest do
     end
   end
 
+  property "recognised early, in a pause, it says the same" do
+    forall cuts <- list(integer(1, 40)) do
+      {_, spoken} =
+        Enum.reduce(cuts, {0, []}, fn n, {at, spoken} ->
+          {at + 64 * n, [{at + 32 * n, at + 64 * n} | spoken]}
+        end)
+
+      ms = 32 * (2 * Enum.sum(cuts) + 4)
+      asked = speaking(ms, spoken)
+      run(sound(ms, 32), asked, []) == run(sound(ms, 32), asked, early: 64 * @ms)
+    end
+  end
+
+  # Tells the test whenever it is asked.
+  defmodule Telling do
+    @behaviour Situ.Infer.Speech.Recognizer
+
+    @impl true
+    def load(opts), do: {:ok, opts[:test]}
+
+    @impl true
+    def transcribe(test, buffer) do
+      samples = AudioBuffer.to_samples(buffer)
+      send(test, {:asked, hd(samples), List.last(samples)})
+      {:ok, %{text: "#{hd(samples)}-#{List.last(samples)}", confidence: 1.0}}
+    end
+  end
+
+  test "the work is done in the pause, once" do
+    me = self()
+
+    test =
+      Situ.Test.start([:sound, :speaking], fn s ->
+        opts = [
+          recognizer: Telling,
+          recognizer_options: [test: me],
+          partial: nil,
+          margin: 50 * @ms
+        ]
+
+        Situ.via(Map.to_list(s), SpeechRecognizer, opts ++ [early: 100 * @ms]).out
+      end)
+
+    Situ.Test.advance(test, 2_000 * @ms)
+    all = sound(2_000, 20)
+    {before, later} = Enum.split_while(all, fn {time, _} -> time <= 440 * @ms end)
+    Situ.Test.feed(test, :speaking, for(t <- 32..320//32, do: {t * @ms, t > 96}))
+    Situ.Test.feed(test, :sound, before)
+    assert_receive {:asked, 46, 369}
+    assert Situ.Test.outputs(test) == []
+    # It was the end.
+    Situ.Test.feed(test, :speaking, for(t <- 352..640//32, do: {t * @ms, false}))
+    Situ.Test.feed(test, :sound, later)
+    Situ.Test.close(test, :speaking)
+    Situ.Test.close(test, :sound)
+    assert [{_, %{text: "46-369"}}] = Situ.Test.outputs(test)
+    refute_received {:asked, _, _}
+    Situ.Test.stop(test)
+  end
+
   test "a recogniser that cannot be loaded stops the pipeline with its error" do
     error = Situ.Error.new(:no_model_file, "the model is not there")
 

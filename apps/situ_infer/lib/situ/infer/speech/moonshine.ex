@@ -12,7 +12,7 @@ defmodule Situ.Infer.Speech.Moonshine do
   """
   @behaviour Situ.Infer.Speech.Recognizer
 
-  alias Situ.{AudioBuffer, Error, Sound, Tensor}
+  alias Situ.{AudioBuffer, AudioFormat, Error, Sound, Tensor}
   alias Situ.Infer.{Model, ModelStore}
   alias Situ.Infer.Speech.Tokenizer
 
@@ -64,13 +64,11 @@ defmodule Situ.Infer.Speech.Moonshine do
          {:ok, tokenizer} <- tokenizer(vocabulary),
          {:ok, encoder} <- Model.shared(encoder, settings),
          {:ok, decoder} <- Model.shared(decoder, settings) do
-      {:ok,
-       %__MODULE__{
-         encoder: encoder,
-         decoder: decoder,
-         tokenizer: tokenizer,
-         alternatives: round(opts[:alternatives])
-       }}
+      moonshine = %__MODULE__{encoder: encoder, decoder: decoder, tokenizer: tokenizer}
+
+      # The first recognition is slow: it is of silence, before anybody speaks.
+      with {:ok, _} <- transcribe(moonshine, AudioBuffer.silence(AudioFormat.pcm(@rate), @rate)),
+           do: {:ok, %{moonshine | alternatives: round(opts[:alternatives])}}
     end
   end
 
