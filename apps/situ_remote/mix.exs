@@ -17,7 +17,11 @@ defmodule Situ.Remote.MixProject do
   end
 
   def application do
-    [extra_applications: extra_applications(Mix.env())]
+    [
+      mod: {Situ.Remote.Application, []},
+      env: [store_readers: [Situ.Remote.Recording]],
+      extra_applications: extra_applications(Mix.env())
+    ]
   end
 
   defp elixirc_paths(:test), do: ["lib", "test/support"]

@@ -26,8 +26,8 @@ defmodule Situ.Types.MixProject do
     [extra_applications: extra_applications(Mix.env())]
   end
 
-  defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger | json()]
+  defp extra_applications(:test), do: [:proper, :ssl | extra_applications(:prod)]
+  defp extra_applications(_env), do: [:logger, :crypto, :public_key | json()]
 
   # Erlang has JSON of its own from OTP 27 on.
   defp json, do: if(Code.ensure_loaded?(:json), do: [], else: [:jiffy])

@@ -8,6 +8,7 @@ defmodule Driver do
     Process.flag(:trap_exit, true)
     Process.put(:log, Path.join(work, "log"))
     Process.put(:work, work)
+    remember(System.pid())
     nodes = start(%{}, ~w(a b c))
 
     try do
@@ -18,6 +19,7 @@ defmodule Driver do
       if bad != [], do: System.halt(1)
     after
       for pid <- Process.get(:pids, []),
+          pid != System.pid(),
           do: System.cmd("kill", ["-KILL", pid], stderr_to_stdout: true)
     end
   end

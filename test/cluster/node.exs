@@ -1,6 +1,7 @@
-# One node: joins the cluster on this machine, and stays.
+# One node: joins the cluster on this machine, and stays until its driver is gone, however that ended.
 [log, labels | peers] = System.argv()
 for peer <- peers, do: Node.connect(String.to_atom(peer))
 {:ok, _} = Situ.Cluster.start_link(log: log, labels: String.split(labels, ",", trim: true))
 IO.puts("up")
-Process.sleep(:infinity)
+IO.read(:stdio, :eof)
+System.halt(0)

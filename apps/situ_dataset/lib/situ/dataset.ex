@@ -100,7 +100,7 @@ defmodule Situ.Dataset do
   """
   @spec open(Path.t(), keyword()) :: result()
   def open(path, opts \\ []) do
-    path = Path.expand(path)
+    path = Situ.Store.Formats.expand(path)
 
     cond do
       Situ.Store.exists?(path) ->

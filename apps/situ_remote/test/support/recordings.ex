@@ -57,11 +57,12 @@ defmodule Situ.Remote.Test.Recordings do
   end
 
   @doc "Waits until `condition` holds."
+  @spec eventually((() -> boolean()), non_neg_integer()) :: term()
   def eventually(condition, left \\ 3_000) do
-    cond do
-      condition.() -> :ok
-      left == 0 -> raise "it did not come true"
-      true -> Process.sleep(10) && eventually(condition, left - 1)
+    unless condition.() do
+      if left == 0, do: raise("it did not come true")
+      Process.sleep(10)
+      eventually(condition, left - 1)
     end
   end
 end

@@ -227,11 +227,16 @@ defmodule Situ.Store do
 
   # Folders
 
-  @doc "Whether `path` is a store (or the name of one with versions), or a foreign recording that is a folder."
+  @doc """
+  Whether `path` is a store (or the name of one with versions), a foreign recording that is a folder, or an address
+  (which is not asked).
+  """
   @spec exists?(Path.t()) :: boolean()
   def exists?(path) do
-    path = Path.expand(path)
-    Folder.resolve(path) != nil or Formats.for_folder(path) != nil
+    here = Path.expand(path)
+
+    Formats.for_address(path) != nil or Folder.resolve(here) != nil or
+      Formats.for_folder(here) != nil
   end
 
   @doc "The folder of the newest version of store `name` below `root`."

@@ -34,7 +34,7 @@ defmodule Situ.Studio do
       doc:
         "`certfile:` and `keyfile:` of a certificate, or `:own` for one that is made for this " <>
           "machine's names and kept " <>
-          "in the user's configuration folder (`Situ.Live.Certificate`)."
+          "in the user's configuration folder (`Situ.Certificate`)."
     ],
     hosts: [type: :any, default: nil, doc: "Host names the server answers for; see `Situ.Live`."],
     read_only: [type: :boolean, default: false, doc: "Nothing on disk can be changed."],
@@ -92,23 +92,7 @@ defmodule Situ.Studio do
     with {:ok, tls} <- tls(opts[:tls], opts[:ip]), do: start(Keyword.put(opts, :tls, tls))
   end
 
-  defp tls(:own, ip) do
-    {:ok, name} = :inet.gethostname()
-    {:ok, addresses} = :inet.getifaddrs()
-
-    bound =
-      if ip in [{0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0, 0}],
-        do: for({_, i} <- addresses, {:addr, a} <- i, do: a),
-        else: [ip]
-
-    folder = Path.join(:filename.basedir(:user_config, ~c"situ"), "tls")
-
-    hosts =
-      Enum.uniq(["localhost", to_string(name) | Enum.map(bound, &to_string(:inet.ntoa(&1)))])
-
-    Situ.Live.Certificate.ensure(folder, hosts)
-  end
-
+  defp tls(:own, ip), do: Situ.Certificate.own(ip)
   defp tls(given, _ip), do: {:ok, given}
 
   defp start(opts) do

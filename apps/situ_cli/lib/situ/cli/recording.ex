@@ -3,8 +3,9 @@ defmodule Situ.CLI.Recording do
   # Recordings as arguments: patterns, several at once, and the applications that read foreign files, started when
   # one is met.
   alias Situ.Store
+  alias Situ.Store.Formats
 
-  @readers [:situ_media, :situ_bridge, :situ_dataset]
+  @readers [:situ_media, :situ_bridge, :situ_dataset, :situ_remote]
 
   @doc "Opens a recording, or raises the error."
   @spec open!(Path.t()) :: Store.Handle.t()
@@ -13,12 +14,12 @@ defmodule Situ.CLI.Recording do
     Store.open!(path)
   end
 
-  @doc "Makes the readers of all kinds of files known; of what is a file, started."
+  @doc "Makes the readers of all kinds of files known; of what is a file or an address, started."
   @spec ready([Path.t()]) :: :ok
   def ready(paths) do
     for app <- @readers, do: Application.load(app)
 
-    if Enum.any?(paths, &File.regular?/1),
+    if Enum.any?(paths, &(File.regular?(&1) or Formats.for_address(&1) != nil)),
       do: for(app <- @readers, do: {:ok, _} = Application.ensure_all_started(app))
 
     :ok
@@ -28,7 +29,7 @@ defmodule Situ.CLI.Recording do
   @spec expand([Path.t()]) :: [Path.t()]
   def expand(paths) do
     Enum.flat_map(paths, fn path ->
-      if path =~ ~r/[*?\[{]/ and not File.exists?(path),
+      if path =~ ~r/[*?\[{]/ and not File.exists?(path) and not String.contains?(path, "://"),
         do: path |> Path.wildcard() |> Enum.sort() |> then(&if(&1 == [], do: [path], else: &1)),
         else: [path]
     end)

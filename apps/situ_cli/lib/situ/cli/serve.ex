@@ -4,7 +4,7 @@ defmodule Situ.CLI.Serve do
 
   alias Situ.CLI.{Option, Output, Verb}
   alias Situ.{Error, Remote}
-  alias Situ.Remote.{Address, Server}
+  alias Situ.Remote.{Access, Address, Server}
 
   @impl true
   def verbs do
@@ -15,7 +15,8 @@ defmodule Situ.CLI.Serve do
         about: """
         Serves until it is stopped (Ctrl-C). A name without a version means all of its versions, those that will be
         recorded included; one that has none yet is waited for. Elsewhere a pipeline opens it by the address that is
-        printed: Situ.Remote.open(p, ADDRESS, from: :resume). See the guide "Links between machines".
+        printed: Situ.Remote.open(p, ADDRESS, from: :resume). The studio and `situ store` open the same address as a
+        recording; the token they read from the file that SITU_TOKEN_FILE names. See the guide "Links between machines".
         """,
         arguments: [path: [kind: :recording, doc: "a recording, or the name of its versions"]],
         options: [
@@ -31,6 +32,7 @@ defmodule Situ.CLI.Serve do
           ),
           Option.new(:token_file, :path, "the file that holds the token (its first line)"),
           Option.new(:unix, :path, "listen on a Unix socket of this path, too"),
+          Option.new(:tls, :flag, "speak TLS, by a certificate made for this machine"),
           Option.new(:certificate, :path, "speak TLS by this certificate (PEM)"),
           Option.new(:key, :path, "the certificate's key (PEM)"),
           Option.new(
@@ -41,7 +43,7 @@ defmodule Situ.CLI.Serve do
         ],
         examples: [
           "situ serve recordings/robot",
-          "situ serve recordings/robot --listen 0.0.0.0 --token-file secret"
+          "situ serve recordings/robot --listen 0.0.0.0 --tls --token-file secret"
         ],
         run: fn %{path: path}, opts -> serve(path, opts) end
       }
@@ -56,7 +58,7 @@ defmodule Situ.CLI.Serve do
     with {:ok, tls} <- tls(opts),
          {:ok, token} <- token(opts[:token_file]),
          {:ok, server} <- Remote.serve(path, settings(opts, tls, token)) do
-      Output.puts("Situ serves #{path} at #{address(path, server, opts, tls)}")
+      Output.puts("Situ serves #{path} at #{address(path, server, opts)}")
       wait(server)
     else
       {:error, error} -> raise error
@@ -74,7 +76,7 @@ defmodule Situ.CLI.Serve do
   defp tls(opts) do
     case {opts[:certificate], opts[:key]} do
       {nil, nil} ->
-        {:ok, nil}
+        {:ok, opts[:tls] || nil}
 
       {certificate, key} when is_binary(certificate) and is_binary(key) ->
         {:ok, [certfile: certificate, keyfile: key]}
@@ -87,33 +89,11 @@ defmodule Situ.CLI.Serve do
   # On a command line everybody on the machine could read it.
   defp token(nil), do: {:ok, nil}
 
-  defp token(file) do
-    with {:ok, text} <- File.read(file),
-         [token | _] when token != "" <- String.split(text, ["\r\n", "\n"]) do
-      {:ok, token}
-    else
-      {:error, reason} ->
-        {:error,
-         Error.new(:not_found, "cannot read #{file}", why: to_string(:file.format_error(reason)))}
+  defp token(file), do: Access.first_line(file)
 
-      _ ->
-        {:error,
-         Error.new(:usage, "#{file} begins with an empty line",
-           fix: "write the token into its first line"
-         )}
-    end
-  end
-
-  defp address(path, server, opts, tls) do
-    transport = if tls, do: :tls, else: :tcp
+  defp address(path, server, opts) do
     name = path |> Path.basename() |> String.replace(~r/\.\d{4,}$/, "")
-
-    Address.to_string(%Address{
-      transport: transport,
-      host: opts[:listen],
-      port: Server.port(server),
-      name: name
-    })
+    Server.address(server, name) || "the socket #{opts[:unix]}"
   end
 
   defp wait(server) do

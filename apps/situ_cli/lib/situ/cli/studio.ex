@@ -52,7 +52,9 @@ defmodule Situ.CLI.Studio do
 
   defp serve(path, opts) do
     # Recordings of other systems are shown too.
-    for app <- [:situ_bridge, :situ_studio], do: {:ok, _} = Application.ensure_all_started(app)
+    for app <- [:situ_bridge, :situ_remote, :situ_studio],
+        do: {:ok, _} = Application.ensure_all_started(app)
+
     path = path || if(File.dir?("recordings"), do: "recordings", else: ".")
 
     with :ok <- check_path(path),
@@ -69,7 +71,7 @@ defmodule Situ.CLI.Studio do
   end
 
   defp check_path(path) do
-    if File.exists?(path) do
+    if File.exists?(path) or Situ.Store.Formats.for_address(path) do
       :ok
     else
       {:error,

@@ -32,15 +32,14 @@ defmodule Situ.Dataset.Partition do
         }
 
   @doc """
-  A partition for the recording at `path`: a store's folder, `ROOT/NAME` for its newest version now, or a foreign
-  file. `name` may be `nil`: then it is the recording's.
+  A partition for the recording at `path`: a store's folder, `ROOT/NAME` for its newest version now, a foreign
+  file, or the address of a recording on another machine (`situ://lab1/lobby`). `name` may be `nil`: then it is the recording's.
 
   Options: `reader:` (a module), `metadata:`.
   """
   @spec new(String.t() | nil, Path.t(), keyword()) :: t()
   def new(name, path, opts \\ []) do
-    path = Path.expand(path)
-    path = Store.newest(Path.basename(path), Path.dirname(path)) |> newest(path)
+    path = located(path)
     store = store_name(path)
 
     %__MODULE__{
@@ -52,16 +51,36 @@ defmodule Situ.Dataset.Partition do
     }
   end
 
+  defp located(path) do
+    if StoredPath.address?(path) do
+      path
+    else
+      path = Path.expand(path)
+      Store.newest(Path.basename(path), Path.dirname(path)) |> newest(path)
+    end
+  end
+
   # The folder named, when it is a store itself.
   defp newest(nil, path), do: path
   defp newest(newest, path), do: if(File.exists?(path), do: path, else: newest)
 
   defp store_name(path) do
-    base = Path.basename(path)
+    base = if StoredPath.address?(path), do: name_in(path), else: Path.basename(path)
 
     case Regex.run(~r/\A(.+)\.\d{4,}\z/, base) do
       [_, name] -> name
       nil -> if File.regular?(path), do: Path.rootname(base), else: base
+    end
+  end
+
+  # What follows the host, or the query where the host's place is taken by a socket's path.
+  defp name_in(address) do
+    uri = URI.parse(address)
+
+    case {uri.scheme, Path.basename(uri.path || "")} do
+      {"situ+unix", _} -> URI.decode(uri.query || "recording")
+      {_, ""} -> uri.host || "recording"
+      {_, name} -> URI.decode(name)
     end
   end
 

@@ -8,6 +8,11 @@ defmodule Situ.Dataset.StoredPath do
       iex> Situ.Dataset.StoredPath.from_stored("../old/lobby.0000", "/study/study.json")
       "/old/lobby.0000"
 
+  The address of a recording on another machine stays as it is:
+
+      iex> Situ.Dataset.StoredPath.to_stored("situ://lab1/lobby", "/study/study.json")
+      "situ://lab1/lobby"
+
   A dataset file whose own path is of the Windows kind (`C:\\\\...` or `\\\\\\\\host\\\\share\\\\...`) gets Windows
   paths, which is how the files of \\\\psi are written; a path on another drive or share stays absolute:
 
@@ -24,7 +29,10 @@ defmodule Situ.Dataset.StoredPath do
   What the dataset file at `dataset_file` says for `path`; a path that is relative already stays so, as it is spelt.
   """
   @spec to_stored(Path.t(), Path.t()) :: String.t()
-  def to_stored(path, dataset_file) do
+  def to_stored(path, dataset_file),
+    do: if(address?(path), do: path, else: relative_to(path, dataset_file))
+
+  defp relative_to(path, dataset_file) do
     style = style(dataset_file)
     {root, segments} = parts(path, style)
     {base_root, base} = folder(dataset_file, style)
@@ -43,7 +51,10 @@ defmodule Situ.Dataset.StoredPath do
 
   @doc "The absolute path that the dataset file at `dataset_file` means by `stored`."
   @spec from_stored(String.t(), Path.t()) :: Path.t()
-  def from_stored(stored, dataset_file) do
+  def from_stored(stored, dataset_file),
+    do: if(address?(stored), do: stored, else: absolute(stored, dataset_file))
+
+  defp absolute(stored, dataset_file) do
     style = style(dataset_file)
     {root, segments} = parts(stored, style)
     {base_root, base} = folder(dataset_file, style)
@@ -61,6 +72,10 @@ defmodule Situ.Dataset.StoredPath do
   """
   @spec portable(String.t()) :: String.t()
   def portable(path), do: String.replace(path, "\\", "/")
+
+  @doc "Whether it is an address (`situ://lab1/lobby`) and no path."
+  @spec address?(String.t()) :: boolean()
+  def address?(path), do: path =~ ~r/\A[a-z][a-z0-9+.-]+:\/\//
 
   @doc "Whether a path names a Windows drive or share."
   @spec windows?(String.t()) :: boolean()

@@ -2,6 +2,9 @@ defmodule Situ.Remote.Address do
   @moduledoc """
   Where a link leads: `situ://host:port/name`, `situs://...` (TLS), or `situ+unix:///path/of/socket?name`.
 
+  `situs://host/name?fingerprint=...` says which certificate the server has: its SHA-256, 64 hexadecimal digits. Then no
+  other counts, whoever has signed it (`bin/situ serve --tls` prints the whole address).
+
   A host without a port is looked up among the configured names first:
 
       config :situ_remote, names: %{"lab1" => "situs://10.0.0.3:11500"}
@@ -25,13 +28,14 @@ defmodule Situ.Remote.Address do
   @default_port 11_411
 
   @enforce_keys [:transport]
-  defstruct [:transport, :host, :port, :path, name: ""]
+  defstruct [:transport, :host, :port, :path, :fingerprint, name: ""]
 
   @type t :: %__MODULE__{
           transport: :tcp | :tls | :unix,
           host: String.t() | nil,
           port: :inet.port_number() | nil,
           path: Path.t() | nil,
+          fingerprint: String.t() | nil,
           name: String.t()
         }
 
@@ -58,7 +62,8 @@ defmodule Situ.Remote.Address do
       {scheme, host, path} when scheme in ["situ", "situs"] and host not in [nil, ""] ->
         transport = if scheme == "situ", do: :tcp, else: :tls
         name = path |> Kernel.||("") |> String.trim_leading("/") |> decoded()
-        {:ok, %__MODULE__{transport: transport, host: host, port: uri.port, name: name}}
+        address = %__MODULE__{transport: transport, host: host, port: uri.port, name: name}
+        fingerprint(address, uri.query, text)
 
       _ ->
         {:error, bad(text)}
@@ -66,6 +71,18 @@ defmodule Situ.Remote.Address do
   rescue
     _ in [ArgumentError, URI.Error] -> {:error, bad(text)}
   end
+
+  defp fingerprint(address, nil, _text), do: {:ok, address}
+
+  defp fingerprint(%{transport: :tls} = address, "fingerprint=" <> digits, text) do
+    digits = digits |> URI.decode() |> String.replace(":", "") |> String.downcase()
+
+    if digits =~ ~r/\A[0-9a-f]{64}\z/,
+      do: {:ok, %{address | fingerprint: digits}},
+      else: {:error, bad(text)}
+  end
+
+  defp fingerprint(_address, _query, text), do: {:error, bad(text)}
 
   defp decoded(text), do: URI.decode(text)
 
@@ -87,7 +104,8 @@ defmodule Situ.Remote.Address do
     host = if String.contains?(address.host, ":"), do: "[#{address.host}]", else: address.host
     port = if address.port, do: ":#{address.port}", else: ""
     name = if address.name == "", do: "", else: "/" <> URI.encode(address.name)
-    "#{scheme}://#{host}#{port}#{name}"
+    pin = if address.fingerprint, do: "?fingerprint=" <> address.fingerprint, else: ""
+    "#{scheme}://#{host}#{port}#{name}#{pin}"
   end
 
   @doc "Where to connect to now: names are looked up, a port is filled in."
@@ -107,7 +125,8 @@ defmodule Situ.Remote.Address do
     with {:ok, found} <- parse(text) do
       name = if address.name == "", do: found.name, else: address.name
       port = found.port || if(found.transport == :unix, do: nil, else: @default_port)
-      {:ok, %{found | name: name, port: port}}
+      pin = address.fingerprint || found.fingerprint
+      {:ok, %{found | name: name, port: port, fingerprint: pin}}
     end
   end
 

@@ -361,7 +361,9 @@ defmodule Situ.Remote.Connection do
   defp fatal?(nil), do: false
 
   defp fatal?(error),
-    do: error.code in [:wrong_token, :wrong_version, :no_link, :bad_address, :no_recording]
+    do:
+      error.code in [:wrong_token, :wrong_version, :wrong_certificate] or
+        error.code in [:no_link, :bad_address, :no_recording]
 
   defp silent(state),
     do: Situ.Error.new(:unreachable, "#{Address.to_string(state.address)} has not answered yet")

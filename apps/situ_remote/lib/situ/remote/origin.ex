@@ -18,10 +18,18 @@ defmodule Situ.Remote.Origin do
   @typedoc "A stream as the catalogue has it: its name and its `Situ.Type` as text."
   @type entry :: %{name: String.t(), type: String.t()}
 
+  @doc "The specification of one version of a recording."
+  @callback version(term(), non_neg_integer()) ::
+              {:ok, term()} | {:error, Situ.Error.t()} | :error
+
   @callback open(term()) :: {:ok, state()} | {:error, Situ.Error.t()}
 
   @doc "The streams there are now; `:same` when there are no others than at the last call."
   @callback streams(state()) :: {[entry()] | :same, state()}
+
+  @doc "The recording itself, for questions: of this version, or the newest (`nil`)."
+  @callback store(state(), version :: term()) ::
+              {:ok, Situ.Store.Handle.t()} | {:error, Situ.Error.t()}
 
   @doc "A place in a stream, and the originating time of the last message before it."
   @callback cursor(state(), String.t(), from()) :: {:ok, cursor(), Situ.Time.t()} | :unknown

@@ -7,6 +7,7 @@ defmodule Situ.Remote.Server do
   """
   use GenServer
   alias Situ.Error
+  alias Situ.Remote.Address
   alias Situ.Remote.Link.Socket
   alias Situ.Remote.Server.Session
 
@@ -46,6 +47,13 @@ defmodule Situ.Remote.Server do
   @doc "The port it listens on (`nil` without TCP and TLS)."
   @spec port(GenServer.server()) :: :inet.port_number() | nil
   def port(server), do: GenServer.call(server, :port)
+
+  @doc """
+  The address of what is served under `name`, with the fingerprint of the server's certificate; `nil` without TCP and
+  TLS. A server that listens everywhere is known to others by a name of this machine.
+  """
+  @spec address(GenServer.server(), String.t()) :: String.t() | nil
+  def address(server, name), do: GenServer.call(server, {:address, name})
 
   @doc "What is going on: clients with what was sent to each, how many were refused."
   @spec info(GenServer.server()) :: map()
@@ -95,9 +103,10 @@ defmodule Situ.Remote.Server do
     {:reply, :ok, %{state | listeners: listeners}}
   end
 
-  def handle_call(:port, _from, state) do
-    {:reply, Enum.find_value(state.listeners, fn {_, listener} -> Socket.port(listener) end),
-     state}
+  def handle_call(:port, _from, state), do: {:reply, listened(state), state}
+
+  def handle_call({:address, name}, _from, %{config: config} = state) do
+    {:reply, with(port when port != nil <- listened(state), do: shown(config, port, name)), state}
   end
 
   def handle_call(:sessions, _from, state),
@@ -110,6 +119,24 @@ defmodule Situ.Remote.Server do
       {:ok, session} = Session.start_link(state.config)
       {:reply, {:ok, session}, %{state | sessions: Map.put(state.sessions, session, peer)}}
     end
+  end
+
+  defp listened(state),
+    do: Enum.find_value(state.listeners, fn {_, listener} -> Socket.port(listener) end)
+
+  defp shown(config, port, name) do
+    Address.to_string(%Address{
+      transport: config.transport,
+      host: if(config.interface in ["0.0.0.0", "::"], do: own_name(), else: config.interface),
+      port: port,
+      fingerprint: config.fingerprint,
+      name: name
+    })
+  end
+
+  defp own_name do
+    {:ok, name} = :inet.gethostname()
+    to_string(name)
   end
 
   defp full?(state, peer) do

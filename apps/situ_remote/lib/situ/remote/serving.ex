@@ -1,7 +1,7 @@
 defmodule Situ.Remote.Serving do
   @moduledoc false
   # What `Situ.Remote.serve/2` is asked for, as the configuration of a server. Nothing is open to others by default.
-  alias Situ.{Error, Options, Pipeline}
+  alias Situ.{Certificate, Error, Options, Pipeline}
   alias Situ.Remote.{Address, Server}
   alias Situ.Remote.Link.Quota
   alias Situ.Remote.Origin.Recording
@@ -21,10 +21,11 @@ defmodule Situ.Remote.Serving do
       doc: "Where to listen; \"0.0.0.0\": everywhere."
     ],
     tls: [
-      type: {:optional, :keyword},
+      type: {:or, [{:optional, :keyword}, {:in, [true]}]},
       default: nil,
       doc:
-        "Options of `:ssl` (`certfile:`, `keyfile:`; `cacertfile:`, `verify: :verify_peer` and" <>
+        "`true`: by a certificate made for this machine, which clients know by its fingerprint" <>
+          " (`Situ.Remote.Server.address/2` has it). Or options of `:ssl` (`certfile:`, `keyfile:`; `cacertfile:`, `verify: :verify_peer` and" <>
           " `fail_if_no_peer_cert: true` to ask clients for theirs)."
     ],
     unix: [
@@ -75,6 +76,7 @@ defmodule Situ.Remote.Serving do
           {:ok, pid()} | {:error, Error.t()}
   def serve(what, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @options),
+         {:ok, opts} <- certified(opts),
          :ok <- closed?(opts),
          {:ok, served} <- all(what, opts),
          {:ok, server} <- Server.start_link(listens(opts), config(served, opts)) do
@@ -83,9 +85,38 @@ defmodule Situ.Remote.Serving do
     end
   end
 
+  defp certified(opts) do
+    with true <- opts[:tls],
+         {:ok, ip} <- ip(opts[:interface]),
+         {:ok, tls} <- Certificate.own(ip),
+         do: {:ok, Keyword.put(opts, :tls, tls)},
+         else:
+           (
+             {:error, error} -> {:error, error}
+             _given -> {:ok, opts}
+           )
+  end
+
+  defp ip(interface) do
+    with {:error, _} <- :inet.getaddr(to_charlist(interface), :inet),
+         {:error, _} <- :inet.getaddr(to_charlist(interface), :inet6),
+         do: {:error, Error.new(:bad_address, "no address: #{inspect(interface)}")}
+  end
+
+  defp fingerprint(opts) do
+    with [_ | _] = tls <- opts[:tls],
+         file when file != nil <- tls[:certfile],
+         {:ok, digits} <- Certificate.fingerprint(file),
+         do: digits,
+         else: (_ -> nil)
+  end
+
   defp config(served, opts) do
     %{
       served: served,
+      interface: opts[:interface],
+      transport: if(opts[:tls], do: :tls, else: :tcp),
+      fingerprint: fingerprint(opts),
       token: if(is_binary(opts[:token]), do: opts[:token], else: ""),
       quota: Quota.new(opts[:quota]),
       now: opts[:now] || (&Situ.Time.now/0),

@@ -31,9 +31,41 @@ defmodule Situ.Store.Formats do
     end)
   end
 
-  @doc "The foreign recordings that lie in this very folder."
+  @doc "The foreign recordings that lie in this very folder, or at this address."
   @spec within(Path.t()) :: [Path.t()]
-  def within(folder), do: Enum.flat_map(of_folders(), & &1.within(folder))
+  def within(folder) do
+    case for_address(folder) do
+      nil -> Enum.flat_map(of_folders(), & &1.within(folder))
+      reader -> reader.within(folder)
+    end
+  end
+
+  @doc """
+  The reader of an address (`situ://lab1/lobby`), or `nil`: a path of this machine has none.
+
+      iex> Situ.Store.Formats.for_address("recordings/lobby")
+      nil
+  """
+  @spec for_address(Path.t()) :: module() | nil
+  def for_address(text) do
+    with [scheme, _] <- String.split(text, "://", parts: 2) do
+      Enum.find(of_addresses(), &(scheme in &1.schemes()))
+    else
+      _ -> nil
+    end
+  end
+
+  defp of_addresses,
+    do: Enum.filter(all(), &(Code.ensure_loaded?(&1) and function_exported?(&1, :schemes, 0)))
+
+  @doc """
+  A path from the root on, as `Path.expand/1` has it; an address stays as it is.
+
+      iex> Situ.Store.Formats.expand("/recordings/../lobby")
+      "/lobby"
+  """
+  @spec expand(Path.t()) :: Path.t()
+  def expand(path), do: if(for_address(path), do: path, else: Path.expand(path))
 
   defp of_folders,
     do: Enum.filter(all(), &(Code.ensure_loaded?(&1) and function_exported?(&1, :resolve, 1)))

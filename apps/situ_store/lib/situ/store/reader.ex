@@ -15,6 +15,11 @@ defmodule Situ.Store.Reader do
   @doc "File name endings, lower case, with the dot."
   @callback extensions() :: [String.t()]
   @doc """
+  For recordings that lie elsewhere: how their addresses begin, `["situ"]` for `situ://...`. `open/2` and `within/1`
+  get the whole address.
+  """
+  @callback schemes() :: [String.t()]
+  @doc """
   Where recordings are folders: the one that `path` means, a folder or the name of one, or `nil`. `open/2` gets the
   answer.
   """
@@ -73,6 +78,7 @@ defmodule Situ.Store.Reader do
   @callback missing_files(state()) :: [String.t()]
 
   @optional_callbacks stream_named: 2,
+                      schemes: 0,
                       resolve: 1,
                       within: 1,
                       summary: 5,

@@ -81,7 +81,13 @@ defmodule Situ.Store.Reading do
   defp reader_opts(_module, opts), do: opts[:reader_opts]
 
   defp find(path, reader) do
-    path = Path.expand(path)
+    case Formats.for_address(path) do
+      nil -> find_here(Path.expand(path), reader)
+      module -> {:ok, path, reader || module}
+    end
+  end
+
+  defp find_here(path, reader) do
     folder = Folder.resolve(path)
 
     cond do

@@ -10,6 +10,7 @@ defmodule Situ.Studio.Catalog do
   use GenServer
 
   alias Situ.Dataset.Session
+  alias Situ.Store.Formats
   alias Situ.{Dataset, Error}
   alias Situ.Studio.Datasets.Place
   alias Situ.Studio.{Layouts, Source, Stores}
@@ -19,7 +20,8 @@ defmodule Situ.Studio.Catalog do
 
   defmodule Item do
     @moduledoc """
-    One thing to look at; `id` is what stands in the address. A session of a dataset has `parts`, its recordings; what
+    One thing to look at; `id` is what stands in the address. `:elsewhere` is a recording of another machine, whose
+    `path` is its address (`situ://...`): nothing is written beside it. A session of a dataset has `parts`, its recordings; what
     belongs to a dataset names it by `dataset`, its id.
     """
     @enforce_keys [:id, :title, :kind]
@@ -28,7 +30,7 @@ defmodule Situ.Studio.Catalog do
     @type t :: %__MODULE__{
             id: String.t(),
             title: String.t(),
-            kind: :store | :pipeline | :source | :dataset | :session,
+            kind: :store | :elsewhere | :pipeline | :source | :dataset | :session,
             path: Path.t() | nil,
             dataset: String.t() | nil,
             parts: [{String.t(), Path.t()}],
@@ -198,7 +200,8 @@ defmodule Situ.Studio.Catalog do
          else: (:error -> nil)
   end
 
-  defp store_item(id, path), do: %Item{id: id, title: id, kind: :store, path: path}
+  defp store_item(id, path), do: %Item{id: id, title: id, kind: kind(path), path: path}
+  defp kind(path), do: if(Formats.for_address(path), do: :elsewhere, else: :store)
   defp dataset_item(id, path), do: %Item{id: id, title: id, kind: :dataset, path: path}
 
   # A dataset, a session of it, or a recording of that: the dataset says where it lies.
@@ -220,7 +223,7 @@ defmodule Situ.Studio.Catalog do
   defp part_item(id, dataset, session, [name]) do
     with {:ok, partition} <- Session.partition(session, name) do
       title = "#{session.name}: #{name}"
-      %Item{id: id, title: title, kind: :store, path: partition.path, dataset: dataset}
+      %{store_item(id, partition.path) | title: title, dataset: dataset}
     else
       _ -> nil
     end
@@ -228,7 +231,7 @@ defmodule Situ.Studio.Catalog do
 
   # What lies in one recording can be annotated and exported as such.
   defp part_item(id, dataset, %{partitions: [one]} = session, []),
-    do: %Item{id: id, title: session.name, kind: :store, path: one.path, dataset: dataset}
+    do: %{store_item(id, one.path) | title: session.name, dataset: dataset}
 
   defp part_item(id, dataset, session, []) do
     parts = for p <- session.partitions, do: {p.name, p.path}
@@ -282,7 +285,7 @@ defmodule Situ.Studio.Catalog do
     end
   end
 
-  defp open_item(state, %Item{kind: :store} = item) do
+  defp open_item(state, %Item{kind: kind} = item) when kind in [:store, :elsewhere] do
     with {:ok, source} <- Situ.Studio.Source.Store.open(item.path) do
       {:ok, source, put_in(state.open[key(item)], source)}
     end

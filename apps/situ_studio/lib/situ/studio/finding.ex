@@ -17,7 +17,10 @@ defmodule Situ.Studio.Finding do
   @doc "The recordings of an item, as partitions by name; none of what lies only in memory."
   @spec parts(Item.t()) :: [{String.t(), Path.t()}]
   def parts(%Item{kind: :session, parts: parts}), do: parts
-  def parts(%Item{kind: :store, path: path}), do: [{"Recording", path}]
+
+  def parts(%Item{kind: kind, path: path}) when kind in [:store, :elsewhere],
+    do: [{"Recording", path}]
+
   def parts(_), do: []
 
   @doc "The intervals in which the expression is true: at most 1,000, `truncated?` when there are more."

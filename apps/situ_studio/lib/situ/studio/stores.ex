@@ -4,6 +4,7 @@ defmodule Situ.Studio.Stores do
   # followed: they may lead round in a circle, or out of the folder.
 
   alias Situ.Dataset.Document
+  alias Situ.Store.Formats
   alias Situ.Studio.NaturalOrder
 
   @most 5_000
@@ -21,9 +22,12 @@ defmodule Situ.Studio.Stores do
   def all(nil), do: {[], []}
 
   def all(path) do
-    root = Path.expand(path)
+    root = Formats.expand(path)
 
     cond do
+      Formats.for_address(path) ->
+        {for(address <- Formats.within(path), do: {named(address), address}), []}
+
       Document.dataset?(root) ->
         {[], [{Path.basename(root), root}]}
 
@@ -49,18 +53,33 @@ defmodule Situ.Studio.Stores do
   defp at(nil, _name, _kind?), do: :error
 
   defp at(path, name, kind?) do
-    root = Path.expand(path)
+    root = Formats.expand(path)
 
     cond do
+      Formats.for_address(path) -> if(kind?.(root), do: elsewhere(path, name), else: :error)
       kind?.(root) -> if name == Path.basename(root), do: {:ok, root}, else: :error
       inside?(root, name) and kind?.(Path.join(root, name)) -> {:ok, Path.join(root, name)}
       true -> :error
     end
   end
 
+  # A server has names and no folders.
+  defp elsewhere(path, name) do
+    case Enum.find(Formats.within(path), &(named(&1) == name)) do
+      nil -> :error
+      address -> {:ok, address}
+    end
+  end
+
+  defp named(address) do
+    uri = URI.parse(address)
+    name = if uri.scheme == "situ+unix", do: uri.query || "", else: Path.basename(uri.path || "")
+    if name == "", do: uri.host || "recording", else: URI.decode(name)
+  end
+
   defp recording?(path), do: Situ.Store.exists?(path) or known_file?(path)
 
-  defp known_file?(path), do: Situ.Store.Formats.for_file(path) != nil and File.regular?(path)
+  defp known_file?(path), do: Formats.for_file(path) != nil and File.regular?(path)
 
   # Every part of the name is a part of a path, and none is a link.
   defp inside?(root, name) do
@@ -103,7 +122,7 @@ defmodule Situ.Studio.Stores do
   end
 
   defp known_ending?(path),
-    do: Situ.Store.Formats.for_file(path) != nil or Document.dataset?(path)
+    do: Formats.for_file(path) != nil or Document.dataset?(path)
 
   defp kind(path) do
     case File.lstat(path) do

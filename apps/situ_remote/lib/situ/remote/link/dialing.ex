@@ -32,6 +32,15 @@ defmodule Situ.Remote.Link.Dialing do
     end)
   end
 
+  @doc "What a server has, whatever name the address says."
+  @spec names(Remote.Address.t(), map()) :: {:ok, [String.t()]} | {:error, Error.t()}
+  def names(address, opts) do
+    with {:ok, socket, welcome} <- dial(address, Map.put(opts, :list, true)) do
+      Socket.close(socket)
+      {:ok, for(name <- List.wrap(welcome["names"]), is_binary(name), do: name)}
+    end
+  end
+
   defp dial(address, opts) do
     with {:ok, found} <- Remote.Address.resolve(address),
          {:ok, socket} <- Socket.connect(found, opts.tls, @timeout_ms) do
@@ -49,7 +58,7 @@ defmodule Situ.Remote.Link.Dialing do
          {:ok, {:hello, version, oldest, server_nonce}} <- next(socket),
          {:ok, _version} <- Handshake.check_version(version, oldest),
          proof = Handshake.proof(opts.token, :client, server_nonce, nonce),
-         :ok <- Socket.send(socket, Frame.encode({:login, proof, %{"name" => address.name}})),
+         :ok <- Socket.send(socket, Frame.encode({:login, proof, wish(address, opts)})),
          {:ok, {:welcome, shown, map}} <- next(socket),
          {:proved, true} <-
            {:proved, Handshake.proves?(opts.token, :server, server_nonce, nonce, shown)} do
@@ -78,6 +87,9 @@ defmodule Situ.Remote.Link.Dialing do
         {:error, not_situ(Socket.reason_text(reason))}
     end
   end
+
+  defp wish(_address, %{list: true}), do: %{"list" => true}
+  defp wish(address, _opts), do: %{"name" => address.name}
 
   defp next(socket) do
     with {:ok, body} <- Socket.receive(socket, @timeout_ms), do: Frame.decode(body)

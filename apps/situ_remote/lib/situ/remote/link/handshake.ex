@@ -79,6 +79,12 @@ defmodule Situ.Remote.Link.Handshake do
     "too_many_clients" => :too_many_clients,
     "no_recording" => :no_recording,
     "bad_frame" => :bad_frame,
+    "bad_request" => :bad_request,
+    "no_stream" => :no_stream,
+    "no_store" => :no_store,
+    "no_summary" => :no_summary,
+    "damaged" => :damaged,
+    "checksum" => :checksum,
     "server_closed" => :server_closed
   }
 

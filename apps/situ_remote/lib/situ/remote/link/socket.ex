@@ -1,7 +1,7 @@
 defmodule Situ.Remote.Link.Socket do
   @moduledoc false
   # Connections that carry frames, over TCP, TLS and Unix sockets alike.
-  alias Situ.Error
+  alias Situ.{Certificate, Error}
   alias Situ.Remote.Address
 
   @typedoc "A connection or a listener, by the module of OTP that has it."
@@ -90,12 +90,12 @@ defmodule Situ.Remote.Link.Socket do
   def established({:gen_tcp, _} = socket, _timeout), do: {:ok, socket}
   def established({:ssl, socket}, timeout), do: wrap(:ssl, :ssl.handshake(socket, timeout))
 
-  @doc "Errors: `:unreachable`."
+  @doc "Errors: `:unreachable`, `:wrong_certificate`."
   @spec connect(Address.t(), keyword(), timeout()) :: {:ok, t()} | {:error, Error.t()}
   def connect(%Address{} = address, tls, timeout) do
     case connect_to(address, tls, timeout) do
       {:ok, socket} ->
-        {:ok, socket}
+        pinned(socket, address)
 
       {:error, reason} ->
         {:error,
@@ -112,7 +112,7 @@ defmodule Situ.Remote.Link.Socket do
   defp connect_to(%{host: host, port: port} = address, tls, timeout) do
     with {:ok, ip} <- address(host) do
       options = [family(ip)] ++ @internet ++ @framed
-      connect_at(address.transport, {ip, port}, host, options, tls, timeout)
+      connect_at(address.transport, {ip, port}, host, options, trusted(tls, address), timeout)
     end
   end
 
@@ -123,6 +123,43 @@ defmodule Situ.Remote.Link.Socket do
   defp connect_at(:tls, {ip, port}, host, options, tls, timeout) do
     name = [server_name_indication: String.to_charlist(host)]
     wrap(:ssl, :ssl.connect(ip, port, options ++ Keyword.merge(name, tls), timeout))
+  end
+
+  # Unless somebody says otherwise a server is known by an authority of the system, or by its fingerprint alone.
+  defp trusted(tls, %{fingerprint: digits}) when digits != nil,
+    do: Keyword.merge([verify: :verify_none], tls)
+
+  defp trusted(tls, %{transport: :tls}) do
+    given? = Enum.any?([:verify, :cacerts, :cacertfile], &Keyword.has_key?(tls, &1))
+    if given?, do: Keyword.put_new(tls, :verify, :verify_peer), else: authorities() ++ tls
+  end
+
+  defp trusted(tls, _address), do: tls
+
+  defp authorities do
+    [verify: :verify_peer, cacerts: :public_key.cacerts_get()]
+  rescue
+    # This system has none, so nobody is trusted.
+    _ -> [verify: :verify_peer, cacerts: []]
+  end
+
+  # The handshake has shown that the server has the key of its certificate.
+  defp pinned(socket, %{fingerprint: nil}), do: {:ok, socket}
+
+  defp pinned({:ssl, ssl} = socket, %{fingerprint: digits}) do
+    with {:ok, der} <- :ssl.peercert(ssl), ^digits <- Certificate.fingerprint_of(der) do
+      {:ok, socket}
+    else
+      other ->
+        close(socket)
+        why = if is_binary(other), do: "its fingerprint is #{other}", else: "it shows none"
+
+        {:error,
+         Error.new(:wrong_certificate, "the server has another certificate than was expected",
+           why: why,
+           fix: "ask its owner for the address that it prints; somebody may stand in between"
+         )}
+    end
   end
 
   defp address(host) do

@@ -34,6 +34,16 @@ defmodule Situ.Remote.Origin.Recording do
     end
   end
 
+  @impl true
+  def version({:store, _store}, _version), do: :error
+
+  def version({:series, root, name}, version) do
+    with path when path != nil <- Versions.path(root, name, version),
+         {:ok, store} <- Reading.open(path),
+         do: {:ok, {:store, store}},
+         else: (_ -> :error)
+  end
+
   defp at(state, version, store),
     do: %{state | version: version, store: store, known: 0, awaiting: :no, catalog: -1}
 
@@ -53,6 +63,25 @@ defmodule Situ.Remote.Origin.Recording do
 
   defp entry(%{module: nil} = info), do: %{name: info.name, type: TypeName.write(info.type)}
   defp entry(info), do: %{name: info.name, type: info.type_name}
+
+  @impl true
+  def store(%{store: nil, series: {_, name}}, _version),
+    do:
+      {:error, Error.new(:no_store, "nothing is recorded yet as #{name}", fix: "try again later")}
+
+  def store(%{series: nil, store: store}, _version), do: {:ok, store}
+  def store(%{version: version, store: store}, version), do: {:ok, store}
+  def store(%{store: store}, nil), do: {:ok, store}
+
+  def store(%{series: {root, name}}, version) when is_integer(version) do
+    case Versions.path(root, name, version) do
+      nil -> {:error, Error.new(:no_store, "there is no version #{version} of #{name} any more")}
+      path -> Reading.open(path)
+    end
+  end
+
+  def store(_state, version),
+    do: {:error, Error.new(:bad_request, "no version: #{inspect(version, limit: 5)}")}
 
   # A new stream, or the end of one, is a record of stream 0.
   defp records(%{module: Local} = store), do: Reading.count(store, %StreamInfo{id: 0, name: ""})

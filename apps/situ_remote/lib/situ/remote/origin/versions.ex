@@ -10,6 +10,11 @@ defmodule Situ.Remote.Origin.Versions do
     with path when path != nil <- Folder.newest(name, root), do: {Folder.version(path), path}
   end
 
+  @doc "One version, if it is there."
+  @spec path(Path.t(), String.t(), non_neg_integer()) :: Path.t() | nil
+  def path(root, name, version),
+    do: Enum.find_value(paths(root, name), fn {v, path} -> v == version && path end)
+
   @doc "The newest version whose `stream` begins at or before `time`, or else the oldest that has the stream."
   @spec holding(Path.t(), String.t(), String.t(), Situ.Time.t()) :: found() | nil
   def holding(root, name, stream, time) do

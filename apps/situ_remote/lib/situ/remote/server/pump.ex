@@ -69,6 +69,25 @@ defmodule Situ.Remote.Server.Pump do
   defp idle?(state, channel),
     do: match?({:idle, _}, state.module.read(state.origin, channel.cursor))
 
+  @doc "Sends the answers that wait, as the quota allows."
+  @spec replies(state()) ::
+          {:sent, state()} | {:wait, pos_integer(), state()} | {:error, term(), state()}
+  def replies(state) do
+    with {{:value, {id, piece}}, rest} <- :queue.out(state.replies),
+         size = IO.iodata_length(piece),
+         {:sending, :ok} <- {:sending, send_frame(state, {:reply, id, piece})} do
+      state = %{state | replies: rest, sent: state.sent + size}
+
+      case Quota.take(state.config.quota, size, 0, System.monotonic_time(:nanosecond)) do
+        0 -> replies(state)
+        ns -> {:wait, ns, state}
+      end
+    else
+      {:empty, _} -> {:sent, state}
+      {:sending, {:error, reason}} -> {:error, reason, state}
+    end
+  end
+
   @doc "Sends what there is, for a while: there is more, the quota asks to wait, or nothing is left to send now."
   @spec run(state()) ::
           {:more, state()}

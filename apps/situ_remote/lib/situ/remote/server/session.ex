@@ -5,7 +5,8 @@ defmodule Situ.Remote.Server.Session do
   use GenServer, restart: :temporary
   alias Situ.Error
   alias Situ.Remote.Link.{Frame, Handshake, Schedule, Socket}
-  alias Situ.Remote.Server.{Channel, Pump}
+  alias Situ.Remote.Server.{Channel, Pump, Requests}
+  alias Situ.Store.Reading
   require Logger
 
   @login_ms 10_000
@@ -13,6 +14,8 @@ defmodule Situ.Remote.Server.Session do
   # Of a client that is logged in: subscriptions and requests are short.
   @most_bytes 1024 * 1024
   @most_channels 100_000
+  # Tags below are versions of recordings.
+  @first_tag 0x100000000
 
   defstruct [
     :server,
@@ -27,6 +30,9 @@ defmodule Situ.Remote.Server.Session do
     channels: %{},
     told: %{},
     schedule: Schedule.new(),
+    stores: %{},
+    replies: :queue.new(),
+    deaf: false,
     paused: false,
     pumping: false,
     sent: 0,
@@ -90,6 +96,10 @@ defmodule Situ.Remote.Server.Session do
       {false, origin} -> {:noreply, %{state | origin: origin}}
     end
   end
+
+  # What a client waits for: the tag is the request's.
+  def handle_info({:situ_store, tag, news}, state) when tag >= @first_tag,
+    do: {:noreply, reply(state, tag - @first_tag, Requests.term(news))} |> then_pump()
 
   def handle_info(message, %{stage: :open} = state) do
     case state.module.news(state.origin, message) do
@@ -159,36 +169,69 @@ defmodule Situ.Remote.Server.Session do
     end
   end
 
+  defp frame({:request, id, map}, %{stage: :open} = state) do
+    with {:ok, store, state} <- store(state, map["version"]) do
+      case Requests.answer(store, map) do
+        {:ok, pieces} -> {:pump, reply(state, id, pieces)}
+        {:await, known} -> {Reading.notify(store, known, @first_tag + id), state}
+      end
+    else
+      {:error, %Error{} = error} -> {:pump, reply(state, id, Requests.error(error))}
+    end
+  end
+
   defp frame({:unsubscribe, id}, %{stage: :open} = state),
     do: {:ok, %{state | channels: Map.delete(state.channels, id)}}
 
   defp frame(frame, state),
     do: {:error, bad_frame("a frame #{elem(frame, 0)} out of turn (#{state.stage})")}
 
+  # Who only wants to know what there is.
+  defp login(%{"list" => true}, state) do
+    with {:ok, _state} <- answer(state, welcome(state)) do
+      Socket.finish(state.socket)
+      {:error, :listed}
+    end
+  end
+
   defp login(map, state) do
     name = map["name"] || ""
 
     with {:ok, {module, spec}} <- served(state.config.served, name),
          {:ok, origin} <- module.open(spec) do
-      proof = Handshake.proof(state.config.token, :server, state.nonce, state.client_nonce)
-      welcome = {:welcome, proof, %{"names" => Map.keys(state.config.served)}}
       send(self(), :look)
       state = %{state | stage: :open, module: module, origin: origin, peer: peer(state)}
 
-      with {:ok, state} <- answer(state, welcome),
+      with {:ok, state} <- answer(state, welcome(state)),
            :ok <- Socket.open_up(state.socket, @most_bytes),
            do: {:pump, announce(state)}
     end
   end
 
+  defp welcome(state) do
+    proof = Handshake.proof(state.config.token, :server, state.nonce, state.client_nonce)
+    {:welcome, proof, %{"names" => Map.keys(state.config.served)}}
+  end
+
   defp served(served, "") when map_size(served) == 1, do: {:ok, served |> Map.values() |> hd()}
 
   defp served(served, name) do
-    with :error <- Map.fetch(served, name) do
+    with :error <- Map.fetch(served, name), :error <- version(served, name) do
       {:error,
        Error.new(:no_recording, "nothing is served under the name #{inspect(name)}",
          fix: "served: #{served |> Map.keys() |> Enum.join(", ")}"
        )}
+    end
+  end
+
+  # One version of a recording that is served.
+  defp version(served, name) do
+    with [_, name, version] <- Regex.run(~r/\A(.+)\.(\d{4,9})\z/s, name),
+         {:ok, {module, spec}} <- Map.fetch(served, name),
+         {:ok, spec} <- module.version(spec, String.to_integer(version)) do
+      {:ok, {module, spec}}
+    else
+      _ -> :error
     end
   end
 
@@ -199,10 +242,37 @@ defmodule Situ.Remote.Server.Session do
     end
   end
 
+  # A client goes on with the version that it opened, whatever was recorded since.
+  defp store(state, nil) do
+    with {:ok, store} <- state.module.store(state.origin, nil), do: {:ok, store, state}
+  end
+
+  defp store(state, version) do
+    with :error <- Map.fetch(state.stores, version),
+         {:ok, store} <- state.module.store(state.origin, version) do
+      {:ok, store, %{state | stores: Map.put(state.stores, version, store)}}
+    else
+      {:ok, store} -> {:ok, store, state}
+      {:error, error} -> {:error, error}
+    end
+  end
+
+  defp reply(state, id, pieces) do
+    queue = for piece <- pieces, reduce: state.replies, do: (q -> :queue.in({id, piece}, q))
+    %{state | replies: queue}
+  end
+
   # What follows from it.
 
   defp taken({:ok, state}, _before), do: listen(state)
-  defp taken({:pump, state}, _before), do: state |> listen() |> then_pump()
+
+  # Whoever does not read answers asks nothing more.
+  defp taken({:pump, state}, _before) do
+    if :queue.is_empty(state.replies),
+      do: state |> listen() |> then_pump(),
+      else: pump(%{state | deaf: true})
+  end
+
   defp taken({:error, %Error{} = error}, state), do: refuse(error, state)
   defp taken({:error, reason}, state), do: {:stop, {:shutdown, reason}, state}
 
@@ -243,6 +313,15 @@ defmodule Situ.Remote.Server.Session do
   defp pump(%{stage: stage} = state) when stage != :open, do: {:noreply, state}
 
   defp pump(state) do
+    case Pump.replies(state) do
+      {:sent, %{deaf: true} = state} -> %{state | deaf: false} |> listen() |> then_pump()
+      {:sent, state} -> pump_streams(state)
+      {:wait, ns, state} -> {:noreply, pause(state, ns)}
+      {:error, reason, state} -> {:stop, {:shutdown, reason}, state}
+    end
+  end
+
+  defp pump_streams(state) do
     case Pump.run(state) do
       {:more, state} -> {:noreply, later(state)}
       {:wait, ns, state} -> {:noreply, pause(state, ns)}

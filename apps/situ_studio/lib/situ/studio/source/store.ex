@@ -8,6 +8,7 @@ defmodule Situ.Studio.Source.Store do
   @behaviour Situ.Studio.Source
 
   alias Situ.{Error, Store}
+  alias Situ.Store.Formats
   alias Situ.Studio.{Source, StreamInfo}
   alias Situ.Studio.Draw.Bins
 
@@ -112,8 +113,11 @@ defmodule Situ.Studio.Source.Store do
     end
   end
 
-  # The index of a store, or the file itself; what is being written keeps its inode only.
-  defp stamp(path) do
+  # The index of a store, or the file itself; what is being written keeps its inode only. A recording of another machine
+  # stays the version that was opened.
+  defp stamp(path), do: if(Formats.for_address(path), do: {:elsewhere, 0, 0}, else: on_disk(path))
+
+  defp on_disk(path) do
     index = Path.join(path, "index.situ")
 
     case File.stat(if(File.exists?(index), do: index, else: path), time: :posix) do

@@ -53,7 +53,11 @@ defmodule Situ.Studio.Web.HomeView do
 
   # Recordings are looked into by another process, one after the other: the list is there at once.
   defp look(socket) do
-    paths = for %{kind: :store, path: path} <- Enum.take(socket.assigns.items, @most), do: path
+    paths =
+      for %{kind: kind, path: path} <- Enum.take(socket.assigns.items, @most),
+          kind in [:store, :elsewhere],
+          do: path
+
     stamps = Map.new(paths, &{&1, Facts.stamp(&1)})
     changed = Enum.reject(paths, &(socket.assigns.stamps[&1] == stamps[&1]))
     page = self()
@@ -164,6 +168,7 @@ defmodule Situ.Studio.Web.HomeView do
   defp at(_), do: nil
 
   defp kind(:store), do: "recording"
+  defp kind(:elsewhere), do: "recording of another machine"
   defp kind(:pipeline), do: "running pipeline"
   defp kind(:source), do: "in memory"
   defp kind(:dataset), do: "dataset"

@@ -1,6 +1,7 @@
-defmodule Situ.Live.CertificateTest do
+defmodule Situ.CertificateTest do
   use ExUnit.Case, async: true
-  alias Situ.Live.Certificate
+  alias Situ.Certificate
+  doctest Situ.Certificate
 
   @tag :tmp_dir
   test "a server speaks TLS with a certificate that names its hosts; the key is its owner's", %{
@@ -11,14 +12,18 @@ defmodule Situ.Live.CertificateTest do
     assert Bitwise.band(File.stat!(tls[:keyfile]).mode, 0o777) == 0o600
     assert Bitwise.band(File.stat!(folder).mode, 0o777) == 0o700
 
-    {:ok, server} =
-      Situ.Live.start_link(
-        port: 0,
-        tls: tls,
-        routes: [{:get, "/", fn _ -> Situ.Live.Response.text("hello") end}]
-      )
+    {:ok, listener} = :ssl.listen(0, tls ++ [active: false, ip: {127, 0, 0, 1}])
+    {:ok, {_, port}} = :ssl.sockname(listener)
 
-    assert "https://localhost:" <> _ = Situ.Live.url(server)
+    server =
+      spawn_link(fn ->
+        for _ <- 1..2 do
+          {:ok, socket} = :ssl.transport_accept(listener)
+          with {:ok, socket} <- :ssl.handshake(socket), do: :ssl.send(socket, "hello")
+        end
+
+        receive(do: (:end -> :ok))
+      end)
 
     # The client trusts this authority alone, and checks the name it asked for.
     client = [
@@ -28,23 +33,19 @@ defmodule Situ.Live.CertificateTest do
       mode: :binary
     ]
 
-    {:ok, socket} =
-      :ssl.connect(
-        {127, 0, 0, 1},
-        Situ.Live.port(server),
-        client ++ [server_name_indication: ~c"lab1"]
-      )
+    named = client ++ [server_name_indication: ~c"lab1"]
+    {:ok, socket} = :ssl.connect({127, 0, 0, 1}, port, named)
+    assert {:ok, "hello"} = :ssl.recv(socket, 5, 10_000)
+    {:ok, der} = :ssl.peercert(socket)
+    assert Certificate.fingerprint(tls[:certfile]) == {:ok, Certificate.fingerprint_of(der)}
 
-    :ok = :ssl.send(socket, "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
-    {:ok, answer} = :ssl.recv(socket, 0, 10_000)
-    assert answer =~ "200"
+    other = client ++ [server_name_indication: ~c"other", log_level: :none]
+    assert {:error, _} = :ssl.connect({127, 0, 0, 1}, port, other)
+    send(server, :end)
+  end
 
-    assert {:error, _} =
-             :ssl.connect(
-               {127, 0, 0, 1},
-               Situ.Live.port(server),
-               client ++ [server_name_indication: ~c"other", log_level: :none]
-             )
+  test "a file without a certificate has no fingerprint" do
+    assert {:error, %{code: :bad_certificate}} = Certificate.fingerprint(__ENV__.file)
   end
 
   @tag :tmp_dir

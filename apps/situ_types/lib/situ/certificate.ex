@@ -1,9 +1,10 @@
-defmodule Situ.Live.Certificate do
+defmodule Situ.Certificate do
   @moduledoc """
-  A certificate of one's own, for a server that nobody has given one: a browser asks once whether to trust it.
+  A certificate of one's own, for a server that nobody has given one: a browser asks once whether to trust it, and the
+  client of a link knows it by its fingerprint.
 
-      {:ok, tls} = Situ.Live.Certificate.ensure("/home/ann/.config/situ/tls", ["lab1", "192.168.1.7"])
-      Situ.Live.start_link(routes: routes, ip: {0, 0, 0, 0}, tls: tls)
+      {:ok, tls} = Situ.Certificate.ensure("/home/ann/.config/situ/tls", ["lab1", "192.168.1.7"])
+      :ssl.listen(443, tls)
 
   A program that is to trust the server takes `authority.pem` of the same folder as its authority. The key never leaves
   the folder and is readable for its owner alone. A certificate that names all these hosts and is
@@ -31,6 +32,49 @@ defmodule Situ.Live.Certificate do
   @subject_alternative_name {2, 5, 29, 17}
   @days 825
   @renew_days 7
+
+  @doc """
+  As `ensure/2`, for a server on this machine: in the user's configuration folder, for the names of the machine and the
+  address that it listens on (all of them for `0.0.0.0` and `::`).
+  """
+  @spec own(:inet.ip_address()) :: {:ok, keyword()} | {:error, Error.t()}
+  def own(ip) do
+    {:ok, name} = :inet.gethostname()
+    {:ok, interfaces} = :inet.getifaddrs()
+
+    bound =
+      if ip in [{0, 0, 0, 0}, {0, 0, 0, 0, 0, 0, 0, 0}],
+        do: for({_, options} <- interfaces, {:addr, address} <- options, do: address),
+        else: [ip]
+
+    folder = Path.join(:filename.basedir(:user_config, ~c"situ"), "tls")
+    hosts = ["localhost", to_string(name) | Enum.map(bound, &to_string(:inet.ntoa(&1)))]
+    ensure(folder, Enum.uniq(hosts))
+  end
+
+  @doc "The SHA-256 of the first certificate of a PEM file, as 64 hexadecimal digits."
+  @spec fingerprint(Path.t()) :: {:ok, String.t()} | {:error, Error.t()}
+  def fingerprint(certfile) do
+    with {:ok, text} <- File.read(certfile),
+         [{:Certificate, der, :not_encrypted} | _] <- :public_key.pem_decode(text) do
+      {:ok, fingerprint_of(der)}
+    else
+      _ ->
+        {:error,
+         Error.new(:bad_certificate, "there is no certificate in #{certfile}",
+           fix: "name a PEM file that begins with the server's certificate"
+         )}
+    end
+  end
+
+  @doc """
+  The fingerprint of a certificate in DER.
+
+      iex> Situ.Certificate.fingerprint_of("abc")
+      "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+  """
+  @spec fingerprint_of(binary()) :: String.t()
+  def fingerprint_of(der), do: :sha256 |> :crypto.hash(der) |> Base.encode16(case: :lower)
 
   @doc "The options of `:tls` for a certificate in `folder` that names these hosts (names or addresses)."
   @spec ensure(Path.t(), [String.t(), ...]) :: {:ok, keyword()} | {:error, Error.t()}

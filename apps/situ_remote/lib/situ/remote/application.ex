@@ -1,0 +1,10 @@
+defmodule Situ.Remote.Application do
+  @moduledoc false
+  use Application
+
+  @impl true
+  def start(_type, _args) do
+    children = Situ.Remote.Recording.Client.children()
+    Supervisor.start_link(children, strategy: :one_for_one, name: Situ.Remote.Supervisor)
+  end
+end

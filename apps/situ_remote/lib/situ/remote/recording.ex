@@ -1,0 +1,159 @@
+defmodule Situ.Remote.Recording do
+  @moduledoc """
+  Recordings of other machines, opened like those of this one: `Situ.Store.open("situ://lab1/lobby")`, and so by
+  `bin/situ store`, the studio, datasets and `Situ.Store.importer/3`.
+
+      {:ok, store} = Situ.Store.open("situ://lab1/lobby", reader_opts: [token: "..."])
+      Situ.Store.streams(store)
+
+  The other side serves it (`Situ.Remote.serve/2`, `bin/situ serve`). The address may name a version
+  (`situ://lab1/lobby.0003`); without one it is the newest at the time of opening, and stays that. What is asked for is
+  sent, and nothing else: a summary of a day is a few kilobytes. A connection that is lost is made again at the next
+  question; until then questions fail with `:link_lost` or `:unreachable`.
+
+  Options (`reader_opts:`): `token:`, `tls:` (options of `:ssl`). Where none are given the token is that of
+  `config :situ_remote, tokens: %{"lab1" => "..."}`, or the first line of the file that the environment variable
+  `SITU_TOKEN_FILE` names. A fingerprint in the address, `situs://lab1/lobby?fingerprint=...`, is the one certificate
+  that counts.
+
+      iex> root = Path.join(System.tmp_dir!(), "situ-doc-remote-recording")
+      iex> {:ok, writer} = Situ.Store.Writer.create("door", root)
+      iex> {:ok, stream} = Situ.Store.Writer.stream(writer, "Open", type: :boolean)
+      iex> message = %Situ.Message{data: true, originating_time: 7, creation_time: 8, sequence_id: 1}
+      iex> {:ok, _} = Situ.Store.Writer.append(stream, [message])
+      iex> :ok = Situ.Store.Writer.close(writer)
+      iex> {:ok, server} = Situ.Remote.serve(writer.path, port: 0)
+      iex> {:ok, store} = Situ.Store.open("situ://127.0.0.1:\#{Situ.Remote.Server.port(server)}/door")
+      iex> for m <- Situ.Store.messages(store, "Open"), do: {m.originating_time, m.data}
+      [{7, true}]
+      iex> Situ.Remote.Server.close(server)
+      iex> File.rm_rf!(root)
+  """
+  @behaviour Situ.Store.Reader
+  alias Situ.Error
+  alias Situ.Remote.{Access, Address}
+  alias Situ.Remote.Link.Dialing
+  alias Situ.Remote.Recording.{Answer, Client}
+  alias Situ.Store.StreamInfo
+
+  @enforce_keys [:address, :access]
+  defstruct [:address, :access, :version]
+
+  @typedoc "The address, how to get in, and the version of the recording that was opened."
+  @type t :: %__MODULE__{address: Address.t(), access: Access.t(), version: integer() | nil}
+
+  @impl true
+  def extensions, do: []
+  @impl true
+  def schemes, do: ["situ", "situs", "situ+unix"]
+
+  @impl true
+  def open(text, opts) do
+    with {:ok, address} <- Address.parse(text),
+         {:ok, access} <- Access.new(address, opts),
+         state = %__MODULE__{address: address, access: access},
+         {:ok, info} <- ask(state, %{"op" => "open"}, &Answer.info/1),
+         do: {:ok, %{state | version: info[:version]}}
+  end
+
+  # The names that a server has, as addresses; of an address with a name that one.
+  @impl true
+  def within(text) do
+    with {:ok, %{name: ""} = address} <- Address.parse(text),
+         {:ok, access} <- Access.new(address, []),
+         {:ok, names} <- Dialing.names(address, access) do
+      for name <- Enum.sort(names), do: Address.to_string(%{address | name: name})
+    else
+      {:ok, %Address{}} -> [text]
+      {:error, _} -> []
+    end
+  end
+
+  @impl true
+  def info(state), do: state |> ask(%{"op" => "open"}, &Answer.info/1) |> Error.unwrap!()
+
+  @impl true
+  def streams(state) do
+    state |> ask(%{"op" => "streams"}, &Answer.streams(&1, where(state))) |> Error.unwrap!()
+  end
+
+  @impl true
+  def stream_named(state, name) do
+    asked = %{"op" => "stream", "stream" => name}
+
+    with {:ok, [info]} <- ask(state, asked, &Answer.streams(&1, where(state))), do: {:ok, info}
+  end
+
+  defp where(state), do: Address.to_string(state.address)
+
+  @impl true
+  def seek(state, info, time),
+    do: of(state, info, "seek", %{"time" => clamp(time)}, &Answer.number/1)
+
+  @impl true
+  def count(state, info), do: state |> of(info, "count", %{}, &Answer.number/1) |> Error.unwrap!()
+
+  @impl true
+  def read(state, info, ordinal, to, limit, opts) do
+    asked = %{
+      "ordinal" => ordinal,
+      "to" => if(to == :unbounded, do: nil, else: clamp(to)),
+      "limit" => limit,
+      "exact" => opts[:exact] || false,
+      "envelopes" => opts[:envelopes] || false,
+      "skip_damage" => opts[:skip_damage] || false
+    }
+
+    with {:ok, {messages, next}} <- of(state, info, "read", asked, &Answer.messages(&1, info.id)),
+         do: {:ok, messages, next}
+  end
+
+  @impl true
+  def summary(state, info, from, to, pixels) do
+    asked = %{"from" => clamp(from), "to" => clamp(to), "pixels" => pixels}
+
+    with {:ok, {width, bins}} <- of(state, info, "summary", asked, &Answer.summary/1),
+         do: {:ok, width, bins}
+  end
+
+  @impl true
+  def tracks(state, info, from, to, level, most) do
+    asked = %{"from" => clamp(from), "to" => clamp(to), "level" => level, "most" => most}
+
+    with {:ok, {counts, tracks}} <- of(state, info, "tracks", asked, &Answer.tracks/1),
+         do: {:ok, counts, tracks}
+  end
+
+  @impl true
+  def gaps(state, info, least) do
+    state |> of(info, "gaps", %{"least" => clamp(least)}, &Answer.spans/1) |> Error.unwrap!()
+  end
+
+  @impl true
+  def missing_files(state),
+    do: state |> ask(%{"op" => "missing_files"}, &Answer.texts/1) |> Error.unwrap!()
+
+  @impl true
+  def await(state, known, pid, tag) do
+    asked = %{"op" => "await", "known" => known, "version" => state.version}
+    Client.await(state.address, state.access, asked, {pid, tag})
+  end
+
+  defp of(state, %StreamInfo{name: name}, op, asked, read),
+    do: ask(state, Map.merge(asked, %{"op" => op, "stream" => name}), read)
+
+  defp ask(state, asked, read) do
+    asked = Map.put(asked, "version", state.version)
+
+    with {:ok, body} <- Client.ask(state.address, state.access, asked),
+         :error <- read.(body) do
+      {:error,
+       Error.new(:bad_reply, "#{where(state)} answers what makes no sense",
+         why: "the answer to #{asked["op"]} is not of the form that this release knows",
+         fix: "bring both sides to the same release of Situ"
+       )}
+    end
+  end
+
+  defp clamp(time), do: time |> max(-0x7FFFFFFFFFFFFFFF) |> min(0x7FFFFFFFFFFFFFFF)
+end

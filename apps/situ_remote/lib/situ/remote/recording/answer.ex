@@ -1,0 +1,126 @@
+defmodule Situ.Remote.Recording.Answer do
+  @moduledoc false
+  # Bodies of answers, read without trust: terms by the checked decoder of stores, and every form is looked at. Pure.
+  alias Situ.Message
+  alias Situ.Remote.Link.Batch
+  alias Situ.Store.{StreamInfo, Terms, TypeName}
+
+  @type answer(form) :: {:ok, form} | :error
+
+  @fields %StreamInfo{id: 0, name: ""} |> Map.from_struct() |> Map.keys()
+  @numbers [:id, :count, :size, :stored, :latency_sum]
+  @times [:opened, :closed, :first, :last, :first_creation, :last_creation]
+
+  @spec info(binary()) :: answer(map())
+  def info(body) do
+    with {:ok, %{name: name, live?: live?, closed?: closed?} = info} <- term(body),
+         true <- is_binary(name) and is_boolean(live?) and is_boolean(closed?),
+         true <- info[:version] == nil or is_integer(info[:version]) do
+      {:ok, Map.put(info, :damage, List.wrap(info[:damage]))}
+    else
+      _ -> :error
+    end
+  end
+
+  @spec streams(binary(), String.t()) :: answer([StreamInfo.t()])
+  def streams(body, where) do
+    with {:ok, list} when is_list(list) <- term(body), true <- Enum.all?(list, &stream?/1) do
+      {:ok, for(map <- list, do: stream(map, where))}
+    else
+      _ -> :error
+    end
+  end
+
+  defp stream?(%{name: name, type_name: type} = map) do
+    is_binary(name) and is_binary(type) and Enum.all?(@numbers, &is_number(map[&1])) and
+      Enum.all?(@times, &(map[&1] == nil or is_integer(map[&1]))) and is_map(map[:codecs]) and
+      match?(s when s == nil or tuple_size(s) == 2, map[:supplemental])
+  end
+
+  defp stream?(_other), do: false
+
+  defp stream(map, where) do
+    info = struct!(StreamInfo, Map.take(map, @fields))
+    type = with {:ok, type} <- TypeName.read(info.type_name), do: type, else: (_ -> :any)
+    %{info | type: type, store_path: where}
+  end
+
+  @spec number(binary()) :: answer(non_neg_integer())
+  def number(body) do
+    with {:ok, n} when is_integer(n) and n >= 0 <- term(body), do: {:ok, n}, else: (_ -> :error)
+  end
+
+  @spec summary(binary()) :: answer({pos_integer(), [tuple()]})
+  def summary(body) do
+    with {:ok, {width, bins}} when is_integer(width) and width > 0 and is_list(bins) <-
+           term(body),
+         true <-
+           Enum.all?(bins, &match?({s, _, _, _, n} when is_integer(s) and is_integer(n), &1)) do
+      {:ok, {width, bins}}
+    else
+      _ -> :error
+    end
+  end
+
+  @spec tracks(binary()) :: answer({[tuple()], [tuple()]})
+  def tracks(body) do
+    with {:ok, {counts, tracks}} when is_list(counts) and is_list(tracks) <- term(body),
+         true <- Enum.all?(counts, &match?({s, n} when is_integer(s) and is_integer(n), &1)),
+         true <-
+           Enum.all?(
+             tracks,
+             &match?({_key, {kind, list}} when is_atom(kind) and is_list(list), &1)
+           ) do
+      {:ok, {counts, tracks}}
+    else
+      _ -> :error
+    end
+  end
+
+  @spec spans(binary()) :: answer([{Situ.Time.t(), Situ.Time.t()}])
+  def spans(body), do: list(body, &match?({a, b} when is_integer(a) and is_integer(b), &1))
+
+  @spec texts(binary()) :: answer([String.t()])
+  def texts(body), do: list(body, &is_binary/1)
+
+  defp list(body, good?) do
+    with {:ok, list} when is_list(list) <- term(body), true <- Enum.all?(list, good?) do
+      {:ok, list}
+    else
+      _ -> :error
+    end
+  end
+
+  @spec news(binary()) :: answer({:published | :ended, non_neg_integer()})
+  def news(body) do
+    with {:ok, {kind, n}} when kind in [:published, :ended] and is_integer(n) <- term(body) do
+      {:ok, {kind, n}}
+    else
+      _ -> :error
+    end
+  end
+
+  @spec messages(binary(), integer()) :: answer({[Message.t()], non_neg_integer()})
+  def messages(<<next::64, batches::binary>>, id) do
+    with {:ok, messages} <- batches(batches, []) do
+      {:ok, {for(%Message{} = message <- messages, do: %{message | source_id: id}), next}}
+    end
+  end
+
+  def messages(_body, _id), do: :error
+
+  defp batches(<<>>, lists), do: {:ok, lists |> Enum.reverse() |> Enum.concat()}
+
+  defp batches(<<size::32, payload::binary-size(size), rest::binary>>, lists) do
+    case Batch.decode(payload) do
+      {:ok, messages} -> batches(rest, [messages | lists])
+      {:error, _} -> :error
+    end
+  end
+
+  defp batches(_cut, _lists), do: :error
+
+  defp term(body) do
+    with {:error, _} <- Terms.decode(body), do: :error
+  end
+end

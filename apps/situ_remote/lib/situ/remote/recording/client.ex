@@ -1,0 +1,262 @@
+defmodule Situ.Remote.Recording.Client do
+  @moduledoc false
+  # One process for each server that somebody reads recordings of: questions and their answers over one connection. It
+  # starts when first asked and ends after a while without a question, so that an open recording leaves nothing to be
+  # closed.
+  use GenServer, restart: :temporary
+  alias Situ.{Error, JSON}
+  alias Situ.Remote.{Access, Address}
+  alias Situ.Remote.Link.{Dialing, Frame, Handshake, Socket}
+  alias Situ.Remote.Recording.Answer
+
+  @registry Situ.Remote.Recording.Registry
+  @supervisor Situ.Remote.Recording.Supervisor
+  @idle_ms 60_000
+  @answer_ms 60_000
+  @again_ms 1_000
+  # The longest answer: one message, or some megabytes of them.
+  @most_answer 1024 * 1024 * 1024 + 65_536
+
+  # Under way: id to `{:call, from}` or `{:await, asked, {pid, tag}}`; `parts`: pieces of answers that are not whole.
+  defstruct [
+    :address,
+    :access,
+    :socket,
+    :dialer,
+    queued: [],
+    under_way: %{},
+    parts: %{},
+    next: 1
+  ]
+
+  @spec children() :: [Supervisor.child_spec() | {module(), keyword()}]
+  def children do
+    [
+      {Registry, keys: :unique, name: @registry},
+      {DynamicSupervisor, name: @supervisor, strategy: :one_for_one}
+    ]
+  end
+
+  @doc "The body of an answer. Errors: the server's own, `:unreachable`, `:link_lost`, `:wrong_token` ..."
+  @spec ask(Address.t(), Access.t(), map()) :: {:ok, binary()} | {:error, Error.t()}
+  def ask(address, access, asked), do: call(address, access, {:ask, asked})
+
+  @doc "`pid` gets `{:situ_store, tag, news}` once, however long it takes and whatever happens to the link."
+  @spec await(Address.t(), Access.t(), map(), {pid(), non_neg_integer()}) :: :ok
+  def await(address, access, asked, to) do
+    {:ok, pid} = find(address, access)
+    GenServer.cast(pid, {:await, asked, to})
+  end
+
+  defp call(address, access, question, tries \\ 3) do
+    {:ok, pid} = find(address, access)
+    GenServer.call(pid, question, :infinity)
+  catch
+    # It was just about to end.
+    :exit, {reason, _} when reason in [:normal, :noproc] and tries > 1 ->
+      call(address, access, question, tries - 1)
+  end
+
+  defp find(address, access) do
+    key = {address, access}
+
+    case Registry.whereis_name({@registry, key}) do
+      :undefined ->
+        name = {:via, Registry, {@registry, key}}
+        start = {GenServer, :start_link, [__MODULE__, key, [name: name]]}
+        spec = %{id: __MODULE__, start: start, restart: :temporary}
+
+        case DynamicSupervisor.start_child(@supervisor, spec) do
+          {:ok, pid} -> {:ok, pid}
+          {:error, {:already_started, pid}} -> {:ok, pid}
+        end
+
+      pid ->
+        {:ok, pid}
+    end
+  end
+
+  @impl true
+  def init({address, access}) do
+    Process.flag(:trap_exit, true)
+    {:ok, %__MODULE__{address: address, access: access}, @idle_ms}
+  end
+
+  @impl true
+  def handle_call({:ask, asked}, from, state), do: {:noreply, begin(state, {:call, from, asked})}
+
+  @impl true
+  def handle_cast({:await, asked, {pid, _} = to}, state) do
+    Process.monitor(pid)
+    {:noreply, begin(state, {:await, asked, to})}
+  end
+
+  # Sends it, or dials first.
+  defp begin(%{socket: nil} = state, question),
+    do: dial(%{state | queued: [question | state.queued]})
+
+  defp begin(state, question) do
+    id = state.next
+    frame = {:request, id, asked(question)}
+    timer = Process.send_after(self(), {:late, id}, @answer_ms)
+    _ = Socket.send(state.socket, Frame.encode(frame))
+    under_way = Map.put(state.under_way, id, {question, timer})
+    %{state | next: rem(id, 0x7FFFFFFF) + 1, under_way: under_way}
+  end
+
+  defp asked({:call, _from, asked}), do: asked
+  defp asked({:await, asked, _to}), do: asked
+
+  defp dial(%{dialer: nil} = state) do
+    %{state | dialer: Dialing.start(state.address, state.access)}
+  end
+
+  defp dial(state), do: state
+
+  @impl true
+  def handle_info({:dialed, dialer, {:ok, socket, _welcome}}, %{dialer: dialer} = state) do
+    case Socket.open_up(socket, Dialing.most_bytes()) do
+      :ok ->
+        queued = Enum.reverse(state.queued)
+        state = %{state | socket: socket, dialer: nil, queued: []}
+        rest(Enum.reduce(queued, state, &begin(&2, &1)))
+
+      {:error, reason} ->
+        failed(%{state | socket: socket}, Socket.reason_text(reason))
+    end
+  end
+
+  def handle_info({:dialed, dialer, {:error, error}}, %{dialer: dialer} = state) do
+    {waiting, others} = Enum.split_with(state.queued, &match?({:await, _, _}, &1))
+    for question <- others, do: answer(question, {:error, error})
+    rest(wait(%{state | dialer: nil, queued: waiting}))
+  end
+
+  def handle_info(:dial, %{socket: nil} = state), do: {:noreply, dial(state)}
+
+  def handle_info({kind, socket, body}, %{socket: {_, socket}} = state)
+      when kind in [:tcp, :ssl] do
+    _ = Socket.once(state.socket)
+
+    case Frame.decode(body) do
+      {:ok, {:reply, id, piece}} -> rest(piece(state, id, piece))
+      {:ok, {:refused, map}} -> failed(state, map |> Handshake.from_map() |> Exception.message())
+      # The catalogue comes by itself.
+      {:ok, _other} -> rest(state)
+      {:error, why} -> failed(state, why)
+    end
+  end
+
+  def handle_info({kind, socket}, %{socket: {_, socket}} = state)
+      when kind in [:tcp_closed, :ssl_closed],
+      do: failed(state, "the other side closed the connection")
+
+  def handle_info({kind, socket, reason}, %{socket: {_, socket}} = state)
+      when kind in [:tcp_error, :ssl_error],
+      do: failed(state, Socket.reason_text(reason))
+
+  # News may take as long as it likes.
+  def handle_info({:late, id}, state) do
+    case state.under_way do
+      %{^id => {{:call, _, _}, _}} ->
+        failed(state, "no answer within #{div(@answer_ms, 1_000)} s")
+
+      _ ->
+        rest(state)
+    end
+  end
+
+  def handle_info({:DOWN, _, :process, pid, _}, state) do
+    mine? = &match?({:await, _, {^pid, _}}, &1)
+    under_way = Map.reject(state.under_way, fn {_, {question, _}} -> mine?.(question) end)
+    rest(%{state | under_way: under_way, queued: Enum.reject(state.queued, mine?)})
+  end
+
+  def handle_info(:timeout, %{under_way: under_way, queued: []} = state)
+      when map_size(under_way) == 0,
+      do: {:stop, :normal, state}
+
+  def handle_info(_other, state), do: rest(state)
+
+  # Nobody waits for anything: the time until it ends begins.
+  defp rest(%{under_way: under_way, queued: [], dialer: nil} = state)
+       when map_size(under_way) == 0,
+       do: {:noreply, state, @idle_ms}
+
+  defp rest(state), do: {:noreply, state}
+
+  defp piece(state, id, <<0, bytes::binary>>) when is_map_key(state.under_way, id) do
+    {size, parts} = Map.get(state.parts, id, {0, []})
+    size = size + byte_size(bytes)
+
+    if size > @most_answer,
+      do: whole(state, id, {:error, Error.new(:bad_reply, "an answer of more than 1 GiB")}),
+      else: %{state | parts: Map.put(state.parts, id, {size, [parts | bytes]})}
+  end
+
+  defp piece(state, id, <<1, bytes::binary>>) when is_map_key(state.under_way, id) do
+    body =
+      case state.parts do
+        %{^id => {_, parts}} -> IO.iodata_to_binary([parts | bytes])
+        _ -> bytes
+      end
+
+    whole(state, id, {:ok, body})
+  end
+
+  defp piece(state, id, <<2, json::binary>>) when is_map_key(state.under_way, id) do
+    map = with {:ok, %{} = map} <- JSON.decode(json), do: map, else: (_ -> %{})
+    whole(state, id, {:error, Handshake.from_map(map)})
+  end
+
+  defp piece(state, _id, _piece), do: state
+
+  defp whole(state, id, result) do
+    {{question, timer}, under_way} = Map.pop(state.under_way, id)
+    _ = Process.cancel_timer(timer)
+    answer(question, result)
+    %{state | under_way: under_way, parts: Map.delete(state.parts, id)}
+  end
+
+  defp answer({:call, from, _asked}, result), do: GenServer.reply(from, result)
+
+  defp answer({:await, %{"known" => known}, {pid, tag}}, result) do
+    with {:ok, body} <- result, {:ok, news} <- Answer.news(body) do
+      send(pid, {:situ_store, tag, news})
+    else
+      # The server does not have it any more.
+      _ -> send(pid, {:situ_store, tag, {:ended, known}})
+    end
+  end
+
+  # A lost link ends nothing: who waits for news goes on waiting, all others hear why they have no answer.
+  defp failed(state, why) do
+    if state.socket, do: Socket.close(state.socket)
+    where = Address.to_string(state.address)
+    error = Error.new(:link_lost, "the link to #{where} was lost", why: why)
+
+    waiting =
+      Enum.flat_map(state.under_way, fn {_, {question, timer}} ->
+        _ = Process.cancel_timer(timer)
+
+        if match?({:await, _, _}, question) do
+          [question]
+        else
+          answer(question, {:error, error})
+          []
+        end
+      end)
+
+    rest(wait(%{state | socket: nil, under_way: %{}, parts: %{}, queued: waiting}))
+  end
+
+  defp wait(%{queued: []} = state), do: state
+
+  defp wait(state) do
+    Process.send_after(self(), :dial, @again_ms)
+    state
+  end
+
+  @impl true
+  def terminate(_reason, state), do: if(state.socket, do: Socket.close(state.socket))
+end

@@ -1,0 +1,165 @@
+defmodule Situ.Remote.Server.Requests do
+  @moduledoc """
+  What a client asks of a recording (`{:request, id, map}`) and the bodies of the answers. A reader of the other side
+  asks, `Situ.Remote.Recording`.
+
+  | `op` | further keys | answer |
+  |---|---|---|
+  | `open` | | info, with `version` |
+  | `streams`; `stream` | `stream` | list of maps; one |
+  | `seek`, `count` | `stream`, `time` | ordinal, number |
+  | `read` | `stream`, `ordinal`, `to`, `limit`, `exact`, `envelopes`, `skip_damage` | 64 bits of ordinal, batches |
+  | `summary`, `tracks` | `stream`, `from`, `to`, `pixels` or `level` and `most` | what a `Situ.Store.Reader` answers |
+  | `gaps`; `missing_files` | `stream`, `least` | lists |
+  | `await` | `known` | `{:published \| :ended, n}`, once there is more than `known` |
+
+  Every request but `open` names the `version` that `open` told of. Answers but that of `read` are external terms, which
+  the other side reads by the checked decoder of stores. A body goes in pieces: the byte 0 before each but the last,
+  which has 1; 2 stands before an error as JSON.
+  """
+  alias Situ.{Error, JSON}
+  alias Situ.Remote.Link.{Batch, Handshake}
+  alias Situ.Store.{Handle, Reading, StreamInfo}
+
+  # At most so many messages in one answer, and so many where only as many as were asked for may come.
+  @most 4_096
+  @most_exact 16
+  @most_pixels 100_000
+  @piece 1024 * 1024
+
+  @doc "The pieces of an answer, or that of `await`: from which number on there is something to tell."
+  @spec answer(Handle.t(), map()) :: {:ok, [iodata()]} | {:await, non_neg_integer()}
+  def answer(%Handle{} = store, %{"op" => "await"} = asked) do
+    with {:ok, known} <- number(asked["known"], 0, 0xFFFFFFFFFFFF),
+         true <- function_exported?(store.module, :await, 4) do
+      {:await, known}
+    else
+      _ -> {:ok, term({:ended, 0})}
+    end
+  end
+
+  def answer(%Handle{} = store, asked) do
+    case act(asked["op"], store, asked) do
+      {:ok, body} -> {:ok, body}
+      {:error, %Error{} = error} -> {:ok, error |> discreet(store) |> error()}
+      {:error, why} -> {:ok, error(bad(why))}
+    end
+  rescue
+    error in Error -> {:ok, error |> discreet(store) |> error()}
+  end
+
+  # Paths of this machine are nobody's business.
+  defp discreet(error, store) do
+    hide = &(&1 && String.replace(&1, store.path, Path.basename(store.path)))
+    %{error | what: hide.(error.what), why: hide.(error.why), fix: hide.(error.fix)}
+  end
+
+  @doc "An error as an answer."
+  @spec error(Error.t()) :: [iodata()]
+  def error(%Error{} = error), do: [[2, JSON.encode(Handshake.to_map(error))]]
+
+  @doc "A term as an answer."
+  @spec term(term()) :: [iodata()]
+  def term(term), do: term |> :erlang.term_to_binary() |> pieces()
+
+  defp act("open", store, _asked) do
+    info = Reading.info(store)
+    known = [:name, :version, :created, :closed?, :live?, :volatile?, :entries, :damage, :id]
+    {:ok, info |> Map.take(known) |> term()}
+  end
+
+  defp act("streams", store, _asked), do: {:ok, store |> Reading.streams() |> shown() |> term()}
+  defp act("missing_files", store, _asked), do: {:ok, store |> Reading.missing_files() |> term()}
+
+  defp act(op, store, %{"stream" => name} = asked) when is_binary(name) do
+    with {:ok, info} <- Reading.stream_info(store, name), do: of_stream(op, store, info, asked)
+  end
+
+  defp act(op, _store, _asked), do: {:error, "an operation #{inspect(op)} without its stream"}
+
+  defp of_stream("stream", _store, info, _asked), do: {:ok, [info] |> shown() |> term()}
+  defp of_stream("count", store, info, _asked), do: {:ok, store |> Reading.count(info) |> term()}
+
+  defp of_stream("seek", store, info, asked) do
+    with {:ok, time} <- time(asked["time"]),
+         {:ok, ordinal} <- Reading.seek(store, info, time),
+         do: {:ok, term(ordinal)}
+  end
+
+  defp of_stream("gaps", store, info, asked) do
+    with {:ok, least} <- time(asked["least"]),
+         do: {:ok, store |> Reading.gaps(info, least) |> term()}
+  end
+
+  defp of_stream("read", store, info, asked) do
+    exact? = asked["exact"] == true
+    flags = [exact: exact?, envelopes: asked["envelopes"] == true]
+    opts = [skip_damage: asked["skip_damage"] == true] ++ flags
+
+    with {:ok, ordinal} <- number(asked["ordinal"], 0, 0xFFFFFFFFFFFFFF),
+         {:ok, to} <- if(asked["to"] == nil, do: {:ok, :unbounded}, else: time(asked["to"])),
+         {:ok, limit} <- number(asked["limit"], 1, 0xFFFFFFFF),
+         limit = min(limit, if(exact?, do: @most_exact, else: @most)),
+         {:ok, messages, next} <- Reading.batch(store, info, ordinal, to, limit, opts) do
+      batches =
+        for {_, _, _, payload} <- Batch.encode(messages),
+            do: [<<IO.iodata_length(payload)::32>>, payload]
+
+      {:ok, pieces(IO.iodata_to_binary([<<next::64>> | batches]))}
+    end
+  end
+
+  defp of_stream("summary", store, info, asked) do
+    with {:ok, from} <- time(asked["from"]),
+         {:ok, to} <- time(asked["to"]),
+         {:ok, pixels} <- number(asked["pixels"], 1, @most_pixels),
+         :ok <- can(store, :summary, 5),
+         {:ok, width, bins} <- store.module.summary(store.state, info, from, to, pixels),
+         do: {:ok, term({width, bins})}
+  end
+
+  defp of_stream("tracks", store, info, asked) do
+    with {:ok, from} <- time(asked["from"]),
+         {:ok, to} <- time(asked["to"]),
+         {:ok, level} <- number(asked["level"], 0, 62),
+         true <- Bitwise.bsr(max(to - from, 0), level) <= @most_pixels,
+         {:ok, most} <- number(asked["most"], 0, @most_pixels),
+         :ok <- can(store, :tracks, 6),
+         {:ok, counts, tracks} <- store.module.tracks(store.state, info, from, to, level, most) do
+      {:ok, term({counts, tracks})}
+    else
+      false -> {:error, "more than #{@most_pixels} bins"}
+      error -> error
+    end
+  end
+
+  defp of_stream(op, _store, _info, _asked), do: {:error, "no operation #{inspect(op)}"}
+
+  defp shown(infos) do
+    for %StreamInfo{} = info <- infos do
+      info |> Map.from_struct() |> Map.drop([:store_path, :type])
+    end
+  end
+
+  defp can(store, function, arity) do
+    if function_exported?(store.module, function, arity),
+      do: :ok,
+      else:
+        {:error,
+         Error.new(:no_summary, "#{inspect(store.module)} makes no summaries", meta: %{none: true})}
+  end
+
+  defp time(n), do: number(n, -0x7FFFFFFFFFFFFFFF, 0x7FFFFFFFFFFFFFFF)
+
+  defp number(n, least, most) when is_integer(n) and n >= least and n <= most, do: {:ok, n}
+  defp number(_n, least, most), do: {:error, "a number that is not between #{least} and #{most}"}
+
+  defp pieces(bytes) when byte_size(bytes) <= @piece, do: [[1, bytes]]
+
+  defp pieces(bytes) do
+    <<piece::binary-size(@piece), rest::binary>> = bytes
+    [[0, piece] | pieces(rest)]
+  end
+
+  defp bad(why), do: Error.new(:bad_request, "a request that makes no sense", why: why)
+end

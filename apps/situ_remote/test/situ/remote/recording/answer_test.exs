@@ -1,0 +1,38 @@
+defmodule Situ.Remote.Recording.AnswerTest do
+  # Whatever a server answers, nothing is raised and nothing is taken that has not the form.
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  alias Situ.Remote.Recording.Answer
+
+  @readers [:info, :number, :summary, :tracks, :spans, :texts, :news]
+
+  defp all(body) do
+    for(name <- @readers, do: apply(Answer, name, [body])) ++
+      [Answer.streams(body, "here"), Answer.messages(body, 1)]
+  end
+
+  defp one_of_two?(answers), do: Enum.all?(answers, &(&1 == :error or match?({:ok, _}, &1)))
+
+  property "any bytes are an answer or none", numtests: 500 do
+    forall body <- binary() do
+      one_of_two?(all(body))
+    end
+  end
+
+  property "any term is an answer or none", numtests: 500 do
+    forall term <- term() do
+      one_of_two?(all(:erlang.term_to_binary(term)))
+    end
+  end
+
+  test "a stream's entry is taken whole or not at all" do
+    good = %{Map.from_struct(%Situ.Store.StreamInfo{id: 1, name: "n"}) | type_name: ":float"}
+    body = &:erlang.term_to_binary/1
+
+    assert {:ok, [%{name: "n", type: :float, store_path: "there"}]} =
+             Answer.streams(body.([good]), "there")
+
+    for {key, bad} <- [name: 1, id: nil, first: "x", codecs: [], supplemental: 3, type_name: nil],
+        do: assert(Answer.streams(body.([Map.put(good, key, bad)]), "there") == :error)
+  end
+end
