@@ -52,4 +52,36 @@ defmodule Situ.Studio.StoresTest do
     assert Stores.find(path, "Talk.0000") == {:ok, path}
     assert Stores.find(path, "Other") == :error
   end
+
+  @tag :tmp_dir
+  test "recordings of another machine are listed, found and drawn", %{tmp_dir: tmp} do
+    {:ok, writer} = Writer.create("lobby", tmp)
+    {:ok, stream} = Writer.stream(writer, "n", type: :float)
+
+    messages =
+      for i <- 1..100 do
+        time = i * 1_000_000
+        %Situ.Message{data: i * 0.5, originating_time: time, creation_time: time, sequence_id: i}
+      end
+
+    {:ok, _} = Writer.append(stream, messages)
+    :ok = Writer.close(writer)
+    path = Path.join(tmp, "lobby")
+    {:ok, server} = Situ.Remote.serve(%{"lobby" => path, "hall" => path}, port: 0)
+    whole = "situ://127.0.0.1:#{Situ.Remote.Server.port(server)}"
+
+    assert Stores.all(whole) == {[{"hall", whole <> "/hall"}, {"lobby", whole <> "/lobby"}], []}
+    assert Stores.all(whole <> "/lobby") == {[{"lobby", whole <> "/lobby"}], []}
+    assert Stores.find(whole, "lobby") == {:ok, whole <> "/lobby"}
+    assert Stores.find(whole, "../lobby") == :error
+
+    start_supervised!({Situ.Studio, path: whole, port: 0, id: "elsewhere"})
+    assert {:ok, %{kind: :elsewhere}, source} = Situ.Studio.Catalog.open("elsewhere", "lobby")
+    call = &Situ.Studio.Source.call(source, &1, &2)
+    assert {:ok, %{from: 1_000_000, to: 100_000_000, live: false}} = call.(:extent, [])
+    assert {:ok, [%{name: "n", count: 100}]} = call.(:streams, [])
+    assert {:ok, points, _} = call.(:series, ["n", 0, 100_000_000, 1_000_000])
+    assert length(points) > 50
+    Situ.Remote.Server.close(server)
+  end
 end
