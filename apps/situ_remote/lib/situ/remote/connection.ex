@@ -358,12 +358,8 @@ defmodule Situ.Remote.Connection do
   end
 
   # No waiting helps against these.
-  defp fatal?(nil), do: false
-
-  defp fatal?(error),
-    do:
-      error.code in [:wrong_token, :wrong_version, :wrong_certificate] or
-        error.code in [:no_link, :bad_address, :no_recording]
+  @fatal ~w(wrong_token wrong_version wrong_certificate no_link bad_address no_recording)a
+  defp fatal?(error), do: error != nil and error.code in @fatal
 
   defp silent(state),
     do: Situ.Error.new(:unreachable, "#{Address.to_string(state.address)} has not answered yet")

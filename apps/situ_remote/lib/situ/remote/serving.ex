@@ -25,7 +25,8 @@ defmodule Situ.Remote.Serving do
       default: nil,
       doc:
         "`true`: by a certificate made for this machine, which clients know by its fingerprint" <>
-          " (`Situ.Remote.Server.address/2` has it). Or options of `:ssl` (`certfile:`, `keyfile:`; `cacertfile:`, `verify: :verify_peer` and" <>
+          " (`Situ.Remote.Server.address/2` has it). Or options of `:ssl` (`certfile:`," <>
+          " `keyfile:`; `cacertfile:`, `verify: :verify_peer` and" <>
           " `fail_if_no_peer_cert: true` to ask clients for theirs)."
     ],
     unix: [
