@@ -24,12 +24,19 @@ defmodule Situ.Annotation.Editor do
   writes a new version of the store (`Situ.Annotation.Recording`) and removes the journal; an editor started after a
   crash finds the journal and carries on (`recovered` in `status/1` counts the transactions). Subscribers get
   `{:situ_annotation, pid, transaction}` after every edit, undo and redo, and `{:situ_annotation, pid, :saved}`.
+
+  Several editors of one store, each of another stream, save independently: a new version has what the others saved
+  last, also those of other operating-system processes.
   """
   use GenServer
   alias Situ.Annotation.{Journal, Layer, Recording, Schema}
+  alias Situ.Dataset.Version
   alias Situ.{Error, Store}
 
   @type server :: GenServer.server()
+
+  # So often is a version written anew because others saved at the same moment.
+  @tries 100
 
   @doc "Starts it. Errors: those of the store, `:no_schema`, `:bad_journal`."
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
@@ -45,17 +52,19 @@ defmodule Situ.Annotation.Editor do
     path = Path.expand(path)
     journal = Journal.path(path, stream)
 
-    base =
-      if Store.exists?(path), do: Store.newest(Path.basename(path), Path.dirname(path)) || path
+    base = if Store.exists?(path), do: Version.newest(path) || path
 
-    with {:ok, others, layer} <- stored(base, stream, schema),
-         {:ok, transactions} <- Journal.read(journal, base),
+    with {:ok, mine, others} <- stored(base, stream),
+         {:ok, layer} <- if(mine, do: {:ok, mine}, else: fresh(stream, schema)),
+         digest = Journal.digest(mine),
+         {:ok, transactions} <- Journal.read(journal, {base, digest}),
          {:ok, layer, undo} <- replay(layer, transactions) do
       {:ok,
        %{
          path: path,
          base: base,
          stream: stream,
+         digest: digest,
          others: others,
          layer: layer,
          undo: undo,
@@ -68,17 +77,14 @@ defmodule Situ.Annotation.Editor do
     end
   end
 
-  # Other streams of the store go along into its next version.
-  defp stored(nil, stream, schema) do
-    with {:ok, layer} <- fresh(stream, schema), do: {:ok, %{}, layer}
-  end
+  # The stream, or `nil`; other streams of the store go along into its next version.
+  defp stored(nil, _stream), do: {:ok, nil, %{}}
 
-  defp stored(folder, stream, schema) do
+  defp stored(folder, stream) do
     with {:ok, store} <- Store.open(folder),
          {:ok, layers} <- layers(store, Store.streams(store)) do
       {mine, others} = Map.pop(layers, stream)
-      layer = if mine, do: {:ok, mine}, else: fresh(stream, schema)
-      with {:ok, layer} <- layer, do: {:ok, others, layer}
+      {:ok, mine, others}
     end
   end
 
@@ -205,15 +211,37 @@ defmodule Situ.Annotation.Editor do
   end
 
   def handle_call(:save, _from, state) do
-    case Recording.write_all(Map.put(state.others, state.stream, state.layer), state.path) do
-      {:ok, folder} ->
+    case write(state, @tries) do
+      {:ok, state} ->
         _ = File.rm(state.journal)
         tell(state, :saved)
-        {:reply, {:ok, folder}, %{state | base: folder, unsaved?: false}}
+        {:reply, {:ok, state.base}, %{state | unsaved?: false}}
 
       {:error, error} ->
         {:reply, {:error, error}, state}
     end
+  end
+
+  # Other streams are as they were saved last, whoever did it; a version that comes in between is read, too.
+  defp write(state, tries) do
+    newest = Version.newest(state.path)
+
+    with {:ok, others} <- others(state, newest),
+         layers = Map.put(others, state.stream, state.layer),
+         {:ok, folder} <- Recording.write_after(layers, state.path, newest) do
+      {:ok, %{state | base: folder, others: others, digest: Journal.digest(state.layer)}}
+    else
+      {:error, %Error{code: :newer_version}} when tries > 0 -> write(state, tries - 1)
+      error -> error
+    end
+  end
+
+  defp others(%{base: newest} = state, newest), do: {:ok, state.others}
+
+  defp others(%{others: others}, nil), do: {:ok, others}
+
+  defp others(state, newest) do
+    with {:ok, _mine, others} <- stored(newest, state.stream), do: {:ok, others}
   end
 
   defp allowed(layer, schema, fun) do
@@ -257,7 +285,7 @@ defmodule Situ.Annotation.Editor do
   # On the disk first, then in memory, then told.
   defp made(state, transaction) do
     with {:ok, layer} <- Layer.apply(state.layer, transaction),
-         :ok <- Journal.append(state.journal, state.base, transaction) do
+         :ok <- Journal.append(state.journal, {state.base, state.digest}, transaction) do
       tell(state, transaction)
       {:ok, %{state | layer: layer, unsaved?: true}}
     end

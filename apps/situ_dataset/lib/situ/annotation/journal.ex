@@ -1,22 +1,35 @@
 defmodule Situ.Annotation.Journal do
   @moduledoc false
-  # The transactions since the last save, a line of JSON each, behind a line that names the version they are made on. A
-  # line that a crash cut short was never answered for, and is taken off; a broken line before others is damage.
+  # The transactions since the last save, a line of JSON each, behind a line that names the version they are made on,
+  # and a digest of the stream in it: versions that only changed other streams of the store do no harm. A line that a
+  # crash cut short was never answered for, and is taken off; a broken line before others is damage.
   alias Situ.{Annotation, Error}
-  alias Situ.Annotation.Layer
+  alias Situ.Annotation.{Layer, Schema}
+
+  @typedoc "A version (the store's folder, `nil` before the first), and the digest of the stream in it."
+  @type base :: {Path.t() | nil, String.t() | nil}
 
   @spec path(Path.t(), String.t()) :: Path.t()
   def path(store, stream), do: "#{store}.#{String.replace(stream, ~r/[^\w.-]/u, "_")}.journal"
 
-  @doc "Appends a transaction that was made on the version `base` (the store's folder, `nil` before the first)."
-  @spec append(Path.t(), Path.t() | nil, Layer.transaction()) :: :ok | {:error, Error.t()}
+  @doc "Of the annotations as they are stored, to know them again; `nil` for a stream that is not stored yet."
+  @spec digest(Layer.t() | nil) :: String.t() | nil
+  def digest(nil), do: nil
+
+  def digest(%Layer{} = layer) do
+    stored = {Schema.to_json(layer.schema), Enum.map(Layer.annotations(layer), &json/1)}
+    :sha256 |> :crypto.hash(:erlang.term_to_binary(stored, [:deterministic])) |> Base.encode16()
+  end
+
+  @doc "Appends a transaction that was made on `base`."
+  @spec append(Path.t(), base(), Layer.transaction()) :: :ok | {:error, Error.t()}
   def append(path, base, transaction) do
     line = [Situ.JSON.encode(Enum.map(transaction, &change/1)), "\n"]
 
     line =
       if File.exists?(path),
         do: line,
-        else: [Situ.JSON.encode(%{base: version(base)}), "\n", line]
+        else: [Situ.JSON.encode(head(base)), "\n", line]
 
     with :ok <- File.mkdir_p(Path.dirname(path)),
          {:ok, device} <- :file.open(path, [:append, :raw, :binary]) do
@@ -42,6 +55,8 @@ defmodule Situ.Annotation.Journal do
     :file.close(device)
   end
 
+  defp head({folder, digest}), do: %{base: version(folder), stream: digest}
+
   defp version(nil), do: nil
   defp version(folder), do: Path.basename(folder)
 
@@ -57,14 +72,14 @@ defmodule Situ.Annotation.Journal do
   end
 
   @doc """
-  The transactions, oldest first; none where there is no journal. One made on an older version than `base` is done
-  with: the version was saved, and only the journal not yet removed.
+  The transactions, oldest first; none where there is no journal. One made on an older version than `base`, in which
+  the stream was another, is done with: the version was saved, and only the journal not yet removed.
   """
-  @spec read(Path.t(), Path.t() | nil) :: {:ok, [Layer.transaction()]} | {:error, Error.t()}
+  @spec read(Path.t(), base()) :: {:ok, [Layer.transaction()]} | {:error, Error.t()}
   def read(path, base) do
     case File.read(path) do
       {:ok, text} ->
-        text |> whole(path) |> String.split("\n") |> Enum.drop(-1) |> parse(path, version(base))
+        text |> whole(path) |> String.split("\n") |> Enum.drop(-1) |> parse(path, head(base))
 
       {:error, :enoent} ->
         {:ok, []}
@@ -96,9 +111,12 @@ defmodule Situ.Annotation.Journal do
 
   defp parse([], _path, _base), do: {:ok, []}
 
-  defp parse([first | lines], path, base) do
+  defp parse([first | lines], path, %{base: base, stream: digest}) do
     case Situ.JSON.decode(first) do
       {:ok, %{"base" => ^base}} ->
+        transactions(lines, path)
+
+      {:ok, %{"base" => older, "stream" => ^digest}} when older == nil or older < base ->
         transactions(lines, path)
 
       {:ok, %{"base" => older}} when older == nil or older < base ->

@@ -97,11 +97,32 @@ defmodule Situ.Annotation.Recording do
   @spec write_all(%{String.t() => Layer.t()}, Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def write_all(layers, path) do
     path = Path.expand(path)
+    with {:ok, draft} <- draft(layers, path), do: Version.publish(draft, path)
+  end
+
+  @doc """
+  The same, as the version that follows the folder `base` (`nil` for the first). Error: `:newer_version` when somebody
+  saved meanwhile; then nothing was written.
+  """
+  @spec write_after(%{String.t() => Layer.t()}, Path.t(), Path.t() | nil) ::
+          {:ok, Path.t()} | {:error, Error.t()}
+  def write_after(layers, path, base) do
+    path = Path.expand(path)
+
+    with {:ok, draft} <- draft(layers, path),
+         {:error, %Error{code: :newer_version}} = taken <-
+           Version.publish_after(draft, path, base) do
+      _ = Store.delete(draft)
+      taken
+    end
+  end
+
+  defp draft(layers, path) do
     options = [durability: :each, versioned: false]
 
     with {:ok, writer} <- Store.Writer.create(Path.basename(path), Version.draft(path), options) do
       case fill(writer, Enum.sort(layers)) do
-        :ok -> Version.publish(writer.path, path)
+        :ok -> {:ok, writer.path}
         {:error, error} -> give_up(writer, error)
       end
     end

@@ -13,14 +13,31 @@ defmodule Situ.Dataset.Version do
   @doc "Gives a whole store its name; a number that another process took meanwhile is followed by the next."
   @spec publish(Path.t(), Path.t()) :: {:ok, Path.t()} | {:error, Error.t()}
   def publish(draft, path) do
-    folder = "#{path}.#{path |> next() |> Integer.to_string() |> String.pad_leading(4, "0")}"
+    with {:error, %Error{code: :newer_version}} <- publish_after(draft, path, newest(path)),
+         do: publish(draft, path)
+  end
 
+  @doc """
+  Makes it the version that follows `base` (a folder, `nil` for the first). Error: `:newer_version` when there is one
+  already; then the draft is still a draft.
+  """
+  @spec publish_after(Path.t(), Path.t(), Path.t() | nil) ::
+          {:ok, Path.t()} | {:error, Error.t()}
+  def publish_after(draft, path, base) do
+    number = base |> number() |> Kernel.+(1) |> Integer.to_string()
+    folder = "#{path}.#{String.pad_leading(number, 4, "0")}"
+
+    # an empty folder would be replaced, and is no version
     case File.rename(draft, folder) do
       :ok ->
         {:ok, folder}
 
       {:error, reason} when reason in [:eexist, :enotempty] ->
-        publish(draft, path)
+        {:error,
+         Error.new(:newer_version, "#{folder} is there already",
+           why: "another process saved meanwhile",
+           fix: "read it and save again"
+         )}
 
       {:error, reason} ->
         {:error,
@@ -31,6 +48,10 @@ defmodule Situ.Dataset.Version do
     end
   end
 
+  @doc "The folder of the newest version of `ROOT/NAME`; `nil` before the first."
+  @spec newest(Path.t()) :: Path.t() | nil
+  def newest(path), do: Store.newest(Path.basename(path), Path.dirname(path))
+
   @doc "Deletes a draft that became nothing; anything else is left alone."
   @spec discard(Path.t()) :: :ok
   def discard(path) do
@@ -38,10 +59,6 @@ defmodule Situ.Dataset.Version do
     :ok
   end
 
-  defp next(path) do
-    case Store.newest(Path.basename(path), Path.dirname(path)) do
-      nil -> 0
-      newest -> newest |> String.split(".") |> List.last() |> String.to_integer() |> Kernel.+(1)
-    end
-  end
+  defp number(nil), do: -1
+  defp number(folder), do: folder |> String.split(".") |> List.last() |> String.to_integer()
 end

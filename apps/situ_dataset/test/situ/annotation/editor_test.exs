@@ -21,9 +21,14 @@ defmodule Situ.Annotation.EditorTest do
     end
   end
 
-  defp start(path) do
-    {:ok, editor} = Editor.start_link(path: path, stream: "Speech", schema: schema())
+  defp start(path, stream \\ "Speech") do
+    {:ok, editor} = Editor.start_link(path: path, stream: stream, schema: schema())
     editor
+  end
+
+  defp stored(path, stream) do
+    {:ok, layer} = Recording.load(Store.open!(path), stream)
+    spans(layer)
   end
 
   defp add(editor, from, to),
@@ -74,6 +79,49 @@ defmodule Situ.Annotation.EditorTest do
              Editor.edit(editor, fn _ ->
                {:error, %Situ.Error{code: :nothing_to_redo, what: "x"}}
              end)
+  end
+
+  test "two streams of one store are edited at once: each save has what the other saved", %{
+    path: path
+  } do
+    [speech, looks] = for stream <- ["Speech", "Looks"], do: start(path, stream)
+    {:ok, _} = add(speech, 0, 10)
+    {:ok, _} = add(looks, 0, 3)
+    {:ok, _} = Editor.save(speech)
+    {:ok, _} = Editor.save(looks)
+    {:ok, _} = add(speech, 10, 20)
+    {:ok, folder} = Editor.save(speech)
+    assert Path.basename(folder) == "annotation.0002"
+    assert stored(path, "Speech") == [{0, 10}, {10, 20}]
+    assert stored(path, "Looks") == [{0, 3}]
+  end
+
+  test "many saves at the same moment: none takes another's stream away", %{path: path} do
+    streams = for i <- 1..6, do: "Stream#{i}"
+    editors = for s <- streams, do: start(path, s)
+
+    for editor <- editors, do: {:ok, _} = add(editor, 0, 10)
+    saved = editors |> Enum.map(&Task.async(fn -> Editor.save(&1) end)) |> Task.await_many(60_000)
+    folders = for {:ok, folder} <- saved, do: folder
+    assert length(Enum.uniq(folders)) == 6
+    for s <- streams, do: assert(stored(path, s) == [{0, 10}])
+  end
+
+  test "what is unsaved of one stream outlives the save of another", %{path: path} do
+    Process.flag(:trap_exit, true)
+    [speech, looks] = for stream <- ["Speech", "Looks"], do: start(path, stream)
+    {:ok, _} = add(looks, 0, 3)
+    {:ok, _} = Editor.save(looks)
+    {:ok, _} = add(looks, 3, 5)
+    {:ok, _} = add(speech, 0, 10)
+    {:ok, _} = Editor.save(speech)
+    Process.exit(looks, :kill)
+    assert_receive {:EXIT, ^looks, :killed}
+    looks = start(path, "Looks")
+    assert %{recovered: 1} = Editor.status(looks)
+    assert spans(Editor.layer(looks)) == [{0, 3}, {3, 5}]
+    {:ok, _} = Editor.save(looks)
+    assert {stored(path, "Looks"), stored(path, "Speech")} == {[{0, 3}, {3, 5}], [{0, 10}]}
   end
 
   test "an editor that is killed loses no edit; the next one carries on", %{
