@@ -2,7 +2,7 @@
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { test, equal, until } from "./harness.mjs";
-import { open, dispatch } from "./studio_page.mjs";
+import { answer, open, dispatch } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
@@ -57,8 +57,8 @@ const screens = {
   annotations: async (page) => {
     await open(page, main, "minute.0000");
     await dispatch(page, { type: "select", from: 1e9, to: 2e9 });
-    page.once("dialog", (d) => d.accept("here"));
     await page.keyboard.press("k");
+    await answer(page, "here");
     await until(page, () => window.situStudio.annotation?.told.items.length, "a comment");
   },
   find: async (page) => {
@@ -69,6 +69,15 @@ const screens = {
   graph: async (page) => {
     await page.goto(`${main}/p/Factory`);
     await until(page, () => document.querySelector(".graph .node"), "the graph");
+  },
+  settings: async (page) => {
+    await page.goto(`${main}/settings`);
+    await until(page, () => document.querySelectorAll(".settings .keys .btn").length > 40, "the keys");
+  },
+  question: async (page) => {
+    await open(page, main, "minute.0000");
+    await page.keyboard.press("k");
+    await until(page, () => document.querySelector("#question"), "the question");
   },
   keys: async (page) => {
     await open(page, main, "minute.0000");

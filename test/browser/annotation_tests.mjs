@@ -2,7 +2,7 @@
 import { spawn } from "node:child_process";
 import { mkdirSync, rmSync, writeFileSync } from "node:fs";
 import { test, equal, ok, near, until } from "./harness.mjs";
-import { open, state, dispatch, panelOf, pointAt, settled } from "./studio_page.mjs";
+import { answer, open, state, dispatch, panelOf, pointAt, settled } from "./studio_page.mjs";
 
 const site = JSON.parse(process.argv[2]);
 const S = 1e9;
@@ -52,9 +52,10 @@ test("10 annotation: twenty segments by keys alone, undone and saved", async ({ 
   equal(await page.$$eval("[data-panel]", (p) => p.length > 3), true, "the layout is as it was");
   await page.click(".annotation-tools button:text('Save')");
   await until(page, () => document.getElementById("toast").textContent === "Annotations saved", "saved");
-  equal(
-    await page.$eval(".annotation-tools button:has-text('Saved')", (b) => b.disabled),
-    true,
+  await until(
+    page,
+    () =>
+      [...document.querySelectorAll(".annotation-tools button")].some((b) => b.textContent === "Saved" && b.disabled),
     "there is nothing to save",
   );
 });
@@ -123,8 +124,8 @@ test("10 annotation: edges are dragged, neighbours that touch go along; proposal
     "six proposals",
   );
   await shot("proposals");
-  page.once("dialog", (d) => d.accept("0"));
   await page.click(".annotation-tools button:has-text('Accept')");
+  await answer(page, "0");
   await until(page, () => window.situStudio.annotation.told.items.every((a) => !a.proposed), "all are taken");
 });
 
@@ -336,12 +337,17 @@ test("10 annotation: kill -9 of the server takes nothing along", async ({ page }
     await first.ended;
     second = studio(folder, port);
     await second.ready;
+    // a page whose server was away loads once more, at any moment: all is asked at once
     await until(
       page,
-      () => document.body?.dataset.connection === "open" && window.situStudio?.annotation?.told.items.length === 3,
-      "all three are there again",
+      (b) => {
+        const told = window.situStudio?.annotation?.told.items ?? [];
+        const now = told.map((a) => [a.from, a.to, a.track, Object.values(a.values)[0]]);
+        return document.body?.dataset.connection === "open" && JSON.stringify(now) === b;
+      },
+      "all three are there again, as they were",
+      JSON.stringify(before),
     );
-    equal(await items(page), before, "as they were");
     // and the page, which may load once more, goes on
     await until(
       page,

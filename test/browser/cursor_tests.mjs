@@ -1,6 +1,6 @@
 // Cursor, view, selection, playback, going to a time.
 import { test, equal, ok, near, until } from "./harness.mjs";
-import { open, state, dispatch, panelOf, pointAt } from "./studio_page.mjs";
+import { open, state, dispatch, lengthIs, panelOf, pointAt } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
@@ -86,8 +86,8 @@ test("5 selection: both ends by mouse and keys, zoom to it, shift, clear", async
   let s = await state(page);
   near(s.sel[0], 10 * S, 0.2 * S, "start");
   near(s.sel[1], 25 * S, 0.2 * S, "end");
-  ok(!(await page.$eval(`#${id} .sel-shade`, (e) => e.hidden)), "the selection is shaded");
-  near(parseFloat(await page.textContent("#t-length")), 15, 0.25, "length in the header");
+  await until(page, (i) => !document.querySelector(`#${i} .sel-shade`).hidden, "the selection is shaded", id);
+  await lengthIs(page, 15, 0.25);
   await page.keyboard.press("Control+s");
   s = await state(page);
   near(s.view[1] - s.view[0], 15 * S * 1.1, 0.2 * S, "the view is the selection, padded");
@@ -149,10 +149,12 @@ test("5 go to time: accepts a time, refuses what is none or outside", async ({ p
   await page.keyboard.press("Control+g");
   await page.keyboard.type("tomorrow");
   await page.keyboard.press("Enter");
-  ok((await page.$eval("#goto .error", (e) => e.textContent)).startsWith("Not a time"), "says what is wrong");
+  const said = (words) =>
+    until(page, (w) => document.querySelector("#goto .error").textContent.startsWith(w), `it says ${words}`, words);
+  await said("Not a time");
   await page.fill("#goto input", "5:00");
   await page.keyboard.press("Enter");
-  ok((await page.$eval("#goto .error", (e) => e.textContent)).startsWith("Outside"), "says that it is outside");
+  await said("Outside");
   await page.fill("#goto input", "0:42.5");
   await page.keyboard.press("Enter");
   equal((await state(page)).cursor, 42.5 * S, "cursor");

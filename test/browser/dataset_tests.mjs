@@ -1,7 +1,7 @@
 // Datasets in the page: the tree and its menus, metadata and search, sessions on one time axis, batch runs.
 import { existsSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { test, equal, ok, until } from "./harness.mjs";
-import { open, state } from "./studio_page.mjs";
+import { answer as confirm, open, state } from "./studio_page.mjs";
 
 const { main, folder } = JSON.parse(process.argv[2]);
 const file = `${folder}/study.json`;
@@ -124,8 +124,8 @@ test("6 datasets: sessions are made, renamed, filled and removed; metadata and t
     () => [...document.querySelectorAll("#tree .tag")].some((e) => e.textContent === "by hand"),
     "what was edited by hand is shown",
   );
-  page.once("dialog", (d) => d.accept());
   await menu(page, "p04 late", "Remove from the dataset");
+  await confirm(page);
   await onDisk(() => !session("p04 late"), "it is out of the file");
   ok(existsSync(`${folder}/big.0000`), "its recording is still there");
   equal(session("p01").tags, ["pilot", "by hand"], "what was edited by hand is kept");

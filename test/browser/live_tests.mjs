@@ -95,7 +95,7 @@ test("a recording that is deleted while open: said, and the rest goes on", async
   await dispatch(page, { type: "cursor", t: 10 * S });
   await page.evaluate(() => window.situStudio.client.pump(true));
   await until(page, () => document.body?.dataset.connection === "gone", "the page says that it is gone");
-  ok((await page.textContent("#banner")).includes("deleted or moved"), "in words");
+  await until(page, () => document.getElementById("banner").textContent.includes("deleted or moved"), "in words");
   await open(page, main, "minute.0000");
 });
 
@@ -113,7 +113,7 @@ test("a server that is started anew: said while it is away, and the page is as i
     () => document.getElementById("banner").textContent.includes("does not answer"),
     "the page says that the server is away",
   );
-  equal(await page.textContent("#connection"), "reconnecting", "the status line");
+  await until(page, () => document.getElementById("connection").textContent === "reconnecting", "the status line");
   await shot("server-away");
   rmSync(site.away);
   await until(
@@ -128,7 +128,7 @@ test("a server that is started anew: said while it is away, and the page is as i
     () => document.body?.dataset.ready === "1" && document.querySelector("[data-phx-main].phx-connected"),
     "all of it is back",
   );
-  equal(await page.textContent("#banner"), "", "no banner any more");
+  await until(page, () => document.getElementById("banner").textContent === "", "no banner any more");
   const s = await state(page);
   equal([s.sel, s.cursor], [[12 * S, 18 * S], 15 * S], "selection and cursor are kept");
   equal(await page.$$eval("[data-panel]", (p) => p.length), panels, "and the layout");

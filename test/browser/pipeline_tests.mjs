@@ -39,15 +39,19 @@ test("7 pipeline: the graph with its composites, policies and states; it folds a
   await page.dblclick('.graph .box[data-path="Belt"] rect', { position: { x: 4, y: 30 } });
   await until(page, () => document.querySelector(".graph .node.composite"), "Belt is folded");
   equal(await nodes(page), ["Belt", "Fast", "Join", "Screen", "Slow.Heavy"], "folded");
-  ok(page.url().includes("fold=Belt"), "the address says so");
+  await until(page, () => location.search.includes("fold=Belt"), "the address says so");
   await page.reload();
   await until(page, () => document.querySelector(".graph .node.composite"), "and a reload shows the same");
   await page.dblclick(".graph .node.composite");
   await until(page, () => document.querySelectorAll(".graph .node").length === 6, "unfolded again");
   await page.click("text=Fold all");
   await until(page, () => document.querySelectorAll(".graph .node.composite").length === 2, "all folded");
-  ok(
-    await page.$$eval(".graph .edge", (e) => e.every((x) => x.querySelector(".line").getAttribute("d").length > 5)),
+  await until(
+    page,
+    () =>
+      [...document.querySelectorAll(".graph .edge")].every((e) =>
+        (e.querySelector(".line").getAttribute("d") ?? "").slice(5),
+      ),
     "connections end at the boxes",
   );
 });
@@ -98,9 +102,8 @@ test("7 pipeline: a component tells state, process and past", async ({ page, sho
   await graph(page, "Factory?heat=busy");
   await page.click('.graph .node[data-path="Slow.Heavy"]');
   await until(page, () => document.querySelector(".right h2")?.textContent === "Slow.Heavy", "details");
-  const text = await page.textContent(".right");
   for (const word of ["Mailbox", "Memory", "Reductions per second", "Errors", "Process"])
-    ok(text.includes(word), `tells ${word}`);
+    await until(page, (w) => document.querySelector(".right").textContent.includes(w), `it tells ${word}`, word);
   await until(
     page,
     () =>
@@ -118,7 +121,7 @@ test("7 pipeline: a component tells state, process and past", async ({ page, sho
   ok((await ink()) > 200, "there is a line");
   await page.click(".numbers .plot-it[phx-value-stat=errors]");
   await until(page, () => document.querySelector("#plot-errors canvas"), "another statistic is plotted");
-  ok(page.url().includes("plots="), "the address says so");
+  await until(page, () => location.search.includes("plots="), "the address says so");
   await until(
     page,
     () => document.querySelector("#plot-errors output").textContent.startsWith("0"),
@@ -143,7 +146,7 @@ test("7 pipeline: a connection tells its numbers and last messages", async ({ pa
   const first = await newest();
   await until(page, (f) => document.querySelector(".messages li code").textContent !== f, "which go on", first);
   ok(/^\d+$/.test(await newest()), "they are its values");
-  ok((await page.$(".graph .edge.picked")) !== null, "it is marked");
+  await until(page, () => document.querySelector(".graph .edge.picked"), "it is marked");
   await shot("pipeline-connection");
 });
 
@@ -158,23 +161,17 @@ test("7 pipeline: recorded diagnostics are shown moment by moment", async ({ pag
       /max/.test(document.querySelector("#plot-processed_rate output").textContent),
     "the whole past is plotted",
   );
-  equal(await number(page, "e1"), "6000", "the last moment");
+  const told = (n, what) =>
+    until(page, (t) => document.querySelector('.graph .edge[data-key="e1"] .number')?.textContent === t, what, n);
+  await told("6000", "the last moment");
   await page.$eval("#moments input", (e) => {
     e.value = "9";
     e.dispatchEvent(new Event("input", { bubbles: true }));
   });
-  await until(
-    page,
-    () => document.querySelector('.graph .edge[data-key="e1"] .number').textContent === "1000",
-    "an earlier one",
-  );
-  ok(/at=\d+/.test(page.url()), "the address says when");
+  await told("1000", "an earlier one");
+  await until(page, () => /at=\d+/.test(location.search), "the address says when");
   await page.reload();
-  await until(
-    page,
-    () => document.querySelector('.graph .edge[data-key="e1"] .number')?.textContent === "1000",
-    "a reload shows the same",
-  );
+  await told("1000", "a reload shows the same");
   await shot("pipeline-recorded");
 });
 

@@ -1,5 +1,6 @@
 # Starts the studios that the browser tests visit and says where; ends with its standard input or by a signal.
 Code.require_file("fixture.exs", __DIR__)
+Code.require_file("random_fixture.exs", __DIR__)
 Code.require_file("space_fixture.exs", __DIR__)
 Code.require_file("sensor_fixture.exs", __DIR__)
 alias Situ.Studio.{History, Source}
@@ -16,6 +17,8 @@ Fixture.record_many("many", folder)
 SpaceFixture.record("space", folder)
 Fixture.film(folder)
 Fixture.record_zoo("zoo", folder, Path.join(work, "zoo.json"))
+random = Path.join(work, "random.json")
+RandomFixture.record(folder, random, 4)
 # to be replaced, and to be damaged, while they are looked at
 Fixture.record("changing", folder)
 Fixture.record_uneven("broken", folder)
@@ -192,6 +195,7 @@ IO.puts(
       "away" => signal,
       "sensor" => sensed,
       "folder" => folder,
+      "random" => random,
       "zoo" => Path.join(work, "zoo.json"),
       "stop" => Path.join(work, "stop"),
       "points" => points,

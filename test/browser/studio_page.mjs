@@ -21,7 +21,7 @@ export async function settled(page) {
         s &&
         !s.client.inflight &&
         s.frames.dirty.size === 0 &&
-        document.querySelectorAll("[phx-hook='Panel']").length >= 0
+        ![...s.views].some((v) => v.layers?.some((l) => l.decoding))
       );
     },
     "the page is still",
@@ -29,7 +29,12 @@ export async function settled(page) {
   await page.waitForTimeout(80);
   await until(
     page,
-    () => !window.situStudio.client.inflight && window.situStudio.frames.dirty.size === 0,
+    () => {
+      const { client, frames, views } = window.situStudio;
+      return (
+        !client.inflight && frames.dirty.size === 0 && ![...views].some((v) => v.layers?.some((l) => l.decoding))
+      );
+    },
     "the page is still",
   );
 }
@@ -37,6 +42,23 @@ export async function settled(page) {
 export const state = (page) => page.evaluate(() => window.situStudio.time.get());
 export const act = (page, name) => page.evaluate((n) => window.situStudio.act(n), name);
 export const dispatch = (page, action) => page.evaluate((a) => void window.situStudio.time.dispatch(a), action);
+
+// Answers the page's own question, by the keyboard.
+export async function answer(page, text) {
+  await until(page, () => document.activeElement?.closest("#question"), "a question has the focus");
+  if (text !== undefined) await page.keyboard.type(text);
+  await page.keyboard.press("Enter");
+  await until(page, () => !document.querySelector("#question"), "it is answered");
+}
+
+// Waits until the header, which is painted with the next picture, is as long as this.
+export const lengthIs = (page, seconds, by) =>
+  until(
+    page,
+    ([s, d]) => Math.abs(parseFloat(document.getElementById("t-length").textContent) - s) <= d,
+    `the length in the header is ${seconds} s`,
+    [seconds, by],
+  );
 
 // The colour at a fraction of a panel's canvas.
 export function pixel(page, selector, fx, fy) {

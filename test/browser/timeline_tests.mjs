@@ -261,8 +261,12 @@ test("3 timelines: where a stream begins late or ends early there is a bracket",
     return [ink(20), ink(23)];
   });
   ok(feet[0] > feet[1] + 10, `a line where it begins: ${feet}`);
-  equal(await page.textContent("#t-length-of"), "data ends", "the header tells when the data ends");
-  ok((await page.textContent("#t-length")).startsWith("1:00.0"), "at that time");
+  await until(
+    page,
+    () => document.getElementById("t-length-of").textContent === "data ends",
+    "the header tells when the data ends",
+  );
+  await until(page, () => document.getElementById("t-length").textContent.startsWith("1:00.0"), "at that time");
   await shot("uneven");
 });
 

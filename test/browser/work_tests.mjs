@@ -1,7 +1,7 @@
 // Work with time: what a selection holds, times that are found, comments, files taken out.
 import { readFileSync } from "node:fs";
 import { test, equal, ok, near, until } from "./harness.mjs";
-import { open, state, dispatch, panelOf } from "./studio_page.mjs";
+import { answer, open, state, dispatch, panelOf } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
@@ -58,8 +58,8 @@ test("3 work: times are found by an expression, gone to, and made annotations", 
 test("3 work: a comment stays with the recording", async ({ page, context }) => {
   await open(page, main, "uneven.0000");
   await dispatch(page, { type: "select", from: 12 * S, to: 18 * S });
-  page.once("dialog", (d) => d.accept("somebody <b>comes</b> in"));
   await page.keyboard.press("k");
+  await answer(page, "somebody <b>comes</b> in");
   await until(
     page,
     () => window.situStudio.annotation?.told.items[0]?.values.Markers === "somebody <b>comes</b> in",
@@ -68,8 +68,8 @@ test("3 work: a comment stays with the recording", async ({ page, context }) => 
   // at the same time a second one has a row of its own
   await dispatch(page, { type: "nudge", by: 15 * S - (await state(page)).cursor });
   await dispatch(page, { type: "clearSel" });
-  page.once("dialog", (d) => d.accept("louder"));
   await page.keyboard.press("k");
+  await answer(page, "louder");
   await until(page, () => window.situStudio.annotation?.told.tracks.length === 2, "a second row");
   const other = await context.newPage();
   await open(other, main, "uneven.0000", "?annotate=Markers");

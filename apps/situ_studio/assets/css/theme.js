@@ -10,6 +10,11 @@
     chosen = window.matchMedia && matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
   }
   document.documentElement.dataset.theme = chosen;
+  try {
+    document.documentElement.dataset.palette = JSON.parse(localStorage.getItem("situ:settings")).palette || "usual";
+  } catch (e) {
+    // the usual colours
+  }
 })();
 
 // The widths that columns were dragged to.

@@ -17,6 +17,7 @@ import { menuItems } from "./page/menus.js";
 import { commands } from "./page/commands.js";
 import { toast } from "./page/toast.js";
 import { onTheme } from "./page/theme.js";
+import { setting } from "./page/settings.js";
 import { absolute } from "./time/text.js";
 import { onClock } from "./time/clock.js";
 
@@ -25,6 +26,7 @@ export class Studio {
   constructor(root, options) {
     Object.assign(this, { root, options });
     this.time = createStore();
+    if (!setting("follow")) this.time.dispatch({ type: "follow" });
     this.frames = new Frames(this.time);
     this.client = new DataClient({
       connect: () => new WebSocket(options.dataUrl),
@@ -129,7 +131,8 @@ export class Studio {
     const asked = this.address.read(origin);
     if (asked.snap) this.client.setSnap(asked.snap);
     if (asked.view || asked.cursor != null || asked.sel) this.time.dispatch({ type: "restore", ...asked });
-    if (asked.live || (reply.live && !asked.view)) this.time.dispatch({ type: "live", on: true });
+    if (asked.live || (reply.live && !asked.view))
+      this.time.dispatch({ type: "live", on: true, width: setting("live") });
     document.body.dataset.ready = "1";
     this.header.update(this.time.get());
   }

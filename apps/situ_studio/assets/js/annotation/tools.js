@@ -1,5 +1,6 @@
 // The strip over the annotations: which attribute is shown, the value of the chosen one, tracks, proposals, undo, save.
 
+import { ask } from "../page/ask.js";
 import { annotator, setAnnotator } from "./annotator.js";
 
 export class Tools {
@@ -64,10 +65,10 @@ export class Tools {
     this.panel.app.options.push?.(event, {});
   }
 
-  name() {
-    const name = prompt("Your name, for what you annotate here", annotator() ?? "");
-    if (name === null) return;
-    setAnnotator(name.trim().slice(0, 60));
+  async name() {
+    const said = await ask({ title: "Your name, for what you annotate here", value: annotator() ?? "" });
+    if (!said) return;
+    setAnnotator(said.text.trim().slice(0, 60));
     this.update();
   }
 
@@ -131,34 +132,36 @@ export class Tools {
     });
   }
 
-  chooseTrack() {
+  async chooseTrack() {
     const { panel } = this;
     const old = panel.track;
-    const text = prompt(
-      `Track (there are ${panel.tracks().join(", ")}); ${old} > NAME renames it, -${old} deletes it`,
-      old,
-    );
-    const name = text?.trim();
+    const said = await ask({
+      title: "Track",
+      value: old,
+      choices: panel.tracks(),
+      actions: [
+        ["choose", "Choose or make"],
+        ["rename", `Rename ${old}`],
+        ["delete", `Delete ${old}`],
+      ],
+    });
+    const name = said?.text.trim().slice(0, 60);
     if (!name) return;
-    const renamed = name.split(" > ");
-    if (name === `-${old}`) panel.push("delete_track", { track: old });
-    else if (renamed.length === 2 && renamed[0] === old) {
-      panel.push("rename_track", { track: old, name: renamed[1] });
-      panel.track = renamed[1].slice(0, 60);
-    } else panel.track = name.slice(0, 60);
+    if (said.action === "delete") panel.push("delete_track", { track: old });
+    else if (said.action === "rename" && name !== old) panel.push("rename_track", { track: old, name });
+    if (said.action !== "delete") panel.track = name;
     panel.tell({ ...panel.raw });
   }
 
-  settle(how) {
+  async settle(how) {
     const item = this.panel.item();
-    if (item?.proposed) this.panel.push(how === "accept" ? "accept" : "remove", { id: item.id });
-    else {
-      const [question, usual] =
-        how === "accept"
-          ? ["Accept proposals of at least this confidence", "0"]
-          : ["Reject proposals below this confidence", "1"];
-      const least = Number(prompt(question, usual) ?? NaN);
-      if (Number.isFinite(least)) this.panel.push(`${how}_all`, { least });
-    }
+    if (item?.proposed) return this.panel.push(how === "accept" ? "accept" : "remove", { id: item.id });
+    const [title, value] =
+      how === "accept"
+        ? ["Accept proposals of at least this confidence", "0"]
+        : ["Reject proposals below this confidence", "1"];
+    const said = await ask({ title, value, type: "number" });
+    if (said && said.text.trim() && Number.isFinite(Number(said.text)))
+      this.panel.push(`${how}_all`, { least: Number(said.text) });
   }
 }

@@ -1,6 +1,7 @@
 // What toolbar, keys and palette do beyond the time (`keys.js` names them): each a function of the page.
 
 import { annotator } from "../annotation/annotator.js";
+import { ask } from "./ask.js";
 import { openGoto, openHelp } from "./dialogs.js";
 import { setTheme } from "./theme.js";
 import { iso } from "../time/text.js";
@@ -11,6 +12,7 @@ export const commands = {
   timing: (app) => app.header.nextTiming(),
   goto: openGoto,
   help: openHelp,
+  settings: () => location.assign(document.querySelector("[data-settings]")?.href ?? "/settings"),
   palette: (app) => app.palette?.open(),
   left: (app) => toggleSide(app, "left"),
   right: (app) => toggleSide(app, "right"),
@@ -19,11 +21,12 @@ export const commands = {
   find: (app) => app.options.push?.("query_open", {}),
 
   // A comment stays with the recording, as an annotation of the stream Markers.
-  marker(app) {
+  async marker(app) {
     if (app.client.origin === null) return;
     const { sel, cursor } = app.time.get();
     const both = sel[0] != null && sel[1] != null;
-    const text = prompt(both ? "Comment on the selection" : "Comment on this time")?.trim();
+    const said = await ask({ title: both ? "Comment on the selection" : "Comment on this time" });
+    const text = said?.text.trim();
     if (!text) return;
     const [from, to] = both ? sel : [cursor, cursor];
     app.options.push?.("annotation_marker", {

@@ -1,6 +1,6 @@
 // The dialogs of the page: go to a time, and the sheet of keys.
 
-import { KEYS } from "./keys.js";
+import { keys } from "./keys.js";
 import { duration, parseTime } from "../time/text.js";
 import { parseClock } from "../time/clock.js";
 
@@ -36,11 +36,10 @@ export function openGoto() {
 export function openHelp() {
   const dialog = byId("help");
   const list = dialog.querySelector("dl");
-  if (!list.children.length) {
-    for (const [key, text] of KEYS) {
-      list.appendChild(document.createElement("dt")).textContent = key.replace("Arrow", "");
-      list.appendChild(document.createElement("dd")).textContent = text;
-    }
+  list.textContent = "";
+  for (const [key, text] of keys()) {
+    list.appendChild(document.createElement("dt")).textContent = key.replace("Arrow", "");
+    list.appendChild(document.createElement("dd")).textContent = text;
   }
   dialog.showModal();
 }

@@ -1,7 +1,9 @@
-// Keys and what they do; the help sheet is made from this table.
+// Keys and what they do; the help sheet is made from this table, and the settings give them other keys.
 
-const FRAME = 1e9 / 30;
-const JUMP = 1e9 / 6;
+import { keepKeys, ownKeys, setting } from "./settings.js";
+
+// A jump is so many steps.
+const JUMP = 5;
 
 export const KEYS = [
   ["Space", "Play or stop, from the cursor to the end", "togglePlay"],
@@ -12,12 +14,12 @@ export const KEYS = [
   ["Ctrl+s", "Zoom to the selection", "zoomSel"],
   ["+", "Zoom in", "zoomIn"],
   ["-", "Zoom out", "zoomOut"],
-  ["ArrowLeft", "Cursor back 1/30 s, or to the snapped stream's message before", "back"],
-  ["ArrowRight", "Cursor on 1/30 s, or to the snapped stream's next message", "on"],
-  ["Ctrl+,", "Cursor back 1/30 s", "back"],
-  ["Ctrl+.", "Cursor on 1/30 s", "on"],
-  ["Ctrl+Shift+,", "Cursor back 1/6 s", "jumpBack"],
-  ["Ctrl+Shift+.", "Cursor on 1/6 s", "jumpOn"],
+  ["ArrowLeft", "Cursor a step back, or to the snapped stream's message before", "back"],
+  ["ArrowRight", "Cursor a step on, or to the snapped stream's next message", "on"],
+  ["Ctrl+,", "Cursor a step back", "back"],
+  ["Ctrl+.", "Cursor a step on", "on"],
+  ["Ctrl+Shift+,", "Cursor five steps back", "jumpBack"],
+  ["Ctrl+Shift+.", "Cursor five steps on", "jumpOn"],
   ["PageUp", "View back", "panBack"],
   ["PageDown", "View on", "panOn"],
   ["Home", "Cursor to the start of the data", "home"],
@@ -51,6 +53,7 @@ export const KEYS = [
   ["t", "Dark or light", "theme"],
   ["s", "Show or hide the streams", "left"],
   ["p", "Show or hide the properties", "right"],
+  ["o", "Settings", "settings"],
   ["?", "This sheet", "help"],
 ];
 
@@ -70,9 +73,35 @@ export function keyName(e) {
   return [...mods, key].join("+");
 }
 
-const table = new Map(KEYS.map(([name, , action]) => [name, action]));
+let table = null;
+
+// The rows as they are now: [key, text, action, usual key].
+export function keys() {
+  const own = ownKeys();
+  return KEYS.map(([usual, text, action]) => [own[usual] ?? usual, text, action, usual]);
+}
+
+// Gives what `usual` does another key; `null` gives it its own again. The text of the action that has the key already,
+// or null when it is done.
+export function giveKey(usual, key) {
+  const own = { ...ownKeys() };
+  const taken = keys().find(([k, , , u]) => k === (key ?? usual) && u !== usual);
+  if (taken) return taken[1];
+  if (key === null || key === usual) delete own[usual];
+  else own[usual] = key;
+  keepKeys(own);
+  table = null;
+  return null;
+}
+
+// All keys as they were.
+export function usualKeys() {
+  keepKeys({});
+  table = null;
+}
 
 export function actionFor(e) {
+  table ??= new Map(keys().map(([key, , action]) => [key, action]));
   return table.get(keyName(e));
 }
 
@@ -97,13 +126,13 @@ export function timeAction(name, s) {
     case "zoomOut":
       return { type: "zoomAt", t: s.cursor, factor: 1.5 };
     case "back":
-      return { type: "nudge", by: -FRAME };
+      return { type: "nudge", by: -setting("step") };
     case "on":
-      return { type: "nudge", by: FRAME };
+      return { type: "nudge", by: setting("step") };
     case "jumpBack":
-      return { type: "nudge", by: -JUMP };
+      return { type: "nudge", by: -JUMP * setting("step") };
     case "jumpOn":
-      return { type: "nudge", by: JUMP };
+      return { type: "nudge", by: JUMP * setting("step") };
     case "panBack":
       return { type: "pan", by: -w / 2 };
     case "panOn":
@@ -127,7 +156,7 @@ export function timeAction(name, s) {
     case "faster":
       return { type: "speed", value: s.speed * 2 };
     case "live":
-      return { type: "live", on: s.mode !== "live" };
+      return { type: "live", on: s.mode !== "live", width: setting("live") };
     default:
       return null;
   }

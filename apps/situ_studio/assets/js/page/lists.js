@@ -3,6 +3,7 @@
 import { Menu } from "./menu.js";
 import { setTheme } from "./theme.js";
 import { copy, toast } from "./toast.js";
+import { sure as asked } from "./ask.js";
 
 const otherTheme = () => setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
 
@@ -13,11 +14,11 @@ function items(hook, row) {
   );
 }
 
-function run(hook, { href, tab, copy: text, sure, event, value }) {
+async function run(hook, { href, tab, copy: text, sure, event, value }) {
   if (href && tab) window.open(href);
   else if (href) location.assign(href);
   else if (text !== undefined) copy(text, "Copied");
-  else if (!sure || window.confirm(sure)) hook.pushEvent(event, value);
+  else if (!sure || (await asked(sure))) hook.pushEvent(event, value);
 }
 
 export const hooks = {

@@ -1,6 +1,6 @@
 // Commands and streams in one list, found by typing parts of their names.
 
-import { KEYS } from "./keys.js";
+import { keys } from "./keys.js";
 
 export class Palette {
   constructor(app) {
@@ -33,7 +33,7 @@ export class Palette {
       // without the list only commands are offered
     }
     return [
-      ...KEYS.map(([key, text, action]) => ({
+      ...keys().map(([key, text, action]) => ({
         text,
         hint: key.replace("Arrow", ""),
         run: () => this.app.act(action),

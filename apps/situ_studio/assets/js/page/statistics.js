@@ -9,12 +9,17 @@ const TITLES = {
   period_ns: "usual pause",
   jitter_ns: "jitter (sd of pauses)",
   longest_pause_ns: "longest pause",
+  gaps: "gaps (3 usual pauses)",
   mean: "mean",
   sd: "standard deviation",
   min: "least",
+  p1: "1 %",
   p5: "5 %",
+  p25: "25 %",
   median: "median",
+  p75: "75 %",
   p95: "95 %",
+  p99: "99 %",
   max: "greatest",
 };
 

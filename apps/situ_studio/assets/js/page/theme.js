@@ -1,5 +1,7 @@
 // Colours for canvases come from the style sheet, so that dark and light need one place only.
 
+import { choose, onSetting } from "./settings.js";
+
 const NAMES = [
   "bg",
   "panel",
@@ -32,16 +34,17 @@ export function theme() {
   return cache;
 }
 
-export function setTheme(name) {
-  document.documentElement.dataset.theme = name;
-  try {
-    localStorage.setItem("situ:theme", name);
-  } catch {
-    // private windows may have no storage: the theme then lasts as long as the page
-  }
+export const setTheme = (name) => choose("theme", name);
+
+const system = () => (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark");
+
+onSetting((id, value) => {
+  if (id === "theme") document.documentElement.dataset.theme = value === "system" ? system() : value;
+  else if (id === "palette") document.documentElement.dataset.palette = value;
+  else return;
   cache = null;
   for (const l of listeners) l();
-}
+});
 
 export function onTheme(l) {
   listeners.add(l);

@@ -1,6 +1,7 @@
 // One language for times everywhere on the page: UTC, this browser's local time, or since the start of the data.
 
 import { absolute, relative } from "./text.js";
+import { choose, onSetting, setting } from "../page/settings.js";
 
 export const MODES = [
   ["utc", "UTC"],
@@ -8,29 +9,20 @@ export const MODES = [
   ["start", "since start"],
 ];
 
-let mode = remembered();
+let mode = setting("clock");
 const listeners = new Set();
 
-function remembered() {
-  try {
-    const name = localStorage.getItem("situ:clock");
-    return MODES.some(([m]) => m === name) ? name : "start";
-  } catch {
-    return "start";
-  }
-}
+onSetting((id, value) => {
+  if (id !== "clock") return;
+  mode = value;
+  for (const l of listeners) l(mode);
+});
 
 export const clockMode = () => mode;
 
 export function nextClock() {
   const i = MODES.findIndex(([m]) => m === mode);
-  mode = MODES[(i + 1) % MODES.length][0];
-  try {
-    localStorage.setItem("situ:clock", mode);
-  } catch {
-    // it lasts as long as the page
-  }
-  for (const l of listeners) l(mode);
+  choose("clock", MODES[(i + 1) % MODES.length][0]);
 }
 
 export function onClock(listener) {

@@ -1,6 +1,7 @@
 // Mouse on timeline panels: move = cursor, drag = pan, wheel = zoom, Shift = selection.
 
 import { GUTTER } from "../page/theme.js";
+import { setting } from "../page/settings.js";
 
 // How far, in pixels, an edge of a selection is from what it snaps to.
 const NEAR = 6;
@@ -76,7 +77,7 @@ export function timelineGestures(el, app, view) {
     app.time.dispatch({ type: "selEnd", t: inside(e).t });
   };
   const wheel = (e) => {
-    if (e.ctrlKey) return;
+    if (e.ctrlKey !== (setting("wheel") === "scroll")) return;
     const at = inside(e);
     if (!at.ok) return;
     e.preventDefault();

@@ -160,11 +160,11 @@ const handlers = {
   speed: (s, { value }) => (value > 0 && Number.isFinite(value) ? { ...s, speed: value } : s),
   repeat: (s) => ({ ...s, repeat: !s.repeat }),
 
-  // live: the cursor is the newest time, at 80 % of a 30 s view
-  live(s, { on }) {
+  // live: the cursor is the newest time, at 80 % of the view
+  live(s, { on, width: liveWidth = LIVE_WINDOW }) {
     if (on === (s.mode === "live")) return s;
     if (!on) return leaveLive(s);
-    const next = { ...s, mode: "live", play: null, liveWidth: LIVE_WINDOW };
+    const next = { ...s, mode: "live", play: null, liveWidth };
     return follow(next, s.data[1]);
   },
 };

@@ -11,10 +11,13 @@ defmodule Situ.Studio.Statistics do
       iex> {stats["rate_hz"], stats["period_ns"], stats["longest_pause_ns"]}
       {7.5e7, 10, 20}
 
-  The standard deviation is that of a sample (n - 1); percentiles are messages' own values (nearest rank).
+  A gap is a pause of more than three times the usual one. The standard deviation is that of a sample (n - 1); percentiles are messages' own values (nearest rank).
   """
   alias Situ.Studio.Draw.{Bins, Messages}
   alias Situ.Studio.{Path, Source}
+
+  # So many times the usual pause without a message is a gap.
+  @gap 3
 
   @doc """
   The statistics of what `vis` draws (`%{stream: name, path: text}`) from `from` to `to`, ready for the page: the
@@ -93,7 +96,8 @@ defmodule Situ.Studio.Statistics do
       {"rate_hz", length(pauses) * 1.0e9 / max(span, 1)},
       {"period_ns", rank(sorted, 0.5)},
       {"jitter_ns", deviation(pauses)},
-      {"longest_pause_ns", List.last(sorted)}
+      {"longest_pause_ns", List.last(sorted)},
+      {"gaps", Enum.count(pauses, &(&1 > @gap * rank(sorted, 0.5)))}
     ]
   end
 
@@ -108,9 +112,13 @@ defmodule Situ.Studio.Statistics do
       {"mean", Enum.sum(values) / length(values)},
       {"sd", deviation(values)},
       {"min", hd(sorted)},
+      {"p1", rank(sorted, 0.01)},
       {"p5", rank(sorted, 0.05)},
+      {"p25", rank(sorted, 0.25)},
       {"median", rank(sorted, 0.5)},
+      {"p75", rank(sorted, 0.75)},
       {"p95", rank(sorted, 0.95)},
+      {"p99", rank(sorted, 0.99)},
       {"max", List.last(sorted)}
     ]
   end

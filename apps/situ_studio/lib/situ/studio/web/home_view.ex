@@ -80,7 +80,8 @@ defmodule Situ.Studio.Web.HomeView do
     ~H"""
     <main class="home" id="home" phx-hook="Lists">
       <h1><.logo /><span>Situ Studio</span></h1>
-      <p class="hint" role="status">{count(length(@items), length(@found), @query)}</p>
+      <p class="hint" role="status">{count(length(@items), length(@found), @query)}
+        <a class="linkish" href="/settings" data-settings>Settings</a></p>
       <form :if={length(@items) > 5 or @query != ""} class="search" phx-change="search" phx-submit="search"
           id="search-form">
         <input id="search" name="query" value={@query} placeholder="Search names and streams  /" autocomplete="off"

@@ -5,7 +5,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Live.Socket
-  alias Situ.Studio.{Layout, Layouts, Link}
+  alias Situ.Studio.{Layout, Layouts, Link, Settings}
 
   @doc "The layout an address asks for, or the automatic one."
   @spec choose(Socket.t(), map()) :: Socket.t()
@@ -13,8 +13,10 @@ defmodule Situ.Studio.Web.LayoutMenu do
     auto = Layout.Auto.layout(socket.assigns.infos)
     names = Layouts.names(socket.assigns.layout_dir)
 
+    wanted = params["layout"] || Settings.load(socket.assigns.layout_dir).layout
+
     saved =
-      case Layouts.load(socket.assigns.layout_dir, text(params["layout"])) do
+      case Layouts.load(socket.assigns.layout_dir, text(wanted)) do
         {:ok, layout} -> layout
         {:error, _} -> auto
       end
@@ -68,6 +70,22 @@ defmodule Situ.Studio.Web.LayoutMenu do
   end
 
   def handle_event(_, _, socket), do: {:noreply, socket}
+
+  @doc "A layout that has a name is saved as it is changed, where the settings say so."
+  @spec keep(Socket.t()) :: Socket.t()
+  def keep(%{assigns: %{layout: layout, saved: saved, read_only: false} = assigns} = socket) do
+    if layout != saved and layout.name != Layout.Auto.name() and
+         Settings.load(assigns.layout_dir).keep == :at_once do
+      case Layouts.save(assigns.layout_dir, layout) do
+        :ok -> assign(socket, saved: layout)
+        {:error, error} -> toast(socket, error)
+      end
+    else
+      socket
+    end
+  end
+
+  def keep(socket), do: socket
 
   defp toast(socket, error), do: push_event(socket, "toast", %{text: Exception.message(error)})
 

@@ -10,6 +10,7 @@ defmodule Situ.Studio.Web.MainView do
     Coverage,
     Layout,
     Link,
+    Settings,
     Source,
     Statistics,
     StreamInfo,
@@ -61,7 +62,7 @@ defmodule Situ.Studio.Web.MainView do
         query_panel: nil,
         undo: [],
         redo: [],
-        info: :rate,
+        info: Settings.load(settings.layouts).info,
         dialog: nil,
         error: nil
       )
@@ -223,9 +224,14 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_event(event, params, socket) when is_map_key(socket.assigns, :layout) do
     case Edit.apply(event, params, socket.assigns) do
-      {:ok, changes} -> {:noreply, socket |> remember(event, changes) |> assign(changes)}
-      {:error, error} -> {:noreply, toast(socket, error)}
-      :ignore -> {:noreply, socket}
+      {:ok, changes} ->
+        {:noreply, socket |> remember(event, changes) |> assign(changes) |> LayoutMenu.keep()}
+
+      {:error, error} ->
+        {:noreply, toast(socket, error)}
+
+      :ignore ->
+        {:noreply, socket}
     end
   end
 

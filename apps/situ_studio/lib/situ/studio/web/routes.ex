@@ -10,7 +10,8 @@ defmodule Situ.Studio.Web.Routes do
     HomeView,
     MainView,
     SensorHandler,
-    SensorPage
+    SensorPage,
+    SettingsView
   }
 
   @spec all(String.t()) :: [tuple()]
@@ -19,6 +20,7 @@ defmodule Situ.Studio.Web.Routes do
 
     [
       {:live, "/", HomeView, session: session},
+      {:live, "/settings", SettingsView, session: session},
       {:live, "/s/*id", MainView, session: session},
       {:live, "/d/*id", DatasetView, session: session},
       {:live, "/p/*id", PipelineView, session: session},

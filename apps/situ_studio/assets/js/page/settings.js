@@ -1,0 +1,139 @@
+// What people chose for this browser. Each has a default that works; the page of settings is made from this table.
+
+const KEY = "situ:settings";
+
+const SECOND = 1e9;
+
+// kind: choices [[value, text]] or a boolean; `usual` is the default. Values outside of the choices count as none.
+export const SETTINGS = [
+  {
+    id: "theme",
+    title: "Light or dark",
+    usual: "system",
+    choices: [
+      ["system", "as the system"],
+      ["dark", "dark"],
+      ["light", "light"],
+    ],
+  },
+  {
+    id: "palette",
+    title: "Colours of streams",
+    usual: "usual",
+    choices: [
+      ["usual", "usual"],
+      ["safe", "told apart by the colour-blind"],
+      ["strong", "high contrast"],
+    ],
+  },
+  {
+    id: "clock",
+    title: "Times",
+    usual: "start",
+    choices: [
+      ["start", "since the start"],
+      ["utc", "UTC"],
+      ["local", "local"],
+    ],
+  },
+  { id: "follow", title: "The cursor follows the mouse", usual: true },
+  {
+    id: "wheel",
+    title: "The mouse wheel",
+    usual: "zoom",
+    choices: [
+      ["zoom", "zooms; with Ctrl it scrolls"],
+      ["scroll", "scrolls; with Ctrl it zooms"],
+    ],
+  },
+  {
+    id: "step",
+    title: "The arrow keys move the cursor by",
+    usual: SECOND / 30,
+    choices: [
+      [SECOND / 100, "10 ms"],
+      [SECOND / 60, "1/60 s"],
+      [SECOND / 30, "1/30 s"],
+      [SECOND / 25, "1/25 s"],
+      [SECOND / 10, "100 ms"],
+      [SECOND, "1 s"],
+    ],
+  },
+  {
+    id: "live",
+    title: "Shown of what is live",
+    usual: 30 * SECOND,
+    choices: [
+      [10 * SECOND, "10 s"],
+      [30 * SECOND, "30 s"],
+      [60 * SECOND, "1 min"],
+      [300 * SECOND, "5 min"],
+    ],
+  },
+];
+
+const known = new Map(SETTINGS.map((s) => [s.id, s]));
+const listeners = new Set();
+
+// Older pages kept these two by themselves; the script before the first paint reads them there.
+const APART = { theme: "situ:theme", clock: "situ:clock" };
+
+function stored() {
+  try {
+    const found = JSON.parse(localStorage.getItem(KEY) ?? "{}");
+    return found && typeof found === "object" ? found : {};
+  } catch {
+    return {};
+  }
+}
+
+function keep(name, value) {
+  try {
+    if (value === null) localStorage.removeItem(name);
+    else localStorage.setItem(name, value);
+  } catch {
+    // private windows may have no storage: the page goes on with the defaults
+  }
+}
+
+const fits = ({ choices, usual }, value) =>
+  choices ? choices.some(([v]) => v === value) : typeof value === typeof usual;
+
+export function setting(id) {
+  const one = known.get(id);
+  let value = stored()[id];
+  if (APART[id]) {
+    try {
+      value = localStorage.getItem(APART[id]);
+    } catch {
+      value = null;
+    }
+  }
+  return fits(one, value) ? value : one.usual;
+}
+
+export function choose(id, value) {
+  if (APART[id]) keep(APART[id], value === known.get(id).usual ? null : value);
+  else {
+    const all = stored();
+    if (value === known.get(id).usual) delete all[id];
+    else all[id] = value;
+    keep(KEY, JSON.stringify(all));
+  }
+  for (const l of listeners) l(id, value);
+}
+
+export function onSetting(listener) {
+  listeners.add(listener);
+  return () => listeners.delete(listener);
+}
+
+// Other keys for actions: {usual key: key}.
+export function ownKeys() {
+  const { keys } = stored();
+  return keys && typeof keys === "object" ? keys : {};
+}
+
+export function keepKeys(keys) {
+  keep(KEY, JSON.stringify({ ...stored(), keys }));
+}

@@ -1,0 +1,92 @@
+defmodule Situ.Studio.Settings do
+  @moduledoc """
+  What a studio keeps for all its browsers: a JSON file beside the layouts. What is missing or makes no sense in it is
+  as usual, so a damaged file opens every page all the same. What a person chose for one browser stays in that browser.
+
+      iex> folder = Path.join(System.tmp_dir!(), "situ-doc-settings/layouts")
+      iex> :ok = Situ.Studio.Settings.save(folder, %Situ.Studio.Settings{info: :size})
+      iex> Situ.Studio.Settings.load(folder).info
+      :size
+      iex> File.rm_rf!(Path.dirname(folder)) != []
+      true
+
+  | setting | means | usual |
+  |---|---|---|
+  | `layout` | the layout a recording opens with, where its address names none | `Automatic` |
+  | `keep` | `:by_hand`: a changed layout is saved when somebody says so; `:at_once`: with each change | `:by_hand` |
+  | `info` | beside the streams' names: `:rate`, `:count`, `:size` or `:latency` | `:rate` |
+  """
+  alias Situ.Error
+  alias Situ.Studio.Layout
+
+  @keeps [:by_hand, :at_once]
+  @infos [:rate, :count, :size, :latency]
+  @max_bytes 100_000
+
+  defstruct layout: Layout.Auto.name(), keep: :by_hand, info: :rate
+
+  @type t :: %__MODULE__{layout: String.t(), keep: :by_hand | :at_once, info: atom()}
+
+  @doc "The choices of a setting."
+  @spec choices(:keep | :info) :: [atom()]
+  def choices(:keep), do: @keeps
+  def choices(:info), do: @infos
+
+  @doc "The settings beside the folder of the layouts."
+  @spec load(Path.t()) :: t()
+  def load(layouts) do
+    with {:ok, %{size: size}} when size <= @max_bytes <- File.stat(path(layouts)),
+         {:ok, text} <- File.read(path(layouts)),
+         {:ok, %{} = given} <- Situ.JSON.decode(text) do
+      put(%__MODULE__{}, given)
+    else
+      _ -> %__MODULE__{}
+    end
+  end
+
+  @doc """
+  With what a form or a file says, as far as it means something.
+
+      iex> Situ.Studio.Settings.put(%Situ.Studio.Settings{}, %{"info" => "count", "keep" => "sometimes"})
+      %Situ.Studio.Settings{layout: "Automatic", keep: :by_hand, info: :count}
+  """
+  @spec put(t(), map()) :: t()
+  def put(%__MODULE__{} = settings, given) do
+    layout = given["layout"]
+
+    %{
+      settings
+      | layout:
+          if(is_binary(layout) and String.valid?(layout), do: layout, else: settings.layout),
+        keep: one(@keeps, given["keep"], settings.keep),
+        info: one(@infos, given["info"], settings.info)
+    }
+  end
+
+  defp one(choices, text, usual), do: Enum.find(choices, usual, &(Atom.to_string(&1) == text))
+
+  @doc "Writes them whole or not at all."
+  @spec save(Path.t(), t()) :: :ok | {:error, Error.t()}
+  def save(layouts, %__MODULE__{} = settings) do
+    path = path(layouts)
+    temporary = "#{path}.#{System.unique_integer([:positive])}.tmp"
+    text = settings |> Map.from_struct() |> Situ.JSON.encode()
+
+    with :ok <- File.mkdir_p(Path.dirname(path)),
+         :ok <- File.write(temporary, text),
+         :ok <- File.rename(temporary, path) do
+      :ok
+    else
+      {:error, reason} ->
+        _ = File.rm(temporary)
+
+        {:error,
+         Error.new(:not_saved, "the settings cannot be saved",
+           why: "#{path}: #{:file.format_error(reason)}",
+           fix: "make the folder writable, or start the studio with another layouts:"
+         )}
+    end
+  end
+
+  defp path(layouts), do: Path.join(Path.dirname(layouts), "settings.json")
+end

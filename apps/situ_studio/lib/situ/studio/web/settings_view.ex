@@ -1,0 +1,76 @@
+defmodule Situ.Studio.Web.SettingsView do
+  @moduledoc false
+  # The page of settings: what this studio keeps for everybody, and what this browser keeps for its person.
+  use Situ.Live.View
+  import Situ.Studio.Web.Icons
+
+  alias Situ.Studio.{Catalog, Layout, Layouts, Settings}
+
+  @keep [by_hand: "when it is saved by hand", at_once: "with every change"]
+  @info [rate: "how often", count: "how many messages", size: "size", latency: "latency"]
+
+  @impl true
+  def mount(_params, session, socket) do
+    known = Catalog.settings(session["studio"])
+    names = [Layout.Auto.name() | Layouts.names(known.layouts)]
+
+    {:ok,
+     assign(socket,
+       page_title: "Settings - Situ Studio",
+       folder: known.layouts,
+       read_only: known.read_only,
+       settings: Settings.load(known.layouts),
+       names: Enum.uniq(names)
+     )}
+  end
+
+  @impl true
+  def handle_event("settings", params, %{assigns: %{read_only: false}} = socket) do
+    settings = Settings.put(socket.assigns.settings, params)
+
+    case Settings.save(socket.assigns.folder, settings) do
+      :ok -> {:noreply, socket |> assign(settings: settings) |> toast("Kept")}
+      {:error, error} -> {:noreply, toast(socket, Exception.message(error))}
+    end
+  end
+
+  def handle_event(_event, _params, socket), do: {:noreply, socket}
+
+  defp toast(socket, text), do: push_event(socket, "toast", %{text: text})
+
+  @impl true
+  def render(assigns) do
+    assigns = assign(assigns, keep: @keep, info: @info)
+
+    ~H"""
+    <main class="home settings" id="settings" phx-hook="Lists">
+      <h1><a href="/" title="All recordings" aria-label="All recordings"><.logo /></a><span>Settings</span></h1>
+      <section aria-label="Of this studio">
+        <h2>Of this studio, for everybody</h2>
+        <p :if={@read_only} class="hint">This studio is read only: they stay as they are.</p>
+        <form id="server-settings" phx-change="settings" phx-submit="settings">
+          <div class="field"><label for="setting-layout">A recording opens with the layout</label>
+            <select id="setting-layout" name="layout" disabled={@read_only}>
+              <option :for={name <- @names} value={name} selected={name == @settings.layout}>{name}</option>
+            </select></div>
+          <div class="field"><label for="setting-keep">A named layout is saved</label>
+            <select id="setting-keep" name="keep" disabled={@read_only}>
+              <option :for={{value, text} <- @keep} value={value}
+                  selected={value == @settings.keep}>{text}</option>
+            </select></div>
+          <div class="field"><label for="setting-info">Beside the names of streams</label>
+            <select id="setting-info" name="info" disabled={@read_only}>
+              <option :for={{value, text} <- @info} value={value}
+                  selected={value == @settings.info}>{text}</option>
+            </select></div>
+        </form>
+      </section>
+      <section aria-label="Of this browser">
+        <h2>Of this browser</h2>
+        <div id="browser-settings" phx-hook="BrowserSettings" phx-update="ignore"></div>
+      </section>
+      <div id="toast" role="status" phx-update="ignore"></div>
+    </main>
+    """
+  end
+end

@@ -1,0 +1,31 @@
+defmodule Situ.Studio.SettingsTest do
+  use ExUnit.Case, async: true
+  alias Situ.Studio.Settings
+
+  doctest Settings
+
+  @moduletag :tmp_dir
+
+  test "what is no settings file is as usual", %{tmp_dir: root} do
+    layouts = Path.join(root, "layouts")
+    assert Settings.load(layouts) == %Settings{}
+    file = Path.join(root, "settings.json")
+
+    for text <- ["", "[1]", "{", ~s({"info": 7, "keep": {"a": 1}, "layout": ["x"]})] do
+      File.write!(file, text)
+      assert Settings.load(layouts) == %Settings{}
+    end
+
+    File.write!(file, ~s({"info": "latency", "layout": "Tuned", "of another version": 1}))
+    assert Settings.load(layouts) == %Settings{info: :latency, layout: "Tuned"}
+  end
+
+  test "a folder that cannot be written says so", %{tmp_dir: root} do
+    File.write!(Path.join(root, "file"), "")
+
+    assert {:error, %{code: :not_saved, why: why}} =
+             Settings.save(Path.join(root, "file/below/layouts"), %Settings{})
+
+    assert why =~ "settings.json"
+  end
+end

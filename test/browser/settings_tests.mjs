@@ -1,0 +1,122 @@
+// What people choose: kept by this browser, or by the studio for all.
+import { test, equal, ok, near, until } from "./harness.mjs";
+import { answer, open, settled, state, dispatch } from "./studio_page.mjs";
+
+const { main, guarded } = JSON.parse(process.argv[2]);
+
+async function settings(page) {
+  await page.goto(`${main}/settings`);
+  await until(
+    page,
+    () => document.querySelectorAll(".keys .btn").length > 40 && document.querySelector(".phx-connected"),
+    "the settings",
+  );
+}
+
+test("1 settings: what a browser keeps holds on every page, and after a reload", async ({ page, shot }) => {
+  await settings(page);
+  await shot("settings");
+  await page.selectOption("#setting-theme", "light");
+  await page.selectOption("#setting-palette", "safe");
+  await page.selectOption("#setting-step", "1 s");
+  await page.selectOption("#setting-clock", "utc");
+  await page.uncheck("#setting-follow");
+  equal(await page.evaluate(() => document.documentElement.dataset.theme), "light", "at once");
+  await open(page, main, "minute.0000");
+  equal(
+    await page.evaluate(() => [document.documentElement.dataset.theme, document.documentElement.dataset.palette]),
+    ["light", "safe"],
+    "on another page",
+  );
+  equal((await state(page)).follow, false, "the cursor does not follow");
+  await page.keyboard.press("ArrowRight");
+  near((await state(page)).cursor, 1e9, 1, "a step is a second");
+  await until(page, () => /^\d\d:\d\d:\d\d/.test(document.getElementById("t-cursor").textContent), "times in UTC");
+});
+
+test("1 settings: a key is given another action's place only when it is free", async ({ page }) => {
+  await settings(page);
+  const key = "[data-usual='m']";
+  await page.click(key);
+  await page.keyboard.press("t");
+  await until(
+    page,
+    () => document.getElementById("toast").textContent.startsWith("t is taken"),
+    "a taken key is told",
+  );
+  await page.click(key);
+  await page.keyboard.press("F8");
+  await until(page, (k) => document.querySelector(k).textContent === "F8", "its new key", key);
+  await open(page, main, "minute.0000");
+  await page.hover("[data-panel] .panel-body");
+  await page.keyboard.press("m");
+  await page.keyboard.press("F8");
+  await until(page, () => document.querySelector(".maxed[data-panel]"), "the new key does it, the old one does not");
+  await page.keyboard.press("F8");
+  await until(page, () => !document.querySelector(".maxed[data-panel]"), "and back");
+  await page.keyboard.press("?");
+  ok((await page.textContent("#help")).includes("F8"), "the sheet of keys says so");
+  await settings(page);
+  await page.click("text=All keys as usual");
+  equal(await page.textContent(key), "m", "as usual again");
+});
+
+test("1 settings: what the studio keeps is for every browser; a named layout saves itself", async ({
+  page,
+  browser,
+}) => {
+  await open(page, main, "uneven.0000");
+  await page.click("button[title='Save the layout']");
+  await page.fill("#layout-save input[name=name]", "Kept");
+  await page.keyboard.press("Enter");
+  await until(page, () => document.getElementById("studio").dataset.layout === "Kept", "a named layout");
+  await settings(page);
+  await page.selectOption("#setting-layout", "Kept");
+  await page.selectOption("#setting-keep", "at_once");
+  await page.selectOption("#setting-info", "count");
+  await until(page, () => document.getElementById("toast").textContent === "Kept", "kept");
+  const other = await (await browser.newContext()).newPage();
+  await open(other, main, "uneven.0000");
+  equal(await other.getAttribute("#studio", "data-layout"), "Kept", "another browser opens with it");
+  equal(await other.textContent("#tree .node[data-stream='Late'] .info"), "401", "and tells counts");
+  const before = await other.$$eval("[data-panel]", (p) => p.length);
+  await other.dblclick("#tree .node[data-stream='Late']");
+  await until(other, (n) => document.querySelectorAll("[data-panel]").length === n + 1, "a panel more", before);
+  await until(other, () => document.getElementById("studio").dataset.edit === "", "is saved by itself");
+  await open(page, main, "uneven.0000");
+  equal(await page.$$eval("[data-panel]", (p) => p.length), before + 1, "for all");
+  await other.context().close();
+  await settings(page);
+  for (const [id, usual] of [
+    ["layout", "Automatic"],
+    ["keep", "by_hand"],
+    ["info", "rate"],
+  ]) {
+    await page.selectOption(`#setting-${id}`, usual);
+    await until(page, ([i, u]) => document.querySelector(`#setting-${i}`).value === u, "as usual", [id, usual]);
+  }
+  await settled0(page);
+  await page.goto(guarded);
+  await page.goto(guarded.replace(/\/\?.*/, "/settings"));
+  ok(await page.isDisabled("#setting-layout"), "a studio that is read only keeps nothing");
+});
+
+// The last change has been answered.
+const settled0 = (page) =>
+  until(page, () => !document.querySelector(".phx-change-loading"), "the server has taken the settings");
+
+test("1 settings: a question of the page is answered by keys, and Escape answers nothing", async ({ page }) => {
+  await open(page, main, "changing.0000");
+  await dispatch(page, { type: "select", from: 1e9, to: 2e9 });
+  await page.keyboard.press("k");
+  await until(page, () => document.activeElement?.closest("#question"), "it has the focus");
+  await page.keyboard.type("r t");
+  equal((await state(page)).repeat, false, "keys go into it alone");
+  await page.keyboard.press("Escape");
+  await until(page, () => !document.querySelector("#question"), "closed");
+  ok(!(await page.$("#annotation-body")), "nothing was kept");
+  await page.keyboard.press("k");
+  await answer(page, "here");
+  await until(page, () => window.situStudio.annotation?.told.items.length === 1, "a comment");
+  await settled(page);
+});
