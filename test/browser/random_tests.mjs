@@ -5,6 +5,7 @@ import { test, equal, ok } from "./harness.mjs";
 import { open, settled, state, dispatch, panelOf, pointAt } from "./studio_page.mjs";
 
 const site = JSON.parse(process.argv[2]);
+// The tools of a panel lie over the right of its first lane while the mouse is there: places are left of them.
 const ZOOMS = 10,
   PLACES = 3;
 // How far beside a segment the mouse may be, and as much again for the pixel it is in.
@@ -64,7 +65,7 @@ function checkLine({ name, rows, period }, text, t, slack) {
   );
   const age = t - rows[n - 1][0];
   if (age > S + slack) ok(text.includes(" ago"), `${said}, which is ${age / MS} ms old`);
-  if (period && age < period && age > 0 && slack < period) ok(!text.includes(" ago"), `${said} while it is new`);
+  if (period && age < Math.min(period, S) && slack < period) ok(!text.includes(" ago"), `${said} while it is new`);
 }
 
 // What the tip says of a lane: {label, from, to}, or null where it says nothing.
@@ -136,7 +137,7 @@ test("7 random: under the mouse stands what the messages say, whatever the strea
         const from = next() * (length - width);
         await dispatch(page, { type: "view", from, to: from + width });
         await settled(page);
-        for (let p = 0; p < PLACES; p++) compared += await look(page, streams, 0.02 + 0.96 * next());
+        for (let p = 0; p < PLACES; p++) compared += await look(page, streams, 0.02 + 0.76 * next());
       }
     }
   } catch (error) {

@@ -5,13 +5,16 @@ defmodule Situ.Studio.Draw.Messages do
   """
   alias Situ.Studio.{Source, Visualizer}
 
+  # Of so few messages nobody can tell how often they come: as many on both sides say it.
+  @few 8
+
   @scan 200_000
   @sample 1_500
 
   @typedoc "A message and its place in the stream; neighbours in the stream differ by one."
   @type numbered :: {integer(), Situ.Message.t()}
 
-  @doc "Those within, and one on both sides; `false` when they are a sample."
+  @doc "Those within, and one or some on both sides (`beside/4`); `false` when they are a sample."
   @spec around(Source.t(), Visualizer.spec(), Situ.Time.t(), Situ.Time.t()) ::
           {:ok, [Situ.Message.t()], all? :: boolean()} | {:error, Situ.Error.t()}
   def around(source, spec, from, to) do
@@ -25,8 +28,9 @@ defmodule Situ.Studio.Draw.Messages do
   def numbered(source, %{stream: stream}, from, to) do
     with {:ok, rows, all?} <- read(source, stream, from, to) do
       {first, last} = ends(rows)
-      before = for m <- neighbours(source, :latest_at, stream, from, 1), do: {first - 1, m}
-      later = for m <- neighbours(source, :next_after, stream, to, 1), do: {last + 1, m}
+      {before, later} = beside(source, stream, {from, to}, length(rows))
+      before = Enum.with_index(before, &{first - length(before) + &2, &1})
+      later = Enum.with_index(later, &{last + 1 + &2, &1})
       {:ok, before ++ rows ++ later, all?}
     end
   end
@@ -55,6 +59,18 @@ defmodule Situ.Studio.Draw.Messages do
 
   defp ends([]), do: {0, -1}
   defp ends([{first, _} | _] = rows), do: {first, rows |> List.last() |> elem(0)}
+
+  @doc """
+  The messages before and after a window of `n` messages: one on both sides, so that lines reach the edges; some more
+  where the window has too few to tell how often they come, which tells holes.
+  """
+  @spec beside(Source.t(), String.t(), {Situ.Time.t(), Situ.Time.t()}, non_neg_integer()) ::
+          {before :: [Situ.Message.t()], later :: [Situ.Message.t()]}
+  def beside(source, stream, {from, to}, n) do
+    most = if n < @few, do: @few, else: 1
+    before = neighbours(source, :latest_at, stream, from, most)
+    {Enum.reverse(before), neighbours(source, :next_after, stream, to, most)}
+  end
 
   @doc """
   At most `n` messages outside of the window, the nearest first: `:latest_at` its beginning or `:next_after` its end.

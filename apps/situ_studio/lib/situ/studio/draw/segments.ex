@@ -47,6 +47,7 @@ defmodule Situ.Studio.Draw.Segments do
 
       numbered
       |> of(spec.path, to, spec.viz.id == "labels")
+      |> Enum.filter(fn {_, until, _, _, _} -> until == nil or until > from end)
       |> cut(holes)
       |> frame(channel, bin, within, all?)
     end

@@ -5,7 +5,7 @@ defmodule Situ.Studio.Source.History do
   @behaviour Situ.Studio.Source
 
   alias Situ.Studio.{History, Hole, StreamInfo}
-  alias Situ.Studio.Draw.Bins
+  alias Situ.Studio.Draw.{Bins, Messages}
 
   @impl true
   def extent(%History{streams: streams, live: live}) do
@@ -65,16 +65,14 @@ defmodule Situ.Studio.Source.History do
   @impl true
   def series(history, stream, from, to, bin) do
     with {:ok, messages, _} <- messages(history, stream, from, to, 1_000_000) do
-      all = neighbour(latest_at(history, stream, from - 1)) ++ messages
-      all = all ++ neighbour(next_after(history, stream, to))
-      points = Enum.flat_map(all, &points/1)
-      {points, raw?} = Bins.fold(points, bin, max(div(to - from, bin), 2))
+      n = length(messages)
+      {before, later} = Messages.beside({__MODULE__, history}, stream, {from, to}, n)
+      points = Enum.flat_map(before ++ messages ++ later, &points/1)
+      most = max(div(to - from, bin), 2) + length(before) + length(later)
+      {points, raw?} = Bins.fold(points, bin, most)
       {:ok, points, raw?}
     end
   end
-
-  defp neighbour({:ok, message}), do: [message]
-  defp neighbour(_), do: []
 
   defp points(%{data: %Hole{}, originating_time: time}), do: [Bins.gap(time)]
 

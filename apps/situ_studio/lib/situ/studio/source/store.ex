@@ -10,7 +10,7 @@ defmodule Situ.Studio.Source.Store do
   alias Situ.{Error, Store}
   alias Situ.Store.Formats
   alias Situ.Studio.{Source, StreamInfo}
-  alias Situ.Studio.Draw.Bins
+  alias Situ.Studio.Draw.{Bins, Messages}
 
   @enforce_keys [:store, :path, :cache]
   defstruct [:store, :path, :cache]
@@ -205,17 +205,12 @@ defmodule Situ.Studio.Source.Store do
     end
   end
 
-  # One message more on both sides: lines reach the edges.
   defp raw(source, info, from, to, n) do
     with {:ok, messages} <- Store.read(source.store, info, from: from, to: to, limit: n + 16) do
-      all = one(Store.latest_at(source.store, info, from - 1)) ++ messages
-      all = all ++ one(Store.first_at(source.store, info, to + 1))
-      {:ok, points(all), true}
+      {before, later} = Messages.beside({__MODULE__, source}, info.name, {from, to}, n)
+      {:ok, points(before ++ messages ++ later), true}
     end
   end
-
-  defp one({:ok, %Situ.Message{} = message}), do: [message]
-  defp one(_), do: []
 
   defp points(messages) do
     for message <- messages,

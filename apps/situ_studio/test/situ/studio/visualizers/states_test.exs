@@ -3,6 +3,7 @@ defmodule Situ.Studio.Visualizers.StatesTest do
   use ExUnit.Case, async: true
 
   import Situ.Studio.Asking
+  alias Situ.Studio.Source
 
   setup do: {:ok, session: session()}
 
@@ -46,6 +47,29 @@ defmodule Situ.Studio.Visualizers.StatesTest do
              [1_200_000_000, 1_400_000_000, "false", "false", "1"],
              [1_400_000_000, nil, "true", "true", "1"]
            ]
+  end
+
+  test "a window within a hole shows the hole, as a wide one does", %{session: session} do
+    rows = for i <- Enum.concat(0..50, 200..250), do: {1_000_000_000 + i * 10_000_000, true}
+    put(session, "pulse", rows)
+
+    for {from, to} <- [{900_000_000, 4_000_000_000}, {1_700_000_000, 1_800_000_000}] do
+      %{base: base, payload: json} = shown(session, "pulse", "states", from, to)
+      rows = for [a, b | _] <- json(json), do: {base + a, b && base + b}
+
+      refute Enum.any?(rows, fn {a, b} ->
+               a < 1_750_000_000 and (b == nil or b > 1_750_000_000)
+             end)
+    end
+
+    # and a line: how often messages come is told by those beside the window
+    {Source.History, history} = session.source
+    put(session, "wave", for({t, _} <- rows, do: {t, 1.0}))
+
+    {:ok, points, true} =
+      Source.History.series(history, "wave", 1_700_000_000, 1_800_000_000, 1_000)
+
+    assert length(points) == 16
   end
 
   test "an hour of states is bounded by what can be told apart", %{session: session} do
