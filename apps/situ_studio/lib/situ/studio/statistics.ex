@@ -11,7 +11,8 @@ defmodule Situ.Studio.Statistics do
       iex> {stats["rate_hz"], stats["period_ns"], stats["longest_pause_ns"]}
       {7.5e7, 10, 20}
 
-  A gap is a pause of more than three times the usual one. The standard deviation is that of a sample (n - 1); percentiles are messages' own values (nearest rank).
+  A gap is a pause of more than three times the usual one. The standard deviation is that of a sample (n - 1);
+  percentiles are messages' own values (nearest rank).
   """
   alias Situ.Studio.Draw.{Bins, Messages}
   alias Situ.Studio.{Path, Source}

@@ -14,7 +14,6 @@ defmodule Situ.Studio.Web.MainView do
     Source,
     Statistics,
     StreamInfo,
-    Tree,
     Visualizers,
     WholeNumber
   }
@@ -29,10 +28,10 @@ defmodule Situ.Studio.Web.MainView do
     Panels,
     QueryPanel,
     Side,
-    SourceList
+    SourceList,
+    StreamTree
   }
 
-  @max_rows 400
   @refresh_ms 2_000
   # So many changes of the layout can be taken back.
   @undo 100
@@ -139,40 +138,14 @@ defmodule Situ.Studio.Web.MainView do
     end
   end
 
-  def handle_event("search", %{"query" => query}, socket) when is_binary(query),
-    do: {:noreply, assign(socket, query: String.slice(query, 0, 200))}
-
-  def handle_event("toggle", %{"path" => path}, socket) when is_binary(path) do
-    closed = socket.assigns.closed
-
-    cond do
-      path in closed ->
-        {:noreply, assign(socket, closed: MapSet.delete(closed, path))}
-
-      group?(socket.assigns.infos, path) ->
-        {:noreply, assign(socket, closed: MapSet.put(closed, path))}
-
-      true ->
-        {:noreply, socket}
-    end
-  end
-
-  def handle_event("fold_all", _, socket) do
-    groups =
-      for row <- socket.assigns.infos |> Tree.build(& &1.name) |> Tree.rows(MapSet.new()),
-          row.open?,
-          into: MapSet.new(),
-          do: row.path
-
-    {:noreply, assign(socket, closed: groups)}
-  end
-
-  def handle_event("unfold_all", _, socket), do: {:noreply, assign(socket, closed: MapSet.new())}
+  def handle_event(event, params, socket)
+      when event in ["search", "toggle", "fold_all", "unfold_all", "info_next"],
+      do: {:noreply, StreamTree.handle_event(event, params, socket)}
 
   def handle_event("select", %{"path" => path}, socket) do
     if Map.has_key?(socket.assigns.shapes, path),
       do: {:noreply, assign(socket, selected: {:stream, path})},
-      else: handle_event("toggle", %{"path" => path}, socket)
+      else: {:noreply, StreamTree.handle_event("toggle", %{"path" => path}, socket)}
   end
 
   def handle_event("snap", %{"stream" => stream}, socket) do
@@ -180,9 +153,6 @@ defmodule Situ.Studio.Web.MainView do
     snap = if now == stream, do: nil, else: known(stream, shapes)
     {:noreply, socket |> assign(snap: snap) |> push_event("snap", %{stream: snap})}
   end
-
-  def handle_event("info_next", _, socket),
-    do: {:noreply, assign(socket, info: Side.next_info(socket.assigns.info))}
 
   def handle_event("zoom_stream", %{"stream" => name}, socket) do
     case Enum.find(socket.assigns.infos, &(&1.name == name)) do
@@ -276,7 +246,7 @@ defmodule Situ.Studio.Web.MainView do
   def render(%{error: %{}} = assigns), do: Chrome.failure(assigns)
 
   def render(assigns) do
-    {rows, more} = rows(assigns)
+    {rows, more} = StreamTree.rows(assigns)
 
     assigns =
       assign(assigns,
@@ -334,21 +304,6 @@ defmodule Situ.Studio.Web.MainView do
     |> Situ.JSON.encode()
   end
 
-  defp rows(%{query: "", infos: streams, closed: closed}) do
-    streams |> Tree.build(& &1.name) |> Tree.rows(closed) |> cut()
-  end
-
-  defp rows(%{query: query, infos: streams}) do
-    # by name and by type
-    streams
-    |> Tree.search(query, &"#{&1.name} #{&1.type}")
-    |> Tree.build(& &1.name)
-    |> Tree.rows(MapSet.new())
-    |> cut()
-  end
-
-  defp cut(rows), do: {Enum.take(rows, @max_rows), max(length(rows) - @max_rows, 0)}
-
   # The beginning of the data, from which the page counts.
   defp begun(assigns) do
     case Source.call(assigns.source, :extent, []) do
@@ -361,9 +316,6 @@ defmodule Situ.Studio.Web.MainView do
     do: Enum.find(streams, &(&1.name == name))
 
   defp selected_stream(_), do: nil
-
-  # Only what can be folded is remembered as folded.
-  defp group?(infos, path), do: Enum.any?(infos, &String.starts_with?(&1.name, path <> "."))
 
   defp selected_panel(%{selected: {:panel, id}, layout: layout}), do: Layout.panel(layout, id)
   defp selected_panel(_), do: nil
