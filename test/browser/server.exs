@@ -3,6 +3,8 @@ Code.require_file("fixture.exs", __DIR__)
 Code.require_file("random_fixture.exs", __DIR__)
 Code.require_file("space_fixture.exs", __DIR__)
 Code.require_file("sensor_fixture.exs", __DIR__)
+Code.require_file("../../apps/situ_studio/test/support/guide_plugin.ex", __DIR__)
+Code.require_file("plugin_fixture.exs", __DIR__)
 alias Situ.Studio.{History, Source}
 
 [work | _] = System.argv()
@@ -53,6 +55,7 @@ Application.put_env(:situ_dataset, :dataset_tasks, [Fixture.Loudness | tasks])
 sources = %{
   "memory" => {Source.History, Fixture.minute()},
   "empty" => {Source.History, History.new(live: false)},
+  "gaze" => {Source.History, PluginFixture.gaze()},
   "space-frames" => {Source.History, SpaceFixture.frames()},
   "space-broken" => {Source.History, SpaceFixture.broken()},
   "space-big" => {Source.History, SpaceFixture.big(3_000_000)}
@@ -141,6 +144,7 @@ end
 
 sources = Map.put(sources, "factory-log", {Source.History, log})
 layouts = Path.join(work, "layouts")
+plugins = PluginFixture.folder(work)
 
 {:ok, main} =
   Situ.Studio.start_link(
@@ -148,6 +152,7 @@ layouts = Path.join(work, "layouts")
     path: folder,
     sources: sources,
     pipelines: [pipeline, factory, brief],
+    plugins: [plugins],
     layouts: layouts
   )
 

@@ -12,6 +12,7 @@ import "./layout_tests.mjs";
 import "./annotation_tests.mjs";
 import "./dataset_tests.mjs";
 import "./space_tests.mjs";
+import "./plugin_tests.mjs";
 import "./sensor_tests.mjs";
 import "./work_tests.mjs";
 import "./settings_tests.mjs";

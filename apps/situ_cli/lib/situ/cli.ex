@@ -10,7 +10,10 @@ defmodule Situ.CLI do
 
   Verbs are tables (`Situ.CLI.Verb`); `situ completion` and `situ manual` are made from the same.
   """
-  alias Situ.CLI.{Commands, Help, Output, Parser}
+  alias Situ.CLI.{Commands, Help, Output, Parser, Plugin}
+
+  # What plug-ins add to: readers of files, and tasks.
+  @extended ~w(store dataset task query annotate)
 
   @doc "Runs the command line that the VM was started with, and ends the VM with its exit status."
   @spec start() :: no_return()
@@ -86,6 +89,7 @@ defmodule Situ.CLI do
 
   # A verb finds wrong what its table alone cannot say.
   defp ran(verb, arguments, options) do
+    if hd(verb.words) in @extended, do: Plugin.load([])
     verb.run.(arguments, options)
   catch
     :throw, {:usage, why} -> wrong(verb, why)

@@ -44,6 +44,16 @@ defmodule Situ.Studio do
       default: [],
       doc: "Modules of further ways to draw streams, see `Situ.Studio.Visualizer`."
     ],
+    adapters: [
+      type: :list,
+      default: [],
+      doc: "Modules that make of messages what visualizers take, see `Situ.Studio.Adapter`."
+    ],
+    plugins: [
+      type: :list,
+      default: [],
+      doc: "Folders of plug-ins, see `Situ.Studio.Plugins`; or plug-ins that are loaded already."
+    ],
     id: [type: :string, default: "studio", doc: "Tells several studios of one VM apart."]
   ]
   @moduledoc """
@@ -73,7 +83,7 @@ defmodule Situ.Studio do
   """
   use Supervisor
 
-  alias Situ.Studio.{Batch, Catalog, PipelineView, Web}
+  alias Situ.Studio.{Batch, Catalog, PipelineView, Plugins, Web}
 
   @doc "A child of a supervision tree."
   @spec child_spec(keyword()) :: Supervisor.child_spec()
@@ -113,10 +123,19 @@ defmodule Situ.Studio do
 
   @impl true
   def init(opts) do
+    {loaded, folders} = Enum.split_with(opts[:plugins], &is_struct(&1, Plugins.Plugin))
+    plugins = loaded ++ Plugins.load(folders)
+    Plugins.register(plugins)
+    visualizers = Plugins.visualizers(plugins, opts[:visualizers], opts[:adapters])
+    opts = Keyword.merge(opts, visualizers: visualizers, plugins: plugins)
+
     children = [
       {DynamicSupervisor, name: Catalog.watches(opts[:id]), strategy: :one_for_one},
       {Catalog,
-       Keyword.take(opts, [:id, :path, :pipelines, :sources, :read_only, :layouts, :visualizers])},
+       Keyword.take(
+         opts,
+         [:id, :path, :pipelines, :sources, :read_only, :layouts, :visualizers, :plugins]
+       )},
       {Batch, Keyword.take(opts, [:id])},
       {PipelineView.Past, Keyword.take(opts, [:id, :pipelines])},
       {Situ.Live, live(opts)}
@@ -130,7 +149,7 @@ defmodule Situ.Studio do
       port: opts[:port],
       ip: opts[:ip],
       token: opts[:token],
-      routes: Web.Routes.all(opts[:id]),
+      routes: Web.Routes.all(opts[:id]) ++ Plugins.routes(opts[:plugins]),
       layout: &Web.Chrome.layout/1,
       max_frame: 262_144
     ] ++

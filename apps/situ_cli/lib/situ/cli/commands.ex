@@ -6,6 +6,7 @@ defmodule Situ.CLI.Commands do
     Cluster,
     Dataset,
     Devices,
+    Plugin,
     Query,
     Serve,
     Shell,
@@ -30,6 +31,7 @@ defmodule Situ.CLI.Commands do
     Talk,
     Serve,
     Devices,
+    Plugin,
     Shell
   ]
 
@@ -37,6 +39,7 @@ defmodule Situ.CLI.Commands do
     "store" => "look at recordings, check, repair, cut, copy, edit them",
     "dataset" => "group recordings into sessions, list them, run pipelines over them",
     "task" => "list and run batch tasks over the sessions of a dataset",
+    "plugin" => "make, list and test plug-ins: visualizers, adapters, readers, tasks",
     "cluster" => "nodes that run pipelines together: make, join, look, deploy, move",
     "annotate" => "exchange annotations with other programs, compare annotators"
   }

@@ -2,7 +2,7 @@ defmodule Situ.CLI.Studio do
   @moduledoc "`situ studio`: recordings in the browser."
   @behaviour Situ.CLI.Verb
 
-  alias Situ.CLI.{Option, Output, Verb}
+  alias Situ.CLI.{Option, Output, Plugin, Verb}
   alias Situ.{Error, Studio}
 
   @impl true
@@ -40,6 +40,9 @@ defmodule Situ.CLI.Studio do
             :layouts,
             :path,
             "where layouts are saved (default: the user's configuration folder)"
+          ),
+          Option.new(:plugins, :path, "a folder of plug-ins, or of one; see `situ plugin --help`",
+            many?: true
           ),
           Option.new(:read_only, :flag, "nothing on disk can be changed"),
           Option.new(:open, :flag, "do not open the browser", negated?: true)
@@ -115,6 +118,7 @@ defmodule Situ.CLI.Studio do
 
     Studio.start_link(
       [path: path, ip: ip, port: opts[:port], read_only: opts[:read_only], tls: opts[:tls]] ++
+        [plugins: Plugin.load(opts[:plugins])] ++
         if(opts[:token], do: [token: opts[:token]], else: []) ++
         if(opts[:layouts], do: [layouts: opts[:layouts]], else: [])
     )

@@ -2,6 +2,7 @@
 
 import { tip } from "../page/tip.js";
 import { visualizers } from "../visualizers/index.js";
+import { plugged } from "../plugins/plugged.js";
 import { mapping } from "../visualizers/shapes.js";
 import { PanZoom } from "./pan_zoom.js";
 
@@ -32,7 +33,7 @@ export class ImagePanel {
     this.config = config;
     const old = new Map(this.layers.map((l) => [l.key, l]));
     this.layers = config.vis.map((vis, index) => {
-      const key = JSON.stringify([vis.viz, vis.stream, vis.path]);
+      const key = JSON.stringify([vis.viz, vis.stream, vis.path, vis.asked, vis.script?.url]);
       const layer = old.get(key) ?? this.openLayer(key, vis);
       old.delete(key);
       return Object.assign(layer, { vis, index });
@@ -43,8 +44,9 @@ export class ImagePanel {
   }
 
   openLayer(key, vis) {
-    const layer = { key, vis, drawer: visualizers.get(vis.draw) ?? visualizers.get("image") };
-    const spec = { stream: vis.stream, viz: vis.viz, path: vis.path };
+    const drawer = vis.script ? plugged : (visualizers.get(vis.draw) ?? visualizers.get("image"));
+    const layer = { key, vis, drawer };
+    const spec = { stream: vis.stream, viz: vis.viz, path: vis.path, props: vis.asked ?? {} };
     const accept = (frame) => layer.drawer.accept(layer, frame, () => this.app.schedule(this));
     layer.channel = this.app.client.open(spec, accept, { instant: true });
     return layer;

@@ -4,9 +4,10 @@ import { PlotPanel } from "./plot.js";
 import { LanesPanel } from "./lanes.js";
 import { ImagePanel } from "./image.js";
 import { SpacePanel } from "./space.js";
+import { OwnPanel } from "./own.js";
 import { WHOLE } from "../visualizers/index.js";
 
-const KINDS = { plot: PlotPanel, lanes: LanesPanel, image: ImagePanel, space: SpacePanel, ...WHOLE };
+const KINDS = { plot: PlotPanel, lanes: LanesPanel, image: ImagePanel, space: SpacePanel, own: OwnPanel, ...WHOLE };
 
 export const timeline = (kind) => kind === "plot" || kind === "lanes";
 

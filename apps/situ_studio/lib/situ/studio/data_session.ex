@@ -33,7 +33,7 @@ defmodule Situ.Studio.DataSession do
 
   @type t :: %__MODULE__{
           source: Source.t(),
-          visualizers: [module()],
+          visualizers: [Visualizer.given()],
           channels: %{
             optional(Frame.channel()) => {Visualizer.spec() | {:error, String.t()}, term()}
           },
@@ -41,7 +41,7 @@ defmodule Situ.Studio.DataSession do
         }
 
   @doc "A conversation about `source`; `visualizers` are the studio's own beside the built-in ones."
-  @spec new(Source.t(), [module()]) :: t()
+  @spec new(Source.t(), [Visualizer.given()]) :: t()
   def new(source, visualizers \\ []), do: %__MODULE__{source: source, visualizers: visualizers}
 
   @doc "The answer to one request; `{:error, error}` when it is no request at all (close the socket)."

@@ -3,6 +3,8 @@ defmodule Situ.Studio.Draw do
   What a channel of a page shows: the frame of a window, or of the message at the cursor, made by the channel's
   visualizer.
   """
+  alias Situ.Studio.Plugins.Guard
+  alias Situ.Studio.Source.Adapted
   alias Situ.Studio.{Frame, Hole, Path, Source, Visualizer}
 
   @doc "The frame of a window `from..to` with bins of `bin` nanoseconds."
@@ -14,7 +16,28 @@ defmodule Situ.Studio.Draw do
           Situ.Time.t(),
           pos_integer()
         ) :: Frame.t()
+  def window(source, channel, %{viz: %{plugin: nil, adapter: nil}} = spec, from, to, bin),
+    do: drawn(source, channel, spec, from, to, bin)
+
+  # What others wrote runs by itself: it costs its panel, and nothing else.
   def window(source, channel, %{viz: viz} = spec, from, to, bin) do
+    work = fn ->
+      source |> Adapted.of(viz.adapter) |> drawn(channel, spec, from, to, bin) |> whole()
+    end
+
+    case Guard.run(work) do
+      {:ok, frame} -> frame
+      {:error, what} -> Frame.error(channel, blame(viz, what))
+    end
+  end
+
+  # A frame must be bytes: one that is none would break the answer that holds the others'.
+  defp whole(frame), do: IO.iodata_to_binary(frame)
+
+  defp blame(%{plugin: nil, adapter: adapter}, what), do: "#{inspect(adapter)}: #{what}"
+  defp blame(%{plugin: plugin}, what), do: "the plug-in #{plugin}: #{what}"
+
+  defp drawn(source, channel, %{viz: viz} = spec, from, to, bin) do
     if draws?(viz, :window, 6) do
       case viz.module.window(source, channel, spec, from, to, bin) do
         {:error, error} -> Frame.error(channel, error.what)
@@ -28,7 +51,22 @@ defmodule Situ.Studio.Draw do
   @doc "The frame of the message at the cursor; `last` is what this channel was sent before."
   @spec instant(Source.t(), Frame.channel(), Visualizer.spec(), Situ.Time.t(), term()) ::
           {Frame.t(), last :: term()}
-  def instant(source, channel, %{stream: stream, viz: viz} = spec, time, last) do
+  def instant(source, channel, %{viz: %{plugin: nil, adapter: nil}} = spec, time, last),
+    do: at(source, channel, spec, time, last)
+
+  def instant(source, channel, %{viz: viz} = spec, time, last) do
+    work = fn ->
+      {frame, last} = source |> Adapted.of(viz.adapter) |> at(channel, spec, time, last)
+      {whole(frame), last}
+    end
+
+    case Guard.run(work) do
+      {:ok, answer} -> answer
+      {:error, what} -> {Frame.error(channel, blame(viz, what)), nil}
+    end
+  end
+
+  defp at(source, channel, %{stream: stream, viz: viz} = spec, time, last) do
     if draws?(viz, :instant, 3) or draws?(viz, :instant, 4) do
       case Source.call(source, :latest_at, [stream, time]) do
         {:ok, %{data: %Hole{}}} ->

@@ -34,7 +34,7 @@ defmodule Situ.Studio.Layout do
 
     @type t :: %__MODULE__{
             id: String.t(),
-            panel: :plot | :lanes | :image | :space | :value | :bars | :text,
+            panel: :plot | :lanes | :image | :space | :map | :value | :bars | :text | :own,
             row: String.t() | nil,
             height: pos_integer() | nil,
             vis: [Vis.t()],
@@ -60,12 +60,22 @@ defmodule Situ.Studio.Layout do
         }
 
   @timeline [:plot, :lanes]
-  @panels [:plot, :lanes, :image, :space, :value, :bars, :text]
+  @panels [:plot, :lanes, :image, :space, :map, :value, :bars, :text, :own]
   @max_panels 64
   @max_vis 32
   # The least height, and the part of what is left over that a row takes.
-  @heights %{plot: 84, lanes: 34, image: 200, space: 260, value: 160, bars: 160, text: 90}
-  @weights %{plot: 4, lanes: 1, image: 9, space: 9, value: 6, bars: 6, text: 3}
+  @heights %{
+    plot: 84,
+    lanes: 34,
+    image: 200,
+    space: 260,
+    map: 220,
+    value: 160,
+    bars: 160,
+    text: 90,
+    own: 200
+  }
+  @weights %{plot: 4, lanes: 1, image: 9, space: 9, map: 8, value: 6, bars: 6, text: 3, own: 8}
   @lane 26
   # More share the height of these.
   @max_lanes 12
@@ -94,7 +104,7 @@ defmodule Situ.Studio.Layout do
   def add(%__MODULE__{} = layout, stream, viz, panel, into, opts \\ []) do
     vis = %Vis{viz: viz, stream: stream, path: opts[:path] || "", props: opts[:props] || %{}}
     target = Enum.find(layout.rows, &(&1.id == into and joins?(&1.panel, panel)))
-    target = target || if(viz == "shapes", do: Enum.find(layout.rows, &(&1.panel == :image)))
+    target = target || if(over?(viz, panel), do: Enum.find(layout.rows, &(&1.panel == :image)))
 
     cond do
       target != nil and length(target.vis) >= @max_vis -> full("panel", @max_vis)
@@ -104,8 +114,11 @@ defmodule Situ.Studio.Layout do
     end
   end
 
+  # What is drawn over pictures, and is none itself.
+  defp over?(viz, panel), do: panel == :image and viz not in ["image", "depth"]
+
   # A value or a chart shows one stream; lines, lanes and pictures show several.
-  defp joins?(panel, panel), do: panel in [:plot, :lanes, :image, :space]
+  defp joins?(panel, panel), do: panel in [:plot, :lanes, :image, :space, :map]
   defp joins?(_, _), do: false
 
   defp add_panel(layout, panel, vis, row) do

@@ -29,12 +29,18 @@ defmodule Situ.Studio.Visualizer do
   alias Situ.Studio.{Frame, Source, StreamInfo}
 
   @enforce_keys [:id, :title, :panel, :shapes]
-  defstruct [:id, :title, :panel, :shapes, :module, :drawer, options: []]
+  defstruct [:id, :title, :panel, :shapes, :module, :drawer, options: []] ++
+              [plugin: nil, script: nil, adapter: nil, data: :message, asks: [], problem: nil]
 
   @typedoc """
   `shapes` is a list of stream shapes, or `:any`. `options` describes its properties: each has a `type` (`:boolean`,
   `:color`, `:text`, `{:in, [text | {text, title}]}` or `{:range, min, max}`), a `title`, perhaps a `default`, and
   `only: {key, value}` where it means something only while another has that value.
+
+  The rest is for what others add (`Situ.Studio.Plugins`): the `plugin` it came with, the address of the `script` that
+  draws it in the page, the `adapter` that makes of each message what it takes, whether its script is told the
+  `:message` at the cursor or the `:past` before it, the properties that the page
+  `asks` with, and the `problem` of one that could not be loaded.
   """
   @type t :: %__MODULE__{
           id: String.t(),
@@ -43,8 +49,17 @@ defmodule Situ.Studio.Visualizer do
           shapes: [StreamInfo.shape()] | :any,
           module: module() | nil,
           drawer: String.t() | nil,
-          options: keyword()
+          options: keyword(),
+          plugin: String.t() | nil,
+          script: String.t() | nil,
+          adapter: module() | nil,
+          data: :message | :past,
+          asks: [atom()],
+          problem: String.t() | nil
         }
+
+  @typedoc "A module with this behaviour, or what one is said to be."
+  @type given :: module() | t()
 
   @typedoc "The stream to draw, the part of its messages, and the properties that the page gave."
   @type spec :: %{
@@ -81,7 +96,10 @@ defmodule Situ.Studio.Visualizer do
   @optional_callbacks window: 6, instant: 3, instant: 4
 
   @doc "The description of a module, complete."
-  @spec of(module()) :: t()
+  @spec of(given()) :: t()
+  def of(%__MODULE__{} = visualizer),
+    do: %{visualizer | drawer: visualizer.drawer || visualizer.id}
+
   def of(module) do
     about = module.about()
     %{about | module: module, drawer: about.drawer || about.id}

@@ -32,26 +32,27 @@ defmodule Situ.Studio.Visualizers do
              [Space, Trail, Frames, Text, Value, Messages, Latency]
 
   @doc "All of them; those of `extra` modules first."
-  @spec all([module()]) :: [Visualizer.t()]
+  @spec all([Visualizer.given()]) :: [Visualizer.t()]
   def all(extra \\ []), do: Enum.map(extra ++ @modules, &Visualizer.of/1)
 
   @doc "What can be drawn of a stream of this shape, the usual one first."
-  @spec for_shape(StreamInfo.shape(), [module()]) :: [Visualizer.t()]
+  @spec for_shape(StreamInfo.shape(), [Visualizer.given()]) :: [Visualizer.t()]
   def for_shape(shape, extra \\ []),
     do: Enum.filter(all(extra), &(&1.shapes == :any or shape in &1.shapes))
 
   @doc "The visualizer `id` for this shape."
-  @spec fetch(String.t(), StreamInfo.shape(), [module()]) :: {:ok, Visualizer.t()} | :error
+  @spec fetch(String.t(), StreamInfo.shape(), [Visualizer.given()]) ::
+          {:ok, Visualizer.t()} | :error
   def fetch(id, shape, extra \\ []), do: shape |> for_shape(extra) |> find(id)
 
   @doc "The visualizer of something in a layout; of a part of a message, any may be wanted."
-  @spec of(String.t(), String.t(), StreamInfo.shape(), [module()]) ::
+  @spec of(String.t(), String.t(), StreamInfo.shape(), [Visualizer.given()]) ::
           {:ok, Visualizer.t()} | :error
   def of(id, "", shape, extra), do: fetch(id, shape, extra)
   def of(id, _path, _shape, extra), do: find(all(extra), id)
 
   @doc "The visualizer `id` among the built-in and the `extra` ones."
-  @spec named(String.t(), [module()]) :: {:ok, Visualizer.t()} | :error
+  @spec named(String.t(), [Visualizer.given()]) :: {:ok, Visualizer.t()} | :error
   def named(id, extra), do: find(all(extra), id)
 
   defp find(visualizers, id) do

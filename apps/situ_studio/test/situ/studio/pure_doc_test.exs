@@ -12,6 +12,12 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Visualizers
   doctest Situ.Studio.Visualizer
   doctest Situ.Studio.Visualizers.Line
+  doctest Situ.Studio.Visualizers.Script
+  doctest Situ.Studio.Adapter
+  doctest Situ.Studio.Plugins
+  doctest Situ.Studio.Plugins.Guard
+  doctest Situ.Studio.Plugins.Manifest
+  doctest Situ.Studio.Plugins.Template
   doctest Situ.Studio.Annotating
   doctest Situ.Studio.Color
   doctest Situ.Studio.Statistics

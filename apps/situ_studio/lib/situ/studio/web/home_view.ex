@@ -20,6 +20,7 @@ defmodule Situ.Studio.Web.HomeView do
         studio: session["studio"],
         page_title: "Situ Studio",
         query: "",
+        problems: Catalog.settings(session["studio"]).problems,
         facts: %{},
         stamps: %{}
       )
@@ -80,6 +81,9 @@ defmodule Situ.Studio.Web.HomeView do
     ~H"""
     <main class="home" id="home" phx-hook="Lists">
       <h1><.logo /><span>Situ Studio</span></h1>
+      <div :if={@problems != []} class="damage" role="alert">
+        <span :for={{plugin, what} <- @problems}><b>The plug-in {plugin} is broken:</b> {what}</span>
+      </div>
       <p class="hint" role="status">{count(length(@items), length(@found), @query)}
         <a class="linkish" href="/settings" data-settings>Settings</a></p>
       <form :if={length(@items) > 5 or @query != ""} class="search" phx-change="search" phx-submit="search"

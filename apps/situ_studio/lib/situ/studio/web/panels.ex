@@ -4,7 +4,7 @@ defmodule Situ.Studio.Web.Panels do
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
   alias Situ.Studio.Web.Annotation
-  alias Situ.Studio.{Color, Layout, Visualizers}
+  alias Situ.Studio.{Color, Layout, Visualizer, Visualizers}
 
   attr(:layout, :any, required: true)
   attr(:selected, :any, required: true)
@@ -141,9 +141,13 @@ defmodule Situ.Studio.Web.Panels do
 
     vis =
       for {v, index} <- Enum.with_index(panel.vis) do
+        viz = visualizer(v, known)
+
         %{
           "viz" => v.viz,
-          "draw" => draw(v, known),
+          "draw" => drawer(viz),
+          "script" => script(viz),
+          "asked" => asked(viz, v.props),
           "stream" => v.stream,
           "path" => v.path,
           "name" => v.stream <> v.path,
@@ -177,16 +181,30 @@ defmodule Situ.Studio.Web.Panels do
   end
 
   # A stream that is not there (yet) is drawn as its layout says: it may come.
-  defp draw(vis, %{shapes: shapes, extra: extra}) do
-    case Visualizers.of(vis.viz, vis.path, Map.get(shapes, vis.stream, :value), extra) do
-      {:ok, viz} ->
-        viz.drawer
-
-      :error ->
-        case Visualizers.named(vis.viz, extra) do
-          {:ok, viz} -> viz.drawer
-          :error -> vis.viz
-        end
-    end
+  defp visualizer(vis, %{shapes: shapes, extra: extra}) do
+    with :error <- Visualizers.of(vis.viz, vis.path, Map.get(shapes, vis.stream, :value), extra),
+         :error <- Visualizers.named(vis.viz, extra),
+         do: vis.viz,
+         else: ({:ok, viz} -> viz)
   end
+
+  defp drawer(%Visualizer{drawer: drawer}), do: drawer
+  defp drawer(id), do: id
+
+  # What a plug-in's script is loaded from, and told.
+  defp script(%Visualizer{script: url} = viz) when url != nil,
+    do: %{"url" => url, "plugin" => viz.plugin, "options" => defaults(viz)}
+
+  defp script(_), do: nil
+
+  defp defaults(viz),
+    do: for({key, option} <- viz.options, into: %{}, do: {key, option[:default]})
+
+  # The properties that change what the server sends.
+  defp asked(%Visualizer{asks: [_ | _] = asks}, props) do
+    keys = Enum.map(asks, &Atom.to_string/1)
+    Map.take(props, keys)
+  end
+
+  defp asked(_, _), do: nil
 end

@@ -256,9 +256,9 @@ defmodule Situ.Studio.Web.Side do
   end
 
   defp title(%{panel: panel}) do
-    %{plot: "Plot", lanes: "Lanes", image: "Picture", value: "Value", bars: "Bars", text: "Text"}[
-      panel
-    ]
+    %{plot: "Plot", lanes: "Lanes", image: "Picture", value: "Value", bars: "Bars", text: "Text"}
+    |> Map.merge(%{space: "In space", map: "Map", own: "Panel"})
+    |> Map.fetch!(panel)
   end
 
   defp side(%{threshold: {side, _}}), do: side

@@ -1,0 +1,100 @@
+defmodule Situ.Studio.Plugins.Code do
+  @moduledoc """
+  The Elixir half of a plug-in: the modules below its `lib/`, compiled into this VM, once for each version of a file.
+
+  A plug-in cannot take the name of a module that is there already: Situ's own are not to be replaced by accident.
+  """
+  alias Situ.Error
+
+  @doc "The modules of a plug-in. Errors: `:bad_plugin`, with what the compiler says."
+  @spec load(Path.t()) :: {:ok, [module()]} | {:error, Error.t()}
+  def load(folder) do
+    files = folder |> Path.join("lib/**/*.ex") |> Path.wildcard() |> Enum.sort()
+    key = {__MODULE__, folder}
+    {stamp, modules} = :persistent_term.get(key, {nil, []})
+
+    case stamp(files) do
+      ^stamp -> {:ok, modules}
+      new -> fresh(files, modules, &:persistent_term.put(key, {new, &1}))
+    end
+  end
+
+  defp stamp(files), do: for(file <- files, do: {file, :erlang.md5(File.read!(file))})
+
+  defp fresh(files, before, keep) do
+    with {:ok, names} <- names(files, []),
+         :ok <- free(names -- before),
+         :ok <- forget(before),
+         {:ok, modules} <- compiled(files) do
+      keep.(modules)
+      {:ok, modules}
+    end
+  end
+
+  # What the files define, before anything of them runs.
+  defp names([], names), do: {:ok, names}
+
+  defp names([file | files], names) do
+    case file |> File.read!() |> Code.string_to_quoted(file: file) do
+      {:ok, quoted} ->
+        names(files, names ++ defined(quoted))
+
+      {:error, {meta, what, token}} ->
+        what = if is_tuple(what), do: Enum.join(Tuple.to_list(what)), else: what
+        bad("#{Path.basename(file)}, line #{meta[:line]}: #{what}#{token}")
+    end
+  end
+
+  defp defined(quoted) do
+    {_, names} =
+      Macro.prewalk(quoted, [], fn
+        {:defmodule, _, [{:__aliases__, _, parts} | _]} = node, names ->
+          if Enum.all?(parts, &is_atom/1),
+            do: {node, [Module.concat(parts) | names]},
+            else: {node, names}
+
+        node, names ->
+          {node, names}
+      end)
+
+    names
+  end
+
+  defp free(names) do
+    case Enum.find(names, &Code.ensure_loaded?/1) do
+      nil -> :ok
+      taken -> bad("it defines #{inspect(taken)}, which is there already: take another name")
+    end
+  end
+
+  defp forget(modules) do
+    for module <- modules do
+      :code.purge(module)
+      :code.delete(module)
+    end
+
+    :ok
+  end
+
+  defp compiled(files) do
+    modules = for file <- files, {module, _} <- Code.compile_file(file), do: module
+    {:ok, modules}
+  rescue
+    error -> bad(Exception.message(error))
+  catch
+    kind, reason ->
+      bad("its code ended while it was loaded: #{inspect({kind, reason}, limit: 5)}")
+  end
+
+  defp bad(what),
+    do: {:error, Error.new(:bad_plugin, what, fix: "mend it, and start the studio again")}
+
+  @doc "Those modules that have a behaviour."
+  @spec of([module()], module()) :: [module()]
+  def of(modules, behaviour) do
+    Enum.filter(modules, fn module ->
+      attributes = module.module_info(:attributes)
+      behaviour in Enum.flat_map(Keyword.get_values(attributes, :behaviour), &List.wrap/1)
+    end)
+  end
+end

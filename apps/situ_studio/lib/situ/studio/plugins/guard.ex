@@ -1,0 +1,40 @@
+defmodule Situ.Studio.Plugins.Guard do
+  @moduledoc """
+  Runs what a plug-in brought in a process of its own: one that fails, hangs or eats memory costs its panel, nothing
+  else.
+
+      iex> Situ.Studio.Plugins.Guard.run(fn -> 1 + 1 end)
+      {:ok, 2}
+      iex> Situ.Studio.Plugins.Guard.run(fn -> exit(:tired) end)
+      {:error, "it ended: :tired"}
+      iex> Situ.Studio.Plugins.Guard.run(fn -> Process.sleep(:infinity) end, 20)
+      {:error, "it did not answer within 20 ms"}
+  """
+  @ms 5_000
+  # 1 GB of terms.
+  @words 125_000_000
+
+  @doc "The answer of `work`, or in words why there is none after `ms` milliseconds."
+  @spec run((() -> result), pos_integer()) :: {:ok, result} | {:error, String.t()}
+        when result: term()
+  def run(work, ms \\ @ms) do
+    task = Task.Supervisor.async_nolink(Situ.Studio.Tasks, fn -> guarded(work) end)
+
+    case Task.yield(task, ms) || Task.shutdown(task, :brutal_kill) do
+      {:ok, answer} -> answer
+      {:exit, :killed} -> {:error, "it took more than 1 GB of memory"}
+      {:exit, reason} -> {:error, "it ended: #{inspect(reason, limit: 5)}"}
+      nil -> {:error, "it did not answer within #{ms} ms"}
+    end
+  end
+
+  defp guarded(work) do
+    Process.flag(:max_heap_size, %{size: @words, kill: true, error_logger: false})
+    {:ok, work.()}
+  rescue
+    error -> {:error, Exception.message(error)}
+  catch
+    :throw, value -> {:error, "it threw #{inspect(value, limit: 5)}"}
+    :exit, reason -> {:error, "it ended: #{inspect(reason, limit: 5)}"}
+  end
+end

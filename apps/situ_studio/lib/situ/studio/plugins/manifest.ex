@@ -1,0 +1,247 @@
+defmodule Situ.Studio.Plugins.Manifest do
+  @moduledoc """
+  What a plug-in says of itself, in the `plugin.json` of its folder:
+
+      {
+        "plugin": 1,
+        "id": "gaze-heat-map",
+        "title": "Gaze heat map",
+        "parts": [
+          {
+            "kind": "visualizer", "id": "heat", "title": "Heat map",
+            "types": ["Situ.Point2"], "panel": "image",
+            "script": "web/heat.js", "data": "past",
+            "options": {"seconds": {"type": "range", "min": 1, "max": 600, "default": 10, "title": "Seconds"}}
+          }
+        ]
+      }
+
+  | key of a part | |
+  |---|---|
+  | `types` | what streams it takes: types as the stream's properties show them, or their shapes, or `["any"]` |
+  | `panel` | `"image"` (over a picture) or `"own"` (fills a panel); with a `module` any, drawn by a `drawer` of the page |
+  | `script` | the ES module below `web/` that draws |
+  | `data` | `"message"` (default): the script gets the message at the cursor; `"past"`: those of the option `seconds` |
+  | `module` | the Elixir module (`Situ.Studio.Visualizer`) that makes the frames, in place of `data` |
+  | `drawer` | the page's own visualizer that draws what the `module` makes, in place of a `script` |
+  | `options` | of each: `type` (`boolean`, `color`, `text`, `range`, `choice`), `title`, `default`, `min`, `max`, `choices` |
+
+  Adapters, readers and tasks are Elixir modules below `lib/` and need no mention.
+
+      iex> {:error, error} = Situ.Studio.Plugins.Manifest.read(~s({"plugin": 1, "id": "Gaze!"}))
+      iex> error.what
+      "the plug-in's manifest is wrong: \\"id\\" must be small letters, digits and dashes, not \\"Gaze!\\""
+  """
+  alias Situ.Error
+  alias Situ.Studio.{Layout, StreamInfo, Visualizer, Visualizers}
+
+  @enforce_keys [:id, :title]
+  defstruct [:id, :title, parts: []]
+
+  @typedoc "A part is a visualizer with its `module` as text, which is found once the code is loaded."
+  @type part :: %{visualizer: Visualizer.t(), module: String.t() | nil, script: String.t() | nil}
+  @type t :: %__MODULE__{id: String.t(), title: String.t(), parts: [part()]}
+
+  @id ~r/\A[a-z0-9][a-z0-9-]{0,39}\z/
+  @key ~r/\A[a-z][a-z0-9_]{0,31}\z/
+  @script ~r/\Aweb\/[A-Za-z0-9_][A-Za-z0-9_.\/-]*\.m?js\z/
+  @max_parts 50
+  @max_options 40
+  @max_bytes 200_000
+
+  @doc "The manifest in a file. Errors: `:bad_plugin`."
+  @spec load(Path.t()) :: {:ok, t()} | {:error, Error.t()}
+  def load(path) do
+    case File.read(path) do
+      {:ok, text} when byte_size(text) <= @max_bytes -> read(text)
+      {:ok, _} -> wrong("it is larger than #{@max_bytes} bytes")
+      {:error, reason} -> wrong("#{path}: #{:file.format_error(reason)}")
+    end
+  end
+
+  @doc "The manifest that a text is. Errors: `:bad_plugin`, with what is wrong and where."
+  @spec read(String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def read(text) do
+    case Situ.JSON.decode(text) do
+      {:ok, %{"plugin" => 1} = doc} -> whole(doc)
+      {:ok, %{"plugin" => other}} -> wrong("this Situ reads version 1, not #{inspect(other)}")
+      {:ok, _} -> wrong(~s(it must begin with "plugin": 1))
+      {:error, :bad_json} -> wrong("it is not JSON")
+    end
+  end
+
+  defp whole(doc) do
+    parts = doc["parts"] || []
+
+    with :ok <- name(doc["id"]),
+         true <- (is_list(parts) and length(parts) <= @max_parts) || ~s("parts" must be a list),
+         {:ok, parts} <- each(parts, &part(&1, doc["id"])) do
+      {:ok, %__MODULE__{id: doc["id"], title: title(doc, doc["id"]), parts: parts}}
+    else
+      what -> wrong(what)
+    end
+  end
+
+  defp wrong(what) do
+    {:error,
+     Error.new(:bad_plugin, "the plug-in's manifest is wrong: #{what}",
+       fix: "docs/guides/your-own-visualizer.md tells what plugin.json holds"
+     )}
+  end
+
+  defp name(id) do
+    if is_binary(id) and id =~ @id,
+      do: :ok,
+      else: ~s("id" must be small letters, digits and dashes, not #{inspect(id, limit: 5)})
+  end
+
+  defp title(%{"title" => title}, _) when is_binary(title), do: String.slice(title, 0, 60)
+  defp title(_, id), do: id
+
+  # All of them read, or what is wrong with the first that cannot be.
+  defp each(list, read) do
+    Enum.reduce_while(list, {:ok, []}, fn one, {:ok, done} ->
+      case read.(one) do
+        {:ok, value} -> {:cont, {:ok, [value | done]}}
+        what -> {:halt, what}
+      end
+    end)
+    |> case do
+      {:ok, done} -> {:ok, Enum.reverse(done)}
+      what -> what
+    end
+  end
+
+  defp part(%{"kind" => "visualizer"} = doc, plugin) do
+    with :ok <- name(doc["id"]),
+         {:ok, shapes} <- types(doc["types"]),
+         {:ok, panel} <- panel(doc["panel"], doc["module"]),
+         {:ok, script} <- script(doc["script"]),
+         {:ok, data} <- data(doc["data"] || "message"),
+         {:ok, module} <- module(doc["module"]),
+         {:ok, drawer} <- drawer(doc["drawer"]),
+         :ok <- drawn(script, drawer),
+         {:ok, options} <- options(doc["options"] || %{}) do
+      visualizer = %Visualizer{
+        id: "#{plugin}/#{doc["id"]}",
+        title: title(doc, doc["id"]),
+        panel: panel,
+        shapes: shapes,
+        module: Visualizers.Script,
+        drawer: drawer,
+        options: [visible: [type: :boolean, title: "Visible", default: true]] ++ options,
+        plugin: plugin,
+        data: data,
+        asks: if(data == :past, do: [:seconds], else: [])
+      }
+
+      asks = if module, do: Keyword.keys(options), else: visualizer.asks
+      {:ok, %{visualizer: %{visualizer | asks: asks}, module: module, script: script}}
+    else
+      what -> ~s(part #{inspect(doc["id"], limit: 5)}: #{what})
+    end
+  end
+
+  defp part(%{"kind" => kind}, _),
+    do: ~s(a part's "kind" is "visualizer", not #{inspect(kind, limit: 5)})
+
+  defp part(_, _), do: ~s(a part is an object with a "kind")
+
+  defp types(["any"]), do: {:ok, :any}
+
+  defp types([_ | _] = types) when length(types) <= 40 do
+    with {:ok, shapes} <- each(types, &type/1), do: {:ok, Enum.uniq(shapes)}
+  end
+
+  defp types(_), do: ~s("types" must be a list of types, or ["any"])
+
+  defp type(type) when is_binary(type) do
+    case Enum.find(StreamInfo.shapes(), &(Atom.to_string(&1) == type)) do
+      nil -> {:ok, StreamInfo.shape_of_text(type)}
+      shape -> {:ok, shape}
+    end
+  end
+
+  defp type(other), do: "#{inspect(other, limit: 5)} is no type"
+
+  # A script draws on a canvas: over a picture, or on one of its own.
+  defp panel(name, nil) when name in ["image", "own"], do: {:ok, String.to_existing_atom(name)}
+
+  defp panel(name, module) when module != nil do
+    case Enum.find(Layout.panels(), &(Atom.to_string(&1) == name)) do
+      nil -> ~s("panel" must be one of #{Enum.join(Layout.panels(), ", ")})
+      panel -> {:ok, panel}
+    end
+  end
+
+  defp panel(_, _), do: ~s("panel" must be "image" or "own"; others need a "module")
+
+  defp script(nil), do: {:ok, nil}
+
+  defp script(path) do
+    if is_binary(path) and path =~ @script and ".." not in Path.split(path),
+      do: {:ok, path},
+      else:
+        ~s("script" must be a file below web/ that ends with .js, not #{inspect(path, limit: 5)})
+  end
+
+  defp data("message"), do: {:ok, :message}
+  defp data("past"), do: {:ok, :past}
+  defp data(other), do: ~s("data" must be "message" or "past", not #{inspect(other, limit: 5)})
+
+  defp module(nil), do: {:ok, nil}
+  defp module(name) when is_binary(name), do: {:ok, name}
+  defp module(_), do: ~s("module" must be the name of an Elixir module)
+
+  defp drawer(nil), do: {:ok, nil}
+  defp drawer(name) when is_binary(name) and byte_size(name) <= 40, do: {:ok, name}
+  defp drawer(_), do: ~s("drawer" must be the name of one of the page's visualizers)
+
+  defp drawn(nil, nil), do: ~s(it needs a "script", or a "drawer")
+  defp drawn(_, _), do: :ok
+
+  defp options(%{} = options) when map_size(options) <= @max_options,
+    do: options |> Enum.sort() |> each(&option/1)
+
+  defp options(_), do: ~s("options" must be an object of at most #{@max_options})
+
+  defp option({key, %{"type" => type} = doc}) when is_binary(key) do
+    with true <- key =~ @key || "an option is called by small letters and _, not #{inspect(key)}",
+         {:ok, type, default} <- kind(type, doc) do
+      # at most 40 names of a plug-in that the user put there
+      given = [type: type, title: title(doc, key)]
+
+      {:ok,
+       {String.to_atom(key), if(default == nil, do: given, else: given ++ [default: default])}}
+    else
+      what -> "option #{inspect(key)}: #{what}"
+    end
+  end
+
+  defp option({key, _}), do: ~s(option #{inspect(key)} needs a "type")
+
+  defp kind("boolean", doc), do: fits(:boolean, doc, &is_boolean/1)
+  defp kind("text", doc), do: fits(:text, doc, &(is_nil(&1) or is_binary(&1)))
+  defp kind("color", doc), do: fits(:color, doc, &(is_nil(&1) or &1 =~ ~r/\A#[0-9a-fA-F]{6}\z/))
+
+  defp kind("range", %{"min" => min, "max" => max} = doc)
+       when is_number(min) and is_number(max) and min < max,
+       do: fits({:range, min, max}, doc, &(is_number(&1) and &1 >= min and &1 <= max))
+
+  defp kind("range", _), do: ~s(a range needs "min" below "max")
+
+  defp kind("choice", %{"choices" => [_ | _] = choices} = doc) do
+    if Enum.all?(choices, &is_binary/1),
+      do: fits({:in, choices}, doc, &(&1 in choices)),
+      else: "choices are texts"
+  end
+
+  defp kind("choice", _), do: ~s(a choice needs "choices")
+  defp kind(other, _), do: "there is no type #{inspect(other, limit: 5)}"
+
+  defp fits(type, doc, fits?) do
+    if fits?.(doc["default"]),
+      do: {:ok, type, doc["default"]},
+      else: "its default #{inspect(doc["default"], limit: 5)} is none of its values"
+  end
+end

@@ -1,0 +1,183 @@
+defmodule Situ.Studio.Plugins.Template do
+  @moduledoc "A plug-in to begin with: what `situ plugin new` writes."
+  alias Situ.Error
+
+  @name ~r/\A[a-z][a-z0-9-]{0,39}\z/
+
+  @doc """
+  Makes the folder `name` below `parent`. Errors: `:bad_name`, `:exists`, `:not_saved`.
+
+      iex> {:error, error} = Situ.Studio.Plugins.Template.write("My Plug-in", "/tmp")
+      iex> error.code
+      :bad_name
+  """
+  @spec write(String.t(), Path.t()) ::
+          {:ok, folder :: Path.t(), files :: [Path.t()]} | {:error, Error.t()}
+  def write(name, parent) do
+    folder = Path.join(parent, name)
+
+    cond do
+      not (name =~ @name) ->
+        {:error,
+         Error.new(:bad_name, "#{inspect(name)} is no name of a plug-in",
+           fix: "take small letters, digits and dashes, a letter first"
+         )}
+
+      File.exists?(folder) ->
+        {:error, Error.new(:exists, "#{folder} is there already", fix: "take another name")}
+
+      true ->
+        save(folder, files(name))
+    end
+  end
+
+  defp save(folder, files) do
+    Enum.each(files, fn {path, text} ->
+      path = Path.join(folder, path)
+      File.mkdir_p!(Path.dirname(path))
+      File.write!(path, text)
+    end)
+
+    {:ok, folder, Enum.map(files, &elem(&1, 0))}
+  rescue
+    error in File.Error ->
+      {:error,
+       Error.new(:not_saved, "cannot write #{error.path}",
+         why: to_string(:file.format_error(error.reason))
+       )}
+  end
+
+  defp files(name) do
+    module = name |> String.replace("-", "_") |> Macro.camelize()
+    file = String.replace(name, "-", "_")
+    title = name |> String.replace("-", " ") |> String.capitalize()
+
+    [
+      {"plugin.json", manifest(name, title)},
+      {"web/#{file}.js", script()},
+      {"lib/#{file}.ex", adapter(name, module)},
+      {"test/#{file}_test.exs", elixir_test(name, module)},
+      {"test/#{file}_test.mjs", script_test(file)}
+    ]
+    |> Enum.map(fn {path, text} -> {path, String.replace(text, "FILE", file)} end)
+  end
+
+  defp manifest(name, title) do
+    """
+    {
+      "plugin": 1,
+      "id": "#{name}",
+      "title": "#{title}",
+      "parts": [
+        {
+          "kind": "visualizer",
+          "id": "recent",
+          "title": "#{title}",
+          "types": ["signal"],
+          "panel": "own",
+          "script": "web/FILE.js",
+          "data": "past",
+          "options": {
+            "seconds": {"type": "range", "min": 0.1, "max": 600, "default": 10, "title": "Seconds"},
+            "color": {"type": "color", "title": "Colour"}
+          }
+        }
+      ]
+    }
+    """
+  end
+
+  defp script do
+    """
+    // Draws the numbers of the last seconds: the newest at the right.
+
+    // Where each of the rows [milliseconds before the newest, number] lies on a canvas. Pure, and tested by itself.
+    export function places(rows, seconds, width, height) {
+      const numbers = rows.map(([, n]) => n).filter(Number.isFinite);
+      const low = Math.min(...numbers),
+        high = Math.max(...numbers);
+      const span = high - low || 1;
+      return rows
+        .filter(([, n]) => Number.isFinite(n))
+        .map(([ms, n]) => [width * (1 + ms / (1000 * seconds)), height * (0.9 - (0.8 * (n - low)) / span)]);
+    }
+
+    export function open(host) {
+      let rows = [];
+      return {
+        accept(told) {
+          rows = told.rows ?? [];
+        },
+        draw(ctx, { width, height, options }) {
+          ctx.strokeStyle = host.color();
+          ctx.lineWidth = 2;
+          ctx.beginPath();
+          for (const [x, y] of places(rows, options.seconds, width, height)) ctx.lineTo(x, y);
+          ctx.stroke();
+        },
+        under: () => (rows.length ? [`${host.format(rows[rows.length - 1][1])}`] : []),
+      };
+    }
+    """
+  end
+
+  defp adapter(name, module) do
+    """
+    defmodule #{module}.Magnitude do
+      @moduledoc "How large a number is, whatever its sign: so that every visualizer of signals can draw that."
+      @behaviour Situ.Studio.Adapter
+
+      @impl true
+      def about,
+        do: %Situ.Studio.Adapter{id: "#{name}", title: "magnitude", from: [:signal], to: :signal}
+
+      @impl true
+      def adapt(data, _message) when is_number(data), do: {:ok, abs(data)}
+      def adapt(_data, _message), do: :error
+    end
+    """
+  end
+
+  defp elixir_test(name, module) do
+    """
+    defmodule #{module}.Test do
+      use ExUnit.Case, async: true
+
+      test "the plug-in is whole" do
+        plugin = Situ.Studio.Plugins.plugin(Path.expand("..", __DIR__))
+        assert plugin.problem == nil
+        assert [%{id: "#{name}/recent"}] = plugin.visualizers
+      end
+
+      test "a number's magnitude has no sign" do
+        assert #{module}.Magnitude.adapt(-2.5, nil) == {:ok, 2.5}
+        assert #{module}.Magnitude.adapt("loud", nil) == :error
+      end
+    end
+    """
+  end
+
+  defp script_test(_file) do
+    """
+    import test from "node:test";
+    import assert from "node:assert/strict";
+    import { places } from "../web/FILE.js";
+
+    test("the newest is at the right, the largest on top", () => {
+      const rows = [
+        [-1000, 0],
+        [0, 5],
+      ];
+      const found = places(rows, 2, 100, 10).map(([x, y]) => [Math.round(x), Math.round(y)]);
+      assert.deepEqual(found, [
+        [50, 9],
+        [100, 1],
+      ]);
+    });
+
+    test("what is no number is left out", () => {
+      assert.deepEqual(places([[0, null]], 2, 100, 10), []);
+    });
+    """
+  end
+end

@@ -1,0 +1,88 @@
+defmodule Situ.Studio.Source.Adapted do
+  @moduledoc """
+  A source whose messages have gone through an adapter (`Situ.Studio.Adapter`). Messages that it makes nothing of are
+  holes.
+  """
+  @behaviour Situ.Studio.Source
+
+  alias Situ.Studio.Draw.Bins
+  alias Situ.Studio.{Hole, Source}
+
+  @scan 100_000
+  @sample 2_000
+
+  @doc "The source as the adapter shows it; the source itself without one."
+  @spec of(Source.t(), module() | nil) :: Source.t()
+  def of(source, nil), do: source
+  def of(source, adapter), do: {__MODULE__, {source, adapter}}
+
+  @impl true
+  def extent({source, _}), do: Source.call(source, :extent, [])
+
+  @impl true
+  def streams({source, _}), do: Source.call(source, :streams, [])
+
+  @impl true
+  def marks({source, _}, stream, from, to, limit),
+    do: Source.call(source, :marks, [stream, from, to, limit])
+
+  @impl true
+  def series(handle, stream, from, to, bin) do
+    with {:ok, messages} <- read(handle, stream, from, to) do
+      all = neighbour(latest_at(handle, stream, from - 1)) ++ messages
+      all = all ++ neighbour(next_after(handle, stream, to))
+      points = Enum.flat_map(all, &Bins.points(&1.originating_time, &1.data))
+      {points, raw?} = Bins.fold(points, bin, max(div(to - from, bin), 2))
+      {:ok, points, raw?}
+    end
+  end
+
+  defp read({source, adapter}, stream, from, to) do
+    case Source.call(source, :messages, [stream, from, to, @scan]) do
+      {:ok, messages, :all} ->
+        {:ok, Enum.map(messages, &adapt(&1, adapter))}
+
+      {:ok, _, :more} ->
+        with {:ok, rows} <- Source.sample(source, stream, from, to, @sample),
+             do: {:ok, Enum.map(rows, fn {_, message} -> adapt(message, adapter) end)}
+
+      error ->
+        error
+    end
+  end
+
+  defp neighbour({:ok, message}), do: [message]
+  defp neighbour(_), do: []
+
+  @impl true
+  def messages({source, adapter}, stream, from, to, limit) do
+    with {:ok, messages, more} <- Source.call(source, :messages, [stream, from, to, limit]),
+         do: {:ok, Enum.map(messages, &adapt(&1, adapter)), more}
+  end
+
+  @impl true
+  def sample({source, adapter}, stream, from, to, n) do
+    with {:ok, rows} <- Source.sample(source, stream, from, to, n),
+         do: {:ok, for({i, message} <- rows, do: {i, adapt(message, adapter)})}
+  end
+
+  @impl true
+  def latest_at(handle, stream, time), do: one(handle, :latest_at, stream, time)
+
+  @impl true
+  def next_after(handle, stream, time), do: one(handle, :next_after, stream, time)
+
+  defp one({source, adapter}, name, stream, time) do
+    with {:ok, message} <- Source.call(source, name, [stream, time]),
+         do: {:ok, adapt(message, adapter)}
+  end
+
+  defp adapt(%{data: %Hole{}} = message, _adapter), do: message
+
+  defp adapt(message, adapter) do
+    case adapter.adapt(message.data, message) do
+      {:ok, data} -> %{message | data: data}
+      :error -> %{message | data: %Hole{}}
+    end
+  end
+end

@@ -1,0 +1,18 @@
+defmodule Situ.Studio.Visualizers.Broken do
+  @moduledoc "Stands for a visualizer whose plug-in could not be loaded: its panel says why."
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Studio.{Frame, Visualizer}
+
+  @impl true
+  def about, do: %Visualizer{id: "broken", title: "Broken", panel: :own, shapes: []}
+
+  @impl true
+  def instant(_channel, _data, _message, %{spec: %{viz: viz}}), do: {:error, why(viz)}
+
+  @impl true
+  def window(_source, channel, %{viz: viz}, _from, _to, _bin),
+    do: Frame.error(channel, why(viz))
+
+  defp why(viz), do: "the plug-in #{viz.plugin} is broken: #{viz.problem}"
+end
