@@ -3,10 +3,18 @@ defmodule Situ.Ports.Inputs do
   # The inputs of a stage by their tags: which is next, and what is asked of their producers.
   alias Situ.Ports.Input
 
-  defstruct by_tag: %{}, tags: []
+  defstruct by_tag: %{}, tags: [], closed: [], told: []
 
-  @typedoc "`tags` are the keys of `by_tag`: going through a list is cheaper, and most stages have one input."
-  @type t :: %__MODULE__{by_tag: %{term() => Input.t()}, tags: [term()]}
+  @typedoc """
+  `tags` are the keys of `by_tag`: going through a list is cheaper, and most stages have one input. `closed`: the names
+  of the inputs that have closed; `told`: those of which the component was told before it was started again.
+  """
+  @type t :: %__MODULE__{
+          by_tag: %{term() => Input.t()},
+          tags: [term()],
+          closed: [atom()],
+          told: [atom()]
+        }
 
   @spec new([Input.t()]) :: t()
   def new(inputs), do: Enum.reduce(inputs, %__MODULE__{}, &put(&2, &1))
@@ -16,15 +24,30 @@ defmodule Situ.Ports.Inputs do
   def put(%__MODULE__{by_tag: by_tag} = inputs, %Input{tag: tag} = input) do
     case by_tag do
       %{^tag => _} -> %{inputs | by_tag: %{by_tag | tag => input}}
-      _ -> %__MODULE__{by_tag: Map.put(by_tag, tag, input), tags: [tag | inputs.tags]}
+      _ -> %{inputs | by_tag: Map.put(by_tag, tag, input), tags: [tag | inputs.tags]}
     end
   end
 
   @spec delete(t(), term()) :: t()
   def delete(%__MODULE__{} = inputs, tag) do
     by_tag = Map.delete(inputs.by_tag, tag)
-    %__MODULE__{by_tag: by_tag, tags: Map.keys(by_tag)}
+    %{inputs | by_tag: by_tag, tags: Map.keys(by_tag)}
   end
+
+  @doc "An input has closed; whether the component was told so before it was started again."
+  @spec close(t(), Input.t()) :: {boolean(), t()}
+  def close(%__MODULE__{told: told} = inputs, %Input{name: name, tag: tag}) do
+    inputs = delete(inputs, tag)
+    {name in told, %{inputs | closed: [name | inputs.closed], told: told -- [name]}}
+  end
+
+  @doc "The names of the inputs that have closed."
+  @spec closed(t()) :: [atom()]
+  def closed(%__MODULE__{closed: closed}), do: Enum.uniq(closed)
+
+  @doc "The component was told of these before it was started again."
+  @spec recall(t(), [atom()]) :: t()
+  def recall(%__MODULE__{} = inputs, told), do: %{inputs | told: told}
 
   @doc "The only input of a chain."
   @spec only(t()) :: Input.t() | nil

@@ -10,7 +10,7 @@ defmodule Situ.Stage.Freeze do
 
   @doc "Returns when `{:thaw, ref}` comes."
   @spec until(State.t(), reference()) :: State.t()
-  def until(%{server: server} = state, ref) do
+  def until(%{owner: {server, _id}} = state, ref) do
     receive do
       {:situ, {:thaw, ^ref}} ->
         state

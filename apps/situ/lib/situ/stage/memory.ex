@@ -6,7 +6,7 @@ defmodule Situ.Stage.Memory do
   alias Situ.Error
   alias Situ.Clock.Timers
   alias Situ.Component.Snapshot
-  alias Situ.Ports.{Output, Outputs}
+  alias Situ.Ports.{Inputs, Output, Outputs}
   alias Situ.Stage.State
 
   @type t :: %{
@@ -38,7 +38,7 @@ defmodule Situ.Stage.Memory do
          steps: steps,
          outputs: outputs,
          timers: timers,
-         closed: Enum.uniq(state.closed),
+         closed: Inputs.closed(state.inputs),
          continue: state.pace.continue,
          ended: ended(state)
        }}
@@ -99,7 +99,8 @@ defmodule Situ.Stage.Memory do
 
       pace = %{state.pace | continue: memory.continue}
       state = %{state | callback: callback, chain: chain, timers: timers, pace: pace}
-      {:ok, %{state | memory: nil, known_closed: memory.closed}, memory.ended}
+      inputs = Inputs.recall(state.inputs, memory.closed)
+      {:ok, %{state | memory: nil, inputs: inputs}, memory.ended}
     end
   end
 
@@ -127,9 +128,4 @@ defmodule Situ.Stage.Memory do
       {:ok, %{chain | steps: steps}}
     end
   end
-
-  @doc "An input has closed; whether the component has been told so before."
-  @spec closed(State.t(), atom()) :: {boolean(), State.t()}
-  def closed(%{known_closed: known} = state, name),
-    do: {name in known, %{state | closed: [name | state.closed], known_closed: known -- [name]}}
 end

@@ -4,7 +4,7 @@ defmodule Situ.Stage.MessageRunner do
   alias Situ.Clock
   alias Situ.Component.Callback
   alias Situ.Ports.{Input, Inputs, Outputs}
-  alias Situ.Stage.{Activation, Emission, Memory, Pace, State}
+  alias Situ.Stage.{Activation, Emission, Pace, State}
 
   @doc "Takes the next entry of an input at clock time `now`, and answers the time after it."
   @spec one(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}
@@ -97,8 +97,8 @@ defmodule Situ.Stage.MessageRunner do
   @doc "An input has closed, behind its last message."
   @spec closed(State.t(), Input.t(), Situ.Time.t()) :: State.t()
   def closed(state, input, time) do
-    state = %{state | inputs: Inputs.delete(state.inputs, input.tag)}
-    {known?, state} = Memory.closed(state, input.name)
+    {known?, inputs} = Inputs.close(state.inputs, input)
+    state = %{state | inputs: inputs}
 
     state =
       if state.callback != nil and state.phase != :failed and not known?,

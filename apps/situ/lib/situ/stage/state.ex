@@ -12,10 +12,9 @@ defmodule Situ.Stage.State do
 
   @never 9_000_000_000_000_000_000
 
-  @enforce_keys [:id, :server, :vertices, :context, :tally, :source, :outputs]
+  @enforce_keys [:owner, :vertices, :context, :tally, :source, :outputs]
   defstruct [
-    :id,
-    :server,
+    :owner,
     :vertices,
     :context,
     :tally,
@@ -26,8 +25,6 @@ defmodule Situ.Stage.State do
     :clock,
     :control,
     :memory,
-    closed: [],
-    known_closed: [],
     inputs: %Inputs{},
     timers: %Timers{},
     pace: %Pace{},
@@ -35,14 +32,13 @@ defmodule Situ.Stage.State do
   ]
 
   @typedoc """
-  `callback` is the component, `chain` its light operators or those behind it (one of the two may be `nil`).
-  `control` are shared cells: the time up to which messages count, and whether the stage is patient. `phase`:
-  `:failed` takes nothing any more. `memory` is what it starts with (see Memory), `closed` the inputs that have closed,
-  `known_closed` those of which the component knew before it was started again.
+  `owner`: the pipeline's server, and the stage's number there. `callback` is the component, `chain` its light
+  operators or those behind it (one of the two may be `nil`). `control` are shared cells: the time up to which
+  messages count, and whether the stage is patient. `phase`: `:failed` takes nothing any more. `memory` is what it
+  starts with (see Memory).
   """
   @type t :: %__MODULE__{
-          id: pos_integer(),
-          server: pid(),
+          owner: {server :: pid(), id :: pos_integer()},
           vertices: [Vertex.t(), ...],
           context: Context.t(),
           tally: Tally.t(),
@@ -53,8 +49,6 @@ defmodule Situ.Stage.State do
           clock: Clock.t() | nil,
           control: :atomics.atomics_ref() | nil,
           memory: map() | nil,
-          closed: [atom()],
-          known_closed: [atom()],
           inputs: Inputs.t(),
           timers: Timers.t(),
           pace: Pace.t(),
@@ -68,8 +62,7 @@ defmodule Situ.Stage.State do
   @spec new(map()) :: t()
   def new(%{vertices: [head | _] = vertices} = args) do
     %__MODULE__{
-      id: args.id,
-      server: args.server,
+      owner: {args.server, args.id},
       vertices: vertices,
       context: %Context{path: head.path, pipeline: args.handle},
       tally: args.tally,
@@ -211,7 +204,7 @@ defmodule Situ.Stage.State do
 
   @doc "Tells the pipeline's server."
   @spec report(t(), term()) :: term()
-  def report(state, event), do: send(state.server, {:situ_stage, state.id, event})
+  def report(%{owner: {server, id}}, event), do: send(server, {:situ_stage, id, event})
 
   defp no_output(state, opts) do
     known = state.outputs |> Outputs.open() |> Enum.map_join(", ", &inspect(elem(&1, 0)))

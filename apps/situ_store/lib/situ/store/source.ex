@@ -29,15 +29,15 @@ defmodule Situ.Store.Source do
     :last,
     live: false,
     ordinal: 0,
-    buffer: [],
-    left: 0,
+    # Messages that were read and not yet asked for, and how many.
+    buffer: {[], 0},
     shift: 0,
     known: 0,
     envelope: {0, -0x7FFFFFFFFFFFFFFF},
     sent: {0, -0x7FFFFFFFFFFFFFFF},
     version: 0,
-    listening: false,
-    done: false
+    # :replaying, :listening (a player at its end, until the clock jumps), :done
+    phase: :replaying
   ]
 
   @tag 1
@@ -84,14 +84,14 @@ defmodule Situ.Store.Source do
   defp seek(state, time), do: Reading.seek(state.importer.store, state.info, time)
 
   @impl true
-  def handle_demand(_n, _context, %{done: true} = state), do: {[], state}
+  def handle_demand(_n, _context, %{phase: :done} = state), do: {[], state}
 
   def handle_demand(n, context, state) do
     state = sought(state)
 
     {actions, next} =
       case state.buffer do
-        [] -> load(n, context, state)
+        {[], 0} -> load(n, context, state)
         _ -> emit(n, state)
       end
 
@@ -113,10 +113,10 @@ defmodule Situ.Store.Source do
       shift != state.shift ->
         {sequence, creation} = state.sent
         envelope = {sequence, creation - shift}
-        %{state | shift: shift, ordinal: ordinal, buffer: [], left: 0, envelope: envelope}
+        %{state | shift: shift, ordinal: ordinal, buffer: {[], 0}, envelope: envelope}
 
-      ordinal > state.ordinal - state.left ->
-        %{state | ordinal: ordinal, buffer: [], left: 0}
+      ordinal > state.ordinal - elem(state.buffer, 1) ->
+        %{state | ordinal: ordinal, buffer: {[], 0}}
 
       true ->
         state
@@ -126,12 +126,12 @@ defmodule Situ.Store.Source do
   defp later(time, nil), do: time
   defp later(time, from), do: max(time, from)
 
-  defp emit(n, state) when n >= state.left,
-    do: sent(shifted(state.buffer, state.shift), %{state | buffer: [], left: 0})
+  defp emit(n, %{buffer: {messages, count}} = state) when n >= count,
+    do: sent(shifted(messages, state.shift), %{state | buffer: {[], 0}})
 
-  defp emit(n, state) do
-    {now, later} = Enum.split(state.buffer, n)
-    sent(shifted(now, state.shift), %{state | buffer: later, left: state.left - n})
+  defp emit(n, %{buffer: {messages, count}} = state) do
+    {now, later} = Enum.split(messages, n)
+    sent(shifted(now, state.shift), %{state | buffer: {later, count - n}})
   end
 
   defp sent([], state), do: {[], state}
@@ -165,8 +165,8 @@ defmodule Situ.Store.Source do
 
       {:ok, messages, next} ->
         {messages, envelope} = messages |> state.upgrade.() |> Envelopes.forward(state.envelope)
-        state = %{state | envelope: envelope}
-        emit(n, %{state | buffer: messages, left: length(messages), ordinal: next})
+        state = %{state | envelope: envelope, ordinal: next}
+        emit(n, %{state | buffer: {messages, length(messages)}})
 
       {:error, error} ->
         raise error
@@ -188,13 +188,13 @@ defmodule Situ.Store.Source do
 
   # A player at its end is told of seeks by the clock that jumps.
   defp finish(_n, context, %{importer: %{keep_open: true}} = state) do
-    if not state.listening, do: Clock.listen(Pipeline.clock(context.pipeline))
-    {[], %{state | listening: true}}
+    if state.phase != :listening, do: Clock.listen(Pipeline.clock(context.pipeline))
+    {[], %{state | phase: :listening}}
   end
 
   defp finish(_n, _context, state), do: close(state)
 
-  defp close(state), do: {[{:close, :out, state.last}], %{state | done: true}}
+  defp close(state), do: {[{:close, :out, state.last}], %{state | phase: :done}}
 
   # The replay's end in the recording's own times. A loop runs until the pipeline's time is over.
   defp before(%{to: to, importer: %{period: period}} = state)
@@ -223,7 +223,7 @@ defmodule Situ.Store.Source do
   def handle_info(_, _context, state), do: {[], state}
 
   @impl true
-  def handle_stop(_final, _context, state), do: {[], %{state | done: true, buffer: []}}
+  def handle_stop(_final, _context, state), do: {[], %{state | phase: :done, buffer: {[], 0}}}
 
   @impl true
   def describe(state), do: "replays #{state.info.name} from #{state.importer.store.path}"
