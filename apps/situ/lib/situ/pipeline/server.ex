@@ -218,7 +218,7 @@ defmodule Situ.Pipeline.Server do
 
   defp event({:situ_rebuilt, graph}, %{life: %{phase: :running}} = state) do
     state = %{state | graph: Handlers.reload(state.graph, graph)}
-    {:noreply, Dynamic.Replacement.reload(state, graph)}
+    {:noreply, state |> Dynamic.Guarantee.reload(graph) |> Dynamic.Replacement.reload(graph)}
   end
 
   defp event({:situ_checkpoint, ref}, state), do: {:noreply, Checkpointing.look(state, ref)}

@@ -1,6 +1,7 @@
 defmodule Situ.Ports.Inputs do
   @moduledoc false
   # The inputs of a stage by their tags: which is next, and what is asked of their producers.
+  alias Situ.Delivery.Queue
   alias Situ.Ports.Input
 
   defstruct by_tag: %{}, tags: [], closed: [], told: []
@@ -32,6 +33,18 @@ defmodule Situ.Ports.Inputs do
   def delete(%__MODULE__{} = inputs, tag) do
     by_tag = Map.delete(inputs.by_tag, tag)
     %{inputs | by_tag: by_tag, tags: Map.keys(by_tag)}
+  end
+
+  @doc "Another function says from now on what the input `tag` never drops."
+  @spec guarantee(t(), term(), (term() -> boolean())) :: t()
+  def guarantee(%__MODULE__{} = inputs, tag, keep?) do
+    case inputs.by_tag do
+      %{^tag => %{queue: queue} = input} when queue != nil ->
+        put(inputs, %{input | queue: Queue.guarantee(queue, keep?)})
+
+      _ ->
+        inputs
+    end
   end
 
   @doc "An input has closed; whether the component was told so before it was started again."

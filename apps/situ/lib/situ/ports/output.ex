@@ -2,6 +2,7 @@ defmodule Situ.Ports.Output do
   @moduledoc false
   # One output of a running component: what is posted (see Posting), what waits for its time, and its subscribers. Only
   # `flush/1`, `ask/3`, `refresh/2` and `close/2` send.
+  alias Situ.Delivery.Queue
   alias Situ.Message
   alias Situ.Ports.Subscriber
 
@@ -102,6 +103,21 @@ defmodule Situ.Ports.Output do
     :atomics.put(marks, index * 3 + 1, message.originating_time)
     :atomics.put(marks, index * 3 + 2, message.creation_time)
     :atomics.put(marks, index * 3 + 3, message.sequence_id)
+  end
+
+  @doc "Another function says from now on what the subscriber `tag` never loses."
+  @spec guarantee(t(), term(), (term() -> boolean())) :: t()
+  def guarantee(%__MODULE__{} = output, tag, keep?) do
+    subs =
+      Enum.map(output.subs, fn
+        %{tag: ^tag, queue: queue} = sub when queue != nil ->
+          %{sub | queue: Queue.guarantee(queue, keep?)}
+
+        sub ->
+          sub
+      end)
+
+    %{output | subs: subs}
   end
 
   @doc "The component starts again: messages up to the last time have been posted before."

@@ -5,7 +5,7 @@ defmodule Situ.Stage.Control do
   alias Situ.{Clock, Options}
   alias Situ.Component.Callback
   alias Situ.Operator.Chain
-  alias Situ.Ports.{Input, Output, Outputs, Posting}
+  alias Situ.Ports.{Input, Inputs, Output, Outputs, Posting}
 
   alias Situ.Stage.{
     Activation,
@@ -28,6 +28,7 @@ defmodule Situ.Stage.Control do
                         :untap,
                         :cut,
                         :replace,
+                        :guarantee,
                         :lend,
                         :attach,
                         :detach,
@@ -174,6 +175,11 @@ defmodule Situ.Stage.Control do
         State.report(state, {:replaced, ref, {:error, error}})
         {:noreply, state}
     end
+  end
+
+  def handle({:guarantee, tag, keep?}, state) do
+    outputs = Outputs.each(state.outputs, &Output.guarantee(&1, tag, keep?))
+    {:noreply, %{state | outputs: outputs, inputs: Inputs.guarantee(state.inputs, tag, keep?)}}
   end
 
   def handle(:describe, state) do

@@ -14,6 +14,7 @@ defmodule Situ.Application.ReloadTest do
       @impl true
       def build(p, opts) do
         Situ.Pipeline.on(p, :error, fn _ -> #{version} end)
+        keep? = fn {v, _} -> v < 1_000 * #{version} end
 
         p
         |> Situ.timer(every: Situ.Time.ms(1))
@@ -23,6 +24,7 @@ defmodule Situ.Application.ReloadTest do
         end)
         |> Situ.map_async(fn n -> min(#{version}, 1) * n end)
         |> Situ.map(fn n -> {#{version}, n} end, name: "Map")
+        |> Situ.map(fn seen -> seen end, policy: Situ.Delivery.max_queue(5, guarantee: keep?))
         |> Situ.each(fn seen -> send(opts[:to], {:seen, seen}) end, async: true)
       end
     end

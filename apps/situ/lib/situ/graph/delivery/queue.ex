@@ -39,6 +39,11 @@ defmodule Situ.Delivery.Queue do
   @spec new(Delivery.t()) :: t()
   def new(%Delivery{} = policy), do: %__MODULE__{policy: policy}
 
+  @doc "Another function says from now on what is never dropped."
+  @spec guarantee(t(), (term() -> boolean())) :: t()
+  def guarantee(%__MODULE__{policy: policy} = queue, keep?),
+    do: %{queue | policy: %{policy | guarantee: keep?}}
+
   @doc "Appends an entry; returns the queue and what it dropped for it, oldest first."
   @spec push(t(), entry()) :: {t(), [Message.t()]}
   def push(%__MODULE__{} = queue, {:closed, time} = closed) do

@@ -1,0 +1,41 @@
+defmodule Situ.Pipeline.Dynamic.Guarantee do
+  @moduledoc false
+  # The functions with which delivery policies protect messages (`guarantee:`), exchanged for those of a new version
+  # of the pipeline's module: at both ends of each edge, and in what a restart begins with.
+  alias Situ.Graph
+  alias Situ.Pipeline.{Stages, State}
+
+  @doc "The guarantees of `graph`, another version of the same pipeline, take the places of the old ones."
+  @spec reload(State.t(), Graph.t()) :: State.t()
+  def reload(state, graph) do
+    fresh =
+      for {_, edge} <- graph.edges, into: %{}, do: {ends(graph, edge), edge.policy.guarantee}
+
+    Enum.reduce(state.graph.edges, state, fn {id, edge}, state ->
+      case fresh[ends(state.graph, edge)] do
+        keep? when keep? != nil and keep? != edge.policy.guarantee -> exchange(state, id, keep?)
+        _ -> state
+      end
+    end)
+  end
+
+  defp ends(graph, %{from: {from, output}, to: {to, input}}),
+    do: {graph.vertices[from].path, output, graph.vertices[to].path, input}
+
+  defp exchange(state, id, keep?) do
+    state = put_in(state.graph.edges[id].policy.guarantee, keep?)
+
+    case state.wires.links do
+      %{^id => link} ->
+        links = Map.put(state.wires.links, id, put_in(link.policy.guarantee, keep?))
+
+        for stage <- [link.from, link.to],
+            reduce: %{state | wires: %{state.wires | links: links}} do
+          state -> Stages.tell(state, stage, {:guarantee, id, keep?})
+        end
+
+      _ ->
+        state
+    end
+  end
+end
