@@ -15,6 +15,7 @@ import "./space_tests.mjs";
 import "./plugin_tests.mjs";
 import "./sensor_tests.mjs";
 import "./work_tests.mjs";
+import "./derived_tests.mjs";
 import "./settings_tests.mjs";
 import "./access_tests.mjs";
 import "./serving_tests.mjs";

@@ -26,6 +26,11 @@ const space = {
   entryPoints: [{ in: "js/space/index.js", out: "space" }],
   format: "esm",
 };
+// What transforms sound, in a thread of its own.
+const worker = {
+  ...options,
+  entryPoints: [{ in: "js/spectrogram/worker.js", out: "spectrogram-worker" }],
+};
 // The page that is a sensor, and its part in the audio thread.
 const sensor = {
   ...options,
@@ -38,9 +43,17 @@ const sensor = {
 for (const f of ["favicon.svg", "theme.js"]) copyFileSync(new URL("css/" + f, import.meta.url).pathname, out + f);
 
 if (process.argv.includes("--watch")) {
-  for (const o of [options, space, sensor]) await (await esbuild.context(o)).watch();
+  for (const o of [options, space, worker, sensor]) await (await esbuild.context(o)).watch();
 } else {
-  await Promise.all([esbuild.build(options), esbuild.build(space), esbuild.build(sensor)]);
-  for (const f of ["studio.js", "studio.css", "theme.js", "space.js", "sensor.js", "sensor-worklet.js"])
+  await Promise.all([options, space, worker, sensor].map((o) => esbuild.build(o)));
+  for (const f of [
+    "studio.js",
+    "studio.css",
+    "theme.js",
+    "space.js",
+    "spectrogram-worker.js",
+    "sensor.js",
+    "sensor-worklet.js",
+  ])
     writeFileSync(out + f + ".gz", gzipSync(readFileSync(out + f), { level: 9 }));
 }

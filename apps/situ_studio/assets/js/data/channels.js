@@ -24,6 +24,7 @@ export class IntervalChannel extends Channel {
     this.lines = new Map();
     this.marks = null;
     this.segments = null;
+    this.sounds = null;
     this.version = 0;
   }
 
@@ -83,6 +84,7 @@ export class IntervalChannel extends Channel {
     } else if (f.kind === KIND.lines)
       this.lines = keepLines(w.append ? this.lines : new Map(), f.lines, base, from, forget);
     else if (f.kind === KIND.marks) this.marks = keepMarks(w.append ? this.marks : null, f, base, w.from);
+    else if (f.kind === KIND.sounds) this.sounds = { ...f, base, from: w.append ? w.from : -Infinity };
     else if (f.kind === KIND.segments)
       this.segments = keepSegments(w.append ? this.segments : null, f.value, base, w.from);
   }

@@ -15,6 +15,7 @@ export const KIND = {
   pcm: 9,
   lines: 10,
   scene: 11,
+  sounds: 12,
 };
 export const PIXELS = { jpeg: 1, png: 2, rgba: 3, gray8: 4, gray16: 5, rgb: 6, bgr: 7, bgra: 8 };
 
@@ -105,6 +106,11 @@ function payload(f, buffer, at) {
     case KIND.pcm:
       f.rate = f.step;
       f.samples = new Float32Array(buffer, at, f.bytes / 4);
+      return f;
+    case KIND.sounds:
+      f.rate = f.step;
+      f.t = new Float64Array(buffer, at, n);
+      f.samples = new Float32Array(buffer, at + 8 * n, (f.bytes - 8 * n) / 4);
       return f;
     case KIND.segments:
     case KIND.json:

@@ -18,6 +18,11 @@ export const commands = {
   right: (app) => toggleSide(app, "right"),
 
   annotate: (app) => (app.annotation ? app.annotation.el.focus() : app.options.push?.("annotation_dialog", {})),
+  async derive(app, text = "") {
+    const said = await ask({ title: "The expression of a derived stream, such as `Mic.Level` * 2", value: text });
+    if (said?.text.trim()) app.options.push?.("derive", { text: said.text });
+  },
+
   find: (app) => app.options.push?.("query_open", {}),
 
   // A comment stays with the recording, as an annotation of the stream Markers.

@@ -47,7 +47,7 @@ export class Frames {
     const viewChanged = s.view !== old.view || s.data !== old.data;
     for (const o of this.overlays.values()) o.update(s);
     for (const v of this.views) {
-      if (v.timeline && viewChanged) this.schedule(v);
+      if ((v.timeline || v.windowed) && viewChanged) this.schedule(v);
       else if (s.cursor !== old.cursor) v.cursorMoved();
       if (v.navigator) this.schedule(v);
     }

@@ -39,6 +39,7 @@ export const KEYS = [
   ["a", "Annotate the recording", "annotate"],
   ["k", "Comment on the selection, or on the cursor", "marker"],
   ["f", "Find the times where an expression is true", "find"],
+  ["e", "Derive a stream by an expression over others", "derive"],
   ["l", "Live on or off", "live"],
   ["n", "Cursor to the next change, of the snapped stream or the selected panel", "nextChange"],
   ["N", "Cursor to the change before", "previousChange"],

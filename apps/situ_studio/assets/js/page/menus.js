@@ -3,6 +3,7 @@
 import { GUTTER } from "./theme.js";
 import { copy } from "./toast.js";
 import { savePicture } from "./picture_file.js";
+import { commands } from "./commands.js";
 
 export function menuItems(app, target, event) {
   const node = target.closest(".node[data-stream]");
@@ -28,6 +29,8 @@ function streamItems(app, { stream, shape }) {
   return [
     ...kinds.map(([viz, title]) => ({ text: `Show as ${title.toLowerCase()}`, run: () => push("add_viz", { viz }) })),
     "-",
+    { text: "Derive from it…", hint: "e", run: () => commands.derive(app, derivation(stream)) },
+    "-",
     { text: "Properties", run: () => push("select", { path: stream }) },
     { text: "Zoom to it", run: () => push("zoom_stream") },
     { text: app.client.snap === stream ? "Release the cursor" : "Snap the cursor to it", run: () => push("snap") },
@@ -38,6 +41,9 @@ function streamItems(app, { stream, shape }) {
     { text: "Copy its name", run: () => copy(stream, "Name copied") },
   ];
 }
+
+// What an expression calls a stream; one that is derived is changed.
+const derivation = (stream) => (stream.startsWith("= ") ? stream.slice(2) : `\`${stream}\``);
 
 function panelItems(app, panel, legend, event) {
   const id = panel.dataset.panel;

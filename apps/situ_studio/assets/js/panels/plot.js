@@ -50,7 +50,9 @@ export class PlotPanel {
       () => this.app.schedule(this),
       { px },
     );
-    return { key, channel, vis, drawer: visualizers.get(vis.draw) ?? visualizers.get("line") };
+    const drawer = visualizers.get(vis.draw) ?? visualizers.get("line");
+    // what takes its time to be made asks to be drawn by itself
+    return { key, channel, vis, drawer, redraw: () => this.app.schedule(this) };
   }
 
   // The drawn lines: one entry for each layer, or for each key of a stream of maps.

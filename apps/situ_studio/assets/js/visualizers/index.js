@@ -15,13 +15,16 @@ import { messages } from "./messages.js";
 import { image } from "./image.js";
 import { depth } from "./depth.js";
 import { shapes } from "./shapes.js";
+import { spectrogram } from "./spectrogram.js";
 import { BarsPanel } from "./bars.js";
 import { TextPanel } from "./text.js";
 import { ValuePanel } from "./value.js";
+import { LogPanel } from "./log.js";
+import { XYPanel } from "./xy.js";
 
-const ALL = [line, lines, waveform, latency, states, labels, spans, messages, image, depth, shapes];
+const ALL = [line, lines, waveform, spectrogram, latency, states, labels, spans, messages, image, depth, shapes];
 
 export const visualizers = new Map(ALL.map((v) => [v.id, v]));
 
 // The panels of which one visualizer fills all.
-export const WHOLE = { bars: BarsPanel, text: TextPanel, value: ValuePanel };
+export const WHOLE = { bars: BarsPanel, text: TextPanel, value: ValuePanel, log: LogPanel, xy: XYPanel };

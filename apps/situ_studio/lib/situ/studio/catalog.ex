@@ -126,7 +126,7 @@ defmodule Situ.Studio.Catalog do
   def handle_call({:open, id}, _from, state) do
     with {:ok, item} <- found(state, id),
          {:ok, source, state} <- source(state, item) do
-      {:reply, {:ok, item, source}, state}
+      {:reply, {:ok, item, Source.Derived.wrap(source)}, state}
     else
       {:error, error} -> {:reply, {:error, error}, state}
     end

@@ -16,10 +16,13 @@ defmodule Situ.Studio.Color do
 
   @colors 8
 
-  @doc "The place of each of all streams."
+  @doc "The place of each of all streams; a derived one (`= ...`) comes after them, and changes no other's."
   @spec ranks([String.t()]) :: %{optional(String.t()) => non_neg_integer()}
   def ranks(names) do
-    names |> Enum.sort_by(&NaturalOrder.key/1) |> Enum.with_index() |> Map.new()
+    names
+    |> Enum.sort_by(&{String.starts_with?(&1, "= "), NaturalOrder.key(&1)})
+    |> Enum.with_index()
+    |> Map.new()
   end
 
   @doc "The colours of the streams of one panel, in their order."

@@ -42,6 +42,7 @@ defmodule Situ.Studio.Frame do
   | 9 pcm | 32-bit float samples of one channel |
   | 10 lines | rows of them; of each: bytes of its name, points (32 bits each), the name padded to 8, and columns as of a series; a gap is NaN |
   | 11 scene | things in space, see `Situ.Studio.Scene.pack/2` |
+  | 12 sounds | rows pieces of sound, all as long: their times after the base (64-bit floats), then 32-bit float samples |
 
       iex> frame = Situ.Studio.Frame.none(7)
       iex> bytes = IO.iodata_to_binary(Situ.Studio.Frame.reply([frame], %{request: 1, from: 0, to: 9, time: 5}))
@@ -53,7 +54,7 @@ defmodule Situ.Studio.Frame do
 
   @version 1
   @kinds [series: 1, segments: 2, marks: 3, image: 4, json: 5, none: 6, same: 7, error: 8] ++
-           [pcm: 9, lines: 10, scene: 11]
+           [pcm: 9, lines: 10, scene: 11, sounds: 12]
   @nan <<0, 0, 0, 0, 0, 0, 0xF8, 0x7F>>
   @pixels [jpeg: 1, png: 2, rgba: 3, gray8: 4, gray16: 5, rgb: 6, bgr: 7, bgra: 8]
 
@@ -168,6 +169,19 @@ defmodule Situ.Studio.Frame do
   @spec pcm(channel(), Situ.Time.t(), pos_integer(), binary()) :: t()
   def pcm(channel, time, rate, samples) do
     frame(:pcm, channel, samples, div(byte_size(samples), 4), time, 0, rate)
+  end
+
+  @doc "Pieces of sound of one channel, all of as many samples, at a rate: `{time, 32-bit float samples}`."
+  @spec sounds(channel(), [{Situ.Time.t(), binary()}], pos_integer()) :: t()
+  def sounds(channel, pieces, rate) do
+    base = first_time(pieces)
+
+    payload = [
+      for({t, _} <- pieces, into: <<>>, do: <<t - base::little-float-64>>),
+      for({_, samples} <- pieces, do: samples)
+    ]
+
+    frame(:sounds, channel, payload, length(pieces), base, 0, rate)
   end
 
   @doc "There is no message."

@@ -34,7 +34,7 @@ defmodule Situ.Studio.Layout do
 
     @type t :: %__MODULE__{
             id: String.t(),
-            panel: :plot | :lanes | :image | :space | :map | :value | :bars | :text | :own,
+            panel: :plot | :lanes | :image | :space | :map | :value | :bars | :text | :log | :xy | :own,
             row: String.t() | nil,
             height: pos_integer() | nil,
             vis: [Vis.t()],
@@ -60,7 +60,7 @@ defmodule Situ.Studio.Layout do
         }
 
   @timeline [:plot, :lanes]
-  @panels [:plot, :lanes, :image, :space, :map, :value, :bars, :text, :own]
+  @panels [:plot, :lanes, :image, :space, :map, :value, :bars, :text, :log, :xy, :own]
   @max_panels 64
   @max_vis 32
   # The least height, and the part of what is left over that a row takes.
@@ -73,9 +73,12 @@ defmodule Situ.Studio.Layout do
     value: 160,
     bars: 160,
     text: 90,
+    log: 160,
+    xy: 220,
     own: 200
   }
-  @weights %{plot: 4, lanes: 1, image: 9, space: 9, map: 8, value: 6, bars: 6, text: 3, own: 8}
+  @weights %{plot: 4, lanes: 1, image: 9, space: 9, map: 8, value: 6, bars: 6, text: 3}
+           |> Map.merge(%{log: 6, xy: 9, own: 8})
   @lane 26
   # More share the height of these.
   @max_lanes 12
@@ -118,7 +121,7 @@ defmodule Situ.Studio.Layout do
   defp over?(viz, panel), do: panel == :image and viz not in ["image", "depth"]
 
   # A value or a chart shows one stream; lines, lanes and pictures show several.
-  defp joins?(panel, panel), do: panel in [:plot, :lanes, :image, :space, :map]
+  defp joins?(panel, panel), do: panel in [:plot, :lanes, :image, :space, :map, :xy]
   defp joins?(_, _), do: false
 
   defp add_panel(layout, panel, vis, row) do

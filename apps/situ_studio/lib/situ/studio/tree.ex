@@ -42,6 +42,9 @@ defmodule Situ.Studio.Tree do
   end
 
   # "a..b" and ".a" have empty parts: such names stay whole, so that nothing is hidden.
+  # Points of an expression are not those of a name.
+  defp segments("= " <> _ = name), do: [name]
+
   defp segments(name) do
     parts = String.split(name, ".")
     if "" in parts, do: [name], else: parts

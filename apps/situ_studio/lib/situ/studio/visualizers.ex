@@ -4,7 +4,7 @@ defmodule Situ.Studio.Visualizers do
   modules to `Situ.Studio` as `visualizers: [MyModule]`, see `Situ.Studio.Visualizer`.
 
       iex> for v <- Situ.Studio.Visualizers.for_shape(:boolean), do: v.id
-      ["states", "line", "value", "messages", "latency"]
+      ["states", "line", "value", "log", "messages", "latency"]
   """
   alias Situ.Studio.{StreamInfo, Visualizer}
 
@@ -17,19 +17,22 @@ defmodule Situ.Studio.Visualizers do
     Latency,
     Line,
     Lines,
+    Log,
     Messages,
     Shapes,
     Space,
     Spans,
+    Spectrogram,
     States,
     Text,
     Trail,
     Value,
-    Waveform
+    Waveform,
+    XY
   }
 
   @modules [Waveform, Lines, States, Spans, Labels, Line, Image, Depth, Shapes, Bars] ++
-             [Space, Trail, Frames, Text, Value, Messages, Latency]
+             [Space, Trail, Frames, XY, Spectrogram, Text, Value, Log, Messages, Latency]
 
   @doc "All of them; those of `extra` modules first."
   @spec all([Visualizer.given()]) :: [Visualizer.t()]

@@ -32,6 +32,7 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Draw.Segments
   doctest Situ.Studio.Visualizers.Spans
   doctest Situ.Studio.Visualizers.Lines
+  doctest Situ.Studio.Visualizers.Log
   doctest Situ.Studio.Draw.Key
   doctest Situ.Studio.NaturalOrder
   doctest Situ.Studio.Annotating.Shelf

@@ -22,12 +22,22 @@ defmodule Situ.Studio.Visualizers.Line do
   end
 
   @impl true
-  def window(source, channel, %{stream: stream, path: []}, from, to, bin) do
+  def window(source, channel, %{stream: stream, path: []} = spec, from, to, bin) do
+    if Source.Derived.name?(stream),
+      do: of_messages(source, channel, spec, from, to, bin),
+      else: summed(source, channel, stream, from, to, bin)
+  end
+
+  def window(source, channel, spec, from, to, bin),
+    do: of_messages(source, channel, spec, from, to, bin)
+
+  defp summed(source, channel, stream, from, to, bin) do
     with {:ok, points, raw?} <- Source.call(source, :series, [stream, from, to, bin]),
          do: Frame.series(channel, points, raw?)
   end
 
-  def window(source, channel, spec, from, to, bin) do
+  # What no source has a summary of; of more than can be read a sample, which says so.
+  defp of_messages(source, channel, spec, from, to, bin) do
     with {:ok, messages, all?} <- Messages.around(source, spec, from, to) do
       {points, raw?} = messages |> of(spec.path) |> Bins.fold(bin, @points)
       Frame.series(channel, points, raw?, sampled: not all?)

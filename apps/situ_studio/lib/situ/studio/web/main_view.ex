@@ -22,6 +22,7 @@ defmodule Situ.Studio.Web.MainView do
     Address,
     Annotation,
     Chrome,
+    Derivation,
     Edit,
     ExportDialog,
     LayoutMenu,
@@ -54,6 +55,7 @@ defmodule Situ.Studio.Web.MainView do
         query: "",
         closed: MapSet.new(),
         seen_lanes: %{},
+        derived: [],
         selected: nil,
         snap: nil,
         maximised: nil,
@@ -75,7 +77,8 @@ defmodule Situ.Studio.Web.MainView do
         stream = known(params["stream"], shapes)
         socket = assign(socket, snap: known(params["snap"], shapes))
         socket = assign(socket, selected: stream && {:stream, stream})
-        {:ok, socket |> LayoutMenu.choose(params) |> Annotation.restore(params)}
+        socket = LayoutMenu.choose(socket, params)
+        {:ok, socket |> Derivation.known(&load_streams/1) |> Annotation.restore(params)}
 
       {:error, error} ->
         {:ok, assign(socket, error: error)}
@@ -87,7 +90,7 @@ defmodule Situ.Studio.Web.MainView do
   defp load_streams(socket) do
     streams =
       case Source.call(socket.assigns.source, :streams, []) do
-        {:ok, streams} -> streams
+        {:ok, streams} -> streams ++ Derivation.infos(socket.assigns)
         {:error, _} -> socket.assigns[:infos] || []
       end
 
@@ -177,8 +180,21 @@ defmodule Situ.Studio.Web.MainView do
     end
   end
 
-  def handle_event("layout_" <> _ = event, params, socket),
-    do: LayoutMenu.handle_event(event, params, socket)
+  def handle_event("layout_" <> _ = event, params, socket) do
+    {:noreply, socket} = LayoutMenu.handle_event(event, params, socket)
+    {:noreply, Derivation.known(socket, &load_streams/1)}
+  end
+
+  # A stream that an expression makes of others.
+  def handle_event("derive", %{"text" => text}, socket) when is_binary(text) do
+    case Derivation.add(socket, text) do
+      {:ok, name, socket} ->
+        handle_event("add_stream", %{"stream" => name}, load_streams(socket))
+
+      {:error, error} ->
+        {:noreply, toast(socket, error)}
+    end
+  end
 
   def handle_event("export_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
     do: ExportDialog.handle_event(event, params, socket)

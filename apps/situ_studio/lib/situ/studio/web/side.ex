@@ -257,7 +257,7 @@ defmodule Situ.Studio.Web.Side do
 
   defp title(%{panel: panel}) do
     %{plot: "Plot", lanes: "Lanes", image: "Picture", value: "Value", bars: "Bars", text: "Text"}
-    |> Map.merge(%{space: "In space", map: "Map", own: "Panel"})
+    |> Map.merge(%{space: "In space", map: "Map", log: "List", xy: "XY plot", own: "Panel"})
     |> Map.fetch!(panel)
   end
 

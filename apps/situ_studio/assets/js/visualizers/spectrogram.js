@@ -1,0 +1,127 @@
+// Which frequencies a sound has over time: a column for each piece of sound, transformed in a worker.
+
+import { number } from "../page/number_text.js";
+
+const MOST_COLUMNS = 4000;
+// From quiet to loud, read by people who do not tell red from green, too.
+const COLORS = [
+  [0, 0, 4, 0],
+  [66, 10, 104, 150],
+  [147, 38, 103, 220],
+  [221, 81, 58, 245],
+  [252, 165, 10, 255],
+  [252, 255, 164, 255],
+];
+
+// Beside this script lies the worker's.
+const SCRIPT = globalThis.document?.currentScript?.src ?? "";
+
+let worker = null,
+  asked = 0;
+const waiting = new Map();
+
+function transform(samples, count, n, done) {
+  if (!worker) {
+    worker = new Worker(new URL("spectrogram-worker.js", SCRIPT));
+    worker.onmessage = ({ data: { id, found } }) => {
+      waiting.get(id)?.(found);
+      waiting.delete(id);
+    };
+  }
+  waiting.set(++asked, done);
+  worker.postMessage({ id: asked, samples: samples.slice(), count, n });
+}
+
+// The columns that are drawn, as the legend looks at them.
+class Spectra {
+  constructor(columns, rate, n) {
+    Object.assign(this, { columns, rate, n, sampled: false });
+    this.step =
+      columns.length > 1 ? Math.min(...columns.slice(1).map((c, i) => c.t - columns[i].t)) : (n * 1e9) / rate;
+  }
+
+  get length() {
+    return this.columns.length;
+  }
+
+  at(t) {
+    return this.columns.findLastIndex((c) => c.t <= t);
+  }
+
+  age(i, t) {
+    const age = t - this.columns[i].t;
+    return age > 2 * this.step ? age : 0;
+  }
+}
+
+function column(levels) {
+  const out = document.createElement("canvas");
+  [out.width, out.height] = [1, levels.length];
+  const ctx = out.getContext("2d");
+  const image = ctx.createImageData(1, levels.length);
+  levels.forEach((v, i) => image.data.set(color(v / 255), 4 * (levels.length - 1 - i)));
+  ctx.putImageData(image, 0, 0);
+  return out;
+}
+
+function color(level) {
+  const at = level * (COLORS.length - 1),
+    i = Math.min(Math.floor(at), COLORS.length - 2);
+  return COLORS[i].map((c, k) => c + (COLORS[i + 1][k] - c) * (at - i));
+}
+
+// Sends what has come to the worker; what it answers is drawn with the next picture.
+function take(layer) {
+  const { sounds } = layer.channel;
+  if (!sounds || sounds === layer.taken) return;
+  layer.taken = sounds;
+  const { t, base, samples, rate, from, count } = sounds;
+  if (!count) {
+    if (from === -Infinity) layer.spectra = null;
+    return;
+  }
+  const n = samples.length / count;
+  transform(samples, count, n, (found) => {
+    const next = Array.from(t, (time, i) => {
+      const levels = found.subarray((i * n) / 2, ((i + 1) * n) / 2);
+      return { t: time + base, levels, canvas: column(levels) };
+    });
+    const kept = (layer.spectra?.columns ?? []).filter((c) => c.t < Math.max(from, -Infinity) && c.t < next[0].t);
+    layer.spectra = new Spectra(kept.slice(-MOST_COLUMNS).concat(next), rate, n);
+    layer.redraw?.();
+  });
+}
+
+export const spectrogram = {
+  id: "spectrogram",
+  panel: "plot",
+
+  entries(layer) {
+    take(layer);
+    return [{ layer, name: "", series: layer.spectra ?? new Spectra([], 16000, 2) }];
+  },
+
+  extent: ({ series }) => (series.length ? [0, series.rate / 2] : null),
+
+  draw(ctx, { series }, { view, x, y }) {
+    const top = y(series.rate / 2),
+      height = y(0) - top;
+    const { columns, step } = series;
+    ctx.imageSmoothingEnabled = false;
+    columns.forEach(({ t, canvas }, i) => {
+      // until the next, where it is not farther than a step
+      const end = Math.min(columns[i + 1]?.t ?? Infinity, t + step);
+      if (end < view[0] || t > view[1]) return;
+      ctx.drawImage(canvas, x(t), top, Math.max(x(end) - x(t), 1) + 0.5, height);
+    });
+  },
+
+  // The loudest frequency at the cursor.
+  text({ series }, i) {
+    const { levels } = series.columns[i];
+    let best = 1;
+    for (let k = 2; k < levels.length; k++) if (levels[k] > levels[best]) best = k;
+    if (!levels[best]) return "silent";
+    return `loudest ${number((best * series.rate) / series.n, 3)} Hz`;
+  },
+};

@@ -1,0 +1,260 @@
+defmodule Situ.Studio.Source.Derived do
+  @moduledoc """
+  A source with streams that are computed as they are read: a stream called `= EXPRESSION` has the expression's value
+  (`Situ.Expression`) at every message of the streams it names, each with the value of its latest message. The name says
+  all there is to say, so layouts and links hold derived streams, and nothing is stored or run but the expression.
+
+      iex> history = Situ.Studio.History.new(live: false)
+      iex> message = %Situ.Message{data: 20, originating_time: 5}
+      iex> :ok = Situ.Studio.History.put(history, "Level", message, 8)
+      iex> source = Situ.Studio.Source.Derived.wrap({Situ.Studio.Source.History, history})
+      iex> {:ok, message} = Situ.Studio.Source.call(source, :latest_at, ["= Level * 2 + 1", 9])
+      iex> {message.originating_time, message.data}
+      {5, 41}
+  """
+  @behaviour Situ.Studio.Source
+
+  alias Situ.{Error, Expression, Message}
+  alias Situ.Expression.Value
+  alias Situ.Studio.{Source, StreamInfo}
+  alias Situ.Studio.Draw.{Bins, Messages}
+
+  # So many values say of which kind a derived stream is.
+  @looked_at 16
+  @most 200_000
+
+  @enforce_keys [:source]
+  defstruct [:source]
+
+  @type t :: %__MODULE__{source: Source.t()}
+
+  @doc "The source with derived streams."
+  @spec wrap(Source.t()) :: Source.t()
+  def wrap(source), do: {__MODULE__, %__MODULE__{source: source}}
+
+  @doc """
+  Whether a name is that of a derived stream.
+
+      iex> Situ.Studio.Source.Derived.name?("= a + 1")
+      true
+  """
+  @spec name?(String.t()) :: boolean()
+  def name?(name), do: String.starts_with?(name, "= ")
+
+  @doc """
+  The name of the stream of an expression, and what is known of it. Errors: `:bad_expression`, `:no_stream`,
+  `:constant` (it names no stream).
+  """
+  @spec derive(Source.t(), String.t()) :: {:ok, StreamInfo.t()} | {:error, Error.t()}
+  def derive(source, text) do
+    name = "= " <> String.trim(text)
+
+    with {:ok, _} <- parse(name),
+         {:ok, infos} <- Source.call(source, :streams, []),
+         {:ok, bases} <- bases(name, infos),
+         do: {:ok, info(source, name, bases)}
+  end
+
+  defp bases("= " <> text, infos) do
+    known = Map.new(infos, &{&1.name, &1})
+    names = text |> Expression.parse!() |> Expression.names()
+
+    case Enum.reject(names, &is_map_key(known, &1)) do
+      [] -> {:ok, Enum.map(names, &known[&1])}
+      [missing | _] -> {:error, unknown(missing)}
+    end
+  end
+
+  defp unknown(name) do
+    Error.new(:no_stream, "there is no stream called #{inspect(name)} here",
+      fix: "names with points stand in backticks: `Room.Level`"
+    )
+  end
+
+  defp info(source, name, bases) do
+    firsts = for %{first: first} when first != nil <- bases, do: first
+    lasts = for %{last: last} when last != nil <- bases, do: last
+    {first, last} = {Enum.max(firsts, fn -> nil end), Enum.max(lasts, fn -> nil end)}
+
+    %StreamInfo{
+      name: name,
+      type: "derived",
+      shape: if(first && last, do: shape(source, name, first, last), else: :value),
+      first: first,
+      last: last,
+      count: bases |> Enum.map(& &1.count) |> Enum.sum()
+    }
+  end
+
+  defp shape(source, name, first, last) do
+    values =
+      for i <- 0..(@looked_at - 1),
+          time = first + div((last - first) * i, @looked_at - 1),
+          {:ok, %{data: data}} when data != nil <- [Source.call(source, :latest_at, [name, time])],
+          do: data
+
+    case values |> Enum.map(&StreamInfo.shape_of/1) |> Enum.uniq() do
+      [shape] -> shape
+      _ -> :value
+    end
+  end
+
+  @impl true
+  def extent(%{source: source}), do: Source.call(source, :extent, [])
+
+  @impl true
+  def streams(%{source: source}), do: Source.call(source, :streams, [])
+
+  @impl true
+  def damage(%{source: source}), do: Source.damage(source)
+
+  @impl true
+  def series(derived, "= " <> _ = name, from, to, bin) do
+    with {:ok, messages, _more} <- messages(derived, name, from, to, @most) do
+      {before, later} = Messages.beside({__MODULE__, derived}, name, {from, to}, length(messages))
+
+      points =
+        Enum.flat_map(before ++ messages ++ later, &Bins.points(&1.originating_time, &1.data))
+
+      {points, raw?} = Bins.fold(points, bin, max(div(to - from, bin), 2) + 16)
+      {:ok, points, raw?}
+    end
+  end
+
+  def series(%{source: source}, name, from, to, bin),
+    do: Source.call(source, :series, [name, from, to, bin])
+
+  @impl true
+  def summary(_derived, "= " <> _, _from, _to, _bins), do: :none
+
+  def summary(%{source: source}, name, from, to, bins),
+    do: Source.summary(source, name, from, to, bins)
+
+  @impl true
+  def sample(derived, "= " <> _ = name, from, to, n) do
+    messages =
+      for i <- 1..n//1,
+          {:ok, message} <- [latest_at(derived, name, from + div((to - from) * i, n))],
+          message.originating_time >= from,
+          uniq: true,
+          do: message
+
+    # nobody knows what lies between them: no two are neighbours
+    {:ok, Enum.with_index(messages, &{2 * &2, &1})}
+  end
+
+  def sample(%{source: source}, name, from, to, n), do: Source.sample(source, name, from, to, n)
+
+  @impl true
+  def marks(derived, "= " <> _ = name, from, to, limit) do
+    with {:ok, messages, more} <- messages(derived, name, from, to, limit),
+         do: {:ok, for(m <- messages, do: {m.originating_time, Message.latency(m)}), more}
+  end
+
+  def marks(%{source: source}, name, from, to, limit),
+    do: Source.call(source, :marks, [name, from, to, limit])
+
+  @impl true
+  def messages(%{source: source}, "= " <> _ = name, from, to, limit) do
+    with {:ok, expression} <- parse(name),
+         names = Expression.names(expression),
+         {:ok, read} <- read(source, names, from, to, limit) do
+      env = for name <- names, {:ok, m} <- [before(source, name, from)], into: %{}, do: {name, m}
+      all = for {name, messages, _} <- read, m <- messages, do: {m.originating_time, name, m}
+
+      {messages, _} =
+        all
+        |> Enum.sort_by(fn {time, name, _} -> {time, name} end)
+        |> Enum.chunk_by(&elem(&1, 0))
+        |> Enum.map_reduce(env, fn [{time, _, _} | _] = now, env ->
+          env = Enum.reduce(now, env, fn {_, name, m}, env -> Map.put(env, name, m) end)
+          {value(expression, env, time), env}
+        end)
+
+      cut = if Enum.any?(read, &(elem(&1, 2) == :more)), do: :more, else: :all
+
+      if length(messages) > limit,
+        do: {:ok, Enum.take(messages, limit), :more},
+        else: {:ok, messages, cut}
+    end
+  end
+
+  def messages(%{source: source}, name, from, to, limit),
+    do: Source.call(source, :messages, [name, from, to, limit])
+
+  defp read(source, names, from, to, limit) do
+    Enum.reduce_while(names, {:ok, []}, fn name, {:ok, read} ->
+      case Source.call(source, :messages, [name, from, to, limit]) do
+        {:ok, messages, more} -> {:cont, {:ok, [{name, messages, more} | read]}}
+        error -> {:halt, error}
+      end
+    end)
+  end
+
+  defp before(source, name, time), do: Source.call(source, :latest_at, [name, time - 1])
+
+  @impl true
+  def latest_at(%{source: source}, "= " <> _ = name, time) do
+    with {:ok, expression} <- parse(name) do
+      found =
+        for name <- Expression.names(expression),
+            do: {name, Source.call(source, :latest_at, [name, time])}
+
+      case Enum.find(found, &match?({_, {:error, _}}, &1)) do
+        {_, error} -> error
+        nil -> held(expression, for({name, {:ok, message}} <- found, do: {name, message}))
+      end
+    end
+  end
+
+  def latest_at(%{source: source}, name, time), do: Source.call(source, :latest_at, [name, time])
+
+  defp held(_expression, []), do: :none
+
+  defp held(expression, found) do
+    time = found |> Enum.map(fn {_, m} -> m.originating_time end) |> Enum.max()
+    {:ok, value(expression, Map.new(found), time)}
+  end
+
+  @impl true
+  def next_after(%{source: source} = derived, "= " <> _ = name, time) do
+    with {:ok, expression} <- parse(name) do
+      times =
+        for name <- Expression.names(expression),
+            {:ok, message} <- [Source.call(source, :next_after, [name, time])],
+            do: message.originating_time
+
+      if times == [], do: :none, else: latest_at(derived, name, Enum.min(times))
+    end
+  end
+
+  def next_after(%{source: source}, name, time),
+    do: Source.call(source, :next_after, [name, time])
+
+  defp parse("= " <> text) do
+    with {:ok, expression} <- Expression.parse(text) do
+      if Expression.names(expression) == [],
+        do:
+          {:error,
+           Error.new(:constant, "the expression names no stream",
+             fix: "name one, such as `Room.Level` (in backticks where the name has points)"
+           )},
+        else: {:ok, expression}
+    end
+  end
+
+  # What an expression says at a time, given the message in force of each stream.
+  defp value(expression, messages, time) do
+    env =
+      for {name, m} <- messages, reduce: %{} do
+        env ->
+          env
+          |> Map.put(name, Value.plain(m.data))
+          |> Map.put("latency(#{name})", m.creation_time - m.originating_time)
+          |> Map.put("age(#{name})", time - m.originating_time)
+      end
+
+    newest = messages |> Map.values() |> Enum.max_by(& &1.originating_time)
+    %{newest | data: Expression.eval(expression, env), originating_time: time}
+  end
+end

@@ -1,0 +1,40 @@
+defmodule Situ.Studio.Visualizers.Log do
+  @moduledoc """
+  The messages around the cursor as a list: when each came, and what it says in a few words.
+
+      iex> Situ.Studio.Visualizers.Log.row(%Situ.Message{data: {:ok, 3}, originating_time: 7}, [])
+      ["7", "{:ok, 3}"]
+  """
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Message
+  alias Situ.Studio.Draw.{Messages, Segments}
+  alias Situ.Studio.{Frame, Path, Visualizer}
+
+  @earlier 60
+  @later 30
+
+  @impl true
+  def about,
+    do: %Visualizer{id: "log", title: "List", panel: :log, shapes: :any}
+
+  @impl true
+  def instant(channel, _data, %{originating_time: time} = message, %{source: source, spec: spec}) do
+    before = Messages.neighbours(source, :latest_at, spec.stream, time, @earlier)
+    later = Messages.neighbours(source, :next_after, spec.stream, time, @later)
+    rows = for m <- Enum.reverse(before) ++ [message | later], do: row(m, spec.path)
+    Frame.json(channel, time, %{"rows" => rows, "at" => length(before)})
+  end
+
+  @doc "The time of a message as text, and in a few words what it says at a path."
+  @spec row(Message.t(), Path.t()) :: [String.t()]
+  def row(message, path) do
+    said =
+      case Path.fetch(message.data, path) do
+        {:ok, value} -> Segments.label(value)
+        :error -> ""
+      end
+
+    [Integer.to_string(message.originating_time), said]
+  end
+end

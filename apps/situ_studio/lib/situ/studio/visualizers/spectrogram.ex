@@ -1,0 +1,58 @@
+defmodule Situ.Studio.Visualizers.Spectrogram do
+  @moduledoc """
+  Which frequencies a sound has over time. The page gets a short piece of sound for each of some hundred places of the
+  window and transforms them in a worker; zoomed out, the pieces are samples of what lies between them.
+  """
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Studio.{Frame, Sound, Source, Visualizer}
+  alias Situ.Studio.Visualizers.Option
+
+  @samples 512
+  @silence :binary.copy(<<0>>, @samples * 4)
+  @columns 500
+  @second 1_000_000_000
+
+  @impl true
+  def about do
+    %Visualizer{
+      id: "spectrogram",
+      title: "Spectrogram",
+      panel: :plot,
+      shapes: [:audio],
+      options: Option.visible()
+    }
+  end
+
+  @impl true
+  def window(source, channel, %{stream: stream}, from, to, _bin) do
+    with {:ok, rate} <- rate(source, stream, from) do
+      length = div(@samples * @second, rate) + 1
+      step = max(div(to - from, @columns), length)
+      # places are those of the step everywhere, so that a view that moves has the same pieces
+      first = Integer.floor_div(from, step) * step
+      pieces = for t <- first..to//step, piece = piece(source, stream, t, length), do: {t, piece}
+      Frame.sounds(channel, pieces, rate)
+    end
+  end
+
+  # `nil` where there is no sound: none was recorded, not enough of it, or only silence.
+  defp piece(source, stream, time, length) do
+    case Sound.samples(source, stream, time, time + length, 0) do
+      {:ok, {_, _, <<@silence, _::binary>>}} -> nil
+      {:ok, {_, _, <<samples::binary-size(@samples * 4), _::binary>>}} -> samples
+      _ -> nil
+    end
+  end
+
+  defp rate(source, stream, time) do
+    with :none <- Source.call(source, :next_after, [stream, time]),
+         :none <- Source.call(source, :latest_at, [stream, time]) do
+      {:ok, 16_000}
+    else
+      {:ok, %{data: %Situ.AudioBuffer{format: format}}} -> {:ok, format.rate}
+      {:ok, _} -> {:error, Situ.Error.new(:no_sound, "these messages are no sound")}
+      {:error, error} -> {:error, error}
+    end
+  end
+end

@@ -1,0 +1,24 @@
+defmodule Situ.Studio.Visualizers.XY do
+  @moduledoc """
+  Numbers over one another: the panel's first stream is x, the others are y, at the times of their messages in the view.
+  Each stream comes as its line does.
+  """
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.Studio.Visualizer
+  alias Situ.Studio.Visualizers.{Line, Option}
+
+  @impl true
+  def about do
+    %Visualizer{
+      id: "xy",
+      title: "XY plot",
+      panel: :xy,
+      shapes: [:signal],
+      options: Option.visible() ++ Option.color()
+    }
+  end
+
+  @impl true
+  defdelegate window(source, channel, spec, from, to, bin), to: Line
+end
