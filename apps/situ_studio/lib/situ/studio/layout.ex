@@ -34,7 +34,8 @@ defmodule Situ.Studio.Layout do
 
     @type t :: %__MODULE__{
             id: String.t(),
-            panel: :plot | :lanes | :image | :space | :map | :value | :bars | :text | :log | :xy | :own,
+            panel:
+              :plot | :lanes | :image | :space | :map | :value | :bars | :text | :log | :xy | :own,
             row: String.t() | nil,
             height: pos_integer() | nil,
             vis: [Vis.t()],

@@ -9,6 +9,9 @@ defmodule Situ.Studio.PipelineView.Feed do
   @type t :: {:live, Source.t()} | {:recorded, Source.t(), stream :: String.t()}
 
   @spec open(Source.t()) :: {:ok, t()} | {:error, Error.t()}
+  # a page's derived streams are none of a pipeline's
+  def open({Source.Derived, %{source: source}}), do: open(source)
+
   def open({module, _handle} = source) do
     if Code.ensure_loaded?(module) and function_exported?(module, :snapshot, 1),
       do: {:ok, {:live, source}},
