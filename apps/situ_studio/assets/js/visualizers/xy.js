@@ -1,5 +1,5 @@
-// Numbers over one another: the first stream of the panel is x, the others are y. A dot stands for a message of y in the
-// view, at the value that x has then; the one at the cursor is marked.
+// Numbers over one another: the first stream of the panel is x, the others are y. A dot stands for a message of y in
+// the view, at the value that x has then; the one at the cursor is marked.
 
 import { FONT, theme, seriesColor } from "../page/theme.js";
 import { axisNumber, number, paddedRange, valueTicks } from "../page/number_text.js";
