@@ -11,7 +11,8 @@ defmodule Situ.CLI.Annotate do
     "webvtt" => :webvtt,
     "srt" => :srt,
     "label_studio" => :label_studio,
-    "csv" => :csv
+    "csv" => :csv,
+    "coco" => :coco
   }
   @format_words @formats |> Map.keys() |> Enum.sort()
 
@@ -29,10 +30,10 @@ defmodule Situ.CLI.Annotate do
       %Verb{
         words: ["annotate", "export"],
         summary:
-          "write an annotation stream for ELAN, Praat, players, Label Studio or spreadsheets",
+          "write an annotation stream for ELAN, Praat, players, Label Studio, spreadsheets, or as COCO",
         about: """
-        The format goes by the file's ending (.eaf, .TextGrid, .vtt, .srt, .json, .csv). Whatever it cannot hold
-        is said.
+        The format goes by the file's ending (.eaf, .TextGrid, .vtt, .srt, .json, .csv, .coco.json). Whatever it
+        cannot hold is said.
         """,
         arguments: [
           path: [kind: :recording, doc: "a recording with annotations"],
@@ -52,7 +53,13 @@ defmodule Situ.CLI.Annotate do
             "the recording that the annotations are about: its first message is zero",
             value: "PATH"
           ),
-          Option.new(:media, :path, "the film or sound that the file names")
+          Option.new(:media, :path, "the film or sound that the file names"),
+          Option.new(
+            :pictures,
+            :string,
+            "COCO: boxes on each picture of this stream of --media-of, not on key frames only",
+            value: "NAME"
+          )
         ],
         examples: [
           "situ annotate export study/p01/annotation p01.eaf --media-of study/p01/room --media p01.mp4"
@@ -198,7 +205,8 @@ defmodule Situ.CLI.Annotate do
   defp export(%{path: path, file: file}, opts) do
     store = Situ.CLI.Recording.open!(path)
     layer = ok!(Recording.load(store, chosen(store, opts[:stream])))
-    options = origin(opts) ++ if(opts[:media], do: [media: opts[:media]], else: [])
+    media = if(opts[:media], do: [media: opts[:media]], else: [])
+    options = origin(opts) ++ media ++ pictures(opts[:pictures], opts)
 
     losses =
       if file == "-" do
@@ -215,6 +223,16 @@ defmodule Situ.CLI.Annotate do
       end
 
     told(losses, opts, %{file: file, annotations: length(Layer.annotations(layer))}, file)
+  end
+
+  defp pictures(nil, _opts), do: []
+
+  defp pictures(name, opts) do
+    path =
+      opts[:media_of] || throw({:usage, "--pictures names a stream of --media-of: give both"})
+
+    messages = path |> Situ.CLI.Recording.open!() |> Store.messages(name, envelopes: true)
+    [times: Enum.map(messages, & &1.originating_time)]
   end
 
   defp format(opts), do: opts[:format] && Map.fetch!(@formats, opts[:format])

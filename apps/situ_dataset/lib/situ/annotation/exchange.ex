@@ -5,11 +5,12 @@ defmodule Situ.Annotation.Exchange do
     webvtt: Situ.Annotation.Exchange.WebVtt,
     srt: Situ.Annotation.Exchange.Srt,
     label_studio: Situ.Annotation.Exchange.LabelStudio,
-    csv: Situ.Annotation.Exchange.Csv
+    csv: Situ.Annotation.Exchange.Csv,
+    coco: Situ.Annotation.Exchange.Coco
   }
   @options [
     format: [
-      type: {:in, [:eaf, :textgrid, :webvtt, :srt, :label_studio, :csv]},
+      type: {:in, [:eaf, :textgrid, :webvtt, :srt, :label_studio, :csv, :coco]},
       doc: "Default: by the file's ending."
     ],
     origin: [
@@ -29,6 +30,11 @@ defmodule Situ.Annotation.Exchange do
     media: [
       type: :string,
       doc: "Writing: the film or sound that it is about, for formats that name one."
+    ],
+    times: [
+      type: {:list, :integer},
+      doc:
+        "Writing COCO: the times (ns) of the pictures that get boxes. Default: those of key frames."
     ]
   ]
 
@@ -43,6 +49,7 @@ defmodule Situ.Annotation.Exchange do
   | `:srt` | `.srt` | players | as WebVTT |
   | `:label_studio` | `.json` | Label Studio | notes |
   | `:csv` | `.csv` | spreadsheets | nothing |
+  | `:coco` | `.coco.json` | trainers of detectors | whatever is no box; which boxes are key frames, with `times:` |
 
   Whatever is lost is told: `write/3` and `read/2` answer with a list of sentences, empty when all is there.
 
@@ -75,11 +82,12 @@ defmodule Situ.Annotation.Exchange do
     ".textgrid" => :textgrid,
     ".vtt" => :webvtt,
     ".srt" => :srt,
+    ".coco.json" => :coco,
     ".json" => :label_studio,
     ".csv" => :csv
   }
 
-  @type format :: :eaf | :textgrid | :webvtt | :srt | :label_studio | :csv
+  @type format :: :eaf | :textgrid | :webvtt | :srt | :label_studio | :csv | :coco
   @type losses :: [String.t()]
 
   @doc "A layer as a file's text; times are relative to `origin:`. The losses name everything left out."
@@ -91,11 +99,16 @@ defmodule Situ.Annotation.Exchange do
   @doc "The format of a file by its ending. Error: `:unknown_format`."
   @spec format(Path.t()) :: {:ok, format()} | {:error, Error.t()}
   def format(path) do
-    case Map.fetch(@endings, path |> Path.extname() |> String.downcase()) do
-      {:ok, format} ->
+    name = path |> Path.basename() |> String.downcase()
+
+    # The longest ending is the one that is meant.
+    case @endings
+         |> Enum.filter(&String.ends_with?(name, elem(&1, 0)))
+         |> Enum.sort_by(&(-byte_size(elem(&1, 0)))) do
+      [{_, format} | _] ->
         {:ok, format}
 
-      :error ->
+      [] ->
         {:error,
          Error.new(:unknown_format, "no format for annotations by the ending of #{path}",
            fix:

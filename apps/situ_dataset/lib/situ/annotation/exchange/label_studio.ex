@@ -86,11 +86,23 @@ defmodule Situ.Annotation.Exchange.LabelStudio do
   @impl true
   def decode(text, opts) do
     case Situ.JSON.decode(text) do
-      {:ok, [%{} = task]} -> task(task, opts)
-      {:ok, %{} = task} -> task(task, opts)
-      {:ok, [_, _ | _]} -> {:error, "it has several tasks; export one"}
-      {:ok, _} -> {:error, "it is no task of Label Studio"}
-      {:error, :bad_json} -> {:error, "it is not JSON"}
+      {:ok, [%{} = task]} ->
+        task(task, opts)
+
+      {:ok, %{"images" => _, "annotations" => _}} ->
+        {:error, "it is COCO's: say so by its format"}
+
+      {:ok, %{} = task} ->
+        task(task, opts)
+
+      {:ok, [_, _ | _]} ->
+        {:error, "it has several tasks; export one"}
+
+      {:ok, _} ->
+        {:error, "it is no task of Label Studio"}
+
+      {:error, :bad_json} ->
+        {:error, "it is not JSON"}
     end
   end
 

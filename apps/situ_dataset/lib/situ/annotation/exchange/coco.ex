@@ -1,0 +1,267 @@
+defmodule Situ.Annotation.Exchange.Coco do
+  @moduledoc """
+  COCO's JSON of boxes on pictures (https://cocodataset.org/#format-data).
+
+  Boxes are annotations with the numbers `x`, `y`, `width` and `height` (pixels): key frames, of which each is a box on
+  the picture of its time. With `times:` (those of the pictures) there is a box on every picture between the first and
+  the last key frame of a track, on the line between its neighbours.
+
+  The category is the first finite attribute's value, else the schema's name. COCO's readers pass over what they do not
+  know, so the rest is there too: `time_ns` of a picture; `track`, `track_id`, `attributes`, `score`, `by`, `note` and
+  `proposed` of a box.
+
+  Pictures of other writers have no times: they are a second apart, in the order of their names.
+  """
+  @behaviour Situ.Annotation.Exchange
+  alias Situ.Annotation
+  alias Situ.Annotation.{Layer, Schema}
+
+  @place ~w(x y width height)
+  @second 1_000_000_000
+
+  @impl true
+  def encode(layer, opts) do
+    {boxes, others} = layer |> Layer.annotations() |> Enum.split_with(&box?/1)
+    {lasting, frames} = Enum.split_with(boxes, &(&1.from < &1.to))
+    shown = frames |> Enum.group_by(& &1.track) |> Enum.flat_map(&on_pictures(&1, opts[:times]))
+    shown = shown ++ Enum.flat_map(lasting, &for_its_time(&1, opts[:times]))
+
+    by = Enum.find(layer.schema.attributes, &(&1.kind == :finite))
+    categories = numbered(if by, do: Enum.map(by.values, & &1.value), else: [layer.schema.name])
+    pictures = shown |> Enum.map(& &1.from) |> Enum.uniq() |> Enum.sort() |> numbered()
+    tracks = numbered(Layer.tracks(layer))
+
+    file = %{
+      "info" => %{
+        "description" => layer.schema.name,
+        "situ" => %{"schema" => Schema.to_json(layer.schema), "origin" => opts[:origin]}
+      },
+      "licenses" => [],
+      "images" => for({time, id} <- in_order(pictures), do: picture(time, id, opts)),
+      "categories" =>
+        for(
+          {name, id} <- in_order(categories),
+          do: %{"id" => id, "name" => name, "supercategory" => ""}
+        ),
+      "annotations" =>
+        for {a, id} <- shown |> Enum.sort_by(&{&1.from, &1.track}) |> Enum.with_index(1) do
+          category = if by, do: a.values[by.name], else: layer.schema.name
+          ids = {id, pictures[a.from], categories[category], tracks[a.track]}
+          annotation(a, ids, Map.drop(a.values, @place))
+        end
+    }
+
+    {Situ.JSON.pretty(file) <> "\n", losses(others, lasting, opts[:times])}
+  end
+
+  defp box?(a), do: Enum.all?(@place, &is_number(a.values[&1]))
+
+  defp numbered(values), do: values |> Enum.with_index(1) |> Map.new()
+  defp in_order(ids), do: Enum.sort_by(ids, &elem(&1, 1))
+
+  defp picture(time, id, opts) do
+    seconds = :erlang.float_to_binary((time - opts[:origin]) / @second, decimals: 6)
+    name = if opts[:media], do: "#{opts[:media]}##{seconds}", else: "#{time}.jpg"
+    %{"id" => id, "file_name" => name, "time_ns" => time}
+  end
+
+  defp annotation(a, {id, picture, category, track}, attributes) do
+    [_, _, width, height] = box = Enum.map(@place, &a.values[&1])
+
+    %{
+      "id" => id,
+      "image_id" => picture,
+      "category_id" => category,
+      "bbox" => box,
+      "area" => width * height,
+      "iscrowd" => 0,
+      "segmentation" => [],
+      "track" => a.track,
+      "track_id" => track,
+      "attributes" => attributes,
+      "score" => a.confidence,
+      "by" => a.by,
+      "note" => a.note,
+      "proposed" => if(a.proposed?, do: true)
+    }
+    |> Map.reject(fn {_, value} -> value == nil end)
+  end
+
+  # The boxes of a track: its key frames, or one for each picture between the first and the last of them.
+  defp on_pictures({_track, frames}, nil), do: frames
+
+  defp on_pictures({_track, frames}, times) do
+    frames = Enum.sort_by(frames, & &1.from)
+    {first, last} = {hd(frames).from, List.last(frames).from}
+    within = times |> Enum.filter(&(&1 >= first and &1 <= last)) |> Enum.sort()
+    between(within, frames, [])
+  end
+
+  defp between([], _frames, done), do: Enum.reverse(done)
+
+  defp between([time | _] = times, [_, %{from: next} = after_it | rest], done) when next <= time,
+    do: between(times, [after_it | rest], done)
+
+  defp between([time | times], [frame | rest] = frames, done),
+    do: between(times, frames, [at(frame, List.first(rest), time) | done])
+
+  defp at(%{from: time} = frame, _next, time), do: frame
+  defp at(frame, nil, time), do: %{frame | from: time, to: time}
+
+  defp at(frame, next, time) do
+    part = (time - frame.from) / (next.from - frame.from)
+
+    place =
+      for name <- @place, into: %{} do
+        {before, behind} = {frame.values[name], next.values[name]}
+        {name, before + part * (behind - before)}
+      end
+
+    %{frame | from: time, to: time, values: Map.merge(frame.values, place)}
+  end
+
+  # A box that stays where it is.
+  defp for_its_time(a, nil), do: [%{a | to: a.from}]
+
+  defp for_its_time(a, times),
+    do: for(time <- times, time >= a.from and time <= a.to, do: %{a | from: time, to: time})
+
+  defp losses(others, lasting, times) do
+    [
+      others != [] &&
+        "COCO holds boxes: #{length(others)} annotations without x, y, width and height are left out",
+      lasting != [] and times == nil &&
+        "COCO holds boxes on pictures: #{length(lasting)} that last are at their beginnings only " <>
+          "(name the stream of pictures)",
+      times != nil &&
+        "COCO does not know which boxes are key frames: each picture has one of its own"
+    ]
+    |> Enum.filter(& &1)
+  end
+
+  @impl true
+  def decode(text, opts) do
+    case Situ.JSON.decode(text) do
+      {:ok,
+       %{"images" => images, "annotations" => annotations, "categories" => categories} = file}
+      when is_list(images) and is_list(annotations) and is_list(categories) ->
+        read(file, names(categories), opts)
+
+      {:ok, _} ->
+        {:error, "it has not the \"images\", \"annotations\" and \"categories\" of COCO"}
+
+      {:error, :bad_json} ->
+        {:error, "it is not JSON"}
+    end
+  end
+
+  defp names(categories) do
+    for %{"id" => id, "name" => name} <- categories,
+        is_integer(id) and is_binary(name),
+        into: %{},
+        do: {id, name}
+  end
+
+  defp read(file, categories, opts) do
+    own = situ(file["info"])
+    origin = opts[:origin] || if(is_integer(own["origin"]), do: own["origin"], else: 0)
+    moved = if is_integer(own["origin"]), do: origin - own["origin"], else: 0
+    schema = opts[:schema] || schema(own["schema"], categories)
+    {times, untimed} = times(file["images"], origin, moved)
+
+    found = Enum.map(file["annotations"], &box(&1, {categories, times, schema}))
+    boxes = for {:ok, a} <- found, do: a
+    bad = length(found) - length(boxes)
+
+    losses =
+      [
+        untimed > 0 &&
+          "#{untimed} pictures have no time: they are a second apart, by their names",
+        bad > 0 &&
+          "#{bad} annotations are no boxes on a picture of the file, or no values of the schema"
+      ]
+      |> Enum.filter(& &1)
+
+    {:ok, schema, Enum.sort_by(boxes, &{&1.from, &1.track}), losses}
+  end
+
+  defp situ(%{"situ" => %{} = own}), do: own
+  defp situ(_), do: %{}
+
+  defp schema(json, categories) do
+    case json && Schema.parse(json) do
+      {:ok, schema} -> schema
+      _ -> boxes(categories |> Map.values() |> Enum.uniq() |> Enum.sort())
+    end
+  end
+
+  defp boxes(names) do
+    numbers = for name <- @place, do: %{"name" => name, "kind" => "number"}
+    names = if names == [], do: ["box"], else: names
+    values = for name <- names, do: %{"value" => name}
+    finite = %{"name" => "Label", "kind" => "finite", "values" => values}
+    {:ok, schema} = Schema.parse(%{"name" => "Boxes", "attributes" => [finite | numbers]})
+    schema
+  end
+
+  # When each picture was taken, by its number.
+  defp times(images, origin, moved) do
+    {timed, untimed} =
+      images
+      |> Enum.filter(&match?(%{"id" => _}, &1))
+      |> Enum.split_with(&is_integer(&1["time_ns"]))
+
+    spaced =
+      for {image, k} <-
+            untimed |> Enum.sort_by(&to_string_or_empty(&1["file_name"])) |> Enum.with_index(),
+          do: {image["id"], origin + k * @second}
+
+    {Map.new(spaced ++ for(i <- timed, do: {i["id"], i["time_ns"] + moved})), length(untimed)}
+  end
+
+  defp to_string_or_empty(text), do: if(is_binary(text), do: text, else: "")
+
+  defp box(
+         %{"bbox" => [x, y, w, h] = place, "image_id" => image} = json,
+         {categories, times, schema}
+       )
+       when is_number(x) and is_number(y) and is_number(w) and is_number(h) do
+    name = categories[json["category_id"]]
+    finite = Enum.find(schema.attributes, &(&1.kind == :finite))
+    more = if is_map(json["attributes"]), do: json["attributes"], else: %{}
+    labelled = if finite && name, do: %{finite.name => name}, else: %{}
+    known = for attribute <- schema.attributes, do: attribute.name
+
+    values =
+      more
+      |> Map.merge(labelled)
+      |> Map.merge(Map.new(Enum.zip(@place, place)))
+      |> Map.take(known)
+
+    with {:ok, time} <- Map.fetch(times, image),
+         :ok <- Schema.check(schema, values),
+         annotation = %Annotation{
+           from: time,
+           to: time,
+           track: track(json, name),
+           values: values,
+           by: text(json["by"]),
+           note: text(json["note"]),
+           confidence: if(is_number(json["score"]), do: json["score"]),
+           proposed?: json["proposed"] == true
+         },
+         :ok <- Annotation.check(annotation) do
+      {:ok, annotation}
+    else
+      _ -> :error
+    end
+  end
+
+  defp box(_json, _known), do: :error
+
+  defp track(%{"track" => track}, _name) when is_binary(track) and track != "", do: track
+  defp track(%{"track_id" => id}, name) when is_integer(id), do: "#{name || "box"} #{id}"
+  defp track(_json, name), do: name || "box"
+
+  defp text(value), do: if(is_binary(value), do: value)
+end
