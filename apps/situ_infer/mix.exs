@@ -21,7 +21,14 @@ defmodule Situ.Infer.MixProject do
   def application do
     [
       mod: {Situ.Infer.Application, []},
-      env: [dataset_tasks: [Situ.Infer.Task.VoiceActivity]],
+      env: [
+        dataset_tasks: [
+          Situ.Infer.Task.Anonymise,
+          Situ.Infer.Task.Faces,
+          Situ.Infer.Task.Transcript,
+          Situ.Infer.Task.VoiceActivity
+        ]
+      ],
       extra_applications: extra_applications(Mix.env())
     ]
   end

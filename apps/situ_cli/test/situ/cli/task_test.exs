@@ -36,7 +36,8 @@ defmodule Situ.CLI.TaskTest do
   test "the tasks of all applications are listed with their options" do
     {0, text} = run(["list"])
 
-    for name <- ~w(statistics drop-streams sound-to-wav encode-pictures voice-activity),
+    for name <-
+          ~w(statistics drop-streams sound-to-wav encode-pictures voice-activity transcript faces anonymise),
         do: assert(text =~ name)
 
     assert text =~ "quality: Of the JPEG. (default 90)"
@@ -97,16 +98,89 @@ defmodule Situ.CLI.TaskTest do
            end) =~ "statistics"
   end
 
-  test "a film's sound as WAV, and a failure of one session is told", %{
-    study: file,
-    tmp_dir: root
-  } do
+  test "a run that replaces its output does not take the old one as input", %{study: file} do
+    argv = ["run", file, "drop-streams", "--set", ~s(drop=["Secret"]), "--session", "p1"]
+    assert {0, _} = run(argv)
+    assert {0, _} = run(argv ++ ["--overwrite"])
+    {:ok, dataset} = Dataset.open(file)
+    {:ok, session} = Dataset.session(dataset, "p1")
+    {:ok, shared} = Dataset.Session.partition(session, "Shared")
+    {:ok, store} = Dataset.Partition.open(shared)
+    assert Enum.map(Store.streams(store), & &1.name) == ["Level"]
+  end
+
+  # The demo's clip as the only recording of a session.
+  defp clip(file, root) do
     clip = Path.join(root, "p3/talk1.mp4")
     File.mkdir_p!(Path.dirname(clip))
     File.cp!(@clip, clip)
     {:ok, dataset} = Dataset.open(file)
     {:ok, dataset} = Dataset.add_recording(dataset, clip, session: "p3")
     {:ok, _} = Dataset.save(dataset)
+    :ok
+  end
+
+  defp derived(root, name) do
+    {:ok, store} = Store.open(Path.join(root, "p3/#{name}"))
+    store
+  end
+
+  @tag timeout: 300_000
+  test "faces are found, followed and hidden; sound is muted", %{study: file, tmp_dir: root} do
+    clip(file, root)
+    assert {0, _} = run(["run", file, "faces", "--session", "p3"])
+    faces = Enum.map(Store.messages(derived(root, "Faces"), "Faces"), & &1.data)
+    assert length(faces) == 350
+    both = Enum.count(faces, &(Enum.map(&1, fn face -> face.rect.id end) == [0, 1]))
+    assert both >= 345
+
+    argv = ["--set", ~s(mute=["1-3.5"]), "--set", "drop=Faces", "--set", "quality=95"]
+    assert {0, _} = run(["run", file, "anonymise", "--session", "p3" | argv])
+    store = derived(root, "Anonymous")
+    assert Enum.map(Store.streams(store), & &1.name) |> Enum.sort() == ["Audio", "Video"]
+
+    silent =
+      for m <- Store.messages(store, "Audio"),
+          m.data.data == :binary.copy(<<0>>, 640),
+          do: m.originating_time
+
+    assert Enum.min_max(silent) == {1_020_000_000, 3_500_000_000}
+
+    for k <- [0, 120, 349] do
+      {:ok, message} = Store.at(store, "Video", k)
+      {:ok, picture} = Situ.Imaging.parse(message.data)
+      assert {picture.width, picture.height} == {1024, 512}
+      for face <- Enum.at(faces, k), do: assert(smooth?(picture, face.rect))
+    end
+  end
+
+  # No detail is left: neighbouring rows are all but alike.
+  defp smooth?(picture, rect) do
+    part = picture |> Situ.Imaging.convert!(:gray8) |> Situ.Imaging.crop!(rect)
+    rows = for <<row::binary-size(part.width) <- part.data>>, do: :binary.bin_to_list(row)
+
+    steps =
+      rows
+      |> Enum.zip(tl(rows))
+      |> Enum.flat_map(fn {a, b} -> Enum.zip_with(a, b, &abs(&1 - &2)) end)
+
+    Enum.sum(steps) / length(steps) < 1.5
+  end
+
+  @tag :moonshine
+  @tag timeout: 300_000
+  test "a transcript", %{study: file, tmp_dir: root} do
+    clip(file, root)
+    assert {0, _} = run(["run", file, "transcript", "--session", "p3"])
+    said = Enum.map(Store.messages(derived(root, "Transcript"), "Transcript"), & &1.data.text)
+    assert Enum.join(said, " ") =~ ~r/go forward ten meters/i
+  end
+
+  test "a film's sound as WAV, and a failure of one session is told", %{
+    study: file,
+    tmp_dir: root
+  } do
+    clip(file, root)
     assert {1, text} = run(["run", file, "sound-to-wav"])
     assert text =~ "p3: done" and text =~ ~r/p1: failed: .*"Audio"/
     {:ok, wav} = Store.open(Path.join(root, "p3/p3.Audio.wav"))

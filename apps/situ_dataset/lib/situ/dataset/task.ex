@@ -23,7 +23,8 @@ defmodule Situ.Dataset.Task do
       end
 
   `build/2` gets the task's own options and those of every session: `open:` (a function from a stream's name to the
-  stream), `has:` (whether there is one), `streams:` (`[{partition, Situ.Store.StreamInfo}]`), `folder:` (where the
+  stream), `has:` (whether there is one), `streams:` (`[{partition, Situ.Store.StreamInfo}]`,
+  without those of a partition that this run replaces), `folder:` (where the
   session's first recording lies), `write:` (a function of a stream and a name, that records it), `exporter:` (`nil`
   when `output` is), `session:`. It names nothing of this application, so a task may live in any.
 
@@ -102,11 +103,13 @@ defmodule Situ.Dataset.Task do
     )
   end
 
-  # JSON has no atoms: of a choice the one that is so called is meant. A whole number does for a float.
+  # JSON has no atoms: of a choice the one that is so called is meant. A whole number does for a float, and
+  # one text for a list of them.
   defp read({:in, choices}, text) when is_binary(text),
     do: Enum.find(choices, text, &(to_string(&1) == text))
 
   defp read({:optional, type}, value) when value != nil, do: read(type, value)
+  defp read({:list, :string}, text) when is_binary(text), do: [text]
   defp read(:float, n) when is_integer(n), do: n / 1
   defp read(_type, value), do: value
 end

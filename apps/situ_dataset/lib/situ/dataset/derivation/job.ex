@@ -5,7 +5,7 @@ defmodule Situ.Dataset.Derivation.Job do
   alias Situ.{Error, Pipeline, Store}
 
   @enforce_keys [:session, :compute]
-  defstruct [:session, :compute, :path, :draft, options: [], settings: []]
+  defstruct [:session, :compute, :output, :path, :draft, options: [], settings: []]
 
   @type compute :: module() | (Pipeline.t(), Importer.t(), Store.Exporter.t() | nil -> term())
   @type t :: %__MODULE__{}
@@ -17,6 +17,7 @@ defmodule Situ.Dataset.Derivation.Job do
     %__MODULE__{
       session: session,
       compute: compute,
+      output: opts[:output],
       path: path,
       draft: path && Version.draft(path),
       options: opts[:options],
@@ -79,7 +80,13 @@ defmodule Situ.Dataset.Derivation.Job do
       open: &Importer.stream(importer, &1),
       has: &Importer.has?(importer, &1),
       write: &Store.write(&1, exporter, &2),
-      streams: OpenSession.streams(importer.session),
+      # What an earlier run made is put in the place of, and is not input.
+      streams:
+        for(
+          {name, _} = stream <- OpenSession.streams(importer.session),
+          name != job.output,
+          do: stream
+        ),
       folder: beside(job.session.partitions)
     ]
 

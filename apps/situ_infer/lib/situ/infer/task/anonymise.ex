@@ -1,0 +1,167 @@
+defmodule Situ.Infer.Task.Anonymise do
+  @moduledoc """
+  The batch task `anonymise`: the streams of a session in one partition, with faces hidden, sound muted where it says
+  who somebody is, and without the streams that nobody else may see.
+
+  Faces are found by a detector, which may miss some (`Situ.Infer.FaceBlur`): look at the result before you hand it on.
+  """
+  alias Situ.{AudioBuffer, AudioFormat}
+
+  @second 1_000_000_000
+
+  @doc "What the task is."
+  @spec task() :: map()
+  def task do
+    %{
+      name: "anonymise",
+      about:
+        "copy a session's streams into one partition with faces hidden, intervals muted and streams left out",
+      output: "Anonymous",
+      options: [
+        blur: [
+          type: {:list, :string},
+          default: ["*"],
+          doc:
+            "Streams of pictures whose faces are hidden; * stands for any text. They become JPEG."
+        ],
+        mute: [
+          type: {:list, :string},
+          default: [],
+          doc:
+            "Spans in which all sound is silent, in seconds since the session's beginning: 12.5-14."
+        ],
+        drop: [
+          type: {:list, :string},
+          default: [],
+          doc: "Streams that are left out; * stands for any text."
+        ],
+        hold: [
+          type: {:range, 0.0, 60.0},
+          default: 0.5,
+          doc: "Seconds that a face is hidden before it is found and after it was last found."
+        ],
+        min_score: [
+          type: {:range, 0.01, 0.99},
+          default: 0.3,
+          doc: "How sure the detector must be of a face."
+        ],
+        quality: [type: {:range, 1, 100}, default: 90, doc: "Of the JPEG."]
+      ]
+    }
+  end
+
+  @doc "Builds the pipeline of one session."
+  @spec build(Situ.Graph.Handle.t(), keyword()) :: term()
+  def build(_p, opts) do
+    spans = spans(opts[:mute], start(opts[:streams]))
+    kept = Enum.reject(opts[:streams], fn {_, info} -> fits?(info.name, opts[:drop]) end)
+    names = for {_, info} <- kept, do: info.name
+
+    for {partition, info} <- kept do
+      # A name that several partitions have keeps its partition's.
+      name =
+        if Enum.count(names, &(&1 == info.name)) > 1,
+          do: "#{partition}.#{info.name}",
+          else: info.name
+
+      "[#{partition}]:#{info.name}"
+      |> opts[:open].()
+      |> changed(info, spans, opts)
+      |> opts[:write].(name)
+    end
+  end
+
+  defp changed(stream, %{type: AudioBuffer}, [_ | _] = spans, _opts),
+    do: Situ.map(stream, &muted(&1, &2.originating_time, spans), type: AudioBuffer)
+
+  defp changed(stream, %{type: type} = info, _spans, opts)
+       when type in [Situ.Image, Situ.EncodedImage] do
+    if fits?(info.name, opts[:blur]), do: blurred(stream, type, opts), else: stream
+  end
+
+  defp changed(stream, _info, _spans, _opts), do: stream
+
+  defp blurred(stream, type, opts) do
+    pictures = if type == Situ.EncodedImage, do: Situ.Vision.decode(stream), else: stream
+    detector = [min_score: opts[:min_score], tile_score: max(opts[:min_score], 0.5), every: 0]
+
+    pictures
+    |> Situ.join(Situ.via(pictures, Situ.Infer.FaceDetector, detector))
+    |> Situ.via(Situ.Infer.FaceBlur, hold: round(opts[:hold] * @second))
+    |> Situ.Vision.encode_jpeg(quality: opts[:quality])
+  end
+
+  defp start(streams) do
+    streams
+    |> Enum.map(fn {_, info} -> info.first end)
+    |> Enum.reject(&is_nil/1)
+    |> Enum.min(fn -> 0 end)
+  end
+
+  defp spans(texts, start), do: for(text <- texts, do: text |> span!() |> later(start))
+
+  defp later({from, to}, start), do: {start + from, start + to}
+
+  @doc """
+  A span like `12.5-14` in nanoseconds; raises `Situ.Error`, `:bad_option`.
+
+      iex> Situ.Infer.Task.Anonymise.span!("12.5-14")
+      {12_500_000_000, 14_000_000_000}
+  """
+  @spec span!(String.t()) :: {Situ.Time.duration(), Situ.Time.duration()}
+  def span!(text) do
+    with [from, to] <- String.split(text, "-"),
+         {from, ""} <- Float.parse(String.trim(from)),
+         {to, ""} <- Float.parse(String.trim(to)),
+         true <- from < to do
+      {round(from * @second), round(to * @second)}
+    else
+      _ ->
+        raise Situ.Error.new(:bad_option, "#{inspect(text)} is no span of time",
+                fix: "write seconds since the session's beginning, as 12.5-14"
+              )
+    end
+  end
+
+  defp fits?(name, patterns), do: Enum.any?(patterns, &(name =~ pattern(&1)))
+
+  defp pattern(text) do
+    source = text |> String.split("*") |> Enum.map_join(".*", &Regex.escape/1)
+    Regex.compile!("\\A" <> source <> "\\z", "su")
+  end
+
+  @doc """
+  A piece of sound that ends at `time`, silent within the spans (ns, the end excluded).
+
+      iex> buffer = Situ.AudioBuffer.from_samples([1, 2, 3, 4], Situ.AudioFormat.pcm(4))
+      iex> muted = Situ.Infer.Task.Anonymise.muted(buffer, 1_000_000_000, [{250_000_000, 750_000_000}])
+      iex> Situ.AudioBuffer.to_samples(muted)
+      [1, 0, 0, 4]
+  """
+  @spec muted(AudioBuffer.t(), Situ.Time.t(), [{Situ.Time.t(), Situ.Time.t()}]) :: AudioBuffer.t()
+  def muted(%AudioBuffer{format: format, data: data} = buffer, time, spans) do
+    size = AudioFormat.bytes_per_frame(format)
+    frames = div(byte_size(data), size)
+
+    data =
+      Enum.reduce(spans, data, fn {from, to}, data ->
+        first = frames + Integer.floor_div((from - time) * format.rate, @second)
+        behind = frames - Integer.floor_div((time - to) * format.rate, @second)
+        {first, behind} = {within(first, frames), within(behind, frames)}
+        silent(data, first * size, (behind - first) * size, format.sample)
+      end)
+
+    %{buffer | data: data}
+  end
+
+  # A frame that is silent in part is silent.
+  defp within(frame, frames), do: frame |> max(0) |> min(frames)
+
+  defp silent(data, _at, 0, _sample), do: data
+
+  defp silent(data, at, length, sample) do
+    <<before::binary-size(at), _::binary-size(length), rest::binary>> = data
+    silence = if sample == :u8, do: <<128>>, else: <<0>>
+    IO.iodata_to_binary([before, :binary.copy(silence, length), rest])
+  end
+end

@@ -1,0 +1,30 @@
+defmodule Situ.Infer.Task.Faces do
+  @moduledoc "The batch task `faces`: where faces are in a stream of pictures, as a new partition of each session."
+
+  @doc "What the task is."
+  @spec task() :: map()
+  def task do
+    %{
+      name: "faces",
+      about:
+        "find faces in a stream of pictures, and follow them: rectangles with ids in a new partition",
+      output: "Faces",
+      options: [
+        stream: [type: :string, default: "Video", doc: "The pictures."],
+        name: [type: :string, default: "Faces", doc: "The new stream."],
+        min_score: [type: {:range, 0.01, 0.99}, default: 0.5, doc: "How sure a face must be."]
+      ]
+    }
+  end
+
+  @doc "Builds the pipeline of one session: a stream of lists of `Situ.Infer.Face`."
+  @spec build(Situ.Graph.Handle.t(), keyword()) :: term()
+  def build(_p, opts) do
+    opts[:stream]
+    |> opts[:open].()
+    |> Situ.Infer.Task.Pictures.decoded(opts[:stream], opts[:streams])
+    |> Situ.via(Situ.Infer.FaceDetector, min_score: opts[:min_score])
+    |> Situ.via(Situ.Infer.FaceTracker, [])
+    |> opts[:write].(opts[:name])
+  end
+end
