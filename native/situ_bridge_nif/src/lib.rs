@@ -1,15 +1,17 @@
-//! BEAM glue of situ_mcap: decode, call, encode. No algorithms here.
+//! BEAM glue of situ_mcap and situ_csv: decode, call, encode. No algorithms here.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard};
 
 use rustler::{Atom, Binary, Encoder, Env, NewBinary, ResourceArc, Term};
+use situ_csv::Values;
 use situ_mcap::{ChannelSpec, Compression, Error, Message, Query, Reader, Times, Writer};
 
 mod atoms {
     rustler::atoms! {
         ok, error, nil, io, not_mcap, damaged, closed,
+        integer, float, boolean,
         none, lz4, zstd, log, publish, ros1_header, cdr_header
     }
 }
@@ -88,6 +90,21 @@ fn unpack<'a>(env: Env<'a>, compression: String, bytes: Binary<'a>, size: u64) -
         Ok(bytes) => (atoms::ok(), binary(env, &bytes)).encode(env),
         Err(why) => (atoms::error(), why).encode(env),
     }
+}
+
+/// Lines of CSV for columns of `Situ.Store.columns/3`; an empty text for another kind.
+#[rustler::nif(schedule = "DirtyCpu")]
+fn csv_lines<'a>(env: Env<'a>, kind: Atom, times: Binary<'a>, values: Binary<'a>) -> Term<'a> {
+    let values = if kind == atoms::integer() {
+        Values::Integers(&values)
+    } else if kind == atoms::float() {
+        Values::Floats(&values)
+    } else if kind == atoms::boolean() {
+        Values::Booleans(&values)
+    } else {
+        Values::Booleans(&[])
+    };
+    binary(env, &situ_csv::lines(&times, values))
 }
 
 #[rustler::nif(schedule = "DirtyIo")]

@@ -1,8 +1,13 @@
-//! Rows of a CSV file, a few at a time: bounded memory however long the file, quoted line breaks and all.
+//! Rows of a CSV file, a few at a time: bounded memory however long the file, quoted line breaks and all. And numbers
+//! as such rows.
+
+mod lines;
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
+
+pub use lines::{lines, Values};
 
 use csv::{ByteRecord, Position, ReaderBuilder, Terminator};
 

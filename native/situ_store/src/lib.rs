@@ -2,6 +2,7 @@
 //! BEAM types.
 
 pub mod chunk;
+pub mod columns;
 pub mod error;
 pub mod etf;
 pub mod extent;

@@ -1,5 +1,6 @@
 //! BEAM glue of situ_store: decode, call, encode. No algorithms here.
 
+mod columns;
 mod errors;
 mod health;
 mod inputs;
@@ -50,6 +51,10 @@ mod atoms {
         undecodable,
         stream_exists,
         numbers,
+        others,
+        integer,
+        float,
+        boolean,
         changes,
         states,
         other = "$other"

@@ -1,5 +1,6 @@
 defmodule Situ.Store do
   alias Situ.Store.{
+    Columns,
     Copying,
     Editing,
     Exporter,
@@ -167,6 +168,15 @@ defmodule Situ.Store do
   """
   @spec messages(t(), name(), keyword()) :: Enumerable.t()
   defdelegate messages(store, name, opts \\ []), to: Reading
+
+  @doc """
+  The messages of a stream as an `Enumerable` of parts in order: a `Situ.Store.Columns` where messages are plain numbers
+  (many thousand at once), else a list of messages.
+
+  #{Options.docs(Columns.Reading.options())}
+  """
+  @spec columns(t(), name(), keyword()) :: Enumerable.t()
+  defdelegate columns(store, name, opts \\ []), to: Columns.Reading
 
   @doc """
   Up to `limit` messages from a time on: `{:ok, messages}`.

@@ -64,10 +64,36 @@ defmodule Situ.Time do
   @spec to_iso8601(t()) :: String.t()
   def to_iso8601(time) when is_integer(time) do
     seconds = Integer.floor_div(time, 1_000_000_000)
-    fraction = Integer.mod(time, 1_000_000_000)
-    date = seconds |> DateTime.from_unix!() |> DateTime.to_naive() |> NaiveDateTime.to_iso8601()
-    "#{date}.#{fraction |> Integer.to_string() |> String.pad_leading(9, "0")}Z"
+    digits = time |> Integer.mod(1_000_000_000) |> Integer.to_string()
+
+    <<date(seconds)::binary, ?., :binary.copy("0", 9 - byte_size(digits))::binary, digits::binary,
+      ?Z>>
   end
+
+  @day 86_400
+
+  # From 1970 until 9999, where most times are, by whole days since the March of a leap year's century.
+  defp date(seconds) when seconds in 0..253_402_300_799 do
+    {days, second} = {div(seconds, @day), rem(seconds, @day)}
+    days = days + 719_468
+    {era, day} = {div(days, 146_097), rem(days, 146_097)}
+    year = div(day - div(day, 1_460) + div(day, 36_524) - div(day, 146_096), 365)
+    of_year = day - (365 * year + div(year, 4) - div(year, 100))
+    month = div(5 * of_year + 2, 153)
+    day = of_year - div(153 * month + 2, 5) + 1
+    {month, carry} = if month < 10, do: {month + 3, 0}, else: {month - 9, 1}
+    year = year + era * 400 + carry
+    {hour, minute, second} = {div(second, 3_600), rem(div(second, 60), 60), rem(second, 60)}
+
+    <<Integer.to_string(year)::binary, ?-, two(month)::16, ?-, two(day)::16, ?T, two(hour)::16,
+      ?:, two(minute)::16, ?:, two(second)::16>>
+  end
+
+  defp date(seconds),
+    do: seconds |> DateTime.from_unix!() |> DateTime.to_naive() |> NaiveDateTime.to_iso8601()
+
+  # Two digits as characters.
+  defp two(n), do: (div(n, 10) + ?0) * 256 + rem(n, 10) + ?0
 
   @doc """
   Parses ISO 8601 with any number of decimals (digits past the ninth are cut).

@@ -26,6 +26,7 @@ defmodule Situ.Bridge.Format do
   """
   alias Situ.Bridge.Format.{Csv, Json, JsonLines, MessagePack}
   alias Situ.Error
+  alias Situ.Store.Columns
   alias __MODULE__
 
   @type name :: :json | :json_lines | :csv | :message_pack | :situ
@@ -39,6 +40,8 @@ defmodule Situ.Bridge.Format do
   @callback decode(binary(), opts :: keyword()) :: {:ok, timed()} | {:error, String.t()}
   @doc "A record of a file, the `n`th (0 is the first)."
   @callback record(value :: term(), Situ.Time.t(), n :: non_neg_integer()) :: iodata()
+  @doc "The records of plain numbers, where many at once are made in another way; `n` stand before them."
+  @callback columns(Situ.Store.Columns.t(), n :: non_neg_integer()) :: iodata()
   @doc "The end of a file with `n` records."
   @callback finish(n :: non_neg_integer()) :: iodata()
   @doc "State before the first byte of a file."
@@ -46,6 +49,8 @@ defmodule Situ.Bridge.Format do
   @doc "The whole records in `bytes` (with `last?` they are the file's last) and what is left for the next call."
   @callback split(bytes :: binary(), state :: term(), last? :: boolean(), opts :: keyword()) ::
               {:ok, [timed()], rest()} | {:error, String.t()}
+
+  @optional_callbacks columns: 2
 
   @modules %{
     json: Json,
@@ -73,6 +78,32 @@ defmodule Situ.Bridge.Format do
   catch
     {:not_writable, what} -> {:error, not_writable(name, what)}
   end
+
+  @doc """
+  The records of a part of a stream (`Situ.Store.columns/3`) in a file that has `n` before them, and how many it has
+  then. Raises a `Situ.Error`, `:not_writable`, for a value that the format does not have.
+  """
+  @spec records(name(), Columns.t() | [Situ.Message.t()], non_neg_integer()) ::
+          {iodata(), non_neg_integer()}
+  def records(name, part, n) do
+    module = module!(name)
+
+    case part do
+      %Columns{} ->
+        if function_exported?(module, :columns, 2),
+          do: {module.columns(part, n), n + part.count},
+          else: part |> Columns.pairs() |> each(module, n)
+
+      messages ->
+        messages |> Enum.map(&{&1.originating_time, &1.data}) |> each(module, n)
+    end
+  catch
+    {:not_writable, what} -> raise not_writable(name, what)
+  end
+
+  defp each(pairs, module, n),
+    do:
+      Enum.map_reduce(pairs, n, fn {time, value}, n -> {module.record(value, time, n), n + 1} end)
 
   @doc "The time and the value of one message. Option: `objects: :maps | :pairs`. Error: `:bad_message`."
   @spec decode(name(), binary(), keyword()) :: {:ok, timed()} | {:error, Error.t()}

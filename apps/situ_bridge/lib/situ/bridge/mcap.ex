@@ -256,7 +256,8 @@ defmodule Situ.Bridge.Mcap do
 
   @doc """
   Writes a recording to a new MCAP file, its messages in order of time: `{:ok, count}`. Options as `create/3`, and
-  `streams:`, the names of those wanted, and `encoding:` as `write/4`.
+  `streams:`, the names of those wanted, `encoding:` as `write/4`, `from:`, `to:` and `skip_damage:` as
+  `Situ.Store.messages/3`, and `progress:`, a function of the messages written so far.
   """
   @spec export(Situ.Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Native do
   @moduledoc false
-  # The functions of native/situ_bridge_nif. Everything else talks to `Situ.Bridge.Mcap`.
+  # The functions of native/situ_bridge_nif. Everything else talks to `Situ.Bridge.Mcap` and
+  # `Situ.Bridge.Format`.
 
   @on_load :load
 
@@ -10,6 +11,7 @@ defmodule Situ.Bridge.Native do
   end
 
   def unpack(_compression, _bytes, _size), do: missing()
+  def csv_lines(_kind, _times, _values), do: missing()
   def mcap_open(_path), do: missing()
   def mcap_info(_reader), do: missing()
   def mcap_span(_reader, _channel, _times), do: missing()

@@ -46,6 +46,7 @@ defmodule Situ.Bridge.Parquet do
   """
   alias Situ.Bridge.Parquet.{Column, File, Rows, Writer}
   alias Situ.{Error, Store}
+  alias Situ.Store.Columns
 
   @times [
     %Column{name: "originating_time", kind: :time, optional?: false},
@@ -70,7 +71,12 @@ defmodule Situ.Bridge.Parquet do
 
     with :ok <- mkdir(folder) do
       Enum.reduce_while(names, {:ok, %{}}, fn name, {:ok, counts} ->
-        case stream(store, name, Path.join(folder, file_name(name)), opts) do
+        case write(
+               store,
+               name,
+               Path.join(folder, file_name(name)),
+               Keyword.delete(opts, :streams)
+             ) do
           {:ok, rows} -> {:cont, {:ok, Map.put(counts, name, rows)}}
           error -> {:halt, error}
         end
@@ -96,18 +102,31 @@ defmodule Situ.Bridge.Parquet do
     end
   end
 
-  defp stream(store, name, path, opts) do
-    kinds = store |> Store.messages(name) |> Enum.reduce(%{}, &Rows.add(&2, &1.data))
-    columns = Rows.columns(kinds)
+  @doc """
+  Writes one stream of a recording into a file: `{:ok, rows}`. Options: `compression:` and `rows:` as `export/3`;
+  `from:`, `to:`, `skip_damage:` as `Situ.Store.messages/3`; `progress:`, a function of the rows written so far.
+  """
+  @spec write(Store.t(), String.t(), Path.t(), keyword()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def write(store, name, path, opts \\ []) do
+    {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
+    {progress, opts} = Keyword.pop(opts, :progress, fn _rows -> :ok end)
+    opts = Situ.Options.validate!(opts, Keyword.delete(@export, :streams))
+    # What a live recording adds meanwhile may be of another kind.
+    parts = Store.columns(store, name, Keyword.put_new(reading, :to, last(store, name)))
+    columns = parts |> Enum.reduce(%{}, &Rows.part(&2, &1)) |> Rows.columns()
 
     with {:ok, writer} <- Writer.create(path, @times ++ columns, opts[:compression]) do
-      store
-      |> Store.messages(name)
-      |> Stream.chunk_every(opts[:rows])
-      |> Enum.reduce_while({:ok, writer}, fn messages, {:ok, writer} ->
-        case Writer.write(writer, values(messages, columns), length(messages)) do
-          {:ok, writer} -> {:cont, {:ok, writer}}
-          error -> {:halt, {error, writer}}
+      parts
+      |> groups(columns, opts[:rows])
+      |> Enum.reduce_while({:ok, writer}, fn {values, rows}, {:ok, writer} ->
+        case Writer.write(writer, values, rows) do
+          {:ok, writer} ->
+            progress.(writer.rows)
+            {:cont, {:ok, writer}}
+
+          error ->
+            {:halt, {error, writer}}
         end
       end)
       |> finished()
@@ -118,6 +137,60 @@ defmodule Situ.Bridge.Parquet do
     {:not_writable, what} ->
       {:error,
        Error.new(:not_writable, "#{name} cannot be a table", why: inspect(what, limit: 5))}
+  end
+
+  defp last(store, name) do
+    case Store.stream_info(store, name) do
+      {:ok, info} -> info.last
+      {:error, error} -> raise error
+    end
+  end
+
+  # Row groups: the values of each column, and how many rows. Numbers come as they are, others gather until there are
+  # enough for a group.
+  defp groups(parts, columns, most) do
+    parts
+    |> Stream.concat([:end])
+    |> Stream.transform({[], 0}, fn
+      :end, {held, _} ->
+        {held |> together() |> group(columns), {[], 0}}
+
+      %Columns{} = part, {held, _} ->
+        {group(together(held), columns) ++ plain(part, columns, most), {[], 0}}
+
+      messages, {held, n} ->
+        gathered([messages | held], n + length(messages), columns, most)
+    end)
+  end
+
+  defp together(held), do: held |> Enum.reverse() |> Enum.concat()
+
+  defp gathered(held, n, _columns, most) when n < most, do: {[], {held, n}}
+
+  defp gathered(held, n, columns, most) do
+    {full, rest} = held |> together() |> Enum.split(n - rem(n, most))
+    groups = full |> Enum.chunk_every(most) |> Enum.flat_map(&group(&1, columns))
+    {groups, {[rest], rem(n, most)}}
+  end
+
+  defp group([], _columns), do: []
+  defp group(messages, columns), do: [{values(messages, columns), length(messages)}]
+
+  defp plain(%{kind: kind} = part, [%{name: "value", kind: kind}], most) do
+    for columns <- Columns.split(part, most) do
+      bytes = [columns.times, columns.creation_times, columns.values]
+      {for(bytes <- bytes, do: {:bytes, bytes, columns.count}), columns.count}
+    end
+  end
+
+  # Numbers of one kind in a column of another.
+  defp plain(part, columns, most) do
+    for part <- Columns.split(part, most) do
+      creations = for <<time::little-signed-64 <- part.creation_times>>, do: time
+      {times, values} = part |> Columns.pairs() |> Enum.unzip()
+      rows = Enum.zip_with(Enum.map(values, &Rows.row(&1, columns)), & &1)
+      {[times, creations | rows], part.count}
+    end
   end
 
   defp finished({:ok, writer}), do: Writer.finish(writer)

@@ -32,6 +32,53 @@ defmodule Situ.Bridge.FormatTest do
     end
   end
 
+  defp column(:integer, values), do: for(n <- values, into: <<>>, do: <<n::little-64>>)
+  defp column(:float, values), do: for(x <- values, into: <<>>, do: <<x::little-float-64>>)
+  defp column(:boolean, values), do: for(b <- values, into: <<>>, do: <<if(b, do: 1, else: 0)>>)
+
+  # Floats of every size: any bits that are a number.
+  defp any_float do
+    map(integer(0, 2 ** 64 - 1), fn bits ->
+      case <<bits::64>> do
+        <<x::float-64>> -> x
+        _ -> bits / 1
+      end
+    end)
+  end
+
+  property "numbers as columns are written as they are one by one", numtests: 300 do
+    plain =
+      one_of([
+        pair({constant(:integer), nonempty_list(integer(-(2 ** 63), 2 ** 63 - 1))}),
+        pair({constant(:integer), nonempty_list(integer())}),
+        pair({constant(:float), nonempty_list(float())}),
+        pair({constant(:float), nonempty_list(any_float())}),
+        pair({constant(:boolean), nonempty_list(boolean())})
+      ])
+
+    forall {{kind, values}, first, format, n} <-
+             {plain, integer(-(2 ** 62), 2 ** 62), one_of([:csv, :json_lines, :message_pack]),
+              integer(0, 2)} do
+      times = for i <- 1..length(values)//1, do: first + i * 33_333_300
+      messages = for {value, time} <- Enum.zip(values, times), do: message(value, time)
+
+      columns = %Situ.Store.Columns{
+        kind: kind,
+        count: length(values),
+        times: column(:integer, times),
+        creation_times: column(:integer, times),
+        values: column(kind, values)
+      }
+
+      {many, n1} = Format.records(format, columns, n)
+      {single, n2} = Format.records(format, messages, n)
+      assert {IO.iodata_to_binary(many), n1} == {IO.iodata_to_binary(single), n2}
+    end
+  end
+
+  defp message(value, time),
+    do: %Situ.Message{data: value, originating_time: time, creation_time: time, sequence_id: 1}
+
   property "CSV gives back flat records of texts and numbers, and the time" do
     forall {fields, time} <-
              pair(

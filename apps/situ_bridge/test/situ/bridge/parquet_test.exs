@@ -72,6 +72,27 @@ defmodule Situ.Bridge.ParquetTest do
     assert_received {:got, :nan}
   end
 
+  test "plain numbers of one kind, of several, and with nothing among them", %{tmp_dir: dir} do
+    streams = [
+      {"Floats", for(i <- 1..5_000, do: {i, i / 7})},
+      {"Integers", for(i <- 1..5_000, do: {i, i * 1_000_000_007})},
+      {"Truths", for(i <- 1..5_000, do: {i, rem(i * i, 3) == 1})},
+      {"Both", for(i <- 1..5_000, do: {i, if(i < 2_500, do: i, else: i / 2)})},
+      {"Holes", for(i <- 1..5_000, do: {i, if(rem(i, 1_700) == 0, do: nil, else: i)})}
+    ]
+
+    store = recorded(dir, streams)
+
+    for {name, values} <- streams, compression <- [:none, :gzip] do
+      file = Path.join(dir, "#{name}.parquet")
+      assert Parquet.write(store, name, file, rows: 999, compression: compression) == {:ok, 5_000}
+      assert Enum.to_list(Parquet.messages(file)) == values
+      span = [from: 100, to: 4_000]
+      assert Parquet.write(store, name, file, span) == {:ok, 3_901}
+      assert Enum.to_list(Parquet.messages(file)) == Enum.slice(values, 99..3_999)
+    end
+  end
+
   test "what is no table is an error that says why", %{tmp_dir: dir} do
     path = Path.join(dir, "x.parquet")
     File.write!(path, "PAR1 this is none PAR1")

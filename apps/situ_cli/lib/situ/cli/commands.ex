@@ -21,6 +21,7 @@ defmodule Situ.CLI.Commands do
     Store.Looking,
     Store.Making,
     Store.Care,
+    Store.Saving,
     Store.Sending,
     Dataset,
     Query,

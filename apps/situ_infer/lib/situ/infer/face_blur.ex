@@ -4,7 +4,7 @@ defmodule Situ.Infer.FaceBlur do
       type: :time_ns,
       default: 500_000_000,
       doc:
-        "A face is hidden so long before it is first found and after it is last found, ns: detectors miss some pictures."
+        "How long a face is hidden before it is found and after it was last found, ns: detectors miss some."
     ],
     margin: [
       type: {:range, 1.0, 4.0},

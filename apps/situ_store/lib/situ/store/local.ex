@@ -4,18 +4,23 @@ defmodule Situ.Store.Local do
   @behaviour Situ.Store.Reader
 
   alias Situ.{Error, Message}
+  alias Situ.Store.Local.Shelf
   alias Situ.Store.Summary.Bins
-  alias Situ.Store.{Catalog, Codecs, Failure, Folder, Native, StreamInfo, Terms, Undecoded}
+
+  alias Situ.Store.{
+    Codecs,
+    Columns,
+    Failure,
+    Folder,
+    Native,
+    StreamInfo,
+    Terms,
+    Undecoded
+  }
 
   defstruct [:ref, :path]
 
-  @catalog 0
   @read_bytes 4 * 1024 * 1024
-
-  # The catalog, worked out once for as long as it has no more records. Under its name every stream, and under these two
-  # (which are none: names are text) all of them, and the rest.
-  @all <<0xFE>>
-  @shelf <<0xFF>>
 
   @impl true
   def extensions, do: []
@@ -67,7 +72,7 @@ defmodule Situ.Store.Local do
   @impl true
   def streams(%__MODULE__{} = state) do
     refresh(state)
-    state |> shelved(@all) |> Enum.map(&statistics(state, &1))
+    state |> shelved(:all) |> Enum.map(&statistics(state, &1))
   end
 
   @impl true
@@ -86,7 +91,7 @@ defmodule Situ.Store.Local do
     error =
       if shelf.damage,
         do: Failure.error(shelf.damage, state.path, name),
-        else: Failure.no_stream(name, Enum.map(shelved(state, @all), & &1.name), state.path)
+        else: Failure.no_stream(name, Enum.map(shelved(state, :all), & &1.name), state.path)
 
     {:error, error}
   end
@@ -111,59 +116,8 @@ defmodule Situ.Store.Local do
     end
   end
 
-  defp shelf(state), do: shelved(state, @shelf)
-
-  defp shelved(state, name) do
-    case Native.reader_shelved(state.ref, name) do
-      {:ok, term} ->
-        :erlang.binary_to_term(term)
-
-      nil ->
-        nil
-
-      :stale ->
-        records = Native.reader_count(state.ref, @catalog)
-        Native.reader_shelve(state.ref, records, terms(state))
-        shelved(state, name)
-    end
-  end
-
-  defp terms(state) do
-    {records, damage} = records(state, 0, [], nil)
-    catalog = Catalog.parse(records)
-    name = if is_binary(catalog.name), do: catalog.name, else: Folder.name(state.path)
-
-    streams =
-      for {_, info} <- Enum.sort(catalog.streams),
-          do: %{info | store_name: name, store_path: state.path}
-
-    shelf = %{name: name, volatile?: catalog.volatile?, damage: damage}
-    # Of two of one name the first is found by it, as in the list.
-    named = for info <- Enum.reverse(streams), do: {info.name, :erlang.term_to_binary(info)}
-
-    named ++
-      for {key, term} <- [{@all, streams}, {@shelf, shelf}],
-          do: {key, :erlang.term_to_binary(term)}
-  end
-
-  # The records, and what was wrong with some of them.
-  defp records(state, ordinal, parts, damage) do
-    case native_read(state.ref, @catalog, ordinal, max_time(), 10_000, @read_bytes) do
-      {:ok, [], _} ->
-        {parts |> Enum.reverse() |> Enum.concat(), damage}
-
-      {:ok, runs, next} ->
-        bytes = for {_, list} <- runs, {_, _, _, data} <- list, is_binary(data), do: data
-        records(state, next, [bytes | parts], damage)
-
-      {:error, reason} ->
-        # A damaged part of the catalog: what follows it is still good.
-        case Native.reader_skip(state.ref, @catalog, ordinal) do
-          ^ordinal -> {parts |> Enum.reverse() |> Enum.concat(), reason}
-          next -> records(state, next, parts, reason)
-        end
-    end
-  end
+  defp shelf(state), do: Shelf.about(state.ref, state.path)
+  defp shelved(state, name), do: Shelf.fetch(state.ref, state.path, name)
 
   defp max_time, do: 9_223_372_036_854_775_807
 
@@ -181,7 +135,7 @@ defmodule Situ.Store.Local do
   def read(state, info, ordinal, to, limit, opts) do
     bytes = if opts[:exact], do: 0, else: @read_bytes
 
-    case native_read(state.ref, info.id, ordinal, clamp(to), limit, bytes) do
+    case Native.read(state.ref, info.id, ordinal, clamp(to), limit, bytes) do
       {:ok, [{0, list}], next} ->
         {:ok, messages(list, info.id), next}
 
@@ -195,10 +149,28 @@ defmodule Situ.Store.Local do
     end
   end
 
-  # Chunks in memory are read here and now; those that wait for the disk, or take long to check, on a dirty scheduler.
-  defp native_read(ref, id, ordinal, to, limit, bytes) do
-    with :slow <- Native.reader_read_quick(ref, id, ordinal, to, limit, bytes),
-         do: Native.reader_read(ref, id, ordinal, to, limit, bytes)
+  @column_bytes 1024 * 1024
+
+  @impl true
+  def columns(state, info, ordinal, to) do
+    case Native.reader_columns(state.ref, info.id, ordinal, clamp(to), @column_bytes) do
+      {:ok, {kind, count, times, creation_times, values}, next} ->
+        columns = %Columns{
+          kind: kind,
+          count: count,
+          times: times,
+          creation_times: creation_times,
+          values: values
+        }
+
+        {:ok, columns, next}
+
+      {:error, reason} ->
+        {:error, Failure.error(reason, state.path, info.name)}
+
+      others_or_ended ->
+        others_or_ended
+    end
   end
 
   defp skip(state, info, ordinal, to, limit, opts) do

@@ -9,6 +9,12 @@ defmodule Situ.Store.Native do
     :erlang.load_nif(path, 0)
   end
 
+  @doc "Chunks in memory are read here and now; those that wait for the disk, or take long, on a dirty scheduler."
+  def read(ref, id, ordinal, to, limit, bytes) do
+    with :slow <- reader_read_quick(ref, id, ordinal, to, limit, bytes),
+         do: reader_read(ref, id, ordinal, to, limit, bytes)
+  end
+
   def writer_create(_path, _first_extent, _max_extent, _durability, _mode), do: missing()
   def writer_stream(_writer, _name, _compression, _large), do: missing()
   def writer_position(_writer, _stream), do: missing()
@@ -30,6 +36,7 @@ defmodule Situ.Store.Native do
   def reader_gaps(_reader, _stream, _least), do: missing()
   def reader_read(_reader, _stream, _ordinal, _to, _most, _bytes), do: missing()
   def reader_read_quick(_reader, _stream, _ordinal, _to, _most, _bytes), do: missing()
+  def reader_columns(_reader, _stream, _ordinal, _to, _bytes), do: missing()
   def reader_skip(_reader, _stream, _ordinal), do: missing()
   def reader_summary(_reader, _stream, _from, _to, _level), do: missing()
   def reader_tracks(_reader, _stream, _from, _to, _level, _most), do: missing()

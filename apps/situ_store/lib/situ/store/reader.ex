@@ -53,6 +53,12 @@ defmodule Situ.Store.Reader do
               limit :: pos_integer(),
               opts :: keyword()
             ) :: {:ok, [Situ.Message.t()], non_neg_integer()} | error()
+  @doc """
+  Plain numbers from `ordinal` on that lie at or before `to`, as columns of some thousand messages, and the ordinal to
+  go on with; `:others` where the next messages are no plain numbers, `:ended` where there are none.
+  """
+  @callback columns(state(), StreamInfo.t(), ordinal :: non_neg_integer(), to :: Situ.Time.t()) ::
+              {:ok, Situ.Store.Columns.t(), non_neg_integer()} | :others | :ended | error()
   @doc "Min/max/last/count bins: `{:ok, width_ns, [{start, min, max, last, count}]}`."
   @callback summary(state(), StreamInfo.t(), Situ.Time.t(), Situ.Time.t(), pos_integer()) ::
               {:ok, pos_integer(), [tuple()]} | error()
@@ -81,6 +87,7 @@ defmodule Situ.Store.Reader do
                       schemes: 0,
                       resolve: 1,
                       within: 1,
+                      columns: 4,
                       summary: 5,
                       tracks: 6,
                       await: 4,

@@ -192,7 +192,9 @@ defmodule Situ.Store.Reading do
     )
   end
 
-  defp first_ordinal(store, info, opts) do
+  @doc "The ordinal that reading by these options begins at."
+  @spec first_ordinal(Handle.t(), StreamInfo.t(), keyword()) :: non_neg_integer()
+  def first_ordinal(store, info, opts) do
     cond do
       index = opts[:index] -> if index < 0, do: max(count(store, info) + index, 0), else: index
       from = opts[:from] -> ok!(seek(store, info, from))

@@ -4,6 +4,7 @@ defmodule Situ.Bridge.Format.Csv do
   @behaviour Situ.Bridge.Format
   alias Situ.Bridge.Format.{Stamp, Value}
   alias Situ.Bridge.Format.Csv.{Number, Row}
+  alias Situ.Bridge.Native
 
   @time "_OriginatingTime_"
   @value "_Value_"
@@ -17,6 +18,12 @@ defmodule Situ.Bridge.Format.Csv do
     {names, fields} = Enum.unzip(columns)
     heading = if n == 0, do: Row.write([@time | names]), else: []
     [heading, Row.write([Stamp.iso8601(time) | Enum.map(fields, &field/1)])]
+  end
+
+  @impl true
+  def columns(%{kind: kind, times: times, values: values}, n) do
+    heading = if n == 0, do: Row.write([@time, @value]), else: []
+    [heading, Native.csv_lines(kind, times, values)]
   end
 
   @impl true

@@ -46,8 +46,24 @@ defmodule Situ.Bridge.Parquet.Column do
 
   defp record(fields), do: {:struct, fields}
 
-  @doc "A page's body: the levels and the values; `nil` is missing."
-  @spec page(t(), [term()]) :: iodata()
+  @doc """
+  A page's body: the levels and the values; `nil` is missing. `{:bytes, bytes, n}` are the bytes of `n` numbers
+  (truths: one each), of which none is missing.
+  """
+  @spec page(t(), [term()] | {:bytes, binary(), pos_integer()}) :: iodata()
+  def page(%{optional?: false}, {:bytes, bytes, _n}), do: bytes
+
+  def page(column, {:bytes, bytes, n}) do
+    levels = levels([], n, n)
+
+    body =
+      if column.kind == :boolean,
+        do: eights(for(<<b <- bytes>>, into: <<>>, do: <<b::1>>)),
+        else: bytes
+
+    [<<IO.iodata_length(levels)::little-32>>, levels, body]
+  end
+
   def page(%{optional?: false} = column, values), do: plain(column.kind, values)
 
   def page(column, values) do

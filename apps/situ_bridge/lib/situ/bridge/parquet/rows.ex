@@ -4,24 +4,32 @@ defmodule Situ.Bridge.Parquet.Rows do
   # by `a.b`; lists and whatever else is no number, boolean, text or bytes as JSON. Pure.
   alias Situ.Bridge.Format.Value
   alias Situ.Bridge.Parquet.Column
+  alias Situ.Store.Columns
 
   @special [:nan, :infinity, :neg_infinity]
   @most_columns 1_000
 
   @type kinds :: %{String.t() => Column.kind() | nil}
 
+  @doc "The kinds of columns, with one more part of a stream."
+  @spec part(kinds(), Columns.t() | [Situ.Message.t()]) :: kinds()
+  def part(kinds, %Columns{kind: kind}), do: merge(kinds, "value", kind)
+  def part(kinds, messages), do: Enum.reduce(messages, kinds, &add(&2, &1.data))
+
   @doc "The kinds of columns, with one more message."
   @spec add(kinds(), term()) :: kinds()
   def add(kinds, data) do
     data
     |> flat()
-    |> Enum.reduce(kinds, fn {name, value}, kinds ->
-      case kinds do
-        %{^name => known} -> put(kinds, name, known, wider(known, kind(value)))
-        _ when map_size(kinds) >= @most_columns -> throw({:not_writable, :too_many_columns})
-        _ -> Map.put(kinds, name, kind(value))
-      end
-    end)
+    |> Enum.reduce(kinds, fn {name, value}, kinds -> merge(kinds, name, kind(value)) end)
+  end
+
+  defp merge(kinds, name, kind) do
+    case kinds do
+      %{^name => known} -> put(kinds, name, known, wider(known, kind))
+      _ when map_size(kinds) >= @most_columns -> throw({:not_writable, :too_many_columns})
+      _ -> Map.put(kinds, name, kind)
+    end
   end
 
   defp put(kinds, _name, same, same), do: kinds

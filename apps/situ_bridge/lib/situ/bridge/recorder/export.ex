@@ -6,20 +6,27 @@ defmodule Situ.Bridge.Recorder.Export do
 
   def export(module, store, path, opts) do
     {wanted, opts} = Keyword.pop(opts, :streams)
+    {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
+    {progress, opts} = Keyword.pop(opts, :progress, fn _written -> :ok end)
     {topic, opts} = Keyword.split(opts, Keyword.keys(module.topic_options()))
     types = Map.new(Store.streams(store), &{&1.name, &1.type_name})
 
     with {:ok, writer} <- module.create(path, opts),
-         {:ok, writer} <- copy(merged(store, wanted), {module, writer}, topic, types),
+         messages = merged(store, wanted, reading),
+         {:ok, writer} <- copy(messages, {module, writer}, topic, types, progress),
          {:ok, _} <- module.finish(writer),
          do: {:ok, writer.count}
   end
 
-  defp copy(messages, {module, writer}, topic, types) do
+  defp copy(messages, {module, writer}, topic, types, progress) do
     Enum.reduce_while(messages, {:ok, writer}, fn {name, message}, {:ok, writer} ->
       case module.write(writer, name, message, typed(topic, types[name])) do
-        {:ok, writer} -> {:cont, {:ok, writer}}
-        error -> {:halt, error}
+        {:ok, writer} ->
+          if rem(writer.count, 1_000) == 0, do: progress.(writer.count)
+          {:cont, {:ok, writer}}
+
+        error ->
+          {:halt, error}
       end
     end)
   rescue
@@ -34,12 +41,12 @@ defmodule Situ.Bridge.Recorder.Export do
   end
 
   # Each stream's next message is kept at hand; the earliest goes first.
-  defp merged(store, wanted) do
+  defp merged(store, wanted, reading) do
     heads =
       for info <- Store.streams(store),
           wanted == nil or info.name in wanted,
           info.count > 0,
-          head = head(store, info, 0),
+          head = head({store, info, reading}, first(store, info, reading[:from])),
           do: head
 
     Stream.unfold(heads, fn
@@ -47,23 +54,34 @@ defmodule Situ.Bridge.Recorder.Export do
         nil
 
       heads ->
-        {[message | rest], _, info} =
+        {[message | rest], _, {_, info, _}} =
           first = Enum.min_by(heads, fn {[m | _], _, _} -> m.originating_time end)
 
-        {{info.name, message}, advance(heads, first, rest, store)}
+        {{info.name, message}, advance(heads, first, rest)}
     end)
   end
 
-  defp advance(heads, {_, next, info} = first, [], store),
-    do: List.delete(heads, first) ++ List.wrap(head(store, info, next))
+  defp first(_store, _info, nil), do: 0
 
-  defp advance(heads, {_, next, info} = first, rest, _store),
-    do: [{rest, next, info} | List.delete(heads, first)]
+  defp first(store, info, from) do
+    case Store.ordinal(store, info, from) do
+      {:ok, ordinal} -> ordinal
+      {:error, error} -> raise error
+    end
+  end
 
-  defp head(store, info, from) do
-    case store.module.read(store.state, info, from, :unbounded, 100, []) do
+  defp advance(heads, {_, next, stream} = first, []),
+    do: List.delete(heads, first) ++ List.wrap(head(stream, next))
+
+  defp advance(heads, {_, next, stream} = first, rest),
+    do: [{rest, next, stream} | List.delete(heads, first)]
+
+  defp head({store, info, reading} = stream, from) do
+    to = reading[:to] || :unbounded
+
+    case store.module.read(store.state, info, from, to, 100, reading) do
       {:ok, [], _} -> nil
-      {:ok, messages, next} -> {messages, next, info}
+      {:ok, messages, next} -> {messages, next, stream}
       {:error, error} -> raise error
     end
   end

@@ -319,7 +319,8 @@ defmodule Situ.Bridge.Ros.Bag do
 
   @doc """
   Writes a recording to a new bag, its messages in order of time: `{:ok, count}`. Options as `create/3`, and
-  `streams:`, the names of those wanted.
+  `streams:`, the names of those wanted, `from:`, `to:` and `skip_damage:` as `Situ.Store.messages/3`, and `progress:`,
+  a function of the messages written so far.
   """
   @spec export(Situ.Store.t(), Path.t(), keyword()) ::
           {:ok, non_neg_integer()} | {:error, Error.t()}

@@ -123,6 +123,10 @@ defmodule Situ.CLI.Store.Arguments do
     [streams: fn %{name: name} -> fits?.(name, wanted) and not fits?.(name, unwanted) end]
   end
 
+  @doc "Whether a stream's name is what is wanted, or fits it as a pattern."
+  @spec fits?(String.t(), String.t()) :: boolean()
+  def fits?(name, pattern), do: name =~ pattern(pattern)
+
   defp pattern(text) do
     source =
       Regex.replace(~r/[*?]|[^*?]+/u, text, fn

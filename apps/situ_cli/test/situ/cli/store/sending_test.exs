@@ -24,35 +24,6 @@ defmodule Situ.CLI.Store.SendingTest do
     %{path: writer.path}
   end
 
-  test "a stream as a file of each format, and the file read back", %{path: path, tmp_dir: root} do
-    for {ending, format} <- [csv: :csv, json: :json, jsonl: :json_lines, msgpack: :message_pack] do
-      file = Path.join(root, "a.#{ending}")
-
-      assert capture_io(fn ->
-               assert Situ.CLI.run(["store", "save", path, file, "-s", "A"]) == 0
-             end) == ""
-
-      read = Enum.to_list(Bridge.File.messages(file, format))
-      assert Enum.map(read, &elem(&1, 0)) == for(i <- 1..5, do: i * 1_000)
-      refute File.exists?(file <> ".unfinished")
-    end
-  end
-
-  test "which stream, which format, where to: told when it is not clear", %{
-    path: path,
-    tmp_dir: root
-  } do
-    for {argv, status, said} <- [
-          {[path, Path.join(root, "x.csv")], 1, "A, Pids"},
-          {[path, Path.join(root, "x.doc"), "-s", "A"], 2, "format"},
-          {[path, Path.join(root, "no/x.csv"), "-s", "A"], 1, "cannot write"},
-          {[path, Path.join(root, "x.csv"), "-s", "B"], 1, "no stream"}
-        ] do
-      assert capture_io(:stderr, fn -> assert Situ.CLI.run(["store", "save" | argv]) == status end) =~
-               said
-    end
-  end
-
   test "a stream is sent when the subscriber is there, and all of it comes", %{path: path} do
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
     {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})

@@ -5,10 +5,10 @@ defmodule Situ.Bridge.Format.Csv.Number do
   @canonical ~r/\A-?(0|[1-9]\d*)(\.\d+)?([eE][+-]?\d{1,3})?\z/
 
   @doc """
-  The shortest digits that are this number; no ".0"; an exponent from 1E+15 on and below 1E-05.
+  The shortest digits that are this number; no ".0"; an exponent from 1E+15 on and below 0.0001.
 
-      iex> Enum.map([1.0, 0.1, 1.5e20, 2.0e-7, -0.0, 12], &Situ.Bridge.Format.Csv.Number.write/1)
-      ["1", "0.1", "1.5E+20", "2E-07", "-0", "12"]
+      iex> Enum.map([1.0, 0.1, 1.5e20, 1.0e-5, -0.0, 12], &Situ.Bridge.Format.Csv.Number.write/1)
+      ["1", "0.1", "1.5E+20", "1E-05", "-0", "12"]
   """
   @spec write(number() | atom()) :: String.t()
   def write(n) when is_integer(n), do: Integer.to_string(n)
@@ -17,13 +17,28 @@ defmodule Situ.Bridge.Format.Csv.Number do
   def write(:neg_infinity), do: "-Infinity"
 
   def write(x) when is_float(x) do
-    {sign, digits, exponent} = digits(x)
-    sign <> place(digits, exponent)
+    text = :erlang.float_to_binary(x, [:short])
+
+    if abs(x) < 0.0001 or abs(x) >= 1.0e15 or :binary.match(text, "e") != :nomatch do
+      {sign, digits, exponent} = digits(text)
+      sign <> place(digits, exponent)
+    else
+      whole(text)
+    end
+  end
+
+  # All digits are there already.
+  defp whole(text) do
+    size = byte_size(text) - 2
+
+    case text do
+      <<whole::binary-size(size), ".0">> -> whole
+      _ -> text
+    end
   end
 
   # The digits of 0.ddd times ten to the exponent.
-  defp digits(x) do
-    text = :erlang.float_to_binary(x, [:short])
+  defp digits(text) do
     text = if String.contains?(text, "e"), do: text, else: text <> "e0"
     [mantissa, exponent] = String.split(text, "e")
 
@@ -44,7 +59,7 @@ defmodule Situ.Bridge.Format.Csv.Number do
 
   defp place("0", _exponent), do: "0"
 
-  defp place(digits, exponent) when exponent > 15 or exponent < -4 do
+  defp place(digits, exponent) when exponent > 15 or exponent < -3 do
     {first, rest} = String.split_at(digits, 1)
     fraction = if rest == "", do: "", else: "." <> rest
     power = exponent - 1

@@ -14,10 +14,16 @@ defmodule Situ.Bridge.Format.Csv.Row do
   defp quoted(""), do: ""
 
   defp quoted(field) do
-    if String.contains?(field, [",", "\"", "\r", "\n"]) or String.trim(field) != field,
-      do: [?", String.replace(field, "\"", "\"\""), ?"],
-      else: field
+    if bare?(field) or not (special?(field) or String.trim(field) != field),
+      do: field,
+      else: [?", String.replace(field, "\"", "\"\""), ?"]
   end
+
+  # Nothing but visible ASCII, as numbers and most words are: nothing to look for.
+  defp bare?(<<c, rest::binary>>) when c in ?!..?~ and c != ?, and c != ?", do: bare?(rest)
+  defp bare?(rest), do: rest == ""
+
+  defp special?(field), do: String.contains?(field, [",", "\"", "\r", "\n"])
 
   @doc "The first record and what follows it; `:more` when it is not whole. With `last?` nothing will follow."
   @spec read(binary(), boolean()) :: {:ok, [String.t()], binary()} | :more | {:error, String.t()}

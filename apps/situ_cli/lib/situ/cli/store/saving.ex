@@ -1,0 +1,290 @@
+defmodule Situ.CLI.Store.Saving do
+  @moduledoc "`situ store save`: messages to files that other programs read."
+  @behaviour Situ.CLI.Verb
+  alias Situ.Bridge.{Format, Mcap, Parquet, Ros}
+  alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.Store.Arguments
+  alias Situ.{Error, Store}
+
+  @formats %{
+    "csv" => :csv,
+    "json" => :json,
+    "json_lines" => :json_lines,
+    "message_pack" => :message_pack,
+    "parquet" => :parquet,
+    "mcap" => :mcap,
+    "bag" => :bag
+  }
+  @endings %{
+    ".csv" => :csv,
+    ".json" => :json,
+    ".jsonl" => :json_lines,
+    ".msgpack" => :message_pack,
+    ".parquet" => :parquet,
+    ".mcap" => :mcap,
+    ".bag" => :bag
+  }
+  # These hold whole recordings.
+  @recordings %{mcap: Mcap, bag: Ros.Bag}
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["store", "save"],
+        aliases: ["export"],
+        summary:
+          "write messages to a file that other programs read: CSV, JSON, MessagePack, Parquet, MCAP, ROS 1 bag",
+        about: """
+        MCAP files and bags hold all streams, or those chosen; the other files one stream. The layouts of CSV, JSON and
+        MessagePack are those of Situ.Bridge.Format, which \\psi reads and writes too. Plain numbers go to CSV and
+        Parquet a million a second and faster.
+        """,
+        arguments: [
+          path: [
+            kind: :recording,
+            doc: "a store's folder, ROOT/NAME for the newest NAME.NNNN, or a foreign file"
+          ],
+          file: [
+            kind: :file,
+            doc:
+              "the file to write (.csv, .json, .jsonl, .msgpack, .parquet, .mcap, .bag); - for standard output"
+          ]
+        ],
+        options: [
+          Option.new(:stream, :string, "this stream, or a pattern ('Room.*'); default: all",
+            short: :s,
+            value: "NAME",
+            many?: true
+          ),
+          Option.new(:exclude, :string, "not this stream, or pattern",
+            short: :x,
+            value: "NAME",
+            many?: true
+          ),
+          Option.new(:format, @formats |> Map.keys() |> Enum.sort(), "whatever the file's ending",
+            short: :m
+          ),
+          Option.new(:from, :time, "from this originating time on"),
+          Option.new(:to, :time, "up to this originating time"),
+          Option.new(
+            :compression,
+            ["none", "gzip", "lz4", "zstd"],
+            "of Parquet (none, gzip) and MCAP (none, lz4, zstd)"
+          ),
+          Option.new(
+            :skip_damage,
+            :flag,
+            "leave out what is damaged; without it that is an error"
+          )
+        ],
+        examples: [
+          "situ store save recordings/lobby levels.csv -s Lobby.Level",
+          "situ store save recordings/lobby - -s Lobby.Level --format json_lines | jq .message",
+          "situ store save recordings/lobby lobby.mcap -x 'Lobby.Video*'"
+        ],
+        run: &save/2
+      }
+    ]
+  end
+
+  defp save(%{path: path, file: file}, opts) do
+    format = @formats[opts[:format]] || @endings[file |> Path.extname() |> String.downcase()]
+
+    unless format,
+      do: throw({:usage, "in which format? Give --format, or a file that ends in #{endings()}"})
+
+    {:ok, _} = Application.ensure_all_started(:situ_bridge)
+    store = Recording.open!(path)
+    chosen = chosen(store, opts)
+
+    saved =
+      Progress.show("save", opts, fn progress ->
+        save(format, store, chosen, file, opts, progress)
+      end)
+
+    if opts[:json] && file != "-",
+      do: Output.json(Map.merge(%{file: file, format: format}, saved))
+
+    0
+  end
+
+  defp save(format, store, chosen, file, opts, progress) when is_map_key(@recordings, format) do
+    whole!(file, format)
+    total = chosen |> Enum.map(& &1.count) |> Enum.sum()
+    names = Enum.map(chosen, & &1.name)
+    written = [progress: &progress.(&1, total)] ++ compression(format, opts[:compression])
+
+    count =
+      ok!(@recordings[format].export(store, file, [streams: names] ++ reading(opts) ++ written))
+
+    %{messages: count, streams: length(names)}
+  end
+
+  defp save(:parquet, store, chosen, file, opts, progress) do
+    whole!(file, :parquet)
+    info = one(store, chosen)
+    written = [progress: &progress.(&1, info.count)] ++ compression(:parquet, opts[:compression])
+
+    %{
+      messages: ok!(Parquet.write(store, info.name, file, reading(opts) ++ written)),
+      stream: info.name
+    }
+  end
+
+  defp save(format, store, chosen, file, opts, progress) do
+    unless compression(format, opts[:compression]) == [], do: unpackable(format)
+    info = one(store, chosen)
+    out = out(file)
+
+    n =
+      store
+      |> Store.columns(info, reading(opts))
+      |> Enum.reduce(0, fn part, n ->
+        {records, n} = records(format, part, n, out)
+        put(out, records)
+        progress.(n, info.count)
+        n
+      end)
+
+    put(out, Format.module!(format).finish(n))
+    close(out)
+    %{messages: n, stream: info.name}
+  end
+
+  # A record that cannot be written ends it, and a file that is not whole does not stay.
+  defp records(format, part, n, out) do
+    Format.records(format, part, n)
+  rescue
+    error in Error ->
+      discard(out)
+      reraise error, __STACKTRACE__
+  end
+
+  defp endings, do: @endings |> Map.keys() |> Enum.sort() |> Enum.join(", ")
+
+  defp reading(opts),
+    do: [skip_damage: opts[:skip_damage] == true] ++ Keyword.take(opts, [:from, :to])
+
+  @packed %{parquet: ~w(none gzip), mcap: ~w(none lz4 zstd), bag: []}
+
+  defp compression(_format, nil), do: []
+
+  defp compression(format, word) do
+    if word in Map.get(@packed, format, []),
+      do: [compression: String.to_existing_atom(word)],
+      else: unpackable(format)
+  end
+
+  defp unpackable(format) do
+    known = Map.get(@packed, format, [])
+
+    fix =
+      if known == [], do: "pack the file with gzip", else: "it may be #{Enum.join(known, ", ")}"
+
+    throw({:usage, "#{format} has no such --compression; #{fix}"})
+  end
+
+  # These are written with an index at the end, and renamed when they are whole.
+  defp whole!("-", format),
+    do:
+      throw(
+        {:usage, "#{format} goes to a file, not to standard output: its index stands at its end"}
+      )
+
+  defp whole!(_file, _format), do: :ok
+
+  defp chosen(store, opts) do
+    all = Store.streams(store)
+
+    case Arguments.copying(Keyword.take(opts, [:stream, :exclude]), fn _, _ -> :ok end)[:streams] do
+      nil -> all
+      fits? when is_function(fits?) -> Enum.filter(all, fits?)
+      names -> named(store, all, names)
+    end
+  end
+
+  defp named(store, all, names) do
+    for name <- names, reduce: [] do
+      found ->
+        case matching(all, name) do
+          [] -> raise missing(store, name)
+          some -> Enum.uniq(found ++ some)
+        end
+    end
+  end
+
+  defp matching(all, name),
+    do: Enum.filter(all, &(&1.name == name)) |> or_pattern(all, name)
+
+  defp or_pattern([], all, name), do: Enum.filter(all, &Arguments.fits?(&1.name, name))
+  defp or_pattern(found, _all, _name), do: found
+
+  defp missing(store, name) do
+    {:error, error} = Store.stream_info(store, name)
+    error
+  end
+
+  defp one(_store, [one]), do: one
+
+  defp one(store, several) do
+    names = several |> Enum.take(8) |> Enum.map_join(", ", & &1.name)
+
+    raise Error.new(:ambiguous_stream, "#{store.path} has #{length(several)} streams",
+            fix: "choose one by --stream: #{names}"
+          )
+  end
+
+  # Written beside the file and renamed when it is whole; standard output goes past the VM's slow way to it.
+  defp out("-"), do: {:stdout, open!("/dev/stdout", [:append])}
+  defp out(path), do: {path, open!(path <> ".unfinished", [:write])}
+
+  defp open!(path, modes) do
+    case :file.open(path, [:raw, :binary | modes]) do
+      {:ok, device} -> device
+      {:error, reason} -> raise not_saved(path, reason)
+    end
+  end
+
+  defp not_saved(path, reason),
+    do: Error.new(:not_saved, "cannot write #{path}", why: to_string(:file.format_error(reason)))
+
+  defp put({_, device} = out, bytes) do
+    case :file.write(device, bytes) do
+      :ok ->
+        :ok
+
+      {:error, :epipe} ->
+        exit(:terminated)
+
+      {:error, reason} ->
+        discard(out)
+
+        raise Error.new(:not_saved, "the file cannot be written",
+                why: to_string(:file.format_error(reason)),
+                fix: "make room, or write elsewhere"
+              )
+    end
+  end
+
+  defp close({:stdout, device}), do: :file.close(device)
+
+  defp close({path, device}) do
+    with :ok <- :file.close(device), :ok <- File.rename(path <> ".unfinished", path) do
+      :ok
+    else
+      {:error, reason} -> raise not_saved(path, reason)
+    end
+  end
+
+  defp discard({:stdout, _}), do: :ok
+
+  defp discard({path, device}) do
+    _ = :file.close(device)
+    _ = File.rm(path <> ".unfinished")
+    :ok
+  end
+
+  defp ok!({:ok, value}), do: value
+  defp ok!({:error, error}), do: raise(error)
+end

@@ -1,0 +1,121 @@
+defmodule Situ.CLI.Store.SavingTest do
+  use ExUnit.Case, async: true
+  import ExUnit.CaptureIO
+  alias Situ.{Bridge, Message, Store}
+
+  @moduletag :tmp_dir
+
+  setup %{tmp_dir: root} do
+    {:ok, writer} = Store.Writer.create("r", root)
+    {:ok, a} = Store.Writer.stream(writer, "A", type: :float)
+    {:ok, _} = Store.Writer.stream(writer, "Pids", type: :any)
+
+    messages =
+      for i <- 1..5,
+          do: %Message{
+            data: i / 2,
+            originating_time: i * 1_000,
+            creation_time: i * 1_000,
+            sequence_id: i
+          }
+
+    {:ok, _} = Store.Writer.append(a, messages)
+    :ok = Store.Writer.close(writer)
+    %{path: writer.path}
+  end
+
+  test "a stream as a file of each format, and the file read back", %{path: path, tmp_dir: root} do
+    for {ending, format} <- [csv: :csv, json: :json, jsonl: :json_lines, msgpack: :message_pack] do
+      file = Path.join(root, "a.#{ending}")
+
+      assert capture_io(fn ->
+               assert Situ.CLI.run(["store", "save", path, file, "-s", "A"]) == 0
+             end) == ""
+
+      read = Enum.to_list(Bridge.File.messages(file, format))
+      assert Enum.map(read, &elem(&1, 0)) == for(i <- 1..5, do: i * 1_000)
+      refute File.exists?(file <> ".unfinished")
+    end
+  end
+
+  test "which stream, which format, where to: told when it is not clear", %{
+    path: path,
+    tmp_dir: root
+  } do
+    for {argv, status, said} <- [
+          {[path, Path.join(root, "x.csv")], 1, "A, Pids"},
+          {[path, Path.join(root, "x.doc"), "-s", "A"], 2, "format"},
+          {[path, Path.join(root, "no/x.csv"), "-s", "A"], 1, "cannot write"},
+          {[path, Path.join(root, "x.csv"), "-s", "B"], 1, "no stream"}
+        ] do
+      assert capture_io(:stderr, fn -> assert Situ.CLI.run(["store", "save" | argv]) == status end) =~
+               said
+    end
+  end
+
+  defp both(root) do
+    {:ok, writer} = Store.Writer.create("both", root)
+
+    for {name, more} <- [{"Room.A", 0}, {"Room.B", 100}] do
+      {:ok, stream} = Store.Writer.stream(writer, name, type: :integer)
+
+      messages =
+        for i <- 1..9,
+            do: %Message{data: i + more, originating_time: i, creation_time: i, sequence_id: i}
+
+      {:ok, _} = Store.Writer.append(stream, messages)
+    end
+
+    :ok = Store.Writer.close(writer)
+    writer.path
+  end
+
+  test "a stream as a Parquet table", %{path: path, tmp_dir: root} do
+    file = Path.join(root, "a.parquet")
+    argv = ["store", "save", path, file, "-s", "A", "--compression", "gzip", "--json"]
+    assert {0, said} = with_io(fn -> Situ.CLI.run(argv) end)
+
+    assert {:ok, %{"messages" => 5, "format" => "parquet", "stream" => "A"}} =
+             Situ.JSON.decode(said)
+
+    assert Enum.to_list(Bridge.Parquet.messages(file)) == for(i <- 1..5, do: {i * 1_000, i / 2})
+  end
+
+  test "a recording as an MCAP file and as a bag, whole and in part", %{tmp_dir: root} do
+    path = both(root)
+    {:ok, _} = Application.ensure_all_started(:situ_bridge)
+
+    for ending <- ["mcap", "bag"] do
+      file = Path.join(root, "r.#{ending}")
+      assert {0, said} = with_io(fn -> Situ.CLI.run(["store", "save", path, file, "--json"]) end)
+      assert {:ok, %{"messages" => 18, "streams" => 2}} = Situ.JSON.decode(said)
+      assert store = Store.open!(file)
+
+      assert for(i <- Store.streams(store), do: {i.name, i.count}) |> Enum.sort() == [
+               {"Room.A", 9},
+               {"Room.B", 9}
+             ]
+
+      span = ["--from", "3", "--to", "5"]
+      argv = ["store", "export", path, file, "-s", "Room.*", "-x", "*.A"] ++ span
+      assert {0, _} = with_io(fn -> Situ.CLI.run(argv) end)
+      store = Store.open!(file)
+      assert [%{name: "Room.B"} = info] = Store.streams(store)
+      assert for(m <- Store.messages(store, info), do: m.originating_time) == [3, 4, 5]
+    end
+  end
+
+  test "what goes only into a file is not printed, what cannot be packed is not", %{path: path} do
+    for {argv, said} <- [
+          {["-", "--format", "mcap"], "not to standard output"},
+          {["-", "--format", "parquet", "-s", "A"], "not to standard output"},
+          {["x.csv", "-s", "A", "--compression", "zstd"], "no such --compression"},
+          {["x.parquet", "-s", "A", "--compression", "lz4"], "it may be none, gzip"}
+        ] do
+      assert capture_io(:stderr, fn ->
+               assert Situ.CLI.run(["store", "save", path | argv]) == 2
+             end) =~
+               said
+    end
+  end
+end

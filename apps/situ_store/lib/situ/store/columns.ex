@@ -1,0 +1,68 @@
+defmodule Situ.Store.Columns do
+  @moduledoc """
+  Plain numbers of a stream side by side, as bytes: for whoever computes with millions of them (`Nx.from_binary/2`),
+  or writes them into tables. A message by itself takes a hundred times as long.
+
+      iex> root = System.tmp_dir!() <> "/situ-doc-columns"
+      iex> {:ok, writer} = Situ.Store.Writer.create("levels", root)
+      iex> {:ok, stream} = Situ.Store.Writer.stream(writer, "Level", type: :float)
+      iex> messages = [%Situ.Message{data: 0.5, originating_time: 1, creation_time: 2, sequence_id: 1}]
+      iex> {:ok, _} = Situ.Store.Writer.append(stream, messages)
+      iex> :ok = Situ.Store.Writer.close(writer)
+      iex> {:ok, store} = Situ.Store.open(writer.path)
+      iex> [%Situ.Store.Columns{kind: :float, count: 1} = columns] = Enum.to_list(Situ.Store.columns(store, "Level"))
+      iex> for <<x::little-float-64 <- columns.values>>, do: x
+      [0.5]
+      iex> Situ.Store.delete(writer.path)
+      :ok
+
+  `times` and `creation_times` are nanoseconds, eight bytes each (little-endian, signed); `values` are eight bytes each
+  (`:integer`: little-endian, signed; `:float`: little-endian, finite), or one each, 0 or 1 (`:boolean`).
+  """
+
+  @enforce_keys [:kind, :count, :times, :creation_times, :values]
+  defstruct [:kind, :count, :times, :creation_times, :values]
+
+  @type kind :: :integer | :float | :boolean
+  @type t :: %__MODULE__{
+          kind: kind(),
+          count: pos_integer(),
+          times: binary(),
+          creation_times: binary(),
+          values: binary()
+        }
+
+  @doc "The messages as pairs of originating time and value."
+  @spec pairs(t()) :: [{Situ.Time.t(), number() | boolean()}]
+  def pairs(columns) do
+    times = for <<time::little-signed-64 <- columns.times>>, do: time
+    Enum.zip(times, values(columns))
+  end
+
+  @doc "The values as a list."
+  @spec values(t()) :: [number() | boolean()]
+  def values(%{kind: :integer, values: bytes}), do: for(<<n::little-signed-64 <- bytes>>, do: n)
+  def values(%{kind: :float, values: bytes}), do: for(<<x::little-float-64 <- bytes>>, do: x)
+  def values(%{kind: :boolean, values: bytes}), do: for(<<b <- bytes>>, do: b == 1)
+
+  @doc "Columns of at most `most` messages each, in order."
+  @spec split(t(), pos_integer()) :: [t()]
+  def split(%{count: count} = columns, most) when count <= most, do: [columns]
+
+  def split(columns, most) do
+    for at <- 0..(columns.count - 1)//most do
+      n = min(most, columns.count - at)
+
+      %{
+        columns
+        | count: n,
+          times: binary_part(columns.times, at * 8, n * 8),
+          creation_times: binary_part(columns.creation_times, at * 8, n * 8),
+          values: binary_part(columns.values, at * width(columns), n * width(columns))
+      }
+    end
+  end
+
+  defp width(%{kind: :boolean}), do: 1
+  defp width(_columns), do: 8
+end

@@ -1,0 +1,46 @@
+defmodule Situ.Store.Columns.Reading do
+  @moduledoc false
+  # A stream's parts: columns where its messages are plain numbers, else lists of messages.
+  alias Situ.{Message, Options}
+  alias Situ.Store.{Columns, Handle, Reading, StreamInfo}
+
+  @options Keyword.take(Reading.message_options(), [:from, :to, :index, :skip_damage])
+
+  @spec options() :: Options.schema()
+  def options, do: @options
+
+  @spec columns(Handle.t(), Reading.name(), keyword()) :: Enumerable.t()
+  def columns(store, name, opts \\ []) do
+    opts = Options.validate!(opts, @options)
+    info = Situ.Error.unwrap!(Reading.stream_info(store, name))
+    to = opts[:to] || :unbounded
+
+    Stream.resource(
+      fn -> Reading.first_ordinal(store, info, opts) end,
+      fn ordinal ->
+        case part(store, info, ordinal, to, opts) do
+          {:ok, [], _} -> {:halt, ordinal}
+          {:ok, found, next} -> {[found], next}
+          {:error, error} -> raise error
+        end
+      end,
+      fn _ -> :ok end
+    )
+  end
+
+  # Messages where there are no numbers; and where there is damage: reading them tells, or passes over it.
+  @spec part(Handle.t(), StreamInfo.t(), non_neg_integer(), Situ.Time.t() | :unbounded, keyword()) ::
+          {:ok, Columns.t() | [Message.t()], non_neg_integer()} | {:error, Situ.Error.t()}
+  defp part(store, info, ordinal, to, opts) do
+    found =
+      if function_exported?(store.module, :columns, 4),
+        do: store.module.columns(store.state, info, ordinal, to),
+        else: :others
+
+    case found do
+      {:ok, _, _} -> found
+      :ended -> {:ok, [], ordinal}
+      _others_or_damage -> Reading.batch(store, info, ordinal, to, 1_000, opts)
+    end
+  end
+end
