@@ -91,6 +91,20 @@ end
 
 Task.start_link(fn -> ticker.(ticker, 0) end)
 
+# A camera of 640 x 480, thirty pictures a second.
+shades = for i <- 0..29, do: Situ.Image.filled(640, 480, :rgb24, [i * 8, 255 - i * 8, 90])
+shades = List.to_tuple(shades)
+
+{:ok, camera} =
+  Situ.Pipeline.start(
+    fn p ->
+      p
+      |> Situ.from_enumerable(0..9_999_999, every: 33_333_333, name: "Tick")
+      |> Situ.map(&elem(shades, rem(&1, 30)), name: "Image", type: Situ.Image)
+    end,
+    pipeline: [name: "Camera", replay: [speed: 1.0]]
+  )
+
 # One that ends when the tests say so.
 {:ok, brief} =
   Situ.Pipeline.start(
@@ -151,7 +165,7 @@ plugins = PluginFixture.folder(work)
     port: 0,
     path: folder,
     sources: sources,
-    pipelines: [pipeline, factory, brief],
+    pipelines: [pipeline, factory, brief, camera],
     plugins: [plugins],
     layouts: layouts
   )
@@ -164,6 +178,22 @@ plugins = PluginFixture.folder(work)
     layouts: layouts,
     read_only: true,
     token: "the-very-secret-token"
+  )
+
+# One that a proxy serves under a path, with TLS ended there; the test starts the proxy.
+{:ok, taken} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
+{:ok, proxy_port} = :inet.port(taken)
+:gen_tcp.close(taken)
+
+{:ok, behind} =
+  Situ.Studio.start_link(
+    id: "behind",
+    port: 0,
+    path: folder,
+    pipelines: [factory],
+    layouts: layouts,
+    token: "the-very-secret-token",
+    public: "https://localhost:#{proxy_port}/lab/studio"
   )
 
 # Two whose sensor is a page; the second takes no pictures.
@@ -197,6 +227,8 @@ IO.puts(
       "main" => base.(main),
       "guarded" => Situ.Studio.url(guarded),
       "mortal" => base.(mortal),
+      "behind" => Situ.Studio.url(behind),
+      "behind_port" => Situ.Studio.port(behind),
       "away" => signal,
       "sensor" => sensed,
       "folder" => folder,

@@ -66,6 +66,9 @@ defmodule Situ.Live do
     * `:layout` - the component that writes the page around a view
     * `:hosts` - names the server answers for: `:any`, or a list; default the loopback names there, `:any` elsewhere
     * `:origins` - foreign origins that may connect, such as `"https://lab.example.org"`
+    * `:public` - the address under which browsers reach the server through a proxy, such as
+      `"https://lab.example.org/studio"`: its host and origin are let in, its path is taken off requests, and cookies,
+      redirects and `url/2` are made for it
     * `:headers` - headers added to every response
     * `:max_body`, `:max_frame` - bytes, default 1,000,000 each; `:max_sockets` - WebSockets at a time, default 500
     * `:body_ms` - how long the whole of a body may take to come, default 30,000
@@ -75,10 +78,22 @@ defmodule Situ.Live do
   """
   use Supervisor
   alias Situ.Error
-  alias Situ.Live.{Endpoint, Listener, Route, Yaws}
+  alias Situ.Live.{Endpoint, Listener, Public, Route, Yaws}
 
   @loopback_names ["localhost", "127.0.0.1", "::1"]
-  @known [:routes, :port, :ip, :token, :secret, :layout, :hosts, :origins, :headers, :max_body] ++
+  @known [
+           :public,
+           :routes,
+           :port,
+           :ip,
+           :token,
+           :secret,
+           :layout,
+           :hosts,
+           :origins,
+           :headers,
+           :max_body
+         ] ++
            [:max_frame, :max_sockets, :body_ms, :flow, :tls, :name]
 
   @security_headers [
@@ -132,6 +147,7 @@ defmodule Situ.Live do
     loopback? = loopback?(ip)
 
     with {:ok, port} <- port_of(opts, ip),
+         {:ok, public} <- Public.parse(opts[:public]),
          {:ok, token} <- token(Keyword.get(opts, :token, :auto), loopback?) do
       {:ok,
        %Endpoint{
@@ -142,9 +158,10 @@ defmodule Situ.Live do
          port: port,
          scheme: if(opts[:tls], do: "https", else: "http"),
          token: token,
-         hosts: opts[:hosts] || if(loopback?, do: @loopback_names, else: :any),
+         hosts: hosts(opts[:hosts], loopback?, public),
+         public: public,
          layout: opts[:layout],
-         origins: opts[:origins] || [],
+         origins: (opts[:origins] || []) ++ Public.origins(public),
          headers: @security_headers ++ (opts[:headers] || []),
          max_body: opts[:max_body] || 1_000_000,
          body_ms: opts[:body_ms] || 30_000,
@@ -154,6 +171,10 @@ defmodule Situ.Live do
        }}
     end
   end
+
+  defp hosts(nil, false, _), do: :any
+  defp hosts(:any, _, _), do: :any
+  defp hosts(names, _, public), do: (names || @loopback_names) ++ Public.hosts(public)
 
   defp port_of(opts, ip) do
     case Keyword.get(opts, :port, 4040) do
@@ -207,7 +228,8 @@ defmodule Situ.Live do
   def url(server, path \\ "/") do
     config = endpoint(server)
     query = if config.token, do: "?token=#{URI.encode_www_form(config.token)}", else: ""
-    "#{config.scheme}://#{host(config.ip)}:#{config.port}#{path}#{query}"
+    own = "#{config.scheme}://#{host(config.ip)}:#{config.port}"
+    "#{if config.public, do: config.public.url, else: own}#{path}#{query}"
   end
 
   defp host({127, 0, 0, 1}), do: "localhost"

@@ -22,14 +22,16 @@ function page() {
   if (studio) return studio;
   const root = document.getElementById("studio");
   const d = root.dataset;
+  // what stands before the studio's own paths, where a proxy stands before the studio
+  const base = new URL(document.baseURI).pathname.replace(/\/$/, "");
   const ws = location.protocol === "https:" ? "wss:" : "ws:";
   const q = `source=${encodeURIComponent(d.source)}`;
   studio = new Studio(root, {
-    dataUrl: `${ws}//${location.host}${d.base}/data/socket?${q}`,
-    pcmUrl: `${d.base}/data/pcm?${q}`,
-    stepUrl: `${d.base}/data/step?${q}`,
+    dataUrl: `${ws}//${location.host}${base}/data/socket?${q}`,
+    pcmUrl: `${base}/data/pcm?${q}`,
+    stepUrl: `${base}/data/step?${q}`,
     source: d.source,
-    base: d.base,
+    base,
     layout: d.layout,
     edit: d.edit,
     annotate: d.annotate,
@@ -276,7 +278,10 @@ const hooks = {
   ...extraHooks,
 };
 
-const liveSocket = new LiveSocket("/live", Socket, { params: connectParams, hooks: { SituFlow, ...hooks } });
+const liveSocket = new LiveSocket(new URL("live", document.baseURI).pathname, Socket, {
+  params: connectParams,
+  hooks: { SituFlow, ...hooks },
+});
 liveSocket.disableDebug();
 liveSocket.connect();
 window.liveSocket = liveSocket;

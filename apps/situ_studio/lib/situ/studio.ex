@@ -37,6 +37,13 @@ defmodule Situ.Studio do
           "in the user's configuration folder (`Situ.Certificate`)."
     ],
     hosts: [type: :any, default: nil, doc: "Host names the server answers for; see `Situ.Live`."],
+    public: [
+      type: {:optional, :string},
+      default: nil,
+      doc:
+        "The address of the studio behind a proxy, such as `https://lab.example.org/studio`; see the guide " <>
+          "\"The studio\"."
+    ],
     read_only: [type: :boolean, default: false, doc: "Nothing on disk can be changed."],
     layouts: [type: {:optional, :string}, default: nil, doc: "The folder of saved layouts."],
     visualizers: [
@@ -149,12 +156,21 @@ defmodule Situ.Studio do
       port: opts[:port],
       ip: opts[:ip],
       token: opts[:token],
-      routes: Web.Routes.all(opts[:id]) ++ Plugins.routes(opts[:plugins]),
-      layout: &Web.Chrome.layout/1,
+      routes: Web.Routes.all(opts[:id], base(opts)) ++ Plugins.routes(opts[:plugins]),
+      layout: &Web.Chrome.layout(Map.put(&1, :base, base(opts))),
       max_frame: 262_144
     ] ++
       if(opts[:hosts], do: [hosts: opts[:hosts]], else: []) ++
+      if(opts[:public], do: [public: opts[:public]], else: []) ++
       if(opts[:tls] != [], do: [tls: opts[:tls]], else: [])
+  end
+
+  # What every link of a page is relative to.
+  defp base(opts) do
+    case Situ.Live.Public.parse(opts[:public]) do
+      {:ok, %{base: base}} -> base <> "/"
+      _ -> "/"
+    end
   end
 
   @doc "The port a studio listens on."
@@ -164,7 +180,7 @@ defmodule Situ.Studio do
   @doc "The address to open, with the token when one is needed; `item` opens one recording."
   @spec url(Supervisor.supervisor(), String.t() | nil) :: String.t()
   def url(studio, item \\ nil) do
-    path = if item, do: Web.Address.of(item), else: "/"
+    path = if item, do: "/" <> Web.Address.of(item), else: "/"
     studio |> live_server() |> Situ.Live.url(path)
   end
 

@@ -1,7 +1,7 @@
 defmodule Situ.Live.Dead do
   @moduledoc false
   # The first HTML of a page: the view rendered once without a browser, in the layout, with its signed session.
-  alias Situ.Live.{Html, Page, Request, Response, Route, Socket, Token}
+  alias Situ.Live.{Html, Page, Public, Request, Response, Route, Socket, Token}
 
   @csp "default-src 'self'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' blob: data:; " <>
          "media-src 'self' blob:; worker-src 'self' blob:; connect-src 'self'; object-src 'none'; base-uri 'self'; " <>
@@ -17,6 +17,7 @@ defmodule Situ.Live.Dead do
 
     case socket.navigation do
       nil -> page(config, route, socket, session)
+      {_, %{"to" => "/" <> _ = to}} -> Response.redirect(Public.base(config.public) <> to)
       {_, %{"to" => to}} -> Response.redirect(to)
     end
   end

@@ -2,7 +2,7 @@ defmodule Situ.Live.Endpoint do
   @moduledoc false
   # The configuration of one server (kept in a persistent term: read at each request), and the gate every request
   # passes: host, token, origin, route. Pure: takes a request, says what to do.
-  alias Situ.Live.{Dead, Guesses, Request, Response, Route, Static, Token}
+  alias Situ.Live.{Dead, Guesses, Public, Request, Response, Route, Static, Token}
 
   @cookie_age_s 30 * 86_400
 
@@ -16,6 +16,7 @@ defmodule Situ.Live.Endpoint do
     :scheme,
     :token,
     :hosts,
+    :public,
     layout: nil,
     origins: [],
     headers: [],
@@ -47,7 +48,9 @@ defmodule Situ.Live.Endpoint do
 
   @doc "Lets a request in to its route, or answers it."
   @spec admit(t(), Request.t()) :: route() | {:respond, Response.t()}
-  def admit(config, request) do
+  def admit(config, %{segments: segments} = request) do
+    request = %{request | segments: Public.strip(config.public, segments)}
+
     with :ok <- check_host(config, request),
          :ok <- check_token(config, request),
          :ok <- check_origin(config, request) do
@@ -150,7 +153,8 @@ defmodule Situ.Live.Endpoint do
     rest = request.query |> Map.delete("token") |> Situ.Live.Query.encode()
 
     path =
-      "/" <>
+      Public.base(config.public) <>
+        "/" <>
         Enum.map_join(
           request.segments,
           "/",
@@ -158,12 +162,13 @@ defmodule Situ.Live.Endpoint do
         )
 
     cookie = Token.sign(cookie_key(config), "cookie", %{})
-    secure = if config.scheme == "https", do: "; Secure", else: ""
+    public = config.public
+    secure = if config.scheme == "https" or (public && public.secure?), do: "; Secure", else: ""
 
     Response.redirect(if(rest == "", do: path, else: path <> "?" <> rest), 303)
     |> Response.put_header(
       "set-cookie",
-      "#{cookie_name(config)}=#{cookie}; Path=/; HttpOnly; SameSite=Strict; " <>
+      "#{cookie_name(config)}=#{cookie}; Path=#{Public.base(public)}/; HttpOnly; SameSite=Strict; " <>
         "Max-Age=#{@cookie_age_s}#{secure}"
     )
   end
@@ -184,7 +189,11 @@ defmodule Situ.Live.Endpoint do
       else: {:respond, Response.error(403, "requests from another site are refused")}
   end
 
-  defp own?(origin, config, request), do: origin == config.scheme <> "://" <> request.host
+  # Of the host by which the proxy is known only its own origin is one, with its scheme.
+  defp own?(origin, config, request) do
+    host_name(request.host) not in Public.hosts(config.public) and
+      origin == config.scheme <> "://" <> request.host
+  end
 
   @doc false
   def upgrade?(request) do

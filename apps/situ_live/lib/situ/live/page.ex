@@ -1,7 +1,7 @@
 defmodule Situ.Live.Page do
   @moduledoc false
   # From an address to a mounted view: the same for the dead render, for a join and for a patch.
-  alias Situ.Live.{Endpoint, Html, Query, Rendered, Request, Route, Socket, View}
+  alias Situ.Live.{Endpoint, Html, Public, Query, Rendered, Request, Route, Socket, View}
 
   @spec find(Endpoint.t(), String.t()) :: {:ok, Route.t(), map()} | :error
   def find(config, url) when is_binary(url) do
@@ -9,6 +9,7 @@ defmodule Situ.Live.Page do
     target = (uri.path || "/") <> if(uri.query, do: "?" <> uri.query, else: "")
 
     with {:ok, request} <- Request.new("GET", target, %{}),
+         request = %{request | segments: Public.strip(config.public, request.segments)},
          {:ok, %Route{kind: :live} = route, params} <- Route.find(config.routes, request) do
       {:ok, route, Map.merge(request.query, params)}
     else

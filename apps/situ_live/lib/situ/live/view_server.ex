@@ -9,7 +9,7 @@ defmodule Situ.Live.ViewServer do
   use GenServer, restart: :temporary
   require Logger
   alias Situ.JSON
-  alias Situ.Live.{Diff, Endpoint, Flow, Page, Socket, View}
+  alias Situ.Live.{Diff, Endpoint, Flow, Page, Public, Socket, View}
 
   @version "1.2.12"
   @stale_ms 60_000
@@ -63,14 +63,14 @@ defmodule Situ.Live.ViewServer do
 
     case socket.navigation do
       {kind, target} when kind in [:redirect, :live_redirect] ->
-        reply(state, join.ref, "error", %{kind => target})
+        reply(state, join.ref, "error", %{kind => outward(state, target)})
         {:stop, :normal, state}
 
       navigation ->
         state = %{state | socket: socket}
         {diff, state} = diff(state, :all)
         response = %{"rendered" => diff, "liveview_version" => @version}
-        reply(state, join.ref, "ok", patched(response, navigation))
+        reply(state, join.ref, "ok", patched(state, response, navigation))
         follow(state, navigation)
     end
   catch
@@ -80,8 +80,16 @@ defmodule Situ.Live.ViewServer do
       {:stop, {:shutdown, :crashed}, state}
   end
 
-  defp patched(response, {:live_patch, target}), do: Map.put(response, "live_patch", target)
-  defp patched(response, nil), do: response
+  defp patched(state, response, {:live_patch, target}),
+    do: Map.put(response, "live_patch", outward(state, target))
+
+  defp patched(_state, response, nil), do: response
+
+  # As the browser knows it: behind a proxy there may be a path before the server's own.
+  defp outward(state, %{"to" => "/" <> _ = to} = target),
+    do: %{target | "to" => Public.base(state.config.public) <> to}
+
+  defp outward(_state, target), do: target
 
   # -- from the browser
 
@@ -241,7 +249,8 @@ defmodule Situ.Live.ViewServer do
   defp follow(state, nil), do: {:noreply, state}
 
   defp follow(state, {:live_patch, %{"to" => to} = target}) do
-    transmit(state, nil, [state.join_ref, nil, state.topic, "live_patch", target])
+    outward = outward(state, target)
+    transmit(state, nil, [state.join_ref, nil, state.topic, "live_patch", outward])
 
     case Page.find(state.config, to) do
       {:ok, %{target: view} = route, params} when view == state.socket.view ->
@@ -254,7 +263,8 @@ defmodule Situ.Live.ViewServer do
   end
 
   defp follow(state, {kind, target}) do
-    transmit(state, nil, [state.join_ref, nil, state.topic, Atom.to_string(kind), target])
+    outward = outward(state, target)
+    transmit(state, nil, [state.join_ref, nil, state.topic, Atom.to_string(kind), outward])
     {:noreply, state}
   end
 

@@ -18,7 +18,7 @@ const loaded = new Map();
 function load(url) {
   if (!/^\/plugins\/[a-z0-9-]+\/[\w./-]+$/.test(url) || url.includes(".."))
     return Promise.reject(new Error(`${url} is no script of a plug-in`));
-  if (!loaded.has(url)) loaded.set(url, import(url));
+  if (!loaded.has(url)) loaded.set(url, import(new URL(url.slice(1), document.baseURI).href));
   return loaded.get(url);
 }
 

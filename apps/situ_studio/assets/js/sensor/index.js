@@ -75,7 +75,7 @@ async function start() {
 }
 
 function address() {
-  const url = new URL("/sensor/socket" + location.search, location.href);
+  const url = new URL("sensor/socket" + location.search, document.baseURI);
   url.protocol = url.protocol.replace("http", "ws");
   return url.href;
 }

@@ -6,7 +6,7 @@ const HEAD = 16;
 export class Sound {
   static async start(stream, socket, state) {
     const context = new AudioContext();
-    await context.audioWorklet.addModule("/assets/sensor-worklet.js");
+    await context.audioWorklet.addModule(new URL("assets/sensor-worklet.js", document.baseURI));
     const source = context.createMediaStreamSource(new MediaStream(stream.getAudioTracks()));
     const node = new AudioWorkletNode(context, "situ-pieces", { numberOfOutputs: 0 });
     source.connect(node);

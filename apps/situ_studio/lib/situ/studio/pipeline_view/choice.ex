@@ -59,6 +59,6 @@ defmodule Situ.Studio.PipelineView.Choice do
       |> Map.merge(changes)
       |> Map.reject(fn {key, value} -> value in [nil, ""] and key != "fold" end)
 
-    Address.pipeline(assigns.id) <> "?" <> URI.encode_query(now)
+    "/" <> Address.pipeline(assigns.id) <> "?" <> URI.encode_query(now)
   end
 end

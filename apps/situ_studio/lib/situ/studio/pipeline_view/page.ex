@@ -14,7 +14,7 @@ defmodule Situ.Studio.PipelineView.Page do
     ~H"""
     <div class="studio pipeline" id="pipeline" data-selected={@selected}>
       <header class="topbar">
-        <a class="brand" href="/" title="All recordings"><.logo /><span>Situ</span></a>
+        <a class="brand" href="." title="All recordings"><.logo /><span>Situ</span></a>
         <h1 class="where"><a href={Address.of(@id)} title="Its streams">{@id}</a></h1>
         <span class="sep"></span>
         <span class={["state", @snapshot.state]}>{@snapshot.state}</span>

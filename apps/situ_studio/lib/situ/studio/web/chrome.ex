@@ -12,10 +12,11 @@ defmodule Situ.Studio.Web.Chrome do
         <meta charset="utf-8">
         <meta name="viewport" content="width=device-width, initial-scale=1">
         <title>{@page_title || "Situ Studio"}</title>
-        <link rel="icon" href="/assets/favicon.svg">
-        <link rel="stylesheet" href="/assets/studio.css">
-        <script src="/assets/theme.js"></script>
-        <script defer src="/assets/studio.js"></script>
+        <base href={@base}>
+        <link rel="icon" href="assets/favicon.svg">
+        <link rel="stylesheet" href="assets/studio.css">
+        <script src="assets/theme.js"></script>
+        <script defer src="assets/studio.js"></script>
       </head>
       <body>{@inner_content}</body>
     </html>
@@ -32,7 +33,7 @@ defmodule Situ.Studio.Web.Chrome do
         <p :if={@error.why}>{@error.why}</p>
         <p :if={@error.fix}>{@error.fix}</p>
       </div>
-      <p><a class="btn" href="/">All recordings</a></p>
+      <p><a class="btn" href=".">All recordings</a></p>
     </main>
     """
   end
@@ -67,7 +68,7 @@ defmodule Situ.Studio.Web.Chrome do
   def topbar(assigns) do
     ~H"""
     <header class="topbar">
-      <a class="brand" href="/" title="All recordings"><.logo /><span>Situ</span></a>
+      <a class="brand" href="." title="All recordings"><.logo /><span>Situ</span></a>
       <h1 class="where" title={@title}>{@title}</h1>
       <span class="sep"></span>
       <div id="toolbar" phx-update="ignore" style="display: contents">
@@ -142,7 +143,7 @@ defmodule Situ.Studio.Web.Chrome do
       <button :if={@snap} class="snapped" type="button" phx-click="snap" phx-value-stream={@snap}
           title="Release the cursor">cursor snaps to {@snap} ×</button>
       <span class="grow"></span>
-      <a class="linkish" href="/settings" data-settings><kbd>o</kbd> settings</a>
+      <a class="linkish" href="settings" data-settings><kbd>o</kbd> settings</a>
       <button class="linkish" type="button" data-act="help"><kbd>?</kbd> keys</button>
       <button class="linkish" type="button" data-act="palette"><kbd>Ctrl+K</kbd> commands</button>
       <span id="tempo" phx-update="ignore"></span>

@@ -85,7 +85,7 @@ defmodule Situ.Studio.Web.HomeView do
         <span :for={{plugin, what} <- @problems}><b>The plug-in {plugin} is broken:</b> {what}</span>
       </div>
       <p class="hint" role="status">{count(length(@items), length(@found), @query)}
-        <a class="linkish" href="/settings" data-settings>Settings</a></p>
+        <a class="linkish" href="settings" data-settings>Settings</a></p>
       <form :if={length(@items) > 5 or @query != ""} class="search" phx-change="search" phx-submit="search"
           id="search-form">
         <input id="search" name="query" value={@query} placeholder="Search names and streams  /" autocomplete="off"

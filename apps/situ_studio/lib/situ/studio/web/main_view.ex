@@ -284,7 +284,7 @@ defmodule Situ.Studio.Web.MainView do
       )
 
     ~H"""
-    <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-base="" data-layout={@saved.name}
+    <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-layout={@saved.name}
         data-edit={@edit}
         data-annotate={@annotation && @annotation.stream}>
       <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""}

@@ -14,8 +14,8 @@ defmodule Situ.Studio.Web.Routes do
     SettingsView
   }
 
-  @spec all(String.t()) :: [tuple()]
-  def all(studio) do
+  @spec all(String.t(), String.t()) :: [tuple()]
+  def all(studio, base \\ "/") do
     session = %{"studio" => studio}
 
     [
@@ -26,7 +26,7 @@ defmodule Situ.Studio.Web.Routes do
       {:live, "/p/*id", PipelineView, session: session},
       {:static, "/assets", {:situ_studio, "priv/static"}},
       {:socket, "/data/socket", DataHandler, studio, max_frame: 262_144},
-      {:get, "/sensor", {SensorPage, studio}},
+      {:get, "/sensor", {SensorPage, {studio, base}}},
       {:socket, "/sensor/socket", SensorHandler, studio, max_frame: 2_097_152},
       {:get, "/data/window", {DataHttp, {studio, :window}}},
       {:get, "/data/at", {DataHttp, {studio, :at}}},

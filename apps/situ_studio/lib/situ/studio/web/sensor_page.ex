@@ -11,11 +11,12 @@ defmodule Situ.Studio.Web.SensorPage do
     <head>
       <meta charset="utf-8">
       <meta name="viewport" content="width=device-width, initial-scale=1">
+      <base href="{base}">
       <title>Sensor - Situ Studio</title>
-      <link rel="icon" href="/assets/favicon.svg">
-      <link rel="stylesheet" href="/assets/studio.css">
-      <script src="/assets/theme.js"></script>
-      <script type="module" src="/assets/sensor.js"></script>
+      <link rel="icon" href="assets/favicon.svg">
+      <link rel="stylesheet" href="assets/studio.css">
+      <script src="assets/theme.js"></script>
+      <script type="module" src="assets/sensor.js"></script>
     </head>
     <body>
       <main class="message">
@@ -32,7 +33,12 @@ defmodule Situ.Studio.Web.SensorPage do
   </html>
   """
 
-  @spec call(Request.t(), term()) :: Response.t()
-  def call(%Request{}, _studio),
-    do: @html |> Response.html() |> Response.put_header("content-security-policy", @csp)
+  @spec call(Request.t(), {studio :: String.t(), base :: String.t()}) :: Response.t()
+  # a base holds no character that HTML knows (`Situ.Live.Public`)
+  def call(%Request{}, {_studio, base}),
+    do:
+      @html
+      |> String.replace("{base}", base)
+      |> Response.html()
+      |> Response.put_header("content-security-policy", @csp)
 end

@@ -44,7 +44,7 @@ defmodule Situ.Studio.Web.SettingsView do
 
     ~H"""
     <main class="home settings" id="settings" phx-hook="Lists">
-      <h1><a href="/" title="All recordings" aria-label="All recordings"><.logo /></a><span>Settings</span></h1>
+      <h1><a href="." title="All recordings" aria-label="All recordings"><.logo /></a><span>Settings</span></h1>
       <section aria-label="Of this studio">
         <h2>Of this studio, for everybody</h2>
         <p :if={@read_only} class="hint">This studio is read only: they stay as they are.</p>

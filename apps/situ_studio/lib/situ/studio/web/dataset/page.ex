@@ -18,7 +18,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
   def top(assigns) do
     ~H"""
     <header class="topbar">
-      <a class="brand" href="/" title="All recordings"><.logo /><span>Situ</span></a>
+      <a class="brand" href="." title="All recordings"><.logo /><span>Situ</span></a>
       <h1 class="where" title={@file}>{@title}</h1>
       <span class="grow"></span>
       <span :if={@read_only} class="hint">read only</span>

@@ -1,0 +1,100 @@
+defmodule Situ.Live.Public do
+  @moduledoc """
+  The address under which browsers reach a server that stands behind a proxy: who ends TLS and under which path is the
+  proxy's business, and told to the server by `public:`.
+
+      iex> {:ok, public} = Situ.Live.Public.parse("https://lab.example.org:8443/studio/")
+      iex> {public.origin, public.base, public.segments}
+      {"https://lab.example.org:8443", "/studio", ["studio"]}
+      iex> {:error, error} = Situ.Live.Public.parse("lab.example.org")
+      iex> error.code
+      :bad_public
+  """
+  alias Situ.Error
+
+  @enforce_keys [:url, :origin, :host, :base, :segments, :secure?]
+  defstruct [:url, :origin, :host, :base, :segments, :secure?]
+
+  @typedoc "`base` is the path without a slash at its end: empty, or `/studio`; `segments` are its parts."
+  @type t :: %__MODULE__{
+          url: String.t(),
+          origin: String.t(),
+          host: String.t(),
+          base: String.t(),
+          segments: [String.t()],
+          secure?: boolean()
+        }
+
+  @doc "Reads it; `nil` is none. Error: `:bad_public`."
+  @spec parse(term()) :: {:ok, t() | nil} | {:error, Error.t()}
+  def parse(nil), do: {:ok, nil}
+
+  def parse(text) when is_binary(text) do
+    with %URI{scheme: scheme, host: host, query: nil, fragment: nil, userinfo: nil} = uri
+         when scheme in ["http", "https"] and host not in [nil, ""] <- URI.parse(text),
+         segments = String.split(uri.path || "", "/", trim: true),
+         true <- Enum.all?(segments, &(&1 =~ ~r/\A[\w.~-]+\z/ and &1 not in [".", ".."])) do
+      {:ok, of(scheme, String.downcase(host), uri.port, segments)}
+    else
+      _ -> bad(text)
+    end
+  end
+
+  def parse(other), do: bad(other)
+
+  defp of(scheme, host, port, segments) do
+    usual = URI.default_port(scheme)
+    authority = if String.contains?(host, ":"), do: "[#{host}]", else: host
+    origin = "#{scheme}://#{authority}#{if port != usual, do: ":#{port}"}"
+    base = Enum.map_join(segments, &("/" <> &1))
+
+    %__MODULE__{
+      url: origin <> base,
+      origin: origin,
+      host: host,
+      base: base,
+      segments: segments,
+      secure?: scheme == "https"
+    }
+  end
+
+  defp bad(text) do
+    {:error,
+     Error.new(
+       :bad_public,
+       "#{inspect(text, limit: 5, printable_limit: 100)} is no address of a server",
+       fix: "write it like https://lab.example.org/studio"
+     )}
+  end
+
+  @doc "The origins it lets in."
+  @spec origins(t() | nil) :: [String.t()]
+  def origins(nil), do: []
+  def origins(public), do: [public.origin]
+
+  @doc "The host names it lets in."
+  @spec hosts(t() | nil) :: [String.t()]
+  def hosts(nil), do: []
+  def hosts(public), do: [public.host]
+
+  @doc "What stands before every path that a browser is told."
+  @spec base(t() | nil) :: String.t()
+  def base(nil), do: ""
+  def base(public), do: public.base
+
+  @doc """
+  The parts of a path without those of the proxy; a proxy may have taken them off itself.
+
+      iex> {:ok, public} = Situ.Live.Public.parse("https://lab.example.org/studio")
+      iex> {Situ.Live.Public.strip(public, ["studio", "s", "x"]), Situ.Live.Public.strip(public, ["s", "x"])}
+      {["s", "x"], ["s", "x"]}
+  """
+  @spec strip(t() | nil, [String.t()]) :: [String.t()]
+  def strip(nil, segments), do: segments
+
+  def strip(%{segments: own}, segments) do
+    if own != [] and List.starts_with?(segments, own),
+      do: Enum.drop(segments, length(own)),
+      else: segments
+  end
+end
