@@ -9,10 +9,10 @@ defmodule Driver do
     Process.put(:log, Path.join(work, "log"))
     Process.put(:work, work)
     remember(System.pid())
-    nodes = start(%{}, ~w(a b c))
+    Process.put(:net, Net.open(work))
 
     try do
-      results = scenarios(work, nodes, String.to_integer(seconds))
+      results = scenarios(work, start(%{}, ~w(a b c)), random_till(seconds))
       bad = Enum.reject(results, &elem(&1, 1))
       for {name, ok} <- results, do: IO.puts("#{if ok, do: "ok    ", else: "FAILED"} #{name}")
       IO.puts("#{length(results) - length(bad)} passed, #{length(bad)} failed")
@@ -21,13 +21,23 @@ defmodule Driver do
       for pid <- Process.get(:pids, []),
           pid != System.pid(),
           do: System.cmd("kill", ["-KILL", pid], stderr_to_stdout: true)
+
+      Net.close(Process.get(:net))
+    end
+  end
+
+  # "25": seconds. "100x": times.
+  defp random_till(text) do
+    case Integer.parse(text) do
+      {n, "x"} -> {:times, n}
+      {n, ""} -> {:seconds, n}
     end
   end
 
   defp start(nodes, names) do
     Enum.reduce(names, nodes, fn name, nodes ->
       peers = for {_, n} <- nodes, do: n.node
-      node = Nodes.start(Process.get(:log), name, name, peers)
+      node = Nodes.start(Process.get(:log), name, name, peers, Process.get(:net))
       remember(node.pid)
       Map.put(nodes, name, node)
     end)
@@ -61,7 +71,7 @@ defmodule Driver do
 
     {:ok, deployment} = Nodes.call(nodes, :deploy, [Sums, opts])
     nodes = trouble.(deployment, nodes)
-    answer = Nodes.call(nodes, :await, [deployment, 90_000])
+    answer = Nodes.call(nodes, :await, [deployment, 240_000])
     {answer, deployment, nodes}
   end
 
@@ -155,7 +165,7 @@ defmodule Driver do
       else: :ok
   end
 
-  defp scenarios(work, nodes, seconds) do
+  defp scenarios(work, nodes, random) do
     plain = one(nodes, "plain", 1_000, fn _, nodes -> nodes end)
     r1 = {"three nodes give what one gives", same?(plain, 1_000)}
     nodes = elem(plain, 2)
@@ -179,9 +189,13 @@ defmodule Driver do
     nodes = refill(elem(dice, 2))
     {r4, nodes} = zombie(nodes)
     {r5, nodes} = moved(nodes)
-    {rs, nodes} = random(nodes, System.monotonic_time(:second) + seconds, 1, [])
+    {r6, nodes} = upgraded(nodes)
     for {name, _} <- nodes, do: Nodes.kill(nodes, name)
-    [r1, r2, r3, r4, r5] ++ rs ++ nats(work)
+    {rs, nodes} = nats(work)
+    nodes = if nodes == %{}, do: start(%{}, ~w(a b c)), else: nodes
+    {random, nodes} = random(nodes, random, System.monotonic_time(:second), 1, [])
+    for {name, _} <- nodes, do: Nodes.kill(nodes, name)
+    [r1, r2, r3, r4, r5] ++ r6 ++ rs ++ random
   end
 
   defp refill(nodes), do: start(nodes, ~w(a b c) -- Map.keys(nodes))
@@ -224,9 +238,37 @@ defmodule Driver do
     {{"parts are moved while they run", same?(result, 2_000) and Process.get(:moved)}, nodes}
   end
 
-  # The same over NATS: a node is killed, then the server itself, which comes back on what it has kept.
+  # New code on all nodes while they run: Dice says another version, and what it throws still follows.
+  defp upgraded(nodes) do
+    Code.put_compiler_option(:ignore_module_conflict, true)
+
+    source =
+      "sums.exs" |> File.read!() |> String.replace("def version, do: 1", "def version, do: 2")
+
+    dice = source |> Code.compile_string() |> List.keyfind(Dice, 0)
+
+    result =
+      one(nodes, "upgraded", 3_000, fn d, nodes ->
+        until(nodes, d, "Result", 200)
+        Process.put(:upgraded, Nodes.call(nodes, :upgrade, [[dice]]))
+        nodes
+      end)
+
+    took? = match?({:ok, [_, _, _]}, Process.get(:upgraded))
+    versions = for {_, n} <- nodes, do: :erpc.call(n.node, Dice, :version, [])
+    info = Nodes.call(nodes, :info, [elem(result, 1)])
+
+    {[
+       {"new code is taken up by all nodes while they run", same?(result, 3_000) and took?},
+       {"and it is what runs", versions == [2, 2, 2]},
+       {"a deployment is one pipeline to look at", info.pipeline == "upgraded"}
+     ], nodes}
+  end
+
+  # The same over NATS: a node is killed, then the server itself, which comes back on what it has kept. The last nodes
+  # go on to the random part.
   defp nats(work) do
-    if server = Nodes.nats(work) do
+    if server = Nodes.nats(work, Process.get(:net)) do
       remember(server.pid)
       Process.put(:log, server.address)
       nodes = start(%{}, ~w(a b c))
@@ -238,46 +280,120 @@ defmodule Driver do
           until(nodes, d, "Result", 600)
           Nodes.signal(server, "KILL")
           wait(500)
-          server = Nodes.nats(work, server.port)
+          server = Nodes.nats(work, Process.get(:net), server.port)
           remember(server.pid)
           nodes
         end)
 
-      [
-        {"over NATS: a node is killed, then the server",
-         same?({answer, deployment, nodes}, 2_500)}
-      ]
+      ok? = same?({answer, deployment, nodes}, 2_500)
+      {[{"over NATS: a node is killed, then the server", ok?}], refill(nodes)}
     else
       IO.puts(
         "NOT RUN: the log over NATS, since there is no nats-server (bin/setup --for test fetches one)"
       )
 
-      []
+      {[], %{}}
     end
   end
 
-  # Kills and stops at random, as many as there is time for.
-  defp random(nodes, till, i, results) do
-    if System.monotonic_time(:second) >= till do
+  # Something goes wrong at random, as often as there is time for, or as was asked for.
+  defp random(nodes, how, since, i, results) do
+    if enough?(how, since, i) do
       {Enum.reverse(results), nodes}
     else
       victim = Enum.random(Map.keys(nodes))
+      trouble = Enum.random([:kill, :stop, :pause] ++ Net.troubles(Process.get(:net)))
       count = 600 + :rand.uniform(600)
       ms = :rand.uniform(count)
-
-      result =
-        one(nodes, "random#{i}", count, fn _d, nodes ->
-          wait(ms)
-          Nodes.kill(nodes, victim)
-        end)
-
+      {happened, result} = {trouble, troubled(nodes, i, count, ms, victim, trouble)}
       ok? = same?(result, count)
-      nodes = refill(elem(result, 2))
-
-      random(nodes, till, i + 1, [
-        {"random #{i}: #{victim} killed after #{ms} ms", ok?} | results
-      ])
+      nodes = nodes_again(elem(result, 2))
+      name = "random #{i}: #{happened} of #{victim} after #{ms} ms"
+      if match?({:times, _}, how), do: IO.puts("#{if ok?, do: "ok", else: "FAILED"} #{name}")
+      random(nodes, how, since, i + 1, [{name, ok?} | results])
     end
+  end
+
+  defp enough?({:seconds, n}, since, _i), do: System.monotonic_time(:second) - since >= n
+  defp enough?({:times, n}, _since, i), do: i > n
+
+  defp troubled(nodes, i, count, ms, victim, trouble) do
+    # A machine that others use, too, may let nobody run for half a second.
+    lease = [lease: 1_500_000_000]
+
+    one(
+      nodes,
+      "random#{i}",
+      count,
+      fn _d, nodes ->
+        wait(ms)
+        trouble(trouble, nodes, victim)
+      end,
+      lease
+    )
+  end
+
+  # Who is away is asked nothing; it is back when the deployment has ended (`nodes_again/1`), or before.
+  defp trouble(:kill, nodes, victim), do: Nodes.kill(nodes, victim)
+
+  # For longer than its lease, or for less.
+  defp trouble(stop, nodes, victim) when stop in [:stop, :pause] do
+    Nodes.signal(nodes[victim], "STOP")
+    ms = if stop == :stop, do: 3_500, else: 50 + :rand.uniform(250)
+    later(ms, fn -> Nodes.signal(nodes[victim], "CONT") end)
+    away(nodes, victim)
+  end
+
+  defp trouble(:cut, nodes, victim) do
+    net = Process.get(:net)
+    Net.cut(net, victim)
+    later(3_500, fn -> Net.heal(net, victim) end)
+    away(nodes, victim)
+  end
+
+  defp trouble(:thin, nodes, victim) do
+    net = Process.get(:net)
+    Net.thin(net, victim)
+    later(3_500, fn -> Net.heal(net, victim) end)
+    nodes
+  end
+
+  defp later(ms, fun) do
+    task =
+      Task.async(fn ->
+        wait(ms)
+        fun.()
+      end)
+
+    Process.put(:healing, [task | Process.get(:healing, [])])
+  end
+
+  defp away(nodes, victim) do
+    Process.put(:away, {victim, nodes[victim]})
+    Map.delete(nodes, victim)
+  end
+
+  defp nodes_again(nodes) do
+    Task.await_many(Process.get(:healing, []), 60_000)
+    Process.put(:healing, [])
+
+    nodes =
+      case Process.delete(:away) do
+        {name, node} -> back(nodes, name, node)
+        nil -> nodes
+      end
+
+    refill(nodes)
+  end
+
+  # Connected to all others again, or ended and started anew.
+  defp back(nodes, name, node) do
+    for {_, other} <- nodes, do: :erpc.call(other.node, Node, :connect, [node.node])
+    members = fn -> Enum.map(nodes, fn {_, n} -> :erpc.call(n.node, Node, :list, []) end) end
+
+    if Node.connect(node.node) == true and Enum.all?(members.(), &(node.node in &1)),
+      do: Map.put(nodes, name, node),
+      else: Nodes.kill(Map.put(nodes, name, node), name)
   end
 end
 

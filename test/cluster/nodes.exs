@@ -1,21 +1,25 @@
 # Nodes as OS processes: started, killed, stopped, asked.
 defmodule Nodes do
-  def start(log, name, labels, peers) do
-    node = :"#{name}-#{free_port()}@127.0.0.1"
+  def start(log, name, labels, peers, net) do
+    ip = Net.ip(net, name)
+    node = :"#{name}-#{free_port()}@#{ip}"
+    tuple = "{" <> String.replace(ip, ".", ",") <> "}"
     ebin = System.get_env("SITU_EBIN") |> String.split()
 
     erl =
       Enum.map_join(ebin, " ", &"-pa #{&1}") <>
         " -start_epmd false -epmd_module Elixir.Situ.Cluster.Epmd +sbwt none" <>
-        " -kernel inet_dist_use_interface {127,0,0,1} prevent_overlapping_partitions false logger_level error"
+        " -kernel inet_dist_use_interface #{tuple} prevent_overlapping_partitions false logger_level error"
 
     args =
       ["--name", "#{node}", "--cookie", "#{Node.get_cookie()}", "--erl", erl] ++
         ["-r", "sums.exs", "node.exs", log, labels] ++
         Enum.map(peers, &to_string/1)
 
+    [program | args] = Net.within(net, name, [System.find_executable("elixir") | args])
+
     port =
-      Port.open({:spawn_executable, System.find_executable("elixir")}, [
+      Port.open({:spawn_executable, program}, [
         :binary,
         :exit_status,
         :stderr_to_stdout,
@@ -41,9 +45,9 @@ defmodule Nodes do
   end
 
   @doc "A nats-server on this machine, or `nil` where there is none."
-  def nats(work, port \\ free_port()) do
+  def nats(work, net, port \\ free_port()) do
     if path = nats_path() do
-      args = ["-a", "127.0.0.1", "-p", "#{port}", "-js", "-sd", Path.join(work, "nats")]
+      args = ["-a", Net.ip(net, :here), "-p", "#{port}", "-js", "-sd", Path.join(work, "nats")]
 
       process =
         Port.open({:spawn_executable, path}, [
@@ -54,7 +58,13 @@ defmodule Nodes do
         ])
 
       {:os_pid, pid} = Port.info(process, :os_pid)
-      %{address: "nats://127.0.0.1:#{port}", port: port, pid: "#{pid}", process: process}
+
+      %{
+        address: "nats://#{Net.ip(net, :here)}:#{port}",
+        port: port,
+        pid: "#{pid}",
+        process: process
+      }
     end
   end
 
@@ -83,7 +93,7 @@ defmodule Nodes do
 
   def call(nodes, fun, args) do
     node = nodes |> Map.values() |> hd() |> Map.fetch!(:node)
-    :erpc.call(node, Situ.Cluster, fun, args, 120_000)
+    :erpc.call(node, Situ.Cluster, fun, args, 300_000)
   end
 
   def free_port do

@@ -3,6 +3,8 @@
 defmodule Dice do
   use Situ.Component, inputs: [in: :any], outputs: [out: :any]
 
+  def version, do: 1
+
   @impl true
   def init(_opts), do: {:ok, 0}
 

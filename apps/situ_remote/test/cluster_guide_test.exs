@@ -8,7 +8,7 @@ defmodule Situ.ClusterGuideTest do
   @tag :capture_log
   test "every block of the guide runs and gives what it says", %{tmp_dir: folder} do
     blocks = Regex.scan(~r/```elixir\n(.*?)```/s, File.read!(@guide), capture: :all_but_first)
-    assert length(blocks) == 2
+    assert length(blocks) == 3
     on_exit(fn -> if pid = Process.whereis(Situ.Cluster.Agent), do: Process.exit(pid, :kill) end)
 
     Enum.reduce(blocks, [folder: folder], fn [block], binding ->

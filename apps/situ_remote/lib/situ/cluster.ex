@@ -59,8 +59,9 @@ defmodule Situ.Cluster do
 
   #{Situ.Options.docs(Situ.Cluster.Deployment.place_schema())}
   """
-  alias Situ.Cluster.{Agent, Assembly, Chunk, Deployment, Plan, Runner}
-  alias Situ.{Error, Options}
+  alias Situ.Cluster.{Agent, Assembly, Balance, Balancer, Chunk, Deployment, Logs, Overview}
+  alias Situ.Cluster.{Placement, Plan, Runner, Upgrade, Vitals, Whole}
+  alias Situ.{Error, Options, Pipeline}
   alias Situ.Remote.Log
 
   @schema [
@@ -70,6 +71,11 @@ defmodule Situ.Cluster do
       type: {:list, :string},
       default: [],
       doc: "What rules of `place:` may call this node."
+    ],
+    devices: [
+      type: {:list, :string},
+      default: [],
+      doc: "What is plugged in here, as rules `on: {:near, device}` call it."
     ]
   ]
 
@@ -89,7 +95,13 @@ defmodule Situ.Cluster do
   def start_link(opts) do
     with {:ok, opts} <- Options.validate(opts, @schema),
          {:ok, log} <- log(opts[:log], opts[:log_options]),
-         do: Agent.start_link(log: log, labels: opts[:labels])
+         do:
+           Agent.start_link(
+             log: log,
+             labels: opts[:labels],
+             devices: opts[:devices],
+             beside: [{Balancer, &balance/1}]
+           )
   end
 
   @doc "As `start_link/1`, for shells and scripts: it does not end with its caller."
@@ -294,6 +306,103 @@ defmodule Situ.Cluster do
         do: Runner.release(runner, true)
 
     :ok
+  end
+
+  @doc """
+  Moves one part to a less busy node, if that helps: parts without a rule go anywhere, others where their first rule
+  allows. Measures for a second. Answers what it moved, or `nil`.
+
+  What a part costs is the time that its components spend on messages; what a device's driver or `ffmpeg` uses beside
+  them counts for the machine alone. With `balance:` among the options of `deploy/2` this is done by itself.
+  """
+  @spec balance(t()) :: {:ok, {String.t(), node()} | nil} | {:error, Error.t()}
+  def balance(%Deployment{} = deployment) do
+    before = busy(deployment)
+
+    receive do
+    after
+      1_000 -> :ok
+    end
+
+    later = busy(deployment)
+    {members, plan} = {Agent.known(), Agent.plan(deployment.name)}
+
+    parts =
+      for {part, {node, at, sum}} <- later, {^node, since, start} <- [before[part]] do
+        on = Placement.equals(members, plan.parts[part].rule)
+        %{part: part, node: node, cost: (sum - start) / max(at - since, 1), on: on}
+      end
+
+    case Balance.move(Vitals.all(), parts) do
+      nil -> {:ok, nil}
+      {part, to} -> with :ok <- move(deployment, part, to), do: {:ok, {part, to}}
+    end
+  end
+
+  # What its components have spent on messages up to now, ns.
+  defp busy(deployment) do
+    for {part, node, snapshot} <- snapshots(deployment), into: %{} do
+      spent = for %{kind: :process, busy: busy} <- snapshot.edges, do: busy
+      {part, {node, System.monotonic_time(:nanosecond), Enum.sum(spent)}}
+    end
+  end
+
+  @doc "The deployment as one pipeline: a `Situ.Diagnostics.Snapshot` of all parts that run, joined."
+  @spec info(t()) :: Situ.Diagnostics.Snapshot.t()
+  def info(%Deployment{} = deployment), do: Whole.merge(deployment.name, snapshots(deployment))
+
+  defp snapshots(deployment) do
+    for %{part: part, node: node, pipeline: pid} when pid != nil <- parts(deployment),
+        snapshot <- snapshot(pid),
+        do: {part, node, snapshot}
+  end
+
+  defp snapshot(pid) do
+    [Pipeline.info(pid)]
+  rescue
+    # It has ended meanwhile.
+    Error -> []
+  catch
+    :exit, _ -> []
+  end
+
+  defp parts(deployment), do: Overview.parts(deployment, Map.keys(Agent.info().members))
+
+  @doc "Nodes, parts, streams and links of the whole cluster now."
+  @spec overview() :: Overview.t()
+  defdelegate overview, to: Overview, as: :now
+
+  @doc """
+  The pipelines that run on all nodes, by title: what the studio watches (`Situ.Studio`, `pipelines:`) as if they ran
+  here.
+  """
+  @spec pipelines() :: [{String.t(), pid()}]
+  def pipelines do
+    if Process.whereis(Agent) do
+      for %{deployment: d, part: part, pipeline: pid} when pid != nil <- overview().parts,
+          do: {"#{d}/#{part}", pid}
+    else
+      []
+    end
+  end
+
+  @doc """
+  New code on every node while its parts run: modules as this node has them, or `{module, beam}`. See
+  `Situ.Cluster.Upgrade`.
+  """
+  @spec upgrade([module() | {module(), binary()}]) :: {:ok, [node()]} | {:error, Error.t()}
+  def upgrade(modules) do
+    with :ok <- member(), {:ok, code} <- Upgrade.code(modules), do: Upgrade.run(code)
+  end
+
+  @doc "The last lines that a member has logged, behind line number `from`."
+  @spec logs(node(), non_neg_integer(), pos_integer()) ::
+          {:ok, [Logs.line()]} | {:error, Error.t()}
+  def logs(node \\ node(), from \\ 0, most \\ 200) do
+    {:ok, :erpc.call(node, Logs, :read, [from, most], 10_000)}
+  catch
+    _, reason ->
+      {:error, Error.new(:unreachable, "#{node} is lost: #{inspect(reason, limit: 5)}")}
   end
 
   defp everywhere(deployment) do

@@ -275,6 +275,25 @@ defmodule Situ.Remote do
   def info(%__MODULE__{pid: pid}), do: Connection.info(pid)
 
   @doc """
+  The links that pipelines of this node have open now: `address`, and what `info/1` tells of each.
+  """
+  @spec links() :: [map()]
+  def links do
+    all = Registry.select(Situ.Remote.Links, [{{:_, :"$1", :"$2"}, [], [{{:"$1", :"$2"}}]}])
+
+    for {pid, address} <- all,
+        info <- told(pid),
+        do: Map.put(info, :address, address)
+  end
+
+  # It may be just about to end.
+  defp told(pid) do
+    [Connection.info(pid)]
+  catch
+    :exit, _ -> []
+  end
+
+  @doc """
   Where links lead that are known now: the configured names (`config :situ_remote, names: %{...}`), and what the other
   processes at a rendezvous offer (`members` are of `Situ.Remote.Rendezvous.join/2`).
 

@@ -4,7 +4,7 @@ defmodule Situ.CLI.Cluster do
 
   alias Situ.{Cluster, Error}
   alias Situ.Cluster.Identity
-  alias Situ.CLI.{Option, Output, Verb}
+  alias Situ.CLI.{ClusterNode, Option, Output, Verb}
 
   @node Option.new(:node, :string, "a node of the cluster, as situ-9301@10.0.0.1", value: "NODE")
   @folder Option.new(
@@ -36,6 +36,8 @@ defmodule Situ.CLI.Cluster do
             value: "ADDRESS"
           ),
           Option.new(:label, :string, "what rules of place may call it", many?: true),
+          Option.new(:device, :string, "what is plugged in here (rules near:DEVICE)", many?: true),
+          Option.new(:studio, :integer, "show the cluster in a studio on this port of 127.0.0.1"),
           Option.new(:peer, :string, "another node to begin with", value: "NODE", many?: true),
           Option.new(:require, :path, "Elixir file with the pipelines", many?: true),
           @folder
@@ -55,11 +57,15 @@ defmodule Situ.CLI.Cluster do
         summary: "run a pipeline over the cluster",
         arguments: [module: [kind: :text, doc: "the pipeline, a module that the nodes have"]],
         options: [
-          Option.new(:place, :string, "where a part runs: Path=LABEL, Path=LABEL,deterministic",
+          Option.new(
+            :place,
+            :string,
+            "where a part runs: Path=LABEL or Path=near:DEVICE; then ,deterministic or ,only",
             value: "RULE",
             many?: true
           ),
           Option.new(:checkpoint, :span, "between checkpoints", default: 1_000_000_000),
+          Option.new(:balance, :span, "how often to look whether a part should move"),
           @node,
           @folder
         ],
@@ -91,6 +97,7 @@ defmodule Situ.CLI.Cluster do
         examples: ["situ cluster drain Hall situ-9302@127.0.0.1 --node situ-9301@127.0.0.1"],
         run: &drain/2
       }
+      | ClusterNode.verbs([@node, @folder], &ask/4)
     ]
   end
 
@@ -117,8 +124,13 @@ defmodule Situ.CLI.Cluster do
       Output.warn("situ cluster: #{peer} does not answer; it is not waited for")
     end
 
-    {:ok, agent} = Cluster.join(log: log, labels: opts[:label]) |> joined()
+    settings = [log: log, labels: opts[:label], devices: opts[:device]]
+    {:ok, agent} = settings |> Cluster.join() |> joined()
     Output.puts("#{name} is up")
+
+    if opts[:studio],
+      do: Output.puts("the cluster is shown at #{ClusterNode.studio(opts[:studio])}cluster")
+
     monitor = Process.monitor(agent)
 
     receive do
@@ -174,7 +186,7 @@ defmodule Situ.CLI.Cluster do
   defp deploy(module, opts) do
     module = Module.concat([module])
     place = Enum.map(opts[:place], &rule/1)
-    settings = [place: place, checkpoint: opts[:checkpoint]]
+    settings = [place: place, checkpoint: opts[:checkpoint], balance: opts[:balance]]
     deployment = Error.unwrap!(ask(opts, Cluster, :deploy, [module, settings]))
     Output.puts("#{deployment.name} runs; `situ cluster status` says where")
     0
@@ -185,6 +197,12 @@ defmodule Situ.CLI.Cluster do
          [on | more] when more in [[], ["deterministic"], ["only"], ["deterministic", "only"]] <-
            String.split(rest, ",") do
       path = if path == "rest", do: :rest, else: path
+
+      on =
+        if String.starts_with?(on, "near:"),
+          do: {:near, String.trim_leading(on, "near:")},
+          else: on
+
       {path, [on: on] ++ Enum.map(more, &{String.to_existing_atom(&1), true})}
     else
       _ ->

@@ -5,7 +5,7 @@ defmodule Situ.Cluster.Agent do
   # deployment, on every node, and the lease says which of them runs it.
   use GenServer
 
-  alias Situ.Cluster.{Assembly, Member, Placement, Runner}
+  alias Situ.Cluster.{Assembly, Logs, Member, Placement, Runner, Vitals}
 
   defstruct [
     :log,
@@ -13,6 +13,7 @@ defmodule Situ.Cluster.Agent do
     labels: [],
     members: %{},
     deployments: %{},
+    plans: %{},
     runners: %{},
     routes: %{},
     followers: %{}
@@ -38,6 +39,14 @@ defmodule Situ.Cluster.Agent do
   @spec runners(GenServer.server(), String.t()) :: %{String.t() => pid()}
   def runners(agent \\ __MODULE__, name), do: GenServer.call(agent, {:runners, name}, 30_000)
 
+  @doc "How a deployment is cut, as this node runs it."
+  @spec plan(GenServer.server(), String.t()) :: Situ.Cluster.Plan.t() | nil
+  def plan(agent \\ __MODULE__, name), do: GenServer.call(agent, {:plan, name}, 30_000)
+
+  @doc "The members with what rules of place ask of them."
+  @spec known(GenServer.server()) :: Placement.members()
+  def known(agent \\ __MODULE__), do: GenServer.call(agent, :known, 30_000)
+
   @doc "The log."
   @spec log(GenServer.server()) :: Situ.Remote.Log.t()
   def log(agent \\ __MODULE__), do: GenServer.call(agent, :log)
@@ -45,6 +54,9 @@ defmodule Situ.Cluster.Agent do
   @impl true
   def init(opts) do
     :ok = :net_kernel.monitor_nodes(true)
+    :ok = Logs.start()
+    {:ok, _} = Vitals.start_link(opts[:devices] || [])
+    for {module, arg} <- opts[:beside] || [], do: {:ok, _} = module.start_link(arg)
     {:ok, supervisor} = DynamicSupervisor.start_link(strategy: :one_for_one, max_restarts: 100)
     state = %__MODULE__{log: opts[:log], labels: opts[:labels], supervisor: supervisor}
     for node <- Node.list(), do: hello(state, node, true)
@@ -73,7 +85,10 @@ defmodule Situ.Cluster.Agent do
   end
 
   def handle_call({:rank, rule, part}, _from, state),
-    do: {:reply, Placement.rank(state.members, rule, part, node()), state}
+    do: {:reply, Placement.rank(members(state), rule, part, node()), state}
+
+  def handle_call({:plan, name}, _from, state), do: {:reply, state.plans[name], state}
+  def handle_call(:known, _from, state), do: {:reply, members(state), state}
 
   def handle_call({:runners, name}, _from, state) do
     {:reply, for({{^name, part}, pid} <- state.runners, into: %{}, do: {part, pid}), state}
@@ -94,6 +109,14 @@ defmodule Situ.Cluster.Agent do
        deployments: Map.values(state.deployments),
        routes: routes
      }, state}
+  end
+
+  defp members(state) do
+    vitals = Vitals.all()
+
+    Map.new(state.members, fn {node, labels} ->
+      {node, vitals |> Map.get(node, %{}) |> Map.put(:labels, labels) |> Placement.member()}
+    end)
   end
 
   defp free(state, deployment) do
@@ -207,7 +230,8 @@ defmodule Situ.Cluster.Agent do
         end
 
       deployments = Map.put(state.deployments, deployment.name, deployment)
-      {:ok, %{state | runners: runners, deployments: deployments}}
+      plans = Map.put(state.plans, deployment.name, plan)
+      {:ok, %{state | runners: runners, deployments: deployments, plans: plans}}
     end
   end
 
@@ -217,6 +241,7 @@ defmodule Situ.Cluster.Agent do
     runners = Map.new(kept)
     routes = Map.reject(state.routes, fn {{of, _}, _} -> of == name end)
     deployments = Map.delete(state.deployments, name)
-    %{state | runners: runners, routes: routes, deployments: deployments}
+    plans = Map.delete(state.plans, name)
+    %{state | runners: runners, routes: routes, deployments: deployments, plans: plans}
   end
 end

@@ -25,7 +25,13 @@ defmodule Situ.Cluster.Assembly do
   @spec start(Deployment.t(), Plan.t(), String.t(), map()) :: {:ok, pid()} | {:error, Error.t()}
   def start(%Deployment{module: module, opts: opts} = deployment, plan, part, links) do
     options = %{
-      inlet: &[agent: links.agent, part: {deployment.name, &1.part}, stream: &1.name],
+      inlet:
+        &[
+          agent: links.agent,
+          part: {deployment.name, &1.part},
+          stream: &1.name,
+          reader: part
+        ],
       outlet: &[publisher: links.publisher, stream: &1.name]
     }
 

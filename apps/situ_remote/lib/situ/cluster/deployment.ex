@@ -3,10 +3,14 @@ defmodule Situ.Cluster.Deployment do
   # What was asked for with `Situ.Cluster.deploy/2`, parsed once; every node has it. Data alone: it travels.
   alias Situ.{Error, Options}
 
+  @where {:or, [:atom, :string, {:tuple, [{:in, [:near]}, :string]}]}
+
   @place [
     on: [
-      type: {:or, [:atom, :string, {:list, {:or, [:atom, :string]}}]},
-      doc: "A node, a label (text), or several in order of preference; without it any node."
+      type: {:or, [@where, {:list, @where}]},
+      doc:
+        "A node, a label (text), `{:near, device}` (the node that has it, then those with the shortest way to" <>
+          " it), or several in order of preference; without it the least busy node."
     ],
     only: [type: :boolean, default: false, doc: "Nowhere else, even when those are lost."],
     deterministic: [
@@ -36,6 +40,18 @@ defmodule Situ.Cluster.Deployment do
       default: 1_000_000_000,
       doc: "Ns without a sign of life after which another node takes a part over."
     ],
+    retain: [
+      type: {:or, [:pos_integer, {:in, [:all]}]},
+      default: :all,
+      doc:
+        "How much of each stream the log keeps, ns of originating time. A part that comes back after longer than" <>
+          " that fails (`:log_trimmed`): it cannot know what it has missed."
+    ],
+    balance: [
+      type: {:optional, :pos_integer},
+      default: nil,
+      doc: "Ns between looks at whether a part should move to a less busy node (`balance/1`)."
+    ],
     publish: [
       type: {:list, :string},
       default: [],
@@ -48,10 +64,15 @@ defmodule Situ.Cluster.Deployment do
     ]
   ]
 
-  @enforce_keys [:name, :module, :opts, :rules, :checkpoint, :lease, :publish, :pipeline]
+  @enforce_keys [:name, :module, :opts, :rules, :checkpoint, :lease] ++
+                  [:retain, :balance, :publish, :pipeline]
   defstruct @enforce_keys
 
-  @type rule :: %{on: [node() | String.t()], only: boolean(), deterministic: boolean()}
+  @type rule :: %{
+          on: [node() | String.t() | {:near, String.t()}],
+          only: boolean(),
+          deterministic: boolean()
+        }
   @type t :: %__MODULE__{
           name: String.t(),
           module: module(),
@@ -59,6 +80,8 @@ defmodule Situ.Cluster.Deployment do
           rules: [{String.t() | :rest, rule()}],
           checkpoint: pos_integer(),
           lease: pos_integer(),
+          retain: pos_integer() | :all,
+          balance: pos_integer() | nil,
           publish: [String.t()],
           pipeline: keyword()
         }
@@ -81,6 +104,8 @@ defmodule Situ.Cluster.Deployment do
          rules: rules,
          checkpoint: opts[:checkpoint],
          lease: opts[:lease],
+         retain: opts[:retain],
+         balance: opts[:balance],
          publish: opts[:publish],
          pipeline: opts[:pipeline]
        }}

@@ -7,10 +7,12 @@ defmodule Situ.Cluster.Inlet do
     options: [
       agent: [type: :any, required: true],
       part: [type: :any, required: true],
-      stream: [type: :string, required: true]
+      stream: [type: :string, required: true],
+      reader: [type: :string, default: ""]
     ]
 
   alias Situ.Cluster.Member
+  alias Situ.Error
 
   # As many messages as weigh so much are under way at once, between these numbers.
   @bytes 4 * 1024 * 1024
@@ -66,6 +68,9 @@ defmodule Situ.Cluster.Inlet do
       [] ->
         {[], %{state | sub: sub}}
 
+      [%{sequence_id: id} | _] when id > state.last + 1 ->
+        raise trimmed(state, id)
+
       fresh ->
         {fresh, made} = Enum.map_reduce(fresh, state.made, &made/2)
         {[{:out, fresh}], %{state | sub: sub, last: List.last(fresh).sequence_id, made: made}}
@@ -77,6 +82,15 @@ defmodule Situ.Cluster.Inlet do
 
   def handle_info(_other, _context, state), do: {[], state}
 
+  # Numbers of a stream have no gaps: what lies between is not in the log any more.
+  defp trimmed(state, id) do
+    Error.new(:log_trimmed, "the log lacks #{id - state.last - 1} messages of #{state.stream}",
+      why: "they were trimmed before this part had them",
+      fix:
+        "give the deployment a longer retain:, or checkpoints to the part's components (snapshot/1)"
+    )
+  end
+
   # What a deterministic part makes again is the same but for its creation times, and some of it may have been seen
   # before: creation times do not go back.
   defp made(%{creation_time: time} = message, made) when time >= made, do: {message, time}
@@ -87,7 +101,7 @@ defmodule Situ.Cluster.Inlet do
 
   defp subscribe(state, pid) do
     ref = Process.monitor(pid)
-    opts = [stream: state.stream, from: state.last, part: state.part]
+    opts = [stream: state.stream, from: state.last, part: state.part, reader: state.reader]
     send(pid, {:"$gen_producer", {self(), ref}, {:subscribe, nil, opts}})
     send(pid, {:"$gen_producer", {self(), ref}, {:ask, @least}})
     %{state | sub: %{pid: pid, ref: ref, asked: @least, window: @least}}

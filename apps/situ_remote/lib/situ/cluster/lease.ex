@@ -3,7 +3,8 @@ defmodule Situ.Cluster.Lease do
   # Who runs a part: a key of the log that its owner writes again and again. `observe/3` is pure.
   #
   # No clocks are compared: the lease is free when its number has not changed for the lease's time on the observer's own
-  # clock. A look that took long, or that comes late, says nothing about the owner: the observer starts counting again.
+  # clock. A look that took longer than a lease, or that comes late, says nothing about the owner: the observer starts
+  # counting again.
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
 
@@ -29,11 +30,12 @@ defmodule Situ.Cluster.Lease do
         poll: poll,
         wait: wait
       }) do
-    late? =
-      lease.looked != nil and (now - before > div(ms, 4) or before - lease.looked > ms + 4 * poll)
+    late? = lease.looked != nil and (now - before > ms or before - lease.looked > ms + 4 * poll)
 
+    # The time of a slow look does not count: on a busy machine the count goes on, but slower.
+    slow = if now - before > div(ms, 4), do: now - before, else: 0
     same? = lease.seq == seq and not late?
-    since = if same?, do: lease.since, else: now
+    since = if same?, do: lease.since + slow, else: now
     gone? = lease.gone and lease.seq == seq
     lease = %{lease | seq: seq, owner: owner, since: since, looked: now, gone: gone?}
 

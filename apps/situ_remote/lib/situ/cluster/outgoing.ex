@@ -1,6 +1,6 @@
 defmodule Situ.Cluster.Outgoing do
   @moduledoc false
-  # One stream that leaves a part, as its publisher knows it. Pure.
+  # One stream that leaves a part, as its publisher knows it. Pure, but for `trim/3`.
   #
   #   mark      behind the last message that was handed over      stored   behind the last one in the log
   #   pending   messages that are not in the log yet, newest first
@@ -8,6 +8,8 @@ defmodule Situ.Cluster.Outgoing do
   #
   # What is kept is bounded by number and by weight: a picture weighs more than a number.
   alias Situ.Cluster.Chunk
+  alias Situ.Remote.Log
+  alias Situ.Remote.Log.Entry
 
   @tail 8_192
   @tail_bytes 8 * 1024 * 1024
@@ -118,6 +120,23 @@ defmodule Situ.Cluster.Outgoing do
     do: keep(rest, stored, [batch | kept], {count + last - first + 1, bytes + weight})
 
   defp keep([], _stored, kept, {count, bytes}), do: {Enum.reverse(kept), count, bytes}
+
+  @doc """
+  Takes away what the log holds of it from before `retain` ns of originating time ago. That it fails for now is no
+  harm: it is tried again.
+  """
+  @spec trim(t(), Log.t(), pos_integer()) :: term()
+  def trim(%__MODULE__{stored: %{time: nil}}, _log, _retain), do: :ok
+
+  def trim(%__MODULE__{stored: %{time: time}} = out, log, retain) do
+    # The first fence of a stream has no time: nothing was there.
+    recent? = &(Entry.integer(&1, "Time", time - retain - 1) >= time - retain)
+
+    with {:ok, [first]} <- Log.read(log, out.subject, 1, 1),
+         false <- recent?.(first),
+         {:ok, seq} when is_integer(seq) <- Log.find(log, out.subject, recent?),
+         do: Log.trim(log, out.subject, seq)
+  end
 
   @doc "The last sequence id that readers may see."
   @spec visible(t()) :: non_neg_integer()

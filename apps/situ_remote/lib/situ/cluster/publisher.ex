@@ -19,6 +19,7 @@ defmodule Situ.Cluster.Publisher do
   # Of one entry of the log, unless it takes less.
   @entry_bytes 4 * 1024 * 1024
   @retry_ms 50
+  @trim_ms 1_000
 
   defstruct [
     :log,
@@ -27,6 +28,7 @@ defmodule Situ.Cluster.Publisher do
     :mode,
     :checkpoint,
     :runner,
+    :retain,
     streams: %{},
     readers: %Readers{},
     cut: nil,
@@ -74,6 +76,7 @@ defmodule Situ.Cluster.Publisher do
       epoch: args.epoch,
       mode: args.mode,
       runner: args.runner,
+      retain: args.retain,
       streams: Map.new(args.streams, &{&1, Outgoing.new(&1, args.deployment)})
     }
 
@@ -81,6 +84,7 @@ defmodule Situ.Cluster.Publisher do
          marks = Map.new(state.streams, fn {name, out} -> {name, out.stored.last} end),
          key = "ckpt.#{args.deployment}.#{args.part}",
          {:ok, checkpoint} <- Checkpoint.take(state.log, key, state.epoch, marks) do
+      if state.retain != :all, do: Process.send_after(self(), :trim, @trim_ms)
       {:ok, publish_pending(%{state | checkpoint: checkpoint})}
     else
       {:error, error} -> {:stop, {:shutdown, error}}
@@ -318,7 +322,7 @@ defmodule Situ.Cluster.Publisher do
     name = opts[:stream]
 
     if is_map_key(state.streams, name) do
-      readers = Readers.join(state.readers, pid, ref, name, Keyword.get(opts, :from, 0))
+      readers = Readers.join(state.readers, pid, ref, name, opts)
       {:noreply, serve(%{state | readers: readers}, name)}
     else
       error = Error.new(:unknown_stream, "part #{state.part} publishes no #{inspect(name)}")
@@ -344,6 +348,13 @@ defmodule Situ.Cluster.Publisher do
     do: {:noreply, %{state | readers: Readers.gone(state.readers, monitor)}}
 
   def handle_info(:flush, state), do: {:noreply, flush(state)}
+
+  def handle_info(:trim, state) do
+    for {_, out} <- state.streams, do: Outgoing.trim(out, state.log, state.retain)
+    Process.send_after(self(), :trim, @trim_ms)
+    {:noreply, state}
+  end
+
   def handle_info(_other, state), do: {:noreply, state}
 
   defp put(state, out), do: %{state | streams: Map.put(state.streams, out.name, out)}

@@ -11,13 +11,14 @@ defmodule Situ.Cluster.Readers do
   @type t :: %__MODULE__{by_ref: %{term() => map()}}
 
   @doc "A new one, that has all up to sequence id `from`."
-  @spec join(t(), pid(), term(), String.t(), non_neg_integer()) :: t()
-  def join(%__MODULE__{} = readers, pid, ref, name, from) do
+  @spec join(t(), pid(), term(), String.t(), keyword()) :: t()
+  def join(%__MODULE__{} = readers, pid, ref, name, opts) do
     reader = %{
       pid: pid,
+      part: opts[:reader],
       ref: ref,
       name: name,
-      last: from,
+      last: Keyword.get(opts, :from, 0),
       demand: 0,
       ahead: [],
       next: nil,
@@ -57,6 +58,7 @@ defmodule Situ.Cluster.Readers do
     for {_, reader} <- by_ref,
         do: %{
           node: node(reader.pid),
+          part: reader.part,
           stream: reader.name,
           last: reader.last,
           demand: reader.demand

@@ -47,6 +47,10 @@ defmodule Situ.Cluster.Runner do
   @spec release(pid(), boolean()) :: :ok | {:error, Error.t()}
   def release(runner, away?), do: GenServer.call(runner, {:release, away?}, :infinity)
 
+  @doc "Starts the part again where it is, from a checkpoint; with nothing to do where another node has it."
+  @spec restart(pid()) :: :ok | {:error, Error.t()}
+  def restart(runner), do: GenServer.call(runner, :restart, :infinity)
+
   @doc "A node went down."
   @spec down(pid(), node()) :: :ok
   def down(runner, node), do: GenServer.cast(runner, {:down, node})
@@ -136,15 +140,34 @@ defmodule Situ.Cluster.Runner do
 
   def handle_call({:release, away?}, _from, state), do: {:reply, :ok, %{state | away: away?}}
 
+  # New code: the plan is the same. One that does not start with it stands by, and is taken again with the code before.
+  def handle_call(:restart, _from, %{phase: :running} = state) do
+    state = state |> checkpoint() |> let_go()
+
+    with {:ok, look} <- Lease.look(state.log, key(state, "lease")),
+         {:ok, epoch} <- Lease.take(state.log, key(state, "lease"), elem(look, 0)) do
+      case own(%{state | epoch: epoch}, &{:refused, &1, &2}) do
+        {:refused, state, error} -> {:reply, {:error, error}, let_go(state)}
+        state -> {:reply, :ok, state}
+      end
+    else
+      # Another node was quicker: it has the part.
+      _ -> {:reply, :ok, state}
+    end
+  end
+
+  def handle_call(:restart, _from, state), do: {:reply, :ok, state}
+
   # Owning
 
-  defp own(state) do
+  defp own(state, failed \\ &failed/2) do
     args = %{
       log: state.log,
       deployment: state.deployment.name,
       part: state.part,
       epoch: state.epoch,
       mode: mode(state),
+      retain: state.deployment.retain,
       runner: self(),
       streams: state.plan |> Plan.outlets(state.part) |> Enum.map(& &1.name)
     }
@@ -153,7 +176,7 @@ defmodule Situ.Cluster.Runner do
       {:ok, publisher} ->
         state = keep(%{state | publisher: publisher})
         Member.route(state.agent, {state.deployment.name, state.part}, state.epoch, publisher)
-        run(state, Publisher.resume(publisher))
+        run(state, Publisher.resume(publisher), failed)
 
       {:error, reason} ->
         Logger.warning("#{name(state)}: not taken over: #{explain(reason)}")
@@ -168,9 +191,9 @@ defmodule Situ.Cluster.Runner do
     %{state | keeper: keeper}
   end
 
-  defp run(state, :done), do: %{state | phase: :done}
+  defp run(state, :done, _failed), do: %{state | phase: :done}
 
-  defp run(state, memories) do
+  defp run(state, memories, failed) do
     case Assembly.start(state.deployment, state.plan, state.part, %{
            agent: state.agent,
            publisher: state.publisher,
@@ -182,7 +205,7 @@ defmodule Situ.Cluster.Runner do
         %{state | phase: :running, pipeline: pipeline, monitor: monitor}
 
       {:error, error} ->
-        failed(state, error)
+        failed.(state, error)
     end
   end
 

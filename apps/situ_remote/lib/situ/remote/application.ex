@@ -4,7 +4,8 @@ defmodule Situ.Remote.Application do
 
   @impl true
   def start(_type, _args) do
-    children = Situ.Remote.Recording.Client.children()
+    links = {Registry, keys: :duplicate, name: Situ.Remote.Links}
+    children = [links | Situ.Remote.Recording.Client.children()]
     Supervisor.start_link(children, strategy: :one_for_one, name: Situ.Remote.Supervisor)
   end
 end

@@ -78,6 +78,7 @@ defmodule Situ.Remote.Connection do
   def init({address, opts, owner}) do
     Process.flag(:trap_exit, true)
     Process.monitor(owner)
+    {:ok, _} = Registry.register(Situ.Remote.Links, :links, Address.to_string(address))
     Process.send_after(self(), :save, opts.save_every)
     {:ok, %__MODULE__{address: address, opts: opts}, {:continue, :dial}}
   end

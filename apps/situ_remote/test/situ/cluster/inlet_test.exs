@@ -5,7 +5,7 @@ defmodule Situ.Cluster.InletTest do
   alias Situ.Message
 
   defp inlet do
-    {:ok, state} = Inlet.init(agent: self(), part: {"d", "p"}, stream: "s")
+    {:ok, state} = Inlet.init(agent: self(), part: {"d", "p"}, stream: "s", reader: "q")
     {[], state} = Inlet.handle_info({:situ_cluster, :publisher, {"d", "p"}, self()}, nil, state)
     state
   end
@@ -42,5 +42,11 @@ defmodule Situ.Cluster.InletTest do
     {:ok, fresh} = Inlet.restore(memory, inlet())
     {[{:out, more}], _} = given(fresh, [message(4, 1), message(5, 2)])
     assert for(m <- more, do: {m.data, m.creation_time}) == [{5, 600}]
+  end
+
+  test "what the log lacks is an error, and not a gap" do
+    {[{:out, _}], state} = given(inlet(), [message(1, 10)])
+    error = assert_raise Situ.Error, fn -> given(state, [message(4, 20)]) end
+    assert {error.code, error.what} == {:log_trimmed, "the log lacks 2 messages of s"}
   end
 end

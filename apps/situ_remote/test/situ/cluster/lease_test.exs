@@ -45,6 +45,20 @@ defmodule Situ.Cluster.LeaseTest do
     assert {:take, _} = looks(lease, [{7, 5_600}])
   end
 
+  test "on a busy machine looks take long: their time does not count, and yet it comes to an end" do
+    {:wait, lease} = looks(%Lease{}, [{7, 0}])
+
+    {answer, took} =
+      Enum.reduce_while(1..20, lease, fn i, lease ->
+        case Lease.observe(lease, {7, "a", i * 500, i * 500 + 300}, @times) do
+          {:take, _} -> {:halt, {:take, i * 500 + 300}}
+          {:wait, lease} -> {:cont, lease}
+        end
+      end)
+
+    assert answer == :take and took in 2_000..3_500
+  end
+
   test "a node that is said to be down loses its lease at once, unless it writes it again" do
     {:wait, lease} = looks(%Lease{}, every(0, 200, 7))
     gone = Lease.down(lease, :other@host)

@@ -9,14 +9,29 @@ defmodule Situ.Studio.Source.Pipeline do
   alias Situ.Studio.{Source, StreamInfo, Watch}
   alias Situ.Studio.Source.History
 
-  @typedoc "A pipeline, or a function that finds it again (of one that a supervisor restarts); with a title or without."
-  @type spec :: Pipeline.target() | (() -> Pipeline.target()) | {String.t(), spec()}
+  @typedoc """
+  A pipeline, or a function that finds it again (of one that a supervisor restarts); with a title or without. `{:all,
+  find}` is a function that finds several, as `Situ.Cluster.pipelines/0`.
+  """
+  @type spec ::
+          Pipeline.target()
+          | (() -> Pipeline.target())
+          | {String.t(), spec()}
+          | {:all, (() -> [spec()])}
 
   @doc "The pipelines among `specs` that run now, by their titles."
   @spec running([spec()]) :: [{String.t(), Pipeline.target() | (() -> Pipeline.target())}]
   def running(specs) do
-    for spec <- specs, {title, target} <- [titled(spec)], title != nil, do: {title, target}
+    for spec <- specs,
+        one <- each(spec),
+        {title, target} <- [titled(one)],
+        title != nil,
+        do: {title, target}
   end
+
+  # Those of a cluster come and go.
+  defp each({:all, find}) when is_function(find, 0), do: find.()
+  defp each(spec), do: [spec]
 
   defp titled({title, target}) when is_binary(title), do: {name(target) && title, target}
   defp titled(target), do: {name(target), target}

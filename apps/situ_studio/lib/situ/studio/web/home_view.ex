@@ -5,7 +5,7 @@ defmodule Situ.Studio.Web.HomeView do
   import Situ.Studio.Web.Icons
   alias Situ.Studio.Catalog
   alias Situ.Studio.Datasets.Facts
-  alias Situ.Studio.Web.{Address, Side}
+  alias Situ.Studio.Web.{Address, ClusterView, Side}
 
   @refresh_ms 2_000
   # So many rows are on the page, and so many recordings are looked into.
@@ -86,6 +86,7 @@ defmodule Situ.Studio.Web.HomeView do
       </div>
       <p class="hint" role="status">{count(length(@items), length(@found), @query)}
         <a class="linkish" href="settings" data-settings>Settings</a></p>
+      <p :if={ClusterView.member?()} class="hint"><a href="cluster">The cluster: nodes, parts, links</a></p>
       <form :if={length(@items) > 5 or @query != ""} class="search" phx-change="search" phx-submit="search"
           id="search-form">
         <input id="search" name="query" value={@query} placeholder="Search names and streams  /" autocomplete="off"

@@ -4,6 +4,7 @@ defmodule Situ.Studio.Web.Routes do
   alias Situ.Studio.PipelineView
 
   alias Situ.Studio.Web.{
+    ClusterView,
     DataHandler,
     DataHttp,
     DatasetView,
@@ -21,6 +22,7 @@ defmodule Situ.Studio.Web.Routes do
     [
       {:live, "/", HomeView, session: session},
       {:live, "/settings", SettingsView, session: session},
+      {:live, "/cluster", ClusterView, session: session},
       {:live, "/s/*id", MainView, session: session},
       {:live, "/d/*id", DatasetView, session: session},
       {:live, "/p/*id", PipelineView, session: session},

@@ -1,0 +1,164 @@
+defmodule Situ.CLI.ClusterNode do
+  @moduledoc false
+  # The verbs of `situ cluster` that look after nodes: their logs, their code, their load; and the studio of a node.
+  alias Situ.{Cluster, Error}
+  alias Situ.CLI.{Option, Output, Verb}
+
+  @again_ms 500
+
+  @type ask :: (keyword(), module(), atom(), list() -> term())
+
+  @doc "`ask` calls a function on a node of the cluster."
+  @spec verbs([Option.t()], ask()) :: [Verb.t()]
+  def verbs(common, ask) do
+    [
+      %Verb{
+        words: ["cluster", "logs"],
+        summary: "what the nodes have logged lately",
+        about:
+          "Each node keeps its last 2,000 lines. Without --of: those of all nodes, in the order of time.",
+        options: [
+          Option.new(:of, :string, "this node's alone", value: "NODE", many?: true),
+          Option.new(:number, :integer, "so many lines of each node", short: :n, default: 50),
+          Option.new(:follow, :flag, "go on with what comes (until Ctrl-C)", short: :f)
+          | common
+        ],
+        examples: ["situ cluster logs --node situ-9301@127.0.0.1 --follow"],
+        run: fn _, opts -> logs(opts, ask) end
+      },
+      %Verb{
+        words: ["cluster", "upgrade"],
+        summary: "give all nodes new code while their parts run",
+        about: """
+        FILE is a compiled module (.beam), or Elixir source (.ex, .exs) whose modules are compiled here. Node after node
+        loads them and starts its parts again, each from a checkpoint. If one cannot, all keep the code they had.
+        """,
+        arguments: [files: [kind: :file, many: true, doc: "compiled modules or Elixir source"]],
+        options: common,
+        examples: ["situ cluster upgrade lips.ex --node situ-9301@127.0.0.1"],
+        run: fn %{files: files}, opts -> upgrade(files, opts, ask) end
+      },
+      %Verb{
+        words: ["cluster", "balance"],
+        summary: "move a part of a deployment to a less busy node, if that helps",
+        arguments: [deployment: [kind: :text, doc: "what was deployed"]],
+        options: common,
+        examples: ["situ cluster balance Hall --node situ-9301@127.0.0.1"],
+        run: fn %{deployment: name}, opts -> balance(name, opts, ask) end
+      }
+    ]
+  end
+
+  defp logs(opts, ask) do
+    nodes = nodes(opts, ask)
+    lines = for node <- nodes, do: {node, read(node, 0, opts[:number], opts, ask)}
+    for {node, line} <- by_time(lines), do: print(node, line)
+    if opts[:follow], do: follow(marks(lines, Map.new(nodes, &{&1, 0})), opts, ask)
+    0
+  end
+
+  defp nodes(opts, ask) do
+    known = ask.(opts, Cluster.Agent, :info, []).members |> Map.keys() |> Enum.sort()
+
+    case opts[:of] do
+      [] -> known
+      names -> Enum.map(names, &named(&1, known))
+    end
+  end
+
+  defp named(name, known) do
+    Enum.find(known, &(Atom.to_string(&1) == name)) ||
+      raise Error.new(:not_found, "#{name} is no node of the cluster",
+              fix: "there are: " <> Enum.join(known, ", ")
+            )
+  end
+
+  # One that was lost is said once, and asked again.
+  defp read(node, from, most, opts, ask) do
+    case ask.(opts, Cluster, :logs, [node, from, most]) do
+      {:ok, lines} ->
+        lines
+
+      {:error, error} ->
+        if from >= 0, do: Output.warn(Exception.message(error))
+        []
+    end
+  end
+
+  defp follow(marks, opts, ask) do
+    receive do
+    after
+      @again_ms -> :ok
+    end
+
+    lines = for {node, from} <- marks, do: {node, read(node, from, 2_000, opts, ask)}
+    for {node, line} <- by_time(lines), do: print(node, line)
+    follow(marks(lines, marks), opts, ask)
+  end
+
+  defp marks(lines, before) do
+    for {node, lines} <- lines, lines != [], into: before, do: {node, List.last(lines).n}
+  end
+
+  defp by_time(lines) do
+    all = for {node, lines} <- lines, line <- lines, do: {node, line}
+    Enum.sort_by(all, fn {_, line} -> line.time end)
+  end
+
+  defp print(node, line) do
+    Output.puts(
+      "#{Situ.Time.to_iso8601(line.time)}  #{node}  [#{line.level}] #{Output.name(line.text)}"
+    )
+  end
+
+  defp upgrade(files, opts, ask) do
+    code = Enum.flat_map(files, &code/1)
+    nodes = Error.unwrap!(ask.(opts, Cluster, :upgrade, [code]))
+    names = Enum.map_join(code, ", ", fn {module, _} -> inspect(module) end)
+    Output.puts("#{names}: new on #{Enum.join(nodes, ", ")}")
+    0
+  end
+
+  defp code(file) do
+    if Path.extname(file) == ".beam", do: [beam(file)], else: Code.compile_file(file)
+  rescue
+    error in [SyntaxError, TokenMissingError, CompileError, Code.LoadError] ->
+      raise Error.new(:bad_code, "#{file} cannot be compiled: #{Exception.message(error)}")
+  end
+
+  defp beam(file) do
+    with {:ok, bytes} <- File.read(file),
+         {:ok, {module, _}} <- :beam_lib.chunks(bytes, []) do
+      {module, bytes}
+    else
+      _ -> raise Error.new(:bad_code, "#{file} is no compiled module", fix: "name a .beam file")
+    end
+  end
+
+  defp balance(name, opts, ask) do
+    known = ask.(opts, Cluster.Agent, :info, []).deployments
+
+    deployment =
+      Enum.find(known, &(&1.name == name)) ||
+        raise Error.new(:not_found, "there is no deployment #{inspect(name)}",
+                fix: "there are: " <> Enum.map_join(known, ", ", & &1.name)
+              )
+
+    case Error.unwrap!(ask.(opts, Cluster, :balance, [deployment])) do
+      nil -> Output.puts("no part of #{name} should move")
+      {part, to} -> Output.puts("#{name}/#{part} runs on #{to} now, which is less busy")
+    end
+
+    0
+  end
+
+  @doc "A studio in this node, with the pipelines of all: its address."
+  @spec studio(:inet.port_number()) :: String.t()
+  def studio(port) do
+    {:ok, _} = Application.ensure_all_started(:situ_studio)
+    path = if File.dir?("recordings"), do: "recordings"
+    settings = [port: port, path: path, pipelines: [{:all, &Cluster.pipelines/0}]]
+    {:ok, studio} = settings |> Situ.Studio.start_link() |> Error.unwrap!() |> then(&{:ok, &1})
+    Situ.Studio.url(studio)
+  end
+end

@@ -1,0 +1,57 @@
+defmodule Situ.Cluster.Balancer do
+  @moduledoc false
+  # Looks now and then whether a part of a deployment with `balance:` should move. The first of the members does it for
+  # all; two that both think they are the first move a part twice, which is no harm.
+  use GenServer
+  alias Situ.Cluster.Agent
+  require Logger
+
+  @look_ms 500
+
+  @spec start_link((Situ.Cluster.Deployment.t() -> term())) :: GenServer.on_start()
+  def start_link(balance), do: GenServer.start_link(__MODULE__, balance)
+
+  @impl true
+  def init(balance) do
+    Process.send_after(self(), :look, @look_ms)
+    {:ok, %{balance: balance, due: %{}}}
+  end
+
+  @impl true
+  def handle_info(:look, state) do
+    Process.send_after(self(), :look, @look_ms)
+    info = Agent.info()
+    first? = Enum.min(Map.keys(info.members)) == node()
+    wanted = for %{balance: every} = d when every != nil <- info.deployments, do: d
+    due = Map.new(wanted, &{&1.name, Map.get(state.due, &1.name, now() + &1.balance)})
+
+    due =
+      for d <- wanted, first?, now() >= due[d.name], reduce: due do
+        due ->
+          _ = balanced(state.balance, d)
+          Map.put(due, d.name, now() + d.balance)
+      end
+
+    {:noreply, %{state | due: due}}
+  end
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp balanced(balance, deployment) do
+    case balance.(deployment) do
+      {:ok, {part, to}} ->
+        Logger.info("#{deployment.name}/#{part} moved to #{to}, which is less busy")
+
+      {:ok, nil} ->
+        :ok
+
+      {:error, error} ->
+        Logger.warning(Exception.message(error))
+    end
+  catch
+    # A node was lost meanwhile.
+    :exit, _ -> :ok
+  end
+
+  defp now, do: System.monotonic_time(:nanosecond)
+end

@@ -1,0 +1,123 @@
+defmodule Situ.Cluster.Overview do
+  @moduledoc """
+  A cluster at one moment, for people: nodes, parts with their streams and readers, links of every node. Plain data.
+
+      {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log")
+      Situ.Cluster.overview().nodes
+  """
+  alias Situ.Cluster.{Agent, Runner, Vitals}
+
+  defstruct time: 0, here: nil, nodes: [], parts: [], links: []
+
+  @typedoc """
+  `time`: ns since 1970. A stream's `readers` are the parts that take it, each with how many messages it is `behind`.
+  """
+  @type t :: %__MODULE__{
+          time: Situ.Time.t(),
+          here: node(),
+          nodes: [map()],
+          parts: [part()],
+          links: [map()]
+        }
+  @type part :: %{
+          deployment: String.t(),
+          part: String.t(),
+          phase: :running | :done | :failed | :standby,
+          node: node() | nil,
+          epoch: pos_integer() | nil,
+          checkpoints: non_neg_integer(),
+          error: String.t() | nil,
+          pipeline: pid() | nil,
+          streams: [map()]
+        }
+
+  @spec now() :: t()
+  def now do
+    info = Agent.info()
+    nodes = Map.keys(info.members)
+
+    %__MODULE__{
+      time: Situ.Time.now(),
+      here: node(),
+      nodes: nodes(info.members),
+      parts: Enum.flat_map(Enum.sort_by(info.deployments, & &1.name), &parts(&1, nodes)),
+      links: Enum.flat_map(nodes, &links/1)
+    }
+  end
+
+  defp nodes(members) do
+    vitals = Vitals.all()
+    trips = get_in(vitals, [node(), :trips]) || %{}
+
+    for {node, labels} <- Enum.sort(members) do
+      vitals
+      |> Map.get(node, %{busy: nil, cores: nil, machine: nil, memory: nil, devices: []})
+      |> Map.take([:busy, :cores, :machine, :memory, :devices])
+      |> Map.merge(%{node: node, labels: labels, trip: trips[node]})
+    end
+  end
+
+  @doc "The parts of one deployment: whoever has each, as that node tells it."
+  @spec parts(Situ.Cluster.Deployment.t(), [node()]) :: [part()]
+  def parts(deployment, nodes) do
+    infos =
+      for node <- nodes, {part, runner} <- runners(node, deployment.name) do
+        {part, node, info(runner)}
+      end
+
+    for {part, entries} <- infos |> Enum.group_by(&elem(&1, 0)) |> Enum.sort() do
+      {_, node, info} =
+        Enum.find(entries, {part, nil, %{}}, fn {_, _, i} ->
+          i[:phase] in [:running, :done, :failed]
+        end)
+
+      shown(deployment.name, part, node, info)
+    end
+  end
+
+  defp shown(deployment, part, node, info) do
+    %{
+      deployment: deployment,
+      part: part,
+      phase: info[:phase] || :standby,
+      node: node,
+      epoch: info[:epoch],
+      checkpoints: get_in(info, [:checkpoints, :taken]) || 0,
+      error: info[:error] && Exception.message(info[:error]),
+      pipeline: info[:pipeline],
+      streams: streams(info[:publisher])
+    }
+  end
+
+  defp streams(nil), do: []
+
+  defp streams(%{streams: streams, readers: readers}) do
+    for {name, stream} <- Enum.sort(streams) do
+      reading =
+        for %{stream: ^name} = r <- readers,
+            do: %{node: r.node, part: r.part, behind: max(stream.messages - r.last, 0)}
+
+      stream
+      |> Map.take([:messages, :time, :closed])
+      |> Map.merge(%{name: name, readers: reading})
+    end
+  end
+
+  defp runners(node, name) do
+    Agent.runners({Agent, node}, name)
+  catch
+    :exit, _ -> %{}
+  end
+
+  defp info(runner) do
+    Runner.info(runner)
+  catch
+    :exit, _ -> %{}
+  end
+
+  defp links(node) do
+    for link <- :erpc.call(node, Situ.Remote, :links, [], 5_000), do: Map.put(link, :node, node)
+  catch
+    _, _ -> []
+  end
+end

@@ -1,0 +1,151 @@
+defmodule Situ.Cluster.Upgrade do
+  @moduledoc """
+  New code for a cluster whose pipelines run: node after node loads it and starts its parts again with it, each from a
+  checkpoint that it takes for the purpose. Nothing is lost and nothing comes twice, as when a part moves.
+
+      Situ.Cluster.upgrade([{MyLips, File.read!("ebin/Elixir.MyLips.beam")}])
+      Situ.Cluster.upgrade([MyLips])          # as this node has it
+
+  A part's memories must suit its new components, and the graph must be cut into the same parts and streams. Where a
+  node finds otherwise, it and all before it go back to the code that they had, and the error says why. What needs
+  another graph is deployed under another name.
+
+  Only modules are exchanged. A new release is put under a node by `drain/2`, its restart, and the next node.
+  """
+  alias Situ.Cluster.{Agent, Assembly, Runner}
+  alias Situ.Error
+
+  @wait_ms 120_000
+
+  @type code :: [{module(), binary()}]
+
+  @doc "Of modules, as this node has them on disk, or with their code."
+  @spec code([module() | {module(), binary()}]) :: {:ok, code()} | {:error, Error.t()}
+  def code(modules) do
+    Enum.reduce_while(modules, {:ok, []}, fn
+      {module, beam}, {:ok, code} when is_atom(module) and is_binary(beam) ->
+        {:cont, {:ok, [{module, beam} | code]}}
+
+      module, {:ok, code} when is_atom(module) ->
+        case :code.get_object_code(module) do
+          {_, beam, _} -> {:cont, {:ok, [{module, beam} | code]}}
+          :error -> {:halt, {:error, no_code(module)}}
+        end
+    end)
+  end
+
+  defp no_code(module) do
+    Error.new(:no_code, "the code of #{inspect(module)} is in no file of this node",
+      fix: "give {module, beam}, as Code.compile_file/1 answers it"
+    )
+  end
+
+  @doc "All members, this node last. Answers the nodes that have it."
+  @spec run(code()) :: {:ok, [node()]} | {:error, Error.t()}
+  def run(code) do
+    nodes = Enum.sort_by(Map.keys(Agent.info().members), &{&1 == node(), &1})
+    each(nodes, code, [])
+  end
+
+  defp each([], _code, done), do: {:ok, for({node, _} <- Enum.reverse(done), do: node)}
+
+  defp each([node | rest], code, done) do
+    case on(node, :take, [code]) do
+      {:ok, old} ->
+        each(rest, code, [{node, old} | done])
+
+      {:error, error} ->
+        for {node, old} <- done, do: on(node, :take, [old])
+        {:error, %{error | what: "#{node} keeps its code, and so do all: #{error.what}"}}
+    end
+  end
+
+  defp on(node, function, args) do
+    :erpc.call(node, __MODULE__, function, args, @wait_ms)
+  catch
+    :error, {:erpc, reason} -> {:error, lost(node, reason)}
+    :exit, reason -> {:error, lost(node, reason)}
+  end
+
+  defp lost(node, reason),
+    do: Error.new(:unreachable, "#{node} is lost: #{inspect(reason, limit: 5)}")
+
+  @doc false
+  @spec take(code()) :: {:ok, code()} | {:error, Error.t()}
+  def take(code) do
+    old = for {module, _} <- code, {^module, beam} <- [had(module)], do: {module, beam}
+
+    with :ok <- load(code),
+         :ok <- same_plans(),
+         :ok <- restart_parts() do
+      remember(code)
+      {:ok, old}
+    else
+      {:error, error} ->
+        _ = load(old)
+        _ = restart_parts()
+        {:error, error}
+    end
+  end
+
+  # Code that came by an upgrade is in no file.
+  defp had(module) do
+    case :persistent_term.get({__MODULE__, module}, nil) do
+      nil -> with {module, beam, _} <- :code.get_object_code(module), do: {module, beam}
+      beam -> {module, beam}
+    end
+  end
+
+  defp remember(code),
+    do: for({module, beam} <- code, do: :persistent_term.put({__MODULE__, module}, beam))
+
+  defp load([]), do: :ok
+
+  defp load([{module, beam} | rest]) do
+    with {:purge, true} <- {:purge, :code.soft_purge(module)},
+         {:module, _} <- :code.load_binary(module, ~c"upgrade", beam) do
+      load(rest)
+    else
+      {:purge, false} ->
+        {:error,
+         Error.new(
+           :old_code_in_use,
+           "a process still runs the code of #{inspect(module)} from before the last upgrade",
+           fix: "wait for it, or restart that node"
+         )}
+
+      {:error, reason} ->
+        {:error, Error.new(:bad_code, "#{inspect(module)} cannot be loaded: #{inspect(reason)}")}
+    end
+  end
+
+  defp same_plans do
+    Enum.find_value(Agent.info().deployments, :ok, fn deployment ->
+      with {:ok, plan} <- Assembly.plan(deployment),
+           true <- Agent.plan(deployment.name) == plan do
+        nil
+      else
+        {:error, error} -> {:error, error}
+        false -> {:error, other_plan(deployment.name)}
+      end
+    end)
+  end
+
+  defp other_plan(name) do
+    Error.new(:other_plan, "the new code cuts #{name} into other parts or streams",
+      why: "parts that run are joined by the streams that they have",
+      fix: "deploy it under another name:, and stop this one"
+    )
+  end
+
+  defp restart_parts do
+    runners = for d <- Agent.info().deployments, {_, runner} <- Agent.runners(d.name), do: runner
+
+    Enum.reduce_while(runners, :ok, fn runner, :ok ->
+      case Runner.restart(runner) do
+        :ok -> {:cont, :ok}
+        {:error, error} -> {:halt, {:error, error}}
+      end
+    end)
+  end
+end

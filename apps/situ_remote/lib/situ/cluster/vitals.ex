@@ -1,0 +1,139 @@
+defmodule Situ.Cluster.Vitals do
+  @moduledoc """
+  What the nodes of a cluster know of one another: how busy each is, what devices it has, how far away it is.
+
+  Once a second each node measures itself and tells the others. Placement by load and by nearness go by it, and the
+  studio's page of the cluster shows it. A node that has said nothing for five seconds is not known.
+
+      Situ.Cluster.Vitals.all()[node()].busy      # cores that this node's processes used in the last seconds
+  """
+  use GenServer
+
+  @every_ms 1_000
+  @known_ms 5_000
+  # How much the last second counts against those before.
+  @weight 0.4
+
+  defstruct [:table, :devices, :last, busy: 0.0, machine: 0.0]
+
+  @typedoc """
+  `busy`: cores used by the node's own VM; `cores`: those it may use; `machine`: the busy part of the whole machine, 0
+  to 1; `memory`: bytes of the VM; `trips`: round trip to other nodes, ns (the quickest of the last ones).
+  """
+  @type vital :: %{
+          busy: float(),
+          cores: pos_integer(),
+          machine: float(),
+          memory: non_neg_integer(),
+          devices: [String.t()],
+          trips: %{node() => non_neg_integer()}
+        }
+
+  @spec start_link([String.t()]) :: GenServer.on_start()
+  def start_link(devices), do: GenServer.start_link(__MODULE__, devices, name: __MODULE__)
+
+  @doc "Of every node that was heard of lately, this one included; nothing where no member runs."
+  @spec all() :: %{node() => vital()}
+  def all do
+    now = now()
+    for {node, at, vital} <- entries(), now - at < @known_ms, into: %{}, do: {node, vital}
+  end
+
+  defp entries do
+    :ets.tab2list(__MODULE__)
+  rescue
+    ArgumentError -> []
+  end
+
+  @impl true
+  def init(devices) do
+    table = :ets.new(__MODULE__, [:named_table, :protected, read_concurrency: true])
+    send(self(), :beat)
+    {:ok, %__MODULE__{table: table, devices: devices, last: sample()}}
+  end
+
+  @impl true
+  def handle_info(:beat, state) do
+    Process.send_after(self(), :beat, @every_ms)
+    state = measure(state)
+    vital = own(state)
+    :ets.insert(state.table, {node(), now(), vital})
+    sent = System.monotonic_time()
+    for node <- Node.list(), do: send({__MODULE__, node}, {:vital, node(), vital, sent})
+    {:noreply, state}
+  end
+
+  def handle_info({:vital, node, vital, sent}, state) do
+    :ets.insert(state.table, {node, now(), vital})
+    send({__MODULE__, node}, {:heard, node(), sent})
+    {:noreply, state}
+  end
+
+  def handle_info({:heard, node, sent}, state) do
+    trip = System.convert_time_unit(System.monotonic_time() - sent, :native, :nanosecond)
+
+    last =
+      with [{_, trips}] <- :ets.lookup(state.table, {:trips, node}), do: trips, else: (_ -> [])
+
+    :ets.insert(state.table, {{:trips, node}, Enum.take([trip | last], 8)})
+    {:noreply, state}
+  end
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp measure(state) do
+    {cpu, at, busy, total} = now = sample()
+    {cpu0, at0, busy0, total0} = state.last
+    wall = max(at - at0, 1)
+    machine = if total > total0, do: (busy - busy0) / (total - total0), else: state.machine
+
+    %{
+      state
+      | last: now,
+        busy: smooth(state.busy, (cpu - cpu0) / wall),
+        machine: smooth(state.machine, machine)
+    }
+  end
+
+  defp smooth(before, now), do: before * (1 - @weight) + now * @weight
+
+  defp own(state) do
+    %{
+      busy: state.busy,
+      cores: System.schedulers_online(),
+      machine: state.machine,
+      memory: :erlang.memory(:total),
+      devices: state.devices,
+      trips:
+        for(
+          {{:trips, node}, trips} <- :ets.tab2list(state.table),
+          into: %{},
+          do: {node, Enum.min(trips)}
+        )
+    }
+  end
+
+  # CPU time of this VM and the time, ms; ticks of the machine that were busy, and all of them.
+  defp sample do
+    {cpu, _} = :erlang.statistics(:runtime)
+    {busy, total} = machine(File.read("/proc/stat"))
+    {cpu, now(), busy, total}
+  end
+
+  defp machine({:ok, "cpu " <> text}) do
+    ticks =
+      text
+      |> String.split("\n", parts: 2)
+      |> hd()
+      |> String.split()
+      |> Enum.map(&String.to_integer/1)
+
+    idle = Enum.at(ticks, 3, 0) + Enum.at(ticks, 4, 0)
+    total = ticks |> Enum.take(8) |> Enum.sum()
+    {total - idle, total}
+  end
+
+  defp machine(_elsewhere), do: {0, 0}
+
+  defp now, do: System.monotonic_time(:millisecond)
+end

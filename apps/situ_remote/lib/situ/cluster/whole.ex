@@ -1,0 +1,68 @@
+defmodule Situ.Cluster.Whole do
+  @moduledoc false
+  # Snapshots of the parts of a deployment as one: ids of each part lie apart, and the way from an outlet to an inlet is
+  # an edge as inside of a pipeline. Pure.
+  alias Situ.Diagnostics.Snapshot
+
+  @apart 1_000_000
+
+  @spec merge(String.t(), [{part :: String.t(), node(), Snapshot.t()}]) :: Snapshot.t()
+  def merge(name, parts) do
+    shifted = for {{_, node, s}, i} <- Enum.with_index(parts), do: {node, shift(s, i * @apart)}
+    nodes = for {node, s} <- shifted, n <- s.nodes, do: {node, n}
+
+    makers =
+      for {_, n} <- nodes, not way?(n), %{stream: s} <- n.outputs, s != nil, into: %{}, do: {s, n}
+
+    inlets = for {_, %{path: "Inlet " <> stream, id: id}} <- nodes, into: %{}, do: {id, stream}
+    outlets = for {_, %{path: "Outlet " <> _, id: id}} <- nodes, into: MapSet.new(), do: id
+
+    edges =
+      for {_, s} <- shifted, e <- s.edges, e.to not in outlets, do: joined(e, inlets, makers)
+
+    snapshots = for {_, s} <- shifted, do: s
+
+    %Snapshot{
+      pipeline: name,
+      state: state(Enum.map(snapshots, & &1.state)),
+      time: snapshots |> Enum.map(& &1.time) |> Enum.max(fn -> 0 end),
+      start_time: snapshots |> Enum.map(& &1.start_time) |> Enum.min(fn -> 0 end),
+      progress: snapshots |> Enum.map(& &1.progress) |> Enum.min(fn -> 0.0 end),
+      scopes: snapshots |> Enum.flat_map(& &1.scopes) |> Enum.uniq(),
+      nodes: for({node, n} <- nodes, not way?(n), do: placed(n, node)),
+      edges: Enum.reject(edges, &is_nil/1),
+      processes: Enum.flat_map(snapshots, & &1.processes)
+    }
+  end
+
+  defp shift(%Snapshot{} = s, by) do
+    %{
+      s
+      | nodes: for(n <- s.nodes, do: %{n | id: n.id + by, process: n.process && n.process + by}),
+        edges: for(e <- s.edges, do: %{e | id: e.id + by, from: e.from + by, to: e.to + by}),
+        processes: for(p <- s.processes, do: %{p | number: p.number + by})
+    }
+  end
+
+  defp way?(%{path: "Inlet " <> _}), do: true
+  defp way?(%{path: "Outlet " <> _}), do: true
+  defp way?(_node), do: false
+
+  # The part that makes the stream may be on no node at the moment.
+  defp joined(edge, inlets, makers) do
+    with {:ok, stream} <- Map.fetch(inlets, edge.from), %{} = maker <- makers[stream] do
+      output = Enum.find(maker.outputs, &(&1.stream == stream)).name
+      %{edge | from: maker.id, from_output: output, kind: :process}
+    else
+      :error -> edge
+      nil -> nil
+    end
+  end
+
+  defp placed(n, node),
+    do: %{n | description: Enum.join(["on #{node}" | List.wrap(n.description)], "; ")}
+
+  defp state(states) do
+    Enum.find([:building, :starting, :running, :stopping], :completed, &(&1 in states))
+  end
+end

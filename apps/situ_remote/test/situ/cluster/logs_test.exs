@@ -1,0 +1,34 @@
+defmodule Situ.Cluster.LogsTest do
+  # Other tests of the same VM may log meanwhile: only the lines of this one are looked at.
+  use ExUnit.Case, async: false
+  alias Situ.Cluster.Logs
+  require Logger
+
+  setup do
+    on_exit(fn -> :logger.remove_handler(Logs) end)
+  end
+
+  @tag capture_log: true
+  test "the last lines are kept, numbered, and read from where one was" do
+    assert Logs.read() == []
+    Logs.start()
+    Logger.warning("the door\nis open")
+    Logger.error(["caf", "é ", <<255>>])
+    :logger.info("~p of ~s", [1, "x"])
+    lines = Logs.read()
+    assert %{level: :warning} = door = Enum.find(lines, &(&1.text =~ "the door"))
+    assert door.text =~ "is open" and not String.contains?(door.text, "\n")
+    numbers = for line <- lines, do: line.n
+    assert numbers == Enum.sort(Enum.uniq(numbers))
+    refute Enum.any?(Logs.read(door.n), &(&1.n <= door.n))
+
+    # Logger itself leaves lines out when there are too many at once.
+    event = &%{level: :warning, meta: %{time: 1_000 + &1}, msg: {:string, "line #{&1}"}}
+    for i <- 1..2_100, do: Logs.log(event.(i), %{})
+    assert length(Logs.read(0, 5)) == 5
+    kept = Logs.read(0, 10_000)
+    assert length(kept) <= 2_000
+    assert Enum.any?(kept, &(&1.text == "line 2100"))
+    refute Enum.any?(kept, &(&1.text == "line 1"))
+  end
+end

@@ -1,0 +1,58 @@
+defmodule Situ.Studio.ClusterRates do
+  @moduledoc """
+  What happens in a cluster between two looks at it: messages a second of each stream, bytes a second of each link. Pure.
+
+      iex> alias Situ.Studio.ClusterRates
+      iex> part = %{deployment: "Hall", part: "Lips", streams: [%{name: "Mouth", messages: 100, readers: []}]}
+      iex> before = %Situ.Cluster.Overview{time: 0, parts: [part]}
+      iex> later = put_in(part.streams, [%{name: "Mouth", messages: 160, readers: []}])
+      iex> now = %Situ.Cluster.Overview{time: 2_000_000_000, parts: [later]}
+      iex> ClusterRates.streams(before, now)
+      %{{"Hall", "Lips", "Mouth"} => 30.0}
+      iex> ClusterRates.streams(nil, now)
+      %{}
+  """
+  alias Situ.Cluster.Overview
+
+  @doc "Messages a second by deployment, part and stream; of what was there both times."
+  @spec streams(Overview.t() | nil, Overview.t()) :: %{
+          {String.t(), String.t(), String.t()} => float()
+        }
+  def streams(before, now), do: rates(before, now, &counts/1)
+
+  @doc "Bytes a second by node and address."
+  @spec links(Overview.t() | nil, Overview.t()) :: %{{node(), String.t()} => float()}
+  def links(before, now),
+    do: rates(before, now, &for(l <- &1.links, into: %{}, do: {{l.node, l.address}, l.bytes}))
+
+  defp counts(overview) do
+    for p <- overview.parts,
+        s <- p.streams,
+        into: %{},
+        do: {{p.deployment, p.part, s.name}, s.messages}
+  end
+
+  # A count that went back is another one: its part has started anew.
+  defp rates(%Overview{time: from} = before, %Overview{time: to} = now, counts) when to > from do
+    earlier = counts.(before)
+
+    for {key, n} <- counts.(now),
+        m = earlier[key],
+        n >= m,
+        into: %{},
+        do: {key, (n - m) * 1.0e9 / (to - from)}
+  end
+
+  defp rates(_none, _now, _counts), do: %{}
+
+  @doc """
+  Whether somebody is behind so far that it is catching up: more than a second of what comes, and a hundred messages.
+
+      iex> Situ.Studio.ClusterRates.catching_up?(5_000, 30.0)
+      true
+      iex> Situ.Studio.ClusterRates.catching_up?(20, 30.0)
+      false
+  """
+  @spec catching_up?(non_neg_integer(), float()) :: boolean()
+  def catching_up?(behind, rate), do: behind > max(rate, 100)
+end

@@ -1,0 +1,189 @@
+defmodule Situ.Studio.Web.ClusterView do
+  @moduledoc false
+  # The page of a cluster: its nodes, the parts of what is deployed with their streams, the links of all nodes, and who
+  # is catching up. It is there where the studio's own node is a member; it shows, and changes nothing.
+  use Situ.Live.View
+  import Situ.Studio.Web.Icons
+  alias Situ.Cluster.Overview
+  alias Situ.Studio.ClusterRates
+  alias Situ.Studio.Web.{Address, Side}
+
+  @refresh_ms 1_000
+
+  @impl true
+  def mount(_params, session, socket) do
+    socket =
+      assign(socket,
+        studio: session["studio"],
+        page_title: "Cluster",
+        member: member?(),
+        before: nil,
+        now: nil
+      )
+
+    if connected?(socket), do: look()
+
+    {:ok,
+     if(connected?(socket) or not member?(), do: socket, else: assign(socket, now: Overview.now()))}
+  end
+
+  @doc "Whether there is a cluster to show."
+  @spec member?() :: boolean()
+  def member?, do: Process.whereis(Situ.Cluster.Agent) != nil
+
+  # Nodes that do not answer make nobody wait but this task.
+  defp look do
+    page = self()
+
+    Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
+      send(page, {:overview, if(member?(), do: Overview.now())})
+    end)
+  end
+
+  @impl true
+  def handle_info({:overview, overview}, socket) do
+    Process.send_after(self(), :look, @refresh_ms)
+    before = if overview, do: socket.assigns.now
+    {:noreply, assign(socket, member: overview != nil, before: before, now: overview)}
+  end
+
+  def handle_info(:look, socket) do
+    look()
+    {:noreply, socket}
+  end
+
+  def handle_info(_other, socket), do: {:noreply, socket}
+
+  # It has no buttons; a page of another version may send what this one does not know.
+  @impl true
+  def handle_event(_event, _params, socket), do: {:noreply, socket}
+
+  @impl true
+  def render(%{now: nil} = assigns) do
+    ~H"""
+    <main class="home cluster" id="cluster">
+      <h1><a class="brand" href="/" title="All recordings"><.logo /></a><span>Cluster</span></h1>
+      <p :if={@member} class="hint" role="status">Asking the nodes …</p>
+      <p :if={not @member} class="hint" role="status">The studio's node is no member of a cluster.
+        <code>situ cluster join NAME --log LOG --studio 4040</code> starts one that shows it.</p>
+    </main>
+    """
+  end
+
+  def render(assigns) do
+    assigns =
+      assign(assigns,
+        streams: ClusterRates.streams(assigns.before, assigns.now),
+        links: ClusterRates.links(assigns.before, assigns.now)
+      )
+
+    ~H"""
+    <main class="home cluster" id="cluster">
+      <h1><a class="brand" href="/" title="All recordings"><.logo /></a><span>Cluster</span></h1>
+      <p class="hint" role="status">{said(@now)}</p>
+      <table id="nodes">
+        <caption>Nodes</caption>
+        <thead><tr><th scope="col">Node</th><th scope="col">Labels, devices</th><th scope="col">Parts</th>
+          <th scope="col">CPU</th><th scope="col">Machine</th><th scope="col">Memory</th><th scope="col">Away</th></tr></thead>
+        <tbody>
+          <tr :for={n <- @now.nodes} :key={n.node}>
+            <th scope="row">{n.node}{if n.node == @now.here, do: " (here)"}</th>
+            <td class="text">{Enum.join(n.labels ++ n.devices, ", ")}</td>
+            <td>{parts_of(@now, n.node)}</td>
+            <td>{cores(n)}</td>
+            <td>{percent(n.machine)}</td>
+            <td>{n.memory && Side.bytes(n.memory)}</td>
+            <td>{ms(n.trip)}</td>
+          </tr>
+        </tbody>
+      </table>
+      <table id="parts">
+        <caption>Parts and their streams</caption>
+        <thead><tr><th scope="col">Part</th><th scope="col">Node</th><th scope="col">State</th><th scope="col">Checkpoints</th>
+          <th scope="col">Stream</th><th scope="col">Messages</th><th scope="col">A second</th>
+          <th scope="col">Readers</th></tr></thead>
+        <tbody>
+          <tr :for={row <- rows(@now)} :key={row.key} class={to_string(row.part.phase)}>
+            <th scope="row">{row.first? && title(row.part)}</th>
+            <td class="text">{row.first? && (row.part.node || "none")}</td>
+            <td class="text" title={row.part.error}>{row.first? && row.part.phase}</td>
+            <td>{row.first? && row.part.checkpoints}</td>
+            <td class="text">{row.stream && row.stream.name}</td>
+            <td>{row.stream && row.stream.messages}</td>
+            <td>{rate(@streams[row.key])}</td>
+            <td class="text"><span :for={r <- readers(row, @streams)} class={r.class}>{r.text}</span></td>
+          </tr>
+        </tbody>
+      </table>
+      <p :if={@now.parts == []} class="hint">Nothing is deployed. <code>situ cluster deploy MODULE</code> does it.</p>
+      <table :if={@now.links != []} id="links">
+        <caption>Links</caption>
+        <thead><tr><th scope="col">To</th><th scope="col">Node</th><th scope="col">State</th><th scope="col">Bytes a second</th>
+          <th scope="col">Round trip</th><th scope="col">Clock</th></tr></thead>
+        <tbody>
+          <tr :for={l <- @now.links} :key={{l.node, l.address}} class={if l.connected?, do: "running", else: "failed"}>
+            <th scope="row">{l.address}</th>
+            <td class="text">{l.node}</td>
+            <td class="text">{if l.connected?, do: "connected", else: "lost"}</td>
+            <td>{bytes(@links[{l.node, l.address}])}</td>
+            <td>{ms(l.round_trip)}</td>
+            <td>{clock(l)}</td>
+          </tr>
+        </tbody>
+      </table>
+      <p class="hint"><a href="/">All recordings and pipelines</a><span :for={p <- running(@now)}> ·
+        <a href={Address.pipeline(p)}>{p}</a></span></p>
+      <div id="toast" role="status" phx-update="ignore"></div>
+    </main>
+    """
+  end
+
+  defp said(now) do
+    lost = Enum.count(now.parts, &(&1.phase in [:standby, :failed]))
+    parts = "#{plural(length(now.nodes), "node")}, #{plural(length(now.parts), "part")}"
+    if lost == 0, do: parts, else: parts <> ", #{lost} not running"
+  end
+
+  defp plural(1, word), do: "1 " <> word
+  defp plural(n, word), do: "#{n} #{word}s"
+
+  defp parts_of(now, node), do: Enum.count(now.parts, &(&1.node == node))
+  defp title(part), do: "#{part.deployment}/#{part.part}"
+  defp running(now), do: for(%{pipeline: pid} = p when pid != nil <- now.parts, do: title(p))
+
+  # A part has a row for each of its streams, and one where it has none.
+  defp rows(now) do
+    for part <- now.parts,
+        {stream, i} <- Enum.with_index(if part.streams == [], do: [nil], else: part.streams) do
+      key = {part.deployment, part.part, stream && stream.name}
+      %{part: part, stream: stream, first?: i == 0, key: key}
+    end
+  end
+
+  defp readers(%{stream: nil}, _rates), do: []
+
+  defp readers(%{stream: stream, key: key}, rates) do
+    for reader <- stream.readers do
+      if ClusterRates.catching_up?(reader.behind, rates[key] || 0.0),
+        do: %{text: "#{reader.part}: catching up, #{reader.behind} behind", class: "behind"},
+        else: %{text: reader.part, class: nil}
+    end
+  end
+
+  defp cores(%{busy: nil}), do: nil
+  defp cores(n), do: "#{fixed(n.busy, 2)} of #{n.cores}"
+  defp percent(nil), do: nil
+  defp percent(part), do: "#{round(part * 100)} %"
+  defp rate(nil), do: nil
+  defp rate(n), do: fixed(n, 1)
+  defp bytes(nil), do: nil
+  defp bytes(n), do: Side.bytes(round(n))
+  defp ms(nil), do: nil
+  defp ms(ns), do: fixed(ns / 1.0e6, 2) <> " ms"
+  defp clock(%{offset: nil}), do: nil
+
+  defp clock(l),
+    do: "#{fixed(l.offset / 1.0e6, 2)} ± #{fixed((l.uncertainty || 0) / 1.0e6, 2)} ms"
+
+  defp fixed(n, places), do: :erlang.float_to_binary(n / 1, decimals: places)
+end
