@@ -7,7 +7,8 @@ defmodule Situ.Cluster.Balance do
   worth one.
 
       iex> nodes = %{a@h: %{busy: 1.8, cores: 2}, b@h: %{busy: 0.1, cores: 2}}
-      iex> parts = [%{part: "Lips", node: :a@h, cost: 1.0, on: [:a@h, :b@h]}, %{part: "Sound", node: :a@h, cost: 0.7, on: [:a@h]}]
+      iex> lips = %{part: "Lips", node: :a@h, cost: 1.0, on: [:a@h, :b@h]}
+      iex> parts = [lips, %{part: "Sound", node: :a@h, cost: 0.7, on: [:a@h]}]
       iex> Situ.Cluster.Balance.move(nodes, parts)
       {"Lips", :b@h}
       iex> Situ.Cluster.Balance.move(%{nodes | a@h: %{busy: 0.15, cores: 2}}, parts)

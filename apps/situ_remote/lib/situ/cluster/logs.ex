@@ -2,8 +2,8 @@ defmodule Situ.Cluster.Logs do
   @moduledoc """
   The last lines that each node has logged, to be read from any of them: `bin/situ cluster logs`.
 
-  A handler of Erlang's logger keeps the last #{2_000} lines of a node in a table. Lines are texts of 4,000 characters at
-  most; what they say was said for people, and whoever has the cluster's cookie may read it.
+  A handler of Erlang's logger keeps the last 2,000 lines of a node in a table. Lines are texts of 4,000 characters at
+  most; they were written for people, and whoever has the cluster's cookie may read them.
   """
   @keep 2_000
   @most_characters 4_000

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.ClusterRates do
   @moduledoc """
-  What happens in a cluster between two looks at it: messages a second of each stream, bytes a second of each link. Pure.
+  Rates between two looks at a cluster: messages a second of each stream, bytes a second of each link. Pure.
 
       iex> alias Situ.Studio.ClusterRates
       iex> part = %{deployment: "Hall", part: "Lips", streams: [%{name: "Mouth", messages: 100, readers: []}]}

@@ -84,7 +84,8 @@ defmodule Situ.Studio.Web.ClusterView do
       <table id="nodes">
         <caption>Nodes</caption>
         <thead><tr><th scope="col">Node</th><th scope="col">Labels, devices</th><th scope="col">Parts</th>
-          <th scope="col">CPU</th><th scope="col">Machine</th><th scope="col">Memory</th><th scope="col">Away</th></tr></thead>
+          <th scope="col">CPU</th><th scope="col">Machine</th><th scope="col">Memory</th>
+          <th scope="col">Away</th></tr></thead>
         <tbody>
           <tr :for={n <- @now.nodes} :key={n.node}>
             <th scope="row">{n.node}{if n.node == @now.here, do: " (here)"}</th>
@@ -99,8 +100,9 @@ defmodule Situ.Studio.Web.ClusterView do
       </table>
       <table id="parts">
         <caption>Parts and their streams</caption>
-        <thead><tr><th scope="col">Part</th><th scope="col">Node</th><th scope="col">State</th><th scope="col">Checkpoints</th>
-          <th scope="col">Stream</th><th scope="col">Messages</th><th scope="col">A second</th>
+        <thead><tr><th scope="col">Part</th><th scope="col">Node</th><th scope="col">State</th>
+          <th scope="col">Checkpoints</th><th scope="col">Stream</th><th scope="col">Messages</th>
+          <th scope="col">A second</th>
           <th scope="col">Readers</th></tr></thead>
         <tbody>
           <tr :for={row <- rows(@now)} :key={row.key} class={to_string(row.part.phase)}>
@@ -118,8 +120,8 @@ defmodule Situ.Studio.Web.ClusterView do
       <p :if={@now.parts == []} class="hint">Nothing is deployed. <code>situ cluster deploy MODULE</code> does it.</p>
       <table :if={@now.links != []} id="links">
         <caption>Links</caption>
-        <thead><tr><th scope="col">To</th><th scope="col">Node</th><th scope="col">State</th><th scope="col">Bytes a second</th>
-          <th scope="col">Round trip</th><th scope="col">Clock</th></tr></thead>
+        <thead><tr><th scope="col">To</th><th scope="col">Node</th><th scope="col">State</th>
+          <th scope="col">Bytes a second</th><th scope="col">Round trip</th><th scope="col">Clock</th></tr></thead>
         <tbody>
           <tr :for={l <- @now.links} :key={{l.node, l.address}} class={if l.connected?, do: "running", else: "failed"}>
             <th scope="row">{l.address}</th>
