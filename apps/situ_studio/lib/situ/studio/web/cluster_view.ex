@@ -62,7 +62,7 @@ defmodule Situ.Studio.Web.ClusterView do
   def render(%{now: nil} = assigns) do
     ~H"""
     <main class="home cluster" id="cluster">
-      <h1><a class="brand" href="/" title="All recordings"><.logo /></a><span>Cluster</span></h1>
+      <h1><a class="brand" href="." title="All recordings"><.logo /></a><span>Cluster</span></h1>
       <p :if={@member} class="hint" role="status">Asking the nodes …</p>
       <p :if={not @member} class="hint" role="status">The studio's node is no member of a cluster.
         <code>situ cluster join NAME --log LOG --studio 4040</code> starts one that shows it.</p>
@@ -79,7 +79,7 @@ defmodule Situ.Studio.Web.ClusterView do
 
     ~H"""
     <main class="home cluster" id="cluster">
-      <h1><a class="brand" href="/" title="All recordings"><.logo /></a><span>Cluster</span></h1>
+      <h1><a class="brand" href="." title="All recordings"><.logo /></a><span>Cluster</span></h1>
       <p class="hint" role="status">{said(@now)}</p>
       <table id="nodes">
         <caption>Nodes</caption>
@@ -133,7 +133,7 @@ defmodule Situ.Studio.Web.ClusterView do
           </tr>
         </tbody>
       </table>
-      <p class="hint"><a href="/">All recordings and pipelines</a><span :for={p <- running(@now)}> ·
+      <p class="hint"><a href=".">All recordings and pipelines</a><span :for={p <- running(@now)}> ·
         <a href={Address.pipeline(p)}>{p}</a></span></p>
       <div id="toast" role="status" phx-update="ignore"></div>
     </main>
