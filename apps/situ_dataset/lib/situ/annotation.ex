@@ -30,6 +30,7 @@ defmodule Situ.Annotation do
   | undo and redo, keep unsaved edits through a crash | `Situ.Annotation.Editor` |
   | read them from and write them to a recording | `Situ.Annotation.Recording` |
   | make them out of a stream of booleans or maps | `Situ.Annotation.Segmenting` |
+  | make them out of messages that say from when to when | `Situ.Annotation.Spans` |
   | exchange them with ELAN, Praat, WebVTT and others | `Situ.Annotation.Exchange` |
   | compare two annotators | `Situ.Annotation.Agreement` |
   """

@@ -97,7 +97,7 @@ defmodule Situ.Assistant do
 
     chat = opts[:chat] && answers(dialogue.ask, stop, opts[:chat])
 
-    spoken = Situ.via(dialogue.said, SpeechSynthesizer, spoken(opts) ++ [name: "Synthesizer"])
+    spoken = speak(dialogue.said, opts, "Synthesizer")
 
     player = Situ.via([in: spoken, stop: stop] ++ chatted(chat, opts), Player, name: "Player")
 
@@ -129,10 +129,10 @@ defmodule Situ.Assistant do
 
   defp chatted(nil, _opts), do: []
 
-  defp chatted(answers, opts),
-    do: [
-      answers: Situ.via(answers, SpeechSynthesizer, spoken(opts) ++ [name: "AnswerSynthesizer"])
-    ]
+  defp chatted(answers, opts), do: [answers: speak(answers, opts, "AnswerSynthesizer")]
+
+  defp speak(text, opts, name),
+    do: Situ.via(text, SpeechSynthesizer, spoken(opts) ++ [name: name]).out
 
   defp spoken(opts), do: Keyword.put(opts[:synthesizer], :stamp, :text)
 end

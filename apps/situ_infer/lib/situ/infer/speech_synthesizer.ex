@@ -17,6 +17,11 @@ defmodule Situ.Infer.SpeechSynthesizer do
       doc:
         "The sound's time: that of its end, as all sound's; or that of its text, for what plays it by its own clock."
     ],
+    marks: [
+      type: :boolean,
+      default: false,
+      doc: "Says what is spoken when; not with `stamp: :text`."
+    ],
     cache: [
       type: :non_neg_integer,
       default: 64,
@@ -31,48 +36,107 @@ defmodule Situ.Infer.SpeechSynthesizer do
   text came, or when the sound before it ends, and its time is that of its end. Texts without words give nothing; a
   text that is said again comes from memory.
 
-      answers |> Situ.via(Situ.Infer.SpeechSynthesizer, synthesizer_options: [voice: "en-gb"])
+      answers |> Situ.via(Situ.Infer.SpeechSynthesizer, synthesizer_options: [voice: "en-gb"]).out
+
+  With `marks: true` the outputs `:words`, `:phonemes` and `:bookmarks` are `Situ.Infer.Speech.Mark`s, each at the time
+  when it begins to be spoken; not every synthesizer knows them (`c:Situ.Infer.Speech.Synthesizer.speak_marked/2`).
+  `Situ.Annotation.Spans` makes annotations of them.
+
+  The sound comes at once, however long it is; `Situ.Assistant.Player` plays it in real time, piece by piece, and falls
+  silent when it is told to.
 
   ## Options
 
   #{Situ.Options.docs(@schema)}
   """
-  use Situ.Component, inputs: [in: :string], outputs: [out: Situ.AudioBuffer], options: @schema
+  use Situ.Component,
+    inputs: [in: :string],
+    outputs: [
+      out: Situ.AudioBuffer,
+      words: Situ.Infer.Speech.Mark,
+      phonemes: Situ.Infer.Speech.Mark,
+      bookmarks: Situ.Infer.Speech.Mark
+    ],
+    options: @schema
 
   alias Situ.{AudioBuffer, Error, Sound}
+  alias Situ.Infer.Speech.Mark
 
-  defstruct [:opts, :voice, ends: nil, known: %{}, order: :queue.new()]
+  @outputs %{word: :words, phoneme: :phonemes, mark: :bookmarks}
+
+  defstruct [:opts, :voice, ends: nil, last: %{}, known: %{}, order: :queue.new()]
 
   @impl true
-  def init(opts), do: {:ok, %__MODULE__{opts: Map.new(opts)}}
+  def init(opts) do
+    if opts[:marks] and opts[:stamp] == :text,
+      do:
+        {:error,
+         Error.new(:bad_option, "marks need the time of the sound",
+           fix: "leave out stamp: :text, or marks:"
+         )},
+      else: {:ok, %__MODULE__{opts: Map.new(opts)}}
+  end
 
   @impl true
-  def handle_start(_context, %{opts: opts} = state),
-    do: {[], %{state | voice: Error.unwrap!(opts.synthesizer.load(opts.synthesizer_options))}}
+  def handle_start(_context, %{opts: opts} = state) do
+    voice = Error.unwrap!(opts.synthesizer.load(opts.synthesizer_options))
+
+    if opts.marks and not function_exported?(opts.synthesizer, :speak_marked, 2) do
+      raise Error.new(:no_marks, "#{inspect(opts.synthesizer)} does not say what is spoken when",
+              fix: "use Situ.Infer.Speech.Espeak, or leave out marks:"
+            )
+    end
+
+    {[], %{state | voice: voice}}
+  end
 
   @impl true
   def handle_message(:in, %{data: text, originating_time: time}, _context, state) do
-    {sound, state} = sound(state, text)
+    {{sound, marks}, state} = spoken(state, text)
 
     cond do
       sound.data == "" -> {[], state}
       state.opts.stamp == :text -> {[{:out, time, sound}], state}
-      true -> following(sound, time, state)
+      true -> following(sound, marks, time, state)
     end
   end
 
-  defp following(sound, time, state) do
-    ends = max(time, state.ends || time) + AudioBuffer.duration(sound)
-    {[{:out, ends, sound}], %{state | ends: ends}}
+  defp following(sound, marks, time, state) do
+    begins = max(time, state.ends || time)
+    ends = begins + AudioBuffer.duration(sound)
+
+    {actions, last} =
+      marks
+      |> Enum.filter(&is_map_key(@outputs, &1.kind))
+      |> Enum.map_reduce(state.last, fn mark, last ->
+        output = @outputs[mark.kind]
+        mark = Mark.shift(mark, begins)
+        # Two marks may stand at one place of the text.
+        at = max(mark.from, Map.get(last, output, mark.from - 1) + 1)
+        {{output, at, mark}, Map.put(last, output, at)}
+      end)
+
+    {actions ++ [{:out, ends, sound}], %{state | ends: ends, last: last}}
   end
 
-  defp sound(%{known: known} = state, text) when is_map_key(known, text), do: {known[text], state}
+  defp spoken(%{known: known} = state, text) when is_map_key(known, text),
+    do: {known[text], state}
 
-  defp sound(%{opts: opts} = state, text) do
-    spoken = Error.unwrap!(opts.synthesizer.speak(state.voice, text))
+  defp spoken(%{opts: opts} = state, text) do
+    {spoken, marks} = speak(opts, state.voice, text)
     mono = Sound.reformat!(spoken, channels: 1, sample: :s16)
     sound = if mono.data == "", do: mono, else: Sound.resample!(mono, opts.rate)
-    {sound, remember(state, text, sound)}
+    {{sound, marks}, remember(state, text, {sound, marks})}
+  end
+
+  defp speak(%{marks: false, synthesizer: synthesizer}, voice, text),
+    do: {Error.unwrap!(synthesizer.speak(voice, text)), []}
+
+  defp speak(%{synthesizer: synthesizer}, voice, text) do
+    case synthesizer.speak_marked(voice, text) do
+      {:ok, sound, marks} -> {sound, marks}
+      {:error, error} -> raise error
+    end
   end
 
   defp remember(%{opts: %{cache: 0}} = state, _text, _sound), do: state

@@ -6,7 +6,9 @@ defmodule Situ.Infer.SpeechSynthesizerTest do
 
   defp say(texts, opts \\ []) do
     Situ.to_list(
-      fn p -> p |> Situ.from_enumerable(texts) |> Situ.via(SpeechSynthesizer, opts) end,
+      fn p ->
+        p |> Situ.from_enumerable(texts) |> Situ.via(SpeechSynthesizer, opts) |> Map.fetch!(:out)
+      end,
       times: true
     )
   end
@@ -20,6 +22,54 @@ defmodule Situ.Infer.SpeechSynthesizerTest do
     assert t2 == t1 + AudioBuffer.duration(two)
     assert t3 == 9_000_000_000 + AudioBuffer.duration(three)
     assert three == one and two != one
+  end
+
+  test "it says which word and sound is spoken when, also of a text from memory" do
+    texts = [
+      {0, "Go forward ten meters."},
+      {1, "Stop."},
+      {9_000_000_000, "Go forward ten meters."}
+    ]
+
+    [words, phonemes, sounds] =
+      Situ.to_list(
+        fn p ->
+          spoken = p |> Situ.from_enumerable(texts) |> Situ.via(SpeechSynthesizer, marks: true)
+          [spoken.words, spoken.phonemes, spoken.out]
+        end,
+        times: true
+      )
+
+    assert Enum.map(words, fn {_, mark} -> mark.text end) ==
+             ~w(Go forward ten meters Stop Go forward ten meters)
+
+    for {time, mark} <- words, do: assert(time == mark.from and mark.to > mark.from)
+    [{first, _}, {second, _}, {_, _}] = sounds
+    {_, stop} = Enum.at(words, 4)
+    assert stop.from >= first and stop.to <= second
+    assert {_, %{from: from}} = Enum.at(words, 5)
+    assert from - 9_000_000_000 == words |> hd() |> elem(1) |> Map.fetch!(:from)
+    assert Enum.map_join(Enum.take(phonemes, 3), fn {_, mark} -> mark.text end) == "ɡoʊf"
+    times = Enum.map(phonemes, &elem(&1, 0))
+    assert times == Enum.sort(Enum.uniq(times))
+  end
+
+  defmodule Dumb do
+    @behaviour Situ.Infer.Speech.Synthesizer
+    @impl true
+    def load(_), do: {:ok, nil}
+    @impl true
+    def speak(_, _), do: AudioBuffer.new(format: AudioFormat.pcm(16_000), data: "")
+  end
+
+  test "marks that cannot be had are an error at once" do
+    assert_raise Situ.Error, ~r/Dumb does not say what is spoken when/, fn ->
+      say([{0, "hello"}], synthesizer: Dumb, marks: true)
+    end
+
+    assert_raise Situ.Error, ~r/marks need the time of the sound/, fn ->
+      say([{0, "hello"}], marks: true, stamp: :text)
+    end
   end
 
   test "text is only text, whatever it looks like" do

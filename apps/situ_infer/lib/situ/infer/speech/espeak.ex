@@ -16,6 +16,10 @@ defmodule Situ.Infer.Speech.Espeak do
 
       {:ok, voice} = Situ.Infer.Speech.Espeak.load(rate: 180)
       {:ok, sound} = Situ.Infer.Speech.Espeak.speak(voice, "Go forward ten metres.")
+      {:ok, sound, marks} = Situ.Infer.Speech.Espeak.speak_marked(voice, "Go forward ten metres.")
+
+  Marks (`Situ.Infer.Speech.Mark`) are sentences, words, sounds and, with `ssml: true`, the text's own marks. They come
+  from espeak-ng's library, which a small program of Situ runs (`native/situ_speak`).
 
   ## Options
 
@@ -28,6 +32,8 @@ defmodule Situ.Infer.Speech.Espeak do
   @behaviour Situ.Infer.Speech.Synthesizer
 
   alias Situ.{AudioBuffer, Error}
+  alias Situ.Infer.Speech.Espeak.Frames
+  alias Situ.Infer.Speech.Mark
   alias Situ.Media.Wav.Format
 
   # An argument of a program may be no longer than 128 KiB.
@@ -35,20 +41,22 @@ defmodule Situ.Infer.Speech.Espeak do
   # Nothing it is asked takes so long.
   @seconds 60
 
-  @enforce_keys [:program, :arguments]
-  defstruct [:program, :arguments]
-  @type t :: %__MODULE__{program: Path.t(), arguments: [String.t()]}
+  @enforce_keys [:program, :arguments, :marker]
+  defstruct [:program, :arguments, :marker]
+  @type t :: %__MODULE__{program: Path.t(), arguments: [String.t()], marker: [String.t()]}
 
   @impl true
   @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def load(opts \\ []) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, program} <- program() do
-      arguments =
-        ["-v", opts[:voice], "-s", "#{round(opts[:rate])}", "-p", "#{round(opts[:pitch])}"] ++
-          if(opts[:ssml], do: ["-m"], else: [])
+      [rate, pitch] = for key <- [:rate, :pitch], do: "#{round(opts[key])}"
 
-      voice = %__MODULE__{program: program, arguments: arguments}
+      arguments =
+        ["-v", opts[:voice], "-s", rate, "-p", pitch] ++ if(opts[:ssml], do: ["-m"], else: [])
+
+      marker = [opts[:voice], rate, pitch, if(opts[:ssml], do: "ssml", else: "text")]
+      voice = %__MODULE__{program: program, arguments: arguments, marker: marker}
       # An unknown voice shows at once, not with the first sentence.
       with {:ok, _} <- speak(voice, "a"), do: {:ok, voice}
     end
@@ -71,12 +79,30 @@ defmodule Situ.Infer.Speech.Espeak do
   @impl true
   @spec speak(t(), String.t()) :: AudioBuffer.result()
   def speak(%__MODULE__{} = voice, text) do
+    case check(text) do
+      :ok -> run(voice, text)
+      :nothing -> silence()
+      error -> error
+    end
+  end
+
+  @impl true
+  @spec speak_marked(t(), String.t()) :: {:ok, AudioBuffer.t(), [Mark.t()]} | {:error, Error.t()}
+  def speak_marked(%__MODULE__{} = voice, text) do
+    case check(text) do
+      :ok -> mark(voice, text)
+      :nothing -> with {:ok, sound} <- silence(), do: {:ok, sound, []}
+      error -> error
+    end
+  end
+
+  defp check(text) do
     cond do
       not String.valid?(text) or String.contains?(text, <<0>>) -> bad("it is not text")
       byte_size(text) > @longest -> bad("it has more than #{@longest} bytes")
       # Nothing to be said: no letter, number or sign.
-      not String.match?(text, ~r/[\p{L}\p{N}\p{S}]/u) -> silence()
-      true -> run(voice, text)
+      not String.match?(text, ~r/[\p{L}\p{N}\p{S}]/u) -> :nothing
+      true -> :ok
     end
   end
 
@@ -88,14 +114,37 @@ defmodule Situ.Infer.Speech.Espeak do
        Error.new(:bad_text, "this cannot be spoken", why: why, fix: "give it in sentences")}
 
   defp run(voice, text) do
-    command =
-      ["timeout", "-k", "1", "#{@seconds}", voice.program, "--stdout"] ++
-        voice.arguments ++ ["--", text]
-
-    # Its complaints would go to the terminal.
-    case System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | command]) do
+    case command([voice.program, "--stdout"] ++ voice.arguments ++ ["--", text]) do
       {wav, 0} -> sound(wav)
       {_, status} -> {:error, failed(voice, status)}
+    end
+  end
+
+  # Its complaints would go to the terminal.
+  defp command(command) do
+    limited = ["timeout", "-k", "1", "#{@seconds}" | command]
+    System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | limited])
+  end
+
+  defp mark(voice, text) do
+    program = Application.app_dir(:situ_infer, "priv/native/situ_speak")
+
+    case command([program | voice.marker] ++ [text]) do
+      {bytes, 0} ->
+        with :error <- Frames.parse(bytes, text), do: {:error, failed(voice, "half an answer")}
+
+      {_, 3} ->
+        {:error,
+         Error.new(:no_espeak, "espeak-ng's library cannot be opened",
+           why: "marks come from libespeak-ng.so.1",
+           fix: "install it: apt-get install espeak-ng"
+         )}
+
+      {_, 4} ->
+        {:error, failed(voice, 1)}
+
+      {_, status} ->
+        {:error, failed(voice, status)}
     end
   end
 

@@ -1,5 +1,7 @@
 defmodule Situ.Infer.Speech.EspeakTest do
   use ExUnit.Case, async: true
+  doctest Situ.Infer.Speech.Espeak.Frames
+  doctest Situ.Infer.Speech.Mark
   alias Situ.AudioBuffer
   alias Situ.Infer.Speech.Espeak
 
@@ -18,6 +20,34 @@ defmodule Situ.Infer.Speech.EspeakTest do
 
     assert length.(ssml, ~s(<speak>one <break time="2000ms"/> two</speak>)) >
              plain + Situ.Time.ms(1_500)
+  end
+
+  test "says what is spoken when: sentences, words, sounds, and the marks of SSML" do
+    {:ok, voice} = Espeak.load(ssml: true)
+    text = ~s(<speak>Go <mark name="here"/><break time="500ms"/>on.</speak>)
+    {:ok, sound, marks} = Espeak.speak_marked(voice, text)
+    of = fn kind -> Enum.filter(marks, &(&1.kind == kind)) end
+    assert [%{text: "Go"} = go, %{text: "on"} = on] = of.(:word)
+    assert [%{text: "here", from: here, to: here}] = of.(:mark)
+    assert go.to <= here and on.from >= here + 250_000_000
+    assert Enum.map_join(of.(:phoneme), & &1.text) == "ɡoʊɔn"
+    assert Enum.all?(marks, &(&1.from <= &1.to and &1.to <= AudioBuffer.duration(sound)))
+    assert {:ok, %{data: data}} = Espeak.speak(voice, text)
+    # The program and the library say the same.
+    assert_in_delta byte_size(sound.data), byte_size(data), 4_000
+    assert {:ok, %{data: ""}, []} = Espeak.speak_marked(voice, "...")
+  end
+
+  test "what a program writes that is cut short is no answer" do
+    alias Situ.Infer.Speech.Espeak.Frames
+    good = <<"r", 4::little-32, 22_050::little-32, "a", 2::little-32, 1::16>>
+    assert {:ok, _, []} = Frames.parse(good, "a")
+
+    for n <- 0..(byte_size(good) - 1),
+        n != 9,
+        do: assert(Frames.parse(binary_part(good, 0, n), "a") == :error)
+
+    assert Frames.parse(good <> <<"z", 0::32>>, "a") == :error
   end
 
   test "what cannot be said is nothing, what is wrong an error" do

@@ -1,0 +1,100 @@
+defmodule Situ.Annotation.Spans do
+  @moduledoc """
+  Streams whose messages say from when to when, made into annotation streams: words that are spoken, things that were
+  recognised, results of a service.
+
+      heard                                      # what somebody said: from, to and text
+      |> Situ.Annotation.Spans.annotate(&[{&1.from, &1.to, "Said", %{"Words" => &1.text}}], by: "Moonshine")
+
+  The function answers the spans of a message: `{from, to, track, values}` each. An annotation is emitted at its end,
+  when the stream has come so far; those still ahead when the stream closes, then. A span that begins before the last
+  one of its track has ended begins at that end, since a track holds no two that overlap; one that ends before what was
+  emitted already is left out.
+
+  `Situ.Annotation.Schema.text("Words")` is the schema of the example.
+  """
+  @shared [
+    proposed: [type: :boolean, default: false, doc: "They are proposals."],
+    by: [type: {:optional, :string}, doc: "Who says so."],
+    name: [type: :string, default: "Spans", doc: "The component's name."]
+  ]
+
+  use Situ.Component,
+    inputs: [in: :any],
+    outputs: [out: {:list, Situ.Annotation}],
+    options: [
+      spans: [type: {:fun, 1}, required: true],
+      proposed: [type: :boolean, default: false],
+      by: [type: {:optional, :string}]
+    ]
+
+  alias Situ.Annotation
+
+  @type span ::
+          {from :: Situ.Time.t(), to :: Situ.Time.t(), track :: String.t(), values :: map()}
+
+  defstruct [:spans, :by, :emitted, proposed: false, ends: %{}, ahead: []]
+
+  @doc """
+  The annotations in a stream.
+
+  #{Situ.Options.docs(@shared)}
+  """
+  @spec annotate(Situ.Stream.t(), (term() -> [span()]), keyword()) :: Situ.Stream.t()
+  def annotate(stream, spans, opts \\ []) when is_function(spans, 1) do
+    opts = Situ.Options.validate!(opts, @shared)
+    own = [spans: spans, proposed: opts[:proposed], by: opts[:by], name: opts[:name]]
+    Situ.via(stream, __MODULE__, own)
+  end
+
+  @impl true
+  def init(opts),
+    do: {:ok, %__MODULE__{spans: opts[:spans], by: opts[:by], proposed: opts[:proposed]}}
+
+  @impl true
+  def handle_message(:in, message, _context, state) do
+    state = message.data |> state.spans.() |> Enum.reduce(state, &add/2)
+    emit(state, message.originating_time)
+  end
+
+  @impl true
+  def handle_closed(:in, _time, _context, state), do: emit(state, :infinity)
+
+  defp add({from, to, track, values}, state) do
+    from = max(from, Map.get(state.ends, track, from))
+
+    if to < from or (state.emitted != nil and to <= state.emitted) do
+      state
+    else
+      annotation = %Annotation{
+        from: from,
+        to: to,
+        track: track,
+        values: values,
+        by: state.by,
+        proposed?: state.proposed
+      }
+
+      %{state | ends: Map.put(state.ends, track, to), ahead: [annotation | state.ahead]}
+    end
+  end
+
+  # `:infinity` sorts after every number.
+  defp emit(state, now) do
+    {due, ahead} = Enum.split_with(state.ahead, &(&1.to <= now))
+
+    actions =
+      due
+      |> Enum.group_by(& &1.to)
+      |> Enum.sort()
+      |> Enum.map(fn {to, annotations} -> {:out, to, once_a_track(annotations)} end)
+
+    emitted = actions |> Enum.map(&elem(&1, 1)) |> List.last()
+    {actions, %{state | ahead: ahead, emitted: emitted || state.emitted}}
+  end
+
+  # Newest first; of two that end together the earlier one is the longer.
+  defp once_a_track(annotations) do
+    annotations |> Enum.reverse() |> Enum.uniq_by(& &1.track) |> Enum.sort_by(& &1.track)
+  end
+end
