@@ -9,10 +9,10 @@ defmodule Situ.Bench.Speech do
     * `talk-delay`: the assistant of `situ talk` in real time, asked by a voice from a file, ten questions at scale 1:
       from the end of speech to the first sound of the answer. The goal is 700 ms at the 95th percentile.
 
-  Needs the model that `bin/lib/fetch-model moonshine-tiny-en` fetches.
+  Needs the models that `bin/lib/fetch-model` fetches under `moonshine-tiny-en` and `hibari`.
   """
   alias Situ.{AudioBuffer, AudioFormat, Sound}
-  alias Situ.Infer.Speech.{Espeak, Moonshine, PocketSphinx, Utterance}
+  alias Situ.Infer.Speech.{Espeak, Hibari, Moonshine, PocketSphinx, Utterance}
   alias Situ.Media.Wav
 
   @fixtures Path.expand("../../apps/situ_infer/test/fixtures", __DIR__)
@@ -96,7 +96,8 @@ defmodule Situ.Bench.Speech do
 
   defp voices do
     {:ok, espeak} = Espeak.load()
-    [{"espeak", Espeak, espeak}]
+    {:ok, hibari} = Hibari.load()
+    [{"espeak", Espeak, espeak}, {"hibari", Hibari, hibari}]
   end
 
   defp sentence(i) do

@@ -37,7 +37,12 @@ defmodule Situ.CLI.Talk do
           Option.new(:wake, :string, "its name; \"\" to have it answer to everything",
             default: "computer"
           ),
-          Option.new(:voice, :string, "a voice of `espeak-ng --voices`", default: "en-us"),
+          Option.new(
+            :voice,
+            :string,
+            "a voice of `espeak-ng --voices`, or hibari: a natural one, fetched by bin/lib/fetch-model",
+            default: "en-us"
+          ),
           Option.new(
             :grammar,
             :path,
@@ -137,9 +142,12 @@ defmodule Situ.CLI.Talk do
       local_time: fn _ -> :calendar.local_time() end,
       grammar: opts[:grammar],
       chat: chat,
-      synthesizer: [synthesizer_options: [voice: opts[:voice]]]
+      synthesizer: voice(opts[:voice])
     ]
   end
+
+  defp voice("hibari"), do: [synthesizer: Situ.Infer.Speech.Hibari]
+  defp voice(name), do: [synthesizer_options: [voice: name]]
 
   defp studio(opts) do
     Process.flag(:trap_exit, true)
@@ -228,7 +236,8 @@ defmodule Situ.CLI.Talk do
         recording: path,
         heard: counts.heard,
         answers: length(delays),
-        median_ms: ms.(median(delays)),
+        median_ms: ms.(quantile(delays, 0.5)),
+        p95_ms: ms.(quantile(delays, 0.95)),
         worst_ms: ms.(worst)
       })
     else
@@ -239,7 +248,7 @@ defmodule Situ.CLI.Talk do
       if worst,
         do:
           Output.puts(
-            "From the end of speech to the first sound: #{ms.(median(delays))} ms, #{ms.(worst)} ms at most"
+            "From the end of speech to the first sound: #{ms.(quantile(delays, 0.5))} ms, #{ms.(worst)} ms at most"
           )
     end
 
@@ -248,6 +257,6 @@ defmodule Situ.CLI.Talk do
 
   defp done({:error, error}, _counts, _opts), do: raise(error)
 
-  defp median([]), do: nil
-  defp median(delays), do: Enum.at(delays, div(length(delays), 2))
+  defp quantile([], _q), do: nil
+  defp quantile(delays, q), do: Enum.at(delays, max(ceil(length(delays) * q) - 1, 0))
 end

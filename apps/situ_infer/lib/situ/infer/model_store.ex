@@ -8,6 +8,8 @@ defmodule Situ.Infer.ModelStore do
   | name | what | size | licence |
   |---|---|---|---|
   | `moonshine-tiny-en` | English speech to text (`Situ.Infer.Speech.Moonshine`) | 44 MB | MIT |
+  | `hibari` | English text to speech (`Situ.Infer.Speech.Hibari`) | 8 MB | Apache-2.0 |
+  | `pp-ocr-v4` | text in pictures (`Situ.Infer.TextReader`) | 16 MB | Apache-2.0 |
   """
   alias Situ.Error
 

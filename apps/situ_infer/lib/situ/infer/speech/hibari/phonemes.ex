@@ -1,0 +1,118 @@
+defmodule Situ.Infer.Speech.Hibari.Phonemes do
+  @moduledoc """
+  How English text is pronounced, in the signs that Hibari was trained with.
+
+  espeak-ng says it in the International Phonetic Alphabet; diphthongs and some other sounds have one sign each here,
+  as in Kokoro's alphabet. Punctuation stays, since the voice follows it.
+
+      iex> Situ.Infer.Speech.Hibari.Phonemes.translate("həlˈo^ʊ d^ʒˈɔ^ɪ")
+      "həlˈO ʤˈY"
+  """
+  alias Situ.Error
+
+  @seconds 20
+  @tied [
+    {"ʔˌn\u0329", "tᵊn"},
+    {"a^ɪ", "I"},
+    {"a^ʊ", "W"},
+    {"d^ʒ", "ʤ"},
+    {"e^ɪ", "A"},
+    {"t^ʃ", "ʧ"},
+    {"ɔ^ɪ", "Y"},
+    {"ə^l", "ᵊl"},
+    {"o^ʊ", "O"},
+    {"ʔn", "tᵊn"},
+    {"ʲO", "jO"},
+    {"ɜːɹ", "ɜɹ"},
+    {"ɜː", "ɜɹ"},
+    {"ɪə", "iə"},
+    {"\u0303", ""},
+    {"e", "A"},
+    {"r", "ɹ"},
+    {"x", "k"},
+    {"ç", "k"},
+    {"ɐ", "ə"},
+    {"ɚ", "əɹ"},
+    {"ɬ", "l"},
+    {"ʔ", "t"},
+    {"ɾ", "T"},
+    {"ʲ", ""},
+    {"ː", ""},
+    {"^", ""},
+    {"\u0329", ""}
+  ]
+
+  @doc "Whether espeak-ng is there. Error: `:no_espeak`."
+  @spec ready() :: :ok | {:error, Error.t()}
+  def ready do
+    if System.find_executable("espeak-ng"),
+      do: :ok,
+      else:
+        {:error,
+         Error.new(:no_espeak, "the program espeak-ng is not installed",
+           why: "it says how words are pronounced",
+           fix: "install it: apt-get install espeak-ng"
+         )}
+  end
+
+  @doc "The sentences of a text, each as one row of signs; those without words are left out."
+  @spec sentences(String.t()) :: {:ok, [String.t()]} | {:error, Error.t()}
+  def sentences(text) do
+    text
+    |> String.split(~r/(?<=[.!?…])\s+|\n+/u, trim: true)
+    |> Enum.reduce_while({:ok, []}, fn sentence, {:ok, done} ->
+      case sentence(sentence) do
+        {:ok, ""} -> {:cont, {:ok, done}}
+        {:ok, signs} -> {:cont, {:ok, [signs | done]}}
+        error -> {:halt, error}
+      end
+    end)
+    |> case do
+      {:ok, done} -> {:ok, Enum.reverse(done)}
+      error -> error
+    end
+  end
+
+  defp sentence(sentence) do
+    ~r/([,;:.!?…—]+)(?=\s|$)/u
+    |> Regex.split(sentence, include_captures: true, trim: true)
+    |> Enum.reduce_while({:ok, ""}, fn part, {:ok, signs} ->
+      case clause(part) do
+        {:ok, more} -> {:cont, {:ok, signs <> more}}
+        error -> {:halt, error}
+      end
+    end)
+    |> case do
+      {:ok, signs} -> {:ok, if(signs =~ ~r/\p{L}/u, do: String.trim(signs), else: "")}
+      error -> error
+    end
+  end
+
+  defp clause(part) do
+    cond do
+      part =~ ~r/^[,;:.!?…—]+$/u -> {:ok, String.first(part) <> " "}
+      part =~ ~r/[\p{L}\p{N}\p{S}]/u -> pronounced(part)
+      true -> {:ok, ""}
+    end
+  end
+
+  defp pronounced(part) do
+    command =
+      ["timeout", "-k", "1", "#{@seconds}", "espeak-ng", "-q", "-v", "en-us", "--ipa", "--tie=^"] ++
+        ["--", part]
+
+    case System.cmd("/bin/sh", ["-c", ~S(exec "$@" 2>/dev/null), "situ-speech" | command]) do
+      {ipa, 0} -> {:ok, ipa |> String.split() |> Enum.join(" ") |> translate()}
+      {_, status} -> {:error, failed(status)}
+    end
+  end
+
+  defp failed(status),
+    do: Error.new(:synthesis_failed, "espeak-ng ended with status #{status}")
+
+  @doc "Signs of the International Phonetic Alphabet, as `espeak-ng --ipa --tie=^` writes them, in Hibari's."
+  @spec translate(String.t()) :: String.t()
+  def translate(ipa) do
+    Enum.reduce(@tied, ipa, fn {from, to}, signs -> String.replace(signs, from, to) end)
+  end
+end

@@ -1,0 +1,238 @@
+defmodule Situ.Infer.Speech.Hibari.Vocoder do
+  @moduledoc """
+  Sound out of what Hibari's network says: 80 spectra a second, each a voiced part (`lh`, `theta`: magnitude and phase
+  against pulses at the pitch `f0`), noise (`ln`) and a part with phases of its own (`lr`, `phi`).
+
+  The short-time Fourier transform of the pulses and the inverse one of the sum are convolutions with the same waves;
+  ONNX Runtime does them, in a graph that is written here. Windows of 1200 samples, every 300, at 24 kHz. The noise is
+  the same for the same text.
+  """
+  alias Situ.{Error, Tensor}
+  alias Situ.Infer.{Model, Onnx}
+
+  @rate 24_000
+  @window 1_200
+  @hop 300
+  @bins 601
+  # So many random numbers, and where in them the noise of the next bin begins.
+  @noise 131_072
+  @stride 811
+  @most_frames 8_000
+
+  @enforce_keys [:model, :noise]
+  defstruct @enforce_keys
+  @type t :: %__MODULE__{model: Model.t(), noise: binary()}
+
+  @doc "Frames of sound a second."
+  @spec rate() :: pos_integer()
+  def rate, do: @rate
+
+  @doc "Makes it ready."
+  @spec load() :: {:ok, t()} | {:error, Error.t()}
+  def load do
+    with {:ok, model} <-
+           Model.from_bytes(graph(), "vocoder", warm_up: 0, schedule: :dirty, sessions: 1),
+         do: {:ok, %__MODULE__{model: model, noise: noise()}}
+  end
+
+  @doc "The sound, 32-bit floats, of the network's outputs by their names."
+  @spec sound(t(), %{String.t() => Tensor.t()}) :: {:ok, binary()} | {:error, Error.t()}
+  def sound(%__MODULE__{} = vocoder, %{"f0" => %Tensor{shape: {1, frames}}} = spectrum)
+      when frames in 3..@most_frames do
+    inputs =
+      spectrum
+      |> Map.take(~w(lh theta ln lr phi))
+      |> Map.merge(%{
+        "pulses" => Tensor.new(pulses(spectrum["f0"]), :f32, {1, 1, frames * @hop}),
+        "noise" => Tensor.new(rows(vocoder.noise, frames), :f32, {1, 2 * @bins, frames}),
+        "ones" => Tensor.new(:binary.copy(<<1.0::float-native-32>>, frames), :f32, {1, 1, frames})
+      })
+
+    with {:ok, %{"sound" => %{data: data}}} <- Model.run(vocoder.model, inputs),
+         do: {:ok, binary_part(data, div(@window, 2) * 4, frames * @hop * 4)}
+  end
+
+  def sound(%__MODULE__{}, %{"f0" => %Tensor{shape: shape}}) do
+    {:error,
+     Error.new(:synthesis_failed, "the voice gave #{inspect(shape)} spectra for a sentence",
+       fix: "give it in shorter sentences"
+     )}
+  end
+
+  @doc """
+  The pulses of a pitch (Hz, one number a frame of #{@hop} samples), as 32-bit floats: all harmonics below 11 kHz at
+  the same strength; nothing below 40 Hz, which stands for no voice.
+  """
+  @spec pulses(Tensor.t()) :: binary()
+  def pulses(%Tensor{} = f0) do
+    [first | _] = pitches = Tensor.to_list(f0)
+
+    {parts, _, _} =
+      pitches
+      |> Enum.zip(tl(pitches) ++ [List.last(pitches)])
+      |> Enum.reduce({[], first, 0.0}, fn {now, next}, {parts, before, phase} ->
+        {part, phase} = frame(0, before, now, next, phase, [])
+        {[part | parts], now, phase}
+      end)
+
+    parts |> Enum.reverse() |> IO.iodata_to_binary()
+  end
+
+  defp frame(@hop, _before, _now, _next, phase, samples), do: {Enum.reverse(samples), phase}
+
+  # The pitch goes straight from the middle of a frame to the middle of the next.
+  defp frame(j, before, now, next, phase, samples) do
+    u = (j + 0.5) / @hop
+
+    hz =
+      if j < div(@hop, 2),
+        do: before * (0.5 - u) + now * (0.5 + u),
+        else: now * (1.5 - u) + next * (u - 0.5)
+
+    phase = phase + max(hz, 40.0) / @rate
+    phase = phase - trunc(phase)
+    x = if hz > 40.0, do: pulse(phase * 2 * :math.pi(), hz), else: 0.0
+    frame(j + 1, before, now, next, phase, [<<x::float-native-32>> | samples])
+  end
+
+  # The sum of cosines up to the last harmonic, in closed form.
+  defp pulse(t, hz) do
+    harmonics = floor(11_000 / hz) + 0.5
+    s = 2 * :math.sin(t / 2)
+    if abs(s) <= 2.0e-3, do: harmonics - 0.5, else: :math.sin(harmonics * t) / s - 0.5
+  end
+
+  defp noise do
+    {numbers, _} =
+      Enum.map_reduce(1..@noise, :rand.seed_s(:exsss, 24_000), fn _, state ->
+        {x, state} = :rand.normal_s(state)
+        {<<x::float-native-32>>, state}
+      end)
+
+    IO.iodata_to_binary(numbers)
+  end
+
+  defp rows(noise, frames) do
+    for bin <- 0..(2 * @bins - 1), into: <<>> do
+      binary_part(noise, 4 * rem(bin * @stride, @noise - frames), 4 * frames)
+    end
+  end
+
+  defp graph do
+    spectrum = for name <- ~w(lh theta ln lr phi), do: {name, :f32, {1, @bins, nil}}
+
+    Onnx.encode(
+      inputs:
+        spectrum ++
+          [
+            {"pulses", :f32, {1, 1, nil}},
+            {"noise", :f32, {1, 2 * @bins, nil}},
+            {"ones", :f32, {1, 1, nil}}
+          ],
+      outputs: [{"sound", :f32, {1, 1, nil}}],
+      constants: constants(),
+      nodes:
+        pulses_nodes() ++
+          part("lh", [{"Tanh", ["theta"], ["turn"], []}, {"Mul", ["turn", "pi"], ["lh_turn"], []}]) ++
+          part("lr", [{"Identity", ["phi"], ["lr_turn"], []}]) ++ sum_nodes() ++ inverse_nodes()
+    )
+  end
+
+  # The transform of the pulses; the last window is beyond the frames.
+  defp pulses_nodes do
+    [
+      {"Pad", ["pulses", "pads"], ["padded"], [mode: "reflect"]},
+      {"Conv", ["padded", "waves"], ["windows"], [strides: [@hop]]},
+      {"Slice", ["windows", "zero", "minus_one", "frames"], ["pulsed"], []},
+      {"Mul", ["pulsed", "pulse_scale"], ["source"], []},
+      {"Slice", ["source", "zero", "bins", "rows"], ["re"], []},
+      {"Slice", ["source", "bins", "all", "rows"], ["im"], []}
+    ]
+  end
+
+  # A magnitude, given as its logarithm, and how far it is turned: two rows of numbers.
+  defp part(name, turned) do
+    turned ++
+      [
+        {"Min", [name, "seven"], [name <> "_low"], []},
+        {"Exp", [name <> "_low"], [name <> "_size"], []},
+        {"Cos", [name <> "_turn"], [name <> "_cos"], []},
+        {"Sin", [name <> "_turn"], [name <> "_sin"], []},
+        {"Mul", [name <> "_size", name <> "_cos"], [name <> "_re"], []},
+        {"Mul", [name <> "_size", name <> "_sin"], [name <> "_im"], []}
+      ]
+  end
+
+  defp sum_nodes do
+    [
+      {"Mul", ["re", "lh_re"], ["rr"], []},
+      {"Mul", ["im", "lh_im"], ["ii"], []},
+      {"Mul", ["re", "lh_im"], ["ri"], []},
+      {"Mul", ["im", "lh_re"], ["ir"], []},
+      {"Sub", ["rr", "ii"], ["voiced_re"], []},
+      {"Add", ["ri", "ir"], ["voiced_im"], []},
+      {"Add", ["voiced_re", "lr_re"], ["tonal_re"], []},
+      {"Add", ["voiced_im", "lr_im"], ["tonal_im"], []},
+      {"Concat", ["tonal_re", "tonal_im"], ["tonal"], [axis: 1]},
+      {"Min", ["ln", "seven"], ["ln_low"], []},
+      {"Exp", ["ln_low"], ["ln_size"], []},
+      {"Concat", ["ln_size", "ln_size"], ["ln_both"], [axis: 1]},
+      {"Mul", ["noise", "ln_both"], ["noisy"], []},
+      {"Add", ["tonal", "noisy"], ["whole"], []}
+    ]
+  end
+
+  # Windows laid over one another, over the sum of their squares.
+  defp inverse_nodes do
+    [
+      {"Mul", ["whole", "scale"], ["scaled"], []},
+      {"ConvTranspose", ["scaled", "waves"], ["laid"], [strides: [@hop]]},
+      {"ConvTranspose", ["ones", "squares"], ["weights"], [strides: [@hop]]},
+      {"Max", ["weights", "least"], ["at_least"], []},
+      {"Div", ["laid", "at_least"], ["sound"], []}
+    ]
+  end
+
+  defp constants do
+    number = &Tensor.from_list([&1], :f32, {1})
+    index = &Tensor.from_list([&1], :s64, {1})
+
+    scale =
+      for _ <- 1..2,
+          bin <- 0..(@bins - 1),
+          do: if(bin in [0, @bins - 1], do: 1, else: 2) / @window
+
+    squares = for n <- 0..(@window - 1), do: :math.pow(hann(n), 2)
+
+    %{
+      "pads" => Tensor.from_list([0, 0, 600, 0, 0, 600], :s64, {6}),
+      "waves" => Tensor.new(waves(), :f32, {2 * @bins, 1, @window}),
+      "squares" => Tensor.from_list(squares, :f32, {1, 1, @window}),
+      "scale" => Tensor.from_list(scale, :f32, {1, 2 * @bins, 1}),
+      "pulse_scale" => number.(4 / @window),
+      "pi" => number.(:math.pi()),
+      "seven" => number.(7.0),
+      "least" => number.(1.0e-11),
+      "zero" => index.(0),
+      "minus_one" => index.(-1),
+      "bins" => index.(@bins),
+      "all" => index.(2 * @bins),
+      "rows" => index.(1),
+      "frames" => index.(2)
+    }
+  end
+
+  # cos and -sin of each bin, under the window. One round of angles is enough for all.
+  defp waves do
+    angles = for n <- 0..(@window - 1), do: 2 * :math.pi() * n / @window
+    cosines = angles |> Enum.map(&:math.cos/1) |> List.to_tuple()
+    sines = angles |> Enum.map(&(-:math.sin(&1))) |> List.to_tuple()
+    window = for n <- 0..(@window - 1), do: {n, hann(n)}
+
+    for table <- [cosines, sines], bin <- 0..(@bins - 1), {n, w} <- window, into: <<>> do
+      <<elem(table, rem(bin * n, @window)) * w::float-native-32>>
+    end
+  end
+
+  defp hann(n), do: 0.5 - 0.5 * :math.cos(2 * :math.pi() * n / @window)
+end
