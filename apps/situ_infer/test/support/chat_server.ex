@@ -49,6 +49,16 @@ defmodule Situ.Infer.Test.ChatServer do
     ["HTTP/1.1 #{status} No\r\n#{headers}Content-Length: #{byte_size(body)}\r\n\r\n" <> body]
   end
 
+  @doc "A whole answer of this type."
+  def answer(type, body) do
+    head =
+      "HTTP/1.1 200 OK\r\nContent-Type: #{type}\r\nContent-Length: #{byte_size(body)}\r\n\r\n"
+
+    [head <> body]
+  end
+
+  def json(map), do: answer("application/json", Situ.JSON.encode(map))
+
   defp usage(nil), do: []
 
   defp usage({read, written}),
@@ -108,6 +118,16 @@ defmodule Situ.Infer.Test.ChatServer do
     end
   end
 
+  # What is no JSON (sound, pictures, forms) is given as it is.
+  defp content(""), do: nil
+
+  defp content(body) do
+    case Situ.JSON.decode(body) do
+      {:ok, json} -> json
+      {:error, _} -> body
+    end
+  end
+
   defp set(:gen_tcp, socket, options), do: :inet.setopts(socket, options)
   defp set(:ssl, socket, options), do: :ssl.setopts(socket, options)
 
@@ -117,8 +137,7 @@ defmodule Situ.Infer.Test.ChatServer do
          true <- byte_size(body) == String.to_integer(length) do
       [first | lines] = String.split(head, "\r\n")
       headers = Map.new(lines, &List.to_tuple(String.split(&1, ": ", parts: 2)))
-      {:ok, json} = if body == "", do: {:ok, nil}, else: Situ.JSON.decode(body)
-      %{first: first, headers: headers, body: json}
+      %{first: first, headers: headers, body: content(body)}
     else
       _ ->
         case transport.recv(socket, 0, 30_000) do

@@ -57,13 +57,11 @@ defmodule Situ.Chat.Service do
   """
   alias Situ.Chat.{Answer, Reply, Tool, Turn}
   alias Situ.Error
-  alias Situ.Infer.Http
+  alias Situ.Infer.{Http, Service}
 
   @enforce_keys [:opts]
   defstruct [:opts]
   @type t :: %__MODULE__{opts: map()}
-
-  @longest_wait 30_000
 
   @doc "The options' schema, for those that pass them on."
   @spec schema() :: Situ.Options.schema()
@@ -74,23 +72,8 @@ defmodule Situ.Chat.Service do
   def new(opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema),
          {:ok, url} <- Http.parse(opts[:url]),
-         :ok <- private(url, opts[:key]),
+         :ok <- Service.private(url, opts[:key]),
          do: {:ok, %__MODULE__{opts: Map.new(opts)}}
-  end
-
-  defp private(_url, nil), do: :ok
-  defp private(%{scheme: :https}, _key), do: :ok
-
-  defp private(url, _key) do
-    if Http.local?(url) do
-      :ok
-    else
-      {:error,
-       Error.new(:not_private, "a key is not sent to #{url.host} over http",
-         why: "everybody on the way could read it",
-         fix: "use https://"
-       )}
-    end
   end
 
   @doc """
@@ -119,18 +102,10 @@ defmodule Situ.Chat.Service do
   defp key(%{key: nil}), do: {:ok, []}
 
   defp key(%{key: name, key_header: how}) do
-    case {System.get_env(name), how} do
-      {key, _} when key in [nil, ""] ->
-        {:error,
-         Error.new(:no_key, "the environment has no variable #{name}",
-           fix: "set it to the key of the service before the program starts"
-         )}
-
-      {key, :bearer} ->
-        {:ok, [{"authorization", "Bearer " <> key}]}
-
-      {key, :api_key} ->
-        {:ok, [{"api-key", key}]}
+    with {:ok, key} <- Service.key(name) do
+      if how == :bearer,
+        do: {:ok, [{"authorization", "Bearer " <> key}]},
+        else: {:ok, [{"api-key", key}]}
     end
   end
 
@@ -151,7 +126,7 @@ defmodule Situ.Chat.Service do
     case once(opts, headers, body, say) do
       {:again, wait, _error} when tries < opts.retries ->
         # The process of one question waits here; whoever cancels the question ends it.
-        Process.sleep(wait || pause(opts.backoff, tries))
+        Process.sleep(wait || Service.pause(opts.backoff, tries))
         attempt(opts, headers, body, say, tries + 1)
 
       {:again, _wait, error} ->
@@ -160,12 +135,6 @@ defmodule Situ.Chat.Service do
       result ->
         result
     end
-  end
-
-  # Half of it at random, so that many who failed together do not come back together.
-  defp pause(backoff, tries) do
-    most = min(backoff * Integer.pow(2, min(tries, 16)), @longest_wait)
-    div(most, 2) + :rand.uniform(div(most, 2) + 1)
   end
 
   defp once(opts, headers, body, say) do

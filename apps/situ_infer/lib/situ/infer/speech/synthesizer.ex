@@ -6,7 +6,7 @@ defmodule Situ.Infer.Speech.Synthesizer do
   |---|---|---|---|
   | `Situ.Infer.Speech.Espeak` | a robot in a hundred languages | here, a program | yes |
   | `Situ.Infer.Speech.Hibari` | one natural English voice | here, ONNX Runtime | no |
-  | `Situ.Infer.Speech.OpenAI`, `Situ.Infer.Speech.Azure` | many voices | a service | no |
+  | `Situ.Infer.Speech.OpenAI.Voice`, `Situ.Infer.Speech.Azure.Voice` | many voices | a service | no |
 
   Another is a module with these callbacks, named by the option `synthesizer:`.
   """

@@ -1,0 +1,161 @@
+defmodule Situ.Infer.PictureService do
+  @own [
+    url: [
+      type: :string,
+      required: true,
+      doc: "The endpoint of the resource: `https://NAME.cognitiveservices.azure.com`."
+    ],
+    key: [
+      type: {:optional, :string},
+      default: "AZURE_VISION_KEY",
+      doc: "The **name** of the environment variable that holds the key; `nil`: none is sent."
+    ],
+    features: [
+      type: {:list, {:in, [:caption, :tags, :objects, :people, :text]}},
+      default: [:tags, :objects],
+      doc: "What is asked for."
+    ],
+    quality: [type: {:range, 1, 100}, default: 85, doc: "Of the JPEG that is sent."]
+  ]
+  @schema @own ++ Keyword.delete(Situ.Infer.Service.schema(), :key)
+
+  @moduledoc """
+  What a service in Azure's manner sees in pictures (Image Analysis 4.0). For OpenAI's, give a picture to `Situ.Chat`
+  (`Situ.Chat.Turn.user/2`).
+
+      seen = Situ.via(pictures, Situ.Infer.PictureService, url: "https://my.cognitiveservices.azure.com")
+      Situ.each(seen, fn seen -> IO.inspect(for {tag, p} <- seen.tags, p > 0.8, do: tag) end)
+
+  Input `:in` is pictures (`Situ.Image`, or `Situ.EncodedImage` as it is), output `:out` a map for each, at its time:
+  `caption: {text, confidence} | nil`, `tags: [{name, confidence}]`, and `objects:`, `people:`, `text:` as lists of
+  `Situ.Rect` in the picture's pixels with label and score. Pictures wait while one is looked at: put a policy such as
+  `Situ.Delivery.latest()` in front of a camera.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+
+  ## Errors
+
+  Those of `Situ.Infer.Service`, `:bad_answer`.
+  """
+  use Situ.Component, inputs: [in: :any], outputs: [out: :map], options: @schema
+
+  alias Situ.{EncodedImage, Error, Image, Imaging, Rect}
+  alias Situ.Infer.Service
+  alias Situ.Infer.Speech.Upload
+
+  @names %{caption: "caption", tags: "tags", objects: "objects", people: "people", text: "read"}
+  @path "/computervision/imageanalysis:analyze?"
+
+  @type seen :: %{
+          caption: {String.t(), float()} | nil,
+          tags: [{String.t(), float()}],
+          objects: [Rect.t()],
+          people: [Rect.t()],
+          text: [Rect.t()]
+        }
+
+  @impl true
+  def init(opts) do
+    own = Keyword.take(opts, Keyword.keys(Service.schema()))
+
+    with {:ok, service} <- Service.new(opts[:url], own, "ocp-apim-subscription-key") do
+      features = Enum.map_join(opts[:features], ",", &@names[&1])
+      query = URI.encode_query("api-version": "2024-02-01", features: features)
+      {:ok, %{service: service, path: @path <> query, quality: round(opts[:quality])}}
+    end
+  end
+
+  @impl true
+  def handle_message(:in, %{data: picture, originating_time: time}, _context, state),
+    do: {[{:out, time, Error.unwrap!(look(state, picture))}], state}
+
+  defp look(state, picture) do
+    with {:ok, bytes} <- bytes(picture, state.quality),
+         {:ok, %{body: body}} <-
+           Service.post(
+             state.service,
+             state.path,
+             [{"content-type", "application/octet-stream"}],
+             bytes
+           ) do
+      case Situ.JSON.decode(body) do
+        {:ok, %{} = json} -> {:ok, seen(json)}
+        _ -> {:error, Upload.bad_answer()}
+      end
+    end
+  end
+
+  defp bytes(%EncodedImage{data: data}, _quality), do: {:ok, data}
+
+  defp bytes(%Image{} = image, quality) do
+    with {:ok, %EncodedImage{data: data}} <- Imaging.encode_jpeg(image, quality: quality),
+         do: {:ok, data}
+  end
+
+  defp bytes(other, _quality),
+    do: {:error, Error.new(:bad_image, "not a picture: #{inspect(other, limit: 3)}")}
+
+  @doc "The answer of the service as JSON, read; what is missing or of another shape is left out."
+  @spec seen(map()) :: seen()
+  def seen(json) do
+    %{
+      caption: caption(json["captionResult"]),
+      tags:
+        for(
+          %{"name" => name, "confidence" => p} <- values(json["tagsResult"]),
+          is_binary(name),
+          do: {name, score(p)}
+        ),
+      objects:
+        for(
+          %{"boundingBox" => box, "tags" => [%{"name" => name, "confidence" => p} | _]} <-
+            values(json["objectsResult"]),
+          rect <- rect(box, name, p),
+          do: rect
+        ),
+      people:
+        for(
+          %{"boundingBox" => box, "confidence" => p} <- values(json["peopleResult"]),
+          rect <- rect(box, "person", p),
+          do: rect
+        ),
+      text: lines(json["readResult"])
+    }
+  end
+
+  defp caption(%{"text" => text, "confidence" => p}) when is_binary(text), do: {text, score(p)}
+  defp caption(_), do: nil
+
+  defp values(%{"values" => values}) when is_list(values), do: values
+  defp values(_), do: []
+
+  defp lines(%{"blocks" => blocks}) when is_list(blocks) do
+    for %{"lines" => lines} when is_list(lines) <- blocks,
+        %{"text" => text, "boundingPolygon" => [_ | _] = polygon} <- lines,
+        points =
+          for(%{"x" => x, "y" => y} when is_number(x) and is_number(y) <- polygon, do: {x, y}),
+        points != [],
+        {{left, right}, {top, bottom}} = {ends(points, 0), ends(points, 1)},
+        rect <-
+          rect(%{"x" => left, "y" => top, "w" => right - left, "h" => bottom - top}, text, 1.0),
+        do: rect
+  end
+
+  defp lines(_), do: []
+
+  defp ends(points, i), do: points |> Enum.map(&elem(&1, i)) |> Enum.min_max()
+
+  defp rect(%{"x" => x, "y" => y, "w" => w, "h" => h}, label, p) when is_binary(label) do
+    case Rect.new(x: x, y: y, width: w, height: h, label: label, score: score(p)) do
+      {:ok, rect} -> [rect]
+      {:error, _} -> []
+    end
+  end
+
+  defp rect(_box, _label, _p), do: []
+
+  defp score(p) when is_number(p), do: p |> max(0) |> min(1) |> Kernel./(1)
+  defp score(_), do: 0.0
+end

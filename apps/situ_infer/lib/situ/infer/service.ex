@@ -1,0 +1,236 @@
+defmodule Situ.Infer.Service do
+  @own [
+    key: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The **name** of the environment variable that holds the key; `nil`: none is sent."
+    ],
+    retries: [
+      type: :non_neg_integer,
+      default: 2,
+      doc: "How often a request that failed for now is tried again."
+    ],
+    backoff: [
+      type: :pos_integer,
+      default: 500,
+      doc: "The first wait before that, ms; it doubles each time, up to 30 s."
+    ],
+    most_bytes: [
+      type: :pos_integer,
+      default: 32_000_000,
+      doc: "The longest answer that is read."
+    ]
+  ]
+  @schema @own ++ Situ.Infer.Http.schema()
+
+  @moduledoc """
+  One question to a service on the network, one whole answer: what speech and vision services have in common
+  (`Situ.Infer.Http`; services that stream their answers have `Situ.Chat`).
+
+      {:ok, service} = Situ.Infer.Service.new("https://api.openai.com/v1", key: "OPENAI_API_KEY")
+      json = [{"content-type", "application/json"}]
+      {:ok, %{body: body}} = Situ.Infer.Service.post(service, "/audio/speech", json, request)
+
+  Keys are read from the environment at the moment they are sent, and are nowhere else: not in options, states, errors,
+  logs or URLs. A key goes only over TLS, or to this machine.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+
+  ## Errors
+
+  Those of `Situ.Infer.Http`, `:not_private`, `:no_key`, `:refused` (the service does not want to: wrong key, no such
+  model), `:service_failed` (it cannot now), `:too_long`.
+  """
+  alias Situ.Error
+  alias Situ.Infer.Http
+
+  @enforce_keys [:url, :opts, :header]
+  defstruct @enforce_keys
+  @type t :: %__MODULE__{url: String.t(), opts: map(), header: :bearer | String.t()}
+  @type answer :: %{status: 200..299, headers: %{String.t() => String.t()}, body: binary()}
+
+  @longest_wait_ms 30_000
+  @complaint_bytes 65_536
+  @again [408, 409, 425, 429, 500, 502, 503, 504, 529]
+
+  @doc "The options' schema, for those that pass them on."
+  @spec schema() :: Situ.Options.schema()
+  def schema, do: @schema
+
+  @doc """
+  A service at a URL; nothing is connected. `header` is how the key is sent: `:bearer`, or the name of a header of its
+  own.
+  """
+  @spec new(String.t(), keyword(), :bearer | String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def new(url, opts, header \\ :bearer) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, parsed} <- Http.parse(url),
+         :ok <- private(parsed, opts[:key]),
+         do:
+           {:ok,
+            %__MODULE__{url: String.trim_trailing(url, "/"), opts: Map.new(opts), header: header}}
+  end
+
+  @doc "Whether a key may be sent to a URL: over TLS, or to this machine."
+  @spec private(Http.url(), String.t() | nil) :: :ok | {:error, Error.t()}
+  def private(_url, nil), do: :ok
+  def private(%{scheme: :https}, _key), do: :ok
+
+  def private(url, _key) do
+    if Http.local?(url) do
+      :ok
+    else
+      {:error,
+       Error.new(:not_private, "a key is not sent to #{url.host} over http",
+         why: "everybody on the way could read it",
+         fix: "use https://"
+       )}
+    end
+  end
+
+  @doc "The key in the environment variable `name`. Error: `:no_key`."
+  @spec key(String.t()) :: {:ok, String.t()} | {:error, Error.t()}
+  def key(name) do
+    case System.get_env(name) do
+      key when key in [nil, ""] ->
+        {:error,
+         Error.new(:no_key, "the environment has no variable #{name}",
+           fix: "set it to the key of the service before the program starts"
+         )}
+
+      key ->
+        {:ok, key}
+    end
+  end
+
+  @doc "How long to wait before the next try, ms: half of it at random, so that many do not come back together."
+  @spec pause(pos_integer(), non_neg_integer()) :: pos_integer()
+  def pause(backoff, tries) do
+    most = min(backoff * Integer.pow(2, min(tries, 16)), @longest_wait_ms)
+    div(most, 2) + :rand.uniform(div(most, 2) + 1)
+  end
+
+  @doc "Sends `body` to `path` (which follows the service's URL) and waits for the whole answer."
+  @spec post(t(), String.t(), [Http.header()], iodata()) :: {:ok, answer()} | {:error, Error.t()}
+  def post(%__MODULE__{} = service, path, headers, body) do
+    case secret(service) do
+      {:ok, nil, []} ->
+        attempt(service, path, headers, body, 0)
+
+      {:ok, key, own} ->
+        with {:error, error} <- attempt(service, path, own ++ headers, body, 0),
+             # A service may repeat what it was sent.
+             do: {:error, %{error | what: String.replace(error.what, key, "***")}}
+
+      error ->
+        error
+    end
+  end
+
+  defp secret(%{opts: %{key: nil}}), do: {:ok, nil, []}
+
+  defp secret(%{opts: %{key: name}, header: header}) do
+    with {:ok, key} <- key(name) do
+      if header == :bearer,
+        do: {:ok, key, [{"authorization", "Bearer " <> key}]},
+        else: {:ok, key, [{header, key}]}
+    end
+  end
+
+  defp attempt(service, path, headers, body, tries) do
+    case once(service, path, headers, body) do
+      {:again, wait, _error} when tries < service.opts.retries ->
+        # The component that asks waits here, as it would for the answer.
+        Process.sleep(wait || pause(service.opts.backoff, tries))
+        attempt(service, path, headers, body, tries + 1)
+
+      {:again, _wait, error} ->
+        {:error, error}
+
+      result ->
+        result
+    end
+  end
+
+  defp once(%{opts: opts} = service, path, headers, body) do
+    limits = Keyword.new(Map.take(opts, Keyword.keys(Http.schema())))
+    reply = %{status: nil, headers: %{}, body: [], bytes: 0, most: opts.most_bytes}
+
+    case Http.request(:post, service.url <> path, headers, body, limits, &take/2, reply) do
+      {:ok, reply} ->
+        judge(reply)
+
+      {:error, %{code: code} = error, _} when code in [:no_connection, :timeout, :cut_off] ->
+        {:again, nil, error}
+
+      {:error, error, _} ->
+        {:error, error}
+    end
+  end
+
+  defp take({:status, status, headers}, reply) do
+    most = if status in 200..299, do: reply.most, else: @complaint_bytes
+    {:cont, %{reply | status: status, headers: Map.new(headers), most: most}}
+  end
+
+  defp take({:data, bytes}, reply) do
+    reply = %{reply | body: [reply.body, bytes], bytes: reply.bytes + byte_size(bytes)}
+    if reply.bytes > reply.most, do: {:halt, reply}, else: {:cont, reply}
+  end
+
+  defp judge(%{status: status} = reply) when status in 200..299 do
+    if reply.bytes > reply.most,
+      do:
+        {:error,
+         Error.new(:too_long, "the answer of the service is too long", fix: "raise most_bytes:")},
+      else:
+        {:ok, %{status: status, headers: reply.headers, body: IO.iodata_to_binary(reply.body)}}
+  end
+
+  defp judge(%{status: status}) when status in [401, 403] do
+    # A service's words about a key may hold the key.
+    {:error,
+     Error.new(:refused, "the service refused the key (HTTP #{status})",
+       fix: "set the variable that key: names to a key which may use this"
+     )}
+  end
+
+  defp judge(%{status: status} = reply) do
+    said = complaint(IO.iodata_to_binary(reply.body))
+
+    if status in @again do
+      what = "the service could not answer (HTTP #{status})#{said}"
+      {:again, wait(reply.headers), Error.new(:service_failed, what)}
+    else
+      {:error,
+       Error.new(:refused, "the service refused the request (HTTP #{status})#{said}",
+         fix: "check the URL and the options"
+       )}
+    end
+  end
+
+  defp complaint(body) do
+    with {:ok, json} <- Situ.JSON.decode(body),
+         text when is_binary(text) <- message(json) do
+      ": " <> String.slice(text, 0, 300)
+    else
+      _ -> ""
+    end
+  end
+
+  defp message(%{"error" => %{"message" => text}}), do: text
+  defp message(%{"error" => text}), do: text
+  defp message(%{"message" => text}), do: text
+  defp message(_), do: nil
+
+  defp wait(%{"retry-after" => text}) do
+    case Integer.parse(text) do
+      {s, ""} when s >= 0 -> min(s * 1_000, @longest_wait_ms)
+      _ -> nil
+    end
+  end
+
+  defp wait(_headers), do: nil
+end

@@ -1,0 +1,153 @@
+defmodule Situ.Infer.Speech.Azure do
+  @own [
+    region: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The region of the resource, such as \"westeurope\"."
+    ],
+    url: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "Where the service is when that is no region: a container of your own."
+    ],
+    key: [
+      type: {:optional, :string},
+      default: "AZURE_SPEECH_KEY",
+      doc: "The **name** of the environment variable that holds the key; `nil`: none is sent."
+    ],
+    language: [type: :string, default: "en-US", doc: "What is spoken."],
+    voice: [type: :string, default: "en-US-JennyNeural", doc: "Whose voice."],
+    ssml: [type: :boolean, default: false, doc: "Texts to be spoken are whole SSML documents."]
+  ]
+  @schema @own ++ Keyword.delete(Situ.Infer.Service.schema(), :key)
+
+  @moduledoc """
+  Speech to text and text to speech by Azure's speech service: its requests for short audio (up to 60 s) and for
+  synthesis.
+
+      azure = [recognizer: Situ.Infer.Speech.Azure, recognizer_options: [region: "westeurope"], partial: nil]
+      Situ.Infer.transcribe(sound, azure)
+
+  Text to speech is `Situ.Infer.Speech.Azure.Voice`, with the same options.
+
+  Results have alternatives, confidence, and words with times. Each result while somebody speaks is a request of its
+  own: `partial: nil` has none.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+
+  ## Errors
+
+  Those of `Situ.Infer.Service`, `:bad_answer`, `:too_long`.
+  """
+  @behaviour Situ.Infer.Speech.Recognizer
+
+  alias Situ.{AudioBuffer, Error}
+  alias Situ.Infer.Service
+  alias Situ.Infer.Speech.Upload
+
+  @key_header "ocp-apim-subscription-key"
+  @longest 60_000_000_000
+  # Times of the service are in units of 100 ns.
+  @tick 100
+
+  @enforce_keys [:recognizer, :synthesizer, :opts]
+  defstruct @enforce_keys
+  @type t :: %__MODULE__{recognizer: Service.t(), synthesizer: Service.t(), opts: map()}
+
+  @impl true
+  @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def load(opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, stt, tts} <- urls(opts[:region], opts[:url]),
+         own = Keyword.take(opts, Keyword.keys(Service.schema())),
+         {:ok, recognizer} <- Service.new(stt, own, @key_header),
+         {:ok, synthesizer} <- Service.new(tts, own, @key_header),
+         do:
+           {:ok,
+            %__MODULE__{recognizer: recognizer, synthesizer: synthesizer, opts: Map.new(opts)}}
+  end
+
+  defp urls(nil, nil),
+    do: {:error, Error.new(:bad_option, "neither region: nor url: is given", fix: "give one")}
+
+  defp urls(nil, url), do: {:ok, url, url}
+
+  defp urls(region, _url) do
+    if region =~ ~r/^[a-z0-9]+$/,
+      do:
+        {:ok, "https://#{region}.stt.speech.microsoft.com",
+         "https://#{region}.tts.speech.microsoft.com"},
+      else:
+        {:error,
+         Error.new(:bad_option, "#{inspect(region)} is no region", fix: "such as \"westeurope\"")}
+  end
+
+  @impl true
+  @spec transcribe(t(), AudioBuffer.t()) ::
+          {:ok, Situ.Infer.Speech.Recognizer.result()} | {:error, Error.t()}
+  def transcribe(%__MODULE__{} = azure, %AudioBuffer{} = sound) do
+    query =
+      URI.encode_query(
+        language: azure.opts.language,
+        format: "detailed",
+        wordLevelTimestamps: true
+      )
+
+    path = "/speech/recognition/conversation/cognitiveservices/v1?" <> query
+    type = "audio/wav; codecs=audio/pcm; samplerate=16000"
+
+    with :ok <- short(sound),
+         {:ok, wav} <- Upload.wav(sound),
+         headers = [{"content-type", type}, {"accept", "application/json"}],
+         {:ok, %{body: body}} <- Service.post(azure.recognizer, path, headers, wav),
+         do: result(Situ.JSON.decode(body))
+  end
+
+  defp short(sound) do
+    if AudioBuffer.duration(sound) <= @longest,
+      do: :ok,
+      else:
+        {:error,
+         Error.new(:too_long, "more than 60 s of sound", fix: "cut it where nobody speaks")}
+  end
+
+  defp result({:ok, %{"RecognitionStatus" => "Success", "NBest" => [best | others]}}) do
+    with {:ok, best} <- candidate(best) do
+      alternatives =
+        for other <- others,
+            {:ok, other} <- [candidate(other)],
+            do: Map.take(other, [:text, :confidence])
+
+      {:ok, Map.put(best, :alternatives, alternatives)}
+    end
+  end
+
+  # Nobody said anything that it understands.
+  defp result({:ok, %{"RecognitionStatus" => status}})
+       when status in ["NoMatch", "InitialSilenceTimeout", "BabbleTimeout", "Success"],
+       do: {:ok, %{text: "", confidence: 0.0, words: [], alternatives: []}}
+
+  defp result({:ok, %{"RecognitionStatus" => status}}) when is_binary(status),
+    do:
+      {:error,
+       Error.new(
+         :service_failed,
+         "the service could not recognise it: #{String.slice(status, 0, 40)}"
+       )}
+
+  defp result(_), do: {:error, Upload.bad_answer()}
+
+  defp candidate(%{"Confidence" => p, "Display" => text} = json)
+       when is_number(p) and is_binary(text) do
+    words =
+      for %{"Word" => word, "Offset" => at, "Duration" => length} <- List.wrap(json["Words"]),
+          is_binary(word) and is_integer(at) and is_integer(length) and at >= 0 and length >= 0,
+          do: %{text: word, from: at * @tick, to: (at + length) * @tick}
+
+    {:ok, %{text: text, confidence: p |> max(0) |> min(1) |> Kernel./(1), words: words}}
+  end
+
+  defp candidate(_), do: {:error, Upload.bad_answer()}
+end

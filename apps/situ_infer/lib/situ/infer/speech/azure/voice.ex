@@ -1,0 +1,52 @@
+defmodule Situ.Infer.Speech.Azure.Voice do
+  @moduledoc """
+  Text to speech by Azure's speech service; options and errors are those of `Situ.Infer.Speech.Azure`.
+
+      azure = [synthesizer: Situ.Infer.Speech.Azure.Voice, synthesizer_options: [region: "westeurope"]]
+      Situ.via(text, Situ.Infer.SpeechSynthesizer, azure).out
+  """
+  @behaviour Situ.Infer.Speech.Synthesizer
+
+  alias Situ.{AudioBuffer, AudioFormat}
+  alias Situ.Infer.Service
+  alias Situ.Infer.Speech.{Azure, Upload}
+
+  @rate 24_000
+
+  @impl true
+  @spec load(keyword()) :: {:ok, Azure.t()} | {:error, Situ.Error.t()}
+  defdelegate load(opts), to: Azure
+
+  @impl true
+  @spec speak(Azure.t(), String.t()) :: AudioBuffer.result()
+  def speak(%Azure{opts: opts} = azure, text) do
+    headers = [
+      {"content-type", "application/ssml+xml"},
+      {"x-microsoft-outputformat", "raw-24khz-16bit-mono-pcm"}
+    ]
+
+    with :ok <- Upload.text(text),
+         {:ok, %{body: data}} <-
+           Service.post(azure.synthesizer, "/cognitiveservices/v1", headers, ssml(text, opts)) do
+      even = byte_size(data) - rem(byte_size(data), 2)
+      AudioBuffer.new(format: AudioFormat.pcm(@rate), data: binary_part(data, 0, even))
+    else
+      :nothing -> AudioBuffer.new(format: AudioFormat.pcm(@rate), data: "")
+      error -> error
+    end
+  end
+
+  defp ssml(text, %{ssml: true}), do: text
+
+  defp ssml(text, opts) do
+    [
+      ~s(<speak version="1.0" xmlns="http://www.w3.org/2001/10/synthesis" xml:lang="),
+      Upload.escape(opts.language),
+      ~s("><voice name="),
+      Upload.escape(opts.voice),
+      ~s(">),
+      Upload.escape(text),
+      "</voice></speak>"
+    ]
+  end
+end

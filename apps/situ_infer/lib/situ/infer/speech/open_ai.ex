@@ -1,0 +1,121 @@
+defmodule Situ.Infer.Speech.OpenAI do
+  @own [
+    url: [
+      type: :string,
+      default: "https://api.openai.com/v1",
+      doc: "Where the service is; `/audio/...` follows."
+    ],
+    key: [
+      type: {:optional, :string},
+      default: "OPENAI_API_KEY",
+      doc: "The **name** of the environment variable that holds the key; `nil`: none is sent."
+    ],
+    recognizer: [type: :string, default: "whisper-1", doc: "Which model recognises."],
+    synthesizer: [type: :string, default: "tts-1", doc: "Which model speaks."],
+    voice: [type: :string, default: "alloy", doc: "Whose voice."],
+    language: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "What is spoken, such as \"en\"; `nil`: the service finds out."
+    ],
+    rate: [
+      type: {:range, 8_000, 48_000},
+      default: 24_000,
+      doc: "Frames a second of the sound that the service sends, Hz."
+    ]
+  ]
+  @schema @own ++ Keyword.delete(Situ.Infer.Service.schema(), :key)
+
+  @moduledoc """
+  Speech to text and text to speech by any service that speaks OpenAI's protocol (OpenAI, or a server of your own):
+  `/audio/transcriptions` and `/audio/speech`.
+
+      Situ.Infer.transcribe(sound, recognizer: Situ.Infer.Speech.OpenAI, partial: nil)
+      Situ.via(text, Situ.Infer.SpeechSynthesizer, synthesizer: Situ.Infer.Speech.OpenAI.Voice).out
+
+  Each result while somebody speaks is a request of its own: `partial: nil` has none. Confidence is the mean the
+  service gives for the words, 0.5 where it gives none.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+
+  ## Errors
+
+  Those of `Situ.Infer.Service`, `:bad_answer`.
+  """
+  @behaviour Situ.Infer.Speech.Recognizer
+
+  alias Situ.{AudioBuffer, Error}
+  alias Situ.Infer.Service
+  alias Situ.Infer.Speech.Upload
+
+  @enforce_keys [:service, :opts]
+  defstruct @enforce_keys
+  @type t :: %__MODULE__{service: Service.t(), opts: map()}
+
+  @impl true
+  @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def load(opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, service} <-
+           Service.new(opts[:url], Keyword.take(opts, Keyword.keys(Service.schema()))),
+         do: {:ok, %__MODULE__{service: service, opts: Map.new(opts)}}
+  end
+
+  @impl true
+  @spec transcribe(t(), AudioBuffer.t()) ::
+          {:ok, Situ.Infer.Speech.Recognizer.result()} | {:error, Error.t()}
+  def transcribe(%__MODULE__{service: service, opts: opts}, %AudioBuffer{} = sound) do
+    with {:ok, wav} <- Upload.wav(sound) do
+      fields = [
+        {"model", opts.recognizer},
+        {"response_format", "verbose_json"},
+        {"timestamp_granularities[]", "word"},
+        {"timestamp_granularities[]", "segment"}
+        | if(opts.language, do: [{"language", opts.language}], else: [])
+      ]
+
+      {type, body} = Upload.form(fields, {"file", "speech.wav", "audio/wav", wav})
+
+      with {:ok, %{body: body}} <-
+             Service.post(service, "/audio/transcriptions", [{"content-type", type}], body),
+           do: result(Situ.JSON.decode(body))
+    end
+  end
+
+  defp result({:ok, %{"text" => text} = json}) when is_binary(text) do
+    words =
+      for %{"word" => word, "start" => from, "end" => to} <- list(json["words"]),
+          is_binary(word) and is_number(from) and is_number(to) and from >= 0 and to >= from,
+          do: %{text: String.trim(word), from: round(from * 1.0e9), to: round(to * 1.0e9)}
+
+    {:ok,
+     %{
+       text: String.trim(text),
+       confidence: confidence(text, json),
+       words: words,
+       alternatives: []
+     }}
+  end
+
+  defp result(_), do: {:error, Upload.bad_answer()}
+
+  defp confidence(text, json) do
+    logs = for %{"avg_logprob" => log} <- list(json["segments"]), is_number(log), do: log
+
+    cond do
+      String.trim(text) == "" ->
+        0.0
+
+      logs == [] ->
+        0.5
+
+      true ->
+        logs |> Enum.sum() |> Kernel./(length(logs)) |> min(0.0) |> max(-50.0) |> :math.exp()
+    end
+  end
+
+  defp list(list) when is_list(list), do: list
+  defp list(_), do: []
+end

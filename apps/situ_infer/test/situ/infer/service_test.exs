@@ -1,0 +1,81 @@
+defmodule Situ.Infer.ServiceTest do
+  use ExUnit.Case, async: true
+  alias Situ.Infer.Service
+  alias Situ.Infer.Test.ChatServer
+
+  defp service(script, opts \\ [], header \\ :bearer) do
+    server = ChatServer.start(script)
+    {:ok, service} = Service.new(server.url, [backoff: 1] ++ opts, header)
+    service
+  end
+
+  defp ask(service), do: Service.post(service, "/ask", [{"content-type", "text/plain"}], "what?")
+
+  test "the whole answer comes back, with the question as it was sent" do
+    service = service(fn _, _ -> ChatServer.answer("text/plain", "this") end)
+
+    assert {:ok, %{status: 200, body: "this", headers: %{"content-type" => "text/plain"}}} =
+             ask(service)
+
+    assert_receive {:request, 1, %{first: "POST /v1/ask HTTP/1.1", body: "what?"}}
+  end
+
+  test "what fails for now is tried again, and no oftener than it may" do
+    script = fn
+      _, 1 -> ChatServer.refuse(503, "busy")
+      _, 2 -> [:reset]
+      _, _ -> ChatServer.answer("text/plain", "there")
+    end
+
+    assert {:ok, %{body: "there"}} = ask(service(script))
+    assert {:error, %{code: :service_failed} = error} = ask(service(script, retries: 0))
+    assert Exception.message(error) =~ "busy"
+  end
+
+  test "a refusal is final, and says what the service says" do
+    service = service(fn _, _ -> ChatServer.refuse(404, "no such voice") end)
+    assert {:error, %{code: :refused} = error} = ask(service)
+    assert Exception.message(error) =~ "no such voice"
+    refute_received {:request, 2, _}
+  end
+
+  test "an answer that never ends is cut" do
+    endless = "HTTP/1.1 200 OK\r\nContent-Type: a/b\r\nContent-Length: 100000000\r\n\r\n"
+    many = List.duplicate(String.duplicate("x", 10_000), 20)
+
+    assert {:error, %{code: :too_long}} =
+             ask(service(fn _, _ -> [endless | many] end, most_bytes: 50_000))
+  end
+
+  test "a service that is silent, or cut off, or none" do
+    silent = service(fn _, _ -> [{:wait, :never}] end, idle_timeout: 100, retries: 0)
+    assert {:error, %{code: :timeout}} = ask(silent)
+
+    half =
+      service(fn _, _ -> ["HTTP/1.1 200 OK\r\nContent-Length: 10\r\n\r\nhalf"] end, retries: 0)
+
+    assert {:error, %{code: :cut_off}} = ask(half)
+    {:ok, nobody} = Service.new("http://127.0.0.1:1/", retries: 0)
+    assert {:error, %{code: :no_connection}} = ask(nobody)
+  end
+
+  test "the key is sent in the header it belongs in, and told to nobody" do
+    name = "SITU_TEST_SERVICE_KEY"
+    System.put_env(name, "sesame-4711")
+    on_exit(fn -> System.delete_env(name) end)
+    loud = fn request, _ -> ChatServer.refuse(400, "bad key #{request.headers["x-key"]}") end
+    service = service(loud, [key: name], "x-key")
+    refute inspect(service) =~ "sesame"
+    assert {:error, error} = ask(service)
+    refute Exception.message(error) =~ "sesame"
+    assert_receive {:request, 1, %{headers: %{"x-key" => "sesame-4711"}}}
+    assert {:ok, _} = ask(service(fn _, _ -> ChatServer.answer("a/b", "") end, key: name))
+    assert_receive {:request, 1, %{headers: %{"authorization" => "Bearer sesame-4711"}}}
+
+    assert {:error, %{code: :no_key}} =
+             ask(service(fn _, _ -> [] end, key: "SITU_TEST_NO_SUCH_KEY"))
+
+    assert {:error, %{code: :not_private}} = Service.new("http://example.org", key: name)
+    assert {:error, %{code: :bad_url}} = Service.new("ftp://example.org", [])
+  end
+end
