@@ -12,7 +12,7 @@ defmodule Situ.Infer.MixProject do
       elixir: "~> 1.14",
       elixirc_paths: elixirc_paths(Mix.env()),
       compilers: [:situ_native] ++ Mix.compilers(),
-      native: [crates: ~w(situ_infer_nif)],
+      native: [crates: ~w(situ_infer_nif), programs: ~w(situ_speak)],
       start_permanent: Mix.env() == :prod,
       deps: deps()
     ]

@@ -15,7 +15,7 @@ defmodule Situ.Audio do
   """
   alias Situ.Graph.Placement
   alias Situ.{AudioBuffer, AudioFormat, Error, Operator, Sound, Stream}
-  alias Situ.Audio.{Analyzer, Level, Mixer, Reframer, Resampler, Streamline}
+  alias Situ.Audio.{Analyzer, Ducker, Level, Mixer, NoiseGate, Reframer, Resampler, Streamline}
 
   @doc """
   At another rate; `quality:` as in `Situ.Audio.Resampler`.
@@ -124,6 +124,24 @@ defmodule Situ.Audio do
   def level(stream, opts \\ []) do
     Operator.attach(stream, "Level", {:map, &Error.unwrap!(Sound.level(&1))}, opts, Level)
   end
+
+  @doc """
+  What is louder than the noise, in buffers of 10 ms: `Situ.Audio.NoiseGate`.
+
+      iex> format = Situ.AudioFormat.pcm(1000)
+      iex> sound = &Situ.AudioBuffer.from_samples(List.duplicate(&1, 20), format)
+      iex> feed = [{20_000_000, sound.(50)}, {40_000_000, sound.(9_000)}]
+      iex> gated = Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Situ.Audio.noise_gate(attack: 0) end)
+      iex> Enum.map(gated, &(&1 |> Situ.AudioBuffer.to_samples() |> List.last()))
+      [0, 0, 9_000, 9_000]
+  """
+  @spec noise_gate(Stream.t(), keyword()) :: Stream.t()
+  def noise_gate(stream, opts \\ []),
+    do: stream |> reframe(duration: 10_000_000, tail: :keep) |> Situ.via(NoiseGate, opts)
+
+  @doc "Quieter while a stream of booleans is true: `Situ.Audio.Ducker`."
+  @spec duck(Stream.t(), Stream.t(), keyword()) :: Stream.t()
+  def duck(stream, while, opts \\ []), do: Situ.via([in: stream, while: while], Ducker, opts)
 
   @doc "The bytes of each buffer."
   @spec to_bytes(Stream.t(), keyword()) :: Stream.t()

@@ -1,15 +1,16 @@
 defmodule Mix.Tasks.Compile.SituNative do
   @moduledoc """
-  The Mix compiler that builds an app's Rust NIFs.
+  The Mix compiler that builds an app's Rust NIFs, and programs that it runs.
 
   An app names its crates and lists the compiler first:
 
       compilers: [:situ_native] ++ Mix.compilers(),
-      native: [crates: ~w(situ_store_nif)]
+      native: [crates: ~w(situ_store_nif), programs: ~w(situ_speak)]
 
   Cargo runs on every compile (its own check of an unchanged tree takes about 60 ms) with `--locked --release`, from
   `native/` at the umbrella's root. Each library is copied to `priv/native/CRATE.so` by rename, and only when its bytes
-  differ: overwriting a loaded library in place would kill the VM.
+  differ: overwriting a loaded library in place would kill the VM. A program is a package of its own in the app's folder
+  `native/`, without dependencies; it is copied to `priv/native/PROGRAM`.
   """
   use Mix.Task.Compiler
 
@@ -17,9 +18,11 @@ defmodule Mix.Tasks.Compile.SituNative do
 
   @impl true
   def run(_args) do
-    case Mix.Project.config()[:native][:crates] || [] do
-      [] -> {:noop, []}
-      crates -> build(crates, find_workspace(File.cwd!()))
+    native = Mix.Project.config()[:native] || []
+
+    case {native[:crates] || [], native[:programs] || []} do
+      {[], []} -> {:noop, []}
+      {crates, programs} -> build(crates, programs, find_workspace(File.cwd!()))
     end
   end
 
@@ -29,16 +32,42 @@ defmodule Mix.Tasks.Compile.SituNative do
     :ok
   end
 
-  defp build(crates, workspace) do
+  defp build(crates, programs, workspace) do
     cargo = System.find_executable("cargo") || raise_missing()
-    args = ["build", "--release", "--locked"] ++ Enum.flat_map(crates, &["-p", &1])
-    # cargo reads .cargo/config.toml from the current directory, so it runs inside the workspace.
-    into = IO.stream(:stdio, :line)
+    own = Enum.map(programs, &{&1, Path.join([File.cwd!(), "native", &1])})
 
-    case System.cmd(cargo, quiet(args), cd: workspace, into: into, stderr_to_stdout: true) do
-      {_, 0} -> install(crates, target_dir(workspace))
-      {_, status} -> {:error, [diagnostic(workspace, status)]}
+    # cargo reads .cargo/config.toml from the current directory, so it runs inside the workspace.
+    builds =
+      if(crates == [],
+        do: [],
+        else: [{workspace, Enum.flat_map(crates, &["-p", &1])}]
+      ) ++ for {_, folder} <- own, do: {folder, []}
+
+    case run_all(builds, cargo) do
+      0 ->
+        from = target_dir(workspace)
+        libraries = for crate <- crates, do: {Path.join(from, "lib#{crate}.so"), "#{crate}.so"}
+        built = for {name, folder} <- own, do: {Path.join(target_dir(folder), name), name}
+        install(libraries ++ built)
+
+      status ->
+        {:error, [diagnostic(workspace, status)]}
     end
+  end
+
+  defp run_all(builds, cargo) do
+    Enum.reduce_while(builds, 0, fn {folder, packages}, 0 ->
+      args = quiet(["build", "--release", "--locked"] ++ packages)
+
+      case System.cmd(cargo, args,
+             cd: folder,
+             into: IO.stream(:stdio, :line),
+             stderr_to_stdout: true
+           ) do
+        {_, 0} -> {:cont, 0}
+        {_, status} -> {:halt, status}
+      end
+    end)
   end
 
   # Progress when a person watches, silence when nothing is to do.
@@ -49,18 +78,17 @@ defmodule Mix.Tasks.Compile.SituNative do
     Path.join(System.get_env("CARGO_TARGET_DIR") || Path.join(workspace, "target"), "release")
   end
 
-  defp install(crates, from) do
+  defp install(files) do
     priv = Path.join(File.cwd!(), "priv/native")
     File.mkdir_p!(priv)
 
     changed =
-      for crate <- crates,
-          source = Path.join(from, "lib#{crate}.so"),
-          target = Path.join(priv, "#{crate}.so"),
+      for {source, name} <- files,
+          target = Path.join(priv, name),
           differs?(source, target) do
         File.cp!(source, target <> ".new")
         File.rename!(target <> ".new", target)
-        crate
+        name
       end
 
     # priv/ may not have existed when the build folder was linked.

@@ -19,7 +19,7 @@ defmodule Situ.Infer.Speech.Espeak do
       {:ok, sound, marks} = Situ.Infer.Speech.Espeak.speak_marked(voice, "Go forward ten metres.")
 
   Marks (`Situ.Infer.Speech.Mark`) are sentences, words, sounds and, with `ssml: true`, the text's own marks. They come
-  from espeak-ng's library, which a small program of Situ runs (`native/situ_speak`).
+  from espeak-ng's library, which a small program of Situ runs (`apps/situ_infer/native/situ_speak`).
 
   ## Options
 

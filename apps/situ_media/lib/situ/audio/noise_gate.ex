@@ -1,0 +1,86 @@
+defmodule Situ.Audio.NoiseGate do
+  @schema [
+    open: [
+      type: {:range, -120, 0},
+      default: -45.0,
+      doc: "The gate opens at this level, dB of full scale (root mean square of 10 ms)."
+    ],
+    close: [
+      type: {:optional, {:range, -120, 0}},
+      default: nil,
+      doc: "It closes below this one; `nil`: 6 dB lower."
+    ],
+    hold: [
+      type: :time_ns,
+      default: 150_000_000,
+      doc: "How long it stays open below that, ns."
+    ],
+    attack: [type: :time_ns, default: 5_000_000, doc: "How long opening takes, ns."],
+    release: [type: :time_ns, default: 100_000_000, doc: "How long closing takes, ns."],
+    floor: [
+      type: {:range, -120, 0},
+      default: -120.0,
+      doc: "What passes a closed gate, dB; -120: nothing."
+    ]
+  ]
+
+  @moduledoc """
+  Lets sound pass that is louder than the noise, and little or nothing of the rest (`Situ.Audio.noise_gate/2`).
+
+  Two levels keep it from flickering, and the factor moves in straight lines, so that nothing clicks. It decides for
+  every 10 ms of sound: give it buffers of that length, as the operator does; what is longer is decided as a whole.
+  Times and lengths stay as they are.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    inputs: [in: Situ.AudioBuffer],
+    outputs: [out: Situ.AudioBuffer],
+    options: @schema
+
+  alias Situ.{AudioBuffer, Error, Sound}
+  alias Situ.Audio.Ramp
+
+  @impl true
+  def init(opts) do
+    opts = Map.new(opts)
+    opts = %{opts | close: opts.close || opts.open - 6}
+
+    if opts.close > opts.open,
+      do:
+        {:error,
+         Error.new(:bad_option, "the gate would close above the level at which it opens",
+           fix: "give close: of #{opts.open} dB or less"
+         )},
+      else: {:ok, %{opts: opts, floor: factor(opts.floor), gain: factor(opts.floor), held: 0}}
+  end
+
+  defp factor(db) when db <= -120, do: 0.0
+  defp factor(db), do: :math.pow(10, db / 20)
+
+  @impl true
+  def handle_message(:in, %{data: buffer, originating_time: time}, _context, state) do
+    length = max(AudioBuffer.duration(buffer), 1)
+    state = decide(state, Sound.level!(buffer).rms_db, length)
+    target = if state.held > 0, do: 1.0, else: state.floor
+    gain = Ramp.toward(state.gain, target, length, state.opts.attack, state.opts.release)
+    {[{:out, time, Ramp.apply(buffer, state.gain, gain)}], %{state | gain: gain}}
+  end
+
+  # `held`: for how long it stays open from here on.
+  defp decide(%{held: held, opts: opts} = state, level, length) do
+    cond do
+      level >= opts.open or (held > 0 and level >= opts.close) ->
+        %{state | held: opts.hold + length}
+
+      true ->
+        %{state | held: max(held - length, 0)}
+    end
+  end
+
+  @impl true
+  def describe(%{held: 0}), do: "closed"
+  def describe(_state), do: "open"
+end

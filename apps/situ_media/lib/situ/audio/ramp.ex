@@ -1,0 +1,45 @@
+defmodule Situ.Audio.Ramp do
+  @moduledoc """
+  A factor that goes from one value to another within a buffer, a straight line over its frames: how operators change
+  loudness without clicks. Pure.
+
+      iex> buffer = Situ.AudioBuffer.from_samples([100, 100, 100, 100], Situ.AudioFormat.pcm())
+      iex> Situ.Audio.Ramp.apply(buffer, 0.0, 1.0) |> Situ.AudioBuffer.to_samples()
+      [25, 50, 75, 100]
+  """
+  alias Situ.{AudioBuffer, Sound}
+
+  @doc "The buffer times the factor, which is `to` at the last frame and was `from` at the one before the first."
+  @spec apply(AudioBuffer.t(), float(), float()) :: AudioBuffer.t()
+  def apply(buffer, from, to) when from == 1.0 and to == 1.0, do: buffer
+  def apply(buffer, same, same), do: Sound.gain!(buffer, same)
+
+  def apply(%AudioBuffer{format: format} = buffer, from, to) do
+    step = (to - from) / max(AudioBuffer.frames(buffer), 1)
+
+    samples =
+      buffer
+      |> AudioBuffer.to_samples()
+      |> Enum.with_index(fn sample, i ->
+        scale(sample, from + step * (div(i, format.channels) + 1))
+      end)
+
+    AudioBuffer.from_samples(samples, format)
+  end
+
+  defp scale(sample, factor) when is_integer(sample), do: round(sample * factor)
+  defp scale(sample, factor), do: sample * factor
+
+  @doc """
+  A factor on its way to `target`: it changes by no more than 1 in `rise` ns upwards, `fall` ns downwards, so by
+  `duration` of that at once.
+
+      iex> Situ.Audio.Ramp.toward(0.0, 1.0, 5, 20, 40)
+      0.25
+  """
+  @spec toward(float(), float(), pos_integer(), non_neg_integer(), non_neg_integer()) :: float()
+  def toward(now, target, duration, rise, _fall) when target > now,
+    do: min(target, now + duration / max(rise, 1))
+
+  def toward(now, target, duration, _rise, fall), do: max(target, now - duration / max(fall, 1))
+end
