@@ -23,7 +23,10 @@ defmodule Situ.Box3 do
       do: {:ok, %__MODULE__{min: min, max: max, pose: pose}},
       else:
         {:error,
-         Error.new(:bad_box, "a box from #{inspect(min)} to #{inspect(max)} is turned inside out")}
+         Error.new(
+           :bad_box,
+           "a box from #{inspect(min)} to #{inspect(max)}: each minimum must be at most the maximum"
+         )}
   end
 
   @doc "As `new/3`, but returns the box or raises the error."

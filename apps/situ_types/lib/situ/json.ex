@@ -3,7 +3,7 @@ defmodule Situ.JSON do
   JSON: jiffy, or Erlang's own `:json` where it has one (OTP 27 and up).
 
   `nil` is `null`, objects are maps with string keys, and nothing read makes an atom. Text that is not UTF-8 is mended
-  on the way out (U+FFFD stands for what nobody can read) and refused on the way in.
+  on the way out (U+FFFD replaces bytes that are not UTF-8) and refused on the way in.
 
       iex> Situ.JSON.encode(%{name: "Mic.Level", rate: 100.0, type: nil})
       ...> |> Situ.JSON.decode()

@@ -16,7 +16,7 @@ defmodule Situ.PointCloud do
 
   @type t :: %__MODULE__{points: binary(), colors: binary() | nil}
 
-  @doc "A checked cloud; nothing is copied. Floats that are not finite are no points, and refused by whoever uses them."
+  @doc "A checked cloud; nothing is copied. Functions that use a cloud refuse coordinates that are not finite."
   @spec new(binary(), binary() | nil) :: {:ok, t()} | {:error, Error.t()}
   def new(points, colors \\ nil) when is_binary(points) do
     cond do

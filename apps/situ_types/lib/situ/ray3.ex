@@ -21,7 +21,11 @@ defmodule Situ.Ray3 do
         {:ok, %__MODULE__{origin: origin, direction: unit}}
 
       :error ->
-        {:error, Error.new(:degenerate_ray, "a ray along #{inspect(direction)} points nowhere")}
+        {:error,
+         Error.new(
+           :degenerate_ray,
+           "a ray cannot have the direction #{inspect(direction)}: its length is 0"
+         )}
     end
   end
 

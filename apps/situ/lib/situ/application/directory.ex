@@ -10,7 +10,7 @@ defmodule Situ.Application.Directory do
   @spec start_link(term()) :: GenServer.on_start()
   def start_link(_), do: GenServer.start_link(__MODULE__, [], name: __MODULE__)
 
-  @doc "The calling process is a pipeline from now on; it does not fail for want of a directory."
+  @doc "Registers the calling process as a pipeline; without a directory process this does nothing."
   @spec enter(%{:name => String.t(), :registered => atom(), optional(atom()) => term()}) ::
           :ok | {:error, Error.t()}
   def enter(settings) do
@@ -29,7 +29,7 @@ defmodule Situ.Application.Directory do
     ArgumentError -> {:error, taken(name)}
   end
 
-  @doc "The calling process is over: whoever learns that may take its name."
+  @doc "Frees the name of the calling process; a process that sees the pipeline end may take it at once."
   @spec leave(%{:registered => atom(), optional(atom()) => term()}) :: :ok
   def leave(%{registered: name}) do
     if name != nil and Process.whereis(name) == self(), do: Process.unregister(name)
@@ -84,7 +84,7 @@ defmodule Situ.Application.Directory do
   def handle_info(_other, state), do: {:noreply, state}
 
   defp taken(name) do
-    Error.new(:name_taken, "the name #{inspect(name)} cannot be taken",
+    Error.new(:name_taken, "the name #{inspect(name)} is not free",
       why: "another process has it, or it is reserved",
       fix: "give the pipeline another name:"
     )

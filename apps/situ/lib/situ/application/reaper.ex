@@ -14,7 +14,7 @@ defmodule Situ.Application.Reaper do
     end
   end
 
-  @doc "From now on the pipeline's death is seen; a pipeline does not fail for want of a reaper."
+  @doc "Watches the pipeline's process from now on; without a reaper process this does nothing."
   @spec watch(pid(), GenServer.server()) :: :ok
   def watch(pipeline, reaper \\ __MODULE__) do
     GenServer.call(reaper, {:watch, pipeline})

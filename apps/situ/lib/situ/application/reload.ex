@@ -1,9 +1,8 @@
 defmodule Situ.Application.Reload do
   @moduledoc false
   # Sees when the module of a running pipeline is loaded again, and tells the pipeline: `:situ_reloaded`.
-  #
-  # The VM keeps two versions of a module and kills whoever still holds functions of the older one when a third is
-  # loaded. So a pipeline exchanges the functions of its operators for those of the new version as soon as there is
+  # The VM keeps two versions of a module; when a third is loaded it kills every process that still holds functions of
+  # the oldest. So a pipeline replaces the functions of its operators by those of a new version as soon as there is
   # one.
   use GenServer
 

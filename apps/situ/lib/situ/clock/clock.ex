@@ -1,10 +1,9 @@
 defmodule Situ.Clock do
   @moduledoc """
-  Clocks pipelines run by: real, virtual (from a start, at a speed, pausable), manual (moved by hand, for tests).
+  The clocks of pipelines: real, virtual (from a start, at a speed, pausable), manual (moved by hand, for tests).
 
-  A clock is shared memory: reading takes about 50 ns from any process, and pausing, changing the speed or moving it
-  is seen by all its readers at once. Pipelines that run by a clock are told of every change, so that what waits for
-  a time wakes up.
+  A clock is shared memory: reading takes about 50 ns from any process, and all readers see a pause, a new speed or a
+  jump at once. A clock notifies its pipelines of every change, so that components that wait for a time wake up.
 
       iex> clock = Situ.Clock.manual(100)
       iex> :ok = Situ.Clock.advance(clock, 20)

@@ -51,8 +51,8 @@ defmodule Situ.Clock.Wall do
   end
 
   @doc """
-  Keeps the cells of this node (`cells:` others), looked at `every:` so many ms. `read:` answers the counter and the
-  system's time, read together.
+  Keeps the cells of this node (or those of `cells:`) and compares the times `every:` so many ms. `read:` returns the
+  counter and the system's time, read together.
   """
   @spec start_link(keyword()) :: GenServer.on_start()
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts)

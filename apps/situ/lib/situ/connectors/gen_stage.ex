@@ -260,7 +260,7 @@ defmodule Situ.GenStage.Source do
   defp none(producer),
     do: Error.new(:no_producer, "no process #{inspect(producer)} to subscribe to")
 
-  defp stopped, do: Error.new(:not_running, "the stream has ended", why: "its producers have")
+  defp stopped, do: Error.new(:not_running, "the stream has ended", why: "its producers ended")
 
   defp cancel(state) do
     for {ref, sub} <- state.subs do

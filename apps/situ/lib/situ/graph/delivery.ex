@@ -64,8 +64,8 @@ defmodule Situ.Delivery do
   @doc """
   Keeps the `n` newest waiting messages.
 
-  With `throttle: true` a full queue makes whoever can wait wait (files, generators, operators behind them) and drops
-  only what a source that cannot wait (a camera, a timer) makes meanwhile.
+  With `throttle: true` a full queue stops the producers that can wait (files, generators, operators behind them) and
+  drops only the messages of sources that cannot (a camera, a timer).
   """
   @spec max_queue(pos_integer(), keyword()) :: t()
   def max_queue(n, opts \\ []) when is_integer(n) and n > 0 do
@@ -77,7 +77,7 @@ defmodule Situ.Delivery do
     build(:max_queue, [max_queue: n, throttle: throttle], opts)
   end
 
-  @doc "Drops a message whose age (clock - originating time) is more than `d` ns when its turn comes."
+  @doc "Drops a message whose age (clock - originating time) is more than `d` ns when the consumer would take it."
   @spec max_latency(Situ.Time.duration(), keyword()) :: t()
   def max_latency(d, opts \\ []) when is_integer(d) and d >= 0,
     do: build(:max_latency, [max_latency: d], opts)

@@ -82,7 +82,9 @@ defmodule Situ.Graph.Extension do
   defp fixed(graph, id, input) do
     path = if vertex = graph.vertices[id], do: vertex.path, else: "the component"
 
-    Error.new(:fixed_inputs, "#{path}.#{input} cannot be connected: it runs already",
+    Error.new(
+      :fixed_inputs,
+      "#{path}.#{input} cannot be connected: the component is already running",
       why: "the inputs of a component are fixed when it starts",
       fix:
         "connect only inputs of new components; for a join over a map of streams use Situ.add_input/4",

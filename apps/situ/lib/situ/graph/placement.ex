@@ -51,8 +51,8 @@ defmodule Situ.Graph.Placement do
 
   defp check_free!(key, placement) do
     if Keyword.has_key?(placement, key) do
-      raise Error.new(:reserved_option, "an option of its own is named #{inspect(key)}",
-              why: "every component takes #{inspect(key)}: it says how it is placed",
+      raise Error.new(:reserved_option, "the component declares an option #{inspect(key)}",
+              why: "every component takes #{inspect(key)} already, for its placement",
               fix: "give the component's option another name"
             )
     end

@@ -39,7 +39,7 @@ defmodule Situ.Lifecycle.Errors do
   @spec timeout(term(), timeout()) :: Error.t()
   def timeout(request, ms) do
     Error.new(:timeout, "no answer to #{inspect(request, limit: 4)} after #{ms} ms",
-      why: "it goes on all the same",
+      why: "the pipeline still works on the request",
       fix: "wait longer with timeout:"
     )
   end
@@ -55,8 +55,8 @@ defmodule Situ.Lifecycle.Errors do
   @doc "A stage that owed an answer was restarted, or is gone."
   @spec interrupted(String.t()) :: Error.t()
   def interrupted(path) do
-    Error.new(:component_restarted, "#{path} ended in the middle of this",
-      why: "what it had been asked went with it",
+    Error.new(:component_restarted, "#{path} ended before it answered",
+      why: "its pending requests were lost with it",
       fix: "ask again",
       meta: %{component: path}
     )

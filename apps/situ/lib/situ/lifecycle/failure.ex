@@ -165,7 +165,7 @@ defmodule Situ.Lifecycle.Failure do
       :restarted_too_often,
       "#{path} was restarted #{member.restarts - 1} times in #{ms} ms and failed again: #{reason.what}",
       why: "a component, or a composite, may be restarted #{most} times in #{ms} ms",
-      fix: "mend what makes it fail, or raise max_restarts: among the pipeline's settings",
+      fix: "fix the cause of the failure, or raise max_restarts: in the pipeline's settings",
       meta: Map.merge(reason.meta, %{component: path, last: reason})
     )
   end

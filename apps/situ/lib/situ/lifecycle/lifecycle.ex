@@ -1,12 +1,11 @@
 defmodule Situ.Lifecycle do
   @moduledoc false
-  # The life of a pipeline as a pure state machine: `apply(state, event, now)` answers the next state and what is to
-  # be done. The server turns messages into events and performs the actions; nothing here sends, reads a clock or
-  # knows a process.
+  # The life of a pipeline as a pure state machine: `apply(state, event, now)` returns the next state and the actions.
+  # The server turns messages into events and performs the actions; nothing here sends, reads a clock or knows a
+  # process.
   #
   #   building -> starting (handlers, up, sources) -> running -> stopping (settle, stop, close, quit) -> completed
-  #
-  # | event | who says so |
+  # | event | meaning |
   # |---|---|
   # | `:start` | the graph is built |
   # | `{:handled, :run, :ok or {:error, error}}`, `{:handled, :completed}` | the handlers have returned |
@@ -17,24 +16,24 @@ defmodule Situ.Lifecycle do
   # | `{:failed, id, error, reached}`, `{:init_failed, id, error}` | a stage fails |
   # | `{:restarted, id, error}` | a stage took an exception for a restart |
   # | `{:exited, id, error, reached}` | a stage's process ended |
-  # | `{:stop, catch_up}`, `{:stop_at, time}`, `{:stop_part, ref, ids, opts}` | somebody wants an end |
+  # | `{:stop, catch_up}`, `{:stop_at, time}`, `{:stop_part, ref, ids, opts}` | the pipeline, or a part, is to stop |
   # | `{:grow, ref, plan, from}`, `{:lent, tag, how}` | components are added while it runs |
-  # | `{:joined, member}`, `{:linked, tag, link}`, `{:unlinked, tag}`, `{:left, id}` | what changes while it runs |
-  # | `{:measured, which, seen}`, `{:watched, which, seen}` | what was asked to be looked at |
+  # | `{:joined, member}`, `{:linked, tag, link}`, `{:unlinked, tag}`, `{:left, id}` | changes of the running graph |
+  # | `{:measured, which, seen}`, `{:watched, which, seen}` | the answers to `:measure` and `:watch` |
   # | `:enough`, `{:part_enough, ref}`, `:drain`, `{:forgive, id}`, `{:overdue, id}` | a time has passed |
-  #
-  # | action | what the server does |
+  # | action | the server ... |
   # |---|---|
   # | `{:handle, event}`, `{:handle, event, argument}` | calls the handlers of `Situ.Pipeline.on/3` |
   # | `:start_clock`, `:running`, `{:spawn, ids}`, `{:start, ids}`, `{:run, ids}` | as they say |
   # | `{:rewire, id, links}`, `{:shutdown, id}`, `{:kill, id}` | as they say |
   # | `{:tell, id, request}`, `{:lend, tag}` | sends a stage a request; asks a stage to take a subscriber in |
-  # | `{:forget, ids}` | what it knows of stages that were removed |
-  # | `{:cut, ids, time}`, `{:release, ids}` | later messages do not count in these stages; all do, but they end |
-  # | `{:failed, error}`, `{:noted, error}`, `{:restarted, id, error}` | logs it and tells who listens |
+  # | `{:forget, ids}` | forgets stages that were removed |
+  # | `{:cut, ids, time}`, `{:release, ids}` | makes these stages ignore later messages; lets them finish all messages
+  # and end |
+  # | `{:failed, error}`, `{:noted, error}`, `{:restarted, id, error}` | logs it and calls the handlers |
   # | `{:reply, from, answer}` | answers a caller |
-  # | `{:after, ms, event}`, `{:watch, ms, which}`, `{:measure, which}` | says it, or what it saw, later |
-  # | `{:event, event}` | says it, after what came before |
+  # | `{:after, ms, event}`, `{:watch, ms, which}`, `{:measure, which}` | sends the event, or its measurement, later |
+  # | `{:event, event}` | applies the event after those before it |
   # | `:finished` | publishes the result and ends |
   alias Situ.Lifecycle.{
     Failure,

@@ -49,7 +49,7 @@ defmodule Situ.Lifecycle.Shutdown do
     state = %{state | step: :stop, pending: MapSet.new(sources ++ asked)}
     {whole, cut} = Enum.split_with(Map.keys(state.stages), whole(state))
     state = act(state, {:cut, cut, final})
-    # Whoever waits to be let go on does not keep a stop by hand waiting.
+    # Stages that wait for demand must not delay a stop by hand.
     state = if state.ending.by_hand, do: act(state, {:release, whole}), else: state
     state = tell(state, sources, {:stop, final})
     if state.ending.enough?, do: tell(state, sources, :stop_now), else: state
@@ -195,7 +195,7 @@ defmodule Situ.Lifecycle.Shutdown do
     tell(%{state | phase: :stopping, step: :quit, pending: MapSet.new(alive)}, alive, :quit)
   end
 
-  # Those who listen from outside are told why there is no more.
+  # Subscribers outside the pipeline get the reason for the end.
   defp abandon(state, ids) do
     if error = List.last(state.errors), do: tell(state, ids, {:abandon, error}), else: state
   end

@@ -1,9 +1,8 @@
 defmodule Situ.Lifecycle.Stall do
   @moduledoc false
-  # Stages that do not end when they are to: named, and killed. Pure.
-  #
-  # The server looks twice, the stop timeout apart. Where no counter has moved in between and nothing has happened,
-  # somebody is stuck: those in the middle of something; only if there are none, those that still owe an answer.
+  # Finds the stages that do not end in time, names and kills them. Pure.
+  # The server looks twice, the stop timeout apart. If no counter has moved in between and nothing has happened, the
+  # busy stages are stuck; if none is busy, those that still owe an answer.
   alias Situ.Error
   alias Situ.Lifecycle.{Links, State}
   import Situ.Lifecycle.State

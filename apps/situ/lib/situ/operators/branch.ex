@@ -100,7 +100,7 @@ defmodule Situ.Branch do
 
     if Graph.Vertex.source?(vertex) do
       raise Error.new(:not_in_branch, "#{vertex.path} is a source inside of a parallel branch",
-              why: "a branch only answers what comes in",
+              why: "a branch only reacts to its input",
               fix:
                 "give parallel branches: :processes, or bring the source's values in with the messages"
             )

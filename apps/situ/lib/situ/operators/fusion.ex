@@ -58,8 +58,8 @@ defmodule Situ.Fusion do
   `join(a, b)` gives `{a, b}`; `join(a, [b, c])` gives `{a, [b, c]}`; `join([a, b, c])` gives `[a, b, c]`, its first
   stream being the primary; `join(a, %{left: b, right: c})` gives `{a, %{left: b, right: c}}`, and its inputs may
   come and go (`add_input/4`). Where a stream's type is a tuple (as a join's is), its elements are put in flat: `a
-  |> join(b) |> join(c)` gives `{a, b, c}`. (A default that is no tuple stands for each element of its side.) `with:
-  fun` makes the output itself, `fun.(primary, secondary)`.
+  |> join(b) |> join(c)` gives `{a, b, c}`. (A default that is not a tuple applies to each element of its side.)
+  `with: fun` makes the output itself, `fun.(primary, secondary)`.
 
   A tolerance (ns) or a window in place of an interpolator means `Situ.Reproducible.nearest/2`.
 

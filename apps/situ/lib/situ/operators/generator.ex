@@ -138,9 +138,9 @@ defmodule Situ.Generator do
   end
 
   @doc """
-  Data that other processes post. When the pipeline starts `subscribe.(post)` is called; whoever calls
-  `post.(data)`, from any process, makes a message, stamped with the clock. Two of one time are 1 ns apart unless
-  `on_same_time:` says otherwise.
+  Data that other processes post. When the pipeline starts `subscribe.(post)` is called; any process may then call
+  `post.(data)`, which makes a message, stamped with the clock. Two messages of the same time are set 1 ns apart
+  unless `on_same_time:` says otherwise.
 
   Reproducible: no, the times are those of posting. Record the stream to replay it.
 

@@ -75,7 +75,7 @@ defmodule Situ.Parallel do
       Situ.parallel(faces, fn _id, face -> Recognizer.who(face) end, branches: :processes)
 
   A time's output waits until each branch has given something for it, or something later, or has ended; a branch
-  that is a straight run of light operators is known to give nothing as soon as it has dealt with the part. When
+  that is a straight run of light operators is known to give nothing as soon as it has handled the part. When
   some 256 outputs wait the input does, too, as long as a branch is at work. The operator is one box in the
   diagnostics, which tells how many branches live.
 
@@ -96,7 +96,7 @@ defmodule Situ.Parallel do
   alias Situ.Graph.Placement
   alias Situ.{Operator, Stream}
 
-  @no_queues "branch_policy: goes with branches: :processes: inside of a branch that is a value nothing waits"
+  @no_queues "branch_policy: needs branches: :processes (a branch that is a value has no queues)"
 
   @doc """
   Branches by `fun`: see the forms above. Which form it is follows from the stream's type, `size:`, and the

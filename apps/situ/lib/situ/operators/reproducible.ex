@@ -57,8 +57,8 @@ defmodule Situ.Reproducible do
   @doc """
   Linear interpolation between the messages before and after; none before the first or after the last.
 
-  Numbers as in `Situ.Number`: `:nan` is contagious, between a number and no value (`nil`) there is none, and what
-  is no number is an error.
+  Numbers as in `Situ.Number`: with `:nan` on either side the result is `:nan`, with `nil` on either side there is
+  none, and any other value is an error.
 
   `max_span:` gives no value between neighbours that are this far apart (ns) or farther.
   """

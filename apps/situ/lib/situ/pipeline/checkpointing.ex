@@ -2,11 +2,10 @@ defmodule Situ.Pipeline.Checkpointing do
   @moduledoc false
   # A checkpoint of a running pipeline: the memories of its stages (see `Situ.Stage.Memory`) at one moment at which no
   # message is on its way.
-  #
-  #   freezing  sources stand still, each says what it remembers
-  #   settling  what they have posted is worked off; looked at every millisecond
-  #   asking    every other stage says what it remembers; if anything has moved meanwhile: settling again
-  #   held      the caller has all memories; the sources go on when it says so, or is gone
+  #   freezing  the sources stand still and report their memories
+  #   settling  the other stages handle all posted messages; checked every millisecond
+  #   asking    every other stage reports its memory; if any message has moved meanwhile: settling again
+  #   held      the caller has all memories; the sources go on when it says so, or has died
   alias Situ.Error
   alias Situ.Pipeline.{Stages, State}
 
@@ -146,8 +145,8 @@ defmodule Situ.Pipeline.Checkpointing do
     do: System.monotonic_time(:millisecond) >= state.dynamic.checkpoint.deadline
 
   defp restless(_state) do
-    Error.new(:not_settled, "no checkpoint: messages were on their way all the time",
-      why: "a checkpoint is taken when all that the sources have posted is worked off",
+    Error.new(:not_settled, "no checkpoint: the pipeline never stood still",
+      why: "a checkpoint waits until all messages that the sources have posted are handled",
       fix: "give it more time (timeout:), or the pipeline less to do"
     )
   end

@@ -16,7 +16,7 @@ defmodule Situ.Pipeline.Dynamic do
           checkpoint: map() | nil
         }
 
-  @doc "The pipeline has ended: whoever still waits is told so."
+  @doc "The pipeline has ended: answers all callers that still wait."
   @spec cancel(t(), term()) :: :ok
   def cancel(dynamic, answer) do
     waiting =

@@ -53,7 +53,7 @@ defmodule Situ.Pipeline.Performer do
   defp leave(state, id),
     do: __MODULE__.apply(%{state | stages: Map.delete(state.stages, id)}, {:left, id})
 
-  @doc "Whoever waits for an answer of this stage gets one."
+  @doc "Answers all callers that wait for this stage."
   @spec interrupted(State.t(), pos_integer()) :: State.t()
   def interrupted(state, id) do
     state = Dynamic.Replacement.interrupted(state, id)

@@ -291,7 +291,7 @@ defmodule Situ.Pipeline do
       :done
 
   Options: `timeout:`, ms to wait for that moment (5,000). Errors: `:no_snapshot` names a component whose state is no
-  data; `:not_settled` when messages were on their way all the time; `:busy`, `:not_running`.
+  data; `:not_settled` if messages were under way all the time; `:busy`, `:not_running`.
   """
   @spec checkpoint(target(), (%{String.t() => map()} -> result), keyword()) ::
           {:ok, result} | {:error, Error.t()}

@@ -27,7 +27,7 @@ defmodule Situ.Stage.Attachment do
       else: subscribe(state, from, opts)
   end
 
-  # `GenStage.cancel/2` may be called by any process: a reference names the subscription all the same.
+  # Any process may call `GenStage.cancel/2`: the reference identifies the subscription.
   def asked(state, {pid, tag} = from, {:cancel, reason}) do
     case Enum.find(Outputs.subscribers(state.outputs), &named?(&1, from)) do
       nil ->
@@ -221,7 +221,7 @@ defmodule Situ.Stage.Attachment do
     %{state | inputs: Inputs.put(state.inputs, input)}
   end
 
-  @doc "An added input shall go, when the component says so."
+  @doc "Asks the component to release an input that was added while it ran."
   @spec release(State.t(), term()) :: {:ok, term(), State.t()} | {:error, Error.t()}
   def release(%{phase: :failed}, _request), do: {:error, failed()}
 

@@ -49,7 +49,7 @@ defmodule Situ.Stage.Emission do
 
   defp put(state, output), do: %{state | outputs: Outputs.put(state.outputs, output)}
 
-  # An infinite source goes on producing; only what is said, not what is done, is over.
+  # An infinite source goes on producing; it only has no say any more in when the pipeline ends.
   defp one(state, {:complete, :infinity}, _now) do
     if not state.source.completed, do: State.report(state, {:completed, :infinity})
     {:ok, state}
@@ -72,7 +72,7 @@ defmodule Situ.Stage.Emission do
   defp one(state, {:resume, input}, _now) when is_atom(input),
     do: {:ok, %{state | inputs: Inputs.hold(state.inputs, input, false)}}
 
-  # The component may be in the middle of a message of the input: the connection goes with the next turn.
+  # The component may be in the middle of a message of the input: the connection is removed in the next turn.
   defp one(state, {:detach, input, opts}, _now) when is_atom(input) and is_list(opts) do
     send(self(), {:situ, {:leave, input}})
     {:ok, reform(state, opts)}

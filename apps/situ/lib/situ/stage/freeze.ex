@@ -5,7 +5,7 @@ defmodule Situ.Stage.Freeze do
   alias Situ.Ports.{Output, Outputs}
   alias Situ.Stage.State
 
-  # Whoever froze it may be gone.
+  # The process that froze it may have died, so the freeze has a limit.
   @longest_ms 60_000
 
   @doc "Returns when `{:thaw, ref}` comes."

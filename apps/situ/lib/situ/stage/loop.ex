@@ -1,8 +1,7 @@
 defmodule Situ.Stage.Loop do
   @moduledoc false
-  # A turn of a stage: takes messages as long as there are any, there is room for what comes of them, and its slice
-  # of time lasts; then the next entry of the mailbox has its turn. While another turn is on its way (Pace), what
-  # arrives only waits.
+  # A turn of a stage: it handles messages until there are none, the outputs are full, or its slice of time is over;
+  # then the stage takes the next entry of its mailbox. While another turn is due (Pace), new messages only queue up.
   alias Situ.Clock
   alias Situ.Clock.Timers
   alias Situ.Ports.{Input, Inputs, Outputs}

@@ -22,7 +22,7 @@ defmodule Situ.Stage.Memory do
   @spec take(State.t()) :: {:ok, t()} | {:error, Error.t()}
   def take(%{phase: :failed} = state) do
     path = State.head(state).path
-    {:error, Error.new(:component_failed, "#{path} has failed: there is nothing to carry over")}
+    {:error, Error.new(:component_failed, "#{path} has failed: it has no state for a checkpoint")}
   end
 
   def take(state) do

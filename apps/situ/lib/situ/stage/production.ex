@@ -66,7 +66,7 @@ defmodule Situ.Stage.Production do
     Error.new(
       :no_way_on,
       "#{path} failed #{Source.strikes()} times without emitting anything",
-      why: "a source that raises has no message to skip: it meets the same error again",
+      why: "a source that raises has no message to skip, so it would raise again and again",
       fix: "handle the error in handle_demand/3, or use on_error: :stop",
       meta: %{component: path}
     )
@@ -101,7 +101,7 @@ defmodule Situ.Stage.Production do
     ErrorPolicy.stopped(state)
   end
 
-  @doc "Nothing is held back any more: what waited for that is told."
+  @doc "No output is held back any more: reports the completion or the stop that waited for this."
   @spec released(State.t()) :: State.t()
   def released(%{source: %{completing: nil, stopping: stopping}} = state)
       when stopping != :held,

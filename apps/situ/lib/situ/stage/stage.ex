@@ -123,7 +123,7 @@ defmodule Situ.Stage do
       else: {:noreply, Loop.info(state, message)}
   end
 
-  # Nobody speaks like this; whoever does is no reason to fail.
+  # No GenStage process sends such a message; ignore it.
   def handle_info({protocol, _from, _request}, state)
       when protocol in [:"$gen_producer", :"$gen_consumer"],
       do: {:noreply, state}

@@ -110,7 +110,7 @@ defmodule Situ.Test do
     settle(test)
   end
 
-  @doc "The outputs since the last call, once the pipeline has dealt with everything it was fed."
+  @doc "The outputs since the last call; waits until the pipeline has handled all messages it was fed."
   @spec outputs(t()) :: term()
   def outputs(%__MODULE__{} = test) do
     settle(test)
@@ -131,7 +131,7 @@ defmodule Situ.Test do
     end
   end
 
-  @doc "Waits until every process of the pipeline has dealt with what was sent to it."
+  @doc "Waits until every process of the pipeline has handled its messages."
   @spec settle(t()) :: :ok
   def settle(%__MODULE__{} = test), do: Rest.reach(test.pipeline, test.clock)
 

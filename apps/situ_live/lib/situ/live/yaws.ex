@@ -166,7 +166,9 @@ defmodule Situ.Live.Yaws do
   end
 
   defp port_error(port, :eaddrinuse) do
-    Error.new(:port_in_use, "port #{port} is in use", fix: "stop what uses it, or choose another")
+    Error.new(:port_in_use, "port #{port} is in use",
+      fix: "stop the program that uses it, or choose another port"
+    )
   end
 
   defp port_error(port, reason) do

@@ -107,7 +107,7 @@ defmodule Situ.Store.Copying do
         {:error,
          Error.new(:io, "cannot put the compacted store in the place of #{folder}",
            why: to_string(:file.format_error(reason)),
-           fix: "both are whole: rename #{fresh} by hand"
+           fix: "both stores are complete: rename #{fresh} by hand"
          )}
     end
   end

@@ -68,7 +68,7 @@ defmodule Situ.Store.Failure do
 
   def error({:not_storable, what}, path, stream) do
     Error.new(:not_storable, "a message of stream #{inspect(stream)} contains #{what}",
-      why: "it would mean nothing when it is read back",
+      why: "such a value means nothing in another process or after a restart",
       fix: "map the stream to plain data before it is written",
       meta: %{path: path}
     )

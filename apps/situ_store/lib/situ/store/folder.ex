@@ -13,11 +13,11 @@ defmodule Situ.Store.Folder do
 
   @unfinished ".unfinished"
 
-  @doc "The ending of a folder in the making."
+  @doc "The ending of an unfinished folder's name."
   @spec unfinished() :: String.t()
   def unfinished, do: @unfinished
 
-  @doc "Whether a folder is one in the making."
+  @doc "Whether a folder is an unfinished one."
   @spec unfinished?(Path.t()) :: boolean()
   def unfinished?(path), do: String.ends_with?(path, @unfinished)
 
@@ -116,7 +116,7 @@ defmodule Situ.Store.Folder do
     end
   end
 
-  # A file where a folder is wanted "exists", which tells nobody anything.
+  # A file in the place of the folder gives "exists", which does not help anybody.
   defp parent(path) do
     with {:error, :eexist} <- File.mkdir_p(path), do: {:error, :enotdir}
   end

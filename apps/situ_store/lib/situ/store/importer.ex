@@ -34,7 +34,7 @@ defmodule Situ.Store.Importer do
       type: :boolean,
       default: false,
       doc:
-        "Wait at the end to be sought, as a player does; the pipeline then runs until it is stopped."
+        "Wait at the end for a seek, as a player does; the pipeline then runs until it is stopped."
     ],
     skip_damage: [
       type: :boolean,
@@ -94,7 +94,8 @@ defmodule Situ.Store.Importer do
          span = last - if(from == :unbounded, do: first, else: max(first, from)),
          true <- ns <= span do
       raise Error.new(:bad_option, "a loop of #{Situ.Time.format_duration(ns)} is too short",
-              why: "what it plays of #{store.path} spans #{Situ.Time.format_duration(span)}",
+              why:
+                "the interval played of #{store.path} spans #{Situ.Time.format_duration(span)}",
               fix: "give more than that, or loop: true"
             )
     end
@@ -172,7 +173,7 @@ defmodule Situ.Store.Importer do
 
     if clock.kind == :real do
       {:error,
-       Error.new(:fixed_clock, "a pipeline on the wall clock cannot be sought",
+       Error.new(:fixed_clock, "a pipeline on the wall clock cannot seek",
          why: "only replayed (virtual) time can jump",
          fix: "start it with a replay interval, or with clock: Situ.Clock.virtual(start)"
        )}

@@ -40,7 +40,7 @@ defmodule Situ.Store.Local do
   defp lost({:error, :no_store}), do: {:error, :index_lost}
   defp lost(result), do: result
 
-  # The entries published since, for whoever asks for numbers next.
+  # Takes in the entries published since, for the next question about counts.
   defp refresh(state) do
     with :slow <- Native.reader_refresh(state.ref), do: Native.reader_refresh_all(state.ref)
   end
@@ -311,7 +311,7 @@ defmodule Situ.Store.Local do
       do: :ok,
       else:
         raise(
-          Error.new(:no_thread, "nobody can wait for the writer of #{state.path}",
+          Error.new(:no_thread, "cannot wait for the writer of #{state.path}",
             why: "the system has no thread left",
             fix:
               "raise the limit of threads (`ulimit -u`), or open fewer stores that are being written"

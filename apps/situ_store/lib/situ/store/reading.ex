@@ -1,6 +1,6 @@
 defmodule Situ.Store.Reading do
   @moduledoc false
-  # Reading an open recording, whoever's format it is. Public as `Situ.Store`, where the documentation is.
+  # Reads open recordings of any format. Public as `Situ.Store`, where the documentation is.
   alias Situ.{Error, Message, Options}
   alias Situ.Store.{Evolution, Failure, Folder, Formats, Handle, Local, StreamInfo}
 

@@ -186,7 +186,7 @@ defmodule Situ.Store.Source do
     if ordinal < count and not over?, do: load(n, context, again), else: close(state)
   end
 
-  # A player at its end is told of seeks by the clock that jumps.
+  # A player at its end learns of a seek when the clock jumps.
   defp finish(_n, context, %{importer: %{keep_open: true}} = state) do
     if state.phase != :listening, do: Clock.listen(Pipeline.clock(context.pipeline))
     {[], %{state | phase: :listening}}

@@ -65,7 +65,7 @@ defmodule Situ.Store.StreamInfo do
   def duration(info), do: info.last - info.first
 
   @doc """
-  The supplemental metadata: plain data, whatever stands in the file; `:no_metadata` where there is none, `:damaged`
+  The supplemental metadata as plain data, even from a hostile file; `:no_metadata` if there is none, `:damaged`
   where it cannot be decoded.
   """
   @spec metadata(t()) :: {:ok, term()} | {:error, Error.t()}

@@ -73,7 +73,8 @@ defmodule Situ.Store.Summary do
     changes: [
       type: :non_neg_integer,
       default: 100,
-      doc: "Up to so many changes of a track are told one by one; more of them as counts."
+      doc:
+        "The most changes of a track that are returned one by one; more of them come as counts."
     ]
   ]
 

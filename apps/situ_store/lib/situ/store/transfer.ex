@@ -1,7 +1,7 @@
 defmodule Situ.Store.Transfer do
   @moduledoc false
   # A stream of other stores in a new one, as it was. Type, metadata, codecs and payloads are taken over as bytes:
-  # what this system has no module or atom for is copied all the same. Only foreign files, and signals whose pyramid
+  # terms whose modules or atoms this system lacks are copied too. Only foreign files, and signals whose pyramid
   # their codec makes, take the way through messages.
   alias Situ.Error
   alias Situ.Store.{Codecs, Failure, Handle, Local, Native, Reading, StreamInfo, TypeName, Writer}

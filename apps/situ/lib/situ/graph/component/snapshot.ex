@@ -64,7 +64,8 @@ defmodule Situ.Component.Snapshot do
     :situ_no_function ->
       {:error,
        Error.new(:no_restore, "#{path} cannot be restored: its state keeps functions",
-         why: "functions are not carried over, and where one stood a fresh state has none",
+         why:
+           "a checkpoint holds no functions, and the component's initial state has none in that place",
          fix: "define snapshot/1 and restore/2 in the component",
          meta: %{component: path}
        )}

@@ -1,7 +1,7 @@
 defmodule Situ.Operator.Chain do
   @moduledoc false
   # A run of light operators in one process. Only the data moves from step to step; the caller makes one envelope at the
-  # end. A raising step is told by its index, so that the error names the operator the user wrote.
+  # end. A step that raises is identified by its index, so that the error names the operator the user wrote.
 
   @type step ::
           {atom(), fun(), index :: non_neg_integer()}

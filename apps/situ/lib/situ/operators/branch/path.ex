@@ -1,6 +1,6 @@
 defmodule Situ.Branch.Path do
   @moduledoc false
-  # The name of a branch. Branches are many and errors few: it is made when one is wanted.
+  # The name of a branch, made only when an error needs it: branches are many and errors few.
 
   @type t :: String.t() | {String.t(), term()}
 

@@ -39,8 +39,8 @@ defmodule Situ.Filter.OneEuro do
   def options, do: @options
 
   @doc """
-  A sample at a time (ns); the first passes as it is. An output that is `:nan` or infinite stays so: each output goes
-  into the next.
+  Takes a sample and its time (ns); the first passes unchanged. After an output that is `:nan` or infinite all later
+  ones are too, since each output enters the next.
   """
   @spec step(t(), Situ.Time.t(), Number.t()) :: {Number.t(), t()}
   def step(%__MODULE__{previous: nil} = filter, time, sample) do

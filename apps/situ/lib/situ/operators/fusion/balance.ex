@@ -1,15 +1,13 @@
 defmodule Situ.Fusion.Balance do
   @moduledoc false
-  # Keeps the inputs of a fusion operator abreast, so that memory does not depend on which of two sources is
-  # scheduled more: an input that has run far ahead of the one that is waited for is held for a moment.
-  #
-  # It is never held for good, since the input that is waited for may depend on it (both may come from one source,
-  # by way of a filter): when nothing at all has arrived for a hold's time, the input is let go and the limit
-  # doubled. Such a graph costs a few such moments, and the memory that it needs. While other processes of the VM
-  # are at work, one of them may be about to send what is awaited and only lack a core: then up to 25 holds' times
-  # (half a second) pass before that.
-  #
-  # How much waits is told by sequence ids: the newest one less that of the queue's head.
+  # Keeps the inputs of a fusion operator together, so that memory does not depend on which of two sources runs more
+  # often: an input far ahead of the awaited one is held for a moment.
+  # It is never held for good, since the awaited input may depend on it (both may come from one source, by way of a
+  # filter): when no message has arrived for the time of a hold, the input is released and the limit doubled. Such a
+  # graph costs a few such moments, and the memory that it needs. While other processes of the VM are at work, one of
+  # them may be about to send the awaited message and only lack a core: then up to 25 holds (half a second) pass
+  # before the release.
+  # The length of a queue is the newest sequence id less that of the queue's head.
 
   @limit 8_192
   @patience 25

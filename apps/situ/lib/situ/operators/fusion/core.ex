@@ -1,12 +1,12 @@
 defmodule Situ.Fusion.Core do
   @moduledoc """
-  The pure heart of fusion: one queue of primary messages, one per secondary stream, and the rule that pairs them.
+  The pure core of fusion: one queue of primary messages, one per secondary stream, and the rule that pairs them.
 
-  Whenever something arrives, the oldest primary is asked for: each secondary's interpolator gives a value at its time.
+  Each arrival tries to complete the oldest primary: each secondary's interpolator gives a value at its time.
 
     * All have one: an output at the primary's originating time.
     * One cannot say yet: the primary waits, and later ones behind it, so outputs come in the primaries' order.
-    * One has none: the primary is given up.
+    * One has none: the primary is dropped.
 
   Secondary messages that no later primary can need are dropped at once, so memory is bounded by the messages that
   are undecided.

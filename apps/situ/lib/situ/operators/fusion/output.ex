@@ -59,7 +59,7 @@ defmodule Situ.Fusion.Output do
     end
   end
 
-  # A default that is no tuple stands for each element of one.
+  # A default that is not a tuple applies to each element of the tuple.
   defp flat(primary, {{:tuple, types}, default}) do
     n = length(types)
 

@@ -28,15 +28,15 @@ defmodule Situ.Fusion.Span do
   def possible(time, earliest, what) do
     {:error,
      Error.new(:too_late, "an input cannot #{what} #{time} ns",
-       why: "messages up to #{earliest - 1} ns have already been dealt with",
+       why: "messages up to #{earliest - 1} ns have already been handled",
        fix: "give a time of #{earliest} ns or later, or none",
        meta: %{earliest: earliest}
      )}
   end
 
   @doc """
-  Whether no primary will need a span any more: it never began, or those before its end have been dealt with and
-  none can come.
+  Whether no primary will need a span any more: it never began, or those before its end have been handled and none can
+  come.
   """
   @spec over?(
           {Situ.Time.t() | nil, Situ.Time.t() | nil},

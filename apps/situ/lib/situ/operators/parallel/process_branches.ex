@@ -1,9 +1,8 @@
 defmodule Situ.Parallel.ProcessBranches do
   @moduledoc false
-  # The pure heart of parallel with branches in processes: which branch each key has, which times wait for it, and
-  # what is to be sent to whom. As in ValueBranches a time is decided when each of its branches has given something
-  # for it, or cannot any more: it has given something later, has passed the time without giving anything, or has
-  # ended.
+  # The pure core of parallel with branches in processes: which branch each key has, which times wait for it, and the
+  # messages to send. As in ValueBranches a time is decided when each of its branches has emitted something for it, or
+  # cannot any more: it has emitted something later, has passed the time without output, or has ended.
   alias Situ.Message
   alias Situ.Parallel.{PendingOutputs, Parts, Termination}
 
@@ -44,7 +43,7 @@ defmodule Situ.Parallel.ProcessBranches do
     for {key, _} <- Parts.pairs(parts), not is_map_key(pool.keys, key), do: key
   end
 
-  @doc "The branch of `key` was started; whether branches have outputs at all is told by the first."
+  @doc "The branch of `key` was started; the first branch shows whether branches have outputs at all."
   @spec started(t(), term(), id(), boolean()) :: t()
   def started(pool, key, id, output?) do
     %{
@@ -78,8 +77,8 @@ defmodule Situ.Parallel.ProcessBranches do
   end
 
   @doc """
-  A branch gave these, in order. With `passed`, a time, it has dealt with everything up to that, and nothing for it
-  will come any more.
+  Takes in outputs of a branch, in order. If `passed` is a time, the branch has handled all parts up to it and has no
+  more output for them.
   """
   @spec gave(t(), id(), [{Situ.Time.t(), term()}], Situ.Time.t() | nil) :: {outputs(), t()}
   def gave(pool, id, gave, passed) do
@@ -183,7 +182,7 @@ defmodule Situ.Parallel.ProcessBranches do
     end)
   end
 
-  # Messages sent to it count, whenever it is said to end.
+  # A branch ends after the last message sent to it, even if its rule names an earlier time.
   defp last(at, nil), do: at
   defp last(at, seen), do: max(at, seen)
 

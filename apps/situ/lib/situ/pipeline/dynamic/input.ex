@@ -207,7 +207,7 @@ defmodule Situ.Pipeline.Dynamic.Input do
   end
 
   defp cycle(vertex) do
-    Error.new(:circle, "#{vertex.path} depends on the operator that is to take it",
+    Error.new(:circle, "#{vertex.path} depends on the operator that would take its stream",
       why: "each would wait for the other",
       fix: "take a stream in front of the operator",
       meta: %{component: vertex.path}

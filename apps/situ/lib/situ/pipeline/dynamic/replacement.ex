@@ -1,14 +1,14 @@
 defmodule Situ.Pipeline.Dynamic.Replacement do
   @moduledoc false
-  # Another module, or other options, for a running component. One at a time for each stage, in the order in which
-  # they were asked for; what waits is checked when it is its turn, against what the component has become by then.
+  # Another module, or other options, for a running component. One replacement at a time for each stage, in the order
+  # of the requests; a waiting request is checked against the component as it is when its turn comes.
   alias Situ.{Error, Type}
   alias Situ.Component.Functions
   alias Situ.Graph.{Edge, Vertex}
   alias Situ.Lifecycle.Errors
   alias Situ.Pipeline.State
 
-  @doc "Asks the stage, or waits for its turn; the caller is answered when it has been done, or cannot be."
+  @doc "Asks the stage, or queues the request; the caller gets its answer when the replacement is done or has failed."
   @spec ask(State.t(), map(), GenServer.from()) :: State.t()
   def ask(state, %{node: node, change: change, timeout: timeout}, from) do
     with {:ok, vertex} <- State.vertex(state, node),
@@ -111,7 +111,7 @@ defmodule Situ.Pipeline.Dynamic.Replacement do
 
   defp told(request, _ref, _error), do: request
 
-  @doc "The stage is gone, and with it what it was asked: whoever waits for it is answered."
+  @doc "The stage has ended: callers that wait for its answer get an error."
   @spec interrupted(State.t(), pos_integer()) :: State.t()
   def interrupted(state, id) do
     case state.dynamic.replaces do

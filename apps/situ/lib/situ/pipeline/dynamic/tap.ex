@@ -63,7 +63,7 @@ defmodule Situ.Pipeline.Dynamic.Tap do
     end
   end
 
-  @doc "A stage is gone: who waits for a tap on it waits in vain."
+  @doc "A stage has ended: callers that wait for a tap on it get an error."
   @spec interrupted(State.t(), pos_integer()) :: {State.t(), events()}
   def interrupted(state, id) do
     Enum.reduce(state.dynamic.taps, {state, []}, fn {tap_id, tap}, {state, events} ->
