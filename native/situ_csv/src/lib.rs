@@ -3,6 +3,8 @@
 
 mod lines;
 
+#![deny(missing_docs)]
+
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -16,7 +18,7 @@ use csv::{ByteRecord, Position, ReaderBuilder, Terminator};
 pub enum Error {
     /// The file cannot be read: the error's number, and its text.
     Io(i32, String),
-    /// What is wrong in which line.
+    /// A line that cannot be read: its number, and the reason.
     Damaged(u64, &'static str),
 }
 
@@ -37,10 +39,10 @@ impl From<io::Error> for Error {
     }
 }
 
-/// Rows, or why there are none.
+/// The rows, or the reason why there are none.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// A longer row is no row: most likely a quote that nobody closed.
+/// A longer row is an error: most likely a quote is not closed.
 const MAX_ROW: u64 = 16 << 20;
 
 /// A place in a file: byte and line.

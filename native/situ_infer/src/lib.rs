@@ -16,13 +16,13 @@ pub use tensor::{ElementType, Tensor, TensorView};
 /// Why something failed. The kind is for programs, the text for people.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Failure {
-    /// What failed, for programs.
+    /// The kind of failure, for programs.
     pub kind: Kind,
     /// A sentence that names the library, port or provider, for people.
     pub text: String,
 }
 
-/// What failed.
+/// The kinds of failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// The shared library could not be opened or is too old.

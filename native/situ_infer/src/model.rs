@@ -18,7 +18,7 @@ pub struct Port {
     pub shape: Vec<i64>,
 }
 
-/// What computes.
+/// The device that runs a network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Provider {
     /// The machine's processor.
@@ -37,7 +37,7 @@ pub struct Options {
     pub threads: usize,
     /// The most runs at once.
     pub sessions: usize,
-    /// What computes.
+    /// The device that runs it.
     pub provider: Provider,
 }
 
@@ -52,15 +52,15 @@ pub struct Busy;
 pub struct Model {
     pool: Mutex<Pool>,
     returned: Condvar,
-    /// What the network takes.
+    /// The network's inputs.
     pub inputs: Vec<Port>,
-    /// What it gives.
+    /// The network's outputs.
     pub outputs: Vec<Port>,
 }
 
 struct Pool {
     idle: Vec<Session>,
-    /// Sessions that may still be made, and what of; the bytes go when that is none.
+    /// How many more sessions may be made, and the model's bytes; these are freed when that is 0.
     left: usize,
     bytes: Vec<u8>,
     options: Options,
@@ -123,7 +123,7 @@ impl Model {
         }
     }
 
-    // Building takes a while: nobody else waits for it.
+    // Building takes a while, so it happens without the lock.
     fn another(&self, mut pool: MutexGuard<'_, Pool>) -> Result<Session, Failure> {
         pool.left -= 1;
         let options = pool.options;

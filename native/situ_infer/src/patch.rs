@@ -50,9 +50,9 @@ pub struct Picture<'a> {
     pub layout: PixelLayout,
 }
 
-/// What to cut: `matrix` maps a patch pixel `(x, y)` to a picture position, `(m0 x + m1 y + m2, m3 x + m4 y + m5)`,
-/// both counted from the centre of the first pixel. A value `v` becomes `v * scale + offset`; outside of the picture
-/// is black.
+/// The patch to cut: `matrix` maps a patch pixel `(x, y)` to a picture position, `(m0 x + m1 y + m2, m3 x + m4 y +
+/// m5)`, both counted from the centre of the first pixel. A value `v` becomes `v * scale + offset`; outside of the
+/// picture is black.
 #[derive(Debug, Clone, Copy)]
 pub struct Patch {
     /// `[m0, m1, m2, m3, m4, m5]`, in pixels of the picture; all of them finite.
@@ -61,9 +61,9 @@ pub struct Patch {
     pub width: usize,
     /// Rows of the patch; `width * height` is 1 to 16,777,216.
     pub height: usize,
-    /// What a channel value (0 to 255) is multiplied with.
+    /// The factor for a channel value (0 to 255).
     pub scale: f32,
-    /// What is added afterwards.
+    /// The number added afterwards.
     pub offset: f32,
 }
 

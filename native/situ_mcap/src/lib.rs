@@ -3,6 +3,8 @@
 //! of files without an index or cut short. Files are read by `pread`, never mapped: one that shrinks meanwhile is an
 //! error and no signal.
 
+#![deny(missing_docs)]
+
 mod chunk;
 mod file;
 mod open;
@@ -14,7 +16,7 @@ pub use reader::{Channel, Found, Info, Message, Query, Reader, Schema};
 pub use track::Times;
 pub use writer::{ChannelSpec, Compression, Writer};
 
-/// What went wrong, for a person to read.
+/// The errors of this crate; their texts are for people.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Error {
     /// The operating system refused: what was tried, its error number and its words.
@@ -27,7 +29,7 @@ pub enum Error {
     Closed,
 }
 
-/// What this crate answers.
+/// The result of the functions of this crate.
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {

@@ -27,7 +27,7 @@ pub struct ChunkPlace {
     pub end: u64,
 }
 
-/// What there is in a file.
+/// The contents of a file.
 #[derive(Debug, Default)]
 pub struct Contents {
     pub profile: String,

@@ -23,16 +23,16 @@ pub struct Channel {
     pub encoding: String,
     /// The number of its schema, 0 for none.
     pub schema: u16,
-    /// What its writer said of it.
+    /// The writer's metadata.
     pub metadata: BTreeMap<String, String>,
 }
 
-/// What a channel's messages look like.
+/// The type of a channel's messages.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Schema {
     /// The type's name.
     pub name: String,
-    /// What language `data` is in.
+    /// The language of `data`, such as `ros1msg` or `jsonschema`.
     pub encoding: String,
     /// The definition.
     pub data: Vec<u8>,
@@ -53,7 +53,7 @@ pub struct Found {
     pub size: u64,
 }
 
-/// What there is in a file.
+/// A description of a file.
 #[derive(Debug, Clone)]
 pub struct Info {
     /// Its profile, such as `ros1`.
@@ -68,7 +68,7 @@ pub struct Info {
     pub attachments: Vec<Found>,
     /// Its metadata records.
     pub metadata: Vec<(String, BTreeMap<String, String>)>,
-    /// What is wrong with it, in sentences.
+    /// The damage found, in sentences.
     pub damage: Vec<String>,
     /// Whether its writer came to the end.
     pub finished: bool,
@@ -144,7 +144,7 @@ impl Reader {
         })
     }
 
-    /// What there is in it.
+    /// A description of the file.
     pub fn info(&self) -> Info {
         let contents = &self.contents;
         let count = |id: &u16| contents.counts.get(id).copied().unwrap_or(0);

@@ -19,6 +19,7 @@ impl Times {
         self != Times::Log
     }
 
+    /// The time of a message, ns.
     pub fn of(self, header: &mcap::records::MessageHeader, data: &[u8]) -> u64 {
         match self {
             Times::Log => header.log_time,
@@ -32,7 +33,7 @@ impl Times {
     }
 }
 
-/// Seconds and nanoseconds at `at`; a stamp of zero means that nobody set it.
+/// Seconds and nanoseconds at `at`; a stamp of zero means that it was not set.
 fn stamp(data: &[u8], at: usize, little: bool) -> Option<u64> {
     let word = |at: usize| -> Option<u32> {
         let bytes = data.get(at..at + 4)?.try_into().ok()?;

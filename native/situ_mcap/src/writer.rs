@@ -29,11 +29,11 @@ pub struct ChannelSpec<'a> {
     pub encoding: &'a str,
     /// The type's name, the language of its definition, the definition; `None` for no schema.
     pub schema: Option<(&'a str, &'a str, &'a [u8])>,
-    /// What else is to be said of it.
+    /// Further metadata.
     pub metadata: BTreeMap<String, String>,
 }
 
-/// An MCAP file that grows. What was flushed can be read, whatever becomes of the writer.
+/// An MCAP file that grows. Flushed messages stay readable even if the writer dies.
 pub struct Writer {
     inner: Option<mcap::Writer<BufWriter<File>>>,
 }

@@ -2,7 +2,7 @@
 
 use crate::picture::{Format, Shape, View};
 
-/// What one column (or row) of the result covers: the first pixel, and the share of each from there.
+/// The pixels that one column (or row) of the result covers: the first one, and the share of each from there.
 struct Cover {
     first: usize,
     shares: Vec<f32>,

@@ -1,4 +1,4 @@
-//! What goes wrong: a code for programs and a sentence for people.
+//! The errors of this crate: a code for programs and a sentence for people.
 
 /// The kinds of failure; the BEAM side turns each into an atom.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,7 +39,7 @@ pub struct Error {
     pub what: String,
 }
 
-/// What every fallible function of this crate answers.
+/// The result of every fallible function of this crate.
 pub type Result<T> = std::result::Result<T, Error>;
 
 /// Shorthand: `fail(Code::BadSize, format!(...))`.

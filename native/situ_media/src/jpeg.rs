@@ -95,7 +95,7 @@ fn compress(mut compressor: Compressor, image: Image<&[u8]>) -> Result<OwnedBuf>
     Ok(output.into_owned())
 }
 
-/// What the header says; grey for grey JPEGs, else `wanted` (`:bgr24` by default on the Elixir side).
+/// The picture's shape from the header; grey for grey JPEGs, else `wanted` (`:bgr24` by default on the Elixir side).
 ///
 /// The size claimed must be plausible for the bytes there are: a block of 64 pixels takes at least one bit in any scan
 /// that carries it, so 1 byte cannot stand for more than 512 pixels (with some slack: 1024).
@@ -128,8 +128,8 @@ pub fn header(bytes: &[u8], wanted: Option<Format>) -> Result<Shape> {
 }
 
 /// Decodes into `out`, which has the bytes of the shape that `header` answered for the same bytes. More than 100 scans
-/// are refused before any is decoded ([`Code::BadJpeg`]): each costs a pass over the picture. What was written to `out`
-/// before an error means nothing.
+/// are refused before any is decoded ([`Code::BadJpeg`]): each costs a pass over the picture. After an error the
+/// contents of `out` are undefined.
 pub fn decode(bytes: &[u8], shape: Shape, out: &mut [u8]) -> Result<()> {
     let scans = bytes.windows(2).filter(|w| w == &[0xFF, 0xDA]).count();
     if scans > MAX_SCANS {

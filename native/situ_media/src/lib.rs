@@ -1,6 +1,6 @@
 //! Pure Rust side of situ_media: pictures and sound as byte slices, no BEAM types.
 //!
-//! A picture comes in as a checked [`picture::View`], an operation is an [`op::Op`]: it tells the shape of its result
+//! A picture comes in as a checked [`picture::View`], an operation is an [`op::Op`]: it gives the shape of its result
 //! first, the caller provides the memory, then it runs. So nothing is copied on the way to and from the BEAM.
 
 #![deny(missing_docs)]

@@ -30,7 +30,7 @@ pub enum Op<'a> {
     Threshold(u32, u32, Threshold),
     /// The channel at this place in memory, from 0, as grey of the same depth.
     ExtractChannel(usize),
-    /// What each channel differs by from a picture of the same shape.
+    /// The absolute difference of each channel from a picture of the same shape.
     AbsoluteDifference(View<'a>),
     /// Of grey pictures with a small kernel, see [`convolve`].
     Convolve(Kernel),

@@ -3,7 +3,7 @@
 use crate::error::{fail, Code, Result};
 use crate::picture::{Format, View};
 
-/// What becomes of a value `v` at a threshold `t`, with `max` as the greatest value.
+/// The result for a value `v` at a threshold `t`, with `max` as the greatest value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Threshold {
     /// `max` above `t`, else 0.

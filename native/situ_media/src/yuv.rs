@@ -1,4 +1,4 @@
-//! What cameras and decoders give before it is a picture: luma and subsampled colour differences, BT.601, 16..235.
+//! Frames of cameras and decoders as luma and subsampled colour differences (BT.601, 16..235), turned into pictures.
 
 use crate::error::{fail, Code, Result};
 use crate::picture::{Format, Shape};

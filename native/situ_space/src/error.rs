@@ -34,7 +34,7 @@ impl std::fmt::Display for Error {
 
 impl std::error::Error for Error {}
 
-/// What a kernel answers.
+/// The result of a kernel.
 pub type Result<T> = std::result::Result<T, Error>;
 
 /// Shorthand for an error.

@@ -246,7 +246,7 @@ fn main() {
     }
     let kills: u64 = args.get(1).and_then(|n| n.parse().ok()).unwrap_or(200);
     let first: u64 = args.get(2).and_then(|n| n.parse().ok()).unwrap_or(1);
-    // What a kill leaves behind is in the page cache either way: in memory nobody waits for a disk.
+    // A kill leaves its writes in the page cache on any file system; on one in memory nobody waits for a disk.
     let memory = Path::new("/dev/shm");
     let base = if memory.is_dir() {
         memory.to_path_buf()

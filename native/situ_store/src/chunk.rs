@@ -13,15 +13,20 @@ pub use messages::Messages;
 /// A message's payload as it is handed in.
 #[derive(Debug, Clone, Copy)]
 pub enum Input<'a> {
+    /// An integer.
     Int(i64),
+    /// A float.
     Float(f64),
     /// 0 false, 1 true, 2 nil.
     Bool(u8),
+    /// Bytes in one piece.
     Bytes(&'a [u8]),
+    /// Bytes in several pieces, stored one behind the other.
     Parts(&'a [&'a [u8]]),
 }
 
 impl Input<'_> {
+    /// The size of the payload as it is stored, bytes.
     pub fn byte_size(&self) -> usize {
         match self {
             Input::Int(value) => (64 - varint::zigzag(*value).leading_zeros() as usize)
@@ -68,24 +73,37 @@ pub fn term_number(bytes: &[u8]) -> Option<f64> {
     }
 }
 
-/// What of a message is not payload.
+/// The parts of a message other than its payload.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Envelope {
+    /// The sequence id.
     pub sequence: u64,
+    /// The originating time, ns.
     pub time: i64,
+    /// The creation time, ns.
     pub creation: i64,
 }
 
 /// A message's payload as it is read: where it lies in the raw body, or the value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Value {
+    /// An integer.
     Int(i64),
+    /// A float.
     Float(f64),
+    /// 0 false, 1 true, 2 nil.
     Bool(u8),
-    Bytes { start: usize, length: usize },
+    /// Bytes of the raw body.
+    Bytes {
+        /// Where they begin.
+        start: usize,
+        /// How many there are.
+        length: usize,
+    },
 }
 
 impl Value {
+    /// The number drawn for it, where there is one.
     pub fn number(&self) -> Option<f64> {
         match self {
             Value::Int(value) => Some(*value as f64),

@@ -1,10 +1,10 @@
-//! What can go wrong, in terms a caller can act on.
+//! The errors of this crate, in terms that a caller can act on.
 
 use std::fmt;
 
 use crate::limits::{MAX_MESSAGE, VERSION};
 
-/// What a function of this crate answers.
+/// The result of the functions of this crate.
 pub type Result<T> = std::result::Result<T, Error>;
 
 /// Why something could not be done.

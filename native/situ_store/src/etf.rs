@@ -6,19 +6,29 @@ pub const MAX_DEPTH: u32 = 512;
 /// Binaries do not count: they are as long there as here.
 pub const MAX_STRUCTURE: usize = 64 << 20;
 
+/// Why a term may not be decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
+    /// The bytes are no external term, or more than one.
     Malformed,
+    /// Nested deeper than [`MAX_DEPTH`].
     TooDeep,
+    /// Its structure would take more than [`MAX_STRUCTURE`] bytes.
     TooLarge,
+    /// A compressed term.
     Compressed,
+    /// A function.
     Function,
+    /// A process id.
     Pid,
+    /// A port.
     Port,
+    /// A reference.
     Reference,
 }
 
 impl Refusal {
+    /// The refusal in words, for an error text.
     pub fn text(self) -> &'static str {
         match self {
             Refusal::Malformed => "malformed term",
@@ -127,7 +137,7 @@ fn pass(walk: &mut Walk<'_>) -> Result<usize, Refusal> {
             }
             111 => {
                 let n = walk.u32()?;
-                // A megabyte of digits is nobody's number.
+                // No real number has a megabyte of digits.
                 if n > 1 << 20 {
                     return Err(Refusal::Malformed);
                 }
@@ -184,15 +194,23 @@ fn pass(walk: &mut Walk<'_>) -> Result<usize, Refusal> {
 
 /// Builds terms of some runtime; atoms that do not exist there are the builder's affair.
 pub trait Build {
+    /// A term of the runtime.
     type Term: Clone;
+    /// The atom with this name, in UTF-8.
     fn atom(&mut self, name: &[u8]) -> Self::Term;
+    /// An integer of 64 bits.
     fn integer(&mut self, value: i64) -> Self::Term;
+    /// A float; `None` if the runtime has none such (NaN, infinities).
     fn float(&mut self, value: f64) -> Option<Self::Term>;
+    /// A binary.
     fn binary(&mut self, bytes: &[u8]) -> Self::Term;
     /// Anything without atoms in it (big numbers, bit strings), as external format without its version byte.
     fn plain(&mut self, bytes: &[u8]) -> Option<Self::Term>;
+    /// A tuple of these elements.
     fn tuple(&mut self, elements: &[Self::Term]) -> Self::Term;
+    /// A list of these elements, improper if there is a `tail`.
     fn list(&mut self, elements: &[Self::Term], tail: Option<Self::Term>) -> Self::Term;
+    /// A map; `None` if the runtime refuses it (equal keys).
     fn map(&mut self, keys: &[Self::Term], values: &[Self::Term]) -> Option<Self::Term>;
 }
 

@@ -22,6 +22,7 @@ pub struct Fault {
 }
 
 impl Fault {
+    /// The step number `steps` fails; with `kill` the process kills itself there.
     pub fn after(steps: i64, kill: bool) -> Arc<Self> {
         Arc::new(Fault {
             left: AtomicI64::new(steps),
@@ -30,6 +31,7 @@ impl Fault {
         })
     }
 
+    /// Counts a step; an error if it is the one that fails.
     #[inline]
     pub fn step(&self) -> Result<()> {
         if !self.armed || self.left.fetch_sub(1, Ordering::Relaxed) > 0 {
@@ -45,7 +47,7 @@ impl Fault {
     }
 }
 
-/// The mode of a store's files when nobody says another: its owner's, and readable by its group.
+/// The default mode of a store's files: the owner reads and writes, the group reads.
 pub const FILE_MODE: u32 = 0o640;
 
 /// Opens a file of a store; one that is made has at no moment a wider mode than it shall have. A `mode` holds whatever
@@ -79,7 +81,7 @@ pub fn allocate(file: &File, from: u64, length: u64) -> std::result::Result<(), 
     }
 }
 
-/// As `allocate`, of what is left on a disk that is nearly full: `length` bytes, or a quarter, and so on down to
+/// As `allocate`, also on a disk that is nearly full: `length` bytes, or a quarter, and so on down to
 /// `least`.
 pub fn allocate_some(
     file: &File,
@@ -92,7 +94,7 @@ pub fn allocate_some(
         match allocate(file, from, length) {
             Ok(()) => return Ok(length),
             Err(Errno::NOSPC) if length > least => {
-                // What a failed attempt took goes back before the next one.
+                // Give back the space of the failed attempt before the next one.
                 let _ = ftruncate(file, from);
                 length = (length / 4).next_multiple_of(4096).max(least);
             }
@@ -117,11 +119,13 @@ pub fn write_all(file: &File, mut bytes: &[u8], mut at: u64) -> std::result::Res
     Ok(())
 }
 
+/// The name of an extent's file.
 pub fn name(lane: u8, number: u32) -> String {
     let lane = if lane == LANE_LARGE { "large" } else { "data" };
     format!("{lane}-{number:06}.situ")
 }
 
+/// The writing end of one lane: its current extent and how full that is.
 #[derive(Debug)]
 pub struct Lane {
     dir: PathBuf,
@@ -145,6 +149,7 @@ pub struct Lane {
 }
 
 impl Lane {
+    /// A lane without extents; the first chunk makes one of `first_size` bytes, later ones grow up to `max_size`.
     pub fn new(
         dir: &Path,
         id: [u8; 16],
@@ -266,13 +271,14 @@ impl Lane {
         self.fault.step()
     }
 
-    /// Makes the chunk at this place none any more.
+    /// Erases the beginning of the chunk at this place, so that no scan takes it for a chunk.
     pub fn erase(&self, extent: u32, offset: u64) -> std::io::Result<()> {
         let path = self.dir.join(name(self.lane, extent));
         let file = OpenOptions::new().write(true).open(path)?;
         Ok(write_all(&file, &[0; 8], offset)?)
     }
 
+    /// Brings all chunks of the lane to the disk.
     pub fn sync(&mut self) -> Result<()> {
         if self.created {
             let folder =
@@ -301,6 +307,7 @@ impl Lane {
         self.fault.step()
     }
 
+    /// Whether the folder still holds the index that is open as `index`: nobody has moved or replaced the store.
     pub fn folder_lives(&self, index: &File) -> bool {
         let here = rustix::fs::stat(self.dir.join("index.situ"));
         match (here, rustix::fs::fstat(index)) {

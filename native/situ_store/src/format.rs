@@ -8,51 +8,78 @@ pub use crate::limits::{MAX_MESSAGE, VERSION};
 pub use chunk_header::ChunkHeader;
 pub use entry::Entry;
 
+/// The first 8 bytes of `index.situ`.
 pub const INDEX_MAGIC: &[u8; 8] = b"SITUIDX1";
+/// The first 8 bytes of an extent.
 pub const EXTENT_MAGIC: &[u8; 8] = b"SITUDAT1";
-/// What a chunk begins with: `CHK2`, in stores of version 1 `CHNK`.
+/// The first 4 bytes of a chunk, `CHK2`.
 pub const CHUNK_MAGIC: u32 = 0x324b_4843;
+/// The first 4 bytes of a chunk in a store of version 1, `CHNK`.
 pub const CHUNK_MAGIC_1: u32 = 0x4b4e_4843;
+/// Bytes of the index header.
 pub const INDEX_HEADER: usize = 4096;
+/// Bytes of an index entry.
 pub const ENTRY: usize = 64;
+/// Bytes of an extent header.
 pub const EXTENT_HEADER: usize = 64;
+/// Bytes of a chunk header, version 2.
 pub const CHUNK_HEADER: usize = 112;
+/// Bytes of a chunk header, version 1.
 pub const CHUNK_HEADER_1: usize = 96;
-/// The level of an index entry that names nothing any more: a place kept so that the numbers of the others stay.
+/// The level of an index entry that names no chunk any more; it stays so that the others keep their numbers.
 pub const HOLE: u8 = 255;
-/// Levels of what is counted and told of a stream's messages stand this much above those of its signal.
+/// The levels of a stream's tracks are so much above those of its signal.
 pub const TRACKS: u8 = 64;
+/// Bytes of a pyramid bin.
 pub const BIN: usize = 40;
+/// Where the index header holds the number of committed entries (u64, atomic).
 pub const COMMITTED_AT: usize = 64;
+/// Where the index header holds the number of entries known to be on the disk (u64, atomic).
 pub const SYNCED_AT: usize = 72;
+/// Where the index header holds the state: 0 open, 1 closed.
 pub const STATE_AT: usize = 80;
+/// The most messages of a chunk.
 pub const MAX_CHUNK_MESSAGES: u32 = 1024;
+/// The most payload bytes of a chunk of several messages.
 pub const MAX_CHUNK_PAYLOAD: usize = 64 * 1024;
+/// Messages of at least so many bytes are chunks of their own in the large lane.
 pub const LARGE_MESSAGE: usize = 32 * 1024;
 /// A chunk of the data lane does not unpack to more: its payload, one message that was too many, and its table.
 pub const MAX_SMALL_BODY: usize =
     MAX_CHUNK_PAYLOAD + LARGE_MESSAGE + 40 * MAX_CHUNK_MESSAGES as usize;
 /// Larger messages are stored plain, and a reader unpacks no larger ones unless it was asked to.
 pub const MAX_UNPACKED: usize = 64 << 20;
+/// The lane of chunks of small messages.
 pub const LANE_DATA: u8 = 0;
+/// The lane of large messages, one per chunk.
 pub const LANE_LARGE: u8 = 1;
+/// The number of the catalog's stream.
 pub const CATALOG: u32 = 0;
 
+/// The kinds of payload; a chunk has one of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Encoding {
+    /// Bins of a signal (`pyramid::Bin`), 40 bytes each.
     Bins = 0,
+    /// Integers of 64 bits, as zigzag varints.
     Int = 1,
+    /// Floats of 64 bits, little-endian.
     Float = 2,
+    /// Binaries, as they are.
     Bytes = 3,
+    /// Terms in Erlang's external term format.
     Term = 4,
+    /// Bytes of a codec; the catalog names the codec.
     Codec = 5,
+    /// Booleans: 0 false, 1 true, 2 nil.
     Bool = 6,
     /// Counts, states and numbers by key of the messages in bins, at levels above `TRACKS`.
     Tracks = 7,
 }
 
 impl Encoding {
+    /// The encoding with this number, if there is one.
     pub fn from_u8(value: u8) -> Option<Self> {
         Some(match value {
             0 => Self::Bins,
@@ -72,20 +99,26 @@ impl Encoding {
         matches!(self, Self::Bins | Self::Tracks)
     }
 
+    /// Whether the table of a chunk holds the lengths of its payloads.
     pub fn has_lengths(self) -> bool {
         matches!(self, Self::Bytes | Self::Term | Self::Codec)
     }
 }
 
+/// The compression of a chunk's body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Compression {
+    /// Stored plain.
     None = 0,
+    /// An LZ4 block without its length.
     Lz4 = 1,
+    /// A zstd frame.
     Zstd = 2,
 }
 
 impl Compression {
+    /// The compression with this number, if there is one.
     pub fn from_u8(value: u8) -> Option<Self> {
         Some(match value {
             0 => Self::None,
@@ -96,22 +129,26 @@ impl Compression {
     }
 }
 
+/// The little-endian u32 at `at`; panics if `bytes` end before it.
 pub fn u32_at(bytes: &[u8], at: usize) -> u32 {
     let mut raw = [0; 4];
     raw.copy_from_slice(&bytes[at..at + 4]);
     u32::from_le_bytes(raw)
 }
 
+/// The little-endian u64 at `at`; panics if `bytes` end before it.
 pub fn u64_at(bytes: &[u8], at: usize) -> u64 {
     let mut raw = [0; 8];
     raw.copy_from_slice(&bytes[at..at + 8]);
     u64::from_le_bytes(raw)
 }
 
+/// The little-endian i64 at `at`; panics if `bytes` end before it.
 pub fn i64_at(bytes: &[u8], at: usize) -> i64 {
     u64_at(bytes, at) as i64
 }
 
+/// The little-endian f64 at `at`; panics if `bytes` end before it.
 pub fn f64_at(bytes: &[u8], at: usize) -> f64 {
     f64::from_bits(u64_at(bytes, at))
 }
@@ -120,14 +157,19 @@ fn set(bytes: &mut [u8], at: usize, value: &[u8]) {
     bytes[at..at + value.len()].copy_from_slice(value);
 }
 
+/// The constant part of the header of `index.situ`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IndexHeader {
+    /// The store's random id.
     pub id: [u8; 16],
+    /// When the store was created, ns since 1970.
     pub created: i64,
+    /// The format's version, 1 or 2.
     pub version: u32,
 }
 
 impl IndexHeader {
+    /// The header's bytes, with `committed`, `synced` and state 0.
     pub fn encode(&self) -> [u8; INDEX_HEADER] {
         let mut bytes = [0; INDEX_HEADER];
         set(&mut bytes, 0, INDEX_MAGIC);
@@ -139,6 +181,7 @@ impl IndexHeader {
         bytes
     }
 
+    /// Parses and checks the header that `bytes` begin with.
     pub fn decode(bytes: &[u8]) -> Result<Self> {
         if bytes.len() < INDEX_HEADER || &bytes[..8] != INDEX_MAGIC {
             return Err(Error::NotAStore);
@@ -164,6 +207,7 @@ impl IndexHeader {
     }
 }
 
+/// The header of extent `number` of `lane` in store `id`.
 pub fn extent_header(id: &[u8; 16], lane: u8, number: u32) -> [u8; EXTENT_HEADER] {
     let mut bytes = [0; EXTENT_HEADER];
     set(&mut bytes, 0, EXTENT_MAGIC);

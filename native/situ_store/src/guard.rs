@@ -1,8 +1,7 @@
 //! Memory maps that outlive their file's end.
-//!
-//! A page of a map whose file was cut by somebody raises SIGBUS, which ends the process. Here a handler puts a page
-//! of zeros in its place and notes it: whoever reads sees a wrong checksum, asks `torn`, and answers an error. The
-//! handler only looks at maps that are registered here; any other SIGBUS goes where it went before.
+//! Reading a page of a map whose file another program has cut raises SIGBUS, which ends the process. Here a handler
+//! puts a page of zeros in its place and notes it: the reader sees a wrong checksum, calls `torn`, and returns an
+//! error. The handler only looks at maps that are registered here; any other SIGBUS goes where it went before.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicUsize, Ordering};

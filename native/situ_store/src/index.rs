@@ -14,10 +14,11 @@ use crate::extent::{allocate, allocate_some, open_with, Fault};
 use crate::format::*;
 use crate::guard::MapMut;
 
+/// The name of the index in a store's folder.
 pub const FILE: &str = "index.situ";
 const FIRST_GROWTH: u64 = 64 * 1024;
 const MAX_GROWTH: u64 = 16 * 1024 * 1024;
-/// What is wrong when a map is torn.
+/// The reason for an error when a mapped file has become shorter.
 pub const CUT: &str = "the file was cut while it was open";
 
 /// The word at `at` of a mapped index header.
@@ -40,7 +41,7 @@ pub fn futex_word(map: &[u8]) -> &AtomicU32 {
 #[allow(unsafe_code)]
 fn map_mut(file: &File, from: u64, length: u64) -> Result<MapMut> {
     // SAFETY: the file is ours under the writer's lock, its bytes are allocated, and it is cut only in `finish`, after
-    // which nothing is written any more. Where somebody else cuts it, the guard answers.
+    // which nothing is written any more. If another program cuts it, the guard catches the signal.
     unsafe {
         MmapOptions::new()
             .offset(from)
@@ -51,18 +52,22 @@ fn map_mut(file: &File, from: u64, length: u64) -> Result<MapMut> {
     .map_err(|e| Error::io("map index.situ", e))
 }
 
+/// The writing end of `index.situ`.
 #[derive(Debug)]
 pub struct IndexWriter {
+    /// The index file.
     pub file: File,
     header: MapMut,
     /// (first byte in the file, map)
     segments: Vec<(u64, MapMut)>,
     size: u64,
+    /// How many entries are committed.
     pub committed: u64,
     fault: Arc<Fault>,
 }
 
 impl IndexWriter {
+    /// Creates the file, which must not exist, with its header.
     pub fn create(
         path: &Path,
         header: IndexHeader,
@@ -109,7 +114,7 @@ impl IndexWriter {
         Ok(())
     }
 
-    /// Makes room for `n` more entries, so that publishing cannot fail any more.
+    /// Makes room for `n` more entries, so that publishing cannot fail.
     pub fn reserve(&mut self, n: usize) -> Result<()> {
         while INDEX_HEADER as u64 + (self.committed + n as u64) * ENTRY as u64 > self.size {
             self.grow()?;
@@ -156,6 +161,7 @@ impl IndexWriter {
         self.header.torn() || self.segments.iter().any(|(_, map)| map.torn())
     }
 
+    /// Brings the index to the disk and notes how many entries are there.
     pub fn sync(&mut self) -> Result<()> {
         fdatasync(&self.file).map_err(|e| Error::io("sync index.situ", e))?;
         word(&self.header, SYNCED_AT).store(self.committed, Ordering::Release);

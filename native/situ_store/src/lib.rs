@@ -1,6 +1,8 @@
 //! Pure Rust side of situ_store: the format of `priv/schema/store.md`, its writer, reader, pyramids and repair. No
 //! BEAM types.
 
+#![deny(missing_docs)]
+
 pub mod chunk;
 pub mod columns;
 pub mod error;

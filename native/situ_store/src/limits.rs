@@ -2,5 +2,5 @@
 
 /// The version of new stores; lower ones are read too.
 pub const VERSION: u32 = 2;
-/// No message is larger, so a file that says otherwise is damaged, and nobody is made to allocate more.
+/// No message is larger: a file with a larger length is damaged, and a reader never allocates more.
 pub const MAX_MESSAGE: usize = 1 << 30;

@@ -4,6 +4,7 @@ use crate::format::{f64_at, i64_at, u64_at, BIN};
 
 /// Levels stand this many powers of two apart.
 pub const STEP: u8 = 2;
+/// The highest level: its bins are 2^44 ns wide, almost five hours.
 pub const TOP: u8 = 44;
 const WARM_UP: usize = 256;
 const POINTS_PER_BIN: i64 = 32;
@@ -13,14 +14,20 @@ pub const FLUSH: usize = 512;
 /// A span of samples: its start, extremes, last value and how many there were.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bin {
+    /// The time of the sample, or where the bin starts, ns.
     pub start: i64,
+    /// The lowest value.
     pub min: f64,
+    /// The highest value.
     pub max: f64,
+    /// The latest value.
     pub last: f64,
+    /// How many values there were.
     pub count: u64,
 }
 
 impl Bin {
+    /// The bin of a single sample.
     pub fn sample(time: i64, value: f64) -> Self {
         Bin {
             start: time,
@@ -31,6 +38,7 @@ impl Bin {
         }
     }
 
+    /// Appends the bin's 40 bytes.
     pub fn encode(&self, out: &mut Vec<u8>) {
         out.extend_from_slice(&self.start.to_le_bytes());
         for value in [self.min, self.max, self.last] {
@@ -39,6 +47,7 @@ impl Bin {
         out.extend_from_slice(&self.count.to_le_bytes());
     }
 
+    /// Parses the bin that `bytes` begin with; `None` if they are too short.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         (bytes.len() >= BIN).then(|| Bin {
             start: i64_at(bytes, 0),
@@ -80,9 +89,9 @@ impl Fold for Bin {
     }
 }
 
-/// What bins are made of.
+/// The content of a bin, folded from messages in order of time.
 pub trait Fold: Clone {
-    /// What a message adds to a bin.
+    /// The part of a message that a bin takes in.
     type Value: ?Sized;
     /// A bin of one message.
     fn of(time: i64, value: &Self::Value) -> Self;
@@ -90,9 +99,9 @@ pub trait Fold: Clone {
     fn note(&mut self, value: &Self::Value);
     /// Its time, or that of the bin's beginning.
     fn start(&self) -> i64;
-    /// The same at another time.
+    /// The same content at another time.
     fn at(self, start: i64) -> Self;
-    /// Takes in what came after it.
+    /// Takes in a later bin.
     fn absorb(&mut self, later: &Self);
 }
 
@@ -145,6 +154,7 @@ impl<B: Fold> Builder<B> {
         self.add(B::of(time, value));
     }
 
+    /// Takes in a point or a bin that comes behind all others.
     pub fn add(&mut self, point: B) {
         if !self.levels.is_empty() {
             return self.feed(0, point);
@@ -206,13 +216,14 @@ impl<B: Fold> Builder<B> {
         self.levels.iter_mut().filter_map(full).collect()
     }
 
+    /// Whether the lowest level has at least so many complete bins to write.
     pub fn has_ready(&self, least: usize) -> bool {
         self.levels
             .first()
             .is_some_and(|level| level.ready.len() >= least)
     }
 
-    /// Puts back what could not be written.
+    /// Puts back bins that could not be written.
     pub fn put_back(&mut self, k: u8, mut bins: Vec<B>) {
         if let Some(level) = self.levels.iter_mut().find(|level| level.k == k) {
             bins.append(&mut level.ready);
@@ -237,10 +248,12 @@ impl<B: Fold> Builder<B> {
 /// Folds points in time order into bins of level `k`.
 pub struct Folder<B> {
     k: u8,
+    /// The bins so far, in order of time.
     pub bins: Vec<B>,
 }
 
 impl<B: Fold> Folder<B> {
+    /// A folder without bins.
     pub fn new(k: u8) -> Self {
         Folder {
             k,
@@ -248,6 +261,7 @@ impl<B: Fold> Folder<B> {
         }
     }
 
+    /// Takes in a point or a bin that comes behind all others.
     #[inline]
     pub fn add(&mut self, point: B) {
         let start = floor(point.start(), self.k);

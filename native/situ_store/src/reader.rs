@@ -38,23 +38,29 @@ pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
         .unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
+/// A damaged place in a store.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Damage {
+    /// The file's name in the store's folder.
     pub file: String,
+    /// Where in the file, bytes from its beginning.
     pub offset: u64,
+    /// The damage in words.
     pub why: String,
 }
 
+/// An open store: its index in memory, its extents mapped when they are needed. Threads may share it.
 pub struct Reader {
     dir: PathBuf,
+    /// The header of the index.
     pub header: IndexHeader,
     file: File,
     head: Map,
     index: RwLock<Index>,
     extents: Extents,
-    /// Pyramids of signals, made for want of stored ones.
+    /// Pyramids of signals, made in memory where the store has none.
     made: summary::Made,
-    /// What is remembered of the tracks of streams.
+    /// Names and bins of the streams' tracks, kept between calls.
     known: tracks::KnownStreams,
     /// Check payloads of large chunks too.
     pub verify_large: bool,
@@ -63,6 +69,7 @@ pub struct Reader {
 }
 
 impl Reader {
+    /// Opens the store in folder `dir`, also while it is being written.
     pub fn open(dir: &Path) -> Result<Reader> {
         let file = File::open(dir.join(index::FILE)).map_err(|e| match e.kind() {
             std::io::ErrorKind::NotFound => Error::NoStore,
@@ -89,10 +96,12 @@ impl Reader {
         Ok(reader)
     }
 
+    /// The store's folder.
     pub fn dir(&self) -> &Path {
         &self.dir
     }
 
+    /// Whether a writer or a repair has closed the store.
     pub fn is_closed(&self) -> bool {
         self.head[STATE_AT] == 1
     }
@@ -124,6 +133,7 @@ impl Reader {
         word(&self.head, COMMITTED_AT).load(Ordering::Acquire)
     }
 
+    /// How many entries the writer knows to be on the disk.
     pub fn synced(&self) -> u64 {
         word(&self.head, SYNCED_AT).load(Ordering::Acquire)
     }
@@ -138,7 +148,7 @@ impl Reader {
             .unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
-    /// An error when the index was cut by somebody since it was opened: what it answered then means nothing.
+    /// An error if another program has cut the index since it was opened: then its answers are void.
     pub fn whole(&self) -> Result<()> {
         if self.head.torn() || self.lock_index().torn() {
             return Err(Error::damaged(index::FILE, 0, CUT));
@@ -161,11 +171,12 @@ impl Reader {
         index.load(published, &self.file)
     }
 
-    /// What was found wrong so far.
+    /// The damage found so far.
     pub fn damage(&self) -> Vec<Damage> {
         self.lock_index().damage.clone()
     }
 
+    /// How many entries of the index are taken in.
     pub fn entries_loaded(&self) -> u64 {
         self.lock_index().loaded
     }
@@ -180,6 +191,7 @@ impl Reader {
             .collect()
     }
 
+    /// How many messages a stream has.
     pub fn count(&self, stream: u32) -> u64 {
         self.lock_index()
             .entries(stream, 0)
@@ -242,7 +254,7 @@ impl Reader {
         Ok(Some(ordinal))
     }
 
-    /// All entries, as far as they are sound.
+    /// All sound entries.
     pub fn all_entries(&self) -> Vec<Entry> {
         let index = self.lock_index();
         (0..index.loaded)

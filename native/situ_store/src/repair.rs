@@ -1,9 +1,8 @@
 //! Mending a store whose index or data are damaged, and closing one whose writer died.
-//!
-//! Whatever a reader was given before is there afterwards: entries of the index that name a sound chunk are kept as
-//! they are. Places in between that are damaged are filled with the chunks that carry their numbers, as far as these
-//! are known to have been committed; a place that stays empty is a hole, so that every other entry keeps its number.
-//! Data are never rewritten.
+//! All messages that a reader could get before are there afterwards: the repair keeps every entry of the index that
+//! names a sound chunk. It fills damaged entries with the chunks that carry their numbers, as far as these are known
+//! to have been committed; an entry that stays empty becomes a hole, so that every other entry keeps its number. Data
+//! are never rewritten.
 
 mod apply;
 mod claims;
@@ -22,13 +21,13 @@ use crate::writer;
 use claims::Claims;
 use scan::Files;
 
-/// Chunks that are checked between two words on how far it is.
+/// Chunks checked between two reports of progress.
 const STEP: usize = 128;
 
-/// What was found, and done about it.
+/// The damage found, and the repairs made.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
-    /// Chunks that are there now.
+    /// Chunks that the store has now.
     pub kept: u64,
     /// Chunks that were acknowledged once and are lost.
     pub dropped: u64,
@@ -36,11 +35,11 @@ pub struct Report {
     pub recovered: u64,
     /// Whether the index is (or, in a dry run, would be) a new one.
     pub rebuilt: bool,
-    /// All that was found wrong.
+    /// All damage found.
     pub damage: Vec<Damage>,
 }
 
-/// What is to be done.
+/// The repairs to make.
 struct Plan {
     report: Report,
     header: IndexHeader,
@@ -50,10 +49,10 @@ struct Plan {
     closed: bool,
 }
 
-/// Makes the store in `dir` whole and marks it closed; with `dry` it only tells. The old index stays as
+/// Repairs the store in `dir` and marks it closed; with `dry` it only reports. The old index stays as
 /// `index.situ.before-repair` (`.before-repair-2` ...) when a new one is written.
 pub fn repair(dir: &Path, dry: bool, mut progress: impl FnMut(u64, u64)) -> Result<Report> {
-    // A folder that is none of a store gets no lock file.
+    // A folder without a store gets no lock file.
     let files = Files::open(dir)?;
     if files.is_empty() && !dir.join(index::FILE).exists() {
         return Err(Error::NoStore);
@@ -173,7 +172,7 @@ fn by_number(good: Vec<Option<Entry>>, scan: scan::Scan) -> (Vec<Entry>, u64) {
         .map_or(0, |last| *last as usize + 1);
     let mut entries: Vec<Option<Entry>> = good;
     entries.resize(entries.len().max(behind), None);
-    // What a later sound entry of its stream contradicts is not what it says.
+    // A chunk found in the files does not belong here if a later sound entry of its stream contradicts it.
     let mut next: BTreeMap<(u32, u8), i64> = BTreeMap::new();
     for number in (0..entries.len()).rev() {
         let entry = match entries[number] {

@@ -1,4 +1,5 @@
-//! What is counted of any message and told of states and of keys, in bins. See `priv/schema/store.md`.
+//! Tracks: bins that count messages of any type, and hold their states and the values of their keys. See
+//! `priv/schema/store.md`.
 
 mod coding;
 mod names;
@@ -15,21 +16,29 @@ use crate::pyramid::Fold;
 /// The key of the message itself.
 pub const ITSELF: u32 = 0;
 
-/// What one bin holds of one key's values of one kind.
+/// One key's values of one kind in one bin.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Track {
     /// Extremes, last value and how many there were.
     Numbers {
+        /// The lowest value.
         min: f64,
+        /// The highest value.
         max: f64,
+        /// The latest value.
         last: f64,
+        /// How many values there were.
         count: u64,
     },
     /// First and last state, how often it changed in between, and how many messages had which, in the order they came.
     States {
+        /// The number of the first state.
         first: u32,
+        /// The number of the last state.
         last: u32,
+        /// How often the state changed.
         changes: u64,
+        /// How many messages had which state, in the order of their first appearance.
         counts: Vec<(u32, u64)>,
     },
 }
@@ -146,11 +155,13 @@ fn add(counts: &mut Vec<(u32, u64)>, state: u32, n: u64) {
 /// A value of a key, its state by number.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Noted {
+    /// A number.
     Number(f64),
+    /// The number of a state.
     State(u32),
 }
 
-/// Adds what of a message belongs to which track, by the numbers that `names` gives.
+/// Adds a message's values, each with the number that `names` gives its key.
 pub fn note(
     encoding: Encoding,
     value: &Value,
@@ -170,11 +181,14 @@ pub fn note(
     });
 }
 
-/// A bin: how many messages lie in it, and what its tracks hold, by key.
+/// A bin: how many messages lie in it, and its tracks by key.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tally {
+    /// Where the bin starts, ns.
     pub start: i64,
+    /// How many messages lie in it.
     pub count: u64,
+    /// Its tracks, by the number of their key.
     pub tracks: Vec<(u32, Track)>,
 }
 

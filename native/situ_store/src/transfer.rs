@@ -1,4 +1,4 @@
-//! Messages of one store into another as they are. No payload is decoded, so nothing about it has to be known.
+//! Copies messages of one store into another unchanged. No payload is decoded, so its type may be unknown.
 
 use crate::chunk::{Input, Value};
 use crate::error::Result;
@@ -6,12 +6,17 @@ use crate::format::Encoding;
 use crate::reader::Reader;
 use crate::writer::Writer;
 
-/// What to take: messages of a stream from an ordinal on, no later than `to`, until at least `bytes` were read.
+/// The messages to copy: those of a stream from an ordinal on, no later than `to`, until at least `bytes` were read.
 pub struct Part<'a> {
+    /// The store to read.
     pub reader: &'a Reader,
+    /// The stream's number there.
     pub stream: u32,
+    /// The ordinal of the first message.
     pub ordinal: u64,
+    /// The latest originating time, ns.
     pub to: i64,
+    /// How many payload bytes are enough.
     pub bytes: u64,
 }
 

@@ -1,5 +1,6 @@
 //! LEB128 varints and zigzag.
 
+/// Appends a varint of 1 to 10 bytes.
 pub fn put(out: &mut Vec<u8>, mut value: u64) {
     while value >= 0x80 {
         out.push((value as u8) | 0x80);
@@ -8,14 +9,17 @@ pub fn put(out: &mut Vec<u8>, mut value: u64) {
     out.push(value as u8);
 }
 
+/// Appends a signed number as the varint of its zigzag form.
 pub fn put_signed(out: &mut Vec<u8>, value: i64) {
     put(out, zigzag(value));
 }
 
+/// The zigzag form: 0, -1, 1, -2 ... become 0, 1, 2, 3 ...
 pub fn zigzag(value: i64) -> u64 {
     ((value << 1) ^ (value >> 63)) as u64
 }
 
+/// The number that a zigzag form stands for.
 pub fn unzigzag(value: u64) -> i64 {
     ((value >> 1) as i64) ^ -((value & 1) as i64)
 }
@@ -24,14 +28,17 @@ pub fn unzigzag(value: u64) -> i64 {
 #[derive(Clone)]
 pub struct Cursor<'a> {
     bytes: &'a [u8],
+    /// The position of the next byte.
     pub at: usize,
 }
 
 impl<'a> Cursor<'a> {
+    /// A cursor at the first byte.
     pub fn new(bytes: &'a [u8]) -> Self {
         Cursor { bytes, at: 0 }
     }
 
+    /// The next varint; `None` if the bytes end in it or it exceeds 64 bits.
     #[inline]
     pub fn varint(&mut self) -> Option<u64> {
         let first = *self.bytes.get(self.at)?;
@@ -58,11 +65,13 @@ impl<'a> Cursor<'a> {
         }
     }
 
+    /// The next varint as a signed number.
     #[inline]
     pub fn signed(&mut self) -> Option<i64> {
         self.varint().map(unzigzag)
     }
 
+    /// The next `length` bytes; `None` if there are fewer.
     pub fn take(&mut self, length: usize) -> Option<&'a [u8]> {
         let end = self.at.checked_add(length)?;
         let slice = self.bytes.get(self.at..end)?;
@@ -70,6 +79,7 @@ impl<'a> Cursor<'a> {
         Some(slice)
     }
 
+    /// How many bytes are left.
     pub fn remaining(&self) -> usize {
         self.bytes.len() - self.at
     }

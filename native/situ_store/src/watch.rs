@@ -8,12 +8,14 @@ use rustix::thread::futex;
 use crate::index::futex_word;
 use crate::reader::Reader;
 
+/// The answer of [`wait`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum News {
     /// This many entries are published now.
     Published(u64),
     /// The writer has closed the store, or died; nothing more will come.
     Ended(u64),
+    /// Nothing new within the time.
     Nothing,
 }
 

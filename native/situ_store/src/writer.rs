@@ -21,6 +21,7 @@ use crate::pyramid::{Bin, FLUSH};
 pub use lock::lock;
 use stream::Stream;
 
+/// When committed messages go to the disk.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Durability {
     /// The operating system writes when it likes: survives a kill of the process, not a power cut.
@@ -31,14 +32,19 @@ pub enum Durability {
     Each,
 }
 
+/// The options of a new store.
 #[derive(Debug, Clone)]
 pub struct Options {
+    /// Bytes of the first extent of each lane.
     pub first_extent: u64,
+    /// The most bytes of an extent, unless a single chunk needs more.
     pub max_extent: u64,
+    /// When committed messages go to the disk.
     pub durability: Durability,
     /// Who may read and write the files, whatever the process's file mode mask says; without one `FILE_MODE` within
     /// that mask.
     pub mode: Option<u32>,
+    /// Simulated crashes, for tests; none by default.
     pub fault: Arc<Fault>,
 }
 
@@ -54,6 +60,7 @@ impl Default for Options {
     }
 }
 
+/// Writes a store. One writer at a time holds the lock of its folder.
 #[derive(Debug)]
 pub struct Writer {
     dir: PathBuf,
@@ -73,6 +80,7 @@ pub struct Writer {
     fault: Arc<Fault>,
 }
 
+/// The system's time, ns since 1970.
 pub fn now() -> i64 {
     SystemTime::now()
         .duration_since(UNIX_EPOCH)
@@ -142,6 +150,7 @@ impl Writer {
         })
     }
 
+    /// The store's folder.
     pub fn dir(&self) -> &Path {
         &self.dir
     }
@@ -158,6 +167,7 @@ impl Writer {
         self.lanes.iter().map(Lane::bytes).sum::<u64>() + index
     }
 
+    /// How many entries of the index are committed.
     pub fn committed(&self) -> u64 {
         self.index.committed
     }
@@ -292,7 +302,7 @@ impl Writer {
         }
     }
 
-    /// Forgets what was pushed since the last commit. Its chunks are no chunks any more, whoever looks for some.
+    /// Drops the messages pushed since the last commit, and erases their chunks so that no scan finds them.
     pub fn rollback(&mut self) {
         self.builder.count = 0;
         for entry in std::mem::take(&mut self.entries) {

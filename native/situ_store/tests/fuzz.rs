@@ -51,8 +51,7 @@ fn payloads() -> Vec<Vec<Vec<u8>>> {
     (0..4).map(|at| stream(at).collect()).collect()
 }
 
-/// What is read must be what was written, message for message of its time; where large payloads are not checked,
-/// their envelopes.
+/// Every message read must equal the one written with its time; of large payloads that are not checked, the envelope.
 fn check(reader: &Reader, payloads: &[Vec<Vec<u8>>]) -> u64 {
     let mut seen = 0;
     for stream in reader.streams().into_iter().filter(|s| *s != CATALOG) {

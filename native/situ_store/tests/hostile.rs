@@ -1,5 +1,5 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-//! Readers fed with files that lie and whose checksums are right, as somebody would make them on purpose: no panic,
+//! Readers of hostile files, false in content and with right checksums: no panic,
 //! no endless loop, no message that contradicts the index, and no more memory than the store has. `SITU_MUTATIONS` sets
 //! the number of stores.
 mod common;
@@ -12,7 +12,7 @@ use situ_store::{pyramid, repair, Reader, Writer};
 
 const MESSAGES: u64 = 600;
 
-/// Numbers that somebody would try.
+/// Numbers that an attacker would try.
 trait Hostile {
     fn number(&mut self) -> u64;
     fn put(&mut self, bytes: &mut [u8], from: usize, to: usize);

@@ -82,7 +82,7 @@ fn write(dir: &Path, random: &mut Random) -> BTreeSet<Told> {
                     creation: *time,
                 };
                 let size = [8, 100, 3_000, 40_000][(random.below(40) / 13) as usize];
-                // What was taken back must not be told from what was kept by its time alone.
+                // Random bytes: a message that was taken back and one that was kept may have the same time.
                 let bytes: Vec<u8> = (0..size).map(|_| random.below(256) as u8).collect();
                 let (encoding, input) = match id % 2 {
                     0 => (Encoding::Bytes, Input::Bytes(&bytes)),
@@ -109,7 +109,7 @@ fn write(dir: &Path, random: &mut Random) -> BTreeSet<Told> {
                     acknowledged.extend(batch);
                     next = times;
                 }
-                // The commit may or may not have been published: a reader tells.
+                // The commit may or may not have been published: a reader shows which.
                 Err(_) => {
                     drop(writer);
                     acknowledged.extend(read(dir));
@@ -146,7 +146,7 @@ fn damage(dir: &Path, random: &mut Random) {
             }
             _ => bytes.len(),
         };
-        // How many entries there are is told by one word, whose loss is another test's.
+        // One word holds the number of entries; another test covers its loss.
         let start = match name.as_str() {
             "index.situ" if random.below(8) > 0 => INDEX_HEADER.min(end - 1),
             "index.situ" => 8,
@@ -307,7 +307,7 @@ fn a_damaged_entry_costs_no_other_stream_anything() {
     assert!(folder.0.join("index.situ.before-repair").exists());
 }
 
-/// Files that somebody cuts while they are open are an error; the process lives.
+/// Files that another program cuts while they are open cause an error; the process lives.
 #[test]
 fn a_file_cut_while_it_is_open_is_an_error() {
     for cut in ["data-000000.situ", "index.situ"] {
@@ -332,7 +332,7 @@ fn a_file_cut_while_it_is_open_is_an_error() {
             }
             assert!(failed || reader.refresh().is_err(), "{cut} {length}");
             if cut == "index.situ" {
-                // What is acknowledged is there; so a commit into a cut index is none.
+                // An acknowledged message must be readable, so a commit into a cut index must fail.
                 let envelope = common::envelope(5_000);
                 let pushed = writer
                     .push(1, envelope, Encoding::Int, 0, Input::Int(1))

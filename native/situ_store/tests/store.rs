@@ -378,7 +378,7 @@ fn large_messages_whose_payload_is_not_checked_are_not_looked_at() {
     assert!(one.body().ends_with(&frame));
     assert!(pages() >= first + 512, "{first}, then {} KiB", pages());
 
-    // What is packed has to be unpacked, and is not done quickly.
+    // A compressed chunk has to be unpacked, so it is never a quick one.
     let entry = reader.entry_at(packed, 5).unwrap().unwrap();
     assert!(reader.quick_chunk(&entry).is_none());
     assert!(reader.chunk(&entry).unwrap().body().ends_with(&frame));

@@ -1,4 +1,4 @@
-//! Damage: found, told, mended.
+//! Damage of a store: finding, listing and repairing it.
 
 use std::path::Path;
 
@@ -50,7 +50,7 @@ fn store_repair<'a>(
     pid: LocalPid,
     tag: Term<'a>,
 ) -> Term<'a> {
-    // Nobody is there any more who would want to know: then it is only mended.
+    // If the caller is gone, the repair goes on without reports of progress.
     let tell = |done: u64, total: u64| {
         let _ = env.send(&pid, (atoms::situ_store(), tag, (done, total)));
     };

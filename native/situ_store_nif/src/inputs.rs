@@ -132,7 +132,7 @@ pub fn append(writer: &mut Writer, stream: u32, batches: Term<'_>) -> Result<u64
         None => return Ok(writer.committed()),
     };
     let encoding = encoding_of(data);
-    // Large messages are written as they are pushed: they are looked through first.
+    // Large messages are written as soon as they are pushed, so all of them are checked first.
     let large = |bytes: Binary<'_>| bytes.len() >= LARGE_MESSAGE;
     let fit = !(encoding == Encoding::Bytes && data.decode().is_ok_and(large))
         || all_fit(encoding, batches.into_list_iterator()?)?;

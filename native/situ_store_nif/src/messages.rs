@@ -14,7 +14,7 @@ use crate::atoms;
 use crate::reading::{failed, Handle, QUICK_ENTRIES};
 use crate::terms::{copied, decode, Decoded, COPY_UP_TO};
 
-/// What binaries that were read point into: a mapped extent, or an unpacked chunk.
+/// The memory that binaries of read messages point into: a mapped extent, or an unpacked chunk.
 pub enum Bytes {
     Map(Arc<Map>, usize, usize),
     Unpacked(Arc<Vec<u8>>),
@@ -225,7 +225,8 @@ fn read<'a>(env: Env<'a>, handle: &Handle, stream: u32, from: u64, wanted: &Want
 struct Part<'a> {
     codec: u16,
     list: Vec<Term<'a>>,
-    /// None behind these is wanted, or (when the chunk is damaged there) can be had now: the next read tells.
+    /// These are the last messages wanted, or (when the chunk is damaged behind them) the last readable ones; the
+    /// next read returns the error.
     ended: bool,
     /// Bytes it takes in memory: unpacked, with the structure of terms.
     size: u64,

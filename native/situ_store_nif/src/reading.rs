@@ -118,8 +118,8 @@ fn shelf(handle: &Handle) -> MutexGuard<'_, Shelf> {
     lock(&handle.1)
 }
 
-/// What `reader_shelve` put there under a name: `{:ok, external_term}`, `nil`, or `:stale` when the catalog has grown
-/// since.
+/// The term that `reader_shelve` put there under a name: `{:ok, external_term}`, `nil`, or `:stale` when the catalog
+/// has grown since.
 #[rustler::nif]
 fn reader_shelved<'a>(env: Env<'a>, handle: Handle, name: Binary<'a>) -> Term<'a> {
     let shelf = shelf(&handle);
@@ -265,7 +265,7 @@ fn reader_await(env: Env<'_>, handle: Handle, known: u64, pid: LocalPid, tag: u6
     true
 }
 
-/// Waits on the writer's futex, in whatever process that lives, until nobody is left to be told.
+/// Waits on the writer's futex, which may belong to another process, until no subscriber is left.
 fn serve(reader: &Arc<Reader>, waiting: &Mutex<Waiting>) {
     loop {
         let known = lock(waiting).asked.iter().map(|(known, _, _)| *known).min();

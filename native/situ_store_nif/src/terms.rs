@@ -20,7 +20,7 @@ pub enum Decoded<'a> {
     /// The term. Atoms that do not exist here are strings in it.
     Plain(Term<'a>),
     /// A term with structs that do not exist here, which are maps with strings for keys: `[module]` and the term.
-    /// Whoever can load the modules decodes the bytes once more.
+    /// The caller decodes the bytes again once it has loaded the modules.
     Unknown(Vec<Term<'a>>, Term<'a>),
     /// Why there is no term.
     Refused(&'static str),
@@ -112,7 +112,7 @@ impl<'a> Build for Builder<'a> {
         else {
             return Term::map_from_term_arrays(self.env, keys, values).ok();
         };
-        // A struct that nobody here knows is a map that says so.
+        // A struct of an unknown module becomes a map with the module's name.
         let module = name(self.env, module);
         self.unknown.push(module);
         let named: Vec<Term<'a>> = keys.iter().map(|key| name(self.env, *key)).collect();

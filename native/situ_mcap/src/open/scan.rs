@@ -22,7 +22,7 @@ pub fn scan(bytes: &Bytes) -> Result<Contents> {
                 Ok(false) => break,
                 Err(Error::Damaged(fault, why)) => {
                     contents.damage.push(format!("at byte {fault}: {why}"));
-                    // A chunk that cannot be unpacked has an end all the same.
+                    // A chunk that cannot be unpacked still has a known end.
                     if place.opcode != op::CHUNK || place.end() > bytes.size {
                         break;
                     }

@@ -7,7 +7,7 @@ use realfft::num_complex::Complex;
 use realfft::{RealFftPlanner, RealToComplex};
 use std::sync::Arc;
 
-/// What is analysed, and how. Frequencies are in Hz, below half the rate.
+/// The sound to analyse, and the parameters. Frequencies are in Hz, below half the rate.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
     /// Samples a second, of one channel.
@@ -42,7 +42,7 @@ pub struct Config {
     pub mel_high_hz: f64,
 }
 
-/// What one frame yields.
+/// The features of one frame.
 pub struct Frame {
     /// Natural logarithm of the mean square of the windowed samples, counted as 16-bit integers; -92.1 for silence.
     pub log_energy: f64,

@@ -42,7 +42,7 @@ impl Sample {
         }
     }
 
-    /// What one unit of full scale is in stored numbers.
+    /// The stored number that stands for full scale (1.0).
     pub fn full_scale(self) -> f64 {
         match self {
             Sample::U8 => 128.0,

@@ -22,11 +22,14 @@ pub fn compress(compression: Compression, table: &[u8], payload: &[u8]) -> Resul
 /// The raw body of a chunk: a view into the map, or what decompression gave.
 #[derive(Debug)]
 pub enum Body<'a> {
+    /// A view into the map.
     Mapped(&'a [u8]),
+    /// The bytes that decompression gave.
     Unpacked(Vec<u8>),
 }
 
 impl Body<'_> {
+    /// The bytes, wherever they lie.
     pub fn bytes(&self) -> &[u8] {
         match self {
             Body::Mapped(bytes) => bytes,

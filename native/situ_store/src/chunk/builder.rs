@@ -7,13 +7,21 @@ use crate::varint;
 /// Collects messages of one stream and one encoding into the table and payload of a chunk.
 #[derive(Debug)]
 pub struct Builder {
+    /// The table so far.
     pub table: Vec<u8>,
+    /// The payloads so far.
     pub payload: Vec<u8>,
+    /// The stream's number.
     pub stream: u32,
+    /// The encoding of all its messages.
     pub encoding: Encoding,
+    /// The codec's number for [`Encoding::Codec`], else 0.
     pub codec: u16,
+    /// How many messages are in.
     pub count: u32,
+    /// The envelope of the first message.
     pub first: Envelope,
+    /// The envelope of the last message.
     pub last: Envelope,
 }
 
@@ -39,6 +47,7 @@ impl Default for Builder {
 }
 
 impl Builder {
+    /// Empties the builder and begins a chunk.
     pub fn start(&mut self, stream: u32, encoding: Encoding, codec: u16) {
         self.table.clear();
         self.payload.clear();
@@ -89,6 +98,7 @@ impl Builder {
         self.count += 1;
     }
 
+    /// Adds a message: its line in the table, and its payload.
     pub fn push(&mut self, envelope: Envelope, input: Input<'_>) {
         let before = self.payload.len();
         match input {

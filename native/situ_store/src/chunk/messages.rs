@@ -4,7 +4,7 @@ use super::{Envelope, Value};
 use crate::format::*;
 use crate::varint::Cursor;
 
-/// The messages of a chunk, in order. Ends early (and says so by `whole`) when the body contradicts itself.
+/// The messages of a chunk, in order. Ends early (then `whole` is false) when the body contradicts itself.
 pub struct Messages<'a> {
     body: &'a [u8],
     encoding: Encoding,
@@ -18,6 +18,7 @@ pub struct Messages<'a> {
 }
 
 impl<'a> Messages<'a> {
+    /// The messages of a chunk with this header and raw body.
     pub fn new(header: &ChunkHeader, body: &'a [u8]) -> Self {
         let table_end = (header.table_length as usize).min(body.len());
         Self::with_table(header, body, &body[..table_end])

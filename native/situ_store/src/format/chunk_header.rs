@@ -1,32 +1,50 @@
-//! What a chunk begins with: whose it is, what it holds, and the checksums.
+//! The header of a chunk: its stream, its contents, and the checksums.
 
 use super::{
     f64_at, i64_at, set, u32_at, u64_at, Compression, Encoding, CHUNK_HEADER, CHUNK_HEADER_1,
     CHUNK_MAGIC, CHUNK_MAGIC_1, MAX_CHUNK_PAYLOAD, MAX_MESSAGE, TRACKS,
 };
 
+/// The header of a chunk; `priv/schema/store.md` has its layout.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ChunkHeader {
+    /// Bytes of the header and the stored body.
     pub length: u32,
+    /// The stream's number.
     pub stream: u32,
+    /// 0 for messages; above it bins, see [`Entry::level`](super::Entry::level).
     pub level: u8,
+    /// The encoding of the payloads.
     pub encoding: Encoding,
+    /// The compression of the body.
     pub compression: Compression,
+    /// How many messages or bins the chunk holds.
     pub count: u32,
+    /// The ordinal of the first, as of writing: a repair may have moved it since.
     pub ordinal: u64,
+    /// Originating time of the first message (start of the first bin), ns.
     pub first: i64,
+    /// Originating time of the last message (start of the last bin), ns.
     pub last: i64,
+    /// Sequence id of the first message.
     pub first_sequence: u64,
+    /// Creation time of the first message, ns.
     pub first_creation: i64,
+    /// Payload bytes of the stream up to and with this chunk.
     pub size_sum: u64,
+    /// Sum of the stream's latencies (creation - originating time, ns) up to and with this chunk.
     pub latency_sum: f64,
+    /// Bytes of the body before compression.
     pub raw_length: u32,
+    /// Bytes of the table that the raw body begins with.
     pub table_length: u32,
+    /// The codec's number for [`Encoding::Codec`], else 0.
     pub codec: u16,
+    /// CRC-32C of the stored body, without the part that the header's checksum covers.
     pub body_crc: u32,
-    /// The number of the chunk's entry in the index, where the chunk tells (version 2).
+    /// The number of the chunk's entry in the index; chunks of version 1 have none.
     pub number: Option<u64>,
-    /// How many entries were committed when it was written: whatever they name was acknowledged.
+    /// How many entries were committed when it was written: the writer had acknowledged their chunks.
     pub committed: u64,
 }
 

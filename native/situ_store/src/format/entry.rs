@@ -2,22 +2,36 @@
 
 use super::{i64_at, set, u32_at, u64_at, CHUNK_HEADER_1, ENTRY, HOLE, TRACKS};
 
+/// An entry of the index: where a chunk lies and which messages it holds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Entry {
+    /// The stream's number.
     pub stream: u32,
+    /// 0 for messages; 1 to 62 for bins of 2^level ns of the signal; 65 to 126 for bins of 2^(level - 64) ns of the
+    /// tracks; [`HOLE`] for none.
     pub level: u8,
+    /// [`LANE_DATA`](super::LANE_DATA) or [`LANE_LARGE`](super::LANE_LARGE).
     pub lane: u8,
+    /// The number of the extent in its lane.
     pub extent: u32,
+    /// Where the chunk begins in its extent, bytes from the beginning of the file.
     pub offset: u64,
+    /// Bytes of the chunk.
     pub length: u32,
+    /// How many messages or bins the chunk holds.
     pub count: u32,
+    /// The ordinal of the first, counted per stream and level.
     pub ordinal: u64,
+    /// Originating time of the first message (start of the first bin), ns.
     pub first: i64,
+    /// Originating time of the last message (start of the last bin), ns.
     pub last: i64,
+    /// Creation time of the first message, ns.
     pub first_creation: i64,
 }
 
 impl Entry {
+    /// The entry's bytes, with their checksum.
     pub fn encode(&self) -> [u8; ENTRY] {
         let mut bytes = [0; ENTRY];
         set(&mut bytes, 4, &self.stream.to_le_bytes());
@@ -35,7 +49,7 @@ impl Entry {
         set(&mut bytes, 0, &crc.to_le_bytes());
         bytes
     }
-
+    /// Parses the entry that `bytes` begin with; `None` if its checksum is wrong or its fields are impossible.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         if bytes.len() < ENTRY || crc32c::crc32c(&bytes[4..ENTRY]) != u32_at(bytes, 0) {
             return None;
@@ -79,6 +93,7 @@ impl Entry {
         }
     }
 
+    /// Whether the entry only keeps the place of a lost chunk.
     pub fn is_hole(&self) -> bool {
         self.level == HOLE
     }

@@ -12,22 +12,25 @@ use crate::index::CUT;
 
 /// A checked chunk: its header, its raw body, and the map it lies in.
 pub struct Chunk {
+    /// The chunk's header.
     pub header: ChunkHeader,
+    /// The map of the extent that holds the chunk.
     pub map: Arc<Map>,
     start: usize,
     held: Held,
 }
 
-/// What of a chunk is held beside its map.
+/// The parts of a chunk that are held beside its map.
 enum Held {
     Nothing,
-    /// Its table, so that the map need not be looked at for it.
+    /// Its table, so that reading it does not touch the map.
     Table(Vec<u8>),
-    /// What it unpacked to.
+    /// Its body, unpacked.
     Body(Arc<Vec<u8>>),
 }
 
 impl Chunk {
+    /// The raw body: table and payloads.
     pub fn body(&self) -> &[u8] {
         match &self.held {
             Held::Body(bytes) => bytes,
@@ -42,7 +45,7 @@ impl Chunk {
         (!matches!(self.held, Held::Body(_))).then(|| self.start + self.header.size())
     }
 
-    /// What it unpacked to, where it was compressed.
+    /// The unpacked body of a compressed chunk.
     pub fn unpacked(&self) -> Option<Arc<Vec<u8>>> {
         match &self.held {
             Held::Body(bytes) => Some(bytes.clone()),
@@ -60,6 +63,7 @@ impl Chunk {
         }
     }
 
+    /// The messages of the chunk, in order.
     pub fn messages(&self) -> Messages<'_> {
         match &self.held {
             Held::Table(table) => Messages::with_table(&self.header, self.body(), table),
@@ -95,6 +99,7 @@ impl Reader {
         self.chunk_checked(entry, self.verify_large || entry.lane == LANE_DATA)
     }
 
+    /// The chunk of an entry, checked; the body of a large one only with `body_too`.
     pub fn chunk_checked(&self, entry: &Entry, body_too: bool) -> Result<Chunk> {
         let map = self.extents.get(entry.lane, entry.extent)?;
         if entry.lane == LANE_LARGE && !body_too {
@@ -131,7 +136,7 @@ impl Reader {
         })
     }
 
-    /// A large chunk whose payload nobody checks: its map is not looked at.
+    /// A large chunk whose payload is not checked: its map is not touched.
     fn headed(&self, entry: &Entry, map: &Arc<Map>, wait: bool) -> Option<Chunk> {
         let (header, table) = self.extents.head(entry, map, wait)?;
         let start = usize::try_from(entry.offset).ok()?;
@@ -165,6 +170,7 @@ impl Reader {
         maps::resident(&map, start, entry.length as usize).then(|| self.chunk(entry))
     }
 
+    /// The error for a chunk that is damaged.
     pub fn broken(&self, entry: &Entry, why: &str) -> Error {
         Error::damaged(extent::name(entry.lane, entry.extent), entry.offset, why)
     }

@@ -1,4 +1,4 @@
-//! The directory of a store: the index's entries by stream and level, as far as they are sound.
+//! The directory of a store: the sound entries of the index, by stream and level.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -101,7 +101,7 @@ pub(super) struct Index {
     segments: Vec<(u64, Map)>,
     mapped: u64,
     pub loaded: u64,
-    /// Entries looked at since the index's pages were let go of.
+    /// Entries read since the index's pages were released.
     looked_at: u64,
     /// The index says it has more entries than it has room for.
     short: bool,
@@ -118,7 +118,7 @@ impl Index {
         })
     }
 
-    /// Whether the index was cut by somebody since it was opened.
+    /// Whether another program has cut the index since it was opened.
     pub fn torn(&self) -> bool {
         self.segments.iter().any(|(_, map)| map.torn())
     }

@@ -7,8 +7,7 @@ use crate::format::*;
 
 impl Reader {
     /// The pauses of at least `least` ns between one message of a stream and the next: `(from, to)`, in order.
-    ///
-    /// Between chunks the index tells. Within a chunk its messages do, which are looked at only where the stored
+    /// Between chunks the index shows them; within a chunk its messages do, which are read only where the stored
     /// counts leave room for such a pause: where they are fine enough, a recording without pauses is not read.
     pub fn gaps(&self, stream: u32, least: i64) -> Vec<(i64, i64)> {
         let least = least.max(1);
@@ -24,7 +23,7 @@ impl Reader {
             see(last, entry.first);
             last = Some(entry.first);
             if entry.last.saturating_sub(entry.first) >= least && open(&rooms, &entry) {
-                // The payloads are nobody's concern here; what is damaged ends the chunk.
+                // The payloads do not matter here; damage ends the chunk.
                 if let Ok(chunk) = self.chunk_checked(&entry, false) {
                     for (envelope, _) in chunk.messages().map_while(|message| message.ok()) {
                         see(last, envelope.time);
@@ -57,7 +56,7 @@ impl Reader {
             }
             last = Some(bin.start);
         });
-        // What comes behind the last bin is not counted yet.
+        // The messages behind the last bin are not counted yet.
         rooms.push(Span {
             from: last.unwrap_or(i64::MIN),
             to: i64::MAX,

@@ -54,7 +54,7 @@ impl<B> Default for Made<B> {
     }
 }
 
-/// What a message adds to a bin.
+/// The part of a message that a bin takes in.
 type Value<P> = <<P as Pyramid>::Bin as Fold>::Value;
 
 /// A kind of bins, and how they and the messages are read.
@@ -74,7 +74,7 @@ pub(super) trait Pyramid {
         each: impl FnMut(Self::Bin) -> bool,
     ) -> Option<()>;
 
-    /// What the messages of a chunk within a span add, each at its time. Damage ends it.
+    /// The values of a chunk's messages within a span, each with its time. Damage ends the list.
     fn messages(
         &mut self,
         reader: &Reader,

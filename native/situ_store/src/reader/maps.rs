@@ -18,13 +18,14 @@ use crate::guard::Map;
 /// A reader keeps about this many bytes of maps resident; what it looked at longest ago goes first.
 const MOST_RESIDENT: usize = 16 << 20;
 const PAGE: usize = 4096;
-/// The kernel maps the sixteen pages around one that is looked at: they are what has to be counted and let go of.
+/// The kernel maps the sixteen pages around each page that is read, so that is the unit to count and to release.
 const AROUND: usize = 16 * PAGE;
 
 #[allow(unsafe_code)]
 pub(crate) fn map_file(file: &File, from: u64, length: u64, what: &str) -> Result<Map> {
     // SAFETY: mapped read-only and shared. The length was taken from the file; the format's writer never cuts a file
-    // below what is committed, and only what is committed is looked at. Where somebody else cuts it, the guard answers.
+    // below what is committed, and only what is committed is looked at. If another program cuts it, the guard catches
+    // the signal.
     unsafe {
         MmapOptions::new()
             .offset(from)
@@ -134,7 +135,7 @@ impl Extents {
         Ok(map)
     }
 
-    /// Notes that these bytes are about to be read, and lets go of the pages that were read longest ago.
+    /// Notes that these bytes are about to be read, and releases the pages that were read longest ago.
     pub fn touch(&self, map: &Arc<Map>, start: usize, length: usize) {
         let old = {
             let mut window = self.window.lock().unwrap_or_else(|p| p.into_inner());
@@ -157,7 +158,7 @@ struct Range {
 /// one.
 const LATELY: usize = 8;
 
-/// What was looked at lately, oldest first; neighbours are one range.
+/// The ranges read lately, oldest first; neighbours are one range.
 #[derive(Default)]
 struct Window {
     ranges: VecDeque<Range>,
@@ -216,7 +217,7 @@ impl Window {
     }
 }
 
-/// Gives the pages back to the page cache; whoever looks at them again has them faulted in again.
+/// Gives the pages back to the page cache; the next read faults them in again.
 #[allow(unsafe_code)]
 pub(super) fn release(map: &Map, start: usize, end: usize) {
     let (from, to) = (start / PAGE * PAGE, end.min(map.len()));
@@ -268,7 +269,7 @@ mod tests {
         for at in (0..12 << 20).step_by(1 << 20) {
             window.add(&a, at, at + (1 << 20) - 100);
         }
-        // What was looked at lately counts once.
+        // A range read twice counts once.
         window.add(&a, 5 << 20, (5 << 20) + 10);
         assert_eq!((window.ranges.len(), window.bytes), (1, 12 << 20));
         assert!(window.overdue().is_empty());

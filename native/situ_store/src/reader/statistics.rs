@@ -1,23 +1,34 @@
-//! What is known of a stream without reading its messages, and checking all of a store.
+//! A stream's statistics without reading its messages, and the check of a whole store.
 
 use super::{Damage, Reader};
 use crate::error::{Error, Result};
 use crate::format::*;
 
+/// The statistics of a stream. Times are ns.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Statistics {
+    /// How many messages it has.
     pub count: u64,
+    /// Originating time of the first message.
     pub first: i64,
+    /// Originating time of the last message.
     pub last: i64,
+    /// Creation time of the first message.
     pub first_creation: i64,
+    /// Creation time of the last message.
     pub last_creation: i64,
+    /// Payload bytes of all messages.
     pub size_sum: u64,
+    /// Sum of the latencies (creation - originating time) of all messages.
     pub latency_sum: f64,
+    /// Bytes of its chunks in the files.
     pub stored: u64,
+    /// How many chunks it has.
     pub chunks: u64,
 }
 
 impl Reader {
+    /// The statistics of a stream, from the index and its last chunk; `None` without messages.
     pub fn statistics(&self, stream: u32) -> Result<Option<Statistics>> {
         let (first, last, count, stored, chunks) = {
             let index = self.lock_index();

@@ -9,7 +9,7 @@ use crate::error::Result;
 use crate::format::*;
 use crate::pyramid::Bin;
 
-/// What was made in memory for want of stored pyramids, by stream.
+/// Pyramids made in memory where the store has none, by stream.
 pub(super) type Made = Mutex<HashMap<u32, Arc<Mutex<levels::Made<Bin>>>>>;
 
 struct Signal;

@@ -1,5 +1,5 @@
-//! What a timeline shows of any stream: counts, states and the keys of maps, from stored bins, and at last from the
-//! messages.
+//! The data of a timeline for streams of any type: counts, states and the keys of maps, from stored bins, and where
+//! these lack from the messages.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -13,25 +13,29 @@ use crate::tracks::{self, Names, Noted, Tally, Track, ITSELF};
 
 /// The answer of `Reader::tracks`; keys and states are numbers of `names`.
 pub struct Told {
+    /// Per bin its start (ns) and how many messages lie in it.
     pub counts: Vec<(i64, u64)>,
+    /// The tracks, by the number of their key.
     pub tracks: Vec<(u32, Line)>,
 }
 
 /// A bin's start and last state, and how many messages had which.
 pub type StateBin = (i64, u32, Vec<(u32, u64)>);
 
-/// What one track shows.
+/// The data of one track.
 pub enum Line {
+    /// Bins of a number.
     Numbers(Vec<Bin>),
-    /// When the state changed, the one in force at the beginning first.
+    /// The times (ns) of the state's changes with the new states; first the state at the beginning.
     Changes(Vec<(i64, u32)>),
     /// Per bin its last state, and how many messages had which, the most frequent first.
     States(Vec<StateBin>),
 }
 
-/// What is remembered of one stream between questions.
+/// One stream's names and bins, kept between calls.
 #[derive(Default)]
 pub struct Known {
+    /// Numbers of the stream's keys and states.
     pub names: Names,
     made: Arc<Mutex<Made<Tally>>>,
 }

@@ -58,7 +58,7 @@ impl Claims {
             Err(Error::Newer(version)) => return Err(Error::Newer(version)),
             Err(_) => claims.note(0, "the index's header is damaged"),
         }
-        // Without a header nobody had read anything: what was committed is then told by the chunks alone.
+        // Without a header no reader could open the store: only the chunks show how many entries were committed.
         let n = if claims.header.is_some() {
             claims.short = claims.published > claims.room;
             claims.published.min(claims.room)

@@ -12,14 +12,14 @@ use crate::guard::Map;
 use crate::reader::{file_length, map_file, Damage};
 use crate::tracks;
 
-/// What a scan found beside the sound entries.
+/// The chunks that a scan found beside those of sound entries.
 #[derive(Default)]
 pub(super) struct Scan {
     /// By the number of their entry.
     pub numbered: BTreeMap<u64, Entry>,
     /// Of version 1, in the order of the files.
     pub unnumbered: Vec<Entry>,
-    /// Entries below this number were committed for certain: a chunk that was written later says so.
+    /// Entries below this number were committed for certain, by the header of a chunk written later.
     pub committed: u64,
     /// When the first record of the catalog was made.
     pub created: Option<i64>,

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::{Names, Tally, Track, ITSELF, OTHER};
 use crate::varint::{self, Cursor};
 
-/// More of anything in one chunk is none of ours.
+/// A chunk with more of anything than this is damaged.
 const MOST: u64 = 1 << 16;
 
 /// Bins of width 2^k in time order: the keys and states they speak of, then the bins.

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 /// The number of all states beyond the most that are told apart.
 pub const OTHER: u32 = 0;
 
-/// So many keys of a stream have tracks, and so many states of a key are told apart.
+/// At most so many keys of a stream have tracks, and so many states of a key have numbers of their own.
 const MOST_KEYS: usize = 256;
 const MOST_STATES: u32 = 256;
 
@@ -19,7 +19,7 @@ pub struct Names {
     /// Which states which key has had.
     known: HashMap<(u32, u32), ()>,
     per_key: HashMap<u32, u32>,
-    /// What was asked for last: values of a stream rarely change.
+    /// The latest answer: values of a stream rarely change.
     latest: Option<(u32, u32)>,
 }
 

@@ -35,7 +35,7 @@ pub fn parts(
         Value::Bool(value) => BOOLEANS.get(value as usize).copied(),
         _ => None,
     };
-    // What is large is counted only.
+    // Large messages are only counted.
     let Some(bytes) = bytes.filter(|bytes| bytes.len() < LARGE_MESSAGE) else {
         return;
     };
@@ -78,7 +78,7 @@ fn fields(map: &[u8], each: &mut impl FnMut(&[u8], Part<'_>)) -> Option<()> {
         found.push((&map[at..value], &map[value..end]));
         at = end;
     }
-    // The name of a struct is none of its fields.
+    // The key `__struct__` is no field.
     found.retain(|(key, _)| !key.ends_with(b"__struct__"));
     if found.len() > MOST_KEYS {
         return None;
@@ -91,7 +91,7 @@ fn fields(map: &[u8], each: &mut impl FnMut(&[u8], Part<'_>)) -> Option<()> {
             continue;
         }
         term.truncate(1);
-        // What is longer than any of these is neither.
+        // A longer value is neither a state nor a number.
         term.extend_from_slice(&value[..value.len().min(LONGEST + 300)]);
         if is_state(&term) {
             each(&key_term, Part::State(&term));

@@ -18,7 +18,7 @@ impl Writer {
         self.rollback();
         self.closed = true;
         let finished = self.finish();
-        // Whatever happened: nobody else may be kept out.
+        // Also after an error the lock must not keep others out.
         let _ = flock(&self._lock, FlockOperation::Unlock);
         finished
     }
@@ -65,7 +65,7 @@ impl Writer {
         }
         self.index.finish()?;
         match pyramids {
-            // Without room for the pyramids the store is whole all the same: they are computed when wanted.
+            // Without room for the pyramids the store is still complete: readers compute them from the messages.
             Err(Error::Crash) => Err(Error::Crash),
             _ => Ok(()),
         }

@@ -19,7 +19,7 @@ struct Bins {
 }
 
 impl Writer {
-    /// Writes the bins that make a chunk. A full disk is told by the next message; the bins wait.
+    /// Writes the bins that make a chunk. If the disk is full the bins wait, and the next message reports the error.
     pub(super) fn write_ready_pyramids(&mut self) -> Result<()> {
         for number in std::mem::take(&mut self.ready) {
             match self.write_pyramids(number, pyramid::FLUSH) {

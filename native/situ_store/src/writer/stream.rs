@@ -6,7 +6,7 @@ use crate::format::Encoding;
 use crate::pyramid::{self, Bin};
 use crate::tracks::{self, Names, Noted, Tally};
 
-/// What must be put back when a commit fails.
+/// The position to return to when a commit fails.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Position {
     pub ordinal: u64,
@@ -72,7 +72,7 @@ impl Stream {
         self.marks.push((time, (self.noted.len() - before) as u32));
     }
 
-    /// What was committed goes into the pyramids.
+    /// Moves the values of committed messages into the pyramids.
     pub fn settle(&mut self) {
         for point in self.points.drain(..) {
             self.pyramid.add(point);
@@ -86,7 +86,7 @@ impl Stream {
         self.noted.clear();
     }
 
-    /// What was taken back never was.
+    /// Drops the values of messages whose commit failed.
     pub fn forget(&mut self) {
         self.points.clear();
         self.marks.clear();
