@@ -1,9 +1,9 @@
-//! Rows of a CSV file, a few at a time: bounded memory however long the file, quoted line breaks and all. And numbers
-//! as such rows.
-
-mod lines;
+//! Rows of a CSV file, a few at a time: bounded memory however long the file, quoted line breaks and all. Also
+//! writes numbers as such rows.
 
 #![deny(missing_docs)]
+
+mod lines;
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};

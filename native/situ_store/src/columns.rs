@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::format::{Encoding, Entry};
 use crate::reader::Reader;
 
-/// What a column holds.
+/// The kinds of values in a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// Eight bytes each, little-endian, two's complement.
@@ -27,23 +27,25 @@ impl Kind {
     }
 }
 
-/// Messages side by side, each column as long as `count` says.
+/// Messages as columns of `count` entries each.
 #[derive(Debug, Default)]
 pub struct Columns {
+    /// How many messages there are.
     pub count: u64,
     /// Originating times, `i64`, little-endian.
     pub times: Vec<u8>,
     /// Creation times, likewise.
     pub creations: Vec<u8>,
+    /// Values, in the form of their kind.
     pub values: Vec<u8>,
 }
 
-/// What a stream has at an ordinal.
+/// The messages of a stream from an ordinal on.
 #[derive(Debug)]
 pub enum Found {
     /// Numbers of one kind, and the ordinal behind them.
     Numbers(Kind, Columns, u64),
-    /// Messages that are no plain numbers, or numbers with none among them.
+    /// Messages that are not plain numbers, or that have `nil` or a float that is not finite among them.
     Others,
     /// Nothing (more) up to the time that was asked for.
     End,
@@ -52,9 +54,13 @@ pub enum Found {
 /// Which messages are wanted: those of a stream from an ordinal on, no later than `to`, until at least `bytes` of
 /// chunks were read or another kind begins.
 pub struct Wanted {
+    /// The stream's number.
     pub stream: u32,
+    /// The ordinal of the first message.
     pub ordinal: u64,
+    /// The latest originating time, ns.
     pub to: i64,
+    /// How many bytes of chunks are enough.
     pub bytes: u64,
 }
 
