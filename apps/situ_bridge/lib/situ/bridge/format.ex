@@ -31,7 +31,7 @@ defmodule Situ.Bridge.Format do
 
   @type name :: :json | :json_lines | :csv | :message_pack | :situ
   @type timed :: {Situ.Time.t(), value :: term()}
-  @typedoc "What is left of the bytes read so far, and what a format remembers of a file."
+  @typedoc "The unread rest of the bytes so far, and the format's state for a file."
   @type rest :: {binary(), state :: term()}
 
   @doc "One message by itself."

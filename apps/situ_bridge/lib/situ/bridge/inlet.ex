@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Inlet do
   @moduledoc false
-  # What every source of a network does with what arrives: read it by the format, give it a time, keep the times of
-  # the stream increasing. Nothing that comes from outside stops a pipeline: what cannot be used is left out and
+  # The common part of all network sources: it decodes payloads by the format, gives each message a time, and keeps
+  # the times of the stream increasing. No payload from outside stops a pipeline: unusable ones are left out and
   # counted. Pure.
   alias Situ.Bridge.Format
 

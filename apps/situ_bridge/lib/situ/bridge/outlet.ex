@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Outlet do
   @moduledoc false
-  # What every sink to a network does with its messages: write them by the format, wait for peers if it should, make the
-  # stream wait while nobody has room, and linger at the end. The counterpart of `Situ.Bridge.Inlet`.
+  # The common part of all network sinks: it encodes messages by the format, waits for peers if asked to, makes the
+  # stream wait while no peer has room, and lingers at the end. The counterpart of `Situ.Bridge.Inlet`.
   alias Situ.Bridge.Format
   alias Situ.Error
 

@@ -48,7 +48,7 @@ defmodule Situ.Bridge.WebSocket do
   @impl Protocol
   def frame(payload, arg), do: Frames.frame(arg.kind, payload)
 
-  # What clients say is let go; they are answered that somebody is there.
+  # Messages of clients are dropped; only their pings get answers.
   @impl Protocol
   def heard(bytes, _arg) do
     case Frames.split(bytes, nil, true, @most_said) do

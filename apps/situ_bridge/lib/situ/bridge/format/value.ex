@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Format.Value do
   @moduledoc false
-  # What all formats agree on: which terms are objects, and in which order their members come.
+  # Shared by all formats: which terms are objects, and the order of their members.
 
   @special %{nan: "NaN", infinity: "Infinity", neg_infinity: "-Infinity"}
 

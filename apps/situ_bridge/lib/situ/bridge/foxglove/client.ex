@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Foxglove.Client do
   @moduledoc false
-  # One connection: the WebSocket around a session. What its other side does not take blocks this process and nobody
-  # else; for half a minute, then it is cut off.
+  # One connection: the WebSocket around a session. A client that does not read blocks only this process, which closes
+  # the connection after half a minute.
   use GenServer, restart: :temporary
   alias Situ.Bridge.Foxglove.{Session, Source}
   alias Situ.Bridge.Net.Outbox

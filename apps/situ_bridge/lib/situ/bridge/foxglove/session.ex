@@ -26,7 +26,7 @@ defmodule Situ.Bridge.Foxglove.Session do
   @doc "The subprotocols, the best first."
   def protocols, do: @protocols
 
-  @doc "What a client is sent first, and the state; `name` is the server's."
+  @doc "The first frames for a client, and the state; `name` is the server's."
   @spec open(Source.t(), String.t(), protocol :: String.t()) :: {[Wire.frame()], t()}
   def open(source, name, protocol) do
     {from, to} = Source.extent(source)
@@ -76,7 +76,7 @@ defmodule Situ.Bridge.Foxglove.Session do
      %{session | told: told}}
   end
 
-  @doc "What a client says."
+  @doc "Handles a frame of the client."
   @spec hear(t(), {:text | :binary, binary()}, now :: integer()) :: {[Wire.frame()], t()}
   def hear(session, frame, _now) do
     case Wire.read(frame) do
@@ -223,7 +223,7 @@ defmodule Situ.Bridge.Foxglove.Session do
   defp control(session, _command, _speed, _seek, _id),
     do: {[Wire.status(2, "this protocol has no control of the playback")], session}
 
-  # What has ended begins again.
+  # A playback that has ended begins again.
   defp command(session, :play, speed) do
     ended? = Playback.status(session.playback) == :ended and not session.source.live?
     {frames, session} = if ended?, do: seek(session, session.playback.from), else: {[], session}
@@ -243,7 +243,7 @@ defmodule Situ.Bridge.Foxglove.Session do
     each(Map.keys(wanted), %{session | playback: playback, wanted: wanted}, &held(&2, &1))
   end
 
-  @doc "What is due: messages up to where the playback is, or (of what is being recorded) all that is new."
+  @doc "The frames that are due: messages up to the playback's time, or all new ones of a live recording."
   @spec tick(t(), now :: integer()) :: {[Wire.frame()], t()}
   def tick(session, now) do
     {news, session} = look(session, now)

@@ -11,7 +11,7 @@ defmodule Situ.Bridge.Foxglove.Wire do
           | {:playback, :play | :pause, speed :: float(), seek :: integer() | nil, id :: binary()}
           | {:error, String.t()}
 
-  @doc "What a client says."
+  @doc "Parses a frame of a client."
   @spec read({:text | :binary, binary()}) :: heard()
   def read({:text, text}) do
     case Situ.JSON.decode(text) do

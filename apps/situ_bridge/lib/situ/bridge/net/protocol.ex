@@ -3,7 +3,7 @@ defmodule Situ.Bridge.Net.Protocol do
   # How messages travel on one connection. Pure: bytes in, bytes out; `arg` is what the protocol was set up with. A
   # protocol is given as `{module, arg}`.
 
-  @typedoc "What a protocol remembers of one connection."
+  @typedoc "The protocol's state of one connection."
   @type state :: term()
 
   @doc """
@@ -14,14 +14,14 @@ defmodule Situ.Bridge.Net.Protocol do
               {:ok, answer :: iodata(), rest :: binary()} | :more | {:refuse, answer :: iodata()}
   @doc "One message as a server sends it."
   @callback frame(payload :: iodata(), arg :: term()) :: iodata()
-  @doc "What a client says once it is served: an answer and what is left, or it wants to end."
+  @doc "Bytes of a client that is being served: the answer and the rest of the bytes, or `:close` if it ends."
   @callback heard(bytes :: binary(), arg :: term()) ::
               {:ok, answer :: iodata(), binary()} | :close
 
-  @doc "What a client says first, and its state."
+  @doc "A client's first bytes, and its state."
   @callback hello(host :: String.t(), port :: :inet.port_number(), arg :: term()) ::
               {iodata(), state()}
-  @doc "What a server sent: whole payloads, an answer, and the state; no payload may be longer than `most` bytes."
+  @doc "Bytes of a server: the complete payloads, an answer, and the state; no payload may exceed `most` bytes."
   @callback read(bytes :: binary(), state(), most :: pos_integer()) ::
               {:ok, [binary()], answer :: iodata(), state()} | {:error, String.t()}
 end

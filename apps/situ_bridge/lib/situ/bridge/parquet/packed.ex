@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Parquet.Packed do
   @moduledoc false
-  # What a page was packed with, undone: at most the bytes that its header promises. Throws `{:not_parquet, why}`.
+  # Unpacks a compressed page, to at most the bytes that its header promises. Throws `{:not_parquet, why}`.
   alias Situ.Bridge.Native
   alias Situ.Bridge.Parquet.Thrift
 

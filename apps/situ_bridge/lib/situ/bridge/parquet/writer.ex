@@ -100,7 +100,7 @@ defmodule Situ.Bridge.Parquet.Writer do
     end
   end
 
-  @doc "What there is of it goes."
+  @doc "Deletes the unfinished file."
   @spec abandon(t()) :: :ok
   def abandon(writer) do
     :file.close(writer.file)

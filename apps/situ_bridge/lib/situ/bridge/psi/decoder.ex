@@ -118,7 +118,7 @@ defmodule Situ.Bridge.Psi.Decoder do
     {value, rest, state} = content(plan, bytes, state)
     value = value |> with_type(type) |> with_id(id, state)
 
-    # What holds references by number is not repeated elsewhere.
+    # An object that holds references by number cannot be repeated elsewhere.
     done = if state.refs == refs, do: {value, state.nodes - nodes}, else: :open
     {value, rest, %{state | objects: Map.put(state.objects, id, done)}}
   end

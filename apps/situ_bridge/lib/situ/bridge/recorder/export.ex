@@ -33,7 +33,7 @@ defmodule Situ.Bridge.Recorder.Export do
     error in Situ.Error -> {:error, error}
   end
 
-  # What came from ROS goes as what it was.
+  # A stream that came from ROS keeps its ROS type.
   defp typed(topic, type) do
     if topic[:type] == nil and Library.fetch(type) != :error,
       do: Keyword.put(topic, :type, type),

@@ -4,7 +4,7 @@ defmodule Situ.Bridge.ZeroMQ.Source do
   @schema [
             socket: [type: {:in, [:sub, :pull]}, required: true, doc: "Which socket."],
             address: [type: :string, required: true, doc: "tcp://HOST:PORT."],
-            topic: [type: :string, default: "", doc: "What to subscribe to."],
+            topic: [type: :string, default: "", doc: "The topic to subscribe to."],
             prefix: [
               type: :boolean,
               default: false,

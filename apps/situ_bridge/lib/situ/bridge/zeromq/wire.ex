@@ -80,7 +80,7 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
   def message([last]), do: encode(last, 0)
   def message([frame | frames]), do: [encode(frame, 1) | message(frames)]
 
-  @doc "What a subscriber sends: it wants (or no longer wants) topics that begin so."
+  @doc "A subscriber's message: it wants (or no longer wants) the topics that begin with `prefix`."
   @spec subscription(:subscribe | :unsubscribe, binary()) :: iodata()
   def subscription(:subscribe, prefix), do: message([<<1, prefix::binary>>])
   def subscription(:unsubscribe, prefix), do: message([<<0, prefix::binary>>])

@@ -23,7 +23,7 @@ defmodule Situ.Bridge.Ros.Bag.Record do
 
   defp fields(_, _found), do: :error
 
-  @doc "What kind of record a header begins."
+  @doc "The kind of the record with this header."
   @spec op(fields()) :: op() | nil
   def op(%{"op" => <<code>>}), do: @ops[code]
   def op(_), do: nil
