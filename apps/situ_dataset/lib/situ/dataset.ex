@@ -299,7 +299,7 @@ defmodule Situ.Dataset do
   def summaries(%__MODULE__{} = dataset),
     do: at_once(dataset.sessions, &{&1.name, Session.summary(&1)})
 
-  @doc "What is missing or damaged: `[{session, partition, error}]`."
+  @doc "Missing and damaged recordings: `[{session, partition, error}]`."
   @spec troubles(t()) :: [{String.t(), String.t(), Error.t()}]
   def troubles(%__MODULE__{} = dataset) do
     dataset.sessions

@@ -14,7 +14,7 @@ defmodule Situ.Expression do
       "at character 6: a value belongs here, and the text ends"
 
   It has no loops, no assignments and no way out: an expression of `n` nodes (1,000 at most) is evaluated in `n`
-  steps, each bounded by the values it is given, and cannot fail. Whatever has no value is `nil` (`null`).
+  steps, each bounded by the values it is given, and cannot fail. A part without a value is `nil` (`null`).
   """
   alias Situ.Error
   alias Situ.Expression.{Functions, Parser, Value}
@@ -24,7 +24,7 @@ defmodule Situ.Expression do
 
   @typedoc "`run` is the compiled form, a function of the environment."
   @type t :: %__MODULE__{source: String.t(), tree: tuple(), run: (env() -> term())}
-  @typedoc "What names mean."
+  @typedoc "The values of names."
   @type env :: %{String.t() => term()}
 
   @doc "Reads an expression. Error: `:bad_expression`, which says where."

@@ -142,8 +142,8 @@ defmodule Situ.Annotation.Editor do
 
   @doc """
   Gives the stream another schema and saves it: `{:ok, folder}`. Every annotation goes through `fun` first, which
-  renames what is called otherwise now. What was done before can no longer be undone. Error: that of the first
-  annotation that the schema does not allow; then nothing has changed.
+  adapts it to new names. Earlier edits can no longer be undone. Error: that of the first annotation that the schema
+  does not allow; then nothing has changed.
   """
   @spec put_schema(server(), Schema.t(), (Situ.Annotation.t() -> Situ.Annotation.t())) ::
           {:ok, Path.t()} | {:error, Error.t()}

@@ -51,7 +51,7 @@ defmodule Situ.Annotation.Exchange do
   | `:csv` | `.csv` | spreadsheets | nothing |
   | `:coco` | `.coco.json` | trainers of detectors | whatever is no box; which boxes are key frames, with `times:` |
 
-  Whatever is lost is told: `write/3` and `read/2` answer with a list of sentences, empty when all is there.
+  `write/3` and `read/2` return a list of sentences about lost data, empty if nothing was lost.
 
       iex> alias Situ.Annotation.{Exchange, Layer, Schema}
       iex> hi = Situ.Annotation.new(1_000_000_000, 2_500_000_000, "P1", %{"Words" => "Hi"})

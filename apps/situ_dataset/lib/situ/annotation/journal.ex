@@ -183,7 +183,7 @@ defmodule Situ.Annotation.Journal do
     )
   end
 
-  @doc "What is wrong when a journal does not belong to the recording beside it."
+  @doc "The error of a journal that does not belong to the recording beside it."
   @spec unfit(Error.t()) :: Error.t()
   def unfit(error) do
     Error.new(:bad_journal, "the journal of unsaved edits does not fit the recording",

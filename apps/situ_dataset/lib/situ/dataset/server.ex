@@ -48,7 +48,7 @@ defmodule Situ.Dataset.Server do
   def subscribe(server), do: GenServer.call(server, {:subscribe, self()})
 
   @doc """
-  What differs between two states of a dataset.
+  The differences between two states of a dataset.
 
       iex> {:ok, one} = Situ.Dataset.new("Study")
       iex> {:ok, one} = Situ.Dataset.add_session(one, "a")

@@ -85,7 +85,7 @@ defmodule Situ.Dataset.Session do
     |> Summary.sum()
   end
 
-  @doc "What is wrong: `[{partition_name, error}]`, empty when every recording opens and is whole."
+  @doc "Missing and damaged recordings: `[{partition_name, error}]`, empty when all open and are complete."
   @spec troubles(t()) :: [{String.t(), Error.t()}]
   def troubles(%__MODULE__{} = session) do
     for partition <- session.partitions,

@@ -26,7 +26,7 @@ defmodule Situ.Dataset.StoredPath do
   @type parts :: {root :: String.t(), [String.t()]}
 
   @doc """
-  What the dataset file at `dataset_file` says for `path`; a path that is relative already stays so, as it is spelt.
+  The form in which the dataset file at `dataset_file` holds `path`; a relative path stays as it is spelt.
   """
   @spec to_stored(Path.t(), Path.t()) :: String.t()
   def to_stored(path, dataset_file),

@@ -39,7 +39,7 @@ defmodule Situ.Dataset.Task do
           options: Options.schema()
         }
 
-  @doc "What the task is."
+  @doc "The task's description."
   @callback task() :: t()
   @doc "Builds the pipeline of one session."
   @callback build(Situ.Graph.Handle.t(), keyword()) :: term()

@@ -1,7 +1,7 @@
 defmodule Situ.Expression.Value do
   @moduledoc false
-  # What operators make of values. All are total: what has no answer is nil. Nothing grows without bound: whole numbers
-  # beyond 256 bits and texts beyond a megabyte have no value.
+  # The operators on values. All are total: an operation without a result gives nil. Nothing grows without bound:
+  # whole numbers beyond 256 bits and texts beyond a megabyte have no value.
 
   @bound Bitwise.bsl(1, 256)
   @longest 1_048_576

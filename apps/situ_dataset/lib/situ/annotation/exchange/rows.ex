@@ -82,7 +82,7 @@ defmodule Situ.Annotation.Exchange.Rows do
     end)
   end
 
-  @doc "What a format that holds intervals and labels alone leaves out of these annotations."
+  @doc "The losses, in sentences, in a format that holds only intervals and labels of these annotations."
   @spec losses([Annotation.t()], [:by | :confidence | :note | :proposed? | :fine], String.t()) ::
           [String.t()]
   def losses(annotations, left_out, format) do
