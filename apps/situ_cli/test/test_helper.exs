@@ -5,7 +5,7 @@ missing =
 
 Enum.each(missing, &IO.puts("Not tested: situ talk. " <> Exception.message(&1)))
 
-# What must come may take its time on a busy machine; what does not come fails all the same.
+# A busy machine may deliver an expected message late; a missing one fails the test all the same.
 ExUnit.start(
   exclude: if(missing == [], do: [], else: [:moonshine]),
   assert_receive_timeout: 30_000,

@@ -261,7 +261,7 @@ defmodule Situ.CLI.Cluster do
     end
   end
 
-  # What it listens on is what its name says, and nothing else.
+  # The node listens only on the host in its name.
   defp start(name, opts) do
     cookie = Error.unwrap!(Identity.cookie(folder(opts)))
 

@@ -1,6 +1,6 @@
 defmodule Situ.CLI.Data do
   @moduledoc false
-  # What messages and metadata hold, for people and for programs.
+  # The contents of messages and metadata, for people and for programs.
 
   @doc "In one line, long things cut short."
   @spec text(term()) :: String.t()

@@ -71,7 +71,7 @@ defmodule Situ.CLI.Help do
     table(for {name, spec} <- verb.arguments, do: {Verb.argument(name, spec), spec[:doc]})
   end
 
-  @doc "What an option does, with its default."
+  @doc "The description of an option, with its default."
   @spec described(Option.t()) :: String.t()
   def described(option) do
     default =

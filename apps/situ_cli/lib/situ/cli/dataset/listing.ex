@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Dataset.Listing do
-  @moduledoc "What is in a dataset or in a session of it, as text or (`--json`) as JSON."
+  @moduledoc "The contents of a dataset or of one session, as text or (`--json`) as JSON."
   alias Situ.CLI.Output
   alias Situ.Dataset
   alias Situ.Dataset.{OpenSession, Partition, Session, Summary}

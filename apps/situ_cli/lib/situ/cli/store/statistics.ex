@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Store.Statistics do
   @moduledoc false
-  # What every message of a stream says about its timing: one pass over the envelopes, memory that does not grow
-  # with them. Percentiles come from buckets 1 % wide, so they are right within half a percent.
+  # Statistics of the timing of a stream's messages: one pass over the envelopes, in constant memory. Percentiles come
+  # from buckets 1 % wide, so they are right within half a percent.
   alias Situ.Store
 
   @width :math.log(1.01)
