@@ -14,7 +14,7 @@ missing =
     tag
   end
 
-# What must come may take its time on a busy machine; what does not come fails all the same.
+# A busy machine may deliver an expected message late; a missing one fails the test all the same.
 ExUnit.start(
   exclude: missing,
   assert_receive_timeout: 30_000,

@@ -3,7 +3,7 @@ defmodule Situ.Assistant do
     wake: [
       type: {:optional, :string},
       default: "computer",
-      doc: "What it is called by; `nil`: it answers to everything."
+      doc: "The name it answers to; `nil`: it answers to everything."
     ],
     attention: [
       type: :time_ns,
@@ -43,8 +43,8 @@ defmodule Situ.Assistant do
       assistant = Situ.Assistant.attach(microphone, wake: "computer")
       Situ.Media.Speaker.play(assistant.sound)
 
-  It knows the time, the date and timers (`Situ.Assistant.Skills`); what else is said goes to a language model when
-  `chat:` names one. What comes back is a map of streams:
+  It knows the time, the date and timers (`Situ.Assistant.Skills`); other sentences go to a language model when
+  `chat:` names one. The result is a map of streams:
 
   | key | of | what |
   |---|---|---|
@@ -119,7 +119,7 @@ defmodule Situ.Assistant do
   defp answers(questions, stop, opts) do
     opts = Keyword.merge([system: @system, failures: :emit], opts)
     chat = Situ.via([in: questions, cancel: stop], Situ.Chat, opts ++ [name: "Chat"])
-    # What it could not find out it says, too: nobody looks at a log while talking.
+    # It speaks its failures, too: nobody looks at a log while talking.
     sorry = Situ.map(chat.failed, fn _ -> "I cannot reach the language model." end, type: :string)
 
     [Situ.map(chat.out, & &1.text, type: :string), sorry]

@@ -14,7 +14,7 @@ defmodule Situ.Chat do
     tools: [
       type: {:list, {:struct, Situ.Chat.Tool}},
       default: [],
-      doc: "What the model may call, `Situ.Chat.Tool`."
+      doc: "The tools the model may call, `Situ.Chat.Tool`."
     ],
     rounds: [
       type: :pos_integer,

@@ -50,7 +50,7 @@ defmodule Situ.Infer do
     do: mouths |> beside(voice) |> Situ.via(ActiveSpeaker, opts)
 
   @doc """
-  What is said in 16 kHz mono sound: a stream of `Situ.Infer.Speech.Utterance`, each at the end of what was said.
+  Recognises the speech in 16 kHz mono sound: a stream of `Situ.Infer.Speech.Utterance`, each at the time of its end.
   `voice:` are options of `Situ.Infer.VoiceActivity`, the others those of `Situ.Infer.SpeechRecognizer`.
   """
   @spec transcribe(Stream.t(), keyword()) :: Stream.t()

@@ -1,7 +1,7 @@
 defmodule Situ.Intent do
   @moduledoc """
-  What somebody wants, out of what was said: the `query`, the `intents` it may have (best first, with a score of 0..1)
-  and the `entities` in it (`minutes` 5, `name` "tea").
+  The intent of a sentence: the `query` (its text), the `intents` it may have (best first, with a score of 0..1) and
+  the `entities` in it (`minutes` 5, `name` "tea").
 
       iex> {:ok, grammar} = Situ.Intent.Grammar.load(grammar: \"""
       ...> #JSGF V1.0; grammar kitchen;

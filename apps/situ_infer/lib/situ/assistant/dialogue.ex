@@ -15,7 +15,7 @@ defmodule Situ.Assistant.Dialogue do
       default: nil,
       doc: "More rules, for intents of the program around it."
     ],
-    ask: [type: :boolean, default: false, doc: "What the rules do not know goes to `:ask`."],
+    ask: [type: :boolean, default: false, doc: "Emit sentences that no rule matches on `:ask`."],
     local_time: [
       type: {:fun, 1},
       default: &Situ.Assistant.Dialogue.local_time/1,

@@ -40,7 +40,7 @@ defmodule Situ.Assistant.Player do
 
   @impl true
   def handle_message(:stop, %{originating_time: time}, context, state) do
-    # What was decided after somebody has spoken is the answer to that.
+    # An answer decided after the user spoke replies to that speech, so it is still played.
     waiting = Enum.filter(state.waiting, fn {decided, _} -> decided >= time end)
     step(%{state | waiting: waiting}, context.now)
   end
@@ -99,7 +99,7 @@ defmodule Situ.Assistant.Player do
     end
   end
 
-  # What was given ahead is still to be heard.
+  # The sound emitted ahead is still being played.
   defp silent_at(state), do: state.head + state.opts.ahead
   defp done({actions, state}), do: {Enum.reverse(actions), state}
 

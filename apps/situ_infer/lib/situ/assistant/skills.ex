@@ -1,7 +1,7 @@
 defmodule Situ.Assistant.Skills do
   @moduledoc """
-  What the assistant can do by itself: tell the time and the date, set and cancel timers, be quiet. Pure: an intent and
-  what time it is give what to say and what to do.
+  The assistant's own skills: it tells the time and the date, sets and cancels timers, stops talking. Pure: from an
+  intent and the time follow the answer and the action.
 
       iex> {:ok, grammar} = Situ.Intent.Grammar.load(grammar: Situ.Assistant.Skills.grammar())
       iex> {:ok, intent} = Situ.Intent.Grammar.detect(grammar, "set a timer for five minutes")
@@ -40,11 +40,11 @@ defmodule Situ.Assistant.Skills do
           | :quiet
           | :unknown
 
-  @doc "What it understands, as a grammar."
+  @doc "The sentences it understands, as a grammar."
   @spec grammar() :: String.t()
   def grammar, do: @grammar
 
-  @doc "What to do about an intent when the local time is `now`."
+  @doc "The answer or action for an intent when the local time is `now`."
   @spec answer(Intent.t(), :calendar.datetime()) :: deed()
   def answer(%Intent{} = intent, now) do
     case Intent.name(intent) do

@@ -1,7 +1,7 @@
 defmodule Situ.Chat.Answer do
   @moduledoc """
-  What a language model answered: `text`, the tools it wants called (`calls`), why it ended (`finish`), and how many
-  tokens it read and wrote (`tokens`; `exact?` is false where the service did not say and they were counted).
+  The answer of a language model: `text`, the tools it wants called (`calls`), why it ended (`finish`), and how many
+  tokens it read and wrote (`tokens`; `exact?` is false if the service gave no numbers and they were counted here).
 
   `finish` is `:stop`, `:length` (cut at the most it may say), `:calls` (it waits for the tools), `:filtered` or
   `:cancelled`.
@@ -67,7 +67,7 @@ defmodule Situ.Chat.Answer do
     end
   end
 
-  @doc "What a service says of an error, short enough for a message."
+  @doc "A service's error text, short enough for a message."
   @spec complaint(term()) :: String.t()
   def complaint(%{"message" => message}) when is_binary(message),
     do: String.slice(message, 0, 300)

@@ -10,7 +10,7 @@ defmodule Situ.Chat.Memory do
   @spec new(non_neg_integer()) :: t()
   def new(places), do: %__MODULE__{places: places}
 
-  @doc "What a component is given, as turns."
+  @doc "The component's input as turns."
   @spec turns(term()) :: {:ok, [Turn.t()]} | {:error, Error.t()}
   def turns(text) when is_binary(text) do
     if String.valid?(text), do: {:ok, [Turn.user(text)]}, else: bad(text)

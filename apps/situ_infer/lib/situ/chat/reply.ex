@@ -27,7 +27,7 @@ defmodule Situ.Chat.Reply do
   @spec new() :: t()
   def new, do: %__MODULE__{events: Events.new(), piece: Answer.piece()}
 
-  @doc "What an event adds to the text; `:halt` when nothing more is needed."
+  @doc "The text that an event adds; `:halt` when the reply is complete."
   @spec take(t(), Situ.Infer.Http.event()) :: {:cont | :halt, [String.t()], t()}
   def take(reply, {:status, status, headers}) do
     headers = Map.new(headers)
@@ -80,8 +80,9 @@ defmodule Situ.Chat.Reply do
   end
 
   @doc """
-  What came of it. `failure` is why the connection ended early, if it did. `{:again, ms | nil, error}`: worth another
-  try, after so many milliseconds if the service said so. Words already said cannot be taken back: then it is an error.
+  The result. `failure` is the reason why the connection ended early, if it did. `{:again, ms | nil, error}`: worth
+  another try, after so many milliseconds if the service named a time. Once text has been emitted there is no second
+  try, but an error.
   """
   @spec close(t(), Error.t() | nil) ::
           {:ok, Answer.t()} | {:again, non_neg_integer() | nil, Error.t()} | {:error, Error.t()}

@@ -31,7 +31,7 @@ defmodule Situ.Chat.Tool do
     %{type: "function", function: function}
   end
 
-  @doc "What the tool says to a call; a tool that fails or is not there says so, for the model to read."
+  @doc "The tool's answer to a call; for a missing tool or one that fails, a text for the model with the reason."
   @spec answer([t()], Situ.Chat.ToolCall.t()) :: String.t()
   def answer(tools, call) do
     case Enum.find(tools, &(&1.name == call.name)) do

@@ -1,7 +1,7 @@
 defmodule Situ.Chat.Turn do
   @moduledoc """
-  What one side says in a conversation with a language model: `role` (`:system`, `:user`, `:assistant`, `:tool`) and
-  `text`; pictures a user shows, tools an assistant calls, the call that a tool answers.
+  One turn in a conversation with a language model: `role` (`:system`, `:user`, `:assistant`, `:tool`) and `text`; the
+  pictures a user shows, the tools an assistant calls, the call that a tool answers.
 
       iex> Situ.Chat.Turn.to_json(Situ.Chat.Turn.user("Who are you?"))
       %{role: "user", content: "Who are you?"}

@@ -34,7 +34,7 @@ defmodule Situ.Infer.Classifier do
             )
 
   @moduledoc """
-  What is in a picture: any ONNX network that gives a score for each class, such as those trained on ImageNet.
+  Classifies pictures: any ONNX network that gives a score for each class, such as those trained on ImageNet.
 
       pictures |> Situ.via(Situ.Infer.Classifier, path: "resnet50-v2.onnx", labels: "synset.txt", softmax: true)
 

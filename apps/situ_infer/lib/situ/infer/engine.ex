@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Engine do
   @moduledoc """
-  What runs a model: the seam between `Situ.Infer.Model` and a native library.
+  The engine that runs a model: the seam between `Situ.Infer.Model` and a native library.
 
   One engine is built in, `Situ.Infer.Engine.Ort` (ONNX Runtime). Another (pure Rust, a remote server) is a module with
   these callbacks, named by the `:engine` option of `Situ.Infer.Model.load/2`.

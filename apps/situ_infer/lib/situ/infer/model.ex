@@ -3,7 +3,7 @@ defmodule Situ.Infer.Model do
     engine: [
       type: :module,
       default: Situ.Infer.Engine.Ort,
-      doc: "What runs the model, see `Situ.Infer.Engine`."
+      doc: "The engine that runs the model, see `Situ.Infer.Engine`."
     ],
     provider: [
       type: {:or, [{:in, [:cpu]}, {:tuple, [{:in, [:cuda]}, :non_neg_integer]}]},
@@ -36,9 +36,9 @@ defmodule Situ.Infer.Model do
     inputs: [
       type: :map,
       default: %{},
-      doc: "What the file must take: `%{\"name\" => {type, shape}}`."
+      doc: "The inputs that the file must have: `%{\"name\" => {type, shape}}`."
     ],
-    outputs: [type: :map, default: %{}, doc: "What it must give, likewise."]
+    outputs: [type: :map, default: %{}, doc: "The outputs that it must have, likewise."]
   ]
 
   @moduledoc """
@@ -50,9 +50,9 @@ defmodule Situ.Infer.Model do
   A model is loaded once and may be used by any process, by several at once; `shared/2` gives components that name the
   same file and options the same copy, which is given back when the last of them ends.
 
-  What a model must take and give is checked **at load**: `:inputs` and `:outputs` name the ports with type and shape
-  (`nil` for any size, and a size the file leaves free matches anything), so a wrong file stops a pipeline before its
-  first message, with both shapes in the error.
+  The model's ports are checked **at load**: `:inputs` and `:outputs` name them with type and shape (`nil` for any
+  size, and a size the file leaves free matches anything), so a wrong file stops a pipeline before its first message,
+  with both shapes in the error.
 
   ## Options
 

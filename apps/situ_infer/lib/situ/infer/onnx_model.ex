@@ -38,7 +38,7 @@ defmodule Situ.Infer.OnnxModel do
 
   The file is read while the pipeline is **built**: inputs that it does not have, streams that it lacks, types and
   shapes that differ from `shapes:` are errors then, with both sides in the message. Several inputs are joined by equal
-  originating times. What comes out bears the time of what went in. Messages that have piled up are run as one batch.
+  originating times. An output has the time of its input. Messages that have piled up are run as one batch.
 
   ## Options
 

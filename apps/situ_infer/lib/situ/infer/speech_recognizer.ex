@@ -3,9 +3,9 @@ defmodule Situ.Infer.SpeechRecognizer do
     recognizer: [
       type: :module,
       default: Situ.Infer.Speech.Moonshine,
-      doc: "What recognises: a `Situ.Infer.Speech.Recognizer`."
+      doc: "The module that recognises, a `Situ.Infer.Speech.Recognizer`."
     ],
-    recognizer_options: [type: :keyword, default: [], doc: "For its `load/1`."],
+    recognizer_options: [type: :keyword, default: [], doc: "Options for its `load/1`."],
     partial: [
       type: {:optional, :time_ns},
       default: 300_000_000,
@@ -46,8 +46,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   A message on the optional input `:options` (a keyword list, such as `[grammar: other]`) changes `recognizer_options`
   while it runs.
 
-  What comes out depends on the messages only, not on when they arrive. `Situ.Infer.transcribe/2` is this with voice
-  activity.
+  The output depends on the messages only, not on when they arrive. `Situ.Infer.transcribe/2` adds voice activity.
 
   ## Options
 

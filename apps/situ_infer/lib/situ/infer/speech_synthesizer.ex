@@ -3,9 +3,9 @@ defmodule Situ.Infer.SpeechSynthesizer do
     synthesizer: [
       type: :module,
       default: Situ.Infer.Speech.Espeak,
-      doc: "What speaks: a `Situ.Infer.Speech.Synthesizer`."
+      doc: "The module that makes the sound, a `Situ.Infer.Speech.Synthesizer`."
     ],
-    synthesizer_options: [type: :keyword, default: [], doc: "For its `load/1`."],
+    synthesizer_options: [type: :keyword, default: [], doc: "Options for its `load/1`."],
     rate: [
       type: {:range, 8_000, 48_000},
       default: 16_000,

@@ -89,7 +89,7 @@ defmodule Situ.Infer.Tracker do
   @impl true
   def describe(tracker), do: "#{length(tracker.tracks)} tracks, #{tracker.next_id} things so far"
 
-  @doc "What was found at `time` (later than before) with its ids, in their order."
+  @doc "The rectangles found at `time` (later than the last) with their ids, in the same order."
   @spec step(t(), Situ.Time.t(), [Rect.t()]) :: {[Rect.t()], t()}
   def step(%__MODULE__{opts: opts} = tracker, time, rects) do
     tracks =

@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Voice do
   @moduledoc """
-  What is heard in one short span of sound.
+  The voice activity in one short span of sound.
 
     * `probability`: that somebody speaks, 0..1
     * `level`: root mean square of the samples, 0..1 of full scale

@@ -118,7 +118,7 @@ defmodule Situ.Infer.VoiceActivity do
     end
   end
 
-  # What came before a gap says nothing about what comes after it.
+  # After a gap in the sound the detector starts afresh.
   defp break(state) do
     {events, gate} = VoiceGate.close(state.gate)
     %module{} = state.detector

@@ -3,7 +3,7 @@ defmodule Situ.Intent.Detector do
     recognizer: [
       type: :module,
       default: Situ.Intent.Grammar,
-      doc: "What finds intents: a `Situ.Intent.Recognizer`."
+      doc: "The module that finds intents, a `Situ.Intent.Recognizer`."
     ],
     recognizer_options: [
       type: :keyword,

@@ -4,7 +4,7 @@ defmodule Situ.Intent.Model do
       type: {:list, {:struct, Situ.Chat.Tool}},
       required: true,
       doc:
-        "What somebody may want: each a `Situ.Chat.Tool` without a function, its arguments are the entities."
+        "The possible intents: each a `Situ.Chat.Tool` without a function, its arguments are the entities."
     ]
   ]
   @schema @own ++ Situ.Chat.Service.schema()

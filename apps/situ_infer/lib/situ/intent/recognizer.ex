@@ -1,7 +1,7 @@
 defmodule Situ.Intent.Recognizer do
   @moduledoc """
-  What finds the intent in a text: the seam between `Situ.Intent.Detector` and a grammar, a language model, or a
-  module of your own with these callbacks.
+  A recognizer finds the intent in a text: the seam between `Situ.Intent.Detector` and a grammar, a language model, or
+  a module of your own with these callbacks.
   """
 
   @doc "Makes it ready; errors stop the pipeline before its first message."

@@ -14,7 +14,7 @@ defmodule Situ.Infer.Http.Decoder do
   @spec new() :: t()
   def new, do: %__MODULE__{}
 
-  @doc "What the bytes complete; `:done` when the response is whole."
+  @doc "The events that the bytes complete; `:done` when the response is complete."
   @spec push(t(), binary()) :: {:ok, [event()], t()} | {:error, String.t()}
   def push(%__MODULE__{} = decoder, bytes),
     do: step(%{decoder | buffer: decoder.buffer <> bytes}, [])

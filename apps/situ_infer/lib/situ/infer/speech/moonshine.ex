@@ -89,8 +89,8 @@ defmodule Situ.Infer.Speech.Moonshine do
   end
 
   @doc """
-  What is said in a piece of sound of 0.1 to 64 seconds, any format. `confidence` is the geometric mean of the tokens'
-  probabilities. Shorter sound is no speech: an empty text.
+  The words in a piece of sound of 0.1 to 64 seconds, any format. `confidence` is the geometric mean of the tokens'
+  probabilities. Shorter sound gives an empty text.
   """
   @impl true
   @spec transcribe(t(), AudioBuffer.t()) :: {:ok, result()} | {:error, Error.t()}

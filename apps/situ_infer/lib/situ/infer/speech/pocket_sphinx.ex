@@ -4,7 +4,7 @@ defmodule Situ.Infer.Speech.PocketSphinx do
       type: {:optional, :string},
       default: nil,
       doc:
-        "What may be said: a grammar in JSGF, or the path of a file with one; `nil`: anything, heard badly."
+        "The sentences to recognise: a grammar in JSGF, or the path of a file with one; `nil`: any, with many errors."
     ],
     keyword: [
       type: {:optional, :string},

@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Speech.Recognizer do
   @moduledoc """
-  What turns a piece of sound into text: the seam between `Situ.Infer.SpeechRecognizer` and a model.
+  A recognizer turns a piece of sound into text: the seam between `Situ.Infer.SpeechRecognizer` and a model.
 
   | built in | is for | runs |
   |---|---|---|
@@ -32,7 +32,7 @@ defmodule Situ.Infer.Speech.Recognizer do
   @doc "Loads it; errors stop the pipeline before its first message."
   @callback load(keyword()) :: {:ok, model :: term()} | {:error, Situ.Error.t()}
 
-  @doc "What is said in the sound; an empty text when that is nothing."
+  @doc "The words in the sound; an empty text if there are none."
   @callback transcribe(model :: term(), Situ.AudioBuffer.t()) ::
               {:ok, result()} | {:error, Situ.Error.t()}
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Speech.Utterance do
   @moduledoc """
-  What somebody said: `text`, from `from` to `to` (ns, times of the sound), with a `confidence` of 0..1. `final?` is
-  false while the person goes on speaking, and the text may still change.
+  The words of one speaker: `text`, from `from` to `to` (ns, times of the sound), with a `confidence` of 0..1.
+  `final?` is false while the person goes on speaking, and the text may still change.
 
   Where the recogniser knows them, `words` are the words with their times (ns) and `alternatives` what else it may have
   been, likeliest first; else both are empty.

@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Task.VoiceActivity do
   @moduledoc "The batch task `voice-activity`: whether somebody speaks, as a new partition of each session."
 
-  @doc "What the task is."
+  @doc "The task's description."
   @spec task() :: map()
   def task do
     %{

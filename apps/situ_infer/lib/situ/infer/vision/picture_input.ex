@@ -3,13 +3,13 @@ defmodule Situ.Infer.Vision.PictureInput do
     mean: [
       type: {:list, :number},
       default: [0.0, 0.0, 0.0],
-      doc: "What is taken from red, green and blue (0..1) ..."
+      doc: "The mean subtracted from red, green and blue (0..1)."
     ],
-    std: [type: {:list, :number}, default: [1.0, 1.0, 1.0], doc: "... and what divides the rest."],
+    std: [type: {:list, :number}, default: [1.0, 1.0, 1.0], doc: "The divisors after that."],
     scale: [
       type: :number,
       default: 1 / 255,
-      doc: "What a channel's value is multiplied by before that; 1 leaves 0..255."
+      doc: "The factor for a channel's value, before `mean:`; 1 leaves 0..255."
     ],
     order: [type: {:in, [:rgb, :bgr]}, default: :rgb, doc: "The order of the channels."],
     fit: [
@@ -47,7 +47,8 @@ defmodule Situ.Infer.Vision.PictureInput do
   def schema, do: @schema
 
   @doc """
-  What the model takes. `side:` decides where the file leaves the size free. Errors: `:model_shape`, `:bad_option`.
+  The model's picture input. `side:` sets the size where the file leaves it free. Errors: `:model_shape`,
+  `:bad_option`.
   """
   @spec new(Model.t(), keyword(), pos_integer() | nil) :: {:ok, t()} | {:error, Error.t()}
   def new(%Model{} = model, opts \\ [], side \\ nil) do
