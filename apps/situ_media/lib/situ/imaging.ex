@@ -1,6 +1,6 @@
 defmodule Situ.Imaging do
   @moduledoc """
-  What can be done with a picture in hand: resize, crop, convert, filter, draw, measure, read and write files.
+  Operations on pictures: resize, crop, convert, filter, draw, measure, read and write files.
 
   Every function takes a `Situ.Image` first and returns `{:ok, result}` or `{:error, %Situ.Error{}}`; nearly all have
   a twin with `!` that returns the result or raises. The same on streams is `Situ.Vision`, with the same names and

@@ -1,6 +1,6 @@
 defmodule Situ.Sound do
   @moduledoc """
-  What can be done with a piece of sound in hand: resample, mix, convert channels and sample types, measure its level.
+  Operations on sound: resample, mix, convert channels and sample types, measure the level.
 
   Every function takes a `Situ.AudioBuffer` first and returns `{:ok, result}` or `{:error, %Situ.Error{}}`; the twin
   with `!` returns the result or raises. The same on streams is `Situ.Audio`, with the same names and options.

@@ -15,8 +15,8 @@ defmodule Situ.Audio.Reframer do
       type: {:in, [:drop, :keep, :pad]},
       default: :drop,
       doc:
-        "What to do at the end with fewer frames than asked for: lose them, emit them, or " <>
-          "emit them filled up with silence."
+        "Fewer frames than asked for at the end: drop them, keep them as a shorter piece, or " <>
+          "pad them with silence."
     ]
   ]
 

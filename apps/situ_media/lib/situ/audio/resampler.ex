@@ -78,7 +78,7 @@ defmodule Situ.Audio.Resampler do
   def feed(%__MODULE__{from: from} = filter, %AudioBuffer{format: from} = buffer),
     do: process(filter, buffer, false)
 
-  @doc "What is left inside. The filter is of no use after it."
+  @doc "The sound left inside the filter, which cannot be used after this."
   @spec flush(t()) :: AudioBuffer.result()
   def flush(%__MODULE__{} = filter),
     do: process(filter, %AudioBuffer{format: filter.from, data: ""}, true)

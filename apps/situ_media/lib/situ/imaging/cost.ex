@@ -1,7 +1,7 @@
 defmodule Situ.Imaging.Cost do
   @moduledoc false
-  # How long work on a picture will take, in microseconds: by what has to be read and written. What takes long runs on a
-  # dirty scheduler; where nothing can be told from the bytes, they count as long.
+  # How long work on a picture will take, in microseconds, by the bytes to read and write. Long work runs on a dirty
+  # scheduler; if the bytes give no estimate, the work counts as long.
 
   alias Situ.Image
   alias Situ.Image.Format

@@ -2,7 +2,7 @@ defmodule Situ.Imaging.Files do
   @moduledoc """
   Pictures as JPEG, PNG and raw bytes. Call them through `Situ.Imaging`.
 
-  Whatever a header claims, memory is only taken when the bytes there could hold such a picture, and never more than
+  A decoder allocates the size in a header only if the bytes could hold such a picture, and never more than
   `Situ.Image.max_bytes/0`.
   """
   alias Situ.{DepthImage, EncodedImage, Error, Image}

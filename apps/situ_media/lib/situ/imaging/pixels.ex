@@ -1,6 +1,6 @@
 defmodule Situ.Imaging.Pixels do
   @moduledoc """
-  What pixels become: conversion, inversion, thresholds, differences, convolution, pseudo-colour. Call them through
+  Operations on pixels: conversion, inversion, thresholds, differences, convolution, pseudo-colour. Call them through
   `Situ.Imaging`.
   """
   alias Situ.{DepthImage, Error, Image}

@@ -25,13 +25,14 @@ defmodule Situ.Media.Camera do
     input_format: [
       type: {:optional, :string},
       default: nil,
-      doc: "What a V4L2 camera should send: `\"mjpeg\"`, `\"yuyv422\"` ...; `nil`: its first."
+      doc:
+        "The format a V4L2 camera should send: `\"mjpeg\"`, `\"yuyv422\"` ...; `nil`: its first."
     ],
     controls: [
       type: {:list, {:tuple, [:string, :integer]}},
       default: [],
       doc:
-        "What a V4L2 camera is set to each time it is opened, `[{\"brightness\", 20}]`: see `controls/1`."
+        "Controls to set each time a V4L2 camera is opened, `[{\"brightness\", 20}]`: see `controls/1`."
     ],
     buffer: [
       type: :pos_integer,
@@ -77,7 +78,7 @@ defmodule Situ.Media.Camera do
   def list, do: Enum.filter(Device.list(), &(&1.kind == :camera))
 
   @doc """
-  What can be set on a V4L2 camera: brightness, contrast, exposure, focus, white balance ...; empty for other devices.
+  The controls of a V4L2 camera: brightness, contrast, exposure, focus, white balance ...; empty for other devices.
 
       controls = Situ.Media.Camera.controls("/dev/video0")
       #=> [%{name: "brightness", type: "int", min: -64, max: 64, step: 1, default: 0, value: 0}, ...]

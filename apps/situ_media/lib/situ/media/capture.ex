@@ -1,12 +1,12 @@
 defmodule Situ.Media.Capture do
   @moduledoc """
-  What camera, microphone and network stream have in common: a running capture, its clock, its reconnects. Pure but for
-  starting and stopping the reader; the components around it are thin.
+  The common part of camera, microphone and network stream: a running capture, its clock, its reconnects. Pure except
+  for starting and stopping the reader; the components around it are thin.
 
-  A device cannot wait. Frames that nobody takes are kept up to a limit (`:buffer`), then the oldest is dropped and
-  counted: memory stays bounded whatever happens downstream. A capture has a process to itself (`async: true`), so that
-  a slow operator does not keep it from dropping. When a device is lost (unplugged, stream ended) it is
-  tried again every second, if the component was told so.
+  A device cannot wait. Up to a limit (`:buffer`) frames wait for the pipeline, then the oldest is dropped and
+  counted: memory stays bounded even if the pipeline is slow. A capture has a process to itself (`async: true`), so
+  that a slow operator does not keep it from dropping. When a device is lost (unplugged, stream ended) it is tried
+  again every second, if the component was told so.
 
   `use Situ.Media.Capture`, after `use Situ.Component`, gives a component whose state is a capture everything but its
   `init/1`.
@@ -185,7 +185,7 @@ defmodule Situ.Media.Capture do
 
   defp audio(_outputs, _opts), do: []
 
-  # What to add to the capture's times; `nil` until the first frame tells.
+  # The offset to add to the capture's times; `nil` until the first frame gives it.
   defp offset(:start, context, last) when last == %{}, do: context.start_time + @lead
   defp offset(:start, context, _again), do: context.now + @lead
   defp offset(:arrival, _context, _last), do: nil
@@ -240,7 +240,7 @@ defmodule Situ.Media.Capture do
 
   defp amplify(data, _gain), do: data
 
-  # What still waits goes out first; see take/3.
+  # The waiting frames go out first; see take/3.
   defp finish(%{size: 0} = capture), do: complete(stop(capture))
   defp finish(capture), do: {[], %{stop(capture) | ended: true}}
 

@@ -1,6 +1,6 @@
 defmodule Situ.Media.FileInfo do
   @moduledoc """
-  What a media file holds, found without decoding it.
+  The contents of a media file, found without decoding it.
 
       {:ok, info} = Situ.Media.FileInfo.read("talk1.mp4")
       {info.video.width, info.video.height, info.audio.rate, info.duration}

@@ -28,7 +28,7 @@ defmodule Situ.Media.FileTime do
     ]
   end
 
-  @doc "What to add to a media time, for a file recorded at `recorded_at` that is read from media time `start` on."
+  @doc "The offset to add to a media time, for a file recorded at `recorded_at` and read from media time `start` on."
   @spec offset(start_time(), Situ.Time.t() | nil, Situ.Time.t(), %{
           :start_time => Situ.Time.t(),
           optional(atom()) => term()

@@ -11,7 +11,7 @@ defmodule Situ.Media.Microphone do
     audio_format: [
       type: {:struct, AudioFormat},
       default: %AudioFormat{},
-      doc: "What to deliver: 16 kHz, mono, 16 bit unless told."
+      doc: "The format to deliver; default 16 kHz, mono, 16 bit."
     ],
     audio_buffer: [type: :pos_integer, default: 20_000_000, doc: "Length of one piece, ns."],
     gain: [

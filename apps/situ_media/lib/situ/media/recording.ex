@@ -175,7 +175,7 @@ defmodule Situ.Media.Recording do
           message(recording, info, at, piece)
         end
 
-      # What can be read comes first, then the error.
+      # The messages read so far come first, then the error.
       if messages == [] and error,
         do: {:error, error},
         else: {:ok, messages, ordinal + length(messages)}

@@ -14,7 +14,7 @@ defmodule Situ.Media.VideoFile do
             info: [
               type: {:optional, {:struct, FileInfo}},
               default: nil,
-              doc: "What `Situ.Media.FileInfo.read/1` said; `open/3` fills it in."
+              doc: "The result of `Situ.Media.FileInfo.read/1`; `open/3` fills it in."
             ]
           ] ++ Keyword.drop(Decoder.options(), @hidden)
 

@@ -21,8 +21,8 @@ defmodule Situ.Media.WavFile do
 
       p |> Situ.Media.WavFile.open("talk.wav") |> Situ.each(&IO.inspect/1)
 
-  The originating time of a piece is the time of its end, exact to the sample. What kinds of WAV are read:
-  `Situ.Media.Wav`. How media time becomes originating time: `Situ.Media.FileTime`.
+  The originating time of a piece is the time of its end, exact to the sample. `Situ.Media.Wav` lists the kinds of WAV
+  it reads; `Situ.Media.FileTime` explains how media time becomes originating time.
 
   ## Options
 

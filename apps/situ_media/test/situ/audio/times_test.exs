@@ -217,7 +217,7 @@ defmodule Situ.Audio.TimesTest do
     feed
   end
 
-  # What there is by milliseconds; where a track overlaps itself, what came first.
+  # The track's samples by millisecond; where it overlaps itself, the first ones.
   defp track(feed) do
     for {time, buffer} <- feed,
         {value, i} <- Enum.with_index(AudioBuffer.to_samples(buffer)),

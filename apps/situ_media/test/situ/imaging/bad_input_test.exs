@@ -1,5 +1,5 @@
 defmodule Situ.Imaging.BadInputTest do
-  # Whatever comes in, an error that says what, and the VM lives.
+  # Any bad input gives an error that names it, and the VM lives.
   use ExUnit.Case, async: true
   use Situ.Test.Property
   alias Situ.{AudioBuffer, AudioFormat, DepthImage, Image, Imaging, EncodedImage, Sound}

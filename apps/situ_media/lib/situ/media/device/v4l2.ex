@@ -51,7 +51,7 @@ defmodule Situ.Media.Device.V4L2 do
           value: integer() | nil
         }
 
-  @doc "What can be set on the camera at `path`; empty when there is none, or no `v4l2-ctl`."
+  @doc "The controls of the camera at `path`; empty if there is no camera, or no `v4l2-ctl`."
   @spec controls(Path.t()) :: [control()]
   def controls(path), do: parse_controls(Device.run("v4l2-ctl", ["-d", path, "--list-ctrls"]))
 

@@ -1,6 +1,6 @@
 defmodule Situ.Media.Encoder.Arguments do
   @moduledoc false
-  # What ffmpeg is told to write: pure, from the encoder's checked options.
+  # The arguments for ffmpeg's output: pure, from the encoder's checked options.
   alias Situ.{Error, Media.FileInfo}
 
   @codecs [h264: "libx264", h265: "libx265", vp9: "libvpx-vp9", mpeg4: "mpeg4", mjpeg: "mjpeg"]
@@ -30,7 +30,7 @@ defmodule Situ.Media.Encoder.Arguments do
   @spec sounds() :: [atom()]
   def sounds, do: Keyword.keys(@sounds)
 
-  @doc "What kind of file a name means, and its codecs."
+  @doc "The kind of file that a name asks for, and its codecs."
   @spec kind(Path.t(), keyword()) :: {:ok, kind()} | {:error, Error.t()}
   def kind(path, opts) do
     ending = path |> Path.extname() |> String.downcase()

@@ -1,7 +1,7 @@
 defmodule Situ.Media.FFmpeg.Log do
   @moduledoc false
-  # What ffmpeg said on its error output: the first lines are kept, the rest only counted (a damaged file can make it
-  # say thousands), and turned into one `Situ.Error`.
+  # ffmpeg's error output: the first lines are kept, the rest only counted (a damaged file can give thousands), and
+  # turned into one `Situ.Error`.
   alias Situ.Error
 
   @keep 12

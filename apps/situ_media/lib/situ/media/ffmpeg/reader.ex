@@ -30,7 +30,7 @@ defmodule Situ.Media.FFmpeg.Reader do
       required: true,
       doc: "Input and output options, without the output."
     ],
-    name: [type: :string, required: true, doc: "What is read, for errors."],
+    name: [type: :string, required: true, doc: "The input's name, for errors."],
     connect_timeout: [
       type: {:or, [:pos_integer, :atom]},
       default: 30_000,

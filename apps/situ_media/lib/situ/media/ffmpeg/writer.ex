@@ -21,7 +21,7 @@ defmodule Situ.Media.FFmpeg.Writer do
   @schema [
     streams: [type: {:list, :map}, required: true, doc: "See `Situ.Media.Nut.Muxer`."],
     args: [type: {:list, :string}, required: true, doc: "Output options and the output."],
-    name: [type: :string, required: true, doc: "What is written, for errors."],
+    name: [type: :string, required: true, doc: "The output's name, for errors."],
     buffer: [
       type: {:optional, :pos_integer},
       default: nil,

@@ -20,7 +20,7 @@ defmodule Situ.Media.Nut.Headers do
 
   @type reason :: {:bad_header, term()}
 
-  @doc "What the bits of a frame's flags mean."
+  @doc "The bits of a frame's flags, by name."
   @spec flags() :: keyword(pos_integer())
   def flags, do: @flags
 

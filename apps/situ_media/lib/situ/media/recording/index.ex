@@ -60,7 +60,7 @@ defmodule Situ.Media.Recording.Index do
         entries ++ FFmpeg.local_file(path)
 
     case System.cmd("timeout", args, env: [], into: into) do
-      # What ffprobe could list is what can be read, also when it stumbled at the end.
+      # The packets that ffprobe listed can be read, even if it failed at the end.
       {packets, status} when status not in [124, 137] -> {:ok, packets}
       {_, _} -> {:error, unreadable(info)}
     end

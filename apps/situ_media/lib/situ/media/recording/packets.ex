@@ -1,7 +1,7 @@
 defmodule Situ.Media.Recording.Packets do
   @moduledoc false
-  # What ffprobe lists (`-of csv`), taken in as it comes and kept small: a tick and a flag of every picture, and where
-  # the sound ends. A hostile file can make the list long, not large.
+  # The packets that ffprobe lists (`-of csv`), read as they come and kept small: a tick and a flag of every picture,
+  # and the end of the sound. A hostile file can make the list long, not large.
 
   @most 5_000_000
 

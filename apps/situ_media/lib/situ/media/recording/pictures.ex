@@ -136,7 +136,7 @@ defmodule Situ.Media.Recording.Pictures do
         Decoder.close(decoder)
         {{:ok, Enum.reverse(found)}, state}
 
-      # What could be read comes first; who goes on from there meets the error.
+      # The pictures read so far come first; the next read returns the error.
       {:error, error, decoder} ->
         Decoder.close(decoder)
         {if(found == [], do: {:error, error}, else: {:ok, Enum.reverse(found)}), state}

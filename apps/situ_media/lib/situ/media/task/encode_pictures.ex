@@ -1,7 +1,7 @@
 defmodule Situ.Media.Task.EncodePictures do
   @moduledoc "The batch task `encode-pictures`: a stream of raw pictures as JPEG, in a new partition of each session."
 
-  @doc "What the task is."
+  @doc "The task's description."
   @spec task() :: map()
   def task do
     %{

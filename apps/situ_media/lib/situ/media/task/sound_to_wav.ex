@@ -5,7 +5,7 @@ defmodule Situ.Media.Task.SoundToWav do
   A task of `situ_dataset`, whose behaviour this follows without naming it: media stand beside datasets, not above.
   """
 
-  @doc "What the task is."
+  @doc "The task's description."
   @spec task() :: map()
   def task do
     %{
