@@ -43,13 +43,13 @@ defmodule Situ.Cluster do
   deterministic part without them is started again from the first message of its inputs; any other part that others
   read is refused, with an error that names the component.
 
-  Sources on a lost device are lost with it: what nobody saw is not made up.
+  Sources on a lost device are lost with it: the cluster does not make up data that no device recorded.
 
-  ## What it does not do
+  ## Limits
 
-  Lossy policies hold within a part; an edge between parts carries everything. `Situ.Pipeline.on/3` handlers run with
-  the part `"rest"` and with parts that record. The log of a finished deployment stays until it is deleted. A part is
-  not placed by measured load, and code is not upgraded while it runs.
+  Lossy policies hold within a part; an edge between parts carries every message. `Situ.Pipeline.on/3` handlers run
+  with the part `"rest"` and with parts that record. The log of a finished deployment stays until it is deleted. A
+  part is not placed by measured load, and code is not upgraded while it runs.
 
   ## Options of `deploy/2`
 
@@ -70,7 +70,7 @@ defmodule Situ.Cluster do
     labels: [
       type: {:list, :string},
       default: [],
-      doc: "What rules of `place:` may call this node."
+      doc: "Labels of this node, for the rules of `place:`."
     ],
     devices: [
       type: {:list, :string},
@@ -79,7 +79,7 @@ defmodule Situ.Cluster do
     ]
   ]
 
-  @typedoc "What `deploy/2` answers; it means the same on every node."
+  @typedoc "The result of `deploy/2`; it is valid on every node."
   @type t :: Deployment.t()
 
   @doc "For a supervisor: `{Situ.Cluster, log: address, labels: [...]}`."
@@ -209,7 +209,7 @@ defmodule Situ.Cluster do
   end
 
   @doc """
-  Stops a deployment: its sources first; what they have posted is worked off. Returns at once; see `await/2`.
+  Stops a deployment: its sources first; then the parts handle all posted messages. Returns at once; see `await/2`.
   """
   @spec stop(t()) :: :ok
   def stop(%Deployment{} = deployment) do

@@ -9,9 +9,9 @@ defmodule Situ.Remote do
       imu = Situ.Remote.stream(link, "imu")
       faces = Situ.Remote.stream(link, "faces", policy: Situ.Delivery.latest(), priority: 1)
 
-  What is served is what is recorded: messages that were recorded while nobody was connected are sent afterwards, in
-  order, and none twice. A link that is lost never closes a stream; it is tried again (50 ms to 5 s later) until the
-  pipeline ends. A stream that was closed by its recorder closes here too. Guide: *Links between machines*.
+  The server sends recorded messages: those recorded while nobody was connected follow afterwards, in order, and none
+  twice. A lost link never closes a stream; the client tries again (50 ms to 5 s later) until the pipeline ends. A
+  stream that its recorder closed closes here too. Guide: *Links between machines*.
 
       iex> root = Path.join(System.tmp_dir!(), "situ-doc-remote")
       iex> {:ok, _} = Situ.Pipeline.run(fn p ->

@@ -74,7 +74,7 @@ defmodule Situ.Cluster.Checkpoint do
   defp borne_out?(%{base: base}, marks),
     do: Enum.all?(base, fn {name, last} -> last <= Map.get(marks, name, 0) end)
 
-  @doc "What the part goes on from."
+  @doc "The memories that the part continues from."
   @spec memories(t()) :: map() | nil | :done
   def memories(%__MODULE__{current: nil}), do: nil
   def memories(%__MODULE__{current: %{memories: memories}}), do: memories
@@ -94,7 +94,7 @@ defmodule Situ.Cluster.Checkpoint do
     case Log.append(log, {:key, "#{checkpoint.key}.#{slot}"}, checkpoint.seqs[slot], entry) do
       {:ok, seq} ->
         seqs = Map.put(checkpoint.seqs, slot, seq)
-        # What is pending is in the log soon; the memories are not needed any more.
+        # The pending messages will be in the log soon, so the checkpoint need not keep them.
         {:ok, %{checkpoint | number: number, seqs: seqs, current: %{current | pending: %{}}}}
 
       {:refused, _} ->

@@ -76,7 +76,7 @@ defmodule Situ.Cluster.Cut do
     put(%{graph | next_edge: edge.id + 1}, edge)
   end
 
-  # What is not loaded seems to lack its optional callbacks.
+  # A module that is not loaded seems to lack its optional callbacks.
   defp add(graph, %Vertex{module: module} = vertex) do
     Code.ensure_loaded!(module)
 

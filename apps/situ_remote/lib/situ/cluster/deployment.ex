@@ -1,6 +1,6 @@
 defmodule Situ.Cluster.Deployment do
   @moduledoc false
-  # What was asked for with `Situ.Cluster.deploy/2`, parsed once; every node has it. Data alone: it travels.
+  # The arguments of `Situ.Cluster.deploy/2`, parsed once and sent to every node, so plain data only.
   alias Situ.{Error, Options}
 
   @where {:or, [:atom, :string, {:tuple, [{:in, [:near]}, :string]}]}
@@ -21,7 +21,7 @@ defmodule Situ.Cluster.Deployment do
   ]
 
   @schema [
-    name: [type: :string, doc: "What it is called; by default the module's last name."],
+    name: [type: :string, doc: "The deployment's name; by default the module's last name."],
     opts: [type: :keyword, default: [], doc: "Options of the pipeline's `build/2`."],
     place: [
       type: :list,

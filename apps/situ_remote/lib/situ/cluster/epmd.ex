@@ -27,7 +27,7 @@ defmodule Situ.Cluster.Epmd do
     end
   end
 
-  # What net_kernel and the distribution's carriers call, see erl_epmd.
+  # The functions that net_kernel and the distribution's carriers call, see erl_epmd.
 
   @doc false
   def start_link, do: :ignore

@@ -1,7 +1,7 @@
 defmodule Situ.Cluster.Identity do
   @moduledoc """
-  What makes nodes one cluster: a cookie, and certificates for TLS between them, in a folder that only its owner reads.
-  Made once, then copied to every machine.
+  The identity shared by a cluster's nodes: a cookie, and certificates for TLS between them, in a folder that only its
+  owner reads. Made once, then copied to every machine.
 
       cookie          the secret of Erlang's distribution
       ca.pem          the cluster's own authority: nobody else's certificates count

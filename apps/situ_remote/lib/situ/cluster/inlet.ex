@@ -91,8 +91,8 @@ defmodule Situ.Cluster.Inlet do
     )
   end
 
-  # What a deterministic part makes again is the same but for its creation times, and some of it may have been seen
-  # before: creation times do not go back.
+  # A deterministic part repeats its messages with new creation times, and this inlet may have seen some of them:
+  # creation times must not go back.
   defp made(%{creation_time: time} = message, made) when time >= made, do: {message, time}
   defp made(message, made), do: {%{message | creation_time: made}, made}
 

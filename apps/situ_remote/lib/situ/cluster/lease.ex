@@ -20,8 +20,8 @@ defmodule Situ.Cluster.Lease do
         }
 
   @doc """
-  What one look says: `seq` and `owner` of the lease, the times (ms) before and after. `wait` is for how much longer
-  than the lease this observer waits, so that others, which are preferred, come first.
+  Takes in one reading of the lease: its `seq` and `owner`, and the times (ms) before and after. `wait` is how much
+  longer than the lease this observer waits, so that preferred nodes come first.
   """
   @spec observe(t(), {non_neg_integer(), String.t() | nil, integer(), integer()}, map()) ::
           {:take | :wait, t()}

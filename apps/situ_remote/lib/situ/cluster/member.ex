@@ -1,6 +1,6 @@
 defmodule Situ.Cluster.Member do
   @moduledoc false
-  # What the runner of a part and the inlets of its pipeline ask of the cluster's agent on their node.
+  # The requests of a part's runner and of its pipeline's inlets to the cluster's agent on their node.
   #
   #   {:situ_cluster, :follow, part, pid}            an inlet wants to know where a part is published
   #   {:situ_cluster, :publisher, part, publisher}   there, now and whenever that changes

@@ -5,8 +5,7 @@ defmodule Situ.Cluster.Outgoing do
   #   mark      behind the last message that was handed over      stored   behind the last one in the log
   #   pending   messages that are not in the log yet, newest first
   #   tail      the last batches that may be seen by readers, newest first
-  #
-  # What is kept is bounded by number and by weight: a picture weighs more than a number.
+  # The batches kept are bounded by number and by size: a picture is larger than a number.
   alias Situ.Cluster.Chunk
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry

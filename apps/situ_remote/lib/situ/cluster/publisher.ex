@@ -1,7 +1,8 @@
 defmodule Situ.Cluster.Publisher do
   @moduledoc false
-  # What leaves a part: into the log, and to the parts that read it. One process for each part that runs, on its node;
-  # towards readers it is a GenStage producer. A reader that is behind gets what it lacks out of the log.
+  # Publishes a part's outputs: into the log, and to the parts that read them. One process for each running part, on
+  # its node; towards readers it is a GenStage producer. A reader that is behind gets the missing messages out of the
+  # log.
   #
   # It begins by taking over (ADR 0112): fences every stream, takes the checkpoints over, and publishes what the last
   # checkpoint holds that is not in the log yet. A write that is refused ends it: another node has taken over.
@@ -42,7 +43,7 @@ defmodule Situ.Cluster.Publisher do
   @spec start_link(map()) :: {:ok, pid()} | {:error, term()}
   def start_link(args), do: GenServer.start_link(__MODULE__, args)
 
-  @doc "What the part goes on from."
+  @doc "The memories that the part continues from."
   @spec resume(pid()) :: map() | nil | :done
   def resume(publisher), do: GenServer.call(publisher, :resume, :infinity)
 
@@ -120,7 +121,7 @@ defmodule Situ.Cluster.Publisher do
     end
   end
 
-  # What the checkpoint holds and the log does not.
+  # Publishes the messages that the checkpoint holds and the log lacks.
   defp publish_pending(%{checkpoint: %{current: nil}} = state), do: state
 
   defp publish_pending(%{checkpoint: %{current: %{pending: pending}}} = state) do
@@ -217,7 +218,7 @@ defmodule Situ.Cluster.Publisher do
     %{flush(state) | cut: %{}}
   end
 
-  # What an earlier cut has left is older: it goes first.
+  # Messages left from an earlier cut are older, so they go first.
   defp cut_now(%{mode: :outbox} = state) do
     {cut, streams} =
       Enum.reduce(state.streams, {%{}, state.streams}, fn {name, out}, {cut, streams} ->

@@ -35,11 +35,11 @@ defmodule Situ.Cluster.Runner do
   @spec start_link(map()) :: GenServer.on_start()
   def start_link(args), do: GenServer.start_link(__MODULE__, args)
 
-  @doc "What it does, for people."
+  @doc "The part's state, for people."
   @spec info(pid()) :: map()
   def info(runner), do: GenServer.call(runner, :info, 30_000)
 
-  @doc "Stops the sources of the part; what they have posted is still worked off."
+  @doc "Stops the sources of the part; their posted messages are still handled."
   @spec stop(pid()) :: :ok
   def stop(runner), do: GenServer.cast(runner, :stop)
 

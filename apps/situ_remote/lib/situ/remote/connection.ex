@@ -50,11 +50,11 @@ defmodule Situ.Remote.Connection do
   @spec subscribe(pid(), map()) :: {:ok, Frame.channel()} | {:error, Situ.Error.t()}
   def subscribe(pid, wanted), do: GenServer.call(pid, {:subscribe, wanted}, 30_000)
 
-  @doc "What was handed over is used up: `bytes` of it, to the originating time `last`."
+  @doc "The subscriber has used `bytes` of the messages handed over, up to the originating time `last`."
   @spec taken(pid(), Frame.channel(), non_neg_integer(), Situ.Time.t() | nil) :: :ok
   def taken(pid, id, bytes, last), do: GenServer.cast(pid, {:taken, id, bytes, last})
 
-  @doc "The position of a stream is what is confirmed of it, no longer what was handed over."
+  @doc "From now on the position of a stream is its last confirmed message, not the last one handed over."
   @spec confirming(pid(), String.t()) :: :ok
   def confirming(pid, name), do: GenServer.call(pid, {:confirming, name}, 30_000)
 
@@ -150,7 +150,7 @@ defmodule Situ.Remote.Connection do
     case Socket.open_up(socket, Dialing.most_bytes()) do
       :ok ->
         send(self(), {:ping, state.session})
-        # What was begun when the last connection broke begins again.
+        # Ask again for the streams that the last connection carried when it broke.
         {:noreply, state.channels |> Map.values() |> Enum.reduce(state, &ask(&2, &1))}
 
       {:error, reason} ->

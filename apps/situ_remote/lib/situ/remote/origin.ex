@@ -34,7 +34,7 @@ defmodule Situ.Remote.Origin do
   @doc "A place in a stream, and the originating time of the last message before it."
   @callback cursor(state(), String.t(), from()) :: {:ok, cursor(), Situ.Time.t()} | :unknown
 
-  @doc "What comes next: parts of batches (and how many messages were lost before them), nothing for now, or the end."
+  @doc "The next parts of batches (and how many messages were lost before them), nothing for now, or the end."
   @callback read(state(), cursor()) ::
               {:parts, [Batch.part()], lost :: non_neg_integer(), cursor()}
               | {:idle, cursor()}

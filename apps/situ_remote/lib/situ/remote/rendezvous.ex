@@ -10,12 +10,12 @@ defmodule Situ.Remote.Rendezvous do
   @join [
     port: [type: {:range, 1, 65_535}, default: 13_331, doc: "The server's port."],
     name: [type: :string, required: true, doc: "This process's name, unique at the server."],
-    version: [type: :string, default: "1", doc: "Whatever others should know of its version."],
+    version: [type: :string, default: "1", doc: "This process's version, for the others."],
     endpoints: [
       type: :list,
       default: [],
       doc:
-        "What it offers: `{:address, \"situ://lab1/robot\", [{\"imu\", \":float\"}]}` and others of `Wire`."
+        "Its endpoints: `{:address, \"situ://lab1/robot\", [{\"imu\", \":float\"}]}` and others of `Wire`."
     ],
     listener: [
       type: {:optional, :pid},

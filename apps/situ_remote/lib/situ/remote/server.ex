@@ -55,7 +55,7 @@ defmodule Situ.Remote.Server do
   @spec address(GenServer.server(), String.t()) :: String.t() | nil
   def address(server, name), do: GenServer.call(server, {:address, name})
 
-  @doc "What is going on: clients with what was sent to each, how many were refused."
+  @doc "The server's state: its clients with the numbers sent to each, and how many were refused."
   @spec info(GenServer.server()) :: map()
   def info(server) do
     {sessions, refused} = GenServer.call(server, :sessions)

@@ -1,6 +1,7 @@
 defmodule Situ.Remote.Serving do
   @moduledoc false
-  # What `Situ.Remote.serve/2` is asked for, as the configuration of a server. Nothing is open to others by default.
+  # The options of `Situ.Remote.serve/2` as the configuration of a server. By default nothing is open to other
+  # machines.
   alias Situ.{Certificate, Error, Options, Pipeline}
   alias Situ.Remote.{Address, Server}
   alias Situ.Remote.Link.Quota
@@ -44,7 +45,7 @@ defmodule Situ.Remote.Serving do
       type: {:or, [{:optional, @limit}, {:list, @limit}]},
       default: nil,
       doc:
-        "What is sent at most, to all clients together: `{:bytes_per_second, n}`," <>
+        "The most to send, to all clients together: `{:bytes_per_second, n}`," <>
           " `{:messages_per_second, n}`, or both."
     ],
     wait: [type: :boolean, default: false, doc: "Serve a recording that has not begun yet, too."],
@@ -134,7 +135,7 @@ defmodule Situ.Remote.Serving do
 
   defp pipeline(_recording), do: nil
 
-  # What a pipeline serves is there until its clients have all of it.
+  # A pipeline's server closes when its clients have all messages.
   defp end_with(server, p, linger) do
     :ok = Pipeline.on(p, :completed, fn _report -> Server.close(server, linger) end)
     :ok = Pipeline.on(p, :abandoned, fn _error -> Server.close(server) end)

@@ -7,8 +7,8 @@ defmodule Situ.Remote.Source do
     outputs: [out: :any],
     options: [
       link: [type: :pid, required: true, doc: "The `Situ.Remote.Connection`."],
-      wanted: [type: :map, required: true, doc: "What to ask for."],
-      type: [type: :any, default: :any, doc: "What the data must be; others are left out."]
+      wanted: [type: :map, required: true, doc: "The request: stream, start, policy, priority."],
+      type: [type: :any, default: :any, doc: "The type of the data; other messages are left out."]
     ]
 
   alias Situ.{Error, Type}

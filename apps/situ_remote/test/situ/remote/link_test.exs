@@ -1,5 +1,5 @@
 defmodule Situ.Remote.LinkTest do
-  # What a link does for a pipeline: positions, clocks, live streams.
+  # A link as a pipeline sees it: positions, clocks, live streams.
   use ExUnit.Case, async: true
   import ExUnit.CaptureLog
   import Situ.Remote.Test.Recordings

@@ -22,7 +22,7 @@ defmodule Situ.Remote.Connection.Catalogue do
     catalogue
   end
 
-  @doc "What a server says of its streams; entries that make no sense are left out."
+  @doc "Takes in a server's list of streams; invalid entries are left out."
   @spec merge(t(), [term()]) :: t()
   def merge(%__MODULE__{} = catalogue, streams) do
     found =

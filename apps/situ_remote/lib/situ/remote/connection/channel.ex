@@ -49,7 +49,7 @@ defmodule Situ.Remote.Connection.Channel do
   def new(id, pid, wanted),
     do: struct!(%__MODULE__{id: id, pid: pid, name: "", from: :now, window: 1}, wanted)
 
-  @doc "What to ask a server for: from where it began, or from behind what has come already."
+  @doc "The request to a server: from the given start, or from behind the messages received already."
   @spec ask(t()) :: {map(), t()}
   def ask(%__MODULE__{} = channel) do
     from = if channel.last, do: {:after, channel.last}, else: channel.from
@@ -63,7 +63,8 @@ defmodule Situ.Remote.Connection.Channel do
       "window" => window
     }
 
-    # What is used up from now on is told to this server, what had not been told to the last one is part of the window.
+    # This server gets credit for the bytes used from now on; bytes not yet credited to the last one are part of the
+    # window.
     {map, %{channel | unpaid: 0, parts: [], parts_size: 0}}
   end
 
@@ -93,7 +94,8 @@ defmodule Situ.Remote.Connection.Channel do
   end
 
   @doc """
-  A piece of a batch. What waits for the rest is paid at once: a message may be larger than the window.
+  A piece of a batch. Its bytes are credited at once, while it waits for the rest: a message may be larger than the
+  window.
   """
   @spec part(t(), boolean(), binary()) ::
           {:more, t()} | {:whole, binary(), t()} | {:error, String.t()}
@@ -123,7 +125,7 @@ defmodule Situ.Remote.Connection.Channel do
     }
   end
 
-  @doc "What to tell the server: nothing before it is worth a frame."
+  @doc "The credit to send to the server; 0 while it is not worth a frame."
   @spec credit(t()) :: {non_neg_integer(), t()}
   def credit(%__MODULE__{unpaid: unpaid, window: window} = channel) when unpaid * 4 >= window,
     do: {min(unpaid, 0xFFFFFFFF), %{channel | unpaid: max(unpaid - 0xFFFFFFFF, 0)}}

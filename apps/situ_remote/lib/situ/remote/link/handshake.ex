@@ -53,7 +53,7 @@ defmodule Situ.Remote.Link.Handshake do
     end
   end
 
-  @doc "What `role` shows to prove that it knows the token."
+  @doc "The proof of `role` that it knows the token."
   @spec proof(String.t(), role(), server_nonce :: binary(), client_nonce :: binary()) :: binary()
   def proof(token, role, server_nonce, client_nonce),
     do: :crypto.mac(:hmac, :sha256, token, ["situ-link-#{role}", server_nonce, client_nonce])

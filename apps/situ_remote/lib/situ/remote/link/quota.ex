@@ -1,9 +1,10 @@
 defmodule Situ.Remote.Link.Quota do
   @moduledoc """
-  What a server may send in all: bytes and messages a second, shared by its clients.
+  The most that a server sends: bytes and messages a second, shared by its clients.
 
-  Kept as the time at which everything sent so far is paid for (the generic cell rate algorithm, ITU-T I.371): sending
-  adds what it costs, and whoever is more than a tenth of a second ahead waits for the rest. Any process may take.
+  The quota is a time at which everything sent so far is paid for (the generic cell rate algorithm, ITU-T I.371):
+  sending adds its cost, and a sender more than a tenth of a second ahead waits for the rest. Any process may take
+  from it.
 
       iex> alias Situ.Remote.Link.Quota
       iex> quota = Quota.new({:bytes_per_second, 1_000_000})

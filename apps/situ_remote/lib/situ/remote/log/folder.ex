@@ -3,7 +3,7 @@ defmodule Situ.Remote.Log.Folder do
   The log of one machine: a folder, no server. Any number of OS processes write to it; each may be killed at any time.
 
   An entry is a file whose name is its number. It is written beside and then linked under that name, which fails when
-  the name is taken: the file system itself compares and sets. What has been linked survives a kill of the process; with
+  the name is taken: the file system itself compares and sets. A linked entry survives a kill of the process; with
   `sync: true` also a power cut.
 
       root/streams/<subject>/<thousand>/<number>

@@ -176,7 +176,7 @@ defmodule Situ.Remote.Origin.Recording do
     end
   end
 
-  # What a writer that was killed left open may be gone on with in a next version.
+  # A recording that a killed writer left open may continue in a next version.
   defp ended(state, cursor, info) do
     newest? = cursor.version == state.version
     whole? = cursor.ordinal >= info.count
@@ -206,8 +206,8 @@ defmodule Situ.Remote.Origin.Recording do
 
   defp forward(cursor, _to), do: {0, cursor}
 
-  # The tag says of which version news is: that of an older one, come late, means nothing. What `ended` tells of is all
-  # there: nothing is waited for behind it.
+  # The tag names the version of a notice: a late one about an older version is ignored. A version that has ended is
+  # complete: no notice about it is awaited.
   @impl true
   def await(%{awaiting: :no, store: store} = state) when store != nil do
     Reading.notify(store, state.known, state.version)

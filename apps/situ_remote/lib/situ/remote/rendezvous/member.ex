@@ -115,7 +115,7 @@ defmodule Situ.Remote.Rendezvous.Member do
 
   defp updated(state, :disconnect), do: state
 
-  # What is ours is no news.
+  # The listener is not told of its own entry.
   defp tell(%{listener: nil}, _event), do: :ok
   defp tell(%{own: %{name: name}}, {:added, %{name: name}}), do: :ok
   defp tell(%{own: %{name: name}}, {:removed, name}), do: :ok

@@ -1,12 +1,12 @@
 defmodule Situ.Remote.Server.Pump do
   @moduledoc false
-  # What a session sends: the channel whose turn it is, one frame at a time, so that something more important never
+  # Sends a session's messages: one frame of the channel whose turn it is, so that a more important channel never
   # waits for more than a frame. Works on the session's state.
   alias Situ.Delivery
   alias Situ.Remote.Link.{Frame, Quota, Schedule, Socket}
   alias Situ.Remote.Server.Channel
 
-  # What is done before the session looks at its mailbox again.
+  # The most work before the session looks at its mailbox again.
   @turn_bytes 4 * 1024 * 1024
   @turn_reads 64
   # A longer batch goes in pieces.
@@ -163,7 +163,7 @@ defmodule Situ.Remote.Server.Pump do
     end
   end
 
-  # What a lossy policy leaves out is decided when it is the stream's turn: that is how thin the link is.
+  # A lossy policy leaves messages out when it is the stream's turn to send: only then the link's capacity is known.
   defp lighten(state, %{policy: policy} = channel) do
     if Delivery.lossy?(policy) do
       {skipped, cursor} =

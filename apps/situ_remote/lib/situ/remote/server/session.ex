@@ -262,7 +262,7 @@ defmodule Situ.Remote.Server.Session do
     %{state | replies: queue}
   end
 
-  # What follows from it.
+  # The state after a frame of the client.
 
   defp taken({:ok, state}, _before), do: listen(state)
 

@@ -18,7 +18,7 @@ defmodule Situ.Remote.Connection.ChannelTest do
           {channel, told + bytes}
         end)
 
-      # What is not worth a frame yet is less than a quarter of the window.
+      # The credit not sent yet is less than a quarter of the window.
       assert channel.under_way == 0
       assert (Enum.sum(sizes) - told) * 4 < window
     end

@@ -40,7 +40,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
     :exit, _ -> {:error, :down}
   end
 
-  @doc "What the server said of itself; `nil` while there is none."
+  @doc "The server's information about itself; `nil` while there is no connection."
   @spec info(pid()) :: map() | nil
   def info(connection) do
     GenServer.call(connection, :info, 10_000)
