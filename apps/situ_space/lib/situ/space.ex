@@ -1,6 +1,7 @@
 defmodule Situ.Space do
   @moduledoc """
-  What is in space, on streams: between messages, from one to the next, in other frames.
+  Operators on streams of poses, points and other objects in space: between messages, from one to the next, in other
+  frames.
 
       head |> Situ.join(gaze, Situ.Space.between()) |> Situ.each(&IO.inspect/1)
       speed = Situ.Space.velocity(head)
@@ -134,7 +135,7 @@ defmodule Situ.Space do
   end
 
   @doc """
-  What is given in the frame of a pose, in the frame that the pose is given in: poses, rays, points, skeletons and
+  Moves objects from the frame of a pose to the frame in which the pose is given: poses, rays, points, skeletons and
   clouds, and lists of them, joined with a stream of poses by `between/1` or another interpolator.
   """
   @spec moved(Situ.Stream.t(), Situ.Stream.t(), Interpolator.t() | nil) :: Situ.Stream.t()

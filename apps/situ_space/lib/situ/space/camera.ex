@@ -146,7 +146,7 @@ defmodule Situ.Space.Camera do
     semantics: [
       type: {:in, [:plane, :point]},
       default: :plane,
-      doc: "What `depth` measures: to the plane through the camera, or along the ray."
+      doc: "How `depth` is measured: to the plane through the camera, or along the ray."
     ]
   ]
 

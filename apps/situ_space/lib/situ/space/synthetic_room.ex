@@ -108,7 +108,7 @@ defmodule Situ.Space.SyntheticRoom do
     end
   end
 
-  # What happened since the last picture, up to and including this one.
+  # The messages since the last picture, up to and including this one.
   defp actions(frame, time, %{opts: opts} = state) do
     scene = Scene.at(frame / opts.rate, opts.speech, opts.sway)
     {depth, color} = views!(scene, state)

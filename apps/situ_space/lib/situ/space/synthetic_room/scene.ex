@@ -128,7 +128,7 @@ defmodule Situ.Space.SyntheticRoom.Scene do
     ray
   end
 
-  @doc "What an inertial sensor in the camera reads at `t` seconds: by differences of its pose over 20 ms."
+  @doc "The reading of an inertial sensor in the camera at `t` seconds, from differences of its pose over 20 ms."
   @spec imu(number(), number()) :: ImuReading.t()
   def imu(t, sway) do
     h = 1.0e-2
