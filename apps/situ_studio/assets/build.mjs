@@ -20,7 +20,7 @@ const options = {
   logLevel: "warning",
   outdir: out,
 };
-// What draws in space is a module of its own, which a page loads when it shows its first 3D panel.
+// The code for 3D drawing is a module of its own; a page loads it with its first 3D panel.
 const space = {
   ...options,
   entryPoints: [{ in: "js/space/index.js", out: "space" }],

@@ -1,3 +1,3 @@
 Code.require_file("support/asking.exs", __DIR__)
-# What must come may take its time on a busy machine; what does not come fails all the same.
+# A busy machine may deliver an expected message late; a missing one fails the test all the same.
 ExUnit.start(assert_receive_timeout: 30_000, timeout: 120_000)

@@ -109,7 +109,7 @@ export class Studio {
     this.catalog = reply.version;
   }
 
-  // What grew has come to its end: its past stays, where it was looked at.
+  // A live source has ended: the page stops following and keeps the time range it showed.
   ended(reply) {
     const at = absolute(Number(reply.to - this.client.origin), this.client.origin).slice(11, 19);
     this.connection.ended(`ended ${at}`);

@@ -1,4 +1,4 @@
-// What the keys of the annotation panel do when it has the focus; those of values work everywhere (`keys.js`).
+// The keys of the annotation panel when it has the focus; those of values work everywhere (`keys.js`).
 
 export function typed(panel, e) {
   if (e.target.closest("input, select")) return;

@@ -1,7 +1,7 @@
-// What keys mean while annotating: which begins and which ends an annotation. Pure; times are those of the page.
+// The keys that begin and end annotations. Pure; times are those of the page.
 //
-// A value's key begins an annotation at the cursor. Let go after a while it ends it (hold while playing); let go at
-// once it leaves it open, and the next press ends it.
+// A value's key begins an annotation at the cursor. A key held while playing ends it on release; after a short press
+// the annotation stays open until the next press.
 
 const HELD = 250;
 

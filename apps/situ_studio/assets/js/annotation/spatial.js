@@ -17,7 +17,7 @@ export class Spatial {
     return spatialKind(this.panel.told.attributes);
   }
 
-  // What is drawn on a picture belongs to the picture's own time.
+  // A shape drawn on a picture gets the picture's own time.
   time(image) {
     return image.base()?.at ?? this.panel.app.time.get().cursor;
   }

@@ -1,5 +1,5 @@
-// What one message is in space (docs: `Situ.Studio.Scene`): items whose numbers are views of the answer, not copies.
-// Numbers that are none are taken out here, and counted, so that what draws meets only points that are somewhere.
+// One message as items in space (docs: `Situ.Studio.Scene`), whose numbers are views of the answer, not copies. Numbers
+// that are not finite are removed and counted here, so that the drawing code gets only valid points.
 
 const text = new TextDecoder();
 

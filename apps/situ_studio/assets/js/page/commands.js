@@ -1,4 +1,4 @@
-// What toolbar, keys and palette do beyond the time (`keys.js` names them): each a function of the page.
+// The commands of toolbar, keys and palette except those of time (`keys.js` names them): each a function of the page.
 
 import { annotator } from "../annotation/annotator.js";
 import { ask } from "./ask.js";

@@ -7,7 +7,7 @@ import { sure as asked } from "./ask.js";
 
 const otherTheme = () => setTheme(document.documentElement.dataset.theme === "light" ? "dark" : "light");
 
-// What a row's menu holds comes with it (`Situ.Studio.Web.Dataset.Menu`).
+// The items of a row's menu come with the row (`Situ.Studio.Web.Dataset.Menu`).
 function items(hook, row) {
   return JSON.parse(row.dataset.items).map((item) =>
     item === "-" ? item : { text: item.text, run: () => run(hook, item) },

@@ -1,4 +1,5 @@
-// A 3D panel: what streams have in space, seen from where the viewer likes. What draws is loaded with the first one.
+// A 3D panel: the objects of streams in space, from any point of view. The drawing code is loaded with the first
+// panel.
 
 import { KIND } from "../data/wire.js";
 import { tip } from "../page/tip.js";
@@ -107,7 +108,7 @@ export class SpacePanel {
     this.app.schedule(this);
   }
 
-  // One layer as the stage takes it. What cannot be drawn says so; the panel goes on.
+  // One layer as the stage takes it. A layer that cannot be drawn shows an error; the others are drawn.
   put(layer) {
     if (!this.stage) return;
     const { vis, frame, index } = layer;

@@ -29,7 +29,8 @@ export function rampColor(value, [low, high]) {
   return new Color().setRGB(r / 255, g / 255, b / 255, SRGBColorSpace);
 }
 
-// What an item is coloured by, given the layer's properties: "auto" is its own colours, its values, or its height.
+// The colour mode of an item, given the layer's properties: "auto" takes its own colours, else its values, else its
+// height.
 export function modeOf(item, props) {
   const asked = props.color_by ?? "auto";
   if (asked === "value") return item.value ? "value" : "one";

@@ -1,3 +1,3 @@
-// What draws in space: loaded by the page with its first 3D panel.
+// The 3D drawing code: the page loads it with its first 3D panel.
 
 export { openStage } from "./stage.js";

@@ -1,4 +1,4 @@
-// What is written over the picture: texts of the layers, the colour scales, the line that is measured.
+// Texts and lines over the picture: labels of the layers, the colour scales, the measured distance.
 
 import { Vector3 } from "three";
 import { RAMP_COLORS } from "./colors.js";

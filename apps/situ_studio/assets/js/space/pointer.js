@@ -1,4 +1,4 @@
-// What lies under the mouse: which thing of which layer, and where.
+// The object under the mouse: its layer, its index, and the point hit.
 
 import { Plane, Raycaster, Vector2, Vector3 } from "three";
 

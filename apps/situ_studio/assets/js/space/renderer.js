@@ -33,5 +33,5 @@ function make() {
   return gl;
 }
 
-// What the context holds, for tests.
+// The number of geometries and textures in the context, for tests.
 export const memory = () => (shared ? { ...shared.info.memory } : { geometries: 0, textures: 0 });

@@ -218,7 +218,7 @@ class Stage {
   }
 }
 
-// What the mouse is on, in words: the stream, the thing, the place in the stream's own frame.
+// The object under the mouse in words: its stream, its name, the place in the stream's own frame.
 function describe({ layer, part, index, object, point }) {
   const own = point.clone().applyMatrix4(new Matrix4().copy(layer.group.matrix).invert());
   const place = [own.x, own.y, own.z].map((v) => number(v, 3)).join(", ");

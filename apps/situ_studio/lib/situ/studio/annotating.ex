@@ -135,7 +135,7 @@ defmodule Situ.Studio.Annotating do
     }
   end
 
-  @doc "What the page asks for, done; an error says which rule it would break."
+  @doc "Carries out an edit of the page; an error names the rule that it would break."
   @spec edit(pid(), map()) :: :ok | {:error, Error.t()}
   def edit(editor, %{"do" => "undo"}), do: done(Editor.undo(editor))
   def edit(editor, %{"do" => "redo"}), do: done(Editor.redo(editor))
@@ -159,7 +159,7 @@ defmodule Situ.Studio.Annotating do
     end
   end
 
-  # What is at one moment: the place of a box or a point there, in the place of an earlier one.
+  # A key frame: the place of a box or a point at one moment; it replaces an earlier one there.
   defp change("key_frame", layer, %{"at" => at, "track" => track} = params) do
     with {:ok, at} <- time(at), {:ok, track} <- name(track) do
       values = values(params["values"])

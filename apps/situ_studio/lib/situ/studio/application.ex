@@ -7,7 +7,7 @@ defmodule Situ.Studio.Application do
 
   @impl true
   def start(_type, _args) do
-    # What recordings hold of these is read only once their fields are known names.
+    # Recorded structs of these modules can be read only once the atoms of their fields exist.
     Enum.each(@drawn, &Code.ensure_loaded/1)
 
     # One registry for all studios of the VM: pages find their studio by the name in their session.

@@ -1,11 +1,10 @@
 defmodule Situ.Studio.Catalog do
   @moduledoc """
-  What one studio can show: the recordings below its folder, the sources it was given and the pipelines it watches.
+  The sources of one studio: the recordings below its folder, the sources it was given and the pipelines it watches.
   Hands out open sources, so that many pages share one; a recording opened once stays open until it is gone.
 
-  The folder is looked through by a task, at most every two seconds and only when somebody asks, so that a folder of
-  many thousand files makes nobody wait but the first. A recording is opened by its name without looking through the
-  rest.
+  A task scans the folder, at most every two seconds and only on request, so that in a folder of many thousand files
+  only the first request waits. A recording is opened by its name without looking through the rest.
   """
   use GenServer
 
@@ -231,7 +230,7 @@ defmodule Situ.Studio.Catalog do
     end
   end
 
-  # What lies in one recording can be annotated and exported as such.
+  # A session with a single recording can be annotated and exported like that recording.
   defp part_item(id, dataset, %{partitions: [one]} = session, []),
     do: %{store_item(id, one.path) | title: session.name, dataset: dataset}
 

@@ -42,7 +42,7 @@ defmodule Situ.Studio.Datasets do
     end)
   end
 
-  # What cannot be saved under its own name (a .pds) is as it was read.
+  # A dataset that cannot be saved under its own name (a .pds) stays as it was read.
   defp current(%Dataset{file: nil} = held, _file), do: {:ok, held}
   defp current(_held, file), do: Dataset.load(file, autosave: true)
 

@@ -1,7 +1,6 @@
 defmodule Situ.Studio.Draw do
   @moduledoc """
-  What a channel of a page shows: the frame of a window, or of the message at the cursor, made by the channel's
-  visualizer.
+  The frame of a page's channel: a window, or the message at the cursor, drawn by the channel's visualizer.
   """
   alias Situ.Studio.Plugins.Guard
   alias Situ.Studio.Source.Adapted

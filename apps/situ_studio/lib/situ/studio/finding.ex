@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Finding do
   @moduledoc """
-  "Find the times where": an expression over the streams of what a page shows, answered with intervals
-  (`Situ.Query`). What was found becomes proposals of annotations, of which the good ones are kept.
+  "Find the times where": an expression over the streams that a page shows, answered with intervals
+  (`Situ.Query`). The intervals become proposals of annotations, of which the user keeps the good ones.
 
       iex> {:error, error} = Situ.Studio.Finding.run([{"Room", "/nowhere/room.0000"}], "Level >")
       iex> error.code

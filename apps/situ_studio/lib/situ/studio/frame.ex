@@ -192,7 +192,7 @@ defmodule Situ.Studio.Frame do
   @spec same(channel()) :: t()
   def same(channel), do: frame(:same, channel, "", 0, 0)
 
-  @doc "What is wrong with this channel, in words."
+  @doc "The channel's error, in words."
   @spec error(channel(), String.t()) :: t()
   def error(channel, text), do: frame(:error, channel, text, 0, 0)
 

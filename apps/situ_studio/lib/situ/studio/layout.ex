@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Layout do
   @moduledoc """
-  What is on the page: rows from top to bottom, each one panel on the time axis or a line of cells at the cursor. Pure
-  data with a JSON form (`Situ.Studio.Layout.Text`), so that layouts are kept in files and written by hand.
+  The layout of a page: rows from top to bottom, each one panel on the time axis or a line of cells at the cursor.
+  Pure data with a JSON form (`Situ.Studio.Layout.Text`), so that layouts are kept in files and written by hand.
 
       iex> layout = Situ.Studio.Layout.new("mine")
       iex> {:ok, layout, id} = Situ.Studio.Layout.add(layout, "A.level", "line", :plot, "")
@@ -181,8 +181,8 @@ defmodule Situ.Studio.Layout do
     do: %{layout | rows: Rows.move(layout.rows, row_id, by)}
 
   @doc """
-  Moves one panel above or below a row, or, where both are cells, to the left or right of another cell. What names
-  nothing changes nothing; a full row is an error.
+  Moves one panel above or below a row, or, where both are cells, to the left or right of another cell. An unknown id
+  changes nothing; a full row is an error.
 
       iex> layout = Situ.Studio.Layout.new("")
       iex> {:ok, layout, a} = Situ.Studio.Layout.add(layout, "A", "line", :plot, "")

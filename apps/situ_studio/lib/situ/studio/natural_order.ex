@@ -10,7 +10,7 @@ defmodule Situ.Studio.NaturalOrder do
 
   @type key :: [{0, non_neg_integer()} | {1, String.t()}]
 
-  @doc "What to sort a name by."
+  @doc "The sort key of a name."
   @spec key(String.t()) :: key()
   def key(name) do
     for part <- Regex.split(~r/[0-9]+/, name, include_captures: true, trim: true), do: part(part)

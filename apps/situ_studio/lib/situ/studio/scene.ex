@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Scene do
   @moduledoc """
-  What one message is in space, as the page draws it: a list of items of nine kinds, whose numbers are binaries.
+  One message as the page draws it in space: a list of items of nine kinds, whose numbers are binaries.
 
   | kind | one item is | numbers of each |
   |---|---|---|
@@ -49,7 +49,7 @@ defmodule Situ.Studio.Scene do
     do: %__MODULE__{kind: kind, count: count, numbers: numbers, meta: meta}
 
   @doc """
-  Numbers as 32-bit floats. What is none becomes NaN, which the page leaves out and tells of.
+  Numbers as 32-bit floats. Any other term becomes NaN, which the page leaves out and counts.
 
       iex> Situ.Studio.Scene.floats([1, :nan]) |> IO.iodata_to_binary()
       <<0, 0, 128, 63, 0, 0, 192, 127>>

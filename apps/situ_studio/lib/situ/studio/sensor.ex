@@ -3,7 +3,7 @@ defmodule Situ.Studio.Sensor do
     page: [
       type: :string,
       default: "page",
-      doc: "What the page is called: it is at `/sensor?name=NAME` of the studio."
+      doc: "The page's name: its address is `/sensor?name=NAME` of the studio."
     ],
     buffer: [
       type: :pos_integer,

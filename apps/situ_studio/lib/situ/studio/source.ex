@@ -19,7 +19,7 @@ defmodule Situ.Studio.Source do
   @doc "First and last time, whether it grows, and a number that changes with the list of streams."
   @callback extent(handle :: term()) :: {:ok, extent()} | {:error, Situ.Error.t()}
 
-  @doc "What streams there are."
+  @doc "The streams of the source."
   @callback streams(handle :: term()) :: {:ok, [StreamInfo.t()]} | {:error, Situ.Error.t()}
 
   @doc """
@@ -76,8 +76,8 @@ defmodule Situ.Studio.Source do
             ) :: {:ok, [{integer(), Situ.Message.t()}]} | {:error, Situ.Error.t()}
 
   @doc """
-  What a store knows of many messages without reading them (`Situ.Store.Summary.read/6`), or `:none` where there are so
-  few that they are better read.
+  A summary of many messages without reading them (`Situ.Store.Summary.read/6`), or `:none` if there are so few that
+  reading them is better.
   """
   @callback summary(
               handle :: term(),
@@ -87,7 +87,7 @@ defmodule Situ.Studio.Source do
               bins :: pos_integer()
             ) :: {:ok, Situ.Store.Summary.t()} | :none | {:error, Situ.Error.t()}
 
-  @doc "What is wrong with the source, in sentences; nothing where all of it can be read."
+  @doc "The damage of the source, in sentences; `[]` if all of it can be read."
   @callback damage(handle :: term()) :: [String.t()]
 
   @optional_callbacks sample: 5, summary: 5, damage: 1
@@ -96,7 +96,7 @@ defmodule Situ.Studio.Source do
   @spec call(t(), atom(), list()) :: term()
   def call({module, handle}, function, args), do: apply(module, function, [handle | args])
 
-  @doc "What is wrong with the source, see `c:damage/1`."
+  @doc "The damage of the source, see `c:damage/1`."
   @spec damage(t()) :: [String.t()]
   def damage({module, handle}) do
     if function_exported?(module, :damage, 1), do: module.damage(handle), else: []

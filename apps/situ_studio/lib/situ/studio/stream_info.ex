@@ -1,6 +1,6 @@
 defmodule Situ.Studio.StreamInfo do
   @moduledoc """
-  What the studio knows about one stream, wherever it comes from, and of which kind of picture it is.
+  The studio's facts about one stream of any source, and the kind of picture for it.
 
   `shape` is the noun a visualizer is chosen by: `:signal`, `:boolean`, `:state` (atoms), `:text`, `:audio`, `:image`,
   `:depth`, `:shapes` (rectangles and points over pictures), `:bars` (lists of numbers), `:signals` (maps of numbers),
@@ -164,8 +164,8 @@ defmodule Situ.Studio.StreamInfo do
   end
 
   @doc """
-  What some messages tell beyond the shape of their declared type: the shape where that is `:value`, and the lanes of
-  maps.
+  The shape and lanes that some messages show beyond their declared type: the shape if that is `:value`, and the lanes
+  of maps.
 
       iex> Situ.Studio.StreamInfo.look_inside(:value, [%{}, %{left: true}, %{right: false}])
       {:states, ["left", "right"]}

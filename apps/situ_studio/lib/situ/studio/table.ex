@@ -37,7 +37,7 @@ defmodule Situ.Studio.Table do
 
   defp rows(stream, messages), do: messages |> Enum.map(&row(stream, &1)) |> IO.iodata_to_binary()
 
-  @doc "One row: time in ns and as a date, stream, value. What is no number or text is JSON, or its size."
+  @doc "One row: time in ns and as a date, stream, value. Other values become JSON, or their size."
   @spec row(String.t(), Situ.Message.t()) :: String.t()
   def row(stream, %Situ.Message{originating_time: time, data: data}) do
     fields = [Integer.to_string(time), Situ.Time.to_iso8601(time), stream, value(data)]

@@ -72,7 +72,7 @@ defmodule Situ.Studio.Visualizer do
   @typedoc "Where a message came from, and for which channel it is drawn."
   @type context :: %{source: Source.t(), spec: spec()}
 
-  @doc "What it is. `module` is filled in by the table, `drawer` is its `id` unless it names another."
+  @doc "The visualizer's description. The table fills in `module`; `drawer` is its `id` unless it names another."
   @callback about() :: t()
 
   @doc "The frame of the window `from..to`, times in ns and inclusive, with bins of `bin` ns."

@@ -38,7 +38,7 @@ defmodule Situ.Studio.Visualizers do
   @spec all([Visualizer.given()]) :: [Visualizer.t()]
   def all(extra \\ []), do: Enum.map(extra ++ @modules, &Visualizer.of/1)
 
-  @doc "What can be drawn of a stream of this shape, the usual one first."
+  @doc "The visualizers for a stream of this shape, the usual one first."
   @spec for_shape(StreamInfo.shape(), [Visualizer.given()]) :: [Visualizer.t()]
   def for_shape(shape, extra \\ []),
     do: Enum.filter(all(extra), &(&1.shapes == :any or shape in &1.shapes))

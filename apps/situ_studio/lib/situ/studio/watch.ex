@@ -15,7 +15,7 @@ defmodule Situ.Studio.Watch do
   @enforce_keys [:pid, :history, :uses]
   defstruct [:pid, :history, :uses]
 
-  @typedoc "What readers hold: the process, its history, and the table of what was asked for when."
+  @typedoc "A reader's handle: the process, its history, and the table of the latest request for each stream."
   @type t :: %__MODULE__{pid: pid(), history: History.t(), uses: :ets.table()}
 
   @sweep_ms 2_000
@@ -27,7 +27,7 @@ defmodule Situ.Studio.Watch do
   @spec start_link(Situ.Pipeline.target()) :: GenServer.on_start()
   def start_link(target), do: GenServer.start_link(__MODULE__, target)
 
-  @doc "What readers need."
+  @doc "The handle for readers."
   @spec handle(pid()) :: t()
   def handle(pid), do: GenServer.call(pid, :handle)
 

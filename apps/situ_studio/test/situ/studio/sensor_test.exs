@@ -116,7 +116,7 @@ defmodule Situ.Studio.SensorTest do
     text(socket, %{ping: 5})
     assert %{"pong" => 5, "now" => now} = json(socket)
     assert abs(now - now_ms()) < 60_000
-    # What comes before the clocks are compared has no time.
+    # A picture that comes before the clocks are compared has no time.
     push(socket, 2, picture(now))
     text(socket, %{offset: 1_000})
     assert_receive {:clock, 1_000.0}
@@ -155,7 +155,8 @@ defmodule Situ.Studio.SensorTest do
     for i <- 1..50, do: push(socket, 2, picture(ms + i))
     for i <- 1..900, do: push(socket, 2, sound(ms + i, [1]))
     text(socket, %{ping: 1})
-    # What was said before is dealt with before the answer; then the sensor has to have taken it.
+
+    # The handler answers the ping after all earlier frames; then the sensor still has to take them.
     before = credits(socket, 0)
     {:ok, sensor} = Sensor.find(context.name)
     poll(fn -> Process.info(sensor, :message_queue_len) == {:message_queue_len, 0} end)

@@ -1,5 +1,5 @@
 defmodule Situ.Studio.TableTest do
-  # What people take out of a selection: CSV and WAV.
+  # The exports of a selection: CSV and WAV.
   use ExUnit.Case, async: true
 
   alias Situ.{AudioBuffer, AudioFormat, Message}

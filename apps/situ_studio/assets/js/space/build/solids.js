@@ -1,4 +1,4 @@
-// What is made of solid bodies: lines and arrows, graphs with their nodes, boxes, voxels. Many of a kind are one draw.
+// Items made of solid bodies: lines and arrows, graphs with their nodes, boxes, voxels. Many of a kind are one draw.
 
 import {
   BoxGeometry,

@@ -16,7 +16,7 @@ defmodule Situ.Studio.Annotating.Comparison do
   @frames 1_000_000
   @finest 10_000_000
 
-  @doc "What is compared, in words, with its value."
+  @doc "The measures of the comparison, in words, with their values."
   @spec rows(Layer.t(), Layer.t()) ::
           {:ok, [{String.t(), String.t()}]} | {:error, Situ.Error.t()}
   def rows(a, b) do

@@ -41,7 +41,7 @@ defmodule Situ.Studio.Annotating.SchemaForm do
     end
   end
 
-  @doc "What the fields of the page say, taken into the draft."
+  @doc "The draft with the values of the page's fields."
   @spec read([attribute()], map()) :: [attribute()]
   def read(draft, params) do
     for {attribute, i} <- Enum.with_index(draft) do

@@ -65,7 +65,7 @@ defmodule Situ.Studio.Batch.Form do
 
   defp shown(value), do: value
 
-  @doc "What a page sends, as a configuration that `Situ.Dataset.Task.options/2` reads. Empty fields are left out."
+  @doc "The fields of a page as a configuration for `Situ.Dataset.Task.options/2`. Empty fields are left out."
   @spec config(Options.schema(), map()) :: {:ok, map()} | {:error, Error.t()}
   def config(schema, params) do
     Enum.reduce_while(schema, {:ok, %{}}, fn {key, spec}, {:ok, config} ->

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Datasets.Facts do
   @moduledoc """
-  What lists say of a recording without showing it: times, streams, size, or why it cannot be opened.
+  Facts about a recording for lists: times, streams, size, or why it cannot be opened.
   """
   alias Situ.{Error, Store}
   alias Situ.Studio.{Source, StreamInfo}

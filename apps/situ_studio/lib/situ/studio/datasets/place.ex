@@ -28,7 +28,7 @@ defmodule Situ.Studio.Datasets.Place do
     end
   end
 
-  # What is no escape is meant as it stands.
+  # Text with an invalid escape is taken literally.
   defp unescape(text) do
     URI.decode(text)
   rescue

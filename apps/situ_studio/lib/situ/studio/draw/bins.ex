@@ -22,7 +22,7 @@ defmodule Situ.Studio.Draw.Bins do
   @spec gap?(point() | gap()) :: boolean()
   def gap?(point), do: elem(point, 1) == nil
 
-  @doc "What a line shows of one value: a point, a gap for `nil`, nothing of what is no number."
+  @doc "The points of a line for one value: a point for a number, a gap for `nil`, none for other terms."
   @spec points(Situ.Time.t(), term()) :: [point() | gap()]
   def points(time, nil), do: [gap(time)]
   def points(time, %Situ.Studio.Hole{}), do: [gap(time)]

@@ -10,7 +10,7 @@ defmodule Situ.Studio.Layout.Rows do
 
   @max_cells 5
 
-  @doc "What a panel's line is called."
+  @doc "The id of a panel's line."
   @spec id(Panel.t()) :: String.t()
   def id(%Panel{row: row, id: id}), do: row || id
 

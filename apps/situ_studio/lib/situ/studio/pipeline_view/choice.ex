@@ -1,11 +1,11 @@
 defmodule Situ.Studio.PipelineView.Choice do
   @moduledoc false
   # The shown part of a pipeline's graph, as its page's address holds it: `heat`, `fold`, `sel`, `plots`, `at`. Pure.
-  # An address may come from anybody: what is unknown in it is left out.
+  # An address may come from anybody: unknown parts of it are left out.
   alias Situ.Studio.PipelineView.Stats
   alias Situ.Studio.Web.Address
 
-  @doc "What an address asks for, as assigns; `scopes` are the composites there are."
+  @doc "The choices in an address, as assigns; `scopes` are the pipeline's composites."
   @spec read(map(), [String.t()]) :: keyword()
   def read(params, scopes) do
     heat(params["heat"]) ++

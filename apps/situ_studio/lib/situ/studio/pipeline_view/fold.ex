@@ -1,8 +1,7 @@
 defmodule Situ.Studio.PipelineView.Fold do
   @moduledoc """
-  What of a pipeline's graph is drawn when some of its composites are folded: a folded one is a single box, what runs
-  inside
-  it is not drawn, and the connections that cross its border end at the box, several between two ends as one.
+  The graph of a pipeline with some of its composites folded: a folded one is a single box without its components, and
+  the connections that cross its border end at the box, several between two ends as one.
 
   Keys are what the page calls things: `"n3"` a component, `"s:Mouth.Crop"` a composite, `"e5"` a connection (`"e5+7"`
   several).

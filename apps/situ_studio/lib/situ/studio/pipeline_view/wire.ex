@@ -134,7 +134,7 @@ defmodule Situ.Studio.PipelineView.Wire do
 
   defp milliseconds(ns), do: div(ns, 1_000_000)
 
-  @doc "What a key of the page stands for: `{:edges | :nodes, ids}`."
+  @doc "The components or connections that a key of the page names: `{:edges | :nodes, ids}`."
   @spec selection(String.t() | nil, MapSet.t(), Situ.Diagnostics.Snapshot.t()) ::
           {:edges | :nodes | :none, [integer()]}
   def selection("n" <> id, _folded, _snapshot), do: {:nodes, ids(id)}

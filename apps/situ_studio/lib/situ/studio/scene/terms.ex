@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Scene.Terms do
   @moduledoc """
-  What any term is in space: poses, rays, boxes, clouds, skeletons, camera views and the like, alone, in lists, tuples
-  and maps, with names beside them.
+  The items of any term in space: poses, rays, boxes, clouds, skeletons, camera views and the like, alone, in lists,
+  tuples and maps, with names beside them.
 
       iex> alias Situ.Studio.Scene.Terms
       iex> {[item], []} = Terms.of([Situ.Point3.new(1, 2, 3), Situ.Point3.new(4, 5, 6)])

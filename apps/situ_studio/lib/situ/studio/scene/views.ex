@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Scene.Views do
   @moduledoc false
-  # What cameras saw, where they were, as items.
+  # Camera views as items at the cameras' poses.
   alias Situ.{CameraIntrinsics, CameraView, DepthImage, PointCloud, Pose}
   alias Situ.Space.{Camera, Cloud, Depth}
   alias Situ.Studio.Scene

@@ -2,7 +2,7 @@ defmodule Situ.Studio.Source.Store do
   @moduledoc """
   A recording as a source: a store's folder or a foreign file, closed or still being written.
 
-  What a page asks for at every picture (extents, the list of streams) is kept for a moment in a table, so that a live
+  A table keeps the extents and the list of streams for a moment, since a page asks for them at every picture: a live
   page costs the store one look per picture and not one per panel.
   """
   @behaviour Situ.Studio.Source

@@ -36,7 +36,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
   def instant(channel, data, message),
     do: Frame.json(channel, message.originating_time, of(data))
 
-  @doc "What to draw, as the page reads it."
+  @doc "The shapes to draw, as the page reads them."
   @spec of(term()) :: map()
   def of(term) do
     {rects, points, texts, _} = walk(term, nil, {[], [], [], @limit}, 0)

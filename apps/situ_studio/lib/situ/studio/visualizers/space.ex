@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Visualizers.Space do
   @moduledoc """
-  Whatever is in space, in three dimensions: clouds, meshes, boxes, poses, rays, skeletons, cameras with what they saw
+  Objects in space, in three dimensions: clouds, meshes, boxes, poses, rays, skeletons, cameras with their pictures
   (`Situ.Studio.Scene.Terms`).
   """
   @behaviour Situ.Studio.Visualizer
@@ -64,7 +64,7 @@ defmodule Situ.Studio.Visualizers.Space do
     end
   end
 
-  @doc "What the walk over a message needs to know, of the properties."
+  @doc "The settings for the walk over a message, from the properties."
   @spec settings(Visualizer.spec()) :: Scene.Terms.settings()
   def settings(%{viz: viz} = spec) do
     s = Visualizer.settings(viz, Map.get(spec, :props, %{}))

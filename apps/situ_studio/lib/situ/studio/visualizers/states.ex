@@ -1,5 +1,5 @@
 defmodule Situ.Studio.Visualizers.States do
-  @moduledoc "What a message says holds until the next: booleans, atoms, and maps of them, a lane for each key."
+  @moduledoc "States that hold until the next message: booleans, atoms, and maps of them, a lane for each key."
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Studio.{Draw, Source, Visualizer}

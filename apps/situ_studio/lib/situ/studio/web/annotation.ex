@@ -287,7 +287,7 @@ defmodule Situ.Studio.Web.Annotation do
         <label>Values, one a line: name, key, colour
           <textarea name="values" rows="4" placeholder={"speaks 1 #4ea1f3\nlaughs 2"}></textarea></label>
         <div class="inline">
-          <select name="kind" aria-label="What is annotated"><option value="values">Segments in time</option><option
+          <select name="kind" aria-label="Kind of annotation"><option value="values">Segments in time</option><option
               value="box">Boxes on pictures</option><option value="point">Points on pictures</option></select>
           <input name="by" placeholder="annotator, if several" maxlength="40" autocomplete="off"
               aria-label="Annotator">

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Chrome do
   @moduledoc false
-  # What frames the panels: toolbar, timing, status line, dialogs.
+  # The frame around the panels: toolbar, timing, status line, dialogs.
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
 

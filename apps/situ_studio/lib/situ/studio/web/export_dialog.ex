@@ -53,7 +53,7 @@ defmodule Situ.Studio.Web.ExportDialog do
     {:ok, _} = DynamicSupervisor.start_child(Catalog.watches(studio), task)
   end
 
-  @doc "What came of it."
+  @doc "Shows the result of the export."
   @spec done({:ok, Path.t()} | {:error, Situ.Error.t()}, Socket.t()) :: Socket.t()
   def done({:ok, path}, socket), do: toast(socket, "Saved as #{path}")
   def done({:error, error}, socket), do: toast(socket, Exception.message(error))

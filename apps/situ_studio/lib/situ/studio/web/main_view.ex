@@ -244,7 +244,7 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_info({:situ_annotation, _, _}, socket), do: {:noreply, Annotation.tell(socket)}
 
-  # What grows has other numbers a moment later.
+  # A live source has other numbers a moment later.
   def handle_info(:refresh, socket) do
     Process.send_after(self(), :refresh, @refresh_ms)
 

@@ -40,7 +40,7 @@ defmodule Situ.Studio.Web.Panels do
         <div :if={@layout.rows == [] and @streams > 0}
             class="empty"><b>Nothing shown yet</b><span>Double click a stream on the left, or drag it here.</span></div>
         <div :if={@layout.rows == [] and @streams == 0} class="empty"><b>No streams yet</b><span>{if @known.damaged,
-          do: "What is left of this recording cannot be read.",
+          do: "This recording is damaged, and none of its streams can be read.",
           else: "Nothing was recorded here. New recordings show up by themselves."}</span></div>
       </div>
     </div>
@@ -133,7 +133,7 @@ defmodule Situ.Studio.Web.Panels do
 
   defp names(panel), do: Enum.map_join(panel.vis, ", ", &(&1.stream <> &1.path))
 
-  @doc "What the page's script needs to draw a panel, as JSON."
+  @doc "The panel's configuration for the page's script, as JSON."
   @spec config(Layout.Panel.t(), map()) :: String.t()
   def config(panel, known) do
     short = short_names(panel.vis)

@@ -79,7 +79,7 @@ defmodule Situ.Studio.Web.QueryPanel do
     )
   end
 
-  @doc "What was found, when it is the answer to the last question."
+  @doc "Shows the intervals found, if they answer the latest query."
   @spec found(Socket.t(), reference(), term()) :: Socket.t()
   def found(%{assigns: %{query_panel: %{run: run} = panel}} = socket, run, {:ok, found}),
     do: assign(socket, query_panel: %{panel | found: found, run: nil})

@@ -8,7 +8,7 @@ defmodule Situ.Studio.Web.SensorHandler do
   alias Situ.Studio.Sensor
 
   @registry Situ.Studio.Registry
-  # Whatever a page says, its time is within a day of ours, and its sound can be heard.
+  # Limits for a page's values: its times lie within a day of ours, and its sound has an audible rate.
   @day_ms 86_400_000
   @rates 8_000..192_000
 

@@ -85,7 +85,7 @@ defmodule Situ.Studio.Web.Side do
 
   @infos [rate: "how often", count: "how many messages", size: "size", latency: "latency"]
 
-  @doc "What stands beside the streams' names after this."
+  @doc "The next kind of information to show beside the streams' names."
   @spec next_info(atom()) :: atom()
   def next_info(info) do
     names = Keyword.keys(@infos)

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.SourceList do
   @moduledoc false
-  # What else there is to look at, beside a recording.
+  # The other sources to look at, beside a recording.
   alias Situ.Studio.Catalog
   alias Situ.Studio.Datasets.Place
   alias Situ.Studio.Web.Address

@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Web.Dataset.Dialogs do
   @moduledoc false
-  # What the page of a dataset asks for: a name, recordings to add, a task's options.
+  # The dialogs of a dataset's page: for a name, for recordings to add, for a task's options.
   use Situ.Live.Component
   alias Situ.Studio.Web.Dataset.BatchDialog
 

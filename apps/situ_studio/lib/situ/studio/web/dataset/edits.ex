@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Web.Dataset.Edits do
   @moduledoc """
-  What the page of a dataset does to it: each event becomes an edit of the dataset's process, or the dialog that asks
-  for what the edit needs.
+  The edits of a dataset's page: each event becomes an edit by the dataset's process, or a dialog that asks for the
+  values the edit needs.
   """
   alias Situ.{Dataset, Error}
   alias Situ.Dataset.{Partition, Session}
@@ -25,7 +25,7 @@ defmodule Situ.Studio.Web.Dataset.Edits do
   def path(%{"path" => path}) when is_list(path), do: Enum.filter(path, &is_binary/1)
   def path(_), do: []
 
-  @doc "What the page has to change, or an error to tell."
+  @doc "The page's new assigns, or an error to show."
   @spec apply(String.t(), map(), map()) :: {:ok, keyword()} | {:error, Error.t()} | :ignore
   def apply("ask", %{"what" => what} = params, _assigns) when what in ["session", "rename"] do
     path = path(params)
