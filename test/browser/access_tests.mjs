@@ -7,7 +7,7 @@ import { answer, open, dispatch } from "./studio_page.mjs";
 const { main } = JSON.parse(process.argv[2]);
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
-// What axe objects to: rule and elements. Colours are judged in both themes.
+// The violations that axe finds: rule and elements. Colours are checked in both themes.
 async function objections(page) {
   await page.evaluate(axe);
   return page.evaluate(async () => {

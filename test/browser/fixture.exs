@@ -1,6 +1,6 @@
 defmodule Fixture do
   @moduledoc false
-  # What the browser tests look at: a minute of everything, the same each time, so that pixels can be foretold.
+  # The data for the browser tests: a minute of everything, the same each time, so that tests can expect exact pixels.
   alias Situ.Store.Writer
   alias Situ.Studio.History
 
@@ -128,8 +128,8 @@ defmodule Fixture do
     :ok = Writer.close(writer)
   end
 
-  # Streams whose like nobody chose: regular ones with holes, irregular ones, states that flicker and states that
-  # stay, maps of them. What was written is told beside the recording, for whoever wants to compare.
+  # Random streams: regular ones with holes, irregular ones, states that flicker and states that stay, maps of them. A
+  # file beside the recording holds the data, for comparison.
   def record_zoo(name, folder, told) do
     :rand.seed(:exsss, {1, 7, 1})
     ms = 1_000_000
@@ -352,7 +352,7 @@ defmodule Fixture.Loudness do
       output: "Loudness",
       options: [
         stream: [type: :string, default: "Mic.Level", doc: "The numbers."],
-        gain: [type: {:range, 0, 10}, default: 2, doc: "What they are multiplied by."],
+        gain: [type: {:range, 0, 10}, default: 2, doc: "The factor."],
         scale: [type: {:in, [:linear, :decibel]}, default: :linear, doc: "How it is told."],
         hold: [
           type: :boolean,

@@ -1,4 +1,4 @@
-// What grows, what runs, and what goes away.
+// Recordings that grow, pipelines that run, and sources that go away.
 import { rmSync, writeFileSync } from "node:fs";
 import { test, equal, ok, near, until } from "./harness.mjs";
 import { open, state, dispatch, panelOf } from "./studio_page.mjs";

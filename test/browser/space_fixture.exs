@@ -1,6 +1,6 @@
 defmodule SpaceFixture do
   @moduledoc false
-  # What the tests of 3D panels look at: each of the nine primitives at a place of its own, and things that are broken.
+  # The data for the tests of 3D panels: each of the nine primitives at a place of its own, and broken items.
   alias Situ.{
     Box3,
     CameraIntrinsics,
@@ -130,7 +130,7 @@ defmodule SpaceFixture do
     h
   end
 
-  # What no sensor gives, and files may hold.
+  # Data that no sensor gives, but files may hold.
   def broken do
     h = History.new(seconds: 3_600, live: false)
     nan = <<0, 0, 0xC0, 0x7F>>

@@ -40,7 +40,7 @@ test("speed: a long signal pans and zooms at the rate of the screen", async ({ p
     `${site.points} points: frame p50 ${run.p50.toFixed(1)} ms, p95 ${run.p95.toFixed(1)} ms, ` +
       `${run.requests} requests, ${(run.bytes / 1e6).toFixed(1)} MB`,
   );
-  // Times are printed, not judged: machines are shared. What was fetched is bounded by pixels, not by points.
+  // Times are printed, not judged: machines are shared. The bytes fetched are bounded by pixels, not by points.
   // A slow machine draws fewer frames a second and so asks more often a frame, but never more than once.
   ok(run.requests < 200, `${run.requests} requests in 180 frames`);
   ok(run.bytes / run.requests < 1e5, `${run.bytes} bytes in ${run.requests} requests`);

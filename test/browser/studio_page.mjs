@@ -1,4 +1,4 @@
-// What the tests do with a studio's page.
+// Actions of the tests on a studio's page.
 import { until } from "./harness.mjs";
 
 export async function open(page, base, source, query = "") {
