@@ -33,3 +33,34 @@ ben = [
 
 {:ok, _} = Recording.write(make.(anna), Path.join(root, "anna"), "Speech")
 {:ok, _} = Recording.write(make.(ben), Path.join(root, "ben"), "Speech")
+
+# Boxes with two key frames, and the pictures between them.
+numbers = for name <- ~w(x y width height), do: %{"name" => name, "kind" => "number"}
+kinds = for value <- ~w(face hand), do: %{"value" => value}
+kind = %{"name" => "Kind", "kind" => "finite", "values" => kinds}
+{:ok, boxes} = Schema.parse(%{"name" => "Boxes", "attributes" => [kind | numbers]})
+
+box = fn ms_at, track, kind, [x, y, w, h] ->
+  values = %{"Kind" => kind, "x" => x, "y" => y, "width" => w, "height" => h}
+  Annotation.new(origin + ms_at * ms, origin + ms_at * ms, track, values)
+end
+
+{:ok, layer} =
+  Layer.new(boxes, [
+    box.(0, "Anna", "face", [10, 20, 30.5, 40]),
+    box.(100, "Anna", "face", [20, 40, 30.5, 60]),
+    box.(50, "Ben", "hand", [1, 2, 3, 4])
+  ])
+
+{:ok, _} = Recording.write(layer, Path.join(root, "boxes"), "Boxes")
+{:ok, writer} = Situ.Store.Writer.create("film", root)
+{:ok, video} = Situ.Store.Writer.stream(writer, "Video", type: :integer)
+
+pictures =
+  for n <- 0..4 do
+    time = origin + n * 25 * ms
+    %Situ.Message{data: n, originating_time: time, creation_time: time, sequence_id: n + 1}
+  end
+
+{:ok, _} = Situ.Store.Writer.append(video, pictures)
+:ok = Situ.Store.Writer.close(writer)

@@ -2,6 +2,8 @@
 import csv, json, os, sys
 
 import pympi, pysrt, textgrid, webvtt
+from pycocotools.coco import COCO
+from pycocotools.cocoeval import COCOeval
 from praatio import textgrid as praatio
 from praatio.utilities.constants import Interval
 from sklearn.metrics import cohen_kappa_score
@@ -41,6 +43,21 @@ equal("pysrt", {(s.text[1:].split("] ")[0], s.start.ordinal, s.end.ordinal, s.te
 with open(path("anna.csv"), newline="", encoding="utf-8") as file:
     equal("csv", {(r["track"], ms(r["from_s"]), ms(r["to_s"]), r["Speech"]) for r in csv.DictReader(file)})
 
+# Boxes, as trainers of detectors read them.
+coco = COCO(path("boxes.coco.json"))
+names = {c["id"]: c["name"] for c in coco.loadCats(coco.getCatIds())}
+boxes = {(coco.loadImgs(a["image_id"])[0]["time_ns"] // 10**6 % 10**6, names[a["category_id"]], *a["bbox"], a["area"])
+         for a in coco.loadAnns(coco.getAnnIds(iscrowd=False))}
+equal("pycocotools", boxes, {(0, "face", 10, 20, 30.5, 40, 1220), (100, "face", 20, 40, 30.5, 60, 1830),
+                             (50, "hand", 1, 2, 3, 4, 12)})
+every = COCO(path("every.coco.json"))
+faces = every.loadAnns(every.getAnnIds(catIds=every.getCatIds(catNms=["face"])))
+equal("pycocotools, every picture", {tuple(a["bbox"]) for a in faces},
+      {(10 + 2.5 * n, 20 + 5 * n, 30.5, 40 + 5 * n) for n in range(5)})
+scores = COCOeval(coco, coco.loadRes([{**a, "score": 1.0} for a in coco.loadAnns(coco.getAnnIds())]), "bbox")
+scores.evaluate(), scores.accumulate(), scores.summarize()
+equal("pycocotools, average precision of the truth", round(float(scores.stats[0]), 6), 1.0)
+
 # Kappa of frames of 10 ms, by scikit-learn, over the same span.
 ben = {("P1", 610, 1480, "speaks"), ("P1", 1500, 2500, "speaks"), ("Zoë & co", 700, 2800, "speaks")}
 label = lambda spans, track, t: next((v for n, a, b, v in spans if n == track and a <= t < b), "none")
@@ -71,6 +88,11 @@ srt = pysrt.SubRipFile(items=[
     pysrt.SubRipItem(1, pysrt.SubRipTime(milliseconds=500), pysrt.SubRipTime(milliseconds=1500), "speaks"),
     pysrt.SubRipItem(2, pysrt.SubRipTime(milliseconds=1500), pysrt.SubRipTime(milliseconds=2250), "laughs")])
 srt.save(path("other.srt"), encoding="utf-8")
+
+json.dump({"images": [{"id": 7, "file_name": "7.jpg", "width": 64, "height": 48}],
+           "categories": [{"id": 3, "name": "hand"}],
+           "annotations": [{"id": 1, "image_id": 7, "category_id": 3, "bbox": [11.5, 2, 3, 4], "area": 12, "iscrowd": 0}]},
+          open(path("other.coco.json"), "w"))
 
 for failure in failures:
     print(failure)
