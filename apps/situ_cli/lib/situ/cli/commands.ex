@@ -19,6 +19,8 @@ defmodule Situ.CLI.Commands do
 
   @modules [
     Store.Looking,
+    Store.Attachments,
+    Store.Importing,
     Store.Making,
     Store.Care,
     Store.Saving,

@@ -2,7 +2,8 @@ defmodule Situ.CLI.Store.Health do
   @moduledoc false
   # `situ store verify` and `repair`.
   alias Situ.CLI.{Output, Progress}
-  alias Situ.Store
+  alias Situ.CLI.Store.Foreign
+  alias Situ.{Error, Store}
 
   @spec verify([Path.t()], keyword()) :: 0 | 1
   def verify(paths, opts) do
@@ -14,7 +15,11 @@ defmodule Situ.CLI.Store.Health do
   # One that is no store does not keep the others from being checked.
   defp checked(path, opts, n) do
     result =
-      Progress.show("verify", opts, fn progress -> Store.verify(path, progress: progress) end)
+      Progress.show("verify", opts, fn progress ->
+        if File.regular?(path),
+          do: Foreign.verify(path, progress),
+          else: Store.verify(path, progress: progress)
+      end)
 
     if n == 1, do: ok!(result)
     if not (opts[:json] || false), do: text(if(n > 1, do: path <> ": ", else: ""), path, result)
@@ -23,6 +28,15 @@ defmodule Situ.CLI.Store.Health do
 
   defp text(prefix, _path, {:ok, %{chunks: chunks, damage: []}}),
     do: Output.puts("#{prefix}#{chunks} chunks, all sound")
+
+  defp text(prefix, _path, {:ok, %{messages: messages, damage: []}}),
+    do: Output.puts("#{prefix}#{messages} messages, all can be read")
+
+  defp text(prefix, path, {:ok, %{messages: _, damage: damage}}) do
+    Output.puts(prefix <> "DAMAGED")
+    for %{why: why} <- damage, do: Output.puts("  " <> why)
+    Output.puts("`situ store import --skip-damage '#{path}' NAME` keeps what is sound.")
+  end
 
   defp text(prefix, path, {:ok, %{damage: damage}}) do
     Output.puts(prefix <> "DAMAGED")
@@ -57,6 +71,13 @@ defmodule Situ.CLI.Store.Health do
   @spec repair(Path.t(), keyword()) :: 0
   def repair(path, opts) do
     dry? = opts[:dry_run] == true
+
+    if File.regular?(path) do
+      raise Error.new(:not_a_store, "#{path} is a foreign file, which is left as it is",
+              fix:
+                "`situ store import --skip-damage '#{path}' NAME` makes a store of what can be read"
+            )
+    end
 
     report =
       Progress.show("repair", opts, fn progress ->

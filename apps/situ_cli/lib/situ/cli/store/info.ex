@@ -1,6 +1,7 @@
 defmodule Situ.CLI.Store.Info do
   @moduledoc false
   # `situ store info`: what a person wants to know at a glance.
+  alias Situ.Bridge.Mcap
   alias Situ.{Store, Time}
   alias Situ.CLI.{Output, Recording}
   alias Situ.CLI.Store.Details
@@ -84,6 +85,7 @@ defmodule Situ.CLI.Store.Info do
     end
 
     table(store, streams)
+    for line <- foreign(store, info), do: Output.puts("  " <> line)
 
     for line <- damage(store, info), do: Output.puts("  DAMAGED " <> line)
 
@@ -91,6 +93,32 @@ defmodule Situ.CLI.Store.Info do
       Output.puts("  DAMAGED: #{file} is missing; `situ store verify '#{store.path}'`")
     end
   end
+
+  # What files of other systems say of themselves.
+  defp foreign(store, info) do
+    written =
+      [info[:written_by], info[:profile]]
+      |> Enum.reject(&(&1 in [nil, ""]))
+      |> Enum.join(", profile ")
+
+    [
+      written != "" && "written by #{Output.name(written)}",
+      attachments(store) != [] &&
+        "#{Output.number(length(attachments(store)), "attachment")}: `situ store attachments '#{store.path}'`"
+    ]
+    |> Enum.filter(& &1)
+    |> Kernel.++(
+      for {name, pairs} <- info[:metadata] || [],
+          do: "metadata #{Output.name(name)}: #{pairs(pairs)}"
+    )
+    |> Kernel.++(for note <- info[:notes] || [], do: "note: #{Output.name(note)}")
+  end
+
+  defp pairs(pairs),
+    do: Enum.map_join(pairs, ", ", fn {key, value} -> Output.name("#{key}=#{value}") end)
+
+  defp attachments(%{module: Mcap} = store), do: Mcap.attachments(store)
+  defp attachments(_store), do: []
 
   # Only what Situ wrote has checksums to verify; of a foreign file the first places are all there is to say.
   defp damage(_store, %{damage: []}), do: []
@@ -176,5 +204,9 @@ defmodule Situ.CLI.Store.Info do
       missing_files: Store.missing_files(store),
       streams: Enum.map(Store.streams(store), &Details.json/1)
     }
+    |> Map.merge(
+      if(info[:metadata] in [nil, []], do: %{}, else: %{metadata: Map.new(info.metadata)})
+    )
+    |> Map.merge(if(attachments(store) == [], do: %{}, else: %{attachments: attachments(store)}))
   end
 end

@@ -22,7 +22,7 @@ defmodule Situ.CLI.Store.Making do
     [
       %Verb{
         words: ["store", "copy"],
-        aliases: ["import", "filter", "convert", "compress", "decompress", "sort"],
+        aliases: ["filter", "compress", "decompress", "sort"],
         summary:
           "make a new store with all or some streams of a recording, store or foreign file",
         about: @about,

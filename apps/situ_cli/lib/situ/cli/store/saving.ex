@@ -88,8 +88,14 @@ defmodule Situ.CLI.Store.Saving do
     ]
   end
 
-  defp save(%{path: path, file: file}, opts) do
-    format = @formats[opts[:format]] || @endings[file |> Path.extname() |> String.downcase()]
+  @doc "The format of a file by its ending, or `nil`."
+  @spec format(Path.t()) :: atom()
+  def format(file), do: @endings[file |> Path.extname() |> String.downcase()]
+
+  @doc "Writes the file; the arguments and options of the verb."
+  @spec save(map(), keyword()) :: 0
+  def save(%{path: path, file: file}, opts) do
+    format = @formats[opts[:format]] || format(file)
 
     unless format,
       do: throw({:usage, "in which format? Give --format, or a file that ends in #{endings()}"})

@@ -1,0 +1,153 @@
+defmodule Situ.Bridge.Tables do
+  @moduledoc """
+  Files of one stream (JSON, JSON lines, CSV, MessagePack, Parquet) as a recording: a new store with a stream for each.
+
+      {:ok, path, counts} = Situ.Bridge.Tables.import([{"Level", "level.parquet", :parquet}], "recordings/levels")
+
+  The store has its name when it is whole; on an error nothing of it stays.
+  """
+  alias Situ.Bridge
+  alias Situ.{Error, Message}
+  alias Situ.Store.{Draft, Writer}
+
+  @batch 1_000
+
+  @type format :: :json | :json_lines | :csv | :message_pack | :parquet
+  @type table :: {stream :: String.t(), Path.t(), format()}
+
+  @doc """
+  Makes the next version of the store `out` (`ROOT/NAME`): `{:ok, path, %{stream => messages}}`. Option: `progress:`, a
+  function of the messages written so far. Errors: those of the formats, and `:not_increasing` where the times of a file
+  do not increase.
+  """
+  @spec import([table()], Path.t(), keyword()) ::
+          {:ok, Path.t(), %{String.t() => non_neg_integer()}} | {:error, Error.t()}
+  def import(tables, out, opts \\ []) do
+    progress = opts[:progress] || fn _written -> :ok end
+    counts = :atomics.new(max(length(tables), 1), [])
+
+    made =
+      Draft.make({Path.basename(out), Path.dirname(out)}, [], fn writer ->
+        tables
+        |> Enum.with_index(1)
+        |> Enum.reduce_while(:ok, fn {table, at}, :ok ->
+          told = fn n -> progress.(:atomics.add_get(counts, at, n)) end
+
+          case written(writer, table, told) do
+            :ok -> {:cont, :ok}
+            error -> {:halt, error}
+          end
+        end)
+      end)
+
+    with {:ok, path} <- made do
+      names = tables |> Enum.map(&elem(&1, 0)) |> Enum.with_index(1)
+      {:ok, path, Map.new(names, fn {name, at} -> {name, :atomics.get(counts, at)} end)}
+    end
+  end
+
+  defp written(writer, {name, path, format}, told) do
+    messages = messages(path, format)
+
+    with {:ok, stream} <- Writer.stream(writer, name, type: type(path, messages)) do
+      messages
+      |> Stream.with_index(1)
+      |> Stream.chunk_every(@batch)
+      |> Enum.reduce_while({:ok, stream, nil}, fn batch, {:ok, stream, _last} ->
+        case Writer.append(stream, Enum.map(batch, &message/1)) do
+          {:ok, stream} ->
+            told.(length(batch))
+            {{last, _}, _} = List.last(batch)
+            {:cont, {:ok, stream, last}}
+
+          error ->
+            {:halt, error}
+        end
+      end)
+      |> closed()
+    end
+  rescue
+    error in Error -> {:error, error}
+  end
+
+  defp closed({:ok, _stream, nil}), do: :ok
+
+  defp closed({:ok, stream, last}) do
+    with {:ok, _} <- Writer.close_stream(stream, last), do: :ok
+  end
+
+  defp closed(error), do: error
+
+  defp message({{time, value}, n}),
+    do: %Message{data: value, originating_time: time, creation_time: time, sequence_id: n}
+
+  defp messages(path, :parquet), do: Bridge.Parquet.messages(path)
+  defp messages(path, format), do: Bridge.File.messages(path, format)
+
+  # What all values are; a pipe cannot be gone through twice.
+  defp type(path, messages) do
+    if File.regular?(path) do
+      messages
+      |> Enum.reduce_while(nil, fn {_time, value}, known ->
+        case wider(known, kind(value)) do
+          :any -> {:halt, :any}
+          kind -> {:cont, kind}
+        end
+      end)
+      |> Kernel.||(:any)
+    else
+      :any
+    end
+  end
+
+  defp kind(value) when is_boolean(value), do: :boolean
+  defp kind(value) when is_integer(value), do: :integer
+  defp kind(value) when is_float(value), do: :float
+  defp kind(value) when is_binary(value), do: :string
+  defp kind(value) when is_map(value), do: :map
+  defp kind(_value), do: :any
+
+  defp wider(nil, kind), do: kind
+  defp wider(kind, kind), do: kind
+  defp wider(a, b) when a in [:integer, :float, :number] and b in [:integer, :float], do: :number
+  defp wider(_a, _b), do: :any
+
+  @doc """
+  The format of a file that is such a table, by its ending (and of CSV and JSON by its first bytes, for other files end
+  so too), or `nil`.
+  """
+  @spec format(Path.t()) :: format() | nil
+  def format(path) do
+    case path |> Path.extname() |> String.downcase() do
+      ".parquet" -> :parquet
+      ".jsonl" -> :json_lines
+      ".msgpack" -> :message_pack
+      ".csv" -> if(begins(path) =~ ~r/\A"?_OriginatingTime_/, do: :csv)
+      ".json" -> if(begins(path) =~ ~r/\A\s*\[\s*\{\s*"originatingTime"/, do: :json)
+      _ -> nil
+    end
+  end
+
+  defp begins(path) do
+    with {:ok, file} <- :file.open(path, [:read, :raw, :binary]) do
+      found = :file.read(file, 100)
+      :ok = :file.close(file)
+
+      with {:ok, bytes} <- found, true <- String.printable?(bytes) do
+        bytes
+      else
+        _ -> ""
+      end
+    else
+      {:error, _} -> ""
+    end
+  end
+
+  @doc "The stream of a table that has no other name: the file's."
+  @spec name(Path.t()) :: String.t()
+  def name(path), do: path |> Path.basename() |> Path.rootname()
+
+  @doc "Whether a recording is a table of this module, and opens by importing it."
+  @spec table?(Path.t()) :: boolean()
+  def table?(path), do: File.regular?(path) and format(path) != nil
+end

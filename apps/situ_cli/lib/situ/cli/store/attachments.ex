@@ -1,0 +1,76 @@
+defmodule Situ.CLI.Store.Attachments do
+  @moduledoc "`situ store attachments`: the files that an MCAP file carries."
+  @behaviour Situ.CLI.Verb
+  alias Situ.Bridge.Mcap
+  alias Situ.CLI.{Option, Output, Recording, Verb}
+  alias Situ.{Error, Time}
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["store", "attachments"],
+        aliases: ["attachment"],
+        summary: "list the attachments of an MCAP file, or take one out",
+        arguments: [
+          path: [kind: :recording, doc: "an MCAP file"],
+          name: [kind: :text, optional: true, doc: "the attachment to take out"]
+        ],
+        options: [
+          Option.new(:output, :path, "the file that it becomes (default: standard output)",
+            short: :o,
+            value: "FILE"
+          )
+        ],
+        examples: ["situ store attachments drive.mcap calibration.yaml -o calibration.yaml"],
+        run: &run/2
+      }
+    ]
+  end
+
+  defp run(%{path: path, name: name}, opts) do
+    store = Recording.open!(path)
+
+    unless store.module == Mcap,
+      do:
+        raise(
+          Error.new(:no_attachments, "#{path} is no MCAP file", why: "only these have attachments")
+        )
+
+    if name, do: take(store, name, opts), else: list(store, opts)
+  end
+
+  defp list(store, opts) do
+    all = Mcap.attachments(store)
+
+    cond do
+      opts[:json] -> Output.json(all)
+      all == [] -> Output.puts("#{store.path} has no attachments.")
+      true -> Output.table([["attachment", "type", "time", "size"] | Enum.map(all, &row/1)], 2)
+    end
+
+    0
+  end
+
+  defp row(a), do: [a.name, a.media_type, Time.to_iso8601(a.time), Output.bytes(a.size)]
+
+  defp take(store, name, opts) do
+    bytes = Error.unwrap!(Mcap.attachment(store, name))
+
+    case opts[:output] do
+      nil ->
+        IO.binwrite(bytes)
+
+      file ->
+        with {:error, reason} <- File.write(file, bytes) do
+          raise Error.new(:not_saved, "cannot write #{file}",
+                  why: to_string(:file.format_error(reason))
+                )
+        end
+
+        if opts[:json], do: Output.json(%{name: name, file: file, size: byte_size(bytes)})
+    end
+
+    0
+  end
+end

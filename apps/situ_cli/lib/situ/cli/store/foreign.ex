@@ -1,0 +1,54 @@
+defmodule Situ.CLI.Store.Foreign do
+  @moduledoc false
+  # Files of other systems have no checksums that Situ knows of: verifying one is reading every message of it.
+  alias Situ.CLI.Recording
+  alias Situ.{Error, Store}
+  alias Situ.Store.Undecoded
+
+  @type report :: %{messages: non_neg_integer(), damage: [%{why: String.t()}]}
+
+  @spec verify(Path.t(), (non_neg_integer(), non_neg_integer() -> any())) ::
+          {:ok, report()} | {:error, Error.t()}
+  def verify(path, progress) do
+    Recording.ready([path])
+
+    with {:ok, store} <- Store.open(path) do
+      streams = Store.streams(store)
+      total = streams |> Enum.map(& &1.count) |> Enum.sum()
+
+      {read, found} =
+        Enum.reduce(streams, {0, []}, fn info, acc ->
+          stream(store, info, acc, &progress.(&1, total))
+        end)
+
+      of_file = for place <- Store.info(store).damage, do: %{why: told(place)}
+      {:ok, %{messages: read, damage: of_file ++ Enum.reverse(found)}}
+    end
+  end
+
+  defp told(sentence) when is_binary(sentence), do: sentence
+  defp told(place), do: "at byte #{place[:offset]}: #{place[:why]}"
+
+  defp stream(store, info, {read, found}, progress) do
+    {n, bad, why} =
+      store
+      |> Store.messages(info)
+      |> Enum.reduce({0, 0, nil}, fn message, {n, bad, why} ->
+        if rem(n, 1_000) == 0, do: progress.(read + n)
+
+        case message.data do
+          %Undecoded{reason: reason} -> {n + 1, bad + 1, why || reason}
+          _ -> {n + 1, bad, why}
+        end
+      end)
+
+    {read + n, undecoded(info, bad, why) ++ found}
+  rescue
+    error in Error -> {read, [%{why: "#{info.name}: #{Exception.message(error)}"} | found]}
+  end
+
+  defp undecoded(_info, 0, _why), do: []
+
+  defp undecoded(info, bad, why),
+    do: [%{why: "#{info.name}: #{bad} messages are not what their schema says (#{why})"}]
+end

@@ -1,0 +1,201 @@
+defmodule Situ.CLI.Store.Importing do
+  @moduledoc "`situ store import` and `convert`: any file that is read into a store, or into any that is written."
+  @behaviour Situ.CLI.Verb
+  alias Situ.Bridge.Tables
+  alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.Store.{Arguments, Saving}
+  alias Situ.{Error, Store}
+
+  @formats %{
+    "csv" => :csv,
+    "json" => :json,
+    "json_lines" => :json_lines,
+    "message_pack" => :message_pack,
+    "parquet" => :parquet
+  }
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["store", "import"],
+        summary: "make a store out of files of other programs",
+        about: """
+        Recordings (MCAP, bags, films, sound, CSV ...) as `situ store copy` makes them; of several, as `concat`. Tables
+        (Parquet, and CSV, JSON and MessagePack as `situ store save` writes them) become a stream each, called like the
+        file.
+        """,
+        arguments: [
+          path: [
+            kind: :recording,
+            many: true,
+            doc: "files, or patterns in quotes; - for standard input, with --format"
+          ],
+          out: [kind: :new, doc: "ROOT/NAME of the new store; it becomes NAME.NNNN"]
+        ],
+        options:
+          [
+            Option.new(:stream, :string, "of a table: its name; else the stream, or pattern",
+              short: :s,
+              value: "NAME",
+              many?: true
+            ),
+            Option.new(:format, @formats |> Map.keys() |> Enum.sort(), "of tables", short: :m)
+          ] ++ copying(),
+        examples: [
+          "situ store import drive.mcap recordings/drive",
+          "situ store import 'tables/*.parquet' recordings/tables",
+          "sensor | situ store import - recordings/sensor -s Level --format json_lines"
+        ],
+        run: &import_files/2
+      },
+      %Verb{
+        words: ["store", "convert"],
+        summary: "make a file or store of another kind out of any that is read",
+        about:
+          "The kind goes by the ending of OUT, as with `situ store save`; without a known one OUT is a store.",
+        arguments: [
+          path: [kind: :recording, doc: "a store, or a file of any kind that is read"],
+          out: [
+            kind: :file,
+            doc: "the file (.mcap, .bag, .parquet, .csv ...), or ROOT/NAME of a store"
+          ]
+        ],
+        options:
+          [
+            Option.new(:stream, :string, "this stream, or a pattern ('Room.*'); default: all",
+              short: :s,
+              value: "NAME",
+              many?: true
+            )
+          ] ++ copying(),
+        examples: [
+          "situ store convert drive.bag drive.mcap --compression zstd",
+          "situ store convert level.parquet level.csv"
+        ],
+        run: &convert/2
+      }
+    ]
+  end
+
+  defp copying do
+    [
+      Option.new(:exclude, :string, "not this stream, or pattern",
+        short: :x,
+        value: "NAME",
+        many?: true
+      ),
+      Option.new(:from, :time, "from this originating time on"),
+      Option.new(:to, :time, "up to this originating time; both ends are included"),
+      Option.new(:compression, ["none", "gzip", "lz4", "zstd"], "of what is made"),
+      Option.new(:skip_damage, :flag, "leave out what is damaged; without it that is an error")
+    ]
+  end
+
+  defp import_files(%{path: paths, out: out}, opts) do
+    {:ok, _} = Application.ensure_all_started(:situ_bridge)
+    paths = Recording.expand(paths)
+    forced = opts[:format] && @formats[opts[:format]]
+    formats = for path <- paths, do: {path, forced || format(path)}
+
+    case Enum.split_with(formats, &elem(&1, 1)) do
+      {tables, []} ->
+        tables(tables, out, opts)
+
+      {[], _} ->
+        recordings(paths, out, opts)
+
+      _both ->
+        throw(
+          {:usage,
+           "tables and recordings do not go into one store: import one kind, then the other"}
+        )
+    end
+  end
+
+  defp format("-"), do: throw({:usage, "standard input in which format? Give --format"})
+  defp format(path), do: if(File.regular?(path), do: Tables.format(path))
+
+  defp tables(tables, out, opts) do
+    unfit = [:from, :to, :compression] |> Enum.filter(&opts[&1])
+
+    for name <- unfit ++ if(opts[:exclude] == [], do: [], else: [:exclude]) do
+      throw({:usage, "a table is imported as it is, without --#{name}: copy the store then"})
+    end
+
+    named =
+      case {tables, opts[:stream]} do
+        {_, []} -> for {path, format} <- tables, do: {Tables.name(path), path, format}
+        {[{path, format}], [name]} -> [{name, path, format}]
+        _ -> throw({:usage, "--stream names the stream of one table"})
+      end
+
+    named = for {name, path, format} <- named, do: {name(name), input(path), format}
+    result = Progress.show("import", opts, fn _progress -> Tables.import(named, out) end)
+
+    case result do
+      {:ok, path, counts} -> told(path, Enum.sum(Map.values(counts)), opts)
+      {:error, error} -> raise error
+    end
+  end
+
+  defp name("-"), do: "Imported"
+  defp name(name), do: name
+  defp input("-"), do: "/dev/stdin"
+  defp input(path), do: path
+
+  defp recordings(paths, out, opts) do
+    Recording.ready(paths)
+
+    result =
+      Progress.show("import", opts, fn progress ->
+        copying = Arguments.copying(opts, progress)
+
+        case paths do
+          [path] -> Store.copy(path, out, copying)
+          several -> Store.concat(several, out, copying)
+        end
+      end)
+
+    case result do
+      {:ok, path} -> told(path, messages(path), opts)
+      {:error, error} -> raise error
+    end
+  end
+
+  defp messages(path),
+    do: path |> Store.open!() |> Store.streams() |> Enum.map(& &1.count) |> Enum.sum()
+
+  defp told(path, n, opts) do
+    if opts[:json], do: Output.json(%{path: path, messages: n}), else: Output.puts(path)
+    0
+  end
+
+  defp convert(%{path: path, out: out}, opts) do
+    {:ok, _} = Application.ensure_all_started(:situ_bridge)
+
+    cond do
+      Saving.format(out) == nil -> import_files(%{path: [path], out: out}, opts)
+      Tables.table?(path) -> through_store(path, out, opts)
+      true -> Saving.save(%{path: path, file: out}, opts)
+    end
+  end
+
+  # A table is no recording: it becomes one on the way.
+  defp through_store(path, out, opts) do
+    root =
+      Path.join(
+        System.tmp_dir!(),
+        "situ-convert-#{System.pid()}-#{System.unique_integer([:positive])}"
+      )
+
+    try do
+      case Tables.import([{Tables.name(path), path, Tables.format(path)}], Path.join(root, "t")) do
+        {:ok, store, _} -> Saving.save(%{path: store, file: out}, opts)
+        {:error, %Error{} = error} -> raise error
+      end
+    after
+      File.rm_rf(root)
+    end
+  end
+end
