@@ -2,7 +2,7 @@ defmodule Situ.CLI.Annotate do
   @moduledoc "The verbs of `situ annotate`: annotations from and for other programs, and how far annotators agree."
   @behaviour Situ.CLI.Verb
   alias Situ.Annotation.{Agreement, Exchange, Layer, Recording, Schema}
-  alias Situ.CLI.{Option, Output, Verb}
+  alias Situ.CLI.{Input, Option, Output, Verb}
   alias Situ.{Error, Store, Time}
 
   @formats %{
@@ -214,7 +214,7 @@ defmodule Situ.CLI.Annotate do
           format(opts) || throw({:usage, "to standard output in which format? Give --format"})
 
         {:ok, text, losses} = Exchange.encode(layer, format, options)
-        IO.binwrite(text)
+        Output.raw(text)
         losses
       else
         ok!(
@@ -270,7 +270,7 @@ defmodule Situ.CLI.Annotate do
     {layer, losses} =
       if file == "-" do
         format = format(opts) || throw({:usage, "standard input in which format? Give --format"})
-        read(Exchange.decode(IO.binread(:stdio, :eof), format, options))
+        read(Exchange.decode(Input.read(), format, options))
       else
         read(Exchange.read(file, options ++ if(f = format(opts), do: [format: f], else: [])))
       end

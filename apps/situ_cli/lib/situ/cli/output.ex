@@ -15,6 +15,17 @@ defmodule Situ.CLI.Output do
   @spec json(Situ.JSON.value()) :: :ok
   def json(value), do: IO.puts(Situ.JSON.encode(value))
 
+  @doc "Bytes as they are, whatever they mean: as text they would be written in UTF-8 once more."
+  @spec raw(binary()) :: :ok
+  def raw(bytes) do
+    before = :io.getopts(:standard_io)
+    _ = :io.setopts(:standard_io, encoding: :latin1)
+    IO.binwrite(bytes)
+    encoding = if is_list(before), do: before[:encoding]
+    _ = :io.setopts(:standard_io, encoding: encoding || :unicode)
+    :ok
+  end
+
   @doc "A name for a cell or in the middle of a line: no line feeds either."
   @spec name(String.t()) :: String.t()
   def name(text), do: clean(text, ~r/[\x00-\x1f\x7f-\x{9f}]/u)

@@ -59,7 +59,7 @@ defmodule Situ.CLI.Store.Attachments do
 
     case opts[:output] do
       nil ->
-        IO.binwrite(bytes)
+        Output.raw(bytes)
 
       file ->
         with {:error, reason} <- File.write(file, bytes) do

@@ -2,7 +2,7 @@ defmodule Situ.CLI.Store.Importing do
   @moduledoc "`situ store import` and `convert`: any file that is read into a store, or into any that is written."
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.Tables
-  alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.{Input, Option, Output, Progress, Recording, Verb}
   alias Situ.CLI.Store.{Arguments, Saving}
   alias Situ.{Error, Store}
 
@@ -130,10 +130,9 @@ defmodule Situ.CLI.Store.Importing do
         _ -> throw({:usage, "--stream names the stream of one table"})
       end
 
-    named = for {name, path, format} <- named, do: {name(name), input(path), format}
-    result = Progress.show("import", opts, fn _progress -> Tables.import(named, out) end)
+    named = for {name, path, format} <- named, do: {name(name), path, format}
 
-    case result do
+    case Progress.show("import", opts, fn _progress -> imported(named, out) end) do
       {:ok, path, counts} -> told(path, Enum.sum(Map.values(counts)), opts)
       {:error, error} -> raise error
     end
@@ -141,8 +140,11 @@ defmodule Situ.CLI.Store.Importing do
 
   defp name("-"), do: "Imported"
   defp name(name), do: name
-  defp input("-"), do: "/dev/stdin"
-  defp input(path), do: path
+
+  defp imported([{name, "-", format}], out),
+    do: Input.spooled(&Tables.import([{name, &1, format}], out))
+
+  defp imported(named, out), do: Tables.import(named, out)
 
   defp recordings(paths, out, opts) do
     Recording.ready(paths)
