@@ -1,7 +1,6 @@
 defmodule RandomFixture do
   @moduledoc false
-  # Streams that nobody chose: each time others, the same again with SEED. What was written is told beside them, for
-  # whoever wants to compare.
+  # Random streams: new ones each time, the same again with SEED. A file beside them holds the data, for comparison.
   alias Situ.Store.Writer
 
   @t0 1_767_225_600_000_000_000

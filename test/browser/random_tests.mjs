@@ -68,7 +68,7 @@ function checkLine({ name, rows, period }, text, t, slack) {
   if (period && age < Math.min(period, S) && slack < period) ok(!text.includes(" ago"), `${said} while it is new`);
 }
 
-// What the tip says of a lane: {label, from, to}, or null where it says nothing.
+// The tip's text about a lane: {label, from, to}, or null if there is no tip.
 async function tip(page) {
   const text = await page.evaluate(() => {
     const el = document.getElementById("tip");

@@ -1,4 +1,4 @@
-// What people choose: kept by this browser, or by the studio for all.
+// Settings: those kept by this browser, and those kept by the studio for all.
 import { test, equal, ok, near, until } from "./harness.mjs";
 import { answer, open, settled, state, dispatch } from "./studio_page.mjs";
 

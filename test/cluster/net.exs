@@ -131,7 +131,7 @@ defmodule Net do
 
   defp inside(id, name, args), do: run(["ip", "-n", space(id, name) | args])
 
-  # What was made is noted first, so that `run` can take it away whatever happens here.
+  # Notes each object before it is made, so that `run` can remove it even if this script dies.
   defp ip(args, file, what) do
     File.write!(file, what <> "\n", [:append])
     run(["ip" | args])

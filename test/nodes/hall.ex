@@ -1,4 +1,4 @@
-# What the nodes of test/nodes/run run, until they are ended.
+# The pipeline that the nodes of test/nodes/run run until they are killed.
 defmodule Hall do
   use Situ.Pipeline
 

@@ -1,6 +1,6 @@
 Application.ensure_all_started(:situ_infer)
 
-# What only some programs need: bin/lib/fetch-model fetches it.
+# Models that only some programs need; bin/lib/fetch-model fetches them.
 models = [
   {:moonshine, "speech recognition", "moonshine-tiny-en", "tokenizer.bin"},
   {:hibari, "the natural voice", "hibari", "hibari.onnx"},

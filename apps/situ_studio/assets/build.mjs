@@ -26,7 +26,7 @@ const space = {
   entryPoints: [{ in: "js/space/index.js", out: "space" }],
   format: "esm",
 };
-// What transforms sound, in a thread of its own.
+// The worker that transforms sound, in a thread of its own.
 const worker = {
   ...options,
   entryPoints: [{ in: "js/spectrogram/worker.js", out: "spectrogram-worker" }],

@@ -12,7 +12,7 @@ defmodule Situ.CLI do
   """
   alias Situ.CLI.{Commands, Help, Output, Parser, Plugin}
 
-  # What plug-ins add to: readers of files, and tasks.
+  # The verbs to which plug-ins add: readers of files, and tasks.
   @extended ~w(store dataset task query annotate)
 
   @doc "Runs the command line that the VM was started with, and ends the VM with its exit status."

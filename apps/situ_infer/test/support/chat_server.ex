@@ -118,7 +118,7 @@ defmodule Situ.Infer.Test.ChatServer do
     end
   end
 
-  # What is no JSON (sound, pictures, forms) is given as it is.
+  # A body that is not JSON (sound, pictures, forms) stays as it is.
   defp content(""), do: nil
 
   defp content(body) do

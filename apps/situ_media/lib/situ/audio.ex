@@ -126,7 +126,7 @@ defmodule Situ.Audio do
   end
 
   @doc """
-  What is louder than the noise, in buffers of 10 ms: `Situ.Audio.NoiseGate`.
+  Passes only sound that is louder than the noise, in buffers of 10 ms: `Situ.Audio.NoiseGate`.
 
       iex> format = Situ.AudioFormat.pcm(1000)
       iex> sound = &Situ.AudioBuffer.from_samples(List.duplicate(&1, 20), format)

@@ -75,7 +75,7 @@ defmodule Situ.Cluster do
     devices: [
       type: {:list, :string},
       default: [],
-      doc: "What is plugged in here, as rules `on: {:near, device}` call it."
+      doc: "The devices plugged in here, by the names that rules `on: {:near, device}` use."
     ]
   ]
 
@@ -310,10 +310,11 @@ defmodule Situ.Cluster do
 
   @doc """
   Moves one part to a less busy node, if that helps: parts without a rule go anywhere, others where their first rule
-  allows. Measures for a second. Answers what it moved, or `nil`.
+  allows. Measures for a second. Returns the part it moved, or `nil`.
 
-  What a part costs is the time that its components spend on messages; what a device's driver or `ffmpeg` uses beside
-  them counts for the machine alone. With `balance:` among the options of `deploy/2` this is done by itself.
+  The cost of a part is the time that its components spend on messages; the time of a device's driver or of `ffmpeg`
+  beside them counts for the machine only. With `balance:` among the options of `deploy/2` the cluster balances by
+  itself.
   """
   @spec balance(t()) :: {:ok, {String.t(), node()} | nil} | {:error, Error.t()}
   def balance(%Deployment{} = deployment) do
@@ -339,7 +340,7 @@ defmodule Situ.Cluster do
     end
   end
 
-  # What its components have spent on messages up to now, ns.
+  # The time that its components have spent on messages so far, ns.
   defp busy(deployment) do
     for {part, node, snapshot} <- snapshots(deployment), into: %{} do
       spent = for %{kind: :process, busy: busy} <- snapshot.edges, do: busy

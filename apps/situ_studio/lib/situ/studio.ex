@@ -165,7 +165,7 @@ defmodule Situ.Studio do
       if(opts[:tls] != [], do: [tls: opts[:tls]], else: [])
   end
 
-  # What every link of a page is relative to.
+  # The base of every link in a page.
   defp base(opts) do
     case Situ.Live.Public.parse(opts[:public]) do
       {:ok, %{base: base}} -> base <> "/"

@@ -28,7 +28,7 @@ def subscribe(address, topic="", prefix=False, format="json", bind=False, timeou
 
 
 def pull(address, format="json", bind=False, timeout=None, high_water_mark=1_000):
-    """What is pushed, as `subscribe`."""
+    """The messages of a PUSH socket, like `subscribe`."""
     return _Source(_zmq().PULL, address, bind, format, timeout, high_water_mark, None)
 
 

@@ -104,7 +104,7 @@ class Store:
             raise KeyError(f"no stream {name!r}; there are {sorted(self._ids)}")
         done = 0
         while True:
-            # What is committed before the store is seen to be closed is all there is.
+            # Read the state before the entries: once the store is closed, no more entries follow.
             closed = self.closed
             entries = self._entries.get(self._ids[name], [])
             if done == 0 and start is not None:

@@ -347,7 +347,7 @@ def decode(name, raw):
 
 
 def coded(value):
-    """What is to be written for a value: itself, or for an array the tensor of it."""
+    """The value to write: the value itself, or for an array its tensor."""
     return Tensor.from_array(value) if hasattr(value, "__array__") and getattr(value, "ndim", 0) > 0 else value
 
 

@@ -32,7 +32,7 @@ def create(name, root="."):
 
 
 class Writer:
-    """Writes messages to streams. What `commit` has written can be read by others, and survives the end of this process."""
+    """Writes messages to streams. Those that `commit` has written are visible to readers and survive a kill."""
 
     def __init__(self, name, path):
         self.name, self.path = name, path

@@ -112,7 +112,8 @@ defmodule Situ.Bridge.Parquet do
     {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
     {progress, opts} = Keyword.pop(opts, :progress, fn _rows -> :ok end)
     opts = Situ.Options.validate!(opts, Keyword.delete(@export, :streams))
-    # What a live recording adds meanwhile may be of another kind.
+
+    # Messages that a live recording adds meanwhile may be of another kind, so the export ends at the last one now.
     parts = Store.columns(store, name, Keyword.put_new(reading, :to, last(store, name)))
     columns = parts |> Enum.reduce(%{}, &Rows.part(&2, &1)) |> Rows.columns()
 

@@ -32,8 +32,8 @@ defmodule Situ.CLI.Annotate do
         summary:
           "write an annotation stream for ELAN, Praat, players, Label Studio, spreadsheets, or as COCO",
         about: """
-        The format goes by the file's ending (.eaf, .TextGrid, .vtt, .srt, .json, .csv, .coco.json). Whatever it
-        cannot hold is said.
+        The file's ending chooses the format (.eaf, .TextGrid, .vtt, .srt, .json, .csv, .coco.json). The command lists
+        the data that the format cannot hold.
         """,
         arguments: [
           path: [kind: :recording, doc: "a recording with annotations"],
@@ -105,7 +105,7 @@ defmodule Situ.CLI.Annotate do
         summary: "compare two annotators: Cohen's kappa per frame, boundary errors",
         arguments: [
           first: [kind: :recording, doc: "annotations: a recording, or a file to import"],
-          second: [kind: :recording, doc: "the same of the other annotator"]
+          second: [kind: :recording, doc: "annotations of the other annotator"]
         ],
         options: [
           stream(),

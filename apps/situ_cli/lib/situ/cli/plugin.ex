@@ -26,7 +26,7 @@ defmodule Situ.CLI.Plugin do
       },
       %Verb{
         words: ["plugin", "list"],
-        summary: "list the plug-ins there are, and what is wrong with those that are broken",
+        summary: "list the plug-ins, with the errors of broken ones",
         about: "Plug-ins are looked for in #{Plugins.default_dir()} and in the FOLDERS.",
         arguments: [
           folders: [

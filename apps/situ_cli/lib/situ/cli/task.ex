@@ -14,7 +14,7 @@ defmodule Situ.CLI.Task do
       %Verb{
         words: ["task", "list"],
         aliases: ["tasks"],
-        summary: "list the tasks there are, with their options",
+        summary: "list all tasks, with their options",
         examples: ["situ task list"],
         run: &list/2
       },

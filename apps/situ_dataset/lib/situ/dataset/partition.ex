@@ -73,7 +73,7 @@ defmodule Situ.Dataset.Partition do
     end
   end
 
-  # What follows the host, or the query where the host's place is taken by a socket's path.
+  # The name after the host; in the query for a socket, whose path takes the place of the host.
   defp name_in(address) do
     uri = URI.parse(address)
 

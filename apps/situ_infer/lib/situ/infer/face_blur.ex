@@ -40,7 +40,7 @@ defmodule Situ.Infer.FaceBlur do
 
   alias Situ.{Image, Imaging, Rect}
 
-  # What is left of a face: so many spots across.
+  # A blurred face has so many spots across.
   @spots 4
 
   defstruct [:hold, :margin, waiting: :queue.new(), faces: []]

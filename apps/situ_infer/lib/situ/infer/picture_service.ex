@@ -13,23 +13,23 @@ defmodule Situ.Infer.PictureService do
     features: [
       type: {:list, {:in, [:caption, :tags, :objects, :people, :text]}},
       default: [:tags, :objects],
-      doc: "What is asked for."
+      doc: "The results to ask for."
     ],
-    quality: [type: {:range, 1, 100}, default: 85, doc: "Of the JPEG that is sent."]
+    quality: [type: {:range, 1, 100}, default: 85, doc: "The quality of the JPEG that is sent."]
   ]
   @schema @own ++ Keyword.delete(Situ.Infer.Service.schema(), :key)
 
   @moduledoc """
-  What a service in Azure's manner sees in pictures (Image Analysis 4.0). For OpenAI's, give a picture to `Situ.Chat`
-  (`Situ.Chat.Turn.user/2`).
+  Describes pictures by a service with Azure's interface (Image Analysis 4.0). For OpenAI's, give a picture to
+  `Situ.Chat` (`Situ.Chat.Turn.user/2`).
 
       seen = Situ.via(pictures, Situ.Infer.PictureService, url: "https://my.cognitiveservices.azure.com")
       Situ.each(seen, fn seen -> IO.inspect(for {tag, p} <- seen.tags, p > 0.8, do: tag) end)
 
   Input `:in` is pictures (`Situ.Image`, or `Situ.EncodedImage` as it is), output `:out` a map for each, at its time:
   `caption: {text, confidence} | nil`, `tags: [{name, confidence}]`, and `objects:`, `people:`, `text:` as lists of
-  `Situ.Rect` in the picture's pixels with label and score. Pictures wait while one is looked at: put a policy such as
-  `Situ.Delivery.latest()` in front of a camera.
+  `Situ.Rect` in the picture's pixels with label and score. Pictures wait while the service works on one: put a policy
+  such as `Situ.Delivery.latest()` in front of a camera.
 
   ## Options
 

@@ -1,7 +1,7 @@
 defmodule Situ.Live.Public do
   @moduledoc """
-  The address under which browsers reach a server that stands behind a proxy: who ends TLS and under which path is the
-  proxy's business, and told to the server by `public:`.
+  The address under which browsers reach a server behind a proxy. The proxy ends TLS and may add a path; `public:`
+  gives the server the resulting address.
 
       iex> {:ok, public} = Situ.Live.Public.parse("https://lab.example.org:8443/studio/")
       iex> {public.origin, public.base, public.segments}
@@ -77,7 +77,7 @@ defmodule Situ.Live.Public do
   def hosts(nil), do: []
   def hosts(public), do: [public.host]
 
-  @doc "What stands before every path that a browser is told."
+  @doc "The prefix of every path in the pages."
   @spec base(t() | nil) :: String.t()
   def base(nil), do: ""
   def base(public), do: public.base

@@ -20,16 +20,15 @@ defmodule Situ.Audio.NoiseGate do
     floor: [
       type: {:range, -120, 0},
       default: -120.0,
-      doc: "What passes a closed gate, dB; -120: nothing."
+      doc: "The gain of a closed gate, dB; -120: silence."
     ]
   ]
 
   @moduledoc """
-  Lets sound pass that is louder than the noise, and little or nothing of the rest (`Situ.Audio.noise_gate/2`).
+  Passes sound that is louder than the noise, and little or nothing of the rest (`Situ.Audio.noise_gate/2`).
 
-  Two levels keep it from flickering, and the factor moves in straight lines, so that nothing clicks. It decides for
-  every 10 ms of sound: give it buffers of that length, as the operator does; what is longer is decided as a whole.
-  Times and lengths stay as they are.
+  Two levels keep it from flickering, and the factor moves in straight lines, so that nothing clicks. It decides once
+  per buffer: give it buffers of 10 ms, as the operator does. Times and lengths stay as they are.
 
   ## Options
 

@@ -6,9 +6,9 @@ defmodule Situ.Cluster.Upgrade do
       Situ.Cluster.upgrade([{MyLips, File.read!("ebin/Elixir.MyLips.beam")}])
       Situ.Cluster.upgrade([MyLips])          # as this node has it
 
-  A part's memories must suit its new components, and the graph must be cut into the same parts and streams. Where a
-  node finds otherwise, it and all before it go back to the code that they had, and the error says why. What needs
-  another graph is deployed under another name.
+  A part's memories must suit its new components, and the graph must be cut into the same parts and streams. If one
+  node cannot do that, it and all before it go back to their old code, and the error gives the reason. Deploy a
+  pipeline with another graph under another name.
 
   Only modules are exchanged. A new release is put under a node by `drain/2`, its restart, and the next node.
   """

@@ -1,9 +1,9 @@
 defmodule Situ.Cluster.Vitals do
   @moduledoc """
-  What the nodes of a cluster know of one another: how busy each is, what devices it has, how far away it is.
+  The vital signs of a cluster's nodes: how busy each is, its devices, its distance.
 
-  Once a second each node measures itself and tells the others. Placement by load and by nearness go by it, and the
-  studio's page of the cluster shows it. A node that has said nothing for five seconds is not known.
+  Once a second each node measures itself and tells the others. Placement by load and by nearness uses them, and the
+  studio's page of the cluster shows them. A node that was silent for five seconds is dropped.
 
       Situ.Cluster.Vitals.all()[node()].busy      # cores that this node's processes used in the last seconds
   """

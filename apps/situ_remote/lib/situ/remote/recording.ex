@@ -7,14 +7,14 @@ defmodule Situ.Remote.Recording do
       Situ.Store.streams(store)
 
   The other side serves it (`Situ.Remote.serve/2`, `bin/situ serve`). The address may name a version
-  (`situ://lab1/lobby.0003`); without one it is the newest at the time of opening, and stays that. What is asked for is
-  sent, and nothing else: a summary of a day is a few kilobytes. A connection that is lost is made again at the next
-  question; until then questions fail with `:link_lost` or `:unreachable`.
+  (`situ://lab1/lobby.0003`); without one it is the newest at the time of opening, and stays that. The server sends
+  only the data asked for: a summary of a day is a few kilobytes. The next request opens a lost connection again;
+  until then requests fail with `:link_lost` or `:unreachable`.
 
   Options (`reader_opts:`): `token:`, `tls:` (options of `:ssl`). Where none are given the token is that of
   `config :situ_remote, tokens: %{"lab1" => "..."}`, or the first line of the file that the environment variable
-  `SITU_TOKEN_FILE` names. A fingerprint in the address, `situs://lab1/lobby?fingerprint=...`, is the one certificate
-  that counts.
+  `SITU_TOKEN_FILE` names. With a fingerprint in the address, `situs://lab1/lobby?fingerprint=...`, only that
+  certificate is accepted.
 
       iex> root = Path.join(System.tmp_dir!(), "situ-doc-remote-recording")
       iex> {:ok, writer} = Situ.Store.Writer.create("door", root)

@@ -1,5 +1,5 @@
 defmodule Situ.Cluster.OverviewTest do
-  # What is shown of a cluster, of whole deployments and their logs; new code; a log that is trimmed.
+  # The overview of a cluster, of whole deployments and their logs; new code; a log that is trimmed.
   use ExUnit.Case, async: false
   import Situ.Remote.Test.Recordings, only: [eventually: 1]
   alias Situ.{Cluster, Time}

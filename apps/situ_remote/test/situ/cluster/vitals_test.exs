@@ -11,7 +11,7 @@ defmodule Situ.Cluster.VitalsTest do
     known = Vitals.all()[node()]
     assert known.devices == ["camera0"] and known.cores >= 1 and known.memory > 0
     assert known.busy >= 0 and known.machine >= 0 and known.machine <= 1
-    # What comes from elsewhere is there beside it, and its way is measured.
+    # The vitals of another node appear beside it, and the round trip is measured.
     send(vitals, {:vital, :other@h, %{known | devices: ["x"]}, System.monotonic_time()})
     send(vitals, {:heard, :other@h, System.monotonic_time()})
     eventually(fn -> is_map_key(Vitals.all(), :other@h) end)

@@ -33,7 +33,7 @@ defmodule Situ.Store.ColumnsTest do
     Store.open!(writer.path)
   end
 
-  # What columns and lists say, as messages do.
+  # Columns and lists as `{time, creation time, value}`.
   defp flat(parts) do
     Enum.flat_map(parts, fn
       %Columns{} = columns ->

@@ -42,7 +42,7 @@ function streamItems(app, { stream, shape }) {
   ];
 }
 
-// What an expression calls a stream; one that is derived is changed.
+// A stream's name in an expression; for a derived stream its expression, to be changed.
 const derivation = (stream) => (stream.startsWith("= ") ? stream.slice(2) : `\`${stream}\``);
 
 function panelItems(app, panel, legend, event) {

@@ -1,10 +1,10 @@
-// What people chose for this browser. Each has a default that works; the page of settings is made from this table.
+// The settings of this browser. Each has a default; the settings page is made from this table.
 
 const KEY = "situ:settings";
 
 const SECOND = 1e9;
 
-// kind: choices [[value, text]] or a boolean; `usual` is the default. Values outside of the choices count as none.
+// kind: choices [[value, text]] or a boolean; `usual` is the default. Values outside of the choices are ignored.
 export const SETTINGS = [
   {
     id: "theme",

@@ -1,5 +1,5 @@
-// What a plug-in draws: its ES module, loaded from the plug-in's own folder, and a fence around every call of it. One
-// that fails says so in its panel; the others go on.
+// The drawing code of a plug-in: its ES module, loaded from the plug-in's own folder, and a guard around every call of
+// it. A failure shows in its panel; the others work on.
 //
 // The module exports `open(host)`, which gives an object with (all but `draw` may be missing):
 //   accept({data, rows, sampled, at})   the message at the cursor, or the rows of the past

@@ -35,10 +35,10 @@ defmodule Situ.Studio.Adapter do
           to: StreamInfo.shape()
         }
 
-  @doc "What it is: the shapes that it takes, and the one that it makes."
+  @doc "The adapter's description: the shapes that it takes, and the one that it makes."
   @callback about() :: t()
 
-  @doc "The new data of a message; `:error` where this message has none."
+  @doc "The new data of a message; `:error` if this message has none."
   @callback adapt(data :: term(), Situ.Message.t()) :: {:ok, term()} | :error
 
   @doc """

@@ -18,7 +18,7 @@ defmodule Situ.Studio.Draw do
   def window(source, channel, %{viz: %{plugin: nil, adapter: nil}} = spec, from, to, bin),
     do: drawn(source, channel, spec, from, to, bin)
 
-  # What others wrote runs by itself: it costs its panel, and nothing else.
+  # Code of plug-ins runs in a process of its own: a failure costs its panel, and nothing else.
   def window(source, channel, %{viz: viz} = spec, from, to, bin) do
     work = fn ->
       source |> Adapted.of(viz.adapter) |> drawn(channel, spec, from, to, bin) |> whole()

@@ -118,7 +118,7 @@ defmodule Situ.Studio.Layout do
     end
   end
 
-  # What is drawn over pictures, and is none itself.
+  # Visualizers that draw over pictures, without being pictures.
   defp over?(viz, panel), do: panel == :image and viz not in ["image", "depth"]
 
   # A value or a chart shows one stream; lines, lanes and pictures show several.

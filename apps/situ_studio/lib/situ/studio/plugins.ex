@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Plugins do
   @moduledoc """
-  What others add to Situ, without changing it: visualizers, adapters, readers of files, tasks.
+  Extensions of Situ by others, without changing it: visualizers, adapters, readers of files, tasks.
 
   A **plug-in** is a folder:
 
@@ -11,9 +11,9 @@ defmodule Situ.Studio.Plugins do
         test/             tests of both, `situ plugin test FOLDER`
 
   Plug-ins are looked for in folders that the user names (`plugins:` of `Situ.Studio`, `--plugins` on the command line)
-  and in `$XDG_CONFIG_HOME/situ/plugins`. **They run with all the rights of the user**, as any program does: a folder
-  is as trustworthy as who fills it. The page loads scripts from there only, under its content security policy; nothing
-  of a plug-in can come from another site.
+  and in `$XDG_CONFIG_HOME/situ/plugins`. **They run with all the rights of the user**, as any program does: trust a
+  folder only as far as its authors. The page loads scripts from there only, under its content security policy;
+  nothing of a plug-in can come from another site.
 
   Found by their behaviours in `lib/`:
 
@@ -27,8 +27,8 @@ defmodule Situ.Studio.Plugins do
   Without a folder, an application brings the same by its configuration: `studio_visualizers`, `studio_adapters`,
   `store_readers` and `dataset_tasks` in `env:` of its `mix.exs`.
 
-  What is broken harms nothing else. A plug-in whose code does not compile still has its visualizers: their panels say
-  what is wrong. Code of plug-ins runs in processes of its own (`Situ.Studio.Plugins.Guard`).
+  A broken plug-in harms nothing else. If its code does not compile, its visualizers remain and their panels show the
+  error. Code of plug-ins runs in processes of its own (`Situ.Studio.Plugins.Guard`).
   """
   alias Situ.Error
   alias Situ.Studio.{Adapter, Visualizer, Visualizers}
@@ -57,8 +57,8 @@ defmodule Situ.Studio.Plugins do
   end
 
   @doc """
-  The plug-ins of some folders: each is one, or holds some. What is no plug-in is passed over; one that is broken is
-  there with its problem; of two with one id, the second has one.
+  The plug-ins of some folders: each is one, or holds some. Other folders are skipped; a broken plug-in is listed with
+  its problem; of two with one id, the second is listed with a problem.
 
       iex> Situ.Studio.Plugins.load(["/there/is/no/such/folder"])
       []
@@ -182,7 +182,7 @@ defmodule Situ.Studio.Plugins do
           do: %{v | plugin: v.plugin || plugin.id}
   end
 
-  # What applications bring by their configuration.
+  # Modules that applications name in their configuration.
   defp brought(key) do
     for {app, _, _} <- Application.loaded_applications(),
         module <- Application.get_env(app, key, []),

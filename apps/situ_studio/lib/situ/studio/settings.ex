@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Settings do
   @moduledoc """
-  What a studio keeps for all its browsers: a JSON file beside the layouts. What is missing or makes no sense in it is
-  as usual, so a damaged file opens every page all the same. What a person chose for one browser stays in that browser.
+  The settings of a studio for all its browsers: a JSON file beside the layouts. Missing or invalid values take their
+  defaults, so every page opens even with a damaged file. Settings of a single browser stay in that browser.
 
       iex> folder = Path.join(System.tmp_dir!(), "situ-doc-settings/layouts")
       iex> :ok = Situ.Studio.Settings.save(folder, %Situ.Studio.Settings{info: :size})

@@ -21,7 +21,7 @@ defmodule Situ.CLI.Store.Care do
       %Verb{
         words: ["store", "repair"],
         aliases: ["recover", "reindex"],
-        summary: "make a store whole that was not closed, or is damaged; sound data stays",
+        summary: "repair a store that was not closed, or is damaged; sound data stays",
         arguments: [path: @store],
         options: [Option.new(:dry_run, :flag, "only say what it would do")],
         examples: ["situ store repair recordings/lobby.0007"],

@@ -80,7 +80,7 @@ defmodule Situ.Dataset.Derivation.Job do
       open: &Importer.stream(importer, &1),
       has: &Importer.has?(importer, &1),
       write: &Store.write(&1, exporter, &2),
-      # What an earlier run made is put in the place of, and is not input.
+      # The partition of an earlier run will be replaced, so it is no input.
       streams:
         for(
           {name, _} = stream <- OpenSession.streams(importer.session),

@@ -15,7 +15,7 @@ defmodule Situ.Infer.Speech.Azure do
       default: "AZURE_SPEECH_KEY",
       doc: "The **name** of the environment variable that holds the key; `nil`: none is sent."
     ],
-    language: [type: :string, default: "en-US", doc: "What is spoken."],
+    language: [type: :string, default: "en-US", doc: "The language spoken."],
     voice: [type: :string, default: "en-US-JennyNeural", doc: "Whose voice."],
     ssml: [type: :boolean, default: false, doc: "Texts to be spoken are whole SSML documents."]
   ]

@@ -16,7 +16,7 @@ defmodule Situ.Infer.Speech.OpenAI do
     language: [
       type: {:optional, :string},
       default: nil,
-      doc: "What is spoken, such as \"en\"; `nil`: the service finds out."
+      doc: "The language spoken, such as \"en\"; `nil`: the service detects it."
     ],
     rate: [
       type: {:range, 8_000, 48_000},

@@ -1,6 +1,7 @@
 defmodule Situ.Infer.Speech.Synthesizer do
   @moduledoc """
-  What turns text into sound: the seam between `Situ.Infer.SpeechSynthesizer` and a program, model or service.
+  A synthesizer turns text into sound: the seam between `Situ.Infer.SpeechSynthesizer` and a program, model or
+  service.
 
   | built in | is | runs | says when each word is spoken |
   |---|---|---|---|

@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Speech.Upload do
   @moduledoc false
-  # What is sent to services: sound as a WAV file in memory, forms, text as SSML.
+  # Requests to services: sound as a WAV file in memory, forms, text as SSML.
   alias Situ.{AudioBuffer, Error, Sound}
 
   @rate 16_000

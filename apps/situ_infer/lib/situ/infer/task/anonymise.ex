@@ -9,7 +9,7 @@ defmodule Situ.Infer.Task.Anonymise do
 
   @second 1_000_000_000
 
-  @doc "What the task is."
+  @doc "The task's description."
   @spec task() :: map()
   def task do
     %{

@@ -1,7 +1,7 @@
 defmodule Situ.Infer.Task.Faces do
   @moduledoc "The batch task `faces`: where faces are in a stream of pictures, as a new partition of each session."
 
-  @doc "What the task is."
+  @doc "The task's description."
   @spec task() :: map()
   def task do
     %{

@@ -5,7 +5,7 @@ defmodule Situ.Infer.Task.Transcript do
   The speech model has to be there: `bin/lib/fetch-model moonshine-tiny-en` fetches it.
   """
 
-  @doc "What the task is."
+  @doc "The task's description."
   @spec task() :: map()
   def task do
     %{

@@ -10,7 +10,7 @@ defmodule Situ.Infer.Speech.HibariTest do
              Phonemes.sentences("Hello there! Go on, please.")
 
     assert {:ok, []} = Phonemes.sentences(" ...\n\n ")
-    # What looks like an option or a command is text.
+    # Text that looks like an option or a command is only text.
     assert {:ok, [signs]} = Phonemes.sentences("--help $(id)")
     assert signs =~ "hˈɛlp"
   end

@@ -32,7 +32,7 @@ defmodule Situ.Remote.Link.Dialing do
     end)
   end
 
-  @doc "What a server has, whatever name the address says."
+  @doc "The names of all recordings of a server; the name in the address is ignored."
   @spec names(Remote.Address.t(), map()) :: {:ok, [String.t()]} | {:error, Error.t()}
   def names(address, opts) do
     with {:ok, socket, welcome} <- dial(address, Map.put(opts, :list, true)) do

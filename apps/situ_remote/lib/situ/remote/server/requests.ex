@@ -1,7 +1,7 @@
 defmodule Situ.Remote.Server.Requests do
   @moduledoc """
-  What a client asks of a recording (`{:request, id, map}`) and the bodies of the answers. A reader of the other side
-  asks, `Situ.Remote.Recording`.
+  The requests of a client to a recording (`{:request, id, map}`) and the bodies of the answers. On the other side the
+  reader `Situ.Remote.Recording` asks.
 
   | `op` | further keys | answer |
   |---|---|---|
@@ -9,7 +9,8 @@ defmodule Situ.Remote.Server.Requests do
   | `streams`; `stream` | `stream` | list of maps; one |
   | `seek`, `count` | `stream`, `time` | ordinal, number |
   | `read` | `stream`, `ordinal`, `to`, `limit`, `exact`, `envelopes`, `skip_damage` | 64 bits of ordinal, batches |
-  | `summary`, `tracks` | `stream`, `from`, `to`, `pixels` or `level` and `most` | what a `Situ.Store.Reader` answers |
+  | `summary`, `tracks` | `stream`, `from`, `to`, `pixels` or `level` and `most` | the answer of the
+  `Situ.Store.Reader` |
   | `gaps`; `missing_files` | `stream`, `least` | lists |
   | `await` | `known` | `{:published \| :ended, n}`, once there is more than `known` |
 

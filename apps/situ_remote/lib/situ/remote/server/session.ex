@@ -97,7 +97,7 @@ defmodule Situ.Remote.Server.Session do
     end
   end
 
-  # What a client waits for: the tag is the request's.
+  # News that a client waits for: the tag is the request's.
   def handle_info({:situ_store, tag, news}, state) when tag >= @first_tag,
     do: {:noreply, reply(state, tag - @first_tag, Requests.term(news))} |> then_pump()
 

@@ -1,5 +1,5 @@
 defmodule Situ.Remote.Recording.AnswerTest do
-  # Whatever a server answers, nothing is raised and nothing is taken that has not the form.
+  # A malformed answer of a server never raises, and is never accepted.
   use ExUnit.Case, async: true
   use Situ.Test.Property
   alias Situ.Remote.Recording.Answer

@@ -31,7 +31,7 @@ defmodule Situ.Studio.Plugins.Code do
     end
   end
 
-  # What the files define, before anything of them runs.
+  # The modules that the files define, found before any of their code runs.
   defp names([], names), do: {:ok, names}
 
   defp names([file | files], names) do

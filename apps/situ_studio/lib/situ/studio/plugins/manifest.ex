@@ -1,6 +1,6 @@
 defmodule Situ.Studio.Plugins.Manifest do
   @moduledoc """
-  What a plug-in says of itself, in the `plugin.json` of its folder:
+  The description of a plug-in, in the `plugin.json` of its folder:
 
       {
         "plugin": 1,

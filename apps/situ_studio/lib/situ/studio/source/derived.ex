@@ -243,7 +243,7 @@ defmodule Situ.Studio.Source.Derived do
     end
   end
 
-  # What an expression says at a time, given the message in force of each stream.
+  # The value of an expression at a time, given the latest message of each stream.
   defp value(expression, messages, time) do
     env =
       for {name, m} <- messages, reduce: %{} do

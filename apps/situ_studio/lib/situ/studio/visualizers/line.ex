@@ -36,7 +36,7 @@ defmodule Situ.Studio.Visualizers.Line do
          do: Frame.series(channel, points, raw?)
   end
 
-  # What no source has a summary of; of more than can be read a sample, which says so.
+  # Lines without a summary in the source come from the messages; of too many, from a sample, which the frame marks.
   defp of_messages(source, channel, spec, from, to, bin) do
     with {:ok, messages, all?} <- Messages.around(source, spec, from, to) do
       {points, raw?} = messages |> of(spec.path) |> Bins.fold(bin, @points)

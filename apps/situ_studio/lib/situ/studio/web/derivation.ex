@@ -10,7 +10,7 @@ defmodule Situ.Studio.Web.Derivation do
 
   @most 64
 
-  @doc "What is known of them; one that the recording has no streams for is left out."
+  @doc "Facts about the derived streams; one whose input streams the recording lacks is left out."
   @spec infos(map()) :: [StreamInfo.t()]
   def infos(assigns) do
     for "= " <> text <- names(assigns),

@@ -191,7 +191,7 @@ defmodule Situ.Studio.Web.Panels do
   defp drawer(%Visualizer{drawer: drawer}), do: drawer
   defp drawer(id), do: id
 
-  # What a plug-in's script is loaded from, and told.
+  # The address and the options of a plug-in's script.
   defp script(%Visualizer{script: url} = viz) when url != nil,
     do: %{"url" => url, "plugin" => viz.plugin, "options" => defaults(viz)}
 

@@ -59,7 +59,7 @@ defmodule Situ.Infer.Speech.Espeak.Frames do
       Enum.find_value(later, frames, fn event -> ends?(kind, event, at) && elem(event, 1) end)
 
     ns = &div(&1 * 1_000_000_000, rate)
-    # What the library says beyond the sound is at its end.
+    # The library may report marks behind the end of the sound; they go to its end.
     {from, to} = {min(at, frames), min(max(ends, at), frames)}
     rest = marks(later, frames, rate, text)
 

@@ -104,7 +104,8 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
     weights = for {text, score} <- others, do: {text, weight(score, best)}
     all = weights |> Enum.map(&elem(&1, 1)) |> Enum.sum()
     own = Enum.find_value(weights, 0.0, fn {text, w} -> text == said.text && w end)
-    # What is not in its own list was heard by another way than the list.
+
+    # A sentence missing from its own list of alternatives came from another pass of the recogniser.
     if own > 0, do: own / all, else: 1 / (1 + all)
   end
 
@@ -130,7 +131,7 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
   end
 
   @doc """
-  What the listener for a keyword writes: the phrase, then where it was said, once for each time.
+  Parses the output of the keyword search: the phrase, then a line with the times for each occurrence.
 
       iex> heard = Situ.Infer.Speech.PocketSphinx.Output.keyword("forward \\nforward 0.630 1.210 0.93\\n")
       iex> {heard.text, heard.confidence, heard.words}
