@@ -72,6 +72,14 @@ defmodule Situ.Remote do
           " `max_latency`."
     ],
     priority: [type: {:range, -100, 100}, default: 0, doc: "Higher ones are sent first."],
+    datagrams: [
+      type: {:or, [:boolean, {:range, 46, 65_507}]},
+      default: false,
+      doc:
+        "With a `policy:` that loses: as UDP datagrams of this size (`true`: 1,200 bytes), encrypted. One that is" <>
+          " lost holds up nothing, and how many messages were lost is counted (`info/1`). Over a Unix socket it" <>
+          " makes no difference."
+    ],
     times: [
       type: {:in, [:sender, :local]},
       default: :sender,
@@ -178,6 +186,7 @@ defmodule Situ.Remote do
     policy = opts[:policy] || Delivery.unlimited()
 
     wanted = %{
+      datagram: datagram(opts[:datagrams], policy),
       name: name,
       from: from(opts[:from] || link.opts[:from], link, name),
       policy: asked(policy),
@@ -190,6 +199,20 @@ defmodule Situ.Remote do
     named = [name: opts[:name] || String.replace(name, ".", " ")]
     own = [link: link.pid, wanted: wanted, type: checked, outputs: [out: type]]
     Situ.source(link.pipeline, Source, own ++ named)
+  end
+
+  defp datagram(false, _policy), do: nil
+
+  defp datagram(size, policy) do
+    unless Delivery.lossy?(policy) do
+      raise Error.new(:bad_option, "datagrams: needs a policy: that loses",
+              why: "what is lost on the way is not sent again",
+              fix:
+                "add policy: Situ.Delivery.latest() (or max_queue, max_latency), or leave datagrams: out"
+            )
+    end
+
+    if size == true, do: 1_200, else: size
   end
 
   defp known(link, name) do

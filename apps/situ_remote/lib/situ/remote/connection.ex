@@ -5,7 +5,7 @@ defmodule Situ.Remote.Connection do
   use GenServer
   alias Situ.Remote.Address
   alias Situ.Remote.Link.{ClockEstimate, Dialing, Frame, Handshake, Socket}
-  alias Situ.Remote.Connection.{Catalogue, Channel, Positions}
+  alias Situ.Remote.Connection.{Catalogue, Channel, Datagrams, Positions, Report}
   require Logger
 
   @first_wait 50
@@ -106,7 +106,7 @@ defmodule Situ.Remote.Connection do
   def handle_call({:confirming, name}, _from, state),
     do: {:reply, :ok, %{state | positions: Positions.confirming(state.positions, name)}}
 
-  def handle_call(:info, _from, state), do: {:reply, information(state), state}
+  def handle_call(:info, _from, state), do: {:reply, Report.of(state), state}
 
   @impl true
   def handle_cast({:taken, id, bytes, last}, state) do
@@ -136,6 +136,7 @@ defmodule Situ.Remote.Connection do
         state
 
       {channel, channels} ->
+        Datagrams.leave(channel)
         positions = Positions.leave(state.positions, channel.name, channel.taken)
         %{state | channels: channels, positions: positions}
     end
@@ -200,6 +201,20 @@ defmodule Situ.Remote.Connection do
     end
   end
 
+  # Nobody was asked whether there is room for it.
+  def handle_info({:situ_datagrams, id, lost, body}, state) when is_map_key(state.channels, id) do
+    state = if lost > 0, do: event(state, id, {:lost, lost}), else: state
+
+    with {:ok, {:batch, ^id, _, _, count, _} = batch} <- Frame.decode(body),
+         {:full, false, _} <- {:full, Channel.full?(state.channels[id]), count},
+         {:ok, state} <- frame(batch, byte_size(body), state) do
+      {:noreply, state}
+    else
+      {:full, true, count} -> {:noreply, event(state, id, {:lost, count})}
+      _ -> {:noreply, state}
+    end
+  end
+
   def handle_info({:waited, from}, state) do
     error = state.error || silent(state)
     {:noreply, %{state | catalogue: Catalogue.waited(state.catalogue, from, error)}}
@@ -253,10 +268,14 @@ defmodule Situ.Remote.Connection do
   defp frame({:streams, %{"streams" => streams}}, _size, state) when is_list(streams),
     do: {:ok, %{state | catalogue: Catalogue.merge(state.catalogue, streams)}}
 
-  defp frame({:subscribed, id, %{"after" => time}}, _size, state) when is_integer(time) do
+  defp frame({:subscribed, id, %{"after" => time} = map}, _size, state) when is_integer(time) do
     case state.channels do
-      %{^id => channel} -> {:ok, put(state, Channel.subscribed(channel, time))}
-      _ -> {:ok, state}
+      %{^id => channel} ->
+        Datagrams.subscribed(channel, map, state.socket)
+        {:ok, put(state, Channel.subscribed(channel, time))}
+
+      _ ->
+        {:ok, state}
     end
   end
 
@@ -322,7 +341,7 @@ defmodule Situ.Remote.Connection do
   defp ask(state, %{ended: true}), do: state
 
   defp ask(state, channel) do
-    {map, channel} = Channel.ask(channel)
+    {map, channel} = channel |> Channel.ask() |> Datagrams.ask()
     state |> put(channel) |> transmit({:subscribe, channel.id, map})
   end
 
@@ -372,22 +391,5 @@ defmodule Situ.Remote.Connection do
     {result, positions} = Positions.save(state.positions, state.opts.position, taken)
     with {:error, error} <- result, do: Logger.error(Exception.message(error))
     %{state | positions: positions}
-  end
-
-  defp information(state) do
-    now = state.opts.now.()
-
-    %{
-      connected?: state.socket != nil,
-      connections: state.connected,
-      error: state.error,
-      bytes: state.received,
-      offset: ClockEstimate.offset(state.clock, now),
-      drift: state.clock.drift,
-      uncertainty: ClockEstimate.uncertainty(state.clock, now),
-      round_trip: state.clock.rtt,
-      streams:
-        for({_, channel} <- state.channels, into: %{}, do: {channel.name, Channel.info(channel)})
-    }
   end
 end

@@ -194,4 +194,55 @@ defmodule Situ.Remote.LinkTest do
       assert {:ok, _} = Pipeline.await(pipeline)
     end)
   end
+
+  test "pictures as datagrams: each one whole, and all that is lost is told", %{
+    root: root,
+    path: path
+  } do
+    picture = fn t -> {t, :binary.copy(<<rem(t, 251)>>, 30_000 + t)} end
+    open = begin(root, "lobby", %{"n" => messages(1..200, picture)})
+    server = serve(path, token: "s3cret")
+    opts = [from: :start, token: "s3cret"]
+    lossy = [policy: Delivery.max_queue(1_000), datagrams: true, type: :any]
+    {pipeline, link} = follow(address(server), opts, lossy)
+
+    eventually(fn ->
+      told = Remote.info(link).streams["n"]
+      told != nil and told.received + told.lost >= 190
+    end)
+
+    finish(open)
+    assert {:ok, _} = Pipeline.await(pipeline)
+    got = all_got([])
+    assert length(got) > 20
+    assert Enum.all?(got, &(&1 == picture.(elem(&1, 0))))
+    times = Enum.map(got, &elem(&1, 0))
+    assert times == Enum.sort(Enum.uniq(times))
+  end
+
+  test "datagrams need a policy that loses; a Unix socket goes without them", %{
+    root: root,
+    path: path
+  } do
+    finish(begin(root, "lobby", %{"n" => messages(1..5)}))
+    socket = Path.join(root, "socket")
+    serve(path, port: :none, unix: socket)
+    there = "situ+unix://#{socket}?lobby"
+
+    assert %{code: :bad_option} =
+             assert_raise(Situ.Error, fn ->
+               received(there, "n", [from: :start], datagrams: true)
+             end)
+
+    lossy = [policy: Delivery.max_queue(100), datagrams: 500]
+    assert received(there, "n", [from: :start], lossy) == [1, 2, 3, 4, 5]
+  end
+
+  defp all_got(got) do
+    receive do
+      {:got, data} -> all_got([data | got])
+    after
+      0 -> Enum.reverse(got)
+    end
+  end
 end

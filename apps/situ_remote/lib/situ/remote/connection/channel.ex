@@ -27,6 +27,8 @@ defmodule Situ.Remote.Connection.Channel do
     :window,
     :last,
     :taken,
+    :datagram,
+    :aside,
     times: :sender,
     priority: 0,
     under_way: 0,
@@ -41,7 +43,8 @@ defmodule Situ.Remote.Connection.Channel do
 
   @typedoc """
   Bytes `under_way` have been delivered and not been used up, `unpaid` ones used up and not been told to the server.
-  `last` is the originating time of the last message delivered, `taken` that of the last used up.
+  `last` is the originating time of the last message delivered, `taken` that of the last used up. `datagram`: the size
+  of the datagrams that it is to come as, `aside`: the process that takes them.
   """
   @type t :: %__MODULE__{}
 
@@ -109,6 +112,10 @@ defmodule Situ.Remote.Connection.Channel do
       true -> {:more, unpaid(%{channel | parts: parts, parts_size: size}, byte_size(bytes))}
     end
   end
+
+  @doc "Whether there is no room for what comes aside, where nobody asks whether there is."
+  @spec full?(t()) :: boolean()
+  def full?(%__MODULE__{under_way: under_way, window: window}), do: under_way > window
 
   defp unpaid(channel, bytes), do: %{channel | unpaid: channel.unpaid + bytes}
 

@@ -218,6 +218,14 @@ defmodule Situ.Remote.Link.Socket do
   defp ip({:ok, {ip, _port}}), do: {:ok, ip}
   defp ip(error), do: error
 
+  @doc "This side's address, where there is one."
+  @spec local(t()) :: :inet.ip_address() | nil
+  def local({:gen_tcp, socket}), do: local_ip(:inet.sockname(socket))
+  def local({:ssl, socket}), do: local_ip(:ssl.sockname(socket))
+
+  defp local_ip({:ok, {ip, port}}) when is_tuple(ip) and is_integer(port), do: ip
+  defp local_ip(_none), do: nil
+
   @doc "Why a connection failed, for people."
   @spec reason_text(term()) :: String.t()
   def reason_text({:tls_alert, {_kind, text}}), do: String.trim(to_string(text))

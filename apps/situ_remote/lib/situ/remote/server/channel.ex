@@ -3,7 +3,7 @@ defmodule Situ.Remote.Server.Channel do
   One stream on its way to one client, on the server's side: what was asked, where it is, what may be sent. Pure.
   """
   alias Situ.Delivery
-  alias Situ.Remote.Link.Frame
+  alias Situ.Remote.Link.{Datagrams, Frame}
   alias Situ.Remote.Origin.Recording
 
   @enforce_keys [:id, :name]
@@ -13,6 +13,8 @@ defmodule Situ.Remote.Server.Channel do
     :from,
     :cursor,
     :policy,
+    :udp,
+    :datagrams,
     priority: 0,
     credit: 0,
     out: [],
@@ -23,7 +25,8 @@ defmodule Situ.Remote.Server.Channel do
 
   @typedoc """
   `state`: `:waiting` for a stream of this name, `:open`, or `:ended`. `out`: frames that wait to be sent, with the
-  number of messages in them.
+  number of messages in them. `udp`: key and size of the datagrams that a client asks for, `datagrams` the process that
+  sends them.
   """
   @type t :: %__MODULE__{}
 
@@ -36,7 +39,8 @@ defmodule Situ.Remote.Server.Channel do
          {:ok, policy} <- policy(asked["policy"]),
          {:ok, priority} <- number(asked["priority"] || 0, -100, 100, "priority"),
          {:ok, window} <- number(asked["window"], 1, @most_window, "window") do
-      channel = %__MODULE__{id: id, name: name, from: from, policy: policy}
+      udp = if Delivery.lossy?(policy), do: udp(asked["udp"])
+      channel = %__MODULE__{id: id, name: name, from: from, policy: policy, udp: udp}
       {:ok, %{channel | priority: priority, credit: window}}
     end
   end
@@ -65,6 +69,18 @@ defmodule Situ.Remote.Server.Channel do
     do: with({:ok, d} <- number(d, 0, 1.0e18, "max_latency"), do: {:ok, Delivery.max_latency(d)})
 
   defp policy(_other), do: {:error, "a delivery policy that is not known"}
+
+  # What makes no sense comes over the connection, as all else.
+  defp udp(%{"key" => text, "size" => size}) when is_binary(text) and is_integer(size) do
+    {least, most} = Datagrams.sizes()
+
+    case Base.decode16(text, case: :lower) do
+      {:ok, <<key::binary-16>>} when size in least..most -> {key, size}
+      _ -> nil
+    end
+  end
+
+  defp udp(_other), do: nil
 
   defp number(n, least, most, _what) when is_integer(n) and n >= least and n <= most, do: {:ok, n}
   defp number(_n, _least, _most, what), do: {:error, "a #{what} out of range"}

@@ -4,7 +4,7 @@ defmodule Situ.Remote.Server.Pump do
   # waits for more than a frame. Works on the session's state.
   alias Situ.Delivery
   alias Situ.Remote.Link.{Frame, Quota, Schedule, Socket}
-  alias Situ.Remote.Server.Channel
+  alias Situ.Remote.Server.{Channel, Datagrams}
 
   # The most work before the session looks at its mailbox again.
   @turn_bytes 4 * 1024 * 1024
@@ -21,13 +21,26 @@ defmodule Situ.Remote.Server.Pump do
 
     case state.module.cursor(state.origin, channel.name, channel.from) do
       {:ok, cursor, before} ->
-        _ = send_frame(state, {:subscribed, id, %{"after" => before}})
+        {channel, told} = aside(channel, state.socket)
+        _ = send_frame(state, {:subscribed, id, Map.put(told, "after", before)})
         put(state, %{channel | cursor: cursor, state: :open})
 
       :unknown ->
         state
     end
   end
+
+  # As datagrams, where they were asked for and there is a network.
+  defp aside(%{udp: {key, size}} = channel, socket) do
+    with ip when ip != nil <- Socket.local(socket),
+         {:ok, pid, port} <- Datagrams.start(ip, channel.id, key, size) do
+      {%{channel | datagrams: pid}, %{"udp" => port}}
+    else
+      _ -> {channel, %{}}
+    end
+  end
+
+  defp aside(channel, _socket), do: {channel, %{}}
 
   @doc "Finds the streams that channels have been waiting for."
   @spec open_waiting(state()) :: state()
@@ -131,7 +144,7 @@ defmodule Situ.Remote.Server.Pump do
   defp stepped({:error, reason, state}, _bytes, _reads), do: {:error, reason, state}
 
   defp step(state, %{out: [{frame, size, messages} | out]} = channel) do
-    case Socket.send(state.socket, frame) do
+    case transmit(state, channel, frame, messages) do
       :ok ->
         sent = channel.sent + messages
         channel = %{channel | out: out, credit: channel.credit - size, sent: sent}
@@ -147,7 +160,7 @@ defmodule Situ.Remote.Server.Pump do
 
     case state.module.read(state.origin, channel.cursor) do
       {:parts, parts, lost, cursor} ->
-        most = Quota.piece(state.config.quota, @most_piece)
+        most = if channel.datagrams, do: :any, else: Quota.piece(state.config.quota, @most_piece)
         out = Enum.flat_map(parts, &frames(&1, channel.id, most))
         state = told_lost(state, channel, lost)
         step(state, %{channel | out: out, cursor: cursor, dropped: channel.dropped + lost})
@@ -162,6 +175,11 @@ defmodule Situ.Remote.Server.Pump do
         {:sent, 0, 0, put(state, %{channel | state: :ended})}
     end
   end
+
+  defp transmit(state, %{datagrams: nil}, frame, _messages), do: Socket.send(state.socket, frame)
+
+  defp transmit(_state, channel, frame, messages),
+    do: Datagrams.send_frame(channel.datagrams, frame, messages)
 
   # A lossy policy leaves messages out when it is the stream's turn to send: only then the link's capacity is known.
   defp lighten(state, %{policy: policy} = channel) do

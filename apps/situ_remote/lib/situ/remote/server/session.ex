@@ -5,7 +5,7 @@ defmodule Situ.Remote.Server.Session do
   use GenServer, restart: :temporary
   alias Situ.Error
   alias Situ.Remote.Link.{Frame, Handshake, Schedule, Socket}
-  alias Situ.Remote.Server.{Channel, Pump, Requests}
+  alias Situ.Remote.Server.{Channel, Pump, Requests, Served}
   alias Situ.Store.Reading
   require Logger
 
@@ -97,6 +97,13 @@ defmodule Situ.Remote.Server.Session do
     end
   end
 
+  def handle_info({:situ_sent, id, bytes}, state) do
+    case state.channels do
+      %{^id => channel} -> pump(paid(state, channel, bytes))
+      _ -> {:noreply, state}
+    end
+  end
+
   # News that a client waits for: the tag is the request's.
   def handle_info({:situ_store, tag, news}, state) when tag >= @first_tag,
     do: {:noreply, reply(state, tag - @first_tag, Requests.term(news))} |> then_pump()
@@ -151,7 +158,8 @@ defmodule Situ.Remote.Server.Session do
 
   defp frame({:credit, id, bytes}, %{stage: :open} = state) do
     case state.channels do
-      %{^id => channel} -> {:pump, put(state, %{channel | credit: channel.credit + bytes})}
+      # Datagrams are paid for when they are out (`:situ_sent`): those that were lost are never used up.
+      %{^id => %{datagrams: nil} = channel} -> {:pump, paid(state, channel, bytes)}
       # Of a stream that has ended meanwhile.
       _ -> {:ok, state}
     end
@@ -180,8 +188,11 @@ defmodule Situ.Remote.Server.Session do
     end
   end
 
-  defp frame({:unsubscribe, id}, %{stage: :open} = state),
-    do: {:ok, %{state | channels: Map.delete(state.channels, id)}}
+  defp frame({:unsubscribe, id}, %{stage: :open} = state) do
+    {channel, channels} = Map.pop(state.channels, id)
+    if channel && channel.datagrams, do: GenServer.stop(channel.datagrams)
+    {:ok, %{state | channels: channels}}
+  end
 
   defp frame(frame, state),
     do: {:error, bad_frame("a frame #{elem(frame, 0)} out of turn (#{state.stage})")}
@@ -197,7 +208,7 @@ defmodule Situ.Remote.Server.Session do
   defp login(map, state) do
     name = map["name"] || ""
 
-    with {:ok, {module, spec}} <- served(state.config.served, name),
+    with {:ok, {module, spec}} <- Served.find(state.config.served, name),
          {:ok, origin} <- module.open(spec) do
       send(self(), :look)
       state = %{state | stage: :open, module: module, origin: origin, peer: peer(state)}
@@ -211,28 +222,6 @@ defmodule Situ.Remote.Server.Session do
   defp welcome(state) do
     proof = Handshake.proof(state.config.token, :server, state.nonce, state.client_nonce)
     {:welcome, proof, %{"names" => Map.keys(state.config.served)}}
-  end
-
-  defp served(served, "") when map_size(served) == 1, do: {:ok, served |> Map.values() |> hd()}
-
-  defp served(served, name) do
-    with :error <- Map.fetch(served, name), :error <- version(served, name) do
-      {:error,
-       Error.new(:no_recording, "nothing is served under the name #{inspect(name)}",
-         fix: "served: #{served |> Map.keys() |> Enum.join(", ")}"
-       )}
-    end
-  end
-
-  # One version of a recording that is served.
-  defp version(served, name) do
-    with [_, name, version] <- Regex.run(~r/\A(.+)\.(\d{4,9})\z/s, name),
-         {:ok, {module, spec}} <- Map.fetch(served, name),
-         {:ok, spec} <- module.version(spec, String.to_integer(version)) do
-      {:ok, {module, spec}}
-    else
-      _ -> :error
-    end
   end
 
   defp peer(state) do
@@ -343,6 +332,8 @@ defmodule Situ.Remote.Server.Session do
   end
 
   defp put(state, channel), do: Pump.put(state, channel)
+
+  defp paid(state, channel, bytes), do: put(state, %{channel | credit: channel.credit + bytes})
 
   defp answer(state, frame) do
     with :ok <- Socket.send(state.socket, Frame.encode(frame)), do: {:ok, state}

@@ -1,0 +1,88 @@
+defmodule Situ.Remote.Connection.Datagrams do
+  @moduledoc false
+  # One stream of a link that comes as datagrams: a process with a socket of its own. Says where it is once a second (a
+  # firewall on the way forgets), puts frames together and hands them to the connection: `{:situ_datagrams, id, lost,
+  # body}`.
+  use GenServer
+  alias Situ.Remote.Connection.Channel
+  alias Situ.Remote.Link.{Datagrams, Socket}
+
+  @here_ms 1_000
+  @first_ms 50
+  @at_once 100
+
+  defstruct [:socket, :connection, :id, :key, :receiver, :to, seq: 0, session: 0]
+
+  @spec start_link(non_neg_integer(), binary()) :: {:ok, pid()}
+  def start_link(id, key), do: GenServer.start_link(__MODULE__, {self(), id, key})
+
+  @doc "What is asked of the server for a stream that is to come as datagrams: under a key of its own each time."
+  @spec ask({map(), Channel.t()}) :: {map(), Channel.t()}
+  def ask({map, %{datagram: nil} = channel}), do: {map, channel}
+
+  def ask({map, %{datagram: size} = channel}) do
+    leave(channel)
+    key = :crypto.strong_rand_bytes(16)
+    {:ok, pid} = start_link(channel.id, key)
+    udp = %{"key" => Base.encode16(key, case: :lower), "size" => size}
+    {Map.put(map, "udp", udp), %{channel | aside: pid}}
+  end
+
+  @doc "The process of a stream ends."
+  @spec leave(Channel.t()) :: term()
+  def leave(%{aside: nil}), do: :ok
+  def leave(%{aside: pid}), do: Process.exit(pid, :shutdown)
+
+  @doc "The server has found the stream, and may have said at which port it sends."
+  @spec subscribed(Channel.t(), map(), Socket.t()) :: term()
+  def subscribed(%{aside: pid}, %{"udp" => port}, socket) when pid != nil and port in 1..65_535 do
+    with {:ok, ip} when is_tuple(ip) <- Socket.peer(socket), do: begin(pid, {ip, port})
+  end
+
+  def subscribed(_channel, _map, _socket), do: :ok
+
+  @doc "The server's port, as it has told over the connection."
+  @spec begin(pid(), {:inet.ip_address(), :inet.port_number()}) :: :ok
+  def begin(pid, to), do: GenServer.cast(pid, {:begin, to})
+
+  @impl true
+  def init({connection, id, key}) do
+    receiver = Datagrams.receiver(key)
+    {:ok, %__MODULE__{connection: connection, id: id, key: key, receiver: receiver}}
+  end
+
+  @impl true
+  def handle_cast({:begin, {ip, _} = to}, state) do
+    family = if tuple_size(ip) == 8, do: :inet6, else: :inet
+    options = [:binary, family, active: @at_once, recbuf: 8 * 1024 * 1024]
+    {:ok, socket} = :gen_udp.open(0, options)
+    {:noreply, here(%{state | socket: socket, to: to})}
+  end
+
+  @impl true
+  def handle_info(:here, state), do: {:noreply, here(state)}
+
+  def handle_info({:udp_passive, socket}, state) do
+    _ = :inet.setopts(socket, active: @at_once)
+    {:noreply, state}
+  end
+
+  def handle_info({:udp, socket, ip, port, bytes}, %{socket: socket, to: {ip, port}} = state) do
+    {frames, receiver} = Datagrams.take(state.receiver, bytes)
+
+    for {lost, body} <- frames,
+        do: send(state.connection, {:situ_datagrams, state.id, lost, body})
+
+    {:noreply, %{state | receiver: receiver}}
+  end
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  # The first ones quickly: one may be lost.
+  defp here(state) do
+    {ip, port} = state.to
+    _ = :gen_udp.send(state.socket, ip, port, Datagrams.hello(state.key, state.seq))
+    Process.send_after(self(), :here, if(state.seq < 10, do: @first_ms, else: @here_ms))
+    %{state | seq: state.seq + 1}
+  end
+end

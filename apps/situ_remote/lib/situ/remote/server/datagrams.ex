@@ -1,0 +1,86 @@
+defmodule Situ.Remote.Server.Datagrams do
+  @moduledoc false
+  # One lossy stream on its way to one client as datagrams: a process with a socket of its own. It sends to wherever the
+  # client last said it is, so that many at once as a receiver can take, and tells the session when a frame is out.
+  use GenServer
+  alias Situ.Remote.Link.Datagrams
+
+  # So many bytes at once, then a pause: about 40 MB/s.
+  @burst 40_000
+  @pause_ms 1
+
+  defstruct [:socket, :session, :id, :key, :sender, :to, queue: :queue.new(), paused: false]
+
+  @doc "`{:ok, pid, port}`; it ends with the session."
+  @spec start(:inet.ip_address(), non_neg_integer(), binary(), pos_integer()) ::
+          {:ok, pid(), :inet.port_number()} | {:error, term()}
+  def start(ip, id, key, size) do
+    with {:ok, pid} <- GenServer.start_link(__MODULE__, {self(), id, key, size}),
+         {:ok, port} <- GenServer.call(pid, {:open, ip}),
+         do: {:ok, pid, port}
+  end
+
+  @doc "Sends a frame; the session gets `{:situ_sent, id, bytes}` when it is out."
+  @spec send_frame(pid(), iodata(), non_neg_integer()) :: :ok
+  def send_frame(pid, frame, messages), do: GenServer.cast(pid, {:frame, frame, messages})
+
+  @impl true
+  def init({session, id, key, size}) do
+    {:ok, %__MODULE__{session: session, id: id, key: key, sender: Datagrams.sender(key, size)}}
+  end
+
+  @impl true
+  def handle_call({:open, ip}, _from, state) do
+    family = if tuple_size(ip) == 8, do: :inet6, else: :inet
+
+    with {:ok, socket} <-
+           :gen_udp.open(0, [:binary, family, ip: ip, active: :once, sndbuf: 1024 * 1024]),
+         {:ok, port} <- :inet.port(socket) do
+      {:reply, {:ok, port}, %{state | socket: socket}}
+    else
+      error -> {:reply, error, state}
+    end
+  end
+
+  @impl true
+  def handle_cast({:frame, frame, messages}, state) do
+    {sent, sender} = Datagrams.split(state.sender, frame, messages)
+    entries = Enum.map(sent, &{:datagram, &1}) ++ [{:done, IO.iodata_length(frame)}]
+    queue = Enum.reduce(entries, state.queue, &:queue.in/2)
+    {:noreply, run(%{state | sender: sender, queue: queue}, @burst)}
+  end
+
+  @impl true
+  def handle_info({:udp, socket, ip, port, bytes}, %{socket: socket} = state) do
+    _ = :inet.setopts(socket, active: :once)
+    here? = Datagrams.hello?(state.key, bytes)
+    {:noreply, if(here?, do: run(%{state | to: {ip, port}}, @burst), else: state)}
+  end
+
+  def handle_info(:go, state), do: {:noreply, run(%{state | paused: false}, @burst)}
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp run(%{to: nil} = state, _left), do: state
+  defp run(%{paused: true} = state, _left), do: state
+
+  defp run(state, left) when left <= 0 do
+    Process.send_after(self(), :go, @pause_ms)
+    %{state | paused: true}
+  end
+
+  defp run(state, left) do
+    case :queue.out(state.queue) do
+      {{:value, {:datagram, bytes}}, queue} ->
+        # One that cannot be sent is lost like one on the way.
+        _ = :gen_udp.send(state.socket, elem(state.to, 0), elem(state.to, 1), bytes)
+        run(%{state | queue: queue}, left - byte_size(bytes))
+
+      {{:value, {:done, size}}, queue} ->
+        send(state.session, {:situ_sent, state.id, size})
+        run(%{state | queue: queue}, left)
+
+      {:empty, _} ->
+        state
+    end
+  end
+end
