@@ -11,6 +11,8 @@ defmodule Situ.Infer do
   | an ONNX file | to run it | `Situ.Infer.OnnxModel` on streams, `Situ.Infer.Model` |
   | pictures, a network | what is in them | `Situ.Infer.Classifier` |
   | pictures, a network | objects, their shapes | `Situ.Infer.ObjectDetector`, `Situ.Infer.Segmentation` |
+  | pictures | the text in them | `Situ.Infer.TextReader` |
+  | pictures, a service | what it sees | `Situ.Infer.PictureService` |
   | rectangles | the same things through time | `Situ.Infer.Tracker` |
   | 16 kHz sound | probability of speech | `voice/2` |
   | 16 kHz sound | speech or not, segments | `voice_activity/2`, `Situ.Infer.VoiceActivity` |

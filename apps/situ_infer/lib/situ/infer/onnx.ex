@@ -62,6 +62,57 @@ defmodule Situ.Infer.Onnx do
     ])
   end
 
+  @doc """
+  What a file says about itself: keys and values, both text. Empty for what is no ONNX file.
+
+      iex> Situ.Infer.Onnx.metadata(<<0x72, 8, 0x0A, 1, "a", 0x12, 3, "b", 0>>)
+      %{}
+      iex> Situ.Infer.Onnx.metadata(<<0x72, 7, 0x0A, 1, "a", 0x12, 2, "bc">>)
+      %{"a" => "bc"}
+  """
+  @spec metadata(binary()) :: %{String.t() => String.t()}
+  def metadata(bytes) do
+    for {14, entry} <- fields(bytes, []), into: %{} do
+      entry = Map.new(fields(entry, []))
+      {Map.get(entry, 1, ""), Map.get(entry, 2, "")}
+    end
+  end
+
+  # The fields of a message that are bytes; of a broken one, none.
+  defp fields(<<>>, found), do: found
+
+  defp fields(bytes, found) do
+    with {key, rest} <- unvarint(bytes, 0, 0),
+         {value, rest} <- value(Bitwise.band(key, 7), rest) do
+      fields(rest, if(is_binary(value), do: [{Bitwise.bsr(key, 3), value} | found], else: found))
+    else
+      :error -> []
+    end
+  end
+
+  defp value(0, bytes), do: unvarint(bytes, 0, 0)
+  defp value(1, <<_::64, rest::binary>>), do: {nil, rest}
+  defp value(5, <<_::32, rest::binary>>), do: {nil, rest}
+
+  defp value(2, bytes) do
+    with {size, rest} <- unvarint(bytes, 0, 0) do
+      case rest do
+        <<value::binary-size(size), rest::binary>> -> {value, rest}
+        _ -> :error
+      end
+    end
+  end
+
+  defp value(_kind, _bytes), do: :error
+
+  defp unvarint(<<1::1, n::7, rest::binary>>, shift, sum) when shift < 63,
+    do: unvarint(rest, shift + 7, sum + Bitwise.bsl(n, shift))
+
+  defp unvarint(<<0::1, n::7, rest::binary>>, shift, sum),
+    do: {sum + Bitwise.bsl(n, shift), rest}
+
+  defp unvarint(_, _, _), do: :error
+
   defp operation({operator, inputs, outputs, attributes}) do
     [
       Enum.map(inputs, &text(1, &1)),

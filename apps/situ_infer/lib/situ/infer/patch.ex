@@ -64,12 +64,21 @@ defmodule Situ.Infer.Patch do
   """
   @spec cut(t(), Image.t(), float(), float()) :: {:ok, Tensor.t()} | {:error, Error.t()}
   def cut(%__MODULE__{size: size} = patch, %Image{} = image, scale, offset) do
-    shape = {image.width, image.height, image.stride, Atom.to_string(image.format)}
-    range = {scale, offset}
+    cut_affine(image, patch.matrix, {size, size}, scale, offset)
+  end
 
-    case Situ.Infer.Native.cut_patch(image.data, shape, patch.matrix, {size, size}, range) do
+  @doc """
+  The same for any affine map from patch to picture pixels (a `matrix` as of `t:t/0`) and any size: `{1, height, width,
+  3}`.
+  """
+  @spec cut_affine(Image.t(), tuple(), {pos_integer(), pos_integer()}, float(), float()) ::
+          {:ok, Tensor.t()} | {:error, Error.t()}
+  def cut_affine(%Image{} = image, matrix, {width, height} = size, scale, offset) do
+    shape = {image.width, image.height, image.stride, Atom.to_string(image.format)}
+
+    case Situ.Infer.Native.cut_patch(image.data, shape, matrix, size, {scale, offset}) do
       {:ok, data} ->
-        {:ok, Tensor.new(data, :f32, {1, size, size, 3})}
+        {:ok, Tensor.new(data, :f32, {1, height, width, 3})}
 
       :error ->
         {:error,

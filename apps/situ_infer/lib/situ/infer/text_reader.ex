@@ -1,0 +1,244 @@
+defmodule Situ.Infer.TextReader do
+  @schema [
+    folder: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "Where the two files of PP-OCRv4 are, else `Situ.Infer.ModelStore`."
+    ],
+    side: [
+      type: {:range, 64, 4_096},
+      default: 736,
+      doc: "The picture is looked at with its shorter side enlarged to so many pixels ..."
+    ],
+    longest: [
+      type: {:range, 64, 4_096},
+      default: 1_600,
+      doc: "... and its longer one made no longer than this."
+    ],
+    min_score: [type: {:range, 0, 1}, default: 0.5, doc: "What is read less surely is left out."]
+  ]
+
+  @moduledoc """
+  Reads text in pictures: signs, labels, screens, pages; Latin letters, digits and Chinese.
+
+      texts = Situ.via(pictures, Situ.Infer.TextReader)
+      Situ.each(texts, fn lines -> for line <- lines, do: IO.puts(line.label) end)
+
+  Input `:in` is pictures (`Situ.Image`, 8 bits), output `:out` a list for each, at its time: the lines from top to
+  bottom as `Situ.Rect` (upright around the line, in the picture's pixels) with the text as label and a score. The
+  studio draws them over the picture. Lines may be turned, and run downwards.
+
+  The networks are PP-OCRv4's (Apache-2.0, `bin/lib/fetch-model pp-ocr-v4`): one finds lines
+  (`Situ.Infer.Vision.TextPlaces`), the other reads each. A picture takes about half a second of one core: put
+  `Situ.Delivery.latest()` in front of a camera. `read/2` is the same on a picture in hand.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+
+  ## Errors
+
+  `:bad_image`, and those of `Situ.Infer.Model`.
+  """
+  use Situ.Component,
+    inputs: [in: Situ.Image],
+    outputs: [out: {:list, Situ.Rect}],
+    options: @schema
+
+  alias Situ.{Error, Image, Rect, Tensor}
+  alias Situ.Infer.{Model, ModelStore, Onnx, Patch}
+  alias Situ.Infer.Vision.TextPlaces
+
+  @name "pp-ocr-v4"
+  @finder "ch_PP-OCRv4_det_infer.onnx"
+  @reader "ch_PP-OCRv4_rec_infer.onnx"
+  # Both networks were trained on -1..1, blue first.
+  @scale 2 / 255
+  @offset -1.0
+  @line 48
+  @shortest_line 320
+  @longest_line 3_200
+
+  @enforce_keys [:finder, :reader, :glue, :signs, :opts]
+  defstruct @enforce_keys
+
+  @type t :: %__MODULE__{
+          finder: Model.t(),
+          reader: Model.t(),
+          glue: Model.t(),
+          signs: tuple(),
+          opts: map()
+        }
+
+  @impl true
+  def init(opts), do: {:ok, %{opts: opts, reader: nil}}
+
+  @impl true
+  def handle_start(_context, %{opts: opts} = state),
+    do: {[], %{state | reader: Error.unwrap!(load(opts))}}
+
+  @impl true
+  def handle_message(:in, %{data: image, originating_time: time}, _context, state),
+    do: {[{:out, time, Error.unwrap!(read(state.reader, image))}], state}
+
+  @doc "Loads the networks."
+  @spec load(keyword()) :: {:ok, t()} | {:error, Error.t()}
+  def load(opts \\ []) do
+    settings = [warm_up: 0, schedule: :dirty, sessions: 1]
+    picture = %{"x" => {:f32, {nil, 3, nil, nil}}}
+
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, finder} <- file(opts[:folder], @finder),
+         {:ok, reader} <- file(opts[:folder], @reader),
+         {:ok, signs} <- signs(reader),
+         {:ok, finder} <- Model.shared(finder, [{:inputs, picture} | settings]),
+         {:ok, reader} <- Model.shared(reader, [{:inputs, picture} | settings]),
+         {:ok, glue} <- Model.from_bytes(glue(), "text input", settings) do
+      {:ok,
+       %__MODULE__{finder: finder, reader: reader, glue: glue, signs: signs, opts: Map.new(opts)}}
+    end
+  end
+
+  defp file(nil, name), do: ModelStore.fetch(@name, name)
+  defp file(folder, name), do: {:ok, Path.join(folder, name)}
+
+  # Sign 0 is none; the last one, which the file does not list, is a space.
+  defp signs(path) do
+    with {:ok, bytes} <- File.read(path),
+         %{"character" => signs} <- Onnx.metadata(bytes) do
+      {:ok, List.to_tuple([""] ++ String.split(signs, ["\r\n", "\n"]) ++ [" "])}
+    else
+      {:error, _} ->
+        {:error, Error.new(:no_model_file, "there is no file #{path}", fix: fetch())}
+
+      _ ->
+        {:error, Error.new(:bad_model, "the model #{path} does not say its signs", fix: fetch())}
+    end
+  end
+
+  defp fetch, do: "run bin/lib/fetch-model #{@name}"
+
+  # Blue first, in planes, with grey to the right of a short line.
+  defp glue do
+    Onnx.encode(
+      inputs: [{"picture", :f32, {1, nil, nil, 3}}, {"pads", :s64, {8}}],
+      outputs: [{"x", :f32, {1, 3, nil, nil}}],
+      constants: %{"order" => Tensor.from_list([2, 1, 0], :s64, {3})},
+      nodes: [
+        {"Gather", ["picture", "order"], ["ordered"], [axis: 3]},
+        {"Transpose", ["ordered"], ["planes"], [perm: [0, 3, 1, 2]]},
+        {"Pad", ["planes", "pads"], ["x"], []}
+      ]
+    )
+  end
+
+  @doc "The lines of text in a picture, from top to bottom."
+  @spec read(t(), Image.t()) :: {:ok, [Rect.t()]} | {:error, Error.t()}
+  def read(%__MODULE__{} = reader, %Image{width: w, height: h} = image) do
+    {width, height} = size(w, h, reader.opts)
+    {kx, ky} = {w / width, h / height}
+    matrix = {kx, 0.0, 0.5 * kx - 0.5, 0.0, ky, 0.5 * ky - 0.5}
+
+    with {:ok, pixels} <- Patch.cut_affine(image, matrix, {width, height}, @scale, @offset),
+         {:ok, map} <- run(reader, reader.finder, pixels, 0) do
+      map
+      |> TextPlaces.find()
+      |> Enum.map(&placed(&1, kx, ky))
+      |> lines(reader, image, [])
+    end
+  end
+
+  # The network halves the picture five times.
+  defp size(w, h, opts) do
+    ratio = max(opts.side / min(w, h), 1.0)
+    ratio = min(ratio, opts.longest / max(w, h))
+    {round32(w * ratio), round32(h * ratio)}
+  end
+
+  defp round32(x), do: max(round(x / 32) * 32, 32)
+
+  defp run(reader, model, pixels, pad) do
+    pads = Tensor.from_list([0, 0, 0, 0, 0, 0, 0, pad], :s64, {8})
+
+    with {:ok, %{"x" => x}} <- Model.run(reader.glue, %{"picture" => pixels, "pads" => pads}),
+         {:ok, outputs} <- Model.run(model, %{"x" => x}) do
+      [{_, tensor}] = Enum.to_list(outputs)
+      {:ok, tensor}
+    end
+  end
+
+  # From the map to the picture, whose scales differ a little.
+  defp placed(%{center: {x, y}, right: {ux, uy}, width: w, height: h} = place, kx, ky) do
+    {rx, ry} = {ux * kx, uy * ky}
+    along = :math.sqrt(rx * rx + ry * ry)
+    {dx, dy} = {-uy * kx, ux * ky}
+    across = :math.sqrt(dx * dx + dy * dy)
+
+    %{
+      place
+      | center: {(x + 0.5) * kx - 0.5, (y + 0.5) * ky - 0.5},
+        right: {rx / along, ry / along},
+        width: w * along,
+        height: h * across
+    }
+  end
+
+  defp lines([], _reader, _image, found),
+    do: {:ok, Enum.sort_by(found, &{round(&1.y / 10), &1.x})}
+
+  defp lines([place | rest], reader, image, found) do
+    case line(place, reader, image) do
+      {:ok, {text, score}} ->
+        found =
+          if text != "" and score >= reader.opts.min_score,
+            do: [rect(place, text, score) | found],
+            else: found
+
+        lines(rest, reader, image, found)
+
+      error ->
+        error
+    end
+  end
+
+  defp line(%{center: {cx, cy}, right: {ux, uy}} = place, reader, image) do
+    k = place.height / @line
+    width = (place.width / k) |> ceil() |> max(@line) |> min(@longest_line)
+    kx = place.width / width
+    {a, d, b, e} = {ux * kx, uy * kx, -uy * k, ux * k}
+    {mx, my} = {(width - 1) / 2, (@line - 1) / 2}
+    matrix = {a, b, cx - a * mx - b * my, d, e, cy - d * mx - e * my}
+
+    with {:ok, pixels} <- Patch.cut_affine(image, matrix, {width, @line}, @scale, @offset),
+         {:ok, chances} <- run(reader, reader.reader, pixels, max(@shortest_line - width, 0)),
+         do: {:ok, spell(chances, reader.signs)}
+  end
+
+  # The likeliest sign of each step; the same one again is the same sign, and sign 0 none.
+  defp spell(%Tensor{shape: {1, _, signs}, data: data}, names) do
+    steps = for <<step::binary-size(signs * 4) <- data>>, do: likeliest(step, 0, {0, 0.0})
+    said = steps |> Enum.dedup_by(&elem(&1, 0)) |> Enum.reject(&(elem(&1, 0) == 0))
+    text = for {i, _} <- said, i < tuple_size(names), into: "", do: elem(names, i)
+    score = if said == [], do: 0.0, else: Enum.sum(Enum.map(said, &elem(&1, 1))) / length(said)
+    {String.trim(text), score}
+  end
+
+  defp likeliest(<<p::float-native-32, rest::binary>>, i, {_, most}) when p > most,
+    do: likeliest(rest, i + 1, {i, p})
+
+  defp likeliest(<<_::32, rest::binary>>, i, best), do: likeliest(rest, i + 1, best)
+  defp likeliest(<<>>, _i, best), do: best
+
+  defp rect(%{center: {cx, cy}, right: {ux, uy}, width: w, height: h}, text, score) do
+    {w, h} = {abs(ux) * w + abs(uy) * h, abs(uy) * w + abs(ux) * h}
+
+    Rect.new!(
+      x: cx - w / 2,
+      y: cy - h / 2,
+      width: w,
+      height: h,
+      label: text,
+      score: min(score, 1.0)
+    )
+  end
+end

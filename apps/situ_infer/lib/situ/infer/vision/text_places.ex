@@ -1,0 +1,205 @@
+defmodule Situ.Infer.Vision.TextPlaces do
+  @moduledoc """
+  Where text is, out of a map that says for each pixel how likely it belongs to text: connected stretches, the narrowest
+  rectangle around each, a little wider. Pure.
+
+      iex> row = fn ones -> for x <- 0..9, into: <<>>, do: <<if(x in ones, do: 0.9, else: 0.0)::float-native-32>> end
+      iex> map = row.([]) <> row.(2..7) <> row.(2..7) <> row.(2..7) <> row.([])
+      iex> [place] = Situ.Infer.Vision.TextPlaces.find(Situ.Tensor.new(map, :f32, {1, 1, 5, 10}), min_side: 2)
+      iex> {place.center, Float.round(place.score, 1), place.width > place.height}
+      {{4.5, 2.0}, 0.9, true}
+
+  A rectangle is turned: `right` is the direction in which one reads, `width` along it, `height` across. What is much
+  higher than wide is read downwards.
+  """
+  alias Situ.Tensor
+
+  @schema [
+    threshold: [type: {:range, 0, 1}, default: 0.3, doc: "Text is what is likelier."],
+    min_score: [type: {:range, 0, 1}, default: 0.5, doc: "The mean of a place's pixels at least."],
+    wider: [
+      type: {:range, 0, 5},
+      default: 1.6,
+      doc: "By how much of area over circumference a rectangle grows on each side."
+    ],
+    min_side: [type: {:range, 1, 100}, default: 3, doc: "Narrower rectangles are noise, pixels."]
+  ]
+  @most 1_000
+
+  @type place :: %{
+          center: {float(), float()},
+          right: {float(), float()},
+          width: float(),
+          height: float(),
+          score: float()
+        }
+
+  @doc """
+  The places in a map of the shape `{1, 1, height, width}`, in its pixels, at most #{@most}.
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @spec find(Tensor.t(), keyword()) :: [place()]
+  def find(%Tensor{type: :f32, shape: {1, 1, _height, width}, data: data}, opts \\ []) do
+    opts = Situ.Options.validate!(opts, @schema)
+
+    data
+    |> rows(width, opts[:threshold], 0, [])
+    |> connect()
+    |> Enum.take(@most)
+    |> Enum.flat_map(&place(&1, opts))
+  end
+
+  # The runs of a row: {first, last, sum of likelihoods}.
+  defp rows(<<>>, _width, _threshold, _y, rows), do: Enum.reverse(rows)
+
+  defp rows(data, width, threshold, y, rows) do
+    <<row::binary-size(width * 4), rest::binary>> = data
+    rows(rest, width, threshold, y + 1, [{y, runs(row, 0, threshold, nil, [])} | rows])
+  end
+
+  defp runs(<<p::float-native-32, rest::binary>>, x, threshold, nil, found) when p > threshold,
+    do: runs(rest, x + 1, threshold, {x, p}, found)
+
+  defp runs(<<p::float-native-32, rest::binary>>, x, threshold, {from, sum}, found)
+       when p > threshold,
+       do: runs(rest, x + 1, threshold, {from, sum + p}, found)
+
+  defp runs(<<_::32, rest::binary>>, x, threshold, nil, found),
+    do: runs(rest, x + 1, threshold, nil, found)
+
+  defp runs(<<_::32, rest::binary>>, x, threshold, {from, sum}, found),
+    do: runs(rest, x + 1, threshold, nil, [{from, x - 1, sum} | found])
+
+  defp runs(<<>>, x, _threshold, {from, sum}, found),
+    do: Enum.reverse([{from, x - 1, sum} | found])
+
+  defp runs(<<>>, _x, _threshold, nil, found), do: Enum.reverse(found)
+
+  # Runs of neighbouring rows that touch, also at a corner, belong together.
+  defp connect(rows) do
+    {parents, _above, all} =
+      Enum.reduce(rows, {%{}, [], []}, fn {y, runs}, {parents, above, all} ->
+        named = Enum.with_index(runs, fn run, i -> {{y, i}, run} end)
+        parents = Enum.reduce(named, parents, fn {id, _}, parents -> Map.put(parents, id, id) end)
+
+        {join(named, above, parents), named,
+         Enum.map(named, fn {id, run} -> {id, y, run} end) ++ all}
+      end)
+
+    all
+    |> Enum.group_by(fn {id, _, _} -> root(parents, id) end, fn {_, y, run} -> {y, run} end)
+    |> Enum.sort()
+    |> Enum.map(&elem(&1, 1))
+  end
+
+  defp join([], _above, parents), do: parents
+  defp join(_here, [], parents), do: parents
+
+  defp join(
+         [{id, {from, to, _}} | later] = here,
+         [{other, {above_from, above_to, _}} | rest] = above,
+         parents
+       ) do
+    parents =
+      if from <= above_to + 1 and above_from <= to + 1,
+        do: unite(parents, id, other),
+        else: parents
+
+    if above_to < to, do: join(here, rest, parents), else: join(later, above, parents)
+  end
+
+  defp unite(parents, a, b) do
+    case {root(parents, a), root(parents, b)} do
+      {same, same} -> parents
+      {a, b} -> Map.put(parents, max(a, b), min(a, b))
+    end
+  end
+
+  defp root(parents, id) do
+    case parents do
+      %{^id => ^id} -> id
+      %{^id => parent} -> root(parents, parent)
+    end
+  end
+
+  defp place(runs, opts) do
+    {sum, count} =
+      Enum.reduce(runs, {0.0, 0}, fn {_, {from, to, p}}, {sum, count} ->
+        {sum + p, count + to - from + 1}
+      end)
+
+    score = sum / count
+
+    rectangle =
+      runs
+      |> Enum.flat_map(fn {y, {from, to, _}} -> [{from, y}, {to, y}] end)
+      |> hull()
+      |> narrowest()
+
+    if score >= opts[:min_score] and
+         min(rectangle.width, rectangle.height) + 1 >= opts[:min_side],
+       do: [rectangle |> grow(opts[:wider]) |> upright() |> Map.put(:score, score)],
+       else: []
+  end
+
+  # Andrew's monotone chain.
+  defp hull(points) do
+    points = points |> Enum.sort() |> Enum.dedup()
+    lower = chain(points)
+    upper = points |> Enum.reverse() |> chain()
+
+    case tl(lower) ++ tl(upper) do
+      [] -> points
+      hull -> hull
+    end
+  end
+
+  defp chain(points), do: points |> Enum.reduce([], &turn/2) |> Enum.reverse()
+
+  defp turn(point, [b, a | rest] = kept),
+    do: if(cross(a, b, point) <= 0, do: turn(point, [a | rest]), else: [point | kept])
+
+  defp turn(point, kept), do: [point | kept]
+  defp cross({ax, ay}, {bx, by}, {cx, cy}), do: (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+
+  # One side of the narrowest rectangle lies along a side of the hull.
+  defp narrowest(hull) do
+    hull
+    |> Enum.zip(tl(hull) ++ [hd(hull)])
+    |> Enum.map(fn {{ax, ay}, {bx, by}} ->
+      length = :math.sqrt((bx - ax) * (bx - ax) + (by - ay) * (by - ay))
+      if length > 0, do: {(bx - ax) / length, (by - ay) / length}, else: {1.0, 0.0}
+    end)
+    |> Enum.uniq()
+    |> Enum.map(&around(hull, &1))
+    |> Enum.min_by(&(&1.width * &1.height))
+  end
+
+  defp around(points, {ux, uy} = right) do
+    {left, far} = points |> Enum.map(fn {x, y} -> x * ux + y * uy end) |> Enum.min_max()
+    {top, low} = points |> Enum.map(fn {x, y} -> y * ux - x * uy end) |> Enum.min_max()
+    {u, v} = {(left + far) / 2, (top + low) / 2}
+
+    %{
+      center: {u * ux - v * uy, u * uy + v * ux},
+      right: right,
+      width: far - left,
+      height: low - top
+    }
+  end
+
+  defp grow(rectangle, ratio) do
+    {w, h} = {rectangle.width + 1, rectangle.height + 1}
+    by = 2 * (w * h * ratio / (2 * (w + h)))
+    %{rectangle | width: w + by, height: h + by}
+  end
+
+  # One reads to the right, not upside down; and down, where it is much higher than wide.
+  defp upright(%{right: {ux, uy}, width: w, height: h} = rectangle) do
+    {{ux, uy}, w, h} = if abs(ux) >= abs(uy), do: {{ux, uy}, w, h}, else: {{-uy, ux}, h, w}
+    {ux, uy} = if ux < 0, do: {-ux, -uy}, else: {ux, uy}
+    {right, w, h} = if h >= 1.5 * w, do: {{-uy, ux}, h, w}, else: {{ux, uy}, w, h}
+    %{rectangle | right: right, width: w, height: h}
+  end
+end
