@@ -18,6 +18,11 @@ defmodule Situ.Infer.SpeechRecognizer do
       default: 150_000_000,
       doc: "Sound before and after the speech that is listened to, too, ns."
     ],
+    shortest: [
+      type: :time_ns,
+      default: 200_000_000,
+      doc: "Shorter speech is none, ns: of a clap or a struck chord, recognisers make words."
+    ],
     early: [
       type: {:optional, :time_ns},
       default: nil,
@@ -125,7 +130,11 @@ defmodule Situ.Infer.SpeechRecognizer do
 
   # Sound has come of which nobody knows yet whether it is a pause or the end.
   defp early(%{opts: %{early: early}, open: %{to: to} = open} = state) when early != nil do
-    pause? = state.heard_to != nil and state.heard_to - to >= max(early, state.opts.margin)
+    enough? = to - open.from >= state.opts.shortest
+
+    pause? =
+      enough? and state.heard_to != nil and state.heard_to - to >= max(early, state.opts.margin)
+
     if pause? and not match?({^to, _}, open.early), do: foresee(state), else: state
   end
 
@@ -170,6 +179,10 @@ defmodule Situ.Infer.SpeechRecognizer do
     state = put_in(state.open.said, open.to)
     {said(:partial, recognize(state, open.to), open, false), state}
   end
+
+  defp finish(%{open: %{from: from, to: to}, opts: %{shortest: shortest}} = state)
+       when to - from < shortest,
+       do: {[], %{state | open: nil}}
 
   defp finish(%{open: %{to: to, early: {to, result}} = open} = state),
     do: {said(:out, result, open, true), %{state | open: nil}}

@@ -35,7 +35,7 @@ defmodule Situ.Infer.SpeechRecognizerTest do
   end
 
   defp run(sound, speaking, opts) do
-    opts = Keyword.merge([recognizer: Counting, partial: nil, margin: 0], opts)
+    opts = Keyword.merge([recognizer: Counting, partial: nil, margin: 0, shortest: 0], opts)
 
     Situ.to_list(
       fn p ->
@@ -64,6 +64,12 @@ defmodule Situ.Infer.SpeechRecognizerTest do
   test "a margin around it is listened to, and what was said to the end of the sound is there" do
     out = run(sound(1_000, 20), speaking(992, [{96, 320}, {640, 992}]), margin: 50 * @ms)
     assert Enum.map(out, fn {_, u} -> u.text end) == ["46-369", "590-999"]
+  end
+
+  test "what is shorter than speech is none" do
+    spoken = [{96, 320}, {640, 736}, {960, 1_248}]
+    out = run(sound(2_000, 20), speaking(2_000, spoken), shortest: 200 * @ms)
+    assert Enum.map(out, fn {_, u} -> u.text end) == ["96-319", "960-1247"]
   end
 
   test "while somebody speaks there are results of what was said so far" do

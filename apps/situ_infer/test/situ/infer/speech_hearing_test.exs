@@ -1,0 +1,97 @@
+defmodule Situ.Infer.SpeechHearingTest do
+  # Speech recognition as a whole, with sound as it comes in the world.
+  use ExUnit.Case, async: true
+  alias Situ.{AudioBuffer, AudioFormat, Sound}
+  alias Situ.Infer.Speech.Utterance
+
+  @moduletag :moonshine
+  @fixtures Path.expand("../../fixtures", __DIR__)
+  @pcm AudioFormat.pcm(16_000)
+
+  defp wav(name) do
+    {:ok, sound} = Situ.Media.Wav.read(Path.join(@fixtures, name))
+    sound
+  end
+
+  # In buffers of 20 ms, as a device gives them; one second of silence before and after.
+  defp hear(sound) do
+    format = sound.format
+    silence = AudioBuffer.silence(format, format.rate)
+    {:ok, whole} = AudioBuffer.concat([silence, sound, silence])
+    step = div(format.rate, 50)
+
+    feed =
+      for from <- 0..(AudioBuffer.frames(whole) - 1)//step do
+        part = AudioBuffer.slice(whole, from, step)
+        {AudioFormat.frames_to_ns(format, from + AudioBuffer.frames(part)), part}
+      end
+
+    Situ.to_list(fn p ->
+      p
+      |> Situ.from_enumerable(feed)
+      |> Situ.Audio.to_mono()
+      |> Situ.Audio.resample(16_000)
+      |> Situ.Infer.transcribe()
+    end)
+  end
+
+  defp text(sound), do: sound |> hear() |> Enum.map_join(" ", & &1.text)
+
+  defp made(seconds, fun) do
+    samples = for n <- 0..(seconds * 16_000 - 1), do: fun.(n / 16_000)
+    AudioBuffer.from_samples(samples, @pcm)
+  end
+
+  test "silence, noise and music are no words" do
+    :rand.seed(:exsss, 7)
+    assert hear(AudioBuffer.silence(@pcm, 4 * 16_000)) == []
+    assert hear(made(4, fn _ -> round(:rand.normal() * 2_000) end)) == []
+
+    # Chords of three notes, struck every half second.
+    chord = fn t ->
+      root = Enum.at([220.0, 261.6, 196.0, 246.9], rem(trunc(t * 2), 4))
+      fade = :math.exp(-3 * (t * 2 - trunc(t * 2)))
+
+      for(k <- [1, 1.25, 1.5], do: :math.sin(2 * :math.pi() * root * k * t))
+      |> Enum.sum()
+      |> Kernel.*(4_000 * fade)
+      |> round()
+    end
+
+    assert hear(made(6, chord)) == []
+  end
+
+  test "words come through noise, 48 kHz in stereo, a telephone's 8 kHz, and a microphone that is too loud" do
+    sound = wav("goforward.wav")
+    :rand.seed(:exsss, 8)
+
+    noisy =
+      sound
+      |> AudioBuffer.to_samples()
+      |> Enum.map(&(&1 + round(:rand.normal() * 100)))
+      |> AudioBuffer.from_samples(@pcm)
+
+    versions = [
+      noisy: noisy,
+      stereo: sound |> Sound.resample!(48_000) |> Sound.reformat!(channels: 2),
+      telephone: Sound.resample!(sound, 8_000),
+      clipped: Sound.gain!(sound, 8)
+    ]
+
+    for {name, version} <- versions do
+      heard = text(version)
+      rate = Utterance.error_rate("go forward ten meters", heard)
+      assert rate <= 0.25, "#{name}: #{inspect(heard)}"
+    end
+  end
+
+  test "sound that was not resampled stops the pipeline and says what to do" do
+    sound = Sound.resample!(wav("goforward.wav"), 48_000)
+
+    assert_raise Situ.Error, ~r/Situ.Audio.resample\(16_000\)/, fn ->
+      Situ.to_list(fn p ->
+        p |> Situ.from_enumerable([sound], every: 1) |> Situ.Infer.transcribe()
+      end)
+    end
+  end
+end
