@@ -21,6 +21,8 @@ defmodule Situ.Infer do
   | pictures and faces | 468 points on each | `Situ.Infer.FaceLandmarks` |
   | pictures | mouths | `Situ.Infer.MouthShape` |
   | 16 kHz sound | what is said | `transcribe/2`, `Situ.Infer.SpeechRecognizer` |
+  | 16 kHz sound | whether a name is called | `wake_word/2` |
+  | words without punctuation | sentences | `punctuate/2` |
   | text | it spoken | `Situ.Infer.SpeechSynthesizer` |
   | text | what somebody wants | `Situ.Intent.Detector` |
   | a question | a language model's answer | `Situ.Chat` |
@@ -59,8 +61,43 @@ defmodule Situ.Infer do
   def transcribe(sound, opts \\ []) do
     {voice, opts} = Keyword.pop(opts, :voice, [])
     inputs = [sound: sound, speaking: voice_activity(sound, voice)]
-    Situ.via(inputs, SpeechRecognizer, opts ++ [name: "SpeechRecognizer"]).out
+    Situ.via(inputs, SpeechRecognizer, Keyword.put_new(opts, :name, "SpeechRecognizer")).out
   end
+
+  @wake_word [
+    phrase: [type: :string, required: true, doc: "The name."],
+    spotter: [
+      type: :module,
+      default: Situ.Infer.Speech.WakeWord.Spoken,
+      doc: "What hears it: a `Situ.Infer.Speech.WakeWord`."
+    ],
+    options: [type: :keyword, default: [], doc: "More for its `load/1`."],
+    voice: [type: :keyword, default: [], doc: "Options of `Situ.Infer.VoiceActivity`."]
+  ]
+
+  @doc """
+  Where a name is said in 16 kHz mono sound: a `Situ.Infer.Speech.Utterance` with the name for each sentence with it, at
+  its end.
+
+  #{Situ.Options.docs(@wake_word)}
+  """
+  @spec wake_word(Stream.t(), keyword()) :: Stream.t()
+  def wake_word(sound, opts) do
+    opts = Situ.Options.validate!(opts, @wake_word)
+    own = [spotter: opts[:spotter], phrase: opts[:phrase]] ++ opts[:options]
+
+    transcribe(sound,
+      recognizer: Situ.Infer.Speech.WakeWord.Spotting,
+      recognizer_options: own,
+      partial: nil,
+      voice: opts[:voice],
+      name: "WakeWord"
+    )
+  end
+
+  @doc "Utterances whose words are made sentences. Options: `Situ.Infer.Punctuator`."
+  @spec punctuate(Stream.t(), keyword()) :: Stream.t()
+  def punctuate(heard, opts \\ []), do: Situ.via(heard, Situ.Infer.Punctuator, opts)
 
   defp beside(mouths, nil), do: Situ.map(mouths, &{&1, nil}, type: {:tuple, [mouths.type, :any]})
 

@@ -1,0 +1,37 @@
+defmodule Situ.Infer.Punctuator do
+  @schema [
+    punctuation: [
+      type: :module,
+      default: Situ.Infer.Speech.Punctuation.Rules,
+      doc: "What does it: a `Situ.Infer.Speech.Punctuation`."
+    ],
+    options: [type: :keyword, default: [], doc: "For its `load/1`."]
+  ]
+
+  @moduledoc """
+  Sentences out of words (`Situ.Infer.punctuate/2`): input and output are `Situ.Infer.Speech.Utterance`s at the same
+  times.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    inputs: [in: Situ.Infer.Speech.Utterance],
+    outputs: [out: Situ.Infer.Speech.Utterance],
+    options: @schema
+
+  alias Situ.Error
+
+  @impl true
+  def init(opts) do
+    with {:ok, loaded} <- opts[:punctuation].load(opts[:options]),
+         do: {:ok, {opts[:punctuation], loaded}}
+  end
+
+  @impl true
+  def handle_message(:in, %{data: said, originating_time: time}, _context, {module, loaded}) do
+    text = Error.unwrap!(module.punctuate(loaded, said.text))
+    {[{:out, time, %{said | text: text}}], {module, loaded}}
+  end
+end

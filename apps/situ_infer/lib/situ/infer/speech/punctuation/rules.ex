@@ -1,0 +1,52 @@
+defmodule Situ.Infer.Speech.Punctuation.Rules do
+  @moduledoc """
+  English sentences by rules: a capital first, "I" and days and months with theirs, a question mark after what begins
+  like a question, else a full stop. Text that ends with a mark already stays as it is.
+
+      iex> {:ok, rules} = Situ.Infer.Speech.Punctuation.Rules.load([])
+      iex> Situ.Infer.Speech.Punctuation.Rules.punctuate(rules, "what day is it on monday i wonder")
+      {:ok, "What day is it on Monday I wonder?"}
+      iex> Situ.Infer.Speech.Punctuation.Rules.punctuate(rules, "go forward ten meters")
+      {:ok, "Go forward ten meters."}
+  """
+  @behaviour Situ.Infer.Speech.Punctuation
+
+  @asking ~w(what who whom whose which when where why how is are am was were do does did can could will would shall
+             should may might has have had isn't aren't wasn't don't doesn't didn't can't couldn't won't wouldn't)
+  @names ~w(monday tuesday wednesday thursday friday saturday sunday january february april june july august september
+            october november december english)
+
+  @impl true
+  @spec load(keyword()) :: {:ok, :english} | {:error, Situ.Error.t()}
+  def load(opts), do: with({:ok, _} <- Situ.Options.validate(opts, []), do: {:ok, :english})
+
+  @impl true
+  @spec punctuate(:english, String.t()) :: {:ok, String.t()}
+  def punctuate(:english, text) do
+    case String.split(text) do
+      [] ->
+        {:ok, ""}
+
+      [first | _] = words ->
+        {:ok, words |> Enum.map_join(" ", &name/1) |> capital() |> mark(first)}
+    end
+  end
+
+  defp name("i"), do: "I"
+  defp name("i'" <> rest), do: "I'" <> rest
+  defp name(word) when word in @names, do: String.capitalize(word)
+  defp name(word), do: word
+
+  defp capital(text) do
+    {first, rest} = String.split_at(text, 1)
+    String.upcase(first) <> rest
+  end
+
+  defp mark(text, first) do
+    cond do
+      String.ends_with?(text, [".", "?", "!", "…", ":"]) -> text
+      String.downcase(first) in @asking -> text <> "?"
+      true -> text <> "."
+    end
+  end
+end

@@ -1,0 +1,62 @@
+defmodule Situ.Infer.Speech.WakeWordTest do
+  use ExUnit.Case, async: true
+  alias Situ.{AudioBuffer, AudioFormat, Sound}
+  alias Situ.Infer.Speech.Espeak
+  alias Situ.Infer.Speech.WakeWord.{Keyword, Spoken}
+  doctest Situ.Infer.Speech.WakeWord.Spoken
+
+  defp sentences(texts) do
+    {:ok, voice} = Espeak.load(rate: 140)
+    pause = AudioBuffer.silence(AudioFormat.pcm(16_000), 16_000)
+
+    sounds =
+      for text <- texts do
+        {:ok, sound} = Espeak.speak(voice, text)
+        [pause, sound |> Sound.reformat!(channels: 1, sample: :s16) |> Sound.resample!(16_000)]
+      end
+
+    {:ok, whole} = AudioBuffer.concat(List.flatten(sounds) ++ [pause])
+    whole
+  end
+
+  defp heard(sound, opts) do
+    feed =
+      for from <- 0..(AudioBuffer.frames(sound) - 1)//320 do
+        part = AudioBuffer.slice(sound, from, 320)
+        {AudioFormat.frames_to_ns(sound.format, from + AudioBuffer.frames(part)), part}
+      end
+
+    Situ.to_list(fn p -> p |> Situ.from_enumerable(feed) |> Situ.Infer.wake_word(opts) end)
+  end
+
+  @texts ["The weather is fine today.", "Hey computer, what time is it?", "We had a good dinner."]
+
+  @tag :moonshine
+  test "a name among recognised words, once, in the sentence that has it" do
+    sound = sentences(@texts)
+    assert [%{text: "computer", confidence: p} = called] = heard(sound, phrase: "computer")
+    assert p > 0.5
+    length = AudioBuffer.duration(sound)
+    assert called.from > length / 4 and called.to < length * 3 / 4
+    assert heard(sentences(["The weather is fine today."]), phrase: "computer") == []
+  end
+
+  if System.find_executable("pocketsphinx_continuous") do
+    test "a name by its sounds, of a person, and not in other speech" do
+      opts = [phrase: "Forward", spotter: Keyword]
+      {:ok, sound} = Situ.Media.Wav.read(Path.expand("../../../fixtures/goforward.wav", __DIR__))
+      pause = AudioBuffer.silence(sound.format, 16_000)
+      {:ok, whole} = AudioBuffer.concat([pause, sound, pause])
+      assert [%{text: "Forward", words: [word], confidence: p}] = heard(whole, opts)
+      # The word begins 0.64 s into the recording.
+      assert_in_delta word.from, 1_640_000_000, 150_000_000
+      assert p > 0.5
+      assert heard(sentences(["The weather is fine today."]), opts) == []
+    end
+  end
+
+  test "a phrase without words is an error" do
+    assert {:error, %{code: :bad_option}} = Spoken.load(phrase: "...")
+    assert {:error, %{code: :missing_option}} = Spoken.load([])
+  end
+end
