@@ -7,7 +7,7 @@ defmodule Situ.Examples.SpeechGuideTest do
 
   test "every block of speech.md runs and gives what it says" do
     blocks = Regex.scan(~r/```elixir\n(.*?)```/s, File.read!(@guide), capture: :all_but_first)
-    assert length(blocks) == 4
+    assert length(blocks) == 5
 
     Enum.reduce(blocks, {[], __ENV__}, fn [block], {binding, env} ->
       {value, binding, env} =
