@@ -112,7 +112,7 @@ defmodule Situ.CLI do
     error in Situ.Error ->
       fail(error, 1)
 
-    # Whoever read what is printed has enough of it (`situ ... | head`): the status of a program that writes to nobody.
+    # The reader of the output has closed it (`situ ... | head`): exit with the status of a broken pipe.
     error in ErlangError ->
       if Map.get(error, :original) == :terminated, do: 141, else: fault(error, __STACKTRACE__)
 

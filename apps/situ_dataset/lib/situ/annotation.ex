@@ -97,7 +97,7 @@ defmodule Situ.Annotation do
 
   defp bad(why) do
     {:error,
-     Error.new(:bad_annotation, "this is no annotation", why: why, fix: "mend its fields")}
+     Error.new(:bad_annotation, "this is no annotation", why: why, fix: "correct its fields")}
   end
 
   @doc """

@@ -18,7 +18,7 @@ defmodule Situ.Dataset do
 
   `open/1` takes a dataset file (`Situ.Dataset.Document`), a `.pds` of \\psi, a folder of recordings, or one
   recording. A dataset is a plain value: edits answer `{:ok, dataset}`, and with `autosave: true` are on disk by
-  then (whole or not at all); else `unsaved?` says so. `Situ.Dataset.Server` is a process that holds one for several
+  then (whole or not at all); else `unsaved?` is true. `Situ.Dataset.Server` is a process that holds one for several
   users and tells them of changes.
 
   | to | see |
@@ -167,7 +167,7 @@ defmodule Situ.Dataset do
         {:error,
          Error.new(:not_saved, "the dataset cannot be saved to #{path}",
            why: to_string(:file.format_error(reason)),
-           fix: "the file is as it was before; check the folder, or save elsewhere"
+           fix: "the file has not changed; check the folder, or save elsewhere"
          )}
     end
   end

@@ -36,8 +36,8 @@ defmodule Situ.Assistant do
   ]
 
   @moduledoc """
-  An assistant one talks to: it hears its name, recognises what is said, finds out what is wanted, does it, and answers
-  aloud; whoever interrupts it is listened to.
+  A voice assistant: it hears its name, recognises a sentence, finds its intent, acts, and answers aloud; a user who
+  interrupts it is heard.
 
       microphone = Situ.Media.Microphone.open(p)
       assistant = Situ.Assistant.attach(microphone, wake: "computer")

@@ -185,7 +185,7 @@ defmodule Situ.Chat do
   defp start(%{opts: %{budget: budget}, spent: spent} = state, job)
        when is_integer(budget) and spent >= budget do
     error =
-      Error.new(:budget_spent, "#{spent} of #{budget} tokens are used: nothing more is asked",
+      Error.new(:budget_spent, "#{spent} of #{budget} tokens are used: no more requests are sent",
         fix: "raise budget:"
       )
 

@@ -20,7 +20,7 @@ defmodule Situ.Infer do
   | pictures | faces | `Situ.Infer.FaceDetector`, `Situ.Infer.FaceTracker` |
   | pictures and faces | 468 points on each | `Situ.Infer.FaceLandmarks` |
   | pictures | mouths | `Situ.Infer.MouthShape` |
-  | 16 kHz sound | what is said | `transcribe/2`, `Situ.Infer.SpeechRecognizer` |
+  | 16 kHz sound | the words | `transcribe/2`, `Situ.Infer.SpeechRecognizer` |
   | 16 kHz sound | whether a name is called | `wake_word/2` |
   | words without punctuation | sentences | `punctuate/2` |
   | text | it spoken | `Situ.Infer.SpeechSynthesizer` |
@@ -76,7 +76,7 @@ defmodule Situ.Infer do
   ]
 
   @doc """
-  Where a name is said in 16 kHz mono sound: a `Situ.Infer.Speech.Utterance` with the name for each sentence with it, at
+  Finds a name in 16 kHz mono sound: a `Situ.Infer.Speech.Utterance` with the name for each sentence with it, at
   its end.
 
   #{Situ.Options.docs(@wake_word)}

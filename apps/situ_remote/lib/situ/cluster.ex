@@ -147,7 +147,7 @@ defmodule Situ.Cluster do
     end
   end
 
-  # One that has failed is told at once, whatever the others do.
+  # A failed part is reported at once, even while others run.
   defp await(log, deployment, parts, till) do
     states =
       for part <- parts, do: {part, Log.last(log, {:key, Runner.key(deployment, part, "state")})}
@@ -298,7 +298,7 @@ defmodule Situ.Cluster do
     end
   end
 
-  @doc "Moves every part away from a node; it takes none any more, unless nobody else is left."
+  @doc "Moves every part away from a node, which then takes no part unless no other node is left."
   @spec drain(t(), node()) :: :ok
   def drain(%Deployment{} = deployment, node) do
     for {^node, runners} <- everywhere(deployment),

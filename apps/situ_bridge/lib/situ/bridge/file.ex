@@ -25,7 +25,7 @@ defmodule Situ.Bridge.File do
       p |> Situ.Bridge.File.read("levels.json", format: :json) |> Situ.each(&IO.inspect/1)
 
   Files are written and read piece by piece, whatever their length. The end of a file is written when the stream
-  closes, and what came before a kill can be read all the same. Named pipes are files too.
+  closes, and messages written before a kill can be read. Named pipes are files too.
 
   ## Options of `write/3`
 
@@ -115,7 +115,7 @@ defmodule Situ.Bridge.File do
   defp ended(_file, {:error, why}, at, path), do: raise(bad(path, at, why))
 
   defp bad(path, at, why) do
-    Error.new(:bad_file, "#{path} cannot be read as it should",
+    Error.new(:bad_file, "#{path} cannot be read",
       why: "#{why} (before byte #{at})",
       fix: "check its format"
     )

@@ -81,7 +81,7 @@ defmodule Situ.Bridge.Mcap do
     end
   end
 
-  # A stream is a topic: several channels of one topic (a recorder that was restarted) are told apart by a number.
+  # A stream is a topic: several channels of one topic (a recorder that was restarted) get a number behind the name.
   defp channels(state, channels, schemas) do
     Enum.reduce_while(channels, {:ok, []}, fn {id, topic, encoding, schema, metadata, _count},
                                               {:ok, known} ->

@@ -11,7 +11,7 @@ defmodule Situ.Bridge.Outlet do
   @callback dropped(pid()) :: non_neg_integer()
   @doc "Sends to whom it concerns; `:full` when the stream is to wait."
   @callback put(pid(), what :: iodata()) :: :ok | :full
-  @doc "Closes after at most so many ms of waiting for what is on its way."
+  @doc "Closes after at most so many ms of waiting for messages under way."
   @callback close(pid(), timeout :: non_neg_integer()) :: :ok
 
   @options [

@@ -35,7 +35,7 @@ defmodule Situ.Bridge.ZeroMQ do
   @spec publish(Situ.Stream.t(), String.t(), keyword()) :: Situ.Stream.t()
   def publish(stream, address, opts), do: sink(stream, :pub, address, opts)
 
-  @doc "Pushes a stream to whoever pulls; returns it. Options as `publish/3`, without a topic."
+  @doc "Pushes a stream to the peers that pull; returns it. Options as `publish/3`, without a topic."
   @spec push(Situ.Stream.t(), String.t(), keyword()) :: Situ.Stream.t()
   def push(stream, address, opts \\ []), do: sink(stream, :push, address, opts)
 

@@ -70,7 +70,7 @@ defmodule Situ.CLI.Annotate do
         words: ["annotate", "import"],
         summary:
           "make an annotation store out of a file of ELAN, Praat, players, Label Studio or spreadsheets",
-        about: "A store of that name gets a new version; its other streams go along.",
+        about: "A store of that name gets a new version; its other streams are copied.",
         arguments: [
           file: [kind: :file, doc: "the file to read; - for standard input, with --format"],
           out: [kind: :new, doc: "ROOT/NAME of the annotation store"]

@@ -115,7 +115,9 @@ defmodule Situ.CLI.Cluster do
   defp join(name, opts) do
     log =
       opts[:log] ||
-        raise Error.new(:usage, "no log", fix: "give --log FOLDER or --log nats://host:4222")
+        raise Error.new(:usage, "the cluster's log is missing",
+                fix: "give --log FOLDER or --log nats://host:4222"
+              )
 
     for file <- opts[:require], do: Code.require_file(file)
     start(name, opts)
@@ -206,7 +208,7 @@ defmodule Situ.CLI.Cluster do
       {path, [on: on] ++ Enum.map(more, &{String.to_existing_atom(&1), true})}
     else
       _ ->
-        raise Error.new(:usage, "no rule: #{text}",
+        raise Error.new(:usage, "not a rule: #{text}",
                 fix: "write Path=LABEL or Path=LABEL,deterministic"
               )
     end
@@ -270,7 +272,7 @@ defmodule Situ.CLI.Cluster do
       Application.put_env(:kernel, :inet_dist_use_interface, ip)
     else
       _ ->
-        raise Error.new(:usage, "no name for a node: #{name}",
+        raise Error.new(:usage, "not a node's name: #{name}",
                 fix: "write it like situ-9301@10.0.0.1"
               )
     end
@@ -281,7 +283,7 @@ defmodule Situ.CLI.Cluster do
 
       {:error, reason} ->
         raise Error.new(:no_distribution, "#{name} does not start: #{inspect(reason, limit: 20)}",
-                fix: "see whether its port is free"
+                fix: "check that its port is free"
               )
     end
   end

@@ -73,7 +73,7 @@ defmodule Situ.CLI.ClusterNode do
             )
   end
 
-  # One that was lost is said once, and asked again.
+  # A lost node is reported once, and asked again.
   defp read(node, from, most, opts, ask) do
     case ask.(opts, Cluster, :logs, [node, from, most]) do
       {:ok, lines} ->

@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Shell do
-  @moduledoc "`situ completion` and `situ manual`: what shells and `man` are told of this command line."
+  @moduledoc "`situ completion` and `situ manual`: completion scripts for shells, and the manual page."
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Commands, Completion, Manual, Verb}
 

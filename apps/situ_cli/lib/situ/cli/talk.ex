@@ -13,7 +13,7 @@ defmodule Situ.CLI.Talk do
         words: ["talk"],
         summary: "talk to an assistant: it listens, does things, answers aloud",
         about: """
-        Listens to a microphone (or to a sound file, in real time), recognises what is said to it by name, finds out
+        Listens to a microphone (or to a sound file, in real time), recognises sentences with its name, finds out
         what is wanted, does it, and answers aloud; it can be interrupted. It tells time and date and sets timers; with
         --chat, a language model answers what else is asked. All of it runs on this machine, but the language model if
         that is elsewhere. Everything is recorded, and shown in the studio as it happens. English; the recogniser's
@@ -113,7 +113,7 @@ defmodule Situ.CLI.Talk do
 
   defp served(opts) do
     if "page" in [opts[:input], opts[:output]] and not opts[:studio],
-      do: {:error, Error.new(:usage, "the page is the studio's", fix: "leave out --no-studio")},
+      do: {:error, Error.new(:usage, "a page needs the studio", fix: "leave out --no-studio")},
       else: :ok
   end
 

@@ -107,7 +107,7 @@ defmodule Situ.Annotation.Edit do
         Layer.commit(layer, [{other, b, nil}, {id, a, whole}])
       else
         {:error,
-         Error.new(:no_neighbours, "only two annotations of one track become one",
+         Error.new(:no_neighbours, "only annotations of the same track can be joined",
            why: "these are on #{inspect(a.track)} and #{inspect(b.track)}",
            fix: "move one to the other's track"
          )}

@@ -35,7 +35,7 @@ defmodule Situ.Annotation.Editor do
 
   @type server :: GenServer.server()
 
-  # So often is a version written anew because others saved at the same moment.
+  # How often a version is written again because others saved at the same moment.
   @tries 100
 
   @doc "Starts it. Errors: those of the store, `:no_schema`, `:bad_journal`."
@@ -77,7 +77,7 @@ defmodule Situ.Annotation.Editor do
     end
   end
 
-  # The stream, or `nil`; other streams of the store go along into its next version.
+  # The stream, or `nil`; other streams of the store are copied into its next version.
   defp stored(nil, _stream), do: {:ok, nil, %{}}
 
   defp stored(folder, stream) do
@@ -154,7 +154,7 @@ defmodule Situ.Annotation.Editor do
   @spec save(server()) :: {:ok, Path.t()} | {:error, Error.t()}
   def save(server), do: GenServer.call(server, :save, 600_000)
 
-  @doc "From now on the caller is told of edits, until it ends."
+  @doc "From now on the caller gets a message for each edit, until it ends."
   @spec subscribe(server()) :: :ok
   def subscribe(server), do: GenServer.call(server, :subscribe)
 
@@ -222,7 +222,7 @@ defmodule Situ.Annotation.Editor do
     end
   end
 
-  # Other streams are as they were saved last, whoever did it; a version that comes in between is read, too.
+  # Other streams stay as they were saved last, by any program; a version saved in between is read, too.
   defp write(state, tries) do
     newest = Version.newest(state.path)
 

@@ -209,7 +209,7 @@ defmodule Situ.Annotation.Layer do
       :ok
     else
       {:error,
-       Error.new(:stale_edit, "the annotation was changed by somebody else meanwhile",
+       Error.new(:stale_edit, "another person changed the annotation meanwhile",
          fix: "look again and repeat the edit"
        )}
     end

@@ -27,7 +27,7 @@ defmodule Situ.Annotation.Segmenting do
 
   @shared [
     proposed: [type: :boolean, default: false, doc: "They are proposals."],
-    by: [type: {:optional, :string}, doc: "Who says so."],
+    by: [type: {:optional, :string}, doc: "The annotator."],
     name: [type: :string, default: "Segments", doc: "The component's name."]
   ]
   @booleans [

@@ -15,7 +15,7 @@ defmodule Situ.Annotation.Spans do
   """
   @shared [
     proposed: [type: :boolean, default: false, doc: "They are proposals."],
-    by: [type: {:optional, :string}, doc: "Who says so."],
+    by: [type: {:optional, :string}, doc: "The annotator."],
     name: [type: :string, default: "Spans", doc: "The component's name."]
   ]
 

@@ -1,6 +1,6 @@
 defmodule Situ.Dataset.Server do
   @moduledoc """
-  A dataset that several look at: one process holds it, edits go through it one after another, subscribers are told
+  A dataset shared by several users: one process holds it, edits go through it one after another, subscribers are told
   of changes.
 
       iex> {:ok, dataset} = Situ.Dataset.new("Study")
@@ -12,7 +12,7 @@ defmodule Situ.Dataset.Server do
 
   Options of `start_link/1`: `dataset:` (required), and those of a GenServer (`name:`). A change is `:dataset`
   (always the first: something in it has changed), `{:session_added, name}`, `{:session_removed, name}` or
-  `{:session, name}`; a session renamed or moved is told as both `{:session, new}` and `{:session_removed, old}`. It
+  `{:session, name}`; a session renamed or moved gives both `{:session, new}` and `{:session_removed, old}`. It
   ends with its supervisor; nothing unsaved is written then, so use `autosave: true` where that matters.
   """
   use GenServer

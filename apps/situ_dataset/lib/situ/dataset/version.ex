@@ -1,6 +1,6 @@
 defmodule Situ.Dataset.Version do
   @moduledoc false
-  # A store in the making has a folder that nothing takes for a store; whole, it becomes the next version
+  # An unfinished store lies in a folder that no program takes for a store; complete, it becomes the next version
   # ROOT/NAME.NNNN.
   alias Situ.{Error, Store}
 

@@ -1,7 +1,7 @@
 defmodule Situ.Chat.Dialogue do
   @moduledoc false
   # One question to its end: asked, the tools called that have a function, asked again with their results, until the
-  # model has answered. Runs in a process of its own, which whoever asked may kill.
+  # model has answered. Runs in a process of its own, which the asker may kill.
   alias Situ.Chat.{Answer, Service, Tool, Turn}
   alias Situ.Error
 
@@ -15,7 +15,7 @@ defmodule Situ.Chat.Dialogue do
 
   defp run(_service, _turns, _tools, 0, _tell, _so_far) do
     {:error,
-     Error.new(:too_many_calls, "the model calls one tool after another and does not answer",
+     Error.new(:too_many_calls, "the model calls one tool after another and never answers",
        fix: "raise rounds:, or say in system: when the tools are to be used"
      )}
   end

@@ -33,7 +33,7 @@ defmodule Situ.Chat.Memory do
      )}
   end
 
-  @doc "The turns with what was said before them. A conversation given whole stands for itself."
+  @doc "The turns behind the earlier ones. A whole conversation as input replaces the earlier turns."
   @spec with(t(), [Turn.t()]) :: [Turn.t()]
   def with(%__MODULE__{} = memory, [_] = turns),
     do: memory.turns |> Enum.reverse([turns]) |> Enum.concat()

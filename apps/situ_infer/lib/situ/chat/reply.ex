@@ -106,7 +106,8 @@ defmodule Situ.Chat.Reply do
   def close(%{kind: :stream, piece: piece} = reply, nil) do
     if reply.done? or piece.finish != nil,
       do: {:ok, Answer.whole(piece)},
-      else: close(reply, Error.new(:cut_off, "the service ended its answer in the middle"))
+      else:
+        close(reply, Error.new(:cut_off, "the service ended its answer before it was complete"))
   end
 
   def close(%{kind: :complaint, status: status} = reply, nil) do

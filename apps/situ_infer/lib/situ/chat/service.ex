@@ -125,7 +125,7 @@ defmodule Situ.Chat.Service do
   defp attempt(opts, headers, body, say, tries) do
     case once(opts, headers, body, say) do
       {:again, wait, _error} when tries < opts.retries ->
-        # The process of one question waits here; whoever cancels the question ends it.
+        # The process of one question waits here; cancelling the question ends it.
         Process.sleep(wait || Service.pause(opts.backoff, tries))
         attempt(opts, headers, body, say, tries + 1)
 

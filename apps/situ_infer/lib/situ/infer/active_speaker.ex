@@ -42,7 +42,8 @@ defmodule Situ.Infer.ActiveSpeaker do
     still: [
       type: :time_ns,
       default: 400_000_000,
-      doc: "A speaker whose mouth rests this long in spite of a voice is none any more."
+      doc:
+        "How long a mouth may rest, ns, while a voice is heard, before its owner no longer counts as the speaker."
     ]
   ]
 

@@ -7,7 +7,7 @@ defmodule Situ.Infer.Http do
         {:data, bytes}, {status, body} -> {:cont, {status, [body, bytes]}}
       end, nil)
 
-  It runs in the calling process and ends with it; whoever kills that process breaks the connection off. Certificates
+  It runs in the calling process and ends with it; killing that process closes the connection. Certificates
   are verified against those of the system (`cacertfile:` names others), with the name in the URL. Headers may hold
   secrets: no error, log or process state ever contains them.
 
@@ -143,7 +143,7 @@ defmodule Situ.Infer.Http do
       else:
         {:error,
          Error.new(:bad_header, "a header of the request has a line break in it",
-           fix: "look at the variable that holds the key"
+           fix: "remove the line break from the variable that holds the key"
          )}
   end
 
@@ -231,7 +231,7 @@ defmodule Situ.Infer.Http do
   end
 
   defp not_trusted(url, alert) do
-    Error.new(:not_trusted, "#{name(url)} could not prove who it is: #{alert}",
+    Error.new(:not_trusted, "#{name(url)} could not prove its identity: #{alert}",
       why: "its certificate must be signed by a known authority for that very name",
       fix: "check the URL; name the authority of a server of your own by cacertfile:"
     )
@@ -288,7 +288,7 @@ defmodule Situ.Infer.Http do
 
   defp decoded({:error, :cut_off}, url, acc) do
     {:error,
-     Error.new(:cut_off, "#{name(url)} broke the connection off before its answer was whole",
+     Error.new(:cut_off, "#{name(url)} closed the connection before its answer was complete",
        fix: "try again; look at the log of the service"
      ), acc}
   end

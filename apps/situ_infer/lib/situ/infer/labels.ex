@@ -13,11 +13,11 @@ defmodule Situ.Infer.Labels do
       {:ok, text |> String.trim_trailing() |> String.split(~r/\r?\n/) |> List.to_tuple()}
     else
       false ->
-        {:error, Error.new(:bad_labels, "the names of classes are no text: #{path}")}
+        {:error, Error.new(:bad_labels, "the file of class names is not UTF-8 text: #{path}")}
 
       {:error, why} ->
         {:error,
-         Error.new(:no_labels, "cannot read the names of classes: #{:file.format_error(why)}",
+         Error.new(:no_labels, "cannot read the file of class names: #{:file.format_error(why)}",
            fix: "check the path #{path}"
          )}
     end

@@ -139,7 +139,7 @@ defmodule Situ.Infer.ObjectDetector do
        Error.new(
          :model_shape,
          "output #{inspect(output)} of #{model.name} is #{type} #{inspect(shape)}",
-         why: "that is not what YOLO #{version} says",
+         why: "YOLO #{version} has outputs of another shape",
          fix: "name another version:, or output:"
        )}
     end

@@ -15,7 +15,7 @@ defmodule Situ.Infer.OnnxModel do
       type: {:or, [{:in, [:cpu, :cuda]}, {:tuple, [{:in, [:cuda]}, :non_neg_integer]}]},
       default: :cpu,
       doc:
-        "Where it runs; `:cuda` (or `{:cuda, 1}`) wants an ONNX Runtime with CUDA and says so when there is none."
+        "Where it runs; `:cuda` (or `{:cuda, 1}`) needs an ONNX Runtime with CUDA, else it is an error."
     ],
     batch: [
       type: :pos_integer,

@@ -33,12 +33,12 @@ defmodule Situ.Infer.SpeechRecognizer do
     longest: [
       type: :time_ns,
       default: 20_000_000_000,
-      doc: "Whoever speaks on without a pause is cut here, ns."
+      doc: "The longest utterance, ns: longer speech without a pause is cut."
     ]
   ]
 
   @moduledoc """
-  Speech to text: what is said between two pauses, and what it looks like so far.
+  Speech to text: the words between two pauses, and a partial result while somebody speaks.
 
   Input `:sound` is sound (`Situ.AudioBuffer`), `:speaking` whether somebody speaks, as `Situ.Infer.VoiceActivity` says:
   recognisers invent words in noise. Output `:out` is a `Situ.Infer.Speech.Utterance` at the time when the speech ended,
@@ -111,7 +111,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   def describe(%{open: nil}), do: "nobody speaks"
   def describe(_state), do: "somebody speaks"
 
-  # Each value of `speaking` is dealt with once the sound around it has come.
+  # Each value of `speaking` is handled once the sound around it has come.
   defp answer(state) do
     case :queue.peek(state.asked) do
       {:value, next} ->
@@ -152,7 +152,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   defp step(:closed, state), do: finish(state)
 
   defp step({time, true}, %{open: nil} = state) do
-    # The first value that says so stands for a stretch of sound before it.
+    # The first value of `true` covers a stretch of sound before it.
     from = max(time - 32_000_000, state.answered_to || time - 32_000_000)
     {[], %{state | open: %{from: from, to: time, said: from, early: nil}, answered_to: time}}
   end

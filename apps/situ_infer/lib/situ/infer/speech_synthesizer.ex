@@ -82,7 +82,7 @@ defmodule Situ.Infer.SpeechSynthesizer do
     voice = Error.unwrap!(opts.synthesizer.load(opts.synthesizer_options))
 
     if opts.marks and not function_exported?(opts.synthesizer, :speak_marked, 2) do
-      raise Error.new(:no_marks, "#{inspect(opts.synthesizer)} does not say what is spoken when",
+      raise Error.new(:no_marks, "#{inspect(opts.synthesizer)} gives no times of words",
               fix: "use Situ.Infer.Speech.Espeak, or leave out marks:"
             )
     end

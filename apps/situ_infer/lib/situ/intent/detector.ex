@@ -57,5 +57,5 @@ defmodule Situ.Intent.Detector do
   defp text(text) when is_binary(text), do: text
 
   defp text(other),
-    do: raise(Error.new(:bad_text, "not what somebody said: #{inspect(other, limit: 5)}"))
+    do: raise(Error.new(:bad_text, "not a sentence: #{inspect(other, limit: 5)}"))
 end

@@ -63,7 +63,7 @@ defmodule Situ.Infer.SpeechSynthesizerTest do
   end
 
   test "marks that cannot be had are an error at once" do
-    assert_raise Situ.Error, ~r/Dumb does not say what is spoken when/, fn ->
+    assert_raise Situ.Error, ~r/Dumb gives no times of words/, fn ->
       say([{0, "hello"}], synthesizer: Dumb, marks: true)
     end
 

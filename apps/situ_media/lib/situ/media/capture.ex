@@ -6,7 +6,7 @@ defmodule Situ.Media.Capture do
   A device cannot wait. Up to a limit (`:buffer`) frames wait for the pipeline, then the oldest is dropped and
   counted: memory stays bounded even if the pipeline is slow. A capture has a process to itself (`async: true`), so
   that a slow operator does not keep it from dropping. When a device is lost (unplugged, stream ended) it is tried
-  again every second, if the component was told so.
+  again every second, if the options say so.
 
   `use Situ.Media.Capture`, after `use Situ.Component`, gives a component whose state is a capture everything but its
   `init/1`.
@@ -90,7 +90,7 @@ defmodule Situ.Media.Capture do
          {:ok, reader} <- Reader.start_link(reader_options(capture, args, clock)) do
       Reader.ask(reader, @credits)
       capture = %{capture | reader: reader, clock: clock, streams: nil}
-      # One that is tried again for ever has no end; another one says so when it ends.
+      # A capture that reconnects for ever has no end; any other announces its end.
       endless = if capture.opts[:reconnect], do: [{:complete, :infinity}], else: []
       {endless, %{capture | offset: offset(clock, context, capture.last), settled: nil}}
     else

@@ -192,7 +192,7 @@ defmodule Situ.Media.FileInfo do
   defp unreadable(path, why) do
     Error.new(:unreadable_media, "cannot read #{Path.basename(path)}",
       why: why,
-      fix: "check that the file is whole: ffprobe #{Path.basename(path)}",
+      fix: "check that the file is complete: ffprobe #{Path.basename(path)}",
       meta: %{path: path}
     )
   end

@@ -5,7 +5,7 @@ defmodule Situ.Cluster.Assembly do
   alias Situ.{Error, Graph, Pipeline}
   alias Situ.Graph.Builder
 
-  @doc "The plan; nothing runs, and what `build/2` has opened is given up again."
+  @doc "The plan; nothing runs, and everything that `build/2` has opened is closed again."
   @spec plan(Deployment.t()) :: {:ok, Plan.t()} | {:error, Error.t()}
   def plan(%Deployment{module: module, opts: opts} = deployment) do
     {graph, _result} = Graph.build(&module.build(&1, opts))
@@ -48,8 +48,8 @@ defmodule Situ.Cluster.Assembly do
     Pipeline.start(build, pipeline: settings)
   end
 
-  # Handlers close what `build/2` opened: a recording that this part does not write is given up. All others run with
-  # the part that is not named by any rule.
+  # Handlers close the recordings that `build/2` opened: one that this part does not write is abandoned. All others
+  # run with the part that is not named by any rule.
   defp handlers(graph, plan, part) do
     writes? = Enum.any?(graph.vertices, fn {_, v} -> v.module == Situ.Store.Sink end)
 

@@ -6,7 +6,7 @@ defmodule Situ.Cluster.Identity do
       cookie          the secret of Erlang's distribution
       ca.pem          the cluster's own authority: nobody else's certificates count
       node.pem/.key   the certificate of every node
-      ssl_dist.conf   what Erlang is told of them (-proto_dist inet_tls -ssl_dist_optfile)
+      ssl_dist.conf   Erlang's options for them (-proto_dist inet_tls -ssl_dist_optfile)
   """
   alias Situ.Error
 
@@ -20,7 +20,7 @@ defmodule Situ.Cluster.Identity do
     if File.exists?(Path.join(folder, "cookie")) do
       {:error,
        Error.new(:exists, "there is a cluster's identity in #{folder}",
-         why: "with another one its nodes could not talk to each other any more",
+         why: "with a new one its nodes could no longer connect to each other",
          fix: "delete the folder if no cluster uses it, or name another"
        )}
     else

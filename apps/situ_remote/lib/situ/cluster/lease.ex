@@ -10,7 +10,7 @@ defmodule Situ.Cluster.Lease do
 
   defstruct [:seq, :since, :looked, :owner, gone: false]
 
-  @typedoc "`seq` has been the lease's number since `since` (ms); `gone`: the owner's node is said to be down."
+  @typedoc "`seq` has been the lease's number since `since` (ms); `gone`: the owner's node was reported down."
   @type t :: %__MODULE__{
           seq: non_neg_integer() | nil,
           since: integer() | nil,
@@ -49,7 +49,7 @@ defmodule Situ.Cluster.Lease do
     {if(free?, do: :take, else: :wait), lease}
   end
 
-  @doc "A node is said to be down: a hint; the fence makes it safe."
+  @doc "A node was reported down. This is only a hint; the fence makes it safe."
   @spec down(t(), node()) :: t()
   def down(%__MODULE__{owner: owner} = lease, node),
     do: if(owner == Atom.to_string(node), do: %{lease | gone: true}, else: lease)

@@ -16,7 +16,7 @@ defmodule Situ.Cluster.Member do
   @spec rank(GenServer.server(), map(), String.t()) :: non_neg_integer() | nil
   def rank(agent, rule, part), do: GenServer.call(agent, {:rank, rule, part}, :infinity)
 
-  @doc "The caller is told where a part is published."
+  @doc "Sends the caller the publisher of a part, now and whenever it changes."
   @spec follow(pid(), part()) :: term()
   def follow(agent, part), do: send(agent, {:situ_cluster, :follow, part, self()})
 

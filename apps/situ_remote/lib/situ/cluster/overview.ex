@@ -57,7 +57,7 @@ defmodule Situ.Cluster.Overview do
     end
   end
 
-  @doc "The parts of one deployment: whoever has each, as that node tells it."
+  @doc "The parts of one deployment: the node that runs each, as that node reports it."
   @spec parts(Situ.Cluster.Deployment.t(), [node()]) :: [part()]
   def parts(deployment, nodes) do
     infos =

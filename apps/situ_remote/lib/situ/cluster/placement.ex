@@ -12,7 +12,7 @@ defmodule Situ.Cluster.Placement do
         }
   @type members :: %{node() => member()}
 
-  # Load is told in steps, so that what changes from second to second changes no order.
+  # Load is rounded to steps, so that small changes from second to second do not change the order.
   @steps 4
 
   @spec member(map()) :: member()

@@ -99,7 +99,7 @@ defmodule Situ.Cluster.Plan do
 
       name ->
         {:error,
-         Error.new(:empty_part, "nothing is in #{inspect(name)} that could be placed",
+         Error.new(:empty_part, "#{inspect(name)} holds no component that could be placed",
            why: "a component belongs to a composite when the stream it is made from does",
            fix:
              "build it on the streams that the composite's function is given (Situ.composite/3)"

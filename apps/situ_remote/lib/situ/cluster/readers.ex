@@ -120,7 +120,7 @@ defmodule Situ.Cluster.Readers do
     %{reader | demand: reader.demand - n, last: List.last(messages).sequence_id}
   end
 
-  # The next entry that holds something it lacks. An error of the log is met again by whoever asks next.
+  # The next entry with messages that the reader lacks. After an error of the log the next request tries again.
   defp fetch(%{next: nil} = reader, out, log) do
     case Log.find(log, out.subject, &(Entry.integer(&1, "Last", 0) > reader.last)) do
       {:ok, seq} when is_integer(seq) -> fetch(%{reader | next: seq}, out, log)

@@ -242,7 +242,7 @@ defmodule Situ.Cluster.Runner do
 
   defp undeclared(state, error) do
     Error.new(:no_snapshot, "part #{state.part} cannot be carried over: #{error.what}",
-      why: "what a part puts out is kept with a checkpoint of it, unless it is deterministic",
+      why: "the outputs of a part are kept with its checkpoints, unless it is deterministic",
       fix: "#{error.fix}; or declare the part deterministic: true",
       meta: error.meta
     )
@@ -263,7 +263,7 @@ defmodule Situ.Cluster.Runner do
     %{state | phase: :failed, pipeline: nil, monitor: nil, error: error}
   end
 
-  # Whoever waits for the deployment looks at this key.
+  # Processes that wait for the deployment watch this key.
   defp note(state, head, data) do
     subject = {:key, key(state, "state")}
 

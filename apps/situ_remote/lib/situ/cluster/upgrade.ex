@@ -35,7 +35,7 @@ defmodule Situ.Cluster.Upgrade do
   end
 
   defp no_code(module) do
-    Error.new(:no_code, "the code of #{inspect(module)} is in no file of this node",
+    Error.new(:no_code, "this node has no file with the code of #{inspect(module)}",
       fix: "give {module, beam}, as Code.compile_file/1 answers it"
     )
   end
@@ -133,7 +133,7 @@ defmodule Situ.Cluster.Upgrade do
 
   defp other_plan(name) do
     Error.new(:other_plan, "the new code cuts #{name} into other parts or streams",
-      why: "parts that run are joined by the streams that they have",
+      why: "running parts are connected by their present streams",
       fix: "deploy it under another name:, and stop this one"
     )
   end

@@ -363,7 +363,7 @@ defmodule Situ.Remote.Connection do
     )
   end
 
-  # The same trouble is told once, not at every attempt.
+  # The same error is reported once, not at every attempt.
   defp failed(state, error) do
     if state.told != error.code and state.connected > 0,
       do: Logger.warning(Exception.message(error))

@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Log do
   @moduledoc """
-  A durable log: entries on subjects, appended exactly once by whoever knows the last one.
+  A durable log: entries on subjects; an append names the last entry, so each happens exactly once.
 
   Every write names the sequence number of the entry that it follows (`0`: the subject is empty). It is refused when
   somebody else has written since: that is order, exactly-once and fencing in one. A writer whose acknowledgement was

@@ -148,7 +148,7 @@ defmodule Situ.Remote.Recording do
     with {:ok, body} <- Client.ask(state.address, state.access, asked),
          :error <- read.(body) do
       {:error,
-       Error.new(:bad_reply, "#{where(state)} answers what makes no sense",
+       Error.new(:bad_reply, "the answer of #{where(state)} is malformed",
          why: "the answer to #{asked["op"]} is not of the form that this release knows",
          fix: "bring both sides to the same release of Situ"
        )}

@@ -166,7 +166,7 @@ defmodule Situ.Remote.Server do
   def handle_info({:EXIT, pid, _reason}, state) when is_map_key(state.sessions, pid),
     do: {:noreply, %{state | sessions: Map.delete(state.sessions, pid)}}
 
-  # An acceptor ends with its listener; whoever started the server takes it along.
+  # An acceptor ends with its listener, and the server with the process that started it.
   def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
 
   # Somebody with many addresses does not fill the memory.

@@ -39,7 +39,7 @@ defmodule Situ.Remote.Serving do
       type: {:or, [{:optional, :string}, {:in, [:none]}]},
       default: nil,
       doc:
-        "The secret that clients must know. Needed beyond this machine; `:none` does without all the same."
+        "The secret that clients must know. Required if other machines can connect, unless it is `:none`."
     ],
     quota: [
       type: {:or, [{:optional, @limit}, {:list, @limit}]},
@@ -102,7 +102,7 @@ defmodule Situ.Remote.Serving do
   defp ip(interface) do
     with {:error, _} <- :inet.getaddr(to_charlist(interface), :inet),
          {:error, _} <- :inet.getaddr(to_charlist(interface), :inet6),
-         do: {:error, Error.new(:bad_address, "no address: #{inspect(interface)}")}
+         do: {:error, Error.new(:bad_address, "not an address: #{inspect(interface)}")}
   end
 
   defp fingerprint(opts) do
@@ -161,7 +161,7 @@ defmodule Situ.Remote.Serving do
       true ->
         {:error,
          Error.new(:open_to_all, "#{opts[:interface]} can be reached from other machines",
-           why: "everybody there could read what is served",
+           why: "everybody there could read the recordings",
            fix: "give token: (16 random characters or more), or ask for certificates with tls:"
          )}
     end

@@ -81,8 +81,10 @@ defmodule Situ.Space.Calibration do
       do: :ok,
       else:
         {:error,
-         Error.new(:too_few, "#{length(seen)} points do not tell #{count} numbers of a camera",
-           fix: "give more points, or ask for less: distortion: :none, pose: false"
+         Error.new(
+           :too_few,
+           "#{length(seen)} points are too few for #{count} parameters of a camera",
+           fix: "give more points, or fewer parameters: distortion: :none, pose: false"
          )}
   end
 

@@ -66,7 +66,7 @@ defmodule Situ.Space.Depth do
     {:error,
      Error.new(
        :bad_option,
-       "a picture of #{picture.width}x#{picture.height} does not colour depth of #{depth.width}x#{depth.height}",
+       "a picture of #{picture.width}x#{picture.height} does not fit depth of #{depth.width}x#{depth.height}",
        fix: "resize one of them"
      )}
   end

@@ -24,7 +24,7 @@ defmodule Situ.Space.LeastSquares do
   rescue
     ArithmeticError ->
       {:error,
-       Error.new(:not_found, "the search went where nothing can be computed",
+       Error.new(:not_found, "the search left the range in which the function has values",
          fix: "give a better start"
        )}
   end

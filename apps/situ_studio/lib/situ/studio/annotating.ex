@@ -294,5 +294,5 @@ defmodule Situ.Studio.Annotating do
   defp least(x) when is_number(x) and x >= 0 and x <= 1, do: x / 1
   defp least(_), do: 0.0
 
-  defp bad, do: {:error, Error.new(:bad_request, "this is no edit of annotations")}
+  defp bad, do: {:error, Error.new(:bad_request, "not an edit of annotations")}
 end

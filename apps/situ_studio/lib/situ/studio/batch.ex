@@ -10,7 +10,7 @@ defmodule Situ.Studio.Batch do
   alias Situ.Studio.Batch.Run
   alias Situ.Studio.Datasets
 
-  # How often pages are told, and how many runs that are over are remembered.
+  # How often pages are updated, and how many finished runs are kept.
   @tell_ms 250
   @kept 20
 
@@ -144,7 +144,7 @@ defmodule Situ.Studio.Batch do
   defp change(state, id, fun),
     do: %{state | runs: Enum.map(state.runs, &if(&1.id == id, do: fun.(&1), else: &1))}
 
-  # Pages are told at once, but not more often than they can show.
+  # Pages are updated at once, but not more often than they can draw.
   defp later(%{due: nil} = state) do
     case now() - state.told do
       ago when ago >= @tell_ms -> tell(state)

@@ -139,7 +139,7 @@ defmodule Situ.Studio.Catalog do
     {:noreply, answer(state, waiting)}
   end
 
-  # The list as it was is better than none.
+  # The previous list is better than none.
   def handle_info({:DOWN, task, :process, _, _}, %{looking: %Task{ref: task}} = state) do
     waiting = state.waiting
 

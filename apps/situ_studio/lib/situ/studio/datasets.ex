@@ -8,7 +8,7 @@ defmodule Situ.Studio.Datasets do
   alias Situ.Dataset.{Server, Session}
   alias Situ.Studio.Catalog
 
-  @doc "The process of the dataset in `file`; the caller is told of changes as `Situ.Dataset.Server` says."
+  @doc "The process of the dataset in `file`; the caller gets its changes, see `Situ.Dataset.Server`."
   @spec open(Catalog.id(), Path.t()) :: {:ok, pid()} | {:error, Error.t()}
   def open(studio, file) do
     name = {:via, Registry, {Situ.Studio.Registry, {studio, :dataset, file}}}
@@ -46,7 +46,7 @@ defmodule Situ.Studio.Datasets do
   defp current(%Dataset{file: nil} = held, _file), do: {:ok, held}
   defp current(_held, file), do: Dataset.load(file, autosave: true)
 
-  @doc "Takes what stands in the file now."
+  @doc "Reads the file again."
   @spec refresh(GenServer.server(), Path.t()) :: Dataset.result()
   def refresh(server, file), do: Server.edit(server, &current(&1, file))
 

@@ -20,8 +20,8 @@ defmodule Situ.Studio.Sensor do
       sensor.audio |> Situ.Audio.resample(16_000)
       Situ.Studio.Sensor.Speaker.play(answer, page: "phone")
 
-  Whoever opens `/sensor?name=phone` in the studio chooses camera and microphone and starts them. Browsers allow that
-  on this machine, and elsewhere only over TLS (`Situ.Studio`, `tls: :own`).
+  The user opens `/sensor?name=phone` in the studio, chooses camera and microphone and starts them. Browsers allow
+  that on this machine, and elsewhere only over TLS (`Situ.Studio`, `tls: :own`).
 
   | output | gives |
   |---|---|

@@ -13,7 +13,7 @@ defmodule Situ.Studio.Settings do
   | setting | means | usual |
   |---|---|---|
   | `layout` | the layout a recording opens with, where its address names none | `Automatic` |
-  | `keep` | `:by_hand`: a changed layout is saved when somebody says so; `:at_once`: with each change | `:by_hand` |
+  | `keep` | `:by_hand`: a changed layout is saved on request; `:at_once`: with each change | `:by_hand` |
   | `info` | beside the streams' names: `:rate`, `:count`, `:size` or `:latency` | `:rate` |
   """
   alias Situ.Error

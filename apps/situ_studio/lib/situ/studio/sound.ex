@@ -12,7 +12,7 @@ defmodule Situ.Studio.Sound do
   @spec samples(Source.t(), String.t(), Situ.Time.t(), Situ.Time.t(), non_neg_integer()) ::
           {:ok, {Situ.Time.t(), pos_integer(), binary()}} | {:error, Error.t()}
   def samples(_, _, from, to, _) when to <= from or to - from > @max_span,
-    do: {:error, Error.new(:bad_interval, "sound comes in stretches of up to 10 s")}
+    do: {:error, Error.new(:bad_interval, "a request for sound may span 10 s at most")}
 
   def samples(source, stream, from, to, channel) do
     # a buffer's time is that of its end, so the one that ends after `to` may hold the last samples

@@ -3,7 +3,7 @@ defmodule Situ.Studio.Source do
   Where streams come from: a store on disk, a store being written, a running pipeline. Everything the studio draws is
   asked of a source through these functions; handles are plain terms usable from any process.
 
-  Times are inclusive at both ends. A source that is gone answers `{:error, error}` and the page says so.
+  Times are inclusive at both ends. A source that is gone answers `{:error, error}` and the page shows the error.
   """
   alias Situ.Studio.{Source, StreamInfo}
 

@@ -142,7 +142,7 @@ defmodule Situ.Studio.StreamInfo do
 
   @simple ~w(integer float number boolean atom string)
 
-  # Only as much of the type as shapes are told by. Names become atoms only where they are some already.
+  # Only the parts of a type that decide its shape. Names become atoms only if those exist already.
   defp read("list of " <> type), do: {:list, read(type)}
   defp read("one of :" <> _), do: :atom
   defp read(text) when text in @simple, do: String.to_existing_atom(text)

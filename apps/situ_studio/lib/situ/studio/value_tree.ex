@@ -2,7 +2,7 @@ defmodule Situ.Studio.ValueTree do
   @moduledoc """
   Any term as a tree a page can show: nodes `[kind, text, children | nil]`, children `[key, node, path]`.
 
-  Bounded: what is deep, long or large is cut and says so. Texts are plain; whoever shows them must not read them as
+  Bounded: deep, long or large values are cut, with a mark. Texts are plain; the page must not read them as
   HTML.
 
       iex> Situ.Studio.ValueTree.of(%{x: 1.5, on: true})

@@ -58,7 +58,7 @@ defmodule Situ.Studio.Visualizer do
           problem: String.t() | nil
         }
 
-  @typedoc "A module with this behaviour, or what one is said to be."
+  @typedoc "A module with this behaviour, or a visualizer's description."
   @type given :: module() | t()
 
   @typedoc "The stream to draw, the part of its messages, and the properties that the page gave."

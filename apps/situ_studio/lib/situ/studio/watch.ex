@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Watch do
   @moduledoc """
   Looks into one running pipeline: taps a stream when a page first asks for it, keeps its recent past in a
-  `Situ.Studio.History`, and lets go of it when no page has asked for a while.
+  `Situ.Studio.History`, and removes the tap when no page has asked for a while.
 
   Each tap runs behind a lossy queue in a process of its own (`Situ.Pipeline.Tap`); pages read the history. So however
   slow
@@ -152,7 +152,7 @@ defmodule Situ.Studio.Watch do
 
   def handle_info(_, state), do: {:noreply, state}
 
-  # A pipeline may end at any moment: then there is nothing to tap, and nothing to let go of.
+  # A pipeline may end at any moment: then there is nothing to tap or to detach.
   defp attach(target, stream, keep) do
     Situ.attach_tap({target(target), stream}, keep, name: "Studio: " <> stream)
   catch

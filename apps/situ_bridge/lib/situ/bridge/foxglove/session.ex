@@ -156,7 +156,7 @@ defmodule Situ.Bridge.Foxglove.Session do
     end)
   end
 
-  # The same trouble is told once for each subscription.
+  # The same error is reported once for each subscription.
   defp warn(session, id, why) do
     if id in session.warned,
       do: {[], session},

@@ -21,7 +21,7 @@ defmodule Situ.Bridge.Mcap.Channel do
 
       {encoding, nil} ->
         {:error,
-         Error.new(:no_ros_type, "no standard ROS message fits what #{topic} has to say",
+         Error.new(:no_ros_type, "no standard ROS message fits the data of #{topic}",
            why: "it is to be written as #{encoding}",
            fix: "name one with `type:`, or write it as JSON"
          )}
@@ -67,7 +67,7 @@ defmodule Situ.Bridge.Mcap.Channel do
     with :error <- Library.fetch(Definition.plain(type)) do
       {:error,
        Error.new(:no_definition, "the ROS type #{type} is not known",
-         why: "it is none of ROS's own",
+         why: "it is not one of ROS's standard types",
          fix: "give its text with `definition:`"
        )}
     end

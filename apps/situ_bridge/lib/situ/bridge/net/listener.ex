@@ -18,7 +18,7 @@ defmodule Situ.Bridge.Net.Listener do
       {:error, :eaddrinuse} ->
         {:error,
          Error.new(:address_in_use, "port #{port} of #{interface} is in use",
-           fix: "choose another port, or stop who listens there"
+           fix: "choose another port, or stop the program that listens there"
          )}
 
       {:error, reason} ->

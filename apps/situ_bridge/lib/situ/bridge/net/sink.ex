@@ -11,7 +11,7 @@ defmodule Situ.Bridge.Net.Sink do
             ]
           ] ++ Outlet.options()
   @moduledoc false
-  # A stream to whoever connects.
+  # Sends a stream to every client that connects.
   use Situ.Component, inputs: [in: :any], options: @schema
   alias Situ.Bridge.Net.Server
 

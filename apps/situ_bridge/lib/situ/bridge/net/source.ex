@@ -93,7 +93,7 @@ defmodule Situ.Bridge.Net.Source do
   defp well(state, []), do: state
   defp well(state, _payloads), do: %{state | wait: @first_wait, told: nil}
 
-  # The same trouble is told once, not at every attempt. A message that was cut off is lost.
+  # The same error is reported once, not at every attempt. A message that was cut off is lost.
   defp again(state, reason) do
     if state.told != reason and reason != :closed,
       do: Logger.warning("#{state.opts[:host]}:#{state.opts[:port]}: #{inspect(reason)}")

@@ -73,7 +73,7 @@ defmodule Situ.Bridge.Parquet.File do
         times: for(%{time?: true, name: name} <- columns, do: name)
       }
     else
-      _ -> fail("its footer makes no sense")
+      _ -> fail("its footer is malformed")
     end
   end
 
@@ -94,7 +94,7 @@ defmodule Situ.Bridge.Parquet.File do
     end
   end
 
-  defp leaves(_other, _at, _found, _nested), do: fail("its schema makes no sense")
+  defp leaves(_other, _at, _found, _nested), do: fail("its schema is malformed")
 
   # The leaves below a group of columns.
   defp below(0, rest, passed), do: {passed, rest}
@@ -108,7 +108,7 @@ defmodule Situ.Bridge.Parquet.File do
     end
   end
 
-  defp below(_children, _rest, _passed), do: fail("its schema makes no sense")
+  defp below(_children, _rest, _passed), do: fail("its schema is malformed")
 
   defp leaf(element, at) do
     as = as(element)
@@ -153,7 +153,7 @@ defmodule Situ.Bridge.Parquet.File do
     end
   end
 
-  defp chunk(_file, _group, _leaf), do: fail("a row group makes no sense")
+  defp chunk(_file, _group, _leaf), do: fail("a row group is malformed")
 
   defp read(_file, _at, 0), do: ""
 

@@ -56,7 +56,7 @@ defmodule Situ.Bridge.Parquet.Values do
         pages(leaf, rest, codec, left, dictionary, found)
 
       _ ->
-        fail("a page whose head makes no sense")
+        fail("a page's header is malformed")
     end
   end
 

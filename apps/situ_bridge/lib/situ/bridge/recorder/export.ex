@@ -40,7 +40,7 @@ defmodule Situ.Bridge.Recorder.Export do
       else: topic
   end
 
-  # Each stream's next message is kept at hand; the earliest goes first.
+  # Holds each stream's next message; the earliest goes first.
   defp merged(store, wanted, reading) do
     heads =
       for info <- Store.streams(store),

@@ -234,7 +234,7 @@ defmodule Situ.Bridge.Ros.Db3 do
     case System.find_executable("sqlite3") do
       nil ->
         {:error,
-         Error.new(:no_sqlite, "the program sqlite3 is not there", fix: "apt install sqlite3")}
+         Error.new(:no_sqlite, "the program sqlite3 is not installed", fix: "apt install sqlite3")}
 
       sqlite ->
         {:ok, sqlite}

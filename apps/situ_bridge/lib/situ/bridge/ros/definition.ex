@@ -53,7 +53,7 @@ defmodule Situ.Bridge.Ros.Definition do
 
   @doc """
   Parses a definition. Types that the text leaves out are looked up among ROS's own (`Situ.Bridge.Ros.Library`).
-  Errors are sentences: a line that makes no sense, a type that is not there, types made of themselves.
+  Errors are sentences: a malformed line, an unknown type, types that contain themselves.
   """
   @spec parse(String.t(), String.t()) :: {:ok, t()} | {:error, String.t()}
   def parse(name, text) do

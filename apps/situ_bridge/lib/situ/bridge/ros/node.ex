@@ -174,7 +174,7 @@ defmodule Situ.Bridge.Ros.Node do
     %{state | links: Map.put(state.links, uri, link)}
   end
 
-  # The same trouble is told once, not at every attempt.
+  # The same error is reported once, not at every attempt.
   defp unlinked(state, uri, reason) do
     {wait, told} = Map.get(state.waits, uri, {@first_wait, nil})
 

@@ -41,7 +41,7 @@ defmodule Situ.Bridge.Ros.Optics do
       when radial != {0.0, 0.0, 0.0, 0.0, 0.0, 0.0} or tangential != {0.0, 0.0} do
     raise Error.new(
             :not_writable,
-            "a CameraInfo cannot tell of the lens of #{c.width}x#{c.height}",
+            "a CameraInfo cannot describe the lens of the #{c.width}x#{c.height} camera",
             why: "its coefficients go from distorted to undistorted, ROS's the other way"
           )
   end

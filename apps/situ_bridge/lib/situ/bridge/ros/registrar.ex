@@ -68,7 +68,7 @@ defmodule Situ.Bridge.Ros.Registrar do
 
   defp refused(address, method, why),
     do:
-      Situ.Error.new(:ros_refused, "the master at #{address.master} does not do #{method}",
+      Situ.Error.new(:ros_refused, "the master at #{address.master} refused #{method}",
         why: to_string(why)
       )
 end

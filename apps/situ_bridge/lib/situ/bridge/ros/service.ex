@@ -23,7 +23,7 @@ defmodule Situ.Bridge.Ros.Service do
       :gen_tcp.close(tcp)
       answered(result, name, definition)
     else
-      %URI{} -> {:error, refused(name, "its address makes no sense")}
+      %URI{} -> {:error, refused(name, "its address is malformed")}
       error -> error
     end
   end
@@ -41,7 +41,7 @@ defmodule Situ.Bridge.Ros.Service do
            ),
          do:
            {:error,
-            Error.new(:ros_unreachable, "nobody answers at #{host}:#{port}", why: inspect(reason))}
+            Error.new(:ros_unreachable, "no answer from #{host}:#{port}", why: inspect(reason))}
   end
 
   defp exchange(tcp, bytes, header, timeout) do
@@ -97,7 +97,9 @@ defmodule Situ.Bridge.Ros.Service do
        Error.new(:ros_unreachable, "the service #{name} does not answer", why: inspect(reason))}
 
   defp printable(text), do: if(String.valid?(text), do: text, else: inspect(text, limit: 50))
-  defp refused(name, why), do: Error.new(:ros_refused, "the service #{name} refuses", why: why)
+
+  defp refused(name, why),
+    do: Error.new(:ros_refused, "the service #{name} refused the call", why: why)
 
   defp definition(name, text) do
     with {:error, why} <- Definition.service(name, text),

@@ -66,7 +66,7 @@ defmodule Situ.Bridge.Ros.Standard do
   def type(number) when number in @numbers, do: :integer
   def type(_), do: :map
 
-  @doc "A message as Situ's; one that makes no sense stays a map."
+  @doc "A message as a struct of Situ; one with impossible values stays a map."
   @spec from(String.t(), map()) :: term()
   def from(name, message) do
     case make(name, message) do

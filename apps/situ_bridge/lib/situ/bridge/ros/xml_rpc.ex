@@ -260,10 +260,10 @@ defmodule Situ.Bridge.Ros.XmlRpc do
   end
 
   defp refused(uri, method, why),
-    do: Error.new(:ros_refused, "#{uri} does not do #{method}", why: why)
+    do: Error.new(:ros_refused, "#{uri} refused #{method}", why: why)
 
   defp unreachable(uri, reason) do
-    Error.new(:ros_unreachable, "nobody answers at #{uri}",
+    Error.new(:ros_unreachable, "no answer from #{uri}",
       why: inspect(reason, limit: 10),
       fix: "start it (`rosmaster --core`), or say where it is: master:, or ROS_MASTER_URI"
     )

@@ -30,7 +30,7 @@ defmodule Situ.Bridge.Tcp.Frames do
   @impl Protocol
   def admit(bytes, _arg), do: {:ok, "", bytes}
 
-  # A client has nothing to say; what it says all the same is let go.
+  # A client has nothing to send; its bytes are dropped.
   @impl Protocol
   def heard(_bytes, _arg), do: {:ok, "", ""}
 

@@ -124,6 +124,6 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
     end
   end
 
-  # A connection that breaks here is told of by its closing.
+  # A connection that breaks here is reported when it closes.
   defp ok(_result), do: :ok
 end

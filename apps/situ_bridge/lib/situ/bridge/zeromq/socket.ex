@@ -131,7 +131,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
     {:reply, :ok, %{state | dropped: state.dropped + dropped}}
   end
 
-  # In turn, to whoever has room.
+  # To the peers in turn, skipping those without room.
   def handle_call({:put, frames}, _from, %{type: :push} = state) do
     open = Enum.filter(state.peers, fn {_, peer} -> peer.open? end)
     {before, from} = Enum.split(open, rem(state.turn, max(length(open), 1)))
@@ -195,7 +195,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
       else: state
   end
 
-  # The same trouble is told once, not at every attempt.
+  # The same error is reported once, not at every attempt.
   defp tell(state, {:shutdown, {kind, _} = reason}) when kind in [:refused, :unreachable] do
     if state.told != reason,
       do:

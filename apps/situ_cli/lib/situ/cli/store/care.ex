@@ -63,7 +63,7 @@ defmodule Situ.CLI.Store.Care do
     end
   end
 
-  # One too broken to be opened can be deleted all the same.
+  # A store too broken to be opened can still be deleted.
   defp folder!(path) do
     case Store.open(path) do
       {:ok, store} -> store.path

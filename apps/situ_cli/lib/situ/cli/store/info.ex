@@ -18,7 +18,7 @@ defmodule Situ.CLI.Store.Info do
   defp folder?(path),
     do: File.dir?(path) and not Store.exists?(path)
 
-  # Recordings that cannot be read are told of, and are no reason to keep quiet about the others.
+  # Recordings that cannot be read are listed as errors; the others are described.
   defp list(paths, opts) do
     stores =
       Enum.flat_map(paths, &if(folder?(&1), do: Store.list(&1, recursive: true), else: [&1]))

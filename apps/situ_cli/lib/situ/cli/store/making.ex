@@ -129,7 +129,7 @@ defmodule Situ.CLI.Store.Making do
 
   defp storing do
     [
-      Option.new(:compression, ["none", "lz4", "zstd"], "of the new store; else as it was"),
+      Option.new(:compression, ["none", "lz4", "zstd"], "of the new store; default: unchanged"),
       skip_damage()
     ]
   end

@@ -64,7 +64,7 @@ defmodule Situ.CLI.Talk.Session do
 
   defp text(heard), do: Situ.map(heard, & &1.text, type: :string, name: "Text")
 
-  # Whoever looks on gets `{:talk, what, data, time, clock}`.
+  # The observer gets `{:talk, what, data, time, clock}`.
   defp watch(_assistant, nil), do: :ok
 
   defp watch(assistant, watcher) do

@@ -108,9 +108,7 @@ defmodule Situ.Infer.Speech.Azure do
   defp short(sound) do
     if AudioBuffer.duration(sound) <= @longest,
       do: :ok,
-      else:
-        {:error,
-         Error.new(:too_long, "more than 60 s of sound", fix: "cut it where nobody speaks")}
+      else: {:error, Error.new(:too_long, "more than 60 s of sound", fix: "cut it in a pause")}
   end
 
   defp result({:ok, %{"RecognitionStatus" => "Success", "NBest" => [best | others]}}) do

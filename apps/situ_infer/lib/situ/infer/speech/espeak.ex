@@ -67,7 +67,7 @@ defmodule Situ.Infer.Speech.Espeak do
       nil ->
         {:error,
          Error.new(:no_espeak, "the program espeak-ng is not installed",
-           why: "text is spoken by it",
+           why: "it turns text into sound",
            fix: "install it: apt-get install espeak-ng"
          )}
 

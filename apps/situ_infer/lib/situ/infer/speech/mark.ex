@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Speech.Mark do
   @moduledoc """
-  Something in spoken text: from when to when what is said.
+  A part of spoken text, with the times of its beginning and end.
 
     * `kind`: `:sentence`, `:word`, `:phoneme` (its `text` in the International Phonetic Alphabet), or `:mark`, a place
       that the text names (`<mark name="here"/>` in SSML)

@@ -107,7 +107,7 @@ defmodule Situ.Infer.Speech.Moonshine do
 
   defp too_long(n) do
     Error.new(:too_long, "#{div(n, @rate)} s of sound are too long for one recognition",
-      fix: "cut it into pieces of #{@longest_s} s or less, where nobody speaks"
+      fix: "cut it in pauses into pieces of #{@longest_s} s or less"
     )
   end
 

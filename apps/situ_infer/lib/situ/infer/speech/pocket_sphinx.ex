@@ -20,7 +20,7 @@ defmodule Situ.Infer.Speech.PocketSphinx do
     alternatives: [
       type: {:range, 0, 20},
       default: 3,
-      doc: "How many other sentences it may have been are told, at most."
+      doc: "The most alternative sentences in a result."
     ]
   ]
 

@@ -19,7 +19,8 @@ defmodule Situ.Infer.Speech.Synthesizer do
   @callback speak(voice :: term(), String.t()) :: Situ.AudioBuffer.result()
 
   @doc """
-  The same with what is said when: sentences, words, sounds and marks, by their beginnings, in the time of the sound.
+  The same with marks: sentences, words, phonemes and marks of the text, by their beginnings, in the time of the
+  sound.
   """
   @callback speak_marked(voice :: term(), String.t()) ::
               {:ok, Situ.AudioBuffer.t(), [Situ.Infer.Speech.Mark.t()]}

@@ -68,7 +68,7 @@ defmodule Situ.Infer.Speech.Upload do
   @doc "The error of an answer that is not in the service's protocol."
   @spec bad_answer() :: Error.t()
   def bad_answer do
-    Error.new(:bad_answer, "the service answered something else than it should",
+    Error.new(:bad_answer, "the service's answer has an unexpected form",
       fix: "check the URL: another kind of service may be there"
     )
   end

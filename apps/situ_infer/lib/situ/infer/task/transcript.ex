@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Task.Transcript do
   @moduledoc """
-  The batch task `transcript`: what is said in a sound stream, as a new partition of each session.
+  The batch task `transcript`: the words of a sound stream, as a new partition of each session.
 
   The speech model has to be there: `bin/lib/fetch-model moonshine-tiny-en` fetches it.
   """
@@ -11,7 +11,7 @@ defmodule Situ.Infer.Task.Transcript do
     %{
       name: "transcript",
       about:
-        "write down what is said in a sound stream (English): texts with their times in a new partition",
+        "transcribe the speech of a sound stream (English): texts with their times in a new partition",
       output: "Transcript",
       options: [
         stream: [type: :string, default: "Audio", doc: "The sound."],

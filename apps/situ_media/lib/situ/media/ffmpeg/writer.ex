@@ -9,7 +9,7 @@ defmodule Situ.Media.FFmpeg.Writer do
       :ok = Situ.Media.FFmpeg.Writer.finish(writer)
 
   `write/4` waits while `ffmpeg` is behind (a picture or so is on its way), so a slow encoder slows its pipeline down.
-  When the writer ends without `finish/2`, `ffmpeg` sees the end of its input and finishes the file all the same.
+  When the writer ends without `finish/2`, `ffmpeg` still sees the end of its input and finishes the file.
   """
   use GenServer, restart: :temporary, shutdown: 1_000
 
@@ -113,7 +113,7 @@ defmodule Situ.Media.FFmpeg.Writer do
     do: {:noreply, fail(state, status)}
 
   defp connect(state, socket, program, opts) do
-    # Everything about the input stands in its header: no guessing, no delay.
+    # The input's header describes it completely: no guessing, no delay.
     input = ~w(-copyts -probesize 32 -analyzeduration 0 -fpsprobesize 0 -f nut -i)
     args = FFmpeg.global_options() ++ input ++ [Socket.url(socket) | opts[:args]]
     port = FFmpeg.start(program, args, bound: opts[:bound])

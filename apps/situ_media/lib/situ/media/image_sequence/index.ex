@@ -51,7 +51,7 @@ defmodule Situ.Media.ImageSequence.Index do
       _ ->
         bad(
           Path.join(folder, @name),
-          "line #{length(shots) + 2} makes no sense: #{inspect(line)}"
+          "line #{length(shots) + 2} is malformed: #{inspect(line)}"
         )
     end
   end
@@ -60,7 +60,7 @@ defmodule Situ.Media.ImageSequence.Index do
     {:error,
      Error.new(:bad_index, "cannot read #{path}",
        why: why,
-       fix: "mend it, or delete it to use rate:"
+       fix: "correct it, or delete it to use rate:"
      )}
   end
 end

@@ -54,7 +54,7 @@ defmodule Situ.Media.Nut.Demuxer do
   @spec streams(t()) :: %{non_neg_integer() => Nut.stream()}
   def streams(%__MODULE__{streams: streams}), do: streams
 
-  @doc "The next frame; `{:error, :eof}` at the end, `{:error, reason}` when the stream makes no sense."
+  @doc "The next frame; `{:error, :eof}` at the end, `{:error, reason}` if the stream is malformed."
   @spec next(t()) :: {:ok, frame(), t()} | {:error, term()}
   def next(%__MODULE__{} = demuxer) do
     with {:ok, <<code>>} <- read(demuxer, 1), do: frame_or_packet(code, demuxer)

@@ -1,6 +1,6 @@
 defmodule Situ.Media.Recording.Pictures do
   @moduledoc false
-  # Decodes the pictures of one media file for whoever asks: on from where a decoder stands when that is near, else
+  # Decodes the pictures of one media file on request: from a decoder's position if that is near, else
   # again from the key picture before. Recently decoded pictures are kept, so that going back a little costs nothing.
   use GenServer
 
@@ -27,7 +27,7 @@ defmodule Situ.Media.Recording.Pictures do
 
   @impl true
   def init(recording) do
-    # A decoder that dies is an error of the question at hand.
+    # A decoder that dies is an error of the current request.
     Process.flag(:trap_exit, true)
     {:ok, %__MODULE__{recording: recording}, @idle_ms}
   end

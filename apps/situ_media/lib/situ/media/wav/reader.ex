@@ -211,7 +211,7 @@ defmodule Situ.Media.Wav.Reader do
     end
   end
 
-  # When it was recorded stands in LIST INFO, as ICRD.
+  # LIST INFO holds the time of recording, as ICRD.
   defp chunk("LIST", size, file, at, seen) when size >= 12 and size <= @max_text do
     case :file.pread(file, at, size) do
       {:ok, <<"INFO", items::binary>>} ->

@@ -155,7 +155,7 @@ defmodule Situ.Media.Wav.Recording do
     }
   end
 
-  # The file is open only while it is read: whoever reads a recording may do so from any process.
+  # The file is open only during a read: any process may read a recording.
   defp sound(%{path: path, stat: stat} = recording, from, count) do
     with {:ok, ^stat} <- stat(path),
          {:ok, reader} <- Reader.reopen(recording.reader, path) do

@@ -96,7 +96,7 @@ defmodule Situ.Remote.Link.Dialing do
   end
 
   defp not_situ(why) do
-    Error.new(:no_link, "what listens there does not speak the link protocol",
+    Error.new(:no_link, "the program at that port does not speak the link protocol",
       why: why,
       fix: "check host and port, and TLS (situs://) on both sides or on none"
     )

@@ -155,9 +155,10 @@ defmodule Situ.Remote.Link.Socket do
         why = if is_binary(other), do: "its fingerprint is #{other}", else: "it shows none"
 
         {:error,
-         Error.new(:wrong_certificate, "the server has another certificate than was expected",
+         Error.new(:wrong_certificate, "the server's certificate is not the expected one",
            why: why,
-           fix: "ask its owner for the address that it prints; somebody may stand in between"
+           fix:
+             "ask the server's owner for the address that it prints; otherwise somebody may intercept the link"
          )}
     end
   end

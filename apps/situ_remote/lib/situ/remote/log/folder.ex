@@ -145,7 +145,7 @@ defmodule Situ.Remote.Log.Folder do
   def trim(%__MODULE__{} = log, subject, seq) do
     first = first(log, subject)
     last = Enum.max(numbers(log, subject), fn -> 0 end)
-    # In order: whoever finds an entry gone knows that those before it are.
+    # In order: if an entry is gone, all before it are.
     if first, do: for(n <- first..(min(seq, last) - 1)//1, do: File.rm(path(log, subject, n)))
     :ok
   end

@@ -109,7 +109,7 @@ defmodule Situ.Remote.Log.Nats do
 
   defp redacted(address), do: String.replace(address, ~r{//[^@]*@}, "//...@")
 
-  # Two servers, or two nodes, may make it at once: whoever comes second finds it there.
+  # Two servers, or two nodes, may make it at once: the second one finds it there.
   defp made(log, opts) do
     common = %{"storage" => "file", "num_replicas" => opts[:replicas], "allow_direct" => true}
     discard = if opts[:when_full] == :refuse, do: "new", else: "old"
@@ -316,8 +316,8 @@ defmodule Situ.Remote.Log.Nats do
 
   defp away(why) do
     Error.new(:log_away, "the log is away: #{why}",
-      why: "what was written may be there or not",
-      fix: "try again as it is: nothing is written twice"
+      why: "the last write may or may not have arrived",
+      fix: "repeat the same write: nothing is written twice"
     )
   end
 

@@ -67,7 +67,7 @@ defmodule Situ.Remote.Origin.Recording do
   @impl true
   def store(%{store: nil, series: {_, name}}, _version),
     do:
-      {:error, Error.new(:no_store, "nothing is recorded yet as #{name}", fix: "try again later")}
+      {:error, Error.new(:no_store, "there is no recording #{name} yet", fix: "try again later")}
 
   def store(%{series: nil, store: store}, _version), do: {:ok, store}
   def store(%{version: version, store: store}, version), do: {:ok, store}
@@ -75,13 +75,13 @@ defmodule Situ.Remote.Origin.Recording do
 
   def store(%{series: {root, name}}, version) when is_integer(version) do
     case Versions.path(root, name, version) do
-      nil -> {:error, Error.new(:no_store, "there is no version #{version} of #{name} any more")}
+      nil -> {:error, Error.new(:no_store, "version #{version} of #{name} no longer exists")}
       path -> Reading.open(path)
     end
   end
 
   def store(_state, version),
-    do: {:error, Error.new(:bad_request, "no version: #{inspect(version, limit: 5)}")}
+    do: {:error, Error.new(:bad_request, "not a version: #{inspect(version, limit: 5)}")}
 
   # A new stream, or the end of one, is a record of stream 0.
   defp records(%{module: Local} = store), do: Reading.count(store, %StreamInfo{id: 0, name: ""})
@@ -225,7 +225,7 @@ defmodule Situ.Remote.Origin.Recording do
 
   def news(_state, _other), do: :other
 
-  # Whoever records may have begun once more: that is told by the folder alone.
+  # The recording program may have started a new version: only the folder shows it.
   @impl true
   def look(%{series: nil} = state), do: {state.awaiting == :no, state}
 

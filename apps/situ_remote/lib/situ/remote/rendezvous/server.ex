@@ -84,7 +84,7 @@ defmodule Situ.Remote.Rendezvous.Server do
   defp read(state, socket, _stage, buffer) when byte_size(buffer) > @most_bytes,
     do: drop(state, socket)
 
-  # A client of another version is told ours, as it expects, and let go.
+  # A client of another version gets our version, as it expects, and is disconnected.
   defp read(state, socket, :greeting, <<version::little-signed-16, rest::binary>>) do
     _ = :gen_tcp.send(socket, <<Wire.version()::little-signed-16>>)
 

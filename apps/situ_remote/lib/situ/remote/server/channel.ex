@@ -70,7 +70,7 @@ defmodule Situ.Remote.Server.Channel do
 
   defp policy(_other), do: {:error, "a delivery policy that is not known"}
 
-  # What makes no sense comes over the connection, as all else.
+  # A request over the connection may be malformed.
   defp udp(%{"key" => text, "size" => size}) when is_binary(text) and is_integer(size) do
     {least, most} = Datagrams.sizes()
 

@@ -162,5 +162,5 @@ defmodule Situ.Remote.Server.Requests do
     [[0, piece] | pieces(rest)]
   end
 
-  defp bad(why), do: Error.new(:bad_request, "a request that makes no sense", why: why)
+  defp bad(why), do: Error.new(:bad_request, "a malformed request", why: why)
 end

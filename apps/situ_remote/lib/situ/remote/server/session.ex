@@ -255,7 +255,7 @@ defmodule Situ.Remote.Server.Session do
 
   defp taken({:ok, state}, _before), do: listen(state)
 
-  # Whoever does not read answers asks nothing more.
+  # A client that does not read its answers gets no more requests handled.
   defp taken({:pump, state}, _before) do
     if :queue.is_empty(state.replies),
       do: state |> listen() |> then_pump(),

@@ -20,7 +20,7 @@ defmodule Situ.Space.Scan.Las do
     10 => 67
   }
 
-  @doc "The points, measured from the lower corner of the file's bounds, which is told."
+  @doc "The points, relative to the lower corner of the file's bounds, and that corner."
   @spec read(binary()) :: {:ok, PointCloud.t(), origin :: tuple()} | {:error, Error.t()}
   def read(
         <<"LASF", _::binary-size(20), 1, minor, _::binary-size(68), _header::little-16,

@@ -1,7 +1,8 @@
 defmodule Situ.Studio.PipelineView do
   @moduledoc """
   The page of a pipeline's graph: components, composites that fold, connections with their policies, coloured by any
-  statistic of `Situ.Studio.PipelineView.Stats`; what is clicked is told on the right, with plots of its past.
+  statistic of `Situ.Studio.PipelineView.Stats`; a click shows an object's figures on the right, with plots of its
+  past.
 
   Of a running pipeline it shows now, twice a second, and the hour before the page was opened; of a recording, the
   moment

@@ -87,7 +87,7 @@ defmodule Situ.Studio.Plugins.Code do
   end
 
   defp bad(what),
-    do: {:error, Error.new(:bad_plugin, what, fix: "mend it, and start the studio again")}
+    do: {:error, Error.new(:bad_plugin, what, fix: "correct it, and restart the studio")}
 
   @doc "Those modules that have a behaviour."
   @spec of([module()], module()) :: [module()]

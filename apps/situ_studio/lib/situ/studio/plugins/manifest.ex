@@ -85,7 +85,7 @@ defmodule Situ.Studio.Plugins.Manifest do
   defp wrong(what) do
     {:error,
      Error.new(:bad_plugin, "the plug-in's manifest is wrong: #{what}",
-       fix: "docs/guides/your-own-visualizer.md tells what plugin.json holds"
+       fix: "docs/guides/your-own-visualizer.md describes plugin.json"
      )}
   end
 

@@ -26,7 +26,7 @@ defmodule Situ.Studio.Visualizers.Spans do
   @impl true
   def about, do: %Visualizer{id: "spans", title: "Intervals", panel: :lanes, shapes: [:spans]}
 
-  # Intervals that began before the window or are told of after it: so many messages on both sides are looked at.
+  # Intervals may begin before the window, or arrive after it: so many messages on both sides are read.
   @around 8
 
   @impl true

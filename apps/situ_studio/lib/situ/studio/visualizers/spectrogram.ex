@@ -51,7 +51,7 @@ defmodule Situ.Studio.Visualizers.Spectrogram do
       {:ok, 16_000}
     else
       {:ok, %{data: %Situ.AudioBuffer{format: format}}} -> {:ok, format.rate}
-      {:ok, _} -> {:error, Situ.Error.new(:no_sound, "these messages are no sound")}
+      {:ok, _} -> {:error, Situ.Error.new(:no_sound, "these messages hold no sound")}
       {:error, error} -> {:error, error}
     end
   end

@@ -54,12 +54,14 @@ defmodule Situ.Studio.Web.Annotation do
     end
   end
 
-  # The same schema for another person: a layer of one's own, that agreement is told of.
+  # The same schema for another person: a layer of their own, to compare with the first.
   defp event("annotation_own", %{"stream" => stream, "by" => by}, socket)
        when is_binary(stream) and is_binary(by) do
     own = layer(stream, by)
 
-    with true <- own != stream or {:error, Situ.Error.new(:no_name, "Whose layer is it?")},
+    with true <-
+           own != stream or
+             {:error, Situ.Error.new(:no_name, "the layer needs the annotator's name")},
          {:ok, editor} <-
            Annotating.open(socket.assigns.studio, socket.assigns.item.path, stream, nil) do
       socket |> assign(dialog: nil) |> open(own, Editor.layer(editor).schema)
@@ -238,7 +240,7 @@ defmodule Situ.Studio.Web.Annotation do
     end
   end
 
-  @doc "The page is told what the annotations are now."
+  @doc "Sends the page the current annotations."
   @spec tell(Socket.t()) :: Socket.t()
   def tell(%{assigns: %{annotation: %{editor: editor, stream: stream}}} = socket) do
     push_event(socket, "annotations", Annotating.told(editor, stream))

@@ -232,7 +232,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
       _ ->
         :gen_tcp.close(socket)
-        {:error, Error.new(:log_away, "#{server(state)} does not speak as a NATS server does")}
+        {:error, Error.new(:log_away, "#{server(state)} does not speak the protocol of NATS")}
     end
   end
 
@@ -248,7 +248,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
       info["jetstream"] != true ->
         {:error,
-         Error.new(:no_jetstream, "the NATS server at #{server(state)} keeps nothing",
+         Error.new(:no_jetstream, "the NATS server at #{server(state)} stores nothing",
            why: "JetStream is off",
            fix: "start it with -js and a folder: nats-server -js -sd FOLDER"
          )}
@@ -338,7 +338,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
         end
 
       {:error, _} ->
-        {:error, Error.new(:log_away, "#{server(state)} does not speak as a NATS server does")}
+        {:error, Error.new(:log_away, "#{server(state)} does not speak the protocol of NATS")}
     end
   end
 
