@@ -179,6 +179,11 @@ defmodule Situ.Store.HostileTest do
             check and info.name in @names,
             do: assert(m.data == data(info.name, div(m.originating_time, 1_000)))
 
+        for part <- Store.columns(store, info, skip_damage: true),
+            {time, value} <- pairs(part),
+            check and info.name in @names,
+            do: assert(value == data(info.name, div(time, 1_000)))
+
         _ = Store.at(store, info, 0)
         _ = Store.at(store, info, -1)
         _ = Store.latest_at(store, info, 500_000)
@@ -197,6 +202,9 @@ defmodule Situ.Store.HostileTest do
     # Damage raises where a stream of messages is read.
     error in Situ.Error -> error.code
   end
+
+  defp pairs(%Store.Columns{} = columns), do: Store.Columns.pairs(columns)
+  defp pairs(messages), do: for(m <- messages, do: {m.originating_time, m.data})
 
   # Asks `rounds` stores that `make` leaves in a folder, and looks at what that did to this system.
   defp unharmed(rounds, target, check, make) do
