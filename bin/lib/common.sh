@@ -77,7 +77,7 @@ step() {
 built_since() {
   local stamp=$1
   shift
-  [ -f "$stamp" ] && [ -z "$(find "$@" \( -name node_modules -o -name target -o -name _build \
+  [ -f "$stamp" ] && [ -z "$(find "$@" \( -name node_modules -o -name target -o -name _build -o -name tmp \
     -o -path '*/priv/native' -o -path '*/priv/static' -o -path '*/priv/onnxruntime' \) -prune \
     -o -type f -newer "$stamp" -print -quit 2>/dev/null)" ]
 }

@@ -5,7 +5,6 @@ defmodule Situ.Annotation.LayerTest do
   alias Situ.Annotation
   alias Situ.Annotation.{Edit, Layer, Schema}
 
-  doctest Situ.Annotation
   doctest Situ.Annotation.Schema
   doctest Situ.Annotation.Layer
   doctest Situ.Annotation.Edit
