@@ -20,12 +20,12 @@ defmodule Situ.Space.MixProject do
   def application do
     [
       extra_applications: extra_applications(Mix.env()),
-      env: [store_readers: [Situ.Space.Scan]]
+      env: [store_readers: [Situ.Space.Scan, Situ.Space.Gpx]]
     ]
   end
 
   defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger]
+  defp extra_applications(_env), do: [:logger, :xmerl]
 
   defp deps do
     [

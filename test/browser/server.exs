@@ -5,6 +5,7 @@ Code.require_file("space_fixture.exs", __DIR__)
 Code.require_file("sensor_fixture.exs", __DIR__)
 Code.require_file("../../apps/situ_studio/test/support/guide_plugin.ex", __DIR__)
 Code.require_file("plugin_fixture.exs", __DIR__)
+Code.require_file("map_fixture.exs", __DIR__)
 alias Situ.Studio.{History, Source}
 
 [work | _] = System.argv()
@@ -55,6 +56,7 @@ Application.put_env(:situ_dataset, :dataset_tasks, [Fixture.Loudness | tasks])
 sources = %{
   "memory" => {Source.History, Fixture.minute()},
   "empty" => {Source.History, History.new(live: false)},
+  "walk" => {Source.History, MapFixture.walk()},
   "gaze" => {Source.History, PluginFixture.gaze()},
   "space-frames" => {Source.History, SpaceFixture.frames()},
   "space-broken" => {Source.History, SpaceFixture.broken()},
@@ -170,6 +172,17 @@ plugins = PluginFixture.folder(work)
     layouts: layouts
   )
 
+# One with pictures for its maps.
+{:ok, mapped} =
+  Situ.Studio.start_link(
+    id: "mapped",
+    port: 0,
+    sources: Map.take(sources, ["walk"]),
+    layouts: layouts,
+    tiles: MapFixture.tiles(work),
+    tiles_credit: "(c) the test"
+  )
+
 {:ok, guarded} =
   Situ.Studio.start_link(
     id: "guarded",
@@ -225,6 +238,7 @@ IO.puts(
   "ready " <>
     Situ.JSON.encode(%{
       "main" => base.(main),
+      "mapped" => base.(mapped),
       "guarded" => Situ.Studio.url(guarded),
       "mortal" => base.(mortal),
       "behind" => Situ.Studio.url(behind),

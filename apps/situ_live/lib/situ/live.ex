@@ -69,6 +69,7 @@ defmodule Situ.Live do
     * `:public` - the address under which browsers reach the server through a proxy, such as
       `"https://lab.example.org/studio"`: its host and origin are let in, its path is taken off requests, and cookies,
       redirects and `url/2` are made for it
+    * `:images` - further origins that pictures of the pages may come from, such as `"https://tiles.example.org"`
     * `:headers` - headers added to every response
     * `:max_body`, `:max_frame` - bytes, default 1,000,000 each; `:max_sockets` - WebSockets at a time, default 500
     * `:body_ms` - how long the whole of a body may take to come, default 30,000
@@ -94,7 +95,7 @@ defmodule Situ.Live do
            :headers,
            :max_body
          ] ++
-           [:max_frame, :max_sockets, :body_ms, :flow, :tls, :name]
+           [:max_frame, :max_sockets, :body_ms, :flow, :tls, :name, :images]
 
   @security_headers [
     {"x-content-type-options", "nosniff"},
@@ -162,6 +163,7 @@ defmodule Situ.Live do
          public: public,
          layout: opts[:layout],
          origins: (opts[:origins] || []) ++ Public.origins(public),
+         images: opts[:images] || [],
          headers: @security_headers ++ (opts[:headers] || []),
          max_body: opts[:max_body] || 1_000_000,
          body_ms: opts[:body_ms] || 30_000,

@@ -61,6 +61,18 @@ defmodule Situ.Studio do
       default: [],
       doc: "Folders of plug-ins, see `Situ.Studio.Plugins`; or plug-ins that are loaded already."
     ],
+    tiles: [
+      type: {:optional, :string},
+      default: nil,
+      doc:
+        "Where maps take their pictures from: `https://.../{z}/{x}/{y}.png`, or a folder of such files. None are " <>
+          "fetched without it."
+    ],
+    tiles_credit: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "Who made these pictures, to be named on the map."
+    ],
     id: [type: :string, default: "studio", doc: "Tells several studios of one VM apart."]
   ]
   @moduledoc """
@@ -90,7 +102,7 @@ defmodule Situ.Studio do
   """
   use Supervisor
 
-  alias Situ.Studio.{Batch, Catalog, PipelineView, Plugins, Web}
+  alias Situ.Studio.{Batch, Catalog, PipelineView, Plugins, Tiles, Web}
 
   @doc "A child of a supervision tree."
   @spec child_spec(keyword()) :: Supervisor.child_spec()
@@ -106,7 +118,9 @@ defmodule Situ.Studio do
   def start_link(opts) do
     opts = Situ.Options.validate!(opts, @schema)
 
-    with {:ok, tls} <- tls(opts[:tls], opts[:ip]), do: start(Keyword.put(opts, :tls, tls))
+    with {:ok, tls} <- tls(opts[:tls], opts[:ip]),
+         {:ok, tiles} <- Tiles.new(opts[:tiles], opts[:tiles_credit]),
+         do: start(Keyword.merge(opts, tls: tls, tiles: tiles))
   end
 
   defp tls(:own, ip), do: Situ.Certificate.own(ip)
@@ -141,7 +155,7 @@ defmodule Situ.Studio do
       {Catalog,
        Keyword.take(
          opts,
-         [:id, :path, :pipelines, :sources, :read_only, :layouts, :visualizers, :plugins]
+         [:id, :path, :pipelines, :sources, :read_only, :layouts, :visualizers, :plugins, :tiles]
        )},
       {Batch, Keyword.take(opts, [:id])},
       {PipelineView.Past, Keyword.take(opts, [:id, :pipelines])},
@@ -156,7 +170,10 @@ defmodule Situ.Studio do
       port: opts[:port],
       ip: opts[:ip],
       token: opts[:token],
-      routes: Web.Routes.all(opts[:id], base(opts)) ++ Plugins.routes(opts[:plugins]),
+      routes:
+        Web.Routes.all(opts[:id], base(opts)) ++
+          Plugins.routes(opts[:plugins]) ++ Tiles.routes(opts[:tiles]),
+      images: Tiles.origins(opts[:tiles]),
       layout: &Web.Chrome.layout(Map.put(&1, :base, base(opts))),
       max_frame: 262_144
     ] ++

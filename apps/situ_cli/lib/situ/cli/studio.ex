@@ -44,6 +44,15 @@ defmodule Situ.CLI.Studio do
           Option.new(:plugins, :path, "a folder of plug-ins, or of one; see `situ plugin --help`",
             many?: true
           ),
+          Option.new(
+            :tiles,
+            :string,
+            "pictures for maps: https://.../{z}/{x}/{y}.png, or a folder of such files",
+            value: "URL"
+          ),
+          Option.new(:tiles_credit, :string, "who made them, to be named on the map",
+            value: "TEXT"
+          ),
           Option.new(:read_only, :flag, "nothing on disk can be changed"),
           Option.new(:open, :flag, "do not open the browser", negated?: true)
         ],
@@ -119,6 +128,7 @@ defmodule Situ.CLI.Studio do
     Studio.start_link(
       [path: path, ip: ip, port: opts[:port], read_only: opts[:read_only], tls: opts[:tls]] ++
         [plugins: Plugin.load(opts[:plugins])] ++
+        [tiles: opts[:tiles], tiles_credit: opts[:tiles_credit]] ++
         if(opts[:token], do: [token: opts[:token]], else: []) ++
         if(opts[:layouts], do: [layouts: opts[:layouts]], else: [])
     )

@@ -48,8 +48,13 @@ defmodule Situ.Live.Dead do
     html
     |> Response.html()
     |> Response.put_header("cache-control", "no-store")
-    |> Response.put_header("content-security-policy", @csp)
+    |> Response.put_header("content-security-policy", policy(config.images))
   end
+
+  defp policy([]), do: @csp
+
+  defp policy(images),
+    do: String.replace(@csp, "blob: data:;", "blob: data: #{Enum.join(images, " ")};")
 
   use Situ.Live.Component
 

@@ -20,6 +20,7 @@ defmodule Situ.Live.Endpoint do
     layout: nil,
     origins: [],
     headers: [],
+    images: [],
     max_body: 1_000_000,
     body_ms: 30_000,
     max_frame: 1_000_000,

@@ -5,7 +5,7 @@ import { want } from "./window.js";
 import { Series, keepLines } from "./series.js";
 import { keepMarks, keepSegments } from "./lanes.js";
 
-class Channel {
+export class Channel {
   constructor(id, spec, accept) {
     Object.assign(this, { id, spec, accept, opened: false, error: null });
   }

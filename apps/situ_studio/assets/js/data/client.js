@@ -65,6 +65,14 @@ export class DataClient {
     return channel;
   }
 
+  // A channel of another kind: make(id) gives it.
+  add(make) {
+    const channel = make(this.nextChannel++);
+    this.channels.set(channel.id, channel);
+    this.pump();
+    return channel;
+  }
+
   close(channel) {
     if (!channel || !this.channels.delete(channel.id)) return;
     this.gone = [...(this.gone ?? []), channel.id];

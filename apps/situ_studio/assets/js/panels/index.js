@@ -5,9 +5,18 @@ import { LanesPanel } from "./lanes.js";
 import { ImagePanel } from "./image.js";
 import { SpacePanel } from "./space.js";
 import { OwnPanel } from "./own.js";
+import { MapPanel } from "./map.js";
 import { WHOLE } from "../visualizers/index.js";
 
-const KINDS = { plot: PlotPanel, lanes: LanesPanel, image: ImagePanel, space: SpacePanel, own: OwnPanel, ...WHOLE };
+const KINDS = {
+  plot: PlotPanel,
+  lanes: LanesPanel,
+  image: ImagePanel,
+  space: SpacePanel,
+  own: OwnPanel,
+  map: MapPanel,
+  ...WHOLE,
+};
 
 export const timeline = (kind) => kind === "plot" || kind === "lanes";
 

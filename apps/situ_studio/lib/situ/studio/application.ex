@@ -3,7 +3,7 @@ defmodule Situ.Studio.Application do
   use Application
 
   @drawn [Situ.Image, Situ.EncodedImage, Situ.DepthImage, Situ.AudioBuffer, Situ.AudioFormat] ++
-           [Situ.Rect, Situ.Point2, Situ.Point3]
+           [Situ.Rect, Situ.Point2, Situ.Point3, Situ.GeoPoint]
 
   @impl true
   def start(_type, _args) do

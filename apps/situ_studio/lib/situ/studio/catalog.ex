@@ -45,6 +45,7 @@ defmodule Situ.Studio.Catalog do
     settings = %{
       read_only: opts[:read_only] || false,
       visualizers: opts[:visualizers] || [],
+      tiles: opts[:tiles],
       problems:
         for(%{problem: text} = p when text != nil <- opts[:plugins] || [], do: {p.id, text}),
       layouts: opts[:layouts] || Layouts.default_dir()
@@ -59,7 +60,7 @@ defmodule Situ.Studio.Catalog do
   @doc false
   def watches(id), do: via({id, :watches})
 
-  @doc "Settings that pages ask for: `:read_only`, `:visualizers`, `:layouts`, and the `:problems` of plug-ins."
+  @doc "Settings that pages ask for: `:read_only`, `:visualizers`, `:layouts`, `:tiles`, the `:problems` of plug-ins."
   @spec settings(id()) :: map()
   def settings(id) do
     # beside its name: nobody waits for a catalog that opens a recording

@@ -5,7 +5,7 @@ defmodule Situ.Studio.StreamInfo do
   `shape` is the noun a visualizer is chosen by: `:signal`, `:boolean`, `:state` (atoms), `:text`, `:audio`, `:image`,
   `:depth`, `:shapes` (rectangles and points over pictures), `:bars` (lists of numbers), `:signals` (maps of numbers),
   `:states` (maps of booleans, atoms or texts), `:spans` (intervals of time), `:space` (poses, clouds, skeletons ...),
-  `:frames` (`Situ.Transform`s) or `:value` (anything).
+  `:frames` (`Situ.Transform`s), `:place` (on the Earth) or `:value` (anything).
 
       iex> Situ.Studio.StreamInfo.shape({:list, Situ.Rect})
       :shapes
@@ -52,6 +52,7 @@ defmodule Situ.Studio.StreamInfo do
           | :spans
           | :space
           | :frames
+          | :place
           | :value
   @typedoc "`keys` are lanes known of a stream of maps, so that a panel has room for them from the start."
   @type t :: %__MODULE__{
@@ -72,7 +73,7 @@ defmodule Situ.Studio.StreamInfo do
   @spec shapes() :: [shape()]
   def shapes do
     [:signal, :boolean, :state, :text, :audio, :image, :depth, :shapes, :bars, :signals] ++
-      [:states, :spans, :space, :frames, :value]
+      [:states, :spans, :space, :frames, :place, :value]
   end
 
   @doc """
@@ -118,6 +119,7 @@ defmodule Situ.Studio.StreamInfo do
   end
 
   def shape(Situ.Transform), do: :frames
+  def shape(Situ.GeoPoint), do: :place
 
   def shape(type) when is_atom(type) and type not in [nil, :any] do
     cond do
@@ -199,9 +201,16 @@ defmodule Situ.Studio.StreamInfo do
   def shape_of(%Situ.EncodedImage{}), do: :image
   def shape_of(%Situ.DepthImage{}), do: :depth
   def shape_of(%Situ.Transform{}), do: :frames
+  def shape_of(%Situ.GeoPoint{}), do: :place
   def shape_of([%Situ.Transform{} | _]), do: :frames
 
   def shape_of(map) when is_map(map) and not is_struct(map) and map_size(map) > 0 do
+    if match?({:ok, _}, Situ.GeoPoint.of(map)), do: :place, else: shape_of_values(map)
+  end
+
+  def shape_of(data), do: composite(data)
+
+  defp shape_of_values(map) do
     case map |> Map.values() |> Enum.reject(&is_nil/1) |> Enum.map(&shape_of/1) |> Enum.uniq() do
       [:signal] -> :signals
       [shape] when shape in [:boolean, :state, :text] -> :states
@@ -209,8 +218,6 @@ defmodule Situ.Studio.StreamInfo do
       _ -> composite(map)
     end
   end
-
-  def shape_of(data), do: composite(data)
 
   defp composite(data) do
     cond do

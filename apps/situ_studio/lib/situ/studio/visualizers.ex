@@ -12,6 +12,7 @@ defmodule Situ.Studio.Visualizers do
     Bars,
     Depth,
     Frames,
+    GeoMap,
     Image,
     Labels,
     Latency,
@@ -32,7 +33,8 @@ defmodule Situ.Studio.Visualizers do
   }
 
   @modules [Waveform, Lines, States, Spans, Labels, Line, Image, Depth, Shapes, Bars] ++
-             [Space, Trail, Frames, XY, Spectrogram, Text, Value, Log, Messages, Latency]
+             [Space, Trail, Frames, GeoMap, XY, Spectrogram, Text, Value, Log] ++
+             [Messages, Latency]
 
   @doc "All of them; those of `extra` modules first."
   @spec all([Visualizer.given()]) :: [Visualizer.t()]

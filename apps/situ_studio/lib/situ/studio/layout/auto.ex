@@ -36,6 +36,7 @@ defmodule Situ.Studio.Layout.Auto do
     Layout.new(@name)
     |> space(of.(:space), of.(:frames))
     |> pictures(pictures, of.(:shapes))
+    |> map(Enum.take(of.(:place), @maps))
     |> cells(Enum.take(of.(:bars), 1), "bars", :bars)
     |> each(Enum.take(of.(:audio), @sounds), "waveform", :plot)
     |> lanes(of |> laned() |> Enum.take(@lanes))
@@ -67,6 +68,17 @@ defmodule Situ.Studio.Layout.Auto do
     {layout, _} =
       Enum.reduce(Enum.take(drawn, 2 * @spaces), {layout, ""}, fn {s, viz}, {layout, id} ->
         {:ok, layout, id} = Layout.add(layout, s.name, viz, :space, id, row: "r1")
+        {layout, id}
+      end)
+
+    layout
+  end
+
+  # All places on one map.
+  defp map(layout, streams) do
+    {layout, _} =
+      Enum.reduce(streams, {layout, ""}, fn s, {layout, id} ->
+        {:ok, layout, id} = Layout.add(layout, s.name, "map", :map, id, row: "r1")
         {layout, id}
       end)
 

@@ -51,6 +51,7 @@ defmodule Situ.Studio.Web.MainView do
         page_title: "#{id} - Situ Studio",
         read_only: settings.read_only,
         extra: settings.visualizers,
+        tiles: settings.tiles,
         layout_dir: settings.layouts,
         query: "",
         closed: MapSet.new(),
@@ -285,7 +286,7 @@ defmodule Situ.Studio.Web.MainView do
 
     ~H"""
     <div id="studio" class="studio" phx-hook="Studio" data-source={@id} data-layout={@saved.name}
-        data-edit={@edit}
+        data-edit={@edit} data-tiles={@tiles && @tiles.url} data-credit={@tiles && @tiles.credit}
         data-annotate={@annotation && @annotation.stream}>
       <Chrome.topbar title={@item.title} layouts={@layouts} layout={@saved.name} changed={@edit != ""}
           read_only={@read_only} export={ExportDialog.offered?(assigns)}

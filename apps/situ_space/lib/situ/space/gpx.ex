@@ -1,0 +1,228 @@
+defmodule Situ.Space.Gpx do
+  @moduledoc """
+  GPX files (tracks of GPS receivers) as recordings: `Situ.Store.open("walk.gpx")`, `bin/situ studio walk.gpx`.
+
+  Points of all tracks that have a time are the stream `Track` of `Situ.GeoPoint`s, in order of time; of two with one
+  time the later in the file counts for nothing. GPX 1.0 and 1.1; what else a file holds (way points, routes, extensions)
+  is passed over, and `Situ.Store.info/1` tells how many points had no time as `untimed`. Files up to 200 MB.
+  """
+  @behaviour Situ.Store.Reader
+
+  alias Situ.{Error, GeoPoint, Message, Time}
+  alias Situ.Store.StreamInfo
+
+  @enforce_keys [:path, :points]
+  defstruct [:path, :points, untimed: 0]
+
+  @type t :: %__MODULE__{
+          path: Path.t(),
+          points: tuple(),
+          untimed: non_neg_integer()
+        }
+
+  @most 200_000_000
+
+  @impl true
+  def extensions, do: [".gpx"]
+
+  @impl true
+  def open(path, _opts) do
+    with {:ok, %{size: size}} when size <= @most <- File.stat(path),
+         {:ok, bytes} <- File.read(path),
+         {:ok, points, untimed} <- parse(bytes) do
+      {:ok, %__MODULE__{path: path, points: List.to_tuple(points), untimed: untimed}}
+    else
+      {:ok, %{size: size}} ->
+        {:error, Error.new(:too_large, "#{path} has #{size} bytes", fix: "cut it")}
+
+      {:error, %Error{} = error} ->
+        {:error, %{error | what: "#{path}: #{error.what}"}}
+
+      {:error, reason} ->
+        {:error,
+         Error.new(:no_file, "#{path} cannot be read", why: to_string(:file.format_error(reason)))}
+    end
+  end
+
+  @doc """
+  The points with their times (ns), and how many have none. Errors: `:bad_gpx`.
+
+      iex> xml = ~s(<gpx><trk><trkseg><trkpt lat="46.5" lon="14.5"><ele>300</ele>) <>
+      ...>   ~s(<time>2026-01-31T12:00:00Z</time></trkpt></trkseg></trk></gpx>)
+      iex> {:ok, [{time, point}], 0} = Situ.Space.Gpx.parse(xml)
+      iex> {Situ.Time.to_iso8601(time), point.height}
+      {"2026-01-31T12:00:00.000000000Z", 300.0}
+  """
+  @spec parse(binary()) ::
+          {:ok, [{Time.t(), GeoPoint.t()}], non_neg_integer()} | {:error, Error.t()}
+  def parse(bytes) do
+    # A document type may define entities that grow without end; GPX needs none. Other encodings could hide one.
+    cond do
+      :binary.match(bytes, ["<!DOCTYPE", "<!ENTITY"]) != :nomatch ->
+        bad("it has a document type, which GPX has not")
+
+      :binary.match(bytes, <<0>>) != :nomatch ->
+        bad("it is not well-formed XML in UTF-8")
+
+      true ->
+        read(bytes)
+    end
+  end
+
+  defp read(bytes) do
+    state = %{root?: false, point: nil, text: nil, points: [], untimed: 0}
+
+    case :xmerl_sax_parser.stream(bytes, event_fun: &event/3, event_state: state) do
+      {:ok, %{root?: true} = state, _rest} ->
+        points = state.points |> Enum.reverse() |> Enum.sort_by(&elem(&1, 0))
+        {:ok, Enum.dedup_by(points, &elem(&1, 0)), state.untimed}
+
+      {:ok, _, _} ->
+        bad("its first element is not gpx")
+
+      {_error, _where, reason, _open, _state} ->
+        bad("it is not well-formed XML: #{text(reason)}")
+
+      {:error, reason} ->
+        bad("it is not well-formed XML: #{text(reason)}")
+    end
+  catch
+    _kind, reason -> bad("it is not well-formed XML: #{inspect(reason, limit: 3)}")
+  end
+
+  defp bad(what), do: {:error, Error.new(:bad_gpx, what, fix: "export the track again")}
+
+  defp event({:startElement, _, ~c"gpx", _, _}, _, state), do: %{state | root?: true}
+
+  defp event({:startElement, _, ~c"trkpt", _, attributes}, _, state) do
+    given = for {_, _, name, value} <- attributes, into: %{}, do: {name, value}
+    %{state | point: %{lat: number(given[~c"lat"]), lon: number(given[~c"lon"])}}
+  end
+
+  defp event({:startElement, _, name, _, _}, _, %{point: %{}} = state)
+       when name in [~c"ele", ~c"time", ~c"hdop"],
+       do: %{state | text: []}
+
+  defp event({:characters, text}, _, %{text: parts} = state) when is_list(parts),
+    do: %{state | text: [text | parts]}
+
+  defp event({:endElement, _, name, _}, _, %{text: parts, point: %{}} = state)
+       when is_list(parts) and name in [~c"ele", ~c"time", ~c"hdop"] do
+    text = parts |> Enum.reverse() |> Enum.concat()
+    %{state | text: nil, point: Map.put(state.point, List.to_string(name), text)}
+  end
+
+  defp event({:endElement, _, ~c"trkpt", _}, _, %{point: %{} = point} = state) do
+    with time when is_list(time) <- point["time"],
+         {:ok, time} <- time(List.to_string(time)),
+         {:ok, place} <- GeoPoint.new(point.lat, point.lon, height: number(point["ele"])) do
+      %{state | point: nil, points: [{time, place} | state.points]}
+    else
+      _ -> %{state | point: nil, untimed: state.untimed + 1}
+    end
+  end
+
+  defp event(_event, _where, state), do: state
+
+  defp time(text) do
+    case text |> String.trim() |> DateTime.from_iso8601() do
+      {:ok, time, _} -> {:ok, DateTime.to_unix(time, :nanosecond)}
+      {:error, _} -> :error
+    end
+  end
+
+  defp number(nil), do: nil
+
+  defp number(text) do
+    case text |> List.to_string() |> String.trim() |> Float.parse() do
+      {x, ""} -> x
+      _ -> nil
+    end
+  end
+
+  defp text(reason) when is_list(reason), do: reason |> :unicode.characters_to_binary() |> words()
+  defp text(reason), do: inspect(reason, limit: 5)
+
+  defp words(text) when is_binary(text), do: text
+  defp words(other), do: inspect(other, limit: 5)
+
+  @impl true
+  def info(gpx),
+    do: %{
+      name: name(gpx),
+      created: nil,
+      closed?: true,
+      live?: false,
+      damage: [],
+      untimed: gpx.untimed
+    }
+
+  defp name(gpx), do: Path.basename(gpx.path, Path.extname(gpx.path))
+
+  @impl true
+  def streams(%{points: {}}), do: []
+
+  def streams(%{points: points} = gpx) do
+    count = tuple_size(points)
+    {first, last} = {elem(elem(points, 0), 0), elem(elem(points, count - 1), 0)}
+
+    [
+      %StreamInfo{
+        id: 1,
+        name: "Track",
+        store_name: name(gpx),
+        store_path: gpx.path,
+        type: GeoPoint,
+        type_name: inspect(GeoPoint),
+        count: count,
+        size: count * 32,
+        stored: count * 32,
+        opened: first,
+        closed: last,
+        first: first,
+        last: last,
+        first_creation: first
+      }
+    ]
+  end
+
+  @impl true
+  def seek(gpx, _info, time), do: {:ok, place(gpx.points, time, 0, tuple_size(gpx.points))}
+
+  # The first point at or after a time, by halves.
+  defp place(_points, _time, low, high) when low >= high, do: low
+
+  defp place(points, time, low, high) do
+    middle = div(low + high, 2)
+
+    if elem(elem(points, middle), 0) < time,
+      do: place(points, time, middle + 1, high),
+      else: place(points, time, low, middle)
+  end
+
+  @impl true
+  def read(gpx, info, ordinal, to, limit, _opts) do
+    last = tuple_size(gpx.points) - 1
+
+    messages =
+      ordinal
+      |> Stream.iterate(&(&1 + 1))
+      |> Stream.take_while(&(&1 <= last and elem(elem(gpx.points, &1), 0) <= to))
+      |> Stream.take(limit)
+      |> Enum.map(&message(gpx.points, &1, info))
+
+    {:ok, messages, ordinal + length(messages)}
+  end
+
+  defp message(points, i, info) do
+    {time, place} = elem(points, i)
+
+    %Message{
+      data: place,
+      originating_time: time,
+      creation_time: time,
+      sequence_id: i,
+      source_id: info.id
+    }
+  end
+end

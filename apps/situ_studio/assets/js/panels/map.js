@@ -1,0 +1,272 @@
+// A map: the ways of streams of places, and where they are at the cursor. Pictures of maps are fetched only where the
+// user has named an address or a folder of them.
+
+import { KIND } from "../data/wire.js";
+import { distance, toLatitude, toLongitude, toX, toY } from "../map/mercator.js";
+import { nearest, TrackChannel, until } from "../map/track.js";
+import { drawGrid, drawPlace, drawScale, drawTiles, drawWay } from "../map/draw.js";
+import { number } from "../page/number_text.js";
+import { seriesColor, theme } from "../page/theme.js";
+import { tip } from "../page/tip.js";
+import { absolute, relative } from "../time/text.js";
+
+const NEAR = 10;
+const [FAR_OUT, CLOSE] = [128, 2 ** 32];
+// Pictures kept, and pictures fetched at a time.
+const TILES = 300;
+
+export class MapPanel {
+  constructor(el, app, config) {
+    Object.assign(this, { el, app, layers: [], tiles: new Map() });
+    el.classList.add("map-cell");
+    this.canvas = el.appendChild(document.createElement("canvas"));
+    this.canvas.className = "own-canvas";
+    this.canvas.tabIndex = 0;
+    this.canvas.setAttribute("aria-label", "Map: arrow keys move it, plus and minus zoom, 0 shows everything");
+    this.info = el.appendChild(document.createElement("div"));
+    this.info.className = "cell-info";
+    const { tiles, credit } = app.root.dataset;
+    Object.assign(this, { address: tiles, credit });
+    this.listen();
+    this.observer = new ResizeObserver(() => app.schedule(this));
+    this.observer.observe(el);
+    this.configure(config);
+  }
+
+  configure(config) {
+    const old = new Map(this.layers.map((l) => [l.key, l]));
+    this.layers = config.vis.map((vis, index) => {
+      const key = JSON.stringify([vis.viz, vis.stream, vis.path]);
+      const layer = old.get(key) ?? this.openLayer(key, vis);
+      old.delete(key);
+      return Object.assign(layer, { vis, index });
+    });
+    for (const l of old.values()) this.closeLayer(l);
+    this.app.schedule(this);
+  }
+
+  openLayer(key, vis) {
+    const layer = { key, vis };
+    const spec = { stream: vis.stream, viz: vis.viz, path: vis.path };
+    const { client } = this.app;
+    layer.now = client.open(spec, (frame) => this.accept(layer, frame), { instant: true });
+    layer.way = client.add((id) => new TrackChannel(id, spec, (track) => this.track(layer, track)));
+    return layer;
+  }
+
+  closeLayer(layer) {
+    this.app.client.close(layer.now);
+    this.app.client.close(layer.way);
+  }
+
+  accept(layer, frame) {
+    layer.error = frame.kind === KIND.error ? frame.message : null;
+    const v = frame.kind === KIND.json ? frame.value : null;
+    layer.place = v && { ...v, x: toX(v.longitude), y: toY(v.latitude) };
+    layer.at = frame.at;
+    this.app.schedule(this);
+  }
+
+  track(layer, track) {
+    layer.track = track;
+    // everything is seen until the viewer looks elsewhere
+    if (!this.moved) this.fit();
+    this.app.schedule(this);
+  }
+
+  get shown() {
+    return this.layers.filter((l) => l.vis.props?.visible !== false);
+  }
+
+  fit() {
+    let [x0, y0, x1, y1] = [Infinity, Infinity, -Infinity, -Infinity];
+    for (const { track } of this.shown)
+      for (let i = 0; i < (track?.count ?? 0); i++) {
+        [x0, x1] = [Math.min(x0, track.x[i]), Math.max(x1, track.x[i])];
+        [y0, y1] = [Math.min(y0, track.y[i]), Math.max(y1, track.y[i])];
+      }
+    const { clientWidth: w, clientHeight: h } = this.el;
+    if (!(x0 <= x1) || !w || !h) return;
+    const px = Math.min((w * 0.86) / Math.max(x1 - x0, 1e-9), (h * 0.8) / Math.max(y1 - y0, 1e-9), 2 ** 27);
+    this.map = { px, x: (x0 + x1 - w / px) / 2, y: (y0 + y1 - h / px) / 2 };
+    this.fitted = `${w} ${h}`;
+  }
+
+  render() {
+    const { clientWidth: w, clientHeight: h } = this.el;
+    if (!w || !h) return;
+    if (!this.moved && this.fitted !== `${w} ${h}`) this.fit();
+    this.map ??= { px: Math.max(w, 256), x: 0, y: 0.2 };
+    const { canvas, map } = this;
+    const [cw, ch] = [w, h].map((v) => Math.round(v * devicePixelRatio));
+    if (canvas.width !== cw || canvas.height !== ch) Object.assign(canvas, { width: cw, height: ch });
+    const ctx = canvas.getContext("2d");
+    ctx.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+    ctx.clearRect(0, 0, w, h);
+    const colors = theme();
+    if (this.address) drawTiles(ctx, map, w, h, (tile) => this.tile(tile));
+    else drawGrid(ctx, map, w, h, colors);
+    const { cursor } = this.app.time.get();
+    for (const layer of this.shown) {
+      const { vis, track, place, index } = layer;
+      const color = seriesColor(vis.props?.color, vis.color ?? index);
+      const { width = 3, points = false, accuracy = true } = vis.props ?? {};
+      if (track) drawWay(ctx, map, { track, color, width, points }, cursor);
+      if (place) drawPlace(ctx, map, { place, color, accuracy }, colors);
+    }
+    drawScale(ctx, map, w, h, colors, this.address && this.credit);
+    this.note();
+    const at = this.layers.map((l) => l.at).filter((t) => t != null);
+    if (at.length) canvas.dataset.at = String(Math.max(...at));
+  }
+
+  note() {
+    const errors = this.layers.flatMap((l) => {
+      const error = l.error ?? l.way.error;
+      return error ? [`${l.vis.short}: ${error}`] : [];
+    });
+    const places = this.shown.filter((l) => l.place).map((l) => this.words(l));
+    this.info.textContent = [...errors, ...places].join("\n") || "nowhere at the cursor";
+    this.info.classList.toggle("bad", errors.length > 0);
+  }
+
+  words({ vis, place }) {
+    const { latitude, longitude, height, accuracy } = place;
+    const more = [
+      height == null ? "" : `, ${number(height, 4)} m high`,
+      accuracy == null ? "" : `, ± ${number(accuracy, 2)} m`,
+    ];
+    const name = this.layers.length > 1 ? `${vis.short}: ` : "";
+    return `${name}${latitude.toFixed(6)}, ${longitude.toFixed(6)}${more.join("")}`;
+  }
+
+  // A picture that is there, or null; what is wanted is fetched.
+  tile({ z, x, y }) {
+    const url = this.address.replace("{z}", z).replace("{x}", x).replace("{y}", y).replace("{s}", "a");
+    const known = this.tiles.get(url);
+    if (known) {
+      this.tiles.delete(url);
+      this.tiles.set(url, known);
+      return known.complete && known.naturalWidth ? known : null;
+    }
+    const picture = new Image();
+    picture.referrerPolicy = "no-referrer";
+    picture.onload = () => this.app.schedule(this);
+    picture.onerror = () => (this.missing = (this.missing ?? 0) + 1);
+    picture.src = url;
+    this.tiles.set(url, picture);
+    if (this.tiles.size > TILES) this.tiles.delete(this.tiles.keys().next().value);
+    return null;
+  }
+
+  // The nearest point of a way to a place of the canvas, or null.
+  under(px, py) {
+    const { map } = this;
+    if (!map) return null;
+    const [x, y] = [map.x + px / map.px, map.y + py / map.px];
+    let best = null;
+    for (const layer of this.shown) {
+      const { track } = layer;
+      const i = track ? nearest(track, x, y, (best?.d ?? NEAR) / map.px) : -1;
+      if (i >= 0) best = { layer, i, d: Math.hypot(track.x[i] - x, track.y[i] - y) * map.px };
+    }
+    return best;
+  }
+
+  point(px, py, clientX, clientY) {
+    const found = this.under(px, py);
+    this.canvas.style.cursor = found ? "pointer" : "";
+    if (!found) {
+      const { x, y, px: k } = this.map ?? { x: 0, y: 0, px: 256 };
+      const [lat, lon] = [toLatitude(y + py / k), toLongitude(x + px / k)];
+      const far = this.shown.find((l) => l.place)?.place;
+      const away = far ? `${number(distance([lat, lon], [far.latitude, far.longitude]), 3)} m from the cursor's` : "";
+      return tip(this, [`${lat.toFixed(6)}, ${lon.toFixed(6)}`, ...(away ? [away] : [])], clientX, clientY);
+    }
+    const { layer, i } = found;
+    const { t, x, y } = layer.track;
+    const at = this.app.client.origin == null ? relative(t[i]) : absolute(t[i], this.app.client.origin, 1);
+    const place = `${toLatitude(y[i]).toFixed(6)}, ${toLongitude(x[i]).toFixed(6)}`;
+    tip(this, [layer.vis.name, `${at}  (${relative(t[i])})`, place], clientX, clientY);
+  }
+
+  listen() {
+    const { canvas } = this;
+    let drag = null;
+    const on = (name, f, options) => canvas.addEventListener(name, f, options);
+    on("wheel", (e) => {
+      e.preventDefault();
+      this.zoom(e.deltaY > 0 ? 1 / 1.2 : 1.2, e.offsetX, e.offsetY);
+    });
+    on("pointerdown", (e) => {
+      canvas.setPointerCapture(e.pointerId);
+      drag = { x: e.offsetX, y: e.offsetY, map: { ...this.map }, far: false };
+    });
+    on("pointermove", (e) => {
+      if (!drag) return this.point(e.offsetX, e.offsetY, e.clientX, e.clientY);
+      const [dx, dy] = [e.offsetX - drag.x, e.offsetY - drag.y];
+      drag.far ||= Math.hypot(dx, dy) > 3;
+      if (!drag.far) return;
+      const { x, y, px } = drag.map;
+      this.look({ x: x - dx / px, y: y - dy / px, px });
+    });
+    on("pointerup", (e) => {
+      const found = drag && !drag.far && this.under(e.offsetX, e.offsetY);
+      drag = null;
+      if (found)
+        this.app.time.dispatch({ type: "nudge", by: found.layer.track.t[found.i] - this.app.time.get().cursor });
+    });
+    on("pointerleave", () => tip(this, []));
+    on("dblclick", () => this.all());
+    on("keydown", (e) => {
+      const move = { ArrowLeft: [-60, 0], ArrowRight: [60, 0], ArrowUp: [0, -60], ArrowDown: [0, 60] }[e.key];
+      const { clientWidth: w, clientHeight: h } = this.el;
+      if (e.ctrlKey || e.altKey || !this.map) return;
+      const { x, y, px } = this.map;
+      if (move) this.look({ x: x + move[0] / px, y: y + move[1] / px, px });
+      else if (e.key === "+" || e.key === "-") this.zoom(e.key === "+" ? 1.5 : 1 / 1.5, w / 2, h / 2);
+      else if (e.key === "0") this.all();
+      else return;
+      e.preventDefault();
+      e.stopPropagation();
+    });
+  }
+
+  all() {
+    this.moved = false;
+    this.fit();
+    this.app.schedule(this);
+  }
+
+  zoom(by, px, py) {
+    if (!this.map) return;
+    const next = Math.min(Math.max(this.map.px * by, FAR_OUT), CLOSE);
+    const [x, y] = [this.map.x + px / this.map.px, this.map.y + py / this.map.px];
+    this.look({ px: next, x: x - px / next, y: y - py / next });
+  }
+
+  look(map) {
+    this.map = map;
+    this.moved = true;
+    this.app.schedule(this);
+  }
+
+  // Where the way has come to at the cursor is drawn anew when it has come to another point.
+  cursorMoved() {
+    const { cursor } = this.app.time.get();
+    const passed = this.layers.map((l) => (l.track ? until(l.track, cursor) : 0)).join();
+    if (passed === this.passed) return;
+    this.passed = passed;
+    this.app.schedule(this);
+  }
+
+  themeChanged() {
+    this.app.schedule(this);
+  }
+
+  destroy() {
+    this.observer.disconnect();
+    tip(this, []);
+    for (const l of this.layers) this.closeLayer(l);
+  }
+}

@@ -1,0 +1,81 @@
+defmodule Situ.Studio.Visualizers.GeoMap do
+  @moduledoc """
+  Places on the Earth (`Situ.GeoPoint`, or maps with latitude and longitude) on a map: the way of the whole recording,
+  and where it is at the cursor. What can be told as a place: `Situ.GeoPoint.of/1`.
+  """
+  @behaviour Situ.Studio.Visualizer
+
+  alias Situ.GeoPoint
+  alias Situ.Studio.{Draw.Bins, Draw.Messages, Frame, Path, Source, Visualizer}
+  alias Situ.Studio.Visualizers.Option
+
+  # The points of a way that are drawn at most.
+  @most 5_000
+
+  @impl true
+  def about do
+    options =
+      Option.visible() ++
+        Option.color() ++
+        [
+          width: [type: {:range, 0.5, 12}, title: "Width", default: 3],
+          points: [type: :boolean, title: "Points", default: false],
+          accuracy: [type: :boolean, title: "Accuracy", default: true]
+        ]
+
+    %Visualizer{id: "map", title: "Map", panel: :map, shapes: [:place], options: options}
+  end
+
+  @impl true
+  def window(source, channel, spec, from, to, _bin) do
+    with {:ok, messages, all?} <- messages(source, spec.stream, from, to) do
+      places = for m <- messages, {:ok, p} <- [place(m.data, spec.path)], do: {m, p}
+      line = fn value -> for {m, p} <- places, do: Bins.point(m.originating_time, value.(p)) end
+
+      lines = [
+        {"latitude", line.(& &1.latitude)},
+        {"longitude", line.(& &1.longitude)}
+      ]
+
+      Frame.lines(channel, lines, all?, sampled: not all?)
+    end
+  end
+
+  defp messages(source, stream, from, to) do
+    case Messages.within(source, stream, from, to) do
+      {:ok, messages, true} when length(messages) > @most ->
+        every = div(length(messages) - 1, @most) + 1
+        {:ok, Enum.take_every(messages, every) ++ Enum.take(messages, -1), false}
+
+      {:ok, messages, true} ->
+        {:ok, messages, true}
+
+      {:ok, _, false} ->
+        with {:ok, rows} <- Source.sample(source, stream, from, to, @most),
+             do: {:ok, Enum.map(rows, &elem(&1, 1)), false}
+
+      error ->
+        error
+    end
+  end
+
+  defp place(data, path) do
+    with {:ok, data} <- Path.fetch(data, path), do: GeoPoint.of(data)
+  end
+
+  @impl true
+  def instant(channel, data, message) do
+    case GeoPoint.of(data) do
+      {:ok, place} ->
+        Frame.json(channel, message.originating_time, %{
+          "latitude" => place.latitude,
+          "longitude" => place.longitude,
+          "height" => place.height,
+          "accuracy" => place.accuracy
+        })
+
+      :error ->
+        {:error, "this message is no place: it needs a latitude and a longitude"}
+    end
+  end
+end

@@ -1,0 +1,115 @@
+defmodule Situ.GeoPoint do
+  @moduledoc """
+  A place on the Earth (WGS84), as receivers of GPS tell it: latitude -90..90 and longitude -180..180 in degrees, the
+  height above the ellipsoid in metres where it is known, and how far it may be off, in metres.
+
+      iex> {:ok, here} = Situ.GeoPoint.new(46.0514, 14.5060, accuracy: 4.5)
+      iex> {here.latitude, here.height, here.accuracy}
+      {46.0514, nil, 4.5}
+      iex> {:error, error} = Situ.GeoPoint.new(91, 14.5)
+      iex> error.what
+      "there is no latitude of 91 degrees"
+  """
+  alias Situ.Error
+
+  @enforce_keys [:latitude, :longitude]
+  defstruct [:latitude, :longitude, :height, :accuracy]
+
+  @type t :: %__MODULE__{
+          latitude: float(),
+          longitude: float(),
+          height: float() | nil,
+          accuracy: float() | nil
+        }
+
+  @doc "A place. Options: `height:` and `accuracy:`, metres. Errors: `:bad_place`."
+  @spec new(term(), term(), height: number() | nil, accuracy: number() | nil) ::
+          {:ok, t()} | {:error, Error.t()}
+  def new(latitude, longitude, opts \\ []) do
+    cond do
+      not (is_number(latitude) and is_number(longitude)) ->
+        bad("a place on the Earth is two numbers, not #{inspect({latitude, longitude})}")
+
+      abs(latitude) > 90 ->
+        bad("there is no latitude of #{latitude} degrees", "latitude comes first, then longitude")
+
+      abs(longitude) > 360 ->
+        bad("there is no longitude of #{longitude} degrees")
+
+      true ->
+        {:ok,
+         %__MODULE__{
+           latitude: latitude / 1,
+           longitude: wrapped(longitude / 1),
+           height: metres(opts[:height]),
+           accuracy: metres(opts[:accuracy])
+         }}
+    end
+  end
+
+  defp wrapped(longitude) when longitude > 180, do: longitude - 360
+  defp wrapped(longitude) when longitude < -180, do: longitude + 360
+  defp wrapped(longitude), do: longitude
+
+  defp metres(x) when is_number(x), do: x / 1
+  defp metres(_), do: nil
+
+  defp bad(what, fix \\ nil), do: {:error, Error.new(:bad_place, what, fix: fix)}
+
+  @names [
+    {["latitude", "lat"], ["longitude", "lon", "lng", "long"]}
+  ]
+  @heights ["height", "altitude", "alt", "ele", "elevation"]
+  @accuracies ["accuracy", "horizontal_accuracy", "hacc"]
+
+  @doc """
+  The place that a message tells: a `Situ.GeoPoint`, or a map with latitude and longitude under the names that programs
+  give them (`lat`, `lon`, ...; a ROS `NavSatFix`, whose covariance gives the accuracy). `:error` where there is none.
+
+      iex> {:ok, place} = Situ.GeoPoint.of(%{"lat" => 46.0, "lng" => 14.5, "altitude" => 300})
+      iex> {place.longitude, place.height}
+      {14.5, 300.0}
+      iex> Situ.GeoPoint.of(%{"lat" => :nan, "lon" => 0})
+      :error
+      iex> Situ.GeoPoint.of({46.0, 14.5})
+      :error
+  """
+  @spec of(term()) :: {:ok, t()} | :error
+  def of(%__MODULE__{latitude: latitude, longitude: longitude} = place) do
+    case new(latitude, longitude, height: place.height, accuracy: place.accuracy) do
+      {:ok, place} -> {:ok, place}
+      {:error, _} -> :error
+    end
+  end
+
+  def of(%_{}), do: :error
+
+  def of(%{} = map) when map_size(map) < 100 do
+    map =
+      for {key, value} <- map, is_atom(key) or is_binary(key), into: %{}, do: {low(key), value}
+
+    Enum.find_value(@names, :error, fn {latitudes, longitudes} ->
+      with latitude when latitude != nil <- first(map, latitudes),
+           longitude when longitude != nil <- first(map, longitudes),
+           opts = [height: first(map, @heights), accuracy: accuracy(map)],
+           {:ok, place} <- new(latitude, longitude, opts) do
+        {:ok, place}
+      else
+        _ -> nil
+      end
+    end)
+  end
+
+  def of(_), do: :error
+
+  defp low(key), do: key |> to_string() |> String.downcase()
+
+  defp first(map, names), do: Enum.find_value(names, &map[&1])
+
+  # The larger of east and north, one standard deviation.
+  defp accuracy(%{"position_covariance" => [east, _, _, _, north | _]})
+       when is_number(east) and is_number(north) and (east > 0 or north > 0),
+       do: :math.sqrt(max(east, north))
+
+  defp accuracy(map), do: first(map, @accuracies)
+end

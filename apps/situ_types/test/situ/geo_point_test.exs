@@ -1,0 +1,29 @@
+defmodule Situ.GeoPointTest do
+  use ExUnit.Case, async: true
+  doctest Situ.GeoPoint
+  alias Situ.GeoPoint
+
+  test "a fix of ROS tells its place and its accuracy" do
+    fix = %{
+      "latitude" => 46.5,
+      "longitude" => 14.25,
+      "altitude" => 300.5,
+      "position_covariance" => [4.0, 0, 0, 0, 9.0, 0, 0, 0, 16.0]
+    }
+
+    assert {:ok, place} = GeoPoint.of(fix)
+    assert {place.latitude, place.height, place.accuracy} == {46.5, 300.5, 3.0}
+
+    assert {:ok, %{accuracy: nil}} =
+             GeoPoint.of(%{fix | "position_covariance" => [0, 0, 0, 0, 0]})
+
+    assert GeoPoint.of(%{fix | "latitude" => 95}) == :error
+  end
+
+  test "keys may be atoms, longitudes go round, what is no place is none" do
+    assert {:ok, %{longitude: -170.0}} = GeoPoint.of(%{lat: 1, lon: 190})
+
+    for term <- [nil, [], "46, 14", %{lat: 1}, %{lat: nil, lon: 2}, %Situ.Point2{x: 1, y: 2}],
+        do: assert(GeoPoint.of(term) == :error)
+  end
+end
