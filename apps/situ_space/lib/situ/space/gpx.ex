@@ -3,8 +3,8 @@ defmodule Situ.Space.Gpx do
   GPX files (tracks of GPS receivers) as recordings: `Situ.Store.open("walk.gpx")`, `bin/situ studio walk.gpx`.
 
   Points of all tracks that have a time are the stream `Track` of `Situ.GeoPoint`s, in order of time; of two with one
-  time the later in the file counts for nothing. GPX 1.0 and 1.1; what else a file holds (way points, routes, extensions)
-  is passed over, and `Situ.Store.info/1` tells how many points had no time as `untimed`. Files up to 200 MB.
+  time the later in the file counts for nothing. GPX 1.0 and 1.1; what else a file holds (way points, routes,
+  extensions) is passed over, and `Situ.Store.info/1` tells how many points had no time as `untimed`. Files up to 200 MB.
   """
   @behaviour Situ.Store.Reader
 

@@ -21,7 +21,7 @@ test("the square: its middle, its edges, there and back", () => {
   }
 });
 
-// OpenStreetMap's wiki, "Slippy map tilenames": tile 17/70406/42987 holds 50.7 N, 13.4 E or so; computed by its formula.
+// By the formula of OpenStreetMap's wiki, "Slippy map tilenames".
 test("tiles have the numbers that everybody gives them", () => {
   const n = 2 ** 17;
   assert.equal(Math.floor(m.toX(13.37771496) * n), 70406);

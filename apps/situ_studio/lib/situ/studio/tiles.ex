@@ -1,7 +1,8 @@
 defmodule Situ.Studio.Tiles do
   @moduledoc """
   Where the pictures below maps come from: nowhere, unless the user names an address or a folder. A page fetches
-  pictures from that one origin only (its content security policy says so), and tells it no more than the tiles' numbers.
+  pictures from that one origin only (its content security policy says so), and tells it no more than the tiles'
+  numbers.
 
       iex> {:ok, tiles} = Situ.Studio.Tiles.new("https://tile.example.org/{z}/{x}/{y}.png", "Example's maps")
       iex> {Situ.Studio.Tiles.origins(tiles), tiles.credit}
