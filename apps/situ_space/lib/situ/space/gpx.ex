@@ -4,7 +4,8 @@ defmodule Situ.Space.Gpx do
 
   Points of all tracks that have a time are the stream `Track` of `Situ.GeoPoint`s, in order of time; of two with one
   time the later in the file counts for nothing. GPX 1.0 and 1.1; what else a file holds (way points, routes,
-  extensions) is passed over, and `Situ.Store.info/1` tells how many points had no time as `untimed`. Files up to 200 MB.
+  extensions) is passed over, and `Situ.Store.info/1` tells how many points had no time as `untimed`. Files up to
+  200 MB.
   """
   @behaviour Situ.Store.Reader
 
