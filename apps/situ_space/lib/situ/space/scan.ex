@@ -5,6 +5,7 @@ defmodule Situ.Space.Scan do
   | ending | what is read | stream |
   |---|---|---|
   | `.las` | LAS 1.0 to 1.4, not compressed, with colours | `Points`: a `Situ.PointCloud` |
+  | `.pcd` | PCD 0.7 as text, bytes or compressed bytes, with colours | `Points` |
   | `.ply` | PLY as text or little-endian bytes, with colours or faces | `Points`, or `Mesh`: a `Situ.Mesh` |
 
   Places of a LAS file are measured from the lower corner of its bounds, since 32 bits do not hold a country to the
@@ -14,7 +15,7 @@ defmodule Situ.Space.Scan do
   @behaviour Situ.Store.Reader
 
   alias Situ.{Error, Mesh, Message, PointCloud}
-  alias Situ.Space.Scan.{Las, Ply}
+  alias Situ.Space.Scan.{Las, Pcd, Ply}
   alias Situ.Store.StreamInfo
 
   @enforce_keys [:path, :data, :origin]
@@ -33,7 +34,7 @@ defmodule Situ.Space.Scan do
   def read(path), do: with({:ok, scan} <- open(path, []), do: {:ok, scan.data})
 
   @impl true
-  def extensions, do: [".las", ".ply"]
+  def extensions, do: [".las", ".pcd", ".ply"]
 
   @impl true
   def open(path, _opts) do
@@ -59,6 +60,9 @@ defmodule Situ.Space.Scan do
   end
 
   defp parse(".las", bytes), do: Las.read(bytes)
+
+  defp parse(".pcd", bytes),
+    do: with({:ok, data} <- Pcd.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})
 
   defp parse(_ply, bytes),
     do: with({:ok, data} <- Ply.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})

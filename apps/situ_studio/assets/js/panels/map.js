@@ -26,7 +26,9 @@ export class MapPanel {
     this.info = el.appendChild(document.createElement("div"));
     this.info.className = "cell-info";
     const { tiles, credit } = app.root.dataset;
-    Object.assign(this, { address: tiles, credit });
+    // a folder's are below the studio's own address, which may have a path before it
+    this.address = tiles?.startsWith("/") ? (app.options.base ?? "") + tiles : tiles;
+    this.credit = credit;
     this.listen();
     this.observer = new ResizeObserver(() => app.schedule(this));
     this.observer.observe(el);

@@ -1,0 +1,221 @@
+defmodule Situ.Space.Scan.Pcd do
+  @moduledoc false
+  # PCD, the files of the Point Cloud Library: a header in text, then the points as text, as bytes, or as bytes that are
+  # compressed by LZF, field by field. Source: pointclouds.org, "The PCD (Point Cloud Data) file format", version 0.7.
+  alias Situ.{Error, PointCloud}
+
+  @most_points 50_000_000
+  @nan <<0, 0, 0xC0, 0x7F>>
+
+  @doc "The points with x, y and z, and their colours where the fields `rgb` or `rgba` are there."
+  @spec read(binary()) :: {:ok, PointCloud.t()} | {:error, Error.t()}
+  def read(file) do
+    with {:ok, header, body} <- split(file),
+         {:ok, fields, row} <- fields(header),
+         {:ok, count} <- count(header),
+         {:ok, columns} <- columns(header["DATA"], fields, row, count, body) do
+      cloud(fields, columns)
+    else
+      {:error, why} when is_binary(why) -> bad(why)
+      {:error, %Error{}} = error -> error
+    end
+  end
+
+  defp bad(why),
+    do: {:error, Error.new(:bad_file, "this is no PCD file that can be read", why: why)}
+
+  # The header ends with the line that begins with DATA.
+  defp split(file) do
+    case Regex.run(
+           ~r/^DATA +(\w+)[ \t]*\r?\n/m,
+           binary_part(file, 0, min(byte_size(file), 65_536)),
+           return: :index
+         ) do
+      [{at, size}, _] ->
+        <<head::binary-size(at), line::binary-size(size), body::binary>> = file
+        {:ok, header(head <> line), body}
+
+      nil ->
+        {:error, "its header has no line DATA"}
+    end
+  end
+
+  defp header(text) do
+    for line <- String.split(text, ["\r\n", "\n"], trim: true),
+        not String.starts_with?(line, "#"),
+        [key | words] = String.split(line),
+        into: %{},
+        do: {key, words}
+  end
+
+  # {name, type, bytes, how many, where in a row}
+  defp fields(%{"FIELDS" => names, "SIZE" => sizes, "TYPE" => types} = header)
+       when length(names) == length(sizes) and length(names) == length(types) and
+              length(names) <= 100 do
+    counts = header["COUNT"] || Enum.map(names, fn _ -> "1" end)
+
+    Enum.zip([names, types, sizes, counts])
+    |> Enum.reduce_while({:ok, [], 0}, fn {name, type, size, count}, {:ok, fields, at} ->
+      case {Integer.parse(size), Integer.parse(count)} do
+        {{size, ""}, {count, ""}} when size in [1, 2, 4, 8] and count in 1..10_000 ->
+          {:cont, {:ok, [{name, type, size, count, at} | fields], at + size * count}}
+
+        _ ->
+          {:halt, {:error, "its field #{inspect(name)} has no size that is known"}}
+      end
+    end)
+    |> case do
+      {:ok, fields, row} -> placed(Enum.reverse(fields), row)
+      error -> error
+    end
+  end
+
+  defp fields(_header), do: {:error, "its header has no FIELDS, SIZE and TYPE of one length"}
+
+  defp placed(fields, row) do
+    if Enum.all?(["x", "y", "z"], &List.keymember?(fields, &1, 0)),
+      do: {:ok, fields, row},
+      else: {:error, "its points have no x, y and z"}
+  end
+
+  defp count(%{"POINTS" => [text]}), do: number(text)
+
+  defp count(%{"WIDTH" => [width], "HEIGHT" => [height]}) do
+    with {:ok, w} <- number(width), {:ok, h} <- number(height), do: {:ok, w * h}
+  end
+
+  defp count(_header), do: {:error, "its header does not say how many points there are"}
+
+  defp number(text) do
+    case Integer.parse(text) do
+      {n, ""} when n in 0..@most_points -> {:ok, n}
+      _ -> {:error, "#{inspect(text)} is no sensible number of points"}
+    end
+  end
+
+  # A function that gives the bytes of the i-th value of a field, or the words of it.
+  defp columns(["binary"], _fields, row, count, body) do
+    if byte_size(body) >= row * count,
+      do: {:ok, {:rows, binary_part(body, 0, row * count), row, count}},
+      else: {:error, "it is cut short: #{count} points are announced"}
+  end
+
+  defp columns(["binary_compressed"], _fields, row, count, body) do
+    with <<packed::little-32, size::little-32, bytes::binary>> when byte_size(bytes) >= packed <-
+           body,
+         true <- size == row * count,
+         {:ok, plain} <- unpack(binary_part(bytes, 0, packed), size) do
+      {:ok, {:columns, plain, count}}
+    else
+      _ -> {:error, "its compressed points are damaged"}
+    end
+  end
+
+  defp columns(["ascii"], fields, _row, count, body) do
+    lines = body |> String.split(["\r\n", "\n"], trim: true) |> Enum.take(count)
+    words = fields |> Enum.map(&elem(&1, 3)) |> Enum.sum()
+    rows = Enum.map(lines, &String.split/1)
+
+    cond do
+      length(rows) < count -> {:error, "it is cut short: #{count} points are announced"}
+      Enum.any?(rows, &(length(&1) != words)) -> {:error, "a line has not #{words} numbers"}
+      true -> {:ok, {:text, rows}}
+    end
+  end
+
+  defp columns(data, _fields, _row, _count, _body),
+    do: {:error, "its data are #{inspect(data)}, not ascii, binary or binary_compressed"}
+
+  # LZF by M. Lehmann: literals of 1 to 32 bytes, or copies of 3 to 264 bytes from up to 8 KiB before. The output is
+  # bounded by what the header announces.
+  defp unpack(packed, size), do: unpack(packed, size, <<>>)
+
+  defp unpack(<<>>, size, out), do: if(byte_size(out) == size, do: {:ok, out}, else: :error)
+  defp unpack(_packed, size, out) when byte_size(out) > size, do: :error
+
+  defp unpack(<<0::3, n::5, rest::binary>>, size, out) do
+    case rest do
+      <<literal::binary-size(n + 1), rest::binary>> -> unpack(rest, size, out <> literal)
+      _ -> :error
+    end
+  end
+
+  defp unpack(<<7::3, high::5, more, low, rest::binary>>, size, out),
+    do: copy(rest, size, out, 7 + more + 2, high * 256 + low + 1)
+
+  defp unpack(<<n::3, high::5, low, rest::binary>>, size, out),
+    do: copy(rest, size, out, n + 2, high * 256 + low + 1)
+
+  defp unpack(_packed, _size, _out), do: :error
+
+  defp copy(_rest, _size, out, _length, back) when back > byte_size(out), do: :error
+
+  # A copy may reach into itself: then what is there is repeated.
+  defp copy(rest, size, out, length, back) do
+    part = binary_part(out, byte_size(out) - back, min(back, length))
+    whole = String.duplicate(part, div(length, byte_size(part)) + 1)
+    unpack(rest, size, out <> binary_part(whole, 0, length))
+  end
+
+  defp cloud(fields, columns) do
+    [x, y, z] =
+      for name <- ["x", "y", "z"], do: values(List.keyfind(fields, name, 0), columns, fields)
+
+    points = Enum.zip_with([x, y, z], fn row -> for(v <- row, into: <<>>, do: float(v)) end)
+
+    tone = List.keyfind(fields, "rgb", 0) || List.keyfind(fields, "rgba", 0)
+
+    colors = tone && for(v <- values(tone, columns, fields), into: <<>>, do: color(v, tone))
+    PointCloud.new(IO.iodata_to_binary(points), colors)
+  end
+
+  defp values({_, type, size, _, at}, {:rows, bytes, row, count}, _fields) do
+    for i <- 0..(count - 1)//1, do: value(type, size, binary_part(bytes, i * row + at, size))
+  end
+
+  # Compressed points stand field by field.
+  defp values({_, type, size, many, at}, {:columns, bytes, count}, _fields) do
+    for i <- 0..(count - 1)//1,
+        do: value(type, size, binary_part(bytes, at * count + i * size * many, size))
+  end
+
+  defp values({name, type, _, _, _}, {:text, rows}, fields) do
+    before =
+      fields |> Enum.take_while(&(elem(&1, 0) != name)) |> Enum.map(&elem(&1, 3)) |> Enum.sum()
+
+    for row <- rows, do: word(Enum.at(row, before), type)
+  end
+
+  defp value("F", 4, <<x::little-float-32>>), do: x
+  defp value("F", 8, <<x::little-float-64>>), do: x
+  defp value("U", size, bytes), do: with(<<x::little-unit(8)-size(size)>> <- bytes, do: x)
+  defp value("I", size, bytes), do: with(<<x::little-signed-unit(8)-size(size)>> <- bytes, do: x)
+  # a float that is no number, or of no known type
+  defp value(_, 4, bytes), do: {:bits, bytes}
+  defp value(_, _, _), do: :nan
+
+  defp word(text, "F") do
+    case Float.parse(text) do
+      {x, ""} -> x
+      _ -> :nan
+    end
+  end
+
+  defp word(text, _) do
+    case Integer.parse(text) do
+      {n, ""} -> n
+      _ -> :nan
+    end
+  end
+
+  defp float(x) when is_number(x) and abs(x) < 3.4e38, do: <<x::little-float-32>>
+  defp float(_), do: @nan
+
+  # A colour is a number of 32 bits, mostly written as the float that has these bits.
+  defp color(x, {_, "F", 4, _, _}) when is_float(x), do: bgr(<<x::little-float-32>>)
+  defp color({:bits, bytes}, _), do: bgr(bytes)
+  defp color(n, _) when is_integer(n) and n >= 0, do: bgr(<<n::little-32>>)
+  defp color(_, _), do: <<0, 0, 0>>
+
+  defp bgr(<<b, g, r, _>>), do: <<r, g, b>>
+end
