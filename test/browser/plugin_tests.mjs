@@ -1,4 +1,4 @@
-// What others add: the guide's heat map over a picture, panels that a script fills, and scripts that are broken.
+// Plug-ins: the guide's heat map over a picture, panels that a script fills, and scripts that are broken.
 import { deflateRawSync } from "node:zlib";
 import { test, equal, ok, until } from "./harness.mjs";
 import { open, settled, dispatch, panelOf } from "./studio_page.mjs";

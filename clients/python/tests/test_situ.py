@@ -1,4 +1,4 @@
-"""What is written is read again; what is hostile is refused. Standard library and, where there, numpy."""
+"""Written messages are read again; hostile files are refused. Standard library and, if installed, numpy."""
 import math
 import os
 import random

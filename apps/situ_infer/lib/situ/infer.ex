@@ -69,9 +69,9 @@ defmodule Situ.Infer do
     spotter: [
       type: :module,
       default: Situ.Infer.Speech.WakeWord.Spoken,
-      doc: "What hears it: a `Situ.Infer.Speech.WakeWord`."
+      doc: "The module that hears it, a `Situ.Infer.Speech.WakeWord`."
     ],
-    options: [type: :keyword, default: [], doc: "More for its `load/1`."],
+    options: [type: :keyword, default: [], doc: "Further options for its `load/1`."],
     voice: [type: :keyword, default: [], doc: "Options of `Situ.Infer.VoiceActivity`."]
   ]
 

@@ -84,7 +84,7 @@ defmodule Situ.Bridge.Tables do
   defp messages(path, :parquet), do: Bridge.Parquet.messages(path)
   defp messages(path, format), do: Bridge.File.messages(path, format)
 
-  # What all values are; a pipe cannot be gone through twice.
+  # The type of all values; unknown for a pipe, which can be read only once.
   defp type(path, messages) do
     if File.regular?(path) do
       messages

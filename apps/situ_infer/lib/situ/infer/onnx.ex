@@ -63,7 +63,7 @@ defmodule Situ.Infer.Onnx do
   end
 
   @doc """
-  What a file says about itself: keys and values, both text. Empty for what is no ONNX file.
+  The metadata of a file: keys and values, both text. Empty if it is not an ONNX file.
 
       iex> Situ.Infer.Onnx.metadata(<<0x72, 8, 0x0A, 1, "a", 0x12, 3, "b", 0>>)
       %{}

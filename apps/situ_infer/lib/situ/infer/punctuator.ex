@@ -3,9 +3,9 @@ defmodule Situ.Infer.Punctuator do
     punctuation: [
       type: :module,
       default: Situ.Infer.Speech.Punctuation.Rules,
-      doc: "What does it: a `Situ.Infer.Speech.Punctuation`."
+      doc: "The module that does it, a `Situ.Infer.Speech.Punctuation`."
     ],
-    options: [type: :keyword, default: [], doc: "For its `load/1`."]
+    options: [type: :keyword, default: [], doc: "Options for its `load/1`."]
   ]
 
   @moduledoc """

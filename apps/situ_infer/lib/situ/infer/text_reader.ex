@@ -15,7 +15,11 @@ defmodule Situ.Infer.TextReader do
       default: 1_600,
       doc: "... and its longer one made no longer than this."
     ],
-    min_score: [type: {:range, 0, 1}, default: 0.5, doc: "What is read less surely is left out."]
+    min_score: [
+      type: {:range, 0, 1},
+      default: 0.5,
+      doc: "Words with a lower confidence are left out."
+    ]
   ]
 
   @moduledoc """

@@ -139,11 +139,11 @@ defmodule Situ.Parallel.Processes do
     at = {Situ.Branch.Path.to_string({path, key}), state.opts.type, timing}
     fun = of_key(state.opts.fun, key)
 
-    fleet =
+    running =
       or_abandon(state, before, fn -> RunningBranches.begin(state.branches, id, fun, at) end)
 
-    pool = ProcessBranches.started(state.pool, key, id, fleet[id].output?)
-    %{state | pool: pool, branches: fleet}
+    pool = ProcessBranches.started(state.pool, key, id, running[id].output?)
+    %{state | pool: pool, branches: running}
   end
 
   # A message that fails takes the branches with it that were begun for it.

@@ -17,17 +17,17 @@ defmodule Situ.Parallel.RunningBranches do
           {String.t(), Situ.Type.t(), map()}
         ) ::
           t()
-  def begin(fleet, id, fun, {path, type, timing}) do
+  def begin(running, id, fun, {path, type, timing}) do
     built = Branch.start!(fun, id, path, type, timing)
     monitor = Process.monitor(built.pid)
     shell = %{monitor: monitor, path: path, gate: nil, early: [], stop: nil}
-    Map.put(fleet, id, Map.merge(built, shell))
+    Map.put(running, id, Map.merge(built, shell))
   end
 
   @doc "Ends branches that are not among those `before`."
   @spec abandon(t(), t()) :: :ok
-  def abandon(fleet, before) do
-    for {id, branch} <- fleet, not is_map_key(before, id) do
+  def abandon(running, before) do
+    for {id, branch} <- running, not is_map_key(before, id) do
       Process.demonitor(branch.monitor, [:flush])
       send(branch.pid, :situ_stop)
     end
@@ -37,24 +37,24 @@ defmodule Situ.Parallel.RunningBranches do
 
   @doc "Carries out the pool's orders; all entries for one branch go in one message."
   @spec carry_out([ProcessBranches.order()], t()) :: t()
-  def carry_out(orders, fleet) do
-    {fleet, entries} = Enum.reduce(orders, {fleet, %{}}, &carry_out_one/2)
-    Enum.reduce(entries, fleet, fn {id, entries}, fleet -> feed(fleet, id, entries) end)
+  def carry_out(orders, running) do
+    {running, entries} = Enum.reduce(orders, {running, %{}}, &carry_out_one/2)
+    Enum.reduce(entries, running, fn {id, entries}, running -> feed(running, id, entries) end)
   end
 
-  defp carry_out_one({:feed, id, entry}, {fleet, entries}),
-    do: {fleet, later(entries, id, entry)}
+  defp carry_out_one({:feed, id, entry}, {running, entries}),
+    do: {running, later(entries, id, entry)}
 
   # Only a run of light operators tells what it has passed.
-  defp carry_out_one({:pass, id, time}, {fleet, entries}) do
-    if Map.fetch!(fleet, id).immediate?,
-      do: {fleet, later(entries, id, time)},
-      else: {fleet, entries}
+  defp carry_out_one({:pass, id, time}, {running, entries}) do
+    if Map.fetch!(running, id).immediate?,
+      do: {running, later(entries, id, time)},
+      else: {running, entries}
   end
 
-  defp carry_out_one({:stop, id, time}, {fleet, entries}) do
+  defp carry_out_one({:stop, id, time}, {running, entries}) do
     {mine, entries} = Map.pop(entries, id, [])
-    {fleet |> feed(id, mine) |> stop(id, time), entries}
+    {running |> feed(id, mine) |> stop(id, time), entries}
   end
 
   defp later(entries, id, entry) do
@@ -64,40 +64,40 @@ defmodule Situ.Parallel.RunningBranches do
     end
   end
 
-  defp stop(fleet, id, time) do
-    case Map.fetch!(fleet, id) do
+  defp stop(running, id, time) do
+    case Map.fetch!(running, id) do
       %{gate: nil} = branch ->
-        %{fleet | id => %{branch | stop: time}}
+        %{running | id => %{branch | stop: time}}
 
       branch ->
         Branch.stop(branch.pid, time)
-        fleet
+        running
     end
   end
 
   @doc "Notes that a branch has opened its input, and sends it the entries that waited."
   @spec opened(t(), ProcessBranches.id(), pid()) :: t()
-  def opened(fleet, id, gate) do
-    branch = Map.fetch!(fleet, id)
+  def opened(running, id, gate) do
+    branch = Map.fetch!(running, id)
     if branch.early != [], do: Branch.feed(gate, Enum.reverse(branch.early))
     if branch.stop, do: Branch.stop(branch.pid, branch.stop)
-    %{fleet | id => %{branch | gate: gate, early: []}}
+    %{running | id => %{branch | gate: gate, early: []}}
   end
 
   @doc "Removes a branch that has ended."
   @spec remove(t(), ProcessBranches.id()) :: t()
-  def remove(fleet, id) do
-    {branch, fleet} = Map.pop!(fleet, id)
+  def remove(running, id) do
+    {branch, running} = Map.pop!(running, id)
     Process.demonitor(branch.monitor, [:flush])
-    fleet
+    running
   end
 
   @doc "The branch and its result, if this message reports the end of a branch; else `nil`."
   @spec ended(term(), t()) :: {ProcessBranches.id(), Situ.Pipeline.result()} | nil
-  def ended({id, result}, fleet) when is_map_key(fleet, id), do: {id, result}
+  def ended({id, result}, running) when is_map_key(running, id), do: {id, result}
 
-  def ended({:DOWN, _monitor, :process, pid, reason}, fleet) do
-    with {id, branch} <- Enum.find(fleet, fn {_, branch} -> branch.pid == pid end),
+  def ended({:DOWN, _monitor, :process, pid, reason}, running) do
+    with {id, branch} <- Enum.find(running, fn {_, branch} -> branch.pid == pid end),
          do: {id, {:error, killed(branch.path, reason)}}
   end
 
@@ -105,28 +105,28 @@ defmodule Situ.Parallel.RunningBranches do
 
   @doc "Whether one of these branches is still working; a run of light operators reports by itself when it is done."
   @spec at_work?(t(), [ProcessBranches.id()]) :: boolean()
-  def at_work?(fleet, ids) do
+  def at_work?(running, ids) do
     Enum.any?(ids, fn id ->
-      branch = Map.fetch!(fleet, id)
+      branch = Map.fetch!(running, id)
       branch.immediate? or Client.call(branch.pid, :quiet?) != true
     end)
   end
 
   @doc "The counters of the running branches; they change while any branch makes progress."
   @spec marks(t()) :: term()
-  def marks(fleet), do: for({id, branch} <- fleet, do: {id, Client.call(branch.pid, :mark)})
+  def marks(running), do: for({id, branch} <- running, do: {id, Client.call(branch.pid, :mark)})
 
   # Entries come newest first.
-  defp feed(fleet, _id, []), do: fleet
+  defp feed(running, _id, []), do: running
 
-  defp feed(fleet, id, entries) do
-    case Map.fetch!(fleet, id) do
+  defp feed(running, id, entries) do
+    case Map.fetch!(running, id) do
       %{gate: nil} = branch ->
-        %{fleet | id => %{branch | early: entries ++ branch.early}}
+        %{running | id => %{branch | early: entries ++ branch.early}}
 
       %{gate: gate} ->
         Branch.feed(gate, :lists.reverse(entries))
-        fleet
+        running
     end
   end
 

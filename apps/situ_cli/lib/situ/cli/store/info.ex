@@ -94,7 +94,7 @@ defmodule Situ.CLI.Store.Info do
     end
   end
 
-  # What files of other systems say of themselves.
+  # Facts that files of other systems hold about themselves.
   defp foreign(store, info) do
     written =
       [info[:written_by], info[:profile]]

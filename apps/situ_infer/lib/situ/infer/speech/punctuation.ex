@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Speech.Punctuation do
   @moduledoc """
-  What makes sentences of words: capitals, full stops, question marks. Some recognisers write words only (PocketSphinx,
+  Makes sentences of words: capitals, full stops, question marks. Some recognisers write words only (PocketSphinx,
   telephone services); Moonshine writes sentences already.
 
       heard |> Situ.Infer.punctuate()                                    # rules

@@ -1,6 +1,6 @@
 defmodule Situ.Infer.Speech.WakeWord do
   @moduledoc """
-  What hears a name in speech: the seam between `Situ.Infer.wake_word/2` and a recogniser or keyword spotter.
+  A spotter hears a name in speech: the seam between `Situ.Infer.wake_word/2` and a recogniser or keyword spotter.
 
   | built in | hears | for |
   |---|---|---|

@@ -9,13 +9,17 @@ defmodule Situ.Infer.Vision.TextPlaces do
       iex> {place.center, Float.round(place.score, 1), place.width > place.height}
       {{4.5, 2.0}, 0.9, true}
 
-  A rectangle is turned: `right` is the direction in which one reads, `width` along it, `height` across. What is much
+  A rectangle may be rotated: `right` is the direction of reading, `width` along it, `height` across. A rectangle much
   higher than wide is read downwards.
   """
   alias Situ.Tensor
 
   @schema [
-    threshold: [type: {:range, 0, 1}, default: 0.3, doc: "Text is what is likelier."],
+    threshold: [
+      type: {:range, 0, 1},
+      default: 0.3,
+      doc: "Pixels above this probability are text."
+    ],
     min_score: [type: {:range, 0, 1}, default: 0.5, doc: "The mean of a place's pixels at least."],
     wider: [
       type: {:range, 0, 5},

@@ -16,7 +16,7 @@ defmodule Situ.Remote.Connection.Datagrams do
   @spec start_link(non_neg_integer(), binary()) :: {:ok, pid()}
   def start_link(id, key), do: GenServer.start_link(__MODULE__, {self(), id, key})
 
-  @doc "What is asked of the server for a stream that is to come as datagrams: under a key of its own each time."
+  @doc "Adds datagrams to the request for a stream, under a new key each time."
   @spec ask({map(), Channel.t()}) :: {map(), Channel.t()}
   def ask({map, %{datagram: nil} = channel}), do: {map, channel}
 

@@ -136,7 +136,7 @@ defmodule Situ.Remote.Link.Datagrams do
     end
   end
 
-  # What lies before it was never begun, and the first that comes at all is no reason to wait.
+  # No earlier set has begun. Before the first set there is nothing to wait for.
   defp none_before?(%{next: 0, sets: sets}, first),
     do: Enum.all?(sets, fn {set, _} -> set >= first end)
 

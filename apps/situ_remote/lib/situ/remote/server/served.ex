@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Server.Served do
   @moduledoc false
-  # What a server has under the name that a client says.
+  # Finds the recording of a server by the name that a client sends.
   alias Situ.Error
 
   @type served :: %{String.t() => {module(), term()}}

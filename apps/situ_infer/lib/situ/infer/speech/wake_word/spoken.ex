@@ -4,7 +4,7 @@ defmodule Situ.Infer.Speech.WakeWord.Spoken do
     recognizer: [
       type: :module,
       default: Situ.Infer.Speech.Moonshine,
-      doc: "What recognises: a `Situ.Infer.Speech.Recognizer`."
+      doc: "The module that recognises, a `Situ.Infer.Speech.Recognizer`."
     ],
     recognizer_options: [type: :keyword, default: [], doc: "For its `load/1`."],
     alike: [
