@@ -58,7 +58,7 @@ defmodule Situ.Infer.Detection.Yolo do
     for <<cx::float-native-32, cy::float-native-32, w::float-native-32, h::float-native-32,
           object::float-native-32, classes::binary-size(rest) <- data>>,
         object >= min_score,
-        {class, p} = best(classes, 0, {0, 0.0}),
+        {class, p} <- [best(classes, 0, {0, 0.0})],
         object * p >= min_score,
         w > 0,
         h > 0,

@@ -73,12 +73,12 @@ defmodule Situ.Remote.Link.Socket do
   defp cannot_listen(where, :eaddrinuse),
     do: Error.new(:address_in_use, "#{where} is in use", fix: "choose another port or path")
 
-  defp cannot_listen(where, reason) do
-    code =
-      if match?({:options, _}, reason) or reason == :options, do: :bad_tls, else: :bad_address
+  defp cannot_listen(where, reason),
+    do: Error.new(refusal(reason), "cannot listen on #{where}", why: reason_text(reason))
 
-    Error.new(code, "cannot listen on #{where}", why: reason_text(reason))
-  end
+  defp refusal({:options, _}), do: :bad_tls
+  defp refusal(:options), do: :bad_tls
+  defp refusal(_reason), do: :bad_address
 
   @doc "The next connection, before its TLS handshake (`established/2`)."
   @spec accept(t()) :: {:ok, t()} | {:error, term()}
@@ -147,12 +147,13 @@ defmodule Situ.Remote.Link.Socket do
   defp pinned(socket, %{fingerprint: nil}), do: {:ok, socket}
 
   defp pinned({:ssl, ssl} = socket, %{fingerprint: digits}) do
-    with {:ok, der} <- :ssl.peercert(ssl), ^digits <- Certificate.fingerprint_of(der) do
-      {:ok, socket}
-    else
+    case shown(ssl) do
+      ^digits ->
+        {:ok, socket}
+
       other ->
         close(socket)
-        why = if is_binary(other), do: "its fingerprint is #{other}", else: "it shows none"
+        why = if other, do: "its fingerprint is #{other}", else: "it shows none"
 
         {:error,
          Error.new(:wrong_certificate, "the server's certificate is not the expected one",
@@ -160,6 +161,13 @@ defmodule Situ.Remote.Link.Socket do
            fix:
              "ask the server's owner for the address that it prints; otherwise somebody may intercept the link"
          )}
+    end
+  end
+
+  defp shown(ssl) do
+    case :ssl.peercert(ssl) do
+      {:ok, der} -> Certificate.fingerprint_of(der)
+      _ -> nil
     end
   end
 

@@ -191,13 +191,13 @@ defmodule Situ.Remote.Recording.Client do
 
     if size > @most_answer,
       do: whole(state, id, {:error, Error.new(:bad_reply, "an answer of more than 1 GiB")}),
-      else: %{state | parts: Map.put(state.parts, id, {size, [parts | bytes]})}
+      else: %{state | parts: Map.put(state.parts, id, {size, [parts, bytes]})}
   end
 
   defp piece(state, id, <<1, bytes::binary>>) when is_map_key(state.under_way, id) do
     body =
       case state.parts do
-        %{^id => {_, parts}} -> IO.iodata_to_binary([parts | bytes])
+        %{^id => {_, parts}} -> IO.iodata_to_binary([parts, bytes])
         _ -> bytes
       end
 
