@@ -117,11 +117,10 @@ defmodule Situ.CLI.Store.Importing do
   defp format(path), do: if(File.regular?(path), do: Tables.format(path))
 
   defp tables(tables, out, opts) do
-    unfit = [:from, :to, :compression] |> Enum.filter(&opts[&1])
+    given? = fn name -> opts[name] not in [nil, false, []] end
 
-    for name <- unfit ++ if(opts[:exclude] == [], do: [], else: [:exclude]) do
-      throw({:usage, "a table is imported as it is, without --#{name}: copy the store then"})
-    end
+    if name = Enum.find([:from, :to, :compression, :exclude], given?),
+      do: throw({:usage, "a table is imported as it is, without --#{name}: copy the store then"})
 
     named =
       case {tables, opts[:stream]} do
