@@ -1,9 +1,11 @@
 defmodule Situ.Infer.VoiceActivity do
   @schema [
             detector: [
-              type: {:in, [:silero, :energy]},
+              type: {:or, [{:in, [:silero, :energy]}, :module]},
               default: :silero,
-              doc: "`:silero`, a network; `:energy`, level above the noise, without any model."
+              doc:
+                "`:silero`, a network; `:energy`, level above the noise, without any model; or a " <>
+                  "`Situ.Infer.Voice.Detector`."
             ],
             model: [
               type: {:optional, :string},
@@ -68,7 +70,7 @@ defmodule Situ.Infer.VoiceActivity do
   end
 
   @impl true
-  def handle_start(_context, state), do: {[], %{state | detector: detector!(state.opts)}}
+  def handle_start(_context, state), do: {[], %{state | detector: load!(state.opts)}}
 
   @impl true
   def handle_message(:in, message, _context, state) do
@@ -91,38 +93,38 @@ defmodule Situ.Infer.VoiceActivity do
   end
 
   @impl true
-  def describe(%{detector: %Silero{model: model}}), do: Model.describe(model)
+  def describe(%{detector: {Silero, %{model: model}}}), do: Model.describe(model)
   def describe(%{gate: gate}), do: if(VoiceGate.open?(gate), do: "speech", else: "silence")
 
-  defp detector!(opts) do
-    case opts[:detector] do
-      :energy -> Energy.new(opts)
-      :silero -> opts |> Silero.load() |> Situ.Error.unwrap!()
-    end
+  defp load!(opts) do
+    module = module(opts[:detector])
+    {module, opts |> module.load() |> Situ.Error.unwrap!()}
   end
 
-  defp hear({time, floats}, state) do
+  defp module(:silero), do: Silero
+  defp module(:energy), do: Energy
+  defp module(module), do: module
+
+  defp hear({time, floats}, %{detector: {module, detector}} = state) do
     level = Chunker.level(floats)
-    {p, detector} = probability(state.detector, floats, level)
-    {events, gate} = VoiceGate.push(state.gate, time, Chunker.length_ns(state.chunker), p)
-    voice = {:voice, time, %Voice{probability: p, level: level}}
-    {[voice | actions(events)], %{state | detector: detector, gate: gate}}
-  end
 
-  defp probability(%Energy{} = energy, _floats, level), do: Energy.step(energy, level)
+    case module.step(detector, floats, level) do
+      {:ok, p, detector} ->
+        length = Chunker.length_ns(state.chunker)
+        {events, gate} = VoiceGate.push(state.gate, time, length, p)
+        voice = {:voice, time, %Voice{probability: p, level: level}}
+        {[voice | actions(events)], %{state | detector: {module, detector}, gate: gate}}
 
-  defp probability(%Silero{} = silero, floats, _level) do
-    case Silero.step(silero, floats) do
-      {:ok, p, silero} -> {p, silero}
-      {:error, error} -> raise error
+      {:error, error} ->
+        raise error
     end
   end
 
   # After a gap in the sound the detector starts afresh.
   defp break(state) do
     {events, gate} = VoiceGate.close(state.gate)
-    %module{} = state.detector
-    {actions(events), %{state | gate: gate, detector: module.reset(state.detector)}}
+    {module, detector} = state.detector
+    {actions(events), %{state | gate: gate, detector: {module, module.reset(detector)}}}
   end
 
   defp actions(events) do

@@ -184,4 +184,33 @@ defmodule Situ.Infer.VoiceTest do
     {[{30, true}], vad} = SimpleVad.push(vad, 50, 1)
     assert {[{40, true}, {50, false}], _vad} = SimpleVad.close(vad)
   end
+
+  # Speech is what is louder than a tenth of full scale; it counts the chunks that it was given.
+  defmodule Loud do
+    @behaviour Situ.Infer.Voice.Detector
+
+    @impl true
+    def load(opts), do: {:ok, {opts[:on], 0}}
+
+    @impl true
+    def reset({on, _}), do: {on, 0}
+
+    @impl true
+    def step({on, n}, chunk, level) do
+      2_048 = byte_size(chunk)
+      {:ok, if(level > 0.1, do: on, else: 0.0), {on, n + 1}}
+    end
+  end
+
+  test "a detector of one's own is a module; one that is none is an error at once" do
+    quiet = :binary.copy(<<100::little-16>>, 16_000)
+    loud = :binary.copy(<<9_000::little-16>>, 16_000)
+    actions = listen(quiet <> loud <> quiet, detector: Loud)
+    assert [%{start: start, stop: stop}] = for({:segments, _, segment} <- actions, do: segment)
+    assert_in_delta start, 1_000_000_000, @step
+    assert_in_delta stop, 2_000_000_000, @step
+
+    assert {:error, %{code: :bad_option}} =
+             Situ.Options.validate([detector: "loud"], VoiceActivity.options())
+  end
 end

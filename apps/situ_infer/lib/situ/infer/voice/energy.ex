@@ -2,25 +2,26 @@ defmodule Situ.Infer.Voice.Energy do
   @moduledoc false
   # How far the level stands above the noise, as a probability. The noise floor falls at once and rises slowly, so
   # that speech, which always has gaps, does not lift it, while a steady noise becomes the floor within a few seconds.
-  @chunk 512
+  @behaviour Situ.Infer.Voice.Detector
+
   @chunk_s 0.032
   @quietest_db -70.0
 
   defstruct [:floor_db, :rise_db_per_s, :above_db]
 
-  def chunk, do: @chunk
+  @impl true
+  def load(opts),
+    do: {:ok, %__MODULE__{rise_db_per_s: opts[:rise_db_per_s], above_db: opts[:above_db]}}
 
-  def new(opts),
-    do: %__MODULE__{rise_db_per_s: opts[:rise_db_per_s], above_db: opts[:above_db]}
-
+  @impl true
   def reset(energy), do: %{energy | floor_db: nil}
 
-  @spec step(%__MODULE__{}, float()) :: {float(), %__MODULE__{}}
-  def step(energy, level) do
+  @impl true
+  def step(energy, _chunk, level) do
     db = max(20 * :math.log10(max(level, 1.0e-6)), @quietest_db)
     # At the beginning nothing is known of the noise: the first sound is taken for it.
     floor = min(db, (energy.floor_db || db) + energy.rise_db_per_s * @chunk_s)
     p = 1.0 / (1.0 + :math.exp(-(db - floor - energy.above_db) / 2.0))
-    {p, %{energy | floor_db: floor}}
+    {:ok, p, %{energy | floor_db: floor}}
   end
 end

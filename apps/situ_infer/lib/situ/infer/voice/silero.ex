@@ -2,6 +2,8 @@ defmodule Situ.Infer.Voice.Silero do
   @moduledoc false
   # Silero's network over chunks of 512 samples. It remembers through a state tensor, and sees the last 64 samples of
   # the chunk before: the caller keeps both.
+  @behaviour Situ.Infer.Voice.Detector
+
   alias Situ.Infer.Model
   alias Situ.Tensor
 
@@ -24,6 +26,7 @@ defmodule Situ.Infer.Voice.Silero do
 
   def chunk, do: @chunk
 
+  @impl true
   @spec load(keyword()) :: {:ok, %__MODULE__{}} | {:error, Situ.Error.t()}
   def load(opts) do
     path = opts[:model] || Model.path("silero_vad.onnx")
@@ -34,14 +37,13 @@ defmodule Situ.Infer.Voice.Silero do
          do: {:ok, reset(%__MODULE__{model: model})}
   end
 
-  @doc "Forgets what it heard."
+  @impl true
   def reset(silero) do
     %{silero | state: Tensor.zeros(:f32, {2, 1, 128}), context: <<0::size(@context)-unit(32)>>}
   end
 
-  @doc "The probability of speech in the next chunk of floats."
-  @spec step(%__MODULE__{}, binary()) :: {:ok, float(), %__MODULE__{}} | {:error, Situ.Error.t()}
-  def step(silero, <<_::binary-size((@chunk - @context) * 4), context::binary>> = chunk) do
+  @impl true
+  def step(silero, <<_::binary-size((@chunk - @context) * 4), context::binary>> = chunk, _level) do
     inputs = %{
       "input" => Tensor.new(silero.context <> chunk, :f32, {1, @chunk + @context}),
       "state" => silero.state,
