@@ -24,6 +24,29 @@ def picture(width, height):
     return np.stack([(x // 5 + noise) % 256, (y // 4 + noise) % 256, ((x + y) // 9) % 256], -1).astype(np.uint8)
 
 
+def space():
+    """Clouds: NumPy alone, as people write it; the rays of the pixels are made before, as Situ's table of rays is."""
+    y, x = np.mgrid[0:480, 0:640]
+    depth = (800 + (x * 7 + y * 13) % 2000).astype(np.uint16)
+    right, down = ((x - 319.5) / 525).astype(np.float32), ((y - 239.5) / 525).astype(np.float32)
+
+    def cloud():
+        z = depth.astype(np.float32) * np.float32(0.001)
+        points = np.stack([z, -right * z, -down * z], -1).reshape(-1, 3)
+        return points[points[:, 0] > 0]
+
+    points = cloud()
+
+    def voxels(size=0.05):
+        keys = np.floor(points / size).astype(np.int64) + (1 << 20)
+        _, where = np.unique((keys[:, 0] << 42) | (keys[:, 1] << 21) | keys[:, 2], return_inverse=True)
+        n = np.bincount(where)
+        return np.stack([np.bincount(where, points[:, k]) / n for k in range(3)], -1)
+
+    yield "cloud_from_depth_numpy", 60, cloud
+    yield "voxel_downsample_numpy", 20, voxels
+
+
 def jobs():
     hd1080, hd720 = picture(1920, 1080), picture(1280, 720)
     gray = cv2.cvtColor(hd1080, cv2.COLOR_BGR2GRAY)
@@ -37,6 +60,7 @@ def jobs():
     yield "jpeg_decode_720p_opencv", 30, lambda: cv2.imdecode(jpeg, cv2.IMREAD_COLOR)
     yield "gaussian_5x5_gray_1080p_opencv", 40, lambda: cv2.GaussianBlur(gray, (5, 5), 1.1)
     yield "canny_gray_1080p_opencv", 15, lambda: cv2.Canny(gray, 60, 120)
+    yield from space()
     try:
         import soxr
 

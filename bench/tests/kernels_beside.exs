@@ -3,14 +3,14 @@ defmodule Situ.Bench.Beside do
   @calls 5
 
   @moduledoc """
-  `kernels-beside-python`: the jobs of `kernels`, #{@calls} calls here and #{@calls} in Python
+  `kernels-beside-python`: the jobs of `kernels` and two of `space`, #{@calls} calls here and #{@calls} in Python
   (`bench/python/kernels.py serve`) in #{@turns} turns, so that what else the machine does at a moment falls on both.
   Microseconds by the wall clock of one call, overhead and result included, the least and the median of all calls, and
   their ratios to the best of the Python libraries. Pictures have 8 bits a channel, sound is 32-bit float on both sides.
 
   Python is `SITU_BENCH_PYTHON` (`python3`); where it or its packages are not installed, nothing is measured.
   """
-  alias Situ.Bench.Kernels
+  alias Situ.Bench.{Kernels, Space}
 
   def tests, do: [{"kernels-beside-python", &beside/1}]
 
@@ -19,7 +19,9 @@ defmodule Situ.Bench.Beside do
 
     case open() do
       {:ok, port, names} ->
-        metrics = Enum.flat_map(Kernels.jobs(), &compare(&1, port, names, turns))
+        metrics =
+          Enum.flat_map(Kernels.jobs() ++ Space.beside(), &compare(&1, port, names, turns))
+
         Port.close(port)
         metrics
 

@@ -3,7 +3,7 @@ defmodule Situ.Bench.Space do
   Kernels of space, and what a 3D panel is sent, called from Elixir one after the other: operations a second by the wall
   clock, and `_cpu` in microseconds an operation.
   """
-  alias Situ.{Bench, PointCloud, Pose}
+  alias Situ.{Bench, CameraIntrinsics, DepthImage, PointCloud, Pose}
   alias Situ.Space.{Cloud, Depth, Frames, RayTable, SyntheticRoom}
   alias Situ.Studio.Scene
 
@@ -41,6 +41,28 @@ defmodule Situ.Bench.Space do
        fn -> match?({:ok, _}, Frames.lookup(frames, "hand", "room", 505_000_000)) end},
       {"3d-upload-1M", 10, fn -> size(million) > 12_000_000 end},
       {"3d-upload-10M-budget-1M", 10, fn -> size(ten) in 12_000_000..13_000_000 end}
+    ]
+  end
+
+  @doc "The jobs that NumPy does, too (`kernels-beside-python`): the same depth picture on both sides."
+  def beside do
+    camera =
+      CameraIntrinsics.new!(width: 640, height: 480, focal: {525, 525}, principal: {319.5, 239.5})
+
+    {:ok, table} = RayTable.new(camera)
+
+    data =
+      for y <- 0..479,
+          x <- 0..639,
+          into: <<>>,
+          do: <<800 + rem(x * 7 + y * 13, 2_000)::little-16>>
+
+    {:ok, depth} = DepthImage.new(width: 640, height: 480, data: data)
+    {:ok, cloud} = Depth.to_cloud(depth, table)
+
+    [
+      {"cloud_from_depth", 60, fn -> 307_200 == count(Depth.to_cloud(depth, table)) end},
+      {"voxel_downsample", 20, fn -> count(Cloud.downsample(cloud, 0.05)) in 1_000..307_200 end}
     ]
   end
 
