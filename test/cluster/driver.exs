@@ -187,6 +187,12 @@ defmodule Driver do
 
     r3 = {"the node of a part that throws dice is killed", same?(dice, 2_000)}
     nodes = refill(elem(dice, 2))
+    # The others know it by then.
+    at_once =
+      one(nodes, "at once", 1_000, fn _, nodes -> Nodes.kill(nodes, hd(Map.keys(nodes))) end)
+
+    r0 = {"the node that deployed is killed at once", same?(at_once, 1_000)}
+    nodes = refill(elem(at_once, 2))
     {r4, nodes} = zombie(nodes)
     {r5, nodes} = moved(nodes)
     {r6, nodes} = upgraded(nodes)
@@ -195,7 +201,7 @@ defmodule Driver do
     nodes = if nodes == %{}, do: start(%{}, ~w(a b c)), else: nodes
     {random, nodes} = random(nodes, random, System.monotonic_time(:second), 1, [])
     for {name, _} <- nodes, do: Nodes.kill(nodes, name)
-    [r1, r2, r3, r4, r5] ++ r6 ++ rs ++ random
+    [r1, r2, r3, r0, r4, r5] ++ r6 ++ rs ++ random
   end
 
   defp refill(nodes), do: start(nodes, ~w(a b c) -- Map.keys(nodes))
@@ -302,7 +308,7 @@ defmodule Driver do
       {Enum.reverse(results), nodes}
     else
       victim = Enum.random(Map.keys(nodes))
-      trouble = Enum.random([:kill, :stop, :pause] ++ Net.troubles(Process.get(:net)))
+      trouble = Enum.random([:kill, :stop, :pause, :parted] ++ Net.troubles(Process.get(:net)))
       count = 600 + :rand.uniform(600)
       ms = :rand.uniform(count)
       {happened, result} = {trouble, troubled(nodes, i, count, ms, victim, trouble)}
@@ -342,6 +348,15 @@ defmodule Driver do
     ms = if stop == :stop, do: 3_500, else: 50 + :rand.uniform(250)
     later(ms, fn -> Nodes.signal(nodes[victim], "CONT") end)
     away(nodes, victim)
+  end
+
+  # The nodes lose sight of one another, and the log does not lose them.
+  defp trouble(:parted, nodes, victim) do
+    for {name, other} <- nodes, name != victim do
+      :erpc.call(nodes[victim].node, :erlang, :disconnect_node, [other.node])
+    end
+
+    nodes
   end
 
   defp trouble(:cut, nodes, victim) do

@@ -7,6 +7,11 @@ defmodule Situ.Cluster.Agent do
 
   alias Situ.Cluster.{Assembly, Logs, Member, Placement, Runner, Vitals}
 
+  require Logger
+
+  @spread_ms 2_000
+  @spread_times 5
+
   defstruct [
     :log,
     :supervisor,
@@ -24,8 +29,24 @@ defmodule Situ.Cluster.Agent do
   def start_link(opts), do: GenServer.start_link(__MODULE__, opts, name: __MODULE__)
 
   @spec deploy(GenServer.server(), Situ.Cluster.Deployment.t()) :: :ok | {:error, Situ.Error.t()}
-  def deploy(agent \\ __MODULE__, deployment),
-    do: GenServer.call(agent, {:deploy, deployment}, 60_000)
+  def deploy(agent \\ __MODULE__, deployment) do
+    with :ok <- GenServer.call(agent, {:deploy, deployment}, 60_000) do
+      others = Map.keys(info(agent).members) -- [node()]
+      if others != [], do: spread(others, deployment, @spread_times), else: :ok
+    end
+  end
+
+  # It is deployed when another node knows it too: this one may be lost the next moment.
+  defp spread(others, deployment, 0) do
+    Logger.warning("#{deployment.name}: none of #{inspect(others)} has taken note of it yet")
+  end
+
+  defp spread(others, deployment, left) do
+    case GenServer.multi_call(others, __MODULE__, {:install, deployment}, @spread_ms) do
+      {[_ | _], _} -> :ok
+      {[], _} -> spread(others, deployment, left - 1)
+    end
+  end
 
   @doc "Takes a deployment away, on all nodes."
   @spec forget(GenServer.server(), String.t()) :: :ok
@@ -78,6 +99,9 @@ defmodule Situ.Cluster.Agent do
       {:error, error} -> {:reply, {:error, error}, state}
     end
   end
+
+  def handle_call({:install, deployment}, _from, state),
+    do: {:reply, :ok, installed(state, deployment)}
 
   def handle_call({:forget, name}, _from, state) do
     others(state, {:forget, name})
@@ -205,7 +229,6 @@ defmodule Situ.Cluster.Agent do
         state
 
       {:error, error} ->
-        require Logger
         Logger.warning("#{deployment.name} cannot run on #{node()}: #{Exception.message(error)}")
         state
     end

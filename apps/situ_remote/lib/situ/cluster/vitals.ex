@@ -3,7 +3,8 @@ defmodule Situ.Cluster.Vitals do
   The vital signs of a cluster's nodes: how busy each is, its devices, its distance.
 
   Once a second each node measures itself and tells the others. Placement by load and by nearness uses them, and the
-  studio's page of the cluster shows them. A node that was silent for five seconds is dropped.
+  studio's page of the cluster shows them. A node that was silent for five seconds is dropped,
+  and called again for ten minutes.
 
       Situ.Cluster.Vitals.all()[node()].busy      # cores that this node's processes used in the last seconds
   """
@@ -11,10 +12,12 @@ defmodule Situ.Cluster.Vitals do
 
   @every_ms 1_000
   @known_ms 5_000
+  # For so long a node that was lost is called again and again: the network may have been away.
+  @call_ms 600_000
   # How much the last second counts against those before.
   @weight 0.4
 
-  defstruct [:table, :devices, :last, busy: 0.0, machine: 0.0]
+  defstruct [:table, :devices, :last, busy: 0.0, machine: 0.0, calling: %{}]
 
   @typedoc """
   `busy`: cores used by the node's own VM; `cores`: those it may use; `machine`: the busy part of the whole machine, 0
@@ -60,7 +63,7 @@ defmodule Situ.Cluster.Vitals do
     :ets.insert(state.table, {node(), now(), vital})
     sent = System.monotonic_time()
     for node <- Node.list(), do: send({__MODULE__, node}, {:vital, node(), vital, sent})
-    {:noreply, state}
+    {:noreply, call_lost(state)}
   end
 
   def handle_info({:vital, node, vital, sent}, state) do
@@ -80,6 +83,22 @@ defmodule Situ.Cluster.Vitals do
   end
 
   def handle_info(_other, state), do: {:noreply, state}
+
+  # Erlang connects nodes when one has something to say, and a lost node is told nothing. A call may take seconds.
+  defp call_lost(state) do
+    calling = Map.filter(state.calling, fn {_, pid} -> Process.alive?(pid) end)
+
+    lost =
+      for {node, at, _} <- entries(),
+          now() - at < @call_ms,
+          node != node(),
+          node not in Node.list(),
+          not is_map_key(calling, node),
+          do: node
+
+    called = Map.new(lost, fn node -> {node, spawn(Node, :connect, [node])} end)
+    %{state | calling: Map.merge(calling, called)}
+  end
 
   defp measure(state) do
     {cpu, at, busy, total} = now = sample()
