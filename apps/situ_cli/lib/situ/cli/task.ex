@@ -172,7 +172,7 @@ defmodule Situ.CLI.Task do
       )
     end
 
-    if report.output && dataset.file == nil,
+    if report.output && dataset.file == nil && Enum.any?(report.results, &(&1.error == nil)),
       do:
         Output.warn(
           "The partitions #{inspect(report.output)} are written; make a dataset of the folder to have them listed."

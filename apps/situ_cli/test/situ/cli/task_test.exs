@@ -176,6 +176,33 @@ defmodule Situ.CLI.TaskTest do
     assert Enum.join(said, " ") =~ ~r/go forward ten meters/i
   end
 
+  test "voice activity of sound in stereo", %{tmp_dir: root} do
+    format = Situ.AudioFormat.pcm(44_100, 2)
+
+    data =
+      for i <- 1..22_050,
+          into: <<>>,
+          do: <<rem(i * 7, 200)::little-16, rem(i * 5, 90)::little-16>>
+
+    folder = Path.join(root, "stereo")
+    {:ok, writer} = Store.Writer.create("room", folder)
+    {:ok, audio} = Store.Writer.stream(writer, "Audio", type: Situ.AudioBuffer)
+    buffer = Situ.AudioBuffer.new!(format: format, data: data)
+
+    message = %Message{
+      data: buffer,
+      originating_time: 500_000_000,
+      creation_time: 500_000_000,
+      sequence_id: 1
+    }
+
+    {:ok, _} = Store.Writer.append(audio, [message])
+    :ok = Store.Writer.close(writer)
+    assert {0, _} = with_io(:stderr, fn -> elem(run(["run", folder, "voice-activity"]), 0) end)
+    {:ok, voice} = Store.open(Path.join(folder, "Voice"))
+    assert Store.count(voice, "Speaking") >= 14
+  end
+
   test "a film's sound as WAV, and a failure of one session is told", %{
     study: file,
     tmp_dir: root

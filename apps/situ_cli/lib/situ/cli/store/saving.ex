@@ -121,10 +121,20 @@ defmodule Situ.CLI.Store.Saving do
     names = Enum.map(chosen, & &1.name)
     written = [progress: &progress.(&1, total)] ++ compression(format, opts[:compression])
 
-    count =
-      ok!(@recordings[format].export(store, file, [streams: names] ++ reading(opts) ++ written))
+    exporting = [streams: names] ++ reading(opts) ++ written
 
-    %{messages: count, streams: length(names)}
+    # Beside the file until it is whole: what stood there may be the very recording that is read.
+    unfinished = file <> ".unfinished"
+
+    case @recordings[format].export(store, unfinished, exporting) do
+      {:ok, count} ->
+        renamed(unfinished, file)
+        %{messages: count, streams: length(names)}
+
+      {:error, error} ->
+        _ = File.rm(unfinished)
+        raise error
+    end
   end
 
   defp save(:parquet, store, chosen, file, opts, progress) do
@@ -276,11 +286,12 @@ defmodule Situ.CLI.Store.Saving do
   defp close({:stdout, device}), do: :file.close(device)
 
   defp close({path, device}) do
-    with :ok <- :file.close(device), :ok <- File.rename(path <> ".unfinished", path) do
-      :ok
-    else
-      {:error, reason} -> raise not_saved(path, reason)
-    end
+    with {:error, reason} <- :file.close(device), do: raise(not_saved(path, reason))
+    renamed(path <> ".unfinished", path)
+  end
+
+  defp renamed(unfinished, path) do
+    with {:error, reason} <- File.rename(unfinished, path), do: raise(not_saved(path, reason))
   end
 
   defp discard({:stdout, _}), do: :ok

@@ -105,6 +105,38 @@ defmodule Situ.CLI.Store.SavingTest do
     end
   end
 
+  test "a file that is saved onto itself is not lost, nor one that cannot be written", %{
+    tmp_dir: root
+  } do
+    path = both(root)
+    {:ok, _} = Application.ensure_all_started(:situ_bridge)
+    file = Path.join(root, "r.mcap")
+
+    save = fn from ->
+      with_io(:stderr, fn -> Situ.CLI.run(["store", "save", from, file, "-q"]) end)
+    end
+
+    assert {0, _} = save.(path)
+    assert {0, _} = save.(file)
+    assert Enum.map(Store.streams(Store.open!(file)), & &1.count) == [9, 9]
+
+    {:ok, writer} = Store.Writer.create("pairs", root)
+    {:ok, stream} = Store.Writer.stream(writer, "Pairs")
+
+    message = %Message{
+      data: %{{1, 2} => 3},
+      originating_time: 1,
+      creation_time: 1,
+      sequence_id: 1
+    }
+
+    {:ok, _} = Store.Writer.append(stream, [message])
+    :ok = Store.Writer.close(writer)
+    assert {1, _} = save.(writer.path)
+    assert Enum.map(Store.streams(Store.open!(file)), & &1.count) == [9, 9]
+    refute File.exists?(file <> ".unfinished")
+  end
+
   test "what goes only into a file is not printed, what cannot be packed is not", %{path: path} do
     for {argv, said} <- [
           {["-", "--format", "mcap"], "not to standard output"},
