@@ -67,6 +67,9 @@ defmodule Situ.Assistant do
   alias Situ.Infer.{SpeechRecognizer, SpeechSynthesizer, VoiceActivity}
   alias Situ.Stream
 
+  # Whoever cannot follow speech has no time for results on the way.
+  @late 700_000_000
+
   @type streams :: %{atom() => Stream.t() | nil}
 
   @doc "The assistant on a stream of 16 kHz mono sound."
@@ -81,7 +84,7 @@ defmodule Situ.Assistant do
       Situ.via(
         [sound: sound, speaking: voice],
         SpeechRecognizer,
-        Keyword.put_new(opts[:recognizer], :early, div(opts[:pause], 2)) ++
+        Keyword.merge([early: div(opts[:pause], 2), late: @late], opts[:recognizer]) ++
           [name: "SpeechRecognizer"]
       )
 

@@ -18,6 +18,13 @@ defmodule Situ.Infer.SpeechRecognizer do
       default: 150_000_000,
       doc: "Sound before and after the speech that is listened to, too, ns."
     ],
+    late: [
+      type: {:optional, :time_ns},
+      default: nil,
+      doc:
+        "For sound in real time: no result while somebody speaks when the sound for it is older than this, ns, so " <>
+          "that a slow machine does not fall behind. `nil`: all of them."
+    ],
     shortest: [
       type: :time_ns,
       default: 200_000_000,
@@ -71,6 +78,7 @@ defmodule Situ.Infer.SpeechRecognizer do
   defstruct [
     :opts,
     :model,
+    :now,
     sound: [],
     heard_to: nil,
     deaf?: false,
@@ -87,11 +95,13 @@ defmodule Situ.Infer.SpeechRecognizer do
     do: {[], %{state | model: Error.unwrap!(opts.recognizer.load(opts.recognizer_options))}}
 
   @impl true
-  def handle_message(:sound, %{data: buffer, originating_time: time}, _context, state),
-    do: answer(%{state | sound: [{time, buffer} | state.sound], heard_to: time})
+  def handle_message(:sound, %{data: buffer, originating_time: time}, context, state) do
+    sound = [{time, buffer} | state.sound]
+    answer(%{state | sound: sound, heard_to: time, now: context.now})
+  end
 
-  def handle_message(:speaking, %{data: speaking?, originating_time: time}, _context, state),
-    do: answer(%{state | asked: :queue.in({time, speaking?}, state.asked)})
+  def handle_message(:speaking, %{data: speaking?, originating_time: time}, context, state),
+    do: answer(%{state | asked: :queue.in({time, speaking?}, state.asked), now: context.now})
 
   def handle_message(:options, %{data: changes}, _context, %{opts: opts} = state) do
     own = Keyword.merge(opts.recognizer_options, changes)
@@ -163,6 +173,7 @@ defmodule Situ.Infer.SpeechRecognizer do
 
     cond do
       length >= opts.longest -> finish(state)
+      late?(state, time) -> {[], state}
       opts.partial && time - open.said >= max(opts.partial, div(length, 10)) -> partial(state)
       true -> {[], state}
     end
@@ -174,6 +185,9 @@ defmodule Situ.Infer.SpeechRecognizer do
     {actions, state} = finish(state)
     {actions, %{state | answered_to: time}}
   end
+
+  defp late?(%{opts: %{late: nil}}, _time), do: false
+  defp late?(%{opts: %{late: late}, now: now}, time), do: now - time > late
 
   defp partial(%{open: open} = state) do
     state = put_in(state.open.said, open.to)

@@ -118,6 +118,29 @@ defmodule Situ.Infer.SpeechRecognizerTest do
     end
   end
 
+  test "who is behind leaves out results on the way, and none of what was said" do
+    partial = fn behind ->
+      test =
+        Situ.Test.start([:sound, :speaking], fn s ->
+          opts = [recognizer: Counting, partial: 320 * @ms, margin: 0, late: 500 * @ms]
+          heard = Situ.via(Map.to_list(s), SpeechRecognizer, opts)
+          [heard.partial, heard.out]
+        end)
+
+      # All of it is there when the clock stands behind it.
+      Situ.Test.advance(test, (2_000 + behind) * @ms)
+      Situ.Test.feed(test, :sound, sound(2_000, 20))
+      Situ.Test.feed(test, :speaking, speaking(2_000, [{96, 1_800}]))
+      [partial, out] = Situ.Test.outputs(test)
+      Situ.Test.stop(test)
+      {Enum.map(partial, &elem(&1, 0)), length(out)}
+    end
+
+    assert {[_ | _] = late, 1} = partial.(0)
+    assert Enum.all?(late, &(&1 >= 1_500 * @ms))
+    assert {[], 1} = partial.(1_000)
+  end
+
   # Tells the test whenever it is asked.
   defmodule Telling do
     @behaviour Situ.Infer.Speech.Recognizer
