@@ -24,6 +24,29 @@ async function objections(page) {
   });
 }
 
+test("axe: every canvas says in words what it shows", async ({ page }) => {
+  await open(page, main, "minute.0000");
+  await page.click("#tree .node[data-stream='Speech.Scores'] .name");
+  await page.click("button[phx-value-viz='bars']");
+  await until(
+    page,
+    () => {
+      const labels = [...document.querySelectorAll("[data-panel] canvas")].map((c) => c.getAttribute("aria-label"));
+      return labels.length > 5 && labels.every((l) => / of \S/.test(l ?? ""));
+    },
+    "all have a text alternative",
+  );
+  await dispatch(page, { type: "view", from: 10e9, to: 20e9 });
+  await until(
+    page,
+    () =>
+      document.querySelector(
+        "canvas[aria-label^='Lanes of Vad.Speaking, '][aria-label$=' from 0:10.000 to 0:20.000']",
+      ),
+    "which follows the view",
+  );
+});
+
 const screens = {
   home: (page) => page.goto(main),
   recording: (page) => open(page, main, "minute.0000"),

@@ -232,6 +232,12 @@ restart = fn restart, mortal ->
   restart.(restart, mortal)
 end
 
+# Recordings of the demo, of which the pictures of the guide are made.
+shown = Path.join(work, "shown")
+
+{:ok, demo} =
+  Situ.Studio.start_link(id: "demo", port: 0, path: shown, pipelines: [factory], layouts: layouts)
+
 base = &(&1 |> Situ.Studio.url() |> String.trim_trailing("/"))
 
 IO.puts(
@@ -244,6 +250,8 @@ IO.puts(
       "behind" => Situ.Studio.url(behind),
       "behind_port" => Situ.Studio.port(behind),
       "away" => signal,
+      "demo" => base.(demo),
+      "shown" => shown,
       "sensor" => sensed,
       "folder" => folder,
       "random" => random,

@@ -7,6 +7,7 @@ import "./truth_tests.mjs";
 import "./random_tests.mjs";
 import "./cursor_tests.mjs";
 import "./live_tests.mjs";
+import "./together_tests.mjs";
 import "./pipeline_tests.mjs";
 import "./layout_tests.mjs";
 import "./annotation_tests.mjs";

@@ -15,6 +15,7 @@ import { hooks as extraHooks } from "./hooks.js";
 import { seriesColor } from "./page/theme.js";
 import { showStatistics } from "./page/statistics.js";
 import { toast } from "./page/toast.js";
+import { Together } from "./page/together.js";
 
 let studio = null;
 
@@ -39,6 +40,7 @@ function page() {
     moved: (href) => window.liveSocket?.main?.setHref(href),
   });
   studio.palette = new Palette(studio);
+  studio.together = new Together(studio);
   window.situStudio = studio;
   return studio;
 }
@@ -62,6 +64,7 @@ const hooks = {
         app.time.dispatch({ type: "nudge", by: from - app.time.get().cursor });
         if (to > from) app.time.dispatch({ type: "zoomSel" });
       });
+      this.handleEvent("together", (told) => app.together.heard(told));
       this.handleEvent("zoom_to", ({ from, to }) => {
         app.time.dispatch({ type: "view", from: app.client.rel(BigInt(from)), to: app.client.rel(BigInt(to)) });
       });
@@ -72,6 +75,7 @@ const hooks = {
       page().setLayout(layout, edit, annotate);
     },
     destroyed() {
+      studio?.together.destroy();
       studio?.destroy();
       studio = null;
     },

@@ -42,6 +42,8 @@ export const commands = {
     });
   },
 
+  together: (app) => app.together?.toggle(),
+
   undo: (app) => app.options.push?.("undo", {}),
   redo: (app) => app.options.push?.("redo", {}),
   beside: (app) => app.options.push?.("beside", {}),

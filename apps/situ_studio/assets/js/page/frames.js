@@ -1,6 +1,7 @@
 // Drawing, and its moments: views that changed are drawn once per picture of the browser.
 
 import { Overlay } from "../time/overlay.js";
+import { describe } from "./alternative.js";
 
 export class Frames {
   constructor(time) {
@@ -37,7 +38,11 @@ export class Frames {
       this.frame = null;
       const views = [...this.dirty];
       this.dirty.clear();
-      for (const v of views) if (this.views.has(v)) v.render();
+      for (const v of views) {
+        if (!this.views.has(v)) continue;
+        v.render();
+        describe(v, () => this.time.get());
+      }
       this.drawn.count++;
     });
   }

@@ -13,6 +13,8 @@ defmodule Situ.Studio.Application do
     # One registry for all studios of the VM: pages find their studio by the name in their session.
     children = [
       {Registry, keys: :unique, name: Situ.Studio.Registry},
+      # and pages that look at the same find one another
+      {Registry, keys: :duplicate, name: Situ.Studio.Peers},
       {Task.Supervisor, name: Situ.Studio.Tasks}
     ]
 

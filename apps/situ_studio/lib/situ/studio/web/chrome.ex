@@ -143,6 +143,7 @@ defmodule Situ.Studio.Web.Chrome do
       <button :if={@snap} class="snapped" type="button" phx-click="snap" phx-value-stream={@snap}
           title="Release the cursor">cursor snaps to {@snap} ×</button>
       <span class="grow"></span>
+      <span id="together" phx-update="ignore"></span>
       <a class="linkish" href="settings" data-settings><kbd>o</kbd> settings</a>
       <button class="linkish" type="button" data-act="help"><kbd>?</kbd> keys</button>
       <button class="linkish" type="button" data-act="palette"><kbd>Ctrl+K</kbd> commands</button>

@@ -30,7 +30,8 @@ defmodule Situ.Studio.Web.MainView do
     QueryPanel,
     Side,
     SourceList,
-    StreamTree
+    StreamTree,
+    Together
   }
 
   @refresh_ms 2_000
@@ -78,7 +79,7 @@ defmodule Situ.Studio.Web.MainView do
         stream = known(params["stream"], shapes)
         socket = assign(socket, snap: known(params["snap"], shapes))
         socket = assign(socket, selected: stream && {:stream, stream})
-        socket = LayoutMenu.choose(socket, params)
+        socket = socket |> LayoutMenu.choose(params) |> Together.join()
         {:ok, socket |> Derivation.known(&load_streams/1) |> Annotation.restore(params)}
 
       {:error, error} ->
@@ -207,6 +208,8 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("query_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
     do: {:noreply, QueryPanel.handle_event(event, params, socket)}
 
+  def handle_event("together", params, socket), do: {:noreply, Together.tell(socket, params)}
+
   def handle_event("dialog_close", _, socket), do: {:noreply, assign(socket, dialog: nil)}
 
   def handle_event(event, params, socket) when is_map_key(socket.assigns, :layout) do
@@ -242,6 +245,8 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_info({:found, run, result}, socket),
     do: {:noreply, QueryPanel.found(socket, run, result)}
+
+  def handle_info({:together, told}, socket), do: {:noreply, Together.heard(socket, told)}
 
   def handle_info({:situ_annotation, _, _}, socket), do: {:noreply, Annotation.tell(socket)}
 

@@ -171,14 +171,18 @@ defmodule Situ.Studio.Web.Panels do
 
   # The last part of a name, as long as it tells the streams of a panel apart.
   defp short_names(vis) do
-    last = Enum.map(vis, &((&1.stream |> String.split(".") |> List.last()) <> &1.path))
+    last = Enum.map(vis, &((&1.stream |> parts() |> List.last()) <> &1.path))
 
     for {v, name} <- Enum.zip(vis, last) do
       if Enum.count(last, &(&1 == name)) == 1,
         do: name,
-        else: (v.stream |> String.split(".") |> Enum.take(-2) |> Enum.join(".")) <> v.path
+        else: (v.stream |> parts() |> Enum.take(-2) |> Enum.join(".")) <> v.path
     end
   end
+
+  # Points of an expression are not those of a name.
+  defp parts("= " <> _ = stream), do: [stream]
+  defp parts(stream), do: String.split(stream, ".")
 
   # A stream that is not there (yet) is drawn as its layout says: it may come.
   defp visualizer(vis, %{shapes: shapes, extra: extra}) do

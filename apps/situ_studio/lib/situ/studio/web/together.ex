@@ -1,0 +1,60 @@
+defmodule Situ.Studio.Web.Together do
+  @moduledoc false
+  # Several browsers on one recording or pipeline: each that shares where it looks tells the others, which show its
+  # cursor, or follow it. The server only passes on; nothing is kept.
+  import Situ.Live.Socket, only: [connected?: 1, push_event: 3]
+
+  alias Situ.Live.Socket
+  alias Situ.Studio.WholeNumber
+
+  @registry Situ.Studio.Peers
+
+  @doc "From now on this page hears of others that look at the same."
+  @spec join(Socket.t()) :: Socket.t()
+  def join(%{assigns: assigns} = socket) do
+    if connected?(socket), do: {:ok, _} = Registry.register(@registry, key(assigns), nil)
+    socket
+  end
+
+  defp key(%{studio: studio, id: id}), do: {studio, id}
+
+  @doc "Tells the others where this page looks; what is no such message is dropped."
+  @spec tell(Socket.t(), map()) :: Socket.t()
+  def tell(%{assigns: assigns} = socket, params) do
+    with {:ok, told} <- told(params) do
+      page = self()
+
+      Registry.dispatch(@registry, key(assigns), fn pages ->
+        for {pid, _} <- pages, pid != page, do: send(pid, {:together, told})
+      end)
+    end
+
+    socket
+  end
+
+  @doc "Another page has told where it looks."
+  @spec heard(Socket.t(), map()) :: Socket.t()
+  def heard(socket, told), do: push_event(socket, "together", told)
+
+  # {who, name, cursor, view, sel, live} as the page makes it: times are whole ns as text.
+  defp told(%{"who" => who, "name" => name, "cursor" => cursor, "view" => [from, to]} = params)
+       when is_binary(who) and byte_size(who) <= 40 and is_binary(name) do
+    with {:ok, _} <- WholeNumber.parse(cursor),
+         {:ok, a} <- WholeNumber.parse(from),
+         {:ok, b} when b > a <- WholeNumber.parse(to) do
+      {:ok,
+       %{
+         who: who,
+         name: String.slice(name, 0, 60),
+         cursor: cursor,
+         view: [from, to],
+         live: params["live"] == true,
+         gone: params["gone"] == true
+       }}
+    else
+      _ -> :error
+    end
+  end
+
+  defp told(_), do: :error
+end

@@ -1,0 +1,132 @@
+// The pictures of the guide "The studio", made of the demo's recording: `test/browser/run --pictures RECORDINGS`, where
+// RECORDINGS is the folder that `bin/demo --out` has written. Written into docs/images.
+import { chromium } from "playwright-core";
+import { spawn } from "node:child_process";
+import { join } from "node:path";
+import { answer, dispatch, open, settled, state } from "./studio_page.mjs";
+import { until } from "./harness.mjs";
+
+const [site, to, only = ""] = process.argv.slice(2);
+const { demo, shown } = JSON.parse(site);
+const S = 1e9;
+
+const recording = async (page) => {
+  await open(page, demo, "Talk.0000");
+};
+
+// The view, the selection and the cursor, in seconds.
+async function look(page, view, sel, at) {
+  await dispatch(page, { type: "view", from: view[0] * S, to: view[1] * S });
+  if (sel) await dispatch(page, { type: "select", from: sel[0] * S, to: sel[1] * S });
+  await dispatch(page, { type: "nudge", by: at * S - (await state(page)).cursor });
+  await settled(page);
+}
+
+const PICTURES = {
+  timelines: async (page) => {
+    await recording(page);
+    await look(page, [3.5, 9.5], [4.9, 6.9], 5.35);
+  },
+  values: async (page) => {
+    await recording(page);
+    await look(page, [0, 14], null, 5.35);
+    await page.click("#tree .node[data-stream='Talk.Faces'] .name");
+    await page.click("button[phx-value-viz='value']");
+    await until(page, () => document.querySelector(".value-tree .row"), "the value");
+    const row = page.locator(".value-tree .row", { has: page.locator(".k", { hasText: /^x$/ }) }).first();
+    await row.hover();
+    await row.locator(".plot-path").click();
+    await until(
+      page,
+      () =>
+        [...window.situStudio.views].some((v) => v.layers?.some((l) => l.vis.path && l.channel.series.length > 9)),
+      "its plot",
+    );
+  },
+  derived: async (page) => {
+    await recording(page);
+    await look(page, [3.5, 9.5], null, 5.35);
+    await page.click("#tree .node[data-stream='Talk.Sound']", { button: "right" });
+    await page.click("#menu button:has-text('Show as spectrogram')");
+    await until(
+      page,
+      () => [...window.situStudio.views].some((v) => v.layers?.some((l) => l.spectra?.length > 50)),
+      "the spectrogram",
+    );
+    await page.keyboard.press("e");
+    await answer(page, "`Talk.Voice.Probability` > 0.5");
+    await until(page, () => document.querySelector("#tree [data-stream^='= ']"), "the derived stream");
+  },
+  annotation: async (page) => {
+    await recording(page);
+    await look(page, [0, 14], null, 5.35);
+    await page.keyboard.press("a");
+    await page.fill("#annotation-new [name=name]", "Turns");
+    await page.fill("#annotation-new textarea", "speaks 1 #4cc38a\nlaughs 2 #e0b93c");
+    await page.click("#annotation-new button[type=submit]");
+    await until(page, () => window.situStudio.annotation?.told.attributes.length === 1, "the annotations");
+    for (const [from, to, value] of [
+      [0.4, 3.6, "speaks"],
+      [4.9, 6.9, "speaks"],
+      [6.9, 7.6, "laughs"],
+    ])
+      await page.evaluate(
+        ([a, b, v]) => {
+          const { annotation, client } = window.situStudio;
+          annotation.push("add", { from: client.abs(a), to: client.abs(b), track: "1", values: { Turns: v } });
+        },
+        [from * S, to * S, value],
+      );
+    await until(page, () => window.situStudio.annotation.told.items.length === 3, "three");
+    await page.click("#tree .node[data-stream='Talk.Voice.Segments']", { button: "right" });
+    await page.click("#menu button:has-text('Propose annotations')");
+    await until(page, () => window.situStudio.annotation.told.items.some((a) => a.proposed), "proposals");
+  },
+  keys: async (page) => {
+    await recording(page);
+    await page.keyboard.press("?");
+  },
+  settings: async (page) => {
+    await page.goto(`${demo}/settings`);
+    await until(page, () => document.querySelectorAll(".keys .btn").length > 40, "the keys");
+  },
+  // the demo once more, at the speed of the clip, looked at while it is recorded
+  live: async (page) => {
+    const child = spawn("bin/demo", ["--headless", "--json", "--realtime", "--out", shown], { stdio: "ignore" });
+    const ended = new Promise((done) => child.on("exit", done));
+    await page.goto(demo);
+    await page.waitForSelector(".home .item[href='s/Talk.0001']", { timeout: 120_000 });
+    await open(page, demo, "Talk.0001");
+    await until(page, () => window.situStudio.time.get().data[1] > 9e9, "nine seconds");
+    await page.screenshot({ path: join(to, "studio-live.png") });
+    await ended;
+  },
+  pipeline: async (page) => {
+    await page.goto(`${demo}/p/Factory?heat=busy`);
+    await until(page, () => document.querySelector(".graph .node"), "the graph");
+    await page.click('.graph .node[data-path="Slow.Heavy"]');
+    await until(
+      page,
+      () => /max/.test(document.querySelector("#plot-memory output")?.textContent ?? ""),
+      "its past is plotted",
+    );
+    await page.waitForTimeout(3000);
+  },
+};
+
+const browser = await chromium.launch({
+  executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
+  args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+});
+for (const [name, show] of Object.entries(PICTURES)) {
+  if (!name.includes(only)) continue;
+  const context = await browser.newContext({ viewport: { width: 1440, height: 810 }, colorScheme: "dark" });
+  const page = await context.newPage();
+  await show(page);
+  await page.evaluate(() => document.getElementById("toast")?.classList.remove("on"));
+  await page.waitForTimeout(500);
+  if (name !== "live") await page.screenshot({ path: join(to, `studio-${name}.png`) });
+  console.log(`studio-${name}.png`);
+  await context.close();
+}
+await browser.close();
