@@ -1,5 +1,5 @@
-// Several browsers on one recording: who shares where they look is seen by the others, who may follow. The server passes
-// on and keeps nothing.
+// Several browsers on one recording: who shares where they look is seen by the others, who may follow. The server
+// passes on and keeps nothing.
 
 import { annotator } from "../annotation/annotator.js";
 import { GUTTER, seriesColor } from "./theme.js";
