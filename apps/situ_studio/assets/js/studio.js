@@ -114,7 +114,7 @@ export class Studio {
     const at = absolute(Number(reply.to - this.client.origin), this.client.origin).slice(11, 19);
     this.connection.ended(`ended ${at}`);
     this.time.dispatch({ type: "live", on: false });
-    toast(`It has ended at ${at}. Everything seen of it stays here.`);
+    toast(`The source ended at ${at}. The page keeps its data.`);
   }
 
   // A snapped cursor moves to where the server found the message.
@@ -141,7 +141,7 @@ export class Studio {
   act(name) {
     const s = this.time.get();
     if (name === "live" && s.mode !== "live" && !this.growing) {
-      return toast("Nothing is being recorded here: there is nothing to follow live");
+      return toast("This recording has ended: there is nothing to follow live");
     }
     if ((name === "back" || name === "on" || name === "jumpBack" || name === "jumpOn") && this.client.snap) {
       return this.step(name);

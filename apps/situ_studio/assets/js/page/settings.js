@@ -61,7 +61,7 @@ export const SETTINGS = [
   },
   {
     id: "live",
-    title: "Shown of what is live",
+    title: "Time span of a live view",
     usual: 30 * SECOND,
     choices: [
       [10 * SECOND, "10 s"],

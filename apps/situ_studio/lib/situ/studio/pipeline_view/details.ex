@@ -133,7 +133,7 @@ defmodule Situ.Studio.PipelineView.Details do
             class="sub">{e.from_output} → {e.to_input}, {e.policy}{if e.kind == :inline, do: ", inside one process"}</p>
       </div>
       <h3>Last messages</h3>
-      <p :if={@messages == []} class="hint">None is kept or none has come yet.</p>
+      <p :if={@messages == []} class="hint">No message has come yet, or none is kept.</p>
       <ol class="messages">
         <li :for={m <- @messages}
             :key={m.originating_time}><time>{clock(m.originating_time)}</time><code>{short(m.data)}</code></li>
@@ -193,7 +193,7 @@ defmodule Situ.Studio.PipelineView.Details do
   defp gone(assigns) do
     ~H"""
     <div class="side-title">Gone</div>
-    <div class="props"><p class="hint">What was selected is no longer part of the pipeline.</p></div>
+    <div class="props"><p class="hint">The selected component is no longer part of the pipeline.</p></div>
     """
   end
 

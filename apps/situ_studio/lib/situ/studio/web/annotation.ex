@@ -298,7 +298,8 @@ defmodule Situ.Studio.Web.Annotation do
           <button class="btn primary" type="submit">Annotate</button>
           <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
         </div>
-        <p class="hint">They are kept beside the recording, which stays as it is. Every edit is on the disk at once.</p>
+        <p class="hint">Annotations are kept beside the recording, which never changes. Every edit is saved at
+        once.</p>
       </form>
       <form :if={@streams != []} id="annotation-own" class="inline" phx-submit="annotation_own">
         <select name="stream" aria-label="Annotations whose schema is used"><option

@@ -100,7 +100,7 @@ defmodule Situ.Studio.Web.HomeView do
           <span><.badges item={item} facts={@facts[item.path]} /></span></a>
       </div>
       <p :if={@more > 0} class="hint">{@more} more: search to find them</p>
-      <p :if={@items == []} class="hint">Nothing has been recorded here yet; what is recorded shows up by itself.
+      <p :if={@items == []} class="hint">Nothing has been recorded here yet; new recordings appear by themselves.
         <code>bin/demo</code> makes a first recording.</p>
       <div id="toast" role="status" phx-update="ignore"></div>
     </main>

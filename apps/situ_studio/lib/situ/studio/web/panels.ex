@@ -101,7 +101,7 @@ defmodule Situ.Studio.Web.Panels do
   defp maximise(assigns) do
     ~H"""
     <button class="mini" type="button" phx-click="maximise" phx-value-id={@panel.id}
-        title={if @max == @panel.id, do: "Back among the others (m)", else: "Fill the window (m)"}
+        title={if @max == @panel.id, do: "Back to all panels (m)", else: "Fill the window (m)"}
         aria-label={if(@max == @panel.id, do: "Restore ", else: "Maximise ") <> names(@panel)}
         ><.icon name={if @max == @panel.id, do: :shrink, else: :grow} /></button>
     """

@@ -20,7 +20,7 @@ defmodule Situ.Studio.Web.QueryPanel do
   def handle_event("query_open", _, socket) do
     if offered?(socket.assigns),
       do: assign(socket, query_panel: socket.assigns.query_panel || new()),
-      else: toast(socket, "Only recordings on disk can be looked through")
+      else: toast(socket, "Only recordings on disk can be searched")
   end
 
   def handle_event("query_close", _, socket), do: assign(socket, query_panel: nil)

@@ -20,7 +20,7 @@ defmodule Situ.Studio.Web.SchemaDialog do
             <select name={"attribute[#{i}][kind]"} aria-label={"Kind of " <> a.name}>
               <option :for={{kind, title} <- kinds()} value={kind} selected={kind == a.kind}>{title}</option></select>
             <button class="btn" type="button" phx-click="annotation_row" phx-value-do="remove" phx-value-at={i}
-                aria-label={"Remove " <> a.name} title="Remove it, and what annotations say of it">×</button>
+                aria-label={"Remove " <> a.name} title="Remove it, also from all annotations">×</button>
           </div>
           <div :for={{v, k} <- Enum.with_index(a.values)} :if={a.kind == "finite"} :key={k} class="schema-row value">
             <input name={"attribute[#{i}][values][#{k}][value]"} value={v.value} aria-label="Value" placeholder="Value"
@@ -44,7 +44,7 @@ defmodule Situ.Studio.Web.SchemaDialog do
           <button class="btn primary" type="submit">Save</button>
           <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
         </div>
-        <p class="hint">What is renamed is renamed in every annotation. A value that annotations have cannot be
+        <p class="hint">A new name applies to every annotation. A value that annotations have cannot be
           removed.</p>
       </form>
     </dialog>

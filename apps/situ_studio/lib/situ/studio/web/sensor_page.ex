@@ -21,7 +21,7 @@ defmodule Situ.Studio.Web.SensorPage do
     <body>
       <main class="message">
         <h1>This page is a sensor</h1>
-        <p>Its camera and microphone go to the pipeline that waits for them, as long as it is open.</p>
+        <p>While it is open it sends its camera and microphone to the pipeline that waits for them.</p>
         <p><label>Camera <select id="camera"></select></label>
            <label>Microphone <select id="microphone"></select></label></p>
         <p><button class="btn" id="start" type="button">Start</button>

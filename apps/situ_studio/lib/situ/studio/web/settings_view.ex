@@ -45,9 +45,9 @@ defmodule Situ.Studio.Web.SettingsView do
     ~H"""
     <main class="home settings" id="settings" phx-hook="Lists">
       <h1><a href="." title="All recordings" aria-label="All recordings"><.logo /></a><span>Settings</span></h1>
-      <section aria-label="Of this studio">
-        <h2>Of this studio, for everybody</h2>
-        <p :if={@read_only} class="hint">This studio is read only: they stay as they are.</p>
+      <section aria-label="Settings of this studio">
+        <h2>This studio, for everybody</h2>
+        <p :if={@read_only} class="hint">This studio is read only: its settings cannot be changed.</p>
         <form id="server-settings" phx-change="settings" phx-submit="settings">
           <div class="field"><label for="setting-layout">A recording opens with the layout</label>
             <select id="setting-layout" name="layout" disabled={@read_only}>
@@ -65,8 +65,8 @@ defmodule Situ.Studio.Web.SettingsView do
             </select></div>
         </form>
       </section>
-      <section aria-label="Of this browser">
-        <h2>Of this browser</h2>
+      <section aria-label="Settings of this browser">
+        <h2>This browser</h2>
         <div id="browser-settings" phx-hook="BrowserSettings" phx-update="ignore"></div>
       </section>
       <div id="toast" role="status" phx-update="ignore"></div>

@@ -50,7 +50,7 @@ defmodule Situ.Studio.Web.Dataset.Page do
             placeholder="Search sessions, tags, metadata, recordings and streams  /"
             aria-label="Search sessions, tags, metadata, recordings and streams">
         <button class="mini" type="button" phx-click="info_next" title={"Beside the names: #{@info}"}
-            aria-label="Show something else beside the names"><.icon name={:info} /></button>
+            aria-label="Choose the figures beside the names"><.icon name={:info} /></button>
         <button class="mini" type="button" phx-click="fold_all" title="Fold all" aria-label="Fold all">⊟</button>
         <button class="mini" type="button" phx-click="unfold_all" title="Unfold all"
             aria-label="Unfold all">⊞</button>
