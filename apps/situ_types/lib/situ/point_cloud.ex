@@ -56,7 +56,10 @@ defmodule Situ.PointCloud do
   @doc "The points as a list; those whose coordinates are not finite are left out."
   @spec to_points(t()) :: [Vector3.t()]
   def to_points(%__MODULE__{points: points}) do
-    for <<x::little-float-32, y::little-float-32, z::little-float-32 <- points>>, do: {x, y, z}
+    # a generator over the bytes would end at the first that is no number
+    for <<point::binary-size(12) <- points>>,
+        <<x::little-float-32, y::little-float-32, z::little-float-32>> <- [point],
+        do: {x, y, z}
   end
 
   @doc "How many points."

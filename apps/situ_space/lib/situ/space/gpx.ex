@@ -10,6 +10,7 @@ defmodule Situ.Space.Gpx do
   @behaviour Situ.Store.Reader
 
   alias Situ.{Error, GeoPoint, Message, Time}
+  alias Situ.Space.Scan.Text
   alias Situ.Store.StreamInfo
 
   @enforce_keys [:path, :points]
@@ -82,10 +83,10 @@ defmodule Situ.Space.Gpx do
         bad("its first element is not gpx")
 
       {_error, _where, reason, _open, _state} ->
-        bad("it is not well-formed XML: #{text(reason)}")
+        bad("it is not well-formed XML: #{said(reason)}")
 
       {:error, reason} ->
-        bad("it is not well-formed XML: #{text(reason)}")
+        bad("it is not well-formed XML: #{said(reason)}")
     end
   catch
     _kind, reason -> bad("it is not well-formed XML: #{inspect(reason, limit: 3)}")
@@ -135,14 +136,14 @@ defmodule Situ.Space.Gpx do
   defp number(nil), do: nil
 
   defp number(text) do
-    case text |> List.to_string() |> String.trim() |> Float.parse() do
-      {x, ""} -> x
-      _ -> nil
+    case text |> List.to_string() |> String.trim() |> Text.float() do
+      {:ok, x} -> x
+      :error -> nil
     end
   end
 
-  defp text(reason) when is_list(reason), do: reason |> :unicode.characters_to_binary() |> words()
-  defp text(reason), do: inspect(reason, limit: 5)
+  defp said(reason) when is_list(reason), do: reason |> :unicode.characters_to_binary() |> words()
+  defp said(reason), do: inspect(reason, limit: 5)
 
   defp words(text) when is_binary(text), do: text
   defp words(other), do: inspect(other, limit: 5)

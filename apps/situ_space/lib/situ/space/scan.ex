@@ -5,6 +5,7 @@ defmodule Situ.Space.Scan do
   | ending | what is read | stream |
   |---|---|---|
   | `.las` | LAS 1.0 to 1.4, not compressed, with colours | `Points`: a `Situ.PointCloud` |
+  | `.obj` | OBJ: vertices and faces, without materials | `Mesh`, or `Points` where there are no faces |
   | `.pcd` | PCD 0.7 as text, bytes or compressed bytes, with colours | `Points` |
   | `.ply` | PLY as text or little-endian bytes, with colours or faces | `Points`, or `Mesh`: a `Situ.Mesh` |
 
@@ -15,7 +16,7 @@ defmodule Situ.Space.Scan do
   @behaviour Situ.Store.Reader
 
   alias Situ.{Error, Mesh, Message, PointCloud}
-  alias Situ.Space.Scan.{Las, Pcd, Ply}
+  alias Situ.Space.Scan.{Las, Obj, Pcd, Ply}
   alias Situ.Store.StreamInfo
 
   @enforce_keys [:path, :data, :origin]
@@ -34,7 +35,7 @@ defmodule Situ.Space.Scan do
   def read(path), do: with({:ok, scan} <- open(path, []), do: {:ok, scan.data})
 
   @impl true
-  def extensions, do: [".las", ".pcd", ".ply"]
+  def extensions, do: [".las", ".obj", ".pcd", ".ply"]
 
   @impl true
   def open(path, _opts) do
@@ -60,6 +61,9 @@ defmodule Situ.Space.Scan do
   end
 
   defp parse(".las", bytes), do: Las.read(bytes)
+
+  defp parse(".obj", bytes),
+    do: with({:ok, data} <- Obj.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})
 
   defp parse(".pcd", bytes),
     do: with({:ok, data} <- Pcd.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})

@@ -37,11 +37,12 @@ defmodule Situ.Space.GpxTest do
           point.(9, time.(1)),
           point.(95, time.(3)),
           point.("x", time.(4)),
+          point.(String.duplicate("9", 400), time.(5)),
           point.(3, ""),
           point.(3, "<time>noon</time>")
         ]) <> "</trk></gpx>"
 
-    assert {:ok, points, 4} = Gpx.parse(xml)
+    assert {:ok, points, 5} = Gpx.parse(xml)
     assert Enum.map(points, fn {_, p} -> p.latitude end) == [1.0, 2.0]
   end
 

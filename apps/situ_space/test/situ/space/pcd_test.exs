@@ -74,6 +74,12 @@ defmodule Situ.Space.Scan.PcdTest do
     assert [%{name: "Points", type: PointCloud, count: 1}] = Store.streams(store)
   end
 
+  test "a number of hundreds of digits is no number" do
+    text = String.replace(@text, "0.93773", String.duplicate("9", 400))
+    assert {:ok, cloud} = Pcd.read(text)
+    assert [{_, _, _}] = PointCloud.to_points(cloud)
+  end
+
   test "what is damaged is an error in words" do
     for {text, words} <- [
           {"", "no line DATA"},

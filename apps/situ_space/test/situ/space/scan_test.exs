@@ -26,6 +26,17 @@ defmodule Situ.Space.ScanTest do
     assert {Float.round(x, 2), Float.round(y, 2)} == {635_619.85, 848_899.7}
   end
 
+  doctest Situ.Space.Scan.Text
+
+  test "PLY as text: a number of hundreds of digits is an error" do
+    text =
+      "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n" <>
+        "property float z\nend_header\n#{String.duplicate("9", 400)}.5 2 3\n"
+
+    assert {:error, %{code: :bad_file, why: why}} = Ply.read(text)
+    assert why =~ "holds no numbers"
+  end
+
   test "PLY as text: a cloud with colours" do
     text =
       "ply\nformat ascii 1.0\ncomment made by hand\nelement vertex 2\n" <>

@@ -3,6 +3,7 @@ defmodule Situ.Space.Scan.Pcd do
   # PCD, the files of the Point Cloud Library: a header in text, then the points as text, as bytes, or as bytes that are
   # compressed by LZF, field by field. Source: pointclouds.org, "The PCD (Point Cloud Data) file format", version 0.7.
   alias Situ.{Error, PointCloud}
+  alias Situ.Space.Scan.Text
 
   @most_points 50_000_000
   @nan <<0, 0, 0xC0, 0x7F>>
@@ -195,9 +196,9 @@ defmodule Situ.Space.Scan.Pcd do
   defp value(_, _, _), do: :nan
 
   defp word(text, "F") do
-    case Float.parse(text) do
-      {x, ""} -> x
-      _ -> :nan
+    case Text.float(text) do
+      {:ok, x} -> x
+      :error -> :nan
     end
   end
 

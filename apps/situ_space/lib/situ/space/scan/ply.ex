@@ -3,6 +3,7 @@ defmodule Situ.Space.Scan.Ply do
   # PLY, as text or little-endian bytes: vertices with x, y, z and perhaps red, green, blue; faces as lists of vertices.
   # Source: G. Turk, The PLY Polygon File Format, 1994.
   alias Situ.{Error, Mesh, PointCloud}
+  alias Situ.Space.Scan.Text
 
   @types %{
     "char" => {:int, 1},
@@ -141,7 +142,7 @@ defmodule Situ.Space.Scan.Ply do
   defp number(word) do
     case Integer.parse(word) do
       {n, ""} -> n
-      _ -> with {x, ""} <- Float.parse(word), do: x, else: (_ -> throw(:no_number))
+      _ -> with {:ok, x} <- Text.float(word), do: x, else: (_ -> throw(:no_number))
     end
   end
 

@@ -1,0 +1,86 @@
+defmodule Situ.Space.Scan.Obj do
+  @moduledoc false
+  # OBJ by Wavefront: the lines `v x y z` (perhaps with a colour) and `f a b c ...`; normals, textures, materials and
+  # curves are passed over. Numbers of vertices begin at 1; negative ones count back from the last vertex.
+  alias Situ.{Error, Mesh, PointCloud}
+  alias Situ.Space.Scan.Text
+
+  @most 50_000_000
+
+  @doc "A mesh where there are faces, else a cloud."
+  @spec read(binary()) :: {:ok, Mesh.t() | PointCloud.t()} | {:error, Error.t()}
+  def read(text) do
+    {vertices, colors, faces, count} =
+      text
+      |> String.split(["\r\n", "\n"], trim: true)
+      |> Enum.reduce({[], [], [], 0}, &line(String.split(&1), &2))
+
+    points = vertices |> Enum.reverse() |> IO.iodata_to_binary()
+
+    cond do
+      count == 0 -> bad("it has no vertices")
+      faces == [] -> PointCloud.new(points, colors(colors, count))
+      true -> Mesh.new(points, faces |> Enum.reverse() |> IO.iodata_to_binary())
+    end
+  catch
+    {:bad, why} -> bad(why)
+  end
+
+  defp bad(why),
+    do: {:error, Error.new(:bad_file, "this is no OBJ file that can be read", why: why)}
+
+  defp line(["v", x, y, z | more], {vertices, colors, faces, count}) when count < @most do
+    place = for word <- [x, y, z], into: <<>>, do: <<number(word)::little-float-32>>
+    {[place | vertices], color(more, colors), faces, count + 1}
+  end
+
+  defp line(["v" | _], _acc), do: throw({:bad, "a vertex has fewer than three numbers"})
+
+  # Polygons as fans of triangles.
+  defp line(["f", a, b, c | more], {vertices, colors, faces, count}) do
+    [a | others] = Enum.map([a, b, c | more], &index(&1, count))
+
+    fan =
+      for {b, c} <- Enum.zip(others, tl(others)),
+          into: <<>>,
+          do: <<a::little-32, b::little-32, c::little-32>>
+
+    {vertices, colors, [fan | faces], count}
+  end
+
+  defp line(["f" | _], _acc), do: throw({:bad, "a face has fewer than three vertices"})
+  defp line(_words, acc), do: acc
+
+  defp color([r, g, b], colors),
+    do: [for(word <- [r, g, b], into: <<>>, do: <<tone(number(word))>>) | colors]
+
+  defp color(_weight, colors), do: colors
+
+  defp tone(x), do: round(255 * (x |> max(0.0) |> min(1.0)))
+
+  # Where some vertices have none, nobody knows whose they are.
+  defp colors(colors, count) when length(colors) == count,
+    do: colors |> Enum.reverse() |> IO.iodata_to_binary()
+
+  defp colors(_colors, _count), do: nil
+
+  defp number(word) do
+    case Text.float(word) do
+      {:ok, x} when abs(x) < 3.4e38 -> x
+      _ -> throw({:bad, "#{inspect(String.slice(word, 0, 40))} is no number"})
+    end
+  end
+
+  defp index(word, count) do
+    case Integer.parse(word) do
+      {n, rest} when n in 1..count//1 and (rest == "" or binary_part(rest, 0, 1) == "/") ->
+        n - 1
+
+      {n, rest} when n < 0 and n >= -count and (rest == "" or binary_part(rest, 0, 1) == "/") ->
+        count + n
+
+      _ ->
+        throw({:bad, "a face names vertex #{inspect(String.slice(word, 0, 40))} of #{count}"})
+    end
+  end
+end
