@@ -191,7 +191,11 @@ defmodule Situ.Cluster.Runner do
     %{state | keeper: keeper}
   end
 
-  defp run(state, :done, _failed), do: %{state | phase: :done}
+  # The node before may have been lost between its last checkpoint and the note of its end.
+  defp run(state, :done, _failed) do
+    note(state, %{"State" => "done"}, "")
+    %{state | phase: :done}
+  end
 
   defp run(state, memories, failed) do
     case Assembly.start(state.deployment, state.plan, state.part, %{
