@@ -1,4 +1,4 @@
-// What is on a map: the grid of degrees, the ways, where they are now, a scale. All in pixels of the page.
+// The drawing of a map: the grid of degrees, the ways, the present positions, a scale. All in pixels of the page.
 
 import { gridStep, perMetre, scale, tiles, toLatitude, toLongitude, toX, toY } from "./mercator.js";
 import { until } from "./track.js";
@@ -47,7 +47,7 @@ export function drawTiles(ctx, map, width, height, fetch) {
   }
 }
 
-// What is behind the cursor stands out, what is to come is faint.
+// The part of a way before the cursor stands out, the part after it is faint.
 export function drawWay(ctx, map, { track, color, width, points }, cursor) {
   const now = until(track, cursor);
   ctx.strokeStyle = ctx.fillStyle = color;

@@ -1,4 +1,4 @@
-// What a canvas shows, in words, for those who do not see it: which streams, from when to when. The values at the
+// The contents of a canvas in words, for users who do not see it: which streams, from when to when. The values at the
 // cursor stand in the legends and tips, which are text.
 
 import { relative } from "../time/text.js";

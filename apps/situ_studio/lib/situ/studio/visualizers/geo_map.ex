@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Visualizers.GeoMap do
   @moduledoc """
   Places on the Earth (`Situ.GeoPoint`, or maps with latitude and longitude) on a map: the way of the whole recording,
-  and where it is at the cursor. What can be told as a place: `Situ.GeoPoint.of/1`.
+  and where it is at the cursor. `Situ.GeoPoint.of/1` lists the values that are places.
   """
   @behaviour Situ.Studio.Visualizer
 
