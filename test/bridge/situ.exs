@@ -87,7 +87,9 @@ case System.argv() do
       ^data = :binary.copy(<<1, 2, 3>>, 8)
       {:ok, imu} = Store.read(store, "/imu")
       20 = length(imu)
-      [3.5 | _] = for %{data: m} <- imu, do: m["linear_acceleration"]["z"]
+      [3.5 | _] = for %{data: %Situ.ImuReading{acceleration: {_, _, z}}} <- imu, do: z
+      maps = Store.open!(path, reader_opts: [messages: :maps])
+      {:ok, imu} = Store.read(maps, "/imu")
       [5_000_000_007 | _] = for %{data: m} <- imu, do: m["header"]["stamp"]
     end
 
@@ -131,7 +133,7 @@ case System.argv() do
       Situ.Pipeline.start_link(fn p ->
         p
         |> Ros.subscribe("/imu", master: master)
-        |> Situ.map(fn imu, m -> {m.originating_time, imu["linear_acceleration"]["z"]} end)
+        |> Situ.map(fn %{acceleration: {_, _, z}}, m -> {m.originating_time, z} end)
         |> Situ.each(&send(me, {:got, &1}))
       end)
 
