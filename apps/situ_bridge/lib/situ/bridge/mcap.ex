@@ -6,16 +6,16 @@ defmodule Situ.Bridge.Mcap do
   alias Situ.Store.{StreamInfo, Undecoded}
 
   @schema [
-    times: [
-      type: {:in, [:log, :publish, :header]},
-      default: :log,
-      doc:
-        "Originating times: when a message was recorded (`:log`; the index has them), sent " <>
-          "(`:publish`), or the stamp " <>
-          "of its ROS header (`:header`, the log time for messages without one). The last two look at every message " <>
-          "of a stream when it is first used."
-    ]
-  ]
+            times: [
+              type: {:in, [:log, :publish, :header]},
+              default: :log,
+              doc:
+                "Originating times: when a message was recorded (`:log`; the index has them), sent " <>
+                  "(`:publish`), or the stamp " <>
+                  "of its header or its timestamp (`:header`, the log time for messages without one). The last two look at every message " <>
+                  "of a stream when it is first used."
+            ]
+          ] ++ Codec.options()
 
   @moduledoc """
   MCAP files (https://mcap.dev) as recordings: `Situ.Store.open("drive.mcap")`, and so in the studio, `bin/situ
@@ -28,9 +28,9 @@ defmodule Situ.Bridge.Mcap do
       drive = Situ.Bridge.Mcap.create(p, "drive.mcap")
       Situ.Bridge.Mcap.write(level, drive, "/level")
 
-  A topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR) and JSON; those of other
-  encodings are bytes, and `Situ.Store.info/1` notes that. Standard ROS messages are Situ's types
-  (`Situ.Bridge.Ros.Standard`), others maps. Two messages of a topic with one time are a nanosecond apart.
+  A topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR), Protobuf and JSON; those of
+  other encodings are bytes, and `Situ.Store.info/1` notes that. Standard messages of ROS and of Foxglove are Situ's types
+  (`Situ.Bridge.Ros.Standard`, `Situ.Bridge.Foxglove.Standard`), others maps. Two messages of a topic with one time are a nanosecond apart.
 
   Files with an index open at once, whatever their size; others (and files cut short, or whose writer was killed) are
   passed over, and what can be read is there. Chunks may be LZ4 or Zstandard. Attachments and metadata:
@@ -44,7 +44,7 @@ defmodule Situ.Bridge.Mcap do
 
   @most_bytes 16 * 1024 * 1024
 
-  defstruct [:path, :ref, :name, :channels, :streams, :times, :notes, :info]
+  defstruct [:path, :ref, :name, :channels, :streams, :times, :messages, :notes, :info]
 
   @impl true
   def extensions, do: [".mcap"]
@@ -63,6 +63,7 @@ defmodule Situ.Bridge.Mcap do
         path: path,
         ref: ref,
         times: opts[:times],
+        messages: opts[:messages],
         name: Path.basename(path, Path.extname(path))
       }
 
@@ -85,7 +86,7 @@ defmodule Situ.Bridge.Mcap do
   defp channels(state, channels, schemas) do
     Enum.reduce_while(channels, {:ok, []}, fn {id, topic, encoding, schema, metadata, _count},
                                               {:ok, known} ->
-      {codec, type, note} = Codec.new(encoding, schemas[schema])
+      {codec, type, note} = Codec.new(encoding, schemas[schema], topic)
       times = order(state.times, codec)
 
       case Failure.wrap(Native.mcap_span(state.ref, id, times), state.path) do
@@ -93,7 +94,7 @@ defmodule Situ.Bridge.Mcap do
           channel = %{
             id: id,
             topic: topic,
-            codec: codec,
+            codec: Codec.shaped(codec, state.messages),
             times: times,
             type: type,
             note: note,
@@ -208,6 +209,13 @@ defmodule Situ.Bridge.Mcap do
       {:ok, value} -> value
       {:error, why} -> %Undecoded{codec: "mcap", bytes: bytes, reason: why}
     end
+  end
+
+  @doc false
+  # For `Situ.Bridge.Recorder.Export`: everything that is in a message.
+  def as_maps(%__MODULE__{channels: channels} = state) do
+    maps = Map.new(channels, fn {id, c} -> {id, %{c | codec: Codec.shaped(c.codec, :maps)}} end)
+    %{state | channels: maps}
   end
 
   @doc "The attachments of an opened file: name, media type, time (ns) and size of each."

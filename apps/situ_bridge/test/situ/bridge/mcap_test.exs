@@ -28,10 +28,11 @@ defmodule Situ.Bridge.McapTest do
              Store.at(store, "/camera/image/compressed", 0)
 
     {:ok, imu} = Store.at(store, "/imu/data_raw", 3)
-    assert_in_delta imu.data["linear_acceleration"]["z"], 9.8, 1.0
+    assert %Situ.ImuReading{acceleration: {_, _, z}} = imu.data
+    assert_in_delta z, 9.8, 1.0
     assert {:ok, ^imu} = Store.latest_at(store, "/imu/data_raw", imu.originating_time)
     assert {:ok, ^imu} = Store.first_at(store, "/imu/data_raw", imu.originating_time)
-    by_stamp = Store.open!(@real, reader_opts: [times: :header])
+    by_stamp = Store.open!(@real, reader_opts: [times: :header, messages: :maps])
     {:ok, stamped} = Store.at(by_stamp, "/imu/data_raw", 3)
     assert stamped.originating_time == stamped.data["header"]["stamp"]
     assert stamped.creation_time == imu.originating_time
@@ -64,6 +65,64 @@ defmodule Situ.Bridge.McapTest do
       Situ.to_list(fn p -> p |> Store.importer(path) |> Store.stream("/level") end, times: true)
 
     assert got == values
+  end
+
+  test "Protobuf: Foxglove's messages and one's own, with timestamps and frames", %{tmp_dir: dir} do
+    path = Path.join(dir, "foxglove.mcap")
+    image = Situ.Image.new!(width: 2, height: 1, format: :rgb24, data: <<1, 2, 3, 4, 5, 6>>)
+
+    definition =
+      ~s(syntax = "proto3"; package lab; message Level { double volts = 1; repeated sint32 raw = 2; })
+
+    times = for i <- 1..50, do: i * 1_000_000_007
+
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        file = Mcap.create(p, path)
+        stream = &Situ.from_enumerable(p, for(t <- times, do: {t, &1.(t)}))
+        fox = [encoding: :protobuf]
+        stream.(fn _ -> image end) |> Mcap.write(file, "/camera", fox ++ [frame: "lens"])
+        stream.(fn t -> "at #{t}" end) |> Mcap.write(file, "/log", fox)
+        own = [type: "lab.Level", definition: definition]
+
+        stream.(fn t -> %{"volts" => t / 2, "raw" => [-1, t |> rem(1_000)]} end)
+        |> Mcap.write(file, "/level", fox ++ own)
+      end)
+
+    store = Store.open!(path)
+    assert Store.info(store).damage == []
+    types = Map.new(Store.streams(store), &{&1.name, &1.type_name})
+
+    assert types == %{
+             "/camera" => "foxglove.RawImage",
+             "/log" => "foxglove.Log",
+             "/level" => "lab.Level"
+           }
+
+    assert {:ok, %{data: ^image}} = Store.at(store, "/camera", 7)
+
+    assert {:ok, %{data: %{"message" => "at 1000000007", "timestamp" => 1_000_000_007}}} =
+             Store.at(store, "/log", 0)
+
+    assert {:ok, %{data: %{"volts" => 500_000_003.5, "raw" => [-1, 7]}}} =
+             Store.at(store, "/level", 0)
+
+    # The timestamps in the messages are those of the file: read by themselves they give the same recording.
+    stamped = Store.open!(path, reader_opts: [times: :header, messages: :maps])
+    assert for(m <- Store.messages(stamped, "/camera"), do: m.originating_time) == times
+
+    assert {:ok, %{data: %{"frame_id" => "lens", "encoding" => "rgb8"}}} =
+             Store.at(stamped, "/camera", 0)
+
+    # Again as Protobuf: as it was, frames and all.
+    again = Path.join(dir, "again.mcap")
+
+    assert {:ok, 100} =
+             Mcap.export(store, again, encoding: :protobuf, streams: ["/camera", "/log"])
+
+    maps = Store.open!(again, reader_opts: [messages: :maps])
+    assert {:ok, %{data: %{"frame_id" => "lens"}}} = Store.at(maps, "/camera", 3)
+    assert {:error, %{code: :no_ros_type}} = Mcap.export(store, again, encoding: :protobuf)
   end
 
   test "what was recorded before a pipeline is killed is there", %{tmp_dir: dir} do

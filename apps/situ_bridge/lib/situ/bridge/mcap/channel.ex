@@ -2,36 +2,46 @@ defmodule Situ.Bridge.Mcap.Channel do
   @moduledoc false
   # How one topic is written: settled by its options and its first message.
   alias Situ.Bridge.Format.Value
-  alias Situ.Bridge.Ros.{Definition, Library, Standard, Wire}
+  alias Situ.Bridge.{Foxglove, Protobuf}
+  alias Situ.Bridge.Protobuf.Descriptor
+  alias Situ.Bridge.Ros.{Definition, Library, Optics, Standard, Wire}
   alias Situ.Error
 
-  defstruct [:topic, :id, :encoding, :definition, :schema, metadata: []]
+  # `definition`: a `Definition`, or a Protobuf schema.
+  defstruct [:topic, :id, :encoding, :definition, :schema, frame: "", metadata: []]
+
+  @type t :: %__MODULE__{}
 
   @doc "The channel that fits the first message."
-  @spec new(String.t(), keyword(), term()) :: {:ok, %__MODULE__{}} | {:error, Error.t()}
+  @spec new(String.t(), keyword(), term()) :: {:ok, t()} | {:error, Error.t()}
   def new(topic, opts, first) do
-    type = opts[:type] || Standard.ros_type(first)
+    with {:ok, channel} <- made(topic, opts[:encoding], opts, first),
+         do: {:ok, %{channel | frame: opts[:frame] || ""}}
+  end
 
-    case {opts[:encoding], type} do
-      {:json, _} ->
-        {:ok, json(topic)}
+  defp made(topic, :json, _opts, _first), do: {:ok, json(topic)}
 
-      {:auto, nil} ->
-        {:ok, json(topic)}
-
-      {encoding, nil} ->
-        {:error,
-         Error.new(:no_ros_type, "no standard ROS message fits the data of #{topic}",
-           why: "it is to be written as #{encoding}",
-           fix: "name one with `type:`, or write it as JSON"
-         )}
-
-      {:auto, type} ->
-        ros(topic, type, opts[:definition], :ros1)
-
-      {encoding, type} ->
-        ros(topic, type, opts[:definition], encoding)
+  defp made(topic, :protobuf, opts, first) do
+    case opts[:type] || Foxglove.Standard.message_type(first) do
+      nil -> {:error, no_type(topic, :protobuf, "message of Foxglove's")}
+      type -> protobuf(topic, type, opts[:definition])
     end
+  end
+
+  defp made(topic, encoding, opts, first) do
+    case {encoding, opts[:type] || Standard.ros_type(first)} do
+      {:auto, nil} -> {:ok, json(topic)}
+      {encoding, nil} -> {:error, no_type(topic, encoding, "ROS message")}
+      {:auto, type} -> ros(topic, type, opts[:definition], :ros1)
+      {encoding, type} -> ros(topic, type, opts[:definition], encoding)
+    end
+  end
+
+  defp no_type(topic, encoding, what) do
+    Error.new(:no_ros_type, "no standard #{what} fits the data of #{topic}",
+      why: "it is to be written as #{encoding}",
+      fix: "name one with `type:`, or write it as JSON"
+    )
   end
 
   defp json(topic),
@@ -41,16 +51,46 @@ defmodule Situ.Bridge.Mcap.Channel do
       schema: {"", "jsonschema", "{\"type\":\"object\"}"}
     }
 
+  defp protobuf(topic, type, definition) do
+    with {:ok, schema} <- protobuf_schema(definition) do
+      if is_map_key(schema.messages, type) do
+        set = Descriptor.write(schema, type)
+
+        {:ok,
+         %__MODULE__{
+           topic: topic,
+           encoding: :protobuf,
+           definition: schema,
+           schema: {type, "protobuf", set}
+         }}
+      else
+        {:error, unknown(type, "it is no message of its definition, or of Foxglove's")}
+      end
+    end
+  end
+
+  defp protobuf_schema(nil), do: {:ok, Foxglove.Messages.schema()}
+  defp protobuf_schema(definition), do: Protobuf.schema(definition)
+
+  defp unknown(type, why),
+    do:
+      Error.new(:no_definition, "the type #{type} is not known",
+        why: why,
+        fix: "give its text with `definition:`"
+      )
+
   defp ros(topic, type, text, encoding) do
-    with {:ok, text} <- text(type, text),
-         {:ok, definition} <- definition(type, text) do
+    dialect = if encoding == :ros1, do: :ros1, else: :ros2
+
+    with {:ok, text} <- text(type, text, dialect),
+         {:ok, definition} <- definition(type, text, dialect) do
       metadata =
         if encoding == :ros1,
           do: [{"md5sum", Definition.md5(definition)}, {"topic", topic}],
           else: []
 
-      language = if encoding == :ros1, do: "ros1msg", else: "ros2msg"
-      schema = {type, language, whole(definition, text)}
+      schema =
+        {spelled(definition.name, dialect), language(dialect), whole(definition, text, dialect)}
 
       {:ok,
        %__MODULE__{
@@ -63,38 +103,46 @@ defmodule Situ.Bridge.Mcap.Channel do
     end
   end
 
-  defp text(type, nil) do
-    with :error <- Library.fetch(Definition.plain(type)) do
-      {:error,
-       Error.new(:no_definition, "the ROS type #{type} is not known",
-         why: "it is not one of ROS's standard types",
-         fix: "give its text with `definition:`"
-       )}
-    end
+  defp language(:ros1), do: "ros1msg"
+  defp language(:ros2), do: "ros2msg"
+
+  defp spelled(name, :ros1), do: name
+  defp spelled(name, :ros2), do: String.replace(name, "/", "/msg/", global: false)
+
+  defp text(type, nil, dialect) do
+    with :error <- Library.fetch(Definition.plain(type), dialect),
+         do: {:error, unknown(type, "it is not one of ROS's standard types")}
   end
 
-  defp text(_type, text), do: {:ok, text}
+  defp text(_type, text, _dialect), do: {:ok, text}
 
-  defp definition(type, text) do
-    with {:error, why} <- Definition.parse(type, text),
+  defp definition(type, text, dialect) do
+    with {:error, why} <- Definition.parse(type, text, dialect),
          do:
            {:error,
             Error.new(:bad_definition, "the definition of #{type} cannot be used", why: why)}
   end
 
   # Readers want the types that a type is made of behind it.
-  defp whole(definition, text) do
+  defp whole(definition, text, dialect) do
     others = definition.types |> Map.keys() |> Enum.sort() |> List.delete(definition.name)
-    missing = Enum.reject(others, &String.contains?(text, "MSG: " <> &1))
+    missing = Enum.reject(others, &told?(text, &1))
 
     Enum.join(
-      [text | for(name <- missing, do: "MSG: #{name}\n" <> elem(Library.fetch(name), 1))],
+      [
+        text | for(name <- missing, do: "MSG: #{name}\n" <> elem(Library.fetch(name, dialect), 1))
+      ],
       "\n" <> String.duplicate("=", 80) <> "\n"
     )
   end
 
+  defp told?(text, name) do
+    String.contains?(text, "MSG: " <> name) or
+      String.contains?(text, "MSG: " <> String.replace(name, "/", "/msg/", global: false))
+  end
+
   @doc "A message's bytes. Error: `:not_writable`."
-  @spec encode(%__MODULE__{}, term(), Situ.Time.t()) :: {:ok, binary()} | {:error, Error.t()}
+  @spec encode(t(), term(), Situ.Time.t()) :: {:ok, binary()} | {:error, Error.t()}
   def encode(%{encoding: :json} = channel, data, _time) do
     {:ok, data |> Value.plain() |> object() |> Situ.JSON.encode()}
   catch
@@ -102,12 +150,26 @@ defmodule Situ.Bridge.Mcap.Channel do
       {:error, not_writable(channel, "#{inspect(what, limit: 5)} is nothing that JSON has")}
   end
 
-  def encode(channel, data, time) do
-    message = Standard.to(channel.definition.name, data, time)
+  def encode(%{encoding: :protobuf, schema: {type, _, _}} = channel, data, time) do
+    message = Foxglove.Standard.to(type, data, time, channel.frame)
 
-    with {:error, why} <- Wire.encode(channel.definition, message, channel.encoding),
+    with {:error, why} <- Protobuf.Writer.encode(channel.definition, type, message),
          do: {:error, not_writable(channel, why)}
   end
+
+  def encode(%{definition: %{name: name} = definition} = channel, data, time) do
+    message =
+      name |> Standard.to(data, time, channel.frame) |> spelled_for(name, channel.encoding)
+
+    with {:error, why} <- Wire.encode(definition, message, channel.encoding),
+         do: {:error, not_writable(channel, why)}
+  end
+
+  # Two names for the same four members.
+  defp spelled_for(%{} = message, "sensor_msgs/CameraInfo", encoding),
+    do: Optics.spelled(message, encoding)
+
+  defp spelled_for(message, _name, _encoding), do: message
 
   # Tools want objects: what is none gets a member of its own.
   defp object({_} = object), do: object

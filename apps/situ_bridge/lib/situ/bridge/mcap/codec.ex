@@ -1,53 +1,124 @@
 defmodule Situ.Bridge.Mcap.Codec do
   @moduledoc false
   # A channel's bytes as terms, by its message encoding and its schema. Unknown types stay bytes, with a note.
+  alias Situ.Bridge.Foxglove
+  alias Situ.Bridge.Protobuf
   alias Situ.Bridge.Ros.{Definition, Standard, Wire}
 
   @type schema :: {name :: String.t(), encoding :: String.t(), data :: binary()} | nil
-  @type t :: {:json | :bytes, nil} | {:ros, Definition.t(), Wire.encoding()}
+
+  # `by`: what bytes are read by; `maps?`: standard messages stay maps, with all that is in them.
+  @enforce_keys [:kind]
+  defstruct [:kind, :by, :name, topic: "", maps?: false]
+
+  @type t :: %__MODULE__{
+          kind: :json | :bytes | :ros1 | :cdr | :protobuf,
+          by: Definition.t() | Protobuf.schema() | nil,
+          name: String.t() | nil,
+          topic: String.t(),
+          maps?: boolean()
+        }
+
+  @schema [
+    messages: [
+      type: {:in, [:situ, :maps]},
+      default: :situ,
+      doc:
+        "Standard messages as Situ's types (pictures, clouds, poses, inertial readings ...), or all as maps with " <>
+          "everything that is in them, such as frames of reference and covariances."
+    ]
+  ]
+
+  @doc "The option of readers."
+  @spec options() :: Situ.Options.schema()
+  def options, do: @schema
 
   @doc "How a channel is read, its `Situ.Type`, and a note when its messages stay bytes."
-  @spec new(String.t(), schema()) :: {t(), Situ.Type.t(), String.t() | nil}
-  def new("json", _schema), do: {{:json, nil}, :any, nil}
-  def new("ros1", {name, "ros1msg", text}), do: ros(name, text, :ros1)
-  def new("cdr", {name, "ros2msg", text}), do: ros(name, text, :cdr)
+  @spec new(String.t(), schema(), String.t()) :: {t(), Situ.Type.t(), String.t() | nil}
+  def new(encoding, schema, topic \\ "")
+  def new("json", _schema, topic), do: {%__MODULE__{kind: :json, topic: topic}, :any, nil}
+  def new("ros1", {name, "ros1msg", text}, topic), do: ros(name, text, :ros1, topic)
+  def new("cdr", {name, "ros2msg", text}, topic), do: ros(name, text, :cdr, topic)
 
-  def new(encoding, schema) do
-    what = if schema, do: "#{elem(schema, 0)} in #{elem(schema, 1)}", else: "no schema"
+  def new("protobuf", {name, "protobuf", set}, topic) do
+    case Protobuf.schema(set) do
+      {:ok, %{messages: messages} = schema} when is_map_key(messages, name) ->
+        codec = %__MODULE__{kind: :protobuf, by: schema, name: name, topic: topic}
+        {codec, Foxglove.Standard.type(name), nil}
 
-    {{:bytes, nil}, :binary,
-     "its messages are written as #{inspect(encoding)} (#{what}) and stay bytes"}
+      {:ok, _} ->
+        bytes(topic, "its definition has no message #{name}")
+
+      {:error, error} ->
+        bytes(topic, Exception.message(error))
+    end
   end
 
-  defp ros(name, text, encoding) do
-    case Definition.parse(name, text) do
-      {:ok, definition} -> {{:ros, definition, encoding}, Standard.type(definition.name), nil}
-      {:error, why} -> {{:bytes, nil}, :binary, "its definition cannot be used: #{why}"}
+  def new(encoding, schema, topic) do
+    what = if schema, do: "#{elem(schema, 0)} in #{elem(schema, 1)}", else: "no schema"
+    bytes(topic, "its messages are written as #{inspect(encoding)} (#{what}) and stay bytes")
+  end
+
+  defp bytes(topic, note), do: {%__MODULE__{kind: :bytes, topic: topic}, :binary, note}
+
+  defp ros(name, text, encoding, topic) do
+    case Definition.parse(name, text, if(encoding == :ros1, do: :ros1, else: :ros2)) do
+      {:ok, definition} ->
+        codec = %__MODULE__{kind: encoding, by: definition, name: definition.name, topic: topic}
+        {codec, Standard.type(definition.name), nil}
+
+      {:error, why} ->
+        bytes(topic, "its definition cannot be used: #{why}")
     end
   end
 
   @doc "Whether its messages may begin with a stamp, and how that is written."
-  @spec stamps(t()) :: :ros1_header | :cdr_header | nil
-  def stamps({:ros, definition, encoding}) do
+  @spec stamps(t()) :: :ros1_header | :cdr_header | :protobuf_stamp | nil
+  def stamps(%{kind: kind, by: definition}) when kind in [:ros1, :cdr] do
     case definition.types[definition.name].fields do
-      [{_, {:message, "std_msgs/Header"}} | _] when encoding == :cdr -> :cdr_header
+      [{_, {:message, "std_msgs/Header"}} | _] when kind == :cdr -> :cdr_header
       [{_, {:message, "std_msgs/Header"}} | _] -> :ros1_header
       _ -> nil
     end
   end
 
+  def stamps(%{kind: :protobuf, by: schema, name: name}) do
+    case schema.messages[name].by_number do
+      %{1 => %{type: {:message, "google.protobuf.Timestamp"}, repeated?: false}} ->
+        :protobuf_stamp
+
+      _ ->
+        nil
+    end
+  end
+
   def stamps(_), do: nil
+
+  @doc "The same, with its messages as the option `messages:` wants them."
+  @spec shaped(t(), :situ | :maps) :: t()
+  def shaped(codec, messages), do: %{codec | maps?: messages == :maps}
 
   @doc "One message's data, or why it is none."
   @spec decode(t(), binary()) :: {:ok, term()} | {:error, String.t()}
-  def decode({:bytes, _}, bytes), do: {:ok, bytes}
+  def decode(%{kind: :bytes}, bytes), do: {:ok, bytes}
 
-  def decode({:json, _}, bytes) do
+  def decode(%{kind: :json}, bytes) do
     with {:error, _} <- Situ.JSON.decode(bytes), do: {:error, "it is not JSON"}
   end
 
-  def decode({:ros, definition, encoding}, bytes) do
-    with {:ok, message} <- Wire.decode(definition, bytes, encoding),
-         do: {:ok, Standard.from(definition.name, message)}
+  def decode(%{kind: :protobuf} = codec, bytes) do
+    with {:ok, message} <- Protobuf.Reader.decode(codec.by, codec.name, bytes) do
+      if codec.maps?,
+        do: {:ok, message},
+        else: {:ok, Foxglove.Standard.from(codec.name, message)}
+    end
+  end
+
+  def decode(codec, bytes) do
+    with {:ok, message} <- Wire.decode(codec.by, bytes, codec.kind) do
+      if codec.maps?,
+        do: {:ok, message},
+        else: {:ok, Standard.from(codec.name, message, codec.topic)}
+    end
   end
 end

@@ -21,21 +21,30 @@ defmodule Situ.Bridge.Mcap.Options do
   def topic do
     [
       encoding: [
-        type: {:in, [:auto, :json, :ros1, :cdr]},
+        type: {:in, [:auto, :json, :ros1, :cdr, :protobuf]},
         default: :auto,
         doc:
-          "How messages are written; `:auto`: ROS 1 for data that a standard message fits, else JSON."
+          "How messages are written; `:auto`: ROS 1 for data that a standard message fits, else JSON. `:cdr` is ROS 2, " <>
+            "`:protobuf` Foxglove's own messages (`Situ.Bridge.Foxglove.Standard`) or any other by `definition:`."
       ],
       type: [
         type: {:optional, :string},
         default: nil,
         doc:
-          "The ROS type, such as \"sensor_msgs/Imu\"; by default the standard one that fits the first message."
+          "The type, such as \"sensor_msgs/Imu\" or \"foxglove.Log\"; by default the standard one that fits the " <>
+            "first message."
       ],
       definition: [
         type: {:optional, :string},
         default: nil,
-        doc: "The ROS type's definition (`.msg`), when it is none of ROS's own."
+        doc:
+          "The type's definition, when it is none of ROS's or Foxglove's own: the text of a `.msg` or a `.proto`, or a " <>
+            "FileDescriptorSet."
+      ],
+      frame: [
+        type: :string,
+        default: "",
+        doc: "The frame of reference that headers name."
       ]
     ]
   end

@@ -1,7 +1,8 @@
 defmodule Situ.Bridge.Recorder.Export do
   @moduledoc false
   # A recording as a file of another format: all its streams' messages, merged by time.
-  alias Situ.Bridge.Ros.Library
+  alias Situ.Bridge.Foxglove.Messages
+  alias Situ.Bridge.Ros.{Definition, Library}
   alias Situ.Store
 
   def export(module, store, path, opts) do
@@ -12,7 +13,7 @@ defmodule Situ.Bridge.Recorder.Export do
     types = Map.new(Store.streams(store), &{&1.name, &1.type_name})
 
     with {:ok, writer} <- module.create(path, opts),
-         messages = merged(store, wanted, reading),
+         messages = merged(store, wanted, reading, topic[:encoding]),
          {:ok, writer} <- copy(messages, {module, writer}, topic, types, progress),
          {:ok, _} <- module.finish(writer),
          do: {:ok, writer.count}
@@ -33,20 +34,31 @@ defmodule Situ.Bridge.Recorder.Export do
     error in Situ.Error -> {:error, error}
   end
 
-  # A stream that came from ROS keeps its ROS type.
+  # What came from ROS or Foxglove, and goes as what it was, goes with all that was in it.
+  defp whole(%{module: module, state: state} = store, type, encoding) do
+    if known?(type, encoding) and function_exported?(module, :as_maps, 1),
+      do: %{store | state: module.as_maps(state)},
+      else: store
+  end
+
   defp typed(topic, type) do
-    if topic[:type] == nil and Library.fetch(type) != :error,
-      do: Keyword.put(topic, :type, type),
+    if topic[:type] == nil and known?(type, topic[:encoding]),
+      do: Keyword.put(topic, :type, Definition.plain(type)),
       else: topic
   end
 
+  defp known?(type, :protobuf), do: Messages.known?(type)
+  defp known?(_type, :json), do: false
+  defp known?(type, _ros), do: Library.fetch(Definition.plain(type)) != :error
+
   # Holds each stream's next message; the earliest goes first.
-  defp merged(store, wanted, reading) do
+  defp merged(store, wanted, reading, encoding) do
     heads =
       for info <- Store.streams(store),
           wanted == nil or info.name in wanted,
           info.count > 0,
-          head = head({store, info, reading}, first(store, info, reading[:from])),
+          from = {whole(store, info.type_name, encoding), info, reading},
+          head = head(from, first(store, info, reading[:from])),
           do: head
 
     Stream.unfold(heads, fn

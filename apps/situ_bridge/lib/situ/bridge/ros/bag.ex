@@ -7,14 +7,14 @@ defmodule Situ.Bridge.Ros.Bag do
   alias Situ.Store.{StreamInfo, Undecoded}
 
   @schema [
-    times: [
-      type: {:in, [:log, :header]},
-      default: :log,
-      doc:
-        "Originating times: when a message was recorded, or the stamp of its header (the former where it has none). " <>
-          "The stamps are read when the file is opened."
-    ]
-  ]
+            times: [
+              type: {:in, [:log, :header]},
+              default: :log,
+              doc:
+                "Originating times: when a message was recorded, or the stamp of its header (the former where it has none). " <>
+                  "The stamps are read when the file is opened."
+            ]
+          ] ++ Codec.options()
 
   @moduledoc """
   Bags of ROS 1 (version 2.0) as recordings: `Situ.Store.open("drive.bag")`, and so in the studio, `bin/situ store`,
@@ -54,7 +54,7 @@ defmodule Situ.Bridge.Ros.Bag do
         contents: contents
       }
 
-      with {:ok, tracks} <- tracks(state, opts[:times]),
+      with {:ok, tracks} <- tracks(state, opts),
            do: {:ok, listed(%{state | tracks: tracks})}
     end
   end
@@ -92,7 +92,9 @@ defmodule Situ.Bridge.Ros.Bag do
       )
 
   # Connections of one topic and type are one stream.
-  defp tracks(state, times) do
+  defp tracks(state, opts) do
+    times = opts[:times]
+
     groups =
       state.contents.connections
       |> Enum.sort()
@@ -102,7 +104,7 @@ defmodule Situ.Bridge.Ros.Bag do
     |> Enum.sort_by(fn {_, [{number, _} | _]} -> number end)
     |> Enum.reduce_while({:ok, []}, fn {{topic, type}, connections}, {:ok, tracks} ->
       {_, %{definition: definition}} = hd(connections)
-      {codec, situ, note} = Codec.new("ros1", {type, "ros1msg", definition})
+      {codec, situ, note} = Codec.new("ros1", {type, "ros1msg", definition}, topic)
 
       places =
         for {number, _} <- connections,
@@ -118,7 +120,7 @@ defmodule Situ.Bridge.Ros.Bag do
         topic: topic,
         type: type,
         situ: situ,
-        codec: codec,
+        codec: Codec.shaped(codec, opts[:messages]),
         note: note,
         count: length(places),
         places: Places.pack(places)
@@ -178,6 +180,13 @@ defmodule Situ.Bridge.Ros.Bag do
     }
 
     {info, MapSet.put(taken, name)}
+  end
+
+  @doc false
+  # For `Situ.Bridge.Recorder.Export`: everything that is in a message.
+  def as_maps(%__MODULE__{tracks: tracks} = state) do
+    maps = Map.new(tracks, fn {id, t} -> {id, %{t | codec: Codec.shaped(t.codec, :maps)}} end)
+    %{state | tracks: maps}
   end
 
   @impl true

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Ros.Cloud do
   @moduledoc false
   # `sensor_msgs/PointCloud2` as a `Situ.PointCloud` and back. Pure.
+  alias Situ.Bridge.Ros.Pixels
   alias Situ.PointCloud
 
   @float32 7
@@ -19,7 +20,7 @@ defmodule Situ.Bridge.Ros.Cloud do
     with %{"x" => {x, @float32}, "y" => {y, @float32}, "z" => {z, @float32}} <- at,
          true <- y == x + 4 and z == x + 8 and x + 12 <= step,
          {:ok, data} <- rows(data, m["height"], m["width"] * step, m["row_step"]),
-         {:ok, cloud} <- PointCloud.new(every(data, step, x, 12), colors(data, step, at)) do
+         {:ok, cloud} <- PointCloud.new(Pixels.every(data, step, x, 12), colors(data, step, at)) do
       {:ok, cloud}
     else
       _ -> :error
@@ -32,25 +33,15 @@ defmodule Situ.Bridge.Ros.Cloud do
   defp rows(data, height, row, row) when byte_size(data) == height * row, do: {:ok, data}
 
   defp rows(data, height, row, stride) when row <= stride and byte_size(data) == height * stride,
-    do: {:ok, every(data, stride, 0, row)}
+    do: {:ok, Pixels.every(data, stride, 0, row)}
 
   defp rows(_data, _height, _row, _stride), do: :error
-
-  defp every(data, n, 0, n), do: data
-
-  defp every(data, step, at, n) do
-    rest = step - at - n
-
-    for <<_::binary-size(at), part::binary-size(n), _::binary-size(rest) <- data>>,
-      into: <<>>,
-      do: part
-  end
 
   # Blue, green, red and a byte of nothing, whatever the type is called.
   defp colors(data, step, fields) do
     case fields["rgb"] || fields["rgba"] do
       {at, _kind} when at + 4 <= step ->
-        for <<b, g, r, _ <- every(data, step, at, 4)>>, into: <<>>, do: <<r, g, b>>
+        for <<b, g, r, _ <- Pixels.every(data, step, at, 4)>>, into: <<>>, do: <<r, g, b>>
 
       _ ->
         nil

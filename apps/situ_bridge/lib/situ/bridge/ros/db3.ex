@@ -1,4 +1,7 @@
 defmodule Situ.Bridge.Ros.Db3 do
+  alias Situ.Bridge.Mcap.Codec
+
+  @schema Codec.options()
   @moduledoc """
   Bags of ROS 2 in SQLite (`.db3`) as recordings: `Situ.Store.open("drive/drive_0.db3")`, and so in the studio,
   `bin/situ store`, replay.
@@ -7,9 +10,12 @@ defmodule Situ.Bridge.Ros.Db3 do
   ROS 2 writes since Iron, or else by ROS's own ones; standard ones are Situ's types (`Situ.Bridge.Ros.Standard`). Each
   file of a bag that was split is a recording. The file is read by the program `sqlite3` (Debian's package of that
   name), a process of its own, and never written.
+
+  ## Options of opening (`Situ.Store.open(path, reader_opts: [...])`)
+
+  #{Situ.Options.docs(@schema)}
   """
   @behaviour Situ.Store.Reader
-  alias Situ.Bridge.Mcap.Codec
   alias Situ.Bridge.Ros.{Definition, Library, Places}
   alias Situ.{Error, Message}
   alias Situ.Store.{StreamInfo, Undecoded}
@@ -23,8 +29,9 @@ defmodule Situ.Bridge.Ros.Db3 do
   def extensions, do: [".db3"]
 
   @impl true
-  def open(path, _opts) do
-    with {:ok, topics} <-
+  def open(path, opts) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, topics} <-
            query(path, "select id, name, type, serialization_format from topics order by id"),
          {:ok, definitions} <- definitions(path),
          {:ok, rows} <- query(path, "select topic_id, timestamp, id, length(data) from messages") do
@@ -32,7 +39,10 @@ defmodule Situ.Bridge.Ros.Db3 do
         rows |> numbers() |> Enum.group_by(&hd/1, fn [_, time, id, size] -> {time, id, size} end)
 
       name = Path.basename(path, ".db3")
-      tracks = for topic <- topics, track = track(topic, definitions, places), do: track
+
+      tracks =
+        for topic <- topics, track = track(topic, definitions, places, opts[:messages]), do: track
+
       notes = for %{note: note} = track <- tracks, note != nil, do: "#{track.topic}: #{note}"
 
       {:ok,
@@ -72,19 +82,20 @@ defmodule Situ.Bridge.Ros.Db3 do
     end
   end
 
-  defp track([id, topic, type, format], definitions, places) do
+  defp track([id, topic, type, format], definitions, places, messages) do
     case Integer.parse(id) do
       {id, ""} ->
         plain = Definition.plain(type)
 
         schema =
-          case {definitions, Library.fetch(plain)} do
+          case {definitions, Library.fetch(plain, :ros2)} do
             {%{^type => text}, _} when text != "" -> {type, "ros2msg", text}
             {_, {:ok, text}} -> {type, "ros2msg", text}
             _ -> nil
           end
 
-        {codec, situ, note} = Codec.new(format, schema)
+        {codec, situ, note} = Codec.new(format, schema, topic)
+        codec = Codec.shaped(codec, messages)
 
         places =
           Places.pack(
@@ -101,7 +112,7 @@ defmodule Situ.Bridge.Ros.Db3 do
     end
   end
 
-  defp track(_other, _definitions, _places), do: nil
+  defp track(_other, _definitions, _places, _messages), do: nil
 
   defp stream(track, name, path) do
     count = Places.count(track.places)
@@ -125,6 +136,13 @@ defmodule Situ.Bridge.Ros.Db3 do
   end
 
   defp time(track, n), do: track.places |> Places.at(n) |> elem(0)
+
+  @doc false
+  # For `Situ.Bridge.Recorder.Export`: everything that is in a message.
+  def as_maps(%__MODULE__{tracks: tracks} = state) do
+    maps = Map.new(tracks, fn {id, t} -> {id, %{t | codec: Codec.shaped(t.codec, :maps)}} end)
+    %{state | tracks: maps}
+  end
 
   @impl true
   def info(state) do

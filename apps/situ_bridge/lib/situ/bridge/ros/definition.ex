@@ -52,15 +52,16 @@ defmodule Situ.Bridge.Ros.Definition do
   @most_types 1_000
 
   @doc """
-  Parses a definition. Types that the text leaves out are looked up among ROS's own (`Situ.Bridge.Ros.Library`).
+  Parses a definition. Types that the text leaves out are looked up among ROS's own (`Situ.Bridge.Ros.Library`), those of
+  ROS 1 or of ROS 2.
   Errors are sentences: a malformed line, an unknown type, types that contain themselves.
   """
-  @spec parse(String.t(), String.t()) :: {:ok, t()} | {:error, String.t()}
-  def parse(name, text) do
+  @spec parse(String.t(), String.t(), Library.dialect()) :: {:ok, t()} | {:error, String.t()}
+  def parse(name, text, dialect \\ :ros1) do
     name = plain(name)
 
     with {:ok, types} <- sections(name, text),
-         {:ok, types} <- complete(name, types, [name]),
+         {:ok, types} <- complete({name, dialect}, types, [name]),
          :ok <- finite(name, types, []) do
       {:ok, %__MODULE__{name: name, types: types, text: text}}
     end
@@ -196,7 +197,7 @@ defmodule Situ.Bridge.Ros.Definition do
   defp complete(_root, types, []), do: {:ok, types}
 
   defp complete(root, types, [name | rest]) do
-    with {:ok, types} <- known(name, types) do
+    with {:ok, types} <- known(name, types, elem(root, 1)) do
       new =
         for {_, type} <- types[name].fields,
             inner = inner(type),
@@ -217,10 +218,10 @@ defmodule Situ.Bridge.Ros.Definition do
   defp visited?(types, name), do: Map.get(types[name], :visited, false)
   defp mark(types, name), do: Map.update!(types, name, &Map.put(&1, :visited, true))
 
-  defp known(name, types) when is_map_key(types, name), do: {:ok, types}
+  defp known(name, types, _dialect) when is_map_key(types, name), do: {:ok, types}
 
-  defp known(name, types) do
-    case Library.fetch(name) do
+  defp known(name, types, dialect) do
+    case Library.fetch(name, dialect) do
       {:ok, text} when map_size(types) <= @most_types -> section(name, text, types)
       _ -> {:error, "nothing tells what #{name} is"}
     end

@@ -1,18 +1,35 @@
 defmodule Situ.Bridge.Ros.Library do
   @moduledoc false
-  # The definitions of the types that most messages are made of (ROS 1's, field by field; names and types are facts of
-  # the interface). `priv/ros` has one file a package: types behind lines of `MSG:`.
+  # The definitions of the types that most messages are made of (field by field; names and types are facts of the
+  # interface). `priv/ros` has one file a package: types behind lines of `MSG:`.
 
-  @external_resource path = Path.expand("../../../../priv/ros/common.msg", __DIR__)
+  @external_resource common = Path.expand("../../../../priv/ros/common.msg", __DIR__)
+  @external_resource newer = Path.expand("../../../../priv/ros/ros2.msg", __DIR__)
 
-  @definitions for part <- String.split(File.read!(path), ~r/^={20,}\s*$/m),
-                   [_, name, text] <- [Regex.run(~r/\A\s*MSG:\s*(\S+)\s*\n(.*)\z/s, part)],
-                   into: %{},
-                   do: {name, String.trim(text)}
+  [definitions, different] =
+    for path <- [common, newer] do
+      for part <- String.split(File.read!(path), ~r/^={20,}\s*$/m),
+          [_, name, text] <- [Regex.run(~r/\A\s*MSG:\s*(\S+)\s*\n(.*)\z/s, part)],
+          into: %{},
+          do: {name, String.trim(text)}
+    end
 
-  @doc "A type's definition."
-  @spec fetch(String.t()) :: {:ok, String.t()} | :error
-  def fetch(name), do: Map.fetch(@definitions, name)
+  @definitions definitions
+  # ROS 2 has its times as messages, and some types are others.
+  @newer definitions
+         |> Map.new(fn {name, text} ->
+           text = String.replace(text, ~r/^time(?=[ \[])/m, "builtin_interfaces/Time")
+           {name, String.replace(text, ~r/^duration(?=[ \[])/m, "builtin_interfaces/Duration")}
+         end)
+         |> Map.merge(different)
+
+  @type dialect :: :ros1 | :ros2
+
+  @doc "A type's definition, as one of the two has it."
+  @spec fetch(String.t(), dialect()) :: {:ok, String.t()} | :error
+  def fetch(name, dialect \\ :ros1)
+  def fetch(name, :ros1), do: Map.fetch(@definitions, name)
+  def fetch(name, :ros2), do: Map.fetch(@newer, name)
 
   @doc "The names of all types."
   @spec names() :: [String.t()]

@@ -35,6 +35,20 @@ defmodule Situ.Bridge.Ros.Optics do
 
   defp lens(_d, _model), do: :error
 
+  @doc "The members D, K, R and P in the letters that an encoding has for them."
+  @spec spelled(map(), :ros1 | :cdr) :: map()
+  def spelled(message, encoding) do
+    Enum.reduce(~w(d k r p), message, fn small, message ->
+      large = String.upcase(small)
+      {from, to} = if encoding == :cdr, do: {large, small}, else: {small, large}
+
+      case Map.pop(message, from) do
+        {nil, message} -> message
+        {value, message} -> Map.put(message, to, value)
+      end
+    end)
+  end
+
   @doc "Optics as members of the message. Raises `Situ.Error` (`:not_writable`) for a lens told the other way round."
   @spec to(CameraIntrinsics.t()) :: map()
   def to(%CameraIntrinsics{distorts?: false, radial: radial, tangential: tangential} = c)

@@ -15,6 +15,11 @@ defmodule Situ.Bridge.Ros.Sink do
               default: nil,
               doc: "The type's definition (`.msg`), when it is none of ROS's own."
             ],
+            frame: [
+              type: :string,
+              default: "",
+              doc: "The frame of reference that headers name."
+            ],
             latch: [
               type: :boolean,
               default: false,
@@ -41,7 +46,13 @@ defmodule Situ.Bridge.Ros.Sink do
   defp open(%{opts: opts} = state, first) do
     address = Address.new(opts)
     topic = Address.whole(opts[:topic])
-    given = [type: opts[:ros_type], definition: opts[:definition], encoding: :ros1]
+
+    given = [
+      type: opts[:ros_type],
+      definition: opts[:definition],
+      encoding: :ros1,
+      frame: opts[:frame]
+    ]
 
     with {:ok, channel} <- Channel.new(topic, given, first),
          arg = fields(channel, address, topic, opts),

@@ -1,4 +1,5 @@
 defmodule Situ.Bridge.Ros.Source do
+  alias Situ.Bridge.Mcap.Codec
   alias Situ.Bridge.Ros.Address
 
   @schema [
@@ -21,6 +22,13 @@ defmodule Situ.Bridge.Ros.Source do
               doc:
                 "Originating times: the stamp of a message's header (on arrival where it has none), or on arrival."
             ],
+            sim_time: [
+              type: :boolean,
+              default: false,
+              doc:
+                "Messages without a stamp get the simulated time of the topic /clock instead of that of arrival; those " <>
+                  "before the first clock are left out."
+            ],
             high_water_mark: [
               type: :pos_integer,
               default: 1_000,
@@ -32,7 +40,7 @@ defmodule Situ.Bridge.Ros.Source do
               doc: "The largest message, bytes; a publisher that sends a larger one is cut off."
             ],
             type: [type: :any, default: :any, doc: "Type of the stream."]
-          ] ++ Address.options()
+          ] ++ Codec.options() ++ Address.options()
   @moduledoc false
   # A topic as a source that never ends.
   use Situ.Component, outputs: [out: :any], options: @schema
@@ -42,6 +50,8 @@ defmodule Situ.Bridge.Ros.Source do
 
   # A stamp may be the last nanosecond of an int64.
   @latest 9_223_372_036_854_775_807
+  @clock "rosgraph_msgs/Clock"
+  @clock_sum "a9c97c1d230cfc112e270351a944ee47"
 
   def schema, do: @schema
 
@@ -50,7 +60,17 @@ defmodule Situ.Bridge.Ros.Source do
     inlet = Inlet.new(times: opts[:times], format: :ros)
 
     {:ok,
-     %{opts: opts, node: nil, untaken: :atomics.new(1, []), inlet: inlet, known: %{}, ours: nil}}
+     %{
+       opts: opts,
+       node: nil,
+       clock_node: nil,
+       clock: nil,
+       untaken: :atomics.new(1, []),
+       clock_untaken: :atomics.new(1, []),
+       inlet: inlet,
+       known: %{},
+       ours: nil
+     }}
   end
 
   @impl true
@@ -58,20 +78,26 @@ defmodule Situ.Bridge.Ros.Source do
     ours = definition(opts)
     type = if ours, do: ours.name, else: "*"
 
+    sum = if ours, do: Definition.md5(ours), else: "*"
+    node = node!(opts, opts[:topic], type, sum, state.untaken)
+
+    clock = if opts[:sim_time], do: node!(opts, "/clock", @clock, @clock_sum, state.clock_untaken)
+
+    {[{:complete, :infinity}], %{state | node: node, clock_node: clock, ours: ours}}
+  end
+
+  defp node!(opts, topic, type, sum, untaken) do
     link = %{
-      md5sum: if(ours, do: Definition.md5(ours), else: "*"),
-      untaken: state.untaken,
+      md5sum: sum,
+      untaken: untaken,
       high_water_mark: opts[:high_water_mark],
       most: opts[:most]
     }
 
-    case Node.start_link(
-           Address.new(opts),
-           {:subscriber, Address.whole(opts[:topic]), type, link}
-         ) do
-      {:ok, node} -> {[{:complete, :infinity}], %{state | node: node, ours: ours}}
-      {:error, error} -> raise error
-    end
+    opts
+    |> Address.new()
+    |> Node.start_link({:subscriber, Address.whole(topic), type, link})
+    |> Situ.Error.unwrap!()
   end
 
   defp definition(opts) do
@@ -81,11 +107,23 @@ defmodule Situ.Bridge.Ros.Source do
     end
   end
 
+  # The clock has 8 bytes: seconds and nanoseconds.
   @impl true
+  def handle_info({:ros, %{"type" => @clock}, payloads}, _context, %{clock_node: node} = state)
+      when node != nil do
+    :atomics.sub(state.clock_untaken, 1, length(payloads))
+
+    case List.last(payloads) do
+      <<s::little-32, ns::little-32>> -> {[], %{state | clock: s * 1_000_000_000 + ns}}
+      _ -> {[], state}
+    end
+  end
+
   def handle_info({:ros, theirs, payloads}, context, state) do
     :atomics.sub(state.untaken, 1, length(payloads))
     {definition, state} = known(theirs, state)
-    read = Enum.map(payloads, &read(&1, definition, state.opts[:times], context.now))
+    now = if state.opts[:sim_time], do: state.clock, else: context.now
+    read = Enum.map(payloads, &read(&1, definition, state.opts, now))
     {actions, inlet} = Inlet.take_read(state.inlet, read)
     {actions, %{state | inlet: inlet}}
   end
@@ -115,13 +153,22 @@ defmodule Situ.Bridge.Ros.Source do
     end
   end
 
-  defp read(_payload, {:error, why}, _times, _now), do: {:error, why}
+  defp read(_payload, {:error, why}, _opts, _now), do: {:error, why}
 
-  defp read(payload, {:ok, definition}, times, now) do
+  defp read(payload, {:ok, definition}, opts, now) do
     with {:ok, message} <- Wire.decode(definition, payload, :ros1) do
-      time = if times == :header, do: stamp(message)
-      {:ok, {time || now, time != nil, Standard.from(definition.name, message)}}
+      time = if opts[:times] == :header, do: stamp(message)
+      timed(time, now, value(definition.name, message, opts))
     end
+  end
+
+  defp timed(nil, nil, _value), do: {:error, "no /clock told the time yet"}
+  defp timed(time, now, value), do: {:ok, {time || now, time != nil, value}}
+
+  defp value(name, message, opts) do
+    if opts[:messages] == :maps,
+      do: message,
+      else: Standard.from(name, message, Address.whole(opts[:topic]))
   end
 
   defp stamp(%{"header" => %{"stamp" => stamp}}) when is_integer(stamp) and stamp in 1..@latest,
@@ -139,7 +186,8 @@ defmodule Situ.Bridge.Ros.Source do
 
   defp close(state) do
     Node.stop(state.node)
-    %{state | node: nil}
+    if state.clock_node, do: Node.stop(state.clock_node)
+    %{state | node: nil, clock_node: nil}
   end
 
   @impl true

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Standard do
   @moduledoc """
-  The messages of ROS that Situ has types for, both ways; of their headers the stamp goes on as the time. All others
-  (`Imu`, `NavSatFix`, `JointState`, tf ...) stay maps.
+  The messages of ROS that Situ has types for, both ways; of their headers the stamp goes on as the time. All others stay
+  maps, and all do where a reader is asked for `messages: :maps` (covariances, frames of reference).
 
   | ROS | Situ |
   |---|---|
@@ -9,42 +9,34 @@ defmodule Situ.Bridge.Ros.Standard do
   | `sensor_msgs/CompressedImage` (JPEG, PNG) | `Situ.EncodedImage` |
   | `sensor_msgs/PointCloud2` (x, y, z and rgb of it) | `Situ.PointCloud` |
   | `sensor_msgs/CameraInfo` | `Situ.CameraIntrinsics` |
+  | `sensor_msgs/Imu` | `Situ.ImuReading` |
+  | `sensor_msgs/NavSatFix` | `Situ.GeoPosition`; without a fix it stays a map |
+  | `sensor_msgs/JointState` | `Situ.JointState` |
+  | `tf2_msgs/TFMessage`, `tf/tfMessage` | a list of `Situ.Transform`, static ones on `/tf_static` |
+  | `geometry_msgs/TransformStamped` | `Situ.Transform` |
   | `geometry_msgs/Pose`, `PoseStamped` | `Situ.Pose` |
   | `audio_common_msgs/AudioData` | only out, of `Situ.AudioBuffer`: it does not say what its bytes are |
   | `geometry_msgs/Point`, `Point32`, `Vector3` | `Situ.Point3` |
+  | `rosgraph_msgs/Clock` | the simulated time, an integer |
   | `std_msgs/String`, `Bool`, `Int8` ... `Float64` | the value |
   """
-  alias Situ.Bridge.Ros.{Cloud, Optics}
+  alias Situ.Bridge.Ros.{Cloud, Optics, Pixels, Sensors}
 
   alias Situ.{
     AudioBuffer,
     CameraIntrinsics,
     DepthImage,
     EncodedImage,
+    GeoPosition,
     Image,
+    ImuReading,
+    JointState,
     Point3,
     PointCloud,
-    Pose
+    Pose,
+    Transform
   }
 
-  @encodings %{
-    "mono8" => :gray8,
-    "8UC1" => :gray8,
-    "mono16" => :gray16,
-    "rgb8" => :rgb24,
-    "bgr8" => :bgr24,
-    "8UC3" => :bgr24,
-    "rgba8" => :rgba32,
-    "bgra8" => :bgra32
-  }
-  @formats %{
-    gray8: "mono8",
-    gray16: "mono16",
-    rgb24: "rgb8",
-    bgr24: "bgr8",
-    rgba32: "rgba8",
-    bgra32: "bgra8"
-  }
   @numbers for n <-
                  ~w(Bool String Int8 Int16 Int32 Int64 UInt8 UInt16 UInt32 UInt64 Float32 Float64),
                do: "std_msgs/" <> n
@@ -52,12 +44,20 @@ defmodule Situ.Bridge.Ros.Standard do
 
   @poses ["geometry_msgs/Pose", "geometry_msgs/PoseStamped"]
 
+  @trees ["tf/tfMessage", "tf2_msgs/TFMessage"]
+
   @doc "The `Situ.Type` that messages of a ROS type become."
   @spec type(String.t()) :: Situ.Type.t()
   def type("sensor_msgs/Image"), do: {:or, [Image, DepthImage, :map]}
   def type("sensor_msgs/CompressedImage"), do: {:or, [EncodedImage, :map]}
   def type("sensor_msgs/PointCloud2"), do: {:or, [PointCloud, :map]}
   def type("sensor_msgs/CameraInfo"), do: {:or, [CameraIntrinsics, :map]}
+  def type("sensor_msgs/Imu"), do: {:or, [ImuReading, :map]}
+  def type("sensor_msgs/NavSatFix"), do: {:or, [GeoPosition, :map]}
+  def type("sensor_msgs/JointState"), do: {:or, [JointState, :map]}
+  def type("geometry_msgs/TransformStamped"), do: {:or, [Transform, :map]}
+  def type(tree) when tree in @trees, do: {:or, [{:list, Transform}, :map]}
+  def type("rosgraph_msgs/Clock"), do: :integer
   def type(pose) when pose in @poses, do: {:or, [Pose, :map]}
   def type(point) when point in @points, do: Point3
   def type("std_msgs/String"), do: :string
@@ -66,36 +66,22 @@ defmodule Situ.Bridge.Ros.Standard do
   def type(number) when number in @numbers, do: :integer
   def type(_), do: :map
 
-  @doc "A message as a struct of Situ; one with impossible values stays a map."
-  @spec from(String.t(), map()) :: term()
-  def from(name, message) do
+  @doc "A message as a struct of Situ; one with impossible values stays a map. `topic` tells which transforms are static."
+  @spec from(String.t(), map(), String.t()) :: term()
+  def from(name, message, topic \\ "") do
     case make(name, message) do
-      {:ok, value} -> value
+      {:ok, value} -> if topic == "/tf_static", do: Sensors.static(value), else: value
       _ -> message
     end
   end
 
-  defp make("sensor_msgs/Image", %{"encoding" => "16UC1", "is_bigendian" => 0} = m),
-    do: DepthImage.new(width: m["width"], height: m["height"], stride: m["step"], data: m["data"])
-
-  defp make("sensor_msgs/Image", m) do
-    case {@encodings[m["encoding"]], m["is_bigendian"]} do
-      {nil, _} ->
-        :error
-
-      {:gray16, 1} ->
-        :error
-
-      {format, _} ->
-        Image.new(
-          width: m["width"],
-          height: m["height"],
-          stride: m["step"],
-          format: format,
-          data: m["data"]
-        )
-    end
-  end
+  defp make("sensor_msgs/Image", m), do: Pixels.from(m, "width", "height", "step")
+  defp make("sensor_msgs/Imu", m), do: Sensors.imu(m)
+  defp make("sensor_msgs/NavSatFix", m), do: Sensors.fix(m)
+  defp make("sensor_msgs/JointState", m), do: Sensors.joints(m)
+  defp make("geometry_msgs/TransformStamped", m), do: Sensors.transform(m)
+  defp make(tree, %{"transforms" => list}) when tree in @trees, do: Sensors.transforms(list)
+  defp make("rosgraph_msgs/Clock", %{"clock" => time}), do: {:ok, time}
 
   defp make("sensor_msgs/CompressedImage", %{"data" => data}) do
     with {:ok, format} <- EncodedImage.sniff(data),
@@ -106,16 +92,7 @@ defmodule Situ.Bridge.Ros.Standard do
   defp make("sensor_msgs/CameraInfo", m), do: Optics.from(m)
   defp make("geometry_msgs/PoseStamped", %{"pose" => pose}), do: make("geometry_msgs/Pose", pose)
 
-  defp make("geometry_msgs/Pose", %{"position" => p, "orientation" => q}) do
-    numbers = [p["x"], p["y"], p["z"], q["w"], q["x"], q["y"], q["z"]]
-
-    with true <- Enum.all?(numbers, &is_float/1), [x, y, z, w, i, j, k] = numbers do
-      # A rotation of no length is none.
-      if Enum.any?([w, i, j, k], &(&1 != 0.0)),
-        do: {:ok, %Pose{position: {x, y, z}, rotation: {w, i, j, k}}},
-        else: :error
-    end
-  end
+  defp make("geometry_msgs/Pose", %{"position" => p, "orientation" => q}), do: Sensors.pose(p, q)
 
   defp make(point, %{"x" => x, "y" => y, "z" => z})
        when point in @points and is_float(x) and is_float(y) and is_float(z),
@@ -126,13 +103,18 @@ defmodule Situ.Bridge.Ros.Standard do
 
   @doc "The ROS type that fits data, or `nil`."
   @spec ros_type(term()) :: String.t() | nil
-  def ros_type(%Image{format: format}) when is_map_key(@formats, format), do: "sensor_msgs/Image"
+  def ros_type(%Image{} = image), do: if(Pixels.name(image), do: "sensor_msgs/Image")
   def ros_type(%DepthImage{}), do: "sensor_msgs/Image"
   def ros_type(%EncodedImage{}), do: "sensor_msgs/CompressedImage"
   def ros_type(%Point3{}), do: "geometry_msgs/Point"
   def ros_type(%PointCloud{}), do: "sensor_msgs/PointCloud2"
   def ros_type(%CameraIntrinsics{}), do: "sensor_msgs/CameraInfo"
   def ros_type(%Pose{}), do: "geometry_msgs/PoseStamped"
+  def ros_type(%ImuReading{}), do: "sensor_msgs/Imu"
+  def ros_type(%GeoPosition{}), do: "sensor_msgs/NavSatFix"
+  def ros_type(%JointState{}), do: "sensor_msgs/JointState"
+  def ros_type(%Transform{}), do: "geometry_msgs/TransformStamped"
+  def ros_type([%Transform{} | _]), do: "tf2_msgs/TFMessage"
   def ros_type(%AudioBuffer{}), do: "audio_common_msgs/AudioData"
   def ros_type(text) when is_binary(text), do: "std_msgs/String"
   def ros_type(b) when is_boolean(b), do: "std_msgs/Bool"
@@ -143,51 +125,49 @@ defmodule Situ.Bridge.Ros.Standard do
 
   def ros_type(_), do: nil
 
-  @doc "Data as a message of a ROS type: Situ's types become ROS's with `time` as their stamp, maps stay."
-  @spec to(String.t(), term(), Situ.Time.t()) :: map()
-  def to(_name, %Image{} = image, time) do
-    %{
-      "width" => image.width,
-      "height" => image.height,
-      "step" => image.stride,
-      "encoding" => @formats[image.format],
-      "data" => image.data
-    }
-    |> stamped(time)
+  @doc """
+  Data as a message of a ROS type: Situ's types become ROS's with `time` as their stamp and `frame` as the frame they are
+  in, maps stay.
+  """
+  @spec to(String.t(), term(), Situ.Time.t(), String.t()) :: map()
+  def to(name, data, time, frame \\ "") do
+    case plain(name, data, time) do
+      {:headed, message} ->
+        Map.put(message, "header", %{"stamp" => max(time, 0), "frame_id" => frame})
+
+      message ->
+        message
+    end
   end
 
-  def to(_name, %DepthImage{} = depth, time) do
-    %{
-      "width" => depth.width,
-      "height" => depth.height,
-      "step" => depth.stride,
-      "encoding" => "16UC1",
-      "data" => depth.data
-    }
-    |> stamped(time)
-  end
+  defp plain(_name, %Image{} = image, _time), do: {:headed, Pixels.to(image, "step")}
+  defp plain(_name, %DepthImage{} = depth, _time), do: {:headed, Pixels.to(depth, "step")}
 
-  def to(_name, %EncodedImage{} = image, time),
-    do: stamped(%{"format" => Atom.to_string(image.format), "data" => image.data}, time)
+  defp plain(_name, %EncodedImage{} = image, _time),
+    do: {:headed, %{"format" => Atom.to_string(image.format), "data" => image.data}}
 
-  def to(_name, %Point3{x: x, y: y, z: z}, _time), do: %{"x" => x, "y" => y, "z" => z}
-  def to(_name, %PointCloud{} = cloud, time), do: cloud |> Cloud.to() |> stamped(time)
-  def to(_name, %CameraIntrinsics{} = optics, time), do: optics |> Optics.to() |> stamped(time)
-  def to(_name, %AudioBuffer{data: data}, _time), do: %{"data" => data}
+  defp plain(_name, %Point3{x: x, y: y, z: z}, _time), do: %{"x" => x, "y" => y, "z" => z}
+  defp plain(_name, %PointCloud{} = cloud, _time), do: {:headed, Cloud.to(cloud)}
+  defp plain(_name, %CameraIntrinsics{} = optics, _time), do: {:headed, Optics.to(optics)}
+  defp plain(_name, %ImuReading{} = imu, _time), do: {:headed, Sensors.to(imu)}
+  defp plain(_name, %GeoPosition{} = place, _time), do: {:headed, Sensors.to(place)}
+  defp plain(_name, %JointState{} = joints, _time), do: {:headed, Sensors.to(joints)}
 
-  def to("geometry_msgs/PoseStamped", %Pose{} = pose, time),
-    do: stamped(%{"pose" => pose(pose)}, time)
+  defp plain(tree, %Transform{} = transform, time) when tree in @trees,
+    do: plain(tree, [transform], time)
 
-  def to(_name, %Pose{} = pose, _time), do: pose(pose)
-  def to(_name, map, _time) when is_map(map), do: map
-  def to(_name, value, _time), do: %{"data" => value}
+  defp plain(_name, %Transform{} = transform, time), do: Sensors.stamped(transform, time)
 
-  defp pose(%Pose{position: {x, y, z}, rotation: {w, i, j, k}}) do
-    %{
-      "position" => %{"x" => x, "y" => y, "z" => z},
-      "orientation" => %{"x" => i, "y" => j, "z" => k, "w" => w}
-    }
-  end
+  defp plain(_name, [%Transform{} | _] = list, time),
+    do: %{"transforms" => Enum.map(list, &Sensors.stamped(&1, time))}
 
-  defp stamped(message, time), do: Map.put(message, "header", %{"stamp" => max(time, 0)})
+  defp plain(_name, %AudioBuffer{data: data}, _time), do: %{"data" => data}
+
+  defp plain("geometry_msgs/PoseStamped", %Pose{} = pose, _time),
+    do: {:headed, %{"pose" => Sensors.to(pose)}}
+
+  defp plain(_name, %Pose{} = pose, _time), do: Sensors.to(pose)
+  defp plain("rosgraph_msgs/Clock", time, _time) when is_integer(time), do: %{"clock" => time}
+  defp plain(_name, map, _time) when is_map(map), do: map
+  defp plain(_name, value, _time), do: %{"data" => value}
 end

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.StandardTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
-  alias Situ.Bridge.Mcap.Channel
+  alias Situ.Bridge.Mcap.{Channel, Codec}
   alias Situ.Bridge.Ros.{Cloud, Definition, Standard, Wire}
   alias Situ.{AudioBuffer, AudioFormat, CameraIntrinsics, DepthImage, Image, PointCloud, Pose}
   doctest Definition
@@ -39,6 +39,59 @@ defmodule Situ.Bridge.Ros.StandardTest do
       assert back == value
       assert message["header"]["stamp"] == 5
     end
+  end
+
+  # By ROS 1 and by ROS 2.
+  test "what sensors and joints say comes back as it was, of ROS 1 and of ROS 2" do
+    pose = %Pose{position: {1.0, 2.0, 3.0}, rotation: {0.5, 0.5, 0.5, -0.5}}
+    {:ok, place} = Situ.GeoPosition.new(46.05, 14.5, 300.0, {1.0, 2.0, 3.0})
+    {:ok, nowhere_high} = Situ.GeoPosition.new(-46.05, 14.5)
+    {:ok, joints} = Situ.JointState.new(["a", "b"], [0.5, :nan], [], [1.0, 2.0])
+    imu = Situ.ImuReading.new({0.0, 0.1, 9.81}, {0.5, 0.0, -0.5})
+    optics = CameraIntrinsics.new!(width: 64, height: 48, focal: {50, 50})
+
+    for value <- [
+          imu,
+          %{imu | orientation: {0.5, 0.5, -0.5, 0.5}},
+          place,
+          nowhere_high,
+          joints,
+          Situ.Transform.new("camera", "robot", pose),
+          [Situ.Transform.new("camera", "robot", pose)],
+          optics
+        ],
+        encoding <- [:ros1, :cdr] do
+      {:ok, channel} = Channel.new("/x", [encoding: encoding, frame: "base"], value)
+      {:ok, bytes} = Channel.encode(channel, value, 7_000_000_005)
+      {name, language, text} = channel.schema
+      assert String.contains?(name, "/msg/") == (encoding == :cdr)
+      spelled = if encoding == :ros1, do: "ros1", else: "cdr"
+      {codec, _type, nil} = Codec.new(spelled, {name, language, text}, "/x")
+      assert Codec.decode(codec, bytes) == {:ok, value}
+      {:ok, map} = Codec.decode(Codec.shaped(codec, :maps), bytes)
+
+      with %{"header" => header} <- map do
+        assert header["stamp"] == 7_000_000_005
+        unless is_struct(value, Situ.Transform), do: assert(header["frame_id"] == "base")
+        assert is_map_key(header, "seq") == (encoding == :ros1)
+      end
+    end
+  end
+
+  test "transforms of /tf_static hold at all times; a receiver without a fix, and time itself" do
+    transform = Situ.Transform.new("camera", "robot", Pose.identity())
+    message = Standard.to("tf2_msgs/TFMessage", [transform], 5)
+
+    assert [%{static: true, frame: "camera"}] =
+             Standard.from("tf2_msgs/TFMessage", message, "/tf_static")
+
+    assert [%{static: false}] = Standard.from("tf/tfMessage", message, "/tf")
+
+    assert %{"status" => _} =
+             Standard.from("sensor_msgs/NavSatFix", %{"status" => %{"status" => -1}})
+
+    assert Standard.to("rosgraph_msgs/Clock", 12, 5) == %{"clock" => 12}
+    assert Standard.from("rosgraph_msgs/Clock", %{"clock" => 12}) == 12
   end
 
   test "sound goes out as its bytes" do

@@ -23,7 +23,8 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
       type: {:optional, :string},
       default: nil,
       doc: "Its definition (`.msg`), when it is none of ROS's own."
-    ]
+    ],
+    frame: [type: :string, default: "", doc: "The frame of reference that headers name."]
   ]
 
   defstruct [

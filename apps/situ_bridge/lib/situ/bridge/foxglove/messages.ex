@@ -1,0 +1,29 @@
+defmodule Situ.Bridge.Foxglove.Messages do
+  @moduledoc false
+  # The definitions of Foxglove's messages (`priv/foxglove`), as the bytes of Protobuf have them.
+  alias Situ.Bridge.Protobuf.{Descriptor, Schema, Text}
+
+  @external_resource path = Path.expand("../../../../priv/foxglove/foxglove.proto", __DIR__)
+  @text File.read!(path)
+
+  @doc "`{messages, enums}` as `Schema.new/2` takes them."
+  @spec types() :: {list(), list()}
+  def types do
+    {:ok, messages, enums} = Text.types(@text)
+    {messages, enums}
+  end
+
+  @doc "All of them."
+  @spec schema() :: Schema.t()
+  def schema do
+    with :none <- :persistent_term.get(__MODULE__, :none) do
+      {:ok, schema} = Text.parse(@text, [Descriptor.google()])
+      :persistent_term.put(__MODULE__, schema)
+      schema
+    end
+  end
+
+  @doc "Whether there is such a message."
+  @spec known?(String.t()) :: boolean()
+  def known?(name), do: is_map_key(schema().messages, name)
+end

@@ -1,0 +1,290 @@
+defmodule Situ.Bridge.Foxglove.Standard do
+  @moduledoc """
+  Foxglove's messages that Situ has types for, both ways; of their timestamps the time goes on. All others (`Log`,
+  `LaserScan`, `SceneUpdate` ...) stay maps, see `Situ.Bridge.Protobuf`.
+
+  | Foxglove | Situ |
+  |---|---|
+  | `CompressedImage` (JPEG, PNG) | `Situ.EncodedImage` |
+  | `RawImage` (`mono8`, `mono16`, `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC1`, `8UC3`, `16UC1`) | `Situ.Image`; `16UC1` is a `Situ.DepthImage` in millimetres |
+  | `PointCloud` (x, y, z as float32; red, green, blue as uint8) | `Situ.PointCloud` |
+  | `FrameTransform`, `FrameTransforms` | `Situ.Transform`, a list of them |
+  | `Pose`, `PoseInFrame` | `Situ.Pose` |
+  | `Point3`, `Vector3` | `Situ.Point3` |
+  | `CameraCalibration` | `Situ.CameraIntrinsics` |
+  | `LocationFix` | `Situ.GeoPosition` |
+  | `JointStates` | `Situ.JointState` |
+  | `RawAudio` (`pcm-s16`) | `Situ.AudioBuffer` |
+  | `Log` | only out, of texts |
+  """
+  alias Situ.Bridge.Ros.{Optics, Pixels, Sensors}
+
+  alias Situ.{
+    AudioBuffer,
+    AudioFormat,
+    CameraIntrinsics,
+    DepthImage,
+    EncodedImage,
+    GeoPosition,
+    Image,
+    JointState,
+    Point3,
+    PointCloud,
+    Pose,
+    Transform
+  }
+
+  @package "foxglove."
+  @float32 "FLOAT32"
+  @colours ~w(red green blue)
+
+  @doc "The `Situ.Type` that messages of a type become."
+  @spec type(String.t()) :: Situ.Type.t()
+  def type(@package <> name), do: own(name)
+  def type(_), do: :map
+
+  defp own("RawImage"), do: {:or, [Image, DepthImage, :map]}
+  defp own("CompressedImage"), do: {:or, [EncodedImage, :map]}
+  defp own("PointCloud"), do: {:or, [PointCloud, :map]}
+  defp own("FrameTransform"), do: {:or, [Transform, :map]}
+  defp own("FrameTransforms"), do: {:or, [{:list, Transform}, :map]}
+  defp own(pose) when pose in ["Pose", "PoseInFrame"], do: {:or, [Pose, :map]}
+  defp own(point) when point in ["Point3", "Vector3"], do: {:or, [Point3, :map]}
+  defp own("CameraCalibration"), do: {:or, [CameraIntrinsics, :map]}
+  defp own("LocationFix"), do: {:or, [GeoPosition, :map]}
+  defp own("JointStates"), do: {:or, [JointState, :map]}
+  defp own("RawAudio"), do: {:or, [AudioBuffer, :map]}
+  defp own(_), do: :map
+
+  @doc "A message as Situ's; one that makes no sense, or that Situ has no type for, stays a map."
+  @spec from(String.t(), map()) :: term()
+  def from(@package <> name, message) do
+    case make(name, message) do
+      {:ok, value} -> value
+      _ -> message
+    end
+  end
+
+  def from(_name, message), do: message
+
+  defp make("RawImage", m), do: Pixels.from(m, "width", "height", "step")
+
+  defp make("CompressedImage", %{"data" => data}) do
+    with {:ok, format} <- EncodedImage.sniff(data),
+         do: EncodedImage.new(format: format, data: data)
+  end
+
+  defp make("PointCloud", m), do: cloud(m)
+
+  defp make("FrameTransform", m) do
+    with {:ok, pose} <- pose(m["translation"], m["rotation"]),
+         do: {:ok, Transform.new(m["child_frame_id"], m["parent_frame_id"], pose)}
+  end
+
+  defp make("FrameTransforms", %{"transforms" => list}) do
+    made = for m <- list, {:ok, transform} <- [make("FrameTransform", m)], do: transform
+    if length(made) == length(list), do: {:ok, made}, else: :error
+  end
+
+  defp make("PoseInFrame", %{"pose" => %{} = pose}), do: make("Pose", pose)
+  defp make("Pose", m), do: pose(m["position"], m["orientation"])
+
+  defp make(point, %{"x" => x, "y" => y, "z" => z})
+       when point in ["Point3", "Vector3"] and is_float(x) and is_float(y) and is_float(z),
+       do: {:ok, %Point3{x: x, y: y, z: z}}
+
+  defp make("CameraCalibration", m), do: Optics.from(m)
+
+  defp make("LocationFix", m),
+    do: GeoPosition.new(m["latitude"], m["longitude"], Sensors.altitude(m), Sensors.accuracy(m))
+
+  defp make("JointStates", %{"joints" => joints}) do
+    [names | lists] =
+      for key <- ~w(name position velocity effort), do: Enum.map(joints, & &1[key])
+
+    # What one joint does not say, none does.
+    [p, v, e] = for list <- lists, do: if(nil in list, do: [], else: list)
+    JointState.new(names, p, v, e)
+  end
+
+  defp make("RawAudio", %{"format" => "pcm-s16", "data" => data} = m) do
+    with {:ok, format} <-
+           AudioFormat.new(rate: m["sample_rate"], channels: m["number_of_channels"]),
+         do: AudioBuffer.new(format: format, data: data)
+  end
+
+  defp make(_name, _message), do: :error
+
+  # What is not there is the origin, and not turned.
+  defp pose(position, rotation) do
+    p = position || %{"x" => 0.0, "y" => 0.0, "z" => 0.0}
+    q = rotation || %{"x" => 0.0, "y" => 0.0, "z" => 0.0, "w" => 1.0}
+
+    with [x, y, z, w, i, j, k] = numbers <-
+           [p["x"], p["y"], p["z"], q["w"], q["x"], q["y"], q["z"]],
+         true <- Enum.all?(numbers, &is_float/1),
+         true <- Enum.any?([w, i, j, k], &(&1 != 0.0)),
+         do: {:ok, %Pose{position: {x, y, z}, rotation: {w, i, j, k}}},
+         else: (_ -> :error)
+  end
+
+  defp cloud(%{"point_stride" => step, "fields" => fields, "data" => data, "pose" => pose}) do
+    at = Map.new(fields, &{&1["name"], {&1["offset"], &1["type"]}})
+
+    with true <- plain?(pose) and step > 0 and rem(byte_size(data), step) == 0,
+         %{"x" => {x, @float32}, "y" => {y, @float32}, "z" => {z, @float32}} <- at,
+         true <- y == x + 4 and z == x + 8 and x + 12 <= step do
+      PointCloud.new(Pixels.every(data, step, x, 12), colours(data, step, at))
+    else
+      _ -> :error
+    end
+  end
+
+  # A cloud with a place of its own would have to be moved there.
+  defp plain?(nil), do: true
+  defp plain?(m), do: pose(m["position"], m["orientation"]) == {:ok, Pose.identity()}
+
+  defp colours(data, step, at) do
+    with [r, g, b] <- for(c <- @colours, {o, "UINT8"} <- [at[c]], o < step, do: o) do
+      for <<point::binary-size(step) <- data>>, into: <<>> do
+        <<:binary.at(point, r), :binary.at(point, g), :binary.at(point, b)>>
+      end
+    else
+      _ -> nil
+    end
+  end
+
+  @doc "The type of Foxglove's that fits data, or `nil`."
+  @spec message_type(term()) :: String.t() | nil
+  def message_type(%DepthImage{}), do: @package <> "RawImage"
+  def message_type(%Image{} = image), do: if(Pixels.name(image), do: @package <> "RawImage")
+  def message_type(%EncodedImage{}), do: @package <> "CompressedImage"
+  def message_type(%PointCloud{}), do: @package <> "PointCloud"
+  def message_type(%Transform{}), do: @package <> "FrameTransform"
+  def message_type([%Transform{} | _]), do: @package <> "FrameTransforms"
+  def message_type(%Pose{}), do: @package <> "PoseInFrame"
+  def message_type(%Point3{}), do: @package <> "Point3"
+  def message_type(%CameraIntrinsics{}), do: @package <> "CameraCalibration"
+  def message_type(%GeoPosition{}), do: @package <> "LocationFix"
+  def message_type(%JointState{}), do: @package <> "JointStates"
+  def message_type(%AudioBuffer{format: %{sample: :s16}}), do: @package <> "RawAudio"
+  def message_type(text) when is_binary(text), do: @package <> "Log"
+  def message_type(_), do: nil
+
+  @doc """
+  Data as a message of a type: Situ's types become Foxglove's with `time` as their timestamp and `frame` as the frame
+  they are in, maps stay.
+  """
+  @spec to(String.t(), term(), Situ.Time.t(), String.t()) :: map()
+  def to(name, value, time, frame \\ "")
+
+  def to(_name, %Image{} = image, time, frame),
+    do: image |> Pixels.to("step") |> in_frame(time, frame)
+
+  def to(_name, %DepthImage{} = depth, time, frame),
+    do: depth |> Pixels.to("step") |> in_frame(time, frame)
+
+  def to(_name, %EncodedImage{} = image, time, frame),
+    do: in_frame(%{"format" => Atom.to_string(image.format), "data" => image.data}, time, frame)
+
+  def to(_name, %PointCloud{} = cloud, time, frame),
+    do: cloud |> points() |> in_frame(time, frame)
+
+  def to(_name, %Transform{} = transform, time, _frame), do: transform(transform, time)
+
+  def to(_name, [%Transform{} | _] = list, time, _frame),
+    do: %{"transforms" => Enum.map(list, &transform(&1, time))}
+
+  def to(@package <> "PoseInFrame", %Pose{} = pose, time, frame),
+    do: in_frame(%{"pose" => placed(pose)}, time, frame)
+
+  def to(_name, %Pose{} = pose, _time, _frame), do: placed(pose)
+  def to(_name, %Point3{x: x, y: y, z: z}, _time, _frame), do: xyz({x, y, z})
+
+  def to(_name, %CameraIntrinsics{} = optics, time, frame),
+    do: optics |> Optics.to() |> in_frame(time, frame)
+
+  def to(_name, %AudioBuffer{format: format, data: data}, time, _frame) do
+    %{
+      "timestamp" => time,
+      "data" => data,
+      "format" => "pcm-s16",
+      "sample_rate" => format.rate,
+      "number_of_channels" => format.channels
+    }
+  end
+
+  def to(_name, %GeoPosition{} = place, time, frame) do
+    {covariance, type} = Sensors.covariance(place.accuracy)
+
+    in_frame(
+      %{
+        "latitude" => place.latitude,
+        "longitude" => place.longitude,
+        "altitude" => place.altitude || :nan,
+        "position_covariance" => covariance,
+        "position_covariance_type" => type
+      },
+      time,
+      frame
+    )
+  end
+
+  def to(_name, %JointState{} = s, time, _frame) do
+    lists =
+      for list <- [s.positions, s.velocities, s.efforts],
+          do: Stream.concat(list, Stream.cycle([nil]))
+
+    joints =
+      for {name, p, v, e} <- Enum.zip([s.names | lists]),
+          do: %{"name" => name, "position" => p, "velocity" => v, "effort" => e}
+
+    %{"timestamp" => time, "joints" => joints}
+  end
+
+  def to(@package <> "Log", text, time, _frame) when is_binary(text),
+    do: %{"timestamp" => time, "level" => "INFO", "message" => text}
+
+  def to(_name, map, _time, _frame), do: map
+
+  defp in_frame(message, time, frame),
+    do: Map.merge(message, %{"timestamp" => time, "frame_id" => frame})
+
+  defp transform(%Transform{pose: pose} = t, time) do
+    %{"position" => position, "orientation" => rotation} = placed(pose)
+
+    %{
+      "timestamp" => time,
+      "parent_frame_id" => t.parent,
+      "child_frame_id" => t.frame,
+      "translation" => position,
+      "rotation" => rotation
+    }
+  end
+
+  defp placed(%Pose{position: position, rotation: {w, i, j, k}}),
+    do: %{"position" => xyz(position), "orientation" => Map.put(xyz({i, j, k}), "w", w)}
+
+  defp xyz({x, y, z}), do: %{"x" => x, "y" => y, "z" => z}
+
+  defp points(%PointCloud{colors: nil, points: points}),
+    do:
+      laid(12, points, for({name, i} <- Enum.with_index(~w(x y z)), do: {name, 4 * i, @float32}))
+
+  defp points(%PointCloud{colors: colors, points: points}) do
+    fields = for({name, i} <- Enum.with_index(~w(x y z)), do: {name, 4 * i, @float32})
+    more = for({name, i} <- Enum.with_index(@colours), do: {name, 12 + i, "UINT8"})
+    laid(16, Pixels.woven(points, colors), fields ++ more)
+  end
+
+  defp laid(step, data, fields) do
+    fields = for {name, at, type} <- fields, do: %{"name" => name, "offset" => at, "type" => type}
+
+    %{
+      "point_stride" => step,
+      "fields" => fields,
+      "data" => data,
+      "pose" => placed(Pose.identity())
+    }
+  end
+end

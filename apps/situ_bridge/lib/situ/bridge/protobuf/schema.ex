@@ -1,0 +1,155 @@
+defmodule Situ.Bridge.Protobuf.Schema do
+  @moduledoc false
+  # The messages and enumerations that a definition has, by their whole names. Pure data: made by `Protobuf.Text` and
+  # `Protobuf.Descriptor`, finished by `new/2`.
+
+  defmodule Field do
+    @moduledoc false
+    # `type`: `:double` ... `:sint64`, `{:message, name}` or `{:enum, name}`. `presence?`: one that is not there is `nil`.
+    @enforce_keys [:name, :number, :type]
+    defstruct [
+      :name,
+      :number,
+      :type,
+      repeated?: false,
+      packed?: false,
+      presence?: false,
+      oneof: nil
+    ]
+
+    @type t :: %__MODULE__{}
+  end
+
+  @enforce_keys [:messages, :enums]
+  defstruct [:messages, :enums]
+
+  @type message :: %{
+          fields: [Field.t()],
+          by_number: %{pos_integer() => Field.t()},
+          empty: map(),
+          map?: boolean(),
+          oneofs?: boolean()
+        }
+  @type enum :: %{names: %{integer() => String.t()}, numbers: %{String.t() => integer()}}
+  @type t :: %__MODULE__{messages: %{String.t() => message()}, enums: %{String.t() => enum()}}
+
+  @scalars ~w(double float int64 uint64 int32 fixed64 fixed32 bool string bytes uint32 sfixed32 sfixed64 sint32 sint64)a
+  @names Map.new(@scalars, &{Atom.to_string(&1), &1})
+  @most_types 5_000
+  @most_fields 2_000
+
+  @doc "A scalar type by its name."
+  @spec scalar(String.t()) :: {:ok, atom()} | :error
+  def scalar(name), do: Map.fetch(@names, name)
+
+  @doc """
+  A schema of messages (`{name, fields, map?}`) and enumerations (`{name, [{name, number}]}`). Errors are sentences: a
+  type that is not there, numbers that no field may have, more than anyone means.
+  """
+  @spec new([{String.t(), [Field.t()], boolean()}], [{String.t(), [{String.t(), integer()}]}]) ::
+          {:ok, t()} | {:error, String.t()}
+  def new(messages, enums) do
+    enums = Map.new(enums, fn {name, values} -> {name, enum(values)} end)
+    known = MapSet.new(messages, &elem(&1, 0))
+
+    with :ok <- bounded(messages, enums),
+         :ok <- sound(messages, known, enums) do
+      schema = %__MODULE__{messages: %{}, enums: enums}
+      maps = for {name, _, true} <- messages, into: MapSet.new(), do: name
+      {:ok, %{schema | messages: Map.new(messages, &message(&1, enums, maps))}}
+    end
+  end
+
+  defp enum(values) do
+    # Of several names for a number the first one holds.
+    %{
+      names: values |> Enum.reverse() |> Map.new(fn {name, number} -> {number, name} end),
+      numbers: Map.new(values)
+    }
+  end
+
+  defp bounded(messages, enums) do
+    cond do
+      length(messages) + map_size(enums) > @most_types ->
+        {:error, "it has more than #{@most_types} types"}
+
+      large = Enum.find(messages, fn {_, fields, _} -> length(fields) > @most_fields end) ->
+        {:error, "#{elem(large, 0)} has more than #{@most_fields} fields"}
+
+      true ->
+        :ok
+    end
+  end
+
+  defp sound(messages, known, enums) do
+    Enum.find_value(messages, :ok, fn {name, fields, _} ->
+      Enum.find_value(fields, fn field ->
+        with why when is_binary(why) <- trouble(field, known, enums),
+             do: {:error, "the field #{inspect(field.name)} of #{name} #{why}"}
+      end)
+    end)
+  end
+
+  defp trouble(%{number: n}, _known, _enums) when n not in 1..536_870_911,
+    do: "has the number #{inspect(n)}"
+
+  defp trouble(%{type: {:message, type}}, known, _enums),
+    do: if(type not in known, do: "has the type #{type}, which is not there")
+
+  defp trouble(%{type: {:enum, type}}, _known, enums),
+    do: if(not is_map_key(enums, type), do: "has the type #{type}, which is not there")
+
+  defp trouble(_field, _known, _enums), do: nil
+
+  defp message({name, fields, map?}, enums, maps) do
+    fields = Enum.map(fields, &alone/1)
+
+    {name,
+     %{
+       fields: fields,
+       by_number: Map.new(fields, &{&1.number, &1}),
+       empty: Map.new(fields, &{&1.name, absent(&1, enums, maps)}),
+       map?: map?,
+       oneofs?: Enum.any?(fields, &(&1.oneof != nil))
+     }}
+  end
+
+  # A message that is not there is `nil` anyway.
+  defp alone(%{type: {:message, _}} = field), do: %{field | presence?: false}
+  defp alone(field), do: field
+
+  defp absent(%{repeated?: true, type: {:message, type}}, _enums, maps),
+    do: if(type in maps, do: %{}, else: [])
+
+  defp absent(%{repeated?: true}, _enums, _maps), do: []
+  defp absent(%{type: {:message, _}}, _enums, _maps), do: nil
+  defp absent(%{presence?: true}, _enums, _maps), do: nil
+  defp absent(%{type: {:enum, name}}, enums, _maps), do: Map.get(enums[name].names, 0, 0)
+  defp absent(%{type: type}, _enums, _maps), do: zero(type)
+
+  @doc "How a type lies in the bytes: 0, 1, 2 or 5."
+  @spec wire(atom() | {:message | :enum, String.t()}) :: 0 | 1 | 2 | 5
+  def wire({:message, _}), do: 2
+  def wire({:enum, _}), do: 0
+  def wire(type) when type in [:string, :bytes], do: 2
+  def wire(type) when type in [:double, :fixed64, :sfixed64], do: 1
+  def wire(type) when type in [:float, :fixed32, :sfixed32], do: 5
+  def wire(_varint), do: 0
+
+  @doc "What a number of fixed size is (`Situ.Bridge.Ros.Number`), and its bytes; `nil` for other types."
+  @spec fixed(atom() | tuple()) :: {atom(), 4 | 8} | nil
+  def fixed(:double), do: {:float64, 8}
+  def fixed(:fixed64), do: {:uint64, 8}
+  def fixed(:sfixed64), do: {:int64, 8}
+  def fixed(:float), do: {:float32, 4}
+  def fixed(:fixed32), do: {:uint32, 4}
+  def fixed(:sfixed32), do: {:int32, 4}
+  def fixed(_type), do: nil
+
+  @doc "What a field of a scalar type has when nothing is written."
+  @spec zero(atom()) :: term()
+  def zero(type) when type in [:double, :float], do: 0.0
+  def zero(:bool), do: false
+  def zero(type) when type in [:string, :bytes], do: ""
+  def zero(_integer), do: 0
+end

@@ -1,0 +1,79 @@
+defmodule Situ.Bridge.Ros.Pixels do
+  @moduledoc false
+  # Pictures as ROS and Foxglove name their encodings, and bytes out of rows of points. Pure.
+  alias Situ.{DepthImage, Image}
+
+  @encodings %{
+    "mono8" => :gray8,
+    "8UC1" => :gray8,
+    "mono16" => :gray16,
+    "rgb8" => :rgb24,
+    "bgr8" => :bgr24,
+    "8UC3" => :bgr24,
+    "rgba8" => :rgba32,
+    "bgra8" => :bgra32
+  }
+  @formats %{
+    gray8: "mono8",
+    gray16: "mono16",
+    rgb24: "rgb8",
+    bgr24: "bgr8",
+    rgba32: "rgba8",
+    bgra32: "bgra8"
+  }
+
+  @doc "The name of a picture's encoding, or `nil`."
+  @spec name(Image.t()) :: String.t() | nil
+  def name(%Image{format: format}), do: @formats[format]
+
+  @doc "The picture of a message with `encoding` and `data`; the others are named. Little-endian unless it says."
+  @spec from(map(), String.t(), String.t(), String.t()) ::
+          {:ok, struct()} | {:error, term()} | :error
+  def from(%{"encoding" => encoding, "data" => data} = m, width, height, step) do
+    size = [width: m[width], height: m[height], stride: m[step], data: data]
+    big? = m["is_bigendian"] == 1
+
+    case {encoding, @encodings[encoding]} do
+      {"16UC1", nil} when not big? -> DepthImage.new(size)
+      {_, nil} -> :error
+      {_, :gray16} when big? -> :error
+      {_, format} -> Image.new([format: format] ++ size)
+    end
+  end
+
+  @doc "A picture as members of a message; `step` is the name of the bytes of a row."
+  @spec to(Image.t() | DepthImage.t(), String.t()) :: map()
+  def to(%{} = image, step) do
+    %{
+      "width" => image.width,
+      "height" => image.height,
+      step => image.stride,
+      "encoding" => encoding(image),
+      "data" => image.data
+    }
+  end
+
+  defp encoding(%DepthImage{}), do: "16UC1"
+  defp encoding(%Image{} = image), do: name(image)
+
+  @doc "`n` bytes at `at` out of every `step`."
+  @spec every(binary(), pos_integer(), non_neg_integer(), pos_integer()) :: binary()
+  def every(data, n, 0, n), do: data
+
+  def every(data, step, at, n) do
+    rest = step - at - n
+
+    for <<_::binary-size(at), part::binary-size(n), _::binary-size(rest) <- data>>,
+      into: <<>>,
+      do: part
+  end
+
+  @doc "Points of 12 bytes and colours of three as 16 bytes each, the last a zero."
+  @spec woven(binary(), binary()) :: binary()
+  def woven(points, colors), do: woven(points, colors, [])
+
+  defp woven(<<point::binary-12, points::binary>>, <<rgb::binary-3, colors::binary>>, all),
+    do: woven(points, colors, [[point, rgb, 0] | all])
+
+  defp woven("", "", all), do: all |> Enum.reverse() |> IO.iodata_to_binary()
+end

@@ -1,0 +1,150 @@
+defmodule Situ.Bridge.Ros.Sensors do
+  @moduledoc false
+  # Inertial sensors, receivers of satellites, joints, places and trees of them, as ROS's messages have them. Pure.
+  alias Situ.{GeoPosition, ImuReading, JointState, Pose, Transform}
+
+  @type made :: {:ok, term()} | {:error, term()} | :error
+  @unknown List.duplicate(0.0, 9)
+  @no_rotation {1.0, 0.0, 0.0, 0.0}
+
+  @doc "An Imu. Without an orientation of its own its covariance begins with -1, or nothing is set."
+  @spec imu(map()) :: made()
+  def imu(%{"linear_acceleration" => a, "angular_velocity" => w} = m) do
+    with {:ok, acceleration} <- vector(a), {:ok, velocity} <- vector(w) do
+      reading = ImuReading.new(acceleration, velocity)
+      {:ok, %{reading | orientation: orientation(m)}}
+    end
+  end
+
+  defp orientation(%{"orientation_covariance" => [-1.0 | _]}), do: nil
+
+  defp orientation(%{"orientation" => q}) do
+    case rotation(q) do
+      {:ok, rotation} -> rotation
+      :error -> nil
+    end
+  end
+
+  @doc "A NavSatFix that has a fix."
+  @spec fix(map()) :: made()
+  def fix(%{"status" => %{"status" => status}} = m) when status >= 0 do
+    GeoPosition.new(m["latitude"], m["longitude"], altitude(m), accuracy(m))
+  end
+
+  def fix(_no_fix), do: :error
+
+  @doc "The altitude; NaN means that nobody knows."
+  @spec altitude(map()) :: float() | nil
+  def altitude(%{"altitude" => altitude}), do: if(is_float(altitude), do: altitude)
+
+  @doc "The standard deviations of a covariance that is known."
+  @spec accuracy(map()) :: Situ.Vector3.t() | nil
+  def accuracy(%{"position_covariance" => [e, _, _, _, n, _, _, _, u]} = m)
+      when is_float(e) and is_float(n) and is_float(u) and e >= 0 and n >= 0 and u >= 0 do
+    if m["position_covariance_type"] in [0, "UNKNOWN"],
+      do: nil,
+      else: {:math.sqrt(e), :math.sqrt(n), :math.sqrt(u)}
+  end
+
+  def accuracy(_m), do: nil
+
+  @doc "A JointState."
+  @spec joints(map()) :: made()
+  def joints(%{"name" => names, "position" => p, "velocity" => v, "effort" => e}),
+    do: JointState.new(names, p, v, e)
+
+  @doc "A TransformStamped."
+  @spec transform(map()) :: made()
+  def transform(%{"header" => header, "child_frame_id" => frame, "transform" => t}) do
+    with {:ok, pose} <- pose(t["translation"], t["rotation"]),
+         do: {:ok, Transform.new(frame, header["frame_id"], pose)}
+  end
+
+  @doc "Those of a TFMessage, if all make sense."
+  @spec transforms([map()]) :: made()
+  def transforms(list) do
+    made = for m <- list, {:ok, transform} <- [transform(m)], do: transform
+    if length(made) == length(list), do: {:ok, made}, else: :error
+  end
+
+  @doc "Transforms as those that hold at all times."
+  @spec static(term()) :: term()
+  def static(%Transform{} = transform), do: %{transform | static: true}
+  def static(list) when is_list(list), do: Enum.map(list, &static/1)
+  def static(other), do: other
+
+  @doc "A position and a rotation; one of no length is none."
+  @spec pose(map(), map()) :: {:ok, Pose.t()} | :error
+  def pose(position, rotation) do
+    with {:ok, position} <- vector(position),
+         {:ok, rotation} <- rotation(rotation),
+         do: {:ok, %Pose{position: position, rotation: rotation}}
+  end
+
+  defp vector(%{"x" => x, "y" => y, "z" => z})
+       when is_float(x) and is_float(y) and is_float(z),
+       do: {:ok, {x, y, z}}
+
+  defp vector(_), do: :error
+
+  defp rotation(%{"x" => x, "y" => y, "z" => z, "w" => w})
+       when is_float(x) and is_float(y) and is_float(z) and is_float(w) and
+              (x != 0.0 or y != 0.0 or z != 0.0 or w != 0.0),
+       do: {:ok, {w, x, y, z}}
+
+  defp rotation(_), do: :error
+
+  @doc "A value as the members of its message."
+  @spec to(ImuReading.t() | GeoPosition.t() | JointState.t() | Pose.t()) :: map()
+  def to(%ImuReading{} = imu) do
+    %{
+      "orientation" => turned(imu.orientation || @no_rotation),
+      "orientation_covariance" => if(imu.orientation, do: @unknown, else: [-1.0 | tl(@unknown)]),
+      "linear_acceleration" => xyz(imu.acceleration),
+      "angular_velocity" => xyz(imu.angular_velocity)
+    }
+  end
+
+  def to(%GeoPosition{} = place) do
+    {covariance, type} = covariance(place.accuracy)
+
+    %{
+      "status" => %{"status" => 0, "service" => 1},
+      "latitude" => place.latitude,
+      "longitude" => place.longitude,
+      "altitude" => place.altitude || :nan,
+      "position_covariance" => covariance,
+      "position_covariance_type" => type
+    }
+  end
+
+  def to(%JointState{} = joints) do
+    %{
+      "name" => joints.names,
+      "position" => joints.positions,
+      "velocity" => joints.velocities,
+      "effort" => joints.efforts
+    }
+  end
+
+  def to(%Pose{} = pose),
+    do: %{"position" => xyz(pose.position), "orientation" => turned(pose.rotation)}
+
+  @doc "The nine numbers of a covariance, and the number of what is known of it."
+  @spec covariance(Situ.Vector3.t() | nil) :: {[float()], 0 | 2}
+  def covariance(nil), do: {@unknown, 0}
+  def covariance({e, n, u}), do: {[e * e, 0.0, 0.0, 0.0, n * n, 0.0, 0.0, 0.0, u * u], 2}
+
+  @doc "A transform as a TransformStamped."
+  @spec stamped(Transform.t(), Situ.Time.t()) :: map()
+  def stamped(%Transform{pose: pose} = t, time) do
+    %{
+      "header" => %{"stamp" => max(time, 0), "frame_id" => t.parent},
+      "child_frame_id" => t.frame,
+      "transform" => %{"translation" => xyz(pose.position), "rotation" => turned(pose.rotation)}
+    }
+  end
+
+  defp xyz({x, y, z}), do: %{"x" => x, "y" => y, "z" => z}
+  defp turned({w, x, y, z}), do: %{"x" => x, "y" => y, "z" => z, "w" => w}
+end

@@ -1,0 +1,49 @@
+defmodule Situ.JointState do
+  @moduledoc """
+  Where the joints of a robot are: their names and, in the same order, positions (radians, or metres for sliding ones),
+  velocities (rad/s, m/s) and efforts (N m, N). A list is empty where nobody says.
+
+      iex> {:ok, arm} = Situ.JointState.new(["shoulder", "elbow"], [0.1, 1.2])
+      iex> Situ.JointState.position(arm, "elbow")
+      1.2
+      iex> {:error, error} = Situ.JointState.new(["shoulder"], [0.1, 1.2])
+      iex> error.what
+      "2 positions for 1 joints"
+  """
+  alias Situ.{Error, Number}
+
+  @enforce_keys [:names]
+  defstruct [:names, positions: [], velocities: [], efforts: []]
+
+  @type t :: %__MODULE__{
+          names: [String.t()],
+          positions: [Number.t()],
+          velocities: [Number.t()],
+          efforts: [Number.t()]
+        }
+
+  @doc "A checked state: each list is empty or as long as the names. Error: `:bad_joints`."
+  @spec new([String.t()], [Number.t()], [Number.t()], [Number.t()]) ::
+          {:ok, t()} | {:error, Error.t()}
+  def new(names, positions \\ [], velocities \\ [], efforts \\ [])
+      when is_list(names) and is_list(positions) and is_list(velocities) and is_list(efforts) do
+    lists = [positions: positions, velocities: velocities, efforts: efforts]
+
+    case Enum.find(lists, fn {_, list} -> list != [] and length(list) != length(names) end) do
+      nil ->
+        {:ok, struct!(__MODULE__, [names: names] ++ lists)}
+
+      {name, list} ->
+        {:error, Error.new(:bad_joints, "#{length(list)} #{name} for #{length(names)} joints")}
+    end
+  end
+
+  @doc "The position of a joint; `nil` for one that is not there, or whose position nobody says."
+  @spec position(t(), String.t()) :: Number.t() | nil
+  def position(%__MODULE__{names: names, positions: positions}, name) do
+    case Enum.find_index(names, &(&1 == name)) do
+      nil -> nil
+      at -> Enum.at(positions, at)
+    end
+  end
+end
