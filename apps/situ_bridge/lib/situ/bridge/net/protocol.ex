@@ -24,4 +24,7 @@ defmodule Situ.Bridge.Net.Protocol do
   @doc "Bytes of a server: the complete payloads, an answer, and the state; no payload may exceed `most` bytes."
   @callback read(bytes :: binary(), state(), most :: pos_integer()) ::
               {:ok, [binary()], answer :: iodata(), state()} | {:error, String.t()}
+
+  # A protocol that we only dial has no server's side.
+  @optional_callbacks admit: 2, frame: 2, heard: 2
 end

@@ -1,0 +1,65 @@
+defmodule Situ.Bridge.Mqtt do
+  alias Situ.Bridge.Mqtt.{Sink, Subscription}
+  alias Situ.Bridge.Net
+
+  @schema [
+    port: [type: {:range, 1, 65_535}, default: 1_883, doc: "The broker's port."],
+    qos: [
+      type: {:in, [0, 1]},
+      default: 1,
+      doc: "1: messages are acknowledged, and come again where that was lost; 0: they are not."
+    ],
+    session: [
+      type: {:optional, :string},
+      default: nil,
+      doc:
+        "A name under which the broker keeps (with `qos: 1`) what this subscriber misses while it is away."
+    ],
+    username: [type: {:optional, :string}, default: nil, doc: "As whom to log in."],
+    password: [type: {:optional, :string}, default: nil, doc: "With what."]
+  ]
+  @moduledoc """
+  MQTT 3.1.1: topics of any broker (mosquitto, NATS, EMQX ...) as streams, and streams as topics.
+
+      Situ.Bridge.Mqtt.publish(levels, "broker", "lab/level")
+      levels = Situ.Bridge.Mqtt.subscribe(p, "broker", "lab/level")
+      raw = Situ.Bridge.Mqtt.subscribe(p, "broker", "sensors/+/temperature", format: :raw)
+
+  Messages are in a format of `Situ.Bridge.Format`, whose originating times go along; with `format: :raw` they are the
+  bytes as they are, and their time is that of arrival. Filters may have `+` and `#`; those of several topics come as one
+  stream.
+
+  A broker that is not there yet is waited for, and one that was restarted is found again, after 50 ms to 5 s. With
+  `qos: 1` (the default) a publisher keeps what the broker has not acknowledged, at most `high_water_mark:` messages, and
+  then makes the stream wait; with `qos: 0` what is sent while there is no broker is lost, and counted. Messages that
+  cannot be read, or whose times do not increase (they came again), are left out and counted (`Situ.Pipeline.info/1`).
+  A subscription is endless. There is no TLS: over other networks than one's own use a tunnel.
+  """
+
+  @doc """
+  Publishes a stream on a topic; returns the stream.
+
+  #{Situ.Options.docs(Keyword.drop(Sink.schema(), [:host, :topic]))}
+  """
+  @spec publish(Situ.Stream.t(), String.t(), String.t(), keyword()) :: Situ.Stream.t()
+  def publish(stream, host, topic, opts \\ []) do
+    Situ.via(stream, Sink, [host: host, topic: topic] ++ opts)
+    stream
+  end
+
+  @doc """
+  A source of the messages of a topic or filter.
+
+  #{Situ.Options.docs(@schema)}
+
+  #{Net.Source.docs()}
+  """
+  @spec subscribe(Situ.Pipeline.t(), String.t(), String.t(), keyword()) :: Situ.Stream.t()
+  def subscribe(p, host, topic, opts \\ []) do
+    {own, opts} = Keyword.split(opts, Keyword.keys(@schema))
+    own = Situ.Options.validate!(own, @schema)
+    id = own[:session] || "situ-" <> Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
+    arg = [id: id, topic: topic] ++ Keyword.delete(own, :port)
+    Net.Source.connect(p, {Subscription, arg}, host, own[:port], opts)
+  end
+end

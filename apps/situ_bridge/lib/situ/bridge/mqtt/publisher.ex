@@ -1,0 +1,181 @@
+defmodule Situ.Bridge.Mqtt.Publisher do
+  @moduledoc false
+  # The connection of a sink. What the broker has not acknowledged is kept, and sent again over the next connection.
+  use GenServer
+  require Logger
+  alias Situ.Bridge.Mqtt.Wire
+  alias Situ.Bridge.Net.{Linger, Outbox}
+  alias Situ.Bridge.Outlet
+  @behaviour Outlet
+
+  @first_wait 50
+  @longest_wait 5_000
+  @most 65_536
+
+  defstruct [
+    :opts,
+    :tcp,
+    :told,
+    up?: false,
+    was_up?: false,
+    said: "",
+    wait: @first_wait,
+    id: 0,
+    kept: :queue.new(),
+    n: 0,
+    dropped: 0
+  ]
+
+  @doc "`opts`: host, port, topic, qos, retain, high_water_mark, and those of `Wire.connect/1`."
+  @spec start_link(keyword()) :: {:ok, pid()}
+  def start_link(opts) do
+    {:ok, _} = GenServer.start_link(__MODULE__, opts)
+  end
+
+  @impl Outlet
+  def ready(server), do: GenServer.call(server, :ready)
+
+  @impl Outlet
+  def dropped(server), do: GenServer.call(server, :dropped)
+
+  @impl Outlet
+  def put(server, payload), do: GenServer.call(server, {:put, payload}, :infinity)
+
+  @impl Outlet
+  defdelegate close(server, timeout), to: Linger
+
+  @impl true
+  def init(opts) do
+    Process.flag(:trap_exit, true)
+    send(self(), :connect)
+    {:ok, %__MODULE__{opts: opts}}
+  end
+
+  @impl true
+  def handle_call(:ready, _from, state), do: {:reply, if(state.up?, do: 1, else: 0), state}
+  def handle_call(:dropped, _from, state), do: {:reply, state.dropped, state}
+
+  # Without acknowledgements what nobody takes is lost, but for the time before the first connection.
+  def handle_call({:put, payload}, _from, %{opts: opts} = state) do
+    cond do
+      opts[:qos] == 1 and state.n >= min(opts[:high_water_mark], @most - 1) ->
+        {:reply, :full, state}
+
+      opts[:qos] == 1 ->
+        id = rem(state.id, @most - 1) + 1
+        state = %{state | id: id, n: state.n + 1, kept: :queue.in({id, payload}, state.kept)}
+
+        {:reply, :ok,
+         if(state.up?, do: say(packet({id, payload}, false, opts), state), else: state)}
+
+      state.up? ->
+        {:reply, :ok, say(Wire.publish(opts[:topic], payload, retain: opts[:retain]), state)}
+
+      state.was_up? ->
+        {:reply, :ok, %{state | dropped: state.dropped + 1}}
+
+      true ->
+        {:reply, :full, state}
+    end
+  end
+
+  def handle_call({:drain, until}, from, state) do
+    Linger.drain(from, until, state.n > 0)
+    {:noreply, state}
+  end
+
+  defp packet({id, payload}, again?, opts) do
+    given = [qos: 1, id: id, retain: opts[:retain], again: again?]
+    Wire.publish(opts[:topic], payload, given)
+  end
+
+  @impl true
+  def handle_info(:connect, %{opts: opts} = state) do
+    options = [:binary, active: :once] ++ Outbox.options()
+    host = String.to_charlist(opts[:host])
+
+    with {:ok, tcp} <- :gen_tcp.connect(host, opts[:port], options, 2_000),
+         :ok <- :gen_tcp.send(tcp, Wire.connect(opts)) do
+      {:noreply, %{state | tcp: tcp, said: ""}}
+    else
+      {:error, reason} -> {:noreply, again(state, reason)}
+    end
+  end
+
+  def handle_info({:tcp, tcp, bytes}, %{tcp: tcp} = state) do
+    state = hear(%{state | said: state.said <> bytes})
+    if state.tcp, do: :inet.setopts(tcp, active: :once)
+    {:noreply, state}
+  end
+
+  def handle_info({:tcp_closed, tcp}, %{tcp: tcp} = state), do: {:noreply, again(state, :closed)}
+
+  def handle_info({:tcp_error, tcp, reason}, %{tcp: tcp} = state),
+    do: {:noreply, again(state, reason)}
+
+  def handle_info({:drain, from, until}, state) do
+    Linger.drain(from, until, state.n > 0)
+    {:noreply, state}
+  end
+
+  def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp hear(%{tcp: nil} = state), do: state
+
+  defp hear(state) do
+    case Wire.read(state.said, @most) do
+      {:ok, packet, rest} -> packet |> heard(%{state | said: rest}) |> hear()
+      :more -> state
+      {:error, why} -> again(state, why)
+    end
+  end
+
+  defp heard({:connack, 0}, state) do
+    state = %{state | up?: true, was_up?: true, wait: @first_wait, told: nil}
+    waiting = :queue.to_list(state.kept)
+    say(Enum.map(waiting, &packet(&1, true, state.opts)), state)
+  end
+
+  defp heard({:connack, code}, state), do: again(state, "the broker: " <> Wire.refusal(code))
+
+  # A broker acknowledges in order, nearly always.
+  defp heard({:puback, id}, state) do
+    case :queue.peek(state.kept) do
+      {:value, {^id, _}} ->
+        %{state | n: state.n - 1, kept: :queue.drop(state.kept)}
+
+      _ ->
+        kept = :queue.filter(fn {kept, _} -> kept != id end, state.kept)
+        %{state | n: :queue.len(kept), kept: kept}
+    end
+  end
+
+  defp heard(_other, state), do: state
+
+  defp say(bytes, state) do
+    case :gen_tcp.send(state.tcp, bytes) do
+      :ok -> state
+      {:error, reason} -> again(state, reason)
+    end
+  end
+
+  # The same trouble is told once, not at every attempt.
+  defp again(state, reason) do
+    if state.tcp, do: :gen_tcp.close(state.tcp)
+
+    if state.told != reason and reason != :closed,
+      do: Logger.warning("#{state.opts[:host]}:#{state.opts[:port]}: #{inspect(reason)}")
+
+    Process.send_after(self(), :connect, state.wait)
+    %{state | tcp: nil, up?: false, told: reason, wait: min(state.wait * 2, @longest_wait)}
+  end
+
+  @impl true
+  def terminate(_reason, %{tcp: nil}), do: :ok
+
+  def terminate(_reason, %{tcp: tcp}) do
+    :gen_tcp.send(tcp, Wire.disconnect())
+    :gen_tcp.close(tcp)
+  end
+end

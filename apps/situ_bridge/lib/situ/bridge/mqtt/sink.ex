@@ -1,0 +1,55 @@
+defmodule Situ.Bridge.Mqtt.Sink do
+  alias Situ.Bridge.Outlet
+
+  @schema [
+            host: [type: :string, required: true, doc: "Where the broker is."],
+            port: [type: {:range, 1, 65_535}, default: 1_883, doc: "Its port."],
+            topic: [type: :string, required: true, doc: "The topic."],
+            qos: [
+              type: {:in, [0, 1]},
+              default: 1,
+              doc:
+                "1: the broker acknowledges every message, and those that it has not are sent again; 0: it does not."
+            ],
+            retain: [
+              type: :boolean,
+              default: false,
+              doc: "Who subscribes later begins with the last message."
+            ],
+            username: [type: {:optional, :string}, default: nil, doc: "As whom to log in."],
+            password: [type: {:optional, :string}, default: nil, doc: "With what."]
+          ] ++ Keyword.drop(Outlet.options(), [:listening, :wait_for])
+  @moduledoc false
+  # A stream to a topic.
+  use Situ.Component, inputs: [in: :any], options: @schema
+  alias Situ.Bridge.Mqtt.Publisher
+
+  def schema, do: @schema
+
+  @impl true
+  def init(opts), do: {:ok, Outlet.new([wait_for: 0] ++ opts)}
+
+  @impl true
+  def handle_start(_context, %{opts: opts} = outlet) do
+    id = "situ-" <> Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
+    {:ok, publisher} = Publisher.start_link([id: id] ++ opts)
+    {[], Outlet.open(outlet, Publisher, publisher, nil)}
+  end
+
+  @impl true
+  def handle_message(:in, message, _context, outlet),
+    do: Outlet.take(outlet, Outlet.payload(message, outlet.opts))
+
+  @impl true
+  def handle_info({:hold_ended, :in}, _context, outlet), do: Outlet.pour(outlet)
+  def handle_info(_other, _context, outlet), do: {[], outlet}
+
+  @impl true
+  def handle_closed(:in, _time, _context, outlet), do: {[], Outlet.close(outlet)}
+
+  @impl true
+  def terminate(_reason, outlet), do: Outlet.abandon(outlet)
+
+  @impl true
+  def describe(outlet), do: Outlet.describe(outlet)
+end

@@ -1,0 +1,39 @@
+defmodule Situ.Bridge.Mqtt.Subscription do
+  @moduledoc false
+  # A client that subscribes to one filter. Pure.
+  @behaviour Situ.Bridge.Net.Protocol
+  alias Situ.Bridge.Mqtt.Wire
+
+  # A client may subscribe before its connection was granted.
+  @impl true
+  def hello(_host, _port, arg),
+    do: {[Wire.connect(arg), Wire.subscribe(1, arg[:topic], arg[:qos])], ""}
+
+  @impl true
+  def read(bytes, said, most), do: packets(said <> bytes, most, [], [])
+
+  defp packets(bytes, most, payloads, answers) do
+    case Wire.read(bytes, most) do
+      {:ok, {:publish, _topic, payload, 0, _}, rest} ->
+        packets(rest, most, [payload | payloads], answers)
+
+      {:ok, {:publish, _topic, payload, _qos, id}, rest} ->
+        packets(rest, most, [payload | payloads], [answers, Wire.puback(id)])
+
+      {:ok, {:connack, code}, _rest} when code != 0 ->
+        {:error, "the broker: " <> Wire.refusal(code)}
+
+      {:ok, {:suback, <<0x80>>}, _rest} ->
+        {:error, "the broker refuses the subscription"}
+
+      {:ok, _other, rest} ->
+        packets(rest, most, payloads, answers)
+
+      :more ->
+        {:ok, Enum.reverse(payloads), IO.iodata_to_binary(answers), bytes}
+
+      {:error, why} ->
+        {:error, why}
+    end
+  end
+end
