@@ -1,4 +1,4 @@
-"""Prints a port of 127.0.0.1 that is free now and that the system gives to no connection by itself (those from 32768 on)."""
+"""Prints a port of 127.0.0.1 that is free now, below those that the system gives to connections by itself."""
 import random
 import socket
 

@@ -1,8 +1,8 @@
 defmodule Situ.GeoPosition do
   @moduledoc """
-  A place on the Earth, as a receiver of satellites tells it: latitude (-90..90) and longitude in degrees, altitude above
-  the ellipsoid of WGS84 in metres (`nil` where it is not known), and how far off they may be (standard deviations to the
-  east, to the north and up, in metres; `nil` where nobody says).
+  A place on the Earth, as a receiver of satellites tells it: latitude (-90..90) and longitude in degrees, altitude
+  above the ellipsoid of WGS84 in metres (`nil` where it is not known), and how far off they may be (standard deviations
+  to the east, to the north and up, in metres; `nil` where nobody says).
 
       iex> {:ok, place} = Situ.GeoPosition.new(46.0514, 14.506, 300.0)
       iex> {place.latitude, place.accuracy}

@@ -10,10 +10,9 @@ defmodule Situ.Bridge.Mcap do
               type: {:in, [:log, :publish, :header]},
               default: :log,
               doc:
-                "Originating times: when a message was recorded (`:log`; the index has them), sent " <>
-                  "(`:publish`), or the stamp " <>
-                  "of its header or its timestamp (`:header`, the log time for messages without one). The last two look at every message " <>
-                  "of a stream when it is first used."
+                "Originating times: when a message was recorded (`:log`; the index has them), sent (`:publish`), or " <>
+                  "the stamp of its header or its timestamp (`:header`, the log time for messages without one). " <>
+                  "The last two look at every message of a stream when it is first used."
             ]
           ] ++ Codec.options()
 
@@ -29,8 +28,9 @@ defmodule Situ.Bridge.Mcap do
       Situ.Bridge.Mcap.write(level, drive, "/level")
 
   A topic is a stream. Messages are decoded by the channel's schema: ROS 1, ROS 2 (CDR), Protobuf and JSON; those of
-  other encodings are bytes, and `Situ.Store.info/1` notes that. Standard messages of ROS and of Foxglove are Situ's types
-  (`Situ.Bridge.Ros.Standard`, `Situ.Bridge.Foxglove.Standard`), others maps. Two messages of a topic with one time are a nanosecond apart.
+  other encodings are bytes, and `Situ.Store.info/1` notes that. Standard messages of ROS and of Foxglove are Situ's
+  types (`Situ.Bridge.Ros.Standard`, `Situ.Bridge.Foxglove.Standard`), others maps. Two messages of a topic with one
+  time are a nanosecond apart.
 
   Files with an index open at once, whatever their size; others (and files cut short, or whose writer was killed) are
   passed over, and what can be read is there. Chunks may be LZ4 or Zstandard. Attachments and metadata:

@@ -26,14 +26,14 @@ defmodule Situ.Bridge.Mqtt do
       raw = Situ.Bridge.Mqtt.subscribe(p, "broker", "sensors/+/temperature", format: :raw)
 
   Messages are in a format of `Situ.Bridge.Format`, whose originating times go along; with `format: :raw` they are the
-  bytes as they are, and their time is that of arrival. Filters may have `+` and `#`; those of several topics come as one
-  stream.
+  bytes as they are, and their time is that of arrival. Filters may have `+` and `#`; those of several topics come as
+  one stream.
 
   A broker that is not there yet is waited for, and one that was restarted is found again, after 50 ms to 5 s. With
-  `qos: 1` (the default) a publisher keeps what the broker has not acknowledged, at most `high_water_mark:` messages, and
-  then makes the stream wait; with `qos: 0` what is sent while there is no broker is lost, and counted. Messages that
-  cannot be read, or whose times do not increase (they came again), are left out and counted (`Situ.Pipeline.info/1`).
-  A subscription is endless. There is no TLS: over other networks than one's own use a tunnel.
+  `qos: 1` (the default) a publisher keeps what the broker has not acknowledged, at most `high_water_mark:` messages,
+  and then makes the stream wait; with `qos: 0` what is sent while there is no broker is lost, and counted. Messages
+  that cannot be read, or whose times do not increase (they came again), are left out and counted
+  (`Situ.Pipeline.info/1`). A subscription is endless. There is no TLS: over other networks than one's own use a tunnel.
   """
 
   @doc """

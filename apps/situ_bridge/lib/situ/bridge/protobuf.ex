@@ -12,9 +12,9 @@ defmodule Situ.Bridge.Protobuf do
 
   Keys are the names of the fields. Enumerations are the names of their values (numbers, where there is none), bytes
   binaries, messages and `map<...>` maps, `google.protobuf.Timestamp` and `Duration` nanoseconds; NaN and infinities are
-  atoms. What is not in the bytes is zero, empty, or `nil` where Protobuf tells the two apart. Fields that the definition
-  has not are left out, groups too; Foxglove's messages (`foxglove.CompressedImage` ...) and Google's times are known to
-  every definition.
+  atoms. What is not in the bytes is zero, empty, or `nil` where Protobuf tells the two apart. Fields that the
+  definition has not are left out, groups too; Foxglove's messages (`foxglove.CompressedImage` ...) and Google's times
+  are known to every definition.
 
   Hostile bytes are an error: reading makes no atoms, nests 100 deep at most, and is bounded by the bytes there are.
   """

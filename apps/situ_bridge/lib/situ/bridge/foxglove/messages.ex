@@ -9,8 +9,11 @@ defmodule Situ.Bridge.Foxglove.Messages do
   @doc "`{messages, enums}` as `Schema.new/2` takes them."
   @spec types() :: {list(), list()}
   def types do
-    {:ok, messages, enums} = Text.types(@text)
-    {messages, enums}
+    with :none <- :persistent_term.get({__MODULE__, :types}, :none) do
+      {:ok, messages, enums} = Text.types(@text)
+      :persistent_term.put({__MODULE__, :types}, {messages, enums})
+      {messages, enums}
+    end
   end
 
   @doc "All of them."

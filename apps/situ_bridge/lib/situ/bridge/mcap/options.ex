@@ -14,6 +14,16 @@ defmodule Situ.Bridge.Mcap.Options do
         type: :pos_integer,
         default: 1_048_576,
         doc: "Bytes of a chunk before it is compressed."
+      ],
+      attachments: [
+        type: {:list, :string},
+        default: [],
+        doc: "Files that go into it as attachments, under their names: calibrations, maps, notes."
+      ],
+      metadata: [
+        type: :map,
+        default: %{},
+        doc: "Records of metadata: `%{\"robot\" => %{\"serial\" => \"7\"}}`."
       ]
     ]
   end
@@ -24,8 +34,9 @@ defmodule Situ.Bridge.Mcap.Options do
         type: {:in, [:auto, :json, :ros1, :cdr, :protobuf]},
         default: :auto,
         doc:
-          "How messages are written; `:auto`: ROS 1 for data that a standard message fits, else JSON. `:cdr` is ROS 2, " <>
-            "`:protobuf` Foxglove's own messages (`Situ.Bridge.Foxglove.Standard`) or any other by `definition:`."
+          "How messages are written; `:auto`: ROS 1 for data that a standard message fits, else JSON. `:cdr` " <>
+            "is ROS 2, `:protobuf` Foxglove's own messages (`Situ.Bridge.Foxglove.Standard`) or any other by " <>
+            "`definition:`."
       ],
       type: [
         type: {:optional, :string},
@@ -38,8 +49,8 @@ defmodule Situ.Bridge.Mcap.Options do
         type: {:optional, :string},
         default: nil,
         doc:
-          "The type's definition, when it is none of ROS's or Foxglove's own: the text of a `.msg` or a `.proto`, or a " <>
-            "FileDescriptorSet."
+          "The type's definition, when it is none of ROS's or Foxglove's own: the text of a `.msg` or a `.proto`, " <>
+            "or a FileDescriptorSet."
       ],
       frame: [
         type: :string,

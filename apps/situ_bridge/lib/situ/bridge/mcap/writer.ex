@@ -23,7 +23,47 @@ defmodule Situ.Bridge.Mcap.Writer do
              Native.mcap_create(path, opts[:profile], opts[:compression], opts[:chunk]),
              path
            ),
+         :ok <- attach(ref, opts[:attachments], path),
+         :ok <- describe(ref, opts[:metadata], path),
          do: {:ok, %__MODULE__{path: path, ref: ref}}
+  end
+
+  defp attach(ref, files, path) do
+    each(files, fn file ->
+      case File.read(file) do
+        {:ok, data} ->
+          args = [ref, Path.basename(file), "application/octet-stream", stamp(file), data]
+          Failure.wrap(apply(Native, :mcap_attach, args), path)
+
+        {:error, reason} ->
+          {:error,
+           Error.new(:io, "the attachment #{file} cannot be read", why: :file.format_error(reason))}
+      end
+    end)
+  end
+
+  # When it was last changed.
+  defp stamp(file) do
+    case File.stat(file, time: :posix) do
+      {:ok, %{mtime: mtime}} -> max(mtime, 0) * 1_000_000_000
+      _ -> 0
+    end
+  end
+
+  defp describe(ref, records, path) do
+    each(records, fn {name, pairs} ->
+      pairs = for {key, value} <- pairs, do: {to_string(key), to_string(value)}
+      Failure.wrap(Native.mcap_metadata(ref, to_string(name), pairs), path)
+    end)
+  end
+
+  defp each(list, fun) do
+    Enum.reduce_while(list, :ok, fn one, :ok ->
+      case fun.(one) do
+        {:ok, _} -> {:cont, :ok}
+        error -> {:halt, error}
+      end
+    end)
   end
 
   @impl true

@@ -5,7 +5,8 @@ defmodule Situ.Bridge.Protobuf.Schema do
 
   defmodule Field do
     @moduledoc false
-    # `type`: `:double` ... `:sint64`, `{:message, name}` or `{:enum, name}`. `presence?`: one that is not there is `nil`.
+    # `type`: `:double` ... `:sint64`, `{:message, name}` or `{:enum, name}`. `presence?`: one that is not there is
+    # `nil`.
     @enforce_keys [:name, :number, :type]
     defstruct [
       :name,

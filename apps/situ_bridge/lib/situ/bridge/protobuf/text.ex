@@ -5,7 +5,10 @@ defmodule Situ.Bridge.Protobuf.Text do
   alias Situ.Bridge.Protobuf.Schema
   alias Schema.Field
 
-  @token ~r"//[^\n]*|/\*.*?\*/|\x22(?:[^\x22\\\n]|\\.)*\x22|'(?:[^'\\\n]|\\.)*'|\.?[A-Za-z_][\w.]*|-?0[xX][\da-fA-F]+|-?[\d.][\w.+-]*|\S"s
+  @comments ~S(//[^\n]*|/\*.*?\*/)
+  @strings ~S("(?:[^"\\\n]|\\.\)*"|'(?:[^'\\\n]|\\.\)*')
+  @words ~S(\.?[A-Za-z_][\w.]*|-?0[xX][\da-fA-F]+|-?[\d.][\w.+-]*|\S)
+  @token Regex.compile!(Enum.join([@comments, @strings, @words], "|"), "s")
   @deepest 50
 
   @doc "The schema of a text, with the messages and enumerations of `also` known to it."

@@ -11,8 +11,8 @@ defmodule Situ.Bridge.Ros.Bag do
               type: {:in, [:log, :header]},
               default: :log,
               doc:
-                "Originating times: when a message was recorded, or the stamp of its header (the former where it has none). " <>
-                  "The stamps are read when the file is opened."
+                "Originating times: when a message was recorded, or the stamp of its header (the former where it " <>
+                  "has none). The stamps are read when the file is opened."
             ]
           ] ++ Codec.options()
 

@@ -52,8 +52,8 @@ defmodule Situ.Bridge.Ros.Definition do
   @most_types 1_000
 
   @doc """
-  Parses a definition. Types that the text leaves out are looked up among ROS's own (`Situ.Bridge.Ros.Library`), those of
-  ROS 1 or of ROS 2.
+  Parses a definition. Types that the text leaves out are looked up among ROS's own (`Situ.Bridge.Ros.Library`), those
+  of ROS 1 or of ROS 2.
   Errors are sentences: a malformed line, an unknown type, types that contain themselves.
   """
   @spec parse(String.t(), String.t(), Library.dialect()) :: {:ok, t()} | {:error, String.t()}
@@ -171,7 +171,7 @@ defmodule Situ.Bridge.Ros.Definition do
 
   defp field(type, name, package) do
     with {:field, {name, parsed}} <- parsed(type, name, package),
-         do: {:field, {name, parsed}, type |> String.split("<=") |> hd()}
+         do: {:field, {name, parsed}, type}
   end
 
   defp parsed(type, name, package) do
@@ -265,7 +265,7 @@ defmodule Situ.Bridge.Ros.Definition do
   # A type made of others is told by their sums, without the brackets of a list.
   defp md5_line({name, type}, spelled, types) do
     case inner(type) do
-      nil -> "#{spelled} #{name}"
+      nil -> "#{spelled |> String.split("<=") |> hd()} #{name}"
       message -> "#{md5(message, types)} #{name}"
     end
   end

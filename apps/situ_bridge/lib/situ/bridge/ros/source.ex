@@ -26,8 +26,8 @@ defmodule Situ.Bridge.Ros.Source do
               type: :boolean,
               default: false,
               doc:
-                "Messages without a stamp get the simulated time of the topic /clock instead of that of arrival; those " <>
-                  "before the first clock are left out."
+                "Messages without a stamp get the simulated time of the topic /clock instead of that of arrival; " <>
+                  "those before the first clock are left out."
             ],
             high_water_mark: [
               type: :pos_integer,

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Standard do
   @moduledoc """
-  The messages of ROS that Situ has types for, both ways; of their headers the stamp goes on as the time. All others stay
-  maps, and all do where a reader is asked for `messages: :maps` (covariances, frames of reference).
+  The messages of ROS that Situ has types for, both ways; of their headers the stamp goes on as the time. All others
+  stay maps, and all do where a reader is asked for `messages: :maps` (covariances, frames of reference).
 
   | ROS | Situ |
   |---|---|
@@ -126,8 +126,8 @@ defmodule Situ.Bridge.Ros.Standard do
   def ros_type(_), do: nil
 
   @doc """
-  Data as a message of a ROS type: Situ's types become ROS's with `time` as their stamp and `frame` as the frame they are
-  in, maps stay.
+  Data as a message of a ROS type: Situ's types become ROS's with `time` as their stamp and `frame` as the frame they
+  are in, maps stay.
   """
   @spec to(String.t(), term(), Situ.Time.t(), String.t()) :: map()
   def to(name, data, time, frame \\ "") do

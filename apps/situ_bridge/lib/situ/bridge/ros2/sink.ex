@@ -1,0 +1,82 @@
+defmodule Situ.Bridge.Ros2.Sink do
+  alias Situ.Bridge.Outlet
+  alias Situ.Bridge.Ros2.Source
+
+  @schema [
+            topic: [type: :string, required: true, doc: "The topic."],
+            frame: [type: :string, default: "", doc: "The frame of reference that headers name."]
+          ] ++
+            Source.address() ++ Keyword.drop(Outlet.options(), [:format, :listening, :wait_for])
+  @moduledoc false
+  # A stream as a topic. It is published once its type is known: by the options, or by the first message.
+  use Situ.Component, inputs: [in: :any], options: @schema
+  alias Situ.Bridge.Mcap.Channel
+  alias Situ.Bridge.Ros2.{Session, TypeHash}
+
+  def schema, do: @schema
+
+  @impl true
+  def init(opts),
+    do: {:ok, %{opts: opts, channel: nil, outlet: Outlet.new([wait_for: 0] ++ opts)}}
+
+  @impl true
+  def handle_start(_context, state) do
+    if state.opts[:ros_type], do: {[], open(state, nil)}, else: {[], state}
+  end
+
+  defp open(%{opts: opts} = state, first) do
+    given = [
+      type: opts[:ros_type],
+      definition: opts[:definition],
+      frame: opts[:frame],
+      encoding: :cdr
+    ]
+
+    channel = opts[:topic] |> Channel.new(given, first) |> Situ.Error.unwrap!()
+    definition = channel.definition
+
+    about = [
+      role: :publisher,
+      node: Source.named(opts),
+      type: definition.name,
+      hash: TypeHash.of(definition)
+    ]
+
+    session =
+      (about ++ Keyword.take(opts, [:router, :domain, :topic, :high_water_mark]))
+      |> Session.start_link()
+
+    session = Situ.Error.unwrap!(session)
+    %{state | channel: channel, outlet: Outlet.open(state.outlet, Session, session, nil)}
+  end
+
+  @impl true
+  def handle_message(:in, message, context, %{channel: nil} = state),
+    do: handle_message(:in, message, context, open(state, message.data))
+
+  def handle_message(:in, message, _context, state) do
+    time = message.originating_time
+    bytes = Situ.Error.unwrap!(Channel.encode(state.channel, message.data, time))
+    state.outlet |> Outlet.take({time, bytes}) |> with_outlet(state)
+  end
+
+  @impl true
+  def handle_info({:hold_ended, :in}, _context, state),
+    do: state.outlet |> Outlet.pour() |> with_outlet(state)
+
+  def handle_info(_other, _context, state), do: {[], state}
+
+  defp with_outlet({actions, outlet}, state), do: {actions, %{state | outlet: outlet}}
+
+  @impl true
+  def handle_closed(:in, _time, _context, %{channel: nil} = state), do: {[], state}
+
+  def handle_closed(:in, _time, _context, state),
+    do: {[], %{state | outlet: Outlet.close(state.outlet)}}
+
+  @impl true
+  def terminate(_reason, state), do: Outlet.abandon(state.outlet)
+
+  @impl true
+  def describe(state), do: Outlet.describe(state.outlet)
+end

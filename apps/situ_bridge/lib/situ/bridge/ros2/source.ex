@@ -1,0 +1,163 @@
+defmodule Situ.Bridge.Ros2.Source do
+  alias Situ.Bridge.Mcap.Codec
+
+  @address [
+    router: [
+      type: :string,
+      default: "tcp/127.0.0.1:7447",
+      doc: "Zenoh's router, which `rmw_zenohd` is."
+    ],
+    domain: [type: {:range, 0, 232}, default: 0, doc: "ROS_DOMAIN_ID."],
+    node: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The node's name; by default one is made up."
+    ],
+    ros_type: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "Its type, such as \"sensor_msgs/msg/Imu\"."
+    ],
+    definition: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The type's definition (`.msg`), when it is none of ROS's own."
+    ]
+  ]
+  @schema [
+            topic: [type: :string, required: true, doc: "The topic."],
+            times: [
+              type: {:in, [:header, :sender, :arrival]},
+              default: :header,
+              doc:
+                "Originating times: the stamp of a message's header (the sender's time where it has none), when it " <>
+                  "was sent, or on arrival."
+            ],
+            high_water_mark: [
+              type: :pos_integer,
+              default: 1_000,
+              doc: "The most messages that are taken ahead."
+            ],
+            type: [type: :any, default: :any, doc: "Type of the stream."]
+          ] ++ @address ++ Codec.options()
+  @moduledoc false
+  # A topic as a source that never ends.
+  use Situ.Component, outputs: [out: :any], options: @schema
+  alias Situ.Bridge.Inlet
+  alias Situ.Bridge.Ros.{Definition, Library, Standard, Wire}
+  alias Situ.Bridge.Ros2.{Keys, Session, TypeHash}
+
+  def schema, do: @schema
+  def address, do: @address
+
+  @doc "A node's name."
+  def named(opts),
+    do: opts[:node] || "situ_" <> Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
+
+  @impl true
+  def init(opts) do
+    inlet = Inlet.new(times: opts[:times], format: :ros)
+    {:ok, %{opts: opts, session: nil, untaken: :atomics.new(1, []), inlet: inlet, known: %{}}}
+  end
+
+  @impl true
+  def handle_start(_context, %{opts: opts} = state) do
+    {known, about} = expected(opts)
+
+    given = [role: :subscriber, untaken: state.untaken, node: named(opts)] ++ about
+    given = given ++ Keyword.take(opts, [:router, :domain, :topic, :high_water_mark])
+    session = given |> Session.start_link() |> Situ.Error.unwrap!()
+    {[{:complete, :infinity}], %{state | session: session, known: known}}
+  end
+
+  # A type that is named is the only one.
+  defp expected(opts) do
+    if opts[:ros_type] do
+      type = Definition.plain(opts[:ros_type])
+
+      case definition(type, opts[:definition]) do
+        {:ok, definition} ->
+          {%{type => {:ok, definition}}, [type: type, hash: TypeHash.of(definition)]}
+
+        {:error, why} ->
+          raise Situ.Error.new(:bad_definition, "the type #{type} cannot be used",
+                  why: why,
+                  fix: "give its text with `definition:`"
+                )
+      end
+    else
+      {%{}, [type: nil, hash: nil]}
+    end
+  end
+
+  @doc false
+  def definition(type, nil) do
+    case Library.fetch(type, :ros2) do
+      {:ok, text} -> Definition.parse(type, text, :ros2)
+      :error -> {:error, "it is none of ROS's own"}
+    end
+  end
+
+  def definition(type, text), do: Definition.parse(type, text, :ros2)
+
+  @impl true
+  def handle_info({:ros2, {key, attachment, payload}}, context, state) do
+    :atomics.sub(state.untaken, 1, 1)
+    {definition, state} = known(Keys.type(key), state)
+    read = read(payload, definition, Keys.time(attachment), context.now, state.opts)
+    {actions, inlet} = Inlet.take_read(state.inlet, [read])
+    {actions, %{state | inlet: inlet}}
+  end
+
+  def handle_info(_other, _context, state), do: {[], state}
+
+  defp known(:error, state), do: {{:error, "its key names no type"}, state}
+
+  defp known({:ok, type}, %{known: known} = state) do
+    case known do
+      %{^type => definition} ->
+        {definition, state}
+
+      _ ->
+        definition = definition(type, state.opts[:definition])
+        # A topic has one type: few are kept.
+        known = if map_size(known) < 16, do: known, else: %{}
+        {definition, %{state | known: Map.put(known, type, definition)}}
+    end
+  end
+
+  defp read(_payload, {:error, why}, _sent, _now, _opts), do: {:error, why}
+
+  defp read(payload, {:ok, definition}, sent, now, opts) do
+    with {:ok, message} <- Wire.decode(definition, payload, :cdr) do
+      time = time(opts[:times], message, sent)
+      {:ok, {time || now, time != nil, value(definition.name, message, opts)}}
+    end
+  end
+
+  defp time(:header, %{"header" => %{"stamp" => stamp}}, _sent) when stamp > 0, do: stamp
+  defp time(:arrival, _message, _sent), do: nil
+  defp time(_times, _message, sent), do: sent
+
+  defp value(name, message, opts) do
+    if opts[:messages] == :maps,
+      do: message,
+      else: Standard.from(name, message, "/" <> String.trim_leading(opts[:topic], "/"))
+  end
+
+  @impl true
+  def handle_stop(_final_time, _context, state), do: {[], close(state)}
+
+  @impl true
+  def terminate(_reason, state), do: close(state)
+
+  defp close(%{session: nil} = state), do: state
+
+  defp close(state) do
+    Session.stop(state.session)
+    %{state | session: nil}
+  end
+
+  @impl true
+  def describe(state), do: Inlet.describe(state.inlet)
+end

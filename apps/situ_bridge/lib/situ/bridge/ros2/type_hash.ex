@@ -1,0 +1,103 @@
+defmodule Situ.Bridge.Ros2.TypeHash do
+  @moduledoc false
+  # The sum by which ROS 2 tells whether two sides mean the same type (REP 2016, "RIHS01"): SHA-256 of a description of
+  # the type and of all that it is made of. Pure.
+  alias Situ.Bridge.Ros.Definition
+
+  @ids %{
+    int8: 2,
+    uint8: 3,
+    int16: 4,
+    uint16: 5,
+    int32: 6,
+    uint32: 7,
+    int64: 8,
+    uint64: 9,
+    float32: 10,
+    float64: 11,
+    bool: 15,
+    string: 17,
+    wstring: 18
+  }
+
+  @doc """
+  The sum of a definition of ROS 2's.
+
+      iex> {:ok, text} = Situ.Bridge.Ros.Definition.parse("std_msgs/String", "string data", :ros2)
+      iex> Situ.Bridge.Ros2.TypeHash.of(text)
+      "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+  """
+  @spec of(Definition.t()) :: String.t()
+  def of(%Definition{name: name, types: types}) do
+    others = name |> needed(types, MapSet.new()) |> MapSet.delete(name)
+    referenced = others |> Enum.sort_by(&spelled/1) |> Enum.map(&described(&1, types))
+
+    json = [
+      ~s({"type_description": ),
+      described(name, types),
+      ~s(, "referenced_type_descriptions": [),
+      Enum.intersperse(referenced, ", "),
+      "]}"
+    ]
+
+    "RIHS01_" <> Base.encode16(:crypto.hash(:sha256, json), case: :lower)
+  end
+
+  defp needed(name, types, found) do
+    if name in found do
+      found
+    else
+      for {_, type} <- types[name].fields,
+          {:message, inner} <- [innermost(type)],
+          reduce: MapSet.put(found, name) do
+        found -> needed(inner, types, found)
+      end
+    end
+  end
+
+  defp innermost({:array, type, _}), do: type
+  defp innermost({:list, type}), do: type
+  defp innermost(type), do: type
+
+  defp spelled(name), do: String.replace(name, "/", "/msg/", global: false)
+
+  defp described(name, types) do
+    %{fields: fields, spelled: spelled} = types[name]
+    fields = Enum.zip_with(fields, spelled, &field/2)
+    [~s({"type_name": "#{spelled(name)}", "fields": [), Enum.intersperse(fields, ", "), "]}"]
+  end
+
+  defp field({name, type}, spelled) do
+    {id, nested} = id(innermost(type), spelled)
+    {text, list?, bound} = bounds(spelled)
+    {above, capacity} = array(type, list?, bound)
+    # A bounded text has a number of its own.
+    id = if text > 0, do: id + 4, else: id
+
+    ~s({"name": "#{name}", "type": {"type_id": #{id + above}, "capacity": #{capacity}, ) <>
+      ~s("string_capacity": #{text}, "nested_type_name": "#{nested}"}})
+  end
+
+  defp id({:message, name}, _spelled), do: {1, spelled(name)}
+  defp id(:int8, "byte" <> _), do: {16, ""}
+  defp id(type, _spelled), do: {Map.fetch!(@ids, type), ""}
+
+  # How long a text may be, and a list.
+  defp bounds(spelled) do
+    [_, text, bounded, n] =
+      ~r/\A[\w\/]+?(?:<=(\d+))?(?:\[(<=)?(\d*)\])?\z/
+      |> Regex.run(spelled)
+      |> Kernel.++(["", "", "", ""])
+      |> Enum.take(4)
+
+    {number(text), bounded != "", number(n)}
+  end
+
+  defp number(""), do: 0
+  defp number(digits), do: String.to_integer(digits)
+
+  defp array({:array, _, n}, _bounded?, _n), do: {48, n}
+  defp array({:list, _}, true, n), do: {96, n}
+  defp array({:list, _}, false, _n), do: {144, 0}
+  defp array(_type, _bounded?, _n), do: {0, 0}
+end

@@ -1,0 +1,184 @@
+defmodule Situ.Bridge.HostileTest do
+  # Mutations of genuine files and messages are recordings, values or errors, in bounded memory and without atoms.
+  # SITU_MUTATIONS=20000 tries so many of each; the tests of every day try fewer of whole files.
+  use ExUnit.Case, async: false
+  alias Situ.Bridge.Foxglove.{Messages, Standard}
+  alias Situ.Bridge.{Mcap, Mqtt, Protobuf, WebSocket}
+  alias Situ.Bridge.Ros.{Definition, Library, Wire}
+  alias Situ.Store
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+  @moduletag timeout: :infinity
+  @data Path.expand("../../data", __DIR__)
+
+  defp count(usual), do: "SITU_MUTATIONS" |> System.get_env("#{usual}") |> String.to_integer()
+
+  # Some bytes changed, cut off, put in or taken twice.
+  defp mutate(bytes, n) do
+    :rand.seed(:exsss, {n, 17, 4})
+    Enum.reduce(1..:rand.uniform(4), bytes, fn _, bytes -> change(bytes, :rand.uniform(5)) end)
+  end
+
+  defp change(bytes, kind) do
+    at = :rand.uniform(byte_size(bytes) + 1) - 1
+    <<head::binary-size(at), rest::binary>> = bytes
+
+    case {kind, rest} do
+      {1, <<_, rest::binary>>} ->
+        head <> <<:rand.uniform(256) - 1>> <> rest
+
+      {2, <<_::32, rest::binary>>} ->
+        head <> Enum.random([<<255::32>>, <<-1::32>>, <<0::32>>, <<127, 255, 255, 255>>]) <> rest
+
+      {3, _} ->
+        head
+
+      {4, _} ->
+        head <> :crypto.strong_rand_bytes(:rand.uniform(8)) <> rest
+
+      {5, _} ->
+        head <> binary_part(rest, 0, min(byte_size(rest), 9)) <> rest
+
+      _ ->
+        bytes
+    end
+  end
+
+  # Runs in a process whose heap is bounded, and counts atoms and bytes around it.
+  defp bounded(n, fun) do
+    fun.(0)
+    atoms = :erlang.system_info(:atom_count)
+    memory = :erlang.memory(:total)
+
+    task =
+      Task.async(fn ->
+        Process.flag(:max_heap_size, %{size: 20_000_000, kill: true, error_logger: true})
+        for i <- 1..n, do: fun.(i)
+        :done
+      end)
+
+    assert Task.await(task, :infinity) == :done
+    # Lazily loaded modules bring a few of their own.
+    assert :erlang.system_info(:atom_count) - atoms < 500
+    :erlang.garbage_collect()
+    assert :erlang.memory(:total) - memory < 200_000_000
+  end
+
+  defp opened(path, bytes) do
+    File.write!(path, bytes)
+
+    with {:ok, store} <- Store.open(path) do
+      for stream <- Store.streams(store) do
+        case Store.read(store, stream.name, limit: 200) do
+          {:ok, messages} -> for m <- messages, do: inspect(m, limit: 3)
+          {:error, %Situ.Error{}} -> :ok
+        end
+      end
+    else
+      {:error, %Situ.Error{}} -> :ok
+    end
+  end
+
+  for {name, extension, usual} <- [
+        {"ros1_imu_gps_cam.mcap", ".mcap", 60},
+        {"ros1_imu_gps_cam.bag", ".bag", 60}
+      ] do
+    test "mutations of the file #{name}", %{tmp_dir: dir} do
+      bytes = File.read!(Path.join(@data, unquote(name)))
+      path = Path.join(dir, "mutated" <> unquote(extension))
+      bounded(count(unquote(usual)), &opened(path, mutate(bytes, &1)))
+    end
+  end
+
+  test "mutations of an MCAP file of Foxglove's messages, descriptors and all", %{tmp_dir: dir} do
+    whole = Path.join(dir, "whole.mcap")
+    pose = Situ.Pose.new({1.0, 2.0, 3.0})
+
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        file = Mcap.create(p, whole, compression: :none)
+
+        for {topic, value} <- [
+              {"/p", pose},
+              {"/t", [Situ.Transform.new("a", "b", pose)]},
+              {"/l", "words"}
+            ] do
+          p
+          |> Situ.from_enumerable(for(i <- 1..20, do: {i, value}))
+          |> Mcap.write(file, topic, encoding: :protobuf)
+        end
+      end)
+
+    bytes = File.read!(whole)
+    path = Path.join(dir, "mutated.mcap")
+    bounded(count(200), &opened(path, mutate(bytes, &1)))
+  end
+
+  test "mutations of Protobuf messages and of their definitions" do
+    schema = Messages.schema()
+    value = %{Situ.PointCloud.from_points([{1.0, 2.0, 3.0}]) | colors: <<1, 2, 3>>}
+    name = Standard.message_type(value)
+    {:ok, bytes} = Protobuf.encode(schema, name, Standard.to(name, value, 5, "f"))
+    set = Protobuf.Descriptor.write(schema, name)
+
+    bounded(count(2_000), fn n ->
+      with {:ok, message} <- Protobuf.decode(schema, name, mutate(bytes, n)),
+           do: Standard.from(name, message)
+
+      with {:ok, other} <- Protobuf.schema(mutate(set, n)),
+           true <- is_map_key(other.messages, name),
+           do: Protobuf.decode(other, name, bytes)
+    end)
+  end
+
+  test "mutations of messages of ROS 1 and ROS 2" do
+    for {encoding, dialect} <- [ros1: :ros1, cdr: :ros2] do
+      {:ok, text} = Library.fetch("sensor_msgs/PointCloud2", dialect)
+      {:ok, definition} = Definition.parse("sensor_msgs/PointCloud2", text, dialect)
+      cloud = Situ.PointCloud.from_points([{1.0, 2.0, 3.0}])
+      message = Situ.Bridge.Ros.Standard.to("sensor_msgs/PointCloud2", cloud, 5)
+      {:ok, bytes} = Wire.encode(definition, message, encoding)
+
+      bounded(count(2_000), fn n ->
+        case Wire.decode(definition, mutate(bytes, n), encoding) do
+          {:ok, message} -> Situ.Bridge.Ros.Standard.from("sensor_msgs/PointCloud2", message)
+          {:error, why} when is_binary(why) -> :ok
+        end
+      end)
+    end
+  end
+
+  test "mutations of definitions" do
+    {:ok, text} = Library.fetch("visualization_msgs/Marker")
+
+    bounded(count(500), fn n ->
+      case Definition.parse("visualization_msgs/Marker", mutate(text, n)) do
+        {:ok, definition} -> Wire.decode(definition, :binary.copy(<<1>>, 100), :ros1)
+        {:error, why} when is_binary(why) -> :ok
+      end
+    end)
+  end
+
+  test "mutations of conversations of MQTT and WebSockets" do
+    mqtt =
+      IO.iodata_to_binary([
+        <<0x20, 2, 0, 0>>,
+        for(i <- 1..5, do: Mqtt.Wire.publish("a/b", "payload", qos: rem(i, 2), id: i))
+      ])
+
+    frames = IO.iodata_to_binary(for i <- 1..5, do: WebSocket.Frames.frame(:text, "message #{i}"))
+
+    bounded(count(2_000), fn n ->
+      case Mqtt.Subscription.read(mutate(mqtt, n), "", 100_000) do
+        {:ok, payloads, _answer, _rest} when is_list(payloads) -> :ok
+        {:error, why} when is_binary(why) -> :ok
+      end
+
+      case WebSocket.Frames.split(mutate(frames, n), nil, false, 100_000) do
+        {:ok, events, _rest, _begun} when is_list(events) -> :ok
+        {:error, _why} -> :ok
+      end
+    end)
+  end
+end

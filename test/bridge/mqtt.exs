@@ -1,0 +1,44 @@
+# Situ's side of MQTT: `mqtt.exs publish PORT` sends 2,000 messages, `mqtt.exs subscribe PORT READY` hears 500 and 500
+# more, which come after the broker was killed.
+{:ok, _} = Application.ensure_all_started(:situ_bridge)
+alias Situ.Bridge.Mqtt
+
+case System.argv() do
+  ["publish", port] ->
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        p
+        |> Situ.from_enumerable(for(n <- 1..2_000, do: {n * 1_000, %{"n" => n}}))
+        |> Mqtt.publish("127.0.0.1", "situ/levels", port: String.to_integer(port), linger: 60_000)
+      end)
+
+  ["subscribe", port, ready] ->
+    me = self()
+
+    {:ok, p} =
+      Situ.Pipeline.start_link(fn p ->
+        p
+        |> Mqtt.subscribe("127.0.0.1", "lab/+/words",
+          port: String.to_integer(port),
+          session: "situ-test",
+          format: :raw
+        )
+        |> Situ.each(&send(me, {:got, &1}))
+      end)
+
+    hear = fn hear, last ->
+      receive do
+        # What is not acknowledged comes again.
+        {:got, ^last} -> :ok
+        {:got, _} -> hear.(hear, last)
+      after
+        60_000 -> raise "#{last} did not come"
+      end
+    end
+
+    hear.(hear, "ready")
+    File.write!(ready, "")
+    hear.(hear, "word 499")
+    hear.(hear, "word 999")
+    {:ok, _} = Situ.Pipeline.stop(p)
+end
