@@ -64,7 +64,7 @@ case System.argv() do
       end)
 
   ["read", path] ->
-    store = Store.open!(path, reader_opts: [times: :header])
+    store = Store.open!(path)
     [] = Store.info(store).damage
     times = for n <- 0..49, do: 1_000_000_007 * (n + 1)
 

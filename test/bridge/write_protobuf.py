@@ -12,7 +12,7 @@ with open(f"{sys.argv[1]}/foxglove-theirs.mcap", "wb") as file, Writer(file) as 
         time = 1_000_000_007 * (n + 1)
         stamp = {"seconds": time // 10**9, "nanos": time % 10**9}
         image = CompressedImage(timestamp=stamp, frame_id="cam", format="jpeg", data=b"\xff\xd8\xff\xe0" + bytes([n]))
-        writer.write_message("/jpeg", image, log_time=time + 5, publish_time=time)
+        writer.write_message("/jpeg", image, log_time=time, publish_time=time)
         tf = FrameTransform(timestamp=stamp, parent_frame_id="world", child_frame_id="cam",
                             translation={"x": n}, rotation={"w": 1})
         writer.write_message("/tf", tf, log_time=time, publish_time=time)

@@ -12,7 +12,7 @@ mod atoms {
     rustler::atoms! {
         ok, error, nil, io, not_mcap, damaged, closed,
         integer, float, boolean,
-        none, lz4, zstd, log, publish, ros1_header, cdr_header, protobuf_stamp
+        none, lz4, zstd, log, publish, ros1_header, cdr_header
     }
 }
 
@@ -64,8 +64,6 @@ fn times(atom: Atom) -> Times {
         Times::Ros1Header
     } else if atom == atoms::cdr_header() {
         Times::CdrHeader
-    } else if atom == atoms::protobuf_stamp() {
-        Times::ProtobufStamp
     } else {
         Times::Log
     }

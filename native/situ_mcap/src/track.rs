@@ -11,8 +11,6 @@ pub enum Times {
     Ros1Header,
     /// The stamp of a CDR message that begins with a header; else the log time.
     CdrHeader,
-    /// The timestamp that is the first field of a Protobuf message; else the log time.
-    ProtobufStamp,
 }
 
 impl Times {
@@ -31,7 +29,6 @@ impl Times {
                 let little = data.get(1).is_some_and(|b| b & 1 == 1);
                 stamp(data, 4, little).unwrap_or(header.log_time)
             }
-            Times::ProtobufStamp => timestamp(data).unwrap_or(header.log_time),
         }
     }
 }
@@ -51,38 +48,6 @@ fn stamp(data: &[u8], at: usize, little: bool) -> Option<u64> {
         return None;
     }
     Some(u64::from(seconds) * 1_000_000_000 + u64::from(nanos))
-}
-
-/// A `google.protobuf.Timestamp` that is written first, as field 1; one of zero means that nobody set it.
-fn timestamp(data: &[u8]) -> Option<u64> {
-    let rest = data.strip_prefix(&[0x0A])?;
-    let (size, rest) = varint(rest)?;
-    let mut fields = rest.get(..usize::try_from(size).ok()?)?;
-    let (mut seconds, mut nanos) = (0, 0);
-    while let Some((key, rest)) = varint(fields) {
-        let (value, rest) = varint(rest)?;
-        match key {
-            0x08 => seconds = value,
-            0x10 => nanos = value,
-            _ => return None,
-        }
-        fields = rest;
-    }
-    if !fields.is_empty() || nanos >= 1_000_000_000 || (seconds == 0 && nanos == 0) {
-        return None;
-    }
-    seconds.checked_mul(1_000_000_000)?.checked_add(nanos)
-}
-
-fn varint(data: &[u8]) -> Option<(u64, &[u8])> {
-    let mut sum = 0u64;
-    for (i, byte) in data.iter().take(10).enumerate() {
-        sum |= u64::from(byte & 0x7F).checked_shl(7 * i as u32)?;
-        if byte & 0x80 == 0 {
-            return Some((sum, data.get(i + 1..)?));
-        }
-    }
-    None
 }
 
 /// Where a message lies. `chunk` is the chunk's number, or `LOOSE` for one outside of chunks.
@@ -119,32 +84,5 @@ impl Track {
     /// The number of the first message at or after `time`.
     pub fn seek(&self, time: i128) -> usize {
         self.entries.partition_point(|e| i128::from(e.time) < time)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::timestamp;
-
-    #[test]
-    fn timestamps_of_protobuf_messages() {
-        // seconds = 300, nanos = 7, then another field.
-        let written = [0x0A, 5, 0x08, 0xAC, 0x02, 0x10, 7, 0x12, 0];
-        assert_eq!(timestamp(&written), Some(300_000_000_007));
-        assert_eq!(timestamp(&[0x0A, 2, 0x10, 7]), Some(7));
-        for wrong in [
-            &[][..],
-            &[0x0A, 0],
-            &[0x0A, 9, 0x08, 1],
-            &[0x12, 0],
-            &[0x0A, 2, 0x1A, 0],
-        ] {
-            assert_eq!(timestamp(wrong), None);
-        }
-        // Before 1970, as two's complement: no time that a file has.
-        let mut early = vec![0x0A, 11, 0x08];
-        early.extend([0xFF; 9]);
-        early.push(1);
-        assert_eq!(timestamp(&early), None);
     }
 }

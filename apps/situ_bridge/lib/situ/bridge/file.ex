@@ -64,6 +64,14 @@ defmodule Situ.Bridge.File do
     end
   end
 
+  @doc "The name that all bridges have for their way out: `write/3`."
+  @spec sink(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def sink(stream, path, opts), do: write(stream, path, opts)
+
+  @doc "The name that all bridges have for their way in: `read/3`."
+  @spec source(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def source(p, path, opts), do: read(p, path, opts)
+
   @doc """
   The messages of a file as a lazy enumerable of `{time, value}`; raises `Situ.Error` (`:io`, `:bad_file`) while it is
   taken from.

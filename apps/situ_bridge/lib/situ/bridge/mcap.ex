@@ -11,7 +11,7 @@ defmodule Situ.Bridge.Mcap do
               default: :log,
               doc:
                 "Originating times: when a message was recorded (`:log`; the index has them), sent (`:publish`), or " <>
-                  "the stamp of its header or its timestamp (`:header`, the log time for messages without one). " <>
+                  "the stamp of its ROS header (`:header`, the log time for messages without one). " <>
                   "The last two look at every message of a stream when it is first used."
             ]
           ] ++ Codec.options()

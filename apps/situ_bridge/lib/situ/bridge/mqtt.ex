@@ -62,4 +62,12 @@ defmodule Situ.Bridge.Mqtt do
     arg = [id: id, topic: topic] ++ Keyword.delete(own, :port)
     Net.Source.connect(p, {Subscription, arg}, host, own[:port], opts)
   end
+
+  @doc "The name that all bridges have for their way out: `publish/4`."
+  @spec sink(Situ.Stream.t(), String.t(), String.t(), keyword()) :: Situ.Stream.t()
+  def sink(stream, host, topic, opts \\ []), do: publish(stream, host, topic, opts)
+
+  @doc "The name that all bridges have for their way in: `subscribe/4`."
+  @spec source(Situ.Pipeline.t(), String.t(), String.t(), keyword()) :: Situ.Stream.t()
+  def source(p, host, topic, opts \\ []), do: subscribe(p, host, topic, opts)
 end

@@ -10,7 +10,7 @@ defmodule Situ.Bridge.Outlet do
   @doc "How many messages were dropped for peers that are too slow."
   @callback dropped(pid()) :: non_neg_integer()
   @doc "Sends to whom it concerns; `:full` when the stream is to wait."
-  @callback put(pid(), what :: iodata()) :: :ok | :full
+  @callback put(pid(), what :: term()) :: :ok | :full
   @doc "Closes after at most so many ms of waiting for messages under way."
   @callback close(pid(), timeout :: non_neg_integer()) :: :ok
 
@@ -69,7 +69,7 @@ defmodule Situ.Bridge.Outlet do
   end
 
   @doc "Sends what goes through the door, or keeps it and holds the input `in` until there is room."
-  @spec take(t(), iodata()) :: {[tuple()], t()}
+  @spec take(t(), what :: term()) :: {[tuple()], t()}
   def take(outlet, payload), do: pour(%{outlet | held: outlet.held ++ [payload]})
 
   @doc "Tries once more, when a hold has ended."

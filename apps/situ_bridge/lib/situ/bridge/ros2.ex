@@ -37,4 +37,12 @@ defmodule Situ.Bridge.Ros2 do
   @spec subscribe(Situ.Pipeline.t(), String.t(), keyword()) :: Situ.Stream.t()
   def subscribe(p, topic, opts \\ []),
     do: Situ.source(p, Source, [topic: topic, outputs: [out: opts[:type] || :any]] ++ opts)
+
+  @doc "The name that all bridges have for their way out: `publish/3`."
+  @spec sink(Situ.Stream.t(), String.t(), keyword()) :: Situ.Stream.t()
+  def sink(stream, topic, opts \\ []), do: publish(stream, topic, opts)
+
+  @doc "The name that all bridges have for their way in: `subscribe/3`."
+  @spec source(Situ.Pipeline.t(), String.t(), keyword()) :: Situ.Stream.t()
+  def source(p, topic, opts \\ []), do: subscribe(p, topic, opts)
 end

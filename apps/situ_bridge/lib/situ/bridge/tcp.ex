@@ -23,6 +23,10 @@ defmodule Situ.Bridge.Tcp do
   @spec serve(Situ.Stream.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
   def serve(stream, port, opts \\ []), do: Sink.serve(stream, {Frames, nil}, port, opts)
 
+  @doc "The name that all bridges have for their way out: `serve/3`."
+  @spec sink(Situ.Stream.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
+  def sink(stream, port, opts \\ []), do: serve(stream, port, opts)
+
   @doc """
   A source of what a server sends.
 
@@ -31,4 +35,8 @@ defmodule Situ.Bridge.Tcp do
   @spec connect(Situ.Pipeline.t(), String.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
   def connect(p, host, port, opts \\ []),
     do: Source.connect(p, {Frames, nil}, host, port, opts)
+
+  @doc "The name that all bridges have for their way in: `connect/4`."
+  @spec source(Situ.Pipeline.t(), String.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
+  def source(p, host, port, opts \\ []), do: connect(p, host, port, opts)
 end

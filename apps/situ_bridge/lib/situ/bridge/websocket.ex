@@ -87,4 +87,12 @@ defmodule Situ.Bridge.WebSocket do
       {:ok, payloads, answer, %{state | rest: rest, begun: begun}}
     end
   end
+
+  @doc "The name that all bridges have for their way out: `serve/3`."
+  @spec sink(Situ.Stream.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
+  def sink(stream, port, opts \\ []), do: serve(stream, port, opts)
+
+  @doc "The name that all bridges have for their way in: `connect/4`."
+  @spec source(Situ.Pipeline.t(), String.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
+  def source(p, host, port, opts \\ []), do: connect(p, host, port, opts)
 end

@@ -60,4 +60,16 @@ defmodule Situ.Bridge.ZeroMQ do
     outputs = [out: opts[:type] || :any]
     Situ.source(p, Source, [socket: socket, address: address, outputs: outputs] ++ opts)
   end
+
+  @doc "The name that all bridges have for their way out: `publish/3` with a `topic:`, else `push/3`."
+  @spec sink(Situ.Stream.t(), String.t(), keyword()) :: Situ.Stream.t()
+  def sink(stream, address, opts \\ []) do
+    if opts[:topic], do: publish(stream, address, opts), else: push(stream, address, opts)
+  end
+
+  @doc "The name that all bridges have for their way in: `subscribe/3` with a `topic:`, else `pull/3`."
+  @spec source(Situ.Pipeline.t(), String.t(), keyword()) :: Situ.Stream.t()
+  def source(p, address, opts \\ []) do
+    if opts[:topic], do: subscribe(p, address, opts), else: pull(p, address, opts)
+  end
 end

@@ -107,8 +107,7 @@ defmodule Situ.Bridge.McapTest do
     assert {:ok, %{data: %{"volts" => 500_000_003.5, "raw" => [-1, 7]}}} =
              Store.at(store, "/level", 0)
 
-    # The timestamps in the messages are those of the file: read by themselves they give the same recording.
-    stamped = Store.open!(path, reader_opts: [times: :header, messages: :maps])
+    stamped = Store.open!(path, reader_opts: [messages: :maps])
     assert for(m <- Store.messages(stamped, "/camera"), do: m.originating_time) == times
 
     assert {:ok, %{data: %{"frame_id" => "lens", "encoding" => "rgb8"}}} =
@@ -123,6 +122,34 @@ defmodule Situ.Bridge.McapTest do
     maps = Store.open!(again, reader_opts: [messages: :maps])
     assert {:ok, %{data: %{"frame_id" => "lens"}}} = Store.at(maps, "/camera", 3)
     assert {:error, %{code: :no_ros_type}} = Mcap.export(store, again, encoding: :protobuf)
+  end
+
+  test "attachments and metadata go in and come out", %{tmp_dir: dir} do
+    path = Path.join(dir, "with.mcap")
+    note = Path.join(dir, "calibration.yaml")
+    File.write!(note, "fx: 500")
+    opts = [attachments: [note], metadata: %{"robot" => %{"serial" => 7, "name" => "ada"}}]
+
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        p |> Situ.from_enumerable([1.5]) |> Mcap.write(Mcap.create(p, path, opts), "/x")
+      end)
+
+    store = Store.open!(path)
+    assert [%{name: "calibration.yaml", size: 7, time: time}] = Mcap.attachments(store)
+    assert time > 1_600_000_000_000_000_000
+    assert Mcap.attachment(store, "calibration.yaml") == {:ok, "fx: 500"}
+    assert Store.info(store).metadata == [{"robot", %{"serial" => "7", "name" => "ada"}}]
+
+    missing = Path.join(dir, "nowhere.yaml")
+
+    assert {:error, %{code: :io, what: what}} =
+             Situ.Pipeline.run(fn p ->
+               file = Mcap.create(p, path, attachments: [missing])
+               p |> Situ.from_enumerable([1.5]) |> Mcap.write(file, "/x")
+             end)
+
+    assert what =~ "nowhere.yaml"
   end
 
   test "what was recorded before a pipeline is killed is there", %{tmp_dir: dir} do

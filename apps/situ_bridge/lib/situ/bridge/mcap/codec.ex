@@ -73,22 +73,12 @@ defmodule Situ.Bridge.Mcap.Codec do
   end
 
   @doc "Whether its messages may begin with a stamp, and how that is written."
-  @spec stamps(t()) :: :ros1_header | :cdr_header | :protobuf_stamp | nil
+  @spec stamps(t()) :: :ros1_header | :cdr_header | nil
   def stamps(%{kind: kind, by: definition}) when kind in [:ros1, :cdr] do
     case definition.types[definition.name].fields do
       [{_, {:message, "std_msgs/Header"}} | _] when kind == :cdr -> :cdr_header
       [{_, {:message, "std_msgs/Header"}} | _] -> :ros1_header
       _ -> nil
-    end
-  end
-
-  def stamps(%{kind: :protobuf, by: schema, name: name}) do
-    case schema.messages[name].by_number do
-      %{1 => %{type: {:message, "google.protobuf.Timestamp"}, repeated?: false}} ->
-        :protobuf_stamp
-
-      _ ->
-        nil
     end
   end
 

@@ -66,7 +66,7 @@ defmodule Situ.Bridge.Ros.Standard do
   def type(number) when number in @numbers, do: :integer
   def type(_), do: :map
 
-  @doc "A message as a struct of Situ; one with impossible values stays a map. `topic` tells which transforms are static."
+  @doc "A message as a struct of Situ; one with impossible values stays a map. On `/tf_static` transforms are static."
   @spec from(String.t(), map(), String.t()) :: term()
   def from(name, message, topic \\ "") do
     case make(name, message) do
