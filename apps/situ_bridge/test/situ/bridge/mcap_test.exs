@@ -132,7 +132,7 @@ defmodule Situ.Bridge.McapTest do
 
     {:ok, _} =
       Situ.Pipeline.run(fn p ->
-        p |> Situ.from_enumerable([1.5]) |> Mcap.write(Mcap.create(p, path, opts), "/x")
+        p |> Situ.from_enumerable([{5, 1.5}]) |> Mcap.write(Mcap.create(p, path, opts), "/x")
       end)
 
     store = Store.open!(path)
@@ -146,7 +146,7 @@ defmodule Situ.Bridge.McapTest do
     assert {:error, %{code: :io, what: what}} =
              Situ.Pipeline.run(fn p ->
                file = Mcap.create(p, path, attachments: [missing])
-               p |> Situ.from_enumerable([1.5]) |> Mcap.write(file, "/x")
+               p |> Situ.from_enumerable([{5, 1.5}]) |> Mcap.write(file, "/x")
              end)
 
     assert what =~ "nowhere.yaml"
