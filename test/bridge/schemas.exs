@@ -9,7 +9,7 @@ case System.argv() do
     {:ok, jpeg} = Situ.EncodedImage.new(format: :jpeg, data: <<0xFF, 0xD8, 0xFF, 0xE0, 1>>)
     cloud = Situ.PointCloud.from_points([{1.0, 2.0, 3.0}])
     tree = [Situ.Transform.new("robot", "world", Situ.Pose.new({1.0, 0.0, 0.0}))]
-    {:ok, place} = Situ.GeoPosition.new(46.5, 14.5, 300.0, {1.0, 2.0, 3.0})
+    {:ok, place} = Situ.GeoPoint.new(46.5, 14.5, height: 300.0, accuracy: {1.0, 2.0, 3.0})
     imu = Situ.ImuReading.new({0.0, 0.0, 9.81}, {0.0, 0.0, 0.0})
 
     optics =

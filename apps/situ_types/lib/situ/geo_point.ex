@@ -1,7 +1,8 @@
 defmodule Situ.GeoPoint do
   @moduledoc """
   A place on the Earth (WGS84), as receivers of GPS tell it: latitude -90..90 and longitude -180..180 in degrees, the
-  height above the ellipsoid in metres where it is known, and how far it may be off, in metres.
+  height above the ellipsoid in metres where it is known, and how far it may be off (a standard deviation), in metres:
+  one number over ground, or `{east, north, up}`.
 
       iex> {:ok, here} = Situ.GeoPoint.new(46.0514, 14.5060, accuracy: 4.5)
       iex> {here.latitude, here.height, here.accuracy}
@@ -10,7 +11,7 @@ defmodule Situ.GeoPoint do
       iex> error.what
       "there is no latitude of 91 degrees"
   """
-  alias Situ.Error
+  alias Situ.{Error, Vector3}
 
   @enforce_keys [:latitude, :longitude]
   defstruct [:latitude, :longitude, :height, :accuracy]
@@ -19,11 +20,11 @@ defmodule Situ.GeoPoint do
           latitude: float(),
           longitude: float(),
           height: float() | nil,
-          accuracy: float() | nil
+          accuracy: float() | Vector3.t() | nil
         }
 
   @doc "A place. Options: `height:` and `accuracy:`, metres. Errors: `:bad_place`."
-  @spec new(term(), term(), height: number() | nil, accuracy: number() | nil) ::
+  @spec new(term(), term(), height: number() | nil, accuracy: number() | Vector3.t() | nil) ::
           {:ok, t()} | {:error, Error.t()}
   def new(latitude, longitude, opts \\ []) do
     cond do
@@ -42,7 +43,7 @@ defmodule Situ.GeoPoint do
            latitude: latitude / 1,
            longitude: wrapped(longitude / 1),
            height: metres(opts[:height]),
-           accuracy: metres(opts[:accuracy])
+           accuracy: accuracy_of(opts[:accuracy])
          }}
     end
   end
@@ -53,6 +54,23 @@ defmodule Situ.GeoPoint do
 
   defp metres(x) when is_number(x), do: x / 1
   defp metres(_), do: nil
+
+  defp accuracy_of({east, north, up})
+       when is_number(east) and is_number(north) and is_number(up),
+       do: {east / 1, north / 1, up / 1}
+
+  defp accuracy_of(accuracy), do: metres(accuracy)
+
+  @doc """
+  How far the place may be off over ground, in metres: the larger of east and north; `nil` where nobody says.
+
+      iex> {:ok, place} = Situ.GeoPoint.new(46.0, 14.5, accuracy: {1.0, 2.0, 5.0})
+      iex> Situ.GeoPoint.radius(place)
+      2.0
+  """
+  @spec radius(t()) :: float() | nil
+  def radius(%__MODULE__{accuracy: {east, north, _up}}), do: max(east, north)
+  def radius(%__MODULE__{accuracy: accuracy}), do: accuracy
 
   defp bad(what, fix \\ nil), do: {:error, Error.new(:bad_place, what, fix: fix)}
 

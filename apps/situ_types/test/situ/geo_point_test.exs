@@ -20,6 +20,14 @@ defmodule Situ.GeoPointTest do
     assert GeoPoint.of(%{fix | "latitude" => 95}) == :error
   end
 
+  test "how far off over ground" do
+    assert {:ok, place} = GeoPoint.new(1, 2, accuracy: {4, 3, 9})
+    assert {place.accuracy, GeoPoint.radius(place)} == {{4.0, 3.0, 9.0}, 4.0}
+    assert GeoPoint.of(place) == {:ok, place}
+    assert {:ok, %{accuracy: nil}} = GeoPoint.new(1, 2, accuracy: {:nan, 1, 1})
+    assert {:error, %{code: :bad_place}} = GeoPoint.new(:nan, 1.0)
+  end
+
   test "keys may be atoms, longitudes go round, what is no place is none" do
     assert {:ok, %{longitude: -170.0}} = GeoPoint.of(%{lat: 1, lon: 190})
 

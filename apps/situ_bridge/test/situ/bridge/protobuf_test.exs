@@ -4,7 +4,7 @@ defmodule Situ.Bridge.ProtobufTest do
   alias Situ.Bridge.Foxglove.{Messages, Standard}
   alias Situ.Bridge.Protobuf
   alias Situ.Bridge.Protobuf.{Descriptor, Reader, Writer}
-  alias Situ.{AudioBuffer, AudioFormat, CameraIntrinsics, DepthImage, EncodedImage, GeoPosition}
+  alias Situ.{AudioBuffer, AudioFormat, CameraIntrinsics, DepthImage, EncodedImage, GeoPoint}
   alias Situ.{Image, JointState, Point3, PointCloud, Pose, Transform}
   doctest Protobuf
   doctest Standard
@@ -213,7 +213,7 @@ defmodule Situ.Bridge.ProtobufTest do
     pose = %Pose{position: {1.0, 2.0, 3.0}, rotation: {0.5, 0.5, 0.5, -0.5}}
     png = <<0x89, "PNG\r\n", 0x1A, "\n", 1, 2>>
     {:ok, encoded} = EncodedImage.new(format: :png, data: png)
-    {:ok, place} = GeoPosition.new(46.5, 14.5, 300.0, {1.0, 2.0, 3.0})
+    {:ok, place} = GeoPoint.new(46.5, 14.5, height: 300.0, accuracy: {1.0, 2.0, 3.0})
     {:ok, joints} = JointState.new(["a", "b"], [0.5, 1.5], [0.0, -1.0])
 
     for value <- [

@@ -74,12 +74,8 @@ defmodule Situ.Examples.Study do
     ]
 
     case OptionParser.parse(argv, strict: switches) do
-      {[{:help, true} | _], _, _} ->
-        IO.puts(@usage)
-        0
-
       {opts, [], []} ->
-        study(opts)
+        if opts[:help], do: usage(), else: study(opts)
 
       {_, [word | _], _} ->
         fail("#{inspect(word)} is one argument too many\n  Fix: see bin/demo --dataset --help", 2)
@@ -87,6 +83,11 @@ defmodule Situ.Examples.Study do
       {_, _, [{switch, _} | _]} ->
         fail("unknown or incomplete option #{switch}\n  Fix: see bin/demo --dataset --help", 2)
     end
+  end
+
+  defp usage do
+    IO.puts(@usage)
+    0
   end
 
   defp study(opts) do

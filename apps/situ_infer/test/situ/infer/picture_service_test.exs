@@ -62,7 +62,7 @@ defmodule Situ.Infer.PictureServiceTest do
   end
 
   test "an answer of another kind, a refusal" do
-    assert_raise Situ.Error, ~r/something else/, fn ->
+    assert_raise Situ.Error, ~r/an unexpected form/, fn ->
       look(fn _, _ -> ChatServer.answer("a/b", "<p>") end, [])
     end
 

@@ -12,7 +12,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
   | `Pose`, `PoseInFrame` | `Situ.Pose` |
   | `Point3`, `Vector3` | `Situ.Point3` |
   | `CameraCalibration` | `Situ.CameraIntrinsics` |
-  | `LocationFix` | `Situ.GeoPosition` |
+  | `LocationFix` | `Situ.GeoPoint` |
   | `JointStates` | `Situ.JointState` |
   | `RawAudio` (`pcm-s16`) | `Situ.AudioBuffer` |
   | `Log` | only out, of texts |
@@ -25,7 +25,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
     CameraIntrinsics,
     DepthImage,
     EncodedImage,
-    GeoPosition,
+    GeoPoint,
     Image,
     JointState,
     Point3,
@@ -51,7 +51,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
   defp own(pose) when pose in ["Pose", "PoseInFrame"], do: {:or, [Pose, :map]}
   defp own(point) when point in ["Point3", "Vector3"], do: {:or, [Point3, :map]}
   defp own("CameraCalibration"), do: {:or, [CameraIntrinsics, :map]}
-  defp own("LocationFix"), do: {:or, [GeoPosition, :map]}
+  defp own("LocationFix"), do: {:or, [GeoPoint, :map]}
   defp own("JointStates"), do: {:or, [JointState, :map]}
   defp own("RawAudio"), do: {:or, [AudioBuffer, :map]}
   defp own(_), do: :map
@@ -96,7 +96,11 @@ defmodule Situ.Bridge.Foxglove.Standard do
   defp make("CameraCalibration", m), do: Optics.from(m)
 
   defp make("LocationFix", m),
-    do: GeoPosition.new(m["latitude"], m["longitude"], Sensors.altitude(m), Sensors.accuracy(m))
+    do:
+      GeoPoint.new(m["latitude"], m["longitude"],
+        height: Sensors.altitude(m),
+        accuracy: Sensors.accuracy(m)
+      )
 
   defp make("JointStates", %{"joints" => joints}) do
     [names | lists] =
@@ -165,7 +169,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
   def message_type(%Pose{}), do: @package <> "PoseInFrame"
   def message_type(%Point3{}), do: @package <> "Point3"
   def message_type(%CameraIntrinsics{}), do: @package <> "CameraCalibration"
-  def message_type(%GeoPosition{}), do: @package <> "LocationFix"
+  def message_type(%GeoPoint{}), do: @package <> "LocationFix"
   def message_type(%JointState{}), do: @package <> "JointStates"
   def message_type(%AudioBuffer{format: %{sample: :s16}}), do: @package <> "RawAudio"
   def message_type(text) when is_binary(text), do: @package <> "Log"
@@ -214,14 +218,14 @@ defmodule Situ.Bridge.Foxglove.Standard do
     }
   end
 
-  def to(_name, %GeoPosition{} = place, time, frame) do
+  def to(_name, %GeoPoint{} = place, time, frame) do
     {covariance, type} = Sensors.covariance(place.accuracy)
 
     in_frame(
       %{
         "latitude" => place.latitude,
         "longitude" => place.longitude,
-        "altitude" => place.altitude || :nan,
+        "altitude" => place.height || :nan,
         "position_covariance" => covariance,
         "position_covariance_type" => type
       },

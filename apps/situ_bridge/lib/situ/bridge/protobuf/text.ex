@@ -39,7 +39,10 @@ defmodule Situ.Bridge.Protobuf.Text do
   defp comment?(_), do: false
 
   defp fail(what), do: throw({:not_proto, what})
-  defp odd(tokens), do: fail("it has #{inspect(Enum.join(Enum.take(tokens, 5), " "))}")
+
+  @spec odd([String.t()]) :: no_return()
+  defp odd(tokens),
+    do: throw({:not_proto, "it has #{inspect(Enum.join(Enum.take(tokens, 5), " "))}"})
 
   defp file([], found), do: found
 

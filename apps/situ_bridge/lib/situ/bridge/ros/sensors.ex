@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Sensors do
   @moduledoc false
   # Inertial sensors, receivers of satellites, joints, places and trees of them, as ROS's messages have them. Pure.
-  alias Situ.{GeoPosition, ImuReading, JointState, Pose, Transform}
+  alias Situ.{GeoPoint, ImuReading, JointState, Pose, Transform}
 
   @type made :: {:ok, term()} | {:error, term()} | :error
   @unknown List.duplicate(0.0, 9)
@@ -28,7 +28,7 @@ defmodule Situ.Bridge.Ros.Sensors do
   @doc "A NavSatFix that has a fix."
   @spec fix(map()) :: made()
   def fix(%{"status" => %{"status" => status}} = m) when status >= 0 do
-    GeoPosition.new(m["latitude"], m["longitude"], altitude(m), accuracy(m))
+    GeoPoint.new(m["latitude"], m["longitude"], height: altitude(m), accuracy: accuracy(m))
   end
 
   def fix(_no_fix), do: :error
@@ -95,7 +95,7 @@ defmodule Situ.Bridge.Ros.Sensors do
   defp rotation(_), do: :error
 
   @doc "A value as the members of its message."
-  @spec to(ImuReading.t() | GeoPosition.t() | JointState.t() | Pose.t()) :: map()
+  @spec to(ImuReading.t() | GeoPoint.t() | JointState.t() | Pose.t()) :: map()
   def to(%ImuReading{} = imu) do
     %{
       "orientation" => turned(imu.orientation || @no_rotation),
@@ -105,14 +105,14 @@ defmodule Situ.Bridge.Ros.Sensors do
     }
   end
 
-  def to(%GeoPosition{} = place) do
+  def to(%GeoPoint{} = place) do
     {covariance, type} = covariance(place.accuracy)
 
     %{
       "status" => %{"status" => 0, "service" => 1},
       "latitude" => place.latitude,
       "longitude" => place.longitude,
-      "altitude" => place.altitude || :nan,
+      "altitude" => place.height || :nan,
       "position_covariance" => covariance,
       "position_covariance_type" => type
     }
@@ -131,8 +131,13 @@ defmodule Situ.Bridge.Ros.Sensors do
     do: %{"position" => xyz(pose.position), "orientation" => turned(pose.rotation)}
 
   @doc "The nine numbers of a covariance, and the number of what is known of it."
-  @spec covariance(Situ.Vector3.t() | nil) :: {[float()], 0 | 2}
+  @spec covariance(float() | Situ.Vector3.t() | nil) :: {[float()], 0 | 1 | 2}
   def covariance(nil), do: {@unknown, 0}
+
+  # One number over ground: up is a guess, and the whole is marked as approximated.
+  def covariance(a) when is_float(a),
+    do: {[a * a, 0.0, 0.0, 0.0, a * a, 0.0, 0.0, 0.0, a * a], 1}
+
   def covariance({e, n, u}), do: {[e * e, 0.0, 0.0, 0.0, n * n, 0.0, 0.0, 0.0, u * u], 2}
 
   @doc "A transform as a TransformStamped."

@@ -10,7 +10,7 @@ defmodule Situ.Bridge.Ros.Standard do
   | `sensor_msgs/PointCloud2` (x, y, z and rgb of it) | `Situ.PointCloud` |
   | `sensor_msgs/CameraInfo` | `Situ.CameraIntrinsics` |
   | `sensor_msgs/Imu` | `Situ.ImuReading` |
-  | `sensor_msgs/NavSatFix` | `Situ.GeoPosition`; without a fix it stays a map |
+  | `sensor_msgs/NavSatFix` | `Situ.GeoPoint`; without a fix it stays a map |
   | `sensor_msgs/JointState` | `Situ.JointState` |
   | `tf2_msgs/TFMessage`, `tf/tfMessage` | a list of `Situ.Transform`, static ones on `/tf_static` |
   | `geometry_msgs/TransformStamped` | `Situ.Transform` |
@@ -27,7 +27,7 @@ defmodule Situ.Bridge.Ros.Standard do
     CameraIntrinsics,
     DepthImage,
     EncodedImage,
-    GeoPosition,
+    GeoPoint,
     Image,
     ImuReading,
     JointState,
@@ -53,7 +53,7 @@ defmodule Situ.Bridge.Ros.Standard do
   def type("sensor_msgs/PointCloud2"), do: {:or, [PointCloud, :map]}
   def type("sensor_msgs/CameraInfo"), do: {:or, [CameraIntrinsics, :map]}
   def type("sensor_msgs/Imu"), do: {:or, [ImuReading, :map]}
-  def type("sensor_msgs/NavSatFix"), do: {:or, [GeoPosition, :map]}
+  def type("sensor_msgs/NavSatFix"), do: {:or, [GeoPoint, :map]}
   def type("sensor_msgs/JointState"), do: {:or, [JointState, :map]}
   def type("geometry_msgs/TransformStamped"), do: {:or, [Transform, :map]}
   def type(tree) when tree in @trees, do: {:or, [{:list, Transform}, :map]}
@@ -111,7 +111,7 @@ defmodule Situ.Bridge.Ros.Standard do
   def ros_type(%CameraIntrinsics{}), do: "sensor_msgs/CameraInfo"
   def ros_type(%Pose{}), do: "geometry_msgs/PoseStamped"
   def ros_type(%ImuReading{}), do: "sensor_msgs/Imu"
-  def ros_type(%GeoPosition{}), do: "sensor_msgs/NavSatFix"
+  def ros_type(%GeoPoint{}), do: "sensor_msgs/NavSatFix"
   def ros_type(%JointState{}), do: "sensor_msgs/JointState"
   def ros_type(%Transform{}), do: "geometry_msgs/TransformStamped"
   def ros_type([%Transform{} | _]), do: "tf2_msgs/TFMessage"
@@ -150,7 +150,7 @@ defmodule Situ.Bridge.Ros.Standard do
   defp plain(_name, %PointCloud{} = cloud, _time), do: {:headed, Cloud.to(cloud)}
   defp plain(_name, %CameraIntrinsics{} = optics, _time), do: {:headed, Optics.to(optics)}
   defp plain(_name, %ImuReading{} = imu, _time), do: {:headed, Sensors.to(imu)}
-  defp plain(_name, %GeoPosition{} = place, _time), do: {:headed, Sensors.to(place)}
+  defp plain(_name, %GeoPoint{} = place, _time), do: {:headed, Sensors.to(place)}
   defp plain(_name, %JointState{} = joints, _time), do: {:headed, Sensors.to(joints)}
 
   defp plain(tree, %Transform{} = transform, time) when tree in @trees,

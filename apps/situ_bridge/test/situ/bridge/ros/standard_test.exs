@@ -44,8 +44,8 @@ defmodule Situ.Bridge.Ros.StandardTest do
   # By ROS 1 and by ROS 2.
   test "what sensors and joints say comes back as it was, of ROS 1 and of ROS 2" do
     pose = %Pose{position: {1.0, 2.0, 3.0}, rotation: {0.5, 0.5, 0.5, -0.5}}
-    {:ok, place} = Situ.GeoPosition.new(46.05, 14.5, 300.0, {1.0, 2.0, 3.0})
-    {:ok, nowhere_high} = Situ.GeoPosition.new(-46.05, 14.5)
+    {:ok, place} = Situ.GeoPoint.new(46.05, 14.5, height: 300.0, accuracy: {1.0, 2.0, 3.0})
+    {:ok, nowhere_high} = Situ.GeoPoint.new(-46.05, 14.5)
     {:ok, joints} = Situ.JointState.new(["a", "b"], [0.5, :nan], [], [1.0, 2.0])
     imu = Situ.ImuReading.new({0.0, 0.1, 9.81}, {0.5, 0.0, -0.5})
     optics = CameraIntrinsics.new!(width: 64, height: 48, focal: {50, 50})

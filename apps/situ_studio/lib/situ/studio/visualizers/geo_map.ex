@@ -71,7 +71,7 @@ defmodule Situ.Studio.Visualizers.GeoMap do
           "latitude" => place.latitude,
           "longitude" => place.longitude,
           "height" => place.height,
-          "accuracy" => place.accuracy
+          "accuracy" => GeoPoint.radius(place)
         })
 
       :error ->
