@@ -10,6 +10,8 @@ defmodule Situ.Bench.Beside do
 
   Python is `SITU_BENCH_PYTHON` (`python3`); where it or its packages are not installed, nothing is measured.
   """
+  # Files are compiled in the order of their names, this one before the other.
+  @compile {:no_warn_undefined, Situ.Bench.Space}
   alias Situ.Bench.{Kernels, Space}
 
   def tests, do: [{"kernels-beside-python", &beside/1}]
