@@ -94,34 +94,34 @@ defmodule Situ.Generator.Source do
   def terminate(_reason, %{feed: nil}), do: :ok
   def terminate(_reason, state), do: Feed.close(state.feed)
 
-  defp produce(0, _till, state, actions), do: {:lists.reverse(actions), state}
+  defp produce(n, till, state, actions),
+    do: give(n, till, state, {state.ahead, state.feed, state.last, state.taken}, actions)
 
-  defp produce(n, till, state, actions) do
-    case ahead(state) do
+  # How far it has come is written into the state once for all that was asked for.
+  defp give(0, _till, state, reached, actions), do: {:lists.reverse(actions), at(state, reached)}
+
+  defp give(n, till, %{from: from} = state, {ahead, feed, last, taken} = reached, actions) do
+    case ahead || Feed.next(feed) do
       :done ->
-        finish(state, actions)
+        finish(at(state, reached), actions)
 
       {time, _value, _feed} = item when time > till ->
-        late(item, state, actions)
+        late(item, at(state, reached), actions)
 
-      {time, _value, feed} when state.from != nil and time < state.from ->
-        produce(n, till, skip(state, feed), actions)
+      {time, _value, feed} when from != nil and time < from ->
+        give(n, till, state, {nil, feed, last, taken + 1}, actions)
 
       {time, _value, _feed}
-      when state.last != nil and
-             (time < state.last or (time == state.last and not state.equal)) ->
-        stumble(time, state, actions)
+      when last != nil and (time < last or (time == last and not state.equal)) ->
+        stumble(time, at(state, reached), actions)
 
       {time, value, feed} ->
-        produce(n - 1, till, took(state, time, feed), [{:out, time, value} | actions])
+        give(n - 1, till, state, {nil, feed, time, taken + 1}, [{:out, time, value} | actions])
     end
   end
 
-  defp ahead(%{ahead: nil, feed: feed}), do: Feed.next(feed)
-  defp ahead(%{ahead: item}), do: item
-
-  defp skip(state, feed), do: %{state | feed: feed, ahead: nil, taken: state.taken + 1}
-  defp took(state, time, feed), do: %{skip(state, feed) | last: time}
+  defp at(state, {ahead, feed, last, taken}),
+    do: %{state | ahead: ahead, feed: feed, last: last, taken: taken}
 
   # The next item lies past the end: a stop may move the end, but only to an earlier time.
   defp late(item, state, actions), do: finish(%{state | ahead: item}, actions)
