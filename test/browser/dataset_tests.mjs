@@ -10,9 +10,12 @@ const session = (name) => saved().sessions.find((s) => s.name === name);
 const labels = (page) => page.$$eval("#tree .node .name", (n) => n.map((e) => e.textContent));
 const row = (name) => `#tree .node:has(.name:text-is("${name}"))`;
 
+const connected = (page) =>
+  until(page, () => document.querySelector("[data-phx-main].phx-connected"), "the page is connected");
+
 async function dataset(page) {
   await page.goto(`${main}/d/study.json`);
-  await until(page, () => document.querySelector("[data-phx-main].phx-connected"), "the page is connected");
+  await connected(page);
   await until(
     page,
     () => ![...document.querySelectorAll("#tree .session .info")].some((e) => e.textContent === "…"),
@@ -194,6 +197,8 @@ test("6 batch: a run tells how far it is, goes on without the page, and is cance
   await page.click("#task button[type=submit]");
   await until(page, () => document.querySelector(".run.running progress"), "it runs");
   await page.reload();
+  // before that, the page has no server that could take a click
+  await connected(page);
   await until(page, () => document.querySelector(".run.running"), "it goes on without the page");
   ok(/\d+ %, 0 of 1 sessions/.test(await page.textContent(".run.running")), "and tells how far it is");
   await shot("batch-running");

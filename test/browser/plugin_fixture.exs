@@ -25,6 +25,7 @@ defmodule PluginFixture do
 
     broken(folder, "syntax", "export const open = (((;")
     broken(folder, "silent", "export const shut = 1;")
+    broken(folder, "idle", "export const open = () => {};")
     # it would fetch from elsewhere, which the page's policy forbids
     broken(folder, "abroad", "import 'https://example.org/x.js'; export const open = () => ({});")
 

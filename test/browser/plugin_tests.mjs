@@ -142,10 +142,10 @@ test("12 plugins: a panel of its own has a canvas, elements, words for the mouse
 });
 
 test("12 plugins: what is broken says so in its panel, and the rest goes on", async ({ page, shot }) => {
-  const panels = ["throws", "unready", "syntax", "silent", "abroad", "counter"].map((id, i) => ({
+  const panels = ["throws", "unready", "syntax", "silent", "idle", "abroad", "counter"].map((id, i) => ({
     id: `p${i + 1}`,
     panel: "own",
-    row: i < 3 ? "r1" : "r2",
+    row: i < 4 ? "r1" : "r2",
     vis: [{ viz: `${id}/v`, stream: "Gaze.Point", path: "", props: {} }],
   }));
   panels.push({
@@ -167,6 +167,7 @@ test("12 plugins: what is broken says so in its panel, and the rest goes on", as
     ["unready", "open failed: not in the mood"],
     ["syntax", "cannot be loaded"],
     ["silent", "exports no open(host)"],
+    ["idle", "open(host) gave nothing"],
     ["abroad", "cannot be loaded"],
   ]) {
     await until(

@@ -45,6 +45,29 @@ defmodule Situ.Error do
   def unwrap!({:ok, value}), do: value
   def unwrap!({:error, error}), do: raise(error)
 
+  @doc """
+  The values that `fun` makes of the items, in order; the first answer that is no `{:ok, value}` ends it and is the
+  result.
+
+      iex> Situ.Error.map(["1", "2"], fn text -> {:ok, String.to_integer(text)} end)
+      {:ok, [1, 2]}
+      iex> Situ.Error.map([1, 0, :never_reached], fn n -> if n == 0, do: {:error, :zero}, else: {:ok, 1 / n} end)
+      {:error, :zero}
+  """
+  @spec map(Enumerable.t(), (term() -> {:ok, value} | other)) :: {:ok, [value]} | other
+        when value: term(), other: term()
+  def map(items, fun) do
+    result =
+      Enum.reduce_while(items, {:ok, []}, fn item, {:ok, done} ->
+        case fun.(item) do
+          {:ok, value} -> {:cont, {:ok, [value | done]}}
+          other -> {:halt, other}
+        end
+      end)
+
+    with {:ok, done} <- result, do: {:ok, Enum.reverse(done)}
+  end
+
   @impl true
   def message(%__MODULE__{} = error) do
     [error.what, error.why && "Why: " <> error.why, error.fix && "Fix: " <> error.fix]

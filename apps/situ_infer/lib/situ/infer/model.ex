@@ -350,16 +350,5 @@ defmodule Situ.Infer.Model do
     Enum.zip_with(columns, &Map.new/1)
   end
 
-  defp run_each(model, batch) do
-    Enum.reduce_while(batch, {:ok, []}, fn inputs, {:ok, done} ->
-      case run(model, inputs) do
-        {:ok, outputs} -> {:cont, {:ok, [outputs | done]}}
-        {:error, _} = error -> {:halt, error}
-      end
-    end)
-    |> case do
-      {:ok, done} -> {:ok, Enum.reverse(done)}
-      error -> error
-    end
-  end
+  defp run_each(model, batch), do: Error.map(batch, &run(model, &1))
 end

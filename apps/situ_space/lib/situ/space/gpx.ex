@@ -11,6 +11,7 @@ defmodule Situ.Space.Gpx do
 
   alias Situ.{Error, GeoPoint, Message, Time}
   alias Situ.Space.Scan.Text
+  alias Situ.Space.WholeFile
   alias Situ.Store.StreamInfo
 
   @enforce_keys [:path, :points]
@@ -29,21 +30,8 @@ defmodule Situ.Space.Gpx do
 
   @impl true
   def open(path, _opts) do
-    with {:ok, %{size: size}} when size <= @most <- File.stat(path),
-         {:ok, bytes} <- File.read(path),
-         {:ok, points, untimed} <- parse(bytes) do
-      {:ok, %__MODULE__{path: path, points: List.to_tuple(points), untimed: untimed}}
-    else
-      {:ok, %{size: size}} ->
-        {:error, Error.new(:too_large, "#{path} has #{size} bytes", fix: "cut it")}
-
-      {:error, %Error{} = error} ->
-        {:error, %{error | what: "#{path}: #{error.what}"}}
-
-      {:error, reason} ->
-        {:error,
-         Error.new(:no_file, "#{path} cannot be read", why: to_string(:file.format_error(reason)))}
-    end
+    with {:ok, points, untimed} <- WholeFile.read(path, @most, &parse/1),
+         do: {:ok, %__MODULE__{path: path, points: List.to_tuple(points), untimed: untimed}}
   end
 
   @doc """

@@ -17,6 +17,7 @@ defmodule Situ.Space.Scan do
 
   alias Situ.{Error, Mesh, Message, PointCloud}
   alias Situ.Space.Scan.{Las, Obj, Pcd, Ply}
+  alias Situ.Space.WholeFile
   alias Situ.Store.StreamInfo
 
   @enforce_keys [:path, :data, :origin]
@@ -39,25 +40,10 @@ defmodule Situ.Space.Scan do
 
   @impl true
   def open(path, _opts) do
-    with {:ok, %{size: size}} when size <= @most <- File.stat(path),
-         {:ok, bytes} <- File.read(path),
-         {:ok, data, origin} <- parse(String.downcase(Path.extname(path)), bytes) do
-      {:ok, %__MODULE__{path: path, data: data, origin: origin}}
-    else
-      {:ok, %{size: size}} ->
-        {:error,
-         Error.new(:too_large, "#{path} has #{size} bytes",
-           why: "such files are read as a whole",
-           fix: "cut it"
-         )}
+    parse = &parse(String.downcase(Path.extname(path)), &1)
 
-      {:error, %Error{} = error} ->
-        {:error, %{error | what: "#{path}: #{error.what}"}}
-
-      {:error, reason} ->
-        {:error,
-         Error.new(:no_file, "#{path} cannot be read", why: to_string(:file.format_error(reason)))}
-    end
+    with {:ok, data, origin} <- WholeFile.read(path, @most, parse),
+         do: {:ok, %__MODULE__{path: path, data: data, origin: origin}}
   end
 
   defp parse(".las", bytes), do: Las.read(bytes)

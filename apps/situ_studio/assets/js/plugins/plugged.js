@@ -45,6 +45,8 @@ export class Plugged {
         el: this.el,
       });
     });
+    if (this.error) return;
+    if (!this.plug) return this.fail("open(host) gave nothing that could draw");
     if (this.told) this.tell();
     this.changed();
   }

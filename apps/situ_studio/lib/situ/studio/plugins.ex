@@ -125,19 +125,11 @@ defmodule Situ.Studio.Plugins do
   end
 
   defp parts(parts, modules, folder) do
-    Enum.reduce_while(parts, {:ok, []}, fn part, {:ok, done} ->
+    Error.map(parts, fn %{visualizer: v} = part ->
       with {:ok, module} <- module(part.module, modules),
-           {:ok, script} <- script(part, folder) do
-        v = part.visualizer
-        {:cont, {:ok, [%{v | module: module || v.module, script: script} | done]}}
-      else
-        {:error, error} -> {:halt, {:error, error}}
-      end
+           {:ok, script} <- script(part, folder),
+           do: {:ok, %{v | module: module || v.module, script: script}}
     end)
-    |> case do
-      {:ok, done} -> {:ok, Enum.reverse(done)}
-      error -> error
-    end
   end
 
   defp module(nil, _modules), do: {:ok, nil}

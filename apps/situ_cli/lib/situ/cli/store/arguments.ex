@@ -1,9 +1,26 @@
 defmodule Situ.CLI.Store.Arguments do
   @moduledoc false
   # Times, spans, streams and edits as people write them.
+  alias Situ.CLI.Option
   alias Situ.{Error, Store, Time}
 
   @compressions %{"none" => :none, "lz4" => :lz4, "zstd" => :zstd}
+
+  @doc "`--stream`, described so, and `--exclude`."
+  @spec streams(String.t()) :: [Option.t()]
+  def streams(about \\ "this stream, or a pattern ('Room.*')") do
+    [Option.new(:stream, :string, about, short: :s, value: "NAME", many?: true), exclude()]
+  end
+
+  @doc "`--exclude`."
+  @spec exclude() :: Option.t()
+  def exclude do
+    Option.new(:exclude, :string, "not this stream, or pattern",
+      short: :x,
+      value: "NAME",
+      many?: true
+    )
+  end
 
   @doc "The options of `Situ.Store.copy/3` and its like."
   @spec copying(keyword(), function()) :: keyword()

@@ -80,11 +80,7 @@ defmodule Situ.CLI.Store.Importing do
 
   defp copying do
     [
-      Option.new(:exclude, :string, "not this stream, or pattern",
-        short: :x,
-        value: "NAME",
-        many?: true
-      ),
+      Arguments.exclude(),
       Option.new(:from, :time, "from this originating time on"),
       Option.new(:to, :time, "up to this originating time; both ends are included"),
       Option.new(:compression, ["none", "gzip", "lz4", "zstd"], "of what is made"),

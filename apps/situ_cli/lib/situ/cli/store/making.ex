@@ -27,7 +27,7 @@ defmodule Situ.CLI.Store.Making do
           "make a new store with all or some streams of a recording, store or foreign file",
         about: @about,
         arguments: [path: @recording, out: @new],
-        options: streams() ++ interval() ++ storing(),
+        options: Arguments.streams() ++ interval() ++ storing(),
         examples: [
           "situ store copy talk1.mp4 recordings/talk",
           "situ store copy recordings/lobby small --exclude 'Lobby.Video*' --compression zstd"
@@ -45,7 +45,7 @@ defmodule Situ.CLI.Store.Making do
           [
             Option.new(:start, :span, "so long behind the recording's first message"),
             Option.new(:length, :span, "so long from there")
-          ] ++ interval() ++ streams() ++ storing(),
+          ] ++ interval() ++ Arguments.streams() ++ storing(),
         examples: ["situ store crop recordings/lobby lunch --start 30m --length 10m"],
         run: &crop/2
       },
@@ -55,7 +55,7 @@ defmodule Situ.CLI.Store.Making do
         summary: "make one store out of several; streams of one name follow each other in time",
         about: @about,
         arguments: [path: Keyword.put(@recording, :many, true), out: @new],
-        options: streams() ++ interval() ++ storing(),
+        options: Arguments.streams() ++ interval() ++ storing(),
         examples: ["situ store concat monday tuesday week"],
         run: fn %{path: paths, out: out}, opts ->
           paths = Recording.expand(paths)
@@ -67,7 +67,8 @@ defmodule Situ.CLI.Store.Making do
         summary: "cut a recording into stores of equal length, OUT-001, OUT-002 ...",
         about: @about,
         arguments: [path: @recording, out: @new],
-        options: [Option.new(:every, :span, "the length of each")] ++ streams() ++ storing(),
+        options:
+          [Option.new(:every, :span, "the length of each")] ++ Arguments.streams() ++ storing(),
         examples: ["situ store split recordings/day hours --every 1h"],
         run: &split/2
       },
@@ -102,21 +103,6 @@ defmodule Situ.CLI.Store.Making do
         ],
         run: &edit/2
       }
-    ]
-  end
-
-  defp streams do
-    [
-      Option.new(:stream, :string, "this stream, or a pattern ('Room.*')",
-        short: :s,
-        value: "NAME",
-        many?: true
-      ),
-      Option.new(:exclude, :string, "not this stream, or pattern",
-        short: :x,
-        value: "NAME",
-        many?: true
-      )
     ]
   end
 

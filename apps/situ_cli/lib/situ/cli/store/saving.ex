@@ -51,33 +51,28 @@ defmodule Situ.CLI.Store.Saving do
               "the file to write (.csv, .json, .jsonl, .msgpack, .parquet, .mcap, .bag); - for standard output"
           ]
         ],
-        options: [
-          Option.new(:stream, :string, "this stream, or a pattern ('Room.*'); default: all",
-            short: :s,
-            value: "NAME",
-            many?: true
-          ),
-          Option.new(:exclude, :string, "not this stream, or pattern",
-            short: :x,
-            value: "NAME",
-            many?: true
-          ),
-          Option.new(:format, @formats |> Map.keys() |> Enum.sort(), "whatever the file's ending",
-            short: :m
-          ),
-          Option.new(:from, :time, "from this originating time on"),
-          Option.new(:to, :time, "up to this originating time"),
-          Option.new(
-            :compression,
-            ["none", "gzip", "lz4", "zstd"],
-            "of Parquet (none, gzip) and MCAP (none, lz4, zstd)"
-          ),
-          Option.new(
-            :skip_damage,
-            :flag,
-            "leave out what is damaged; without it that is an error"
-          )
-        ],
+        options:
+          Arguments.streams("this stream, or a pattern ('Room.*'); default: all") ++
+            [
+              Option.new(
+                :format,
+                @formats |> Map.keys() |> Enum.sort(),
+                "whatever the file's ending",
+                short: :m
+              ),
+              Option.new(:from, :time, "from this originating time on"),
+              Option.new(:to, :time, "up to this originating time"),
+              Option.new(
+                :compression,
+                ["none", "gzip", "lz4", "zstd"],
+                "of Parquet (none, gzip) and MCAP (none, lz4, zstd)"
+              ),
+              Option.new(
+                :skip_damage,
+                :flag,
+                "leave out what is damaged; without it that is an error"
+              )
+            ],
         examples: [
           "situ store save recordings/lobby levels.csv -s Lobby.Level",
           "situ store save recordings/lobby - -s Lobby.Level --format json_lines | jq .message",

@@ -75,7 +75,7 @@ defmodule Situ.Studio.Plugins.Manifest do
 
     with :ok <- name(doc["id"]),
          true <- (is_list(parts) and length(parts) <= @max_parts) || ~s("parts" must be a list),
-         {:ok, parts} <- each(parts, &part(&1, doc["id"])) do
+         {:ok, parts} <- Error.map(parts, &part(&1, doc["id"])) do
       {:ok, %__MODULE__{id: doc["id"], title: title(doc, doc["id"]), parts: parts}}
     else
       what -> wrong(what)
@@ -97,20 +97,6 @@ defmodule Situ.Studio.Plugins.Manifest do
 
   defp title(%{"title" => title}, _) when is_binary(title), do: String.slice(title, 0, 60)
   defp title(_, id), do: id
-
-  # All of them read, or what is wrong with the first that cannot be.
-  defp each(list, read) do
-    Enum.reduce_while(list, {:ok, []}, fn one, {:ok, done} ->
-      case read.(one) do
-        {:ok, value} -> {:cont, {:ok, [value | done]}}
-        what -> {:halt, what}
-      end
-    end)
-    |> case do
-      {:ok, done} -> {:ok, Enum.reverse(done)}
-      what -> what
-    end
-  end
 
   defp part(%{"kind" => "visualizer"} = doc, plugin) do
     with :ok <- name(doc["id"]),
@@ -150,7 +136,7 @@ defmodule Situ.Studio.Plugins.Manifest do
   defp types(["any"]), do: {:ok, :any}
 
   defp types([_ | _] = types) when length(types) <= 40 do
-    with {:ok, shapes} <- each(types, &type/1), do: {:ok, Enum.uniq(shapes)}
+    with {:ok, shapes} <- Error.map(types, &type/1), do: {:ok, Enum.uniq(shapes)}
   end
 
   defp types(_), do: ~s("types" must be a list of types, or ["any"])
@@ -201,7 +187,7 @@ defmodule Situ.Studio.Plugins.Manifest do
   defp drawn(_, _), do: :ok
 
   defp options(%{} = options) when map_size(options) <= @max_options,
-    do: options |> Enum.sort() |> each(&option/1)
+    do: options |> Enum.sort() |> Error.map(&option/1)
 
   defp options(_), do: ~s("options" must be an object of at most #{@max_options})
 

@@ -58,33 +58,18 @@ defmodule Situ.Infer.Speech.Hibari.Phonemes do
   @doc "The sentences of a text, each as one row of signs; those without words are left out."
   @spec sentences(String.t()) :: {:ok, [String.t()]} | {:error, Error.t()}
   def sentences(text) do
-    text
-    |> String.split(~r/(?<=[.!?…])\s+|\n+/u, trim: true)
-    |> Enum.reduce_while({:ok, []}, fn sentence, {:ok, done} ->
-      case sentence(sentence) do
-        {:ok, ""} -> {:cont, {:ok, done}}
-        {:ok, signs} -> {:cont, {:ok, [signs | done]}}
-        error -> {:halt, error}
-      end
-    end)
-    |> case do
-      {:ok, done} -> {:ok, Enum.reverse(done)}
-      error -> error
-    end
+    sentences = String.split(text, ~r/(?<=[.!?…])\s+|\n+/u, trim: true)
+
+    with {:ok, signs} <- Error.map(sentences, &sentence/1),
+         do: {:ok, Enum.reject(signs, &(&1 == ""))}
   end
 
   defp sentence(sentence) do
-    ~r/([,;:.!?…—]+)(?=\s|$)/u
-    |> Regex.split(sentence, include_captures: true, trim: true)
-    |> Enum.reduce_while({:ok, ""}, fn part, {:ok, signs} ->
-      case clause(part) do
-        {:ok, more} -> {:cont, {:ok, signs <> more}}
-        error -> {:halt, error}
-      end
-    end)
-    |> case do
-      {:ok, signs} -> {:ok, if(signs =~ ~r/\p{L}/u, do: String.trim(signs), else: "")}
-      error -> error
+    parts = Regex.split(~r/([,;:.!?…—]+)(?=\s|$)/u, sentence, include_captures: true, trim: true)
+
+    with {:ok, clauses} <- Error.map(parts, &clause/1) do
+      signs = Enum.join(clauses)
+      {:ok, if(signs =~ ~r/\p{L}/u, do: String.trim(signs), else: "")}
     end
   end
 
