@@ -34,6 +34,7 @@ defmodule Situ.Studio.MixProject do
       {:situ_media, in_umbrella: true},
       {:situ_space, in_umbrella: true},
       {:situ_dataset, in_umbrella: true},
+      {:situ_bridge, in_umbrella: true},
       {:situ_remote, in_umbrella: true},
       {:situ_live, in_umbrella: true}
     ]

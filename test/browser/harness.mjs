@@ -30,6 +30,27 @@ export async function until(page, probe, what, arg) {
   }
 }
 
+// A page that has loaded has no server yet that could take a click: whoever goes somewhere waits for it. What is no
+// LiveView (an error, the sensor's page) has none to wait for.
+function patient(page) {
+  for (const name of ["goto", "reload"]) {
+    const plain = page[name].bind(page);
+    page[name] = async (...args) => {
+      const response = await plain(...args);
+      await until(
+        page,
+        () => {
+          const views = document.querySelectorAll("[data-phx-main]");
+          return [...views].every((v) => v.classList.contains("phx-connected"));
+        },
+        "the page is connected",
+      );
+      return response;
+    };
+  }
+  return page;
+}
+
 export async function runAll({ filter = "", times = 1, shots }) {
   const browser = await chromium.launch({
     executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
@@ -55,6 +76,8 @@ export async function runAll({ filter = "", times = 1, shots }) {
   const wanted = tests.filter(({ name }) => words.some((w) => name.includes(w)));
   for (const { name, run } of wanted.flatMap((t) => Array(times).fill(t))) {
     const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: "dark" });
+    const fresh = context.newPage.bind(context);
+    context.newPage = async () => patient(await fresh());
     const page = await context.newPage();
     const errors = [];
     page.on("pageerror", (e) => errors.push(e.message));

@@ -1,7 +1,7 @@
 // Work with time: what a selection holds, times that are found, comments, files taken out.
 import { readFileSync } from "node:fs";
 import { test, equal, ok, near, until } from "./harness.mjs";
-import { answer, open, state, dispatch, panelOf } from "./studio_page.mjs";
+import { answer, colorOf, open, state, dispatch, panelOf } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const S = 1e9;
@@ -97,4 +97,45 @@ test("3 work: the selection is taken out as CSV and as WAV", async ({ page }) =>
   equal([wav.toString("latin1", 0, 4), wav.toString("latin1", 8, 12)], ["RIFF", "WAVE"], "a WAV");
   const rate = wav.readUInt32LE(24);
   equal(wav.length, 58 + 4 * rate, "a second of it");
+});
+
+test("3 work: the selection is taken out as Parquet, a panel as SVG of lines and texts", async ({ page, shot }) => {
+  await open(page, main, "minute.0000");
+  await dispatch(page, { type: "select", from: 5 * S, to: 6 * S });
+  const take = async (stream, item) => {
+    const id = await panelOf(page, stream);
+    const [file] = await Promise.all([page.waitForEvent("download"), menu(page, id, item)]);
+    return readFileSync(await file.path());
+  };
+  const table = await take("Mic.Level", "as Parquet");
+  equal([table.toString("latin1", 0, 4), table.toString("latin1", table.length - 4)], ["PAR1", "PAR1"], "Parquet");
+  for (const name of ["originating_time", "creation_time", "stream", "value"])
+    ok(table.includes(name), `it has a column ${name}`);
+  // what a panel draws, as elements that can be taken apart
+  const elements = async (stream) => {
+    const text = (await take(stream, "Save as SVG")).toString();
+    return page.evaluate((svg) => {
+      const doc = new DOMParser().parseFromString(svg, "image/svg+xml");
+      const all = (tag) => [...doc.querySelectorAll(tag)];
+      return {
+        bad: all("parsererror").length,
+        paths: all("path").map((p) => p.getAttribute("d").length),
+        colors: all("path").map((p) => p.getAttribute("stroke") ?? p.getAttribute("fill")),
+        texts: all("text").map((t) => t.textContent),
+        images: all("image").length,
+      };
+    }, text);
+  };
+  const line = await elements("Mic.Level");
+  equal([line.bad, line.images], [0, 0], "an SVG without pixels");
+  ok(Math.max(...line.paths) > 2000, "its line is a path");
+  ok(line.texts.some((t) => t.includes("Level")) && line.texts.some((t) => /^-?\d/.test(t)), "with names and numbers");
+  const color = await colorOf(page, "Mic.Level");
+  const hex = "#" + color.map((c) => c.toString(16).padStart(2, "0")).join("");
+  ok(line.colors.includes(hex), `the line has the colour of the stream: ${hex}`);
+  const lanes = await elements("Vad.Speaking");
+  ok(lanes.bad === 0 && lanes.images === 0 && lanes.paths.length > 6, "lanes are boxes");
+  const picture = await elements("Camera.Image");
+  equal([picture.bad, picture.images], [0, 1], "a picture stays one, in its place");
+  await shot("svg");
 });

@@ -115,6 +115,40 @@ defmodule Situ.Bridge.Parquet do
 
     # Messages that a live recording adds meanwhile may be of another kind, so the export ends at the last one now.
     parts = Store.columns(store, name, Keyword.put_new(reading, :to, last(store, name)))
+    write_parts(parts, path, opts, progress)
+  rescue
+    error in Error -> {:error, error}
+  catch
+    {:not_writable, what} -> not_writable(name, what)
+  end
+
+  @doc ~S"""
+  Writes messages from anywhere into a file: `{:ok, rows}`. `parts` are lists of messages; they are gone through twice,
+  so enumerating them again must give the same ones.
+
+      iex> messages = for i <- 1..3, do: %Situ.Message{data: i / 2, originating_time: i, creation_time: i}
+      iex> path = Path.join(System.tmp_dir!(), "situ-parts-#{System.unique_integer([:positive])}.parquet")
+      iex> {:ok, 3} = Situ.Bridge.Parquet.write_messages([messages], path)
+      iex> File.rm!(path)
+      :ok
+  """
+  @spec write_messages(Enumerable.t(), Path.t(), keyword()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def write_messages(parts, path, opts \\ []) do
+    opts = Situ.Options.validate!(opts, Keyword.delete(@export, :streams))
+    write_parts(parts, path, opts, fn _rows -> :ok end)
+  rescue
+    error in Error -> {:error, error}
+  catch
+    {:not_writable, what} -> not_writable("the messages", what)
+  end
+
+  defp not_writable(name, what) do
+    {:error,
+     Error.new(:not_writable, "#{name} cannot be a table", why: inspect(what, limit: 5))}
+  end
+
+  defp write_parts(parts, path, opts, progress) do
     columns = parts |> Enum.reduce(%{}, &Rows.part(&2, &1)) |> Rows.columns()
 
     with {:ok, writer} <- Writer.create(path, @times ++ columns, opts[:compression]) do
@@ -132,12 +166,6 @@ defmodule Situ.Bridge.Parquet do
       end)
       |> finished()
     end
-  rescue
-    error in Error -> {:error, error}
-  catch
-    {:not_writable, what} ->
-      {:error,
-       Error.new(:not_writable, "#{name} cannot be a table", why: inspect(what, limit: 5))}
   end
 
   defp last(store, name) do

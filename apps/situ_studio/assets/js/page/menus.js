@@ -2,7 +2,7 @@
 
 import { GUTTER } from "./theme.js";
 import { copy } from "./toast.js";
-import { savePicture } from "./picture_file.js";
+import { drawable, savePicture, saveVector } from "./picture_file.js";
 import { commands } from "./commands.js";
 
 export function menuItems(app, target, event) {
@@ -81,6 +81,7 @@ function panelItems(app, panel, legend, event) {
     { text: "Move down", run: () => push("shift_panel", { way: "down" }) },
     "-",
     { text: "Save as PNG", run: () => savePicture(app, body) },
+    ...(drawable(app, body) ? [{ text: "Save as SVG", run: () => saveVector(app, body) }] : []),
     {
       text: vis.length === 1 ? "Copy the stream's name" : "Copy the streams' names",
       run: () => copy(vis.map((v) => v.name).join("\n"), "Copied"),
@@ -128,6 +129,7 @@ function downloads(app, body, vis) {
   const sound = vis.find((v) => v.draw === "waveform");
   return [
     { text: `Download the ${part} as CSV`, run: get("csv", { streams }) },
+    { text: `Download the ${part} as Parquet`, run: get("parquet", { streams }) },
     ...(sound ? [{ text: `Download the ${part} as WAV`, run: get("wav", { stream: sound.stream }) }] : []),
   ];
 }

@@ -88,8 +88,8 @@ export class ImagePanel {
     return mapping(this.fit(), this.base()?.vis.props?.flip === true);
   }
 
-  render() {
-    const ctx = this.canvas.getContext("2d");
+  // On the screen, or on what takes the same drawing (`page/vector.js`).
+  render(ctx = this.canvas.getContext("2d")) {
     const f = this.fit(),
       map = this.map();
     const w = this.el.clientWidth,

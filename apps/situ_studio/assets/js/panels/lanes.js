@@ -141,13 +141,13 @@ export class LanesPanel {
     this.app.schedule(this);
   }
 
-  render() {
+  // On the screen, or on what takes the same drawing (`page/vector.js`).
+  render(ctx = this.canvas.getContext("2d")) {
     this.layOut();
     this.el.classList.toggle(
       "loading",
       this.layers.some((l) => !l.channel.held && !l.channel.error),
     );
-    const ctx = this.canvas.getContext("2d");
     const t = theme();
     const w = this.el.clientWidth,
       h = this.el.clientHeight;

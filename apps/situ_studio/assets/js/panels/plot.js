@@ -157,9 +157,37 @@ export class PlotPanel {
   }
 
   draw(u) {
-    const { ctx, bbox } = u;
+    this.paint(u.ctx, u.bbox, devicePixelRatio);
+    this.drawn = (this.drawn ?? 0) + 1;
+  }
+
+  // The panel as a drawing by itself: what uPlot draws on the screen, the axis and the grid, is drawn here.
+  vector(ctx) {
+    const [w, h] = this.size;
+    const box = { left: GUTTER.left, top: LEGEND, width: w - GUTTER.left - GUTTER.right, height: h - LEGEND - 6 };
+    const t = theme();
+    const [lo, hi] = this.y;
+    ctx.font = FONT;
+    ctx.textAlign = "right";
+    ctx.textBaseline = "middle";
+    for (const v of valueTicks(lo, hi, Math.max(2, Math.floor((h - LEGEND) / 24)))) {
+      const at = box.top + box.height - ((v - lo) / (hi - lo)) * box.height;
+      ctx.fillStyle = t.grid;
+      ctx.fillRect(box.left, at - 0.5, box.width, 1);
+      ctx.fillStyle = t.axis;
+      ctx.fillText(axisNumber(v), box.left - 6, at);
+    }
     const view = this.app.time.get().view;
-    const ratio = devicePixelRatio;
+    ctx.fillStyle = t.grid;
+    for (const at of ticks(view, box.width).at) {
+      ctx.fillRect(box.left + ((at - view[0]) / (view[1] - view[0])) * box.width - 0.5, box.top, 1, box.height);
+    }
+    ctx.textAlign = "left";
+    this.paint(ctx, box, 1);
+  }
+
+  paint(ctx, bbox, ratio) {
+    const view = this.app.time.get().view;
     const kx = bbox.width / (view[1] - view[0]);
     const ky = bbox.height / (this.y[1] - this.y[0]);
     const x = (t) => bbox.left + (t - view[0]) * kx;
@@ -181,7 +209,6 @@ export class PlotPanel {
     }
     this.cover(ctx, bbox, y);
     ctx.restore();
-    this.drawn = (this.drawn ?? 0) + 1;
   }
 
   // Values beyond the threshold are covered, so that the rest stands out.

@@ -45,8 +45,8 @@ export class BarsPanel {
     this.app.schedule(this);
   }
 
-  render() {
-    const ctx = this.canvas.getContext("2d");
+  // On the screen, or on what takes the same drawing (`page/vector.js`).
+  render(ctx = this.canvas.getContext("2d")) {
     const c = theme();
     const w = this.el.clientWidth,
       h = this.el.clientHeight;

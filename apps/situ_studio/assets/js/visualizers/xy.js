@@ -64,8 +64,8 @@ export class XYPanel {
     return ys.map((l) => ({ l, dots: pairs(x.channel.series, l.channel.series, view) }));
   }
 
-  render() {
-    const ctx = this.canvas.getContext("2d");
+  // On the screen, or on what takes the same drawing (`page/vector.js`).
+  render(ctx = this.canvas.getContext("2d")) {
     const w = this.el.clientWidth,
       h = this.el.clientHeight;
     ctx.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);

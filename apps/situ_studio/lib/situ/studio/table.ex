@@ -19,17 +19,56 @@ defmodule Situ.Studio.Table do
     Stream.concat(["time_ns,time,stream,value\r\n"], rows)
   end
 
-  defp pages(source, stream, from, to) do
+  defp pages(source, stream, from, to),
+    do: source |> messages(stream, from, to) |> Stream.map(&rows(stream, &1))
+
+  defp messages(source, stream, from, to) do
     Stream.unfold(from, fn
       nil ->
         nil
 
       at ->
         case Source.call(source, :messages, [stream, at, to, @page]) do
-          {:ok, messages, more} -> {rows(stream, messages), next(messages, more)}
+          {:ok, messages, more} -> {messages, next(messages, more)}
           {:error, _} -> nil
         end
     end)
+  end
+
+  @doc """
+  The same rows as a Parquet file at `path`, `{:ok, rows}`: the times, `stream`, and `value` or a column for each member
+  of maps and structs (`Situ.Bridge.Parquet`). Streams of pictures and sound are left out; where nothing else is asked
+  for, that is the error `:no_table`.
+  """
+  @spec parquet(Source.t(), [String.t()], Situ.Time.t(), Situ.Time.t(), Path.t()) ::
+          {:ok, non_neg_integer()} | {:error, Situ.Error.t()}
+  def parquet(source, streams, from, to, path) do
+    case Enum.filter(streams, &table?(source, &1, to)) do
+      [] ->
+        {:error,
+         Situ.Error.new(:no_table, "pictures and sound are not put into tables",
+           fix: "take numbers, states or texts; sound goes to WAV"
+         )}
+
+      some ->
+        parts =
+          Stream.flat_map(some, fn stream ->
+            source |> messages(stream, from, to) |> Stream.map(&named(&1, stream))
+          end)
+
+        Situ.Bridge.Parquet.write_messages(parts, path, compression: :gzip)
+    end
+  end
+
+  defp named(messages, stream),
+    do: for(m <- messages, do: %{m | data: %{"stream" => stream, "value" => m.data}})
+
+  defp table?(source, stream, to) do
+    case Source.call(source, :latest_at, [stream, to]) do
+      {:ok, %{data: %module{}}} -> not Situ.Codec.implemented_by?(module)
+      {:ok, _} -> true
+      _ -> false
+    end
   end
 
   defp next([_ | _] = messages, :more), do: List.last(messages).originating_time + 1

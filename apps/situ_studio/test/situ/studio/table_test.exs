@@ -1,5 +1,5 @@
 defmodule Situ.Studio.TableTest do
-  # The exports of a selection: CSV and WAV.
+  # The exports of a selection: CSV, Parquet and WAV.
   use ExUnit.Case, async: true
 
   alias Situ.{AudioBuffer, AudioFormat, Message}
@@ -55,5 +55,18 @@ defmodule Situ.Studio.TableTest do
     assert length(samples) == 2_000
     assert Enum.map([100, 600, 1_200, 1_700], &Enum.at(samples, &1)) == [0.0, 0.5, 0.0, 0.5]
     assert {:error, %{code: :silent}} = Table.wav(source(%{"Mic" => []}), "Mic", 0, s)
+  end
+
+  @tag :tmp_dir
+  test "a Parquet file has the rows of all streams; pictures are no table", %{tmp_dir: dir} do
+    rows = for i <- 0..4_999, do: {i * 10, i / 2}
+    image = Situ.Image.filled(2, 2, :gray8)
+    source = source(%{"A" => rows, "B" => [{15, 7.0}], "Camera" => [{20, image}]})
+    path = Path.join(dir, "part.parquet")
+    assert {:ok, 4_999} = Table.parquet(source, ["A", "B", "Camera"], 10, 49_980, path)
+    # those of B are earlier than the last of A, so that the reader leaves them out
+    read = for {time, %{"value" => v}} <- Situ.Bridge.Parquet.messages(path), do: {time, v}
+    assert read == Enum.slice(rows, 1, 4_998)
+    assert {:error, %{code: :no_table}} = Table.parquet(source, ["Camera"], 0, 100, path)
   end
 end

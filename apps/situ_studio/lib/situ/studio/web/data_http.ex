@@ -94,6 +94,24 @@ defmodule Situ.Studio.Web.DataHttp do
     end
   end
 
+  defp answer(:parquet, query, source, _extent) do
+    with {:ok, from} <- WholeNumber.parse(query["from"]),
+         {:ok, to} when to >= from <- WholeNumber.parse(query["to"]),
+         {:ok, [_ | _] = streams} <- Situ.JSON.decode(text(query["streams"])),
+         true <- Enum.all?(streams, &is_binary/1) do
+      random = Base.url_encode64(:crypto.strong_rand_bytes(9))
+      path = Elixir.Path.join(System.tmp_dir!(), "situ-#{random}.parquet")
+
+      # Its index stands at its end: the file is whole before the first byte of it is sent.
+      case Situ.Studio.Table.parquet(source, streams, from, to, path) do
+        {:ok, _rows} -> file("application/vnd.apache.parquet", "parquet", {:chunks, sent(path)})
+        {:error, error} -> Response.error(422, Exception.message(error))
+      end
+    else
+      _ -> bad()
+    end
+  end
+
   defp answer(:wav, query, source, _extent) do
     with {:ok, from} <- WholeNumber.parse(query["from"]),
          {:ok, to} when to > from and to - from <= @longest_wav <- WholeNumber.parse(query["to"]) do
@@ -117,6 +135,23 @@ defmodule Situ.Studio.Web.DataHttp do
       :none ->
         Response.error(404, "there is nothing to picture")
     end
+  end
+
+  # A file that is there for one answer.
+  defp sent(path) do
+    Stream.resource(
+      fn -> File.open!(path, [:raw, :binary, :read]) end,
+      fn file ->
+        case :file.read(file, 65_536) do
+          {:ok, bytes} -> {[bytes], file}
+          :eof -> {:halt, file}
+        end
+      end,
+      fn file ->
+        :ok = :file.close(file)
+        File.rm(path)
+      end
+    )
   end
 
   defp file(type, ending, body) do

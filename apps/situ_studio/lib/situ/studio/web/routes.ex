@@ -35,6 +35,7 @@ defmodule Situ.Studio.Web.Routes do
       {:get, "/data/pcm", {DataHttp, {studio, :pcm}}},
       {:get, "/data/step", {DataHttp, {studio, :step}}},
       {:get, "/data/csv", {DataHttp, {studio, :csv}}},
+      {:get, "/data/parquet", {DataHttp, {studio, :parquet}}},
       {:get, "/data/wav", {DataHttp, {studio, :wav}}},
       {:get, "/data/thumbnail", {DataHttp, {studio, :thumbnail}}}
     ]
