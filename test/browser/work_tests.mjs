@@ -1,4 +1,5 @@
 // Work with time: what a selection holds, times that are found, comments, files taken out.
+import { execFileSync } from "node:child_process";
 import { readFileSync } from "node:fs";
 import { test, equal, ok, near, until } from "./harness.mjs";
 import { answer, colorOf, open, state, dispatch, panelOf } from "./studio_page.mjs";
@@ -129,7 +130,10 @@ test("3 work: the selection is taken out as Parquet, a panel as SVG of lines and
   const line = await elements("Mic.Level");
   equal([line.bad, line.images], [0, 0], "an SVG without pixels");
   ok(Math.max(...line.paths) > 2000, "its line is a path");
-  ok(line.texts.some((t) => t.includes("Level")) && line.texts.some((t) => /^-?\d/.test(t)), "with names and numbers");
+  ok(
+    line.texts.some((t) => t.includes("Level")) && line.texts.some((t) => /^-?\d/.test(t)),
+    "with names and numbers",
+  );
   const color = await colorOf(page, "Mic.Level");
   const hex = "#" + color.map((c) => c.toString(16).padStart(2, "0")).join("");
   ok(line.colors.includes(hex), `the line has the colour of the stream: ${hex}`);
@@ -138,4 +142,28 @@ test("3 work: the selection is taken out as Parquet, a panel as SVG of lines and
   const picture = await elements("Camera.Image");
   equal([picture.bad, picture.images], [0, 1], "a picture stays one, in its place");
   await shot("svg");
+});
+
+test("3 work: the selection is taken out as a film, with sound and what is drawn over the pictures", async ({
+  page,
+  shot,
+}) => {
+  await open(page, main, "minute.0000");
+  await dispatch(page, { type: "select", from: 5 * S, to: 8 * S });
+  await menu(page, await panelOf(page, "Camera.Image"), "Film of the selection");
+  await until(page, () => document.querySelector("#film-file"), "the film is made");
+  await shot("film");
+  ok((await page.textContent("#film")).includes("with sound and what is drawn over it"), "told what it holds");
+  const [file] = await Promise.all([page.waitForEvent("download"), page.click("#film-file")]);
+  const probe = ["-v", "error", "-show_entries", "stream=codec_name,codec_type:format=duration", "-of", "json"];
+  const told = JSON.parse(execFileSync("ffprobe", [...probe, await file.path()]));
+  equal(told.streams.map((s) => s.codec_name).sort(), ["aac", "h264"], "pictures and sound");
+  near(Number(told.format.duration), 3, 0.15, "as long as the selection");
+  await page.click("#film button:text('Close')");
+  await until(page, () => !document.querySelector("#film"), "closed");
+  // one of the whole minute is cancelled
+  await dispatch(page, { type: "clearSel" });
+  await menu(page, await panelOf(page, "Camera.Image"), "Film of the view");
+  await page.click("#film button");
+  await until(page, () => !document.querySelector("#film"), "cancelled");
 });

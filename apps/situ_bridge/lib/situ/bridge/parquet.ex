@@ -144,8 +144,7 @@ defmodule Situ.Bridge.Parquet do
   end
 
   defp not_writable(name, what) do
-    {:error,
-     Error.new(:not_writable, "#{name} cannot be a table", why: inspect(what, limit: 5))}
+    {:error, Error.new(:not_writable, "#{name} cannot be a table", why: inspect(what, limit: 5))}
   end
 
   defp write_parts(parts, path, opts, progress) do

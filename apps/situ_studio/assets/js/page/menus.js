@@ -80,6 +80,9 @@ function panelItems(app, panel, legend, event) {
     { text: "Move up", run: () => push("shift_panel", { way: "up" }) },
     { text: "Move down", run: () => push("shift_panel", { way: "down" }) },
     "-",
+    ...(vis.some((v) => v.draw === "image")
+      ? [{ text: `Film of the ${part(app)[2]} (MP4)`, run: () => film(app, push) }]
+      : []),
     { text: "Save as PNG", run: () => savePicture(app, body) },
     ...(drawable(app, body) ? [{ text: "Save as SVG", run: () => saveVector(app, body) }] : []),
     {
@@ -112,25 +115,33 @@ function timeItems(app, t) {
   ];
 }
 
-// Of the selection, or of the view where there is none.
-function downloads(app, body, vis) {
+// The selection, or the view where there is none, and which of the two it is.
+function part(app) {
   const { sel, view, data } = app.time.get();
-  const both = sel[0] != null && sel[1] != null;
-  const [from, to] = both ? sel : [Math.max(view[0], data[0]), Math.min(view[1], data[1])];
-  const part = both ? "selection" : "view";
+  if (sel[0] != null && sel[1] != null) return [...sel, "selection"];
+  return [Math.max(view[0], data[0]), Math.min(view[1], data[1]), "view"];
+}
+
+function film(app, push) {
+  const [from, to] = part(app);
+  push("film_begin", { from: app.client.abs(from), to: app.client.abs(to) });
+}
+
+function downloads(app, body, vis) {
+  const [from, to, of] = part(app);
   const get = (what, more) => () => {
     const q = new URLSearchParams({ source: app.options.source, from: app.client.abs(from), to: app.client.abs(to) });
     for (const [k, v] of Object.entries(more)) q.set(k, v);
     const a = document.createElement("a");
-    Object.assign(a, { href: `${app.options.base}/data/${what}?${q}`, download: `${part}.${what}` });
+    Object.assign(a, { href: `${app.options.base}/data/${what}?${q}`, download: `${of}.${what}` });
     a.click();
   };
   const streams = JSON.stringify([...new Set(vis.map((v) => v.stream))]);
   const sound = vis.find((v) => v.draw === "waveform");
   return [
-    { text: `Download the ${part} as CSV`, run: get("csv", { streams }) },
-    { text: `Download the ${part} as Parquet`, run: get("parquet", { streams }) },
-    ...(sound ? [{ text: `Download the ${part} as WAV`, run: get("wav", { stream: sound.stream }) }] : []),
+    { text: `Download the ${of} as CSV`, run: get("csv", { streams }) },
+    { text: `Download the ${of} as Parquet`, run: get("parquet", { streams }) },
+    ...(sound ? [{ text: `Download the ${of} as WAV`, run: get("wav", { stream: sound.stream }) }] : []),
   ];
 }
 

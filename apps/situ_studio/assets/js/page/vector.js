@@ -123,7 +123,9 @@ export class Vector {
       .filter(([, v]) => v != null)
       .map(([k, v]) => ` ${k}="${escape(v)}"`)
       .join("");
-    this.parts.push(content === undefined ? `<${element}${text}/>` : `<${element}${text}>${escape(content)}</${element}>`);
+    this.parts.push(
+      content === undefined ? `<${element}${text}/>` : `<${element}${text}>${escape(content)}</${element}>`,
+    );
   }
 
   fill() {

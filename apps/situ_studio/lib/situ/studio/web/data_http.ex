@@ -2,12 +2,21 @@ defmodule Situ.Studio.Web.DataHttp do
   @moduledoc false
   # Data fetched rather than streamed: windows for scripts and tests, sound, steps from message to message.
   alias Situ.Live.{Request, Response}
-  alias Situ.Studio.{Catalog, Draw, Frame, Path, Sound, Source, Visualizers, WholeNumber}
+  alias Situ.Studio.{Catalog, Draw, Film, Frame, Path, Sound, Source, Visualizers, WholeNumber}
 
   # An hour of sound in one file.
   @longest_wav 3_600_000_000_000
 
   @spec call(Request.t(), {String.t(), atom()}) :: Response.t()
+  def call(%Request{query: query}, {studio, :film}) do
+    with {:ok, path} <- Film.Job.file(studio, query["key"]),
+         {:ok, %{size: size}} <- File.stat(path) do
+      file("video/mp4", "mp4", {:file, path, 0, size})
+    else
+      _ -> Response.error(404, "there is no such film; make it once more")
+    end
+  end
+
   def call(%Request{query: query}, {studio, what}) do
     with {:ok, _item, source} <- Catalog.open(studio, query["source"]),
          {:ok, extent} <- Source.call(source, :extent, []) do

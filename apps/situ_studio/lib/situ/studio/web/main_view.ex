@@ -25,6 +25,7 @@ defmodule Situ.Studio.Web.MainView do
     Derivation,
     Edit,
     ExportDialog,
+    FilmBox,
     LayoutMenu,
     Panels,
     QueryPanel,
@@ -63,6 +64,7 @@ defmodule Situ.Studio.Web.MainView do
         maximised: nil,
         annotation: nil,
         query_panel: nil,
+        film: nil,
         undo: [],
         redo: [],
         info: Settings.load(settings.layouts).info,
@@ -201,6 +203,9 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("export_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
     do: ExportDialog.handle_event(event, params, socket)
 
+  def handle_event("film_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
+    do: FilmBox.handle_event(event, params, socket)
+
   def handle_event("annotation_" <> _ = event, params, socket)
       when is_map_key(socket.assigns, :item),
       do: Annotation.handle_event(event, params, socket)
@@ -245,6 +250,8 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_info({:found, run, result}, socket),
     do: {:noreply, QueryPanel.found(socket, run, result)}
+
+  def handle_info({:film, key, told}, socket), do: {:noreply, FilmBox.told(socket, key, told)}
 
   def handle_info({:together, told}, socket), do: {:noreply, Together.heard(socket, told)}
 
@@ -300,6 +307,7 @@ defmodule Situ.Studio.Web.MainView do
           count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names} kinds={kinds(@extra)} />
       <main class="centre">
         <Chrome.damage :if={@damage != []} damage={@damage} path={@item.path} />
+        <FilmBox.box :if={@film} film={@film} />
         <button class="pill" type="button" data-act="live"
           title="Follow what is being recorded (l)">Back to live</button>
         <Panels.stack layout={@layout} selected={@selected} maximised={@maximised} known={@known}

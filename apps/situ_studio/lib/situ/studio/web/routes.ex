@@ -37,6 +37,7 @@ defmodule Situ.Studio.Web.Routes do
       {:get, "/data/csv", {DataHttp, {studio, :csv}}},
       {:get, "/data/parquet", {DataHttp, {studio, :parquet}}},
       {:get, "/data/wav", {DataHttp, {studio, :wav}}},
+      {:get, "/data/film", {DataHttp, {studio, :film}}},
       {:get, "/data/thumbnail", {DataHttp, {studio, :thumbnail}}}
     ]
   end

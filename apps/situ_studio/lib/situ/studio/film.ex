@@ -1,0 +1,259 @@
+defmodule Situ.Studio.Film do
+  @moduledoc """
+  The pictures of a stream between two times as a video file, with the sound of another stream and with what other
+  streams draw over them: rectangles, points and their labels, as the page shows them.
+
+  Every picture is shown from its own time until the next one; the one in force at the beginning is the first. A
+  picture of another size than the first is made as large as that.
+
+      iex> image = Situ.Image.filled(32, 16, :bgr24)
+      iex> rects = [%Situ.Rect{x: 4, y: 4, width: 8, height: 8}]
+      iex> film = %Situ.Studio.Film{pictures: "Camera", from: 0, to: 1}
+      iex> drawn = Situ.Studio.Film.over(film, image, [{rects, 2}])
+      iex> Situ.Image.fetch_pixel(drawn, 4, 8)
+      {:ok, [138, 195, 76]}
+  """
+  alias Situ.{AudioBuffer, AudioFormat, EncodedImage, Error, Image, Imaging}
+  alias Situ.Media.Encoder
+  alias Situ.Studio.Source
+  alias Situ.Studio.Visualizers.Shapes
+
+  @enforce_keys [:pictures, :from, :to]
+  defstruct [:pictures, :from, :to, :sound, over: [], flip: false]
+
+  @typedoc "`over` names the streams to be drawn over the pictures, each with the number of its colour."
+  @type t :: %__MODULE__{
+          pictures: String.t(),
+          from: Situ.Time.t(),
+          to: Situ.Time.t(),
+          sound: String.t() | nil,
+          over: [{String.t(), non_neg_integer()}],
+          flip: boolean()
+        }
+
+  # Pictures and sound go to the encoder in turns of a second, so that neither waits long for the other.
+  @turn 1_000_000_000
+  @page 64
+  @frame 40_000_000
+  # The page's colours in the dark.
+  @palette [
+    {0x4E, 0xA1, 0xF3},
+    {0xF2, 0x99, 0x4A},
+    {0x4C, 0xC3, 0x8A},
+    {0xD9, 0x77, 0xB8},
+    {0xE0, 0xB9, 0x3C},
+    {0x38, 0xBF, 0xC3},
+    {0xEF, 0x6B, 0x64},
+    {0x9F, 0x86, 0xF4}
+  ]
+
+  @doc """
+  Writes the file; `progress` is told the part that is done, 0.0 to 1.0, about once a second of film. Errors: `:no_pictures`, those of
+  `Situ.Media.Encoder`.
+  """
+  @spec write(t(), Source.t(), Path.t(), (float() -> term())) :: :ok | {:error, Error.t()}
+  def write(%__MODULE__{} = film, source, path, progress) do
+    with {:ok, first} <- first(film, source),
+         format = sound_format(film, source),
+         {:ok, encoder} <-
+           Encoder.open(path, video: first, audio: format, start_time: film.from) do
+      turns = for a <- film.from..(film.to - 1)//@turn, do: {a, min(a + @turn, film.to)}
+
+      turns
+      |> Enum.reduce_while({:ok, nil}, fn {a, b}, {:ok, last} ->
+        progress.((a - film.from) / (film.to - film.from))
+
+        with {:ok, last} <- pictures(film, source, encoder, first, a, b, last),
+             :ok <- sounds(film, source, encoder, format, a, b) do
+          {:cont, {:ok, last}}
+        else
+          error -> {:halt, error}
+        end
+      end)
+      |> finished(film, encoder)
+    end
+  end
+
+  defp finished({:ok, last}, film, encoder) do
+    with :ok <- hold(last, film, encoder), do: Encoder.close(encoder)
+  end
+
+  defp finished(error, _film, encoder) do
+    _ = Encoder.close(encoder)
+    error
+  end
+
+  # The last picture is shown until the end.
+  defp hold({time, image}, %{to: to}, encoder) when to - @frame > time + @frame,
+    do: Encoder.video(encoder, to - @frame, image)
+
+  defp hold(_, _, _), do: :ok
+
+  # The one in force when the film begins, or the first after that.
+  defp first(film, source) do
+    with {:ok, message} <- start(film, source),
+         {:ok, image} <- picture(message.data) do
+      {:ok, image}
+    else
+      {:error, error} -> {:error, error}
+      _ -> none(film)
+    end
+  end
+
+  defp start(film, source) do
+    with {:ok, %{data: data} = message} when is_struct(data) <-
+           Source.call(source, :latest_at, [film.pictures, film.from]) do
+      {:ok, message}
+    else
+      _ -> Source.call(source, :next_after, [film.pictures, film.from])
+    end
+  end
+
+  defp none(film) do
+    {:error,
+     Error.new(:no_pictures, "#{film.pictures} has no pictures between these times",
+       fix: "select a part with pictures"
+     )}
+  end
+
+  defp picture(%EncodedImage{} = encoded), do: Imaging.parse(encoded, format: :bgr24)
+  defp picture(%Image{} = image), do: Imaging.convert(image, :bgr24)
+  defp picture(_), do: :none
+
+  # The first turn begins with the picture that is in force then.
+  defp pictures(film, source, encoder, first, a, b, nil) do
+    opening =
+      case Source.call(source, :latest_at, [film.pictures, a]) do
+        {:ok, message} -> [%{message | originating_time: a}]
+        _ -> []
+      end
+
+    with {:ok, last} <- each(opening, film, source, encoder, first, nil),
+         do: pages(film, source, encoder, first, {a + 1, b}, last)
+  end
+
+  defp pictures(film, source, encoder, first, a, b, last),
+    do: pages(film, source, encoder, first, {a + 1, b}, last)
+
+  defp pages(film, source, encoder, first, {a, b}, last) do
+    with {:ok, messages, more} <- Source.call(source, :messages, [film.pictures, a, b, @page]),
+         {:ok, last} <- each(messages, film, source, encoder, first, last) do
+      if more == :more and messages != [],
+        do:
+          pages(film, source, encoder, first, {List.last(messages).originating_time + 1, b}, last),
+        else: {:ok, last}
+    end
+  end
+
+  defp each(messages, film, source, encoder, first, last) do
+    Enum.reduce_while(messages, {:ok, last}, fn message, {:ok, last} ->
+      time = message.originating_time
+
+      with {:ok, image} <- picture(message.data),
+           {:ok, image} <- sized(image, first),
+           {:ok, image} <- if(film.flip, do: Imaging.flip(image, :vertical), else: {:ok, image}),
+           image = over(film, image, shown(film, source, time)),
+           :ok <- Encoder.video(encoder, time, image) do
+        {:cont, {:ok, {time, image}}}
+      else
+        # a hole, or a picture that cannot be read: the one before is shown on
+        :none -> {:cont, {:ok, last}}
+        {:error, %{code: code}} when code in [:bad_jpeg, :bad_png] -> {:cont, {:ok, last}}
+        error -> {:halt, error}
+      end
+    end)
+  end
+
+  defp sized(%{width: w, height: h} = image, %{width: w, height: h}), do: {:ok, image}
+  defp sized(image, %{width: w, height: h}), do: Imaging.resize(image, w, h)
+
+  defp shown(film, source, time) do
+    for {stream, color} <- film.over,
+        {:ok, message} <- [Source.call(source, :latest_at, [stream, time])],
+        do: {message.data, color}
+  end
+
+  @doc "A picture with what lies over it: the data of each stream's message, and the number of its colour."
+  @spec over(t(), Image.t(), [{term(), non_neg_integer()}]) :: Image.t()
+  def over(_film, image, []), do: image
+
+  def over(film, image, data) do
+    shapes =
+      Enum.flat_map(data, fn {term, color} -> drawn(film, image, Shapes.of(term), color) end)
+
+    case Imaging.draw(image, shapes) do
+      {:ok, drawn} -> drawn
+      # a file may claim any place: what cannot be drawn is left out
+      {:error, _} -> image
+    end
+  end
+
+  defp drawn(film, image, shapes, own) do
+    rects =
+      for {[x, y, w, h, label, score, id], i} <- Enum.with_index(shapes["rects"]) do
+        color = Enum.at(@palette, rem(abs(id || own + i), length(@palette)))
+        x = if film.flip, do: image.width - x - w, else: x
+
+        text =
+          text([
+            label,
+            id && to_string(id),
+            score && :erlang.float_to_binary(score / 1, decimals: 2)
+          ])
+
+        [{:rectangle, {x, y, w, h}, color: color, width: 2}] ++
+          if(text == "",
+            do: [],
+            else: [
+              {:text, {x + 3, max(y - 14, 3)}, text, color: :white, background: color, size: 10}
+            ]
+          )
+      end
+
+    color = Enum.at(@palette, rem(own, length(@palette)))
+    radius = if length(shapes["points"]) > 100, do: 1, else: 2.5
+
+    points =
+      for [x, y, _label] <- shapes["points"] do
+        {:fill_circle, {if(film.flip, do: image.width - x, else: x), y}, radius, color: color}
+      end
+
+    texts =
+      for {text, i} <- Enum.with_index(shapes["texts"]) do
+        {:text, {8, 12 + 22 * i}, text, color: :white, background: color, size: 12}
+      end
+
+    List.flatten(rects) ++ points ++ texts
+  end
+
+  defp text(parts), do: parts |> Enum.reject(&(&1 in [nil, ""])) |> Enum.join("  ")
+
+  defp sound_format(%{sound: nil}, _source), do: nil
+
+  defp sound_format(film, source) do
+    case Source.call(source, :next_after, [film.sound, film.from]) do
+      {:ok, %{data: %AudioBuffer{format: format}}} -> format
+      _ -> nil
+    end
+  end
+
+  defp sounds(_film, _source, _encoder, nil, _a, _b), do: :ok
+
+  defp sounds(film, source, encoder, format, a, b) do
+    with {:ok, messages, _} <- Source.call(source, :messages, [film.sound, a + 1, b, 100_000]) do
+      for %{data: %AudioBuffer{format: ^format} = buffer, originating_time: time} <- messages,
+          reduce: :ok do
+        :ok -> Encoder.audio(encoder, time, since(buffer, time, film.from))
+        error -> error
+      end
+    end
+  end
+
+  # A buffer's time is that of its end: of the first one only a part may belong to the film.
+  defp since(buffer, time, from) do
+    early = max(from - AudioBuffer.start_time(buffer, time), 0)
+    skip = if early == 0, do: 0, else: AudioFormat.ns_to_frames(buffer.format, early) + 1
+    skip = min(skip, AudioBuffer.frames(buffer))
+    AudioBuffer.slice(buffer, skip, AudioBuffer.frames(buffer) - skip)
+  end
+end

@@ -1,0 +1,96 @@
+defmodule Situ.Studio.Film.Job do
+  @moduledoc """
+  The making of one film for one page: tells the page how far it is, keeps the file until the page is closed, and can be
+  cancelled. The page gets `{:film, key, told}`, where `told` is `{:progress, part}`, `{:done, bytes}` or
+  `{:error, error}`.
+  """
+  use GenServer, restart: :temporary
+
+  alias Situ.Studio.{Catalog, Film, Source}
+
+  @doc "Begins a film for the calling process; the key under which the finished file is fetched."
+  @spec begin(Catalog.id(), Film.t(), Source.t()) :: {:ok, String.t()}
+  def begin(studio, %Film{} = film, source) do
+    key = Base.url_encode64(:crypto.strong_rand_bytes(18))
+    args = %{studio: studio, key: key, film: film, source: source, page: self()}
+    {:ok, _} = DynamicSupervisor.start_child(Catalog.watches(studio), {__MODULE__, args})
+    {:ok, key}
+  end
+
+  @doc "Ends it; what was written is gone."
+  @spec cancel(Catalog.id(), String.t()) :: :ok
+  def cancel(studio, key) do
+    case Registry.lookup(Situ.Studio.Registry, {studio, :film, key}) do
+      [{pid, _}] -> GenServer.stop(pid)
+      [] -> :ok
+    end
+  catch
+    :exit, _ -> :ok
+  end
+
+  @doc "The finished file."
+  @spec file(Catalog.id(), term()) :: {:ok, Path.t()} | :error
+  def file(studio, key) do
+    case Registry.lookup(Situ.Studio.Registry, {studio, :film, key}) do
+      [{_, path}] when is_binary(path) -> {:ok, path}
+      _ -> :error
+    end
+  end
+
+  @doc false
+  def start_link(args), do: GenServer.start_link(__MODULE__, args)
+
+  @impl true
+  def init(%{key: key, page: page} = args) do
+    Process.flag(:trap_exit, true)
+    {:ok, _} = Registry.register(Situ.Studio.Registry, {args.studio, :film, key}, nil)
+    Process.monitor(page)
+    folder = Path.join(System.tmp_dir!(), "situ-film-" <> key)
+    File.mkdir_p!(folder)
+    path = Path.join(folder, "selection.mp4")
+    job = self()
+    %{film: film, source: source} = args
+
+    {:ok, task} =
+      Task.start_link(fn ->
+        tell = &send(page, {:film, key, {:progress, &1}})
+        send(job, {:written, Film.write(film, source, path, tell)})
+      end)
+
+    {:ok, %{args: args, task: task, folder: folder, path: path}}
+  end
+
+  @impl true
+  def handle_info({:written, :ok}, %{args: args, path: path} = state) do
+    Registry.update_value(Situ.Studio.Registry, {args.studio, :film, args.key}, fn _ -> path end)
+    tell(state, {:done, File.stat!(path).size})
+    {:noreply, state}
+  end
+
+  def handle_info({:written, {:error, error}}, state) do
+    tell(state, {:error, error})
+    {:stop, :normal, state}
+  end
+
+  # Whoever asked for it is gone.
+  def handle_info({:DOWN, _, :process, _, _}, state), do: {:stop, :normal, state}
+
+  def handle_info({:EXIT, task, reason}, %{task: task} = state) when reason != :normal do
+    error =
+      Situ.Error.new(:film_failed, "the film cannot be made", why: inspect(reason, limit: 8))
+
+    tell(state, {:error, error})
+    {:stop, :normal, state}
+  end
+
+  def handle_info(_, state), do: {:noreply, state}
+
+  defp tell(%{args: %{page: page, key: key}}, told), do: send(page, {:film, key, told})
+
+  # The encoder is linked to the task and ends with it.
+  @impl true
+  def terminate(_reason, %{task: task, folder: folder}) do
+    Process.exit(task, :kill)
+    File.rm_rf(folder)
+  end
+end

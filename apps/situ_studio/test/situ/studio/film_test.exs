@@ -1,0 +1,57 @@
+defmodule Situ.Studio.FilmTest do
+  # Pictures, sound and what lies over them, written by the real encoder and read again.
+  use ExUnit.Case, async: true
+  doctest Situ.Studio.Film
+
+  alias Situ.{AudioBuffer, AudioFormat, Image, Message, Rect}
+  alias Situ.Media.FileInfo
+  alias Situ.Studio.{Film, History, Source}
+
+  @ms 1_000_000
+  @s 1_000_000_000
+
+  defp source do
+    history = History.new(live: false, seconds: 3_600)
+
+    put = fn name, time, data ->
+      History.put(history, name, %Message{data: data, originating_time: time}, 8)
+    end
+
+    for i <- 0..39, do: put.("Camera", i * 100 * @ms, Image.filled(64, 48, :rgb24, [20, 40, 60]))
+    put.("Faces", 0, [%Rect{x: 10, y: 10, width: 20, height: 20, label: "Ada"}])
+    format = AudioFormat.pcm(16_000, 1)
+    data = :binary.copy(<<1_000::little-16>>, 8_000)
+    for i <- 1..8, do: put.("Mic", i * 500 * @ms, %AudioBuffer{format: format, data: data})
+    {Source.History, history}
+  end
+
+  @tag :tmp_dir
+  test "a film is as long as the selection, and has its sound", %{tmp_dir: dir} do
+    film = %Film{
+      pictures: "Camera",
+      from: @s + 50 * @ms,
+      to: 3 * @s,
+      sound: "Mic",
+      over: [{"Faces", 0}]
+    }
+
+    path = Path.join(dir, "part.mp4")
+    test = self()
+    assert :ok = Film.write(film, source(), path, &send(test, {:part, &1}))
+    assert_received {:part, 0.0}
+    assert_received {:part, second} when second > 0.4 and second < 0.6
+    {:ok, info} = FileInfo.read(path)
+    assert {info.video.width, info.video.height} == {64, 48}
+    assert_in_delta info.duration, 1_950 * @ms, 60 * @ms
+    assert info.audio
+  end
+
+  @tag :tmp_dir
+  test "without pictures there is no film", %{tmp_dir: dir} do
+    film = %Film{pictures: "Camera", from: 60 * @s, to: 61 * @s}
+    history = History.new(live: false)
+    source = {Source.History, history}
+    assert {:error, error} = Film.write(film, source, Path.join(dir, "part.mp4"), & &1)
+    assert error.code in [:no_pictures, :no_stream]
+  end
+end
