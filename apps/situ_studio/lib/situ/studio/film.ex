@@ -48,8 +48,8 @@ defmodule Situ.Studio.Film do
   ]
 
   @doc """
-  Writes the file; `progress` is told the part that is done, 0.0 to 1.0, about once a second of film. Errors: `:no_pictures`, those of
-  `Situ.Media.Encoder`.
+  Writes the file; `progress` is told the part that is done, 0.0 to 1.0, about once a second of film. Errors:
+  `:no_pictures`, those of `Situ.Media.Encoder`.
   """
   @spec write(t(), Source.t(), Path.t(), (float() -> term())) :: :ok | {:error, Error.t()}
   def write(%__MODULE__{} = film, source, path, progress) do
