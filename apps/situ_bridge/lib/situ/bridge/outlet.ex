@@ -5,14 +5,17 @@ defmodule Situ.Bridge.Outlet do
   alias Situ.Bridge.Format
   alias Situ.Error
 
+  @typedoc "Who has the peers, as the door knows it."
+  @type server :: term()
+
   @doc "How many peers want to have messages."
-  @callback ready(pid()) :: non_neg_integer()
+  @callback ready(server()) :: non_neg_integer()
   @doc "How many messages were dropped for peers that are too slow."
-  @callback dropped(pid()) :: non_neg_integer()
+  @callback dropped(server()) :: non_neg_integer()
   @doc "Sends to whom it concerns; `:full` when the stream is to wait."
-  @callback put(pid(), what :: term()) :: :ok | :full
+  @callback put(server(), what :: term()) :: :ok | :full
   @doc "Closes after at most so many ms of waiting for messages under way."
-  @callback close(pid(), timeout :: non_neg_integer()) :: :ok
+  @callback close(server(), timeout :: non_neg_integer()) :: :ok
 
   @options [
     format: [
@@ -52,7 +55,7 @@ defmodule Situ.Bridge.Outlet do
   def new(opts), do: %__MODULE__{opts: opts, waiting: opts[:wait_for] > 0}
 
   @doc "Goes through a door that is open, a module of this behaviour and its process; `port` is the one it got, if any."
-  @spec open(t(), module(), pid(), :inet.port_number() | nil) :: t()
+  @spec open(t(), module(), server(), :inet.port_number() | nil) :: t()
   def open(outlet, door, server, port) do
     if outlet.opts[:listening] && port, do: send(outlet.opts[:listening], {:listening, port})
     %{outlet | door: door, server: server}

@@ -25,14 +25,35 @@ defmodule Situ.Bridge.ZeroMQ do
   (`Situ.Pipeline.info/1`). Any peer may connect to a bound socket: there is no authentication, so bind to 127.0.0.1
   or a network of your own.
   """
-  alias Situ.Bridge.ZeroMQ.{Sink, Source}
+  alias Situ.Bridge.ZeroMQ.{Publisher, Sink, Source}
+
+  @publisher Keyword.take(Sink.schema(), [:bind, :high_water_mark])
+
+  @doc """
+  During `build`: one publishing socket for several streams, to be given to `publish/3` in place of an address.
+
+      out = Situ.Bridge.ZeroMQ.publisher(p, "tcp://*:5555")
+      Situ.Bridge.ZeroMQ.publish(levels, out, topic: "levels")
+      Situ.Bridge.ZeroMQ.publish(faces, out, topic: "faces")
+
+  #{Situ.Options.docs(@publisher)}
+  """
+  @spec publisher(Situ.Pipeline.t(), String.t(), keyword()) :: Publisher.t()
+  def publisher(%Situ.Graph.Handle{} = p, address, opts \\ []),
+    do: Publisher.start(p.pid, address, Situ.Options.validate!(opts, @publisher))
 
   @doc """
   Publishes a stream; returns it.
 
-  #{Situ.Options.docs(Keyword.drop(Sink.schema(), [:address, :socket]))}
+  #{Situ.Options.docs(Keyword.drop(Sink.schema(), [:address, :shared, :socket]))}
   """
-  @spec publish(Situ.Stream.t(), String.t(), keyword()) :: Situ.Stream.t()
+  @spec publish(Situ.Stream.t(), String.t() | Publisher.t(), keyword()) :: Situ.Stream.t()
+  def publish(stream, %Publisher{} = shared, opts) do
+    Publisher.expect(shared)
+    Situ.via(stream, Sink, [socket: :pub, shared: shared] ++ opts)
+    stream
+  end
+
   def publish(stream, address, opts), do: sink(stream, :pub, address, opts)
 
   @doc "Pushes a stream to the peers that pull; returns it. Options as `publish/3`, without a topic."

@@ -1,9 +1,15 @@
 defmodule Situ.Bridge.ZeroMQ.Sink do
   alias Situ.Bridge.Outlet
+  alias Situ.Bridge.ZeroMQ.Publisher
 
   @schema [
             socket: [type: {:in, [:pub, :push]}, required: true, doc: "Which socket."],
-            address: [type: :string, required: true, doc: "tcp://HOST:PORT."],
+            address: [type: :string, default: "", doc: "tcp://HOST:PORT."],
+            shared: [
+              type: {:optional, {:struct, Publisher}},
+              default: nil,
+              doc: "The socket of several streams."
+            ],
             topic: [type: :string, default: "", doc: "The first frame of what is published."],
             bind: [
               type: :boolean,
@@ -24,7 +30,18 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
   def init(opts), do: {:ok, Outlet.new(opts)}
 
   @impl true
-  def handle_start(_context, %{opts: opts} = outlet) do
+  def handle_start(_context, outlet) do
+    if outlet.opts[:shared], do: shared(outlet), else: own(outlet)
+  end
+
+  defp shared(%{opts: opts} = outlet) do
+    case Publisher.open(opts[:shared]) do
+      {:ok, door, port} -> {[], Outlet.open(outlet, Publisher, door, port)}
+      {:error, error} -> raise error
+    end
+  end
+
+  defp own(%{opts: opts} = outlet) do
     given = Keyword.take(opts, [:bind, :high_water_mark])
 
     case Socket.open(opts[:socket], opts[:address], [most: @most] ++ given) do

@@ -140,6 +140,27 @@ defmodule Situ.CLI.Store.Arguments do
     [streams: fn %{name: name} -> fits?.(name, wanted) and not fits?.(name, unwanted) end]
   end
 
+  @doc "The streams that `--stream` and `--exclude` choose, all without them. Raises for a name that fits none."
+  @spec chosen!(Store.Handle.t(), keyword()) :: [Store.StreamInfo.t()]
+  def chosen!(store, opts) do
+    all = Store.streams(store)
+
+    case chosen(opts[:stream] || [], opts[:exclude] || [])[:streams] do
+      nil -> all
+      fits? when is_function(fits?) -> Enum.filter(all, fits?)
+      names -> names |> Enum.flat_map(&matching!(store, all, &1)) |> Enum.uniq()
+    end
+  end
+
+  # A stream's own name comes first: it may look like a pattern.
+  defp matching!(store, all, name) do
+    case {Enum.find(all, &(&1.name == name)), Enum.filter(all, &fits?(&1.name, name))} do
+      {%{} = exact, _} -> [exact]
+      {nil, [_ | _] = found} -> found
+      {nil, []} -> [Error.unwrap!(Store.stream_info(store, name))]
+    end
+  end
+
   @doc "Whether a stream's name is what is wanted, or fits it as a pattern."
   @spec fits?(String.t(), String.t()) :: boolean()
   def fits?(name, pattern), do: name =~ pattern(pattern)

@@ -97,7 +97,7 @@ defmodule Situ.CLI.Store.Saving do
 
     {:ok, _} = Application.ensure_all_started(:situ_bridge)
     store = Recording.open!(path)
-    chosen = chosen(store, opts)
+    chosen = Arguments.chosen!(store, opts)
 
     saved =
       Progress.show("save", opts, fn progress ->
@@ -204,37 +204,6 @@ defmodule Situ.CLI.Store.Saving do
       )
 
   defp whole!(_file, _format), do: :ok
-
-  defp chosen(store, opts) do
-    all = Store.streams(store)
-
-    case Arguments.copying(Keyword.take(opts, [:stream, :exclude]), fn _, _ -> :ok end)[:streams] do
-      nil -> all
-      fits? when is_function(fits?) -> Enum.filter(all, fits?)
-      names -> named(store, all, names)
-    end
-  end
-
-  defp named(store, all, names) do
-    for name <- names, reduce: [] do
-      found ->
-        case matching(all, name) do
-          [] -> raise missing(store, name)
-          some -> Enum.uniq(found ++ some)
-        end
-    end
-  end
-
-  defp matching(all, name),
-    do: Enum.filter(all, &(&1.name == name)) |> or_pattern(all, name)
-
-  defp or_pattern([], all, name), do: Enum.filter(all, &Arguments.fits?(&1.name, name))
-  defp or_pattern(found, _all, _name), do: found
-
-  defp missing(store, name) do
-    {:error, error} = Store.stream_info(store, name)
-    error
-  end
 
   defp one(_store, [one]), do: one
 

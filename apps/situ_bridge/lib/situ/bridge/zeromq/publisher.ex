@@ -1,0 +1,83 @@
+defmodule Situ.Bridge.ZeroMQ.Publisher do
+  @moduledoc false
+  # One publishing socket for several streams of a pipeline, each with a topic of its own. Opened with the pipeline,
+  # closed when the last stream has ended or the pipeline is gone.
+  use GenServer, restart: :temporary
+  alias Situ.Bridge.Outlet
+  alias Situ.Bridge.ZeroMQ.Socket
+  alias Situ.Error
+  @behaviour Outlet
+
+  @most 64 * 1024 * 1024
+
+  @enforce_keys [:server]
+  defstruct [:server]
+  @type t :: %__MODULE__{server: pid()}
+
+  @doc "Not linked: what is under way is sent when a pipeline ends."
+  @spec start(pid(), String.t(), keyword()) :: t()
+  def start(pipeline, address, opts) do
+    {:ok, server} = GenServer.start(__MODULE__, {pipeline, address, opts})
+    %__MODULE__{server: server}
+  end
+
+  @doc "One stream more."
+  @spec expect(t()) :: :ok
+  def expect(%__MODULE__{server: server}), do: GenServer.call(server, :expect)
+
+  @doc "The door of a stream, and the port that the socket listens on. Errors as `Socket.open/3`."
+  @spec open(t()) ::
+          {:ok, {pid(), pid()}, :inet.port_number() | nil} | {:error, Error.t()}
+  def open(%__MODULE__{server: server}), do: GenServer.call(server, :open, :infinity)
+
+  @impl Outlet
+  def ready({_server, socket}), do: Socket.ready(socket)
+  @impl Outlet
+  def dropped({_server, socket}), do: Socket.dropped(socket)
+  @impl Outlet
+  def put({_server, socket}, frames), do: Socket.put(socket, frames)
+
+  @impl Outlet
+  def close({server, _socket}, timeout) do
+    GenServer.call(server, {:done, timeout}, timeout + 10_000)
+  catch
+    :exit, _ -> :ok
+  end
+
+  @impl GenServer
+  def init({pipeline, address, opts}) do
+    Process.monitor(pipeline)
+    {:ok, %{address: address, opts: opts, socket: nil, streams: 0}}
+  end
+
+  @impl GenServer
+  def handle_call(:expect, _from, state), do: {:reply, :ok, %{state | streams: state.streams + 1}}
+
+  def handle_call(:open, _from, %{socket: nil} = state) do
+    case Socket.open(:pub, state.address, [most: @most] ++ state.opts) do
+      {:ok, socket} -> {:reply, opened(socket, state), %{state | socket: socket}}
+      error -> {:reply, error, state}
+    end
+  end
+
+  def handle_call(:open, _from, state), do: {:reply, opened(state.socket, state), state}
+
+  def handle_call({:done, timeout}, _from, %{streams: 1} = state) do
+    if state.socket, do: Socket.close(state.socket, timeout)
+    {:stop, :normal, :ok, %{state | socket: nil}}
+  end
+
+  def handle_call({:done, _timeout}, _from, state),
+    do: {:reply, :ok, %{state | streams: state.streams - 1}}
+
+  defp opened(socket, state),
+    do: {:ok, {self(), socket}, if(state.opts[:bind], do: Socket.port(socket))}
+
+  @impl GenServer
+  def handle_info({:DOWN, _, :process, _, _}, state), do: {:stop, :normal, state}
+  def handle_info(_other, state), do: {:noreply, state}
+
+  @impl GenServer
+  def terminate(_reason, %{socket: nil}), do: :ok
+  def terminate(_reason, state), do: Socket.close(state.socket, 0)
+end

@@ -1,0 +1,119 @@
+defmodule Situ.CLI.Store.Wire do
+  @moduledoc false
+  # The systems that `situ store send` and `record` speak with: where they are, and how a stream goes there.
+  alias Situ.Bridge.{Mcap, Mqtt, Ros, Ros2, ZeroMQ}
+  alias Situ.Bridge.Ros.{Definition, Library}
+  alias Situ.CLI.Option
+  alias Situ.Store
+
+  @systems ["zeromq", "mqtt", "ros", "ros2"]
+  @formats %{"csv" => :csv, "json" => :json, "message_pack" => :message_pack, "situ" => :situ}
+  @addresses %{
+    "zeromq" => "tcp://127.0.0.1:5555",
+    "mqtt" => "127.0.0.1:1883",
+    "ros" => "http://localhost:11311",
+    "ros2" => "tcp/127.0.0.1:7447"
+  }
+
+  @spec options() :: [Option.t()]
+  def options do
+    [
+      Option.new(:system, @systems, "which kind of programs", short: :y, default: "zeromq"),
+      Option.new(
+        :address,
+        :string,
+        "ZeroMQ: #{@addresses["zeromq"]}; MQTT: the broker's HOST:PORT; ROS 1: the master's address; ROS 2: Zenoh's router",
+        short: :a,
+        value: "ADDRESS"
+      ),
+      Option.new(:format, @formats |> Map.keys() |> Enum.sort(), "of the messages (ZeroMQ, MQTT)",
+        short: :m
+      )
+    ]
+  end
+
+  @doc "The address given, or the usual one."
+  @spec address(keyword()) :: String.t()
+  def address(opts) do
+    elsewhere = if opts[:system] == "ros", do: System.get_env("ROS_MASTER_URI")
+    opts[:address] || elsewhere || Map.fetch!(@addresses, opts[:system])
+  end
+
+  @doc "A recording that goes to ROS keeps what Situ's types have no place for."
+  @spec open!(Path.t(), keyword()) :: Store.Handle.t()
+  def open!(path, opts) do
+    store = Store.open!(path)
+
+    if opts[:system] in ["ros", "ros2"] and store.module in [Mcap, Ros.Bag, Ros.Db3],
+      do: Store.open!(path, reader_opts: [messages: :maps]),
+      else: store
+  end
+
+  @doc "What publishes a stream: a function of the stream, its topic and its description."
+  @spec sender(Situ.Pipeline.t(), keyword()) ::
+          (Situ.Stream.t(), String.t(), Store.StreamInfo.t() -> Situ.Stream.t())
+  def sender(p, opts), do: sender(opts[:system], p, opts)
+
+  defp sender("zeromq", p, opts) do
+    socket = ZeroMQ.publisher(p, address(opts))
+    given = [format: format(opts), wait_for: opts[:subscribers], linger: 10_000]
+    fn stream, topic, _info -> ZeroMQ.publish(stream, socket, [topic: topic] ++ given) end
+  end
+
+  defp sender("mqtt", _p, opts) do
+    {host, port} = broker(opts)
+    given = [port: port, format: format(opts), linger: 10_000]
+    fn stream, topic, _info -> Mqtt.publish(stream, host, topic, given) end
+  end
+
+  defp sender("ros", _p, opts) do
+    given = [master: address(opts), wait_for: opts[:subscribers], linger: 10_000]
+    fn stream, topic, info -> Ros.publish(stream, name(topic), typed(info) ++ given) end
+  end
+
+  defp sender("ros2", _p, opts) do
+    given = [router: address(opts), linger: 10_000]
+    fn stream, topic, info -> Ros2.publish(stream, name(topic), typed(info) ++ given) end
+  end
+
+  @doc "A topic as a stream."
+  @spec receiver(Situ.Pipeline.t(), String.t(), keyword()) :: Situ.Stream.t()
+  def receiver(p, topic, opts) do
+    case opts[:system] do
+      "zeromq" ->
+        ZeroMQ.subscribe(p, address(opts), topic: topic, format: format(opts))
+
+      "mqtt" ->
+        {host, port} = broker(opts)
+        Mqtt.subscribe(p, host, topic, port: port, format: format(opts))
+
+      "ros" ->
+        Ros.subscribe(p, topic, master: address(opts))
+
+      "ros2" ->
+        Ros2.subscribe(p, topic, router: address(opts))
+    end
+  end
+
+  defp format(opts), do: @formats[opts[:format] || "json"]
+
+  defp broker(opts) do
+    case Regex.run(~r/\A(.+?)(?::(\d{1,5}))?\z/, address(opts)) do
+      [_, host] -> {host, 1_883}
+      [_, host, port] -> {host, String.to_integer(port)}
+      nil -> throw({:usage, "--address takes the broker's HOST:PORT"})
+    end
+  end
+
+  # ROS has letters, digits, _ and / in names.
+  defp name(topic),
+    do: "/" <> (topic |> String.trim_leading("/") |> String.replace(~r/[^A-Za-z0-9_\/]/, "_"))
+
+  # What was recorded from ROS goes as what it was.
+  defp typed(%{type_name: type}) when is_binary(type) do
+    plain = Definition.plain(type)
+    if Library.fetch(plain) == :error, do: [], else: [ros_type: plain]
+  end
+
+  defp typed(_info), do: []
+end
