@@ -12,7 +12,7 @@ mod reader;
 mod track;
 mod writer;
 
-pub use reader::{Channel, Found, Info, Message, Query, Reader, Schema};
+pub use reader::{Channel, Chunk, Found, Info, Message, Query, Reader, Schema};
 pub use track::Times;
 pub use writer::{ChannelSpec, Compression, Writer};
 

@@ -13,7 +13,7 @@ use crate::track::Entry;
 use crate::{Channel, Error, Found, Result, Schema};
 
 use scan::scan;
-pub use unpacked::unpacked;
+pub use unpacked::{header, unpacked};
 
 pub const MAGIC: &[u8] = &[0x89, b'M', b'C', b'A', b'P', 0x30, b'\r', b'\n'];
 const FOOTER: u64 = 9 + 20 + 8;
@@ -25,6 +25,11 @@ pub struct ChunkPlace {
     pub indexes: BTreeMap<u16, u64>,
     pub start: u64,
     pub end: u64,
+    /// Its record's bytes, those of its data as they lie there, and unpacked.
+    pub length: u64,
+    pub packed: u64,
+    pub unpacked: u64,
+    pub compression: String,
 }
 
 /// The contents of a file.
@@ -103,6 +108,10 @@ fn by_summary(bytes: &Bytes) -> Result<Option<Contents>> {
                 indexes: index.message_index_offsets,
                 start: index.message_start_time,
                 end: index.message_end_time,
+                length: index.chunk_length,
+                packed: index.compressed_size,
+                unpacked: index.uncompressed_size,
+                compression: index.compression,
             }),
             Record::AttachmentIndex(index) => contents.attachments.push(Found {
                 name: index.name,

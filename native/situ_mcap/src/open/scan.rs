@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use mcap::records::{op, Record};
 
-use super::{take, unpacked, ChunkPlace, Contents};
+use super::{header, take, unpacked, Contents};
 use crate::chunk::Records;
 use crate::file::{parse, Bytes, Place};
 use crate::track::{Entry, LOOSE};
@@ -134,10 +134,7 @@ fn chunk(
             take(contents, opcode, body, at)?;
         }
     }
-    contents.chunks.push(ChunkPlace {
-        offset: at,
-        ..ChunkPlace::default()
-    });
+    contents.chunks.push(header(bytes, place, at)?);
     if torn {
         contents.damage.push(format!(
             "the file is cut short within the chunk at byte {at}"

@@ -2,6 +2,7 @@
 
 use mcap::records::{op, Record};
 
+use super::ChunkPlace;
 use crate::chunk;
 use crate::file::{parse, Bytes, Place};
 use crate::{Error, Result};
@@ -36,4 +37,31 @@ fn promise(body: &[u8]) -> Option<(usize, String, u64)> {
     let text = body.get(32..32usize.checked_add(name)?)?;
     let data = 32 + name + 8;
     (body.len() >= data).then(|| (data, String::from_utf8_lossy(text).into_owned(), size))
+}
+
+/// What a chunk says of itself, as far as the file has it.
+pub fn header(bytes: &Bytes, place: Place, at: u64) -> Result<ChunkPlace> {
+    // A compression's name has a few letters.
+    let head = bytes.read(place.body, 64.min(bytes.size - place.body))?;
+    let number = |from: usize| {
+        let eight = head.get(from..from + 8).and_then(|b| b.try_into().ok());
+        eight.map_or(0, u64::from_le_bytes)
+    };
+    let Some((data, compression, unpacked)) = promise(&head) else {
+        return Ok(ChunkPlace {
+            offset: at,
+            ..ChunkPlace::default()
+        });
+    };
+    let end = place.end().min(bytes.size);
+    Ok(ChunkPlace {
+        offset: at,
+        start: number(0),
+        end: number(8),
+        length: end - at,
+        packed: (end - place.body).saturating_sub(data as u64),
+        unpacked,
+        compression,
+        ..ChunkPlace::default()
+    })
 }

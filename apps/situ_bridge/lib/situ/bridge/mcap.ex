@@ -232,6 +232,105 @@ defmodule Situ.Bridge.Mcap do
         do: %{name: name, media_type: media_type, time: time, size: size}
   end
 
+  @doc """
+  The chunks of an opened file, in its order: where each lies (`offset`), the bytes of its record (`size`), how it is
+  compressed (`""`: not at all), the bytes of its data `packed` and `unpacked`, the times of its first and last message.
+  """
+  @spec chunks(Situ.Store.t()) :: [
+          %{
+            offset: non_neg_integer(),
+            size: non_neg_integer(),
+            compression: String.t(),
+            packed: non_neg_integer(),
+            unpacked: non_neg_integer(),
+            first: Situ.Time.t(),
+            last: Situ.Time.t()
+          }
+        ]
+  def chunks(%Situ.Store.Handle{state: %__MODULE__{ref: ref}}) do
+    for {offset, size, compression, packed, unpacked, first, last} <- Native.mcap_chunks(ref) do
+      %{
+        offset: offset,
+        size: size,
+        compression: compression,
+        packed: packed,
+        unpacked: unpacked,
+        first: first,
+        last: last
+      }
+    end
+  end
+
+  @doc """
+  The channels of an opened file: id, topic, the messages' encoding, the name of their schema, their number, and the
+  writer's metadata.
+  """
+  @spec channels(Situ.Store.t()) :: [
+          %{
+            id: non_neg_integer(),
+            topic: String.t(),
+            encoding: String.t(),
+            schema: String.t() | nil,
+            messages: non_neg_integer(),
+            metadata: %{String.t() => String.t()}
+          }
+        ]
+  def channels(%Situ.Store.Handle{state: %__MODULE__{} = state}) do
+    {_, _, channels, schemas, _, _, _} = Native.mcap_info(state.ref)
+    names = Map.new(schemas, fn {id, name, _, _} -> {id, name} end)
+
+    for {id, topic, encoding, schema, metadata, count} <- channels do
+      %{
+        id: id,
+        topic: topic,
+        encoding: encoding,
+        schema: names[schema],
+        messages: count,
+        metadata: Map.new(metadata)
+      }
+    end
+  end
+
+  @doc "The schemas of an opened file: id, name, the language they are written in, and the definition."
+  @spec schemas(Situ.Store.t()) :: [
+          %{id: non_neg_integer(), name: String.t(), encoding: String.t(), definition: binary()}
+        ]
+  def schemas(%Situ.Store.Handle{state: %__MODULE__{ref: ref}}) do
+    {_, _, _, schemas, _, _, _} = Native.mcap_info(ref)
+
+    for {id, name, encoding, data} <- schemas,
+        do: %{id: id, name: name, encoding: encoding, definition: data}
+  end
+
+  @doc """
+  The bytes of each topic's messages, unpacked: `{:ok, %{topic => bytes}}`. Reads the whole file. Messages that are in no
+  chunk are not counted.
+  """
+  @spec sizes(Situ.Store.t()) ::
+          {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
+  def sizes(%Situ.Store.Handle{state: %__MODULE__{} = state} = store) do
+    topics = Map.new(channels(store), &{&1.id, &1.topic})
+    sizes(state, 0, topics, Map.new(topics, fn {_, topic} -> {topic, 0} end))
+  end
+
+  defp sizes(state, chunk, topics, sums) do
+    case Failure.wrap(Native.mcap_sizes(state.ref, chunk), state.path) do
+      {:ok, nil} ->
+        {:ok, sums}
+
+      {:ok, sizes} ->
+        sums =
+          for {id, bytes} <- sizes, topic = topics[id], reduce: sums do
+            sums -> Map.update!(sums, topic, &(&1 + bytes))
+          end
+
+        sizes(state, chunk + 1, topics, sums)
+
+      error ->
+        error
+    end
+  end
+
   @doc "The bytes of the first attachment of this name. Error: `:no_attachment`."
   @spec attachment(Situ.Store.t(), String.t()) :: {:ok, binary()} | {:error, Error.t()}
   def attachment(%Situ.Store.Handle{state: %__MODULE__{} = state}, name) do

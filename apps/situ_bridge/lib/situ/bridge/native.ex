@@ -14,6 +14,8 @@ defmodule Situ.Bridge.Native do
   def csv_lines(_kind, _times, _values), do: missing()
   def mcap_open(_path), do: missing()
   def mcap_info(_reader), do: missing()
+  def mcap_chunks(_reader), do: missing()
+  def mcap_sizes(_reader, _chunk), do: missing()
   def mcap_span(_reader, _channel, _times), do: missing()
   def mcap_seek(_reader, _channel, _times, _time), do: missing()
   def mcap_read(_reader, _what), do: missing()

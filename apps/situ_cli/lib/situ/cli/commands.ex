@@ -19,6 +19,7 @@ defmodule Situ.CLI.Commands do
 
   @modules [
     Store.Looking,
+    Store.Pyramid,
     Store.Attachments,
     Store.Importing,
     Store.Making,

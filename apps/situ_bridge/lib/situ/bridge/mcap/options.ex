@@ -16,9 +16,11 @@ defmodule Situ.Bridge.Mcap.Options do
         doc: "Bytes of a chunk before it is compressed."
       ],
       attachments: [
-        type: {:list, :string},
+        type: {:list, :any},
         default: [],
-        doc: "Files that go into it as attachments, under their names: calibrations, maps, notes."
+        doc:
+          "Files that go into it as attachments, under their names: calibrations, maps, notes; or " <>
+            "`{name, media_type, time, bytes}`."
       ],
       metadata: [
         type: :map,

@@ -28,18 +28,34 @@ defmodule Situ.Bridge.Mcap.Writer do
          do: {:ok, %__MODULE__{path: path, ref: ref}}
   end
 
-  defp attach(ref, files, path) do
-    each(files, fn file ->
-      case File.read(file) do
-        {:ok, data} ->
-          args = [ref, Path.basename(file), "application/octet-stream", stamp(file), data]
-          Failure.wrap(apply(Native, :mcap_attach, args), path)
-
-        {:error, reason} ->
-          {:error,
-           Error.new(:io, "the attachment #{file} cannot be read", why: :file.format_error(reason))}
-      end
+  defp attach(ref, attachments, path) do
+    each(attachments, fn attachment ->
+      with {:ok, {name, media_type, time, data}} <- attachment(attachment),
+           do: Failure.wrap(Native.mcap_attach(ref, name, media_type, time, data), path)
     end)
+  end
+
+  defp attachment({name, media_type, time, data} = attachment)
+       when is_binary(name) and is_binary(media_type) and is_binary(data) and
+              time in 0..0xFFFF_FFFF_FFFF_FFFF,
+       do: {:ok, attachment}
+
+  defp attachment(file) when is_binary(file) do
+    case File.read(file) do
+      {:ok, data} ->
+        {:ok, {Path.basename(file), "application/octet-stream", stamp(file), data}}
+
+      {:error, reason} ->
+        {:error,
+         Error.new(:io, "the attachment #{file} cannot be read", why: :file.format_error(reason))}
+    end
+  end
+
+  defp attachment(other) do
+    {:error,
+     Error.new(:bad_option, "#{inspect(other, limit: 5)} is no attachment",
+       fix: "give a file, or {name, media_type, time, bytes}"
+     )}
   end
 
   # When it was last changed.

@@ -22,6 +22,33 @@ defmodule Situ.CLI.Store.Arguments do
     )
   end
 
+  @doc "What an MCAP file carries beside its messages."
+  @spec carried() :: [Option.t()]
+  def carried do
+    [
+      Option.new(:attach, :path, "MCAP: put this file into it", value: "FILE", many?: true),
+      Option.new(:metadata, :string, "MCAP: put this into a record of metadata",
+        value: "RECORD:KEY=VALUE",
+        many?: true
+      )
+    ]
+  end
+
+  @doc "`--metadata` by records."
+  @spec records!([String.t()]) :: %{String.t() => %{String.t() => String.t()}}
+  def records!(texts) do
+    for text <- texts, reduce: %{} do
+      records ->
+        case Regex.run(~r/\A([^:=]+):([^=]+)=(.*)\z/s, text) do
+          [_, record, key, value] ->
+            Map.update(records, record, %{key => value}, &Map.put(&1, key, value))
+
+          nil ->
+            raise bad("not metadata: #{text}", "--metadata RECORD:KEY=VALUE")
+        end
+    end
+  end
+
   @doc "The options of `Situ.Store.copy/3` and its like."
   @spec copying(keyword(), function()) :: keyword()
   def copying(opts, progress) do

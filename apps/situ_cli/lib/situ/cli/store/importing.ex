@@ -68,7 +68,7 @@ defmodule Situ.CLI.Store.Importing do
               value: "NAME",
               many?: true
             )
-          ] ++ copying(),
+          ] ++ copying() ++ Arguments.carried(),
         examples: [
           "situ store convert drive.bag drive.mcap --compression zstd",
           "situ store convert level.parquet level.csv"

@@ -2,7 +2,7 @@ defmodule Situ.CLI.Store.Looking do
   @moduledoc "The verbs of `situ store` that only look: info, messages, stats, analyze, diff."
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Recording, Verb}
-  alias Situ.CLI.Store.{Difference, Info, Lag, Messages, Statistics}
+  alias Situ.CLI.Store.{Contents, Difference, Info, Lag, Messages, Statistics}
   alias Situ.{Error, Store, Time}
 
   @recording [
@@ -23,9 +23,20 @@ defmodule Situ.CLI.Store.Looking do
         """,
         arguments: [path: Keyword.put(@recording, :many, true)],
         options: [
-          Option.new(:stream, :string, "all that is known of one stream", short: :s, value: "NAME")
+          Option.new(
+            :stream,
+            :string,
+            "all that is known of one stream (of a schema: its definition)",
+            short: :s,
+            value: "NAME"
+          ),
+          Option.new(:show, Contents.parts(), "of an MCAP file: these, in place of the streams")
         ],
-        examples: ["situ store info recordings/lobby", "situ store info recordings --json"],
+        examples: [
+          "situ store info recordings/lobby",
+          "situ store info recordings --json",
+          "situ store list drive.mcap --show chunks"
+        ],
         run: &info/2
       },
       %Verb{
@@ -99,7 +110,10 @@ defmodule Situ.CLI.Store.Looking do
   defp info(%{path: paths}, opts) do
     paths = Recording.expand(paths)
     Recording.ready(paths)
-    Info.run(paths, opts)
+
+    if opts[:show],
+      do: Contents.show(paths, opts[:show], opts),
+      else: Info.run(paths, opts)
   end
 
   defp messages(%{path: path}, opts) do

@@ -67,12 +67,8 @@ defmodule Situ.CLI.Store.Saving do
                 ["none", "gzip", "lz4", "zstd"],
                 "of Parquet (none, gzip) and MCAP (none, lz4, zstd)"
               ),
-              Option.new(
-                :skip_damage,
-                :flag,
-                "leave out what is damaged; without it that is an error"
-              )
-            ],
+              Option.new(:skip_damage, :flag, "leave out what is damaged; else that is an error")
+            ] ++ Arguments.carried(),
         examples: [
           "situ store save recordings/lobby levels.csv -s Lobby.Level",
           "situ store save recordings/lobby - -s Lobby.Level --format json_lines | jq .message",
@@ -116,7 +112,7 @@ defmodule Situ.CLI.Store.Saving do
     names = Enum.map(chosen, & &1.name)
     written = [progress: &progress.(&1, total)] ++ compression(format, opts[:compression])
 
-    exporting = [streams: names] ++ reading(opts) ++ written
+    exporting = [streams: names] ++ reading(opts) ++ written ++ carried(format, store, opts)
 
     # Beside the file until it is whole: what stood there may be the very recording that is read.
     unfinished = file <> ".unfinished"
@@ -133,6 +129,7 @@ defmodule Situ.CLI.Store.Saving do
   end
 
   defp save(:parquet, store, chosen, file, opts, progress) do
+    [] = carried(:parquet, store, opts)
     whole!(file, :parquet)
     info = one(store, chosen)
     written = [progress: &progress.(&1, info.count)] ++ compression(:parquet, opts[:compression])
@@ -144,6 +141,7 @@ defmodule Situ.CLI.Store.Saving do
   end
 
   defp save(format, store, chosen, file, opts, progress) do
+    [] = carried(format, store, opts)
     unless compression(format, opts[:compression]) == [], do: unpackable(format)
     info = one(store, chosen)
     out = out(file)
@@ -162,6 +160,26 @@ defmodule Situ.CLI.Store.Saving do
     close(out)
     %{messages: n, stream: info.name}
   end
+
+  # An MCAP file made of another keeps what that carried, and gets what is given.
+  defp carried(:mcap, store, opts) do
+    kept = for a <- kept(store), do: {a.name, a.media_type, a.time, bytes(store, a.name)}
+    records = if store.module == Mcap, do: Store.info(store).metadata, else: []
+    records = Map.merge(Map.new(records), Arguments.records!(opts[:metadata] || []))
+    [attachments: kept ++ (opts[:attach] || []), metadata: records]
+  end
+
+  defp carried(format, _store, opts) do
+    if (opts[:attach] || []) != [] or (opts[:metadata] || []) != [],
+      do: throw({:usage, "#{format} has no attachments and metadata; MCAP has"})
+
+    []
+  end
+
+  defp kept(%{module: Mcap} = store), do: Mcap.attachments(store)
+  defp kept(_store), do: []
+
+  defp bytes(store, name), do: Error.unwrap!(Mcap.attachment(store, name))
 
   # A record that cannot be written ends it, and a file that is not whole does not stay.
   defp records(format, part, n, out) do

@@ -1,0 +1,169 @@
+defmodule Situ.CLI.Store.Pyramid do
+  @moduledoc "`situ store pyramid`: the summaries by which a timeline is drawn at any zoom."
+  @behaviour Situ.CLI.Verb
+  alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.Store.Arguments
+  alias Situ.{Error, Store, Time}
+  alias Situ.Store.{Local, Summary}
+
+  @impl true
+  def verbs do
+    [
+      %Verb{
+        words: ["store", "pyramid"],
+        summary:
+          "show a recording's summaries at a zoom, or build those that a file of others lacks",
+        about: """
+        A store has its pyramids (least, greatest, last value and number of messages in bins of 2^k ns) from the time at
+        which it was written. For files of other systems they are made by reading; --build makes a store that has them.
+        """,
+        arguments: [
+          path: [
+            kind: :recording,
+            doc: "a store's folder, ROOT/NAME for the newest NAME.NNNN, or a foreign file"
+          ]
+        ],
+        options:
+          Arguments.streams() ++
+            [
+              Option.new(:from, :time, "from this originating time on"),
+              Option.new(:to, :time, "up to this originating time"),
+              Option.new(:pixels, :integer, "in so many columns at most", default: 20),
+              Option.new(:build, :path, "make ROOT/NAME, a store with pyramids of all streams",
+                value: "OUT"
+              )
+            ],
+        examples: [
+          "situ store pyramid recordings/lobby",
+          "situ store pyramid recordings/lobby -s Lobby.Level --pixels 60 --json",
+          "situ store pyramid drive.mcap --build recordings/drive"
+        ],
+        run: &run/2
+      }
+    ]
+  end
+
+  defp run(%{path: path}, opts) do
+    unless opts[:pixels] in 1..100_000, do: throw({:usage, "--pixels is 1 to 100000"})
+    store = Recording.open!(path)
+    chosen = Arguments.chosen!(store, opts)
+    if opts[:build], do: build(path, opts), else: look(store, chosen, opts)
+  end
+
+  defp build(path, opts) do
+    copied =
+      Progress.show("build", opts, &Store.copy(path, opts[:build], Arguments.copying(opts, &1)))
+
+    made = Error.unwrap!(copied)
+    if opts[:json], do: Output.json(%{path: made}), else: Output.puts(made)
+    0
+  end
+
+  defp look(store, chosen, opts) do
+    stored? = store.module == Local
+    found = for info <- chosen, info.count > 0, do: summary(store, info, stored?, opts)
+
+    cond do
+      opts[:json] -> Output.json(found)
+      match?([_], found) and opts[:stream] != [] -> bins(hd(found))
+      true -> table(found)
+    end
+
+    0
+  end
+
+  defp summary(store, info, stored?, opts) do
+    {from, to} = {opts[:from] || info.first, opts[:to] || info.last}
+    if from > to, do: throw({:usage, "nothing lies between the times given"})
+    began = System.monotonic_time(:microsecond)
+    summary = Error.unwrap!(Summary.read(store, info.name, from, to, opts[:pixels]))
+
+    %{
+      stream: info.name,
+      stored: stored?,
+      width: summary.width,
+      took_us: System.monotonic_time(:microsecond) - began,
+      counts: Enum.map(summary.counts, &Tuple.to_list/1),
+      tracks: Enum.map(summary.tracks, &track/1)
+    }
+  end
+
+  defp track({key, {:numbers, bins}}) do
+    bins =
+      for {start, least, most, last, n} <- bins,
+          do: %{start: start, min: least, max: most, last: last, count: n}
+
+    %{key: key(key), kind: "numbers", bins: bins}
+  end
+
+  defp track({key, {:changes, changes}}) do
+    changes = for {time, state} <- changes, do: %{time: time, state: state}
+    %{key: key(key), kind: "changes", bins: changes}
+  end
+
+  defp track({key, {:states, bins}}) do
+    bins =
+      for {start, last, counts} <- bins do
+        counts = for {state, n} <- counts, do: %{state: state, count: n}
+        %{start: start, last: last, counts: counts}
+      end
+
+    %{key: key(key), kind: "states", bins: bins}
+  end
+
+  defp key(nil), do: nil
+  defp key(key) when is_binary(key) or is_atom(key), do: to_string(key)
+  defp key(key), do: inspect(key)
+
+  defp table(found) do
+    head = ["stream", "pyramid", "tracks", "column", "columns", "took"]
+
+    rows =
+      for s <- found do
+        tracks =
+          Enum.map_join(s.tracks, ", ", fn t -> "#{if t.key, do: t.key <> ": "}#{t.kind}" end)
+
+        from = if s.stored, do: "stored", else: "by reading"
+        took = "#{Float.round(s.took_us / 1_000, 1)} ms"
+        tracks = if tracks == "", do: "counts", else: tracks
+        [s.stream, from, tracks, Time.format_duration(s.width), "#{length(s.counts)}", took]
+      end
+
+    Output.table([head | rows], 3)
+  end
+
+  defp bins(%{tracks: []} = s) do
+    rows = for [start, n] <- s.counts, do: [Time.to_iso8601(start), "#{n}"]
+    Output.table([["from", "messages"] | rows], 1)
+  end
+
+  defp bins(s) do
+    for track <- s.tracks do
+      if track.key, do: Output.puts("#{track.key}:")
+      rows(track)
+    end
+  end
+
+  defp rows(%{kind: "numbers", bins: bins}) do
+    rows =
+      for b <- bins,
+          do: [Time.to_iso8601(b.start), "#{b.min}", "#{b.max}", "#{b.last}", "#{b.count}"]
+
+    Output.table([["from", "least", "greatest", "last", "count"] | rows], 1)
+  end
+
+  defp rows(%{kind: "changes", bins: changes}) do
+    rows = for c <- changes, do: [Time.to_iso8601(c.time), "#{inspect(c.state)}"]
+    Output.table([["at", "state"] | rows], 2)
+  end
+
+  defp rows(%{kind: "states", bins: bins}) do
+    rows =
+      for b <- bins do
+        counts = Enum.map_join(b.counts, ", ", &"#{inspect(&1.state)} #{&1.count}")
+        [Time.to_iso8601(b.start), counts]
+      end
+
+    Output.table([["from", "messages by state"] | rows], 2)
+  end
+end
