@@ -115,6 +115,28 @@ defmodule Situ.Bridge.HostileTest do
     bounded(count(200), &opened(path, mutate(bytes, &1)))
   end
 
+  @sqlite System.find_executable("sqlite3")
+
+  test "mutations of a ROS 2 bag in SQLite", %{tmp_dir: dir} do
+    if @sqlite do
+      whole = Path.join(dir, "whole.db3")
+
+      sql = """
+      create table topics(id integer primary key, name text, type text, serialization_format text,
+        offered_qos_profiles text);
+      create table messages(id integer primary key, topic_id integer, timestamp integer, data blob);
+      insert into topics values (1, '/words', 'std_msgs/msg/String', 'cdr', '');
+      with recursive n(i) as (select 1 union all select i + 1 from n where i < 40)
+        insert into messages select i, 1, i * 1000, x'00010000060000006a75737421000000' from n;
+      """
+
+      {_, 0} = System.cmd(@sqlite, [whole, sql])
+      bytes = File.read!(whole)
+      path = Path.join(dir, "mutated.db3")
+      bounded(count(60), &opened(path, mutate(bytes, &1)))
+    end
+  end
+
   test "mutations of Protobuf messages and of their definitions" do
     schema = Messages.schema()
     value = %{Situ.PointCloud.from_points([{1.0, 2.0, 3.0}]) | colors: <<1, 2, 3>>}

@@ -180,6 +180,7 @@ defmodule Situ.Bridge.PsiTest do
 
   describe "damaged and hostile files" do
     @tag :tmp_dir
+    @tag timeout: :infinity
     test "mutated stores open and read, or tell why not", %{tmp_dir: dir} do
       sources = [
         Path.join(@data, "objects"),
@@ -190,7 +191,10 @@ defmodule Situ.Bridge.PsiTest do
       :rand.seed(:exsss, {1, 2, 3})
       atoms = :erlang.system_info(:atom_count)
 
-      for n <- 1..300, source = Enum.random(sources) do
+      # SITU_MUTATIONS=20000 tries so many.
+      n = String.to_integer(System.get_env("SITU_MUTATIONS", "300"))
+
+      for n <- 1..n, source = Enum.random(sources) do
         to = Path.join(dir, "s#{rem(n, 3)}")
         File.rm_rf!(to)
         File.mkdir_p!(to)

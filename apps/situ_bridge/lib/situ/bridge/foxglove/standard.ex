@@ -17,6 +17,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
   | `RawAudio` (`pcm-s16`) | `Situ.AudioBuffer` |
   | `Log` | only out, of texts |
   """
+  alias Situ.Bridge.Format.Fitting
   alias Situ.Bridge.Ros.{Optics, Pixels, Sensors}
 
   alias Situ.{
@@ -59,7 +60,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
   @doc "A message as Situ's; one that makes no sense, or that Situ has no type for, stays a map."
   @spec from(String.t(), map()) :: term()
   def from(@package <> name, message) do
-    case make(name, message) do
+    case Fitting.try(fn -> make(name, message) end) do
       {:ok, value} -> value
       _ -> message
     end

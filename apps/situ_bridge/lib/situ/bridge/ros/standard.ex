@@ -20,6 +20,7 @@ defmodule Situ.Bridge.Ros.Standard do
   | `rosgraph_msgs/Clock` | the simulated time, an integer |
   | `std_msgs/String`, `Bool`, `Int8` ... `Float64` | the value |
   """
+  alias Situ.Bridge.Format.Fitting
   alias Situ.Bridge.Ros.{Cloud, Optics, Pixels, Sensors}
 
   alias Situ.{
@@ -66,10 +67,13 @@ defmodule Situ.Bridge.Ros.Standard do
   def type(number) when number in @numbers, do: :integer
   def type(_), do: :map
 
-  @doc "A message as a struct of Situ; one with impossible values stays a map. On `/tf_static` transforms are static."
+  @doc """
+  A message as a struct of Situ; one with impossible values, or whose definition has the name of a standard one but other
+  fields, stays a map. On `/tf_static` transforms are static.
+  """
   @spec from(String.t(), map(), String.t()) :: term()
   def from(name, message, topic \\ "") do
-    case make(name, message) do
+    case Fitting.try(fn -> make(name, message) end) do
       {:ok, value} -> if topic == "/tf_static", do: Sensors.static(value), else: value
       _ -> message
     end

@@ -150,4 +150,26 @@ defmodule Situ.Bridge.Ros.StandardTest do
     assert Standard.from("sensor_msgs/CameraInfo", info) == info
     assert Standard.from("sensor_msgs/PointCloud2", %{}) == %{}
   end
+
+  test "a definition that has a standard name and other fields gives maps" do
+    imu = %{"angular_veIocity" => %{"x" => 1.0, "y" => 0.0, "z" => 0.0}, "header" => %{}}
+    assert Standard.from("sensor_msgs/Imu", imu) == imu
+
+    assert Standard.from("sensor_msgs/Imu", %{"linear_acceleration" => 5, "angular_velocity" => 6})
+
+    for name <-
+          ~w(sensor_msgs/NavSatFix sensor_msgs/JointState sensor_msgs/Image tf2_msgs/TFMessage) do
+      for message <- [
+            %{"transforms" => 5},
+            %{"latitude" => "north"},
+            %{"name" => 1},
+            %{"width" => nil}
+          ],
+          do: assert(Standard.from(name, message) == message)
+    end
+
+    transform = %{"translation" => %{}, "child_frame_id" => nil, "parent_frame_id" => 7}
+    name = "foxglove.FrameTransform"
+    assert Situ.Bridge.Foxglove.Standard.from(name, transform) == transform
+  end
 end
