@@ -7,12 +7,14 @@
 
 mod chunk;
 mod file;
+mod layout;
 mod open;
 mod reader;
 mod track;
 mod writer;
 
-pub use reader::{Channel, Chunk, Found, Info, Message, Query, Reader, Schema};
+pub use layout::Chunk;
+pub use reader::{Channel, Found, Info, Message, Query, Reader, Schema};
 pub use track::Times;
 pub use writer::{ChannelSpec, Compression, Writer};
 

@@ -53,25 +53,6 @@ pub struct Found {
     pub size: u64,
 }
 
-/// A chunk: some seconds of messages, compressed together.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Chunk {
-    /// Where it lies.
-    pub offset: u64,
-    /// Its record's bytes.
-    pub length: u64,
-    /// How it is compressed; empty: not at all.
-    pub compression: String,
-    /// The bytes of its data, compressed.
-    pub packed: u64,
-    /// And not.
-    pub unpacked: u64,
-    /// The time of its first message, ns.
-    pub start: u64,
-    /// The time of its last message, ns.
-    pub end: u64,
-}
-
 /// A description of a file.
 #[derive(Debug, Clone)]
 pub struct Info {
@@ -133,7 +114,7 @@ const KEPT: usize = 64 << 20;
 /// An open file. Any thread may read.
 pub struct Reader {
     bytes: Bytes,
-    contents: Contents,
+    pub(crate) contents: Contents,
     tracks: Mutex<HashMap<(u16, Times), Arc<Track>>>,
     kept: Mutex<Vec<(u32, Arc<Vec<u8>>)>>,
 }
@@ -161,37 +142,6 @@ impl Reader {
             tracks: Mutex::default(),
             kept: Mutex::default(),
         })
-    }
-
-    /// Its chunks, in the order of the file.
-    pub fn chunks(&self) -> Vec<Chunk> {
-        let chunks = self.contents.chunks.iter().map(|c| Chunk {
-            offset: c.offset,
-            length: c.length,
-            compression: c.compression.clone(),
-            packed: c.packed,
-            unpacked: c.unpacked,
-            start: c.start,
-            end: c.end,
-        });
-        chunks.collect()
-    }
-
-    /// The bytes of the messages' data of every channel in a chunk: of the `number`th, `None` behind the last.
-    pub fn sizes(&self, number: u32) -> Result<Option<BTreeMap<u16, u64>>> {
-        if number as usize >= self.contents.chunks.len() {
-            return Ok(None);
-        }
-        let records = self.chunk(number)?;
-        let mut sizes = BTreeMap::new();
-        for (opcode, at, body) in Records::new(&records) {
-            if opcode == op::MESSAGE {
-                if let Record::Message { header, data } = parse(opcode, body, at)? {
-                    *sizes.entry(header.channel_id).or_insert(0) += data.len() as u64;
-                }
-            }
-        }
-        Ok(Some(sizes))
     }
 
     /// A description of the file.
@@ -331,7 +281,7 @@ impl Reader {
         }
     }
 
-    fn chunk(&self, number: u32) -> Result<Arc<Vec<u8>>> {
+    pub(crate) fn chunk(&self, number: u32) -> Result<Arc<Vec<u8>>> {
         if let Some((_, bytes)) = locked(&self.kept).iter().find(|(n, _)| *n == number) {
             return Ok(bytes.clone());
         }

@@ -303,8 +303,8 @@ defmodule Situ.Bridge.Mcap do
   end
 
   @doc """
-  The bytes of each topic's messages, unpacked: `{:ok, %{topic => bytes}}`. Reads the whole file. Messages that are in no
-  chunk are not counted.
+  The bytes of each topic's messages, unpacked: `{:ok, %{topic => bytes}}`. Reads the whole file. Messages outside of
+  chunks are not counted.
   """
   @spec sizes(Situ.Store.t()) ::
           {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}

@@ -68,8 +68,8 @@ defmodule Situ.Bridge.Ros.Standard do
   def type(_), do: :map
 
   @doc """
-  A message as a struct of Situ; one with impossible values, or whose definition has the name of a standard one but other
-  fields, stays a map. On `/tf_static` transforms are static.
+  A message as a struct of Situ; one with impossible values, or whose definition has a standard name but other fields,
+  stays a map. On `/tf_static` transforms are static.
   """
   @spec from(String.t(), map(), String.t()) :: term()
   def from(name, message, topic \\ "") do

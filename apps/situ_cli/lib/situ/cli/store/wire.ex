@@ -22,7 +22,7 @@ defmodule Situ.CLI.Store.Wire do
       Option.new(
         :address,
         :string,
-        "ZeroMQ: #{@addresses["zeromq"]}; MQTT: the broker's HOST:PORT; ROS 1: the master's address; ROS 2: Zenoh's router",
+        "ZeroMQ: tcp://HOST:PORT; MQTT: the broker's HOST:PORT; ROS 1: its master; ROS 2: Zenoh's router",
         short: :a,
         value: "ADDRESS"
       ),
