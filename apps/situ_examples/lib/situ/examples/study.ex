@@ -5,7 +5,7 @@ defmodule Situ.Examples.Study do
   A study end to end: clips as the sessions of a dataset, who speaks found in each from sound and lips, kept as proposed
   annotations, exported to ELAN and WebVTT, and held against the truth (Cohen's kappa over frames of 10 ms).
 
-    --input FILE     a clip; may be given several times (default: the clip that comes with Situ)
+    --input FILE     a clip; may be given several times (default: the three clips that come with Situ)
     --truth FILE     what really happens in the clip given before it
     --out FOLDER     where the study goes (default: "study")
     --json           print one JSON object and nothing else
@@ -121,7 +121,9 @@ defmodule Situ.Examples.Study do
   # A truth belongs to the clip before it.
   defp clips([]) do
     folder = Application.app_dir(:situ_examples, "priv/demo")
-    [{Path.join(folder, "talk1.mp4"), Path.join(folder, "talk1.truth.json")}]
+
+    for clip <- ~w(talk1 talk2 talk3),
+        do: {Path.join(folder, clip <> ".mp4"), Path.join(folder, clip <> ".truth.json")}
   end
 
   defp clips([{:input, clip}, {:truth, truth} | rest]), do: [{clip, truth} | more(rest)]
