@@ -1,5 +1,5 @@
 defmodule Situ.CLI.Task do
-  @moduledoc "`situ task`: batch tasks over the sessions of a dataset."
+  @moduledoc "`situ task` and `situ dataset run`: batch tasks and pipelines over the sessions of a dataset."
   @behaviour Situ.CLI.Verb
   alias Situ.CLI.{Option, Output, Progress, Verb}
   alias Situ.Dataset
@@ -10,6 +10,8 @@ defmodule Situ.CLI.Task do
 
   @impl true
   def verbs do
+    run = run_verb()
+
     [
       %Verb{
         words: ["task", "list"],
@@ -18,41 +20,51 @@ defmodule Situ.CLI.Task do
         examples: ["situ task list"],
         run: &list/2
       },
-      %Verb{
-        words: ["task", "run"],
-        aliases: ["exec"],
-        summary: "run a task over the sessions of a dataset",
-        about: """
-        A session that fails does not stop the others (status 1 at the end). A run that was stopped or killed is
-        taken up where it was by the same command. Recordings are never changed: a task makes a new partition, or a
-        file.
-        """,
-        arguments: [
-          path: [kind: :recording, doc: "a dataset file, a folder of recordings, or a recording"],
-          task: [kind: :text, doc: "the task's name"]
-        ],
-        options: [
-          Option.new(:set, :string, "an option of the task; VALUE is JSON, or text",
-            value: "NAME=VALUE",
-            many?: true
-          ),
-          Option.new(:config, :path, "options of the task, a JSON object", value: "FILE"),
-          Option.new(:save_config, :path, "write the options to a file, for --config",
-            value: "FILE"
-          ),
-          Option.new(:session, :string, "only this session", many?: true, value: "NAME"),
-          Option.new(:output, :string, "the new partition's name", value: "NAME"),
-          Option.new(:overwrite, :flag, "put it in the place of a partition of that name"),
-          Option.new(:parallel, :integer, "so many sessions at once", default: 1),
-          Option.new(:stop, :flag, "stop at the first session that fails")
-        ],
-        examples: [
-          "situ task run study.json sound-to-wav --set stream=Mic",
-          "situ task run study.json voice-activity --parallel 2"
-        ],
-        run: &run/2
+      run,
+      %{
+        run
+        | words: ["dataset", "run"],
+          aliases: [],
+          examples: [hd(tl(run.examples)), hd(Enum.reverse(run.examples))]
       }
     ]
+  end
+
+  defp run_verb do
+    %Verb{
+      words: ["task", "run"],
+      aliases: ["exec"],
+      summary: "run a task, or a pipeline of one's own, over the sessions of a dataset",
+      about: """
+      A session that fails does not stop the others (status 1 at the end). A run that was stopped or killed is
+      taken up where it was by the same command. Recordings are never changed: a task makes a new partition, or a
+      file. In place of a task's name stands a file of Elixir with a module that is a task (Situ.Dataset.Task) or a
+      pipeline (Situ.Dataset.Derivation); it is compiled and run as it is, so take only files that you trust.
+      """,
+      arguments: [
+        path: [kind: :recording, doc: "a dataset file, a folder of recordings, or a recording"],
+        task: [kind: :text, doc: "the task's name, or FILE.ex"]
+      ],
+      options: [
+        Option.new(:set, :string, "an option of the task; VALUE is JSON, or text",
+          value: "NAME=VALUE",
+          many?: true
+        ),
+        Option.new(:config, :path, "options of the task, a JSON object", value: "FILE"),
+        Option.new(:save_config, :path, "write the options to a file, for --config", value: "FILE"),
+        Option.new(:session, :string, "only this session", many?: true, value: "NAME"),
+        Option.new(:output, :string, "the new partition's name", value: "NAME"),
+        Option.new(:overwrite, :flag, "put it in the place of a partition of that name"),
+        Option.new(:parallel, :integer, "so many sessions at once", default: 1),
+        Option.new(:stop, :flag, "stop at the first session that fails")
+      ],
+      examples: [
+        "situ task run study.json sound-to-wav --set stream=Mic",
+        "situ task run study.json voice-activity --parallel 2",
+        "situ dataset run study.json loudness.ex --output Loudness"
+      ],
+      run: &run/2
+    }
   end
 
   defp ready, do: for(app <- @apps, do: {:ok, _} = Application.ensure_all_started(app))
@@ -83,8 +95,7 @@ defmodule Situ.CLI.Task do
 
   defp run(%{path: path, task: name}, opts) do
     ready()
-    module = ok!(Dataset.Task.fetch(name))
-    task = module.task()
+    {module, task} = task!(name)
     config = config(opts)
     options = ok!(Dataset.Task.options(task.options, config))
     if opts[:save_config], do: save(opts[:save_config], options)
@@ -93,6 +104,41 @@ defmodule Situ.CLI.Task do
     {:ok, dataset, report} = derived(dataset, module, derivation(task, options, opts), opts)
     if opts[:json], do: Output.json(json(report)), else: shown(dataset, report)
     if Report.failures(report) == [], do: 0, else: 1
+  end
+
+  defp task!(name) do
+    if Path.extname(name) in [".ex", ".exs"] do
+      own(name)
+    else
+      module = ok!(Dataset.Task.fetch(name))
+      {module, module.task()}
+    end
+  end
+
+  # The person who types the command has named the file; nothing else is ever compiled.
+  defp own(file) do
+    modules = for {module, _} <- compiled(file), do: module
+
+    cond do
+      module = Enum.find(modules, &function_exported?(&1, :task, 0)) ->
+        {module, module.task()}
+
+      module = Enum.find(modules, &function_exported?(&1, :build, 2)) ->
+        {module, %{output: module |> Module.split() |> List.last(), options: []}}
+
+      true ->
+        raise Error.new(:no_task, "#{file} has no task and no pipeline",
+                fix: "define a module with build/2, see Situ.Dataset.Derivation"
+              )
+    end
+  end
+
+  defp compiled(file) do
+    Code.compile_file(file)
+  rescue
+    error in [CompileError, SyntaxError, TokenMissingError, Code.LoadError] ->
+      reraise Error.new(:not_compiled, "#{file} cannot be compiled", why: Exception.message(error)),
+              __STACKTRACE__
   end
 
   defp derivation(task, options, opts) do

@@ -54,6 +54,36 @@ defmodule Situ.CLI.TaskTest do
     assert_in_delta deviation, 6.0553, 0.001
   end
 
+  test "a pipeline of one's own, out of a file", %{study: file, tmp_dir: root} do
+    own = Path.join(root, "doubled.ex")
+
+    File.write!(own, """
+    defmodule Situ.CLI.TaskTest.Doubled do
+      def build(_p, opts) do
+        opts[:importer]
+        |> Situ.Dataset.Importer.stream("Level")
+        |> Situ.map(&(&1 * 2))
+        |> Situ.Store.write(opts[:exporter], "Twice")
+      end
+    end
+    """)
+
+    argv = ["dataset", "run", file, own, "--json"]
+    assert {0, json} = with_io(fn -> Situ.CLI.run(argv) end)
+    assert {:ok, %{"output" => "Doubled", "results" => [_, _]}} = Situ.JSON.decode(json)
+    {:ok, dataset} = Dataset.open(file)
+    partition = Enum.find(hd(dataset.sessions).partitions, &(&1.name == "Doubled"))
+    twice = partition.path |> Store.open!() |> Store.messages("Twice") |> Enum.map(& &1.data)
+    assert twice == for(n <- 0..9, do: n * 2)
+
+    File.write!(own, "defmodule Broken do")
+    said = capture_io(:stderr, fn -> assert Situ.CLI.run(["dataset", "run", file, own]) == 1 end)
+    assert said =~ "cannot be compiled"
+    File.write!(own, "1 + 1")
+    said = capture_io(:stderr, fn -> assert Situ.CLI.run(["dataset", "run", file, own]) == 1 end)
+    assert said =~ "no task and no pipeline"
+  end
+
   test "streams are dropped; options come from a file that was saved", %{
     study: file,
     tmp_dir: root
