@@ -36,7 +36,7 @@ defmodule Situ.Bridge.MixProject do
   defp elixirc_paths(_env), do: ["lib"]
 
   defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger, :crypto, :inets]
+  defp extra_applications(_env), do: [:logger, :crypto, :inets, :ssl, :public_key]
 
   defp deps do
     [

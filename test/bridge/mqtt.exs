@@ -3,7 +3,39 @@
 {:ok, _} = Application.ensure_all_started(:situ_bridge)
 alias Situ.Bridge.Mqtt
 
+# `mqtt.exs tls PORT CA` both ways by TLS; `mqtt.exs distrust PORT CA` must not come through.
+secure = fn ca -> [tls: [authorities: ca, name: "localhost"]] end
+
+hears = fn port, opts, ms ->
+  me = self()
+  opts = [port: String.to_integer(port)] ++ opts
+
+  {:ok, p} =
+    Situ.Pipeline.start_link(fn p ->
+      p |> Mqtt.subscribe("127.0.0.1", "lab/tls", opts) |> Situ.each(&send(me, {:got, &1}))
+    end)
+
+  {:ok, out} =
+    Situ.Pipeline.start_link(fn p ->
+      p
+      |> Situ.from_enumerable(for(n <- 1..100_000, do: {n * 20_000_000, n}))
+      |> Mqtt.publish("127.0.0.1", "lab/tls", opts)
+    end)
+
+  heard = receive do: ({:got, n} when is_integer(n) -> true), after: (ms -> false)
+  for p <- [p, out], do: {:ok, _} = Situ.Pipeline.stop(p)
+  heard
+end
+
 case System.argv() do
+  ["tls", port, ca] ->
+    true = hears.(port, secure.(ca), 60_000)
+
+  ["distrust", port, ca] ->
+    # Another authority, and the right one for another name.
+    false = hears.(port, secure.(ca <> ".other"), 1_500)
+    false = hears.(port, [tls: [authorities: ca, name: "elsewhere"]], 1_500)
+
   ["publish", port] ->
     {:ok, _} =
       Situ.Pipeline.run(fn p ->

@@ -2,8 +2,12 @@ defmodule Situ.Bridge.Mqtt do
   alias Situ.Bridge.Mqtt.{Sink, Subscription}
   alias Situ.Bridge.Net
 
-  @schema [
-    port: [type: {:range, 1, 65_535}, default: 1_883, doc: "The broker's port."],
+  @own [
+    port: [
+      type: {:optional, {:range, 1, 65_535}},
+      default: nil,
+      doc: "The broker's port (default: 1883, with TLS 8883)."
+    ],
     qos: [
       type: {:in, [0, 1]},
       default: 1,
@@ -18,6 +22,7 @@ defmodule Situ.Bridge.Mqtt do
     username: [type: {:optional, :string}, default: nil, doc: "As whom to log in."],
     password: [type: {:optional, :string}, default: nil, doc: "With what."]
   ]
+  @schema @own ++ Net.Dial.options()
   @moduledoc """
   MQTT 3.1.1: topics of any broker (mosquitto, NATS, EMQX ...) as streams, and streams as topics.
 
@@ -33,7 +38,11 @@ defmodule Situ.Bridge.Mqtt do
   `qos: 1` (the default) a publisher keeps what the broker has not acknowledged, at most `high_water_mark:` messages,
   and then makes the stream wait; with `qos: 0` what is sent while there is no broker is lost, and counted. Messages
   that cannot be read, or whose times do not increase (they came again), are left out and counted
-  (`Situ.Pipeline.info/1`). A subscription is endless. There is no TLS: over other networks than one's own use a tunnel.
+  (`Situ.Pipeline.info/1`). A subscription is endless.
+
+  Over other networks than one's own take TLS: `tls: true`, or `tls: [authorities: "ca.pem"]` for a broker with a
+  certificate of one's own authority. A broker whose certificate is not good is not spoken with; that is logged, and
+  tried again.
   """
 
   @doc """
@@ -59,8 +68,9 @@ defmodule Situ.Bridge.Mqtt do
     {own, opts} = Keyword.split(opts, Keyword.keys(@schema))
     own = Situ.Options.validate!(own, @schema)
     id = own[:session] || "situ-" <> Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
-    arg = [id: id, topic: topic] ++ Keyword.delete(own, :port)
-    Net.Source.connect(p, {Subscription, arg}, host, own[:port], opts)
+    arg = [id: id, topic: topic] ++ Keyword.drop(own, [:port, :tls])
+    port = own[:port] || if(own[:tls] in [nil, false], do: 1_883, else: 8_883)
+    Net.Source.connect(p, {Subscription, arg}, host, port, [tls: own[:tls]] ++ opts)
   end
 
   @doc "The name that all bridges have for their way out: `publish/4`."

@@ -4,7 +4,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   use GenServer
   require Logger
   alias Situ.Bridge.Mqtt.Wire
-  alias Situ.Bridge.Net.{Linger, Outbox}
+  alias Situ.Bridge.Net.{Dial, Linger, Outbox}
   alias Situ.Bridge.Outlet
   @behaviour Outlet
 
@@ -26,7 +26,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
     dropped: 0
   ]
 
-  @doc "`opts`: host, port, topic, qos, retain, high_water_mark, and those of `Wire.connect/1`."
+  @doc "`opts`: host, port, tls, topic, qos, retain, high_water_mark, and those of `Wire.connect/1`."
   @spec start_link(keyword()) :: {:ok, pid()}
   def start_link(opts) do
     {:ok, _} = GenServer.start_link(__MODULE__, opts)
@@ -91,35 +91,37 @@ defmodule Situ.Bridge.Mqtt.Publisher do
 
   @impl true
   def handle_info(:connect, %{opts: opts} = state) do
-    options = [:binary, active: :once] ++ Outbox.options()
-    host = String.to_charlist(opts[:host])
-
-    with {:ok, tcp} <- :gen_tcp.connect(host, opts[:port], options, 2_000),
-         :ok <- :gen_tcp.send(tcp, Wire.connect(opts)) do
+    with {:ok, tcp} <- Dial.connect(opts[:host], opts[:port], opts[:tls], Outbox.options()),
+         :ok <- Dial.send(tcp, Wire.connect(opts)) do
       {:noreply, %{state | tcp: tcp, said: ""}}
     else
       {:error, reason} -> {:noreply, again(state, reason)}
     end
   end
 
-  def handle_info({:tcp, tcp, bytes}, %{tcp: tcp} = state) do
-    state = hear(%{state | said: state.said <> bytes})
-    if state.tcp, do: :inet.setopts(tcp, active: :once)
-    {:noreply, state}
-  end
-
-  def handle_info({:tcp_closed, tcp}, %{tcp: tcp} = state), do: {:noreply, again(state, :closed)}
-
-  def handle_info({:tcp_error, tcp, reason}, %{tcp: tcp} = state),
-    do: {:noreply, again(state, reason)}
-
   def handle_info({:drain, from, until}, state) do
     Linger.drain(from, until, state.n > 0)
     {:noreply, state}
   end
 
+  # A connection by TLS has processes of its own, and their ends.
+  def handle_info({:EXIT, _pid, :normal}, state), do: {:noreply, state}
   def handle_info({:EXIT, _pid, reason}, state), do: {:stop, reason, state}
-  def handle_info(_other, state), do: {:noreply, state}
+
+  def handle_info(message, state) do
+    case Dial.heard(message, state.tcp) do
+      {:ok, bytes} ->
+        state = hear(%{state | said: state.said <> bytes})
+        if state.tcp, do: Dial.next(state.tcp)
+        {:noreply, state}
+
+      {:gone, reason} ->
+        {:noreply, again(state, reason)}
+
+      :other ->
+        {:noreply, state}
+    end
+  end
 
   defp hear(%{tcp: nil} = state), do: state
 
@@ -154,7 +156,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   defp heard(_other, state), do: state
 
   defp say(bytes, state) do
-    case :gen_tcp.send(state.tcp, bytes) do
+    case Dial.send(state.tcp, bytes) do
       :ok -> state
       {:error, reason} -> again(state, reason)
     end
@@ -162,7 +164,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
 
   # The same trouble is told once, not at every attempt.
   defp again(state, reason) do
-    if state.tcp, do: :gen_tcp.close(state.tcp)
+    if state.tcp, do: Dial.close(state.tcp)
 
     if state.told != reason and reason != :closed,
       do: Logger.warning("#{state.opts[:host]}:#{state.opts[:port]}: #{inspect(reason)}")
@@ -175,7 +177,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   def terminate(_reason, %{tcp: nil}), do: :ok
 
   def terminate(_reason, %{tcp: tcp}) do
-    :gen_tcp.send(tcp, Wire.disconnect())
-    :gen_tcp.close(tcp)
+    Dial.send(tcp, Wire.disconnect())
+    Dial.close(tcp)
   end
 end

@@ -1,9 +1,14 @@
 defmodule Situ.Bridge.Mqtt.Sink do
+  alias Situ.Bridge.Net.Dial
   alias Situ.Bridge.Outlet
 
   @schema [
             host: [type: :string, required: true, doc: "Where the broker is."],
-            port: [type: {:range, 1, 65_535}, default: 1_883, doc: "Its port."],
+            port: [
+              type: {:optional, {:range, 1, 65_535}},
+              default: nil,
+              doc: "Its port (default: 1883, with TLS 8883)."
+            ],
             topic: [type: :string, required: true, doc: "The topic."],
             qos: [
               type: {:in, [0, 1]},
@@ -18,7 +23,7 @@ defmodule Situ.Bridge.Mqtt.Sink do
             ],
             username: [type: {:optional, :string}, default: nil, doc: "As whom to log in."],
             password: [type: {:optional, :string}, default: nil, doc: "With what."]
-          ] ++ Keyword.drop(Outlet.options(), [:listening, :wait_for])
+          ] ++ Dial.options() ++ Keyword.drop(Outlet.options(), [:listening, :wait_for])
   @moduledoc false
   # A stream to a topic.
   use Situ.Component, inputs: [in: :any], options: @schema
@@ -32,7 +37,8 @@ defmodule Situ.Bridge.Mqtt.Sink do
   @impl true
   def handle_start(_context, %{opts: opts} = outlet) do
     id = "situ-" <> Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
-    {:ok, publisher} = Publisher.start_link([id: id] ++ opts)
+    port = opts[:port] || if(opts[:tls] in [nil, false], do: 1_883, else: 8_883)
+    {:ok, publisher} = Publisher.start_link([id: id, port: port] ++ opts)
     {[], Outlet.open(outlet, Publisher, publisher, nil)}
   end
 

@@ -1,5 +1,6 @@
 defmodule Situ.Bridge.Net.Source do
   alias Situ.Bridge.Inlet
+  alias Situ.Bridge.Net.Dial
 
   @schema [
             host: [type: :string, required: true, doc: "Where the server is."],
@@ -10,7 +11,7 @@ defmodule Situ.Bridge.Net.Source do
               default: 64 * 1024 * 1024,
               doc: "The largest message, bytes; a server that sends a larger one is left."
             ]
-          ] ++ Inlet.options()
+          ] ++ Dial.options() ++ Inlet.options()
   @moduledoc false
   # A connection to a server as a source that never ends. It lives in the component's own process: nothing is read
   # while the component is busy, so that the other side waits or drops.
@@ -29,7 +30,7 @@ defmodule Situ.Bridge.Net.Source do
   end
 
   @doc "The options that users give, as documentation."
-  def docs, do: @schema |> Keyword.drop([:host, :port, :protocol]) |> Situ.Options.docs()
+  def docs, do: @schema |> Keyword.drop([:host, :port, :protocol, :tls]) |> Situ.Options.docs()
 
   @impl true
   def init(opts) do
@@ -45,12 +46,10 @@ defmodule Situ.Bridge.Net.Source do
 
   @impl true
   def handle_info(:connect, _context, %{open: true, tcp: nil, opts: opts} = state) do
-    host = String.to_charlist(opts[:host])
     {module, arg} = opts[:protocol]
     {hello, wire} = module.hello(opts[:host], opts[:port], arg)
-    options = [:binary, active: :once, nodelay: true]
 
-    with {:ok, tcp} <- :gen_tcp.connect(host, opts[:port], options, 2_000),
+    with {:ok, tcp} <- Dial.connect(opts[:host], opts[:port], opts[:tls], nodelay: true),
          :ok <- said(tcp, hello) do
       {[], %{state | tcp: tcp, wire: wire}}
     else
@@ -58,33 +57,33 @@ defmodule Situ.Bridge.Net.Source do
     end
   end
 
-  def handle_info({:tcp, tcp, bytes}, context, %{tcp: tcp, opts: opts} = state) do
+  def handle_info(message, context, state) do
+    case Dial.heard(message, state.tcp) do
+      {:ok, bytes} -> heard(bytes, context, state)
+      {:gone, reason} -> {[], again(state, reason)}
+      :other -> {[], state}
+    end
+  end
+
+  defp heard(bytes, context, %{tcp: tcp, opts: opts} = state) do
     case elem(opts[:protocol], 0).read(bytes, state.wire, opts[:most]) do
       {:ok, payloads, answer, wire} ->
         {actions, inlet} = Inlet.take(state.inlet, payloads, context.now)
-        if answer != "", do: :gen_tcp.send(tcp, answer)
-        :inet.setopts(tcp, active: :once)
+        if answer != "", do: Dial.send(tcp, answer)
+        Dial.next(tcp)
         {actions, well(%{state | wire: wire, inlet: inlet}, payloads)}
 
       {:error, why} ->
-        :gen_tcp.close(tcp)
+        Dial.close(tcp)
         {[], again(state, why)}
     end
   end
 
-  def handle_info({:tcp_closed, tcp}, _context, %{tcp: tcp} = state),
-    do: {[], again(state, :closed)}
-
-  def handle_info({:tcp_error, tcp, reason}, _context, %{tcp: tcp} = state),
-    do: {[], again(state, reason)}
-
-  def handle_info(_other, _context, state), do: {[], state}
-
   defp said(_tcp, ""), do: :ok
 
   defp said(tcp, hello) do
-    with {:error, _} = error <- :gen_tcp.send(tcp, hello) do
-      :gen_tcp.close(tcp)
+    with {:error, _} = error <- Dial.send(tcp, hello) do
+      Dial.close(tcp)
       error
     end
   end
@@ -109,7 +108,7 @@ defmodule Situ.Bridge.Net.Source do
   def terminate(_reason, state), do: close(state)
 
   defp close(state) do
-    if state.tcp, do: :gen_tcp.close(state.tcp)
+    if state.tcp, do: Dial.close(state.tcp)
     %{state | tcp: nil, open: false}
   end
 

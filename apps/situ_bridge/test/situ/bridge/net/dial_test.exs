@@ -1,0 +1,120 @@
+defmodule Situ.Bridge.Net.DialTest do
+  use ExUnit.Case, async: true
+  alias Situ.Bridge.Net.Dial
+
+  @moduletag :tmp_dir
+  @moduletag :capture_log
+
+  # An authority of its own, and a server with a certificate for "broker" by it.
+  setup %{tmp_dir: dir} do
+    {:ok, _} = Application.ensure_all_started(:ssl)
+
+    sans = [
+      {:Extension, {2, 5, 29, 17}, false, [{:dNSName, 'broker'}, {:iPAddress, <<127, 0, 0, 1>>}]}
+    ]
+
+    # The curve P-256.
+    curve = {:namedCurve, {1, 2, 840, 10_045, 3, 1, 7}}
+
+    made = fn names ->
+      :public_key.pkix_test_data(%{
+        server_chain: %{
+          root: [key: curve],
+          intermediates: [],
+          peer: [extensions: names, key: curve]
+        },
+        client_chain: %{root: [key: curve], intermediates: [], peer: [key: curve]}
+      })
+    end
+
+    %{server_config: server, client_config: client} = made.(sans)
+    ca = Path.join(dir, "ca.pem")
+    pem = for der <- client[:cacerts], do: {:Certificate, der, :not_encrypted}
+    File.write!(ca, :public_key.pem_encode(pem))
+    %{client_config: other} = made.([])
+    pem = for der <- other[:cacerts], do: {:Certificate, der, :not_encrypted}
+    File.write!(Path.join(dir, "other.pem"), :public_key.pem_encode(pem))
+
+    {:ok, listener} =
+      :ssl.listen(0, [:binary, active: false, reuseaddr: true] ++ Keyword.delete(server, :verify))
+
+    {:ok, {_, port}} = :ssl.sockname(listener)
+    on_exit(fn -> :ssl.close(listener) end)
+    %{ca: ca, other: Path.join(dir, "other.pem"), listener: listener, port: port}
+  end
+
+  # Greets whoever comes, and says again what is said.
+  defp serve(listener) do
+    Task.start_link(fn ->
+      {:ok, transport} = :ssl.transport_accept(listener, 10_000)
+
+      with {:ok, socket} <- :ssl.handshake(transport, 10_000),
+           {:ok, said} <- :ssl.recv(socket, 5, 10_000),
+           do: :ssl.send(socket, "you said " <> said)
+    end)
+  end
+
+  test "by an authority of one's own, for the address and for the name", context do
+    for tls <- [[authorities: context.ca], [authorities: context.ca, name: "broker"]] do
+      serve(context.listener)
+
+      assert {:ok, {:ssl, _} = dialled} =
+               Dial.connect("127.0.0.1", context.port, tls, nodelay: true)
+
+      :ok = Dial.send(dialled, "hello")
+      assert collected(dialled, "") == "you said hello"
+      Dial.close(dialled)
+    end
+  end
+
+  defp collected(dialled, text) do
+    receive do
+      message ->
+        case Dial.heard(message, dialled) do
+          {:ok, bytes} ->
+            Dial.next(dialled)
+
+            if text <> bytes == "you said hello",
+              do: text <> bytes,
+              else: collected(dialled, text <> bytes)
+
+          :other ->
+            collected(dialled, text)
+        end
+    after
+      10_000 -> text
+    end
+  end
+
+  test "another authority, another name, no authority: no connection", context do
+    for tls <- [
+          [authorities: context.other],
+          [authorities: context.ca, name: "elsewhere"],
+          true
+        ] do
+      serve(context.listener)
+      assert {:error, {:tls_alert, _}} = Dial.connect("127.0.0.1", context.port, tls, [])
+    end
+
+    assert {:error, "/nowhere.pem" <> _} =
+             Dial.connect("127.0.0.1", context.port, [authorities: "/nowhere.pem"], [])
+
+    assert {:error, "tls: has no option :verify" <> _} =
+             Dial.connect("127.0.0.1", 1, [verify: false], [])
+  end
+
+  test "without TLS as ever" do
+    {:ok, listener} = :gen_tcp.listen(0, [:binary, active: false, ip: {127, 0, 0, 1}])
+    {:ok, port} = :inet.port(listener)
+    {:ok, {:gen_tcp, _} = dialled} = Dial.connect("127.0.0.1", port, false, [])
+    {:ok, socket} = :gen_tcp.accept(listener)
+    :ok = :gen_tcp.send(socket, "x")
+    assert_receive message = {:tcp, _, "x"}
+    assert Dial.heard(message, dialled) == {:ok, "x"}
+    :gen_tcp.close(socket)
+    :ok = Dial.next(dialled)
+    assert_receive message = {:tcp_closed, _}
+    assert Dial.heard(message, dialled) == {:gone, :closed}
+    assert Dial.heard(:something, nil) == :other
+  end
+end
