@@ -8,6 +8,7 @@ defmodule Situ.Bridge.NamesTest do
     for module <- [
           Bridge.File,
           Bridge.Mqtt,
+          Bridge.Protobuf.File,
           Bridge.Ros,
           Bridge.Ros2,
           Bridge.ServerSentEvents,

@@ -1,0 +1,104 @@
+defmodule Situ.Bridge.Protobuf.Delimited do
+  @moduledoc false
+  # Messages one after the other, each behind its length as a varint.
+  alias Situ.Error
+
+  @chunk 65_536
+  @most 64 * 1024 * 1024
+
+  @doc """
+      iex> Situ.Bridge.Protobuf.Delimited.frame(<<1, 2>>) |> IO.iodata_to_binary()
+      <<2, 1, 2>>
+  """
+  @spec frame(iodata()) :: iodata()
+  def frame(bytes), do: [varint(IO.iodata_length(bytes)), bytes]
+
+  defp varint(n) when n < 128, do: <<n>>
+  defp varint(n), do: <<1::1, n::7, varint(Bitwise.bsr(n, 7))::binary>>
+
+  @doc "The messages' bytes, each with the place it begins at; raises `Situ.Error` (`:io`, `:bad_file`)."
+  @spec payloads(Path.t()) :: Enumerable.t()
+  def payloads(path) do
+    Stream.resource(
+      fn ->
+        case :file.open(path, [:read, :raw, :binary, :read_ahead]) do
+          {:ok, file} -> {file, "", 0}
+          {:error, reason} -> raise io(path, reason)
+        end
+      end,
+      &next(&1, path),
+      fn {file, _, _} -> :file.close(file) end
+    )
+  end
+
+  defp next({file, bytes, at}, path) do
+    case :file.read(file, @chunk) do
+      {:ok, more} ->
+        case split(bytes <> more, at, []) do
+          {:ok, found, rest, at} -> {found, {file, rest, at}}
+          {:error, [], at, why} -> raise bad(path, at, why)
+          # What stands before the fault is handed out first.
+          {:error, found, at, _why} -> {found, {file, rest(bytes <> more, found, at), at}}
+        end
+
+      :eof when bytes == "" ->
+        {:halt, {file, bytes, at}}
+
+      :eof ->
+        ended(file, bytes, at, path)
+
+      {:error, reason} ->
+        raise io(path, reason)
+    end
+  end
+
+  defp ended(_file, bytes, at, path) do
+    case split(bytes, at, []) do
+      {:error, _, at, why} -> raise bad(path, at, why)
+      _ -> raise bad(path, at, "the file is cut short within a message")
+    end
+  end
+
+  # From the fault on.
+  defp rest(bytes, [{first, _} | _], at),
+    do: binary_part(bytes, at - first, byte_size(bytes) - at + first)
+
+  defp split(bytes, at, found) do
+    case length(bytes, 0, 0) do
+      {n, _, _} when n > @most ->
+        {:error, Enum.reverse(found), at, "a message of #{n} bytes"}
+
+      {n, used, rest} when byte_size(rest) >= n ->
+        <<payload::binary-size(n), rest::binary>> = rest
+        split(rest, at + used + n, [{at, payload} | found])
+
+      :wrong ->
+        {:error, Enum.reverse(found), at, "no length stands there"}
+
+      _more ->
+        {:ok, Enum.reverse(found), bytes, at}
+    end
+  end
+
+  defp length(_bytes, 5, _sum), do: :wrong
+
+  defp length(<<0::1, n::7, rest::binary>>, used, sum),
+    do: {sum + Bitwise.bsl(n, 7 * used), used + 1, rest}
+
+  defp length(<<1::1, n::7, rest::binary>>, used, sum),
+    do: length(rest, used + 1, sum + Bitwise.bsl(n, 7 * used))
+
+  defp length("", _used, _sum), do: :more
+
+  @spec io(Path.t(), atom()) :: Error.t()
+  def io(path, reason),
+    do: Error.new(:io, "cannot use #{path}", why: to_string(:file.format_error(reason)))
+
+  @spec bad(Path.t(), non_neg_integer(), String.t()) :: Error.t()
+  def bad(path, at, why) do
+    Error.new(:bad_file, "#{path} cannot be read",
+      why: "#{why} (at byte #{at})",
+      fix: "check that its messages are of this type, each behind its length"
+    )
+  end
+end

@@ -1,0 +1,197 @@
+defmodule Situ.Bridge.Protobuf.File do
+  alias Situ.Bridge.Foxglove.{Messages, Standard}
+  alias Situ.Bridge.Protobuf
+  alias Situ.Bridge.Protobuf.{Delimited, Descriptor, Stamp}
+  alias Situ.Error
+
+  @common [
+    type: [type: :string, required: true, doc: "The messages' type, `\"package.Message\"`."],
+    definition: [
+      type: {:optional, :string},
+      default: nil,
+      doc:
+        "The text of a `.proto` file, or a FileDescriptorSet; else the file `PATH.desc`, else Foxglove's own messages."
+    ],
+    time: [
+      type: {:optional, :string},
+      default: nil,
+      doc:
+        "The field that holds originating times, a Timestamp or an integer of nanoseconds, as `\"header.stamp\"`; by " <>
+          "default `timestamp`, `time`, `stamp`, `originating_time` or `header.stamp`, whichever there is first."
+    ]
+  ]
+  @write [path: [type: :string, required: true, doc: "The file; one that is there is replaced."]] ++
+           @common
+  @read @common ++
+          [
+            every: [
+              type: {:optional, :pos_integer},
+              default: nil,
+              doc: "For messages without a time: the time from one to the next, ns."
+            ],
+            start: [type: :integer, default: 0, doc: "With `every:`, the time of the first, ns."],
+            messages: [
+              type: {:in, [:situ, :maps]},
+              default: :situ,
+              doc: "Foxglove's messages as Situ's types, or all as maps."
+            ]
+          ]
+  @moduledoc """
+  Files of Protobuf messages, each behind its length as a varint: as `writeDelimitedTo` of Java and C++ and
+  `google.protobuf.proto.serialize_length_prefixed` of Python write them.
+
+      definition = ~s(syntax = "proto3"; package lab; message Level { int64 time = 1; double volts = 2; })
+      Situ.Bridge.Protobuf.File.write(levels, "levels.pb", type: "lab.Level", definition: definition)
+      levels = Situ.Bridge.Protobuf.File.read(p, "levels.pb", type: "lab.Level")
+
+  Messages are maps (`Situ.Bridge.Protobuf`), Foxglove's Situ's types. Originating times stand in a field, `time:`; a
+  writer puts them there. Beside a file that it writes lies its definition, `PATH.desc`, a FileDescriptorSet for
+  `protoc --decode` and every other reader. Files may have any length; one that is cut short is read to its last whole
+  message, and then an error, `:bad_file`.
+
+  ## Options of `write/3`
+
+  #{Situ.Options.docs(Keyword.delete(@write, :path))}
+  """
+  use Situ.Component, inputs: [in: :any], options: @write
+
+  @chunk 65_536
+
+  @doc "Writes a stream to a file; returns the stream. Errors of the pipeline: `:no_such_type`, `:no_time`."
+  @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def write(stream, path, opts) do
+    Situ.via(stream, __MODULE__, [path: path] ++ opts)
+    stream
+  end
+
+  @doc """
+  A source of a file's messages, with their times; it proposes a replay from the first one on. A file without messages
+  is an error, `:empty_file`.
+
+  #{Situ.Options.docs(@read)}
+  """
+  @spec read(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def read(p, path, opts) do
+    messages = messages(path, opts)
+
+    case Enum.take(messages, 1) do
+      [{first, _}] ->
+        Situ.from_enumerable(p, messages, start: first)
+
+      [] ->
+        raise Error.new(:empty_file, "there is no message in #{path}",
+                fix: "check that its writer wrote to it"
+              )
+    end
+  end
+
+  @doc "The name that all bridges have for their way out: `write/3`."
+  @spec sink(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def sink(stream, path, opts), do: write(stream, path, opts)
+
+  @doc "The name that all bridges have for their way in: `read/3`."
+  @spec source(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def source(p, path, opts), do: read(p, path, opts)
+
+  @doc """
+  The messages of a file as a lazy enumerable of `{time, value}`. Raises `Situ.Error` at once for a definition that does
+  not do (`:bad_definition`, `:no_such_type`, `:no_time`), and while it is taken from: `:io`, `:bad_file`.
+  """
+  @spec messages(Path.t(), keyword()) :: Enumerable.t()
+  def messages(path, opts) do
+    opts = Situ.Options.validate!(opts, @read)
+    schema = schema!(path, opts)
+    stamp = if opts[:every], do: nil, else: Stamp.find!(schema, opts[:type], opts[:time])
+
+    path
+    |> Delimited.payloads()
+    |> Stream.with_index()
+    |> Stream.map(fn {{at, bytes}, n} ->
+      case Protobuf.Reader.decode(schema, opts[:type], bytes) do
+        {:ok, message} -> {time(message, stamp, n, opts), value(message, opts)}
+        {:error, why} -> raise Delimited.bad(path, at, why)
+      end
+    end)
+  end
+
+  defp time(_message, nil, n, opts), do: opts[:start] + n * opts[:every]
+  defp time(message, stamp, _n, _opts), do: Stamp.get(message, stamp)
+
+  defp value(message, opts) do
+    if opts[:messages] == :maps, do: message, else: Standard.from(opts[:type], message)
+  end
+
+  defp schema!(path, opts) do
+    beside = path <> ".desc"
+
+    schema =
+      cond do
+        opts[:definition] -> Error.unwrap!(Protobuf.schema(opts[:definition]))
+        File.regular?(beside) -> beside |> File.read!() |> Protobuf.schema() |> Error.unwrap!()
+        true -> Messages.schema()
+      end
+
+    # It says which types there are.
+    if not is_map_key(schema.messages, opts[:type]),
+      do: Error.unwrap!(Protobuf.decode(schema, opts[:type], ""))
+
+    schema
+  end
+
+  @impl true
+  def init(opts), do: {:ok, %{opts: opts, file: nil, schema: nil, stamp: nil}}
+
+  @impl true
+  def handle_start(_context, %{opts: opts} = state) do
+    # Another file's definition that lies there is none of this one's.
+    schema = schema!("", opts)
+    stamp = Stamp.find!(schema, opts[:type], opts[:time])
+
+    with :ok <- File.write(opts[:path] <> ".desc", Descriptor.write(schema, opts[:type])),
+         {:ok, file} <-
+           :file.open(opts[:path], [:write, :raw, :binary, {:delayed_write, @chunk, 1_000}]) do
+      {[], %{state | file: file, schema: schema, stamp: stamp}}
+    else
+      {:error, reason} -> raise Delimited.io(opts[:path], reason)
+    end
+  end
+
+  @impl true
+  def handle_message(:in, message, _context, %{opts: opts} = state) do
+    time = message.originating_time
+    data = Standard.to(opts[:type], message.data, time)
+
+    with true <- is_map(data),
+         {:ok, bytes} <-
+           Protobuf.Writer.encode(state.schema, opts[:type], Stamp.put(data, state.stamp, time)) do
+      append(state, Delimited.frame(bytes))
+      {[], state}
+    else
+      false -> raise unwritable(opts, "it is no map")
+      {:error, why} -> raise unwritable(opts, why)
+    end
+  end
+
+  defp unwritable(opts, why),
+    do: Error.new(:not_writable, "a message cannot be written as #{opts[:type]}", why: why)
+
+  defp append(state, bytes) do
+    with {:error, reason} <- :file.write(state.file, bytes),
+         do: raise(Delimited.io(state.opts[:path], reason))
+  end
+
+  @impl true
+  def handle_closed(:in, _time, _context, state), do: {[], close(state)}
+
+  @impl true
+  def terminate(_reason, state), do: close(state)
+
+  defp close(%{file: nil} = state), do: state
+
+  defp close(state) do
+    with {:error, reason} <- :file.close(state.file),
+         do: raise(Delimited.io(state.opts[:path], reason))
+
+    %{state | file: nil}
+  end
+end

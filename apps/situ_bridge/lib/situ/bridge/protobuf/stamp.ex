@@ -1,0 +1,62 @@
+defmodule Situ.Bridge.Protobuf.Stamp do
+  @moduledoc false
+  # The field of a message that holds its originating time: a path of names.
+  alias Situ.Bridge.Protobuf.Schema
+  alias Situ.Error
+
+  @usual [["timestamp"], ["time"], ["stamp"], ["originating_time"], ["header", "stamp"]]
+  @integers [:int64, :uint64, :fixed64, :sfixed64, :sint64]
+
+  @type t :: [String.t(), ...]
+
+  @doc "The field called so, or one with a usual name. Raises `Situ.Error`, `:no_time`."
+  @spec find!(Schema.t(), String.t(), String.t() | nil) :: t()
+  def find!(schema, type, nil) do
+    Enum.find(@usual, &time?(schema, type, &1)) ||
+      raise none(
+              type,
+              "it has none of #{Enum.map_join(@usual, ", ", fn path -> Enum.join(path, ".") end)}"
+            )
+  end
+
+  def find!(schema, type, name) do
+    path = String.split(name, ".")
+
+    if time?(schema, type, path),
+      do: path,
+      else: raise(none(type, "#{name} is no Timestamp and no integer of 64 bits in it"))
+  end
+
+  defp none(type, why) do
+    Error.new(:no_time, "#{type} has no field for the originating time",
+      why: why,
+      fix: "name one with time:, or read it with every:"
+    )
+  end
+
+  defp time?(schema, type, [name | deeper]) do
+    with %{fields: fields} <- schema.messages[type],
+         %{repeated?: false, type: inner} <- Enum.find(fields, &(&1.name == name)) do
+      case {inner, deeper} do
+        {{:message, "google.protobuf.Timestamp"}, []} -> true
+        {integer, []} -> integer in @integers
+        {{:message, inner}, _} -> time?(schema, inner, deeper)
+        _ -> false
+      end
+    else
+      _ -> false
+    end
+  end
+
+  @doc "The time in a message; 0 where it has none, as Protobuf has it."
+  @spec get(map(), t()) :: Situ.Time.t()
+  def get(message, [name]), do: message[name] || 0
+  def get(message, [name | deeper]), do: get(message[name] || %{}, deeper)
+
+  @doc "The message with this time."
+  @spec put(map(), t(), Situ.Time.t()) :: map()
+  def put(message, [name], time), do: Map.put(message, name, time)
+
+  def put(message, [name | deeper], time),
+    do: Map.put(message, name, put(message[name] || %{}, deeper, time))
+end
