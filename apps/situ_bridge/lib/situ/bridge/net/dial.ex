@@ -8,9 +8,9 @@ defmodule Situ.Bridge.Net.Dial do
       type: {:or, [:boolean, :keyword]},
       default: false,
       doc:
-        "By TLS, and only with a server whose certificate is good for its name: `true` by the system's authorities; or " <>
-          "a list of `authorities:`, a file of those to trust (one's own), `name:`, the name in its certificate where " <>
-          "that is another, and `certificate:` and `key:`, files, where the server wants to know who asks."
+        "By TLS, and only with a server whose certificate is good for its name: `true` by the system's authorities, " <>
+          "or a list of `authorities:`, a file of those to trust (one's own), `name:`, the name in its certificate " <>
+          "where that is another, and `certificate:` and `key:`, files, where the server wants to know who asks."
     ]
   ]
   @known [:authorities, :name, :certificate, :key]

@@ -16,7 +16,7 @@ defmodule Situ.Bridge.Protobuf.File do
       type: {:optional, :string},
       default: nil,
       doc:
-        "The field that holds originating times, a Timestamp or an integer of nanoseconds, as `\"header.stamp\"`; by " <>
+        "The field that holds originating times, a Timestamp or an integer of ns, as `\"header.stamp\"`; by " <>
           "default `timestamp`, `time`, `stamp`, `originating_time` or `header.stamp`, whichever there is first."
     ]
   ]
