@@ -1,5 +1,5 @@
 defmodule Situ.Bridge.GuideTest do
-  # The Elixir blocks of the guide run, one after the other, in the checkout; a block that ends in `# => value` gives
+  # The Elixir blocks of the guide and of its pages run, of each page one after the other, in the checkout; a block that ends in `# => value` gives
   # that value.
   use ExUnit.Case
 
@@ -7,22 +7,36 @@ defmodule Situ.Bridge.GuideTest do
   # The first block's aliases hold for all of them, as in one file.
   @aliases "alias Situ.{Bridge, Pipeline, Store, Time}\n_ = {Bridge, Pipeline, Store, Time}\n"
 
-  test "every block runs and gives what it says" do
-    text = File.read!(Path.join(@checkout, "docs/guides/other-systems.md"))
-    blocks = Regex.scan(~r/```elixir\n(.*?)```/s, text, capture: :all_but_first)
-    assert length(blocks) > 8
+  @pages [
+    "other-systems.md"
+    | Enum.map(
+        ~w(mcap ros1 ros2 psi foxglove parquet files protobuf zeromq mqtt sockets),
+        &"systems/#{&1}.md"
+      )
+  ]
 
-    File.cd!(@checkout, fn ->
-      Enum.reduce(blocks, [], fn [block], binding ->
-        {value, binding} = Code.eval_string(@aliases <> block, binding)
+  test "there are no other pages" do
+    there = Path.wildcard(Path.join(@checkout, "docs/guides/systems/*.md"))
+    assert Enum.sort(Enum.map(there, &("systems/" <> Path.basename(&1)))) == Enum.sort(tl(@pages))
+  end
 
-        with [_, expected] <- Regex.run(~r/^# => (.*)\z/ms, block) do
-          {expected, _} = Code.eval_string(String.replace(expected, "\n#", "\n"))
-          assert value == expected, "#{block}\ngave #{inspect(value)}"
-        end
+  for page <- @pages do
+    test "every block of #{page} runs and gives what it says" do
+      text = File.read!(Path.join([@checkout, "docs/guides", unquote(page)]))
+      blocks = Regex.scan(~r/```elixir\n(.*?)```/s, text, capture: :all_but_first)
+      assert blocks != []
+      File.cd!(@checkout, fn -> Enum.reduce(blocks, [], &evaluated/2) end)
+    end
+  end
 
-        binding
-      end)
-    end)
+  defp evaluated([block], binding) do
+    {value, binding} = Code.eval_string(@aliases <> block, binding)
+
+    with [_, expected] <- Regex.run(~r/^# => (.*)\z/ms, block) do
+      {expected, _} = Code.eval_string(String.replace(expected, "\n#", "\n"))
+      assert value == expected, "#{block}\ngave #{inspect(value)}"
+    end
+
+    binding
   end
 end
