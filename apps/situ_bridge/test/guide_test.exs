@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.GuideTest do
-  # The Elixir blocks of the guide and of its pages run, of each page one after the other, in the checkout; a block that ends in `# => value` gives
-  # that value.
+  # The Elixir blocks of the guide and of its pages run, of each page one after the other, in the checkout; a block that
+  # ends in `# => value` gives that value.
   use ExUnit.Case
 
   @checkout Path.expand("../../..", __DIR__)
