@@ -9,6 +9,7 @@ import { openPanel, timeline } from "./panels/index.js";
 import { AnnotationPanel } from "./annotation/panel.js";
 import { chooseLayer, showAgreement } from "./annotation/agreement.js";
 import { rememberAnnotator } from "./annotation/annotator.js";
+import { Compare } from "./page/compare.js";
 import { Palette } from "./page/palette.js";
 import { hooks as dragHooks, dragStream } from "./page/drag.js";
 import { hooks as extraHooks } from "./hooks.js";
@@ -26,11 +27,18 @@ function page() {
   // what stands before the studio's own paths, where a proxy stands before the studio
   const base = new URL(document.baseURI).pathname.replace(/\/$/, "");
   const ws = location.protocol === "https:" ? "wss:" : "ws:";
-  const q = `source=${encodeURIComponent(d.source)}`;
+  // what is looked at, and with what it is compared as it is shifted now
+  const q = () => {
+    const { dataset } = document.getElementById("compare") ?? {};
+    const query = { source: d.source };
+    if (dataset) Object.assign(query, { with: dataset.with, offset: studio?.compare?.offset ?? dataset.offset });
+    return new URLSearchParams(query).toString();
+  };
   studio = new Studio(root, {
-    dataUrl: `${ws}//${location.host}${base}/data/socket?${q}`,
-    pcmUrl: `${base}/data/pcm?${q}`,
-    stepUrl: `${base}/data/step?${q}`,
+    query: q,
+    dataUrl: () => `${ws}//${location.host}${base}/data/socket?${q()}`,
+    pcmUrl: () => `${base}/data/pcm?${q()}`,
+    stepUrl: () => `${base}/data/step?${q()}`,
     source: d.source,
     base,
     layout: d.layout,
@@ -63,6 +71,9 @@ const hooks = {
         app.time.dispatch({ type: "select", from, to });
         app.time.dispatch({ type: "nudge", by: from - app.time.get().cursor });
         if (to > from) app.time.dispatch({ type: "zoomSel" });
+      });
+      this.handleEvent("compare_go", ({ with: other, offset }) => {
+        location.assign(`${location.pathname}?${new URLSearchParams({ with: other, offset })}`);
       });
       this.handleEvent("together", (told) => app.together.heard(told));
       this.handleEvent("zoom_to", ({ from, to }) => {
@@ -111,6 +122,18 @@ const hooks = {
     },
     destroyed() {
       if (this.view) page().remove(this.view);
+    },
+  },
+
+  Compare: {
+    mounted() {
+      const app = page();
+      app.compare = new Compare(this.el, app);
+      app.client.setOffset(this.el.dataset.offset);
+    },
+    destroyed() {
+      studio?.compare?.destroy();
+      if (studio) studio.compare = null;
     },
   },
 

@@ -22,14 +22,14 @@ import { absolute } from "./time/text.js";
 import { onClock } from "./time/clock.js";
 
 export class Studio {
-  // options: {dataUrl, pcmUrl, stepUrl, source, layout, edit, push, moved}
+  // options: {query, dataUrl, pcmUrl, stepUrl (functions), source, layout, edit, push, moved}
   constructor(root, options) {
     Object.assign(this, { root, options });
     this.time = createStore();
     if (!setting("follow")) this.time.dispatch({ type: "follow" });
     this.frames = new Frames(this.time);
     this.client = new DataClient({
-      connect: () => new WebSocket(options.dataUrl),
+      connect: () => new WebSocket(options.dataUrl()),
       time: this.time,
       onStatus: (s) => this.connection.set(s),
       onReply: (r) => this.replied(r),
@@ -37,13 +37,13 @@ export class Studio {
     this.playback = new Playback({
       time: this.time,
       sounds: () => sounds(this.frames.views),
-      fetchPcm: (sound, a, b) => fetchSound(options.pcmUrl, this.client, sound, a, b),
+      fetchPcm: (sound, a, b) => fetchSound(options.pcmUrl(), this.client, sound, a, b),
       onError: toast,
     });
     this.address = new Address({
       time: this.time,
       client: this.client,
-      facts: () => ({ ...this.options, snap: this.client.snap }),
+      facts: () => ({ ...this.options, snap: this.client.snap, compare: this.compare }),
       moved: options.moved,
     });
     this.gutter = new Gutter(() => this.redraw());
@@ -155,7 +155,7 @@ export class Studio {
   async step(name) {
     const dir = name === "back" || name === "jumpBack" ? "previous" : "next";
     const q = new URLSearchParams({ stream: this.client.snap, at: this.client.abs(this.time.get().cursor), dir });
-    const r = await fetch(`${this.options.stepUrl}&${q}`);
+    const r = await fetch(`${this.options.stepUrl()}&${q}`);
     if (!r.ok) return;
     const t = (await r.json()).time;
     if (t != null) {

@@ -84,6 +84,20 @@ export class DataClient {
     this.pump(true);
   }
 
+  // Shifts the second of two recordings that are compared: of its streams all is asked for again.
+  setOffset(offset) {
+    if (offset === this.offset) return;
+    this.offset = offset;
+    this.forgetCompared();
+    this.pump(true);
+  }
+
+  forgetCompared() {
+    for (const c of this.channels.values()) {
+      if (c.spec?.stream?.includes("Compared.")) Object.assign(c, { held: null, asking: null, at: null });
+    }
+  }
+
   // Sends one request when none is in flight and something is wanted. Called on every change; cheap when idle.
   pump(force = false) {
     if (this.closed) return;
@@ -109,6 +123,7 @@ export class DataClient {
     this.again = false;
     message.req = ++this.request;
     message.live = live;
+    if (this.offset != null) message.offset = this.offset;
     if (!first) message.at = this.abs(s.cursor);
     if (this.snap && !live && s.mode !== "play") message.snap = this.snap;
     this.sentAt = performance.now();
@@ -153,6 +168,8 @@ export class DataClient {
     this.onReply(reply);
     this.time.dispatch({ type: "data", from: this.rel(reply.from), to: this.rel(reply.to) });
     for (const f of reply.frames) this.deliver(f);
+    // an answer to a request from before the last shift
+    if (this.offset != null && asked?.message.offset !== this.offset) this.forgetCompared();
     // Only now: what was asked for must have arrived before the next request says what is missing.
     this.inflight = null;
     this.schedule(reply.live);

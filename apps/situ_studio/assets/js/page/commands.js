@@ -42,6 +42,8 @@ export const commands = {
     });
   },
 
+  compare: (app) => app.options.push?.("compare_dialog", {}),
+
   together: (app) => app.together?.toggle(),
 
   undo: (app) => app.options.push?.("undo", {}),

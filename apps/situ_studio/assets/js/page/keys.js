@@ -40,6 +40,7 @@ export const KEYS = [
   ["k", "Comment on the selection, or on the cursor", "marker"],
   ["f", "Find the times where an expression is true", "find"],
   ["e", "Derive a stream by an expression over others", "derive"],
+  ["v", "Compare with another recording", "compare"],
   ["g", "Share your cursor with others who look at this, or no longer", "together"],
   ["l", "Live on or off", "live"],
   ["n", "Cursor to the next change, of the snapped stream or the selected panel", "nextChange"],

@@ -71,6 +71,7 @@ function panelItems(app, panel, legend, event) {
         run: () => push("statistics", { from: app.client.abs(sel[0]), to: app.client.abs(sel[1]) }),
       },
       ...downloads(app, body, vis),
+      ...aligning(app, body, event),
       "-",
     );
   }
@@ -115,6 +116,20 @@ function timeItems(app, t) {
   ];
 }
 
+// A moment of each of two recordings, so that they fall together: where something begins under the mouse, that.
+function aligning(app, body, event) {
+  const { compare } = app;
+  if (!compare) return [];
+  const view = [...app.views].find((v) => v.el === body);
+  const t = view?.segment?.(event)?.[0] ?? timeAt(app, body, event);
+  const { title, other } = compare.el.dataset;
+  return [
+    "-",
+    { text: `Align: a moment of ${title}`, run: () => compare.mark("first", t) },
+    { text: `Align: a moment of ${other}`, run: () => compare.mark("second", t) },
+  ];
+}
+
 // The selection, or the view where there is none, and which of the two it is.
 function part(app) {
   const { sel, view, data } = app.time.get();
@@ -130,7 +145,9 @@ function film(app, push) {
 function downloads(app, body, vis) {
   const [from, to, of] = part(app);
   const get = (what, more) => () => {
-    const q = new URLSearchParams({ source: app.options.source, from: app.client.abs(from), to: app.client.abs(to) });
+    const q = new URLSearchParams(app.options.query());
+    q.set("from", app.client.abs(from));
+    q.set("to", app.client.abs(to));
     for (const [k, v] of Object.entries(more)) q.set(k, v);
     const a = document.createElement("a");
     Object.assign(a, { href: `${app.options.base}/data/${what}?${q}`, download: `${of}.${what}` });

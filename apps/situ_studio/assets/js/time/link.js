@@ -1,13 +1,17 @@
 // The address holds what is looked at: layout, view, cursor, selection; times are absolute nanoseconds, so that a
 // copied link gives the same picture anywhere.
 
-export function encode(s, origin, { layout, edit, snap, annotate } = {}) {
+export function encode(s, origin, { layout, edit, snap, annotate, compare } = {}) {
   const abs = (t) => (origin + BigInt(Math.round(t))).toString();
   const q = new URLSearchParams();
   if (layout) q.set("layout", layout);
   if (edit) q.set("edit", edit);
   if (snap) q.set("snap", snap);
   if (annotate) q.set("annotate", annotate);
+  if (compare) {
+    q.set("with", compare.el.dataset.with);
+    q.set("offset", compare.offset.toString());
+  }
   if (s.mode === "live") q.set("live", "1");
   else {
     q.set("view", `${abs(s.view[0])}~${abs(s.view[1])}`);

@@ -11,10 +11,11 @@ defmodule Situ.Studio.DataSession do
 
   `at` is the cursor, `series` are windows in ns (as text) with bins of BIN ns, `instant` the channels that show the
   message at the cursor. When `live` is true the newest time takes the place of `at`. With `snap` the cursor goes to the
-  nearest message of that stream.
+  nearest message of that stream. `offset` shifts the second of two recordings that are compared
+  (`Situ.Studio.Comparison`).
   """
   alias Situ.{Error, Studio}
-  alias Studio.{Draw, Frame, Source, Visualizer, Visualizers, WholeNumber}
+  alias Studio.{Comparison, Draw, Frame, Source, Visualizer, Visualizers, WholeNumber}
 
   @max_channels 256
   @max_wants 256
@@ -48,7 +49,7 @@ defmodule Situ.Studio.DataSession do
   @spec handle(binary(), t()) :: {:ok, iodata(), t()} | {:error, Error.t()}
   def handle(text, %__MODULE__{} = session) do
     with {:ok, request} <- decode(text) do
-      {state, session} = refresh(session)
+      {state, session} = session |> align(request["offset"]) |> refresh()
       session = session |> close(request["close"]) |> open(request["open"])
       time = cursor(session, request)
       windows = windows(session, request["series"])
@@ -76,6 +77,14 @@ defmodule Situ.Studio.DataSession do
 
       _ ->
         malformed()
+    end
+  end
+
+  # Of two recordings that are compared the second is shifted.
+  defp align(session, offset) do
+    case WholeNumber.parse(offset) do
+      {:ok, offset} -> %{session | source: Comparison.align(session.source, offset)}
+      :error -> session
     end
   end
 

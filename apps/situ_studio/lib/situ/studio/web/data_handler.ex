@@ -4,13 +4,16 @@ defmodule Situ.Studio.Web.DataHandler do
   # page that stops reading stops asking, and at most one answer waits for it.
   @behaviour Situ.Live.SocketHandler
 
-  alias Situ.Studio.{Catalog, DataSession}
+  alias Situ.Studio.{Catalog, Comparison, DataSession}
 
   @impl true
   def init(request, studio) do
-    case Catalog.open(studio, request.query["source"]) do
-      {:ok, _item, source} -> {:ok, DataSession.new(source, Catalog.settings(studio).visualizers)}
-      {:error, error} -> {:error, error.what}
+    case Comparison.open(studio, request.query["source"], request.query) do
+      {:ok, _item, source, _compared} ->
+        {:ok, DataSession.new(source, Catalog.settings(studio).visualizers)}
+
+      {:error, error} ->
+        {:error, error.what}
     end
   end
 

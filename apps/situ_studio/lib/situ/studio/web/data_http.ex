@@ -2,7 +2,19 @@ defmodule Situ.Studio.Web.DataHttp do
   @moduledoc false
   # Data fetched rather than streamed: windows for scripts and tests, sound, steps from message to message.
   alias Situ.Live.{Request, Response}
-  alias Situ.Studio.{Catalog, Draw, Film, Frame, Path, Sound, Source, Visualizers, WholeNumber}
+
+  alias Situ.Studio.{
+    Catalog,
+    Comparison,
+    Draw,
+    Film,
+    Frame,
+    Path,
+    Sound,
+    Source,
+    Visualizers,
+    WholeNumber
+  }
 
   # An hour of sound in one file.
   @longest_wav 3_600_000_000_000
@@ -18,7 +30,7 @@ defmodule Situ.Studio.Web.DataHttp do
   end
 
   def call(%Request{query: query}, {studio, what}) do
-    with {:ok, _item, source} <- Catalog.open(studio, query["source"]),
+    with {:ok, _item, source, _} <- Comparison.open(studio, query["source"], query),
          {:ok, extent} <- Source.call(source, :extent, []) do
       answer(
         what,

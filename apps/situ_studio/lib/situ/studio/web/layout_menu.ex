@@ -5,12 +5,13 @@ defmodule Situ.Studio.Web.LayoutMenu do
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Live.Socket
-  alias Situ.Studio.{Layout, Layouts, Link, Settings}
+  alias Situ.Studio.{Comparison, Layout, Layouts, Link, Settings}
+  alias Situ.Studio.Source.Beside
 
   @doc "The layout an address asks for, or the automatic one."
   @spec choose(Socket.t(), map()) :: Socket.t()
   def choose(socket, params) do
-    auto = Layout.Auto.layout(socket.assigns.infos)
+    auto = automatic(socket.assigns)
     names = Layouts.names(socket.assigns.layout_dir)
 
     wanted = params["layout"] || Settings.load(socket.assigns.layout_dir).layout
@@ -24,7 +25,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
     layout =
       case Link.decode(text(params["edit"])) do
         {:ok, layout} -> layout
-        {:error, _} -> saved
+        {:error, _} -> beside(saved, socket.assigns)
       end
 
     assign(socket,
@@ -34,16 +35,27 @@ defmodule Situ.Studio.Web.LayoutMenu do
     )
   end
 
+  # What is compared stands beside what it is compared with, not in panels of its own.
+  defp automatic(assigns),
+    do: assigns.infos |> Enum.reject(&Beside.second?(&1.name)) |> Layout.Auto.layout()
+
+  defp beside(layout, %{compared: nil}), do: layout
+  defp beside(layout, %{shapes: shapes}), do: Comparison.layout(layout, Map.keys(shapes))
+
   @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
   def handle_event("layout_pick", %{"layout" => name}, socket) do
     layout =
       if name == Layout.Auto.name(),
-        do: {:ok, Layout.Auto.layout(socket.assigns.infos)},
+        do: {:ok, automatic(socket.assigns)},
         else: Layouts.load(socket.assigns.layout_dir, name)
 
     case layout do
-      {:ok, layout} -> {:noreply, assign(socket, layout: layout, saved: layout, selected: nil)}
-      {:error, error} -> {:noreply, toast(socket, error)}
+      {:ok, layout} ->
+        shown = beside(layout, socket.assigns)
+        {:noreply, assign(socket, layout: shown, saved: layout, selected: nil)}
+
+      {:error, error} ->
+        {:noreply, toast(socket, error)}
     end
   end
 

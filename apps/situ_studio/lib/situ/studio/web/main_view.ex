@@ -7,6 +7,7 @@ defmodule Situ.Studio.Web.MainView do
   alias Situ.Studio.{
     Catalog,
     Color,
+    Comparison,
     Coverage,
     Layout,
     Link,
@@ -22,6 +23,7 @@ defmodule Situ.Studio.Web.MainView do
     Address,
     Annotation,
     Chrome,
+    CompareBar,
     Derivation,
     Edit,
     ExportDialog,
@@ -65,6 +67,7 @@ defmodule Situ.Studio.Web.MainView do
         annotation: nil,
         query_panel: nil,
         film: nil,
+        compared: nil,
         undo: [],
         redo: [],
         info: Settings.load(settings.layouts).info,
@@ -72,11 +75,12 @@ defmodule Situ.Studio.Web.MainView do
         error: nil
       )
 
-    case Catalog.open(studio, id) do
-      {:ok, item, source} ->
+    case Comparison.open(studio, id, params) do
+      {:ok, item, source, compared} ->
         if connected?(socket), do: Process.send_after(self(), :refresh, @refresh_ms)
         damage = Source.damage(source)
-        socket = socket |> assign(item: item, source: source, damage: damage) |> load_streams()
+        socket = socket |> assign(item: item, source: source, damage: damage, compared: compared)
+        socket = load_streams(socket)
         shapes = socket.assigns.shapes
         stream = known(params["stream"], shapes)
         socket = assign(socket, snap: known(params["snap"], shapes))
@@ -203,6 +207,13 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("export_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
     do: ExportDialog.handle_event(event, params, socket)
 
+  def handle_event("compare_" <> _ = event, params, socket)
+      when is_map_key(socket.assigns, :item) do
+    {:noreply, after_it} = CompareBar.handle_event(event, params, socket)
+    moved? = after_it.assigns.source != socket.assigns.source
+    {:noreply, if(moved?, do: load_streams(after_it), else: after_it)}
+  end
+
   def handle_event("film_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
     do: FilmBox.handle_event(event, params, socket)
 
@@ -307,6 +318,7 @@ defmodule Situ.Studio.Web.MainView do
           count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names} kinds={kinds(@extra)} />
       <main class="centre">
         <Chrome.damage :if={@damage != []} damage={@damage} path={@item.path} />
+        <CompareBar.bar :if={@compared} compared={@compared} title={@item.title} />
         <FilmBox.box :if={@film} film={@film} />
         <button class="pill" type="button" data-act="live"
           title="Follow what is being recorded (l)">Back to live</button>
@@ -319,6 +331,7 @@ defmodule Situ.Studio.Web.MainView do
       <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} snap={@snap} />
       <Annotation.dialog :if={match?({:annotation, _}, @dialog)} streams={elem(@dialog, 1)} />
       <Annotation.schema_dialog :if={match?({:schema, _, _}, @dialog)} dialog={@dialog} />
+      <CompareBar.dialog :if={match?({:compare, _}, @dialog)} others={elem(@dialog, 1)} />
       <LayoutMenu.dialog :if={@dialog == :layout} saved={@saved} />
       <ExportDialog.dialog :if={match?({:export, _, _, _}, @dialog)} dialog={@dialog} item={@item}
           layout={@layout} shapes={@shapes} />

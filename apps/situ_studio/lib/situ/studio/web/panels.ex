@@ -5,6 +5,7 @@ defmodule Situ.Studio.Web.Panels do
   import Situ.Studio.Web.Icons
   alias Situ.Studio.Web.Annotation
   alias Situ.Studio.{Color, Layout, Visualizer, Visualizers}
+  alias Situ.Studio.Source.Beside
 
   attr(:layout, :any, required: true)
   attr(:selected, :any, required: true)
@@ -170,7 +171,22 @@ defmodule Situ.Studio.Web.Panels do
   end
 
   # The last part of a name, as long as it tells the streams of a panel apart.
-  defp short_names(vis) do
+  defp short_names(vis), do: Enum.zip_with(vis, names_of(vis), &marked/2)
+
+  # A stream of the recording that is compared has the name of its twin, and a mark.
+  defp marked(%{stream: stream}, name),
+    do: if(Beside.second?(stream), do: "⇄ " <> name, else: name)
+
+  defp names_of(vis) do
+    {own, compared} = Enum.split_with(vis, &(not Beside.second?(&1.stream)))
+    short = Map.merge(shortened(own), shortened(compared))
+    Enum.map(vis, &short[{&1.stream, &1.path}])
+  end
+
+  defp shortened(vis),
+    do: vis |> Enum.map(&{&1.stream, &1.path}) |> Enum.zip(cut(vis)) |> Map.new()
+
+  defp cut(vis) do
     last = Enum.map(vis, &((&1.stream |> parts() |> List.last()) <> &1.path))
 
     for {v, name} <- Enum.zip(vis, last) do

@@ -1,0 +1,103 @@
+defmodule Situ.Studio.Web.CompareBar do
+  @moduledoc false
+  # Two recordings on one axis: which is compared with, and how far it is shifted. The page's script moves it.
+  use Situ.Live.Component
+  import Situ.Live.Socket, only: [assign: 2, push_event: 3]
+  import Situ.Studio.Web.Icons
+
+  alias Situ.Live.Socket
+  alias Situ.Studio.{Catalog, Comparison, WholeNumber}
+
+  @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
+  def handle_event("compare_dialog", _, %{assigns: assigns} = socket) do
+    others =
+      for %{kind: kind} = item <- Catalog.list(assigns.studio) ++ sessions(assigns),
+          kind != :dataset and item.id != assigns.id,
+          uniq: true,
+          do: {item.id, item.title}
+
+    {:noreply, assign(socket, dialog: {:compare, others})}
+  end
+
+  # The page goes to the address that compares.
+  def handle_event("compare_with", %{"with" => other}, %{assigns: assigns} = socket) do
+    case Comparison.open(assigns.studio, assigns.id, %{"with" => other}) do
+      {:ok, _item, _source, %Comparison{} = compared} ->
+        told = %{with: other, offset: Integer.to_string(compared.offset)}
+        {:noreply, socket |> assign(dialog: nil) |> push_event("compare_go", told)}
+
+      {:ok, _item, _source, nil} ->
+        {:noreply, socket}
+
+      {:error, error} ->
+        {:noreply, push_event(socket, "toast", %{text: Exception.message(error)})}
+    end
+  end
+
+  # The page has shifted the second recording; whoever reads of it from now on gets the new times.
+  def handle_event("compare_offset", %{"offset" => text}, %{assigns: assigns} = socket) do
+    with %Comparison{} = compared <- assigns.compared,
+         {:ok, offset} <- WholeNumber.parse(text) do
+      {:noreply,
+       assign(socket,
+         compared: %{compared | offset: offset},
+         source: Comparison.align(assigns.source, offset)
+       )}
+    else
+      _ -> {:noreply, socket}
+    end
+  end
+
+  def handle_event(_, _, socket), do: {:noreply, socket}
+
+  # Of a dataset its sessions are compared.
+  defp sessions(%{sources: sources}),
+    do: for(%{kind: :session} = s <- sources, do: %{id: s.id, title: s.title, kind: :session})
+
+  attr(:compared, :any, required: true)
+  attr(:title, :string, required: true)
+
+  @doc false
+  def bar(assigns) do
+    ~H"""
+    <section id="compare" class="compare" phx-hook="Compare" phx-update="ignore" aria-label="Comparison"
+        data-with={@compared.id} data-offset={@compared.offset} data-title={@title} data-other={@compared.title}
+        data-first={times(@compared.first)} data-second={times(@compared.second)}>
+      <span class="who"><b>{@title}</b> and <b>{@compared.title}</b></span>
+      <div class="shift" tabindex="0" role="slider" aria-label={"Shift of " <> @compared.title} aria-valuenow="0"
+          title="Drag, or arrow keys (with Shift ten times as far)">⟷ drag to shift {@compared.title}</div>
+      <label>begins <input name="offset" autocomplete="off" spellcheck="false"
+          aria-label="How much later it begins"> later</label>
+      <button class="btn" type="button" data-align="begin" title="Both begin together">Begins</button>
+      <button class="btn" type="button" data-align="end" title="Both end together">Ends</button>
+      <button class="btn" type="button" data-align="clock" title="Each at the time of its own clock">Clock</button>
+      <span class="hint marks" role="status"></span>
+      <button class="mini" type="button" data-align="stop" title="Compare no longer"
+          aria-label="Compare no longer"><.icon name={:close} /></button>
+    </section>
+    """
+  end
+
+  defp times(extent), do: "#{extent.from}~#{extent.to}"
+
+  attr(:others, :list, required: true)
+
+  @doc false
+  def dialog(assigns) do
+    ~H"""
+    <dialog id="compare-dialog" phx-hook="Modal" phx-update="ignore" aria-label="Compare with another recording">
+      <form id="compare-with" phx-submit="compare_with">
+        <h3>Compare with another recording</h3>
+        <p class="hint">Its streams are drawn beside those of this one, on one time axis.</p>
+        <select class="select" name="with" aria-label="Recording" autofocus>
+          <option :for={{id, title} <- @others} value={id}>{title}</option>
+        </select>
+        <div class="choices">
+          <button class="btn primary" type="submit">Compare</button>
+          <button class="btn" type="button" phx-click="dialog_close">Cancel</button>
+        </div>
+      </form>
+    </dialog>
+    """
+  end
+end
