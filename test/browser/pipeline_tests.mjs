@@ -184,3 +184,33 @@ test("7 pipeline: what is not there is said; the streams lead to the graph and b
   await page.click("a[title='Its streams']");
   await until(page, () => document.getElementById("studio"), "the streams");
 });
+
+test("4 pipeline: who waits for whom is told with its cause; one time is followed through", async ({
+  page,
+  shot,
+}) => {
+  await graph(page, "Factory");
+  await until(page, () => document.querySelector(".waits .row-button"), "somebody waits");
+  // the slow component is named, with how busy it is
+  await until(
+    page,
+    () => /waits for Slow\.Heavy.*Slow\.Heavy is busy \d/.test(document.querySelector(".waits").textContent),
+    "the cause of it",
+  );
+  await shot("pipeline-waits");
+  await page.click(".waits .row-button:has-text('Slow.Heavy is busy')");
+  await until(page, () => document.querySelector(".right .wait"), "its connection says so, too");
+  await until(page, () => document.querySelector(".messages button.linkish"), "its last messages");
+  await page.click(".messages button.linkish");
+  await until(page, () => document.querySelectorAll("#trace .hops li").length >= 3, "the way of its time");
+  const hops = await page.$$eval("#trace .hops li span", (s) => s.map((e) => e.textContent));
+  ok(!hops.some((h) => h.includes("Studio: ")), `the studio's own taps are no part of it: ${hops}`);
+  await until(
+    page,
+    () => [...document.querySelectorAll("#trace .hops li")].some((e) => e.className === "passed"),
+    "where it has passed",
+  );
+  await shot("pipeline-trace");
+  await page.click("#trace button[aria-label='Close the trace']");
+  await until(page, () => !document.querySelector("#trace"), "closed");
+});

@@ -193,6 +193,17 @@ plugins = PluginFixture.folder(work)
     token: "the-very-secret-token"
   )
 
+# One that some may change and others only look at.
+{:ok, shared} =
+  Situ.Studio.start_link(
+    id: "shared",
+    port: 0,
+    path: folder,
+    layouts: layouts,
+    token: "the-token-of-owners",
+    viewer_token: "the-token-of-viewers"
+  )
+
 # One that a proxy serves under a path, with TLS ended there; the test starts the proxy.
 {:ok, taken} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
 {:ok, proxy_port} = :inet.port(taken)
@@ -247,6 +258,8 @@ IO.puts(
       "mapped" => base.(mapped),
       "guarded" => Situ.Studio.url(guarded),
       "mortal" => base.(mortal),
+      "shared" => Situ.Studio.url(shared),
+      "viewed" => Situ.Studio.viewer_url(shared),
       "behind" => Situ.Studio.url(behind),
       "behind_port" => Situ.Studio.port(behind),
       "away" => signal,

@@ -22,6 +22,7 @@ import "./derived_tests.mjs";
 import "./settings_tests.mjs";
 import "./access_tests.mjs";
 import "./serving_tests.mjs";
+import "./viewer_tests.mjs";
 import "./proxy_tests.mjs";
 import "./speed_tests.mjs";
 

@@ -62,6 +62,9 @@ defmodule Situ.Live do
     * `:port` - default 4040; 0 takes a free one (see `port/1`)
     * `:ip` - the address to listen on, default `{127, 0, 0, 1}`
     * `:token` - `:auto` (default: none on a loopback address, random elsewhere), text, or `:none` (loopback only)
+    * `:viewer_token` - a second token for those who may only look: `:auto` (default: random where there is a token),
+      text (then there is a token, too), or `:none`. Requests that come with it have the `role` `:viewer`
+      (`Situ.Live.Request`); what such a role may do is up to the views, whose `session` may be a function of the request
     * `:secret` - signs the pages; random at each start by default, after which open pages load themselves again
     * `:layout` - the component that writes the page around a view
     * `:hosts` - names the server answers for: `:any`, or a list; default the loopback names there, `:any` elsewhere
@@ -88,6 +91,7 @@ defmodule Situ.Live do
            :port,
            :ip,
            :token,
+           :viewer_token,
            :secret,
            :layout,
            :hosts,
@@ -149,7 +153,10 @@ defmodule Situ.Live do
 
     with {:ok, port} <- port_of(opts, ip),
          {:ok, public} <- Public.parse(opts[:public]),
-         {:ok, token} <- token(Keyword.get(opts, :token, :auto), loopback?) do
+         viewer = Keyword.get(opts, :viewer_token, :auto),
+         {:ok, token} <-
+           token(Keyword.get(opts, :token, :auto), loopback? and not is_binary(viewer)),
+         {:ok, viewer} <- viewer(viewer, token) do
       {:ok,
        %Endpoint{
          ref: make_ref(),
@@ -159,6 +166,7 @@ defmodule Situ.Live do
          port: port,
          scheme: if(opts[:tls], do: "https", else: "http"),
          token: token,
+         viewer: viewer,
          hosts: hosts(opts[:hosts], loopback?, public),
          public: public,
          layout: opts[:layout],
@@ -209,6 +217,19 @@ defmodule Situ.Live do
     {:error, Error.new(:weak_token, "a token has 8 characters or more")}
   end
 
+  defp viewer(_, nil), do: {:ok, nil}
+  defp viewer(:none, _token), do: {:ok, nil}
+  defp viewer(:auto, token), do: token(:auto, token == nil)
+
+  defp viewer(same, same) do
+    {:error,
+     Error.new(:weak_token, "those who may only look need a token of their own",
+       fix: "give token: and viewer_token: that differ"
+     )}
+  end
+
+  defp viewer(text, _token), do: token(text, false)
+
   @impl true
   def init({config, tls}) do
     views = {:via, Registry, {Situ.Live.Registry, {config.ref, :views}}}
@@ -229,7 +250,27 @@ defmodule Situ.Live do
   @spec url(Supervisor.supervisor(), String.t()) :: String.t()
   def url(server, path \\ "/") do
     config = endpoint(server)
-    query = if config.token, do: "?token=#{URI.encode_www_form(config.token)}", else: ""
+    address(config, path, config.token)
+  end
+
+  @doc "The address of a path for one who may only look; `nil` where the server has no token for that."
+  @spec viewer_url(Supervisor.supervisor(), String.t()) :: String.t() | nil
+  def viewer_url(server, path \\ "/") do
+    config = endpoint(server)
+    if config.viewer, do: address(config, path, config.viewer)
+  end
+
+  @doc "The token of those who may only look, as a view of the server may tell it; `nil` where there is none."
+  @spec viewer_token(Situ.Live.Socket.t()) :: String.t() | nil
+  def viewer_token(%{endpoint: ref}) do
+    case Endpoint.fetch(ref) do
+      {:ok, config} -> config.viewer
+      :error -> nil
+    end
+  end
+
+  defp address(config, path, token) do
+    query = if token, do: "?token=#{URI.encode_www_form(token)}", else: ""
     own = "#{config.scheme}://#{host(config.ip)}:#{config.port}"
     "#{if config.public, do: config.public.url, else: own}#{path}#{query}"
   end

@@ -15,6 +15,7 @@ import { hooks as dragHooks, dragStream } from "./page/drag.js";
 import { hooks as extraHooks } from "./hooks.js";
 import { seriesColor } from "./page/theme.js";
 import { showStatistics } from "./page/statistics.js";
+import { copyViewerLink } from "./page/viewer_link.js";
 import { toast } from "./page/toast.js";
 import { Together } from "./page/together.js";
 
@@ -72,6 +73,7 @@ const hooks = {
         app.time.dispatch({ type: "nudge", by: from - app.time.get().cursor });
         if (to > from) app.time.dispatch({ type: "zoomSel" });
       });
+      this.handleEvent("viewer_link", ({ token }) => copyViewerLink(app, token));
       this.handleEvent("compare_go", ({ with: other, offset }) => {
         location.assign(`${location.pathname}?${new URLSearchParams({ with: other, offset })}`);
       });

@@ -28,6 +28,12 @@ defmodule Situ.Studio do
       doc:
         "The text that a browser must bring; a random one where one is needed and none is given."
     ],
+    viewer_token: [
+      type: {:or, [:string, {:in, [:auto, :none]}]},
+      default: :auto,
+      doc:
+        "The text of links for those who may only look; a random one where there is a token and none is given."
+    ],
     tls: [
       type: {:or, [:keyword, {:in, [:own]}]},
       default: [],
@@ -170,6 +176,7 @@ defmodule Situ.Studio do
       port: opts[:port],
       ip: opts[:ip],
       token: opts[:token],
+      viewer_token: opts[:viewer_token],
       routes:
         Web.Routes.all(opts[:id], base(opts)) ++
           Plugins.routes(opts[:plugins]) ++ Tiles.routes(opts[:tiles]),
@@ -199,6 +206,16 @@ defmodule Situ.Studio do
   def url(studio, item \\ nil) do
     path = if item, do: "/" <> Web.Address.of(item), else: "/"
     studio |> live_server() |> Situ.Live.url(path)
+  end
+
+  @doc """
+  The address for those who may only look: the server refuses to change, write or run anything for them. `nil` where the
+  studio needs no token (on the machine itself); `viewer_token:` gives it one.
+  """
+  @spec viewer_url(Supervisor.supervisor(), String.t() | nil) :: String.t() | nil
+  def viewer_url(studio, item \\ nil) do
+    path = if item, do: "/" <> Web.Address.of(item), else: "/"
+    studio |> live_server() |> Situ.Live.viewer_url(path)
   end
 
   @doc "The one thing there is to look at, when there is just one: then a browser need not choose."

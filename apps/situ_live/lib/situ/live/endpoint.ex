@@ -15,6 +15,7 @@ defmodule Situ.Live.Endpoint do
     :port,
     :scheme,
     :token,
+    :viewer,
     :hosts,
     :public,
     layout: nil,
@@ -53,9 +54,9 @@ defmodule Situ.Live.Endpoint do
     request = %{request | segments: Public.strip(config.public, segments)}
 
     with :ok <- check_host(config, request),
-         :ok <- check_token(config, request),
+         {:ok, role} <- check_token(config, request),
          :ok <- check_origin(config, request) do
-      route(config, request)
+      route(config, %{request | role: role})
     end
   end
 
@@ -96,24 +97,37 @@ defmodule Situ.Live.Endpoint do
     end
   end
 
-  defp check_token(%{token: nil}, _), do: :ok
+  defp check_token(%{token: nil}, _), do: {:ok, :owner}
 
+  # Who may look only may bring a better token, so that only an owner's cookie stands before a token that is given.
   defp check_token(config, request) do
-    if cookie?(config, request), do: :ok, else: check_given(config, request, given(request))
+    case {cookie(config, request), given(request)} do
+      {{:ok, :owner}, _} -> {:ok, :owner}
+      {{:ok, :viewer}, nil} -> {:ok, :viewer}
+      {_, given} -> check_given(config, request, given)
+    end
   end
 
   defp check_given(_config, _request, nil), do: {:respond, unauthorized()}
 
   # After too many wrong guesses a peer's next ones are not even compared.
   defp check_given(config, %{peer: {address, _}} = request, {how, token}) do
-    cond do
-      Guesses.too_many?(config.ref, address) ->
+    role =
+      cond do
+        Guesses.too_many?(config.ref, address) -> :guessing
+        same?(token, config.token) -> :owner
+        config.viewer != nil and same?(token, config.viewer) -> :viewer
+        true -> nil
+      end
+
+    case role do
+      :guessing ->
         {:respond, too_many_guesses()}
 
-      same?(token, config.token) ->
-        if how == :query, do: {:respond, welcome(config, request)}, else: :ok
+      role when role in [:owner, :viewer] ->
+        if how == :query, do: {:respond, welcome(config, request, role)}, else: {:ok, role}
 
-      true ->
+      nil ->
         Guesses.wrong(config.ref, address)
         {:respond, unauthorized()}
     end
@@ -133,13 +147,21 @@ defmodule Situ.Live.Endpoint do
     |> Response.put_header("retry-after", "60")
   end
 
-  defp cookie?(config, request) do
+  defp cookie(config, request) do
     cookie = Request.cookie(request, cookie_name(config))
-    match?({:ok, _}, Token.verify(cookie_key(config), "cookie", cookie, @cookie_age_s))
+
+    Enum.find_value([:owner, :viewer], :error, fn role ->
+      with key when is_binary(key) <- cookie_key(config, role),
+           {:ok, _} <- Token.verify(key, "cookie", cookie, @cookie_age_s),
+           do: {:ok, role},
+           else: (_ -> nil)
+    end)
   end
 
-  # The cookie dies with the token it was given for.
-  defp cookie_key(config), do: config.secret <> config.token
+  # The cookie dies with the token it was given for, and says by its key for which one that was.
+  defp cookie_key(config, :owner), do: config.secret <> config.token
+  defp cookie_key(%{viewer: nil}, :viewer), do: nil
+  defp cookie_key(config, :viewer), do: config.secret <> "viewer" <> config.viewer
 
   # Cookies do not know ports, and several servers may run on a machine.
   defp cookie_name(config), do: "situ_#{config.port}"
@@ -150,7 +172,7 @@ defmodule Situ.Live.Endpoint do
   defp same?(_, _), do: false
 
   # The token goes from the address into a cookie, and out of the address bar.
-  defp welcome(config, request) do
+  defp welcome(config, request, role) do
     rest = request.query |> Map.delete("token") |> Situ.Live.Query.encode()
 
     path =
@@ -162,7 +184,7 @@ defmodule Situ.Live.Endpoint do
           &URI.encode(&1, fn char -> URI.char_unreserved?(char) end)
         )
 
-    cookie = Token.sign(cookie_key(config), "cookie", %{})
+    cookie = Token.sign(cookie_key(config, role), "cookie", %{})
     public = config.public
     secure = if config.scheme == "https" or (public && public.secure?), do: "; Secure", else: ""
 

@@ -8,6 +8,7 @@ defmodule Situ.Live.Request do
     * `headers` - a map by lower-case name
     * `body` - the whole body; its size is limited by the server's `max_body`
     * `peer` - `{address, port}` of the other side
+    * `role` - `:viewer` of one who came with the server's `viewer_token:`, else `:owner`
 
       iex> request = %Situ.Live.Request{method: "GET", path: "/a", headers: %{"accept" => "text/html"}}
       iex> Situ.Live.Request.header(request, "Accept")
@@ -26,6 +27,7 @@ defmodule Situ.Live.Request do
             scheme: "http",
             host: "",
             peer: {{127, 0, 0, 1}, 0},
+            role: :owner,
             endpoint: nil
 
   @type t :: %__MODULE__{
@@ -40,6 +42,7 @@ defmodule Situ.Live.Request do
           scheme: String.t(),
           host: String.t(),
           peer: {:inet.ip_address(), :inet.port_number()},
+          role: :owner | :viewer,
           endpoint: term()
         }
 

@@ -92,6 +92,8 @@ export const commands = {
       return copy(app.client.abs(app.time.get().cursor), "Nanoseconds of the cursor copied");
   },
 
+  copyViewerLink: (app) => app.options.push?.("viewer_link", {}),
+
   copyLink(app) {
     app.address.save(true);
     return copy(location.href, "Link copied", "The address bar holds the link");

@@ -39,6 +39,7 @@ export class Palette {
         run: () => this.app.act(action),
       })),
       { text: "Copy a link to this view", hint: "", run: () => this.app.act("copyLink") },
+      { text: "Copy a link that may look, not change", hint: "", run: () => this.app.act("copyViewerLink") },
       { text: "Copy the time of the cursor in ns", hint: "", run: () => this.app.act("copyNs") },
       ...streams.map((stream) => ({
         text: stream,

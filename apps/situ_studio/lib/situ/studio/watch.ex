@@ -72,6 +72,14 @@ defmodule Situ.Studio.Watch do
     :exit, _ -> gone()
   end
 
+  @doc "Where the message of one originating time is in the pipeline (`Situ.trace/2`)."
+  @spec trace(t(), Situ.Time.t()) :: {:ok, Situ.Diagnostics.Trace.t()} | {:error, Error.t()}
+  def trace(%__MODULE__{pid: pid}, time) do
+    GenServer.call(pid, {:trace, time})
+  catch
+    :exit, _ -> gone()
+  end
+
   @doc "The pipeline's clock; the wall clock once it has ended."
   @spec now(t()) :: Situ.Time.t()
   def now(%__MODULE__{pid: pid}) do
@@ -127,6 +135,19 @@ defmodule Situ.Studio.Watch do
   end
 
   def handle_call(:snapshot, _from, state), do: {:reply, info(state.target), state}
+
+  def handle_call({:trace, time}, _from, state) do
+    answer =
+      try do
+        {:ok, Situ.Pipeline.trace(target(state.target), time)}
+      rescue
+        error in Error -> {:error, error}
+      catch
+        :exit, _ -> {:error, Error.new(:not_running, "the pipeline has ended")}
+      end
+
+    {:reply, answer, state}
+  end
 
   @impl true
   def handle_info(:sweep, state) do

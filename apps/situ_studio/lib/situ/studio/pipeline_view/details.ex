@@ -2,7 +2,7 @@ defmodule Situ.Studio.PipelineView.Details do
   @moduledoc false
   # The right side: what is selected, in words, numbers, plots and last messages; else what stands out.
   use Situ.Live.Component
-  alias Situ.Studio.PipelineView.{Stats, Wire}
+  alias Situ.Studio.PipelineView.{Stats, Waits, Wire}
 
   @edge_plots ["queue", "processed_rate", "latency_mean"]
   @node_plots ["mailbox", "memory", "reductions_rate"]
@@ -47,6 +47,7 @@ defmodule Situ.Studio.PipelineView.Details do
   attr(:messages, :list, required: true)
   attr(:heat, :string, required: true)
   attr(:plots, :list, required: true)
+  attr(:live, :boolean, default: false)
 
   @doc false
   def panel(assigns) do
@@ -60,13 +61,19 @@ defmodule Situ.Studio.PipelineView.Details do
   end
 
   defp overview(assigns) do
-    assigns = assign(assigns, :rows, worst(assigns))
+    waits = Waits.of(assigns.snapshot, assigns.sample)
+    assigns = assign(assigns, rows: worst(assigns), waits: waits)
 
     ~H"""
     <div class="side-title">Pipeline</div>
     <div class="props">
       <h2>{@snapshot.pipeline}</h2>
       <p class="hint">Click a component or a connection for its numbers.</p>
+      <div :if={@waits != []} class="worst waits">
+        <h3>Who waits for whom</h3>
+        <button :for={w <- @waits} class="row-button" type="button" phx-click="pick" phx-value-key={"e#{w.edge}"}
+            ><span><b>{w.who}</b> waits for <b>{w.input}</b>, {w.queue} in its queue: {w.why}</span></button>
+      </div>
       <div :if={@rows != []} class="worst">
         <h3>{heading(@heat)}</h3>
         <button :for={{key, name, text} <- @rows} class="row-button" type="button" phx-click="pick"
@@ -117,6 +124,7 @@ defmodule Situ.Studio.PipelineView.Details do
     assigns =
       assign(assigns,
         edges: edges,
+        waits: waits(assigns, edges),
         paths: paths,
         values: values,
         first: first,
@@ -132,17 +140,25 @@ defmodule Situ.Studio.PipelineView.Details do
         <p
             class="sub">{e.from_output} → {e.to_input}, {e.policy}{if e.kind == :inline, do: ", inside one process"}</p>
       </div>
+      <p :for={w <- @waits} class="wait">{w.who} waits for {w.input}: {w.why}.</p>
       <h3>Last messages</h3>
       <p :if={@messages == []} class="hint">No message has come yet, or none is kept.</p>
       <ol class="messages">
-        <li :for={m <- @messages}
-            :key={m.originating_time}><time>{clock(m.originating_time)}</time><code>{short(m.data)}</code></li>
+        <li :for={m <- @messages} :key={m.originating_time}><button :if={@live} type="button" class="linkish"
+            phx-click="trace" phx-value-time={m.originating_time} title="Where is this time in the pipeline?"
+            ><time>{clock(m.originating_time)}</time></button><time :if={not @live}>{clock(m.originating_time)}</time
+            ><code>{short(m.data)}</code></li>
       </ol>
       <h3>Numbers</h3>
       <.numbers stats={@stats} values={@values} shown={@shown} />
       <.charts shown={@shown} selected={@selected} />
     </div>
     """
+  end
+
+  defp waits(%{snapshot: snapshot, sample: sample}, edges) do
+    ids = Enum.map(edges, & &1.id)
+    snapshot |> Waits.of(sample) |> Enum.filter(&(&1.edge in ids))
   end
 
   defp nodes(assigns, []), do: gone(assigns)

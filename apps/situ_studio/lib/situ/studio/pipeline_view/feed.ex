@@ -3,7 +3,7 @@ defmodule Situ.Studio.PipelineView.Feed do
   # Where snapshots come from: a running pipeline (a source module with `snapshot/1`), or a stream of them in a
   # recording.
   alias Situ.{Error, Message}
-  alias Situ.Diagnostics.{Edge, Node, Snapshot, Window}
+  alias Situ.Diagnostics.{Edge, Node, Snapshot, Trace, Window}
   alias Situ.Studio.Source
 
   @type t :: {:live, Source.t()} | {:recorded, Source.t(), stream :: String.t()}
@@ -60,6 +60,24 @@ defmodule Situ.Studio.PipelineView.Feed do
   def now({:recorded, source, _} = feed) do
     with {:ok, extent} <- Source.call(source, :extent, []), do: at(feed, extent.to)
   end
+
+  @doc "Where the message of one originating time is in a running pipeline, without the studio's own taps."
+  @spec trace(t(), Situ.Time.t()) :: {:ok, Trace.t()} | {:error, Error.t()}
+  def trace({:live, source}, time) do
+    with {:ok, %Trace{} = trace} <- Source.call(source, :trace, [time]) do
+      own? = &String.starts_with?(&1, "Studio: ")
+
+      {:ok,
+       %{
+         trace
+         | hops: Enum.reject(trace.hops, &own?.(&1.to)),
+           inside: Enum.reject(trace.inside, own?)
+       }}
+    end
+  end
+
+  def trace(_recorded, _time),
+    do: {:error, Error.new(:not_running, "only a running pipeline can be asked")}
 
   # The studio's own taps are no part of the pipeline.
   @spec without_taps(Snapshot.t()) :: Snapshot.t()

@@ -4,7 +4,7 @@ defmodule Situ.Studio.PipelineView.Page do
   use Situ.Live.Component
   import Situ.Studio.Web.Icons
 
-  alias Situ.Studio.PipelineView.{Details, Stats}
+  alias Situ.Studio.PipelineView.{Details, Stats, Tracing}
   alias Situ.Studio.Web.{Address, Chrome}
 
   @spec render(map()) :: Situ.Live.Rendered.t()
@@ -45,7 +45,8 @@ defmodule Situ.Studio.PipelineView.Page do
         </form>
       </main>
       <aside class="right">
-        <Details.panel snapshot={@snapshot} sample={@sample} selected={@selected} folded={@folded}
+        <Tracing.box :if={@trace} trace={@trace} />
+        <Details.panel live={@live} snapshot={@snapshot} sample={@sample} selected={@selected} folded={@folded}
             messages={@messages} heat={@heat} plots={@plots} />
       </aside>
       <footer class="status">

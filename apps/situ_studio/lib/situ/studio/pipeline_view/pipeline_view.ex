@@ -12,7 +12,7 @@ defmodule Situ.Studio.PipelineView do
   use Situ.Live.View
 
   alias Situ.Studio.Catalog
-  alias Situ.Studio.PipelineView.{Choice, Details, Feed, Fold, Page, Past, Stats, Wire}
+  alias Situ.Studio.PipelineView.{Choice, Details, Feed, Fold, Page, Past, Stats, Tracing, Wire}
 
   @tick_ms 500
   # The last hour of a running pipeline and ten minutes while the page is open, or as many moments of a recording.
@@ -43,7 +43,8 @@ defmodule Situ.Studio.PipelineView do
         samples: [],
         messages: [],
         live: false,
-        drawn: nil
+        drawn: nil,
+        trace: nil
       )
 
     with {:ok, item, source} <- Catalog.open(studio, id),
@@ -133,6 +134,11 @@ defmodule Situ.Studio.PipelineView do
     {:noreply, go(socket, %{"plots" => Enum.join(plots, ",")})}
   end
 
+  def handle_event("trace", %{"time" => time}, socket),
+    do: {:noreply, assign(socket, trace: Tracing.of(socket.assigns.feed, time))}
+
+  def handle_event("trace_close", _, socket), do: {:noreply, assign(socket, trace: nil)}
+
   def handle_event("at", %{"moment" => index}, socket) do
     with {i, ""} <- Integer.parse(to_string(index)),
          time when is_integer(time) <- Enum.at(socket.assigns.moments, i) do
@@ -151,6 +157,8 @@ defmodule Situ.Studio.PipelineView do
     case Feed.now(socket.assigns.feed) do
       {:ok, snapshot, taken} ->
         Process.send_after(self(), :tick, @tick_ms)
+        a = socket.assigns
+        socket = assign(socket, trace: Tracing.again(a.feed, a.trace))
         {:noreply, socket |> observe(snapshot, taken) |> look() |> draw() |> point()}
 
       # It has ended: what it was last stays on the page.

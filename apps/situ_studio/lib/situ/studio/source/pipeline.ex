@@ -92,6 +92,10 @@ defmodule Situ.Studio.Source.Pipeline do
   @spec snapshot(Watch.t()) :: {:ok, Situ.Diagnostics.Snapshot.t()} | {:error, Error.t()}
   def snapshot(watch), do: Watch.snapshot(watch)
 
+  @doc "Where the message of one originating time is now."
+  @spec trace(Watch.t(), Situ.Time.t()) :: {:ok, Situ.Diagnostics.Trace.t()} | {:error, Error.t()}
+  def trace(watch, time), do: Watch.trace(watch, time)
+
   @impl true
   def series(watch, stream, from, to, bin),
     do: wanted(watch, stream, &History.series(&1, stream, from, to, bin))

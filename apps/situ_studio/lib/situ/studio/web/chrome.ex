@@ -130,6 +130,7 @@ defmodule Situ.Studio.Web.Chrome do
   attr(:count, :integer, required: true)
   attr(:source, :string, required: true)
   attr(:read_only, :boolean, required: true)
+  attr(:viewer, :boolean, default: false)
   attr(:snap, :any, default: nil)
 
   @doc false
@@ -139,7 +140,8 @@ defmodule Situ.Studio.Web.Chrome do
       <span><i class="dot"></i><span id="connection" phx-update="ignore">connecting</span></span>
       <span>{@source}</span>
       <span>{@count} {if @count == 1, do: "stream", else: "streams"}</span>
-      <span :if={@read_only}>read only</span>
+      <span :if={@viewer} class="viewer" title="You came by a link that may look and not change">looking only</span>
+      <span :if={@read_only and not @viewer}>read only</span>
       <button :if={@snap} class="snapped" type="button" phx-click="snap" phx-value-stream={@snap}
           title="Release the cursor">cursor snaps to {@snap} ×</button>
       <span class="grow"></span>

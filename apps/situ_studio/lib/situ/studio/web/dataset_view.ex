@@ -23,7 +23,7 @@ defmodule Situ.Studio.Web.DatasetView do
         studio: studio,
         id: id,
         page_title: "#{id} - Situ Studio",
-        read_only: settings.read_only,
+        read_only: settings.read_only or session["viewer"] == true,
         folder: settings.layouts,
         tasks: for(module <- Situ.Dataset.Task.all(), do: module.task()),
         facts: %{},

@@ -13,6 +13,10 @@ defmodule Situ.Studio.Web.FilmBox do
   @over ["shapes", "masks"]
 
   @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
+  # It takes the server's time: not for those who may only look.
+  def handle_event("film_begin", _, %{assigns: %{viewer: true}} = socket),
+    do: {:noreply, toast(socket, "You may look here, and not make films")}
+
   def handle_event("film_begin", params, %{assigns: assigns} = socket) do
     with {:ok, from} <- WholeNumber.parse(params["from"]),
          {:ok, to} when to > from and to - from <= @longest <- WholeNumber.parse(params["to"]),

@@ -59,7 +59,8 @@ defmodule Situ.Studio.Web.LayoutMenu do
     end
   end
 
-  def handle_event("layout_dialog", _, socket), do: {:noreply, assign(socket, dialog: :layout)}
+  def handle_event("layout_dialog", _, %{assigns: %{read_only: false}} = socket),
+    do: {:noreply, assign(socket, dialog: :layout)}
 
   def handle_event("layout_save", %{"name" => name}, %{assigns: %{read_only: false}} = socket) do
     layout = %{socket.assigns.layout | name: String.trim(to_string(name))}

@@ -6,16 +6,12 @@ defmodule Situ.Studio.Web.MainView do
 
   alias Situ.Studio.{
     Catalog,
-    Color,
     Comparison,
-    Coverage,
     Layout,
     Link,
     Settings,
     Source,
     Statistics,
-    StreamInfo,
-    Visualizers,
     WholeNumber
   }
 
@@ -28,11 +24,11 @@ defmodule Situ.Studio.Web.MainView do
     Edit,
     ExportDialog,
     FilmBox,
+    KnownStreams,
     LayoutMenu,
     Panels,
     QueryPanel,
     Side,
-    SourceList,
     StreamTree,
     Together
   }
@@ -53,7 +49,8 @@ defmodule Situ.Studio.Web.MainView do
         studio: studio,
         id: id,
         page_title: "#{id} - Situ Studio",
-        read_only: settings.read_only,
+        read_only: settings.read_only or session["viewer"] == true,
+        viewer: session["viewer"] == true,
         extra: settings.visualizers,
         tiles: settings.tiles,
         layout_dir: settings.layouts,
@@ -95,40 +92,7 @@ defmodule Situ.Studio.Web.MainView do
 
   defp known(stream, shapes), do: if(is_map_key(shapes, stream), do: stream)
 
-  defp load_streams(socket) do
-    streams =
-      case Source.call(socket.assigns.source, :streams, []) do
-        {:ok, streams} -> streams ++ Derivation.infos(socket.assigns)
-        {:error, _} -> socket.assigns[:infos] || []
-      end
-
-    names = streams |> Enum.map(& &1.name) |> Enum.take(2_000)
-
-    assign(socket,
-      infos: streams,
-      shapes: Map.new(streams, &{&1.name, &1.shape}),
-      colors: Color.ranks(Enum.map(streams, & &1.name)),
-      lanes: lanes(streams, socket.assigns.seen_lanes),
-      coverage: coverage(streams, socket.assigns.source),
-      names: Situ.JSON.encode(Enum.map(names, &valid/1)),
-      sources: SourceList.of(socket.assigns)
-    )
-  end
-
-  defp coverage(streams, source) do
-    case Source.call(source, :extent, []) do
-      {:ok, extent} -> Coverage.of(streams, extent)
-      {:error, _} -> %{}
-    end
-  end
-
-  # The known shapes of the streams, and those the page has met since.
-  defp lanes(streams, seen) do
-    known = for %{keys: [_ | _] = keys} = s <- streams, into: %{}, do: {s.name, length(keys)}
-    Map.merge(known, seen, fn _, a, b -> max(a, b) end)
-  end
-
-  defp valid(name), do: if(String.valid?(name), do: name, else: inspect(name))
+  defp load_streams(socket), do: KnownStreams.load(socket)
 
   @impl true
   def handle_event("streams_changed", _, socket) do
@@ -143,7 +107,9 @@ defmodule Situ.Studio.Web.MainView do
 
     if of in shown do
       seen = Map.update(socket.assigns.seen_lanes, of, n, &max(&1, n))
-      {:noreply, assign(socket, seen_lanes: seen, lanes: lanes(socket.assigns.infos, seen))}
+
+      {:noreply,
+       assign(socket, seen_lanes: seen, lanes: KnownStreams.lanes(socket.assigns.infos, seen))}
     else
       {:noreply, socket}
     end
@@ -223,6 +189,12 @@ defmodule Situ.Studio.Web.MainView do
 
   def handle_event("query_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
     do: {:noreply, QueryPanel.handle_event(event, params, socket)}
+
+  # The link for those who may only look; they do not get it to hand it on, having it already.
+  def handle_event("viewer_link", _, socket) do
+    token = if socket.assigns.viewer, do: nil, else: Situ.Live.viewer_token(socket)
+    {:noreply, push_event(socket, "viewer_link", %{token: token})}
+  end
 
   def handle_event("together", params, socket), do: {:noreply, Together.tell(socket, params)}
 
@@ -315,7 +287,7 @@ defmodule Situ.Studio.Web.MainView do
           read_only={@read_only} export={ExportDialog.offered?(assigns)}
           annotate={Annotation.offered?(assigns)} pipeline={pipeline(@item, @infos)} />
       <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query}
-          count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names} kinds={kinds(@extra)} />
+          count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names} kinds={KnownStreams.kinds(@extra)} />
       <main class="centre">
         <Chrome.damage :if={@damage != []} damage={@damage} path={@item.path} />
         <CompareBar.bar :if={@compared} compared={@compared} title={@item.title} />
@@ -326,9 +298,9 @@ defmodule Situ.Studio.Web.MainView do
           annotation={@annotation && @annotation.stream} streams={length(@infos)} />
       </main>
       <Side.right stream={@stream} panel={@panel} known={@known} snap={@snap} />
-      <QueryPanel.panel :if={@query_panel} panel={@query_panel} from={begun(assigns)}
+      <QueryPanel.panel :if={@query_panel} panel={@query_panel} from={KnownStreams.begun(assigns)}
           annotate={Annotation.offered?(assigns)} />
-      <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} snap={@snap} />
+      <Chrome.status count={length(@infos)} source={@item.title} read_only={@read_only} viewer={@viewer} snap={@snap} />
       <Annotation.dialog :if={match?({:annotation, _}, @dialog)} streams={elem(@dialog, 1)} />
       <Annotation.schema_dialog :if={match?({:schema, _, _}, @dialog)} dialog={@dialog} />
       <CompareBar.dialog :if={match?({:compare, _}, @dialog)} others={elem(@dialog, 1)} />
@@ -338,21 +310,6 @@ defmodule Situ.Studio.Web.MainView do
     </div>
     <Chrome.dialogs />
     """
-  end
-
-  # The visualizers of each shape, for the page's menus.
-  defp kinds(extra) do
-    StreamInfo.shapes()
-    |> Map.new(&{&1, for(v <- Visualizers.for_shape(&1, extra), do: [v.id, v.title])})
-    |> Situ.JSON.encode()
-  end
-
-  # The beginning of the data, from which the page counts.
-  defp begun(assigns) do
-    case Source.call(assigns.source, :extent, []) do
-      {:ok, extent} -> extent.from
-      {:error, _} -> 0
-    end
   end
 
   defp selected_stream(%{selected: {:stream, name}, infos: streams}),

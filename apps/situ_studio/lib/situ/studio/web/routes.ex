@@ -17,7 +17,8 @@ defmodule Situ.Studio.Web.Routes do
 
   @spec all(String.t(), String.t()) :: [tuple()]
   def all(studio, base \\ "/") do
-    session = %{"studio" => studio}
+    # a signed part of each page: who may only look stays so over its socket, too
+    session = &%{"studio" => studio, "viewer" => &1.role == :viewer}
 
     [
       {:live, "/", HomeView, session: session},

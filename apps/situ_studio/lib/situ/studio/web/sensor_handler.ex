@@ -13,6 +13,8 @@ defmodule Situ.Studio.Web.SensorHandler do
   @rates 8_000..192_000
 
   @impl true
+  def init(%{role: :viewer}, _studio), do: {:error, "who may only look is no sensor"}
+
   def init(request, _studio) do
     name = request.query["name"] || "page"
 

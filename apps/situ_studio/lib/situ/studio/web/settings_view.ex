@@ -18,7 +18,7 @@ defmodule Situ.Studio.Web.SettingsView do
      assign(socket,
        page_title: "Settings - Situ Studio",
        folder: known.layouts,
-       read_only: known.read_only,
+       read_only: known.read_only or session["viewer"] == true,
        settings: Settings.load(known.layouts),
        names: Enum.uniq(names)
      )}

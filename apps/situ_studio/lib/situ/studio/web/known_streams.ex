@@ -1,0 +1,64 @@
+defmodule Situ.Studio.Web.KnownStreams do
+  @moduledoc false
+  # Facts about the streams of a page's source: their shapes, lanes, colours, and where each begins and ends.
+  import Situ.Live.Socket, only: [assign: 2]
+
+  alias Situ.Live.Socket
+  alias Situ.Studio.{Color, Coverage, Source, StreamInfo, Visualizer, Visualizers}
+  alias Situ.Studio.Web.{Derivation, SourceList}
+
+  @doc "All that is known of the streams of the page's source, those that are derived included."
+  @spec load(Socket.t()) :: Socket.t()
+  def load(socket) do
+    streams =
+      case Source.call(socket.assigns.source, :streams, []) do
+        {:ok, streams} -> streams ++ Derivation.infos(socket.assigns)
+        {:error, _} -> socket.assigns[:infos] || []
+      end
+
+    names = streams |> Enum.map(& &1.name) |> Enum.take(2_000)
+
+    assign(socket,
+      infos: streams,
+      shapes: Map.new(streams, &{&1.name, &1.shape}),
+      colors: Color.ranks(Enum.map(streams, & &1.name)),
+      lanes: lanes(streams, socket.assigns.seen_lanes),
+      coverage: coverage(streams, socket.assigns.source),
+      names: Situ.JSON.encode(Enum.map(names, &valid/1)),
+      sources: SourceList.of(socket.assigns)
+    )
+  end
+
+  defp coverage(streams, source) do
+    case Source.call(source, :extent, []) do
+      {:ok, extent} -> Coverage.of(streams, extent)
+      {:error, _} -> %{}
+    end
+  end
+
+  @doc "The lanes of streams: as they are known, and as the page has met them since."
+  @spec lanes([StreamInfo.t()], map()) :: map()
+  def lanes(streams, seen) do
+    known = for %{keys: [_ | _] = keys} = s <- streams, into: %{}, do: {s.name, length(keys)}
+    Map.merge(known, seen, fn _, a, b -> max(a, b) end)
+  end
+
+  defp valid(name), do: if(String.valid?(name), do: name, else: inspect(name))
+
+  @doc "The visualizers of each shape, for the page's menus."
+  @spec kinds([Visualizer.given()]) :: String.t()
+  def kinds(extra) do
+    StreamInfo.shapes()
+    |> Map.new(&{&1, for(v <- Visualizers.for_shape(&1, extra), do: [v.id, v.title])})
+    |> Situ.JSON.encode()
+  end
+
+  @doc "The beginning of the data, from which the page counts."
+  @spec begun(map()) :: Situ.Time.t()
+  def begun(assigns) do
+    case Source.call(assigns.source, :extent, []) do
+      {:ok, extent} -> extent.from
+      {:error, _} -> 0
+    end
+  end
+end
