@@ -6,6 +6,7 @@ Code.require_file("sensor_fixture.exs", __DIR__)
 Code.require_file("../../apps/situ_studio/test/support/guide_plugin.ex", __DIR__)
 Code.require_file("plugin_fixture.exs", __DIR__)
 Code.require_file("map_fixture.exs", __DIR__)
+Code.require_file("mask_fixture.exs", __DIR__)
 alias Situ.Studio.{History, Source}
 
 [work | _] = System.argv()
@@ -57,6 +58,7 @@ sources = %{
   "memory" => {Source.History, Fixture.minute()},
   "empty" => {Source.History, History.new(live: false)},
   "walk" => {Source.History, MapFixture.walk()},
+  "masked" => {Source.History, MaskFixture.found()},
   "gaze" => {Source.History, PluginFixture.gaze()},
   "space-frames" => {Source.History, SpaceFixture.frames()},
   "space-broken" => {Source.History, SpaceFixture.broken()},
@@ -149,6 +151,21 @@ end)
     pipeline: [name: "Factory", replay: [speed: 1.0]]
   )
 
+# One whose source waits for a slow sink.
+{:ok, mill} =
+  Situ.Pipeline.start(
+    fn p ->
+      p
+      |> Situ.from_enumerable(0..9_999_999, every: Situ.Time.ms(2), name: "Grain")
+      |> Situ.each(fn _ -> Process.sleep(12) end,
+        name: "Stones",
+        async: true,
+        policy: Situ.Delivery.throttle(8)
+      )
+    end,
+    pipeline: [name: "Mill", replay: [speed: 1.0]]
+  )
+
 # A minute of its diagnostics: a hundred messages a second on the first connection.
 log = History.new(seconds: 3_600, live: false)
 seen = Situ.Pipeline.info(factory)
@@ -167,7 +184,7 @@ plugins = PluginFixture.folder(work)
     port: 0,
     path: folder,
     sources: sources,
-    pipelines: [pipeline, factory, brief, camera],
+    pipelines: [pipeline, factory, mill, brief, camera],
     plugins: [plugins],
     layouts: layouts
   )

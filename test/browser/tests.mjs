@@ -14,6 +14,7 @@ import "./annotation_tests.mjs";
 import "./dataset_tests.mjs";
 import "./space_tests.mjs";
 import "./plugin_tests.mjs";
+import "./mask_tests.mjs";
 import "./map_tests.mjs";
 import "./sensor_tests.mjs";
 import "./work_tests.mjs";

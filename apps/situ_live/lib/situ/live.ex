@@ -64,7 +64,7 @@ defmodule Situ.Live do
     * `:token` - `:auto` (default: none on a loopback address, random elsewhere), text, or `:none` (loopback only)
     * `:viewer_token` - a second token for those who may only look: `:auto` (default: random where there is a token),
       text (then there is a token, too), or `:none`. Requests that come with it have the `role` `:viewer`
-      (`Situ.Live.Request`); what such a role may do is up to the views, whose `session` may be a function of the request
+      (`Situ.Live.Request`); what these may do is up to the views, whose `session` may be a function of the request
     * `:secret` - signs the pages; random at each start by default, after which open pages load themselves again
     * `:layout` - the component that writes the page around a view
     * `:hosts` - names the server answers for: `:any`, or a list; default the loopback names there, `:any` elsewhere

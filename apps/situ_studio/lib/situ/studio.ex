@@ -108,7 +108,7 @@ defmodule Situ.Studio do
   """
   use Supervisor
 
-  alias Situ.Studio.{Batch, Catalog, PipelineView, Plugins, Tiles, Web}
+  alias Situ.Studio.{Alerts, Batch, Catalog, PipelineView, Plugins, Tiles, Web}
 
   @doc "A child of a supervision tree."
   @spec child_spec(keyword()) :: Supervisor.child_spec()
@@ -164,6 +164,7 @@ defmodule Situ.Studio do
          [:id, :path, :pipelines, :sources, :read_only, :layouts, :visualizers, :plugins, :tiles]
        )},
       {Batch, Keyword.take(opts, [:id])},
+      {Alerts, Keyword.take(opts, [:id])},
       {PipelineView.Past, Keyword.take(opts, [:id, :pipelines])},
       {Situ.Live, live(opts)}
     ]

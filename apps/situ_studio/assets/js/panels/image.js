@@ -114,9 +114,11 @@ export class ImagePanel {
 
   // The value under the mouse, beside it; size, age and value of the picture in the corner.
   point() {
+    const size = this.fit();
+    for (const l of this.layers) l.size = size;
     const at = this.mouse.pointer && this.map().back(...this.mouse.pointer);
     this.note(at);
-    const { k } = this.fit();
+    const { k } = size;
     const found = at
       ? this.layers.flatMap((l) => (l.vis.props?.visible !== false ? l.drawer.under(l, ...at, k) : []))
       : [];

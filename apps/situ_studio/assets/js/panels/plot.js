@@ -126,15 +126,27 @@ export class PlotPanel {
   range(view) {
     const axis = this.config.axis ?? {};
     if (axis.mode === "fixed" && axis.max > axis.min) return [axis.min, axis.max];
+    // each line from its own least to its own greatest value: 0 and 1 here
+    if (this.own) return [0, 1];
     const [lo, hi] = paddedRange(this.lines().map((e) => e.layer.drawer.extent(e, view)));
     if (!this.layers.length || !this.layers.every((l) => l.drawer.symmetric)) return [lo, hi];
     const m = Math.max(Math.abs(lo), Math.abs(hi), 1e-3);
     return [-m, m];
   }
 
+  get own() {
+    return this.config.axis?.mode === "own";
+  }
+
+  // The height of a value: on the panel's axis, or on that of the line alone.
+  heights(entry, view, y) {
+    const [lo, hi] = this.own ? paddedRange([entry.layer.drawer.extent(entry, view)]) : [0, 1];
+    return this.own ? (v) => y((v - lo) / (hi - lo)) : y;
+  }
+
   // The numbers beside the axis; none before there is anything to measure.
   labels(at) {
-    const texts = this.loading ? at.map(() => "") : at.map(axisNumber);
+    const texts = this.loading || this.own ? at.map(() => "") : at.map(axisNumber);
     this.app.gutter.need(this, texts);
     return texts;
   }
@@ -175,7 +187,7 @@ export class PlotPanel {
       ctx.fillStyle = t.grid;
       ctx.fillRect(box.left, at - 0.5, box.width, 1);
       ctx.fillStyle = t.axis;
-      ctx.fillText(axisNumber(v), box.left - 6, at);
+      if (!this.own) ctx.fillText(axisNumber(v), box.left - 6, at);
     }
     const view = this.app.time.get().view;
     ctx.fillStyle = t.grid;
@@ -198,7 +210,8 @@ export class PlotPanel {
     ctx.clip();
     this.lines().forEach((e, i) => {
       const { props = {} } = e.layer.vis;
-      if (props.visible !== false) e.layer.drawer.draw(ctx, e, { view, x, y, ratio, props, color: this.color(e, i) });
+      const scene = { view, x, y: this.heights(e, view, y), ratio, props, color: this.color(e, i) };
+      if (props.visible !== false) e.layer.drawer.draw(ctx, e, scene);
     });
     for (const l of this.layers) {
       const ends = l.vis.props?.visible !== false && this.app.client.ends(l.vis.ends);
@@ -214,7 +227,7 @@ export class PlotPanel {
   // Values beyond the threshold are covered, so that the rest stands out.
   cover(ctx, bbox, y) {
     const { side, value } = this.config.threshold ?? {};
-    if (!side) return;
+    if (!side || this.own) return;
     const at = Math.min(Math.max(y(value), bbox.top), bbox.top + bbox.height);
     ctx.fillStyle = theme().panel;
     ctx.globalAlpha = 0.75;

@@ -15,6 +15,7 @@ import { messages } from "./messages.js";
 import { image } from "./image.js";
 import { depth } from "./depth.js";
 import { shapes } from "./shapes.js";
+import { masks } from "./masks.js";
 import { spectrogram } from "./spectrogram.js";
 import { BarsPanel } from "./bars.js";
 import { TextPanel } from "./text.js";
@@ -22,7 +23,21 @@ import { ValuePanel } from "./value.js";
 import { LogPanel } from "./log.js";
 import { XYPanel } from "./xy.js";
 
-const ALL = [line, lines, waveform, spectrogram, latency, states, labels, spans, messages, image, depth, shapes];
+const ALL = [
+  line,
+  lines,
+  waveform,
+  spectrogram,
+  latency,
+  states,
+  labels,
+  spans,
+  messages,
+  image,
+  depth,
+  shapes,
+  masks,
+];
 
 export const visualizers = new Map(ALL.map((v) => [v.id, v]));
 

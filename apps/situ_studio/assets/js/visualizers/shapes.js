@@ -76,7 +76,7 @@ export function drawShapes(ctx, { shapes: s, vis, index }, map) {
   (s.texts ?? []).forEach((text, i) => tag(ctx, text, map.x(0) + 8, map.y(0) + 26 + 22 * i, color));
 }
 
-function tag(ctx, text, x, y, color) {
+export function tag(ctx, text, x, y, color) {
   const w = ctx.measureText(text).width + 10;
   const top = Math.max(y - 17, 0);
   ctx.fillStyle = color;

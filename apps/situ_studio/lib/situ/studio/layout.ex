@@ -26,7 +26,8 @@ defmodule Situ.Studio.Layout do
 
   defmodule Panel do
     @moduledoc """
-    A panel: `:plot` and `:lanes` fill a row, the others are cells of one. `threshold` covers what lies below or above a
+    A panel: `:plot` and `:lanes` fill a row, the others are cells of one. With the axis `:own` each line of a plot has
+    its own, from its least to its greatest value in the view. `threshold` covers what lies below or above a
     value, so that the rest stands out.
     """
     @enforce_keys [:id, :panel]
@@ -39,7 +40,7 @@ defmodule Situ.Studio.Layout do
             row: String.t() | nil,
             height: pos_integer() | nil,
             vis: [Vis.t()],
-            axis: {number(), number()} | nil,
+            axis: {number(), number()} | :own | nil,
             threshold: {:below | :above, number()} | nil
           }
   end

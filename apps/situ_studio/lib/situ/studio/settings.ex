@@ -15,17 +15,24 @@ defmodule Situ.Studio.Settings do
   | `layout` | the layout a recording opens with, where its address names none | `Automatic` |
   | `keep` | `:by_hand`: a changed layout is saved on request; `:at_once`: with each change | `:by_hand` |
   | `info` | beside the streams' names: `:rate`, `:count`, `:size` or `:latency` | `:rate` |
+  | `alerts` | rules held against running pipelines, one a line (`Situ.Studio.Alerts.Rule`) | none |
   """
   alias Situ.Error
+  alias Situ.Studio.Alerts.Rule
   alias Situ.Studio.Layout
 
   @keeps [:by_hand, :at_once]
   @infos [:rate, :count, :size, :latency]
   @max_bytes 100_000
 
-  defstruct layout: Layout.Auto.name(), keep: :by_hand, info: :rate
+  defstruct layout: Layout.Auto.name(), keep: :by_hand, info: :rate, alerts: ""
 
-  @type t :: %__MODULE__{layout: String.t(), keep: :by_hand | :at_once, info: atom()}
+  @type t :: %__MODULE__{
+          layout: String.t(),
+          keep: :by_hand | :at_once,
+          info: atom(),
+          alerts: String.t()
+        }
 
   @doc "The choices of a setting."
   @spec choices(:keep | :info) :: [atom()]
@@ -48,7 +55,7 @@ defmodule Situ.Studio.Settings do
   With what a form or a file says, as far as it means something.
 
       iex> Situ.Studio.Settings.put(%Situ.Studio.Settings{}, %{"info" => "count", "keep" => "sometimes"})
-      %Situ.Studio.Settings{layout: "Automatic", keep: :by_hand, info: :count}
+      %Situ.Studio.Settings{layout: "Automatic", keep: :by_hand, info: :count, alerts: ""}
   """
   @spec put(t(), map()) :: t()
   def put(%__MODULE__{} = settings, given) do
@@ -59,9 +66,17 @@ defmodule Situ.Studio.Settings do
       | layout:
           if(is_binary(layout) and String.valid?(layout), do: layout, else: settings.layout),
         keep: one(@keeps, given["keep"], settings.keep),
-        info: one(@infos, given["info"], settings.info)
+        info: one(@infos, given["info"], settings.info),
+        alerts: alerts(given["alerts"], settings.alerts)
     }
   end
+
+  # Rules that are none are kept out: what a file says by hand may be anything.
+  defp alerts(text, usual) when is_binary(text) do
+    if String.valid?(text) and match?({:ok, _}, Rule.read(text)), do: text, else: usual
+  end
+
+  defp alerts(_, usual), do: usual
 
   defp one(choices, text, usual), do: Enum.find(choices, usual, &(Atom.to_string(&1) == text))
 

@@ -3,7 +3,8 @@ defmodule Situ.Studio.StreamInfo do
   The studio's facts about one stream of any source, and the kind of picture for it.
 
   `shape` is the noun a visualizer is chosen by: `:signal`, `:boolean`, `:state` (atoms), `:text`, `:audio`, `:image`,
-  `:depth`, `:shapes` (rectangles and points over pictures), `:bars` (lists of numbers), `:signals` (maps of numbers),
+  `:depth`, `:shapes` (rectangles and points over pictures), `:masks` (lists of masks over pictures), `:bars` (lists of
+  numbers), `:signals` (maps of numbers),
   `:states` (maps of booleans, atoms or texts), `:spans` (intervals of time), `:space` (poses, clouds, skeletons ...),
   `:frames` (`Situ.Transform`s), `:place` (on the Earth) or `:value` (anything).
 
@@ -46,6 +47,7 @@ defmodule Situ.Studio.StreamInfo do
           | :image
           | :depth
           | :shapes
+          | :masks
           | :bars
           | :signals
           | :states
@@ -72,7 +74,7 @@ defmodule Situ.Studio.StreamInfo do
   @doc "All shapes."
   @spec shapes() :: [shape()]
   def shapes do
-    [:signal, :boolean, :state, :text, :audio, :image, :depth, :shapes, :bars, :signals] ++
+    [:signal, :boolean, :state, :text, :audio, :image, :depth, :shapes, :masks, :bars, :signals] ++
       [:states, :spans, :space, :frames, :place, :value]
   end
 
@@ -104,6 +106,7 @@ defmodule Situ.Studio.StreamInfo do
   def shape({:list, type}) do
     case shape(type) do
       :signal -> :bars
+      :image -> :masks
       shape when shape in [:shapes, :spans, :space, :frames] -> shape
       _ -> :value
     end
@@ -203,6 +206,8 @@ defmodule Situ.Studio.StreamInfo do
   def shape_of(%Situ.Transform{}), do: :frames
   def shape_of(%Situ.GeoPoint{}), do: :place
   def shape_of([%Situ.Transform{} | _]), do: :frames
+  def shape_of([%Situ.Image{} | _]), do: :masks
+  def shape_of([{%Situ.Rect{}, %Situ.Image{}} | _]), do: :masks
 
   def shape_of(map) when is_map(map) and not is_struct(map) and map_size(map) > 0 do
     if match?({:ok, _}, Situ.GeoPoint.of(map)), do: :place, else: shape_of_values(map)

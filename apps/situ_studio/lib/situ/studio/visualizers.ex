@@ -19,6 +19,7 @@ defmodule Situ.Studio.Visualizers do
     Line,
     Lines,
     Log,
+    Masks,
     Messages,
     Shapes,
     Space,
@@ -32,7 +33,7 @@ defmodule Situ.Studio.Visualizers do
     XY
   }
 
-  @modules [Waveform, Lines, States, Spans, Labels, Line, Image, Depth, Shapes, Bars] ++
+  @modules [Waveform, Lines, States, Spans, Labels, Line, Image, Depth, Shapes, Masks, Bars] ++
              [Space, Trail, Frames, GeoMap, XY, Spectrogram, Text, Value, Log] ++
              [Messages, Latency]
 

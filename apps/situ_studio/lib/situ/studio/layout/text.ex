@@ -30,9 +30,13 @@ defmodule Situ.Studio.Layout.Text do
     %{"id" => p.id, "panel" => Atom.to_string(p.panel), "vis" => vis}
     |> put("row", p.row)
     |> put("height", p.height)
-    |> put("axis", p.axis && Tuple.to_list(p.axis))
+    |> put("axis", axis_json(p.axis))
     |> put("threshold", p.threshold && Tuple.to_list(p.threshold))
   end
+
+  defp axis_json({min, max}), do: [min, max]
+  defp axis_json(:own), do: "own"
+  defp axis_json(nil), do: nil
 
   defp put(map, _, nil), do: map
   defp put(map, key, value), do: Map.put(map, key, value)
@@ -95,6 +99,7 @@ defmodule Situ.Studio.Layout.Text do
   defp read_panel(_), do: :error
 
   defp axis([min, max]) when is_number(min) and is_number(max) and min < max, do: {min, max}
+  defp axis("own"), do: :own
   defp axis(_), do: nil
 
   defp threshold(["below", value]) when is_number(value), do: {:below, value}

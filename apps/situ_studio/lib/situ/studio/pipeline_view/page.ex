@@ -5,7 +5,7 @@ defmodule Situ.Studio.PipelineView.Page do
   import Situ.Studio.Web.Icons
 
   alias Situ.Studio.PipelineView.{Details, Stats, Tracing}
-  alias Situ.Studio.Web.{Address, Chrome}
+  alias Situ.Studio.Web.{Address, AlertBox, Chrome}
 
   @spec render(map()) :: Situ.Live.Rendered.t()
   def render(%{error: %{}} = assigns), do: Chrome.failure(assigns)
@@ -36,6 +36,7 @@ defmodule Situ.Studio.PipelineView.Page do
         <a class="tool" href={Address.of(@id)} title="Its streams">Streams</a>
       </header>
       <main class="centre">
+        <AlertBox.box alerts={@alerts} />
         <div id="graph" class="graph" phx-hook="PipelineGraph" phx-update="ignore" tabindex="0" role="img"
             aria-label="Graph of the pipeline"></div>
         <form :if={@moments != []} id="moments" class="moments" phx-change="at">

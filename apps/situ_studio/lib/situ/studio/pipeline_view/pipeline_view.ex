@@ -11,7 +11,7 @@ defmodule Situ.Studio.PipelineView do
   """
   use Situ.Live.View
 
-  alias Situ.Studio.Catalog
+  alias Situ.Studio.{Alerts, Catalog}
   alias Situ.Studio.PipelineView.{Choice, Details, Feed, Fold, Page, Past, Stats, Tracing, Wire}
 
   @tick_ms 500
@@ -44,7 +44,8 @@ defmodule Situ.Studio.PipelineView do
         messages: [],
         live: false,
         drawn: nil,
-        trace: nil
+        trace: nil,
+        alerts: []
       )
 
     with {:ok, item, source} <- Catalog.open(studio, id),
@@ -158,7 +159,8 @@ defmodule Situ.Studio.PipelineView do
       {:ok, snapshot, taken} ->
         Process.send_after(self(), :tick, @tick_ms)
         a = socket.assigns
-        socket = assign(socket, trace: Tracing.again(a.feed, a.trace))
+        alerts = Alerts.of(a.studio, a.item.id)
+        socket = assign(socket, trace: Tracing.again(a.feed, a.trace), alerts: alerts)
         {:noreply, socket |> observe(snapshot, taken) |> look() |> draw() |> point()}
 
       # It has ended: what it was last stays on the page.

@@ -104,6 +104,11 @@ defmodule Situ.Studio.Web.Edit do
       when is_integer(height) and is_binary(id),
       do: {:ok, layout: Layout.resize(assigns.layout, id, height)}
 
+  # Each line from its least to its greatest value, or all on one axis again.
+  def apply("axis", %{"panel" => id, "own" => "true"}, assigns), do: axis(assigns, id, :own)
+
+  def apply("axis", %{"panel" => id, "_target" => ["own"]}, assigns), do: axis(assigns, id, nil)
+
   def apply("axis", %{"panel" => id, "min" => min, "max" => max}, assigns) do
     case {number(min), number(max)} do
       {{:ok, min}, {:ok, max}} when min < max -> axis(assigns, id, {min, max})

@@ -10,7 +10,7 @@ defmodule Situ.Studio.Web.FilmBox do
 
   # An hour.
   @longest 3_600_000_000_000
-  @over ["shapes", "masks"]
+  @over ["shapes"]
 
   @spec handle_event(String.t(), map(), Socket.t()) :: {:noreply, Socket.t()}
   # It takes the server's time: not for those who may only look.

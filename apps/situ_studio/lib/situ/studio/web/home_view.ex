@@ -3,7 +3,7 @@ defmodule Situ.Studio.Web.HomeView do
   # The list of what can be looked at: datasets, running pipelines, recordings.
   use Situ.Live.View
   import Situ.Studio.Web.Icons
-  alias Situ.Studio.Catalog
+  alias Situ.Studio.{Alerts, Catalog}
   alias Situ.Studio.Datasets.Facts
   alias Situ.Studio.Web.{Address, ClusterView, Side}
 
@@ -97,7 +97,8 @@ defmodule Situ.Studio.Web.HomeView do
           <.picture item={item} facts={@facts[item.path]} />
           <span><b>{item.title}</b><span class="dim"><span
             :for={said <- said(item, @facts[item.path])}>{said}</span></span></span>
-          <span><.badges item={item} facts={@facts[item.path]} /></span></a>
+          <span><.badges item={item} facts={@facts[item.path]}
+            alerts={if item.kind == :pipeline, do: Alerts.count(@studio, item.id), else: 0} /></span></a>
       </div>
       <p :if={@more > 0} class="hint">{@more} more: search to find them</p>
       <p :if={@items == []} class="hint">Nothing has been recorded here yet; new recordings appear by themselves.
@@ -134,9 +135,11 @@ defmodule Situ.Studio.Web.HomeView do
 
   attr(:item, :any, required: true)
   attr(:facts, :any, required: true)
+  attr(:alerts, :integer, required: true)
 
   defp badges(assigns) do
     ~H"""
+    <span :if={@alerts > 0} class="badge damaged alerts">{@alerts} {if @alerts == 1, do: "alert", else: "alerts"}</span>
     <span :if={@item.live or (@facts != nil and @facts.live)} class="badge live">live</span>
     <span :if={@facts != nil and (@facts.damaged or @facts.error != nil)} class="badge damaged"
         title={@facts.error && @facts.error.what}>{if @facts.error, do: "cannot be opened", else: "damaged"}</span>

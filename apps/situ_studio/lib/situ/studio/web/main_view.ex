@@ -5,6 +5,7 @@ defmodule Situ.Studio.Web.MainView do
   use Situ.Live.View
 
   alias Situ.Studio.{
+    Alerts,
     Catalog,
     Comparison,
     Layout,
@@ -17,6 +18,7 @@ defmodule Situ.Studio.Web.MainView do
 
   alias Situ.Studio.Web.{
     Address,
+    AlertBox,
     Annotation,
     Chrome,
     CompareBar,
@@ -65,6 +67,7 @@ defmodule Situ.Studio.Web.MainView do
         query_panel: nil,
         film: nil,
         compared: nil,
+        alerts: [],
         undo: [],
         redo: [],
         info: Settings.load(settings.layouts).info,
@@ -245,12 +248,14 @@ defmodule Situ.Studio.Web.MainView do
     Process.send_after(self(), :refresh, @refresh_ms)
 
     case Source.call(socket.assigns.source, :extent, []) do
-      {:ok, %{live: true}} -> {:noreply, load_streams(socket)}
+      {:ok, %{live: true}} -> {:noreply, socket |> load_streams() |> alerts()}
       _ -> {:noreply, socket}
     end
   end
 
   def handle_info(_, socket), do: {:noreply, socket}
+
+  defp alerts(%{assigns: a} = socket), do: assign(socket, alerts: Alerts.of(a.studio, a.id))
 
   defp toast(socket, error), do: push_event(socket, "toast", %{text: Exception.message(error)})
 
@@ -287,9 +292,11 @@ defmodule Situ.Studio.Web.MainView do
           read_only={@read_only} export={ExportDialog.offered?(assigns)}
           annotate={Annotation.offered?(assigns)} pipeline={pipeline(@item, @infos)} />
       <Side.left sources={@sources} current={@id} rows={@rows} more={@more} query={@query}
-          count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names} kinds={KnownStreams.kinds(@extra)} />
+          count={length(@infos)} info={@info} snap={@snap} selected={@selected} names={@names}
+          kinds={KnownStreams.kinds(@extra)} />
       <main class="centre">
         <Chrome.damage :if={@damage != []} damage={@damage} path={@item.path} />
+        <AlertBox.box alerts={@alerts} />
         <CompareBar.bar :if={@compared} compared={@compared} title={@item.title} />
         <FilmBox.box :if={@film} film={@film} />
         <button class="pill" type="button" data-act="live"

@@ -162,6 +162,7 @@ defmodule Situ.Studio.Web.Panels do
     axis =
       case panel.axis do
         {min, max} -> %{"mode" => "fixed", "min" => min, "max" => max}
+        :own -> %{"mode" => "own"}
         nil -> nil
       end
 

@@ -4,6 +4,7 @@ defmodule Situ.Studio.Web.SettingsView do
   use Situ.Live.View
   import Situ.Studio.Web.Icons
 
+  alias Situ.Studio.Alerts.Rule
   alias Situ.Studio.{Catalog, Layout, Layouts, Settings}
 
   @keep [by_hand: "when it is saved by hand", at_once: "with every change"]
@@ -25,6 +26,15 @@ defmodule Situ.Studio.Web.SettingsView do
   end
 
   @impl true
+  # What is no rule is refused with its line, and nothing is kept.
+  def handle_event("alerts", %{"alerts" => text}, %{assigns: %{read_only: false}} = socket)
+      when is_binary(text) do
+    case Rule.read(text) do
+      {:ok, _} -> handle_event("settings", %{"alerts" => text}, socket)
+      {:error, error} -> {:noreply, toast(socket, Exception.message(error))}
+    end
+  end
+
   def handle_event("settings", params, %{assigns: %{read_only: false}} = socket) do
     settings = Settings.put(socket.assigns.settings, params)
 
@@ -63,6 +73,14 @@ defmodule Situ.Studio.Web.SettingsView do
               <option :for={{value, text} <- @info} value={value}
                   selected={value == @settings.info}>{text}</option>
             </select></div>
+        </form>
+        <form id="alert-settings" phx-submit="alerts">
+          <div class="field"><label for="setting-alerts">Alerts of running pipelines, a line each: a name, a colon, and
+            an expression over streams and statistics</label>
+            <textarea id="setting-alerts" name="alerts" rows="4" spellcheck="false" disabled={@read_only}
+                placeholder="busy: `queue(Slow.Heavy)` > 100 or `busy(Slow.Heavy)` > 90"
+                >{@settings.alerts}</textarea></div>
+          <p :if={not @read_only} class="choices"><button class="btn" type="submit">Keep the alerts</button></p>
         </form>
       </section>
       <section aria-label="Settings of this browser">

@@ -176,10 +176,14 @@ defmodule Situ.Studio.Web.Side do
     <div class="sub">{length(@panel.vis)} {if length(@panel.vis) == 1, do: "stream", else: "streams"}</div>
     <form :if={@panel.panel == :plot} id={"axis-" <> @panel.id} phx-change="axis">
       <input type="hidden" name="panel" value={@panel.id}>
+      <div class="field"><label for="axis-own">Each line its own axis</label><input id="axis-own" name="own"
+          type="checkbox" value="true" checked={@panel.axis == :own}></div>
       <div class="field"><label for="axis-min">Axis from</label><input id="axis-min" name="min"
-          value={axis(@panel.axis, 0)} placeholder="automatic" inputmode="decimal" phx-debounce="400"></div>
+          value={axis(@panel.axis, 0)} disabled={@panel.axis == :own} placeholder="automatic"
+          inputmode="decimal" phx-debounce="400"></div>
       <div class="field"><label for="axis-max">to</label><input id="axis-max" name="max"
-          value={axis(@panel.axis, 1)} placeholder="automatic" inputmode="decimal" phx-debounce="400"></div>
+          value={axis(@panel.axis, 1)} disabled={@panel.axis == :own} placeholder="automatic"
+          inputmode="decimal" phx-debounce="400"></div>
     </form>
     <form :if={@panel.panel == :plot} id={"threshold-" <> @panel.id} phx-change="threshold">
       <input type="hidden" name="panel" value={@panel.id}>
@@ -264,7 +268,7 @@ defmodule Situ.Studio.Web.Side do
   defp side(%{threshold: {side, _}}), do: side
   defp side(_), do: nil
 
-  defp axis(nil, _), do: ""
+  defp axis(none, _) when none in [nil, :own], do: ""
   defp axis(range, i), do: range |> elem(i) |> plain()
 
   defp clock(time),

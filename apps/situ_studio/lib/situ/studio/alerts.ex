@@ -1,0 +1,165 @@
+defmodule Situ.Studio.Alerts do
+  @moduledoc """
+  The alerts of one studio: its rules (`Situ.Studio.Alerts.Rule`, kept with the settings) held against its running
+  pipelines once a second. An alert is raised when its rule becomes true and cleared when it no longer is; both times
+  stay until the rule or the pipeline is gone.
+  """
+  use GenServer
+
+  alias Situ.Diagnostics.Snapshot
+  alias Situ.Expression.Value
+  alias Situ.Studio.Alerts.Rule
+  alias Situ.Studio.PipelineView.{Feed, Stats}
+  alias Situ.Studio.{Catalog, Settings, Source}
+
+  @tick_ms 1_000
+
+  @typedoc "One alert of a pipeline; `cleared` is `nil` while it lasts. Times are wall-clock ns."
+  @type alert :: %{
+          rule: String.t(),
+          text: String.t(),
+          raised: Situ.Time.t(),
+          cleared: Situ.Time.t() | nil
+        }
+
+  @doc """
+  Starts the alerts of the studio `:id`; `tick: false` leaves the seconds to the caller (`look/2`), and `of:` names
+  another studio to look into.
+  """
+  @spec start_link(keyword()) :: GenServer.on_start()
+  def start_link(opts), do: GenServer.start_link(__MODULE__, opts)
+
+  @doc "The alerts of the item `title`: those that last first, then the newest."
+  @spec of(Catalog.id(), String.t()) :: [alert()]
+  def of(id, title) do
+    case Registry.lookup(Situ.Studio.Registry, {id, :alerts}) do
+      [{_, table}] ->
+        for({_, alert} <- :ets.match_object(table, {{title, :_}, :_}), do: alert)
+        |> Enum.sort_by(&{&1.cleared != nil, -&1.raised, &1.rule})
+
+      [] ->
+        []
+    end
+  rescue
+    # the table went with its process
+    ArgumentError -> []
+  end
+
+  @doc "How many of them last."
+  @spec count(Catalog.id(), String.t()) :: non_neg_integer()
+  def count(id, title), do: id |> of(title) |> Enum.count(&(&1.cleared == nil))
+
+  @doc "Holds the rules against the pipelines as they are at `now`."
+  @spec look(GenServer.server(), Situ.Time.t()) :: :ok
+  def look(server, now), do: GenServer.call(server, {:look, now}, 30_000)
+
+  @impl true
+  def init(opts) do
+    table = :ets.new(__MODULE__, [:ordered_set, :protected])
+    {:ok, _} = Registry.register(Situ.Studio.Registry, {opts[:id], :alerts}, table)
+    if opts[:tick] != false, do: Process.send_after(self(), :tick, @tick_ms)
+    {:ok, %{id: opts[:of] || opts[:id], table: table, earlier: %{}}}
+  end
+
+  @impl true
+  def handle_call({:look, now}, _from, state), do: {:reply, :ok, looked(state, now)}
+
+  @impl true
+  def handle_info(:tick, state) do
+    Process.send_after(self(), :tick, @tick_ms)
+    {:noreply, looked(state, Situ.Time.now())}
+  end
+
+  def handle_info(_, state), do: {:noreply, state}
+
+  defp looked(%{id: id, table: table} = state, now) do
+    case Rule.read(Settings.load(Catalog.settings(id).layouts).alerts) do
+      {:ok, [_ | _] = rules} ->
+        running = for %{kind: :pipeline, live: true} = item <- Catalog.list(id), do: item.id
+        forget(table, running, rules)
+        seen = for title <- running, into: %{}, do: {title, held(state, title, rules, now)}
+        %{state | earlier: Map.reject(seen, fn {_, snapshot} -> snapshot == nil end)}
+
+      _ ->
+        :ets.delete_all_objects(table)
+        %{state | earlier: %{}}
+    end
+  end
+
+  # Of rules that are gone, and of those that say something else now.
+  defp forget(table, running, rules) do
+    known = MapSet.new(rules, &{&1.name, &1.expression.source})
+
+    for {{title, _} = key, alert} <- :ets.tab2list(table),
+        {alert.rule, alert.text} not in known or title not in running,
+        do: :ets.delete(table, key)
+  end
+
+  # A pipeline that has just ended has nothing to tell.
+  defp held(state, title, rules, now) do
+    with {:ok, _item, source} <- Catalog.open(state.id, title),
+         {:ok, {:live, _} = feed} <- Feed.open(source),
+         {:ok, %Snapshot{} = snapshot, at} <- Feed.now(feed) do
+      sample = Stats.sample(snapshot, at, state.earlier[title])
+
+      for rule <- rules,
+          do: put(state.table, {title, rule.name}, rule, env(rule, source, snapshot, sample), now)
+
+      {snapshot, at}
+    else
+      _ -> nil
+    end
+  end
+
+  defp env(rule, source, snapshot, sample) do
+    statistics =
+      for {name, id, path} <- Rule.statistics(rule),
+          into: %{},
+          do: {name, statistic(snapshot, sample, id, path)}
+
+    for stream <- Rule.streams(rule), into: statistics, do: {stream, latest(source, stream)}
+  end
+
+  defp statistic(snapshot, sample, id, path) do
+    {:ok, %{of: of}} = Stats.fetch(id)
+    nodes = for node <- snapshot.nodes, node.path == path, do: node.id
+
+    values =
+      case of do
+        :node -> for n <- nodes, do: sample.nodes[n]
+        :edge -> for e <- snapshot.edges, e.to in nodes, do: sample.edges[e.id]
+      end
+
+    Stats.merge(Enum.reject(values, &is_nil/1))[id]
+  end
+
+  defp latest(source, stream) do
+    with {:ok, extent} <- Source.call(source, :extent, []),
+         {:ok, message} <- Source.call(source, :latest_at, [stream, extent.to]) do
+      Value.plain(message.data)
+    else
+      _ -> nil
+    end
+  end
+
+  defp put(table, key, rule, env, now) do
+    raised? = Rule.true?(rule, env)
+
+    case {:ets.lookup(table, key), raised?} do
+      {[{_, %{cleared: nil}}], true} ->
+        :ok
+
+      {[{_, %{cleared: nil} = alert}], false} ->
+        :ets.insert(table, {key, %{alert | cleared: now}})
+
+      {_, true} ->
+        :ets.insert(table, {key, alert(rule, now)})
+
+      {_, false} ->
+        :ok
+    end
+  end
+
+  defp alert(rule, now),
+    do: %{rule: rule.name, text: rule.expression.source, raised: now, cleared: nil}
+end

@@ -1,0 +1,86 @@
+defmodule Situ.Studio.AlertsTest do
+  # Rules held against a pipeline that runs: raised and cleared at the times that are told.
+  use ExUnit.Case, async: true
+
+  alias Situ.Studio.{Alerts, Catalog, Settings}
+
+  @moduletag :tmp_dir
+
+  setup %{tmp_dir: dir} do
+    id = "alerts-#{System.unique_integer([:positive])}"
+    connector = Situ.Connector.new("numbers")
+
+    {:ok, pipeline} =
+      Situ.Pipeline.start(
+        fn p ->
+          p |> Situ.Connector.receive(connector) |> Situ.map(& &1, name: "Level", type: :integer)
+        end,
+        pipeline: [name: "Mill"]
+      )
+
+    layouts = Path.join(dir, "layouts")
+
+    {:ok, studio} =
+      Situ.Studio.start_link(port: 0, id: id, pipelines: [pipeline], layouts: layouts)
+
+    on_exit(fn ->
+      Process.exit(studio, :shutdown)
+      if Process.alive?(pipeline), do: Situ.Pipeline.stop(pipeline)
+    end)
+
+    # a second one under another name, so that the test says when it looks
+    {:ok, alerts} = Alerts.start_link(id: id <> "-by-hand", of: id, tick: false)
+    %{id: id, by_hand: id <> "-by-hand", alerts: alerts, layouts: layouts, connector: connector}
+  end
+
+  # Delivers a number, and looks until it has come through.
+  defp level(%{id: id, connector: connector}, value) do
+    now = System.os_time()
+    message = %Situ.Message{data: value, originating_time: now, creation_time: now}
+    {:ok, _, source} = Catalog.open(id, "Mill")
+    _ = Situ.Studio.Source.call(source, :latest_at, ["Level", now])
+    Situ.Connector.deliver(connector, [message])
+
+    Stream.repeatedly(fn -> Situ.Studio.Source.call(source, :latest_at, ["Level", now]) end)
+    |> Enum.find(&match?({:ok, %{data: ^value}}, &1))
+  end
+
+  test "an alert is raised, lasts, is cleared, and is gone with its rule", context do
+    %{by_hand: by_hand, alerts: alerts, layouts: layouts} = context
+
+    :ok =
+      Settings.save(layouts, %Settings{alerts: "high: Level > 10\nnever: `errors(Level)` > 0"})
+
+    level(context, 5)
+    :ok = Alerts.look(alerts, 100)
+    assert Alerts.of(by_hand, "Mill") == []
+    level(context, 50)
+    :ok = Alerts.look(alerts, 200)
+
+    assert [%{rule: "high", text: "Level > 10", raised: 200, cleared: nil}] =
+             Alerts.of(by_hand, "Mill")
+
+    :ok = Alerts.look(alerts, 300)
+    assert [%{raised: 200, cleared: nil}] = Alerts.of(by_hand, "Mill")
+    assert Alerts.count(by_hand, "Mill") == 1
+    level(context, 7)
+    :ok = Alerts.look(alerts, 400)
+    assert [%{raised: 200, cleared: 400}] = Alerts.of(by_hand, "Mill")
+    assert Alerts.count(by_hand, "Mill") == 0
+    level(context, 70)
+    :ok = Alerts.look(alerts, 500)
+    assert [%{raised: 500, cleared: nil}] = Alerts.of(by_hand, "Mill")
+    :ok = Settings.save(layouts, %Settings{alerts: "high: Level > 1000"})
+    :ok = Alerts.look(alerts, 600)
+    assert Alerts.of(by_hand, "Mill") == []
+  end
+
+  test "statistics of components and of their connections are known by their names", context do
+    text = "a: `emitted(Level)` >= 0\nb: `memory(Level)` > 0\nc: `queue(Nobody)` >= 0"
+    :ok = Settings.save(context.layouts, %Settings{alerts: text})
+    level(context, 5)
+    :ok = Alerts.look(context.alerts, 100)
+    assert "b" in Enum.map(Alerts.of(context.by_hand, "Mill"), & &1.rule)
+    refute "c" in Enum.map(Alerts.of(context.by_hand, "Mill"), & &1.rule)
+  end
+end
