@@ -49,4 +49,22 @@ defmodule Situ.ClusterTest do
     assert :ok = Cluster.await(deployment, 60_000)
     assert read(deployment, "Result") == alone(count: 500)
   end
+
+  test "direct streams bypass the log, and lose nothing while all is well", %{tmp_dir: dir} do
+    start_supervised!({Cluster, log: dir})
+
+    {:ok, deployment} =
+      Cluster.deploy(ClusterSums,
+        opts: [count: 5_000],
+        place: [{"Sum", []}, {"Smooth", []}],
+        direct: ["Left", "Right"],
+        publish: ["Result"],
+        checkpoint: Situ.Time.ms(100),
+        pipeline: @pipeline
+      )
+
+    assert :ok = Cluster.await(deployment, 60_000)
+    assert read(deployment, "Result") == alone(count: 5_000)
+    assert read(deployment, "Left") == []
+  end
 end

@@ -30,6 +30,7 @@ defmodule Situ.Cluster.Assembly do
           agent: links.agent,
           part: {deployment.name, &1.part},
           stream: &1.name,
+          direct: &1.direct,
           reader: part
         ],
       outlet: &[publisher: links.publisher, stream: &1.name]

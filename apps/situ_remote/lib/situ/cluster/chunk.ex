@@ -5,7 +5,7 @@ defmodule Situ.Cluster.Chunk do
   #   First, Last   sequence ids (a fence has Last alone: where the stream stands)
   #   Time, Made    originating and creation time of the last message
   #   Kind          data or fence         Epoch  of the writer's lease       Closing  the time at which the stream ends
-  alias Situ.Cluster.Seal
+  alias Situ.Cluster.{Batch, Seal}
   alias Situ.Message
   alias Situ.Remote.Log.Entry
 
@@ -35,13 +35,12 @@ defmodule Situ.Cluster.Chunk do
   def fence(mark, epoch, op),
     do: %Entry{op: op, head: Map.merge(head(mark, epoch), %{"Kind" => "fence"})}
 
-  @doc "Messages, behind which the stream stands at `mark`."
-  @spec data([Message.t()], mark(), pos_integer(), String.t()) :: Entry.t()
-  def data(messages, mark, epoch, op) do
-    first = with [%{sequence_id: id} | _] <- messages, do: id, else: (_ -> mark.last + 1)
-    head = %{"Kind" => "data", "First" => Integer.to_string(first)}
-    rows = for m <- messages, do: {m.originating_time, m.creation_time, m.data}
-    %Entry{op: op, head: Map.merge(head(mark, epoch), head), data: Seal.close(rows)}
+  @doc "Batches, behind which the stream stands at `mark`."
+  @spec data([Batch.t()], mark(), pos_integer(), String.t()) :: Entry.t()
+  def data(batches, mark, epoch, op) do
+    first = with [%{first: id} | _] <- batches, do: id, else: (_ -> mark.last + 1)
+    head = Map.merge(head(mark, epoch), %{"Kind" => "data", "First" => Integer.to_string(first)})
+    %Entry{op: op, head: head, data: Seal.close(for(batch <- batches, do: batch.body))}
   end
 
   defp head(mark, epoch) do
@@ -61,19 +60,9 @@ defmodule Situ.Cluster.Chunk do
   def messages(%Entry{data: ""}), do: {:ok, []}
 
   def messages(%Entry{} = entry) do
-    with {:ok, rows} <- Seal.open(IO.iodata_to_binary(entry.data)) do
-      first = Entry.integer(entry, "First", 1)
-
-      {:ok,
-       for {{time, made, data}, index} <- Enum.with_index(rows) do
-         %Message{
-           data: data,
-           originating_time: time,
-           creation_time: made,
-           sequence_id: first + index,
-           source_id: 0
-         }
-       end}
+    with {:ok, bodies} <- Seal.open(IO.iodata_to_binary(entry.data)) do
+      rows = Enum.flat_map(bodies, &Batch.rows/1)
+      {:ok, Batch.messages(rows, Entry.integer(entry, "First", 1))}
     end
   end
 end

@@ -6,6 +6,9 @@ defmodule Situ.Cluster.Cut do
   alias Situ.{Delivery, Graph}
   alias Situ.Graph.{Edge, Extension, Vertex}
 
+  # A larger window than inside a part: batches are what makes the way to another node cheap.
+  @window 4_000
+
   @doc "`links`: the options of inlets (given the stream) and of outlets (given the stream)."
   @spec part(Graph.t(), Plan.t(), String.t(), %{inlet: fun(), outlet: fun()}) :: Graph.t()
   def part(%Graph{} = graph, plan, name, links) do
@@ -69,7 +72,7 @@ defmodule Situ.Cluster.Cut do
       id: graph.next_edge,
       from: stream.from,
       to: {vertex.id, :in},
-      policy: Delivery.unlimited(),
+      policy: Delivery.unlimited(window: @window),
       explicit: true
     }
 

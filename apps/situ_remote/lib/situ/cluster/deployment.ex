@@ -57,6 +57,14 @@ defmodule Situ.Cluster.Deployment do
       default: [],
       doc: "Streams kept in the log although no other part reads them (see `read/2`)."
     ],
+    direct: [
+      type: {:list, :string},
+      default: [],
+      doc:
+        "Streams that cross from part to part and bypass the log: with back-pressure and without loss while all" <>
+          " nodes are well; what is under way when one is lost is lost. Streams that all their readers take by a" <>
+          " lossy policy are such, unless they are in `publish:`."
+    ],
     pipeline: [
       type: :keyword,
       default: [],
@@ -65,7 +73,7 @@ defmodule Situ.Cluster.Deployment do
   ]
 
   @enforce_keys [:name, :module, :opts, :rules, :checkpoint, :lease] ++
-                  [:retain, :balance, :publish, :pipeline]
+                  [:retain, :balance, :publish, :direct, :pipeline]
   defstruct @enforce_keys
 
   @type rule :: %{
@@ -83,6 +91,7 @@ defmodule Situ.Cluster.Deployment do
           retain: pos_integer() | :all,
           balance: pos_integer() | nil,
           publish: [String.t()],
+          direct: [String.t()],
           pipeline: keyword()
         }
 
@@ -107,6 +116,7 @@ defmodule Situ.Cluster.Deployment do
          retain: opts[:retain],
          balance: opts[:balance],
          publish: opts[:publish],
+         direct: opts[:direct],
          pipeline: opts[:pipeline]
        }}
     end

@@ -1,27 +1,29 @@
 defmodule Situ.Cluster.Inlet do
   @moduledoc false
   # A stream of another part, wherever that runs: the consumer's side of a GenStage edge to its publisher. It knows
-  # how far it has come; when the publisher is lost it waits for the next one and goes on from there.
+  # how far it has come; when the publisher is lost it waits for the next one and goes on from there. A direct stream
+  # goes on with what is made then: its messages are told by their times, and numbered here.
   use Situ.Component,
     outputs: [out: :any],
     options: [
       agent: [type: :any, required: true],
       part: [type: :any, required: true],
       stream: [type: :string, required: true],
+      direct: [type: :boolean, default: false],
       reader: [type: :string, default: ""]
     ]
 
-  alias Situ.Cluster.Member
+  alias Situ.Cluster.{Batch, Member}
   alias Situ.Error
 
   # As many messages as weigh so much are under way at once, between these numbers.
   @bytes 4 * 1024 * 1024
   @least 4
-  @most 1_000
+  @most 4_000
 
   @impl true
   def init(opts) do
-    {:ok, Map.merge(Map.new(opts), %{last: 0, made: 0, sub: nil})}
+    {:ok, Map.merge(Map.new(opts), %{last: 0, made: 0, time: nil, sub: nil})}
   end
 
   @impl true
@@ -31,7 +33,7 @@ defmodule Situ.Cluster.Inlet do
   end
 
   @impl true
-  def snapshot(state), do: {:ok, Map.take(state, [:last, :made])}
+  def snapshot(state), do: {:ok, Map.take(state, [:last, :made, :time])}
   @impl true
   def restore(mark, fresh), do: {:ok, Map.merge(fresh, mark)}
 
@@ -60,6 +62,26 @@ defmodule Situ.Cluster.Inlet do
     end
   end
 
+  # As it was packed for the log.
+  def handle_info({:"$gen_consumer", {_, ref} = from, {:situ_batch, first, body}}, context, state)
+      when state.sub.ref == ref,
+      do: handle_info({:"$gen_consumer", from, unpacked(body, first)}, context, state)
+
+  def handle_info({:"$gen_consumer", {_, ref}, messages}, _context, %{direct: true} = state)
+      when state.sub.ref == ref and is_list(messages) and messages != [] do
+    sub = %{state.sub | asked: state.sub.asked - length(messages), window: window(messages)}
+    fresh = Enum.drop_while(messages, &(state.time != nil and &1.originating_time <= state.time))
+
+    {fresh, {last, made, time}} =
+      Enum.map_reduce(fresh, {state.last, state.made, state.time}, fn m, {last, made, _} ->
+        {m, made} = made(m, made)
+        {%{m | sequence_id: last + 1}, {last + 1, made, m.originating_time}}
+      end)
+
+    state = %{state | sub: sub, last: last, made: made, time: time}
+    {if(fresh == [], do: [], else: [{:out, fresh}]), state}
+  end
+
   def handle_info({:"$gen_consumer", {_, ref}, messages}, _context, state)
       when state.sub.ref == ref and is_list(messages) and messages != [] do
     sub = %{state.sub | asked: state.sub.asked - length(messages), window: window(messages)}
@@ -82,6 +104,8 @@ defmodule Situ.Cluster.Inlet do
 
   def handle_info(_other, _context, state), do: {[], state}
 
+  defp unpacked(body, first), do: body |> Batch.rows() |> Batch.messages(first)
+
   # Numbers of a stream have no gaps: what lies between is not in the log any more.
   defp trimmed(state, id) do
     Error.new(:log_trimmed, "the log lacks #{id - state.last - 1} messages of #{state.stream}",
@@ -102,6 +126,7 @@ defmodule Situ.Cluster.Inlet do
   defp subscribe(state, pid) do
     ref = Process.monitor(pid)
     opts = [stream: state.stream, from: state.last, part: state.part, reader: state.reader]
+    opts = [{:batches, true} | opts]
     send(pid, {:"$gen_producer", {self(), ref}, {:subscribe, nil, opts}})
     send(pid, {:"$gen_producer", {self(), ref}, {:ask, @least}})
     %{state | sub: %{pid: pid, ref: ref, asked: @least, window: @least}}

@@ -3,14 +3,16 @@ defmodule Situ.Cluster.Outgoing do
   # One stream that leaves a part, as its publisher knows it. Pure, but for `trim/3`.
   #
   #   mark      behind the last message that was handed over      stored   behind the last one in the log
-  #   pending   messages that are not in the log yet, newest first
+  #   pending   batches that nobody has begun to write yet, newest first
   #   tail      the last batches that may be seen by readers, newest first
+  #   policies  how each part reads it; with `direct` the log has no messages of it, only where it was taken over and
+  #             when it closed
   # The batches kept are bounded by number and by size: a picture is larger than a number.
-  alias Situ.Cluster.Chunk
+  alias Situ.Cluster.{Batch, Chunk}
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
 
-  @tail 8_192
+  @tail 16_384
   @tail_bytes 8 * 1024 * 1024
   @full 20_000
   @full_bytes 4 * 1024 * 1024
@@ -27,18 +29,25 @@ defmodule Situ.Cluster.Outgoing do
     bytes: 0,
     tail: [],
     tail_count: 0,
-    tail_bytes: 0
+    tail_bytes: 0,
+    direct: false,
+    policies: %{},
+    handed: nil,
+    busy: false
   ]
 
   @type t :: %__MODULE__{}
 
-  @spec new(String.t(), String.t()) :: t()
-  def new(name, deployment) do
+  @spec new(String.t(), String.t(), map()) :: t()
+  def new(name, deployment, way \\ %{}) do
     %__MODULE__{
       name: name,
       subject: {:stream, deployment <> "." <> name},
       mark: Chunk.start(),
-      stored: Chunk.start()
+      stored: Chunk.start(),
+      handed: Chunk.start(),
+      direct: Map.get(way, :direct, false),
+      policies: Map.get(way, :policies, %{})
     }
   end
 
@@ -46,29 +55,42 @@ defmodule Situ.Cluster.Outgoing do
   Takes messages over: those that it has had before are passed over (a part that was started again repeats them),
   the others get the next sequence ids; creation times do not go back, whatever the clock of this machine says.
   """
-  @spec add(t(), [Situ.Message.t()]) :: {[Situ.Message.t()], t()}
+  @spec add(t(), [Situ.Message.t()]) :: {Batch.t() | nil, t()}
   def add(%__MODULE__{mark: mark} = out, messages) do
-    {fresh, mark} =
-      Enum.reduce(messages, {[], mark}, fn message, {fresh, mark} ->
-        if mark.closing != nil or (mark.time != nil and message.originating_time <= mark.time) do
-          {fresh, mark}
-        else
-          made = max(message.creation_time, mark.made || message.creation_time)
-          message = %{message | sequence_id: mark.last + 1, creation_time: made}
-          mark = %{mark | last: mark.last + 1, time: message.originating_time, made: made}
-          {[message | fresh], mark}
-        end
-      end)
+    case fresh(messages, mark, []) do
+      {[], _} ->
+        {nil, out}
 
-    count = out.count + length(fresh)
-    bytes = out.bytes + weight(fresh)
-    pending = fresh ++ out.pending
-    {Enum.reverse(fresh), %{out | mark: mark, pending: pending, count: count, bytes: bytes}}
+      {rows, mark} ->
+        batch = Batch.new(rows, mark.last)
+        {batch, wait(%{out | mark: mark}, batch)}
+    end
   end
 
-  # One is weighed for all of a batch.
-  defp weight([]), do: 0
-  defp weight([%{data: data} | _] = batch), do: :erlang.external_size(data) * length(batch)
+  defp fresh([], mark, rows), do: {rows, mark}
+
+  defp fresh([message | rest], mark, rows) do
+    %{originating_time: time, creation_time: made} = message
+
+    if mark.closing != nil or (mark.time != nil and time <= mark.time) do
+      fresh(rest, mark, rows)
+    else
+      made = if mark.made == nil or made > mark.made, do: made, else: mark.made
+      mark = %{mark | last: mark.last + 1, time: time, made: made}
+      fresh(rest, mark, [{time, made, message.data} | rows])
+    end
+  end
+
+  defp wait(%{direct: true} = out, _batch), do: out
+
+  defp wait(out, batch) do
+    %{
+      out
+      | pending: [batch | out.pending],
+        count: out.count + Batch.count(batch),
+        bytes: out.bytes + batch.bytes
+    }
+  end
 
   @doc "Whether more is pending than should be."
   @spec full?(t()) :: boolean()
@@ -81,24 +103,33 @@ defmodule Situ.Cluster.Outgoing do
 
   def close(out, _time), do: out
 
-  @doc "Whether there is something to be stored."
+  @doc "Whether there is something to be written. Of a direct stream that is its end."
   @spec pending?(t()) :: boolean()
-  def pending?(%__MODULE__{} = out), do: out.pending != [] or out.mark != out.stored
+  def pending?(%__MODULE__{direct: true} = out),
+    do: out.mark.closing != nil and out.handed.closing == nil
 
-  @doc "Takes what is to be stored, oldest first."
-  @spec take(t()) :: {{[Situ.Message.t()], Chunk.mark()}, t()}
-  def take(%__MODULE__{} = out),
-    do: {{Enum.reverse(out.pending), out.mark}, %{out | pending: [], count: 0, bytes: 0}}
+  def pending?(%__MODULE__{} = out), do: out.mark != out.handed
+
+  @doc "Where it stands when it is taken over."
+  @spec begin(t(), Chunk.mark()) :: t()
+  def begin(%__MODULE__{} = out, mark), do: %{out | mark: mark, stored: mark, handed: mark}
+
+  @doc "The log has it up to `mark`, by entry `seq`."
+  @spec stored(t(), Chunk.mark(), pos_integer()) :: t()
+  def stored(%__MODULE__{} = out, mark, seq),
+    do: %{out | stored: mark, seq: seq, busy: mark != out.handed}
+
+  @doc "Takes what is to be written, oldest first."
+  @spec take(t()) :: {{[Batch.t()], Chunk.mark()}, t()}
+  def take(%__MODULE__{} = out) do
+    taken = {Enum.reverse(out.pending), out.mark}
+    {taken, %{out | pending: [], count: 0, bytes: 0, handed: out.mark, busy: true}}
+  end
 
   @doc "Readers may see these."
-  @spec show(t(), [Situ.Message.t()]) :: t()
-  def show(out, []), do: out
-
-  def show(%__MODULE__{} = out, [first | _] = messages) do
-    n = length(messages)
-    bytes = weight(messages)
-    batch = {first.sequence_id, first.sequence_id + n - 1, messages, bytes}
-    {count, bytes} = {out.tail_count + n, out.tail_bytes + bytes}
+  @spec show(t(), Batch.t()) :: t()
+  def show(%__MODULE__{} = out, %Batch{} = batch) do
+    {count, bytes} = {out.tail_count + Batch.count(batch), out.tail_bytes + batch.bytes}
     trim(%{out | tail: [batch | out.tail], tail_count: count, tail_bytes: bytes})
   end
 
@@ -111,12 +142,12 @@ defmodule Situ.Cluster.Outgoing do
 
   defp trim(out), do: out
 
-  defp keep([{_, last, _, _} | _], stored, kept, {count, bytes})
+  defp keep([%{last: last} | _], stored, kept, {count, bytes})
        when (count >= @tail or bytes >= @tail_bytes) and last <= stored,
        do: {Enum.reverse(kept), count, bytes}
 
-  defp keep([{first, last, _, weight} = batch | rest], stored, kept, {count, bytes}),
-    do: keep(rest, stored, [batch | kept], {count + last - first + 1, bytes + weight})
+  defp keep([batch | rest], stored, kept, {count, bytes}),
+    do: keep(rest, stored, [batch | kept], {count + Batch.count(batch), bytes + batch.bytes})
 
   defp keep([], _stored, kept, {count, bytes}), do: {Enum.reverse(kept), count, bytes}
 
@@ -139,15 +170,16 @@ defmodule Situ.Cluster.Outgoing do
 
   @doc "The last sequence id that readers may see."
   @spec visible(t()) :: non_neg_integer()
-  def visible(%__MODULE__{tail: [{_, last, _, _} | _]} = out), do: max(last, out.stored.last)
+  def visible(%__MODULE__{tail: [%{last: last} | _]} = out), do: max(last, out.stored.last)
   def visible(%__MODULE__{stored: stored}), do: stored.last
 
-  @doc "Messages from sequence id `from` on, if the tail goes back that far."
-  @spec recall(t(), pos_integer()) :: {:ok, [Situ.Message.t()]} | :gone
+  @doc "The batch with sequence id `from`, if the tail goes back that far."
+  @spec recall(t(), pos_integer()) :: {:ok, Batch.t()} | :gone
   def recall(%__MODULE__{tail: tail}, from), do: recall_in(tail, from)
 
-  defp recall_in([{first, last, messages, _} | _], from) when first <= from and from <= last,
-    do: {:ok, Enum.drop(messages, from - first)}
+  defp recall_in([%{first: first, last: last} = batch | _], from)
+       when first <= from and from <= last,
+       do: {:ok, batch}
 
   defp recall_in([_ | rest], from), do: recall_in(rest, from)
   defp recall_in([], _from), do: :gone

@@ -3,21 +3,24 @@ defmodule Situ.Cluster.Plan do
   # A graph cut into parts: which components each has, which streams cross from one to another. Pure; every node comes
   # to the same plan, since each builds the same graph.
   alias Situ.Cluster.Deployment
-  alias Situ.{Error, Graph, Options}
+  alias Situ.{Delivery, Error, Graph, Options}
 
   @enforce_keys [:parts, :streams]
   defstruct [:parts, :streams]
 
   @typedoc """
   `parts`: name to ids and rule. `streams`: each stream that leaves its part, by name, with the vertex and output it
-  comes from, its part, and the parts that read it.
+  comes from, its part, and the parts that read it. A `direct` one bypasses the log: all who read it may lose messages,
+  or it was declared so; `policies` has those of its readers that may.
   """
   @type part :: %{name: String.t(), ids: MapSet.t(pos_integer()), rule: Deployment.rule()}
   @type stream :: %{
           name: String.t(),
           from: {pos_integer(), atom()},
           part: String.t(),
-          readers: [String.t()]
+          readers: [String.t()],
+          direct: boolean(),
+          policies: %{String.t() => Situ.Delivery.t()}
         }
   @type t :: %__MODULE__{parts: %{String.t() => part()}, streams: %{String.t() => stream()}}
 
@@ -28,14 +31,57 @@ defmodule Situ.Cluster.Plan do
   def new(%Graph{} = graph, %Deployment{} = deployment) do
     names = for {path, _} <- deployment.rules, path != :rest, do: path
 
-    with :ok <- known(names, graph), {:ok, published} <- published(deployment.publish, graph) do
+    with :ok <- known(names, graph),
+         {:ok, published} <- ports(deployment.publish, graph),
+         {:ok, direct} <- ports(deployment.direct, graph) do
       of = Map.new(graph.vertices, fn {id, vertex} -> {id, owner(vertex.path, names)} end)
 
-      with :ok <- inhabited(names, of) do
-        of = apart(graph, of)
-        streams = streams(graph, of, published)
-        {:ok, %__MODULE__{parts: parts(of, deployment), streams: streams}}
-      end
+      with :ok <- inhabited(names, of),
+           of = apart(graph, of),
+           streams = streams(graph, of, published, direct),
+           plan = %__MODULE__{parts: parts(of, deployment), streams: streams},
+           :ok <- crossing(deployment, plan),
+           :ok <- repeatable(plan),
+           do: {:ok, plan}
+    end
+  end
+
+  defp crossing(deployment, plan) do
+    case Enum.find(deployment.direct, &(not match?(%{^&1 => %{readers: [_ | _]}}, plan.streams))) do
+      nil ->
+        :ok
+
+      name ->
+        {:error,
+         Error.new(:not_crossing, "#{inspect(name)} crosses to no other part",
+           why: "direct: names streams that bypass the log on their way from part to part",
+           fix: "take it out of direct:, or place one of its ends in another part"
+         )}
+    end
+  end
+
+  # A part that is started again reads other messages of a direct stream than before, or none.
+  defp repeatable(plan) do
+    bad =
+      for {name, %{direct: true, readers: readers}} <- plan.streams,
+          part <- readers,
+          plan.parts[part].rule.deterministic,
+          Enum.any?(outlets(plan, part), &(not &1.direct)),
+          do: {name, part}
+
+    case bad do
+      [] ->
+        :ok
+
+      [{name, part} | _] ->
+        {:error,
+         Error.new(:not_deterministic, "part #{part} is declared deterministic: true, and is not",
+           why:
+             "it reads #{name}, which may lose messages and is not in the log: started again, the part would put" <>
+               " out something else",
+           fix:
+             "declare it deterministic: false, publish: that stream, or read it by a policy that loses nothing"
+         )}
     end
   end
 
@@ -107,7 +153,7 @@ defmodule Situ.Cluster.Plan do
     end
   end
 
-  defp published(names, graph) do
+  defp ports(names, graph) do
     known = Graph.stream_names(graph)
 
     case Enum.find(names, &(not is_map_key(known, &1))) do
@@ -131,10 +177,10 @@ defmodule Situ.Cluster.Plan do
   defp name(:rest), do: @rest
   defp name(path), do: path
 
-  defp streams(graph, of, published) do
+  defp streams(graph, of, published, direct) do
     crossing =
-      for {_, %{from: {from, output}, to: {to, _}}} <- graph.edges, of[from] != of[to] do
-        {{from, output}, of[to]}
+      for {_, %{from: {from, output}, to: {to, _}} = edge} <- graph.edges, of[from] != of[to] do
+        {{from, output}, {of[to], edge.policy}}
       end
 
     readers = Enum.group_by(crossing, &elem(&1, 0), &elem(&1, 1))
@@ -143,10 +189,36 @@ defmodule Situ.Cluster.Plan do
       {id, output} = port
       vertex = graph.vertices[id]
       name = Graph.stream_name(vertex.path, output, vertex.outputs)
-      readers = readers |> Map.get(port, []) |> Enum.uniq() |> Enum.sort()
-      {name, %{name: name, from: port, part: of[id], readers: readers}}
+      edges = Map.get(readers, port, [])
+      lossy? = edges != [] and Enum.all?(edges, fn {_, policy} -> Delivery.lossy?(policy) end)
+      direct? = port not in published and (lossy? or port in direct)
+
+      {name,
+       %{
+         name: name,
+         from: port,
+         part: of[id],
+         readers: edges |> Enum.map(&elem(&1, 0)) |> Enum.uniq() |> Enum.sort(),
+         direct: direct?,
+         policies: if(direct?, do: policies(edges), else: %{})
+       }}
     end
   end
+
+  # Of a part with several edges the one that keeps most; none, if one of them may lose nothing.
+  defp policies(edges) do
+    for {part, all} <- Enum.group_by(edges, &elem(&1, 0), &elem(&1, 1)),
+        Enum.all?(all, &Delivery.lossy?/1),
+        into: %{},
+        do: {part, widest(all)}
+  end
+
+  defp widest([policy]), do: policy
+  # Atoms are larger than numbers: `:infinity` is the most.
+  defp widest(all), do: Delivery.max_queue(most(Enum.max(Enum.map(all, & &1.max_queue))))
+
+  defp most(:infinity), do: 1_000
+  defp most(n), do: n
 
   @doc "The streams that leave a part."
   @spec outlets(t(), String.t()) :: [stream()]

@@ -5,36 +5,46 @@ defmodule Situ.Cluster.Publisher do
   # log.
   #
   # It begins by taking over (ADR 0112): fences every stream, takes the checkpoints over, and publishes what the last
-  # checkpoint holds that is not in the log yet. A write that is refused ends it: another node has taken over.
+  # checkpoint holds that is not in the log yet. All that follows its scribe writes, beside it (ADR 0117): readers do
+  # not wait for the log. A write that is refused ends both: another node has taken over.
   #
   # Two modes. `:outbox`: what the part puts out is seen by nobody before a checkpoint holds it. `:replay`
   # (deterministic parts): it is seen at once and written to the log behind; a part that starts again makes the same.
+  # A direct stream is seen at once in both, and is not written.
   use GenServer
 
-  alias Situ.Cluster.{Checkpoint, Chunk, Outgoing, Readers}
+  alias Situ.Cluster.{Batch, Checkpoint, Chunk, Outgoing, Readers, Scribe}
   alias Situ.Error
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
 
   @flush_ms 5
-  # Of one entry of the log, unless it takes less.
-  @entry_bytes 4 * 1024 * 1024
-  @retry_ms 50
   @trim_ms 1_000
+  # While somebody waits to put out more, it is looked again whether that must be.
+  @look_ms 20
+  # So long after its start a part waits for those that read it, so that they have its first messages from itself. A
+  # direct stream is nowhere else.
+  @join_ms 1_000
+  @join_direct_ms 5_000
 
   defstruct [
     :log,
     :part,
     :epoch,
     :mode,
-    :checkpoint,
+    :scribe,
+    :memories,
     :runner,
     :retain,
+    :since,
     streams: %{},
+    parts: %{},
     readers: %Readers{},
     cut: nil,
+    unshown: %{},
     writes: 0,
     timer: nil,
+    looking: nil,
     waiting: [],
     told_full: false
   ]
@@ -78,7 +88,9 @@ defmodule Situ.Cluster.Publisher do
       mode: args.mode,
       runner: args.runner,
       retain: args.retain,
-      streams: Map.new(args.streams, &{&1, Outgoing.new(&1, args.deployment)})
+      since: System.monotonic_time(:millisecond),
+      parts: Map.new(args.streams, &{&1.name, &1.readers}),
+      streams: Map.new(args.streams, &{&1.name, Outgoing.new(&1.name, args.deployment, &1)})
     }
 
     with {:ok, state} <- fence(state, Map.keys(state.streams)),
@@ -86,12 +98,27 @@ defmodule Situ.Cluster.Publisher do
          key = "ckpt.#{args.deployment}.#{args.part}",
          {:ok, checkpoint} <- Checkpoint.take(state.log, key, state.epoch, marks) do
       if state.retain != :all, do: Process.send_after(self(), :trim, @trim_ms)
-      {:ok, publish_pending(%{state | checkpoint: checkpoint})}
+      {:ok, scribe} = scribe(state, checkpoint)
+      state = %{state | scribe: scribe, memories: Checkpoint.memories(checkpoint)}
+      {:ok, publish_pending(state, checkpoint)}
     else
       {:error, error} -> {:stop, {:shutdown, error}}
     end
-  catch
-    {:situ_refused, subject} -> {:stop, {:shutdown, refused(subject)}}
+  end
+
+  defp scribe(state, checkpoint) do
+    streams =
+      Map.new(state.streams, fn {name, out} ->
+        {name, %{subject: out.subject, seq: out.seq, mark: out.stored}}
+      end)
+
+    Scribe.start_link(%{
+      log: state.log,
+      part: state.part,
+      epoch: state.epoch,
+      checkpoint: checkpoint,
+      streams: streams
+    })
   end
 
   defp fence(state, []), do: {:ok, state}
@@ -106,13 +133,12 @@ defmodule Situ.Cluster.Publisher do
 
       case Log.append(state.log, out.subject, seq, Chunk.fence(mark, state.epoch, op)) do
         {:ok, seq} ->
-          out = %{out | seq: seq, mark: mark, stored: mark}
-          fence(put(state, out), rest)
+          fence(put(state, Outgoing.begin(%{out | seq: seq}, mark)), rest)
 
         # The owner before wrote in between: that counts, if it is one before.
         {:refused, last} ->
           if Entry.integer(last, "Epoch", 0) > state.epoch,
-            do: {:error, refused(out.subject)},
+            do: {:error, Scribe.refused(out.subject)},
             else: fence(state, [name | rest])
 
         {:error, error} ->
@@ -122,33 +148,41 @@ defmodule Situ.Cluster.Publisher do
   end
 
   # Publishes the messages that the checkpoint holds and the log lacks.
-  defp publish_pending(%{checkpoint: %{current: nil}} = state), do: state
+  defp publish_pending(state, %{current: nil}), do: state
 
-  defp publish_pending(%{checkpoint: %{current: %{pending: pending}}} = state) do
-    Enum.reduce(pending, state, fn {name, {messages, mark}}, state ->
+  defp publish_pending(state, %{current: %{pending: pending}}) do
+    Enum.reduce(pending, state, fn {name, {batches, mark}}, state ->
       out = Map.fetch!(state.streams, name)
 
       if out.stored != mark and mark.last >= out.stored.last do
-        messages = Enum.drop_while(messages, &(&1.sequence_id <= out.stored.last))
-        store(put(state, %{out | mark: mark}), name, {messages, mark})
+        batches = for b <- batches, b = Batch.behind(b, out.stored.last), do: b
+        :ok = Scribe.append(state.scribe, name, batches, mark)
+        state |> put(%{out | mark: mark, handed: mark, busy: true}) |> later(name, batches)
       else
         state
       end
     end)
   end
 
+  # Readers see it when the log has it.
+  defp later(state, _name, []), do: state
+
+  defp later(state, name, batches),
+    do: %{state | unshown: Map.update(state.unshown, name, batches, &(&1 ++ batches))}
+
   @impl true
-  def handle_call(:resume, _from, state) do
-    {:reply, Checkpoint.memories(state.checkpoint), state}
-  end
+  def handle_call(:resume, _from, state), do: {:reply, state.memories, state}
 
   def handle_call({:publish, name, messages}, from, state) do
-    {fresh, out} = state.streams |> Map.fetch!(name) |> Outgoing.add(messages)
+    {batch, out} = state.streams |> Map.fetch!(name) |> Outgoing.add(messages)
     state = put(state, out)
 
-    if state.mode == :replay,
-      do: state |> show(name, fresh) |> replayed(from),
-      else: {:reply, :ok, full(state)}
+    cond do
+      batch == nil -> {:reply, :ok, state}
+      out.direct -> state |> offer(name, batch) |> wait_or_go(from, name)
+      state.mode == :replay -> state |> show(name, batch) |> timed() |> wait_or_go(from, name)
+      true -> {:reply, :ok, full(state)}
+    end
   end
 
   def handle_call({:close, name, time}, _from, state) do
@@ -158,30 +192,61 @@ defmodule Situ.Cluster.Publisher do
 
   def handle_call(:cut, _from, state), do: {:reply, :ok, cut_now(state)}
 
-  def handle_call({:commit, memories}, _from, state) do
+  def handle_call({:commit, memories}, from, state) do
     state = if state.cut == nil or memories == :done, do: cut_now(state), else: state
-    {:reply, :ok, commit_now(state, memories)}
+    :ok = Scribe.commit(state.scribe, memories, state.cut, from)
+
+    state =
+      Enum.reduce(state.cut, state, fn {name, {batches, _}}, state ->
+        later(state, name, batches)
+      end)
+
+    {:noreply, %{state | cut: nil}}
   end
 
   def handle_call(:info, _from, state) do
     streams =
       Map.new(state.streams, fn {name, out} ->
-        {name, %{messages: out.stored.last, time: out.stored.time, closed: out.stored.closing}}
+        mark = if out.direct, do: out.mark, else: out.stored
+        {name, %{messages: mark.last, time: mark.time, closed: mark.closing, direct: out.direct}}
       end)
 
     {:reply, %{streams: streams, readers: Readers.info(state.readers), mode: state.mode}, state}
   end
 
-  # A deterministic part: everything is written a moment later, and nobody waits unless there is too much of it.
-  defp replayed(state, from) do
-    if Enum.any?(state.streams, fn {_, out} -> Outgoing.full?(out) end) do
-      GenServer.reply(from, :ok)
-      {:noreply, flush(state)}
-    else
-      {:reply, :ok, timed(state)}
-    end
+  # Back-pressure: while the log, or a reader that keeps up, has too much before it, who puts out waits.
+  defp wait_or_go(state, from, name) do
+    if hold?(state, name),
+      do: {:noreply, look(%{state | waiting: [{from, name} | state.waiting]})},
+      else: {:reply, :ok, state}
   end
 
+  defp hold?(state, name) do
+    out = state.streams[name]
+
+    Outgoing.full?(out) or not Readers.keeping_up?(state.readers, out) or
+      (young?(state, out) and not Readers.seen?(state.readers, out, state.parts[name]))
+  end
+
+  defp young?(state, out) do
+    age = System.monotonic_time(:millisecond) - state.since
+    age < if(out.direct, do: @join_direct_ms, else: @join_ms)
+  end
+
+  defp go(%{waiting: []} = state), do: state
+
+  defp go(state) do
+    {hold, go} = Enum.split_with(state.waiting, fn {_, name} -> hold?(state, name) end)
+    for {from, _} <- go, do: GenServer.reply(from, :ok)
+    %{state | waiting: hold}
+  end
+
+  defp look(%{looking: nil} = state),
+    do: %{state | looking: Process.send_after(self(), :look, @look_ms)}
+
+  defp look(state), do: state
+
+  # A deterministic part: everything is written a moment later.
   defp timed(%{timer: nil} = state),
     do: %{state | timer: Process.send_after(self(), :flush, @flush_ms)}
 
@@ -200,117 +265,59 @@ defmodule Situ.Cluster.Publisher do
   defp full(state), do: state
 
   defp flush(state) do
-    state.streams
-    |> Map.keys()
-    |> Enum.reduce(%{state | timer: nil}, fn name, state ->
-      out = state.streams[name]
-
-      if Outgoing.pending?(out) do
-        {pending, out} = Outgoing.take(out)
-        store(put(state, out), name, pending)
-      else
-        state
-      end
+    Enum.reduce(state.streams, %{state | timer: nil}, fn {name, out}, state ->
+      # Behind one that is being written more gathers.
+      if out.busy, do: state, else: hand_over(state, name)
     end)
   end
 
+  defp hand_over(state, name) do
+    out = state.streams[name]
+
+    if Outgoing.pending?(out) do
+      {{batches, mark}, out} = Outgoing.take(out)
+      :ok = Scribe.append(state.scribe, name, batches, mark)
+      put(state, out)
+    else
+      state
+    end
+  end
+
   defp cut_now(%{mode: :replay} = state) do
-    %{flush(state) | cut: %{}}
+    state = state.streams |> Map.keys() |> Enum.reduce(state, &hand_over(&2, &1))
+    %{state | cut: %{}}
   end
 
   # Messages left from an earlier cut are older, so they go first.
   defp cut_now(%{mode: :outbox} = state) do
     {cut, streams} =
-      Enum.reduce(state.streams, {%{}, state.streams}, fn {name, out}, {cut, streams} ->
-        {{messages, mark}, out} = Outgoing.take(out)
-        {older, _} = (state.cut || %{}) |> Map.get(name, {[], mark})
-        {Map.put(cut, name, {older ++ messages, mark}), Map.put(streams, name, out)}
+      for {name, out} <- state.streams, Outgoing.pending?(out), reduce: {%{}, state.streams} do
+        {cut, streams} ->
+          {taken, out} = Outgoing.take(out)
+          {Map.put(cut, name, taken), Map.put(streams, name, out)}
+      end
+
+    cut =
+      Map.merge(state.cut || %{}, cut, fn _, {older, _}, {batches, mark} ->
+        {older ++ batches, mark}
       end)
 
     %{state | cut: cut, streams: streams, told_full: false}
   end
 
-  defp commit_now(state, memories) do
-    base = Map.new(state.streams, fn {name, out} -> {name, out.stored.last} end)
-
-    pending =
-      for {name, {_, mark} = cut} <- state.cut,
-          mark != state.streams[name].stored,
-          do: {name, cut}
-
-    current = %{memories: memories, base: base, pending: Map.new(pending)}
-
-    checkpoint =
-      patiently(fn -> Checkpoint.store(state.checkpoint, state.log, state.epoch, current) end)
-
-    Enum.reduce(pending, %{state | checkpoint: checkpoint, cut: nil}, fn {name, cut}, state ->
-      store(state, name, cut)
-    end)
+  defp stored(state, name, mark, seq) do
+    state = put(state, Outgoing.stored(state.streams[name], mark, seq))
+    {batches, unshown} = Map.pop(state.unshown, name, [])
+    {now, later} = Enum.split_while(batches, &(&1.last <= mark.last))
+    state = %{state | unshown: if(later == [], do: unshown, else: Map.put(unshown, name, later))}
+    Enum.reduce(now, state, &show(&2, name, &1))
   end
 
-  # Into the log, and, unless readers have seen it before, to them.
-  defp store(state, name, {messages, mark}) do
-    state = append(state, name, messages, mark)
-    state = if state.mode == :outbox, do: show(state, name, messages), else: state
-    serve(state, name)
-  end
+  defp offer(state, name, batch),
+    do: %{state | readers: Readers.offer(state.readers, state.streams[name], batch)}
 
-  defp append(state, name, messages, mark) do
-    out = state.streams[name]
-    {op, state} = op(state, name)
-    entry = Chunk.data(messages, mark, state.epoch, op)
-
-    size = :erlang.iolist_size(entry.data)
-    limit = Log.limit(state.log)
-    single? = not match?([_, _ | _], messages)
-
-    cond do
-      size <= limit and (single? or size <= @entry_bytes) ->
-        seq = patiently(fn -> Log.append(state.log, out.subject, out.seq, entry) end, out.subject)
-        put(state, %{out | seq: seq, stored: mark})
-
-      not single? ->
-        {first, second} = Enum.split(messages, div(length(messages), 2))
-        last = List.last(first)
-
-        half = %{
-          mark
-          | last: last.sequence_id,
-            time: last.originating_time,
-            made: last.creation_time,
-            closing: nil
-        }
-
-        state |> append(name, first, half) |> append(name, second, mark)
-
-      true ->
-        exit({:shutdown, too_large(name, size, limit)})
-    end
-  end
-
-  # The log may be away for a while: the lease says for how long that is borne.
-  defp patiently(write, subject \\ nil) do
-    case write.() do
-      {:ok, result} ->
-        result
-
-      {:refused, _last} ->
-        exit({:shutdown, refused(subject)})
-
-      {:error, %Error{code: :refused} = error} ->
-        exit({:shutdown, error})
-
-      {:error, _error} ->
-        receive do
-        after
-          @retry_ms -> patiently(write, subject)
-        end
-    end
-  end
-
-  defp show(state, name, messages) do
-    state |> put(Outgoing.show(state.streams[name], messages)) |> serve(name)
-  end
+  defp show(state, name, batch),
+    do: state |> put(Outgoing.show(state.streams[name], batch)) |> serve(name)
 
   defp serve(state, name),
     do: %{state | readers: Readers.serve(state.readers, state.streams[name], state.log)}
@@ -323,8 +330,8 @@ defmodule Situ.Cluster.Publisher do
     name = opts[:stream]
 
     if is_map_key(state.streams, name) do
-      readers = Readers.join(state.readers, pid, ref, name, opts)
-      {:noreply, serve(%{state | readers: readers}, name)}
+      readers = Readers.join(state.readers, pid, ref, state.streams[name], opts)
+      {:noreply, %{state | readers: readers} |> serve(name) |> go()}
     else
       error = Error.new(:unknown_stream, "part #{state.part} publishes no #{inspect(name)}")
       send(pid, {:"$gen_consumer", {self(), ref}, {:cancel, error}})
@@ -335,23 +342,34 @@ defmodule Situ.Cluster.Publisher do
   def handle_info({:"$gen_producer", {_pid, ref}, {:ask, n}}, state)
       when is_integer(n) and n > 0 do
     case Readers.ask(state.readers, ref, n) do
-      {:ok, name, readers} -> {:noreply, serve(%{state | readers: readers}, name)}
+      {:ok, name, readers} -> {:noreply, %{state | readers: readers} |> serve(name) |> go()}
       :error -> {:noreply, state}
     end
   end
 
   def handle_info({:"$gen_producer", {pid, ref}, {:cancel, _reason}}, state) do
     send(pid, {:"$gen_consumer", {self(), ref}, {:cancel, :normal}})
-    {:noreply, %{state | readers: Readers.leave(state.readers, ref)}}
+    {:noreply, go(%{state | readers: Readers.leave(state.readers, ref)})}
   end
 
   def handle_info({:DOWN, monitor, :process, _, _}, state),
-    do: {:noreply, %{state | readers: Readers.gone(state.readers, monitor)}}
+    do: {:noreply, go(%{state | readers: Readers.gone(state.readers, monitor)})}
+
+  def handle_info({:situ_stored, name, mark, seq}, state) do
+    state = state |> stored(name, mark, seq) |> serve(name)
+    more? = state.mode == :replay and Outgoing.pending?(state.streams[name])
+    {:noreply, go(if(more?, do: timed(state), else: state))}
+  end
 
   def handle_info(:flush, state), do: {:noreply, flush(state)}
 
+  def handle_info(:look, state) do
+    state = go(%{state | looking: nil})
+    {:noreply, if(state.waiting == [], do: state, else: look(state))}
+  end
+
   def handle_info(:trim, state) do
-    for {_, out} <- state.streams, do: Outgoing.trim(out, state.log, state.retain)
+    for {_, out} <- state.streams, not out.direct, do: Outgoing.trim(out, state.log, state.retain)
     Process.send_after(self(), :trim, @trim_ms)
     {:noreply, state}
   end
@@ -362,19 +380,7 @@ defmodule Situ.Cluster.Publisher do
 
   defp op(state, name) do
     n = state.writes + 1
-    {"#{state.part}.#{name}.#{state.epoch}.#{n}", %{state | writes: n}}
-  end
-
-  defp refused(subject) do
-    Error.new(:refused, "the log refuses this node's writes (#{inspect(subject)})",
-      why: "another node has taken the part over"
-    )
-  end
-
-  defp too_large(name, size, limit) do
-    Error.new(:too_large, "a message of #{name} is #{size} bytes; the log takes #{limit} at most",
-      fix: "raise the server's max_payload, or send smaller messages (encoded pictures)"
-    )
+    {"#{state.part}.#{name}.#{state.epoch}.f#{n}", %{state | writes: n}}
   end
 
   @impl true

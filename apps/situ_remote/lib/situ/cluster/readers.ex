@@ -1,38 +1,128 @@
 defmodule Situ.Cluster.Readers do
   @moduledoc false
   # The subscribers of a publisher: how far each has come, how much it has asked for, and what was read out of the log
-  # for one that is behind.
-  alias Situ.Cluster.{Chunk, Outgoing}
+  # for one that is behind. One of a direct stream has a queue instead, under the policy of its edge.
+  #
+  # `keeping_up?/2` says whether a producer that can wait should: a reader that takes its messages as they are made
+  # holds it, one that stands still or reads old messages out of the log does not.
+  alias Situ.Cluster.{Batch, Chunk, Outgoing}
+  alias Situ.Delivery
+  alias Situ.Delivery.Queue
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
 
-  defstruct by_ref: %{}
+  # The producer waits for a reader that has so much before it, unless that has asked for nothing for so long.
+  @behind 8_192
+  @behind_bytes 4 * 1024 * 1024
+  @patience_ms 500
+  # A direct stream has no other copy.
+  @direct_patience_ms 5_000
+  # What a queue under a policy without a number holds.
+  @queued 1_000
 
-  @type t :: %__MODULE__{by_ref: %{term() => map()}}
+  defstruct by_ref: %{}, seen: MapSet.new()
+
+  @typedoc "`seen`: the parts that have joined a stream once, `{stream, part}`."
+  @type t :: %__MODULE__{by_ref: %{term() => map()}, seen: MapSet.t()}
 
   @doc "A new one, that has all up to sequence id `from`."
-  @spec join(t(), pid(), term(), String.t(), keyword()) :: t()
-  def join(%__MODULE__{} = readers, pid, ref, name, opts) do
+  @spec join(t(), pid(), term(), Outgoing.t(), keyword()) :: t()
+  def join(%__MODULE__{} = readers, pid, ref, out, opts) do
     reader = %{
       pid: pid,
       part: opts[:reader],
       ref: ref,
-      name: name,
+      name: out.name,
       last: Keyword.get(opts, :from, 0),
       demand: 0,
       ahead: [],
       next: nil,
+      live: out.direct,
+      queue: if(out.direct, do: Queue.new(policy(out.policies[opts[:reader]]))),
+      batches: opts[:batches] == true,
+      lossy: out.direct and out.policies[opts[:reader]] != nil,
+      weight: 0,
+      dropped: 0,
+      asked: now(),
       monitor: Process.monitor(pid)
     }
 
-    %{readers | by_ref: Map.put(readers.by_ref, ref, reader)}
+    seen = MapSet.put(readers.seen, {out.name, opts[:reader]})
+    %{readers | by_ref: Map.put(readers.by_ref, ref, reader), seen: seen}
   end
+
+  # The part that reads has the policy's own queue: this one bounds what waits for the way there.
+  defp policy(nil), do: Delivery.unlimited()
+
+  defp policy(%Delivery{} = policy) do
+    most = if policy.max_queue == :infinity, do: @queued, else: policy.max_queue
+    Delivery.max_queue(most, if(policy.guarantee, do: [guarantee: policy.guarantee], else: []))
+  end
+
+  @doc "Whether all `parts` have joined the stream, now or before."
+  @spec seen?(t(), Outgoing.t(), [String.t()]) :: boolean()
+  def seen?(%__MODULE__{seen: seen}, out, parts),
+    do: Enum.all?(parts, &MapSet.member?(seen, {out.name, &1}))
+
+  @doc "Whether every reader has taken what was put out, but for a little; one that stands still is not waited for."
+  @spec keeping_up?(t(), Outgoing.t()) :: boolean()
+  def keeping_up?(%__MODULE__{by_ref: by_ref}, out),
+    do:
+      not Enum.any?(by_ref, fn {_, reader} -> reader.name == out.name and late?(reader, out) end)
+
+  defp late?(%{lossy: true}, _out), do: false
+
+  defp late?(%{queue: %Queue{size: n}} = reader, _out),
+    do: much?(n, reader.weight) and waiting?(reader, @direct_patience_ms)
+
+  defp late?(%{live: true} = reader, out),
+    do:
+      much?(Outgoing.visible(out) - reader.last, reader.weight) and waiting?(reader, @patience_ms)
+
+  defp late?(_reader, _out), do: false
+
+  defp much?(n, weight), do: n >= @behind or n * weight >= @behind_bytes
+  defp waiting?(reader, ms), do: now() - reader.asked < ms
+  defp now, do: System.monotonic_time(:millisecond)
+
+  @doc "New messages of a direct stream, for whoever reads it now."
+  @spec offer(t(), Outgoing.t(), Batch.t()) :: t()
+  def offer(%__MODULE__{by_ref: by_ref} = readers, out, batch) do
+    by_ref =
+      Map.new(by_ref, fn {ref, reader} ->
+        {ref, if(reader.name == out.name, do: offered(reader, batch), else: reader)}
+      end)
+
+    %{readers | by_ref: by_ref}
+  end
+
+  defp offered(%{queue: %Queue{size: 0}, demand: demand} = reader, batch) when demand > 0,
+    do: give(reader, batch)
+
+  defp offered(reader, batch), do: queued(weighed(reader, batch), Batch.messages(batch))
+
+  # Without a policy the producer waits; one that cannot loses its oldest beyond all patience.
+  defp queued(reader, messages) do
+    {queue, dropped} = Queue.push_all(reader.queue, messages)
+    {queue, more} = if reader.lossy, do: {queue, 0}, else: shed(queue, reader.weight, 0)
+    %{reader | queue: queue, dropped: reader.dropped + dropped + more}
+  end
+
+  defp shed(%Queue{size: n} = queue, weight, dropped)
+       when n > 4 * @behind or (n > 1 and n * weight > 4 * @behind_bytes) do
+    {_, took, queue} = Queue.take(queue, max(div(n, 4), 1))
+    shed(queue, weight, dropped + took)
+  end
+
+  defp shed(queue, _weight, dropped), do: {queue, dropped}
+
+  defp weighed(reader, batch), do: %{reader | weight: div(batch.bytes, Batch.count(batch))}
 
   @spec ask(t(), term(), pos_integer()) :: {:ok, String.t(), t()} | :error
   def ask(%__MODULE__{by_ref: by_ref} = readers, ref, n) do
     case by_ref do
       %{^ref => reader} ->
-        reader = %{reader | demand: reader.demand + n}
+        reader = %{reader | demand: reader.demand + n, asked: now()}
         {:ok, reader.name, %{readers | by_ref: %{by_ref | ref => reader}}}
 
       _ ->
@@ -61,7 +151,8 @@ defmodule Situ.Cluster.Readers do
           part: reader.part,
           stream: reader.name,
           last: reader.last,
-          demand: reader.demand
+          demand: reader.demand,
+          dropped: reader.dropped
         }
   end
 
@@ -78,8 +169,18 @@ defmodule Situ.Cluster.Readers do
     %{readers | by_ref: by_ref}
   end
 
-  defp one(%{last: last} = reader, %{stored: %{last: last, closing: time}} = _out, _log)
-       when time != nil do
+  defp one(%{queue: %Queue{size: n}, demand: demand} = reader, out, log)
+       when n > 0 and demand > 0 do
+    {messages, _took, queue} = Queue.take(reader.queue, demand)
+    %{reader | queue: queue} |> give_all(messages) |> one(out, log)
+  end
+
+  defp one(%{queue: %Queue{size: n}} = reader, _out, _log) when n > 0, do: reader
+
+  defp one(%{queue: %Queue{}} = reader, %{stored: %{closing: nil}}, _log), do: reader
+
+  defp one(%{queue: queue, last: last} = reader, %{stored: %{last: end_of, closing: time}}, _log)
+       when time != nil and (queue != nil or last == end_of) do
     Process.demonitor(reader.monitor, [:flush])
 
     send(
@@ -90,34 +191,45 @@ defmodule Situ.Cluster.Readers do
     nil
   end
 
-  defp one(%{demand: 0} = reader, _out, _log), do: reader
+  defp one(%{demand: demand} = reader, _out, _log) when demand <= 0, do: reader
 
   defp one(%{ahead: []} = reader, out, log) do
     if reader.last >= Outgoing.visible(out) do
       reader
     else
       case Outgoing.recall(out, reader.last + 1) do
-        {:ok, messages} -> reader |> give(messages) |> one(out, log)
-        :gone -> reader |> fetch(out, log) |> one_fetched(out, log)
+        {:ok, batch} -> %{reader | live: true} |> give(batch) |> one(out, log)
+        :gone -> %{reader | live: false} |> fetch(out, log) |> one_fetched(out, log)
       end
     end
   end
 
   defp one(reader, out, log) do
     {now, later} = Enum.split(reader.ahead, reader.demand)
-    %{reader | ahead: later} |> send_on(now) |> one(out, log)
+    %{reader | ahead: later} |> give_all(now) |> one(out, log)
   end
 
   defp one_fetched(%{ahead: []} = reader, _out, _log), do: reader
   defp one_fetched(reader, out, log), do: one(reader, out, log)
 
-  # The rest stays in the tail.
-  defp give(reader, messages), do: send_on(reader, Enum.take(messages, reader.demand))
+  # An inlet takes batches as they are, what it has had and what is beyond its demand included; it gives up its claim to
+  # so many later. For any other consumer the rest stays in the tail.
+  defp give(%{batches: true} = reader, batch),
+    do: send_on(reader, batch, {:situ_batch, batch.first, batch.body})
 
-  defp send_on(reader, messages) do
-    send(reader.pid, {:"$gen_consumer", {self(), reader.ref}, messages})
-    n = length(messages)
-    %{reader | demand: reader.demand - n, last: List.last(messages).sequence_id}
+  defp give(reader, batch) do
+    messages = batch |> Batch.behind(reader.last) |> Batch.messages() |> Enum.take(reader.demand)
+    reader |> weighed(batch) |> give_all(messages)
+  end
+
+  defp give_all(reader, messages),
+    do: send_on(reader, %{first: nil, last: List.last(messages).sequence_id}, messages)
+
+  defp send_on(reader, %{last: last} = batch, what) do
+    send(reader.pid, {:"$gen_consumer", {self(), reader.ref}, what})
+    n = if is_list(what), do: length(what), else: last - batch.first + 1
+    reader = if is_list(what), do: reader, else: weighed(reader, batch)
+    %{reader | demand: reader.demand - n, last: last}
   end
 
   # The next entry with messages that the reader lacks. After an error of the log the next request tries again.

@@ -169,7 +169,7 @@ defmodule Situ.Cluster.Runner do
       mode: mode(state),
       retain: state.deployment.retain,
       runner: self(),
-      streams: state.plan |> Plan.outlets(state.part) |> Enum.map(& &1.name)
+      streams: Plan.outlets(state.plan, state.part)
     }
 
     case Publisher.start_link(args) do

@@ -29,7 +29,7 @@ defmodule Situ.Cluster.InletTest do
     assert_receive {:"$gen_producer", _, {:ask, 4}}
     {_, state} = given(state, [message(1, 1), message(2, 2)])
     {[], _} = Inlet.handle_demand(1, nil, state)
-    assert_receive {:"$gen_producer", _, {:ask, 998}}
+    assert_receive {:"$gen_producer", _, {:ask, 3998}}
   end
 
   test "what it has had is passed over; creation times do not go back when a part makes it again" do
@@ -48,5 +48,29 @@ defmodule Situ.Cluster.InletTest do
     {[{:out, _}], state} = given(inlet(), [message(1, 10)])
     error = assert_raise Situ.Error, fn -> given(state, [message(4, 20)]) end
     assert {error.code, error.what} == {:log_trimmed, "the log lacks 2 messages of s"}
+  end
+
+  test "a direct stream goes on with what is made now, numbered here" do
+    {:ok, state} =
+      Inlet.init(agent: self(), part: {"d", "p"}, stream: "s", reader: "q", direct: true)
+
+    {[], state} = Inlet.handle_info({:situ_cluster, :publisher, {"d", "p"}, self()}, nil, state)
+    {[{:out, first}], state} = given(state, [message(1, 10), message(4, 20)])
+    assert for(m <- first, do: {m.data, m.sequence_id}) == [{1, 1}, {4, 2}]
+    # Its part was started again elsewhere, and begins to count from one.
+    again = for {time, id} <- [{3, 1}, {4, 2}, {9, 3}], do: %{message(time, 30) | sequence_id: id}
+    {[{:out, more}], _} = given(state, again)
+    assert for(m <- more, do: {m.data, m.sequence_id}) == [{9, 3}]
+  end
+
+  test "takes batches as they were packed for the log" do
+    batch = Situ.Cluster.Batch.pack([message(1, 10), message(2, 20)])
+    packed = {:situ_batch, batch.first, batch.body}
+    state = inlet()
+
+    {[{:out, all}], _} =
+      Inlet.handle_info({:"$gen_consumer", {self(), state.sub.ref}, packed}, nil, state)
+
+    assert all == [message(1, 10), message(2, 20)]
   end
 end

@@ -2,7 +2,7 @@ defmodule Situ.Cluster.OutgoingTest do
   use ExUnit.Case, async: true
   use Situ.Test.Property
 
-  alias Situ.Cluster.Outgoing
+  alias Situ.Cluster.{Batch, Outgoing}
   alias Situ.Message
 
   defp messages(times) do
@@ -32,8 +32,8 @@ defmodule Situ.Cluster.OutgoingTest do
   defp feed(out, sizes, from) do
     {lists, {out, _}} =
       Enum.map_reduce(sizes, {out, from}, fn n, {out, from} ->
-        {fresh, out} = Outgoing.add(out, messages(from..(from + n - 1)))
-        {fresh, {out, from + n}}
+        {batch, out} = Outgoing.add(out, messages(from..(from + n - 1)))
+        {if(batch, do: Batch.messages(batch), else: []), {out, from + n}}
       end)
 
     {Enum.concat(lists), out}
@@ -41,18 +41,23 @@ defmodule Situ.Cluster.OutgoingTest do
 
   test "creation times do not go back, whatever this machine's clock says" do
     {_, out} = Outgoing.add(Outgoing.new("s", "d"), [%{hd(messages([1])) | creation_time: 900}])
-    {[second], _} = Outgoing.add(out, [%{hd(messages([2])) | creation_time: 100}])
-    assert second.creation_time == 900
+    {second, _} = Outgoing.add(out, [%{hd(messages([2])) | creation_time: 100}])
+    assert [%{creation_time: 900}] = Batch.messages(second)
   end
 
   test "what is not stored yet is never trimmed" do
-    {fresh, out} = Outgoing.add(Outgoing.new("s", "d"), messages(1..30_000))
-    out = fresh |> Enum.chunk_every(500) |> Enum.reduce(out, &Outgoing.show(&2, &1))
-    assert {:ok, [%{data: 1} | _]} = Outgoing.recall(out, 1)
-    {fresh, out} = Outgoing.add(%{out | stored: out.mark}, messages(30_001..31_000))
-    out = Outgoing.show(out, fresh)
+    out = 1..60_000 |> Enum.chunk_every(500) |> Enum.reduce(Outgoing.new("s", "d"), &shown/2)
+    assert {:ok, %{first: 1, last: 500}} = Outgoing.recall(out, 1)
+    out = shown(60_001..61_000, Outgoing.stored(out, out.mark, 1))
     assert :gone = Outgoing.recall(out, 1)
-    assert {:ok, [%{data: 30_900} | _]} = Outgoing.recall(out, 30_900)
+    assert {:ok, %{first: 60_001, last: 61_000}} = Outgoing.recall(out, 60_900)
+  end
+
+  defp shown(times, out) do
+    case Outgoing.add(out, messages(times)) do
+      {nil, out} -> out
+      {batch, out} -> Outgoing.show(out, batch)
+    end
   end
 
   test "pictures fill it sooner than numbers" do
@@ -61,5 +66,15 @@ defmodule Situ.Cluster.OutgoingTest do
     assert Outgoing.full?(out)
     {_, out} = Outgoing.add(Outgoing.new("s", "d"), messages(1..10))
     refute Outgoing.full?(out)
+  end
+
+  test "of a direct stream nothing is kept for the log but its end" do
+    out = Outgoing.new("s", "d", %{direct: true, policies: %{}})
+    {%Batch{first: 1, last: 3}, out} = Outgoing.add(out, messages([10, 20, 30]))
+    refute Outgoing.pending?(out)
+    out = Outgoing.close(out, 40)
+    assert Outgoing.pending?(out)
+    assert {{[], %{last: 3, closing: 40}}, out} = Outgoing.take(out)
+    refute Outgoing.pending?(out)
   end
 end

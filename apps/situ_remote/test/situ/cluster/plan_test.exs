@@ -29,4 +29,42 @@ defmodule Situ.Cluster.PlanTest do
 
     assert {:error, %{code: :no_cluster}} = Cluster.deploy(ClusterSums)
   end
+
+  defmodule Glance do
+    use Situ.Pipeline
+
+    @impl true
+    def build(p, _opts) do
+      steps = Situ.sequence(p, 1, &(&1 + 1), count: 10, every: 1_000, name: "Steps")
+
+      steps
+      |> Situ.composite("Seen", &Situ.map(&1, fn n -> n end, policy: Situ.Delivery.latest()))
+      |> Situ.map(& &1, name: "Result")
+    end
+  end
+
+  defp planned(opts) do
+    with {:ok, deployment} <- Cluster.Deployment.new(Glance, opts),
+         do: Cluster.Assembly.plan(deployment)
+  end
+
+  test "a stream that all read by a lossy policy is direct, unless it is published" do
+    {:ok, plan} = planned(place: [{"Seen", []}])
+    assert %{direct: true, policies: %{"Seen" => %{max_queue: 1}}} = plan.streams["Steps"]
+    assert Enum.any?(plan.streams, fn {_, s} -> s.part == "Seen" and not s.direct end)
+    {:ok, plan} = planned(place: [{"Seen", []}], publish: ["Steps"])
+    refute plan.streams["Steps"].direct
+  end
+
+  test "what cannot be repeated is not deterministic; what does not cross is not direct" do
+    {:error, error} = planned(place: [{"Seen", deterministic: true}])
+
+    assert {error.code, error.what} ==
+             {:not_deterministic, "part Seen is declared deterministic: true, and is not"}
+
+    assert {:error, %{code: :not_crossing}} = planned(place: [{"Seen", []}], direct: ["Result"])
+
+    assert {:error, %{code: :unknown_stream}} =
+             planned(place: [{"Seen", []}], direct: ["Nothing"])
+  end
 end

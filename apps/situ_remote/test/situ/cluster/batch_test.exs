@@ -1,0 +1,45 @@
+defmodule Situ.Cluster.BatchTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+
+  alias Situ.Cluster.{Batch, Chunk}
+  alias Situ.Message
+
+  defp messages(first, sizes) do
+    for {size, i} <- Enum.with_index(sizes) do
+      %Message{
+        data: :binary.copy("x", size),
+        originating_time: 10 * i,
+        creation_time: 10 * i + 1,
+        sequence_id: first + i,
+        source_id: 0
+      }
+    end
+  end
+
+  property "what is packed, cut and put into the log comes back" do
+    forall {first, sizes, cut} <-
+             {integer(1, 100), list(integer(0, 3_000)), integer(0, 120)} do
+      all = messages(first, [5 | sizes])
+      batch = Batch.pack(all)
+      behind = Batch.behind(batch, cut)
+      kept = if behind, do: Batch.messages(behind), else: []
+      mark = %{last: batch.last, time: batch.time, made: batch.made, closing: nil}
+      entry = Chunk.data(parts(batch), mark, 1, "op")
+
+      Batch.messages(batch) == all and Batch.count(batch) == length(all) and
+        kept == Enum.filter(all, &(&1.sequence_id > cut)) and
+        Chunk.messages(entry) == {:ok, all} and Chunk.mark(entry) == mark
+    end
+  end
+
+  defp parts(%{first: id, last: id} = batch), do: [batch]
+  defp parts(batch), do: batch |> Batch.halves() |> Tuple.to_list()
+
+  test "small data becomes bytes, large data is not copied" do
+    assert is_binary(Batch.pack(messages(1, [10, 10])).body)
+    [%{data: picture}] = all = messages(1, [100_000])
+    assert %{body: [{0, 1, ^picture}], bytes: bytes} = Batch.pack(all)
+    assert bytes > 100_000
+  end
+end
