@@ -17,7 +17,7 @@ defmodule Situ.Cluster.Inlet do
   alias Situ.Error
 
   # As many messages as weigh so much are under way at once, between these numbers.
-  @bytes 4 * 1024 * 1024
+  @bytes 12 * 1024 * 1024
   @least 4
   @most 4_000
 
@@ -126,7 +126,7 @@ defmodule Situ.Cluster.Inlet do
   defp subscribe(state, pid) do
     ref = Process.monitor(pid)
     opts = [stream: state.stream, from: state.last, part: state.part, reader: state.reader]
-    opts = [{:batches, true} | opts]
+    opts = [{:batches, true}, {:time, state.time} | opts]
     send(pid, {:"$gen_producer", {self(), ref}, {:subscribe, nil, opts}})
     send(pid, {:"$gen_producer", {self(), ref}, {:ask, @least}})
     %{state | sub: %{pid: pid, ref: ref, asked: @least, window: @least}}

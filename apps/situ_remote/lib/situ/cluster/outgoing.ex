@@ -13,9 +13,9 @@ defmodule Situ.Cluster.Outgoing do
   alias Situ.Remote.Log.Entry
 
   @tail 16_384
-  @tail_bytes 8 * 1024 * 1024
+  @tail_bytes 16 * 1024 * 1024
   @full 20_000
-  @full_bytes 4 * 1024 * 1024
+  @full_bytes 8 * 1024 * 1024
 
   @enforce_keys [:name, :subject]
   defstruct [
@@ -136,7 +136,9 @@ defmodule Situ.Cluster.Outgoing do
   # Looked at once in a while only: what is left is the last part of it, and all that is not stored yet.
   defp trim(%{tail_count: count, tail_bytes: bytes} = out)
        when count > 2 * @tail or bytes > 2 * @tail_bytes do
-    {kept, count, bytes} = keep(out.tail, out.stored.last, [], {0, 0})
+    # Integers are smaller than atoms: of a direct stream everything may go.
+    stored = if out.direct, do: :all, else: out.stored.last
+    {kept, count, bytes} = keep(out.tail, stored, [], {0, 0})
     %{out | tail: kept, tail_count: count, tail_bytes: bytes}
   end
 
@@ -168,8 +170,22 @@ defmodule Situ.Cluster.Outgoing do
          do: Log.trim(log, out.subject, seq)
   end
 
+  @doc """
+  The last sequence id of a direct stream that somebody has who has it up to `time`; for `nil` the one before all that
+  can still be had.
+  """
+  @spec till(t(), Situ.Time.t() | nil) :: non_neg_integer()
+  def till(%__MODULE__{tail: []} = out, _time), do: out.mark.last
+
+  def till(%__MODULE__{tail: tail}, time) do
+    had = time && Enum.find(tail, &(&1.time <= time))
+    if had, do: had.last, else: List.last(tail).first - 1
+  end
+
   @doc "The last sequence id that readers may see."
   @spec visible(t()) :: non_neg_integer()
+  def visible(%__MODULE__{direct: true, mark: mark}), do: mark.last
+
   def visible(%__MODULE__{tail: [%{last: last} | _]} = out), do: max(last, out.stored.last)
   def visible(%__MODULE__{stored: stored}), do: stored.last
 

@@ -225,8 +225,11 @@ defmodule Situ.Cluster.Publisher do
     out = state.streams[name]
 
     Outgoing.full?(out) or not Readers.keeping_up?(state.readers, out) or
-      (young?(state, out) and not Readers.seen?(state.readers, out, state.parts[name]))
+      (young?(state, out) and not Readers.seen?(state.readers, out, awaited(state, out)))
   end
+
+  # Who may lose messages may lose the first ones.
+  defp awaited(state, out), do: Enum.reject(state.parts[out.name], &is_map_key(out.policies, &1))
 
   defp young?(state, out) do
     age = System.monotonic_time(:millisecond) - state.since
@@ -313,8 +316,13 @@ defmodule Situ.Cluster.Publisher do
     Enum.reduce(now, state, &show(&2, name, &1))
   end
 
-  defp offer(state, name, batch),
-    do: %{state | readers: Readers.offer(state.readers, state.streams[name], batch)}
+  # Kept for a moment only where somebody may lose nothing.
+  defp offer(state, name, batch) do
+    out = state.streams[name]
+    state = %{state | readers: Readers.offer(state.readers, out, batch)}
+    all_lossy? = Enum.all?(state.parts[name], &is_map_key(out.policies, &1))
+    if all_lossy?, do: state, else: show(state, name, batch)
+  end
 
   defp show(state, name, batch),
     do: state |> put(Outgoing.show(state.streams[name], batch)) |> serve(name)

@@ -1,7 +1,8 @@
 defmodule Situ.Cluster.Readers do
   @moduledoc false
   # The subscribers of a publisher: how far each has come, how much it has asked for, and what was read out of the log
-  # for one that is behind. One of a direct stream has a queue instead, under the policy of its edge.
+  # for one that is behind. One that may lose messages of a direct stream has a queue instead, under its policy; any
+  # other reader of a direct stream misses what has left the tail.
   #
   # `keeping_up?/2` says whether a producer that can wait should: a reader that takes its messages as they are made
   # holds it, one that stands still or reads old messages out of the log does not.
@@ -13,7 +14,7 @@ defmodule Situ.Cluster.Readers do
 
   # The producer waits for a reader that has so much before it, unless that has asked for nothing for so long.
   @behind 8_192
-  @behind_bytes 4 * 1024 * 1024
+  @behind_bytes 12 * 1024 * 1024
   @patience_ms 500
   # A direct stream has no other copy.
   @direct_patience_ms 5_000
@@ -33,14 +34,12 @@ defmodule Situ.Cluster.Readers do
       part: opts[:reader],
       ref: ref,
       name: out.name,
-      last: Keyword.get(opts, :from, 0),
+      last: from(out, opts),
       demand: 0,
       ahead: [],
       next: nil,
       live: out.direct,
-      queue: if(out.direct, do: Queue.new(policy(out.policies[opts[:reader]]))),
-      batches: opts[:batches] == true,
-      lossy: out.direct and out.policies[opts[:reader]] != nil,
+      queue: queue(out.policies[opts[:reader]]),
       weight: 0,
       dropped: 0,
       asked: now(),
@@ -51,12 +50,17 @@ defmodule Situ.Cluster.Readers do
     %{readers | by_ref: Map.put(readers.by_ref, ref, reader), seen: seen}
   end
 
-  # The part that reads has the policy's own queue: this one bounds what waits for the way there.
-  defp policy(nil), do: Delivery.unlimited()
+  # Who reads a direct stream numbers it itself: it knows the time of the last message that it has had.
+  defp from(%{direct: true} = out, opts), do: Outgoing.till(out, opts[:time])
+  defp from(_out, opts), do: Keyword.get(opts, :from, 0)
 
-  defp policy(%Delivery{} = policy) do
+  # The part that reads has the policy's own queue: this one bounds what waits for the way there.
+  defp queue(nil), do: nil
+
+  defp queue(%Delivery{} = policy) do
     most = if policy.max_queue == :infinity, do: @queued, else: policy.max_queue
-    Delivery.max_queue(most, if(policy.guarantee, do: [guarantee: policy.guarantee], else: []))
+    keep = if policy.guarantee, do: [guarantee: policy.guarantee], else: []
+    Queue.new(Delivery.max_queue(most, keep))
   end
 
   @doc "Whether all `parts` have joined the stream, now or before."
@@ -70,27 +74,23 @@ defmodule Situ.Cluster.Readers do
     do:
       not Enum.any?(by_ref, fn {_, reader} -> reader.name == out.name and late?(reader, out) end)
 
-  defp late?(%{lossy: true}, _out), do: false
-
-  defp late?(%{queue: %Queue{size: n}} = reader, _out),
-    do: much?(n, reader.weight) and waiting?(reader, @direct_patience_ms)
-
-  defp late?(%{live: true} = reader, out),
-    do:
-      much?(Outgoing.visible(out) - reader.last, reader.weight) and waiting?(reader, @patience_ms)
+  defp late?(%{queue: nil, live: true} = reader, out),
+    do: much?(Outgoing.visible(out) - reader.last, reader.weight) and waiting?(reader, out.direct)
 
   defp late?(_reader, _out), do: false
 
   defp much?(n, weight), do: n >= @behind or n * weight >= @behind_bytes
-  defp waiting?(reader, ms), do: now() - reader.asked < ms
+  defp waiting?(reader, true), do: now() - reader.asked < @direct_patience_ms
+  defp waiting?(reader, false), do: now() - reader.asked < @patience_ms
   defp now, do: System.monotonic_time(:millisecond)
 
-  @doc "New messages of a direct stream, for whoever reads it now."
+  @doc "New messages of a direct stream, for whoever may lose them."
   @spec offer(t(), Outgoing.t(), Batch.t()) :: t()
   def offer(%__MODULE__{by_ref: by_ref} = readers, out, batch) do
     by_ref =
       Map.new(by_ref, fn {ref, reader} ->
-        {ref, if(reader.name == out.name, do: offered(reader, batch), else: reader)}
+        mine? = reader.name == out.name and reader.queue != nil
+        {ref, if(mine?, do: offered(reader, batch), else: reader)}
       end)
 
     %{readers | by_ref: by_ref}
@@ -99,22 +99,10 @@ defmodule Situ.Cluster.Readers do
   defp offered(%{queue: %Queue{size: 0}, demand: demand} = reader, batch) when demand > 0,
     do: give(reader, batch)
 
-  defp offered(reader, batch), do: queued(weighed(reader, batch), Batch.messages(batch))
-
-  # Without a policy the producer waits; one that cannot loses its oldest beyond all patience.
-  defp queued(reader, messages) do
-    {queue, dropped} = Queue.push_all(reader.queue, messages)
-    {queue, more} = if reader.lossy, do: {queue, 0}, else: shed(queue, reader.weight, 0)
-    %{reader | queue: queue, dropped: reader.dropped + dropped + more}
+  defp offered(reader, batch) do
+    {queue, dropped} = Queue.push_all(reader.queue, Batch.messages(batch))
+    weighed(%{reader | queue: queue, dropped: reader.dropped + dropped}, batch)
   end
-
-  defp shed(%Queue{size: n} = queue, weight, dropped)
-       when n > 4 * @behind or (n > 1 and n * weight > 4 * @behind_bytes) do
-    {_, took, queue} = Queue.take(queue, max(div(n, 4), 1))
-    shed(queue, weight, dropped + took)
-  end
-
-  defp shed(queue, _weight, dropped), do: {queue, dropped}
 
   defp weighed(reader, batch), do: %{reader | weight: div(batch.bytes, Batch.count(batch))}
 
@@ -199,6 +187,7 @@ defmodule Situ.Cluster.Readers do
     else
       case Outgoing.recall(out, reader.last + 1) do
         {:ok, batch} -> %{reader | live: true} |> give(batch) |> one(out, log)
+        :gone when out.direct -> reader |> miss(Outgoing.till(out, nil)) |> one(out, log)
         :gone -> %{reader | live: false} |> fetch(out, log) |> one_fetched(out, log)
       end
     end
@@ -208,6 +197,9 @@ defmodule Situ.Cluster.Readers do
     {now, later} = Enum.split(reader.ahead, reader.demand)
     %{reader | ahead: later} |> give_all(now) |> one(out, log)
   end
+
+  defp miss(reader, last),
+    do: %{reader | last: last, dropped: reader.dropped + last - reader.last}
 
   defp one_fetched(%{ahead: []} = reader, _out, _log), do: reader
   defp one_fetched(reader, out, log), do: one(reader, out, log)
