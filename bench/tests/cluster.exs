@@ -1,18 +1,19 @@
 defmodule Situ.Bench.Cluster do
-  # Clusters and their log: an edge between two nodes (each a virtual machine of its own, whose CPU time is counted),
-  # the log on a real nats-server beside a bare client in turns, checkpoints, and a link with very many streams.
+  # Clusters: an edge between two nodes (each a virtual machine of its own, whose CPU time is counted), with the log
+  # beside it and direct; what one message needs; checkpoints; a link with very many streams.
   alias Situ.{Message, Pipeline, Remote}
-  alias Situ.Remote.{Connection, Log, Server}
-  alias Situ.Remote.Log.Entry
+  alias Situ.Remote.{Connection, Server}
   alias Situ.Store.Writer
-
-  @chunk 64 * 1024
 
   def tests do
     [
-      {"cluster-edge", &edge("cluster_edge", "numbers", max(2_000, round(400_000 * &1)))},
-      {"cluster-edge-1mb", &edge("cluster_edge_1mb", "pictures", max(20, round(300 * &1)))},
-      {"log-nats", &log(max(50, round(2_000 * &1)))},
+      {"cluster-edge", &edge("cluster_edge", "numbers", [], max(2_000, round(400_000 * &1)))},
+      {"cluster-edge-direct",
+       &edge("cluster_edge_direct", "numbers", ["Made"], max(2_000, round(400_000 * &1)))},
+      {"cluster-edge-1mb", &edge("cluster_edge_1mb", "pictures", [], max(20, round(300 * &1)))},
+      {"cluster-edge-1mb-direct",
+       &edge("cluster_edge_1mb_direct", "pictures", ["Picture"], max(20, round(600 * &1)))},
+      {"cluster-edge-one", &one(max(200, round(2_000 * &1)))},
       {"checkpoints", &checkpoints(max(5, round(100 * &1)))},
       {"link-10000-streams", &many_streams(max(100, round(10_000 * &1)))}
     ]
@@ -26,17 +27,67 @@ defmodule Situ.Bench.Cluster do
 
     @impl true
     def build(p, opts) do
+      build(Situ.sequence(p, 1, &(&1 + 1), count: opts[:count], every: opts[:every], name: "Made"), opts[:kind], opts)
+    end
+
+    defp build(made, "numbers", opts), do: last(made, opts)
+
+    defp build(made, "pictures", opts) do
+      data = :binary.copy(<<7>>, 1024 * 1024)
+      made |> Situ.map(fn _ -> data end, name: "Picture") |> last(opts)
+    end
+
+    # How long each was on its way, ns, by the clock of the machine that both are on.
+    defp build(made, "one", opts) do
       n = opts[:count]
-      data = if opts[:kind] == "pictures", do: :binary.copy(<<7>>, 1024 * 1024)
-      made = Situ.sequence(p, 1, &(&1 + 1), count: n, every: 1_000, name: "Made")
-      made = if data, do: Situ.map(made, fn _ -> data end, name: "Picture"), else: made
-      made |> Situ.composite("Far", fn far -> Situ.count(far) |> Situ.filter(&(&1 == n)) end)
+
+      made
+      |> Situ.map(fn _ -> :os.system_time(:nanosecond) end, name: "Picture")
+      |> Situ.composite("Far", fn far ->
+        far
+        |> Situ.map(&(:os.system_time(:nanosecond) - &1))
+        |> Situ.scan([], &[&1 | &2])
+        |> Situ.filter(&(length(&1) == n), name: "Seen")
+      end)
+    end
+
+    defp last(made, opts) do
+      Situ.composite(made, "Far", fn far -> Situ.count(far) |> Situ.filter(&(&1 == opts[:count])) end)
     end
   end
   """
 
-  defp edge(metric, kind, n) do
+  defp edge(metric, kind, direct, n) do
+    clustered(fn nodes ->
+      # A deployment of a few messages says what starting and ending cost.
+      opts = [kind: kind, every: 1_000]
+      deployed(nodes, opts, direct, 5)
+      {least_wall, least_cpu, _} = deployed(nodes, opts, direct, 5)
+      {wall, cpu, _} = deployed(nodes, opts, direct, n)
+      rate = n * 1.0e9 / max(wall - least_wall, 1)
+      used = max(cpu - least_cpu, 0) * 1_000 / n
+
+      if kind == "pictures",
+        do: [{metric, rate * 1.048576, "MB/s"}, {metric <> "_cpu", used, "us/msg"}],
+        else: [{metric, rate, "msg/s"}, {metric <> "_cpu", used, "us/msg"}]
+    end)
+  end
+
+  # One at a time, a thousand in a second.
+  defp one(n) do
+    clustered(fn [left, _] = nodes ->
+      opts = [kind: "one", every: 1_000_000]
+      {_, _, deployment} = deployed(nodes, opts, [], n, speed: 1.0, publish: ["Far.Seen"])
+      {:ok, [%{data: times}]} = call(left, Situ.Cluster, :read, [deployment, "Far.Seen"])
+      times = Enum.sort(times)
+      at = &(Enum.at(times, div(n * &1, 100)) / 1.0e3)
+      [{"cluster_edge_one_p50", at.(50), "us"}, {"cluster_edge_one_p95", at.(95), "us"}]
+    end)
+  end
+
+  defp clustered(fun) do
     root = folder()
+    Code.put_compiler_option(:ignore_module_conflict, true)
     code = for {module, beam} <- Code.compile_string(@pipe), do: {module, beam}
     nodes = for name <- ["left", "right"], do: node(name, code)
 
@@ -51,16 +102,7 @@ defmodule Situ.Bench.Cluster do
           call(node, Situ.Cluster, :join, [[log: Path.join(root, "log"), labels: [label]]])
       end
 
-      # A deployment of a few messages says what starting and ending cost.
-      deployed(nodes, kind, 5)
-      {least_wall, least_cpu} = deployed(nodes, kind, 5)
-      {wall, cpu} = deployed(nodes, kind, n)
-      rate = n * 1.0e9 / max(wall - least_wall, 1)
-      used = max(cpu - least_cpu, 0) * 1_000 / n
-
-      if kind == "pictures",
-        do: [{metric, rate * 1.048576, "MB/s"}, {metric <> "_cpu", used, "us/msg"}],
-        else: [{metric, rate, "msg/s"}, {metric <> "_cpu", used, "us/msg"}]
+      fun.(nodes)
     after
       for %{pid: pid} <- nodes, do: System.cmd("kill", ["-KILL", pid], stderr_to_stdout: true)
       File.rm_rf!(root)
@@ -68,7 +110,7 @@ defmodule Situ.Bench.Cluster do
   end
 
   # Wall ns, and CPU ms of both nodes.
-  defp deployed([left, _] = nodes, kind, n) do
+  defp deployed([left, _] = nodes, opts, direct, n, settings \\ []) do
     {before, started} = {cpu_ms(nodes), System.monotonic_time(:nanosecond)}
 
     {:ok, deployment} =
@@ -76,17 +118,19 @@ defmodule Situ.Bench.Cluster do
         Situ.Bench.ClusterPipe,
         [
           name: "bench#{System.unique_integer([:positive])}",
-          opts: [count: n, kind: kind],
+          opts: [{:count, n} | opts],
           place: [
             {"Far", on: "right", deterministic: true},
             {:rest, on: "left", deterministic: true}
           ],
-          pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+          direct: direct,
+          publish: settings[:publish] || [],
+          pipeline: [replay: [interval: {0, :unbounded}, speed: settings[:speed] || :max]]
         ]
       ])
 
     :ok = call(left, Situ.Cluster, :await, [deployment, 600_000])
-    {System.monotonic_time(:nanosecond) - started, cpu_ms(nodes) - before}
+    {System.monotonic_time(:nanosecond) - started, cpu_ms(nodes) - before, deployment}
   end
 
   defp cpu_ms(nodes) do
@@ -122,105 +166,6 @@ defmodule Situ.Bench.Cluster do
 
   defp call(node, module, function, args),
     do: :peer.call(node.peer, module, function, args, 660_000)
-
-  # The log beside a bare client: one chunk under way, as both must.
-
-  defp log(n) do
-    case nats() do
-      nil -> raise "there is no nats-server: bin/setup --for test fetches one"
-      path -> log(n, path)
-    end
-  end
-
-  defp log(n, path) do
-    root = folder()
-    port = free_port()
-    args = ["-a", "127.0.0.1", "-p", "#{port}", "-js", "-sd", root]
-    process = Port.open({:spawn_executable, path}, [:binary, :stderr_to_stdout, args: args])
-    {:os_pid, pid} = Port.info(process, :os_pid)
-
-    try do
-      {:ok, log} = patiently(fn -> Log.connect("nats://127.0.0.1:#{port}") end, 200)
-      data = :crypto.strong_rand_bytes(@chunk)
-      subject = {:stream, "b#{System.unique_integer([:positive])}"}
-      {:ok, first} = Log.append(log, subject, 0, %Entry{op: "0", data: data})
-      socket = bare(port)
-
-      # In turns, so that both meet the same neighbours.
-      {ours, theirs, _} =
-        Enum.reduce(1..10, {0, 0, first}, fn _, {ours, theirs, seq} ->
-          {spent, seq} = timed(fn -> append(log, subject, seq, data, div(n, 10)) end)
-          {other, _} = timed(fn -> publish(socket, data, div(n, 10)) end)
-          {ours + spent, theirs + other, seq}
-        end)
-
-      rate = &(div(n, 10) * 10 * 1.0e9 / &1)
-
-      # The server's own CPU time, for chunks of a byte and of 64 KB.
-      [small, large] =
-        for bytes <- ["x", data] do
-          before = server_us(pid)
-          publish(socket, bytes, n)
-          (server_us(pid) - before) / n
-        end
-
-      [
-        {"log_nats", rate.(ours), "chunk/s"},
-        {"log_bare", rate.(theirs), "chunk/s"},
-        {"log_ratio", theirs / ours, "x"},
-        {"log_server_small_cpu", small, "us/chunk"},
-        {"log_server_64k_cpu", large, "us/chunk"}
-      ]
-    after
-      System.cmd("kill", ["-KILL", "#{pid}"], stderr_to_stdout: true)
-      File.rm_rf!(root)
-    end
-  end
-
-  # In clock ticks of a hundredth of a second, as Linux has them.
-  defp server_us(pid) do
-    [_, rest] = "/proc/#{pid}/stat" |> File.read!() |> String.split(") ", parts: 2)
-    fields = String.split(rest)
-    (String.to_integer(Enum.at(fields, 11)) + String.to_integer(Enum.at(fields, 12))) * 10_000
-  end
-
-  defp append(_log, _subject, seq, _data, 0), do: seq
-
-  defp append(log, subject, seq, data, left) do
-    {:ok, seq} = Log.append(log, subject, seq, %Entry{op: "#{seq}", data: data})
-    append(log, subject, seq, data, left - 1)
-  end
-
-  defp bare(port) do
-    {:ok, socket} =
-      :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false, nodelay: true])
-
-    {:ok, _info} = :gen_tcp.recv(socket, 0, 10_000)
-    :ok = :gen_tcp.send(socket, "CONNECT {\"verbose\":false}\r\nSUB _INBOX.bare 1\r\n")
-    socket
-  end
-
-  # Into the same stream of the server, on a subject of its own.
-  defp publish(socket, data, n) do
-    head = "PUB situ.s.bare _INBOX.bare #{byte_size(data)}\r\n"
-
-    for _ <- 1..n do
-      :ok = :gen_tcp.send(socket, [head, data, "\r\n"])
-      answered(socket, "")
-    end
-  end
-
-  defp answered(socket, got) do
-    {:ok, more} = :gen_tcp.recv(socket, 0, 30_000)
-    got = got <> more
-    unless got =~ "\"seq\"", do: answered(socket, got)
-  end
-
-  defp timed(fun) do
-    started = System.monotonic_time(:nanosecond)
-    result = fun.()
-    {System.monotonic_time(:nanosecond) - started, result}
-  end
 
   # A pipeline that stands still for each: joins, windows and a scan with some state.
   defp checkpoints(n) do
@@ -321,22 +266,6 @@ defmodule Situ.Bench.Cluster do
     after
       120_000 -> raise "#{left} streams have not come"
     end
-  end
-
-  defp patiently(fun, 0), do: fun.()
-
-  defp patiently(fun, left) do
-    with {:error, _} <- fun.() do
-      Process.sleep(50)
-      patiently(fun, left - 1)
-    end
-  end
-
-  defp nats do
-    fetched = Path.expand("../../apps/situ_remote/priv/nats/nats-server", __DIR__)
-
-    System.get_env("SITU_NATS_SERVER") || (File.exists?(fetched) && fetched) ||
-      System.find_executable("nats-server")
   end
 
   defp folder do

@@ -19,7 +19,8 @@ defmodule Situ.Cluster do
 
   The rules of `place:` cut the graph into parts: a rule names a component or a composite, and takes all below it; what
   no rule names is the part `"rest"`. A part runs on one node, as a pipeline of its own; streams between parts are
-  GenStage edges with the same back-pressure, from its publisher to the parts that read it, and go through the log.
+  GenStage edges with the same back-pressure, from its publisher to the parts that read it; the log is written beside
+  them, for takeover. Streams that all their readers take by a lossy policy, and those of `direct:`, bypass it.
 
   Sources of a part that waits for what it puts out itself, through others, are a part of their own beside it
   (`"rest sources"`), placed by the same rule.
@@ -47,9 +48,9 @@ defmodule Situ.Cluster do
 
   ## Limits
 
-  Lossy policies hold within a part; an edge between parts carries every message. `Situ.Pipeline.on/3` handlers run
-  with the part `"rest"` and with parts that record. The log of a finished deployment stays until it is deleted. A
-  part is not placed by measured load, and code is not upgraded while it runs.
+  What is under way on a direct stream when a node is lost is lost. `Situ.Pipeline.on/3` handlers run with the part
+  `"rest"` and with parts that record. The log of a finished deployment stays until it is deleted. An upgrade does not
+  change the graph.
 
   ## Options of `deploy/2`
 

@@ -3,6 +3,7 @@ defmodule Situ.Graph.Vertex do
   One component of a graph. `module` is `:operator` for light operators, whose step is in `opts`.
 
   Ports are keyword lists: inputs of `%{type, optional}`, outputs of `%{type, optional, source_id}`.
+  With `holds: false` messages are not held back until the clock of their pipeline reaches them.
   """
   @enforce_keys [:id, :module]
   defstruct [
@@ -18,7 +19,8 @@ defmodule Situ.Graph.Vertex do
     on_error: :stop,
     async: false,
     check: :first,
-    on_same_time: :error
+    on_same_time: :error,
+    holds: true
   ]
 
   @type t :: %__MODULE__{
@@ -34,7 +36,8 @@ defmodule Situ.Graph.Vertex do
           on_error: :stop | :skip | :restart,
           async: boolean(),
           check: :first | :all | :off,
-          on_same_time: :error | :drop | :nudge
+          on_same_time: :error | :drop | :nudge,
+          holds: boolean()
         }
 
   @doc "Whether the component makes messages on its own: it has no inputs, or it is a pull source."

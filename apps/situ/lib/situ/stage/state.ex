@@ -109,7 +109,7 @@ defmodule Situ.Stage.State do
         now: wiring.start_time,
         replay_start: wiring.replay_start,
         replay_end: wiring.replay_end,
-        enforced?: wiring.enforce
+        enforced?: wiring.enforce and hd(state.vertices).holds
     }
 
     inputs = Inputs.new(for inlet <- wiring.inlets, do: input(state, inlet, wiring.sizes))

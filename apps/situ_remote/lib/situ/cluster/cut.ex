@@ -49,7 +49,9 @@ defmodule Situ.Cluster.Cut do
         module: Inlet,
         path: "Inlet " <> stream.name,
         opts: options.(stream),
-        outputs: [out: port]
+        outputs: [out: port],
+        # It has waited for its time where it was made; clocks of two machines differ.
+        holds: false
       })
 
     edges

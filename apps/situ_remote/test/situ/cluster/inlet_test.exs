@@ -73,4 +73,33 @@ defmodule Situ.Cluster.InletTest do
 
     assert all == [message(1, 10), message(2, 20)]
   end
+
+  defmodule Far do
+    use Situ.Pipeline
+
+    @impl true
+    def build(p, _opts) do
+      p
+      |> Situ.sequence(1, &(&1 + 1), every: 1_000_000, name: "Made")
+      |> Situ.composite("Far", &Situ.map(&1, fn n -> n + 1 end))
+      |> Situ.map(& &1, name: "Here")
+    end
+  end
+
+  # This process is the agent, the part before and the publisher.
+  test "a message waits for nothing here, whatever the clock of the machine says that it comes from" do
+    alias Situ.Cluster.{Assembly, Deployment}
+    {:ok, deployment} = Deployment.new(Far, place: [{"Far", []}])
+    {:ok, plan} = Assembly.plan(deployment)
+    links = %{agent: self(), publisher: self(), memories: %{}}
+    {:ok, pipeline} = Assembly.start(deployment, plan, "Far", links)
+    assert_receive {:situ_cluster, :follow, part, inlet}, 5_000
+    send(inlet, {:situ_cluster, :publisher, part, self()})
+    assert_receive {:"$gen_producer", {^inlet, ref}, {:subscribe, nil, _}}, 5_000
+    ahead = Situ.Time.now() + Situ.Time.h(1)
+    message = %{message(1, ahead) | originating_time: ahead}
+    send(inlet, {:"$gen_consumer", {self(), ref}, [message]})
+    assert_receive {:"$gen_call", _, {:publish, _, [%{data: 2, originating_time: ^ahead}]}}, 5_000
+    Process.exit(pipeline, :kill)
+  end
 end
