@@ -11,8 +11,8 @@ defmodule Situ.Cluster.Batch do
   defstruct @enforce_keys
 
   @typedoc """
-  `first`, `last`: sequence ids, without gaps between; `time`, `made`: originating and creation time of the last message;
-  `body`: rows of originating time, creation time and data, packed or not.
+  `first`, `last`: sequence ids, without gaps between; `time`, `made`: originating and creation time of the last
+  message; `body`: rows of originating time, creation time and data, packed or not.
   """
   @type row :: {Situ.Time.t(), Situ.Time.t(), term()}
   @type body :: binary() | [row()]

@@ -4,8 +4,8 @@ defmodule Situ.Cluster.Scribe do
   # seen what a deterministic part puts out before the log has it. One process for each publisher, linked to it: what
   # ends one of them ends both. Everything is written in the order of the casts, one entry of a stream at a time.
   #
-  # Tells its publisher `{:situ_stored, name, mark, seq}` behind each. A write that is refused ends both: another node has
-  # taken the part over.
+  # Tells its publisher `{:situ_stored, name, mark, seq}` behind each. A write that is refused ends both: another node
+  # has taken the part over.
   use GenServer
 
   alias Situ.Cluster.{Batch, Checkpoint, Chunk}
