@@ -25,6 +25,9 @@ defmodule Situ.FetchModelTest do
       {info <> "METADATA", "Metadata-Version: 2.1\nName: hibari-tts\nVersion: 0.2.1\n"},
       {info <> "WHEEL",
        "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"},
+      # Folders have entries of their own.
+      {info <> "licenses/", ""},
+      {info <> "licenses/LICENSE", "Free."},
       {info <> "RECORD", ""}
     ]
 

@@ -31,6 +31,18 @@ defmodule Situ.Assistant do
       default: 350_000_000,
       doc: "The silence that ends a sentence, ns."
     ],
+    duck: [
+      type: {:range, 0, 40},
+      default: 20.0,
+      doc:
+        "How much less it hears while it speaks, dB: its own voice is left out, who interrupts it is not."
+    ],
+    quietest: [
+      type: {:range, -120, 0},
+      default: -55.0,
+      doc:
+        "The level below which nothing is a voice, dB of full scale; `duck:` more while it speaks."
+    ],
     recognizer: [type: :keyword, default: [], doc: "Options of `Situ.Infer.SpeechRecognizer`."],
     synthesizer: [type: :keyword, default: [], doc: "Options of `Situ.Infer.SpeechSynthesizer`."]
   ]
@@ -56,8 +68,9 @@ defmodule Situ.Assistant do
   | `:speaking` | boolean | whether it speaks |
   | `:stop` | string | somebody interrupts it: the words |
 
-  Its own voice may reach the microphone: words that it has just said are no command and no interruption
-  (`Situ.Assistant.Echo`).
+  Its own voice may reach the microphone. While it speaks it hears less (`duck:`), so that a voice from a loudspeaker
+  some way off does not count as speech, while somebody who talks into the microphone does; and where that does not
+  help, words that it has just said are no command and no interruption (`Situ.Assistant.Echo`).
 
   ## Options
 
@@ -65,7 +78,8 @@ defmodule Situ.Assistant do
   """
   alias Situ.Assistant.{Dialogue, Interruption, Player}
   alias Situ.Infer.{SpeechRecognizer, SpeechSynthesizer, VoiceActivity}
-  alias Situ.Stream
+  alias Situ.Audio.Ducker
+  alias Situ.{Node, Pipeline, Stream}
 
   # Whoever cannot follow speech has no time for results on the way.
   @late 700_000_000
@@ -76,9 +90,14 @@ defmodule Situ.Assistant do
   @spec attach(Stream.t(), keyword()) :: streams()
   def attach(%Stream{} = sound, opts \\ []) do
     opts = Situ.Options.validate!(opts, @own)
+    ducker = Pipeline.add(sound.pipeline, Ducker, by: opts[:duck], name: "Ducker")
+    Pipeline.connect(sound, ducker, :in)
+
+    # A voice is found however quiet it is: being quieter alone would not hide the assistant's own. Only the search for voices is ducked: who interrupts it is understood as well as ever.
+    loud = ducker |> Node.output(:out) |> Situ.Audio.noise_gate(open: opts[:quietest])
 
     voice =
-      Situ.via(sound, VoiceActivity, min_silence: opts[:pause], name: "VoiceActivity").speaking
+      Situ.via(loud, VoiceActivity, min_silence: opts[:pause], name: "VoiceActivity").speaking
 
     heard =
       Situ.via(
@@ -103,6 +122,7 @@ defmodule Situ.Assistant do
     spoken = speak(dialogue.said, opts, "Synthesizer")
 
     player = Situ.via([in: spoken, stop: stop] ++ chatted(chat, opts), Player, name: "Player")
+    Pipeline.connect(player.speaking, ducker, :while)
 
     %{
       voice: voice,

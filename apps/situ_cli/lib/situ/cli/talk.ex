@@ -40,7 +40,7 @@ defmodule Situ.CLI.Talk do
           Option.new(
             :voice,
             :string,
-            "a voice of `espeak-ng --voices`, or hibari: a natural one, fetched by bin/lib/fetch-model",
+            "a voice of `espeak-ng --voices`, or hibari: a natural one (8 MB, fetched the first time)",
             default: "en-us"
           ),
           Option.new(

@@ -35,8 +35,18 @@ defmodule Situ.CLI.TalkTest do
 
     on_exit(fn -> if Port.info(port), do: Port.close(port) end)
     assert wait_for(fn -> length(Device.Pulse.list()) >= 4 end, 600)
+    echo()
     {:ok, voice} = Espeak.load(rate: 150)
     %{voice: voice, dir: dir}
+  end
+
+  # The loudspeaker stands beside the microphone: its sound comes back, 20 dB down.
+  defp echo do
+    loop = ~w(load-module module-loopback source=spk.monitor sink=mic latency_msec=60)
+    {_, 0} = System.cmd("pactl", loop)
+    {inputs, 0} = System.cmd("pactl", ~w(list short sink-inputs))
+    [id | _] = String.split(inputs)
+    {_, 0} = System.cmd("pactl", ["set-sink-input-volume", id, "-20dB"])
   end
 
   @tale "Once upon a time there lived a king who had a garden full of golden apples. " <>
@@ -93,6 +103,10 @@ defmodule Situ.CLI.TalkTest do
     assert {:ok, %{text: text}} = Moonshine.transcribe(moonshine, sound)
     assert Enum.all?(["two", "seconds", "over"], &(&1 in Utterance.words(text))), text
     assert Enum.any?(Store.messages(store, "Assistant.Interrupted"))
+    # It spoke, and its voice came back: it took none of that for speech.
+    heard = for message <- Store.messages(store, "Assistant.Heard.Text"), do: message.data
+    assert length(heard) == 4, inspect(heard)
+    refute Enum.any?(heard, &(&1 =~ ~r/noon|king|garden|golden|over/i)), inspect(heard)
     assert Enum.count(Store.messages(store, "Assistant.Heard.Sound")) > 100
   end
 

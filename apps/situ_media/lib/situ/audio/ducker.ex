@@ -58,7 +58,8 @@ defmodule Situ.Audio.Ducker do
   def handle_closed(:while, _time, _context, state),
     do: {[], %{state | quiet?: false, until: nil}}
 
-  def handle_closed(:in, _time, _context, state), do: {[], state}
+  # What says when it is to be quiet may depend on what it hears, as an assistant does: that does not keep it open.
+  def handle_closed(:in, _time, _context, state), do: {[{:close, :out}], state}
 
   @impl true
   def describe(%{gain: gain}), do: if(gain < 1.0, do: "quieter", else: "as it is")
