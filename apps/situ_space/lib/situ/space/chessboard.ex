@@ -1,0 +1,219 @@
+defmodule Situ.Space.Chessboard do
+  @moduledoc """
+  Chessboards in pictures, and what they tell of a camera: its lens, and where the boards stood. By OpenCV
+  (`Situ.Space.OpenCV`): corners to a fraction of a pixel, calibration by Zhang's method.
+
+      boards = for picture <- pictures, {:ok, corners} <- [Chessboard.corners(picture, {9, 6})], do: corners
+      {:ok, found} = Chessboard.calibrate(boards, {9, 6}, 0.025, {640, 480})
+      found.intrinsics.focal
+
+  A board is named by its inner corners: one of 10 by 7 squares has {9, 6}. One of the two numbers should be even and
+  the other odd, else it looks the same when it is turned. Ten boards that are tilted, near and far, all over the
+  picture, give a lens to a tenth of a percent; boards that all face the camera give none.
+  """
+  alias Situ.{CameraIntrinsics, Error, Image, Imaging, Pose, Quaternion, Vector3}
+  alias Situ.Space.OpenCV
+
+  @type board :: {columns :: 3..50, rows :: 3..50}
+  @type pixel :: {float(), float()}
+  @typedoc """
+  `error` is the root of the mean squared distance in pixels, of all corners, and of each board's beside its pose: the
+  board's frame in the camera's. On the board x goes along a row of corners and y along a column.
+  """
+  @type found :: %{
+          intrinsics: CameraIntrinsics.t(),
+          error: float(),
+          boards: [%{pose: Pose.t(), error: float()}]
+        }
+
+  @corners [
+    session: [
+      type: {:optional, {:struct, OpenCV}},
+      default: nil,
+      doc: "A session of `Situ.Space.OpenCV.open/1`, for many pictures."
+    ]
+  ]
+
+  @doc """
+  The pixels of the board's inner corners, row by row. Errors: `:no_board` in the picture, `:no_opencv_port`.
+
+  #{Situ.Options.docs(@corners)}
+  """
+  @spec corners(Image.t(), board(), keyword()) :: {:ok, [pixel()]} | {:error, Error.t()}
+  def corners(%Image{} = picture, board, opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @corners),
+         {:ok, {columns, rows}} <- board(board),
+         {:ok, gray} <- gray(picture) do
+      case OpenCV.call(opts[:session], [1, columns, rows, gray]) do
+        {:ok, bytes} ->
+          {:ok, for(<<x::little-float-64, y::little-float-64 <- bytes>>, do: {x, y})}
+
+        :not_found ->
+          {:error, no_board(picture, {columns, rows})}
+
+        error ->
+          error
+      end
+    end
+  end
+
+  @doc false
+  @spec gray(Image.t()) :: {:ok, iodata()} | {:error, Error.t()}
+  def gray(picture) do
+    with {:ok, %{width: width, height: height} = gray} <- Imaging.convert(picture, :gray8) do
+      rows =
+        if gray.stride == width,
+          do: binary_part(gray.data, 0, width * height),
+          else: for(y <- 0..(height - 1), do: binary_part(gray.data, y * gray.stride, width))
+
+      {:ok, [<<width::little-32, height::little-32>>, rows]}
+    end
+  end
+
+  defp board({columns, rows}) when columns in 3..50 and rows in 3..50, do: {:ok, {columns, rows}}
+
+  defp board(other) do
+    {:error,
+     Error.new(:bad_option, "no board has #{inspect(other)} inner corners",
+       fix: "give {columns, rows}, each 3 to 50"
+     )}
+  end
+
+  defp no_board(picture, {columns, rows}) do
+    Error.new(:no_board, "no board of #{columns} by #{rows} inner corners is in the picture",
+      why:
+        "it must be seen whole, with a bright margin (the picture has #{picture.width}x#{picture.height} pixels)",
+      fix: "count the inner corners again (squares less one), look for blur, shadows and fingers"
+    )
+  end
+
+  @schema [
+            distortion: [
+              type: {:in, [:none, :radial, :full]},
+              default: :full,
+              doc:
+                "Which of the lens is found: nothing, k1 and k2, or these and the tangential p0 and p1."
+            ]
+          ] ++ @corners
+
+  @doc """
+  The camera that saw these boards, each a list of corners as `corners/3` gives it; `square` is the width of a square
+  in metres, `size` that of the pictures in pixels.
+
+  #{Situ.Options.docs(@schema)}
+
+  Errors: `:too_few` boards (three at least), `:not_found` where they tell nothing of the lens.
+  """
+  @spec calibrate([[pixel()]], board(), number(), {pos_integer(), pos_integer()}, keyword()) ::
+          {:ok, found()} | {:error, Error.t()}
+  def calibrate(boards, board, square, {width, height}, opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, {columns, rows}} <- board(board),
+         :ok <- enough(boards, columns * rows, square) do
+      kind = %{full: 0, none: 1, radial: 2}[opts[:distortion]]
+      head = <<2, width::little-32, height::little-32, kind, length(boards)::little-32>>
+      places = for y <- 0..(rows - 1), x <- 0..(columns - 1), do: {x * square, y * square}
+
+      case OpenCV.call(opts[:session], [head | Enum.map(boards, &view(&1, places))]) do
+        {:ok, bytes} -> answer(bytes, {width, height})
+        :not_found -> {:error, not_found("it gives none")}
+        {:error, %Error{code: :opencv_failed} = error} -> {:error, not_found(error.why)}
+        error -> error
+      end
+    end
+  end
+
+  defp enough(boards, count, square) do
+    cond do
+      not (is_number(square) and square > 0) ->
+        {:error, Error.new(:bad_option, "a square is no #{inspect(square)} m wide")}
+
+      length(boards) < 3 ->
+        {:error,
+         Error.new(:too_few, "#{length(boards)} boards are too few to know a lens by",
+           fix: "give three at least, better ten: tilted, near and far, all over the picture"
+         )}
+
+      board = Enum.find(boards, &(length(&1) != count)) ->
+        {:error,
+         Error.new(:bad_option, "a board of #{count} corners has #{length(board)} pixels",
+           fix: "give each board as Situ.Space.Chessboard.corners/3 does"
+         )}
+
+      true ->
+        numbers(boards)
+    end
+  end
+
+  defp numbers(boards) do
+    with true <- Enum.all?(boards, &Enum.all?(&1, fn p -> number?(p) end)),
+         do: :ok,
+         else: (_ -> not_pixels())
+  end
+
+  defp number?({x, y}), do: is_number(x) and is_number(y)
+  defp number?(_other), do: false
+
+  defp not_pixels,
+    do:
+      {:error,
+       Error.new(:bad_option, "a board has something that is no pixel",
+         fix: "give {x, y} for each corner"
+       )}
+
+  defp view(pixels, places) do
+    [
+      <<length(pixels)::little-32>>,
+      for {{x, y}, {u, v}} <- Enum.zip(places, pixels) do
+        <<x::little-float-64, y::little-float-64, 0.0::little-float-64, u::little-float-64,
+          v::little-float-64>>
+      end
+    ]
+  end
+
+  defp answer(bytes, {width, height}) do
+    case for(<<value::little-float-64 <- bytes>>, do: value) do
+      [error, fx, fy, cx, cy, k1, k2, p0, p1, _k3 | boards] when fx > 0 and fy > 0 ->
+        options = [
+          width: width,
+          height: height,
+          focal: {fx, fy},
+          principal: {cx, cy},
+          radial: [k1, k2],
+          tangential: {p0, p1}
+        ]
+
+        with {:ok, intrinsics} <- CameraIntrinsics.new(options) do
+          boards =
+            for [e, a, b, c, x, y, z] <- Enum.chunk_every(boards, 7),
+                do: %{error: e, pose: pose({a, b, c}, {x, y, z})}
+
+          {:ok, %{intrinsics: intrinsics, error: error, boards: boards}}
+        end
+
+      _ ->
+        {:error, not_found("the best one found has numbers that no lens has")}
+    end
+  end
+
+  defp not_found(why) do
+    Error.new(:not_found, "no camera shows these boards at these pixels",
+      why: why,
+      fix:
+        "tilt the boards, show them near and far; distortion: :none finds less, of fewer boards"
+    )
+  end
+
+  # OpenCV's camera looks along z, with x to the right and y down; ours looks along x, with y to the left and z up.
+  @turn {0.5, -0.5, 0.5, -0.5}
+
+  defp pose(turn, {x, y, z}) do
+    rotation =
+      case Vector3.normalize(turn) do
+        {:ok, axis} -> Quaternion.from_axis_angle(axis, Vector3.norm(turn))
+        :error -> Quaternion.identity()
+      end
+
+    Pose.new({z, -x, -y}, Quaternion.multiply(@turn, rotation))
+  end
+end

@@ -1,0 +1,153 @@
+defmodule Situ.Space.Stereo do
+  @schema [
+    least: [
+      type: {:range, -1_024, 1_024},
+      default: 0,
+      doc: "The least disparity that is looked for, pixels."
+    ],
+    count: [
+      type: {:range, 16, 512},
+      default: 64,
+      doc: "How many are looked for, a multiple of 16: what is nearer than the last is not found."
+    ],
+    block: [
+      type: {:in, [1, 3, 5, 7, 9, 11]},
+      default: 5,
+      doc: "Width of the blocks that are compared, pixels."
+    ],
+    whole: [
+      type: :boolean,
+      default: false,
+      doc:
+        "Search along eight directions instead of five: better, slower, and 9 bytes for each pixel and disparity."
+    ],
+    fill: [
+      type: :boolean,
+      default: false,
+      doc:
+        "Give pixels without a disparity the lesser one of their neighbours in the row: most are hidden to the right camera."
+    ],
+    session: [
+      type: {:optional, {:struct, Situ.Space.OpenCV}},
+      default: nil,
+      doc: "A session of `Situ.Space.OpenCV.open/1`, for many pictures."
+    ]
+  ]
+
+  @moduledoc """
+  Depth from two pictures of cameras side by side, by semi-global matching (H. Hirschmueller, Stereo Processing by
+  Semi-Global Matching and Mutual Information, 2008; OpenCV's, through `Situ.Space.OpenCV`).
+
+  The pictures are rectified: what is in a row of the left one is in the same row of the right one, further left by its
+  disparity. Depth is focal length times the distance between the cameras, over disparity.
+
+      {:ok, depth} = Situ.Space.Stereo.depth(left, right, focal: 994.98, baseline: 0.193)
+      {:ok, cloud} = Situ.Space.Depth.to_cloud(depth, table)
+
+  `Situ.Space.StereoDepth` does it on streams.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+
+  ## Errors
+
+  `:bad_image` of pictures that differ in size, `:bad_option`, `:no_opencv_port`, `:opencv_failed`.
+  """
+  alias Situ.{DepthImage, Error, Image}
+  alias Situ.Space.{Chessboard, OpenCV}
+
+  @doc "The options, for modules that take them, too."
+  @spec schema() :: keyword()
+  def schema, do: @schema
+
+  @doc """
+  The disparity of each pixel of the left picture, row by row: 16-bit little-endian numbers in sixteenths of a pixel;
+  those below `least` are not known.
+  """
+  @spec disparity(Image.t(), Image.t(), keyword()) :: {:ok, binary()} | {:error, Error.t()}
+  def disparity(%Image{} = left, %Image{} = right, opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         :ok <- same(left, right),
+         :ok <- count(opts[:count], left.width),
+         {:ok, a} <- Chessboard.gray(left),
+         {:ok, b} <- Chessboard.gray(right) do
+      flags = for key <- [:whole, :fill], into: <<>>, do: if(opts[key], do: <<1>>, else: <<0>>)
+
+      head =
+        <<3, opts[:least]::little-32, opts[:count]::little-32, opts[:block]::little-32,
+          flags::binary>>
+
+      OpenCV.call(opts[:session], [head, a, b])
+    end
+  end
+
+  @optics [
+    focal: [type: :number, required: true, doc: "Focal length of the rectified pictures, pixels."],
+    baseline: [type: :number, required: true, doc: "How far the cameras are from one another, m."],
+    offset: [
+      type: :number,
+      default: 0.0,
+      doc: "How much further right the principal point of the right camera lies, pixels."
+    ],
+    scale: [type: :number, default: 0.001, doc: "Metres for a value of 1 in the depth image."]
+  ]
+
+  @doc "The options of `depth/3` beside those of `disparity/3`."
+  @spec optics() :: keyword()
+  def optics, do: @optics
+
+  @doc """
+  The depth of each pixel of the left picture.
+
+  #{Situ.Options.docs(@optics)}
+  """
+  @spec depth(Image.t(), Image.t(), keyword()) :: {:ok, DepthImage.t()} | {:error, Error.t()}
+  def depth(%Image{} = left, %Image{} = right, opts) do
+    {optics, search} = Keyword.split(opts, Keyword.keys(@optics))
+
+    with {:ok, optics} <- Situ.Options.validate(optics, @optics),
+         {:ok, disparities} <- disparity(left, right, search) do
+      least = 16 * Keyword.get(search, :least, 0)
+      unit = 16 * optics[:focal] * optics[:baseline] / optics[:scale]
+
+      data =
+        for <<d::little-signed-16 <- disparities>>,
+          into: <<>>,
+          do: unit(d, least, unit, 16 * optics[:offset])
+
+      DepthImage.new(width: left.width, height: left.height, data: data, scale: optics[:scale])
+    end
+  end
+
+  defp unit(d, least, unit, offset) when d >= least and d + offset > 0 do
+    case round(unit / (d + offset)) do
+      value when value <= 65_535 -> <<value::little-16>>
+      _ -> <<0, 0>>
+    end
+  end
+
+  defp unit(_d, _least, _unit, _offset), do: <<0, 0>>
+
+  defp same(%{width: w, height: h}, %{width: w, height: h}), do: :ok
+
+  defp same(left, right) do
+    {:error,
+     Error.new(:bad_image, "the two pictures differ in size",
+       why:
+         "one has #{left.width}x#{left.height} pixels, the other #{right.width}x#{right.height}",
+       fix: "crop or resize one, and rectify both"
+     )}
+  end
+
+  defp count(count, width) when rem(count, 16) == 0 and count < width, do: :ok
+
+  defp count(count, width) do
+    {:error,
+     Error.new(
+       :bad_option,
+       "#{count} disparities cannot be looked for in pictures #{width} pixels wide",
+       fix: "give a multiple of 16 below the width"
+     )}
+  end
+end

@@ -1,0 +1,40 @@
+defmodule Situ.Space.StereoDepth do
+  @schema Situ.Space.Stereo.optics() ++ Keyword.delete(Situ.Space.Stereo.schema(), :session)
+
+  @moduledoc """
+  Depth images from pairs of rectified pictures: `Situ.Space.Stereo` on a stream, with one program for all of it.
+
+      left
+      |> Situ.join(right)
+      |> Situ.via(Situ.Space.StereoDepth, focal: 994.98, baseline: 0.193)
+
+  Input: pairs `{left, right}` of `Situ.Image`. A pair that cannot be used is the component's error (`on_error:`).
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component, inputs: [in: :any], outputs: [out: Situ.DepthImage], options: @schema
+
+  alias Situ.Error
+  alias Situ.Space.{OpenCV, Stereo}
+
+  @impl true
+  def init(opts) do
+    with {:ok, _} <- OpenCV.program(), do: {:ok, %{opts: opts, session: nil}}
+  end
+
+  # A session belongs to the process that asks.
+  @impl true
+  def handle_message(:in, message, context, %{session: nil} = state) do
+    session = Error.unwrap!(OpenCV.open())
+    handle_message(:in, message, context, %{state | session: session})
+  end
+
+  def handle_message(:in, %{data: {left, right}, originating_time: time}, _context, state) do
+    case Stereo.depth(left, right, [session: state.session] ++ state.opts) do
+      {:ok, depth} -> {[{:out, time, depth}], state}
+      {:error, error} -> raise error
+    end
+  end
+end

@@ -1,0 +1,37 @@
+defmodule Situ.Space.OpenCVTest do
+  use ExUnit.Case, async: true
+  alias Situ.{Error, Image}
+  alias Situ.Space.{Chessboard, OpenCV}
+
+  @tag :opencv
+  test "a session answers many requests, also after one that is refused, until it is closed" do
+    {:ok, session} = OpenCV.open()
+    empty = Image.filled(64, 48, :gray8)
+
+    for _ <- 1..3 do
+      assert {:error, %Error{code: :no_board}} =
+               Chessboard.corners(empty, {5, 4}, session: session)
+
+      assert {:error, %Error{code: :opencv_failed, why: why}} = OpenCV.call(session, <<9>>)
+      assert why =~ "unknown request"
+
+      assert {:error, %Error{code: :opencv_failed, why: why}} =
+               OpenCV.call(session, <<1, 5, 4, 9::32>>)
+
+      assert why =~ "too short"
+    end
+
+    assert OpenCV.close(session) == :ok
+
+    assert {:error, %Error{code: :opencv_ended, fix: "open a new session"}} =
+             OpenCV.call(session, <<9>>)
+  end
+
+  @tag :opencv
+  test "a session whose program dies says so" do
+    {:ok, session} = OpenCV.open()
+    {:os_pid, pid} = Port.info(session.port, :os_pid)
+    {_, 0} = System.cmd("kill", ["-9", "#{pid}"])
+    assert {:error, %Error{code: :opencv_ended}} = OpenCV.call(session, <<9>>)
+  end
+end
