@@ -8,14 +8,16 @@ defmodule Situ.Space.OpenCV do
       {:ok, corners} = Situ.Space.Chessboard.corners(picture, {9, 6}, session: session)
       Situ.Space.OpenCV.close(session)
 
-  A session belongs to the process that opened it and ends with it. Functions without one open their own for that call,
-  which takes some 50 ms.
+  A session ends with the process that opened it. Functions without one open their own for that call, which takes some
+  50 ms.
   """
+  # A process of its own has the program: a pipe that breaks ends who holds it.
+  use GenServer, restart: :temporary
   alias Situ.Error
 
-  @enforce_keys [:port, :timeout]
+  @enforce_keys [:server, :timeout]
   defstruct @enforce_keys
-  @opaque t :: %__MODULE__{port: port(), timeout: timeout()}
+  @type t :: %__MODULE__{server: pid(), timeout: timeout()}
 
   @timeout 60_000
 
@@ -41,24 +43,17 @@ defmodule Situ.Space.OpenCV do
   @spec open(keyword()) :: {:ok, t()} | {:error, Error.t()}
   def open(opts \\ []) do
     with {:ok, program} <- program() do
-      port = Port.open({:spawn_executable, program}, [:binary, :exit_status, packet: 4])
-      {:ok, %__MODULE__{port: port, timeout: opts[:timeout] || @timeout}}
+      {:ok, server} = GenServer.start(__MODULE__, {program, self()})
+      {:ok, %__MODULE__{server: server, timeout: opts[:timeout] || @timeout}}
     end
   end
 
   @doc "Ends it."
   @spec close(t()) :: :ok
-  def close(%__MODULE__{port: port}) do
-    if Port.info(port), do: Port.close(port)
-    flush(port)
-  end
-
-  defp flush(port) do
-    receive do
-      {^port, _} -> flush(port)
-    after
-      0 -> :ok
-    end
+  def close(%__MODULE__{server: server}) do
+    GenServer.stop(server, :normal, 10_000)
+  catch
+    :exit, _ -> :ok
   end
 
   @doc false
@@ -71,22 +66,39 @@ defmodule Situ.Space.OpenCV do
     end
   end
 
-  def call(%__MODULE__{port: port} = session, request) do
-    Port.command(port, request)
+  def call(%__MODULE__{} = session, request) do
+    GenServer.call(session.server, {:call, request, session.timeout}, :infinity)
+  catch
+    :exit, _ -> {:error, ended("the session has ended")}
+  end
+
+  @impl true
+  def init({program, owner}) do
+    Process.flag(:trap_exit, true)
+    Process.monitor(owner)
+    {:ok, Port.open({:spawn_executable, program}, [:binary, :exit_status, packet: 4])}
+  end
+
+  @impl true
+  def handle_call({:call, request, timeout}, _from, port) do
+    send(port, {self(), {:command, request}})
 
     receive do
-      {^port, {:data, <<0, result::binary>>}} -> {:ok, result}
-      {^port, {:data, <<1>>}} -> :not_found
-      {^port, {:data, <<2, why::binary>>}} -> {:error, refused(String.trim(why))}
-      {^port, {:exit_status, status}} -> {:error, ended("it ended with status #{status}")}
+      {^port, {:data, <<0, result::binary>>}} -> {:reply, {:ok, result}, port}
+      {^port, {:data, <<1>>}} -> {:reply, :not_found, port}
+      {^port, {:data, <<2, why::binary>>}} -> {:reply, {:error, refused(String.trim(why))}, port}
+      {^port, {:exit_status, status}} -> stop("it ended with status #{status}", port)
+      {:EXIT, ^port, reason} -> stop("it ended: #{inspect(reason)}", port)
     after
-      session.timeout ->
-        close(session)
-        {:error, ended("it gave no answer in #{session.timeout} ms")}
+      timeout -> stop("it gave no answer in #{timeout} ms", port)
     end
-  rescue
-    ArgumentError -> {:error, ended("the session has ended, or is another process's")}
   end
+
+  # Of another picture the rest may come: the session cannot go on.
+  defp stop(why, port), do: {:stop, :normal, {:error, ended(why)}, port}
+
+  @impl true
+  def handle_info(_ended, port), do: {:stop, :normal, port}
 
   defp refused(why),
     do: Error.new(:opencv_failed, "OpenCV refuses this", why: String.slice(why, 0, 300))

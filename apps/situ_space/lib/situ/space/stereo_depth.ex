@@ -24,7 +24,7 @@ defmodule Situ.Space.StereoDepth do
     with {:ok, _} <- OpenCV.program(), do: {:ok, %{opts: opts, session: nil}}
   end
 
-  # A session belongs to the process that asks.
+  # A session ends with the process that opened it.
   @impl true
   def handle_message(:in, message, context, %{session: nil} = state) do
     session = Error.unwrap!(OpenCV.open())

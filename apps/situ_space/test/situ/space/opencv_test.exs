@@ -30,8 +30,19 @@ defmodule Situ.Space.OpenCVTest do
   @tag :opencv
   test "a session whose program dies says so" do
     {:ok, session} = OpenCV.open()
-    {:os_pid, pid} = Port.info(session.port, :os_pid)
+    {:os_pid, pid} = Port.info(:sys.get_state(session.server), :os_pid)
     {_, 0} = System.cmd("kill", ["-9", "#{pid}"])
     assert {:error, %Error{code: :opencv_ended}} = OpenCV.call(session, <<9>>)
+  end
+
+  @tag :opencv
+  test "a session ends with who opened it" do
+    parent = self()
+    owner = spawn(fn -> send(parent, OpenCV.open()) end)
+    ref = Process.monitor(owner)
+    assert_receive {:ok, %OpenCV{server: server}}
+    assert_receive {:DOWN, ^ref, _, _, _}
+    ref = Process.monitor(server)
+    assert_receive {:DOWN, ^ref, _, _, _}
   end
 end
