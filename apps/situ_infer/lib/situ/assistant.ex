@@ -93,7 +93,8 @@ defmodule Situ.Assistant do
     ducker = Pipeline.add(sound.pipeline, Ducker, by: opts[:duck], name: "Ducker")
     Pipeline.connect(sound, ducker, :in)
 
-    # A voice is found however quiet it is: being quieter alone would not hide the assistant's own. Only the search for voices is ducked: who interrupts it is understood as well as ever.
+    # A voice is found however quiet it is: being quieter alone would not hide the assistant's own. Only the search for
+    # voices is ducked: who interrupts it is understood as well as ever.
     loud = ducker |> Node.output(:out) |> Situ.Audio.noise_gate(open: opts[:quietest])
 
     voice =

@@ -69,11 +69,30 @@ defmodule Situ.Pose do
 
   @doc "The pose of `b`'s frame in the frame that `a` is given in; `b` is given in `a`'s frame."
   @spec compose(t(), t()) :: t()
-  def compose(%__MODULE__{} = a, %__MODULE__{} = b),
-    do: %__MODULE__{
-      position: transform(a, b.position),
-      rotation: Quaternion.multiply(a.rotation, b.rotation)
-    }
+  def compose(%__MODULE__{} = a, %__MODULE__{} = b) do
+    {position, rotation} = both(a.position, a.rotation, b.position, b.rotation)
+    %__MODULE__{position: position, rotation: rotation}
+  end
+
+  # `transform/2` and `Situ.Quaternion.multiply/2` in one; the guards keep all of it in registers.
+  defp both({px, py, pz}, {w, x, y, z}, {vx, vy, vz}, {bw, bx, by, bz})
+       when is_float(px) and is_float(py) and is_float(pz) and is_float(w) and is_float(x) and
+              is_float(y) and is_float(z) and is_float(vx) and is_float(vy) and is_float(vz) and
+              is_float(bw) and is_float(bx) and is_float(by) and is_float(bz) do
+    tx = 2.0 * (y * vz - z * vy)
+    ty = 2.0 * (z * vx - x * vz)
+    tz = 2.0 * (x * vy - y * vx)
+
+    {{px + vx + w * tx + y * tz - z * ty, py + vy + w * ty + z * tx - x * tz,
+      pz + vz + w * tz + x * ty - y * tx},
+     {w * bw - x * bx - y * by - z * bz, w * bx + x * bw + y * bz - z * by,
+      w * by - x * bz + y * bw + z * bx, w * bz + x * by - y * bx + z * bw}}
+  end
+
+  defp both(position, rotation, inner, turn) do
+    {Vector3.add(position, Quaternion.rotate(rotation, inner)),
+     Quaternion.multiply(rotation, turn)}
+  end
 
   @doc "The pose of the outer frame in this pose's own frame."
   @spec invert(t()) :: t()

@@ -102,10 +102,32 @@ defmodule Situ.Quaternion do
   Source: K. Shoemake, Animating Rotation with Quaternion Curves, 1985.
   """
   @spec slerp(t(), t(), number()) :: t()
-  def slerp(a, b, ratio) do
-    {axis, angle} = a |> inverse() |> multiply(b) |> to_axis_angle()
-    multiply(a, from_axis_angle(axis, angle * ratio))
+  def slerp({aw, ax, ay, az}, {bw, bx, by, bz}, ratio)
+      when is_float(aw) and is_float(ax) and is_float(ay) and is_float(az) and is_float(bw) and
+             is_float(bx) and is_float(by) and is_float(bz) do
+    # The rotation from a to b; the guards keep all of it in registers.
+    w = aw * bw + ax * bx + ay * by + az * bz
+    x = aw * bx - ax * bw - ay * bz + az * by
+    y = aw * by + ax * bz - ay * bw - az * bx
+    z = aw * bz - ax * by + ay * bx - az * bw
+    sine = :math.sqrt(x * x + y * y + z * z)
+
+    if sine < 1.0e-12 do
+      {aw, ax, ay, az}
+    else
+      # Of the two signs of a rotation the one with the shorter way.
+      half = if w < 0.0, do: :math.atan2(-sine, -w), else: :math.atan2(sine, w)
+      c = :math.cos(ratio * half)
+      s = :math.sin(ratio * half) / sine
+
+      {aw * c - s * (ax * x + ay * y + az * z), ax * c + s * (aw * x + ay * z - az * y),
+       ay * c + s * (aw * y - ax * z + az * x), az * c + s * (aw * z + ax * y - ay * x)}
+    end
   end
+
+  def slerp(a, b, ratio), do: slerp(floats(a), floats(b), ratio)
+
+  defp floats({w, x, y, z}), do: {w * 1.0, x * 1.0, y * 1.0, z * 1.0}
 
   @doc "The rotation matrix: its columns are where the axes x, y and z go."
   @spec to_matrix(t()) :: matrix()

@@ -61,6 +61,32 @@ defmodule Situ.PoseTest do
     end
   end
 
+  property "interpolation is the same for both signs of a rotation, and backwards" do
+    forall {a, b, percent} <- {pose(), pose(), integer(0, 100)} do
+      {w, x, y, z} = b.rotation
+      there = Quaternion.slerp(a.rotation, b.rotation, percent / 100)
+      same = Quaternion.slerp(a.rotation, {-w, -x, -y, -z}, percent / 100)
+
+      if Quaternion.angle(a.rotation, b.rotation) < 3.14,
+        do: assert(Quaternion.angle(there, same) < 1.0e-6)
+
+      assert Quaternion.slerp(a.rotation, b.rotation, percent / 100) == there
+
+      # Half a turn has two shortest ways.
+      if Quaternion.angle(a.rotation, b.rotation) < 3.14 do
+        back = Quaternion.slerp(b.rotation, a.rotation, 1 - percent / 100)
+        assert Quaternion.angle(there, back) < 1.0e-6
+      end
+    end
+  end
+
+  test "numbers without a fraction are numbers, too" do
+    half = Quaternion.slerp({1, 0, 0, 0}, {0, 0, 0, 1}, 0.5)
+    assert Quaternion.angle(half, Quaternion.from_euler(:math.pi() / 2, 0, 0)) < 1.0e-9
+    pose = %Pose{position: {1, 0, 0}, rotation: {0, 0, 0, 1}}
+    assert Pose.compose(pose, pose).position == {0, 0, 0}
+  end
+
   property "rotation keeps lengths and angles" do
     forall {pose, u, v} <- {pose(), vector(), vector()} do
       {ru, rv} = {Quaternion.rotate(pose.rotation, u), Quaternion.rotate(pose.rotation, v)}

@@ -139,6 +139,28 @@ defmodule Situ.Space.Frames do
   """
   @spec lookup(t(), name(), name(), Situ.Time.t()) :: {:ok, Pose.t()} | {:error, Error.t()}
   def lookup(%__MODULE__{} = frames, frame, reference, time) when is_integer(time) do
+    case straight(frames.frames, frame, reference, time, nil) do
+      {:ok, nil} -> {:ok, Pose.identity()}
+      {:ok, pose} -> {:ok, pose}
+      :no -> over(frames, frame, reference, time)
+    end
+  end
+
+  # Most look up where a frame is in one that it hangs on: one walk, without a list.
+  defp straight(_frames, same, same, _time, pose), do: {:ok, pose}
+
+  defp straight(frames, frame, reference, time, inner) do
+    with %{^frame => {parent, known}} <- frames,
+         {:ok, own} <- known_at(known, time) do
+      pose = if inner, do: Pose.compose(own, inner), else: own
+      straight(frames, parent, reference, time, pose)
+    else
+      _ -> :no
+    end
+  end
+
+  # Up to what both hang on, and down; or why there is no way.
+  defp over(frames, frame, reference, time) do
     up = ancestors(frames, frame)
     down = if reference in up, do: [reference], else: ancestors(frames, reference)
 
@@ -176,13 +198,20 @@ defmodule Situ.Space.Frames do
          do: {:ok, if(outer, do: Pose.compose(outer, own), else: own)}
   end
 
-  defp at({:static, pose}, _time, _frame, _parent), do: {:ok, pose}
+  defp at(known, time, frame, parent) do
+    with :outside <- known_at(known, time) do
+      {:moving, history} = known
+      {:error, not_known(History.span(history), time, frame, parent)}
+    end
+  end
 
-  defp at({:moving, history}, time, frame, parent) do
+  defp known_at({:static, pose}, _time), do: {:ok, pose}
+
+  defp known_at({:moving, history}, time) do
     case History.around(history, time) do
       {:exact, pose} -> {:ok, pose}
       {:between, {t0, a}, {t1, b}} -> {:ok, Pose.interpolate(a, b, (time - t0) / (t1 - t0))}
-      :outside -> {:error, not_known(History.span(history), time, frame, parent)}
+      :outside -> :outside
     end
   end
 

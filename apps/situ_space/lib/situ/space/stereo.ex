@@ -25,7 +25,7 @@ defmodule Situ.Space.Stereo do
       type: :boolean,
       default: false,
       doc:
-        "Give pixels without a disparity the lesser one of their neighbours in the row: most are hidden to the right camera."
+        "Give pixels without a disparity the lesser one of their neighbours in the row: most are hidden."
     ],
     session: [
       type: {:optional, {:struct, Situ.Space.OpenCV}},
