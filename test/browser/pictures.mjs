@@ -7,7 +7,7 @@ import { answer, dispatch, open, settled, state } from "./studio_page.mjs";
 import { until } from "./harness.mjs";
 
 const [site, to, only = ""] = process.argv.slice(2);
-const { demo, shown } = JSON.parse(site);
+const { demo, main, shown } = JSON.parse(site);
 const S = 1e9;
 
 const recording = async (page) => {
@@ -81,6 +81,22 @@ const PICTURES = {
     await page.click("#tree .node[data-stream='Talk.Voice.Segments']", { button: "right" });
     await page.click("#menu button:has-text('Propose annotations')");
     await until(page, () => window.situStudio.annotation.told.items.some((a) => a.proposed), "proposals");
+  },
+  compare: async (page) => {
+    await page.goto(`${main}/s/minute.0000?with=memory`);
+    await until(page, () => document.body?.dataset.ready === "1" && window.situStudio.compare, "the comparison");
+    await page.fill("#compare input", "2.5 s");
+    await page.keyboard.press("Enter");
+    await look(page, [0, 40], null, 22.3);
+  },
+  waits: async (page) => {
+    await page.goto(`${main}/p/Mill?heat=busy`);
+    await until(page, () => document.querySelector(".waits .row-button"), "who waits");
+  },
+  masks: async (page) => {
+    await open(page, main, "masked");
+    await page.evaluate(() => window.situStudio.options.push("add_viz", { stream: "Find.Masks", viz: "masks" }));
+    await settled(page);
   },
   keys: async (page) => {
     await recording(page);

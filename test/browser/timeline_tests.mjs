@@ -302,3 +302,42 @@ test("3 timelines: colour and joins of a line are set in its properties", async 
   await settled(page);
   ok((await blue()) < 20 && (await magenta()) > 50, "and drawn");
 });
+
+test("3 timelines: each line of a plot can have an axis of its own", async ({ page, shot }) => {
+  await open(page, main, "minute.0000");
+  const id = await panelOf(page, "Imu.Acc.X");
+  // where the lines of X (10 high) and Y (4 high) have their top, in pixels of the panel
+  const tops = () =>
+    page.evaluate((i) => {
+      const view = [...window.situStudio.views].find((v) => v.el.id === i);
+      const { height } = view.plot.bbox;
+      return view.lines().map((e) => {
+        const [lo, hi] = view.y;
+        const y = view.heights(e, window.situStudio.time.get().view, (v) => height - ((v - lo) / (hi - lo)) * height);
+        return Math.round(y(e.layer.drawer.extent(e, window.situStudio.time.get().view)[1]) / devicePixelRatio);
+      });
+    }, id);
+  await settled(page);
+  const shared = await tops();
+  ok(shared[1] - shared[0] > 5, `on one axis the smaller lies lower: ${shared}`);
+  await page.click(`[data-panel="${id.replace("body-", "")}"] button[title=Properties]`, { force: true });
+  await until(page, () => document.querySelector("#axis-own"), "its properties");
+  await page.check("#axis-own");
+  await until(page, (i) => [...window.situStudio.views].find((v) => v.el.id === i).own, "each has its own", id);
+  await settled(page);
+  const own = await tops();
+  ok(Math.abs(own[0] - own[1]) <= 1, `both reach the same height: ${own}`);
+  await until(page, () => new URLSearchParams(location.search).get("edit"), "the address holds it");
+  await shot("own-axis");
+  await page.reload();
+  await until(
+    page,
+    (i) => [...(window.situStudio?.views ?? [])].find((v) => v.el.id === i)?.own,
+    "a reload shows the same",
+    id,
+  );
+  await page.click(`[data-panel="${id.replace("body-", "")}"] button[title=Properties]`, { force: true });
+  await until(page, () => document.querySelector("#axis-own")?.checked, "its properties say so");
+  await page.uncheck("#axis-own");
+  await until(page, (i) => ![...window.situStudio.views].find((v) => v.el.id === i).own, "on one axis again", id);
+});

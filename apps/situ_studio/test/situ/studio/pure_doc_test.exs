@@ -5,6 +5,7 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Path
   doctest Situ.Studio.WholeNumber
   doctest Situ.Studio.Comparison
+  doctest Situ.Studio.PipelineView.Fold
   doctest Situ.Studio.PipelineView.Waits
   doctest Situ.Studio.Export
   doctest Situ.Studio.Coverage

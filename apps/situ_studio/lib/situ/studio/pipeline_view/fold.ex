@@ -145,5 +145,16 @@ defmodule Situ.Studio.PipelineView.Fold do
 
   defp policy(edges), do: edges |> Enum.map(& &1.policy) |> Enum.uniq() |> Enum.join(", ")
 
-  defp lossy?(edge), do: edge.policy not in [nil, "unlimited", "synchronous"]
+  @doc """
+  Whether a connection may drop messages.
+
+      iex> alias Situ.Studio.PipelineView.Fold
+      iex> for policy <- ["unlimited", "throttle(8)", "latest"], do: Fold.lossy?(%{policy: policy})
+      [false, false, true]
+  """
+  @spec lossy?(%{:policy => String.t() | nil, optional(atom()) => term()}) :: boolean()
+  def lossy?(%{policy: nil}), do: false
+
+  def lossy?(%{policy: policy}),
+    do: policy not in ["unlimited", "synchronous"] and not String.starts_with?(policy, "throttle")
 end

@@ -17,7 +17,7 @@ defmodule Situ.Studio.PipelineView.Waits do
       ]
   """
   alias Situ.Diagnostics.Snapshot
-  alias Situ.Studio.PipelineView.Stats
+  alias Situ.Studio.PipelineView.{Fold, Stats}
 
   @type t :: %{
           edge: pos_integer(),
@@ -29,12 +29,14 @@ defmodule Situ.Studio.PipelineView.Waits do
 
   # A component that is busy for less than this much of its time is not what is slow.
   @busy 50.0
+  # One that is busy for so much of it has no time for more.
+  @full 90.0
 
   @doc "Each wait that there is now, in the order of the connections."
   @spec of(Snapshot.t(), Stats.sample()) :: [t()]
   def of(%Snapshot{} = snapshot, sample) do
     paths = Map.new(snapshot.nodes, &{&1.id, &1.path})
-    waiting = Enum.filter(snapshot.edges, & &1.throttled)
+    waiting = Enum.filter(snapshot.edges, &waits?(&1, snapshot, sample))
     by_from = Enum.group_by(waiting, & &1.from)
 
     for edge <- waiting do
@@ -47,6 +49,12 @@ defmodule Situ.Studio.PipelineView.Waits do
       }
     end
   end
+
+  # A source that is asked for messages has none left over: it waits where the input has some and has no time for more.
+  defp waits?(%{throttled: true}, _snapshot, _sample), do: true
+
+  defp waits?(edge, snapshot, sample),
+    do: edge.queue > 0 and not Fold.lossy?(edge) and busy(edge.to, snapshot, sample) >= @full
 
   # Its name says more where there are several.
   defp input(edge, paths, snapshot) do
