@@ -18,12 +18,13 @@ hears = fn port, opts, ms ->
   {:ok, out} =
     Situ.Pipeline.start_link(fn p ->
       p
-      |> Situ.from_enumerable(for(n <- 1..100_000, do: {n * 20_000_000, n}))
+      |> Situ.from_enumerable(for(n <- 1..900, do: {n * 20_000_000, n}))
       |> Mqtt.publish("127.0.0.1", "lab/tls", opts)
     end)
 
   heard = receive do: ({:got, n} when is_integer(n) -> true), after: (ms -> false)
-  for p <- [p, out], do: {:ok, _} = Situ.Pipeline.stop(p)
+  # The sender may have ended by itself.
+  for p <- [p, out], do: Situ.Pipeline.stop(p)
   heard
 end
 

@@ -1,10 +1,13 @@
 """rospy's side of the ROS 1 test: `imu FROM` publishes for ever, `peer` hears pictures, calls, answers and sets parameters."""
+import signal
 import sys
 
 import rospy
 from sensor_msgs.msg import Image, Imu
 from std_srvs.srv import SetBool, SetBoolResponse
 
+# It ends by itself, whoever forgets it.
+signal.alarm(180)
 role = sys.argv[1]
 rospy.init_node(f"theirs_{role}", disable_signals=True)
 
