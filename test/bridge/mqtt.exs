@@ -19,7 +19,7 @@ hears = fn port, opts, ms ->
     Situ.Pipeline.start_link(fn p ->
       p
       |> Situ.from_enumerable(for(n <- 1..900, do: {n * 20_000_000, n}))
-      |> Mqtt.publish("127.0.0.1", "lab/tls", opts)
+      |> Mqtt.publish("127.0.0.1", "lab/tls", [retain: true] ++ opts)
     end)
 
   heard = receive do: ({:got, n} when is_integer(n) -> true), after: (ms -> false)
