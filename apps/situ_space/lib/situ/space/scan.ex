@@ -4,6 +4,7 @@ defmodule Situ.Space.Scan do
 
   | ending | what is read | stream |
   |---|---|---|
+  | `.glb`, `.gltf` | glTF 2.0 in one file, not compressed: the scene's triangles, without materials | `Mesh` |
   | `.las` | LAS 1.0 to 1.4, not compressed, with colours | `Points`: a `Situ.PointCloud` |
   | `.obj` | OBJ: vertices and faces, without materials | `Mesh`, or `Points` where there are no faces |
   | `.pcd` | PCD 0.7 as text, bytes or compressed bytes, with colours | `Points` |
@@ -16,7 +17,7 @@ defmodule Situ.Space.Scan do
   @behaviour Situ.Store.Reader
 
   alias Situ.{Error, Mesh, Message, PointCloud}
-  alias Situ.Space.Scan.{Las, Obj, Pcd, Ply}
+  alias Situ.Space.Scan.{Gltf, Las, Obj, Pcd, Ply}
   alias Situ.Space.WholeFile
   alias Situ.Store.StreamInfo
 
@@ -36,7 +37,7 @@ defmodule Situ.Space.Scan do
   def read(path), do: with({:ok, scan} <- open(path, []), do: {:ok, scan.data})
 
   @impl true
-  def extensions, do: [".las", ".obj", ".pcd", ".ply"]
+  def extensions, do: [".glb", ".gltf", ".las", ".obj", ".pcd", ".ply"]
 
   @impl true
   def open(path, _opts) do
@@ -47,6 +48,9 @@ defmodule Situ.Space.Scan do
   end
 
   defp parse(".las", bytes), do: Las.read(bytes)
+
+  defp parse(gltf, bytes) when gltf in [".glb", ".gltf"],
+    do: with({:ok, data} <- Gltf.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})
 
   defp parse(".obj", bytes),
     do: with({:ok, data} <- Obj.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})
