@@ -64,6 +64,14 @@ defmodule Situ.CLI.Cluster do
             value: "RULE",
             many?: true
           ),
+          Option.new(:direct, :string, "a stream that bypasses the log between parts",
+            value: "STREAM",
+            many?: true
+          ),
+          Option.new(:publish, :string, "a stream kept in the log for readers outside",
+            value: "STREAM",
+            many?: true
+          ),
           Option.new(:checkpoint, :span, "between checkpoints", default: 1_000_000_000),
           Option.new(:balance, :span, "how often to look whether a part should move"),
           @node,
@@ -188,7 +196,8 @@ defmodule Situ.CLI.Cluster do
   defp deploy(module, opts) do
     module = Module.concat([module])
     place = Enum.map(opts[:place], &rule/1)
-    settings = [place: place, checkpoint: opts[:checkpoint], balance: opts[:balance]]
+    streams = Keyword.take(opts, [:direct, :publish])
+    settings = [place: place, checkpoint: opts[:checkpoint], balance: opts[:balance]] ++ streams
     deployment = Error.unwrap!(ask(opts, Cluster, :deploy, [module, settings]))
     Output.puts("#{deployment.name} runs; `situ cluster status` says where")
     0

@@ -1,7 +1,7 @@
 defmodule Situ.CLI.ClusterNode do
   @moduledoc false
   # The verbs of `situ cluster` that look after nodes: their logs, their code, their load; and the studio of a node.
-  alias Situ.{Cluster, Error}
+  alias Situ.{Cluster, Diagnostics, Error}
   alias Situ.CLI.{Option, Output, Verb}
 
   @again_ms 500
@@ -25,6 +25,14 @@ defmodule Situ.CLI.ClusterNode do
         ],
         examples: ["situ cluster logs --node situ-9301@127.0.0.1 --follow"],
         run: fn _, opts -> logs(opts, ask) end
+      },
+      %Verb{
+        words: ["cluster", "info"],
+        summary: "a whole deployment as one pipeline: components, edges, rates, queues",
+        arguments: [deployment: [kind: :text, doc: "what was deployed"]],
+        options: common,
+        examples: ["situ cluster info Hall --node situ-9301@127.0.0.1"],
+        run: fn %{deployment: name}, opts -> info(name, opts, ask) end
       },
       %Verb{
         words: ["cluster", "upgrade"],
@@ -54,6 +62,16 @@ defmodule Situ.CLI.ClusterNode do
     lines = for node <- nodes, do: {node, read(node, 0, opts[:number], opts, ask)}
     for {node, line} <- by_time(lines), do: print(node, line)
     if opts[:follow], do: follow(marks(lines, Map.new(nodes, &{&1, 0})), opts, ask)
+    0
+  end
+
+  defp info(name, opts, ask) do
+    snapshot = ask.(opts, Cluster, :info, [deployment(name, opts, ask)])
+
+    for n <- Enum.sort_by(snapshot.nodes, & &1.path),
+        do: Output.puts("#{n.path}: #{n.description}")
+
+    Output.puts(Diagnostics.format(snapshot))
     0
   end
 
@@ -135,16 +153,17 @@ defmodule Situ.CLI.ClusterNode do
     end
   end
 
-  defp balance(name, opts, ask) do
+  defp deployment(name, opts, ask) do
     known = ask.(opts, Cluster.Agent, :info, []).deployments
 
-    deployment =
-      Enum.find(known, &(&1.name == name)) ||
-        raise Error.new(:not_found, "there is no deployment #{inspect(name)}",
-                fix: "there are: " <> Enum.map_join(known, ", ", & &1.name)
-              )
+    Enum.find(known, &(&1.name == name)) ||
+      raise Error.new(:not_found, "there is no deployment #{inspect(name)}",
+              fix: "there are: " <> Enum.map_join(known, ", ", & &1.name)
+            )
+  end
 
-    case Error.unwrap!(ask.(opts, Cluster, :balance, [deployment])) do
+  defp balance(name, opts, ask) do
+    case Error.unwrap!(ask.(opts, Cluster, :balance, [deployment(name, opts, ask)])) do
       nil -> Output.puts("no part of #{name} should move")
       {part, to} -> Output.puts("#{name}/#{part} runs on #{to} now, which is less busy")
     end
