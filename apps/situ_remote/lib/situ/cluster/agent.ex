@@ -178,6 +178,11 @@ defmodule Situ.Cluster.Agent do
     {:noreply, routed(state, part, epoch, pid)}
   end
 
+  def handle_cast({:runs, part, runner}, state) when is_map_key(state.runners, part),
+    do: {:noreply, put_in(state.runners[part], runner)}
+
+  def handle_cast({:runs, _part, _runner}, state), do: {:noreply, state}
+
   # Reading a stream of a part: the process hears where it is published, now and whenever that changes.
   @impl true
   def handle_info({:situ_cluster, :follow, part, pid}, state) do

@@ -12,6 +12,10 @@ defmodule Situ.Cluster.Member do
   def route(agent, part, epoch, publisher),
     do: GenServer.cast(agent, {:route, part, epoch, publisher, :tell})
 
+  @doc "This process looks after a part on this node."
+  @spec runs(GenServer.server(), part(), pid()) :: :ok
+  def runs(agent, part, runner), do: GenServer.cast(agent, {:runs, part, runner})
+
   @doc "How much this node is preferred for a part (0: most), or `nil`."
   @spec rank(GenServer.server(), map(), String.t()) :: non_neg_integer() | nil
   def rank(agent, rule, part), do: GenServer.call(agent, {:rank, rule, part}, :infinity)

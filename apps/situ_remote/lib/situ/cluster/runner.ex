@@ -59,6 +59,8 @@ defmodule Situ.Cluster.Runner do
   def init(args) do
     Process.flag(:trap_exit, true)
     state = struct!(__MODULE__, args)
+    # Its supervisor may have started it again.
+    Member.runs(state.agent, {state.deployment.name, state.part}, self())
     send(self(), :look)
     {:ok, state}
   end
@@ -91,7 +93,7 @@ defmodule Situ.Cluster.Runner do
   def handle_info({:DOWN, ref, :process, pid, _}, %{monitor: ref, phase: :running} = state) do
     case Pipeline.await(pid, 5_000) do
       {:ok, _report} -> {:noreply, ended(state)}
-      {:error, error} -> {:noreply, failed(state, error)}
+      {:error, error} -> {:noreply, if(left?(state), do: state, else: failed(state, error))}
     end
   end
 
@@ -127,7 +129,7 @@ defmodule Situ.Cluster.Runner do
        owner: owner(state),
        error: state.error,
        checkpoints: state.checkpoints,
-       publisher: if(state.publisher, do: Publisher.info(state.publisher)),
+       publisher: published(state.publisher),
        pipeline: if(state.phase == :running, do: state.pipeline)
      }, state}
   end
@@ -157,6 +159,18 @@ defmodule Situ.Cluster.Runner do
   end
 
   def handle_call(:restart, _from, state), do: {:reply, :ok, state}
+
+  # A component fails when it cannot publish any more. The publisher's exit says why.
+  defp left?(%{publisher: publisher}), do: not Process.alive?(publisher)
+
+  # It may be lost this moment; then its exit follows.
+  defp published(nil), do: nil
+
+  defp published(publisher) do
+    Publisher.info(publisher)
+  catch
+    :exit, _ -> nil
+  end
 
   # Owning
 
