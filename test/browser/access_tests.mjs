@@ -62,6 +62,10 @@ const screens = {
   },
   session: (page) => open(page, main, "study.json/p02"),
   live: (page) => open(page, main, "Lobby"),
+  comparison: async (page) => {
+    await open(page, main, "minute.0000", "?with=memory");
+    await until(page, () => window.situStudio.compare, "the comparison");
+  },
   dataset: async (page) => {
     await page.goto(`${main}/d/study.json`);
     await until(page, () => document.querySelectorAll("#tree .session img").length === 2, "its recordings are known");
