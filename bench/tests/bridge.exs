@@ -55,7 +55,13 @@ defmodule Situ.Bench.Bridge do
   defp into(p, module, port), do: module.connect(p, "127.0.0.1", port)
 
   defp python(scale) do
-    python = System.find_executable(System.get_env("SITU_BENCH_PYTHON") || "python3")
+    # The packages of test/bridge, where that has run.
+    own = Path.expand("../../_build/bridge-venv/bin/python", __DIR__)
+
+    python =
+      System.get_env("SITU_BENCH_PYTHON") || if(File.exists?(own), do: own, else: "python3")
+
+    python = System.find_executable(python)
     script = Path.expand("../python/zeromq.py", __DIR__)
     n = max(1, round(50_000 * scale))
 
