@@ -219,7 +219,7 @@ defmodule Situ.Live do
 
   defp viewer(_, nil), do: {:ok, nil}
   defp viewer(:none, _token), do: {:ok, nil}
-  defp viewer(:auto, token), do: token(:auto, token == nil)
+  defp viewer(:auto, _token), do: token(:auto, false)
 
   defp viewer(same, same) do
     {:error,

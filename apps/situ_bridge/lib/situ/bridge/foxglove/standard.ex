@@ -178,9 +178,9 @@ defmodule Situ.Bridge.Foxglove.Standard do
 
   @doc """
   Data as a message of a type: Situ's types become Foxglove's with `time` as their timestamp and `frame` as the frame
-  they are in, maps stay.
+  they are in; maps, and whatever else, stay.
   """
-  @spec to(String.t(), term(), Situ.Time.t(), String.t()) :: map()
+  @spec to(String.t(), term(), Situ.Time.t(), String.t()) :: term()
   def to(name, value, time, frame \\ "")
 
   def to(_name, %Image{} = image, time, frame),

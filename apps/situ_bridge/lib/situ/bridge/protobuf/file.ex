@@ -161,15 +161,14 @@ defmodule Situ.Bridge.Protobuf.File do
     time = message.originating_time
     data = Standard.to(opts[:type], message.data, time)
 
-    with true <- is_map(data),
-         {:ok, bytes} <-
-           Protobuf.Writer.encode(state.schema, opts[:type], Stamp.put(data, state.stamp, time)) do
-      append(state, Delimited.frame(bytes))
-      {[], state}
-    else
-      false -> raise unwritable(opts, "it is no map")
+    if not is_map(data), do: raise(unwritable(opts, "it is no map"))
+
+    case Protobuf.Writer.encode(state.schema, opts[:type], Stamp.put(data, state.stamp, time)) do
+      {:ok, bytes} -> append(state, Delimited.frame(bytes))
       {:error, why} -> raise unwritable(opts, why)
     end
+
+    {[], state}
   end
 
   defp unwritable(opts, why),

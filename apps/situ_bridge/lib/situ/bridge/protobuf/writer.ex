@@ -8,7 +8,7 @@ defmodule Situ.Bridge.Protobuf.Writer do
   @times ["google.protobuf.Timestamp", "google.protobuf.Duration"]
 
   @doc "The map as a message `name`. Error: a sentence."
-  @spec encode(Schema.t(), String.t(), map()) :: {:ok, binary()} | {:error, String.t()}
+  @spec encode(Schema.t(), String.t(), term()) :: {:ok, binary()} | {:error, String.t()}
   def encode(schema, name, map) do
     {:ok, IO.iodata_to_binary(put_message(map, name, schema))}
   catch

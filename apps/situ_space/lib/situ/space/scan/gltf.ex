@@ -66,8 +66,8 @@ defmodule Situ.Space.Scan.Gltf do
         count = div(byte_size(places), 12)
         if first + count > @most, do: no!("it has more than #{@most} vertices")
 
-        {[vertices | moved(places, matrix)],
-         [indices | triangles(part, count, first, scene, body)], first + count}
+        {[vertices, moved(places, matrix)], [indices, triangles(part, count, first, scene, body)],
+         first + count}
       end)
 
     vertices = IO.iodata_to_binary(vertices)
