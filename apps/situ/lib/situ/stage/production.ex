@@ -82,8 +82,9 @@ defmodule Situ.Stage.Production do
         timers: Timers.cut(state.timers, final)
     }
 
+    # Light operators whose source is gone, as while a unit restarts, have nothing to stop.
     state =
-      if state.phase == :failed,
+      if state.phase == :failed or state.callback == nil,
         do: state,
         else: Activation.call(state, :handle_stop, [final], Clock.now(state.clock))
 

@@ -173,4 +173,17 @@ defmodule Situ.Stage.ControlTest do
 
     Process.exit(p, :kill)
   end
+
+  # As happens while a unit in front of it restarts.
+  test "light operators that are asked to stop have nothing to stop, and do not die of it" do
+    {p, slow} = start()
+    [sink] = for {"Sink", pid, _, _} <- Supervisor.which_children(p), do: pid
+    monitor = Process.monitor(sink)
+    send(sink, {:situ, {:stop, 1_000_000}})
+    assert %{phase: :running, source: %{stopping: :done}} = :sys.get_state(sink)
+    refute_received {:DOWN, ^monitor, :process, _, _}
+    assert Pipeline.state(p) == :running
+    Process.exit(p, :kill)
+    Process.exit(slow, :kill)
+  end
 end

@@ -25,7 +25,8 @@ defmodule Situ.CLI.Task do
         run
         | words: ["dataset", "run"],
           aliases: [],
-          examples: [hd(tl(run.examples)), hd(Enum.reverse(run.examples))]
+          examples:
+            for(example <- run.examples, do: String.replace(example, "task run", "dataset run"))
       }
     ]
   end

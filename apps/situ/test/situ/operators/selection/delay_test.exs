@@ -57,7 +57,7 @@ defmodule Situ.Selection.DelayTest do
 
   test "holds what it has when the stream ends as long as everything else" do
     clock = Situ.Clock.manual(0)
-    p = ending(clock, 10)
+    p = ending(clock, 50)
     # The last message of the source: it ends.
     Situ.Clock.set(clock, 20)
     assert_receive {:made, :b}, 30_000

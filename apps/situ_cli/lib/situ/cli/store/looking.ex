@@ -35,7 +35,7 @@ defmodule Situ.CLI.Store.Looking do
         examples: [
           "situ store info recordings/lobby",
           "situ store info recordings --json",
-          "situ store list drive.mcap --show chunks"
+          "situ store info drive.mcap --show chunks"
         ],
         run: &info/2
       },
