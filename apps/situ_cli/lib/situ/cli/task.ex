@@ -62,7 +62,7 @@ defmodule Situ.CLI.Task do
       examples: [
         "situ task run study.json sound-to-wav --set stream=Mic",
         "situ task run study.json voice-activity --parallel 2",
-        "situ dataset run study.json loudness.ex --output Loudness"
+        "situ task run study.json loudness.ex --output Loudness"
       ],
       run: &run/2
     }
