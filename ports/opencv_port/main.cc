@@ -105,7 +105,7 @@ bool calibrate(Reader &in, Writer &out) {
   return true;
 }
 
-// What is not known takes the lesser disparity of its neighbours in the row: most of it is hidden by what is nearer.
+// Unknown pixels take the lesser disparity of their neighbours in the row: most of them are hidden by something nearer.
 void fill(cv::Mat &found, int unknown) {
   for (int y = 0; y < found.rows; y++) {
     int16_t *row = found.ptr<int16_t>(y);

@@ -61,7 +61,7 @@ case System.argv() do
 
     hear = fn hear, last ->
       receive do
-        # What is not acknowledged comes again.
+        # Messages that are not acknowledged come again.
         {:got, ^last} -> :ok
         {:got, _} -> hear.(hear, last)
       after

@@ -39,7 +39,7 @@ fn promise(body: &[u8]) -> Option<(usize, String, u64)> {
     (body.len() >= data).then(|| (data, String::from_utf8_lossy(text).into_owned(), size))
 }
 
-/// What a chunk says of itself, as far as the file has it.
+/// A chunk's own header, as far as the file has it.
 pub fn header(bytes: &Bytes, place: Place, at: u64) -> Result<ChunkPlace> {
     // A compression's name has a few letters.
     let head = bytes.read(place.body, 64.min(bytes.size - place.body))?;

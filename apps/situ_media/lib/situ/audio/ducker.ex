@@ -58,7 +58,8 @@ defmodule Situ.Audio.Ducker do
   def handle_closed(:while, _time, _context, state),
     do: {[], %{state | quiet?: false, until: nil}}
 
-  # What says when it is to be quiet may depend on what it hears, as an assistant does: that does not keep it open.
+  # The stream that says when to be quiet may depend on this one's output, as an assistant's does: that does not keep
+  # it open.
   def handle_closed(:in, _time, _context, state), do: {[{:close, :out}], state}
 
   @impl true

@@ -71,7 +71,7 @@ defmodule Situ.Cluster.Batch do
   def rows(body) when is_binary(body), do: :erlang.binary_to_term(body)
   def rows(body) when is_list(body), do: body
 
-  @doc "What lies behind sequence id `last`."
+  @doc "The messages behind sequence id `last`."
   @spec behind(t(), non_neg_integer()) :: t() | nil
   def behind(%__MODULE__{first: first} = batch, last) when last < first, do: batch
   def behind(%__MODULE__{last: own}, last) when last >= own, do: nil

@@ -18,7 +18,7 @@ defmodule Situ.Cluster.Readers do
   @patience_ms 500
   # A direct stream has no other copy.
   @direct_patience_ms 5_000
-  # What a queue under a policy without a number holds.
+  # The size of a queue under a policy that names none.
   @queued 1_000
 
   defstruct by_ref: %{}, seen: MapSet.new()

@@ -43,7 +43,7 @@ export function saveVector(app, body) {
   save(new Blob([ctx.text(theme().panel, title.join(", "))], { type: "image/svg+xml" }), body, "svg");
 }
 
-// What stands in the page over the drawing: names, values, facts.
+// The elements of the page over the drawing: names, values, facts.
 function names(ctx, body, box) {
   ctx.font = FONT;
   ctx.textBaseline = "middle";

@@ -1,4 +1,4 @@
-// What panels draw on a canvas, as SVG: the part of a canvas' context that they use, writing elements down.
+// The drawing of a panel as SVG: the part of a canvas' context that they use, writing elements down.
 
 const round = (x) => Math.round(x * 100) / 100;
 

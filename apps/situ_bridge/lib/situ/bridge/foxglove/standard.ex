@@ -107,7 +107,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
     [names | lists] =
       for key <- ~w(name position velocity effort), do: Enum.map(joints, & &1[key])
 
-    # What one joint does not say, none does.
+    # A list that one joint has no value for is left out for all.
     [p, v, e] = for list <- lists, do: if(nil in list, do: [], else: list)
     JointState.new(names, p, v, e)
   end
@@ -120,7 +120,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
 
   defp make(_name, _message), do: :error
 
-  # What is not there is the origin, and not turned.
+  # A part that is missing is the origin, and not turned.
   defp pose(position, rotation) do
     p = position || %{"x" => 0.0, "y" => 0.0, "z" => 0.0}
     q = rotation || %{"x" => 0.0, "y" => 0.0, "z" => 0.0, "w" => 1.0}

@@ -37,7 +37,7 @@ defmodule Situ.Bridge.Protobuf.Delimited do
         case split(bytes <> more, at, []) do
           {:ok, found, rest, at} -> {found, {file, rest, at}}
           {:error, [], at, why} -> raise bad(path, at, why)
-          # What stands before the fault is handed out first.
+          # The messages before the fault are handed out first.
           {:error, found, at, _why} -> {found, {file, rest(bytes <> more, found, at), at}}
         end
 

@@ -22,7 +22,7 @@ defmodule Situ.CLI.Store.Arguments do
     )
   end
 
-  @doc "What an MCAP file carries beside its messages."
+  @doc "`--attach` and `--metadata`: things that an MCAP file carries beside its messages."
   @spec carried() :: [Option.t()]
   def carried do
     [

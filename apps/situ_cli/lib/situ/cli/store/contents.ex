@@ -5,7 +5,7 @@ defmodule Situ.CLI.Store.Contents do
   alias Situ.CLI.Output
   alias Situ.{Error, Store, Time}
 
-  @doc "What can be shown."
+  @doc "The parts of a file that can be shown."
   @spec parts() :: [String.t()]
   def parts, do: ~w(channels schemas chunks attachments metadata sizes)
 

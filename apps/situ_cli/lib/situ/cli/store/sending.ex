@@ -129,7 +129,7 @@ defmodule Situ.CLI.Store.Sending do
   defp topic(name, streams, opts) when is_list(opts), do: topic(name, streams, Map.new(opts))
   defp topic(name, _streams, opts), do: (opts[:topic] || "") <> name
 
-  # What is played of the recording, as the pipeline's option.
+  # The part of the recording that is played, as the pipeline's option.
   defp interval(store, streams, opts) do
     {first, last} = Store.interval(streams) || Store.interval(store)
     from = opts[:from] || (opts[:start] && first + opts[:start])

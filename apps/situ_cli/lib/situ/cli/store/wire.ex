@@ -49,7 +49,7 @@ defmodule Situ.CLI.Store.Wire do
       else: store
   end
 
-  @doc "What publishes a stream: a function of the stream, its topic and its description."
+  @doc "The publisher of a stream: a function of the stream, its topic and its description."
   @spec sender(Situ.Pipeline.t(), keyword()) ::
           (Situ.Stream.t(), String.t(), Store.StreamInfo.t() -> Situ.Stream.t())
   def sender(p, opts), do: sender(opts[:system], p, opts)
@@ -109,7 +109,7 @@ defmodule Situ.CLI.Store.Wire do
   defp name(topic),
     do: "/" <> (topic |> String.trim_leading("/") |> String.replace(~r/[^A-Za-z0-9_\/]/, "_"))
 
-  # What was recorded from ROS goes as what it was.
+  # Messages that were recorded from ROS go with their own types.
   defp typed(%{type_name: type}) when is_binary(type) do
     plain = Definition.plain(type)
     if Library.fetch(plain) == :error, do: [], else: [ros_type: plain]

@@ -39,7 +39,7 @@ defmodule Situ.CLI.Store.SendingTest do
     value
   end
 
-  # What comes on each topic goes to the test.
+  # Each topic's messages go to the test.
   defp subscriber(address, topics) do
     test = self()
 

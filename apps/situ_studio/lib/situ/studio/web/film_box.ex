@@ -41,7 +41,7 @@ defmodule Situ.Studio.Web.FilmBox do
     assign(socket, film: %{key: key, of: film, told: {:progress, 0.0}})
   end
 
-  # What the panel shows now: its picture, what is drawn over it, and the sound of the page.
+  # The panel's layers: its picture, what is drawn over it, and the sound of the page.
   defp film(panel, assigns, from, to) do
     visible = Enum.reject(panel.vis, &(&1.props["visible"] == false))
     colors = Color.of(Enum.map(panel.vis, & &1.stream), assigns.colors)

@@ -35,7 +35,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
     )
   end
 
-  # What is compared stands beside what it is compared with, not in panels of its own.
+  # A compared stream stands beside its counterpart, not in panels of its own.
   defp automatic(assigns),
     do: assigns.infos |> Enum.reject(&Beside.second?(&1.name)) |> Layout.Auto.layout()
 

@@ -26,7 +26,7 @@ defmodule Situ.Studio.Web.SettingsView do
   end
 
   @impl true
-  # What is no rule is refused with its line, and nothing is kept.
+  # A line that is no rule is refused and named, and nothing is kept.
   def handle_event("alerts", %{"alerts" => text}, %{assigns: %{read_only: false}} = socket)
       when is_binary(text) do
     case Rule.read(text) do
