@@ -1,5 +1,6 @@
 defmodule Situ.Bridge.Protobuf.FileTest do
-  use ExUnit.Case, async: true
+  # Not beside others, whose atoms would be counted.
+  use ExUnit.Case, async: false
   alias Situ.Bridge.Protobuf
   alias Situ.Pipeline
 
