@@ -54,7 +54,11 @@ export class LogPanel {
 
   go(i) {
     const row = this.rows[i];
-    if (row) this.app.time.dispatch({ type: "nudge", by: row[0] - this.app.time.get().cursor });
+    if (!row) return;
+    // the next key counts from here, whether the server has answered by then or not
+    this.at = i;
+    this.app.schedule(this);
+    this.app.time.dispatch({ type: "nudge", by: row[0] - this.app.time.get().cursor });
   }
 
   press(e) {
