@@ -37,6 +37,22 @@ defmodule Situ.Bench do
   @doc "The VM's resident memory now, MiB."
   def rss_mib, do: status_mib("VmRSS")
 
+  @doc "A new folder for what a benchmark writes, below `SITU_BENCH_DIR` where that is set."
+  def folder! do
+    root = System.get_env("SITU_BENCH_DIR") || System.tmp_dir!()
+    path = Path.join(root, "situ-bench-#{System.pid()}-#{System.unique_integer([:positive])}")
+    File.mkdir_p!(path)
+    path
+  end
+
+  @doc "A port of this machine that nobody listens on."
+  def free_port do
+    {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
+    {:ok, port} = :inet.port(socket)
+    :gen_tcp.close(socket)
+    port
+  end
+
   defp status_mib(field) do
     [_, kb] = Regex.run(~r/#{field}:\s+(\d+) kB/, File.read!("/proc/self/status"))
     String.to_integer(kb) / 1024

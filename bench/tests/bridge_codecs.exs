@@ -188,7 +188,7 @@ defmodule Situ.Bench.BridgeCodecs do
       root = Path.join(System.tmp_dir!(), "situ-bench-mqtt-#{System.pid()}")
       File.rm_rf!(root)
       File.mkdir_p!(root)
-      [port, nats] = for _ <- 1..2, do: free_port()
+      [port, nats] = for _ <- 1..2, do: Situ.Bench.free_port()
 
       config = """
       listen: 127.0.0.1:#{nats}
@@ -224,12 +224,5 @@ defmodule Situ.Bench.BridgeCodecs do
         Process.sleep(50)
         ready(port, tries - 1)
     end
-  end
-
-  defp free_port do
-    {:ok, tcp} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
-    {:ok, port} = :inet.port(tcp)
-    :gen_tcp.close(tcp)
-    port
   end
 end

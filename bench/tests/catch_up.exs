@@ -152,9 +152,7 @@ defmodule Situ.Bench.CatchUp do
   end
 
   defp recorder do
-    name = "situ-bench-#{System.pid()}-#{System.unique_integer([:positive])}"
-    root = Path.join(System.tmp_dir!(), name)
-    File.mkdir_p!(root)
+    root = Situ.Bench.folder!()
     {:ok, _} = Application.ensure_all_started(:situ_remote)
     {:ok, writer} = Writer.create("catch-up", root)
     {root, writer}

@@ -86,7 +86,7 @@ defmodule Situ.Bench.Cluster do
   end
 
   defp clustered(fun) do
-    root = folder()
+    root = Situ.Bench.folder!()
     Code.put_compiler_option(:ignore_module_conflict, true)
     code = for {module, beam} <- Code.compile_string(@pipe), do: {module, beam}
     nodes = for name <- ["left", "right"], do: node(name, code)
@@ -147,7 +147,7 @@ defmodule Situ.Bench.Cluster do
 
     {:ok, peer, node} =
       :peer.start(%{
-        name: to_charlist("#{name}-#{free_port()}"),
+        name: to_charlist("#{name}-#{Situ.Bench.free_port()}"),
         host: ~c"127.0.0.1",
         longnames: true,
         connection: :standard_io,
@@ -204,7 +204,7 @@ defmodule Situ.Bench.Cluster do
 
   # One link, one client.
   defp many_streams(n) do
-    root = folder()
+    root = Situ.Bench.folder!()
     {:ok, _} = Application.ensure_all_started(:situ_remote)
     {:ok, writer} = Writer.create("many", root)
 
@@ -266,23 +266,5 @@ defmodule Situ.Bench.Cluster do
     after
       120_000 -> raise "#{left} streams have not come"
     end
-  end
-
-  defp folder do
-    root =
-      Path.join(
-        System.tmp_dir!(),
-        "situ-bench-#{System.pid()}-#{System.unique_integer([:positive])}"
-      )
-
-    File.mkdir_p!(root)
-    root
-  end
-
-  defp free_port do
-    {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
-    {:ok, port} = :inet.port(socket)
-    :gen_tcp.close(socket)
-    port
   end
 end

@@ -14,8 +14,8 @@ defmodule Situ.Bench.Log do
   end
 
   defp one(n) do
-    root = folder()
-    server = server(root, "n1", free_port(), "")
+    root = Situ.Bench.folder!()
+    server = server(root, "n1", Situ.Bench.free_port(), "")
 
     try do
       log = connect([server], 1)
@@ -64,8 +64,8 @@ defmodule Situ.Bench.Log do
   end
 
   defp three(n) do
-    root = folder()
-    ports = for _ <- 1..3, do: {free_port(), free_port()}
+    root = Situ.Bench.folder!()
+    ports = for _ <- 1..3, do: {Situ.Bench.free_port(), Situ.Bench.free_port()}
     routes = Enum.map_join(ports, ", ", fn {_, route} -> ~s("nats://127.0.0.1:#{route}") end)
 
     servers =
@@ -278,19 +278,5 @@ defmodule Situ.Bench.Log do
     System.get_env("SITU_NATS_SERVER") || (File.exists?(fetched) && fetched) ||
       System.find_executable("nats-server") ||
       raise "there is no nats-server: bin/setup --for test fetches one"
-  end
-
-  defp folder do
-    name = "situ-bench-#{System.pid()}-#{System.unique_integer([:positive])}"
-    root = Path.join(System.tmp_dir!(), name)
-    File.mkdir_p!(root)
-    root
-  end
-
-  defp free_port do
-    {:ok, socket} = :gen_tcp.listen(0, ip: {127, 0, 0, 1})
-    {:ok, port} = :inet.port(socket)
-    :gen_tcp.close(socket)
-    port
   end
 end

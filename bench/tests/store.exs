@@ -38,14 +38,8 @@ defmodule Situ.Bench.Store do
   defp delivery(:throttle), do: Delivery.throttle(1)
   defp delivery(:sync), do: Delivery.synchronous()
 
-  defp folder do
-    root = System.get_env("SITU_BENCH_DIR") || System.tmp_dir!()
-    Path.join(root, "situ-bench-#{System.pid()}-#{System.unique_integer([:positive])}")
-  end
-
   defp in_folder(fun) do
-    root = folder()
-    File.mkdir_p!(root)
+    root = Situ.Bench.folder!()
 
     try do
       fun.(root)

@@ -52,10 +52,16 @@ defmodule Situ.Bridge.File do
   def read(p, path, opts) do
     opts = Situ.Options.validate!(opts, @read)
     messages = messages(path, opts[:format], Keyword.take(opts, [:objects]))
+    replayed(p, messages, path, Keyword.take(opts, [:type, :name]))
+  end
 
+  @doc false
+  # A source of `{time, value}` that starts at the first one.
+  @spec replayed(Situ.Pipeline.t(), Enumerable.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def replayed(p, messages, path, opts \\ []) do
     case Enum.take(messages, 1) do
       [{first, _}] ->
-        Situ.from_enumerable(p, messages, [start: first] ++ Keyword.take(opts, [:type, :name]))
+        Situ.from_enumerable(p, messages, [start: first] ++ opts)
 
       [] ->
         raise Error.new(:empty_file, "there is no message in #{path}",

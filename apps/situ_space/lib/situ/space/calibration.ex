@@ -1,11 +1,11 @@
 defmodule Situ.Space.Calibration do
+  @distortion [
+    type: {:in, [:none, :radial, :full]},
+    default: :full,
+    doc: "Which of the lens is found: nothing, k1 and k2, or these and the tangential p0 and p1."
+  ]
   @schema [
-    distortion: [
-      type: {:in, [:none, :radial, :full]},
-      default: :full,
-      doc:
-        "Which of the lens is found: nothing, k1 and k2, or these and the tangential p0 and p1."
-    ],
+    distortion: @distortion,
     pose: [
       type: :boolean,
       default: false,
@@ -37,6 +37,10 @@ defmodule Situ.Space.Calibration do
   """
   alias Situ.{CameraIntrinsics, Error, Pose, Quaternion, Vector3}
   alias Situ.Space.{Camera, LeastSquares}
+
+  @doc false
+  # The option, for other ways to the same camera.
+  def distortion, do: @distortion
 
   @type seen :: {Vector3.t(), Camera.pixel()}
   @typedoc "`error` is the root of the mean squared distance, in pixels; `pose` is the camera's in the points' frame."

@@ -87,14 +87,7 @@ defmodule Situ.Space.Chessboard do
     )
   end
 
-  @schema [
-            distortion: [
-              type: {:in, [:none, :radial, :full]},
-              default: :full,
-              doc:
-                "Which of the lens is found: nothing, k1 and k2, or these and the tangential p0 and p1."
-            ]
-          ] ++ @corners
+  @schema [distortion: Situ.Space.Calibration.distortion()] ++ @corners
 
   @doc """
   The camera that saw these boards, each a list of corners as `corners/3` gives it; `square` is the width of a square

@@ -71,19 +71,7 @@ defmodule Situ.Bridge.Protobuf.File do
   #{Situ.Options.docs(@read)}
   """
   @spec read(Situ.Pipeline.t(), Path.t(), keyword()) :: Situ.Stream.t()
-  def read(p, path, opts) do
-    messages = messages(path, opts)
-
-    case Enum.take(messages, 1) do
-      [{first, _}] ->
-        Situ.from_enumerable(p, messages, start: first)
-
-      [] ->
-        raise Error.new(:empty_file, "there is no message in #{path}",
-                fix: "check that its writer wrote to it"
-              )
-    end
-  end
+  def read(p, path, opts), do: Situ.Bridge.File.replayed(p, messages(path, opts), path)
 
   @doc "The name that all bridges have for their way out: `write/3`."
   @spec sink(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
