@@ -35,17 +35,15 @@ defmodule Situ.Studio.Film do
   @turn 1_000_000_000
   @page 64
   @frame 40_000_000
-  # The page's colours in the dark.
-  @palette [
-    {0x4E, 0xA1, 0xF3},
-    {0xF2, 0x99, 0x4A},
-    {0x4C, 0xC3, 0x8A},
-    {0xD9, 0x77, 0xB8},
-    {0xE0, 0xB9, 0x3C},
-    {0x38, 0xBF, 0xC3},
-    {0xEF, 0x6B, 0x64},
-    {0x9F, 0x86, 0xF4}
-  ]
+  # The page's colours in the dark, which have their home in its style: the first eight that stand there.
+  @style Path.expand("../../../assets/css/studio.css", __DIR__)
+  @external_resource @style
+  @palette ~r/--s\d: #(..)(..)(..);/
+           |> Regex.scan(File.read!(@style), capture: :all_but_first)
+           |> Enum.take(8)
+           |> Enum.map(fn rgb ->
+             rgb |> Enum.map(&String.to_integer(&1, 16)) |> List.to_tuple()
+           end)
 
   @doc """
   Writes the file; `progress` is told the part that is done, 0.0 to 1.0, about once a second of film. Errors:
