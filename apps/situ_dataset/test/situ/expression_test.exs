@@ -102,6 +102,15 @@ defmodule Situ.ExpressionTest do
   defp function("text", [text]) when is_binary(text), do: text
   defp function("text", [v]) when is_number(v) or is_boolean(v), do: to_string(v)
   defp function("number", [n]) when is_number(n), do: n
+
+  defp function("number", [text]) when is_binary(text) do
+    cond do
+      text =~ ~r/\A[+-]?\d+\z/ -> String.to_integer(text)
+      text =~ ~r/\A[+-]?\d+\.\d+([eE][+-]?\d+)?\z/ -> String.to_float(text)
+      true -> nil
+    end
+  end
+
   defp function("min", [a, b]) when is_number(a) and is_number(b), do: min(a, b)
   defp function("max", [a, b]) when is_number(a) and is_number(b), do: max(a, b)
   defp function("coalesce", [a, b]), do: if(a == nil, do: b, else: a)

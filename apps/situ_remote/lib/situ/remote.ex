@@ -73,7 +73,7 @@ defmodule Situ.Remote do
     ],
     priority: [type: {:range, -100, 100}, default: 0, doc: "Higher ones are sent first."],
     datagrams: [
-      type: {:or, [:boolean, {:range, 46, 65_507}]},
+      type: {:or, [:boolean, {:integer, 46, 65_507}]},
       default: false,
       doc:
         "With a `policy:` that loses: as UDP datagrams of this size (`true`: 1,200 bytes), encrypted. One that is" <>

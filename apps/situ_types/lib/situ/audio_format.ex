@@ -28,8 +28,8 @@ defmodule Situ.AudioFormat do
   @codes Enum.with_index(Keyword.keys(@samples), 1)
 
   @schema [
-    rate: [type: {:range, 1, 16_000_000}, default: 16_000, doc: "Frames a second, Hz."],
-    channels: [type: {:range, 1, 1024}, default: 1, doc: "Interleaved channels."],
+    rate: [type: {:integer, 1, 16_000_000}, default: 16_000, doc: "Frames a second, Hz."],
+    channels: [type: {:integer, 1, 1024}, default: 1, doc: "Interleaved channels."],
     sample: [type: {:in, Keyword.keys(@samples)}, default: :s16, doc: "Type of one sample."]
   ]
 

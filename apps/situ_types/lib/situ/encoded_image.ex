@@ -25,8 +25,8 @@ defmodule Situ.EncodedImage do
 
   @schema [
     format: [type: {:in, [:jpeg, :png]}, required: true, doc: "How it is compressed."],
-    width: [type: {:range, 0, 0xFFFFFFFF}, default: 0, doc: "Pixels in a row, 0: not known."],
-    height: [type: {:range, 0, 0xFFFFFFFF}, default: 0, doc: "Rows, 0: not known."],
+    width: [type: {:integer, 0, 0xFFFFFFFF}, default: 0, doc: "Pixels in a row, 0: not known."],
+    height: [type: {:integer, 0, 0xFFFFFFFF}, default: 0, doc: "Rows, 0: not known."],
     data: [type: :string, required: true, doc: "The file's bytes."]
   ]
 

@@ -9,8 +9,8 @@ defmodule Situ.Options do
 
   Types: `:any`, `:atom`, `:boolean`, `:integer`, `:pos_integer`, `:non_neg_integer`, `:number`, `:float`,
   `:string`, `:list`, `:keyword`, `:map`, `:module`, `:pid`, `:time_ns` (an integer of nanoseconds), `{:in, values}`,
-  `{:fun, arity}`, `{:list, type}`, `{:range, min, max}` (a number, both ends included), `{:struct, module}`,
-  `{:tuple, [type]}`, `{:or, [type]}` and `{:optional, type}` (the type or `nil`).
+  `{:fun, arity}`, `{:list, type}`, `{:range, min, max}` (a number, both ends included), `{:integer, min, max}` (a
+  whole one), `{:struct, module}`, `{:tuple, [type]}`, `{:or, [type]}` and `{:optional, type}` (the type or `nil`).
   """
   alias Situ.Error
 
@@ -181,6 +181,7 @@ defmodule Situ.Options do
   def valid?({:fun, arity}, v), do: is_function(v, arity)
   def valid?({:list, type}, v), do: is_list(v) and Enum.all?(v, &valid?(type, &1))
   def valid?({:range, min, max}, v), do: is_number(v) and v >= min and v <= max
+  def valid?({:integer, min, max}, v), do: is_integer(v) and v >= min and v <= max
   def valid?({:struct, module}, v), do: is_struct(v, module)
 
   def valid?({:tuple, types}, v) do
@@ -201,6 +202,7 @@ defmodule Situ.Options do
   defp describe({:fun, arity}), do: "a function of #{arity} arguments"
   defp describe({:list, type}), do: "a list, each element #{describe(type)}"
   defp describe({:range, min, max}), do: "a number from #{min} to #{max}"
+  defp describe({:integer, min, max}), do: "an integer from #{min} to #{max}"
   defp describe({:struct, module}), do: "a %#{inspect(module)}{}"
   defp describe({:tuple, types}), do: "a tuple of " <> Enum.map_join(types, ", ", &describe/1)
   defp describe({:or, types}), do: Enum.map_join(types, " or ", &describe/1)

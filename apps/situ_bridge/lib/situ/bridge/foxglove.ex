@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Foxglove do
   @schema [
-    port: [type: {:range, 0, 65_535}, default: 8_765, doc: "Foxglove's own default; 0: any."],
+    port: [type: {:integer, 0, 65_535}, default: 8_765, doc: "Foxglove's own default; 0: any."],
     interface: [type: :string, default: "127.0.0.1", doc: "Where to listen; \"*\": everywhere."],
     name: [type: :string, doc: "The server's name; else the recording's."],
     origins: [

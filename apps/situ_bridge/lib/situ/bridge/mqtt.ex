@@ -4,7 +4,7 @@ defmodule Situ.Bridge.Mqtt do
 
   @own [
     port: [
-      type: {:optional, {:range, 1, 65_535}},
+      type: {:optional, {:integer, 1, 65_535}},
       default: nil,
       doc: "The broker's port (default: 1883, with TLS 8883)."
     ],

@@ -103,13 +103,20 @@ defmodule Situ.Dataset.Task do
     )
   end
 
-  # JSON has no atoms: of a choice the one that is so called is meant. A whole number does for a float, and
-  # one text for a list of them.
+  # JSON has no atoms: of a choice the one that is so called is meant. A whole number does for a float, 90.0 for
+  # 90, and one text for a list of them.
   defp read({:in, choices}, text) when is_binary(text),
     do: Enum.find(choices, text, &(to_string(&1) == text))
 
   defp read({:optional, type}, value) when value != nil, do: read(type, value)
   defp read({:list, :string}, text) when is_binary(text), do: [text]
   defp read(:float, n) when is_integer(n), do: n / 1
+
+  defp read(type, x) when is_float(x) and x == trunc(x),
+    do: if(whole?(type), do: trunc(x), else: x)
+
   defp read(_type, value), do: value
+
+  defp whole?({:integer, _, _}), do: true
+  defp whole?(type), do: type in [:integer, :pos_integer, :non_neg_integer, :time_ns]
 end

@@ -7,7 +7,7 @@ defmodule Situ.Dataset.TaskTest do
 
   @schema [
     stream: [type: :string, default: "Audio"],
-    quality: [type: {:range, 1, 100}, default: 90],
+    quality: [type: {:integer, 1, 100}, default: 90],
     gain: [type: :float, default: 1.0],
     mode: [type: {:in, [:fast, :exact]}, default: :fast],
     drop: [type: {:list, :string}, default: []],
@@ -19,6 +19,8 @@ defmodule Situ.Dataset.TaskTest do
     assert {:ok, opts} = Task.options(@schema, config)
     assert opts[:mode] == :exact and opts[:drop] == ["Secret"] and opts[:stream] == "Audio"
     assert opts[:gain] === 2.0 and opts[:least] === 1.0
+    assert {:ok, [{_, _}, {:quality, 80} | _]} = Task.options(@schema, %{"quality" => 80.0})
+    assert {:error, %{code: :bad_option}} = Task.options(@schema, %{"quality" => 80.5})
   end
 
   property "any configuration is options that fit the schema, or an error" do

@@ -15,7 +15,7 @@ defmodule Situ.Infer.PictureService do
       default: [:tags, :objects],
       doc: "The results to ask for."
     ],
-    quality: [type: {:range, 1, 100}, default: 85, doc: "The quality of the JPEG that is sent."]
+    quality: [type: {:integer, 1, 100}, default: 85, doc: "The quality of the JPEG that is sent."]
   ]
   @schema @own ++ Keyword.delete(Situ.Infer.Service.schema(), :key)
 

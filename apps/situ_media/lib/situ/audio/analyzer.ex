@@ -15,9 +15,9 @@ defmodule Situ.Audio.Analyzer do
     entropy_hz: [type: @hz, default: 2500, doc: "Width of the band of the entropy."],
     spectrum: [type: :boolean, default: false, doc: "Emit the Fourier transform."],
     power: [type: :boolean, default: false, doc: "Emit its squared magnitudes."],
-    mel_bands: [type: {:range, 0, 1024}, default: 0, doc: "Mel bands to emit; 0 for none."],
+    mel_bands: [type: {:integer, 0, 1024}, default: 0, doc: "Mel bands to emit; 0 for none."],
     mfcc: [
-      type: {:range, 0, 1024},
+      type: {:integer, 0, 1024},
       default: 0,
       doc: "Cepstral coefficients, at most `mel_bands`."
     ],

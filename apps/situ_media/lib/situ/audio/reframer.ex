@@ -2,7 +2,7 @@ defmodule Situ.Audio.Reframer do
   @schema [
     frames: [type: {:optional, :pos_integer}, default: nil, doc: "Frames of each buffer; or"],
     duration: [
-      type: {:optional, {:range, 1, 0x7FFFFFFFFFFFFFFF}},
+      type: {:optional, {:integer, 1, 0x7FFFFFFFFFFFFFFF}},
       default: nil,
       doc: "Its duration, ns, rounded up to whole frames."
     ],

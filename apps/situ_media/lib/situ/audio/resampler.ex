@@ -1,7 +1,7 @@
 defmodule Situ.Audio.Resampler do
   @schema [
     rate: [
-      type: {:range, 1, 16_000_000},
+      type: {:integer, 1, 16_000_000},
       required: true,
       doc: "Frames a second of the result; 1000 times more or less than the input's at most."
     ],

@@ -10,7 +10,7 @@ defmodule Situ.Imaging.Files do
   alias Situ.Media.Kernel
 
   @jpeg [
-    quality: [type: {:range, 1, 100}, default: 90, doc: "1 (worst) to 100."],
+    quality: [type: {:integer, 1, 100}, default: 90, doc: "1 (worst) to 100."],
     subsampling: [
       type: {:in, [:full, :half, :quarter]},
       default: :quarter,

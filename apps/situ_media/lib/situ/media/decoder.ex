@@ -18,7 +18,7 @@ defmodule Situ.Media.Decoder do
 
   @schema [
     start: [
-      type: {:range, 0, 1_000_000_000_000_000},
+      type: {:integer, 0, 1_000_000_000_000_000},
       default: 0,
       doc: "Media time to begin at, ns: the first picture at or after it."
     ],

@@ -30,7 +30,7 @@ defmodule Situ.Media.Encoder do
       doc: "Sound codec; `nil`: what suits the kind of file."
     ],
     quality: [
-      type: {:range, 0, 51},
+      type: {:integer, 0, 51},
       default: 23,
       doc: "Constant quality, lower is better and larger (x264's CRF)."
     ],

@@ -9,8 +9,8 @@ defmodule Situ.Media.ImageSequenceWriter do
       default: :jpg,
       doc: "How to compress; `Situ.EncodedImage`s are written as they are."
     ],
-    quality: [type: {:range, 1, 100}, default: 90, doc: "Quality of JPEG."],
-    digits: [type: {:range, 1, 18}, default: 6, doc: "Digits in the names: `000001.jpg`."]
+    quality: [type: {:integer, 1, 100}, default: 90, doc: "Quality of JPEG."],
+    digits: [type: {:integer, 1, 18}, default: 6, doc: "Digits in the names: `000001.jpg`."]
   ]
 
   @moduledoc """

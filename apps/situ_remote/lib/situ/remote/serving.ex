@@ -12,7 +12,7 @@ defmodule Situ.Remote.Serving do
 
   @options [
     port: [
-      type: {:or, [{:range, 0, 65_535}, {:in, [:none]}]},
+      type: {:or, [{:integer, 0, 65_535}, {:in, [:none]}]},
       default: Address.default_port(),
       doc: "The TCP port; 0: any free one; `:none`: only `unix:`."
     ],

@@ -20,6 +20,8 @@ defmodule Situ.Test.Property do
   Options of `property`: `numtests:` (default 100), `max_size:` (default 42, PropEr's own), `context: pattern` to
   match the ExUnit context. Generators are those of `Situ.Test.Gen`, which `use` imports.
 
+  `SITU_TIMES=20 mix test` tries every property twenty times as often: a search for rare counterexamples.
+
   Only test code may call this: `:proper` is not started or shipped with an application.
   """
 
@@ -60,7 +62,7 @@ defmodule Situ.Test.Property do
     flags = [
       :quiet,
       :long_result,
-      {:numtests, Keyword.get(opts, :numtests, 100)},
+      {:numtests, Keyword.get(opts, :numtests, 100) * times()},
       {:max_size, Keyword.get(opts, :max_size, 42)}
     ]
 
@@ -70,6 +72,8 @@ defmodule Situ.Test.Property do
       [input | _] -> explain(fun, input)
     end
   end
+
+  defp times, do: "SITU_TIMES" |> System.get_env("1") |> String.to_integer()
 
   defp holds?(fun, input) do
     fun.(input) != false

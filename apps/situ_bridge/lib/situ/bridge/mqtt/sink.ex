@@ -5,7 +5,7 @@ defmodule Situ.Bridge.Mqtt.Sink do
   @schema [
             host: [type: :string, required: true, doc: "Where the broker is."],
             port: [
-              type: {:optional, {:range, 1, 65_535}},
+              type: {:optional, {:integer, 1, 65_535}},
               default: nil,
               doc: "Its port (default: 1883, with TLS 8883)."
             ],

@@ -2,7 +2,7 @@ defmodule Situ.Bridge.Net.Sink do
   alias Situ.Bridge.Outlet
 
   @schema [
-            port: [type: {:range, 0, 65_535}, required: true, doc: "The port to listen on."],
+            port: [type: {:integer, 0, 65_535}, required: true, doc: "The port to listen on."],
             protocol: [type: :any, required: true, doc: "`{module, arg}`."],
             interface: [
               type: :string,

@@ -4,7 +4,7 @@ defmodule Situ.Bridge.Net.Source do
 
   @schema [
             host: [type: :string, required: true, doc: "Where the server is."],
-            port: [type: {:range, 1, 65_535}, required: true, doc: "Its port."],
+            port: [type: {:integer, 1, 65_535}, required: true, doc: "Its port."],
             protocol: [type: :any, required: true, doc: "`{module, arg}`."],
             most: [
               type: :pos_integer,

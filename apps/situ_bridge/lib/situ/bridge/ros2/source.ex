@@ -7,7 +7,7 @@ defmodule Situ.Bridge.Ros2.Source do
       default: "tcp/127.0.0.1:7447",
       doc: "Zenoh's router, which `rmw_zenohd` is."
     ],
-    domain: [type: {:range, 0, 232}, default: 0, doc: "ROS_DOMAIN_ID."],
+    domain: [type: {:integer, 0, 232}, default: 0, doc: "ROS_DOMAIN_ID."],
     node: [
       type: {:optional, :string},
       default: nil,

@@ -45,7 +45,7 @@ defmodule Situ.Infer.Task.Anonymise do
           default: 0.3,
           doc: "How sure the detector must be of a face."
         ],
-        quality: [type: {:range, 1, 100}, default: 90, doc: "Of the JPEG."]
+        quality: [type: {:integer, 1, 100}, default: 90, doc: "Of the JPEG."]
       ]
     }
   end

@@ -10,7 +10,7 @@ defmodule Situ.Media.Task.EncodePictures do
       output: "Pictures",
       options: [
         stream: [type: :string, default: "Video", doc: "The pictures."],
-        quality: [type: {:range, 1, 100}, default: 90, doc: "Of the JPEG."]
+        quality: [type: {:integer, 1, 100}, default: 90, doc: "Of the JPEG."]
       ]
     }
   end

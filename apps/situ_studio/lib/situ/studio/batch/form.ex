@@ -47,7 +47,7 @@ defmodule Situ.Studio.Batch.Form do
 
   defp kind(:boolean), do: :check
   defp kind({:in, _}), do: :choice
-  defp kind({:range, _, _}), do: :number
+  defp kind({range, _, _}) when range in [:range, :integer], do: :number
 
   defp kind(type) when type in [:integer, :pos_integer, :non_neg_integer, :number, :float],
     do: :number
@@ -84,7 +84,8 @@ defmodule Situ.Studio.Batch.Form do
   defp read(_type, value) when value in [nil, ""], do: :absent
   defp read(_type, value) when not is_binary(value), do: {:error, "a text"}
 
-  defp read(type, text) when type in [:integer, :pos_integer, :non_neg_integer] do
+  defp read(type, text)
+       when type in [:integer, :pos_integer, :non_neg_integer] or elem(type, 0) == :integer do
     case Integer.parse(String.trim(text)) do
       {n, ""} -> {:ok, n}
       _ -> {:error, "a whole number"}
