@@ -30,8 +30,8 @@ export async function until(page, probe, what, arg) {
   }
 }
 
-// A page that has loaded has no server yet that could take a click: whoever goes somewhere waits for it. What is no
-// LiveView (an error, the sensor's page) has none to wait for.
+// A page that has loaded has no server yet that could take a click: whoever goes somewhere waits for it. Pages that
+// are no LiveView (an error, the sensor's page) have none to wait for.
 function patient(page) {
   for (const name of ["goto", "reload"]) {
     const plain = page[name].bind(page);

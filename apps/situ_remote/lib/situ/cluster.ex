@@ -48,7 +48,7 @@ defmodule Situ.Cluster do
 
   ## Limits
 
-  What is under way on a direct stream when a node is lost is lost. `Situ.Pipeline.on/3` handlers run with the part
+  Messages under way on a direct stream when a node is lost are lost. `Situ.Pipeline.on/3` handlers run with the part
   `"rest"` and with parts that record. The log of a finished deployment stays until it is deleted. An upgrade does not
   change the graph.
 

@@ -12,7 +12,7 @@ defmodule Situ.Bridge.Protobuf do
 
   Keys are the names of the fields. Enumerations are the names of their values (numbers, where there is none), bytes
   binaries, messages and `map<...>` maps, `google.protobuf.Timestamp` and `Duration` nanoseconds; NaN and infinities are
-  atoms. What is not in the bytes is zero, empty, or `nil` where Protobuf tells the two apart. Fields that the
+  atoms. A field that is not in the bytes is zero, empty, or `nil` where Protobuf tells the two apart. Fields that the
   definition has not are left out, groups too; Foxglove's messages (`foxglove.CompressedImage` ...) and Google's times
   are known to every definition.
 

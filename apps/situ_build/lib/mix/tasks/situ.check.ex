@@ -11,7 +11,7 @@ defmodule Mix.Tasks.Situ.Check do
       `mix.exs` beyond that table;
     * every reference from a layer of the runtime to a higher one (`Situ.Build.Layers`);
     * every cycle between the modules of an app and between the modules of a Rust crate (`Situ.Build.Cycles`);
-    * files and lines that are too long (`Situ.Build.Sources`).
+    * files and lines that are too long, sentences without an agent (`Situ.Build.Sources`).
 
   The compiler's own warnings see calls only. This check reads the debug information of every compiled module, in
   which a struct literal (`%Sibling{}`) and a module name passed as a value are atoms like any other. Exit status:

@@ -1,18 +1,21 @@
 defmodule Situ.Build.Sources do
   @moduledoc """
-  How long source files and their lines may be, for Elixir, HEEx, Rust, JavaScript, CSS and documents alike.
+  Rules of the sources' text, for Elixir, HEEx, Rust, JavaScript, CSS, scripts and documents alike.
 
   A file holds at most 300 lines of code (blank lines, comments and documentation do not count), a line at most
-  120 characters (tables, links and images of documents may be longer, as nothing can break them).
+  120 characters (tables, links and images of documents, and commands of scripts, may be longer). No sentence begins
+  with "What" as its subject: it hides who does it.
   """
 
   @max_line 120
   @max_code 300
   @kinds ~w(.ex .exs .heex .rs .js .mjs .css .md)
+  # A line's or sentence's first word, perhaps behind the signs of a comment, list or text; a question is none of these.
+  @what_subject ~r/(?:^[ #>\/*-]*|[.:!] |")What [a-z][^.?!]*[.!]/m
   @code ~w(.ex .rs .js .mjs)
 
   @doc """
-  One sentence for every file of the checkout at `root` that git tracks and that is too long or has a line too long.
+  One sentence for every file of the checkout at `root` that git tracks and that breaks a rule, with the line.
   """
   @spec violations(Path.t()) :: [String.t()]
   def violations(root) do
@@ -28,6 +31,8 @@ defmodule Situ.Build.Sources do
       []
       iex> Situ.Build.Sources.problems("a.ex", String.duplicate("x", 121))
       ["a.ex:1 has 121 characters; a line has at most 120"]
+      iex> Situ.Build.Sources.problems("a.md", "Yes.\\n\\n- What" <> " waits is lost. What" <> " is lost?")
+      [~s(a.md:3 has a sentence that begins with "What"; begin with the agent)]
   """
   @spec problems(Path.t(), String.t()) :: [String.t()]
   def problems(file, text) do
@@ -39,10 +44,21 @@ defmodule Situ.Build.Sources do
           byte_size(line) > @max_line,
           length = String.length(line),
           length > @max_line,
+          kind in @kinds,
           not unbreakable?(kind, line),
           do: "#{file}:#{n} has #{length} characters; a line has at most #{@max_line}"
 
-    long_lines ++ too_much_code(file, kind, code_lines(kind, without_tests(kind, lines)))
+    long_lines ++
+      what_subjects(file, text) ++
+      too_much_code(file, kind, code_lines(kind, without_tests(kind, lines)))
+  end
+
+  defp what_subjects(file, text) do
+    for [{at, length}] <- Regex.scan(@what_subject, text, return: :index) do
+      word = at + (text |> binary_part(at, length) |> :binary.match("What") |> elem(0))
+      line = text |> binary_part(0, word) |> :binary.matches("\n") |> length()
+      "#{file}:#{line + 1} has a sentence that begins with \"What\"; begin with the agent"
+    end
   end
 
   @doc """
@@ -98,7 +114,13 @@ defmodule Situ.Build.Sources do
 
     files
     |> String.split("\n", trim: true)
-    |> Enum.filter(&(Path.extname(&1) in @kinds and File.exists?(Path.join(root, &1))))
+    |> Enum.filter(&(source?(&1) and File.exists?(Path.join(root, &1))))
     |> Enum.reject(&String.contains?(&1, ["/vendor/", "/fixtures/"]))
+  end
+
+  # Scripts have no extension: they are in bin/, and called `run` in test/. Their lines may be as long as a command is.
+  defp source?(path) do
+    Path.extname(path) in @kinds or
+      (Path.extname(path) == "" and (match?("bin/" <> _, path) or Path.basename(path) == "run"))
   end
 end

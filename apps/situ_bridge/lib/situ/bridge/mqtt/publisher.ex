@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Mqtt.Publisher do
   @moduledoc false
-  # The connection of a sink. What the broker has not acknowledged is kept, and sent again over the next connection.
+  # The connection of a sink. It keeps messages until the broker has acknowledged them, and sends them again over the
+  # next connection.
   use GenServer
   require Logger
   alias Situ.Bridge.Mqtt.Wire

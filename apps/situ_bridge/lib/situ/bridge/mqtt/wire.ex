@@ -11,7 +11,7 @@ defmodule Situ.Bridge.Mqtt.Wire do
           | :pong
           | {:other, 0..15}
 
-  @doc "What a client says first. With a session of its own the broker keeps what it misses."
+  @doc "A client's first packet. With a session of its own the broker keeps what it misses."
   @spec connect(keyword()) :: iodata()
   def connect(opts) do
     clean = if opts[:session], do: 0, else: 2

@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Net.Dial do
   @moduledoc false
-  # A connection to a server, plain or by TLS: one way to speak with both. What the server says comes as
+  # A connection to a server, plain or by TLS: one way to speak with both. The server's bytes come as
   # `{:tcp | :ssl, socket, bytes}`, for `heard/2`.
 
   @options [

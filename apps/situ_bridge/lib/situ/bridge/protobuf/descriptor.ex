@@ -134,7 +134,7 @@ defmodule Situ.Bridge.Protobuf.Descriptor do
          "the field #{inspect(f["name"])} of #{scope} has the type #{inspect(f["type"])}"}
       )
 
-  # What is optional in proto3 is a oneof of one.
+  # An optional field of proto3 is a oneof of one.
   defp oneof(%{"oneof_index" => n, "proto3_optional" => optional}, oneofs)
        when is_integer(n) and n >= 0 and n < tuple_size(oneofs) and optional != true,
        do: elem(oneofs, n)

@@ -160,7 +160,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
   defp skip(_bytes, wire, number, _depth),
     do: fail("the field #{number} cannot be read (#{wire})")
 
-  # What was found becomes the map's members; the last of several holds, parts of a message are one message.
+  # The fields found become the map's members; the last of several holds, parts of a message are one message.
   defp build(found, type, schema, budget, depth) do
     found
     |> Enum.reduce(%{}, fn {number, value}, all ->

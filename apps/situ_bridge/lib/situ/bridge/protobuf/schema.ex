@@ -137,7 +137,7 @@ defmodule Situ.Bridge.Protobuf.Schema do
   def wire(type) when type in [:float, :fixed32, :sfixed32], do: 5
   def wire(_varint), do: 0
 
-  @doc "What a number of fixed size is (`Situ.Bridge.Ros.Number`), and its bytes; `nil` for other types."
+  @doc "The kind of a number of fixed size (`Situ.Bridge.Ros.Number`), and its bytes; `nil` for other types."
   @spec fixed(atom() | tuple()) :: {atom(), 4 | 8} | nil
   def fixed(:double), do: {:float64, 8}
   def fixed(:fixed64), do: {:uint64, 8}
@@ -147,7 +147,7 @@ defmodule Situ.Bridge.Protobuf.Schema do
   def fixed(:sfixed32), do: {:int32, 4}
   def fixed(_type), do: nil
 
-  @doc "What a field of a scalar type has when nothing is written."
+  @doc "The value of a scalar field that is not written."
   @spec zero(atom()) :: term()
   def zero(type) when type in [:double, :float], do: 0.0
   def zero(:bool), do: false

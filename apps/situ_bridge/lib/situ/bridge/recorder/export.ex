@@ -34,7 +34,7 @@ defmodule Situ.Bridge.Recorder.Export do
     error in Situ.Error -> {:error, error}
   end
 
-  # What came from ROS or Foxglove, and goes as what it was, goes with all that was in it.
+  # A message that came from ROS or Foxglove, and goes as the type that it was, goes with all that was in it.
   defp whole(%{module: module, state: state} = store, type, encoding) do
     if known?(type, encoding) and function_exported?(module, :as_maps, 1),
       do: %{store | state: module.as_maps(state)},

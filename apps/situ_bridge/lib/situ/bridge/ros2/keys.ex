@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Ros2.Keys do
   @moduledoc false
-  # What topics and those who use them are called on Zenoh, as `rmw_zenoh` has it. Pure.
+  # The names of topics and of those who use them on Zenoh, as `rmw_zenoh` has them. Pure.
   alias Situ.Bridge.Ros.Definition
 
   @qos "::,10:,:,:,,"
@@ -70,7 +70,7 @@ defmodule Situ.Bridge.Ros2.Keys do
 
   defp mangled(name), do: name |> String.trim_leading("/") |> String.replace("/", "%")
 
-  @doc "What goes with a message: its number, its time, and who sent it."
+  @doc "The attachment of a message: its number, its time, and who sent it."
   @spec attachment(non_neg_integer(), Situ.Time.t(), <<_::128>>) :: binary()
   def attachment(sequence, time, gid),
     do: <<sequence::little-64, time::little-signed-64, 16, gid::binary>>

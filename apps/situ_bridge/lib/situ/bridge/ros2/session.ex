@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros2.Session do
   @moduledoc false
   # One end of a topic as a node of ROS 2: the program `zenoh_port` beside, which has the Zenoh session. Should it end,
-  # it is started again. What comes goes to the owner, as `{:ros2, [{key, attachment, payload}]}`, counted by `untaken`:
+  # it is started again. Samples go to the owner, as `{:ros2, [{key, attachment, payload}]}`, counted by `untaken`:
   # beyond the high-water mark samples are left out.
   use GenServer, restart: :temporary
   require Logger
