@@ -11,7 +11,7 @@ defmodule Situ.Lifecycle do
   # | `{:handled, :run, :ok or {:error, error}}`, `{:handled, :completed}` | the handlers have returned |
   # | `{:planned, members, links}`, `{:plan_failed, error}` | the graph is cut into stages, or cannot be |
   # | `{:up, id}`, `{:started, id}`, `{:settled, id}`, `{:source_stopped, id}` | a stage has taken the step |
-  # | `{:completed, id, time or :infinity}` | a source knows its end |
+  # | `{:completed, id, time or :infinity}` | a source knows its end, and waits for `:heard` with its last messages |
   # | `{:unsubscribed, id, tag, time}` | a stage took the closing mark of an input |
   # | `{:failed, id, error, reached}`, `{:init_failed, id, error}` | a stage fails |
   # | `{:restarted, id, error}` | a stage took an exception for a restart |
@@ -56,9 +56,19 @@ defmodule Situ.Lifecycle do
   @doc "The next state, and the actions in the order in which they are to be performed."
   @spec apply(State.t(), event(), Situ.Time.t()) :: {State.t(), [action()]}
   def apply(state, event, now) do
-    state = state |> event(event, now) |> go_on(now)
+    state = state |> event(event, now) |> go_on(now) |> heard(event)
     {%{state | actions: []}, Enum.reverse(state.actions)}
   end
+
+  # A source keeps its last messages until its end is known: when it was the last one to end, the others ignore later
+  # messages from here on, before anything can follow from these.
+  defp heard(state, {:completed, id, time}) when is_integer(time) do
+    if match?(%{^id => %{alive?: true}}, state.stages),
+      do: tell(state, [id], :heard),
+      else: state
+  end
+
+  defp heard(state, _event), do: state
 
   @doc "The wish of a caller to stop by hand, told how long sources may catch up."
   @spec catch_up_ms() :: pos_integer()

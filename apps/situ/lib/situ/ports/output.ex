@@ -23,6 +23,7 @@ defmodule Situ.Ports.Output do
     pending_n: 0,
     future: @nothing,
     closed: false,
+    waits: false,
     repeated: 0,
     subs: []
   ]
@@ -40,7 +41,8 @@ defmodule Situ.Ports.Output do
   @typedoc """
   `last_time`, `last_creation` and `seq` are of the last message made; `posted` is the clock at that moment.
   `pending` goes out with the next flush, newest first; `future` (front and reversed rear) waits for the clock.
-  `closing` is the time at which it closes, `closed` whether all subscribers know. `resume`: messages up to this time
+  `closing` is the time at which it closes, `closed` whether all subscribers know. `waits`: nothing goes
+  out until the pipeline knows that its source ends. `resume`: messages up to this time
   have been posted before a restart; `repeated` counts them. `wanted` belongs to nudged times (see Posting). `mark`
   is the shared memory of `marks/1`.
   """
@@ -58,6 +60,7 @@ defmodule Situ.Ports.Output do
           pending_n: non_neg_integer(),
           future: {[held()], [held()]},
           closed: boolean(),
+          waits: boolean(),
           repeated: non_neg_integer(),
           subs: [Subscriber.t()]
         }
@@ -179,6 +182,10 @@ defmodule Situ.Ports.Output do
   defp least([], least), do: least
   defp least([sub | rest], least), do: least(rest, min(Subscriber.free(sub), least))
 
+  @doc "Whether all that is pending, and the closing mark, stays here for now."
+  @spec wait(t(), boolean()) :: t()
+  def wait(%__MODULE__{} = output, waits?), do: %{output | waits: waits?}
+
   @doc "Adds a batch already made (chains), oldest last."
   @spec push_reversed(t(), [Message.t()], non_neg_integer()) :: t()
   def push_reversed(%__MODULE__{pending: []} = output, reversed, n),
@@ -190,6 +197,7 @@ defmodule Situ.Ports.Output do
   @doc "Hands pending messages to the subscribers, as far as their demand goes; sends closing marks that waited for it."
   @spec flush(t()) :: t()
   def flush(%__MODULE__{pending: [], closing: nil} = output), do: output
+  def flush(%__MODULE__{waits: true} = output), do: output
   def flush(%__MODULE__{pending: []} = output), do: finish(output)
   def flush(%__MODULE__{subs: []} = output), do: finish(%{output | pending: [], pending_n: 0})
 
@@ -279,6 +287,7 @@ defmodule Situ.Ports.Output do
 
   defp finish(%{closing: nil} = output), do: output
   defp finish(%{closed: true} = output), do: output
+  defp finish(%{waits: true} = output), do: output
   defp finish(%{future: future} = output) when future != @nothing, do: output
   defp finish(%{pending: [_ | _]} = output), do: flush(output)
 

@@ -118,6 +118,13 @@ defmodule Situ.Ports.Outputs do
 
   def flush(%__MODULE__{} = outputs), do: each(outputs, &Output.flush/1)
 
+  @doc "Whether nothing goes out until the pipeline knows of the end; behind that it goes out with the next `flush/1`."
+  @spec wait(t(), boolean()) :: t()
+  def wait(%__MODULE__{} = outputs, waits?), do: each(outputs, &Output.wait(&1, waits?))
+
+  @spec waits?(t()) :: boolean()
+  def waits?(%__MODULE__{} = outputs), do: outputs |> all() |> Enum.any?(& &1.waits)
+
   @doc "Whether messages wait for their time."
   @spec holding?(t()) :: boolean()
   def holding?(%__MODULE__{} = outputs), do: outputs |> all() |> Enum.any?(&Output.holding?/1)
@@ -182,7 +189,7 @@ defmodule Situ.Ports.Outputs do
   @doc "Consumers from outside the pipeline end with `reason`; those inside are closed in their order."
   @spec abandon(t(), term()) :: t()
   def abandon(%__MODULE__{} = outputs, reason) do
-    outputs = flush(outputs)
+    outputs = flush(wait(outputs, false))
 
     for %{monitor: ref} = sub when ref != nil <- subscribers(outputs),
         do: Subscriber.send_cancel(sub, reason)

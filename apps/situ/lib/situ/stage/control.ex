@@ -72,6 +72,7 @@ defmodule Situ.Stage.Control do
 
   # A checkpoint: this stage stands still until it is let go, or only tells what it remembers.
   def handle({:freeze, ref}, state) do
+    state = state |> heard() |> Emission.settle()
     State.report(state, {:remembered, ref, Memory.take(state)})
     {:noreply, state |> Freeze.until(ref) |> Loop.turn()}
   end
@@ -82,6 +83,9 @@ defmodule Situ.Stage.Control do
     State.report(state, {:remembered, ref, Memory.take(state)})
     {:noreply, state}
   end
+
+  # The pipeline knows of this source's end: what follows from its last messages is measured by it.
+  def handle(:heard, state), do: {:noreply, state |> heard() |> Loop.turn()}
 
   # This source has handled all messages that were sent to it before.
   def handle(:settle, state) do
@@ -101,7 +105,7 @@ defmodule Situ.Stage.Control do
   def handle(:stop_now, state), do: {:noreply, Production.stop_now(state)}
 
   def handle({:finalize, time}, state) do
-    state = state |> Emission.settle() |> close(time) |> Emission.settle()
+    state = state |> heard() |> Emission.settle() |> close(time) |> Emission.settle()
     Attachment.close_probes(state, time)
     State.report(state, :finalized)
     {:noreply, Loop.turn(state)}
@@ -109,7 +113,7 @@ defmodule Situ.Stage.Control do
 
   # Subscribers from outside the pipeline still get what they have coming, at their own pace.
   def handle(:quit, state) do
-    state = state |> Emission.settle() |> close(state.source.final || 0)
+    state = state |> heard() |> Emission.settle() |> close(state.source.final || 0)
 
     if Outputs.drained?(state.outputs),
       do: {:stop, :normal, state},
@@ -130,7 +134,7 @@ defmodule Situ.Stage.Control do
   def handle({:cut, tag, time}, state) do
     until = min(time, Clock.now(state.clock))
     outputs = Outputs.each(state.outputs, &Posting.release(&1, until))
-    state = Emission.settle(%{state | outputs: outputs})
+    state = Emission.settle(heard(%{state | outputs: outputs}))
     {:noreply, Loop.turn(%{state | outputs: Outputs.cut(state.outputs, tag, time)})}
   end
 
@@ -206,6 +210,8 @@ defmodule Situ.Stage.Control do
       {:error, error} -> ErrorPolicy.fail(state, error)
     end
   end
+
+  defp heard(state), do: %{state | outputs: Outputs.wait(state.outputs, false)}
 
   # At `time`; where later messages count, not before the last one.
   defp close(state, time) do

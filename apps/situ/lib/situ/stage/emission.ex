@@ -111,23 +111,33 @@ defmodule Situ.Stage.Emission do
     %{state | callback: %{state.callback | opts: opts}}
   end
 
-  @doc "A source has said when it ends; told to the server once its held messages are out."
+  @doc "A source has said when it ends; told to the server once nothing waits for its time, before the rest goes out."
   @spec complete(State.t(), Situ.Time.t()) :: State.t()
   def complete(state, time) do
     {how, source} = Source.complete(state.source, time, Outputs.holding?(state.outputs))
     if how == :tell, do: State.report(state, {:completed, time})
-    %{state | source: source}
+    outputs = if how == :tell, do: Outputs.wait(state.outputs, true), else: state.outputs
+    %{state | source: source, outputs: outputs}
+  end
+
+  # The last output of a source that closes says that it ends, before the closing mark goes out.
+  defp close(%{source: %{kind: nil}} = state, output, time), do: close_now(state, output, time)
+
+  defp close(%{outputs: outputs} = state, output, time) do
+    state = close_now(%{state | outputs: Outputs.wait(outputs, true)}, output, time)
+    closed(%{state | outputs: Outputs.wait(state.outputs, Outputs.waits?(outputs))}, time)
   end
 
   # The operators behind a component close with it.
-  defp close(%{outputs: %{tail: %Output{}}} = state, _output, time) do
+  defp close_now(%{outputs: %{tail: %Output{}}} = state, _output, time) do
     state = settle(state)
-    closed(%{state | outputs: Outputs.each(state.outputs, &Output.close(&1, time))}, time)
+    %{state | outputs: Outputs.each(state.outputs, &Output.close(&1, time))}
   end
 
-  defp close(state, output, time), do: state |> put(Output.close(output, time)) |> closed(time)
-
-  defp closed(%{source: %{kind: nil}} = state, _time), do: state
+  defp close_now(state, output, time) do
+    {:ok, output} = Outputs.fetch(state.outputs, output.port.name)
+    put(state, Output.close(output, time))
+  end
 
   defp closed(state, time) do
     closing = for output <- Outputs.all(state.outputs), do: output.closing

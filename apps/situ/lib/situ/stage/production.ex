@@ -78,7 +78,7 @@ defmodule Situ.Stage.Production do
     state = %{
       state
       | source: Source.ask(state.source, final),
-        outputs: Outputs.each(state.outputs, &Output.cut(&1, final)),
+        outputs: state.outputs |> Outputs.wait(false) |> Outputs.each(&Output.cut(&1, final)),
         timers: Timers.cut(state.timers, final)
     }
 
@@ -98,7 +98,11 @@ defmodule Situ.Stage.Production do
   def stop_now(%{source: %{stopping: :done}} = state), do: state
 
   def stop_now(state) do
-    state = %{state | outputs: Outputs.each(state.outputs, &Output.forget/1)}
+    state = %{
+      state
+      | outputs: state.outputs |> Outputs.wait(false) |> Outputs.each(&Output.forget/1)
+    }
+
     ErrorPolicy.stopped(state)
   end
 

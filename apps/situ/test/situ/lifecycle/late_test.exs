@@ -92,6 +92,42 @@ defmodule Situ.Lifecycle.LateTest do
            end) == [{0, 0}, {5, 0}, {10, 1}]
   end
 
+  # The pipeline's process stands still while the last messages are made; whoever is ahead has all the time there is.
+  test "what ran ahead does not count however late the pipeline learns of the end" do
+    test = self()
+
+    items =
+      Stream.map(0..1, fn item ->
+        send(test, {:item, item, self()})
+        receive do: (:go -> item)
+      end)
+
+    build = fn p ->
+      echo = p |> Situ.from_enumerable(items, every: 10) |> Situ.via(Echo)
+
+      p
+      |> Situ.repeat(:tick, every: 1)
+      |> Situ.join(echo, Situ.Reproducible.exact())
+      |> Situ.each(fn _tick, message -> send(test, {:out, message.originating_time}) end)
+    end
+
+    {:ok, p} =
+      Situ.Pipeline.start_link(build,
+        pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+      )
+
+    assert_receive {:item, 0, source}
+    send(source, :go)
+    assert_receive {:item, 1, ^source}
+    :sys.suspend(p)
+    send(source, :go)
+    refute_receive {:out, 15}, 50
+    :sys.resume(p)
+    assert {:ok, _report} = Situ.Pipeline.await(p)
+    assert_received {:out, 10}
+    refute_received {:out, 15}
+  end
+
   test "a component's own late messages count, and so does what others make of them" do
     assert replay(fn p ->
              p

@@ -97,6 +97,18 @@ defmodule Situ.LifecycleTest do
     end
   end
 
+  property "a source hears that its end is known once the others have theirs, and before it is to close" do
+    forall {spec, wishes, seed} <- lives() do
+      log = Enum.reverse(live({spec, wishes, seed}).log)
+
+      for {{:event, {:completed, id, time}}, n} <- Enum.with_index(log), is_integer(time) do
+        actions = log |> Enum.drop(n + 1) |> Enum.take_while(&match?({:action, _}, &1))
+        assert List.last(actions) == {:action, {:tell, id, :heard}}
+        refute {:action, {:tell, id, {:finalize, time}}} in actions
+      end
+    end
+  end
+
   property "whoever adds something is answered once" do
     forall spec <- lives() do
       world = live(spec)

@@ -9,6 +9,7 @@ defmodule Situ.Generator.Feed do
   @type items ::
           {:sequence, term(), (term() -> term()), non_neg_integer() | :infinity}
           | {:list, list()}
+          | {:range, Range.t()}
           | {:enum, (Enumerable.acc() -> Enumerable.result()) | :done}
 
   @doc "Items `interval` apart, from `start` or the first aligned time after it."
@@ -23,6 +24,7 @@ defmodule Situ.Generator.Feed do
   @doc "The items of an enumerable, taken as they are asked for."
   @spec items(Enumerable.t()) :: items()
   def items(list) when is_list(list), do: {:list, list}
+  def items(%Range{} = range), do: {:range, range}
 
   def items(enumerable) do
     {:enum, &Enumerable.reduce(enumerable, &1, fn item, _ -> {:suspend, {:item, item}} end)}
@@ -54,6 +56,18 @@ defmodule Situ.Generator.Feed do
     end
   end
 
+  @doc "Whether it is known, without asking anybody for an item, that there is none up to `till`."
+  @spec ended?(t(), Situ.Time.t() | :infinity) :: boolean()
+  def ended?({:timed, items}, _till), do: none?(items)
+
+  def ended?({:paced, items, time, _interval}, till),
+    do: none?(items) or (time > till and not match?({:enum, _}, items))
+
+  defp none?({:sequence, _value, _fun, left}), do: left == 0
+  defp none?({:list, list}), do: list == []
+  defp none?({:range, range}), do: Enum.empty?(range)
+  defp none?({:enum, continue}), do: continue == :done
+
   @doc "Lets go of an enumerable that was not read to its end (open files ...)."
   @spec close(t()) :: :ok
   def close({:paced, items, _, _}), do: halt(items)
@@ -61,6 +75,13 @@ defmodule Situ.Generator.Feed do
 
   defp item({:list, []}), do: :done
   defp item({:list, [value | rest]}), do: {value, {:list, rest}}
+
+  defp item({:range, %{first: first, last: last, step: step} = range}) do
+    if (step > 0 and first > last) or (step < 0 and first < last),
+      do: :done,
+      else: {first, {:range, %{range | first: first + step}}}
+  end
+
   defp item({:enum, :done}), do: :done
 
   defp item({:enum, continue}) do

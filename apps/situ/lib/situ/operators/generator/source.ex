@@ -98,6 +98,13 @@ defmodule Situ.Generator.Source do
     do: give(n, till, state, {state.ahead, state.feed, state.last, state.taken}, actions)
 
   # How far it has come is written into the state once for all that was asked for.
+  # If it is known that this was the last item, that is said together with it.
+  defp give(0, till, state, {nil, feed, _last, _taken} = reached, actions) do
+    if Feed.ended?(feed, till),
+      do: give(1, till, state, reached, actions),
+      else: {:lists.reverse(actions), at(state, reached)}
+  end
+
   defp give(0, _till, state, reached, actions), do: {:lists.reverse(actions), at(state, reached)}
 
   defp give(n, till, %{from: from} = state, {ahead, feed, last, taken} = reached, actions) do
