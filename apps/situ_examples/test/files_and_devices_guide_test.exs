@@ -15,14 +15,6 @@ defmodule Situ.Examples.FilesAndDevicesGuideTest do
     on_exit(fn -> File.cd!(before) end)
     File.cd!(dir)
 
-    snippets =
-      Regex.scan(~r/^```elixir\n(.*?)^```/ms, File.read!(@guide), capture: :all_but_first)
-
-    assert length(snippets) >= 8
-
-    Enum.reduce(snippets, [], fn [code], bindings ->
-      {_, bindings} = Code.eval_string(code, bindings, file: @guide)
-      bindings
-    end)
+    assert Situ.Test.Guide.run(@guide) >= 8
   end
 end

@@ -6,19 +6,8 @@ defmodule Situ.Infer.LanguageModelsGuideTest do
   @guide Path.expand("../../../docs/guides/language-models.md", __DIR__)
 
   test "every block of language-models.md runs and gives what it says" do
-    blocks = Regex.scan(~r/```elixir\n(.*?)```/s, File.read!(@guide), capture: :all_but_first)
-    assert length(blocks) == 4
     url = Server.start(&answer/2).url
-
-    Enum.reduce(blocks, {[url: url], __ENV__}, fn [block], {binding, env} ->
-      {value, binding, env} =
-        block |> Code.string_to_quoted!() |> Code.eval_quoted_with_env(binding, env)
-
-      [_, expected] = Regex.run(~r/^# => (.*)\z/ms, block)
-      {expected, _} = Code.eval_string(expected)
-      assert value == expected, "#{block}\ngave #{inspect(value)}"
-      {binding, env}
-    end)
+    assert Situ.Test.Guide.run(@guide, bindings: [url: url]) == 4
   end
 
   # A very small language model.

@@ -10,13 +10,12 @@ defmodule Situ.Media.PicturesGuideTest do
   @tag :tmp_dir
   test "every block of the guide runs and its pictures are the page's", %{tmp_dir: tmp} do
     text = File.read!(Path.join(@guides, "pictures-and-sound.md"))
-    blocks = Regex.scan(~r/```elixir\n(.*?)```/s, text, capture: :all_but_first)
-    assert length(blocks) > 10
-
     write? = System.get_env("SITU_PICTURES") == "write"
     out = if write?, do: @pictures, else: tmp
-    state = {[folder: @pictures, out: out], __ENV__}
-    Enum.reduce(blocks, state, fn [block], state -> run(block, state) end)
+
+    assert Situ.Test.Guide.run(@guides <> "/pictures-and-sound.md",
+             bindings: [folder: @pictures, out: out]
+           ) > 10
 
     shown = Regex.scan(~r/\]\(pictures-and-sound\/(.*?)\)/, text, capture: :all_but_first)
     made = Enum.reject(List.flatten(shown), &(&1 == "astronaut.jpg"))
@@ -30,16 +29,5 @@ defmodule Situ.Media.PicturesGuideTest do
       {:ok, %{mean: mean}} = Imaging.compare(page, fresh)
       assert mean < 1.0, "#{name} is out of date"
     end
-  end
-
-  defp run(block, {binding, env}) do
-    {value, binding, env} = Code.eval_quoted_with_env(Code.string_to_quoted!(block), binding, env)
-
-    with [_, expected] <- Regex.run(~r/^# => (.*)\z/ms, block) do
-      {expected, _} = Code.eval_string(expected)
-      assert value == expected, "#{block}\ngave #{inspect(value)}"
-    end
-
-    {binding, env}
   end
 end

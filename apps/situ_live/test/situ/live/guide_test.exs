@@ -7,12 +7,6 @@ defmodule Situ.Live.GuideTest do
 
   test "the snippets of the guide run, one after the other" do
     Process.flag(:trap_exit, true)
-    snippets = Regex.scan(~r/```elixir\n(.*?)```/s, File.read!(@guide), capture: :all_but_first)
-    assert length(snippets) == 3
-
-    Enum.reduce(Enum.concat(snippets), [], fn code, bindings ->
-      {_, bindings} = Code.eval_string(code, bindings, file: @guide)
-      bindings
-    end)
+    assert Situ.Test.Guide.run(@guide) == 3
   end
 end

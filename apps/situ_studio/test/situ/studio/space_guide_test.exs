@@ -7,19 +7,6 @@ defmodule Situ.Studio.SpaceGuideTest do
 
   @tag :tmp_dir
   test "every block of the guide runs", %{tmp_dir: folder} do
-    blocks = Regex.scan(~r/```elixir\n(.*?)```/s, File.read!(@guide), capture: :all_but_first)
-    assert length(blocks) >= 8
-    Enum.reduce(blocks, {[folder: folder], __ENV__}, fn [block], state -> run(block, state) end)
-  end
-
-  defp run(block, {binding, env}) do
-    {value, binding, env} = Code.eval_quoted_with_env(Code.string_to_quoted!(block), binding, env)
-
-    with [_, expected] <- Regex.run(~r/^# => (.*)\z/ms, block) do
-      {expected, _} = Code.eval_string(expected)
-      assert value == expected, "#{block}\ngave #{inspect(value)}"
-    end
-
-    {binding, env}
+    assert Situ.Test.Guide.run(@guide, bindings: [folder: folder]) >= 8
   end
 end

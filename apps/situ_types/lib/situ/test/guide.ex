@@ -1,0 +1,59 @@
+defmodule Situ.Test.Guide do
+  @moduledoc """
+  Runs the Elixir blocks of a guide as its reader would: one after the other, with the variables and aliases of those
+  before. A block that ends in `# => value` must give that value.
+
+      defmodule LinksGuideTest do
+        use ExUnit.Case, async: true
+
+        @guide Path.expand("../../../docs/guides/links.md", __DIR__)
+
+        test "every block of the guide runs and gives what it says" do
+          assert Situ.Test.Guide.run(@guide) > 5
+        end
+      end
+  """
+
+  @doc """
+  Runs the blocks of the Markdown file at `path`, and gives how many there are. `bindings:` are variables that the
+  first block has already. Raises `ExUnit.AssertionError` with the guide's line, the block, and what it gave or raised.
+  """
+  @spec run(Path.t(), keyword()) :: non_neg_integer()
+  def run(path, opts \\ []) do
+    env = Code.env_for_eval(file: path)
+    blocks = blocks(File.read!(path))
+    Enum.reduce(blocks, {Keyword.get(opts, :bindings, []), env}, &block/2)
+    length(blocks)
+  end
+
+  @doc """
+  The blocks of a Markdown text, each with the number of its first line.
+
+      iex> Situ.Test.Guide.blocks("One:\\n\\n```elixir\\n1 + 1\\n# => 2\\n```\\n")
+      [{4, "1 + 1\\n# => 2\\n"}]
+  """
+  @spec blocks(String.t()) :: [{pos_integer(), String.t()}]
+  def blocks(text) do
+    for [{at, length}] <-
+          Regex.scan(~r/^```elixir\n\K.*?(?=^```)/ms, text, return: :index) do
+      before = binary_part(text, 0, at)
+      {length(String.split(before, "\n")), binary_part(text, at, length)}
+    end
+  end
+
+  defp block({line, code}, {bindings, env}) do
+    quoted = Code.string_to_quoted!(code, file: env.file, line: line)
+    {value, bindings, env} = Code.eval_quoted_with_env(quoted, bindings, env)
+
+    with [_, expected] <- Regex.run(~r/^# => (.*)\z/ms, code) do
+      {expected, _} = expected |> String.replace("\n#", "\n") |> Code.eval_string([], env)
+      value == expected || raise "it gave #{inspect(value)}"
+    end
+
+    {bindings, env}
+  rescue
+    error ->
+      said = "#{Path.basename(env.file)}:#{line}: #{Exception.message(error)}\n#{code}"
+      reraise ExUnit.AssertionError, [message: said], __STACKTRACE__
+  end
+end

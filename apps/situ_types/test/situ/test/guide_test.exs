@@ -1,0 +1,46 @@
+defmodule Situ.Test.GuideTest do
+  use ExUnit.Case, async: true
+  alias Situ.Test.Guide
+
+  doctest Guide
+
+  @moduletag :tmp_dir
+
+  defp guide(dir, text) do
+    path = Path.join(dir, "guide.md")
+    File.write!(path, text)
+    path
+  end
+
+  test "blocks share variables and aliases, and give what they say", %{tmp_dir: dir} do
+    path =
+      guide(dir, """
+      ```elixir
+      alias Situ.Time
+      t = Time.ms(start)
+      ```
+      ```sh
+      exit 1
+      ```
+      ```elixir
+      {t, Time.ms(1)}
+      # => {3_000_000,
+      #     1_000_000}
+      ```
+      """)
+
+    assert Guide.run(path, bindings: [start: 3]) == 2
+  end
+
+  test "a block that gives something else is told with its line", %{tmp_dir: dir} do
+    path = guide(dir, "# One\n\n```elixir\n1 + 1\n# => 3\n```\n")
+    error = assert_raise ExUnit.AssertionError, fn -> Guide.run(path) end
+    assert error.message == "guide.md:4: it gave 2\n1 + 1\n# => 3\n"
+  end
+
+  test "a block that raises is told as well", %{tmp_dir: dir} do
+    path = guide(dir, "```elixir\n:ok\nraise \"no\"\n```\n")
+    error = assert_raise ExUnit.AssertionError, fn -> Guide.run(path) end
+    assert error.message =~ "guide.md:2: no\n"
+  end
+end
