@@ -195,8 +195,10 @@ defmodule Situ.Annotation.Exchange do
     end
   end
 
-  defp layer(nil, annotations, losses, name),
-    do: layer(Schema.guess(name, Enum.map(annotations, & &1.values)), annotations, losses, name)
+  defp layer(nil, annotations, losses, name) do
+    with {:ok, schema} <- Schema.guess(name, Enum.map(annotations, & &1.values)),
+         do: layer(schema, annotations, losses, name)
+  end
 
   # Of two that overlap on one track (no rule of the format forbids it) the second gets a track of its own.
   defp layer(schema, annotations, losses, _name) do

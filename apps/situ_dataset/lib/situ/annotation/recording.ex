@@ -38,15 +38,14 @@ defmodule Situ.Annotation.Recording do
   @spec load(Store.t(), Store.name()) :: {:ok, Layer.t()} | {:error, Error.t()}
   def load(%Store.Handle{} = store, stream) do
     with {:ok, info} <- Store.stream_info(store, stream),
-         {:ok, annotations} <- annotations(store, info) do
-      schema =
-        case schema(store, info) do
-          {:ok, schema} -> schema
-          {:error, _} -> Schema.guess(info.name, Enum.map(annotations, & &1.values))
-        end
+         {:ok, annotations} <- annotations(store, info),
+         {:ok, schema} <- schema_or_guess(store, info, annotations),
+         do: Layer.new(schema, annotations)
+  end
 
-      Layer.new(schema, annotations)
-    end
+  defp schema_or_guess(store, info, annotations) do
+    with {:error, _} <- schema(store, info),
+         do: Schema.guess(info.name, Enum.map(annotations, & &1.values))
   end
 
   @doc "The annotations of a stream without their schema. Options as `Situ.Store.messages/3`."

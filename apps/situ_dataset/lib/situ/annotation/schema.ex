@@ -205,9 +205,9 @@ defmodule Situ.Annotation.Schema do
 
   @doc """
   A schema for annotations whose values came without one: text attributes, numbers and booleans where all values are
-  such.
+  such. Error: `:bad_schema` (attributes without a name, say).
   """
-  @spec guess(String.t(), [map()]) :: t()
+  @spec guess(String.t(), [map()]) :: {:ok, t()} | {:error, Error.t()}
   def guess(name, all_values) do
     attributes =
       all_values
@@ -218,8 +218,7 @@ defmodule Situ.Annotation.Schema do
     attributes =
       if attributes == [], do: [%{"name" => "Value", "kind" => "text"}], else: attributes
 
-    {:ok, schema} = parse(%{"name" => name, "attributes" => attributes})
-    schema
+    parse(%{"name" => name, "attributes" => attributes})
   end
 
   defp kind(values) do

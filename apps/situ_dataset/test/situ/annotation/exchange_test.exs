@@ -108,6 +108,15 @@ defmodule Situ.Annotation.ExchangeTest do
     end
   end
 
+  test "a csv column without a name is refused" do
+    for text <- [
+          "track,from,to,\r\nA,0,1,x\r\n",
+          "track,from_s,to_s,\r\nA,0,1,x\r\n"
+        ] do
+      assert {:error, %Situ.Error{}} = Exchange.decode(text, :csv)
+    end
+  end
+
   test "losses are told" do
     {:ok, layer} =
       Layer.new(Schema.text("Words"), [
