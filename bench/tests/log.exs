@@ -1,6 +1,6 @@
 defmodule Situ.Bench.Log do
-  # The log on real nats-servers, in turns with a bare client that does the same or less; one server, and three of which
-  # the leader is killed.
+  # The log on real nats-servers, in turns with bare clients that do less, and the same; one server, and three of which
+  # the leader is killed. All write into streams of their own.
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Entry
 
@@ -19,14 +19,14 @@ defmodule Situ.Bench.Log do
 
     try do
       log = connect([server], 1)
-      {{ours, _}, [bare, fenced]} = beside(log, server.port, n)
+      {{ours, _}, [bare, fenced]} = beside(log, [server.port], 1, n)
 
       # The server's own CPU time for a chunk: without and with the condition of a write.
       [plain, conditional] =
         for fence? <- [false, true] do
-          socket = bare(server.port)
-          {before, _} = {server_us(server.pid), publish(socket, fence?, 0, 1)}
-          publish(socket, fence?, nil, n)
+          socket = writer(server.port, if(fence?, do: "FENCED2", else: "BARE2"), 1)
+          before = server_us(server.pid)
+          publish(socket, fence?, 0, n)
           (server_us(server.pid) - before) / n
         end
 
@@ -44,11 +44,13 @@ defmodule Situ.Bench.Log do
   end
 
   # One chunk under way, as both must; in turns, so that all meet the same neighbours.
-  defp beside(log, port, n) do
-    subject = {:stream, "b#{System.unique_integer([:positive])}"}
+  defp beside(log, ports, replicas, n) do
+    subject = {:stream, "b"}
     data = :crypto.strong_rand_bytes(@chunk)
     {:ok, first} = Log.append(log, subject, 0, %Entry{op: "0", data: data})
-    {plain, fenced} = {bare(port), bare(port)}
+    plain = writer(hd(ports), "BARE", replicas)
+    fenced = writer(hd(ports), "FENCED", replicas)
+    publish(plain, false, 0, 1)
     last = publish(fenced, true, 0, 1)
     part = div(n, 10)
 
@@ -77,20 +79,23 @@ defmodule Situ.Bench.Log do
 
     try do
       log = connect(servers, 3)
-      {leader, _} = leader(hd(servers).port)
-      {{ours, _}, [bare, _]} = beside(log, port(servers, leader), n)
+      {{ours, _}, [bare, fenced]} = beside(log, for(s <- servers, do: s.port), 3, n)
 
       # The leader dies in the middle: every entry is there in the end, once, and the longest wait is what it cost.
       subject = {:stream, "killed"}
       data = :crypto.strong_rand_bytes(@chunk)
+      {:ok, []} = Log.read(log, subject, 1, 1)
+      {:ok, _} = Log.append(log, subject, 0, %Entry{op: "k0", data: data})
+      leader = leader(hd(servers).port, "SITU_S_killed")
       dead = Enum.find(servers, &(&1.name == leader))
       longest = killed(log, subject, data, n, dead)
-      ^n = count(log, subject, 1, 0)
+      ^n = count(log, subject, 1, 0) - 1
 
       [
         {"log_nats_3", n * 1.0e9 / ours, "chunk/s"},
         {"log_bare_3", n * 1.0e9 / bare, "chunk/s"},
         {"log_ratio_3", bare / ours, "x"},
+        {"log_ratio_3_fenced", fenced / ours, "x"},
         {"log_leader_killed", longest, "ms"}
       ]
     after
@@ -100,7 +105,7 @@ defmodule Situ.Bench.Log do
 
   defp killed(log, subject, data, n, dead) do
     {_, longest} =
-      Enum.reduce(1..n, {0, 0}, fn i, {seq, longest} ->
+      Enum.reduce(1..n, {1, 0}, fn i, {seq, longest} ->
         if i == div(n, 2), do: System.cmd("kill", ["-KILL", "#{dead.pid}"])
         {spent, seq} = timed(fn -> insist(log, subject, seq, %Entry{op: "k#{i}", data: data}) end)
         {seq, max(longest, spent)}
@@ -161,18 +166,27 @@ defmodule Situ.Bench.Log do
 
   defp inbox(socket), do: "_INBOX.bare#{:erlang.phash2(socket)}"
 
-  # Into the same stream of the server, on a subject of its own; with a condition it is the same as ours.
-  defp publish(_socket, _fence?, seq, 0), do: seq
+  # One that writes into a stream of its own.
+  defp writer(port, stream, replicas) do
+    socket = bare(port)
 
-  defp publish(socket, fence?, seq, left) do
+    config =
+      ~s({"name":"#{stream}","subjects":["#{stream}"],"num_replicas":#{replicas},"storage":"file"})
+
+    ask(socket, "$JS.API.STREAM.CREATE.#{stream}", config, ~r/"subjects":/)
+    {socket, stream}
+  end
+
+  # With a condition it is the same as ours.
+  defp publish(_writer, _fence?, seq, 0), do: seq
+
+  defp publish({socket, subject} = writer, fence?, seq, left) do
     data = Process.get(:chunk) || :crypto.strong_rand_bytes(@chunk)
     Process.put(:chunk, data)
 
-    subject = if fence?, do: "situ.s.fenced#{:erlang.phash2(socket)}", else: "situ.s.bare"
-
     head =
-      if fence? and seq != nil,
-        do: "NATS/1.0\r\nNats-Expected-Last-Subject-Sequence: #{seq}\r\n\r\n",
+      if fence?,
+        do: "NATS/1.0\r\nNats-Expected-Last-Sequence: #{seq}\r\nSitu-Op: x\r\n\r\n",
         else: "NATS/1.0\r\nSitu-Op: x\r\n\r\n"
 
     sizes = "#{byte_size(head)} #{byte_size(head) + @chunk}"
@@ -191,17 +205,25 @@ defmodule Situ.Bench.Log do
         "\r\n"
       ])
 
-    publish(socket, fence?, answered(socket, ""), left - 1)
+    [_, seq] = answered(socket, "", ~r/"seq":\s*(\d+)/)
+    publish(writer, fence?, String.to_integer(seq), left - 1)
   end
 
-  defp answered(socket, got) do
+  defp ask(socket, subject, body, answer) do
+    :ok =
+      :gen_tcp.send(socket, [
+        "PUB #{subject} #{inbox(socket)} #{byte_size(body)}\r\n",
+        body,
+        "\r\n"
+      ])
+
+    answered(socket, "", answer)
+  end
+
+  defp answered(socket, got, answer) do
     {:ok, more} = :gen_tcp.recv(socket, 0, 30_000)
     got = got <> more
-
-    case Regex.run(~r/"seq":\s*(\d+)/, got) do
-      [_, seq] -> String.to_integer(seq)
-      nil -> answered(socket, got)
-    end
+    Regex.run(answer, got) || answered(socket, got, answer)
   end
 
   # Servers
@@ -231,24 +253,11 @@ defmodule Situ.Bench.Log do
     File.rm_rf!(root)
   end
 
-  # Who leads the stream: asked of any server.
-  defp leader(port) do
-    socket = bare(port)
-    :ok = :gen_tcp.send(socket, "PUB $JS.API.STREAM.INFO.SITU #{inbox(socket)} 0\r\n\r\n")
-    told(socket, "")
+  # Who leads a stream: asked of any server.
+  defp leader(port, stream) do
+    [_, name] = ask(bare(port), "$JS.API.STREAM.INFO.#{stream}", "", ~r/"leader":\s*"(n\d)"/)
+    name
   end
-
-  defp told(socket, got) do
-    {:ok, more} = :gen_tcp.recv(socket, 0, 10_000)
-    got = got <> more
-
-    case Regex.run(~r/"leader":\s*"(n\d)"/, got) do
-      [_, name] -> {name, socket}
-      nil -> told(socket, got)
-    end
-  end
-
-  defp port(servers, name), do: Enum.find(servers, &(&1.name == name)).port
 
   # In clock ticks of a hundredth of a second, as Linux has them.
   defp server_us(pid) do

@@ -143,6 +143,20 @@ defmodule Situ.Remote.LogTest do
         assert {:ok, _} = Log.append(log, subject, List.last(seqs), entry("11"))
       end
 
+      test "a name of any length and letters is a stream of its own", %{tmp_dir: dir} do
+        {log, again} = open(@adapter, dir)
+        long = String.duplicate("long ", 30)
+        names = ["a.b", "a b", "a=20b", "A.b", "é/\\\\*>", long <> "1", long <> "2"]
+
+        for {name, i} <- Enum.with_index(names),
+            do: assert({:ok, _} = Log.append(log, {:stream, name}, 0, entry("op.#{i}")))
+
+        for {name, i} <- Enum.with_index(names) do
+          op = "op.#{i}"
+          assert {:ok, [%Entry{op: ^op}]} = Log.read(again.(), {:stream, name}, 1, 10)
+        end
+      end
+
       test "finds the first entry that is enough", %{tmp_dir: dir} do
         {log, _} = open(@adapter, dir)
         subject = {:stream, "s"}

@@ -4,12 +4,15 @@ defmodule Situ.Remote.Log.Nats do
 
       {:ok, log} = Situ.Remote.Log.connect("nats://10.0.0.1:4222,10.0.0.2:4222", replicas: 3)
 
-  Entries are messages of two JetStream streams, which are made when they are not there: `SITU` (subjects
-  `situ.s.NAME`) and `SITU_KEYS` (`situ.k.NAME`, the last message of each). `Nats-Expected-Last-Subject-Sequence` is the
-  condition of a write, the header `Situ-Op` its name. A server that is lost is looked for again, in the list and in
-  turn; meanwhile everything answers `{:error, %Situ.Error{code: :log_away}}`, and may be tried again as it is.
+  Each stream has a JetStream stream of its own, made by its first entry: `SITU_S_NAME` (subject `situ.s.NAME`; what is
+  no letter or digit in a name is written `=HEX`, a name of more than 200 characters as its SHA-256). The keys are one,
+  `SITU_KEYS` (`situ.k.NAME`, the last message of each). The condition of a write is `Nats-Expected-Last-Sequence`, for
+  keys `Nats-Expected-Last-Subject-Sequence`; the header `Situ-Op` is its name. A server that is lost is looked for
+  again, in the list and in turn; meanwhile everything answers `{:error, %Situ.Error{code: :log_away}}`, and may be
+  tried again as it is.
 
-  The address may hold `user:password@` or `token@`. Sequence numbers are the stream's: a subject's grow, with gaps.
+  The address may hold `user:password@` or `token@`. A stream costs its server two open files and about 80 KB of
+  memory (ADR 0118): raise the server's limit of open files (`LimitNOFILE`) before you log some thousands.
 
   ## Options
 
@@ -18,12 +21,19 @@ defmodule Situ.Remote.Log.Nats do
 
   alias Situ.{Error, JSON, Options}
   alias Situ.Remote.Log.Entry
-  alias Situ.Remote.Log.Nats.Connection
+  alias Situ.Remote.Log.Nats.{Api, Connection}
 
   @schema [
     replicas: [type: {:range, 1, 5}, default: 1, doc: "On how many servers each entry is."],
-    stream: [type: :string, default: "SITU", doc: "The name of the JetStream stream."],
-    max_bytes: [type: :pos_integer, doc: "Retention: the oldest entries go beyond that ..."],
+    stream: [
+      type: :string,
+      default: "SITU",
+      doc: "The JetStream streams' names begin with it."
+    ],
+    max_bytes: [
+      type: :pos_integer,
+      doc: "Retention, of each stream: the oldest entries go beyond that ..."
+    ],
     max_age: [type: :pos_integer, doc: "... or when they are older, ns."],
     when_full: [
       type: {:in, [:drop_oldest, :refuse]},
@@ -38,10 +48,16 @@ defmodule Situ.Remote.Log.Nats do
   ]
   @moduledoc @moduledoc <> Options.docs(@schema)
 
-  @enforce_keys [:connection, :stream, :timeout]
-  defstruct [:connection, :stream, :timeout]
+  @enforce_keys [:connection, :stream, :timeout, :config]
+  defstruct [:connection, :stream, :timeout, :config]
 
-  @type t :: %__MODULE__{connection: pid(), stream: String.t(), timeout: pos_integer()}
+  @typedoc "`stream` is the prefix of the JetStream streams' names, `config` what those of streams are made with."
+  @type t :: %__MODULE__{
+          connection: pid(),
+          stream: String.t(),
+          timeout: pos_integer(),
+          config: map()
+        }
 
   # Headers of an entry, and what the server adds.
   @reserve 8_192
@@ -51,8 +67,13 @@ defmodule Situ.Remote.Log.Nats do
     with {:ok, opts} <- Options.validate(opts, @schema),
          {:ok, servers, login} <- parse(address),
          {:ok, connection} <- start(servers: servers, login: login, tls: opts[:tls]),
-         log = %__MODULE__{connection: connection, stream: opts[:stream], timeout: opts[:timeout]},
-         :ok <- made(log, opts) do
+         log = %__MODULE__{
+           connection: connection,
+           stream: opts[:stream],
+           timeout: opts[:timeout],
+           config: config(opts)
+         },
+         :ok <- usable(log) do
       {:ok, log}
     end
   end
@@ -109,81 +130,113 @@ defmodule Situ.Remote.Log.Nats do
 
   defp redacted(address), do: String.replace(address, ~r{//[^@]*@}, "//...@")
 
-  # Two servers, or two nodes, may make it at once: the second one finds it there.
-  defp made(log, opts) do
-    common = %{"storage" => "file", "num_replicas" => opts[:replicas], "allow_direct" => true}
-    discard = if opts[:when_full] == :refuse, do: "new", else: "old"
+  defp config(opts) do
+    %{
+      "storage" => "file",
+      "num_replicas" => opts[:replicas],
+      "allow_direct" => true,
+      "discard" => if(opts[:when_full] == :refuse, do: "new", else: "old"),
+      "max_bytes" => opts[:max_bytes] || -1,
+      "max_age" => opts[:max_age] || 0
+    }
+  end
 
-    entries =
-      Map.merge(common, %{
-        "name" => log.stream,
-        "subjects" => ["situ.s.>"],
-        "discard" => discard,
-        "max_bytes" => opts[:max_bytes] || -1,
-        "max_age" => opts[:max_age] || 0
-      })
-
+  # Retention is for streams: keys have their last message each.
+  defp usable(log) do
     keys =
-      Map.merge(common, %{
+      Map.merge(Map.take(log.config, ~w(storage num_replicas allow_direct)), %{
         "name" => log.stream <> "_KEYS",
         "subjects" => ["situ.k.>"],
         "max_msgs_per_subject" => 1
       })
 
-    with :ok <- made_one(log, entries), do: made_one(log, keys)
+    with :ok <- not_older(log),
+         {:error, %Error{code: :no_stream}} <- Api.info(log, keys["name"]) do
+      Api.made(log, keys)
+    else
+      {:ok, _info} -> :ok
+      error -> error
+    end
   end
 
-  defp made_one(log, config) do
-    case ask(log, "$JS.API.STREAM.INFO." <> config["name"], "", 10_000) do
-      {:ok, %{"config" => _}} ->
+  # One JetStream stream for all of ours: nothing could be written beside it, since it takes their subjects.
+  defp not_older(log) do
+    case Api.info(log, log.stream) do
+      {:ok, _info} ->
+        {:error,
+         Error.new(
+           :old_layout,
+           "the server has a log of an older version of Situ (#{log.stream})",
+           why: "all streams were one JetStream stream; now each has its own",
+           fix: "remove it when nobody needs it any more: nats stream rm #{log.stream}"
+         )}
+
+      {:error, %Error{code: :no_stream}} ->
         :ok
 
-      {:ok, %{"error" => %{"err_code" => 10_059}}} ->
-        case ask(log, "$JS.API.STREAM.CREATE." <> config["name"], JSON.encode(config), 10_000) do
-          {:ok, %{"config" => _}} -> :ok
-          {:ok, %{"error" => %{"err_code" => 10_058}}} -> :ok
-          {:ok, %{"error" => error}} -> {:error, refusal(error)}
-          {:error, error} -> {:error, error}
-        end
-
-      {:ok, %{"error" => error}} ->
-        {:error, refusal(error)}
-
-      {:error, error} ->
-        {:error, error}
+      error ->
+        error
     end
   end
 
   @impl true
   def append(%__MODULE__{} = log, subject, expected, %Entry{} = entry) do
-    headers =
-      [
-        {"Nats-Expected-Last-Subject-Sequence", Integer.to_string(expected)},
-        {"Situ-Op", entry.op}
-      ] ++
-        for({key, value} <- entry.head, do: {"Situ-" <> key, value})
-
     with :ok <- fits(log, entry),
-         {:ok, answer} <- request(log, name(subject), headers, entry.data, log.timeout) do
-      appended(answer, log, subject, entry)
+         {:ok, answer} <- publish(log, subject, expected, entry) do
+      appended(answer, log, subject, expected, entry)
     end
   end
 
+  # Nobody answers for a stream that has no entry yet, nor while the servers have no leader.
+  defp publish(log, {:stream, _} = subject, expected, entry) do
+    with :silent <- published(log, subject, expected, entry),
+         config = %{"name" => stream(log, subject), "subjects" => [name(subject)]},
+         :ok <- Api.made(log, Map.merge(log.config, config)),
+         do: log |> published(subject, expected, entry) |> Api.heard()
+  end
+
+  defp publish(log, subject, expected, entry),
+    do: log |> published(subject, expected, entry) |> Api.heard()
+
+  defp published(log, subject, expected, entry) do
+    headers =
+      [{condition(subject), Integer.to_string(expected)}, {"Situ-Op", entry.op}] ++
+        for({key, value} <- entry.head, do: {"Situ-" <> key, value})
+
+    Api.answer(log, name(subject), headers, entry.data, log.timeout)
+  end
+
+  defp condition({:stream, _}), do: "Nats-Expected-Last-Sequence"
+  defp condition({:key, _}), do: "Nats-Expected-Last-Subject-Sequence"
+
   # Somebody else, or ourselves: then only the acknowledgement was lost.
-  defp appended(%{"error" => %{"err_code" => 10_071}}, log, subject, %{op: op}) do
+  defp appended(%{"error" => %{"err_code" => 10_071}}, log, subject, expected, %{op: op} = entry) do
     case last(log, subject) do
       {:ok, %Entry{op: ^op, seq: seq}} -> {:ok, seq}
+      {:ok, nil} when expected == 0 -> append_to_aged(log, subject, entry)
       {:ok, last} -> {:refused, last}
       {:error, error} -> {:error, error}
     end
   end
 
-  defp appended(%{"error" => error}, _log, _subject, _entry), do: {:error, refusal(error)}
+  defp appended(%{"error" => error}, _log, _subject, _expected, _entry),
+    do: {:error, Api.refusal(error)}
 
-  defp appended(%{"seq" => seq}, _log, _subject, _entry) when seq > 0, do: {:ok, seq}
+  defp appended(%{"seq" => seq}, _log, _subject, _expected, _entry) when seq > 0, do: {:ok, seq}
 
-  defp appended(_answer, _log, _subject, _entry),
-    do: {:error, away("an answer that says nothing")}
+  defp appended(_answer, _log, _subject, _expected, _entry),
+    do: {:error, Api.away("an answer that says nothing")}
+
+  # All its entries were too old to be kept: it is empty, but counts on.
+  defp append_to_aged(log, subject, entry) do
+    with {:ok, %{"state" => %{"last_seq" => seq}}} when seq > 0 <-
+           Api.info(log, stream(log, subject)) do
+      append(log, subject, seq, entry)
+    else
+      {:error, error} -> {:error, error}
+      _ -> {:refused, nil}
+    end
+  end
 
   defp fits(log, entry) do
     size = :erlang.iolist_size(entry.data)
@@ -205,11 +258,11 @@ defmodule Situ.Remote.Log.Nats do
   def last(%__MODULE__{} = log, subject) do
     body = JSON.encode(%{"last_by_subj" => name(subject)})
 
-    case ask(log, "$JS.API.STREAM.MSG.GET." <> stream(log, subject), body) do
+    case Api.ask(log, "$JS.API.STREAM.MSG.GET." <> stream(log, subject), body) do
       {:ok, %{"message" => message}} -> decoded(message)
-      {:ok, %{"error" => %{"err_code" => 10_037}}} -> {:ok, nil}
-      {:ok, %{"error" => error}} -> {:error, refusal(error)}
-      {:ok, _other} -> {:error, away("an answer that says nothing")}
+      {:ok, %{"error" => %{"err_code" => code}}} when code in [10_037, 10_059] -> {:ok, nil}
+      {:ok, %{"error" => error}} -> {:error, Api.refusal(error)}
+      {:ok, _other} -> {:error, Api.away("an answer that says nothing")}
       {:error, error} -> {:error, error}
     end
   end
@@ -225,7 +278,7 @@ defmodule Situ.Remote.Log.Nats do
 
       {:ok, entry(headers, data, message["seq"])}
     else
-      _ -> {:error, away("an answer that is no Base64")}
+      _ -> {:error, Api.away("an answer that is no Base64")}
     end
   end
 
@@ -236,6 +289,15 @@ defmodule Situ.Remote.Log.Nats do
   end
 
   @impl true
+  def read(%__MODULE__{} = log, {:stream, _} = subject, 1, most) do
+    # Direct reads of a stream that is not there are not answered at all.
+    case Api.info(log, stream(log, subject)) do
+      {:ok, _info} -> read(log, subject, 1, most, [])
+      {:error, %Error{code: :no_stream}} -> {:ok, []}
+      {:error, error} -> {:error, error}
+    end
+  end
+
   def read(%__MODULE__{} = log, subject, from, most), do: read(log, subject, from, most, [])
 
   defp read(_log, _subject, _from, 0, entries), do: {:ok, Enum.reverse(entries)}
@@ -249,29 +311,29 @@ defmodule Situ.Remote.Log.Nats do
         {:ok, Enum.reverse(entries)}
 
       {:ok, %{status: "503"}} ->
-        {:error, away("no JetStream answers")}
+        {:error, Api.away("no JetStream answers")}
 
       {:ok, %{headers: %{"Nats-Sequence" => seq} = headers, data: data}} ->
         entry = entry(headers, data, String.to_integer(seq))
         read(log, subject, entry.seq + 1, most - 1, [entry | entries])
 
       {:ok, _other} ->
-        {:error, away("an answer that says nothing")}
+        {:error, Api.away("an answer that says nothing")}
 
       {:error, reason} ->
-        {:error, away(reason)}
+        {:error, Api.away(reason)}
     end
   end
 
   @impl true
   def trim(%__MODULE__{} = log, subject, seq) do
     with {:ok, %Entry{} = last} <- last(log, subject) do
-      body = JSON.encode(%{"filter" => name(subject), "seq" => min(seq, last.seq)})
+      body = JSON.encode(Map.put(filter(subject), "seq", min(seq, last.seq)))
 
-      case ask(log, "$JS.API.STREAM.PURGE." <> stream(log, subject), body) do
+      case Api.ask(log, "$JS.API.STREAM.PURGE." <> stream(log, subject), body) do
         {:ok, %{"success" => true}} -> :ok
-        {:ok, %{"error" => error}} -> {:error, refusal(error)}
-        {:ok, _} -> {:error, away("an answer that says nothing")}
+        {:ok, %{"error" => error}} -> {:error, Api.refusal(error)}
+        {:ok, _} -> {:error, Api.away("an answer that says nothing")}
         {:error, error} -> {:error, error}
       end
     else
@@ -279,6 +341,9 @@ defmodule Situ.Remote.Log.Nats do
       error -> error
     end
   end
+
+  defp filter({:stream, _}), do: %{}
+  defp filter(subject), do: %{"filter" => name(subject)}
 
   @impl true
   def limit(%__MODULE__{} = log) do
@@ -293,52 +358,16 @@ defmodule Situ.Remote.Log.Nats do
     :exit, _ -> :ok
   end
 
-  # Requests
-
-  defp ask(log, subject, body, timeout \\ nil),
-    do: request(log, subject, [], body, timeout || log.timeout)
-
-  defp request(log, subject, headers, data, timeout) do
-    case Connection.request(log.connection, subject, headers, data, timeout) do
-      {:ok, %{status: "503"}} ->
-        {:error, away("no JetStream answers: it has no leader, or not enough servers")}
-
-      {:ok, %{data: body}} ->
-        with {:error, _} <- JSON.decode(body), do: {:error, away("an answer that is no JSON")}
-
-      {:error, reason} ->
-        {:error, away(reason)}
-    end
-  end
-
-  defp away(:down), do: away("the connection is down")
-  defp away(:timeout), do: away("it does not answer")
-
-  defp away(why) do
-    Error.new(:log_away, "the log is away: #{why}",
-      why: "the last write may or may not have arrived",
-      fix: "repeat the same write: nothing is written twice"
-    )
-  end
-
-  # 10047, 10077, 10122: no space, as the stream's or the account's limits say.
-  defp refusal(%{"err_code" => code} = error) when code in [10_023, 10_047, 10_077, 10_122] do
-    Error.new(:log_full, "the log is full: #{error["description"]}",
-      fix: "raise max_bytes or the server's limits, or trim the log"
-    )
-  end
-
-  defp refusal(error) do
-    description = error["description"] || "unknown error"
-    Error.new(:log_failed, "the NATS server says: #{description} (#{error["err_code"]})")
-  end
-
-  defp stream(log, {:stream, _}), do: log.stream
+  defp stream(log, {:stream, name}), do: log.stream <> "_S_" <> short(token(name))
   defp stream(log, {:key, _}), do: log.stream <> "_KEYS"
 
   # One token each: whatever a name holds, it is no part of the subject's structure.
   defp name({:stream, name}), do: "situ.s." <> token(name)
   defp name({:key, name}), do: "situ.k." <> token(name)
+
+  # A JetStream stream's name is a folder's, and has 255 characters at most.
+  defp short(token) when byte_size(token) <= 200, do: String.replace(token, "%", "=")
+  defp short(token), do: Base.encode16(:crypto.hash(:sha256, token), case: :lower)
 
   defp token(name) do
     URI.encode(name, fn c -> c in ?a..?z or c in ?A..?Z or c in ?0..?9 or c in [?_, ?-] end)

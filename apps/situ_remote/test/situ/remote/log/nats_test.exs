@@ -91,6 +91,47 @@ defmodule Situ.Remote.Log.NatsTest do
       assert {:ok, _log} = Log.connect("nats://s3cret@" <> host)
     end
 
+    test "refuses the layout of an older version, by name", %{tmp_dir: dir} do
+      server = server(dir)
+      {:ok, log} = Log.connect(server.url)
+      older = Situ.JSON.encode(%{"name" => "SITU", "subjects" => ["situ.s.>"]})
+      assert %{"config" => _} = asked(log, "$JS.API.STREAM.CREATE.SITU", older)
+      assert {:error, %{code: :old_layout, fix: fix}} = Log.connect(server.url)
+      assert fix =~ "SITU"
+    end
+
+    test "a stream whose entries were all too old goes on counting", %{tmp_dir: dir} do
+      server = server(dir)
+      {:ok, log} = Log.connect(server.url)
+      subject = {:stream, "s"}
+
+      {:ok, 3} =
+        Enum.reduce(1..3, {:ok, 0}, fn i, {:ok, seq} ->
+          Log.append(log, subject, seq, entry(i, "x"))
+        end)
+
+      # As max_age does it.
+      assert %{"success" => true} = asked(log, "$JS.API.STREAM.PURGE.SITU_S_s", "")
+      assert {:ok, nil} = Log.last(log, subject)
+      assert {:refused, nil} = Log.append(log, subject, 2, entry(4, "x"))
+      assert {:ok, 4} = Log.append(log, subject, 3, entry(4, "x"))
+      assert %{"success" => true} = asked(log, "$JS.API.STREAM.PURGE.SITU_S_s", "")
+      assert {:ok, 5} = Log.append(log, subject, 0, entry(5, "x"))
+      assert {:refused, %Entry{seq: 5}} = Log.append(log, subject, 0, entry(6, "x"))
+    end
+
+    test "says that it has no handles left for a further stream", %{tmp_dir: dir} do
+      server = server(dir, settings: "")
+      {:ok, log} = Log.connect(server.url)
+      {_, 0} = System.cmd("prlimit", ["--pid", "#{server.pid}", "--nofile=40:40"])
+
+      answers = for i <- 1..30, do: Log.append(log, {:stream, "s#{i}"}, 0, entry(1, "x"))
+
+      assert {:ok, 1} = hd(answers)
+      assert {:error, %{code: :log_full, fix: fix}} = List.last(answers)
+      assert fix =~ "open files"
+    end
+
     test "three servers: the leader is killed, nothing is lost", %{tmp_dir: dir} do
       ports = for _ <- 1..3, do: {NatsServer.free_port(), NatsServer.free_port()}
       routes = Enum.map_join(ports, ", ", fn {_, route} -> ~s("nats://127.0.0.1:#{route}") end)
@@ -117,20 +158,21 @@ defmodule Situ.Remote.Log.NatsTest do
 
       assert_receive :half
 
-      {:ok, %{data: json}} =
-        Situ.Remote.Log.Nats.Connection.request(
-          log.conn.connection,
-          "$JS.API.STREAM.INFO.SITU",
-          [],
-          "",
-          5_000
-        )
-
-      {:ok, %{"cluster" => %{"leader" => "n" <> n}}} = Situ.JSON.decode(json)
+      # One that does not know the last entry is refused by a cluster too, and does no harm.
+      assert {:refused, %Entry{}} = patiently(log, subject, 3, entry(0, "late"))
+      assert %{"cluster" => %{"leader" => "n" <> n}} = asked(log, "$JS.API.STREAM.INFO.SITU_S_s")
       servers |> Enum.at(String.to_integer(n) - 1) |> NatsServer.kill()
       Task.await(writer, 100_000)
       assert everything(log, subject, 1) == Enum.to_list(1..200)
     end
+  end
+
+  defp asked(log, subject, body \\ "") do
+    {:ok, %{data: json}} =
+      Situ.Remote.Log.Nats.Connection.request(log.conn.connection, subject, [], body, 5_000)
+
+    {:ok, answer} = Situ.JSON.decode(json)
+    answer
   end
 
   # A cluster needs a while until it has a leader.
