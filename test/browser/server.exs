@@ -3,6 +3,7 @@ Code.require_file("fixture.exs", __DIR__)
 Code.require_file("random_fixture.exs", __DIR__)
 Code.require_file("space_fixture.exs", __DIR__)
 Code.require_file("sensor_fixture.exs", __DIR__)
+Code.require_file("headset_fixture.exs", __DIR__)
 Code.require_file("../../apps/situ_studio/test/support/guide_plugin.ex", __DIR__)
 Code.require_file("plugin_fixture.exs", __DIR__)
 Code.require_file("map_fixture.exs", __DIR__)
@@ -240,6 +241,8 @@ plugins = PluginFixture.folder(work)
 # Two whose sensor is a page; the second takes no pictures.
 sensed = Path.join(work, "sensor.json")
 SensorFixture.start(sensed)
+worn = Path.join(work, "headset.json")
+HeadsetFixture.start(worn)
 
 # One that is away for as long as the tests keep a file there, and is started anew at the same address.
 {:ok, mortal} = Situ.Studio.start_link(id: "mortal", port: 0, path: folder, layouts: layouts)
@@ -283,6 +286,7 @@ IO.puts(
       "demo" => base.(demo),
       "shown" => shown,
       "sensor" => sensed,
+      "headset" => worn,
       "folder" => folder,
       "random" => random,
       "zoo" => Path.join(work, "zoo.json"),

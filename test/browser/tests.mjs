@@ -17,6 +17,7 @@ import "./plugin_tests.mjs";
 import "./mask_tests.mjs";
 import "./map_tests.mjs";
 import "./sensor_tests.mjs";
+import "./headset_tests.mjs";
 import "./work_tests.mjs";
 import "./compare_tests.mjs";
 import "./derived_tests.mjs";

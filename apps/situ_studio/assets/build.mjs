@@ -31,12 +31,13 @@ const worker = {
   ...options,
   entryPoints: [{ in: "js/spectrogram/worker.js", out: "spectrogram-worker" }],
 };
-// The page that is a sensor, and its part in the audio thread.
+// The pages that are sensors, and a part in the audio thread.
 const sensor = {
   ...options,
   entryPoints: [
     { in: "js/sensor/index.js", out: "sensor" },
     { in: "js/sensor/worklet.js", out: "sensor-worklet" },
+    { in: "js/headset/index.js", out: "headset" },
   ],
   format: "esm",
 };
@@ -54,6 +55,7 @@ if (process.argv.includes("--watch")) {
     "spectrogram-worker.js",
     "sensor.js",
     "sensor-worklet.js",
+    "headset.js",
   ])
     writeFileSync(out + f + ".gz", gzipSync(readFileSync(out + f), { level: 9 }));
 }

@@ -19,7 +19,8 @@ const NAMES = [
 ];
 // Room on both sides of every timeline; the left follows what stands in it (`gutter.js`).
 export const GUTTER = { left: 76, right: 14 };
-export const FONT = '11px Inter, "Segoe UI", system-ui, sans-serif';
+export const FONT_FACE = 'Inter, "Segoe UI", system-ui, sans-serif';
+export const FONT = `11px ${FONT_FACE}`;
 
 let cache = null;
 const listeners = new Set();

@@ -1,5 +1,6 @@
 // The page that is a sensor: camera and microphone to a pipeline, sound from it.
 import { Clock } from "./clock.js";
+import { connect } from "./connection.js";
 import { Pictures } from "./pictures.js";
 import { Sound } from "./sound.js";
 import { Player } from "./player.js";
@@ -35,24 +36,22 @@ async function start() {
   const audio = wanted("microphone", { echoCancellation: true });
   const stream = await navigator.mediaDevices.getUserMedia({ video, audio });
   await list(); // names are told after the permission
-  const socket = new WebSocket(address());
-  socket.binaryType = "arraybuffer";
+  const stopTracks = () => stream.getTracks().forEach((track) => track.stop());
+  const { socket, credit } = await connect("sensor/socket").catch((error) => {
+    stopTracks();
+    throw error;
+  });
   const parts = [];
   stop = (why) => {
     stop = () => {};
     for (const part of parts) part.stop();
-    for (const track of stream.getTracks()) track.stop();
+    stopTracks();
     socket.close();
     state.running = false;
     $("start").hidden = false;
     $("stop").hidden = true;
     say(why);
   };
-  // The first leave for pictures says that the pipeline is there.
-  const first = await new Promise((taken, failed) => {
-    socket.onmessage = ({ data }) => taken(JSON.parse(data));
-    socket.onclose = ({ reason }) => failed(new Error(reason || "the studio does not answer"));
-  });
   socket.onclose = ({ reason }) => stop(reason || "The pipeline has ended, or the connection was lost.");
   const clock = new Clock(socket, state);
   const player = new Player(state);
@@ -65,19 +64,13 @@ async function start() {
     if ("pong" in told) clock.pong(told);
     if ("credit" in told) pictures?.credit(told.credit);
   };
-  pictures?.credit(first.credit);
+  pictures?.credit(credit);
   if (audio) parts.push(await Sound.start(stream, socket, state));
   for (const track of stream.getTracks()) track.onended = () => stop("The device is gone.");
   state.running = true;
   $("start").hidden = true;
   $("stop").hidden = false;
   say("Running.");
-}
-
-function address() {
-  const url = new URL("sensor/socket" + location.search, document.baseURI);
-  url.protocol = url.protocol.replace("http", "ws");
-  return url.href;
 }
 
 const why = (error) =>

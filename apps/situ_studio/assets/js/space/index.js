@@ -1,3 +1,4 @@
-// The 3D drawing code: the page loads it with its first 3D panel.
+// The 3D drawing code: the page loads it with its first 3D panel, or for a headset.
 
 export { openStage } from "./stage.js";
+export { openRoom } from "./room.js";

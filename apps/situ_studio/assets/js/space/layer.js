@@ -4,8 +4,9 @@ import { Group, Matrix4, Vector3 } from "three";
 import { points } from "./build/points.js";
 import { boxes, graphs, lines, voxels } from "./build/solids.js";
 import { frusta, meshes, quads } from "./build/surfaces.js";
+import { texts } from "./build/texts.js";
 
-const BUILD = { points, lines, boxes, meshes, quads, frusta, graphs, voxels };
+const BUILD = { points, lines, boxes, meshes, quads, frusta, graphs, voxels, texts };
 
 // Seen through whatever stands before it.
 function over(object) {
@@ -29,7 +30,8 @@ export class Layer {
     Object.assign(this, told);
     const props = { ...told.props, owned: told.own };
     for (const item of told.frame?.items ?? []) {
-      if (item.kind === "texts") this.texts.push(item);
+      // drawn over the picture, unless there is nothing to draw on
+      if (item.kind === "texts" && !props.signs) this.texts.push(item);
       else if (item.count && BUILD[item.kind]) this.add(item, props, pixels);
     }
   }

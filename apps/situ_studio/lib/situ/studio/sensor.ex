@@ -41,12 +41,13 @@ defmodule Situ.Studio.Sensor do
     outputs: [video: Situ.EncodedImage, audio: Situ.AudioBuffer, clock: :float],
     options: @schema
 
-  alias Situ.Error
+  alias Situ.{AudioBuffer, AudioFormat, EncodedImage}
+  alias Situ.Studio.Sensor.Inbox
 
+  @behaviour Situ.Studio.Sensor.Packet
   # Pictures that may be under way.
   @ahead 2
-
-  defstruct [:opts, :page, waiting: %{}, dropped: 0, last: %{}]
+  @rates 8_000..192_000
 
   @doc "Adds the sensor to a pipeline; returns its streams."
   @spec open(Situ.Pipeline.t(), keyword()) :: %{
@@ -56,109 +57,49 @@ defmodule Situ.Studio.Sensor do
         }
   def open(p, opts \\ []), do: Situ.source(p, __MODULE__, opts)
 
-  @impl true
-  def init(opts), do: {:ok, %__MODULE__{opts: Map.new(opts)}}
+  @impl Situ.Component
+  def init(opts),
+    do:
+      {:ok,
+       Inbox.new(__MODULE__, opts[:page],
+         credited: :video,
+         ahead: @ahead,
+         buffer: opts[:buffer]
+       )}
 
-  @impl true
-  def handle_start(_context, %{opts: %{page: name}} = state) do
-    case Registry.register(Situ.Studio.Registry, {:sensor, name}, nil) do
-      {:ok, _} ->
-        {[{:complete, :infinity}], state}
+  @impl Situ.Component
+  def handle_start(_context, inbox), do: Inbox.start(inbox)
 
-      {:error, _} ->
-        raise Error.new(:sensor_taken, "a sensor called #{inspect(name)} runs already",
-                fix: "give this one another page:"
-              )
-    end
+  @impl Situ.Component
+  def handle_info(message, _context, inbox), do: {[], Inbox.info(inbox, message)}
+
+  @impl Situ.Component
+  def handle_demand(n, _context, inbox), do: Inbox.take(inbox, n)
+
+  @impl Situ.Component
+  def handle_stop(_final_time, _context, inbox), do: {[], inbox}
+
+  @impl Situ.Component
+  def terminate(_reason, inbox), do: Inbox.ended(inbox)
+
+  @impl Situ.Component
+  def describe(inbox), do: Inbox.describe(inbox)
+
+  @doc false
+  @impl Situ.Studio.Sensor.Packet
+  def parse(<<1, _::24, w::little-16, h::little-16, ms::little-float-64, jpeg::binary>>)
+      when w > 0 and h > 0 do
+    with {:ok, :jpeg} <- EncodedImage.sniff(jpeg),
+         do: {ms, video: %EncodedImage{format: :jpeg, width: w, height: h, data: jpeg}},
+         else: (_ -> :error)
   end
 
-  @doc "The process of the sensor with this name. For the page's connection."
-  @spec find(String.t()) :: {:ok, pid()} | :error
-  def find(name) do
-    case Registry.lookup(Situ.Studio.Registry, {:sensor, name}) do
-      [{pid, _}] -> {:ok, pid}
-      [] -> :error
-    end
+  def parse(<<2, _::24, rate::little-32, ms::little-float-64, pcm::binary>>)
+      when rate in @rates and rem(byte_size(pcm), 2) == 0 and pcm != "" do
+    with {:ok, buffer} <- AudioBuffer.new(format: AudioFormat.pcm(rate), data: pcm),
+         do: {ms, audio: buffer},
+         else: (_ -> :error)
   end
 
-  @impl true
-  def handle_info({:sensor_page, pid}, _context, state) do
-    Process.monitor(pid)
-    send(pid, {:credit, @ahead})
-    {[], %{state | page: pid}}
-  end
-
-  def handle_info({:DOWN, _, :process, pid, _}, _context, %{page: pid} = state),
-    do: {[], %{state | page: nil}}
-
-  def handle_info({:sensor, output, time, data}, _context, state),
-    do: {[], push(state, output, time, data)}
-
-  def handle_info(_other, _context, state), do: {[], state}
-
-  # Two clocks that are measured against each other may step back a little.
-  defp push(state, output, time, data) do
-    case state.last do
-      %{^output => last} when time <= last ->
-        credit(output, %{state | dropped: state.dropped + 1})
-
-      last ->
-        queue = :queue.in({time, data}, Map.get(state.waiting, output, :queue.new()))
-        limit(put_in(%{state | last: Map.put(last, output, time)}.waiting[output], queue), output)
-    end
-  end
-
-  # Pictures are as few as the page was given leave for.
-  defp limit(state, :video), do: state
-
-  defp limit(state, output) do
-    if :queue.len(state.waiting[output]) > state.opts.buffer do
-      state = update_in(state.waiting[output], &:queue.drop/1)
-      %{state | dropped: state.dropped + 1}
-    else
-      state
-    end
-  end
-
-  @impl true
-  def handle_demand(n, _context, state), do: take(state, n, [])
-
-  defp take(state, 0, actions), do: {Enum.reverse(actions), state}
-
-  # The earliest first.
-  defp take(state, n, actions) do
-    heads =
-      for {output, queue} <- state.waiting,
-          {:value, {time, _}} <- [:queue.peek(queue)],
-          do: {time, output}
-
-    case Enum.min(heads, fn -> nil end) do
-      nil ->
-        {Enum.reverse(actions), state}
-
-      {time, output} ->
-        {{:value, {^time, data}}, queue} = :queue.out(state.waiting[output])
-        state = credit(output, put_in(state.waiting[output], queue))
-        take(state, n - 1, [{output, time, data} | actions])
-    end
-  end
-
-  # The page may take another picture.
-  defp credit(:video, %{page: pid} = state) when is_pid(pid) do
-    send(pid, {:credit, 1})
-    state
-  end
-
-  defp credit(_output, state), do: state
-
-  @impl true
-  def handle_stop(_final_time, _context, state), do: {[], state}
-
-  @impl true
-  def terminate(_reason, %{page: nil}), do: :ok
-  def terminate(_reason, %{page: pid}), do: send(pid, :sensor_ended)
-
-  @impl true
-  def describe(state),
-    do: "#{if state.page, do: "a page is there", else: "no page"}, #{state.dropped} dropped"
+  def parse(_), do: :error
 end

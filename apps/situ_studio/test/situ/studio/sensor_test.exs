@@ -2,8 +2,10 @@ defmodule Situ.Studio.SensorTest do
   # A page of the test's own, over a real WebSocket: what it sends, well and badly, and what a slow pipeline does to it.
   use ExUnit.Case, async: true
 
-  alias Situ.{AudioBuffer, AudioFormat, EncodedImage, JSON}
+  alias Situ.{AudioBuffer, AudioFormat, EncodedImage}
   alias Situ.Studio.Sensor
+  alias Situ.Studio.Sensor.Inbox
+  import Situ.Studio.Test.SensorPage
 
   @moduletag :capture_log
 
@@ -29,75 +31,11 @@ defmodule Situ.Studio.SensorTest do
       end)
 
     on_exit(fn -> Situ.Pipeline.stop(pipeline, timeout: 1_000) end)
-    poll(fn -> Sensor.find(name) != :error end)
+    poll(fn -> Inbox.find(Sensor, name) != :error end)
     %{port: Situ.Studio.port(studio), name: name, pipeline: pipeline}
   end
 
-  defp poll(fun) do
-    unless fun.() do
-      receive do
-      after
-        20 -> poll(fun)
-      end
-    end
-  end
-
-  # A small WebSocket client: frames are masked, as a browser's are.
-  defp connect(port, name) do
-    {:ok, socket} = :gen_tcp.connect({127, 0, 0, 1}, port, [:binary, active: false])
-
-    :ok =
-      :gen_tcp.send(socket, [
-        "GET /sensor/socket?name=#{name} HTTP/1.1\r\nHost: 127.0.0.1:#{port}\r\nOrigin: http://127.0.0.1:#{port}\r\n",
-        "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n",
-        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
-      ])
-
-    {:ok, head} = read_head(socket, "")
-    {head, socket}
-  end
-
-  defp read_head(socket, got) do
-    if String.ends_with?(got, "\r\n\r\n") do
-      {:ok, got}
-    else
-      {:ok, byte} = :gen_tcp.recv(socket, 1, 30_000)
-      read_head(socket, got <> byte)
-    end
-  end
-
-  defp push(socket, opcode, data) do
-    length =
-      if byte_size(data) < 126,
-        do: <<1::1, byte_size(data)::7>>,
-        else: <<1::1, 126::7, byte_size(data)::16>>
-
-    :gen_tcp.send(socket, [<<1::1, 0::3, opcode::4>>, length, <<0::32>>, data])
-  end
-
-  defp text(socket, map), do: push(socket, 1, JSON.encode(map))
-
-  defp pull(socket) do
-    with {:ok, <<_::4, opcode::4, 0::1, length::7>>} <- :gen_tcp.recv(socket, 2, 30_000),
-         {:ok, length} <- length(socket, length),
-         {:ok, data} <-
-           if(length == 0, do: {:ok, ""}, else: :gen_tcp.recv(socket, length, 30_000)),
-         do: {opcode, data}
-  end
-
-  defp length(socket, 126) do
-    {:ok, <<n::16>>} = :gen_tcp.recv(socket, 2, 30_000)
-    {:ok, n}
-  end
-
-  defp length(_socket, n), do: {:ok, n}
-
-  defp json(socket) do
-    case pull(socket) do
-      {1, text} -> text |> JSON.decode() |> elem(1)
-      {_, _} -> json(socket)
-    end
-  end
+  defp camera(port, name), do: connect(port, "/sensor/socket?name=#{name}")
 
   @jpeg <<0xFF, 0xD8, 0xFF, 0xE0, 0::128, 0xFF, 0xD9>>
 
@@ -108,10 +46,8 @@ defmodule Situ.Studio.SensorTest do
       <<2, 0::24, 48_000::little-32, ms::little-float-64>> <>
         for(s <- samples, into: "", do: <<s::little-signed-16>>)
 
-  defp now_ms, do: System.os_time(:microsecond) / 1_000
-
   test "clocks are compared, pictures and sound come at their times, sound goes back", context do
-    {"HTTP/1.1 101" <> _, socket} = connect(context.port, context.name)
+    {"HTTP/1.1 101" <> _, socket} = camera(context.port, context.name)
     assert json(socket) == %{"credit" => 2}
     text(socket, %{ping: 5})
     assert %{"pong" => 5, "now" => now} = json(socket)
@@ -148,7 +84,7 @@ defmodule Situ.Studio.SensorTest do
 
   @tag :slow
   test "a pipeline that does not take pictures gives the page no leave for more", context do
-    {_, socket} = connect(context.port, context.name)
+    {_, socket} = camera(context.port, context.name)
     assert json(socket) == %{"credit" => 2}
     text(socket, %{offset: 0})
     ms = now_ms()
@@ -158,7 +94,7 @@ defmodule Situ.Studio.SensorTest do
 
     # The handler answers the ping after all earlier frames; then the sensor still has to take them.
     before = credits(socket, 0)
-    {:ok, sensor} = Sensor.find(context.name)
+    {:ok, sensor} = Inbox.find(Sensor, context.name)
     poll(fn -> Process.info(sensor, :message_queue_len) == {:message_queue_len, 0} end)
     text(socket, %{ping: 1})
     assert before + credits(socket, 0) < 20
@@ -173,11 +109,11 @@ defmodule Situ.Studio.SensorTest do
 
   test "one page for a sensor; bytes that are none of it end the connection, and the next page may come",
        context do
-    {_, nobody} = connect(context.port, "nobody")
+    {_, nobody} = camera(context.port, "nobody")
     assert {8, <<1008::16, "no pipeline" <> _>>} = pull(nobody)
-    {"HTTP/1.1 101" <> _, socket} = connect(context.port, context.name)
+    {"HTTP/1.1 101" <> _, socket} = camera(context.port, context.name)
     assert json(socket) == %{"credit" => 2}
-    {_, second} = connect(context.port, context.name)
+    {_, second} = camera(context.port, context.name)
     assert {8, <<1008::16, "another page" <> _>>} = pull(second)
     text(socket, %{offset: 0})
 
@@ -207,27 +143,28 @@ defmodule Situ.Studio.SensorTest do
     assert_receive {:video, _, _}
   end
 
-  # The page before may not have gone yet.
-  defp reconnect(context) do
-    {_, socket} = connect(context.port, context.name)
+  defp reconnect(context), do: again(fn -> camera(context.port, context.name) end)
 
-    case pull(socket) do
-      {1, _credit} ->
-        socket
+  test "who may only look is refused by every sensor's socket", context do
+    owner = "the-token-of-owners"
+    viewer = "the-token-of-viewers"
+    opts = [port: 0, id: context.name <> "-shared", token: owner, viewer_token: viewer]
+    {:ok, studio} = Situ.Studio.start_link(opts)
+    port = Situ.Studio.port(studio)
+    bearer = fn token -> [{"Authorization", "Bearer #{token}"}] end
+    path = "/sensor/socket?name=#{context.name}"
 
-      {8, _} ->
-        receive do
-        after
-          20 -> reconnect(context)
-        end
+    for path <- [path, "/headset/socket?name=headset"] do
+      {"HTTP/1.1 101" <> _, socket} = connect(port, path, bearer.(viewer))
+      assert {8, <<1008::16, "who may only look is no sensor">>} = pull(socket)
+      {"HTTP/1.1 401" <> _, _} = connect(port, path, [])
     end
-  end
 
-  defp closed?(socket) do
-    case pull(socket) do
-      {8, _} -> true
-      {:error, _} -> true
-      {_, _} -> closed?(socket)
-    end
+    # neither took the sensor's place: its owner gets it
+    {_, socket} = connect(port, path, bearer.(owner))
+    assert json(socket) == %{"credit" => 2}
+    text(socket, %{offset: 0})
+    push(socket, 2, picture(now_ms()))
+    assert_receive {:video, _, _}
   end
 end

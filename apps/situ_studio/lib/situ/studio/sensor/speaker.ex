@@ -11,6 +11,7 @@ defmodule Situ.Studio.Sensor.Speaker do
     options: [page: [type: :string, default: "page", doc: "The sensor's name."]]
 
   alias Situ.Sound
+  alias Situ.Studio.Sensor
 
   # More than that a page that reads has not left lying.
   @most 100
@@ -27,7 +28,7 @@ defmodule Situ.Studio.Sensor.Speaker do
 
   @impl true
   def handle_message(:in, %{data: buffer}, _context, name) do
-    with [{pid, _}] <- Registry.lookup(Situ.Studio.Registry, {:sensor_page, name}),
+    with {:ok, pid} <- Sensor.Inbox.page(Sensor, name),
          {:message_queue_len, waiting} when waiting < @most <-
            Process.info(pid, :message_queue_len) do
       mono = Sound.reformat!(buffer, channels: 1, sample: :s16)

@@ -1,13 +1,14 @@
 defmodule Situ.Studio.Web.Routes do
   @moduledoc false
   # The addresses of a studio.
-  alias Situ.Studio.PipelineView
+  alias Situ.Studio.{Headset, PipelineView, Sensor}
 
   alias Situ.Studio.Web.{
     ClusterView,
     DataHandler,
     DataHttp,
     DatasetView,
+    HeadsetPage,
     HomeView,
     MainView,
     SensorHandler,
@@ -30,7 +31,9 @@ defmodule Situ.Studio.Web.Routes do
       {:static, "/assets", {:situ_studio, "priv/static"}},
       {:socket, "/data/socket", DataHandler, studio, max_frame: 262_144},
       {:get, "/sensor", {SensorPage, {studio, base}}},
-      {:socket, "/sensor/socket", SensorHandler, studio, max_frame: 2_097_152},
+      {:socket, "/sensor/socket", SensorHandler, Sensor, max_frame: 2_097_152},
+      {:get, "/headset", {HeadsetPage, {studio, base}}},
+      {:socket, "/headset/socket", SensorHandler, Headset, max_frame: 262_144},
       {:get, "/data/window", {DataHttp, {studio, :window}}},
       {:get, "/data/at", {DataHttp, {studio, :at}}},
       {:get, "/data/pcm", {DataHttp, {studio, :pcm}}},

@@ -1,31 +1,31 @@
 defmodule Situ.Studio.Web.SensorHandler do
   @moduledoc false
-  # The connection of a page that is a sensor. Texts are JSON: `ping` and `clock` from the page, `pong` and `credit` to
-  # it. Binaries begin with their kind: 1 a picture, 2 sound, both with the page's time; 3 sound to be played.
+  # The connection of a page that is a sensor. Texts are JSON: `ping`, `offset` and `drawn` from the page, `pong` and
+  # `credit` to it. Binaries begin with their kind; those from the page, with its time, are the sensor's to read
+  # (`Situ.Studio.Sensor.Packet`): 1 a picture, 2 sound, 4 a headset. 3 is sound to be played, 5 a scene to be drawn.
   @behaviour Situ.Live.SocketHandler
 
-  alias Situ.{AudioBuffer, AudioFormat, EncodedImage, JSON}
-  alias Situ.Studio.Sensor
+  alias Situ.JSON
+  alias Situ.Studio.Headset.Display
+  alias Situ.Studio.Sensor.Inbox
 
-  @registry Situ.Studio.Registry
-  # Limits for a page's values: its times lie within a day of ours, and its sound has an audible rate.
+  # A limit for a page's values: its times lie within a day of ours.
   @day_ms 86_400_000
-  @rates 8_000..192_000
 
   @impl true
-  def init(%{role: :viewer}, _studio), do: {:error, "who may only look is no sensor"}
+  def init(%{role: :viewer}, _kind), do: {:error, "who may only look is no sensor"}
 
-  def init(request, _studio) do
+  def init(request, kind) do
     name = request.query["name"] || "page"
 
-    with {:ok, sensor} <- Sensor.find(name),
-         {:ok, _} <- Registry.register(@registry, {:sensor_page, name}, nil) do
+    with {:sensor, {:ok, sensor}} <- {:sensor, Inbox.find(kind, name)},
+         :ok <- Inbox.join(kind, name, sensor) do
       Process.monitor(sensor)
-      send(sensor, {:sensor_page, self()})
-      {:ok, %{sensor: sensor, offset: nil}}
+      Display.page_came(kind, name)
+      {:ok, %{kind: kind, sensor: sensor, offset: nil, drawing: %{}}}
     else
-      :error -> {:error, "no pipeline has a sensor of this name"}
-      {:error, {:already_registered, _}} -> {:error, "another page is this sensor"}
+      {:sensor, :error} -> {:error, "no pipeline has a sensor of this name"}
+      :error -> {:error, "another page is this sensor"}
     end
   end
 
@@ -39,6 +39,9 @@ defmodule Situ.Studio.Web.SensorHandler do
         send(state.sensor, {:sensor, :clock, Situ.Time.now(), ms / 1})
         {:ok, %{state | offset: ms}}
 
+      {:ok, %{"drawn" => layer}} ->
+        drawn(state, layer)
+
       _ ->
         {:stop, {:shutdown, :bad_request}, state}
     end
@@ -48,29 +51,15 @@ defmodule Situ.Studio.Web.SensorHandler do
   def handle_in({_bytes, opcode: :binary}, %{offset: nil} = state), do: {:ok, state}
 
   def handle_in({bytes, opcode: :binary}, state) do
-    with {output, ms, data} <- parse(bytes),
+    with {ms, outputs} <- state.kind.parse(bytes),
          time = round((ms - state.offset) * 1_000_000),
          true <- abs(time - Situ.Time.now()) < @day_ms * 1_000_000 do
-      send(state.sensor, {:sensor, output, time, data})
+      for {output, data} <- outputs, do: send(state.sensor, {:sensor, output, time, data})
       {:ok, state}
     else
       _ -> {:stop, {:shutdown, :bad_request}, state}
     end
   end
-
-  defp parse(<<1, _::24, w::little-16, h::little-16, ms::little-float-64, jpeg::binary>>)
-       when w > 0 and h > 0 do
-    with {:ok, :jpeg} <- EncodedImage.sniff(jpeg),
-         do: {:video, ms, %EncodedImage{format: :jpeg, width: w, height: h, data: jpeg}}
-  end
-
-  defp parse(<<2, _::24, rate::little-32, ms::little-float-64, pcm::binary>>)
-       when rate in @rates and rem(byte_size(pcm), 2) == 0 and pcm != "" do
-    with {:ok, buffer} <- AudioBuffer.new(format: AudioFormat.pcm(rate), data: pcm),
-         do: {:audio, ms, buffer}
-  end
-
-  defp parse(_), do: :error
 
   @impl true
   def handle_info({:credit, n}, state), do: {:push, text(%{credit: n}), state}
@@ -78,11 +67,31 @@ defmodule Situ.Studio.Web.SensorHandler do
   def handle_info({:play, rate, pcm}, state),
     do: {:push, {:binary, [<<3, 0::24, rate::little-32>>, pcm]}, state}
 
+  # One scene of a layer is under way; of those that come meanwhile the newest follows it.
+  def handle_info({:draw, layer, frame}, %{drawing: drawing} = state) do
+    if is_map_key(drawing, layer),
+      do: {:ok, %{state | drawing: %{drawing | layer => frame}}},
+      else: {:push, {:binary, frame}, %{state | drawing: Map.put(drawing, layer, nil)}}
+  end
+
   def handle_info({:DOWN, _, :process, _, _}, state),
     do: {:stop, {:shutdown, :sensor_ended}, state}
 
   def handle_info(:sensor_ended, state), do: {:stop, {:shutdown, :sensor_ended}, state}
   def handle_info(_other, state), do: {:ok, state}
+
+  defp drawn(%{drawing: drawing} = state, layer) do
+    case drawing do
+      %{^layer => nil} ->
+        {:ok, %{state | drawing: Map.delete(drawing, layer)}}
+
+      %{^layer => frame} ->
+        {:push, {:binary, frame}, %{state | drawing: %{drawing | layer => nil}}}
+
+      _ ->
+        {:stop, {:shutdown, :bad_request}, state}
+    end
+  end
 
   defp text(map), do: {:text, JSON.encode(map)}
 end

@@ -1,0 +1,60 @@
+// The layers of a 3D panel before the eyes of who wears a headset, in the session's own pictures.
+
+import { DirectionalLight, Group, HemisphereLight, Matrix4, PerspectiveCamera, Scene, WebGLRenderer } from "three";
+import { sceneOf } from "../data/scene.js";
+import { Layer } from "./layer.js";
+
+// A headset has y up and looks along -z; here z is up and x ahead.
+const AXES = new Matrix4().set(0, 0, -1, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 1);
+const PIXELS = 2;
+
+export async function openRoom(session, { frame, problem }) {
+  const gl = new WebGLRenderer({ antialias: true, alpha: true });
+  gl.xr.enabled = true;
+  gl.xr.setReferenceSpaceType("local-floor");
+  await gl.xr.setSession(session);
+  return new Room(gl, frame, problem);
+}
+
+class Room {
+  constructor(gl, frame, problem) {
+    Object.assign(this, { gl, problem, layers: new Map(), scene: new Scene() });
+    this.camera = new PerspectiveCamera(70, 1, 0.02, 200);
+    this.rig = new Group();
+    this.rig.applyMatrix4(AXES);
+    this.rig.add(this.camera);
+    const lamp = new DirectionalLight(0xffffff, 1.6);
+    lamp.position.set(-1, 1, 3);
+    this.scene.add(this.rig, lamp, new HemisphereLight(0xffffff, 0x8a8a92, 1.5));
+    gl.setAnimationLoop((time, xr) => {
+      if (xr) frame(time, xr);
+      gl.render(this.scene, this.camera);
+    });
+  }
+
+  // A drawing replaces the one of its name; answers the name.
+  put(bytes) {
+    const size = new DataView(bytes).getUint32(4, true);
+    const told = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 8, size)));
+    const at = 8 + ((size + 7) & ~7);
+    const frame = sceneOf(bytes, at, bytes.byteLength - at);
+    const layer = this.layers.get(told.layer) ?? this.open(told.layer);
+    const props = { ...told.props, signs: true };
+    layer.fill({ name: told.layer, short: told.layer, props, own: true, frame }, PIXELS);
+    this.problem(frame.problems.length ? `${told.layer}: ${frame.problems[0]}` : "Running.");
+    return told.layer;
+  }
+
+  open(name) {
+    const layer = new Layer(() => {});
+    this.layers.set(name, layer);
+    this.scene.add(layer.group);
+    return layer;
+  }
+
+  close() {
+    this.gl.setAnimationLoop(null);
+    for (const layer of this.layers.values()) layer.clear();
+    this.gl.dispose();
+  }
+}

@@ -1,0 +1,160 @@
+defmodule Situ.Studio.Headset.Packet do
+  @moduledoc """
+  One moment of a headset, as its page sends it. Little endian:
+
+  | bytes | holds |
+  |---|---|
+  | 0 | kind, 4 |
+  | 1 | flags: 1 left hand, 2 right hand, 4 gaze, 8 planes, 16 left selects, 32 right selects, 64 a selection changed |
+  | 8..15 | the page's time, ms since 1970, 64-bit float |
+  | 16.. | poses, each 7 32-bit floats (x, y, z, and the rotation's x, y, z, w): head, 25 joints of each hand, gaze |
+  | last | planes, as JSON: `[{"label", "pose": [7 numbers], "polygon": [[x, z], ...]}]` |
+
+  Poses of WebXR have x to the right, y up and z backward; here they become x forward, y left, z up:
+
+      iex> pose = for value <- [0.0, 1.6, -2.0, 0.0, 0.0, 0.0, 1.0], into: <<>>, do: <<value::little-float-32>>
+      iex> {5.0, [head: head]} =
+      ...>   Situ.Studio.Headset.Packet.parse(<<4, 0, 0::48, 5.0::little-float-64>> <> pose)
+      iex> {x, y, z} = head.position
+      iex> {Float.round(x, 3), abs(y), Float.round(z, 3)}
+      {2.0, 0.0, 1.6}
+      iex> Situ.Studio.Headset.Packet.parse("anything")
+      :error
+  """
+  alias Situ.{JSON, Point3, Pose, Quaternion, Ray3, Rectangle3, Skeleton}
+
+  @pose 28
+  @most_planes 256
+  @most_corners 1_024
+
+  @fingers [:index_finger, :middle_finger, :ring_finger, :pinky_finger]
+  @bones_of [:metacarpal, :phalanx_proximal, :phalanx_intermediate, :phalanx_distal, :tip]
+  @thumb [:thumb_metacarpal, :thumb_phalanx_proximal, :thumb_phalanx_distal, :thumb_tip]
+  @chains [@thumb | for(f <- @fingers, do: for(b <- @bones_of, do: :"#{f}_#{b}"))]
+  # as WebXR orders them
+  @joints [:wrist | List.flatten(@chains)]
+  @bones [
+    {:wrist, :palm}
+    | Enum.flat_map(@chains, fn chain -> Enum.zip([:wrist | chain], chain) end)
+  ]
+
+  @typedoc "A flat surface: its meaning as the headset tells it (may be empty), its outline, the rectangle around that."
+  @type plane :: %{label: String.t(), polygon: [Point3.t()], rectangle: Rectangle3.t()}
+
+  @doc "The joints of a hand."
+  @spec joints() :: [atom()]
+  def joints, do: [:palm | @joints]
+
+  @doc "The page's time, and what came; `:error` for bytes that are no such moment."
+  @spec parse(binary()) :: {float(), [{atom(), term()}]} | :error
+  def parse(<<4, flags, _::48, ms::little-float-64, rest::binary>>) do
+    <<0::1, changed::1, right::1, left::1, planes::1, gaze::1, right_hand::1, left_hand::1>> =
+      <<Bitwise.band(flags, 127)>>
+
+    with {:ok, [head], rest} <- poses(rest, 1),
+         {:ok, left_joints, rest} <- poses(rest, 25 * left_hand),
+         {:ok, right_joints, rest} <- poses(rest, 25 * right_hand),
+         {:ok, ray, rest} <- poses(rest, gaze),
+         {:ok, found} <- planes(planes, rest) do
+      {ms,
+       [head: head] ++
+         hand(:left, left_joints) ++
+         hand(:right, right_joints) ++
+         Enum.map(ray, &{:gaze, Ray3.from_pose(&1)}) ++
+         if(changed == 1, do: [select: %{left: left == 1, right: right == 1}], else: []) ++ found}
+    else
+      _ -> :error
+    end
+  end
+
+  def parse(_bytes), do: :error
+
+  defp poses(bytes, n) when byte_size(bytes) >= n * @pose do
+    <<here::binary-size(n)-unit(224), rest::binary>> = bytes
+
+    found =
+      for <<x::little-float-32, y::little-float-32, z::little-float-32, i::little-float-32,
+            j::little-float-32, k::little-float-32, w::little-float-32 <- here>>,
+          {:ok, pose} <- [pose({x, y, z}, {w, i, j, k})],
+          do: pose
+
+    # numbers that are none were left out
+    if length(found) == n, do: {:ok, found, rest}, else: :error
+  end
+
+  defp poses(_bytes, _n), do: :error
+
+  defp pose(position, {w, i, j, k}) do
+    with {:ok, rotation} <- Quaternion.normalize({w, -k, -i, j}),
+         do: {:ok, Pose.new(turned(position), rotation)}
+  end
+
+  defp turned({x, y, z}), do: {-z, -x, y}
+
+  defp hand(_side, []), do: []
+
+  defp hand(side, poses) do
+    joints = @joints |> Enum.zip(poses) |> Map.new()
+    from = joints.middle_finger_metacarpal
+    between = Pose.interpolate(from, joints.middle_finger_phalanx_proximal, 0.5)
+    joints = Map.put(joints, :palm, %{between | rotation: from.rotation})
+    [{side, Skeleton.new!(joints, @bones, id: side)}]
+  end
+
+  defp planes(0, ""), do: {:ok, []}
+
+  defp planes(1, json) do
+    with {:ok, rows} when is_list(rows) and length(rows) <= @most_planes <- JSON.decode(json),
+         planes = Enum.map(rows, &plane/1),
+         false <- :error in planes do
+      {:ok, [planes: planes]}
+    else
+      _ -> :error
+    end
+  end
+
+  defp planes(_, _), do: :error
+
+  defp plane(%{"pose" => [x, y, z, i, j, k, w] = numbers, "polygon" => corners} = row)
+       when is_list(corners) and corners != [] and length(corners) <= @most_corners do
+    with true <- Enum.all?(numbers, &coordinate?/1),
+         true <- Enum.all?(corners, &corner?/1),
+         label when is_binary(label) and byte_size(label) <= 100 <- row["label"],
+         {:ok, pose} <- pose({x / 1, y / 1, z / 1}, {w / 1, i / 1, j / 1, k / 1}) do
+      %{label: label, polygon: outline(pose, corners), rectangle: around(pose, corners)}
+    else
+      _ -> :error
+    end
+  end
+
+  defp plane(_row), do: :error
+
+  defp coordinate?(value), do: is_number(value) and abs(value) < 1.0e6
+
+  defp corner?([x, z]), do: coordinate?(x) and coordinate?(z)
+  defp corner?(_), do: false
+
+  defp outline(pose, corners) do
+    for [x, z] <- corners do
+      {x, y, z} = Pose.transform(pose, turned({x / 1, 0.0, z / 1}))
+      Point3.new(x, y, z)
+    end
+  end
+
+  # A plane's normal is up, a rectangle's is its x axis.
+  defp around(pose, corners) do
+    {{left, right}, {back, front}} =
+      {corners |> Enum.map(&hd/1) |> Enum.min_max(),
+       corners |> Enum.map(&List.last/1) |> Enum.min_max()}
+
+    middle = Pose.new(turned({(left + right) / 2, 0.0, (back + front) / 2}))
+
+    upright =
+      Pose.new({0.0, 0.0, 0.0}, Quaternion.from_axis_angle({0.0, 1.0, 0.0}, -:math.pi() / 2))
+
+    pose
+    |> Pose.compose(middle)
+    |> Pose.compose(upright)
+    |> Rectangle3.new!(right - left, front - back)
+  end
+end

@@ -1,0 +1,144 @@
+defmodule Situ.Studio.Sensor.Inbox do
+  @moduledoc false
+  # Shared by sources whose sensor is a page: their name, the page that is there, and what came from it and waits for
+  # the pipeline. One output is credited: the page sends another of these when the pipeline has taken one.
+  alias Situ.Error
+
+  @enforce_keys [:kind, :name, :credited, :ahead, :buffer]
+  defstruct @enforce_keys ++ [page: nil, waiting: %{}, dropped: 0, last: %{}]
+
+  @type t :: %__MODULE__{}
+  @registry Situ.Studio.Registry
+
+  @doc "`kind` is the component's module: a name is one of its kind."
+  @spec new(module(), String.t(), keyword()) :: t()
+  def new(kind, name, opts), do: struct!(__MODULE__, [kind: kind, name: name] ++ opts)
+
+  @spec start(t()) :: {[Situ.Component.action()], t()}
+  def start(%__MODULE__{} = inbox) do
+    case Registry.register(@registry, {:sensor, inbox.kind, inbox.name}, nil) do
+      {:ok, _} ->
+        {[{:complete, :infinity}], inbox}
+
+      {:error, _} ->
+        raise Error.new(:sensor_taken, "a sensor called #{inspect(inbox.name)} runs already",
+                fix: "give this one another page:"
+              )
+    end
+  end
+
+  @doc "The process of the sensor with this name."
+  @spec find(module(), String.t()) :: {:ok, pid()} | :error
+  def find(kind, name) do
+    case Registry.lookup(@registry, {:sensor, kind, name}) do
+      [{pid, _}] -> {:ok, pid}
+      [] -> :error
+    end
+  end
+
+  @doc "Makes the caller the page of this sensor; `:error` where another is."
+  @spec join(module(), String.t(), pid()) :: :ok | :error
+  def join(kind, name, sensor) do
+    with {:ok, _} <- Registry.register(@registry, {:sensor_page, kind, name}, nil) do
+      send(sensor, {:sensor_page, self()})
+      :ok
+    else
+      {:error, _} -> :error
+    end
+  end
+
+  @doc "The connection of the page that is this sensor."
+  @spec page(module(), String.t()) :: {:ok, pid()} | :error
+  def page(kind, name) do
+    case Registry.lookup(@registry, {:sensor_page, kind, name}) do
+      [{pid, _}] -> {:ok, pid}
+      [] -> :error
+    end
+  end
+
+  @spec info(t(), term()) :: t()
+  def info(%__MODULE__{} = inbox, {:sensor_page, pid}) do
+    Process.monitor(pid)
+    send(pid, {:credit, inbox.ahead})
+    %{inbox | page: pid}
+  end
+
+  def info(%__MODULE__{page: pid} = inbox, {:DOWN, _, :process, pid, _}),
+    do: %{inbox | page: nil}
+
+  def info(%__MODULE__{} = inbox, {:sensor, output, time, data}),
+    do: push(inbox, output, time, data)
+
+  def info(%__MODULE__{} = inbox, _other), do: inbox
+
+  # Two clocks that are measured against each other may step back a little.
+  defp push(inbox, output, time, data) do
+    case inbox.last do
+      %{^output => last} when time <= last ->
+        credit(output, %{inbox | dropped: inbox.dropped + 1})
+
+      last ->
+        queue = :queue.in({time, data}, Map.get(inbox.waiting, output, :queue.new()))
+
+        limit(
+          put_in(%{inbox | last: Map.put(last, output, time)}.waiting[output], queue),
+          output
+        )
+    end
+  end
+
+  # These are as few as the page was given leave for.
+  defp limit(%{credited: output} = inbox, output), do: inbox
+
+  defp limit(inbox, output) do
+    if :queue.len(inbox.waiting[output]) > inbox.buffer do
+      inbox = update_in(inbox.waiting[output], &:queue.drop/1)
+      %{inbox | dropped: inbox.dropped + 1}
+    else
+      inbox
+    end
+  end
+
+  @doc "At most `n` of what waits, the earliest first."
+  @spec take(t(), non_neg_integer()) :: {[Situ.Component.action()], t()}
+  def take(%__MODULE__{} = inbox, n), do: take(inbox, n, [])
+
+  defp take(inbox, 0, actions), do: {Enum.reverse(actions), inbox}
+
+  defp take(inbox, n, actions) do
+    heads =
+      for {output, queue} <- inbox.waiting,
+          {:value, {time, _}} <- [:queue.peek(queue)],
+          do: {time, output}
+
+    case Enum.min(heads, fn -> nil end) do
+      nil ->
+        {Enum.reverse(actions), inbox}
+
+      {time, output} ->
+        {{:value, {^time, data}}, queue} = :queue.out(inbox.waiting[output])
+        inbox = credit(output, put_in(inbox.waiting[output], queue))
+        take(inbox, n - 1, [{output, time, data} | actions])
+    end
+  end
+
+  defp credit(output, %{credited: output, page: pid} = inbox) when is_pid(pid) do
+    send(pid, {:credit, 1})
+    inbox
+  end
+
+  defp credit(_output, inbox), do: inbox
+
+  @doc "Tells the page that the pipeline has ended."
+  @spec ended(t()) :: :ok
+  def ended(%__MODULE__{page: nil}), do: :ok
+
+  def ended(%__MODULE__{page: pid}) do
+    send(pid, :sensor_ended)
+    :ok
+  end
+
+  @spec describe(t()) :: String.t()
+  def describe(inbox),
+    do: "#{if inbox.page, do: "a page is there", else: "no page"}, #{inbox.dropped} dropped"
+end
