@@ -207,7 +207,8 @@ defmodule Situ.Store.HostileTest do
   defp pairs(%Store.Columns{} = columns), do: Store.Columns.pairs(columns)
   defp pairs(messages), do: for(m <- messages, do: {m.originating_time, m.data})
 
-  # Asks `rounds` stores that `make` leaves in a folder, and looks at what that did to this system.
+  # Asks `rounds` stores that `make` leaves in a folder, and looks at what that did to this system. Answers what they
+  # said, and which schedulers were held.
   defp unharmed(rounds, target, check, make) do
     watch = self()
     limit = setting("SITU_LONG_SCHEDULE", 500)
@@ -226,10 +227,9 @@ defmodule Situ.Store.HostileTest do
     :erlang.system_monitor(:undefined)
     Agent.stop(monitor)
     long = for {:monitor, who, :long_schedule, info} <- flush(), do: {who, info}
-    assert long == []
     assert resident() - before < 256 * 1024
     assert :erlang.system_info(:atom_count) - atoms < 500
-    answers
+    {answers, long}
   end
 
   @codes ~w(asked damaged missing_extent not_a_store newer_version io no_store index_lost)a
@@ -238,8 +238,11 @@ defmodule Situ.Store.HostileTest do
     path = base(root)
     target = Path.join(root, "lie.0000")
     :rand.seed(:exsss, {1, 2, 3 + setting("SITU_SEED", 0)})
-    answers = unharmed(setting("SITU_LIES", 150), target, false, fn -> lie(path, target) end)
+    lies = setting("SITU_LIES", 150)
+    {answers, long} = unharmed(lies, target, false, fn -> lie(path, target) end)
     assert Map.keys(answers) -- @codes == []
+    # Last, so that it hides nothing else: a busy machine may hold a scheduler, too.
+    assert long == []
   end
 
   test "damaged stores give nothing but what was written, and hold up no scheduler", %{
@@ -254,13 +257,14 @@ defmodule Situ.Store.HostileTest do
     File.mkdir_p!(target)
     :rand.seed(:exsss, {4, 5, 6 + setting("SITU_SEED", 0)})
 
-    answers =
+    {answers, long} =
       unharmed(setting("SITU_MUTATIONS", 150), target, true, fn ->
         mutate(Map.new(files), target)
       end)
 
     assert Map.keys(answers) -- @codes == []
     assert answers.asked > 0
+    assert long == []
   end
 
   defp flush do
