@@ -242,13 +242,13 @@ defmodule Situ.Store.Copying do
   # `parts`: each stream of the new store with the sources of its messages.
   defp build(to, parts, opts) do
     infos = for {_, sources} <- parts, {_, info} <- sources, do: info
-    told = teller(infos, opts)
+    report = progress_reporter(infos, opts)
 
     to
     |> target()
     |> Draft.make(sized(opts, infos), fn writer ->
       Enum.reduce_while(parts, :ok, fn {info, sources}, :ok ->
-        case write(writer, info, sources, opts, told) do
+        case write(writer, info, sources, opts, report) do
           :ok -> {:cont, :ok}
           error -> {:halt, error}
         end
@@ -263,8 +263,8 @@ defmodule Situ.Store.Copying do
 
   @doc false
   # A function that reports `n` more messages to the caller's `progress`.
-  @spec teller([StreamInfo.t()], keyword()) :: (pos_integer() -> any())
-  def teller(infos, opts) do
+  @spec progress_reporter([StreamInfo.t()], keyword()) :: (pos_integer() -> any())
+  def progress_reporter(infos, opts) do
     total = infos |> Enum.map(& &1.count) |> Enum.sum()
     done = :counters.new(1, [])
     progress = opts[:progress] || fn _, _ -> :ok end
@@ -290,8 +290,8 @@ defmodule Situ.Store.Copying do
     if mode, do: Keyword.put_new(opts, :mode, mode), else: opts
   end
 
-  defp write(writer, info, sources, opts, told) do
-    with {:ok, transfer} <- Transfer.open(writer, info, sources, opts, told),
+  defp write(writer, info, sources, opts, report) do
+    with {:ok, transfer} <- Transfer.open(writer, info, sources, opts, report),
          {:ok, transfer} <- messages(transfer, sources, opts) do
       Transfer.close(transfer, info.closed && min_time(info.closed, opts[:to]))
     end

@@ -64,12 +64,12 @@ defmodule Situ.Store.Editing do
   end
 
   defp build(to, store, infos, added, edits, opts) do
-    told = Copying.teller(infos, opts)
+    report = Copying.progress_reporter(infos, opts)
 
     to
     |> Copying.target()
     |> Draft.make(Copying.sized(opts, infos), fn writer ->
-      with :ok <- each(infos, &change(writer, {store, &1}, sorted(edits[&1.name]), opts, told)),
+      with :ok <- each(infos, &change(writer, {store, &1}, sorted(edits[&1.name]), opts, report)),
            do: each(added, fn {info, options} -> new(writer, info, options, edits[info.name]) end)
     end)
   end
@@ -99,8 +99,8 @@ defmodule Situ.Store.Editing do
          do: :ok
   end
 
-  defp change(writer, {_, info} = source, edits, opts, told) do
-    with {:ok, transfer} <- Transfer.open(writer, info, [source], opts, told),
+  defp change(writer, {_, info} = source, edits, opts, report) do
+    with {:ok, transfer} <- Transfer.open(writer, info, [source], opts, report),
          {:ok, transfer, ordinal} <- merge(transfer, source, edits),
          {:ok, transfer, _} <- Transfer.take(transfer, source, ordinal, :unbounded),
          do: Transfer.close(transfer, closed(info.closed, edits))
