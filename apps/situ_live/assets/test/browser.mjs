@@ -15,7 +15,7 @@ const browser = await chromium.launch({
   ],
 });
 const page = await browser.newPage();
-page.setDefaultTimeout(10_000);
+page.setDefaultTimeout(60_000);
 const noise = [];
 page.on("console", (m) => ["error", "warning"].includes(m.type()) && noise.push(m.text()));
 page.on("pageerror", (e) => noise.push(String(e)));

@@ -279,10 +279,10 @@ defmodule Situ.Pipeline do
   and `c:Situ.Component.restore/2`.
 
       iex> count = fn p ->
-      ...>   sums = p |> Situ.from_enumerable(1..4, every: 10) |> Situ.scan(0, &(&1 + &2))
-      ...>   Situ.GenStage.accumulate(sums, name: "Sum")
+      ...>   numbers = Situ.from_enumerable(p, Stream.cycle(1..4), every: Situ.Time.s(1))
+      ...>   numbers |> Situ.scan(0, &(&1 + &2)) |> Situ.GenStage.accumulate(name: "Sum")
       ...> end
-      iex> {:ok, p} = Situ.Pipeline.start(count, pipeline: [replay: [speed: :max]])
+      iex> {:ok, p} = Situ.Pipeline.start(count)
       iex> {:ok, paths} = Situ.Pipeline.checkpoint(p, &Enum.sort(Map.keys(&1)))
       iex> paths
       ["Enumerable", "Scan", "Sum"]
