@@ -11,7 +11,7 @@ defmodule Situ.Space.Gpx do
 
   alias Situ.{Error, GeoPoint, Message, Time}
   alias Situ.Space.Scan.Text
-  alias Situ.Space.WholeFile
+  alias Situ.Space.{WholeFile, Xml}
   alias Situ.Store.StreamInfo
 
   @enforce_keys [:path, :points]
@@ -46,38 +46,19 @@ defmodule Situ.Space.Gpx do
   @spec parse(binary()) ::
           {:ok, [{Time.t(), GeoPoint.t()}], non_neg_integer()} | {:error, Error.t()}
   def parse(bytes) do
-    # A document type may define entities that grow without end; GPX needs none. Other encodings could hide one.
-    cond do
-      :binary.match(bytes, ["<!DOCTYPE", "<!ENTITY"]) != :nomatch ->
-        bad("it has a document type, which GPX has not")
-
-      :binary.match(bytes, <<0>>) != :nomatch ->
-        bad("it is not well-formed XML in UTF-8")
-
-      true ->
-        read(bytes)
-    end
-  end
-
-  defp read(bytes) do
     state = %{root?: false, point: nil, text: nil, points: [], untimed: 0}
 
-    case :xmerl_sax_parser.stream(bytes, event_fun: &event/3, event_state: state) do
-      {:ok, %{root?: true} = state, _rest} ->
+    case Xml.events(bytes, &event/3, state) do
+      {:ok, %{root?: true} = state} ->
         points = state.points |> Enum.reverse() |> Enum.sort_by(&elem(&1, 0))
         {:ok, Enum.dedup_by(points, &elem(&1, 0)), state.untimed}
 
-      {:ok, _, _} ->
+      {:ok, _} ->
         bad("its first element is not gpx")
 
-      {_error, _where, reason, _open, _state} ->
-        bad("it is not well-formed XML: #{said(reason)}")
-
-      {:error, reason} ->
-        bad("it is not well-formed XML: #{said(reason)}")
+      {:error, why} ->
+        bad(why)
     end
-  catch
-    _kind, reason -> bad("it is not well-formed XML: #{inspect(reason, limit: 3)}")
   end
 
   defp bad(what), do: {:error, Error.new(:bad_gpx, what, fix: "export the track again")}
@@ -129,12 +110,6 @@ defmodule Situ.Space.Gpx do
       :error -> nil
     end
   end
-
-  defp said(reason) when is_list(reason), do: reason |> :unicode.characters_to_binary() |> words()
-  defp said(reason), do: inspect(reason, limit: 5)
-
-  defp words(text) when is_binary(text), do: text
-  defp words(other), do: inspect(other, limit: 5)
 
   @impl true
   def info(gpx),

@@ -9,6 +9,7 @@ defmodule Situ.Space.Scan do
   | `.obj` | OBJ: vertices and faces, without materials | `Mesh`, or `Points` where there are no faces |
   | `.pcd` | PCD 0.7 as text, bytes or compressed bytes, with colours | `Points` |
   | `.ply` | PLY as text or little-endian bytes, with colours or faces | `Points`, or `Mesh`: a `Situ.Mesh` |
+  | `.stl` | STL as bytes or text | `Mesh` |
 
   Places of a LAS file are measured from the lower corner of its bounds, since 32 bits do not hold a country to the
   millimetre; `Situ.Store.info/1` tells that corner as `origin`. Such files have no time: the message's is 0.
@@ -17,7 +18,7 @@ defmodule Situ.Space.Scan do
   @behaviour Situ.Store.Reader
 
   alias Situ.{Error, Mesh, Message, PointCloud}
-  alias Situ.Space.Scan.{Gltf, Las, Obj, Pcd, Ply}
+  alias Situ.Space.Scan.{Gltf, Las, Obj, Pcd, Ply, Stl}
   alias Situ.Space.WholeFile
   alias Situ.Store.StreamInfo
 
@@ -37,7 +38,7 @@ defmodule Situ.Space.Scan do
   def read(path), do: with({:ok, scan} <- open(path, []), do: {:ok, scan.data})
 
   @impl true
-  def extensions, do: [".glb", ".gltf", ".las", ".obj", ".pcd", ".ply"]
+  def extensions, do: [".glb", ".gltf", ".las", ".obj", ".pcd", ".ply", ".stl"]
 
   @impl true
   def open(path, _opts) do
@@ -57,6 +58,9 @@ defmodule Situ.Space.Scan do
 
   defp parse(".pcd", bytes),
     do: with({:ok, data} <- Pcd.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})
+
+  defp parse(".stl", bytes),
+    do: with({:ok, data} <- Stl.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})
 
   defp parse(_ply, bytes),
     do: with({:ok, data} <- Ply.read(bytes), do: {:ok, data, {0.0, 0.0, 0.0}})

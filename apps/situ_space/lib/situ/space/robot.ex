@@ -1,0 +1,120 @@
+defmodule Situ.Space.Robot do
+  @moduledoc """
+  A robot as its links, the joints between them, and the shapes of its links; where these are for given positions of the
+  joints. `Situ.Space.Robot.Urdf` reads it from a file.
+
+      {:ok, robot} = Situ.Space.Robot.Urdf.read("arm.urdf")
+      joints |> Situ.Space.Robot.posed(robot)        # a stream of Situ.JointState, for a 3D panel
+      joints |> Situ.Space.Robot.frames(robot)       # the same as a tree of frames
+
+      iex> alias Situ.Space.Robot
+      iex> {:ok, robot} = Robot.Urdf.parse(~s(<robot name="r"><link name="a"/><link name="b"/>) <>
+      ...>   ~s(<joint name="j" type="prismatic"><parent link="a"/><child link="b"/>) <>
+      ...>   ~s(<axis xyz="0 0 1"/></joint></robot>))
+      iex> {:ok, state} = Situ.JointState.new(["j"], [0.5])
+      iex> Robot.poses(robot, state)["b"].position
+      {0.0, 0.0, 0.5}
+  """
+  alias Situ.{JointState, Mesh, Pose, Quaternion, Transform}
+
+  @enforce_keys [:name, :root, :links, :joints]
+  defstruct [:name, :root, :links, :joints]
+
+  @typedoc "A shape of a link, in the link's frame, or where one would be whose file cannot be read, and why not."
+  @type shape :: Mesh.t() | {String.t(), Situ.Point3.t()}
+  @typedoc "`mimic` is the joint that this one follows, by what factor, and from where."
+  @type joint :: %{
+          name: String.t(),
+          kind: :fixed | :turning | :sliding,
+          parent: String.t(),
+          child: String.t(),
+          origin: Pose.t(),
+          axis: Situ.Vector3.t(),
+          mimic: {String.t(), float(), float()} | nil
+        }
+  @typedoc "Joints come parents first; `root` is the link that hangs on none."
+  @type t :: %__MODULE__{
+          name: String.t(),
+          root: String.t(),
+          links: %{String.t() => [shape()]},
+          joints: [joint()]
+        }
+
+  @doc "A stream of `Situ.JointState`s as the robot's shapes, by their links, in the frame of its root."
+  @spec posed(Situ.Stream.t(), t(), keyword()) :: Situ.Stream.t()
+  def posed(stream, %__MODULE__{} = robot, placed \\ []),
+    do: Situ.map(stream, &shapes(robot, &1), [name: "Robot", type: :map] ++ placed)
+
+  @doc "A stream of `Situ.JointState`s as the frames of the robot's links: lists of `Situ.Transform`s."
+  @spec frames(Situ.Stream.t(), t(), keyword()) :: Situ.Stream.t()
+  def frames(stream, %__MODULE__{} = robot, placed \\ []) do
+    Situ.map(
+      stream,
+      &transforms(robot, &1),
+      [name: "Frames", type: {:list, Transform}] ++ placed
+    )
+  end
+
+  @doc "Where each link lies in its parent. Joints of which `state` says nothing, or without one, are at 0."
+  @spec transforms(t(), JointState.t() | nil) :: [Transform.t()]
+  def transforms(%__MODULE__{joints: joints}, state \\ nil) do
+    told = told(state)
+
+    for joint <- joints,
+        do:
+          Transform.new(joint.child, joint.parent, place(joint, position(joint, told)),
+            static: joint.kind == :fixed
+          )
+  end
+
+  @doc "Where each link lies in the root."
+  @spec poses(t(), JointState.t() | nil) :: %{String.t() => Pose.t()}
+  def poses(%__MODULE__{} = robot, state \\ nil) do
+    robot
+    |> transforms(state)
+    |> Enum.reduce(%{robot.root => Pose.identity()}, fn transform, poses ->
+      Map.put(poses, transform.frame, Pose.compose(poses[transform.parent], transform.pose))
+    end)
+  end
+
+  @doc "The shapes of each link, in the frame of the root."
+  @spec shapes(t(), JointState.t() | nil) :: %{String.t() => [shape()]}
+  def shapes(%__MODULE__{links: links} = robot, state \\ nil) do
+    poses = poses(robot, state)
+
+    for {link, [_ | _] = shapes} <- links,
+        into: %{},
+        do: {link, Enum.map(shapes, &moved(&1, poses[link]))}
+  end
+
+  defp moved(%Mesh{} = mesh, pose), do: Mesh.transform(mesh, pose)
+  defp moved({why, point}, pose), do: {why, Situ.Space.move(point, pose)}
+
+  # Other lengths than that of the names cannot be made by `Situ.JointState.new/4`; a recording may hold them.
+  defp told(%JointState{names: names, positions: positions}) do
+    for {name, x} <- Enum.zip(names, positions),
+        is_number(x),
+        abs(x) < 1.0e9,
+        into: %{},
+        do: {name, x / 1}
+  end
+
+  defp told(nil), do: %{}
+
+  defp position(%{mimic: {name, factor, from}}, told),
+    do: Map.get(told, name, 0.0) * factor + from
+
+  defp position(%{name: name}, told), do: Map.get(told, name, 0.0)
+
+  defp place(%{kind: :fixed, origin: origin}, _position), do: origin
+
+  defp place(%{kind: :turning} = joint, angle),
+    do:
+      Pose.compose(
+        joint.origin,
+        Pose.new({0.0, 0.0, 0.0}, Quaternion.from_axis_angle(joint.axis, angle))
+      )
+
+  defp place(%{kind: :sliding, axis: {x, y, z}} = joint, by),
+    do: Pose.compose(joint.origin, Pose.new({x * by, y * by, z * by}))
+end

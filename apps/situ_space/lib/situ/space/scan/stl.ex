@@ -1,0 +1,70 @@
+defmodule Situ.Space.Scan.Stl do
+  @moduledoc false
+  # STL by 3D Systems, as bytes or as text: triangles, each with corners of its own. Normals and attributes are passed
+  # over; vertices at one place become one.
+  alias Situ.{Error, Mesh}
+  alias Situ.Space.Scan.Text
+
+  @most 20_000_000
+
+  @spec read(binary()) :: {:ok, Mesh.t()} | {:error, Error.t()}
+  # Some programs begin their bytes with "solid", too: the size tells.
+  def read(<<_head::binary-size(80), count::little-32, body::binary>>)
+      when byte_size(body) == count * 50 and count in 1..@most do
+    corners =
+      for <<_normal::binary-size(12), corners::binary-size(36), _::16 <- body>>,
+        into: <<>>,
+        do: corners
+
+    if finite?(corners),
+      do: joined(for <<corner::binary-size(12) <- corners>>, do: corner),
+      else: bad("a corner's coordinates are no numbers")
+  end
+
+  def read("solid" <> _ = text) do
+    corners =
+      for ["vertex" | numbers] <- text |> String.split("\n") |> Stream.map(&String.split/1),
+          do: corner(numbers)
+
+    if corners != [] and rem(length(corners), 3) == 0,
+      do: joined(corners),
+      else: bad("its vertices are no triangles")
+  catch
+    {:bad, why} -> bad(why)
+  end
+
+  def read(_bytes), do: bad("its size is not that of its triangles")
+
+  defp bad(why),
+    do: {:error, Error.new(:bad_file, "this is no STL file that can be read", why: why)}
+
+  defp finite?(<<_::little-float-32, rest::binary>>), do: finite?(rest)
+  defp finite?(rest), do: rest == ""
+
+  defp corner([_, _, _] = words) do
+    for word <- words, into: <<>> do
+      case Text.float(word) do
+        {:ok, x} when abs(x) < 3.4e38 -> <<x::little-float-32>>
+        _ -> throw({:bad, "#{inspect(String.slice(word, 0, 40))} is no number"})
+      end
+    end
+  end
+
+  defp corner(_words), do: throw({:bad, "a vertex has not three numbers"})
+
+  defp joined(corners) do
+    {indices, {vertices, _}} =
+      Enum.map_reduce(corners, {[], %{}}, fn corner, {vertices, places} ->
+        case places do
+          %{^corner => i} ->
+            {<<i::little-32>>, {vertices, places}}
+
+          _ ->
+            i = map_size(places)
+            {<<i::little-32>>, {[corner | vertices], Map.put(places, corner, i)}}
+        end
+      end)
+
+    Mesh.new(vertices |> Enum.reverse() |> IO.iodata_to_binary(), IO.iodata_to_binary(indices))
+  end
+end

@@ -1,0 +1,83 @@
+defmodule Situ.Space.Xml do
+  @moduledoc false
+  # XML from outside: no document type (its entities may grow without end, or name other files), UTF-8 only, and no atom
+  # is made of a name.
+
+  @type element :: {String.t(), %{String.t() => String.t()}, [element()]}
+  @deepest 200
+
+  @doc """
+  Gives the events of `:xmerl_sax_parser` to `fun`; its last state, or the reason why this is no such XML.
+  """
+  @spec events(binary(), (term(), term(), state -> state), state) ::
+          {:ok, state} | {:error, String.t()}
+        when state: term()
+  def events(bytes, fun, state) do
+    cond do
+      :binary.match(bytes, ["<!DOCTYPE", "<!ENTITY"]) != :nomatch ->
+        {:error, "it has a document type, which such files have not"}
+
+      :binary.match(bytes, <<0>>) != :nomatch ->
+        {:error, "it is not well-formed XML in UTF-8"}
+
+      true ->
+        parse(bytes, fun, state)
+    end
+  end
+
+  defp parse(bytes, fun, state) do
+    case :xmerl_sax_parser.stream(bytes, event_fun: fun, event_state: state) do
+      {:ok, state, _rest} -> {:ok, state}
+      {_error, _where, reason, _open, _state} -> malformed(reason)
+      {:error, reason} -> malformed(reason)
+    end
+  catch
+    _kind, reason -> malformed(reason)
+  end
+
+  defp malformed(reason) when is_list(reason) do
+    case :unicode.characters_to_binary(reason) do
+      text when is_binary(text) -> {:error, "it is not well-formed XML: #{text}"}
+      _ -> {:error, "it is not well-formed XML"}
+    end
+  end
+
+  defp malformed(reason),
+    do: {:error, "it is not well-formed XML: #{inspect(reason, limit: 5)}"}
+
+  @doc """
+  Its elements as a tree, without texts.
+
+      iex> Situ.Space.Xml.tree(~s(<a b="1"><c/></a>))
+      {:ok, {"a", %{"b" => "1"}, [{"c", %{}, []}]}}
+  """
+  @spec tree(binary()) :: {:ok, element()} | {:error, String.t()}
+  def tree(bytes) do
+    case events(bytes, &grow/3, []) do
+      {:ok, [root]} -> {:ok, root}
+      {:ok, :deep} -> {:error, "it has elements in elements without end"}
+      {:ok, _} -> {:error, "it holds no element"}
+      error -> error
+    end
+  end
+
+  # The elements that are open, the innermost first; the last one to close is the root.
+  defp grow(_event, _where, :deep), do: :deep
+
+  defp grow({:startElement, _, _, _, _}, _, open) when length(open) > @deepest, do: :deep
+
+  defp grow({:startElement, _, name, _, attributes}, _, open) do
+    given =
+      for {_, _, key, value} <- attributes, into: %{}, do: {to_string(key), to_string(value)}
+
+    [{to_string(name), given, []} | open]
+  end
+
+  defp grow({:endElement, _, _, _}, _, [{name, given, inner}, {outer, attributes, found} | open]),
+    do: [{outer, attributes, [{name, given, Enum.reverse(inner)} | found]} | open]
+
+  defp grow({:endElement, _, _, _}, _, [{name, given, inner}]),
+    do: [{name, given, Enum.reverse(inner)}]
+
+  defp grow(_event, _where, open), do: open
+end
