@@ -280,12 +280,12 @@ defmodule Situ.Pipeline do
 
       iex> count = fn p ->
       ...>   numbers = Situ.from_enumerable(p, Stream.cycle(1..4), every: Situ.Time.s(1))
-      ...>   numbers |> Situ.scan(0, &(&1 + &2)) |> Situ.GenStage.accumulate(name: "Sum")
+      ...>   Situ.scan(numbers, 0, &(&1 + &2), name: "Sum")
       ...> end
       iex> {:ok, p} = Situ.Pipeline.start(count)
       iex> {:ok, paths} = Situ.Pipeline.checkpoint(p, &Enum.sort(Map.keys(&1)))
       iex> paths
-      ["Enumerable", "Scan", "Sum"]
+      ["Enumerable", "Sum"]
       iex> {:ok, _} = Situ.Pipeline.stop(p)
       iex> :done
       :done
