@@ -2,7 +2,8 @@ defmodule Situ.Lifecycle.Stall do
   @moduledoc false
   # Finds the stages that do not end in time, names and kills them. Pure.
   # The server looks twice, the stop timeout apart. If no counter has moved in between and nothing has happened, the
-  # busy stages are stuck; if none is busy, those that still owe an answer.
+  # busy stages are stuck; if none is busy, those that still owe an answer. A stage that makes ever more of one message,
+  # as of a gap of fifty years, gives up by itself at the second look when the stop is by hand.
   alias Situ.Error
   alias Situ.Lifecycle.{Links, State}
   import Situ.Lifecycle.State
@@ -17,6 +18,7 @@ defmodule Situ.Lifecycle.Stall do
   def watched(%{phase: phase, ending: %{wish: wish}} = state, :all, seen)
       when phase == :stopping or (phase == :starting and wish != nil) do
     state = if seen.moved?, do: state, else: kill_all(state, late(state, seen))
+    state = if state.ending.by_hand, do: tell(state, alive(state), :looked), else: state
     act(state, {:watch, state.limits.stop_timeout, :all})
   end
 

@@ -238,6 +238,13 @@ defmodule Situ.Ports.Input do
     %{input | handled: @nothing, window: window}
   end
 
+  @doc "How many messages were taken, as far as the counters know."
+  @spec taken(t()) :: non_neg_integer()
+  def taken(%__MODULE__{counters: counters}) do
+    {_emitted, processed, dropped} = Counters.flow(counters)
+    processed + dropped
+  end
+
   @doc "Taken, but of no use: `n` messages are dropped, and the producer gets its demand back."
   @spec skip(t(), non_neg_integer()) :: t()
   def skip(%__MODULE__{} = input, n) do

@@ -87,6 +87,11 @@ defmodule Situ.Ports.Inputs do
     end
   end
 
+  @doc "How many messages were taken in all."
+  @spec taken(t()) :: non_neg_integer()
+  def taken(%__MODULE__{by_tag: by_tag}),
+    do: by_tag |> Enum.map(fn {_, input} -> Input.taken(input) end) |> Enum.sum()
+
   @doc "The most messages handled since the last settling, among the inputs."
   @spec handled(t()) :: non_neg_integer()
   def handled(%__MODULE__{tags: tags, by_tag: by_tag}), do: handled(tags, by_tag, 0)

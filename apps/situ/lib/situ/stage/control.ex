@@ -2,7 +2,7 @@ defmodule Situ.Stage.Control do
   @moduledoc false
   # The requests of the pipeline's server to a stage: each request is one step of its life cycle, or a change while it
   # runs.
-  alias Situ.{Clock, Options}
+  alias Situ.{Clock, Error, Options}
   alias Situ.Component.Callback
   alias Situ.Operator.Chain
   alias Situ.Ports.{Input, Inputs, Output, Outputs, Posting}
@@ -15,6 +15,7 @@ defmodule Situ.Stage.Control do
     Freeze,
     Loop,
     Memory,
+    MessageRunner,
     Production,
     State
   }
@@ -103,6 +104,19 @@ defmodule Situ.Stage.Control do
     do: {:noreply, state |> Production.stop(final) |> Loop.turn()}
 
   def handle(:stop_now, state), do: {:noreply, Production.stop_now(state)}
+
+  # Stopped by hand, the server has looked whether things move.
+  def handle(:looked, %{pace: %{continue: {:some, _term}}} = state) do
+    taken = Inputs.taken(state.inputs)
+
+    if state.pace.looked == taken,
+      do:
+        {:noreply,
+         state |> ErrorPolicy.fail(endless(state)) |> MessageRunner.settled() |> Loop.turn()},
+      else: {:noreply, %{state | pace: %{state.pace | looked: taken}}}
+  end
+
+  def handle(:looked, state), do: {:noreply, state}
 
   def handle({:finalize, time}, state) do
     state = state |> heard() |> Emission.settle() |> close(time) |> Emission.settle()
@@ -212,6 +226,17 @@ defmodule Situ.Stage.Control do
   end
 
   defp heard(state), do: %{state | outputs: Outputs.wait(state.outputs, false)}
+
+  defp endless(state) do
+    path = State.head(state).path
+
+    Error.new(:stuck, "#{path} did not come to the end of what it makes of one message",
+      why: "the stop waited, and it has taken nothing else since",
+      fix:
+        "look for a gap in time that is filled at a small interval; raise stop_timeout: when it is just slow",
+      meta: %{component: path}
+    )
+  end
 
   # At `time`; where later messages count, not before the last one.
   defp close(state, time) do

@@ -15,12 +15,14 @@ defmodule Situ.Stage.Pace do
             quitting: false,
             continue: :none,
             lingers: false,
-            closings: []
+            closings: [],
+            looked: nil
 
   @typedoc """
   `early`: what came before the stage knew its neighbours, newest first. `quitting`: it ends once its outputs are
   drained. `continue`: the component goes on with this, `{:some, term}`, before it takes anything else in;
   `closings`: inputs that have closed meanwhile; `lingers`: it has something left for later, although they have.
+  `looked`: how much it had taken when the server looked last whether it comes to an end.
   """
   @type t :: %__MODULE__{
           slice: pos_integer(),
@@ -30,7 +32,8 @@ defmodule Situ.Stage.Pace do
           quitting: boolean(),
           continue: :none | {:some, term()},
           lingers: boolean(),
-          closings: [term()]
+          closings: [term()],
+          looked: non_neg_integer() | nil
         }
 
   @doc "Another turn, after what is in the mailbox."
