@@ -1,5 +1,6 @@
 defmodule Situ.Pipeline.TapTest do
   use ExUnit.Case, async: true
+  import Situ.Test.Eventually
   doctest Situ.Pipeline.Tap
 
   alias Situ.{Connector, Message, Pipeline}
@@ -80,13 +81,5 @@ defmodule Situ.Pipeline.TapTest do
       for {v, i} <- Enum.with_index(values), do: %Message{data: v, originating_time: from + i}
 
     Connector.deliver(connector, messages)
-  end
-
-  defp eventually(fun, left \\ 1_000) do
-    cond do
-      fun.() -> true
-      left == 0 -> false
-      true -> eventually(fun, left - 1)
-    end
   end
 end

@@ -2,6 +2,7 @@ defmodule Situ.CLI.TalkTest do
   # A person (espeak-ng) talks to the assistant over a virtual microphone, and hears it over a virtual speaker.
   # Not async: the sound system is found through environment variables of the whole VM.
   use ExUnit.Case, async: false
+  import Situ.Test.Eventually
 
   alias Situ.Infer.Speech.{Espeak, Moonshine, Utterance}
   alias Situ.CLI.Talk.Session
@@ -34,7 +35,7 @@ defmodule Situ.CLI.TalkTest do
       )
 
     on_exit(fn -> if Port.info(port), do: Port.close(port) end)
-    assert wait_for(fn -> length(Device.Pulse.list()) >= 4 end, 600)
+    assert eventually(fn -> length(Device.Pulse.list()) >= 4 end)
     echo()
     {:ok, voice} = Espeak.load(rate: 150)
     %{voice: voice, dir: dir}
@@ -155,16 +156,6 @@ defmodule Situ.CLI.TalkTest do
     :gen_tcp.send(socket, response)
     :gen_tcp.close(socket)
     answer(listener, response)
-  end
-
-  defp wait_for(_ready?, 0), do: false
-
-  defp wait_for(ready?, tries) do
-    ready?.() or
-      receive do
-      after
-        50 -> wait_for(ready?, tries - 1)
-      end
   end
 
   defp put_env(name, value) do

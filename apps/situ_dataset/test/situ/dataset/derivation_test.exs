@@ -1,5 +1,6 @@
 defmodule Situ.Dataset.DerivationTest do
   use ExUnit.Case, async: true
+  import Situ.Test.Eventually
   import Situ.Dataset.Test.Study
   alias Situ.{Dataset, Store}
   alias Situ.Dataset.{Importer, OpenSession}
@@ -204,7 +205,10 @@ defmodule Situ.Dataset.DerivationTest do
     for line <- ["p1\n", "p2\n", "p3\n"], do: assert_receive({^port, {:data, ^line}}, 60_000)
     {:os_pid, pid} = Port.info(port, :os_pid)
 
-    assert eventually(fn -> Path.wildcard(Path.join(root, "p3/*.unfinished/index.situ")) != [] end)
+    assert eventually(
+             fn -> Path.wildcard(Path.join(root, "p3/*.unfinished/index.situ")) != [] end,
+             60_000
+           )
 
     {_, 0} = System.cmd("kill", ["-9", "#{pid}"])
     assert eventually(fn -> Port.info(port) == nil end)
@@ -220,14 +224,5 @@ defmodule Situ.Dataset.DerivationTest do
 
     assert left_over(root) == []
     assert Path.wildcard(Path.join(root, "p1/D.*")) == [Path.join(root, "p1/D.0000")]
-  end
-
-  # Waits for another process of the system, which tells of nothing: looks again until the test's own time is over.
-  defp eventually(fun, tries \\ 600) do
-    cond do
-      fun.() -> true
-      tries == 0 -> false
-      true -> receive(after: (100 -> eventually(fun, tries - 1)))
-    end
   end
 end

@@ -1,5 +1,6 @@
 defmodule Situ.Infer.ShelfTest do
   use ExUnit.Case, async: true
+  import Situ.Test.Eventually
   alias Situ.Infer.Shelf
 
   setup context do
@@ -24,15 +25,6 @@ defmodule Situ.Infer.ShelfTest do
   end
 
   defp kept?(shelf, key), do: key in Shelf.keys(shelf)
-
-  # Timers come when the machine has time for them.
-  defp gone?(shelf, key, till) do
-    cond do
-      not kept?(shelf, key) -> true
-      System.monotonic_time(:millisecond) > till -> false
-      true -> gone?(shelf, key, till)
-    end
-  end
 
   test "all who ask for one model get it from one loading, others load meanwhile", %{shelf: shelf} do
     test = self()
@@ -69,7 +61,7 @@ defmodule Situ.Infer.ShelfTest do
     stop(a)
     assert kept?(shelf, :model)
     stop(b)
-    assert gone?(shelf, :model, System.monotonic_time(:millisecond) + 30_000)
+    assert eventually(fn -> not kept?(shelf, :model) end)
   end
 
   @tag shelf: [bytes: 10]

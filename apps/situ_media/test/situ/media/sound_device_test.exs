@@ -1,6 +1,7 @@
 defmodule Situ.Media.SoundDeviceTest do
   # Not async: the sound systems are found through environment variables of the whole VM.
   use ExUnit.Case, async: false
+  import Situ.Test.Eventually
 
   import Situ.Media.TestFiles, only: [path: 1]
   import Situ.Media.TestPipelines
@@ -79,7 +80,7 @@ defmodule Situ.Media.SoundDeviceTest do
         )
 
       on_exit(fn -> if Port.info(port), do: Port.close(port) end)
-      assert wait_for(fn -> Device.Pulse.list() != [] end, 600)
+      assert eventually(fn -> Device.Pulse.list() != [] end)
       %{port: port}
     end
 
@@ -123,16 +124,6 @@ defmodule Situ.Media.SoundDeviceTest do
   end
 
   defp pulse(devices), do: Enum.filter(devices, &String.starts_with?(&1.id, "pulse:"))
-
-  defp wait_for(_ready?, 0), do: false
-
-  defp wait_for(ready?, tries) do
-    ready?.() or
-      receive do
-      after
-        50 -> wait_for(ready?, tries - 1)
-      end
-  end
 
   defp put_env(name, value) do
     before = System.get_env(name)

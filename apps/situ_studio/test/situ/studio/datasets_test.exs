@@ -1,5 +1,6 @@
 defmodule Situ.Studio.DatasetsTest do
   use ExUnit.Case, async: false
+  import Situ.Test.Eventually
 
   alias Situ.Live.Test, as: Page
   alias Situ.{Dataset, Message, Store}
@@ -69,13 +70,6 @@ defmodule Situ.Studio.DatasetsTest do
     {:ok, _} = Store.Writer.close_stream(out, (start + 10) * @s)
     :ok = Store.Writer.close(writer)
     writer.path
-  end
-
-  defp eventually(probe, tries \\ 3_000)
-  defp eventually(_probe, 0), do: flunk("waited in vain")
-
-  defp eventually(probe, tries) do
-    probe.() || (Process.sleep(10) && eventually(probe, tries - 1))
   end
 
   test "the catalog lists a dataset and opens its sessions and recordings", %{studio: studio} do
@@ -172,7 +166,7 @@ defmodule Situ.Studio.DatasetsTest do
     {:ok, saved} = Dataset.load(file)
     assert %{tags: ["x", "y"], metadata: %{"age" => 7}} = List.last(saved.sessions)
 
-    eventually(fn -> Page.count(page, "#tree .session img") == 3 end)
+    assert eventually(fn -> Page.count(page, "#tree .session img") == 3 end)
 
     # what no page of ours sends changes nothing and ends nothing
     for {event, params} <- [

@@ -1,5 +1,6 @@
 defmodule Situ.Studio.WatchTest do
   use ExUnit.Case, async: true
+  import Situ.Test.Eventually
 
   alias Situ.Studio.{Source, Watch}
 
@@ -148,14 +149,5 @@ defmodule Situ.Studio.WatchTest do
 
   defp taps(pipeline) do
     for %{kind: :tap, path: path, state: :running} <- Situ.Pipeline.info(pipeline).nodes, do: path
-  end
-
-  # The message passes through three processes; there is nothing to wait for but its arrival.
-  defp eventually(check, tries \\ 200) do
-    cond do
-      check.() -> true
-      tries == 0 -> false
-      true -> Process.sleep(5) && eventually(check, tries - 1)
-    end
   end
 end

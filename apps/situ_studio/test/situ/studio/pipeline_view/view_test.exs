@@ -1,6 +1,7 @@
 defmodule Situ.Studio.PipelineViewTest do
   # The page against a running pipeline, without a browser.
   use ExUnit.Case, async: true
+  import Situ.Test.Eventually
   alias Situ.Live.Test, as: Page
   alias Situ.Studio.{Catalog, History, PipelineView, Source}
 
@@ -122,28 +123,11 @@ defmodule Situ.Studio.PipelineViewTest do
     [graph] = Page.pushed(page, "pipeline:graph")
     last = List.last(graph["edges"])
     page = page(id, "/p/steps?sel=#{last["key"]}")
-    assert until(fn -> Page.info(page, :tick) && Page.count(page, ".messages li") == 8 end)
+    assert eventually(fn -> Page.info(page, :tick) && Page.count(page, ".messages li") == 8 end)
     assert Page.text(page, ".messages li code") =~ ~s("<b>)
     refute Page.render(page) =~ "<b>1"
     assert [same] = Page.pushed(page, "pipeline:graph")
     assert length(same["nodes"]) == length(graph["nodes"])
-  end
-
-  # Messages come in real time: looks again until it is so, for a few seconds at most.
-  defp until(fun, tries \\ 200) do
-    cond do
-      fun.() ->
-        true
-
-      tries == 0 ->
-        false
-
-      true ->
-        receive do
-        after
-          20 -> until(fun, tries - 1)
-        end
-    end
   end
 
   test "the end of the pipeline leaves its last picture", %{id: id, pipeline: pipeline} do

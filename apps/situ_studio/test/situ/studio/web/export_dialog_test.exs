@@ -1,6 +1,7 @@
 defmodule Situ.Studio.Web.ExportDialogTest do
   # A part of a recording saved as one of its own, from the page.
   use ExUnit.Case, async: true
+  import Situ.Test.Eventually
 
   alias Situ.Live.Test, as: Page
   alias Situ.Studio.{Catalog, History, Link, Source}
@@ -48,17 +49,8 @@ defmodule Situ.Studio.Web.ExportDialogTest do
   @part %{"from" => "10000", "to" => "19000", "of" => "selection"}
 
   # Written by a process of its own; the page is told.
-  defp saved(page, tries \\ 500) do
-    case Enum.find(Page.pushed(page, "toast"), &(&1["text"] =~ "Saved as")) do
-      nil when tries > 0 ->
-        receive do
-        after
-          10 -> saved(page, tries - 1)
-        end
-
-      toast ->
-        toast
-    end
+  defp saved(page) do
+    eventually(fn -> Enum.find(Page.pushed(page, "toast"), &(&1["text"] =~ "Saved as")) end)
   end
 
   test "the interval of all streams, beside the recording", %{folder: folder} do
