@@ -1,6 +1,6 @@
 """The jobs of bench/tests/kernels.exs in Python: OpenCV, SciPy, soxr, one thread. Same names, same output.
 
-    pip install numpy 'opencv-python-headless<5' scipy soxr
+    pip install numpy 'opencv-python-headless<5' scipy soxr open3d-cpu
     python bench/python/kernels.py [REPS]
     python bench/python/kernels.py serve
 
@@ -8,9 +8,13 @@ The value of `_cpu` is the median over REPS (default 5) of process CPU time an o
 bench/tests/kernels_beside.exs: it prints the names of the jobs, then for each `NAME CALLS` on standard input the
 microseconds each call took.
 """
+import os
 import statistics
 import sys
 import time
+
+# Open3D takes every core unless it is told before it is loaded.
+os.environ["OMP_NUM_THREADS"] = "1"
 
 import cv2
 import numpy as np
@@ -25,7 +29,8 @@ def picture(width, height):
 
 
 def space():
-    """Clouds: NumPy alone, as people write it; the rays of the pixels are made before, as Situ's table of rays is."""
+    """Clouds: NumPy alone, as people write it, with the rays of the pixels made before, as Situ's table of rays is; and
+    Open3D, whose points are 64-bit floats."""
     y, x = np.mgrid[0:480, 0:640]
     depth = (800 + (x * 7 + y * 13) % 2000).astype(np.uint16)
     right, down = ((x - 319.5) / 525).astype(np.float32), ((y - 239.5) / 525).astype(np.float32)
@@ -45,6 +50,17 @@ def space():
 
     yield "cloud_from_depth_numpy", 60, cloud
     yield "voxel_downsample_numpy", 20, voxels
+    try:
+        import open3d
+
+        lens = open3d.camera.PinholeCameraIntrinsic(640, 480, 525, 525, 319.5, 239.5)
+        image = open3d.geometry.Image(depth)
+        create = open3d.geometry.PointCloud.create_from_depth_image
+        dense = create(image, lens, depth_scale=1000.0, depth_trunc=100.0)
+        yield "cloud_from_depth_open3d", 60, lambda: create(image, lens, depth_scale=1000.0, depth_trunc=100.0)
+        yield "voxel_downsample_open3d", 20, lambda: dense.voxel_down_sample(0.05)
+    except ImportError:
+        print("Open3D is not installed", file=sys.stderr)
 
 
 def jobs():

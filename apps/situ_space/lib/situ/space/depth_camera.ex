@@ -10,6 +10,7 @@ defmodule Situ.Space.DepthCamera do
   whatever is computed from one needs nothing else. A driver is a module with this behaviour; drivers:
 
     * `Situ.Space.SyntheticRoom`: a room that is computed, with the truth beside it
+    * `Situ.Space.DepthCamera.Device`: a device of the kernel that gives depth, V4L2's Z16
     * `Situ.Space.DepthCamera.Recorded`: a recording of any of them
   """
   alias Situ.{CameraView, DepthImage, Error, PointCloud}

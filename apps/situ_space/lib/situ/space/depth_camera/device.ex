@@ -1,0 +1,124 @@
+defmodule Situ.Space.DepthCamera.Device do
+  @schema [
+    device: [
+      type: :string,
+      default: "v4l2:/dev/video0",
+      doc: "The device that gives depth, see `Situ.Media.Device`."
+    ],
+    intrinsics: [
+      type: {:struct, Situ.CameraIntrinsics},
+      required: true,
+      doc: "The lens of the depth camera, for pictures of the size that it gives."
+    ],
+    pose: [
+      type: {:optional, {:struct, Situ.Pose}},
+      default: nil,
+      doc: "Where the camera is; `nil`: at the origin, looking along x."
+    ],
+    scale: [type: :number, default: 0.001, doc: "Metres for a value of 1."],
+    semantics: [
+      type: {:in, [:plane, :point]},
+      default: :plane,
+      doc: "To the plane through the camera, or along the ray: see `Situ.DepthImage`."
+    ],
+    rate: [type: {:optional, :pos_integer}, default: nil, doc: "Pictures a second."],
+    color: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The device that gives colour from the same place; `nil`: none."
+    ],
+    color_intrinsics: [
+      type: {:optional, {:struct, Situ.CameraIntrinsics}},
+      default: nil,
+      doc: "Its lens; `nil`: that of depth."
+    ]
+  ]
+
+  @moduledoc """
+  A depth camera that is a device of the Linux kernel: V4L2's format Z16, 16 bits a pixel (RealSense cameras and others
+  whose drivers speak it).
+
+      lens = Situ.CameraIntrinsics.new!(width: 640, height: 480, focal: {383, 383}, principal: {320, 240})
+      camera = Situ.Space.DepthCamera.open(p, {Situ.Space.DepthCamera.Device, device: "/dev/video2", intrinsics: lens})
+
+  `situ devices` lists the nodes of a camera with their formats; the one with `Z16` gives depth. Times, drops and losses
+  are those of `Situ.Media.Camera`. Tests run it on a device that FFmpeg computes (`lavfi:`); it was not tried on
+  hardware. A picture of another size than the lens has is an error, which names both.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  @behaviour Situ.Space.DepthCamera
+  alias Situ.{CameraIntrinsics, CameraView, DepthImage, Error, Image, Pose}
+  alias Situ.Media.{Camera, Device}
+  alias Situ.Space.DepthCamera
+
+  @impl true
+  def open(p, opts) do
+    opts = opts |> Situ.Options.validate!(@schema) |> Map.new()
+    pose = opts.pose || Pose.identity()
+    lens = opts.intrinsics
+    color_lens = opts.color_intrinsics || lens
+
+    # Depth is not scaled: between near and far there would be distances where nothing is.
+    depth =
+      p
+      |> Camera.open(
+        device: opts.device,
+        size: nil,
+        rate: opts.rate,
+        format: :gray16,
+        # FFmpeg's word for V4L2's Z16
+        input_format: "gray16le",
+        args: asked(opts.device, lens)
+      )
+      |> Situ.map(
+        fn picture ->
+          depth = picture |> sized(lens) |> depth(opts) |> Error.unwrap!()
+          CameraView.new(depth, lens, pose)
+        end,
+        name: "Depth",
+        type: CameraView
+      )
+
+    %DepthCamera{depth: depth, color: opts.color && color(p, opts, color_lens, pose)}
+  end
+
+  # A camera may give several sizes.
+  defp asked(device, lens) do
+    case Device.parse(device) do
+      {:ok, {Device.V4L2, _}} -> ["-video_size", "#{lens.width}x#{lens.height}"]
+      _ -> []
+    end
+  end
+
+  defp color(p, opts, lens, pose) do
+    p
+    |> Camera.open(device: opts.color, size: {lens.width, lens.height}, rate: opts.rate)
+    |> Situ.map(&CameraView.new(&1, lens, pose), name: "Color", type: CameraView)
+  end
+
+  defp sized(%Image{width: w, height: h} = picture, %CameraIntrinsics{width: w, height: h}),
+    do: picture
+
+  defp sized(%Image{} = picture, lens) do
+    raise Error.new(
+            :bad_camera,
+            "the camera gives pictures of #{picture.width}x#{picture.height}, its intrinsics are " <>
+              "for #{lens.width}x#{lens.height}",
+            fix: "give the intrinsics for the size that the camera gives"
+          )
+  end
+
+  defp depth(%Image{} = picture, opts) do
+    DepthImage.new(
+      width: picture.width,
+      height: picture.height,
+      stride: picture.stride,
+      data: picture.data,
+      scale: opts.scale,
+      semantics: opts.semantics
+    )
+  end
+end
