@@ -2,13 +2,16 @@ defmodule Situ.Studio.Visualizers.Spans do
   @moduledoc """
   Intervals of time inside of messages, drawn from their beginning to their end whatever the message's own time: a
   `Situ.Interval` of times, anything with `start` and `stop` (or `end`) in nanoseconds and perhaps a `text`, `label` or
-  `name` (a stretch of speech, a recognised sentence), an interval and its text as a pair, lists of these, and maps from
-  names of lanes to these.
+  `name` (a stretch of speech), a `text` with `from` and `to` (a recognised sentence), an interval and its text as a
+  pair, lists of these, and maps from names of lanes to these. While somebody speaks a recogniser's texts follow one
+  another (`final?: false`): of these only the newest is drawn.
 
       iex> Situ.Studio.Visualizers.Spans.of(%{"Ada" => [%{start: 10, stop: 20, text: "hello"}]}, 25)
       [{10, 20, "hello", "span", "Ada"}]
       iex> Situ.Studio.Visualizers.Spans.of({Situ.Interval.closed(1, 5), "yes"}, 5)
       [{1, 5, "yes", "span", ""}]
+      iex> Situ.Studio.Visualizers.Spans.of(%{text: "ten of clubs", from: 3, to: 9}, 9)
+      [{3, 9, "ten of clubs", "span", ""}]
       iex> Situ.Studio.Visualizers.Spans.of(%{"count" => 3}, 5)
       []
   """
@@ -34,7 +37,7 @@ defmodule Situ.Studio.Visualizers.Spans do
     with {:ok, messages, all?} <- Messages.within(source, stream, from, to) do
       before = Messages.neighbours(source, :latest_at, stream, from, @around)
       later = Messages.neighbours(source, :next_after, stream, to, @around)
-      messages = Enum.reverse(before) ++ messages ++ later
+      messages = settled(Enum.reverse(before) ++ messages ++ later)
 
       rows =
         for message <- messages,
@@ -49,6 +52,11 @@ defmodule Situ.Studio.Visualizers.Spans do
       |> Segments.frame(channel, bin, messages, all?)
     end
   end
+
+  # A draft is not drawn beside what the next message says anew.
+  defp settled([%{data: %{final?: false}} | [_ | _] = rest]), do: settled(rest)
+  defp settled([message | rest]), do: [message | settled(rest)]
+  defp settled([]), do: []
 
   @doc "The intervals in a message's data, in order; `time` is where those without a beginning begin."
   @spec of(term(), Situ.Time.t()) :: [Segments.t()]
@@ -71,7 +79,10 @@ defmodule Situ.Studio.Visualizers.Spans do
       bounded?(Map.keys(module.__struct__()))
   end
 
-  defp bounded?(keys), do: :start in keys and (:stop in keys or :end in keys)
+  defp bounded?(keys) do
+    (:start in keys and (:stop in keys or :end in keys)) or
+      Enum.all?([:text, :from, :to], &(&1 in keys))
+  end
 
   defp lanes(data, time) do
     with :error <- spans(data, "", time), do: by_lane(data, time)
@@ -109,11 +120,18 @@ defmodule Situ.Studio.Visualizers.Spans do
         {:ok, [{from, max(from, to), label(first(map, @texts)), "span", lane}]}
 
       _ ->
-        :error
+        said(map, lane)
     end
   end
 
   defp span(_, _, _), do: :error
+
+  # Only beside a text: `from` and `to` alone may as well be places.
+  defp said(%{text: text, from: from, to: to}, lane)
+       when is_binary(text) and is_integer(from) and is_integer(to),
+       do: {:ok, [{from, max(from, to), label(text), "span", lane}]}
+
+  defp said(_, _), do: :error
 
   defp bounds(%Interval{left: left, right: right}, text, lane, time) do
     from = if is_number(left), do: round(left), else: time

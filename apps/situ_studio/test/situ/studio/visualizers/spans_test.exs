@@ -23,4 +23,29 @@ defmodule Situ.Studio.Visualizers.SpansTest do
              [300_000_000, 600_000_000, "told after", "span"]
            ] = json(json)
   end
+
+  test "a recognised sentence is drawn over its span, a draft of it only until the next message",
+       %{session: session} do
+    said = fn text, to, final? ->
+      %{text: text, from: 1_100_000_000, to: to, confidence: 0.9, final?: final?, words: []}
+    end
+
+    put(session, "said", [
+      {1_400_000_000, said.("ten", 1_400_000_000, false)},
+      {1_700_000_000, said.("ten of", 1_700_000_000, false)},
+      {1_900_000_000, said.("ten of clubs", 1_900_000_000, true)},
+      {2_300_000_000, %{said.("and", 2_300_000_000, false) | from: 2_000_000_000}}
+    ])
+
+    assert %{kind: 2, payload: json} =
+             shown(session, "said", "spans", 1_000_000_000, 3_000_000_000)
+
+    assert [[_, _, "ten of clubs", "span"], [_, _, "and", "span"]] = json(json)
+  end
+
+  test "numbers called from and to are no times, but beside a text" do
+    alias Situ.Studio.StreamInfo
+    assert StreamInfo.shape_of(%{from: 1, to: 2, weight: "heavy"}) == :value
+    assert StreamInfo.shape_of(%{text: "hello", from: 1, to: 2}) == :spans
+  end
 end
