@@ -61,7 +61,7 @@ defmodule Situ.Cluster do
   #{Situ.Options.docs(Situ.Cluster.Deployment.place_schema())}
   """
   alias Situ.Cluster.{Agent, Assembly, Balance, Balancer, Chunk, Deployment, Logs, Overview}
-  alias Situ.Cluster.{Placement, Plan, Runner, Upgrade, Vitals, Whole}
+  alias Situ.Cluster.{Placement, Plan, Recordings, Runner, Upgrade, Vitals, Whole}
   alias Situ.{Error, Options, Pipeline}
   alias Situ.Remote.Log
 
@@ -77,6 +77,11 @@ defmodule Situ.Cluster do
       type: {:list, :string},
       default: [],
       doc: "The devices plugged in here, by the names that rules `on: {:near, device}` use."
+    ],
+    recordings: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "A folder whose recordings every node may open (`Situ.Cluster.Recordings`)."
     ]
   ]
 
@@ -101,7 +106,7 @@ defmodule Situ.Cluster do
              log: log,
              labels: opts[:labels],
              devices: opts[:devices],
-             beside: [{Balancer, &balance/1}]
+             beside: [{Balancer, &balance/1}, {Recordings, opts[:recordings]}]
            )
   end
 

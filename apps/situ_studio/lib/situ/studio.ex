@@ -11,6 +11,13 @@ defmodule Situ.Studio do
       doc:
         "Running pipelines to look into: pids, names, or functions that find them; `{title, pipeline}` gives a title."
     ],
+    recordings: [
+      type: {:optional, {:fun, 1}},
+      default: nil,
+      doc:
+        "Finds a recording of another node, `NODE/NAME`: answers its address and options of its reader " <>
+          "(`Situ.Cluster.Recordings.address/1`)."
+    ],
     sources: [
       type: :map,
       default: %{},
@@ -161,7 +168,8 @@ defmodule Situ.Studio do
       {Catalog,
        Keyword.take(
          opts,
-         [:id, :path, :pipelines, :sources, :read_only, :layouts, :visualizers, :plugins, :tiles]
+         [:id, :path, :pipelines, :recordings, :sources, :read_only, :layouts, :visualizers] ++
+           [:plugins, :tiles]
        )},
       {Batch, Keyword.take(opts, [:id])},
       {Alerts, Keyword.take(opts, [:id])},

@@ -4,7 +4,8 @@ defmodule Situ.Pipeline.Tap do
 
   The function runs in a process of its own behind a lossy queue (default `Situ.Delivery.max_queue(1_000)`), so a slow
   or stuck tap costs the pipeline nothing but the copy of the messages. A tap that raises skips the message. It goes
-  with its pipeline, and with the process that attached it.
+  with its pipeline, and with the process that attached it. The function runs on the node of the process that attached
+  it, also where the pipeline runs on another; then one message at a time is on its way.
 
       iex> me = self()
       iex> connector = Situ.Connector.new("taps")
@@ -22,11 +23,13 @@ defmodule Situ.Pipeline.Tap do
       :ok
   """
   alias Situ.Pipeline.Client
+  alias Situ.Pipeline.Tap.{Here, Sink}
 
   @enforce_keys [:pipeline, :id]
-  defstruct [:pipeline, :id]
+  defstruct [:pipeline, :id, :here]
 
-  @type t :: %__MODULE__{pipeline: pid(), id: pos_integer()}
+  @typedoc "`here`: the process that runs the function for a pipeline of another node."
+  @type t :: %__MODULE__{pipeline: pid(), id: pos_integer(), here: pid() | nil}
 
   @schema [
     policy: [
@@ -49,16 +52,32 @@ defmodule Situ.Pipeline.Tap do
   def attach(target, fun, opts) when is_function(fun, 1) do
     with {:ok, opts} <- Situ.Options.validate(opts, @schema) do
       {pipeline, which} = which(target)
-      asked = %{stream: which, component: {__MODULE__.Sink, [fun: fun]}, opts: opts}
+      here = if elsewhere?(pipeline), do: Here.start(fun)
+      options = if here, do: [to: here], else: [fun: fun]
+      asked = %{stream: which, component: {Sink, options}, opts: opts}
 
-      with {:ok, {pid, id}} <- Client.call(pipeline, {:tap, asked}),
-           do: {:ok, %__MODULE__{pipeline: pid, id: id}}
+      case Client.call(pipeline, {:tap, asked}) do
+        {:ok, {pid, id}} ->
+          if here, do: Here.watch(here, pid)
+          {:ok, %__MODULE__{pipeline: pid, id: id, here: here}}
+
+        error ->
+          if here, do: Here.stop(here)
+          error
+      end
     end
+  end
+
+  defp elsewhere?(pipeline) do
+    pid = Client.pid(pipeline)
+    is_pid(pid) and node(pid) != node()
   end
 
   @doc "Takes the tap away; a tap whose pipeline has ended is gone already."
   @spec detach(t()) :: :ok
   def detach(%__MODULE__{} = tap) do
+    if tap.here, do: Here.stop(tap.here)
+
     case Client.call(tap.pipeline, {:untap, tap.id}) do
       :ok -> :ok
       {:error, %Situ.Error{code: :not_running}} -> :ok
@@ -72,14 +91,76 @@ end
 defmodule Situ.Pipeline.Tap.Sink do
   @moduledoc false
   # The component behind a tap.
-  use Situ.Component, inputs: [in: :any], options: [fun: [type: {:fun, 1}, required: true]]
+  use Situ.Component, inputs: [in: :any], options: [fun: [type: {:fun, 1}], to: [type: :any]]
+  alias Situ.Pipeline.Tap.Here
 
   @impl true
-  def init(opts), do: {:ok, opts[:fun]}
+  def init(opts), do: {:ok, if(opts[:to], do: {:to, opts[:to]}, else: opts[:fun])}
 
   @impl true
+  def handle_message(:in, message, _context, {:to, here} = state) do
+    Here.hand_over(here, message)
+    {[], state}
+  end
+
   def handle_message(:in, message, _context, fun) do
     fun.(message)
     {[], fun}
   end
+end
+
+defmodule Situ.Pipeline.Tap.Here do
+  @moduledoc false
+  # Runs the function of a tap on a pipeline of another node. It ends with the process that attached the tap, and with
+  # the pipeline.
+  use GenServer
+  require Logger
+
+  @spec start((Situ.Message.t() -> any())) :: pid()
+  def start(fun) do
+    {:ok, here} = GenServer.start(__MODULE__, {fun, self()})
+    here
+  end
+
+  @spec watch(pid(), pid()) :: :ok
+  def watch(here, pipeline), do: GenServer.cast(here, {:watch, pipeline})
+
+  @spec stop(pid()) :: :ok
+  def stop(here), do: GenServer.cast(here, :stop)
+
+  @doc "Returns when the function has run; at once when there is nobody any more to run it."
+  @spec hand_over(pid(), Situ.Message.t()) :: :ok
+  def hand_over(here, message) do
+    GenServer.call(here, {:message, message}, :infinity)
+  catch
+    :exit, _ -> :ok
+  end
+
+  @impl true
+  def init({fun, owner}) do
+    Process.monitor(owner)
+    {:ok, fun}
+  end
+
+  @impl true
+  def handle_call({:message, message}, _from, fun) do
+    fun.(message)
+    {:reply, :ok, fun}
+  rescue
+    error ->
+      Logger.warning("a tap raised: " <> Exception.message(error))
+      {:reply, :ok, fun}
+  end
+
+  @impl true
+  def handle_cast({:watch, pipeline}, fun) do
+    Process.monitor(pipeline)
+    {:noreply, fun}
+  end
+
+  def handle_cast(:stop, fun), do: {:stop, :normal, fun}
+
+  @impl true
+  def handle_info({:DOWN, _monitor, :process, _pid, _reason}, fun), do: {:stop, :normal, fun}
+  def handle_info(_other, fun), do: {:noreply, fun}
 end

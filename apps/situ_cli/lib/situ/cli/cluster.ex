@@ -38,6 +38,9 @@ defmodule Situ.CLI.Cluster do
           Option.new(:label, :string, "what rules of place may call it", many?: true),
           Option.new(:device, :string, "what is plugged in here (rules near:DEVICE)", many?: true),
           Option.new(:studio, :integer, "show the cluster in a studio on this port of 127.0.0.1"),
+          Option.new(:recordings, :path, "the folder whose recordings all nodes may open",
+            value: "FOLDER"
+          ),
           Option.new(:peer, :string, "another node to begin with", value: "NODE", many?: true),
           Option.new(:require, :path, "Elixir file with the pipelines", many?: true),
           @folder
@@ -134,12 +137,16 @@ defmodule Situ.CLI.Cluster do
       Output.warn("situ cluster: #{peer} does not answer; it is not waited for")
     end
 
-    settings = [log: log, labels: opts[:label], devices: opts[:device]]
+    recordings = opts[:recordings] || if(File.dir?("recordings"), do: "recordings")
+    settings = [log: log, labels: opts[:label], devices: opts[:device], recordings: recordings]
     {:ok, agent} = settings |> Cluster.join() |> joined()
     Output.puts("#{name} is up")
 
     if opts[:studio],
-      do: Output.puts("the cluster is shown at #{ClusterNode.studio(opts[:studio])}cluster")
+      do:
+        Output.puts(
+          "the cluster is shown at #{ClusterNode.studio(opts[:studio], recordings)}cluster"
+        )
 
     monitor = Process.monitor(agent)
 

@@ -171,12 +171,18 @@ defmodule Situ.CLI.ClusterNode do
     0
   end
 
-  @doc "A studio in this node, with the pipelines of all: its address."
-  @spec studio(:inet.port_number()) :: String.t()
-  def studio(port) do
+  @doc "A studio in this node, with the pipelines and recordings of all: its address."
+  @spec studio(:inet.port_number(), Path.t() | nil) :: String.t()
+  def studio(port, path) do
     {:ok, _} = Application.ensure_all_started(:situ_studio)
-    path = if File.dir?("recordings"), do: "recordings"
-    settings = [port: port, path: path, pipelines: [{:all, &Cluster.pipelines/0}]]
+
+    settings = [
+      port: port,
+      path: path,
+      pipelines: [{:all, &Cluster.pipelines/0}],
+      recordings: &Cluster.Recordings.address/1
+    ]
+
     {:ok, studio} = settings |> Situ.Studio.start_link() |> Error.unwrap!() |> then(&{:ok, &1})
     Situ.Studio.url(studio)
   end

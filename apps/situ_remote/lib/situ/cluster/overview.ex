@@ -1,13 +1,14 @@
 defmodule Situ.Cluster.Overview do
   @moduledoc """
-  A cluster at one moment, for people: nodes, parts with their streams and readers, links of every node. Plain data.
+  A cluster at one moment, for people: nodes, parts with their streams and readers, links and recordings of every node.
+  Plain data.
 
       {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log")
       Situ.Cluster.overview().nodes
   """
-  alias Situ.Cluster.{Agent, Runner, Vitals}
+  alias Situ.Cluster.{Agent, Recordings, Runner, Vitals}
 
-  defstruct time: 0, here: nil, nodes: [], parts: [], links: []
+  defstruct time: 0, here: nil, nodes: [], parts: [], links: [], recordings: []
 
   @typedoc """
   `time`: ns since 1970. A stream's `readers` are the parts that take it, each with how many messages it is `behind`.
@@ -17,7 +18,8 @@ defmodule Situ.Cluster.Overview do
           here: node(),
           nodes: [map()],
           parts: [part()],
-          links: [map()]
+          links: [map()],
+          recordings: [Recordings.entry()]
         }
   @type part :: %{
           deployment: String.t(),
@@ -41,7 +43,8 @@ defmodule Situ.Cluster.Overview do
       here: node(),
       nodes: nodes(info.members),
       parts: Enum.flat_map(Enum.sort_by(info.deployments, & &1.name), &parts(&1, nodes)),
-      links: Enum.flat_map(nodes, &links/1)
+      links: Enum.flat_map(nodes, &links/1),
+      recordings: Recordings.all(Enum.sort(nodes))
     }
   end
 

@@ -20,8 +20,8 @@ defmodule Situ.Studio.Catalog do
   defmodule Item do
     @moduledoc """
     One thing to look at; `id` is what stands in the address. `:elsewhere` is a recording of another machine, whose
-    `path` is its address (`situ://...`): nothing is written beside it. A session of a dataset has `parts`, its recordings; what
-    belongs to a dataset names it by `dataset`, its id.
+    `path` is its address (`situ://...`), `:node` one of a node of the cluster (`NODE/NAME`): nothing is written beside
+    them. A session of a dataset has `parts`, its recordings; what belongs to a dataset names it by `dataset`, its id.
     """
     @enforce_keys [:id, :title, :kind]
     defstruct [:id, :title, :kind, :path, :dataset, parts: [], live: false]
@@ -29,7 +29,7 @@ defmodule Situ.Studio.Catalog do
     @type t :: %__MODULE__{
             id: String.t(),
             title: String.t(),
-            kind: :store | :elsewhere | :pipeline | :source | :dataset | :session,
+            kind: :store | :elsewhere | :node | :pipeline | :source | :dataset | :session,
             path: Path.t() | nil,
             dataset: String.t() | nil,
             parts: [{String.t(), Path.t()}],
@@ -46,6 +46,7 @@ defmodule Situ.Studio.Catalog do
       read_only: opts[:read_only] || false,
       visualizers: opts[:visualizers] || [],
       tiles: opts[:tiles],
+      nodes: opts[:recordings] != nil,
       problems:
         for(%{problem: text} = p when text != nil <- opts[:plugins] || [], do: {p.id, text}),
       layouts: opts[:layouts] || Layouts.default_dir()
@@ -97,6 +98,7 @@ defmodule Situ.Studio.Catalog do
       path: opts[:path],
       given: opts[:sources] || %{},
       pipelines: opts[:pipelines] || [],
+      nodes: opts[:recordings],
       open: %{},
       stores: nil,
       looked_at: nil,
@@ -179,7 +181,8 @@ defmodule Situ.Studio.Catalog do
 
   # An address names an item, never a path: only recordings below the folder can be opened.
   defp found(state, id) do
-    case Enum.find(given(state), &(&1.id == id)) || store(state, id) || of_dataset(state, id) do
+    case Enum.find(given(state), &(&1.id == id)) || store(state, id) || of_dataset(state, id) ||
+           of_node(state, id) do
       nil ->
         {:error, not_found(id)}
 
@@ -205,6 +208,20 @@ defmodule Situ.Studio.Catalog do
   defp store_item(id, path), do: %Item{id: id, title: id, kind: kind(path), path: path}
   defp kind(path), do: if(Formats.for_address(path), do: :elsewhere, else: :store)
   defp dataset_item(id, path), do: %Item{id: id, title: id, kind: :dataset, path: path}
+
+  # A recording of another node of the cluster, `NODE/NAME`: opening it asks the node.
+  defp of_node(%{nodes: nil}, _id), do: nil
+
+  defp of_node(_state, id) do
+    case String.split(id, "/") do
+      [node, name] when name != "" ->
+        if String.contains?(node, "@"),
+          do: %Item{id: id, title: "#{name} of #{node}", kind: :node, path: id}
+
+      _ ->
+        nil
+    end
+  end
 
   # A dataset, a session of it, or a recording of that: the dataset says where it lies.
   defp of_dataset(state, id) do
@@ -283,6 +300,13 @@ defmodule Situ.Studio.Catalog do
 
   defp open_item(state, %Item{kind: :session} = item) do
     with {:ok, source} <- Source.Session.open(item.parts) do
+      {:ok, source, put_in(state.open[key(item)], source)}
+    end
+  end
+
+  defp open_item(state, %Item{kind: :node} = item) do
+    with {:ok, address, opts} <- state.nodes.(item.id),
+         {:ok, source} <- Situ.Studio.Source.Store.open(address, opts) do
       {:ok, source, put_in(state.open[key(item)], source)}
     end
   end

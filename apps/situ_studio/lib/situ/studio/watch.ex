@@ -158,20 +158,29 @@ defmodule Situ.Studio.Watch do
     idle =
       for {stream, tap} <- state.taps,
           [{_, used}] <- [:ets.lookup(state.uses, stream)],
-          used < old or not Process.alive?(tap.pipeline),
+          used < old or not alive?(tap.pipeline),
           do: {stream, tap}
 
     for {stream, tap} <- idle do
       :ets.delete(state.uses, stream)
       detach(tap)
       # one whose pipeline has ended is seen to its end
-      if Process.alive?(tap.pipeline), do: History.interrupt(state.history, stream)
+      if alive?(tap.pipeline), do: History.interrupt(state.history, stream)
     end
 
     {:noreply, %{state | taps: Map.drop(state.taps, Enum.map(idle, &elem(&1, 0)))}}
   end
 
   def handle_info(_, state), do: {:noreply, state}
+
+  # It may run on another node of a cluster.
+  defp alive?(pid) when node(pid) == node(), do: Process.alive?(pid)
+
+  defp alive?(pid) do
+    :erpc.call(node(pid), Process, :alive?, [pid], 1_000)
+  catch
+    _, _ -> false
+  end
 
   # A pipeline may end at any moment: then there is nothing to tap or to detach.
   defp attach(target, stream, keep) do

@@ -25,10 +25,12 @@ defmodule Situ.Studio.Source.Store do
   @few 2_000
   @changes 2_000
 
-  @doc "Opens a recording. Called by the process that is to keep it: the table ends with it."
-  @spec open(Path.t()) :: {:ok, Source.t()} | {:error, Error.t()}
-  def open(path) do
-    with {:ok, store} <- Store.open(path) do
+  @doc """
+  Opens a recording, with options of its reader. Called by the process that is to keep it: the table ends with it.
+  """
+  @spec open(Path.t(), keyword()) :: {:ok, Source.t()} | {:error, Error.t()}
+  def open(path, reader_opts \\ []) do
+    with {:ok, store} <- Store.open(path, reader_opts: reader_opts) do
       cache = :ets.new(__MODULE__, [:set, :public, read_concurrency: true])
       :ets.insert(cache, {:stamp, stamp(store.path), Store.live?(store)})
       for info <- Store.streams(store), do: load(info.type)

@@ -17,6 +17,7 @@ defmodule Situ.Studio.Web.ClusterView do
         studio: session["studio"],
         page_title: "Cluster",
         member: member?(),
+        opens: opens?(session["studio"]),
         before: nil,
         now: nil
       )
@@ -30,6 +31,11 @@ defmodule Situ.Studio.Web.ClusterView do
   @doc "Whether there is a cluster to show."
   @spec member?() :: boolean()
   def member?, do: Process.whereis(Situ.Cluster.Agent) != nil
+
+  # Whether the studio was told how to open what lies on other nodes.
+  defp opens?(studio) do
+    match?([{_, %{nodes: true}}], Registry.lookup(Situ.Studio.Registry, studio))
+  end
 
   # Nodes that do not answer make nobody wait but this task.
   defp look do
@@ -83,7 +89,7 @@ defmodule Situ.Studio.Web.ClusterView do
       <p class="hint" role="status">{said(@now)}</p>
       <table id="nodes">
         <caption>Nodes</caption>
-        <thead><tr><th scope="col">Node</th><th scope="col">Labels, devices</th><th scope="col">Parts</th>
+        <thead><tr><th scope="col">Node</th><th scope="col" class="text">Labels, devices</th><th scope="col">Parts</th>
           <th scope="col">CPU</th><th scope="col">Machine</th><th scope="col">Memory</th>
           <th scope="col">Away</th></tr></thead>
         <tbody>
@@ -100,13 +106,16 @@ defmodule Situ.Studio.Web.ClusterView do
       </table>
       <table id="parts">
         <caption>Parts and their streams</caption>
-        <thead><tr><th scope="col">Part</th><th scope="col">Node</th><th scope="col">State</th>
-          <th scope="col">Checkpoints</th><th scope="col">Stream</th><th scope="col">Messages</th>
+        <thead><tr><th scope="col">Part</th>
+          <th scope="col" class="text">Node</th><th scope="col" class="text">State</th>
+          <th scope="col">Checkpoints</th><th scope="col" class="text">Stream</th><th scope="col">Messages</th>
           <th scope="col">A second</th>
-          <th scope="col">Readers</th></tr></thead>
+          <th scope="col" class="text">Readers</th></tr></thead>
         <tbody>
           <tr :for={row <- rows(@now)} :key={row.key} class={to_string(row.part.phase)}>
-            <th scope="row">{row.first? && title(row.part)}</th>
+            <th :if={row.first? and row.part.pipeline != nil} scope="row"><a
+              href={Address.pipeline(title(row.part))}>{title(row.part)}</a></th>
+            <th :if={not row.first? or row.part.pipeline == nil} scope="row">{row.first? && title(row.part)}</th>
             <td class="text">{row.first? && (row.part.node || "none")}</td>
             <td class="text" title={row.part.error}>{row.first? && row.part.phase}</td>
             <td>{row.first? && row.part.checkpoints}</td>
@@ -120,7 +129,7 @@ defmodule Situ.Studio.Web.ClusterView do
       <p :if={@now.parts == []} class="hint">Nothing is deployed. <code>situ cluster deploy MODULE</code> does it.</p>
       <table :if={@now.links != []} id="links">
         <caption>Links</caption>
-        <thead><tr><th scope="col">To</th><th scope="col">Node</th><th scope="col">State</th>
+        <thead><tr><th scope="col">To</th><th scope="col" class="text">Node</th><th scope="col" class="text">State</th>
           <th scope="col">Bytes a second</th><th scope="col">Round trip</th><th scope="col">Clock</th></tr></thead>
         <tbody>
           <tr :for={l <- @now.links} :key={{l.node, l.address}} class={if l.connected?, do: "running", else: "failed"}>
@@ -133,8 +142,20 @@ defmodule Situ.Studio.Web.ClusterView do
           </tr>
         </tbody>
       </table>
-      <p class="hint"><a href=".">All recordings and pipelines</a><span :for={p <- running(@now)}> ·
-        <a href={Address.pipeline(p)}>{p}</a></span></p>
+      <table :if={@now.recordings != []} id="recordings">
+        <caption>Recordings</caption>
+        <thead><tr><th scope="col">Recording</th>
+          <th scope="col" class="text">Node</th><th scope="col" class="text">State</th></tr></thead>
+        <tbody>
+          <tr :for={r <- @now.recordings} :key={r.id}>
+            <th :if={@opens} scope="row"><a href={Address.of(r.id)}>{r.name}</a></th>
+            <th :if={not @opens} scope="row">{r.name}</th>
+            <td class="text">{r.node}</td>
+            <td class="text">{if r.live?, do: "being recorded", else: "finished"}</td>
+          </tr>
+        </tbody>
+      </table>
+      <p class="hint"><a href=".">All recordings and pipelines</a></p>
       <div id="toast" role="status" phx-update="ignore"></div>
     </main>
     """
@@ -151,7 +172,6 @@ defmodule Situ.Studio.Web.ClusterView do
 
   defp parts_of(now, node), do: Enum.count(now.parts, &(&1.node == node))
   defp title(part), do: "#{part.deployment}/#{part.part}"
-  defp running(now), do: for(%{pipeline: pid} = p when pid != nil <- now.parts, do: title(p))
 
   # A part has a row for each of its streams, and one where it has none.
   defp rows(now) do

@@ -1,0 +1,149 @@
+defmodule Situ.Cluster.Recordings do
+  @moduledoc """
+  The recordings of a cluster's nodes, to be opened from any of them.
+
+      {:ok, _} = Situ.Cluster.join(log: "/var/lib/situ/log", recordings: "recordings")
+      Situ.Cluster.Recordings.all()
+      {:ok, address, opts} = Situ.Cluster.Recordings.address("situ-9302@10.0.0.2/lobby.0000")
+      {:ok, store} = Situ.Store.open(address, reader_opts: opts)
+
+  A node lists the stores that lie in its folder. One that is asked for is served by a link (`Situ.Remote.serve/2`) on
+  the address that is in the node's name, by TLS where other machines can reach it. The link's token is random, and
+  told by Erlang's distribution alone: whoever may call functions on the node may read its recordings.
+  """
+  use GenServer
+  alias Situ.{Error, Remote, Store}
+
+  # Of each node: the newest ones.
+  @most 200
+  @ask_ms 5_000
+  @serve_ms 15_000
+
+  @typedoc "`id` is `NODE/NAME`; `live?` while it is being recorded; `changed` is seconds since 1970."
+  @type entry :: %{
+          id: String.t(),
+          node: node(),
+          name: String.t(),
+          live?: boolean(),
+          changed: integer()
+        }
+
+  @spec start_link(Path.t() | nil) :: GenServer.on_start()
+  def start_link(folder), do: GenServer.start_link(__MODULE__, folder, name: __MODULE__)
+
+  @doc "Those of all `nodes`, the newest of each first; nodes that do not answer in time have none."
+  @spec all([node()]) :: [entry()]
+  def all(nodes \\ [node() | Node.list()]) do
+    answers = :erpc.multicall(nodes, __MODULE__, :here, [], @ask_ms)
+    for {:ok, entries} <- answers, entry <- entries, do: entry
+  end
+
+  @doc "Those of this node: its newest 200."
+  @spec here() :: [entry()]
+  def here do
+    with pid when is_pid(pid) <- Process.whereis(__MODULE__),
+         folder when is_binary(folder) <- GenServer.call(pid, :folder, @ask_ms) do
+      entries = for path <- Store.list(folder), do: entry(path)
+      entries |> Enum.sort_by(&{-&1.changed, &1.name}) |> Enum.take(@most)
+    else
+      _ -> []
+    end
+  end
+
+  defp entry(path) do
+    name = Path.basename(path)
+    changed = with {:ok, %{mtime: at}} <- File.stat(path, time: :posix), do: at, else: (_ -> 0)
+    live? = with {:ok, store} <- Store.open(path), do: Store.live?(store), else: (_ -> false)
+    %{id: "#{node()}/#{name}", node: node(), name: name, live?: live?, changed: changed}
+  end
+
+  @doc """
+  Where a recording can be opened now, and with which options of its reader. Errors: `:not_found`, `:unreachable`, those
+  of `Situ.Remote.serve/2`.
+  """
+  @spec address(String.t()) :: {:ok, String.t(), keyword()} | {:error, Error.t()}
+  def address(id) do
+    with [name, recording] <- String.split(id, "/", parts: 2),
+         node when node != nil <-
+           Enum.find([node() | Node.list()], &(Atom.to_string(&1) == name)) do
+      asked(node, recording)
+    else
+      _ -> {:error, not_found(id)}
+    end
+  end
+
+  defp asked(node, recording) do
+    GenServer.call({__MODULE__, node}, {:serve, recording}, @serve_ms)
+  catch
+    :exit, reason ->
+      {:error,
+       Error.new(:unreachable, "#{node} does not answer: #{inspect(reason, limit: 5)}",
+         fix: "look whether it is still a member of the cluster, then open the recording again"
+       )}
+  end
+
+  defp not_found(id) do
+    Error.new(:not_found, "no node of the cluster has a recording #{inspect(id)}",
+      fix: "choose one from the page of the cluster"
+    )
+  end
+
+  @impl true
+  def init(folder) do
+    Process.flag(:trap_exit, true)
+    {:ok, %{folder: folder && Path.expand(folder), serving: %{}}}
+  end
+
+  @impl true
+  def handle_call(:folder, _from, state), do: {:reply, state.folder, state}
+
+  def handle_call({:serve, name}, _from, %{serving: serving} = state)
+      when is_map_key(serving, name) do
+    {_server, address, opts} = serving[name]
+    {:reply, {:ok, address, opts}, state}
+  end
+
+  def handle_call({:serve, name}, _from, state) do
+    case served(state.folder, name) do
+      {:ok, server, address, opts} ->
+        {:reply, {:ok, address, opts}, put_in(state.serving[name], {server, address, opts})}
+
+      {:error, error} ->
+        {:reply, {:error, error}, state}
+    end
+  end
+
+  @impl true
+  def handle_info({:EXIT, server, _reason}, state) do
+    serving = Map.reject(state.serving, fn {_, {pid, _, _}} -> pid == server end)
+    {:noreply, %{state | serving: serving}}
+  end
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  # Only what the list has: a name is no path.
+  defp served(folder, name) do
+    with true <- is_binary(folder),
+         path when path != nil <- Enum.find(Store.list(folder), &(Path.basename(&1) == name)),
+         {:ok, store} <- Store.open(path) do
+      token = Base.url_encode64(:crypto.strong_rand_bytes(18))
+      host = host()
+      tls = if host == "127.0.0.1", do: nil, else: true
+
+      with {:ok, server} <-
+             Remote.serve(%{name => store}, port: 0, interface: host, tls: tls, token: token),
+           do: {:ok, server, Remote.Server.address(server, name), token: token}
+    else
+      {:error, error} -> {:error, error}
+      _ -> {:error, not_found("#{node()}/#{name}")}
+    end
+  end
+
+  # The part of the node's name behind the @; a node without a name has no others.
+  defp host do
+    case node() |> Atom.to_string() |> String.split("@") do
+      [_, host] when host not in ["nohost", "localhost"] -> host
+      _ -> "127.0.0.1"
+    end
+  end
+end
