@@ -5,6 +5,10 @@ defmodule Situ.Ports.Posting do
   alias Situ.{Error, Message}
   alias Situ.Ports.Output
 
+  # The difference to a clock of today has to fit into 64 bits, and 9.0e18 is "never" to a stage.
+  @earliest -7_000_000_000_000_000_000
+  @latest 8_999_999_999_999_999_998
+
   @doc "Posts data at `time`; held back until the clock reaches it when `enforce`d."
   @spec emit(Output.t(), Situ.Time.t(), term(), Situ.Time.t(), boolean()) ::
           {:ok, Output.t()} | {:error, Error.t()}
@@ -92,6 +96,23 @@ defmodule Situ.Ports.Posting do
 
   def emit_all(output, [{_, time, data} | rest], now, enforce, _final) do
     with {:ok, output} <- emit(output, time, data, now, enforce), do: {:ok, output, rest}
+  end
+
+  @doc "Whether clocks and counters can tell how old messages are, from the time `first` to the last one posted."
+  @spec in_range(Output.t(), Situ.Time.t()) :: :ok | {:error, Error.t()}
+  def in_range(%Output{last_time: last}, first)
+      when first >= @earliest and (last == nil or last <= @latest),
+      do: :ok
+
+  def in_range(%Output{port: port} = output, first) do
+    time = if first < @earliest, do: first, else: output.last_time
+
+    {:error,
+     Error.new(:time_out_of_range, "#{port.path} emitted a message at #{time} ns",
+       why: "times are ns since 1970, from the year 1748 to the year 2255",
+       fix: "scale it to ns; is it in another unit?",
+       meta: %{component: port.path, time: time}
+     )}
   end
 
   defp post_all([{name, time, data} | rest], {name, creation, id} = start, last, seq, pending)

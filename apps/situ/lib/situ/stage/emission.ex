@@ -17,7 +17,8 @@ defmodule Situ.Stage.Emission do
              output not in [:timer, :close, :complete, :continue] do
     with {:ok, output} <- output(state, output),
          {:ok, output, rest} <-
-           Posting.emit_all(output, actions, now, state.context.enforced?, state.source.final) do
+           Posting.emit_all(output, actions, now, state.context.enforced?, state.source.final),
+         :ok <- Posting.in_range(output, time) do
       run(put(state, output), rest, now)
     end
   end
@@ -39,13 +40,17 @@ defmodule Situ.Stage.Emission do
 
   defp forward(state, name, messages, rest, now) do
     with {:ok, output} <- output(state, name),
-         {:ok, output} <- Posting.forward_all(output, messages, now, state.context.enforced?) do
+         {:ok, output} <- Posting.forward_all(output, messages, now, state.context.enforced?),
+         :ok <- in_range(output, messages) do
       run(put(state, output), rest, now)
     else
       :error -> {:error, Callback.bad_action(state.callback.path, {name, messages})}
       error -> error
     end
   end
+
+  defp in_range(_output, []), do: :ok
+  defp in_range(output, [first | _]), do: Posting.in_range(output, first.originating_time)
 
   defp put(state, output), do: %{state | outputs: Outputs.put(state.outputs, output)}
 

@@ -111,4 +111,24 @@ defmodule Situ.Ports.PostingTest do
       assert Enum.map(got, &elem(&1, 0)) == expected
     end
   end
+
+  test "times that 64 bits do not hold are refused by name" do
+    ExUnit.CaptureLog.capture_log(fn ->
+      for time <- [
+            93_000_000_000_000_000_000,
+            9_000_000_000_000_000_000,
+            -8_000_000_000_000_000_000
+          ],
+          make <- [&{&1, :late}, &%Situ.Message{originating_time: &1, data: :late}] do
+        build = fn p ->
+          p |> Situ.from_enumerable([make.(time)]) |> Situ.each(& &1, async: true)
+        end
+
+        replay = [interval: {-9_000_000_000_000_000_000, :unbounded}, speed: :max]
+
+        assert {:error, %{code: :time_out_of_range, meta: %{time: ^time}}} =
+                 Situ.Pipeline.run(build, pipeline: [replay: replay])
+      end
+    end)
+  end
 end
