@@ -27,5 +27,22 @@ test("so does the pipeline of a part", async ({ page: tab, shot }) => {
   await shot("pipeline");
 });
 
+// Its messages come from there: they go on beyond the moment at which the studio looks whether they are still wanted.
+test("and its streams are drawn", async ({ page: tab, shot }) => {
+  await tab.goto(`${page.replace(/cluster$/, "")}s/${part}`);
+  await until(tab, () => document.body?.dataset.ready === "1", "it is opened");
+  await tab.dblclick("#tree .node >> nth=0");
+  const drawn = () => {
+    const layers = [...window.situStudio.views].filter((v) => v.plot).flatMap((v) => v.layers);
+    const s = layers[0]?.channel?.series;
+    return s ? Array.from(s.last).filter(Number.isFinite).length : 0;
+  };
+  await until(tab, drawn, "messages are drawn");
+  const { cursor } = await tab.evaluate(() => window.situStudio.time.get());
+  await until(tab, (c) => window.situStudio.time.get().cursor > c + 4e9, "time goes on", cursor);
+  await until(tab, drawn, "and messages are drawn still");
+  await shot("stream");
+});
+
 const good = await runAll({ shots: process.env.SHOTS });
 process.exit(good ? 0 : 1);

@@ -144,6 +144,17 @@ defmodule Situ.Pipeline.Client do
   @spec moving(Pipeline.target()) :: term()
   def moving(p), do: send(pid(p), :situ_moving)
 
+  @doc "A function of the pipeline's process, called on its node: clocks of another node cannot be read from here."
+  @spec there(pid(), module(), atom()) :: term()
+  def there(pid, module, function) do
+    :erpc.call(node(pid), module, function, [pid], 5_000)
+  rescue
+    error in ErlangError ->
+      raise Error.new(:not_running, "the pipeline does not answer",
+              why: "#{node(pid)} says: #{inspect(error.original, limit: 5)}"
+            )
+  end
+
   @doc "The process behind a handle, a stream or a name."
   @spec pid(Pipeline.target()) :: pid() | nil
   def pid(%Handle{pid: pid}), do: pid

@@ -234,7 +234,13 @@ defmodule Situ.Pipeline do
 
   @doc "The pipeline's clock now, ns."
   @spec now(target()) :: Situ.Time.t()
-  def now(p), do: p |> clock() |> Situ.Clock.now()
+  def now(p) do
+    pid = Client.pid(p)
+
+    if is_pid(pid) and node(pid) != node(),
+      do: Client.there(pid, __MODULE__, :now),
+      else: p |> clock() |> Situ.Clock.now()
+  end
 
   @doc "The pipeline's clock; available once it has started."
   @spec clock(target()) :: Situ.Clock.t()
