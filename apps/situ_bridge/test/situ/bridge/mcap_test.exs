@@ -1,5 +1,6 @@
 defmodule Situ.Bridge.McapTest do
   use ExUnit.Case, async: true
+  import Situ.Test.Eventually
   alias Situ.Bridge.Mcap
   alias Situ.Store
 
@@ -173,9 +174,9 @@ defmodule Situ.Bridge.McapTest do
     assert_receive {:got, 100}
     Process.exit(pipeline, :kill)
 
-    wait_for(fn ->
-      match?({:ok, _}, Store.open(path)) and Store.info(Store.open!(path)).closed?
-    end)
+    assert eventually(fn ->
+             match?({:ok, _}, Store.open(path)) and Store.info(Store.open!(path)).closed?
+           end)
 
     assert Store.count(Store.open!(path), "/n") > 0
   end
@@ -225,13 +226,5 @@ defmodule Situ.Bridge.McapTest do
                |> Situ.from_enumerable([{1, 1}])
                |> Mcap.write(Mcap.create(p, Path.join(dir, "no/such/folder.mcap")), "/x")
              end)
-  end
-
-  defp wait_for(condition, tries \\ 1_000) do
-    cond do
-      condition.() -> :ok
-      tries == 0 -> flunk("it did not come true")
-      true -> receive(after: (10 -> wait_for(condition, tries - 1)))
-    end
   end
 end

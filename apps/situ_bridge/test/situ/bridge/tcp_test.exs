@@ -1,5 +1,6 @@
 defmodule Situ.Bridge.TcpTest do
   use ExUnit.Case, async: true
+  import Situ.Test.Eventually
   alias Situ.Bridge.Net.Server
   alias Situ.Bridge.Tcp
   alias Situ.Bridge.Tcp.Frames
@@ -53,16 +54,16 @@ defmodule Situ.Bridge.TcpTest do
         |> Situ.each(&send(me, {:got, &1}))
       end)
 
-    wait_for(fn -> Server.ready(first) == 1 end)
+    assert eventually(fn -> Server.ready(first) == 1 end)
     Server.put(first, "before")
     assert_receive {:got, "before"}
     Server.close(first, 100)
     {:ok, second} = open(port, 10)
-    wait_for(fn -> Server.ready(second) == 1 end)
+    assert eventually(fn -> Server.ready(second) == 1 end)
     # A frame that no message may be that long: the client leaves and comes back.
     Server.put(second, "longer than ten bytes")
-    wait_for(fn -> Server.ready(second) == 0 end)
-    wait_for(fn -> Server.ready(second) == 1 end)
+    assert eventually(fn -> Server.ready(second) == 0 end)
+    assert eventually(fn -> Server.ready(second) == 1 end)
     Server.put(second, "after")
     assert_receive {:got, "after"}
     Situ.Pipeline.stop(client)
@@ -75,12 +76,12 @@ defmodule Situ.Bridge.TcpTest do
     {:ok, tcp} =
       :gen_tcp.connect('127.0.0.1', Server.port(server), [:binary, active: false, recbuf: 1_024])
 
-    wait_for(fn -> Server.ready(server) == 1 end)
+    assert eventually(fn -> Server.ready(server) == 1 end)
     payload = :binary.copy("x", 1_000_000)
     for _ <- 1..100, do: Server.put(server, payload)
     assert Server.dropped(server) > 0
     :gen_tcp.close(tcp)
-    wait_for(fn -> Server.ready(server) == 0 end)
+    assert eventually(fn -> Server.ready(server) == 0 end)
     Server.close(server, 100)
   end
 
@@ -89,13 +90,5 @@ defmodule Situ.Bridge.TcpTest do
     assert {:error, %{code: :address_in_use}} = open(Server.port(server), 5)
     assert {:error, %{code: :bad_address}} = Server.open("no such interface", 0, 5, {Frames, nil})
     Server.close(server, 100)
-  end
-
-  defp wait_for(condition, tries \\ 2_000) do
-    cond do
-      condition.() -> :ok
-      tries == 0 -> flunk("it did not come true")
-      true -> receive(after: (5 -> wait_for(condition, tries - 1)))
-    end
   end
 end

@@ -1,5 +1,6 @@
 defmodule Situ.Bridge.ZeroMQTest do
   use ExUnit.Case, async: true
+  import Situ.Test.Eventually
   alias Situ.Bridge.ZeroMQ
   alias Situ.Bridge.ZeroMQ.{Socket, Wire}
   doctest Socket
@@ -60,7 +61,7 @@ defmodule Situ.Bridge.ZeroMQTest do
         |> Situ.each(&send(me, {:all, &1}))
       end)
 
-    wait_for(fn -> Socket.ready(socket) == 2 end)
+    assert eventually(fn -> Socket.ready(socket) == 2 end)
     for topic <- ["a", "ab", "b", "a"], do: Socket.put(socket, [topic, topic])
     for topic <- ["a", "ab", "a"], do: assert_receive({:all, ^topic})
     for _ <- 1..2, do: assert_receive({:got, "a"})
@@ -81,12 +82,12 @@ defmodule Situ.Bridge.ZeroMQTest do
     {:ok, receiver} =
       Situ.Pipeline.start_link(fn p -> collect(p, me, at, topic: "", format: :raw) end)
 
-    wait_for(fn -> Socket.ready(first) == 1 end)
+    assert eventually(fn -> Socket.ready(first) == 1 end)
     Socket.put(first, ["", "before"])
     assert_receive {:got, "before"}
     Socket.close(first, 100)
     {:ok, second} = Socket.open(:pub, at, bind: true, high_water_mark: 10, most: 1_000)
-    wait_for(fn -> Socket.ready(second) == 1 end)
+    assert eventually(fn -> Socket.ready(second) == 1 end)
     Socket.put(second, ["", "after"])
     assert_receive {:got, "after"}
     Situ.Pipeline.stop(receiver)
@@ -137,7 +138,7 @@ defmodule Situ.Bridge.ZeroMQTest do
         :gen_tcp.close(tcp)
       end
 
-      wait_for(fn -> map_size(:sys.get_state(socket).peers) == 0 end)
+      assert eventually(fn -> map_size(:sys.get_state(socket).peers) == 0 end)
     end)
 
     assert Socket.ready(socket) == 0
@@ -155,13 +156,5 @@ defmodule Situ.Bridge.ZeroMQTest do
 
     assert {:error, %{code: :bad_address}} = Socket.open(:pub, "udp://x", bind: true)
     Socket.close(socket, 100)
-  end
-
-  defp wait_for(condition, tries \\ 2_000) do
-    cond do
-      condition.() -> :ok
-      tries == 0 -> flunk("it did not come true")
-      true -> receive(after: (5 -> wait_for(condition, tries - 1)))
-    end
   end
 end

@@ -23,7 +23,8 @@ defmodule Situ.CLI.Help do
       --version   print the version
       --help      this text; `situ COMMAND --help` explains one command
 
-    Exit status: 0 done, 1 failed (or damage or differences found), 2 wrong usage.
+    Exit status: 0 done, 1 failed (or damage or differences found), 2 wrong usage;
+    130 stopped by Ctrl-C; 141 the reader of a pipe closed it.
     """
   end
 
@@ -57,7 +58,7 @@ defmodule Situ.CLI.Help do
       arguments(verb),
       table(for option <- Verb.options(verb), do: {Option.label(option), described(option)}),
       if(verb.aliases != [], do: "Also called: #{Enum.join(verb.aliases, ", ")}."),
-      "Exit status: 0 done, 1 failed, 2 wrong usage.",
+      "Exit status: 0 done, 1 failed, 2 wrong usage; 130 stopped by Ctrl-C; 141 the reader of a pipe closed it.",
       examples(verb.examples)
     ]
     |> Enum.reject(&(&1 in [nil, ""]))

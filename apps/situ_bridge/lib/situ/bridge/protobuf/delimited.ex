@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Protobuf.Delimited do
   @moduledoc false
   # Messages one after the other, each behind its length as a varint.
+  alias Situ.Bridge.Protobuf.Writer
   alias Situ.Error
 
   @chunk 65_536
@@ -11,10 +12,7 @@ defmodule Situ.Bridge.Protobuf.Delimited do
       <<2, 1, 2>>
   """
   @spec frame(iodata()) :: iodata()
-  def frame(bytes), do: [varint(IO.iodata_length(bytes)), bytes]
-
-  defp varint(n) when n < 128, do: <<n>>
-  defp varint(n), do: <<1::1, n::7, varint(Bitwise.bsr(n, 7))::binary>>
+  def frame(bytes), do: [bytes |> IO.iodata_length() |> Writer.put_varint(), bytes]
 
   @doc "The messages' bytes, each with the place it begins at; raises `Situ.Error` (`:io`, `:bad_file`)."
   @spec payloads(Path.t()) :: Enumerable.t()
@@ -45,14 +43,14 @@ defmodule Situ.Bridge.Protobuf.Delimited do
         {:halt, {file, bytes, at}}
 
       :eof ->
-        ended(file, bytes, at, path)
+        ended(bytes, at, path)
 
       {:error, reason} ->
         raise io(path, reason)
     end
   end
 
-  defp ended(_file, bytes, at, path) do
+  defp ended(bytes, at, path) do
     case split(bytes, at, []) do
       {:error, _, at, why} -> raise bad(path, at, why)
       _ -> raise bad(path, at, "the file is cut short within a message")
