@@ -1,7 +1,7 @@
 defmodule Situ.Studio.Film do
   @moduledoc """
   The pictures of a stream between two times as a video file, with the sound of another stream and with what other
-  streams draw over them: rectangles, points and their labels, as the page shows them.
+  streams draw over them: masks, rectangles, points and their labels, as the page shows them.
 
   Every picture is shown from its own time until the next one; the one in force at the beginning is the first. A
   picture of another size than the first is made as large as that.
@@ -15,19 +15,25 @@ defmodule Situ.Studio.Film do
   """
   alias Situ.{AudioBuffer, AudioFormat, EncodedImage, Error, Image, Imaging}
   alias Situ.Media.Encoder
+  alias Situ.Studio.Film.Masks
   alias Situ.Studio.Source
+  alias Situ.Studio.Visualizers.Masks, as: Found
   alias Situ.Studio.Visualizers.Shapes
 
   @enforce_keys [:pictures, :from, :to]
-  defstruct [:pictures, :from, :to, :sound, over: [], flip: false]
+  defstruct [:pictures, :from, :to, :sound, over: [], masks: [], flip: false]
 
-  @typedoc "`over` names the streams to be drawn over the pictures, each with the number of its colour."
+  @typedoc """
+  `over` names the streams to be drawn over the pictures, each with the number of its colour; `masks` those of masks,
+  each with its properties, too (`"opacity"`, `"fit"`, `"labels"`).
+  """
   @type t :: %__MODULE__{
           pictures: String.t(),
           from: Situ.Time.t(),
           to: Situ.Time.t(),
           sound: String.t() | nil,
           over: [{String.t(), non_neg_integer()}],
+          masks: [{String.t(), non_neg_integer(), map()}],
           flip: boolean()
         }
 
@@ -44,6 +50,7 @@ defmodule Situ.Studio.Film do
            |> Enum.map(fn rgb ->
              rgb |> Enum.map(&String.to_integer(&1, 16)) |> List.to_tuple()
            end)
+  @colors List.to_tuple(@palette)
 
   @doc """
   Writes the file; `progress` is told the part that is done, 0.0 to 1.0, about once a second of film. Errors:
@@ -149,8 +156,10 @@ defmodule Situ.Studio.Film do
 
       with {:ok, image} <- picture(message.data),
            {:ok, image} <- sized(image, first),
+           found = found(film, source, time),
+           image = masked(image, found),
            {:ok, image} <- if(film.flip, do: Imaging.flip(image, :vertical), else: {:ok, image}),
-           image = over(film, image, shown(film, source, time)),
+           image = over(film, image, boxed(found) ++ shown(film, source, time)),
            :ok <- Encoder.video(encoder, time, image) do
         {:cont, {:ok, {time, image}}}
       else
@@ -171,13 +180,32 @@ defmodule Situ.Studio.Film do
         do: {message.data, color}
   end
 
+  defp found(film, source, time) do
+    for {stream, color, props} <- film.masks,
+        {:ok, message} <- [Source.call(source, :latest_at, [stream, time])],
+        {:ok, found} <- [Found.found(message.data, source, stream, message.originating_time)],
+        do: {found, color, props}
+  end
+
+  # Before the picture is mirrored: its masks are mirrored with it.
+  defp masked(image, found) do
+    Enum.reduce(found, image, fn {found, color, props}, image ->
+      Masks.over(image, found, color, @colors, props)
+    end)
+  end
+
+  defp boxed(found) do
+    for {{:objects, objects}, color, props} <- found,
+        props["labels"] != false,
+        do: {{:labels, Enum.map(objects, &elem(&1, 0))}, color}
+  end
+
   @doc "A picture with what lies over it: the data of each stream's message, and the number of its colour."
   @spec over(t(), Image.t(), [{term(), non_neg_integer()}]) :: Image.t()
   def over(_film, image, []), do: image
 
   def over(film, image, data) do
-    shapes =
-      Enum.flat_map(data, fn {term, color} -> drawn(film, image, Shapes.of(term), color) end)
+    shapes = Enum.flat_map(data, fn {term, color} -> drawn(film, image, term, color) end)
 
     case Imaging.draw(image, shapes) do
       {:ok, drawn} -> drawn
@@ -186,7 +214,13 @@ defmodule Situ.Studio.Film do
     end
   end
 
-  defp drawn(film, image, shapes, own) do
+  # Objects that have masks need no frames.
+  defp drawn(film, image, {:labels, rects}, own),
+    do: film |> drawn(image, rects, own) |> Enum.reject(&match?({:rectangle, _, _}, &1))
+
+  defp drawn(film, image, term, own) do
+    shapes = Shapes.of(term)
+
     rects =
       for {[x, y, w, h, label, score, id], i} <- Enum.with_index(shapes["rects"]) do
         color = Enum.at(@palette, rem(abs(id || own + i), length(@palette)))

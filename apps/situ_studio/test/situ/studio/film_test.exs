@@ -4,7 +4,7 @@ defmodule Situ.Studio.FilmTest do
   doctest Situ.Studio.Film
 
   alias Situ.{AudioBuffer, AudioFormat, Image, Message, Rect}
-  alias Situ.Media.FileInfo
+  alias Situ.Media.{Decoder, FileInfo}
   alias Situ.Studio.{Film, History, Source}
 
   @ms 1_000_000
@@ -44,6 +44,34 @@ defmodule Situ.Studio.FilmTest do
     assert {info.video.width, info.video.height} == {64, 48}
     assert_in_delta info.duration, 1_950 * @ms, 60 * @ms
     assert info.audio
+  end
+
+  @tag :tmp_dir
+  test "masks are in the film, where the network saw them, and mirrored with the picture", %{
+    tmp_dir: dir
+  } do
+    history = History.new(live: false, seconds: 3_600)
+
+    put = fn name, time, data ->
+      History.put(history, name, %Message{data: data, originating_time: time}, 8)
+    end
+
+    for i <- 0..9, do: put.("Camera", i * 100 * @ms, Image.filled(64, 32, :rgb24, [0, 0, 0]))
+    put.("Find.Boxes", 0, [%Rect{x: 0, y: 0, width: 32, height: 32, id: 0}])
+    put.("Find.Masks", 0, [Image.filled(4, 4, :gray8, [255])])
+    masks = [{"Find.Masks", 0, %{"opacity" => 100}}]
+
+    for {flip, bright, dark} <- [{false, 8, 56}, {true, 56, 8}] do
+      film = %Film{pictures: "Camera", from: 0, to: @s, masks: masks, flip: flip}
+      path = Path.join(dir, "#{flip}.mp4")
+      assert :ok = Film.write(film, {Source.History, history}, path, & &1)
+      {:ok, decoder} = Decoder.open(path, audio: false)
+      assert {:video, _, shown, decoder} = Decoder.next(decoder)
+      Decoder.close(decoder)
+      assert {:ok, [b, _, _]} = Image.fetch_pixel(shown, bright, 16)
+      assert {:ok, [b0, _, _]} = Image.fetch_pixel(shown, dark, 16)
+      assert b - b0 > 100
+    end
   end
 
   @tag :tmp_dir

@@ -24,6 +24,9 @@ defmodule Situ.Studio.Visualizers.Masks do
     {"whole", "the whole picture"}
   ]
 
+  @typedoc "Classes by their numbers, or objects in their boxes."
+  @type found :: {:classes, Image.t()} | {:objects, [{Rect.t(), Image.t()}]}
+
   @impl true
   def about do
     options =
@@ -44,31 +47,44 @@ defmodule Situ.Studio.Visualizers.Masks do
   end
 
   @impl true
-  def instant(channel, data, message, context) do
-    with {:ok, masks} <- of(data, message, context),
-         do: Frame.json(channel, message.originating_time, masks)
+  def instant(channel, data, message, %{source: source, spec: %{stream: stream}}) do
+    with {:ok, found} <- found(data, source, stream, message.originating_time),
+         do: Frame.json(channel, message.originating_time, told(found))
   end
 
-  defp of(%Image{} = image, _message, _context) do
-    with {:ok, image} <- gray(image), do: {:ok, %{"classes" => runs(image)}}
+  @doc "The classes in a message's data, or the objects, each with its box; or the reason why there are none."
+  @spec found(term(), Source.t(), String.t(), Situ.Time.t()) ::
+          {:ok, found()} | {:error, String.t()}
+  def found(%Image{} = image, _source, _stream, _time) do
+    with {:ok, image} <- gray(image), do: {:ok, {:classes, image}}
   end
 
-  defp of([{%Rect{}, %Image{}} | _] = pairs, _message, _context), do: boxes(pairs)
+  def found([{%Rect{}, %Image{}} | _] = pairs, _source, _stream, _time), do: boxes(pairs)
 
-  defp of([%Image{} | _] = masks, message, context) do
-    case rects(context, message.originating_time, length(masks)) do
+  def found([%Image{} | _] = masks, source, stream, time) do
+    case rects(source, stream, time, length(masks)) do
       {:ok, rects} -> boxes(Enum.zip(rects, masks))
       :none -> {:error, "there is no stream with as many rectangles at the same time"}
     end
   end
 
-  defp of([], _message, _context), do: {:ok, %{"masks" => []}}
-  defp of(_, _, _), do: {:error, "this message holds no masks"}
+  def found([], _source, _stream, _time), do: {:ok, {:objects, []}}
+  def found(_, _, _, _), do: {:error, "this message holds no masks"}
 
   defp boxes(pairs) do
+    objects =
+      for {%Rect{} = rect, %Image{} = image} <- Enum.take(pairs, @most),
+          {:ok, image} <- [gray(image)],
+          do: {rect, image}
+
+    {:ok, {:objects, objects}}
+  end
+
+  defp told({:classes, image}), do: %{"classes" => runs(image)}
+
+  defp told({:objects, objects}) do
     masks =
-      for {%Rect{} = r, %Image{} = image} <- Enum.take(pairs, @most),
-          {:ok, image} <- [gray(image)] do
+      for {r, image} <- objects do
         Map.merge(runs(image), %{
           "box" => [r.x, r.y, r.width, r.height],
           "label" => r.label && to_string(r.label),
@@ -77,7 +93,7 @@ defmodule Situ.Studio.Visualizers.Masks do
         })
       end
 
-    {:ok, %{"masks" => masks}}
+    %{"masks" => masks}
   end
 
   defp gray(%Image{width: w, height: h}) when w * h > @pixels,
@@ -93,7 +109,7 @@ defmodule Situ.Studio.Visualizers.Masks do
   defp gray(%Image{format: format}), do: {:error, "masks are :gray8 pictures, not #{format}"}
 
   # The nearest by its name first: a detector's outputs share the beginning of theirs.
-  defp rects(%{source: source, spec: %{stream: stream}}, time, count) do
+  defp rects(source, stream, time, count) do
     with {:ok, infos} <- Source.call(source, :streams, []) do
       infos
       |> Enum.filter(&(&1.shape == :shapes))

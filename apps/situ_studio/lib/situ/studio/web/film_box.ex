@@ -52,12 +52,18 @@ defmodule Situ.Studio.Web.FilmBox do
             v in visible and v.viz in @over and v.path == "",
             do: {v.stream, color}
 
+      masks =
+        for {v, color} <- Enum.zip(panel.vis, colors),
+            v in visible and v.viz == "masks" and v.path == "",
+            do: {v.stream, color, v.props}
+
       %Film{
         pictures: picture.stream,
         from: from,
         to: to,
         sound: sound(assigns),
         over: over,
+        masks: masks,
         flip: picture.props["flip"] == true
       }
     end
@@ -108,7 +114,7 @@ defmodule Situ.Studio.Web.FilmBox do
   end
 
   defp with_what(film) do
-    case {film.sound != nil, film.over != []} do
+    case {film.sound != nil, film.over ++ film.masks != []} do
       {true, true} -> ", with sound and what is drawn over it"
       {true, false} -> ", with sound"
       {false, true} -> ", with what is drawn over it"

@@ -1,0 +1,84 @@
+defmodule Situ.Studio.Film.Masks do
+  @moduledoc """
+  Masks burnt into the pictures of a film, see-through and coloured as on the page
+  (`Situ.Studio.Visualizers.Masks`): those of objects in their boxes, those of classes over the part of the picture
+  that the network saw.
+
+      iex> image = Situ.Image.filled(2, 1, :bgr24, [0, 0, 0])
+      iex> mask = Situ.Image.new!(width: 2, height: 1, format: :gray8, data: <<0, 255>>)
+      iex> found = {:objects, [{%Situ.Rect{x: 0, y: 0, width: 2, height: 1, id: 0}, mask}]}
+      iex> Situ.Studio.Film.Masks.over(image, found, 0, {{100, 200, 40}}, %{"opacity" => 50}).data
+      <<0, 0, 0, 20, 100, 50>>
+  """
+  alias Situ.{Image, Imaging}
+  alias Situ.Studio.Visualizers.Masks, as: Found
+
+  # A box may claim any size: larger ones are left out.
+  @pixels 16_777_216
+  @opacity 45
+
+  @doc "A `:bgr24` picture with masks over it; `palette` holds red, green and blue, 0..255, `own` the stream's place."
+  @spec over(Image.t(), Found.found(), non_neg_integer(), tuple(), map()) :: Image.t()
+  def over(image, {:classes, classes}, _own, palette, props) do
+    box = covered(classes, image, props["fit"] || "pad")
+    tinted(image, classes, box, &color(palette, &1 - 1), weight(props))
+  end
+
+  def over(image, {:objects, objects}, own, palette, props) do
+    objects
+    |> Enum.with_index(own)
+    |> Enum.reduce(image, fn {{rect, mask}, i}, image ->
+      rgb = color(palette, if(is_integer(rect.id), do: rect.id, else: i))
+      box = {rect.x, rect.y, rect.width, rect.height}
+      tinted(image, mask, box, fn _ -> rgb end, weight(props))
+    end)
+  end
+
+  # The part of the picture that numbers of classes lie over.
+  defp covered(%{width: side, height: side}, %{width: w, height: h}, fit) when fit != "whole" do
+    side = if fit == "crop", do: min(w, h), else: max(w, h)
+    {(w - side) / 2, (h - side) / 2, side, side}
+  end
+
+  defp covered(_, %{width: w, height: h}, _fit), do: {0, 0, w, h}
+
+  defp weight(props), do: props["opacity"] || @opacity
+
+  defp color(palette, i), do: elem(palette, rem(abs(i), tuple_size(palette)))
+
+  # The values are looked up once each: there are 256.
+  defp tinted(image, mask, {x, y, w, h}, color_of, weight) do
+    {x, y, w, h} = {round(x), round(y), round(w), round(h)}
+    {left, top} = {max(x, 0), max(y, 0)}
+    {width, height} = {min(x + w, image.width) - left, min(y + h, image.height) - top}
+
+    with true <- width > 0 and height > 0 and w * h <= @pixels,
+         {:ok, mask} <- Imaging.resize(mask, w, h, filter: :nearest),
+         {:ok, mask} <- Imaging.crop(mask, {left - x, top - y, width, height}),
+         {:ok, part} <- Imaging.crop(image, {left, top, width, height}) do
+      mask = Image.pixels(mask)
+      colors = List.to_tuple(for v <- 0..255, do: parts(color_of.(v), weight))
+      data = blend(mask, Image.pixels(part), colors, 100 - weight, <<>>)
+      part = Image.new!(width: width, height: height, format: :bgr24, data: data)
+      {:ok, pasted} = Imaging.paste(image, part, {left, top})
+      pasted
+    else
+      _ -> image
+    end
+  end
+
+  defp parts({r, g, b}, weight), do: {b * weight, g * weight, r * weight}
+
+  defp blend(<<0, mask::binary>>, <<pixel::24, rest::binary>>, colors, keep, acc),
+    do: blend(mask, rest, colors, keep, <<acc::binary, pixel::24>>)
+
+  defp blend(<<v, mask::binary>>, <<b, g, r, rest::binary>>, colors, keep, acc) do
+    {cb, cg, cr} = elem(colors, v)
+
+    pixel = <<div(b * keep + cb, 100), div(g * keep + cg, 100), div(r * keep + cr, 100)>>
+
+    blend(mask, rest, colors, keep, <<acc::binary, pixel::binary>>)
+  end
+
+  defp blend(<<>>, <<>>, _colors, _keep, acc), do: acc
+end
