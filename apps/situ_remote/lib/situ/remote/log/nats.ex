@@ -190,9 +190,16 @@ defmodule Situ.Remote.Log.Nats do
   # Nobody answers for a stream that has no entry yet, nor while the servers have no leader.
   defp publish(log, {:stream, _} = subject, expected, entry) do
     with :silent <- published(log, subject, expected, entry),
-         config = %{"name" => stream(log, subject), "subjects" => [name(subject)]},
-         :ok <- Api.made(log, Map.merge(log.config, config)),
-         do: log |> published(subject, expected, entry) |> Api.heard()
+         stream = stream(log, subject),
+         {:error, %Error{code: :no_stream}} <- Api.info(log, stream, log.timeout),
+         config = %{"name" => stream, "subjects" => [name(subject)]},
+         :ok <- Api.made(log, Map.merge(log.config, config)) do
+      log |> published(subject, expected, entry) |> Api.heard()
+    else
+      # It is there, and nobody leads it for the moment.
+      {:ok, %{"config" => _}} -> Api.heard(:silent)
+      answer -> answer
+    end
   end
 
   defp publish(log, subject, expected, entry),

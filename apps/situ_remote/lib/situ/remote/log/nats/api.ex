@@ -8,9 +8,9 @@ defmodule Situ.Remote.Log.Nats.Api do
   @api_ms 10_000
 
   @doc "A JetStream stream's settings and state; `:no_stream` when there is none."
-  @spec info(Nats.t(), String.t()) :: {:ok, map()} | {:error, Error.t()}
-  def info(log, name) do
-    case ask(log, "$JS.API.STREAM.INFO." <> name, "", @api_ms) do
+  @spec info(Nats.t(), String.t(), pos_integer()) :: {:ok, map()} | {:error, Error.t()}
+  def info(log, name, timeout \\ @api_ms) do
+    case ask(log, "$JS.API.STREAM.INFO." <> name, "", timeout) do
       {:ok, %{"config" => _} = info} -> {:ok, info}
       {:ok, %{"error" => error}} -> {:error, refusal(error)}
       {:ok, _other} -> {:error, away("an answer that says nothing")}
