@@ -56,7 +56,7 @@ defmodule Situ.Pipeline.Client do
 
   @spec state(Pipeline.target()) :: atom()
   def state(p) do
-    case ask(pid(p), :state, 5_000, nil) do
+    case ask(pid(p), :state, :infinity, nil) do
       {:error, %Error{code: :not_running}} -> :completed
       state -> state
     end
