@@ -2,7 +2,7 @@
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { test, equal, until } from "./harness.mjs";
-import { answer, open, dispatch } from "./studio_page.mjs";
+import { answer, open, dispatch, panelOf } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
@@ -87,6 +87,21 @@ const screens = {
     await page.keyboard.press("k");
     await answer(page, "here");
     await until(page, () => window.situStudio.annotation?.told.items.length, "a comment");
+  },
+  film: async (page) => {
+    await open(page, main, "minute.0000");
+    await dispatch(page, { type: "select", from: 1e9, to: 2e9 });
+    await page.click(`#${await panelOf(page, "Camera.Image")} canvas`, { button: "right" });
+    await page.click("#menu button:has-text('Film of the selection')");
+    await until(page, () => document.querySelector("#film-file"), "the film");
+  },
+  trace: async (page) => {
+    await screens.graph(page);
+    await page.click(".graph .edge.lossy .number");
+    await until(page, () => document.querySelectorAll(".messages button.linkish").length === 8, "its last messages");
+    // the list goes on while it is looked at: the place, not the message, is clicked
+    await page.evaluate(() => document.querySelector(".messages button.linkish").click());
+    await until(page, () => document.querySelectorAll("#trace .hops li").length >= 3, "the way of its time");
   },
   find: async (page) => {
     await open(page, main, "minute.0000");

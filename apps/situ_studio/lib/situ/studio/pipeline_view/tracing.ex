@@ -35,8 +35,8 @@ defmodule Situ.Studio.PipelineView.Tracing do
   def box(assigns) do
     ~H"""
     <section class="trace" id="trace" aria-label="Trace of one time">
-      <h3>Trace of {clock(@trace.time)}
-        <button class="mini" type="button" phx-click="trace_close" aria-label="Close the trace">×</button></h3>
+      <h2>Trace of {clock(@trace.time)}
+        <button class="mini" type="button" phx-click="trace_close" aria-label="Close the trace">×</button></h2>
       <p class="where-now">{place(@trace)}</p>
       <ol class="hops">
         <li :for={hop <- @trace.hops} :key={hop.from <> "→" <> hop.to} class={Atom.to_string(hop.state)}>
