@@ -11,8 +11,15 @@ pub fn downsample(cloud: &[u8], size: f64) -> Result<(Vec<u8>, Vec<u32>)> {
     let points = points(cloud)?;
     let mut places: HashMap<Cell, usize> = HashMap::default();
     let mut sums: Vec<([f64; 3], u32)> = Vec::new();
+    // neighbours in a cloud are mostly neighbours in space
+    let mut last: Option<(Cell, usize)> = None;
     for point in &points {
-        let place = *places.entry(cell(point, size)).or_insert(sums.len());
+        let cell = cell(point, size);
+        let place = match last {
+            Some((same, place)) if same == cell => place,
+            _ => *places.entry(cell).or_insert(sums.len()),
+        };
+        last = Some((cell, place));
         if place == sums.len() {
             sums.push(([0.0; 3], 0));
         }

@@ -46,7 +46,12 @@ pub type Cell = [i64; 3];
 
 /// The cube with edges of `size` that holds the point.
 pub fn cell(point: &Point, size: f32) -> Cell {
-    point.map(|c| (f64::from(c) / f64::from(size)).floor() as i64)
+    // `floor` is a call of the mathematical library on processors without SSE 4.1, which nobody asks for
+    point.map(|c| {
+        let edges = f64::from(c) / f64::from(size);
+        let towards_zero = edges as i64;
+        towards_zero.saturating_sub(i64::from(edges < towards_zero as f64))
+    })
 }
 
 /// A length in metres that can be an edge or a radius.
@@ -105,4 +110,27 @@ impl<'a> Grid<'a> {
 pub fn distance2(a: &Point, b: &Point) -> f32 {
     let (x, y, z) = (a[0] - b[0], a[1] - b[1], a[2] - b[2]);
     x * x + y * y + z * z
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cube_begins_at_its_lower_edge_on_both_sides_of_nothing() {
+        let all = [
+            0.0, -0.0, 0.05, -0.05, 0.049_999, -0.049_999, 1.0e6, -1.0e6, 1.0e-30, -1.0e-30,
+            3.4e38, -3.4e38,
+        ];
+        for c in all {
+            for size in [1e-6_f32, 0.05, 1.0, 1e6] {
+                let floor = (f64::from(c) / f64::from(size)).floor() as i64;
+                assert_eq!(
+                    cell(&[c, 0.0, 0.0], size)[0],
+                    floor,
+                    "{c} in cubes of {size}"
+                );
+            }
+        }
+    }
 }
