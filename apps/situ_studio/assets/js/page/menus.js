@@ -39,6 +39,7 @@ function streamItems(app, { stream, shape }) {
       : []),
     "-",
     { text: "Copy its name", run: () => copy(stream, "Name copied") },
+    { text: "Copy its name in expressions", run: () => copy(derivation(stream), "Name copied") },
   ];
 }
 

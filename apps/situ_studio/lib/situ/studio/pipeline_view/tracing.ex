@@ -53,9 +53,12 @@ defmodule Situ.Studio.PipelineView.Tracing do
 
     case waiting ++ inside do
       [] -> "Nothing of this time is on its way: it has passed, or has not begun."
-      places -> String.capitalize(hd(places)) <> Enum.map_join(tl(places), &(", " <> &1))
+      places -> places |> Enum.join(", ") |> sentence()
     end
   end
+
+  # Names of components keep their letters as they are.
+  defp sentence(<<first::utf8, rest::binary>>), do: String.upcase(<<first::utf8>>) <> rest
 
   defp told(%{state: :coming}), do: "not sent yet"
   defp told(%{state: :waiting, waited: nil, queue: n}), do: "waits, #{n} in the queue"

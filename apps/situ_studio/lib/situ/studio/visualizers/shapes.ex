@@ -21,7 +21,7 @@ defmodule Situ.Studio.Visualizers.Shapes do
   def about do
     options =
       Option.visible() ++
-        Option.color() ++
+        [color: [type: :color, title: "Colour", auto: "by identity", several: true]] ++
         [
           labels: [type: :boolean, title: "Labels", default: true],
           width: [type: {:range, 0.5, 8}, title: "Width", default: 2],

@@ -84,7 +84,7 @@ defmodule Situ.Studio.Web.HomeView do
       <div :if={@problems != []} class="damage" role="alert">
         <span :for={{plugin, what} <- @problems}><b>The plug-in {plugin} is broken:</b> {what}</span>
       </div>
-      <p class="hint" role="status">{count(length(@items), length(@found), @query)}
+      <p class="hint" role="status">{count(length(@items), length(@found), @query)} ·
         <a class="linkish" href="settings" data-settings>Settings</a></p>
       <p :if={ClusterView.member?()} class="hint"><a href="cluster">The cluster: nodes, parts, links</a></p>
       <form :if={length(@items) > 5 or @query != ""} class="search" phx-change="search" phx-submit="search"

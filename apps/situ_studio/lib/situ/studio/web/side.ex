@@ -225,7 +225,8 @@ defmodule Situ.Studio.Web.Side do
     ~H"""
     <input :if={@type == :boolean} id={@id} type="checkbox" name={@name} value="true" checked={@value == true}>
     <span :if={@type == :color} class="color">
-      <input id={@id} type="color" name={@name} value={@value} phx-hook="Swatch" data-auto={@value == nil && @color}>
+      <input id={@id} type="color" name={@name} value={@value} phx-hook="Swatch" class={unset(@value, @option)}
+          data-auto={@value == nil && @option[:auto] == nil && @color}>
       <span :if={@value == nil} class="hint">{@option[:auto] || "automatic"}</span>
       <button :if={@value != nil} class="mini" type="button" phx-click="prop_auto" phx-value-panel={@panel}
           phx-value-index={@index} phx-value-key={@key} title={"Back to " <> (@option[:auto] || "automatic")}
@@ -237,6 +238,10 @@ defmodule Situ.Studio.Web.Side do
         phx-debounce="400">
     """
   end
+
+  # A field for a colour shows one at all times: black would be no truth where there are several, or none.
+  defp unset(nil, option), do: (option[:several] && "several") || (option[:auto] && "none")
+  defp unset(_, _), do: nil
 
   # 3.0 as a person writes it
   defp plain(x) when is_float(x) and abs(x) < 1.0e15 and trunc(x) == x, do: trunc(x)
