@@ -23,6 +23,11 @@ async function look(page, view, sel, at) {
 }
 
 const PICTURES = {
+  // the whole clip: the picture of the README
+  studio: async (page) => {
+    await recording(page);
+    await look(page, [0, 14], null, 5.35);
+  },
   timelines: async (page) => {
     await recording(page);
     await look(page, [3.5, 9.5], [4.9, 6.9], 5.35);
@@ -141,8 +146,9 @@ for (const [name, show] of Object.entries(PICTURES)) {
   await show(page);
   await page.evaluate(() => document.getElementById("toast")?.classList.remove("on"));
   await page.waitForTimeout(500);
-  if (name !== "live") await page.screenshot({ path: join(to, `studio-${name}.png`) });
-  console.log(`studio-${name}.png`);
+  const file = name === "studio" ? "studio.png" : `studio-${name}.png`;
+  if (name !== "live") await page.screenshot({ path: join(to, file) });
+  console.log(file);
   await context.close();
 }
 await browser.close();

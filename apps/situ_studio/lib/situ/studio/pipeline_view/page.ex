@@ -52,9 +52,9 @@ defmodule Situ.Studio.PipelineView.Page do
       </aside>
       <footer class="status">
         <span><i class="dot"></i>{state(@live, @feed)}</span>
-        <span>{length(@snapshot.nodes)} components</span>
-        <span>{length(@snapshot.edges)} connections</span>
-        <span>{length(@snapshot.processes)} processes</span>
+        <span>{count(@snapshot.nodes, "component", "components")}</span>
+        <span>{count(@snapshot.edges, "connection", "connections")}</span>
+        <span>{count(@snapshot.processes, "process", "processes")}</span>
         <span class="grow"></span>
         <span>click: details · double click: fold · wheel: zoom · drag: pan</span>
       </footer>
@@ -70,4 +70,7 @@ defmodule Situ.Studio.PipelineView.Page do
 
   defp clock(nil), do: ""
   defp clock(ns), do: ns |> Situ.Time.to_iso8601() |> String.slice(11, 12)
+
+  defp count([_], one, _many), do: "1 #{one}"
+  defp count(list, _one, many), do: "#{length(list)} #{many}"
 end
