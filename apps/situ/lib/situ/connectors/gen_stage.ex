@@ -85,8 +85,8 @@ defmodule Situ.GenStage do
 
   @doc """
   The stream, held back until a consumer lets it go with `GenStage.demand(pid, :forward)`: none of its messages is
-  lost to one that subscribes while the pipeline runs. A pipeline that is stopped, or whose sources have all ended,
-  waits for no consumer. Options: those of `Situ.Graph.Placement`.
+  lost to one that subscribes after the start. A pipeline whose sources have ended waits for it; one that is stopped
+  does not. Options: those of `Situ.Graph.Placement`.
 
       Situ.from_enumerable(p, 0..999, every: Situ.Time.ms(1)) |> Situ.GenStage.accumulate(name: "Numbers")
   """
