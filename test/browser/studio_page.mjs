@@ -88,14 +88,18 @@ export function count(page, selector, rgb, tolerance = 40) {
   );
 }
 
-export const panelOf = (page, stream) =>
-  page.evaluate((s) => {
+// The id of the panel that shows a stream, as soon as there is one.
+export async function panelOf(page, stream) {
+  const find = (s) => {
     for (const el of document.querySelectorAll("[phx-hook='Panel']")) {
       const config = JSON.parse(el.dataset.config);
       if (config.vis.some((v) => v.stream === s)) return el.id;
     }
     return null;
-  }, stream);
+  };
+  await until(page, find, `a panel shows ${stream}`, stream);
+  return page.evaluate(find, stream);
+}
 
 // Puts the mouse where `t` (ns after the start) is on a timeline.
 export async function pointAt(page, id, t) {
