@@ -211,13 +211,16 @@ impl Lane {
             .map_err(|e| Error::io(format!("create {file_name}"), e))?;
         self.fault.step()?;
         let least = (length + 4096).next_multiple_of(4096);
-        let made = allocate_some(&file, 0, size, least).and_then(|size| {
-            write_all(&file, &extent_header(&self.id, self.lane, number), 0).map(|()| size)
-        });
-        let size = made.map_err(|error| {
+        // The header first: whenever the writer dies, the file is empty or an extent.
+        let failed = |error: Errno| {
             let _ = std::fs::remove_file(&path);
             Error::io(format!("allocate {least} bytes for {file_name}"), error)
-        })?;
+        };
+        write_all(&file, &extent_header(&self.id, self.lane, number), 0).map_err(failed)?;
+        self.fault.step()?;
+        let header = EXTENT_HEADER as u64;
+        let size =
+            header + allocate_some(&file, header, size - header, least - header).map_err(failed)?;
         self.fault.step()?;
         if let Some(full) = self.file.replace(file) {
             if self.dirty {

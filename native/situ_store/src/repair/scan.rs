@@ -71,11 +71,13 @@ impl Files {
         for ((lane, number), map) in &self.maps {
             if let Err(why) = check_extent(map, &id, *lane, *number) {
                 self.wrong.push((*lane, *number));
-                damage.push(Damage {
-                    file: extent::name(*lane, *number),
-                    offset: 0,
-                    why: why.into(),
-                });
+                if !begun(map) {
+                    damage.push(Damage {
+                        file: extent::name(*lane, *number),
+                        offset: 0,
+                        why: why.into(),
+                    });
+                }
             }
         }
     }
@@ -144,6 +146,12 @@ impl Files {
         progress(total, total);
         scan
     }
+}
+
+/// An extent whose space was allocated when its writer's machine went down: nothing stands where its header and its
+/// first chunk would. If a page of a used extent was lost, its first chunk tells.
+fn begun(map: &[u8]) -> bool {
+    map.iter().take(4096).all(|byte| *byte == 0)
 }
 
 impl Scan {

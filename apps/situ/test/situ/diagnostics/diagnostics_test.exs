@@ -1,6 +1,8 @@
 defmodule Situ.DiagnosticsTest do
   use ExUnit.Case, async: true
 
+  import Situ.Test.Eventually
+
   alias Situ.Diagnostics.Snapshot
   alias Situ.Fixture.Count
   alias Situ.Pipeline
@@ -24,8 +26,7 @@ defmodule Situ.DiagnosticsTest do
         pipeline: [clock: clock, diagnostics: true]
       )
 
-    # Answers when it runs.
-    assert Pipeline.clock(p) == clock
+    assert eventually(fn -> Pipeline.state(p) == :running end)
 
     for _ <- 1..3 do
       Situ.Clock.advance(clock, 100_000_000)

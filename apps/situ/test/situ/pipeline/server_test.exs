@@ -2,6 +2,8 @@ defmodule Situ.Pipeline.ServerTest do
   # A pipeline behaves as an OTP process: it answers calls, and its handlers block nobody.
   use ExUnit.Case, async: true
 
+  import Situ.Test.Eventually
+
   alias Situ.Fixture.Count
   alias Situ.{Clock, Pipeline, Time}
 
@@ -14,7 +16,7 @@ defmodule Situ.Pipeline.ServerTest do
           Situ.source(p, Count, count: :infinity, interval: Time.ms(1))
         end)
 
-      assert Pipeline.clock(p)
+      assert eventually(fn -> Pipeline.state(p) == :running end)
       assert {:error, %{code: :unknown_request}} = GenServer.call(p, :what_is_this)
       assert {:error, %{code: :unknown_request}} = GenServer.call(p, {1, 2, 3})
       GenServer.cast(p, :nothing)
