@@ -1,8 +1,8 @@
 defmodule Situ.Store.HostileTest do
   # Damaged stores, and stores that lie with right checksums: an error or less data, little memory, and no scheduler
   # held up. `SITU_MUTATIONS` and `SITU_LIES` say how many of each (150); `SITU_LONG_SCHEDULE` how many ms a scheduler
-  # may be held (500: on a busy machine the system itself holds them; 5 on a quiet one); `SITU_SEED` begins elsewhere
-  # (0), so that a long run can be cut into several.
+  # may be held (500: on a busy machine the system itself holds them; with 5 run it as `chrt -r 10 mix test ...`, before
+  # all others); `SITU_SEED` begins elsewhere (0), so that a long run can be cut into several.
   use ExUnit.Case, async: false
   alias Situ.Store
   alias Situ.Store.Writer
