@@ -19,8 +19,8 @@ pub struct Names {
     /// Which states which key has had.
     known: HashMap<(u32, u32), ()>,
     per_key: HashMap<u32, u32>,
-    /// The latest answer: values of a stream rarely change.
-    latest: Option<(u32, u32)>,
+    /// Per key its latest two states: most change rarely, or to and fro. `OTHER` where there was none.
+    latest: Vec<[u32; 2]>,
 }
 
 impl Names {
@@ -40,10 +40,17 @@ impl Names {
 
     /// The number of a state of a key.
     pub fn state(&mut self, key: u32, term: &[u8]) -> u32 {
-        if let Some((last_key, last)) = self.latest {
-            if last_key == key && self.state_term(last) == Some(term) {
-                return last;
-            }
+        let at = key as usize;
+        if self.latest.len() <= at {
+            self.latest.resize(at + 1, [OTHER; 2]);
+        }
+        let [last, before] = self.latest[at];
+        if self.state_term(last) == Some(term) {
+            return last;
+        }
+        if self.state_term(before) == Some(term) {
+            self.latest[at] = [before, last];
+            return before;
         }
         let number = match self.state_numbers.get(term) {
             Some(number) => *number,
@@ -64,7 +71,7 @@ impl Names {
             self.known.insert((key, number), ());
             *self.per_key.entry(key).or_default() += 1;
         }
-        self.latest = Some((key, number));
+        self.latest[at] = [number, last];
         number
     }
 
