@@ -11,6 +11,7 @@ defmodule Situ.Infer do
   | an ONNX file | to run it | `Situ.Infer.OnnxModel` on streams, `Situ.Infer.Model` |
   | pictures, a network | what is in them | `Situ.Infer.Classifier` |
   | pictures, a network | objects, their shapes | `Situ.Infer.ObjectDetector`, `Situ.Infer.Segmentation` |
+  | pictures | the person before the camera, as a mask | `Situ.Infer.PersonMask` |
   | pictures | the text in them | `Situ.Infer.TextReader` |
   | pictures, a service | what it sees | `Situ.Infer.PictureService` |
   | rectangles | the same things through time | `Situ.Infer.Tracker` |
