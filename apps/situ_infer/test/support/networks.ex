@@ -16,6 +16,20 @@ defmodule Situ.Infer.Test.Networks do
     )
   end
 
+  @doc "Scores that are no numbers: zero divided by zero."
+  def undefined(side) do
+    Onnx.encode(
+      inputs: [{"picture", :f32, {nil, 3, side, side}}],
+      outputs: [{"scores", :f32, {nil, 3}}],
+      nodes: [
+        {"GlobalAveragePool", ["picture"], ["means"], []},
+        {"Flatten", ["means"], ["flat"], [axis: 1]},
+        {"Sub", ["flat", "flat"], ["none"], []},
+        {"Div", ["none", "none"], ["scores"], []}
+      ]
+    )
+  end
+
   @doc "Three classes for each pixel: the brightest channel is the likeliest."
   def brightest(side) do
     Onnx.encode(

@@ -98,7 +98,20 @@ defmodule Situ.Infer.Classifier do
   defp classify(state, image) do
     with {:ok, tensor, _patch} <- PictureInput.tensor(state.input, image),
          {:ok, outputs} <- Model.run(state.model, %{state.input.name => tensor}),
+         :ok <- numbers(outputs[state.output], state),
          do: {:ok, top(outputs[state.output], state.labels, state.opts)}
+  end
+
+  defp numbers(scores, state) do
+    if Enum.all?(Tensor.to_list(scores), &is_number/1),
+      do: :ok,
+      else:
+        {:error,
+         Error.new(:bad_scores, "model #{state.model.name} gave scores that are not numbers",
+           why:
+             "NaN or infinite values come of a broken model, or of pictures scaled otherwise than it wants",
+           fix: "look at mean:, std: and scale:, and try the model with another picture"
+         )}
   end
 
   @doc """

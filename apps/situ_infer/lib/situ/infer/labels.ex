@@ -13,7 +13,10 @@ defmodule Situ.Infer.Labels do
       {:ok, text |> String.trim_trailing() |> String.split(~r/\r?\n/) |> List.to_tuple()}
     else
       false ->
-        {:error, Error.new(:bad_labels, "the file of class names is not UTF-8 text: #{path}")}
+        {:error,
+         Error.new(:bad_labels, "the file of class names is not UTF-8 text: #{path}",
+           fix: "name a text file with a name on each line"
+         )}
 
       {:error, why} ->
         {:error,

@@ -183,8 +183,9 @@ defmodule Situ.Infer.Model do
 
       {:error, reason} ->
         {:error,
-         Error.new(:no_model_file, "cannot read a model: #{:file.format_error(reason)}",
-           fix: "check the path #{path}"
+         Error.new(:no_model_file, "cannot read the model #{inspect(path)}",
+           why: to_string(:file.format_error(reason)),
+           fix: "check the path"
          )}
     end
   end
@@ -256,12 +257,27 @@ defmodule Situ.Infer.Model do
       Enum.reduce_while(1..opts[:warm_up]//1, {:ok, []}, fn _, {:ok, times} ->
         case model.engine.run(model.handle, example, :dirty) do
           {:ok, _, ns} -> {:cont, {:ok, [ns | times]}}
-          {:error, _} = error -> {:halt, error}
+          {:error, error} -> {:halt, {:error, not_run(error, model, example)}}
         end
       end)
 
     with {:ok, times} <- times, do: {:ok, %{model | where: where(opts[:schedule], times)}}
   end
+
+  defp not_run(%Error{code: :model_failed} = error, model, example) do
+    given =
+      Enum.map_join(example, ", ", fn {name, t} -> "#{name}: #{show({t.type, t.shape})}" end)
+
+    Error.new(
+      :model_failed,
+      "model #{model.name} does not run on zeros (#{given}): #{error.what}",
+      why: "it is another kind of model, or needs inputs of particular values or sizes",
+      fix:
+        "use the model file this component is made for, or give inputs by example: or warm_up: 0"
+    )
+  end
+
+  defp not_run(error, _model, _example), do: error
 
   # The caller's shape of a port is more exact than a free dimension in the file.
   defp zeros(type, shape, opts, name) do
@@ -289,9 +305,9 @@ defmodule Situ.Infer.Model do
   defp check_inputs(model, inputs) do
     Enum.find_value(model.inputs, :ok, fn {name, {type, shape}} ->
       case inputs do
-        %{^name => %Tensor{type: ^type, shape: given}} ->
+        %{^name => %Tensor{type: ^type, shape: given} = tensor} ->
           if fits?(shape, given),
-            do: nil,
+            do: whole(model, name, tensor),
             else: bad_input(model, name, {type, shape}, {type, given})
 
         %{^name => %Tensor{} = t} ->
@@ -299,16 +315,35 @@ defmodule Situ.Infer.Model do
 
         _ ->
           {:error,
-           Error.new(:bad_tensor, "model #{model.name}: input #{inspect(name)} is missing")}
+           Error.new(:bad_tensor, "model #{model.name}: input #{inspect(name)} is missing",
+             fix:
+               "give a tensor for each of #{Enum.map_join(Map.keys(model.inputs), ", ", &inspect/1)}"
+           )}
       end
     end)
+  end
+
+  # As many bytes as its shape says; `nil` when there is nothing to say.
+  defp whole(model, name, tensor) do
+    _ = Tensor.reshape(tensor, tensor.shape)
+    nil
+  rescue
+    error in ArgumentError ->
+      {:error,
+       Error.new(
+         :bad_tensor,
+         "model #{model.name}: the tensor for input #{inspect(name)} is broken",
+         why: error.message,
+         fix: "make tensors with Situ.Tensor.new/3"
+       )}
   end
 
   defp bad_input(model, name, wanted, given) do
     {:error,
      Error.new(
        :bad_tensor,
-       "model #{model.name}: input #{inspect(name)} takes #{show(wanted)}, got #{show(given)}"
+       "model #{model.name}: input #{inspect(name)} takes #{show(wanted)}, got #{show(given)}",
+       fix: "-1 is any size: give a tensor of that type and shape, or use another model"
      )}
   end
 

@@ -81,11 +81,21 @@ defmodule Situ.Infer.Patch do
         {:ok, Tensor.new(data, :f32, {1, height, width, 3})}
 
       :error ->
-        {:error,
-         Error.new(:bad_image, "cannot cut from #{inspect(image)}",
-           why: "models take whole pictures of an 8-bit format",
-           fix: "convert it first with Situ.Image"
-         )}
+        {:error, bad(image, Image.validate(image))}
     end
+  end
+
+  defp bad(image, {:ok, _}) do
+    Error.new(:bad_image, "cannot cut from #{inspect(image)}",
+      why: "models take pictures of an 8-bit format",
+      fix: "convert it first with Situ.Image"
+    )
+  end
+
+  defp bad(image, {:error, error}) do
+    Error.new(:bad_image, "cannot cut from #{inspect(image)}",
+      why: error.what,
+      fix: "look at what makes the picture: Situ.Image.new/1 makes only whole ones"
+    )
   end
 end

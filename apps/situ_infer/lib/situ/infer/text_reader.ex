@@ -139,7 +139,8 @@ defmodule Situ.Infer.TextReader do
   @doc "The lines of text in a picture, from top to bottom."
   @spec read(t(), Image.t()) :: {:ok, [Rect.t()]} | {:error, Error.t()}
   def read(%__MODULE__{} = reader, %Image{width: w, height: h} = image) do
-    {width, height} = size(w, h, reader.opts)
+    # A picture without pixels has no scale; what cuts it says so.
+    {width, height} = size(max(w, 1), max(h, 1), reader.opts)
     {kx, ky} = {w / width, h / height}
     matrix = {kx, 0.0, 0.5 * kx - 0.5, 0.0, ky, 0.5 * ky - 0.5}
 

@@ -83,4 +83,14 @@ defmodule Situ.Infer.ClassifierTest do
     assert {:error, %{code: :bad_option}} = Classifier.load(path: path, std: [1, 0, 1])
     assert {:error, %{code: :model_shape}} = Classifier.load(path: path, side: 9)
   end
+
+  test "scores that are no numbers are an error that says so", %{tmp_dir: dir} do
+    path = Networks.write(Networks.undefined(8), dir)
+    {:ok, classify} = Classifier.load(path: path)
+
+    assert {:error, %{code: :bad_scores, what: what, why: why, fix: fix}} =
+             classify.(picture(:rgb24, <<1, 2, 3>>))
+
+    assert what =~ "not numbers" and why =~ "NaN" and fix =~ "scale:"
+  end
 end

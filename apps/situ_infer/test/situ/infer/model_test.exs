@@ -125,4 +125,52 @@ defmodule Situ.Infer.ModelTest do
       assert {:error, %{code: :no_provider}} = Model.load(path, provider: {:cuda, 0})
     end
   end
+
+  @tag :tmp_dir
+  test "tensors that are broken, of another type or missing are told by the input's name", %{
+    tmp_dir: dir
+  } do
+    path = Path.join(dir, "double.onnx")
+    File.write!(path, doubling(2))
+    {:ok, model} = Model.load(path)
+
+    for {tensor, told} <- [
+          {%Tensor{type: :f32, shape: {1, 2}, data: <<1>>}, "1 bytes do not fill"},
+          {%Tensor{type: :f32, shape: {-1, 2}, data: ""}, "{-1, 2}"},
+          {%Tensor{type: :f32, shape: {4_611_686_018_427_387_904, 2}, data: ""}, "0 bytes"},
+          {%Tensor{type: :f32, shape: {2}, data: <<0::64>>}, "got f32 {2}"},
+          {%Tensor{type: :f64, shape: {1, 2}, data: <<0::128>>}, "got f64 {1, 2}"}
+        ] do
+      assert {:error, %{code: :bad_tensor, fix: fix} = error} = Model.run(model, %{"x" => tensor})
+
+      assert Exception.message(error) =~ told and Exception.message(error) =~ ~s("x") and
+               fix != nil
+    end
+
+    assert {:error, %{code: :bad_tensor, fix: fix}} = Model.run(model, %{})
+    assert fix =~ ~s("x")
+  end
+
+  @tag :tmp_dir
+  test "a file cut short, an empty one, none, a folder and a model of another kind are told apart",
+       %{tmp_dir: dir} do
+    whole = File.read!(Model.path("silero_vad.onnx"))
+    file = fn name, bytes -> tap(Path.join(dir, name), &File.write!(&1, bytes)) end
+
+    for path <- [file.("cut.onnx", binary_part(whole, 0, 1_000_000)), file.("empty.onnx", "")] do
+      assert {:error, %{code: :bad_model, what: what, why: why}} = Model.load(path)
+      assert what =~ path and why =~ "cut short"
+    end
+
+    for path <- [Path.join(dir, "none.onnx"), dir] do
+      assert {:error, %{code: :no_model_file, what: what, why: why}} = Model.load(path)
+      assert what =~ path and is_binary(why)
+    end
+
+    # Voice activity cannot hear a piece of one sample.
+    assert {:error, %{code: :model_failed, what: what, fix: fix}} =
+             Model.load(Model.path("silero_vad.onnx"))
+
+    assert what =~ "silero_vad" and what =~ "zeros" and fix =~ "made for"
+  end
 end

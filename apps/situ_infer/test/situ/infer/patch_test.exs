@@ -21,7 +21,8 @@ defmodule Situ.Infer.PatchTest do
   test "a struct that lies about its pixels is refused" do
     image = %{Image.filled(2, 2, :bgr24) | height: 100}
     square = Patch.square({0.0, 0.0}, 2.0, 2)
-    assert {:error, %{code: :bad_image}} = Patch.cut(square, image, 1.0, 0.0)
+    assert {:error, %{code: :bad_image, why: why}} = Patch.cut(square, image, 1.0, 0.0)
+    assert why =~ "too few"
     huge = %{square | size: 100_000}
     assert {:error, %{code: :bad_image}} = Patch.cut(huge, Image.filled(2, 2, :bgr24), 1.0, 0.0)
   end

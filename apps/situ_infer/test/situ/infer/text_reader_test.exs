@@ -74,4 +74,16 @@ defmodule Situ.Infer.TextReaderTest do
       &(String.replace(&1, " ", "") == String.replace(text, " ", ""))
     )
   end
+
+  describe "with a picture that is none" do
+    @describetag :ocr
+
+    test "it is refused" do
+      {:ok, reader} = TextReader.load()
+      none = %{Image.filled(1, 1, :gray8, 0) | width: 0, height: 0, data: ""}
+      assert {:error, %{code: :bad_image, why: why}} = TextReader.read(reader, none)
+      assert why =~ "0x0"
+      assert {:ok, []} = TextReader.read(reader, Image.filled(1, 1, :gray8, 0))
+    end
+  end
 end

@@ -122,6 +122,37 @@ defmodule Situ.Infer.VoiceTest do
     assert error.code == :bad_audio_format and error.fix =~ "resample"
   end
 
+  test "half a sample and samples that are no numbers are refused by name, by recognisers, too" do
+    float = AudioFormat.pcm(16_000, 1, :f32)
+    whole = for _ <- 1..16_000, into: "", do: <<0.1::float-little-32>>
+
+    none =
+      binary_part(whole, 0, 400) <> <<0x7FC00000::little-32>> <> binary_part(whole, 0, 60_000)
+
+    for {buffer, told} <- [
+          {%AudioBuffer{format: float, data: none}, "sample 100 is not a number"},
+          {%AudioBuffer{format: float, data: <<0x7F800000::little-32>>}, "sample 0 is not"},
+          {%AudioBuffer{format: AudioFormat.pcm(16_000), data: <<1, 2, 3>>}, "3 bytes"}
+        ] do
+      {:ok, state} =
+        VoiceActivity.init(Situ.Options.validate!([detector: :energy], VoiceActivity.options()))
+
+      {[], state} = VoiceActivity.handle_start(nil, state)
+      message = %Message{originating_time: 0, data: buffer}
+
+      error =
+        assert_raise Situ.Error, fn -> VoiceActivity.handle_message(:in, message, nil, state) end
+
+      assert error.code == :bad_audio and error.what =~ told and error.fix != nil
+
+      assert {:error, ^error} =
+               Situ.Infer.Speech.PocketSphinx.transcribe(
+                 struct(Situ.Infer.Speech.PocketSphinx),
+                 buffer
+               )
+    end
+  end
+
   describe "VoiceGate" do
     test "bridges a short pause and cuts a long one where the speech ended" do
       gate = VoiceGate.new(min_speech: 20, min_silence: 30)

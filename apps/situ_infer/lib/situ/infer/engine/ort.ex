@@ -111,7 +111,13 @@ defmodule Situ.Infer.Engine.Ort do
   end
 
   defp error(:input, text), do: Error.new(:bad_tensor, text)
-  defp error(:run, text), do: Error.new(:model_failed, "the model failed: #{text}")
+
+  defp error(:run, text) do
+    Error.new(:model_failed, "the model failed: #{text}",
+      why: "ONNX Runtime stopped in the middle of a run",
+      fix: "look at the inputs' sizes and values; if they are right, the model file is not"
+    )
+  end
 
   defp device(:cpu), do: -1
   defp device({:cuda, device}), do: device

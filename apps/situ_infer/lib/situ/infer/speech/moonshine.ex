@@ -13,7 +13,7 @@ defmodule Situ.Infer.Speech.Moonshine do
   @behaviour Situ.Infer.Speech.Recognizer
 
   alias Situ.{AudioBuffer, AudioFormat, Error, Sound, Tensor}
-  alias Situ.Infer.{Model, ModelStore}
+  alias Situ.Infer.{Model, ModelStore, Samples}
   alias Situ.Infer.Speech.Tokenizer
 
   @name "moonshine-tiny-en"
@@ -95,7 +95,8 @@ defmodule Situ.Infer.Speech.Moonshine do
   @impl true
   @spec transcribe(t(), AudioBuffer.t()) :: {:ok, result()} | {:error, Error.t()}
   def transcribe(%__MODULE__{} = moonshine, %AudioBuffer{} = buffer) do
-    with {:ok, mono} <- Sound.reformat(buffer, channels: 1, sample: :f32),
+    with :ok <- Samples.check(buffer),
+         {:ok, mono} <- Sound.reformat(buffer, channels: 1, sample: :f32),
          {:ok, %{data: data} = sound} <- Sound.resample(mono, @rate) do
       case AudioBuffer.frames(sound) do
         n when n < @shortest -> {:ok, %{text: "", confidence: 0.0, alternatives: []}}

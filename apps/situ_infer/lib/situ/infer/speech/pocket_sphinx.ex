@@ -146,7 +146,8 @@ defmodule Situ.Infer.Speech.PocketSphinx do
         "situ-sphinx-#{System.pid()}-#{System.unique_integer([:positive])}"
       )
 
-    with {:ok, mono} <- Sound.reformat(buffer, channels: 1, sample: :s16),
+    with :ok <- Situ.Infer.Samples.check(buffer),
+         {:ok, mono} <- Sound.reformat(buffer, channels: 1, sample: :s16),
          {:ok, sound} <- Sound.resample(mono, 16_000) do
       File.mkdir_p!(folder)
 

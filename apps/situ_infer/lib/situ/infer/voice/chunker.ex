@@ -3,6 +3,7 @@ defmodule Situ.Infer.Voice.Chunker do
   # Cuts 16 kHz mono sound into chunks of a fixed number of samples, as 32-bit floats with the time of each chunk's
   # end. A gap in the sound drops the rest before it: a chunk never spans one.
   alias Situ.{AudioBuffer, AudioFormat, Error}
+  alias Situ.Infer.Samples
 
   @rate 16_000
   @sample_ns 62_500
@@ -19,7 +20,7 @@ defmodule Situ.Infer.Voice.Chunker do
           {:ok, [{Situ.Time.t(), binary()}], gap? :: boolean(), %__MODULE__{}}
           | {:error, Error.t()}
   def push(chunker, %AudioBuffer{format: format} = buffer, time) do
-    with :ok <- check(format) do
+    with :ok <- check(format), :ok <- Samples.check(buffer) do
       start = time - AudioBuffer.frames(buffer) * @sample_ns
       gap? = chunker.end != nil and start - chunker.end > @gap_ns
       rest = if gap?, do: <<>>, else: chunker.rest
