@@ -8,6 +8,7 @@ The value of `_cpu` is the median over REPS (default 5) of process CPU time an o
 bench/tests/kernels_beside.exs: it prints the names of the jobs, then for each `NAME CALLS` on standard input the
 microseconds each call took.
 """
+import json
 import os
 import statistics
 import sys
@@ -50,6 +51,10 @@ def space():
 
     yield "cloud_from_depth_numpy", 60, cloud
     yield "voxel_downsample_numpy", 20, voxels
+    million = np.zeros((1_000_000, 3), np.float32)
+    head = json.dumps({"items": [{"kind": "points", "count": len(million), "at": {"position": [0, million.nbytes]}}]})
+    yield "3d_upload_1M_numpy", 10, lambda: b"".join([head.encode(), million.tobytes()])
+    yield from transforms()
     try:
         import open3d
 
@@ -61,6 +66,37 @@ def space():
         yield "voxel_downsample_open3d", 20, lambda: dense.voxel_down_sample(0.05)
     except ImportError:
         print("Open3D is not installed", file=sys.stderr)
+
+
+def transforms():
+    """A hand on an arm that moves, on a body that moves, 1,000 times, each between two poses: SciPy one by one, as a
+    message needs it, and all 1,000 at once, as a program that has them all may."""
+    try:
+        from scipy.spatial.transform import Rotation, Slerp
+    except ImportError:
+        return
+    at = np.arange(101) * 10_000_000
+    turns = Slerp(at, Rotation.from_euler("z", np.arange(101) / 50))
+    way = np.stack([np.arange(101) / 10, np.zeros(101), np.zeros(101)], -1)
+    hand = np.array([0.3, 0.0, 0.0])
+    asked = 5_000_000 + np.arange(1000) * 990_000
+
+    def lookup(time):
+        arm = turns(time)
+        i = int(time // 10_000_000)
+        body = way[i] + (way[i + 1] - way[i]) * ((time - at[i]) / 10_000_000)
+        return arm.as_matrix(), arm.apply(hand) + [0.0, 0.0, 1.0] + body
+
+    def each():
+        return [lookup(time) for time in asked]
+
+    def together():
+        arm = turns(asked)
+        body = np.stack([np.interp(asked, at, way[:, k]) for k in range(3)], -1)
+        return arm.as_matrix(), arm.apply(hand) + [0.0, 0.0, 1.0] + body
+
+    yield "transform_lookup_x1000_scipy", 5, each
+    yield "transform_lookup_x1000_scipy_together", 20, together
 
 
 def jobs():

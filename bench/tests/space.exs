@@ -26,7 +26,7 @@ defmodule Situ.Bench.Space do
     {:ok, {depth, color}} = SyntheticRoom.views(scene, intrinsics, table)
     {:ok, cloud} = Depth.to_cloud(depth.viewed, table)
     frames = tree()
-    million = %PointCloud{points: :binary.copy(<<0::96>>, 1_000_000)}
+    million = million()
     ten = %PointCloud{points: :binary.copy(<<0::96>>, 10_000_000)}
     whole = PointCloud.count(cloud)
 
@@ -44,7 +44,7 @@ defmodule Situ.Bench.Space do
     ]
   end
 
-  @doc "The jobs that NumPy does, too (`kernels-beside-python`): the same depth picture on both sides."
+  @doc "The jobs that Python does, too (`kernels-beside-python`): the same depth picture and tree on both sides."
   def beside do
     camera =
       CameraIntrinsics.new!(width: 640, height: 480, focal: {525, 525}, principal: {319.5, 239.5})
@@ -59,12 +59,25 @@ defmodule Situ.Bench.Space do
 
     {:ok, depth} = DepthImage.new(width: 640, height: 480, data: data)
     {:ok, cloud} = Depth.to_cloud(depth, table)
+    million = million()
 
     [
       {"cloud_from_depth", 60, fn -> 307_200 == count(Depth.to_cloud(depth, table)) end},
-      {"voxel_downsample", 20, fn -> count(Cloud.downsample(cloud, 0.05)) in 1_000..307_200 end}
+      {"voxel_downsample", 20, fn -> count(Cloud.downsample(cloud, 0.05)) in 1_000..307_200 end},
+      {"transform_lookup_x1000", 20, lookups(tree())},
+      {"3d_upload_1M", 10, fn -> size(million) > 12_000_000 end}
     ]
   end
+
+  defp lookups(frames) do
+    fn ->
+      Enum.all?(0..999, fn i ->
+        match?({:ok, _}, Frames.lookup(frames, "hand", "room", 5_000_000 + i * 990_000))
+      end)
+    end
+  end
+
+  defp million, do: %PointCloud{points: :binary.copy(<<0::96>>, 1_000_000)}
 
   defp count({:ok, cloud}), do: PointCloud.count(cloud)
 

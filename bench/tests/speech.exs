@@ -121,15 +121,19 @@ defmodule Situ.Bench.Speech do
     try do
       file = Path.join(folder, "questions.wav")
       :ok = Wav.write(file, questions(count))
+      {before, _} = :erlang.statistics(:runtime)
       delays = talk(file, folder)
+      spent = elem(:erlang.statistics(:runtime), 0) - before
 
       if length(delays) < count,
         do: raise("#{length(delays)} of #{count} questions were answered")
 
       [
+        {"talk_delay_least", hd(delays), "ms"},
         {"talk_delay_p50", at(delays, 0.5), "ms"},
         {"talk_delay_p95", at(delays, 0.95), "ms"},
-        {"talk_delay_max", List.last(delays), "ms"}
+        {"talk_delay_max", List.last(delays), "ms"},
+        {"talk_cpu", spent / count, "ms of CPU a question, all it does included"}
       ]
     after
       File.rm_rf!(folder)

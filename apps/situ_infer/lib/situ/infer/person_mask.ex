@@ -59,7 +59,7 @@ defmodule Situ.Infer.PersonMask do
     outputs: %{"person" => {:f32, {1, @side, @side, 1}}}
   ]
 
-  @typedoc "What is in a picture: boxes, a mask for each, and the scores of all places."
+  @typedoc "The person in a picture: a box, its mask, and the scores of all places."
   @type found :: %{rects: [Rect.t()], masks: [Image.t()], scores: Image.t()}
 
   defstruct [:opts, :model, :reader]
