@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Ros.Bag do
   alias Situ.Bridge.Mcap.Codec
   alias Situ.Bridge.Recorder.{Export, Exporter}
-  alias Situ.Bridge.Ros.Bag.{Chunk, Contents, Record, Writer}
+  alias Situ.Bridge.Ros.Bag.{Chunk, Contents, RealSense, Record, Writer}
   alias Situ.Bridge.Ros.Places
   alias Situ.{Error, Message}
   alias Situ.Store.{StreamInfo, Undecoded}
@@ -28,6 +28,9 @@ defmodule Situ.Bridge.Ros.Bag do
   (`Situ.Bridge.Ros.Standard`). Two messages of a topic with one time are a nanosecond apart. Bags without an index
   (the recorder was killed: `.bag.active`) are passed over. Chunks may be plain or LZ4; those by bzip2 are left out
   and told of under `:damage`. Written are plain chunks.
+
+  Depth that the RealSense SDK recorded (`/device_0/sensor_0/Depth_0/image/data`) is `Situ.DepthImage` in the unit that
+  the bag tells; the camera's `Situ.CameraIntrinsics` are in `.../Depth_0/info/camera_info`.
 
   ## Options of opening (`Situ.Store.open(path, reader_opts: [...])`)
 
@@ -128,7 +131,17 @@ defmodule Situ.Bridge.Ros.Bag do
 
       {:cont, {:ok, [track | tracks]}}
     end)
-    |> then(fn {:ok, tracks} -> {:ok, Enum.reverse(tracks)} end)
+    |> then(fn {:ok, tracks} ->
+      {:ok, tracks |> Enum.reverse() |> RealSense.tracks(&first(state, &1))}
+    end)
+  end
+
+  defp first(state, track) do
+    with %{count: count} when count > 0 <- track,
+         {:ok, [{_, bytes}]} <- messages(state, [Places.at(track.places, 0)]),
+         {:ok, data} <- Codec.decode(track.codec, bytes),
+         do: data,
+         else: (_ -> nil)
   end
 
   defp stamped(state, places) do
@@ -235,7 +248,7 @@ defmodule Situ.Bridge.Ros.Bag do
     with {:ok, found} <- messages(state, places) do
       messages =
         for {{{time, _, _}, bytes}, at} <- Enum.with_index(found, ordinal),
-            do: message(track, time, at, data(bytes, track.codec))
+            do: message(track, time, at, bytes |> data(track.codec) |> RealSense.data(track.unit))
 
       {:ok, messages, ordinal + length(messages)}
     end

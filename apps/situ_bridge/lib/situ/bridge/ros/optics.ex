@@ -9,14 +9,15 @@ defmodule Situ.Bridge.Ros.Optics do
   def from(%{"width" => width, "height" => height} = m) do
     with [fx, _, cx, _, fy, cy, _, _, _] <- m["K"] || m["k"],
          true <- Enum.all?([fx, fy, cx, cy], &is_number/1) and width > 0 and height > 0,
-         {:ok, radial, tangential} <- lens(m["D"] || m["d"], m["distortion_model"]) do
+         {:ok, radial, tangential, distorts?} <- lens(m["D"] || m["d"], m["distortion_model"]) do
       CameraIntrinsics.new(
         width: width,
         height: height,
         focal: {fx, fy},
         principal: {cx, cy},
         radial: radial,
-        tangential: tangential
+        tangential: tangential,
+        distorts?: distorts?
       )
     else
       _ -> :error
@@ -25,11 +26,24 @@ defmodule Situ.Bridge.Ros.Optics do
 
   def from(_), do: :error
 
-  defp lens(d, model) when is_list(d) and model in ["plumb_bob", "rational_polynomial", ""] do
+  # The last two are the RealSense SDK's names; its inverse lens goes from distorted to undistorted.
+  @inverse "Inverse Brown Conrady"
+  @models ["plumb_bob", "rational_polynomial", "", "Brown Conrady", @inverse]
+
+  defp lens(d, model) when is_list(d) do
     case {Enum.all?(d, &is_number/1), d} do
-      {true, []} -> {:ok, [], {0.0, 0.0}}
-      {true, [k1, k2, p1, p2 | more]} when length(more) <= 4 -> {:ok, [k1, k2 | more], {p1, p2}}
-      _ -> :error
+      {true, [k1, k2, p1, p2 | more]} when length(more) <= 4 and model in @models ->
+        {:ok, [k1, k2 | more], {p1, p2}, model != @inverse}
+
+      {true, d} when d == [] and model in @models ->
+        {:ok, [], {0.0, 0.0}, true}
+
+      # Without any bending all models are the same.
+      {true, [_ | _]} ->
+        if Enum.all?(d, &(&1 == 0)), do: {:ok, [], {0.0, 0.0}, true}, else: :error
+
+      _ ->
+        :error
     end
   end
 
