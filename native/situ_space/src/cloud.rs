@@ -9,7 +9,7 @@ use rustc_hash::FxHashMap as HashMap;
 pub fn downsample(cloud: &[u8], size: f64) -> Result<(Vec<u8>, Vec<u32>)> {
     let size = length(size, "the size of a voxel")?;
     let points = points(cloud)?;
-    let mut places: HashMap<Cell, usize> = HashMap::default();
+    let mut places = Places::default();
     let mut sums: Vec<([f64; 3], u32)> = Vec::new();
     // neighbours in a cloud are mostly neighbours in space
     let mut last: Option<(Cell, usize)> = None;
@@ -17,7 +17,7 @@ pub fn downsample(cloud: &[u8], size: f64) -> Result<(Vec<u8>, Vec<u32>)> {
         let cell = cell(point, size);
         let place = match last {
             Some((same, place)) if same == cell => place,
-            _ => *places.entry(cell).or_insert(sums.len()),
+            _ => places.of(cell, sums.len()),
         };
         last = Some((cell, place));
         if place == sums.len() {
@@ -33,6 +33,78 @@ pub fn downsample(cloud: &[u8], size: f64) -> Result<(Vec<u8>, Vec<u32>)> {
         .iter()
         .map(|(sum, count)| sum.map(|s| (s / f64::from(*count)) as f32));
     Ok((bytes(means), sums.iter().map(|(_, count)| *count).collect()))
+}
+
+/// Which place each cube has. Within a million cubes of the origin a cube is one number, which is found faster.
+#[derive(Default)]
+struct Places {
+    near: HashMap<u64, usize>,
+    far: HashMap<Cell, usize>,
+}
+
+impl Places {
+    /// The place of the cube, `next` if it had none.
+    fn of(&mut self, cell: Cell, next: usize) -> usize {
+        const HALF: i64 = 1 << 20;
+        if cell.iter().all(|c| (-HALF..HALF).contains(c)) {
+            let [x, y, z] = cell.map(|c| (c + HALF) as u64);
+            *self.near.entry(x << 42 | y << 21 | z).or_insert(next)
+        } else {
+            *self.far.entry(cell).or_insert(next)
+        }
+    }
+}
+
+/// What of a cloud lies before some planes: those are `(a, b, c, d)`, and before one is where `ax + by + cz + d >= 0`.
+/// At most `most` points, evenly by number, in their order; with their `colors` (3 bytes each; none is empty), and how
+/// many there are. Points that are not finite are nowhere.
+pub fn within(
+    cloud: &[u8],
+    colors: &[u8],
+    planes: &[[f32; 4]],
+    most: usize,
+) -> Result<(Vec<u8>, Vec<u8>, usize)> {
+    let count = cloud.len() / 12;
+    if !cloud.len().is_multiple_of(12) || !(colors.is_empty() || colors.len() == count * 3) {
+        return fail(
+            Code::BadCloud,
+            format!(
+                "{} bytes of points and {} of colours are no cloud",
+                cloud.len(),
+                colors.len()
+            ),
+        );
+    }
+    if count > u32::MAX as usize {
+        return fail(Code::TooLarge, format!("{count} points"));
+    }
+    let at = |i: usize, k: usize| -> f32 {
+        let from = i * 12 + k * 4;
+        cloud
+            .get(from..from + 4)
+            .and_then(|b| b.try_into().ok())
+            .map_or(f32::NAN, f32::from_le_bytes)
+    };
+    let found: Vec<u32> = (0..count)
+        .filter(|&i| {
+            let (x, y, z) = (at(i, 0), at(i, 1), at(i, 2));
+            (x + y + z).is_finite()
+                && planes
+                    .iter()
+                    .all(|[a, b, c, d]| a * x + b * y + c * z + d >= 0.0)
+        })
+        .map(|i| i as u32)
+        .collect();
+    let kept = found.len().min(most);
+    let mut points = Vec::with_capacity(kept * 12);
+    let mut tones = Vec::with_capacity(if colors.is_empty() { 0 } else { kept * 3 });
+    for i in 0..kept {
+        let nth = (i as u64 * found.len() as u64 / kept as u64) as usize;
+        let from = found.get(nth).map_or(0, |&n| n as usize);
+        points.extend_from_slice(cloud.get(from * 12..from * 12 + 12).unwrap_or_default());
+        tones.extend_from_slice(colors.get(from * 3..from * 3 + 3).unwrap_or_default());
+    }
+    Ok((points, tones, found.len()))
 }
 
 /// At most `most` of a row of records of `size` bytes, evenly by number: the first of each run of neighbours.
@@ -153,6 +225,41 @@ mod tests {
         assert_eq!(counts, [2, 1, 1]);
         let first = points(&means)?[0];
         assert!((first[0] - 0.2).abs() < 1e-6 && (first[1] - 0.1).abs() < 1e-6);
+        Ok(())
+    }
+
+    #[test]
+    fn cubes_far_from_the_origin_are_as_good_as_near_ones() -> Result<()> {
+        let far = 3.0e6_f32;
+        let cloud = bytes([
+            [far, 0.0, 0.0],
+            [0.2, 0.0, 0.0],
+            [far, 0.25, 0.0],
+            [-far, 0.0, 0.0],
+            [0.4, 0.0, 0.0],
+        ]);
+        let (means, counts) = downsample(&cloud, 1.0)?;
+        assert_eq!(counts, [2, 2, 1]);
+        assert_eq!(points(&means)?[0][0], far);
+        Ok(())
+    }
+
+    #[test]
+    fn the_part_before_planes_keeps_order_and_colours() -> Result<()> {
+        let row: Vec<[f32; 3]> = (0..10).map(|i| [i as f32, 0.0, 0.0]).collect();
+        let cloud = bytes(row.into_iter().chain([[f32::NAN, 0.0, 0.0]]));
+        let colors: Vec<u8> = (0..33).collect();
+        // from 2 to 7
+        let planes = [[1.0, 0.0, 0.0, -2.0], [-1.0, 0.0, 0.0, 7.0]];
+        let (some, tones, all) = within(&cloud, &colors, &planes, 3)?;
+        assert_eq!(all, 6);
+        let some: Vec<f32> = points(&some)?.iter().map(|p| p[0]).collect();
+        assert_eq!(some, [2.0, 4.0, 6.0]);
+        assert_eq!(tones, [6, 7, 8, 12, 13, 14, 18, 19, 20]);
+        assert_eq!(within(&cloud, &[], &planes, 100)?.0.len(), 6 * 12);
+        assert_eq!(within(&[], &[], &planes, 5)?.2, 0);
+        assert!(within(&cloud, &[1], &planes, 5).is_err());
+        assert!(within(&[1], &[], &planes, 5).is_err());
         Ok(())
     }
 

@@ -177,6 +177,25 @@ fn thin<'a>(env: Env<'a>, records: Binary<'a>, size: u32, most: u32) -> Term<'a>
 }
 
 #[rustler::nif(schedule = "DirtyCpu")]
+fn within<'a>(
+    env: Env<'a>,
+    points: Binary<'a>,
+    colors: Binary<'a>,
+    planes: Vec<(f64, f64, f64, f64)>,
+    most: u32,
+) -> Term<'a> {
+    let planes: Vec<[f32; 4]> = planes
+        .iter()
+        .map(|&(a, b, c, d)| [a as f32, b as f32, c as f32, d as f32])
+        .collect();
+    let found = cloud::within(points.as_slice(), colors.as_slice(), &planes, most as usize);
+    reply(
+        env,
+        found.and_then(|(p, c, n)| Ok((binary(env, &p)?, binary(env, &c)?, n as u64).encode(env))),
+    )
+}
+
+#[rustler::nif(schedule = "DirtyCpu")]
 fn clusters<'a>(env: Env<'a>, points: Binary<'a>, radius: f64, least: u32) -> Term<'a> {
     let result = cloud::clusters(points.as_slice(), radius, least as usize);
     reply(env, result.and_then(|n| Ok(numbers(env, &n)?.encode(env))))

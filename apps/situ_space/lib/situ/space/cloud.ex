@@ -41,6 +41,27 @@ defmodule Situ.Space.Cloud do
   defp thin_colors(nil, _most), do: {:ok, nil}
   defp thin_colors(colors, most), do: Kernel.call(:thin, [colors, 3, most])
 
+  @doc """
+  At most `most` of the points that lie before all of these planes, evenly by their number, in their order, with their
+  colours; and how many do. Before `{a, b, c, d}` is where `ax + by + cz + d >= 0`: six planes are what a camera sees.
+  Points that are not finite are nowhere.
+
+      iex> cloud = Situ.PointCloud.from_points(for x <- 0..9, do: {x * 1.0, 0.0, 0.0})
+      iex> {:ok, {near, 4}} = Situ.Space.Cloud.within(cloud, [{-1.0, 0.0, 0.0, 3.0}], 2)
+      iex> Situ.PointCloud.to_points(near)
+      [{0.0, 0.0, 0.0}, {2.0, 0.0, 0.0}]
+  """
+  @spec within(PointCloud.t(), [{number(), number(), number(), number()}], pos_integer()) ::
+          {:ok, {PointCloud.t(), non_neg_integer()}} | {:error, Error.t()}
+  def within(%PointCloud{} = cloud, planes, most) when is_integer(most) and most > 0 do
+    planes = for {a, b, c, d} <- planes, do: {a * 1.0, b * 1.0, c * 1.0, d * 1.0}
+
+    with {:ok, {points, colors, count}} <-
+           Kernel.call(:within, [cloud.points, cloud.colors || <<>>, planes, most]),
+         {:ok, found} <- PointCloud.new(points, if(cloud.colors, do: colors)),
+         do: {:ok, {found, count}}
+  end
+
   @doc "The cloud, given in a pose's own frame, in the frame of the pose; colours stay."
   @spec transform(PointCloud.t(), Pose.t()) :: result()
   def transform(%PointCloud{} = cloud, %Pose{} = pose) do

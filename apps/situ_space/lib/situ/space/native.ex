@@ -15,6 +15,7 @@ defmodule Situ.Space.Native do
   def depth_mesh(_depth, _table, _edge, _sparsity), do: :erlang.nif_error(:not_loaded)
   def downsample(_points, _size), do: :erlang.nif_error(:not_loaded)
   def thin(_records, _size, _most), do: :erlang.nif_error(:not_loaded)
+  def within(_points, _colors, _planes, _most), do: :erlang.nif_error(:not_loaded)
   def clusters(_points, _radius, _least), do: :erlang.nif_error(:not_loaded)
   def clip(_points, _min, _max), do: :erlang.nif_error(:not_loaded)
   def transform(_points, _rotation, _position), do: :erlang.nif_error(:not_loaded)
