@@ -309,6 +309,44 @@ test("11 space: of many points a budget is drawn, and said", async ({ page }) =>
   );
 });
 
+test("11 space: where the viewer rests, all points that are seen are drawn", async ({ page }) => {
+  const id = await openSpace(page, "space-big", "Cloud");
+  await dispatch(page, { type: "cursor", t: 0 });
+  const look = (from, to) => view(page, id, (v, [a, b]) => (v.stage.view.look(a, b), v.render()), [from, to]);
+  const says = (words) =>
+    until(page, ([i, w]) => new RegExp(w).test(document.querySelector(`#${i} .cell-info`).textContent), words, [
+      id,
+      words,
+    ]);
+  // all of it is seen: a million of its three
+  await look([0.9, 1, 6], [1, 1, 0]);
+  await says("seen from here 1,000,000 of 3,000,000");
+  // a few columns of the grid, each 300 points on one another
+  await look([0.999, 1, 0.15], [1, 1, 0]);
+  await says("1,000,000 of 3,000,000 points; seen from here all ");
+  const text = await page.textContent(`#${id} .cell-info`);
+  const count = Number(/all ([\d,]+)/.exec(text)[1].replaceAll(",", ""));
+  ok(count > 0 && count % 300 === 0 && count < 60_000, text);
+  const drawn = () =>
+    view(page, id, (v) =>
+      [...v.stage.layers.values()].map((l) => [!!l.near, l.parts[0].object.visible, l.parts[0].item.count]),
+    );
+  equal(
+    await drawn(),
+    [
+      [false, false, 1_000_000],
+      [true, true, count],
+    ],
+    "the rough cloud is hidden, the near one drawn",
+  );
+  // the next message is drawn whole
+  await dispatch(page, { type: "cursor", t: S });
+  await settled(page);
+  const after = await drawn();
+  equal(after.length, 1, "nothing of the other message is left");
+  equal(after[0].slice(0, 2), [false, true], "the next cloud");
+});
+
 test("11 space: several panels share one context, and give back what they hold", async ({ page }) => {
   const id = await openSpace(page, "space.0000", "A.Points");
   const held = () => view(page, id, (v) => v.stage.memory().geometries);

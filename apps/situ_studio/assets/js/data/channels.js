@@ -94,11 +94,14 @@ export class InstantChannel extends Channel {
   constructor(id, spec, accept) {
     super(id, spec, accept);
     this.at = null;
+    this.kept = new Map();
   }
 
   reopen() {
     super.reopen();
     this.at = null;
+    // the server forgets with it what it has sent
+    this.kept = new Map();
   }
 
   gather(message, s, _origin, live) {
@@ -111,6 +114,21 @@ export class InstantChannel extends Channel {
     this.error = f.kind === KIND.error ? f.message : null;
     if (f.kind === KIND.same) return;
     f.at = client.rel(f.time);
+    if (f.kind === KIND.scene) this.hold(f);
     this.accept(f, this);
+  }
+
+  // Meshes are sent once: what is to be kept is copied out of the answer, and put in where only its name is told.
+  hold(f) {
+    for (const item of f.items) {
+      if (item.keep) {
+        const whole = { count: item.count, position: item.position.slice(), index: item.index.slice() };
+        this.kept.set(item.keep, whole);
+        Object.assign(item, whole);
+      } else if (item.held) Object.assign(item, this.kept.get(item.held) ?? { lost: true });
+    }
+    if (!f.items.some((item) => item.lost)) return;
+    f.items = f.items.filter((item) => !item.lost);
+    this.reopen();
   }
 }

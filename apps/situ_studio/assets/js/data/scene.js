@@ -91,6 +91,8 @@ function nodes(item, arrays) {
 }
 
 function triangles(item, arrays) {
+  // its numbers came with an earlier message
+  if (item.held) return null;
   const vertices = arrays.position.length / 3;
   const { index } = arrays;
   for (let i = 0; i < arrays.position.length; i++)

@@ -12,6 +12,9 @@ const load = () => (drawing ??= import(new URL("space.js", HERE).href));
 // The properties that change what the server sends.
 const ASKED = ["depth_as", "budget", "axis", "ray", "threshold", "seconds"];
 
+// The viewer rests when nothing has moved for so long, ms.
+const REST = 250;
+
 const TOOLS = [
   ["fit", "Fit", "See everything"],
   ["top", "Top", "From above"],
@@ -97,8 +100,40 @@ export class SpacePanel {
   }
 
   closeLayer(layer) {
+    this.forget(layer);
     this.app.client.close(layer.channel);
     this.stage?.remove(layer.key);
+  }
+
+  // Of clouds too large to be drawn whole, the points that are seen from here, asked for when the viewer rests.
+  refine(layer) {
+    const planes = this.stage.sees(layer.key)?.map((v) => Number(v.toPrecision(7)));
+    const seen = planes ? planes.join() : null;
+    if (layer.seen === seen) return;
+    layer.seen = seen;
+    clearTimeout(layer.resting);
+    this.app.client.close(layer.near);
+    layer.near = null;
+    this.stage.alone(layer.key, false);
+    if (seen) layer.resting = setTimeout(() => this.detail(layer, planes), REST);
+  }
+
+  detail(layer, planes) {
+    const { stream, viz, path } = layer.vis;
+    const props = { ...layer.channel.spec.props, within: planes };
+    const take = (frame, channel) => {
+      if (layer.near !== channel || frame.kind !== KIND.scene || frame.at !== layer.frame?.at) return;
+      this.stage?.refine(layer.key, frame);
+      this.app.schedule(this);
+    };
+    layer.near = this.app.client.open({ stream, viz, path, props }, take, { instant: true });
+  }
+
+  forget(layer) {
+    clearTimeout(layer.resting);
+    this.app.client.close(layer.near);
+    layer.near = layer.seen = null;
+    this.stage?.refine(layer.key, null);
   }
 
   accept(layer, frame) {
@@ -111,6 +146,7 @@ export class SpacePanel {
   // One layer as the stage takes it. A layer that cannot be drawn shows an error; the others are drawn.
   put(layer) {
     if (!this.stage) return;
+    this.forget(layer);
     const { vis, frame, index } = layer;
     const props = { ...vis.props, color: seriesColor(vis.props?.color, vis.color ?? index ?? 0) };
     try {
@@ -140,6 +176,7 @@ export class SpacePanel {
       h = Math.round(this.el.clientHeight * devicePixelRatio);
     if (!this.stage || !w || !h) return;
     if (this.canvas.width !== w || this.canvas.height !== h) Object.assign(this.canvas, { width: w, height: h });
+    for (const layer of this.layers) this.refine(layer);
     this.stage.render(devicePixelRatio);
     this.drawn = (this.drawn ?? 0) + 1;
     const at = this.layers.map((l) => l.frame?.at).filter((t) => t != null);

@@ -46,7 +46,7 @@ export function drawScales(ctx, layers, width, theme) {
   ctx.font = FONT;
   for (const layer of layers) {
     const scale = layer.parts.find((p) => p.scale)?.scale;
-    if (!scale || !layer.group.visible || layer.props.scale === false) continue;
+    if (!scale || layer.near || !layer.group.visible || layer.props.scale === false) continue;
     const w = 132,
       left = width - w - 10;
     ctx.globalAlpha = 0.8;

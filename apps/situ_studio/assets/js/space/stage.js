@@ -1,6 +1,16 @@
 // One 3D panel: its layers in one scene, the viewer in it, and the tools.
 
-import { AxesHelper, Color, DirectionalLight, GridHelper, HemisphereLight, Matrix4, Scene, Vector3 } from "three";
+import {
+  AxesHelper,
+  Color,
+  DirectionalLight,
+  Frustum,
+  GridHelper,
+  HemisphereLight,
+  Matrix4,
+  Scene,
+  Vector3,
+} from "three";
 import { paint, memory } from "./renderer.js";
 import { Layer } from "./layer.js";
 import { Tree } from "./frames.js";
@@ -8,6 +18,9 @@ import { Viewpoint } from "./viewpoint.js";
 import { Pointer } from "./pointer.js";
 import { drawMeasure, drawScales, drawTexts, project } from "./overlay.js";
 import { number } from "../page/number_text.js";
+
+// Of a cloud that is drawn in part: the points of what is seen, in a layer of their own.
+const near = (key) => `${key} near`;
 
 export const openStage = (canvas, told) => new Stage(canvas, told);
 
@@ -79,9 +92,38 @@ class Stage {
     return layer;
   }
 
+  // The planes around what is seen, in a layer's own frame, where of its clouds only a part is drawn; else null.
+  sees(key) {
+    const layer = this.layers.get(key);
+    if (!layer?.group.visible || !layer.parts.some(thinned)) return null;
+    const { camera } = this.view;
+    camera.updateMatrixWorld();
+    const all = new Matrix4().multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse);
+    const { planes } = new Frustum().setFromProjectionMatrix(all.multiply(layer.group.matrix));
+    return planes.flatMap(({ normal, constant }) => [normal.x, normal.y, normal.z, constant]);
+  }
+
+  // Draws the points of what is seen beside the layer's own, or in their place while nothing moves.
+  refine(key, frame) {
+    const layer = this.layers.get(key);
+    if (!frame) return this.remove(near(key));
+    if (!layer) return;
+    const scale = layer.parts.find((p) => p.scale)?.scale;
+    const range = scale ? { range: "fixed", low: scale.span[0], high: scale.span[1] } : {};
+    this.put(near(key), { ...layer.told, props: { ...layer.told.props, ...range }, frame, changed: true });
+    this.layers.get(near(key)).near = true;
+    this.alone(key, true);
+  }
+
+  alone(key, on) {
+    const drawn = this.layers.has(near(key));
+    for (const part of this.layers.get(key)?.parts ?? []) part.object.visible = !(on && drawn && thinned(part));
+  }
+
   remove(key) {
     const layer = this.layers.get(key);
     this.trees.delete(key);
+    if (this.layers.has(near(key))) this.remove(near(key));
     if (!layer) return;
     layer.clear();
     this.scene.remove(layer.group);
@@ -124,13 +166,15 @@ class Stage {
 
   // How much of what there is is drawn, in words; nothing where all of it is.
   says() {
-    const parts = [...this.layers.values()].flatMap((l) => (l.group.visible ? l.parts : []));
-    const clouds = parts.filter((p) => p.item.kind === "points" && p.item.name !== "was here");
-    const shown = clouds.reduce((n, p) => n + p.item.count, 0);
-    const all = clouds.reduce((n, p) => n + Math.max(p.item.of ?? 0, p.item.count), 0);
+    const parts = [...this.layers.values()].flatMap((l) => (l.group.visible && !l.near ? l.parts : []));
+    const [shown, all] = counted(parts);
     if (!all) return "";
+    const [close, here] = counted(
+      [...this.layers.values()].flatMap((l) => (l.group.visible && l.near ? l.parts : [])),
+    );
     const k = (n) => n.toLocaleString("en-US");
-    return shown < all ? `${k(shown)} of ${k(all)} points` : `${k(all)} points`;
+    const seen = here ? `; seen from here ${close < here ? `${k(close)} of ` : "all "}${k(here)}` : "";
+    return (shown < all ? `${k(shown)} of ${k(all)} points` : `${k(all)} points`) + seen;
   }
 
   // A tool of the bar; answers which are switched on.
@@ -216,6 +260,15 @@ class Stage {
     }
     this.view.close();
   }
+}
+
+const thinned = (part) => part.item.kind === "points" && (part.item.of ?? 0) > part.item.count;
+
+// How many points are drawn, and how many there are.
+function counted(parts) {
+  const clouds = parts.filter((p) => p.item.kind === "points" && p.item.name !== "was here");
+  const shown = clouds.reduce((n, p) => n + p.item.count, 0);
+  return [shown, clouds.reduce((n, p) => n + Math.max(p.item.of ?? 0, p.item.count), 0)];
 }
 
 // The object under the mouse in words: its stream, its name, the place in the stream's own frame.

@@ -67,22 +67,27 @@ defmodule Situ.Studio.Draw do
 
   defp at(source, channel, %{stream: stream, viz: viz} = spec, time, last) do
     if draws?(viz, :instant, 3) or draws?(viz, :instant, 4) do
+      {last, kept} = last || {nil, %{}}
+
       case Source.call(source, :latest_at, [stream, time]) do
         {:ok, %{data: %Hole{}}} ->
-          {if(last == :hole, do: Frame.same(channel), else: Frame.none(channel)), :hole}
+          {if(last == :hole, do: Frame.same(channel), else: Frame.none(channel)), {:hole, kept}}
 
         {:ok, message} ->
           mark = {message.originating_time, message.sequence_id}
 
-          if mark == last,
-            do: {Frame.same(channel), last},
-            else: {encode(source, channel, spec, message), mark}
+          if mark == last do
+            {Frame.same(channel), {last, kept}}
+          else
+            {frame, kept} = encode(source, channel, spec, message, kept)
+            {frame, {mark, kept}}
+          end
 
         :none ->
-          {if(last == :none, do: Frame.same(channel), else: Frame.none(channel)), :none}
+          {if(last == :none, do: Frame.same(channel), else: Frame.none(channel)), {:none, kept}}
 
         {:error, error} ->
-          {Frame.error(channel, error.what), nil}
+          {Frame.error(channel, error.what), {nil, kept}}
       end
     else
       {Frame.error(channel, "#{inspect(viz.id)} is not drawn at the cursor"), nil}
@@ -92,23 +97,28 @@ defmodule Situ.Studio.Draw do
   defp draws?(%{module: module}, function, arity),
     do: Code.ensure_loaded?(module) and function_exported?(module, function, arity)
 
-  defp encode(source, channel, %{path: path} = spec, message) do
+  # The frame, and which parts of messages the page holds after it.
+  defp encode(source, channel, %{path: path} = spec, message, kept) do
+    context = %{source: source, spec: spec, kept: kept}
+
     with {:ok, data} <- Path.fetch(message.data, path),
-         {:error, what} <- frame(source, channel, spec, data, message) do
-      Frame.error(channel, what)
+         {:error, what} <- frame(context, channel, data, message) do
+      {Frame.error(channel, what), kept}
     else
-      :error -> Frame.error(channel, "this message has nothing at this path")
-      frame -> frame
+      :error -> {Frame.error(channel, "this message has nothing at this path"), kept}
+      {:kept, frame, kept} -> {frame, kept}
+      frame -> {frame, kept}
     end
   rescue
     # Messages come from files and foreign programs: one that is not what its type says is shown as such, and the
     # page goes on.
-    error -> Frame.error(channel, "this message cannot be drawn: #{Exception.message(error)}")
+    error ->
+      {Frame.error(channel, "this message cannot be drawn: #{Exception.message(error)}"), kept}
   end
 
-  defp frame(source, channel, %{viz: %{module: module}} = spec, data, message) do
-    if draws?(spec.viz, :instant, 4),
-      do: module.instant(channel, data, message, %{source: source, spec: spec}),
+  defp frame(%{spec: %{viz: %{module: module} = viz}} = context, channel, data, message) do
+    if draws?(viz, :instant, 4),
+      do: module.instant(channel, data, message, context),
       else: module.instant(channel, data, message)
   end
 end

@@ -64,6 +64,52 @@ defmodule Situ.Studio.Scene do
   @spec integers([0..4_294_967_295]) :: binary()
   def integers(values), do: for(value <- values, into: <<>>, do: <<value::little-32>>)
 
+  # A page holds so much of what may come again.
+  @most_kept 67_108_864
+  @least_kept 1_024
+
+  @doc """
+  Meshes that were sent before as their names alone: `kept` says which the page holds, by name with their bytes. One
+  that is new goes with its numbers and the name to keep it by, as long as there is room for it. Without `kept`
+  (`nil`) nothing is remembered.
+
+      iex> mesh = Situ.Studio.Scene.item(:meshes, 1, position: <<0::9600>>, index: <<0::96>>)
+      iex> {[%{numbers: [_, _], meta: %{"keep" => name}}], kept} = Situ.Studio.Scene.keep([mesh], %{})
+      iex> {[%{numbers: [], meta: %{"held" => ^name}}], ^kept} = Situ.Studio.Scene.keep([mesh], kept)
+      iex> map_size(kept)
+      1
+  """
+  @spec keep([item()], kept | nil) :: {[item()], kept | nil}
+        when kept: %{binary() => pos_integer()}
+  def keep(items, nil), do: {items, nil}
+  def keep(items, kept), do: Enum.map_reduce(items, kept, &keep_one/2)
+
+  defp keep_one(%{kind: :meshes, numbers: numbers} = item, kept) do
+    size = IO.iodata_length(Keyword.values(numbers))
+    name = if size >= @least_kept, do: name(numbers)
+
+    cond do
+      name == nil ->
+        {item, kept}
+
+      is_map_key(kept, name) ->
+        {%{item | numbers: [], meta: Map.put(item.meta, "held", name)}, kept}
+
+      Enum.sum(Map.values(kept)) + size > @most_kept ->
+        {item, kept}
+
+      true ->
+        {%{item | meta: Map.put(item.meta, "keep", name)}, Map.put(kept, name, size)}
+    end
+  end
+
+  defp keep_one(item, kept), do: {item, kept}
+
+  defp name(numbers) do
+    sizes = for {_, bytes} <- numbers, do: <<IO.iodata_length(bytes)::64>>
+    Base.encode16(:crypto.hash(:sha256, [sizes | Keyword.values(numbers)]))
+  end
+
   @doc "The bytes that the page reads: the size of a JSON text (32 bits, and 32 more of 0), the text, the numbers."
   @spec pack([item()], [String.t()]) :: iodata()
   def pack(items, problems \\ []) do

@@ -69,8 +69,15 @@ defmodule Situ.Studio.Visualizer do
           optional(:props) => map()
         }
 
-  @typedoc "Where a message came from, and for which channel it is drawn."
-  @type context :: %{source: Source.t(), spec: spec()}
+  @typedoc """
+  Where a message came from, for which channel it is drawn, and which parts of earlier messages its page holds: names
+  with their bytes.
+  """
+  @type context :: %{
+          required(:source) => Source.t(),
+          required(:spec) => spec(),
+          optional(:kept) => %{binary() => pos_integer()}
+        }
 
   @doc "The visualizer's description. The table fills in `module`; `drawer` is its `id` unless it names another."
   @callback about() :: t()
@@ -89,9 +96,12 @@ defmodule Situ.Studio.Visualizer do
   @callback instant(Frame.channel(), data :: term(), Situ.Message.t()) ::
               Frame.t() | {:error, String.t()}
 
-  @doc "As `c:instant/3`, for what needs more than the message: the source, and the properties of the channel."
+  @doc """
+  As `c:instant/3`, for what needs more than the message: the source, and the properties of the channel. `{:kept, frame,
+  kept}` also says what the page holds after that frame.
+  """
   @callback instant(Frame.channel(), data :: term(), Situ.Message.t(), context()) ::
-              Frame.t() | {:error, String.t()}
+              Frame.t() | {:kept, Frame.t(), map() | nil} | {:error, String.t()}
 
   @optional_callbacks window: 6, instant: 3, instant: 4
 

@@ -19,11 +19,19 @@ import {
 import { bitmap } from "../../visualizers/pixels.js";
 import { look } from "../../visualizers/depth_colors.js";
 
+// A mesh that comes again has the same numbers, and the same normals.
+const normals = new WeakMap();
+
 export function meshes(item, props) {
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(item.position, 3));
   geometry.setIndex(new BufferAttribute(item.index, 1));
-  geometry.computeVertexNormals();
+  const known = normals.get(item.position);
+  if (known) geometry.setAttribute("normal", new BufferAttribute(known, 3));
+  else {
+    geometry.computeVertexNormals();
+    normals.set(item.position, geometry.getAttribute("normal").array);
+  }
   const opacity = (props.opacity ?? 100) / 100;
   const material = new MeshLambertMaterial({
     color: props.color,

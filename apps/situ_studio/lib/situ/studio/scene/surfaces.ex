@@ -9,15 +9,13 @@ defmodule Situ.Studio.Scene.Surfaces do
   @type result :: {:ok, Scene.item()} | {:error, String.t()}
   @most_voxels 200_000
 
-  @spec cloud(PointCloud.t(), String.t() | nil, pos_integer()) :: result()
-  def cloud(%PointCloud{points: points, colors: colors}, _label, _budget)
+  @spec cloud(PointCloud.t(), String.t() | nil, map()) :: result()
+  def cloud(%PointCloud{points: points, colors: colors}, _label, _settings)
       when not is_binary(points) or (colors != nil and not is_binary(colors)),
       do: {:error, "a point cloud whose points are no bytes"}
 
-  def cloud(%PointCloud{} = cloud, label, budget) do
-    count = PointCloud.count(cloud)
-
-    with {:ok, cloud} <- if(count > budget, do: Cloud.thin(cloud, budget), else: {:ok, cloud}),
+  def cloud(%PointCloud{} = cloud, label, settings) do
+    with {:ok, {cloud, count}} <- some(cloud, PointCloud.count(cloud), settings),
          {:ok, cloud} <- PointCloud.new(cloud.points, cloud.colors) do
       meta = %{"of" => count, "name" => label || "point"}
       numbers = [position: cloud.points] ++ if(cloud.colors, do: [color: cloud.colors], else: [])
@@ -26,6 +24,15 @@ defmodule Situ.Studio.Scene.Surfaces do
       {:error, error} -> {:error, "a point cloud that is none: #{error.what}"}
     end
   end
+
+  defp some(cloud, _count, %{within: [_ | _] = planes, budget: budget}),
+    do: Cloud.within(cloud, planes, budget)
+
+  defp some(cloud, count, %{budget: budget}) when count > budget do
+    with {:ok, cloud} <- Cloud.thin(cloud, budget), do: {:ok, {cloud, count}}
+  end
+
+  defp some(cloud, count, _settings), do: {:ok, {cloud, count}}
 
   @spec mesh(Mesh.t(), String.t() | nil) :: result()
   def mesh(%Mesh{vertices: vertices, indices: indices} = mesh, label)

@@ -24,12 +24,20 @@ defmodule Situ.Studio.Scene.Terms do
   @pictures [Image, EncodedImage, DepthImage]
 
   @typedoc """
-  `budget` is how many points a message may have, `depth_as` how depth is shown, `axis` the length of a pose's axes and
+  `budget` is how many points a cloud may have; `within`, where it is not `nil`, the planes around the part of the clouds
+  that is wanted, and nothing else is (`Situ.Space.Cloud.within/3`); `depth_as` how depth is shown, `axis` the length of a pose's axes and
   `ray` that of a ray (metres), `threshold` above which voxels are shown.
   """
   @type settings :: %{optional(atom()) => term()}
 
-  @defaults %{budget: 1_000_000, depth_as: "points", axis: 0.2, ray: 1.0, threshold: 0.0}
+  @defaults %{
+    budget: 1_000_000,
+    within: nil,
+    depth_as: "points",
+    axis: 0.2,
+    ray: 1.0,
+    threshold: 0.0
+  }
 
   @doc "The structs that are something in space."
   @spec shapes() :: [module()]
@@ -56,7 +64,13 @@ defmodule Situ.Studio.Scene.Terms do
   @spec of(term(), settings()) :: {[Scene.item()], [String.t()]}
   def of(term, settings \\ %{}) do
     settings = Map.merge(@defaults, settings)
-    term |> walk(nil, {Gathered.new(@limit), settings}, 0) |> elem(0) |> Gathered.items()
+
+    {items, problems} =
+      term |> walk(nil, {Gathered.new(@limit), settings}, 0) |> elem(0) |> Gathered.items()
+
+    if settings.within,
+      do: {Enum.filter(items, &(&1.kind == :points)), problems},
+      else: {items, problems}
   end
 
   defp walk(_, _, {%{left: left}, _} = acc, _) when left <= 0, do: acc
@@ -120,7 +134,7 @@ defmodule Situ.Studio.Scene.Terms do
   defp walk(%Mesh{} = mesh, label, acc, _), do: found(acc, Surfaces.mesh(mesh, label))
 
   defp walk(%PointCloud{} = cloud, label, {_, settings} = acc, _),
-    do: found(acc, Surfaces.cloud(cloud, label, settings.budget))
+    do: found(acc, Surfaces.cloud(cloud, label, settings))
 
   defp walk(%VoxelGrid{} = grid, label, {_, settings} = acc, _),
     do: found(acc, Surfaces.voxels(grid, label, settings.threshold))
@@ -129,7 +143,7 @@ defmodule Situ.Studio.Scene.Terms do
 
   defp walk(%CameraView{viewed: %PointCloud{} = cloud} = view, label, {_, settings} = acc, _) do
     acc = add(acc, &Gathered.item(&1, Views.frustum(view.intrinsics, view.pose, label)))
-    found(acc, Views.cloud(cloud, view.pose, settings.budget))
+    found(acc, Views.cloud(cloud, view.pose, settings))
   end
 
   defp walk(%CameraView{} = view, _, acc, _),

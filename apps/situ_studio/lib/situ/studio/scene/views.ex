@@ -37,7 +37,7 @@ defmodule Situ.Studio.Scene.Views do
     with {:ok, sparsity} <- sparsity(depth, settings.budget) do
       if as == "surface",
         do: surface(view, sparsity),
-        else: points(view, sparsity, settings.budget)
+        else: points(view, sparsity, settings)
     end
   end
 
@@ -56,18 +56,18 @@ defmodule Situ.Studio.Scene.Views do
     end
   end
 
-  defp points(view, sparsity, budget) do
+  defp points(view, sparsity, settings) do
     case Depth.to_cloud(view.viewed, view.intrinsics, sparsity: sparsity) do
-      {:ok, cloud} -> cloud(cloud, view.pose, budget)
+      {:ok, cloud} -> cloud(cloud, view.pose, settings)
       {:error, error} -> {:error, error.what}
     end
   end
 
   @doc "A cloud in a camera's frame."
-  @spec cloud(PointCloud.t(), Pose.t(), pos_integer()) :: Surfaces.result()
-  def cloud(cloud, pose, budget) do
+  @spec cloud(PointCloud.t(), Pose.t(), map()) :: Surfaces.result()
+  def cloud(cloud, pose, settings) do
     case Cloud.transform(cloud, pose) do
-      {:ok, cloud} -> Surfaces.cloud(cloud, nil, budget)
+      {:ok, cloud} -> Surfaces.cloud(cloud, nil, settings)
       {:error, error} -> {:error, error.what}
     end
   end

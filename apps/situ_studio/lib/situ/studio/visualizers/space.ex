@@ -2,6 +2,10 @@ defmodule Situ.Studio.Visualizers.Space do
   @moduledoc """
   Objects in space, in three dimensions: clouds, meshes, boxes, poses, rays, skeletons, cameras with their pictures
   (`Situ.Studio.Scene.Terms`).
+
+  Of clouds with more points than "Points at most" a thinned one is sent first. When the viewer rests, the page asks
+  again with the property `within`: the planes around what is seen, as a list of numbers, four for each. The answer
+  holds the clouds alone, as many of their points as there may be, all of them from there.
   """
   @behaviour Situ.Studio.Visualizer
 
@@ -56,20 +60,28 @@ defmodule Situ.Studio.Visualizers.Space do
   end
 
   @impl true
-  def instant(channel, data, message, %{spec: spec}) do
+  def instant(channel, data, message, %{spec: spec} = context) do
     case Scene.Terms.of(data, settings(spec)) do
-      {[], []} -> {:error, "nothing of this message is in space"}
-      {[], [what | _]} -> {:error, what}
-      {items, problems} -> Frame.scene(channel, message.originating_time, items, problems)
+      {[], []} ->
+        {:error, "nothing of this message is in space"}
+
+      {[], [what | _]} ->
+        {:error, what}
+
+      {items, problems} ->
+        {items, kept} = Scene.keep(items, context[:kept])
+        {:kept, Frame.scene(channel, message.originating_time, items, problems), kept}
     end
   end
 
   @doc "The settings for the walk over a message, from the properties."
   @spec settings(Visualizer.spec()) :: Scene.Terms.settings()
   def settings(%{viz: viz} = spec) do
-    s = Visualizer.settings(viz, Map.get(spec, :props, %{}))
+    props = Map.get(spec, :props, %{})
+    s = Visualizer.settings(viz, props)
 
     %{
+      within: planes(props["within"]),
       budget: String.to_integer(s.budget),
       depth_as: s.depth_as,
       axis: s.axis,
@@ -77,4 +89,13 @@ defmodule Situ.Studio.Visualizers.Space do
       threshold: s.threshold
     }
   end
+
+  # Of a view: the planes around what it sees, four numbers each.
+  defp planes(numbers) when is_list(numbers) and length(numbers) <= 32 do
+    if rem(length(numbers), 4) == 0 and
+         Enum.all?(numbers, &(is_number(&1) and abs(&1) < 1.0e30)),
+       do: numbers |> Enum.chunk_every(4) |> Enum.map(&List.to_tuple/1)
+  end
+
+  defp planes(_other), do: nil
 end
