@@ -76,7 +76,7 @@ def transforms():
     except ImportError:
         return
     at = np.arange(101) * 10_000_000
-    turns = Slerp(at, Rotation.from_euler("z", np.arange(101) / 50))
+    turns = Slerp(at, Rotation.from_euler("z", np.arange(101)[:, None] / 50))
     way = np.stack([np.arange(101) / 10, np.zeros(101), np.zeros(101)], -1)
     hand = np.array([0.3, 0.0, 0.0])
     asked = 5_000_000 + np.arange(1000) * 990_000
