@@ -55,9 +55,9 @@ impl Places {
     }
 }
 
-/// What of a cloud lies before some planes: those are `(a, b, c, d)`, and before one is where `ax + by + cz + d >= 0`.
-/// At most `most` points, evenly by number, in their order; with their `colors` (3 bytes each; none is empty), and how
-/// many there are. Points that are not finite are nowhere.
+/// The part of a cloud that lies before some planes: those are `(a, b, c, d)`, and before one is where
+/// `ax + by + cz + d >= 0`. At most `most` points, evenly by number, in their order; with their `colors` (3 bytes each;
+/// none is empty), and how many there are. Points that are not finite are nowhere.
 pub fn within(
     cloud: &[u8],
     colors: &[u8],

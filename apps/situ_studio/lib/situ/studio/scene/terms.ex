@@ -24,9 +24,9 @@ defmodule Situ.Studio.Scene.Terms do
   @pictures [Image, EncodedImage, DepthImage]
 
   @typedoc """
-  `budget` is how many points a cloud may have; `within`, where it is not `nil`, the planes around the part of the clouds
-  that is wanted, and nothing else is (`Situ.Space.Cloud.within/3`); `depth_as` how depth is shown, `axis` the length of a pose's axes and
-  `ray` that of a ray (metres), `threshold` above which voxels are shown.
+  `budget` is how many points a cloud may have; `within`, where it is not `nil`, the planes around the part of the
+  clouds that is wanted, and nothing else is (`Situ.Space.Cloud.within/3`); `depth_as` how depth is shown, `axis` the
+  length of a pose's axes and `ray` that of a ray (metres), `threshold` above which voxels are shown.
   """
   @type settings :: %{optional(atom()) => term()}
 
