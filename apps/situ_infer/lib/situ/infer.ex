@@ -12,6 +12,7 @@ defmodule Situ.Infer do
   | pictures, a network | what is in them | `Situ.Infer.Classifier` |
   | pictures, a network | objects, their shapes | `Situ.Infer.ObjectDetector`, `Situ.Infer.Segmentation` |
   | pictures | the person before the camera, as a mask | `Situ.Infer.PersonMask` |
+  | pictures | the body of that person: points, a skeleton | `Situ.Infer.BodyPose` |
   | pictures | the text in them | `Situ.Infer.TextReader` |
   | pictures, a service | what it sees | `Situ.Infer.PictureService` |
   | rectangles | the same things through time | `Situ.Infer.Tracker` |

@@ -1,0 +1,201 @@
+defmodule Situ.Infer.BodyPose do
+  @schema [
+    model: [
+      type: {:optional, :string},
+      default: nil,
+      doc: "The ONNX file; `nil` for the one that ships with the app."
+    ],
+    model_options: [type: :keyword, default: [], doc: "For `Situ.Infer.Model.shared/2`."],
+    min_score: [
+      type: {:range, 0.01, 0.99},
+      default: 0.5,
+      doc: "How sure it must be that there is a body."
+    ]
+  ]
+
+  @joints ~w(nose left_eye_inner left_eye left_eye_outer right_eye_inner right_eye right_eye_outer left_ear right_ear
+             mouth_left mouth_right left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist
+             left_pinky right_pinky left_index right_index left_thumb right_thumb left_hip right_hip left_knee
+             right_knee left_ankle right_ankle left_heel right_heel left_foot_index right_foot_index)a
+
+  @moduledoc """
+  The body of the person before the camera: #{length(@joints)} points in the picture, and a skeleton (MediaPipe's
+  BlazePose).
+
+  Input `:in` is a `Situ.Image` of an 8-bit format. Each picture makes a message on each output, at its time, empty
+  lists where nobody is found:
+
+    * `:out`: the points as `Situ.Point2` in the picture's pixels, in the order of `joints/0`; points outside of the
+      picture are guessed;
+    * `:skeletons`: a list of one `Situ.Skeleton`: metres around the middle of the hips, x away from the camera, y to
+      its left, z up, with how likely each joint is seen as its confidence.
+
+        body = Situ.via(pictures, Situ.Infer.BodyPose)
+        Situ.Store.write(body.out, store, "Body.Points")
+        Situ.Store.write(body.skeletons, store, "Body")
+
+  "Left" is the person's left. It finds one person who fills a good part of the picture, upright, and follows them from
+  picture to picture; cut smaller people out first. Sizes in metres are those of a usual adult: the network does not
+  measure them. A look costs about 12 ms on one core; the first picture takes two.
+
+  Without a pipeline: `find/2`.
+
+  ## Options
+
+  #{Situ.Options.docs(@schema)}
+  """
+  use Situ.Component,
+    inputs: [in: Situ.Image],
+    outputs: [out: {:list, Situ.Point2}, skeletons: {:list, Situ.Skeleton}],
+    options: @schema
+
+  alias Situ.{Error, Image, Point2, Pose, Skeleton, Tensor}
+  alias Situ.Infer.{Model, Patch}
+
+  @side 256
+  # Two more points than are told, and four that nothing is known of: the middle of the hips, and one above the head.
+  @told 39
+  @ports [
+    inputs: %{"input" => {:f32, {1, @side, @side, 3}}},
+    outputs: %{
+      "points" => {:f32, {1, 195}},
+      "score" => {:f32, {1, 1}},
+      "world" => {:f32, {1, 117}}
+    }
+  ]
+  @bones [
+    nose: :left_eye,
+    nose: :right_eye,
+    left_eye: :left_ear,
+    right_eye: :right_ear,
+    mouth_left: :mouth_right,
+    left_shoulder: :right_shoulder,
+    left_shoulder: :left_elbow,
+    left_elbow: :left_wrist,
+    left_wrist: :left_index,
+    right_shoulder: :right_elbow,
+    right_elbow: :right_wrist,
+    right_wrist: :right_index,
+    left_shoulder: :left_hip,
+    right_shoulder: :right_hip,
+    left_hip: :right_hip,
+    left_hip: :left_knee,
+    left_knee: :left_ankle,
+    left_ankle: :left_foot_index,
+    right_hip: :right_knee,
+    right_knee: :right_ankle,
+    right_ankle: :right_foot_index
+  ]
+
+  @typedoc "The body in a picture: its points there, and the skeleton; empty where nobody is."
+  @type found :: %{points: [Point2.t()], skeletons: [Skeleton.t()]}
+
+  # Where the body was seen last: `{middle, side, angle}`.
+  defstruct [:opts, :model, :place]
+
+  @doc "The names of the points, in their order."
+  @spec joints() :: [atom()]
+  def joints, do: @joints
+
+  @impl true
+  def init(opts), do: {:ok, %__MODULE__{opts: opts}}
+
+  @impl true
+  def handle_start(_context, %{opts: opts} = state),
+    do: {[], %{state | model: Error.unwrap!(load(opts))}}
+
+  @impl true
+  def handle_message(:in, %{data: image, originating_time: time}, _context, state) do
+    {found, place} = Error.unwrap!(look(state, image))
+    {[{:out, time, found.points}, {:skeletons, time, found.skeletons}], %{state | place: place}}
+  end
+
+  @impl true
+  def describe(%{model: nil}), do: "not started"
+  def describe(%{model: model}), do: Model.describe(model)
+
+  @doc """
+  The body in one picture, without a pipeline. Options as above. Errors: those of `Situ.Infer.Model`, `:bad_image`.
+  """
+  @spec find(Image.t(), keyword()) :: {:ok, found()} | {:error, Error.t()}
+  def find(%Image{} = image, opts \\ []) do
+    with {:ok, opts} <- Situ.Options.validate(opts, @schema),
+         {:ok, model} <- load(opts),
+         {:ok, {found, _place}} <- look(%__MODULE__{opts: opts, model: model}, image),
+         do: {:ok, found}
+  end
+
+  defp load(opts) do
+    path = opts[:model] || Model.path("body.onnx")
+    Model.shared(path, Keyword.merge(opts[:model_options], @ports))
+  end
+
+  # Where it was, else in the whole picture, and then closer.
+  defp look(%{place: nil} = state, image) do
+    with {:ok, rough} <- seen(state, image, whole(image)),
+         {:ok, close} <- if(rough, do: seen(state, image, rough.next), else: {:ok, nil}),
+         do: {:ok, told(close || rough)}
+  end
+
+  defp look(%{place: place} = state, image) do
+    case seen(state, image, place) do
+      {:ok, nil} -> look(%{state | place: nil}, image)
+      {:ok, seen} -> {:ok, told(seen)}
+      error -> error
+    end
+  end
+
+  # With room around it: a body that is cut off goes on outside of the picture.
+  defp whole(%Image{width: w, height: h}), do: {{w / 2, h / 2}, max(w, h) * 1.25, 0.0}
+
+  defp told(nil), do: {%{points: [], skeletons: []}, nil}
+  defp told(seen), do: {%{points: seen.points, skeletons: [seen.skeleton]}, seen.next}
+
+  defp seen(%{model: model, opts: opts}, image, {middle, side, angle}) do
+    patch = Patch.around(middle, side, angle, @side)
+
+    with {:ok, tensor} <- Patch.cut(patch, image, 1 / 255, 0.0),
+         {:ok, outputs} <- Model.run(model, %{"input" => tensor}) do
+      {:ok, body(outputs, patch, angle, opts[:min_score])}
+    end
+  end
+
+  # Numbers that are none are no body.
+  defp body(%{"points" => points, "score" => score, "world" => world}, patch, angle, min_score) do
+    rows = points |> Tensor.to_list() |> Enum.chunk_every(5)
+    [score] = Tensor.to_list(score)
+    around = world |> Tensor.to_list() |> Enum.chunk_every(3)
+
+    if is_number(score) and score >= min_score and
+         Enum.all?(List.flatten([rows, around]), &is_number/1) do
+      places = for [x, y | _] <- rows, do: Patch.to_picture(patch, {x, y})
+
+      seen =
+        for [_, _, _, seen, _] <- rows, do: 1.0 / (1.0 + :math.exp(-max(min(seen, 80.0), -80.0)))
+
+      %{
+        points: for({x, y} <- Enum.take(places, length(@joints)), do: Point2.new(x, y)),
+        skeleton: skeleton(around, seen, angle),
+        next: next(Enum.at(places, @told - 6), Enum.at(places, @told - 5))
+      }
+    end
+  end
+
+  # As large as the body would be with its arms spread, upright where the body is.
+  defp next({x, y} = middle, {tx, ty}) do
+    {dx, dy} = {tx - x, ty - y}
+    {middle, max(2.5 * :math.sqrt(dx * dx + dy * dy), 8.0), :math.atan2(dx, -dy)}
+  end
+
+  defp skeleton(around, seen, angle) do
+    {cos, sin} = {:math.cos(angle), :math.sin(angle)}
+
+    joints =
+      for {name, [x, y, z]} <- Enum.zip(@joints, around), into: %{} do
+        # From the patch, right, down and away, to the picture's upright, and to ahead, left and up.
+        {name, Pose.new({z, -(cos * x - sin * y), -(sin * x + cos * y)})}
+      end
+
+    Skeleton.new!(joints, @bones, id: 0, confidence: @joints |> Enum.zip(seen) |> Map.new())
+  end
+end
