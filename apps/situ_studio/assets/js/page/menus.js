@@ -23,7 +23,7 @@ export function menuItems(app, target, event) {
   return null;
 }
 
-function streamItems(app, { stream, shape }) {
+function streamItems(app, { stream, shape, type }) {
   const push = (event, more = {}) => app.options.push?.(event, { stream, ...more });
   const kinds = JSON.parse(document.getElementById("stream-names")?.dataset.kinds ?? "{}")[shape] ?? [];
   return [
@@ -40,8 +40,11 @@ function streamItems(app, { stream, shape }) {
     "-",
     { text: "Copy its name", run: () => copy(stream, "Name copied") },
     { text: "Copy its name in expressions", run: () => copy(derivation(stream), "Name copied") },
+    ...(type ? [{ text: `Copy its type: ${short(type)}`, run: () => copy(type, "Type copied") }] : []),
   ];
 }
+
+const short = (text) => (text.length > 32 ? `${text.slice(0, 31)}…` : text);
 
 // A stream's name in an expression; for a derived stream its expression, to be changed.
 const derivation = (stream) => (stream.startsWith("= ") ? stream.slice(2) : `\`${stream}\``);

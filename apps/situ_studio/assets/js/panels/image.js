@@ -74,8 +74,9 @@ export class ImagePanel {
   fit() {
     const base = this.base()?.picture;
     const shapes = this.layers.find((l) => l.shapes?.size)?.shapes.size;
-    const width = base?.width ?? shapes?.[0] ?? 640,
-      height = base?.height ?? shapes?.[1] ?? 480;
+    const classes = this.layers.find((l) => l.masks?.classes)?.masks.classes;
+    const width = base?.width ?? shapes?.[0] ?? classes?.width ?? 640,
+      height = base?.height ?? shapes?.[1] ?? classes?.height ?? 480;
     const w = this.el.clientWidth,
       h = this.el.clientHeight;
     const { zoom } = this.mouse;
@@ -131,7 +132,8 @@ export class ImagePanel {
     const base = this.base();
     let text = error ?? "";
     if (!error && base) text = [...base.drawer.facts(base, this.app.time.get().cursor, at)].join("   ");
-    else if (!error && this.layers.length) text = this.layers.some((l) => l.shapes) ? "" : "no picture at the cursor";
+    else if (!error && this.layers.length)
+      text = this.layers.some((l) => l.shapes || l.masks) ? "" : "no picture at the cursor";
     if (text !== this.text) this.info.textContent = this.text = text;
     this.info.classList.toggle("bad", !!error);
   }

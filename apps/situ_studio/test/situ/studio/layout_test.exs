@@ -3,6 +3,7 @@ defmodule Situ.Studio.LayoutTest do
   use Situ.Test.Property
 
   alias Situ.Studio.{Layout, Layouts, Link, StreamInfo}
+  alias Situ.Studio.Layout.Look
 
   doctest Situ.Studio.Link
 
@@ -240,6 +241,55 @@ defmodule Situ.Studio.LayoutTest do
              for(p <- layout.rows, do: Enum.map(p.vis, & &1.stream))
 
     assert Layout.Auto.layout([]).rows == []
+  end
+
+  test "a wide picture stands above the timelines in a row of its own, others side by side" do
+    streams = [
+      %StreamInfo{name: "Pan", shape: :image},
+      %StreamInfo{name: "Left", shape: :image},
+      %StreamInfo{name: "Right", shape: :image},
+      %StreamInfo{name: "Sound", shape: :audio},
+      %StreamInfo{name: "Level", shape: :signal}
+    ]
+
+    looks = %{
+      "Pan" => %Look{width: 1600, height: 400},
+      "Left" => %Look{width: 640, height: 480},
+      "Right" => %Look{width: 640, height: 480}
+    }
+
+    assert %{beside: false} = layout = Layout.Auto.layout(streams, looks)
+
+    assert [["Pan"], ["Left", "Right"], ["Sound"], ["Level"]] =
+             for(line <- Layout.lines(layout), do: for(p <- line, do: hd(p.vis).stream))
+
+    assert %{beside: true} = Layout.Auto.layout(streams, Map.delete(looks, "Pan"))
+  end
+
+  test "pictures of class numbers are coloured: over a camera's picture, or alone" do
+    streams = for n <- ["Cam.Image", "Cam.Classes"], do: %StreamInfo{name: n, shape: :image}
+    looks = %{"Cam.Classes" => %Look{width: 640, height: 480, classes: true}}
+
+    assert [%{vis: [%{viz: "image", stream: "Cam.Image"}, %{viz: "masks"}]}] =
+             Layout.Auto.layout(streams, looks).rows
+
+    alone = for n <- ["A", "B"], do: %StreamInfo{name: n, shape: :image}
+    looks = Map.new(["A", "B"], &{&1, %Look{width: 640, height: 480, classes: true}})
+
+    assert [[%{viz: "masks", stream: "A"}], [%{viz: "masks", stream: "B"}]] =
+             for(p <- Layout.Auto.layout(alone, looks).rows, do: p.vis)
+  end
+
+  test "a dark picture is none of class numbers, and neither is one of one shade" do
+    :rand.seed(:exsss, {1, 2, 3})
+    noise = for _ <- 1..4_800, into: <<>>, do: <<:rand.uniform(12)>>
+    even = :binary.copy(<<7>>, 4_800)
+    labels = for y <- 0..59, x <- 0..79, into: <<>>, do: <<div(x, 20) + div(y, 30) * 4>>
+
+    look = &Look.of(Situ.Image.new!(width: 80, height: 60, format: :gray8, data: &1))
+    assert Enum.map([noise, even, labels], &look.(&1).classes) == [false, false, true]
+
+    assert Look.of("no picture") == nil
   end
 
   test "the automatic layout of a talk: who speaks and when in lanes, openings as lines" do

@@ -26,6 +26,7 @@ defmodule Situ.Studio.PureDocTest do
   doctest Situ.Studio.Statistics
   doctest Situ.Studio.Layout
   doctest Situ.Studio.Layout.Auto
+  doctest Situ.Studio.Layout.Look
   doctest Situ.Studio.History
   doctest Situ.Studio.Visualizers.Shapes
   doctest Situ.Studio.Visualizers.Bars

@@ -20,8 +20,16 @@ defmodule Situ.Studio.Datasets.Facts do
   @doc "Of the recording at a path: opens it."
   @spec of(Path.t()) :: t()
   def of(path) do
-    with {:ok, source} <- Source.Store.open(path),
-         {:ok, streams} <- Source.call(source, :streams, []),
+    case Source.Store.open(path) do
+      {:ok, source} -> of_source(source)
+      {:error, error} -> %__MODULE__{error: error}
+    end
+  end
+
+  @doc "Of what is open already, such as streams in memory."
+  @spec of_source(Source.t()) :: t()
+  def of_source(source) do
+    with {:ok, streams} <- Source.call(source, :streams, []),
          {:ok, extent} <- Source.call(source, :extent, []) do
       timed? = Enum.any?(streams, & &1.first)
 

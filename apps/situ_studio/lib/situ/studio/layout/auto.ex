@@ -1,8 +1,9 @@
 defmodule Situ.Studio.Layout.Auto do
   @moduledoc """
-  The layout a recording is first shown with, chosen by the kinds of its streams: pictures with their shapes on top,
-  then sound, states, intervals and labels in lanes, maps of numbers as lines, then signals, those of one group in one
-  panel.
+  The layout a recording is first shown with, chosen by the kinds of its streams: pictures with their shapes, then
+  sound, states, intervals and labels in lanes, maps of numbers as lines, then signals, those of one group in one panel.
+  Pictures stand beside the timelines; where one is much wider than high, all are above them, the wide one in a row of
+  its own. Pictures of class numbers (`Situ.Studio.Layout.Look`) are coloured, over a camera's picture if there is one.
 
       iex> audio = %Situ.Studio.StreamInfo{name: "Mic.Audio", shape: :audio}
       iex> level = %Situ.Studio.StreamInfo{name: "Mic.Level", shape: :signal}
@@ -11,6 +12,7 @@ defmodule Situ.Studio.Layout.Auto do
       [{:plot, ["Mic.Audio"]}, {:plot, ["Mic.Level"]}]
   """
   alias Situ.Studio.{Layout, NaturalOrder, StreamInfo}
+  alias Situ.Studio.Layout.Look
 
   @name "Automatic"
   @pictures 3
@@ -26,16 +28,18 @@ defmodule Situ.Studio.Layout.Auto do
   @spec name() :: String.t()
   def name, do: @name
 
-  @doc "The layout of these streams."
-  @spec layout([StreamInfo.t()]) :: Layout.t()
-  def layout(streams) do
+  @doc "The layout of these streams; `looks` tells, by their names, what the pictures of some look like."
+  @spec layout([StreamInfo.t()], %{optional(String.t()) => Look.t()}) :: Layout.t()
+  def layout(streams, looks \\ %{}) do
     by = Enum.group_by(streams, & &1.shape)
     of = fn shape -> Enum.sort_by(by[shape] || [], &NaturalOrder.key(&1.name)) end
-    pictures = Enum.take(of.(:image) ++ of.(:depth), @pictures)
+    {classes, images} = Enum.split_with(of.(:image), &match?(%{classes: true}, looks[&1.name]))
+    pictures = Enum.take(images ++ of.(:depth), @pictures)
 
     Layout.new(@name)
     |> space(of.(:space), of.(:frames))
     |> pictures(pictures, of.(:shapes))
+    |> classes(classes, images)
     |> map(Enum.take(of.(:place), @maps))
     |> cells(Enum.take(of.(:bars), 1), "bars", :bars)
     |> each(Enum.take(of.(:audio), @sounds), "waveform", :plot)
@@ -43,7 +47,7 @@ defmodule Situ.Studio.Layout.Auto do
     |> each(Enum.take(of.(:signals), @maps), "lines", :plot)
     |> plots(of.(:signal))
     |> fallback(streams)
-    |> fit()
+    |> fit(looks)
   end
 
   defp laned(of) do
@@ -51,10 +55,26 @@ defmodule Situ.Studio.Layout.Auto do
     for {shape, viz} <- kinds, s <- of.(shape), do: {s, viz}
   end
 
-  # Where there are timelines, too, pictures stand beside them.
-  defp fit(layout) do
+  # Where there are timelines, too, pictures stand beside them, unless one needs the whole width.
+  defp fit(layout, looks) do
     {cells, timelines} = Enum.split_with(layout.rows, & &1.row)
-    %{layout | beside: cells != [] and length(timelines) >= @many}
+    wide? = fn cell -> Enum.any?(cell.vis, &Look.wide?(looks[&1.stream])) end
+
+    cond do
+      cells == [] or timelines == [] -> layout
+      Enum.any?(cells, wide?) -> %{layout | rows: above(cells, wide?) ++ timelines}
+      length(timelines) >= @many -> %{layout | beside: true}
+      true -> %{layout | rows: above(cells, wide?) ++ timelines}
+    end
+  end
+
+  # Wide ones in rows of their own, the others side by side.
+  defp above(cells, wide?) do
+    {wide, others} = Enum.split_with(cells, wide?)
+
+    (Enum.map(wide, &[&1]) ++ Enum.chunk_every(others, @pictures))
+    |> Enum.with_index(1)
+    |> Enum.flat_map(fn {line, i} -> Enum.map(line, &%{&1 | row: "r#{i}"}) end)
   end
 
   # Everything in space in one panel, and the frames it is given in.
@@ -103,6 +123,33 @@ defmodule Situ.Studio.Layout.Auto do
       layout
     end)
   end
+
+  # Numbers of classes go over the camera's picture they belong to; alone they hide nothing.
+  defp classes(layout, [], _), do: layout
+
+  defp classes(layout, classes, []) do
+    classes
+    |> Enum.take(@pictures)
+    |> Enum.with_index(1)
+    |> Enum.reduce(layout, fn {s, i}, layout ->
+      # as a picture, since masks would join the panel before
+      {:ok, layout, id} = Layout.add(layout, s.name, "image", :image, "", row: "r#{i}")
+      Layout.update(layout, id, &%{&1 | vis: Enum.map(&1.vis, fn vis -> colored(vis) end)})
+    end)
+  end
+
+  defp classes(layout, classes, images) do
+    shown = Enum.take(images, @pictures)
+
+    Enum.reduce(Enum.take(classes, @pictures), layout, fn s, layout ->
+      over = Enum.max_by(shown, &common(&1.name, s.name))
+      panel = Enum.find(layout.rows, &Enum.any?(&1.vis, fn v -> v.stream == over.name end))
+      {:ok, layout, _} = Layout.add(layout, s.name, "masks", :image, panel.id)
+      layout
+    end)
+  end
+
+  defp colored(vis), do: %{vis | viz: "masks", props: %{"opacity" => 100}}
 
   defp cells(layout, streams, viz, panel) do
     Enum.reduce(streams, layout, fn s, layout ->

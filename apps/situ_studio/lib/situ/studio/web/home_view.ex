@@ -10,6 +10,7 @@ defmodule Situ.Studio.Web.HomeView do
   @refresh_ms 2_000
   # So many rows are on the page, and so many recordings are looked into.
   @most 400
+  @looked_into [:store, :elsewhere, :source]
 
   @impl true
   def mount(_params, session, socket) do
@@ -34,8 +35,8 @@ defmodule Situ.Studio.Web.HomeView do
     {:noreply, load(socket)}
   end
 
-  def handle_info({:facts, path, facts}, socket),
-    do: {:noreply, assign(socket, facts: Map.put(socket.assigns.facts, path, facts))}
+  def handle_info({:facts, id, facts}, socket),
+    do: {:noreply, assign(socket, facts: Map.put(socket.assigns.facts, id, facts))}
 
   def handle_info(_, socket), do: {:noreply, socket}
 
@@ -54,23 +55,34 @@ defmodule Situ.Studio.Web.HomeView do
 
   # Recordings are looked into by another process, one after the other: the list is there at once.
   defp look(socket) do
-    paths =
-      for %{kind: kind, path: path} <- Enum.take(socket.assigns.items, @most),
-          kind in [:store, :elsewhere],
-          do: path
-
-    stamps = Map.new(paths, &{&1, Facts.stamp(&1)})
-    changed = Enum.reject(paths, &(socket.assigns.stamps[&1] == stamps[&1]))
+    %{items: items, stamps: old, facts: facts, studio: studio} = socket.assigns
+    items = for item <- Enum.take(items, @most), item.kind in @looked_into, do: item
+    stamps = Map.new(items, &{&1.id, stamp(&1, facts[&1.id])})
+    changed = Enum.reject(items, &(old[&1.id] == stamps[&1.id]))
     page = self()
 
     if changed != [] do
       Task.Supervisor.start_child(Situ.Studio.Tasks, fn ->
-        Enum.each(changed, &send(page, {:facts, &1, Facts.of(&1)}))
+        Enum.each(changed, &send(page, {:facts, &1.id, facts(studio, &1)}))
       end)
     end
 
     assign(socket, stamps: stamps)
   end
+
+  # Streams in memory have no file that changes: those that still grow are looked at each time.
+  defp stamp(%{kind: :source}, %{live: true}), do: make_ref()
+  defp stamp(%{kind: :source}, _), do: :in_memory
+  defp stamp(%{path: path}, _), do: Facts.stamp(path)
+
+  defp facts(studio, %{kind: :source, id: id}) do
+    case Catalog.open(studio, id) do
+      {:ok, _item, source} -> Facts.of_source(source)
+      {:error, error} -> %Facts{error: error}
+    end
+  end
+
+  defp facts(_studio, %{path: path}), do: Facts.of(path)
 
   @impl true
   def render(assigns) do
@@ -94,10 +106,10 @@ defmodule Situ.Studio.Web.HomeView do
       </form>
       <div class="list">
         <a :for={item <- @found} :key={item.id} class="item" href={Address.item(item)}>
-          <.picture item={item} facts={@facts[item.path]} />
+          <.picture item={item} facts={@facts[item.id]} />
           <span><b>{item.title}</b><span class="dim"><span
-            :for={said <- said(item, @facts[item.path])}>{said}</span></span></span>
-          <span><.badges item={item} facts={@facts[item.path]}
+            :for={said <- said(item, @facts[item.id])}>{said}</span></span></span>
+          <span><.badges item={item} facts={@facts[item.id]}
             alerts={if item.kind == :pipeline, do: Alerts.count(@studio, item.id), else: 0} /></span></a>
       </div>
       <p :if={@more > 0} class="hint">{@more} more: search to find them</p>
@@ -111,7 +123,7 @@ defmodule Situ.Studio.Web.HomeView do
   defp found?(_item, _facts, []), do: true
 
   defp found?(item, facts, words) do
-    streams = for %{streams: streams} <- [facts[item.path]], s <- streams, do: s.name
+    streams = for %{streams: streams} <- [facts[item.id]], s <- streams, do: s.name
     text = [item.title | streams] |> Enum.join("\n") |> String.downcase()
     Enum.all?(words, &String.contains?(text, &1))
   end
@@ -146,18 +158,19 @@ defmodule Situ.Studio.Web.HomeView do
     """
   end
 
-  defp said(item, facts), do: [kind(item.kind) | of(facts)] ++ List.wrap(at(item))
+  defp said(item, facts), do: [kind(item.kind) | of(facts, item)] ++ List.wrap(at(item))
 
-  defp of(nil), do: []
+  defp of(nil, _), do: []
 
-  defp of(facts) do
+  defp of(facts, item) do
     streams = length(facts.streams)
 
     Enum.reject(
       [
         Facts.duration(facts),
         if(streams == 1, do: "1 stream", else: "#{streams} streams"),
-        Side.bytes(facts.size)
+        # nobody has measured how much memory a message takes
+        if(item.kind == :source, do: "", else: Side.bytes(facts.size))
       ],
       &(&1 == "")
     )

@@ -36,8 +36,10 @@ defmodule Situ.Studio.Web.LayoutMenu do
   end
 
   # A compared stream stands beside its counterpart, not in panels of its own.
-  defp automatic(assigns),
-    do: assigns.infos |> Enum.reject(&Beside.second?(&1.name)) |> Layout.Auto.layout()
+  defp automatic(assigns) do
+    infos = Enum.reject(assigns.infos, &Beside.second?(&1.name))
+    Layout.Auto.layout(infos, Layout.Look.all(assigns.source, infos))
+  end
 
   defp beside(layout, %{compared: nil}), do: layout
   defp beside(layout, %{shapes: shapes}), do: Comparison.layout(layout, Map.keys(shapes))

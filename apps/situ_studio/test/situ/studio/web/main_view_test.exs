@@ -269,4 +269,18 @@ defmodule Situ.Studio.Web.MainViewTest do
     assert Page.text(page, ".message h1") =~ "there is no recording called"
     assert Page.text(Page.mount(HomeView, session: session), ".item b") == "one"
   end
+
+  test "the list says how long streams in memory are, and how many",
+       %{history: history} = context do
+    later = %Situ.Message{data: 0.7, originating_time: 90_000_001_000}
+    History.put(history, "Mic.Level", later, 8)
+    page = Page.mount(HomeView, session: %{"studio" => context.studio})
+
+    for looking <- Task.Supervisor.children(Situ.Studio.Tasks) do
+      ref = Process.monitor(looking)
+      assert_receive {:DOWN, ^ref, :process, ^looking, _}
+    end
+
+    assert Page.text(page, ".item .dim") =~ "in memory1 min 30 s4 streams"
+  end
 end

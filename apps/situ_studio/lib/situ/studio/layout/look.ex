@@ -1,0 +1,76 @@
+defmodule Situ.Studio.Layout.Look do
+  @moduledoc """
+  The looks of a stream's pictures, told from one of them: their shape, and whether their values are numbers of classes
+  (labels of a segmentation) and not shades of grey. As grey they would be nearly black.
+
+      iex> picture = Situ.Image.filled(400, 100, :rgb24, [1, 2, 3])
+      iex> look = Situ.Studio.Layout.Look.of(picture)
+      iex> {look.classes, Situ.Studio.Layout.Look.wide?(look)}
+      {false, true}
+      iex> labels = Situ.Image.new!(width: 4, height: 2, format: :gray8, data: <<0, 0, 0, 0, 3, 3, 3, 3>>)
+      iex> Situ.Studio.Layout.Look.of(labels).classes
+      true
+  """
+  alias Situ.{EncodedImage, Image}
+  alias Situ.Studio.{Source, StreamInfo}
+
+  @enforce_keys [:width, :height]
+  defstruct [:width, :height, classes: false]
+
+  @type t :: %__MODULE__{width: pos_integer(), height: pos_integer(), classes: boolean()}
+
+  # So many streams are looked at.
+  @most 6
+  # From this width on, in heights, a picture needs the whole window's.
+  @wide 2.2
+  # Numbers of classes are small, and what lies side by side is mostly of one class; a dark picture has noise.
+  @classes 64
+  @same 0.85
+  @pixels 4_194_304
+
+  @doc "The looks of the streams of pictures of a source, by their names; of none that cannot be read."
+  @spec all(Source.t(), [StreamInfo.t()]) :: %{optional(String.t()) => t()}
+  def all(source, streams) do
+    pictures = for %{shape: :image, first: first} = s <- streams, first != nil, do: s
+
+    for s <- Enum.take(pictures, @most),
+        {:ok, message} <- [Source.call(source, :latest_at, [s.name, s.first])],
+        %__MODULE__{} = look <- [of(message.data)],
+        into: %{},
+        do: {s.name, look}
+  end
+
+  @doc "Of one picture; `nil` of anything else."
+  @spec of(term()) :: t() | nil
+  def of(%Image{width: w, height: h} = image), do: sized(w, h, classes?(image))
+  def of(%EncodedImage{width: w, height: h}), do: sized(w, h, false)
+  def of(_), do: nil
+
+  @doc "Whether it is much wider than high."
+  @spec wide?(t() | nil) :: boolean()
+  def wide?(nil), do: false
+  def wide?(%__MODULE__{width: w, height: h}), do: w >= @wide * h
+
+  defp sized(w, h, classes) when is_integer(w) and is_integer(h) and w > 0 and h > 0,
+    do: %__MODULE__{width: w, height: h, classes: classes}
+
+  defp sized(_, _, _), do: nil
+
+  defp classes?(%Image{format: :gray8, width: w, height: h} = image) when w * h <= @pixels do
+    with {:ok, image} <- Image.validate(image),
+         <<first, rest::binary>> <- Image.pixels(image),
+         {:ok, same} when same < byte_size(rest) <- neighbours(rest, first, 0) do
+      same >= @same * byte_size(rest)
+    else
+      _ -> false
+    end
+  end
+
+  defp classes?(_), do: false
+
+  # How many are as the one before; a value that is no class ends it.
+  defp neighbours(_, v, _) when v >= @classes, do: :no
+  defp neighbours(<<v, rest::binary>>, v, same), do: neighbours(rest, v, same + 1)
+  defp neighbours(<<v, rest::binary>>, _, same), do: neighbours(rest, v, same)
+  defp neighbours(<<>>, _, same), do: {:ok, same}
+end
