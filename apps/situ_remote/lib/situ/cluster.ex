@@ -49,8 +49,8 @@ defmodule Situ.Cluster do
   ## Limits
 
   Messages under way on a direct stream when a node is lost are lost. `Situ.Pipeline.on/3` handlers run with the part
-  `"rest"` and with parts that record. The log of a finished deployment stays until it is deleted. An upgrade does not
-  change the graph.
+  `"rest"` and with parts that record. The log of a finished deployment stays until `prune/2` deletes it. An upgrade
+  does not change the graph.
 
   ## Options of `deploy/2`
 
@@ -61,7 +61,7 @@ defmodule Situ.Cluster do
   #{Situ.Options.docs(Situ.Cluster.Deployment.place_schema())}
   """
   alias Situ.Cluster.{Agent, Assembly, Balance, Balancer, Chunk, Deployment, Logs, Overview}
-  alias Situ.Cluster.{Placement, Plan, Recordings, Runner, Upgrade, Vitals, Whole}
+  alias Situ.Cluster.{Past, Placement, Plan, Recordings, Runner, Upgrade, Vitals, Whole}
   alias Situ.{Error, Options, Pipeline}
   alias Situ.Remote.Log
 
@@ -229,6 +229,52 @@ defmodule Situ.Cluster do
   @doc "Takes a deployment away on all nodes, at once; its log stays."
   @spec forget(t()) :: :ok
   def forget(%Deployment{name: name}), do: Agent.forget(name)
+
+  @doc "What the cluster's log keeps of each deployment, running and ended ones."
+  @spec kept() :: {:ok, [Past.t()]} | {:error, Error.t()}
+  def kept, do: with(:ok <- member(), do: Past.list(Agent.log()))
+
+  @doc """
+  Deletes for good what the log keeps of a deployment that has ended (it is then forgotten, too) or that was forgotten.
+  One that runs is refused (`:in_use`), also when it runs on a cluster of others that uses the same log: the leases are
+  watched for `wait` ms, which is to be more than a quarter of that deployment's `lease:`. Returns the number of
+  subjects, streams and keys, that are gone.
+  """
+  @spec prune(String.t(), non_neg_integer()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
+  def prune(name, wait \\ 1_500) when is_binary(name) do
+    with {:ok, all} <- kept(),
+         {:ok, kept} <- of(all, name),
+         {:ok, tries} <- over(Enum.find(Agent.info().deployments, &(&1.name == name))),
+         :ok <- unused(kept, wait, tries),
+         do: Past.delete(Agent.log(), kept)
+  end
+
+  # Other nodes may write a lease once more until they have heard that it is forgotten.
+  defp unused(kept, wait, tries) do
+    with {:error, %{code: :in_use}} when tries > 1 <- Past.unused(Agent.log(), kept, wait),
+         do: unused(kept, wait, tries - 1)
+  end
+
+  defp of(all, name) do
+    with nil <- Enum.find(all, &(&1.deployment == name)) do
+      {:error,
+       Error.new(:not_found, "the log keeps nothing of #{inspect(name)}",
+         fix: "it keeps something of: " <> Enum.map_join(all, ", ", & &1.deployment)
+       )}
+    else
+      kept -> {:ok, kept}
+    end
+  end
+
+  # How often the leases are watched.
+  defp over(nil), do: {:ok, 1}
+
+  defp over(deployment) do
+    case await(deployment, 0) do
+      {:error, %{code: :timeout}} -> {:error, Past.in_use(deployment.name)}
+      _ended_or_failed -> with :ok <- forget(deployment), do: {:ok, 3}
+    end
+  end
 
   @doc """
   The members, with their labels, and of every part: which node runs it, its phase (`:running`, `:done`, `:failed`,

@@ -2,7 +2,8 @@ defmodule Situ.ClusterTest do
   use ExUnit.Case, async: false
 
   alias Situ.{Cluster, Pipeline}
-  alias Situ.Test.ClusterSums
+  alias Situ.Cluster.Past
+  alias Situ.Test.{ClusterSums, NatsServer}
 
   @moduletag :tmp_dir
   @moduletag capture_log: true
@@ -48,6 +49,55 @@ defmodule Situ.ClusterTest do
 
     assert :ok = Cluster.await(deployment, 60_000)
     assert read(deployment, "Result") == alone(count: 500)
+  end
+
+  # A NATS server where there is one, else a folder: the same must hold.
+  defp log(dir) do
+    if NatsServer.path() do
+      server = NatsServer.start(dir)
+      on_exit(fn -> NatsServer.kill(server) end)
+      {server.url, fn -> length(File.ls!("/proc/#{server.pid}/fd")) end}
+    else
+      {dir, fn -> 0 end}
+    end
+  end
+
+  test "the log of an ended deployment stays until it is pruned, files and all", %{tmp_dir: dir} do
+    {address, files} = log(dir)
+    start_supervised!({Cluster, log: address})
+    opts = [opts: [count: 300], place: @place, publish: ["Result"], pipeline: @pipeline]
+    {:ok, kept} = Cluster.deploy(ClusterSums, [name: "kept"] ++ opts)
+    assert :ok = Cluster.await(kept, 60_000)
+    before = files.()
+    {:ok, gone} = Cluster.deploy(ClusterSums, [name: "gone"] ++ opts)
+    assert :ok = Cluster.await(gone, 60_000)
+    {:ok, all} = Cluster.kept()
+    assert [%{deployment: "gone", streams: 5, bytes: bytes}, %{deployment: "kept"}] = all
+    assert bytes > 0
+    assert {:ok, n} = Cluster.prune("gone")
+    assert n > 5
+    assert {:ok, [%{deployment: "kept"}]} = Cluster.kept()
+    assert files.() == before
+    assert read(kept, "Result") == alone(count: 300)
+    assert {:error, %{code: :not_found, fix: fix}} = Cluster.prune("gone")
+    assert fix =~ "kept"
+    # Its name is free, and its log begins anew.
+    {:ok, again} = Cluster.deploy(ClusterSums, [name: "gone"] ++ opts)
+    assert :ok = Cluster.await(again, 60_000)
+    assert read(again, "Result") == alone(count: 300)
+  end
+
+  test "the log of a running deployment is not pruned, whoever runs it", %{tmp_dir: dir} do
+    deployment = slow(dir)
+    running(deployment.name, "Sum")
+    assert {:error, %{code: :in_use}} = Cluster.prune(deployment.name)
+    {:ok, log} = Situ.Remote.Log.connect(dir)
+    {:ok, [kept]} = Past.list(log)
+    # Somebody else's, as far as this one knows: its leases change.
+    assert {:error, %{code: :in_use}} = Past.unused(log, kept, 300)
+    assert :ok = Cluster.await(deployment, 60_000)
+    assert read(deployment, "Result") == alone(count: 600)
+    assert {:error, %{code: :bad_option}} = Cluster.deploy(ClusterSums, name: "a.b")
   end
 
   test "direct streams bypass the log, and lose nothing while all is well", %{tmp_dir: dir} do

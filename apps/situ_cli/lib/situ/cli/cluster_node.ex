@@ -2,7 +2,7 @@ defmodule Situ.CLI.ClusterNode do
   @moduledoc false
   # The verbs of `situ cluster` that look after nodes: their logs, their code, their load; and the studio of a node.
   alias Situ.{Cluster, Diagnostics, Error}
-  alias Situ.CLI.{Option, Output, Verb}
+  alias Situ.CLI.{ClusterKept, Option, Output, Verb}
 
   @again_ms 500
 
@@ -54,6 +54,7 @@ defmodule Situ.CLI.ClusterNode do
         examples: ["situ cluster balance Hall --node situ-9301@127.0.0.1"],
         run: fn %{deployment: name}, opts -> balance(name, opts, ask) end
       }
+      | ClusterKept.verbs(common, ask)
     ]
   end
 

@@ -104,6 +104,7 @@ defmodule Situ.Cluster.Deployment do
   def new(module, opts) when is_atom(module) do
     with {:ok, opts} <- Options.validate(opts, @schema),
          :ok <- a_pipeline(module),
+         :ok <- one_word(opts[:name]),
          {:ok, rules} <- rules(opts[:place], []) do
       {:ok,
        %__MODULE__{
@@ -131,6 +132,18 @@ defmodule Situ.Cluster.Deployment do
            why: "every node builds it by itself, so it is a module, not a function",
            fix: "use Situ.Pipeline in it, and have it on every node"
          )}
+  end
+
+  # Its log's subjects begin with it and a dot.
+  defp one_word(name) do
+    if is_binary(name) and (name == "" or String.contains?(name, ".")),
+      do:
+        {:error,
+         Error.new(:bad_option, "a deployment's name has no dot: #{inspect(name)}",
+           why: "in the log a dot divides it from the names of its streams",
+           fix: "write - or _ instead"
+         )},
+      else: :ok
   end
 
   defp rules([], rules), do: {:ok, Enum.reverse(rules)}

@@ -39,6 +39,17 @@ defmodule Situ.Remote.Log do
   @type t :: %__MODULE__{adapter: module(), conn: term()}
   @type subject :: {:stream | :key, String.t()}
 
+  @typedoc """
+  What a log keeps of a subject: how many entries, their bytes, and when the last of them was written (ns since 1970;
+  `nil` where the log does not say, as NATS for keys).
+  """
+  @type about :: %{
+          subject: subject(),
+          entries: non_neg_integer(),
+          bytes: non_neg_integer() | nil,
+          written: Situ.Time.t() | nil
+        }
+
   @doc "Opens the log at an address of this adapter."
   @callback connect(address :: String.t(), keyword()) ::
               {:ok, conn :: term()} | {:error, Error.t()}
@@ -56,6 +67,12 @@ defmodule Situ.Remote.Log do
 
   @doc "Deletes the entries before `seq`; the last one stays."
   @callback trim(conn :: term(), subject(), seq :: pos_integer()) :: :ok | {:error, Error.t()}
+
+  @doc "Every subject that has been written to and not deleted, in any order."
+  @callback subjects(conn :: term()) :: {:ok, [about()]} | {:error, Error.t()}
+
+  @doc "Deletes a subject with all its entries; `:ok` when there is none."
+  @callback delete(conn :: term(), subject()) :: :ok | {:error, Error.t()}
 
   @doc "The largest `data` of one entry, bytes."
   @callback limit(conn :: term()) :: pos_integer()
@@ -107,6 +124,32 @@ defmodule Situ.Remote.Log do
   @spec trim(t(), subject(), pos_integer()) :: :ok | {:error, Error.t()}
   def trim(%__MODULE__{adapter: adapter, conn: conn}, subject, seq),
     do: adapter.trim(conn, subject, seq)
+
+  @doc """
+  Every subject that has been written to and was not deleted, by kind and name.
+
+      iex> root = Path.join(System.tmp_dir!(), "situ-log-doc-\#{System.unique_integer([:positive])}")
+      iex> {:ok, log} = Situ.Remote.Log.connect(root)
+      iex> {:ok, 1} = Situ.Remote.Log.append(log, {:stream, "a"}, 0, %Situ.Remote.Log.Entry{op: "x.1", data: "first"})
+      iex> {:ok, [%{subject: {:stream, "a"}, entries: 1}]} = Situ.Remote.Log.subjects(log)
+      iex> :ok = Situ.Remote.Log.delete(log, {:stream, "a"})
+      iex> Situ.Remote.Log.subjects(log)
+      {:ok, []}
+      iex> File.rm_rf!(root) != []
+      true
+  """
+  @spec subjects(t()) :: {:ok, [about()]} | {:error, Error.t()}
+  def subjects(%__MODULE__{adapter: adapter, conn: conn}) do
+    with {:ok, all} <- adapter.subjects(conn), do: {:ok, Enum.sort_by(all, & &1.subject)}
+  end
+
+  @doc """
+  Deletes a subject with all that it holds, for good. Nobody must write to it any more: whoever does so begins it anew,
+  and its entries count from 1.
+  """
+  @spec delete(t(), subject()) :: :ok | {:error, Error.t()}
+  def delete(%__MODULE__{adapter: adapter, conn: conn}, subject),
+    do: adapter.delete(conn, subject)
 
   @doc "The largest `data` of one entry, bytes."
   @spec limit(t()) :: pos_integer()

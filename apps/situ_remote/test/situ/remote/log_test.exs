@@ -41,6 +41,7 @@ defmodule Situ.Remote.LogTest do
      end}
   end
 
+  defp about(kept, subject), do: Enum.find(kept, &(&1.subject == subject))
   defp entry(op, data \\ "", head \\ %{}), do: %Entry{op: op, data: data, head: head}
 
   for adapter <- @adapters do
@@ -155,6 +156,40 @@ defmodule Situ.Remote.LogTest do
           op = "op.#{i}"
           assert {:ok, [%Entry{op: ^op}]} = Log.read(again.(), {:stream, name}, 1, 10)
         end
+      end
+
+      test "lists what it keeps, and deletes it for good", %{tmp_dir: dir} do
+        {log, again} = open(@adapter, dir)
+        assert {:ok, []} = Log.subjects(log)
+        stream = {:stream, "Hall.a stream/with. odd * names > é"}
+        long = {:stream, "Hall." <> String.duplicate("long ", 30)}
+        key = {:key, "lease.Hall.Sum"}
+        before = Situ.Time.now()
+
+        for {subject, s} <- Enum.with_index([stream, long, key]) do
+          Enum.reduce(1..3, 0, fn i, last ->
+            {:ok, seq} = Log.append(log, subject, last, entry("op.#{s}.#{i}", "12345"))
+            seq
+          end)
+        end
+
+        {:ok, kept} = Log.subjects(again.())
+        assert Enum.map(kept, & &1.subject) == Enum.sort([stream, long, key])
+        assert %{entries: 3, bytes: bytes, written: written} = about(kept, stream)
+        assert bytes >= 15
+        # The folder's file system counts in whole seconds.
+        assert_in_delta written, before, Situ.Time.min(1)
+        assert %{entries: 1} = about(kept, key)
+
+        for subject <- [stream, key, {:stream, "Hall.never"}, {:key, "lease.Hall.never"}],
+            do: assert(:ok = Log.delete(log, subject))
+
+        assert {:ok, [%{subject: ^long}]} = Log.subjects(log)
+        assert {:ok, nil} = Log.last(log, key)
+        assert {:ok, []} = Log.read(log, stream, 1, 10)
+
+        for subject <- [stream, key],
+            do: assert({:ok, _} = Log.append(log, subject, 0, entry("again")))
       end
 
       test "finds the first entry that is enough", %{tmp_dir: dir} do

@@ -151,6 +151,54 @@ defmodule Situ.Remote.Log.Folder do
   end
 
   @impl true
+  def subjects(%__MODULE__{} = log) do
+    found =
+      for {kind, folder} <- [stream: "streams", key: "keys"],
+          "s-" <> name <- names(Path.join(log.root, folder)),
+          do: about(log, {kind, URI.decode(name)})
+
+    {:ok, found}
+  end
+
+  defp names(folder) do
+    case File.ls(folder) do
+      {:ok, names} -> names
+      {:error, _} -> []
+    end
+  end
+
+  # Of a key only the last entry counts.
+  defp about(log, {kind, _} = subject) do
+    files = if kind == :key, do: subject |> newest(log) |> List.wrap(), else: files(log, subject)
+    stats = for file <- files, {:ok, stat} <- [File.stat(file, time: :posix)], do: stat
+
+    %{
+      subject: subject,
+      entries: length(stats),
+      bytes: stats |> Enum.map(& &1.size) |> Enum.sum(),
+      written: stats |> Enum.map(&(&1.mtime * 1_000_000_000)) |> Enum.max(fn -> nil end)
+    }
+  end
+
+  defp newest(subject, log) do
+    with [_ | _] = seqs <- numbers(log, subject), do: path(log, subject, Enum.max(seqs))
+  end
+
+  defp files(log, subject) do
+    folder = folder(log, subject)
+    buckets = for n <- integers(folder), do: Path.join(folder, Integer.to_string(n))
+    for bucket <- buckets, n <- integers(bucket), do: Path.join(bucket, Integer.to_string(n))
+  end
+
+  @impl true
+  def delete(%__MODULE__{} = log, subject) do
+    case File.rm_rf(folder(log, subject)) do
+      {:ok, _} -> :ok
+      {:error, reason, path} -> {:error, failed(path, reason)}
+    end
+  end
+
+  @impl true
   def limit(_log), do: @limit
 
   @impl true

@@ -21,7 +21,7 @@ defmodule Situ.Remote.Log.Nats do
 
   alias Situ.{Error, JSON, Options}
   alias Situ.Remote.Log.Entry
-  alias Situ.Remote.Log.Nats.{Api, Connection}
+  alias Situ.Remote.Log.Nats.{Api, Connection, Kept}
 
   @schema [
     replicas: [type: {:range, 1, 5}, default: 1, doc: "On how many servers each entry is."],
@@ -351,6 +351,16 @@ defmodule Situ.Remote.Log.Nats do
 
   defp filter({:stream, _}), do: %{}
   defp filter(subject), do: %{"filter" => name(subject)}
+
+  @impl true
+  def subjects(%__MODULE__{} = log), do: Kept.all(log, log.stream <> "_S_", log.stream <> "_KEYS")
+
+  @impl true
+  def delete(%__MODULE__{} = log, {:stream, _} = subject),
+    do: Kept.delete(log, stream(log, subject))
+
+  def delete(%__MODULE__{} = log, subject),
+    do: Kept.purge(log, stream(log, subject), name(subject))
 
   @impl true
   def limit(%__MODULE__{} = log) do

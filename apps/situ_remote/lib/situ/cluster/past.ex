@@ -1,0 +1,135 @@
+defmodule Situ.Cluster.Past do
+  @moduledoc """
+  What the log keeps of each deployment, and taking away what nobody needs any more.
+
+  The log of a deployment stays when it has ended: whoever wants may read it. It costs room, and on a NATS server two
+  open files a stream. Nothing is deleted without being asked for:
+
+      {:ok, log} = Situ.Remote.Log.connect("nats://lab1:4222")
+      {:ok, kept} = Situ.Cluster.Past.list(log)
+      {:ok, 12} = Situ.Cluster.Past.delete(log, hd(kept))
+
+  `Situ.Cluster.kept/0` and `Situ.Cluster.prune/2` do this for the log of a cluster, `bin/situ cluster kept` and
+  `bin/situ cluster prune` from a shell.
+  """
+  alias Situ.Error
+  alias Situ.Remote.Log
+
+  @typedoc "What one deployment has in the log; `written`: ns since 1970, `nil` when no stream was ever written to."
+  @type t :: %{
+          deployment: String.t(),
+          streams: non_neg_integer(),
+          entries: non_neg_integer(),
+          bytes: non_neg_integer(),
+          written: Situ.Time.t() | nil,
+          subjects: [Log.subject()]
+        }
+
+  @doc "What each deployment has in the log, by name."
+  @spec list(Log.t()) :: {:ok, [t()]} | {:error, Error.t()}
+  def list(log) do
+    with {:ok, all} <- Log.subjects(log) do
+      groups = all |> Enum.group_by(&deployment(&1.subject)) |> Map.delete(nil)
+      {:ok, for({name, abouts} <- Enum.sort(groups), do: summary(name, abouts))}
+    end
+  end
+
+  @doc """
+  The deployment that a subject belongs to; `nil`: none.
+
+      iex> Situ.Cluster.Past.deployment({:stream, "Hall.Smooth.Window"})
+      "Hall"
+      iex> Situ.Cluster.Past.deployment({:key, "lease.Hall.Smooth"})
+      "Hall"
+      iex> Situ.Cluster.Past.deployment({:key, "settings"})
+      nil
+  """
+  @spec deployment(Log.subject()) :: String.t() | nil
+  def deployment({:stream, name}) do
+    with [deployment, _stream] <- String.split(name, ".", parts: 2),
+         do: deployment,
+         else: (_ -> nil)
+  end
+
+  def deployment({:key, name}) do
+    case String.split(name, ".", parts: 3) do
+      [kind, deployment, _part] when kind in ~w(lease state ckpt) -> deployment
+      _ -> nil
+    end
+  end
+
+  defp summary(name, abouts) do
+    streams = for %{subject: {:stream, _}} = about <- abouts, do: about
+
+    %{
+      deployment: name,
+      streams: length(streams),
+      entries: streams |> Enum.map(& &1.entries) |> Enum.sum(),
+      bytes: streams |> Enum.map(&(&1.bytes || 0)) |> Enum.sum(),
+      written:
+        abouts |> Enum.map(& &1.written) |> Enum.reject(&is_nil/1) |> Enum.max(fn -> nil end),
+      subjects: Enum.map(abouts, & &1.subject)
+    }
+  end
+
+  @doc "The numbers of the leases of what is kept: they change while any node runs a part of it, or serves its streams."
+  @spec leases(Log.t(), t()) :: {:ok, map()} | {:error, Error.t()}
+  def leases(log, kept) do
+    keys = for {:key, "lease." <> _} = subject <- kept.subjects, do: subject
+
+    Enum.reduce_while(keys, {:ok, %{}}, fn key, {:ok, seqs} ->
+      case Log.last(log, key) do
+        {:ok, entry} -> {:cont, {:ok, Map.put(seqs, key, entry && entry.seq)}}
+        {:error, error} -> {:halt, {:error, error}}
+      end
+    end)
+  end
+
+  @doc """
+  Deletes all that the log keeps of a deployment: the number of subjects. Streams first, so that one that was
+  interrupted is listed again.
+  """
+  @spec delete(Log.t(), t()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
+  def delete(log, kept) do
+    kept.subjects
+    |> Enum.sort(:desc)
+    |> Enum.reduce_while({:ok, 0}, fn subject, {:ok, n} ->
+      case Log.delete(log, subject) do
+        :ok -> {:cont, {:ok, n + 1}}
+        {:error, error} -> {:halt, {:error, error}}
+      end
+    end)
+  end
+
+  @doc """
+  Refuses what is in use by nodes that nobody here knows of: looks at the leases twice, `wait` ms apart, which is more
+  than a quarter of the longest lease there may be.
+  """
+  @spec unused(Log.t(), t(), non_neg_integer()) :: :ok | {:error, Error.t()}
+  def unused(log, kept, wait) do
+    with {:ok, before} <- leases(log, kept),
+         :ok <- pause(wait),
+         {:ok, ^before} <- leases(log, kept) do
+      :ok
+    else
+      {:ok, _changed} -> {:error, in_use(kept.deployment)}
+      {:error, error} -> {:error, error}
+    end
+  end
+
+  defp pause(ms) do
+    receive do
+    after
+      ms -> :ok
+    end
+  end
+
+  @doc false
+  @spec in_use(String.t()) :: Error.t()
+  def in_use(name) do
+    Error.new(:in_use, "#{name} is in use: its log stays",
+      why: "a node has a part of it, and would write on",
+      fix: "stop the deployment and wait for its end, or take it away with Situ.Cluster.forget/1"
+    )
+  end
+end

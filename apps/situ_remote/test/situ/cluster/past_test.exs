@@ -1,0 +1,4 @@
+defmodule Situ.Cluster.PastTest do
+  use ExUnit.Case, async: true
+  doctest Situ.Cluster.Past
+end
