@@ -8,6 +8,6 @@ defmodule Situ.ClusterGuideTest do
   @tag :capture_log
   test "every block of the guide runs and gives what it says", %{tmp_dir: folder} do
     on_exit(fn -> if pid = Process.whereis(Situ.Cluster.Agent), do: Process.exit(pid, :kill) end)
-    assert Situ.Test.Guide.run(@guide, bindings: [folder: folder]) == 3
+    assert Situ.Test.Guide.run(@guide, bindings: [folder: folder]) == 4
   end
 end

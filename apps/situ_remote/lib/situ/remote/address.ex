@@ -9,7 +9,9 @@ defmodule Situ.Remote.Address do
 
       config :situ_remote, names: %{"lab1" => "situs://10.0.0.3:11500"}
 
-  then as a DNS service (`_situ._tcp.lab1`, SRV) where the system's resolver knows one, and else as a host.
+  then, with `config :situ_remote, nats: "nats://lab0:4222"`, among the processes that find one another over NATS
+  (`Situ.Remote.Rendezvous`); then as a DNS service (`_situ._tcp.lab1`, SRV) where the system's resolver knows one (or
+  that of `config :situ_remote, nameservers: [{{10, 0, 0, 53}, 53}]`), and else as a host.
 
       iex> {:ok, address} = Situ.Remote.Address.parse("situ://lab1:4000/lobby")
       iex> {address.transport, address.host, address.port, address.name}
@@ -24,6 +26,7 @@ defmodule Situ.Remote.Address do
       "situ+unix:///run/situ/lab?lobby"
   """
   alias Situ.Error
+  alias Situ.Remote.Rendezvous.Nats
 
   @default_port 11_411
 
@@ -115,10 +118,16 @@ defmodule Situ.Remote.Address do
   def resolve(%__MODULE__{port: port} = address, _names) when port != nil, do: {:ok, address}
 
   def resolve(%__MODULE__{host: host} = address, names) do
-    case names[host] do
+    case names[host] || announced(host) do
       nil -> {:ok, service(address)}
       text -> configured(address, text)
     end
+  end
+
+  # When that server is away, there are still DNS and hosts.
+  defp announced(host) do
+    server = Application.get_env(:situ_remote, :nats)
+    if server != nil and not ip?(host), do: Nats.find(server, host)
   end
 
   defp configured(address, text) do
@@ -134,13 +143,20 @@ defmodule Situ.Remote.Address do
   defp service(%{host: host} = address) do
     with false <- ip?(host),
          [_ | _] = found <-
-           :inet_res.lookup(~c"_situ._tcp." ++ String.to_charlist(host), :in, :srv) do
+           :inet_res.lookup(~c"_situ._tcp." ++ String.to_charlist(host), :in, :srv, servers()) do
       {_, _, port, target} =
         Enum.min_by(found, fn {priority, weight, _, _} -> {priority, -weight} end)
 
       %{address | host: Kernel.to_string(target), port: port}
     else
       _ -> %{address | port: @default_port}
+    end
+  end
+
+  defp servers do
+    case Application.get_env(:situ_remote, :nameservers) do
+      nil -> []
+      servers -> [nameservers: servers]
     end
   end
 

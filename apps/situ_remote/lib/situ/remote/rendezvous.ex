@@ -21,6 +21,16 @@ defmodule Situ.Remote.Rendezvous do
       type: {:optional, :pid},
       default: nil,
       doc: "Gets `{:situ_rendezvous, member, {:added, process} | {:removed, name}}`."
+    ],
+    tls: [
+      type: {:optional, :keyword},
+      default: nil,
+      doc: "With `nats://`: options of `:ssl`; TLS is used."
+    ],
+    beat: [
+      type: :pos_integer,
+      default: 2_000,
+      doc: "With `nats://`: ms between signs of life; a process without three of them is gone."
     ]
   ]
 
@@ -44,9 +54,14 @@ defmodule Situ.Remote.Rendezvous do
   takes its processes along, what a process offers may change (`announce/2`), a client that says nothing holds up
   nobody, and one that lost its server comes back after 50 ms to 5 s. The protocol has no authentication: whoever can
   connect can announce; leave it on the loopback address or a network of its own.
+
+  Where a NATS server is there for the log, no other is needed: `join("nats://lab1:4222,lab2:4222", name: "robot", ...)`
+  does the same over it, also over its clusters and leaf links (JetStream is not needed), with its accounts and TLS. Then
+  `config :situ_remote, nats: "nats://lab1:4222"` makes the names of such processes names of links: `situ://robot/imu`
+  leads to the first link that the process `robot` offers.
   """
   alias Situ.{Error, Options}
-  alias Situ.Remote.Rendezvous.{Member, Server, Wire}
+  alias Situ.Remote.Rendezvous.{Member, Nats, Server, Wire}
 
   @doc """
   A server; linked to the caller.
@@ -63,13 +78,17 @@ defmodule Situ.Remote.Rendezvous do
   def port(server), do: GenServer.call(server, :port)
 
   @doc """
-  Takes part at the server on `host`; linked to the caller, and gone from the others' lists when it ends.
+  Takes part at the server on `host`, or over NATS (`nats://host:4222`); linked to the caller, and gone from the others' lists when it ends.
 
   #{Options.docs(@join)}
   """
   @spec join(String.t(), keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def join(host, opts) do
-    with {:ok, opts} <- Options.validate(opts, @join), do: Member.start_link([host: host] ++ opts)
+    with {:ok, opts} <- Options.validate(opts, @join) do
+      if String.starts_with?(host, "nats://"),
+        do: Nats.start_link([address: host] ++ opts),
+        else: Member.start_link([host: host] ++ opts)
+    end
   end
 
   @doc "The other processes that are there now."

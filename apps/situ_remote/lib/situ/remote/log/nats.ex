@@ -40,6 +40,12 @@ defmodule Situ.Remote.Log.Nats do
       default: :drop_oldest,
       doc: "With `max_bytes`: `:refuse` answers an error (`:log_full`) instead."
     ],
+    domain: [
+      type: {:optional, :string},
+      doc:
+        "The JetStream domain that keeps the log: that of a hub, for a program at the server of a site that calls the" <>
+          " hub by a leaf link. Without it the server connected to keeps it."
+    ],
     tls: [
       type: {:optional, :keyword},
       doc: "Options of `:ssl`: TLS is used, and the server's name checked."
@@ -48,12 +54,13 @@ defmodule Situ.Remote.Log.Nats do
   ]
   @moduledoc @moduledoc <> Options.docs(@schema)
 
-  @enforce_keys [:connection, :stream, :timeout, :config]
-  defstruct [:connection, :stream, :timeout, :config]
+  @enforce_keys [:connection, :api, :stream, :timeout, :config]
+  defstruct [:connection, :api, :stream, :timeout, :config]
 
-  @typedoc "`stream` is the prefix of the JetStream streams' names, `config` what those of streams are made with."
+  @typedoc "`api` and `stream` begin the names of JetStream's subjects and of its streams, `config` what those of streams are made with."
   @type t :: %__MODULE__{
           connection: pid(),
+          api: String.t(),
           stream: String.t(),
           timeout: pos_integer(),
           config: map()
@@ -66,9 +73,13 @@ defmodule Situ.Remote.Log.Nats do
   def connect(address, opts) do
     with {:ok, opts} <- Options.validate(opts, @schema),
          {:ok, servers, login} <- parse(address),
-         {:ok, connection} <- start(servers: servers, login: login, tls: opts[:tls]),
+         :ok <- token?(opts[:domain]),
+         own? = opts[:domain] == nil,
+         settings = [servers: servers, login: login, tls: opts[:tls], jetstream: own?],
+         {:ok, connection} <- start(settings),
          log = %__MODULE__{
            connection: connection,
+           api: if(own?, do: "$JS.API.", else: "$JS.#{opts[:domain]}.API."),
            stream: opts[:stream],
            timeout: opts[:timeout],
            config: config(opts)
@@ -76,6 +87,14 @@ defmodule Situ.Remote.Log.Nats do
          :ok <- usable(log) do
       {:ok, log}
     end
+  end
+
+  defp token?(nil), do: :ok
+
+  defp token?(domain) do
+    if domain =~ ~r/\A[A-Za-z0-9_-]+\z/,
+      do: :ok,
+      else: {:error, Error.new(:bad_option, "not the name of a domain: #{inspect(domain)}")}
   end
 
   defp start(opts) do
@@ -265,7 +284,7 @@ defmodule Situ.Remote.Log.Nats do
   def last(%__MODULE__{} = log, subject) do
     body = JSON.encode(%{"last_by_subj" => name(subject)})
 
-    case Api.ask(log, "$JS.API.STREAM.MSG.GET." <> stream(log, subject), body) do
+    case Api.ask(log, log.api <> "STREAM.MSG.GET." <> stream(log, subject), body) do
       {:ok, %{"message" => message}} -> decoded(message)
       {:ok, %{"error" => %{"err_code" => code}}} when code in [10_037, 10_059] -> {:ok, nil}
       {:ok, %{"error" => error}} -> {:error, Api.refusal(error)}
@@ -311,7 +330,7 @@ defmodule Situ.Remote.Log.Nats do
 
   defp read(log, subject, from, most, entries) do
     body = JSON.encode(%{"seq" => from, "next_by_subj" => name(subject)})
-    target = "$JS.API.DIRECT.GET." <> stream(log, subject)
+    target = log.api <> "DIRECT.GET." <> stream(log, subject)
 
     case Connection.request(log.connection, target, [], body, log.timeout) do
       {:ok, %{status: status}} when status in ["404", "408"] ->
@@ -337,7 +356,7 @@ defmodule Situ.Remote.Log.Nats do
     with {:ok, %Entry{} = last} <- last(log, subject) do
       body = JSON.encode(Map.put(filter(subject), "seq", min(seq, last.seq)))
 
-      case Api.ask(log, "$JS.API.STREAM.PURGE." <> stream(log, subject), body) do
+      case Api.ask(log, log.api <> "STREAM.PURGE." <> stream(log, subject), body) do
         {:ok, %{"success" => true}} -> :ok
         {:ok, %{"error" => error}} -> {:error, Api.refusal(error)}
         {:ok, _} -> {:error, Api.away("an answer that says nothing")}

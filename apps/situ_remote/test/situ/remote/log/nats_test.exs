@@ -132,6 +132,31 @@ defmodule Situ.Remote.Log.NatsTest do
       assert fix =~ "open files"
     end
 
+    # A site with a server of its own, which calls the hub. The one keeps no log, the other its own one.
+    test "a log at a hub is written to from a site, over a leaf link", %{tmp_dir: dir} do
+      leaf = NatsServer.free_port()
+      listen = ~s(leafnodes { listen: "127.0.0.1:#{leaf}" })
+      hub = domain(Path.join(dir, "hub"), "hub", listen)
+      remote = ~s(leafnodes { remotes: [ { url: "nats://127.0.0.1:#{leaf}" } ] })
+      plain = server(Path.join(dir, "plain"), jetstream: false, settings: remote)
+      edge = domain(Path.join(dir, "edge"), "edge", remote)
+      {:ok, at_hub} = Log.connect(hub.url)
+
+      for {site, name} <- [{plain, "plain"}, {edge, "edge"}] do
+        log = linked(site.url, 600)
+        subject = {:stream, name}
+        for i <- 1..20, do: assert({:ok, ^i} = patiently(log, subject, i - 1, entry(i, "x")))
+        assert {:refused, %Entry{seq: 20}} = Log.append(log, subject, 3, entry(0, "late"))
+        assert everything(log, subject, 1) == Enum.to_list(1..20)
+        assert everything(at_hub, subject, 1) == Enum.to_list(1..20)
+      end
+
+      NatsServer.kill(hub)
+      log = %{at_hub | conn: elem(Log.connect(edge.url), 1).conn}
+      assert {:ok, []} = Log.subjects(log)
+      assert {:error, %{code: :bad_option}} = Log.connect(edge.url, domain: "a.b")
+    end
+
     test "three servers: the leader is killed, nothing is lost", %{tmp_dir: dir} do
       ports = for _ <- 1..3, do: {NatsServer.free_port(), NatsServer.free_port()}
       routes = Enum.map_join(ports, ", ", fn {_, route} -> ~s("nats://127.0.0.1:#{route}") end)
@@ -164,6 +189,42 @@ defmodule Situ.Remote.Log.NatsTest do
       servers |> Enum.at(String.to_integer(n) - 1) |> NatsServer.kill()
       Task.await(writer, 100_000)
       assert everything(log, subject, 1) == Enum.to_list(1..200)
+    end
+  end
+
+  defp domain(dir, name, settings) do
+    js = ~s(jetstream { store_dir: "#{Path.join(dir, "js")}", domain: "#{name}" })
+    server(dir, jetstream: false, settings: js <> "\n" <> settings)
+  end
+
+  # The leaf link needs a moment until it is there.
+  defp linked(address, left) do
+    case Log.connect(address, domain: "hub", timeout: 2_000) do
+      {:ok, log} ->
+        log
+
+      {:error, %{code: :log_away}} when left > 0 ->
+        Process.sleep(50)
+        linked(address, left - 1)
+    end
+  end
+
+  # Its first line is all that counts; a whole server of 2.8 is no package of Debian's.
+  test "a server of an old version is refused by name" do
+    {:ok, listener} = :gen_tcp.listen(0, [:binary, active: false, ip: {127, 0, 0, 1}])
+    {:ok, port} = :inet.port(listener)
+
+    for {version, code} <- [{"2.8.4", :old_server}, {"", :old_server}, {"2.9.0", :no_jetstream}] do
+      greeter =
+        Task.async(fn ->
+          {:ok, socket} = :gen_tcp.accept(listener)
+          :ok = :gen_tcp.send(socket, ~s(INFO {"version":"#{version}","headers":true}\r\n))
+          :gen_tcp.recv(socket, 0, 30_000)
+        end)
+
+      assert {:error, %{code: ^code} = error} = Log.connect("nats://127.0.0.1:#{port}")
+      if code == :old_server, do: assert(error.what =~ "is #{version}" and error.fix =~ "2.9")
+      Task.await(greeter, 30_000)
     end
   end
 

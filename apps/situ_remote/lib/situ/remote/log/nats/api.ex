@@ -10,7 +10,7 @@ defmodule Situ.Remote.Log.Nats.Api do
   @doc "A JetStream stream's settings and state; `:no_stream` when there is none."
   @spec info(Nats.t(), String.t(), pos_integer()) :: {:ok, map()} | {:error, Error.t()}
   def info(log, name, timeout \\ @api_ms) do
-    case ask(log, "$JS.API.STREAM.INFO." <> name, "", timeout) do
+    case ask(log, log.api <> "STREAM.INFO." <> name, "", timeout) do
       {:ok, %{"config" => _} = info} -> {:ok, info}
       {:ok, %{"error" => error}} -> {:error, refusal(error)}
       {:ok, _other} -> {:error, away("an answer that says nothing")}
@@ -21,7 +21,7 @@ defmodule Situ.Remote.Log.Nats.Api do
   @doc "Makes a JetStream stream. Of two that do so at once the second one finds it there."
   @spec made(Nats.t(), map()) :: :ok | {:error, Error.t()}
   def made(log, %{"name" => name} = config) do
-    case ask(log, "$JS.API.STREAM.CREATE." <> name, JSON.encode(config), @api_ms) do
+    case ask(log, log.api <> "STREAM.CREATE." <> name, JSON.encode(config), @api_ms) do
       {:ok, %{"config" => _}} -> :ok
       {:ok, %{"error" => %{"err_code" => 10_058}}} -> :ok
       {:ok, %{"error" => error}} -> {:error, refusal(error)}

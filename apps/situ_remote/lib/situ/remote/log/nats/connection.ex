@@ -1,7 +1,9 @@
 defmodule Situ.Remote.Log.Nats.Connection do
   @moduledoc false
   # One connection to one of several NATS servers: requests with their answers. When it is lost, requests under way are
-  # answered `{:error, :down}` and it connects again, to the next server, until one is there.
+  # answered `{:error, :down}` and it connects again, to the next server, until one is there. With `subscriber:` (a
+  # process) and `subjects:` what comes on these is sent to it as `{:nats, connection, message}`, and `{:nats,
+  # connection, :up}` after each time that it has connected.
   use GenServer
 
   alias Situ.{Error, JSON}
@@ -39,6 +41,11 @@ defmodule Situ.Remote.Log.Nats.Connection do
   catch
     :exit, _ -> {:error, :down}
   end
+
+  @doc "Sends a message that nobody has to answer; it is lost where there is no connection."
+  @spec publish(pid(), String.t(), String.t(), iodata()) :: :ok
+  def publish(connection, subject, reply, data),
+    do: GenServer.cast(connection, {:publish, subject, reply, data})
 
   @doc "The server's information about itself; `nil` while there is no connection."
   @spec info(pid()) :: map() | nil
@@ -87,6 +94,16 @@ defmodule Situ.Remote.Log.Nats.Connection do
 
       {:error, _} ->
         {:reply, {:error, :down}, lost(state)}
+    end
+  end
+
+  @impl true
+  def handle_cast({:publish, _, _, _}, %{socket: nil} = state), do: {:noreply, state}
+
+  def handle_cast({:publish, subject, reply, data}, state) do
+    case state.transport.send(state.socket, Wire.publish(subject, reply, [], data)) do
+      :ok -> {:noreply, state}
+      {:error, _} -> {:noreply, lost(state)}
     end
   end
 
@@ -150,15 +167,9 @@ defmodule Situ.Remote.Log.Nats.Connection do
   end
 
   defp handle({:message, message}, state) do
-    number = message.subject |> String.split(".") |> List.last() |> Integer.parse()
-
-    with {number, ""} <- number, {{from, timer}, pending} <- Map.pop(state.pending, number) do
-      Process.cancel_timer(timer)
-      GenServer.reply(from, {:ok, message})
-      %{state | pending: pending}
-    else
-      _ -> state
-    end
+    if String.starts_with?(message.subject, state.inbox),
+      do: answered(message, state),
+      else: told(state, message)
   end
 
   # Another server of the cluster, or other limits.
@@ -172,6 +183,23 @@ defmodule Situ.Remote.Log.Nats.Connection do
   # The server closes the connection after most of them.
   defp handle({:failure, _text}, state), do: state
   defp handle(_frame, state), do: state
+
+  defp told(state, what) do
+    with pid when pid != nil <- state.opts[:subscriber], do: send(pid, {:nats, self(), what})
+    state
+  end
+
+  defp answered(message, state) do
+    number = message.subject |> String.split(".") |> List.last() |> Integer.parse()
+
+    with {number, ""} <- number, {{from, timer}, pending} <- Map.pop(state.pending, number) do
+      Process.cancel_timer(timer)
+      GenServer.reply(from, {:ok, message})
+      %{state | pending: pending}
+    else
+      _ -> state
+    end
+  end
 
   defp lost(%{socket: nil} = state), do: state
 
@@ -208,7 +236,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
          :ok <- hello(transport, socket, inbox, state),
          state = %{state | transport: transport, socket: socket, inbox: inbox, info: info},
          {:ok, rest} <- welcomed(state, rest) do
-      {:ok, received(%{state | buffer: rest})}
+      {:ok, %{state | buffer: rest} |> told(:up) |> received()}
     end
   end
 
@@ -246,7 +274,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
            fix: "use 2.9 or newer"
          )}
 
-      info["jetstream"] != true ->
+      info["jetstream"] != true and state.opts[:jetstream] != false ->
         {:error,
          Error.new(:no_jetstream, "the NATS server at #{server(state)} stores nothing",
            why: "JetStream is off",
@@ -311,7 +339,9 @@ defmodule Situ.Remote.Log.Nats.Connection do
         "version" => "1"
       })
 
-    lines = ["CONNECT ", JSON.encode(options), "\r\nSUB ", inbox, ".* 1\r\nPING\r\n"]
+    subjects = Enum.with_index([inbox <> ".*" | state.opts[:subjects] || []], 1)
+    subscriptions = for {subject, i} <- subjects, do: "SUB #{subject} #{i}\r\n"
+    lines = ["CONNECT ", JSON.encode(options), "\r\n", subscriptions, "PING\r\n"]
     with {:error, reason} <- transport.send(socket, lines), do: reached({:error, reason}, state)
   end
 

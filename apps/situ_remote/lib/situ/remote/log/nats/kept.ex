@@ -18,7 +18,7 @@ defmodule Situ.Remote.Log.Nats.Kept do
   defp streams(log, prefix, offset, found) do
     body = JSON.encode(%{"offset" => offset, "subject" => "situ.s.>"})
 
-    case Api.ask(log, "$JS.API.STREAM.LIST", body, 10_000) do
+    case Api.ask(log, log.api <> "STREAM.LIST", body, 10_000) do
       {:ok, %{"streams" => page, "total" => total}} when is_list(page) and page != [] ->
         found = found ++ for(info <- page, about <- stream(info, prefix), do: about)
         next = offset + length(page)
@@ -60,7 +60,7 @@ defmodule Situ.Remote.Log.Nats.Kept do
   defp keys(log, keys, offset, found) do
     body = JSON.encode(%{"subjects_filter" => "situ.k.>", "offset" => offset})
 
-    case Api.ask(log, "$JS.API.STREAM.INFO." <> keys, body, 10_000) do
+    case Api.ask(log, log.api <> "STREAM.INFO." <> keys, body, 10_000) do
       {:ok, %{"state" => %{"subjects" => page}} = info} when map_size(page) > 0 ->
         found = found ++ for({"situ.k." <> token, n} <- page, do: key(token, n))
         next = offset + map_size(page)
@@ -83,13 +83,13 @@ defmodule Situ.Remote.Log.Nats.Kept do
   @doc "Deletes a JetStream stream and its files."
   @spec delete(Nats.t(), String.t()) :: :ok | {:error, Error.t()}
   def delete(log, stream),
-    do: log |> Api.ask("$JS.API.STREAM.DELETE." <> stream, "", 10_000) |> done()
+    do: log |> Api.ask(log.api <> "STREAM.DELETE." <> stream, "", 10_000) |> done()
 
   @doc "Deletes all messages of one subject."
   @spec purge(Nats.t(), String.t(), String.t()) :: :ok | {:error, Error.t()}
   def purge(log, stream, subject) do
     body = JSON.encode(%{"filter" => subject})
-    log |> Api.ask("$JS.API.STREAM.PURGE." <> stream, body, 10_000) |> done()
+    log |> Api.ask(log.api <> "STREAM.PURGE." <> stream, body, 10_000) |> done()
   end
 
   defp done({:ok, %{"success" => true}}), do: :ok

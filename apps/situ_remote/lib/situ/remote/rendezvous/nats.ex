@@ -1,0 +1,213 @@
+defmodule Situ.Remote.Rendezvous.Nats do
+  @moduledoc false
+  # A process's place among others that find one another over NATS, without a server of ours. On `situ.peers` each says
+  # what it offers when it comes, when that changes and every `beat`, as the rendezvous protocol has it, and a question
+  # (its byte for a farewell) is answered by all at once. On `situ.peer.NAME` a process says where its link is.
+  #
+  # The reply subject names the process that speaks: of two with one name the first counts, until it is gone.
+  use GenServer
+  alias Situ.{Error, Remote}
+  alias Situ.Remote.Log.Nats.Connection
+  alias Situ.Remote.Rendezvous.Wire
+
+  @all "situ.peers"
+  @again_ms 1_000
+  @most 1_000
+  @find_ms 1_000
+
+  defstruct [:own, :listener, :beat, :start, :id, :connection, :error, peers: %{}]
+
+  @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
+  def start_link(opts) do
+    with {:ok, _servers, _login} <- Remote.Log.Nats.parse(opts[:address]),
+         do: GenServer.start_link(__MODULE__, opts)
+  end
+
+  @doc "The address of the link that the process `name` offers; `nil`: there is none, or nobody can be asked."
+  @spec find(String.t(), String.t()) :: String.t() | nil
+  def find(server, name) do
+    with {:ok, servers, login} <- Remote.Log.Nats.parse(server),
+         {:ok, connection} <- Connection.start(servers: servers, login: login, jetstream: false) do
+      answer = Connection.request(connection, subject(name), [], "", @find_ms)
+      GenServer.stop(connection)
+
+      case answer do
+        {:ok, %{status: nil, data: address}} when address != "" -> address
+        _nobody -> nil
+      end
+    else
+      {:error, _} -> nil
+    end
+  end
+
+  # One token, whatever a name holds.
+  defp subject(name),
+    do: "situ.peer." <> URI.encode(name, &(&1 in ?a..?z or &1 in ?A..?Z or &1 in ?0..?9))
+
+  @impl true
+  def init(opts) do
+    Process.flag(:trap_exit, true)
+    {:ok, servers, login} = Remote.Log.Nats.parse(opts[:address])
+    own = %{name: opts[:name], version: opts[:version], endpoints: opts[:endpoints]}
+    subjects = [@all, subject(own.name)]
+
+    start = [
+      servers: servers,
+      login: login,
+      tls: opts[:tls],
+      jetstream: false,
+      subjects: subjects
+    ]
+
+    id = "_INBOX.peer." <> Base.encode16(:crypto.strong_rand_bytes(10))
+    connect(start)
+    Process.send_after(self(), :beat, opts[:beat])
+
+    {:ok,
+     %__MODULE__{own: own, listener: opts[:listener], beat: opts[:beat], start: start, id: id}}
+  end
+
+  # Beside: an address that does not answer takes seconds.
+  defp connect(opts) do
+    me = self()
+
+    spawn_link(fn ->
+      case Connection.start([subscriber: me] ++ opts) do
+        {:ok, connection} -> send(me, {:connected, connection})
+        {:error, {:shutdown, %Error{} = error}} -> send(me, {:failed, Exception.message(error)})
+        {:error, reason} -> send(me, {:failed, inspect(reason, limit: 5)})
+      end
+    end)
+  end
+
+  @impl true
+  def handle_call(:peers, _from, state),
+    do: {:reply, for({_, {_, _, process}} <- Enum.sort(state.peers), do: process), state}
+
+  def handle_call(:error, _from, state), do: {:reply, state.error, state}
+
+  def handle_call({:announce, endpoints}, _from, state) do
+    state = %{state | own: %{state.own | endpoints: endpoints}}
+    say(state, {:add, state.own})
+    {:reply, :ok, state}
+  end
+
+  @impl true
+  def handle_info({:connected, connection}, state) do
+    Process.link(connection)
+    {:noreply, here(%{state | connection: connection, error: nil})}
+  end
+
+  def handle_info({:failed, why}, state) do
+    Process.send_after(self(), :connect, @again_ms)
+    {:noreply, %{state | error: why}}
+  end
+
+  def handle_info(:connect, state) do
+    connect(state.start)
+    {:noreply, state}
+  end
+
+  # The connection was lost and is there again.
+  def handle_info({:nats, connection, :up}, %{connection: connection} = state),
+    do: {:noreply, here(state)}
+
+  def handle_info({:nats, _, %{subject: @all, reply: id}}, %{id: id} = state),
+    do: {:noreply, state}
+
+  def handle_info({:nats, _, %{subject: @all} = message}, state) do
+    case Wire.decode(message.data) do
+      {:ok, update, ""} -> {:noreply, heard(state, update, message.reply)}
+      _noise -> {:noreply, state}
+    end
+  end
+
+  def handle_info({:nats, connection, %{reply: reply}}, state) when is_binary(reply) do
+    addresses = for {:address, address, _streams} <- state.own.endpoints, do: address
+    Connection.publish(connection, reply, state.id, List.first(addresses) || "")
+    {:noreply, state}
+  end
+
+  def handle_info(:beat, state) do
+    Process.send_after(self(), :beat, state.beat)
+    say(state, {:add, state.own})
+    late = now() - div(state.beat * 7, 2)
+    {gone, kept} = Enum.split_with(state.peers, fn {_, {_, seen, _}} -> seen < late end)
+    for {name, _} <- gone, do: tell(state, {:removed, name})
+    {:noreply, %{state | peers: Map.new(kept)}}
+  end
+
+  def handle_info({:EXIT, connection, reason}, %{connection: connection} = state) do
+    connect(state.start)
+    {:noreply, %{state | connection: nil, error: inspect(reason, limit: 5)}}
+  end
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp here(state) do
+    say(state, :disconnect)
+    say(state, {:add, state.own})
+    state
+  end
+
+  defp say(%{connection: nil}, _update), do: :ok
+
+  defp say(state, update),
+    do: Connection.publish(state.connection, @all, state.id, Wire.encode(update))
+
+  defp heard(state, :disconnect, _who) do
+    say(state, {:add, state.own})
+    state
+  end
+
+  defp heard(state, {:add, %{name: name} = process}, who) do
+    case state.peers do
+      %{^name => {^who, _seen, ^process}} ->
+        put(state, who, process)
+
+      %{^name => {^who, _seen, _other}} ->
+        tell(state, {:removed, name})
+        tell(state, {:added, process})
+        put(state, who, process)
+
+      %{^name => _somebody_elses} ->
+        state
+
+      peers when map_size(peers) >= @most or name == state.own.name ->
+        state
+
+      _ ->
+        tell(state, {:added, process})
+        put(state, who, process)
+    end
+  end
+
+  defp heard(state, {:remove, name}, who) do
+    case state.peers do
+      %{^name => {^who, _, _}} ->
+        tell(state, {:removed, name})
+        %{state | peers: Map.delete(state.peers, name)}
+
+      _ ->
+        state
+    end
+  end
+
+  defp put(state, who, process),
+    do: %{state | peers: Map.put(state.peers, process.name, {who, now(), process})}
+
+  defp tell(%{listener: nil}, _event), do: :ok
+  defp tell(state, event), do: send(state.listener, {:situ_rendezvous, self(), event})
+
+  defp now, do: System.monotonic_time(:millisecond)
+
+  @impl true
+  def terminate(_reason, %{connection: nil}), do: :ok
+
+  def terminate(_reason, state) do
+    say(state, {:remove, state.own.name})
+    GenServer.stop(state.connection)
+  catch
+    :exit, _ -> :ok
+  end
+end

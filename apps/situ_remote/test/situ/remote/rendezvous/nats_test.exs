@@ -1,0 +1,124 @@
+defmodule Situ.Remote.Rendezvous.NatsTest do
+  # The setting of the name server is the application's.
+  use ExUnit.Case, async: false
+  import Situ.Remote.Test.Recordings, only: [eventually: 1]
+  alias Situ.Remote.{Address, Rendezvous}
+  alias Situ.Remote.Log.Nats.Connection
+  alias Situ.Test.NatsServer
+
+  @moduletag :tmp_dir
+  # Said once, by the tests of the log.
+  unless NatsServer.path(), do: @moduletag(skip: "there is no nats-server")
+
+  defp server(dir, opts \\ []) do
+    server = NatsServer.start(dir, [jetstream: false] ++ opts)
+    on_exit(fn -> NatsServer.kill(server) end)
+    server
+  end
+
+  defp join(server, name, opts \\ []) do
+    opts = [name: name, listener: self(), beat: 100] ++ opts
+    {:ok, member} = Rendezvous.join(server.url, opts)
+    member
+  end
+
+  defp names(member), do: Enum.map(Rendezvous.peers(member), & &1.name)
+  defp offer(name), do: {:address, "situ://10.0.0.7:4000/#{name}", [{"imu", ":float"}]}
+
+  test "processes come, change and go; whoever comes late hears of those that are there", %{
+    tmp_dir: dir
+  } do
+    server = server(dir)
+    desk = join(server, "desk")
+    robot = join(server, "robot", endpoints: [offer("robot")])
+    assert_receive {:situ_rendezvous, ^desk, {:added, %{name: "robot"} = process}}, 5_000
+    assert process.endpoints == [offer("robot")]
+    more = [offer("robot"), {:clock, "r1", 11_511, []}]
+    :ok = Rendezvous.announce(robot, more)
+    assert_receive {:situ_rendezvous, ^desk, {:removed, "robot"}}, 5_000
+    assert_receive {:situ_rendezvous, ^desk, {:added, %{endpoints: ^more}}}, 5_000
+    late = join(server, "late")
+    eventually(fn -> names(late) == ["desk", "robot"] end)
+    known = %{name: "robot", address: "situ://10.0.0.7:4000/robot", streams: [{"imu", ":float"}]}
+    assert known in Situ.Remote.peers([late])
+
+    GenServer.stop(robot)
+    assert_receive {:situ_rendezvous, ^late, {:removed, "robot"}}, 5_000
+    # One that is killed says no farewell.
+    Process.unlink(desk)
+    Process.exit(desk, :kill)
+    assert_receive {:situ_rendezvous, ^late, {:removed, "desk"}}, 5_000
+  end
+
+  test "a server that is killed and comes back finds all there again", %{tmp_dir: dir} do
+    server = server(dir)
+    {a, b} = {join(server, "a"), join(server, "b")}
+    eventually(fn -> {names(a), names(b)} == {["b"], ["a"]} end)
+    NatsServer.kill(server)
+    assert_receive {:situ_rendezvous, ^a, {:removed, "b"}}, 10_000
+    server = NatsServer.run(server)
+    on_exit(fn -> NatsServer.kill(server) end)
+    assert_receive {:situ_rendezvous, ^a, {:added, %{name: "b"}}}, 10_000
+    eventually(fn -> names(b) == ["a"] end)
+  end
+
+  test "one that is not there yet is waited for, and it is said", %{tmp_dir: dir} do
+    port = NatsServer.free_port()
+    member = join(%{url: "nats://127.0.0.1:#{port}"}, "a")
+    eventually(fn -> Rendezvous.error(member) end)
+    assert Rendezvous.error(member) =~ "no NATS server"
+    server(dir, port: port)
+    eventually(fn -> Rendezvous.error(member) == nil end)
+    assert {:error, %{code: :bad_address}} = Rendezvous.join("nats://", name: "a")
+  end
+
+  test "of two with one name the first counts; noise harms nobody", %{tmp_dir: dir} do
+    server = server(dir)
+    desk = join(server, "desk")
+    one = join(server, "robot", endpoints: [offer("one")])
+    eventually(fn -> names(desk) == ["robot"] end)
+    _two = join(server, "robot", endpoints: [offer("two")])
+
+    {:ok, noisy} = Connection.start_link(servers: [{"127.0.0.1", server.port}], jetstream: false)
+
+    for seed <- 1..200 do
+      :rand.seed(:exsss, {seed, 0, 0})
+      Connection.publish(noisy, "situ.peers", "_INBOX.noise", [1 | :rand.bytes(64)])
+    end
+
+    last = join(server, "last")
+    eventually(fn -> "last" in names(desk) and "robot" in names(last) end)
+    assert [%{endpoints: [endpoint]}] = for(p <- Rendezvous.peers(desk), p.name == "robot", do: p)
+    assert endpoint == offer("one")
+    GenServer.stop(one)
+    two = offer("two")
+    assert_receive {:situ_rendezvous, ^desk, {:added, %{name: "robot", endpoints: [^two]}}}, 5_000
+  end
+
+  # An edge site with a server of its own, which calls the hub: a leaf link.
+  test "names reach over a leaf link, and are names of links", %{tmp_dir: dir} do
+    leaf = NatsServer.free_port()
+    hub = server(Path.join(dir, "hub"), settings: ~s(leafnodes { listen: "127.0.0.1:#{leaf}" }))
+    remotes = ~s(leafnodes { remotes: [ { url: "nats://127.0.0.1:#{leaf}" } ] })
+    edge = server(Path.join(dir, "edge"), settings: remotes)
+    desk = join(hub, "desk")
+    robot = join(edge, "robot 7", endpoints: [offer("robot")])
+    assert_receive {:situ_rendezvous, ^desk, {:added, %{name: "robot 7"}}}, 10_000
+    assert_receive {:situ_rendezvous, ^robot, {:added, %{name: "desk"}}}, 10_000
+
+    put_nats(hub.url)
+    link = %Address{transport: :tcp, host: "robot 7"}
+    assert {:ok, %{host: "10.0.0.7", port: 4_000, name: "robot"}} = Address.resolve(link)
+    assert {:ok, %{name: "other"}} = Address.resolve(%{link | name: "other"})
+    assert {:ok, %{host: "desk", port: 11_411}} = Address.resolve(%{link | host: "desk"})
+    GenServer.stop(robot)
+    assert {:ok, %{host: "robot 7", port: 11_411}} = Address.resolve(link)
+    NatsServer.kill(hub)
+    assert {:ok, %{host: "robot 7", port: 11_411}} = Address.resolve(link)
+  end
+
+  defp put_nats(url) do
+    Application.put_env(:situ_remote, :nats, url)
+    on_exit(fn -> Application.delete_env(:situ_remote, :nats) end)
+  end
+end
