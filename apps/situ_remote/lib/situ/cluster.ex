@@ -230,7 +230,7 @@ defmodule Situ.Cluster do
   @spec forget(t()) :: :ok
   def forget(%Deployment{name: name}), do: Agent.forget(name)
 
-  @doc "What the cluster's log keeps of each deployment, running and ended ones."
+  @doc "Lists, for each deployment, running or ended, how much the cluster's log keeps of it."
   @spec kept() :: {:ok, [Past.t()]} | {:error, Error.t()}
   def kept, do: with(:ok <- member(), do: Past.list(Agent.log()))
 

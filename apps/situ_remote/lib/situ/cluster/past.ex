@@ -1,6 +1,6 @@
 defmodule Situ.Cluster.Past do
   @moduledoc """
-  What the log keeps of each deployment, and taking away what nobody needs any more.
+  Lists how much the log keeps of each deployment, and deletes it when nobody needs it any more.
 
   The log of a deployment stays when it has ended: whoever wants may read it. It costs room, and on a NATS server two
   open files a stream. Nothing is deleted without being asked for:
@@ -15,7 +15,7 @@ defmodule Situ.Cluster.Past do
   alias Situ.Error
   alias Situ.Remote.Log
 
-  @typedoc "What one deployment has in the log; `written`: ns since 1970, `nil` when no stream was ever written to."
+  @typedoc "How much one deployment has in the log; `written`: ns since 1970, `nil` when no stream was ever written to."
   @type t :: %{
           deployment: String.t(),
           streams: non_neg_integer(),
@@ -25,7 +25,7 @@ defmodule Situ.Cluster.Past do
           subjects: [Log.subject()]
         }
 
-  @doc "What each deployment has in the log, by name."
+  @doc "Lists each deployment that has something in the log, by name."
   @spec list(Log.t()) :: {:ok, [t()]} | {:error, Error.t()}
   def list(log) do
     with {:ok, all} <- Log.subjects(log) do

@@ -40,7 +40,7 @@ defmodule Situ.Remote.Log do
   @type subject :: {:stream | :key, String.t()}
 
   @typedoc """
-  What a log keeps of a subject: how many entries, their bytes, and when the last of them was written (ns since 1970;
+  A subject that a log keeps: how many entries, their bytes, and when the last of them was written (ns since 1970;
   `nil` where the log does not say, as NATS for keys).
   """
   @type about :: %{

@@ -56,8 +56,8 @@ defmodule Situ.Remote.Rendezvous do
   connect can announce; leave it on the loopback address or a network of its own.
 
   Where a NATS server is there for the log, no other is needed: `join("nats://lab1:4222,lab2:4222", name: "robot", ...)`
-  does the same over it, also over its clusters and leaf links (JetStream is not needed), with its accounts and TLS. Then
-  `config :situ_remote, nats: "nats://lab1:4222"` makes the names of such processes names of links: `situ://robot/imu`
+  does the same over it, also over its clusters and leaf links (JetStream is not needed), with its accounts and TLS.
+  Then `config :situ_remote, nats: "nats://lab1:4222"` makes the names of such processes names of links: `situ://robot`
   leads to the first link that the process `robot` offers.
   """
   alias Situ.{Error, Options}

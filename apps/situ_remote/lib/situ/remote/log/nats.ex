@@ -21,7 +21,7 @@ defmodule Situ.Remote.Log.Nats do
 
   alias Situ.{Error, JSON, Options}
   alias Situ.Remote.Log.Entry
-  alias Situ.Remote.Log.Nats.{Api, Connection, Kept}
+  alias Situ.Remote.Log.Nats.{Api, Connection, Kept, Servers}
 
   @schema [
     replicas: [type: {:range, 1, 5}, default: 1, doc: "On how many servers each entry is."],
@@ -43,8 +43,8 @@ defmodule Situ.Remote.Log.Nats do
     domain: [
       type: {:optional, :string},
       doc:
-        "The JetStream domain that keeps the log: that of a hub, for a program at the server of a site that calls the" <>
-          " hub by a leaf link. Without it the server connected to keeps it."
+        "The JetStream domain that keeps the log: a hub's, for a program at the server of a site that calls" <>
+          " the hub by a leaf link. Without it the server connected to keeps it."
     ],
     tls: [
       type: {:optional, :keyword},
@@ -57,7 +57,9 @@ defmodule Situ.Remote.Log.Nats do
   @enforce_keys [:connection, :api, :stream, :timeout, :config]
   defstruct [:connection, :api, :stream, :timeout, :config]
 
-  @typedoc "`api` and `stream` begin the names of JetStream's subjects and of its streams, `config` what those of streams are made with."
+  @typedoc """
+  `api` and `stream` begin the names of JetStream's subjects and of its streams; streams are made with `config`.
+  """
   @type t :: %__MODULE__{
           connection: pid(),
           api: String.t(),
@@ -72,8 +74,8 @@ defmodule Situ.Remote.Log.Nats do
   @impl true
   def connect(address, opts) do
     with {:ok, opts} <- Options.validate(opts, @schema),
-         {:ok, servers, login} <- parse(address),
-         :ok <- token?(opts[:domain]),
+         {:ok, servers, login} <- Servers.parse(address),
+         :ok <- Servers.domain(opts[:domain]),
          own? = opts[:domain] == nil,
          settings = [servers: servers, login: login, tls: opts[:tls], jetstream: own?],
          {:ok, connection} <- start(settings),
@@ -89,14 +91,6 @@ defmodule Situ.Remote.Log.Nats do
     end
   end
 
-  defp token?(nil), do: :ok
-
-  defp token?(domain) do
-    if domain =~ ~r/\A[A-Za-z0-9_-]+\z/,
-      do: :ok,
-      else: {:error, Error.new(:bad_option, "not the name of a domain: #{inspect(domain)}")}
-  end
-
   defp start(opts) do
     case Connection.start(opts) do
       {:ok, connection} ->
@@ -109,45 +103,6 @@ defmodule Situ.Remote.Log.Nats do
         {:error, Error.new(:log_away, "no connection: #{inspect(reason, limit: 5)}")}
     end
   end
-
-  @doc false
-  @spec parse(String.t()) ::
-          {:ok, [{String.t(), :inet.port_number()}], map()} | {:error, Error.t()}
-  def parse("nats://" <> rest = address) do
-    {login, hosts} =
-      case String.split(rest, "@", parts: 2) do
-        [hosts] -> {%{}, hosts}
-        [login, hosts] -> {login(String.split(login, ":", parts: 2)), hosts}
-      end
-
-    servers = hosts |> String.split(",", trim: true) |> Enum.map(&server/1)
-
-    if servers == [] or :error in servers,
-      do:
-        {:error,
-         Error.new(:bad_address, "not an address: #{redacted(address)}",
-           fix: "write nats://host:4222"
-         )},
-      else: {:ok, servers, login}
-  end
-
-  defp login([user, password]), do: %{"user" => URI.decode(user), "pass" => URI.decode(password)}
-  defp login([token]), do: %{"auth_token" => URI.decode(token)}
-
-  defp server(text) do
-    case String.split(text, ":") do
-      [host] when host != "" ->
-        {host, 4222}
-
-      [host, port] when host != "" ->
-        with({n, ""} <- Integer.parse(port), do: {host, n}, else: (_ -> :error))
-
-      _ ->
-        :error
-    end
-  end
-
-  defp redacted(address), do: String.replace(address, ~r{//[^@]*@}, "//...@")
 
   defp config(opts) do
     %{

@@ -6,8 +6,8 @@ defmodule Situ.Remote.Rendezvous.Nats do
   #
   # The reply subject names the process that speaks: of two with one name the first counts, until it is gone.
   use GenServer
-  alias Situ.{Error, Remote}
-  alias Situ.Remote.Log.Nats.Connection
+  alias Situ.Error
+  alias Situ.Remote.Log.Nats.{Connection, Servers}
   alias Situ.Remote.Rendezvous.Wire
 
   @all "situ.peers"
@@ -19,14 +19,14 @@ defmodule Situ.Remote.Rendezvous.Nats do
 
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
   def start_link(opts) do
-    with {:ok, _servers, _login} <- Remote.Log.Nats.parse(opts[:address]),
+    with {:ok, _servers, _login} <- Servers.parse(opts[:address]),
          do: GenServer.start_link(__MODULE__, opts)
   end
 
   @doc "The address of the link that the process `name` offers; `nil`: there is none, or nobody can be asked."
   @spec find(String.t(), String.t()) :: String.t() | nil
   def find(server, name) do
-    with {:ok, servers, login} <- Remote.Log.Nats.parse(server),
+    with {:ok, servers, login} <- Servers.parse(server),
          {:ok, connection} <- Connection.start(servers: servers, login: login, jetstream: false) do
       answer = Connection.request(connection, subject(name), [], "", @find_ms)
       GenServer.stop(connection)
@@ -47,7 +47,7 @@ defmodule Situ.Remote.Rendezvous.Nats do
   @impl true
   def init(opts) do
     Process.flag(:trap_exit, true)
-    {:ok, servers, login} = Remote.Log.Nats.parse(opts[:address])
+    {:ok, servers, login} = Servers.parse(opts[:address])
     own = %{name: opts[:name], version: opts[:version], endpoints: opts[:endpoints]}
     subjects = [@all, subject(own.name)]
 

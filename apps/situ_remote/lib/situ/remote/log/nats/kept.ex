@@ -1,6 +1,6 @@
 defmodule Situ.Remote.Log.Nats.Kept do
   @moduledoc false
-  # What a server keeps: its JetStream streams and keys that are ours, listed and deleted.
+  # Lists and deletes the JetStream streams and keys of a server that are ours.
   alias Situ.{Error, JSON}
   alias Situ.Remote.Log
   alias Situ.Remote.Log.Nats
