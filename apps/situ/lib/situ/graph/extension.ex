@@ -16,36 +16,53 @@ defmodule Situ.Graph.Extension do
 
   @doc "Whether `built` has components or connections that `graph` has not."
   @spec grown?(Graph.t(), Graph.t()) :: boolean()
-  def grown?(built, graph),
-    do: fresh(built.vertices, graph.vertices) != [] or fresh(built.edges, graph.edges) != []
+  def grown?(built, graph) do
+    added = added(built, graph)
+    added.vertices != %{} or added.edges != %{}
+  end
 
   @doc """
-  `graph` with what is new in `built`, a copy of it from before that was built on; and the ids of the new vertices.
+  The additions in `built`, a copy of `offered` that was built on. Whatever happens to the running graph meanwhile, no
+  more than this was asked for: nothing that was removed comes back.
   """
+  @spec added(Graph.t(), Graph.t()) :: Graph.t()
+  def added(%Graph{} = built, %Graph{} = offered) do
+    fresh = &Map.drop(Map.fetch!(built, &1), Map.keys(Map.fetch!(offered, &1)))
+
+    %Graph{
+      vertices: fresh.(:vertices),
+      edges: fresh.(:edges),
+      paths: fresh.(:paths),
+      scopes: fresh.(:scopes),
+      stream_names: fresh.(:stream_names),
+      handlers: Enum.drop(built.handlers, length(offered.handlers))
+    }
+  end
+
+  @doc "`graph` with the additions, and the ids of the new vertices."
   @spec merge(Graph.t(), Graph.t()) ::
           {:ok, Graph.t(), MapSet.t(pos_integer())} | {:error, Error.t()}
-  def merge(%Graph{} = graph, %Graph{} = built) do
-    ids = MapSet.new(fresh(built.vertices, graph.vertices))
-    edges = built.edges |> Map.take(fresh(built.edges, graph.edges)) |> Map.values()
-    paths = for id <- ids, do: built.vertices[id].path
-    scopes = fresh(built.scopes, graph.scopes)
+  def merge(%Graph{} = graph, %Graph{} = added) do
+    ids = MapSet.new(Map.keys(added.vertices))
+    edges = Map.values(added.edges)
+    names = Map.keys(added.paths) ++ Map.keys(added.scopes)
 
-    with :ok <- free(paths ++ scopes, graph), :ok <- whole(edges, ids, graph) do
+    with :ok <- free(names, graph),
+         :ok <- housed(added, graph),
+         :ok <- whole(edges, ids, graph) do
       {:ok,
        %{
          graph
-         | vertices: Map.merge(graph.vertices, Map.take(built.vertices, MapSet.to_list(ids))),
-           edges: Map.merge(graph.edges, Map.new(edges, &{&1.id, &1})),
+         | vertices: Map.merge(graph.vertices, added.vertices),
+           edges: Map.merge(graph.edges, added.edges),
            connected: Map.merge(graph.connected, Map.new(edges, &{&1.to, &1.id})),
-           paths: Map.merge(graph.paths, Map.take(built.paths, paths)),
-           scopes: Map.merge(graph.scopes, Map.take(built.scopes, scopes)),
-           stream_names: Map.merge(built.stream_names, graph.stream_names),
-           handlers: graph.handlers ++ Enum.drop(built.handlers, length(graph.handlers))
+           paths: Map.merge(graph.paths, added.paths),
+           scopes: Map.merge(graph.scopes, added.scopes),
+           stream_names: Map.merge(added.stream_names, graph.stream_names),
+           handlers: graph.handlers ++ added.handlers
        }, ids}
     end
   end
-
-  defp fresh(built, graph), do: for({key, _} <- built, not is_map_key(graph, key), do: key)
 
   defp free(names, graph) do
     case Enum.find(names, &(is_map_key(graph.paths, &1) or is_map_key(graph.scopes, &1))) do
@@ -58,6 +75,17 @@ defmodule Situ.Graph.Extension do
            why: "it was added at the same time",
            fix: "give one of them another name:"
          )}
+    end
+  end
+
+  defp housed(added, graph) do
+    lost = fn {_, %{scope: scope}} ->
+      scope && not (is_map_key(graph.scopes, scope) or is_map_key(added.scopes, scope)) && scope
+    end
+
+    case Enum.find_value(added.vertices, lost) do
+      nil -> :ok
+      scope -> {:error, Error.new(:not_running, "the composite #{scope} has been removed")}
     end
   end
 

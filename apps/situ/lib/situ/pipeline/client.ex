@@ -4,7 +4,7 @@ defmodule Situ.Pipeline.Client do
   # its result.
   alias Situ.{Error, Lifecycle, Pipeline}
   alias Situ.Application.{Directory, Results}
-  alias Situ.Graph.{Builder, Handle}
+  alias Situ.Graph.{Builder, Extension, Handle}
   alias Situ.Lifecycle.Errors
 
   @spec stop(Pipeline.target(), keyword()) :: Pipeline.result() | :ok
@@ -69,7 +69,7 @@ defmodule Situ.Pipeline.Client do
     with {:ok, {handle, graph}} <- call(p, :extension),
          handle = if(is_struct(p, Handle), do: %{handle | scope: p.scope}, else: handle),
          {:ok, {result, built}} <- build(handle, graph, fun),
-         :ok <- call(p, {:extend, built}),
+         :ok <- call(p, {:extend, Extension.added(built, graph)}),
          do: {:ok, result}
   end
 

@@ -17,8 +17,8 @@ defmodule Situ.Pipeline.Dynamic.Extension do
 
   @doc "The new components as a plan for the life cycle; `{:error, error}` if they do not fit the running graph."
   @spec take(State.t(), Graph.t()) :: {:ok, State.t(), map()} | {:error, Error.t()}
-  def take(state, built) do
-    with {:ok, graph, fresh} <- Extension.merge(state.graph, built),
+  def take(state, added) do
+    with {:ok, graph, fresh} <- Extension.merge(state.graph, added),
          {:ok, plan} <- Plan.extend(graph, fresh),
          {:ok, lent} <- lent(state, plan) do
       {state, members} = Stages.add(%{state | graph: graph}, plan, Map.new(lent), added?: true)

@@ -57,11 +57,12 @@ defmodule Situ.Selection.DelayTest do
 
   test "holds what it has when the stream ends as long as everything else" do
     clock = Situ.Clock.manual(0)
-    p = ending(clock, 50)
-    # The last message of the source: it ends.
+    p = ending(clock, 200)
+
+    # The last message of the source: it ends. The wait for the clock is longer than the stop's limit.
     Situ.Clock.set(clock, 20)
     assert_receive {:made, :b}, 30_000
-    refute_receive {:got, _, _}, 200
+    refute_receive {:got, _, _}, 500
     Situ.Clock.set(clock, 69)
     assert_receive {:got, 0, :a}, 30_000
     refute_receive {:got, _, _}, 100

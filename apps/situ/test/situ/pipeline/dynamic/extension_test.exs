@@ -233,6 +233,52 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
     assert {:ok, _} = Pipeline.stop(p)
   end
 
+  test "what is removed while something is added does not come back, nor its names" do
+    p = start()
+
+    assert {:ok, _} =
+             Pipeline.extend(p, fn p ->
+               Situ.composite(Pipeline.stream(p, "Count"), "Old", fn s ->
+                 s |> Situ.map(& &1, name: "Map") |> Situ.name("Old stream")
+               end)
+             end)
+
+    assert {:ok, tap} = Situ.attach_tap({p, "Count"}, fn _ -> :ok end)
+
+    assert {:ok, _} =
+             Pipeline.extend(p, fn handle ->
+               :ok = Pipeline.Tap.detach(tap)
+               :ok = Pipeline.remove(p, "Old")
+               handle |> Pipeline.stream("Count") |> told(:new, name: "New")
+             end)
+
+    assert_receive {:new, _}
+    assert Enum.sort(names(p)) == ["Count", "Main", "New"]
+    refute "Old" in Pipeline.info(p).scopes
+
+    refute Enum.any?(Pipeline.info(p).nodes, fn n ->
+             Enum.any?(n.outputs, &(&1.stream == "Old stream"))
+           end)
+
+    # A part of something that was removed is an error, and nothing of it runs.
+    assert {:ok, _} =
+             Pipeline.extend(p, fn p ->
+               Situ.composite(Pipeline.stream(p, "Count"), "Old", fn s -> told(s, :old) end)
+             end)
+
+    inside = %Situ.Graph.Handle{pid: p, ref: make_ref(), scope: "Old"}
+
+    assert {:error, %{code: :not_running}} =
+             Pipeline.extend(inside, fn handle ->
+               :ok = Pipeline.remove(p, "Old")
+               told(Pipeline.stream(handle, "Count"), :late, name: "Late")
+             end)
+
+    assert Enum.sort(names(p)) == ["Count", "Main", "New"]
+
+    assert {:ok, %{errors: []}} = Pipeline.stop(p)
+  end
+
   test "a pipeline that is stopped meanwhile says so, and ends" do
     p = start()
     me = self()
