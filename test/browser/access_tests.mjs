@@ -1,28 +1,9 @@
 // Every screen for people who cannot see it, or use no mouse: axe-core finds nothing to object to.
-import { readFileSync } from "node:fs";
-import { createRequire } from "node:module";
 import { test, equal, until } from "./harness.mjs";
+import { objections } from "./axe.mjs";
 import { answer, open, dispatch, panelOf } from "./studio_page.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
-const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
-
-// The violations that axe finds: rule and elements. Colours are checked in both themes.
-async function objections(page) {
-  await page.evaluate(axe);
-  return page.evaluate(async () => {
-    const { violations } = await window.axe.run(document, {
-      runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"],
-    });
-    return violations.map(
-      (v) =>
-        `${v.id}: ${v.nodes
-          .slice(0, 3)
-          .map((n) => n.target.join(" "))
-          .join(" | ")}`,
-    );
-  });
-}
 
 test("axe: every canvas says in words what it shows", async ({ page }) => {
   await open(page, main, "minute.0000");

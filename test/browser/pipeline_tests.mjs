@@ -1,4 +1,5 @@
 // The page of a pipeline's graph: one that runs, and one that was recorded.
+import { objections } from "./axe.mjs";
 import { test, equal, ok, until } from "./harness.mjs";
 
 const { main } = JSON.parse(process.argv[2]);
@@ -215,6 +216,13 @@ test("4 pipeline: one originating time is followed through it", async ({ page, s
   await shot("pipeline-trace");
   await page.click("#trace button[aria-label='Close the trace']");
   await until(page, () => !document.querySelector("#trace"), "closed");
+  await page.fill("#trace-time input", "2200-01-01T12:34:56.789Z");
+  await page.keyboard.press("Enter");
+  await until(
+    page,
+    () => document.querySelector("#trace h2")?.textContent.includes("12:34:56.789"),
+    "a typed time is traced",
+  );
 });
 
 test("4 alerts: a rule of the settings is raised on the page and in the list, and gone with the rule", async ({
@@ -241,6 +249,7 @@ test("4 alerts: a rule of the settings is raised on the page and in the list, an
     () => /grinding since \d\d:\d\d:\d\d UTC/.test(document.querySelector("#alerts .raised")?.textContent ?? ""),
     "on the page of the graph",
   );
+  for (const raised of [list, other]) equal(await objections(raised), [], "axe over a raised alert");
   await keep("", "Kept");
   await until(list, () => !document.querySelector(".item .alerts"), "the rule is gone from the list");
   await until(other, () => !document.querySelector("#alerts"), "and from the page");

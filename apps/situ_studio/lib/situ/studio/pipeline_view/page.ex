@@ -47,6 +47,7 @@ defmodule Situ.Studio.PipelineView.Page do
       </main>
       <aside class="right">
         <Tracing.box :if={@trace} trace={@trace} />
+        <Tracing.ask :if={@live} error={@untraced} />
         <Details.panel live={@live} snapshot={@snapshot} sample={@sample} selected={@selected} folded={@folded}
             messages={@messages} heat={@heat} plots={@plots} />
       </aside>

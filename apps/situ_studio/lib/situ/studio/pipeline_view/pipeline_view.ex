@@ -45,6 +45,7 @@ defmodule Situ.Studio.PipelineView do
         live: false,
         drawn: nil,
         trace: nil,
+        untraced: nil,
         alerts: []
       )
 
@@ -135,8 +136,12 @@ defmodule Situ.Studio.PipelineView do
     {:noreply, go(socket, %{"plots" => Enum.join(plots, ",")})}
   end
 
-  def handle_event("trace", %{"time" => time}, socket),
-    do: {:noreply, assign(socket, trace: Tracing.of(socket.assigns.feed, time))}
+  def handle_event("trace", %{"time" => time}, socket) do
+    case Tracing.of(socket.assigns.feed, time, socket.assigns.taken) do
+      {:ok, trace} -> {:noreply, assign(socket, trace: trace, untraced: nil)}
+      {:error, error} -> {:noreply, assign(socket, trace: nil, untraced: error)}
+    end
+  end
 
   def handle_event("trace_close", _, socket), do: {:noreply, assign(socket, trace: nil)}
 

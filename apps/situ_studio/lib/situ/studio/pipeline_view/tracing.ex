@@ -8,25 +8,51 @@ defmodule Situ.Studio.PipelineView.Tracing do
   alias Situ.Studio.PipelineView.Feed
   alias Situ.Studio.WholeNumber
 
-  @doc "The trace of a time as the page gives it, in ns; `nil` where it is none, or where nothing runs any more."
-  @spec of(Feed.t(), term()) :: Trace.t() | nil
-  def of(feed, text) do
-    with {:ok, time} <- WholeNumber.parse(text),
-         {:ok, trace} <- Feed.trace(feed, time) do
-      trace
-    else
-      _ -> nil
+  @doc """
+  The trace of a time as the page gives it: in ns, as ISO 8601, or as a clock time (UTC) of the day of `now`.
+  """
+  @spec of(Feed.t(), term(), Situ.Time.t()) :: {:ok, Trace.t()} | {:error, Situ.Error.t()}
+  def of(feed, text, now) do
+    with {:ok, time} <- time(text, now), do: Feed.trace(feed, time)
+  end
+
+  defp time(text, now) when is_binary(text) do
+    text = String.trim(text)
+
+    case WholeNumber.parse(text) do
+      {:ok, time} -> {:ok, time}
+      :error -> Situ.Time.parse(if text =~ ~r/^\d\d:\d\d:\d\d/, do: day(now) <> text, else: text)
     end
   end
+
+  defp time(other, _now), do: Situ.Time.parse(inspect(other))
+
+  defp day(now), do: now |> Situ.Time.to_iso8601() |> String.slice(0, 11)
 
   @doc "The same a moment later, unless all is known."
   @spec again(Feed.t(), Trace.t() | nil) :: Trace.t() | nil
   def again(_feed, nil), do: nil
 
   def again(feed, trace) do
-    if Enum.all?(trace.hops, &(&1.state == :passed)),
-      do: trace,
-      else: of(feed, Integer.to_string(trace.time)) || trace
+    with false <- Enum.all?(trace.hops, &(&1.state == :passed)),
+         {:ok, later} <- Feed.trace(feed, trace.time) do
+      later
+    else
+      _ -> trace
+    end
+  end
+
+  attr(:error, :any, required: true)
+
+  @doc false
+  def ask(assigns) do
+    ~H"""
+    <form id="trace-time" class="trace" phx-submit="trace">
+      <label class="dim">Trace a time (UTC)
+        <input name="time" autocomplete="off" spellcheck="false" placeholder="12:34:56.789"></label>
+      <p :if={@error} class="hint" role="alert">{Exception.message(@error)}</p>
+    </form>
+    """
   end
 
   attr(:trace, :any, required: true)

@@ -178,4 +178,16 @@ defmodule Situ.Studio.PipelineViewTest do
     page = page(id, "/p/nothing")
     assert Page.text(page, ".message h1") =~ "there is no recording"
   end
+
+  test "a typed time is traced, and one that is none is told", %{id: id} do
+    page = page(id)
+    Page.submit(page, "#trace-time", %{"time" => "2200-01-01T00:00:00Z"})
+    assert Page.text(page, "#trace h2") =~ "00:00:00.000"
+    assert Page.has?(page, "#trace .hops li.coming")
+    Page.submit(page, "#trace-time", %{"time" => "00:00:00.001"})
+    assert Page.text(page, "#trace h2") =~ "00:00:00.001"
+    Page.submit(page, "#trace-time", %{"time" => "soon"})
+    refute Page.has?(page, "#trace")
+    assert Page.text(page, "#trace-time [role=alert]") =~ ~s(not a time: "soon")
+  end
 end
