@@ -1,8 +1,8 @@
 defmodule Situ.Studio.Visualizers.SpaceTest do
   use ExUnit.Case, async: true
 
-  alias Situ.{Mesh, PointCloud, Pose}
-  alias Situ.Studio.Visualizers
+  alias Situ.{Mesh, Message, PointCloud, Pose}
+  alias Situ.Studio.{Draw, History, Source, Visualizers}
   alias Situ.Studio.Visualizers.Space
 
   @mesh %Mesh{vertices: :binary.copy(<<0::96>>, 300), indices: :binary.copy(<<0::96>>, 100)}
@@ -36,6 +36,36 @@ defmodule Situ.Studio.Visualizers.SpaceTest do
     other = %{@mesh | indices: :binary.copy(<<1::little-96>>, 100)}
     {[%{"keep" => another}], _, kept} = items(other, context.(kept))
     assert another != name and map_size(kept) == 2
+  end
+
+  test "a channel knows what it was sent, also after a stretch without messages" do
+    history = History.new(live: false)
+
+    for {time, pose} <- [{5, Pose.identity()}, {9, Pose.new({1.0, 0.0, 0.0})}] do
+      message = %Message{
+        data: Mesh.transform(@mesh, pose),
+        originating_time: time,
+        sequence_id: time
+      }
+
+      History.put(history, "S", message, 8)
+    end
+
+    at = fn time, last ->
+      {frame, last} = Draw.instant({Source.History, history}, 1, spec(), time, last)
+      {IO.iodata_to_binary(frame), last}
+    end
+
+    {first, last} = at.(5, nil)
+    {same, last} = at.(6, last)
+    {nothing, last} = at.(4, last)
+    {second, last} = at.(9, last)
+    {whole, _} = at.(9, nil)
+    assert first =~ ~s("keep") and second =~ ~s("held") and whole =~ ~s("keep")
+    assert byte_size(second) < byte_size(first) - 4_000
+    assert max(byte_size(same), byte_size(nothing)) < 100
+    {again, _} = at.(5, last)
+    assert again =~ ~s("held")
   end
 
   test "more than the page has room for is sent whole" do
