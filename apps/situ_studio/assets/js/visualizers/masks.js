@@ -104,8 +104,16 @@ function color(layer) {
   if (layer.drawnFor === theme) return;
   layer.drawnFor = theme;
   const { classes, found } = layer.masks;
-  if (classes) classes.canvas = painted(classes, (v) => seriesColor(null, v - 1));
-  (found ?? []).forEach((m, i) => (m.canvas = painted(m, () => colorOf(layer, m, i))));
+  if (classes) classes.canvas = painted(classes, (v) => shade(parse(seriesColor(null, v - 1)), v - 1));
+  (found ?? []).forEach((m, i) => (m.canvas = painted(m, () => parse(colorOf(layer, m, i)))));
+}
+
+// There are eight colours, and more classes: each further round is darker or lighter, so that no two of 32 are alike.
+const SHADES = [1, 0.6, 0.8, 0.4];
+
+export function shade([r, g, b, a], index) {
+  const k = SHADES[Math.floor(index / 8) % SHADES.length];
+  return [...[r, g, b].map((c) => Math.round(c * k)), a];
 }
 
 function painted({ width, height, values }, colorOfValue) {
@@ -117,7 +125,7 @@ function painted({ width, height, values }, colorOfValue) {
   for (let i = 0; i < values.length; i++) {
     const v = values[i];
     if (!v) continue;
-    if (!known.has(v)) known.set(v, parse(colorOfValue(v)));
+    if (!known.has(v)) known.set(v, colorOfValue(v));
     image.data.set(known.get(v), 4 * i);
   }
   ctx.putImageData(image, 0, 0);

@@ -16,12 +16,13 @@ defmodule Situ.Studio.Film.Masks do
   # A box may claim any size: larger ones are left out.
   @pixels 16_777_216
   @opacity 45
+  @shades {1, 0.6, 0.8, 0.4}
 
   @doc "A `:bgr24` picture with masks over it; `palette` holds red, green and blue, 0..255, `own` the stream's place."
   @spec over(Image.t(), Found.found(), non_neg_integer(), tuple(), map()) :: Image.t()
   def over(image, {:classes, classes}, _own, palette, props) do
     box = covered(classes, image, props["fit"] || "pad")
-    tinted(image, classes, box, &color(palette, &1 - 1), weight(props))
+    tinted(image, classes, box, &shade(palette, &1 - 1), weight(props))
   end
 
   def over(image, {:objects, objects}, own, palette, props) do
@@ -45,6 +46,13 @@ defmodule Situ.Studio.Film.Masks do
   defp weight(props), do: props["opacity"] || @opacity
 
   defp color(palette, i), do: elem(palette, rem(abs(i), tuple_size(palette)))
+
+  # Further classes than colours are darker or lighter, as on the page.
+  defp shade(palette, i) do
+    k = elem(@shades, rem(div(abs(i), tuple_size(palette)), tuple_size(@shades)))
+    {r, g, b} = color(palette, i)
+    {round(r * k), round(g * k), round(b * k)}
+  end
 
   # The values are looked up once each: there are 256.
   defp tinted(image, mask, {x, y, w, h}, color_of, weight) do

@@ -42,4 +42,16 @@ defmodule Situ.Studio.Film.MasksTest do
     assert {at(drawn.("crop"), 0, 3), at(drawn.("crop"), 4, 3)} == {[0, 0, 0], [0, 255, 0]}
     assert {at(drawn.("whole"), 0, 1), at(drawn.("whole"), 0, 2)} == {[0, 0, 0], [0, 255, 0]}
   end
+
+  test "more classes than colours differ all the same" do
+    classes = Image.new!(width: 4, height: 1, format: :gray8, data: <<1, 2, 3, 5>>)
+    drawn = Masks.over(black(4, 1), {:classes, classes}, 0, @palette, %{"opacity" => 100})
+
+    assert Enum.map(0..3, &at(drawn, &1, 0)) == [
+             [0, 0, 255],
+             [0, 255, 0],
+             [0, 0, 153],
+             [0, 0, 204]
+           ]
+  end
 end
