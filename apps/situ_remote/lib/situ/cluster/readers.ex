@@ -32,6 +32,7 @@ defmodule Situ.Cluster.Readers do
     reader = %{
       pid: pid,
       part: opts[:reader],
+      batches: opts[:batches] == true,
       ref: ref,
       name: out.name,
       last: from(out, opts),

@@ -165,7 +165,7 @@ defmodule Situ.Remote.Log.Nats do
   defp publish(log, {:stream, _} = subject, expected, entry) do
     with :silent <- published(log, subject, expected, entry),
          stream = stream(log, subject),
-         {:error, %Error{code: :no_stream}} <- Api.info(log, stream, log.timeout),
+         {:error, %Error{code: :no_stream}} <- Api.info(log, stream, soon(log, expected)),
          config = %{"name" => stream, "subjects" => [name(subject)]},
          :ok <- Api.made(log, Map.merge(log.config, config)) do
       log |> published(subject, expected, entry) |> Api.heard()
@@ -178,6 +178,10 @@ defmodule Situ.Remote.Log.Nats do
 
   defp publish(log, subject, expected, entry),
     do: log |> published(subject, expected, entry) |> Api.heard()
+
+  # One that had entries is there, most likely: who waits long for servers that elect a leader misses their answer.
+  defp soon(log, 0), do: log.timeout
+  defp soon(log, _expected), do: max(div(log.timeout, 8), 1)
 
   defp published(log, subject, expected, entry) do
     headers =
