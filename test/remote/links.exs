@@ -76,6 +76,21 @@ defmodule Situ.RemoteTest.Links do
 
   defp read(link), do: Remote.stream(link, "n", type: :integer)
 
+  # Over TLS to another host: how many messages came, or why not. `root` is what signed the certificate.
+  def trust(address, root) do
+    numbers =
+      Situ.to_list(fn p ->
+        opts = [from: :start, token: "s3cret", tls: [cacertfile: root]]
+        p |> Remote.open(address, opts) |> read()
+      end)
+
+    say("came over: #{length(numbers)}")
+  rescue
+    error in Situ.Error ->
+      say("refused #{error.code}: #{error.what}")
+      System.halt(1)
+  end
+
   def check(root, total) do
     total = String.to_integer(total)
     expected = Enum.to_list(1..total)

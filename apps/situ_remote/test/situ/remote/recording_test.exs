@@ -189,7 +189,8 @@ defmodule Situ.Remote.RecordingTest do
                Store.open(other)
 
       unknown = address |> String.split("?") |> hd()
-      assert {:error, %{code: :unreachable}} = Store.open(unknown)
+      assert {:error, %{code: :wrong_certificate, fix: fix}} = Store.open(unknown)
+      assert fix =~ "fingerprint"
 
       assert %{code: :wrong_certificate} =
                assert_raise(Situ.Error, fn -> received(other, "door") end)

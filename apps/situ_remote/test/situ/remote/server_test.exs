@@ -318,6 +318,20 @@ defmodule Situ.Remote.ServerTest do
     end
 
     assert File.dir?(root)
+
+    # Signed by somebody else; of another host: refused at once, and it is said why.
+    %{client_config: stranger} = certificates()
+    other = Keyword.take(stranger, [:cacerts])
+    numbered = String.replace(address, "localhost", "127.0.0.1")
+
+    for {address, tls, words} <- [
+          {address, other, "not trusted"},
+          {numbered, tls, "another host"}
+        ] do
+      error = assert_raise Error, fn -> received(address, "n", from: :start, tls: tls) end
+      assert error.code == :wrong_certificate
+      assert error.what =~ words
+    end
   end
 
   defp certificates do

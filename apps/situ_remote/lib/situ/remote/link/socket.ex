@@ -19,6 +19,10 @@ defmodule Situ.Remote.Link.Socket do
     send_timeout: @send_timeout,
     send_timeout_close: true
   ]
+  # A handshake ends with one of these when a certificate does not count (the name of a host: `handshake_failure`).
+  @certificate_alerts ~w(unknown_ca bad_certificate unsupported_certificate certificate_expired certificate_revoked
+    certificate_unknown certificate_required)a
+
   @internet [nodelay: true, keepalive: true]
 
   @doc "Errors: `:address_in_use`, `:bad_address`, `:bad_tls`."
@@ -97,12 +101,50 @@ defmodule Situ.Remote.Link.Socket do
       {:ok, socket} ->
         pinned(socket, address)
 
+      {:error, {:tls_alert, {kind, text}} = reason} when kind in @certificate_alerts ->
+        {:error, untrusted(address, to_string(text), reason_text(reason))}
+
+      {:error, {:tls_alert, {:handshake_failure, text}} = reason} ->
+        if to_string(text) =~ "hostname_check_failed",
+          do: {:error, untrusted(address, to_string(text), reason_text(reason))},
+          else: {:error, unreachable(address, reason)}
+
       {:error, reason} ->
-        {:error,
-         Error.new(:unreachable, "cannot connect to #{Address.to_string(%{address | name: ""})}",
-           why: reason_text(reason),
-           fix: "check that the server runs, its host and port, and TLS on both sides or on none"
-         )}
+        {:error, unreachable(address, reason)}
+    end
+  end
+
+  defp unreachable(address, reason) do
+    Error.new(:unreachable, "cannot connect to #{Address.to_string(%{address | name: ""})}",
+      why: reason_text(reason),
+      fix: "check that the server runs, its host and port, and TLS on both sides or on none"
+    )
+  end
+
+  # It does not become right by trying again. The alert is the server's own, or says what this side found.
+  defp untrusted(address, text, why) do
+    where = Address.to_string(%{address | name: "", fingerprint: nil})
+
+    cond do
+      text =~ "SERVER ALERT" ->
+        Error.new(:wrong_certificate, "#{where} does not take this side's certificate",
+          why: why,
+          fix: "give tls: [certfile: ..., keyfile: ...] as the server's owner wants them"
+        )
+
+      text =~ "hostname_check_failed" ->
+        Error.new(:wrong_certificate, "the certificate of #{where} is of another host",
+          why: "it does not name #{address.host}",
+          fix: "use a name that the certificate has, or have one made for this name"
+        )
+
+      true ->
+        Error.new(:wrong_certificate, "the certificate of #{where} is not trusted",
+          why: why,
+          fix:
+            "open the address that the server prints, with its fingerprint, or name who signed the certificate:" <>
+              " tls: [cacertfile: ...]"
+        )
     end
   end
 
