@@ -334,9 +334,23 @@ defmodule Situ.Remote.ServerTest do
     end
   end
 
-  defp certificates do
+  test "over TLS to an address that the certificate names", %{path: path, recording: recording} do
+    finish(recording)
+    address = {:Extension, {2, 5, 29, 17}, :asn1_DEFAULT, [iPAddress: <<127, 0, 0, 1>>]}
+    %{server_config: served, client_config: known} = certificates(address)
+    server = serve(path, tls: served)
+    tls = Keyword.take(known, [:cacerts])
+    at = "situs://127.0.0.1:#{Server.port(server)}/lobby"
+    assert length(received(at, "n", from: :start, tls: tls)) == 500
+    other = String.replace(at, "127.0.0.1", "localhost")
+    error = assert_raise Error, fn -> received(other, "n", from: :start, tls: tls) end
+    assert error.code == :wrong_certificate
+  end
+
+  @localhost {:Extension, {2, 5, 29, 17}, :asn1_DEFAULT, [dNSName: 'localhost']}
+
+  defp certificates(name \\ @localhost) do
     key = [key: {:namedCurve, :secp256r1}]
-    name = {:Extension, {2, 5, 29, 17}, :asn1_DEFAULT, [dNSName: 'localhost']}
     chain = %{root: key, intermediates: [], peer: key ++ [extensions: [name]]}
 
     :public_key.pkix_test_data(%{

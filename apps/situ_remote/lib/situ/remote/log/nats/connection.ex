@@ -300,8 +300,7 @@ defmodule Situ.Remote.Log.Nats.Connection do
       tls != nil ->
         [{host, _} | _] = state.servers
 
-        tls =
-          Keyword.merge([verify: :verify_peer, server_name_indication: to_charlist(host)], tls)
+        tls = Keyword.merge([verify: :verify_peer] ++ named(to_charlist(host)), tls)
 
         upgraded(:ssl.connect(socket, tls, @first_ms), state)
 
@@ -314,6 +313,13 @@ defmodule Situ.Remote.Log.Nats.Connection do
       true ->
         {:ok, :gen_tcp, socket}
     end
+  end
+
+  # A number is looked for among the addresses of a certificate, which Erlang does only where no name was given.
+  defp named(host) do
+    if match?({:ok, _}, :inet.parse_address(host)),
+      do: [],
+      else: [server_name_indication: host]
   end
 
   defp upgraded({:ok, socket}, _state), do: {:ok, :ssl, socket}
