@@ -4,15 +4,22 @@ defmodule Situ.Ports.Inputs do
   alias Situ.Delivery.Queue
   alias Situ.Ports.Input
 
-  defstruct by_tag: %{}, tags: [], closed: [], told: []
+  # From so many on, they are kept in the order of their heads: fewer are looked through quicker.
+  @many 17
+
+  defstruct by_tag: %{}, tags: [], touched: [], order: nil, closed: [], told: []
 
   @typedoc """
-  `tags` are the keys of `by_tag`: going through a list is cheaper, and most stages have one input. `closed`: the names
-  of the inputs that have closed; `told`: those of which the component was told before it was started again.
+  `tags` are the keys of `by_tag`: going through a list is cheaper, and most stages have one input. `touched`: those that
+  have changed since the last settling, so that among thousands of inputs a message costs no look at each; `order`: of
+  many inputs, the times of their heads in order, and by tag. `closed`: the names of the inputs that have closed;
+  `told`: those of which the component was told before it was started again.
   """
   @type t :: %__MODULE__{
           by_tag: %{term() => Input.t()},
           tags: [term()],
+          touched: [term()],
+          order: {:gb_sets.set({Situ.Time.t(), term()}), %{term() => Situ.Time.t()}} | nil,
           closed: [atom()],
           told: [atom()]
         }
@@ -22,17 +29,52 @@ defmodule Situ.Ports.Inputs do
 
   @doc "Adds or changes an input."
   @spec put(t(), Input.t()) :: t()
-  def put(%__MODULE__{by_tag: by_tag} = inputs, %Input{tag: tag} = input) do
+  def put(%__MODULE__{by_tag: by_tag, order: nil} = inputs, %Input{tag: tag} = input) do
     case by_tag do
-      %{^tag => _} -> %{inputs | by_tag: %{by_tag | tag => input}}
-      _ -> %{inputs | by_tag: Map.put(by_tag, tag, input), tags: [tag | inputs.tags]}
+      %{^tag => _} -> touch(%{inputs | by_tag: %{by_tag | tag => input}}, tag)
+      _ -> inputs |> add(input) |> touch(tag)
     end
   end
+
+  def put(%__MODULE__{by_tag: by_tag} = inputs, %Input{tag: tag} = input) do
+    inputs = if is_map_key(by_tag, tag), do: inputs, else: add(inputs, input)
+    order = order(inputs.order, tag, Input.head_time(input))
+    touch(%{inputs | by_tag: %{inputs.by_tag | tag => input}, order: order}, tag)
+  end
+
+  defp add(%{by_tag: by_tag} = inputs, %{tag: tag} = input) do
+    inputs = %{inputs | by_tag: Map.put(by_tag, tag, input), tags: [tag | inputs.tags]}
+
+    if inputs.order == nil and map_size(inputs.by_tag) >= @many,
+      do: %{inputs | order: Enum.reduce(inputs.by_tag, {:gb_sets.new(), %{}}, &order/2)},
+      else: inputs
+  end
+
+  defp touch(%{touched: [tag | _]} = inputs, tag), do: inputs
+
+  defp touch(%{touched: touched} = inputs, tag),
+    do: if(:lists.member(tag, touched), do: inputs, else: %{inputs | touched: [tag | touched]})
+
+  defp order({tag, input}, order), do: order(order, tag, Input.head_time(input))
+
+  defp order({sorted, heads} = order, tag, time) do
+    case heads do
+      %{^tag => ^time} -> order
+      %{^tag => before} -> ordered(:gb_sets.del_element({before, tag}, sorted), heads, tag, time)
+      _ -> ordered(sorted, heads, tag, time)
+    end
+  end
+
+  defp ordered(sorted, heads, tag, :none), do: {sorted, Map.delete(heads, tag)}
+
+  defp ordered(sorted, heads, tag, time),
+    do: {:gb_sets.add_element({time, tag}, sorted), Map.put(heads, tag, time)}
 
   @spec delete(t(), term()) :: t()
   def delete(%__MODULE__{} = inputs, tag) do
     by_tag = Map.delete(inputs.by_tag, tag)
-    %{inputs | by_tag: by_tag, tags: Map.keys(by_tag)}
+    order = inputs.order && order(inputs.order, tag, :none)
+    %{inputs | by_tag: by_tag, tags: Map.keys(by_tag), order: order}
   end
 
   @doc "Another function says from now on what the input `tag` never drops."
@@ -73,7 +115,15 @@ defmodule Situ.Ports.Inputs do
 
   @doc "The input whose head is the oldest."
   @spec earliest(t()) :: Input.t() | nil
-  def earliest(%__MODULE__{tags: tags, by_tag: by_tag}), do: earliest(tags, by_tag, nil, nil)
+  def earliest(%__MODULE__{order: nil, tags: tags, by_tag: by_tag}),
+    do: earliest(tags, by_tag, nil, nil)
+
+  def earliest(%__MODULE__{order: {sorted, _heads}, by_tag: by_tag}) do
+    if not :gb_sets.is_empty(sorted) do
+      {_time, tag} = :gb_sets.smallest(sorted)
+      :erlang.map_get(tag, by_tag)
+    end
+  end
 
   defp earliest([], _by_tag, _time, best), do: best
 
@@ -94,27 +144,37 @@ defmodule Situ.Ports.Inputs do
 
   @doc "The most messages handled since the last settling, among the inputs."
   @spec handled(t()) :: non_neg_integer()
-  def handled(%__MODULE__{tags: tags, by_tag: by_tag}), do: handled(tags, by_tag, 0)
+  def handled(%__MODULE__{touched: touched, by_tag: by_tag}), do: handled(touched, by_tag, 0)
 
   defp handled([], _by_tag, most), do: most
 
   defp handled([tag | rest], by_tag, most) do
-    %{handled: {n, _, _, _}} = :erlang.map_get(tag, by_tag)
-    handled(rest, by_tag, max(n, most))
+    case by_tag do
+      %{^tag => %{handled: {n, _, _, _}}} -> handled(rest, by_tag, max(n, most))
+      _ -> handled(rest, by_tag, most)
+    end
   end
 
   @doc "Publishes counts and asks for more."
   @spec settle(t()) :: t()
-  def settle(%__MODULE__{tags: tags} = inputs), do: settle(tags, inputs)
+  def settle(%__MODULE__{touched: []} = inputs), do: inputs
+  def settle(%__MODULE__{tags: [_] = tags} = inputs), do: settle(tags, inputs)
+
+  def settle(%__MODULE__{touched: touched} = inputs),
+    do: settle(touched, %{inputs | touched: []})
 
   defp settle([], inputs), do: inputs
 
   defp settle([tag | rest], %{by_tag: by_tag} = inputs) do
-    input = :erlang.map_get(tag, by_tag)
+    case by_tag do
+      %{^tag => input} ->
+        if Input.settled?(input),
+          do: settle(rest, inputs),
+          else: settle(rest, %{inputs | by_tag: %{by_tag | tag => Input.settle(input)}})
 
-    if Input.settled?(input),
-      do: settle(rest, inputs),
-      else: settle(rest, %{inputs | by_tag: %{by_tag | tag => Input.settle(input)}})
+      _has_closed ->
+        settle(rest, inputs)
+    end
   end
 
   @doc "The component holds an input, or resumes it."

@@ -2,10 +2,10 @@ defmodule Situ.Branch.Process do
   @moduledoc false
   # A branch as a pipeline of its own: its own processes, any component inside. Its messages to the process that
   # started it:
-  #   {:situ_branch, id, {:open, pid}}                      the process that takes its input
-  #   {:situ_branch, id, {:gave, [{time, data}], passed}}   its output; if `passed` is a time, the branch has handled
-  #                                                         all input up to it (only a run of light operators tells)
-  #   {id, result}                                          it has ended; no output follows
+  #   {:situ_branch, id, {:open, pid}}                         the process that takes its input
+  #   {:situ_branch, id, {:outputs, [{time, data}], passed}}   its output; if `passed` is a time, the branch has handled
+  #                                                            all input up to it (only a run of light operators tells)
+  #   {id, result}                                             it has ended; no output follows
   #
   # It ends with the process that started it.
   alias Situ.Graph.{Builder, Plan}
@@ -57,10 +57,10 @@ defmodule Situ.Branch.Process do
     Reports an output of the branch: together with the next `passed` time if it was emitted in this process, else at
     once.
     """
-    def gave(to, id, time, data) do
+    def report(to, id, time, data) do
       case Process.get({__MODULE__, id}) do
-        nil -> send(to, {:situ_branch, id, {:gave, [{time, data}], nil}})
-        gave -> Process.put({__MODULE__, id}, [{time, data} | gave])
+        nil -> send(to, {:situ_branch, id, {:outputs, [{time, data}], nil}})
+        untold -> Process.put({__MODULE__, id}, [{time, data} | untold])
       end
     end
 
@@ -97,8 +97,8 @@ defmodule Situ.Branch.Process do
     defp tell(%{passed: nil} = gate), do: gate
 
     defp tell(gate) do
-      gave = Process.put({__MODULE__, gate.id}, [])
-      send(gate.to, {:situ_branch, gate.id, {:gave, :lists.reverse(gave), gate.passed}})
+      untold = Process.put({__MODULE__, gate.id}, [])
+      send(gate.to, {:situ_branch, gate.id, {:outputs, :lists.reverse(untold), gate.passed}})
       %{gate | passed: nil}
     end
 
@@ -165,7 +165,7 @@ defmodule Situ.Branch.Process do
     result = fun.(Situ.Node.output(gate, :out))
 
     if is_struct(result, Stream) do
-      tell = fn data, message -> Gate.gave(to, id, message.originating_time, data) end
+      tell = fn data, message -> Gate.report(to, id, message.originating_time, data) end
       Operator.attach(result, "Out", {:each, tell})
     end
 

@@ -80,11 +80,11 @@ defmodule Situ.Parallel.ProcessBranches do
   Takes in outputs of a branch, in order. If `passed` is a time, the branch has handled all parts up to it and has no
   more output for them.
   """
-  @spec gave(t(), id(), [{Situ.Time.t(), term()}], Situ.Time.t() | nil) :: {outputs(), t()}
-  def gave(pool, id, gave, passed) do
+  @spec reported(t(), id(), [{Situ.Time.t(), term()}], Situ.Time.t() | nil) :: {outputs(), t()}
+  def reported(pool, id, reported, passed) do
     case pool.branches do
       %{^id => {key, {front, rear}}} ->
-        {entries, waiting} = settle(gave, passed, whole(front, rear), key, pool.entries)
+        {entries, waiting} = settle(reported, passed, whole(front, rear), key, pool.entries)
         branches = Map.put(pool.branches, id, {key, {waiting, []}})
         flush(%{pool | branches: branches, entries: entries})
 
@@ -94,14 +94,14 @@ defmodule Situ.Parallel.ProcessBranches do
   end
 
   # Times that wait for the branch, against those that it gave something for, both in order.
-  defp settle([{at, value} | gave], passed, [time | waiting], key, entries) when at == time,
-    do: settle(gave, passed, waiting, key, PendingOutputs.found(entries, time, key, value))
+  defp settle([{at, value} | reported], passed, [time | waiting], key, entries) when at == time,
+    do: settle(reported, passed, waiting, key, PendingOutputs.found(entries, time, key, value))
 
-  defp settle([{at, _} | _] = gave, passed, [time | waiting], key, entries) when time < at,
-    do: settle(gave, passed, waiting, key, PendingOutputs.lost(entries, [time]))
+  defp settle([{at, _} | _] = reported, passed, [time | waiting], key, entries) when time < at,
+    do: settle(reported, passed, waiting, key, PendingOutputs.lost(entries, [time]))
 
-  defp settle([_not_asked_for | gave], passed, waiting, key, entries),
-    do: settle(gave, passed, waiting, key, entries)
+  defp settle([_not_asked_for | reported], passed, waiting, key, entries),
+    do: settle(reported, passed, waiting, key, entries)
 
   defp settle([], passed, [time | waiting], key, entries) when passed != nil and time <= passed,
     do: settle([], passed, waiting, key, PendingOutputs.lost(entries, [time]))

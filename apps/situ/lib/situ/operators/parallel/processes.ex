@@ -175,9 +175,9 @@ defmodule Situ.Parallel.Processes do
   defp said({:open, gate}, id, state) when is_map_key(state.branches, id),
     do: {[], %{state | branches: RunningBranches.opened(state.branches, id, gate)}}
 
-  defp said({:gave, gave, passed}, id, %{branches: branches} = state) do
+  defp said({:outputs, reported, passed}, id, %{branches: branches} = state) do
     passed = if match?(%{^id => %{immediate?: true}}, branches), do: passed
-    {outputs, pool} = ProcessBranches.gave(state.pool, id, gave, passed)
+    {outputs, pool} = ProcessBranches.reported(state.pool, id, reported, passed)
     {outputs, %{state | pool: pool, moved: true}}
   end
 

@@ -1,0 +1,94 @@
+defmodule Situ.Ports.InputsTest do
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+
+  alias Situ.{Delivery, Message}
+  alias Situ.Ports.{Counters, Input, Inputs}
+
+  defp input(tag) do
+    extra = %{type: :any, check: :off, counters: Counters.new(), sizes: false}
+    Input.new(:in, tag, self(), Delivery.unlimited(window: 2), extra)
+  end
+
+  defp inputs(n), do: Inputs.new(for tag <- 1..n, do: input(tag))
+
+  defp message(time) do
+    %Message{
+      data: time,
+      originating_time: time,
+      creation_time: time,
+      sequence_id: 0,
+      source_id: 1
+    }
+  end
+
+  defp push(inputs, tag, time) do
+    case inputs.by_tag do
+      %{^tag => input} -> Inputs.put(inputs, Input.push(input, [message(time)]))
+      _has_closed -> inputs
+    end
+  end
+
+  defp step({:push, tag, time}, inputs), do: push(inputs, tag, time)
+  defp step({:delete, tag}, inputs), do: Inputs.delete(inputs, tag)
+  defp step({:add, tag}, inputs), do: Inputs.put(inputs, input(tag))
+  defp step(:settle, inputs), do: Inputs.settle(inputs)
+  defp step({:hold, tag, held?}, inputs), do: hold(inputs, inputs.by_tag[tag], held?)
+
+  defp step(:take, inputs) do
+    case Inputs.earliest(inputs) do
+      nil ->
+        inputs
+
+      input ->
+        {%{originating_time: time}, input} = Input.pop(input, 0)
+        Inputs.put(inputs, Input.handled(input, 1, time, {time, 1}))
+    end
+  end
+
+  defp hold(inputs, nil, _held?), do: inputs
+  defp hold(inputs, input, held?), do: Inputs.put(inputs, Input.hold(input, held?))
+
+  # What a number stands for: mostly messages come and go.
+  defp decoded({kind, tag, time}) when kind < 8, do: {:push, tag, time}
+  defp decoded({kind, _tag, _time}) when kind < 16, do: :take
+  defp decoded({kind, _tag, _time}) when kind < 18, do: :settle
+  defp decoded({18, tag, time}), do: {:hold, tag, rem(time, 2) == 0}
+  defp decoded({19, tag, _time}), do: {:delete, tag}
+  defp decoded({20, tag, _time}), do: {:add, 24 + rem(tag, 6)}
+
+  property "of few and of many inputs the one with the oldest head is next, and each is settled" do
+    forall {n, steps} <- {integer(1, 24), list({integer(0, 20), integer(1, 24), integer(0, 99)})} do
+      inputs = Enum.reduce(steps, inputs(n), &step(decoded(&1), &2))
+      heads = for {_, input} <- inputs.by_tag, do: Input.head_time(input)
+      oldest = heads |> Enum.reject(&(&1 == :none)) |> Enum.min(fn -> nil end)
+      next = Inputs.earliest(inputs)
+      settled = Inputs.settle(inputs).by_tag
+
+      assert (next && Input.head_time(next)) == oldest
+      assert Enum.all?(settled, fn {_, input} -> Input.settled?(input) end)
+    end
+  end
+
+  # What one message costs: taken from its input, counted, asked for again.
+  defp work(n) do
+    inputs = for tag <- 1..n, reduce: inputs(n), do: (inputs -> push(inputs, tag, tag))
+    inputs = Inputs.settle(inputs)
+    {:reductions, before} = Process.info(self(), :reductions)
+
+    for _ <- 1..100, reduce: inputs do
+      inputs ->
+        inputs = step(:take, inputs)
+        assert Inputs.handled(inputs) == 1
+        Inputs.settle(inputs)
+    end
+
+    {:reductions, later} = Process.info(self(), :reductions)
+    later - before
+  end
+
+  test "a message among four thousand inputs costs no look at each of them" do
+    few = work(100)
+    assert work(4_000) < 4 * few
+  end
+end
