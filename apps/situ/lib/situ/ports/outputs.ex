@@ -5,12 +5,16 @@ defmodule Situ.Ports.Outputs do
   alias Situ.Graph.Vertex
   alias Situ.Ports.{Output, Posting, Subscriber}
 
-  defstruct own: [], tail: nil, demand: :forward
+  defstruct own: [], tail: nil, left: [], demand: :forward
 
-  @typedoc "`demand`: with `:accumulate` nothing goes out, whatever is asked for, until it is `:forward`."
+  @typedoc """
+  `left`: what the operators behind the component have not handled yet; it makes no more meanwhile. `demand`: with
+  `:accumulate` nothing goes out, whatever is asked for, until it is `:forward`.
+  """
   @type t :: %__MODULE__{
           own: [{atom(), Output.t()}],
           tail: Output.t() | nil,
+          left: [Situ.Message.t()],
           demand: :forward | :accumulate
         }
 
@@ -100,7 +104,8 @@ defmodule Situ.Ports.Outputs do
   def room(%__MODULE__{demand: :accumulate}), do: 0
   def room(%__MODULE__{tail: nil, own: [{_, output}]}), do: Output.room(output)
   def room(%__MODULE__{tail: nil, own: own}), do: room(own, :infinity)
-  def room(%__MODULE__{tail: tail}), do: Output.room(tail)
+  def room(%__MODULE__{left: [], tail: tail}), do: Output.room(tail)
+  def room(%__MODULE__{}), do: 0
 
   defp room([], room), do: room
   defp room([{_, output} | rest], room), do: room(rest, min(room, Output.room(output)))

@@ -9,9 +9,9 @@ defmodule Situ.Stage.ChainRunner do
   require Chain
 
   # So long a batch may take, looked at after every so many messages: an operator that becomes slow must not keep
-  # requests waiting for hundreds of messages.
+  # requests waiting for many messages.
   @longest :erlang.convert_time_unit(5, :millisecond, :native)
-  @every 16
+  @every 4
 
   @doc """
   Runs the batch at clock time `now`; answers the state, the last originating time, how many messages were handled,
@@ -49,35 +49,50 @@ defmodule Situ.Stage.ChainRunner do
 
   @doc """
   Runs what a component has posted through the light operators behind it in its process. Before the start there is no
-  clock: what a source posts from `handle_start/2` waits for its first turn.
+  clock: what a source posts from `handle_start/2` waits for its first turn. With `:some` what takes too long is left
+  for another turn; with `:all` nothing is.
   """
-  @spec tail(State.t()) :: State.t()
-  def tail(%{outputs: %{tail: nil}} = state), do: state
-  def tail(%{clock: nil} = state), do: state
-  def tail(%{phase: :starting} = state), do: state
-  def tail(%{outputs: %{own: [{_, %{pending: []}}]}} = state), do: state
+  @spec tail(State.t(), :some | :all) :: State.t()
+  def tail(%{outputs: %{tail: nil}} = state, _much), do: state
+  def tail(%{clock: nil} = state, _much), do: state
+  def tail(%{phase: :starting} = state, _much), do: state
+  # The turn for it is on its way.
+  def tail(%{outputs: %{left: [_ | _]}, pace: %{scheduled: true}} = state, :some), do: state
+  def tail(%{outputs: %{left: [], own: [{_, %{pending: []}}]}} = state, _much), do: state
 
-  def tail(%{outputs: %{own: [{_name, output}]}} = state) do
+  def tail(%{outputs: %{own: [{_name, output}]} = outputs} = state, much) do
     now = Clock.now(state.clock)
-    messages = :lists.reverse(output.pending)
-    Output.note(output, hd(output.pending))
-    outputs = Outputs.put(state.outputs, %{output | pending: [], pending_n: 0})
+    fresh = :lists.reverse(output.pending)
+    if fresh != [], do: Output.note(output, hd(output.pending))
+    emitted(state.chain, fresh, output.posted)
+    messages = outputs.left ++ fresh
+    outputs = Outputs.put(%{outputs | left: []}, %{output | pending: [], pending_n: 0})
+    state = %{state | outputs: outputs}
     final = State.final(state)
-    {state, last, n, []} = batch(%{state | outputs: outputs}, messages, now, final, :never)
-    if state.chain.counters, do: count(state.chain, messages, output.posted, {n, now - last})
-    state
+
+    {state, last, n, left} =
+      if much == :all,
+        do: batch(state, messages, now, final, :never),
+        else: batch(state, messages, now, final)
+
+    handled(state.chain, n, last, now)
+    %{state | outputs: %{state.outputs | left: left}}
   end
 
-  defp count(%{counters: counters, sizes: sizes}, messages, posted, {n, latency}) do
-    %{originating_time: time, creation_time: created} = List.last(messages)
-    Counters.emitted(counters, length(messages), created - time, posted - time)
-    if sizes, do: Counters.sized(counters, messages)
+  defp emitted(%{counters: counters}, fresh, _posted) when counters == nil or fresh == [], do: :ok
 
-    if n > 0 do
-      Counters.processed(counters, n, latency, 0)
-      Counters.sent(counters, time, posted)
-      Counters.reached(counters, time, time + latency)
-    end
+  defp emitted(%{counters: counters, sizes: sizes}, fresh, posted) do
+    %{originating_time: time, creation_time: created} = List.last(fresh)
+    Counters.emitted(counters, length(fresh), created - time, posted - time)
+    if sizes, do: Counters.sized(counters, fresh)
+    Counters.sent(counters, time, posted)
+  end
+
+  defp handled(%{counters: counters}, n, _last, _now) when counters == nil or n == 0, do: :ok
+
+  defp handled(%{counters: counters}, n, last, now) do
+    Counters.processed(counters, n, now - last, 0)
+    Counters.reached(counters, last, now)
   end
 
   defp go(%{chain: %{fast: true, steps: steps}} = state, messages, out) do

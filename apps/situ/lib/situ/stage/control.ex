@@ -73,7 +73,7 @@ defmodule Situ.Stage.Control do
 
   # A checkpoint: this stage stands still until it is let go, or only tells what it remembers.
   def handle({:freeze, ref}, state) do
-    state = state |> heard() |> Emission.settle()
+    state = state |> heard() |> Emission.settle_all()
     State.report(state, {:remembered, ref, Memory.take(state)})
     {:noreply, state |> Freeze.until(ref) |> Loop.turn()}
   end
@@ -119,7 +119,7 @@ defmodule Situ.Stage.Control do
   def handle(:looked, state), do: {:noreply, state}
 
   def handle({:finalize, time}, state) do
-    state = state |> heard() |> Emission.settle() |> close(time) |> Emission.settle()
+    state = state |> heard() |> Emission.settle_all() |> close(time) |> Emission.settle()
     Attachment.close_probes(state, time)
     State.report(state, :finalized)
     {:noreply, Loop.turn(state)}
@@ -127,7 +127,7 @@ defmodule Situ.Stage.Control do
 
   # Subscribers from outside the pipeline still get what they have coming, at their own pace.
   def handle(:quit, state) do
-    state = state |> heard() |> Emission.settle() |> close(state.source.final || 0)
+    state = state |> heard() |> Emission.settle_all() |> close(state.source.final || 0)
 
     if Outputs.drained?(state.outputs),
       do: {:stop, :normal, state},
@@ -136,7 +136,7 @@ defmodule Situ.Stage.Control do
 
   # The pipeline has failed elsewhere.
   def handle({:abandon, error}, state),
-    do: {:noreply, state |> Emission.settle() |> ErrorPolicy.abandon(error) |> Loop.turn()}
+    do: {:noreply, state |> Emission.settle_all() |> ErrorPolicy.abandon(error) |> Loop.turn()}
 
   def handle({:tap, tap}, state) do
     state = Attachment.tap(state, tap)

@@ -135,7 +135,7 @@ defmodule Situ.Stage.Emission do
 
   # The operators behind a component close with it.
   defp close_now(%{outputs: %{tail: %Output{}}} = state, _output, time) do
-    state = settle(state)
+    state = settle_all(state)
     %{state | outputs: Outputs.each(state.outputs, &Output.close(&1, time))}
   end
 
@@ -167,13 +167,26 @@ defmodule Situ.Stage.Emission do
     )
   end
 
-  @doc "Sends what is pending, publishes counts and asks for more."
+  @doc """
+  Sends what is pending, publishes counts and asks for more. What slow operators behind a component have not handled
+  waits for another turn, after what is in the mailbox.
+  """
   @spec settle(State.t()) :: State.t()
   def settle(%{callback: nil} = state),
     do: %{state | outputs: Outputs.flush(state.outputs), inputs: Inputs.settle(state.inputs)}
 
   def settle(state) do
-    state = state |> ChainRunner.tail() |> widen()
+    state = state |> ChainRunner.tail(:some) |> sent()
+    if state.outputs.left == [], do: state, else: %{state | pace: Pace.schedule(state.pace)}
+  end
+
+  @doc "The same, and nothing is left: for a stage that closes, or is to stand still."
+  @spec settle_all(State.t()) :: State.t()
+  def settle_all(%{callback: nil} = state), do: settle(state)
+  def settle_all(state), do: state |> ChainRunner.tail(:all) |> sent()
+
+  defp sent(state) do
+    state = widen(state)
     %{state | outputs: flush(state), inputs: Inputs.settle(state.inputs)}
   end
 

@@ -168,10 +168,54 @@ defmodule Situ.Stage.ControlTest do
           fn -> Situ.attach_tap({p, "Slow"}, fn _ -> :ok end) end,
           fn -> Pipeline.stop_part(p, "Sink") end
         ] do
-      assert messages_until(slow, request) <= 20
+      assert messages_until(slow, request) <= 6
     end
 
     Process.exit(p, :kill)
+  end
+
+  # The operators share the process of what is in front of them.
+  for kind <- [:source, :merge] do
+    test "operators behind a #{kind} that become slow keep a request waiting for a few messages only" do
+      test = self()
+
+      work = fn v ->
+        if v > 5_000 do
+          send(test, {:at_work, self()})
+          receive do: (:go_on -> v)
+        else
+          v
+        end
+      end
+
+      {:ok, p} =
+        Pipeline.start(
+          fn p ->
+            source = Situ.from_enumerable(p, 0..999_999, every: 10)
+
+            Situ.map(
+              if(unquote(kind) == :source, do: source, else: Situ.merge([source])),
+              if(unquote(kind) == :source, do: work, else: &work.(&1.data)),
+              name: "Slow",
+              policy: Delivery.synchronous()
+            )
+            |> Situ.each(fn _ -> :ok end, name: "Sink", async: true)
+          end,
+          pipeline: [replay: [interval: {0, :unbounded}, speed: :max]]
+        )
+
+      assert_receive {:at_work, slow}, 10_000
+
+      for request <- [
+            fn -> Situ.attach_tap({p, "Slow"}, fn _ -> :ok end) end,
+            fn -> Pipeline.replace(p, "Slow", {:map, work}) end,
+            fn -> Pipeline.stop_part(p, "Sink") end
+          ] do
+        assert messages_until(slow, request) <= 6
+      end
+
+      Process.exit(p, :kill)
+    end
   end
 
   # As happens while a unit in front of it restarts.
