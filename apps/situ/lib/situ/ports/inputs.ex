@@ -10,10 +10,10 @@ defmodule Situ.Ports.Inputs do
   defstruct by_tag: %{}, tags: [], touched: [], order: nil, closed: [], told: []
 
   @typedoc """
-  `tags` are the keys of `by_tag`: going through a list is cheaper, and most stages have one input. `touched`: those that
-  have changed since the last settling, so that among thousands of inputs a message costs no look at each; `order`: of
-  many inputs, the times of their heads in order, and by tag. `closed`: the names of the inputs that have closed;
-  `told`: those of which the component was told before it was started again.
+  `tags` are the keys of `by_tag`: going through a list is cheaper, and most stages have one input. `touched`: those
+  that have changed since the last settling, so that among thousands of inputs a message costs no look at each;
+  `order`: of many inputs, the times of their heads in order, and by tag. `closed`: the names of the inputs that have
+  closed; `told`: those of which the component was told before it was started again.
   """
   @type t :: %__MODULE__{
           by_tag: %{term() => Input.t()},

@@ -168,8 +168,8 @@ defmodule Situ.Stage.Emission do
   end
 
   @doc """
-  Sends what is pending, publishes counts and asks for more. What slow operators behind a component have not handled
-  waits for another turn, after what is in the mailbox.
+  Sends what is pending, publishes counts and asks for more. Slow operators behind a component leave the rest for
+  another turn, after what is in the mailbox.
   """
   @spec settle(State.t()) :: State.t()
   def settle(%{callback: nil} = state),

@@ -49,7 +49,7 @@ defmodule Situ.Ports.InputsTest do
   defp hold(inputs, nil, _held?), do: inputs
   defp hold(inputs, input, held?), do: Inputs.put(inputs, Input.hold(input, held?))
 
-  # What a number stands for: mostly messages come and go.
+  # Numbers as steps: mostly messages come and go.
   defp decoded({kind, tag, time}) when kind < 8, do: {:push, tag, time}
   defp decoded({kind, _tag, _time}) when kind < 16, do: :take
   defp decoded({kind, _tag, _time}) when kind < 18, do: :settle
@@ -70,7 +70,7 @@ defmodule Situ.Ports.InputsTest do
     end
   end
 
-  # What one message costs: taken from its input, counted, asked for again.
+  # The cost of one message: taken from its input, counted, asked for again.
   defp work(n) do
     inputs = for tag <- 1..n, reduce: inputs(n), do: (inputs -> push(inputs, tag, tag))
     inputs = Inputs.settle(inputs)
