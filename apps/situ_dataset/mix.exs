@@ -30,7 +30,7 @@ defmodule Situ.Dataset.MixProject do
   defp elixirc_paths(_env), do: ["lib"]
 
   defp extra_applications(:test), do: [:proper | extra_applications(:prod)]
-  defp extra_applications(_env), do: [:logger, :crypto]
+  defp extra_applications(_env), do: [:logger, :crypto, :xmerl]
 
   defp deps do
     [

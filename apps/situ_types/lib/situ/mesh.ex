@@ -12,6 +12,7 @@ defmodule Situ.Mesh do
   """
   @behaviour Situ.Codec
 
+  import Situ.Bits, only: [known: 1]
   alias Situ.{Error, Pose, Vector3}
 
   @enforce_keys [:vertices, :indices]
@@ -109,7 +110,7 @@ defmodule Situ.Mesh do
 
   defp decode(rest, vertices, triangles, pose) do
     case rest do
-      <<v::binary-size(vertices)-unit(96), i::binary-size(triangles)-unit(96)>> ->
+      <<v::binary-known(vertices)-unit(96), i::binary-known(triangles)-unit(96)>> ->
         new(v, i, pose)
 
       _ ->

@@ -9,6 +9,7 @@ defmodule Situ.PointCloud do
   """
   @behaviour Situ.Codec
 
+  import Situ.Bits, only: [known: 1]
   alias Situ.{Box3, Error, Pose, Vector3}
 
   @enforce_keys [:points]
@@ -102,10 +103,10 @@ defmodule Situ.PointCloud do
   @impl Situ.Codec
   def decode(<<1, colors, 0::16, count::little-32, rest::binary>>) when colors in [0, 1] do
     case rest do
-      <<points::binary-size(count)-unit(96)>> when colors == 0 ->
+      <<points::binary-known(count)-unit(96)>> when colors == 0 ->
         new(points)
 
-      <<points::binary-size(count)-unit(96), rgb::binary-size(count)-unit(24)>>
+      <<points::binary-known(count)-unit(96), rgb::binary-known(count)-unit(24)>>
       when colors == 1 ->
         new(points, rgb)
 

@@ -13,6 +13,8 @@ defmodule Situ.Bridge.Datagram do
       iex> payload
       "hello"
   """
+  import Situ.Bits, only: [known: 1]
+
   @header 40
   @open 16
   @most 0xFFFF
@@ -41,7 +43,7 @@ defmodule Situ.Bridge.Datagram do
   defp parts(payload, size) when byte_size(payload) <= size, do: [payload]
 
   defp parts(payload, size) do
-    <<part::binary-size(size), rest::binary>> = payload
+    <<part::binary-known(size), rest::binary>> = payload
     [part | parts(rest, size)]
   end
 

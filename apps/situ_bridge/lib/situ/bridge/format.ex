@@ -91,7 +91,7 @@ defmodule Situ.Bridge.Format do
     case part do
       %Columns{} ->
         if function_exported?(module, :columns, 2),
-          do: {module.columns(part, n), n + part.count},
+          do: {apply(module, :columns, [part, n]), n + part.count},
           else: part |> Columns.pairs() |> each(module, n)
 
       messages ->

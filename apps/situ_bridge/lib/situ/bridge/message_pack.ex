@@ -13,6 +13,8 @@ defmodule Situ.Bridge.MessagePack do
   the timestamp extension as nanoseconds since 1970, `{:timestamp, ns}`. Objects of maps may be ordered: `{[{key,
   value}]}`. Reading is bounded by the bytes there are, 512 levels deep, and makes no atoms.
   """
+  import Situ.Bits, only: [known: 1]
+
   @deepest 512
 
   @doc "The term as bytes. Throws `{:not_writable, term}` for what MessagePack has not."
@@ -161,7 +163,7 @@ defmodule Situ.Bridge.MessagePack do
 
   defp take(n, bytes) do
     case bytes do
-      <<taken::binary-size(n), rest::binary>> -> {:binary.copy(taken), rest}
+      <<taken::binary-known(n), rest::binary>> -> {:binary.copy(taken), rest}
       _ -> fail("it ends within #{n} bytes")
     end
   end

@@ -32,7 +32,7 @@ defmodule Situ.Expression.Lexer do
 
   defp scan("", at, done), do: {:ok, Enum.reverse([{:end, nil, at} | done])}
 
-  defp scan(<<c, rest::binary>>, at, done) when c in ' \t\r\n', do: scan(rest, at + 1, done)
+  defp scan(<<c, rest::binary>>, at, done) when c in ~c" \t\r\n", do: scan(rest, at + 1, done)
 
   defp scan(<<quote, rest::binary>>, at, done) when quote in [?', ?", ?`] do
     case quoted(rest, quote, "", 1) do

@@ -18,6 +18,7 @@ defmodule Situ.Infer.Onnx do
   text. `nil` in a shape is a free size. Operators are those of opset 13: <https://onnx.ai/onnx/operators/>. Nothing is
   checked here: the engine does that when it loads the bytes.
   """
+  import Situ.Bits, only: [known: 1]
   alias Situ.Tensor
 
   @ir_version 8
@@ -97,7 +98,7 @@ defmodule Situ.Infer.Onnx do
   defp value(2, bytes) do
     with {size, rest} <- unvarint(bytes, 0, 0) do
       case rest do
-        <<value::binary-size(size), rest::binary>> -> {value, rest}
+        <<value::binary-known(size), rest::binary>> -> {value, rest}
         _ -> :error
       end
     end

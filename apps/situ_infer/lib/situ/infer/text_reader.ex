@@ -49,6 +49,7 @@ defmodule Situ.Infer.TextReader do
     outputs: [out: {:list, Situ.Rect}],
     options: @schema
 
+  import Situ.Bits, only: [known: 1]
   alias Situ.{Error, Image, Rect, Tensor}
   alias Situ.Infer.{Model, ModelStore, Onnx, Patch}
   alias Situ.Infer.Vision.TextPlaces
@@ -221,7 +222,7 @@ defmodule Situ.Infer.TextReader do
 
   # The likeliest sign of each step; the same one again is the same sign, and sign 0 none.
   defp spell(%Tensor{shape: {1, _, signs}, data: data}, names) do
-    steps = for <<step::binary-size(signs * 4) <- data>>, do: likeliest(step, 0, {0, 0.0})
+    steps = for <<step::binary-known(signs * 4) <- data>>, do: likeliest(step, 0, {0, 0.0})
     said = steps |> Enum.dedup_by(&elem(&1, 0)) |> Enum.reject(&(elem(&1, 0) == 0))
     text = for {i, _} <- said, i < tuple_size(names), into: "", do: elem(names, i)
     score = if said == [], do: 0.0, else: Enum.sum(Enum.map(said, &elem(&1, 1))) / length(said)

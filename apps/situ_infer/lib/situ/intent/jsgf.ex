@@ -65,7 +65,7 @@ defmodule Situ.Intent.Jsgf do
   defp tokens("", line, found), do: {:ok, Enum.reverse([{:end, line} | found])}
   defp tokens("\n" <> rest, line, found), do: tokens(rest, line + 1, found)
 
-  defp tokens(<<c, rest::binary>>, line, found) when c in ' \t\r', do: tokens(rest, line, found)
+  defp tokens(<<c, rest::binary>>, line, found) when c in ~c" \t\r", do: tokens(rest, line, found)
   defp tokens("\uFEFF" <> rest, line, found), do: tokens(rest, line, found)
 
   defp tokens("//" <> rest, line, found) do
@@ -119,7 +119,7 @@ defmodule Situ.Intent.Jsgf do
     end
   end
 
-  defp tokens(<<c, rest::binary>>, line, found) when c in ';=|()[]*+',
+  defp tokens(<<c, rest::binary>>, line, found) when c in ~c";=|()[]*+",
     do: tokens(rest, line, [{sign(c), line} | found])
 
   defp tokens(text, line, found) do
@@ -127,7 +127,7 @@ defmodule Situ.Intent.Jsgf do
     tokens(cut(text, word), line, [{:word, line, word} | found])
   end
 
-  for c <- ';=|()[]*+', do: defp(sign(unquote(c)), do: unquote(List.to_atom([c])))
+  for c <- ~c";=|()[]*+", do: defp(sign(unquote(c)), do: unquote(List.to_atom([c])))
 
   defp cut(text, part), do: binary_part(text, byte_size(part), byte_size(text) - byte_size(part))
   defp newlines(text), do: text |> :binary.matches("\n") |> length()

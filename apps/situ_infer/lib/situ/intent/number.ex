@@ -16,7 +16,10 @@ defmodule Situ.Intent.Number do
   @doc "How many words in front of the others are a number, and which: `{count, value}`, the longest first."
   @spec prefixes([String.t()]) :: [{pos_integer(), 0..999}]
   def prefixes(words) do
-    for n <- 5..1, n <= length(words), value = words |> Enum.take(n) |> value(), do: {n, value}
+    for n <- 5..1//-1,
+        n <= length(words),
+        value = words |> Enum.take(n) |> value(),
+        do: {n, value}
   end
 
   defp value([word]) when is_map_key(@units, word), do: @units[word]

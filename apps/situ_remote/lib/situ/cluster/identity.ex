@@ -34,7 +34,7 @@ defmodule Situ.Cluster.Identity do
     files = [
       {"ca.pem", pem(for der <- chain[:cacerts], do: {:Certificate, der, :not_encrypted})},
       {"node.pem", pem([{:Certificate, chain[:cert], :not_encrypted}])},
-      {"node.key", pem([Tuple.append(chain[:key], :not_encrypted)])},
+      {"node.key", pem([:erlang.append_element(chain[:key], :not_encrypted)])},
       {"ssl_dist.conf", conf(folder)},
       {"cookie", Base.encode32(:crypto.strong_rand_bytes(30), case: :lower, padding: false)}
     ]

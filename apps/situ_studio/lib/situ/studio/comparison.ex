@@ -5,7 +5,6 @@ defmodule Situ.Studio.Comparison do
   """
   alias Situ.Error
   alias Situ.Studio.{Catalog, Layout, Source, WholeNumber}
-  alias Situ.Studio.Layout.Panel
   alias Situ.Studio.Source.{Beside, Derived}
 
   @enforce_keys [:id, :title, :offset, :first, :second]
@@ -85,7 +84,7 @@ defmodule Situ.Studio.Comparison do
             {[%{panel | vis: Enum.take(both, vis)}], next}
 
           twins ->
-            {[panel, %Panel{panel | id: "p#{next}", vis: twins}], next + 1}
+            {[panel, %{panel | id: "p#{next}", vis: twins}], next + 1}
         end
       end)
 

@@ -99,7 +99,7 @@ defmodule Situ.Studio.Table do
   defp size(data), do: "#{byte_size(data)} bytes"
 
   # A text that a table program would run as a formula is quoted by an apostrophe; numbers stay numbers.
-  defp field(<<c, _::binary>> = text) when c in '=+-@' do
+  defp field(<<c, _::binary>> = text) when c in ~c"=+-@" do
     if match?({_, ""}, Float.parse(text)), do: text, else: quoted("'" <> text)
   end
 

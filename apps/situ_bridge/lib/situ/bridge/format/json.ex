@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Format.Json do
   @moduledoc false
   # Messages as JSON; a file is an array of them.
   @behaviour Situ.Bridge.Format
+  import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Format.{Stamp, Value}
 
   # No message that anyone means to send is larger, and a file that never closes a bracket would fill the memory.
@@ -43,7 +44,7 @@ defmodule Situ.Bridge.Format.Json do
   @impl true
   def split(bytes, state, last?, opts), do: split(bytes, state, last?, opts, [])
 
-  defp split(<<c, rest::binary>>, state, last?, opts, found) when c in ' \t\r\n',
+  defp split(<<c, rest::binary>>, state, last?, opts, found) when c in ~c" \t\r\n",
     do: split(rest, state, last?, opts, found)
 
   defp split(<<0xEF, 0xBB, 0xBF, rest::binary>>, :before, last?, opts, found),
@@ -60,7 +61,7 @@ defmodule Situ.Bridge.Format.Json do
   defp split("{" <> _ = bytes, state, last?, opts, found) when state in [:first, :within] do
     case object(bytes) do
       {:ok, size} ->
-        <<text::binary-size(size), rest::binary>> = bytes
+        <<text::binary-known(size), rest::binary>> = bytes
 
         with {:ok, timed} <- decode(text, opts),
              do: split(rest, :next, last?, opts, [timed | found])
@@ -93,20 +94,20 @@ defmodule Situ.Bridge.Format.Json do
 
   defp object(bytes, at, depth) do
     case bytes do
-      <<_::binary-size(at), c, _::binary>> when c in '{[' -> object(bytes, at + 1, depth + 1)
-      <<_::binary-size(at), c, _::binary>> when c in '}]' and depth == 1 -> {:ok, at + 1}
-      <<_::binary-size(at), c, _::binary>> when c in '}]' -> object(bytes, at + 1, depth - 1)
-      <<_::binary-size(at), ?", _::binary>> -> string(bytes, at + 1, depth)
-      <<_::binary-size(at), _, _::binary>> -> object(bytes, at + 1, depth)
+      <<_::binary-known(at), c, _::binary>> when c in ~c"{[" -> object(bytes, at + 1, depth + 1)
+      <<_::binary-known(at), c, _::binary>> when c in ~c"}]" and depth == 1 -> {:ok, at + 1}
+      <<_::binary-known(at), c, _::binary>> when c in ~c"}]" -> object(bytes, at + 1, depth - 1)
+      <<_::binary-known(at), ?", _::binary>> -> string(bytes, at + 1, depth)
+      <<_::binary-known(at), _, _::binary>> -> object(bytes, at + 1, depth)
       _ -> :more
     end
   end
 
   defp string(bytes, at, depth) do
     case bytes do
-      <<_::binary-size(at), ?\\, _, _::binary>> -> string(bytes, at + 2, depth)
-      <<_::binary-size(at), ?", _::binary>> -> object(bytes, at + 1, depth)
-      <<_::binary-size(at), _, _::binary>> -> string(bytes, at + 1, depth)
+      <<_::binary-known(at), ?\\, _, _::binary>> -> string(bytes, at + 2, depth)
+      <<_::binary-known(at), ?", _::binary>> -> object(bytes, at + 1, depth)
+      <<_::binary-known(at), _, _::binary>> -> string(bytes, at + 1, depth)
       _ -> :more
     end
   end

@@ -17,6 +17,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
   | `RawAudio` (`pcm-s16`) | `Situ.AudioBuffer` |
   | `Log` | only out, of texts |
   """
+  import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Format.Fitting
   alias Situ.Bridge.Ros.{Optics, Pixels, Sensors}
 
@@ -151,7 +152,7 @@ defmodule Situ.Bridge.Foxglove.Standard do
 
   defp colours(data, step, at) do
     with [r, g, b] <- for(c <- @colours, {o, "UINT8"} <- [at[c]], o < step, do: o) do
-      for <<point::binary-size(step) <- data>>, into: <<>> do
+      for <<point::binary-known(step) <- data>>, into: <<>> do
         <<:binary.at(point, r), :binary.at(point, g), :binary.at(point, b)>>
       end
     else

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Mqtt.Wire do
   @moduledoc false
   # The packets of MQTT 3.1.1 that a client needs. Pure.
+  import Situ.Bits, only: [known: 1]
   import Bitwise
 
   @type packet ::
@@ -77,7 +78,7 @@ defmodule Situ.Bridge.Mqtt.Wire do
   defp length("", _shift, _sum), do: :more
 
   defp taken(kind, flags, n, bytes) do
-    <<body::binary-size(n), rest::binary>> = bytes
+    <<body::binary-known(n), rest::binary>> = bytes
 
     case body(kind, flags, body) do
       :error -> {:error, "a packet of the kind #{kind} that makes no sense"}

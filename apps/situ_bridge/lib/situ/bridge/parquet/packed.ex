@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Parquet.Packed do
   @moduledoc false
   # Unpacks a compressed page, to at most the bytes that its header promises. Throws `{:not_parquet, why}`.
+  import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Native
   alias Situ.Bridge.Parquet.Thrift
 
@@ -63,8 +64,11 @@ defmodule Situ.Bridge.Parquet.Packed do
     bytes = n - 59
 
     case rest do
-      <<length::little-size(bytes)-unit(8), rest::binary>> -> literal(rest, length + 1, out, size)
-      _ -> fail("a page packed by Snappy is cut short")
+      <<length::little-known(bytes)-unit(8), rest::binary>> ->
+        literal(rest, length + 1, out, size)
+
+      _ ->
+        fail("a page packed by Snappy is cut short")
     end
   end
 
@@ -81,7 +85,7 @@ defmodule Situ.Bridge.Parquet.Packed do
 
   defp literal(rest, n, out, size) when byte_size(out) + n <= size do
     case rest do
-      <<part::binary-size(n), rest::binary>> ->
+      <<part::binary-known(n), rest::binary>> ->
         elements(rest, <<out::binary, part::binary>>, size)
 
       _ ->

@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Parquet.Runs do
   @moduledoc false
   # Small numbers as runs of one number and groups of eight packed ones (Parquet's RLE/bit-packing hybrid), and numbers
   # as packed differences (DELTA_BINARY_PACKED). Pure. Throws `{:not_parquet, why}`.
+  import Situ.Bits, only: [known: 1]
   import Bitwise
   alias Situ.Bridge.Parquet.Thrift
 
@@ -42,7 +43,7 @@ defmodule Situ.Bridge.Parquet.Runs do
 
   # Writers may leave out the zeros at the end of the last group.
   defp take(bytes, n) when byte_size(bytes) >= n do
-    <<part::binary-size(n), rest::binary>> = bytes
+    <<part::binary-known(n), rest::binary>> = bytes
     {part, rest}
   end
 
@@ -58,7 +59,7 @@ defmodule Situ.Bridge.Parquet.Runs do
     |> Enum.take(count)
   end
 
-  defp groups(bytes, width), do: for(<<group::binary-size(width) <- bytes>>, do: group)
+  defp groups(bytes, width), do: for(<<group::binary-known(width) <- bytes>>, do: group)
 
   @doc "Numbers of 64 bits as packed differences, and what follows them."
   @spec deltas(binary(), most :: non_neg_integer()) :: [integer()]

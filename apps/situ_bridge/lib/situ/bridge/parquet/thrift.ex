@@ -5,6 +5,7 @@ defmodule Situ.Bridge.Parquet.Thrift do
   #
   # Written are `{:i32 | :i64, n}`, `{:bool, b}`, `{:binary, bytes}`, `{:list, [value]}` and `{:struct, [{id, value}]}`,
   # in the order of their ids; read are numbers, booleans, binaries, lists, and structs as maps of their ids.
+  import Situ.Bits, only: [known: 1]
   import Bitwise
 
   @types %{i32: 5, i64: 6, binary: 8, list: 9, struct: 12}
@@ -78,7 +79,7 @@ defmodule Situ.Bridge.Parquet.Thrift do
     {n, rest} = unsigned(rest)
 
     case rest do
-      <<bytes::binary-size(n), rest::binary>> -> {bytes, rest}
+      <<bytes::binary-known(n), rest::binary>> -> {bytes, rest}
       _ -> fail("it is cut short")
     end
   end

@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Parquet.Values do
   @moduledoc false
   # The values of a column chunk: its pages, one after the other. Pure, but for what unpacks.
   # Throws `{:not_parquet, why}`.
+  import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Parquet.{Packed, Runs, Thrift}
 
   @encodings %{
@@ -37,7 +38,7 @@ defmodule Situ.Bridge.Parquet.Values do
              size in 0..@most_page,
            do: fail("a page of #{inspect(stored)} bytes in #{byte_size(rest)}")
 
-    <<body::binary-size(stored), rest::binary>> = rest
+    <<body::binary-known(stored), rest::binary>> = rest
 
     case head do
       %{1 => 2, 7 => %{1 => n}} when is_integer(n) ->
@@ -85,7 +86,7 @@ defmodule Situ.Bridge.Parquet.Values do
     unless repeats == 0 and defines in 0..byte_size(body),
       do: fail("levels that do not fit into their page")
 
-    <<levels::binary-size(defines), packed::binary>> = body
+    <<levels::binary-known(defines), packed::binary>> = body
 
     unpacked =
       if v2[7] == false, do: packed, else: Packed.undo(codec, packed, max(size - defines, 0))
@@ -159,7 +160,7 @@ defmodule Situ.Bridge.Parquet.Values do
   defp all(%{type: 6}, bytes, n), do: texts(bytes, n, [])
 
   defp all(%{type: 7, length: length}, bytes, n) when length > 0,
-    do: for(<<x::binary-size(length) <- cut(bytes, n * length)>>, do: :binary.copy(x))
+    do: for(<<x::binary-known(length) <- cut(bytes, n * length)>>, do: :binary.copy(x))
 
   defp all(_leaf, _bytes, _n), do: fail("values of no size")
 

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Protobuf.Delimited do
   @moduledoc false
   # Messages one after the other, each behind its length as a varint.
+  import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Protobuf.Writer
   alias Situ.Error
 
@@ -67,7 +68,7 @@ defmodule Situ.Bridge.Protobuf.Delimited do
         {:error, Enum.reverse(found), at, "a message of #{n} bytes"}
 
       {n, used, rest} when byte_size(rest) >= n ->
-        <<payload::binary-size(n), rest::binary>> = rest
+        <<payload::binary-known(n), rest::binary>> = rest
         split(rest, at + used + n, [{at, payload} | found])
 
       :wrong ->

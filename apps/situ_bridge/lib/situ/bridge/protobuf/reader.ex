@@ -4,6 +4,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
   #
   # Reading is bounded by the bytes there are: messages nest a hundred deep at most, and the maps that are made have no
   # more members in all than `@base` and `@rate` for each byte, however many fields a schema gives its messages.
+  import Situ.Bits, only: [known: 1]
   import Bitwise
   alias Situ.Bridge.Protobuf.Schema
   alias Situ.Bridge.Ros.Number
@@ -84,7 +85,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
     {kind, size} = Schema.fixed(type)
 
     case bytes do
-      <<taken::binary-size(size), rest::binary>> -> {Number.read(kind, taken, :little), rest}
+      <<taken::binary-known(size), rest::binary>> -> {Number.read(kind, taken, :little), rest}
       _ -> fail("it ends within a number")
     end
   end
@@ -137,7 +138,7 @@ defmodule Situ.Bridge.Protobuf.Reader do
     {n, rest} = varint(bytes)
 
     case rest do
-      <<taken::binary-size(n), rest::binary>> -> {taken, rest}
+      <<taken::binary-known(n), rest::binary>> -> {taken, rest}
       _ -> fail("#{n} bytes are due where there are #{byte_size(rest)}")
     end
   end

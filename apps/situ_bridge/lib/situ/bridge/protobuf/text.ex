@@ -6,7 +6,7 @@ defmodule Situ.Bridge.Protobuf.Text do
   alias Schema.Field
 
   @comments ~S(//[^\n]*|/\*.*?\*/)
-  @strings ~S("(?:[^"\\\n]|\\.\)*"|'(?:[^'\\\n]|\\.\)*')
+  @strings ~S{"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*'}
   @words ~S(\.?[A-Za-z_][\w.]*|-?0[xX][\da-fA-F]+|-?[\d.][\w.+-]*|\S)
   @token Regex.compile!(Enum.join([@comments, @strings, @words], "|"), "s")
   @deepest 50

@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Psi.Blocks do
   @moduledoc false
   # The blocks of the files of one kind, in order, over all their extents: [length][payload, padded to a multiple of 4].
   # A length of 0 is where nothing has been written yet, a negative one names the next extent.
+  import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Psi.Files
 
   @window 1_048_576
@@ -86,7 +87,7 @@ defmodule Situ.Bridge.Psi.Blocks do
 
       byte_size(rest) >= stored ->
         head = binary_part(rest, 0, min(n, context.head))
-        <<_::binary-size(stored), rest::binary>> = rest
+        <<_::binary-known(stored), rest::binary>> = rest
         acc = context.fun.({context.extent, at + 4, n, head}, acc)
 
         if rest == "",

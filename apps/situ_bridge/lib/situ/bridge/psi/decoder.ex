@@ -5,6 +5,7 @@ defmodule Situ.Bridge.Psi.Decoder do
   # Objects refer to objects of the same message. One that was finished before is repeated: terms share it. One that
   # is met inside of itself (a cycle), or one that holds such a reference, is `%{"$ref" => n}` and the object meant
   # has the key "$id" => n (a list or other value is then `%{"$id" => n, "$value" => value}`).
+  import Situ.Bits, only: [known: 1]
   import Bitwise
   alias Situ.Bridge.Psi.{Bytes, Layout, Media, Types}
 
@@ -144,7 +145,7 @@ defmodule Situ.Bridge.Psi.Decoder do
     size = Layout.size(layout)
 
     case bytes do
-      <<value::binary-size(size), rest::binary>> -> {Layout.read(layout, value), rest, state}
+      <<value::binary-known(size), rest::binary>> -> {Layout.read(layout, value), rest, state}
       _ -> fail("it ends within a value")
     end
   end
@@ -164,7 +165,7 @@ defmodule Situ.Bridge.Psi.Decoder do
     size = n * Layout.size(layout)
 
     case rest do
-      <<values::binary-size(size), rest::binary>> ->
+      <<values::binary-known(size), rest::binary>> ->
         {Layout.read_all(layout, values), rest, %{state | nodes: state.nodes + n}}
 
       _ ->

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Psi.Layout do
   @moduledoc false
   # Plain values as they lie in .NET's memory: primitives, and structs of them with the gaps that alignment leaves.
+  import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Psi.Bytes
 
   @type t ::
@@ -169,5 +170,5 @@ defmodule Situ.Bridge.Psi.Layout do
   end
 
   defp each(layout, size, bytes),
-    do: for(<<value::binary-size(size) <- bytes>>, do: read(layout, value))
+    do: for(<<value::binary-known(size) <- bytes>>, do: read(layout, value))
 end

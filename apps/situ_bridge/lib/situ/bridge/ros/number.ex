@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Ros.Number do
   @moduledoc false
   # Numbers of fixed size in either byte order; what Elixir's floats have not are `:nan`, `:infinity` and
   # `:neg_infinity`.
+  import Situ.Bits, only: [known: 1]
 
   @sizes %{
     bool: 1,
@@ -73,7 +74,7 @@ defmodule Situ.Bridge.Ros.Number do
 
   defp each(kind, bytes, order) do
     size = size(kind)
-    for <<one::binary-size(size) <- bytes>>, do: read(kind, one, order)
+    for <<one::binary-known(size) <- bytes>>, do: read(kind, one, order)
   end
 
   @doc "A number as bytes, little-endian. Throws `{:not_writable, value}` for what the kind has not."

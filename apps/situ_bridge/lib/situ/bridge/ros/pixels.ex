@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Ros.Pixels do
   @moduledoc false
   # Pictures as ROS and Foxglove name their encodings, and bytes out of rows of points. Pure.
+  import Situ.Bits, only: [known: 1]
   alias Situ.{DepthImage, Image}
 
   @encodings %{
@@ -63,7 +64,7 @@ defmodule Situ.Bridge.Ros.Pixels do
   def every(data, step, at, n) do
     rest = step - at - n
 
-    for <<_::binary-size(at), part::binary-size(n), _::binary-size(rest) <- data>>,
+    for <<_::binary-known(at), part::binary-known(n), _::binary-known(rest) <- data>>,
       into: <<>>,
       do: part
   end

@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Ros.Slave do
   @moduledoc false
   # One HTTP call to a node: read, answered, closed.
   use GenServer, restart: :temporary
+  import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Ros.XmlRpc
   alias Situ.Bridge.WebSocket.Handshake
 
@@ -52,7 +53,7 @@ defmodule Situ.Bridge.Ros.Slave do
          [_ | lines] <- String.split(head, "\r\n"),
          {n, ""} when n >= 0 <- Integer.parse(Handshake.headers(lines)["content-length"] || "") do
       case rest do
-        <<body::binary-size(n), _::binary>> -> {:ok, body}
+        <<body::binary-known(n), _::binary>> -> {:ok, body}
         _ -> :more
       end
     else

@@ -14,6 +14,7 @@ defmodule Situ.Bridge.Ros.Wire do
   Reading is bounded by the bytes there are. CDR is read in both byte orders and written little-endian, with the
   alignment of version 1 (what ROS 2 uses).
   """
+  import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Ros.{Definition, Number}
 
   @type encoding :: :ros1 | :cdr
@@ -148,7 +149,7 @@ defmodule Situ.Bridge.Ros.Wire do
 
   defp take(n, cursor) do
     case cursor.bytes do
-      <<taken::binary-size(n), rest::binary>> ->
+      <<taken::binary-known(n), rest::binary>> ->
         {taken, %{cursor | bytes: rest, at: cursor.at + n}}
 
       bytes ->

@@ -244,9 +244,9 @@ defmodule Situ.Bridge.Ros.XmlRpc do
           {:ok, value()} | {:error, Error.t()}
   def call(uri, method, arguments, timeout \\ 3_000) do
     body = IO.iodata_to_binary(request(method, arguments))
-    headers = [{'connection', 'close'}, {'user-agent', 'situ'}]
+    headers = [{~c"connection", ~c"close"}, {~c"user-agent", ~c"situ"}]
     http = [timeout: timeout, connect_timeout: timeout, autoredirect: false]
-    request = {String.to_charlist(uri), headers, 'text/xml', body}
+    request = {String.to_charlist(uri), headers, ~c"text/xml", body}
 
     with {:ok, {{_, 200, _}, _, answer}} <-
            :httpc.request(:post, request, http, body_format: :binary),

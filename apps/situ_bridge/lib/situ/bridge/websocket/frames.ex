@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.WebSocket.Frames do
   @moduledoc false
   # WebSocket frames (RFC 6455, section 5) as bytes and back. Pure.
+  import Situ.Bits, only: [known: 1]
   import Bitwise
 
   @opcodes %{1 => :text, 2 => :binary, 8 => :close, 9 => :ping, 10 => :pong}
@@ -83,10 +84,10 @@ defmodule Situ.Bridge.WebSocket.Frames do
 
   defp sized(fin, opcode, m, n, bytes, _most) do
     case bytes do
-      <<mask::binary-4, payload::binary-size(n), rest::binary>> when m == 1 ->
+      <<mask::binary-4, payload::binary-known(n), rest::binary>> when m == 1 ->
         {:ok, fin, opcode, mask, payload, rest}
 
-      <<payload::binary-size(n), rest::binary>> when m == 0 ->
+      <<payload::binary-known(n), rest::binary>> when m == 0 ->
         {:ok, fin, opcode, nil, payload, rest}
 
       _ ->

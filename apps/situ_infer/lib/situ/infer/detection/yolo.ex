@@ -16,6 +16,7 @@ defmodule Situ.Infer.Detection.Yolo do
       iex> for b <- boxes, do: {b.x, b.y, b.width, b.height, b.class, Float.round(b.score, 2)}
       [{40.0, 35.0, 20.0, 10.0, 1, 0.72}]
   """
+  import Situ.Bits, only: [known: 1]
   alias Situ.Tensor
 
   @anchors [{1.08, 1.19}, {3.42, 4.41}, {6.63, 11.38}, {9.42, 5.11}, {16.62, 10.52}]
@@ -56,7 +57,7 @@ defmodule Situ.Infer.Detection.Yolo do
     rest = (row - 5) * 4
 
     for <<cx::float-native-32, cy::float-native-32, w::float-native-32, h::float-native-32,
-          object::float-native-32, classes::binary-size(rest) <- data>>,
+          object::float-native-32, classes::binary-known(rest) <- data>>,
         object >= min_score,
         {class, p} <- [best(classes, 0, {0, 0.0})],
         object * p >= min_score,

@@ -2,6 +2,7 @@ defmodule Situ.Infer.Http.Decoder do
   @moduledoc false
   # The bytes of an HTTP/1.1 response, cut anywhere, as events. RFC 9112. The length of a head or a chunk's line is
   # bounded; nothing makes an atom.
+  import Situ.Bits, only: [known: 1]
 
   @head_bytes 65_536
   @line_bytes 4_096
@@ -43,7 +44,7 @@ defmodule Situ.Infer.Http.Decoder do
 
   defp step(%{state: {kind, left}} = d, events) when kind in [:length, :chunk] do
     case d.buffer do
-      <<data::binary-size(left), rest::binary>> ->
+      <<data::binary-known(left), rest::binary>> ->
         after_data(kind, %{d | buffer: rest}, data(data, events))
 
       data ->

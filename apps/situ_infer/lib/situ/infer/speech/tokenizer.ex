@@ -11,6 +11,7 @@ defmodule Situ.Infer.Speech.Tokenizer do
       iex> Situ.Infer.Speech.Tokenizer.parse(<<9, "short">>)
       :error
   """
+  import Situ.Bits, only: [known: 1]
 
   @type t :: tuple()
 
@@ -27,7 +28,7 @@ defmodule Situ.Infer.Speech.Tokenizer do
     size = low - 128 + high * 128
 
     case rest do
-      <<token::binary-size(size), rest::binary>> -> entries(rest, [token | found])
+      <<token::binary-known(size), rest::binary>> -> entries(rest, [token | found])
       _ -> :error
     end
   end

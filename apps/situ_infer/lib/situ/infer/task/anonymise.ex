@@ -5,6 +5,7 @@ defmodule Situ.Infer.Task.Anonymise do
 
   Faces are found by a detector, which may miss some (`Situ.Infer.FaceBlur`): look at the result before you hand it on.
   """
+  import Situ.Bits, only: [known: 1]
   alias Situ.{AudioBuffer, AudioFormat}
 
   @second 1_000_000_000
@@ -160,7 +161,7 @@ defmodule Situ.Infer.Task.Anonymise do
   defp silent(data, _at, 0, _sample), do: data
 
   defp silent(data, at, length, sample) do
-    <<before::binary-size(at), _::binary-size(length), rest::binary>> = data
+    <<before::binary-known(at), _::binary-known(length), rest::binary>> = data
     silence = if sample == :u8, do: <<128>>, else: <<0>>
     IO.iodata_to_binary([before, :binary.copy(silence, length), rest])
   end

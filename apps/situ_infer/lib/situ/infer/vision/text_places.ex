@@ -12,6 +12,7 @@ defmodule Situ.Infer.Vision.TextPlaces do
   A rectangle may be rotated: `right` is the direction of reading, `width` along it, `height` across. A rectangle much
   higher than wide is read downwards.
   """
+  import Situ.Bits, only: [known: 1]
   alias Situ.Tensor
 
   @schema [
@@ -58,7 +59,7 @@ defmodule Situ.Infer.Vision.TextPlaces do
   defp rows(<<>>, _width, _threshold, _y, rows), do: Enum.reverse(rows)
 
   defp rows(data, width, threshold, y, rows) do
-    <<row::binary-size(width * 4), rest::binary>> = data
+    <<row::binary-known(width * 4), rest::binary>> = data
     rows(rest, width, threshold, y + 1, [{y, runs(row, 0, threshold, nil, [])} | rows])
   end
 

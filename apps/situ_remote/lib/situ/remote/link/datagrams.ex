@@ -28,6 +28,8 @@ defmodule Situ.Remote.Link.Datagrams do
       iex> frame
       "a frame that is longer than its datagrams are"
   """
+  import Situ.Bits, only: [known: 1]
+
   @head 20
   @tag 16
   @overhead 8 + @tag + @head
@@ -85,7 +87,7 @@ defmodule Situ.Remote.Link.Datagrams do
   defp cut(bytes, size) when byte_size(bytes) <= size, do: [bytes]
 
   defp cut(bytes, size) do
-    <<piece::binary-size(size), rest::binary>> = bytes
+    <<piece::binary-known(size), rest::binary>> = bytes
     [piece | cut(rest, size)]
   end
 
@@ -166,7 +168,7 @@ defmodule Situ.Remote.Link.Datagrams do
 
   defp open(key, side, <<seq::64, rest::binary>>) when byte_size(rest) >= @tag do
     size = byte_size(rest) - @tag
-    <<bytes::binary-size(size), tag::binary>> = rest
+    <<bytes::binary-known(size), tag::binary>> = rest
     nonce = <<side::32, seq::64>>
 
     case :crypto.crypto_one_time_aead(:aes_128_gcm, key, nonce, bytes, "", tag, false) do

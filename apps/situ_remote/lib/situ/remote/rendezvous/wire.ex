@@ -22,6 +22,8 @@ defmodule Situ.Remote.Rendezvous.Wire do
       iex> Wire.decode(<<7>>)
       {:error, "no update begins with the byte 7"}
   """
+  import Situ.Bits, only: [known: 1]
+
   @version 2
   @most_text 4_096
   @most_endpoints 1_000
@@ -150,7 +152,7 @@ defmodule Situ.Remote.Rendezvous.Wire do
 
   defp take_text(n, bytes) do
     case bytes do
-      <<text::binary-size(n), rest::binary>> ->
+      <<text::binary-known(n), rest::binary>> ->
         if String.valid?(text), do: {:ok, text, rest}, else: {:error, "a text that is not UTF-8"}
 
       _ ->

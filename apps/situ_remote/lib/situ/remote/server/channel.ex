@@ -75,7 +75,7 @@ defmodule Situ.Remote.Server.Channel do
     {least, most} = Datagrams.sizes()
 
     case Base.decode16(text, case: :lower) do
-      {:ok, <<key::binary-16>>} when size in least..most -> {key, size}
+      {:ok, <<key::binary-16>>} when size in least..most//1 -> {key, size}
       _ -> nil
     end
   end

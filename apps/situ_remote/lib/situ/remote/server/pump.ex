@@ -2,6 +2,7 @@ defmodule Situ.Remote.Server.Pump do
   @moduledoc false
   # Sends a session's messages: one frame of the channel whose turn it is, so that a more important channel never
   # waits for more than a frame. Works on the session's state.
+  import Situ.Bits, only: [known: 1]
   alias Situ.Delivery
   alias Situ.Remote.Link.{Frame, Quota, Schedule, Socket}
   alias Situ.Remote.Server.{Channel, Datagrams}
@@ -214,7 +215,7 @@ defmodule Situ.Remote.Server.Pump do
     do: [{Frame.encode({:part, id, true, bytes}), byte_size(bytes), count}]
 
   defp pieces(bytes, id, count, most) do
-    <<piece::binary-size(most), rest::binary>> = bytes
+    <<piece::binary-known(most), rest::binary>> = bytes
     [{Frame.encode({:part, id, false, piece}), most, 0} | pieces(rest, id, count, most)]
   end
 

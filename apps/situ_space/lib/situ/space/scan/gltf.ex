@@ -2,6 +2,7 @@ defmodule Situ.Space.Scan.Gltf do
   @moduledoc false
   # glTF 2.0 by Khronos, as one file: `.glb`, or `.gltf` with its bytes inside. Every triangle of the scene at the place
   # of its node, without materials, skins and animations. Its axes (y up, z forward) become ours (x forward, z up).
+  import Situ.Bits, only: [known: 1]
   import Bitwise
   alias Situ.{Error, JSON, Mesh}
 
@@ -222,7 +223,7 @@ defmodule Situ.Space.Scan.Gltf do
   defp indices(%{"componentType" => type, "type" => "SCALAR"} = accessor, scene, body)
        when is_map_key(@numbers, type) do
     bits = 8 * @numbers[type]
-    for <<i::little-size(bits) <- elements(accessor, @numbers[type], scene, body)>>, do: i
+    for <<i::little-known(bits) <- elements(accessor, @numbers[type], scene, body)>>, do: i
   end
 
   defp indices(_accessor, _scene, _body),

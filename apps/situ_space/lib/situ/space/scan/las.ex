@@ -2,6 +2,7 @@ defmodule Situ.Space.Scan.Las do
   @moduledoc false
   # LAS 1.0 to 1.4, not compressed: places as whole numbers with a scale, colours where the point format has them.
   # Source: ASPRS, LAS Specification 1.4 R15.
+  import Situ.Bits, only: [known: 1]
   alias Situ.{Error, PointCloud}
 
   # Where the colours of a point begin, by its format.
@@ -67,7 +68,7 @@ defmodule Situ.Space.Scan.Las do
 
     places =
       for <<x::little-signed-32, y::little-signed-32, z::little-signed-32,
-            _::binary-size(rest) <- points>>,
+            _::binary-known(rest) <- points>>,
           into: <<>> do
         <<x * sx + ox::little-float-32, y * sy + oy::little-float-32,
           z * sz + oz::little-float-32>>
@@ -84,8 +85,8 @@ defmodule Situ.Space.Scan.Las do
     rest = size - at - 6
 
     all =
-      for <<_::binary-size(at), r::little-16, g::little-16, b::little-16,
-            _::binary-size(rest) <- points>>,
+      for <<_::binary-known(at), r::little-16, g::little-16, b::little-16,
+            _::binary-known(rest) <- points>>,
           do: {r, g, b}
 
     wide? = Enum.any?(all, fn {r, g, b} -> r > 255 or g > 255 or b > 255 end)

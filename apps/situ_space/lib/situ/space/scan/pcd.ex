@@ -2,6 +2,7 @@ defmodule Situ.Space.Scan.Pcd do
   @moduledoc false
   # PCD, the files of the Point Cloud Library: a header in text, then the points as text, as bytes, or as bytes that are
   # compressed by LZF, field by field. Source: pointclouds.org, "The PCD (Point Cloud Data) file format", version 0.7.
+  import Situ.Bits, only: [known: 1]
   alias Situ.{Error, PointCloud}
   alias Situ.Space.Scan.Text
 
@@ -33,7 +34,7 @@ defmodule Situ.Space.Scan.Pcd do
            return: :index
          ) do
       [{at, size}, _] ->
-        <<head::binary-size(at), line::binary-size(size), body::binary>> = file
+        <<head::binary-known(at), line::binary-known(size), body::binary>> = file
         {:ok, header(head <> line), body}
 
       nil ->
@@ -136,7 +137,7 @@ defmodule Situ.Space.Scan.Pcd do
 
   defp unpack(<<0::3, n::5, rest::binary>>, size, out) do
     case rest do
-      <<literal::binary-size(n + 1), rest::binary>> -> unpack(rest, size, out <> literal)
+      <<literal::binary-known(n + 1), rest::binary>> -> unpack(rest, size, out <> literal)
       _ -> :error
     end
   end
@@ -189,8 +190,8 @@ defmodule Situ.Space.Scan.Pcd do
 
   defp value("F", 4, <<x::little-float-32>>), do: x
   defp value("F", 8, <<x::little-float-64>>), do: x
-  defp value("U", size, bytes), do: with(<<x::little-unit(8)-size(size)>> <- bytes, do: x)
-  defp value("I", size, bytes), do: with(<<x::little-signed-unit(8)-size(size)>> <- bytes, do: x)
+  defp value("U", size, bytes), do: with(<<x::little-unit(8)-known(size)>> <- bytes, do: x)
+  defp value("I", size, bytes), do: with(<<x::little-signed-unit(8)-known(size)>> <- bytes, do: x)
   # a float that is no number, or of no known type
   defp value(_, 4, bytes), do: {:bits, bytes}
   defp value(_, _, _), do: :nan

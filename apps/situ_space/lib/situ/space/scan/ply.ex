@@ -2,6 +2,7 @@ defmodule Situ.Space.Scan.Ply do
   @moduledoc false
   # PLY, as text or little-endian bytes: vertices with x, y, z and perhaps red, green, blue; faces as lists of vertices.
   # Source: G. Turk, The PLY Polygon File Format, 1994.
+  import Situ.Bits, only: [known: 1]
   alias Situ.{Error, Mesh, PointCloud}
   alias Situ.Space.Scan.Text
 
@@ -164,22 +165,22 @@ defmodule Situ.Space.Scan.Ply do
 
   defp value({:float, size}, bytes) do
     case bytes do
-      <<x::little-float-size(size)-unit(8), rest::binary>> -> {x, rest}
-      <<_::binary-size(size), rest::binary>> -> {:nan, rest}
+      <<x::little-float-known(size)-unit(8), rest::binary>> -> {x, rest}
+      <<_::binary-known(size), rest::binary>> -> {:nan, rest}
       _ -> throw(:short)
     end
   end
 
   defp value({:int, size}, bytes) do
     case bytes do
-      <<x::little-signed-size(size)-unit(8), rest::binary>> -> {x, rest}
+      <<x::little-signed-known(size)-unit(8), rest::binary>> -> {x, rest}
       _ -> throw(:short)
     end
   end
 
   defp value({:uint, size}, bytes) do
     case bytes do
-      <<x::little-size(size)-unit(8), rest::binary>> -> {x, rest}
+      <<x::little-known(size)-unit(8), rest::binary>> -> {x, rest}
       _ -> throw(:short)
     end
   end

@@ -21,6 +21,7 @@ defmodule Situ.Studio.Headset.Packet do
       iex> Situ.Studio.Headset.Packet.parse("anything")
       :error
   """
+  import Situ.Bits, only: [known: 1]
   alias Situ.{JSON, Point3, Pose, Quaternion, Ray3, Rectangle3, Skeleton}
 
   @pose 28
@@ -70,7 +71,7 @@ defmodule Situ.Studio.Headset.Packet do
   def parse(_bytes), do: :error
 
   defp poses(bytes, n) when byte_size(bytes) >= n * @pose do
-    <<here::binary-size(n)-unit(224), rest::binary>> = bytes
+    <<here::binary-known(n)-unit(224), rest::binary>> = bytes
 
     found =
       for <<x::little-float-32, y::little-float-32, z::little-float-32, i::little-float-32,

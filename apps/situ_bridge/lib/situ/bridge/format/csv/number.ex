@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Format.Csv.Number do
   @moduledoc false
   # Numbers as .NET writes them in its invariant culture, and fields as values.
+  import Situ.Bits, only: [known: 1]
 
   @canonical ~r/\A-?(0|[1-9]\d*)(\.\d+)?([eE][+-]?\d{1,3})?\z/
 
@@ -32,7 +33,7 @@ defmodule Situ.Bridge.Format.Csv.Number do
     size = byte_size(text) - 2
 
     case text do
-      <<whole::binary-size(size), ".0">> -> whole
+      <<whole::binary-known(size), ".0">> -> whole
       _ -> text
     end
   end

@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Format.Csv.Row do
   @moduledoc false
   # One record of fields, by RFC 4180: quotes around fields with commas, quotes or line breaks; a quote is doubled.
+  import Situ.Bits, only: [known: 1]
 
   @most 16 * 1024 * 1024
 
@@ -35,7 +36,7 @@ defmodule Situ.Bridge.Format.Csv.Row do
   defp field(bytes, last?, done) do
     case :binary.match(bytes, [",", "\n"]) do
       {at, 1} ->
-        <<text::binary-size(at), mark, rest::binary>> = bytes
+        <<text::binary-known(at), mark, rest::binary>> = bytes
         next(mark, :binary.copy(text), rest, last?, done)
 
       :nomatch when last? ->
@@ -54,7 +55,7 @@ defmodule Situ.Bridge.Format.Csv.Row do
   defp within(bytes, last?, parts, done) do
     case :binary.match(bytes, "\"") do
       {at, 1} ->
-        <<text::binary-size(at), ?", rest::binary>> = bytes
+        <<text::binary-known(at), ?", rest::binary>> = bytes
         quote_met(rest, last?, [parts, text], done)
 
       :nomatch ->

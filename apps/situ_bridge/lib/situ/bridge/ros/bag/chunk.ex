@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Ros.Bag.Chunk do
   @moduledoc false
   # A chunk of a bag, unpacked. The missing part of the last one, in a file cut short, is not asked for.
+  import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Native
   alias Situ.Bridge.Ros.Bag.Record
 
@@ -10,7 +11,7 @@ defmodule Situ.Bridge.Ros.Bag.Chunk do
           {:ok, binary()} | {:error, String.t()}
   def read(file, at, size) do
     with {:ok, <<h::little-32>>} <- :file.pread(file, at, 4),
-         {:ok, <<header::binary-size(h), d::little-32>>} <- :file.pread(file, at + 4, h + 4),
+         {:ok, <<header::binary-known(h), d::little-32>>} <- :file.pread(file, at + 4, h + 4),
          {:ok, fields} <- Record.fields(header),
          {:ok, data} <- :file.pread(file, at + 8 + h, min(d, max(size - at - 8 - h, 0))) do
       unpack(fields["compression"], data, Record.u32(fields, "size") || 0)

@@ -2,6 +2,7 @@ defmodule Situ.Bridge.Ros.Bag.Contents do
   @moduledoc false
   # The contents of a bag: its connections, and where each message lies. With an index that is read; without one (the
   # recorder was killed, the file is cut short) all chunks are passed over.
+  import Situ.Bits, only: [known: 1]
   alias Situ.Bridge.Ros.Bag.{Chunk, Record}
 
   # connections: number => %{topic, type, md5, definition}; places: number => [{time, chunk position, offset}]
@@ -25,7 +26,7 @@ defmodule Situ.Bridge.Ros.Bag.Contents do
   defp place(file, at, size) do
     with {:ok, <<h::little-32>>} when h <= @most_header and at + 8 + h <= size <-
            :file.pread(file, at, 4),
-         {:ok, <<header::binary-size(h), d::little-32>>} <- :file.pread(file, at + 4, h + 4),
+         {:ok, <<header::binary-known(h), d::little-32>>} <- :file.pread(file, at + 4, h + 4),
          {:ok, fields} <- Record.fields(header) do
       {:ok, Record.op(fields), fields, at + 8 + h, d}
     else

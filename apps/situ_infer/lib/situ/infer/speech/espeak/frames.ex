@@ -34,7 +34,7 @@ defmodule Situ.Infer.Speech.Espeak.Frames do
       {?a, samples} when rem(size, 2) == 0 ->
         frames(rest, [samples | sound], events)
 
-      {tag, <<at::little-32, place::little-32, length::little-32>>} when tag in 'ws' ->
+      {tag, <<at::little-32, place::little-32, length::little-32>>} when tag in ~c"ws" ->
         kind = if tag == ?w, do: :word, else: :sentence
         frames(rest, sound, [{kind, at, {place, length}} | events])
 

@@ -55,7 +55,7 @@ defmodule Situ.Infer.Speech.PocketSphinx.Output do
   defp words([], words), do: {Enum.reverse(words), 0}
 
   # Silence, noise and the joints of a grammar are no words; `ten(2)` is another way to say `ten`.
-  defp spoken(<<first, _::binary>>) when first in '<([+', do: nil
+  defp spoken(<<first, _::binary>>) when first in ~c"<([+", do: nil
   defp spoken(word), do: word |> String.split("(") |> hd()
 
   defp time(frames), do: integer(frames) * @frame

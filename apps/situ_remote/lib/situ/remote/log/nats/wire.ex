@@ -12,6 +12,8 @@ defmodule Situ.Remote.Log.Nats.Wire do
       iex> Wire.parse("MSG a.b 1 4000\\r\\n", 1_024)
       {:error, "a message of 4000 bytes, and 1024 were agreed on"}
   """
+  import Situ.Bits, only: [known: 1]
+
   @line 4_096
 
   @type message :: %{
@@ -43,7 +45,7 @@ defmodule Situ.Remote.Log.Nats.Wire do
   def parse(bytes, most) do
     case :binary.match(bytes, "\r\n", scope: {0, min(byte_size(bytes), @line)}) do
       {at, 2} ->
-        <<line::binary-size(at), "\r\n", rest::binary>> = bytes
+        <<line::binary-known(at), "\r\n", rest::binary>> = bytes
         frame(line, rest, most)
 
       :nomatch when byte_size(bytes) >= @line ->
@@ -100,7 +102,7 @@ defmodule Situ.Remote.Log.Nats.Wire do
 
   defp take(subject, reply, head, size, bytes) do
     case bytes do
-      <<lines::binary-size(head), data::binary-size(size), "\r\n", rest::binary>> ->
+      <<lines::binary-known(head), data::binary-known(size), "\r\n", rest::binary>> ->
         {status, headers} = headers(lines)
 
         message = %{
