@@ -56,7 +56,7 @@ defmodule Situ.Certificate do
   @spec fingerprint(Path.t()) :: {:ok, String.t()} | {:error, Error.t()}
   def fingerprint(certfile) do
     with {:ok, text} <- File.read(certfile),
-         [{:Certificate, der, :not_encrypted} | _] <- :public_key.pem_decode(text) do
+         {:ok, der} <- first(text) do
       {:ok, fingerprint_of(der)}
     else
       _ ->
@@ -142,12 +142,27 @@ defmodule Situ.Certificate do
   defp usable?(tls, hosts) do
     with {:ok, text} <- File.read(tls[:certfile]),
          true <- File.exists?(tls[:keyfile]),
-         [{:Certificate, der, :not_encrypted} | _] <- :public_key.pem_decode(text) do
-      certificate(tbsCertificate: tbs) = :public_key.pkix_decode_cert(der, :otp)
+         {:ok, der} <- first(text),
+         {:ok, tbs} <- decode(der) do
       lasts?(tbs) and Enum.all?(hosts, &(general_name(&1) in names(tbs)))
     else
       _ -> false
     end
+  end
+
+  defp first(text) do
+    [{:Certificate, der, :not_encrypted} | _] = :public_key.pem_decode(text)
+    {:ok, der}
+  rescue
+    _ -> :error
+  end
+
+  # One that is damaged, or that this version of Erlang does not read, is made again.
+  defp decode(der) do
+    certificate(tbsCertificate: tbs) = :public_key.pkix_decode_cert(der, :otp)
+    {:ok, tbs}
+  rescue
+    _ -> :error
   end
 
   defp names(tbs) do

@@ -49,6 +49,21 @@ defmodule Situ.CertificateTest do
   end
 
   @tag :tmp_dir
+  test "one that cannot be read is made again", %{tmp_dir: tmp} do
+    {:ok, tls} = Certificate.ensure(tmp, ["lab1"])
+    unread = :public_key.pem_encode([{:Certificate, "no certificate", :not_encrypted}])
+
+    for text <- [unread, "-----BEGIN CERTIFICATE-----\n!\n-----END CERTIFICATE-----\n", ""] do
+      File.write!(tls[:certfile], text)
+      assert {:ok, ^tls} = Certificate.ensure(tmp, ["lab1"])
+      assert {:ok, _} = Certificate.fingerprint(tls[:certfile])
+      made = File.read!(tls[:certfile])
+      assert {:ok, ^tls} = Certificate.ensure(tmp, ["lab1"])
+      assert File.read!(tls[:certfile]) == made
+    end
+  end
+
+  @tag :tmp_dir
   test "it is used again while it lasts and names the hosts, made again otherwise", %{
     tmp_dir: tmp
   } do

@@ -350,7 +350,7 @@ defmodule Situ.Remote.ServerTest do
   @localhost {:Extension, {2, 5, 29, 17}, :asn1_DEFAULT, [dNSName: 'localhost']}
 
   defp certificates(name \\ @localhost) do
-    key = [key: {:namedCurve, :secp256r1}]
+    key = [key: {:namedCurve, :secp256r1}, digest: :sha256]
     chain = %{root: key, intermediates: [], peer: key ++ [extensions: [name]]}
 
     :public_key.pkix_test_data(%{

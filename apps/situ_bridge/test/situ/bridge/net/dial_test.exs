@@ -14,16 +14,16 @@ defmodule Situ.Bridge.Net.DialTest do
     ]
 
     # The curve P-256.
-    curve = {:namedCurve, {1, 2, 840, 10_045, 3, 1, 7}}
+    own = [key: {:namedCurve, {1, 2, 840, 10_045, 3, 1, 7}}, digest: :sha256]
 
     made = fn names ->
       :public_key.pkix_test_data(%{
         server_chain: %{
-          root: [key: curve],
+          root: own,
           intermediates: [],
-          peer: [extensions: names, key: curve]
+          peer: own ++ [extensions: names]
         },
-        client_chain: %{root: [key: curve], intermediates: [], peer: [key: curve]}
+        client_chain: %{root: own, intermediates: [], peer: own}
       })
     end
 
