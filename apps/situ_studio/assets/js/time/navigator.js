@@ -125,6 +125,9 @@ export class Navigator {
     ctx.fillRect(l, top, 2, BAR);
     ctx.fillRect(Math.max(r - 2, l), top, 2, BAR);
     ctx.fillStyle = c.dim;
+    // the data, where a live view reaches beyond them
+    const [first, last] = s.data.map(x);
+    if (last - first < inner - 1) ctx.fillRect(first, top + BAR - 2, Math.max(last - first, 1), 2);
     ctx.font = FONT;
     ctx.textBaseline = "middle";
     const over = ticks(this.span(), inner, 110);
