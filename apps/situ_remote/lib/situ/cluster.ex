@@ -237,13 +237,13 @@ defmodule Situ.Cluster do
   @doc """
   Deletes for good what the log keeps of a deployment that has ended (it is then forgotten, too) or that was forgotten.
   One that runs is refused (`:in_use`), also when it runs on a cluster of others that uses the same log: the leases are
-  watched for `wait` ms, which is to be more than a quarter of that deployment's `lease:`. Returns the number of
+  watched for `wait` ms, or half of that deployment's `lease:` if that is more. Returns the number of
   subjects, streams and keys, that are gone.
   """
   @spec prune(String.t(), non_neg_integer()) :: {:ok, non_neg_integer()} | {:error, Error.t()}
   def prune(name, wait \\ 1_500) when is_binary(name) do
     with {:ok, all} <- kept(),
-         {:ok, kept} <- of(all, name),
+         {:ok, kept} <- Past.find(all, name),
          {:ok, tries} <- over(Enum.find(Agent.info().deployments, &(&1.name == name))),
          :ok <- unused(kept, wait, tries),
          do: Past.delete(Agent.log(), kept)
@@ -253,17 +253,6 @@ defmodule Situ.Cluster do
   defp unused(kept, wait, tries) do
     with {:error, %{code: :in_use}} when tries > 1 <- Past.unused(Agent.log(), kept, wait),
          do: unused(kept, wait, tries - 1)
-  end
-
-  defp of(all, name) do
-    with nil <- Enum.find(all, &(&1.deployment == name)) do
-      {:error,
-       Error.new(:not_found, "the log keeps nothing of #{inspect(name)}",
-         fix: "it keeps something of: " <> Enum.map_join(all, ", ", & &1.deployment)
-       )}
-    else
-      kept -> {:ok, kept}
-    end
   end
 
   # How often the leases are watched.

@@ -50,7 +50,7 @@ defmodule Situ.CLI.Cluster do
       },
       %Verb{
         words: ["cluster", "status"],
-        summary: "nodes, deployments, and which node runs which part",
+        summary: "show nodes, deployments, and which node runs which part",
         options: [@node, @folder],
         examples: ["situ cluster status --node situ-9301@127.0.0.1"],
         run: fn _, opts -> status(opts) end

@@ -3,6 +3,16 @@ defmodule Situ.CLI.ClusterKept do
   # The verbs of `situ cluster` for what the log keeps of deployments: a list, and taking away what is over.
   alias Situ.{Cluster, Error}
   alias Situ.CLI.{ClusterNode, Option, Output, Verb}
+  alias Situ.Cluster.Past
+  alias Situ.Remote.Log
+
+  @log Option.new(
+         :log,
+         :string,
+         "the log itself, where no node runs: a folder, or nats://host:4222",
+         value: "ADDRESS"
+       )
+  @watched_ms 1_500
 
   @doc "`ask` calls a function on a node of the cluster."
   @spec verbs([Option.t()], ClusterNode.ask()) :: [Verb.t()]
@@ -10,45 +20,89 @@ defmodule Situ.CLI.ClusterKept do
     [
       %Verb{
         words: ["cluster", "kept"],
-        summary: "what the log keeps of each deployment, running and ended ones",
+        summary: "list what the log keeps of each deployment, running and ended ones",
         about:
           "A log in NATS costs its server two open files for each stream; `situ cluster prune` frees them.",
-        options: common,
-        examples: ["situ cluster kept --node situ-9301@127.0.0.1"],
-        run: fn _, opts -> kept(opts, ask) end
+        options: [@log | common],
+        examples: [
+          "situ cluster kept --node situ-9301@127.0.0.1",
+          "situ cluster kept --log nats://lab1:4222"
+        ],
+        run: fn _, opts -> opts |> keeper(ask) |> list(opts) end
       },
       %Verb{
         words: ["cluster", "prune"],
         summary: "delete for good what the log keeps of deployments that have ended",
         about: """
         Names deployments, or all that were not written to for a while (--older-than). Nothing is deleted of one that
-        runs, here or on another cluster with the same log. --dry-run says what would be deleted.
+        runs, here or on another cluster with the same log: with --log its leases tell. --dry-run says what would be
+        deleted.
         """,
         arguments: [
           deployments: [kind: :text, many: true, optional: true, doc: "what was deployed"]
         ],
         options: [
           Option.new(:older_than, :span, "all that were last written to so long ago"),
-          Option.new(:dry_run, :flag, "delete nothing")
+          Option.new(:dry_run, :flag, "delete nothing"),
+          @log
           | common
         ],
         examples: [
           "situ cluster prune Hall --node situ-9301@127.0.0.1",
-          "situ cluster prune --older-than 24h --node situ-9301@127.0.0.1"
+          "situ cluster prune --older-than 24h --node situ-9301@127.0.0.1",
+          "situ cluster prune Hall --log /var/lib/situ/log"
         ],
-        run: fn %{deployments: names}, opts -> prune(names, opts, ask) end
+        run: fn %{deployments: names}, opts -> names |> prune(opts, keeper(opts, ask)) end
       }
     ]
   end
 
-  defp kept(opts, ask) do
-    kept = Error.unwrap!(ask.(opts, Cluster, :kept, []))
-    known = for d <- ask.(opts, Cluster.Agent, :info, []).deployments, do: d.name
+  # Who is asked: what is kept, the names of those that nodes know, and taking one away.
+  defp keeper(opts, ask) do
+    if opts[:log], do: by_log(opts[:log]), else: by_node(opts, ask)
+  end
+
+  defp by_node(opts, ask) do
+    %{
+      kept: fn -> ask.(opts, Cluster, :kept, []) end,
+      known: fn -> for d <- ask.(opts, Cluster.Agent, :info, []).deployments, do: d.name end,
+      prune: fn name -> ask.(opts, Cluster, :prune, [name]) end
+    }
+  end
+
+  defp by_log(address) do
+    address = if String.contains?(address, "://"), do: address, else: existing(address)
+    {:ok, _} = Application.ensure_all_started(:situ_remote)
+    log = Error.unwrap!(Log.connect(address, []))
+
+    %{
+      kept: fn -> Past.list(log) end,
+      known: fn -> nil end,
+      prune: &Past.prune(log, &1, @watched_ms)
+    }
+  end
+
+  # Whoever looks makes no log.
+  defp existing(folder) do
+    if File.dir?(folder),
+      do: folder,
+      else:
+        raise(
+          Error.new(:no_log, "there is no log #{folder}",
+            fix: "name the folder given to `situ cluster join`"
+          )
+        )
+  end
+
+  defp list(keeper, opts) do
+    kept = Error.unwrap!(keeper.kept.())
+    known = keeper.known.()
 
     if opts[:json],
       do: Output.json(Enum.map(kept, &row(&1, known))),
       else: Enum.each(kept, &print(&1, known))
 
+    if kept == [] and not opts[:json], do: Output.puts("the log keeps nothing")
     0
   end
 
@@ -56,14 +110,14 @@ defmodule Situ.CLI.ClusterKept do
     kept
     |> Map.take([:deployment, :streams, :entries, :bytes])
     |> Map.merge(%{
-      known: kept.deployment in known,
+      known: known && kept.deployment in known,
       written: kept.written && Situ.Time.to_iso8601(kept.written)
     })
   end
 
   defp print(kept, known) do
     r = row(kept, known)
-    where = if r.known, do: "", else: ", on no node here"
+    where = if r.known == false, do: ", on no node here", else: ""
     size = "#{r.streams} streams, #{r.entries} entries, #{r.bytes} bytes"
 
     Output.puts(
@@ -71,34 +125,33 @@ defmodule Situ.CLI.ClusterKept do
     )
   end
 
-  defp prune(names, opts, ask) do
-    found = if opts[:older_than], do: old(opts, ask), else: []
-
+  defp prune(names, opts, keeper) do
     if names == [] and opts[:older_than] == nil do
       raise Error.new(:usage, "which deployments?",
               fix: "name them (see `situ cluster kept`), or give --older-than 24h"
             )
     end
 
-    results = for name <- Enum.uniq(names ++ found), do: pruned(name, name in names, opts, ask)
+    found = if opts[:older_than], do: old(opts, keeper), else: []
+    results = for name <- Enum.uniq(names ++ found), do: pruned(name, name in names, opts, keeper)
     if results == [], do: Output.puts("nothing is that old")
     Enum.max(results, fn -> 0 end)
   end
 
-  defp old(opts, ask) do
+  defp old(opts, keeper) do
     latest = Situ.Time.now() - opts[:older_than]
 
-    for kept <- Error.unwrap!(ask.(opts, Cluster, :kept, [])),
+    for kept <- Error.unwrap!(keeper.kept.()),
         kept.written != nil and kept.written <= latest,
         do: kept.deployment
   end
 
-  defp pruned(name, named?, opts, ask) do
+  defp pruned(name, named?, opts, keeper) do
     if opts[:dry_run] do
       Output.puts("#{Output.name(name)}: would be deleted if it has ended")
       0
     else
-      told(ask.(opts, Cluster, :prune, [name]), name, named?)
+      told(keeper.prune.(name), name, named?)
     end
   end
 

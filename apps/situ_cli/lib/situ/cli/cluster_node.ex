@@ -14,7 +14,7 @@ defmodule Situ.CLI.ClusterNode do
     [
       %Verb{
         words: ["cluster", "logs"],
-        summary: "what the nodes have logged lately",
+        summary: "show what the nodes have logged lately",
         about:
           "Each node keeps its last 2,000 lines. Without --of: those of all nodes, in the order of time.",
         options: [
@@ -28,7 +28,7 @@ defmodule Situ.CLI.ClusterNode do
       },
       %Verb{
         words: ["cluster", "info"],
-        summary: "a whole deployment as one pipeline: components, edges, rates, queues",
+        summary: "show a deployment as one pipeline: components, edges, rates, queues",
         arguments: [deployment: [kind: :text, doc: "what was deployed"]],
         options: common,
         examples: ["situ cluster info Hall --node situ-9301@127.0.0.1"],

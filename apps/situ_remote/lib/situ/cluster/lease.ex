@@ -67,18 +67,19 @@ defmodule Situ.Cluster.Lease do
     end
   end
 
-  @doc "Takes it; its number is the epoch."
-  @spec take(Log.t(), String.t(), non_neg_integer()) ::
+  @doc "Takes it, for `ms` at a time; its number is the epoch."
+  @spec take(Log.t(), String.t(), non_neg_integer(), pos_integer()) ::
           {:ok, pos_integer()} | {:refused, Entry.t() | nil} | {:error, Situ.Error.t()}
-  def take(log, key, seq), do: write(log, key, seq, Atom.to_string(node()), "take")
+  def take(log, key, seq, ms), do: write(log, key, seq, {Atom.to_string(node()), ms}, "take")
 
   @doc "Gives it back."
   @spec release(Log.t(), String.t(), pos_integer()) :: term()
-  def release(log, key, seq), do: write(log, key, seq, "", "release")
+  def release(log, key, seq), do: write(log, key, seq, {"", 0}, "release")
 
-  defp write(log, key, seq, owner, verb) do
+  defp write(log, key, seq, {owner, ms}, verb) do
     unique = Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
-    entry = %Entry{op: "#{verb}.#{node()}.#{unique}", head: %{"Node" => owner}}
+    head = %{"Node" => owner, "Ms" => Integer.to_string(ms)}
+    entry = %Entry{op: "#{verb}.#{node()}.#{unique}", head: head}
     Log.append(log, {:key, key}, seq, entry)
   end
 
@@ -109,7 +110,8 @@ defmodule Situ.Cluster.Lease do
   # The log may take its time to say that it is away.
   defp renew(lease, seq, written) do
     started = now()
-    task = Task.async(fn -> write(lease.log, lease.key, seq, Atom.to_string(node()), "beat") end)
+    owner = {Atom.to_string(node()), lease.ms}
+    task = Task.async(fn -> write(lease.log, lease.key, seq, owner, "beat") end)
 
     case Task.yield(task, max(till(lease, written) - started, 0)) ||
            Task.shutdown(task, :brutal_kill) do

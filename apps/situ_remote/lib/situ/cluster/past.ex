@@ -14,6 +14,7 @@ defmodule Situ.Cluster.Past do
   """
   alias Situ.Error
   alias Situ.Remote.Log
+  alias Situ.Remote.Log.Entry
 
   @typedoc "How much one deployment has in the log; `written`: ns since 1970, `nil` when no stream was ever written to."
   @type t :: %{
@@ -72,17 +73,50 @@ defmodule Situ.Cluster.Past do
     }
   end
 
-  @doc "The numbers of the leases of what is kept: they change while any node runs a part of it, or serves its streams."
-  @spec leases(Log.t(), t()) :: {:ok, map()} | {:error, Error.t()}
-  def leases(log, kept) do
+  # The numbers of the leases change while any node runs a part of it, or serves its streams. How long the longest is,
+  # ms: its owner writes it every quarter of that.
+  defp leases(log, kept) do
     keys = for {:key, "lease." <> _} = subject <- kept.subjects, do: subject
 
-    Enum.reduce_while(keys, {:ok, %{}}, fn key, {:ok, seqs} ->
+    Enum.reduce_while(keys, {:ok, %{}, 0}, fn key, {:ok, seqs, longest} ->
       case Log.last(log, key) do
-        {:ok, entry} -> {:cont, {:ok, Map.put(seqs, key, entry && entry.seq)}}
-        {:error, error} -> {:halt, {:error, error}}
+        {:ok, entry} ->
+          longest = max(longest, Entry.integer(entry, "Ms", 0))
+          {:cont, {:ok, Map.put(seqs, key, entry && entry.seq), longest}}
+
+        {:error, error} ->
+          {:halt, {:error, error}}
       end
     end)
+  end
+
+  @doc "Finds one by its name."
+  @spec find([t()], String.t()) :: {:ok, t()} | {:error, Error.t()}
+  def find(all, name) do
+    case {Enum.find(all, &(&1.deployment == name)), Enum.map_join(all, ", ", & &1.deployment)} do
+      {nil, ""} ->
+        {:error,
+         Error.new(:not_found, "the log keeps nothing of #{inspect(name)}, or of anything")}
+
+      {nil, names} ->
+        {:error,
+         Error.new(:not_found, "the log keeps nothing of #{inspect(name)}",
+           fix: "it keeps something of: " <> names
+         )}
+
+      {kept, _} ->
+        {:ok, kept}
+    end
+  end
+
+  @doc "Deletes all of a deployment that nobody uses (`unused/3`), by the log alone."
+  @spec prune(Log.t(), String.t(), non_neg_integer()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def prune(log, name, wait) do
+    with {:ok, all} <- list(log),
+         {:ok, kept} <- find(all, name),
+         :ok <- unused(log, kept, wait),
+         do: delete(log, kept)
   end
 
   @doc """
@@ -102,17 +136,17 @@ defmodule Situ.Cluster.Past do
   end
 
   @doc """
-  Refuses what is in use by nodes that nobody here knows of: looks at the leases twice, `wait` ms apart, which is more
-  than a quarter of the longest lease there may be.
+  Refuses what is in use by nodes that nobody here knows of: looks at the leases twice, `wait` ms apart or half of the
+  longest lease, whichever is more.
   """
   @spec unused(Log.t(), t(), non_neg_integer()) :: :ok | {:error, Error.t()}
   def unused(log, kept, wait) do
-    with {:ok, before} <- leases(log, kept),
-         :ok <- pause(wait),
-         {:ok, ^before} <- leases(log, kept) do
+    with {:ok, before, longest} <- leases(log, kept),
+         :ok <- pause(max(wait, div(longest, 2))),
+         {:ok, ^before, _} <- leases(log, kept) do
       :ok
     else
-      {:ok, _changed} -> {:error, in_use(kept.deployment)}
+      {:ok, _changed, _} -> {:error, in_use(kept.deployment)}
       {:error, error} -> {:error, error}
     end
   end

@@ -73,7 +73,8 @@ defmodule Situ.Cluster.Runner do
          {:ok, look} <- Lease.look(state.log, key(state, "lease")),
          times = %{lease: lease_ms(state), poll: poll_ms(state), wait: wait_ms(state, rank)},
          {:take, lease} <- Lease.observe(state.lease, look, times),
-         {:ok, epoch} <- Lease.take(state.log, key(state, "lease"), elem(look, 0)) do
+         {:ok, epoch} <-
+           Lease.take(state.log, key(state, "lease"), elem(look, 0), lease_ms(state)) do
       {:noreply, own(%{state | lease: lease, epoch: epoch})}
     else
       {:wait, lease} -> {:noreply, look_again(%{state | lease: lease})}
@@ -147,7 +148,8 @@ defmodule Situ.Cluster.Runner do
     state = state |> checkpoint() |> let_go()
 
     with {:ok, look} <- Lease.look(state.log, key(state, "lease")),
-         {:ok, epoch} <- Lease.take(state.log, key(state, "lease"), elem(look, 0)) do
+         {:ok, epoch} <-
+           Lease.take(state.log, key(state, "lease"), elem(look, 0), lease_ms(state)) do
       case own(%{state | epoch: epoch}, &{:refused, &1, &2}) do
         {:refused, state, error} -> {:reply, {:error, error}, let_go(state)}
         state -> {:reply, :ok, state}

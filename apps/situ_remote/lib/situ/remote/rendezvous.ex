@@ -52,7 +52,9 @@ defmodule Situ.Remote.Rendezvous do
 
   The protocol is \\psi's, version 2 (`Situ.Remote.Rendezvous.Wire`), so \\psi's processes take part. A client that dies
   takes its processes along, what a process offers may change (`announce/2`), a client that says nothing holds up
-  nobody, and one that lost its server comes back after 50 ms to 5 s. The protocol has no authentication: whoever can
+  nobody, and one that lost its server comes back after 50 ms to 5 s. Of two processes with one name the others see the
+  first; the second is told (`{:taken, name}`, `error/1`), and takes its place when that has gone. The protocol has no
+  authentication: whoever can
   connect can announce; leave it on the loopback address or a network of its own.
 
   Where a NATS server is there for the log, no other is needed: `join("nats://lab1:4222,lab2:4222", name: "robot", ...)`
@@ -78,7 +80,8 @@ defmodule Situ.Remote.Rendezvous do
   def port(server), do: GenServer.call(server, :port)
 
   @doc """
-  Takes part at the server on `host`, or over NATS (`nats://host:4222`); linked to the caller, and gone from the others' lists when it ends.
+  Takes part at the server on `host`, or over NATS (`nats://host:4222`); linked to the caller, and gone from the
+  others' lists when it ends.
 
   #{Options.docs(@join)}
   """
@@ -99,7 +102,7 @@ defmodule Situ.Remote.Rendezvous do
   @spec announce(pid(), [Wire.endpoint()]) :: :ok
   def announce(member, endpoints), do: GenServer.call(member, {:announce, endpoints})
 
-  @doc "Why there is no connection now, or `nil`."
+  @doc "Why the others do not see this process now (no connection, or another one has its name), or `nil`."
   @spec error(pid()) :: String.t() | nil
   def error(member), do: GenServer.call(member, :error)
 end

@@ -147,7 +147,9 @@ defmodule Situ.Remote.LogTest do
       test "a name of any length and letters is a stream of its own", %{tmp_dir: dir} do
         {log, again} = open(@adapter, dir)
         long = String.duplicate("long ", 30)
+        longer = String.duplicate("é ", 300)
         names = ["a.b", "a b", "a=20b", "A.b", "é/\\\\*>", long <> "1", long <> "2"]
+        names = names ++ [longer <> "1", longer <> "2"]
 
         for {name, i} <- Enum.with_index(names),
             do: assert({:ok, _} = Log.append(log, {:stream, name}, 0, entry("op.#{i}")))
@@ -156,6 +158,13 @@ defmodule Situ.Remote.LogTest do
           op = "op.#{i}"
           assert {:ok, [%Entry{op: ^op}]} = Log.read(again.(), {:stream, name}, 1, 10)
         end
+
+        {:ok, kept} = Log.subjects(again.())
+        assert Enum.sort(for(%{subject: {:stream, name}} <- kept, do: name)) == Enum.sort(names)
+        op = String.duplicate("a long name of a write ", 30)
+        assert {:ok, 2} = Log.append(log, {:stream, longer <> "1"}, 1, entry(op))
+        assert {:ok, 1} = Log.append(log, {:key, longer}, 0, entry(op))
+        assert {:ok, %Entry{op: ^op}} = Log.last(again.(), {:key, longer})
       end
 
       test "lists what it keeps, and deletes it for good", %{tmp_dir: dir} do

@@ -46,6 +46,28 @@ defmodule Situ.Remote.RendezvousTest do
     assert_receive {:situ_rendezvous, ^b, {:added, %{name: "a"}}}
   end
 
+  @tag capture_log: true
+  test "one whose name is another's is told, and seen when that has gone" do
+    {:ok, server} = Rendezvous.serve(port: 0)
+    port = Rendezvous.port(server)
+    desk = join(port, "desk")
+    [one, two] = for n <- ["one", "two"], do: {:address, "situ://r1/#{n}", []}
+    first = join(port, "robot", endpoints: [one])
+    assert_receive {:situ_rendezvous, ^desk, {:added, %{name: "robot", endpoints: [^one]}}}
+    second = join(port, "robot", endpoints: [two])
+    assert_receive {:situ_rendezvous, ^second, {:taken, "robot"}}
+    assert Rendezvous.error(second) =~ ~s(another process is called "robot")
+    assert Rendezvous.error(first) == nil
+    GenServer.stop(first)
+    assert_receive {:situ_rendezvous, ^desk, {:added, %{name: "robot", endpoints: [^two]}}}
+    eventually(fn -> Rendezvous.error(second) == nil end)
+    # Its offers may change as before; it is told of nothing of its own.
+    :ok = Rendezvous.announce(second, [one, two])
+    assert_receive {:situ_rendezvous, ^desk, {:added, %{name: "robot", endpoints: [^one, ^two]}}}
+    assert Enum.map(Rendezvous.peers(second), & &1.name) == ["desk"]
+    refute_received {:situ_rendezvous, ^second, {:added, %{name: "robot"}}}
+  end
+
   test "a client of another version, a silent one and noise harm nobody" do
     {:ok, server} = Rendezvous.serve(port: 0)
     port = Rendezvous.port(server)

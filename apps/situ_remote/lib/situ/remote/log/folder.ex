@@ -10,6 +10,8 @@ defmodule Situ.Remote.Log.Folder do
       root/keys/<subject>/<number>                 the last two
       root/tmp/                                    what is being written
 
+  A subject whose name is too long for a file system is a folder `h-SHA256`, with the name in the file `name`.
+
   A network file system does not do this reliably: for several machines use NATS.
 
   ## Options
@@ -53,10 +55,10 @@ defmodule Situ.Remote.Log.Folder do
   @impl true
   def append(%__MODULE__{} = log, subject, expected, %Entry{} = entry) do
     target = path(log, subject, expected + 1)
-    tmp = Path.join([log.root, "tmp", name(entry.op) <> "-" <> unique()])
+    tmp = Path.join([log.root, "tmp", unique()])
 
     with :ok <- write(log, tmp, Entry.encode(entry)),
-         answer <- link(tmp, target),
+         answer <- link(tmp, target, subject),
          _ <- File.rm(tmp) do
       case answer do
         :ok -> linked(log, subject, expected, target)
@@ -154,11 +156,24 @@ defmodule Situ.Remote.Log.Folder do
   def subjects(%__MODULE__{} = log) do
     found =
       for {kind, folder} <- [stream: "streams", key: "keys"],
-          "s-" <> name <- names(Path.join(log.root, folder)),
-          do: about(log, {kind, URI.decode(name)})
+          folder = Path.join(log.root, folder),
+          name <- names(folder),
+          subject = subject(folder, name),
+          do: about(log, {kind, subject})
 
     {:ok, found}
   end
+
+  defp subject(_folder, "s-" <> name), do: URI.decode(name)
+
+  defp subject(folder, "h-" <> _ = name) do
+    case File.read(Path.join([folder, name, "name"])) do
+      {:ok, subject} -> subject
+      {:error, _} -> nil
+    end
+  end
+
+  defp subject(_folder, _name), do: nil
 
   defp names(folder) do
     case File.ls(folder) do
@@ -248,10 +263,21 @@ defmodule Situ.Remote.Log.Folder do
     end
   end
 
-  defp link(tmp, target) do
+  defp link(tmp, target, subject) do
     with {:error, :enoent} <- :file.make_link(tmp, target),
          :ok <- File.mkdir_p(Path.dirname(target)),
+         :ok <- named(subject, target),
          do: :file.make_link(tmp, target)
+  end
+
+  # A folder whose name is a hash says whose it is.
+  defp named({kind, subject}, target) do
+    up = if kind == :key, do: 1, else: 2
+    folder = Enum.reduce(1..up, target, fn _, path -> Path.dirname(path) end)
+
+    if String.starts_with?(Path.basename(folder), "h-"),
+      do: File.write(Path.join(folder, "name"), subject),
+      else: :ok
   end
 
   defp failed(path, reason) do
@@ -306,7 +332,13 @@ defmodule Situ.Remote.Log.Folder do
   defp folder(log, {:stream, subject}), do: Path.join([log.root, "streams", name(subject)])
   defp folder(log, {:key, subject}), do: Path.join([log.root, "keys", name(subject)])
 
-  # No subject is a path.
-  defp name(subject), do: "s-" <> URI.encode(subject, &(URI.char_unreserved?(&1) and &1 != ?~))
+  # No subject is a path, and no file's name has more than 255 bytes.
+  defp name(subject) do
+    case URI.encode(subject, &(URI.char_unreserved?(&1) and &1 != ?~)) do
+      name when byte_size(name) <= 240 -> "s-" <> name
+      _ -> "h-" <> Base.encode16(:crypto.hash(:sha256, subject), case: :lower)
+    end
+  end
+
   defp unique, do: Base.encode16(:crypto.strong_rand_bytes(8), case: :lower)
 end

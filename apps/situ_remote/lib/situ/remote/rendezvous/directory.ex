@@ -71,4 +71,10 @@ defmodule Situ.Remote.Rendezvous.Directory do
     told = for {name, _} <- Enum.sort(its), do: {:remove, name}
     {told, %{directory | processes: Map.new(rest)}}
   end
+
+  @doc "For people: of two processes with one name the first counts."
+  @spec taken(String.t()) :: String.t()
+  def taken(name),
+    do:
+      "another process is called #{inspect(name)}: the others see the one that came first; give each a name of its own"
 end

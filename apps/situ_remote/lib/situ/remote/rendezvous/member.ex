@@ -1,8 +1,12 @@
 defmodule Situ.Remote.Rendezvous.Member do
   @moduledoc false
   # A process's place at a rendezvous: announces it, knows the others, and comes back when the server has been away.
+  #
+  # The server ignores a name that is another process's, and says so to nobody; but it tells every client of all
+  # processes, oneself included. Whose the own name is shows in the first entry of it: `name` is `:ours` or `:taken`.
   use GenServer
-  alias Situ.Remote.Rendezvous.Wire
+  require Logger
+  alias Situ.Remote.Rendezvous.{Directory, Wire}
 
   @first_wait 50
   @longest_wait 5_000
@@ -15,6 +19,7 @@ defmodule Situ.Remote.Rendezvous.Member do
     :listener,
     :socket,
     :error,
+    :name,
     wait: @first_wait,
     stage: nil,
     buffer: "",
@@ -32,17 +37,19 @@ defmodule Situ.Remote.Rendezvous.Member do
   end
 
   @impl true
-  def handle_call(:peers, _from, state), do: {:reply, others(state), state}
-  def handle_call(:error, _from, state), do: {:reply, state.error, state}
+  def handle_call(:peers, _from, state),
+    do: {:reply, for({_name, process} <- Enum.sort(state.peers), do: process), state}
+
+  def handle_call(:error, _from, state) do
+    error = if state.name == :taken, do: Directory.taken(state.own.name), else: state.error
+    {:reply, error, state}
+  end
 
   def handle_call({:announce, endpoints}, _from, state) do
     state = %{state | own: %{state.own | endpoints: endpoints}}
     announce(state)
     {:reply, :ok, state}
   end
-
-  defp others(state),
-    do: for({name, process} <- Enum.sort(state.peers), name != state.own.name, do: process)
 
   @impl true
   def handle_info(:connect, %{socket: nil} = state) do
@@ -84,7 +91,8 @@ defmodule Situ.Remote.Rendezvous.Member do
   defp read(%{stage: :listed, buffer: buffer} = state) do
     with {:ok, _address, rest} <- Wire.read_text(buffer),
          {:ok, _count, rest} <- Wire.read_int(rest) do
-      state = %{state | stage: :open, buffer: rest, wait: @first_wait, error: nil, peers: %{}}
+      state = %{state | stage: :open, buffer: rest, wait: @first_wait, error: nil, name: nil}
+      state = %{state | peers: %{}}
       announce(state)
       read(state)
     else
@@ -103,6 +111,28 @@ defmodule Situ.Remote.Rendezvous.Member do
 
   defp read(state), do: state
 
+  defp updated(%{own: %{name: name}} = state, {:add, %{name: name} = process}) do
+    cond do
+      state.name == :ours or process == state.own ->
+        %{state | name: :ours}
+
+      state.name == :taken ->
+        state
+
+      true ->
+        Logger.warning("situ rendezvous: " <> Directory.taken(name))
+        if state.listener, do: send(state.listener, {:situ_rendezvous, self(), {:taken, name}})
+        %{state | name: :taken}
+    end
+  end
+
+  # Another process's, or that of a connection that was lost: it is free now. One of our own that changes is announced
+  # once more, which the server ignores.
+  defp updated(%{own: %{name: name}} = state, {:remove, name}) do
+    announce(state)
+    %{state | name: nil}
+  end
+
   defp updated(state, {:add, process}) do
     tell(state, {:added, process})
     %{state | peers: Map.put(state.peers, process.name, process)}
@@ -115,10 +145,7 @@ defmodule Situ.Remote.Rendezvous.Member do
 
   defp updated(state, :disconnect), do: state
 
-  # The listener is not told of its own entry.
   defp tell(%{listener: nil}, _event), do: :ok
-  defp tell(%{own: %{name: name}}, {:added, %{name: name}}), do: :ok
-  defp tell(%{own: %{name: name}}, {:removed, name}), do: :ok
   defp tell(state, event), do: send(state.listener, {:situ_rendezvous, self(), event})
 
   defp announce(%{stage: :open, socket: socket} = state),
@@ -137,6 +164,7 @@ defmodule Situ.Remote.Rendezvous.Member do
         stage: nil,
         buffer: "",
         peers: %{},
+        name: nil,
         error: why,
         wait: min(state.wait * 2, @longest_wait)
     }

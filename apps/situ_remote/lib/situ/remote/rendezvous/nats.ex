@@ -4,18 +4,20 @@ defmodule Situ.Remote.Rendezvous.Nats do
   # what it offers when it comes, when that changes and every `beat`, as the rendezvous protocol has it, and a question
   # (its byte for a farewell) is answered by all at once. On `situ.peer.NAME` a process says where its link is.
   #
-  # The reply subject names the process that speaks: of two with one name the first counts, until it is gone.
+  # The reply subject names the process that speaks: of two with one name the first counts, until it is gone. Both are
+  # told; `rival` is when the other was last heard.
   use GenServer
+  require Logger
   alias Situ.Error
   alias Situ.Remote.Log.Nats.{Connection, Servers}
-  alias Situ.Remote.Rendezvous.Wire
+  alias Situ.Remote.Rendezvous.{Directory, Wire}
 
   @all "situ.peers"
   @again_ms 1_000
   @most 1_000
   @find_ms 1_000
 
-  defstruct [:own, :listener, :beat, :start, :id, :connection, :error, peers: %{}]
+  defstruct [:own, :listener, :beat, :start, :id, :connection, :error, :rival, peers: %{}]
 
   @spec start_link(keyword()) :: GenServer.on_start() | {:error, Error.t()}
   def start_link(opts) do
@@ -84,7 +86,10 @@ defmodule Situ.Remote.Rendezvous.Nats do
   def handle_call(:peers, _from, state),
     do: {:reply, for({_, {_, _, process}} <- Enum.sort(state.peers), do: process), state}
 
-  def handle_call(:error, _from, state), do: {:reply, state.error, state}
+  def handle_call(:error, _from, state) do
+    taken = if state.rival, do: Directory.taken(state.own.name)
+    {:reply, state.error || taken, state}
+  end
 
   def handle_call({:announce, endpoints}, _from, state) do
     state = %{state | own: %{state.own | endpoints: endpoints}}
@@ -134,7 +139,8 @@ defmodule Situ.Remote.Rendezvous.Nats do
     late = now() - div(state.beat * 7, 2)
     {gone, kept} = Enum.split_with(state.peers, fn {_, {_, seen, _}} -> seen < late end)
     for {name, _} <- gone, do: tell(state, {:removed, name})
-    {:noreply, %{state | peers: Map.new(kept)}}
+    rival = if state.rival && state.rival >= late, do: state.rival
+    {:noreply, %{state | peers: Map.new(kept), rival: rival}}
   end
 
   def handle_info({:EXIT, connection, reason}, %{connection: connection} = state) do
@@ -160,6 +166,17 @@ defmodule Situ.Remote.Rendezvous.Nats do
     state
   end
 
+  defp heard(%{own: %{name: name}} = state, {:add, %{name: name}}, _who) do
+    if state.rival == nil do
+      Logger.warning("situ rendezvous: " <> Directory.taken(name))
+      tell(state, {:taken, name})
+    end
+
+    %{state | rival: now()}
+  end
+
+  defp heard(%{own: %{name: name}} = state, {:remove, name}, _who), do: %{state | rival: nil}
+
   defp heard(state, {:add, %{name: name} = process}, who) do
     case state.peers do
       %{^name => {^who, _seen, ^process}} ->
@@ -173,7 +190,7 @@ defmodule Situ.Remote.Rendezvous.Nats do
       %{^name => _somebody_elses} ->
         state
 
-      peers when map_size(peers) >= @most or name == state.own.name ->
+      peers when map_size(peers) >= @most ->
         state
 
       _ ->

@@ -72,12 +72,18 @@ defmodule Situ.Remote.Rendezvous.NatsTest do
     assert {:error, %{code: :bad_address}} = Rendezvous.join("nats://", name: "a")
   end
 
-  test "of two with one name the first counts; noise harms nobody", %{tmp_dir: dir} do
+  @tag capture_log: true
+  test "of two with one name the first counts, and both are told; noise harms nobody", %{
+    tmp_dir: dir
+  } do
     server = server(dir)
     desk = join(server, "desk")
     one = join(server, "robot", endpoints: [offer("one")])
     eventually(fn -> names(desk) == ["robot"] end)
-    _two = join(server, "robot", endpoints: [offer("two")])
+    other = join(server, "robot", endpoints: [offer("two")])
+    assert_receive {:situ_rendezvous, ^one, {:taken, "robot"}}, 5_000
+    assert_receive {:situ_rendezvous, ^other, {:taken, "robot"}}, 5_000
+    assert Rendezvous.error(other) =~ ~s(another process is called "robot")
 
     {:ok, noisy} = Connection.start_link(servers: [{"127.0.0.1", server.port}], jetstream: false)
 
@@ -93,6 +99,7 @@ defmodule Situ.Remote.Rendezvous.NatsTest do
     GenServer.stop(one)
     two = offer("two")
     assert_receive {:situ_rendezvous, ^desk, {:added, %{name: "robot", endpoints: [^two]}}}, 5_000
+    eventually(fn -> Rendezvous.error(other) == nil end)
   end
 
   # An edge site with a server of its own, which calls the hub: a leaf link.
