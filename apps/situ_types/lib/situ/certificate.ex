@@ -30,6 +30,7 @@ defmodule Situ.Certificate do
   )
 
   @subject_alternative_name {2, 5, 29, 17}
+  @common_name {2, 5, 4, 3}
   @days 825
   @renew_days 7
 
@@ -84,20 +85,16 @@ defmodule Situ.Certificate do
   end
 
   defp make(folder, tls, hosts) do
-    %{certificate: certificate, key: {kind, key}, authority: authority} = issue(hosts)
+    issued = issue("Situ on #{hd(hosts)}", hosts: hosts)
 
     with :ok <- File.mkdir_p(folder),
          :ok <- File.chmod(folder, 0o700),
          # The file is closed to others before the key is in it.
          :ok <- File.write(tls[:keyfile], ""),
          :ok <- File.chmod(tls[:keyfile], 0o600),
-         :ok <- File.write(tls[:keyfile], pem(kind, key)),
-         :ok <- File.write(Path.join(folder, "authority.pem"), pem(:Certificate, authority)),
-         :ok <-
-           File.write(tls[:certfile], [
-             pem(:Certificate, certificate),
-             pem(:Certificate, authority)
-           ]) do
+         :ok <- File.write(tls[:keyfile], issued.key),
+         :ok <- File.write(Path.join(folder, "authority.pem"), issued.authority),
+         :ok <- File.write(tls[:certfile], issued.certificate <> issued.authority) do
       {:ok, tls}
     else
       {:error, reason} ->
@@ -110,18 +107,54 @@ defmodule Situ.Certificate do
     end
   end
 
-  # An authority that signs this one certificate, and whose key nobody keeps.
-  defp issue(hosts) do
+  @doc """
+  A certificate, its key, and the authority that signed it, all as PEM. The authority signs this one certificate; nobody
+  keeps its key. Options: `hosts:` that it names (names or addresses), and `days:` that it lasts (#{@days}); from
+  yesterday on, since the clocks of other machines may be behind.
+
+      iex> issued = Situ.Certificate.issue("a lab", hosts: ["lab1"])
+      iex> [{:Certificate, der, :not_encrypted}] = :public_key.pem_decode(issued.certificate)
+      iex> :public_key.pkix_verify_hostname(der, dns_id: ~c"lab1")
+      true
+  """
+  @spec issue(String.t(), keyword()) :: %{
+          certificate: String.t(),
+          key: String.t(),
+          authority: String.t()
+        }
+  def issue(name, opts \\ []) do
     today = Date.utc_today()
-    validity = {Date.to_erl(Date.add(today, -1)), Date.to_erl(Date.add(today, @days))}
+    until = Date.add(today, Keyword.get(opts, :days, @days))
+    validity = {Date.to_erl(Date.add(today, -1)), Date.to_erl(until)}
     common = [digest: :sha256, key: {:namedCurve, :secp256r1}, validity: validity]
-
-    names =
-      extension(extnID: @subject_alternative_name, extnValue: Enum.map(hosts, &general_name/1))
-
-    chain = %{root: common, intermediates: [], peer: common ++ [extensions: [names]]}
+    root = :public_key.pkix_test_root_cert(~c"authority", common)
+    peer = common ++ [extensions: alternative_names(Keyword.get(opts, :hosts, []))]
+    chain = %{root: root, intermediates: [], peer: peer}
     made = :public_key.pkix_test_data(chain)
-    %{certificate: made[:cert], key: made[:key], authority: hd(made[:cacerts])}
+    {kind, key} = made[:key]
+    issuer = name <> ", authority"
+
+    %{
+      certificate: pem(:Certificate, rename(made[:cert], name, issuer, root.key)),
+      key: pem(kind, key),
+      authority: pem(:Certificate, rename(root.cert, issuer, issuer, root.key))
+    }
+  end
+
+  defp alternative_names([]), do: []
+
+  defp alternative_names(hosts) do
+    names = Enum.map(hosts, &general_name/1)
+    [extension(extnID: @subject_alternative_name, extnValue: names)]
+  end
+
+  # Erlang names its certificates for tests ("automated testing").
+  defp rename(der, subject, issuer, key) do
+    certificate(tbsCertificate: tbs) = :public_key.pkix_decode_cert(der, :otp)
+    {:rdnSequence, sequence} = tbs(tbs, :subject)
+    common = sequence |> List.flatten() |> Enum.find(&(elem(&1, 1) == @common_name))
+    named = fn name -> {:rdnSequence, [[put_elem(common, 2, {:utf8String, name})]]} end
+    :public_key.pkix_sign(tbs(tbs, subject: named.(subject), issuer: named.(issuer)), key)
   end
 
   defp general_name(host) do

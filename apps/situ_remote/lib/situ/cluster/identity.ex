@@ -6,11 +6,12 @@ defmodule Situ.Cluster.Identity do
       cookie          the secret of Erlang's distribution
       ca.pem          the cluster's own authority: nobody else's certificates count
       node.pem/.key   the certificate of every node
-      ssl_dist.conf   Erlang's options for them (-proto_dist inet_tls -ssl_dist_optfile)
-  """
-  alias Situ.Error
 
-  @years 10
+  `bin/situ cluster` and `bin/situ-node` of a release give them to Erlang (`rel/overlays/bin/cluster-flags`).
+  """
+  alias Situ.{Certificate, Error}
+
+  @days 3_652
 
   @doc "Makes the folder; what is there already is not touched (`:exists`)."
   @spec create(Path.t()) :: :ok | {:error, Error.t()}
@@ -29,13 +30,12 @@ defmodule Situ.Cluster.Identity do
   end
 
   defp write(folder) do
-    chain = chain()
+    issued = Certificate.issue("a cluster of Situ", days: @days)
 
     files = [
-      {"ca.pem", pem(for der <- chain[:cacerts], do: {:Certificate, der, :not_encrypted})},
-      {"node.pem", pem([{:Certificate, chain[:cert], :not_encrypted}])},
-      {"node.key", pem([:erlang.append_element(chain[:key], :not_encrypted)])},
-      {"ssl_dist.conf", conf(folder)},
+      {"ca.pem", issued.authority},
+      {"node.pem", issued.certificate},
+      {"node.key", issued.key},
       {"cookie", Base.encode32(:crypto.strong_rand_bytes(30), case: :lower, padding: false)}
     ]
 
@@ -65,38 +65,8 @@ defmodule Situ.Cluster.Identity do
     end)
   end
 
-  defp chain do
-    # From yesterday on: the clocks of other machines may be behind, and it begins in the middle of that day.
-    from = Date.add(Date.utc_today(), -1)
-    till = %{from | year: from.year + @years, day: min(from.day, 28)}
-    validity = {Date.to_erl(from), Date.to_erl(till)}
-    own = [digest: :sha256, key: {:namedCurve, :secp256r1}, validity: validity]
-    :public_key.pkix_test_data(%{root: own, intermediates: [], peer: own})
-  end
-
-  defp pem(entries), do: :public_key.pem_encode(entries)
-
-  # A node is known by its certificate, not by the name of its host.
-  defp conf(folder) do
-    file = fn name -> folder |> Path.join(name) |> to_charlist() end
-
-    own = [
-      certfile: file.("node.pem"),
-      keyfile: file.("node.key"),
-      cacertfile: file.("ca.pem"),
-      verify: :verify_peer,
-      secure_renegotiate: true
-    ]
-
-    terms = [
-      server: own ++ [fail_if_no_peer_cert: true],
-      client: own ++ [verify_fun: {&__MODULE__.verify/3, []}]
-    ]
-
-    :io_lib.format("~tp.~n", [terms]) |> :unicode.characters_to_binary()
-  end
-
-  # Called by ssl. The chain has been checked; the name of the host says nothing more.
+  # Called by ssl, and named in cluster-flags. The chain has been checked; a node is known by its certificate, not by
+  # the name of its host.
   @doc false
   @spec verify(term(), term(), term()) :: {:valid | :unknown, term()} | {:fail, term()}
   def verify(_certificate, {:bad_cert, :hostname_check_failed}, state), do: {:valid, state}

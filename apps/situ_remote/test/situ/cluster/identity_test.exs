@@ -32,8 +32,8 @@ defmodule Situ.Cluster.IdentityTest do
   end
 
   defp handshake(server, client) do
-    {:ok, [[server: s, client: _]]} = :file.consult(Path.join(server, "ssl_dist.conf"))
-    {:ok, [[server: _, client: c]]} = :file.consult(Path.join(client, "ssl_dist.conf"))
+    s = [fail_if_no_peer_cert: true] ++ options(server)
+    c = [verify_fun: {&Identity.verify/3, []}] ++ options(client)
     {:ok, listen} = :ssl.listen(0, [ip: {127, 0, 0, 1}, log_level: :none] ++ s)
     {:ok, {_, port}} = :ssl.sockname(listen)
 
@@ -46,5 +46,12 @@ defmodule Situ.Cluster.IdentityTest do
     connected = :ssl.connect({127, 0, 0, 1}, port, [log_level: :none] ++ c, 20_000)
     answer = Task.await(accept, 30_000)
     with {:ok, _} <- connected, do: answer
+  end
+
+  # As rel/overlays/bin/cluster-flags has them.
+  defp options(folder) do
+    file = &Path.join(folder, &1)
+    files = [certfile: file.("node.pem"), keyfile: file.("node.key"), cacertfile: file.("ca.pem")]
+    [verify: :verify_peer] ++ files
   end
 end
