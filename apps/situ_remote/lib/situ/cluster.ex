@@ -302,29 +302,32 @@ defmodule Situ.Cluster do
   """
   @spec move(t(), String.t(), node()) :: :ok | {:error, Error.t()}
   def move(%Deployment{} = deployment, part, to) do
-    runners = everywhere(deployment)
+    runners =
+      for {node, %{^part => runner}} <- everywhere(deployment), into: %{}, do: {node, runner}
 
-    case runners do
-      %{^to => %{^part => _}} ->
-        # The others stay away until it has it.
-        for {node, %{^part => runner}} <- runners, node != to, do: Runner.release(runner, true)
-        settle(deployment, part, to, now() + 60_000)
-
-      _ ->
+    case Map.pop(runners, to) do
+      {nil, _} ->
         {:error,
          Error.new(:no_such_part, "#{to} has no part #{inspect(part)} of #{deployment.name}",
            fix: "see Situ.Cluster.status/1 for members and parts"
          )}
+
+      {runner, others} ->
+        stood = for {_, other} <- others, do: {other, away(other)}
+        # Also a node that was drained takes what it is given.
+        :ok = Runner.stand(runner, 0)
+        for {other, away} <- stood, do: Runner.release(other, away + 1)
+        answer = settle(deployment, part, to, now() + 60_000)
+        for {other, away} <- stood, do: Runner.stand(other, away)
+        answer
     end
   end
+
+  defp away(runner), do: Map.get(runner_info(runner), :away, 0)
 
   defp settle(deployment, part, to, till) do
     case status(deployment).parts do
       %{^part => %{node: ^to}} ->
-        for {node, %{^part => runner}} <- everywhere(deployment),
-            node != to,
-            do: Runner.release(runner, false)
-
         :ok
 
       _ ->
@@ -339,13 +342,15 @@ defmodule Situ.Cluster do
     end
   end
 
-  @doc "Moves every part away from a node, which then takes no part unless no other node is left."
+  @doc """
+  Moves every part away from a node, which then takes no part unless no other node is left, or `move/3` gives it one. Of
+  two nodes that were drained the one drained first takes them.
+  """
   @spec drain(t(), node()) :: :ok
   def drain(%Deployment{} = deployment, node) do
-    for {^node, runners} <- everywhere(deployment),
-        {_, runner} <- runners,
-        do: Runner.release(runner, true)
-
+    {mine, others} = deployment |> everywhere() |> Map.pop(node, %{})
+    away = for {_, runners} <- others, {_, runner} <- runners, do: away(runner)
+    for {_, runner} <- mine, do: Runner.release(runner, 1 + Enum.max(away, fn -> 0 end))
     :ok
   end
 

@@ -36,6 +36,13 @@ defmodule Situ.Lifecycle.Errors do
   def crashed(reason),
     do: Error.new(:crashed, "the pipeline process died: #{inspect(reason, limit: 8)}")
 
+  @spec abandoned() :: Error.t()
+  def abandoned do
+    Error.new(:abandoned, "the pipeline was given up",
+      why: "what it did goes on elsewhere: messages under way were not delivered here"
+    )
+  end
+
   @spec timeout(term(), timeout()) :: Error.t()
   def timeout(request, ms) do
     Error.new(:timeout, "no answer to #{inspect(request, limit: 4)} after #{ms} ms",

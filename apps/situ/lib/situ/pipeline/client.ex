@@ -20,6 +20,9 @@ defmodule Situ.Pipeline.Client do
     end
   end
 
+  @spec abandon(Pipeline.target()) :: :ok | {:error, Error.t()}
+  def abandon(p), do: ask(pid(p), :abandon, 1_000, nil)
+
   @spec stop_part(Pipeline.target(), String.t() | Situ.Node.t(), keyword()) ::
           :ok | {:error, Error.t()}
   def stop_part(p, part, opts) do

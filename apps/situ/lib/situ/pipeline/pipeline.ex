@@ -125,6 +125,19 @@ defmodule Situ.Pipeline do
   def stop(p, opts \\ []), do: Client.stop(p, opts)
 
   @doc """
+  Ends a pipeline at once, for whoever lets it go on elsewhere from a checkpoint: nothing under way is delivered,
+  components release what they hold, and the result is an error (`:abandoned`).
+
+      iex> {:ok, p} = Situ.Pipeline.start(&Situ.from_enumerable(&1, Stream.cycle([1]), every: Situ.Time.s(1)))
+      iex> :ok = Situ.Pipeline.abandon(p)
+      iex> {:error, %Situ.Error{code: code}} = Situ.Pipeline.await(p)
+      iex> code
+      :abandoned
+  """
+  @spec abandon(target()) :: :ok | {:error, Error.t()}
+  def abandon(p), do: Client.abandon(p)
+
+  @doc """
   Stops a composite, or one component, given as a path or a `Situ.Node`; the rest of the pipeline runs on.
 
   At the time of the stop its sources stop and its inputs from outside close; it still gets the messages posted up to

@@ -42,9 +42,12 @@ defmodule Situ.Pipeline.Server do
   catch
     kind, reason ->
       Logger.error(Exception.format(kind, reason, __STACKTRACE__))
-      error = Errors.crashed({kind, reason, __STACKTRACE__})
-      life = %{state.life | phase: :completed, step: :over}
-      over({:error, %{error | meta: %{errors: [error]}}}, %{state | life: life})
+      fallen(Errors.crashed({kind, reason, __STACKTRACE__}), state)
+  end
+
+  defp fallen(error, state) do
+    life = %{state.life | phase: :completed, step: :over}
+    over({:error, %{error | meta: %{errors: [error]}}}, %{state | life: life})
   end
 
   # Questions
@@ -67,6 +70,11 @@ defmodule Situ.Pipeline.Server do
 
   defp answer({:stop, catch_up}, from, state),
     do: apply_event(%{state | waiters: [from | state.waiters]}, {:stop, catch_up})
+
+  defp answer(:abandon, _from, state) do
+    {:stop, reason, state} = fallen(Errors.abandoned(), state)
+    {:stop, reason, :ok, state}
+  end
 
   defp answer(:await, from, state), do: {:noreply, %{state | waiters: [from | state.waiters]}}
   defp answer(:state, _from, state), do: {:reply, state.life.phase, state}
@@ -315,6 +323,7 @@ defmodule Situ.Pipeline.Server do
     state = %{state | waiters: [], dynamic: %Dynamic{}, life: %{state.life | parts: %{}}}
 
     case {result, state.settings.mode} do
+      {{:error, %{code: :abandoned}}, _} -> {:stop, {:shutdown, :abandoned}, state}
       {{:error, error}, :linked} -> fall(error)
       {{:error, %{code: :crashed}}, _} -> {:stop, {:shutdown, :crashed}, state}
       _ -> {:stop, :normal, state}

@@ -21,7 +21,8 @@ defmodule Situ.Cluster.Balancer do
   def handle_info(:look, state) do
     Process.send_after(self(), :look, @look_ms)
     info = Agent.info()
-    first? = Enum.min(Map.keys(info.members)) == node()
+    # A node that is shutting down knows of nobody.
+    first? = info.members |> Map.keys() |> Enum.min(fn -> nil end) == node()
     wanted = for %{balance: every} = d when every != nil <- info.deployments, do: d
     due = Map.new(wanted, &{&1.name, Map.get(state.due, &1.name, now() + &1.balance)})
 

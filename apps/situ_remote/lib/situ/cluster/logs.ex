@@ -22,7 +22,9 @@ defmodule Situ.Cluster.Logs do
     end
 
     _ = :logger.remove_handler(__MODULE__)
-    :logger.add_handler(__MODULE__, __MODULE__, %{level: :info})
+    # That a supervisor has started something (for each connection of TLS) is no news.
+    filters = [progress: {&:logger_filters.progress/2, :stop}]
+    :logger.add_handler(__MODULE__, __MODULE__, %{level: :info, filters: filters})
   end
 
   @doc "The lines behind number `from`, the oldest first, at most `most` of the newest."

@@ -14,6 +14,9 @@ defmodule Situ.Cluster.Runner do
   alias Situ.Remote.Log.Entry
   require Logger
 
+  # Of nodes: so many go before one that was drained.
+  @behind 10
+
   defstruct [
     :log,
     :deployment,
@@ -29,7 +32,7 @@ defmodule Situ.Cluster.Runner do
     phase: :standby,
     lease: %Lease{},
     checkpoints: %{taken: 0, refused: nil, possible?: true},
-    away: false
+    away: 0
   ]
 
   @spec start_link(map()) :: GenServer.on_start()
@@ -43,9 +46,16 @@ defmodule Situ.Cluster.Runner do
   @spec stop(pid()) :: :ok
   def stop(runner), do: GenServer.cast(runner, :stop)
 
-  @doc "Gives the part away: a checkpoint, then the lease is free for the others."
-  @spec release(pid(), boolean()) :: :ok | {:error, Error.t()}
-  def release(runner, away?), do: GenServer.call(runner, {:release, away?}, :infinity)
+  @doc """
+  Gives the part away: a checkpoint, then the lease is free for the others. `away` is how far this node stands behind
+  them from then on: 0 not at all; of two drained ones the later one waits longer.
+  """
+  @spec release(pid(), non_neg_integer()) :: :ok
+  def release(runner, away), do: GenServer.call(runner, {:release, away}, :infinity)
+
+  @doc "How far it stands behind from now on; what it has it keeps."
+  @spec stand(pid(), non_neg_integer()) :: :ok
+  def stand(runner, away), do: GenServer.call(runner, {:stand, away}, :infinity)
 
   @doc "Starts the part again where it is, from a checkpoint; with nothing to do where another node has it."
   @spec restart(pid()) :: :ok | {:error, Error.t()}
@@ -128,6 +138,7 @@ defmodule Situ.Cluster.Runner do
        phase: state.phase,
        epoch: state.epoch,
        owner: owner(state),
+       away: state.away,
        error: state.error,
        checkpoints: state.checkpoints,
        publisher: published(state.publisher),
@@ -135,13 +146,14 @@ defmodule Situ.Cluster.Runner do
      }, state}
   end
 
-  def handle_call({:release, away?}, _from, %{phase: phase} = state)
+  def handle_call({:release, away}, _from, %{phase: phase} = state)
       when phase in [:running, :done] do
     state = if phase == :running, do: checkpoint(state), else: state
-    {:reply, :ok, %{let_go(state) | away: away?}}
+    {:reply, :ok, %{let_go(state) | away: away}}
   end
 
-  def handle_call({:release, away?}, _from, state), do: {:reply, :ok, %{state | away: away?}}
+  def handle_call({what, away}, _from, state) when what in [:release, :stand],
+    do: {:reply, :ok, %{state | away: away}}
 
   # New code: the plan is the same. One that does not start with it stands by, and is taken again with the code before.
   def handle_call(:restart, _from, %{phase: :running} = state) do
@@ -323,7 +335,10 @@ defmodule Situ.Cluster.Runner do
     }
   end
 
+  # Nothing is under way any more: the part stands still behind its last checkpoint, or what it has put out since is
+  # made again elsewhere.
   defp let_go(state) do
+    if state.pipeline, do: Pipeline.abandon(state.pipeline)
     send(state.keeper, {:release, self()})
 
     receive do
@@ -341,13 +356,11 @@ defmodule Situ.Cluster.Runner do
   end
 
   # Which node is preferred: 0 is the first; `nil`: never this one.
-  defp rank(%{away: true} = state) do
-    # A drained node takes a part only when nobody else can.
+  # A drained node waits behind the others, for some seconds; it takes a part that nobody else does.
+  defp rank(state) do
     with rank when rank != nil <- Member.rank(state.agent, rule(state), state.part),
-         do: rank + 100
+         do: rank + @behind * state.away
   end
-
-  defp rank(state), do: Member.rank(state.agent, rule(state), state.part)
 
   defp rule(state), do: state.plan.parts[state.part].rule
   defp mode(state), do: if(rule(state).deterministic, do: :replay, else: :outbox)
