@@ -5,11 +5,11 @@ defmodule Hall do
   def version, do: 1
 
   @impl true
-  def build(p, _opts) do
+  def build(p, opts) do
     steps =
       Situ.sequence(p, 1, &rem(&1 * 7, 101),
         count: 1_000_000,
-        every: Situ.Time.ms(2),
+        every: Situ.Time.ms(opts[:every] || 2),
         name: "Steps"
       )
 

@@ -4,7 +4,7 @@ defmodule Situ.CLI.Cluster do
 
   alias Situ.{Cluster, Error}
   alias Situ.Cluster.Identity
-  alias Situ.CLI.{ClusterNode, Option, Output, Verb}
+  alias Situ.CLI.{ClusterDeployment, ClusterNode, Option, Output, Verb}
 
   @node Option.new(:node, :string, "a node of the cluster, as situ-9301@10.0.0.1", value: "NODE")
   @folder Option.new(
@@ -12,6 +12,8 @@ defmodule Situ.CLI.Cluster do
             :path,
             "the cluster's cookie and certificates (default: SITU_CLUSTER, ~/.config/situ/cluster)"
           )
+
+  @leave_ms 10_000
 
   @impl true
   def verbs do
@@ -25,10 +27,11 @@ defmodule Situ.CLI.Cluster do
       },
       %Verb{
         words: ["cluster", "join"],
-        summary: "run a node of a cluster until it is stopped (Ctrl-C)",
+        summary: "run a node of a cluster until it is stopped",
         about: """
         NAME says the port that the node listens on: situ-9301@10.0.0.1 listens on 10.0.0.1, port 9301. Nodes talk by
-        TLS when the folder of `situ cluster init` is there.
+        TLS when the folder of `situ cluster init` is there. A node that is told to end (SIGTERM) hands its parts over
+        first; one that is killed is missed after a second, and its parts go on elsewhere from their last checkpoints.
         """,
         arguments: [name: [kind: :text, doc: "the node's name, with port and address"]],
         options: [
@@ -54,61 +57,9 @@ defmodule Situ.CLI.Cluster do
         options: [@node, @folder],
         examples: ["situ cluster status --node situ-9301@127.0.0.1"],
         run: fn _, opts -> status(opts) end
-      },
-      %Verb{
-        words: ["cluster", "deploy"],
-        summary: "run a pipeline over the cluster",
-        arguments: [module: [kind: :text, doc: "the pipeline, a module that the nodes have"]],
-        options: [
-          Option.new(
-            :place,
-            :string,
-            "where a part runs: Path=LABEL or Path=near:DEVICE; then ,deterministic or ,only",
-            value: "RULE",
-            many?: true
-          ),
-          Option.new(:direct, :string, "a stream that bypasses the log between parts",
-            value: "STREAM",
-            many?: true
-          ),
-          Option.new(:publish, :string, "a stream kept in the log for readers outside",
-            value: "STREAM",
-            many?: true
-          ),
-          Option.new(:checkpoint, :span, "between checkpoints", default: 1_000_000_000),
-          Option.new(:balance, :span, "how often to look whether a part should move"),
-          @node,
-          @folder
-        ],
-        examples: [
-          "situ cluster deploy My.Hall --place Lips=compute,deterministic --node situ-9301@127.0.0.1"
-        ],
-        run: fn %{module: module}, opts -> deploy(module, opts) end
-      },
-      %Verb{
-        words: ["cluster", "move"],
-        summary: "move a part to another node, without losing a message",
-        arguments: [
-          deployment: [kind: :text, doc: "what was deployed"],
-          part: [kind: :text, doc: "the part"],
-          to: [kind: :text, doc: "the node"]
-        ],
-        options: [@node, @folder],
-        examples: ["situ cluster move Hall Lips situ-9302@127.0.0.1 --node situ-9301@127.0.0.1"],
-        run: &move/2
-      },
-      %Verb{
-        words: ["cluster", "drain"],
-        summary: "move all parts of a deployment away from a node",
-        arguments: [
-          deployment: [kind: :text, doc: "what was deployed"],
-          from: [kind: :text, doc: "the node"]
-        ],
-        options: [@node, @folder],
-        examples: ["situ cluster drain Hall situ-9302@127.0.0.1 --node situ-9301@127.0.0.1"],
-        run: &drain/2
       }
-      | ClusterNode.verbs([@node, @folder], &ask/4)
+      | ClusterDeployment.verbs([@node, @folder], &ask/4) ++
+          ClusterNode.verbs([@node, @folder], &ask/4)
     ]
   end
 
@@ -148,12 +99,31 @@ defmodule Situ.CLI.Cluster do
           "the cluster is shown at #{ClusterNode.studio(opts[:studio], recordings)}cluster"
         )
 
-    monitor = Process.monitor(agent)
+    joined = self()
+    {:ok, _} = System.trap_signal(:sigterm, fn -> send(joined, :leave) && :ok end)
+    wait(name, Process.monitor(agent))
+  end
 
+  defp wait(name, monitor) do
     receive do
       {:DOWN, ^monitor, _, _, reason} ->
         Output.warn("situ cluster: the node ended: #{inspect(reason, limit: 8)}")
         1
+
+      :leave ->
+        Output.puts("#{name} leaves; its parts go on elsewhere")
+        leave()
+        0
+    end
+  end
+
+  # With a checkpoint of each part, where another node can take it; those who stop a service wait for some seconds.
+  defp leave do
+    %{members: members, deployments: deployments} = Cluster.Agent.info()
+
+    if map_size(members) > 1 do
+      task = Task.async(fn -> for d <- deployments, do: Cluster.drain(d, node()) end)
+      Task.yield(task, @leave_ms) || Task.shutdown(task, :brutal_kill)
     end
   end
 
@@ -177,6 +147,8 @@ defmodule Situ.CLI.Cluster do
       for {node, labels} <- Enum.sort(info.members),
           do: Output.puts("#{node}  #{Enum.join(labels, ", ")}")
 
+      if deployments == [], do: Output.puts("nothing is deployed")
+
       for {name, parts} <- deployments, {part, i} <- Enum.sort(parts) do
         r = row(part, i)
 
@@ -198,57 +170,6 @@ defmodule Situ.CLI.Cluster do
       checkpoints: get_in(info, [:checkpoints, :taken]) || 0,
       messages: streams |> Map.values() |> Enum.map(& &1.messages) |> Enum.sum()
     }
-  end
-
-  defp deploy(module, opts) do
-    module = Module.concat([module])
-    place = Enum.map(opts[:place], &rule/1)
-    streams = Keyword.take(opts, [:direct, :publish])
-    settings = [place: place, checkpoint: opts[:checkpoint], balance: opts[:balance]] ++ streams
-    deployment = Error.unwrap!(ask(opts, Cluster, :deploy, [module, settings]))
-    Output.puts("#{deployment.name} runs; `situ cluster status` says where")
-    0
-  end
-
-  defp rule(text) do
-    with [path, rest] <- String.split(text, "=", parts: 2),
-         [on | more] when more in [[], ["deterministic"], ["only"], ["deterministic", "only"]] <-
-           String.split(rest, ",") do
-      path = if path == "rest", do: :rest, else: path
-
-      on =
-        if String.starts_with?(on, "near:"),
-          do: {:near, String.trim_leading(on, "near:")},
-          else: on
-
-      {path, [on: on] ++ Enum.map(more, &{String.to_existing_atom(&1), true})}
-    else
-      _ ->
-        raise Error.new(:usage, "not a rule: #{text}",
-                fix: "write Path=LABEL or Path=LABEL,deterministic"
-              )
-    end
-  end
-
-  defp move(%{deployment: name, part: part, to: to}, opts) do
-    Error.unwrap!(ask(opts, Cluster, :move, [deployment(name, opts), part, String.to_atom(to)]))
-    Output.puts("#{name}/#{part} runs on #{to}")
-    0
-  end
-
-  defp drain(%{deployment: name, from: from}, opts) do
-    ask(opts, Cluster, :drain, [deployment(name, opts), String.to_atom(from)])
-    Output.puts("#{from} gives up the parts of #{name}")
-    0
-  end
-
-  defp deployment(name, opts) do
-    known = ask(opts, Cluster.Agent, :info, []).deployments
-
-    Enum.find(known, &(&1.name == name)) ||
-      raise Error.new(:not_found, "there is no deployment #{inspect(name)}",
-              fix: "there are: " <> Enum.map_join(known, ", ", & &1.name)
-            )
   end
 
   # Another VM that looks in, and is no member.

@@ -2,7 +2,7 @@ defmodule Situ.CLI.ClusterNode do
   @moduledoc false
   # The verbs of `situ cluster` that look after nodes: their logs, their code, their load; and the studio of a node.
   alias Situ.{Cluster, Diagnostics, Error}
-  alias Situ.CLI.{ClusterKept, Option, Output, Verb}
+  alias Situ.CLI.{ClusterDeployment, ClusterKept, Option, Output, Verb}
 
   @again_ms 500
 
@@ -67,7 +67,7 @@ defmodule Situ.CLI.ClusterNode do
   end
 
   defp info(name, opts, ask) do
-    snapshot = ask.(opts, Cluster, :info, [deployment(name, opts, ask)])
+    snapshot = ask.(opts, Cluster, :info, [ClusterDeployment.find(name, opts, ask)])
 
     for n <- Enum.sort_by(snapshot.nodes, & &1.path),
         do: Output.puts("#{n.path}: #{n.description}")
@@ -154,17 +154,8 @@ defmodule Situ.CLI.ClusterNode do
     end
   end
 
-  defp deployment(name, opts, ask) do
-    known = ask.(opts, Cluster.Agent, :info, []).deployments
-
-    Enum.find(known, &(&1.name == name)) ||
-      raise Error.new(:not_found, "there is no deployment #{inspect(name)}",
-              fix: "there are: " <> Enum.map_join(known, ", ", & &1.name)
-            )
-  end
-
   defp balance(name, opts, ask) do
-    case Error.unwrap!(ask.(opts, Cluster, :balance, [deployment(name, opts, ask)])) do
+    case Error.unwrap!(ask.(opts, Cluster, :balance, [ClusterDeployment.find(name, opts, ask)])) do
       nil -> Output.puts("no part of #{name} should move")
       {part, to} -> Output.puts("#{name}/#{part} runs on #{to} now, which is less busy")
     end

@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Dataset do
   @moduledoc "The verbs of `situ dataset`: sessions of recordings in one file."
   @behaviour Situ.CLI.Verb
-  alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
+  alias Situ.CLI.{Option, Output, Progress, Recording, Setting, Verb}
   alias Situ.CLI.Dataset.Listing
   alias Situ.Dataset
   alias Situ.Dataset.{Checksum, Partition, Session}
@@ -64,7 +64,7 @@ defmodule Situ.CLI.Dataset do
         options: [
           Option.new(:partition, :string, "the partition's name, of one recording", value: "NAME"),
           Option.new(:tag, :string, "a tag of the session", many?: true),
-          Option.new(:set, :string, "metadata of the session", value: "KEY=VALUE", many?: true)
+          Option.new(:set, :string, "metadata of the session", value: "NAME=VALUE", many?: true)
         ],
         examples: ["situ dataset add study.json p11 recordings/p11/* --tag pilot --set age=31"],
         run: &add/2
@@ -80,7 +80,7 @@ defmodule Situ.CLI.Dataset do
           Option.new(:tag, :string, "add this tag", many?: true),
           Option.new(:untag, :string, "take this tag away", many?: true),
           Option.new(:set, :string, "metadata; VALUE is JSON, or text",
-            value: "KEY=VALUE",
+            value: "NAME=VALUE",
             many?: true
           ),
           Option.new(:unset, :string, "take this metadata away", value: "KEY", many?: true)
@@ -224,22 +224,8 @@ defmodule Situ.CLI.Dataset do
 
   defp changed(thing, opts) do
     tags = Enum.uniq(thing.tags ++ opts[:tag]) -- (opts[:untag] || [])
-    metadata = Enum.reduce(opts[:set], thing.metadata, fn text, map -> put(map, text) end)
+    metadata = Enum.into(Setting.read(opts[:set]), thing.metadata)
     %{thing | tags: tags, metadata: Map.drop(metadata, opts[:unset] || [])}
-  end
-
-  defp put(map, text) do
-    case String.split(text, "=", parts: 2) do
-      [key, value] -> Map.put(map, key, value(value))
-      [_] -> throw({:usage, "--set takes KEY=VALUE, not #{inspect(text)}"})
-    end
-  end
-
-  defp value(text) do
-    case Situ.JSON.decode(text) do
-      {:ok, value} -> value
-      {:error, :bad_json} -> text
-    end
   end
 
   defp rename(%{file: file, name: name, to: to}, opts) do

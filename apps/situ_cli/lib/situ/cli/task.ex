@@ -1,7 +1,7 @@
 defmodule Situ.CLI.Task do
   @moduledoc "`situ task` and `situ dataset run`: batch tasks and pipelines over the sessions of a dataset."
   @behaviour Situ.CLI.Verb
-  alias Situ.CLI.{Option, Output, Progress, Verb}
+  alias Situ.CLI.{Option, Output, Progress, Setting, Verb}
   alias Situ.Dataset
   alias Situ.Dataset.Derivation.Report
   alias Situ.{Error, Time}
@@ -169,19 +169,7 @@ defmodule Situ.CLI.Task do
   defp config(opts) do
     saved = if opts[:config], do: read(opts[:config]), else: %{}
 
-    Enum.reduce(opts[:set], saved, fn text, config ->
-      case String.split(text, "=", parts: 2) do
-        [name, value] -> Map.put(config, name, value(value))
-        [_] -> throw({:usage, "--set takes NAME=VALUE, not #{inspect(text)}"})
-      end
-    end)
-  end
-
-  defp value(text) do
-    case Situ.JSON.decode(text) do
-      {:ok, value} -> value
-      {:error, :bad_json} -> text
-    end
+    Enum.into(Setting.read(opts[:set]), saved)
   end
 
   defp read(path) do

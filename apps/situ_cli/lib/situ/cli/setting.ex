@@ -1,0 +1,26 @@
+defmodule Situ.CLI.Setting do
+  @moduledoc """
+  Reads `--set NAME=VALUE`, where a value is JSON, or text.
+
+      iex> Situ.CLI.Setting.read(["count=3", "names=[\\"a\\"]", "mode=a=b"])
+      [{"count", 3}, {"names", ["a"]}, {"mode", "a=b"}]
+  """
+
+  @doc "Names and values, in order. Throws `{:usage, text}` for one without a value."
+  @spec read([String.t()]) :: [{String.t(), term()}]
+  def read(texts), do: Enum.map(texts, &pair/1)
+
+  defp pair(text) do
+    case String.split(text, "=", parts: 2) do
+      [name, value] when name != "" -> {name, value(value)}
+      _ -> throw({:usage, "--set takes NAME=VALUE, not #{inspect(text)}"})
+    end
+  end
+
+  defp value(text) do
+    case Situ.JSON.decode(text) do
+      {:ok, value} -> value
+      {:error, :bad_json} -> text
+    end
+  end
+end
