@@ -5,13 +5,21 @@ import sys
 import time
 
 import zenoh
+import zenoh.ext
 import zenoh_ros2_sdk as sdk
+from zenoh_ros2_sdk.attachment import Attachment
+from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 
 port, folder = int(sys.argv[1]), pathlib.Path(sys.argv[2])
 config = zenoh.Config()
 config.insert_json5("mode", '"router"')
 config.insert_json5("scouting/multicast/enabled", "false")
+config.insert_json5("timestamping/enabled", "true")
 config.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{port}"]')
+WORD = {"msg_type": "std_msgs/msg/String", "msg_definition": "string data\n"}
+ADD = {"srv_type": "example_interfaces/srv/AddTwoInts", "request_definition": "int64 a\nint64 b",
+       "response_definition": "int64 sum"}
+PLACE = {"domain_id": 0, "router_port": port}
 
 
 def until(condition, what):
@@ -28,11 +36,28 @@ tokens = []
 seen = router.liveliness().declare_subscriber("@ros2_lv/**", lambda t: tokens.append(str(t.key_expr)), history=True)
 heard = []
 listener = sdk.ROS2Subscriber(
-    "/situ/words", "std_msgs/msg/String", msg_definition="string data\n", callback=lambda m: heard.append(m.data),
-    node_name="listener", domain_id=0, router_port=port)
-talker = sdk.ROS2Publisher(
-    "/chatter", "std_msgs/msg/String", msg_definition="string data\n", node_name="talker", domain_id=0,
-    router_port=port)
+    "/situ/words", **WORD, callback=lambda m: heard.append(m.data), node_name="listener", **PLACE)
+talker = sdk.ROS2Publisher("/chatter", **WORD, node_name="talker", **PLACE)
+server = None
+
+
+def add(request):
+    if request.a < 0:
+        raise ValueError("no debts")
+    return server.response_msg_class(sum=request.a + request.b)
+
+
+server = sdk.ROS2ServiceServer("/add_theirs", **ADD, callback=add, node_name="adder", **PLACE)
+
+# A latched publisher as rmw_zenoh has it (the SDK's own keeps nothing): of five words the last three stay.
+key = listener.keyexpr.replace("situ/words", "map_theirs")
+latched = zenoh.ext.declare_advanced_publisher(
+    router, key, cache=zenoh.ext.CacheConfig(max_samples=3), publisher_detection=True,
+    sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None))
+for n in range(5):
+    word = listener.session_mgr.store.serialize_cdr(talker.msg_class(data=f"old {n}"), listener.msg_type)
+    latched.put(bytes(word), attachment=Attachment(n + 1, time.time_ns(), bytes(16)).to_bytes())
+
 (folder / "router").touch()
 until(lambda: any("/MS/" in t and "%chatter" in t for t in tokens), "Situ's subscriber is not seen")
 for n in range(200):
@@ -42,7 +67,32 @@ until(lambda: len(heard) >= 200, f"only {len(heard)} words of Situ's came")
 assert heard == [f"word {n}" for n in range(200)], heard
 assert any("/MP/" in t and "%situ%words" in t for t in tokens), tokens
 assert any("/NN/" in t for t in tokens), tokens
+
+# Situ's latched topic: who comes late gets the last two of five, and then what is new. The SDK has the answers to its
+# query consolidated, which leaves the last one.
+until(lambda: (folder / "latched").exists(), "Situ's latched topic is not there")
+assert any("/MP/" in t and "%map_ours" in t and t.endswith("/:1:,2:,:,:,,") for t in tokens), tokens
+late, later = [], []
+lasting = QosProfile(durability=QosDurability.TRANSIENT_LOCAL, history_depth=2)
+late_listener = sdk.ROS2Subscriber("/map_ours", **WORD, callback=lambda m: late.append(m.data), qos=lasting, **PLACE)
+advanced = zenoh.ext.declare_advanced_subscriber(
+    router, key.replace("map_theirs", "map_ours"), lambda s: later.append(bytes(s.payload)[8:-1].decode()),
+    history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=2),
+    recovery=zenoh.ext.RecoveryConfig(heartbeat=True), subscriber_detection=True)
+until(lambda: (late, later) == (["map 4"], ["map 3", "map 4"]), "late comers do not get what was kept")
+(folder / "late").touch()
+until(lambda: (late[1:], later[2:]) == (["map 5"], ["map 5"]), "late comers do not get what is new")
+
+# Situ's service.
+until(lambda: any("/SS/" in t and "%add_ours" in t for t in tokens), "Situ's service is not seen")
+client = sdk.ROS2ServiceClient("/add_ours", **ADD, timeout=20.0, **PLACE)
+for n in range(50):
+    assert client.call(a=n, b=2**40).sum == n + 2**40, n
+assert client.call(a=-1, b=0) is None, "a refusal is no answer"
+(folder / "served").touch()
+
 until(lambda: (folder / "done").exists(), "Situ did not get all")
+assert any("/SC/" in t and "%add_theirs" in t for t in tokens), tokens
 print("ok", flush=True)
 # Its threads do not always end.
 os._exit(0)

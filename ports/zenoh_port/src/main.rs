@@ -2,122 +2,35 @@
 //! standard output. Frames have a length of four bytes (big-endian) before them; so Erlang's ports have them.
 //!
 //! In: `1 id key` declares a publisher, `2 id attachment payload` puts, `3 id key` subscribes, `4 id key` declares a
-//! token of liveliness, `5 id` ends any of them, `6 id key` hears of tokens. Out: `1 zid` it is open, `2 id key
-//! attachment payload` a sample, `3 id alive key` a token came or went, `4 id` a put was handed over, `255 id text`
-//! trouble. An id has four bytes; keys and attachments have a length of two before them, the last part takes what is
-//! left.
+//! token of liveliness, `5 id` ends any of them, `6 id key` hears of tokens; `7 id depth key` and `8 id depth key` are
+//! a publisher that keeps so many samples for those who come later, and a subscriber that gets them; `9 id key` offers
+//! a service, `10 id ms key attachment payload` asks one and waits so long, `11 id request attachment payload` and `12
+//! id request text` answer or refuse.
+//!
+//! Out: `1 zid` it is open, `2 id key attachment payload` a sample, `3 id alive key` a token came or went, `4 id` a put
+//! was handed over, `5 id request attachment payload` somebody asks, `6 id attachment payload` an answer, `7 id text`
+//! a refusal, `8 id` nobody answers any more, `255 id text` trouble.
+//!
+//! Ids, requests, depths and ms have four bytes; keys and attachments have a length of two before them where something
+//! follows, the last part takes what is left.
 //!
 //! Arguments: MODE (peer, client, router), then `connect=ENDPOINT` and `listen=ENDPOINT` as often as needed. It ends
 //! with its input.
 
-use std::collections::HashMap;
+mod port;
+
 use std::io::{self, BufWriter, Read, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{channel, sync_channel, Sender};
+use std::sync::mpsc::{channel, sync_channel};
 use std::sync::Arc;
 use std::thread;
 
-use zenoh::liveliness::LivelinessToken;
-use zenoh::pubsub::{Publisher, Subscriber};
-use zenoh::qos::CongestionControl;
-use zenoh::sample::{Sample, SampleKind};
-use zenoh::{Config, Session, Wait};
+use port::{Any, Port};
+use zenoh::{Config, Wait};
 
 const MOST: usize = 256 << 20;
 /// Frames that are read ahead of what is being done.
 const AHEAD: usize = 64;
-
-type Any = Box<dyn std::error::Error + Send + Sync>;
-
-enum Declared {
-    Publisher(Publisher<'static>),
-    Subscriber(#[allow(dead_code)] Subscriber<()>),
-    Token(#[allow(dead_code)] LivelinessToken),
-}
-
-fn part(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
-    let size = usize::from(u16::from_be_bytes(bytes.get(..2)?.try_into().ok()?));
-    Some((bytes.get(2..2 + size)?, bytes.get(2 + size..)?))
-}
-
-fn sized(bytes: &[u8], out: &mut Vec<u8>) {
-    let size = u16::try_from(bytes.len()).unwrap_or(u16::MAX);
-    out.extend(size.to_be_bytes());
-    out.extend(&bytes[..usize::from(size)]);
-}
-
-fn sample(id: u32, sample: &Sample) -> Vec<u8> {
-    let mut out = vec![2];
-    out.extend(id.to_be_bytes());
-    sized(sample.key_expr().as_str().as_bytes(), &mut out);
-    let attachment = sample.attachment().map(|a| a.to_bytes().into_owned());
-    sized(&attachment.unwrap_or_default(), &mut out);
-    out.extend(sample.payload().to_bytes().iter());
-    out
-}
-
-fn token(id: u32, sample: &Sample) -> Vec<u8> {
-    let mut out = vec![3];
-    out.extend(id.to_be_bytes());
-    out.push(u8::from(sample.kind() == SampleKind::Put));
-    out.extend(sample.key_expr().as_str().as_bytes());
-    out
-}
-
-struct Port {
-    session: Session,
-    declared: HashMap<u32, Declared>,
-    out: Sender<Vec<u8>>,
-}
-
-impl Port {
-    fn obey(&mut self, what: u8, id: u32, rest: &[u8]) -> Result<(), Any> {
-        let text = || String::from_utf8(rest.to_vec());
-        let out = self.out.clone();
-        let new = match what {
-            1 => {
-                let publisher = self.session.declare_publisher(text()?);
-                let publisher = publisher.congestion_control(CongestionControl::Block);
-                Declared::Publisher(publisher.wait()?)
-            }
-            2 => return self.put(id, rest),
-            3 => {
-                let subscriber = self.session.declare_subscriber(text()?);
-                let told = move |s: Sample| drop(out.send(sample(id, &s)));
-                Declared::Subscriber(subscriber.callback(told).wait()?)
-            }
-            4 => Declared::Token(self.session.liveliness().declare_token(text()?).wait()?),
-            5 => {
-                self.declared.remove(&id);
-                return Ok(());
-            }
-            6 => {
-                let liveliness = self.session.liveliness();
-                let subscriber = liveliness.declare_subscriber(text()?).history(true);
-                let told = move |s: Sample| drop(out.send(token(id, &s)));
-                Declared::Subscriber(subscriber.callback(told).wait()?)
-            }
-            _ => return Err("no such command".into()),
-        };
-        self.declared.insert(id, new);
-        Ok(())
-    }
-
-    fn put(&mut self, id: u32, rest: &[u8]) -> Result<(), Any> {
-        let (attachment, payload) = part(rest).ok_or("a put that is cut short")?;
-        match self.declared.get(&id) {
-            Some(Declared::Publisher(publisher)) => {
-                let put = publisher.put(payload).attachment(attachment);
-                put.wait()?;
-                let mut done = vec![4];
-                done.extend(id.to_be_bytes());
-                drop(self.out.send(done));
-                Ok(())
-            }
-            _ => Err("no such publisher".into()),
-        }
-    }
-}
 
 fn config() -> Result<Config, Any> {
     let mut config = Config::default();
@@ -140,6 +53,8 @@ fn config() -> Result<Config, Any> {
     config.insert_json5("scouting/gossip/enabled", "false")?;
     config.insert_json5("connect/endpoints", &list(&connect))?;
     config.insert_json5("listen/endpoints", &list(&listen))?;
+    // Samples that are kept for those who come later are told apart by their times.
+    config.insert_json5("timestamping/enabled", "true")?;
     // A router that is not there yet is waited for.
     config.insert_json5("connect/timeout_ms", "-1")?;
     config.insert_json5("connect/exit_on_failure", "false")?;
@@ -159,13 +74,6 @@ fn frame(input: &mut impl Read) -> io::Result<Option<Vec<u8>>> {
     let mut bytes = vec![0; size];
     input.read_exact(&mut bytes)?;
     Ok(Some(bytes))
-}
-
-fn trouble(id: u32, why: &str) -> Vec<u8> {
-    let mut out = vec![255];
-    out.extend(id.to_be_bytes());
-    out.extend(why.as_bytes());
-    out
 }
 
 fn speak(said: std::sync::mpsc::Receiver<Vec<u8>>) -> io::Result<()> {
@@ -208,22 +116,11 @@ fn run() -> Result<(), Any> {
     let mut hello = vec![1];
     hello.extend(session.zid().to_string().as_bytes());
     out.send(hello)?;
-    let mut port = Port {
-        session,
-        declared: HashMap::new(),
-        out,
-    };
+    let mut port = Port::new(session, out);
     for bytes in obeyed {
-        let (what, rest) = bytes.split_first().ok_or("an empty frame")?;
-        let id = rest.get(..4).ok_or("a frame without an id")?;
-        let id = u32::from_be_bytes(id.try_into()?);
-        if let Err(why) = port.obey(*what, id, &rest[4..]) {
-            port.out.send(trouble(id, &why.to_string()))?;
-        }
+        port.hear(&bytes)?;
     }
-    port.declared.clear();
-    port.session.close().wait()?;
-    Ok(())
+    port.end()
 }
 
 fn main() {

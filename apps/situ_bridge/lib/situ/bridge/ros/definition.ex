@@ -63,24 +63,40 @@ defmodule Situ.Bridge.Ros.Definition do
     with {:ok, types} <- sections(name, text),
          {:ok, types} <- complete({name, dialect}, types, [name]),
          :ok <- finite(name, types, []) do
-      {:ok, %__MODULE__{name: name, types: types, text: text}}
+      {:ok, %__MODULE__{name: name, types: never_empty(types, dialect), text: text}}
     end
   end
 
+  # A structure of ROS 2's has a member, even where its definition has none.
+  defp never_empty(types, :ros1), do: types
+
+  defp never_empty(types, :ros2) do
+    Map.new(types, fn
+      {name, %{fields: []} = type} ->
+        {name,
+         %{type | fields: [{"structure_needs_at_least_one_member", :uint8}], spelled: ["uint8"]}}
+
+      other ->
+        other
+    end)
+  end
+
   @doc """
-  The two types of a service (`.srv`: a request, a line `---`, a response), and its MD5 sum.
+  The two types of a service (`.srv`: a request, a line `---`, a response), and its MD5 sum, which only ROS 1 needs.
 
       iex> text = "bool data\\n---\\nbool success\\nstring message"
       iex> {:ok, service} = Situ.Bridge.Ros.Definition.service("std_srvs/SetBool", text)
       iex> service.md5
       "09fb03525b03e7ea1fd3992bafd87e16"
   """
-  @spec service(String.t(), String.t()) ::
+  @spec service(String.t(), String.t(), Library.dialect()) ::
           {:ok, %{request: t(), response: t(), md5: String.t()}} | {:error, String.t()}
-  def service(name, text) do
+  def service(name, text, dialect \\ :ros1) do
+    name = if dialect == :ros1, do: name, else: plain(name) <> "_"
+
     with [request, response] <- Regex.split(~r/^---\s*$/m, text, parts: 2),
-         {:ok, request} <- parse(name <> "Request", request),
-         {:ok, response} <- parse(name <> "Response", response) do
+         {:ok, request} <- parse(name <> "Request", request, dialect),
+         {:ok, response} <- parse(name <> "Response", response, dialect) do
       texts = for d <- [request, response], do: md5_text(d.name, d.types)
       {:ok, %{request: request, response: response, md5: sum(texts)}}
     else

@@ -9,7 +9,7 @@ defmodule Situ.Bridge.Ros.Library do
   [definitions, different] =
     for path <- [common, newer] do
       for part <- String.split(File.read!(path), ~r/^={20,}\s*$/m),
-          [_, name, text] <- [Regex.run(~r/\A\s*MSG:\s*(\S+)\s*\n(.*)\z/s, part)],
+          [_, name, text] <- [Regex.run(~r/\A\s*MSG:\s*(\S+)[^\n]*\n?(.*)\z/s, part)],
           into: %{},
           do: {name, String.trim(text)}
     end

@@ -7,12 +7,14 @@ defmodule Situ.Bridge.Ros2.Session do
   require Logger
   alias Situ.Bridge.Net.Linger
   alias Situ.Bridge.Outlet
-  alias Situ.Bridge.Ros2.Keys
+  alias Situ.Bridge.Ros2.{Keys, Zenoh}
   alias Situ.Error
   @behaviour Outlet
 
   @again 1_000
-  @id <<1::32>>
+  @topic 1
+  @node 2
+  @token 3
 
   defstruct [
     :owner,
@@ -28,29 +30,12 @@ defmodule Situ.Bridge.Ros2.Session do
 
   @doc """
   Starts it for the calling process. `opts`: `role`, `router`, `domain`, `node`, `topic`, `type` and `hash` (or `nil`),
-  `high_water_mark` and, of a subscriber, `untaken`. Error: `:no_zenoh_port`.
+  `depth` (of a latched topic, or `nil`), `high_water_mark` and, of a subscriber, `untaken`. Error: `:no_zenoh_port`.
   """
   @spec start_link(keyword()) :: {:ok, pid()} | {:error, Error.t()}
   def start_link(opts) do
-    with {:ok, program} <- program(),
+    with {:ok, program} <- Zenoh.program(),
          do: GenServer.start_link(__MODULE__, {self(), [program: program] ++ opts})
-  end
-
-  @doc "Where the program is. Error: `:no_zenoh_port`."
-  @spec program() :: {:ok, Path.t()} | {:error, Error.t()}
-  def program do
-    built = Path.join([:code.priv_dir(:situ_bridge), "zenoh", "zenoh_port"])
-    path = System.get_env("SITU_ZENOH_PORT") || built
-
-    if File.regular?(path) do
-      {:ok, path}
-    else
-      {:error,
-       Error.new(:no_zenoh_port, "live topics of ROS 2 need the program zenoh_port",
-         why: "#{path} is not there",
-         fix: "run bin/setup --with ros2 (minutes), or set SITU_ZENOH_PORT to it"
-       )}
-    end
   end
 
   @impl Outlet
@@ -77,17 +62,8 @@ defmodule Situ.Bridge.Ros2.Session do
     {:ok, begin(state)}
   end
 
-  defp begin(%{opts: opts} = state) do
-    args = ["client", "connect=" <> opts[:router]]
-    options = [:binary, :exit_status, packet: 4, args: args]
-
-    %{
-      state
-      | port: Port.open({:spawn_executable, opts[:program]}, options),
-        up?: false,
-        on_way: 0
-    }
-  end
+  defp begin(%{opts: opts} = state),
+    do: %{state | port: Zenoh.open(opts[:program], opts[:router]), up?: false, on_way: 0}
 
   @impl true
   def handle_call(:ready, _from, state), do: {:reply, if(state.up?, do: 1, else: 0), state}
@@ -96,7 +72,7 @@ defmodule Situ.Bridge.Ros2.Session do
   def handle_call({:put, time, payload}, _from, %{opts: opts} = state) do
     if state.up? and state.on_way < opts[:high_water_mark] do
       attachment = Keys.attachment(state.sequence + 1, time, state.gid)
-      tell(state, [2, @id, <<byte_size(attachment)::16>>, attachment, payload])
+      Zenoh.put(state.port, @topic, attachment, payload)
       {:reply, :ok, %{state | sequence: state.sequence + 1, on_way: state.on_way + 1}}
     else
       {:reply, :full, state}
@@ -110,11 +86,9 @@ defmodule Situ.Bridge.Ros2.Session do
     {:noreply, state}
   end
 
-  defp tell(state, frame), do: Port.command(state.port, frame)
-
   @impl true
-  def handle_info({port, {:data, <<kind, rest::binary>>}}, %{port: port} = state),
-    do: {:noreply, heard(kind, rest, state)}
+  def handle_info({port, {:data, frame}}, %{port: port} = state),
+    do: {:noreply, frame |> Zenoh.read() |> heard(state)}
 
   def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
     Logger.warning("zenoh_port ended with status #{status}; it is started again")
@@ -128,26 +102,24 @@ defmodule Situ.Bridge.Ros2.Session do
   def handle_info(_other, state), do: {:noreply, state}
 
   # It is open: now it is told what to do.
-  defp heard(1, session, %{opts: opts} = state) do
-    {domain, topic, type} = {opts[:domain], opts[:topic], opts[:type]}
+  defp heard({:open, session}, %{opts: opts, port: port} = state) do
+    {domain, topic, type, depth} = {opts[:domain], opts[:topic], opts[:type], opts[:depth]}
     key = Keys.topic(domain, topic, type, opts[:hash])
-    tell(state, [4, <<2::32>>, Keys.node(domain, session, opts[:node])])
-    tell(state, [if(opts[:role] == :publisher, do: 1, else: 3), @id, key])
+    Zenoh.token(port, @node, Keys.node(domain, session, opts[:node]))
+
+    if opts[:role] == :publisher,
+      do: Zenoh.publisher(port, @topic, key, depth),
+      else: Zenoh.subscriber(port, @topic, key, depth)
 
     if type do
-      about = {topic, type, opts[:hash]}
-      tell(state, [4, <<3::32>>, Keys.token(opts[:role], domain, session, opts[:node], about)])
+      about = {topic, type, opts[:hash], depth}
+      Zenoh.token(port, @token, Keys.token(opts[:role], domain, session, opts[:node], about))
     end
 
     %{state | up?: true}
   end
 
-  defp heard(
-         2,
-         <<_id::32, n::16, key::binary-size(n), m::16, attachment::binary-size(m),
-           payload::binary>>,
-         state
-       ) do
+  defp heard({:sample, _id, key, attachment, payload}, state) do
     untaken = state.opts[:untaken]
 
     if :atomics.get(untaken, 1) < state.opts[:high_water_mark] do
@@ -159,17 +131,15 @@ defmodule Situ.Bridge.Ros2.Session do
     end
   end
 
-  defp heard(4, _id, state), do: %{state | on_way: max(state.on_way - 1, 0)}
+  defp heard({:put, _id}, state), do: %{state | on_way: max(state.on_way - 1, 0)}
 
-  defp heard(255, <<_id::32, why::binary>>, state) do
+  defp heard({:trouble, _id, why}, state) do
     Logger.warning("Zenoh: #{why}")
     state
   end
 
-  defp heard(_kind, _rest, state), do: state
+  defp heard(_other, state), do: state
 
-  # With its standard input the program ends.
   @impl true
-  def terminate(_reason, %{port: nil}), do: :ok
-  def terminate(_reason, %{port: port}), do: if(Port.info(port), do: Port.close(port))
+  def terminate(_reason, state), do: Zenoh.close(state.port)
 end

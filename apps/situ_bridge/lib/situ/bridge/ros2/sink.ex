@@ -4,14 +4,21 @@ defmodule Situ.Bridge.Ros2.Sink do
 
   @schema [
             topic: [type: :string, required: true, doc: "The topic."],
-            frame: [type: :string, default: "", doc: "The frame of reference that headers name."]
+            frame: [type: :string, default: "", doc: "The frame of reference that headers name."],
+            latch: [
+              type: :boolean,
+              default: false,
+              doc:
+                "Who subscribes later begins with the last messages (durability TRANSIENT_LOCAL), as long as the " <>
+                  "stream has not ended."
+            ]
           ] ++
-            Source.address() ++ Keyword.drop(Outlet.options(), [:format, :listening, :wait_for])
+            Source.common() ++ Keyword.drop(Outlet.options(), [:format, :listening, :wait_for])
   @moduledoc false
   # A stream as a topic. It is published once its type is known: by the options, or by the first message.
   use Situ.Component, inputs: [in: :any], options: @schema
   alias Situ.Bridge.Mcap.Channel
-  alias Situ.Bridge.Ros2.{Session, TypeHash}
+  alias Situ.Bridge.Ros2.{Session, TypeHash, Zenoh}
 
   def schema, do: @schema
 
@@ -37,7 +44,8 @@ defmodule Situ.Bridge.Ros2.Sink do
 
     about = [
       role: :publisher,
-      node: Source.named(opts),
+      node: Zenoh.node_name(opts),
+      depth: Source.depth(opts),
       type: definition.name,
       hash: TypeHash.of(definition)
     ]

@@ -1,29 +1,26 @@
 defmodule Situ.Bridge.Ros2.Source do
   alias Situ.Bridge.Mcap.Codec
+  alias Situ.Bridge.Ros2.Zenoh
 
-  @address [
-    router: [
-      type: :string,
-      default: "tcp/127.0.0.1:7447",
-      doc: "Zenoh's router, which `rmw_zenohd` is."
-    ],
-    domain: [type: {:integer, 0, 232}, default: 0, doc: "ROS_DOMAIN_ID."],
-    node: [
-      type: {:optional, :string},
-      default: nil,
-      doc: "The node's name; by default one is made up."
-    ],
-    ros_type: [
-      type: {:optional, :string},
-      default: nil,
-      doc: "Its type, such as \"sensor_msgs/msg/Imu\"."
-    ],
-    definition: [
-      type: {:optional, :string},
-      default: nil,
-      doc: "The type's definition (`.msg`), when it is none of ROS's own."
-    ]
-  ]
+  # The options that a source and a sink have.
+  @common Zenoh.options() ++
+            [
+              ros_type: [
+                type: {:optional, :string},
+                default: nil,
+                doc: "Its type, such as \"sensor_msgs/msg/Imu\"."
+              ],
+              definition: [
+                type: {:optional, :string},
+                default: nil,
+                doc: "The type's definition (`.msg`), when it is none of ROS's own."
+              ],
+              depth: [
+                type: {:integer, 1, 1_000_000},
+                default: 1,
+                doc: "Of how many messages `latch:` speaks (ROS's depth)."
+              ]
+            ]
   @schema [
             topic: [type: :string, required: true, doc: "The topic."],
             times: [
@@ -38,8 +35,14 @@ defmodule Situ.Bridge.Ros2.Source do
               default: 1_000,
               doc: "The most messages that are taken ahead."
             ],
+            latch: [
+              type: :boolean,
+              default: false,
+              doc:
+                "Also the last messages of before, of publishers that keep them (durability TRANSIENT_LOCAL)."
+            ],
             type: [type: :any, default: :any, doc: "Type of the stream."]
-          ] ++ @address ++ Codec.options()
+          ] ++ @common ++ Codec.options()
   @moduledoc false
   # A topic as a source that never ends.
   use Situ.Component, outputs: [out: :any], options: @schema
@@ -48,11 +51,10 @@ defmodule Situ.Bridge.Ros2.Source do
   alias Situ.Bridge.Ros2.{Keys, Session, TypeHash}
 
   def schema, do: @schema
-  def address, do: @address
+  def common, do: @common
 
-  @doc "A node's name."
-  def named(opts),
-    do: opts[:node] || "situ_" <> Base.encode16(:crypto.strong_rand_bytes(6), case: :lower)
+  @doc "The depth that a session is told, by `latch:` and `depth:`."
+  def depth(opts), do: if(opts[:latch], do: opts[:depth])
 
   @impl true
   def init(opts) do
@@ -64,7 +66,8 @@ defmodule Situ.Bridge.Ros2.Source do
   def handle_start(_context, %{opts: opts} = state) do
     {known, about} = expected(opts)
 
-    given = [role: :subscriber, untaken: state.untaken, node: named(opts)] ++ about
+    given = [role: :subscriber, untaken: state.untaken, node: Zenoh.node_name(opts)]
+    given = [depth: depth(opts)] ++ given ++ about
     given = given ++ Keyword.take(opts, [:router, :domain, :topic, :high_water_mark])
     session = given |> Session.start_link() |> Situ.Error.unwrap!()
     {[{:complete, :infinity}], %{state | session: session, known: known}}

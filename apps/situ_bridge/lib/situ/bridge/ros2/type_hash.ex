@@ -20,6 +20,9 @@ defmodule Situ.Bridge.Ros2.TypeHash do
     wstring: 18
   }
 
+  # The parts of a service, beside itself.
+  @parts ["_Request", "_Response", "_Event"]
+
   @doc """
   The sum of a definition of ROS 2's.
 
@@ -28,15 +31,45 @@ defmodule Situ.Bridge.Ros2.TypeHash do
       "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
   """
   @spec of(Definition.t()) :: String.t()
-  def of(%Definition{name: name, types: types}) do
+  def of(%Definition{name: name, types: types}), do: hash(name, types, [])
+
+  @doc """
+  The sum of a service: of its request, its response, and the message that tells of its calls.
+
+      iex> text = "int64 a\\nint64 b\\n---\\nint64 sum"
+      iex> {:ok, service} = Situ.Bridge.Ros.Definition.service("example_interfaces/AddTwoInts", text, :ros2)
+      iex> Situ.Bridge.Ros2.TypeHash.of_service("example_interfaces/AddTwoInts", service)
+      "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
+  """
+  @spec of_service(String.t(), %{
+          :request => Definition.t(),
+          :response => Definition.t(),
+          optional(atom()) => term()
+        }) :: String.t()
+  def of_service(name, %{request: request, response: response}) do
+    parts = [
+      "#{request.name} request_message\n#{response.name} response_message\n#{name}_Event event_message",
+      "MSG: #{name}_Event\nservice_msgs/ServiceEventInfo info\n" <>
+        "#{request.name}[<=1] request\n#{response.name}[<=1] response",
+      "MSG: #{request.name}\n#{request.text}",
+      "MSG: #{response.name}\n#{response.text}"
+    ]
+
+    text = Enum.join(parts, "\n" <> String.duplicate("=", 80) <> "\n")
+    {:ok, definition} = Definition.parse(name, text, :ros2)
+    hash(name, definition.types, [name | for(part <- @parts, do: name <> part)])
+  end
+
+  # `services`: the types that are of a service, and so spelled otherwise.
+  defp hash(name, types, services) do
     others = name |> needed(types, MapSet.new()) |> MapSet.delete(name)
-    referenced = others |> Enum.sort_by(&spelled/1) |> Enum.map(&described(&1, types))
+    referenced = others |> Enum.sort_by(&spelled(&1, services))
 
     json = [
       ~s({"type_description": ),
-      described(name, types),
+      described(name, types, services),
       ~s(, "referenced_type_descriptions": [),
-      Enum.intersperse(referenced, ", "),
+      referenced |> Enum.map(&described(&1, types, services)) |> Enum.intersperse(", "),
       "]}"
     ]
 
@@ -59,16 +92,24 @@ defmodule Situ.Bridge.Ros2.TypeHash do
   defp innermost({:list, type}), do: type
   defp innermost(type), do: type
 
-  defp spelled(name), do: String.replace(name, "/", "/msg/", global: false)
-
-  defp described(name, types) do
-    %{fields: fields, spelled: spelled} = types[name]
-    fields = Enum.zip_with(fields, spelled, &field/2)
-    [~s({"type_name": "#{spelled(name)}", "fields": [), Enum.intersperse(fields, ", "), "]}"]
+  defp spelled(name, services) do
+    kind = if name in services, do: "/srv/", else: "/msg/"
+    String.replace(name, "/", kind, global: false)
   end
 
-  defp field({name, type}, spelled) do
-    {id, nested} = id(innermost(type), spelled)
+  defp described(name, types, services) do
+    %{fields: fields, spelled: spelled} = types[name]
+    fields = Enum.zip_with(fields, spelled, &field(&1, &2, services))
+
+    [
+      ~s({"type_name": "#{spelled(name, services)}", "fields": [),
+      Enum.intersperse(fields, ", "),
+      "]}"
+    ]
+  end
+
+  defp field({name, type}, spelled, services) do
+    {id, nested} = id(innermost(type), spelled, services)
     {text, list?, bound} = bounds(spelled)
     {above, capacity} = array(type, list?, bound)
     # A bounded text has a number of its own.
@@ -78,9 +119,9 @@ defmodule Situ.Bridge.Ros2.TypeHash do
       ~s("string_capacity": #{text}, "nested_type_name": "#{nested}"}})
   end
 
-  defp id({:message, name}, _spelled), do: {1, spelled(name)}
-  defp id(:int8, "byte" <> _), do: {16, ""}
-  defp id(type, _spelled), do: {Map.fetch!(@ids, type), ""}
+  defp id({:message, name}, _spelled, services), do: {1, spelled(name, services)}
+  defp id(:int8, "byte" <> _, _services), do: {16, ""}
+  defp id(type, _spelled, _services), do: {Map.fetch!(@ids, type), ""}
 
   # How long a text may be, and a list.
   defp bounds(spelled) do

@@ -29,4 +29,15 @@ defmodule Situ.Bridge.Ros2.TypeHashTest do
       assert {name, TypeHash.of(definition)} == {name, "RIHS01_" <> sum}
     end
   end
+
+  test "a service without a request has one member all the same" do
+    {:ok, service} =
+      Definition.service("std_srvs/srv/Trigger", "---\nbool success\nstring message", :ros2)
+
+    # By zenoh-ros2-sdk 0.1.8, and field by field what ROS 2 has.
+    assert TypeHash.of_service("std_srvs/Trigger", service) ==
+             "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
+
+    assert [{_, :uint8}] = service.request.types["std_srvs/Trigger_Request"].fields
+  end
 end

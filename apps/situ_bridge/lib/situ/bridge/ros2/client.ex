@@ -1,0 +1,191 @@
+defmodule Situ.Bridge.Ros2.Client do
+  @moduledoc false
+  # One who calls a service: a node of ROS 2 with a Zenoh session of its own.
+  use GenServer
+  alias Situ.Bridge.Ros.{Definition, Wire}
+  alias Situ.Bridge.Ros2.{Keys, TypeHash, Zenoh}
+  alias Situ.Error
+
+  @node 0
+  @token 1
+  # Ids of requests follow.
+  @first 16
+  @last 0xFFFFFFFF
+
+  @doc "Calls once."
+  def call(service, type, text, request, opts) do
+    {timeout, opts} = Keyword.pop(opts, :timeout, 5_000)
+
+    with {:ok, client} <- start_link(service, type, text, opts) do
+      answer = ask(client, request, timeout)
+      stop(client)
+      answer
+    end
+  end
+
+  @doc "Ends a client or a server, also one that has ended meanwhile."
+  @spec stop(pid()) :: :ok
+  def stop(pid) do
+    GenServer.stop(pid)
+  catch
+    :exit, _reason -> :ok
+  end
+
+  def start_link(service, type, text, opts) do
+    opts = Situ.Options.validate!(opts, Zenoh.options())
+
+    with {:ok, about} <- about(service, type, text),
+         {:ok, program} <- Zenoh.program(),
+         do: GenServer.start_link(__MODULE__, Map.merge(about, %{opts: opts, program: program}))
+  end
+
+  @doc "Both sides of a service know this: its name, types and key."
+  @spec about(String.t(), String.t(), String.t()) :: {:ok, map()} | {:error, Error.t()}
+  def about(service, type, text) do
+    with {:ok, type} <- type_name(type),
+         {:ok, definition} <- Definition.service(type, text, :ros2) do
+      name = "/" <> String.trim_leading(service, "/")
+      hash = TypeHash.of_service(type, definition)
+      {:ok, %{name: name, type: type, definition: definition, hash: hash}}
+    else
+      {:error, why} ->
+        {:error,
+         Error.new(:bad_definition, "the definition of #{type} cannot be used",
+           why: why,
+           fix: "give the type as \"package/srv/Name\", and the text of its .srv"
+         )}
+    end
+  end
+
+  defp type_name(type) do
+    if Regex.match?(~r/\A\w+\/(srv\/)?\w+\z/, type),
+      do: {:ok, Definition.plain(type)},
+      else: {:error, "#{inspect(type)} is no name of a type"}
+  end
+
+  @spec ask(pid(), map(), pos_integer()) :: {:ok, map()} | {:error, Error.t()}
+  def ask(client, request, timeout),
+    do: GenServer.call(client, {:ask, request, timeout}, :infinity)
+
+  @impl true
+  def init(about) do
+    Process.flag(:trap_exit, true)
+    port = Zenoh.open(about.program, about.opts[:router])
+    rest = %{port: port, up?: false, waiting: [], asked: %{}, next: @first, sequence: 0}
+    gid = :crypto.strong_rand_bytes(16)
+    {:ok, about |> Map.merge(rest) |> Map.merge(%{node: Zenoh.node_name(about.opts), gid: gid})}
+  end
+
+  @impl true
+  def handle_call({:ask, request, timeout}, from, state) do
+    case Wire.encode(state.definition.request, request, :cdr) do
+      {:ok, bytes} ->
+        {:noreply, asked(state, from, bytes, timeout)}
+
+      {:error, why} ->
+        what = "a request of #{state.name} cannot be written"
+        {:reply, {:error, Error.new(:not_writable, what, why: why)}, state}
+    end
+  end
+
+  defp asked(%{next: id} = state, from, bytes, timeout) do
+    timer = Process.send_after(self(), {:late, id, timeout}, timeout)
+    next = if id == @last, do: @first, else: id + 1
+    state = %{state | asked: Map.put(state.asked, id, {from, timer}), next: next}
+
+    if state.up?,
+      do: send_off(state, {id, bytes, timeout}),
+      else: %{state | waiting: [{id, bytes, timeout} | state.waiting]}
+  end
+
+  # Zenoh waits a little longer than the caller: the caller's own clock decides.
+  defp send_off(%{opts: opts} = state, {id, bytes, timeout}) do
+    state = %{state | sequence: state.sequence + 1}
+    key = Keys.service(opts[:domain], state.name, state.type, state.hash)
+    attachment = Keys.attachment(state.sequence, System.os_time(:nanosecond), state.gid)
+    Zenoh.ask(state.port, id, key, attachment, bytes, timeout + 1_000)
+    state
+  end
+
+  @impl true
+  def handle_info({port, {:data, frame}}, %{port: port} = state),
+    do: {:noreply, frame |> Zenoh.read() |> heard(state)}
+
+  def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
+    error = Error.new(:ros_unreachable, "zenoh_port ended with status #{status}")
+    for {_id, {from, _timer}} <- state.asked, do: GenServer.reply(from, {:error, error})
+    {:stop, :normal, %{state | port: nil, asked: %{}}}
+  end
+
+  def handle_info({:late, id, timeout}, state) do
+    {what, fix} =
+      if state.up?,
+        do:
+          {"the service #{state.name} did not answer",
+           "give it more time with `timeout:`, or look after its server"},
+        else:
+          {"no router at #{state.opts[:router]}",
+           "start `rmw_zenohd`, or name another with `router:`"}
+
+    error = Error.new(:ros_unreachable, what, why: "after #{timeout} ms", fix: fix)
+    {:noreply, answered(state, id, {:error, error})}
+  end
+
+  # The port ends when it is closed; who started the client may end.
+  def handle_info({:EXIT, from, reason}, state) when is_pid(from), do: {:stop, reason, state}
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp heard({:open, session}, %{opts: opts, port: port} = state) do
+    about = {state.name, state.type, state.hash, nil}
+    Zenoh.token(port, @node, Keys.node(opts[:domain], session, state.node))
+    Zenoh.token(port, @token, Keys.token(:client, opts[:domain], session, state.node, about))
+    waiting = Enum.reverse(state.waiting)
+    Enum.reduce(waiting, %{state | up?: true, waiting: []}, &send_off(&2, &1))
+  end
+
+  defp heard({:answer, id, _attachment, payload}, state) do
+    answer =
+      with {:error, why} <- Wire.decode(state.definition.response, payload, :cdr),
+           do: {:error, refused("the answer of #{state.name} cannot be read", why)}
+
+    answered(state, id, answer)
+  end
+
+  defp heard({:refusal, id, why}, state),
+    do:
+      answered(state, id, {:error, refused("the service #{state.name} refused", printable(why))})
+
+  # Who was answered is no longer asked.
+  defp heard({:answered, id}, state) do
+    error =
+      Error.new(:ros_refused, "nobody offers the service #{state.name}",
+        why: "as #{state.type}, #{state.hash}",
+        fix: "start its server, or mend the definition: both sides must mean the same type"
+      )
+
+    answered(state, id, {:error, error})
+  end
+
+  defp heard({:trouble, id, why}, state),
+    do: answered(state, id, {:error, refused("Zenoh cannot ask #{state.name}", printable(why))})
+
+  defp heard(_other, state), do: state
+
+  defp refused(what, why), do: Error.new(:ros_refused, what, why: why)
+  defp printable(text), do: if(String.valid?(text), do: text, else: inspect(text, limit: 50))
+
+  defp answered(state, id, answer) do
+    case Map.pop(state.asked, id) do
+      {nil, _} ->
+        state
+
+      {{from, timer}, asked} ->
+        Process.cancel_timer(timer)
+        GenServer.reply(from, answer)
+        %{state | asked: asked}
+    end
+  end
+
+  @impl true
+  def terminate(_reason, state), do: Zenoh.close(state.port)
+end

@@ -1,0 +1,147 @@
+defmodule Situ.Bridge.Ros2.Server do
+  @moduledoc false
+  # A service that is offered: a node of ROS 2 with a Zenoh session of its own, and a process for each request.
+  use GenServer
+  require Logger
+  alias Situ.Bridge.Ros.Wire
+  alias Situ.Bridge.Ros2.{Client, Keys, Zenoh}
+  alias Situ.Error
+
+  @service 1
+  @node 2
+  @token 3
+  @again 1_000
+  @patience 5_000
+
+  def start_link(service, type, text, fun, opts) do
+    {timeout, opts} = Keyword.pop(opts, :timeout, @patience)
+    opts = Situ.Options.validate!(opts, Zenoh.options())
+
+    with {:ok, about} <- Client.about(service, type, text),
+         {:ok, program} <- Zenoh.program() do
+      given = %{opts: opts, program: program, fun: fun, node: Zenoh.node_name(opts)}
+      {:ok, server} = GenServer.start_link(__MODULE__, Map.merge(about, given))
+      ready(server, timeout, opts)
+    end
+  end
+
+  defp ready(server, timeout, opts) do
+    if GenServer.call(server, {:ready, timeout}, :infinity) do
+      {:ok, server}
+    else
+      GenServer.stop(server)
+
+      {:error,
+       Error.new(:ros_unreachable, "no router at #{opts[:router]}",
+         why: "after #{timeout} ms",
+         fix: "start `rmw_zenohd`, or name another with `router:`"
+       )}
+    end
+  end
+
+  @impl true
+  def init(given) do
+    Process.flag(:trap_exit, true)
+    port = Zenoh.open(given.program, given.opts[:router])
+    {:ok, Map.merge(given, %{port: port, up?: false, wait: nil, at_work: %{}})}
+  end
+
+  @impl true
+  def handle_call({:ready, _timeout}, _from, %{up?: true} = state), do: {:reply, true, state}
+
+  def handle_call({:ready, timeout}, from, state) do
+    Process.send_after(self(), :late, timeout)
+    {:noreply, %{state | wait: from}}
+  end
+
+  @impl true
+  def handle_info({port, {:data, frame}}, %{port: port} = state),
+    do: {:noreply, frame |> Zenoh.read() |> heard(state)}
+
+  # Whoever asked is told by Zenoh that nobody answers.
+  def handle_info({port, {:exit_status, status}}, %{port: port} = state) do
+    Logger.warning("zenoh_port ended with status #{status}; it is started again")
+    Process.send_after(self(), :again, @again)
+    {:noreply, %{state | port: nil, up?: false, at_work: %{}}}
+  end
+
+  def handle_info(:again, state),
+    do: {:noreply, %{state | port: Zenoh.open(state.program, state.opts[:router])}}
+
+  def handle_info(:late, state), do: {:noreply, waited(state, false)}
+
+  def handle_info({:EXIT, worker, reason}, %{at_work: at_work} = state)
+      when is_map_key(at_work, worker) do
+    {{request, attachment}, at_work} = Map.pop(at_work, worker)
+    answer(state, request, attachment, result(reason))
+    {:noreply, %{state | at_work: at_work}}
+  end
+
+  def handle_info({:EXIT, from, reason}, state) when is_pid(from) do
+    # A worker of a program that is gone has nobody to tell.
+    if reason == :normal or match?({:answer, _}, reason),
+      do: {:noreply, state},
+      else: {:stop, reason, state}
+  end
+
+  def handle_info(_other, state), do: {:noreply, state}
+
+  defp result({:answer, answer}), do: answer
+  defp result(reason), do: {:error, "it failed: #{inspect(reason, limit: 20)}"}
+
+  defp answer(state, request, attachment, {:ok, bytes}),
+    do: Zenoh.answer(state.port, @service, request, {:ok, attachment, bytes})
+
+  defp answer(state, request, _attachment, {:error, why}),
+    do: Zenoh.answer(state.port, @service, request, {:error, to_string(why)})
+
+  defp heard({:open, session}, %{opts: opts, port: port} = state) do
+    about = {state.name, state.type, state.hash, nil}
+    key = Keys.service(opts[:domain], state.name, state.type, state.hash)
+    Zenoh.token(port, @node, Keys.node(opts[:domain], session, state.node))
+    Zenoh.service(port, @service, key)
+    Zenoh.token(port, @token, Keys.token(:server, opts[:domain], session, state.node, about))
+    waited(%{state | up?: true}, true)
+  end
+
+  defp heard({:asked, _id, request, attachment, payload}, state) do
+    case Keys.reply(attachment, System.os_time(:nanosecond)) do
+      {:ok, attachment} ->
+        worker = spawn_link(fn -> exit({:answer, worked(state, payload)}) end)
+        %{state | at_work: Map.put(state.at_work, worker, {request, attachment})}
+
+      :error ->
+        why = "a request of ROS 2 has an attachment: its number, its time, and who asks"
+        Zenoh.answer(state.port, @service, request, {:error, why})
+        state
+    end
+  end
+
+  defp heard({:trouble, _id, why}, state) do
+    Logger.warning("Zenoh: #{why}")
+    state
+  end
+
+  defp heard(_other, state), do: state
+
+  defp waited(%{wait: nil} = state, _up?), do: state
+
+  defp waited(state, up?) do
+    GenServer.reply(state.wait, up?)
+    %{state | wait: nil}
+  end
+
+  defp worked(%{definition: definition, fun: fun}, payload) do
+    with {:ok, request} <- Wire.decode(definition.request, payload, :cdr),
+         {:ok, response} <- fun.(request),
+         do: Wire.encode(definition.response, response, :cdr)
+  rescue
+    error -> {:error, Exception.message(error)}
+  end
+
+  @impl true
+  def terminate(_reason, state) do
+    for {worker, _} <- state.at_work, do: Process.exit(worker, :kill)
+    Zenoh.close(state.port)
+  end
+end
