@@ -1,7 +1,8 @@
 defmodule Situ.Bridge.Outlet do
   @moduledoc false
   # The common part of all network sinks: it encodes messages by the format, waits for peers if asked to, makes the
-  # stream wait while no peer has room, and lingers at the end. The counterpart of `Situ.Bridge.Inlet`.
+  # stream wait while no peer has room, and lingers at the end. `use Situ.Bridge.Outlet` in a component whose state is
+  # an outlet gives it all callbacks but the first ones. The counterpart of `Situ.Bridge.Inlet`.
   alias Situ.Bridge.Format
   alias Situ.Error
 
@@ -14,8 +15,11 @@ defmodule Situ.Bridge.Outlet do
   @callback dropped(server()) :: non_neg_integer()
   @doc "Sends to whom it concerns; `:full` when the stream is to wait."
   @callback put(server(), what :: term()) :: :ok | :full
-  @doc "Closes after at most so many ms of waiting for messages under way."
-  @callback close(server(), timeout :: non_neg_integer()) :: :ok
+  @doc """
+  Closes after at most so many ms of waiting for messages under way. Answers how many that had been taken are lost;
+  those that it may lose at any time do not count.
+  """
+  @callback close(server(), timeout :: non_neg_integer()) :: lost :: non_neg_integer()
 
   @options [
     format: [
@@ -36,7 +40,9 @@ defmodule Situ.Bridge.Outlet do
     linger: [
       type: :non_neg_integer,
       default: 1_000,
-      doc: "How long to wait at the end for what is still to be sent, ms."
+      doc:
+        "How long to wait at the end for somebody who takes what is still to be sent, ms. If nobody does, the error " <>
+          "`:not_delivered` tells how many messages are lost."
     ],
     listening: [
       type: {:optional, :pid},
@@ -45,8 +51,22 @@ defmodule Situ.Bridge.Outlet do
     ]
   ]
 
-  defstruct [:opts, :door, :server, waiting: false, held: []]
+  # `until`: when it gives up, if nothing goes through the door before; known from the end of the pipeline on.
+  defstruct [:opts, :door, :server, :until, waiting: false, holding: false, held: [], lost: 0]
   @type t :: %__MODULE__{}
+
+  defmacro __using__(_opts) do
+    quote do
+      @impl true
+      def handle_info(message, _context, outlet), do: Situ.Bridge.Outlet.told(outlet, message)
+      @impl true
+      def handle_closed(:in, _time, _context, outlet), do: {[], Situ.Bridge.Outlet.close(outlet)}
+      @impl true
+      def terminate(_reason, outlet), do: Situ.Bridge.Outlet.abandon(outlet)
+      @impl true
+      def describe(outlet), do: Situ.Bridge.Outlet.describe(outlet)
+    end
+  end
 
   @doc "The options that all such sinks have."
   def options, do: @options
@@ -75,48 +95,81 @@ defmodule Situ.Bridge.Outlet do
   @spec take(t(), what :: term()) :: {[tuple()], t()}
   def take(outlet, payload), do: pour(%{outlet | held: outlet.held ++ [payload]})
 
-  @doc "Tries once more, when a hold has ended."
-  @spec pour(t()) :: {[tuple()], t()}
-  def pour(%{waiting: true} = outlet) do
+  @doc "The stage tells the component: a hold has ended, or the pipeline comes to its end."
+  @spec told(t(), term()) :: {[tuple()], t()}
+  def told(outlet, {:hold_ended, :in}), do: pour(outlet)
+  def told(%{until: nil} = outlet, {:linger, :end}), do: outlet |> moved() |> pour()
+  def told(outlet, _other), do: {[], outlet}
+
+  defp moved(outlet), do: %{outlet | until: now() + outlet.opts[:linger]}
+
+  defp pour(%{waiting: true} = outlet) do
     if outlet.door.ready(outlet.server) >= outlet.opts[:wait_for],
       do: pour(%{outlet | waiting: false}),
-      else: {[{:hold, :in}], outlet}
+      else: wait(outlet)
   end
 
-  def pour(%{held: []} = outlet), do: {[{:resume, :in}], outlet}
+  defp pour(%{held: [], holding: true} = outlet),
+    do: {[{:resume, :in}, {:linger, false}], %{outlet | holding: false}}
 
-  def pour(%{held: [payload | rest]} = outlet) do
+  defp pour(%{held: []} = outlet), do: {[], outlet}
+
+  defp pour(%{held: [payload | rest]} = outlet) do
     case outlet.door.put(outlet.server, payload) do
-      :ok -> pour(%{outlet | held: rest})
-      :full -> {[{:hold, :in}], outlet}
+      :ok -> pour(%{if(outlet.until, do: moved(outlet), else: outlet) | held: rest})
+      :full -> wait(outlet)
     end
   end
 
-  @doc "The end of the stream: there is nothing else to do than to wait for what is held."
+  # A pipeline that ends does not wait for ever.
+  defp wait(%{until: until} = outlet) do
+    if until != nil and now() >= until,
+      do: pour(%{outlet | waiting: false, held: [], lost: outlet.lost + length(outlet.held)}),
+      else: {[{:hold, :in}, {:linger, true}], %{outlet | holding: true}}
+  end
+
+  @doc "The end of the stream. Raises `Situ.Error` (`:not_delivered`) when something of it is lost."
   @spec close(t()) :: t()
   def close(outlet) do
-    outlet = drain(outlet, System.monotonic_time(:millisecond) + outlet.opts[:linger])
-    outlet.door.close(outlet.server, outlet.opts[:linger])
+    outlet = outlet |> moved() |> drain()
+    lost = outlet.lost + outlet.door.close(outlet.server, outlet.opts[:linger])
+    if lost > 0, do: raise(not_delivered(lost, outlet.opts[:linger]))
     %{outlet | server: nil}
   end
 
-  defp drain(outlet, until) do
+  # There is nothing else to do any more than to wait for what is held.
+  defp drain(outlet) do
     {_, outlet} = pour(outlet)
 
-    if outlet.held != [] and System.monotonic_time(:millisecond) < until do
+    if outlet.held == [] do
+      outlet
+    else
       receive do
       after
-        5 -> drain(outlet, until)
+        5 -> drain(outlet)
       end
-    else
-      outlet
     end
   end
+
+  defp not_delivered(lost, linger) do
+    what = if lost == 1, do: "a message was", else: "#{lost} messages were"
+
+    Error.new(:not_delivered, what <> " not delivered",
+      why: "nobody took them within #{linger} ms after the end",
+      fix: "look after the other side, or let the end wait longer (`linger:`)"
+    )
+  end
+
+  defp now, do: System.monotonic_time(:millisecond)
 
   @doc "Closes without waiting."
   @spec abandon(t()) :: :ok
   def abandon(%{server: nil}), do: :ok
-  def abandon(outlet), do: outlet.door.close(outlet.server, 0)
+
+  def abandon(outlet) do
+    _lost = outlet.door.close(outlet.server, 0)
+    :ok
+  end
 
   @doc "One line for people."
   @spec describe(t()) :: String.t()

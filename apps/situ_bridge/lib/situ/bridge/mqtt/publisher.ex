@@ -81,7 +81,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   end
 
   def handle_call({:drain, until}, from, state) do
-    Linger.drain(from, until, state.n > 0)
+    Linger.drain(from, until, state.n)
     {:noreply, state}
   end
 
@@ -101,7 +101,7 @@ defmodule Situ.Bridge.Mqtt.Publisher do
   end
 
   def handle_info({:drain, from, until}, state) do
-    Linger.drain(from, until, state.n > 0)
+    Linger.drain(from, until, state.n)
     {:noreply, state}
   end
 

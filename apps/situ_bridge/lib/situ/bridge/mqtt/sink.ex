@@ -27,6 +27,7 @@ defmodule Situ.Bridge.Mqtt.Sink do
   @moduledoc false
   # A stream to a topic.
   use Situ.Component, inputs: [in: :any], options: @schema
+  use Outlet
   alias Situ.Bridge.Mqtt.Publisher
 
   def schema, do: @schema
@@ -45,17 +46,4 @@ defmodule Situ.Bridge.Mqtt.Sink do
   @impl true
   def handle_message(:in, message, _context, outlet),
     do: Outlet.take(outlet, Outlet.payload(message, outlet.opts))
-
-  @impl true
-  def handle_info({:hold_ended, :in}, _context, outlet), do: Outlet.pour(outlet)
-  def handle_info(_other, _context, outlet), do: {[], outlet}
-
-  @impl true
-  def handle_closed(:in, _time, _context, outlet), do: {[], Outlet.close(outlet)}
-
-  @impl true
-  def terminate(_reason, outlet), do: Outlet.abandon(outlet)
-
-  @impl true
-  def describe(outlet), do: Outlet.describe(outlet)
 end

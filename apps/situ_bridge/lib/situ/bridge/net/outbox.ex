@@ -25,8 +25,9 @@ defmodule Situ.Bridge.Net.Outbox do
     end
   end
 
-  @spec waiting?(t()) :: boolean()
-  def waiting?(outbox), do: :atomics.get(outbox, 1) > 0
+  @doc "How many messages wait."
+  @spec waiting(t()) :: non_neg_integer()
+  def waiting(outbox), do: :atomics.get(outbox, 1)
 
   @doc "Sends `bytes` and whatever else waits: one call into the kernel for many messages."
   @spec flush(t(), :gen_tcp.socket(), iodata()) :: :ok | {:error, term()}

@@ -80,19 +80,21 @@ defmodule Situ.Bridge.Net.Server do
   end
 
   def handle_call({:drain, until}, from, state) do
-    Linger.drain(from, until, waiting?(state))
+    Linger.drain(from, until, waiting(state), true)
     {:noreply, state}
   end
 
   defp open(state), do: Enum.filter(state.clients, fn {_, client} -> client.open? end)
-  defp waiting?(state), do: Enum.any?(state.clients, fn {_, c} -> Outbox.waiting?(c.outbox) end)
+
+  defp waiting(state),
+    do: state.clients |> Enum.map(fn {_, c} -> Outbox.waiting(c.outbox) end) |> Enum.sum()
 
   @impl true
   def handle_info(:begin, state),
     do: {:noreply, %{state | acceptor: Listener.begin(state.listener, self())}}
 
   def handle_info({:drain, from, until}, state) do
-    Linger.drain(from, until, waiting?(state))
+    Linger.drain(from, until, waiting(state), true)
     {:noreply, state}
   end
 

@@ -13,6 +13,7 @@ defmodule Situ.Bridge.Net.Sink do
   @moduledoc false
   # Sends a stream to every client that connects.
   use Situ.Component, inputs: [in: :any], options: @schema
+  use Outlet
   alias Situ.Bridge.Net.Server
 
   def schema, do: @schema
@@ -40,17 +41,4 @@ defmodule Situ.Bridge.Net.Sink do
   @impl true
   def handle_message(:in, message, _context, outlet),
     do: Outlet.take(outlet, Outlet.payload(message, outlet.opts))
-
-  @impl true
-  def handle_info({:hold_ended, :in}, _context, outlet), do: Outlet.pour(outlet)
-  def handle_info(_other, _context, outlet), do: {[], outlet}
-
-  @impl true
-  def handle_closed(:in, _time, _context, outlet), do: {[], Outlet.close(outlet)}
-
-  @impl true
-  def terminate(_reason, outlet), do: Outlet.abandon(outlet)
-
-  @impl true
-  def describe(outlet), do: Outlet.describe(outlet)
 end

@@ -82,7 +82,7 @@ defmodule Situ.Bridge.Ros2.Session do
   def handle_call({:drain, until}, from, state), do: drain(from, until, state)
 
   defp drain(from, until, state) do
-    Linger.drain(from, until, state.on_way > 0)
+    Linger.drain(from, until, state.on_way)
     {:noreply, state}
   end
 

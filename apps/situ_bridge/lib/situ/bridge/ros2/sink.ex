@@ -69,10 +69,8 @@ defmodule Situ.Bridge.Ros2.Sink do
   end
 
   @impl true
-  def handle_info({:hold_ended, :in}, _context, state),
-    do: state.outlet |> Outlet.pour() |> with_outlet(state)
-
-  def handle_info(_other, _context, state), do: {[], state}
+  def handle_info(message, _context, state),
+    do: state.outlet |> Outlet.told(message) |> with_outlet(state)
 
   defp with_outlet({actions, outlet}, state), do: {actions, %{state | outlet: outlet}}
 

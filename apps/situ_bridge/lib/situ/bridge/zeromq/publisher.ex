@@ -41,7 +41,7 @@ defmodule Situ.Bridge.ZeroMQ.Publisher do
   def close({server, _socket}, timeout) do
     GenServer.call(server, {:done, timeout}, timeout + 10_000)
   catch
-    :exit, _ -> :ok
+    :exit, _ -> 0
   end
 
   @impl GenServer
@@ -63,12 +63,12 @@ defmodule Situ.Bridge.ZeroMQ.Publisher do
   def handle_call(:open, _from, state), do: {:reply, opened(state.socket, state), state}
 
   def handle_call({:done, timeout}, _from, %{streams: 1} = state) do
-    if state.socket, do: Socket.close(state.socket, timeout)
-    {:stop, :normal, :ok, %{state | socket: nil}}
+    lost = if state.socket, do: Socket.close(state.socket, timeout), else: 0
+    {:stop, :normal, lost, %{state | socket: nil}}
   end
 
   def handle_call({:done, _timeout}, _from, state),
-    do: {:reply, :ok, %{state | streams: state.streams - 1}}
+    do: {:reply, 0, %{state | streams: state.streams - 1}}
 
   defp opened(socket, state),
     do: {:ok, {self(), socket}, if(state.opts[:bind], do: Socket.port(socket))}

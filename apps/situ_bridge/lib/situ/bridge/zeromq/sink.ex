@@ -20,6 +20,7 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
   @moduledoc false
   # A stream to a ZeroMQ socket.
   use Situ.Component, inputs: [in: :any], options: @schema
+  use Outlet
   alias Situ.Bridge.ZeroMQ.Socket
 
   @most 64 * 1024 * 1024
@@ -62,17 +63,4 @@ defmodule Situ.Bridge.ZeroMQ.Sink do
     payload = Outlet.payload(message, opts)
     if opts[:socket] == :pub, do: [opts[:topic], payload], else: [payload]
   end
-
-  @impl true
-  def handle_info({:hold_ended, :in}, _context, outlet), do: Outlet.pour(outlet)
-  def handle_info(_other, _context, outlet), do: {[], outlet}
-
-  @impl true
-  def handle_closed(:in, _time, _context, outlet), do: {[], Outlet.close(outlet)}
-
-  @impl true
-  def terminate(_reason, outlet), do: Outlet.abandon(outlet)
-
-  @impl true
-  def describe(outlet), do: Outlet.describe(outlet)
 end

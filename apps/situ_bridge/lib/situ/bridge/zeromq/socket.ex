@@ -141,11 +141,12 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   end
 
   def handle_call({:drain, until}, from, state) do
-    Linger.drain(from, until, waiting?(state))
+    Linger.drain(from, until, waiting(state), state.type == :pub)
     {:noreply, state}
   end
 
-  defp waiting?(state), do: Enum.any?(state.peers, fn {_, p} -> Outbox.waiting?(p.queued) end)
+  defp waiting(state),
+    do: state.peers |> Enum.map(fn {_, p} -> Outbox.waiting(p.queued) end) |> Enum.sum()
 
   defp put({pid, peer}, bytes, state),
     do: Outbox.put(peer.queued, pid, bytes, state.opts[:high_water_mark])
@@ -157,7 +158,7 @@ defmodule Situ.Bridge.ZeroMQ.Socket do
   def handle_info(:begin, state), do: {:noreply, connect(state)}
 
   def handle_info({:drain, from, until}, state) do
-    Linger.drain(from, until, waiting?(state))
+    Linger.drain(from, until, waiting(state), state.type == :pub)
     {:noreply, state}
   end
 
