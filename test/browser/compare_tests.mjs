@@ -75,6 +75,19 @@ test("3 compare: a second recording is chosen, drawn beside the first, and shift
   await page.mouse.move(box.x + box.width / 2 - 30, box.y + box.height / 2);
   await page.mouse.up();
   await lateIs(page, 2.5 - (30 * (b - a)) / width / S);
+  // a layout that is saved has the shift, whatever it was meanwhile
+  const saved = await late(page);
+  await page.click("button[title='Save the layout']");
+  await page.fill("#layout-save input[name=name]", "Both");
+  await page.keyboard.press("Enter");
+  await until(page, () => document.getElementById("studio").dataset.layout === "Both", "the layout is saved");
+  await page.fill("#compare input", "9 s");
+  await page.keyboard.press("Enter");
+  await lateIs(page, 9);
+  await page.selectOption("#layout-pick select", "Automatic");
+  await until(page, () => document.getElementById("studio").dataset.layout === "Automatic", "another layout");
+  await page.selectOption("#layout-pick select", "Both");
+  await lateIs(page, saved);
   // the address holds it, and the layout of both
   await until(page, () => new URLSearchParams(location.search).get("offset"), "the address says so");
   await page.waitForTimeout(300);

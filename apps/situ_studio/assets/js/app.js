@@ -77,6 +77,7 @@ const hooks = {
       this.handleEvent("compare_go", ({ with: other, offset }) => {
         location.assign(`${location.pathname}?${new URLSearchParams({ with: other, offset })}`);
       });
+      this.handleEvent("compare_shift", ({ offset }) => app.compare?.set(BigInt(offset)));
       this.handleEvent("together", (told) => app.together.heard(told));
       this.handleEvent("zoom_to", ({ from, to }) => {
         app.time.dispatch({ type: "view", from: app.client.rel(BigInt(from)), to: app.client.rel(BigInt(to)) });

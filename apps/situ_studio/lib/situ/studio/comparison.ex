@@ -58,7 +58,8 @@ defmodule Situ.Studio.Comparison do
 
   @doc """
   The layout with each stream of the first beside that of the same name of the second: lines and lanes in one panel,
-  pictures and values in panels side by side. `names` are all streams.
+  pictures and values in panels side by side. What the layout shows of the second already is not added again. `names`
+  are all streams.
 
       iex> alias Situ.Studio.{Comparison, Layout}
       iex> {:ok, layout, _} = Layout.add(Layout.new(""), "Level", "line", :plot, "")
@@ -69,22 +70,26 @@ defmodule Situ.Studio.Comparison do
   """
   @spec layout(Layout.t(), Enumerable.t()) :: Layout.t()
   def layout(%Layout{} = layout, names) do
+    shown =
+      for panel <- layout.rows, v <- panel.vis, into: MapSet.new(), do: {v.viz, v.stream, v.path}
+
     names = MapSet.new(names)
+    twins = fn v -> Enum.reject(twin(v, names), &({&1.viz, &1.stream, &1.path} in shown)) end
     {panels, vis} = Layout.limits()
 
     {rows, next} =
       Enum.flat_map_reduce(layout.rows, layout.next, fn panel, next ->
-        case Enum.flat_map(panel.vis, &twin(&1, names)) do
+        case Enum.flat_map(panel.vis, twins) do
           [] ->
             {[panel], next}
 
           # each beside its own twin
           _ when panel.panel in [:plot, :lanes] ->
-            both = Enum.flat_map(panel.vis, &[&1 | twin(&1, names)])
+            both = Enum.flat_map(panel.vis, &[&1 | twins.(&1)])
             {[%{panel | vis: Enum.take(both, vis)}], next}
 
-          twins ->
-            {[panel, %{panel | id: "p#{next}", vis: twins}], next + 1}
+          seconds ->
+            {[panel, %{panel | id: "p#{next}", vis: seconds}], next + 1}
         end
       end)
 

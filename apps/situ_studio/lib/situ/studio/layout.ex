@@ -48,17 +48,19 @@ defmodule Situ.Studio.Layout do
   alias Situ.Studio.Layout.Rows
 
   @enforce_keys [:name]
-  defstruct [:name, rows: [], next: 1, beside: false]
+  defstruct [:name, rows: [], next: 1, beside: false, compared: nil]
 
   @typedoc """
   `rows` holds panels; neighbours with the same `row` stand side by side. With `beside` the cells have a column of their
-  own, to the left of the timelines.
+  own, to the left of the timelines. `compared` names the recording that was compared with, and the shift of its times
+  in ns: `Situ.Studio.Comparison` restores it.
   """
   @type t :: %__MODULE__{
           name: String.t(),
           rows: [Panel.t()],
           next: pos_integer(),
-          beside: boolean()
+          beside: boolean(),
+          compared: {id :: String.t(), Situ.Time.duration()} | nil
         }
 
   @timeline [:plot, :lanes]

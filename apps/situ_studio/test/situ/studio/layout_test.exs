@@ -24,6 +24,29 @@ defmodule Situ.Studio.LayoutTest do
     end
   end
 
+  property "the recording compared with, and the shift of its times, are in the file" do
+    forall {bytes, offset} <- {binary(), integer()} do
+      id = Base.url_encode64(bytes)
+
+      for offset <- [offset, offset * 1_000_000_007, 1_700_000_000_000_000_001] do
+        layout = %{Layout.new("x") | compared: {id, offset}}
+        assert Layout.Text.read(Layout.Text.write(layout)) == {:ok, layout}
+      end
+    end
+  end
+
+  test "a comparison that makes no sense is none" do
+    for compared <- [
+          ~s(7),
+          ~s({"with": "a"}),
+          ~s({"with": 1, "offset": "1"}),
+          ~s({"with": "a", "offset": "1e9"})
+        ] do
+      json = ~s({"version": 1, "name": "x", "panels": [], "compared": #{compared}})
+      assert {:ok, %{compared: nil}} = Layout.Text.read(json)
+    end
+  end
+
   # The number of the next panel is found anew from those that are there.
   defp renumber(layout) do
     numbers = for %{id: "p" <> n} <- layout.rows, do: String.to_integer(n)

@@ -2,7 +2,7 @@ defmodule Situ.Studio.Layout.Text do
   @moduledoc false
   # Layouts as JSON text, for files and addresses. The text may come from anybody.
   alias Situ.Error
-  alias Situ.Studio.Layout
+  alias Situ.Studio.{Layout, WholeNumber}
   alias Situ.Studio.Layout.{Panel, Vis}
 
   @version 1
@@ -19,8 +19,13 @@ defmodule Situ.Studio.Layout.Text do
       "panels" => Enum.map(layout.rows, &panel_json/1)
     }
 
-    Situ.JSON.pretty(if layout.beside, do: Map.put(doc, "beside", true), else: doc)
+    doc = if layout.beside, do: Map.put(doc, "beside", true), else: doc
+    doc |> put("compared", compared_json(layout.compared)) |> Situ.JSON.pretty()
   end
+
+  # The shift as text: other programs' numbers are not exact that far from zero.
+  defp compared_json({id, offset}), do: %{"with" => id, "offset" => Integer.to_string(offset)}
+  defp compared_json(nil), do: nil
 
   defp panel_json(%Panel{} = p) do
     vis =
@@ -47,7 +52,9 @@ defmodule Situ.Studio.Layout.Text do
       {:ok, %{"version" => @version, "name" => name, "panels" => panels} = doc}
       when is_binary(name) and is_list(panels) and length(panels) <= @max_panels ->
         with {:ok, layout} <- read_panels(name, panels),
-             do: {:ok, %{layout | beside: doc["beside"] == true}}
+             do:
+               {:ok,
+                %{layout | beside: doc["beside"] == true, compared: compared(doc["compared"])}}
 
       {:ok, %{"version" => version}} when version != @version ->
         bad("it is of version #{inspect(version)}, this studio reads #{@version}")
@@ -59,6 +66,15 @@ defmodule Situ.Studio.Layout.Text do
         bad("it is not JSON")
     end
   end
+
+  defp compared(%{"with" => id, "offset" => offset}) when is_binary(id) do
+    case WholeNumber.parse(offset) do
+      {:ok, offset} -> {id, offset}
+      :error -> nil
+    end
+  end
+
+  defp compared(_), do: nil
 
   defp read_panels(name, panels) do
     read = Enum.map(panels, &read_panel/1)

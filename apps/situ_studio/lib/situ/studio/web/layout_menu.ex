@@ -5,7 +5,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
   import Situ.Live.Socket, only: [assign: 2, push_event: 3]
 
   alias Situ.Live.Socket
-  alias Situ.Studio.{Comparison, Layout, Layouts, Link, Settings}
+  alias Situ.Studio.{Comparison, Layout, Layouts, Link, Settings, WholeNumber}
   alias Situ.Studio.Source.Beside
 
   @doc "The layout an address asks for, or the automatic one."
@@ -28,12 +28,34 @@ defmodule Situ.Studio.Web.LayoutMenu do
         {:error, _} -> beside(saved, socket.assigns)
       end
 
-    assign(socket,
-      layout: layout,
-      saved: saved,
-      layouts: [Layout.Auto.name() | names -- [auto.name]]
-    )
+    socket =
+      assign(socket,
+        layout: layout,
+        saved: saved,
+        layouts: [Layout.Auto.name() | names -- [auto.name]]
+      )
+
+    # an address that says how far the second recording is shifted is obeyed
+    if WholeNumber.parse(params["offset"]) == :error, do: shifted(socket, saved), else: socket
   end
+
+  # The shift that a layout was saved with, of the recording that is compared now.
+  defp shifted(%{assigns: %{compared: %{id: id} = compared, source: source}} = socket, %{
+         compared: {id, offset}
+       }) do
+    compared = %{compared | offset: offset}
+
+    socket
+    |> assign(compared: compared, source: Comparison.align(source, offset))
+    |> push_event("compare_shift", %{offset: Integer.to_string(offset)})
+  end
+
+  defp shifted(socket, _), do: socket
+
+  defp compared(layout, %{compared: %Comparison{id: id, offset: offset}}),
+    do: %{layout | compared: {id, offset}}
+
+  defp compared(layout, _), do: layout
 
   # A compared stream stands beside its counterpart, not in panels of its own.
   defp automatic(assigns) do
@@ -54,7 +76,9 @@ defmodule Situ.Studio.Web.LayoutMenu do
     case layout do
       {:ok, layout} ->
         shown = beside(layout, socket.assigns)
-        {:noreply, assign(socket, layout: shown, saved: layout, selected: nil)}
+
+        {:noreply,
+         socket |> assign(layout: shown, saved: layout, selected: nil) |> shifted(layout)}
 
       {:error, error} ->
         {:noreply, toast(socket, error)}
@@ -66,6 +90,7 @@ defmodule Situ.Studio.Web.LayoutMenu do
 
   def handle_event("layout_save", %{"name" => name}, %{assigns: %{read_only: false}} = socket) do
     layout = %{socket.assigns.layout | name: String.trim(to_string(name))}
+    layout = compared(layout, socket.assigns)
 
     case Layouts.save(socket.assigns.layout_dir, layout) do
       :ok ->
@@ -88,11 +113,13 @@ defmodule Situ.Studio.Web.LayoutMenu do
 
   @doc "A layout that has a name is saved as it is changed, where the settings say so."
   @spec keep(Socket.t()) :: Socket.t()
-  def keep(%{assigns: %{layout: layout, saved: saved, read_only: false} = assigns} = socket) do
+  def keep(%{assigns: %{saved: saved, read_only: false} = assigns} = socket) do
+    layout = compared(assigns.layout, assigns)
+
     if layout != saved and layout.name != Layout.Auto.name() and
          Settings.load(assigns.layout_dir).keep == :at_once do
       case Layouts.save(assigns.layout_dir, layout) do
-        :ok -> assign(socket, saved: layout)
+        :ok -> assign(socket, layout: layout, saved: layout)
         {:error, error} -> toast(socket, error)
       end
     else

@@ -85,7 +85,7 @@ defmodule Situ.Studio.Web.MainView do
         stream = known(params["stream"], shapes)
         socket = assign(socket, snap: known(params["snap"], shapes))
         socket = assign(socket, selected: stream && {:stream, stream})
-        socket = socket |> LayoutMenu.choose(params) |> Together.join()
+        socket = socket |> LayoutMenu.choose(params) |> moved(socket) |> Together.join()
         {:ok, socket |> Derivation.known(&load_streams/1) |> Annotation.restore(params)}
 
       {:error, error} ->
@@ -96,6 +96,10 @@ defmodule Situ.Studio.Web.MainView do
   defp known(stream, shapes), do: if(is_map_key(shapes, stream), do: stream)
 
   defp load_streams(socket), do: KnownStreams.load(socket)
+
+  # Streams of a recording that was shifted have other times.
+  defp moved(socket, %{assigns: %{source: source}}),
+    do: if(socket.assigns.source == source, do: socket, else: load_streams(socket))
 
   @impl true
   def handle_event("streams_changed", _, socket) do
@@ -158,8 +162,8 @@ defmodule Situ.Studio.Web.MainView do
   end
 
   def handle_event("layout_" <> _ = event, params, socket) do
-    {:noreply, socket} = LayoutMenu.handle_event(event, params, socket)
-    {:noreply, Derivation.known(socket, &load_streams/1)}
+    {:noreply, chosen} = LayoutMenu.handle_event(event, params, socket)
+    {:noreply, chosen |> moved(socket) |> Derivation.known(&load_streams/1)}
   end
 
   # A stream that an expression makes of others.
@@ -179,8 +183,7 @@ defmodule Situ.Studio.Web.MainView do
   def handle_event("compare_" <> _ = event, params, socket)
       when is_map_key(socket.assigns, :item) do
     {:noreply, after_it} = CompareBar.handle_event(event, params, socket)
-    moved? = after_it.assigns.source != socket.assigns.source
-    {:noreply, if(moved?, do: load_streams(after_it), else: after_it)}
+    {:noreply, after_it |> moved(socket) |> LayoutMenu.keep()}
   end
 
   def handle_event("film_" <> _ = event, params, socket) when is_map_key(socket.assigns, :item),
