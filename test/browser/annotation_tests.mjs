@@ -44,7 +44,7 @@ test("10 annotation: twenty segments by keys alone, undone and saved", async ({ 
     equal(value, i % 2 ? "laughs" : "speaks", "its value");
   }
   await shot("annotation");
-  await page.focus("#annotation-body");
+  await page.evaluate(() => document.activeElement.blur());
   await page.keyboard.press("Control+z");
   await until(page, () => window.situStudio.annotation.told.items.length === 19, "undone");
   await page.keyboard.press("Control+Shift+z");
@@ -98,7 +98,10 @@ test("10 annotation: edges are dragged, neighbours that touch go along; proposal
   }
   await until(page, () => window.situStudio.annotation.told.items.length === 2, "two that touch");
   await settled(page);
-  const row = await page.$eval("#annotation-body", (e) => e.getBoundingClientRect().top + 26 + 13);
+  const row = await page.$eval(
+    "#annotation-body",
+    (e) => e.getBoundingClientRect().top + window.situStudio.annotation.head + 13,
+  );
   const start = await pointAt(page, "annotation-body", 20 * S);
   await page.mouse.move(start.x, row);
   await page.mouse.down();

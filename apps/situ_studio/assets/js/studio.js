@@ -193,6 +193,7 @@ export class Studio {
   setLayout(layout, edit, annotate) {
     const { options } = this;
     if (layout === options.layout && edit === options.edit && annotate === options.annotate) return;
+    if (edit !== options.edit || layout !== options.layout) this.edited = "layout";
     Object.assign(options, { layout, edit, annotate });
     // at once: a server that comes back is told the layout by the address
     this.address.save(true);

@@ -1,5 +1,6 @@
 // The panel where annotations are made and changed: a row a track, on the time axis of the others.
 
+import { fitted } from "../page/gutter.js";
 import { GUTTER, FONT, theme } from "../page/theme.js";
 import { tip } from "../page/tip.js";
 import { toast } from "../page/toast.js";
@@ -11,8 +12,7 @@ import { typed } from "./commands.js";
 import { Spatial } from "./spatial.js";
 import { Tools } from "./tools.js";
 
-const HEAD = 26,
-  NEAR = 5;
+const NEAR = 5;
 const FIRST = "1";
 
 export class AnnotationPanel {
@@ -36,6 +36,7 @@ export class AnnotationPanel {
   }
 
   push(what, more = {}) {
+    this.app.edited = "annotations";
     this.app.options.push?.("annotation_edit", { do: what, ...more });
   }
 
@@ -50,10 +51,24 @@ export class AnnotationPanel {
     this.welcomed = true;
     if (!this.tracks().includes(this.track)) this.track = this.tracks()[0];
     if (this.selected && !this.item()) this.selected = null;
-    this.el.parentElement.style.flex = `0 0 ${HEAD + this.tracks().length * ROW + 10}px`;
     this.app.gutter.need(this, this.tracks());
     this.tools.update();
+    this.grow();
     this.shown();
+  }
+
+  // The tools take as many rows as they need; below them is a row a track.
+  get head() {
+    return this.tools.height;
+  }
+
+  grow() {
+    const flex = `0 0 ${this.head + this.tracks().length * ROW + 10}px`;
+    const { parentElement: box } = this.el;
+    if (box.style.flex === flex) return;
+    box.style.flex = flex;
+    // a row more shall be seen
+    if (this.welcomed) box.scrollIntoView({ block: "nearest" });
   }
 
   // Pictures show boxes and points, too.
@@ -114,7 +129,7 @@ export class AnnotationPanel {
     const { view } = this.app.time.get();
     const px = (view[1] - view[0]) / (box.width - GUTTER.left - GUTTER.right);
     const t = view[0] + (e.clientX - box.left - GUTTER.left) * px;
-    const track = this.tracks()[Math.floor((e.clientY - box.top - HEAD) / ROW)] ?? null;
+    const track = this.tracks()[Math.floor((e.clientY - box.top - this.head) / ROW)] ?? null;
     return { t, px, track };
   }
 
@@ -206,6 +221,7 @@ export class AnnotationPanel {
     const w = this.el.clientWidth,
       h = this.el.clientHeight;
     if (!w || !h) return;
+    this.grow();
     this.canvas.width = Math.round(w * devicePixelRatio);
     this.canvas.height = Math.round(h * devicePixelRatio);
     this.app.schedule(this);
@@ -222,24 +238,25 @@ export class AnnotationPanel {
     const w = this.el.clientWidth,
       h = this.el.clientHeight;
     const { view, cursor } = this.app.time.get();
+    const { head } = this;
     const inner = w - GUTTER.left - GUTTER.right;
     const x = (t) => GUTTER.left + ((t - view[0]) * inner) / (view[1] - view[0]);
     ctx.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
     ctx.clearRect(0, 0, w, h);
     ctx.font = FONT;
     ctx.textBaseline = "middle";
-    this.tracks().forEach((track, i) => this.name(ctx, track, HEAD + i * ROW));
+    this.tracks().forEach((track, i) => this.name(ctx, track, head + i * ROW));
     ctx.save();
     ctx.beginPath();
-    ctx.rect(GUTTER.left, HEAD - 2, inner, h);
+    ctx.rect(GUTTER.left, head - 2, inner, h);
     ctx.clip();
     ctx.fillStyle = c.grid;
-    for (const t of ticks(view, inner).at) ctx.fillRect(Math.round(x(t)), HEAD, 1, h);
+    for (const t of ticks(view, inner).at) ctx.fillRect(Math.round(x(t)), head, 1, h);
     this.tracks().forEach((track, i) => {
-      for (const a of this.told.items) if (a.track === track) drawOne(ctx, this.dragged(a), x, HEAD + i * ROW, this);
+      for (const a of this.told.items) if (a.track === track) drawOne(ctx, this.dragged(a), x, head + i * ROW, this);
       if (track !== this.track) return;
       for (const p of this.keys.pending(cursor))
-        drawOne(ctx, { ...p, track, pending: true }, x, HEAD + i * ROW, this);
+        drawOne(ctx, { ...p, track, pending: true }, x, head + i * ROW, this);
     });
     ctx.restore();
     this.drawn = (this.drawn ?? 0) + 1;
@@ -253,7 +270,7 @@ export class AnnotationPanel {
     }
     ctx.textAlign = "right";
     ctx.fillStyle = track === this.track ? c.text : c.axis;
-    ctx.fillText(track, GUTTER.left - 6, y + ROW / 2, GUTTER.left - 14);
+    ctx.fillText(fitted(ctx, track, GUTTER.left - 14), GUTTER.left - 6, y + ROW / 2);
     ctx.textAlign = "left";
   }
 

@@ -38,6 +38,10 @@ export class Tools {
     );
   }
 
+  get height() {
+    return this.el.offsetHeight;
+  }
+
   part(tag, label) {
     const e = this.el.appendChild(document.createElement(tag));
     if (label) e.setAttribute("aria-label", label);
@@ -86,7 +90,9 @@ export class Tools {
     }
     this.attribute.selectedIndex = attribute;
     this.fill(told.attributes[attribute], item);
-    this.note.hidden = this.confidence.hidden = !item;
+    // they keep their place, so that choosing an annotation moves nothing
+    this.note.disabled = this.confidence.disabled = !item;
+    if (!item) this.note.value = this.confidence.value = "";
     if (item && document.activeElement !== this.note) this.note.value = item.note ?? "";
     if (item && document.activeElement !== this.confidence) this.confidence.value = item.confidence ?? "";
     this.who.textContent = annotator() ? `as ${annotator()}` : "as nobody";
@@ -109,6 +115,7 @@ export class Tools {
     const input = this.values.appendChild(document.createElement("input"));
     input.type = attribute.kind === "bool" ? "checkbox" : "text";
     input.setAttribute("aria-label", attribute.name);
+    input.title = input.placeholder = attribute.name;
     input.disabled = !item;
     if (attribute.kind === "bool") input.checked = item?.values[attribute.name] === true;
     else input.value = item?.values[attribute.name] ?? "";

@@ -46,8 +46,8 @@ export const commands = {
 
   together: (app) => app.together?.toggle(),
 
-  undo: (app) => app.options.push?.("undo", {}),
-  redo: (app) => app.options.push?.("redo", {}),
+  undo: (app) => takeBack(app, "undo"),
+  redo: (app) => takeBack(app, "redo"),
   beside: (app) => app.options.push?.("beside", {}),
   nextChange: (app) => stepChange(app, 1),
   previousChange: (app) => stepChange(app, -1),
@@ -99,6 +99,12 @@ export const commands = {
     return copy(location.href, "Link copied", "The address bar holds the link");
   },
 };
+
+// Of the annotations or of the layout, whichever was changed last.
+function takeBack(app, way) {
+  if (app.edited === "annotations" && app.annotation?.told[way]) app.annotation.push(way);
+  else app.options.push?.(way, {});
+}
 
 const hovered = (app) => app.root.querySelector("[data-panel]:hover");
 

@@ -5,12 +5,20 @@ import { FONT, GUTTER } from "./theme.js";
 
 const LEAST = 56,
   MOST = 200,
+  SHARE = 0.25,
   SPACE = 14;
 const ruler = document.createElement("canvas").getContext("2d");
 
 export function textWidth(text) {
   ruler.font = FONT;
   return ruler.measureText(text).width;
+}
+
+// As much of a text as there is room for.
+export function fitted(ctx, text, width) {
+  let t = text;
+  while (t.length > 2 && ctx.measureText(t).width > width) t = `${t.slice(0, -2)}…`;
+  return t;
 }
 
 export class Gutter {
@@ -27,7 +35,9 @@ export class Gutter {
     if (width === null) this.needs.delete(panel);
     else if (Math.abs((this.needs.get(panel) ?? -1) - width) < 1) return;
     else this.needs.set(panel, width);
-    const wanted = Math.ceil(Math.min(Math.max(LEAST, ...this.needs.values()), MOST) / 4) * 4;
+    const room = document.getElementById("navigator")?.clientWidth || MOST / SHARE;
+    const most = Math.max(LEAST, Math.min(MOST, room * SHARE));
+    const wanted = Math.ceil(Math.min(Math.max(LEAST, ...this.needs.values()), most) / 4) * 4;
     // a little less is no reason to move everything
     if (wanted > GUTTER.left || wanted < GUTTER.left - 24) this.apply(wanted);
   }

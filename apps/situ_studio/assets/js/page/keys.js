@@ -47,7 +47,7 @@ export const KEYS = [
   ["N", "Cursor to the change before", "previousChange"],
   ["m", "Fill the window with the selected panel, or back", "maximise"],
   ["b", "Pictures beside the timelines, or above them", "beside"],
-  ["Ctrl+z", "Undo a change of the layout", "undo"],
+  ["Ctrl+z", "Undo the last change of the layout or of annotations", "undo"],
   ["Ctrl+Shift+z", "Redo it", "redo"],
   ["u", "Times in UTC, local, or since the start", "timing"],
   ["Escape", "Restore a panel that fills the window", "restore"],
