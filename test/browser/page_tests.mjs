@@ -91,6 +91,29 @@ test("2 the page: a window of 900 px has all of the toolbar, and the properties 
   ok((await page.$eval(".stack", (e) => e.clientWidth)) >= wide + 190, "without the streams there is more room");
 });
 
+test("2 the page: at 480 px every tool is in the row, or in the menu of its last button", async ({ page, shot }) => {
+  await open(page, main, "minute.0000");
+  const tools = () => page.$$eval(".topbar button:not(#more), .topbar a.tool", (els) => els.map((e) => e.title));
+  const all = await tools();
+  await page.setViewportSize({ width: 480, height: 800 });
+  equal(await page.evaluate(() => document.documentElement.scrollWidth), 480, "nothing is wider than the window");
+  equal(await tools(), all, "no tool is lost");
+  const unreachable = await page.$$eval(".topbar button, .topbar a.tool", (els) =>
+    els.filter((e) => e.offsetParent && e.getBoundingClientRect().right > 480).map((e) => e.title),
+  );
+  equal(unreachable, [], "what is shown is in sight");
+  const shown = await page.$$eval(".topbar button:not(#more), .topbar a.tool", (els) =>
+    els.filter((e) => e.getClientRects().length > 0).map((e) => e.title),
+  );
+  await page.click("#more");
+  await until(page, () => document.querySelectorAll("#menu [role=menuitem]").length > 0, "the menu");
+  const items = await page.$$eval("#menu [role=menuitem]", (els) => els.length);
+  equal(items, all.length - shown.length, "the menu has those that are not shown");
+  await shot("small");
+  await page.click("#menu [role=menuitem]:has-text('Keys')");
+  await until(page, () => document.querySelector("dialog[open]"), "a tool of the menu does what it does");
+});
+
 test("2 the page: two hundred streams are searched and walked by keys", async ({ page, shot }) => {
   await open(page, main, "many.0000");
   await page.keyboard.press("/");

@@ -2,7 +2,8 @@
 import { hooks as edges } from "./page/edges.js";
 import { hooks as enter } from "./page/enter.js";
 import { hooks as lists } from "./page/lists.js";
+import { hooks as more } from "./page/more.js";
 import { hooks as settings } from "./page/settings_page.js";
 import { hooks as pipeline } from "./pipeline/hooks.js";
 
-export const hooks = { ...edges, ...enter, ...lists, ...settings, ...pipeline };
+export const hooks = { ...edges, ...enter, ...lists, ...more, ...settings, ...pipeline };

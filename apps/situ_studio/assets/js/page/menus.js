@@ -23,7 +23,7 @@ export function menuItems(app, target, event) {
   return null;
 }
 
-function streamItems(app, { stream, shape, type }) {
+function streamItems(app, { stream, shape, type, path }) {
   const push = (event, more = {}) => app.options.push?.(event, { stream, ...more });
   const kinds = JSON.parse(document.getElementById("stream-names")?.dataset.kinds ?? "{}")[shape] ?? [];
   return [
@@ -40,6 +40,7 @@ function streamItems(app, { stream, shape, type }) {
     "-",
     { text: "Copy its name", run: () => copy(stream, "Name copied") },
     { text: "Copy its name in expressions", run: () => copy(derivation(stream), "Name copied") },
+    ...(path ? [{ text: "Copy the path of its recording", run: () => copy(path, "Path copied") }] : []),
     ...(type ? [{ text: `Copy its type: ${short(type)}`, run: () => copy(type, "Type copied") }] : []),
   ];
 }

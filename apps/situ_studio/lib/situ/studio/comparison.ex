@@ -58,8 +58,8 @@ defmodule Situ.Studio.Comparison do
 
   @doc """
   The layout with each stream of the first beside that of the same name of the second: lines and lanes in one panel,
-  pictures and values in panels side by side. What the layout shows of the second already is not added again. `names`
-  are all streams.
+  pictures and values in panels side by side. The second's streams that the layout shows already are not added
+  again. `names` are all streams.
 
       iex> alias Situ.Studio.{Comparison, Layout}
       iex> {:ok, layout, _} = Layout.add(Layout.new(""), "Level", "line", :plot, "")

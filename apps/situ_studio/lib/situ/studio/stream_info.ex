@@ -30,6 +30,7 @@ defmodule Situ.Studio.StreamInfo do
     :type,
     :first,
     :last,
+    :path,
     count: 0,
     bytes: 0,
     latency: nil,
@@ -56,13 +57,17 @@ defmodule Situ.Studio.StreamInfo do
           | :frames
           | :place
           | :value
-  @typedoc "`keys` are lanes known of a stream of maps, so that a panel has room for them from the start."
+  @typedoc """
+  `keys` are lanes known of a stream of maps, so that a panel has room for them from the start; `path` is the recording
+  on this machine's disk that the stream lies in.
+  """
   @type t :: %__MODULE__{
           name: String.t(),
           shape: shape(),
           type: String.t() | nil,
           first: Situ.Time.t() | nil,
           last: Situ.Time.t() | nil,
+          path: Path.t() | nil,
           count: non_neg_integer(),
           bytes: non_neg_integer(),
           latency: number() | nil,

@@ -72,6 +72,16 @@ defmodule Situ.Studio.DatasetsTest do
     writer.path
   end
 
+  test "a list tells how many sessions a dataset has, or why it cannot be read", %{
+    study: study,
+    dir: dir
+  } do
+    assert %{sessions: 3, error: nil} = Datasets.Facts.of_dataset(study)
+    broken = Path.join(dir, "broken.json")
+    File.write!(broken, "{")
+    assert %{sessions: nil, error: %Situ.Error{}} = Datasets.Facts.of_dataset(broken)
+  end
+
   test "the catalog lists a dataset and opens its sessions and recordings", %{studio: studio} do
     assert %{kind: :dataset} = Enum.find(Catalog.list(studio), &(&1.id == "study.json"))
     assert {:error, %{code: :is_dataset}} = Catalog.open(studio, "study.json")

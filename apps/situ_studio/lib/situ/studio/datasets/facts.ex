@@ -1,17 +1,25 @@
 defmodule Situ.Studio.Datasets.Facts do
   @moduledoc """
-  Facts about a recording for lists: times, streams, size, or why it cannot be opened.
+  Facts about a recording or a dataset for lists: times, streams, size, sessions, or why it cannot be opened.
   """
-  alias Situ.{Error, Store}
+  alias Situ.{Dataset, Error, Store}
   alias Situ.Studio.{Source, StreamInfo}
 
-  defstruct streams: [], from: nil, to: nil, size: 0, live: false, damaged: false, error: nil
+  defstruct streams: [],
+            from: nil,
+            to: nil,
+            size: 0,
+            sessions: nil,
+            live: false,
+            damaged: false,
+            error: nil
 
   @type t :: %__MODULE__{
           streams: [StreamInfo.t()],
           from: Situ.Time.t() | nil,
           to: Situ.Time.t() | nil,
           size: non_neg_integer(),
+          sessions: non_neg_integer() | nil,
           live: boolean(),
           damaged: boolean(),
           error: Error.t() | nil
@@ -22,6 +30,15 @@ defmodule Situ.Studio.Datasets.Facts do
   def of(path) do
     case Source.Store.open(path) do
       {:ok, source} -> of_source(source)
+      {:error, error} -> %__MODULE__{error: error}
+    end
+  end
+
+  @doc "Of the dataset in a file: how many sessions it has. Its recordings are not opened, there may be thousands."
+  @spec of_dataset(Path.t()) :: t()
+  def of_dataset(file) do
+    case Dataset.load(file) do
+      {:ok, dataset} -> %__MODULE__{sessions: length(dataset.sessions)}
       {:error, error} -> %__MODULE__{error: error}
     end
   end

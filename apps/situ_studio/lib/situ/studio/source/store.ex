@@ -155,6 +155,7 @@ defmodule Situ.Studio.Source.Store do
       type: Situ.Type.to_string(info.type),
       first: info.first,
       last: info.last,
+      path: if(Formats.for_address(source.path) == nil, do: source.path),
       count: info.count,
       rate: StreamInfo.rate(info.count, info.first, info.last),
       bytes: info.size,

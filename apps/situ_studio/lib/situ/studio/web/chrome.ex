@@ -69,6 +69,7 @@ defmodule Situ.Studio.Web.Chrome do
     ~H"""
     <header class="topbar">
       <a class="brand" href="." title="All recordings"><.logo /><span>Situ</span></a>
+      <.tool act="left" icon={:streams} title="Show or hide the streams (s)" />
       <h1 class="where" title={@title}>{@title}</h1>
       <span class="sep"></span>
       <div id="toolbar" phx-update="ignore" style="display: contents">
@@ -103,10 +104,11 @@ defmodule Situ.Studio.Web.Chrome do
               selected={name == @layout}>{name}{if @changed and name == @layout, do: " *"}</option>
         </select>
       </form>
-      <button :if={not @read_only} class="tool" type="button" phx-click="layout_dialog"
+      <button :if={not @read_only} class="tool save" type="button" phx-click="layout_dialog"
           title="Save the layout" aria-label="Save the layout"><.icon name={:save} /></button>
       <.tool :if={@export} act="export" icon={:export} title="Save the selection as a recording (Ctrl+E)" />
-      <a :if={@pipeline} class="tool" href={@pipeline} title="The pipeline's graph"><.icon name={:pipeline} /></a>
+      <a :if={@pipeline} class="tool graph-link" href={@pipeline} title="The pipeline's graph"><.icon
+          name={:pipeline} /></a>
       <.tool :if={@annotate} act="annotate" icon={:mark} title="Annotate (a)" />
       <.tool act="undo" icon={:undo} title="Undo (Ctrl+Z)" />
       <.tool act="redo" icon={:redo} title="Redo (Ctrl+Shift+Z)" />
@@ -115,6 +117,8 @@ defmodule Situ.Studio.Web.Chrome do
       <.tool act="right" icon={:side} title="Show or hide the properties (p)" />
       <.tool act="theme" icon={:theme} title="Dark or light (t)" />
       <.tool act="help" icon={:help} title="Keys (?)" />
+      <button id="more" class="tool" type="button" phx-hook="More" phx-update="ignore" data-more
+          title="More tools" aria-label="More tools" aria-haspopup="menu"><.icon name={:more} /></button>
     </header>
     """
   end

@@ -8,9 +8,9 @@ defmodule Situ.Studio.Web.HomeView do
   alias Situ.Studio.Web.{Address, ClusterView, Side}
 
   @refresh_ms 2_000
-  # So many rows are on the page, and so many recordings are looked into.
+  # So many rows are on the page, and so many recordings and datasets are looked into.
   @most 400
-  @looked_into [:store, :elsewhere, :source]
+  @looked_into [:dataset, :store, :elsewhere, :source]
 
   @impl true
   def mount(_params, session, socket) do
@@ -82,6 +82,7 @@ defmodule Situ.Studio.Web.HomeView do
     end
   end
 
+  defp facts(_studio, %{kind: :dataset, path: path}), do: Facts.of_dataset(path)
   defp facts(_studio, %{path: path}), do: Facts.of(path)
 
   @impl true
@@ -161,6 +162,9 @@ defmodule Situ.Studio.Web.HomeView do
   defp said(item, facts), do: [kind(item.kind) | of(facts, item)] ++ List.wrap(at(item))
 
   defp of(nil, _), do: []
+  defp of(%{error: %{}}, %{kind: :dataset}), do: []
+  defp of(%{sessions: 1}, %{kind: :dataset}), do: ["1 session"]
+  defp of(%{sessions: n}, %{kind: :dataset}), do: ["#{n} sessions"]
 
   defp of(facts, item) do
     streams = length(facts.streams)

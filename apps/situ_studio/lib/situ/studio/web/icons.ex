@@ -36,6 +36,8 @@ defmodule Situ.Studio.Web.Icons do
     redo: "M10 4l3 3-3 3M13 7H6.5a3 3 0 0 0 0 6H9",
     mark: "M3.5 13V3h8l-2 3 2 3h-8",
     side: "M2.5 3h11v10h-11zM10 3v10",
+    streams: "M2.5 4h2M6.5 4h7M4.5 8h2M8.5 8h5M4.5 12h2M8.5 12h5",
+    more: "M3 8v.1M8 8v.1M13 8v.1",
     tune: "M2.5 5h6M11.5 5h2M2.5 11h2M7.5 11h6M10 3.5v3M6 9.5v3"
   }
 

@@ -103,7 +103,7 @@ defmodule Situ.Studio.Web.QueryPanel do
       <div class="side-title">Find the times where<button class="mini" type="button" phx-click="query_close"
           aria-label="Close"><.icon name={:close} /></button></div>
       <form id="query" phx-submit="query_run">
-        <textarea id="query-text" phx-hook="Enter" name="text" rows="2" aria-label="Expression" spellcheck="false"
+        <textarea id="query-text" phx-hook="Enter" name="text" rows="3" aria-label="Expression" spellcheck="false"
             placeholder="`Mic.Level` > 0.5 and `Vad.Speaking`">{@panel.text}</textarea>
         <div class="choices">
           <button class="btn primary" type="submit">Find</button>

@@ -44,7 +44,7 @@ defmodule Situ.Studio.Web.Side do
             class={["node", row.item == nil && "group", selected?(row, @selected) && "selected"]}
             id={"node-" <> row.path} role="treeitem" tabindex="0" aria-expanded={expanded(row)}
             data-stream={row.item && row.item.name} data-shape={row.item && row.item.shape}
-            data-type={row.item && row.item.type}
+            data-type={row.item && row.item.type} data-path={row.item && row.item.path}
             draggable={if row.item, do: "true"}
             style={"padding-left: #{row.depth * 14}px"}>
           <button :if={row.open? != nil} class="fold" type="button" tabindex="-1" phx-click="toggle"
