@@ -57,6 +57,9 @@ defmodule Situ.Stage.MessageRunner do
 
   @doc "Components with `handle_messages/4` get what waits at once, as far as it is in time and there is room."
   @spec batch(State.t(), Input.t(), Situ.Time.t(), integer()) :: {State.t(), Situ.Time.t()}
+  def batch(%{pace: %{singly: n} = pace} = state, input, now, final) when n > 0,
+    do: one(%{state | pace: %{pace | singly: n - 1}}, input, now, final)
+
   def batch(state, input, now, final) do
     room = min(Outputs.room(state.outputs), state.pace.slice)
 
@@ -81,17 +84,9 @@ defmodule Situ.Stage.MessageRunner do
       pace = Pace.resize(state.pace, n, after_time - now)
       {put_input(%{state | pace: pace}, rest), after_time}
     else
-      _ -> one_by_one(state, input, now, final, length(messages))
+      # All of it is taken one by one, before another batch is tried.
+      _ -> batch(%{state | pace: %{state.pace | singly: length(messages)}}, input, now, final)
     end
-  end
-
-  # All of the failed batch, before another batch is tried.
-  defp one_by_one(%{phase: :failed} = state, _input, now, _final, _n), do: {state, now}
-  defp one_by_one(state, _input, now, _final, 0), do: {state, now}
-
-  defp one_by_one(state, input, now, final, n) do
-    {state, now} = one(state, input, now, final)
-    one_by_one(state, Map.fetch!(state.inputs.by_tag, input.tag), now, final, n - 1)
   end
 
   @doc "An input has closed, behind its last message."

@@ -16,12 +16,14 @@ defmodule Situ.Stage.Pace do
             continue: :none,
             lingers: false,
             closings: [],
+            singly: 0,
             looked: nil
 
   @typedoc """
   `early`: what came before the stage knew its neighbours, newest first. `quitting`: it ends once its outputs are
   drained. `continue`: the component goes on with this, `{:some, term}`, before it takes anything else in;
   `closings`: inputs that have closed meanwhile; `lingers`: it has something left for later, although they have.
+  `singly`: how many messages of a batch that failed are still to be taken one by one.
   `looked`: how much it had taken when the server looked last whether it comes to an end.
   """
   @type t :: %__MODULE__{
@@ -33,6 +35,7 @@ defmodule Situ.Stage.Pace do
           continue: :none | {:some, term()},
           lingers: boolean(),
           closings: [term()],
+          singly: non_neg_integer(),
           looked: non_neg_integer() | nil
         }
 

@@ -40,15 +40,33 @@ defmodule Situ.Stage.ControlTest do
     def migrate(_state, _old, new), do: {:ok, new}
   end
 
+  # Takes whole batches, of which each fails: its messages are taken one by one.
+  defmodule Failing do
+    use Situ.Component,
+      inputs: [in: :any],
+      outputs: [out: :any],
+      options: [test: [type: :pid], k: [type: :integer]]
+
+    @impl true
+    defdelegate init(opts), to: Slow
+    @impl true
+    def handle_messages(:in, messages, _context, _opts), do: raise("not #{length(messages)}")
+    @impl true
+    defdelegate handle_message(input, message, context, opts), to: Slow
+    @impl true
+    defdelegate migrate(state, old, new), to: Slow
+  end
+
   defp start(opts \\ []) do
     test = self()
+    module = opts[:module] || Slow
 
     {:ok, p} =
       Pipeline.start(
         fn p ->
           p
           |> Situ.from_enumerable(0..999_999, every: 10)
-          |> Situ.via(Slow,
+          |> Situ.via(module,
             test: test,
             name: "Slow",
             policy: opts[:policy] || Delivery.unlimited(window: 10_000)
@@ -123,6 +141,17 @@ defmodule Situ.Stage.ControlTest do
 
       Process.exit(p, :kill)
     end
+  end
+
+  test "a batch that failed keeps a request waiting for one or two of its messages" do
+    {p, slow} = start(module: Failing)
+
+    for {name, request} <- requests(p) do
+      n = messages_until(slow, request)
+      assert n <= 2, "#{name} was answered after #{n} messages"
+    end
+
+    Process.exit(p, :kill)
   end
 
   test "with thousands of plain messages waiting a request waits for one or two" do
