@@ -184,6 +184,36 @@ case System.argv() do
         |> Ros.publish("/pictures", [wait_for: 1, linger: 10_000] ++ opts)
       end)
 
+    # Of a publisher that ends at once the last pictures are still under way.
+    large =
+      Situ.Image.new!(
+        width: 1280,
+        height: 720,
+        format: :rgb24,
+        data: :crypto.strong_rand_bytes(2_764_800)
+      )
+
+    {:ok, watching} =
+      Situ.Pipeline.start_link(fn p ->
+        p |> Ros.subscribe("/large", opts) |> Situ.each(&send(me, {:large, &1 == large}))
+      end)
+
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        p
+        |> Situ.from_enumerable(for(i <- 1..20, do: {i * 1_000_000_000, large}), type: Situ.Image)
+        |> Ros.publish("/large", [wait_for: 1, linger: 20_000] ++ opts)
+      end)
+
+    for n <- 1..20,
+        do:
+          receive(
+            do: ({:large, true} -> :ok),
+            after: (20_000 -> raise("picture #{n} did not come"))
+          )
+
+    {:ok, _} = Situ.Pipeline.stop(watching)
+
     {:ok, %{"success" => true, "message" => "from rospy"}} =
       Ros.call("/flip_theirs", set_bool, %{"data" => false}, opts)
 

@@ -88,6 +88,10 @@ defmodule Situ.Bridge.WebSocket do
     end
   end
 
+  @impl Protocol
+  def missing(%{key: nil, rest: rest}), do: Frames.missing(rest)
+  def missing(_handshake), do: 1
+
   @doc "The name that all bridges have for their way out: `serve/3`."
   @spec sink(Situ.Stream.t(), :inet.port_number(), keyword()) :: Situ.Stream.t()
   def sink(stream, port, opts \\ []), do: serve(stream, port, opts)

@@ -12,6 +12,9 @@ defmodule Situ.Bridge.Mqtt.Subscription do
   @impl true
   def read(bytes, said, most), do: packets(said <> bytes, most, [], [])
 
+  @impl true
+  defdelegate missing(said), to: Wire
+
   defp packets(bytes, most, payloads, answers) do
     case Wire.read(bytes, most) do
       {:ok, {:publish, _topic, payload, 0, _}, rest} ->

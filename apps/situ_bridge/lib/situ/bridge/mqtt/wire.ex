@@ -68,6 +68,17 @@ defmodule Situ.Bridge.Mqtt.Wire do
 
   def read("", _most), do: :more
 
+  @doc "How many bytes a packet that has begun misses at least."
+  @spec missing(binary()) :: pos_integer()
+  def missing(<<_, rest::binary>>) do
+    case length(rest, 0, 0) do
+      {n, rest} when is_integer(n) and n > byte_size(rest) -> n - byte_size(rest)
+      _ -> 1
+    end
+  end
+
+  def missing(""), do: 1
+
   defp length(_bytes, 28, _sum), do: {:error, "a packet without length"}
 
   defp length(<<0::1, n::7, rest::binary>>, shift, sum), do: {sum ||| n <<< shift, rest}

@@ -25,6 +25,9 @@ defmodule Situ.Bridge.Net.Protocol do
   @callback read(bytes :: binary(), state(), most :: pos_integer()) ::
               {:ok, [binary()], answer :: iodata(), state()} | {:error, String.t()}
 
+  @doc "How many bytes `read/3` misses at least before it can give a payload; 1 where that is not known."
+  @callback missing(state()) :: pos_integer()
+
   # A protocol that we only dial has no server's side.
-  @optional_callbacks admit: 2, frame: 2, heard: 2
+  @optional_callbacks admit: 2, frame: 2, heard: 2, missing: 1
 end

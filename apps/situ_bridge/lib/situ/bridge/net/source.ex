@@ -1,6 +1,6 @@
 defmodule Situ.Bridge.Net.Source do
   alias Situ.Bridge.Inlet
-  alias Situ.Bridge.Net.Dial
+  alias Situ.Bridge.Net.{Dial, Pieces}
 
   @schema [
             host: [type: :string, required: true, doc: "Where the server is."],
@@ -35,7 +35,7 @@ defmodule Situ.Bridge.Net.Source do
   @impl true
   def init(opts) do
     state = %{opts: opts, tcp: nil, wire: nil, wait: @first_wait, told: nil, open: true}
-    {:ok, Map.put(state, :inlet, Inlet.new(opts))}
+    {:ok, Map.merge(state, %{inlet: Inlet.new(opts), pieces: %Pieces{}})}
   end
 
   @impl true
@@ -49,9 +49,9 @@ defmodule Situ.Bridge.Net.Source do
     {module, arg} = opts[:protocol]
     {hello, wire} = module.hello(opts[:host], opts[:port], arg)
 
-    with {:ok, tcp} <- Dial.connect(opts[:host], opts[:port], opts[:tls], nodelay: true),
+    with {:ok, tcp} <- dial(opts),
          :ok <- said(tcp, hello) do
-      {[], %{state | tcp: tcp, wire: wire}}
+      {[], %{state | tcp: tcp, wire: wire, pieces: %Pieces{}}}
     else
       {:error, reason} -> {[], again(state, reason)}
     end
@@ -65,7 +65,21 @@ defmodule Situ.Bridge.Net.Source do
     end
   end
 
-  defp heard(bytes, context, %{tcp: tcp, opts: opts} = state) do
+  defp heard(bytes, context, %{opts: opts} = state) do
+    case Pieces.add(state.pieces, bytes, missing(elem(opts[:protocol], 0), state.wire)) do
+      {:ok, bytes, pieces} ->
+        read(bytes, context, %{state | pieces: pieces})
+
+      {:more, pieces} ->
+        Dial.next(state.tcp)
+        {[], %{state | pieces: pieces}}
+    end
+  end
+
+  defp missing(module, wire),
+    do: if(function_exported?(module, :missing, 1), do: module.missing(wire), else: 1)
+
+  defp read(bytes, context, %{tcp: tcp, opts: opts} = state) do
     case elem(opts[:protocol], 0).read(bytes, state.wire, opts[:most]) do
       {:ok, payloads, answer, wire} ->
         {actions, inlet} = Inlet.take(state.inlet, payloads, context.now)
@@ -77,6 +91,11 @@ defmodule Situ.Bridge.Net.Source do
         Dial.close(tcp)
         {[], again(state, why)}
     end
+  end
+
+  defp dial(opts) do
+    options = [nodelay: true, buffer: Pieces.buffer()]
+    Dial.connect(opts[:host], opts[:port], opts[:tls], options)
   end
 
   defp said(_tcp, ""), do: :ok

@@ -3,14 +3,23 @@ defmodule Situ.Bridge.Ros.Link do
   # The connection of a subscriber to one publisher. The owner gets `{:ros, theirs, payloads}`, `theirs` being the
   # fields of the publisher's header. While too much is untaken nothing more is read.
   use GenServer, restart: :temporary
+  alias Situ.Bridge.Net.Pieces
   alias Situ.Bridge.Ros.{TcpRos, XmlRpc}
 
   @timeout 5_000
+  @silent 1_000
 
   def start_link(args), do: GenServer.start_link(__MODULE__, args)
 
+  @doc "Its publisher is gone: it ends when nothing comes any more."
+  @spec leave(pid()) :: :ok
+  def leave(link), do: GenServer.cast(link, :leave)
+
   @impl true
-  def init(args), do: {:ok, Map.merge(args, %{tcp: nil, wire: nil}), {:continue, :connect}}
+  def init(args),
+    do:
+      {:ok, Map.merge(args, %{tcp: nil, wire: nil, pieces: %Pieces{}, seen: 0}),
+       {:continue, :connect}}
 
   @impl true
   def handle_continue(:connect, state) do
@@ -20,7 +29,7 @@ defmodule Situ.Bridge.Ros.Link do
            :gen_tcp.connect(
              String.to_charlist(host),
              port,
-             [:binary, active: false, nodelay: true],
+             [:binary, active: false, nodelay: true, buffer: Pieces.buffer()],
              @timeout
            ),
          {hello, wire} = TcpRos.hello(host, port, fields(state)),
@@ -44,6 +53,36 @@ defmodule Situ.Bridge.Ros.Link do
 
   @impl true
   def handle_info({:tcp, tcp, bytes}, %{tcp: tcp} = state) do
+    state = %{state | seen: state.seen + 1}
+
+    case Pieces.add(state.pieces, bytes, TcpRos.missing(state.wire)) do
+      {:ok, bytes, pieces} -> read(bytes, %{state | pieces: pieces})
+      {:more, pieces} -> {:noreply, arm(%{state | pieces: pieces})}
+    end
+  end
+
+  def handle_info({:tcp_closed, _}, state), do: {:stop, {:shutdown, :closed}, state}
+  def handle_info({:tcp_error, _, reason}, state), do: {:stop, {:shutdown, reason}, state}
+  def handle_info(:arm, state), do: {:noreply, arm(state)}
+
+  def handle_info({:look, seen}, %{seen: seen} = state),
+    do: {:stop, {:shutdown, :closed}, state}
+
+  def handle_info({:look, _seen}, state), do: {:noreply, look_again(state)}
+
+  @impl true
+  def handle_cast(:leave, state), do: {:noreply, look_again(state)}
+
+  # A publisher closes the connection; one that does not has said its last word when it is silent, unless it is we who
+  # do not read.
+  defp look_again(state) do
+    waits? = :atomics.get(state.untaken, 1) >= state.high_water_mark
+    seen = if waits?, do: :waits, else: state.seen
+    Process.send_after(self(), {:look, seen}, @silent)
+    state
+  end
+
+  defp read(bytes, state) do
     case TcpRos.read(bytes, state.wire, state.most) do
       {:ok, payloads, _, wire} ->
         {:noreply, %{state | wire: wire} |> hand_over(payloads) |> arm()}
@@ -52,10 +91,6 @@ defmodule Situ.Bridge.Ros.Link do
         {:stop, {:shutdown, why}, state}
     end
   end
-
-  def handle_info({:tcp_closed, _}, state), do: {:stop, {:shutdown, :closed}, state}
-  def handle_info({:tcp_error, _, reason}, state), do: {:stop, {:shutdown, reason}, state}
-  def handle_info(:arm, state), do: {:noreply, arm(state)}
 
   defp hand_over(state, []), do: state
 

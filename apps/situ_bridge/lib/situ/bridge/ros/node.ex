@@ -24,6 +24,7 @@ defmodule Situ.Bridge.Ros.Node do
     :registrar,
     :uri,
     slaves: MapSet.new(),
+    leaving: MapSet.new(),
     links: %{},
     waits: %{},
     publishers: []
@@ -137,6 +138,9 @@ defmodule Situ.Bridge.Ros.Node do
       MapSet.member?(state.slaves, pid) ->
         {:noreply, %{state | slaves: MapSet.delete(state.slaves, pid)}}
 
+      MapSet.member?(state.leaving, pid) ->
+        {:noreply, %{state | leaving: MapSet.delete(state.leaving, pid)}}
+
       uri = Enum.find_value(state.links, fn {uri, link} -> link == pid && uri end) ->
         {:noreply, unlinked(state, uri, reason)}
 
@@ -145,14 +149,15 @@ defmodule Situ.Bridge.Ros.Node do
     end
   end
 
-  # Those that are gone are let go; new ones are linked.
+  # Those that are gone are let go, once all is read that they had sent; new ones are linked.
   defp linking(%{role: {:subscriber, _, _, _}} = state, uris) do
     uris = Enum.filter(uris, &is_binary/1)
     {stay, go} = Map.split(state.links, uris)
-    for {_, link} <- go, do: Process.exit(link, :shutdown)
-    # Their ends say nothing new.
-    for {_, link} <- go, do: Process.unlink(link)
-    state = %{state | links: stay, publishers: uris, waits: Map.take(state.waits, uris)}
+    go = Map.values(go)
+    Enum.each(go, &Link.leave/1)
+    leaving = MapSet.union(state.leaving, MapSet.new(go))
+    waits = Map.take(state.waits, uris)
+    state = %{state | links: stay, leaving: leaving, publishers: uris, waits: waits}
     Enum.reduce(uris -- Map.keys(stay), state, &link(&2, &1))
   end
 
@@ -190,8 +195,10 @@ defmodule Situ.Bridge.Ros.Node do
   def terminate(_reason, state) do
     if state.registrar, do: Process.exit(state.registrar, :kill)
     Registrar.unregister(state.address, state.role, state.uri)
-    for {_, link} <- state.links, do: Process.exit(link, :shutdown)
-    for slave <- state.slaves, do: Process.exit(slave, :shutdown)
+
+    for pid <- Map.values(state.links) ++ Enum.concat(state.leaving, state.slaves),
+        do: Process.exit(pid, :shutdown)
+
     :gen_tcp.close(state.listener)
   end
 end

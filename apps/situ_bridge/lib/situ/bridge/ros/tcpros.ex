@@ -4,6 +4,7 @@ defmodule Situ.Bridge.Ros.TcpRos do
   # publisher is a server of this protocol, its `arg` the fields that it answers. Pure.
   @behaviour Situ.Bridge.Net.Protocol
   alias Situ.Bridge.Net.Protocol
+  alias Situ.Bridge.Tcp.Frames
 
   @most_header 1_000_000
 
@@ -90,9 +91,13 @@ defmodule Situ.Bridge.Ros.TcpRos do
   end
 
   def read(bytes, state, most) do
-    with {:ok, payloads, rest} <- Situ.Bridge.Tcp.Frames.split(state.rest <> bytes, most),
+    with {:ok, payloads, rest} <- Frames.split(state.rest <> bytes, most),
          do: {:ok, payloads, "", %{state | rest: rest}}
   end
+
+  @impl Protocol
+  def missing(%{theirs: nil}), do: 1
+  def missing(%{rest: rest}), do: Frames.missing(rest)
 
   defp agreed(nil, theirs, rest, state, most),
     do: read(rest, %{state | theirs: theirs, rest: ""}, most)

@@ -19,9 +19,13 @@ defmodule Situ.Bridge.Tcp.Frames do
     do: {:error, "a frame of #{n} bytes; the most are #{most}"}
 
   defp split(<<n::little-32, payload::binary-size(n), rest::binary>>, most, found),
-    do: split(rest, most, [:binary.copy(payload) | found])
+    do: split(rest, most, [alone(payload, rest) | found])
 
   defp split(rest, _most, found), do: {:ok, Enum.reverse(found), rest}
+
+  # A payload must not keep the bytes of many others; those of part of the next one it may.
+  defp alone(payload, rest) when byte_size(payload) > byte_size(rest) + 65_536, do: payload
+  defp alone(payload, _rest), do: :binary.copy(payload)
 
   @doc "A payload as a frame."
   @impl Protocol
@@ -41,4 +45,9 @@ defmodule Situ.Bridge.Tcp.Frames do
   def read(bytes, rest, most) do
     with {:ok, payloads, rest} <- split(rest <> bytes, most), do: {:ok, payloads, "", rest}
   end
+
+  # An empty payload misses nothing, and would have been taken.
+  @impl Protocol
+  def missing(<<n::little-32, begun::binary>>), do: n - byte_size(begun)
+  def missing(begun), do: 4 - byte_size(begun)
 end

@@ -95,6 +95,15 @@ defmodule Situ.Bridge.WebSocket.Frames do
     end
   end
 
+  @doc "How many bytes a frame that has begun misses at least."
+  @spec missing(binary()) :: pos_integer()
+  def missing(<<_, m::1, 127::7, n::64, rest::binary>>), do: left(m, n, rest)
+  def missing(<<_, m::1, 126::7, n::16, rest::binary>>), do: left(m, n, rest)
+  def missing(<<_, m::1, n::7, rest::binary>>) when n < 126, do: left(m, n, rest)
+  def missing(_short), do: 1
+
+  defp left(masked, n, rest), do: max(4 * masked + n - byte_size(rest), 1)
+
   # Control frames are whole, and may come between the parts of a message.
   defp take(opcode, fin, payload, begun, _most) when (opcode &&& 8) != 0 do
     case @opcodes[opcode] do

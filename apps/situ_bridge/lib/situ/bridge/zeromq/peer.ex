@@ -2,7 +2,7 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   @moduledoc false
   # One connection of a ZeroMQ socket: shakes hands, writes what the socket hands over, reads what comes.
   use GenServer, restart: :temporary
-  alias Situ.Bridge.Net.Outbox
+  alias Situ.Bridge.Net.{Outbox, Pieces}
   alias Situ.Bridge.ZeroMQ.Wire
 
   # Time for a peer to say who it is.
@@ -12,8 +12,8 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
 
   @impl true
   def init(opts) do
-    state =
-      Map.merge(%{tcp: nil, phase: :greeting, buffer: "", parts: [], waiting: 0}, Map.new(opts))
+    begun = %{tcp: nil, phase: :greeting, buffer: "", pieces: %Pieces{}, parts: [], waiting: 0}
+    state = Map.merge(begun, Map.new(opts))
 
     if state.address, do: send(self(), :connect)
     Process.send_after(self(), :too_slow, @handshake)
@@ -34,8 +34,14 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
   end
 
   def handle_info({:tcp, tcp, bytes}, %{tcp: tcp} = state) do
-    case read(%{state | buffer: state.buffer <> bytes}) do
-      {:ok, state} -> {:noreply, arm(state)}
+    missing = if state.phase == :open, do: Wire.missing(state.buffer), else: 1
+
+    with {:ok, bytes, pieces} <- Pieces.add(state.pieces, bytes, missing),
+         state = %{state | buffer: state.buffer <> bytes, pieces: pieces},
+         {:ok, state} <- read(state) do
+      {:noreply, arm(state)}
+    else
+      {:more, pieces} -> {:noreply, arm(%{state | pieces: pieces})}
       {:error, why} -> {:stop, {:shutdown, {:refused, why}}, state}
     end
   end
@@ -55,7 +61,8 @@ defmodule Situ.Bridge.ZeroMQ.Peer do
     end
   end
 
-  defp tcp_options, do: [mode: :binary, active: false, buffer: 65_536] ++ Outbox.options()
+  defp tcp_options,
+    do: [mode: :binary, active: false, buffer: Pieces.buffer()] ++ Outbox.options()
 
   defp begin(tcp, state) do
     case :gen_tcp.send(tcp, Wire.greeting()) do

@@ -118,6 +118,14 @@ defmodule Situ.Bridge.ZeroMQ.Wire do
     end
   end
 
+  @doc "How many bytes a frame that has begun misses at least."
+  @spec missing(binary()) :: pos_integer()
+  def missing(<<flags, n::64, rest::binary>>) when (flags &&& 2) != 0,
+    do: max(n - byte_size(rest), 1)
+
+  def missing(<<_flags, n, rest::binary>>), do: max(n - byte_size(rest), 1)
+  def missing(_short), do: 1
+
   defp size(parts), do: parts |> Enum.map(&(byte_size(&1) + 9)) |> Enum.sum()
 
   defp event(:pub, [<<1, prefix::binary>>]), do: {:subscribe, prefix}
