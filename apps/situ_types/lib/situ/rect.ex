@@ -24,6 +24,9 @@ defmodule Situ.Rect do
           id: term()
         }
 
+  # Pixels. Products of such numbers are exact enough, and no overflow.
+  @most 1_000_000_000
+
   @schema [
     x: [type: :number, required: true, doc: "Left edge."],
     y: [type: :number, required: true, doc: "Top edge."],
@@ -62,6 +65,49 @@ defmodule Situ.Rect do
   @doc "The rectangle with these edges, without label."
   @spec new!(number(), number(), number(), number()) :: t()
   def new!(x, y, width, height), do: new!(x: x, y: y, width: width, height: height)
+
+  @doc """
+  The rectangle itself, when one can calculate with it: numbers within #{@most} of the corner, sizes not negative. For
+  components that get rectangles from anybody. Error: `:bad_rect`, which tells what is wrong.
+
+      iex> Situ.Rect.check(Situ.Rect.new!(0, 0, 2, 2))
+      {:ok, Situ.Rect.new!(0, 0, 2, 2)}
+      iex> {:error, error} = Situ.Rect.check(%Situ.Rect{x: 0, y: :nan, width: 2, height: 2})
+      iex> error.why
+      "y is :nan"
+  """
+  @spec check(term()) :: {:ok, t()} | {:error, Error.t()}
+  def check(%__MODULE__{x: x, y: y, width: w, height: h} = rect)
+      when is_number(x) and is_number(y) and is_number(w) and is_number(h) and
+             abs(x) <= @most and abs(y) <= @most and w >= 0 and w <= @most and h >= 0 and
+             h <= @most,
+      do: {:ok, rect}
+
+  def check(other) do
+    why =
+      case other do
+        %__MODULE__{} -> "#{wrong(other)} is #{inspect(Map.get(other, wrong(other)), limit: 8)}"
+        _ -> "it is #{inspect(other, limit: 8, printable_limit: 80)}"
+      end
+
+    {:error,
+     Error.new(:bad_rect, "not a rectangle that one can calculate with",
+       why: why,
+       fix: "make it by Situ.Rect.new/1, of pixels within #{@most} of the corner"
+     )}
+  end
+
+  defp wrong(rect) do
+    Enum.find([:x, :y, :width, :height], fn name ->
+      value = Map.get(rect, name)
+      least = if name in [:width, :height], do: 0, else: -@most
+      not (is_number(value) and value >= least and value <= @most)
+    end)
+  end
+
+  @doc "As `check/1`, but returns the rectangle or raises the error."
+  @spec check!(term()) :: t()
+  def check!(rect), do: Error.unwrap!(check(rect))
 
   @doc "Width times height."
   @spec area(t()) :: number()

@@ -10,8 +10,8 @@ defmodule Situ.Infer.Face do
       iex> Situ.Infer.Face.roll(face)
       0.0
   """
+  alias Situ.{Error, Rect}
   alias Situ.Infer.Patch
-  alias Situ.Rect
 
   @enforce_keys [:rect, :eyes]
   defstruct [:rect, :eyes, :nose, :mouth, :ears]
@@ -23,6 +23,46 @@ defmodule Situ.Infer.Face do
           mouth: Patch.point() | nil,
           ears: {Patch.point(), Patch.point()} | nil
         }
+
+  @most 1_000_000_000
+
+  defguardp is_point(x, y)
+            when is_number(x) and is_number(y) and abs(x) <= @most and abs(y) <= @most
+
+  @doc """
+  The face itself, when one can calculate with its rectangle and its eyes. Errors: `:bad_rect`, `:bad_face`.
+
+      iex> {:error, error} = Situ.Infer.Face.check(%Situ.Infer.Face{rect: Situ.Rect.new!(0, 0, 1, 1), eyes: nil})
+      iex> error.why
+      "its eyes are nil"
+  """
+  @spec check(term()) :: {:ok, t()} | {:error, Error.t()}
+  def check(%__MODULE__{rect: rect, eyes: eyes} = face) do
+    with {:ok, _} <- Rect.check(rect) do
+      case eyes do
+        {{rx, ry}, {lx, ly}}
+        when is_point(rx, ry) and is_point(lx, ly) ->
+          {:ok, face}
+
+        _ ->
+          bad("its eyes are #{inspect(eyes, limit: 8, printable_limit: 80)}")
+      end
+    end
+  end
+
+  def check(other), do: bad("it is #{inspect(other, limit: 8, printable_limit: 80)}")
+
+  defp bad(why) do
+    {:error,
+     Error.new(:bad_face, "not a face that one can calculate with",
+       why: why,
+       fix: "take faces from Situ.Infer.FaceDetector; eyes are {{x, y}, {x, y}}, in pixels"
+     )}
+  end
+
+  @doc "As `check/1`, but returns the face or raises the error."
+  @spec check!(term()) :: t()
+  def check!(face), do: Error.unwrap!(check(face))
 
   @doc "The track's id, `nil` before tracking."
   @spec id(t()) :: term()

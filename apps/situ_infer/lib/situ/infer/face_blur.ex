@@ -50,7 +50,8 @@ defmodule Situ.Infer.FaceBlur do
 
   @impl true
   def handle_message(:in, %{data: {image, faces}, originating_time: time}, _context, state) do
-    found = for face <- faces, do: {time, Rect.scale_around(face.rect, state.margin)}
+    rects = Enum.map(faces, &Rect.check!(&1.rect))
+    found = for rect <- rects, do: {time, Rect.scale_around(rect, state.margin)}
     waiting = :queue.in({time, image}, state.waiting)
     decided(%{state | waiting: waiting, faces: state.faces ++ found}, time - state.hold, [])
   end

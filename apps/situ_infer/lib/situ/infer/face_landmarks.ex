@@ -55,6 +55,7 @@ defmodule Situ.Infer.FaceLandmarks do
 
   @impl true
   def handle_message(:in, %{data: {image, faces}} = message, _context, state) do
+    faces = Enum.map(faces, &Face.check!/1)
     meshes = Situ.Error.unwrap!(find(state.model, image, faces, state.opts))
     {[{:out, message.originating_time, meshes}], state}
   end

@@ -62,7 +62,8 @@ defmodule Situ.Infer.FaceTracker do
 
   @impl true
   def handle_message(:in, message, _context, tracker) do
-    {faces, tracker} = step(tracker, message.originating_time, message.data)
+    faces = Enum.map(message.data, &Face.check!/1)
+    {faces, tracker} = step(tracker, message.originating_time, faces)
     {[{:out, message.originating_time, faces}], tracker}
   end
 

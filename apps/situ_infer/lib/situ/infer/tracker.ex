@@ -82,7 +82,7 @@ defmodule Situ.Infer.Tracker do
 
   @impl true
   def handle_message(:in, %{data: rects, originating_time: time}, _context, tracker) do
-    {rects, tracker} = step(tracker, time, rects)
+    {rects, tracker} = step(tracker, time, Enum.map(rects, &Rect.check!/1))
     {[{:out, time, rects}], tracker}
   end
 
