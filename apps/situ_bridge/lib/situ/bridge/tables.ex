@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Tables do
   @moduledoc """
-  Files of one stream (JSON, JSON lines, CSV, MessagePack, Parquet) as a recording: a new store with a stream for each.
+  Files of one stream (JSON, JSON lines, CSV, MessagePack, Parquet, Protobuf) as a recording: a new store with a
+  stream for each.
 
       {:ok, path, counts} = Situ.Bridge.Tables.import([{"Level", "level.parquet", :parquet}], "recordings/levels")
 
@@ -12,8 +13,9 @@ defmodule Situ.Bridge.Tables do
 
   @batch 1_000
 
-  @type format :: :json | :json_lines | :csv | :message_pack | :parquet
-  @type table :: {stream :: String.t(), Path.t(), format()}
+  @type format :: :json | :json_lines | :csv | :message_pack | :parquet | :protobuf
+  @typedoc "Protobuf files need the options of `Situ.Bridge.Protobuf.File.messages/2`."
+  @type table :: {stream :: String.t(), Path.t(), format() | {:protobuf, keyword()}}
 
   @doc """
   Makes the next version of the store `out` (`ROOT/NAME`): `{:ok, path, %{stream => messages}}`. Option: `progress:`, a
@@ -82,6 +84,7 @@ defmodule Situ.Bridge.Tables do
     do: %Message{data: value, originating_time: time, creation_time: time, sequence_id: n}
 
   defp messages(path, :parquet), do: Bridge.Parquet.messages(path)
+  defp messages(path, {:protobuf, opts}), do: Bridge.Protobuf.File.messages(path, opts)
   defp messages(path, format), do: Bridge.File.messages(path, format)
 
   # The type of all values; unknown for a pipe, which can be read only once.
@@ -120,6 +123,7 @@ defmodule Situ.Bridge.Tables do
   def format(path) do
     case path |> Path.extname() |> String.downcase() do
       ".parquet" -> :parquet
+      ".pb" -> :protobuf
       ".jsonl" -> :json_lines
       ".msgpack" -> :message_pack
       ".csv" -> if(begins(path) =~ ~r/\A"?_OriginatingTime_/, do: :csv)

@@ -56,6 +56,7 @@ defmodule Situ.Bridge.Protobuf.File do
   use Situ.Component, inputs: [in: :any], options: @write
 
   @chunk 65_536
+  @told 1_000
 
   @doc "Writes a stream to a file; returns the stream. Errors of the pipeline: `:no_such_type`, `:no_time`."
   @spec write(Situ.Stream.t(), Path.t(), keyword()) :: Situ.Stream.t()
@@ -63,6 +64,42 @@ defmodule Situ.Bridge.Protobuf.File do
     Situ.via(stream, __MODULE__, [path: path] ++ opts)
     stream
   end
+
+  @doc """
+  Writes messages to a file, which is there, with its definition, when it is whole: how many there were. Options as
+  `write/3`, and `progress:`, a function of the messages written so far. Errors: `:no_such_type`, `:no_time`,
+  `:not_writable`, `:io`.
+  """
+  @spec save(Enumerable.t(Situ.Message.t()), Path.t(), keyword()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def save(messages, path, opts) do
+    {progress, opts} = Keyword.pop(opts, :progress, fn _ -> :ok end)
+    unfinished = path <> ".unfinished"
+    {:ok, state} = init(Situ.Options.validate!([path: unfinished] ++ opts, @write))
+    {[], state} = handle_start(nil, state)
+
+    {state, n} =
+      Enum.reduce(messages, {state, 0}, fn message, {state, n} ->
+        {[], state} = handle_message(:in, message, nil, state)
+        if rem(n + 1, @told) == 0, do: progress.(n + 1)
+        {state, n + 1}
+      end)
+
+    close(state)
+    for ending <- [".desc", ""], do: renamed!(unfinished <> ending, path <> ending)
+    {:ok, n}
+  rescue
+    error in Error ->
+      for ending <- [".desc", ""], do: File.rm(path <> ".unfinished" <> ending)
+      {:error, error}
+  end
+
+  defp renamed!(unfinished, path),
+    do:
+      with(
+        {:error, reason} <- File.rename(unfinished, path),
+        do: raise(Delimited.io(path, reason))
+      )
 
   @doc """
   A source of a file's messages, with their times; it proposes a replay from the first one on. A file without messages

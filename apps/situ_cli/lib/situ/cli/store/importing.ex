@@ -3,7 +3,7 @@ defmodule Situ.CLI.Store.Importing do
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.Tables
   alias Situ.CLI.{Input, Option, Output, Progress, Recording, Verb}
-  alias Situ.CLI.Store.{Arguments, Saving}
+  alias Situ.CLI.Store.{Arguments, Protobuf, Saving}
   alias Situ.{Error, Store}
 
   @formats %{
@@ -11,7 +11,8 @@ defmodule Situ.CLI.Store.Importing do
     "json" => :json,
     "json_lines" => :json_lines,
     "message_pack" => :message_pack,
-    "parquet" => :parquet
+    "parquet" => :parquet,
+    "protobuf" => :protobuf
   }
 
   @impl true
@@ -22,8 +23,8 @@ defmodule Situ.CLI.Store.Importing do
         summary: "make a store out of files of other programs",
         about: """
         Recordings (MCAP, bags, films, sound, CSV ...) as `situ store copy` makes them; of several, as `concat`. Tables
-        (Parquet, and CSV, JSON and MessagePack as `situ store save` writes them) become a stream each, called like the
-        file.
+        (Parquet, Protobuf, and CSV, JSON and MessagePack as `situ store save` writes them) become a stream each, called
+        like the file.
         """,
         arguments: [
           path: [
@@ -41,10 +42,11 @@ defmodule Situ.CLI.Store.Importing do
               many?: true
             ),
             Option.new(:format, @formats |> Map.keys() |> Enum.sort(), "of tables", short: :m)
-          ] ++ copying(),
+          ] ++ copying() ++ Protobuf.reading(),
         examples: [
           "situ store import drive.mcap recordings/drive",
           "situ store import 'tables/*.parquet' recordings/tables",
+          "situ store import levels.pb recordings/levels --type lab.Level --definition lab.proto",
           "sensor | situ store import - recordings/sensor -s Level --format json_lines"
         ],
         run: &import_files/2
@@ -68,7 +70,7 @@ defmodule Situ.CLI.Store.Importing do
               value: "NAME",
               many?: true
             )
-          ] ++ copying() ++ Arguments.carried(),
+          ] ++ copying() ++ Arguments.carried() ++ Protobuf.reading(),
         examples: [
           "situ store convert drive.bag drive.mcap --compression zstd",
           "situ store convert level.parquet level.csv"
@@ -125,13 +127,16 @@ defmodule Situ.CLI.Store.Importing do
         _ -> throw({:usage, "--stream names the stream of one table"})
       end
 
-    named = for {name, path, format} <- named, do: {name(name), path, format}
+    named = for {name, path, format} <- named, do: {name(name), path, table(format, opts)}
 
     case Progress.show("import", opts, fn _progress -> imported(named, out) end) do
       {:ok, path, counts} -> told(path, Enum.sum(Map.values(counts)), opts)
       {:error, error} -> raise error
     end
   end
+
+  defp table(:protobuf, opts), do: {:protobuf, Protobuf.given(opts)}
+  defp table(format, _opts), do: format
 
   defp name("-"), do: "Imported"
   defp name(name), do: name
@@ -187,7 +192,9 @@ defmodule Situ.CLI.Store.Importing do
       )
 
     try do
-      case Tables.import([{Tables.name(path), path, Tables.format(path)}], Path.join(root, "t")) do
+      format = table(Tables.format(path), opts)
+
+      case Tables.import([{Tables.name(path), path, format}], Path.join(root, "t")) do
         {:ok, store, _} -> Saving.save(%{path: store, file: out}, opts)
         {:error, %Error{} = error} -> raise error
       end

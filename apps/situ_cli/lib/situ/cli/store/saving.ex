@@ -3,7 +3,7 @@ defmodule Situ.CLI.Store.Saving do
   @behaviour Situ.CLI.Verb
   alias Situ.Bridge.{Format, Mcap, Parquet, Ros}
   alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
-  alias Situ.CLI.Store.Arguments
+  alias Situ.CLI.Store.{Arguments, Protobuf}
   alias Situ.{Error, Store}
 
   @formats %{
@@ -12,6 +12,7 @@ defmodule Situ.CLI.Store.Saving do
     "json_lines" => :json_lines,
     "message_pack" => :message_pack,
     "parquet" => :parquet,
+    "protobuf" => :protobuf,
     "mcap" => :mcap,
     "bag" => :bag
   }
@@ -21,6 +22,7 @@ defmodule Situ.CLI.Store.Saving do
     ".jsonl" => :json_lines,
     ".msgpack" => :message_pack,
     ".parquet" => :parquet,
+    ".pb" => :protobuf,
     ".mcap" => :mcap,
     ".bag" => :bag
   }
@@ -34,7 +36,7 @@ defmodule Situ.CLI.Store.Saving do
         words: ["store", "save"],
         aliases: ["export"],
         summary:
-          "write messages to a file that other programs read: CSV, JSON, MessagePack, Parquet, MCAP, ROS 1 bag",
+          "write messages to a file of another kind: CSV, JSON, MessagePack, Parquet, Protobuf, MCAP, ROS 1 bag",
         about: """
         MCAP files and bags hold all streams, or those chosen; the other files one stream. The layouts of CSV, JSON and
         MessagePack are those of Situ.Bridge.Format, which \\psi reads and writes too. Plain numbers go to CSV and
@@ -48,7 +50,7 @@ defmodule Situ.CLI.Store.Saving do
           file: [
             kind: :file,
             doc:
-              "the file to write (.csv, .json, .jsonl, .msgpack, .parquet, .mcap, .bag); - for standard output"
+              "the file to write (.csv, .json, .jsonl, .msgpack, .parquet, .pb, .mcap, .bag); - for standard output"
           ]
         ],
         options:
@@ -68,7 +70,7 @@ defmodule Situ.CLI.Store.Saving do
                 "of Parquet (none, gzip) and MCAP (none, lz4, zstd)"
               ),
               Option.new(:skip_damage, :flag, "leave out what is damaged; else that is an error")
-            ] ++ Arguments.carried(),
+            ] ++ Arguments.carried() ++ Protobuf.options(),
         examples: [
           "situ store save recordings/lobby levels.csv -s Lobby.Level",
           "situ store save recordings/lobby - -s Lobby.Level --format json_lines | jq .message",
@@ -138,6 +140,12 @@ defmodule Situ.CLI.Store.Saving do
       messages: ok!(Parquet.write(store, info.name, file, reading(opts) ++ written)),
       stream: info.name
     }
+  end
+
+  defp save(:protobuf, store, chosen, file, opts, progress) do
+    [] = carried(:protobuf, store, opts) ++ compression(:protobuf, opts[:compression])
+    whole!(file, :protobuf)
+    Protobuf.save(store, one(store, chosen), file, opts, {reading(opts), progress})
   end
 
   defp save(format, store, chosen, file, opts, progress) do
@@ -218,7 +226,7 @@ defmodule Situ.CLI.Store.Saving do
   defp whole!("-", format),
     do:
       throw(
-        {:usage, "#{format} goes to a file, not to standard output: its index stands at its end"}
+        {:usage, "#{format} goes to a file, not to standard output: it is whole at its end only"}
       )
 
   defp whole!(_file, _format), do: :ok

@@ -41,6 +41,61 @@ defmodule Situ.CLI.Store.ImportingTest do
   defp data(store, name),
     do: for(m <- Store.messages(store, name), do: {m.originating_time, m.data})
 
+  test "Protobuf files go out and come back by their definition", %{tmp_dir: root} do
+    levels = for i <- 1..2_500, do: %{"volts" => i / 8, "name" => "ä#{i}"}
+    path = recorded(root, %{"Level" => levels})
+    proto = Path.join(root, "lab.proto")
+    fields = "int64 time = 1; double volts = 2; string name = 3;"
+    File.write!(proto, ~s(syntax = "proto3"; package lab; message Level { #{fields} }))
+    file = Path.join(root, "levels.pb")
+
+    situ(["save", path, file, "-s", "Level", "--type", "lab.Level", "--definition", proto])
+    refute File.exists?(file <> ".unfinished")
+    # Its definition lies beside it.
+    back = String.trim(situ(["import", file, Path.join(root, "back"), "--type", "lab.Level"]))
+
+    expected =
+      for {level, i} <- Enum.with_index(levels, 1), do: {i * 100, Map.put(level, "time", i * 100)}
+
+    assert data(Store.open!(back), "levels") == expected
+
+    # Also on the way into another kind.
+    jsonl = Path.join(root, "levels.jsonl")
+    situ(["convert", file, jsonl, "--type", "lab.Level"])
+    assert jsonl |> File.stream!() |> Enum.count() == 2_500
+
+    assert refused(["import", file, Path.join(root, "x")]) =~ "--type PACKAGE.MESSAGE"
+    assert refused(["import", file, Path.join(root, "x"), "--type", "lab.Lewel"]) =~ "lab.Level"
+
+    assert refused([
+             "save",
+             path,
+             file,
+             "-s",
+             "Level",
+             "--type",
+             "a.B",
+             "--definition",
+             "/no/a.proto"
+           ]) =~ "--definition names"
+
+    assert refused([
+             "save",
+             path,
+             "-",
+             "-s",
+             "Level",
+             "--type",
+             "lab.Level",
+             "--format",
+             "protobuf"
+           ]) =~ "standard output"
+
+    File.write!(file, binary_part(File.read!(file), 0, 100))
+    assert refused(["import", file, Path.join(root, "x"), "--type", "lab.Level"]) =~ "cut short"
+    assert Path.wildcard(Path.join(root, "x.*")) == []
+  end
+
   test "what is saved comes back, whatever the format, with its type", %{tmp_dir: root} do
     streams = %{
       "Level" => {:float, for(i <- 1..2_500, do: i / 8)},
