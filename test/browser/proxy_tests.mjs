@@ -5,7 +5,7 @@ import { connect, createServer } from "node:net";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { test, equal, ok, until } from "./harness.mjs";
-import { open, state, panelOf, pointAt } from "./studio_page.mjs";
+import { open, state, panelOf, pointAt, settled } from "./studio_page.mjs";
 
 const site = JSON.parse(process.argv[2]);
 const S = 1e9;
@@ -90,8 +90,13 @@ test("9 proxy: under a path of nginx, which ends TLS, every page works and stays
       await page.goto(site.behind);
       const base = site.behind.replace(/\/\?.*/, "");
       equal(page.url().replace(/\/$/, ""), base, "the token leaves the address, the path stays");
-      await page.click(".home .item:has-text('minute.0000')");
-      await until(page, () => document.body?.dataset.ready === "1", "the recording");
+      await Promise.all([page.waitForURL(/\/s\//), page.click(".home .item:has-text('minute.0000')")]);
+      await until(
+        page,
+        () => document.body?.dataset.ready === "1" && document.body?.dataset.connection === "open",
+        "the recording",
+      );
+      await settled(page);
       const id = await panelOf(page, "Camera.Image");
       const lanes = await panelOf(page, "Vad.Speaking");
       await pointAt(page, lanes, 30 * S);
