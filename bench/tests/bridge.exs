@@ -1,10 +1,10 @@
 defmodule Situ.Bench.Bridge do
   @moduledoc false
   # The cost of a message on its way out of a pipeline, through a transport of this machine and into another pipeline:
-  # both ends together, in one VM, maps of two numbers. `bridge-zeromq-python` is pyzmq's own publisher and
-  # subscriber, a process each, with JSON, for the same messages (`SITU_BENCH_PYTHON`, with pyzmq installed; else
-  # nothing is measured). `bridge-mcap`: a recording of 100 topics to MCAP and back; `bridge-parquet`: integers to a
-  # table and back.
+  # both ends together, in one VM, maps of two numbers; `-large`: bytes of a picture of 1280 x 720, 2.8 MB.
+  # `bridge-zeromq-python` is pyzmq's own publisher and subscriber, a process each, with JSON, for the same messages
+  # (`SITU_BENCH_PYTHON`, with pyzmq installed; else nothing is measured). `bridge-mcap`: a recording of 100 topics to
+  # MCAP and back; `bridge-parquet`: integers to a table and back.
   alias Situ.{Bridge, Pipeline, Store}
 
   def tests do
@@ -13,6 +13,9 @@ defmodule Situ.Bench.Bridge do
       {"bridge-zeromq-python", &python/1},
       {"bridge-tcp", &through("bridge_tcp", Bridge.Tcp, &1)},
       {"bridge-websocket", &through("bridge_websocket", Bridge.WebSocket, &1)},
+      {"bridge-zeromq-large", &large("bridge_zeromq_large", Bridge.ZeroMQ, &1)},
+      {"bridge-tcp-large", &large("bridge_tcp_large", Bridge.Tcp, &1)},
+      {"bridge-websocket-large", &large("bridge_websocket_large", Bridge.WebSocket, &1)},
       {"bridge-mcap", &mcap/1},
       {"bridge-parquet", &parquet/1}
     ]
@@ -20,9 +23,20 @@ defmodule Situ.Bench.Bridge do
 
   defp through(metric, module, scale) do
     n = max(1, round(50_000 * scale))
-    me = self()
     values = Stream.map(1..n, &{&1 * 1_000, %{"n" => &1, "x" => &1 / 3}})
-    common = [wait_for: 1, listening: me, high_water_mark: 2 * n, linger: 60_000]
+    through(metric, module, {n, values, &(&1["n"] == n)}, [])
+  end
+
+  defp large(metric, module, scale) do
+    n = max(1, round(200 * scale))
+    picture = :crypto.strong_rand_bytes(1_280 * 720 * 3)
+    values = Stream.map(1..n, &{&1 * 1_000, <<&1::32, picture::binary>>})
+    through(metric, module, {n, values, &match?(<<^n::32, _::binary>>, &1)}, format: :raw)
+  end
+
+  defp through(metric, module, {n, values, last?}, opts) do
+    me = self()
+    common = [wait_for: 1, listening: me, high_water_mark: 2 * n, linger: 60_000] ++ opts
 
     Situ.Bench.measure(metric, n, fn ->
       {:ok, sender} =
@@ -33,7 +47,7 @@ defmodule Situ.Bench.Bridge do
 
       {:ok, receiver} =
         Pipeline.start_link(fn p ->
-          p |> into(module, port) |> Situ.each(&if(&1["n"] == n, do: send(me, :last)))
+          p |> into(module, port, opts) |> Situ.each(&if(last?.(&1), do: send(me, :last)))
         end)
 
       receive(do: (:last -> :ok), after: (600_000 -> raise("the last message did not come")))
@@ -48,11 +62,12 @@ defmodule Situ.Bench.Bridge do
 
   defp out(stream, module, opts), do: module.serve(stream, 0, opts)
 
-  defp into(p, Bridge.ZeroMQ, port),
-    do:
-      Bridge.ZeroMQ.subscribe(p, "tcp://127.0.0.1:#{port}", topic: "b", high_water_mark: 100_000)
+  defp into(p, Bridge.ZeroMQ, port, opts) do
+    given = [topic: "b", high_water_mark: 100_000] ++ opts
+    Bridge.ZeroMQ.subscribe(p, "tcp://127.0.0.1:#{port}", given)
+  end
 
-  defp into(p, module, port), do: module.connect(p, "127.0.0.1", port)
+  defp into(p, module, port, opts), do: module.connect(p, "127.0.0.1", port, opts)
 
   defp python(scale) do
     # The packages of test/bridge, where that has run.
