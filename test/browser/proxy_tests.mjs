@@ -90,7 +90,7 @@ test("9 proxy: under a path of nginx, which ends TLS, every page works and stays
       await page.goto(site.behind);
       const base = site.behind.replace(/\/\?.*/, "");
       equal(page.url().replace(/\/$/, ""), base, "the token leaves the address, the path stays");
-      await Promise.all([page.waitForURL(/\/s\//), page.click(".home .item:has-text('minute.0000')")]);
+      await Promise.all([page.waitForURL(/\/s\//), page.click(".home .item[href='s/minute.0000']")]);
       await until(
         page,
         () => document.body?.dataset.ready === "1" && document.body?.dataset.connection === "open",
