@@ -31,6 +31,8 @@ defmodule Situ.Ports.Window do
   end
 
   def new(%Delivery{max_queue: n}) when is_integer(n), do: %__MODULE__{size: min(n, @default)}
+  # So many wait while one is handled.
+  def new(%Delivery{kind: :throttle, window: n}) when is_integer(n), do: %__MODULE__{size: n + 1}
   def new(%Delivery{window: window}), do: %__MODULE__{size: window}
 
   @doc "The first of a batch that has arrived: what it weighs changes the window."

@@ -20,7 +20,7 @@ defmodule Situ.Ports.WindowTest do
   end
 
   # A consumer takes a few messages and then no more: what was made beyond them is what was on its way.
-  defp made_for_a_stuck_consumer(bytes, take) do
+  defp made_for_a_stuck_consumer(bytes, take, policy \\ Situ.Delivery.unlimited()) do
     test = self()
 
     {:ok, pipeline} =
@@ -35,7 +35,8 @@ defmodule Situ.Ports.WindowTest do
                 receive do: (:go_on -> :ok)
               end
             end,
-            policy: Situ.Delivery.unlimited()
+            policy: policy,
+            async: true
           )
         end,
         pipeline: [replay: [speed: :max]]
@@ -74,5 +75,14 @@ defmodule Situ.Ports.WindowTest do
     assert made_for_a_stuck_consumer(4_000_000, 20) in 4..9
     # The least window.
     assert made_for_a_stuck_consumer(40_000_000, 8) in 2..5
+  end
+
+  test "behind a throttle of n messages n wait, beside the one that is handled" do
+    for n <- [1, 2, 5], take <- [0, 3] do
+      assert made_for_a_stuck_consumer(10, take, Situ.Delivery.throttle(n)) == n + 1
+    end
+
+    # A long window is asked for again in halves.
+    assert made_for_a_stuck_consumer(10, 200, Situ.Delivery.throttle(128)) in 64..129
   end
 end
