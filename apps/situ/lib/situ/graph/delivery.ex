@@ -83,10 +83,10 @@ defmodule Situ.Delivery do
     do: build(:max_latency, [max_latency: d], opts)
 
   @doc """
-  Lossless: the producer waits as soon as `n` messages are on their way.
+  Lossless: the producer waits as soon as `n` messages wait for the consumer, beside the one that it handles.
 
   With `throttle(1)` a light operator runs in the process of a producer that can wait, where one message at a time is
-  all there is. Between processes (other consumers, `async: true`) it is dear: every message costs two wake-ups, some
+  all there is. Between processes (other consumers, `async: true`) it is dear: two messages cost two wake-ups, some
   5 us. The default of 128 keeps little on its way at nearly the price of `unlimited/1`.
   """
   @spec throttle(pos_integer(), keyword()) :: t()

@@ -1,7 +1,7 @@
 defmodule Situ.Pipeline.Stages do
   @moduledoc false
   # The processes of a pipeline: spawned, wired, measured. Carries out what the life cycle decides; decides nothing.
-  alias Situ.{Lifecycle, Stage}
+  alias Situ.{Clock, Lifecycle, Stage}
   alias Situ.Application.Reaper
   alias Situ.Graph.{Edge, Plan, Vertex}
   alias Situ.Lifecycle.{Links, Member}
@@ -78,7 +78,8 @@ defmodule Situ.Pipeline.Stages do
       tally: Tally.new(length(vertices)),
       control: control,
       marks: marks(vertices),
-      tail: tail
+      tail: tail,
+      started: nil
     }
   end
 
@@ -140,15 +141,22 @@ defmodule Situ.Pipeline.Stages do
     into = Enum.group_by(links, & &1.to)
     out_of = Enum.group_by(links, & &1.from)
 
-    for id <- ids do
-      ports = {Map.get(into, id, []), Map.get(out_of, id, [])}
-      send(state.stages[id].pid, {:situ, {:start, wiring(state, id, ports)}})
-    end
+    now =
+      if state.life.phase == :starting,
+        do: state.timing.start_time,
+        else: Clock.now(state.timing.clock)
 
-    state
+    for id <- ids, reduce: state do
+      state ->
+        state = update_in(state.stages[id].started, &(&1 || now))
+        ports = {Map.get(into, id, []), Map.get(out_of, id, [])}
+        send(state.stages[id].pid, {:situ, {:start, wiring(state, id, ports, now)}})
+        state
+    end
   end
 
-  defp wiring(state, id, {into, out_of}) do
+  # One that is spawned again began when it was spawned first: what it repeats has the same times.
+  defp wiring(state, id, {into, out_of}, now) do
     counters = state.wires.counters
 
     inlets =
@@ -168,8 +176,10 @@ defmodule Situ.Pipeline.Stages do
       |> Enum.group_by(& &1.output, &{&1.id, state.stages[&1.to].pid, counters[&1.id], &1.policy})
 
     state.timing
-    |> Map.take([:clock, :enforce, :start_time, :replay_start, :replay_end])
+    |> Map.take([:clock, :enforce, :replay_start, :replay_end])
     |> Map.merge(%{
+      start_time: state.stages[id].started,
+      now: now,
       control: state.stages[id].control,
       inlets: inlets,
       subs: subs,

@@ -40,7 +40,8 @@ defmodule Situ.Pipeline.State do
           tally: Situ.Ports.Tally.t(),
           control: :atomics.atomics_ref(),
           marks: :atomics.atomics_ref() | nil,
-          tail: Situ.Ports.Counters.t() | nil
+          tail: Situ.Ports.Counters.t() | nil,
+          started: Situ.Time.t() | nil
         }
 
   @type t :: %__MODULE__{

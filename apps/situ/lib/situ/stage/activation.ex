@@ -59,11 +59,12 @@ defmodule Situ.Stage.Activation do
     state = ErrorPolicy.restarted(state, error)
     Callback.stop(state.callback, error)
     state = %{state | outputs: Outputs.each(state.outputs, &Output.resume/1)}
+    context = State.context(state, Clock.now(state.clock))
 
     with {:ok, callback} <- Callback.start(state.callback),
          state = %{state | callback: callback, timers: Timers.clear(state.timers)},
          state = %{state | pace: %{state.pace | continue: :none, lingers: false}},
-         {:ok, actions, core} <- Callback.call(callback, :handle_start, [state.context]),
+         {:ok, actions, core} <- Callback.call(callback, :handle_start, [context]),
          state = %{state | callback: %{callback | core: core}},
          {:ok, state} <- Emission.run(state, actions, Clock.now(state.clock)) do
       state

@@ -75,7 +75,8 @@ defmodule Situ.Stage.Control do
   def handle({:freeze, ref}, state) do
     state = state |> heard() |> Emission.settle_all()
     State.report(state, {:remembered, ref, Memory.take(state)})
-    {:noreply, state |> Freeze.until(ref) |> Loop.turn()}
+    {state, actions} = Freeze.until(state, ref, &change/2)
+    {:noreply, state |> act(actions) |> Loop.turn()}
   end
 
   def handle({:thaw, _ref}, state), do: {:noreply, state}
@@ -183,16 +184,9 @@ defmodule Situ.Stage.Control do
     end
   end
 
-  def handle({:replace, ref, index, module, opts}, state) do
-    case replace(state, index, module, opts) do
-      {:ok, state, actions} ->
-        State.report(state, {:replaced, ref, :ok})
-        {:noreply, state |> act(actions) |> Loop.turn()}
-
-      {:error, error} ->
-        State.report(state, {:replaced, ref, {:error, error}})
-        {:noreply, state}
-    end
+  def handle({:replace, _ref, _index, _module, _opts} = request, state) do
+    {state, actions} = change(request, state)
+    {:noreply, state |> act(actions) |> Loop.turn()}
   end
 
   def handle({:guarantee, tag, keep?}, state) do
@@ -203,6 +197,24 @@ defmodule Situ.Stage.Control do
   def handle(:describe, state) do
     State.report(state, {:description, state.callback && Callback.describe(state.callback)})
     {:noreply, state}
+  end
+
+  # Carried out; the component's actions are still to be done.
+  defp change({:replace, ref, index, module, opts}, state) do
+    case replace(state, index, module, opts) do
+      {:ok, state, actions} ->
+        State.report(state, {:replaced, ref, :ok})
+        {state, actions}
+
+      {:error, error} ->
+        State.report(state, {:replaced, ref, {:error, error}})
+        {state, []}
+    end
+  end
+
+  defp change(request, state) do
+    {:noreply, state} = handle(request, state)
+    {state, []}
   end
 
   # The start time is the time of the first activation.
@@ -263,9 +275,10 @@ defmodule Situ.Stage.Control do
   end
 
   defp replace(state, 0, module, opts) do
+    context = State.context(state, Clock.now(state.clock))
+
     with {:ok, opts} <- Options.validate(opts, module.options()),
-         {:ok, callback, actions} <-
-           Callback.replace(state.callback, module, opts, state.context) do
+         {:ok, callback, actions} <- Callback.replace(state.callback, module, opts, context) do
       state = State.put_head(state, %{State.head(state) | module: module, opts: opts})
       {:ok, %{state | callback: callback}, actions}
     end

@@ -1,33 +1,56 @@
 defmodule Situ.Stage.Freeze do
   @moduledoc false
   # A source that stands still, for a checkpoint: it makes nothing and takes nothing from its mailbox, but what it has
-  # posted still goes out as it is asked for.
+  # posted still goes out as it is asked for, and changes of what is around it are made and answered.
   alias Situ.Ports.{Output, Outputs}
   alias Situ.Stage.State
 
   # The process that froze it may have died, so the freeze has a limit.
   @longest_ms 60_000
 
-  @doc "Returns when `{:thaw, ref}` comes."
-  @spec until(State.t(), reference()) :: State.t()
-  def until(%{owner: {server, _id}} = state, ref) do
+  # These start and end nothing. The component's answers to them wait for the thaw.
+  defguardp change(request)
+            when request == :describe or
+                   (is_tuple(request) and
+                      elem(request, 0) in [:tap, :untap, :replace, :guarantee, :lend])
+
+  @doc """
+  Returns when `{:thaw, ref}` comes. `change` carries out a request and answers the state and the component's actions;
+  those are answered with the state at the end.
+  """
+  @spec until(State.t(), reference(), (term(), State.t() -> {State.t(), [term()]})) ::
+          {State.t(), [term()]}
+  def until(%{pace: %{scheduled: scheduled?}} = state, ref, change) do
+    # A turn only sends what is pending while another one is due.
+    {state, actions} = stand(resumed(state, true), ref, change, [])
+    {resumed(state, scheduled?), actions}
+  end
+
+  defp resumed(state, scheduled?), do: %{state | pace: %{state.pace | scheduled: scheduled?}}
+
+  defp stand(%{owner: {server, _id}} = state, ref, change, actions) do
     receive do
       {:situ, {:thaw, ^ref}} ->
-        state
+        {state, actions}
 
       {:"$gen_producer", {pid, _tag} = from, {:ask, n}}
       when is_pid(pid) and ((is_integer(n) and n > 0) or n == :infinity) ->
-        until(asked(state, from, n), ref)
+        stand(asked(state, from, n), ref, change, actions)
 
       {:situ, {:refresh, from}} ->
         refresh = &if(Output.subscriber?(&1, from), do: Output.refresh(&1, from), else: &1)
-        until(%{state | outputs: Outputs.each(state.outputs, refresh)}, ref)
+        state = %{state | outputs: Outputs.each(state.outputs, refresh)}
+        stand(state, ref, change, actions)
+
+      {:situ, request} when change(request) ->
+        {state, more} = change.(request, state)
+        stand(state, ref, change, actions ++ more)
 
       {:EXIT, ^server, _reason} = message ->
         send(self(), message)
-        state
+        {state, actions}
     after
-      @longest_ms -> state
+      @longest_ms -> {state, actions}
     end
   end
 

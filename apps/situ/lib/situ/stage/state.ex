@@ -106,7 +106,7 @@ defmodule Situ.Stage.State do
     context = %{
       state.context
       | start_time: wiring.start_time,
-        now: wiring.start_time,
+        now: wiring.now,
         replay_start: wiring.replay_start,
         replay_end: wiring.replay_end,
         enforced?: wiring.enforce and hd(state.vertices).holds

@@ -35,6 +35,20 @@ defmodule Situ.Pipeline.CheckpointingTest do
     def restore(count, fresh), do: {:ok, %{fresh | count: count}}
   end
 
+  defmodule Steps do
+    # Asked for messages, it gives its number again and again; it says "first" when it starts.
+    use Situ.Component, outputs: [out: :any], options: [k: [type: :integer, required: true]]
+
+    @impl true
+    def init(opts), do: {:ok, opts[:k]}
+
+    @impl true
+    def handle_start(context, k), do: {[{:out, context.now, {:first, k}}], k}
+
+    @impl true
+    def handle_demand(_n, context, k), do: {[{:out, context.now, k}], k}
+  end
+
   # Two sources, a join, a window, a running sum, a component with a process in its state.
   defp build(me, n) do
     fn p ->
@@ -154,6 +168,49 @@ defmodule Situ.Pipeline.CheckpointingTest do
     Process.exit(holder, :kill)
     assert_receive {:tick, _}, 30_000
     {:ok, _} = Pipeline.stop(p)
+  end
+
+  test "a source that stands still is tapped, extended and replaced, and goes on as the new one" do
+    me = self()
+
+    build = fn p ->
+      p
+      |> Situ.source(Steps, k: 1, name: "Steps", on_same_time: :nudge)
+      |> Situ.each(&send(me, {:old, &1}))
+    end
+
+    {:ok, p} = Pipeline.start(build, [])
+
+    {:ok, memories} =
+      Pipeline.checkpoint(p, fn memories ->
+        {:ok, _} = Situ.attach_tap({p, "Steps"}, fn m -> send(me, {:tap, m.data}) end)
+        :ok = Pipeline.replace(p, "Steps", k: 2)
+
+        {:ok, _} =
+          Pipeline.extend(p, fn p ->
+            p |> Pipeline.stream("Steps") |> Situ.each(&send(me, {:new, &1}))
+          end)
+
+        {:ok, old} = Situ.attach_tap({p, "Steps"}, fn m -> send(me, {:gone, m.data}) end)
+        :ok = Situ.detach_tap(old)
+        refute_received {:tap, _}
+        refute_received {:new, _}
+        memories
+      end)
+
+    assert %{core: core} = memories["Steps"]
+    assert inspect(core) =~ "1"
+    # Nobody missed the first message of the new one, and nobody saw one of the old.
+    for name <- [:tap, :new] do
+      assert_receive {^name, first}, 30_000
+      assert first == {:first, 2}
+      assert_receive {^name, 2}, 30_000
+    end
+
+    {:ok, _} = Pipeline.stop(p)
+    refute_received {:gone, _}
+    refute_received {:tap, 1}
+    refute_received {:new, 1}
   end
 
   defp ticks(_), do: receive(do: ({:tick, _} -> ticks(0)), after: (0 -> :ok))

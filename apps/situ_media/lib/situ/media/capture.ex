@@ -84,6 +84,8 @@ defmodule Situ.Media.Capture do
   @spec start(t(), Context.t()) :: result()
   def start(%__MODULE__{} = capture, context) do
     kind = if Map.has_key?(capture.outputs, :video), do: :camera, else: :microphone
+    # Before anything takes time: afterwards `context.now` is not now.
+    ahead = context.now - Situ.Time.now()
 
     with {:ok, %{args: args, clock: clock}} <-
            capture.driver.capture(capture.address, kind, capture.opts),
@@ -92,7 +94,7 @@ defmodule Situ.Media.Capture do
       capture = %{capture | reader: reader, clock: clock, streams: nil}
       # A capture that reconnects for ever has no end; any other announces its end.
       endless = if capture.opts[:reconnect], do: [{:complete, :infinity}], else: []
-      {endless, %{capture | offset: offset(clock, context, capture.last), settled: nil}}
+      {endless, %{capture | offset: offset(clock, context, ahead, capture.last), settled: nil}}
     else
       {:error, error} -> raise error
     end
@@ -186,14 +188,10 @@ defmodule Situ.Media.Capture do
   defp audio(_outputs, _opts), do: []
 
   # The offset to add to the capture's times; `nil` until the first frame gives it.
-  defp offset(:start, context, last) when last == %{}, do: context.start_time + @lead
-  defp offset(:start, context, _again), do: context.now + @lead
-  defp offset(:arrival, _context, _last), do: nil
-
-  defp offset(:wall, context, _last) do
-    difference = context.now - Situ.Time.now()
-    if abs(difference) < @same_clock, do: 0, else: difference
-  end
+  defp offset(:start, context, _ahead, last) when last == %{}, do: context.start_time + @lead
+  defp offset(:start, context, _ahead, _again), do: context.now + @lead
+  defp offset(:arrival, _context, _ahead, _last), do: nil
+  defp offset(:wall, _context, ahead, _last), do: if(abs(ahead) < @same_clock, do: 0, else: ahead)
 
   defp result({:streams, streams}, capture, _context) do
     if capture.lost, do: Logger.info("#{capture.address} is back")

@@ -5,7 +5,8 @@ defmodule Situ.Component.Context do
     * `path`: the component's full name (`"Lobby.Mouth.Crop"`)
     * `pipeline`: the pipeline's handle
     * `now`: the pipeline clock when this activation began, ns
-    * `start_time`: the pipeline's start, ns (replay start, or the clock when it began)
+    * `start_time`: the pipeline's start, ns (replay start, or the clock when it began); for a component that was added
+      to a running pipeline, the pipeline clock at that moment
     * `replay_start`: the start of the replay interval, asked for or proposed, ns, or `:unbounded` (then the pipeline
       starts now)
     * `replay_end`: the end of the replay interval, ns, or `:infinity`

@@ -24,6 +24,26 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
     def handle_start(_context, state), do: {[], state}
   end
 
+  defmodule Clockwork do
+    # Tells what it is told when it starts, and raises when it is asked to.
+    use Situ.Component,
+      inputs: [in: :any],
+      options: [to: [type: :pid, required: true], k: [type: :integer, default: 1]]
+
+    @impl true
+    def init(opts), do: {:ok, Map.new(opts)}
+
+    @impl true
+    def handle_start(context, state) do
+      send(state.to, {:began, state.k, context.start_time, context.now})
+      {[], state}
+    end
+
+    @impl true
+    def handle_message(:in, %{data: :raise}, _context, _state), do: raise("as asked")
+    def handle_message(:in, _message, _context, state), do: {[], state}
+  end
+
   defp start(opts \\ []) do
     me = self()
 
@@ -54,6 +74,57 @@ defmodule Situ.Pipeline.Dynamic.ExtensionTest do
   end
 
   defp names(p), do: Enum.map(Pipeline.info(p).nodes, & &1.path)
+
+  test "a component begins when it is added, and is told the time when it starts again" do
+    p = start()
+    assert_receive {:main, 20}, 30_000
+    me = self()
+    input = Situ.Connector.new("input")
+    before = Pipeline.now(p)
+
+    {:ok, _} =
+      Pipeline.extend(p, fn p ->
+        stream = Situ.Connector.receive(p, input)
+        Situ.via(stream, Clockwork, to: me, name: "Clockwork", on_error: :restart)
+      end)
+
+    assert_receive {:began, 1, start, start}, 30_000
+    assert start in before..Pipeline.now(p)
+
+    before = Pipeline.now(p)
+    :ok = Pipeline.replace(p, "Clockwork", to: me, k: 2)
+    assert_receive {:began, 2, ^start, now}, 30_000
+    assert now >= before
+
+    before = Pipeline.now(p)
+    Situ.Connector.deliver(input, [message(:raise, before)])
+    assert_receive {:began, 2, ^start, now}, 30_000
+    assert now >= before
+    {:ok, _} = Pipeline.stop(p)
+  end
+
+  test "a source that is added begins now, not at the pipeline's start" do
+    p = start()
+    assert_receive {:main, 20}, 30_000
+    me = self()
+    before = Pipeline.now(p)
+
+    {:ok, _} =
+      Pipeline.extend(p, fn p ->
+        p
+        |> Situ.from_enumerable([:a, :b], every: Time.ms(1))
+        |> Situ.each(fn data, message -> send(me, {:new, data, message.originating_time}) end)
+      end)
+
+    assert_receive {:new, :a, a}, 30_000
+    assert_receive {:new, :b, b}, 30_000
+    assert a >= before
+    assert b == a + Time.ms(1)
+    {:ok, _} = Pipeline.stop(p)
+  end
+
+  defp message(data, time),
+    do: %Situ.Message{data: data, originating_time: time, creation_time: time}
 
   test "what is added sees every message from its first on" do
     p = start()
