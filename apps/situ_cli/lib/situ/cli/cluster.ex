@@ -99,8 +99,10 @@ defmodule Situ.CLI.Cluster do
           "the cluster is shown at #{ClusterNode.studio(opts[:studio], recordings)}cluster"
         )
 
+    # Behind this function Erlang's own begins to shut all down: it returns to nobody, and `leave/0` takes its time.
     joined = self()
-    {:ok, _} = System.trap_signal(:sigterm, fn -> send(joined, :leave) && :ok end)
+    trap = fn -> send(joined, :leave) && Process.sleep(:infinity) end
+    {:ok, _} = System.trap_signal(:sigterm, trap)
     wait(name, Process.monitor(agent))
   end
 
