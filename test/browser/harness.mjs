@@ -26,7 +26,7 @@ export async function until(page, probe, what, arg) {
   try {
     await page.waitForFunction(probe, arg, { timeout: 30000, polling: 30 });
   } catch (error) {
-    throw new Error(`waited in vain until ${what}: ${error.message.split("\n")[0]}`);
+    throw new Error(`waited in vain until ${what}: ${error.message.split("\n")[0]} at ${page.url()}`);
   }
 }
 

@@ -244,7 +244,12 @@ fn resident(file: &std::path::Path) -> u64 {
     let mut inside = false;
     let mut sum = 0;
     for line in maps.lines() {
-        if line.contains('/') && !line.starts_with("Rss") {
+        // A mapping begins with its addresses, whether it is of a file or not; its facts have names.
+        if line
+            .split_whitespace()
+            .next()
+            .is_some_and(|word| !word.ends_with(':'))
+        {
             inside = line.ends_with(file.to_str().unwrap());
         } else if let (true, Some(rest)) = (inside, line.strip_prefix("Rss:")) {
             sum += rest.trim().trim_end_matches(" kB").parse::<u64>().unwrap();

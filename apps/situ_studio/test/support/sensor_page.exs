@@ -25,7 +25,7 @@ defmodule Situ.Studio.Test.SensorPage do
     end
   end
 
-  # A connection that gives leave to send: the page before may not have gone yet.
+  # A connection that is taken, and the first that came over it: the page before may not have gone yet.
   def again(connect) do
     {_, socket} = connect.()
 
@@ -36,8 +36,8 @@ defmodule Situ.Studio.Test.SensorPage do
           20 -> again(connect)
         end
 
-      _ ->
-        socket
+      first ->
+        {first, socket}
     end
   end
 

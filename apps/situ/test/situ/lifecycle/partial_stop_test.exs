@@ -194,7 +194,7 @@ defmodule Situ.Lifecycle.PartialStopTest do
   end
 
   test "what is stuck in it is killed and named; the rest runs on" do
-    {p, _pid} = standing(stop_timeout: 50)
+    {p, _pid} = standing(stop_timeout: 1_000)
 
     assert {:error, %{code: :component_killed, meta: %{component: "Part.Each"}}} =
              Pipeline.stop_part(p, "Part")
