@@ -1,6 +1,6 @@
 # Situ's side of test/bridge: `situ.exs COMMAND ARGUMENTS`.
 {:ok, _} = Application.ensure_all_started(:situ_bridge)
-alias Situ.Bridge.{Mcap, Parquet, Ros, Ros.Bag, ZeroMQ}
+alias Situ.Bridge.{Arrow, Mcap, Parquet, Ros, Ros.Bag, ZeroMQ}
 alias Situ.Store
 
 value = fn
@@ -39,6 +39,7 @@ case System.argv() do
             )
 
     {:ok, 545} = Bag.export(store, Path.join(to, "out.bag"), chunk: 20_000)
+    {:ok, 545} = Bag.export(store, Path.join(to, "out-lz4.bag"), compression: :lz4)
 
     {:ok, _} =
       Situ.Pipeline.run(fn p ->
@@ -67,13 +68,15 @@ case System.argv() do
     store = Store.open!(Path.join(dir, "rows"))
     {:ok, %{"Rows" => 1_000}} = Parquet.export(store, dir, rows: 300)
     {:ok, _} = Parquet.export(store, Path.join(dir, "gz"), compression: :gzip)
+    {:ok, %{"Rows" => 1_000}} = Arrow.export(store, dir, rows: 300)
 
-  ["read_parquet", own | theirs] ->
+  ["read_tables", own | theirs] ->
     rows = Enum.to_list(Parquet.messages(own))
     1_000 = length(rows)
 
     for path <- theirs do
-      true = Enum.to_list(Parquet.messages(path)) == rows
+      module = if Path.extname(path) == ".parquet", do: Parquet, else: Arrow
+      true = Enum.to_list(module.messages(path)) == rows
       IO.puts(path)
     end
 

@@ -94,6 +94,14 @@ fn unpack<'a>(env: Env<'a>, compression: String, bytes: Binary<'a>, size: u64) -
     }
 }
 
+#[rustler::nif(schedule = "DirtyCpu")]
+fn pack_lz4<'a>(env: Env<'a>, bytes: Binary<'a>) -> Term<'a> {
+    match situ_mcap::pack_lz4(&bytes) {
+        Ok(bytes) => (atoms::ok(), binary(env, &bytes)).encode(env),
+        Err(why) => (atoms::error(), why.to_string()).encode(env),
+    }
+}
+
 /// Lines of CSV for columns of `Situ.Store.columns/3`; an empty text for another kind.
 #[rustler::nif(schedule = "DirtyCpu")]
 fn csv_lines<'a>(env: Env<'a>, kind: Atom, times: Binary<'a>, values: Binary<'a>) -> Term<'a> {

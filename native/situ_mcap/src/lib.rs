@@ -51,6 +51,19 @@ impl Error {
     }
 }
 
+/// Bytes compressed to a frame of LZ4 that ROS 1 reads, too: blocks that stand alone, a checksum of the whole, no size.
+pub fn pack_lz4(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
+    use lz4_flex::frame::{BlockMode, BlockSize, FrameEncoder, FrameInfo};
+    use std::io::Write;
+    let info = FrameInfo::new()
+        .block_mode(BlockMode::Independent)
+        .block_size(BlockSize::Max4MB)
+        .content_checksum(true);
+    let mut encoder = FrameEncoder::with_frame_info(info, Vec::with_capacity(bytes.len() / 2));
+    encoder.write_all(bytes)?;
+    encoder.finish().map_err(std::io::Error::from)
+}
+
 /// Bytes that were compressed by `"lz4"`, `"zstd"` or not (`""`), at most `size` of them; or why they cannot be
 /// unpacked.
 pub fn unpack(compression: &str, bytes: &[u8], size: u64) -> std::result::Result<Vec<u8>, String> {

@@ -11,6 +11,7 @@ defmodule Situ.Bridge.Native do
   end
 
   def unpack(_compression, _bytes, _size), do: missing()
+  def pack_lz4(_bytes), do: missing()
   def csv_lines(_kind, _times, _values), do: missing()
   def mcap_open(_path), do: missing()
   def mcap_info(_reader), do: missing()

@@ -1,7 +1,7 @@
 defmodule Situ.Bridge.Tables do
   @moduledoc """
-  Files of one stream (JSON, JSON lines, CSV, MessagePack, Parquet, Protobuf) as a recording: a new store with a
-  stream for each.
+  Files of one stream (JSON, JSON lines, CSV, MessagePack, Parquet, Arrow, Protobuf) as a recording: a new store with
+  a stream for each.
 
       {:ok, path, counts} = Situ.Bridge.Tables.import([{"Level", "level.parquet", :parquet}], "recordings/levels")
 
@@ -13,7 +13,7 @@ defmodule Situ.Bridge.Tables do
 
   @batch 1_000
 
-  @type format :: :json | :json_lines | :csv | :message_pack | :parquet | :protobuf
+  @type format :: :json | :json_lines | :csv | :message_pack | :parquet | :arrow | :protobuf
   @typedoc "Protobuf files need the options of `Situ.Bridge.Protobuf.File.messages/2`."
   @type table :: {stream :: String.t(), Path.t(), format() | {:protobuf, keyword()}}
 
@@ -84,6 +84,7 @@ defmodule Situ.Bridge.Tables do
     do: %Message{data: value, originating_time: time, creation_time: time, sequence_id: n}
 
   defp messages(path, :parquet), do: Bridge.Parquet.messages(path)
+  defp messages(path, :arrow), do: Bridge.Arrow.messages(path)
   defp messages(path, {:protobuf, opts}), do: Bridge.Protobuf.File.messages(path, opts)
   defp messages(path, format), do: Bridge.File.messages(path, format)
 
@@ -123,6 +124,7 @@ defmodule Situ.Bridge.Tables do
   def format(path) do
     case path |> Path.extname() |> String.downcase() do
       ".parquet" -> :parquet
+      ending when ending in [".arrow", ".arrows", ".feather"] -> :arrow
       ".pb" -> :protobuf
       ".jsonl" -> :json_lines
       ".msgpack" -> :message_pack

@@ -2,8 +2,9 @@ defmodule Situ.Bridge.ParquetTest do
   # Counts atoms.
   use ExUnit.Case, async: false
   use Situ.Test.Property
+  alias Situ.Bridge.Columnar.{Column, Rows}
   alias Situ.Bridge.Parquet
-  alias Situ.Bridge.Parquet.{Column, Packed, Rows, Runs, Thrift, Values, Writer}
+  alias Situ.Bridge.Parquet.{Packed, Runs, Thrift, Values, Writer}
   alias Situ.Store
   doctest Runs
 
@@ -125,7 +126,7 @@ defmodule Situ.Bridge.ParquetTest do
   end
 
   defp chunk(kind, values) do
-    body = %Column{name: "x", kind: kind} |> Column.page(values) |> IO.iodata_to_binary()
+    body = %Column{name: "x", kind: kind} |> Parquet.Column.page(values) |> IO.iodata_to_binary()
     size = byte_size(body)
 
     page =

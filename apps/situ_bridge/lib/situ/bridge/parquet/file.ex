@@ -1,6 +1,7 @@
 defmodule Situ.Bridge.Parquet.File do
   @moduledoc false
   # A Parquet file as it is read: its columns (those that are not nested), and its row groups.
+  @behaviour Situ.Bridge.Columnar.Reader
   alias Situ.Bridge.Parquet.{Thrift, Values}
   alias Situ.Error
 
@@ -23,8 +24,8 @@ defmodule Situ.Bridge.Parquet.File do
           times: [String.t()]
         }
 
-  @doc "Looks at the footer. Errors: `:io`, `:not_parquet`."
-  @spec open(Path.t()) :: {:ok, t()} | {:error, Error.t()}
+  # Looks at the footer. Errors: `:io`, `:not_parquet`.
+  @impl true
   def open(path), do: guarded(path, fn file -> {:ok, footer(file, path)} end)
 
   defp guarded(path, fun) do
@@ -133,8 +134,7 @@ defmodule Situ.Bridge.Parquet.File do
   defp as(%{6 => kind}), do: @old_kinds[kind]
   defp as(_), do: nil
 
-  @doc "The rows of one group, as lists of their columns' values."
-  @spec rows(t(), map(), [Values.leaf()]) :: {:ok, [[term()]]} | {:error, Error.t()}
+  @impl true
   def rows(parquet, group, columns) do
     guarded(parquet.path, fn file ->
       {:ok, columns |> Enum.map(&chunk(file, group, &1)) |> Enum.zip_with(& &1)}

@@ -1,50 +1,41 @@
 defmodule Situ.Bridge.Parquet.Writer do
   @moduledoc false
-  # A Parquet file (https://github.com/apache/parquet-format): row groups of one page a column, then the footer. It has
-  # another name until it is whole.
+  # A Parquet file (https://github.com/apache/parquet-format): row groups of one page a column, then the footer.
+  @behaviour Situ.Bridge.Columnar.Writer
+  alias Situ.Bridge.Columnar.Output
   alias Situ.Bridge.Parquet.{Column, Thrift}
-  alias Situ.Error
 
   @codecs %{none: 0, gzip: 2}
 
-  defstruct [:path, :file, :columns, :codec, at: 4, rows: 0, groups: []]
+  defstruct [:output, :columns, :codec, rows: 0, groups: []]
   @type t :: %__MODULE__{}
 
-  @spec create(Path.t(), [Column.t()], :none | :gzip) :: {:ok, t()} | {:error, Error.t()}
+  @impl true
   def create(path, columns, codec) do
-    with {:ok, file} <- :file.open(unfinished(path), [:write, :raw, :binary]),
-         :ok <- :file.write(file, "PAR1") do
-      {:ok, %__MODULE__{path: path, file: file, columns: columns, codec: codec}}
-    else
-      {:error, reason} -> {:error, failed(path, reason)}
-    end
+    with {:ok, output} <- Output.create(path, "PAR1"),
+         do: {:ok, %__MODULE__{output: output, columns: columns, codec: codec}}
   end
 
-  defp unfinished(path), do: path <> ".unfinished"
-
-  @doc "A row group: the values of each column."
-  @spec write(t(), [[term()]], rows :: pos_integer()) :: {:ok, t()} | {:error, Error.t()}
-  def write(writer, values, rows) do
+  @impl true
+  def write(%{output: %{at: from}} = writer, values, rows) do
     {chunks, at} =
       writer.columns
       |> Enum.zip(values)
-      |> Enum.map_reduce(writer.at, fn {column, values}, at ->
+      |> Enum.map_reduce(from, fn {column, values}, at ->
         {bytes, meta} = chunk(column, values, rows, at, writer.codec)
         {{bytes, meta}, at + IO.iodata_length(bytes)}
       end)
 
-    with :ok <- :file.write(writer.file, Enum.map(chunks, &elem(&1, 0))) do
+    with {:ok, output} <- Output.write(writer.output, Enum.map(chunks, &elem(&1, 0))) do
       group =
         {:struct,
          [
            {1, {:list, Enum.map(chunks, &elem(&1, 1))}},
-           {2, {:i64, at - writer.at}},
+           {2, {:i64, at - from}},
            {3, {:i64, rows}}
          ]}
 
-      {:ok, %{writer | at: at, rows: writer.rows + rows, groups: [group | writer.groups]}}
-    else
-      {:error, reason} -> {:error, failed(writer.path, reason)}
+      {:ok, %{writer | output: output, rows: writer.rows + rows, groups: [group | writer.groups]}}
     end
   end
 
@@ -73,8 +64,7 @@ defmodule Situ.Bridge.Parquet.Writer do
     {[head, packed], {:struct, [{2, {:i64, at}}, {3, {:struct, meta}}]}}
   end
 
-  @doc "The footer, and the file's own name."
-  @spec finish(t()) :: {:ok, rows :: non_neg_integer()} | {:error, Error.t()}
+  @impl true
   def finish(writer) do
     root = {:struct, [{4, {:binary, "situ"}}, {5, {:i32, length(writer.columns)}}]}
 
@@ -90,26 +80,10 @@ defmodule Situ.Bridge.Parquet.Writer do
          ]}
       )
 
-    with :ok <-
-           :file.write(writer.file, [footer, <<IO.iodata_length(footer)::little-32>>, "PAR1"]),
-         :ok <- :file.close(writer.file),
-         :ok <- :file.rename(unfinished(writer.path), writer.path) do
-      {:ok, writer.rows}
-    else
-      {:error, reason} -> {:error, failed(writer.path, reason)}
-    end
+    tail = [footer, <<IO.iodata_length(footer)::little-32>>, "PAR1"]
+    with :ok <- Output.finish(writer.output, tail), do: {:ok, writer.rows}
   end
 
-  @doc "Deletes the unfinished file."
-  @spec abandon(t()) :: :ok
-  def abandon(writer) do
-    :file.close(writer.file)
-    :file.delete(unfinished(writer.path))
-    :ok
-  end
-
-  defp failed(path, :enospc), do: Error.new(:disk_full, "no room left on the disk of #{path}")
-
-  defp failed(path, reason),
-    do: Error.new(:io, "cannot write #{path}", why: to_string(:file.format_error(reason)))
+  @impl true
+  def abandon(writer), do: Output.abandon(writer.output)
 end

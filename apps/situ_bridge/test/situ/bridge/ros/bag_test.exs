@@ -31,10 +31,18 @@ defmodule Situ.Bridge.Ros.BagTest do
   test "a bag is written and read back", %{tmp_dir: dir} do
     path = Path.join(dir, "copy.bag")
     store = Store.open!(@real)
-    assert {:ok, 545} = Bag.export(store, path, chunk: 20_000)
-    copy = Store.open!(path)
-    assert %{closed?: true, damage: []} = Store.info(copy)
-    for info <- Store.streams(store), do: assert(data(copy, info.name) == data(store, info.name))
+
+    sizes =
+      for compression <- [:none, :lz4] do
+        assert {:ok, 545} = Bag.export(store, path, chunk: 20_000, compression: compression)
+        copy = Store.open!(path)
+        assert %{closed?: true, damage: []} = Store.info(copy)
+        for i <- Store.streams(store), do: assert(data(copy, i.name) == data(store, i.name))
+        File.stat!(path).size
+      end
+
+    assert [plain, packed] = sizes
+    assert packed < 0.7 * plain
   end
 
   test "a pipeline records pictures, texts and maps of a type of one's own", %{tmp_dir: dir} do

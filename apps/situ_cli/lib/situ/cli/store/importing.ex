@@ -7,6 +7,7 @@ defmodule Situ.CLI.Store.Importing do
   alias Situ.{Error, Store}
 
   @formats %{
+    "arrow" => :arrow,
     "csv" => :csv,
     "json" => :json,
     "json_lines" => :json_lines,
@@ -23,8 +24,8 @@ defmodule Situ.CLI.Store.Importing do
         summary: "make a store out of files of other programs",
         about: """
         Recordings (MCAP, bags, films, sound, CSV ...) as `situ store copy` makes them; of several, as `concat`. Tables
-        (Parquet, Protobuf, and CSV, JSON and MessagePack as `situ store save` writes them) become a stream each, called
-        like the file.
+        (Parquet, Arrow, Protobuf, and CSV, JSON and MessagePack as `situ store save` writes them) become a stream each,
+        called like the file.
         """,
         arguments: [
           path: [

@@ -1,12 +1,13 @@
 defmodule Situ.CLI.Store.Saving do
   @moduledoc "`situ store save`: messages to files that other programs read."
   @behaviour Situ.CLI.Verb
-  alias Situ.Bridge.{Format, Mcap, Parquet, Ros}
+  alias Situ.Bridge.{Arrow, Format, Mcap, Parquet, Ros}
   alias Situ.CLI.{Option, Output, Progress, Recording, Verb}
   alias Situ.CLI.Store.{Arguments, Protobuf}
   alias Situ.{Error, Store}
 
   @formats %{
+    "arrow" => :arrow,
     "csv" => :csv,
     "json" => :json,
     "json_lines" => :json_lines,
@@ -17,6 +18,7 @@ defmodule Situ.CLI.Store.Saving do
     "bag" => :bag
   }
   @endings %{
+    ".arrow" => :arrow,
     ".csv" => :csv,
     ".json" => :json,
     ".jsonl" => :json_lines,
@@ -28,6 +30,7 @@ defmodule Situ.CLI.Store.Saving do
   }
   # These hold whole recordings.
   @recordings %{mcap: Mcap, bag: Ros.Bag}
+  @tables %{parquet: Parquet, arrow: Arrow}
 
   @impl true
   def verbs do
@@ -36,11 +39,11 @@ defmodule Situ.CLI.Store.Saving do
         words: ["store", "save"],
         aliases: ["export"],
         summary:
-          "write messages to a file of another kind: CSV, JSON, MessagePack, Parquet, Protobuf, MCAP, ROS 1 bag",
+          "write messages to a file of another kind: CSV, JSON, MessagePack, Parquet, Arrow, Protobuf, MCAP, ROS 1 bag",
         about: """
         MCAP files and bags hold all streams, or those chosen; the other files one stream. The layouts of CSV, JSON and
-        MessagePack are those of Situ.Bridge.Format, which \\psi reads and writes too. Plain numbers go to CSV and
-        Parquet a million a second and faster.
+        MessagePack are those of Situ.Bridge.Format, which \\psi reads and writes too. Plain numbers go to CSV,
+        Parquet and Arrow a million a second and faster.
         """,
         arguments: [
           path: [
@@ -50,7 +53,8 @@ defmodule Situ.CLI.Store.Saving do
           file: [
             kind: :file,
             doc:
-              "the file to write (.csv, .json, .jsonl, .msgpack, .parquet, .pb, .mcap, .bag); - for standard output"
+              "the file to write (.csv, .json, .jsonl, .msgpack, .parquet, .arrow, .pb, .mcap, .bag); - for " <>
+                "standard output"
           ]
         ],
         options:
@@ -67,7 +71,7 @@ defmodule Situ.CLI.Store.Saving do
               Option.new(
                 :compression,
                 ["none", "gzip", "lz4", "zstd"],
-                "of Parquet (none, gzip) and MCAP (none, lz4, zstd)"
+                "of Parquet (none, gzip), MCAP (none, lz4, zstd) and bags (none, lz4)"
               ),
               Option.new(:skip_damage, :flag, "leave out what is damaged; else that is an error")
             ] ++ Arguments.carried() ++ Protobuf.options(),
@@ -130,14 +134,14 @@ defmodule Situ.CLI.Store.Saving do
     end
   end
 
-  defp save(:parquet, store, chosen, file, opts, progress) do
-    [] = carried(:parquet, store, opts)
-    whole!(file, :parquet)
+  defp save(format, store, chosen, file, opts, progress) when is_map_key(@tables, format) do
+    [] = carried(format, store, opts)
+    whole!(file, format)
     info = one(store, chosen)
-    written = [progress: &progress.(&1, info.count)] ++ compression(:parquet, opts[:compression])
+    written = [progress: &progress.(&1, info.count)] ++ compression(format, opts[:compression])
 
     %{
-      messages: ok!(Parquet.write(store, info.name, file, reading(opts) ++ written)),
+      messages: ok!(@tables[format].write(store, info.name, file, reading(opts) ++ written)),
       stream: info.name
     }
   end
@@ -203,7 +207,7 @@ defmodule Situ.CLI.Store.Saving do
   defp reading(opts),
     do: [skip_damage: opts[:skip_damage] == true] ++ Keyword.take(opts, [:from, :to])
 
-  @packed %{parquet: ~w(none gzip), mcap: ~w(none lz4 zstd), bag: []}
+  @packed %{parquet: ~w(none gzip), mcap: ~w(none lz4 zstd), bag: ~w(none lz4)}
 
   defp compression(_format, nil), do: []
 

@@ -4,6 +4,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   # Writes a bag: chunks of records with the index behind each, at the end connections and chunk infos, and where
   # those are in the record that the file begins with.
   alias Situ.Bridge.Mcap.Channel
+  alias Situ.Bridge.Native
   alias Situ.Bridge.Ros.Bag.Record
   alias Situ.Bridge.Ros.Definition
   alias Situ.Error
@@ -12,7 +13,10 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   # The first record is filled up to this, so that it can be written again at the end.
   @first 4_096
 
-  @file_options [chunk: [type: :pos_integer, default: 786_432, doc: "Bytes of a chunk."]]
+  @file_options [
+    chunk: [type: :pos_integer, default: 786_432, doc: "Bytes of a chunk."],
+    compression: [type: {:in, [:none, :lz4]}, default: :none, doc: "How chunks are packed."]
+  ]
   @topic [
     type: [
       type: {:optional, :string},
@@ -31,6 +35,7 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
     :path,
     :file,
     :chunk,
+    :compression,
     at: 0,
     channels: %{},
     pending: [],
@@ -50,11 +55,13 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   def create(path, opts) do
     with {:ok, opts} <- Situ.Options.validate(opts, @file_options),
          {:ok, file} <- open(path),
-         {:ok, writer} <-
-           append(%__MODULE__{path: path, file: file, chunk: opts[:chunk]}, [
-             @magic,
-             first(0, 0, 0)
-           ]),
+         writer = %__MODULE__{
+           path: path,
+           file: file,
+           chunk: opts[:chunk],
+           compression: opts[:compression]
+         },
+         {:ok, writer} <- append(writer, [@magic, first(0, 0, 0)]),
          do: {:ok, writer}
   end
 
@@ -170,12 +177,12 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
   defp end_chunk(writer) do
     position = writer.at
 
-    chunk =
-      Record.write(
-        :chunk,
-        [{"compression", "none"}, {"size", <<writer.size::little-32>>}],
-        Enum.reverse(writer.pending)
-      )
+    fields = [
+      {"compression", Atom.to_string(writer.compression)},
+      {"size", <<writer.size::little-32>>}
+    ]
+
+    chunk = Record.write(:chunk, fields, packed(writer.compression, Enum.reverse(writer.pending)))
 
     indexes =
       for {id, found} <- Enum.sort(writer.index) do
@@ -199,6 +206,13 @@ defmodule Situ.Bridge.Ros.Bag.Writer do
       info = {position, writer.span || {0, 0}, counts}
       {:ok, %{writer | pending: [], size: 0, index: %{}, span: nil, infos: [info | writer.infos]}}
     end
+  end
+
+  defp packed(:none, records), do: records
+
+  defp packed(:lz4, records) do
+    {:ok, bytes} = records |> IO.iodata_to_binary() |> Native.pack_lz4()
+    bytes
   end
 
   # A chunk's size is in its head, so only whole ones can be handed over: what is pending stays so.

@@ -1,9 +1,9 @@
-defmodule Situ.Bridge.Parquet.Rows do
+defmodule Situ.Bridge.Columnar.Rows do
   @moduledoc false
   # Messages' data as rows of flat columns: one for the value, or one for each member of maps and structs, nested ones
   # by `a.b`; lists and whatever else is no number, boolean, text or bytes as JSON. Pure.
+  alias Situ.Bridge.Columnar.Column
   alias Situ.Bridge.Format.Value
-  alias Situ.Bridge.Parquet.Column
   alias Situ.Store.Columns
 
   @special [:nan, :infinity, :neg_infinity]

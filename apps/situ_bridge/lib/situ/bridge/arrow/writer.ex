@@ -1,0 +1,123 @@
+defmodule Situ.Bridge.Arrow.Writer do
+  @moduledoc false
+  # An Arrow file (https://arrow.apache.org/docs/format/Columnar.html): the schema, batches of rows, and a footer that
+  # says where they are.
+  @behaviour Situ.Bridge.Columnar.Writer
+  alias Situ.Bridge.Arrow.{FlatBuffer, Schema}
+  alias Situ.Bridge.Columnar.{Column, Output}
+
+  # Version 5 of the metadata.
+  @version 4
+
+  defstruct [:output, :columns, rows: 0, blocks: []]
+  @type t :: %__MODULE__{}
+
+  @impl true
+  def create(path, columns, :none) do
+    head = ["ARROW1", 0, 0, message(1, Schema.encode(columns), 0)]
+
+    with {:ok, output} <- Output.create(path, head),
+         do: {:ok, %__MODULE__{output: output, columns: columns}}
+  end
+
+  # Four bytes of ones, the length, the metadata: together a multiple of 8.
+  defp message(kind, header, body) do
+    metadata =
+      FlatBuffer.encode(
+        {:table,
+         [
+           {0, {:i16, @version}},
+           {1, {:u8, kind}},
+           {2, {:ref, header}},
+           {3, {:i64, body}}
+         ]}
+      )
+
+    padding = padding(byte_size(metadata))
+    [<<0xFFFFFFFF::32, byte_size(metadata) + byte_size(padding)::little-32>>, metadata, padding]
+  end
+
+  @impl true
+  def write(writer, values, rows) do
+    {columns, nodes} =
+      writer.columns
+      |> Enum.zip(values)
+      |> Enum.map(fn {column, values} -> buffers(column, values, rows) end)
+      |> Enum.unzip()
+
+    {buffers, body} =
+      columns
+      |> Enum.concat()
+      |> Enum.map_reduce(0, fn bytes, at ->
+        size = IO.iodata_length(bytes)
+        {{bytes, at, size}, at + size + byte_size(padding(size))}
+      end)
+
+    batch =
+      {:table,
+       [
+         {0, {:i64, rows}},
+         {1, {:ref, {:structs, for(n <- nodes, do: <<rows::little-64, n::little-64>>)}}},
+         {2, {:ref, {:structs, for({_, at, n} <- buffers, do: <<at::little-64, n::little-64>>)}}}
+       ]}
+
+    head = message(3, batch, body)
+    bytes = for {bytes, _at, size} <- buffers, do: [bytes, padding(size)]
+
+    block =
+      <<writer.output.at::little-64, IO.iodata_length(head)::little-32, 0::32, body::little-64>>
+
+    with {:ok, output} <- Output.write(writer.output, [head, bytes]),
+         do:
+           {:ok,
+            %{writer | output: output, rows: writer.rows + rows, blocks: [block | writer.blocks]}}
+  end
+
+  # The buffers of a column, and how many values are missing.
+  defp buffers(column, {:bytes, bytes, _n}, _rows),
+    do: {["", Column.pack_bytes(column.kind, bytes)], 0}
+
+  defp buffers(column, values, rows) do
+    missing = Enum.count(values, &is_nil/1)
+    presence = if missing == 0, do: "", else: Column.presence(values)
+    {[presence | packed(column.kind, values, rows)], missing}
+  end
+
+  defp packed(kind, values, _rows) when kind in [:text, :bytes] do
+    {ends, _} =
+      Enum.map_reduce(values, 0, fn value, at ->
+        at = at + byte_size(value || "")
+        {<<at::little-64>>, at}
+      end)
+
+    [[<<0::64>> | ends], Enum.map(values, &(&1 || ""))]
+  end
+
+  # There is a place for what is missing.
+  defp packed(kind, values, _rows) do
+    zero = if kind == :boolean, do: false, else: 0
+    [Column.pack(kind, Enum.map(values, &if(&1 == nil, do: zero, else: &1)))]
+  end
+
+  @impl true
+  def finish(writer) do
+    footer =
+      FlatBuffer.encode(
+        {:table,
+         [
+           {0, {:i16, @version}},
+           {1, {:ref, Schema.encode(writer.columns)}},
+           {2, {:ref, {:structs, []}}},
+           {3, {:ref, {:structs, Enum.reverse(writer.blocks)}}}
+         ]}
+      )
+
+    tail = [<<0xFFFFFFFF::32, 0::32>>, footer, <<byte_size(footer)::little-32>>, "ARROW1"]
+    with :ok <- Output.finish(writer.output, tail), do: {:ok, writer.rows}
+  end
+
+  @impl true
+  def abandon(writer), do: Output.abandon(writer.output)
+
+  defp padding(size), do: <<0::size(rem(8 - rem(size, 8), 8) * 8)>>
+end

@@ -1,0 +1,232 @@
+defmodule Situ.Bridge.Columnar do
+  @moduledoc false
+  # Messages as files of columns, and rows of such files as messages: what Parquet and Arrow share. The format is a
+  # writer (`Situ.Bridge.Columnar.Writer`) or a reader (`Situ.Bridge.Columnar.Reader`).
+  alias Situ.Bridge.Columnar.{Column, Reader, Rows}
+  alias Situ.{Error, Store}
+  alias Situ.Store.Columns
+
+  @times [
+    %Column{name: "originating_time", kind: :time, optional?: false},
+    %Column{name: "creation_time", kind: :time, optional?: false}
+  ]
+
+  @doc "Writes streams of a recording into a folder, a file each, called by the stream and the extension."
+  @spec export(module(), Store.t(), Path.t(), extension :: String.t(), keyword()) ::
+          {:ok, %{String.t() => non_neg_integer()}} | {:error, Error.t()}
+  def export(writer, store, folder, extension, opts) do
+    {wanted, opts} = Keyword.pop(opts, :streams)
+
+    names =
+      for info <- Store.streams(store),
+          info.count > 0,
+          wanted == nil or info.name in wanted,
+          table?(store, info),
+          do: info.name
+
+    with :ok <- mkdir(folder) do
+      Enum.reduce_while(names, {:ok, %{}}, fn name, {:ok, counts} ->
+        path = Path.join(folder, String.replace(name, ~r/[\/\x00-\x1f]/, "_") <> extension)
+
+        case write(writer, store, name, path, opts) do
+          {:ok, rows} -> {:cont, {:ok, Map.put(counts, name, rows)}}
+          error -> {:halt, error}
+        end
+      end)
+    end
+  end
+
+  defp mkdir(folder) do
+    with {:error, reason} <- Elixir.File.mkdir_p(folder),
+         do:
+           {:error,
+            Error.new(:io, "cannot make #{folder}", why: to_string(:file.format_error(reason)))}
+  end
+
+  defp table?(store, info) do
+    case Store.at(store, info.name, 0) do
+      {:ok, %{data: %module{}}} -> not Situ.Codec.implemented_by?(module)
+      {:ok, _} -> true
+      _ -> false
+    end
+  end
+
+  @doc "Writes one stream of a recording. Options besides the format's: those of `Store.messages/3`, `progress:`."
+  @spec write(module(), Store.t(), String.t(), Path.t(), keyword()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def write(writer, store, name, path, opts) do
+    {reading, opts} = Keyword.split(opts, [:from, :to, :skip_damage])
+    {progress, opts} = Keyword.pop(opts, :progress, fn _rows -> :ok end)
+
+    # Messages that a live recording adds meanwhile may be of another kind, so the export ends at the last one now.
+    parts = Store.columns(store, name, Keyword.put_new(reading, :to, last(store, name)))
+    write_parts(writer, parts, path, opts, progress)
+  rescue
+    error in Error -> {:error, error}
+  catch
+    {:not_writable, what} -> not_writable(name, what)
+  end
+
+  @doc "Writes lists of messages, which are gone through twice, into a file."
+  @spec write_messages(module(), Enumerable.t(), Path.t(), keyword()) ::
+          {:ok, non_neg_integer()} | {:error, Error.t()}
+  def write_messages(writer, parts, path, opts) do
+    write_parts(writer, parts, path, opts, fn _rows -> :ok end)
+  rescue
+    error in Error -> {:error, error}
+  catch
+    {:not_writable, what} -> not_writable("the messages", what)
+  end
+
+  defp not_writable(name, what) do
+    {:error, Error.new(:not_writable, "#{name} cannot be a table", why: inspect(what, limit: 5))}
+  end
+
+  defp write_parts(format, parts, path, opts, progress) do
+    columns = parts |> Enum.reduce(%{}, &Rows.part(&2, &1)) |> Rows.columns()
+
+    with {:ok, writer} <- format.create(path, @times ++ columns, opts[:compression] || :none) do
+      parts
+      |> groups(columns, opts[:rows])
+      |> Enum.reduce_while({:ok, writer}, fn {values, rows}, {:ok, writer} ->
+        case format.write(writer, values, rows) do
+          {:ok, writer} ->
+            progress.(writer.rows)
+            {:cont, {:ok, writer}}
+
+          error ->
+            {:halt, {error, writer}}
+        end
+      end)
+      |> finished(format)
+    end
+  end
+
+  defp last(store, name) do
+    case Store.stream_info(store, name) do
+      {:ok, info} -> info.last
+      {:error, error} -> raise error
+    end
+  end
+
+  # Row groups: the values of each column, and how many rows. Numbers come as they are, others gather until there are
+  # enough for a group.
+  defp groups(parts, columns, most) do
+    parts
+    |> Stream.concat([:end])
+    |> Stream.transform({[], 0}, fn
+      :end, {held, _} ->
+        {held |> together() |> group(columns), {[], 0}}
+
+      %Columns{} = part, {held, _} ->
+        {group(together(held), columns) ++ plain(part, columns, most), {[], 0}}
+
+      messages, {held, n} ->
+        gathered([messages | held], n + length(messages), columns, most)
+    end)
+  end
+
+  defp together(held), do: held |> Enum.reverse() |> Enum.concat()
+
+  defp gathered(held, n, _columns, most) when n < most, do: {[], {held, n}}
+
+  defp gathered(held, n, columns, most) do
+    {full, rest} = held |> together() |> Enum.split(n - rem(n, most))
+    groups = full |> Enum.chunk_every(most) |> Enum.flat_map(&group(&1, columns))
+    {groups, {[rest], rem(n, most)}}
+  end
+
+  defp group([], _columns), do: []
+  defp group(messages, columns), do: [{values(messages, columns), length(messages)}]
+
+  defp plain(%{kind: kind} = part, [%{name: "value", kind: kind}], most) do
+    for columns <- Columns.split(part, most) do
+      bytes = [columns.times, columns.creation_times, columns.values]
+      {for(bytes <- bytes, do: {:bytes, bytes, columns.count}), columns.count}
+    end
+  end
+
+  # Numbers of one kind in a column of another.
+  defp plain(part, columns, most) do
+    for part <- Columns.split(part, most) do
+      creations = for <<time::little-signed-64 <- part.creation_times>>, do: time
+      {times, values} = part |> Columns.pairs() |> Enum.unzip()
+      rows = Enum.zip_with(Enum.map(values, &Rows.row(&1, columns)), & &1)
+      {[times, creations | rows], part.count}
+    end
+  end
+
+  defp finished({:ok, writer}, format), do: format.finish(writer)
+
+  defp finished({error, writer}, format) do
+    format.abandon(writer)
+    error
+  end
+
+  # A single column of plain values is by far the most frequent one.
+  defp values(messages, columns) do
+    rows = for m <- messages, do: Rows.row(m.data, columns)
+    times = [Enum.map(messages, & &1.originating_time), Enum.map(messages, & &1.creation_time)]
+    times ++ if(columns == [], do: [], else: Enum.zip_with(rows, & &1))
+  end
+
+  @doc "The rows as a lazy enumerable of `{time, value}`, read by group. Raises `Situ.Error`."
+  @spec messages(module(), Path.t(), keyword()) :: Enumerable.t()
+  def messages(reader, path, opts) do
+    table = Error.unwrap!(reader.open(path))
+    time = time(table, opts[:time])
+    wanted = wanted(table, opts[:columns], time)
+
+    table.groups
+    |> Stream.flat_map(fn group ->
+      table |> reader.rows(group, [time | wanted]) |> Error.unwrap!()
+    end)
+    |> Stream.transform(nil, fn
+      [time | values], last when is_integer(time) and (last == nil or time > last) ->
+        {[{time, value(wanted, values)}], time}
+
+      _row, last ->
+        {[], last}
+    end)
+  end
+
+  @doc "A source of a table's rows."
+  @spec read(Situ.Pipeline.t(), Enumerable.t(), Path.t(), keyword()) :: Situ.Stream.t()
+  def read(p, messages, path, opts) do
+    case Enum.take(messages, 1) do
+      [{first, _}] ->
+        Situ.from_enumerable(p, messages, [start: first] ++ Keyword.take(opts, [:type, :name]))
+
+      [] ->
+        raise Error.new(:empty_file, "there is no row with a time in #{path}")
+    end
+  end
+
+  @spec time(Reader.t(), String.t() | nil) :: Reader.column()
+  defp time(table, nil) do
+    found = Enum.find(["originating_time" | table.times], &column(table, &1))
+
+    if found,
+      do: column(table, found),
+      else: raise(no_column(table, "times; name one by `time:`"))
+  end
+
+  defp time(table, name), do: column(table, name) || raise(no_column(table, inspect(name)))
+
+  defp column(table, name), do: Enum.find(table.columns, &(&1.name == name))
+
+  defp wanted(table, nil, time),
+    do: Enum.reject(table.columns, &(&1.name in [time.name, "originating_time", "creation_time"]))
+
+  defp wanted(table, names, _time),
+    do: for(name <- names, do: column(table, name) || raise(no_column(table, inspect(name))))
+
+  defp no_column(table, what) do
+    Error.new(:no_column, "#{table.path} has no column of #{what}",
+      why: "its columns are #{Enum.map_join(table.columns, ", ", & &1.name)}"
+    )
+  end
+
+  defp value([%{name: "value"}], [value]), do: value
+  defp value(columns, values), do: columns |> Enum.zip_with(values, &{&1.name, &2}) |> Map.new()
+end

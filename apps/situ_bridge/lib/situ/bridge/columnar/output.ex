@@ -1,0 +1,53 @@
+defmodule Situ.Bridge.Columnar.Output do
+  @moduledoc false
+  # A file that has another name until it is whole.
+  alias Situ.Error
+
+  @enforce_keys [:path, :file]
+  defstruct [:path, :file, at: 0]
+  @type t :: %__MODULE__{path: Path.t(), file: :file.fd(), at: non_neg_integer()}
+
+  @spec create(Path.t(), iodata()) :: {:ok, t()} | {:error, Error.t()}
+  def create(path, head) do
+    case :file.open(unfinished(path), [:write, :raw, :binary]) do
+      {:ok, file} -> write(%__MODULE__{path: path, file: file}, head)
+      {:error, reason} -> {:error, failed(path, reason)}
+    end
+  end
+
+  defp unfinished(path), do: path <> ".unfinished"
+
+  @doc "Appends; `at` is where it ends."
+  @spec write(t(), iodata()) :: {:ok, t()} | {:error, Error.t()}
+  def write(output, bytes) do
+    case :file.write(output.file, bytes) do
+      :ok -> {:ok, %{output | at: output.at + IO.iodata_length(bytes)}}
+      {:error, reason} -> {:error, failed(output.path, reason)}
+    end
+  end
+
+  @doc "The file gets its own name."
+  @spec finish(t(), iodata()) :: :ok | {:error, Error.t()}
+  def finish(output, tail) do
+    with :ok <- :file.write(output.file, tail),
+         :ok <- :file.close(output.file),
+         :ok <- :file.rename(unfinished(output.path), output.path) do
+      :ok
+    else
+      {:error, reason} -> {:error, failed(output.path, reason)}
+    end
+  end
+
+  @doc "Deletes the unfinished file."
+  @spec abandon(t()) :: :ok
+  def abandon(output) do
+    :file.close(output.file)
+    :file.delete(unfinished(output.path))
+    :ok
+  end
+
+  defp failed(path, :enospc), do: Error.new(:disk_full, "no room left on the disk of #{path}")
+
+  defp failed(path, reason),
+    do: Error.new(:io, "cannot write #{path}", why: to_string(:file.format_error(reason)))
+end

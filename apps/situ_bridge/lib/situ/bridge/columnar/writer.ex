@@ -1,0 +1,18 @@
+defmodule Situ.Bridge.Columnar.Writer do
+  @moduledoc false
+  # A file of columns that is written. Errors: `:io`, `:disk_full`.
+  alias Situ.Bridge.Columnar.Column
+  alias Situ.Error
+
+  @type t :: %{required(:rows) => non_neg_integer(), optional(atom()) => term()}
+
+  @callback create(Path.t(), [Column.t()], compression :: atom()) ::
+              {:ok, t()} | {:error, Error.t()}
+  @doc "A group of rows: the values of each column."
+  @callback write(t(), [Column.values()], rows :: pos_integer()) ::
+              {:ok, t()} | {:error, Error.t()}
+  @doc "The end of the file, and its own name."
+  @callback finish(t()) :: {:ok, rows :: non_neg_integer()} | {:error, Error.t()}
+  @doc "Deletes the unfinished file."
+  @callback abandon(t()) :: :ok
+end

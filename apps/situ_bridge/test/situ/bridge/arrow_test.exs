@@ -1,0 +1,251 @@
+defmodule Situ.Bridge.ArrowTest do
+  # Counts atoms.
+  use ExUnit.Case, async: false
+  use Situ.Test.Property
+  alias Situ.Bridge.Arrow
+  alias Situ.Bridge.Arrow.{FlatBuffer, Values}
+  alias Situ.Message
+  doctest Arrow
+
+  @moduletag :tmp_dir
+  @fixtures Path.expand("../../data/arrow", __DIR__)
+
+  defp written(dir, data, opts \\ []) do
+    path = Path.join(dir, "rows.arrow")
+
+    messages =
+      for {value, i} <- Enum.with_index(data, 1),
+          do: %Message{data: value, originating_time: i * 1_000, creation_time: i * 1_000 + 7}
+
+    assert Arrow.write_messages([messages], path, opts) == {:ok, length(data)}
+    path
+  end
+
+  defp values(path, opts \\ []), do: path |> Arrow.messages(opts) |> Enum.map(&elem(&1, 1))
+
+  test "maps become columns, in as many batches as it takes", %{tmp_dir: dir} do
+    rows =
+      for i <- 1..1_000,
+          do: %{n: i, t: if(rem(i, 3) == 0, do: nil, else: "t#{i}"), p: %{x: i / 4}, l: [i]}
+
+    path = written(dir, rows, rows: 300)
+
+    assert values(path) ==
+             for(r <- rows, do: %{"n" => r.n, "t" => r.t, "p.x" => r.p.x, "l" => "[#{r.n}]"})
+
+    assert {:ok, table} = Arrow.File.open(path)
+    assert length(table.groups) == 4
+    assert table.times == ["originating_time", "creation_time"]
+
+    assert [{1_007, %{"n" => 1}}] =
+             path |> Arrow.messages(columns: ["n"], time: "creation_time") |> Enum.take(1)
+  end
+
+  test "a recording, and a pipeline that reads it", %{tmp_dir: dir} do
+    levels = for i <- 1..5_000, do: {i, i / 7}
+    truths = for i <- 1..5_000, do: {i, rem(i * i, 3) == 1}
+
+    {:ok, _} =
+      Situ.Pipeline.run(fn p ->
+        store = Situ.Store.create(p, "t", dir)
+        p |> Situ.from_enumerable(levels) |> Situ.Store.write(store, "Level/a")
+        p |> Situ.from_enumerable(truths) |> Situ.Store.write(store, "Truths")
+      end)
+
+    store = Situ.Store.open!(Path.join(dir, "t"))
+    tables = Path.join(dir, "tables")
+
+    assert Arrow.export(store, tables, rows: 999) ==
+             {:ok, %{"Level/a" => 5_000, "Truths" => 5_000}}
+
+    assert Enum.to_list(Arrow.messages(Path.join(tables, "Truths.arrow"))) == truths
+
+    {:ok, 3_901} =
+      Arrow.write(store, "Level/a", Path.join(dir, "part.arrow"), from: 100, to: 4_000)
+
+    read = Situ.to_list(fn p -> Arrow.read(p, Path.join(tables, "Level_a.arrow")) end)
+    assert read == Enum.map(levels, &elem(&1, 1))
+  end
+
+  property "columns of every kind come back" do
+    dir = System.tmp_dir!()
+
+    forall {kind, n} <- {one_of([:integer, :float, :boolean, :text, :bytes]), integer(1, 40)} do
+      data = for i <- 1..n, do: if(rem(i * n, 3) == 0, do: nil, else: cell(kind, i))
+      path = written(dir, data, rows: 7)
+      assert values(path) == data
+    end
+  end
+
+  defp cell(:integer, i), do: (i - 20) * 1_000_000_000_000
+  defp cell(:float, i), do: Enum.at([i / 3, :nan, :infinity, :neg_infinity], rem(i, 4))
+  defp cell(:boolean, i), do: rem(i, 2) == 0
+  defp cell(:text, i), do: String.duplicate("ä", rem(i, 5))
+  defp cell(:bytes, i), do: <<0xFF, i>>
+
+  # Made by pyarrow 25.0.1, as a file packed by zstd and as a stream; the lists, the structs and the map are nested.
+  test "files of another library, with types that we do not write" do
+    expected = [
+      %{
+        "d" => 86_400_000_000_000,
+        "dec" => 1.0,
+        "di" => "x",
+        "fb" => "ab",
+        "h" => 0.5,
+        "n" => nil,
+        "re" => "q",
+        "sv" => "short",
+        "u" => 1,
+        "z" => 7
+      },
+      %{
+        "d" => nil,
+        "dec" => 2.0,
+        "di" => "y",
+        "fb" => "cd",
+        "h" => 1.0,
+        "n" => nil,
+        "re" => "r",
+        "sv" => "a much longer string than twelve",
+        "u" => 2,
+        "z" => 8
+      },
+      %{
+        "d" => 3 * 86_400_000_000_000,
+        "dec" => 3.0,
+        "di" => "x",
+        "fb" => "ef",
+        "h" => 2.0,
+        "n" => nil,
+        "re" => "s",
+        "sv" => "ééééééééé",
+        "u" => 9_223_372_036_854_775_809,
+        "z" => 9
+      }
+    ]
+
+    for name <- ["pyarrow.arrow", "pyarrow.arrows"] do
+      path = Path.join(@fixtures, name)
+
+      assert Enum.to_list(Arrow.messages(path)) ==
+               Enum.zip([1_000_000, 2_000_000, 3_000_000], expected)
+
+      assert {:ok, %{nested: ["l", "s", "m"]}} = Arrow.File.open(path)
+      error = assert_raise Situ.Error, fn -> Arrow.messages(path, columns: ["l"]) end
+      assert error.code == :no_column
+    end
+  end
+
+  test "what is no table is an error that says why", %{tmp_dir: dir} do
+    path = Path.join(dir, "x.arrow")
+    assert {:error, %{code: :io}} = Arrow.File.open(path)
+
+    for {bytes, why} <- [
+          {"", "neither"},
+          {"PAR1", "neither"},
+          {"ARROW1\0\0", "too short"},
+          {"ARROW1\0\0 and then nothing more", "cut short"}
+        ] do
+      File.write!(path, bytes)
+      assert {:error, %{code: :not_arrow, why: told}} = Arrow.File.open(path)
+      assert told =~ why
+    end
+
+    whole = File.read!(written(dir, [1, 2, 3]))
+    File.write!(path, binary_part(whole, 0, byte_size(whole) - 9))
+    assert {:error, %{code: :not_arrow, why: why}} = Arrow.File.open(path)
+    assert why =~ "cut short"
+
+    assert {:error, %{code: :io}} =
+             Arrow.write_messages(
+               [[%Message{data: 1, originating_time: 1, creation_time: 1}]],
+               Path.join(dir, "no/x")
+             )
+  end
+
+  test "a stream that is cut short gives what is whole", %{tmp_dir: dir} do
+    whole = File.read!(Path.join(@fixtures, "pyarrow.arrows"))
+    path = Path.join(dir, "short.arrows")
+    File.write!(path, binary_part(whole, 0, byte_size(whole) - 100))
+    assert {:ok, %{groups: []}} = Arrow.File.open(path)
+  end
+
+  test "views that lie over one another are not multiplied" do
+    view = <<20_000_000::little-32, "xxxx", 0::64>>
+    views = :binary.copy(view, 100)
+    data = :binary.copy("x", 20_000_000)
+    assert {:not_arrow, why} = catch_throw(Values.read({:view, :text}, ["", views, data], 100))
+    assert why =~ "2000000000 bytes"
+  end
+
+  property "tables of numbers and texts come back from their bytes" do
+    forall {a, b, texts} <-
+             {integer(-100, 100), integer(0, 255), list(one_of(["", "ab", "äöü"]))} do
+      inner = for text <- texts, do: {:table, [{0, {:ref, {:string, text}}}]}
+
+      bytes =
+        FlatBuffer.encode(
+          {:table,
+           [
+             {0, {:i16, a}},
+             {1, {:u8, b}},
+             {3, {:i64, a * 1_000_000}},
+             {4, {:ref, {:vector, inner}}}
+           ]}
+        )
+
+      root = FlatBuffer.root(bytes)
+      assert FlatBuffer.number(bytes, root, 0, :i16, 0) == a
+      assert FlatBuffer.number(bytes, root, 1, :u8, 0) == b
+      assert FlatBuffer.number(bytes, root, 2, :i32, 7) == 7
+      assert FlatBuffer.number(bytes, root, 3, :i64, 0) == a * 1_000_000
+
+      assert for(t <- FlatBuffer.tables(bytes, root, 4), do: FlatBuffer.string(bytes, t, 0)) ==
+               texts
+    end
+  end
+
+  test "20,000 mutations of files are rows or errors, and make no atoms", %{tmp_dir: dir} do
+    ours = for i <- 1..30, do: %{n: i, t: "text #{rem(i, 5)}", f: i / 3, b: rem(i, 2) == 0}
+
+    files =
+      for path <- [
+            written(dir, ours, rows: 20),
+            Path.join(@fixtures, "pyarrow.arrow"),
+            Path.join(@fixtures, "pyarrow.arrows")
+          ],
+          do: File.read!(path)
+
+    # In memory, where there is such a place.
+    path =
+      Path.join(
+        if(File.dir?("/dev/shm"), do: "/dev/shm", else: dir),
+        "situ-#{System.pid()}.arrow"
+      )
+
+    on_exit(fn -> File.rm(path) end)
+    :rand.seed(:exsss, {1, 2, 3})
+    atoms = :erlang.system_info(:atom_count)
+
+    outcomes =
+      for n <- 1..20_000 do
+        whole = Enum.at(files, rem(n, 3))
+        at = :rand.uniform(byte_size(whole)) - 1
+        <<before::binary-size(at), _, rest::binary>> = whole
+        rest = if rem(n, 10) == 0, do: binary_part(rest, 0, div(byte_size(rest), 2)), else: rest
+        File.write!(path, [before, :rand.uniform(256) - 1, rest])
+        read(path)
+      end
+
+    assert %{rows: rows, error: errors} = Enum.frequencies(outcomes)
+    assert rows > 1_000 and errors > 1_000
+    assert :erlang.system_info(:atom_count) - atoms < 1_000
+  end
+
+  defp read(path) do
+    assert path |> Arrow.messages() |> Enum.to_list() |> is_list()
+    :rows
+  rescue
+    Situ.Error -> :error
+  end
+end
