@@ -33,6 +33,7 @@ defmodule Situ.CLI.MixProject do
       {:situ_store, in_umbrella: true},
       {:situ_dataset, in_umbrella: true},
       {:situ_media, in_umbrella: true},
+      {:situ_space, in_umbrella: true},
       {:situ_infer, in_umbrella: true},
       {:situ_bridge, in_umbrella: true},
       {:situ_remote, in_umbrella: true},

@@ -1,28 +1,35 @@
 defmodule Situ.CLI.Devices do
-  @moduledoc "`situ devices`: the cameras, microphones and speakers there are."
+  @moduledoc "`situ devices`: the cameras, microphones, speakers and depth cameras there are."
   @behaviour Situ.CLI.Verb
 
   alias Situ.CLI.{Option, Output, Verb}
   alias Situ.Media.Device
+  alias Situ.Space.DepthCamera
 
-  @kinds %{"cameras" => :camera, "microphones" => :microphone, "speakers" => :speaker}
+  @kinds %{
+    "cameras" => :camera,
+    "microphones" => :microphone,
+    "speakers" => :speaker,
+    "depth" => :depth_camera
+  }
 
   @impl true
   def verbs do
     [
       %Verb{
         words: ["devices"],
-        summary: "list cameras, microphones and speakers",
+        summary: "list cameras, microphones, speakers and depth cameras",
         about: """
         Lists what Situ.Media.Camera, Microphone and Speaker can open on this machine: V4L2 cameras, and the sound
         devices of PulseAudio (PipeWire) and ALSA. The first column is what the option `device:` takes; * marks the
-        default. Without any hardware, "simulated:FILE" replays a file as a camera and a microphone.
+        default. Without any hardware, "simulated:FILE" replays a file as a camera and a microphone. Depth cameras of
+        OpenNI 2 and libfreenect, for Situ.Space.DepthCamera.Library, are listed where `bin/setup --with depth` has run.
         """,
         arguments: [
           kind: [
             kind: :text,
             optional: true,
-            doc: "cameras, microphones or speakers; all without it"
+            doc: "cameras, microphones, speakers or depth; all without it"
           ]
         ],
         options: [Option.new(:modes, :flag, "also the sizes and rates of each camera")],
@@ -32,17 +39,20 @@ defmodule Situ.CLI.Devices do
     ]
   end
 
-  defp run(%{kind: nil}, opts), do: show(Device.list(), opts)
+  defp run(%{kind: nil}, opts), do: show(all(), opts)
   defp run(%{kind: kind}, opts) when is_map_key(@kinds, kind), do: show(of(@kinds[kind]), opts)
 
   defp run(%{kind: kind}, _opts),
     do:
       throw(
         {:usage,
-         "devices: unknown kind #{inspect(kind)}; there are cameras, microphones, speakers"}
+         "devices: unknown kind #{inspect(kind)}; there are cameras, microphones, speakers, depth"}
       )
 
+  defp of(:depth_camera), do: DepthCamera.Library.list()
   defp of(kind), do: Enum.filter(Device.list(), &(&1.kind == kind))
+
+  defp all, do: Device.list() ++ DepthCamera.Library.list()
 
   defp show(devices, opts) do
     cond do
@@ -64,7 +74,10 @@ defmodule Situ.CLI.Devices do
 
     for device <- devices do
       mark = if device.default?, do: "*", else: " "
-      kind = device.kind |> Atom.to_string() |> String.pad_trailing(10)
+
+      kind =
+        device.kind |> Atom.to_string() |> String.replace("_", " ") |> String.pad_trailing(12)
+
       Output.puts("#{mark} #{String.pad_trailing(device.id, width)}  #{kind}  #{device.name}")
       if opts[:modes], do: Enum.each(device.modes, &Output.puts("    " <> &1))
     end

@@ -29,7 +29,7 @@ defmodule Situ.Media.Device do
   @enforce_keys [:id, :kind]
   defstruct [:id, :kind, :name, default?: false, modes: []]
 
-  @type kind :: :camera | :microphone | :speaker
+  @type kind :: :camera | :microphone | :speaker | :depth_camera
   @typedoc "A device that is there: `id` opens it; `modes` are the sizes and rates of a camera, for people."
   @type t :: %__MODULE__{
           id: String.t(),

@@ -11,6 +11,7 @@ defmodule Situ.Space.DepthCamera do
 
     * `Situ.Space.SyntheticRoom`: a room that is computed, with the truth beside it
     * `Situ.Space.DepthCamera.Device`: a device of the kernel that gives depth, V4L2's Z16
+    * `Situ.Space.DepthCamera.Library`: a camera of OpenNI 2 or libfreenect
     * `Situ.Space.DepthCamera.Recorded`: a recording of any of them
   """
   alias Situ.{CameraView, DepthImage, Error, PointCloud}

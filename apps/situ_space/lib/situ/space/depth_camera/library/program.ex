@@ -1,0 +1,163 @@
+defmodule Situ.Space.DepthCamera.Library.Program do
+  @moduledoc false
+  # The program depth_port: where it is, how it is started, and its packets (see ports/depth_port/main.cc).
+  alias Situ.{CameraIntrinsics, Error}
+
+  # Two are under way of each kind: one more than none while one is taken.
+  @asked 2
+  @kinds [depth: 1, color: 2]
+  @kind_of Map.new(@kinds, fn {kind, byte} -> {byte, kind} end)
+
+  @type packet ::
+          {:camera, String.t(), %{depth: lens(), color: lens()}}
+          | {:picture, :depth | :color, Situ.Time.t(), lost :: non_neg_integer(), size(),
+             binary()}
+          | {:failed, String.t()}
+          | :over
+  @type lens :: CameraIntrinsics.t() | size() | nil
+  @type size :: {pos_integer(), pos_integer()}
+
+  @doc "The words to start it with, and its environment."
+  @spec arguments(String.t()) ::
+          {:ok, {[String.t()], [{String.t(), String.t()}]}} | {:error, Error.t()}
+  def arguments(device) do
+    case String.split(device, ":", parts: 2) do
+      ["openni2", uri] -> {:ok, {["openni2", uri], []}}
+      ["freenect", ""] -> {:ok, {["freenect"], []}}
+      ["freenect", index] -> index(Integer.parse(index), device)
+      ["fakenect", folder] -> recording(folder)
+      _ -> {:error, bad_device(device)}
+    end
+  end
+
+  defp index({index, ""}, _device) when index >= 0, do: {:ok, {["freenect", "#{index}"], []}}
+  defp index(_other, device), do: {:error, bad_device(device)}
+
+  defp bad_device(device) do
+    Error.new(:bad_device, "#{inspect(device)} is no depth camera",
+      why: "there are \"openni2:URI\", \"freenect:INDEX\" and \"fakenect:FOLDER\"",
+      fix: "`situ devices` lists those that are there"
+    )
+  end
+
+  # The library of libfreenect's that plays recordings has the place of the other.
+  defp recording(folder) do
+    with true <- File.regular?(Path.join(folder, "INDEX.txt")),
+         [library | _] <- Path.wildcard("/usr/lib/*/fakenect") do
+      {:ok, {["freenect"], [{"FAKENECT_PATH", folder}, {"LD_LIBRARY_PATH", library}]}}
+    else
+      false ->
+        {:error,
+         Error.new(:no_camera, "#{folder} is no recording of a Kinect",
+           why: "it has no INDEX.txt, which fakenect-record writes"
+         )}
+
+      [] ->
+        {:error,
+         Error.new(:no_camera, "libfreenect's library fakenect is not there",
+           fix: "run bin/setup --with depth"
+         )}
+    end
+  end
+
+  @doc "Starts it; its packets come to the calling process."
+  @spec open(String.t()) :: {:ok, port()} | {:error, Error.t()}
+  def open(device) do
+    with {:ok, program} <- path(), {:ok, {words, env}} <- arguments(device) do
+      env = for {name, value} <- env, do: {to_charlist(name), to_charlist(value)}
+
+      {:ok,
+       Port.open({:spawn_executable, program}, [
+         :binary,
+         :exit_status,
+         packet: 4,
+         args: words,
+         env: env
+       ])}
+    end
+  end
+
+  @doc "Asks for the first pictures, or for one more of a kind."
+  @spec ask(port(), :depth | :color | :first) :: true
+  def ask(port, :first),
+    do: command(port, for({_kind, byte} <- @kinds, _ <- 1..@asked, do: byte))
+
+  def ask(port, kind), do: command(port, [Keyword.fetch!(@kinds, kind)])
+
+  # It may have ended already, and its last words are on their way.
+  defp command(port, bytes) do
+    Port.command(port, bytes)
+  rescue
+    ArgumentError -> true
+  end
+
+  @doc "Ends it."
+  @spec close(port()) :: :ok
+  def close(port) do
+    Port.close(port)
+    :ok
+  rescue
+    ArgumentError -> :ok
+  end
+
+  @doc "A line for each camera."
+  @spec list() :: [String.t()]
+  def list do
+    with {:ok, program} <- path(),
+         {lines, 0} <- System.cmd(program, ["list"], stderr_to_stdout: false) do
+      String.split(lines, "\n", trim: true)
+    else
+      _ -> []
+    end
+  end
+
+  @doc "Where the program is."
+  @spec path() :: {:ok, Path.t()} | {:error, Error.t()}
+  def path do
+    path =
+      System.get_env("SITU_DEPTH_PORT") ||
+        Path.join([:code.priv_dir(:situ_space), "depth", "depth_port"])
+
+    if File.regular?(path) do
+      {:ok, path}
+    else
+      {:error,
+       Error.new(:no_depth_port, "this camera needs the program depth_port",
+         why: "#{path} is not there",
+         fix:
+           "run bin/setup --with depth (small packages of Debian's), or set SITU_DEPTH_PORT to it"
+       )}
+    end
+  end
+
+  @doc "A packet as a term; `:error` for none that the program sends."
+  @spec decode(binary()) :: packet() | :error
+  def decode(<<0, depth::binary-size(24), color::binary-size(24), name::binary>>),
+    do: {:camera, text(name), %{depth: lens(depth), color: lens(color)}}
+
+  def decode(
+        <<kind, time::little-signed-64, lost::little-32, w::little-32, h::little-32,
+          pixels::binary>>
+      )
+      when is_map_key(@kind_of, kind) and
+             ((kind == 1 and byte_size(pixels) == w * h * 2) or
+                (kind == 2 and byte_size(pixels) == w * h * 3)),
+      do: {:picture, @kind_of[kind], time, lost, {w, h}, pixels}
+
+  def decode(<<3, why::binary>>), do: {:failed, text(why)}
+  def decode(<<4>>), do: :over
+  def decode(_other), do: :error
+
+  defp lens(<<0::32, _::binary>>), do: nil
+
+  defp lens(<<w::little-32, h::little-32, x::little-float-64, y::little-float-64>>)
+       when x > 0 and y > 0,
+       do: CameraIntrinsics.new!(width: w, height: h, focal: {x, y})
+
+  defp lens(<<w::little-32, h::little-32, _::binary>>), do: {w, h}
+
+  defp text(bytes) do
+    words = if String.valid?(bytes), do: bytes, else: inspect(bytes)
+    words |> String.trim() |> String.slice(0, 300)
+  end
+end

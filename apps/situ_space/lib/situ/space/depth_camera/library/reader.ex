@@ -1,0 +1,220 @@
+defmodule Situ.Space.DepthCamera.Library.Reader do
+  @moduledoc """
+  The source behind `Situ.Space.DepthCamera.Library`: views of depth and of colour, as the program `depth_port` sends
+  them. It asks for another picture when one was taken: what a slow pipeline has no room for is lost at the program,
+  and counted.
+  """
+  use Situ.Component,
+    outputs: [depth: Situ.CameraView, color: Situ.CameraView],
+    options: [
+      device: [type: :string, required: true],
+      intrinsics: [type: {:optional, {:struct, Situ.CameraIntrinsics}}, default: nil],
+      color_intrinsics: [type: {:optional, {:struct, Situ.CameraIntrinsics}}, default: nil],
+      pose: [type: {:struct, Situ.Pose}, required: true],
+      reconnect: [type: :boolean, default: true],
+      stall_timeout: [type: :pos_integer, default: 10_000_000_000]
+    ]
+
+  alias Situ.{CameraIntrinsics, CameraView, DepthImage, Error, Image}
+  alias Situ.Space.DepthCamera.Library.Program
+  require Logger
+
+  @retry_ms 1_000
+  # Clocks this near are one clock, read twice.
+  @same_clock 1_000_000
+
+  @enforce_keys [:opts]
+  defstruct [
+    :opts,
+    :port,
+    :name,
+    :heard,
+    :losing,
+    lenses: %{},
+    offset: 0,
+    last: %{},
+    lost: 0,
+    over: false,
+    waiting: []
+  ]
+
+  @impl true
+  def init(opts), do: {:ok, %__MODULE__{opts: Map.new(opts)}}
+
+  @impl true
+  def handle_start(context, camera) do
+    endless = if camera.opts.reconnect, do: [{:complete, :infinity}], else: []
+    {endless, open(camera, context)}
+  end
+
+  defp open(camera, context) do
+    difference = context.now - Situ.Time.now()
+    offset = if abs(difference) < @same_clock, do: 0, else: difference
+
+    case Program.open(camera.opts.device) do
+      {:ok, port} ->
+        Program.ask(port, :first)
+        watch(%{camera | port: port, offset: offset, heard: true})
+
+      {:error, error} ->
+        raise error
+    end
+  end
+
+  # By the machine's time: a pipeline's clock may stand still, or run.
+  defp watch(camera) do
+    Process.send_after(self(), {:watch, camera.port}, div(camera.opts.stall_timeout, 1_000_000))
+    camera
+  end
+
+  @impl true
+  def handle_info({port, {:data, packet}}, context, %{port: port} = camera),
+    do: packet |> Program.decode() |> packet(%{camera | heard: true}, context)
+
+  def handle_info({port, {:exit_status, 0}}, _context, %{port: port} = camera), do: over(camera)
+
+  def handle_info({port, {:exit_status, status}}, _context, %{port: port} = camera),
+    do: lost(camera, "its program ended with status #{status}")
+
+  def handle_info({:EXIT, port, reason}, _context, %{port: port} = camera),
+    do: lost(camera, "its program ended: #{inspect(reason)}")
+
+  def handle_info({:watch, port}, _context, %{port: port, heard: true} = camera),
+    do: {[], watch(%{camera | heard: false})}
+
+  def handle_info({:watch, port}, _context, %{port: port} = camera),
+    do: lost(camera, "it sent nothing for #{div(camera.opts.stall_timeout, 1_000_000)} ms")
+
+  def handle_info(:reconnect, context, %{port: nil} = camera), do: {[], open(camera, context)}
+  def handle_info(_other, _context, camera), do: {[], camera}
+
+  defp packet({:camera, name, lenses}, camera, _context) do
+    if camera.losing, do: Logger.info("#{camera.opts.device} is back")
+    camera = %{camera | name: name, losing: nil, lenses: lenses!(lenses, camera.opts)}
+    # Of a camera without colour no colour will come.
+    {if(lenses.color, do: [], else: [{:close, :color}]), camera}
+  end
+
+  defp packet({:picture, kind, time, lost, size, pixels}, camera, _context) do
+    lens = sized!(camera.lenses[kind], size, kind)
+    time = max(time + camera.offset, Map.get(camera.last, kind, time + camera.offset - 1) + 1)
+    view = CameraView.new(viewed(kind, size, pixels), lens, camera.opts.pose)
+
+    {[],
+     %{
+       camera
+       | last: Map.put(camera.last, kind, time),
+         lost: camera.lost + lost,
+         waiting: camera.waiting ++ [{kind, time, view}]
+     }}
+  end
+
+  defp packet({:failed, why}, camera, _context), do: lost(camera, why)
+  defp packet(:over, camera, _context), do: over(camera)
+  defp packet(:error, camera, _context), do: lost(camera, "its program sent no packet")
+
+  defp viewed(:depth, {width, height}, pixels) do
+    [
+      width: width,
+      height: height,
+      stride: width * 2,
+      data: pixels,
+      scale: 0.001,
+      semantics: :plane
+    ]
+    |> DepthImage.new()
+    |> Error.unwrap!()
+  end
+
+  defp viewed(:color, {width, height}, pixels),
+    do: %Image{format: :rgb24, width: width, height: height, stride: width * 3, data: pixels}
+
+  @impl true
+  def handle_demand(n, _context, camera) do
+    {taken, waiting} = Enum.split(camera.waiting, n)
+    if camera.port, do: Enum.each(taken, fn {kind, _, _} -> Program.ask(camera.port, kind) end)
+    camera = %{camera | waiting: waiting}
+
+    if camera.over do
+      {last, camera} = over(camera)
+      {taken ++ last, camera}
+    else
+      {taken, camera}
+    end
+  end
+
+  # Once it has run, a camera comes back; one that was never there is an error.
+  defp lost(camera, why) do
+    camera = close(camera)
+
+    if camera.opts.reconnect and camera.name != nil do
+      unless camera.losing,
+        do: Logger.warning("#{camera.opts.device} is lost, trying again every second: #{why}")
+
+      Process.send_after(self(), :reconnect, @retry_ms)
+      {[], %{camera | losing: why}}
+    else
+      raise Error.new(:no_camera, "#{camera.opts.device} gives no pictures",
+              why: why,
+              fix: "`situ devices` lists the cameras that are there"
+            )
+    end
+  end
+
+  # The pictures that have come go out first.
+  defp over(%{waiting: []} = camera) do
+    times = Map.values(camera.last)
+    {[{:complete, Enum.max(times, fn -> 0 end)}], %{close(camera) | over: false}}
+  end
+
+  defp over(camera), do: {[], %{close(camera) | over: true}}
+
+  @impl true
+  def handle_stop(_final_time, _context, camera), do: {[], close(camera)}
+
+  @impl true
+  def terminate(_reason, camera), do: close(camera)
+
+  defp close(%{port: nil} = camera), do: camera
+
+  defp close(camera) do
+    Program.close(camera.port)
+    %{camera | port: nil}
+  end
+
+  @impl true
+  def describe(camera) do
+    state = if camera.port, do: "running", else: "not connected"
+
+    "#{camera.opts.device} (#{camera.name || "not opened yet"}): #{state}, #{camera.lost} pictures lost"
+  end
+
+  defp lenses!(told, opts) do
+    depth = opts.intrinsics || known!(told.depth, opts)
+
+    color =
+      opts.color_intrinsics ||
+        if(match?(%CameraIntrinsics{}, told.color), do: told.color, else: depth)
+
+    %{depth: depth, color: color}
+  end
+
+  defp known!(%CameraIntrinsics{} = lens, _opts), do: lens
+
+  defp known!(_size, opts) do
+    raise Error.new(:no_intrinsics, "#{opts.device} does not tell its lens",
+            fix: "give it by `intrinsics:`, for pictures of the size that the camera gives"
+          )
+  end
+
+  defp sized!(%CameraIntrinsics{width: w, height: h} = lens, {w, h}, _kind), do: lens
+
+  defp sized!(lens, {width, height}, kind) do
+    raise Error.new(
+            :bad_camera,
+            "the camera gives pictures of #{width}x#{height}, the lens of its #{kind} is " <>
+              "for #{lens.width}x#{lens.height}",
+            fix: "give the intrinsics for the size that the camera gives"
+          )
+  end
+end

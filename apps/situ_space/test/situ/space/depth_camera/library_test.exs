@@ -1,0 +1,216 @@
+defmodule Situ.Space.DepthCamera.LibraryTest do
+  # The libraries themselves: OpenNI's dummy device, and a folder as libfreenect's fakenect-record writes it.
+  use ExUnit.Case, async: true
+  use Situ.Test.Property
+  alias Situ.{CameraIntrinsics, CameraView, DepthImage, Error, Pipeline, Pose}
+  alias Situ.Space.DepthCamera
+  alias Situ.Space.DepthCamera.Library
+  alias Situ.Space.DepthCamera.Library.Program
+
+  @moduletag :capture_log
+  @dummy "openni2:Dummy"
+
+  defp lens(width \\ 320),
+    do: CameraIntrinsics.new!(width: width, height: 240, focal: {280, 280})
+
+  defp start(opts) do
+    me = self()
+
+    Pipeline.start(fn p ->
+      camera = DepthCamera.open(p, {Library, opts})
+      Situ.each(camera.depth, fn data, message -> send(me, {:depth, data, message}) end)
+      Situ.each(camera.color, fn data, message -> send(me, {:color, data, message}) end)
+    end)
+  end
+
+  describe "OpenNI 2" do
+    @describetag :depth_port
+
+    test "depth and colour as views, in order, as the device gives them" do
+      pose = Pose.new({0.0, 0.0, 2.0})
+      before = Situ.Time.now()
+      {:ok, pipeline} = start(device: @dummy, intrinsics: lens(), pose: pose)
+
+      times =
+        for _ <- 1..5 do
+          assert_receive {:depth, %CameraView{viewed: depth, pose: ^pose} = view, message}
+          assert view.intrinsics == lens()
+          # Half of it is 2 m, the rest not known.
+          assert {:ok, distance} = DepthImage.fetch_distance(depth, 0, 0)
+          assert_in_delta distance, 2.0, 1.0e-9
+          message.originating_time
+        end
+
+      assert_receive {:color, %CameraView{viewed: color, pose: ^pose}, _}
+      assert {color.format, color.width, color.height} == {:rgb24, 320, 240}
+      assert times == Enum.sort(times) and hd(times) > before
+      assert Enum.at(times, -1) - hd(times) > 60_000_000
+
+      info = Pipeline.info(pipeline)
+      assert inspect(info) =~ "running"
+      Pipeline.stop(pipeline)
+    end
+
+    test "its program is killed: the camera comes back" do
+      {:ok, pipeline} = start(device: @dummy, intrinsics: lens())
+      assert_receive {:depth, _, %{originating_time: first}}
+      kill_programs(pipeline)
+      flush()
+      assert_receive {:depth, _, %{originating_time: later}}
+      assert later > first
+      Pipeline.stop(pipeline)
+    end
+
+    test "a camera that is not there, a lens that nobody tells, pictures of another size" do
+      assert {:error, %Error{code: :no_camera} = error} = outcome(device: "openni2:nowhere")
+      assert Exception.message(error) =~ "nowhere"
+      assert {:error, %Error{code: :no_intrinsics}} = outcome(device: @dummy)
+
+      assert {:error, %Error{code: :bad_camera} = error} =
+               outcome(device: @dummy, intrinsics: lens(640))
+
+      assert Exception.message(error) =~ "320x240"
+      assert Exception.message(error) =~ "640x240"
+    end
+
+    test "no Kinect is there" do
+      assert {:error, %Error{code: :no_camera} = error} = outcome(device: "freenect:7")
+      assert Exception.message(error) =~ "index 7"
+      assert Library.list() |> Enum.all?(&(&1.kind == :depth_camera))
+    end
+  end
+
+  describe "a folder of fakenect-record" do
+    @describetag :depth_port
+    @describetag :tmp_dir
+
+    test "the sensor's numbers become millimetres; the pipeline ends with the folder", %{
+      tmp_dir: folder
+    } do
+      record(folder, for(raw <- [0, 500, 800, 1000, 2047], do: raw))
+      me = self()
+
+      assert {:ok, _} =
+               Pipeline.run(fn p ->
+                 camera =
+                   DepthCamera.open(p, {Library, device: "fakenect:" <> folder, reconnect: false})
+
+                 Situ.each(camera.depth, &send(me, {:depth, &1}))
+                 Situ.each(camera.color, &send(me, {:color, &1}))
+               end)
+
+      distances =
+        for _ <- 1..5 do
+          assert_received {:depth, %CameraView{viewed: depth, intrinsics: lens}}
+          assert {lens.width, lens.height} == {640, 480}
+          assert_in_delta elem(lens.focal, 0), 575.8, 0.1
+
+          case(DepthImage.fetch_distance(depth, 5, 5),
+            do:
+              (
+                {:ok, d} -> d
+                _ -> nil
+              )
+          )
+        end
+
+      # By another formula that is fitted to measurements: 0.1236 tan(raw / 2842.5 + 1.1863) m, S. Magnenat.
+      for {raw, distance} <- Enum.zip([500, 800, 1000], Enum.slice(distances, 1, 3)) do
+        assert_in_delta distance, 0.1236 * :math.tan(raw / 2842.5 + 1.1863), 0.03 * distance
+      end
+
+      assert List.last(distances) in [nil, 0.0]
+
+      assert_received {:color,
+                       %CameraView{viewed: %{format: :rgb24, data: <<1, 2, 3, _::binary>>}}}
+    end
+
+    test "no such folder, and one that is cut short", %{tmp_dir: folder} do
+      assert {:error, %Error{code: :no_camera} = error} = outcome(device: "fakenect:/nowhere")
+      assert Exception.message(error) =~ "INDEX.txt"
+      record(folder, [500, 600])
+      [picture | _] = Path.wildcard(Path.join(folder, "d-*"))
+      File.write!(picture, "P5")
+      assert {:error, %Error{code: :no_camera}} = outcome(device: "fakenect:" <> folder)
+    end
+  end
+
+  test "devices that no driver knows" do
+    for device <- ["kinect", "freenect:x", "freenect:-1", ""] do
+      assert_raise Error, fn ->
+        Pipeline.run(fn p -> DepthCamera.open(p, {Library, device: device}) end) |> unwrap()
+      end
+    end
+  end
+
+  property "no packet but the program's own is taken for one" do
+    forall packet <- binary() do
+      case Program.decode(packet) do
+        {:picture, kind, _, _, {w, h}, pixels} ->
+          byte_size(pixels) == w * h * if(kind == :depth, do: 2, else: 3)
+
+        {:camera, name, _} ->
+          String.valid?(name)
+
+        {:failed, why} ->
+          String.valid?(why)
+
+        :error ->
+          true
+      end
+    end
+  end
+
+  defp unwrap({:error, error}), do: raise(error)
+  defp unwrap(other), do: other
+
+  defp outcome(opts) do
+    Pipeline.run(fn p ->
+      camera = DepthCamera.open(p, {Library, opts ++ [reconnect: false]})
+      Situ.each(camera.depth, fn _ -> :ok end)
+    end)
+  end
+
+  # "P5 640 480 65535", a line, then the sensor's numbers; colour likewise.
+  defp record(folder, values) do
+    names =
+      for {raw, i} <- Enum.with_index(values), kind <- ["d", "r"] do
+        seconds =
+          :erlang.float_to_binary(1000 + i / 30 + if(kind == "r", do: 0.01, else: 0.0),
+            decimals: 6
+          )
+
+        name = "#{kind}-#{seconds}-#{i * 2_000_000}.#{if kind == "d", do: "pgm", else: "ppm"}"
+
+        File.write!(
+          Path.join(folder, name),
+          if kind == "d" do
+            ["P5 640 480 65535\n", :binary.copy(<<raw::little-16>>, 640 * 480)]
+          else
+            ["P6 640 480 255\n", :binary.copy(<<1, 2, 3>>, 640 * 480)]
+          end
+        )
+
+        name
+      end
+
+    File.write!(Path.join(folder, "INDEX.txt"), Enum.join(names, "\n") <> "\n")
+  end
+
+  # The programs that processes of this pipeline started.
+  defp kill_programs(_pipeline) do
+    for port <- Port.list(),
+        {:name, name} <- [Port.info(port, :name)],
+        String.ends_with?(List.to_string(name), "depth_port"),
+        {:os_pid, pid} <- [Port.info(port, :os_pid)],
+        do: System.cmd("kill", ["-9", "#{pid}"])
+  end
+
+  defp flush do
+    receive do
+      {:depth, _, _} -> flush()
+    after
+      0 -> :ok
+    end
+  end
+end
