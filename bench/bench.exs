@@ -53,6 +53,32 @@ defmodule Situ.Bench do
     port
   end
 
+  @doc """
+  Runs a script of `bench/python` with the packages of test/bridge, where that has run (or with `SITU_BENCH_PYTHON`, or
+  the `:python` given): the numbers that it prints, or `:error`, said on standard error.
+  """
+  def python(script, args, opts \\ []) do
+    own = Path.expand("../_build/bridge-venv/bin/python", __DIR__)
+    usual = if File.exists?(own), do: own, else: "python3"
+    python = opts[:python] || System.get_env("SITU_BENCH_PYTHON") || usual
+    path = Path.expand("python/#{script}", __DIR__)
+
+    case System.cmd(python, [path | args], env: opts[:env] || [], stderr_to_stdout: true) do
+      {out, 0} ->
+        last = out |> String.split("\n", trim: true) |> List.last()
+        {:ok, last |> String.split() |> Enum.map(&String.to_float/1)}
+
+      {out, _} ->
+        why = out |> String.trim() |> String.slice(-80, 80)
+        IO.puts(:stderr, "#{script} #{Enum.join(args, " ")}: nothing is measured: #{why}")
+        :error
+    end
+  rescue
+    error in ErlangError ->
+      IO.puts(:stderr, "#{script}: nothing is measured: #{Exception.message(error)}")
+      :error
+  end
+
   defp status_mib(field) do
     [_, kb] = Regex.run(~r/#{field}:\s+(\d+) kB/, File.read!("/proc/self/status"))
     String.to_integer(kb) / 1024

@@ -4,7 +4,7 @@ defmodule Situ.Bench.Bridge do
   # both ends together, in one VM, maps of two numbers; `-large`: bytes of a picture of 1280 x 720, 2.8 MB.
   # `bridge-zeromq-python` is pyzmq's own publisher and subscriber, a process each, with JSON, for the same messages
   # (`SITU_BENCH_PYTHON`, with pyzmq installed; else nothing is measured). `bridge-mcap`: a recording of 100 topics to
-  # MCAP and back; `bridge-parquet`: integers to a table and back.
+  # MCAP and back; `bridge-parquet`, `bridge-arrow`: integers to a table and back.
   alias Situ.{Bridge, Pipeline, Store}
 
   def tests do
@@ -17,7 +17,8 @@ defmodule Situ.Bench.Bridge do
       {"bridge-tcp-large", &large("bridge_tcp_large", Bridge.Tcp, &1)},
       {"bridge-websocket-large", &large("bridge_websocket_large", Bridge.WebSocket, &1)},
       {"bridge-mcap", &mcap/1},
-      {"bridge-parquet", &parquet/1}
+      {"bridge-parquet", &table("bridge_parquet", Bridge.Parquet, "s.parquet", &1)},
+      {"bridge-arrow", &table("bridge_arrow", Bridge.Arrow, "s.arrow", &1)}
     ]
   end
 
@@ -70,27 +71,11 @@ defmodule Situ.Bench.Bridge do
   defp into(p, module, port, opts), do: module.connect(p, "127.0.0.1", port, opts)
 
   defp python(scale) do
-    # The packages of test/bridge, where that has run.
-    own = Path.expand("../../_build/bridge-venv/bin/python", __DIR__)
-
-    python =
-      System.get_env("SITU_BENCH_PYTHON") || if(File.exists?(own), do: own, else: "python3")
-
-    python = System.find_executable(python)
-    script = Path.expand("../python/zeromq.py", __DIR__)
-    n = max(1, round(50_000 * scale))
-
-    case python && System.cmd(python, [script, "#{n}"], stderr_to_stdout: true) do
-      {out, 0} ->
-        [rate, cpu] = out |> String.split() |> Enum.map(&String.to_float/1)
+    case Situ.Bench.python("zeromq.py", ["#{max(1, round(50_000 * scale))}"]) do
+      {:ok, [rate, cpu]} ->
         [{"bridge_zeromq_python", rate, "msg/s"}, {"bridge_zeromq_python_cpu", cpu, "us/msg"}]
 
-      _ ->
-        IO.puts(
-          :stderr,
-          "bridge-zeromq-python: #{python || "python3"} has no pyzmq; nothing is measured"
-        )
-
+      :error ->
         []
     end
   end
@@ -134,7 +119,7 @@ defmodule Situ.Bench.Bridge do
     end)
   end
 
-  defp parquet(scale) do
+  defp table(metric, module, file, scale) do
     in_folder(fn root ->
       n = max(1, round(200_000 * scale))
 
@@ -150,14 +135,14 @@ defmodule Situ.Bench.Bridge do
       store = Store.open!(Path.join(root, "bench"))
 
       written =
-        Situ.Bench.measure("bridge_parquet_write", n, "rows/s", fn ->
-          {:ok, %{"s" => ^n}} = Bridge.Parquet.export(store, root)
+        Situ.Bench.measure(metric <> "_write", n, "rows/s", fn ->
+          {:ok, %{"s" => ^n}} = module.export(store, root)
           []
         end)
 
       read =
-        Situ.Bench.measure("bridge_parquet_read", n, "rows/s", fn ->
-          ^n = Enum.count(Bridge.Parquet.messages(Path.join(root, "s.parquet")))
+        Situ.Bench.measure(metric <> "_read", n, "rows/s", fn ->
+          ^n = Enum.count(module.messages(Path.join(root, file)))
           []
         end)
 

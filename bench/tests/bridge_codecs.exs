@@ -57,27 +57,11 @@ defmodule Situ.Bench.BridgeCodecs do
   end
 
   defp python(what, n, scale) do
-    n = max(1, round(n * scale))
-    own = Path.join(@root, "_build/bridge-venv/bin/python")
+    name = "bridge_#{what}_python"
 
-    python =
-      System.get_env("SITU_BENCH_PYTHON") || if(File.exists?(own), do: own, else: "python3")
-
-    script = Path.expand("../python/bridge.py", __DIR__)
-
-    case System.cmd(python, [script, what, "#{n}"], stderr_to_stdout: true) do
-      {out, 0} ->
-        [rate, cpu] = out |> String.split() |> Enum.map(&String.to_float/1)
-        name = "bridge_#{what}_python"
-        [{name, rate, "msg/s"}, {name <> "_cpu", cpu, "us/msg"}]
-
-      {out, _} ->
-        IO.puts(
-          :stderr,
-          "bridge-#{what}-python: nothing is measured: #{out |> String.trim() |> String.slice(-80, 80)}"
-        )
-
-        []
+    case Situ.Bench.python("bridge.py", [what, "#{max(1, round(n * scale))}"]) do
+      {:ok, [rate, cpu]} -> [{name, rate, "msg/s"}, {name <> "_cpu", cpu, "us/msg"}]
+      :error -> []
     end
   end
 
