@@ -143,7 +143,10 @@ defmodule Situ.Studio.SensorTest do
     assert_receive {:video, _, _}
   end
 
-  defp reconnect(context), do: again(fn -> camera(context.port, context.name) end)
+  defp reconnect(context) do
+    {{1, _credit}, socket} = again(fn -> camera(context.port, context.name) end)
+    socket
+  end
 
   test "who may only look is refused by every sensor's socket", context do
     owner = "the-token-of-owners"
