@@ -1,4 +1,5 @@
 // Tokens, hostile requests, and the other kinds of sources.
+import { cpSync, rmSync } from "node:fs";
 import { test, equal, ok, until } from "./harness.mjs";
 import { open, settled, state, dispatch, panelOf } from "./studio_page.mjs";
 
@@ -38,6 +39,23 @@ test("9 serving: the list of recordings", async ({ page, shot }) => {
   await until(page, () => document.querySelector("[data-phx-main].phx-connected"), "the page is connected");
   await page.click("text=minute.0000");
   await until(page, () => document.body?.dataset.ready === "1", "one is opened");
+});
+
+test("9 serving: a row of the list stays what it is when another one comes before it", async ({ page }) => {
+  await page.goto(main);
+  await until(page, () => document.querySelector("[data-phx-main].phx-connected"), "the page is connected");
+  const row = await page.waitForSelector(".home .item[href='s/minute.0000']");
+  const before = (await row.boundingBox()).y;
+  const added = `${site.folder}/aaa.0000`;
+  cpSync(`${site.folder}/uneven.0000`, added, { recursive: true });
+  try {
+    await until(page, () => document.querySelector(".home .item[href='s/aaa.0000']"), "the new one is listed");
+    ok((await row.boundingBox()).y > before, "the row has moved");
+    equal(await row.getAttribute("href"), "s/minute.0000", "what is under a finger that comes down");
+    ok((await row.textContent()).includes("minute.0000"), "its name");
+  } finally {
+    rmSync(added, { recursive: true, force: true });
+  }
 });
 
 test("security: names, texts and values are shown, never run", async ({ page }) => {

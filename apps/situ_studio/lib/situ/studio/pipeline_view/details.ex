@@ -144,7 +144,8 @@ defmodule Situ.Studio.PipelineView.Details do
       <h3>Last messages</h3>
       <p :if={@messages == []} class="hint">No message has come yet, or none is kept.</p>
       <ol class="messages">
-        <li :for={m <- @messages} :key={m.originating_time}><button :if={@live} type="button" class="linkish"
+        <li :for={m <- @messages} :key={m.originating_time} id={"at-#{m.originating_time}"}><button
+            :if={@live} type="button" class="linkish"
             phx-click="trace" phx-value-time={m.originating_time} title="Where is this time in the pipeline?"
             ><time>{clock(m.originating_time)}</time></button><time :if={not @live}>{clock(m.originating_time)}</time
             ><code>{short(m.data)}</code></li>

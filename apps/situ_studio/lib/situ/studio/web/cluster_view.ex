@@ -147,7 +147,7 @@ defmodule Situ.Studio.Web.ClusterView do
         <thead><tr><th scope="col">Recording</th>
           <th scope="col" class="text">Node</th><th scope="col" class="text">State</th></tr></thead>
         <tbody>
-          <tr :for={r <- @now.recordings} :key={r.id}>
+          <tr :for={r <- @now.recordings} :key={r.id} id={"recording-" <> r.id}>
             <th :if={@opens} scope="row"><a href={Address.of(r.id)}>{r.name}</a></th>
             <th :if={not @opens} scope="row">{r.name}</th>
             <td class="text">{r.node}</td>

@@ -106,7 +106,7 @@ defmodule Situ.Studio.Web.HomeView do
             phx-debounce="80" aria-label="Search names and streams">
       </form>
       <div class="list">
-        <a :for={item <- @found} :key={item.id} class="item" href={Address.item(item)}>
+        <a :for={item <- @found} :key={id(item)} id={id(item)} class="item" href={Address.item(item)}>
           <.picture item={item} facts={@facts[item.id]} />
           <span><b>{item.title}</b><span class="dim"><span
             :for={said <- said(item, @facts[item.id])}>{said}</span></span></span>
@@ -120,6 +120,9 @@ defmodule Situ.Studio.Web.HomeView do
     </main>
     """
   end
+
+  # By its name the browser moves a row; without one it would write the next one's words into it, under the mouse.
+  defp id(item), do: "#{item.kind}-#{item.id}"
 
   defp found?(_item, _facts, []), do: true
 

@@ -23,7 +23,8 @@ defmodule Situ.Studio.Web.Side do
     <aside class="left" aria-label="Streams">
       <div :if={length(@sources) > 1} class="side-title">Recordings</div>
       <nav :if={length(@sources) > 1} class="stores">
-        <a :for={s <- @sources} :key={s.id} class={["store", s.id == @current && "current"]} href={s.href}
+        <a :for={s <- @sources} :key={s.id} id={"source-" <> s.id}
+            class={["store", s.id == @current && "current"]} href={s.href}
             title={s.title}><.icon
             name={if s.kind == :pipeline, do: :pipeline, else: :store} /><span>{s.title}</span></a>
       </nav>
