@@ -200,7 +200,8 @@ defmodule Situ.Remote.Serving do
     split = max(div(opts[:keep], 4), 1)
     store = Exporter.create(p, name, nil, split: split, keep: {:span, opts[:keep]})
     for {name, stream} <- streams, do: Exporter.write(stream, store, name, [])
-    {:ok, "live", series(store.path)}
+    {Recording, {:series, root, name}} = series(store.path)
+    {:ok, "live", {Recording, {:live, root, name}}}
   end
 
   defp one(path, opts) when is_binary(path) do

@@ -3,7 +3,7 @@ defmodule Situ.Remote.LinkTest do
   use ExUnit.Case, async: true
   import ExUnit.CaptureLog
   import Situ.Remote.Test.Recordings
-  alias Situ.{Delivery, Pipeline, Remote, Time}
+  alias Situ.{Clock, Delivery, Pipeline, Remote, Time}
   alias Situ.Remote.{Position, Server}
   alias Situ.Store.Writer
 
@@ -127,13 +127,17 @@ defmodule Situ.Remote.LinkTest do
 
   test "live streams: many clients, one that is late, and the end", _context do
     me = self()
+    clock = Clock.manual(Time.now())
 
     {:ok, pipeline} =
-      Pipeline.start_link(fn p ->
-        stream = Situ.event_source(p, fn post -> send(me, {:post, post}) end)
-        {:ok, server} = Remote.serve([{"n", stream}], port: 0)
-        send(me, {:server, server})
-      end)
+      Pipeline.start_link(
+        fn p ->
+          stream = Situ.event_source(p, fn post -> send(me, {:post, post}) end)
+          {:ok, server} = Remote.serve([{"n", stream}], port: 0, keep: Time.s(60))
+          send(me, {:server, server})
+        end,
+        pipeline: [clock: clock]
+      )
 
     assert_receive {:server, server}
     assert_receive {:post, post}
@@ -141,8 +145,14 @@ defmodule Situ.Remote.LinkTest do
     address = "situ://127.0.0.1:#{Server.port(server)}"
     {first, _} = follow(address, [from: :start], type: :any)
     got([1])
-    for i <- 2..5, do: post.(i)
-    got(2..5)
+
+    # The start of live streams is the oldest message that is kept, over all pieces they are kept in.
+    for i <- 2..5 do
+      Clock.advance(clock, Time.s(10))
+      post.(i)
+      got([i])
+    end
+
     {late, _} = follow(address, [from: :start], type: :any)
     got(1..5)
     {:ok, _} = Pipeline.stop(pipeline)

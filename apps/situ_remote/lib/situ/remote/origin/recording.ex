@@ -2,7 +2,8 @@ defmodule Situ.Remote.Origin.Recording do
   @moduledoc false
   # A recording, finished or being written, as an origin. `{:series, root, name}` goes on from each version
   # (`name.0000`, `name.0001` ...) to the next, so neither a new start of whoever records nor a recording in pieces
-  # leaves anything out; `{:store, store}` is one opened recording and ends with it.
+  # leaves anything out; `{:live, root, name}` is the same of live streams, whose pieces are one recording: they start
+  # in the oldest piece that is kept. `{:store, store}` is one opened recording and ends with it.
   @behaviour Situ.Remote.Origin
   alias Situ.Error
   alias Situ.Remote.Link.Batch
@@ -13,7 +14,7 @@ defmodule Situ.Remote.Origin.Recording do
   # Before everything, and far enough from where integers of 64 bits end.
   @before_all -0x4000000000000000
 
-  defstruct [:series, :store, version: 0, known: 0, awaiting: :no, catalog: -1]
+  defstruct [:series, :store, pieces?: false, version: 0, known: 0, awaiting: :no, catalog: -1]
 
   @doc "The originating time before all others."
   @spec before_all() :: Situ.Time.t()
@@ -21,6 +22,10 @@ defmodule Situ.Remote.Origin.Recording do
 
   @impl true
   def open({:store, %Handle{} = store}), do: {:ok, %__MODULE__{store: store}}
+
+  def open({:live, root, name}) do
+    with {:ok, state} <- open({:series, root, name}), do: {:ok, %{state | pieces?: true}}
+  end
 
   def open({:series, root, name}) do
     state = %__MODULE__{series: {root, name}}
@@ -36,6 +41,8 @@ defmodule Situ.Remote.Origin.Recording do
 
   @impl true
   def version({:store, _store}, _version), do: :error
+
+  def version({:live, root, name}, version), do: version({:series, root, name}, version)
 
   def version({:series, root, name}, version) do
     with path when path != nil <- Versions.path(root, name, version),
@@ -89,6 +96,9 @@ defmodule Situ.Remote.Origin.Recording do
 
   @impl true
   def cursor(%{store: nil}, _name, _from), do: :unknown
+
+  def cursor(%{pieces?: true} = state, name, :start),
+    do: cursor(state, name, {:at, @before_all + 1})
 
   def cursor(state, name, from) when from in [:now, :start] do
     case Reading.stream_info(state.store, name) do

@@ -50,6 +50,14 @@ defmodule Situ.Remote.Origin.RecordingTest do
     assert Recording.cursor(state, "gone", :start) == :unknown
     {:ok, alone, _} = Recording.cursor(state, "other", {:at, 0})
     assert {[6, 7], {:idle, _}} = times(state, alone)
+
+    # Pieces of live streams are one recording.
+    {:ok, live} = Recording.open({:live, root, "r"})
+    {:ok, cursor, before} = Recording.cursor(live, "n", :start)
+    assert before == Recording.before_all()
+    assert {[1, 2, 3, 4, 5, 8, 9, 10, 11, 12], {:ended, 20}} = times(live, cursor)
+    {:ok, newest, ^before} = Recording.cursor(state, "n", :start)
+    assert {[9, 10, 11, 12], {:ended, 20}} = times(state, newest)
   end
 
   test "what a lossy policy keeps", %{root: root} do
