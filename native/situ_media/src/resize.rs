@@ -3,8 +3,9 @@
 use crate::area;
 use crate::error::{fail, Code, Error, Result};
 use crate::picture::{Format, Shape, View};
-use fast_image_resize::images::{Image, ImageRef};
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+use fast_image_resize::images::{TypedImage, TypedImageRef};
+use fast_image_resize::pixels::{U16x4, U8x3, U8x4, U16, U8};
+use fast_image_resize::{FilterType, PixelTrait, ResizeAlg, ResizeOptions, Resizer};
 
 /// Which pixels of the source make one of the result, and by which weights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,23 +34,12 @@ fn algorithm(filter: Filter) -> ResizeAlg {
     }
 }
 
-fn pixel_type(format: Format) -> PixelType {
-    match format {
-        Format::Gray8 => PixelType::U8,
-        Format::Gray16 => PixelType::U16,
-        Format::Bgr24 | Format::Rgb24 => PixelType::U8x3,
-        Format::Bgrx32 | Format::Bgra32 | Format::Rgba32 => PixelType::U8x4,
-        Format::Rgba64 => PixelType::U16x4,
-    }
-}
-
 /// Resizes `src` to `shape` (same format) into `out`. Colours are weighted by alpha where there is one.
 pub fn resize(src: &View, shape: Shape, filter: Filter, out: &mut [u8]) -> Result<()> {
     if filter == Filter::Area {
         area::resize(src, shape, out);
         return Ok(());
     }
-    let kind = pixel_type(src.shape.format);
     let tight = src.tight();
     // 16-bit kernels ask for 2-byte alignment, which a part of a binary need not have.
     let aligned: Vec<u16>;
@@ -61,20 +51,51 @@ pub fn resize(src: &View, shape: Shape, filter: Filter, out: &mut [u8]) -> Resul
     } else {
         &tight
     };
-    let source = ImageRef::new(src.shape.width as u32, src.shape.height as u32, bytes, kind);
-    let target = Image::from_slice_u8(shape.width as u32, shape.height as u32, out, kind);
-    let (Ok(source), Ok(mut target)) = (source, target) else {
-        return fail(Code::Failed, "the resizer refused the buffers");
-    };
     let options = ResizeOptions::new()
         .resize_alg(algorithm(filter))
         .use_alpha(src.shape.format.has_alpha() && filter != Filter::Nearest);
-    Resizer::new()
-        .resize(&source, &mut target, &options)
-        .map_err(|e| Error {
-            code: Code::Failed,
-            what: format!("resizing failed: {e}"),
-        })
+    let job = Job {
+        from: src.shape,
+        bytes,
+        to: shape,
+        options,
+    };
+    match src.shape.format {
+        Format::Gray8 => job.run::<U8>(out),
+        Format::Gray16 => job.run::<U16>(out),
+        Format::Bgr24 | Format::Rgb24 => job.run::<U8x3>(out),
+        Format::Bgrx32 | Format::Bgra32 | Format::Rgba32 => job.run::<U8x4>(out),
+        Format::Rgba64 => job.run::<U16x4>(out),
+    }
+}
+
+struct Job<'a> {
+    from: Shape,
+    bytes: &'a [u8],
+    to: Shape,
+    options: ResizeOptions,
+}
+
+impl Job<'_> {
+    /// By type, for our kinds of pixels alone: the crate's own choice at run time compiles the kernels of all thirteen,
+    /// which is minutes.
+    fn run<P: PixelTrait>(&self, out: &mut [u8]) -> Result<()> {
+        let source = TypedImageRef::<P>::from_buffer(
+            self.from.width as u32,
+            self.from.height as u32,
+            self.bytes,
+        );
+        let target = TypedImage::<P>::from_buffer(self.to.width as u32, self.to.height as u32, out);
+        let (Ok(source), Ok(mut target)) = (source, target) else {
+            return fail(Code::Failed, "the resizer refused the buffers");
+        };
+        Resizer::new()
+            .resize_typed(&source, &mut target, &self.options)
+            .map_err(|e| Error {
+                code: Code::Failed,
+                what: format!("resizing failed: {e}"),
+            })
+    }
 }
 
 fn words(bytes: &[u8]) -> Vec<u16> {
