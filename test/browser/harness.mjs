@@ -104,7 +104,15 @@ export async function runAll({ filter = "", times = 1, shots }) {
   };
   const runs = wanted.flatMap((t) => Array(times).fill(t));
   let failed = [];
-  for (const test of runs) if (!(await attempt(test))) failed.push(test);
+  const took = [];
+  for (const test of runs) {
+    const began = performance.now();
+    if (!(await attempt(test))) failed.push(test);
+    took.push([(performance.now() - began) / 1000, test.name]);
+  }
+  took.sort(([a], [b]) => b - a);
+  console.log("the slowest:");
+  for (const [seconds, name] of took.slice(0, 12)) console.log(`  ${seconds.toFixed(1).padStart(5)} s  ${name}`);
   // The same rule as in bin/test: up to three that failed run once more, and what passes then is told as unsteady.
   if (times === 1 && failed.length <= 3) {
     const again = failed;

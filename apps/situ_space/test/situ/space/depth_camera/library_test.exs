@@ -88,30 +88,26 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
       tmp_dir: folder
     } do
       record(folder, for(raw <- [0, 500, 800, 1000, 2047], do: raw))
-      me = self()
 
-      assert {:ok, _} =
-               Pipeline.run(fn p ->
-                 camera =
-                   DepthCamera.open(p, {Library, device: "fakenect:" <> folder, reconnect: false})
+      # A camera does not wait: on a busy machine a picture may be lost, so it is played until a run lost none.
+      {depth, color} =
+        Enum.find_value(1..20, fn _ ->
+          {depth, _} = all = play(folder)
+          assert depth != []
+          length(depth) == 5 && all
+        end)
 
-                 Situ.each(camera.depth, &send(me, {:depth, &1}))
-                 Situ.each(camera.color, &send(me, {:color, &1}))
-               end)
+      for %CameraView{intrinsics: lens} <- depth do
+        assert {lens.width, lens.height} == {640, 480}
+        assert_in_delta elem(lens.focal, 0), 575.8, 0.1
+      end
 
       distances =
-        for _ <- 1..5 do
-          assert_received {:depth, %CameraView{viewed: depth, intrinsics: lens}}
-          assert {lens.width, lens.height} == {640, 480}
-          assert_in_delta elem(lens.focal, 0), 575.8, 0.1
-
-          case(DepthImage.fetch_distance(depth, 5, 5),
-            do:
-              (
-                {:ok, d} -> d
-                _ -> nil
-              )
-          )
+        for view <- depth do
+          case DepthImage.fetch_distance(view.viewed, 5, 5) do
+            {:ok, distance} -> distance
+            _ -> nil
+          end
         end
 
       # By another formula that is fitted to measurements: 0.1236 tan(raw / 2842.5 + 1.1863) m, S. Magnenat.
@@ -120,9 +116,7 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
       end
 
       assert List.last(distances) in [nil, 0.0]
-
-      assert_received {:color,
-                       %CameraView{viewed: %{format: :rgb24, data: <<1, 2, 3, _::binary>>}}}
+      assert [%CameraView{viewed: %{format: :rgb24, data: <<1, 2, 3, _::binary>>}} | _] = color
     end
 
     test "no such folder, and one that is cut short", %{tmp_dir: folder} do
@@ -169,6 +163,31 @@ defmodule Situ.Space.DepthCamera.LibraryTest do
       camera = DepthCamera.open(p, {Library, opts ++ [reconnect: false]})
       Situ.each(camera.depth, fn _ -> :ok end)
     end)
+  end
+
+  # The views of depth and of colour that a folder gives.
+  defp play(folder) do
+    me = self()
+    ref = make_ref()
+
+    assert {:ok, _} =
+             Pipeline.run(fn p ->
+               camera =
+                 DepthCamera.open(p, {Library, device: "fakenect:" <> folder, reconnect: false})
+
+               Situ.each(camera.depth, &send(me, {ref, :depth, &1}))
+               Situ.each(camera.color, &send(me, {ref, :color, &1}))
+             end)
+
+    {taken(ref, :depth), taken(ref, :color)}
+  end
+
+  defp taken(ref, kind) do
+    receive do
+      {^ref, ^kind, view} -> [view | taken(ref, kind)]
+    after
+      0 -> []
+    end
   end
 
   # "P5 640 480 65535", a line, then the sensor's numbers; colour likewise.
