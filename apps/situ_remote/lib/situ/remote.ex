@@ -38,8 +38,8 @@ defmodule Situ.Remote do
       default: :now,
       doc:
         "`:now`; `:start` (of the newest version; of live streams, of all that is kept); an originating time;" <>
-          " `:resume`: behind what was taken last time, as `position:` has it; `{:after, recording}`: for each stream behind the last message of that" <>
-          " name in a recording here, which is exact however this side ended."
+          " `:resume`: behind what was taken last time, as `position:` has it; `{:after, recording}`: for each" <>
+          " stream behind the last message of that name in a recording here, which is exact however this side ended."
     ],
     token: [type: :string, default: "", doc: "The secret that both sides share."],
     tls: [
