@@ -50,9 +50,7 @@ defmodule Situ.Stage.Control do
 
   @spec handle(term(), State.t()) :: {:noreply, State.t()} | {:stop, :normal, State.t()}
   def handle({:start, wiring}, state) do
-    state = state |> State.wire(wiring) |> Memory.prepare()
-    state.pace.early |> Enum.reverse() |> Enum.each(&send(self(), &1))
-    state = restored(start(%{state | pace: %{state.pace | early: []}}))
+    state = state |> State.wire(wiring) |> Memory.prepare() |> start() |> restored()
     State.report(state, :started)
     {:noreply, state}
   end
@@ -60,7 +58,7 @@ defmodule Situ.Stage.Control do
   def handle(:run, state) do
     Enum.each(state.inputs.by_tag, fn {_, input} -> Input.open(input) end)
     phase = if state.phase == :failed, do: :failed, else: :running
-    {:noreply, Loop.turn(%{state | phase: phase})}
+    {:noreply, %{state | phase: phase} |> Loop.turn() |> Loop.early()}
   end
 
   def handle({:ask, tag}, state) do

@@ -63,8 +63,9 @@ defmodule Situ.Stage.Loop do
 
   @doc "A plain message for the component."
   @spec info(State.t(), term()) :: State.t()
-  # A neighbour that started sooner may have closed already: its word waits until this stage knows its neighbours too.
-  def info(%{clock: nil, pace: pace} = state, message),
+  # A neighbour that started sooner may have closed already, a producer from outside may have failed: their words wait
+  # until this stage runs, and an error is then what `on_error` says.
+  def info(%{phase: :starting, pace: pace} = state, message),
     do: %{state | pace: %{pace | early: [message | pace.early]}}
 
   def info(%{callback: nil} = state, _message), do: state
@@ -73,6 +74,14 @@ defmodule Situ.Stage.Loop do
   def info(state, message) do
     now = Clock.now(state.clock)
     state |> State.wake() |> Activation.call(:handle_info, [message], now) |> turn()
+  end
+
+  @doc "Plain messages that came before the stage ran, in their order."
+  @spec early(State.t()) :: State.t()
+  def early(%{pace: %{early: early} = pace} = state) do
+    early
+    |> Enum.reverse()
+    |> Enum.reduce(%{state | pace: %{pace | early: []}}, &info(&2, &1))
   end
 
   @doc "Another process asks something of the component (`from` is `nil` for a cast)."
@@ -87,6 +96,9 @@ defmodule Situ.Stage.Loop do
 
   @doc "Something is due: timers, or messages ahead of time."
   @spec ring(State.t()) :: State.t()
+  # It is set again when the stage runs.
+  def ring(%{phase: :starting} = state), do: %{state | timers: Timers.rang(state.timers)}
+
   def ring(state) do
     now = Clock.now(state.clock)
     {keys, timers} = Timers.due(Timers.rang(state.timers), now)

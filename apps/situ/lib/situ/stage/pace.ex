@@ -20,7 +20,7 @@ defmodule Situ.Stage.Pace do
             looked: nil
 
   @typedoc """
-  `early`: what came before the stage knew its neighbours, newest first. `quitting`: it ends once its outputs are
+  `early`: plain messages that came before the stage ran, newest first. `quitting`: it ends once its outputs are
   drained. `continue`: the component goes on with this, `{:some, term}`, before it takes anything else in;
   `closings`: inputs that have closed meanwhile; `lingers`: it has something left for later, although they have.
   `singly`: how many messages of a batch that failed are still to be taken one by one.

@@ -40,7 +40,76 @@ defmodule Situ.Lifecycle.FailureTest do
     def handle_message(:in, _message, _context, opts), do: opts[:answer]
   end
 
+  defmodule Told do
+    # Raises when it is told `:bad`, and when its timer rings, of which it tells; tells of `{:good, n}`.
+    use Situ.Component, outputs: [out: :integer], options: [tell: [type: {:fun, 1}]]
+
+    @impl true
+    def init(opts), do: {:ok, opts[:tell]}
+
+    @impl true
+    def handle_start(context, tell) do
+      tell.({:told, self()})
+      {[{:timer, :soon, context.now}], tell}
+    end
+
+    @impl true
+    def handle_info({:good, n}, context, tell) do
+      tell.({:good, n})
+      {if(n == 4, do: [{:complete, context.now}], else: []), tell}
+    end
+
+    def handle_info(bad, _context, tell) do
+      if bad != :bad, do: tell.(:rang)
+      raise ArgumentError, inspect(bad)
+    end
+  end
+
+  defmodule Slow do
+    # Starts once it has learned of another component, told it something, and got an answer.
+    use Situ.Component, outputs: [out: :integer], options: [tell: [type: {:fun, 1}]]
+
+    @impl true
+    def init(opts), do: {:ok, opts[:tell]}
+
+    @impl true
+    def handle_start(context, tell) do
+      tell.({:slow, self()})
+
+      receive do
+        {:other, pid} ->
+          for message <- [:bad, {:good, 1}, :bad, {:good, 2}, {:good, 3}], do: send(pid, message)
+          # answered behind what was sent before it
+          {:error, _} = GenServer.call(pid, :anything)
+      end
+
+      {[{:complete, context.now}], tell}
+    end
+  end
+
   describe "on_error" do
+    test "is also for messages that come while the pipeline starts; they keep their order" do
+      me = self()
+
+      run =
+        Task.async(fn ->
+          Pipeline.run(fn p ->
+            Situ.source(p, Told, tell: &send(me, &1), on_error: :skip, name: "Told")
+            Situ.source(p, Slow, tell: &send(me, &1), name: "Slow")
+          end)
+        end)
+
+      assert_receive {:told, told}, 10_000
+      assert_receive {:slow, slow}, 10_000
+      send(slow, {:other, told})
+      assert_receive :rang, 10_000
+      send(told, {:good, 4})
+      assert {:ok, report} = Task.await(run, 10_000)
+      assert report.skipped == %{"Told" => 3}
+      {:messages, heard} = Process.info(self(), :messages)
+      assert [1, 2, 3, 4] == for({:good, n} <- heard, do: n)
+    end
+
     test ":skip keeps the state before the message and counts the loss" do
       {values, {:ok, report}} = sums([raise_at: [2, 4]], on_error: :skip)
       assert values == [0, 1, 4, 9]
