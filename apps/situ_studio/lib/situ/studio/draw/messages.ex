@@ -5,8 +5,9 @@ defmodule Situ.Studio.Draw.Messages do
   """
   alias Situ.Studio.{Source, Visualizer}
 
-  # Of so few messages nobody can tell how often they come: as many on both sides say it.
-  @few 8
+  # Of so few messages nobody can tell how often they come, as holes may lie among them: so many on both sides say it.
+  @few 32
+  @beside 16
 
   @scan 200_000
   @sample 1_500
@@ -67,7 +68,7 @@ defmodule Situ.Studio.Draw.Messages do
   @spec beside(Source.t(), String.t(), {Situ.Time.t(), Situ.Time.t()}, non_neg_integer()) ::
           {before :: [Situ.Message.t()], later :: [Situ.Message.t()]}
   def beside(source, stream, {from, to}, n) do
-    most = if n < @few, do: @few, else: 1
+    most = if n < @few, do: @beside, else: 1
     before = neighbours(source, :latest_at, stream, from, most)
     {Enum.reverse(before), neighbours(source, :next_after, stream, to, most)}
   end

@@ -21,10 +21,11 @@ defmodule Situ.Studio.Visualizers.States do
       {:ok, summary} ->
         later = time(Source.call(source, :next_after, [stream, to]))
         newest = List.wrap(time(Source.call(source, :latest_at, [stream, to])))
+        before = time(Source.call(source, :latest_at, [stream, from - 1]))
 
         summary
         |> Tracks.segments(later)
-        |> Segments.cut(Rhythm.holes(summary.counts))
+        |> Segments.cut(Rhythm.holes(beside(summary.counts, before, later)))
         |> Segments.frame(channel, bin, Enum.map(newest, &%{originating_time: &1}), true)
 
       :none ->
@@ -37,6 +38,12 @@ defmodule Situ.Studio.Visualizers.States do
 
   def window(source, channel, spec, from, to, bin),
     do: Segments.window(source, channel, spec, from, to, bin)
+
+  # A hole may reach beyond the window. The first of the bins, which are whole, may hold the message before.
+  defp beside([{first, _} | _] = counts, before, later) do
+    before = if before != nil and before < first, do: [{before, 1}], else: []
+    before ++ counts ++ if(later, do: [{later, 1}], else: [])
+  end
 
   defp time({:ok, message}), do: message.originating_time
   defp time(_), do: nil

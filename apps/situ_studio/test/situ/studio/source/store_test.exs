@@ -113,6 +113,28 @@ defmodule Situ.Studio.Source.StoreTest do
     assert_in_delta later, 12_000_000_000, 25_000_000
   end
 
+  test "a hole that reaches beyond the window is empty there too", %{tmp_dir: dir} do
+    rows = for i <- Enum.concat(0..4_999, 20_000..24_999), do: {i * 1_000_000, true}
+    source = source(record(dir, "wide", :boolean, rows))
+    # of so many messages the summary is drawn
+    assert [{0, until, ["true", "true"]}] = lanes(source, 0, 10_000_000_000, 800)
+    assert_in_delta until, 5_000_000_000, 30_000_000
+    shown = lanes(source, 10_000_000_000, 25_000_000_000, 800)
+    refute Enum.any?(shown, fn {a, b, _} -> a < 19_970_000_000 and b > 10_000_000_000 end)
+    assert {_, nil, ["true", "true"]} = List.last(shown)
+  end
+
+  test "a message between two holes leaves both empty, at any zoom", %{tmp_dir: dir} do
+    rows = for i <- Enum.concat([0..199, [300], 500..699]), do: {i * 1_000_000, true}
+    source = source(record(dir, "lone", :boolean, rows))
+
+    for {from, to} <- [{0, 700}, {190, 520}, {290, 310}, {301, 302}, {250, 251}, {400, 505}] do
+      for {a, b, _} <- lanes(source, from * 1_000_000, to * 1_000_000, 800) do
+        for hole <- [250_000_000, 400_000_000], do: refute(a < hole and (b == nil or b > hole))
+      end
+    end
+  end
+
   test "an atom that this system does not know is a state all the same", %{tmp_dir: dir} do
     type = {:in, [:situ_test_idle, :situ_test_moving]}
     atom = "situ_never_seen_#{System.unique_integer([:positive])}"

@@ -30,7 +30,7 @@ defmodule Situ.Studio.Visualizers.LineTest do
       })
 
     assert [%{kind: 1, flags: 1} = frame] = reply.frames
-    # eight on both sides: so few within do not tell how often messages come
-    assert column(frame, 3) == Enum.map(492..510, &(&1 / 1))
+    # sixteen on both sides: so few within do not tell how often messages come
+    assert column(frame, 3) == Enum.map(484..518, &(&1 / 1))
   end
 end

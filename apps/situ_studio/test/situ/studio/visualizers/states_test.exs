@@ -69,7 +69,7 @@ defmodule Situ.Studio.Visualizers.StatesTest do
     {:ok, points, true} =
       Source.History.series(history, "wave", 1_700_000_000, 1_800_000_000, 1_000)
 
-    assert length(points) == 16
+    assert length(points) == 32
   end
 
   test "an hour of states is bounded by what can be told apart", %{session: session} do
