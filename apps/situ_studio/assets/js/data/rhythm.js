@@ -23,9 +23,10 @@ export function rhythm({ t, n, length }) {
   return { period: steady ? usual : Infinity, row: median(pauses) };
 }
 
-// How long a pause may be before it is a hole.
-export function patience({ period, row }) {
-  return Math.max(row + MISSED * period, 1.5 * row);
+// How long a pause may be behind a row of `n` messages before it is a hole. A series that grows live has rows of one
+// message behind older ones of many.
+export function patience({ period, row }, n) {
+  return Math.max(row + MISSED * period, 1.5 * row, (1.5 * n + MISSED) * period);
 }
 
 function median(values) {

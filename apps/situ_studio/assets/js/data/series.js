@@ -12,8 +12,7 @@ export class Series {
     this.length = 0;
     this.raw = true;
     this.sampled = false;
-    this.patience = Infinity;
-    this.row = 0;
+    this.beat = { period: Infinity, row: 0 };
     this.capacity = 0;
     for (const c of COLUMNS) this[c] = new Float64Array(0);
   }
@@ -30,20 +29,23 @@ export class Series {
     this.length = keep + n;
     this.raw = frame.raw && (keep === 0 || this.raw);
     this.sampled = frame.sampled === true;
-    const beat = rhythm(this);
-    this.row = beat.row;
-    this.patience = patience(beat);
+    this.beat = rhythm(this);
+  }
+
+  // How long a pause behind a row may be before messages are missing.
+  patience(i) {
+    return patience(this.beat, this.n[i]);
   }
 
   // Whether messages are missing between a row and the one before it: a line must not cross there.
   holeBefore(i) {
-    return this.t[i] - this.t[i - 1] > this.patience;
+    return this.t[i] - this.t[i - 1] > this.patience(i - 1);
   }
 
   // How old the row in force at `t` is there, in ns; 0 while its successor is not due yet.
   age(i, t) {
     const age = t - this.t[i];
-    return age > Math.min(this.patience, Math.max(OLD, this.raw ? 0 : this.row)) ? age : 0;
+    return age > Math.min(this.patience(i), Math.max(OLD, this.raw ? 0 : this.beat.row)) ? age : 0;
   }
 
   // Forgets rows before `from`, when that is worth a copy.

@@ -52,7 +52,7 @@ export function line(
   }
   if (pen && s.holeBefore(b)) alone(b);
   // a step holds until the next message is due
-  if (step && pen && b === n - 1) ctx.lineTo(Math.min(x(view[1]), x(s.t[b] + Math.min(s.patience, 1e15))), py);
+  if (step && pen && b === n - 1) ctx.lineTo(Math.min(x(view[1]), x(s.t[b] + Math.min(s.patience(b), 1e15))), py);
   if (joined) ctx.stroke();
   // dots show single messages, as long as they are apart
   const apart = b > a ? (x(s.t[b]) - x(s.t[a])) / (b - a) : Infinity;

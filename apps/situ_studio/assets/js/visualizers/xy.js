@@ -12,7 +12,7 @@ export function pairs(x, y, [from, to]) {
   if (!x?.length || !y?.length) return out;
   for (let i = Math.max(y.at(from), 0); i < y.length && y.t[i] <= to; i++) {
     const k = x.at(y.t[i]);
-    if (y.t[i] < from || k < 0 || y.t[i] - x.t[k] > x.patience) continue;
+    if (y.t[i] < from || k < 0 || y.t[i] - x.t[k] > x.patience(k)) continue;
     if (Number.isFinite(x.last[k]) && Number.isFinite(y.last[i])) out.push([y.t[i], x.last[k], y.last[i]]);
   }
   return out;

@@ -38,6 +38,28 @@ test("a hole in what comes regularly is one, at every scale", () => {
   );
 });
 
+test("what grows live joins older bins of many messages, and has its holes", () => {
+  const s = series(every(32 * MS, 0, 3200 * MS), 16, false);
+  const put = (times) => {
+    const column = Float64Array.from(times, () => 0);
+    const n = Float64Array.from(times, () => 1);
+    const frame = {
+      t: Float64Array.from(times),
+      min: column,
+      max: column,
+      last: column,
+      n,
+      count: n.length,
+      raw: true,
+    };
+    s.put(frame, 0, times[0]);
+  };
+  put(every(2 * MS, 3200 * MS, 5 * S));
+  assert.deepEqual(holes(s), []);
+  put(every(2 * MS, 5.2 * S, 6 * S));
+  assert.deepEqual(holes(s), [5.2 * S]);
+});
+
 test("two messages missed are no hole, nor is jitter", () => {
   const times = every(10 * MS, 0, 5 * S)
     .filter((_, i) => i !== 100 && i !== 101)
