@@ -420,14 +420,14 @@ defmodule Situ.Cluster do
   defdelegate overview, to: Overview, as: :now
 
   @doc """
-  The pipelines that run on all nodes, by title: what the studio watches (`Situ.Studio`, `pipelines:`) as if they ran
-  here.
+  The parts that run on all nodes, by title, each with a function that finds its pipeline: the studio watches them
+  (`Situ.Studio`, `pipelines:`) as if they ran here, wherever they go meanwhile.
   """
-  @spec pipelines() :: [{String.t(), pid()}]
+  @spec pipelines() :: [{String.t(), (() -> pid() | nil)}]
   def pipelines do
     if Process.whereis(Agent) do
       for %{deployment: d, part: part, pipeline: pid} when pid != nil <- overview().parts,
-          do: {"#{d}/#{part}", pid}
+          do: {"#{d}/#{part}", fn -> Overview.pipeline(d, part) end}
     else
       []
     end

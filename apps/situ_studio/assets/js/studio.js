@@ -97,6 +97,7 @@ export class Studio {
     if (reply.first) this.opened(reply);
     if (this.growing !== reply.live) {
       if (this.growing && !reply.gone) this.ended(reply);
+      else if (reply.live) this.goesOn();
       this.growing = reply.live;
       this.header.grows(reply.live);
       document.body.dataset.growing = reply.live ? "1" : "";
@@ -113,8 +114,20 @@ export class Studio {
   ended(reply) {
     const at = absolute(Number(reply.to - this.client.origin), this.client.origin).slice(11, 19);
     this.connection.ended(`ended ${at}`);
+    this.followed = this.time.get().mode === "live";
     this.time.dispatch({ type: "live", on: false });
+    this.stopped = this.time.get();
     toast(`The source ended at ${at}. The page keeps its data.`);
+  }
+
+  // It was started again, here or on another node: the page follows it again, unless somebody looks at what it has.
+  goesOn() {
+    if (!this.connection.over) return;
+    this.connection.ended("");
+    toast("The source goes on.");
+    const s = this.time.get();
+    const untouched = s.view === this.stopped.view && s.cursor === this.stopped.cursor;
+    if (this.followed && untouched) this.time.dispatch({ type: "live", on: true, width: s.liveWidth });
   }
 
   // A snapped cursor moves to where the server found the message.

@@ -74,13 +74,16 @@ defmodule Situ.CLI.ClusterDeployment do
       ),
       Option.new(:retain, :span, "how much of each stream the log keeps (default: all)"),
       Option.new(:checkpoint, :span, "between checkpoints", default: 1_000_000_000),
+      Option.new(:lease, :span, "without a sign of life of a node: another takes its parts over",
+        default: 1_000_000_000
+      ),
       Option.new(:balance, :span, "how often to look whether a part should move")
     ]
   end
 
   defp deploy(module, opts, ask) do
     module = Module.concat([module])
-    taken = Keyword.take(opts, [:name, :retain, :checkpoint, :balance, :direct, :publish])
+    taken = Keyword.take(opts, [:name, :retain, :checkpoint, :lease, :balance, :direct, :publish])
     # A pipeline's options are few, and whoever deploys may run code there anyway.
     build = for {name, value} <- Setting.read(opts[:set]), do: {String.to_atom(name), value}
 

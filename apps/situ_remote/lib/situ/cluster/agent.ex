@@ -57,8 +57,9 @@ defmodule Situ.Cluster.Agent do
   def info(agent \\ __MODULE__), do: GenServer.call(agent, :info, 30_000)
 
   @doc "The runners of this node for a deployment, by part."
-  @spec runners(GenServer.server(), String.t()) :: %{String.t() => pid()}
-  def runners(agent \\ __MODULE__, name), do: GenServer.call(agent, {:runners, name}, 30_000)
+  @spec runners(GenServer.server(), String.t(), timeout()) :: %{String.t() => pid()}
+  def runners(agent \\ __MODULE__, name, timeout \\ 30_000),
+    do: GenServer.call(agent, {:runners, name}, timeout)
 
   @doc "How a deployment is cut, as this node runs it."
   @spec plan(GenServer.server(), String.t()) :: Situ.Cluster.Plan.t() | nil

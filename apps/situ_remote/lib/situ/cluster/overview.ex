@@ -8,6 +8,9 @@ defmodule Situ.Cluster.Overview do
   """
   alias Situ.Cluster.{Agent, Recordings, Runner, Vitals}
 
+  # A node that stands still is not waited for longer.
+  @answer_ms 2_000
+
   defstruct time: 0, here: nil, nodes: [], parts: [], links: [], recordings: []
 
   @typedoc """
@@ -106,14 +109,33 @@ defmodule Situ.Cluster.Overview do
     end
   end
 
+  @doc """
+  The pipeline that runs a part of a deployment at this moment, on whichever node; `nil` when none does, as while the
+  part moves.
+  """
+  @spec pipeline(String.t(), String.t()) :: pid() | nil
+  def pipeline(deployment, part) do
+    with %{node: node} <- route({deployment, part}),
+         %{^part => runner} <- runners(node, deployment),
+         %{pipeline: pid} <- info(runner),
+         do: pid,
+         else: (_ -> nil)
+  end
+
+  defp route(part) do
+    Agent.info().routes[part]
+  catch
+    :exit, _ -> nil
+  end
+
   defp runners(node, name) do
-    Agent.runners({Agent, node}, name)
+    Agent.runners({Agent, node}, name, @answer_ms)
   catch
     :exit, _ -> %{}
   end
 
   defp info(runner) do
-    Runner.info(runner)
+    Runner.info(runner, @answer_ms)
   catch
     :exit, _ -> %{}
   end

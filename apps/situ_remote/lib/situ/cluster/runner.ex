@@ -39,8 +39,8 @@ defmodule Situ.Cluster.Runner do
   def start_link(args), do: GenServer.start_link(__MODULE__, args)
 
   @doc "The part's state, for people."
-  @spec info(pid()) :: map()
-  def info(runner), do: GenServer.call(runner, :info, 30_000)
+  @spec info(pid(), timeout()) :: map()
+  def info(runner, timeout \\ 30_000), do: GenServer.call(runner, :info, timeout)
 
   @doc "Stops the sources of the part; their posted messages are still handled."
   @spec stop(pid()) :: :ok

@@ -62,8 +62,10 @@ defmodule Situ.Cluster.OverviewTest do
     assert crossing != nil and
              Enum.find(snapshot.nodes, &(&1.id == crossing.from)).scope == "Smooth"
 
-    assert {_, pid} = List.keyfind(Cluster.pipelines(), "ClusterSums/Sum", 0)
-    assert is_pid(pid)
+    assert {_, find} = List.keyfind(Cluster.pipelines(), "ClusterSums/Sum", 0)
+    assert is_pid(find.()) and find.() == Cluster.Overview.pipeline("ClusterSums", "Sum")
+    assert Cluster.Overview.pipeline("ClusterSums", "Nothing") == nil
+    assert Cluster.Overview.pipeline("Nothing", "Sum") == nil
     assert {:ok, nil} = Cluster.balance(deployment)
     assert {:ok, lines} = Cluster.logs()
     assert is_list(lines)

@@ -22,11 +22,11 @@ export class Connection {
     Object.assign(this, { header, toast, name: null });
   }
 
-  // The live stream is no more; the connection still stands.
+  // The live stream is no more; the connection still stands. An empty text: it goes on.
   ended(text) {
     this.over = text;
-    document.body.dataset.ended = "1";
-    if (this.name === "open") this.header.set("connection", text);
+    document.body.dataset.ended = text ? "1" : "";
+    if (this.name === "open") this.header.set("connection", text || STATUS.open);
   }
 
   set(name) {

@@ -50,7 +50,7 @@ defmodule Situ.Studio.DataSession do
   def handle(text, %__MODULE__{} = session) do
     with {:ok, request} <- decode(text) do
       {state, session} = session |> align(request["offset"]) |> refresh()
-      session = session |> close(request["close"]) |> open(request["open"])
+      session = session |> close(request["close"]) |> open(request["open"]) |> show()
       time = cursor(session, request)
       windows = windows(session, request["series"])
       {instants, session} = instants(session, request["instant"], time)
@@ -100,6 +100,15 @@ defmodule Situ.Studio.DataSession do
   end
 
   defp ended(session), do: %{session | extent: %{session.extent | live: false}}
+
+  # A page asks for windows only where something is new: what it shows is wanted all the same.
+  defp show(%{extent: %{live: true}, channels: channels} = session) do
+    streams = for {_, {%{stream: stream}, _}} <- channels, uniq: true, do: stream
+    Source.wanted(session.source, streams)
+    session
+  end
+
+  defp show(session), do: session
 
   defp close(session, ids) when is_list(ids),
     do: %{session | channels: Map.drop(session.channels, ids)}

@@ -47,29 +47,44 @@ defmodule Situ.Studio.History do
   @spec put(t(), String.t(), Situ.Message.t(), non_neg_integer()) :: :ok
   def put(%__MODULE__{} = history, name, %Situ.Message{} = message, bytes) do
     open(history, name, :any)
-    time = message.originating_time
-    :ets.insert(history.messages, {{name, time}, message, bytes})
-    [{_, type, count, held, first, _, total, kept}] = :ets.lookup(history.streams, name)
-    row = {name, type, count + 1, held + bytes, first || time, time, total + bytes, kept + 1}
-    :ets.insert(history.streams, forget(history, row))
+    key = {name, message.originating_time}
+    known? = said?(:ets.lookup(history.messages, key))
+    :ets.insert(history.messages, {key, message, bytes})
+    if not known?, do: count(history, name, message.originating_time, bytes)
     :ok
   end
 
-  @doc """
-  Nobody looks at the stream from here on: what it says is not known until the next message. A hole takes no part in
-  counts; `Situ.Studio.Hole` stands in the place of its data.
-  """
-  @spec interrupt(t(), String.t()) :: :ok
-  def interrupt(%__MODULE__{} = history, name) do
-    case :ets.lookup(history.streams, name) do
-      [{_, _, _, _, _, last, _, _}] when last != nil ->
-        hole = %Situ.Message{data: %Situ.Studio.Hole{}, originating_time: last + 1}
-        :ets.insert(history.messages, {{name, last + 1}, hole, 0})
-        :ok
+  # A pipeline that goes on from a checkpoint says some of it once more: that counts once, and newer times stay newer.
+  defp said?([{_, %{data: %Situ.Studio.Hole{}}, _}]), do: false
+  defp said?(rows), do: rows != []
 
-      _ ->
-        :ok
+  defp count(history, name, time, bytes) do
+    [{_, type, count, held, first, last, total, kept}] = :ets.lookup(history.streams, name)
+    {first, last} = {min(first || time, time), max(last || time, time)}
+    row = {name, type, count + 1, held + bytes, first, last, total + bytes, kept + 1}
+    :ets.insert(history.streams, forget(history, row))
+  end
+
+  @doc "The time of the newest message of a stream; `nil` before the first."
+  @spec last(t(), String.t()) :: Situ.Time.t() | nil
+  def last(%__MODULE__{streams: streams}, name) do
+    case :ets.lookup(streams, name) do
+      [{_, _, _, _, _, last, _, _}] -> last
+      [] -> nil
     end
+  end
+
+  @doc """
+  Nobody has looked at the stream behind its message at `last`: what it says is not known until the next message. A hole
+  takes no part in counts; `Situ.Studio.Hole` stands in the place of its data.
+  """
+  @spec interrupt(t(), String.t(), Situ.Time.t() | nil) :: :ok
+  def interrupt(%__MODULE__{}, _name, nil), do: :ok
+
+  def interrupt(%__MODULE__{} = history, name, last) do
+    hole = %Situ.Message{data: %Situ.Studio.Hole{}, originating_time: last + 1}
+    :ets.insert_new(history.messages, {{name, last + 1}, hole, 0})
+    :ok
   end
 
   defp forget(history, {name, type, count, held, first, last, total, kept} = row) do

@@ -90,11 +90,26 @@ defmodule Situ.Studio.Source do
   @doc "The damage of the source, in sentences; `[]` if all of it can be read."
   @callback damage(handle :: term()) :: [String.t()]
 
-  @optional_callbacks sample: 5, summary: 5, damage: 1
+  @doc """
+  A page shows these streams, whether it asks for any of them at the moment or not: a source that reads only what
+  somebody wants goes on with them.
+  """
+  @callback wanted(handle :: term(), streams :: [String.t()]) :: term()
+
+  @optional_callbacks sample: 5, summary: 5, damage: 1, wanted: 2
 
   @doc "Calls the source's function of this name."
   @spec call(t(), atom(), list()) :: term()
   def call({module, handle}, function, args), do: apply(module, function, [handle | args])
+
+  @doc "Tells the source which streams a page shows, see `c:wanted/2`."
+  @spec wanted(t(), [String.t()]) :: :ok
+  def wanted({module, handle}, streams) do
+    if streams != [] and function_exported?(module, :wanted, 2),
+      do: module.wanted(handle, streams)
+
+    :ok
+  end
 
   @doc "The damage of the source, see `c:damage/1`."
   @spec damage(t()) :: [String.t()]

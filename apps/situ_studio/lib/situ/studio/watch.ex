@@ -4,8 +4,11 @@ defmodule Situ.Studio.Watch do
   `Situ.Studio.History`, and removes the tap when no page has asked for a while.
 
   Each tap runs behind a lossy queue in a process of its own (`Situ.Pipeline.Tap`); pages read the history. So however
-  slow
-  or many the pages are, the pipeline only ever hands over messages.
+  slow or many the pages are, the pipeline only ever hands over messages.
+
+  A target that is a function is asked again whenever its pipeline has ended or is another one: a supervisor may have
+  restarted it, a part of a cluster goes on on another node. Its streams are tapped there as soon as a page asks for
+  them; nothing is known of the time between (`Situ.Studio.Hole`).
   """
   use GenServer, restart: :temporary
 
@@ -22,9 +25,14 @@ defmodule Situ.Studio.Watch do
   @idle_ms 10_000
   @look_ms 500
   @seconds 300
+  # A node of a cluster may stand still: its answer is waited for so long.
+  @answer_ms 2_000
+  # One that is started again, here or on another node, is not over yet.
+  @return_ms 6_000
 
-  @doc "Starts watching `target` (a pipeline's pid or name)."
-  @spec start_link(Situ.Pipeline.target()) :: GenServer.on_start()
+  @doc "Starts watching `target`: a pipeline's pid or name, or a function that finds it."
+  @spec start_link(Situ.Pipeline.target() | (() -> Situ.Pipeline.target() | nil)) ::
+          GenServer.on_start()
   def start_link(target), do: GenServer.start_link(__MODULE__, target)
 
   @doc "The handle for readers."
@@ -34,9 +42,7 @@ defmodule Situ.Studio.Watch do
   @doc "Notes that a page wants this stream, and taps it when it is not tapped yet."
   @spec want(t(), String.t()) :: :ok | {:error, Error.t()}
   def want(%__MODULE__{uses: uses} = watch, stream) do
-    now = System.monotonic_time(:millisecond)
-
-    if :ets.update_element(uses, stream, {2, now}),
+    if :ets.update_element(uses, stream, {2, now()}),
       do: :ok,
       else: GenServer.call(watch.pid, {:tap, stream})
   rescue
@@ -51,7 +57,7 @@ defmodule Situ.Studio.Watch do
   def streams(%__MODULE__{uses: uses, pid: pid}) do
     case :ets.lookup(uses, :streams) do
       [{:streams, until, streams, running?}] ->
-        if System.monotonic_time(:millisecond) < until,
+        if now() < until,
           do: {:ok, streams, running?},
           else: GenServer.call(pid, :streams)
 
@@ -95,7 +101,8 @@ defmodule Situ.Studio.Watch do
     uses = :ets.new(__MODULE__, [:set, :public, read_concurrency: true])
     history = History.new(seconds: @seconds)
     Process.send_after(self(), :sweep, @sweep_ms)
-    {:ok, %{target: target, history: history, uses: uses, taps: %{}, streams: []}}
+    state = %{target: target, history: history, uses: uses, taps: %{}, streams: []}
+    {:ok, Map.merge(state, %{ran: now(), away: now()})}
   end
 
   @impl true
@@ -106,31 +113,28 @@ defmodule Situ.Studio.Watch do
   def handle_call({:tap, stream}, _from, state) when is_map_key(state.taps, stream),
     do: {:reply, :ok, state}
 
+  # Pages ask many times a second for what is not there at the moment.
   def handle_call({:tap, stream}, _from, state) do
-    history = state.history
-    keep = fn message -> History.put(history, stream, message, History.weigh(message.data)) end
-
-    case attach(state.target, stream, keep) do
-      {:ok, tap} ->
-        :ets.insert(state.uses, {stream, System.monotonic_time(:millisecond)})
-        {:reply, :ok, put_in(state.taps[stream], tap)}
-
-      {:error, error} ->
-        {:reply, {:error, error}, state}
+    if now() < state.away do
+      {:reply, {:error, ended()}, state}
+    else
+      {answer, state} = begin(state, stream)
+      {:reply, answer, state}
     end
   end
 
   def handle_call(:now, _from, state), do: {:reply, clock(state.target), state}
 
   def handle_call(:streams, _from, state) do
-    {streams, running?} =
-      case outputs(state.target) do
-        {:ok, streams} -> {streams, true}
-        :ended -> {state.streams, false}
+    {found, state} = look(state)
+
+    {streams, running?, state} =
+      case found do
+        {:ok, streams} -> {streams, true, %{state | ran: now()}}
+        :ended -> {state.streams, returns?(state), state}
       end
 
-    until = System.monotonic_time(:millisecond) + @look_ms
-    :ets.insert(state.uses, {:streams, until, streams, running?})
+    :ets.insert(state.uses, {:streams, now() + @look_ms, streams, running?})
     {:reply, {:ok, streams, running?}, %{state | streams: streams}}
   end
 
@@ -139,11 +143,11 @@ defmodule Situ.Studio.Watch do
   def handle_call({:trace, time}, _from, state) do
     answer =
       try do
-        {:ok, Situ.Pipeline.trace(target(state.target), time)}
+        {:ok, ask(target(state.target), :trace, [time])}
       rescue
         error in Error -> {:error, error}
       catch
-        :exit, _ -> {:error, Error.new(:not_running, "the pipeline has ended")}
+        _, _ -> {:error, ended()}
       end
 
     {:reply, answer, state}
@@ -152,44 +156,90 @@ defmodule Situ.Studio.Watch do
   @impl true
   def handle_info(:sweep, state) do
     Process.send_after(self(), :sweep, @sweep_ms)
-    old = System.monotonic_time(:millisecond) - @idle_ms
+    old = now() - @idle_ms
 
-    # a tap went with its pipeline: what a supervisor started in its place is tapped again when it is asked for
     idle =
-      for {stream, tap} <- state.taps,
+      for {stream, _} <- state.taps,
           [{_, used}] <- [:ets.lookup(state.uses, stream)],
-          used < old or not alive?(tap.pipeline),
-          do: {stream, tap}
+          used < old do
+        History.interrupt(state.history, stream, History.last(state.history, stream))
+        stream
+      end
 
-    for {stream, tap} <- idle do
-      :ets.delete(state.uses, stream)
-      detach(tap)
-      # one whose pipeline has ended is seen to its end
-      if alive?(tap.pipeline), do: History.interrupt(state.history, stream)
-    end
-
-    {:noreply, %{state | taps: Map.drop(state.taps, Enum.map(idle, &elem(&1, 0)))}}
+    {:noreply, let_go(state, idle)}
   end
+
+  # The one in its place is tapped again when a page asks for it.
+  def handle_info({:DOWN, _, :process, pipeline, _}, state),
+    do: {:noreply, let_go(state, tapped(state, &(&1 == pipeline)))}
 
   def handle_info(_, state), do: {:noreply, state}
 
-  # It may run on another node of a cluster.
-  defp alive?(pid) when node(pid) == node(), do: Process.alive?(pid)
+  defp now, do: System.monotonic_time(:millisecond)
 
-  defp alive?(pid) do
-    :erpc.call(node(pid), Process, :alive?, [pid], 1_000)
-  catch
-    _, _ -> false
+  # The streams now. Taps on a pipeline that is no longer the target's are let go: its node stands still, perhaps, and
+  # the part runs elsewhere.
+  defp look(%{target: target} = state) do
+    case target(target) do
+      pid when is_function(target, 0) and is_pid(pid) ->
+        {outputs(pid), let_go(state, tapped(state, &(&1 != pid)))}
+
+      target ->
+        {outputs(target), state}
+    end
+  end
+
+  defp returns?(%{target: target, ran: ran}),
+    do: is_function(target, 0) and now() < ran + @return_ms
+
+  defp begin(%{history: history} = state, stream) do
+    keep = fn message -> History.put(history, stream, message, History.weigh(message.data)) end
+    last = History.last(history, stream)
+
+    case attach(state.target, stream, keep) do
+      {:ok, tap} ->
+        # of the time since it was tapped before nothing is known
+        History.interrupt(history, stream, last)
+        :ets.insert(state.uses, {stream, now()})
+        {:ok, put_in(state.taps[stream], {tap, Process.monitor(tap.pipeline)})}
+
+      {:error, %{code: :not_running} = error} ->
+        {{:error, error}, %{state | away: now() + @look_ms}}
+
+      {:error, error} ->
+        {{:error, error}, state}
+    end
+  end
+
+  defp tapped(state, which?),
+    do: for({stream, {tap, _}} <- state.taps, which?.(tap.pipeline), do: stream)
+
+  defp let_go(state, streams) do
+    {gone, taps} = Map.split(state.taps, streams)
+
+    for {stream, {tap, monitor}} <- gone do
+      :ets.delete(state.uses, stream)
+      Process.demonitor(monitor, [:flush])
+      detach(tap)
+    end
+
+    %{state | taps: taps}
   end
 
   # A pipeline may end at any moment: then there is nothing to tap or to detach.
   defp attach(target, stream, keep) do
     Situ.attach_tap({target(target), stream}, keep, name: "Studio: " <> stream)
   catch
-    :exit, _ -> {:error, Error.new(:not_running, "the pipeline has ended")}
+    :exit, _ -> {:error, ended()}
   end
 
-  defp detach(tap) do
+  # Nobody waits for another node.
+  defp detach(%{pipeline: pid} = tap) when node(pid) != node(),
+    do: Task.start(fn -> take_away(tap) end)
+
+  defp detach(tap), do: take_away(tap)
+
+  defp take_away(tap) do
     Situ.detach_tap(tap)
   catch
     :exit, _ -> :ok
@@ -212,20 +262,27 @@ defmodule Situ.Studio.Watch do
   end
 
   defp info(target) do
-    {:ok, Situ.Pipeline.info(target(target))}
+    {:ok, ask(target(target), :info, [])}
   rescue
     error in Error -> {:error, error}
   catch
-    :exit, _ -> {:error, Error.new(:not_running, "the pipeline has ended")}
+    _, _ -> {:error, ended()}
   end
 
+  defp ended, do: Error.new(:not_running, "the pipeline has ended")
+
   defp clock(target) do
-    Situ.Pipeline.now(target(target))
+    ask(target(target), :now, [])
   rescue
     Error -> Situ.Time.now()
   catch
-    :exit, _ -> Situ.Time.now()
+    _, _ -> Situ.Time.now()
   end
+
+  defp ask(pid, function, args) when is_pid(pid) and node(pid) != node(),
+    do: :erpc.call(node(pid), Situ.Pipeline, function, [pid | args], @answer_ms)
+
+  defp ask(target, function, args), do: apply(Situ.Pipeline, function, [target | args])
 
   @doc false
   def target(fun) when is_function(fun, 0), do: fun.()

@@ -82,6 +82,12 @@ defmodule Situ.Studio.Source.Beside do
     do: Source.damage(first) ++ for(what <- Source.damage(second), do: @prefix <> " " <> what)
 
   @impl true
+  def wanted(beside, streams) do
+    for stream <- streams,
+        do: ask(beside, stream, fn source, stream, _ -> Source.wanted(source, [stream]) end)
+  end
+
+  @impl true
   def series(beside, stream, from, to, bin) do
     ask(beside, stream, fn
       source, stream, 0 ->

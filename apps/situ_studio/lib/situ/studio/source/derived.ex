@@ -109,6 +109,19 @@ defmodule Situ.Studio.Source.Derived do
   def damage(%{source: source}), do: Source.damage(source)
 
   @impl true
+  def wanted(%{source: source}, streams),
+    do: Source.wanted(source, streams |> Enum.flat_map(&bases/1) |> Enum.uniq())
+
+  defp bases("= " <> _ = name) do
+    case parse(name) do
+      {:ok, expression} -> Expression.names(expression)
+      {:error, _} -> []
+    end
+  end
+
+  defp bases(name), do: [name]
+
+  @impl true
   def series(derived, "= " <> _ = name, from, to, bin) do
     with {:ok, messages, _more} <- messages(derived, name, from, to, @most) do
       {before, later} = Messages.beside({__MODULE__, derived}, name, {from, to}, length(messages))

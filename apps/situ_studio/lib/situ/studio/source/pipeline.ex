@@ -97,6 +97,9 @@ defmodule Situ.Studio.Source.Pipeline do
   def trace(watch, time), do: Watch.trace(watch, time)
 
   @impl true
+  def wanted(watch, streams), do: Enum.each(streams, &Watch.want(watch, &1))
+
+  @impl true
   def series(watch, stream, from, to, bin),
     do: wanted(watch, stream, &History.series(&1, stream, from, to, bin))
 
@@ -120,10 +123,13 @@ defmodule Situ.Studio.Source.Pipeline do
   def next_after(watch, stream, time),
     do: wanted(watch, stream, &History.next_after(&1, stream, time))
 
-  # A stream that cannot be tapped any more (the pipeline has ended) still has its past.
+  # A stream that cannot be tapped any more, or not at the moment, still has its past.
   defp wanted(watch, stream, read) do
     case Watch.want(watch, stream) do
       :ok ->
+        read.(watch.history)
+
+      {:error, %{code: :not_running}} ->
         read.(watch.history)
 
       {:error, error} ->

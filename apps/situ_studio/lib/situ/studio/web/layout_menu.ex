@@ -39,6 +39,22 @@ defmodule Situ.Studio.Web.LayoutMenu do
     if WholeNumber.parse(params["offset"]) == :error, do: shifted(socket, saved), else: socket
   end
 
+  @doc """
+  The automatic layout once more, where nobody has changed it and messages have told by now what a stream is that had
+  been shown as plain values: a running pipeline does not always know it before. `shapes` are those known until then.
+  """
+  @spec learned(Socket.t(), map()) :: Socket.t()
+  def learned(%{assigns: %{layout: layout, saved: layout} = assigns} = socket, shapes) do
+    told? = fn {name, shape} -> shape == :value and assigns.shapes[name] not in [:value, nil] end
+    automatic? = layout.name == Layout.Auto.name()
+
+    if automatic? and Enum.any?(shapes, told?),
+      do: choose(socket, %{"layout" => layout.name}),
+      else: socket
+  end
+
+  def learned(socket, _shapes), do: socket
+
   # The shift that a layout was saved with, of the recording that is compared now.
   defp shifted(%{assigns: %{compared: %{id: id} = compared, source: source}} = socket, %{
          compared: {id, offset}

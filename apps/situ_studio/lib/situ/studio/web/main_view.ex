@@ -97,6 +97,9 @@ defmodule Situ.Studio.Web.MainView do
 
   defp load_streams(socket), do: KnownStreams.load(socket)
 
+  defp look_again(%{assigns: %{shapes: shapes}} = socket),
+    do: socket |> load_streams() |> LayoutMenu.learned(shapes)
+
   # Streams of a recording that was shifted have other times.
   defp moved(socket, %{assigns: %{source: source}}),
     do: if(socket.assigns.source == source, do: socket, else: load_streams(socket))
@@ -104,7 +107,7 @@ defmodule Situ.Studio.Web.MainView do
   @impl true
   def handle_event("streams_changed", _, socket) do
     first? = socket.assigns.infos == []
-    socket = load_streams(socket)
+    socket = look_again(socket)
     {:noreply, if(first?, do: LayoutMenu.choose(socket, %{}), else: socket)}
   end
 
@@ -251,7 +254,7 @@ defmodule Situ.Studio.Web.MainView do
     Process.send_after(self(), :refresh, @refresh_ms)
 
     case Source.call(socket.assigns.source, :extent, []) do
-      {:ok, %{live: true}} -> {:noreply, socket |> load_streams() |> alerts()}
+      {:ok, %{live: true}} -> {:noreply, socket |> look_again() |> alerts()}
       _ -> {:noreply, socket}
     end
   end

@@ -1,7 +1,9 @@
 defmodule Situ.Studio.Web.ClusterViewTest do
   use ExUnit.Case, async: false
   alias Situ.Live.Test, as: Page
-  alias Situ.Studio.Source
+  import Situ.Studio.Asking, only: [ask: 2]
+  import Situ.Test.Eventually
+  alias Situ.Studio.{DataSession, Source}
   alias Situ.Studio.Web.ClusterView
 
   @moduletag :tmp_dir
@@ -38,6 +40,46 @@ defmodule Situ.Studio.Web.ClusterViewTest do
       for {title, _} <- Source.Pipeline.running([{:all, &Situ.Cluster.pipelines/0}]), do: title
 
     assert "Sums/Sum" in titles
+  end
+
+  test "the streams of a part go on after it has moved", %{tmp_dir: dir} do
+    start_supervised!({Situ.Cluster, log: dir})
+    place = [{"Sum", deterministic: true}]
+    {:ok, deployed} = Situ.Cluster.deploy(Sums, place: place, checkpoint: Situ.Time.ms(50))
+    pipelines = [{:all, &Situ.Cluster.pipelines/0}]
+    titles = fn -> for {title, _} <- Source.Pipeline.running(pipelines), do: title end
+    assert eventually(fn -> "Sums/Sum" in titles.() end)
+    supervisor = start_supervised!(DynamicSupervisor)
+    {:ok, source} = Source.Pipeline.open(pipelines, "Sums/Sum", supervisor)
+    # a page shows the stream, and asks for a window once: then for what is new, and nothing is
+    open = %{
+      "open" => [[1, %{"stream" => "Sum.Scan", "viz" => "line"}]],
+      "series" => [[1, "0", "1", 1]]
+    }
+
+    {_, session} = ask(DataSession.new(source), open)
+    newest = fn -> elem(ask(session, %{"live" => true}), 0) end
+    assert eventually(fn -> newest.().to > newest.().from end)
+
+    # A node that gives it away and takes it again: another pipeline runs the part.
+    before = Situ.Cluster.Overview.pipeline("Sums", "Sum")
+    %{"Sum" => runner} = Situ.Cluster.Agent.runners("Sums")
+    :ok = Situ.Cluster.Runner.restart(runner)
+    assert Situ.Cluster.Overview.pipeline("Sums", "Sum") not in [nil, before]
+    seen = newest.().to
+
+    assert eventually(fn ->
+             reply = newest.()
+             assert reply.flags == 1
+             reply.to > seen + Situ.Time.ms(100)
+           end)
+
+    # nothing is known of the time between
+    {:ok, messages, :all} =
+      Source.call(source, :messages, ["Sum.Scan", 0, 4_000_000_000_000_000_000, 1_000_000])
+
+    assert Enum.count(messages, &is_struct(&1.data, Situ.Studio.Hole)) == 1
+    Situ.Cluster.forget(deployed)
   end
 
   # The view has asked; the answers come by themselves, one node after the other.

@@ -45,6 +45,26 @@ defmodule Situ.Studio.Web.MainViewTest do
     assert edit(page) == ""
   end
 
+  test "a stream that tells later what it is gets its panel, unless somebody has changed the layout",
+       %{
+         studio: studio,
+         history: history
+       } do
+    History.open(history, "Late", :any)
+    [page, changed] = [open(studio), open(studio)]
+    Page.event(changed, "add_viz", %{"stream" => "Mic.Level", "viz" => "line"})
+    plots = Page.count(page, "[data-kind=plot]")
+    mine = edit(changed)
+    Page.event(page, "streams_changed", %{})
+    assert Page.count(page, "[data-kind=plot]") == plots
+    message = %Situ.Message{data: 1.5, originating_time: 2_000}
+    History.put(history, "Late", message, 8)
+    Page.event(page, "streams_changed", %{})
+    Page.event(changed, "streams_changed", %{})
+    assert Page.count(page, "[data-kind=plot]") == plots + 1
+    assert mine != "" and edit(changed) == mine
+  end
+
   test "names are escaped", %{studio: studio} do
     html = Page.render(open(studio))
     refute html =~ "<b>x</b>"
