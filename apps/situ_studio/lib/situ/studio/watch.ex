@@ -284,7 +284,13 @@ defmodule Situ.Studio.Watch do
 
   defp ask(target, function, args), do: apply(Situ.Pipeline, function, [target | args])
 
+  # Whoever is asked where it is may be gone, too.
   @doc false
-  def target(fun) when is_function(fun, 0), do: fun.()
+  def target(fun) when is_function(fun, 0) do
+    fun.()
+  catch
+    _, _ -> nil
+  end
+
   def target(target), do: target
 end
