@@ -110,22 +110,38 @@ shades = List.to_tuple(shades)
     pipeline: [name: "Camera", replay: [speed: 1.0]]
   )
 
-# One that ends when the tests say so.
-{:ok, brief} =
-  Situ.Pipeline.start(
-    fn p ->
-      p
-      |> Situ.from_enumerable(0..9_999_999, every: Situ.Time.ms(40), name: "Ticks")
-      |> Situ.map(&:math.sin(&1 / 20), name: "Brief.Level", type: :float)
-    end,
-    pipeline: [name: "Brief", replay: [speed: 1.0]]
-  )
+# One that ends when the tests say so, and is started again when they take that back.
+brief = fn ->
+  {:ok, pid} =
+    Situ.Pipeline.start(
+      fn p ->
+        p
+        |> Situ.timer(every: Situ.Time.ms(40), name: "Ticks")
+        |> Situ.map(fn _ -> :rand.uniform() end, name: "Brief.Level", type: :float)
+      end,
+      pipeline: [name: "Brief"]
+    )
+
+  pid
+end
 
 stop = Path.join(work, "stop")
+{:ok, running} = Agent.start_link(brief)
 
 Task.start_link(fn ->
-  Stream.repeatedly(fn -> Process.sleep(50) end) |> Enum.find(fn _ -> File.exists?(stop) end)
-  Situ.Pipeline.stop(brief)
+  for _ <- Stream.repeatedly(fn -> Process.sleep(50) end) do
+    case {Agent.get(running, & &1), File.exists?(stop)} do
+      {pid, true} when is_pid(pid) ->
+        Agent.update(running, fn _ -> nil end)
+        Situ.Pipeline.stop(pid)
+
+      {nil, false} ->
+        Agent.update(running, fn _ -> brief.() end)
+
+      _ ->
+        :ok
+    end
+  end
 end)
 
 # One with composites, a part that is too slow and a connection that drops, for the page of its graph.
@@ -185,7 +201,7 @@ plugins = PluginFixture.folder(work)
     port: 0,
     path: folder,
     sources: sources,
-    pipelines: [pipeline, factory, mill, brief, camera],
+    pipelines: [pipeline, factory, mill, {"Brief", fn -> Agent.get(running, & &1) end}, camera],
     plugins: [plugins],
     layouts: layouts
   )

@@ -189,7 +189,8 @@ test("7 truth: live, dragging leaves the newest time, and a click goes back to i
   );
 });
 
-test("7 truth: a pipeline that has ended is said to have, and its past stays", async ({ page, shot }) => {
+test("7 truth: a pipeline that has ended is said to have, its past stays, and it goes on", async ({ page, shot }) => {
+  rmSync(site.stop, { force: true });
   await open(page, main, "Brief");
   const id = await panelOf(page, "Brief.Level");
   await until(
@@ -204,8 +205,14 @@ test("7 truth: a pipeline that has ended is said to have, and its past stays", a
     () => document.getElementById("connection").textContent.startsWith("ended "),
     "said in the status line",
   );
-  equal((await state(page)).mode, "manual", "no longer live");
+  const over = await state(page);
+  equal(over.mode, "manual", "no longer live");
   await shot("ended");
+  rmSync(site.stop);
+  await until(page, () => document.getElementById("connection").textContent === "connected", "it goes on");
+  await until(page, (end) => window.situStudio.time.get().data[1] > end + 1e9, "with new messages", over.data[1]);
+  equal((await state(page)).mode, "live", "which the page follows again");
+  await shot("goes-on");
   await page.goto(`${main}/s/Brief`);
   await until(
     page,
