@@ -55,6 +55,9 @@ defmodule Situ.Store.Reading do
                   [limit: [type: :pos_integer, default: 1_000, doc: "At most so many messages."]]
   @at_options [envelopes: @envelopes]
 
+  # So many messages are read at once.
+  @batch 1_000
+
   @type name :: String.t() | StreamInfo.t()
 
   @spec open_options() :: Options.schema()
@@ -172,8 +175,10 @@ defmodule Situ.Store.Reading do
   end
 
   @spec messages(Handle.t(), name(), keyword()) :: Enumerable.t()
-  def messages(store, name, opts \\ []) do
-    opts = Options.validate!(opts, @message_options)
+  def messages(store, name, opts \\ []),
+    do: in_batches(store, name, Options.validate!(opts, @message_options), @batch)
+
+  defp in_batches(store, name, opts, size) do
     info = ok!(stream_info(store, name))
     type = if opts[:envelopes], do: nil, else: opts[:type]
     upgrade = Evolution.upgrade!(info, type)
@@ -182,7 +187,7 @@ defmodule Situ.Store.Reading do
     Stream.resource(
       fn -> first_ordinal(store, info, opts) end,
       fn ordinal ->
-        case batch(store, info, ordinal, to, 1_000, opts) do
+        case batch(store, info, ordinal, to, size, opts) do
           {:ok, [], _} -> {:halt, ordinal}
           {:ok, messages, next} -> {upgrade.(messages), next}
           {:error, error} -> raise error
@@ -209,7 +214,7 @@ defmodule Situ.Store.Reading do
   def read(store, name, opts \\ []) do
     with {:ok, opts} <- Options.validate(opts, @read_options) do
       {limit, opts} = Keyword.pop(opts, :limit)
-      {:ok, store |> messages(name, opts) |> Enum.take(limit)}
+      {:ok, store |> in_batches(name, opts, min(limit, @batch)) |> Enum.take(limit)}
     end
   rescue
     error in Error -> {:error, error}

@@ -96,7 +96,16 @@ defmodule Situ.Studio.Source do
   """
   @callback wanted(handle :: term(), streams :: [String.t()]) :: term()
 
-  @optional_callbacks sample: 5, summary: 5, damage: 1, wanted: 2
+  @doc "At most `n` messages before a time or after it, the nearest first; for sources that have many at once."
+  @callback neighbours(
+              handle :: term(),
+              stream :: String.t(),
+              :before | :after,
+              Situ.Time.t(),
+              n :: pos_integer()
+            ) :: {:ok, [Situ.Message.t()]} | {:error, Situ.Error.t()}
+
+  @optional_callbacks sample: 5, summary: 5, damage: 1, wanted: 2, neighbours: 5
 
   @doc "Calls the source's function of this name."
   @spec call(t(), atom(), list()) :: term()
@@ -147,6 +156,37 @@ defmodule Situ.Studio.Source do
           do: message
 
     Enum.with_index(messages, &{2 * &2, &1})
+  end
+
+  @doc """
+  At most `n` messages before a time or after it, the nearest first; `[]` of a stream that cannot be read. See
+  `c:neighbours/5`.
+  """
+  @spec neighbours(t(), String.t(), :before | :after, Situ.Time.t(), pos_integer()) ::
+          [Situ.Message.t()]
+  def neighbours({module, handle} = source, stream, side, time, n) do
+    with true <- function_exported?(module, :neighbours, 5),
+         {:ok, messages} <- module.neighbours(handle, stream, side, time, n) do
+      messages
+    else
+      # up to what is damaged
+      _ -> one_by_one(source, stream, side, time, n)
+    end
+  end
+
+  defp one_by_one(source, stream, side, time, n) do
+    next = fn
+      time when side == :before -> call(source, :latest_at, [stream, time - 1])
+      time -> call(source, :next_after, [stream, time])
+    end
+
+    time
+    |> Stream.unfold(fn time ->
+      with {:ok, message} <- next.(time),
+           do: {message, message.originating_time},
+           else: (_ -> nil)
+    end)
+    |> Enum.take(n)
   end
 
   @doc "The message whose originating time is nearest to `time`."

@@ -69,24 +69,7 @@ defmodule Situ.Studio.Draw.Messages do
           {before :: [Situ.Message.t()], later :: [Situ.Message.t()]}
   def beside(source, stream, {from, to}, n) do
     most = if n < @few, do: @beside, else: 1
-    before = neighbours(source, :latest_at, stream, from, most)
-    {Enum.reverse(before), neighbours(source, :next_after, stream, to, most)}
-  end
-
-  @doc """
-  At most `n` messages outside of the window, the nearest first: `:latest_at` its beginning or `:next_after` its end.
-  """
-  @spec neighbours(Source.t(), :latest_at | :next_after, String.t(), Situ.Time.t(), pos_integer()) ::
-          [Situ.Message.t()]
-  def neighbours(source, side, stream, time, n) do
-    step = if side == :latest_at, do: -1, else: 0
-
-    time
-    |> Stream.unfold(fn time ->
-      with {:ok, message} <- Source.call(source, side, [stream, time + step]),
-           do: {message, message.originating_time},
-           else: (_ -> nil)
-    end)
-    |> Enum.take(n)
+    before = Source.neighbours(source, stream, :before, from, most)
+    {Enum.reverse(before), Source.neighbours(source, stream, :after, to, most)}
   end
 end

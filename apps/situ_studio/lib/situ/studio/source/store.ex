@@ -309,6 +309,25 @@ defmodule Situ.Studio.Source.Store do
          do: found(Store.first_at(source.store, info, time + 1))
   end
 
+  @impl true
+  def neighbours(source, name, side, time, n) do
+    with {:ok, info} <- info(source, name),
+         {:ok, here} <-
+           Store.ordinal(source.store, info, if(side == :before, do: time, else: time + 1)),
+         do: run(source.store, info, side, here, n)
+  end
+
+  defp run(_store, _info, :before, 0, _n), do: {:ok, []}
+
+  defp run(store, info, :before, here, n) do
+    first = max(here - n, 0)
+
+    with {:ok, messages} <- Store.read(store, info, index: first, limit: here - first),
+         do: {:ok, Enum.reverse(messages)}
+  end
+
+  defp run(store, info, :after, here, n), do: Store.read(store, info, index: here, limit: n)
+
   defp found({:ok, nil}), do: :none
   defp found(other), do: other
 end

@@ -8,8 +8,8 @@ defmodule Situ.Studio.Visualizers.Log do
   @behaviour Situ.Studio.Visualizer
 
   alias Situ.Message
-  alias Situ.Studio.Draw.{Messages, Segments}
-  alias Situ.Studio.{Frame, Path, Visualizer}
+  alias Situ.Studio.Draw.Segments
+  alias Situ.Studio.{Frame, Path, Source, Visualizer}
 
   @earlier 60
   @later 30
@@ -20,8 +20,8 @@ defmodule Situ.Studio.Visualizers.Log do
 
   @impl true
   def instant(channel, _data, %{originating_time: time} = message, %{source: source, spec: spec}) do
-    before = Messages.neighbours(source, :latest_at, spec.stream, time, @earlier)
-    later = Messages.neighbours(source, :next_after, spec.stream, time, @later)
+    before = Source.neighbours(source, spec.stream, :before, time, @earlier)
+    later = Source.neighbours(source, spec.stream, :after, time, @later)
     rows = for m <- Enum.reverse(before) ++ [message | later], do: row(m, spec.path)
     Frame.json(channel, time, %{"rows" => rows, "at" => length(before)})
   end

@@ -19,7 +19,7 @@ defmodule Situ.Studio.Visualizers.Spans do
 
   alias Situ.Interval
   alias Situ.Studio.Draw.{Key, Messages, Segments}
-  alias Situ.Studio.{Path, Visualizer}
+  alias Situ.Studio.{Path, Source, Visualizer}
 
   @limit 1_000
   @starts [:start, "start"]
@@ -35,8 +35,8 @@ defmodule Situ.Studio.Visualizers.Spans do
   @impl true
   def window(source, channel, %{stream: stream} = spec, from, to, bin) do
     with {:ok, messages, all?} <- Messages.within(source, stream, from, to) do
-      before = Messages.neighbours(source, :latest_at, stream, from, @around)
-      later = Messages.neighbours(source, :next_after, stream, to, @around)
+      before = Source.neighbours(source, stream, :before, from, @around)
+      later = Source.neighbours(source, stream, :after, to, @around)
       messages = settled(Enum.reverse(before) ++ messages ++ later)
 
       rows =

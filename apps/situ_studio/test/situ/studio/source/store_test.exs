@@ -113,6 +113,35 @@ defmodule Situ.Studio.Source.StoreTest do
     assert_in_delta later, 12_000_000_000, 25_000_000
   end
 
+  test "the nearest messages on both sides are those one by one", %{tmp_dir: dir} do
+    times = for i <- 1..2_500, do: i * 10 + rem(i * i, 7)
+    {_, handle} = source = source(record(dir, "near", :float, for(t <- times, do: {t, t * 1.0})))
+
+    held = Situ.Studio.History.new(live: false)
+
+    for {t, i} <- Enum.with_index(times),
+        do: Situ.Studio.History.put(held, "S", Situ.Studio.Asking.message(t, t * 1.0, i), 8)
+
+    # a history has them one by one
+    refute function_exported?(Source.History, :neighbours, 5)
+
+    same =
+      forall {time, n} <-
+               {:proper_types.integer(-5, 25_100), :proper_types.integer(1, 40)} do
+        for side <- [:before, :after] do
+          told = fn source ->
+            for m <- Source.neighbours(source, "S", side, time, n), do: m.originating_time
+          end
+
+          assert told.(source) == told.({Source.History, held})
+          assert {:ok, _} = Source.Store.neighbours(handle, "S", side, time, n)
+        end
+      end
+
+    Situ.Test.Property.check(same, numtests: 100)
+    assert Source.neighbours(source, "Nothing", :before, 5, 3) == []
+  end
+
   test "a hole that reaches beyond the window is empty there too", %{tmp_dir: dir} do
     rows = for i <- Enum.concat(0..4_999, 20_000..24_999), do: {i * 1_000_000, true}
     source = source(record(dir, "wide", :boolean, rows))
