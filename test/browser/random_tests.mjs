@@ -6,7 +6,7 @@ import { open, settled, state, dispatch, panelOf, pointAt } from "./studio_page.
 
 const site = JSON.parse(process.argv[2]);
 // The tools of a panel lie over the right of its first lane while the mouse is there: places are left of them.
-const ZOOMS = 10,
+const ZOOMS = 6,
   PLACES = 3;
 // How far beside a segment the mouse may be, and as much again for the pixel it is in.
 const NEAR_PX = 5;
